@@ -1,0 +1,1 @@
+"""MJCF stages that ship with PulseStage; each loads in any MuJoCo viewer."""

@@ -1,0 +1,18 @@
+"""What is compiled, and how: one decorator for the hot functions, and MuJoCo's `mj_step` for use inside them.
+
+    @hot
+    def advance(rows, i, until): ...
+
+Functions so marked are compiled by numba without the GIL and cached on disk. They keep to scalars, records and arrays:
+no allocation, no strings, no exceptions, so that the same source can later compile for other targets.
+With NUMBA_DISABLE_JIT=1 they run as plain Python, for debugging and for coverage.
+"""
+
+from __future__ import annotations
+
+import numba
+
+hot = numba.njit(nogil=True, cache=True, error_model="numpy")
+"""Decorator of every compiled function. No fastmath: the same input gives the same bits."""
+
+COMPILED = not numba.config.DISABLE_JIT

@@ -1,0 +1,55 @@
+"""The project's errors: each says what was given, what is allowed and what to do; state stays as it was."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from difflib import get_close_matches
+
+
+class StageError(Exception):
+    """Base of every error that PulseStage raises."""
+
+
+class ArgumentError(StageError, ValueError):
+    """An argument is out of range or not known."""
+
+
+class ModelError(StageError, ValueError):
+    """An MJCF model does not keep the naming contract; `missing` holds the lines to add.
+
+    Attributes:
+        missing: tuple of MJCF lines that would mend the model (may be empty).
+    """
+
+    def __init__(self, message: str, missing: Iterable[str] = ()):
+        super().__init__(message)
+        self.missing = tuple(missing)
+
+
+class SimulationError(StageError, RuntimeError):
+    """The simulation diverged; the stage holds the state before the step that did.
+
+    Attributes:
+        time: seconds, the time of the state held.
+        axis: name of the axis that diverged first.
+    """
+
+    def __init__(self, message: str, time: float, axis: str):
+        super().__init__(message)
+        self.time = time
+        self.axis = axis
+
+    def __reduce__(self):
+        return type(self), (str(self), self.time, self.axis)
+
+
+class RunTimeout(StageError, TimeoutError):
+    """A condition did not come true within the simulated time allowed."""
+
+
+def unknown(kind: str, given: object, allowed: Iterable[str]) -> ArgumentError:
+    """An ArgumentError for a name that is not among `allowed`, with the near misses."""
+    names = sorted(allowed)
+    near = get_close_matches(str(given), names, n=3, cutoff=0.5)
+    hint = f" Did you mean {' or '.join(repr(n) for n in near)}?" if near else ""
+    return ArgumentError(f"unknown {kind} {given!r}.{hint} Known: {', '.join(names) or 'none'}.")
