@@ -1,0 +1,263 @@
+"""`Chip`: what all emulated chips have in common. A family adds its register map, its core and its lint.
+
+    chip = PCL240K(clock_hz=4_915_200)
+    chip.write(0, 0x81)          one bus cycle
+    chip.advance(1000)           1000 reference clocks; returns the pulses begun
+    chip.pins.el_plus = True     True is asserted, whatever the polarity
+
+A chip of a stage shares the stage's clock: there a bus cycle takes bus time, and only the stage advances it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from types import ModuleType
+from typing import Any, ClassVar, NamedTuple, Protocol
+
+import numpy as np
+
+from stage.chips.journal import Journal
+from stage.chips.register_map import RegisterMap, dump
+from stage.errors import ArgumentError, StageError, unknown
+
+MAX_DIAGNOSTICS = 1000
+MAX_CLOCKS = 1 << 45  # a speed of 13 bits times this still fits 63 bits
+
+
+class Diagnostic(NamedTuple):
+    """A bus write that a data-sheet reader would call a mistake. `clock` in ticks since power-up."""
+
+    clock: int
+    address: int
+    value: int
+    message: str
+    source: str
+
+
+class Bus(Protocol):
+    """Who a chip of a stage belongs to."""
+
+    def cycle(self) -> None:
+        """Let the time of one bus cycle pass."""
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """All state of one chip; restores into a chip of the same class and clock."""
+
+    chip: str
+    clock_hz: int
+    record: bytes
+    diagnostics: tuple[Diagnostic, ...]
+
+
+class Pins:
+    """Input and output pins by name; True = asserted. Inputs can be set, outputs only read."""
+
+    __slots__ = ("_axis", "_chip")
+
+    def __init__(self, chip: Chip, axis: int = 0):
+        object.__setattr__(self, "_chip", chip)
+        object.__setattr__(self, "_axis", axis)
+
+    def __getattr__(self, name: str) -> bool:
+        chip = self._chip
+        if name in chip.INPUTS:
+            return bool(chip._input_word(self._axis) & chip.INPUTS[name])
+        if name in chip.OUTPUTS:
+            return bool(chip._output_word(self._axis) & chip.OUTPUTS[name])
+        if name.startswith("__"):
+            raise AttributeError(name)
+        raise _NoPin(unknown(f"{type(chip).__name__} pin", name, (*chip.INPUTS, *chip.OUTPUTS)))
+
+    def __setattr__(self, name: str, value: bool) -> None:
+        chip = self._chip
+        if name not in chip.INPUTS:
+            kind = "is an output and cannot be driven" if name in chip.OUTPUTS else "is not a pin"
+            raise _NoPin(f"{type(chip).__name__} {name!r} {kind}. Inputs: {', '.join(chip.INPUTS)}.")
+        word = chip._input_word(self._axis)
+        bit = chip.INPUTS[name]
+        new = word | bit if value else word & ~bit
+        if new != word:
+            chip._set_input_word(self._axis, new)
+            if chip._journal is not None:
+                chip._journal.note_input(chip.clock, self._axis, new)
+
+    def __dir__(self):
+        return [*self._chip.INPUTS, *self._chip.OUTPUTS]
+
+    def as_dict(self) -> dict[str, bool]:
+        """Every pin, inputs first."""
+        return {name: getattr(self, name) for name in dir(self)}
+
+    def __repr__(self) -> str:
+        return "Pins(" + ", ".join(name for name, on in self.as_dict().items() if on) + ")"
+
+
+class _NoPin(StageError, AttributeError):
+    """No such pin, or it cannot be set."""
+
+
+class ChipAxis:
+    """One axis of a chip."""
+
+    def __init__(self, chip: Chip, index: int):
+        self.chip, self.index, self.pins = chip, index, Pins(chip, index)
+
+
+class Chip:
+    """Base of all chips. Not used by itself."""
+
+    MAP: ClassVar[RegisterMap]
+    CORE: ClassVar[ModuleType]
+    INPUTS: ClassVar[dict[str, int]]
+    OUTPUTS: ClassVar[dict[str, int]]
+    AXES: ClassVar[int] = 1
+    DEFAULT_CLOCK_HZ: ClassVar[int]
+    DATA_MASK: ClassVar[int] = 0xFF
+
+    def __init__(self, clock_hz: int | None = None):
+        """Power the chip up. `clock_hz`: reference clock, default the data sheet's."""
+        hz = self.DEFAULT_CLOCK_HZ if clock_hz is None else clock_hz
+        if int(hz) != hz or not 1 <= hz <= 100_000_000:
+            raise ArgumentError(f"clock_hz={clock_hz!r}: a reference clock is a whole number of 1 to 100,000,000 Hz.")
+        self.clock_hz = int(hz)
+        self.diagnostics: list[Diagnostic] = []
+        self.axes = tuple(ChipAxis(self, k) for k in range(self.AXES))
+        self._bus: Bus | None = None
+        self._journal: Journal | None = None
+        self._rows = np.zeros(1, self.CORE.STATE).view(np.recarray)
+        self._i = 0
+        self._configure(self._rows[0])
+        self.CORE.power_up(self._rows, 0)
+
+    def _configure(self, record: Any) -> None:
+        """Fill the fields that tell variants of a family apart."""
+
+    def _lint(self, address: int, value: int) -> tuple[str, str] | None:
+        """What a data-sheet reader would say to this write, and where it is written; None if nothing."""
+        return None
+
+    def _attach(self, bus: Bus, rows: np.recarray, i: int) -> None:
+        """Become a chip of a stage: the state moves into `rows[i]`."""
+        rows[i] = self._rows[self._i]
+        self._bus, self._rows, self._i = bus, rows, i
+
+    @property
+    def pins(self) -> Pins:
+        """The pins of a one-axis chip."""
+        if self.AXES != 1:
+            raise StageError(f"{type(self).__name__} has {self.AXES} axes: use chip.axes[i].pins")
+        return self.axes[0].pins
+
+    @property
+    def clock(self) -> int:
+        """Reference clocks since power-up."""
+        return int(self._rows[self._i].clock)
+
+    def write(self, address: int, value: int) -> None:
+        """One bus write cycle. Never raises: address and value are masked, mistakes go to `diagnostics`."""
+        address, value = int(address) & self._ADDRESS_MASK, int(value) & self.DATA_MASK
+        if self._bus is not None:
+            self._bus.cycle()
+        said = self._lint(address, value)
+        if said:
+            if len(self.diagnostics) >= MAX_DIAGNOSTICS:
+                del self.diagnostics[0]
+            self.diagnostics.append(Diagnostic(self.clock, address, value, *said))
+        self.CORE.write(self._rows, self._i, address, value)
+        if self._journal is not None:
+            self._journal.note_write(self.clock, address, value)
+
+    _ADDRESS_MASK: ClassVar[int] = 3
+
+    def read(self, address: int) -> int:
+        """One bus read cycle; the byte (or word) on the data bus."""
+        if self._bus is not None:
+            self._bus.cycle()
+        return int(self.CORE.read(self._rows, self._i, int(address) & self._ADDRESS_MASK))
+
+    def advance(self, clocks: int) -> int:
+        """Let the reference clock run for `clocks` ticks. Returns the pulses begun, all axes."""
+        return int(self.CORE.advance(self._rows, self._i, self._until(clocks)))
+
+    def trace(self, clocks: int) -> np.ndarray:
+        """As advance, but returns the pulses: an array of `clock` (tick since power-up at which it begins), `axis`, `direction`."""
+        until = self._until(clocks)
+        probe = self._rows[self._i : self._i + 1].copy().view(np.recarray)
+        out = np.empty(int(self.CORE.advance(probe, 0, until)), self.CORE.PULSE).view(np.recarray)
+        self.CORE.trace(self._rows, self._i, until, out)
+        return out.view(np.ndarray)
+
+    def _until(self, clocks: int) -> int:
+        if self._bus is not None:
+            raise StageError("this chip belongs to a stage and shares its clock: use stage.step, run or run_until.")
+        if int(clocks) != clocks or not 0 <= clocks <= MAX_CLOCKS:
+            raise ArgumentError(f"clocks={clocks!r}: a chip advances by a whole number of 0 to {MAX_CLOCKS} clocks.")
+        return self.clock + int(clocks)
+
+    def reset(self) -> None:
+        """The /RESET pin. Registers and modes clear; the clock, the inputs and the diagnostics stay."""
+        self.CORE.power_up(self._rows, self._i)
+        if self._journal is not None:
+            self._journal.note_reset(self.clock)
+
+    def snapshot(self) -> Snapshot:
+        """All state, to be restored into a chip of the same class."""
+        return Snapshot(type(self).__name__, self.clock_hz, self._rows[self._i].tobytes(), tuple(self.diagnostics))
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Continue from `snapshot`. Raises ArgumentError when it is another chip's."""
+        if self._bus is not None:
+            raise StageError("this chip belongs to a stage: restore the stage, so that all its parts agree.")
+        ours = (type(self).__name__, self.clock_hz)
+        if (snapshot.chip, snapshot.clock_hz) != ours:
+            raise ArgumentError(
+                f"a snapshot of {snapshot.chip} at {snapshot.clock_hz} Hz cannot be restored into {ours[0]} at {ours[1]} Hz."
+            )
+        self._rows[self._i] = np.frombuffer(snapshot.record, self.CORE.STATE)[0]
+        self.diagnostics[:] = snapshot.diagnostics
+
+    def __getstate__(self) -> Snapshot:
+        return self.snapshot()
+
+    def __setstate__(self, state: Snapshot) -> None:
+        self.__init__(state.clock_hz)  # type: ignore[misc]
+        self.restore(state)
+
+    def __copy__(self):
+        return self.__deepcopy__({})
+
+    def __deepcopy__(self, memo):
+        twin = type(self)(self.clock_hz)
+        twin.restore(self.snapshot())
+        return twin
+
+    def _input_word(self, axis: int) -> int:
+        return int(self._rows[self._i].inputs)
+
+    def _set_input_word(self, axis: int, word: int) -> None:
+        self._rows[self._i].inputs = word
+
+    def _output_word(self, axis: int) -> int:
+        return int(self.CORE.pins(self._rows, self._i))
+
+    def journal(self) -> Journal:
+        """Start to note every bus write and input change, so that the chip's course can be replayed exactly.
+
+        The journal notes until its `close()`; a chip keeps one journal at a time, a new one continues beside it.
+        """
+        self._journal = Journal(self, self._journal)
+        return self._journal
+
+    def values(self) -> dict[str, int]:
+        """What every register holds now, by name: a debugger's view, free of bus cycles."""
+        raise NotImplementedError
+
+    def dump(self) -> str:
+        """The register map with the values held now."""
+        return dump(self.MAP, self.values())
+
+    def __repr__(self) -> str:
+        values = " ".join(f"{k}={v}" for k, v in self.values().items())
+        return f"<{type(self).__name__} clock={self.clock} {values}>"
