@@ -11,8 +11,14 @@ With NUMBA_DISABLE_JIT=1 they run as plain Python, for debugging and for coverag
 from __future__ import annotations
 
 import numba
+import numpy as np
 
 hot = numba.njit(nogil=True, cache=True, error_model="numpy")
 """Decorator of every compiled function. No fastmath: the same input gives the same bits."""
 
 COMPILED = not numba.config.DISABLE_JIT
+
+
+def record(fields: list) -> np.dtype:
+    """A structured dtype whose elements have attributes, compiled or not; `hot` functions take plain arrays of it."""
+    return np.dtype((np.record, np.dtype(fields)))

@@ -126,7 +126,7 @@ class Chip:
         self.axes = tuple(ChipAxis(self, k) for k in range(self.AXES))
         self._bus: Bus | None = None
         self._journal: Journal | None = None
-        self._rows = np.zeros(1, self.CORE.STATE).view(np.recarray)
+        self._rows = np.zeros(1, self.CORE.STATE)
         self._i = 0
         self._configure(self._rows[0])
         self.CORE.power_up(self._rows, 0)
@@ -138,7 +138,7 @@ class Chip:
         """What a data-sheet reader would say to this write, and where it is written; None if nothing."""
         return None
 
-    def _attach(self, bus: Bus, rows: np.recarray, i: int) -> None:
+    def _attach(self, bus: Bus, rows: np.ndarray, i: int) -> None:
         """Become a chip of a stage: the state moves into `rows[i]`."""
         rows[i] = self._rows[self._i]
         self._bus, self._rows, self._i = bus, rows, i
@@ -182,12 +182,13 @@ class Chip:
         return int(self.CORE.advance(self._rows, self._i, self._until(clocks)))
 
     def trace(self, clocks: int) -> np.ndarray:
-        """As advance, but returns the pulses: an array of `clock` (tick since power-up at which it begins), `axis`, `direction`."""
+        """As advance, but returns the pulses: a structured array of `clock` (tick since power-up at which the pulse
+        begins, int64), `axis` and `direction` (int8; +1 or -1)."""
         until = self._until(clocks)
-        probe = self._rows[self._i : self._i + 1].copy().view(np.recarray)
-        out = np.empty(int(self.CORE.advance(probe, 0, until)), self.CORE.PULSE).view(np.recarray)
+        probe = self._rows[self._i : self._i + 1].copy()
+        out = np.empty(int(self.CORE.advance(probe, 0, until)), self.CORE.PULSE)
         self.CORE.trace(self._rows, self._i, until, out)
-        return out.view(np.ndarray)
+        return out
 
     def _until(self, clocks: int) -> int:
         if self._bus is not None:
@@ -213,7 +214,8 @@ class Chip:
         ours = (type(self).__name__, self.clock_hz)
         if (snapshot.chip, snapshot.clock_hz) != ours:
             raise ArgumentError(
-                f"a snapshot of {snapshot.chip} at {snapshot.clock_hz} Hz cannot be restored into {ours[0]} at {ours[1]} Hz."
+                f"a snapshot of {snapshot.chip} at {snapshot.clock_hz} Hz cannot be restored into "
+                f"{ours[0]} at {ours[1]} Hz."
             )
         self._rows[self._i] = np.frombuffer(snapshot.record, self.CORE.STATE)[0]
         self.diagnostics[:] = snapshot.diagnostics

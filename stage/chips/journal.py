@@ -82,8 +82,8 @@ class Journal:
     def course(self, every_pulse: bool = False) -> Course:
         """Replay. With `every_pulse` the edges of the pulse output are in it too."""
         chip, core = self._chip, self._chip.CORE
-        rows = np.frombuffer(bytearray(self._start), core.STATE).view(np.recarray)
-        out = np.zeros(CHUNK, core.EDGE).view(np.recarray)
+        rows = np.frombuffer(bytearray(self._start), core.STATE)
+        out = np.zeros(CHUNK, core.EDGE)
         parts: list[np.ndarray] = []
 
         def mark() -> None:
@@ -108,4 +108,4 @@ class Journal:
             mark()
         run(chip.clock if self._end is None else self._end)
         mark()
-        return Course(type(chip), chip.clock_hz, np.concatenate(parts).view(np.ndarray), tuple(self.entries))
+        return Course(type(chip), chip.clock_hz, np.concatenate(parts), tuple(self.entries))

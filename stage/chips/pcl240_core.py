@@ -13,12 +13,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from stage.compiled import hot
+from stage.compiled import hot, record
 
 REGISTERS = 8
 COUNTER_MASK = 0xFFFFFF
 
-STATE = np.dtype(
+STATE = record(
     [
         (name, "i8")
         for name in (
@@ -58,8 +58,8 @@ OUTPUTS = {
 }
 INDEPENDENT, EXTERNAL, OTS_LEVEL = 0x01, 0x10, 0x20  # bits of the output-mode command
 
-PULSE = np.dtype([("clock", "i8"), ("axis", "i1"), ("direction", "i1")], align=True)
-EDGE = np.dtype([(name, "i8") for name in "clock inputs outputs speed multiplier r0 net".split()])
+PULSE = np.dtype((np.record, np.dtype([("clock", "i8"), ("axis", "i1"), ("direction", "i1")], align=True)))
+EDGE = record([(name, "i8") for name in "clock inputs outputs speed multiplier r0 net".split()])
 
 
 @hot
@@ -195,6 +195,14 @@ def outputs(c):
     if c.irq:
         word |= IRQ
     return word
+
+
+@hot
+def pulse_rate(c, hz):
+    """Output frequency now, pulses per second (data sheet section 4, R7)."""
+    if (c.running or c.finishing) and c.reg[7] >= 2:
+        return c.speed * hz / (8192.0 * c.reg[7])
+    return 0.0
 
 
 @hot
@@ -469,7 +477,7 @@ def trace(rows, i, until, out):
             break
         clock, phase, total, net = c.clock, c.phase, c.total, c.net
         speed = c.speed
-        s = _span(c, until - c.clock)
+        _span(c, until - c.clock)
         n = c.total - total
         if n:
             m = 8192 * c.reg[7]

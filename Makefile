@@ -1,0 +1,46 @@
+# `make demo` and `make test` need python3 (3.11 or newer) with venv; they set up everything else, once, in .venv
+PYTHON ?= python3
+BIN := .venv/bin
+
+.PHONY: demo test test-slow lint bench pictures clean help
+
+help:
+	@echo "make demo       origin return, dual-rate and a:b moves; writes demo.rrd"
+	@echo "make test       the everyday test suite"
+	@echo "make test-slow  the long checks"
+	@echo "make lint       ruff and mypy"
+	@echo "make bench      speed, as ratios measured in one run"
+	@echo "make pictures   draw every picture of README and docs again"
+
+$(BIN)/python:
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install -q --upgrade pip
+
+.venv/.user: $(BIN)/python pyproject.toml
+	$(BIN)/python -m pip install -q -e '.[plot]'
+	@touch $@
+
+.venv/.dev: $(BIN)/python pyproject.toml
+	$(BIN)/python -m pip install -q -e '.[dev]'
+	@touch $@ .venv/.user
+
+demo: .venv/.user
+	$(BIN)/stage demo
+
+test: .venv/.dev
+	$(BIN)/python -m pytest -n 2 --dist worksteal
+
+test-slow: .venv/.dev
+	$(BIN)/python -m pytest -n 2 -m slow
+
+lint: .venv/.dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+bench: .venv/.dev
+	$(BIN)/python scripts/benchmark.py
+
+clean:
+	rm -rf .venv build dist *.egg-info .pytest_cache .hypothesis .ruff_cache .mypy_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

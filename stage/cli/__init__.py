@@ -1,0 +1,186 @@
+"""The command `stage`.
+
+Exit codes: 0 done as asked; 1 it ran, but not as asked (lost steps, stopped by a limit); 2 wrong usage or an error that
+says what to do; 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+
+EPILOG = """\
+examples:
+  stage demo                              home three axes, dual-rate move, a:b move; writes demo.rrd
+  stage home x --plot home.png            origin return, drawn like the data sheet's operation patterns
+  stage move x 8000 --fh1 20000           a preset move of 8000 pulses
+  stage sync x=20000 y=-7500              two axes along a straight line, in the ratio a:b
+  stage registers pcl240k                 the register map
+  stage pullout --motor 17HS4401          the pull-out curve
+
+exit codes: 0 done as asked, 1 ran but not as asked (lost steps, limit switch), 2 wrong usage, 130 interrupted
+"""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit code."""
+    from stage.errors import StageError
+
+    parser = build_parser()
+    args = parser.parse_args(argv)
+    if args.run is None:
+        parser.print_help()
+        return 2
+    try:
+        return args.run(args)
+    except (StageError, FileNotFoundError, PermissionError) as error:
+        print(f"stage: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        return 130
+    except BrokenPipeError:
+        sys.stderr.close()
+        return 0
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """The whole command line; cheap: nothing heavy is imported before a command runs."""
+    from stage import __version__
+
+    parser = argparse.ArgumentParser(
+        prog="stage",
+        description="Emulated motion-control chips drive an XYZ stage in MuJoCo, register for register.",
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="version", version=f"pulsestage {__version__}")
+    parser.set_defaults(run=None)
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND")
+    _add_moves(commands)
+    _add_tools(commands)
+    return parser
+
+
+def _command(commands, name: str, run: str, help_: str, description: str) -> argparse.ArgumentParser:
+    """A subcommand whose work is the function `module:function`, imported when it runs."""
+    p = commands.add_parser(name, help=help_, description=description)
+
+    def call(args: argparse.Namespace) -> int:
+        from importlib import import_module
+
+        module, function = run.split(":")
+        return getattr(import_module(f"stage.cli.{module}"), function)(args)
+
+    p.set_defaults(run=call)
+    return p
+
+
+def _bench(p: argparse.ArgumentParser) -> None:
+    g = p.add_argument_group("stage")
+    g.add_argument("--model", default="xyz", help="a shipped model (xyz, xy) or an MJCF file (default: xyz)")
+    g.add_argument("--chips", default="PCL240K", help="chip class on every axis (default: PCL240K)")
+    g.add_argument("--motor", help="motor on every axis (default: the model's)")
+    g.add_argument("--microsteps", type=int, default=16, help="microsteps per full step (default: 16)")
+    g.add_argument("--bus-voltage", type=float, default=24.0, help="drive supply, V (default: 24)")
+    g.add_argument("--bus-cycle", type=float, default=1e-6, help="seconds a host's bus cycle takes (default: 1e-6)")
+    g = p.add_argument_group("output")
+    g.add_argument("--record", metavar="FILE.rrd", help="write a rerun recording")
+    g.add_argument("--vcd", metavar="FILE.vcd", help="write waveforms for GTKWave")
+    g.add_argument("--force", action="store_true", help="overwrite files that exist")
+    g.add_argument("--view", action="store_true", help="open the recording in the rerun viewer")
+    g.add_argument("--web", action="store_true", help="serve the dashboard to a browser, on 127.0.0.1 only")
+    g.add_argument("--port", type=int, default=9090, help="port for --web (default: 9090)")
+
+
+def _speeds(p: argparse.ArgumentParser) -> None:
+    g = p.add_argument_group("speeds (pulses per second; the nearest that the registers reach is used and printed)")
+    g.add_argument("--fl", type=float, help="FL: start and stop rate")
+    g.add_argument("--fh1", type=float, help="FH1: first high rate")
+    g.add_argument("--fh2", type=float, help="FH2: second high rate")
+    g.add_argument("--accel", type=float, help="seconds from FL to the highest rate")
+    g.add_argument("--decel", type=float, help="seconds back to FL (default: as --accel)")
+
+
+def _place(p: argparse.ArgumentParser) -> None:
+    p.add_argument("--from", dest="start", type=float, metavar="MM", help="where the carriage starts, mm (default: 0)")
+
+
+def _add_moves(commands) -> None:
+    p = _command(
+        commands, "demo", "demo:run", "origin return, dual-rate and a:b moves; writes demo.rrd",
+        "Home all axes, make a dual-rate move and an a:b move, print a table and write a recording.",
+    )  # fmt: skip
+    _bench(p)
+    p.set_defaults(record="demo.rrd", force=True)
+    p.add_argument("--no-view", action="store_true", help="do not open the viewer even where there is a screen")
+    p = _command(
+        commands, "home", "moves:home", "origin return",
+        "Origin return: find ORG fast (slowed by SD), back off, approach it again slowly.",
+    )  # fmt: skip
+    p.add_argument("axes", nargs="*", metavar="AXIS", help="axes to home, one after the other (default: all)")
+    p.add_argument("--plus", action="store_true", help="search towards plus (default: minus)")
+    p.add_argument("--constant", action="store_true", help="constant-speed return at FL")
+    p.add_argument("--fast-only", action="store_true", help="without back-off and slow approach")
+    _place(p)
+    _speeds(p)
+    _plot(p)
+    _bench(p)
+    p = _command(
+        commands, "move", "moves:move", "a preset move of a number of pulses",
+        "A preset move: R0 counts the pulses down, the ramp-down point R6 is set by the data sheet's formula.",
+    )  # fmt: skip
+    p.add_argument("axis", metavar="AXIS")
+    p.add_argument("pulses", type=int, metavar="PULSES", help="signed: the sign is the direction")
+    p.add_argument("--constant", action="store_true", help="constant speed, no ramps")
+    _place(p)
+    _speeds(p)
+    _plot(p)
+    _bench(p)
+    p = _command(
+        commands, "dual-rate", "moves:dual_rate", "FL to FH1 to FH2 and back in one move",
+        "A dual-rate move: ramp to FH1, in motion on to FH2 (or down to it), then stop on the pulse.",
+    )  # fmt: skip
+    p.add_argument("axis", metavar="AXIS")
+    p.add_argument("pulses", type=int, metavar="PULSES")
+    _place(p)
+    _speeds(p)
+    _plot(p)
+    _bench(p)
+    p = _command(
+        commands, "sync", "moves:sync", "several axes along a straight line, in the ratio a:b",
+        "A synchronized move: registers in the ratio of the distances, equal ramp times, one start after the other.",
+    )  # fmt: skip
+    p.add_argument("distances", nargs="+", metavar="AXIS=PULSES", help="for example x=20000 y=-7500")
+    p.add_argument("--rate", type=float, help="pulse rate of the longest axis, pps")
+    p.add_argument("--fl", type=float, help="start rate of the longest axis, pps")
+    p.add_argument("--accel", type=float, help="seconds of ramp")
+    _plot(p)
+    _bench(p)
+
+
+def _plot(p: argparse.ArgumentParser) -> None:
+    p.add_argument("--plot", metavar="FILE.png", help="draw the move")
+
+
+def _add_tools(commands) -> None:
+    p = _command(
+        commands, "registers", "tools:registers", "the register map of a chip",
+        "Print a chip's registers, commands and status bits with the evidence for each.",
+    )  # fmt: skip
+    p.add_argument("chip", metavar="CHIP", help="for example pcl240k")
+    p = _command(
+        commands, "pullout", "tools:pullout", "pull-out torque of a motor and drive over speed",
+        "Measure at which torque the motor slips, beside the closed form of an ideal drive.",
+    )  # fmt: skip
+    p.add_argument("--motor", default="17HS4401")
+    p.add_argument("--bus-voltage", type=float, default=24.0, help="V (default: 24)")
+    p.add_argument("--microsteps", type=int, default=16)
+    p.add_argument("--plot", metavar="FILE.png", help="draw the curve")
+    p.add_argument("--force", action="store_true", help="overwrite files that exist")
+    p = _command(
+        commands, "view", "tools:view", "look at a model in the MuJoCo viewer",
+        "Open a model in MuJoCo's viewer (needs a screen), or print its axes.",
+    )  # fmt: skip
+    p.add_argument("model", nargs="?", default="xyz")
+    p.add_argument("--text", action="store_true", help="print axes, travel and switches instead")

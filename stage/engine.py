@@ -1,0 +1,234 @@
+"""The one compiled loop: switches -> chips -> drives -> mj_step, many steps per call.
+
+Time is an integer of nanoseconds. A physics step of dt is a *window* [start, start + dt) of chip time, cut into equal
+slices. In each slice every chip runs to the slice's end (an input edge or a bus cycle may fall anywhere inside), then
+every drive turns the pulses of the slice into torque. At the window's end the mean torque goes to `ctrl` and mj_step moves
+the stage.
+
+MuJoCo's integrator is a leapfrog: positions live at times t, velocities half a step before. The force that it wants at a
+position is the mean over the window centred there, so a window's centre, not its start, is the time of the position held in
+`qpos`: at a chip time tau after the window's start a joint stands at q + v (tau - dt / 2). With that the coupling adds no
+damping of its own (a stepper on its detent would ring falsely dead), and a switch's edge is extrapolated by half
+a step only.
+
+All state is in records inside MjData.userdata, all tables of constants in arrays beside it; nothing here allocates.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import glob
+import os
+
+import llvmlite.binding
+import mujoco
+import numba
+
+from stage.chips import pcl240_core
+from stage.compiled import COMPILED, hot, record
+from stage.drives import stepper
+
+_LIBRARY = glob.glob(os.path.join(os.path.dirname(mujoco.__file__), "libmujoco*.so*"))[0]
+if COMPILED:
+    llvmlite.binding.load_library_permanently(_LIBRARY)
+    mj_step = numba.types.ExternalFunction("mj_step", numba.types.void(numba.types.intp, numba.types.intp))
+else:
+    mj_step = ctypes.CDLL(_LIBRARY).mj_step
+    mj_step.argtypes = (ctypes.c_void_p, ctypes.c_void_p)
+    mj_step.restype = None
+
+NEVER = 1 << 62
+FAR = 1.0  # distance of a vane that no sensor sees
+SECOND = 1_000_000_000
+
+# --- state, in userdata ---
+WORLD = record([("now", "i8"), ("start", "i8"), ("slice", "i8"), ("steps", "i8"), ("to_sample", "i8")])
+"""`now`, `start` of the window (ns); slices and steps done; steps until the next sample."""
+AXIS = record([("torque_sum", "f8"), ("count", "i8"), ("next_edge", "i8")])
+"""Torque of the window so far, the drive's pulse count at the slice's start, time of the next switch edge (ns)."""
+SWITCH = record([("dist", "f8"), ("edge", "i8"), ("on", "i8")])
+"""Distance vane to switch at `qpos`, time of its next edge (ns), asserted."""
+
+# --- constants ---
+CLOCKWORK = record([("dt", "i8"), ("slices", "i8"), ("h", "f8"), ("half", "f8"), ("nv", "i8"), ("sample_every", "i8")])
+"""Window (ns), slices in it, a slice and half a window (s), degrees of freedom, steps per sample (0: none)."""
+AXIS_TABLE = record(
+    [(name, "i8") for name in "chip chip_axis hz qpos dof actuator first_switch end_switch".split()] + [("gear", "f8")]
+)
+"""Which chip row and drive row (= the axis' own index) move which joint; rotor radians per joint unit."""
+SWITCH_TABLE = record(
+    [("bit", "i8"), ("found", "i8"), ("at", "i8"), ("slope", "f8"), ("hysteresis", "f8"), ("forced", "i8")]
+)
+"""Pin bit, addresses in sensordata, d dist / d q; `forced`: -1 works, 0 stuck open, 1 stuck closed."""
+
+SAMPLE = record(
+    [("time", "f8"), ("position", "f8"), ("velocity", "f8"), ("commanded", "f8"), ("load_angle", "f8"), ("torque", "f8")]
+    + [("current_a", "f8"), ("current_b", "f8"), ("rate", "f8")]
+    + [(name, "i8") for name in "pulses lost_steps counter inputs outputs".split()]
+)
+"""One axis at one moment. SI units; load angle in electrical radians; rate in pps."""
+EDGE = record([("now", "i8"), ("clock", "i8"), ("axis", "i8"), ("inputs", "i8")])
+"""A switch edge: time (ns), the chip's clock, the chip's input word from then on."""
+
+REACHED, SAMPLES_FULL, EDGES_FULL, DIVERGED = range(4)
+MAX_SPEED = 1e6  # of any joint, per second; beyond it, or NaN, the simulation has diverged
+
+
+@hot
+def clock_at(now, hz):
+    """Ticks of a reference clock at `now` ns, exact for centuries."""
+    return now // SECOND * hz + now % SECOND * hz // SECOND
+
+
+@hot
+def _foresee(world, axes, table, switches, switch_table, clockwork, sensordata, qpos, qvel, moved):
+    """At a window's start: where each vane is, and when in this window its switch will change.
+
+    `moved`: qpos has moved since the sensors were read, by one step of the present qvel.
+    """
+    half = clockwork.half
+    for a in range(len(axes)):
+        axes[a].next_edge = NEVER
+        v = qvel[table[a].dof]
+        for k in range(table[a].first_switch, table[a].end_switch):
+            s, t = switches[k], switch_table[k]
+            s.edge = NEVER
+            s.dist = FAR
+            if sensordata[t.found] > 0.0:
+                s.dist = sensordata[t.at] + (t.slope * v * 2.0 * half if moved else 0.0)
+            approach = -t.slope * v
+            threshold = t.hysteresis if s.on else 0.0
+            on = 1 if s.dist - approach * half <= threshold else 0
+            if t.forced >= 0:
+                on = t.forced
+            if on != s.on:
+                wait = 0.0
+                if t.forced < 0 and approach != 0.0:
+                    wait = min(max(half + (s.dist - threshold) / approach, 0.0), 2.0 * half)
+                s.edge = world.start + int(wait * SECOND)
+                axes[a].next_edge = min(axes[a].next_edge, s.edge)
+
+
+@hot
+def _run_chip(axis, t, chips, switches, switch_table, a, until, edges, n_edges):
+    """Let the chip of axis `a` run to `until` ns, its switches changing on the way."""
+    c = chips[t.chip]
+    while axis.next_edge <= until:
+        now = axis.next_edge
+        pcl240_core.run(c, clock_at(now, t.hz))
+        axis.next_edge = NEVER
+        for k in range(t.first_switch, t.end_switch):
+            s = switches[k]
+            if s.edge <= now:
+                s.edge = NEVER
+                s.on = 1 - s.on
+                bit = switch_table[k].bit
+                c.inputs = c.inputs | bit if s.on else c.inputs & ~bit
+            axis.next_edge = min(axis.next_edge, s.edge)
+        if len(edges):
+            e = edges[n_edges]
+            e.now, e.clock, e.axis, e.inputs = now, c.clock, a, c.inputs
+            n_edges += 1
+    pcl240_core.run(c, clock_at(until, t.hz))
+    return n_edges
+
+
+@hot
+def _sample(world, t, chips, drives, a, clockwork, qpos, qvel, torque, out):
+    c, d = chips[t.chip], drives[a]
+    v = qvel[t.dof]
+    q = qpos[t.qpos] - v * clockwork.half
+    theta = q * t.gear
+    angle = stepper.load_angle(d, c.net, theta)
+    out.time = world.now / SECOND
+    out.position, out.velocity = q, v
+    out.commanded = q + stepper.mechanical(d, angle) / t.gear
+    out.load_angle, out.torque = angle, torque
+    out.current_a, out.current_b = d.ia, d.ib
+    out.rate = pcl240_core.pulse_rate(c, t.hz)
+    out.pulses, out.counter = c.net, c.reg[0]
+    out.lost_steps = stepper.lost_steps(d, c.net, theta)
+    out.inputs, out.outputs = c.inputs, pcl240_core.outputs(c)
+
+
+@hot
+def run(
+    model, data, world_, axes, chips, drives, switches, table, switch_table, clockwork_,
+    qpos, qvel, ctrl, sensordata, until, samples, positions, n_samples, edges, n_edges, counts,
+):  # fmt: skip
+    """Run up to `until` ns. Returns why it returned (REACHED, ...); counts[0], counts[1] = samples and edges written.
+
+    model, data: addresses. samples: (capacity, axes) SAMPLE; positions: (capacity, nq) float64; edges: EDGE. Empty
+    arrays log nothing.
+    """
+    world, clockwork = world_[0], clockwork_[0]
+    status = REACHED
+    while world.now < until:
+        stop = min(until, world.start + (world.slice + 1) * clockwork.dt // clockwork.slices)
+        boundary = stop == world.start + (world.slice + 1) * clockwork.dt // clockwork.slices
+        middle = (world.slice + 0.5) * clockwork.h - clockwork.half
+        for a in range(len(axes)):
+            axis, t = axes[a], table[a]
+            n_edges = _run_chip(axis, t, chips, switches, switch_table, a, stop, edges, n_edges)
+            if boundary:
+                net = chips[t.chip].net
+                omega = qvel[t.dof] * t.gear
+                theta = qpos[t.qpos] * t.gear + omega * middle
+                axis.torque_sum += stepper.torque(drives[a], 0.5 * (axis.count + net), theta, omega, clockwork.h)
+                axis.count = net
+        world.now = stop
+        if not boundary:
+            break
+        world.slice += 1
+        if world.slice < clockwork.slices:
+            continue
+        for a in range(len(axes)):
+            ctrl[table[a].actuator] = axes[a].torque_sum / clockwork.slices
+            axes[a].torque_sum = 0.0
+        mj_step(model, data)
+        world.slice = 0
+        world.start += clockwork.dt
+        world.steps += 1
+        for k in range(clockwork.nv):
+            if not abs(qvel[k]) < MAX_SPEED:
+                status = DIVERGED
+        if status == DIVERGED:
+            break
+        _foresee(world, axes, table, switches, switch_table, clockwork, sensordata, qpos, qvel, True)
+        if clockwork.sample_every:
+            world.to_sample -= 1
+            if world.to_sample <= 0:
+                world.to_sample = clockwork.sample_every
+                for a in range(len(axes)):
+                    torque = ctrl[table[a].actuator]
+                    _sample(world, table[a], chips, drives, a, clockwork, qpos, qvel, torque, samples[n_samples, a])
+                positions[n_samples] = qpos
+                n_samples += 1
+                if n_samples == len(samples):
+                    status = SAMPLES_FULL
+                    break
+        if len(edges) and n_edges > len(edges) - 8 * len(axes):
+            status = EDGES_FULL
+            break
+    counts[0], counts[1] = n_samples, n_edges
+    return status
+
+
+@hot
+def settle(world_, axes, chips, drives, switches, table, switch_table, clockwork_, qpos, qvel, sensordata):
+    """Before the first window, or after the carriages were placed by hand: switch levels and pending edges anew."""
+    world, clockwork = world_[0], clockwork_[0]
+    for k in range(len(switches)):
+        switches[k].edge = NEVER
+    _foresee(world, axes, table, switches, switch_table, clockwork, sensordata, qpos, qvel, False)
+    for a in range(len(axes)):
+        axes[a].next_edge = NEVER
+        axes[a].count = chips[table[a].chip].net
+        axes[a].torque_sum = 0.0
+        for k in range(table[a].first_switch, table[a].end_switch):
+            s, t = switches[k], switch_table[k]
+            s.edge = NEVER
+            s.on = t.forced if t.forced >= 0 else (1 if s.dist <= 0.0 else 0)
+            c = chips[table[a].chip]
+            c.inputs = c.inputs | t.bit if s.on else c.inputs & ~t.bit
+        stepper.align(drives[a], float(axes[a].count), qpos[table[a].qpos] * table[a].gear)

@@ -1,0 +1,493 @@
+"""`Stage`: chips, drives, motors and a MuJoCo stage under one clock.
+
+    stage = Stage("xyz", chips=PCL240K)
+    stage.axes["x"].chip.write(0, 0x10)          a bus cycle; takes `bus_cycle` seconds of simulated time
+    stage.run(0.5)
+    stage.axes["x"].position                     metres, true; .commanded is where the pulses say it should be
+
+Promises, each with a test: the same stage, program and seed give the same bits; a run of n steps then m is a run of n + m;
+snapshot, restore, copy and pickle continue bit for bit; an error leaves the state as it was.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+import mujoco
+import numpy as np
+
+from stage import engine, plant
+from stage.chips import Chip, Diagnostic, pcl240_core
+from stage.drives import stepper
+from stage.drives.motors import Drive, Motor, motor
+from stage.errors import ArgumentError, RunTimeout, SimulationError, StageError, unknown
+
+if TYPE_CHECKING:
+    from stage.recording import Recording
+
+STATE = mujoco.mjtState.mjSTATE_INTEGRATION
+SLICES = 8
+HYSTERESIS = 10e-6  # m; a slotted optical switch lets go a little later than it trips
+EDGES = 1024
+
+ChipChoice = type[Chip] | Callable[[], Chip] | Mapping[str, Any]
+DriveChoice = Drive | Motor | str | Mapping[str, Any] | None
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """All state of a stage; restores into any stage made alike."""
+
+    kind: tuple
+    state: np.ndarray
+    diagnostics: tuple[tuple[Diagnostic, ...], ...]
+
+
+class Switches:
+    """The limit switches of an axis by name; True = asserted. `stuck` forces one, for fault tests."""
+
+    def __init__(self, axis: Axis):
+        object.__setattr__(self, "_axis", axis)
+
+    def _find(self, name: str) -> int:
+        axis = self._axis
+        for k, s in enumerate(axis._plant.switches):
+            if s.pin == name:
+                return int(axis._stage._table[axis.index].first_switch) + k
+        raise unknown(f"switch of axis {axis.name}", name, (s.pin for s in axis._plant.switches))
+
+    def __getattr__(self, name: str) -> bool:
+        if name.startswith("_"):
+            raise AttributeError(name)
+        return bool(self._axis._stage._switches[self._find(name)].on)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        raise StageError(f"a switch follows its vane; to force {name!r} use switches.stick({name!r}, True or False).")
+
+    def stick(self, name: str, asserted: bool | None) -> None:
+        """Hold switch `name` asserted or released from the next physics step on; None mends it."""
+        self._axis._stage._switch_table[self._find(name)].forced = -1 if asserted is None else int(asserted)
+
+    def __dir__(self):
+        return [s.pin for s in self._axis._plant.switches]
+
+    def as_dict(self) -> dict[str, bool]:
+        """Every switch fitted."""
+        return {s.pin: getattr(self, s.pin) for s in self._axis._plant.switches}
+
+    def __repr__(self) -> str:
+        return f"Switches({', '.join(name for name, on in self.as_dict().items() if on) or 'none asserted'})"
+
+
+class Axis:
+    """One axis: chip, drive, motor, joint, switches.
+
+    Attributes:
+        name, chip, drive: as given; `index`: its column in recordings; `joint`: id in the model.
+        gear: rotor radians per joint unit; meters_per_pulse: joint units per pulse (rad on a hinge).
+        unit: "m", or "rad" on a hinge.
+    """
+
+    def __init__(self, stage: Stage, index: int, plant_axis: plant.PlantAxis, chip: Chip, drive: Drive):
+        self._stage, self._plant = stage, plant_axis
+        self.index, self.name, self.chip, self.drive = index, plant_axis.name, chip, drive
+        self.joint, self.gear, self.travel = plant_axis.joint, plant_axis.gear, plant_axis.travel
+        self.unit = "rad" if plant_axis.hinge else "m"
+        self.meters_per_pulse = 2 * np.pi / (drive.motor.steps_per_turn * drive.microsteps) / abs(self.gear)
+        self.switches = Switches(self)
+
+    @property
+    def time(self) -> float:
+        """Simulated time of the stage, s."""
+        return self._stage.time
+
+    def wait(self, seconds: float) -> None:
+        """Let simulated time pass, for the whole stage."""
+        self._stage.run(seconds)
+
+    @property
+    def position(self) -> float:
+        """Where the carriage is, m (rad on a hinge)."""
+        return self._stage._joint_position(self.index)
+
+    @property
+    def commanded(self) -> float:
+        """Where the pulses say that the carriage is, m; it differs from `position` by following error and lost steps."""
+        d, net = self._electrics()
+        q = self.position
+        return float(q + stepper.load_angle(d, net, q * self.gear) / (self.drive.motor.rotor_teeth * self.gear))
+
+    @property
+    def lost_steps(self) -> int:
+        """Full steps by which the rotor is behind the pulses, a multiple of four; from the rotor's angle."""
+        d, net = self._electrics()
+        return int(stepper.lost_steps(d, net, self.position * self.gear))
+
+    @property
+    def load_angle(self) -> float:
+        """Commanded minus rotor angle, electrical radians."""
+        d, net = self._electrics()
+        return float(stepper.load_angle(d, net, self.position * self.gear))
+
+    def _electrics(self) -> tuple[Any, float]:
+        s = self._stage
+        return s._drives[self.index], float(s._chips[s._table[self.index].chip].net)
+
+    def __repr__(self) -> str:
+        return (
+            f"<Axis {self.name} {type(self.chip).__name__} position={self.position * 1e3:.4f} m{self.unit} "
+            f"lost_steps={self.lost_steps} {self.switches!r}>"
+        )
+
+
+class Stage:
+    """A motion stage driven by emulated chips.
+
+    Args:
+        model: a name in models/ ("xyz", "xy"), a path to an MJCF file, an MjSpec or an MjModel that keeps the naming
+            contract (docs/models.md).
+        chips: a chip class, a function that makes a chip, or a mapping axis -> either. A mapping chooses the axes.
+        drives: a Drive, a motor or its name, or a mapping axis -> either; default: the motor that the model names,
+            1/16 microsteps, 24 V.
+        bus_cycle: seconds of simulated time that one bus cycle of a host takes.
+    Raises:
+        ArgumentError: unknown model, axis, chip or motor. ModelError: the model breaks the naming contract.
+    """
+
+    def __init__(
+        self,
+        model: Any = "xyz",
+        chips: ChipChoice | None = None,
+        drives: DriveChoice = None,
+        *,
+        bus_cycle: float = 1e-6,
+    ):
+        from stage.chips import PCL240K
+
+        chips = PCL240K if chips is None else chips
+        if not 0 <= bus_cycle <= 1:
+            raise ArgumentError(f"bus_cycle={bus_cycle!r}: a bus cycle takes 0 to 1 s; a slow microcomputer needs 1e-6.")
+        spec = plant.open_spec(model)
+        known = plant.axis_names(spec)
+        names = list(chips) if isinstance(chips, Mapping) else known
+        for given in (chips, drives):
+            for name in given if isinstance(given, Mapping) else ():
+                if name not in known:
+                    raise unknown("axis", name, known)
+        self.model, offset = plant.compile_spec(spec, _words(len(names), 5 * len(names)))
+        self._build(names, [_make_chip(chips, n) for n in names], drives, round(bus_cycle * 1e9), offset)
+
+    def _build(self, names: list[str], chips: list[Chip], drives: DriveChoice, bus_ns: int, offset: int) -> None:
+        model = self.model
+        self._plant = plant.bind(model, names)
+        chosen = [_choose_drive(drives, p) for p in self._plant]
+        for p, d in zip(self._plant, chosen, strict=True):
+            built_in = motor(p.motor).rotor_inertia if p.motor else d.motor.rotor_inertia
+            model.dof_armature[p.dof] += (d.motor.rotor_inertia - built_in) * p.gear**2
+        self._wire(chips, chosen, bus_ns, offset)
+        for k, d in enumerate(chosen):
+            d.fill(self._drives[k])
+        mujoco.mj_forward(model, self.data)
+        engine.settle(*self._settle_args)
+        self._initial = self.snapshot()
+
+    def _wire(self, chips: list[Chip], drives: list[Drive], bus_ns: int, offset: int) -> None:
+        """Lay the state out in userdata and the tables beside it; connect chips and axes."""
+        model = self.model
+        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+        self.data = mujoco.MjData(model)
+        self._offset, self._bus_ns = offset, bus_ns
+        n, m = len(chips), sum(len(p.switches) for p in self._plant)
+        cut = _Cut(self.data.userdata[offset:])
+        self._world = cut(engine.WORLD, 1)
+        self._axis_state = cut(engine.AXIS, n)
+        self._chips = cut(pcl240_core.STATE, n)
+        self._drives = cut(stepper.STEPPER, n)
+        self._switches = cut(engine.SWITCH, m)
+        self._table = np.zeros(n, engine.AXIS_TABLE)
+        self._switch_table = np.zeros(m, engine.SWITCH_TABLE)
+        self._clockwork = np.zeros(1, engine.CLOCKWORK)
+        dt = round(model.opt.timestep * 1e9)
+        if dt < 100 * SLICES:
+            raise ArgumentError(f"timestep {model.opt.timestep} s: the stage needs at least {100 * SLICES} ns.")
+        w = self._clockwork[0]
+        w.dt, w.slices, w.h, w.half, w.nv = dt, SLICES, dt * 1e-9 / SLICES, dt * 0.5e-9, model.nv
+        axes, first = {}, 0
+        for k, (p, chip, drive) in enumerate(zip(self._plant, chips, drives, strict=True)):
+            chip._attach(self, self._chips, k)
+            t = self._table[k]
+            t.chip, t.hz, t.qpos, t.dof, t.actuator, t.gear = k, chip.clock_hz, p.qpos, p.dof, p.actuator, p.gear
+            t.first_switch, t.end_switch = first, first + len(p.switches)
+            for row, s in zip(self._switch_table[first : t.end_switch], p.switches, strict=True):
+                row.bit, row.found, row.at, row.slope = chip.INPUTS[s.pin], s.found, s.dist, s.slope
+                row.hysteresis, row.forced = HYSTERESIS * abs(s.slope), -1
+            first = int(t.end_switch)
+            axes[p.name] = Axis(self, k, p, chip, drive)
+        self.axes: Mapping[str, Axis] = MappingProxyType(axes)
+        self._axes_by_index = list(axes.values())
+        self._recording: Recording | None = None
+        self._no_samples, self._no_positions = np.zeros((0, n), engine.SAMPLE), np.zeros((0, model.nq))
+        self._edges, self._counts = np.zeros(EDGES, engine.EDGE), np.zeros(2, np.int64)
+        self._state = np.zeros(mujoco.mj_stateSize(model, STATE))
+        d, parts = self.data, (self._world, self._axis_state, self._chips, self._drives, self._switches)
+        tables = (self._table, self._switch_table, self._clockwork)
+        self._run_args = (model._address, d._address, *parts, *tables, d.qpos, d.qvel, d.ctrl, d.sensordata)
+        self._settle_args = (*parts, *tables, d.qpos, d.qvel, d.sensordata)
+
+    # --- time ---
+
+    @property
+    def time(self) -> float:
+        """Simulated seconds since power-up, to the nanosecond. (`data.time` is that of the last physics step.)"""
+        return int(self._world[0].now) * 1e-9
+
+    @property
+    def bus_cycle(self) -> float:
+        """Seconds that one bus cycle takes."""
+        return self._bus_ns * 1e-9
+
+    def cycle(self) -> None:
+        """Let the time of one bus cycle pass; chips call it before each read and write."""
+        if self._bus_ns:
+            self._run_until(int(self._world[0].now) + self._bus_ns)
+
+    def step(self, n: int = 1) -> None:
+        """Advance to the end of the current physics step, and n - 1 more."""
+        if int(n) != n or n < 0:
+            raise ArgumentError(f"n={n!r}: a stage advances by a whole number of physics steps, 0 or more.")
+        self._run_until(int(self._world[0].start) + int(n) * int(self._clockwork[0].dt))
+
+    def run(self, seconds: float) -> None:
+        """Advance by `seconds` of simulated time, rounded to a nanosecond.
+
+        Raises SimulationError when the simulation diverges; the state is then that before the step which did.
+        """
+        if not 0 <= seconds < 1e9:
+            raise ArgumentError(f"seconds={seconds!r}: time runs forward, by 0 to 1e9 s.")
+        self._run_until(int(self._world[0].now) + round(seconds * 1e9))
+
+    def run_until(self, condition: Callable[[], bool], timeout: float, poll: float = 1e-3) -> float:
+        """Advance until `condition()` holds, looked at every `poll` seconds. Returns the seconds that passed.
+
+        Raises RunTimeout when `timeout` seconds of simulated time were not enough.
+        """
+        begin = int(self._world[0].now)
+        end = begin + round(timeout * 1e9)
+        while not condition():
+            now = int(self._world[0].now)
+            if now >= end:
+                what = getattr(condition, "__name__", repr(condition))
+                raise RunTimeout(
+                    f"condition {what} did not come true in {timeout} s (now {self.time:.6f} s). "
+                    f"Axes: {', '.join(repr(a) for a in self._axes_by_index)}"
+                )
+            self._run_until(min(now + max(round(poll * 1e9), 1), end))
+        return (int(self._world[0].now) - begin) * 1e-9
+
+    def _run_until(self, until: int) -> None:
+        world = self._world[0]
+        steps = int(world.start) + int(self._clockwork[0].dt) <= until
+        if steps:
+            _announce_compilation()
+            mujoco.mj_getState(self.model, self.data, self._state, STATE)
+        recording = self._recording
+        n = 0
+        while True:
+            samples, positions = (
+                (recording.samples, recording.positions) if recording else (self._no_samples, self._no_positions)
+            )
+            n = recording.filled if recording else 0
+            status = engine.run(*self._run_args, until, samples, positions, n, self._edges, 0, self._counts)
+            if self._counts[1]:
+                self._note_edges(int(self._counts[1]))
+            if recording:
+                recording.take(int(self._counts[0]))
+            if status == engine.REACHED:
+                return
+            if status == engine.DIVERGED:
+                self._diverged()
+
+    def _note_edges(self, n: int) -> None:
+        for e in self._edges[:n]:
+            journal = self._axes_by_index[e.axis].chip._journal
+            if journal is not None:
+                journal.note_input(int(e.clock), 0, int(e.inputs))
+
+    def _diverged(self) -> None:
+        speeds = np.abs(self.data.qvel)
+        bad = int(np.argmax(np.where(np.isfinite(speeds), speeds, np.inf)))
+        joint = self.model.joint(int(self.model.dof_jntid[bad])).name or f"degree of freedom {bad}"
+        good = int(self._world[0].start) - int(self._clockwork[0].dt)
+        mujoco.mj_setState(self.model, self.data, self._state, STATE)
+        before = self._clockwork[0].sample_every
+        self._clockwork[0].sample_every = 0
+        counts = np.zeros(2, np.int64)
+        engine.run(*self._run_args, good, self._no_samples, self._no_positions, 0, self._edges, 0, counts)
+        self._clockwork[0].sample_every = before
+        raise SimulationError(
+            f"the simulation diverged at {self.time:.6f} s on axis {joint!r}: its speed left +-{engine.MAX_SPEED:g} per "
+            f"second. The stage holds the state before that step. Usual causes: a timestep too long for the motor's "
+            f"stiffness (now {self.model.opt.timestep} s), a mass near zero, or an external force that is not finite.",
+            self.time,
+            joint,
+        )
+
+    # --- state ---
+
+    def _joint_position(self, index: int) -> float:
+        w, t = self._world[0], self._table[index]
+        tau = (int(w.now) - int(w.start)) * 1e-9 - float(self._clockwork[0].half)
+        return float(self.data.qpos[t.qpos] + self.data.qvel[t.dof] * tau)
+
+    def place(self, **positions: float) -> None:
+        """Put carriages somewhere, at rest, as by hand with the motors off: `stage.place(x=0.05)`, metres (rad).
+
+        The drives take hold at the nearest microstep: no jump, no lost step.
+        """
+        for name, q in positions.items():
+            if name not in self.axes:
+                raise unknown("axis", name, self.axes)
+            low, high = self.axes[name].travel
+            if not low <= q <= high:
+                raise ArgumentError(f"{name}={q!r}: the joint travels from {low} to {high} {self.axes[name].unit}.")
+        for name, q in positions.items():
+            t = self._table[self.axes[name].index]
+            self.data.qpos[t.qpos], self.data.qvel[t.dof] = q, 0.0
+        mujoco.mj_forward(self.model, self.data)
+        engine.settle(*self._settle_args)
+        for axis in self._axes_by_index:
+            if axis.chip._journal is not None:
+                axis.chip._journal.note_input(axis.chip.clock, 0, axis.chip._input_word(0))
+
+    def snapshot(self) -> Snapshot:
+        """All state: physics, chips, drives, switches, time."""
+        state = np.zeros_like(self._state)
+        mujoco.mj_getState(self.model, self.data, state, STATE)
+        return Snapshot(self._kind(), state, tuple(tuple(a.chip.diagnostics) for a in self._axes_by_index))
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Continue from `snapshot`, bit for bit. Raises ArgumentError when it is of another kind of stage."""
+        if snapshot.kind != self._kind():
+            raise ArgumentError(f"a snapshot of a stage {snapshot.kind} cannot be restored into one of {self._kind()}.")
+        mujoco.mj_setState(self.model, self.data, snapshot.state, STATE)
+        for axis, said in zip(self._axes_by_index, snapshot.diagnostics, strict=True):
+            axis.chip.diagnostics[:] = said
+        mujoco.mj_forward(self.model, self.data)
+        mujoco.mj_setState(self.model, self.data, snapshot.state, STATE)
+
+    def reset(self) -> None:
+        """Back to power-up: the state that the stage was made with."""
+        self.restore(self._initial)
+
+    def _kind(self) -> tuple:
+        axes = tuple((a.name, type(a.chip).__name__, a.chip.clock_hz) for a in self._axes_by_index)
+        return (axes, len(self._state), int(self._clockwork[0].dt))
+
+    def record(self, every: float = 1e-3) -> Recording:
+        """A recording of all that happens from now to its close; use as `with stage.record() as recording:`.
+
+        every: seconds between samples, rounded to whole physics steps; switch edges and bus writes are exact anyway.
+        """
+        from stage.recording import Recording
+
+        if self._recording is not None:
+            raise StageError("this stage is already being recorded; close that recording first.")
+        steps = max(1, round(every * 1e9 / int(self._clockwork[0].dt)))
+        dt = int(self._clockwork[0].dt) * 1e-9
+        self._recording = Recording(self.model, self.axes, steps * dt, self._stop_recording)
+        self._clockwork[0].sample_every = steps
+        self._world[0].to_sample = steps
+        return self._recording
+
+    def _stop_recording(self) -> None:
+        self._recording = None
+        self._clockwork[0].sample_every = 0
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {
+            "model": self.model,
+            "chips": [(type(a.chip), a.chip.clock_hz) for a in self._axes_by_index],
+            "names": list(self.axes),
+            "drives": [a.drive for a in self._axes_by_index],
+            "bus_ns": self._bus_ns,
+            "offset": self._offset,
+            "forced": self._switch_table["forced"].copy(),
+            "initial": self._initial,
+            "now": self.snapshot(),
+        }
+
+    def __setstate__(self, s: dict[str, Any]) -> None:
+        self.model = s["model"]
+        self._plant = plant.bind(self.model, s["names"])
+        self._wire([cls(hz) for cls, hz in s["chips"]], s["drives"], s["bus_ns"], s["offset"])
+        self._switch_table["forced"] = s["forced"]
+        self._initial = s["initial"]
+        self.restore(s["now"])
+
+    def __deepcopy__(self, memo: dict) -> Stage:
+        twin = object.__new__(type(self))
+        state = self.__getstate__()
+        twin.__setstate__(state | {"model": _copy_model(self.model)})
+        return twin
+
+    def __copy__(self) -> Stage:
+        return self.__deepcopy__({})
+
+    def __repr__(self) -> str:
+        return f"<Stage {', '.join(repr(a) for a in self._axes_by_index)} time={self.time:.6f} s>"
+
+
+class _Cut:
+    """Cuts one array of float64 words into record arrays, from its beginning on."""
+
+    def __init__(self, words: np.ndarray):
+        self._words, self._at = words, 0
+
+    def __call__(self, dtype: np.dtype, n: int) -> np.ndarray:
+        begin = self._at
+        self._at += n * dtype.itemsize // 8
+        return self._words[begin : self._at].view(dtype)
+
+
+def _words(axes: int, switches: int) -> int:
+    """float64 words of userdata that a stage needs."""
+    per_axis = engine.AXIS.itemsize + pcl240_core.STATE.itemsize + stepper.STEPPER.itemsize
+    return (engine.WORLD.itemsize + axes * per_axis + switches * engine.SWITCH.itemsize) // 8
+
+
+def _make_chip(chips: Any, name: str) -> Chip:
+    made = chips[name] if isinstance(chips, Mapping) else chips
+    chip = made() if callable(made) else made
+    if not isinstance(chip, Chip):
+        raise ArgumentError(f"chips for axis {name}: {made!r} is no chip class; for example chips=PCL240K.")
+    return chip
+
+
+def _choose_drive(drives: Any, p: plant.PlantAxis) -> Drive:
+    given = drives.get(p.name) if isinstance(drives, Mapping) else drives
+    if isinstance(given, Drive):
+        return given
+    return Drive(motor(given if given is not None else p.motor or "17HS4401"))
+
+
+def _copy_model(model: mujoco.MjModel) -> mujoco.MjModel:
+    import copy
+
+    return copy.copy(model)
+
+
+def _announce_compilation() -> None:
+    """Say so, once, when numba has to compile the loop (it keeps it on disk)."""
+    global _announced
+    if _announced:
+        return
+    _announced = True
+    if engine.COMPILED and not engine.run.signatures and sys.stderr is not None:
+        print("PulseStage: compiling the simulation loop, once for this machine (about half a minute) ...", file=sys.stderr)
+
+
+_announced = False
