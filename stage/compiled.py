@@ -10,6 +10,11 @@ With NUMBA_DISABLE_JIT=1 they run as plain Python, for debugging and for coverag
 
 from __future__ import annotations
 
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 import numba
 import numpy as np
 
@@ -22,3 +27,15 @@ COMPILED = not numba.config.DISABLE_JIT
 def record(fields: list) -> np.dtype:
     """A structured dtype whose elements have attributes, compiled or not; `hot` functions take plain arrays of it."""
     return np.dtype((np.record, np.dtype(fields)))
+
+
+@contextmanager
+def announced(message: str, after: float = 1.0) -> Iterator[None]:
+    """Print `message` to stderr if the block, a first call that may have to compile, takes longer than `after` s."""
+    timer = threading.Timer(after, lambda: print(message, file=sys.stderr, flush=True))
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()

@@ -11,7 +11,6 @@ snapshot, restore, copy and pickle continue bit for bit; an error leaves the sta
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -22,6 +21,7 @@ import numpy as np
 
 from stage import engine, plant
 from stage.chips import Chip, Diagnostic, pcl240_core
+from stage.compiled import announced
 from stage.drives import stepper
 from stage.drives.motors import Drive, Motor, motor
 from stage.errors import ArgumentError, RunTimeout, SimulationError, StageError, unknown
@@ -192,7 +192,9 @@ class Stage:
         for k, d in enumerate(chosen):
             d.fill(self._drives[k])
         mujoco.mj_forward(model, self.data)
-        engine.settle(*self._settle_args)
+        with announced("PulseStage: compiling the simulation loop, once on this machine (about ten seconds) ..."):
+            engine.settle(*self._settle_args)
+            self._run_until(0)
         self._initial = self.snapshot()
 
     def _wire(self, chips: list[Chip], drives: list[Drive], bus_ns: int, offset: int) -> None:
@@ -204,6 +206,7 @@ class Stage:
         n, m = len(chips), sum(len(p.switches) for p in self._plant)
         cut = _Cut(self.data.userdata[offset:])
         self._world = cut(engine.WORLD, 1)
+        self._words = self._world.view(np.int64)  # now, start: fast access from Python
         self._axis_state = cut(engine.AXIS, n)
         self._chips = cut(pcl240_core.STATE, n)
         self._drives = cut(stepper.STEPPER, n)
@@ -214,6 +217,7 @@ class Stage:
         dt = round(model.opt.timestep * 1e9)
         if dt < 100 * SLICES:
             raise ArgumentError(f"timestep {model.opt.timestep} s: the stage needs at least {100 * SLICES} ns.")
+        self._dt = dt
         w = self._clockwork[0]
         w.dt, w.slices, w.h, w.half, w.nv = dt, SLICES, dt * 1e-9 / SLICES, dt * 0.5e-9, model.nv
         axes, first = {}, 0
@@ -243,7 +247,11 @@ class Stage:
     @property
     def time(self) -> float:
         """Simulated seconds since power-up, to the nanosecond. (`data.time` is that of the last physics step.)"""
-        return int(self._world[0].now) * 1e-9
+        return self._now * 1e-9
+
+    @property
+    def _now(self) -> int:
+        return self._words.item(0)
 
     @property
     def bus_cycle(self) -> float:
@@ -253,13 +261,13 @@ class Stage:
     def cycle(self) -> None:
         """Let the time of one bus cycle pass; chips call it before each read and write."""
         if self._bus_ns:
-            self._run_until(int(self._world[0].now) + self._bus_ns)
+            self._run_until(self._now + self._bus_ns)
 
     def step(self, n: int = 1) -> None:
         """Advance to the end of the current physics step, and n - 1 more."""
         if int(n) != n or n < 0:
             raise ArgumentError(f"n={n!r}: a stage advances by a whole number of physics steps, 0 or more.")
-        self._run_until(int(self._world[0].start) + int(n) * int(self._clockwork[0].dt))
+        self._run_until(self._words.item(1) + int(n) * self._dt)
 
     def run(self, seconds: float) -> None:
         """Advance by `seconds` of simulated time, rounded to a nanosecond.
@@ -268,17 +276,17 @@ class Stage:
         """
         if not 0 <= seconds < 1e9:
             raise ArgumentError(f"seconds={seconds!r}: time runs forward, by 0 to 1e9 s.")
-        self._run_until(int(self._world[0].now) + round(seconds * 1e9))
+        self._run_until(self._now + round(seconds * 1e9))
 
     def run_until(self, condition: Callable[[], bool], timeout: float, poll: float = 1e-3) -> float:
         """Advance until `condition()` holds, looked at every `poll` seconds. Returns the seconds that passed.
 
         Raises RunTimeout when `timeout` seconds of simulated time were not enough.
         """
-        begin = int(self._world[0].now)
+        begin = self._now
         end = begin + round(timeout * 1e9)
         while not condition():
-            now = int(self._world[0].now)
+            now = self._now
             if now >= end:
                 what = getattr(condition, "__name__", repr(condition))
                 raise RunTimeout(
@@ -286,13 +294,10 @@ class Stage:
                     f"Axes: {', '.join(repr(a) for a in self._axes_by_index)}"
                 )
             self._run_until(min(now + max(round(poll * 1e9), 1), end))
-        return (int(self._world[0].now) - begin) * 1e-9
+        return (self._now - begin) * 1e-9
 
     def _run_until(self, until: int) -> None:
-        world = self._world[0]
-        steps = int(world.start) + int(self._clockwork[0].dt) <= until
-        if steps:
-            _announce_compilation()
+        if self._words.item(1) + self._dt <= until:
             mujoco.mj_getState(self.model, self.data, self._state, STATE)
         recording = self._recording
         n = 0
@@ -321,7 +326,7 @@ class Stage:
         speeds = np.abs(self.data.qvel)
         bad = int(np.argmax(np.where(np.isfinite(speeds), speeds, np.inf)))
         joint = self.model.joint(int(self.model.dof_jntid[bad])).name or f"degree of freedom {bad}"
-        good = int(self._world[0].start) - int(self._clockwork[0].dt)
+        good = self._words.item(1) - self._dt
         mujoco.mj_setState(self.model, self.data, self._state, STATE)
         before = self._clockwork[0].sample_every
         self._clockwork[0].sample_every = 0
@@ -339,9 +344,9 @@ class Stage:
     # --- state ---
 
     def _joint_position(self, index: int) -> float:
-        w, t = self._world[0], self._table[index]
-        tau = (int(w.now) - int(w.start)) * 1e-9 - float(self._clockwork[0].half)
-        return float(self.data.qpos[t.qpos] + self.data.qvel[t.dof] * tau)
+        p = self._plant[index]
+        tau = (self._now - self._words.item(1) - 0.5 * self._dt) * 1e-9
+        return float(self.data.qpos[p.qpos] + self.data.qvel[p.dof] * tau)
 
     def place(self, **positions: float) -> None:
         """Put carriages somewhere, at rest, as by hand with the motors off: `stage.place(x=0.05)`, metres (rad).
@@ -385,7 +390,7 @@ class Stage:
 
     def _kind(self) -> tuple:
         axes = tuple((a.name, type(a.chip).__name__, a.chip.clock_hz) for a in self._axes_by_index)
-        return (axes, len(self._state), int(self._clockwork[0].dt))
+        return (axes, len(self._state), self._dt)
 
     def record(self, every: float = 1e-3) -> Recording:
         """A recording of all that happens from now to its close; use as `with stage.record() as recording:`.
@@ -396,8 +401,8 @@ class Stage:
 
         if self._recording is not None:
             raise StageError("this stage is already being recorded; close that recording first.")
-        steps = max(1, round(every * 1e9 / int(self._clockwork[0].dt)))
-        dt = int(self._clockwork[0].dt) * 1e-9
+        steps = max(1, round(every * 1e9 / self._dt))
+        dt = self._dt * 1e-9
         self._recording = Recording(self.model, self.axes, steps * dt, self._stop_recording)
         self._clockwork[0].sample_every = steps
         self._world[0].to_sample = steps
@@ -478,16 +483,3 @@ def _copy_model(model: mujoco.MjModel) -> mujoco.MjModel:
     import copy
 
     return copy.copy(model)
-
-
-def _announce_compilation() -> None:
-    """Say so, once, when numba has to compile the loop (it keeps it on disk)."""
-    global _announced
-    if _announced:
-        return
-    _announced = True
-    if engine.COMPILED and not engine.run.signatures and sys.stderr is not None:
-        print("PulseStage: compiling the simulation loop, once for this machine (about half a minute) ...", file=sys.stderr)
-
-
-_announced = False

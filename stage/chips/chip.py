@@ -126,9 +126,8 @@ class Chip:
         self.axes = tuple(ChipAxis(self, k) for k in range(self.AXES))
         self._bus: Bus | None = None
         self._journal: Journal | None = None
-        self._rows = np.zeros(1, self.CORE.STATE)
-        self._i = 0
-        self._configure(self._rows[0])
+        self._hold(np.zeros(1, self.CORE.STATE), 0)
+        self._configure(self._record)
         self.CORE.power_up(self._rows, 0)
 
     def _configure(self, record: Any) -> None:
@@ -141,7 +140,12 @@ class Chip:
     def _attach(self, bus: Bus, rows: np.ndarray, i: int) -> None:
         """Become a chip of a stage: the state moves into `rows[i]`."""
         rows[i] = self._rows[self._i]
-        self._bus, self._rows, self._i = bus, rows, i
+        self._bus = bus
+        self._hold(rows, i)
+
+    def _hold(self, rows: np.ndarray, i: int) -> None:
+        self._rows, self._i = rows, i
+        self._record = rows.view(np.dtype(rows.dtype.fields))[i]  # a plain record: c["name"], the fast access from Python
 
     @property
     def pins(self) -> Pins:
@@ -153,7 +157,7 @@ class Chip:
     @property
     def clock(self) -> int:
         """Reference clocks since power-up."""
-        return int(self._rows[self._i].clock)
+        return int(self._record["clock"])
 
     def write(self, address: int, value: int) -> None:
         """One bus write cycle. Never raises: address and value are masked, mistakes go to `diagnostics`."""
@@ -236,10 +240,10 @@ class Chip:
         return twin
 
     def _input_word(self, axis: int) -> int:
-        return int(self._rows[self._i].inputs)
+        return int(self._record["inputs"])
 
     def _set_input_word(self, axis: int, word: int) -> None:
-        self._rows[self._i].inputs = word
+        self._record["inputs"] = word
 
     def _output_word(self, axis: int) -> int:
         return int(self.CORE.pins(self._rows, self._i))

@@ -101,21 +101,20 @@ class PCL240K(Chip):
 
     def _configure(self, record: Any) -> None:
         for r in self.MAP.registers:
-            record.mask[r.number] = r.mask
+            record["mask"][r.number] = r.mask
 
     def values(self) -> dict[str, int]:
-        c = self._rows[self._i]
-        return {r.name: int(c.reg[r.number]) for r in self.MAP.registers} | {
+        return {r.name: int(self._record["reg"][r.number]) for r in self.MAP.registers} | {
             "status": int(pcl240_core.read(self._rows, self._i, 0))
         }
 
     def _lint(self, address: int, value: int) -> tuple[str, str] | None:
-        c = self._rows[self._i]
+        c = self._record
         return _lint_data(self.MAP, c, address, value) if address else _lint_command(c, value)
 
 
 def _lint_data(map_: RegisterMap, c: Any, address: int, value: int) -> tuple[str, str] | None:
-    r = map_.registers[c.selected]
+    r = map_.registers[c["selected"]]
     shift = 8 * (address - 1)
     lost = value << shift & ~r.mask
     if lost:
@@ -123,10 +122,10 @@ def _lint_data(map_: RegisterMap, c: Any, address: int, value: int) -> tuple[str
             f"{r.name} is {r.bits} bits wide: {value:02X}h at address {address} loses bits {lost:06X}h",
             "section 3 c",
         )
-    if c.running and c.preset and c.ramps and r.name in ("R0", "R6"):
+    if c["running"] and c["preset"] and c["ramps"] and r.name in ("R0", "R6"):
         return f"{r.name} written during a high-speed preset run: its bytes do not change together", "Q & A"
     # a register is complete with its low byte, which a host writes last, or whose high bytes are still 0
-    whole = int(c.reg[c.selected]) & ~(0xFF << shift) | value << shift
+    whole = int(c["reg"][c["selected"]]) & ~(0xFF << shift) | value << shift
     if r.legal and address == 1 and whole < r.legal[0]:
         return f"{r.name} = {whole}: {r.title} takes {r.legal[0]} to {r.legal[1]}", "section 4"
     return None
@@ -142,19 +141,19 @@ def _lint_command(c: Any, value: int) -> tuple[str, str] | None:
         return None
     if value & 3 == 2:
         return f"speed select 10 in {value:02X}h is in no table; it acts as FL", "section 3 a"
-    if c.running:
+    if c["running"]:
         return None
-    if c.finishing:
+    if c["finishing"]:
         return "start while the last pulse is still being completed is ignored: poll status bit 6", "Q & A"
-    if not c.armed:
+    if not c["armed"]:
         return "start after a stop without the reset command 08h is ignored", "section 3 a"
-    r = [int(v) for v in c.reg]
+    r = [int(v) for v in c["reg"]]
     speeds = [r[1], r[2], r[1], r[3]]
     if r[7] < 2:
         return f"start with R7 = {r[7]}: the multiplier does not operate unless it is set", "Q & A"
     if r[1] == 0 or speeds[value & 3] == 0:
         return "start with a speed register at 0: no pulse will come; any data must be set on R1", "Q & A"
-    if c.preset and r[0] == 0:
+    if c["preset"] and r[0] == 0:
         return "start in preset mode with R0 = 0: no pulse, no /INT", "section 4 R0"
     if value & 4 and min(r[4], r[5]) < 2:
         return f"high-speed start with R4 = {r[4]}, R5 = {r[5]}: rates below 2 hold the speed", "section 4 R4"

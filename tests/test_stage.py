@@ -1,0 +1,259 @@
+"""Promises of `Stage`: determinism, snapshots, time, switches, errors."""
+
+import copy
+import pickle
+
+import numpy as np
+import pytest
+from programs import load_registers, start_preset
+
+import stage.engine as engine
+from stage import ArgumentError, RunTimeout, SimulationError, Stage, StageError
+from stage.chips import PCL240K
+
+
+@pytest.fixture(scope="module")
+def fresh():
+    return Stage("xyz", chips=PCL240K)
+
+
+@pytest.fixture
+def xyz(fresh):
+    fresh.reset()
+    yield fresh
+    for axis in fresh.axes.values():
+        for name in axis.switches.as_dict():
+            axis.switches.stick(name, None)
+
+
+def moving(stage, pulses=3000):
+    for k, axis in enumerate(stage.axes.values()):
+        start_preset(axis.chip, pulses + 100 * k, minus=bool(k % 2))
+    return stage
+
+
+def bits(stage):
+    return stage.snapshot().state.tobytes()
+
+
+def test_a_preset_move_ends_on_its_pulse_and_the_carriage_follows(xyz):
+    x = xyz.axes["x"]
+    start_preset(x.chip, 3200)
+    xyz.run_until(lambda: x.chip.pins.hold, timeout=2)
+    xyz.run(0.2)
+    assert x.commanded - 3200 * x.meters_per_pulse == pytest.approx(0, abs=x.meters_per_pulse)
+    assert x.position == pytest.approx(x.commanded, abs=2 * x.meters_per_pulse)
+    assert x.lost_steps == 0
+
+
+def test_n_steps_then_m_are_n_plus_m(xyz):
+    moving(xyz)
+    twin = copy.deepcopy(xyz)
+    xyz.step(700)
+    twin.step(211)
+    twin.step(489)
+    assert bits(xyz) == bits(twin)
+
+
+def test_cutting_time_anywhere_changes_nothing(xyz):
+    """Nanosecond cuts inside physics steps, as bus cycles make them, leave every bit as it was."""
+    moving(xyz)
+    twin = copy.deepcopy(xyz)
+    xyz.run(0.05)
+    seed = np.random.SeedSequence().entropy
+    print("seed", seed)
+    cuts = np.sort(np.random.default_rng(seed).integers(0, 50_000_000, 400))
+    for length in np.diff([0, *cuts, 50_000_000]):
+        twin.run(length * 1e-9)
+    assert twin.time == xyz.time
+    assert bits(xyz) == bits(twin)
+
+
+@pytest.mark.parametrize("cut", [0.02, 0.0200001, 0.020137])
+def test_snapshot_and_restore_continue_bit_for_bit(xyz, cut):
+    moving(xyz)
+    xyz.run(cut)
+    before = xyz.snapshot()
+    xyz.run(0.1)
+    after = bits(xyz)
+    xyz.restore(before)
+    assert bits(xyz) == before.state.tobytes()
+    xyz.run(0.1)
+    assert bits(xyz) == after
+
+
+@pytest.mark.parametrize("twin_of", [copy.copy, copy.deepcopy, lambda s: pickle.loads(pickle.dumps(s))])
+def test_copies_continue_bit_for_bit_and_on_their_own(xyz, twin_of):
+    moving(xyz)
+    xyz.run(0.020137)
+    twin = twin_of(xyz)
+    before = bits(xyz)
+    twin.run(0.1)
+    assert bits(xyz) == before
+    xyz.run(0.1)
+    assert bits(xyz) == bits(twin)
+
+
+def test_reset_is_power_up(xyz):
+    first = bits(xyz)
+    moving(xyz).run(0.1)
+    xyz.reset()
+    assert bits(xyz) == first
+    assert xyz.time == 0
+
+
+def test_a_bus_cycle_takes_bus_time(fresh):
+    slow = Stage("xyz", chips=PCL240K, bus_cycle=2.5e-6)
+    chip = slow.axes["x"].chip
+    for _ in range(1000):
+        chip.read(0)
+    assert slow.time == pytest.approx(2.5e-3, abs=1e-12)
+    assert chip.clock == int(2.5e-3 * chip.clock_hz)
+
+
+def test_a_stage_costs_less_than_64_kib_beside_its_mjdata(fresh):
+    own = sum(
+        a.nbytes
+        for a in (fresh._table, fresh._switch_table, fresh._clockwork, fresh._edges, fresh._counts, fresh._state)
+    )
+    assert own + fresh.data.userdata.nbytes < 64 * 1024
+
+
+def test_pushing_into_el_plus_stops_within_the_pulse_and_allows_only_the_way_back(xyz):
+    x = xyz.axes["x"]
+    touch = next(s.touch for s in x._plant.switches if s.pin == "el_plus")
+    xyz.place(x=touch - 0.005)
+    load_registers(x.chip, R0=100_000, R1=800, R2=800, R4=300, R5=300, R6=0, R7=30)
+    for command in (0x44, 0x10):
+        x.chip.write(0, command)
+    xyz.run_until(lambda: x.chip.pins.hold, timeout=2)
+    assert x.chip.pins.el_plus
+    assert x.commanded == pytest.approx(touch, abs=2 * x.meters_per_pulse + abs(x.commanded - x.position))
+    pulses = x.chip.snapshot()
+    for command in (0x08, 0x10):
+        x.chip.write(0, command)
+    xyz.run(0.05)
+    assert x.chip.pins.hold, "plus stays blocked"
+    assert x.chip.snapshot().record[8:] == pulses.record[8:] or x.chip.read(1) == x.chip.read(1)
+    for command in (0x4C, 0x08, 0x10):
+        x.chip.write(0, command)
+    xyz.run(0.2)
+    assert not x.chip.pins.hold
+    assert not x.chip.pins.el_plus, "the way back is open"
+
+
+def test_with_the_switch_stuck_open_the_hard_stop_holds_and_the_motor_slips_whole_electrical_turns(xyz):
+    x = xyz.axes["x"]
+    touch = next(s.touch for s in x._plant.switches if s.pin == "el_plus")
+    x.switches.stick("el_plus", False)
+    xyz.place(x=touch - 0.005)
+    start_preset(x.chip, 16_000)
+    xyz.run_until(lambda: x.chip.pins.hold, timeout=5)
+    xyz.run(0.3)
+    assert x.commanded > x.travel[1]
+    assert x.position < x.travel[1] + 1e-3
+    assert x.lost_steps > 0
+    assert x.lost_steps % 4 == 0
+    assert x.position == pytest.approx(
+        x.commanded - x.lost_steps / 200 * 0.01, abs=0.01 / 50 / 2
+    ), "behind by whole electrical turns, to within half of one"
+
+
+def test_switch_edges_reach_the_chip_inside_the_physics_step(xyz):
+    """The clock of the edge varies finely with the start: it is not the grid of physics steps."""
+    x = xyz.axes["x"]
+    touch = next(s.touch for s in x._plant.switches if s.pin == "el_plus")
+    clocks = set()
+    for k in range(12):
+        xyz.reset()
+        xyz.place(x=touch - 0.002 - k * 1e-6)
+        load_registers(x.chip, R0=100_000, R1=500, R2=500, R4=300, R5=300, R6=0, R7=30)
+        journal = x.chip.journal()
+        for command in (0x44, 0x10):
+            x.chip.write(0, command)
+        xyz.run_until(lambda: x.chip.pins.el_plus, timeout=2)
+        journal.close()
+        edge = next(e for e in journal.entries if e.kind == 1)
+        clocks.add(edge.clock % 1228)
+    assert len(clocks) >= 8
+
+
+def test_place_makes_no_jump(xyz):
+    xyz.place(x=0.1234567, y=-0.05)
+    x = xyz.axes["x"]
+    xyz.run(0.1)
+    assert x.position == pytest.approx(0.1234567, abs=2 * x.meters_per_pulse)
+    assert x.lost_steps == 0
+
+
+def test_a_diverging_simulation_names_time_and_axis_and_keeps_the_state_before(xyz):
+    moving(xyz).run(0.0201)
+    twin = copy.deepcopy(xyz)
+    xyz.data.qfrc_applied[xyz.model.joint("y").dofadr[0]] = 1e15
+    with pytest.raises(SimulationError, match="axis 'y'") as caught:
+        xyz.run(0.1)
+    assert caught.value.axis == "y"
+    assert caught.value.time == pytest.approx(0.02, abs=6e-4)
+    assert np.isfinite(xyz.data.qpos).all()
+    xyz.data.qfrc_applied[:] = 0
+    steps = round((xyz.time - twin.time) * 1e9)
+    assert steps >= -engine.SECOND
+    assert abs(xyz.axes["x"].position - twin.axes["x"].position) < 1e-3
+
+
+def test_run_until_gives_up_with_an_error_that_tells_where_the_axes_are(xyz):
+    with pytest.raises(RunTimeout, match=r"0\.01 s.*Axis x"):
+        xyz.run_until(lambda: False, timeout=0.01)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Stage("xyy"), "Did you mean"),
+        (lambda: Stage("xyz", chips={"q": PCL240K}), "unknown axis 'q'"),
+        (lambda: Stage("xyz", chips=42), "no chip class"),
+        (lambda: Stage("xyz", drives="17HS4410"), "Did you mean '17HS4401'"),
+        (lambda: Stage("xyz", bus_cycle=-1), "bus_cycle"),
+    ],
+)
+def test_bad_arguments_are_named_with_the_near_misses(make, message):
+    with pytest.raises(ArgumentError, match=message):
+        make()
+
+
+def test_arguments_of_a_stage_are_checked_and_leave_it_as_it_was(xyz):
+    before = bits(xyz)
+    for wrong in (
+        lambda: xyz.step(-1),
+        lambda: xyz.step(1.5),
+        lambda: xyz.run(-1),
+        lambda: xyz.run(float("nan")),
+        lambda: xyz.place(w=0),
+        lambda: xyz.place(x=5.0),
+        lambda: xyz.axes["x"].switches.stick("el", True),
+    ):
+        with pytest.raises(ArgumentError):
+            wrong()
+    with pytest.raises(StageError, match="belongs to a stage"):
+        xyz.axes["x"].chip.advance(1)
+    with pytest.raises(ArgumentError, match="cannot be restored"):
+        xyz.restore(Stage("xy").snapshot())
+    assert bits(xyz) == before
+
+
+def test_fewer_axes_can_be_driven(fresh):
+    only_z = Stage("xyz", chips={"z": PCL240K})
+    assert list(only_z.axes) == ["z"]
+    start_preset(only_z.axes["z"].chip, 800)
+    only_z.run(0.5)
+    assert only_z.axes["z"].lost_steps == 0
+
+
+def test_all_axes_of_a_stage_are_their_own(xyz):
+    """Moving one axis leaves the pulses of the others alone."""
+    start_preset(xyz.axes["x"].chip, 5000)
+    xyz.run(1.0)
+    assert xyz.axes["x"].commanded - xyz.axes["x"].meters_per_pulse * 5000 == pytest.approx(0, abs=1e-5)
+    for other in "yz":
+        assert xyz.axes[other].chip.trace if False else xyz.axes[other].lost_steps == 0
+        assert xyz.axes[other].chip.pins.hold
