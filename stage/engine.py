@@ -144,7 +144,7 @@ def _sample(world, t, chips, drives, a, clockwork, qpos, qvel, torque, out):
     out.position, out.velocity = q, v
     out.commanded = q + stepper.mechanical(d, angle) / t.gear
     out.load_angle, out.torque = angle, torque
-    out.current_a, out.current_b = d.ia, d.ib
+    out.current_a, out.current_b = d.current_a, d.current_b
     out.rate = pcl240_core.pulse_rate(c, t.hz)
     out.pulses, out.counter = c.net, c.reg[0]
     out.lost_steps = stepper.lost_steps(d, c.net, theta)

@@ -97,7 +97,7 @@ class Axis:
         self.index, self.name, self.chip, self.drive = index, plant_axis.name, chip, drive
         self.joint, self.gear, self.travel = plant_axis.joint, plant_axis.gear, plant_axis.travel
         self.unit = "rad" if plant_axis.hinge else "m"
-        self.meters_per_pulse = 2 * np.pi / (drive.motor.steps_per_turn * drive.microsteps) / abs(self.gear)
+        self.meters_per_pulse = 2 * np.pi / drive.pulses_per_turn / abs(self.gear)
         self.switches = Switches(self)
 
     @property
