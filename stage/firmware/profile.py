@@ -10,7 +10,7 @@ from stage.chips import PCL240K
 from stage.errors import ArgumentError
 
 _MAP = PCL240K.MAP
-FL, FH1, FH2 = 500.0, 16_000.0, 32_000.0
+FL, FH1, FH2 = 1_000.0, 16_000.0, 32_000.0
 ACCEL = 0.15
 
 
