@@ -18,10 +18,12 @@ from stage.firmware.moves import (
     speed_change_move,
 )
 from stage.firmware.origin import origin_return
+from stage.firmware.plan import Plan, plan
 from stage.firmware.profile import Profile
 from stage.firmware.report import Report
+from stage.firmware.synchronized import SynchronizedReport, synchronized_move
 
 __all__ = [
-    "Axis", "Bench", "Port", "Profile", "Report", "continuous_move", "dual_rate_move", "external_count",
-    "interrupted_move", "origin_return", "preset_move", "speed_change_move",
+    "Axis", "Bench", "Plan", "Port", "Profile", "Report", "SynchronizedReport", "continuous_move", "dual_rate_move",
+    "external_count", "interrupted_move", "origin_return", "plan", "preset_move", "speed_change_move", "synchronized_move",
 ]  # fmt: skip

@@ -84,19 +84,20 @@ class Procedure:
         self.axis, self.name, self.port = axis, name, Port(axis)
 
     def __enter__(self) -> Procedure:
-        self._journal = self.axis.chip.journal()
+        self.journal = self.axis.chip.journal()
+        self.began = self.axis.time
         self._position, self._lost = self.axis.position, self.axis.lost_steps
         return self
 
     def __exit__(self, *exc: object) -> None:
-        self._journal.close()
+        self.journal.close()
 
     def report(self, stopped_by: str, asked: int | None = None) -> Report:
         """Close the books."""
         axis = self.axis
         residual = self.port.counter()
-        self._journal.close()
-        course = self._journal.course()
+        self.journal.close()
+        course = self.journal.course()
         e = course.edges
         active = np.flatnonzero(~course.pin("hold"))
         seconds = course.seconds
@@ -106,5 +107,5 @@ class Procedure:
         return Report(
             self.name, axis.name, int(e["net"][-1] - e["net"][0]), asked, duration, float(rate.max()),
             self._position, axis.position, None if lost is None else lost - (self._lost or 0),
-            stopped_by, residual, course, tuple(decode(axis.chip.MAP, self._journal.entries)),
+            stopped_by, residual, course, tuple(decode(axis.chip.MAP, self.journal.entries)),
         )  # fmt: skip
