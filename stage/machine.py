@@ -300,16 +300,14 @@ class Stage:
         if self._words.item(1) + self._dt <= until:
             mujoco.mj_getState(self.model, self.data, self._state, STATE)
         recording = self._recording
-        n = 0
+        samples, positions, n = self._no_samples, self._no_positions, 0
         while True:
-            samples, positions = (
-                (recording.samples, recording.positions) if recording else (self._no_samples, self._no_positions)
-            )
-            n = recording.filled if recording else 0
+            if recording is not None:
+                samples, positions, n = recording.samples, recording.positions, recording.filled
             status = engine.run(*self._run_args, until, samples, positions, n, self._edges, 0, self._counts)
             if self._counts[1]:
                 self._note_edges(int(self._counts[1]))
-            if recording:
+            if recording is not None:
                 recording.take(int(self._counts[0]))
             if status == engine.REACHED:
                 return
