@@ -10,14 +10,14 @@ if TYPE_CHECKING:
     from stage.recording.recording import Recording
 
 
-def dashboard(recording: Recording) -> Any:
+def dashboard(recording: Recording, ranges: dict[str, tuple[float, float]]) -> Any:
     """A rerun blueprint: 3D above state lanes on the left, series on the right, bus log in a tab."""
     import rerun.blueprint as rrb
 
     centre, extent = np.array(recording.model.stat.center), float(recording.model.stat.extent)
     eye = rrb.EyeControls3D(
         kind=rrb.Eye3DKind.Orbital,
-        position=centre + extent * np.array([0.85, -1.05, 0.72]),
+        position=centre + extent * np.array([0.62, -0.84, 0.52]),
         look_target=centre,
         eye_up=(0, 0, 1),
     )
@@ -32,6 +32,7 @@ def dashboard(recording: Recording) -> Any:
     def series(name: str, *origins: str) -> Any:
         return rrb.TimeSeriesView(
             name=name, origin="/", contents=[f"+ /{o}/**" for o in origins],
+            axis_y=rrb.ScalarAxis(range=ranges[origins[0]]),
             plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=True),
         )  # fmt: skip
 
@@ -52,7 +53,7 @@ def dashboard(recording: Recording) -> Any:
             ),
             column_shares=[5, 4],
         ),
-        rrb.TimePanel(state="collapsed", timeline="time"),
+        rrb.TimePanel(state="collapsed", timeline="time", play_state="following"),
         rrb.SelectionPanel(state="hidden"),
         rrb.BlueprintPanel(state="hidden"),
         rrb.TopPanel(state="hidden"),

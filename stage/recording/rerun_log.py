@@ -4,7 +4,7 @@
     stage/BODY/trail        the tool's path on the work
     rate/x, position/x, commanded/x, error/x, load_angle/x, lost_steps/x, counter/x
     signals/x/phase         up, keep, down, hold
-    signals/x/EL+ ...       switches
+    signals/x/EL_plus ...   switches: on, off
     bus/x                   register writes and commands, in words
 """
 
@@ -24,7 +24,11 @@ if TYPE_CHECKING:
     from stage.recording.recording import Recording
 
 FRAMES = 60  # a second, of the 3D view
-SWITCHES = {"el_minus": "EL-", "org": "ORG", "sd_minus": "SD-", "sd_plus": "SD+", "el_plus": "EL+"}
+SWITCHES = {"el_minus": "EL_minus", "org": "ORG", "sd_minus": "SD_minus", "sd_plus": "SD_plus", "el_plus": "EL_plus"}
+STATES = {
+    "up": (47, 133, 90), "keep": (43, 108, 176), "down": (183, 121, 31), "hold": (62, 68, 78),
+    "EL": (197, 48, 48), "SD": (214, 158, 46), "OR": (56, 161, 105), "off": (44, 48, 56),
+}  # fmt: skip
 PALETTE = ((230, 84, 72), (72, 168, 96), (66, 133, 214), (214, 158, 46), (148, 98, 205), (50, 170, 180))
 SERIES: dict[str, tuple[str, Callable[[np.ndarray, float], np.ndarray]]] = {
     "rate": ("pps", lambda s, k: s["rate"]),
@@ -45,7 +49,7 @@ def write(recording: Recording, path: Path) -> Path:
     from stage.recording.blueprint import dashboard
 
     out = rr.RecordingStream("pulsestage")
-    out.save(str(path), default_blueprint=dashboard(recording))
+    out.save(str(path), default_blueprint=dashboard(recording, ranges(recording)))
     out.send_recording_name(f"PulseStage {', '.join(recording.axes)}")
     _model(out, recording)
     _styles(out, recording)
@@ -57,6 +61,18 @@ def write(recording: Recording, path: Path) -> Path:
     out.flush()
     out.disconnect()
     return path
+
+
+def ranges(recording: Recording) -> dict[str, tuple[float, float]]:
+    """Lowest and highest value of each series over all axes, with a margin: what its plot should show."""
+    span = {name: [0.0, 0.0] for name in SERIES}
+    for piece in recording.pieces():
+        for k, axis in enumerate(recording.axes.values()):
+            for name, (_, value) in SERIES.items():
+                v = value(piece["axes"][:, k], 1e3 if axis.unit == "m" else 1.0)
+                span[name] = [min(span[name][0], v.min()), max(span[name][1], v.max())]
+    margin = {name: 0.06 * (high - low) or 1.0 for name, (low, high) in span.items()}
+    return {name: (low - margin[name], high + margin[name]) for name, (low, high) in span.items()}
 
 
 def colour(k: int) -> tuple[int, int, int]:
@@ -148,6 +164,7 @@ def _styles(out: Any, recording: Recording) -> None:
                     colors=[(*colour(k), 120) if faint else colour(k)],
                     names=[f"{name} commanded" if faint else name],
                     widths=[1.0 if faint else 1.6],
+                    aggregation_policy=rr.components.AggregationPolicy.MinMax,
                 ),
                 static=True,
             )
@@ -179,16 +196,20 @@ def _signals(out: Any, recording: Recording, name: str) -> None:
     for pin, label in PHASE.items():
         phase[course.pin(pin)] = label
     phase[course.pin("hold")] = "hold"
-    _lane(out, f"signals/{name}/phase", seconds, phase)
+    _lane(out, f"signals/{name}/phase", seconds, phase, {s: STATES[s] for s in ("up", "keep", "down", "hold")})
     fitted = recording.axes[name].switches.as_dict()
     for pin, label in SWITCHES.items():
         if pin in fitted:
-            _lane(out, f"signals/{name}/{label}", seconds, np.where(course.pin(pin), "on", "off").astype(object))
+            states = np.where(course.pin(pin), "on", "off").astype(object)
+            colours = {"on": STATES[label[:2]], "off": STATES["off"]}
+            _lane(out, f"signals/{name}/{label}", seconds, states, colours)
 
 
-def _lane(out: Any, path: str, seconds: np.ndarray, states: np.ndarray) -> None:
+def _lane(out: Any, path: str, seconds: np.ndarray, states: np.ndarray, colours: dict[str, tuple]) -> None:
     import rerun as rr
 
+    style = rr.StateConfiguration(values=list(colours), colors=list(colours.values()))
+    out.log(path, style, static=True)
     keep = np.concatenate([[True], states[1:] != states[:-1]])
     when = rr.TimeColumn("time", duration=seconds[keep])
     out.send_columns(path, indexes=[when], columns=rr.StateChange.columns(state=[str(s) for s in states[keep]]))
