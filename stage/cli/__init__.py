@@ -80,7 +80,7 @@ def _bench(p: argparse.ArgumentParser) -> None:
     g = p.add_argument_group("stage")
     g.add_argument("--model", default="xyz", help="a shipped model (xyz, xy) or an MJCF file (default: xyz)")
     g.add_argument("--chips", default="PCL240K", help="chip class on every axis (default: PCL240K)")
-    g.add_argument("--motor", help="motor on every axis (default: the model's)")
+    g.add_argument("--motor", help="motor on every axis (default: 17HS4401)")
     g.add_argument("--microsteps", type=int, default=16, help="microsteps per full step (default: 16)")
     g.add_argument("--bus-voltage", type=float, default=24.0, help="drive supply, V (default: 24)")
     g.add_argument("--bus-cycle", type=float, default=1e-6, help="seconds a host's bus cycle takes (default: 1e-6)")

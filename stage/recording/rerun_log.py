@@ -178,15 +178,8 @@ def _series(out: Any, recording: Recording, piece: np.ndarray) -> None:
         scale = 1e3 if axis.unit == "m" else 1.0
         for series, (_, value) in SERIES.items():
             v = np.asarray(value(s, scale), np.float64)
-            keep = _changes(v)
-            when = rr.TimeColumn("time", duration=s["time"][keep])
-            out.send_columns(f"{series}/{name}", indexes=[when], columns=rr.Scalars.columns(scalars=v[keep]))
-
-
-def _changes(v: np.ndarray) -> np.ndarray:
-    """Samples that a line through the kept ones needs: the ends of every run of equal values."""
-    same = np.concatenate([[False], v[1:] == v[:-1]])
-    return ~(same & np.concatenate([same[1:], [False]]))
+            when = rr.TimeColumn("time", duration=s["time"])
+            out.send_columns(f"{series}/{name}", indexes=[when], columns=rr.Scalars.columns(scalars=v))
 
 
 def _signals(out: Any, recording: Recording, name: str) -> None:

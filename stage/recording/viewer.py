@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 import shutil
+import socket
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 from stage.errors import ArgumentError, StageError
@@ -58,11 +60,38 @@ def serve_web(rrd: str | os.PathLike, port: int = 9090) -> int:
 
 
 def screenshot(rrd: str | os.PathLike, png: str | os.PathLike, size: tuple[int, int] = (1920, 1080)) -> Path:
-    """Render the dashboard to a PNG without a screen (needs a Vulkan driver; Debian: mesa-vulkan-drivers)."""
-    png = Path(png)
-    png.unlink(missing_ok=True)
-    command = [*_rerun(), str(rrd), "--headless", "--screenshot-to", str(png), "--window-size", f"{size[0]}x{size[1]}"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=300, env=os.environ | QUIET, check=False)
-    if not png.exists():
-        raise ViewerError(f"rerun made no picture (a Vulkan driver missing? Debian: mesa-vulkan-drivers):\n{done.stderr[-800:]}")
-    return png
+    """Render the dashboard to a PNG without a screen (needs a Vulkan driver; Debian: mesa-vulkan-drivers).
+
+    Waits until the viewer has loaded everything: until two pictures in a row are the same.
+    """
+    from rerun.experimental import ViewerClient
+
+    png, port = Path(png), _free_port()
+    window = f"{size[0]}x{size[1]}"
+    command = [*_rerun(), str(rrd), "--headless", "--window-size", window, "--bind", "127.0.0.1", "--port", str(port)]
+    process = subprocess.Popen(command, env=os.environ | QUIET, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    try:
+        deadline, before = time.monotonic() + 120, b""
+        while time.monotonic() < deadline:
+            if process.poll() is not None:
+                said = process.stderr.read().decode(errors="replace") if process.stderr else ""
+                raise ViewerError(f"rerun ended (a Vulkan driver missing? Debian: mesa-vulkan-drivers):\n{said[-800:]}")
+            time.sleep(1.0)
+            try:
+                ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy").save_screenshot(str(png))
+            except Exception:  # the client has no errors of its own: not up yet, or not answering
+                continue
+            now = png.read_bytes() if png.exists() else b""
+            if now and now == before:
+                return png
+            before = now
+    finally:
+        process.kill()
+        process.wait()
+    raise ViewerError(f"rerun did not settle on a picture of {rrd} within two minutes.")
+
+
+def _free_port() -> int:
+    with socket.socket() as s:
+        s.bind(("127.0.0.1", 0))
+        return s.getsockname()[1]

@@ -1,0 +1,86 @@
+"""The commands home, move, dual-rate and sync."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from stage.cli.setup import find_axis, make_stage, note, plot, profile, recorded
+from stage.errors import ArgumentError
+
+
+def home(args: argparse.Namespace) -> int:
+    from stage import firmware
+
+    stage = make_stage(args)
+    axes = [find_axis(stage, name) for name in args.axes] or list(stage.axes.values())
+    _place(args, stage, axes)
+    reports = []
+    with recorded(args, stage):
+        for axis in axes:
+            note(f"axis {axis.name}: origin return ...")
+            reports.append(
+                firmware.origin_return(
+                    axis,
+                    +1 if args.plus else -1,
+                    profile(args, axis),
+                    high_speed=not args.constant,
+                    slow_approach=not args.fast_only,
+                )
+            )
+            print(reports[-1])
+        plot(args, reports[0].plot)
+    return 0 if all(r.stopped_by == "ORG" and not r.lost_steps for r in reports) else 1
+
+
+def move(args: argparse.Namespace) -> int:
+    from stage import firmware
+
+    return _single(
+        args, lambda axis, p: firmware.preset_move(axis, args.pulses, p, high_speed=not args.constant)
+    )
+
+
+def dual_rate(args: argparse.Namespace) -> int:
+    from stage import firmware
+
+    return _single(args, lambda axis, p: firmware.dual_rate_move(axis, args.pulses, p))
+
+
+def _single(args: argparse.Namespace, run: Any) -> int:
+    stage = make_stage(args)
+    axis = find_axis(stage, args.axis)
+    _place(args, stage, [axis])
+    speeds = profile(args, axis)
+    print(speeds)
+    with recorded(args, stage):
+        report = run(axis, speeds)
+        print(report)
+        print(report.listing())
+        plot(args, report.plot)
+    return 0 if report.ok else 1
+
+
+def sync(args: argparse.Namespace) -> int:
+    from stage import firmware
+
+    stage = make_stage(args)
+    distances = {}
+    for item in args.distances:
+        name, _, pulses = item.partition("=")
+        try:
+            distances[find_axis(stage, name).name] = int(pulses)
+        except ValueError:
+            raise ArgumentError(f"{item!r}: write AXIS=PULSES, for example x=20000.") from None
+    given = {k: getattr(args, k) for k in ("rate", "fl", "accel") if getattr(args, k) is not None}
+    with recorded(args, stage):
+        report = firmware.synchronized_move(distances, stage.axes, **given)
+        print(report.plan)
+        print(report)
+        plot(args, report.plot)
+    return 0 if report.ok else 1
+
+
+def _place(args: argparse.Namespace, stage: Any, axes: list) -> None:
+    if args.start is not None:
+        stage.place(**{a.name: args.start * 1e-3 for a in axes})

@@ -1,0 +1,89 @@
+"""What the moving commands share: the stage from the options, and what to write when it has run."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from stage.errors import unknown
+
+
+def make_stage(args: argparse.Namespace) -> Any:
+    """The stage that the options describe."""
+    from stage import Drive, Stage
+
+    motor = {} if args.motor is None else {"motor": args.motor}
+    drive = Drive(microsteps=args.microsteps, bus_voltage=args.bus_voltage, **motor)
+    return Stage(args.model, chips=chip_class(args.chips), drives=drive, bus_cycle=args.bus_cycle)
+
+
+def chip_class(name: str) -> Any:
+    """A chip class by its name, in any case and with or without hyphens."""
+    from stage.chips import CHIPS
+
+    key = name.upper().replace("-", "")
+    if key not in CHIPS:
+        raise unknown("chip", name, CHIPS)
+    return CHIPS[key]
+
+
+def profile(args: argparse.Namespace, axis: Any) -> Any:
+    """The speeds that the options give."""
+    from stage.firmware import Profile
+
+    given = {k: getattr(args, k) for k in ("fl", "fh1", "fh2", "accel", "decel") if getattr(args, k, None) is not None}
+    return Profile.of(clock_hz=axis.chip.clock_hz, **given)
+
+
+def find_axis(stage: Any, name: str) -> Any:
+    if name not in stage.axes:
+        raise unknown("axis", name, stage.axes)
+    return stage.axes[name]
+
+
+@contextmanager
+def recorded(args: argparse.Namespace, stage: Any) -> Iterator[None]:
+    """Record what happens inside if --record, --vcd, --view or --web asks for it, and write it at the end."""
+    from stage.recording.recording import writable
+
+    rrd = args.record or ("stage.rrd" if args.view or args.web else None)
+    for path in (rrd, args.vcd, getattr(args, "plot", None)):
+        if path:
+            writable(path, args.force)  # say so before the work, not after it
+    if not (rrd or args.vcd):
+        yield
+        return
+    with stage.record() as recording:
+        yield
+    if rrd:
+        note(f"writing {rrd} ...")
+        recording.save(rrd, overwrite=args.force)
+        print(f"{rrd}: {Path(rrd).stat().st_size / 1e6:.1f} MB, {recording.duration:.2f} s of simulated time; open with: rerun {rrd}")
+    if args.vcd:
+        note(f"writing {args.vcd} ...")
+        recording.to_vcd(args.vcd, overwrite=args.force)
+        print(f"{args.vcd}: {Path(args.vcd).stat().st_size / 1e6:.1f} MB; open with: gtkwave {args.vcd}")
+    if args.web:
+        from stage.recording.viewer import serve_web
+
+        serve_web(rrd, args.port)
+    elif args.view:
+        from stage.recording.viewer import open_viewer
+
+        open_viewer(rrd)
+
+
+def note(text: str) -> None:
+    """Progress, where somebody watches."""
+    if sys.stderr.isatty():
+        print(text, file=sys.stderr, flush=True)
+
+
+def plot(args: argparse.Namespace, draw: Callable[[str], Any]) -> None:
+    if args.plot:
+        draw(args.plot)
+        print(f"{args.plot}: drawn")

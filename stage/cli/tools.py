@@ -1,0 +1,56 @@
+"""The commands registers, pullout and view."""
+
+from __future__ import annotations
+
+import argparse
+
+from stage.cli.setup import chip_class, note
+from stage.errors import StageError
+
+
+def registers(args: argparse.Namespace) -> int:
+    """Print a register map."""
+    from stage.chips.register_map import dump
+
+    print(dump(chip_class(args.chip).MAP))
+    return 0
+
+
+def pullout(args: argparse.Namespace) -> int:
+    """Measure and print the pull-out curve; draw it with --plot."""
+    from stage.drives.dynamometer import pull_out_table
+    from stage.drives.motors import Drive, motor
+    from stage.recording.recording import writable
+
+    drive = Drive(motor(args.motor), microsteps=args.microsteps, bus_voltage=args.bus_voltage)
+    if args.plot:
+        writable(args.plot, args.force)
+    note("measuring ...")
+    table = pull_out_table(drive)
+    print(table)
+    if args.plot:
+        from stage.drives.picture import plot_pull_out
+
+        plot_pull_out(drive, table, args.plot)
+        print(f"{args.plot}: drawn")
+    return 0
+
+
+def view(args: argparse.Namespace) -> int:
+    """MuJoCo's own viewer, or the axes as text."""
+    import mujoco
+
+    from stage import plant
+    from stage.recording.viewer import has_screen
+
+    spec = plant.open_spec(args.model)
+    model = spec if isinstance(spec, mujoco.MjModel) else spec.compile()
+    print(plant.describe(model))
+    if args.text:
+        return 0
+    if not has_screen():
+        raise StageError("there is no screen here for MuJoCo's viewer; `stage view --text` prints the axes.")
+    import mujoco.viewer
+
+    mujoco.viewer.launch(model)
+    return 0
