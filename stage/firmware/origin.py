@@ -1,7 +1,7 @@
 """Origin return: find ORG, from wherever the axis is (data sheet section 5 f, g).
 
     fast:  SD enabled, ORG enabled, high speed. The SD switch lies before ORG and slows the axis to FL; ORG stops it.
-    slow:  leave ORG, a little more, and approach it again at FL.
+    slow:  leave ORG, a little more, and approach it again at a crawl.
 
 ORG is asserted at the origin and on from it to the end of travel, so that firmware can tell on which side it is.
 """
@@ -15,6 +15,7 @@ from stage.firmware.profile import Profile
 from stage.firmware.report import Procedure, Report
 
 BACK_OFF = 200  # pulses beyond the release of ORG
+APPROACH = 400.0  # pps; slow, so that the motor does not ring when the switch trips
 
 
 def origin_return(
@@ -25,12 +26,13 @@ def origin_return(
     high_speed: bool = True,
     slow_approach: bool = True,
     back_off: int = BACK_OFF,
+    approach: float = APPROACH,
     timeout: float = 60.0,
 ) -> Report:
     """Return to the mechanical origin.
 
-    direction: where ORG lies. high_speed: to FH1 with SD, otherwise constant FL. slow_approach: back off and approach at FL,
-    which makes the position repeatable within a pulse. The report's `stopped_by` is "ORG", or the limit that was met instead.
+    direction: where ORG lies. high_speed: to FH1 with SD, otherwise constant FL. slow_approach: back off by
+    `back_off` pulses and come again at `approach` pps, which makes the position repeatable within a pulse. The report's `stopped_by` is "ORG", or the limit that was met instead.
     Raises RunTimeout when `timeout` seconds a phase were not enough.
     """
     profile = _profile(axis, profile)
@@ -47,6 +49,7 @@ def origin_return(
         if status.org and slow_approach:
             axis.wait(SETTLE)
             port.command(bus.RESET)
+            port.write_register("R1", max(1, min(round(approach / profile.step), profile.R1)))
             _leave(port, axis, away, back_off, "FL", timeout)
             port.command(toward)
             port.command(bus.START["FL"])
