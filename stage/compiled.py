@@ -1,4 +1,4 @@
-"""What is compiled, and how: one decorator for the hot functions, and MuJoCo's `mj_step` for use inside them.
+"""What is compiled, and how: one decorator for the hot functions.
 
     @hot
     def advance(rows, i, until): ...
@@ -6,22 +6,61 @@
 Functions so marked are compiled by numba without the GIL and cached on disk. They keep to scalars, records and arrays:
 no allocation, no strings, no exceptions, so that the same source can later compile for other targets.
 With NUMBA_DISABLE_JIT=1 they run as plain Python, for debugging and for coverage.
+
+numba looks only at the file of the function itself to tell whether its cache is fresh, but our loops are made of functions of
+many files. So the cache folder carries a hash of them all: a change anywhere compiles anew.
 """
 
 from __future__ import annotations
 
+import hashlib
+import os
+import shutil
 import sys
+import tempfile
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+from typing import Any
 
 import numba
 import numpy as np
 
-hot = numba.njit(nogil=True, cache=True, error_model="numpy")
-"""Decorator of every compiled function. No fastmath: the same input gives the same bits."""
-
 COMPILED = not numba.config.DISABLE_JIT
+KEPT_CACHES = 4
+
+
+@cache
+def cache_folder() -> Path:
+    """Where compiled code is kept: $NUMBA_CACHE_DIR or the user's cache folder, by the state of the sources."""
+    package = Path(__file__).parent
+    digest = hashlib.sha256(numba.__version__.encode())
+    for source in sorted(package.rglob("*.py")):
+        if b"@hot" in (text := source.read_bytes()):
+            digest.update(source.name.encode() + text)
+    default = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    base = Path(os.environ.get("NUMBA_CACHE_DIR") or default) / "pulsestage"
+    folder = base / digest.hexdigest()[:16]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        os.utime(folder)
+    except OSError:
+        return Path(tempfile.gettempdir()) / f"pulsestage-{os.getuid() if hasattr(os, 'getuid') else 0}" / folder.name
+    for old in sorted(base.iterdir(), key=lambda p: p.stat().st_mtime)[:-KEPT_CACHES]:
+        shutil.rmtree(old, ignore_errors=True)
+    return folder
+
+
+def hot(function: Callable) -> Any:
+    """Compile `function` at its first call. No fastmath: the same input gives the same bits."""
+    before = numba.config.CACHE_DIR
+    numba.config.CACHE_DIR = str(cache_folder())
+    try:
+        return numba.njit(nogil=True, cache=True, error_model="numpy")(function)
+    finally:
+        numba.config.CACHE_DIR = before
 
 
 def record(fields: list) -> np.dtype:

@@ -8,7 +8,9 @@ exponential i(h) = i + (v - e - R i) / R (1 - exp(-h R / L)). The drive's target
 (pi / 2) / microsteps a pulse.
 
 CHOPPER holds each phase on its target wherever +-V reaches within the slice, else at full voltage: a fixed-frequency chopper
-without ripple. SINE is the ideal drive of the closed form: the voltage vector is limited to amplitude V as a whole.
+without ripple. SINE is the ideal drive of the closed form min(T_V, T_I): an ideal current source of amplitude I up to the
+speed where T_V falls below T_I, an ideal voltage source of amplitude V above. (No drive that is bound by both limits at once
+reaches that corner: with i and v inside their circles about 5 % less is possible there.)
 
 Equations: the two-phase model of drives.md (Simscape Electrical "Stepper Motor").
 """
@@ -72,6 +74,14 @@ def _toward(i, target, v, e, r, decay):
 
 
 @hot
+def _pull_out_voltage(d, omega):
+    """T_V: the most that a voltage source of amplitude V holds at a speed (drives.md, 1)."""
+    x = d.teeth * omega * d.inductance
+    z2 = d.resistance * d.resistance + x * x
+    return d.torque_constant * (d.voltage / math.sqrt(z2) - d.torque_constant * abs(omega) * d.resistance / z2)
+
+
+@hot
 def torque(d, count, theta, omega, h):
     """Advance the currents by h seconds; returns the mean torque on the rotor, N m.
 
@@ -90,11 +100,12 @@ def torque(d, count, theta, omega, h):
     if d.mode == CHOPPER:
         d.current_a = _toward(a, ta, d.voltage, ea, r, d.decay)
         d.current_b = _toward(b, tb, d.voltage, eb, r, d.decay)
+    elif _pull_out_voltage(d, omega) >= d.torque_constant * d.current:
+        d.current_a, d.current_b = ta, tb
+        a, b = ta, tb
     else:
-        va = ea + r * (a + (ta - a) / d.decay)
-        vb = eb + r * (b + (tb - b) / d.decay)
-        scale = min(1.0, d.voltage / max(math.sqrt(va * va + vb * vb), 1e-12))
-        d.current_a = a + ((va * scale - ea) / r - a) * d.decay
-        d.current_b = b + ((vb * scale - eb) / r - b) * d.decay
+        scale = d.voltage / d.current
+        d.current_a = a + ((ta * scale - ea) / r - a) * d.decay
+        d.current_b = b + ((tb * scale - eb) / r - b) * d.decay
     ia, ib = 0.5 * (a + d.current_a), 0.5 * (b + d.current_b)
     return d.torque_constant * (ib * c - ia * s) - d.detent * 4.0 * s * c * (c * c - s * s)
