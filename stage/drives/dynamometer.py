@@ -78,9 +78,6 @@ def _slips(d, rate, inertia, seconds, accel, damping, load):
     stepper.align(d, 0.0, 0.0)
     while t < seconds:
         now = rate if accel == 0.0 else min(rate, 1000.0 + accel * t)
-        now = min(now, rate)
-        if t > seconds - 0.1:
-            now = 0.0
         force = stepper.torque(d, count + 0.5 * now * H, theta + 0.5 * omega * H, omega, H)
         drag = damping * omega
         if omega != 0.0 or abs(force) > load:
