@@ -7,6 +7,7 @@ of speed and of every pin, to the clock. Waveforms and the drawings of operation
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
 
 WRITE, INPUT, RESET = range(3)
 CHUNK = 65536
+ROOM = 64  # a scan needs some to get on
 
 
 class Entry(NamedTuple):
@@ -79,33 +81,49 @@ class Journal:
         if self._chip._journal is self:
             self._chip._journal = self._previous
 
+    @property
+    def start(self) -> np.record:
+        """The chip's state when the journal began, a record of its core's STATE."""
+        return np.frombuffer(self._start, self._chip.CORE.STATE)[0]
+
+    @property
+    def until(self) -> int:
+        """The clock at which the course ends: that of `close()`, or the chip's now."""
+        return self._chip.clock if self._end is None else self._end
+
     def course(self, every_pulse: bool = False) -> Course:
         """Replay. With `every_pulse` the edges of the pulse output are in it too."""
-        chip, core = self._chip, self._chip.CORE
+        chip = self._chip
+        return Course(
+            type(chip), chip.clock_hz, np.concatenate(list(self.pieces(every_pulse))), tuple(self.entries)
+        )
+
+    def pieces(self, every_pulse: bool = False, size: int = CHUNK) -> Iterator[np.ndarray]:
+        """The edges of `course`, at most `size` at a time: any length of run in the same memory."""
+        core = self._chip.CORE
         rows = np.frombuffer(bytearray(self._start), core.STATE)
-        out = np.zeros(CHUNK, core.EDGE)
-        parts: list[np.ndarray] = []
-
-        def mark() -> None:
-            core.mark(rows, 0, out, 0)
-            parts.append(out[:1].copy())
-
-        def run(until: int) -> None:
+        out = np.zeros(size, core.EDGE)
+        end = self.until
+        core.mark(rows, 0, out, 0)
+        k = 1
+        for e in (*self.entries, None):
+            until = end if e is None else e.clock
             while rows[0].clock < until:
-                n = core.scan(rows, 0, until, every_pulse, out)
-                if n:
-                    parts.append(out[:n].copy())
-
-        mark()
-        for e in self.entries:
-            run(e.clock)
-            if e.kind == WRITE:
+                if size - k < ROOM:
+                    yield out[:k].copy()
+                    k = 0
+                k += core.scan(rows, 0, until, every_pulse, out[k:])
+            if e is None:
+                pass
+            elif e.kind == WRITE:
                 core.write(rows, 0, e.a, e.b)
             elif e.kind == INPUT:
                 core.set_inputs(rows, 0, e.a, e.b)
             else:
                 core.power_up(rows, 0)
-            mark()
-        run(chip.clock if self._end is None else self._end)
-        mark()
-        return Course(type(chip), chip.clock_hz, np.concatenate(parts), tuple(self.entries))
+            if k == size:
+                yield out.copy()
+                k = 0
+            core.mark(rows, 0, out, k)
+            k += 1
+        yield out[:k].copy()

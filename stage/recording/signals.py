@@ -1,0 +1,90 @@
+"""Pins as the bench sees them: names and polarity on the wire, chip phases, status bits. One table for all families.
+
+A pin that is in no table shows under its own name in capitals, 1 = asserted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from stage.chips.journal import RESET, WRITE, Journal
+
+WIRES = {
+    "el_plus": ("EL_PLUS_n", 0), "el_minus": ("EL_MINUS_n", 0), "sd_plus": ("SD_PLUS_n", 0), "sd_minus": ("SD_MINUS_n", 0),
+    "org": ("ORG_n", 0), "extp": ("EXTP_n", 0), "ins": ("INS", 1), "pout": ("POUT_n", 0), "pdir": ("PDIR", 0),
+    "irq": ("INT_n", 0), "ots": ("OTS", 1), "hold": ("HOLD", 1), "fdown": ("FDOWN", 1), "fkeep": ("FKEEP", 1),
+    "fup": ("FUP", 1), "lt": ("LT", 1), "zero": ("ZERO", 1),
+}  # fmt: skip
+"""Pin -> (name on the wire, level while asserted). As HDL people write it, `_n` marks a signal that is active low.
+PDIR is a level: 0 minus, 1 plus (data sheet section 2)."""
+
+SWITCHES = {
+    "el_minus": ("EL-", "el"), "org": ("ORG", "org"), "sd_minus": ("SD-", "sd"), "sd_plus": ("SD+", "sd"),
+    "el_plus": ("EL+", "el"),
+}  # fmt: skip
+"""Switch pin -> (label, kind), in the order along an axis."""
+
+PHASES = {"hold": "hold", "fup": "up", "fkeep": "keep", "fdown": "down"}
+"""Output pin -> phase of the chip; the first that is asserted counts."""
+
+STATUS = {
+    "no_int": ("irq", 0), "operating": ("hold", 0), "fkeep": ("fkeep", 1), "lt": ("lt", 1), "zero": ("zero", 1),
+    "org": ("org", 1), "ins": ("ins", 1),
+}  # fmt: skip
+"""Status bit -> (pin, what the bit is while the pin is asserted). `sd` is missing: it is that of the direction."""
+
+
+def wire(pin: str) -> tuple[str, int]:
+    """(name, level while asserted) of a pin."""
+    return WIRES.get(pin, (pin.upper(), 1))
+
+
+def asserted(chip: Any, edges: np.ndarray, pin: str) -> np.ndarray:
+    """A pin's state from each edge on (bool); `edges` of a chip's journal."""
+    word, bit = ("inputs", chip.INPUTS[pin]) if pin in chip.INPUTS else ("outputs", chip.OUTPUTS[pin])
+    return edges[word] & bit != 0
+
+
+def phases(chip: Any, edges: np.ndarray) -> np.ndarray:
+    """The chip's phase from each edge on: up, keep, down, hold."""
+    known = [p for p in PHASES if p in chip.OUTPUTS]
+    return np.select([asserted(chip, edges, p) for p in known], [PHASES[p] for p in known], "")
+
+
+def status(chip: Any, edges: np.ndarray, minus: np.ndarray) -> dict[str, np.ndarray]:
+    """The bits of the status byte from each edge on, as a read at address 0 would give them.
+
+    minus: whether the direction is minus, see `directions`.
+    """
+    try:
+        word = chip.MAP.word("status")
+    except StopIteration:
+        return {}
+    out = {}
+    for field in word.fields:
+        if field.name == "sd":
+            out["sd"] = np.where(minus, asserted(chip, edges, "sd_minus"), asserted(chip, edges, "sd_plus"))
+        elif field.name in STATUS:
+            pin, level = STATUS[field.name]
+            out[field.name] = asserted(chip, edges, pin) == bool(level)
+    return out
+
+
+def directions(journal: Journal) -> tuple[np.ndarray, np.ndarray]:
+    """(clocks, minus): the direction that the control mode says, from each clock on; the first clock is the start's."""
+    clocks, minus = [int(journal.start["clock"])], [bool(journal.start["minus"])]
+    for clock, value in _modes(journal):
+        clocks.append(clock)
+        minus.append(value)
+    return np.array(clocks, np.int64), np.array(minus)
+
+
+def _modes(journal: Journal) -> Iterator[tuple[int, bool]]:
+    for e in journal.entries:
+        if e.kind == RESET:
+            yield e.clock, False
+        elif e.kind == WRITE and e.a == 0 and e.b >> 6 == 1:
+            yield e.clock, bool(e.b & 0x08)
