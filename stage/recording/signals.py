@@ -88,3 +88,9 @@ def _modes(journal: Journal) -> Iterator[tuple[int, bool]]:
             yield e.clock, False
         elif e.kind == WRITE and e.a == 0 and e.b >> 6 == 1:
             yield e.clock, bool(e.b & 0x08)
+
+
+def rates(edges: np.ndarray, clock_hz: int) -> np.ndarray:
+    """Pulse rate from each edge on, pps (data sheet section 4, R7)."""
+    runs = edges["multiplier"] >= 2
+    return np.where(runs, edges["speed"] * clock_hz / (8192.0 * np.maximum(edges["multiplier"], 1)), 0.0)

@@ -1,64 +1,130 @@
-"""A recording as waveforms for GTKWave: every pulse, pin and status bit of every chip, by its own clock.
+"""A recording as waveforms: every pin, pulse, status bit and bus write of every chip, to its own clock.
 
-Levels are the electrical ones: an active-low signal (POUT, SD, EL, ORG, EXTP, INT) is 0 while asserted. Time is in
-nanoseconds; a clock of 4.9152 MHz is 203.45 ns, rounded once an edge.
+    x                   a scope an axis
+      POUT_n PDIR ...   every pin, as a probe on the wire would show it: `_n` marks what is 0 while asserted
+      R0 RATE           down counter, 24 bits; pulse rate, pps
+      status            operating, lt, zero ...: the byte that a read at address 0 would give, bit by bit
+      bus               WR: a write cycle (event), with A, its address, and D, its data; RESET: the /RESET pin (event)
+
+Time is that of the stage, in nanoseconds. A tick n of a clock of f Hz stands at n / f, rounded to the nanosecond, each
+by itself: no error adds up, and n comes back as round(ns f / 1e9).
 """
 
 from __future__ import annotations
 
+import heapq
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from stage.chips.journal import RESET, WRITE
+from stage.recording import signals
+
 if TYPE_CHECKING:
     from stage.recording.recording import Recording
 
-ACTIVE_LOW = {"el_plus", "el_minus", "sd_plus", "sd_minus", "org", "extp", "pout", "pdir", "irq"}
-NAMES = {
-    "pout": "POUT", "pdir": "PDIR", "hold": "HOLD", "fup": "FUP", "fkeep": "FKEEP", "fdown": "FDOWN", "lt": "LT",
-    "zero": "ZERO", "irq": "INT", "ots": "OTS", "el_plus": "EL_PLUS", "el_minus": "EL_MINUS", "sd_plus": "SD_PLUS",
-    "sd_minus": "SD_MINUS", "org": "ORG", "ins": "INS", "extp": "EXTP",
-}  # fmt: skip
+SECOND = 1_000_000_000
+EDGES = 16384  # at a time
+
+Change = tuple[int, Any, Any]  # ns, variable, value
+
+
+def nanoseconds(clock: Any, hz: int) -> Any:
+    """The time of clocks (int or int64 array), rounded to ns; exact for centuries."""
+    return clock // hz * SECOND + (clock % hz * SECOND + hz // 2) // hz
 
 
 def write(recording: Recording, path: Path) -> Path:
-    """Write the chips of `recording` to `path`."""
+    """Write the chips of `recording` to `path`, in memory that does not grow with its length."""
     from vcd import VCDWriter
 
-    with open(path, "w", encoding="ascii") as file, VCDWriter(file, timescale="1 ns", init_timestamp=0) as writer:
-        changes: list[tuple[np.ndarray, np.ndarray, Any]] = []
-        for axis in recording.axes:
-            changes += _axis(recording, axis, writer)
-        times = np.concatenate([t for t, _, _ in changes])
-        which = np.concatenate([np.full(len(t), k) for k, (t, _, _) in enumerate(changes)])
-        index = np.concatenate([np.arange(len(t)) for t, _, _ in changes])
-        for k in np.argsort(times, kind="stable"):
-            _, values, variable = changes[which[k]]
-            writer.change(variable, int(times[k]), int(values[index[k]]))
-        writer.close(int(times.max()) if len(times) else 0)
+    with open(path, "w", encoding="ascii", buffering=1 << 20) as file:
+        begin = min(nanoseconds(int(j.start["clock"]), _hz(recording, n)) for n, j in recording.journals.items())
+        end = max(nanoseconds(j.until, _hz(recording, n)) for n, j in recording.journals.items())
+        comment = f"PulseStage: {recording!r}"
+        with VCDWriter(file, timescale="1 ns", comment=comment, init_timestamp=begin) as writer:
+            streams = [s for axis in recording.axes for s in (_pins(recording, axis, writer), _bus(recording, axis, writer))]
+            first = [next(s) for s in streams]  # variables must all be known before the first change
+            assert not any(first)
+            for ns, variable, value in heapq.merge(*streams, key=lambda change: change[0]):
+                writer.change(variable, ns, value)
+            writer.close(end)
     return path
 
 
-def _axis(recording: Recording, axis: str, writer: Any) -> list[tuple[np.ndarray, np.ndarray, Any]]:
-    """(times in ns, values, variable) for each signal of an axis, only where it changes."""
-    course = recording.course(axis, every_pulse=True)
-    e = course.edges
-    ns = np.rint((recording.seconds(axis, e["clock"]) - recording.began) * 1e9).astype(np.int64)
-    signals = {NAMES[p]: course.pin(p) ^ (p in ACTIVE_LOW) for p in NAMES if p in course.chip.INPUTS or p in course.chip.OUTPUTS}
-    out = []
-    for name, level in signals.items():
-        variable = writer.register_var(axis, name, "wire", size=1, init=int(level[0]))
-        out.append(_changes(ns, level.astype(np.int64), variable))
-    for name, column, size in (("R0", "r0", 24), ("SPEED", "speed", 13)):
-        variable = writer.register_var(axis, name, "wire", size=size, init=int(e[column][0]))
-        out.append(_changes(ns, e[column], variable))
+def _hz(recording: Recording, axis: str) -> int:
+    return recording.axes[axis].chip.clock_hz
+
+
+def _pins(recording: Recording, axis: str, writer: Any) -> Iterator[Change | None]:
+    """None once the variables are registered, then the changes of an axis' pins, counter, rate and status."""
+    chip, journal = recording.axes[axis].chip, recording.journals[axis]
+    clocks, minus = signals.directions(journal)
+    variables: dict[str, Any] = {}
+    now: dict[str, Any] = {}
+    for edges in _settled(journal.pieces(every_pulse=True, size=EDGES)):
+        ns = nanoseconds(edges["clock"], chip.clock_hz)
+        way = minus[np.searchsorted(clocks, edges["clock"], side="right") - 1]
+        values = _levels(chip, edges, way)
+        if not variables:
+            for name, (kind, size, v) in values.items():
+                scope, _, short = f"{axis}.{name}".rpartition(".")
+                now[name] = v[0].item()
+                variables[name] = writer.register_var(scope, short, kind, size=size, init=now[name])
+            yield None
+        which, at, what = [], [], []
+        for name, (_, _, v) in values.items():
+            k = np.flatnonzero(np.concatenate([[v[0] != now[name]], v[1:] != v[:-1]]))
+            which += [variables[name]] * len(k)
+            at.append(ns[k])
+            what += v[k].tolist()
+            now[name] = v[-1]
+        times = np.concatenate(at)
+        for k, t in zip((order := np.argsort(times, kind="stable")).tolist(), times[order].tolist(), strict=True):
+            yield t, which[k], what[k]
+
+
+def _levels(chip: Any, edges: np.ndarray, minus: np.ndarray) -> dict[str, tuple[str, int, np.ndarray]]:
+    """Signal name -> (kind, bits, value from each edge on)."""
+    out: dict[str, tuple[str, int, np.ndarray]] = {}
+    for pin in (*chip.OUTPUTS, *chip.INPUTS):
+        name, level = signals.wire(pin)
+        out[name] = ("wire", 1, (signals.asserted(chip, edges, pin) == bool(level)).astype(np.int64))
+    out["R0"] = ("reg", 24, edges["r0"])
+    out["RATE"] = ("real", 64, signals.rates(edges, chip.clock_hz))
+    for name, v in signals.status(chip, edges, minus).items():
+        out[f"status.{name}"] = ("wire", 1, v.astype(np.int64))
     return out
 
 
-def _changes(ns: np.ndarray, values: np.ndarray, variable: Any) -> tuple[np.ndarray, np.ndarray, Any]:
-    """Of edges at one time only the last counts, and only where the value differs from the one before."""
-    last = np.concatenate([ns[1:] != ns[:-1], [True]])
-    ns, values = ns[last], values[last]
-    keep = np.concatenate([[False], values[1:] != values[:-1]])
-    return ns[keep], values[keep], variable
+def _settled(pieces: Iterator[np.ndarray]) -> Iterator[np.ndarray]:
+    """Of several edges at one clock only the last: what the wires settle on."""
+    kept: np.ndarray | None = None
+    for piece in pieces:
+        if kept is not None:
+            piece = np.concatenate([kept, piece])
+        last = piece["clock"][1:] != piece["clock"][:-1]
+        kept = piece[-1:]
+        if last.any():
+            yield piece[:-1][last]
+    if kept is not None:
+        yield kept
+
+
+def _bus(recording: Recording, axis: str, writer: Any) -> Iterator[Change | None]:
+    """None once the variables are registered, then the bus writes and resets of an axis."""
+    chip, scope = recording.axes[axis].chip, f"{axis}.bus"
+    wr, reset = (writer.register_var(scope, name, "event", size=1) for name in ("WR", "RESET"))
+    address = writer.register_var(scope, "A", "reg", size=chip._ADDRESS_MASK.bit_length(), init="x")
+    data = writer.register_var(scope, "D", "reg", size=chip.DATA_MASK.bit_length(), init="x")
+    yield None
+    for e in recording.journals[axis].entries:
+        ns = nanoseconds(e.clock, chip.clock_hz)
+        if e.kind == WRITE:
+            yield ns, address, e.a
+            yield ns, data, e.b
+            yield ns, wr, True
+        elif e.kind == RESET:
+            yield ns, reset, True
