@@ -119,7 +119,8 @@ def test_psd_plus_5_ends_with_5_pulses_at_fl_within_one(fl, fh, up, down, mult):
     whole = np.diff(t["clock"])[::-1] >= math.floor(period)
     at_fl = 1 + (len(whole) if whole.all() else int(np.argmin(whole)))  # pulses that begin while the speed is FL
     fewer = (fh - fl) * down / (16384 * mult)  # the staircase makes fewer pulses than the straight ramp
-    assert 4 <= at_fl <= 7 + fewer
+    alike = 4 * down * fl / (8192 * mult)  # pulses of the last speed steps above FL, whose period rounds to the same
+    assert 4 <= at_fl <= 7 + fewer + alike
 
 
 @speeds
@@ -147,7 +148,7 @@ def test_triangular_drive_with_r6_of_the_formula_peaks_once_and_ends_on_its_puls
     assert len(t) == r0
     assert counter(chip) == 0
     gaps = np.diff(t)
-    assert gaps.min() > 8192 * mult / fh * 0.999, "FH is not reached, or only just"
+    assert gaps.min() >= math.floor(8192 * mult / fh), "never beyond FH"
     peak = int(np.argmin(gaps))
     assert (np.diff(gaps[:peak]) <= 1).all(), "only up before the peak (the phase rounds to a clock)"
     assert (np.diff(gaps[peak:]) >= -1).all(), "only down after it"
