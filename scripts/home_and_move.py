@@ -1,6 +1,6 @@
 """Origin return, a preset move and a dual-rate move on one axis, drawn like the data sheet's operation patterns.
 
-    python scripts/home_and_move.py        writes home.png and dual_rate.png
+python scripts/home_and_move.py        writes home.png and dual_rate.png
 """
 
 from stage import Stage, firmware

@@ -1,6 +1,6 @@
 """An MJCF file of one's own: what the naming contract asks of it, and what a mistake is told.
 
-    python scripts/own_stage.py
+python scripts/own_stage.py
 """
 
 import mujoco

@@ -1,6 +1,6 @@
 """A motor that is asked too much: it stalls, the chip does not know, a new origin return repairs it.
 
-    python scripts/stall.py
+python scripts/stall.py
 """
 
 from stage import Stage, firmware

@@ -1,6 +1,6 @@
 """Two chips, one straight line: the data sheet's a:b scheme, on chips alone and on the stage.
 
-    python scripts/straight_line.py
+python scripts/straight_line.py
 """
 
 from stage import Stage, firmware

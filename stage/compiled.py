@@ -22,11 +22,13 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
+
+numba: Any = import_module("numba")  # its settings have no types
 
 COMPILED = not numba.config.DISABLE_JIT
 KEPT_CACHES = 4
@@ -66,6 +68,11 @@ def hot(function: Callable) -> Any:
 def record(fields: list) -> np.dtype:
     """A structured dtype whose elements have attributes, compiled or not; `hot` functions take plain arrays of it."""
     return np.dtype((np.record, np.dtype(fields)))
+
+
+def plain(dtype: np.dtype) -> np.dtype:
+    """The same fields without attributes: c["name"] is then the fast access from Python."""
+    return np.dtype([(name, dtype[name]) for name in dtype.names or ()])
 
 
 @contextmanager

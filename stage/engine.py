@@ -19,6 +19,7 @@ from __future__ import annotations
 import ctypes
 import glob
 import os
+from typing import Any
 
 import llvmlite.binding
 import mujoco
@@ -31,7 +32,7 @@ from stage.drives import stepper
 _LIBRARY = glob.glob(os.path.join(os.path.dirname(mujoco.__file__), "libmujoco*.so*"))[0]
 if COMPILED:
     llvmlite.binding.load_library_permanently(_LIBRARY)
-    mj_step = numba.types.ExternalFunction("mj_step", numba.types.void(numba.types.intp, numba.types.intp))
+    mj_step: Any = numba.types.ExternalFunction("mj_step", numba.types.void(numba.types.intp, numba.types.intp))
 else:
     mj_step = ctypes.CDLL(_LIBRARY).mj_step
     mj_step.argtypes = (ctypes.c_void_p, ctypes.c_void_p)
@@ -62,7 +63,14 @@ SWITCH_TABLE = record(
 """Pin bit, addresses in sensordata, d dist / d q; `forced`: -1 works, 0 stuck open, 1 stuck closed."""
 
 SAMPLE = record(
-    [("time", "f8"), ("position", "f8"), ("velocity", "f8"), ("commanded", "f8"), ("load_angle", "f8"), ("torque", "f8")]
+    [
+        ("time", "f8"),
+        ("position", "f8"),
+        ("velocity", "f8"),
+        ("commanded", "f8"),
+        ("load_angle", "f8"),
+        ("torque", "f8"),
+    ]
     + [("current_a", "f8"), ("current_b", "f8"), ("rate", "f8")]
     + [(name, "i8") for name in "pulses lost_steps counter inputs outputs".split()]
 )

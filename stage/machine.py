@@ -48,7 +48,9 @@ class Snapshot:
 
 
 class Switches:
-    """The limit switches of an axis by name; True = asserted. `stuck` forces one, for fault tests."""
+    """The limit switches of an axis by name; True = asserted. `stick` forces one, for fault tests."""
+
+    _axis: Axis
 
     def __init__(self, axis: Axis):
         object.__setattr__(self, "_axis", axis)
@@ -170,7 +172,9 @@ class Stage:
 
         chips = PCL240K if chips is None else chips
         if not 0 <= bus_cycle <= 1:
-            raise ArgumentError(f"bus_cycle={bus_cycle!r}: a bus cycle takes 0 to 1 s; a slow microcomputer needs 1e-6.")
+            raise ArgumentError(
+                f"bus_cycle={bus_cycle!r}: a bus cycle takes 0 to 1 s; a slow microcomputer needs 1e-6."
+            )
         spec = plant.open_spec(model)
         known = plant.axis_names(spec)
         names = list(chips) if isinstance(chips, Mapping) else known

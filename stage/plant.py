@@ -138,7 +138,9 @@ def describe(model: mujoco.MjModel) -> str:
         travel = f"{a.travel[0] * k:.1f} .. {a.travel[1] * k:.1f} {unit}"
         trips = ", ".join(f"{s.pin} {s.touch * k:.2f}" for s in a.switches)
         per_turn = f"{2 * np.pi / abs(a.gear) * k:.3f} {unit}"
-        lines.append(f"{a.name:6}{'hinge' if a.hinge else 'slide':7}{travel:>22}{per_turn:>12}  {a.motor or '-':16}{trips}")
+        lines.append(
+            f"{a.name:6}{'hinge' if a.hinge else 'slide':7}{travel:>22}{per_turn:>12}  {a.motor or '-':16}{trips}"
+        )
     return "\n".join(lines)
 
 
@@ -268,7 +270,9 @@ class _Binder:
         geoms = [m.geom(vane).name or "VANE", m.geom(switch).name or "SWITCH"]
         self._at(joint, q + LOOK_AHEAD / slope, full=True)
         if not self.data.sensordata[at["FOUND"]] > 0:
-            text = f"sensor {name!r} does not see its vane {LOOK_AHEAD * 1e3} mm before the touch (margin + gap too small)"
+            text = (
+                f"sensor {name!r} does not see its vane {LOOK_AHEAD * 1e3} mm before the touch (margin + gap too small)"
+            )
             self._problem(axis, text, _pair_line(*geoms))
             return None
         for end in (q, low, high):
@@ -313,6 +317,8 @@ class _Binder:
         for pin, sign in (("el_plus", -1), ("el_minus", 1), ("sd_plus", -1), ("sd_minus", 1)):
             if pin in by and by[pin].slope * sign < 0:
                 side = "plus" if pin.endswith("plus") else "minus"
-                self._problem(axis, f"switch {pin} trips when the joint moves away from {side}: is it at the wrong end?")
+                self._problem(
+                    axis, f"switch {pin} trips when the joint moves away from {side}: is it at the wrong end?"
+                )
         if "el_plus" in by and "el_minus" in by and by["el_plus"].touch <= by["el_minus"].touch:
             self._problem(axis, "EL+ trips before EL-: no travel is left between them")

@@ -156,9 +156,9 @@ def test_with_the_switch_stuck_open_the_hard_stop_holds_and_the_motor_slips_whol
     assert x.position < x.travel[1] + 1e-3
     assert x.lost_steps > 0
     assert x.lost_steps % 4 == 0
-    assert x.position == pytest.approx(
-        x.commanded - x.lost_steps / 200 * 0.01, abs=0.01 / 50 / 2
-    ), "behind by whole electrical turns, to within half of one"
+    assert x.position == pytest.approx(x.commanded - x.lost_steps / 200 * 0.01, abs=0.01 / 50 / 2), (
+        "behind by whole electrical turns, to within half of one"
+    )
 
 
 def test_switch_edges_reach_the_chip_inside_the_physics_step(xyz):

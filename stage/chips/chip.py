@@ -18,6 +18,7 @@ import numpy as np
 
 from stage.chips.journal import Journal
 from stage.chips.register_map import RegisterMap, dump
+from stage.compiled import plain
 from stage.errors import ArgumentError, StageError, unknown
 
 MAX_DIAGNOSTICS = 1000
@@ -54,7 +55,8 @@ class Snapshot:
 class Pins:
     """Input and output pins by name; True = asserted. Inputs can be set, outputs only read."""
 
-    __slots__ = ("_axis", "_chip")
+    _chip: Chip
+    _axis: int
 
     def __init__(self, chip: Chip, axis: int = 0):
         object.__setattr__(self, "_chip", chip)
@@ -145,7 +147,7 @@ class Chip:
 
     def _hold(self, rows: np.ndarray, i: int) -> None:
         self._rows, self._i = rows, i
-        self._record = rows.view(np.dtype(rows.dtype.fields))[i]  # a plain record: c["name"], the fast access from Python
+        self._record = rows.view(plain(rows.dtype))[i]
 
     @property
     def pins(self) -> Pins:

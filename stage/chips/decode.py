@@ -51,7 +51,8 @@ def _operating(value: int) -> str:
 def decode(map_: RegisterMap, entries: Iterable[Entry]) -> list[Said]:
     """A journal's writes as commands and whole register values; register selects are folded into the writes."""
     said: list[Said] = []
-    selected, bytes_, clock = 0, {}, 0
+    selected, clock = 0, 0
+    bytes_: dict[int, int] = {}
 
     def flush() -> None:
         if bytes_:

@@ -94,9 +94,7 @@ class Journal:
     def course(self, every_pulse: bool = False) -> Course:
         """Replay. With `every_pulse` the edges of the pulse output are in it too."""
         chip = self._chip
-        return Course(
-            type(chip), chip.clock_hz, np.concatenate(list(self.pieces(every_pulse))), tuple(self.entries)
-        )
+        return Course(type(chip), chip.clock_hz, np.concatenate(list(self.pieces(every_pulse))), tuple(self.entries))
 
     def pieces(self, every_pulse: bool = False, size: int = CHUNK) -> Iterator[np.ndarray]:
         """The edges of `course`, at most `size` at a time: any length of run in the same memory."""

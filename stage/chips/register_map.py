@@ -115,11 +115,11 @@ def dump(map_: RegisterMap, values: dict[str, int] | None = None) -> str:
         legal = f"{r.legal[0]}..{r.legal[1]}" if r.legal else "any"
         now = f" = {values[r.name]}" if values and r.name in values else ""
         lines.append(f"{r.name:9}{r.bits:>5} {r.access:4}{legal:>18}  {r.evidence:3}{r.title}{now}")
-        lines += [_field(f, values and values.get(r.name)) for f in r.fields]
+        lines += [_field(f, values.get(r.name) if values else None) for f in r.fields]
     for w in map_.words:
         now = f" = {values[w.name]:02X}h" if values and w.name in values else ""
         lines += ["", f"{w.name}: {w.title}{now}"]
-        lines += [_field(f, values and values.get(w.name)) for f in w.fields]
+        lines += [_field(f, values.get(w.name) if values else None) for f in w.fields]
     lines += ["", "evidence: " + ", ".join(f"{k} {v}" for k, v in EVIDENCE.items() if k in _tags(map_))]
     return "\n".join(lines)
 
@@ -130,5 +130,5 @@ def _field(f: Field, word: int | None) -> str:
 
 
 def _tags(map_: RegisterMap) -> set[str]:
-    fields = [f for part in (*map_.registers, *map_.words) for f in part.fields]
-    return {x.evidence for x in (*map_.registers, *fields)}
+    fields = [f for r in map_.registers for f in r.fields] + [f for w in map_.words for f in w.fields]
+    return {r.evidence for r in map_.registers} | {f.evidence for f in fields}

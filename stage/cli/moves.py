@@ -36,9 +36,7 @@ def home(args: argparse.Namespace) -> int:
 def move(args: argparse.Namespace) -> int:
     from stage import firmware
 
-    return _single(
-        args, lambda axis, p: firmware.preset_move(axis, args.pulses, p, high_speed=not args.constant)
-    )
+    return _single(args, lambda axis, p: firmware.preset_move(axis, args.pulses, p, high_speed=not args.constant))
 
 
 def dual_rate(args: argparse.Namespace) -> int:

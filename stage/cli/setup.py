@@ -50,7 +50,7 @@ def recorded(args: argparse.Namespace, stage: Any) -> Iterator[None]:
     """Record what happens inside if --record, --vcd, --view or --web asks for it, and write it at the end."""
     from stage.recording.recording import writable
 
-    rrd = args.record or ("stage.rrd" if args.view or args.web else None)
+    rrd: str | None = args.record or ("stage.rrd" if args.view or args.web else None)
     for path in (rrd, args.vcd, getattr(args, "plot", None)):
         if path:
             writable(path, args.force)  # say so before the work, not after it
@@ -59,19 +59,21 @@ def recorded(args: argparse.Namespace, stage: Any) -> Iterator[None]:
         return
     with stage.record() as recording:
         yield
-    if rrd:
+    if rrd is not None:
         note(f"writing {rrd} ...")
         recording.save(rrd, overwrite=args.force)
-        print(f"{rrd}: {Path(rrd).stat().st_size / 1e6:.1f} MB, {recording.duration:.2f} s of simulated time; open with: rerun {rrd}")
+        print(
+            f"{rrd}: {Path(rrd).stat().st_size / 1e6:.1f} MB, {recording.duration:.2f} s of simulated time; open with: rerun {rrd}"
+        )
     if args.vcd:
         note(f"writing {args.vcd} ...")
         recording.to_vcd(args.vcd, overwrite=args.force)
         print(f"{args.vcd}: {Path(args.vcd).stat().st_size / 1e6:.1f} MB; open with: gtkwave {args.vcd}")
-    if args.web:
+    if args.web and rrd:
         from stage.recording.viewer import serve_web
 
         serve_web(rrd, args.port)
-    elif args.view:
+    elif args.view and rrd:
         from stage.recording.viewer import open_viewer
 
         open_viewer(rrd)

@@ -88,7 +88,9 @@ class Drive:
             raise ArgumentError(f"bus_voltage={self.bus_voltage!r}: a drive takes more than 0, up to 400 V.")
         peak = self.motor.rated_current
         if self.current is not None and not 0 < self.current <= 2 * peak:
-            raise ArgumentError(f"current={self.current!r}: the {self.motor.name} takes more than 0, up to {2 * peak} A.")
+            raise ArgumentError(
+                f"current={self.current!r}: the {self.motor.name} takes more than 0, up to {2 * peak} A."
+            )
         if self.mode not in ("chopper", "sine"):
             raise unknown("drive mode", self.mode, ("chopper", "sine"))
 

@@ -23,7 +23,9 @@ def plot_pull_out(drive: Drive, table: PullOut, path: str | None = None) -> Any:
     ax.fill_between(
         table.rpm, table.ideal, table.ideal_saturated, color=BAND, linewidth=0, label="closed form, V to 4/π V"
     )
-    ax.plot(table.rpm, table.ideal, color=MUTED, linewidth=1.2, linestyle=(0, (4, 3)), label="closed form min($T_V$, $T_I$)")
+    ax.plot(
+        table.rpm, table.ideal, color=MUTED, linewidth=1.2, linestyle=(0, (4, 3)), label="closed form min($T_V$, $T_I$)"
+    )
     ax.plot(table.rpm, table.sine, "o", color=INK, markersize=3.2, label="ideal sine drive, measured")
     ax.plot(table.rpm, table.chopper, color=ACCENT, linewidth=2, label="chopper drive, measured")
     ax.set_xlim(0, table.rpm.max())
@@ -37,7 +39,8 @@ def plot_pull_out(drive: Drive, table: PullOut, path: str | None = None) -> Any:
         f"{drive.bus_voltage:g} V, {current:g} A, 1/{drive.microsteps} microsteps", loc="right", color=MUTED, fontsize=9
     )
     per_rpm = drive.pulses_per_turn / 60
-    top = ax.secondary_xaxis(-0.17, functions=(lambda v: v * per_rpm / 1e3, lambda v: v * 1e3 / per_rpm))
+    kpps: Any = (lambda v: v * per_rpm / 1e3, lambda v: v * 1e3 / per_rpm)
+    top = ax.secondary_xaxis(-0.17, functions=kpps)
     top.set_xlabel("pulse rate (kpps)", color=MUTED, fontsize=9)
     top.tick_params(colors=MUTED, labelsize=8)
     top.spines["bottom"].set_color(MUTED)

@@ -24,7 +24,27 @@ registers = st.one_of(
     st.tuples(st.just(6), st.integers(0, 30)),
     st.tuples(st.just(7), st.sampled_from([0, 1, 2, 2, 2, 3, 3, 4, 6, 1023])),
 )
-COMMANDS = [0x08, 0x10, 0x11, 0x13, 0x15, 0x17, 0x14, 0x1D, 0x1F, 0x18, 0x28, 0x30, 0x35, 0x3D, 0x37, 0x00, 0x20, 0x12, 0x16]
+COMMANDS = [
+    0x08,
+    0x10,
+    0x11,
+    0x13,
+    0x15,
+    0x17,
+    0x14,
+    0x1D,
+    0x1F,
+    0x18,
+    0x28,
+    0x30,
+    0x35,
+    0x3D,
+    0x37,
+    0x00,
+    0x20,
+    0x12,
+    0x16,
+]
 commands = st.one_of(
     st.sampled_from(COMMANDS),
     st.sampled_from([0x40, 0x44, 0x4C, 0x41, 0x43, 0x46, 0x4E, 0x48]),
@@ -124,7 +144,14 @@ def play(operations):
 
 def as_operations(program):
     ops = [("register", (k, program[f"r{k}"])) for k in range(8)]
-    return [*ops, ("command", program["control"]), ("command", program["start"]), ("run", 700), *program["then"], ("run", 2500)]
+    return [
+        *ops,
+        ("command", program["control"]),
+        ("command", program["start"]),
+        ("run", 700),
+        *program["then"],
+        ("run", 2500),
+    ]
 
 
 @settings(max_examples=EXAMPLES, deadline=None, print_blob=True)
@@ -161,7 +188,16 @@ def test_the_programs_have_teeth():
     seen = dict.fromkeys(("pulses", "fup", "fdown", "preset", "el", "org", "decelerated", "irq"), 0)
     for _ in range(150):
         model = ReferencePCL240K()
-        values = [rng.integers(5, 60), rng.integers(50, 2000), rng.integers(500, 8191), 4000, 5, 5, rng.integers(0, 40), 2]
+        values = [
+            rng.integers(5, 60),
+            rng.integers(50, 2000),
+            rng.integers(500, 8191),
+            4000,
+            5,
+            5,
+            rng.integers(0, 40),
+            2,
+        ]
         for k, v in enumerate(values):
             model.write(0, 0x80 | k)
             for address in (3, 2, 1):

@@ -155,7 +155,12 @@ def test_motors_are_those_of_the_data_sheets():
     assert set(MOTORS) == set(table)
     for name, (current, resistance, inductance, holding, km) in table.items():
         m = motor(name)
-        assert (m.rated_current, m.resistance, m.inductance, m.holding_torque) == (current, resistance, inductance, holding)
+        assert (m.rated_current, m.resistance, m.inductance, m.holding_torque) == (
+            current,
+            resistance,
+            inductance,
+            holding,
+        )
         assert m.torque_constant == pytest.approx(km, abs=6e-4)
         assert all(why.startswith("inferred") for why in m.evidence.values())
 
