@@ -39,6 +39,12 @@ class Axis(Protocol):
         """Full steps lost; None without a motor."""
 
 
+def check(axis: Any) -> None:
+    """ArgumentError if `axis` is none."""
+    if not isinstance(getattr(axis, "chip", None), Chip):
+        raise ArgumentError(f"{axis!r} is no axis: give stage.axes['x'], or Bench(x=PCL240K()).axes['x'].")
+
+
 class BenchAxis:
     """A chip alone: it makes pulses, and nothing moves."""
 

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 
 from stage.errors import ArgumentError
 from stage.firmware import bus
-from stage.firmware.axis import Axis
+from stage.firmware.axis import Axis, check
 from stage.firmware.bus import Port, Status
 from stage.firmware.profile import Profile
 from stage.firmware.report import Procedure, Report
@@ -226,6 +226,7 @@ def _prepare(port: Port, profile: Profile, control: int, output: int = 0) -> Non
 
 
 def _profile(axis: Axis, profile: Profile | None) -> Profile:
+    check(axis)
     if profile is None:
         return Profile.of(clock_hz=axis.chip.clock_hz)
     if not isinstance(profile, Profile):

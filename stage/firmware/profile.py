@@ -78,10 +78,12 @@ class Profile:
         step = clock_hz / (8192.0 * r7)
         speeds = [np.clip(np.rint(v / step), 1, 8191) for v in (fl, fh1, fh2)]
         span = np.maximum(np.maximum(speeds[1], speeds[2]) - speeds[0], 1)
+        reached = np.maximum(np.rint(fh1 / step), np.rint(fh2 / step)) <= 8191
         rates = [np.clip(np.rint(t * clock_hz / span), 2, 16383) for t in (accel, decel)]
         errors = [np.abs(r * step / v - 1) for r, v in zip(speeds, (fl, fh1, fh2), strict=True)]
         errors += [np.abs(r * span / clock_hz / t - 1) for r, t in zip(rates, (accel, decel), strict=True)]
-        best = len(r7) - 1 - int(np.argmin(np.max(errors, axis=0)[::-1].round(6)))
+        worst = np.where(reached, np.max(errors, axis=0), np.inf)
+        best = len(r7) - 1 - int(np.argmin(worst[::-1].round(6)))
         r1, r2, r3 = (int(s[best]) for s in speeds)
         return cls(r1, r2, r3, int(rates[0][best]), int(rates[1][best]), int(r7[best]), clock_hz)
 

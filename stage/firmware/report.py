@@ -7,11 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from stage.chips import Chip
 from stage.chips.decode import Said, decode
 from stage.chips.journal import Course
-from stage.errors import ArgumentError
-from stage.firmware.axis import Axis
+from stage.firmware.axis import Axis, check
 from stage.firmware.bus import Port
 
 
@@ -79,8 +77,7 @@ class Procedure:
     """Watches an axis: `with Procedure(axis, "preset move") as p: ...; return p.report(...)`."""
 
     def __init__(self, axis: Axis, name: str):
-        if not isinstance(getattr(axis, "chip", None), Chip):
-            raise ArgumentError(f"{axis!r} is no axis: give stage.axes['x'], or Bench(x=PCL240K()).axes['x'].")
+        check(axis)
         self.axis, self.name, self.port = axis, name, Port(axis)
 
     def __enter__(self) -> Procedure:

@@ -1,0 +1,205 @@
+"""Procedures by bus cycles only: on chips alone, and on the stage."""
+
+import numpy as np
+import pytest
+
+from stage import ArgumentError, RunTimeout, Stage, firmware
+from stage.chips import PCL240K
+from stage.firmware import Bench, Profile
+
+
+@pytest.fixture
+def x():
+    return Bench(x=PCL240K()).axes["x"]
+
+
+@pytest.fixture(scope="module")
+def stage():
+    return Stage("xyz", chips=PCL240K)
+
+
+@pytest.fixture
+def xyz(stage):
+    stage.reset()
+    return stage
+
+
+def phases(report):
+    """The order of chip phases of a move, for example ['fup', 'fkeep', 'fdown']."""
+    seen = []
+    course = report.course
+    names = ("fup", "fkeep", "fdown")
+    running = ~course.pin("hold")
+    for k in range(len(running)):
+        now = next(n for n in names if course.pin(n)[k]) if running[k] else None
+        if now and (not seen or seen[-1] != now):
+            seen.append(now)
+    return seen
+
+
+@pytest.mark.parametrize("pulses", [1, 2, 37, -37, 1000, -5000, 60_000])
+@pytest.mark.parametrize("high_speed", [True, False])
+def test_a_preset_move_makes_exactly_its_pulses(x, pulses, high_speed):
+    profile = Profile.of(fl=1000, fh1=8000, accel=0.1)
+    report = firmware.preset_move(x, pulses, profile, high_speed=high_speed)
+    assert report.pulses == pulses
+    assert report.residual == 0
+    assert report.stopped_by == "R0 = 0"
+    assert report.ok
+    assert x.chip.diagnostics == []
+
+
+def test_a_long_move_is_a_trapezoid_and_a_short_one_a_triangle(x):
+    profile = Profile.of(fl=500, fh1=16_000, accel=0.2)
+    long = firmware.preset_move(x, 20_000, profile)
+    assert phases(long) == ["fup", "fkeep", "fdown", "fkeep"]
+    assert long.peak_rate == pytest.approx(profile.fh1)
+    short = firmware.preset_move(x, 1000, profile)
+    assert phases(short)[:2] == ["fup", "fdown"]
+    assert profile.fl < short.peak_rate < profile.fh1
+
+
+def test_constant_speed_has_no_ramps(x):
+    report = firmware.preset_move(x, 500, Profile.of(fh1=2000), high_speed=False)
+    assert phases(report) == ["fkeep"]
+
+
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [({}, "decelerating stop"), ({"immediate": True}, "reset command"), ({"high_speed": False}, "reset command")],
+)
+def test_a_continuous_move_ends_as_it_is_told(x, options, why):
+    report = firmware.continuous_move(x, 0.3, -1, **options)
+    assert report.stopped_by == why
+    assert report.pulses < 0
+    assert report.asked is None
+
+
+def test_dual_rate_goes_up_halfway_and_down_again(x):
+    profile = Profile.of(fl=1000, fh1=8000, fh2=16_000, accel=0.1)
+    report = firmware.dual_rate_move(x, 12_000, profile, rates=("FL", "FH1", "FH2", "FH1"), dwell=0.1)
+    assert report.ok
+    assert phases(report) == ["fkeep", "fup", "fkeep", "fup", "fkeep", "fdown", "fkeep", "fdown", "fkeep"]
+    assert report.peak_rate == pytest.approx(profile.fh2)
+
+
+def test_speed_changes_through_any_number_of_rates_by_rewriting_the_unselected_register(x):
+    rates = [4000, 9000, 6000, 12_000, 3000]
+    report = firmware.speed_change_move(x, 8000, rates, Profile.of(fl=1000, fh1=8000), dwell=0.1)
+    assert report.ok
+    e = report.course.edges
+    kept = report.course.pin("fkeep") & ~report.course.pin("hold")
+    seen = {round(float(r)) for r in (e["speed"] * report.course.clock_hz / 8192 / np.maximum(e["multiplier"], 1))[kept]}
+    for rate in rates:
+        assert any(abs(s - rate) < 0.02 * rate for s in seen), (rate, seen)
+
+
+def test_an_interrupted_move_resumes_its_residual_pulses(x):
+    report = firmware.interrupted_move(x, 10_000, after=0.2, pause=0.1)
+    assert report.ok
+    assert report.pulses == 10_000
+    assert report.course.pin("irq").any(), "/INT at the interruption"
+    assert phases(report).count("fup") == 2
+
+
+def test_external_pulses_count_the_counter_down(x):
+    report = firmware.external_count(x, 50, rate=2000)
+    assert report.stopped_by == "R0 = 0"
+    assert report.duration == pytest.approx(50 / 2000, rel=0.1)
+    silent = firmware.external_count(x, 50, source=lambda axis: axis.wait(0.01), timeout=0.1)
+    assert silent.stopped_by == "reset command"
+
+
+def test_an_end_limit_is_told_as_the_reason(x):
+    x._bench.at(x.time + 0.2, lambda: setattr(x.chip.pins, "el_plus", True))
+    report = firmware.preset_move(x, 50_000)
+    assert report.stopped_by == "EL+"
+    assert not report.ok
+    assert report.residual == 50_000 - report.pulses
+
+
+def test_the_listing_says_every_byte_in_words(x):
+    listing = firmware.preset_move(x, 1000).listing()
+    for words in ("reset command", "R0 <- 1000", "control mode: preset", "start, ramp to FH1"):
+        assert words in listing
+
+
+def test_a_report_draws_itself(x, tmp_path):
+    path = tmp_path / "move.png"
+    firmware.dual_rate_move(x, 20_000).plot(str(path))
+    assert path.stat().st_size > 20_000
+
+
+def test_the_counter_is_read_whole_even_across_a_borrow(x):
+    """The Q & A's remedy: every value read lies between the true ones before and after."""
+    port = firmware.Port(x)
+    port.write_registers(R0=0x020100, R1=8191, R2=8191, R7=2)
+    port.command(0x11)
+    for _ in range(300):
+        before = x.chip.values()["R0"]
+        read = port.counter()
+        assert x.chip.values()["R0"] <= read <= before
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda a: firmware.preset_move(a, 0), "1 to 16777215"),
+        (lambda a: firmware.preset_move(a, 1 << 24), "1 to 16777215"),
+        (lambda a: firmware.preset_move(a, 1.5), "1 to 16777215"),
+        (lambda a: firmware.preset_move(a, 10, profile={}), "give a Profile"),
+        (lambda a: firmware.preset_move("x", 10), "is no axis"),
+        (lambda a: firmware.dual_rate_move(a, 100, rates=("FH3",)), "FL, FH1 and FH2"),
+        (lambda a: Profile(0, 1, 1, 2, 2, 2), r"R1 .FL speed. cannot be 0: .* from 1 to 8191"),
+        (lambda a: Profile(1, 1, 1, 1, 2, 2), r"R4 .acceleration rate. cannot be 1: .* from 2 to 16383"),
+        (lambda a: Profile(1, 1, 1, 2, 2, 1024), r"R7 .* from 2 to 1023"),
+        (lambda a: Profile.of(fh1=1e7), "makes up to"),
+        (lambda a: Profile.of(accel=-1), "accel=-1"),
+        (lambda a: firmware.Port(a).write_register("R9", 1), "unknown PCL240K register 'R9'"),
+    ],
+)
+def test_bad_input_names_what_was_given_and_what_is_allowed(x, call, message):
+    before = x.chip.snapshot()
+    with pytest.raises(ArgumentError, match=message):
+        call(x)
+    assert x.chip.snapshot() == before
+
+
+def test_a_move_that_cannot_end_in_time_says_what_the_chip_was_doing(x):
+    with pytest.raises(RunTimeout, match="still operates after .* R0 = "):
+        firmware.preset_move(x, 100_000, timeout=0.1)
+
+
+@pytest.mark.parametrize("rates", [(500, 9000, 20_000, 0.1), (123.4, 4567.8, 9876.5, 0.33), (1, 100, 245_000, 2.0)])
+def test_a_profile_comes_as_close_as_the_registers_allow(rates):
+    fl, fh1, fh2, accel = rates
+    p = Profile.of(fl=fl, fh1=fh1, fh2=fh2, accel=accel)
+    if fl >= 100:
+        assert p.fl == pytest.approx(fl, rel=0.02)
+        assert p.fh1 == pytest.approx(fh1, rel=0.02)
+        assert p.accel(fh2=True) == pytest.approx(accel, rel=0.02)
+    assert p.fh2 == pytest.approx(fh2, rel=0.05)
+
+
+def test_on_the_stage_a_sane_move_loses_no_step_and_ends_where_it_should(xyz):
+    for axis in xyz.axes.values():
+        report = firmware.preset_move(axis, 6400)
+        assert report.ok
+        assert report.lost_steps == 0
+        assert report.position - report.start == pytest.approx(0.020, abs=2e-5)
+
+
+def test_above_pull_out_it_stalls_the_report_says_by_how_much_and_a_new_origin_return_repairs_it(xyz):
+    x = xyz.axes["x"]
+    firmware.origin_return(x)
+    home = x.position
+    report = firmware.preset_move(x, 32_000, Profile.of(fh1=120_000, accel=0.05))
+    assert report.pulses == 32_000, "the chip does not know"
+    assert not report.ok
+    assert report.lost_steps > 0
+    assert report.lost_steps % 4 == 0
+    assert report.position - report.start == pytest.approx(0.1 - report.lost_steps * 0.01 / 200, abs=1e-4)
+    assert x.lost_steps == report.lost_steps, "they stay lost"
+    again = firmware.origin_return(x)
+    assert again.stopped_by == "ORG"
+    assert x.position == pytest.approx(home, abs=x.meters_per_pulse)

@@ -1,0 +1,89 @@
+"""Origin return: from anywhere, at any speed, to the same place."""
+
+import numpy as np
+import pytest
+
+from stage import Stage, firmware
+from stage.chips import PCL240K
+
+SEED = np.random.SeedSequence().entropy
+
+
+@pytest.fixture(scope="module")
+def stage():
+    return Stage("xyz", chips=PCL240K)
+
+
+def homed(stage, name, runs, **options):
+    """Final positions in pulses of `runs` returns from random places at random speeds."""
+    print("seed", SEED)
+    rng = np.random.default_rng([SEED, ord(name)])
+    axis, places = stage.axes[name], []
+    low, high = (next(s.touch for s in axis._plant.switches if s.pin == pin) for pin in ("el_minus", "el_plus"))
+    for _ in range(runs):
+        stage.reset()
+        stage.place(**{name: rng.uniform(low + 5e-4, high - 5e-4)})
+        profile = firmware.Profile.of(
+            fl=rng.uniform(600, 1800), fh1=rng.uniform(8000, 30_000), accel=rng.uniform(0.05, 0.2)
+        )
+        report = firmware.origin_return(axis, profile=profile, **options)
+        assert report.stopped_by == "ORG"
+        assert report.lost_steps == 0
+        places.append(report.position / axis.meters_per_pulse)
+    return np.array(places)
+
+
+@pytest.mark.parametrize(("name", "runs"), [("x", 40), ("y", 30), ("z", 30)])
+def test_a_hundred_returns_from_random_places_end_within_one_pulse_of_each_other(stage, name, runs):
+    places = homed(stage, name, runs)
+    assert np.abs(places - np.median(places)).max() <= 1.0
+    print(f"{name}: spread {np.ptp(places):.2f} pulses over {runs} returns")
+
+
+def test_without_the_slow_approach_the_spread_is_larger(stage):
+    fast = homed(stage, "x", 12, slow_approach=False)
+    slow = homed(stage, "x", 12)
+    print(f"spread {np.ptp(fast):.2f} pulses without slow approach, {np.ptp(slow):.2f} with it")
+    assert np.ptp(fast) > np.ptp(slow)
+    assert np.ptp(fast) < 20
+
+
+@pytest.mark.parametrize("place", [-0.1455, -0.1405, -0.1399, -0.1499, 0.0, 0.1499, -0.1501, 0.1501])
+def test_it_works_from_any_place_on_the_switches_or_between(stage, place):
+    stage.reset()
+    stage.place(x=place)
+    x = stage.axes["x"]
+    report = firmware.origin_return(x)
+    assert report.stopped_by == "ORG"
+    assert report.position == pytest.approx(-0.140, abs=3 * x.meters_per_pulse)
+
+
+def test_constant_speed_return_needs_no_sd(stage):
+    stage.reset()
+    stage.place(y=-0.08)
+    report = firmware.origin_return(stage.axes["y"], high_speed=False)
+    assert report.stopped_by == "ORG"
+    assert not report.course.pin("fup").any()
+
+
+def test_sd_slows_the_axis_to_fl_before_org_stops_it(stage):
+    stage.reset()
+    course = firmware.origin_return(stage.axes["x"]).course
+    org = np.flatnonzero(course.pin("org"))[0]
+    sd = np.flatnonzero(course.pin("sd_minus"))[0]
+    speed = course.edges["speed"]
+    assert speed[sd] == speed.max()
+    assert speed[org] == firmware.Profile.of().R1
+
+
+def test_a_missing_org_ends_at_the_limit_and_says_so(stage):
+    stage.reset()
+    x = stage.axes["x"]
+    stage.place(x=-0.12)
+    x.switches.stick("org", False)
+    try:
+        report = firmware.origin_return(x)
+    finally:
+        x.switches.stick("org", None)
+    assert report.stopped_by == "EL-"
+    assert report.position == pytest.approx(-0.150, abs=1e-4)
