@@ -7,12 +7,19 @@ Axis NAME is
         each with data="found dist" and a force-free <pair margin="-0.03" gap="0.04">,
     or <custom><text name="NAME_unfitted" data="sd_plus sd_minus"/></custom> for the switches that it does without.
 <text name="NAME_motor" data="17HS4401"/> names the motor whose rotor inertia is in the joint's armature.
+
+    spec = open_spec("xyz")                         a name, a path, an MjSpec or an MjModel
+    model, offset = compile_spec(spec, words)       with room for `words` float64 of state in userdata
+    for axis in bind(model): ...                    ModelError says everything that lacks, at once
+
+docs/models.md explains the contract and holds a complete small model.
 """
 
 from __future__ import annotations
 
+import copy
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from importlib import resources
@@ -25,16 +32,23 @@ import numpy as np
 from stage.errors import ArgumentError, ModelError, unknown
 
 PINS = ("el_plus", "el_minus", "sd_plus", "sd_minus", "org")
-MARGIN, GAP = -0.03, 0.04
-LOOK_AHEAD = 0.5e-3
-SCAN = 401
+MARGIN, GAP = -0.03, 0.04  # of the pairs that the errors propose
+LOOK_AHEAD = 0.5e-3  # m; a switch must be seen this far before the touch, so that the edge is found inside a step
+SCAN = 401  # joint positions tried over the range
 _DATA_DIMS = (("FOUND", 1), ("FORCE", 3), ("TORQUE", 3), ("DIST", 1), ("POS", 3), ("NORMAL", 3), ("TANGENT", 3))
 
 
 @dataclass(frozen=True)
 class Switch:
-    """A limit switch: `found` and `dist` are addresses in sensordata, `touch` the joint position where the vane trips it,
-    `slope` d dist / d q there."""
+    """A limit switch and its vane.
+
+    Attributes:
+        pin: el_plus, el_minus, sd_plus, sd_minus or org. sensor: id in the model.
+        found, dist: addresses in sensordata.
+        touch: joint position at which the vane, coming from the middle of travel (to ORG: from plus), trips the switch.
+        slope: d dist / d q there; -1 or 1 for flat faces on a slide, m/rad on a hinge.
+        lookahead: joint travel before the touch over which `dist` is seen.
+    """
 
     pin: str
     sensor: int
@@ -42,11 +56,18 @@ class Switch:
     dist: int
     touch: float
     slope: float
+    lookahead: float
 
 
 @dataclass(frozen=True)
 class PlantAxis:
-    """What the engine needs to know of an axis: ids and addresses in the model, gear (rotor rad per joint unit)."""
+    """What the engine needs to know of an axis.
+
+    Attributes:
+        joint, actuator: ids in the model; qpos, dof: addresses. gear: rotor radians per joint unit, signed.
+        travel: the joint's range, m (rad if `hinge`). motor: name of the motor inside the armature, or None.
+        switches: those fitted, in the order of PINS.
+    """
 
     name: str
     joint: int
@@ -69,10 +90,9 @@ def names() -> list[str]:
 def open_spec(source: Any) -> Any:
     """An MjSpec from a shipped name, a path or an MjSpec (copied); an MjModel is copied and passes through."""
     if isinstance(source, mujoco.MjSpec):
+        _compile(source)  # the copy would leave out in silence what refers to nothing
         return source.copy()
     if isinstance(source, mujoco.MjModel):
-        import copy
-
         return copy.copy(source)
     if not isinstance(source, str | os.PathLike):
         raise ArgumentError(f"model {source!r}: give a name ({', '.join(names())}), a path, an MjSpec or an MjModel.")
@@ -82,7 +102,9 @@ def open_spec(source: Any) -> Any:
             raise unknown("model", str(source), names())
         path = Path(str(resources.files("stage.models") / f"{source}.xml"))
     if not path.is_file():
-        raise ModelError(f"no MJCF file at {path}. Shipped models, by name: {', '.join(names())}.")
+        near = get_close_matches(path.stem, names(), n=1, cutoff=0.5)
+        hint = f" Did you mean the shipped model {near[0]!r}?" if near else ""
+        raise ModelError(f"no MJCF file at {path}.{hint} Shipped models, by name: {', '.join(names())}.")
     try:
         return mujoco.MjSpec.from_file(str(path))
     except ValueError as error:
@@ -92,22 +114,29 @@ def open_spec(source: Any) -> Any:
 def axis_names(source: Any) -> list[str]:
     """Every joint that has an actuator of its name, in the order of the actuators. Raises ModelError if there is none."""
     if isinstance(source, mujoco.MjModel):
-        joints = {source.joint(k).name for k in range(source.njnt)}
+        joints = [source.joint(k).name for k in range(source.njnt)]
         actuators = [source.actuator(k).name for k in range(source.nu)]
     else:
-        joints, actuators = {j.name for j in source.joints}, [a.name for a in source.actuators]
-    found = [a for a in actuators if a and a in joints]
+        joints, actuators = [j.name for j in source.joints], [a.name for a in source.actuators]
+    joints, actuators = [j for j in joints if j], [a for a in actuators if a]
+    found = [a for a in actuators if a in joints]
     if not found:
+        slips = "".join(f" Actuator {a!r} and joint {j[0]!r}: a slip?" for a in actuators if (j := _similar(a, joints)))
         raise ModelError(
-            f"the model has no axis: a joint and an actuator of the same name. Joints: {sorted(joints - {''})}; "
-            f"actuators: {actuators}. For a slide joint 'x' with a 10 mm screw add {_actuator_line('x')}",
+            f"the model has no axis: a joint and an actuator of the same name.{slips} Joints: "
+            f"{', '.join(joints) or 'none'}; actuators: {', '.join(actuators) or 'none'}. "
+            f"For a slide joint 'x' with a screw of 10 mm lead add {_actuator_line('x')}",
             [_actuator_line("x")],
         )
     return found
 
 
 def compile_spec(source: Any, words: int) -> tuple[mujoco.MjModel, int]:
-    """The model with `words` more float64 of userdata than its own; returns (model, where they begin)."""
+    """The model with `words` more float64 of userdata than its own; returns (model, where they begin).
+
+    An MjModel cannot grow: the last `words` of its userdata are taken. Raises ModelError if there are too few, or if
+    MuJoCo cannot compile the spec.
+    """
     if isinstance(source, mujoco.MjModel):
         if source.nuserdata < words:
             line = f'<size nuserdata="{words}"/>'
@@ -119,15 +148,19 @@ def compile_spec(source: Any, words: int) -> tuple[mujoco.MjModel, int]:
         return source, source.nuserdata - words
     offset = max(source.nuserdata, 0)
     source.nuserdata = offset + words
+    return _compile(source), offset
+
+
+def _compile(spec: Any) -> Any:
     try:
-        return source.compile(), offset
+        return spec.compile()
     except ValueError as error:
-        raise ModelError(f"MuJoCo cannot compile the model: {error}") from error
+        raise ModelError(f"MuJoCo cannot compile the model {spec.modelname!r}: {error}") from error
 
 
 def bind(model: mujoco.MjModel, axes: Sequence[str] | None = None) -> tuple[PlantAxis, ...]:
-    """Find and check the axes of a model. Raises one ModelError that lists everything that is wrong."""
-    return _Binder(model).bind(list(axes) if axes is not None else axis_names(model))
+    """Find and check the axes of a model; `axes` chooses some. Raises one ModelError that lists everything that is wrong."""
+    return _Binder(model, list(axes) if axes is not None else axis_names(model)).bind()
 
 
 def describe(model: mujoco.MjModel) -> str:
@@ -136,7 +169,7 @@ def describe(model: mujoco.MjModel) -> str:
     for a in bind(model):
         unit, k = ("rad", 1.0) if a.hinge else ("mm", 1e3)
         travel = f"{a.travel[0] * k:.1f} .. {a.travel[1] * k:.1f} {unit}"
-        trips = ", ".join(f"{s.pin} {s.touch * k:.2f}" for s in a.switches)
+        trips = ", ".join(f"{s.pin} {s.touch * k:.2f}" for s in a.switches) or "none fitted"
         per_turn = f"{2 * np.pi / abs(a.gear) * k:.3f} {unit}"
         lines.append(
             f"{a.name:6}{'hinge' if a.hinge else 'slide':7}{travel:>22}{per_turn:>12}  {a.motor or '-':16}{trips}"
@@ -144,13 +177,23 @@ def describe(model: mujoco.MjModel) -> str:
     return "\n".join(lines)
 
 
+def _similar(name: str, known: Iterable[str]) -> list[str]:
+    """The names nearest to `name`, whatever the case."""
+    folded = {k.casefold(): k for k in known if k}
+    return [folded[k] for k in get_close_matches(name.casefold(), folded, n=1, cutoff=0.6)]
+
+
 def _actuator_line(name: str) -> str:
     return f'<motor name="{name}" joint="{name}" gear="628.3185307"/>'
 
 
-def _sensor_line(axis: str, pin: str) -> str:
-    vane, switch = f"{axis}_{pin}_vane", f"{axis}_{pin}_switch"
-    return f'<contact name="{axis}_{pin}" geom1="{vane}" geom2="{switch}" num="1" data="found dist"/>'
+def _joint_line(name: str) -> str:
+    return f'<joint name="{name}" type="slide" axis="1 0 0" range="-0.15 0.15" limited="false"/>'
+
+
+def _sensor_line(axis: str, pin: str, vane: str = "", switch: str = "") -> str:
+    vane, switch = vane or f"{axis}_{pin}_vane", switch or f"{axis}_{pin}_switch"
+    return f'<contact name="{axis}_{pin}" geom1="{vane}" geom2="{switch}" num="1" reduce="mindist" data="found dist"/>'
 
 
 def _pair_line(geom1: str, geom2: str) -> str:
@@ -158,8 +201,10 @@ def _pair_line(geom1: str, geom2: str) -> str:
 
 
 class _Binder:
-    def __init__(self, model: mujoco.MjModel):
-        self.model, self.data = model, mujoco.MjData(model)
+    """Checks axes one by one and collects what is wrong."""
+
+    def __init__(self, model: mujoco.MjModel, axes: list[str]):
+        self.model, self.data, self.axes = model, mujoco.MjData(model), axes
         self.problems: list[str] = []
         self.lines: list[str] = []
         self.texts = {
@@ -169,8 +214,12 @@ class _Binder:
             for k in range(model.ntext)
         }  # fmt: skip
 
-    def bind(self, axes: list[str]) -> tuple[PlantAxis, ...]:
-        bound = [self._axis(name) for name in axes]
+    def bind(self) -> tuple[PlantAxis, ...]:
+        off = mujoco.mjtDisableBit
+        if self.model.opt.disableflags & (off.mjDSBL_CONTACT | off.mjDSBL_CONSTRAINT | off.mjDSBL_SENSOR):
+            raise ModelError("switches are contact sensors, and the model's <option><flag/> disables contact, constraint "
+                             'or sensor. Remove contact="disable", constraint="disable" and sensor="disable".')  # fmt: skip
+        bound = [self._axis(name) for name in self.axes]
         if self.problems:
             lines = "".join(f"\n    {line}" for line in self.lines)
             raise ModelError(
@@ -187,20 +236,20 @@ class _Binder:
             self.lines.append(line)
 
     def _id(self, kind: Any, name: str) -> int:
-        return mujoco.mj_name2id(self.model, kind, name)
+        return int(mujoco.mj_name2id(self.model, kind, name))
 
     def _near(self, kind: Any, count: int, name: str) -> str:
-        known = [mujoco.mj_id2name(self.model, kind, k) or "" for k in range(count)]
-        near = get_close_matches(name, known, n=1, cutoff=0.6)
+        known = (mujoco.mj_id2name(self.model, kind, k) or "" for k in range(count))
+        near = _similar(name, (k for k in known if k not in self.axes))
         return f" (there is {near[0]!r}: a slip?)" if near else ""
+
+    # --- joint and actuator ---
 
     def _axis(self, name: str) -> PlantAxis | None:
         m, obj = self.model, mujoco.mjtObj
         joint, actuator = self._id(obj.mjOBJ_JOINT, name), self._id(obj.mjOBJ_ACTUATOR, name)
         if joint < 0:
-            near = self._near(obj.mjOBJ_JOINT, m.njnt, name)
-            line = f'<joint name="{name}" type="slide" axis="1 0 0" range="-0.15 0.15" limited="false"/>'
-            self._problem(name, f"no joint {name!r}{near}", line)
+            self._problem(name, f"no joint {name!r}{self._near(obj.mjOBJ_JOINT, m.njnt, name)}", _joint_line(name))
         if actuator < 0:
             near = self._near(obj.mjOBJ_ACTUATOR, m.nu, name)
             self._problem(name, f"no actuator {name!r}{near}", _actuator_line(name))
@@ -208,29 +257,26 @@ class _Binder:
             return None
         slide, hinge = int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE)
         if int(m.jnt_type[joint]) not in (slide, hinge):
-            self._problem(name, f"joint {name!r} is neither slide nor hinge")
+            self._problem(name, f"joint {name!r} is neither slide nor hinge", _joint_line(name))
             return None
         low, high = (float(v) for v in m.jnt_range[joint])
         if not low < high:
-            line = f'<joint name="{name}" ... range="-0.15 0.15" limited="false"/>'
-            self._problem(name, f"joint {name!r} has no range, so its switches cannot be found", line)
-            return None
+            self._problem(name, f"joint {name!r} has no range, so its switches cannot be looked for", _joint_line(name))
         gear = float(m.actuator_gear[actuator][0])
-        plain = (
-            m.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT
-            and m.actuator_trnid[actuator][0] == joint
-            and m.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_FIXED
-            and m.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_NONE
-            and m.actuator_gainprm[actuator][0] == 1
-        )
-        if not plain or gear == 0:
-            text = f"actuator {name!r} is not a <motor> on joint {name!r} with a gear (rotor radians per joint unit)"
-            self._problem(name, text, _actuator_line(name))
-            return None
+        if not self._is_motor(joint, actuator) or gear == 0:
+            self._problem(
+                name,
+                f"actuator {name!r} is not a <motor> on joint {name!r} with a gear (rotor radians per joint unit); if {name!r} "
+                "is no axis of a chip, name those that are: chips={axis: chip}",
+                _actuator_line(name),
+            )
         unfitted = self.texts.get(f"{name}_unfitted", "").split()
         for pin in unfitted:
             if pin not in PINS:
-                self._problem(name, f"{name}_unfitted names {pin!r}; switches are {', '.join(PINS)}")
+                near = "".join(f" (meant {p!r}?)" for p in _similar(pin, PINS))
+                self._problem(name, f"the text {name}_unfitted names {pin!r}{near}; switches are {', '.join(PINS)}")
+        if not low < high:
+            return None
         found = [self._switch(name, pin, joint, low, high) for pin in PINS if pin not in unfitted]
         switches = tuple(s for s in found if s is not None)
         self._order(name, switches)
@@ -239,86 +285,177 @@ class _Binder:
             bool(m.jnt_type[joint] == hinge), self.texts.get(f"{name}_motor"), switches,
         )  # fmt: skip
 
+    def _is_motor(self, joint: int, actuator: int) -> bool:
+        m = self.model
+        return bool(
+            m.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT
+            and m.actuator_trnid[actuator][0] == joint
+            and m.actuator_dyntype[actuator] == mujoco.mjtDyn.mjDYN_NONE
+            and m.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_FIXED
+            and m.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_NONE
+            and m.actuator_gainprm[actuator][0] == 1
+        )
+
+    # --- switches ---
+
     def _switch(self, axis: str, pin: str, joint: int, low: float, high: float) -> Switch | None:
         m, obj = self.model, mujoco.mjtObj
         name = f"{axis}_{pin}"
         sensor = self._id(obj.mjOBJ_SENSOR, name)
         if sensor < 0:
             near = self._near(obj.mjOBJ_SENSOR, m.nsensor, name)
-            self._problem(axis, f"no contact sensor {name!r}{near}", _sensor_line(axis, pin))
+            text = f'no contact sensor {name!r}{near}; a switch not fitted is named in <text name="{axis}_unfitted" data="{pin}"/>'
+            self._problem(axis, text, _sensor_line(axis, pin))
             return None
         if m.sensor_type[sensor] != mujoco.mjtSensor.mjSENS_CONTACT:
             self._problem(axis, f"sensor {name!r} is not a <contact> sensor", _sensor_line(axis, pin))
-            return None
-        spec, offset, at = int(m.sensor_intprm[sensor][0]), 0, {}
-        for field, dim in _DATA_DIMS:
-            if spec >> int(getattr(mujoco.mjtConDataField, f"mjCONDATA_{field}")) & 1:
-                at[field] = int(m.sensor_adr[sensor]) + offset
-                offset += dim
-        if "FOUND" not in at or "DIST" not in at:
-            self._problem(axis, f'sensor {name!r} needs data="found dist"', _sensor_line(axis, pin))
             return None
         if m.sensor_objtype[sensor] != obj.mjOBJ_GEOM or m.sensor_reftype[sensor] != obj.mjOBJ_GEOM:
             self._problem(axis, f"sensor {name!r} must name geom1 (vane) and geom2 (switch)", _sensor_line(axis, pin))
             return None
         vane, switch = int(m.sensor_objid[sensor]), int(m.sensor_refid[sensor])
-        touch = self._touch(joint, vane, switch, low, high, pin)
-        if touch is None:
-            self._problem(axis, f"switch {pin}: the vane cannot reach it within the joint's range {low} to {high}")
+        vane_name, switch_name = m.geom(vane).name, m.geom(switch).name
+        pair, line = _pair_line(vane_name, switch_name), _sensor_line(axis, pin, vane_name, switch_name)
+        at = self._addresses(sensor)
+        if "FOUND" not in at or "DIST" not in at:
+            self._problem(axis, f'sensor {name!r} needs data="found dist"', line)
             return None
-        q, slope = touch
-        geoms = [m.geom(vane).name or "VANE", m.geom(switch).name or "SWITCH"]
-        self._at(joint, q + LOOK_AHEAD / slope, full=True)
-        if not self.data.sensordata[at["FOUND"]] > 0:
-            text = (
-                f"sensor {name!r} does not see its vane {LOOK_AHEAD * 1e3} mm before the touch (margin + gap too small)"
-            )
-            self._problem(axis, text, _pair_line(*geoms))
+        edge = self._edge(joint, vane, switch, low, high, pin)
+        if isinstance(edge, str):
+            self._problem(axis, f"switch {pin}: the vane {edge}")
+            return None
+        q, slope = edge
+        found, dist = at["FOUND"], at["DIST"]
+        here = q + LOOK_AHEAD / slope
+        self._forward(joint, here)
+        seen, gap = self.data.sensordata[found] > 0, self._distance(joint, here, vane, switch)
+        if not seen:
+            text = f"sensor {name!r} does not see its vane {LOOK_AHEAD * 1e3} mm before the touch: "
+            text += "no pair, or its margin + gap is too small"
+            self._problem(axis, text, pair)
+            return None
+        if abs(self.data.sensordata[dist] - gap) > 0.1 * LOOK_AHEAD:
+            read = self.data.sensordata[dist]
+            text = f"sensor {name!r} reads {read * 1e3:.3f} mm where vane and switch are {gap * 1e3:.3f} mm apart"
+            self._problem(axis, text, line)
             return None
         for end in (q, low, high):
-            self._at(joint, end, full=True)
-            for c in self.data.contact[: self.data.ncon]:
-                if {int(c.geom1), int(c.geom2)} == {vane, switch} and c.efc_address >= 0:
-                    self._problem(axis, f"switch {pin} pushes its vane (margin too large)", _pair_line(*geoms))
-                    return None
-        return Switch(pin, sensor, at["FOUND"], at["DIST"], q, slope)
+            self._forward(joint, end)
+            if {vane, switch} in self._pushing():
+                self._problem(axis, f"switch {pin} pushes its vane: the margin must be negative, the gap larger", pair)
+                return None
+        if pin.startswith("el"):
+            self._holds_to_the_stop(axis, pin, joint, found, dist, q, high if pin == "el_plus" else low)
+        return Switch(pin, sensor, found, dist, q, slope, self._look_ahead(joint, found, q, slope, low, high))
 
-    def _at(self, joint: int, q: float, full: bool = False) -> None:
-        d = self.data
-        d.qpos[:] = self.model.qpos0
-        d.qpos[self.model.jnt_qposadr[joint]] = q
-        (mujoco.mj_forward if full else mujoco.mj_kinematics)(self.model, d)
+    def _addresses(self, sensor: int) -> dict[str, int]:
+        """Field -> address in sensordata."""
+        fields, offset, at = int(self.model.sensor_intprm[sensor][0]), int(self.model.sensor_adr[sensor]), {}
+        for field, dim in _DATA_DIMS:
+            if fields >> int(getattr(mujoco.mjtConDataField, f"mjCONDATA_{field}")) & 1:
+                at[field] = offset
+                offset += dim
+        return at
+
+    def _at(self, joint: int, q: float) -> None:
+        self.data.qpos[:] = self.model.qpos0
+        self.data.qpos[self.model.jnt_qposadr[joint]] = q
+
+    def _forward(self, joint: int, q: float) -> None:
+        """All that MuJoCo computes with this joint at q and the others at qpos0."""
+        self._at(joint, q)
+        mujoco.mj_forward(self.model, self.data)
 
     def _distance(self, joint: int, q: float, vane: int, switch: int) -> float:
         self._at(joint, q)
-        return mujoco.mj_geomDistance(self.model, self.data, vane, switch, 1e3, None)
+        mujoco.mj_kinematics(self.model, self.data)
+        return float(mujoco.mj_geomDistance(self.model, self.data, vane, switch, 1e3, None))
 
-    def _touch(
-        self, joint: int, vane: int, switch: int, low: float, high: float, pin: str
-    ) -> tuple[float, float] | None:
-        """(joint position where the vane trips the switch, d dist / d q there); None if it never does."""
-        grid = np.linspace(low, high, SCAN)
-        on = np.array([self._distance(joint, q, vane, switch) <= 0 for q in grid])
-        changes = np.flatnonzero(on[1:] != on[:-1])
-        if not len(changes):
-            return None
-        k = changes[-1] if pin.endswith("minus") else changes[0]
+    def _pushing(self) -> list[set[int]]:
+        return [{int(c.geom1), int(c.geom2)} for c in self.data.contact[: self.data.ncon] if c.efc_address >= 0]
+
+    def _edge(self, joint: int, vane: int, switch: int, low: float, high: float, pin: str) -> tuple[float, float] | str:
+        """(joint position where the vane trips the switch, d dist / d q there), or what is wrong."""
+
+        def distance(q: float) -> float:
+            return self._distance(joint, q, vane, switch)
+
+        grid = list(np.linspace(low, high, SCAN))
+        dist = [distance(q) for q in grid]
+        for k in range(SCAN - 2, 0, -1):  # a narrow vane may pass between two positions tried
+            if 0 < dist[k] <= min(dist[k - 1], dist[k + 1]) and 2 * dist[k] <= max(dist[k - 1], dist[k + 1]):
+                grid[k : k + 1] = finer = np.linspace(grid[k - 1], grid[k + 1], 65)[1:-1]
+                dist[k : k + 1] = [distance(q) for q in finer]
+        on = np.array(dist) <= 0
+        if on.all():
+            return f"trips it over the whole range {low:g} to {high:g}"
+        trips, leaves = np.flatnonzero(~on[:-1] & on[1:]), np.flatnonzero(on[:-1] & ~on[1:])
+        if not len(trips) and not len(leaves):
+            k = int(np.argmin(dist))
+            return f"cannot reach it: nearest at {grid[k]:g}, {dist[k] * 1e3:.3g} mm away (joint range {low:g} to {high:g})"
+        k = trips[0] if len(trips) and (pin.endswith("plus") or not len(leaves)) else leaves[-1]
         a, b = grid[k], grid[k + 1]
-        for _ in range(60):
-            q = 0.5 * (a + b)
-            a, b = (q, b) if (self._distance(joint, q, vane, switch) <= 0) == on[k] else (a, q)
-        q, e = float(0.5 * (a + b)), 1e-6 * (high - low)
-        near = [self._distance(joint, q + x, vane, switch) for x in (-e, e)]
-        slope = (near[1] - near[0]) / (2 * e)
-        return (q, slope) if slope else None
+        while a < (q := 0.5 * (a + b)) < b:
+            a, b = (q, b) if (distance(q) <= 0) == on[k] else (a, q)
+        e = 1e-6 * (high - low)
+        slope = (distance(q + e) - distance(q - e)) / (2 * e)
+        return (float(q), slope) if slope else "grazes it: the distance does not change with the joint"
+
+    def _look_ahead(self, joint: int, found: int, q: float, slope: float, low: float, high: float) -> float:
+        """Joint travel before the touch over which the sensor finds the vane."""
+        sign, near, far = (1.0 if slope > 0 else -1.0), LOOK_AHEAD / abs(slope), 0.0
+        room = high - q if slope > 0 else q - low
+        for _ in range(40):
+            x = 0.5 * (near + far) if far else min(2 * near, room)
+            self._forward(joint, q + sign * x)
+            if not self.data.sensordata[found] > 0:
+                far = x
+            elif not far and x >= room:
+                return room
+            else:
+                near = x
+        return near
+
+    def _holds_to_the_stop(
+        self, axis: str, pin: str, joint: int, found: int, dist: int, touch: float, end: float
+    ) -> None:
+        """EL comes before the hard stop, and stays asserted up to it (or to the end of the range)."""
+        m = self.model
+        roots = m.body_jntadr[m.body_rootid[m.geom_bodyid]]  # the first joint of what a geom belongs to; -1: none
+        loose = (roots >= 0) & (m.jnt_type[roots] == mujoco.mjtJoint.mjJNT_FREE)  # lies about; no stop of this axis
+        self._forward(joint, float(m.qpos0[m.jnt_qposadr[joint]]))
+        always = self._pushing()
+        for q in np.linspace(touch, end, 25):
+            self._forward(joint, q)
+            stop = [sorted(p) for p in self._pushing() if p not in always and not any(loose[g] for g in p)]
+            if stop and q == touch:
+                geoms = " and ".join(repr(m.geom(g).name) for g in stop[0])
+                self._problem(axis, f"the hard stop ({geoms} touch) comes before {pin}, which trips at {touch:g}")
+            if stop:
+                return
+            if q != touch and not (self.data.sensordata[found] > 0 and self.data.sensordata[dist] <= 0):
+                text = f"switch {pin} trips at {touch:g} but lets go again before {q:g}: lengthen its vane up to the hard stop"
+                self._problem(axis, text)
+                return
 
     def _order(self, axis: str, switches: tuple[Switch, ...]) -> None:
         by = {s.pin: s for s in switches}
+        wrong = False
         for pin, sign in (("el_plus", -1), ("el_minus", 1), ("sd_plus", -1), ("sd_minus", 1)):
             if pin in by and by[pin].slope * sign < 0:
-                side = "plus" if pin.endswith("plus") else "minus"
+                side, wrong = "plus" if pin.endswith("plus") else "minus", True
                 self._problem(
                     axis, f"switch {pin} trips when the joint moves away from {side}: is it at the wrong end?"
                 )
-        if "el_plus" in by and "el_minus" in by and by["el_plus"].touch <= by["el_minus"].touch:
-            self._problem(axis, "EL+ trips before EL-: no travel is left between them")
+        if wrong:
+            return
+        for low, high, meaning in (
+            ("el_minus", "el_plus", "no travel is left between them"),
+            ("sd_plus", "el_plus", "it can slow nothing down"),
+            ("el_minus", "sd_minus", "it can slow nothing down"),
+            ("el_minus", "org", "the origin is never reached"),
+            ("org", "el_plus", "the origin is never reached"),
+        ):
+            if low in by and high in by and by[low].touch > by[high].touch:
+                a, b = f"{low} trips at {by[low].touch:g}", f"{high} at {by[high].touch:g}"
+                self._problem(axis, f"{a}, {b}: in this order {meaning}")

@@ -112,3 +112,100 @@ def test_every_axis_of_every_model_homes():
             report = firmware.origin_return(axis)
             assert report.stopped_by == "ORG"
             assert report.lost_steps == 0
+
+
+def test_it_runs_under_gravity_without_a_word_in_mujocos_log(model, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    data = mujoco.MjData(model)
+    mujoco.mj_step(model, data, 10_000)
+    assert not data.warning.number.any()
+    assert not (tmp_path / "MUJOCO_LOG.TXT").exists()
+
+
+def test_every_switch_is_seen_from_5_mm_before_the_touch(axes):
+    for a in axes:
+        assert [s.pin for s in a.switches] == list(plant.PINS)
+        assert all(s.lookahead >= 0.005 for s in a.switches)
+
+
+def test_limits_and_origin_stay_asserted_up_to_the_hard_stop(model, axes):
+    data = mujoco.MjData(model)
+    for a in axes:
+        for side, end in (("minus", a.travel[0]), ("plus", a.travel[1])):
+            for s in a.switches:
+                if s.pin.endswith(side) or (s.pin == "org" and side == "minus"):
+                    for q in np.linspace(s.touch, end, 50)[1:]:
+                        put(model, data, **{a.name: q})
+                        assert data.sensordata[s.found] > 0
+                        assert data.sensordata[s.dist] < 0
+
+
+def test_a_carriage_that_runs_into_its_stop_at_300_mm_per_s_is_caught_within_two_millimetres(model, axes):
+    for a in axes:
+        for direction in (1, -1):
+            data = mujoco.MjData(model)
+            limit = max(s.touch * direction for s in a.switches if s.pin in ("el_plus", "el_minus"))
+            put(model, data, **{a.name: limit * direction})
+            data.qvel[a.dof] = 0.3 * direction
+            deepest = 0.0
+            for _ in range(400):
+                mujoco.mj_step(model, data)
+                contacts = [c.dist for c in data.contact[: data.ncon] if c.efc_address >= 0]
+                deepest = min([deepest, *contacts])
+            assert -2e-3 < deepest < 0
+            assert abs(data.qvel[a.dof]) < 0.3
+
+
+def test_the_screws_in_the_armature_are_screws(model, axes):
+    from stage.drives.motors import motor
+
+    for a in axes:
+        screw = model.dof_armature[a.dof] / a.gear**2 - motor(a.motor).rotor_inertia
+        assert 1e-6 < screw < 6e-6, "kg m2, of a screw of 10 mm diameter and its coupling"
+
+
+def test_moving_masses_are_those_of_a_bench_top_stage(model, axes):
+    masses = {a.name: model.body_subtreemass[model.jnt_bodyid[a.joint]] for a in axes}
+    assert 2 < masses["x"] < 5
+    assert 1.5 < masses["y"] < 3
+    assert masses.get("z", 1) < 1.6
+
+
+def test_current_holds_z_and_friction_alone_does_not():
+    model = plant.open_spec("xyz").compile()
+    z = plant.bind(model)[2]
+    weight = model.body_subtreemass[model.jnt_bodyid[z.joint]] * 9.81
+    assert model.dof_frictionloss[z.dof] < weight < 0.4 * z.gear, "0.4 N m is the motor's holding torque"
+
+
+def test_it_has_what_pictures_and_recordings_look_for(model, axes):
+    assert {model.camera(k).name for k in range(model.ncam)} >= {"overview", "front", "top", "switches"}
+    assert {model.site(k).name for k in range(model.nsite)} >= {"tool", "work"}
+    assert model.ngeom < 260, "every geom costs time in every step"
+    assert (model.vis.global_.offwidth, model.vis.global_.offheight) == (1920, 1080)
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
+    for a in axes:
+        assert data.qpos[a.qpos] == pytest.approx({s.pin: s.touch for s in a.switches}["org"])
+
+
+def test_the_tool_reaches_down_to_the_work_without_touching_it():
+    model = plant.open_spec("xyz").compile()
+    data = mujoco.MjData(model)
+    put(model, data, z=-0.045)
+    clearance = data.site("tool").xpos - data.site("work").xpos
+    assert clearance[:2] == pytest.approx([0, 0], abs=1e-9)
+    assert 0 < clearance[2] < 0.005
+
+
+def test_the_documentation_shows_the_axes_and_masses_as_they_are():
+    from pathlib import Path
+
+    page = (Path(__file__).parent.parent / "docs" / "models.md").read_text()
+    model = plant.open_spec("xyz").compile()
+    for line in plant.describe(model).splitlines():
+        assert f"    {line}\n" in page
+    for a in plant.bind(model):
+        assert f"{model.body_subtreemass[model.jnt_bodyid[a.joint]]:.2f} kg" in page
+        assert f"{model.dof_armature[a.dof]:.3f} kg" in page
+        assert f"{model.dof_frictionloss[a.dof]:g} N + {model.dof_damping[a.dof]:g} N s/m" in page

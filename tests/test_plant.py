@@ -1,6 +1,7 @@
 """The naming contract: a model that keeps it works; one that does not is told what is missing, where, and the line to add."""
 
 import importlib.util
+import re
 from pathlib import Path
 
 import mujoco
@@ -111,13 +112,13 @@ def test_a_hinge_can_be_an_axis():
 
 
 def test_unknown_models_and_broken_files_are_told_apart(tmp_path):
-    with pytest.raises(ArgumentError, match="Did you mean .*'xyz'"):
+    with pytest.raises(ArgumentError, match=r"Did you mean .*'xyz'"):
         plant.open_spec("xzy")
     with pytest.raises(ModelError, match="no MJCF file"):
         plant.open_spec(tmp_path / "none.xml")
     broken = tmp_path / "broken.xml"
     broken.write_text("<mujoco><worldbuddy/></mujoco>")
-    with pytest.raises(ModelError, match="broken.xml is no MJCF"):
+    with pytest.raises(ModelError, match=r"broken\.xml is no MJCF"):
         plant.open_spec(broken)
     with pytest.raises(ArgumentError, match="a path, an MjSpec or an MjModel"):
         plant.open_spec(42)
@@ -134,3 +135,219 @@ def test_the_example_program_runs():
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     assert module.stage.axes["x"].chip.pins.org
+
+
+# --- the complete model of docs/models.md, and everything that can be wrong with it ---
+
+
+def documented():
+    return (ROOT / "docs" / "models.md").read_text().split("```xml\n")[1].split("```")[0]
+
+
+def edited(*changes):
+    xml = documented()
+    for old, new in changes:
+        assert xml.count(old) == 1, f"{xml.count(old)} times in docs/models.md: {old}"
+        xml = xml.replace(old, new)
+    return xml
+
+
+def complaint(xml, axes=("x",)):
+    with pytest.raises(ModelError) as caught:
+        plant.bind(mujoco.MjModel.from_xml_string(xml), axes)
+    return caught.value
+
+
+def test_the_model_in_the_documentation_is_complete_and_homes(tmp_path):
+    from stage import firmware
+
+    path = tmp_path / "one_axis.xml"
+    path.write_text(documented())
+    stage = Stage(path)
+    (axis,) = plant.bind(stage.model)
+    touches = {s.pin: s.touch for s in axis.switches}
+    assert touches == pytest.approx(
+        {"el_plus": 0.05, "el_minus": -0.05, "sd_plus": 0.04, "sd_minus": -0.035, "org": -0.045}
+    )
+    assert axis.motor == "17HS4401"
+    assert firmware.origin_return(stage.axes["x"]).stopped_by == "ORG"
+
+
+def test_what_bind_finds_is_where_mujoco_puts_it():
+    model = mujoco.MjModel.from_xml_string(documented())
+    (axis,) = plant.bind(model)
+    assert (axis.joint, axis.qpos, axis.dof, axis.actuator) == (0, 0, 0, 0)
+    assert axis.travel == (-0.057, 0.057)
+    assert [s.pin for s in axis.switches] == list(plant.PINS)
+    for s in axis.switches:
+        assert model.sensor(s.sensor).name == f"x_{s.pin}"
+        assert (s.found, s.dist) == (model.sensor_adr[s.sensor], model.sensor_adr[s.sensor] + 1)
+        assert s.slope == pytest.approx(-1 if s.pin.endswith("plus") else 1)
+        assert s.lookahead == pytest.approx(0.010, abs=1e-6)
+
+
+def test_sensors_may_report_more_than_found_and_dist():
+    xml = edited(
+        ('geom2="org_beam" num="1" data="found dist"', 'geom2="org_beam" num="1" data="found force dist normal"')
+    )
+    s = plant.bind(mujoco.MjModel.from_xml_string(xml))[0].switches[-1]
+    assert s.dist == s.found + 4
+
+
+def test_a_motor_may_turn_the_other_way_round():
+    xml = edited(('gear="628.3185307"', 'gear="-628.3185307"'))
+    assert plant.bind(mujoco.MjModel.from_xml_string(xml))[0].gear == pytest.approx(-2 * np.pi / 0.01)
+
+
+def test_the_origin_may_be_a_short_vane_narrower_than_the_scan():
+    narrow = (
+        '<geom name="vane"',
+        '<geom name="tab" type="box" size="0.00005 0.004 0.004" pos="0.00005 0.08 0"/><geom name="vane"',
+    )
+    beam = 'name="org_beam" class="beam" pos="-0.0755 0.05 0"', 'name="org_beam" class="beam" pos="-0.0311 0.08 0"'
+    pair = 'geom1="vane" geom2="org_beam"/>', 'geom1="tab" geom2="org_beam"/>'
+    sensor = '<contact name="x_org" geom1="vane"', '<contact name="x_org" geom1="tab"'
+    s = plant.bind(mujoco.MjModel.from_xml_string(edited(narrow, beam, pair, sensor)))[0].switches[-1]
+    assert s.touch == pytest.approx(-0.0306, abs=1e-9), "its edge on the plus side"
+    assert s.slope == pytest.approx(1)
+
+
+MOTOR = '<motor name="x" joint="x" gear="628.3185307"/>'
+ORG = '<contact name="x_org" geom1="vane" geom2="org_beam" num="1" data="found dist"/>'
+ORG_LINE = '<contact name="x_org" geom1="vane" geom2="org_beam" num="1" reduce="mindist" data="found dist"/>'
+EL = 'name="el_plus_beam" class="beam" pos="0.0805 0.05 0"'
+
+
+@pytest.mark.parametrize(
+    ("changes", "message", "line"),
+    {
+        "a ball joint": (
+            [('type="slide" axis="1 0 0" range="-0.057 0.057" limited="false" damping="60" frictionloss="4" armature="3.711"',
+              'type="ball"'), (MOTOR, '<motor name="x" joint="x" gear="1 0 0"/>')],
+            "axis x: joint 'x' is neither slide nor hinge", '<joint name="x" type="slide"'),
+        "a position servo": (
+            [(MOTOR, '<position name="x" joint="x" kp="9"/>')],
+            "axis x: actuator 'x' is not a <motor> on joint 'x'", MOTOR),
+        "a filtered motor": (
+            [(MOTOR, '<general name="x" joint="x" gear="628" dyntype="filter" dynprm="0.1"/>')],
+            "is not a <motor> on joint 'x'", MOTOR),
+        "a motor on another joint": (
+            [('<joint name="x"', '<joint name="a" type="slide" axis="0 1 0"/><joint name="x"'),
+             (MOTOR, '<motor name="x" joint="a" gear="628"/>')],
+            "is not a <motor> on joint 'x'", MOTOR),
+        "a sensor of another kind": (
+            [(ORG, '<distance name="x_org" geom1="vane" geom2="org_beam" cutoff="1"/>')],
+            "sensor 'x_org' is not a <contact> sensor", 'data="found dist"/>'),
+        "a sensor between bodies": (
+            [(ORG, '<contact name="x_org" body1="carriage" geom2="org_beam" num="1" data="found dist"/>')],
+            "sensor 'x_org' must name geom1 .vane. and geom2 .switch.", '<contact name="x_org"'),
+        "a sensor without distance": (
+            [(ORG, ORG.replace("found dist", "found force"))], "sensor 'x_org' needs data=.found dist.", ORG_LINE),
+        "a name in capitals": (
+            [(ORG, ORG.replace("x_org", "X_ORG"))], "no contact sensor 'x_org' .there is 'X_ORG': a slip", '<contact name="x_org"'),
+        "no pair": (
+            [('<pair class="switch" geom1="vane" geom2="org_beam"/>', "")],
+            "sensor 'x_org' does not see its vane 0.5 mm before the touch: no pair",
+            '<pair geom1="vane" geom2="org_beam" margin="-0.03" gap="0.04"/>'),
+        "a thick vane": (
+            [('size="0.03 0.0005 0.005"', 'size="0.03 0.035 0.035"'), ('margin="-0.03" gap="0.04"', 'margin="-0.005" gap="0.04"')],
+            "switch el_plus pushes its vane: the margin must be negative", '<pair geom1="vane" geom2="el_plus_beam"'),
+        "a sensor that reads another contact": (
+            [(ORG, ORG.replace('geom1="vane"', 'geom1="long"')),
+             ('<geom name="vane"', '<geom name="long" type="box" size="0.03 0.002 0.1" pos="0 0.05 0.3"/><geom name="vane"'),
+             ('<geom name="org_beam" class="beam" pos="-0.0755 0.05 0"/>',
+              '<geom name="org_beam" type="box" size="0.01 0.004 0.3" pos="-0.0855 0.05 0.3" euler="0 -1 0"/>'),
+             ('<pair class="switch" geom1="vane" geom2="org_beam"/>', '<pair class="switch" geom1="long" geom2="org_beam"/>')],
+            "sensor 'x_org' reads .* mm where vane and switch are 0.500 mm apart", 'reduce="mindist"'),
+        "always asserted": (
+            [('name="org_beam" class="beam" pos="-0.0755 0.05 0"', 'name="org_beam" class="beam" pos="0 0.05 0"'),
+             ('size="0.03 0.0005 0.005"', 'size="0.06 0.0005 0.005"')],
+            "switch org: the vane trips it over the whole range -0.057 to 0.057", ""),
+        "out of reach": (
+            [(EL, EL.replace("0.0805", "0.0905"))],
+            "switch el_plus: the vane cannot reach it: nearest at 0.057, 3 mm away", ""),
+        "EL lets go": (
+            [('size="0.03 0.0005 0.005"', 'size="0.002 0.0005 0.005"'), (EL, EL.replace("0.0805", "0.0505")),
+             ('pos="-0.0805', 'pos="-0.0505'), ('pos="0.0705', 'pos="0.0405'), ('pos="-0.0655', 'pos="-0.0355'),
+             ('pos="-0.0755', 'pos="-0.0455')],
+            "switch el_plus trips at 0.048 but lets go again before", ""),
+        "a stop before EL": (
+            [('size="0.006" pos="0.091 0 0"', 'size="0.006" pos="0.081 0 0"')],
+            "the hard stop .'bumper_plus' and 'carriage' touch. comes before el_plus, which trips at 0.05", ""),
+        "SD beyond EL": (
+            [('pos="0.0705', 'pos="0.0815')], "sd_plus trips at 0.051, el_plus at 0.05: in this order it can slow nothing", ""),
+        "ORG beyond EL": (
+            [('pos="-0.0755', 'pos="-0.0825')], "el_minus trips at -0.05, org at -0.052: in this order the origin is never", ""),
+        "an unfitted switch misspelt": (
+            [('<text name="x_motor"', '<text name="x_unfitted" data="sdplus"/><text name="x_motor"')],
+            "the text x_unfitted names 'sdplus' .meant 'sd_plus'", ""),
+    }.values(),
+)  # fmt: skip
+def test_every_fault_is_told_with_what_where_and_the_line(changes, message, line):
+    error = complaint(edited(*changes))
+    assert re.search(message, str(error)), str(error)
+    assert line in "\n".join(error.missing), error.missing
+    assert all(text in str(error) for text in error.missing)
+
+
+@pytest.mark.parametrize("flag", ["contact", "constraint", "sensor"])
+def test_switches_need_contacts_and_sensors(flag):
+    error = complaint(edited(("<option ", f'<option><flag {flag}="disable"/></option><option ')))
+    assert 'Remove contact="disable", constraint="disable" and sensor="disable"' in str(error)
+
+
+def test_an_unfitted_switch_is_not_asked_for():
+    xml = edited((ORG, ""), ('<text name="x_motor"', '<text name="x_unfitted" data="org"/><text name="x_motor"'))
+    assert "org" not in [s.pin for s in plant.bind(mujoco.MjModel.from_xml_string(xml))[0].switches]
+
+
+def test_a_joint_without_a_motor_is_an_axis_only_when_asked_for():
+    xml = edited(('<joint name="x"', '<joint name="tilt" type="hinge" axis="0 1 0" stiffness="1e6"/><joint name="x"'))
+    model = mujoco.MjModel.from_xml_string(xml)
+    assert [a.name for a in plant.bind(model)] == ["x"]
+    error = complaint(xml, ["tilt"])
+    assert "axis tilt: no actuator 'tilt'" in str(error)
+    assert error.missing == ('<motor name="tilt" joint="tilt" gear="628.3185307"/>',)
+
+
+def test_axes_can_be_chosen_where_another_joint_has_its_own_servo():
+    hand = (
+        "</body>\n  </worldbody>",
+        '<body><joint name="hand" type="slide"/><geom size="0.01" mass="1"/></body></body>\n  </worldbody>',
+    )
+    xml = edited(hand, (MOTOR, MOTOR + '<position name="hand" joint="hand" kp="9"/>'))
+    assert [a.name for a in plant.bind(mujoco.MjModel.from_xml_string(xml), ["x"])] == ["x"]
+    assert "if 'hand' is no axis of a chip, name those that are" in str(complaint(xml, None))
+
+
+def test_a_loose_part_in_the_way_is_no_hard_stop():
+    part = '<body pos="0.078 0 0"><freejoint/><geom name="part" type="sphere" size="0.002" mass="0.01"/></body>'
+    pair = '<pair geom1="carriage" geom2="part"/>'
+    xml = edited(
+        ('<body name="carriage">', part + '<body name="carriage">'), ("</contact>\n  <act", pair + "</contact>\n  <act")
+    )
+    assert plant.bind(mujoco.MjModel.from_xml_string(xml))
+
+
+def test_a_slip_between_actuator_and_joint_is_pointed_out():
+    with pytest.raises(ModelError, match=r"no axis: .* Actuator 'X' and joint 'x': a slip\? Joints: x; actuators: X\."):
+        plant.axis_names(mujoco.MjModel.from_xml_string(edited((MOTOR, MOTOR.replace('name="x"', 'name="X"')))))
+
+
+def test_a_missing_file_named_like_a_model_that_ships_is_told_so(tmp_path):
+    with pytest.raises(ModelError, match=r"no MJCF file at .*xyz\.xml\. Did you mean the shipped model 'xyz'\?"):
+        plant.open_spec(tmp_path / "xyz.xml")
+
+
+def test_what_mujoco_cannot_compile_is_told_with_the_models_name():
+    spec = mujoco.MjSpec.from_string(edited(('geom2="org_beam"/>', 'geom2="orb_beam"/>')))
+    with pytest.raises(ModelError, match=r"(?s)cannot compile the model 'one axis': .*orb_beam"):
+        plant.compile_spec(plant.open_spec(spec), 3)
+
+
+def test_userdata_begins_after_the_models_own_and_the_source_stays_as_it_was():
+    spec = mujoco.MjSpec.from_string(edited(("<option ", '<size nuserdata="7"/><option ')))
+    model, offset = plant.compile_spec(plant.open_spec(spec), 5)
+    assert (model.nuserdata, offset, spec.nuserdata) == (12, 7, 7)
+    assert plant.compile_spec(plant.open_spec(model), 5)[1] == 7
+    assert plant.compile_spec(plant.open_spec("xy"), 5)[1] == 0
