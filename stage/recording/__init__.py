@@ -1,5 +1,5 @@
-"""Recordings of a run: NumPy columns, rerun, VCD. See recording.py for what is kept and how."""
+"""Recordings of a run: NumPy columns, rerun, VCD. See recording.py for what is kept and how, viewer.py to look at one."""
 
-from stage.recording.recording import Recording
+from stage.recording.recording import COLUMNS, Recording, RecordingError
 
-__all__ = ["Recording"]
+__all__ = ["COLUMNS", "Recording", "RecordingError"]

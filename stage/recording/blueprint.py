@@ -1,60 +1,118 @@
-"""The dashboard that a recording opens as: the stage, its signals, and what was measured."""
+"""The dashboard that a recording opens as: the stage large, its signals, what was measured, and the bus."""
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
+import mujoco
 import numpy as np
+
+from stage.recording import geoms
+from stage.recording.scene import axis_path
 
 if TYPE_CHECKING:
     from stage.recording.recording import Recording
 
+CAMERA = "overview"  # a camera of this name in the MJCF is where the eye begins
+FIELD_OF_VIEW = 55.0  # of rerun's eye, degrees
+MARGIN = 1.12
+BACKGROUND = (30, 34, 41)
+GRID = (96, 104, 118, 110)
 
-def dashboard(recording: Recording, ranges: dict[str, tuple[float, float]]) -> Any:
-    """A rerun blueprint: 3D above state lanes on the left, series on the right, bus log in a tab."""
+
+def dashboard(recording: Recording) -> Any:
+    """A rerun blueprint for `recording`."""
     import rerun.blueprint as rrb
 
-    centre, extent = np.array(recording.model.stat.center), float(recording.model.stat.extent)
-    eye = rrb.EyeControls3D(
-        kind=rrb.Eye3DKind.Orbital,
-        position=centre + extent * np.array([0.62, -0.84, 0.52]),
-        look_target=centre,
-        eye_up=(0, 0, 1),
-    )
+    from stage.recording.rerun_log import SERIES, unit
+
+    position, target = eye(recording.model)
     view = rrb.Spatial3DView(
         origin="/stage",
         name="Stage",
-        background=rrb.Background(color=(36, 40, 48)),
-        line_grid=rrb.LineGrid3D(visible=False),
-        eye_controls=eye,
+        background=rrb.Background(color=BACKGROUND),
+        line_grid=_grid(recording.model),
+        eye_controls=rrb.EyeControls3D(
+            kind=rrb.Eye3DKind.Orbital, position=position, look_target=target, eye_up=(0, 0, 1)
+        ),
     )
+    paths = {name: f"/{axis_path(name)}" for name in recording.axes}
+    together = rrb.TimeAxis(link="LinkToGlobal")
 
-    def series(name: str, *origins: str) -> Any:
+    def plot(*keys: str) -> Any:
         return rrb.TimeSeriesView(
-            name=name, origin="/", contents=[f"+ /{o}/**" for o in origins],
-            axis_y=rrb.ScalarAxis(range=ranges[origins[0]]),
+            name=f"{SERIES[keys[0]].title} ({unit(recording, keys[0])})",
+            origin="/",
+            contents=[f"+ {path}/{k}" for k in keys for path in paths.values()],
             plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=True),
-        )  # fmt: skip
+            axis_x=together,
+        )
 
-    lanes = rrb.StateTimelineView(origin="/signals", name="Switches and chip phases")
-    bus = rrb.TextLogView(origin="/bus", name="Bus")
+    overview = [f"+ {path}/{lane}" for path in paths.values() for lane in ("phase", "switches")]
+    lanes = [rrb.StateTimelineView(origin="/", contents=overview, name="Phases and switches", time_view=together)]
+    for name, path in paths.items():
+        contents = [f"+ {path}/phase", f"+ {path}/switches/**", f"- {path}/switches"]
+        lanes.append(rrb.StateTimelineView(origin="/", contents=contents, name=f"Axis {name}", time_view=together))
+    low = min(0.08 + 0.08 * len(paths), 0.45)  # a lane wants 4 % of a usual window
+    bus = rrb.TextLogView(
+        origin="/axes",
+        contents=[f"+ {path}/bus" for path in paths.values()],
+        name="Bus",
+        columns=rrb.TextLogColumns(timeline_columns=["time"], text_log_columns=["Body"]),
+        format_options=rrb.TextLogFormat(monospace_body=True),
+    )
     return rrb.Blueprint(
         rrb.Horizontal(
-            rrb.Vertical(view, rrb.Tabs(lanes, bus), row_shares=[3, 2]),
+            rrb.Vertical(view, rrb.Tabs(*lanes), row_shares=[1 - low, low]),
             rrb.Vertical(
-                series("Pulse rate (pps)", "rate"),
-                series("Position, true and commanded (mm)", "position", "commanded"),
-                series("Following error (um)", "error"),
+                plot("rate"),
+                plot("position", "commanded"),
+                rrb.Tabs(plot("following_error"), plot("load_angle"), plot("lost_steps"), plot("counter")),
                 rrb.Tabs(
-                    series("Load angle (electrical degrees)", "load_angle"),
-                    series("Lost steps", "lost_steps"),
-                    series("Counter R0", "counter"),
+                    bus,
+                    rrb.TextDocumentView(origin="/about", name="About"),
                 ),
+                row_shares=[24, 24, 24, 28],
             ),
-            column_shares=[5, 4],
+            column_shares=[56, 44],
         ),
         rrb.TimePanel(state="collapsed", timeline="time", play_state="following"),
         rrb.SelectionPanel(state="hidden"),
         rrb.BlueprintPanel(state="hidden"),
         rrb.TopPanel(state="hidden"),
+        auto_views=False,
+        auto_layout=False,
     )
+
+
+def eye(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
+    """Where the eye is and what it looks at: as the MJCF's camera `overview` has it, or as MuJoCo's viewer begins."""
+    target = np.array(model.stat.center)
+    camera = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, CAMERA)
+    if camera >= 0:
+        data = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_camlight(model, data)
+        position, fovy = data.cam_xpos[camera].copy(), float(model.cam_fovy[camera])
+        forward = -data.cam_xmat[camera].reshape(3, 3)[:, 2]
+        target = position + forward * max(float(np.dot(target - position, forward)), 0.1 * model.stat.extent)
+    else:
+        turn, tilt = math.radians(model.vis.global_.azimuth), math.radians(model.vis.global_.elevation)
+        forward = np.array([math.cos(tilt) * math.cos(turn), math.cos(tilt) * math.sin(turn), math.sin(tilt)])
+        position, fovy = target - 1.5 * model.stat.extent * forward, float(model.vis.global_.fovy)
+    nearer = math.tan(math.radians(fovy / 2)) / math.tan(math.radians(FIELD_OF_VIEW / 2))
+    return target + (position - target) * nearer * MARGIN, target
+
+
+def _grid(model: mujoco.MjModel) -> Any:
+    """Lines on the floor, one every power of ten of metres that fits the model."""
+    import rerun as rr
+    import rerun.blueprint as rrb
+
+    floor = geoms.floor(model)
+    if floor is None:
+        return rrb.LineGrid3D(visible=False)
+    plane = rr.components.Plane3D((0, 0, 1), float(model.geom_pos[floor][2]))
+    spacing = 10 ** math.floor(math.log10(model.stat.extent))
+    return rrb.LineGrid3D(visible=True, plane=plane, spacing=spacing, color=GRID, stroke_width=1.0)

@@ -9,14 +9,22 @@ import mujoco
 import numpy as np
 
 HIDDEN_GROUP = 3  # this group and above are for computing, not for looking
-FLOOR_THICKNESS = 0.002
+PLANE = 0.002  # thickness, m
+
+_KIND = mujoco.mjtGeom
+
+
+def visible(model: mujoco.MjModel, geom: int) -> bool:
+    """Whether a geom is there to be looked at."""
+    return bool(model.geom_group[geom] < HIDDEN_GROUP and colour(model, geom)[3] > 0)
 
 
 def colour(model: mujoco.MjModel, geom: int) -> np.ndarray:
-    """RGBA 0..255 of a geom: its material's, where it has one."""
+    """RGBA 0..255 of a geom: its material's, with the mean of its texture, where it has one."""
     material = model.geom_matid[geom]
-    rgba = model.mat_rgba[material] if material >= 0 else model.geom_rgba[geom]
+    rgba = model.geom_rgba[geom]
     if material >= 0:
+        rgba = model.mat_rgba[material]
         texture = model.mat_texid[material][int(mujoco.mjtTextureRole.mjTEXROLE_RGB)]
         if texture >= 0:
             rgba = rgba * np.append(_mean(model, texture), 1.0)
@@ -30,41 +38,92 @@ def _mean(model: mujoco.MjModel, texture: int) -> np.ndarray:
     return model.tex_data[begin : begin + size].reshape(-1, channels)[:, :3].mean(axis=0) / 255
 
 
+def floor(model: mujoco.MjModel) -> int | None:
+    """The first level plane of the world; it is shown as a grid of lines, which hides nothing from below."""
+    for g in np.flatnonzero((model.geom_type == _KIND.mjGEOM_PLANE) & (model.geom_bodyid == 0)).tolist():
+        if abs(model.geom_quat[g][0]) > 1 - 1e-9:
+            return g
+    return None
+
+
 def shapes(model: mujoco.MjModel, body: int) -> Iterator[tuple[str, Any]]:
     """(entity name, archetype) for the geoms of a body, in the body's frame."""
+    kinds: dict[int, list[int]] = {}
+    for g in np.flatnonzero(model.geom_bodyid == body).tolist():
+        if visible(model, g) and g != floor(model):
+            kinds.setdefault(int(model.geom_type[g]), []).append(g)
+    for kind, geoms in kinds.items():
+        if kind in _MAKERS:
+            name, make = _MAKERS[kind]
+            yield name, make(model, geoms)
+        elif kind == _KIND.mjGEOM_MESH:
+            for g in geoms:
+                yield f"mesh_{model.geom(g).name or g}", _mesh(model, g)
+
+
+def _placed(model: mujoco.MjModel, geoms: list[int]) -> dict[str, Any]:
+    quats = np.roll(model.geom_quat[geoms], -1, axis=1)  # rerun wants x y z w
+    return {"quaternions": quats, "colors": np.array([colour(model, g) for g in geoms])}
+
+
+def _boxes(model: mujoco.MjModel, geoms: list[int]) -> Any:
     import rerun as rr
 
-    kinds: dict[int, list[int]] = {}
-    for g in range(model.ngeom):
-        if model.geom_bodyid[g] == body and model.geom_group[g] < HIDDEN_GROUP and model.geom_rgba[g][3] > 0:
-            kinds.setdefault(int(model.geom_type[g]), []).append(g)
-    kind = mujoco.mjtGeom
-    for t, geoms in kinds.items():
-        pos, size = model.geom_pos[geoms], model.geom_size[geoms]
-        quat = np.roll(model.geom_quat[geoms], -1, axis=1)  # rerun wants x y z w
-        colours = np.array([colour(model, g) for g in geoms])
-        placed: dict[str, Any] = {"quaternions": quat, "colors": colours}
-        solid = rr.components.FillMode.Solid
-        if t == kind.mjGEOM_BOX:
-            yield "boxes", rr.Boxes3D(half_sizes=size, centers=pos, fill_mode=solid, **placed)
-        elif t in (kind.mjGEOM_SPHERE, kind.mjGEOM_ELLIPSOID):
-            half = np.repeat(size[:, :1], 3, axis=1) if t == kind.mjGEOM_SPHERE else size
-            yield f"ellipsoids{t}", rr.Ellipsoids3D(half_sizes=half, centers=pos, fill_mode=solid, **placed)
-        elif t == kind.mjGEOM_CYLINDER:
-            yield (
-                "cylinders",
-                rr.Cylinders3D(lengths=2 * size[:, 1], radii=size[:, 0], centers=pos, fill_mode=solid, **placed),
-            )
-        elif t == kind.mjGEOM_CAPSULE:
-            ends = np.array([_rotated(q, [0, 0, -s[1]]) for q, s in zip(model.geom_quat[geoms], size, strict=True)])
-            yield (
-                "capsules",
-                rr.Capsules3D(lengths=2 * size[:, 1], radii=size[:, 0], translations=pos + ends, **placed),
-            )
-        elif t == kind.mjGEOM_MESH:
-            for g in geoms:
-                yield f"mesh{g}", _mesh(model, g)
-    # planes are left out: they would hide a stage that is looked at from below, and rerun has a grid of its own
+    return rr.Boxes3D(
+        half_sizes=model.geom_size[geoms], centers=model.geom_pos[geoms], fill_mode="solid", **_placed(model, geoms)
+    )
+
+
+def _planes(model: mujoco.MjModel, geoms: list[int]) -> Any:
+    """A slab whose top is the plane; an endless one ends at twice the model's extent."""
+    import rerun as rr
+
+    far = 2 * float(model.stat.extent)
+    half = model.geom_size[geoms].copy()
+    half[(half <= 0) | (half > far)] = far
+    half[:, 2] = PLANE
+    down = np.array([rotated(model.geom_quat[g], [0, 0, -PLANE]) for g in geoms])
+    return rr.Boxes3D(half_sizes=half, centers=model.geom_pos[geoms] + down, fill_mode="solid", **_placed(model, geoms))
+
+
+def _ellipsoids(model: mujoco.MjModel, geoms: list[int]) -> Any:
+    import rerun as rr
+
+    half = np.array([s if model.geom_type[g] == _KIND.mjGEOM_ELLIPSOID else [s[0]] * 3
+                     for g, s in zip(geoms, model.geom_size[geoms], strict=True)])  # fmt: skip
+    return rr.Ellipsoids3D(half_sizes=half, centers=model.geom_pos[geoms], fill_mode="solid", **_placed(model, geoms))
+
+
+def _cylinders(model: mujoco.MjModel, geoms: list[int]) -> Any:
+    import rerun as rr
+
+    size = model.geom_size[geoms]
+    return rr.Cylinders3D(
+        lengths=2 * size[:, 1], radii=size[:, 0], centers=model.geom_pos[geoms], fill_mode="solid",
+        **_placed(model, geoms),
+    )  # fmt: skip
+
+
+def _capsules(model: mujoco.MjModel, geoms: list[int]) -> Any:
+    """rerun's capsule begins at its origin; MuJoCo's is centred there."""
+    import rerun as rr
+
+    size = model.geom_size[geoms]
+    ends = np.array([rotated(model.geom_quat[g], [0, 0, -s[1]]) for g, s in zip(geoms, size, strict=True)])
+    return rr.Capsules3D(
+        lengths=2 * size[:, 1], radii=size[:, 0], translations=model.geom_pos[geoms] + ends, fill_mode="solid",
+        **_placed(model, geoms),
+    )  # fmt: skip
+
+
+_MAKERS: dict[int, tuple[str, Any]] = {
+    int(_KIND.mjGEOM_BOX): ("boxes", _boxes),
+    int(_KIND.mjGEOM_PLANE): ("planes", _planes),
+    int(_KIND.mjGEOM_SPHERE): ("spheres", _ellipsoids),
+    int(_KIND.mjGEOM_ELLIPSOID): ("ellipsoids", _ellipsoids),
+    int(_KIND.mjGEOM_CYLINDER): ("cylinders", _cylinders),
+    int(_KIND.mjGEOM_CAPSULE): ("capsules", _capsules),
+}
 
 
 def _mesh(model: mujoco.MjModel, geom: int) -> Any:
@@ -73,11 +132,22 @@ def _mesh(model: mujoco.MjModel, geom: int) -> Any:
     m = model.geom_dataid[geom]
     vertices = model.mesh_vert[model.mesh_vertadr[m] : model.mesh_vertadr[m] + model.mesh_vertnum[m]]
     faces = model.mesh_face[model.mesh_faceadr[m] : model.mesh_faceadr[m] + model.mesh_facenum[m]]
-    placed = np.array([_rotated(model.geom_quat[geom], v) for v in vertices]) + model.geom_pos[geom]
-    return rr.Mesh3D(vertex_positions=placed, triangle_indices=faces, albedo_factor=colour(model, geom))
+    matrix = np.zeros(9)
+    mujoco.mju_quat2Mat(matrix, model.geom_quat[geom])
+    corners = (vertices @ matrix.reshape(3, 3).T + model.geom_pos[geom])[faces].reshape(-1, 3)
+    triangles = corners.reshape(-1, 3, 3)
+    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    return rr.Mesh3D(
+        vertex_positions=corners.astype(np.float32),
+        vertex_normals=np.repeat(normals, 3, axis=0).astype(np.float32),  # flat: edges of machines are sharp
+        triangle_indices=np.arange(len(corners)).reshape(-1, 3),
+        albedo_factor=colour(model, geom),
+    )
 
 
-def _rotated(quat: np.ndarray, v: Any) -> np.ndarray:
+def rotated(quat: Any, v: Any) -> np.ndarray:
+    """A vector turned by a MuJoCo quaternion."""
     out = np.zeros(3)
     mujoco.mju_rotVecQuat(out, np.asarray(v, float), np.asarray(quat, float))
     return out

@@ -28,6 +28,8 @@ from stage.engine import SAMPLE
 from stage.errors import StageError, unknown
 
 ROWS = 4096
+_FIELDS: Any = SAMPLE.fields
+_SAMPLE = np.dtype(_FIELDS)  # without attribute access, which costs at every look
 
 COLUMNS = {
     "position": ("m", "where the carriage is"),
@@ -63,12 +65,13 @@ class Recording:
             raise RecordingError("this stage drives no axis: there is nothing to record.")
         self.model, self.axes, self.every = model, axes, every
         self._on_close: Callable[[], None] | None = on_close
-        self._dtype = np.dtype([("axes", np.dtype(SAMPLE.fields), (len(axes),)), ("qpos", "f8", (model.nq,))])
-        self._file = tempfile.TemporaryFile(prefix="pulsestage-", buffering=0)  # noqa: SIM115: lives with the recording
+        self._dtype = np.dtype([("axes", _SAMPLE, (len(axes),)), ("qpos", "f8", (model.nq,))])
+        self._file = tempfile.TemporaryFile(prefix="pulsestage-", buffering=0)  # noqa: SIM115
         self._spooled = 0
         self.samples = np.zeros((ROWS, len(axes)), SAMPLE)
         self.positions = np.zeros((ROWS, model.nq))
         self.filled = 0
+        self._disorder = False
         self.journals: dict[str, Journal] = {name: axis.chip.journal() for name, axis in axes.items()}
 
     def take(self, filled: int) -> None:
@@ -77,7 +80,8 @@ class Recording:
         if filled < ROWS:
             return
         self.filled = 0  # first of all: the engine must never find a full buffer
-        rows = self._pack(ROWS).view(np.uint8)
+        self._disorder |= self._backwards(ROWS)
+        rows = self._pack(ROWS).view(np.uint8).data
         try:
             self._file.seek(self._spooled * self._dtype.itemsize)
             while len(rows):
@@ -92,7 +96,7 @@ class Recording:
 
     def _pack(self, n: int) -> np.ndarray:
         rows = np.empty(n, self._dtype)
-        rows["axes"] = self.samples[:n].view(np.dtype(SAMPLE.fields))
+        rows["axes"] = self.samples[:n].view(_SAMPLE)
         rows["qpos"] = self.positions[:n]
         return rows
 
@@ -114,6 +118,11 @@ class Recording:
         return self._spooled + self.filled
 
     @property
+    def began(self) -> float:
+        """Stage time of the start, s."""
+        return min(float(self.seconds(name, j.start["clock"])) for name, j in self.journals.items())
+
+    @property
     def duration(self) -> float:
         """Seconds from the start to the last sample."""
         return len(self) * self.every
@@ -123,7 +132,7 @@ class Recording:
         for begin in range(0, self._spooled, rows):
             piece = np.empty(min(rows, self._spooled - begin), self._dtype)
             self._file.seek(begin * self._dtype.itemsize)
-            self._file.readinto(piece.view(np.uint8))
+            self._file.readinto(piece.view(np.uint8).data)
             yield piece
         if self.filled:
             yield self._pack(self.filled)
@@ -183,14 +192,18 @@ class Recording:
         """Stage time, s, of clocks of an axis' chip: both count from power-up."""
         return clock / self.axes[axis].chip.clock_hz
 
+    def _backwards(self, n: int) -> bool:
+        return bool(np.any(np.diff(self.samples["time"][:n, 0]) < 0))
+
     def check_time(self) -> None:
-        """Raise RecordingError if time was set back, so that the journals make no sense."""
+        """Raise RecordingError if the stage was restored to an earlier time: its journals then make no sense."""
         for name, journal in self.journals.items():
             clocks = np.fromiter((e.clock for e in journal.entries), np.int64, len(journal.entries))
-            if np.any(np.diff(clocks) < 0) or (len(clocks) and clocks[-1] > journal.until):
+            ends = int(clocks.max(initial=0)) > journal.until
+            if self._disorder or ends or self._backwards(self.filled) or np.any(np.diff(clocks) < 0):
                 raise RecordingError(
-                    f"the stage went back in time while it was recorded (axis {name}): restore or reset a stage between "
-                    "recordings, not inside one. The columns are there: recording.columns."
+                    f"the stage went back in time while it was recorded (axis {name}): restore, reset or copy a stage between "
+                    "recordings, not inside one. Its samples are kept: recording.columns."
                 )
 
     def save(self, path: str | os.PathLike, overwrite: bool = False) -> Path:

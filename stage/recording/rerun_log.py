@@ -1,226 +1,210 @@
 """A recording as a rerun file: 3D stage, series, state lanes, bus log, and the blueprint of the dashboard.
 
-    stage/BODY/...          geoms of the MJCF; BODY's transform over time
-    stage/BODY/trail        the tool's path on the work
-    rate/x, position/x, commanded/x, error/x, load_angle/x, lost_steps/x, counter/x
-    signals/x/phase         up, keep, down, hold
-    signals/x/EL_plus ...   switches: on, off
-    bus/x                   register writes and commands, in words
+    stage/...                       the scene, see scene.py
+    axes/x/rate ...                 series, see SERIES
+    axes/x/phase                    state lane: up, keep, down, hold
+    axes/x/switches                 state lane: those that are asserted
+    axes/x/switches/el_plus ...     state lane of one switch
+    axes/x/bus                      register writes, commands and resets, in words
+    about                           model, chips, motors
+
+All of it is on the timeline `time`, the stage's seconds since power-up. Series keep the samples that their plot needs: lines
+between those pass within the tolerance in SERIES of every sample. The columns of the recording have them all.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import mujoco
 import numpy as np
 
 from stage.chips.decode import decode
-from stage.recording import geoms
+from stage.recording import scene, signals
+from stage.recording.thin import thin
 
 if TYPE_CHECKING:
     from stage.recording.recording import Recording
 
-FRAMES = 60  # a second, of the 3D view
-SWITCHES = {"el_minus": "EL_minus", "org": "ORG", "sd_minus": "SD_minus", "sd_plus": "SD_plus", "el_plus": "EL_plus"}
+PALETTE = ((240, 96, 84), (88, 190, 112), (88, 152, 245), (226, 172, 62), (172, 124, 232), (64, 190, 196))
 STATES = {
-    "up": (47, 133, 90), "keep": (43, 108, 176), "down": (183, 121, 31), "hold": (62, 68, 78),
-    "EL": (197, 48, 48), "SD": (214, 158, 46), "OR": (56, 161, 105), "off": (44, 48, 56),
+    "up": (38, 140, 92), "keep": (40, 108, 186), "down": (190, 120, 26), "hold": (52, 57, 66),
+    "el": (206, 52, 46), "sd": (204, 146, 22), "org": (44, 158, 88), "off": (52, 57, 66),
 }  # fmt: skip
-PALETTE = ((230, 84, 72), (72, 168, 96), (66, 133, 214), (214, 158, 46), (148, 98, 205), (50, 170, 180))
-SERIES: dict[str, tuple[str, Callable[[np.ndarray, float], np.ndarray]]] = {
-    "rate": ("pps", lambda s, k: s["rate"]),
-    "position": ("mm", lambda s, k: s["position"] * k),
-    "commanded": ("mm", lambda s, k: s["commanded"] * k),
-    "error": ("um", lambda s, k: (s["commanded"] - s["position"]) * k * 1e3),
-    "load_angle": ("deg", lambda s, k: np.rad2deg(s["load_angle"])),
-    "lost_steps": ("full steps", lambda s, k: s["lost_steps"]),
-    "counter": ("pulses", lambda s, k: s["counter"]),
+LEVELS = {"register": "INFO", "command": "DEBUG", "reset": "WARN"}
+
+
+class Series(NamedTuple):
+    """A plot: `value` of the samples of an axis times `scale`, within `tolerance`; (slide, hinge) where they differ."""
+
+    title: str
+    units: tuple[str, str]
+    scales: tuple[float, float]
+    tolerance: float
+    value: Callable[[np.ndarray], np.ndarray]
+
+
+_DEGREES = math.degrees(1)
+SERIES = {
+    "rate": Series("Pulse rate", ("pps", "pps"), (1, 1), 0.5, lambda s: s["rate"]),
+    "position": Series("Position", ("mm", "deg"), (1e3, _DEGREES), 2e-4, lambda s: s["position"]),
+    "commanded": Series("Commanded position", ("mm", "deg"), (1e3, _DEGREES), 2e-4, lambda s: s["commanded"]),
+    "following_error": Series(
+        "Following error", ("um", "0.001 deg"), (1e6, 1e3 * _DEGREES), 0.02, lambda s: s["commanded"] - s["position"]
+    ),
+    "load_angle": Series("Load angle", ("electrical deg",) * 2, (_DEGREES,) * 2, 0.1, lambda s: s["load_angle"]),
+    "lost_steps": Series("Lost steps", ("full steps",) * 2, (1, 1), 0, lambda s: s["lost_steps"]),
+    "counter": Series("Counter R0", ("pulses",) * 2, (1, 1), 0.5, lambda s: s["counter"]),
 }
-PHASE = {"fup": "up", "fkeep": "keep", "fdown": "down"}
 
 
-def write(recording: Recording, path: Path) -> Path:
-    """Write `recording` to `path`; memory stays bounded whatever its length."""
+def write(recording: Recording, path: Path) -> None:
+    """Write `recording` to `path`, in memory that does not grow with its length."""
     import rerun as rr
 
     from stage.recording.blueprint import dashboard
 
+    colours = {name: PALETTE[k % len(PALETTE)] for k, name in enumerate(recording.axes)}
+    edges = {name: signals.pin_edges(journal) for name, journal in recording.journals.items()}
     out = rr.RecordingStream("pulsestage")
-    out.save(str(path), default_blueprint=dashboard(recording, ranges(recording)))
-    out.send_recording_name(f"PulseStage {', '.join(recording.axes)}")
-    _model(out, recording)
-    _styles(out, recording)
-    for piece in recording.pieces():
-        _series(out, recording, piece)
-    for k, name in enumerate(recording.axes):
-        _signals(out, recording, name)
-        _bus(out, recording, name, k)
-    out.flush()
-    out.disconnect()
-    return path
+    try:
+        out.save(str(path), default_blueprint=dashboard(recording))
+        _about(out, recording)
+        scene.write(out, recording, colours, edges)
+        _styles(out, recording, colours)
+        for piece in recording.pieces():
+            _series(out, recording, piece)
+            out.flush()  # or an hour would pile up before it is written
+        for name in recording.axes:
+            _lanes(out, recording, name, edges[name])
+            _bus(out, recording, name, colours[name])
+        out.flush()
+    finally:
+        out.disconnect()
 
 
-def ranges(recording: Recording) -> dict[str, tuple[float, float]]:
-    """Lowest and highest value of each series over all axes, with a margin: what its plot should show."""
-    span = {name: [0.0, 0.0] for name in SERIES}
-    for piece in recording.pieces():
-        for k, axis in enumerate(recording.axes.values()):
-            for name, (_, value) in SERIES.items():
-                v = value(piece["axes"][:, k], 1e3 if axis.unit == "m" else 1.0)
-                span[name] = [min(span[name][0], v.min()), max(span[name][1], v.max())]
-    margin = {name: 0.06 * (high - low) or 1.0 for name, (low, high) in span.items()}
-    return {name: (low - margin[name], high + margin[name]) for name, (low, high) in span.items()}
+def model_name(model: mujoco.MjModel) -> str:
+    """What the MJCF calls itself."""
+    return bytes(model.names).split(b"\0", 1)[0].decode(errors="replace")
 
 
-def colour(k: int) -> tuple[int, int, int]:
-    """The colour of axis k, everywhere."""
-    return PALETTE[k % len(PALETTE)]
-
-
-def body_path(model: mujoco.MjModel, body: int) -> str:
-    return f"stage/{model.body(body).name or f'body{body}'}"
-
-
-def _model(out: Any, recording: Recording) -> None:
+def _about(out: Any, recording: Recording) -> None:
     import rerun as rr
 
     model = recording.model
-    out.log("stage", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    moving = np.flatnonzero(model.body_weldid != 0)
-    for body in range(model.nbody):
-        path = body_path(model, body)
-        for name, shape in geoms.shapes(model, body):
-            out.log(f"{path}/{name}", shape, static=True)
-    step = max(1, round(1 / FRAMES / recording.every))
-    trail: list[np.ndarray] = []
-    first = 0
-    for piece in recording.pieces():
-        pick = slice(-first % step, None, step)
-        first += len(piece)
-        time, qpos = piece["axes"]["time"][pick, 0], piece["qpos"][pick]
-        if not len(time):
-            continue
-        xpos, xquat, sites = geoms.poses(model, qpos)
-        when = rr.TimeColumn("time", duration=time)
-        for body in moving:
-            columns = rr.Transform3D.columns(
-                translation=xpos[:, body].astype(np.float32), quaternion=xquat[:, body].astype(np.float32)
-            )
-            out.send_columns(body_path(model, body), indexes=[when], columns=columns)
-        trail.append(_on_work(model, xpos, xquat, sites))
-    _trail(out, model, np.concatenate(trail) if trail else np.zeros((0, 3)))
-
-
-def _work_body(model: mujoco.MjModel) -> int:
-    """The body that carries the work: that of the site `work`, else the world."""
-    site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, "work")
-    return int(model.site_bodyid[site]) if site >= 0 else 0
-
-
-def _on_work(model: mujoco.MjModel, xpos: np.ndarray, xquat: np.ndarray, sites: np.ndarray) -> np.ndarray:
-    """The tool's points in the frame of the work; where the tool rides with the work, in that of the world."""
-    tool = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, "tool")
-    if tool < 0:
-        return np.zeros((0, 3))
-    body = _work_body(model)
-    if model.site_bodyid[tool] == body:
-        return sites[:, tool]
-    out = np.zeros((len(xpos), 3))
-    for k in range(len(xpos)):
-        inverse = np.array([xquat[k, body, 3], *-xquat[k, body, :3]])
-        mujoco.mju_rotVecQuat(out[k], sites[k, tool] - xpos[k, body], inverse)
-    return out
-
-
-def _trail(out: Any, model: mujoco.MjModel, points: np.ndarray) -> None:
-    import rerun as rr
-
-    if len(points) < 2:
-        return
-    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    keep = np.concatenate([[True], steps > 1e-7])
-    tool = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, "tool")
-    body = _work_body(model)
-    path = "stage/world" if model.site_bodyid[tool] == body else body_path(model, body)
-    out.log(
-        f"{path}/trail",
-        rr.LineStrips3D([points[keep]], colors=[(255, 120, 40)], radii=rr.Radius.ui_points(1.5)),
-        static=True,
+    name = model_name(model)
+    out.send_recording_name(name)
+    rows: list[str] = []
+    facts: dict[str, Any] = {}
+    for axis in recording.axes.values():
+        chip, drive = axis.chip, getattr(axis, "drive", None)
+        motor = f"{drive.motor.name}, 1/{drive.microsteps} steps" if drive else "-"
+        pulse = f"{axis.meters_per_pulse * 1e6:.4g} u{axis.unit}"
+        rows.append(f"| {axis.name} | {type(chip).__name__} | {chip.clock_hz:,} Hz | {motor} | {pulse} |")
+        facts[axis.name] = f"{type(chip).__name__} at {chip.clock_hz} Hz, {motor}, {pulse} per pulse"
+    of_stage = {"model": name, "samples": len(recording), "every_s": recording.every, "timestep_s": model.opt.timestep}
+    out.send_property("stage", rr.AnyValues(**of_stage))
+    out.send_property("axes", rr.AnyValues(**facts))
+    table = "\n".join(["| axis | chip | clock | motor | one pulse |", "|---|---|---|---|---|", *rows])
+    text = (
+        f"# {name}\n\n{table}\n\n"
+        f"{recording.duration:.3f} s, a sample every {recording.every * 1e3:g} ms; "
+        f"physics step {model.opt.timestep * 1e6:g} us.\n\n"
+        "Rates, positions and angles are samples. Pulses, switch edges, phases and bus cycles are exact to the chip's clock. "
+        "Lamps in the picture are lit while their switch is asserted: red EL, amber SD, green ORG.\n"
     )
+    out.log("about", rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
 
 
-def _styles(out: Any, recording: Recording) -> None:
+def unit(recording: Recording, series: str) -> str:
+    """The unit of a series over all axes, for a plot's title."""
+    used = {SERIES[series].units[a.unit != "m"] for a in recording.axes.values()}
+    return " | ".join(sorted(used, reverse=True))
+
+
+def _styles(out: Any, recording: Recording, colours: dict[str, tuple]) -> None:
     import rerun as rr
 
-    for k, name in enumerate(recording.axes):
+    for name, colour in colours.items():
         for series in SERIES:
-            faint = series == "commanded"
-            out.log(
-                f"{series}/{name}",
-                rr.SeriesLines(
-                    colors=[(*colour(k), 120) if faint else colour(k)],
-                    names=[f"{name} commanded" if faint else name],
-                    widths=[1.0 if faint else 1.6],
-                    aggregation_policy=rr.components.AggregationPolicy.MinMax,
-                ),
-                static=True,
+            behind = series == "commanded"
+            style = rr.SeriesLines(
+                colors=[tuple(c // 2 for c in colour) if behind else colour],
+                names=[f"{name} cmd" if behind else name],
+                widths=[3.5 if behind else 1.5],
+                aggregation_policy=rr.components.AggregationPolicy.Off,  # it takes samples to be evenly spaced
             )
+            out.log(f"{scene.axis_path(name)}/{series}", style, static=True)
 
 
 def _series(out: Any, recording: Recording, piece: np.ndarray) -> None:
     import rerun as rr
 
-    for k, (name, axis) in enumerate(recording.axes.items()):
-        s = piece["axes"][:, k]
-        scale = 1e3 if axis.unit == "m" else 1.0
-        for series, (_, value) in SERIES.items():
-            v = np.asarray(value(s, scale), np.float64)
-            when = rr.TimeColumn("time", duration=s["time"])
-            out.send_columns(f"{series}/{name}", indexes=[when], columns=rr.Scalars.columns(scalars=v))
+    for name, axis in recording.axes.items():
+        samples = piece["axes"][:, axis.index]
+        time = np.ascontiguousarray(samples["time"])
+        for key, series in SERIES.items():
+            v = np.ascontiguousarray(series.value(samples) * float(series.scales[axis.unit != "m"]))
+            keep = np.empty(len(v), np.bool_)
+            thin(time, v, float(series.tolerance), keep)
+            columns = rr.Scalars.columns(scalars=v[keep])
+            out.send_columns(f"{scene.axis_path(name)}/{key}", indexes=[scene.duration(time[keep])], columns=columns)
 
 
-def _signals(out: Any, recording: Recording, name: str) -> None:
-    course = recording.course(name)
-    seconds = recording.seconds(name, course.edges["clock"])
-    phase = np.full(len(seconds), "keep", object)
-    for pin, label in PHASE.items():
-        phase[course.pin(pin)] = label
-    phase[course.pin("hold")] = "hold"
-    _lane(out, f"signals/{name}/phase", seconds, phase, {s: STATES[s] for s in ("up", "keep", "down", "hold")})
-    fitted = recording.axes[name].switches.as_dict()
-    for pin, label in SWITCHES.items():
-        if pin in fitted:
-            states = np.where(course.pin(pin), "on", "off").astype(object)
-            colours = {"on": STATES[label[:2]], "off": STATES["off"]}
-            _lane(out, f"signals/{name}/{label}", seconds, states, colours)
+def _lanes(out: Any, recording: Recording, name: str, edges: np.ndarray) -> None:
+    axis = recording.axes[name]
+    phases = {s: STATES[s] for s in signals.PHASES.values()}
+    _lane(out, recording, name, "phase", edges, signals.phases(axis.chip, edges), phases)
+    fitted = [p for p in signals.SWITCHES if p in axis.chip.INPUTS and p in axis.switches.as_dict()]
+    together = np.full(len(edges), "", object)
+    for pin in fitted:
+        label, kind = signals.SWITCHES[pin]
+        on = signals.asserted(axis.chip, edges, pin)
+        states = np.where(on, label, "off").astype(object)
+        colours = {label: STATES[kind], "off": STATES["off"]}
+        _lane(out, recording, name, f"switches/{pin}", edges, states, colours)
+        together = np.where(on, together + np.where(together == "", "", " ") + label, together)
+    kinds = {label: kind for label, kind in signals.SWITCHES.values()}
+    # EL, then ORG, then SD gives a combination its colour: the order of the alphabet, as it happens
+    shown = {state: STATES[min((kinds[s] for s in state.split()), default="off")] for state in dict.fromkeys(together)}
+    _lane(out, recording, name, "switches", edges, together, shown)
 
 
-def _lane(out: Any, path: str, seconds: np.ndarray, states: np.ndarray, colours: dict[str, tuple]) -> None:
+def _lane(
+    out: Any,
+    recording: Recording,
+    name: str,
+    lane: str,
+    edges: np.ndarray,
+    states: np.ndarray,
+    colours: dict[str, tuple],
+) -> None:
     import rerun as rr
 
+    path = f"{scene.axis_path(name)}/{lane}"
     style = rr.StateConfiguration(values=list(colours), colors=list(colours.values()))
     out.log(path, style, static=True)
-    keep = np.concatenate([[True], states[1:] != states[:-1]])
-    when = rr.TimeColumn("time", duration=seconds[keep])
-    out.send_columns(path, indexes=[when], columns=rr.StateChange.columns(state=[str(s) for s in states[keep]]))
+    clocks, states = signals.changes(edges, states)
+    when = scene.duration(recording.seconds(name, clocks))
+    out.send_columns(path, indexes=[when], columns=rr.StateChange.columns(state=[str(s) for s in states]))
 
 
-def _bus(out: Any, recording: Recording, name: str, k: int) -> None:
+def _bus(out: Any, recording: Recording, name: str, colour: tuple) -> None:
     import rerun as rr
 
-    said = decode(recording.axes[name].chip.MAP, recording.course(name).entries)
+    said = decode(recording.axes[name].chip.MAP, recording.journals[name].entries)
     if not said:
         return
     seconds = recording.seconds(name, np.array([s.clock for s in said], np.int64))
     out.send_columns(
-        f"bus/{name}",
-        indexes=[rr.TimeColumn("time", duration=seconds)],
+        f"{scene.axis_path(name)}/bus",
+        indexes=[scene.duration(seconds)],
         columns=rr.TextLog.columns(
-            text=[f"{name}  {s}" for s in said],
-            level=["INFO" if s.kind == "register" else "WARN" if s.kind == "command" else "ERROR" for s in said],
-            color=[(*colour(k), 255)] * len(said),
+            text=[f"{t:11.6f}  {name}  {s}" for t, s in zip(seconds, said, strict=True)],
+            level=[LEVELS[s.kind] for s in said],
+            color=[(*colour, 255)] * len(said),
         ),
     )

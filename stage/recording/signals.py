@@ -5,7 +5,8 @@ A pin that is in no table shows under its own name in capitals, 1 = asserted.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
@@ -37,9 +38,46 @@ STATUS = {
 """Status bit -> (pin, what the bit is while the pin is asserted). `sd` is missing: it is that of the direction."""
 
 
+def plain(name: str) -> str:
+    """An axis or body name as a word that every file format takes: letters, digits and underscores."""
+    return re.sub(r"\W+", "_", name, flags=re.ASCII) or "_"
+
+
 def wire(pin: str) -> tuple[str, int]:
     """(name, level while asserted) of a pin."""
     return WIRES.get(pin, (pin.upper(), 1))
+
+
+def settled(pieces: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
+    """Of several edges at one clock only the last: what the wires settle on."""
+    kept: np.ndarray | None = None
+    for piece in pieces:
+        if kept is not None:
+            piece = np.concatenate([kept, piece])
+        last = piece["clock"][1:] != piece["clock"][:-1]
+        kept = piece[-1:]
+        if last.any():
+            yield piece[:-1][last]
+    if kept is not None:
+        yield kept
+
+
+def pin_edges(journal: Journal) -> np.ndarray:
+    """The edges of a chip at which a pin other than the pulses changes, and the first."""
+    parts: list[np.ndarray] = []
+    before = None
+    for piece in settled(journal.pieces()):
+        pins = np.stack([piece["inputs"], piece["outputs"]], axis=1)
+        same = np.all(pins[1:] == pins[:-1], axis=1)
+        parts.append(piece[~np.concatenate([[before is not None and bool(np.all(pins[0] == before))], same])])
+        before = pins[-1]
+    return np.concatenate(parts)
+
+
+def changes(edges: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(clocks, values) where `values`, one an edge, changes; the first is one."""
+    keep = np.concatenate([[True], values[1:] != values[:-1]])
+    return edges["clock"][keep], values[keep]
 
 
 def asserted(chip: Any, edges: np.ndarray, pin: str) -> np.ndarray:

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 SECOND = 1_000_000_000
 EDGES = 16384  # at a time
+DATE = "simulated time since power-up"  # and not the wall clock: equal runs make equal files
 
 Change = tuple[int, Any, Any]  # ns, variable, value
 
@@ -44,10 +45,10 @@ def write(recording: Recording, path: Path) -> Path:
         begin = min(nanoseconds(int(j.start["clock"]), _hz(recording, n)) for n, j in recording.journals.items())
         end = max(nanoseconds(j.until, _hz(recording, n)) for n, j in recording.journals.items())
         comment = f"PulseStage: {recording!r}"
-        with VCDWriter(file, timescale="1 ns", comment=comment, init_timestamp=begin) as writer:
-            streams = [s for axis in recording.axes for s in (_pins(recording, axis, writer), _bus(recording, axis, writer))]
-            first = [next(s) for s in streams]  # variables must all be known before the first change
-            assert not any(first)
+        with VCDWriter(file, "1 ns", date=DATE, comment=comment, init_timestamp=begin) as writer:
+            streams = [
+                s for axis in recording.axes for s in (_pins(recording, axis, writer), _bus(recording, axis, writer))
+            ]
             for ns, variable, value in heapq.merge(*streams, key=lambda change: change[0]):
                 writer.change(variable, ns, value)
             writer.close(end)
@@ -58,32 +59,37 @@ def _hz(recording: Recording, axis: str) -> int:
     return recording.axes[axis].chip.clock_hz
 
 
-def _pins(recording: Recording, axis: str, writer: Any) -> Iterator[Change | None]:
-    """None once the variables are registered, then the changes of an axis' pins, counter, rate and status."""
+def _pins(recording: Recording, axis: str, writer: Any) -> Iterator[Change]:
+    """Register the pins, counter, rate and status of an axis now; their changes are the iterator."""
     chip, journal = recording.axes[axis].chip, recording.journals[axis]
     clocks, minus = signals.directions(journal)
-    variables: dict[str, Any] = {}
-    now: dict[str, Any] = {}
-    for edges in _settled(journal.pieces(every_pulse=True, size=EDGES)):
-        ns = nanoseconds(edges["clock"], chip.clock_hz)
+
+    def levels(edges: np.ndarray) -> dict[str, tuple[str, int, np.ndarray]]:
         way = minus[np.searchsorted(clocks, edges["clock"], side="right") - 1]
-        values = _levels(chip, edges, way)
-        if not variables:
-            for name, (kind, size, v) in values.items():
-                scope, _, short = f"{axis}.{name}".rpartition(".")
-                now[name] = v[0].item()
-                variables[name] = writer.register_var(scope, short, kind, size=size, init=now[name])
-            yield None
-        which, at, what = [], [], []
-        for name, (_, _, v) in values.items():
-            k = np.flatnonzero(np.concatenate([[v[0] != now[name]], v[1:] != v[:-1]]))
-            which += [variables[name]] * len(k)
-            at.append(ns[k])
-            what += v[k].tolist()
-            now[name] = v[-1]
-        times = np.concatenate(at)
-        for k, t in zip((order := np.argsort(times, kind="stable")).tolist(), times[order].tolist(), strict=True):
-            yield t, which[k], what[k]
+        return _levels(chip, edges, way)
+
+    variables, now = {}, {}
+    for name, (kind, size, v) in levels(next(journal.pieces(size=256))[:1]).items():
+        scope, _, short = f"{signals.plain(axis)}.{name}".rpartition(".")
+        now[name] = v[0].item()
+        variables[name] = writer.register_var(scope, short, kind, size=size, init=now[name])
+
+    def changes() -> Iterator[Change]:
+        for edges in signals.settled(journal.pieces(every_pulse=True, size=EDGES)):
+            ns = nanoseconds(edges["clock"], chip.clock_hz)
+            which, at, what = [], [], []
+            for name, (_, _, v) in levels(edges).items():
+                k = np.flatnonzero(np.concatenate([[v[0] != now[name]], v[1:] != v[:-1]]))
+                which += [variables[name]] * len(k)
+                at.append(ns[k])
+                what += v[k].tolist()
+                now[name] = v[-1]
+            times = np.concatenate(at)
+            order = np.argsort(times, kind="stable")
+            for k, t in zip(order.tolist(), times[order].tolist(), strict=True):
+                yield t, which[k], what[k]
+
+    return changes()
 
 
 def _levels(chip: Any, edges: np.ndarray, minus: np.ndarray) -> dict[str, tuple[str, int, np.ndarray]]:
@@ -99,32 +105,19 @@ def _levels(chip: Any, edges: np.ndarray, minus: np.ndarray) -> dict[str, tuple[
     return out
 
 
-def _settled(pieces: Iterator[np.ndarray]) -> Iterator[np.ndarray]:
-    """Of several edges at one clock only the last: what the wires settle on."""
-    kept: np.ndarray | None = None
-    for piece in pieces:
-        if kept is not None:
-            piece = np.concatenate([kept, piece])
-        last = piece["clock"][1:] != piece["clock"][:-1]
-        kept = piece[-1:]
-        if last.any():
-            yield piece[:-1][last]
-    if kept is not None:
-        yield kept
-
-
-def _bus(recording: Recording, axis: str, writer: Any) -> Iterator[Change | None]:
-    """None once the variables are registered, then the bus writes and resets of an axis."""
-    chip, scope = recording.axes[axis].chip, f"{axis}.bus"
+def _bus(recording: Recording, axis: str, writer: Any) -> Iterator[Change]:
+    """Register the bus of an axis now; its writes and resets are the iterator."""
+    chip, journal, scope = recording.axes[axis].chip, recording.journals[axis], f"{signals.plain(axis)}.bus"
     wr, reset = (writer.register_var(scope, name, "event", size=1) for name in ("WR", "RESET"))
     address = writer.register_var(scope, "A", "reg", size=chip._ADDRESS_MASK.bit_length(), init="x")
     data = writer.register_var(scope, "D", "reg", size=chip.DATA_MASK.bit_length(), init="x")
-    yield None
-    for e in recording.journals[axis].entries:
-        ns = nanoseconds(e.clock, chip.clock_hz)
-        if e.kind == WRITE:
-            yield ns, address, e.a
-            yield ns, data, e.b
-            yield ns, wr, True
-        elif e.kind == RESET:
-            yield ns, reset, True
+
+    def changes() -> Iterator[Change]:
+        for e in journal.entries:
+            ns = nanoseconds(e.clock, chip.clock_hz)
+            if e.kind == WRITE:
+                yield from ((ns, address, e.a), (ns, data, e.b), (ns, wr, True))
+            elif e.kind == RESET:
+                yield ns, reset, True
+
+    return changes()

@@ -1,17 +1,23 @@
-"""Look at a recording: in rerun's viewer, in a browser, or as a picture without a screen."""
+"""Look at a recording: in rerun's viewer, in a browser, or as a picture without a screen.
+
+rerun's servers listen on every address of the machine unless told otherwise; those started here listen on 127.0.0.1 only.
+"""
 
 from __future__ import annotations
 
 import os
-import shutil
 import socket
 import subprocess
 import sys
 import time
+from importlib.util import find_spec
 from pathlib import Path
+from urllib.parse import quote
 
 from stage.errors import ArgumentError, StageError
 
+HOST = "127.0.0.1"
+FRAME = 36  # pixels
 QUIET = {"RUST_LOG": "error"}  # without it the viewer's own messages are in the picture
 
 
@@ -26,72 +32,168 @@ def has_screen() -> bool:
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
-def _rerun() -> list[str]:
-    beside = Path(sys.executable).with_name("rerun")
-    found = str(beside) if beside.exists() else shutil.which("rerun")
-    if found is None:
-        raise ViewerError("the command `rerun` is missing: pip install 'rerun-sdk>=0.41'.")
-    return [found]
+def executable() -> str:
+    """rerun's program itself; the command `rerun` is a script that would leave it running when it is ended."""
+    if "RERUN_CLI_PATH" in os.environ:
+        return os.environ["RERUN_CLI_PATH"]
+    spec = find_spec("rerun_cli")
+    folders = [Path(f) for f in (spec.submodule_search_locations or ())] if spec else []
+    for folder in folders:
+        for name in ("Rerun.app/Contents/MacOS/Rerun", "rerun", "rerun.exe"):
+            if (folder / name).is_file():
+                return str(folder / name)
+    raise ViewerError("rerun's viewer is missing: pip install 'rerun-sdk>=0.41'.")
 
 
 def open_viewer(rrd: str | os.PathLike) -> None:
-    """Open the recording in a window and return at once."""
-    subprocess.Popen([*_rerun(), str(rrd)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
+    """Open the recording in a window and return at once. Raises ViewerError where there is no screen."""
+    rrd = _existing(rrd)
+    if not has_screen():
+        raise ViewerError(
+            f"no screen here to show {rrd} on. Serve it to a browser (--web), or draw it with screenshot()."
+        )
+    command = [executable(), str(rrd), "--bind", HOST, "--port", "auto"]
+    subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
 
 
-def serve_command(rrd: str | os.PathLike, port: int = 9090) -> list[str]:
-    """The command that serves the dashboard to browsers of this machine only."""
-    if not 1 <= port <= 65534:
-        raise ArgumentError(f"port={port!r}: a port is 1 to 65534.")
-    # rerun binds to every address unless told otherwise
-    return [*_rerun(), str(rrd), "--web-viewer", "--bind", "127.0.0.1", "--web-viewer-port", str(port), "--port", "auto"]
+def serve_command(rrd: str | os.PathLike, port: int = 9090) -> tuple[list[str], str]:
+    """The command that serves the dashboard to browsers of this machine only, and the address to open."""
+    if int(port) != port or not 1 <= port <= 65535:
+        raise ArgumentError(f"port={port!r}: a port is a whole number of 1 to 65535.")
+    data = free_port()
+    command = [executable(), str(_existing(rrd)), "--serve-web", "--bind", HOST]
+    command += ["--web-viewer-port", str(port), "--port", str(data)]
+    return command, f"http://{HOST}:{port}/?url={quote(f'rerun+http://{HOST}:{data}/proxy', safe='')}"
 
 
 def serve_web(rrd: str | os.PathLike, port: int = 9090) -> int:
-    """Serve the dashboard on http://127.0.0.1:port until interrupted. Returns rerun's exit code."""
-    command = serve_command(rrd, port)
-    print(f"serving {rrd} on http://127.0.0.1:{port} (this machine only); Ctrl-C ends it", flush=True)
-    process = subprocess.Popen(command)
+    """Serve the dashboard to browsers of this machine until interrupted. Returns rerun's exit code."""
+    command, url = serve_command(rrd, port)
+    if not _free(port):
+        raise ViewerError(f"port {port} is in use. Choose another: --port {free_port()}, for example.")
+    process = subprocess.Popen(command, env=os.environ | QUIET, stdout=subprocess.DEVNULL)
     try:
+        print(f"{rrd} is served on this machine only, at\n  {url}\nCtrl-C ends it.", flush=True)
+        if has_screen():
+            import webbrowser
+
+            _wait_for(port, process)
+            webbrowser.open(url)
         return process.wait()
     except KeyboardInterrupt:
-        process.terminate()
-        return process.wait()
+        return 0
+    finally:
+        _end(process)
 
 
-def screenshot(rrd: str | os.PathLike, png: str | os.PathLike, size: tuple[int, int] = (1920, 1080)) -> Path:
+def screenshot(
+    rrd: str | os.PathLike,
+    png: str | os.PathLike,
+    size: tuple[int, int] = (1920, 1080),
+    at: float | None = None,
+    timeout: float = 120.0,
+) -> Path:
     """Render the dashboard to a PNG without a screen (needs a Vulkan driver; Debian: mesa-vulkan-drivers).
 
-    Waits until the viewer has loaded everything: until two pictures in a row are the same.
+    size: pixels. at: the moment shown, s; default: the end. Waits until the viewer has loaded everything and two pictures
+    in a row are the same.
     """
-    from rerun.experimental import ViewerClient
-
-    png, port = Path(png), _free_port()
-    window = f"{size[0]}x{size[1]}"
-    command = [*_rerun(), str(rrd), "--headless", "--window-size", window, "--bind", "127.0.0.1", "--port", str(port)]
+    rrd, png, port = _existing(rrd), Path(png).absolute(), free_port()
+    command = [executable(), str(rrd), "--headless", "--window-size", f"{size[0]}x{size[1] + FRAME}"]
+    command += ["--bind", HOST, "--port", str(port)]
     process = subprocess.Popen(command, env=os.environ | QUIET, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    deadline = time.monotonic() + timeout
     try:
-        deadline, before = time.monotonic() + 120, b""
+        _wait_for(port, process, deadline)
+        client = _client(port, process, deadline)
+        _hold_at(client, at)
+        before = b""
         while time.monotonic() < deadline:
-            if process.poll() is not None:
-                said = process.stderr.read().decode(errors="replace") if process.stderr else ""
-                raise ViewerError(f"rerun ended (a Vulkan driver missing? Debian: mesa-vulkan-drivers):\n{said[-800:]}")
-            time.sleep(1.0)
-            try:
-                ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy").save_screenshot(str(png))
-            except Exception:  # the client has no errors of its own: not up yet, or not answering
-                continue
-            now = png.read_bytes() if png.exists() else b""
-            if now and now == before:
+            client.save_screenshot(str(png))
+            now = png.read_bytes()
+            if now == before:
+                _cut_frame(png, size)
                 return png
             before = now
+            time.sleep(0.5)
     finally:
+        _end(process)
+    raise ViewerError(f"rerun did not settle on a picture of {rrd} within {timeout:g} s.")
+
+
+def _cut_frame(png: Path, size: tuple[int, int]) -> None:
+    """The viewer draws the top of a window's frame; without a window that is an empty bar."""
+    from PIL import Image
+
+    with Image.open(png) as picture:
+        middle = picture.convert("L").crop((16, 4, picture.width - 16, FRAME - 4))
+        empty = middle.getextrema()[0] == middle.getextrema()[1]
+        top = FRAME if empty else 0
+        picture.crop((0, top, picture.width, top + size[1])).save(png)
+
+
+def _client(port: int, process: subprocess.Popen, deadline: float):
+    """A client of the viewer at `port`, once that has loaded all it was given."""
+    from rerun.experimental import ViewerClient
+
+    said: object = "it is still loading"
+    while time.monotonic() < deadline:
+        _alive(process)
+        try:
+            client = ViewerClient.connect(f"rerun+http://{HOST}:{port}/proxy")
+            state = client.get_state()
+            if not state.loading and any(r.timelines for r in state.recordings):
+                return client
+        except Exception as error:  # the client has no errors of its own, and the viewer may not be up yet
+            said = error
+        time.sleep(0.2)
+    raise ViewerError(f"rerun's viewer does not answer: {said}")
+
+
+def _hold_at(client, at: float | None) -> None:
+    timeline = next(t for r in client.get_state().recordings for t in r.timelines if t.name == "time")
+    seconds = (timeline.end or 0) * 1e-9 if at is None else at
+    client.set_time("time", duration=seconds, play_state="paused")
+
+
+def _existing(rrd: str | os.PathLike) -> Path:
+    path = Path(rrd)
+    if not path.is_file():
+        raise ViewerError(f"there is no recording {path}. Write one: recording.save({str(path)!r}).")
+    return path.absolute()
+
+
+def _wait_for(port: int, process: subprocess.Popen, deadline: float | None = None) -> None:
+    deadline = time.monotonic() + 30 if deadline is None else deadline
+    while _free(port) and time.monotonic() < deadline:
+        _alive(process)
+        time.sleep(0.1)
+
+
+def _alive(process: subprocess.Popen) -> None:
+    if process.poll() is not None:
+        said = process.stderr.read().decode(errors="replace")[-800:] if process.stderr else ""
+        raise ViewerError(
+            f"rerun ended with code {process.returncode} (no Vulkan driver? Debian: mesa-vulkan-drivers). {said}"
+        )
+
+
+def _end(process: subprocess.Popen) -> None:
+    process.terminate()
+    try:
+        process.wait(5)
+    except subprocess.TimeoutExpired:
         process.kill()
         process.wait()
-    raise ViewerError(f"rerun did not settle on a picture of {rrd} within two minutes.")
 
 
-def _free_port() -> int:
+def _free(port: int) -> bool:
     with socket.socket() as s:
-        s.bind(("127.0.0.1", 0))
+        return s.connect_ex((HOST, port)) != 0
+
+
+def free_port() -> int:
+    """A port that nothing listens on."""
+    with socket.socket() as s:
+        s.bind((HOST, 0))
         return s.getsockname()[1]

@@ -1,0 +1,195 @@
+"""The 3D stage of a recording: bodies that move, the tool's path on the work, lamps on the switches.
+
+stage/BODY/boxes ...            geoms, static; BODY has the transform over time, world frame
+stage/BODY/lamp_x_el_plus ...   above the switch: lit while asserted, at the instants of its edges
+stage/BODY/path                 where the tool has been, in the frame of the work
+stage/directions                an arrow an axis, in its colour
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import mujoco
+import numpy as np
+
+from stage.recording import geoms, signals
+from stage.recording.geoms import rotated
+
+if TYPE_CHECKING:
+    from stage.recording.recording import Recording
+
+FRAMES = 60  # a second
+GRID = 1e-6  # m (and of a quaternion): a body that moved less has not moved, to the eye
+PATH_COLOUR = (255, 138, 48)
+LAMPS = {"el": (255, 66, 54), "sd": (255, 184, 36), "org": (64, 224, 120)}
+DARK = 0.35  # of a lamp that is off
+LIFT = 0.015  # of the model's extent: a lamp stands above its switch
+
+
+def write(out: Any, recording: Recording, colours: dict[str, tuple], edges: dict[str, np.ndarray]) -> None:
+    """Log the scene of `recording` to the stream `out`; `colours` and pin `edges` (see signals) by axis."""
+    import rerun as rr
+
+    model = recording.model
+    out.log("stage", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    for body in range(model.nbody):
+        for name, shape in geoms.shapes(model, body):
+            out.log(f"{body_path(model, body)}/{name}", shape, static=True)
+    _bodies(out, recording)
+    _directions(out, recording, colours)
+    for name in recording.axes:
+        _lamps(out, recording, name, edges[name])
+
+
+def body_path(model: mujoco.MjModel, body: int) -> str:
+    """The entity of a body."""
+    return f"stage/{signals.plain(model.body(body).name or f'body{body}')}"
+
+
+def axis_path(name: str) -> str:
+    """The entity that holds what belongs to an axis."""
+    return f"axes/{signals.plain(name)}"
+
+
+def _bodies(out: Any, recording: Recording) -> None:
+    model = recording.model
+    moving = np.flatnonzero(model.body_weldid != 0).tolist()
+    for body in np.flatnonzero(model.body_weldid == 0).tolist():
+        if body:
+            _place(out, model, body)
+    step = max(1, round(1 / FRAMES / recording.every))
+    path: list[np.ndarray] = []
+    seen = 0
+    for piece in recording.pieces():
+        pick = slice(-seen % step, None, step)
+        time, qpos = piece["axes"]["time"][pick, 0], piece["qpos"][pick]
+        if not seen:  # the file begins with the first edges, before the first sample
+            time = np.concatenate([[recording.began], time[1:]])
+        seen += len(piece)
+        if len(time):
+            xpos, xquat, sites = geoms.poses(model, qpos)
+            for body in moving:
+                _move(out, body_path(model, body), time, xpos[:, body], xquat[:, body])
+            path.append(_on_work(model, xpos, xquat, sites))
+    if path:
+        _path(out, model, np.concatenate(path))
+
+
+def _place(out: Any, model: mujoco.MjModel, body: int) -> None:
+    """A body that is part of the frame: its pose, once."""
+    import rerun as rr
+
+    xpos, xquat, _ = geoms.poses(model, model.qpos0[None])
+    out.log(body_path(model, body), rr.Transform3D(translation=xpos[0, body], quaternion=xquat[0, body]), static=True)
+
+
+def _move(out: Any, path: str, time: np.ndarray, position: np.ndarray, quat: np.ndarray) -> None:
+    import rerun as rr
+
+    cell = np.rint(np.hstack([position, quat]) / GRID)
+    keep = np.concatenate([[True], np.any(cell[1:] != cell[:-1], axis=1)])
+    out.send_columns(
+        path,
+        indexes=[duration(time[keep])],
+        columns=rr.Transform3D.columns(
+            translation=position[keep].astype(np.float32), quaternion=quat[keep].astype(np.float32)
+        ),
+    )
+
+
+def duration(seconds: Any) -> Any:
+    """The time column of every entity, to the nanosecond."""
+    import rerun as rr
+
+    return rr.TimeColumn("time", duration=np.rint(np.asarray(seconds) * 1e9).astype("timedelta64[ns]"))
+
+
+def _work_body(model: mujoco.MjModel) -> int:
+    """The body that carries the work: that of the site `work`, else the world."""
+    site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, "work")
+    return int(model.site_bodyid[site]) if site >= 0 else 0
+
+
+def _on_work(model: mujoco.MjModel, xpos: np.ndarray, xquat: np.ndarray, sites: np.ndarray) -> np.ndarray:
+    """The tool's points in the frame of the work; where the tool rides with the work, in that of the world."""
+    tool = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, "tool")
+    if tool < 0:
+        return np.zeros((0, 3))
+    body = _work_body(model)
+    if model.site_bodyid[tool] == body:
+        return sites[:, tool]
+    inverse = xquat[:, body] * [-1, -1, -1, 1]
+    return np.array([rotated(np.roll(q, 1), p) for q, p in zip(inverse, sites[:, tool] - xpos[:, body], strict=True)])
+
+
+def _path(out: Any, model: mujoco.MjModel, points: np.ndarray) -> None:
+    import rerun as rr
+
+    if len(points) < 2:
+        return
+    cell = np.rint(points / GRID)
+    keep = np.concatenate([[True], np.any(cell[1:] != cell[:-1], axis=1)])
+    tool = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, "tool")
+    body = _work_body(model)
+    where = body_path(model, 0 if model.site_bodyid[tool] == body else body)
+    line = rr.LineStrips3D([points[keep].astype(np.float32)], colors=[PATH_COLOUR], radii=rr.Radius.ui_points(1.6))
+    out.log(f"{where}/path", line, static=True)
+
+
+def _directions(out: Any, recording: Recording, colours: dict[str, tuple[int, int, int]]) -> None:
+    """Arrows along plus at a front corner of the frame."""
+    import rerun as rr
+
+    model = recording.model
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    frame = [g for g in range(model.ngeom)
+             if model.body_weldid[model.geom_bodyid[g]] == 0 and model.geom_type[g] != mujoco.mjtGeom.mjGEOM_PLANE
+             and geoms.visible(model, g)]  # fmt: skip
+    length = 0.1 * float(model.stat.extent)
+    corner = np.array(model.stat.center) - 0.5 * float(model.stat.extent)
+    if frame:
+        turn = np.abs(data.geom_xmat[frame].reshape(-1, 3, 3))
+        half = np.einsum("gij,gj->gi", turn, model.geom_aabb[frame, 3:])
+        corner = np.min(data.geom_xpos[frame] - half, axis=0)
+        corner[2] = np.clip(0.0, corner[2], np.max(data.geom_xpos[frame] + half, axis=0)[2])
+    corner[:2] += 0.1 * length
+    axes = [data.xaxis[a.joint] for a in recording.axes.values()]
+    out.log(
+        "stage/directions",
+        rr.Arrows3D(
+            origins=[corner] * len(axes), vectors=[length * a for a in axes], labels=list(recording.axes),
+            colors=[colours[n] for n in recording.axes], radii=length * 0.035,
+        ),
+        static=True,
+    )  # fmt: skip
+
+
+def _lamps(out: Any, recording: Recording, name: str, edges: np.ndarray) -> None:
+    import rerun as rr
+
+    model, axis = recording.model, recording.axes[name]
+    carriage = int(model.jnt_bodyid[axis.joint])
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    for pin, (_, kind) in signals.SWITCHES.items():
+        sensor = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, f"{name}_{pin}")
+        if sensor < 0 or pin not in axis.chip.INPUTS:
+            continue
+        pair = (int(model.sensor_refid[sensor]), int(model.sensor_objid[sensor]))
+        geom = next((g for g in pair if model.geom_bodyid[g] != carriage), pair[0])
+        body = int(model.geom_bodyid[geom])
+        path = f"{body_path(model, body)}/lamp_{signals.plain(name)}_{pin}"
+        above = rotated(data.xquat[body] * [1, -1, -1, -1], [0, 0, LIFT * model.stat.extent])
+        out.log(path, rr.Points3D([model.geom_pos[geom] + above]), static=True)
+        clocks, on = signals.changes(edges, signals.asserted(axis.chip, edges, pin))
+        full = np.array(LAMPS[kind], float)
+        out.send_columns(
+            path,
+            indexes=[duration(recording.seconds(name, clocks))],
+            columns=rr.Points3D.columns(
+                colors=np.where(on[:, None], full, DARK * full).astype(np.uint8),
+                radii=np.where(on, -6.0, -2.5).astype(np.float32),  # negative: in points of the screen
+            ),
+        )

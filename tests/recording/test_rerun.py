@@ -1,0 +1,189 @@
+"""The rerun file, verified by rerun and read back: entities, times, values, states, words."""
+
+from types import SimpleNamespace
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from programs import load_registers
+from recording_bench import feed, make_bench, read_rrd, rerun_cli
+
+from stage.chips import PCL240K
+from stage.chips.journal import INPUT
+from stage.recording import Recording, geoms, rerun_log, signals
+from stage.recording.thin import thin
+
+
+@pytest.fixture(scope="module")
+def read(rrd):
+    return read_rrd(rrd)
+
+
+def test_rerun_finds_no_fault_with_the_file(rrd):
+    done = rerun_cli("rrd", "verify", rrd)
+    assert done.returncode == 0, done.stderr
+    assert "1 file verified without error" in done.stdout + done.stderr
+
+
+def test_every_axis_has_its_series_lanes_and_bus(read):
+    for axis in "xyz":
+        have = {e.removeprefix(f"/axes/{axis}/") for e in read if e.startswith(f"/axes/{axis}/")}
+        lanes = {"phase", "switches", *(f"switches/{pin}" for pin in signals.SWITCHES)}
+        assert have >= {*rerun_log.SERIES, *lanes}
+        assert ("bus" in have) == (axis != "z"), "nothing was written to Z"
+    assert "PulseStage xyz" in read["/about"]["TextDocument:text"][1][0][0]
+
+
+@pytest.mark.parametrize("series", rerun_log.SERIES)
+def test_lines_pass_within_the_tolerance_of_every_sample(run, read, series):
+    spec = rerun_log.SERIES[series]
+    columns = run.recording.columns
+    for axis in "xyz":
+        times, values = read[f"/axes/{axis}/{series}"]["Scalars:scalars"]
+        drawn = np.interp(columns["time"], times * 1e-9, np.concatenate(values))
+        sampled = columns[f"{axis}/{series}"] * spec.scales[0]
+        assert np.abs(drawn - sampled).max() <= spec.tolerance * 1.001 + 1e-9
+        assert len(times) <= len(sampled)
+    assert len(read["/axes/z/rate"]["Scalars:scalars"][0]) == 2, "nothing happened on Z: two points"
+
+
+def test_bodies_move_as_the_joints_did(run, read):
+    model, columns = run.stage.model, run.recording.columns
+    times, values = read["/stage/y"]["Transform3D:translation"]
+    data = mujoco.MjData(model)
+    rows = np.concatenate([p["qpos"] for p in run.recording.pieces()])
+    for t, v in list(zip(times * 1e-9, values, strict=True))[1:]:
+        data.qpos[:] = rows[np.argmin(np.abs(columns["time"] - t))]
+        mujoco.mj_kinematics(model, data)
+        assert v[0] == pytest.approx(data.body("y").xpos, abs=2e-6)
+    assert times[0] == pytest.approx(run.recording.began * 1e9, abs=1), "no body is lost before the first sample"
+    assert np.diff(times).min() >= 0.9e9 / 60
+    assert len(times) <= run.recording.duration * 63 + 2
+
+
+def test_what_senses_or_is_hidden_is_not_drawn(read):
+    drawn = [e for e in read if e.startswith("/stage/")]
+    assert "/stage/world/boxes" in drawn
+    assert "/stage/x/boxes" in drawn
+    assert not any("planes" in e for e in drawn), "the floor is a grid"
+    assert any("path" in e for e in drawn)
+    assert len(read["/stage/directions"]["Arrows3D:vectors"][1][0]) == 3
+
+
+def test_lanes_change_at_the_instants_of_the_edges(run, read):
+    chip, journal = run.stage.axes["x"].chip, run.recording.journals["x"]
+    levels = [(e.clock, bool(e.b & chip.INPUTS["el_minus"])) for e in journal.entries if e.kind == INPUT]
+    (tripped, let_go) = (c for k, (c, on) in enumerate(levels) if on != (k > 0 and levels[k - 1][1]))
+    times, states = read["/axes/x/switches/el_minus"]["StateChange:state"]
+    assert [s[0] for s in states] == ["off", "EL-", "off"]
+    assert times[1:].tolist() == [pytest.approx(c * 1e9 / chip.clock_hz, abs=1) for c in (tripped, let_go)]
+    times_of_el = times[1]
+    times, states = read["/axes/x/phase"]["StateChange:state"]
+    assert [s[0] for s in states] == ["hold", "up", "keep", "hold", "up", "keep", "down", "keep", "hold"]
+    slowest = 1e9 / 1500  # ns; a pulse at FL
+    assert 0 <= times[3] - times_of_el <= slowest, "EL- ends the run as soon as the pulse is complete"
+    _, together = read["/axes/x/switches"]["StateChange:state"]
+    assert "EL- ORG SD-" in {s[0] for s in together}
+
+
+def test_a_lamp_lights_with_its_switch(read):
+    (path,) = [e for e in read if e.endswith("/lamp_x_el_minus")]
+    times, radii = read[path]["Points3D:radii"]
+    assert [r[0] < -5 for r in radii] == [False, True, False]
+    assert times.tolist() == read["/axes/x/switches/el_minus"]["StateChange:state"][0].tolist()
+
+
+def test_the_bus_is_told_in_words(tmp_path):
+    bench = make_bench()
+    load_registers(bench.chip, R2=8000)
+    bench.chip.advance(4_915_200)
+    bench.chip.write(0, 0x15)
+    bench.chip.reset()
+    bench.recording.close()
+    times, said = read_rrd(bench.recording.save(tmp_path / "x.rrd"))["/axes/x/bus"]["TextLog:text"]
+    assert times.tolist() == [0, 10**9, 10**9]
+    assert [s[0].split(None, 2)[2] for s in said] == [
+        "82 00 1F 40  R2 <- 8000 (FH1 speed)",
+        "15  start, ramp to FH1",
+        "/RESET  reset pin",
+    ]
+
+
+def test_names_that_no_file_format_likes_become_plain_words(tmp_path):
+    axis = SimpleNamespace(
+        name="my x/1", chip=PCL240K(), index=0, joint=0, gear=1.0, meters_per_pulse=1e-3, unit="rad",
+        switches=SimpleNamespace(as_dict=lambda: {"org": False}),
+    )  # fmt: skip
+    xml = '<mujoco><worldbody><body name="a body"><joint name="my x/1"/><geom size="1"/></body></worldbody></mujoco>'
+    recording = Recording(mujoco.MjModel.from_xml_string(xml), {"my x/1": axis}, 1e-3, lambda: None)
+    feed(recording, 10)
+    recording.close()
+    entities = set(read_rrd(recording.save(tmp_path / "x.rrd")))
+    assert entities >= {"/axes/my_x_1/position", "/axes/my_x_1/switches/org", "/stage/a_body/spheres"}
+    assert "$scope module my_x_1 $end" in recording.to_vcd(tmp_path / "x.vcd").read_text()
+    assert "my x/1/position" in recording.columns
+
+
+SHAPES = """
+<mujoco><asset>
+<mesh name="wedge" vertex="0 0 0  1 0 0  0 1 0  0 0 1"/>
+<material name="teal" rgba="0 .5 .5 1"/></asset>
+<worldbody>
+<geom name="floor" type="plane" size="0 0 1"/>
+<body name="b"><joint type="slide"/>
+<geom type="box" size=".1 .2 .3" pos="1 0 0" rgba="1 0 0 1"/><geom type="box" size=".1 .1 .1" group="3"/>
+<geom type="sphere" size=".1" material="teal"/><geom type="ellipsoid" size=".1 .2 .3"/>
+<geom type="cylinder" size=".1 .2"/><geom type="capsule" size=".1 .2" pos="0 0 1"/><geom type="mesh" mesh="wedge"/>
+<geom type="box" size="1 1 1" rgba="1 1 1 0"/>
+</body><body><geom type="plane" size=".5 0 .1" euler="90 0 0"/></body></worldbody></mujoco>
+"""
+
+
+def test_geoms_of_every_kind_have_their_shape_size_and_colour():
+    model = mujoco.MjModel.from_xml_string(SHAPES)
+    assert geoms.floor(model) == 0
+    assert dict(geoms.shapes(model, 0)) == {}
+    shapes = dict(geoms.shapes(model, 1))
+    kinds = {"boxes", "spheres", "ellipsoids", "cylinders", "capsules"}
+    mesh = next(name for name in shapes if name.startswith("mesh"))
+    assert set(shapes) == kinds | {mesh}
+    assert shapes["boxes"].half_sizes.as_arrow_array().to_pylist() == [pytest.approx([0.1, 0.2, 0.3])], "one is hidden"
+    assert shapes["boxes"].colors.as_arrow_array().to_pylist() == [0xFF0000FF]
+    assert shapes["spheres"].colors.as_arrow_array().to_pylist() == [0x008080FF]
+    assert shapes["cylinders"].lengths.as_arrow_array().to_pylist() == pytest.approx([0.4])
+    assert shapes["capsules"].translations.as_arrow_array().to_pylist() == [pytest.approx([0, 0, 0.8])]
+    vertices = np.array(shapes[mesh].vertex_positions.as_arrow_array().to_pylist())
+    wall = dict(geoms.shapes(model, 2))["planes"]
+    assert wall.half_sizes.as_arrow_array().to_pylist() == [pytest.approx([0.5, 2 * model.stat.extent, geoms.PLANE])]
+    assert sorted(map(tuple, np.unique(vertices.round(5) + 0.0, axis=0))) == [
+        (0, 0, 0),
+        (0, 0, 1),
+        (0, 1, 0),
+        (1, 0, 0),
+    ]
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    values=st.lists(st.floats(-1e6, 1e6, width=32), min_size=1, max_size=60),
+    repeats=st.integers(1, 5),
+    tolerance=st.sampled_from([0.0, 0.5, 1e3]),
+)
+def test_thinning_keeps_the_line(values, repeats, tolerance):
+    v = np.repeat(np.array(values, float), repeats)
+    t = np.arange(len(v)) * 1e-3
+    keep = np.empty(len(v), np.bool_)
+    thin(t, v, tolerance, keep)
+    assert np.abs(np.interp(t, t[keep], v[keep]) - v).max() <= tolerance + 1e-6
+    assert keep[0]
+    assert keep[-1]
+
+
+def test_thinning_takes_what_is_straight():
+    t = np.arange(10_000) * 1e-3
+    keep = np.empty(len(t), np.bool_)
+    for v, most in ((0 * t, 2), (3 * t - 7, 2), (np.where(t < 5, 0.0, 100.0), 4), (np.sin(t), 200)):
+        thin(t, v, 1e-3, keep)
+        assert keep.sum() <= most
