@@ -301,22 +301,23 @@ class Stage:
         return (self._now - begin) * 1e-9
 
     def _run_until(self, until: int) -> None:
-        if self._words.item(1) + self._dt <= until:
-            mujoco.mj_getState(self.model, self.data, self._state, STATE)
         recording = self._recording
         samples, positions, n = self._no_samples, self._no_positions, 0
         while True:
+            if self._words.item(1) + self._dt <= until:  # only physics can diverge
+                mujoco.mj_getState(self.model, self.data, self._state, STATE)
             if recording is not None:
                 samples, positions, n = recording.samples, recording.positions, recording.filled
             status = engine.run(*self._run_args, until, samples, positions, n, self._edges, 0, self._counts)
+            diverged = self._undo_divergence(samples, positions, n) if status == engine.DIVERGED else None
             if self._counts[1]:
                 self._note_edges(int(self._counts[1]))
             if recording is not None:
                 recording.take(int(self._counts[0]))
+            if diverged is not None:
+                raise diverged
             if status == engine.REACHED:
                 return
-            if status == engine.DIVERGED:
-                self._diverged()
 
     def _note_edges(self, n: int) -> None:
         for e in self._edges[:n]:
@@ -324,18 +325,15 @@ class Stage:
             if journal is not None:
                 journal.note_input(int(e.clock), 0, int(e.inputs))
 
-    def _diverged(self) -> None:
+    def _undo_divergence(self, samples: np.ndarray, positions: np.ndarray, n: int) -> SimulationError:
+        """Go back to where the last loop began and run it again, up to the step before the one that diverged."""
         speeds = np.abs(self.data.qvel)
         bad = int(np.argmax(np.where(np.isfinite(speeds), speeds, np.inf)))
         joint = self.model.joint(int(self.model.dof_jntid[bad])).name or f"degree of freedom {bad}"
         good = self._words.item(1) - self._dt
         mujoco.mj_setState(self.model, self.data, self._state, STATE)
-        before = self._clockwork[0].sample_every
-        self._clockwork[0].sample_every = 0
-        counts = np.zeros(2, np.int64)
-        engine.run(*self._run_args, good, self._no_samples, self._no_positions, 0, self._edges, 0, counts)
-        self._clockwork[0].sample_every = before
-        raise SimulationError(
+        engine.run(*self._run_args, good, samples, positions, n, self._edges, 0, self._counts)
+        return SimulationError(
             f"the simulation diverged at {self.time:.6f} s on axis {joint!r}: its speed left +-{engine.MAX_SPEED:g} per "
             f"second. The stage holds the state before that step. Usual causes: a timestep too long for the motor's "
             f"stiffness (now {self.model.opt.timestep} s), a mass near zero, or an external force that is not finite.",
@@ -380,6 +378,8 @@ class Stage:
         """Continue from `snapshot`, bit for bit. Raises ArgumentError when it is of another kind of stage."""
         if snapshot.kind != self._kind():
             raise ArgumentError(f"a snapshot of a stage {snapshot.kind} cannot be restored into one of {self._kind()}.")
+        if self._recording is not None:
+            raise StageError("time in a recording runs forward only: close the recording before restoring a snapshot.")
         mujoco.mj_setState(self.model, self.data, snapshot.state, STATE)
         for axis, said in zip(self._axes_by_index, snapshot.diagnostics, strict=True):
             axis.chip.diagnostics[:] = said

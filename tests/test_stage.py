@@ -203,6 +203,25 @@ def test_a_diverging_simulation_names_time_and_axis_and_keeps_the_state_before(x
     assert abs(xyz.axes["x"].position - twin.axes["x"].position) < 1e-3
 
 
+def test_a_recording_of_a_diverging_run_holds_all_that_came_before(xyz):
+    moving(xyz)
+    with xyz.record() as recording:
+        xyz.run(0.02)
+        xyz.data.qfrc_applied[xyz.model.joint("y").dofadr[0]] = 1e15
+        with pytest.raises(SimulationError):
+            xyz.run(0.1)
+        xyz.data.qfrc_applied[:] = 0
+    assert recording.columns["time"][-1] == pytest.approx(0.02, abs=1e-3)
+    assert (np.diff(recording.columns["time"]) > 0).all()
+
+
+def test_a_snapshot_is_not_restored_into_a_running_recording(xyz):
+    before = xyz.snapshot()
+    with xyz.record(), pytest.raises(StageError, match="close the recording"):
+        xyz.restore(before)
+    xyz.restore(before)
+
+
 def test_run_until_gives_up_with_an_error_that_tells_where_the_axes_are(xyz):
     with pytest.raises(RunTimeout, match=r"0\.01 s.*Axis x"):
         xyz.run_until(lambda: False, timeout=0.01)
