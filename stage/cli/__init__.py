@@ -86,6 +86,7 @@ def _bench(p: argparse.ArgumentParser) -> None:
     g.add_argument("--bus-cycle", type=float, default=1e-6, help="seconds a host's bus cycle takes (default: 1e-6)")
     g = p.add_argument_group("output")
     g.add_argument("--record", metavar="FILE.rrd", help="write a rerun recording")
+    g.add_argument("--picture", metavar="FILE.png", help="render the recording's dashboard, no screen needed")
     g.add_argument("--vcd", metavar="FILE.vcd", help="write waveforms for GTKWave")
     g.add_argument("--force", action="store_true", help="overwrite files that exist")
     g.add_argument("--view", action="store_true", help="open the recording in the rerun viewer")

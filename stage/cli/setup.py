@@ -50,8 +50,8 @@ def recorded(args: argparse.Namespace, stage: Any) -> Iterator[None]:
     """Record what happens inside if --record, --vcd, --view or --web asks for it, and write it at the end."""
     from stage.recording.recording import writable
 
-    rrd: str | None = args.record or ("stage.rrd" if args.view or args.web else None)
-    for path in (rrd, args.vcd, getattr(args, "plot", None)):
+    rrd: str | None = args.record or ("stage.rrd" if args.view or args.web or args.picture else None)
+    for path in (rrd, args.vcd, args.picture, getattr(args, "plot", None)):
         if path:
             writable(path, args.force)  # say so before the work, not after it
     if not (rrd or args.vcd):
@@ -69,6 +69,12 @@ def recorded(args: argparse.Namespace, stage: Any) -> Iterator[None]:
         note(f"writing {args.vcd} ...")
         recording.to_vcd(args.vcd, overwrite=args.force)
         print(f"{args.vcd}: {Path(args.vcd).stat().st_size / 1e6:.1f} MB; open with: gtkwave {args.vcd}")
+    if args.picture and rrd:
+        from stage.recording.viewer import screenshot
+
+        note(f"rendering {args.picture} ...")
+        screenshot(rrd, args.picture)
+        print(f"{args.picture}: the dashboard")
     if args.web and rrd:
         from stage.recording.viewer import serve_web
 
