@@ -1,46 +1,60 @@
 """A test bench for motor and drive without a stage: a rotor, an inertia, a brake.
 
-The bench integrates by leapfrog in slices of 15.6 us, twice as fine as the stage's engine, with the same compiled drive.
+    trace = follow(drive, pulses(rates), inertia=...)       one run, everything in it
+    pull_out(drive, rpm), pull_in(drive, inertia), ring_down(drive, inertia), resonance_sweep(drive, rates)
+
+One compiled loop, the leapfrog of the stage's engine in slices of H = 15.625 us (half the engine's), with the same compiled
+drive. Pulses come whole, as from a chip. Nothing is random: the same call gives the same bits.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from stage.compiled import hot
+from stage.compiled import hot, record
 from stage.drives import stepper
 from stage.drives.motors import Drive, Motor
+from stage.errors import ArgumentError
 
 H = 15.625e-6
-SETTLE, RAMP = 0.15, 6.0  # s: running free, then the brake comes on slowly
-SLIP = math.pi  # electrical radians from which a rotor does not come back
+SETTLE, HOLD = 0.3, 0.3  # s: the brake's onset, and how long it then holds
+SLIP = math.pi  # electrical radians from which a braked rotor does not come back
+VISCOUS = 2e-4  # N m s/rad: bearings and grease of a small axis
+
+TRACE = record([(name, "f8") for name in "count theta omega torque current_a current_b".split()])
+"""One slice: mean commanded pulses, rotor angle (rad) at its middle, speed (rad/s), motor torque (N m), currents (A)."""
+
+Floats = Sequence[float] | np.ndarray
 
 
 class PullOut(NamedTuple):
-    """A pull-out curve: rpm (n,), measured torque of the drive and of an ideal sine drive, and the closed forms at V
-    and 4/pi V (what a saturated chopper can reach); N m."""
+    """A pull-out curve: rpm (n,), and in N m (n,): measured with the drive and with an ideal sine drive, the closed forms at V
+    and at 4/pi V (all that a saturated chopper can reach), and that of a sine drive bound by V and I at once."""
 
     rpm: np.ndarray
     chopper: np.ndarray
     sine: np.ndarray
     ideal: np.ndarray
     ideal_saturated: np.ndarray
+    bound_by_both: np.ndarray
+    steps_per_turn: int = 200
 
     def __str__(self) -> str:
         head = f"{'rpm':>6}{'pps, full step':>16}{'measured':>10}{'sine drive':>12}{'closed form':>13}{'at 4/pi V':>11}   N m"
         rows = [
-            f"{r:>6.0f}{r / 60 * 200:>16.0f}{c:>10.3f}{s:>12.3f}{i:>13.3f}{j:>11.3f}"
-            for r, c, s, i, j in zip(*self, strict=True)
+            f"{r:>6.0f}{r / 60 * self.steps_per_turn:>16.0f}{c:>10.3f}{s:>12.3f}{i:>13.3f}{j:>11.3f}"
+            for r, c, s, i, j in zip(*self[:5], strict=True)
         ]
         return "\n".join([head, *rows])
 
 
-def closed_form(motor: Motor, volts: float, current: float, rpm: np.ndarray | float) -> np.ndarray:
-    """Pull-out torque of a voltage-limited sine drive, N m: min(T_V, T_I) of drives.md, 1; never below 0.
+def closed_form(motor: Motor, volts: float, current: float, rpm: Floats | float) -> np.ndarray:
+    """Pull-out torque of a sine drive, N m, shape of rpm: min(T_V, T_I), never below 0 (spec/drives.md, 1).
 
     Z = sqrt(R^2 + (Nr w L)^2), T_V = Km (V / Z - Km w R / Z^2), T_I = Km I.
     """
@@ -50,166 +64,268 @@ def closed_form(motor: Motor, volts: float, current: float, rpm: np.ndarray | fl
     return np.clip(np.minimum(km * (volts / z - km * w * r / z**2), km * current), 0, None)
 
 
-@hot
-def _pull_out(d, rate, inertia, ramp, most):
-    """Torque at which the rotor slips. The flywheel's damper pulls towards the commanded speed, so it takes no torque."""
-    omega0 = rate * d.per_pulse / d.teeth
-    damping = 2.0 * 0.15 * math.sqrt(d.teeth * d.torque_constant * d.current * inertia)
-    theta, omega, count, load = 0.0, omega0, 0.0, 0.0
-    stepper.align(d, 0.0, 0.0)
-    t = 0.0
-    while True:
-        count = rate * t
-        force = stepper.torque(d, count + 0.5 * rate * H, theta + 0.5 * omega * H, omega, H)
-        omega += H / inertia * (force - load - damping * (omega - omega0))
-        theta += H * omega
-        t += H
-        if t > SETTLE:
-            load = (t - SETTLE) / ramp * most
-        angle = stepper.load_angle(d, rate * t, theta)
-        if angle > SLIP or load > 1.3 * most:
-            return load
+def bound_by_both(motor: Motor, volts: float, current: float, rpm: Floats | float) -> np.ndarray:
+    """The most torque of any sinusoidal current with |i| <= current and |v| <= volts at once, N m, shape of rpm.
+
+    In rotor coordinates the back-EMF E = Km w is real, v = Z i + E with Z = R + j Nr w L, and torque is Km Re i. The currents
+    that V allows fill the circle of radius V / |Z| around -E / Z. Its rightmost point is T_V; where that point needs more
+    than `current`, the best is where the two circles cross. The closed form min(T_V, T_I) lies above it near its corner.
+    """
+    w = np.asarray(rpm, float) * 2 * math.pi / 60
+    z = motor.resistance + 1j * motor.rotor_teeth * w * motor.inductance
+    centre, radius = -motor.torque_constant * w / z, volts / np.abs(z)
+    rated_fits = np.abs(current - centre) <= radius  # all of the current on the torque axis
+    voltage_fits = np.abs(centre + radius) <= current
+    distance = np.maximum(np.abs(centre), 1e-12)
+    along = (current**2 - radius**2 + distance**2) / (2 * distance)
+    across = np.sqrt(np.maximum(current**2 - along**2, 0))
+    crossing = ((along + np.array([[1j], [-1j]]) * across.ravel()) * (centre / distance).ravel()).real.max(0)
+    best = np.where(rated_fits, current, np.where(voltage_fits, (centre + radius).real, crossing.reshape(w.shape)))
+    return np.maximum(motor.torque_constant * best, 0)
+
+
+def natural_frequency(drive: Drive, inertia: float, half_step: bool = False) -> float:
+    """Small-angle natural frequency of the rotor at rest, Hz: sqrt(stiffness / inertia) / 2 pi (spec/drives.md, 2).
+
+    The stiffness is Nr (Km I + 4 Td) on a full step, where the detent helps, and Nr (Km I - 4 Td) on a half step, where it
+    hurts. inertia: kg m^2, rotor included.
+    """
+    m = drive.motor
+    detent = 4 * drive.detent_torque * (-1 if half_step else 1)
+    return math.sqrt(m.rotor_teeth * (m.torque_constant * drive.amplitude + detent) / inertia) / 2 / math.pi
 
 
 @hot
-def _slips(d, rate, inertia, seconds, accel, damping, load):
-    """Full steps lost by a start from rest: to `rate` at once (accel = 0) or at `accel` pps/s; a stiff friction `load`."""
-    theta, omega, t, count = 0.0, 0.0, 0.0, 0.0
-    stepper.align(d, 0.0, 0.0)
-    while t < seconds:
-        now = rate if accel == 0.0 else min(rate, 1000.0 + accel * t)
-        force = stepper.torque(d, count + 0.5 * now * H, theta + 0.5 * omega * H, omega, H)
-        drag = damping * omega
-        if omega != 0.0 or abs(force) > load:
-            drag += load if omega > 0.0 or (omega == 0.0 and force > 0.0) else -load
-        else:
-            drag = force
-        omega += H / inertia * (force - drag)
+def _follow(rows, counts, load, inertia, viscous, damper, theta, omega, trace):
+    """Leapfrog: the torque of a slice acts at the rotor's angle in its middle; friction stops a rotor but never turns it."""
+    d = rows[0]
+    case = omega
+    stepper.align(d, counts[0], d.per_pulse * counts[0] / d.teeth)
+    for k in range(len(counts)):
+        force = stepper.torque(d, counts[k], theta, omega, H)
+        row = trace[k]
+        row.count, row.theta, row.omega, row.torque = counts[k], theta, omega, force
+        row.current_a, row.current_b = d.current_a, d.current_b
+        push, brake = omega + H / inertia * (force + damper * case), H / inertia * load[k]
+        push = max(push - brake, 0.0) if push > 0.0 else min(push + brake, 0.0)
+        omega = push / (1.0 + H / inertia * (viscous + damper))
         theta += H * omega
-        count += now * H
-        t += H
-    return stepper.lost_steps(d, count, theta)
 
 
-@hot
-def _ring(d, inertia, out):
-    """Rotor angles, one a slice, after it was turned by a tenth of a full step and let go."""
-    stepper.align(d, 0.0, 0.0)
-    theta, omega = 0.1 * 2.0 * math.pi / d.teeth / 4.0, 0.0
-    for k in range(len(out)):
-        omega += H / inertia * stepper.torque(d, 0.0, theta, omega, H)
-        theta += H * omega
-        out[k] = theta
+def slices(seconds: float) -> int:
+    """Slices in a time."""
+    return round(seconds / H)
 
 
-@hot
-def _ripple(d, rate, inertia, damping, seconds):
-    """Largest deviation of the rotor's speed from the commanded, rad/s, in the last third of a run at pulses as they come."""
-    step = d.per_pulse / d.teeth
-    omega0 = rate * step
-    theta, omega, t, worst = 0.0, omega0, 0.0, 0.0
-    stepper.align(d, 0.0, 0.0)
-    while t < seconds:
-        count = math.floor(rate * t)
-        omega += H / inertia * (stepper.torque(d, count, theta, omega, H) - damping * omega)
-        theta += H * omega
-        t += H
-        if t > seconds * 2.0 / 3.0:
-            worst = max(worst, abs(omega - omega0))
-    return worst
+def pulses(rates: Floats) -> np.ndarray:
+    """Mean commanded count of each slice, (n,), of a chip that makes whole pulses at `rates` pps, (n,), one a slice.
+
+    The exact mean of the staircase: an average of a slice's ends alone would beat with the pulses.
+    """
+    edges = np.concatenate([[0.0], np.cumsum(np.asarray(rates, float) * H)]) + 1e-6  # a sum that falls short of a pulse
+    whole = np.floor(edges[:-1])
+    run, whole_end = edges[1:] - whole, np.floor(edges[1:]) - whole
+    area = whole_end * (run - 0.5 * (whole_end + 1))  # under the staircase, from the slice's first whole pulse on
+    moved = np.diff(edges)
+    return whole + np.divide(area, moved, out=np.zeros_like(area), where=moved != 0)
 
 
-def _record(drive: Drive) -> np.ndarray:
+def follow(
+    drive: Drive,
+    counts: Floats,
+    inertia: float,
+    load: Floats | float = 0.0,
+    viscous: float = VISCOUS,
+    damper: float = 0.0,
+    theta: float | None = None,
+    omega: float = 0.0,
+) -> np.ndarray:
+    """Run the motor through `counts`, (n,) commanded pulses a slice; returns TRACE, (n,).
+
+    The drive starts on counts[0], the rotor there too or at `theta` rad, turning at `omega` rad/s. inertia: kg m^2, rotor
+    included. load: friction N m, a number or (n,). viscous: N m s/rad to the frame. damper: N m s/rad to a flywheel that
+    turns at the starting speed for ever, so that it takes no torque from a rotor that keeps up.
+
+    Raises ArgumentError for an inertia that is not above 0, for friction below 0, for an empty course.
+    """
+    if not 0 < inertia < math.inf:
+        raise ArgumentError(
+            f"inertia={inertia!r}: give kg m^2 above 0; the rotor alone has {drive.motor.rotor_inertia:g}."
+        )
+    course = np.asarray(counts, float)
+    if course.ndim != 1 or not len(course):
+        raise ArgumentError(f"counts of shape {course.shape}: give one pulse count a slice, for example pulses(rates).")
+    if np.shape(load) not in ((), course.shape):
+        raise ArgumentError(f"load of shape {np.shape(load)}: give one number, or {len(course)}, one a slice.")
+    if not (np.min(load) >= 0 and viscous >= 0 and damper >= 0):
+        raise ArgumentError(
+            f"load={load!r}, viscous={viscous!r}, damper={damper!r}: friction takes power: give 0 or more."
+        )
     rows = np.zeros(1, stepper.STEPPER)
     drive.fill(rows[0])
-    return rows
+    trace = np.zeros(len(course), TRACE)
+    brake = np.ascontiguousarray(np.broadcast_to(np.asarray(load, float), course.shape))
+    start = drive.per_pulse * course[0] / drive.motor.rotor_teeth if theta is None else theta
+    _follow(rows, course, brake, float(inertia), float(viscous), float(damper), float(start), float(omega), trace)
+    return trace
 
 
-@hot
-def _call_pull_out(rows, rate, inertia, ramp, most):
-    return _pull_out(rows[0], rate, inertia, ramp, most)
+def load_angle(drive: Drive, trace: np.ndarray) -> np.ndarray:
+    """Commanded minus rotor angle of a trace, electrical radians, not wrapped, (n,)."""
+    return drive.per_pulse * trace["count"] - drive.motor.rotor_teeth * trace["theta"]
 
 
-@hot
-def _call_slips(rows, rate, inertia, seconds, accel, damping, load):
-    return _slips(rows[0], rate, inertia, seconds, accel, damping, load)
+def lost_steps(drive: Drive, trace: np.ndarray) -> int:
+    """Full steps that the rotor is behind at a trace's end: stepper.lost_steps of its last slice."""
+    rows = np.zeros(1, stepper.STEPPER)
+    drive.fill(rows[0])
+    return int(stepper.lost_steps(rows[0], float(trace["count"][-1]), float(trace["theta"][-1])))
 
 
-@hot
-def _call_ring(rows, inertia, out):
-    _ring(rows[0], inertia, out)
+def _speeds(rpm: Floats) -> np.ndarray:
+    speeds = np.atleast_1d(np.asarray(rpm, float))
+    if not ((speeds > 0) & (speeds <= 20_000)).all():
+        raise ArgumentError(f"rpm={rpm!r}: a brake needs turning rotors: give speeds above 0, up to 20000 rpm.")
+    return speeds
 
 
-@hot
-def _call_ripple(rows, rate, inertia, damping, seconds):
-    return _ripple(rows[0], rate, inertia, damping, seconds)
+def _damper(drive: Drive, inertia: float, ratio: float) -> float:
+    """N m s/rad that damp the rotor's swing about its field by `ratio` of critical."""
+    return 2 * ratio * inertia * 2 * math.pi * natural_frequency(replace(drive, detent=0.0), inertia)
 
 
-def pull_out(drive: Drive, rpm: Sequence[float] | np.ndarray, ramp: float = RAMP) -> np.ndarray:
-    """Pull-out torque at each speed, N m, found by braking a synchronous rotor until it slips.
+def pull_out(drive: Drive, rpm: Floats, inertia: float | None = None, damping_ratio: float = 0.15) -> np.ndarray:
+    """Pull-out torque at each speed, N m, (n,): the most friction with which a rotor keeps up; 0 if it slips unloaded.
 
-    The bench carries ten rotor inertias and a damper that turns with the commanded speed, so that resonance does not throw the
-    rotor out before its torque is spent.
+    The rotor starts in step, the brake comes on smoothly over SETTLE and holds for HOLD; bisected to 1/4000 of the holding
+    range. (A brake that grows until the rotor slips reads high: while a rotor falls out, slowly, the brake grows on.)
+
+    inertia: kg m^2, rotor included; default ten rotors. damping_ratio: of the damper that turns with the commanded
+    speed and takes no torque. The defaults keep resonance from throwing the rotor out before its torque is spent;
+    `resonance_sweep` shows what happens without.
+
+    Raises ArgumentError for speeds that are not above 0.
     """
-    rows = _record(drive)
-    most = 1.1 * drive.motor.torque_constant * rows[0].current + drive.motor.detent_torque
-    out = np.zeros(len(rpm))
-    for k, r in enumerate(rpm):
-        rate = float(r) / 60 * drive.pulses_per_turn
-        out[k] = min(_call_pull_out(rows, rate, 10 * drive.motor.rotor_inertia, ramp, most), most)
-    return out
+    inertia = 10 * drive.motor.rotor_inertia if inertia is None else inertia
+    damper = _damper(drive, inertia, damping_ratio)
+    onset = 0.5 - 0.5 * np.cos(math.pi * np.minimum(np.arange(slices(SETTLE + HOLD)) * H / SETTLE, 1))
+    speeds = _speeds(rpm)
+    torque = np.zeros(len(speeds))
+    for k, speed in enumerate(speeds):
+        counts = pulses(np.full(len(onset), speed / 60 * drive.pulses_per_turn))
+
+        def keeps_up(load: float, counts: np.ndarray = counts, omega: float = speed * 2 * math.pi / 60) -> bool:
+            trace = follow(drive, counts, inertia, load * onset, 0.0, damper, omega=omega)
+            return bool((np.abs(load_angle(drive, trace)) < SLIP).all())
+
+        low, high = 0.0, 1.2 * (drive.motor.torque_constant * drive.amplitude + drive.detent_torque)
+        if not keeps_up(0.0):
+            continue
+        for _ in range(12):
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if keeps_up(middle) else (low, middle)
+        torque[k] = low
+    return torque
 
 
-def pull_in(drive: Drive, inertia: float, load: float = 0.0, damping: float = 2e-4) -> float:
-    """The highest pulse rate, pps, at which a motor with `inertia` (kg m^2, rotor included) starts without losing a step.
+def lost_in_start(
+    drive: Drive, rate: float, inertia: float, accel: float = 0.0, load: float = 0.0, viscous: float = VISCOUS
+) -> int:
+    """Full steps lost by a start from rest to `rate` pps: at once (accel 0), or ramped from 0 at `accel` pps/s.
 
-    load: friction torque N m; damping: N m s/rad.
+    inertia: kg m^2, rotor included; load: friction N m; viscous: N m s/rad. Judged 0.4 s after the rate is reached.
     """
-    rows = _record(drive)
-    low, high = 0.0, 4000.0 * drive.microsteps
-    while high - low > 5.0 * drive.microsteps:
+    if not (0 < rate <= 1e7 and 0 <= accel < math.inf):
+        raise ArgumentError(
+            f"rate={rate!r}, accel={accel!r}: give a rate above 0 up to 1e7 pps, and pps/s from 0 (at once) on."
+        )
+    time = np.arange(slices(0.4 + (rate / accel if accel else 0.0))) * H
+    rates = np.minimum(accel * time, rate) if accel else np.full(len(time), float(rate))
+    return lost_steps(drive, follow(drive, pulses(rates), inertia, load, viscous))
+
+
+def pull_in(drive: Drive, inertia: float, load: float = 0.0, viscous: float = VISCOUS) -> float:
+    """Pull-in rate, pps: up to it a motor starts at once, from rest, without losing a step.
+
+    inertia: kg m^2, rotor included; load: friction N m; viscous: N m s/rad. Looked for from 50 full steps a second up, in steps
+    of 3 %, then halved down to 0.2 %: so every slower rate tried starts as well. 0 if none does.
+    """
+    low, high = 0.0, 50.0 * drive.microsteps
+    while lost_in_start(drive, high, inertia, 0.0, load, viscous) == 0:
+        low, high = high, 1.03 * high
+        if high > 20_000 * drive.microsteps:
+            return low
+    while low and high > 1.002 * low:
         middle = 0.5 * (low + high)
-        lost = _call_slips(rows, middle, inertia, 0.6, 0.0, damping, load)
-        low, high = (middle, high) if lost == 0 else (low, middle)
+        kept = lost_in_start(drive, middle, inertia, 0.0, load, viscous) == 0
+        low, high = (middle, high) if kept else (low, middle)
     return low
 
 
-def lost_in_start(drive: Drive, rate: float, inertia: float, accel: float = 0.0, damping: float = 2e-4) -> int:
-    """Full steps lost by a start to `rate` pps: at once, or ramped at `accel` pps/s from 1000 pps."""
-    seconds = 0.6 + (rate / accel if accel else 0.0)
-    return int(_call_slips(_record(drive), rate, inertia, seconds, accel, damping, 0.0))
+def ring_down(drive: Drive, inertia: float, microstep: int = 0, viscous: float = 0.0) -> float:
+    """Measured natural frequency, Hz: the rotor is let go 1/40 full step beside a microstep; mean of its zero crossings.
 
-
-def natural_frequency(drive: Drive, inertia: float, seconds: float = 0.1) -> float:
-    """Small-angle frequency, Hz, of the rotor about a detent, from its zero crossings after a small push."""
-    out = np.zeros(int(seconds / H))
-    _call_ring(_record(drive), inertia, out)
+    inertia: kg m^2, rotor included; viscous: N m s/rad.
+    """
+    aside = math.pi / 2 / 40 / drive.motor.rotor_teeth
+    rest = drive.per_pulse * microstep / drive.motor.rotor_teeth
+    # between full steps the detent pulls the rest away from the microstep: let a well damped rotor find it
+    calm = 0.5 * math.sqrt(drive.motor.rotor_teeth * drive.motor.holding_torque * inertia)
+    rest = float(follow(drive, np.full(slices(0.3), float(microstep)), inertia, viscous=calm, theta=rest)["theta"][-1])
+    swing = follow(drive, np.full(slices(0.1), float(microstep)), inertia, viscous=viscous, theta=rest + aside)
+    out = swing["theta"] - rest
     up = np.flatnonzero((out[:-1] < 0) & (out[1:] >= 0))
+    if len(up) < 2:
+        raise ArgumentError(
+            f"inertia={inertia!r}, viscous={viscous!r}: the rotor does not ring twice in 0.1 s; give less."
+        )
     crossings = up + out[up] / (out[up] - out[up + 1])
     return float((len(crossings) - 1) / ((crossings[-1] - crossings[0]) * H))
 
 
-def speed_ripple(drive: Drive, rates: Sequence[float], inertia: float, damping: float = 2e-4) -> np.ndarray:
-    """Speed ripple, rad/s, at each pulse rate: it peaks where the steps excite the natural frequency."""
-    rows = _record(drive)
-    return np.array([_call_ripple(rows, float(r), inertia, damping, 0.6) for r in rates])
+class Resonance(NamedTuple):
+    """Full steps per second (n,), pull-out torque there (N m), and the unloaded rotor's speed ripple (rms, rad/s)."""
+
+    rate: np.ndarray
+    torque: np.ndarray
+    ripple: np.ndarray
 
 
-def pull_out_table(
-    drive: Drive, rpm: Sequence[float] | None = None, progress: Callable[[float], None] | None = None
-) -> PullOut:
-    """Everything that the pull-out picture shows. rpm: default 50 to 2400."""
-    speeds = np.asarray(rpm if rpm is not None else np.r_[50, 150:2401:75], float)
-    current = drive.current or drive.motor.rated_current
-    smooth = Motor(**{**vars(drive.motor), "detent_torque": 0.0})
-    sine = Drive(smooth, drive.microsteps, drive.bus_voltage, drive.current, "sine")
+def resonance_sweep(
+    drive: Drive, rates: Floats, inertia: float | None = None, damping_ratio: float = 0.06
+) -> Resonance:
+    """Pull-out torque and speed ripple of a nearly bare rotor over `rates`, full steps per second.
+
+    inertia: kg m^2, rotor included; default the bare rotor. A full-step drive shakes it at its step rate: where that meets the
+    natural frequency torque is lost, down to 0 where the rotor falls out of step unloaded.
+    """
+    rate = np.atleast_1d(np.asarray(rates, float))
+    inertia = drive.motor.rotor_inertia if inertia is None else inertia
+    rpm = rate / drive.motor.steps_per_turn * 60
+    damper = _damper(drive, inertia, damping_ratio)
+    ripple = np.zeros(len(rate))
+    for k, speed in enumerate(_speeds(rpm)):
+        counts = pulses(np.full(slices(0.4), speed / 60 * drive.pulses_per_turn))
+        omega = speed * 2 * math.pi / 60
+        free = follow(drive, counts, inertia, 0.0, 0.0, damper, omega=omega)["omega"][slices(0.2) :]
+        ripple[k] = math.sqrt(float(np.mean((free - omega) ** 2)))
+    return Resonance(rate, pull_out(drive, rpm, inertia, damping_ratio), ripple)
+
+
+def pull_out_table(drive: Drive, rpm: Floats | None = None, progress: Callable[[float], None] | None = None) -> PullOut:
+    """Everything that the pull-out picture shows; print it for the rows. rpm: (n,), default 50 to 2400.
+
+    The ideal sine drive has 256 microsteps and no detent. progress: called with the fraction done.
+    """
+    speeds = _speeds(rpm if rpm is not None else np.r_[50, 150:2401:75])
+    sine = replace(drive, mode="sine", microsteps=256, detent=0.0)
     measured, ideal_drive = np.zeros(len(speeds)), np.zeros(len(speeds))
-    for k, r in enumerate(speeds):
-        measured[k], ideal_drive[k] = pull_out(drive, [r])[0], pull_out(sine, [r])[0]
+    for k in range(len(speeds)):
+        measured[k], ideal_drive[k] = pull_out(drive, speeds[k])[0], pull_out(sine, speeds[k])[0]
         if progress:
             progress((k + 1) / len(speeds))
-    v = drive.bus_voltage
+    m, v, i = drive.motor, drive.bus_voltage, drive.amplitude
     return PullOut(
         speeds, measured, ideal_drive,
-        closed_form(drive.motor, v, current, speeds), closed_form(drive.motor, 4 / math.pi * v, current, speeds),
+        closed_form(m, v, i, speeds), closed_form(m, 4 / math.pi * v, i, speeds), bound_by_both(m, v, i, speeds), m.steps_per_turn,
     )  # fmt: skip

@@ -4,17 +4,34 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from numbers import Real
 from typing import Any
 
 from stage.drives import stepper
 from stage.errors import ArgumentError, unknown
 
+MICROSTEPS = range(1, 257)
+MODES = {"chopper": stepper.CHOPPER, "sine": stepper.SINE}
+
+
+def _within(what: str, value: object, low: float, high: float, unit: str, zero: bool = False) -> None:
+    """Raise ArgumentError unless `value` is a number above `low` (or, if `zero`, from `low` on) up to `high`."""
+    fits = isinstance(value, Real) and not isinstance(value, bool)
+    if fits and (low <= value <= high if zero else low < value <= high):  # type: ignore[operator]
+        return
+    bound = f"from {low:g}" if zero else f"above {low:g},"
+    raise ArgumentError(f"{what}={value!r}: give a number {bound} up to {high:g} {unit}.")
+
 
 @dataclass(frozen=True)
 class Motor:
-    """A two-phase hybrid stepper motor, SI units.
+    """A two-phase hybrid stepper motor.
 
-    holding_torque is with both phases at rated current; evidence maps the fields that no data sheet gives to a reason.
+    rated_current A (a phase, both on), resistance ohm and inductance H of a phase, holding_torque N m with both phases at rated
+    current, detent_torque N m, rotor_inertia kg m^2, steps_per_turn. `evidence` says for a field where its value comes
+    from: "table" (spec/drives.md, from data sheets) or "inferred: reason".
+
+    Raises ArgumentError for values that no motor has.
     """
 
     name: str
@@ -27,6 +44,19 @@ class Motor:
     steps_per_turn: int = 200
     evidence: dict[str, str] = field(default_factory=dict, hash=False)
 
+    def __post_init__(self) -> None:
+        _within(f"{self.name}: rated_current", self.rated_current, 0, 100, "A")
+        _within(f"{self.name}: resistance", self.resistance, 0, 1000, "ohm")
+        _within(f"{self.name}: inductance", self.inductance, 0, 1, "H")
+        _within(f"{self.name}: holding_torque", self.holding_torque, 0, 1000, "N m")
+        _within(f"{self.name}: detent_torque", self.detent_torque, 0, self.holding_torque, "N m", zero=True)
+        _within(f"{self.name}: rotor_inertia", self.rotor_inertia, 0, 1, "kg m^2")
+        _within(f"{self.name}: steps_per_turn", self.steps_per_turn, 0, 4000, "")
+        if self.steps_per_turn % 4:
+            raise ArgumentError(
+                f"{self.name}: steps_per_turn={self.steps_per_turn!r}: a tooth is 4 steps; try 200 or 400."
+            )
+
     @property
     def rotor_teeth(self) -> int:
         """Nr: a full step is a quarter of a tooth."""
@@ -38,20 +68,28 @@ class Motor:
         return self.holding_torque / (math.sqrt(2) * self.rated_current)
 
 
-_DETENT = "inferred: 5 % of the holding torque, as for the 17HS4401"
+_TABLE = dict.fromkeys(
+    ("rated_current", "resistance", "inductance", "holding_torque", "detent_torque", "rotor_inertia"), "table"
+)
+_DETENT = "inferred: about 5 % of the holding torque, as the 17HS4401 has 5.5 %; the table gives none"
 MOTORS: dict[str, Motor] = {
     m.name: m
     for m in (
-        Motor("17HS4401", 1.7, 1.5, 2.8e-3, 0.40, 0.022, 54e-7),
+        Motor("17HS4401", 1.7, 1.5, 2.8e-3, 0.40, 0.022, 54e-7, evidence=_TABLE),
         Motor(
             "17HS19-2004S1", 2.0, 1.4, 3.0e-3, 0.59, 0.030, 82e-7,
-            evidence={"detent_torque": _DETENT, "rotor_inertia": "inferred: about 82 g cm2, by its length of 48 mm"},
+            evidence=_TABLE | {"detent_torque": _DETENT, "rotor_inertia": "table: 'about 82 g cm2'"},
         ),
         Motor(
             "17HS15-1504S", 1.5, 2.3, 4.4e-3, 0.45, 0.022, 54e-7,
-            evidence={"detent_torque": _DETENT, "rotor_inertia": "inferred: that of other motors 39 mm long"},
+            evidence=_TABLE | {
+                "detent_torque": _DETENT,
+                "rotor_inertia": "inferred: that of the 17HS4401, the nearest in holding torque; the table gives none",
+            },
         ),
-        Motor("SS2422-5041", 1.0, 5.4, 2.9e-3, 0.186, 0.009, 28e-7, evidence={"detent_torque": _DETENT}),
+        Motor(
+            "SS2422-5041", 1.0, 5.4, 2.9e-3, 0.186, 0.009, 28e-7, evidence=_TABLE | {"detent_torque": _DETENT}
+        ),
     )
 }  # fmt: skip
 """Presets by name."""
@@ -70,8 +108,11 @@ def motor(name: str | Motor) -> Motor:
 class Drive:
     """A microstepping drive with its motor.
 
-    motor: a Motor or a preset's name; microsteps per full step, 1 to 256; bus_voltage V; current A per phase at its peak
-    (default: rated); mode "chopper", or "sine" for the ideal drive of the closed form.
+    motor: a Motor or a preset's name; microsteps per full step, 1 to 256; bus_voltage V, up to 400; current A, amplitude of a
+    phase's sine (default: rated), up to twice the rated; mode "chopper", or "sine" for the ideal drive of the closed form;
+    detent N m in place of the motor's own (0: none).
+
+    Raises ArgumentError that says what is allowed.
     """
 
     motor: Motor = MOTORS["17HS4401"]
@@ -79,31 +120,43 @@ class Drive:
     bus_voltage: float = 24.0
     current: float | None = None
     mode: str = "chopper"
+    detent: float | None = None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         object.__setattr__(self, "motor", motor(self.motor))
-        if int(self.microsteps) != self.microsteps or not 1 <= self.microsteps <= 256:
+        if isinstance(self.microsteps, bool) or self.microsteps not in MICROSTEPS:
             raise ArgumentError(f"microsteps={self.microsteps!r}: a drive takes a whole number from 1 to 256.")
-        if not 0 < self.bus_voltage <= 400:
-            raise ArgumentError(f"bus_voltage={self.bus_voltage!r}: a drive takes more than 0, up to 400 V.")
-        peak = self.motor.rated_current
-        if self.current is not None and not 0 < self.current <= 2 * peak:
-            raise ArgumentError(
-                f"current={self.current!r}: the {self.motor.name} takes more than 0, up to {2 * peak} A."
-            )
-        if self.mode not in ("chopper", "sine"):
-            raise unknown("drive mode", self.mode, ("chopper", "sine"))
+        _within("bus_voltage", self.bus_voltage, 0, 400, "V")
+        if self.current is not None:
+            _within(f"current of the {self.motor.name}", self.current, 0, 2 * self.motor.rated_current, "A")
+        if self.detent is not None:
+            _within(f"detent of the {self.motor.name}", self.detent, 0, self.motor.holding_torque, "N m", zero=True)
+        if self.mode not in MODES:
+            raise unknown("drive mode", self.mode, MODES)
+
+    @property
+    def amplitude(self) -> float:
+        """A: the phase current's amplitude, chosen or rated."""
+        return self.motor.rated_current if self.current is None else self.current
+
+    @property
+    def detent_torque(self) -> float:
+        """N m: chosen or the motor's own."""
+        return self.motor.detent_torque if self.detent is None else self.detent
 
     @property
     def pulses_per_turn(self) -> int:
-        return self.motor.steps_per_turn * self.microsteps
+        return int(self.motor.steps_per_turn * self.microsteps)
+
+    @property
+    def per_pulse(self) -> float:
+        """Electrical radians a pulse."""
+        return math.pi / 2 / self.microsteps
 
     def fill(self, record: Any) -> None:
         """Write the parameters into a STEPPER record; its state stays."""
         m = self.motor
         record.resistance, record.inductance, record.torque_constant = m.resistance, m.inductance, m.torque_constant
-        record.detent, record.teeth, record.voltage = m.detent_torque, m.rotor_teeth, self.bus_voltage
-        record.current = self.current if self.current is not None else m.rated_current
-        record.per_pulse = math.pi / 2 / self.microsteps
-        record.mode = stepper.SINE if self.mode == "sine" else stepper.CHOPPER
+        record.detent, record.teeth, record.voltage = self.detent_torque, m.rotor_teeth, self.bus_voltage
+        record.current, record.per_pulse, record.mode = self.amplitude, self.per_pulse, MODES[self.mode]
         record.slice = 0.0

@@ -1,54 +1,93 @@
-"""The pull-out curve as a picture. Needs matplotlib (extra `plot`)."""
+"""Pull-out curves as pictures. Needs matplotlib (extra `plot`), imported where a picture is drawn."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
-from stage.drives.dynamometer import PullOut
+import numpy as np
+
+from stage.drives.dynamometer import PullOut, bound_by_both, closed_form
 from stage.drives.motors import Drive
-from stage.errors import StageError
+from stage.errors import ArgumentError, StageError
 
-INK, MUTED, ACCENT, BAND = "#1d2733", "#8a94a0", "#1f5f9e", "#cfe0f2"
+INK, MUTED, ACCENT, BAND, GRID = "#1d2733", "#8a94a0", "#1f5f9e", "#cfe0f2", "#e7ebef"
+COLORS = (ACCENT, "#c4572e", "#3a8a5f", "#7b5aa6", "#a8842c", "#4d5866")
 
 
-def plot_pull_out(drive: Drive, table: PullOut, path: str | None = None) -> Any:
-    """Draw measured torque and closed forms over speed; saves to `path` if given. Returns the figure."""
+def _figure() -> tuple[Any, Any]:
     try:
         from matplotlib.figure import Figure
     except ImportError as error:
         raise StageError("drawing needs matplotlib: pip install 'pulsestage[plot]'.") from error
+    figure = Figure(figsize=(9, 5.2), layout="constrained")
+    return figure, figure.subplots()
 
-    figure = Figure(figsize=(9, 4.8), layout="constrained")
-    ax = figure.subplots()
-    ax.fill_between(
-        table.rpm, table.ideal, table.ideal_saturated, color=BAND, linewidth=0, label="closed form, V to 4/π V"
-    )
-    ax.plot(
-        table.rpm, table.ideal, color=MUTED, linewidth=1.2, linestyle=(0, (4, 3)), label="closed form min($T_V$, $T_I$)"
-    )
-    ax.plot(table.rpm, table.sine, "o", color=INK, markersize=3.2, label="ideal sine drive, measured")
-    ax.plot(table.rpm, table.chopper, color=ACCENT, linewidth=2, label="chopper drive, measured")
-    ax.set_xlim(0, table.rpm.max())
-    ax.set_ylim(0, 1.22 * max(table.chopper.max(), table.ideal_saturated.max()))
+
+def _dress(ax: Any, drive: Drive, rpm_max: float, torque_max: float) -> None:
+    """Axes common to both pictures, with the pulse rate of the drive's microsteps below the speed."""
+    ax.set_xlim(0, rpm_max)
+    ax.set_ylim(0, torque_max)
     ax.set_xlabel("speed (rpm)", color=INK)
     ax.set_ylabel("pull-out torque (N m)", color=INK)
-    m = drive.motor
-    current = drive.current or m.rated_current
-    ax.set_title(f"{m.name}: pull-out torque", loc="left", color=INK, fontsize=12, weight="bold")
-    ax.set_title(
-        f"{drive.bus_voltage:g} V, {current:g} A, 1/{drive.microsteps} microsteps", loc="right", color=MUTED, fontsize=9
-    )
-    per_rpm = drive.pulses_per_turn / 60
-    kpps: Any = (lambda v: v * per_rpm / 1e3, lambda v: v * 1e3 / per_rpm)
-    top = ax.secondary_xaxis(-0.17, functions=kpps)
-    top.set_xlabel("pulse rate (kpps)", color=MUTED, fontsize=9)
-    top.tick_params(colors=MUTED, labelsize=8)
-    top.spines["bottom"].set_color(MUTED)
-    ax.grid(True, color="#e7ebef", linewidth=0.7)
-    ax.legend(frameon=False, fontsize=9, loc="upper right")
+    per_rpm = drive.pulses_per_turn / 60 / 1e3
+    below: Any = ax.secondary_xaxis(-0.16, functions=(lambda rpm: rpm * per_rpm, lambda kpps: kpps / per_rpm))
+    below.set_xlabel(f"pulse rate at 1/{drive.microsteps} microsteps (kpps)", color=MUTED, fontsize=9)
+    below.tick_params(colors=MUTED, labelsize=8)
+    below.spines["bottom"].set_color(MUTED)
+    ax.grid(True, color=GRID, linewidth=0.7)
+    ax.set_axisbelow(True)
     for side in ("top", "right"):
         ax.spines[side].set_visible(False)
     ax.tick_params(colors=INK, labelsize=9)
+
+
+def _closed_forms(drive: Drive, rpm_max: float) -> tuple[Any, Any, Any, Any]:
+    """Speeds, finer than measured, and there the closed forms at V and at 4/pi V, and the bound by V and I at once."""
+    rpm, (m, v, i) = np.linspace(0, rpm_max, 601), (drive.motor, drive.bus_voltage, drive.amplitude)
+    return rpm, closed_form(m, v, i, rpm), closed_form(m, 4 / np.pi * v, i, rpm), bound_by_both(m, v, i, rpm)
+
+
+def plot_pull_out(drive: Drive, table: PullOut, path: str | None = None) -> Any:
+    """One motor: measured pull-out torque over speed on the closed forms. Saves to `path` if given; returns the figure."""
+    figure, ax = _figure()
+    rpm, at_v, at_most, both = _closed_forms(drive, table.rpm.max())
+    ax.fill_between(rpm, at_v, at_most, color=BAND, linewidth=0, label="closed form, from V to 4/π V")
+    ax.plot(rpm, at_v, color=MUTED, linewidth=1.2, label="closed form at V: min($T_V$, $T_I$)")
+    ax.plot(rpm, both, color=MUTED, linewidth=1.2, linestyle=(0, (1, 1.5)), label="sine bound by V and I at once")
+    ax.plot(table.rpm, table.sine, "o", color=INK, markersize=3.4, clip_on=False, label="ideal sine drive, measured")
+    ax.plot(table.rpm, table.chopper, color=ACCENT, linewidth=2.2, label="chopper drive, measured")
+    _dress(ax, drive, table.rpm.max(), 1.2 * max(table.chopper.max(), table.ideal_saturated.max()))
+    ax.set_title(f"{drive.motor.name}: pull-out torque", loc="left", color=INK, fontsize=12, weight="bold")
+    ax.set_title(f"{drive.bus_voltage:g} V, {drive.amplitude:g} A", loc="right", color=MUTED, fontsize=9)
+    handles, labels = ax.get_legend_handles_labels()
+    order = [handles[k] for k in (4, 3, 1, 2, 0)], [labels[k] for k in (4, 3, 1, 2, 0)]
+    ax.legend(*order, frameon=False, fontsize=9, loc="upper right")
+    if path is not None:
+        figure.savefig(path, dpi=150)
+    return figure
+
+
+def plot_motors(curves: Sequence[tuple[Drive, PullOut]], path: str | None = None) -> Any:
+    """Several motors: each chopper curve over the band of its closed forms from V to 4/pi V. Saves; returns the figure.
+
+    The drives share one number of pulses per turn, that of the second scale. Raises ArgumentError for none, or for others.
+    """
+    if len({drive.pulses_per_turn for drive, _ in curves}) != 1:
+        raise ArgumentError(f"{len(curves)} curves: give one or more, of drives with the same pulses per turn.")
+    figure, ax = _figure()
+    top = 0.0
+    for k, (drive, table) in enumerate(curves):
+        color = COLORS[k % len(COLORS)]
+        label = f"{drive.motor.name}, {drive.bus_voltage:g} V, {drive.amplitude:g} A"
+        rpm, at_v, at_most, _ = _closed_forms(drive, table.rpm.max())
+        ax.fill_between(rpm, at_v, at_most, color=color, alpha=0.13, linewidth=0)
+        ax.plot(table.rpm, table.chopper, color=color, linewidth=2.2, label=label)
+        top = max(top, table.chopper.max(), table.ideal_saturated.max())
+    _dress(ax, curves[0][0], max(table.rpm.max() for _, table in curves), 1.2 * top)
+    ax.set_title("Pull-out torque, chopper drive", loc="left", color=INK, fontsize=12, weight="bold")
+    ax.set_title("bands: closed form from V to 4/π V", loc="right", color=MUTED, fontsize=9)
+    ax.legend(frameon=False, fontsize=9, loc="upper right")
     if path is not None:
         figure.savefig(path, dpi=150)
     return figure

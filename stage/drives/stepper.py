@@ -10,7 +10,7 @@ exponential i(h) = i + (v - e - R i) / R (1 - exp(-h R / L)). The drive's target
 CHOPPER holds each phase on its target wherever +-V reaches within the slice, else at full voltage: a fixed-frequency chopper
 without ripple. SINE is the ideal drive of the closed form min(T_V, T_I): an ideal current source of amplitude I up to the
 speed where T_V falls below T_I, an ideal voltage source of amplitude V above. (No drive that is bound by both limits at once
-reaches that corner: with i and v inside their circles about 5 % less is possible there.)
+reaches that corner: see dynamometer.bound_by_both.)
 
 Equations: the two-phase model of drives.md (Simscape Electrical "Stepper Motor").
 """
@@ -58,7 +58,8 @@ def lost_steps(d, count, theta):
 def align(d, count, theta):
     """Power up without a jump: put the field on the microstep nearest to the rotor, currents settled.
 
-    A real drive powers up on its home microstep and pulls the rotor by up to two full steps; a choice.
+    A choice: a real drive powers up on its home microstep and pulls the rotor there, by up to two full steps. The
+    currents are the targets, as if switched on long ago.
     """
     d.offset = math.floor(theta * d.teeth / d.per_pulse + 0.5) * d.per_pulse - d.per_pulse * count
     phi = d.offset + d.per_pulse * count
@@ -85,7 +86,8 @@ def _pull_out_voltage(d, omega):
 def torque(d, count, theta, omega, h):
     """Advance the currents by h seconds; returns the mean torque on the rotor, N m.
 
-    count: commanded pulses, mean over the slice; theta, omega: rotor angle (rad) and speed (rad/s) at its middle.
+    d: a STEPPER record. count: commanded pulses, mean over the slice; theta, omega: rotor angle (rad) and speed (rad/s) at its
+    middle. The mean of a current is that of its ends, exact but for h R / (12 L) of its change.
     """
     if d.slice != h:
         d.slice = h

@@ -1,0 +1,229 @@
+"""What a believable stepper does: the five behaviours of docs/drives.md, measured on the bench, drawn and printed.
+
+python scripts/stepper_behaviours.py [PICTURE.png]     default: docs/pictures/stepper_behaviours.png
+"""
+
+import sys
+import time
+from dataclasses import replace
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from stage.compiled import hot
+from stage.drives import stepper
+from stage.drives.dynamometer import (
+    H,
+    bound_by_both,
+    closed_form,
+    follow,
+    load_angle,
+    lost_in_start,
+    lost_steps,
+    natural_frequency,
+    pull_in,
+    pull_out,
+    pulses,
+    resonance_sweep,
+    ring_down,
+    slices,
+)  # fmt: skip
+from stage.drives.motors import MOTORS, Drive
+
+INK, MUTED, BLUE, RED, GREEN = "#1d2733", "#8a94a0", "#1f5f9e", "#c4572e", "#3a8a5f"
+DRIVE = Drive()
+SMOOTH = Drive(detent=0.0)
+MOTOR = DRIVE.motor
+ROTOR = MOTOR.rotor_inertia
+STEP = 2 * np.pi / MOTOR.steps_per_turn
+FULL_STEP = MOTOR.steps_per_turn / 60  # full steps a second at 1 rpm
+
+
+def pull_out_follows_the_closed_form(ax):
+    spec = np.array([300, 900, 1200, 1500, 2000])
+    sine = replace(SMOOTH, mode="sine", microsteps=256)
+    print("1. pull-out torque, N m, 17HS4401, 24 V, 1.7 A, no detent")
+    columns = closed_form(MOTOR, 24, 1.7, spec), pull_out(sine, spec), pull_out(SMOOTH, spec)
+    for rpm, ideal, measured, chopper in zip(spec, *columns, strict=True):
+        ratios = f"sine / closed form {measured / ideal:.4f}, chopper / closed form {chopper / ideal:.3f}"
+        print(f"   {rpm:5} rpm: closed form {ideal:.3f}, sine {measured:.3f}, chopper {chopper:.3f}; {ratios}")
+    rpm = np.r_[50, 150:700:110, 700:1000:20, 1000:2401:100]
+    chopper, ideal = pull_out(SMOOTH, rpm), closed_form(MOTOR, 24, 1.7, rpm)
+    saturated, both = closed_form(MOTOR, 4 / np.pi * 24, 1.7, rpm), bound_by_both(MOTOR, 24, 1.7, rpm)
+    low, out = np.argmin(chopper / ideal), rpm[chopper < ideal * 0.99]
+    print(f"   chopper / closed form at V: {chopper[low] / ideal[low]:.3f} at {rpm[low]} rpm, the least;", end=" ")
+    print(f"below 0.99 from {out.min()} to {out.max()} rpm; {max(chopper / ideal):.3f}, the most")
+    print(f"   sine bound by V and I at once / closed form: {min(both / ideal):.3f}, the least;", end=" ")
+    print(
+        f"chopper / that bound: {min(chopper / both):.3f}, the least; chopper / 4/pi V: {max(chopper / saturated):.3f}"
+    )
+    fine = np.linspace(1, 2400, 400)
+    at_v, at_most = closed_form(MOTOR, 24, 1.7, fine), closed_form(MOTOR, 4 / np.pi * 24, 1.7, fine)
+    ax.fill_between(fine, at_v, at_most, color="#cfe0f2", lw=0)
+    ax.plot(fine, bound_by_both(MOTOR, 24, 1.7, fine), color=MUTED, lw=1, ls=":")
+    ax.plot(rpm, chopper, color=BLUE, lw=2)
+    ax.plot(spec, columns[1], "o", color=INK, ms=4)
+    ax.text(1480, 0.235, "closed form, V to 4/π V", color=MUTED, fontsize=8)
+    ax.text(2050, 0.165, "chopper", color=BLUE, fontsize=8)
+    ax.text(1130, 0.176, "ideal sine drive", color=INK, fontsize=8, ha="right")
+    ax.text(930, 0.238, "sine bound by V and I", color=MUTED, fontsize=8, ha="right")
+    ax.set(xlabel="rpm", ylabel="pull-out torque (N m)", ylim=(0, 0.32), xlim=(0, 2400))
+
+
+def the_rotor_rings_at_its_natural_frequency(ax):
+    print("2. natural frequency, Hz, bare rotor: measured (sqrt(stiffness / J) / 2 pi)")
+    for label, drive, microstep in (
+        ("no detent", SMOOTH, 0),
+        ("on a full step", DRIVE, 0),
+        ("on a half step", DRIVE, DRIVE.microsteps // 2),
+    ):
+        measured, formula = ring_down(drive, ROTOR, microstep), natural_frequency(drive, ROTOR, microstep > 0)
+        print(f"   {label}: {measured:.1f} ({formula:.1f})")
+    for times, color in ((1, BLUE), (4, RED)):
+        swing = follow(DRIVE, np.zeros(slices(0.03)), times * ROTOR, theta=0.1 * STEP, viscous=5e-4)
+        hz = ring_down(DRIVE, times * ROTOR)
+        label = "bare rotor" if times == 1 else f"{times} rotors"
+        ax.plot(np.arange(len(swing)) * H * 1e3, swing["theta"] / STEP, color=color, label=f"{label}: {hz:.0f} Hz")
+        print(f"   {label}: {hz:.1f}")
+    ax.legend(frameon=False, fontsize=8, loc="lower right")
+    ax.set(xlabel="ms after the rotor is let go", ylabel="rotor angle (full steps)", xlim=(0, 30), ylim=(-0.15, 0.12))
+
+
+def full_steps_lose_torque_at_resonance(ax):
+    rates = np.unique(np.r_[np.geomspace(60, 2000, 40), 180:280:5])
+    for microsteps, color in ((16, MUTED), (1, BLUE)):
+        sweep = resonance_sweep(Drive(microsteps=microsteps), rates)
+        ax.plot(
+            sweep.rate,
+            sweep.torque,
+            color=color,
+            lw=2,
+            label=f"1/{microsteps} microsteps" if microsteps > 1 else "full steps",
+        )
+        dead = sweep.rate[sweep.torque == 0]
+        print(f"   1/{microsteps}: torque {min(sweep.torque):.3f} to {max(sweep.torque):.3f} N m;", end=" ")
+        print(
+            f"falls out unloaded at {dead.min():.0f} to {dead.max():.0f} full steps/s"
+            if len(dead)
+            else "never falls out"
+        )
+    for ratio in (0.03, 0.06, 0.1):
+        sweep = resonance_sweep(Drive(microsteps=1), rates, damping_ratio=ratio)
+        dead = [round(rate) for rate in sweep.rate[sweep.torque == 0]]
+        print(f"   full steps, damped by {ratio:.0%} of critical: falls out unloaded at {dead or 'no rate'}")
+    natural = ring_down(SMOOTH, ROTOR)
+    ax.axvline(natural, color=RED, lw=1, ls=(0, (4, 3)))
+    ax.text(natural * 1.06, 0.1, f"natural\nfrequency,\n{natural:.0f} Hz", color=RED, fontsize=8)
+    ax.legend(frameon=False, fontsize=8, loc="lower right")
+    ax.set(
+        xlabel="full steps per second",
+        ylabel="pull-out torque (N m)",
+        xscale="log",
+        xlim=(60, 2000),
+        ylim=(-0.01, 0.32),
+    )
+    ax.set_xticks([100, 300, 1000], ["100", "300", "1000"])
+    ax.minorticks_off()
+
+
+def slip_is_a_multiple_of_four_full_steps(ax):
+    print(
+        "3. slip after an overload of 0.5 N m at 300 rpm, bare rotor; 0.4 s later the pulses stop and the rotor rests"
+    )
+    seconds = np.arange(slices(1.2)) * H
+    counts = pulses(np.where(seconds < 0.5, 300 / 60 * DRIVE.pulses_per_turn, 0.0))
+    for ms, color in ((1, MUTED), (4, GREEN), (8, BLUE), (12, RED)):
+        load = np.where((seconds >= 0.1) & (seconds < 0.1 + ms * 1e-3), 0.5, 0.0)
+        trace = follow(DRIVE, counts, ROTOR, load, viscous=1e-3, omega=300 * 2 * np.pi / 60)
+        behind = load_angle(DRIVE, trace) / (np.pi / 2)
+        ax.plot(seconds * 1e3 - 100, behind, color=color, lw=1.8, label=f"{ms} ms")
+        print(f"   {ms:2} ms: at rest {behind[-1]:.4f} full steps behind; lost_steps = {lost_steps(DRIVE, trace)}")
+    ax.legend(frameon=False, fontsize=8, loc="upper left", title="overload for", title_fontsize=8)
+    ax.set(xlabel="ms after the overload begins", ylabel="rotor behind (full steps)", xlim=(-10, 40), ylim=(-2, 18))
+    ax.set_yticks(np.arange(0, 17, 4))
+
+
+def a_start_fails_where_a_ramp_succeeds(ax):
+    print("4. pull-in rate, full steps/s, over inertia; running torque there")
+    times = np.array([1, 1.5, 2, 3, 4, 6, 8, 12])
+    rates = np.array([pull_in(DRIVE, k * ROTOR) for k in times]) / DRIVE.microsteps
+    for k, rate in zip(times, rates, strict=True):
+        print(f"   {k:4g} rotors: {rate:5.0f}; pull-out torque there {pull_out(DRIVE, [rate / FULL_STEP])[0]:.3f} N m")
+    inertia, rate = 5 * ROTOR, 1.5 * pull_in(DRIVE, 5 * ROTOR)
+    once, ramped = lost_in_start(DRIVE, rate, inertia), lost_in_start(DRIVE, rate, inertia, accel=100_000)
+    print(
+        f"   5 rotors, {rate:.0f} pps, 1.5 x pull-in: {once} steps lost in 0.4 s at once, {ramped} ramped at 100000 pps/s"
+    )
+    ax.plot(times, rates, "o-", color=BLUE, lw=2, ms=4)
+    ax.plot(5, rate / DRIVE.microsteps, "x", color=RED, ms=8, mew=2)
+    ax.text(
+        5.25, rate / DRIVE.microsteps + 20, f"at once: {once} steps lost\nramped: {ramped} lost", color=RED, fontsize=8
+    )
+    ax.text(4.8, 720, "starts at once\nbelow the line", color=BLUE, fontsize=8, ha="right")
+    ax.set(xlabel="inertia (rotors)", ylabel="pull-in rate (full steps/s)", xlim=(0, 12.5), ylim=(0, 2200))
+
+
+def missed_steps_never_repair_themselves(ax):
+    print("5. 100 full steps forth at 1000 a second, jammed by 0.5 N m for 8 ms, and at the same rate back; bare rotor")
+    seconds = np.arange(slices(0.5)) * H
+    rates = np.where(seconds < 0.1, 1000.0, 0.0) - np.where((seconds >= 0.2) & (seconds < 0.3), 1000.0, 0.0)
+    load = np.where((seconds >= 0.05) & (seconds < 0.058), 0.5, 0.0)
+    trace = follow(DRIVE, pulses(rates * DRIVE.microsteps), ROTOR, load, viscous=1e-3)
+    for ms in (190, 499):
+        k = slices(ms * 1e-3)
+        rotor, lost = trace["theta"][k] / STEP, lost_steps(DRIVE, trace[: k + 1])
+        print(f"   {ms} ms: {trace['count'][k]:.0f} pulses, rotor at {rotor:.3f} full steps; lost_steps = {lost}")
+    ax.plot(seconds * 1e3, trace["count"] / DRIVE.microsteps, color=MUTED, lw=2, label="pulses")
+    ax.plot(seconds * 1e3, trace["theta"] / STEP, color=BLUE, lw=2, label="rotor")
+    ax.axvspan(50, 58, color=RED, alpha=0.18, lw=0)
+    ax.text(61, 8, "jammed", color=RED, fontsize=8)
+    ax.text(405, 8, f"pulses back at 0,\nrotor {lost} full steps off", color=RED, fontsize=8, ha="center")
+    ax.legend(frameon=False, fontsize=8, loc="upper right")
+    ax.set(xlabel="ms", ylabel="full steps", xlim=(0, 500), ylim=(-20, 112))
+
+
+@hot
+def _many(rows, n, omega):
+    total, theta = 0.0, 0.0
+    for _ in range(n):
+        theta += omega * 31.25e-6
+        total += stepper.torque(rows[0], (theta * 50.0 + 0.8) / rows[0].per_pulse, theta, omega, 31.25e-6)
+    return total
+
+
+def cost():
+    for mode in ("chopper", "sine"):
+        rows = np.zeros(1, stepper.STEPPER)
+        Drive(mode=mode).fill(rows[0])
+        for rpm in (300, 2000):
+            best = np.inf
+            for _ in range(7):
+                start = time.perf_counter()
+                _many(rows, 300_000, rpm * 2 * np.pi / 60)
+                best = min(best, (time.perf_counter() - start) / 300_000)
+            print(f"torque(), {mode}, {rpm} rpm: {best * 1e9:.0f} ns a call")
+
+
+PANELS = (
+    ("1  Pull-out follows the closed form", pull_out_follows_the_closed_form),
+    ("2  The rotor rings at its natural frequency", the_rotor_rings_at_its_natural_frequency),
+    ("2  Full steps excite it: torque is lost there", full_steps_lose_torque_at_resonance),
+    ("3  Slip is a whole multiple of four full steps", slip_is_a_multiple_of_four_full_steps),
+    ("4  Pull-in falls with inertia", a_start_fails_where_a_ramp_succeeds),
+    ("5  Missed steps never repair themselves", missed_steps_never_repair_themselves),
+)
+
+if __name__ == "__main__":
+    figure = Figure(figsize=(13, 7.4), layout="constrained")
+    figure.get_layout_engine().set(w_pad=0.1, h_pad=0.12)
+    for ax, (title, draw) in zip(figure.subplots(2, 3).flat, PANELS, strict=True):
+        draw(ax)
+        ax.set_title(title, loc="left", color=INK, fontsize=10.5, weight="bold")
+        ax.grid(True, color="#e7ebef", lw=0.7)
+        ax.set_axisbelow(True)
+        ax.spines[["top", "right"]].set_visible(False)
+        ax.tick_params(labelsize=8)
+    path = sys.argv[1] if len(sys.argv) > 1 else "docs/pictures/stepper_behaviours.png"
+    figure.savefig(path, dpi=140)
+    print(f"{path}: drawn; {len(MOTORS)} motors known, this is the {MOTOR.name}")
+    cost()

@@ -1,0 +1,102 @@
+"""Motors of the table, drives that fit them, and what is said to those that do not."""
+
+import math
+import pickle
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+from stage.drives import stepper
+from stage.drives.motors import MOTORS, Drive, Motor, motor
+from stage.errors import ArgumentError
+
+TABLE = {  # spec/drives.md: I, R, L, holding, detent, rotor J, Km; None where it has a question mark
+    "17HS4401": (1.7, 1.5, 2.8e-3, 0.40, 0.022, 54e-7, 0.166),
+    "17HS19-2004S1": (2.0, 1.4, 3.0e-3, 0.59, None, 82e-7, 0.209),
+    "17HS15-1504S": (1.5, 2.3, 4.4e-3, 0.45, None, None, 0.212),
+    "SS2422-5041": (1.0, 5.4, 2.9e-3, 0.186, None, 28e-7, 0.132),
+}
+FIELDS = "rated_current resistance inductance holding_torque detent_torque rotor_inertia".split()
+
+
+@pytest.mark.parametrize("name", TABLE)
+def test_a_motor_is_that_of_the_table_and_says_which_values_are_not(name):
+    m = motor(name)
+    *values, km = TABLE[name]
+    for field, value in zip(FIELDS, values, strict=True):
+        if value is None:
+            assert m.evidence[field].startswith("inferred: ")
+        else:
+            assert getattr(m, field) == pytest.approx(value)
+            assert m.evidence[field].startswith("table")
+    assert set(m.evidence) == set(FIELDS)
+    assert m.torque_constant == pytest.approx(km, abs=6e-4)
+    assert m.rotor_teeth == 50
+
+
+def test_the_table_has_all_motors():
+    assert set(MOTORS) == set(TABLE)
+
+
+def test_a_drive_fills_every_parameter_of_its_record_and_leaves_its_state():
+    rows = np.full(1, 7, stepper.STEPPER)
+    drive = Drive("SS2422-5041", microsteps=8, bus_voltage=36, current=0.7, mode="sine", detent=0.001)
+    drive.fill(rows[0])
+    d, m = rows[0], drive.motor
+    assert (d.resistance, d.inductance, d.teeth) == (m.resistance, m.inductance, 50)
+    assert (d.torque_constant, d.voltage, d.current, d.detent) == (m.torque_constant, 36, 0.7, 0.001)
+    assert (d.per_pulse, d.mode) == (math.pi / 16, stepper.SINE)
+    assert (d.offset, d.current_a, d.current_b) == (7, 7, 7)
+    assert drive.pulses_per_turn == 1600
+
+
+def test_a_record_holds_only_8_byte_numbers_since_it_lives_in_userdata():
+    assert {stepper.STEPPER[name] for name in stepper.STEPPER.names} <= {np.dtype("i8"), np.dtype("f8")}
+
+
+def test_drives_default_to_the_motor_s_own_current_and_detent():
+    assert Drive().amplitude == 1.7
+    assert Drive().detent_torque == 0.022
+    assert Drive(detent=0.0).detent_torque == 0.0
+
+
+def test_drives_are_values_compared_pickled_and_hashed():
+    drive = Drive("17HS15-1504S", 32)
+    assert pickle.loads(pickle.dumps(drive)) == drive
+    assert len({drive, replace(drive), Drive()}) == 2
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: motor("17HS4410"), "Did you mean '17HS4401'"),
+        (lambda: Drive("NEMA17"), "unknown motor 'NEMA17'.*Known: 17HS15-1504S, 17HS19-2004S1, 17HS4401, SS2422-5041"),
+        (lambda: Drive(microsteps=0), r"microsteps=0: .* 1 to 256"),
+        (lambda: Drive(microsteps=257), "1 to 256"),
+        (lambda: Drive(microsteps=2.5), "whole number"),
+        (lambda: Drive(microsteps="16"), "microsteps='16'"),
+        (lambda: Drive(microsteps=math.nan), "microsteps=nan"),
+        (lambda: Drive(bus_voltage=-3), "bus_voltage=-3: give a number above 0, up to 400 V"),
+        (lambda: Drive(bus_voltage=math.nan), "bus_voltage=nan"),
+        (lambda: Drive(bus_voltage="24"), "bus_voltage='24'"),
+        (lambda: Drive(current=99), "current of the 17HS4401=99: give a number above 0, up to 3.4 A"),
+        (lambda: Drive(current=0), "above 0, up to 3.4 A"),
+        (lambda: Drive(detent=-1), "detent of the 17HS4401=-1: give a number from 0 up to 0.4 N m"),
+        (lambda: Drive(mode="chooper"), "Did you mean 'chopper'"),
+        (lambda: replace(motor("17HS4401"), inductance=0), "17HS4401: inductance=0: give a number above 0"),
+        (lambda: replace(motor("17HS4401"), detent_torque=1.0), "from 0 up to 0.4 N m"),
+        (lambda: Motor("odd", 1, 1, 1e-3, 0.1, 0, 1e-6, steps_per_turn=198), "a tooth is 4 steps"),
+    ],
+)
+def test_what_no_motor_or_drive_can_be_is_refused_with_what_is_allowed(make, message):
+    with pytest.raises(ArgumentError, match=message):
+        make()
+
+
+def test_every_field_of_a_drive_is_checked():
+    bad = {"motor": "x", "microsteps": 0, "bus_voltage": 0, "current": -1, "mode": "x", "detent": -1}
+    assert set(bad) == {f.name for f in fields(Drive)}
+    for name, value in bad.items():
+        with pytest.raises(ArgumentError):
+            Drive(**{name: value})

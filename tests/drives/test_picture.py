@@ -1,0 +1,54 @@
+"""The pull-out picture and the rows printed beside it."""
+
+import numpy as np
+import pytest
+
+from stage.drives.dynamometer import pull_out_table
+from stage.drives.motors import Drive
+from stage.drives.picture import plot_motors, plot_pull_out
+from stage.errors import ArgumentError
+
+RPM = [300, 900, 1500]
+
+
+@pytest.fixture(scope="module")
+def table():
+    return pull_out_table(Drive(), RPM)
+
+
+def test_a_table_has_a_row_for_each_speed_and_the_closed_form_beside_it(table):
+    head, *rows = str(table).splitlines()
+    assert head.split()[:1] == ["rpm"]
+    assert [row.split()[:2] for row in rows] == [["300", "1000"], ["900", "3000"], ["1500", "5000"]]
+    assert [float(row.split()[4]) for row in rows] == pytest.approx([0.283, 0.278, 0.168])
+    assert table.sine == pytest.approx(table.ideal, rel=0.03)
+
+
+def test_progress_is_told_from_the_first_speed_to_the_last():
+    told = []
+    pull_out_table(Drive(), RPM, told.append)
+    assert told == pytest.approx([1 / 3, 2 / 3, 1])
+
+
+def test_the_picture_shows_the_measured_curve_and_names_motor_voltage_and_microsteps(table, tmp_path):
+    figure = plot_pull_out(Drive(), table, str(tmp_path / "p.png"))
+    assert (tmp_path / "p.png").stat().st_size > 20_000
+    (ax,) = figure.axes
+    assert any(np.array_equal(line.get_ydata(), table.chopper) for line in ax.lines)
+    assert ax.get_title("left").startswith("17HS4401")
+    assert "24 V" in ax.get_title("right")
+    assert "1/16" in ax.child_axes[0].get_xlabel()
+
+
+def test_several_motors_share_one_picture(table, tmp_path):
+    other = Drive("SS2422-5041")
+    figure = plot_motors([(Drive(), table), (other, pull_out_table(other, RPM))], str(tmp_path / "m.png"))
+    assert len(figure.axes[0].lines) == 2
+    assert (tmp_path / "m.png").exists()
+
+
+def test_motors_with_unlike_pulse_scales_are_refused(table):
+    with pytest.raises(ArgumentError, match="same pulses per turn"):
+        plot_motors([(Drive(), table), (Drive(microsteps=8), table)])
+    with pytest.raises(ArgumentError, match="one or more"):
+        plot_motors([])
