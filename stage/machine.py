@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 SLICES = 8
-HYSTERESIS = 10e-6  # m; a slotted optical switch lets go a little later than it trips
+HYSTERESIS = 25e-6  # m; a slotted optical switch lets go that much later than it trips (typical data sheets)
 EDGES = 1024
 
 ChipChoice = type[Chip] | Callable[[], Chip] | Mapping[str, Any]

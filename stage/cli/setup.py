@@ -91,6 +91,12 @@ def note(text: str) -> None:
         print(text, file=sys.stderr, flush=True)
 
 
+def progress(what: str, done: float) -> None:
+    """A line that counts up to 100 %, where somebody watches."""
+    if sys.stderr.isatty():
+        print(f"\r{what} {done:4.0%}", end="\n" if done >= 1 else "", file=sys.stderr, flush=True)
+
+
 def plot(args: argparse.Namespace, draw: Callable[[str], Any]) -> None:
     if args.plot:
         draw(args.plot)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from stage.cli.setup import chip_class, note
+from stage.cli.setup import chip_class, progress
 from stage.errors import StageError
 
 
@@ -25,8 +25,7 @@ def pullout(args: argparse.Namespace) -> int:
     drive = Drive(motor(args.motor), microsteps=args.microsteps, bus_voltage=args.bus_voltage)
     if args.plot:
         writable(args.plot, args.force)
-    note("measuring ...")
-    table = pull_out_table(drive)
+    table = pull_out_table(drive, progress=lambda done: progress("measuring", done))
     print(table)
     if args.plot:
         from stage.drives.picture import plot_pull_out

@@ -1,19 +1,32 @@
-"""`Port`: a chip of the PCL-240 family as a driver's author sees it. Nothing here but bus cycles and waiting."""
+"""`Port`: a chip of the PCL-240 family as a driver's author sees it. Nothing here but bus cycles and waiting.
+
+port = Port(axis)                          the axis of a Stage or a Bench
+port.write_registers(R0=2000, R6=300)
+port.command(CONTROL | PRESET)
+port.command(RAMP["FH1"])
+port.wait_until_stopped(timeout=5)
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 from stage.chips.pcl240 import STATUS
-from stage.errors import RunTimeout
+from stage.errors import RunTimeout, StageError
 from stage.firmware.axis import Axis
 
-RESET, SLOW_DOWN_FH1, SLOW_DOWN_FH2 = 0x08, 0x1D, 0x1F
+RESET, STOP, SLOW_DOWN_FH1, SLOW_DOWN_FH2 = 0x08, 0x18, 0x1D, 0x1F
 INTERRUPT = 0x20
 START = {"FL": 0x10, "FH1": 0x11, "FH2": 0x13}  # constant speed
 RAMP = {"FL": 0x14, "FH1": 0x15, "FH2": 0x17}
 CONTROL, SELECT, OUTPUT = 0x40, 0x80, 0xC0
-ORIGIN, SD, PRESET, MINUS = 0x01, 0x02, 0x04, 0x08
+ORIGIN, SD, PRESET, MINUS = 0x01, 0x02, 0x04, 0x08  # of the control mode
+EXTERNAL = 0x10  # of the output mode
+
+POLL = 1e-3  # s between two looks at the status byte of a run that takes long
+QUICK = 2e-4  # s, where a command follows at once
+READS = 100  # tries to read a counter that changes
 
 
 class Status(NamedTuple):
@@ -28,8 +41,32 @@ class Status(NamedTuple):
     org: bool
     ins: bool
 
+    def __str__(self) -> str:
+        """In words: `at constant speed, R0 < R6`."""
+        doing = "halted" if not self.operating else "at constant speed" if self.fkeep else "ramping up or down"
+        words = {
+            "R0 = 0": self.zero,
+            "R0 < R6": self.lt,
+            "SD": self.sd,
+            "ORG": self.org,
+            "/INT pending": not self.no_int,
+        }
+        return ", ".join([doing, *(word for word, on in words.items() if on)])
+
 
 assert Status._fields == tuple(f.name for f in STATUS.fields)
+
+
+def stop_reason(status: Status, direction: int, *, preset: bool = True, origin: bool = False) -> str:
+    """Why a run ended that no command ended, from the status byte.
+
+    R0 = 0 and ORG can be read; what is left is the end limit, which has no status bit.
+    """
+    if origin and status.org:
+        return "ORG"
+    if preset and status.zero:
+        return "R0 = 0"
+    return "EL-" if direction < 0 else "EL+"
 
 
 class Port:
@@ -43,9 +80,8 @@ class Port:
         self._chip.write(0, value)
 
     def write_register(self, name: str, value: int) -> None:
-        """Select a register and write its bytes, high to low, so that no half-written value is below the old one for long.
-
-        Raises ArgumentError when the data sheet does not allow the value.
+        """Select a register and write its bytes, high to low: the silicon has no latch, and so a value that grows in motion
+        is never below the old one on the way. Raises ArgumentError when the data sheet does not allow the value.
         """
         r = self._chip.MAP.register(name)
         value = self._chip.MAP.checked(name, value)
@@ -54,40 +90,50 @@ class Port:
             self._chip.write(1 + k, value >> 8 * k & 0xFF)
 
     def write_registers(self, **values: int) -> None:
+        """Write registers by name, in the order given; all are checked before the first is written."""
+        for name, value in values.items():
+            self._chip.MAP.checked(name, value)
         for name, value in values.items():
             self.write_register(name, value)
 
     def status(self) -> Status:
+        """Read the status byte."""
         word = self._chip.read(0)
         return Status(*(bool(word >> k & 1) for k in range(7, -1, -1)))
 
     def counter(self) -> int:
-        """R0, whole: high to low, then middle and high again, until they agree (data sheet Q & A)."""
-        read = self._chip.read
-        high, middle, low = read(3), read(2), read(1)
-        while True:
-            again = read(2), read(3)
-            if again == (middle, high):
-                return high << 16 | middle << 8 | low
-            high, middle, low = read(3), read(2), read(1)
+        """R0, whole: high to low, then middle and high again, until they agree (data sheet Q & A).
 
-    def wait_until_stopped(self, timeout: float, poll: float = 1e-3) -> Status:
-        """Poll status bit 6. Raises RunTimeout, with what the chip was doing, after `timeout` s."""
-        end = self.axis.time + timeout
-        while (status := self.status()).operating:
-            if self.axis.time > end:
+        Raises StageError when the bus is too slow for the pulse rate, so that they never do.
+        """
+        read = self._chip.read
+        for _ in range(READS):
+            high, middle, low = read(3), read(2), read(1)
+            if (read(2), read(3)) == (middle, high):
+                return high << 16 | middle << 8 | low
+        raise StageError(
+            f"axis {self.axis.name}: the counter's bytes did not agree in {READS} reads: the bus is too slow to read it in motion."
+        )
+
+    def wait_until_stopped(self, timeout: float, poll: float = POLL) -> Status:
+        """Poll status bit 6, every `poll` seconds at first and ever more slowly in a long run, to half a percent of its time.
+
+        Raises RunTimeout, with what the chip was doing, after `timeout` seconds.
+        """
+        return self.wait_until(lambda s: not s.operating, timeout, poll, "it to stop")
+
+    def wait_until(
+        self, test: Callable[[Status], bool], timeout: float, poll: float = QUICK, what: str = "a change"
+    ) -> Status:
+        """Poll until `test(status)` holds. Raises RunTimeout, with what the chip was doing, after `timeout` seconds."""
+        begin = self.axis.time
+        while not test(status := self.status()):
+            passed = self.axis.time - begin
+            if passed >= timeout:
+                still = "still operates" if status.operating else "has stopped"
                 raise RunTimeout(
-                    f"axis {self.axis.name} still operates after {timeout:.3f} s: R0 = {self.counter()}, {status}. "
+                    f"axis {self.axis.name} {still} after {timeout:.3f} s (waiting for {what}): R0 = {self.counter()}, {status}. "
                     f"Give it more time, or stop it with 08h."
                 )
-            self.axis.wait(poll)
-        return status
-
-    def wait_until(self, test, timeout: float, poll: float = 2e-4) -> Status:
-        """Poll until `test(status)` holds."""
-        end = self.axis.time + timeout
-        while not test(status := self.status()):
-            if self.axis.time > end:
-                raise RunTimeout(f"axis {self.axis.name}: status is {status} after {timeout:.3f} s.")
-            self.axis.wait(poll)
+            self.axis.wait(min(max(poll, passed / 200), timeout - passed + 1e-6))
         return status

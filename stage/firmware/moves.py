@@ -1,20 +1,23 @@
-"""Moves, by bus cycles only: preset, continuous, dual rate, speed change, interrupt and resume, external count.
+"""Moves, by bus cycles only: preset, continuous, interrupt and resume, external count.
 
-The procedures follow section 5 of the PCL-240K data sheet: reset command, registers, control mode, start.
+The procedures follow section 5 of the PCL-240K data sheet: reset command, registers, control mode, start. Arguments are
+checked before the first bus cycle.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator
 
-from stage.errors import ArgumentError
+from stage.errors import ArgumentError, StageError
 from stage.firmware import bus
 from stage.firmware.axis import Axis, check
-from stage.firmware.bus import Port, Status
+from stage.firmware.bus import Port, stop_reason
 from stage.firmware.profile import Profile
 from stage.firmware.report import Procedure, Report
 
 SETTLE = 0.05  # s after a stop, before the report looks where the carriage came to rest
+
+_reason = stop_reason
 
 
 def preset_move(
@@ -25,25 +28,32 @@ def preset_move(
     high_speed: bool = True,
     fh2: bool = False,
     down_point: int | None = None,
+    slow_down: bool = False,
     interrupt: bool = False,
     timeout: float | None = None,
 ) -> Report:
-    """Move by `pulses` (signed) and stop on the last one (section 5 b, c).
+    """Move by `pulses` (signed: the sign is the direction) and stop on the last one (data sheet section 5 b, c).
 
-    high_speed: with ramps, to FH1 or (fh2) FH2; otherwise constant speed. down_point: R6, default by the data sheet's formula,
-    triangular for a short move. interrupt: /INT at the stop. Raises ArgumentError, RunTimeout.
+    Args:
+        high_speed: with ramps, to FH1 or (fh2) FH2; otherwise constant speed FH1 or FH2.
+        down_point: R6; default by the data sheet's formula, triangular for a short move, so that it ends at FL.
+        slow_down: the SD switch of the direction slows the axis to FL while it is asserted.
+        interrupt: /INT at the stop.
+        timeout: s; default half as much again as the move can take, and one.
+    Raises ArgumentError (0, or more than 16777215 pulses; a register out of its range), RunTimeout.
     """
     profile = _profile(axis, profile)
     count = _count(pulses)
+    point = profile.down_point(count, fh2) if down_point is None else axis.chip.MAP.checked("R6", down_point)
     with Procedure(axis, "preset move" if high_speed else "constant-speed preset move") as p:
-        _prepare(p.port, profile, bus.PRESET | _minus(pulses))
+        _prepare(p.port, profile, bus.PRESET | _sd(slow_down) | _minus(pulses))
         p.port.write_register("R0", count)
         if high_speed:
-            p.port.write_register("R6", profile.down_point(count, fh2) if down_point is None else down_point)
-        p.port.command(_start(high_speed, fh2) | (bus.INTERRUPT if interrupt else 0))
+            p.port.write_register("R6", point)
+        p.port.command(_start(high_speed, fh2) | _int(interrupt))
         status = p.port.wait_until_stopped(_patience(timeout, profile, count))
         axis.wait(SETTLE)
-        return p.report(_reason(status, pulses), pulses)
+        return p.report(stop_reason(status, pulses), pulses)
 
 
 def continuous_move(
@@ -54,96 +64,31 @@ def continuous_move(
     *,
     high_speed: bool = True,
     fh2: bool = False,
+    slow_down: bool = False,
     immediate: bool = False,
+    interrupt: bool = False,
 ) -> Report:
-    """Run for `seconds`, then stop: decelerating (1Dh, 1Fh), or `immediate` by the reset command (section 5 d, e)."""
-    profile = _profile(axis, profile)
-    with Procedure(axis, "continuous move" if high_speed else "constant-speed continuous move") as p:
-        _prepare(p.port, profile, _minus(direction))
-        p.port.command(_start(high_speed, fh2))
-        axis.wait(seconds)
-        status = p.port.status()
-        if not status.operating:
-            axis.wait(SETTLE)
-            return p.report(_reason(status, direction))
-        slow = high_speed and not immediate
-        p.port.command((bus.SLOW_DOWN_FH2 if fh2 else bus.SLOW_DOWN_FH1) if slow else bus.RESET)
-        p.port.wait_until_stopped(2 * profile.decel(fh2) + 1)
-        axis.wait(SETTLE)
-        return p.report("decelerating stop" if slow else "reset command")
+    """Run for `seconds`, then stop (data sheet section 5 d, e).
 
-
-def dual_rate_move(
-    axis: Axis,
-    pulses: int,
-    profile: Profile | None = None,
-    *,
-    rates: Sequence[str] = ("FH1", "FH2", "FH1"),
-    dwell: float = 0.1,
-    timeout: float | None = None,
-) -> Report:
-    """A preset move through several rates: FL, FH1 and FH2 in the order of `rates`, each for `dwell` seconds after its ramp;
-    the last one lasts until the ramp-down point (dual rate mode, ramping up and down).
-
-    A first rate "FL" starts at constant FL, as the data sheet's dual rate pattern does.
+    A high-speed run is stopped decelerating (1Dh, 1Fh) or, `immediate`, by the reset command; a constant-speed run always
+    by the reset command. The other arguments are those of `preset_move`. Raises ArgumentError.
     """
     profile = _profile(axis, profile)
-    count = _count(pulses)
-    for rate in rates:
-        if rate not in bus.RAMP:
-            raise ArgumentError(f"rate {rate!r}: a chip has FL, FH1 and FH2.")
-    if not rates:
-        raise ArgumentError("rates is empty: give at least one of FL, FH1, FH2.")
-    with Procedure(axis, "dual-rate move") as p:
-        _prepare(p.port, profile, bus.PRESET | _minus(pulses))
-        last = rates[-1] == "FH2"
-        p.port.write_registers(R0=count, R6=profile.down_point(count, last) if rates[-1] != "FL" else 0)
-        p.port.command(bus.START["FL"] if rates[0] == "FL" else bus.RAMP[rates[0]])
-        p.port.wait_until(lambda s: s.fkeep or not s.operating, 60)
-        axis.wait(dwell)
-        for rate in rates[1:]:
-            p.port.command(bus.RAMP[rate])
-            axis.wait(1e-5)
-            p.port.wait_until(lambda s: s.fkeep or not s.operating, 60)
-            axis.wait(dwell)
-        status = p.port.wait_until_stopped(_patience(timeout, profile, count))
+    direction, seconds = _direction(direction), _seconds(seconds)
+    slow = high_speed and not immediate
+    with Procedure(axis, "continuous move" if high_speed else "constant-speed continuous move") as p:
+        _prepare(p.port, profile, _sd(slow_down) | _minus(direction))
+        p.port.command(_start(high_speed, fh2) | _int(interrupt))
+        axis.wait(seconds)
+        by_itself = not p.port.status().operating
+        if not by_itself:
+            stop = (bus.SLOW_DOWN_FH2 if fh2 else bus.SLOW_DOWN_FH1) if slow else bus.RESET
+            p.port.command(stop | _int(interrupt))
+        status = p.port.wait_until_stopped(2 * profile.decel(fh2) + 1)
         axis.wait(SETTLE)
-        return p.report(_reason(status, pulses), pulses)
-
-
-def speed_change_move(
-    axis: Axis,
-    pulses: int,
-    rates: Sequence[float],
-    profile: Profile | None = None,
-    *,
-    dwell: float = 0.1,
-    timeout: float | None = None,
-) -> Report:
-    """A preset move through any number of rates in pps: the register that is not in use is rewritten, then selected
-    (section 5 h: changing the rate of the register not selected gives no influence)."""
-    profile = _profile(axis, profile)
-    count = _count(pulses)
-    steps = [round(r / profile.step) for r in rates]
-    if not steps:
-        raise ArgumentError("rates is empty: give at least one rate in pps.")
-    for s in steps:
-        axis.chip.MAP.checked("R2", s)
-    with Procedure(axis, "speed change in motion") as p:
-        _prepare(p.port, profile, bus.PRESET | _minus(pulses))
-        last = Profile(profile.R1, max(steps[-1], 1), profile.R3, profile.R4, profile.R5, profile.R7, profile.clock_hz)
-        p.port.write_registers(R0=count, R6=last.down_point(count), R2=steps[0])
-        p.port.command(bus.RAMP["FH1"])
-        for k, step in enumerate(steps[1:], 1):
-            p.port.wait_until(lambda s: s.fkeep or not s.operating, 60)
-            axis.wait(dwell)
-            unused = "FH2" if k % 2 else "FH1"
-            p.port.write_register("R3" if k % 2 else "R2", step)
-            p.port.command(bus.RAMP[unused])
-            axis.wait(1e-5)
-        status = p.port.wait_until_stopped(_patience(timeout, profile, count))
-        axis.wait(SETTLE)
-        return p.report(_reason(status, pulses), pulses)
+        if by_itself:
+            return p.report(stop_reason(status, direction, preset=False))
+        return p.report("decelerating stop" if slow else "reset command")
 
 
 def interrupted_move(
@@ -151,30 +96,37 @@ def interrupted_move(
     pulses: int,
     profile: Profile | None = None,
     *,
+    fh2: bool = False,
     after: float = 0.3,
     pause: float = 0.2,
     timeout: float | None = None,
 ) -> Report:
-    """Ramp down and interrupt: a preset move is stopped by a decelerating stop after `after` seconds, rests for `pause`, and
-    goes on with its residual pulses: R0 kept them (section 4, R0; operation pattern "ramping up/down & interrupting")."""
+    """Ramp down and interrupt: a preset move is brought to a decelerating stop after `after` seconds, tells so by /INT, rests
+    for `pause` seconds, and goes on with its residual pulses, which R0 kept (data sheet section 4, R0; section 6).
+
+    The reset command re-arms the start and takes /INT back; the ramp-down point is set anew, in case the rest is too short to
+    reach the high rate again. Raises ArgumentError, RunTimeout.
+    """
     profile = _profile(axis, profile)
     count = _count(pulses)
+    after, pause, point = _seconds(after), _seconds(pause), profile.down_point(count, fh2)
+    rate = "FH2" if fh2 else "FH1"
     with Procedure(axis, "interrupted move") as p:
         _prepare(p.port, profile, bus.PRESET | _minus(pulses))
-        p.port.write_registers(R0=count, R6=profile.down_point(count))
-        p.port.command(bus.RAMP["FH1"])
+        p.port.write_registers(R0=count, R6=point)
+        p.port.command(bus.RAMP[rate])
         axis.wait(after)
-        p.port.command(bus.SLOW_DOWN_FH1 | bus.INTERRUPT)
-        status = p.port.wait_until_stopped(2 * profile.decel() + 1)
-        residual = p.port.counter()
-        if residual:
+        if p.port.status().operating:
+            p.port.command((bus.SLOW_DOWN_FH2 if fh2 else bus.SLOW_DOWN_FH1) | bus.INTERRUPT)
+        status = p.port.wait_until_stopped(_patience(timeout, profile, count))
+        if residual := p.port.counter():
             axis.wait(pause)
             p.port.command(bus.RESET)
-            p.port.write_register("R6", profile.down_point(residual))
-            p.port.command(bus.RAMP["FH1"])
+            p.port.write_register("R6", profile.down_point(residual, fh2))
+            p.port.command(bus.RAMP[rate])
             status = p.port.wait_until_stopped(_patience(timeout, profile, residual))
         axis.wait(SETTLE)
-        return p.report(_reason(status, pulses), pulses)
+        return p.report(stop_reason(status, pulses), pulses)
 
 
 def external_count(
@@ -184,41 +136,65 @@ def external_count(
     *,
     rate: float = 1000.0,
     direction: int = 1,
-    source: Callable[[Axis], bool] | None = None,
+    source: Callable[[Axis], bool] | Iterator | None = None,
     timeout: float = 60.0,
 ) -> Report:
-    """Run at constant FL until EXTP has counted R0 = `pulses` edges down to 0 (output mode D4).
+    """Run at constant FL until EXTP has counted R0 = `pulses` edges down to 0 (output mode D4, data sheet section 4, R0).
 
-    source: called with the axis, makes one external pulse, lets its time pass and returns False when there are no more;
-    default a square wave of `rate` Hz on the EXTP pin.
+    Args:
+        pulses: external ones; the axis makes as many as fit in their time.
+        source: makes external pulses on `axis.chip.pins.extp` (active low, counted as it lets go) and lets their time pass by
+            `axis.wait`: a function of the axis which makes one pulse and returns False when there are no more, or a
+            generator that yields after each one. Default: a square wave of `rate` Hz.
+        timeout: s, after which the reset command ends the run ("timeout").
+    Raises ArgumentError.
     """
     profile = _profile(axis, profile)
-    count = _count(pulses)
-
-    def square_wave(axis: Axis) -> bool:
-        for level in (True, False):
-            axis.chip.axes[0].pins.extp = level
-            axis.wait(0.5 / rate)
-        return True
-
-    make = source or square_wave
+    count, direction = _count(pulses), _direction(direction)
+    if pulses < 0:
+        raise ArgumentError(f"pulses={pulses!r}: external pulses are counted from 1 on; direction=-1 runs backwards.")
+    if source is None and not 0 < rate <= axis.chip.clock_hz / 4:
+        raise ArgumentError(f"rate={rate!r} Hz: EXTP is sampled by the clock; more than 0 and up to a quarter of it.")
+    make = _one_by_one(source) if source is not None else lambda a: _square_wave(a, rate)
     with Procedure(axis, "external count") as p:
-        _prepare(p.port, profile, bus.PRESET | _minus(direction), output=0x10)
+        _prepare(p.port, profile, bus.PRESET | _minus(direction), output=bus.EXTERNAL)
         p.port.write_register("R0", count)
         p.port.command(bus.START["FL"])
-        end = axis.time + timeout
-        while p.port.status().operating and axis.time < end and make(axis):
-            pass
+        end, more = axis.time + timeout, True
+        while p.port.status().operating and axis.time < end and more:
+            more = make(axis)
         status = p.port.status()
-        if status.operating:
+        if status.operating and not status.zero:
             p.port.command(bus.RESET)
-            p.port.wait_until_stopped(1)
+        p.port.wait_until_stopped(1 / profile.fl + 1)
         p.port.command(bus.OUTPUT)
         axis.wait(SETTLE)
-        return p.report("reset command" if status.operating else _reason(status, direction))
+        if status.operating and not status.zero:
+            return p.report("timeout" if more else "reset command")
+        return p.report(stop_reason(status, direction))
+
+
+def _square_wave(axis: Axis, rate: float) -> bool:
+    for level in (True, False):
+        axis.chip.axes[0].pins.extp = level
+        axis.wait(0.5 / rate)
+    return True
+
+
+def _one_by_one(source: Callable[[Axis], bool] | Iterator) -> Callable[[Axis], bool]:
+    if callable(source):
+        return source
+    if not isinstance(source, Iterator):
+        raise ArgumentError(
+            f"source={source!r}: give a function of the axis, or a generator that yields after each pulse."
+        )
+    return lambda axis: next(source, StopIteration) is not StopIteration
 
 
 def _prepare(port: Port, profile: Profile, control: int, output: int = 0) -> None:
+    """Reset command, speed data, output mode, control mode (data sheet section 5 a). Refuses a moving axis."""
+    if port.status().operating:
+        raise StageError(f"axis {port.axis.name} is moving: wait until it stops, or stop it with 08h.")
     port.command(bus.RESET)
     port.write_registers(**profile.registers())
     port.command(bus.OUTPUT | output)
@@ -231,17 +207,47 @@ def _profile(axis: Axis, profile: Profile | None) -> Profile:
         return Profile.of(clock_hz=axis.chip.clock_hz)
     if not isinstance(profile, Profile):
         raise ArgumentError(f"profile={profile!r}: give a Profile, for example Profile.of(fl=500, fh1=16000).")
+    if profile.clock_hz != axis.chip.clock_hz:
+        raise ArgumentError(
+            f"the profile is for a chip at {profile.clock_hz} Hz, axis {axis.name}'s runs at {axis.chip.clock_hz} Hz: "
+            f"Profile.of(..., clock_hz={axis.chip.clock_hz})."
+        )
     return profile
 
 
 def _count(pulses: int) -> int:
-    if int(pulses) != pulses or not 1 <= abs(pulses) <= 0xFFFFFF:
+    if (
+        not isinstance(pulses, int | float)
+        or pulses != pulses
+        or int(pulses) != pulses
+        or not 1 <= abs(pulses) <= 0xFFFFFF
+    ):
         raise ArgumentError(f"pulses={pulses!r}: R0 counts 1 to 16777215 pulses; the sign is the direction.")
     return abs(int(pulses))
 
 
+def _direction(direction: int) -> int:
+    if direction not in (1, -1):
+        raise ArgumentError(f"direction={direction!r}: +1 or -1.")
+    return direction
+
+
+def _seconds(seconds: float) -> float:
+    if not 0 <= seconds < 1e9:
+        raise ArgumentError(f"seconds={seconds!r}: time runs forward, by 0 to 1e9 s.")
+    return seconds
+
+
 def _minus(direction: int) -> int:
     return bus.MINUS if direction < 0 else 0
+
+
+def _sd(slow_down: bool) -> int:
+    return bus.SD if slow_down else 0
+
+
+def _int(interrupt: bool) -> int:
+    return bus.INTERRUPT if interrupt else 0
 
 
 def _start(high_speed: bool, fh2: bool) -> int:
@@ -250,8 +256,3 @@ def _start(high_speed: bool, fh2: bool) -> int:
 
 def _patience(timeout: float | None, profile: Profile, count: int) -> float:
     return 1.5 * profile.seconds(count) + 1 if timeout is None else timeout
-
-
-def _reason(status: Status, direction: int) -> str:
-    """Why a run ended that no command ended: the status tells R0 = 0; what is left is the end limit, which it hides."""
-    return "R0 = 0" if status.zero else ("EL-" if direction < 0 else "EL+")

@@ -8,9 +8,11 @@ ORG is asserted at the origin and on from it to the end of travel, so that firmw
 
 from __future__ import annotations
 
+from stage.errors import ArgumentError
 from stage.firmware import bus
 from stage.firmware.axis import Axis
-from stage.firmware.moves import SETTLE, _minus, _prepare, _profile
+from stage.firmware.bus import Port, Status, stop_reason
+from stage.firmware.moves import SETTLE, _count, _direction, _minus, _prepare, _profile
 from stage.firmware.profile import Profile
 from stage.firmware.report import Procedure, Report
 
@@ -29,48 +31,73 @@ def origin_return(
     approach: float = APPROACH,
     timeout: float = 60.0,
 ) -> Report:
-    """Return to the mechanical origin.
+    """Return to the mechanical origin, from any place: before ORG, on it, beyond it, on an end limit.
 
-    direction: where ORG lies. high_speed: to FH1 with SD, otherwise constant FL. slow_approach: back off by
-    `back_off` pulses and come again at `approach` pps, which makes the position repeatable within a pulse. The report's `stopped_by` is "ORG", or the limit that was met instead.
-    Raises RunTimeout when `timeout` seconds a phase were not enough.
+    Args:
+        direction: where ORG lies.
+        high_speed: to FH1, slowed by SD; otherwise constant FL.
+        slow_approach: back off by `back_off` pulses and come again at `approach` pps, which makes the position repeatable
+            within a pulse.
+        timeout: s that each of its runs may take.
+    Returns a report: `stopped_by` is "ORG", or what was met in its place: the end limit ahead (no ORG), the one behind
+    (ORG never let go). Raises ArgumentError, RunTimeout.
     """
     profile = _profile(axis, profile)
+    direction, back_off = _direction(direction), _count(back_off)
+    if not 0 < approach <= profile.step * 8191:
+        raise ArgumentError(
+            f"approach={approach!r} pps: more than 0, up to {profile.step * 8191:.0f} with R7 = {profile.R7}."
+        )
     with Procedure(axis, "origin return" if high_speed else "constant-speed origin return") as p:
         port = p.port
-        away = bus.CONTROL | _minus(-direction)
-        toward = bus.CONTROL | bus.ORIGIN | _minus(direction)
         _prepare(port, profile, _minus(-direction))
-        if port.status().org:
-            _leave(port, axis, away, back_off, "FH1" if high_speed else "FL", timeout)
-        port.command(toward | (bus.SD if high_speed else 0))
-        port.command(bus.RAMP["FH1"] if high_speed else bus.START["FL"])
-        status = port.wait_until_stopped(timeout)
-        if status.org and slow_approach:
-            axis.wait(SETTLE)
+        status = port.status()
+        if status.org:
+            status = _leave(port, -direction, back_off, high_speed, timeout)
+        stopped_by = _behind(status, direction)
+        if not stopped_by:
+            status = _approach(port, direction, high_speed, timeout)
+            stopped_by = stop_reason(status, direction, preset=False, origin=True)
+        if stopped_by == "ORG" and slow_approach:
             port.command(bus.RESET)
             port.write_register("R1", max(1, min(round(approach / profile.step), profile.R1)))
-            _leave(port, axis, away, back_off, "FL", timeout)
-            port.command(toward)
-            port.command(bus.START["FL"])
-            status = port.wait_until_stopped(timeout)
-        axis.wait(SETTLE)
+            status = _leave(port, -direction, back_off, False, timeout)
+            stopped_by = _behind(status, direction)
+            if not stopped_by:
+                status = _approach(port, direction, False, timeout)
+                stopped_by = stop_reason(status, direction, preset=False, origin=True)
         port.command(bus.RESET)
-        return p.report("ORG" if status.org else ("EL-" if direction < 0 else "EL+"))
+        return p.report(stopped_by)
 
 
-def _leave(port: bus.Port, axis: Axis, away: int, back_off: int, rate: str, timeout: float) -> None:
-    """Run away from the origin until ORG lets go, stop, and go `back_off` pulses further."""
+def _approach(port: Port, direction: int, high_speed: bool, timeout: float) -> Status:
+    """Run until ORG, or the end limit, stops the axis. A carriage that rings can let go of ORG for a moment: look twice."""
+    port.command(bus.CONTROL | bus.ORIGIN | (bus.SD if high_speed else 0) | _minus(direction))
+    port.command(bus.RAMP["FH1"] if high_speed else bus.START["FL"])
+    status = port.wait_until_stopped(timeout)
+    port.axis.wait(SETTLE)
+    return status._replace(org=status.org or port.status().org)
+
+
+def _leave(port: Port, direction: int, back_off: int, high_speed: bool, timeout: float) -> Status:
+    """Run in `direction` until ORG lets go, stop, and go `back_off` pulses further, at FL."""
+    away = bus.CONTROL | _minus(direction)
     port.command(away)
-    port.command(bus.START["FL"] if rate == "FL" else bus.RAMP[rate])
-    port.wait_until(lambda s: not s.org or not s.operating, timeout)
-    port.command(bus.RESET if rate == "FL" else bus.SLOW_DOWN_FH1)
+    port.command(bus.RAMP["FH1"] if high_speed else bus.START["FL"])
+    port.wait_until(lambda s: not s.org or not s.operating, timeout, what="ORG to let go")
+    port.command(bus.SLOW_DOWN_FH1 if high_speed else bus.RESET)
     port.wait_until_stopped(timeout)
-    axis.wait(SETTLE)
+    port.axis.wait(SETTLE)
     port.command(bus.RESET)
     port.write_register("R0", back_off)
     port.command(away | bus.PRESET)
     port.command(bus.START["FL"])
-    port.wait_until_stopped(timeout)
-    axis.wait(SETTLE)
+    status = port.wait_until_stopped(timeout)
+    port.axis.wait(SETTLE)
     port.command(bus.RESET)
+    return status
+
+
+def _behind(status: Status, direction: int) -> str:
+    """The end limit that the axis has run onto while it left an ORG that did not let go; else nothing."""
+    return ("EL+" if direction < 0 else "EL-") if status.org else ""

@@ -1,17 +1,28 @@
-"""How far several axes' pulses stray from the straight line between start and end."""
+"""How far several axes' pulses stray from the straight line between start and end.
+
+    path_deviation([x.trace(n), y.trace(n)], (20_000, -7_500))
+
+The path is the point (n_1, n_2, ...) of pulse counts. It moves in whole pulses, so even perfect axes stray: with rates
+exactly in ratio and a common start the first pulse of the slower axis comes a whole pulse late (`perfect_deviation`).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from stage.chips.journal import INPUT, WRITE, Journal
 from stage.compiled import hot
+from stage.errors import ArgumentError
+
+STRETCH = 1 << 24  # ticks replayed at a time
+NOTHING = 1e-16  # pulses squared: rounding
 
 
 class Deviation(NamedTuple):
-    """The largest distance from the line, in pulses; the time (s) at which it occurs, and the counts then."""
+    """The largest distance from the line, in pulses; when, in the unit of the times given; and the counts then."""
 
     pulses: float
     time: float
@@ -19,45 +30,126 @@ class Deviation(NamedTuple):
 
 
 @hot
-def _furthest(axes, times, signs, line, counts, at):
-    """Walk pulses in order of time; `axes[k]` made pulse k. Pulses at the same time count as one step of the path."""
+def _next(times, starts, ends, cursor):
+    """The time of the next pulse of any axis; infinite when there is none."""
+    t = np.inf
+    for k in range(len(cursor)):
+        if cursor[k] < ends[k] and times[cursor[k]] < t:
+            t = times[cursor[k]]
+    return t
+
+
+@hot
+def _walk(times, signs, starts, ends, line):
+    """Walk the pulses of all axes in order of time; axis k's are times[starts[k]:ends[k]]. Pulses at one time are one
+    step. Returns the largest distance and its time."""
     n = len(line)
     length2 = 0.0
-    for j in range(n):
-        length2 += line[j] * line[j]
-    worst = 0.0
-    when = 0.0
-    for k in range(len(axes)):
-        counts[axes[k]] += signs[k]
-        if k + 1 < len(axes) and times[k + 1] == times[k]:
-            continue
+    for k in range(n):
+        length2 += line[k] * line[k]
+    at = np.zeros(n)
+    cursor = starts.copy()
+    worst = when = 0.0
+    while True:
+        t = _next(times, starts, ends, cursor)
+        if t == np.inf:
+            break
         dot = 0.0
-        for j in range(n):
-            dot += counts[j] * line[j]
-        along = min(max(dot / length2, 0.0), 1.0)
+        for k in range(n):
+            while cursor[k] < ends[k] and times[cursor[k]] == t:
+                at[k] += signs[cursor[k]]
+                cursor[k] += 1
+            dot += at[k] * line[k]
+        along = min(max(dot / length2, 0.0), 1.0) if length2 else 0.0
         d2 = 0.0
-        for j in range(n):
-            e = counts[j] - along * line[j]
-            d2 += e * e
-        if d2 > worst:
-            worst, when = d2, times[k]
-            for j in range(n):
-                at[j] = counts[j]
+        for k in range(n):
+            d2 += (at[k] - along * line[k]) ** 2
+        if d2 > worst + NOTHING:
+            worst, when = d2, t
     return np.sqrt(worst), when
 
 
-def path_deviation(pulses: Sequence[tuple[np.ndarray, np.ndarray]], distances: Sequence[int]) -> Deviation:
-    """The largest distance of the point (n_1, n_2, ...) of pulse counts from the segment 0 to `distances`.
+def _arrays(pulses: Sequence[Any], distances: Sequence[int], clock_hz: Any) -> tuple[np.ndarray, ...]:
+    if len(pulses) != len(distances) or not len(pulses):
+        raise ArgumentError(f"{len(pulses)} axes of pulses and {len(distances)} distances: give one distance an axis.")
+    hz = [clock_hz] * len(pulses) if clock_hz is None or np.isscalar(clock_hz) else list(clock_hz)
+    times, signs = [], []
+    for item, rate in zip(pulses, hz, strict=True):
+        trace = isinstance(item, np.ndarray) and item.dtype.names
+        t, s = (item["clock"], item["direction"]) if trace else item
+        t = np.asarray(t, np.float64)
+        s = np.broadcast_to(np.asarray(s, np.int8), t.shape)
+        if len(t) > 1 and (np.diff(t) < 0).any():
+            raise ArgumentError("an axis' pulses are out of order: give each axis' times from first to last.")
+        times.append(t if rate is None else t / rate)
+        signs.append(s)
+    ends = np.cumsum([len(t) for t in times])
+    starts = ends - [len(t) for t in times]
+    return np.concatenate(times), np.concatenate(signs), starts, ends, np.asarray(distances, np.float64)
 
-    pulses: for each axis (times in s, directions +1 or -1). Linear in the pulses but for a sort by time. A perfect pair of
-    axes still strays by up to about a pulse: its path is a staircase.
+
+def path_deviation(pulses: Sequence[Any], distances: Sequence[int], clock_hz: Any = None) -> Deviation:
+    """The largest distance of the point of pulse counts from the segment between 0 and `distances`, exact at every pulse.
+
+    Args:
+        pulses: for each axis what `chip.trace` returns, or (times, directions +1 or -1); times ascending.
+        distances: for each axis the signed pulses of the line.
+        clock_hz: clock of the times, one number or one an axis, to turn ticks into seconds; None leaves times as they are.
+
+    Linear in the pulses. Pulses at the same time count as one step. Raises ArgumentError.
     """
-    axes = np.concatenate([np.full(len(t), k) for k, (t, _) in enumerate(pulses)])
-    times = np.concatenate([np.asarray(t, float) for t, _ in pulses])
-    signs = np.concatenate([np.asarray(s, np.int64) for _, s in pulses])
+    times, signs, starts, ends, line = _arrays(pulses, distances, clock_hz)
+    worst, when = _walk(times, signs, starts, ends, line)
+    made = (np.searchsorted(times[a:b], when, side="right") for a, b in zip(starts, ends, strict=True))
+    counts = tuple(int(signs[a : a + k].sum(dtype=np.int64)) for a, k in zip(starts, made, strict=True))
+    if worst == 0.0:
+        counts = (0,) * len(counts)
+    return Deviation(float(worst), float(when), counts)
+
+
+def path_points(pulses: Sequence[Any], clock_hz: Any = None) -> tuple[np.ndarray, np.ndarray]:
+    """(times, counts) of the path: the point (n_1, n_2, ...) after every step, one row each, from the origin on."""
+    times, signs, starts, ends, _ = _arrays(pulses, [1] * len(pulses), clock_hz)
     order = np.argsort(times, kind="stable")
-    at = np.zeros(len(distances))
-    worst, when = _furthest(
-        axes[order], times[order], signs[order], np.asarray(distances, float), np.zeros(len(distances)), at
-    )
-    return Deviation(float(worst), float(when), tuple(int(c) for c in at))
+    steps = np.zeros((len(times), len(starts)), np.int64)
+    for k, (a, b) in enumerate(zip(starts, ends, strict=True)):
+        steps[a:b, k] = signs[a:b]
+    at = np.cumsum(steps[order], axis=0)
+    last = np.append(np.diff(times[order]) > 0, True)[: len(times)]
+    origin = np.zeros((1, len(starts)), np.int64)
+    return np.append(0.0, times[order][last]), np.concatenate([origin, at[last]])
+
+
+def perfect_deviation(distances: Sequence[int]) -> float:
+    """The distance that perfect axes reach: started at once, constant rates exactly in ratio, the last pulses together."""
+    perfect = [(np.arange(1, abs(d) + 1) / max(abs(d), 1), np.sign(d)) for d in distances]
+    return path_deviation(perfect, distances).pulses
+
+
+def pulses_of(journal: Journal) -> np.ndarray:
+    """Every pulse that a chip made while `journal` noted, as `chip.trace` would have returned them; `clock` counts from
+    the journal's beginning."""
+    chip, core = journal._chip, journal._chip.CORE
+    rows = np.frombuffer(bytearray(journal._start), core.STATE)
+    begin = int(rows[0].clock)
+    parts = [np.empty(0, core.PULSE)]
+
+    def go(until: int) -> None:
+        while rows[0].clock < until:
+            to = min(until, int(rows[0].clock) + STRETCH)
+            out = np.empty(int(core.advance(rows.copy(), 0, to)), core.PULSE)
+            core.trace(rows, 0, to, out)
+            parts.append(out)
+
+    for e in journal.entries:
+        go(e.clock)
+        if e.kind == WRITE:
+            core.write(rows, 0, e.a, e.b)
+        elif e.kind == INPUT:
+            core.set_inputs(rows, 0, e.a, e.b)
+        else:
+            core.power_up(rows, 0)
+    go(chip.clock if journal._end is None else journal._end)
+    pulses = np.concatenate(parts)
+    pulses["clock"] -= begin
+    return pulses

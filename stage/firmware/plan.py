@@ -1,42 +1,49 @@
 """Registers for an a:b move: every axis at a rate in the ratio of the distances, ramps together, stops together.
 
-The data sheet's scheme (Q & A): FL and FH in the ratio a:b, equal ramp times. An axis' pulses after its ramp are
-
-    n(t) = FH t - D / 2        D = (FH - FL) Tsu = (R2 - R1)^2 R4 / (8192 R7)
-
-so besides the ratio of the rates it is the ratio of the D that keeps the axes on the line; equal ramp times keep them
-there during the ramps too. R7 is free per axis, which gives every follower a thousand grids to choose its registers from; the best by
-this estimate are then run on emulated chips, and the one that stays closest to the line is taken.
+The data sheet's scheme (Q & A): FL and FH in the ratio a:b, equal ramp times. The longest axis leads: its registers come from
+the rates and times asked for (leader.py). Every other axis follows: its R7 is free, which gives it a thousand grids to choose
+from (follow.py). The followers that promise most are run on emulated chips, and the one closest to the line is taken.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from stage.chips import PCL240K
-from stage.errors import ArgumentError
-from stage.firmware.path import path_deviation
-from stage.firmware.profile import ACCEL, FH1, FL
+from stage.compiled import announced
+from stage.errors import ArgumentError, unknown
+from stage.firmware import follow
+from stage.firmware.leader import R4_MOST, R7_LEAST, R7_MOST, SPEED_MOST, TAILS, Ask, Follower, search
+from stage.firmware.path import path_deviation, perfect_deviation
+from stage.firmware.profile import ACCEL, FH1, FL, ramp_seconds
 
-CANDIDATES = 10
-TAIL = 5  # pulses of the longest axis at FL after its ramp-down, as in the data sheet's R6 = Psd + 5
+R0_MOST = PCL240K.MAP.registers[0].mask
 ROOM = 0.8  # of a short move may be ramps
+PLAYED = 2_000_000  # pulses: longer moves are judged by the closed form alone
+ON_THE_LINE = 2.0  # pulses
+COMPILING = "PulseStage: compiling the a:b planner, once on this machine (about ten seconds) ..."
 
 
 @dataclass(frozen=True)
 class AxisPlan:
-    """One axis: signed distance in pulses, and its registers R0 to R7."""
+    """One axis: signed distance in pulses, registers R0 to R7, reference clock.
+
+    lead: seconds between this axis' start command and the last axis'. seconds: from the first start command to its last pulse.
+    """
 
     distance: int
     registers: dict[str, int]
     clock_hz: int
+    lead: float = 0.0
+    seconds: float = 0.0
 
     @property
     def step(self) -> float:
+        """pps of one speed step."""
         return self.clock_hz / (8192 * self.registers["R7"])
 
     @property
@@ -53,41 +60,73 @@ class AxisPlan:
 
     @property
     def accel(self) -> float:
-        return (self.registers["R2"] - self.registers["R1"]) * self.registers["R4"] / self.clock_hz
+        r = self.registers
+        return ramp_seconds(r["R1"], r["R2"], r["R4"], self.clock_hz)
 
     @property
     def decel(self) -> float:
-        return (self.registers["R2"] - self.registers["R1"]) * self.registers["R5"] / self.clock_hz
+        r = self.registers
+        return ramp_seconds(r["R1"], r["R2"], r["R5"], self.clock_hz)
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Registers for every axis, and how good they are.
+    """Registers for every axis that moves, and how good they are.
 
-    ratio_error: largest relative error of the FH ratios. deviation: largest distance from the line in pulses when all axes
-    start at once, found by running emulated chips. seconds: duration.
+    Attributes:
+        axes: an AxisPlan each.
+        order: names in the order of the start commands, the longest axis last: an axis that is ahead by less than the
+            staircase does no harm, and one that lags does.
+        bus_delay: seconds between two start commands that the plan reckons with.
+        ratio_error: largest relative error of an FH against the longest axis'.
+        deviation: predicted largest distance from the line in pulses, found by running emulated chips. exact: False for
+            moves of more than 2,000,000 pulses in all, for which it is the closed form's estimate.
+        seconds: from the first start command to the last pulse.
+        notes: where the plan departs from what was asked for, and why.
     """
 
     axes: dict[str, AxisPlan]
+    order: tuple[str, ...]
+    bus_delay: float
     ratio_error: float
     deviation: float
+    exact: bool
     seconds: float
     notes: tuple[str, ...] = field(default=())
 
+    @property
+    def distances(self) -> dict[str, int]:
+        return {n: a.distance for n, a in self.axes.items()}
+
+    @property
+    def perfect(self) -> float:
+        """What axes with rates exactly in ratio and a common start would reach, pulses: their path is a staircase too."""
+        return perfect_deviation(list(self.distances.values()))
+
+    def with_bus_delay(self, bus_delay: float) -> Plan:
+        """The same registers, their start commands `bus_delay` seconds apart; and what becomes of the deviation."""
+        registers = {n: list(a.registers.values()) for n, a in self.axes.items()}
+        again = _judge(self.distances, registers, {n: a.clock_hz for n, a in self.axes.items()}, bus_delay)
+        return replace(again, notes=self.notes)
+
     def __str__(self) -> str:
-        head = f"{'axis':6}{'pulses':>10}" + "".join(f"{'R' + str(k):>7}" for k in range(1, 8))
-        lines = [head + f"{'FL pps':>10}{'FH pps':>11}{'up ms':>8}{'down ms':>8}"]
+        width = max(4, *(len(n) for n in self.axes))
+        names = [f"R{k}" for k in range(8)]
+        head = f"{'axis':{width}} {'pulses':>10}" + "".join(f"{n:>9}" if n == "R0" else f"{n:>7}" for n in names)
+        lines = [head + f"{'FL pps':>10}{'FH pps':>12}{'up ms':>9}{'down ms':>9}{'ends s':>9}"]
         for name, a in self.axes.items():
             r = a.registers
             lines.append(
-                f"{name:6}{a.distance:>10}"
-                + "".join(f"{r[f'R{k}']:>7}" for k in range(1, 8))
-                + f"{a.fl:>10.2f}{a.fh:>11.2f}{a.accel * 1e3:>8.2f}{a.decel * 1e3:>8.2f}"
+                f"{name:{width}} {a.distance:>+10}"
+                + "".join(f"{r[n]:>9}" if n == "R0" else f"{r[n]:>7}" for n in names)
+                + f"{a.fl:>10.2f}{a.fh:>12.3f}{a.accel * 1e3:>9.2f}{a.decel * 1e3:>9.2f}{a.seconds:>9.4f}"
             )
-        lines.append(
-            f"ratio error {self.ratio_error:.1e}; on chips started together {self.deviation:.2f} pulses from the line; "
-            f"{self.seconds:.3f} s"
+        far = (
+            f"{self.deviation:.2f} pulses from the line"
+            if self.exact
+            else f"about {self.deviation:.2f} pulses from the line"
         )
+        lines.append(f"ratio error {self.ratio_error:.1e}; {far}; {self.seconds:.4f} s; start {', '.join(self.order)}")
         return "\n".join([*lines, *self.notes])
 
 
@@ -99,174 +138,179 @@ def plan(
     accel: float = ACCEL,
     decel: float | None = None,
     clock_hz: int | Mapping[str, int] = PCL240K.DEFAULT_CLOCK_HZ,
+    bus_delay: float = 0.0,
 ) -> Plan:
-    """Plan a move along a straight line.
+    """Plan a move along a straight line. Touches no chip.
 
-    distances: axis -> signed pulses, 1 to 16,777,215. rate, fl: FH and FL of the longest axis, pps. accel, decel: seconds.
-    A move too short for `rate` peaks lower, on all axes at once; a very short one runs at constant FL.
+    Args:
+        distances: axis -> signed pulses, up to 16,777,215; 0 leaves the axis out.
+        rate, fl: FH and FL of the longest axis, pps. accel, decel: ramp times, s; decel defaults to accel.
+        clock_hz: the chips' reference clock, one number or one an axis.
+        bus_delay: seconds between two start commands.
+
+    A move too short for `rate` peaks lower, on all axes at once and with the same slopes; a very short one runs at constant FL.
     Raises ArgumentError with the reason when no registers can do it.
     """
-    moving = {n: int(d) for n, d in distances.items() if d}
-    _check(distances, moving, rate, fl, accel, accel if decel is None else decel)
-    hz = {n: clock_hz if isinstance(clock_hz, int) else clock_hz[n] for n in moving}
-    longest = max(moving, key=lambda n: abs(moving[n]))
-    length = abs(moving[longest])
-    fh, tu, td, notes = _shorten(length, rate, fl, accel, accel if decel is None else decel)
-    _reach(moving, longest, fh, fl, hz)
-    best: tuple[float, Any] | None = None
-    for master in _masters(length, fh, fl, tu, td, hz[longest]):
-        trace = _run(master, length)
-        chosen, worst = {longest: master}, 0.0
-        for name in moving:
-            if name != longest:
-                regs, far = _follow(abs(moving[name]), length, master, trace, hz[name], hz[longest])
-                chosen[name], worst = regs, max(worst, far)
-        if best is None or worst < best[0]:
-            best = (worst, (chosen, trace))
-        if worst <= 1.0:
-            break
-    assert best is not None
-    chosen, _ = best[1]
-    axes = {n: AxisPlan(moving[n], dict(chosen[n].registers), hz[n]) for n in moving}
-    traces = [_run(chosen[n], abs(moving[n])) for n in moving]
-    far = path_deviation([(t, np.ones(len(t), np.int64)) for t in traces], [abs(d) for d in moving.values()])
-    top = axes[longest].fh / length
-    error = max(abs(a.fh / abs(a.distance) / top - 1) for a in axes.values())
-    return Plan(axes, error, far.pulses, float(max(t[-1] for t in traces)), tuple(notes))
+    asked = {n: _whole(n, d) for n, d in distances.items()}
+    moving = {n: d for n, d in asked.items() if d}
+    decel = accel if decel is None else decel
+    _check(moving, distances, rate, fl, accel, decel, bus_delay)
+    hz = {n: _clock(n, clock_hz) for n in moving}
+    order = _order(moving)
+    longest, lead = order[-1], _leads(order, bus_delay)
+    ask, notes = _shorten(abs(moving[longest]), rate, fl, accel, decel)
+    _reach(moving, longest, ask, rate, hz)
+    followers = {n: Follower(abs(moving[n]), hz[n], lead[n]) for n in order[:-1]}
+    with announced(COMPILING):
+        chosen = _choose(ask, longest, hz[longest], followers, sum(map(abs, moving.values())) <= PLAYED)
+        made = _judge(moving, chosen, hz, bus_delay)
+    return replace(made, notes=(*notes, *_remarks(made.axes, ask, made.deviation)))
 
 
-@dataclass(frozen=True)
-class _Registers:
-    registers: dict[str, int]
-    hz: int
+def _whole(name: str, d: Any) -> int:
+    try:
+        whole = int(d)
+    except (TypeError, ValueError, OverflowError):
+        whole = None
+    if whole is None or whole != d or abs(whole) > R0_MOST:
+        raise ArgumentError(
+            f"{name}={d!r}: R0 counts whole pulses, up to {R0_MOST}; the sign is the direction. Split a longer move."
+        )
+    return whole
 
-    def __getitem__(self, name: str) -> int:
-        return self.registers[name]
+
+def _clock(name: str, clock_hz: int | Mapping[str, int]) -> int:
+    if not isinstance(clock_hz, Mapping):
+        return int(clock_hz)
+    if name not in clock_hz:
+        raise unknown("axis in clock_hz", name, clock_hz)
+    return int(clock_hz[name])
 
 
-def _check(distances: Any, moving: dict, rate: float, fl: float, accel: float, decel: float) -> None:
+def _check(moving: dict, distances: Any, rate: float, fl: float, accel: float, decel: float, bus_delay: float) -> None:
     if not moving:
         raise ArgumentError(f"distances={dict(distances)!r}: nothing moves; give at least one axis pulses to make.")
-    for name, d in moving.items():
-        if d != distances[name] or abs(d) > 0xFFFFFF:
-            raise ArgumentError(f"{name}={distances[name]!r}: R0 counts whole pulses, 1 to 16777215.")
-    if not 0 < fl <= rate:
+    if not 0 < fl <= rate < float("inf"):
         raise ArgumentError(f"fl={fl!r}, rate={rate!r}: FL is more than 0 and at most the rate, in pps.")
     for name, value in {"accel": accel, "decel": decel}.items():
-        if not 0 < value <= 25:
-            raise ArgumentError(f"{name}={value!r} s: R4 and R5 make ramps of more than 0 and up to 25 s.")
+        if not 0 < value < float("inf"):
+            raise ArgumentError(f"{name}={value!r}: a ramp takes more than 0 s. For constant speed give rate = fl.")
+    if not 0 <= bus_delay <= 1:
+        raise ArgumentError(f"bus_delay={bus_delay!r}: start commands are 0 to 1 s apart.")
 
 
-def _shorten(length: int, rate: float, fl: float, accel: float, decel: float) -> tuple[float, float, float, list[str]]:
+def _shorten(length: int, rate: float, fl: float, accel: float, decel: float) -> tuple[Ask, list[str]]:
     """The peak rate and ramp times that a move of `length` pulses has room for, at the slopes asked for."""
     if rate <= fl:
-        return fl, 0.0, 0.0, []
-    inverse = (accel + decel) / (rate - fl)
-    peak = (fl * fl + 2 * ROOM * length / inverse) ** 0.5
+        return Ask(length, fl, fl, 0.0, 0.0), []
+    room = max(min(ROOM * length, length - 2 * TAILS[0]), 0.0)
+    peak = (fl * fl + 2 * room * (rate - fl) / (accel + decel)) ** 0.5
     if peak >= rate:
-        return rate, accel, decel, []
+        return Ask(length, rate, fl, accel, decel), []
     if peak < 1.2 * fl:
-        return fl, 0.0, 0.0, ["too short for a ramp: constant FL"]
+        return Ask(length, fl, fl, 0.0, 0.0), [f"{length} pulses are too few for a ramp: constant {fl:g} pps"]
     part = (peak - fl) / (rate - fl)
-    return peak, accel * part, decel * part, [f"too short for {rate:.0f} pps: peaks at {peak:.0f} pps"]
+    note = f"{length} pulses are too few for {rate:g} pps at this slope: peaks at {peak:.0f} pps"
+    return Ask(length, peak, fl, accel * part, decel * part), [note]
 
 
-def _reach(moving: dict, longest: str, fh: float, fl: float, hz: dict) -> None:
-    most = hz[longest] * 8191 / (8192 * 2)
-    if fh > most:
-        raise ArgumentError(f"rate={fh:.0f} pps: a chip at {hz[longest]} Hz makes at most {most:.0f} pps (R7 = 2).")
+def _reach(moving: dict, longest: str, ask: Ask, rate: float, hz: dict) -> None:
+    """Refuse rates that no registers make."""
+    most = hz[longest] * SPEED_MOST / (8192 * R7_LEAST)
+    if max(rate, ask.fh) > most:
+        raise ArgumentError(
+            f"rate={rate:g} pps: a chip at {hz[longest]} Hz makes at most {most:.0f} pps (8191 at R7 = 2)."
+        )
     for name, d in moving.items():
-        least = hz[name] / (8192 * 1023)
-        own = abs(d) / abs(moving[longest])
-        if own * fh < least:
+        least, own = hz[name] / (8192 * R7_MOST), abs(d) / ask.length
+        own_most = hz[name] * SPEED_MOST / (8192 * R7_LEAST)
+        if own * ask.fh > own_most:
             raise ArgumentError(
-                f"axis {name} would have to run at {own * fh:.3f} pps, and the slowest a chip makes is {least:.3f} pps "
-                f"(R1 = 1, R7 = 1023). Raise the rate to {least / own:.0f} pps, or move {name} by itself."
+                f"axis {name} would have to run at {own * ask.fh:.0f} pps, and a chip at {hz[name]} Hz makes at most "
+                f"{own_most:.0f} pps (8191 at R7 = 2). Lower the rate to {own_most / own:.0f} pps."
+            )
+        if own * ask.fh < least and abs(d) > 1:  # a single pulse is less than a pulse off whenever it comes
+            raise ArgumentError(
+                f"axis {name} would have to run at {own * ask.fh:.3g} pps, and the slowest a chip at {hz[name]} Hz makes is "
+                f"{least:.3g} pps (1 at R7 = 1023). Raise the rate to {least / own:.0f} pps, or move {name} by itself."
             )
 
 
-def _registers(hz: int, r0: int, fl: int, fh: int, up: int, down: int, r6: int, r7: int) -> _Registers:
-    values = {"R0": r0, "R1": fl, "R2": fh, "R3": fh, "R4": up, "R5": down, "R6": r6, "R7": r7}
-    return _Registers({k: int(v) for k, v in values.items()}, hz)
+def _choose(ask: Ask, longest: str, hz: int, followers: dict[str, Follower], play: bool) -> dict[str, np.ndarray]:
+    """R0..R7 for every axis. play: choose among the best followers by running emulated chips."""
+    leader, kept = search(ask, hz, followers)
+    chosen = {longest: leader} | {n: found.registers[0] for n, found in kept.items()}
+    if play:
+        pulses = follow.run(leader) / hz
+        for name, found in kept.items():
+            best = np.inf
+            d, own_hz, lead = followers[name]
+            for r in found.registers[found.scores < 1e17]:
+                far = path_deviation([(pulses, 1), (follow.run(r) / own_hz - lead, 1)], [ask.length, d]).pulses
+                if far < best - 1e-9:
+                    best, chosen[name] = far, r
+    return chosen
 
 
-def _masters(length: int, fh: float, fl: float, tu: float, td: float, hz: int) -> list[_Registers]:
-    """Registers for the longest axis, on coarse to fine grids: a fine one fits rates, a coarse one ramp times."""
-    found = []
-    finest = min(1023, int(hz * 8191 / (8192 * fh)))
-    for r7 in np.unique(np.clip(np.geomspace(finest, max(2, finest / 16), 6).round().astype(int), 2, 1023))[::-1]:
-        step = hz / (8192 * r7)
-        high, low = max(1, min(8191, round(fh / step))), max(1, round(fl / step))
-        span = high - low
-        if tu == 0 or span < 1:
-            found.append(_registers(hz, length, high, high, 2, 2, 0, r7))
-            continue
-        up, down = (int(np.clip(round(t * hz / span), 2, 16383)) for t in (tu, td))
-        r6 = min(int((high**2 - low**2) * down / (16384 * r7)) + TAIL, 0xFFFFF, length)
-        found.append(_registers(hz, length, low, high, up, down, r6, r7))
-    return found
+def _judge(distances: dict[str, int], registers: dict[str, Any], hz: dict[str, int], bus_delay: float) -> Plan:
+    """The plan that these registers are."""
+    order = _order(distances)
+    lead = _leads(order, bus_delay)
+    rows = {n: np.array([registers[n][k] for k in range(8)], np.int64) for n in distances}
+    axes = {}
+    for n in distances:
+        c = np.zeros(4, np.int64)
+        follow.course(rows[n], c)
+        named = {f"R{k}": int(v) for k, v in enumerate(rows[n])}
+        axes[n] = AxisPlan(distances[n], named, hz[n], lead[n], lead[order[0]] - lead[n] + float(c[3]) / hz[n])
+    exact = sum(abs(d) for d in distances.values()) <= PLAYED
+    if exact:
+        paths = [(follow.run(rows[n]) / hz[n] - lead[n], 1) for n in distances]
+        far = path_deviation(paths, [abs(d) for d in distances.values()]).pulses
+    else:
+        longest = order[-1]
+        far2 = 0.0
+        for n in order[:-1]:
+            far2 += follow.estimate(rows[longest], hz[longest], rows[n], hz[n], lead[n]) ** 2
+        far = float(np.sqrt(far2))
+    top = axes[order[-1]].fh / abs(distances[order[-1]])
+    error = max(abs(a.fh / abs(a.distance) / top - 1) for a in axes.values())
+    return Plan(axes, tuple(order), bus_delay, error, far, exact, max(a.seconds for a in axes.values()))
 
 
-def _follow(d: int, length: int, master: _Registers, trace: np.ndarray, hz: int, master_hz: int) -> tuple[_Registers, float]:
-    """The registers with which an axis of `d` pulses keeps closest to the line, and how close that is, in pulses."""
-    rho = d / length
-    estimates = _estimate(rho, master, float(trace[-1]), hz, master_hz)
-    ramps = master["R2"] > master["R1"]
-    begin = trace[min(max(length - master["R6"], 0), length - 1)] if ramps else 0.0  # when the master's ramp-down begins
-    best: tuple[_Registers, float] | None = None
-    for low, high, up, down, r7 in estimates:
-        tries = [0]
-        if high > low:
-            made = int(np.searchsorted(_run(_registers(hz, d, low, high, up, down, 0, r7), d), begin, side="right"))
-            tries = sorted({int(np.clip(d - made + k, 1, min(d, 0xFFFFF))) for k in (0, 1)})
-        for r6 in tries:
-            regs = _registers(hz, d, low, high, up, down, r6, r7)
-            own = _run(regs, d)
-            pair = [(trace, np.ones(len(trace), np.int64)), (own, np.ones(len(own), np.int64))]
-            far = path_deviation(pair, [length, d]).pulses
-            if best is None or far < best[1]:
-                best = (regs, far)
-    assert best is not None
-    return best
+def _order(distances: dict[str, int]) -> list[str]:
+    return sorted(distances, key=lambda n: abs(distances[n]))
 
 
-def _estimate(rho: float, master: _Registers, seconds: float, hz: int, master_hz: int) -> list[tuple[int, ...]]:
-    """The most promising (FL, FH, R4, R5, R7), by the closed form."""
-    low, high, r7 = master["R1"], master["R2"], master["R7"]
-    fh, fl = (rho * v * master_hz / (8192 * r7) for v in (high, low))
-    tu, td = ((high - low) * master[r] / master_hz for r in ("R4", "R5"))
-    grid = np.arange(2, 1024)
-    step = hz / (8192.0 * grid)
-    own_high = np.clip(np.rint(fh / step), 1, 8191)
-    if high == low:
-        score = np.abs(own_high * step - fh) * seconds
-        pick = np.argsort(score, kind="stable")[:CANDIDATES]
-        return [(int(own_high[k]), int(own_high[k]), 2, 2, int(grid[k])) for k in pick]
-    rows = []
-    for shift in range(-2, 3):
-        ideal = np.maximum((fh - fl) / step, 1)
-        up = np.clip(np.rint(tu * hz / ideal) + shift, 2, 16383)
-        span = np.clip(np.rint(np.sqrt((fh - fl) * tu * hz / (step * up))), 1, np.maximum(own_high - 1, 1))
-        own_low = np.maximum(own_high - span, 1)
-        span = np.maximum(own_high - own_low, 0)
-        down = np.clip(np.rint(td * hz / np.maximum(span, 1)), 2, 16383)
-        score = np.abs(own_high * step - fh) * seconds
-        score += np.abs(span * step * span * up / hz - (fh - fl) * tu) / 2
-        score += np.abs(span * step * span * down / hz - (fh - fl) * td) / 2
-        score += fh * np.abs(span * up / hz - tu) / 8 + fh * np.abs(span * down / hz - td) / 8
-        score += np.abs(own_low * step - fl) * tu / 4
-        rows += list(zip(score, own_low, own_high, up, down, grid, strict=True))
-    rows.sort(key=lambda r: r[0])
-    return [tuple(int(v) for v in r[1:]) for r in rows[:CANDIDATES]]
+def _leads(order: list[str], bus_delay: float) -> dict[str, float]:
+    return {n: float(bus_delay) * (len(order) - 1 - k) for k, n in enumerate(order)}
 
 
-def _run(regs: _Registers, count: int) -> np.ndarray:
-    """Times in s, from the start command on, of the pulses that a chip makes with these registers."""
-    chip = PCL240K(regs.hz)
-    for k in range(8):
-        chip.write(0, 0x80 | k)
-        for a in (3, 2, 1):
-            chip.write(a, regs[f"R{k}"] >> 8 * (a - 1) & 0xFF)
-    chip.write(0, 0x44)
-    chip.write(0, 0x15 if regs["R2"] > regs["R1"] else 0x11)
-    return chip.trace(1 << 40)["clock"] / regs.hz
+def _remarks(axes: dict[str, AxisPlan], ask: Ask, far: float) -> list[str]:
+    """Where registers could not do as asked. Raises ArgumentError where that takes the axes off the line."""
+    notes = []
+    for name, a in axes.items():
+        own = abs(a.distance) / ask.length
+        gain = round((ask.fh - ask.fl) * own * 8192 * R7_MOST / a.clock_hz)
+        longest_ramp = gain * R4_MOST / a.clock_hz
+        for word, asked, made in (("accel", ask.up, a.accel), ("decel", ask.down, a.decel)):
+            if asked > longest_ramp and made < 0.95 * asked:
+                reason = (
+                    f"axis {name} cannot ramp for {word}={asked:.3g} s: with R7 = {R7_MOST} and a rate register of "
+                    f"{R4_MOST} it takes at most {longest_ramp:.3g} s to {own * ask.fh:.3g} pps"
+                )
+                if far > ON_THE_LINE:
+                    raise ArgumentError(
+                        f"{reason}, and would be {far:.1f} pulses off the line. Shorten {word} to {longest_ramp:.3g} s, raise "
+                        f"the rate, or move {name} by itself."
+                    )
+                notes.append(f"{reason}; {made:.3g} s instead")
+        if abs(a.fl / (ask.fl * own) - 1) > 0.05 and a.ramps:
+            notes.append(
+                f"axis {name}: FL {a.fl:.4g} pps instead of {ask.fl * own:.4g}: the nearest that keeps to the line"
+            )
+    if far > ON_THE_LINE:
+        notes.append(
+            f"the closest registers leave the line by {far:.1f} pulses: a lower rate or slower ramps come closer"
+        )
+    return notes

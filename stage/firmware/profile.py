@@ -1,7 +1,13 @@
-"""Speeds in registers: the data sheet's formulas, and `Profile`, which picks R1 to R5 and R7 for rates in pps."""
+"""Speeds in registers: the data sheet's formulas, and `Profile`, which picks R1 to R5 and R7 for rates in pps.
+
+profile = Profile.of(fl=500, fh1=16_000, accel=0.2)
+print(profile)                      the true rates and times, after rounding to registers
+profile.down_point(20_000)          R6
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,24 +17,52 @@ from stage.errors import ArgumentError
 
 _MAP = PCL240K.MAP
 FL, FH1, FH2 = 1_000.0, 16_000.0, 32_000.0
+"""Default rates, pps: 3.125, 50 and 100 mm/s on the default stage, where 17HS4401 at 24 V pulls out far above."""
 ACCEL = 0.15
+"""Default ramp, seconds from FL to the highest rate."""
+RATE_TOLERANCE, TIME_TOLERANCE = 2e-4, 1e-2
+"""Within these relative errors finer speed steps are worth more than exact values."""
+AT_FL = 5  # pulses at FL after a ramp-down (data sheet section 4, R6)
 
 
-def ramp_seconds(low: int, high: int, rate: int, clock_hz: int) -> float:
-    """Tsu, Tsd = (FH - FL) rate / clock, s (data sheet section 4, R4 and R5)."""
+def pulse_rate(speed: float, r7: int, clock_hz: int = PCL240K.DEFAULT_CLOCK_HZ) -> float:
+    """Fout = Rf clock / (8192 R7), pps (data sheet section 4, equation 4)."""
+    return speed * clock_hz / (8192 * r7)
+
+
+def ramp_seconds(low: int, high: int, rate: int, clock_hz: int = PCL240K.DEFAULT_CLOCK_HZ) -> float:
+    """Tsu, Tsd = (FH - FL) rate / clock, s (data sheet section 4, R4, and R5, equation 3)."""
     return (high - low) * rate / clock_hz
 
 
 def ramp_pulses(low: int, high: int, rate: int, r7: int) -> float:
-    """Psu, Psd = (FH^2 - FL^2) rate / (16384 R7), pulses (data sheet section 4, R6; Q & A)."""
+    """Psu, Psd = (FH^2 - FL^2) rate / (16384 R7), pulses (data sheet section 4, R6, and Q & A).
+
+    The area of the trapezoid; the chip's staircase makes (FH - FL) rate / (16384 R7) fewer.
+    """
     return (high * high - low * low) * rate / (16384 * r7)
 
 
+def is_triangular(r0: int, low: int, high: int, r4: int, r5: int, r7: int) -> bool:
+    """Whether a move is too short to reach FH: R0 < Psu + Psd (Q & A; its 18384 is a misprint of 16384)."""
+    return r0 < ramp_pulses(low, high, r4 + r5, r7)
+
+
+def triangular_down_point(r0: int, r4: int, r5: int) -> float:
+    """R6 = R0 R5 / (R4 + R5) for a triangular drive (Q & A)."""
+    return r0 * r5 / (r4 + r5)
+
+
 def down_point(r0: int, low: int, high: int, r4: int, r5: int, r7: int) -> int:
-    """R6: Psd + 5; for a move too short to reach FH the triangular drive's R0 R5 / (R4 + R5) (section 4, Q & A)."""
-    if r0 < ramp_pulses(low, high, r4 + r5, r7):
-        return min(r0 * r5 // (r4 + r5), 0xFFFFF)
-    return min(int(ramp_pulses(low, high, r5, r7)) + 5, 0xFFFFF)
+    """R6 for a move of `r0` pulses that ends at FL, whatever its length.
+
+    Psd + 5 (section 4, R6), or the triangular drive's R0 R5 / (R4 + R5) + 2: rounding down takes up to one pulse, and R0 < R6
+    is met one pulse after R0 = R6. As printed, without the 2, the triangle ends a little above FL. Raises ArgumentError
+    when R6 cannot hold it.
+    """
+    if is_triangular(r0, low, high, r4, r5, r7):
+        return _MAP.checked("R6", int(triangular_down_point(r0, r4, r5)) + 2)
+    return _MAP.checked("R6", int(ramp_pulses(low, high, r5, r7)) + AT_FL)
 
 
 @dataclass(frozen=True)
@@ -53,58 +87,90 @@ class Profile:
     @classmethod
     def of(
         cls,
-        fl: float = FL,
+        fl: float | None = None,
         fh1: float = FH1,
         fh2: float | None = None,
         accel: float = ACCEL,
         decel: float | None = None,
+        multiplier: int | None = None,
         clock_hz: int = PCL240K.DEFAULT_CLOCK_HZ,
     ) -> Profile:
         """The registers nearest to rates in pps and ramp times in s (from FL to the highest rate, and back).
 
-        fh2 defaults to twice fh1 where the chip reaches that. The multiplier R7 is the one that makes the largest relative
-        error of all five values least.
+        fl defaults to 1000 pps or the lowest high rate, if that is less; fh2 to twice fh1, where the chip reaches that; decel to
+        accel. multiplier: R7; by default the largest, hence the finest speed steps, which gives the rates to 0.02 % and the
+        ramps to 1 %, or where none does, the one that comes closest.
+        Raises ArgumentError for a rate that the chip does not reach, an FL above a high rate, a ramp that R4 or R5 cannot hold.
         """
-        most = clock_hz * 8191 / (8192 * 2)
+        if multiplier is not None:
+            _MAP.checked("R7", multiplier)
+        r7 = np.arange(2, 1024) if multiplier is None else np.array([multiplier])
+        most = pulse_rate(8191, int(r7[0]), clock_hz)
         fh2 = min(2 * fh1, most) if fh2 is None else fh2
+        fl = min(FL, fh1, fh2) if fl is None else fl
         decel = accel if decel is None else decel
         for name, value in {"fl": fl, "fh1": fh1, "fh2": fh2}.items():
             if not 0 < value <= most:
-                raise ArgumentError(f"{name}={value!r} pps: a chip at {clock_hz} Hz makes up to {most:.0f} pps (R7 = 2).")
+                raise ArgumentError(
+                    f"{name}={value!r} pps: a chip at {clock_hz} Hz makes up to {most:.0f} pps (R7 = {r7[0]})."
+                )
+        if fl > min(fh1, fh2):
+            raise ArgumentError(f"fl={fl!r} pps is above a high rate ({fh1:g}, {fh2:g}): ramps lead from FL upwards.")
         for name, value in {"accel": accel, "decel": decel}.items():
             if not 0 < value <= 100:
-                raise ArgumentError(f"{name}={value!r}: ramps take more than 0 and up to about 27 s.")
-        r7 = np.arange(2, 1024)
+                raise ArgumentError(f"{name}={value!r} s: a ramp takes more than 0 and up to about 27 s.")
+        wanted = np.array([fl, fh1, fh2])
         step = clock_hz / (8192.0 * r7)
-        speeds = [np.clip(np.rint(v / step), 1, 8191) for v in (fl, fh1, fh2)]
-        span = np.maximum(np.maximum(speeds[1], speeds[2]) - speeds[0], 1)
-        reached = np.maximum(np.rint(fh1 / step), np.rint(fh2 / step)) <= 8191
-        rates = [np.clip(np.rint(t * clock_hz / span), 2, 16383) for t in (accel, decel)]
-        errors = [np.abs(r * step / v - 1) for r, v in zip(speeds, (fl, fh1, fh2), strict=True)]
-        errors += [np.abs(r * span / clock_hz / t - 1) for r, t in zip(rates, (accel, decel), strict=True)]
-        worst = np.where(reached, np.max(errors, axis=0), np.inf)
-        best = len(r7) - 1 - int(np.argmin(worst[::-1].round(6)))
-        r1, r2, r3 = (int(s[best]) for s in speeds)
-        return cls(r1, r2, r3, int(rates[0][best]), int(rates[1][best]), int(r7[best]), clock_hz)
+        exact = np.rint(wanted[:, None] / step)
+        speeds = np.clip(exact, 1, 8191)
+        span = np.maximum(speeds.max(axis=0) - speeds[0], 1)
+        times = np.array([accel, decel])
+        rates = np.clip(np.rint(times[:, None] * clock_hz / span), 2, 16383)
+        rate_error = np.abs(speeds * step / wanted[:, None] - 1).max(axis=0)
+        time_error = np.abs(rates * span / clock_hz / times[:, None] - 1).max(axis=0)
+        if fl == max(fh1, fh2):
+            time_error[:] = 0  # nothing to ramp
+        missed = np.maximum(rate_error / RATE_TOLERANCE, time_error / TIME_TOLERANCE)
+        missed[exact.max(axis=0) > 8191] = np.inf  # the top rate is reached, whatever it costs the others
+        fine = np.flatnonzero(missed <= 1)
+        best = int(fine[-1] if len(fine) else np.argmin(missed))
+        (r1, r2, r3), (r4, r5) = speeds[:, best].astype(int).tolist(), rates[:, best].astype(int).tolist()
+        made = cls(r1, r2, r3, r4, r5, int(r7[best]), clock_hz)
+        if fl < max(fh1, fh2):
+            made._refuse_clipped({"R4": (accel, made.R4), "R5": (decel, made.R5)}, float(span[best]))
+        return made
+
+    def _refuse_clipped(self, ramps: dict[str, tuple[float, int]], span: float) -> None:
+        for register, (seconds, rate) in ramps.items():
+            wanted = seconds * self.clock_hz / span
+            if rate == 16383 and wanted > 1.01 * rate:
+                raise ArgumentError(
+                    f"a ramp of {seconds} s from {self.fl:.0f} pps on needs {register} = {wanted:.0f}: it takes 2 to 16383. "
+                    f"Between these rates a ramp takes at most {span * 16383 / self.clock_hz:.3f} s."
+                )
 
     def registers(self) -> dict[str, int]:
+        """Register values by name."""
         return {"R1": self.R1, "R2": self.R2, "R3": self.R3, "R4": self.R4, "R5": self.R5, "R7": self.R7}
 
     @property
     def step(self) -> float:
-        """pps of one speed step: clock / (8192 R7) (section 4, R7)."""
-        return self.clock_hz / (8192 * self.R7)
+        """pps of one speed step."""
+        return pulse_rate(1, self.R7, self.clock_hz)
 
     @property
     def fl(self) -> float:
+        """FL, pps."""
         return self.R1 * self.step
 
     @property
     def fh1(self) -> float:
+        """FH1, pps."""
         return self.R2 * self.step
 
     @property
     def fh2(self) -> float:
+        """FH2, pps."""
         return self.R3 * self.step
 
     def high(self, fh2: bool = False) -> int:
@@ -116,11 +182,27 @@ class Profile:
         return ramp_seconds(self.R1, self.high(fh2), self.R4, self.clock_hz)
 
     def decel(self, fh2: bool = False) -> float:
+        """Seconds from FH1, or FH2, to FL."""
         return ramp_seconds(self.R1, self.high(fh2), self.R5, self.clock_hz)
 
     def down_point(self, pulses: int, fh2: bool = False) -> int:
         """R6 for a preset move of so many pulses."""
         return down_point(pulses, self.R1, max(self.high(fh2), self.R1), self.R4, self.R5, self.R7)
+
+    def is_triangular(self, pulses: int, fh2: bool = False) -> bool:
+        """Whether a move of so many pulses is too short to reach FH1, or FH2."""
+        return is_triangular(pulses, self.R1, self.high(fh2), self.R4, self.R5, self.R7)
+
+    def pulses_through(self, speeds: Iterable[int], dwell: float = 0.0) -> float:
+        """Pulses of a run that ramps from FL through `speeds` (register values) and stays `dwell` s at each but the last, and
+        then to FL again."""
+        here, total, way = self.R1, 0.0, [*speeds, self.R1]
+        for k, speed in enumerate(way):
+            low, high = sorted((here, speed))
+            total += ramp_pulses(low, high, self.R4 if speed > here else self.R5, self.R7)
+            total += dwell * speed * self.step if k < len(way) - 2 else 0.0
+            here = speed
+        return total
 
     def seconds(self, pulses: int) -> float:
         """An upper bound of a move's duration: all of it at FL or at FH1, whichever is slower, and two ramps."""

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from stage.chips.decode import Said, decode
 from stage.chips.journal import Course
+from stage.errors import RunTimeout
 from stage.firmware.axis import Axis, check
 from stage.firmware.bus import Port
+
+if TYPE_CHECKING:
+    from os import PathLike
 
 
 @dataclass(frozen=True)
@@ -20,11 +25,12 @@ class Report:
     Attributes:
         procedure, axis: names.
         pulses: pulses made, + minus - (signed). asked: pulses asked for, None where a procedure asks for none.
-        duration: seconds from the first start to the last stop. peak_rate: pps.
+        duration: seconds from the first start to the last stop. peak_rate, average_rate: pps.
         start, position: m, where the carriage was before and is after (None without a stage).
         lost_steps: full steps lost meanwhile, a multiple of four (None without a motor).
-        stopped_by: why it stopped: "R0 = 0", "ORG", "EL+", "EL-", "decelerating stop", "reset command".
+        stopped_by: why it stopped: "R0 = 0", "ORG", "EL+", "EL-", "decelerating stop", "reset command", "timeout".
         residual: R0 at the end. course: every change of the chip's pins and speed, by the clock.
+        said: the bytes written, decoded: commands, and registers with all their bytes.
     """
 
     procedure: str
@@ -43,38 +49,76 @@ class Report:
 
     @property
     def ok(self) -> bool:
-        """Every pulse asked for was made, and none of them lost."""
-        return (self.asked is None or self.pulses == self.asked) and not self.lost_steps
+        """Every pulse asked for was made, none of them lost, and neither an end limit nor the time ended it."""
+        done = self.asked is None or self.pulses == self.asked
+        return done and not self.lost_steps and self.stopped_by not in ("EL+", "EL-", "timeout")
+
+    @cached_property
+    def average_rate(self) -> float:
+        """Pulses made in both directions by `duration`, pps."""
+        made = int(np.abs(np.diff(self.course.edges["net"])).sum())
+        return made / self.duration if self.duration else 0.0
+
+    @property
+    def began(self) -> float:
+        """Seconds from the first byte to the first start; 0 if nothing ran."""
+        return float(self.course.seconds[running[0]]) if len(running := _running(self.course)) else 0.0
+
+    @property
+    def rates(self) -> np.ndarray:
+        """Pulse rate from each edge of the course on, pps."""
+        return rates(self.course)
 
     def __str__(self) -> str:
         asked = "" if self.asked is None else f" of {self.asked}"
         lines = [
             f"{self.procedure} on {self.axis}: {'done' if self.ok else 'NOT as asked'}, stopped by {self.stopped_by}",
-            f"  pulses {self.pulses}{asked}, R0 {self.residual}; {self.duration:.4f} s, peak {self.peak_rate:.1f} pps",
+            f"  pulses {self.pulses}{asked}, R0 {self.residual}; {self.duration:.4f} s, peak {self.peak_rate:.1f} pps, "
+            f"average {self.average_rate:.1f} pps",
         ]
         if self.position is not None and self.start is not None:
-            lines.append(f"  from {self.start * 1e3:.4f} mm to {self.position * 1e3:.4f} mm, lost steps {self.lost_steps}")
+            lines.append(
+                f"  from {self.start * 1e3:.4f} mm to {self.position * 1e3:.4f} mm, lost steps {self.lost_steps}"
+            )
         return "\n".join(lines)
 
-    def listing(self) -> str:
-        """The bytes of the move, one command or register a line: time, bytes, meaning."""
-        begin = self.course.edges["clock"][0]
-        return "\n".join(
-            f"{(s.clock - begin) / self.course.clock_hz * 1e3:11.4f} ms  {s.code:14}{s.meaning}" for s in self.said
-        )
+    def writes(self) -> list[tuple[float, str, str]]:
+        """What was written, a command or a whole register each: (seconds from the first start, bytes in hex, meaning).
 
-    def plot(self, path: str | None = None, title: str | None = None) -> Any:
+        The first byte of a row goes to address 0; further ones are a register's, to the addresses 3, 2, 1, the last to 1.
+        """
+        begin, hz = self.course.edges["clock"][0], self.course.clock_hz
+        return [(float(s.clock - begin) / hz - self.began, s.code, s.meaning) for s in self.said]
+
+    def listing(self) -> str:
+        """`writes` as text, a line each: ms from the first start, bytes, meaning."""
+        return "\n".join(f"{t * 1e3:11.4f} ms  {code:14}{meaning}" for t, code, meaning in self.writes())
+
+    def plot(self, path: str | PathLike | None = None, title: str | None = None, *, ax: Any = None) -> Any:
         """Draw the move as the data sheet draws operation patterns; saves to `path` if given. Returns the figure.
 
+        With `ax`, an axes of your own, the pulse rate is drawn there, without the lanes of signals.
         Needs matplotlib (extra `plot`).
         """
         from stage.firmware.plot import draw
 
-        return draw(self, path, title)
+        return draw(self, path, title, ax)
+
+
+def rates(course: Course) -> np.ndarray:
+    """Pulse rate from each edge on, pps (data sheet section 4, R7)."""
+    return course.edges["speed"] * course.clock_hz / (8192.0 * np.maximum(course.edges["multiplier"], 1))
+
+
+def _running(course: Course) -> np.ndarray:
+    return np.flatnonzero(~course.pin("hold"))
 
 
 class Procedure:
-    """Watches an axis: `with Procedure(axis, "preset move") as p: ...; return p.report(...)`."""
+    """Watches an axis: `with Procedure(axis, "preset move") as p: ...; return p.report(...)`.
+
+    A RunTimeout that leaves it carries the report so far, as `error.report`.
+    """
 
     def __init__(self, axis: Axis, name: str):
         check(axis)
@@ -86,7 +130,9 @@ class Procedure:
         self._position, self._lost = self.axis.position, self.axis.lost_steps
         return self
 
-    def __exit__(self, *exc: object) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        if isinstance(error, RunTimeout):
+            error.report = self.report("timeout")  # type: ignore[attr-defined]
         self.journal.close()
 
     def report(self, stopped_by: str, asked: int | None = None) -> Report:
@@ -95,14 +141,11 @@ class Procedure:
         residual = self.port.counter()
         self.journal.close()
         course = self.journal.course()
-        e = course.edges
-        active = np.flatnonzero(~course.pin("hold"))
-        seconds = course.seconds
-        duration = float(seconds[min(active[-1] + 1, len(e) - 1)] - seconds[active[0]]) if len(active) else 0.0
-        rate = e["speed"] * course.clock_hz / (8192.0 * np.maximum(e["multiplier"], 1))
+        net, running, seconds = course.edges["net"], _running(course), course.seconds
+        duration = float(seconds[min(running[-1] + 1, len(net) - 1)] - seconds[running[0]]) if len(running) else 0.0
         lost = axis.lost_steps
         return Report(
-            self.name, axis.name, int(e["net"][-1] - e["net"][0]), asked, duration, float(rate.max()),
+            self.name, axis.name, int(net[-1] - net[0]), asked, duration, float(rates(course).max()),
             self._position, axis.position, None if lost is None else lost - (self._lost or 0),
             stopped_by, residual, course, tuple(decode(axis.chip.MAP, self.journal.entries)),
         )  # fmt: skip

@@ -1,250 +1,196 @@
 """The compiled PCL-240K and the tick-by-tick reference agree to the clock on any program.
 
-A failing program is printed as bus writes in hex; PULSESTAGE_EXAMPLES scales the number of programs.
+A failing program is printed with the clock of each operation and its bus writes in hex. PULSESTAGE_EXAMPLES scales
+the number of programs.
 """
 
 import os
+from collections import Counter
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
+from pcl240k_programs import (
+    OPERATING,
+    Pair,
+    chaotic_programs,
+    disputed,
+    flatten,
+    real_programs,
+    register,
+    wide_programs,
+)
 from reference.pcl240 import INPUTS, ReferencePCL240K
 
 from stage.chips import PCL240K
 
-EXAMPLES = int(os.environ.get("PULSESTAGE_EXAMPLES", "300"))
-
-registers = st.one_of(
-    st.tuples(st.just(0), st.integers(0, 40)),
-    st.tuples(st.just(0), st.sampled_from([0, 1, 0xFFFFFF, 0x100, 0x10000])),
-    st.tuples(st.just(1), st.integers(0, 3000)),
-    st.tuples(st.sampled_from([2, 3]), st.integers(0, 8191)),
-    st.tuples(st.sampled_from([4, 5]), st.sampled_from([0, 1, 2, 2, 3, 3, 5, 9, 40])),
-    st.tuples(st.just(6), st.integers(0, 30)),
-    st.tuples(st.just(7), st.sampled_from([0, 1, 2, 2, 2, 3, 3, 4, 6, 1023])),
-)
-COMMANDS = [
-    0x08,
-    0x10,
-    0x11,
-    0x13,
-    0x15,
-    0x17,
-    0x14,
-    0x1D,
-    0x1F,
-    0x18,
-    0x28,
-    0x30,
-    0x35,
-    0x3D,
-    0x37,
-    0x00,
-    0x20,
-    0x12,
-    0x16,
-]
-commands = st.one_of(
-    st.sampled_from(COMMANDS),
-    st.sampled_from([0x40, 0x44, 0x4C, 0x41, 0x43, 0x46, 0x4E, 0x48]),
-    st.sampled_from([0xC0, 0xC1, 0xD0, 0xE1]),
-    st.integers(0, 255),
-)
-operation = st.one_of(
-    st.tuples(st.just("run"), st.integers(1, 2500)),
-    st.tuples(st.just("run"), st.integers(1, 30)),
-    st.tuples(st.just("register"), registers),
-    st.tuples(st.just("command"), commands),
-    st.tuples(st.just("byte"), st.tuples(st.integers(1, 3), st.integers(0, 255))),
-    st.tuples(st.just("pin"), st.tuples(st.sampled_from(INPUTS), st.booleans())),
-    st.tuples(st.just("pulse extp"), st.integers(1, 4)),
-    st.tuples(st.just("restart"), st.sampled_from([0x15, 0x17, 0x11, 0x35, 0x10])),
-)
-real_use = st.fixed_dictionaries(
-    {
-        "r0": st.integers(1, 60),
-        "r1": st.integers(50, 2000),
-        "r2": st.integers(500, 8191),
-        "r3": st.integers(500, 8191),
-        "r4": st.integers(2, 12),
-        "r5": st.integers(2, 12),
-        "r6": st.integers(0, 40),
-        "r7": st.integers(2, 4),
-        "control": st.sampled_from([0x40, 0x44, 0x4C, 0x46, 0x4E, 0x43, 0x4B, 0x41]),
-        "start": st.sampled_from([0x15, 0x17, 0x10, 0x11, 0x35, 0x33]),
-        "then": st.lists(operation, max_size=14),
-    }
+EXAMPLES = int(os.environ.get("PULSESTAGE_EXAMPLES", "500"))
+random_programs = settings(
+    max_examples=EXAMPLES,
+    deadline=None,
+    print_blob=True,
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
 )
 
 
-class Pair:
-    """Product and reference side by side; every operation goes to both, and all that can be seen is compared."""
-
-    def __init__(self):
-        self.chip, self.model, self.log = PCL240K(), ReferencePCL240K(), []
-
-    def do(self, name, value):
-        self.log.append(f"{name} {value!r}" if name != "command" else f"command {value:02X}h")
-        if name == "run":
-            self.run(value)
-        elif name == "register":
-            number, word = value
-            self.write(0, 0x80 | number)
-            for address in (3, 2, 1):
-                self.write(address, word >> 8 * (address - 1) & 0xFF)
-        elif name == "command":
-            self.write(0, value)
-        elif name == "byte":
-            self.write(*value)
-        elif name == "pin":
-            self.set(*value)
-        elif name == "pulse extp":
-            for _ in range(value):
-                self.set("extp", True)
-                self.run(2)
-                self.set("extp", False)
-                self.run(3)
-        elif name == "restart":
-            self.write(0, 0x08)
-            self.write(0, value)
-        self.compare()
-
-    def write(self, address, value):
-        self.chip.write(address, value)
-        self.model.write(address, value)
-
-    def set(self, pin, value):
-        setattr(self.chip.pins, pin, value)
-        self.model.pin[pin] = value
-
-    def run(self, n):
-        expected = [(self.model.clock, d) for _ in range(n) if (d := self.model.tick())]
-        got = [(int(p["clock"]), int(p["direction"])) for p in self.chip.trace(n)]
-        assert got == expected, self.say()
-
-    def compare(self):
-        chip = self.chip
-        seen = {"status": chip.read(0), "counter": tuple(chip.read(a) for a in (1, 2, 3))}
-        seen |= {name: getattr(chip.pins, name) for name in chip.OUTPUTS}
-        expected = self.model.state()
-        assert seen == expected, self.say({k: (seen[k], expected[k]) for k in seen if seen[k] != expected[k]})
-        assert chip.clock == self.model.clock
-
-    def say(self, differ=None):
-        return "\n".join([f"clock {self.model.clock}, product and reference: {differ}", *self.log])
+@random_programs
+@given(chaotic_programs, st.booleans())
+def test_any_program_agrees_to_the_clock(program, look):
+    Pair(look).play(program)
 
 
-def play(operations):
-    pair = Pair()
-    for name, value in operations:
-        pair.do(name, value)
-    return pair
+@random_programs
+@given(real_programs, st.booleans())
+def test_programs_as_drivers_write_them_agree_to_the_clock(program, look):
+    """Without looks, nothing but pulses and the end is compared: a read must not be what makes the product right."""
+    Pair(look).play(program)
 
 
-def as_operations(program):
-    ops = [("register", (k, program[f"r{k}"])) for k in range(8)]
-    return [
-        *ops,
-        ("command", program["control"]),
-        ("command", program["start"]),
-        ("run", 700),
-        *program["then"],
-        ("run", 2500),
-    ]
+@settings(random_programs, max_examples=max(EXAMPLES // 10, 10))
+@given(wide_programs)
+def test_registers_of_any_legal_value_agree_over_long_runs(program):
+    Pair().play(program)
 
 
-@settings(max_examples=EXAMPLES, deadline=None, print_blob=True)
-@given(st.lists(operation, max_size=30))
-def test_any_program_agrees_to_the_clock(operations):
-    play(operations)
-
-
-@settings(max_examples=EXAMPLES, deadline=None, print_blob=True)
-@given(real_use)
-def test_programs_as_drivers_write_them_agree_to_the_clock(program):
-    play(as_operations(program))
-
-
-@settings(max_examples=EXAMPLES, deadline=None, print_blob=True)
-@given(real_use, st.lists(st.integers(1, 900), min_size=1, max_size=8))
+@random_programs
+@given(real_programs, st.lists(st.integers(1, 900), min_size=1, max_size=8))
 def test_advancing_in_pieces_is_advancing_at_once(program, pieces):
-    one, many = PCL240K(), PCL240K()
-    for name, value in as_operations(program)[:10]:
-        for chip in (one, many):
-            if name == "register":
-                chip.write(0, 0x80 | value[0])
-                for address in (3, 2, 1):
-                    chip.write(address, value[1] >> 8 * (address - 1) & 0xFF)
-            else:
-                chip.write(0, value)
-    assert one.advance(sum(pieces)) == sum(many.advance(n) for n in pieces)
-    assert one.snapshot().record == many.snapshot().record
+    one, many = Pair(look=False), Pair(look=False)
+    for pair in (one, many):
+        for operation in program:
+            if operation[0] in ("advance", "trace"):
+                break
+            pair.do(operation)
+    assert one.chip.advance(sum(pieces)) == sum(many.chip.advance(n) for n in pieces)
+    assert one.chip.snapshot().record == many.chip.snapshot().record
 
 
-def test_the_programs_have_teeth():
-    """Of 150 seeded programs a good share ramps, stops by R0, by EL, by ORG, by deceleration, and raises /INT."""
-    rng = np.random.default_rng(240)
-    seen = dict.fromkeys(("pulses", "fup", "fdown", "preset", "el", "org", "decelerated", "irq"), 0)
-    for _ in range(150):
-        model = ReferencePCL240K()
-        values = [
-            rng.integers(5, 60),
-            rng.integers(50, 2000),
-            rng.integers(500, 8191),
-            4000,
-            5,
-            5,
-            rng.integers(0, 40),
-            2,
-        ]
-        for k, v in enumerate(values):
-            model.write(0, 0x80 | k)
-            for address in (3, 2, 1):
-                model.write(address, int(v) >> 8 * (address - 1) & 0xFF)
-        control = int(rng.choice([0x40, 0x44, 0x46, 0x43]))
-        model.write(0, control)
-        model.write(0, 0x35)
-        event = rng.choice(["none", "el_plus", "org", "stop"])
-        facts = set()
-        for t in range(2500):
-            if t == 800:
-                if event == "stop":
-                    model.write(0, 0x3D)
-                elif event != "none":
-                    model.pin[event] = True
-            was = model.running
-            if model.tick():
-                facts.add("pulses")
-            out = model.outputs()
-            facts |= {f for f in ("fup", "fdown", "irq") if out[f]}
-            if was and not model.running:
-                if model.r[0] == 0:
-                    facts.add("preset")
-                elif event == "stop":
-                    facts.add("decelerated")
-                elif event in ("el_plus", "org"):
-                    facts.add(event[:2] if event != "org" else "org")
-        for f in facts:
-            seen[f] += 1
-    assert min(seen.values()) >= 5, seen
-
-
-@pytest.mark.slow
-def test_long_programs_agree():
-    seed = np.random.SeedSequence().entropy
-    print("seed", seed)
-    rng = np.random.default_rng(seed)
+def test_a_long_life_agrees():
+    entropy = np.random.SeedSequence().entropy
+    print("seed", entropy)
+    rng = np.random.default_rng(entropy)
     pair = Pair()
-    for _ in range(3000):
+    for _ in range(500 * max(EXAMPLES // 500, 1)):
         kind = rng.integers(0, 6)
         if kind == 0:
-            pair.do("register", (int(rng.integers(0, 8)), int(rng.integers(0, 1 << int(rng.integers(1, 14))))))
+            program = register(int(rng.integers(0, 8)), int(rng.integers(0, 1 << int(rng.integers(1, 14)))))
         elif kind == 1:
-            pair.do("command", int(rng.choice(COMMANDS)))
+            program = [("write", 0, int(rng.choice(OPERATING)))]
         elif kind == 2:
-            pair.do("restart", 0x15)
+            program = [("write", 0, 0x08), ("write", 0, 0x15)]
         elif kind == 3:
-            pair.do("pin", (str(rng.choice(INPUTS)), bool(rng.integers(0, 2))))
+            program = [("pin", str(rng.choice(INPUTS)), bool(rng.integers(0, 2)))]
         else:
-            pair.do("run", int(rng.integers(1, 3000)))
+            program = [("trace", int(rng.integers(1, 3000)))]
+        pair.play(program)
+
+
+@pytest.mark.xfail(
+    strict=True, reason="open question to the specification, 5 step 2: does R0 = 0 stop, or reaching it?"
+)
+def test_a_preset_run_on_external_pulses_whose_counter_is_written_0_stops_at_its_next_pulse():
+    """The reference takes step 2 at its word; random programs leave this state, see `disputed`."""
+    program = flatten(
+        [register(1, 400), register(7, 2), register(0, 40), [("write", 0, v) for v in (0xD0, 0x44, 0x10)]]
+    )
+    pair = Pair()
+    pair.play([*program, ("trace", 10), *register(0, 0)])
+    assert disputed(pair.model)
+    assert pair.chip.advance(1000) == pair.model.advance(1000) == 1
+
+
+def facts(program):
+    """What a program does on the reference, stop by stop: a set of names."""
+    model, seen = ReferencePCL240K(), set()
+    for kind, *rest in program:
+        moving = model.running
+        if kind in ("advance", "trace"):
+            for _ in range(*rest):
+                seen |= facts_of_a_tick(model)
+        elif kind == "pin":
+            setattr(model.pins, *rest)
+        else:
+            getattr(model, kind)(*rest)
+        if moving and kind in ("write", "reset"):
+            seen.add("written or reset in motion")
+            if not model.running:
+                seen.add("stopped by a write" + (" inside a pulse" if model.finishing else ""))
+        if disputed(model):
+            break
+    return seen
+
+
+def facts_of_a_tick(model):
+    running, pending, counter, irq = model.running, model.stop_pending, model.registers[0], model.int_pending
+    direction, out = model.tick(), model.outputs()
+    seen = {name for name in ("fup", "fdown") if out[name]}
+    if direction:
+        seen |= {"pulses", "plus" if direction > 0 else "minus"}
+    if model.int_pending and not irq:
+        seen.add("/INT")
+    if counter == 0 and model.registers[0]:
+        seen.add("counter wraps")
+    if model.external and model.registers[0] != counter:
+        seen.add("counts EXTP")
+    if running and not model.running:
+        limit = model.pins.el_minus if model.control & 8 else model.pins.el_plus
+        if limit:
+            seen.add("stopped by EL")
+        elif model.control & 1 and model.pins.org:
+            seen.add("stopped by ORG")
+        elif pending:
+            seen.add("decelerated to a stop")
+        else:
+            assert model.registers[0] == 0, "a stop for which there is no reason"
+            seen.add("stopped at R0 = 0")
+    return seen
+
+
+def census(strategy, programs=400):
+    """Of so many programs drawn with a fixed seed, how many show each fact.
+
+    The floors of the tests below are about half of the counts seen: other versions of Hypothesis draw otherwise.
+    """
+    count = Counter()
+
+    @seed(240)
+    @settings(random_programs, max_examples=programs, database=None, phases=[Phase.generate])
+    @given(strategy)
+    def draw(program):
+        count.update(facts(program))
+
+    draw()
+    return count
+
+
+def test_programs_as_drivers_write_them_have_teeth():
+    count = census(real_programs)
+    floor = {"pulses": 300, "plus": 150, "minus": 100, "fup": 130, "fdown": 60, "written or reset in motion": 150}
+    floor |= {"stopped at R0 = 0": 50, "stopped by EL": 50, "stopped by ORG": 15, "decelerated to a stop": 15}
+    floor |= {"stopped by a write": 100, "stopped by a write inside a pulse": 80, "/INT": 60, "counts EXTP": 40}
+    assert {name: count[name] for name in floor if count[name] < floor[name]} == {}, dict(count)
+
+
+def test_chaotic_programs_have_teeth():
+    count = census(chaotic_programs)
+    floor = {"pulses": 50, "plus": 40, "minus": 6, "fup": 25, "fdown": 20, "written or reset in motion": 120}
+    floor |= {"stopped by a write": 60, "counter wraps": 40, "counts EXTP": 3, "stopped by EL": 4, "/INT": 4}
+    assert {name: count[name] for name in floor if count[name] < floor[name]} == {}, dict(count)
+
+
+def test_a_read_changes_nothing():
+    quiet, nosy = PCL240K(), PCL240K()
+    program = flatten(
+        [*map(register, range(8), (50, 400, 8000, 8000, 3, 3, 20, 2)), [("write", 0, 0x44), ("write", 0, 0x15)]]
+    )
+    for chip in (quiet, nosy):
+        for _, address, value in program:
+            chip.write(address, value)
+    traces = [], []
+    for n in range(300):
+        for address in (0, 1, 2, 3):
+            nosy.read((address + n) & 3)
+        for chip, trace in zip((quiet, nosy), traces, strict=True):
+            trace.extend(chip.trace(1 + n % 40).tolist())
+    assert traces[0] == traces[1] != []

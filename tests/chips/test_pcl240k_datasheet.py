@@ -21,7 +21,7 @@ SPEEDS = [(50, 800, 300, 300, 20), (25, 500, 1500, 700, 30), (100, 8191, 2, 2, 2
     )
     for _ in range(6)
 ]
-speeds = pytest.mark.parametrize(("fl", "fh", "up", "down", "mult"), SPEEDS, ids=str)
+speeds = pytest.mark.parametrize(("fl", "fh", "up", "down", "mult"), SPEEDS, ids=[f"set{k}" for k in range(len(SPEEDS))])
 
 
 @pytest.fixture(autouse=True)

@@ -89,7 +89,9 @@ def test_speed_changes_through_any_number_of_rates_by_rewriting_the_unselected_r
     assert report.ok
     e = report.course.edges
     kept = report.course.pin("fkeep") & ~report.course.pin("hold")
-    seen = {round(float(r)) for r in (e["speed"] * report.course.clock_hz / 8192 / np.maximum(e["multiplier"], 1))[kept]}
+    seen = {
+        round(float(r)) for r in (e["speed"] * report.course.clock_hz / 8192 / np.maximum(e["multiplier"], 1))[kept]
+    }
     for rate in rates:
         assert any(abs(s - rate) < 0.02 * rate for s in seen), (rate, seen)
 
@@ -155,6 +157,17 @@ def test_the_counter_is_read_whole_even_across_a_borrow(x):
         (lambda a: Profile(1, 1, 1, 2, 2, 1024), r"R7 .* from 2 to 1023"),
         (lambda a: Profile.of(fh1=1e7), "makes up to"),
         (lambda a: Profile.of(accel=-1), "accel=-1"),
+        (
+            lambda a: firmware.preset_move(a, 10, down_point=1 << 20),
+            r"R6 .ramping-down point. cannot be 1048576: .* 1048575",
+        ),
+        (lambda a: firmware.preset_move(a, float("nan")), "1 to 16777215"),
+        (lambda a: firmware.continuous_move(a, -1), "time runs forward"),
+        (lambda a: firmware.continuous_move(a, 1, 0), "direction=0"),
+        (lambda a: firmware.interrupted_move(a, 10, after=-1), "time runs forward"),
+        (lambda a: firmware.external_count(a, -5), "external pulses are counted from 1 on"),
+        (lambda a: firmware.external_count(a, 5, rate=1e9), "sampled by the clock"),
+        (lambda a: firmware.external_count(a, 5, source=[1, 2]), "a function of the axis, or a generator"),
         (lambda a: firmware.Port(a).write_register("R9", 1), "unknown PCL240K register 'R9'"),
     ],
 )
@@ -166,7 +179,7 @@ def test_bad_input_names_what_was_given_and_what_is_allowed(x, call, message):
 
 
 def test_a_move_that_cannot_end_in_time_says_what_the_chip_was_doing(x):
-    with pytest.raises(RunTimeout, match="still operates after .* R0 = "):
+    with pytest.raises(RunTimeout, match=r"still operates after .* R0 = "):
         firmware.preset_move(x, 100_000, timeout=0.1)
 
 
@@ -179,6 +192,70 @@ def test_a_profile_comes_as_close_as_the_registers_allow(rates):
         assert p.fh1 == pytest.approx(fh1, rel=0.02)
         assert p.accel(fh2=True) == pytest.approx(accel, rel=0.02)
     assert p.fh2 == pytest.approx(fh2, rel=0.05)
+
+
+def test_a_continuous_move_onto_an_end_limit_tells_the_limit(x):
+    x.chip.pins.el_minus = True
+    report = firmware.continuous_move(x, 0.1, -1)
+    assert (report.stopped_by, report.pulses) == ("EL-", 0)
+    assert not report.ok
+    assert firmware.continuous_move(x, 0.1, +1).ok
+
+
+def test_sd_slows_a_move_that_allows_it_and_no_other(x):
+    x.chip.pins.sd_plus = True
+    profile = Profile.of(fl=1000, fh1=8000, accel=0.1)
+    assert firmware.preset_move(x, 500, profile, slow_down=True).peak_rate == pytest.approx(profile.fl)
+    assert firmware.preset_move(x, 5000, profile).peak_rate == pytest.approx(profile.fh1)
+
+
+@pytest.mark.parametrize("high_speed", [True, False])
+def test_an_interrupt_at_the_stop_when_asked_for(x, high_speed):
+    report = firmware.preset_move(x, 200, high_speed=high_speed, interrupt=True)
+    irq, hold = report.course.pin("irq"), report.course.pin("hold")
+    assert irq[-1]
+    assert not (irq & ~hold).any(), "not before it has stopped"
+    assert not firmware.preset_move(x, 200).course.pin("irq")[-1]
+
+
+def test_an_interruption_after_the_end_changes_nothing(x):
+    assert firmware.interrupted_move(x, 100, after=0.5).ok
+
+
+def test_external_pulses_may_come_from_a_generator(x):
+    def encoder():
+        for _ in range(30):
+            x.chip.pins.extp = True
+            x.wait(1e-4)
+            x.chip.pins.extp = False
+            x.wait(2e-4)
+            yield
+
+    report = firmware.external_count(x, 20, source=encoder())
+    assert (report.stopped_by, report.residual) == ("R0 = 0", 0)
+    too_few = firmware.external_count(x, 40, source=encoder())
+    assert (too_few.stopped_by, too_few.residual) == ("reset command", 10)
+    late = firmware.external_count(x, 1000, rate=100, timeout=0.2)
+    assert late.stopped_by == "timeout"
+    assert not late.ok
+
+
+def test_a_report_says_rates_and_bytes(x):
+    report = firmware.preset_move(x, 3000, Profile.of(fl=1000, fh1=8000, accel=0.1))
+    assert report.average_rate == pytest.approx(3000 / report.duration)
+    assert "average" in str(report)
+    started = [(t, code) for t, code, _ in report.writes() if code == "15"]
+    assert started == [(0.0, "15")], "times are from the first start"
+    assert ("80 00 0B B8", "R0 <- 3000 (down counter: pulses left)") in [w[1:] for w in report.writes()]
+
+
+def test_a_profile_for_another_clock_is_refused():
+    x = Bench(PCL240K(clock_hz=9_830_400)).axes["x"]
+    with pytest.raises(ArgumentError, match="for a chip at 4915200 Hz, axis x's runs at 9830400 Hz"):
+        firmware.preset_move(x, 10, Profile.of())
+    report = firmware.preset_move(x, 4000, Profile.of(fh1=8000, clock_hz=9_830_400))
+    assert report.ok
+    assert report.peak_rate == pytest.approx(8000, rel=1e-3)
 
 
 def test_on_the_stage_a_sane_move_loses_no_step_and_ends_where_it_should(xyz):
@@ -203,3 +280,40 @@ def test_above_pull_out_it_stalls_the_report_says_by_how_much_and_a_new_origin_r
     again = firmware.origin_return(x)
     assert again.stopped_by == "ORG"
     assert x.position == pytest.approx(home, abs=x.meters_per_pulse)
+
+
+def test_on_the_stage_an_end_limit_stops_within_the_pulse_and_leaves_the_way_back(xyz):
+    x = xyz.axes["x"]
+    xyz.place(x=0.149)
+    slow = Profile.of(fl=500, fh1=1000)
+    report = firmware.preset_move(x, 2000, slow)
+    course = report.course
+    reached = course.edges["net"][np.argmax(course.pin("el_plus"))]
+    assert report.stopped_by == "EL+"
+    assert course.edges["net"][-1] == reached, "no pulse begins after the switch"
+    assert report.position == pytest.approx(0.150, abs=3 * x.meters_per_pulse)
+    on = firmware.preset_move(x, 10, slow)
+    assert (on.pulses, on.stopped_by) == (0, "EL+")
+    assert firmware.preset_move(x, -320, slow).ok
+
+
+def test_on_the_stage_a_start_above_pull_in_loses_steps_where_a_ramp_does_not(xyz):
+    x = xyz.axes["x"]
+    steep = firmware.preset_move(x, 16_000, Profile.of(fl=60_000, fh1=60_000), high_speed=False)
+    assert steep.lost_steps > 0
+    xyz.reset()
+    assert firmware.preset_move(x, 16_000, Profile.of(fl=1000, fh1=60_000, fh2=60_000, accel=0.2)).ok
+
+
+def test_on_the_stage_every_kind_of_move_comes_home_without_a_lost_step(xyz):
+    x = xyz.axes["x"]
+    begin = x.position
+    done = [
+        firmware.dual_rate_move(x, 14_000),
+        firmware.speed_change_move(x, 8000, [8000, 16_000, 4000]),
+        firmware.curved_ramp_move(x, -12_000, [(4000, 0.1), (12_000, 0.15), (16_000, 0.1)]),
+        firmware.interrupted_move(x, -10_000, after=0.2, pause=0.1),
+    ]
+    assert all(r.ok for r in done), [str(r) for r in done]
+    x.wait(0.1)
+    assert x.position == pytest.approx(begin, abs=2e-5)

@@ -33,16 +33,19 @@ def homed(stage, name, runs, **options):
     return np.array(places)
 
 
-@pytest.mark.parametrize(("name", "runs"), [("x", 40), ("y", 30), ("z", 30)])
-def test_a_hundred_returns_from_random_places_end_within_one_pulse_of_each_other(stage, name, runs):
+HUNDRED = [pytest.param(name, 100, marks=pytest.mark.slow) for name in "xyz"]
+
+
+@pytest.mark.parametrize(("name", "runs"), [("x", 12), ("y", 8), ("z", 8), *HUNDRED])
+def test_returns_from_random_places_end_within_one_pulse_of_each_other(stage, name, runs):
     places = homed(stage, name, runs)
     assert np.abs(places - np.median(places)).max() <= 1.0
     print(f"{name}: spread {np.ptp(places):.2f} pulses over {runs} returns")
 
 
 def test_without_the_slow_approach_the_spread_is_larger(stage):
-    fast = homed(stage, "x", 12, slow_approach=False)
-    slow = homed(stage, "x", 12)
+    fast = homed(stage, "x", 8, slow_approach=False)
+    slow = homed(stage, "x", 8)
     print(f"spread {np.ptp(fast):.2f} pulses without slow approach, {np.ptp(slow):.2f} with it")
     assert np.ptp(fast) > np.ptp(slow)
     assert np.ptp(fast) < 20

@@ -1,202 +1,260 @@
-"""PCL-240K, one reference clock at a time, in the words of the normative model (its section numbers in brackets)."""
+"""The PCL-240K one reference clock at a time, in the words of shared/spec/pcl240.md (its sections in brackets).
 
-WIDTH = {0: 24, 1: 13, 2: 13, 3: 13, 4: 14, 5: 14, 6: 20, 7: 10}  # [4]
+    chip = ReferencePCL240K()
+    chip.write(0, 0x81); chip.write(1, 50)      a register
+    chip.write(0, 0x10); chip.trace(1000)       a start; [(clock, direction), ...]
+
+No closed form, no event queue: every clock is one `tick()`. It shares nothing with stage.chips, so that the two can
+disagree. Where the specification leaves a choice, the comment beside the line says which was taken.
+"""
+
+WIDTHS = (24, 13, 13, 13, 14, 14, 20, 10)  # bits of R0 .. R7 [4]
 INPUTS = ("el_plus", "el_minus", "sd_plus", "sd_minus", "org", "ins", "extp")
+OUTPUTS = ("ots", "pout", "pdir", "hold", "fdown", "fkeep", "fup", "lt", "zero", "irq")
+
+
+class Pins:
+    """Input pins are attributes to set, output pins attributes to get; True = asserted, whatever the polarity."""
+
+    def __init__(self, chip):
+        vars(self).update(dict.fromkeys(INPUTS, False), _chip=chip)
+
+    def __getattr__(self, name):  # reached for outputs only: inputs lie in vars(self)
+        if name not in OUTPUTS:
+            raise AttributeError(name)
+        return self._chip.outputs()[name]
+
+    def __setattr__(self, name, asserted):
+        if name not in INPUTS:
+            raise AttributeError(f"{name} is not an input pin")
+        vars(self)[name] = bool(asserted)
 
 
 class ReferencePCL240K:
     def __init__(self):
         self.clock = 0
-        self.pin = dict.fromkeys(INPUTS, False)
-        self.extp_before = False
+        self.pins = Pins(self)
+        self.extp_sample = False
         self.reset()
 
     def reset(self):
-        """[5 fine points] Power-up and /RESET: everything 0 except armed = 1. The clock count goes on."""
-        self.r = [0] * 8
-        self.select = 0
-        self.phase = self.speed = self.timer = 0
-        self.running = self.finishing = self.pout_low = False
-        self.armed = True
-        self.ramps = self.stopping = False
-        self.code = 0  # D1 D0 of the operating mode
-        self.ramp = None  # None, "up", "down": the ramp of the last tick
-        self.int_flag = self.int_pending = False
-        self.org_enable = self.sd_enable = self.preset = self.minus = False
-        self.independent = self.external = self.ots = False
+        """/RESET: everything 0 except armed; the clock count goes on [5 fine points].
 
-    # [1], [2] bus
+        Choice: the last sample of EXTP belongs to the pin, so a rising edge across /RESET is still an edge.
+        """
+        self.registers = [0] * 8
+        self.select = self.control = self.output_mode = 0
+        self.running = self.finishing = self.ramps = self.stop_pending = False
+        self.armed = True
+        self.int_at_stop = self.int_pending = False
+        self.phase = self.speed = self.timer = self.speed_select = 0
+        self.ramp = 0  # +1 or -1: the ramp that the last tick ran
+        self.pout_low = False
+
+    # Bus [1], [2]
 
     def write(self, address, value):
         if address == 0:
-            group, d = value >> 6, [bool(value >> k & 1) for k in range(8)]
+            group = value >> 6
             if group == 0:
-                self.operate(d, value & 3)
+                self._operating_mode(value)
             elif group == 1:
-                self.org_enable, self.sd_enable, self.preset, self.minus = d[0], d[1], d[2], d[3]
+                self.control = value & 0x0F  # the 240K ignores D4, D5 [2]
             elif group == 2:
                 self.select = value & 7
             else:
-                self.independent, self.external, self.ots = d[0], d[4], d[5]
+                self.output_mode = value & 0x31
             return
-        word = self.r[self.select].to_bytes(3, "little")
-        changed = bytearray(word)
-        changed[address - 1] = value
-        self.r[self.select] = int.from_bytes(changed, "little") % (1 << WIDTH[self.select])
-        if self.select == 7:  # [5 fine points]
-            self.phase = min(self.phase, max(self.m() - 1, 0))
-
-    def operate(self, d, code):
-        self.int_flag = d[5]
-        if not d[5]:
-            self.int_pending = False
-        start, stop = d[4], d[3]
-        if not start and stop:  # reset command
-            if self.running:
-                self.stop()
-            self.armed = True
-        elif start and not stop:
-            if self.running:  # speed change; it cancels a pending decelerating stop
-                self.ramps, self.code, self.stopping = d[2], code, False
-            else:
-                self.start(d[2], code)
-        elif start and stop and self.running:  # decelerating stop
-            if not d[2] and not self.ramps:
-                self.stop()
-            else:
-                self.ramps = self.stopping = True
-                if self.speed <= self.r[1]:
-                    self.stop()
-
-    def start(self, ramps, code):
-        if not self.armed or self.finishing:
-            return
-        if self.preset and self.r[0] == 0:
-            return
-        if self.el() or (self.org_enable and self.pin["org"]):
-            return
-        self.ramps, self.code, self.stopping = ramps, code, False
-        self.running = True
-        self.phase, self.timer, self.ramp = 0, 0, None
-        self.speed = self.r[1] if ramps else self.selected()
-
-    def stop(self):
-        self.running = self.armed = self.stopping = False
-        if self.pout_low:
-            self.finishing = True
-        else:
-            self.fell()
-
-    def fell(self):
-        """b6 falls."""
-        self.finishing = False
-        if self.int_flag:
-            self.int_pending = True
-
-    # [5] helpers
-
-    def m(self):
-        return 8192 * self.r[7]
-
-    def selected(self):
-        return {0: self.r[1], 1: self.r[2], 2: self.r[1], 3: self.r[3]}[self.code]
-
-    def el(self):
-        return self.pin["el_minus"] if self.minus else self.pin["el_plus"]
-
-    def sd(self):
-        return self.pin["sd_minus"] if self.minus else self.pin["sd_plus"]
-
-    def goal(self):
-        if self.stopping or self.code in (0, 2):
-            return self.r[1]
-        if self.sd_enable and self.sd():
-            return self.r[1]
-        if self.preset and self.r[0] < self.r[6]:
-            return self.r[1]
-        return self.selected()
-
-    # [5] the tick
-
-    def tick(self):
-        """One reference clock; returns the direction of the pulse that begins in it, or 0."""
-        self.clock += 1
-        pulse = 0
-        rising, self.extp_before = self.extp_before and not self.pin["extp"], self.pin["extp"]
-        if rising and self.external:
-            self.count()
-        if self.running and (self.el() or (self.org_enable and self.pin["org"])):  # 1
-            self.stop()
-        if (self.running or self.finishing) and self.r[7] >= 2 and self.speed > 0:  # 2
-            self.phase += self.speed
-            if self.running and self.phase >= self.m():
-                self.phase -= self.m()
-                self.pout_low = True
-                pulse = -1 if self.minus else 1
-                if not self.external:
-                    self.count()
-            elif self.pout_low and 2 * self.phase >= self.m():
-                self.pout_low = False
-                if self.finishing:
-                    self.fell()
-        if self.running:  # 3
-            self.change_speed()
-        return pulse
-
-    def count(self):
-        self.r[0] = (self.r[0] - 1) % (1 << 24)
-        if self.preset and self.r[0] == 0 and self.running:
-            self.stop()
-
-    def change_speed(self):
-        if not self.ramps:
-            self.speed = self.selected()
-            self.ramp = None
-            return
-        goal = self.goal()
-        if self.speed == goal:
-            self.ramp = None
-        else:
-            way = "up" if self.speed < goal else "down"
-            first = self.ramp != way
-            if first:
-                self.timer = 0
-            self.ramp = way
-            self.timer += 1
-            rate = self.r[4] if way == "up" else self.r[5]
-            if rate > 1:
-                if way == "up" and self.timer >= rate:
-                    self.speed, self.timer = self.speed + 1, 0
-                elif way == "down" and (first or self.timer >= rate):
-                    self.speed, self.timer = self.speed - 1, 0
-        if self.stopping and self.speed <= self.r[1]:
-            self.stop()
-
-    # what can be seen
-
-    def status(self):
-        """[3]"""
-        pins = self.outputs()
-        bits = (
-            not self.int_pending, not pins["hold"], pins["fkeep"], pins["lt"], pins["zero"],
-            self.sd(), self.pin["org"], self.pin["ins"],
-        )  # fmt: skip
-        return sum(bool(b) << (7 - k) for k, b in enumerate(bits))
+        shift = 8 * (address - 1)
+        word = self.registers[self.select] & ~(0xFF << shift) | value << shift  # acts at once: torn writes are real
+        self.registers[self.select] = word & ((1 << WIDTHS[self.select]) - 1)
+        if self.select == 7:
+            self.phase = min(self.phase, max(self.modulus - 1, 0))  # [5 fine points]
 
     def read(self, address):
-        return self.status() if address == 0 else self.r[0] >> 8 * (address - 1) & 0xFF
+        return self.status() if address == 0 else self.registers[0] >> 8 * (address - 1) & 0xFF
+
+    def _operating_mode(self, value):
+        self.int_at_stop = bool(value & 0x20)  # every 00 command, an ignored start too [5 fine points]
+        if not self.int_at_stop:
+            self.int_pending = False  # [2]
+        start, stop = value & 0x10, value & 0x08
+        if start and stop:
+            self._decelerating_stop(value)
+        elif stop:  # reset command [2]
+            self._stop()
+            self.armed = True
+        elif start and self.running:
+            self._choose_speed(value)
+        elif start:
+            self._start(value)
+
+    def _choose_speed(self, value):
+        self.ramps = bool(value & 4)
+        self.speed_select = value & 3
+        self.stop_pending = False  # a speed change cancels it [5]
+
+    def _start(self, value):
+        if not self.armed or self.finishing:
+            return  # needs 08h first [2]; the last pulse is still being completed [5]
+        if (
+            (self.preset and self.registers[0] == 0)
+            or self._limit_of_direction()
+            or (self.control & 1 and self.pins.org)
+        ):
+            return  # stays halted and armed [5]
+        self._choose_speed(value)
+        self.running = True
+        self.phase = self.timer = self.ramp = 0
+        self.speed = self.registers[1] if self.ramps else self.selected_speed
+
+    def _decelerating_stop(self, value):
+        if not self.running:
+            return
+        if not value & 4 and not self.ramps:  # D2 = 0 in a constant-speed run [2]
+            self._stop()
+            return
+        self.ramps = self.stop_pending = True  # turns ramps on [5]
+        if self.speed <= self.registers[1]:  # tested at the write [5]
+            self._stop()
+
+    def _stop(self):
+        if not self.running:
+            return
+        self.running = self.armed = self.stop_pending = False
+        if self.pout_low:
+            self.finishing = True  # the pulse is completed first, speed frozen [5]
+        else:
+            self._operation_ends()
+
+    def _operation_ends(self):
+        """b6 falls; the latest D5 decides on /INT [5 fine points]."""
+        self.finishing = False
+        if self.int_at_stop:
+            self.int_pending = True
+
+    # One reference clock [5]
+
+    def tick(self):
+        """Returns the direction, +1 or -1, of the pulse that begins in this clock, or 0."""
+        self.clock += 1
+        rising, self.extp_sample = self.extp_sample and not self.pins.extp, self.pins.extp
+        if rising and self.external:  # at the start of a tick, running or not [5 fine points]
+            self._count()
+            self._stop_at_zero()
+        if self.running and (self._limit_of_direction() or (self.control & 1 and self.pins.org)):  # 1
+            self._stop()
+        begun = 0
+        # R7 < 2 freezes the phase, and speed 0 or R7 < 2 never completes a pulse: step 2 is skipped as a whole
+        if (self.running or self.finishing) and self.registers[7] >= 2 and self.speed > 0:
+            begun = self._pulse_output()  # 2
+        if self.running:
+            self._speed_control()  # 3
+        return begun
+
+    def _pulse_output(self):
+        self.phase += self.speed
+        if self.running and self.phase >= self.modulus:
+            self.phase -= self.modulus
+            self.pout_low = True
+            if not self.external:
+                self._count()
+            # Choice: "in preset mode R0 = 0 stops", the brackets "(source = output pulses)" qualify the count alone
+            self._stop_at_zero()
+            return self.direction
+        if self.pout_low and 2 * self.phase >= self.modulus:
+            self.pout_low = False
+            if self.finishing:
+                self._operation_ends()
+        return 0
+
+    def _count(self):
+        self.registers[0] = (self.registers[0] - 1) % 2**24
+
+    def _stop_at_zero(self):
+        if self.preset and self.registers[0] == 0:
+            self._stop()
+
+    def _speed_control(self):
+        if self.ramps:
+            self._ramp()
+        else:
+            self.speed = self.selected_speed  # hence a change acts from the next tick on
+            self.ramp = 0
+        if self.stop_pending and self.speed <= self.registers[1]:
+            self._stop()
+
+    def _ramp(self):
+        direction = self.ramp_direction()
+        first = direction != self.ramp  # a ramp starts when none was running or its direction changes
+        self.ramp = direction
+        if direction == 0:
+            return
+        self.timer = 1 if first else self.timer + 1
+        rate = self.registers[4 if direction > 0 else 5]
+        if rate < 2:
+            return  # below the legal minimum: the speed holds, though the timer counts on
+        if self.timer >= rate or (direction < 0 and first):
+            self.speed += direction
+            self.timer = 0
+
+    def advance(self, clocks):
+        return len(self.trace(clocks))
+
+    def trace(self, clocks):
+        """Pulses begun, as (clock after the tick, direction) [5 fine points]."""
+        return [(self.clock, direction) for _ in range(clocks) if (direction := self.tick())]
+
+    # What follows from the state
+
+    modulus = property(lambda self: 8192 * self.registers[7])
+    direction = property(lambda self: -1 if self.control & 8 else 1)
+    preset = property(lambda self: bool(self.control & 4))
+    external = property(lambda self: bool(self.output_mode & 0x10))
+    selected_speed = property(lambda self: self.registers[(1, 2, 1, 3)[self.speed_select]])  # 10 as FL [2]
+
+    def _limit_of_direction(self):
+        return self.pins.el_minus if self.control & 8 else self.pins.el_plus
+
+    def _slow_down_of_direction(self):
+        return self.pins.sd_minus if self.control & 8 else self.pins.sd_plus
+
+    def goal(self):
+        if (
+            self.stop_pending
+            or (self.control & 2 and self._slow_down_of_direction())
+            or (self.preset and self.registers[0] < self.registers[6])
+        ):
+            return self.registers[1]
+        return self.selected_speed
+
+    def ramp_direction(self):
+        goal = self.goal()
+        return (goal > self.speed) - (goal < self.speed)
 
     def outputs(self):
-        ramping = self.running and self.ramps
-        up, down = ramping and self.speed < self.goal(), ramping and self.speed > self.goal()
-        pout, pdir = self.pout_low, self.minus
-        if self.independent:
-            pout, pdir = self.pout_low and not self.minus, self.pout_low and self.minus
+        ramping = self.ramp_direction() if self.running and self.ramps else 0  # live [5 fine points]
+        minus, independent = self.direction < 0, self.output_mode & 1
         return {
-            "ots": self.ots, "pout": pout, "pdir": pdir, "hold": not (self.running or self.finishing), "fdown": down,
-            "fkeep": not up and not down, "fup": up, "lt": self.r[0] < self.r[6], "zero": self.r[0] == 0,
+            "ots": bool(self.output_mode & 0x20),
+            "pout": self.pout_low and not (independent and minus),
+            "pdir": self.pout_low and minus if independent else minus,
+            "hold": not (self.running or self.finishing),
+            "fdown": ramping < 0,
+            "fkeep": ramping == 0,
+            "fup": ramping > 0,
+            "lt": self.registers[0] < self.registers[6],
+            "zero": self.registers[0] == 0,
             "irq": self.int_pending,
-        }  # fmt: skip
+        }
+
+    def status(self):
+        """b7 .. b0 [3]."""
+        out = self.outputs()
+        bits = (not out["irq"], not out["hold"], out["fkeep"], out["lt"], out["zero"])
+        bits += (self._slow_down_of_direction(), self.pins.org, self.pins.ins)
+        return int("".join(str(int(bit)) for bit in bits), 2)
 
     def state(self):
-        return {"status": self.status(), "counter": tuple(self.read(a) for a in (1, 2, 3)), **self.outputs()}
+        """All that a host or a probe can see: status, the three counter bytes, every output pin."""
+        return {"status": self.read(0), "counter": tuple(self.read(a) for a in (1, 2, 3)), **self.outputs()}

@@ -1,0 +1,188 @@
+"""How straight are a:b moves? 200 random pairs of distances on emulated chips; every number of docs/synchronized.md.
+
+python scripts/synchronized_survey.py                     the tables
+python scripts/synchronized_survey.py --pictures          and docs/pictures/synchronized*.png
+"""
+
+import argparse
+import random
+import time
+
+import numpy as np
+
+from stage import ArgumentError
+from stage.chips import PCL240K
+from stage.firmware import Bench, plan, synchronized_move
+from stage.firmware.follow import run
+from stage.firmware.path import path_deviation
+
+DELAYS = (1e-6, 1e-5, 1e-4)
+
+
+def bench(names, bus_cycle=1e-6):
+    return Bench(**{n: PCL240K() for n in names}, bus_cycle=bus_cycle)
+
+
+def random_distances(rng, names, low=100, high=50_000):
+    return {n: rng.choice((-1, 1)) * rng.randint(low, high) for n in names}
+
+
+def common_multiplier(made):
+    """The deviation when both axes must do with one R7, the finest that reaches the rate: every register rounded to the
+    nearest, R6 = Psd and 5 pulses of the longest axis."""
+    long = made.axes[made.order[-1]]
+    r7 = int(long.clock_hz * 8191 / (8192 * long.fh))
+    step = long.clock_hz / (8192 * r7)
+    pulses = []
+    for axis in made.axes.values():
+        ratio = abs(axis.distance) / abs(long.distance)
+        low, high = (max(1, round(ratio * rate / step)) for rate in (long.fl, long.fh))
+        gain = max(high - low, 1)
+        up, down = (min(max(round(t * long.clock_hz / gain), 2), 16383) for t in (long.accel, long.decel))
+        r6 = min(int((high**2 - low**2) * down / (16384 * r7)) + max(1, round(5 * ratio)), abs(axis.distance))
+        pulses.append((run([abs(axis.distance), low, high, high, up, down, r6, r7]), 1))
+    return path_deviation(pulses, [abs(a.distance) for a in made.axes.values()]).pulses
+
+
+def row(name, values, unit=""):
+    v = np.asarray(values)
+    median, most, top = np.percentile(v, (50, 95, 100))
+    print(f"| {name:44} | {median:8.3g}{unit} | {most:8.3g}{unit} | {top:8.3g}{unit} | {np.mean(v <= 2):6.1%} |")
+
+
+def survey(pairs, seed):
+    rng = random.Random(seed)
+    plan({"x": 1000, "y": 700})  # compiles
+    asked = [random_distances(rng, "xy") for _ in range(pairs)]
+    reports = [synchronized_move(d, bench("xy")) for d in asked]
+    exact = sum(r.axes[n].pulses == d[n] for r, d in zip(reports, asked, strict=True) for n in d)
+    far = [r.deviation.pulses for r in reports]
+    perfect = [r.plan.perfect for r in reports]
+    plain = [common_multiplier(r.plan) for r in reports]
+    taken = []
+    for d in asked:
+        begin = time.process_time()
+        plan(d)
+        taken.append(1e3 * (time.process_time() - begin))
+
+    print(
+        f"{pairs} random pairs of 100 to 50,000 pulses, seed {seed}, rate 16,000 pps; {exact} of {2 * pairs} axes exact\n"
+    )
+    print(
+        f"| {'largest distance from the line, pulses':44} |   median |     95 % |  largest | <= 2   |\n|---|---|---|---|---|"
+    )
+    row("planned, measured on chips", far)
+    row("perfect axes: rates exactly in ratio", perfect)
+    row("one R7 for both axes, the finest", plain)
+    for delay in DELAYS[1:]:
+        row(
+            f"bus cycle {delay * 1e6:.0f} us, planned for",
+            [late(r, d, delay, True) for r, d in zip(reports, asked, strict=True)],
+        )
+        row(
+            f"bus cycle {delay * 1e6:.0f} us, not planned for",
+            [late(r, d, delay) for r, d in zip(reports, asked, strict=True)],
+        )
+    three = [synchronized_move(random_distances(rng, "xyz"), bench("xyz")) for _ in range(pairs // 2)]
+    row(f"three axes, {len(three)} moves", [r.deviation.pulses for r in three])
+    row("three perfect axes", [r.plan.perfect for r in three])
+    fast = [synchronized_move(d, bench("xy"), rate=200_000, fl=4000, accel=0.1) for d in asked]
+    row("rate 200,000 pps", [r.deviation.pulses for r in fast])
+    wild, refused = anything(rng, pairs)
+    row(f"anything, {len(wild)} moves", wild)
+    long = [
+        plan(random_distances(rng, "xy", 1_000_000, 16_777_215), rate=r) for _ in range(25) for r in (16_000, 200_000)
+    ]
+    row("over a million pulses, 16,000 pps, estimate", [p.deviation for p in long[::2]])
+    row("over a million pulses, 200,000 pps, estimate", [p.deviation for p in long[1::2]])
+    print(
+        f"\nanything: 2 or 3 axes, 1 to 100,000 pulses, rate 50 to 240,000 pps, FL 5 to 5000 pps, ramps 2 ms to 2 s, all evenly\n"
+        f"spread on a log scale; {refused} more were refused, with the reason"
+    )
+    errors, apart = [r.ratio_error for r in reports], [1e3 * r.finish for r in reports]
+    surprise = max(abs(r.plan.deviation - r.deviation.pulses) for r in reports)
+    print(
+        f"\nplanning takes {np.median(taken):.1f} ms of processor time, at most {max(taken):.1f} ms\n"
+        f"ratio error: median {np.median(errors):.1e}, largest {max(errors):.1e}\n"
+        f"last pulses are apart by {np.median(apart):.2f} ms, at most {max(apart):.2f} ms\n"
+        f"planned and measured distance differ by at most {surprise:.3f} pulses"
+    )
+    return asked, far, perfect, plain
+
+
+def anything(rng, moves):
+    """Deviations of moves with everything at random, and how many were refused."""
+
+    def between(low, high):
+        return low * (high / low) ** rng.random()
+
+    far, refused = [], 0
+    for _ in range(moves):
+        names = rng.choice(("xy", "xyz"))
+        distances = {n: rng.choice((-1, 1)) * int(between(1, 100_000)) for n in names}
+        rate = between(50, 240_000)
+        ramps = {"accel": between(0.002, 2), "decel": between(0.002, 2)}
+        try:
+            report = synchronized_move(distances, bench(names), rate=rate, fl=min(between(5, 5000), rate), **ramps)
+        except ArgumentError:
+            refused += 1
+        else:
+            far.append(report.deviation.pulses)
+    return far, refused
+
+
+def late(report, distances, delay, aware=False):
+    """The deviation on a slower bus."""
+    if not aware:
+        return report.plan.with_bus_delay(delay).deviation
+    return synchronized_move(distances, bench("xy", delay)).deviation.pulses
+
+
+def draw(asked, far, perfect, plain, folder):
+    from matplotlib.figure import Figure
+
+    ink, muted, blue, orange = "#1d2733", "#7b8794", "#1f5f9e", "#c05621"
+    figure = Figure(figsize=(10, 3.9), layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=(1, 1.15))
+    bins = np.geomspace(0.4, 1.2 * max(*plain, 2), 46)
+    left.hist(plain, bins, color=orange, alpha=0.55, label="one R7 for both axes")
+    left.hist(far, bins, color=blue, alpha=0.85, label="R7 free for each axis")
+    left.axvline(2, color=muted, linewidth=0.8, linestyle=(0, (4, 4)))
+    left.set_xscale("log")
+    left.set_xticks((0.5, 1, 2, 5), ("0.5", "1", "2", "5"))
+    left.minorticks_off()
+    left.set_xlim(bins[0], bins[-1])
+    left.set_xlabel("largest distance from the line (pulses)", color=ink)
+    left.set_ylabel(f"moves of {len(far)}", color=ink)
+    ratio = [min(map(abs, d.values())) / max(map(abs, d.values())) for d in asked]
+    right.scatter(ratio, far, s=14, color=blue, linewidths=0, label="planned, measured")
+    order = np.argsort(ratio)
+    right.plot(
+        np.array(ratio)[order], np.array(perfect)[order], color=muted, linewidth=1, label="perfect axes, a common start"
+    )
+    x = np.linspace(0, 1, 100)
+    right.plot(
+        x, (1 + x) / 2 / np.hypot(1, x), color=muted, linewidth=1, linestyle=(0, (2, 2)), label="half the staircase"
+    )
+    right.set_xlabel("ratio of the distances", color=ink)
+    right.set_ylabel("largest distance (pulses)", color=ink)
+    right.set_ylim(0.45, 1.08)
+    right.set_xlim(0, 1.01)
+    for ax in (left, right):
+        ax.legend(frameon=False, fontsize=8, labelcolor=ink, loc="upper right" if ax is left else "lower right")
+        ax.spines[["top", "right"]].set_visible(False)
+        ax.spines[["left", "bottom"]].set_color("#c9d1da")
+        ax.tick_params(color="#c9d1da", labelcolor=ink, labelsize=8)
+    figure.savefig(f"{folder}/synchronized.png", dpi=150)
+    synchronized_move({"x": 20_000, "y": -7_500}, bench("xy")).plot(f"{folder}/synchronized_move.png")
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--pairs", type=int, default=200)
+    parser.add_argument("--seed", type=int, default=240)
+    parser.add_argument("--pictures", nargs="?", const="docs/pictures", metavar="FOLDER")
+    given = parser.parse_args()
+    result = survey(given.pairs, given.seed)
+    if given.pictures:
+        draw(*result, given.pictures)

@@ -1,0 +1,186 @@
+"""`Bench`: chips on one bus and one time line, without a stage. Firmware runs on it unchanged, in milliseconds.
+
+    bench = Bench(PCL240K())                                     one chip, its axis is "x"; or Bench(x=..., y=...)
+    bench.rail("x", at=9000, org=(None, 0), el_minus=(None, -1600))
+    print(origin_return(bench.axes["x"]))
+    bench.at(bench.time + 0.2, lambda: ...)                      an input edge, say
+
+A rail is a carriage that never slips: it stands where the pulses say, and asserts input pins while it is within given
+spans of pulses. The pin changes at the very pulse, between two clocks, as the switches of a stage do.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Callable, Mapping
+from itertools import count
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from stage.chips import Chip
+from stage.errors import ArgumentError, unknown
+
+NAMES = "xyzuvw"
+Span = tuple[int | None, int | None]
+
+
+class BenchAxis:
+    """A chip alone: it makes pulses, and nothing moves but a rail's carriage."""
+
+    meters_per_pulse = None
+    position = None
+    commanded = None
+    lost_steps = None
+
+    def __init__(self, bench: Bench, name: str, chip: Chip):
+        self._bench, self.name, self.chip = bench, name, chip
+        self._offset = -int(chip._record["net"])
+        self._spans: dict[str, Span] = {}
+        self._bounds: list[int] = []
+
+    @property
+    def time(self) -> float:
+        """Seconds since the bench was made."""
+        return self._bench.time
+
+    def wait(self, seconds: float) -> None:
+        """`seconds` pass, for all chips of the bench."""
+        self._bench.wait(seconds)
+
+    @property
+    def place(self) -> int:
+        """Where a rail's carriage stands, pulses."""
+        return self._offset + int(self.chip._record["net"])
+
+    def _lay(self, at: int, spans: dict[str, Span]) -> None:
+        self._offset, self._spans = at - int(self.chip._record["net"]), spans
+        self._bounds = [bound for span in spans.values() for bound in span if bound is not None]
+        self._assert_switches()
+
+    def _assert_switches(self) -> None:
+        place = self.place
+        for pin, span in self._spans.items():
+            setattr(self.chip.pins, pin, bool(_within(place, span)))
+
+    def _twin(self) -> np.ndarray:
+        """A copy of the chip's record, to look ahead with."""
+        return np.frombuffer(bytearray(self.chip._rows[self.chip._i].tobytes()), self.chip.CORE.STATE)
+
+    def _run(self, clock: int) -> None:
+        """Let the chip run up to `clock`, and stop at each pulse that takes the carriage into a span or out of it."""
+        chip = self.chip
+        core, rows, i = chip.CORE, chip._rows, chip._i
+        while self._spans and chip.clock < clock:
+            n, place = core.advance(self._twin(), 0, clock), self.place
+            if n == 0 or n < min((abs(bound - place) for bound in self._bounds), default=0):
+                break
+            pulses = np.empty(n, core.PULSE)
+            core.trace(self._twin(), 0, clock, pulses)
+            places = place + np.cumsum(pulses["direction"], dtype=np.int64)
+            changed = np.zeros(n, bool)
+            for pin, span in self._spans.items():
+                changed |= _within(places, span) != getattr(chip.pins, pin)
+            if not changed.any():
+                break
+            core.advance(rows, i, int(pulses["clock"][np.argmax(changed)]))
+            self._assert_switches()
+        core.advance(rows, i, clock)
+
+    def __repr__(self) -> str:
+        return f"<BenchAxis {self.name} {self.chip!r}>"
+
+
+class Bench:
+    """Chips on one bus and one time line.
+
+    Args:
+        chips: chips, named x, y, z, u, v, w in their order; or one mapping name -> chip; or by keyword.
+        bus_cycle: seconds that one bus cycle takes.
+    Raises ArgumentError when there is no chip, or one that belongs to a stage or another bench.
+    """
+
+    def __init__(self, *chips: Chip | Mapping[str, Chip], bus_cycle: float = 1e-6, **named: Chip):
+        all_: dict[str, Any] = dict(named)
+        if len(chips) == 1 and isinstance(chips[0], Mapping):
+            all_ |= chips[0]
+        elif len(chips) > len(NAMES):
+            raise ArgumentError(f"{len(chips)} chips: there are names for {len(NAMES)}; give a mapping name -> chip.")
+        else:
+            all_ |= zip(NAMES, chips, strict=False)
+        if not all_:
+            raise ArgumentError("a bench needs at least one chip: Bench(PCL240K()).")
+        if not 0 <= bus_cycle <= 1:
+            raise ArgumentError(f"bus_cycle={bus_cycle!r}: a bus cycle takes 0 to 1 s.")
+        for name, chip in all_.items():
+            if not isinstance(chip, Chip):
+                raise ArgumentError(f"{name}={chip!r} is no chip; for example Bench(PCL240K()).")
+            if chip._bus is not None or sum(chip is other for other in all_.values()) > 1:
+                raise ArgumentError(f"chip {name} already has a bus: a chip sits on one stage or bench, once.")
+        self._now, self._bus_ns = 0, round(bus_cycle * 1e9)
+        self._events: list[tuple[int, int, Callable[[], Any]]] = []
+        self._order = count()
+        self._start = {name: chip.clock for name, chip in all_.items()}
+        for chip in all_.values():
+            chip._bus = self
+        self.axes: Mapping[str, BenchAxis] = MappingProxyType({n: BenchAxis(self, n, c) for n, c in all_.items()})
+
+    @property
+    def time(self) -> float:
+        """Seconds since the bench was made."""
+        return self._now * 1e-9
+
+    @property
+    def bus_cycle(self) -> float:
+        """Seconds that one bus cycle takes."""
+        return self._bus_ns * 1e-9
+
+    def cycle(self) -> None:
+        """One bus cycle passes; chips call it before each read and write."""
+        self._advance(self._now + self._bus_ns)
+
+    def wait(self, seconds: float) -> None:
+        """`seconds` pass."""
+        if not 0 <= seconds < 1e9:
+            raise ArgumentError(f"seconds={seconds!r}: time runs forward, by 0 to 1e9 s.")
+        self._advance(self._now + round(seconds * 1e9))
+
+    def at(self, seconds: float, action: Callable[[], Any]) -> None:
+        """Do `action()` when the bench's time is `seconds`: an input edge, for example."""
+        heapq.heappush(self._events, (round(seconds * 1e9), next(self._order), action))
+
+    def rail(self, axis: str, at: int = 0, **spans: Span) -> None:
+        """Put a carriage that never slips under an axis.
+
+        Args:
+            axis: its name.
+            at: where the carriage stands, pulses.
+            spans: input pin -> (low, high), both inclusive, None for no bound: where the carriage asserts it.
+        """
+        if axis not in self.axes:
+            raise unknown("axis", axis, self.axes)
+        chip = self.axes[axis].chip
+        for pin in spans:
+            if pin not in chip.INPUTS:
+                raise unknown(f"{type(chip).__name__} input", pin, chip.INPUTS)
+        self.axes[axis]._lay(at, spans)
+
+    def _advance(self, until: int) -> None:
+        while self._events and self._events[0][0] <= until:
+            when, _, action = heapq.heappop(self._events)
+            self._run(max(when, self._now))
+            action()
+        self._run(max(until, self._now))  # an action may have spent bus cycles
+
+    def _run(self, until: int) -> None:
+        self._now = until
+        for name, axis in self.axes.items():
+            hz = axis.chip.clock_hz
+            seconds, rest = divmod(until, 1_000_000_000)
+            axis._run(self._start[name] + seconds * hz + rest * hz // 1_000_000_000)
+
+
+def _within(place: Any, span: Span) -> Any:
+    low, high = span
+    return (place >= (-np.inf if low is None else low)) & (place <= (np.inf if high is None else high))

@@ -1,0 +1,162 @@
+"""The longest axis of an a:b move, which the others follow: its registers, and the search for a good set of all.
+
+Any R7 and FH that make the rate asked for will do, so those are tried first whose share the followers' registers make best.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from stage.chips import PCL240K
+from stage.errors import ArgumentError
+from stage.firmware import follow
+
+LONG = 500_000  # pulses
+LEADERS, LEADERS_LONG = 6, 60  # tried; more for a long move, in which small errors of the ratio add up
+SHIFTS, SHIFTS_LONG = 4, 12  # speed steps around the rate asked for
+RATE_ERROR = 2e-3
+MATCH = 1e-6  # pulses of drift over the move: an exact ratio
+DRIFT = 0.05  # pulses that the ratio may cost a follower before another leader is preferred
+GOOD = 1.03  # a follower's score, about its largest distance in its pulses: search no further
+HOPELESS = 1.5  # not a matter of the tail
+TAILS = (5, 8, 11, 14, 4, 6, 9)  # pulses at FL after the ramp-down; first the data sheet's R6 = Psd + 5
+TAIL_SECONDS, TAIL_SHARE = 0.02, 0.05  # what a longer one may cost: seconds, or a share of the move
+
+_LEGAL = {r.name: r.legal or (0, r.mask) for r in PCL240K.MAP.registers}
+R4_MOST, R6_MOST = _LEGAL["R4"][1], _LEGAL["R6"][1]
+R7_LEAST, R7_MOST = _LEGAL["R7"]
+SPEED_MOST = _LEGAL["R2"][1]
+
+
+class Ask(NamedTuple):
+    """What the longest axis shall do: pulses, rates in pps, ramp times in s."""
+
+    length: int
+    fh: float
+    fl: float
+    up: float
+    down: float
+
+
+class Follower(NamedTuple):
+    """Pulses (unsigned), reference clock, and seconds that the axis is started before the leader."""
+
+    pulses: int
+    clock_hz: int
+    lead: float
+
+
+class Kept(NamedTuple):
+    """The best registers found for a follower, and about how far they are from the line, in its pulses."""
+
+    registers: np.ndarray
+    scores: np.ndarray
+
+
+def search(ask: Ask, hz: int, followers: Mapping[str, Follower]) -> tuple[np.ndarray, dict[str, Kept]]:
+    """Registers of the leader (R0..R7) and of its followers: the first that are as close to the line as can be, or the best
+    of all. hz: the leader's clock. Raises ArgumentError when no registers make the ramps."""
+    best: tuple[np.ndarray, dict[str, Kept]] | None = None
+    least = np.inf
+    for bare in _leaders(ask, hz, followers):
+        rises: dict[str, np.ndarray] = {}
+        for leader in _with_tails(bare, hz):
+            found = {}
+            for name, (d, own_hz, lead) in followers.items():
+                if name not in rises:
+                    rises[name] = np.zeros((follow.KEPT, 8), np.int64)
+                    follow.accelerations(leader, hz, d, own_hz, lead, np.empty(follow.KEPT), rises[name])
+                found[name] = kept = Kept(np.zeros((follow.BEST, 8), np.int64), np.empty(follow.BEST))
+                follow.decelerations(leader, hz, own_hz, lead, rises[name], kept.scores, kept.registers)
+            worst = max((k.scores[0] for k in found.values()), default=0.0)
+            if worst < least:
+                least, best = worst, (leader, found)
+            if worst <= GOOD:
+                return leader, found
+            if worst > HOPELESS:
+                break
+    if best is None:
+        raise ArgumentError(f"{ask.length} pulses leave no room for ramps of {ask.up:.3g} and {ask.down:.3g} s.")
+    return best
+
+
+def _leaders(ask: Ask, hz: int, followers: Mapping[str, Follower]) -> list[np.ndarray]:
+    """R0 to R7 (R6 still 0) for the longest axis, most promising first.
+
+    R7 and FH may be any that make the rate to 0.2 %: what counts is how well the followers' registers make their share of it.
+    """
+    finest = min(R7_MOST, int(hz * SPEED_MOST / (8192 * ask.fh) + 1e-9))
+    tried, around = (LEADERS_LONG, SHIFTS_LONG) if ask.length > LONG else (LEADERS, SHIFTS)
+    grids, shifts = np.arange(max(R7_LEAST, finest // 16), finest + 1), np.arange(-around, around + 1)
+    r7, shift = np.tile(grids, len(shifts)), np.repeat(shifts, len(grids))
+    step = hz / (8192.0 * r7)
+    high = np.rint(ask.fh / step) + shift
+    low = np.clip(np.rint(ask.fl / step), 1, SPEED_MOST)
+    error = np.abs(high * step / ask.fh - 1)
+    fits = (high >= 1) & (high <= SPEED_MOST)
+    if ask.up == 0.0:
+        low, up, down = high, np.full(len(r7), 2.0), np.full(len(r7), 2.0)
+    else:
+        gain = np.maximum(high - low, 1)
+        up, down = np.rint(ask.up * hz / gain), np.rint(ask.down * hz / gain)
+        fits &= (high > low) & (np.minimum(up, down) >= 2) & (np.maximum(up, down) <= R4_MOST)
+        error += np.abs(up * gain / hz / ask.up - 1) / 8 + np.abs(down * gain / hz / ask.down - 1) / 8
+        if not fits.any():
+            _refuse_ramp(ask, hz, step, high, low)
+    pick = np.flatnonzero(fits & (error <= max(RATE_ERROR, 1.01 * float(error[fits].min()))))
+    pick = pick[np.argsort(np.abs(shift[pick]), kind="stable")]
+    off = np.zeros(len(pick))
+    for d, own_hz, _ in followers.values():
+        misfit = np.zeros(len(pick))
+        least = min(100.0, d / ask.length * ask.fh * 8192 * R7_MOST / own_hz / 2)
+        follow.misfits(high[pick], r7[pick], hz, d / ask.length, own_hz, least, MATCH / d, misfit)
+        off = np.maximum(off, misfit * d)
+    best = pick[np.argsort(np.maximum(off, DRIFT) + error[pick], kind="stable")]
+    plain = pick[shift[pick] == 0]
+    spread = plain[np.linspace(len(plain) - 1, 0, tried // 2).astype(int)] if len(plain) else plain
+    zero = np.zeros(len(r7))
+    table = np.stack([zero + ask.length, low, high, high, up, down, zero, r7], axis=1).astype(np.int64)
+    return [table[k] for k in dict.fromkeys([*best[: tried // 2], *spread])]
+
+
+def _refuse_ramp(ask: Ask, hz: int, step: np.ndarray, high: np.ndarray, low: np.ndarray) -> None:
+    gain = (high - low)[high > low]
+    if not len(gain):
+        raise ArgumentError(
+            f"fl={ask.fl:g} and rate={ask.fh:g} pps are within one speed step ({step.min():.3g} pps): make them "
+            f"equal for constant speed, or move them apart."
+        )
+    least, most = 2 * gain.min() / hz, R4_MOST * gain.max() / hz
+    for name, register, value in (("accel", "R4", ask.up), ("decel", "R5", ask.down)):
+        if not least <= value <= most:
+            raise ArgumentError(
+                f"{name}={value:.4g} s from {ask.fl:g} to {ask.fh:g} pps would need {register} outside 2 to {R4_MOST}. "
+                f"In reach are {least:.3g} to {most:.4g} s."
+            )
+    raise ArgumentError(
+        f"accel={ask.up:.4g} s and decel={ask.down:.4g} s differ too much: no R7 keeps both R4 and R5 within 2 to {R4_MOST}."
+    )
+
+
+def _with_tails(leader: np.ndarray, hz: int) -> Iterator[np.ndarray]:
+    """The leader with R6 for a few lengths of its last part at FL: for some the followers' whole pulses fit better."""
+    if leader[2] == leader[1]:
+        yield leader
+        return
+    gain = int(leader[2] - leader[1])
+    fall = leader[5] * (leader[1] * gain + gain * (gain - 1) / 2) / (8192 * leader[7])
+    fl, fh = (leader[k] * hz / (8192 * leader[7]) for k in (1, 2))
+    patience = max(TAIL_SECONDS, TAIL_SHARE * leader[0] / fh)
+    for tail in TAILS:
+        r6 = int(np.ceil(fall)) + tail
+        if (tail - TAILS[0]) / fl > patience:
+            continue
+        if r6 > R6_MOST:
+            raise ArgumentError(
+                f"the ramp-down takes {fall:.0f} pulses, and R6 counts to {R6_MOST}: shorten decel or lower the rate."
+            )
+        if r6 <= leader[0]:
+            yield np.array([*leader[:6], r6, leader[7]])

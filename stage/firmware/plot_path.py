@@ -1,0 +1,137 @@
+"""An a:b move drawn: the staircase where it is farthest from the line, the distance along the way, the rates over time."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from stage.errors import StageError
+from stage.firmware.path import path_points
+from stage.firmware.plot import INK, LINE, MUTED, _bare
+
+if TYPE_CHECKING:
+    from stage.firmware.synchronized import SynchronizedReport
+
+COLOURS = (LINE, "#c05621", "#2f855a", "#6b46c1", "#b7791f", "#2b6cb0")
+WORST = "#c53030"
+AROUND = 5.5  # pulses to either side of the farthest point
+BINS = 300
+
+
+def draw(report: SynchronizedReport, path: Any = None, title: str | None = None) -> Any:
+    """Draw `report`; see SynchronizedReport.plot."""
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise StageError("drawing needs matplotlib: pip install 'pulsestage[plot]'.") from error
+
+    line = np.array(list(report.plan.distances.values()), float)
+    times, counts = path_points(list(report.paths.values()))
+    flat = len(line) == 2
+    figure = Figure(figsize=(10.5, 4.6) if flat else (8, 5.2), layout="constrained")
+    if flat:
+        near, off, rates = figure.subplot_mosaic([["near", "off"], ["near", "rates"]], width_ratios=[1, 1.25]).values()
+        _staircase(near, report, counts, line)
+    else:
+        off, rates = figure.subplots(2, 1)
+    _distance(off, report, times, counts, line)
+    _rates(rates, report)
+    way = ", ".join(f"{n} {d:+,}" for n, d in report.plan.distances.items())
+    figure.suptitle(title or f"a:b move, {way} pulses", x=0.01, ha="left", color=INK, fontsize=11, weight="bold")
+    if path is not None:
+        figure.savefig(path, dpi=150)
+    return figure
+
+
+def _staircase(ax: Any, report: SynchronizedReport, counts: np.ndarray, line: np.ndarray) -> None:
+    """The path around its farthest point, in a plane of two axes."""
+    worst = np.array(report.deviation.counts, float)
+    unit = line / np.linalg.norm(line)
+    foot = np.clip(worst @ unit, 0, np.linalg.norm(line)) * unit
+    near = (np.abs(counts - worst) <= AROUND + 2).all(axis=1)
+    x, y = counts[near].T
+    ends = (foot[:, None] + unit[:, None] * np.array([-3, 3]) * AROUND).clip(
+        np.minimum(line, 0)[:, None], np.maximum(line, 0)[:, None]
+    )
+    ax.plot(*ends, color=MUTED, linewidth=1.2, label="the line")
+    ax.plot(x, y, color=LINE, linewidth=1.3, marker="o", markersize=3, label="the path, a dot a pulse")
+    if report.deviation.pulses:
+        label = f"farthest: {report.deviation.pulses:.2f} pulses"
+        ax.plot(*np.stack([foot, worst], axis=1), color=WORST, linewidth=1.6, label=label)
+        ax.plot(*worst, color=WORST, marker="o", markersize=5)
+    for lim, middle in ((ax.set_xlim, worst[0]), (ax.set_ylim, worst[1])):
+        lim(middle - AROUND, middle + AROUND)
+    for axis, name in ((ax.xaxis, 0), (ax.yaxis, 1)):
+        axis.set_major_locator(_whole())
+        axis.set_label_text(f"{list(report.paths)[name]} (pulses)", color=INK)
+        axis.set_major_formatter(lambda v, _: f"{v:,.0f}")
+    ax.set_aspect("equal")
+    ax.grid(color="#e8ebef", linewidth=0.6)
+    ax.set_axisbelow(True)
+    ax.legend(loc="best", frameon=False, fontsize=8, labelcolor=INK)
+    _bare(ax)
+
+
+def _whole() -> Any:
+    from matplotlib.ticker import MultipleLocator
+
+    return MultipleLocator(2)
+
+
+def _distance(ax: Any, report: SynchronizedReport, times: np.ndarray, counts: np.ndarray, line: np.ndarray) -> None:
+    """Distance from the line over time; with two axes to its left (+) and right (-)."""
+    unit = line / max(np.linalg.norm(line), 1.0)
+    if len(line) == 2:
+        off = counts @ np.array([-unit[1], unit[0]])
+    else:
+        along = np.clip(counts @ unit, 0, np.linalg.norm(line))
+        off = np.linalg.norm(counts - along[:, None] * unit, axis=1)
+    ax.set_ylabel("from the line (pulses)", color=INK)
+    scale, _ = _scale(report)
+    d = report.deviation
+    if len(off) > 3 * BINS:
+        cuts = np.unique(np.searchsorted(times, np.linspace(0, times[-1], BINS)))[:-1]
+        low, high = np.minimum.reduceat(off, cuts), np.maximum.reduceat(off, cuts)
+        ax.fill_between(times[cuts] * scale, low, high, step="post", color=LINE, alpha=0.55, linewidth=0)
+    else:
+        ax.step(times * scale, off, where="post", color=LINE, linewidth=0.7)
+    at = off[np.searchsorted(times, d.time)] if d.pulses else 0.0
+    if d.pulses:
+        ax.plot(d.time * scale, at, color=WORST, marker="o", markersize=5, zorder=3)
+    reach = max(1.25, 1.15 * d.pulses)
+    ax.set_ylim(-reach if off.min() < 0 else 0, reach)
+    for k in (-1, 0, 1):
+        ax.axhline(k, color=MUTED, linewidth=0.7, linestyle="-" if k == 0 else (0, (4, 4)), zorder=0)
+    ax.set_title(
+        f"at most {d.pulses:.2f} pulses from the line, after {d.time * 1e3:,.4g} ms",
+        loc="right", color=MUTED, fontsize=9,
+    )  # fmt: skip
+    ax.set_xlim(0, report.plan.seconds * scale * 1.01)
+    ax.tick_params(labelbottom=False)
+    _bare(ax)
+
+
+def _rates(ax: Any, report: SynchronizedReport) -> None:
+    scale, unit_name = _scale(report)
+    first = min(r.began for r in report.axes.values())
+    peak = 0.0
+    for k, (name, r) in enumerate(report.axes.items()):
+        ax.step(
+            (r.course.seconds - first) * scale, r.rates, where="post", color=COLOURS[k % len(COLOURS)], linewidth=1.4,
+            label=f"{name}  R7 = {report.plan.axes[name].registers['R7']}, FH {report.plan.axes[name].fh:,.1f} pps",
+        )  # fmt: skip
+        peak = max(peak, r.peak_rate)
+    ax.set_xlim(0, report.plan.seconds * scale * 1.01)
+    ax.set_ylim(0, 1.08 * (peak or 1.0))
+    ax.set_xlabel(f"time from the first start command ({unit_name})", color=INK)
+    ax.set_ylabel("pulse rate (pps)", color=INK)
+    ax.yaxis.set_major_formatter(lambda v, _: f"{v:,.0f}")
+    ax.legend(
+        loc="lower center", bbox_to_anchor=(0.5, 0.98), ncols=len(report.axes), frameon=False, fontsize=8, labelcolor=INK,
+    )  # fmt: skip
+    _bare(ax)
+
+
+def _scale(report: SynchronizedReport) -> tuple[float, str]:
+    return (1e3, "ms") if report.plan.seconds < 2 else (1.0, "s")

@@ -1,0 +1,107 @@
+"""Origin return on chips alone: a carriage that never slips, switches in pulses; every start place, every fault."""
+
+import numpy as np
+import pytest
+
+from stage import ArgumentError, firmware
+from stage.chips import PCL240K
+from stage.firmware import Bench, Profile
+
+P = Profile.of(fl=1000, fh1=16_000, accel=0.1)
+LOW, HIGH = -3200, 20_000
+SWITCHES = {
+    "el_minus": (None, LOW),
+    "sd_minus": (None, 6400),
+    "org": (None, 0),
+    "sd_plus": (HIGH - 6400, None),
+    "el_plus": (HIGH, None),
+}
+SEED = np.random.SeedSequence().entropy
+
+
+def at(place, **switches):
+    bench = Bench(PCL240K())
+    bench.rail("x", at=place, **(SWITCHES | switches))
+    return bench.axes["x"]
+
+
+@pytest.mark.parametrize("high_speed", [True, False])
+@pytest.mark.parametrize(
+    "place", [LOW - 50, LOW, LOW + 1, -1000, -1, 0, 1, 150, 6399, 6400, 6401, 12_000, HIGH, HIGH + 20]
+)
+def test_it_ends_on_the_same_pulse_from_any_place(place, high_speed):
+    x = at(place)
+    report = firmware.origin_return(x, -1, P, high_speed=high_speed)
+    assert report.stopped_by == "ORG"
+    assert report.ok
+    assert x.place == 0
+    assert report.pulses == -place
+    assert x.chip.diagnostics == []
+
+
+def test_it_ends_on_the_same_pulse_from_random_places_at_random_speeds():
+    print("seed", SEED)
+    rng = np.random.default_rng(SEED)
+    for _ in range(50):
+        x = at(int(rng.integers(LOW, HIGH + 1)))
+        fl = rng.uniform(300, 2000)
+        speeds = Profile.of(fl=fl, fh1=rng.uniform(fl, 40_000), accel=rng.uniform(0.01, 0.3))
+        report = firmware.origin_return(x, -1, speeds, back_off=int(rng.integers(1, 500)))
+        assert (report.stopped_by, x.place) == ("ORG", 0)
+
+
+def test_towards_plus_it_is_the_mirror_image():
+    mirrored = {"el_plus": (3200, None), "sd_plus": (-6400, None), "org": (0, None), "el_minus": (None, -20_000)}
+    bench = Bench(PCL240K())
+    for place in (-15_000, -200, 0, 3200):
+        bench.rail("x", at=place, **mirrored)
+        report = firmware.origin_return(bench.axes["x"], +1, P)
+        assert (report.stopped_by, bench.axes["x"].place) == ("ORG", 0)
+
+
+def test_sd_takes_it_to_fl_before_org():
+    course = firmware.origin_return(at(12_000), -1, P, slow_approach=False).course
+    org = np.flatnonzero(course.pin("org"))[0]
+    assert course.edges["speed"][org] == P.R1
+    assert course.pin("fdown").any()
+
+
+@pytest.mark.parametrize("high_speed", [True, False])
+def test_without_org_it_ends_on_the_end_limit_and_says_so(high_speed):
+    x = at(5000, org=(1, 0))
+    report = firmware.origin_return(x, -1, P, high_speed=high_speed)
+    assert report.stopped_by == "EL-"
+    assert not report.ok
+    assert x.place == LOW
+
+
+def test_an_org_that_never_lets_go_is_not_taken_for_the_origin():
+    x = at(5000, org=(None, None))
+    report = firmware.origin_return(x, -1, P)
+    assert report.stopped_by == "EL+", "it went to look where ORG ends"
+    assert not report.ok
+    assert x.place == HIGH
+
+
+def test_an_axis_without_any_switch_times_out_with_a_report():
+    x = Bench(PCL240K()).axes["x"]
+    with pytest.raises(firmware.bus.RunTimeout) as caught:
+        firmware.origin_return(x, -1, P, timeout=0.5)
+    assert caught.value.report.procedure == "origin return"
+    assert caught.value.report.stopped_by == "timeout"
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"direction": 0}, r"direction=0: \+1 or -1"),
+        ({"back_off": 0}, "pulses=0"),
+        ({"approach": 0}, "approach=0"),
+        ({"approach": 1e9}, "approach=1000000000.0 pps"),
+    ],
+)
+def test_bad_input_is_refused_before_the_first_bus_cycle(options, message):
+    x = at(100)
+    with pytest.raises(ArgumentError, match=message):
+        firmware.origin_return(x, **options)
+    assert x.time == 0.0

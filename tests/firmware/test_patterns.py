@@ -1,0 +1,127 @@
+"""docs/patterns.md: the page says what the code does, and the patterns are what the data sheet says they are."""
+
+import importlib.util
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def _load():
+    path = ROOT / "scripts" / "draw_patterns.py"
+    spec = importlib.util.spec_from_file_location("draw_patterns", path)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["draw_patterns"] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+patterns = _load()
+NAMES = [p.name for p in patterns.PATTERNS]
+
+
+@pytest.fixture(scope="module")
+def reports():
+    return {p.name: p.run() for p in patterns.PATTERNS}
+
+
+def phases(report):
+    """What the chip did, in order; a stop between two pulse edges ends with the fkeep of the pulse that is completed."""
+    course, seen = report.course, []
+    running = ~course.pin("hold")
+    for k in np.flatnonzero(running):
+        now = next(n for n in ("fup", "fdown", "fkeep") if course.pin(n)[k])
+        if not seen or seen[-1] != now:
+            seen.append(now)
+    return " ".join(seen)
+
+
+def test_the_page_is_what_the_code_does_now(reports):
+    """Titles, words, code, bytes and times. If it fails: python scripts/draw_patterns.py"""
+    assert (ROOT / "docs" / "patterns.md").read_text() == patterns.page(reports)
+
+
+def test_every_pattern_has_its_picture_and_no_picture_is_left_over():
+    pictures = {p.stem for p in (ROOT / "docs" / "pictures" / "patterns").glob("*.png")}
+    assert pictures == set(NAMES)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_pattern_makes_its_pulses_without_a_mistake(reports, name):
+    report = reports[name]
+    assert report.ok or name == "end_limit"
+    assert report.duration < 2
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("constant_speed_preset", "fkeep"),
+        ("high_speed_preset", "fup fkeep fdown fkeep"),
+        ("triangular", "fup fdown fkeep"),
+        ("down_point_too_early", "fup fkeep fdown fkeep"),
+        ("dual_rate_up", "fkeep fup fkeep fdown fkeep"),
+        ("dual_rate_down", "fup fkeep fdown fkeep"),
+        ("dual_rate_up_and_down", "fkeep fup fkeep fup fkeep fdown fkeep fdown fkeep"),
+        ("switchover", "fup fkeep fup fkeep fdown fkeep fdown"),
+        ("immediate_stop", "fup fkeep"),
+        ("slow_down", "fup fkeep fdown fkeep fup fkeep fdown fkeep"),
+    ],
+)
+def test_a_pattern_goes_through_its_phases(reports, name, expected):
+    assert phases(reports[name]) == expected
+
+
+def test_fig_a_ends_above_fl_and_fig_c_crawls(reports):
+    late, early = reports["down_point_too_late"], reports["down_point_too_early"]
+    assert late.rates[late.rates > 0][-1] > 3 * patterns.P.fl
+    assert early.duration > reports["high_speed_preset"].duration + 0.2
+
+
+def test_the_bytes_are_those_of_the_data_sheet(reports):
+    """Operating and control commands of section 3 a and b."""
+
+    def codes(name):
+        return [code for _, code, _ in reports[name].writes() if len(code) == 2 and code != "C0"]
+
+    assert codes("high_speed_preset") == ["08", "44", "15"]
+    assert codes("constant_speed_preset") == ["08", "44", "11"]
+    assert codes("high_speed_continuous") == ["08", "40", "15", "1D"]
+    assert codes("decelerating_stop") == ["08", "40", "37", "3F"]
+    assert codes("constant_speed_continuous") == ["08", "40", "11", "08"]
+    assert codes("high_speed_origin_return") == ["08", "40", "4B", "15", "08"]
+    assert codes("ramping_and_interrupting") == ["08", "44", "15", "3D", "08", "15"]
+    assert codes("dual_rate_down") == ["08", "44", "15", "14"]
+
+
+def test_a_picture_is_drawn_into_a_file_or_into_axes_of_ones_own(reports, tmp_path):
+    from matplotlib.figure import Figure
+
+    for name in ("dual_rate_up_and_down", "origin_return_slow_approach"):
+        path = tmp_path / f"{name}.png"
+        reports[name].plot(path, "a title")
+        assert path.read_bytes().startswith(b"\x89PNG")
+    figure = Figure()
+    ax = figure.add_subplot()
+    assert reports["triangular"].plot(ax=ax) is figure
+    said = [t.get_text() for t in ax.texts]
+    assert "R0 = 0" in said
+    assert any(t.startswith("R0 < R6") for t in said)
+    assert any("15h" in t for t in said)
+
+
+def test_notes_never_overlap(reports):
+    """The rows of the notes: no text meets another, nor the line of a later one."""
+    from stage.firmware import plot
+
+    for report in reports.values():
+        t = report.course.seconds - report.began
+        notes, limits, width = plot._notes(report, t), plot._window(report, t), 500.0
+        rows = plot._rows(notes, limits, width)
+        at = [(n.time - limits[0]) / (limits[1] - limits[0]) * width for n in notes]
+        for k, note in enumerate(notes):
+            end = at[k] + plot._width(note.code, True) + plot._width(note.words)
+            assert all(rows[k] > rows[j] for j in range(k + 1, len(notes)) if at[j] < end)

@@ -1,0 +1,92 @@
+"""`Port`: bytes, bits and polling."""
+
+import pytest
+
+from stage import ArgumentError, RunTimeout, StageError, firmware
+from stage.chips import PCL240K
+from stage.firmware import Bench, Port, Profile, bus
+
+
+def port(**options):
+    return Port(Bench(PCL240K(), **options).axes["x"])
+
+
+def test_registers_are_written_from_the_high_byte_to_the_low():
+    p = port()
+    journal = p.axis.chip.journal()
+    p.write_register("R0", 0x123456)
+    p.write_register("R2", 0x1ABC)
+    assert [(e.a, e.b) for e in journal.entries] == [
+        (0, 0x80), (3, 0x12), (2, 0x34), (1, 0x56), (0, 0x82), (2, 0x1A), (1, 0xBC),
+    ]  # fmt: skip
+    assert p.counter() == 0x123456
+    assert p.axis.chip.values()["R2"] == 0x1ABC
+
+
+def test_a_set_of_registers_is_checked_before_the_first_is_written():
+    p = port()
+    with pytest.raises(ArgumentError, match=r"R4 .acceleration rate. cannot be 20000: .* from 2 to 16383"):
+        p.write_registers(R1=100, R4=20_000)
+    assert p.axis.chip.values()["R1"] == 0
+    assert p.axis.time == 0.0, "not one bus cycle"
+
+
+def test_the_status_is_named_by_the_register_map_and_readable():
+    p = port()
+    p.write_registers(R0=100, R1=500, R2=4000, R3=4000, R4=300, R5=300, R6=50, R7=300)
+    assert str(p.status()) == "halted"
+    p.command(bus.CONTROL | bus.PRESET)
+    p.command(bus.RAMP["FH1"] | bus.INTERRUPT)
+    assert str(p.status()) == "ramping up or down"
+    status = p.wait_until_stopped(10)
+    assert str(status) == "halted, R0 = 0, R0 < R6, /INT pending"
+    assert not status.no_int
+    assert status.zero
+
+
+def test_a_bus_too_slow_to_read_the_counter_says_so_and_does_not_hang():
+    p = port(bus_cycle=1e-3)
+    p.write_registers(R0=0xFFFFFF, R1=8191, R2=8191, R7=2)
+    p.command(bus.CONTROL)
+    p.command(bus.START["FH1"])
+    with pytest.raises(StageError, match="bytes did not agree in 100 reads: the bus is too slow"):
+        p.counter()
+
+
+def test_a_timeout_says_what_the_chip_was_doing_and_carries_the_report():
+    x = Bench(PCL240K()).axes["x"]
+    with pytest.raises(RunTimeout, match=r"still operates after 0.200 s .*: R0 = \d+, at constant speed") as caught:
+        firmware.preset_move(x, 100_000, timeout=0.2)
+    report = caught.value.report
+    assert report.stopped_by == "timeout"
+    assert 0 < report.pulses < 100_000
+    assert not report.ok
+    with pytest.raises(StageError, match="axis x is moving: wait until it stops, or stop it with 08h"):
+        firmware.preset_move(x, 10)
+    Port(x).command(bus.RESET)
+    Port(x).wait_until_stopped(1)
+    assert firmware.preset_move(x, 10).ok
+
+
+def test_sixteen_million_pulses_are_waited_for_in_few_polls():
+    x = Bench(PCL240K()).axes["x"]
+    cycles = 0
+    read = x.chip.read
+
+    def counted(address):
+        nonlocal cycles
+        cycles += 1
+        return read(address)
+
+    x.chip.read = counted
+    report = firmware.preset_move(x, -16_777_215, Profile.of(fl=1000, fh1=240_000, fh2=240_000, accel=0.5))
+    assert report.ok
+    assert cycles < 5000
+
+
+def test_every_procedure_can_be_found_by_name():
+    assert firmware.procedure("preset-move") is firmware.preset_move
+    assert firmware.procedure("origin_return") is firmware.origin_return
+    assert set(firmware.PROCEDURES) <= set(firmware.__all__)
+    with pytest.raises(ArgumentError, match=r"unknown procedure 'orign_return'. Did you mean 'origin_return'"):
+        firmware.procedure("orign_return")

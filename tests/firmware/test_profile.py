@@ -1,0 +1,123 @@
+"""Speeds in registers: the data sheet's formulas, and what a profile picks."""
+
+import math
+
+import numpy as np
+import pytest
+
+from stage import ArgumentError, firmware
+from stage.chips import PCL240K
+from stage.firmware import Bench, Profile
+from stage.firmware.profile import (
+    down_point,
+    is_triangular,
+    pulse_rate,
+    ramp_pulses,
+    ramp_seconds,
+    triangular_down_point,
+)
+
+SEED = np.random.SeedSequence().entropy
+
+
+def test_the_data_sheets_examples():
+    """Section 4, R7: R7 = 600, 60, 20 are the 1x, 10x and 30x modes; section (6): 245,730 pps at most in 30x mode."""
+    assert [pulse_rate(1, r7) for r7 in (600, 60, 20)] == [1, 10, 30]
+    assert pulse_rate(8191, 20) == 245_730
+
+
+def test_formulas_of_section_4_and_q_and_a():
+    r1, r2, r4, r5, r7 = 50, 800, 300, 200, 60
+    assert ramp_seconds(r1, r2, r4) == (r2 - r1) * r4 / 4_915_200
+    assert ramp_pulses(r1, r2, r5, r7) == (r2**2 - r1**2) * r5 / (16384 * r7)
+    assert triangular_down_point(1000, r4, r5) == 400
+    both = ramp_pulses(r1, r2, r4 + r5, r7)
+    assert is_triangular(math.floor(both), r1, r2, r4, r5, r7)
+    assert not is_triangular(math.ceil(both), r1, r2, r4, r5, r7)
+
+
+def test_a_profile_takes_the_finest_steps_that_give_the_rates():
+    """The largest R7: the rate changes in many small steps and not in few large ones."""
+    p = Profile.of()
+    assert p.R3 > 8191 * 0.9
+    assert (p.fl, p.fh1, p.fh2) == pytest.approx((1000, 16_000, 32_000), rel=2e-4)
+    assert p.accel(fh2=True) == pytest.approx(0.15, rel=1e-2)
+
+
+def test_a_multiplier_of_ones_own_is_kept():
+    assert Profile.of(multiplier=60).R7 == 60
+
+
+def test_fl_is_never_above_the_high_rates():
+    assert Profile.of(fh1=300).fl == pytest.approx(300, rel=1e-3)
+
+
+def test_what_a_profile_says_is_what_the_chip_does():
+    p = Profile.of(fl=800, fh1=9000, fh2=14_000, accel=0.13, decel=0.21)
+    report = firmware.continuous_move(Bench(PCL240K()).axes["x"], 0.3, 1, p, fh2=True)
+    assert report.peak_rate == pytest.approx(p.fh2, rel=1e-12)
+    course = report.course
+    up, down = (np.flatnonzero(course.pin(n)) for n in ("fup", "fdown"))
+    for ramp, seconds, rate in ((up, p.accel(fh2=True), p.R4), (down, p.decel(fh2=True), p.R5)):
+        step = rate / p.clock_hz  # the first of a ramp-up and the last of a ramp-down are made at FL
+        assert course.seconds[ramp[-1] + 1] - course.seconds[ramp[0]] == pytest.approx(seconds, abs=1.01 * step)
+
+
+@pytest.mark.parametrize("trial", range(150))
+def test_a_preset_move_of_any_length_ends_at_fl(trial):
+    """Random registers and lengths around the triangular limit: the last pulse is made at FL, and few before it."""
+    print("seed", SEED)
+    rng = np.random.default_rng([SEED, trial])
+    fl = int(rng.integers(20, 400))
+    p = Profile(
+        fl,
+        fl + int(rng.integers(1, 5000)),
+        8191,
+        *(int(rng.integers(2, 300)) for _ in range(2)),
+        int(rng.integers(8, 200)),
+    )
+    limit = ramp_pulses(p.R1, p.R2, p.R4 + p.R5, p.R7)
+    count = int(min(max(1, rng.uniform(0, 1.5) * limit), 300_000))
+    report = firmware.preset_move(Bench(PCL240K()).axes["x"], count, p)
+    assert report.ok
+    speed = report.course.edges["speed"]
+    running = speed[speed > 0]
+    assert running[-1] == p.R1
+    slow = np.flatnonzero(speed > p.R1)
+    if len(slow) and not p.is_triangular(count):
+        stairs = (p.R2 - p.R1) * p.R5 / (16384 * p.R7)  # the chip's staircase makes so many fewer
+        assert 5 <= report.course.edges["r0"][slow[-1] + 1] + 1 <= 8 + stairs
+
+
+def test_the_triangles_two_extra_pulses_are_what_it_takes():
+    p = Profile(100, 4000, 8191, 60, 60, 60)
+    printed = int(triangular_down_point(400, p.R4, p.R5))
+    ends = {}
+    for extra in (0, 2):
+        report = firmware.preset_move(Bench(PCL240K()).axes["x"], 400, p, down_point=printed + extra)
+        speed = report.course.edges["speed"]
+        ends[extra] = int(speed[speed > 0][-1])
+    assert ends[0] > p.R1
+    assert ends[2] == p.R1
+    assert down_point(400, p.R1, p.R2, p.R4, p.R5, p.R7) == printed + 2
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: Profile.of(multiplier=1), r"R7 .* cannot be 1: .* from 2 to 1023"),
+        (lambda: Profile.of(fh1=300_000, multiplier=20), r"up to 245730 pps \(R7 = 20\)"),
+        (lambda: Profile.of(fl=5000, fh1=4000), "FL upwards|above a high rate"),
+        (lambda: Profile.of(fh1=float("nan")), "fh1=nan"),
+        (lambda: Profile.of(fl=10, fh1=50, fh2=100, accel=2), r"R4 = \d+: it takes 2 to 16383.*at most 0\.\d+ s"),
+        (lambda: Profile.of(decel=0), "decel=0"),
+        (lambda: Profile(8192, 1, 1, 2, 2, 2), r"R1 .FL speed. cannot be 8192"),
+        (
+            lambda: Profile(1, 8191, 1, 2, 16383, 2).down_point(10**7),
+            r"R6 .ramping-down point. cannot be \d+: .* to 1048575",
+        ),
+    ],
+)
+def test_what_registers_cannot_hold_is_refused_by_name_range_and_value(call, message):
+    with pytest.raises(ArgumentError, match=message):
+        call()

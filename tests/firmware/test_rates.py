@@ -1,0 +1,109 @@
+"""Moves through several rates: the bytes of the data sheet, and no surprises when the way is too short."""
+
+import numpy as np
+import pytest
+
+from stage import ArgumentError, firmware
+from stage.chips import PCL240K
+from stage.firmware import Bench, Profile
+
+P = Profile.of(fl=1000, fh1=8000, fh2=16_000, accel=0.1)
+
+
+@pytest.fixture
+def x():
+    return Bench(PCL240K()).axes["x"]
+
+
+def commands(report):
+    """Operating-mode commands from the first start on."""
+    return [code for t, code, _ in report.writes() if t >= 0 and len(code) == 2 and int(code, 16) < 0x40]
+
+
+def test_a_dual_rate_move_is_made_of_the_data_sheets_bytes(x):
+    """10h constant FL; 14h sets bit 2 before the rate changes (section 5 h, note); 15h, 17h ramp to FH1, FH2; 14h down to FL."""
+    report = firmware.dual_rate_move(x, 12_000, P, rates=("FL", "FH1", "FH2", "FL"), dwell=0.05)
+    assert commands(report) == ["10", "14", "15", "17", "14"]
+    assert report.ok
+
+
+@pytest.mark.parametrize(("last", "stop"), [("FH1", "1D"), ("FH2", "1F")])
+def test_a_continuous_dual_rate_run_ends_with_a_decelerating_stop(x, last, stop):
+    report = firmware.dual_rate_move(x, None, P, rates=("FH2", last), seconds=0.1, direction=-1)
+    assert commands(report)[-1] == stop
+    assert report.stopped_by == "decelerating stop"
+    assert report.pulses < 0
+    assert report.asked is None
+
+
+@pytest.mark.parametrize("rates", [("FH1", "FH2", "FH1"), ("FL", "FH2"), ("FH2", "FL", "FH1")])
+def test_the_least_pulses_that_are_accepted_end_at_fl(x, rates):
+    """What is accepted is made as asked and ends at FL; one pulse less is refused with that number."""
+    with pytest.raises(ArgumentError, match="at least") as refusal:
+        firmware.dual_rate_move(x, 2, P, rates=rates)
+    least = int(str(refusal.value).split("at least ")[1].split(" ")[0])
+    with pytest.raises(ArgumentError, match=f"at least {least} "):
+        firmware.dual_rate_move(x, least - 1, P, rates=rates)
+    report = firmware.dual_rate_move(x, least, P, rates=rates)
+    speed = report.course.edges["speed"]
+    assert report.ok
+    assert speed[speed > 0][-1] == P.R1
+
+
+def test_an_end_limit_ends_the_sequence_without_further_starts(x):
+    x._bench.rail("x", el_plus=(1500, None))
+    report = firmware.dual_rate_move(x, 12_000, P, rates=("FH1", "FH2", "FH1"), dwell=0.2)
+    assert report.stopped_by == "EL+"
+    assert report.pulses == 1500
+    assert commands(report) == ["15"]
+    assert x.chip.diagnostics == []
+
+
+def test_the_register_in_use_is_never_rewritten(x):
+    """Section 5 h: only the register which is not selected may change without influence."""
+    rates = [3000, 9000, 5000, 15_000, 2000, 4000]
+    report = firmware.speed_change_move(x, 12_000, rates, P, dwell=0.05)
+    selected = None
+    for t, code, meaning in report.writes():
+        if t >= 0 and meaning.startswith("R"):
+            assert meaning.split(" ")[0] != selected
+        elif code in ("15", "17"):
+            selected = {"15": "R2", "17": "R3"}[code]
+    assert x.chip.diagnostics == [], "R0 and R6 stay untouched in motion (Q & A)"
+    assert report.ok
+
+
+def test_a_curved_ramp_passes_its_rates_at_its_times(x):
+    pieces = [(2000, 0.2), (6000, 0.1), (12_000, 0.1), (14_000, 0.2)]
+    report = firmware.curved_ramp_move(x, 20_000, pieces, P)
+    assert report.ok
+    seconds = report.course.seconds - report.began
+    begin = 0.0
+    for rate, ramp in pieces:
+        reached = seconds[np.argmax(report.rates >= 0.999 * rate)]
+        assert reached == pytest.approx(begin + ramp, abs=1.5e-3)
+        begin = reached
+    down = report.course.pin("fdown")
+    assert np.diff(np.flatnonzero(down)).max() == 1, "one line down"
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda a: firmware.dual_rate_move(a, None), "pulses for a preset move or seconds"),
+        (lambda a: firmware.dual_rate_move(a, 9000, seconds=1), "pulses for a preset move or seconds"),
+        (lambda a: firmware.dual_rate_move(a, 9000, rates=()), "at least one of FL"),
+        (lambda a: firmware.dual_rate_move(a, 9000, dwell=-1), "time runs forward"),
+        (lambda a: firmware.speed_change_move(a, 9000, []), "at least one"),
+        (lambda a: firmware.speed_change_move(a, 9000, [500], P), r"rate 500 pps: .* 1000 \(FL\) to"),
+        (lambda a: firmware.speed_change_move(a, 9000, [1e6], P), "rate 1000000.0 pps"),
+        (lambda a: firmware.curved_ramp_move(a, 9000, [(3000, 0.1), (2000, 0.1)], P), "must be above the one before"),
+        (lambda a: firmware.curved_ramp_move(a, 9000, [(3000, 60.0)], P), r"R4 .acceleration rate. cannot be \d+"),
+        (lambda a: firmware.curved_ramp_move(a, 500, [(3000, 0.3)], P), r"pulses=500: .* at least \d+"),
+    ],
+)
+def test_bad_input_is_refused_before_the_first_bus_cycle(x, call, message):
+    before = x.chip.snapshot()
+    with pytest.raises(ArgumentError, match=message):
+        call(x)
+    assert x.chip.snapshot() == before

@@ -1,0 +1,224 @@
+"""a:b moves on chips and on the stage: straight to two pulses, exact to the count, started by real bus cycles."""
+
+import random
+
+import numpy as np
+import pytest
+
+from stage import ArgumentError, RunTimeout, Stage
+from stage.chips import PCL240K
+from stage.firmware import Bench, plan, synchronized_move
+
+
+def bench(names="xy", **options):
+    return Bench(**{n: PCL240K() for n in names}, **options)
+
+
+def test_two_hundred_random_pairs_stay_within_two_pulses_of_their_line():
+    seed = random.randrange(10**6)
+    print("seed", seed)
+    rng = random.Random(seed)
+    far = []
+    for _ in range(200):
+        distances = {n: rng.choice((-1, 1)) * rng.randint(100, 50_000) for n in "xy"}
+        chips = bench()
+        report = synchronized_move(distances, chips)
+        far.append(report.deviation.pulses)
+        assert report.ok
+        for n, d in distances.items():
+            assert report.axes[n].pulses == d
+            assert report.axes[n].stopped_by == "R0 = 0"
+            assert chips.axes[n].chip.diagnostics == []
+    print(f"median {np.median(far):.3f}, 95 % {np.percentile(far, 95):.3f}, largest {max(far):.3f}")
+    assert np.median(far) <= 1
+    assert np.percentile(far, 95) <= 1.1
+    assert max(far) <= 2
+
+
+def test_three_axes_share_a_line():
+    seed = random.randrange(10**6)
+    print("seed", seed)
+    rng = random.Random(seed)
+    for _ in range(15):
+        distances = {n: rng.choice((-1, 1)) * rng.randint(100, 30_000) for n in "xyz"}
+        report = synchronized_move(distances, bench("xyz"))
+        assert {n: r.pulses for n, r in report.axes.items()} == distances
+        assert report.deviation.pulses <= 2
+
+
+def test_extreme_ratios_stay_on_the_line():
+    for distances in ({"x": 50_000, "y": 20}, {"x": -3, "y": 30_000}, {"x": 50_000, "y": 49_999}):
+        report = synchronized_move(distances, bench())
+        assert report.ok
+        assert report.deviation.pulses <= 1.2
+
+
+def test_fast_moves_and_unequal_ramps_stay_on_the_line():
+    report = synchronized_move({"x": 60_000, "y": 25_000}, bench(), rate=200_000, fl=3000, accel=0.1, decel=0.04)
+    assert report.deviation.pulses <= 2
+    assert report.axes["x"].peak_rate == pytest.approx(200_000, rel=2e-3)
+
+
+def test_millions_of_pulses_come_out_as_estimated():
+    report = synchronized_move({"x": 1_500_000, "y": -912_345}, bench(), rate=100_000)
+    assert report.ok
+    assert not report.plan.exact
+    assert report.deviation.pulses < report.plan.deviation + 0.1
+
+
+def test_a_single_axis_moves_by_itself():
+    report = synchronized_move({"x": -1234}, bench())
+    assert report.axes["x"].pulses == -1234
+    assert (report.deviation.pulses, report.skew, report.finish) == (0, 0, 0)
+
+
+def test_an_axis_with_distance_zero_stays_still():
+    chips = bench()
+    report = synchronized_move({"x": 300, "y": 0}, chips)
+    assert list(report.axes) == ["x"]
+    assert chips.axes["y"].chip.values()["R7"] == 0
+
+
+def test_all_axes_start_a_bus_cycle_apart_and_end_together():
+    report = synchronized_move({"x": 12_000, "y": 5_000, "z": 800}, bench("xyz", bus_cycle=4e-6))
+    assert report.plan.bus_delay == pytest.approx(4e-6)
+    assert report.skew == pytest.approx(8e-6)
+    assert report.finish < 2.1 / report.plan.axes["z"].fl
+    text = str(report)
+    assert "started within 8.0 us" in text
+    assert "pulses from the line at most" in text
+
+
+def test_the_farther_apart_the_starts_the_farther_from_the_line():
+    blind = plan({"x": 20_000, "y": 16_000}, rate=40_000)  # reckons with starts at once
+    far = []
+    for cycle in (0.0, 2e-5, 1e-4, 5e-4):
+        report = synchronized_move(blind, bench(bus_cycle=cycle))
+        assert report.skew == pytest.approx(cycle)
+        assert report.deviation.pulses == pytest.approx(blind.with_bus_delay(cycle).deviation, abs=0.02)
+        far.append(report.deviation.pulses)
+    assert far == sorted(far)
+    slow_axis_ahead = 32_000 * 5e-4
+    assert far[-1] == pytest.approx(slow_axis_ahead * 20_000 / np.hypot(20_000, 16_000), abs=1.5)
+
+
+def test_a_plan_that_knows_the_bus_delay_makes_up_for_it():
+    distances = {"x": 20_000, "y": 16_000}
+    blind = synchronized_move(plan(distances, rate=40_000), bench(bus_cycle=1e-4)).deviation.pulses
+    aware = synchronized_move(distances, bench(bus_cycle=1e-4), rate=40_000).deviation.pulses
+    assert aware < 0.5 * blind
+
+
+def test_the_same_move_is_the_same_to_the_bit():
+    one, two = (synchronized_move({"x": 7000, "y": -3210}, bench()) for _ in range(2))
+    assert one.plan == two.plan
+    assert one.deviation == two.deviation
+    for n in one.paths:
+        assert (one.paths[n][0] == two.paths[n][0]).all()
+
+
+@pytest.fixture(scope="module")
+def stage():
+    return Stage("xyz", chips=PCL240K)
+
+
+def test_on_the_stage_carriages_follow_the_line(stage):
+    stage.reset()
+    report = synchronized_move({"x": 20_000, "y": -7_500}, stage.axes)
+    assert report.ok
+    assert report.deviation.pulses == pytest.approx(report.plan.deviation, abs=0.02)
+    assert 0 < report.carriage_deviation < 1e-4
+    for n, d in (("x", 20_000), ("y", -7_500)):
+        axis = stage.axes[n]
+        assert report.axes[n].lost_steps == 0
+        moved = report.axes[n].position - report.axes[n].start
+        assert moved == pytest.approx(d * axis.meters_per_pulse, abs=5e-5)
+
+
+def test_axes_may_be_named_or_given(stage):
+    stage.reset()
+    x, y = stage.axes["x"], stage.axes["y"]
+    for call in (
+        lambda: synchronized_move({"x": 640, "y": 320}, stage),
+        lambda: synchronized_move({x: 640, y: 320}),
+        lambda: synchronized_move({"a": 640, "b": 320}, {"a": x, "b": y}),
+        lambda: synchronized_move(plan({"x": 640, "y": 320}), stage),
+    ):
+        assert [r.pulses for r in call().axes.values()] == [640, 320]
+
+
+def test_an_end_limit_stops_the_other_axes_too():
+    chips = bench()
+    chips.at(0.2, lambda: setattr(chips.axes["y"].chip.pins, "el_minus", True))
+    report = synchronized_move({"x": 20_000, "y": -9_000}, chips)
+    assert not report.ok
+    assert report.axes["y"].stopped_by == "EL-"
+    assert report.axes["x"].stopped_by == "decelerating stop"
+    assert 0 < report.axes["x"].pulses < 20_000
+    assert "NOT as asked" in str(report)
+
+
+def test_a_move_that_takes_too_long_says_what_is_left():
+    with pytest.raises(
+        RunTimeout, match=r"after 0.100 s axes still operate; pulses left: \{'y': \d+, 'x': \d+\}"
+    ) as caught:
+        synchronized_move({"x": 20_000, "y": 9_000}, bench(), timeout=0.1)
+    assert 0 < caught.value.reports["x"].pulses < 20_000
+
+
+def test_it_draws_itself(tmp_path):
+    pytest.importorskip("matplotlib")
+    for names, distances in (("x", (90,)), ("xy", (900, -400)), ("xyz", (4000, 300, -2000))):
+        report = synchronized_move(dict(zip(names, distances, strict=True)), bench(names))
+        report.plot(tmp_path / f"{names}.png", title="a line")
+        assert (tmp_path / f"{names}.png").stat().st_size > 20_000
+
+
+def test_a_wrong_name_is_answered_with_the_near_ones(stage):
+    with pytest.raises(ArgumentError, match=r"unknown axis 'xx'. Did you mean 'x'\? Known: x, y, z"):
+        synchronized_move({"xx": 100, "y": 100}, stage)
+
+
+def test_names_need_a_place_to_look_them_up():
+    with pytest.raises(
+        ArgumentError, match=r"axis 'x': say where it is: synchronized_move\(\{'x': ...\}, stage.axes\)"
+    ):
+        synchronized_move({"x": 100})
+
+
+def test_an_axis_given_twice_is_refused():
+    chips = bench()
+    with pytest.raises(ArgumentError, match="given twice"):
+        synchronized_move({"x": 100, chips.axes["x"]: 50}, chips)
+
+
+def test_what_is_no_axis_is_refused():
+    with pytest.raises(ArgumentError, match="is no axis"):
+        synchronized_move({5: 100})
+
+
+def test_a_moving_axis_is_refused_and_goes_on():
+    chips = bench()
+    port = chips.axes["x"].chip
+    for number, value in ((0, 200), (7, 1), (1, 100)):  # R0 = 5 * 256, R7 = 256, R1 = 100
+        port.write(0, 0x80 | number)
+        port.write(1 if number == 1 else 2, value)
+    port.write(0, 0x44)
+    port.write(0, 0x10)
+    with pytest.raises(ArgumentError, match="axis x is moving"):
+        synchronized_move({"x": 100, "y": 50}, chips)
+    assert port.read(0) & 0x40
+
+
+def test_a_plan_for_another_clock_is_refused():
+    with pytest.raises(ArgumentError, match="the plan is for a chip at 1000000 Hz"):
+        synchronized_move(plan({"x": 100}, rate=2000, clock_hz=1_000_000), bench())
+
+
+def test_a_refusal_leaves_the_chips_alone():
+    chips = bench()
+    before = [a.chip.snapshot() for a in chips.axes.values()]
+    with pytest.raises(ArgumentError):
+        synchronized_move({"x": 100_000, "y": 300}, chips, accel=25)
+    assert [a.chip.snapshot() for a in chips.axes.values()] == before
+    assert chips.time == 0

@@ -1,0 +1,125 @@
+"""The distance of a path from its line: against a slow check in plain Python, and on paths whose distance is known."""
+
+import math
+import random
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from programs import start_preset
+
+from stage import ArgumentError
+from stage.chips import PCL240K
+from stage.firmware.path import path_deviation, path_points, perfect_deviation, pulses_of
+
+
+def slow_deviation(pulses, distances):
+    """Largest distance squared from the segment, exact: every instant, every axis, fractions."""
+    instants = sorted({t for times, _ in pulses for t in times})
+    length2 = sum(d * d for d in distances)
+    worst, where = Fraction(0), (0,) * len(distances)
+    for now in instants:
+        at = [sum(s for t, s in zip(*axis, strict=True) if t <= now) for axis in pulses]
+        along = Fraction(sum(a * d for a, d in zip(at, distances, strict=True)), length2)
+        along = min(max(along, Fraction(0)), Fraction(1))
+        d2 = sum((a - along * d) ** 2 for a, d in zip(at, distances, strict=True))
+        if d2 > worst:
+            worst, where = d2, tuple(at)
+    return math.sqrt(worst), where
+
+
+@pytest.mark.parametrize("axes", [1, 2, 3, 4])
+def test_it_agrees_with_a_slow_check_in_fractions(axes):
+    seed = random.randrange(10**6)
+    print("seed", seed)
+    rng = random.Random(seed)
+    for _ in range(25):
+        distances = [rng.randint(-40, 40) or 7 for _ in range(axes)]
+        pulses = []
+        for d in distances:
+            times = sorted(rng.randint(0, 60) for _ in range(abs(d)))  # many coincide
+            signs = [(1 if d > 0 else -1) * rng.choice((1, 1, 1, -1)) for _ in times]
+            pulses.append((times, signs))
+        far, where = slow_deviation(pulses, distances)
+        got = path_deviation(pulses, distances)
+        assert got.pulses == pytest.approx(far, abs=1e-9)
+        if far:
+            assert got.counts == where
+            at = [sum(s for t, s in zip(*axis, strict=True) if t <= got.time) for axis in pulses]
+            assert got.counts == tuple(at)
+
+
+def test_a_path_on_its_line_has_distance_zero():
+    times = np.arange(1, 101)
+    assert path_deviation([(times, 1), (times, -1)], (100, -100)) == (0.0, 0.0, (0, 0))
+
+
+def test_one_axis_is_always_on_its_line():
+    assert path_deviation([(np.arange(1, 38), -1)], [-37]).pulses == 0
+
+
+def test_an_axis_that_goes_alone_leaves_the_line_by_its_share():
+    x, y = (np.arange(1, 31), 1), (np.arange(101, 141), 1)  # all of x, then all of y: the corner of a 3:4 triangle
+    assert path_deviation([x, y], (30, 40)).pulses == pytest.approx(30 * 0.8)
+    assert path_deviation([x, y], (30, 40)).counts == (30, 0)
+
+
+def test_going_beyond_the_end_counts_as_far_as_it_is():
+    assert path_deviation([(np.arange(1, 14), 1)], [10]).pulses == 3
+
+
+def test_ticks_and_clocks_become_seconds():
+    x, y = np.array([100, 200, 300]), np.array([150, 300, 450])
+    both = path_deviation([(x, 1), (y, 1)], (3, 3), clock_hz=(1000, 1500))
+    assert both.pulses == 0  # 100 ticks at 1000 Hz are 150 at 1500 Hz
+    ticks = path_deviation([(x, 1), (y, 1)], (3, 3))
+    assert ticks.pulses > 0
+    assert path_deviation([(x, 1), (y, 1)], (3, 3), clock_hz=1000).time == ticks.time / 1000
+
+
+def test_it_reads_what_chips_trace():
+    x, y = PCL240K(), PCL240K()
+    start_preset(x, 3000)
+    start_preset(y, 3000, minus=True)
+    n = 10_000_000
+    assert path_deviation([x.trace(n), y.trace(n)], (3000, -3000), x.clock_hz).pulses == 0
+
+
+@pytest.mark.parametrize(("distances", "far"), [((1, 1), 0), ((2, 1), 1 / math.sqrt(5)), ((50_000, 100), 0.998)])
+def test_perfect_axes_are_a_staircase_off_the_line(distances, far):
+    assert perfect_deviation(distances) == pytest.approx(far, abs=1e-4)
+
+
+def test_points_are_the_path():
+    times, counts = path_points([([1, 2, 2], [1, 1, 1]), ([2, 5], [-1, -1])])
+    assert times.tolist() == [0, 1, 2, 5]
+    assert counts.tolist() == [[0, 0], [1, 0], [3, -1], [3, -2]]
+
+
+def test_a_journal_gives_back_every_pulse_of_its_chip():
+    chip, twin = PCL240K(), PCL240K()
+    for c in (chip, twin):
+        c.advance(777)
+    journal = chip.journal()
+    expected = []
+    for minus in (False, True):
+        start_preset(chip, 500, minus)
+        start_preset(twin, 500, minus)
+        expected.append(twin.trace(1_000_000))
+        chip.advance(1_000_000)
+        chip.pins.el_plus = twin.pins.el_plus = True
+        chip.write(0, 0x08)
+        twin.write(0, 0x08)
+    journal.close()
+    expected = np.concatenate(expected)
+    got = pulses_of(journal)
+    assert len(got) > 100
+    assert (got["clock"] + 777 == expected["clock"]).all()
+    assert (got["direction"] == expected["direction"]).all()
+
+
+def test_refusals_say_what_to_do():
+    with pytest.raises(ArgumentError, match="out of order"):
+        path_deviation([([2, 1], 1)], [2])
+    with pytest.raises(ArgumentError, match="1 axes of pulses and 2 distances: give one distance an axis"):
+        path_deviation([([1], 1)], [1, 1])

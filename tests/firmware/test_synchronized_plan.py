@@ -1,0 +1,223 @@
+"""Planning a:b moves: legal registers, equal ramps, rates in ratio, predictions that come true, reasons for refusals."""
+
+import math
+import random
+import time
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from stage import ArgumentError
+from stage.chips import PCL240K
+from stage.firmware import Bench, plan, synchronized_move
+from stage.firmware.follow import count, course, run
+
+
+def log_uniform(low, high):
+    return st.floats(math.log(low), math.log(high)).map(math.exp)
+
+
+def test_the_closed_form_is_the_chip_to_the_clock():
+    seed = random.randrange(10**6)
+    print("seed", seed)
+    rng = random.Random(seed)
+    for _ in range(200):
+        fl = rng.randint(1, 500)
+        fh = fl + rng.choice((0, 1, 5, rng.randint(1, 3000)))
+        up, down = (2, 2) if fh == fl else (rng.randint(2, 3000), rng.randint(2, 3000))
+        r6 = rng.choice((0, rng.randint(1, 4000)))  # triangles and runs that never leave FL among them
+        r = np.array([rng.randint(1, 3000), fl, fh, fh, up, down, r6, rng.randint(2, 1023)])
+        pulses, c = run(r), np.zeros(4, np.int64)
+        course(r, c)
+        assert c[3] == pulses[-1], r
+        at = [int(count(r, c, float(t))) for t in pulses]
+        before = [int(count(r, c, float(t - 1))) for t in pulses]
+        assert at == list(range(1, len(pulses) + 1)), r
+        assert before == list(range(len(pulses))), r
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(
+    st.lists(log_uniform(1, 300_000).map(int), min_size=1, max_size=3),
+    log_uniform(20, 1_000_000), log_uniform(1, 10_000), log_uniform(1e-3, 5), log_uniform(1e-3, 5),
+    st.sampled_from((1_000_000, 4_915_200, 9_830_400)),
+)  # fmt: skip
+def test_every_planned_register_is_legal(distances, rate, fl, accel, decel, clock_hz):
+    asked = dict(zip("xyz", distances, strict=False))
+    try:
+        p = plan(asked, rate=max(rate, fl), fl=fl, accel=accel, decel=decel, clock_hz=clock_hz)
+    except ArgumentError:
+        return  # each reason has a test of its own
+    assert p.distances == asked
+    for a in p.axes.values():
+        assert set(a.registers) == {f"R{k}" for k in range(8)}
+        for name, value in a.registers.items():
+            assert PCL240K.MAP.checked(name, value) == value
+        assert a.registers["R0"] == abs(a.distance)
+        assert a.registers["R1"] <= a.registers["R2"]
+        assert a.seconds <= p.seconds
+
+
+@pytest.mark.parametrize(
+    "distances",
+    [
+        {"x": 20_000, "y": -7_500},
+        {"x": 30_000, "y": 10_000},
+        {"x": 4_000, "y": 40_000},
+        {"x": 12_345, "y": 12_345},
+        {"x": 30_000, "y": 20_000, "z": 10_000},
+    ],
+)
+def test_rates_with_a_simple_ratio_are_met_exactly(distances):
+    p = plan(distances)
+    assert p.ratio_error < 1e-12
+    assert p.deviation < 1.1
+
+
+def test_equal_distances_never_leave_the_line():
+    assert plan({"x": 5000, "y": -5000, "z": 5000}).deviation == 0
+
+
+def test_ramps_take_equal_times_on_all_axes():
+    for ratio in (0.9, 0.61803, 0.25, 0.1):
+        p = plan({"x": 40_000, "y": int(40_000 * ratio)}, rate=20_000, fl=800, accel=0.2, decel=0.35)
+        x, y = p.axes["x"], p.axes["y"]
+        assert (x.accel, x.decel) == pytest.approx((0.2, 0.35), rel=0.01)
+        assert (y.accel, y.decel) == pytest.approx((0.2, 0.35), rel=0.02)
+        assert x.fh == pytest.approx(20_000, rel=2e-3)
+        assert y.fl / x.fl == pytest.approx(ratio, rel=0.2)  # a little faster: its first pulse comes earlier
+
+
+def test_a_short_move_peaks_lower_on_all_axes_and_keeps_its_slope():
+    p = plan({"x": 800, "y": 350}, rate=16_000, fl=1000, accel=0.15)
+    x = p.axes["x"]
+    assert 1000 < x.fh < 16_000
+    assert (x.fh - x.fl) / x.accel == pytest.approx(15_000 / 0.15, rel=0.02)
+    assert p.notes == (f"800 pulses are too few for 16000 pps at this slope: peaks at {x.fh:.0f} pps",)
+    assert p.deviation < 1
+
+
+@pytest.mark.parametrize("distances", [{"x": 1}, {"x": 1, "y": -1}, {"x": 7, "y": 3}, {"x": 9, "y": 2}])
+def test_a_very_short_move_runs_at_constant_fl(distances):
+    p = plan(distances)
+    assert not any(a.ramps for a in p.axes.values())
+    assert "too few for a ramp" in p.notes[0]
+    assert p.deviation <= 1
+
+
+def test_constant_speed_is_rate_equal_to_fl():
+    p = plan({"x": 3000, "y": 2000}, rate=1500, fl=1500)
+    assert not any(a.ramps for a in p.axes.values())
+    assert p.axes["y"].fh == pytest.approx(1000, rel=1e-6)
+
+
+def test_axes_start_shortest_first_and_lead_by_the_bus_delay():
+    p = plan({"x": 900, "y": -5000, "z": 2000}, bus_delay=5e-6)
+    assert p.order == ("x", "z", "y")
+    assert [p.axes[n].lead for n in p.order] == pytest.approx([1e-5, 5e-6, 0])
+
+
+def test_an_axis_with_distance_zero_is_left_out():
+    assert list(plan({"x": 500, "y": 0}).axes) == ["x"]
+
+
+def test_a_single_pulse_may_come_whenever_it_likes():
+    assert plan({"x": 200_000, "y": 1}).deviation <= 1
+
+
+def test_another_bus_delay_is_the_same_registers_started_otherwise():
+    at_once = plan({"x": 20_000, "y": 16_000}, rate=40_000)
+    later = at_once.with_bus_delay(2e-4)
+    assert later.axes["y"].registers == at_once.axes["y"].registers
+    assert later.axes["y"].lead == 2e-4
+    assert later.deviation > 4 * at_once.deviation
+    assert later.with_bus_delay(0.0) == at_once
+
+
+def test_chips_may_have_different_clocks():
+    clocks = {"x": 4_915_200, "y": 9_830_400, "z": 4_000_000}
+    p = plan({"x": 20_000, "y": 13_000, "z": 5_000}, clock_hz=clocks)
+    assert {n: a.clock_hz for n, a in p.axes.items()} == clocks
+    assert p.deviation < 1.3
+
+
+def test_very_long_moves_are_planned_too():
+    p = plan({"x": 16_777_215, "y": 7_654_321}, rate=100_000)
+    assert not p.exact
+    assert p.deviation < 2
+    assert "about" in str(p)
+
+
+def test_a_plan_prints_as_a_table():
+    text = str(plan({"x": 20_000, "why": -7_500}))
+    head, *rows = text.splitlines()
+    assert head.split()[:10] == "axis pulses R0 R1 R2 R3 R4 R5 R6 R7".split()
+    assert rows[0].split()[:3] == ["x", "+20000", "20000"]
+    assert rows[1].split()[:3] == ["why", "-7500", "7500"]
+    assert "ratio error" in rows[2]
+    assert "start why, x" in rows[2]
+
+
+def test_planning_takes_milliseconds():
+    plan({"x": 1000, "y": 700})
+    rng, taken = random.Random(1), []
+    for _ in range(20):
+        distances = {"x": rng.randint(100, 50_000), "y": rng.randint(100, 50_000)}
+        begin = time.process_time()
+        plan(distances)
+        taken.append(time.process_time() - begin)
+    assert np.median(taken) < 0.05
+
+
+def test_a_plan_comes_true():
+    seed = random.randrange(10**6)
+    print("seed", seed)
+    rng = random.Random(seed)
+    for _ in range(12):
+        distances = {n: rng.choice((-1, 1)) * rng.randint(50, 20_000) for n in "xyz"}
+        clocks = {n: rng.choice((4_915_200, 8_000_000)) for n in "xyz"}
+        bench = Bench(**{n: PCL240K(hz) for n, hz in clocks.items()}, bus_cycle=rng.choice((1e-6, 2e-5)))
+        wanted = {"rate": rng.uniform(3000, 60_000), "accel": rng.uniform(0.02, 0.3), "decel": rng.uniform(0.02, 0.3)}
+        report = synchronized_move(distances, bench, **wanted)
+        assert report.deviation.pulses == pytest.approx(report.plan.deviation, abs=0.15)  # starts fall on whole clocks
+        for n, (times, _) in report.paths.items():
+            assert times[-1] == pytest.approx(report.plan.axes[n].seconds, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("distances", "options", "reason"),
+    [
+        ({}, {}, "nothing moves; give at least one axis pulses"),
+        ({"x": 0, "y": 0}, {}, "nothing moves"),
+        ({"x": 16_777_216}, {}, "x=16777216: R0 counts whole pulses, up to 16777215.*Split"),
+        ({"x": 10.5}, {}, "x=10.5: R0 counts whole pulses"),
+        ({"x": "far"}, {}, "x='far': R0 counts whole pulses"),
+        ({"x": 1000}, {"rate": 3e6}, "at most 2457300 pps"),
+        ({"x": 1000}, {"rate": 500, "fl": 800}, "FL is more than 0 and at most the rate"),
+        ({"x": 1000}, {"fl": 0}, "FL is more than 0"),
+        ({"x": 1000}, {"accel": 0}, "accel=0: a ramp takes more than 0 s. For constant speed give rate = fl"),
+        ({"x": 1000}, {"bus_delay": -1}, "bus_delay=-1"),
+        ({"x": 900_000}, {"accel": 40}, "accel=40 s from 1000 to 16000 pps would need R4 outside 2 to 16383.* to 25.6"),
+        ({"x": 50_000}, {"decel": 5e-6}, "decel=5e-06 s .* would need R5 outside"),
+        ({"x": 900_000}, {"accel": 3e-4, "decel": 25}, "differ too much: no R7 keeps both R4 and R5"),
+        ({"x": 16_000_000}, {"rate": 240_000, "decel": 20}, "ramp-down takes .* pulses, and R6 counts to 1048575"),
+        ({"x": 1_000_000, "y": 20}, {}, "y would have to run at 0.32 pps, .* is 0.587 pps .*Raise the rate to 29326 pps"),
+        ({"x": 50_000, "y": 600}, {"accel": 2.0}, "axis y cannot ramp for accel=2 s.* at most 1.02 s .* off the line. Shorten"),
+        ({"x": 9_000_000, "y": 8_000_000}, {"rate": 2e6, "clock_hz": {"x": 4_915_200, "y": 1_000_000}}, "Lower the rate to"),
+        ({"x": 1000, "y": 500}, {"rate": 1000.2, "fl": 1000}, "accel=0.15 s .* would need R4 outside|within one speed step"),
+        ({"y": 1000}, {"clock_hz": {"x": 4_915_200}}, "unknown axis in clock_hz 'y'"),
+    ],
+)  # fmt: skip
+def test_what_registers_cannot_do_is_refused_with_the_reason(distances, options, reason):
+    with pytest.raises(ArgumentError, match=reason):
+        plan(distances, **options)
+
+
+def test_what_is_not_quite_as_asked_is_said():
+    p = plan({"x": 5000, "y": 100}, accel=1.0)
+    assert p.deviation < 2
+    assert any("axis y: FL" in n or "cannot ramp" in n for n in p.notes) or p.notes[0].startswith(
+        "5000 pulses are too few"
+    )
