@@ -25,6 +25,7 @@ R0_MOST = PCL240K.MAP.registers[0].mask
 ROOM = 0.8  # of a short move may be ramps
 PLAYED = 2_000_000  # pulses: longer moves are judged by the closed form alone
 ON_THE_LINE = 2.0  # pulses
+OFF_THE_LINE = 5.0  # pulses: refused where shorter ramps would mend it
 COMPILING = "PulseStage: compiling the a:b planner, once on this machine (about ten seconds) ..."
 
 
@@ -296,21 +297,21 @@ def _remarks(axes: dict[str, AxisPlan], ask: Ask, far: float) -> list[str]:
         for word, asked, made in (("accel", ask.up, a.accel), ("decel", ask.down, a.decel)):
             if asked > longest_ramp and made < 0.95 * asked:
                 reason = (
-                    f"axis {name} cannot ramp for {word}={asked:.3g} s: with R7 = {R7_MOST} and a rate register of "
-                    f"{R4_MOST} it takes at most {longest_ramp:.3g} s to {own * ask.fh:.3g} pps"
+                    f"axis {name} cannot ramp for {word}={asked:.3g} s: to {own * ask.fh:.3g} pps it takes no more than about "
+                    f"{longest_ramp:.2g} s (R7 = {R7_MOST}, rate register {R4_MOST})"
                 )
-                if far > ON_THE_LINE:
+                if far > OFF_THE_LINE:
                     raise ArgumentError(
-                        f"{reason}, and would be {far:.1f} pulses off the line. Shorten {word} to {longest_ramp:.3g} s, raise "
+                        f"{reason}, and would be {far:.1f} pulses off the line. Shorten {word} to {longest_ramp:.2g} s, raise "
                         f"the rate, or move {name} by itself."
                     )
-                notes.append(f"{reason}; {made:.3g} s instead")
+                notes.append(f"{reason}; {made:.2g} s here")
         if abs(a.fl / (ask.fl * own) - 1) > 0.05 and a.ramps:
             notes.append(
                 f"axis {name}: FL {a.fl:.4g} pps instead of {ask.fl * own:.4g}: the nearest that keeps to the line"
             )
     if far > ON_THE_LINE:
         notes.append(
-            f"the closest registers leave the line by {far:.1f} pulses: a lower rate or slower ramps come closer"
+            f"the closest registers leave the line by {far:.1f} pulses: another rate or other ramps may come closer"
         )
     return notes
