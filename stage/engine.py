@@ -182,7 +182,8 @@ def run(
                 net = chips[t.chip].net
                 omega = qvel[t.dof] * t.gear
                 theta = qpos[t.qpos] * t.gear + omega * middle
-                axis.torque_sum += stepper.torque(drives[a], 0.5 * (axis.count + net), theta, omega, clockwork.h)
+                count = pcl240_core.mean_count(chips[t.chip], axis.count, clockwork.h * t.hz)
+                axis.torque_sum += stepper.torque(drives[a], count, theta, omega, clockwork.h)
                 axis.count = net
         world.now = stop
         if not boundary:

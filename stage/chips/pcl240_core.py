@@ -206,6 +206,22 @@ def pulse_rate(c, hz):
 
 
 @hot
+def mean_count(c, before, ticks):
+    """Mean over the last `ticks` of the net pulse count, which was `before` at their start.
+
+    The last pulse began phase / speed ticks ago, the ones before it a period apart each.
+    """
+    n = abs(c.net - before)
+    if n == 0:
+        return float(c.net)
+    if not (c.running or c.finishing) or c.speed == 0:
+        return 0.5 * (before + c.net)
+    ago = (n * c.phase + 4096.0 * c.reg[7] * n * (n - 1)) / c.speed
+    missing = n - min(ago / ticks, float(n))  # pulses x the part of the time in which they were still to come
+    return c.net - missing if c.net > before else c.net + missing
+
+
+@hot
 def _read(c, address):
     address &= 3
     if address:

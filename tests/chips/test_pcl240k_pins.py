@@ -27,8 +27,6 @@ def test_an_end_limit_stops_its_direction_at_once_and_leaves_the_other_free(plus
 
 
 def test_a_start_that_an_end_limit_refused_needs_no_reset_command():
-    chip = PCL240K()
-    chip.pins.el_plus = True
     chip = started(*SLOW, start=0x08)
     chip.pins.el_plus = True
     chip.write(0, 0x31)
