@@ -32,7 +32,8 @@ def command_meaning(map_: RegisterMap, value: int) -> str:
     if group == 2:
         return f"select R{value & 7}"
     on = [f.name for f in word.fields if f.name != "group" and f.of(value)]
-    return f"{word.name} mode: {', '.join(on) or 'none'}"
+    none = "manual, plus" if group == 1 else "common pulses"
+    return f"{word.name} mode: {', '.join(on) or none}"
 
 
 def _operating(value: int) -> str:

@@ -315,12 +315,13 @@ def _step_speed(c):
 @hot
 def _span(c, n):
     """Run at least one and at most `n` ticks, up to the next event; returns the ticks run."""
+    ran = c.running
     if c.inputs != c.sampled:
         _sample(c)
     if c.running and _blocked(c):
         _stop(c)
-    if not c.running:
-        return _finish(c, n)
+    if not c.running:  # a stop has its own tick, so that `scan` sees the edge of HOLD there and not after the idle ones
+        return _finish(c, 1 if ran else n)
     goal = goal_speed(c)
     s = min(n, _until_step(c, goal))
     pulses = 0
@@ -330,7 +331,7 @@ def _span(c, n):
         m = 8192 * c.reg[7]
         end = c.phase + s * c.speed
         pulses = end // m
-        if pulses and own:
+        if pulses and (own or (c.preset and r0 == 0)):
             # the next pulse after which R0 means something else: 0, below R6, or wrapped
             far = r0 if r0 else 1
             if 0 < c.reg[6] <= r0:
@@ -353,9 +354,9 @@ def _span(c, n):
         c.net += -pulses if c.minus else pulses
         if own:
             c.reg[0] = (r0 - pulses) & COUNTER_MASK
-            if c.preset and c.reg[0] == 0:
-                _stop(c)
-                return s
+        if c.preset and c.reg[0] == 0:
+            _stop(c)
+            return s
     _step_speed(c)
     return s
 
