@@ -11,6 +11,7 @@ snapshot, restore, copy and pickle continue bit for bit; an error leaves the sta
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -438,7 +439,7 @@ class Stage:
     def __deepcopy__(self, memo: dict) -> Stage:
         twin = object.__new__(type(self))
         state = self.__getstate__()
-        twin.__setstate__(state | {"model": _copy_model(self.model)})
+        twin.__setstate__(state | {"model": copy.copy(self.model)})
         return twin
 
     def __copy__(self) -> Stage:
@@ -479,9 +480,3 @@ def _choose_drive(drives: Any, p: plant.PlantAxis) -> Drive:
     if isinstance(given, Drive):
         return given
     return Drive(motor(given if given is not None else p.motor or "17HS4401"))
-
-
-def _copy_model(model: mujoco.MjModel) -> mujoco.MjModel:
-    import copy
-
-    return copy.copy(model)

@@ -123,5 +123,13 @@ def test_nothing_is_overwritten_unasked(here, capsys):
     assert (here / "mine.rrd").read_bytes()[:3] == b"RRF"
 
 
+def test_the_demo_writes_its_own_file_again_and_no_other(here, capsys):
+    out(capsys, "demo", "--no-view")
+    out(capsys, "demo", "--no-view")
+    (here / "mine.rrd").write_text("precious")
+    assert "exists" in out(capsys, "demo", "--no-view", "--record", "mine.rrd", code=2).err
+    assert (here / "mine.rrd").read_text() == "precious"
+
+
 def test_without_a_command_the_help_is_shown(capsys):
     assert "usage: stage" in out(capsys, code=2).out

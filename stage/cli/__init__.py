@@ -113,7 +113,7 @@ def _add_moves(commands) -> None:
         "Home all axes, make a dual-rate move and an a:b move, print a table and write a recording.",
     )  # fmt: skip
     _bench(p)
-    p.set_defaults(record="demo.rrd", force=True)
+    p.set_defaults(default_record="demo.rrd")
     p.add_argument("--no-view", action="store_true", help="do not open the viewer even where there is a screen")
     p = _command(
         commands, "home", "moves:home", "origin return",

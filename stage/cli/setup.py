@@ -50,10 +50,17 @@ def recorded(args: argparse.Namespace, stage: Any) -> Iterator[None]:
     """Record what happens inside if --record, --vcd, --view or --web asks for it, and write it at the end."""
     from stage.recording.recording import writable
 
-    rrd: str | None = args.record or ("stage.rrd" if args.view or args.web or args.picture else None)
-    for path in (rrd, args.vcd, args.picture, getattr(args, "plot", None)):
+    usual = getattr(args, "default_record", "stage.rrd" if args.view or args.web or args.picture else None)
+    rrd: str | None = args.record or usual
+    replace = args.force or args.record is None  # the usual name is ours to write again, one that was given is not
+    for path, overwrite in (
+        (rrd, replace),
+        (args.vcd, args.force),
+        (args.picture, args.force),
+        (getattr(args, "plot", None), args.force),
+    ):
         if path:
-            writable(path, args.force)  # say so before the work, not after it
+            writable(path, overwrite)  # say so before the work, not after it
     if not (rrd or args.vcd):
         yield
         return
@@ -61,7 +68,7 @@ def recorded(args: argparse.Namespace, stage: Any) -> Iterator[None]:
         yield
     if rrd is not None:
         note(f"writing {rrd} ...")
-        recording.save(rrd, overwrite=args.force)
+        recording.save(rrd, overwrite=replace)
         print(
             f"{rrd}: {Path(rrd).stat().st_size / 1e6:.1f} MB, {recording.duration:.2f} s of simulated time; open with: rerun {rrd}"
         )

@@ -17,8 +17,6 @@ from stage.firmware.report import Procedure, Report
 
 SETTLE = 0.05  # s after a stop, before the report looks where the carriage came to rest
 
-_reason = stop_reason
-
 
 def preset_move(
     axis: Axis,
