@@ -25,7 +25,7 @@ import llvmlite.binding
 import mujoco
 import numba
 
-from stage.chips import pcl240_core
+from stage.chips.pcl240 import core as pcl240_core
 from stage.compiled import COMPILED, hot, record
 from stage.drives import stepper
 

@@ -21,7 +21,8 @@ import mujoco
 import numpy as np
 
 from stage import engine, plant
-from stage.chips import Chip, Diagnostic, pcl240_core
+from stage.chips import Chip, Diagnostic
+from stage.chips.pcl240 import core as pcl240_core
 from stage.compiled import announced
 from stage.drives import stepper
 from stage.drives.motors import Drive, Motor, motor

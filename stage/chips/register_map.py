@@ -60,6 +60,11 @@ class Register:
     def mask(self) -> int:
         return (1 << self.bits) - 1
 
+    @property
+    def writable(self) -> int:
+        """The bits that a write changes."""
+        return self.mask & ~sum(f.mask for f in self.fields if f.access == "R")
+
 
 @dataclass(frozen=True)
 class Word:

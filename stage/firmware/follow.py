@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stage.chips import pcl240_core as core
+from stage.chips.pcl240 import core
 from stage.compiled import hot
 
 KEPT = 24  # accelerations that are tried with every deceleration

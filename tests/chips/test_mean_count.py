@@ -3,7 +3,8 @@
 import numpy as np
 from programs import load_registers
 
-from stage.chips import PCL240K, pcl240_core
+from stage.chips import PCL240K
+from stage.chips.pcl240 import core as pcl240_core
 from stage.compiled import hot
 
 

@@ -1,0 +1,59 @@
+"""Nippon Pulse PCL-240K, PCL-240MK, PCL-240MS: one family, one core; variants differ by their register maps and two flags."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+from stage.chips.chip import Chip
+from stage.chips.pcl240 import core, lint
+from stage.chips.pcl240.maps import OPERATING_MODE, PCL240K_MAP, PCL240MK_MAP, PCL240MS_MAP, STATUS
+
+__all__ = ["OPERATING_MODE", "STATUS", "PCL240", "PCL240K", "PCL240MK", "PCL240MS"]
+
+
+class PCL240(Chip):
+    """Base of the family. Bus addresses: 0 command (write) and status (read); 1, 2, 3 the bytes of the selected
+    register, low to high (write), and of R0 (read), or of the selected register in the extension mode of MK and MS."""
+
+    CORE: ClassVar = core
+    INPUTS: ClassVar = core.INPUTS
+    OUTPUTS: ClassVar = core.OUTPUTS
+    DEFAULT_CLOCK_HZ: ClassVar = 4_915_200
+    EXTENDED: ClassVar[bool] = True
+    S_CURVES: ClassVar[bool] = False
+
+    def _configure(self, record: Any) -> None:
+        record["extended"], record["s_curves"] = self.EXTENDED, self.S_CURVES
+        for k, r in enumerate(self.MAP.registers):
+            record["mask"][k] = r.writable
+        record["top_bit"] = (self.MAP.register("R6").mask + 1) // 2
+
+    def values(self) -> dict[str, int]:
+        return {r.name: int(core.value(self._rows, self._i, k)) for k, r in enumerate(self.MAP.registers)} | {
+            "status": int(core.read(self._rows, self._i, 0))
+        }
+
+    def _lint(self, address: int, value: int) -> lint.Note | None:
+        c = self._record
+        return lint.data(self.MAP, c, address, value) if address else lint.command(self.MAP, c, value)
+
+
+class PCL240K(PCL240):
+    """Nippon Pulse PCL-240K: R0 to R7, linear ramps, preset, continuous and origin-return runs."""
+
+    MAP: ClassVar = PCL240K_MAP
+    EXTENDED: ClassVar = False
+
+
+class PCL240MK(PCL240):
+    """Nippon Pulse PCL-240MK: also R10 to R17, read-back, collective input and output, position counter, EZ counting and
+    the automatic ramp-down point."""
+
+    MAP: ClassVar = PCL240MK_MAP
+
+
+class PCL240MS(PCL240):
+    """Nippon Pulse PCL-240MS: the MK with S-curve ramps, FH correction and wider R4, R5, R6."""
+
+    MAP: ClassVar = PCL240MS_MAP
+    S_CURVES: ClassVar = True

@@ -1,0 +1,114 @@
+"""What a reader of the PCL-240 data sheets would say to a bus write: (message, where it is written), or None.
+
+`map_` is the chip's register map, `c` its record before the write, with access by name.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from stage.chips.pcl240.state import EZ_COUNT, EZ_FROM_FL, EZ_RETURN, LINEAR, R13, R14, R15, SPAN
+from stage.chips.register_map import RegisterMap
+
+Note = tuple[str, str]
+_WORDS = {1: ("control", "section 3 b"), 2: ("select", "section 3 c"), 3: ("output", "section 3 d")}
+_FH = {1: 2, 3: 3}
+_RAMPING = ("R1", "R4", "R5", "R14", "R15")
+
+
+def data(map_: RegisterMap, c: Any, address: int, value: int) -> Note | None:
+    """A byte to address 1, 2 or 3."""
+    k = int(c["selected"])
+    r = map_.registers[k]
+    shift = 8 * (address - 1)
+    given, whole = value << shift, int(c["reg"][k]) & ~(0xFF << shift) | value << shift
+    if c["collective"]:
+        if address != 1:
+            return None
+        given = whole = int(c["high"]) << 16 | int(c["middle"]) << 8 | value
+    if lost := given & ~r.mask:
+        return (
+            f"{r.name} is {r.bits} bits wide: {value:02X}h at address {address} loses bits {lost:06X}h",
+            "section 3 c",
+        )
+    if fixed := given & ~r.writable:
+        return f"{r.name} bits {fixed:06X}h are read only", "MS section 2-4"
+    if r.name in ("R14", "R15") and not c["s_curves"] and given & SPAN:
+        return f"{r.name}: this chip has no S-curves; the value is stored and means nothing", "MS section 1"
+    if c["running"] and c["preset"] and c["ramps"]:
+        if r.name in ("R0", "R6"):
+            return f"{r.name} written during a high-speed preset run: its bytes do not change together", "Q & A"
+        if r.name in _RAMPING and c["automatic"] and not c["manual"]:
+            return (
+                f"{r.name} written in motion switches the automatic ramp-down point off for this run",
+                "MS section 3-5",
+            )
+    # a register is complete with its low byte, which a host writes last, or whose high bytes are still 0
+    if r.legal and address == 1 and whole < r.legal[0]:
+        return f"{r.name} = {whole}: {r.title} takes {r.legal[0]} to {r.legal[1]}", "section 4"
+    return None
+
+
+def command(map_: RegisterMap, c: Any, value: int) -> Note | None:
+    """A byte to address 0."""
+    if group := value >> 6:
+        name, where = _WORDS[group]
+        empty = value & ~sum(f.mask for f in map_.word(name).fields)
+        bits = " and ".join(str(k) for k in range(7, -1, -1) if empty >> k & 1)
+        return (f"{name} mode {value:02X}h: bit {bits} means nothing on this chip", where) if empty else None
+    if not value & 0x10 or value & 0x08:
+        return None
+    if value & 3 == 2:
+        return f"speed select 10 in {value:02X}h is in no table; it acts as FL", "section 3 a"
+    return None if c["running"] else _start(c, value)
+
+
+def _start(c: Any, value: int) -> Note | None:
+    if c["finishing"]:
+        return "start while the last pulse is still being completed is ignored: poll status bit 6", "Q & A"
+    if not c["armed"]:
+        return "start after a stop without the reset command 08h is ignored", "section 3 a"
+    r = [int(v) for v in c["reg"]]
+    speed = r[_FH.get(value & 3, 1)]
+    if r[7] < 2:
+        return f"start with R7 = {r[7]}: the multiplier does not operate unless it is set", "Q & A"
+    if r[1] == 0 or speed == 0:
+        return "start with a speed register at 0: no pulse will come; any data must be set on R1", "Q & A"
+    if c["preset"] and r[0] == 0:
+        return "start in preset mode with R0 = 0: no pulse, no /INT", "section 4 R0"
+    if value & 4 and min(r[4], r[5]) < 2:
+        return f"high-speed start with R4 = {r[4]}, R5 = {r[5]}: rates below 2 hold the speed", "section 4 R4"
+    if not c["extended"]:
+        return None
+    if c["origin"] and not r[R13] & EZ_RETURN and r[R13] & (15 << EZ_COUNT | EZ_FROM_FL):
+        return "R13 counts EZ, but its bit 21 is 0: the origin return ends at ORG", "MS section 2-4"
+    return _ramps(c, r, value & 3) if value & 4 else None
+
+
+def _ramps(c: Any, r: list[int], select: int) -> Note | None:
+    """Contradictions of a high-speed start on a chip with the extension."""
+    fh = _FH.get(select)
+    if fh and r[1] > r[fh]:
+        return f"R1 = {r[1]} is above R{fh} = {r[fh]}: the ramp leads down to FH", "section 4 R1"
+    if c["automatic"] and not c["preset"]:
+        return "automatic ramp-down without preset mode: there is no point to ramp down at", "section 3 b"
+    if not fh or r[1] == r[fh]:
+        return None
+    height = r[fh] - r[1]
+    linear = not c["s_curves"] or r[R14] & LINEAR
+    up, down = (0 if linear or not 0 < 2 * s < height else s for s in (r[R14] & SPAN, r[R15] & SPAN))
+    if c["s_curves"] and linear and r[R14] & SPAN | r[R15] & SPAN:
+        return "R14 bit 12 selects linear ramps: the spans of R14 and R15 mean nothing", "MS section 2-2"
+    if not c["preset"]:
+        return None
+    if not c["automatic"]:
+        if r[6] == 0:
+            return "R6 = 0 in a high-speed preset move: it stops from FH. 08h clears R6 on this chip", "MS section 3-4"
+        return None
+    offset = r[6] - 2 * int(c["top_bit"]) if r[6] & int(c["top_bit"]) else r[6]
+    rising = (r[1] + r[fh]) * (height + 2 * up if up else 2 * height) * r[4] // (32768 * r[7])
+    if offset < 0 and -offset >= min(r[0], rising):
+        return f"R6 = {offset} as offset: the move ends before the automatic ramp-down begins", "MS section 3-4"
+    if not linear and (up or height / 2) < (down or height / 2):
+        return "R14 is below R15: the automatic point comes too late for this deceleration", "MS section 3-4"
+    return None

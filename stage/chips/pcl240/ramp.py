@@ -1,0 +1,197 @@
+"""PCL-240 family, compiled: step 3 of a tick. Where the speed is to go, and at which tick it takes its next step.
+
+A linear ramp takes a step every R4 or R5 clocks. An S-curve ramp of K steps with curved ends of S steps each takes its
+k-th step at t(k) clocks after its start:
+
+    rate sqrt(k S)                    k <= S            from rest: the acceleration grows with time
+    rate (S + k) / 2                  S < k <= K - S    linear
+    T - rate sqrt((K - k) S)          K - S < k         the first part, mirrored;  T = (K + 2 S) rate / 2
+
+in exact integers, for 2 S and 2 T are whole. All this is the normative model's section 7.
+"""
+
+from __future__ import annotations
+
+import math
+
+from stage.chips.pcl240.state import LINEAR, R14, R15, SD_MINUS, SD_PLUS, SPAN, UNCORRECTED, stop
+from stage.compiled import hot
+
+NEVER = 1 << 40
+
+
+@hot
+def selected_speed(c):
+    """The speed register that the operating mode selects, or the corrected FH in its place."""
+    if c.select == c.top_select and c.select:
+        return c.top
+    if c.select == 1:
+        return c.reg[2]
+    if c.select == 3:
+        return c.reg[3]
+    return c.reg[1]
+
+
+@hot
+def slowed(c):
+    """SD enabled and the SD switch of the direction asserted."""
+    return c.sd_enable and c.inputs & (SD_MINUS if c.minus else SD_PLUS)
+
+
+@hot
+def watching(c):
+    """The automatic ramp-down point is in force, in place of R0 < R6."""
+    return c.automatic and c.preset and c.ramps and not c.manual
+
+
+@hot
+def margin(c):
+    """Pulses by which R0 is above the automatic ramp-down point; its time has come at 0."""
+    offset = c.reg[6]
+    if offset & c.top_bit:
+        offset -= 2 * c.top_bit
+    return c.reg[0] - c.risen - offset
+
+
+@hot
+def goal_speed(c):
+    """Where a ramp leads: FL or the selected register."""
+    if c.decel or c.down or c.homing or slowed(c):
+        return c.reg[1]
+    if c.preset and c.reg[0] < c.reg[6] and not watching(c):
+        return c.reg[1]
+    return selected_speed(c)
+
+
+@hot
+def _root(x):
+    """Floor of the square root, x < 2^62."""
+    r = int(math.sqrt(float(x)))
+    while r * r > x:
+        r -= 1
+    while (r + 1) * (r + 1) <= x:
+        r += 1
+    return r
+
+
+@hot
+def correct_top(c):
+    """FH correction at the start of a preset run (data sheet MS, 3-4): a distance too short to reach FH takes a lower one.
+
+    The automatic ramp-down decelerates on R4, so R4 stands for R5, and cancels: with s = R14 + R15, m = max(R14, R15)
+        pulses for a trapezoid       (R2^2 - R1^2) R4 / (8192 R7)    or  (R1 + R2) (R2 - R1 + s) R4 / (16384 R7)
+        pulses for a linear part     (R1 + m) (s + 2 m) R4 / (8192 R7)
+        revised R2                   sqrt(8192 R0 R7 / R4 + R1^2)    or  (-s + sqrt((s - 2 R1)^2 + 65536 R0 R7 / R4)) / 2
+    """
+    low, high, rate = c.reg[1], selected_speed(c), c.reg[4]
+    if not (c.s_curves and watching(c) and c.select & 1 and rate) or c.reg[R14] & UNCORRECTED:
+        return
+    way = c.reg[0] * c.reg[7]
+    a, b = c.reg[R14] & SPAN, c.reg[R15] & SPAN
+    s, m = a + b, max(a, b)
+    whole = c.reg[R14] & LINEAR or a == 0 or b == 0 or 2 * m >= high - low
+    if way * 16384 > ((high + low) * (high - low) * 2 if whole else (low + high) * (high - low + s)) * rate:
+        return
+    if whole or way * 8192 <= (low + m) * (s + 2 * m) * rate:
+        c.top = _root(8192 * way // rate + low * low)
+    else:
+        c.top = (_root((s - 2 * low) ** 2 + 65536 * way // rate) - s) // 2
+    c.top_select = c.select
+
+
+@hot
+def _curve_time(c, k):
+    """First whole clock at or after t(k); rate^2 K S stays below 2^60."""
+    double = c.twice_span
+    if 2 * k <= double:
+        square = c.rate * c.rate * k * double  # of t(k), twice
+        return _root((square + 1) // 2 - 1) + 1
+    if 2 * k <= 2 * c.steps - double:
+        return (c.rate * (double + 2 * k) + 3) // 4
+    total = (c.steps + double) * c.rate  # twice T
+    return (total - _root(2 * c.rate * c.rate * (c.steps - k) * double) + 1) // 2
+
+
+@hot
+def _start_ramp(c, goal, way):
+    c.ramp, c.timer, c.goal = way, 0, goal
+    c.curved = 1 if c.s_curves and not c.reg[R14] & LINEAR else 0
+    if c.curved:
+        c.steps = abs(goal - c.speed)
+        c.step = 0
+        span = c.reg[R14 if way > 0 else R15] & SPAN
+        c.twice_span = c.steps if span == 0 or 2 * span > c.steps else 2 * span
+        c.rate = linear_rate(c, way)
+        _next_step(c)
+
+
+@hot
+def linear_rate(c, way):
+    """R4, or R5; after the automatic ramp-down point R4 both ways."""
+    return c.reg[4] if way > 0 or c.down else c.reg[5]
+
+
+@hot
+def _next_step(c):
+    """When the S-curve takes its next step: upwards the k-th at t(k), downwards a clock after t(k - 1)."""
+    if c.rate < 2:
+        c.next = NEVER
+    elif c.ramp > 0:
+        c.next = _curve_time(c, c.step + 1)
+    else:
+        c.next = 1 + (_curve_time(c, c.step) if c.step else 0)
+
+
+@hot
+def until_step(c, goal):
+    """Ticks for which step 3 surely changes nothing, plus one."""
+    speed = c.speed
+    if not c.ramps:
+        return 1 if speed != selected_speed(c) or c.rising else NEVER
+    if c.rising != (1 if goal > speed else 0) or (c.decel and speed <= c.reg[1]):
+        return 1
+    if not c.down and watching(c) and margin(c) <= 0:
+        return 1
+    if speed == goal:
+        return NEVER
+    if c.ramp != (1 if speed < goal else -1):
+        return 1
+    if c.curved:
+        return max(1, c.next - c.timer) if c.goal == goal else 1
+    rate = linear_rate(c, c.ramp)
+    return max(1, rate - c.timer) if rate >= 2 else NEVER
+
+
+@hot
+def step_speed(c):
+    """Step 3 of one tick."""
+    c.rising = 0
+    if not c.ramps:
+        c.speed = selected_speed(c)
+        c.ramp = 0
+        return
+    if not c.down and watching(c) and margin(c) <= 0:
+        c.down = 1
+    goal = goal_speed(c)
+    if c.speed == goal:
+        c.ramp = 0
+    else:
+        way = 1 if c.speed < goal else -1
+        c.rising = 1 if way > 0 else 0
+        first = c.ramp != way or (c.curved and c.goal != goal)
+        if first:
+            _start_ramp(c, goal, way)
+        c.timer += 1
+        if c.curved:
+            if c.timer >= c.next:
+                c.speed += way
+                c.step += 1
+                if c.step < c.steps:
+                    _next_step(c)
+        else:
+            rate = linear_rate(c, way)
+            if rate >= 2 and (c.timer >= rate or (first and way < 0)):
+                c.speed += way
+                c.timer = 0
+    if c.decel and c.speed <= c.reg[1]:
+        stop(c)
