@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import ctypes
 import glob
+import math
 import os
 from typing import Any
 
@@ -40,13 +41,18 @@ else:
 
 NEVER = 1 << 62
 FAR = 1.0  # distance of a vane that no sensor sees
+TURN = 2.0 * math.pi
+INDEX, INDEX_HYSTERESIS = 0.01, 5e-4  # turns: width of the encoder's index pulse, and by how much it lets go later
 SECOND = 1_000_000_000
 
 # --- state, in userdata ---
 WORLD = record([("now", "i8"), ("start", "i8"), ("slice", "i8"), ("steps", "i8"), ("to_sample", "i8")])
 """`now`, `start` of the window (ns); slices and steps done; steps until the next sample."""
-AXIS = record([("torque_sum", "f8"), ("count", "i8"), ("next_edge", "i8")])
-"""Torque of the window so far, the drive's pulse count at the slice's start, time of the next switch edge (ns)."""
+AXIS = record(
+    [("torque_sum", "f8")] + [(name, "i8") for name in "count next_edge index_on index_edge index_end".split()]
+)
+"""Torque of the window so far, the drive's pulse count at the slice's start, time of the next input edge (ns); the
+encoder's index pulse: asserted, its next edge in this window, and the one after (ns)."""
 SWITCH = record([("dist", "f8"), ("edge", "i8"), ("on", "i8")])
 """Distance vane to switch at `qpos`, time of its next edge (ns), asserted."""
 
@@ -54,9 +60,11 @@ SWITCH = record([("dist", "f8"), ("edge", "i8"), ("on", "i8")])
 CLOCKWORK = record([("dt", "i8"), ("slices", "i8"), ("h", "f8"), ("half", "f8"), ("nv", "i8"), ("sample_every", "i8")])
 """Window (ns), slices in it, a slice and half a window (s), degrees of freedom, steps per sample (0: none)."""
 AXIS_TABLE = record(
-    [(name, "i8") for name in "chip chip_axis hz qpos dof actuator first_switch end_switch".split()] + [("gear", "f8")]
+    [(name, "i8") for name in "chip chip_axis hz qpos dof actuator first_switch end_switch index_bit".split()]
+    + [("gear", "f8"), ("index_at", "f8")]
 )
-"""Which chip row and drive row (= the axis' own index) move which joint; rotor radians per joint unit."""
+"""Which chip row and drive row (= the axis' own index) move which joint; rotor radians per joint unit; the pin bit of
+the index pulse (0: not connected) and where in the rotor's turn it stands, in turns."""
 SWITCH_TABLE = record(
     [("bit", "i8"), ("found", "i8"), ("at", "i8"), ("slope", "f8"), ("hysteresis", "f8"), ("forced", "i8")]
 )
@@ -89,6 +97,38 @@ def clock_at(now, hz):
 
 
 @hot
+def _off_index(t, q):
+    """Turns from the nearest index mark to the rotor, -0.5 to 0.5."""
+    turns = q * t.gear / TURN - t.index_at
+    return turns - math.floor(turns + 0.5)
+
+
+@hot
+def _foresee_index(world, axis, t, q, v, half):
+    """At a window's start: when in this window the index pulse will begin or end, at most both."""
+    axis.index_edge = axis.index_end = NEVER
+    speed = v * t.gear / TURN
+    way = 1.0 if speed >= 0.0 else -1.0
+    off = (_off_index(t, q) - speed * half) * way  # as if the motor turned forward
+    off -= math.floor(off + 0.5)
+    rim = 0.5 * INDEX + (INDEX_HYSTERESIS if axis.index_on else 0.0)
+    speed *= way
+    if axis.index_on:
+        wait = rim - off if abs(off) <= rim else 0.0
+    elif abs(off) <= rim:
+        wait = 0.0
+    else:
+        wait = -rim - off if off < -rim else 1.0 - rim - off
+    if wait <= speed * 2.0 * half:
+        axis.index_edge = world.start + (int(wait / speed * SECOND) if wait > 0.0 else 0)
+        if not axis.index_on:
+            last = wait + INDEX + INDEX_HYSTERESIS if wait > 0.0 else rim + INDEX_HYSTERESIS - off
+            if 0.0 < last < speed * 2.0 * half:
+                axis.index_end = world.start + int(last / speed * SECOND)
+        axis.next_edge = min(axis.next_edge, axis.index_edge)
+
+
+@hot
 def _foresee(world, axes, table, switches, switch_table, clockwork, sensordata, qpos, qvel, moved):
     """At a window's start: where each vane is, and when in this window its switch will change.
 
@@ -115,6 +155,8 @@ def _foresee(world, axes, table, switches, switch_table, clockwork, sensordata, 
                     wait = min(max(half + (s.dist - threshold) / approach, 0.0), 2.0 * half)
                 s.edge = world.start + int(wait * SECOND)
                 axes[a].next_edge = min(axes[a].next_edge, s.edge)
+        if table[a].index_bit:
+            _foresee_index(world, axes[a], table[a], qpos[table[a].qpos], v, half)
 
 
 @hot
@@ -133,6 +175,12 @@ def _run_chip(axis, t, chips, switches, switch_table, a, until, edges, n_edges):
                 bit = switch_table[k].bit
                 c.inputs = c.inputs | bit if s.on else c.inputs & ~bit
             axis.next_edge = min(axis.next_edge, s.edge)
+        if t.index_bit:
+            if axis.index_edge <= now:
+                axis.index_edge, axis.index_end = axis.index_end, NEVER
+                axis.index_on = 1 - axis.index_on
+                c.inputs = c.inputs | t.index_bit if axis.index_on else c.inputs & ~t.index_bit
+            axis.next_edge = min(axis.next_edge, axis.index_edge)
         if len(edges):
             e = edges[n_edges]
             e.now, e.clock, e.axis, e.inputs = now, c.clock, a, c.inputs
@@ -240,4 +288,10 @@ def settle(world_, axes, chips, drives, switches, table, switch_table, clockwork
             s.on = t.forced if t.forced >= 0 else (1 if s.dist <= 0.0 else 0)
             c = chips[table[a].chip]
             c.inputs = c.inputs | t.bit if s.on else c.inputs & ~t.bit
+        t = table[a]
+        if t.index_bit:
+            axes[a].index_edge = axes[a].index_end = NEVER
+            axes[a].index_on = 1 if abs(_off_index(t, qpos[t.qpos])) <= 0.5 * INDEX else 0
+            c = chips[t.chip]
+            c.inputs = c.inputs | t.index_bit if axes[a].index_on else c.inputs & ~t.index_bit
         stepper.align(drives[a], float(axes[a].count), qpos[table[a].qpos] * table[a].gear)

@@ -231,6 +231,7 @@ class Stage:
             chip._attach(self, self._chips, k)
             t = self._table[k]
             t.chip, t.hz, t.qpos, t.dof, t.actuator, t.gear = k, chip.clock_hz, p.qpos, p.dof, p.actuator, p.gear
+            t.index_bit, t.index_at = chip.INPUTS.get("ez", 0), p.index
             t.first_switch, t.end_switch = first, first + len(p.switches)
             for row, s in zip(self._switch_table[first : t.end_switch], p.switches, strict=True):
                 row.bit, row.found, row.at, row.slope = chip.INPUTS[s.pin], s.found, s.dist, s.slope

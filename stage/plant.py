@@ -7,6 +7,8 @@ Axis NAME is
         each with data="found dist" and a force-free <pair margin="-0.03" gap="0.04">,
     or <custom><text name="NAME_unfitted" data="sd_plus sd_minus"/></custom> for the switches that it does without.
 <text name="NAME_motor" data="17HS4401"/> names the motor whose rotor inertia is in the joint's armature.
+<numeric name="NAME_index" data="0.5"/> says where in the rotor's turn the encoder's index pulse (EZ) stands, in turns from the
+rotor's place at joint position 0; without it, half a turn from where ORG trips, as one mounts it.
 
     spec = open_spec("xyz")                         a name, a path, an MjSpec or an MjModel
     model, offset = compile_spec(spec, words)       with room for `words` float64 of state in userdata
@@ -66,6 +68,7 @@ class PlantAxis:
     Attributes:
         joint, actuator: ids in the model; qpos, dof: addresses. gear: rotor radians per joint unit, signed.
         travel: the joint's range, m (rad if `hinge`). motor: name of the motor inside the armature, or None.
+        index: where in the rotor's turn the index pulse stands, in turns from its place at joint position 0.
         switches: those fitted, in the order of PINS.
     """
 
@@ -78,6 +81,7 @@ class PlantAxis:
     travel: tuple[float, float]
     hinge: bool
     motor: str | None
+    index: float
     switches: tuple[Switch, ...]
 
 
@@ -282,8 +286,16 @@ class _Binder:
         self._order(name, switches)
         return PlantAxis(
             name, joint, int(m.jnt_qposadr[joint]), int(m.jnt_dofadr[joint]), actuator, gear, (low, high),
-            bool(m.jnt_type[joint] == hinge), self.texts.get(f"{name}_motor"), switches,
+            bool(m.jnt_type[joint] == hinge), self.texts.get(f"{name}_motor"), self._index(name, gear, switches),
+            switches,
         )  # fmt: skip
+
+    def _index(self, name: str, gear: float, switches: Iterable[Switch]) -> float:
+        m = self.model
+        k = self._id(mujoco.mjtObj.mjOBJ_NUMERIC, f"{name}_index")
+        if k >= 0:
+            return float(m.numeric_data[m.numeric_adr[k]])
+        return next(((s.touch * gear / (2 * np.pi) + 0.5) % 1.0 for s in switches if s.pin == "org"), 0.0)
 
     def _is_motor(self, joint: int, actuator: int) -> bool:
         m = self.model
