@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 from stage.chips.journal import RESET, WRITE, Entry
-from stage.chips.register_map import RegisterMap
+from stage.chips.register_map import Register, RegisterMap
 
 _SPEEDS = ("FL", "FH1", "FL", "FH2")
 
@@ -30,10 +30,21 @@ def command_meaning(map_: RegisterMap, value: int) -> str:
         return _operating(value)
     word = map_.words[group]
     if group == 2:
-        return f"select R{value & 7}"
+        return f"select {_selected(map_, value).name}{', collective' if _collective(map_, value) else ''}"
     on = [f.name for f in word.fields if f.name != "group" and f.of(value)]
     none = "manual, plus" if group == 1 else "common pulses"
     return f"{word.name} mode: {', '.join(on) or none}"
+
+
+def _selected(map_: RegisterMap, value: int) -> Register:
+    """The register that a select byte names; bits that the chip does not have do not count."""
+    extension = sum(f.mask for f in map_.word("select").fields if f.name == "extension")
+    number = value & (extension | 7)
+    return next(r for r in map_.registers if r.number == number)
+
+
+def _collective(map_: RegisterMap, value: int) -> int:
+    return sum(f.of(value) for f in map_.word("select").fields if f.name == "collective")
 
 
 def _operating(value: int) -> str:
@@ -52,15 +63,20 @@ def _operating(value: int) -> str:
 def decode(map_: RegisterMap, entries: Iterable[Entry]) -> list[Said]:
     """A journal's writes as commands and whole register values; register selects are folded into the writes."""
     said: list[Said] = []
-    selected, clock = 0, 0
+    select, clock = 0x80, 0
     bytes_: dict[int, int] = {}
+    held: dict[int, int] = {}
 
     def flush() -> None:
         if bytes_:
-            r = map_.registers[selected]
-            value = sum(b << 8 * (a - 1) for a, b in bytes_.items()) & r.mask
+            r, whole = _selected(map_, select), bytes_
+            if _collective(map_, select):  # the upper bytes wait for the lowest, and stay for the next
+                held.update(bytes_)
+                whole = held
+            value = sum(b << 8 * (a - 1) for a, b in whole.items()) & r.mask
             raw = " ".join(f"{b:02X}" for _, b in sorted(bytes_.items(), reverse=True))
-            said.append(Said(clock, "register", f"{0x80 | selected:02X} {raw}", f"{r.name} <- {value} ({r.title})"))
+            if whole is bytes_ or 1 in bytes_:
+                said.append(Said(clock, "register", f"{select:02X} {raw}", f"{r.name} <- {value} ({r.title})"))
             bytes_.clear()
 
     for e in entries:
@@ -73,12 +89,13 @@ def decode(map_: RegisterMap, entries: Iterable[Entry]) -> list[Said]:
         if e.kind == WRITE:
             flush()
             if e.b >> 6 == 2:
-                selected = e.b & 7
+                select = e.b
             else:
                 said.append(Said(e.clock, "command", f"{e.b:02X}", command_meaning(map_, e.b)))
         elif e.kind == RESET:
             flush()
-            selected = 0
+            held.clear()
+            select = 0x80
             said.append(Said(e.clock, "reset", "/RESET", "reset pin"))
     flush()
     return said

@@ -22,7 +22,12 @@ START = {"FL": 0x10, "FH1": 0x11, "FH2": 0x13}  # constant speed
 RAMP = {"FL": 0x14, "FH1": 0x15, "FH2": 0x17}
 CONTROL, SELECT, OUTPUT = 0x40, 0x80, 0xC0
 ORIGIN, SD, PRESET, MINUS = 0x01, 0x02, 0x04, 0x08  # of the control mode
-EXTERNAL = 0x10  # of the output mode
+AUTOMATIC, POSITION = 0x10, 0x20  # of the control mode, MK and MS
+COLLECTIVE = 0x20  # of the register select, MK and MS
+EXTENSION, EXTERNAL = 0x08, 0x10  # of the output mode
+EZ_RETURN, EZ_FROM_FL = 1 << 21, 1 << 20  # of R13
+UNCORRECTED = 0x8000  # of R14
+EZ_SIGNAL = 1 << 20  # of R17
 
 POLL = 1e-3  # s between two looks at the status byte of a run that takes long
 QUICK = 2e-4  # s, where a command follows at once
@@ -74,10 +79,18 @@ class Port:
 
     def __init__(self, axis: Axis):
         self.axis, self._chip = axis, axis.chip
+        self.extended = bool(getattr(axis.chip, "EXTENDED", False))
+        self._output = OUTPUT
 
     def command(self, value: int) -> None:
         """Write the command buffer."""
+        if value >> 6 == 3:
+            self._output = value
         self._chip.write(0, value)
+
+    def control(self, bits: int) -> None:
+        """Write the control mode; on MK and MS the position counter R10 counts along."""
+        self.command(CONTROL | bits | (POSITION if self.extended else 0))
 
     def write_register(self, name: str, value: int) -> None:
         """Select a register and write its bytes, high to low: the silicon has no latch, and so a value that grows in motion
@@ -114,6 +127,24 @@ class Port:
         raise StageError(
             f"axis {self.axis.name}: the counter's bytes did not agree in {READS} reads: the bus is too slow to read it in motion."
         )
+
+    def read_register(self, name: str) -> int:
+        """A register's value, whole, on MK and MS: extension mode for so long, and a collective read. Raises StageError
+        on a chip that reads nothing but R0."""
+        if not self.extended:
+            raise StageError(f"axis {self.axis.name}: a {self._chip.MAP.chip} reads R0 only (Port.counter).")
+        output = self._output
+        self.command(output | EXTENSION)
+        self.command(SELECT | COLLECTIVE | self._chip.MAP.register(name).number)
+        high, middle, low = (self._chip.read(a) for a in (3, 2, 1))
+        self.command(SELECT)
+        self.command(output)
+        return high << 16 | middle << 8 | low
+
+    def position(self) -> int:
+        """R10 of MK and MS: signed pulses since it was last written; an origin return writes 0."""
+        raw = self.read_register("R10")
+        return raw - (1 << 24) if raw & 1 << 23 else raw
 
     def wait_until_stopped(self, timeout: float, poll: float = POLL) -> Status:
         """Poll status bit 6, every `poll` seconds at first and ever more slowly in a long run, to half a percent of its time.

@@ -1,7 +1,7 @@
 """Moves, by bus cycles only: preset, continuous, interrupt and resume, external count.
 
-The procedures follow section 5 of the PCL-240K data sheet: reset command, registers, control mode, start. Arguments are
-checked before the first bus cycle.
+The procedures follow section 5 of the PCL-240K data sheet: reset command, registers, control mode, start; they serve the
+whole family and use what a chip offers. Arguments are checked before the first bus cycle.
 """
 
 from __future__ import annotations
@@ -25,6 +25,9 @@ def preset_move(
     *,
     high_speed: bool = True,
     fh2: bool = False,
+    s_curve: bool | float | None = None,
+    automatic: bool | None = None,
+    fh_correction: bool = True,
     down_point: int | None = None,
     slow_down: bool = False,
     interrupt: bool = False,
@@ -34,17 +37,35 @@ def preset_move(
 
     Args:
         high_speed: with ramps, to FH1 or (fh2) FH2; otherwise constant speed FH1 or FH2.
-        down_point: R6; default by the data sheet's formula, triangular for a short move, so that it ends at FL.
+        s_curve: True for S-curves throughout, a share (0 to 0.5) of FH - FL for curved ends with a linear part between, False
+            for linear ramps, in the ramp times of the profile; default: as the profile says. S-curves need a PCL240MS.
+        automatic: the chip finds the ramp-down point itself, and decelerates on R4 (MK and MS). Default: where it can and
+            the profile's R5 is its R4.
+        fh_correction: with the automatic point a PCL240MS lowers the FH of a move too short to reach it; False: a triangle.
+        down_point: R6; default by the data sheet's formula, triangular for a short move, so that it ends at FL. With
+            `automatic` a signed offset: pulses by which the ramp-down begins earlier.
         slow_down: the SD switch of the direction slows the axis to FL while it is asserted.
         interrupt: /INT at the stop.
         timeout: s; default half as much again as the move can take, and one.
     Raises ArgumentError (0, or more than 16777215 pulses; a register out of its range), RunTimeout.
     """
-    profile = _profile(axis, profile)
-    count = _count(pulses)
-    point = profile.down_point(count, fh2) if down_point is None else axis.chip.MAP.checked("R6", down_point)
+    profile, count = _profile(axis, profile), _count(pulses)
+    if s_curve is not None:
+        profile = profile.shaped(s_curve, fh2)
+    if automatic is None:
+        automatic = high_speed and profile.chip.EXTENDED and profile.R4 == profile.R5
+        automatic = automatic and down_point is None and not slow_down
+    control = bus.PRESET | _sd(slow_down) | _minus(pulses)
+    if automatic:
+        point = _offset(profile, down_point or 0)
+        control |= bus.AUTOMATIC
+    else:
+        profile = profile.within(count, fh2)
+        point = profile.down_point(count, fh2) if down_point is None else profile.chip.MAP.checked("R6", down_point)
     with Procedure(axis, "preset move" if high_speed else "constant-speed preset move") as p:
-        _prepare(p.port, profile, bus.PRESET | _sd(slow_down) | _minus(pulses))
+        _prepare(p.port, profile, control)
+        if profile.chip.S_CURVES and not fh_correction:
+            p.port.write_register("R14", profile.registers()["R14"] | bus.UNCORRECTED)
         p.port.write_register("R0", count)
         if high_speed:
             p.port.write_register("R6", point)
@@ -52,6 +73,16 @@ def preset_move(
         status = p.port.wait_until_stopped(_patience(timeout, profile, count))
         axis.wait(SETTLE)
         return p.report(stop_reason(status, pulses), pulses)
+
+
+def _offset(profile: Profile, offset: int) -> int:
+    """R6 as the signed offset of the automatic ramp-down point."""
+    half = (profile.chip.MAP.register("R6").mask + 1) // 2
+    if not profile.chip.EXTENDED:
+        raise ArgumentError(f"a {profile.chip.MAP.chip} has no automatic ramp-down point: a PCL240MK or PCL240MS has.")
+    if int(offset) != offset or not -half <= offset < half:
+        raise ArgumentError(f"down_point={offset!r}: as an offset R6 takes whole pulses from {-half} to {half - 1}.")
+    return int(offset) % (2 * half)
 
 
 def continuous_move(
@@ -105,8 +136,8 @@ def interrupted_move(
     The reset command re-arms the start and takes /INT back; the ramp-down point is set anew, in case the rest is too short to
     reach the high rate again. Raises ArgumentError, RunTimeout.
     """
-    profile = _profile(axis, profile)
-    count = _count(pulses)
+    whole, count = _profile(axis, profile), _count(pulses)
+    profile = whole.within(count, fh2)
     after, pause, point = _seconds(after), _seconds(pause), profile.down_point(count, fh2)
     rate = "FH2" if fh2 else "FH1"
     with Procedure(axis, "interrupted move") as p:
@@ -120,7 +151,10 @@ def interrupted_move(
         if residual := p.port.counter():
             axis.wait(pause)
             p.port.command(bus.RESET)
-            p.port.write_register("R6", profile.down_point(residual, fh2))
+            rest = whole.within(residual, fh2)
+            if rest != profile:
+                p.port.write_registers(**rest.registers())
+            p.port.write_register("R6", rest.down_point(residual, fh2))
             p.port.command(bus.RAMP[rate])
             status = p.port.wait_until_stopped(_patience(timeout, profile, residual))
         axis.wait(SETTLE)
@@ -196,13 +230,13 @@ def _prepare(port: Port, profile: Profile, control: int, output: int = 0) -> Non
     port.command(bus.RESET)
     port.write_registers(**profile.registers())
     port.command(bus.OUTPUT | output)
-    port.command(bus.CONTROL | control)
+    port.control(control)
 
 
 def _profile(axis: Axis, profile: Profile | None) -> Profile:
     check(axis)
     if profile is None:
-        return Profile.of(clock_hz=axis.chip.clock_hz)
+        return Profile.of(clock_hz=axis.chip.clock_hz, chip=type(axis.chip))
     if not isinstance(profile, Profile):
         raise ArgumentError(f"profile={profile!r}: give a Profile, for example Profile.of(fl=500, fh1=16000).")
     if profile.clock_hz != axis.chip.clock_hz:
@@ -210,7 +244,7 @@ def _profile(axis: Axis, profile: Profile | None) -> Profile:
             f"the profile is for a chip at {profile.clock_hz} Hz, axis {axis.name}'s runs at {axis.chip.clock_hz} Hz: "
             f"Profile.of(..., clock_hz={axis.chip.clock_hz})."
         )
-    return profile
+    return profile.on(type(axis.chip))
 
 
 def _count(pulses: int) -> int:

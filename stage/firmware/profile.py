@@ -1,4 +1,4 @@
-"""Speeds in registers: the data sheet's formulas, and `Profile`, which picks R1 to R5 and R7 for rates in pps.
+"""Speeds in registers: the data sheets' formulas, and `Profile`, which picks R1 to R5, R7 and the S-curve for rates in pps.
 
 profile = Profile.of(fl=500, fh1=16_000, accel=0.2)
 print(profile)                      the true rates and times, after rounding to registers
@@ -8,11 +8,13 @@ profile.down_point(20_000)          R6
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import isqrt
 
 import numpy as np
 
 from stage.chips import PCL240K
+from stage.chips.pcl240 import PCL240
 from stage.errors import ArgumentError
 
 _MAP = PCL240K.MAP
@@ -23,6 +25,7 @@ ACCEL = 0.15
 RATE_TOLERANCE, TIME_TOLERANCE = 2e-4, 1e-2
 """Within these relative errors finer speed steps are worth more than exact values."""
 AT_FL = 5  # pulses at FL after a ramp-down (data sheet section 4, R6)
+LINEAR = PCL240.LINEAR_RAMPS
 
 
 def pulse_rate(speed: float, r7: int, clock_hz: int = PCL240K.DEFAULT_CLOCK_HZ) -> float:
@@ -30,22 +33,58 @@ def pulse_rate(speed: float, r7: int, clock_hz: int = PCL240K.DEFAULT_CLOCK_HZ) 
     return speed * clock_hz / (8192 * r7)
 
 
-def ramp_seconds(low: int, high: int, rate: int, clock_hz: int = PCL240K.DEFAULT_CLOCK_HZ) -> float:
-    """Tsu, Tsd = (FH - FL) rate / clock, s (data sheet section 4, R4, and R5, equation 3)."""
-    return (high - low) * rate / clock_hz
+def curve_steps(low: int, high: int, span: int | None = None) -> float:
+    """Speed steps of a linear ramp that takes as long as the ramp from `low` to `high` whose curved ends span `span` steps.
+
+    (K + 2 S) / 2 with K = high - low and S the span; 0 or above half the ramp means half of it (data sheet MS, 3-1). None:
+    a linear ramp, which takes as long as an S-curve that is curved throughout.
+    """
+    height = high - low
+    return float(height) if not span or 2 * span > height else (height + 2 * span) / 2
 
 
-def ramp_pulses(low: int, high: int, rate: int, r7: int) -> float:
-    """Psu, Psd = (FH^2 - FL^2) rate / (16384 R7), pulses (data sheet section 4, R6, and Q & A).
+def ramp_seconds(
+    low: int, high: int, rate: int, clock_hz: int = PCL240K.DEFAULT_CLOCK_HZ, span: int | None = None
+) -> float:
+    """Tsu, Tsd = (FH - FL) rate / clock, s (data sheet section 4, R4, and R5, equation 3); an S-curve with a linear part
+    takes (FH - FL + 2 span) rate / (2 clock) (data sheet MS, 3-3)."""
+    return curve_steps(low, high, span) * rate / clock_hz
+
+
+def ramp_pulses(low: int, high: int, rate: float, r7: int, span: int | None = None) -> float:
+    """Psu, Psd = (FH^2 - FL^2) rate / (16384 R7), pulses (data sheet section 4, R6, and Q & A); an S-curve with a linear
+    part makes (FL + FH) (FH - FL + 2 span) rate / (32768 R7) (data sheet MS, 3-4.2).
 
     The area of the trapezoid; the chip's staircase makes (FH - FL) rate / (16384 R7) fewer.
     """
-    return (high * high - low * low) * rate / (16384 * r7)
+    return (high + low) * curve_steps(low, high, span) * rate / (16384 * r7)
 
 
-def is_triangular(r0: int, low: int, high: int, r4: int, r5: int, r7: int) -> bool:
-    """Whether a move is too short to reach FH: R0 < Psu + Psd (Q & A; its 18384 is a misprint of 16384)."""
-    return r0 < ramp_pulses(low, high, r4 + r5, r7)
+def is_triangular(
+    r0: int, low: int, high: int, r4: int, r5: int, r7: int, up: int | None = None, down: int | None = None
+) -> bool:
+    """Whether a move is too short to reach FH: R0 < Psu + Psd (Q & A; its 18384 is a misprint of 16384). up, down: spans."""
+    return r0 < ramp_pulses(low, high, r4, r7, up) + ramp_pulses(low, high, r5, r7, down)
+
+
+def linear_part_pulses(low: int, r4: int, r5: int, r7: int, up: int, down: int) -> float:
+    """The pulses above which a move too short for FH still has a linear part (data sheet MS, 3-4.2; its three cases are
+    one, by the longer span)."""
+    longer, of_longer, other = (up, r4, r5) if up > down else (down, r5, r4)
+    return (low + longer) * (other * (up + down) + 2 * of_longer * longer) / (8192 * r7)
+
+
+def revised_high(
+    r0: int, low: int, high: int, r4: int, r5: int, r7: int, up: int | None = None, down: int | None = None
+) -> int:
+    """The FH that a move of `r0` pulses just reaches, at most `high` ("revised R2", data sheet MS, 3-4.1 and 3-4.2)."""
+    if r0 > ramp_pulses(low, high, r4, r7, up) + ramp_pulses(low, high, r5, r7, down):
+        return high
+    straight = up and down and 2 * max(up, down) < high - low
+    if straight and up and down and r0 > linear_part_pulses(low, r4, r5, r7, up, down):
+        a, b = r4 * up + r5 * down, r4 + r5
+        return min(high, (isqrt((a - b * low) ** 2 + b * r0 * r7 * 32768) - a) // b)
+    return min(high, isqrt(r0 * r7 * 16384 // (r4 + r5) + low * low))
 
 
 def triangular_down_point(r0: int, r4: int, r5: int) -> float:
@@ -53,23 +92,25 @@ def triangular_down_point(r0: int, r4: int, r5: int) -> float:
     return r0 * r5 / (r4 + r5)
 
 
-def down_point(r0: int, low: int, high: int, r4: int, r5: int, r7: int) -> int:
-    """R6 for a move of `r0` pulses that ends at FL, whatever its length.
+def down_point(r0: int, low: int, high: int, r4: int, r5: int, r7: int, down: int | None = None) -> int:
+    """R6 for a move of `r0` pulses that ends at FL, whatever its length; `down`: the span of an S-curve.
 
     Psd + 5 (section 4, R6), or the triangular drive's R0 R5 / (R4 + R5) + 2: rounding down takes up to one pulse, and R0 < R6
-    is met one pulse after R0 = R6. As printed, without the 2, the triangle ends a little above FL. Raises ArgumentError
-    when R6 cannot hold it.
+    is met one pulse after R0 = R6. As printed, without the 2, the triangle ends a little above FL. An S-curve needs an FH that
+    it reaches, see `revised_high`.
     """
-    if is_triangular(r0, low, high, r4, r5, r7):
-        return _MAP.checked("R6", int(triangular_down_point(r0, r4, r5)) + 2)
-    return _MAP.checked("R6", int(ramp_pulses(low, high, r5, r7)) + AT_FL)
+    if down is None and is_triangular(r0, low, high, r4, r5, r7):
+        return int(triangular_down_point(r0, r4, r5)) + 2
+    return int(ramp_pulses(low, high, r5, r7, down)) + AT_FL
 
 
 @dataclass(frozen=True)
 class Profile:
     """The speed registers of a move. Every value is checked against the register map: ArgumentError names the register.
 
-    R1 FL, R2 FH1, R3 FH2: speed steps of clock_hz / (8192 R7) pps; R4, R5: clocks per speed step.
+    R1 FL, R2 FH1, R3 FH2: speed steps of clock_hz / (8192 R7) pps; R4, R5: clocks per speed step. spans: of the S-curves'
+    ends when accelerating and decelerating, in speed steps, 0 for curved throughout; None for linear ramps. chip: whose
+    registers these are.
     """
 
     R1: int
@@ -79,10 +120,17 @@ class Profile:
     R5: int
     R7: int
     clock_hz: int = PCL240K.DEFAULT_CLOCK_HZ
+    spans: tuple[int, int] | None = None
+    chip: type[PCL240] = PCL240K
 
     def __post_init__(self):
+        if self.spans is not None and not self.chip.S_CURVES:
+            raise ArgumentError(f"{self.chip.MAP.chip} has linear ramps only; S-curves need a PCL240MS.")
+        for name, span in zip(("R14", "R15"), self.spans or (), strict=False):
+            if not 0 <= span <= 0xFFF:
+                raise ArgumentError(f"{name} span {span!r}: an S-curve's end takes 0 to 4095 speed steps.")
         for name, value in self.registers().items():
-            _MAP.checked(name, value)
+            self.chip.MAP.checked(name, value)
 
     @classmethod
     def of(
@@ -94,16 +142,21 @@ class Profile:
         decel: float | None = None,
         multiplier: int | None = None,
         clock_hz: int = PCL240K.DEFAULT_CLOCK_HZ,
+        s_curve: bool | float = False,
+        chip: type[PCL240] = PCL240K,
     ) -> Profile:
         """The registers nearest to rates in pps and ramp times in s (from FL to the highest rate, and back).
 
         fl defaults to 1000 pps or the lowest high rate, if that is less; fh2 to twice fh1, where the chip reaches that; decel to
         accel. multiplier: R7; by default the largest, hence the finest speed steps, which gives the rates to 0.02 % and the
         ramps to 1 %, or where none does, the one that comes closest.
+        s_curve: True for S-curves throughout, or the share (0 to 0.5) of FH1 - FL that each curved end takes; needs a
+        PCL240MS. chip: the class of chip that they are for.
         Raises ArgumentError for a rate that the chip does not reach, an FL above a high rate, a ramp that R4 or R5 cannot hold.
         """
         if multiplier is not None:
-            _MAP.checked("R7", multiplier)
+            chip.MAP.checked("R7", multiplier)
+        slowest = chip.MAP.register("R4").mask
         r7 = np.arange(2, 1024) if multiplier is None else np.array([multiplier])
         most = pulse_rate(8191, int(r7[0]), clock_hz)
         fh2 = min(2 * fh1, most) if fh2 is None else fh2
@@ -125,7 +178,7 @@ class Profile:
         speeds = np.clip(exact, 1, 8191)
         span = np.maximum(speeds.max(axis=0) - speeds[0], 1)
         times = np.array([accel, decel])
-        rates = np.clip(np.rint(times[:, None] * clock_hz / span), 2, 16383)
+        rates = np.clip(np.rint(times[:, None] * clock_hz / span), 2, slowest)
         rate_error = np.abs(speeds * step / wanted[:, None] - 1).max(axis=0)
         time_error = np.abs(rates * span / clock_hz / times[:, None] - 1).max(axis=0)
         if fl == max(fh1, fh2):
@@ -135,23 +188,57 @@ class Profile:
         fine = np.flatnonzero(missed <= 1)
         best = int(fine[-1] if len(fine) else np.argmin(missed))
         (r1, r2, r3), (r4, r5) = speeds[:, best].astype(int).tolist(), rates[:, best].astype(int).tolist()
-        made = cls(r1, r2, r3, r4, r5, int(r7[best]), clock_hz)
+        made = cls(r1, r2, r3, r4, r5, int(r7[best]), clock_hz, None, chip)
         if fl < max(fh1, fh2):
             made._refuse_clipped({"R4": (accel, made.R4), "R5": (decel, made.R5)}, float(span[best]))
-        return made
+        return made.shaped(s_curve) if s_curve else made
 
     def _refuse_clipped(self, ramps: dict[str, tuple[float, int]], span: float) -> None:
         for register, (seconds, rate) in ramps.items():
             wanted = seconds * self.clock_hz / span
-            if rate == 16383 and wanted > 1.01 * rate:
+            most = self.chip.MAP.register(register).mask
+            if rate == most and wanted > 1.01 * rate:
                 raise ArgumentError(
-                    f"a ramp of {seconds} s from {self.fl:.0f} pps on needs {register} = {wanted:.0f}: it takes 2 to 16383. "
-                    f"Between these rates a ramp takes at most {span * 16383 / self.clock_hz:.3f} s."
+                    f"a ramp of {seconds} s from {self.fl:.0f} pps on needs {register} = {wanted:.0f}: it takes 2 to {most}. "
+                    f"Between these rates a ramp takes at most {span * most / self.clock_hz:.3f} s."
                 )
 
+    def shaped(self, s_curve: bool | float, fh2: bool = False) -> Profile:
+        """The same rates and, as near as R4 and R5 allow, the same ramp times to FH1 (or FH2), with another shape.
+
+        s_curve: False for linear ramps, True for S-curves throughout, or the share (0 to 0.5) of FH - FL that each curved end
+        takes, with a linear part between. Raises ArgumentError.
+        """
+        if not isinstance(s_curve, bool) and not 0 < s_curve <= 0.5:
+            raise ArgumentError(f"s_curve={s_curve!r}: True, False, or the share of the ramp at each end, 0 to 0.5.")
+        height = max(self.high(fh2) - self.R1, 0)
+        span = 0 if s_curve is True or s_curve == 0.5 else max(1, round(s_curve * height))
+        spans = None if s_curve is False else (span, span)
+        steps = curve_steps(self.R1, self.R1 + height, span if spans else None)
+        if not steps:
+            return replace(self, spans=spans)
+        r4, r5 = (max(2, round(t * self.clock_hz / steps)) for t in (self.accel(fh2), self.decel(fh2)))
+        return replace(self, R4=r4, R5=r5, spans=spans)
+
+    def on(self, chip: type[PCL240]) -> Profile:
+        """The same for another chip of the family; ArgumentError names the register that it cannot hold."""
+        return self if chip is self.chip else replace(self, chip=chip)
+
     def registers(self) -> dict[str, int]:
-        """Register values by name."""
-        return {"R1": self.R1, "R2": self.R2, "R3": self.R3, "R4": self.R4, "R5": self.R5, "R7": self.R7}
+        """Register values by name; on a chip with S-curves R14 and R15, too."""
+        plain = {"R1": self.R1, "R2": self.R2, "R3": self.R3, "R4": self.R4, "R5": self.R5, "R7": self.R7}
+        if not self.chip.S_CURVES:
+            return plain
+        up, down = self.spans or (LINEAR, 0)
+        return plain | {"R14": up, "R15": down}
+
+    @property
+    def _up(self) -> int | None:
+        return self.spans[0] if self.spans else None
+
+    @property
+    def _down(self) -> int | None:
+        return self.spans[1] if self.spans else None
 
     @property
     def step(self) -> float:
@@ -179,19 +266,28 @@ class Profile:
 
     def accel(self, fh2: bool = False) -> float:
         """Seconds from FL to FH1, or FH2."""
-        return ramp_seconds(self.R1, self.high(fh2), self.R4, self.clock_hz)
+        return ramp_seconds(self.R1, self.high(fh2), self.R4, self.clock_hz, self._up)
 
     def decel(self, fh2: bool = False) -> float:
         """Seconds from FH1, or FH2, to FL."""
-        return ramp_seconds(self.R1, self.high(fh2), self.R5, self.clock_hz)
+        return ramp_seconds(self.R1, self.high(fh2), self.R5, self.clock_hz, self._down)
 
     def down_point(self, pulses: int, fh2: bool = False) -> int:
-        """R6 for a preset move of so many pulses."""
-        return down_point(pulses, self.R1, max(self.high(fh2), self.R1), self.R4, self.R5, self.R7)
+        """R6 for a preset move of so many pulses. Raises ArgumentError when R6 cannot hold it."""
+        point = down_point(pulses, self.R1, max(self.high(fh2), self.R1), self.R4, self.R5, self.R7, self._down)
+        return self.chip.MAP.checked("R6", point)
+
+    def within(self, pulses: int, fh2: bool = False) -> Profile:
+        """An S-curve profile whose FH a preset move of so many pulses reaches: "revised R2" (data sheet MS, 3-4). Linear
+        ramps stay as they are: they can turn round anywhere."""
+        if self.spans is None or self.high(fh2) <= self.R1:
+            return self
+        high = revised_high(pulses, self.R1, self.high(fh2), self.R4, self.R5, self.R7, self._up or 0, self._down or 0)
+        return replace(self, **{"R3" if fh2 else "R2": max(high, self.R1)})
 
     def is_triangular(self, pulses: int, fh2: bool = False) -> bool:
         """Whether a move of so many pulses is too short to reach FH1, or FH2."""
-        return is_triangular(pulses, self.R1, self.high(fh2), self.R4, self.R5, self.R7)
+        return is_triangular(pulses, self.R1, self.high(fh2), self.R4, self.R5, self.R7, self._up, self._down)
 
     def pulses_through(self, speeds: Iterable[int], dwell: float = 0.0) -> float:
         """Pulses of a run that ramps from FL through `speeds` (register values) and stays `dwell` s at each but the last, and
@@ -199,7 +295,8 @@ class Profile:
         here, total, way = self.R1, 0.0, [*speeds, self.R1]
         for k, speed in enumerate(way):
             low, high = sorted((here, speed))
-            total += ramp_pulses(low, high, self.R4 if speed > here else self.R5, self.R7)
+            rate, span = (self.R4, self._up) if speed > here else (self.R5, self._down)
+            total += ramp_pulses(low, high, rate, self.R7, span)
             total += dwell * speed * self.step if k < len(way) - 2 else 0.0
             here = speed
         return total
@@ -209,7 +306,8 @@ class Profile:
         return pulses / min(self.fl, self.fh1, self.fh2) + 2 * max(self.accel(True), self.decel(True), 0.0)
 
     def __str__(self) -> str:
+        shape = "" if self.spans is None else "S-curves; "
         return (
-            f"FL {self.fl:.1f}, FH1 {self.fh1:.1f}, FH2 {self.fh2:.1f} pps; FL to FH1 in {self.accel() * 1e3:.1f} ms, "
+            f"{shape}FL {self.fl:.1f}, FH1 {self.fh1:.1f}, FH2 {self.fh2:.1f} pps; FL to FH1 in {self.accel() * 1e3:.1f} ms, "
             f"back in {self.decel() * 1e3:.1f} ms; {' '.join(f'{k}={v}' for k, v in self.registers().items())}"
         )

@@ -131,7 +131,7 @@ def curved_ramp_move(
     are written successively (data sheet, Q & A). Rates rise. The ramp-down is one line to FL, at the profile's R5.
     Raises ArgumentError (also when the pulses do not suffice), RunTimeout.
     """
-    profile = _profile(axis, profile)
+    profile = replace(_profile(axis, profile), spans=None)
     count = _count(pulses)
     speeds = _speeds(axis, profile, [rate for rate, _ in pieces])
     way = [profile.R1, *speeds]
@@ -145,6 +145,7 @@ def curved_ramp_move(
     fall = ramp_pulses(profile.R1, speeds[-1], profile.R5, profile.R7)
     _refuse_short(count, climbed + fall + len(speeds) * SLACK * speeds[-1] * profile.step)
     point = down_point(count, profile.R1, speeds[-1], 0, profile.R5, profile.R7)
+    axis.chip.MAP.checked("R6", point)
     with Procedure(axis, "curved ramp") as p:
         _prepare(p.port, replace(profile, R2=speeds[0], R4=ramps[0]), bus.PRESET | _minus(pulses))
         p.port.write_registers(R0=count, R6=point)

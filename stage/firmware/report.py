@@ -28,7 +28,7 @@ class Report:
         duration: seconds from the first start to the last stop. peak_rate, average_rate: pps.
         start, position: m, where the carriage was before and is after (None without a stage).
         lost_steps: full steps lost meanwhile, a multiple of four (None without a motor).
-        stopped_by: why it stopped: "R0 = 0", "ORG", "EL+", "EL-", "decelerating stop", "reset command", "timeout".
+        stopped_by: why it stopped: "R0 = 0", "ORG", "EZ", "EL+", "EL-", "decelerating stop", "reset command", "timeout".
         residual: R0 at the end. course: every change of the chip's pins and speed, by the clock.
         said: the bytes written, decoded: commands, and registers with all their bytes.
     """

@@ -15,7 +15,7 @@ from stage.chips.journal import RESET, WRITE, Journal
 
 WIRES = {
     "el_plus": ("EL_PLUS_n", 0), "el_minus": ("EL_MINUS_n", 0), "sd_plus": ("SD_PLUS_n", 0), "sd_minus": ("SD_MINUS_n", 0),
-    "org": ("ORG_n", 0), "extp": ("EXTP_n", 0), "ins": ("INS", 1), "pout": ("POUT_n", 0), "pdir": ("PDIR", 0),
+    "org": ("ORG_n", 0), "extp": ("EXTP_n", 0), "ez": ("EZ_n", 0), "ins": ("INS", 1), "pout": ("POUT_n", 0), "pdir": ("PDIR", 0),
     "irq": ("INT_n", 0), "ots": ("OTS", 1), "hold": ("HOLD", 1), "fdown": ("FDOWN", 1), "fkeep": ("FKEEP", 1),
     "fup": ("FUP", 1), "lt": ("LT", 1), "zero": ("ZERO", 1),
 }  # fmt: skip

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 from stage.chips.chip import Chip
-from stage.chips.pcl240 import core, lint
+from stage.chips.pcl240 import core, lint, state
 from stage.chips.pcl240.maps import OPERATING_MODE, PCL240K_MAP, PCL240MK_MAP, PCL240MS_MAP, STATUS
 
 __all__ = ["OPERATING_MODE", "STATUS", "PCL240", "PCL240K", "PCL240MK", "PCL240MS"]
@@ -21,6 +21,8 @@ class PCL240(Chip):
     DEFAULT_CLOCK_HZ: ClassVar = 4_915_200
     EXTENDED: ClassVar[bool] = True
     S_CURVES: ClassVar[bool] = False
+    LINEAR_RAMPS: ClassVar = state.LINEAR
+    """Bit of R14."""
 
     def _configure(self, record: Any) -> None:
         record["extended"], record["s_curves"] = self.EXTENDED, self.S_CURVES
@@ -42,6 +44,7 @@ class PCL240K(PCL240):
     """Nippon Pulse PCL-240K: R0 to R7, linear ramps, preset, continuous and origin-return runs."""
 
     MAP: ClassVar = PCL240K_MAP
+    INPUTS: ClassVar = {name: bit for name, bit in core.INPUTS.items() if name != "ez"}
     EXTENDED: ClassVar = False
 
 
