@@ -48,7 +48,7 @@ def test_it_has_lights_cameras_and_materials(model):
 
 
 def test_joints_are_the_axes_and_nothing_else(model, axes):
-    sprung = [k for k in range(model.njnt) if model.joint(k).name.startswith("mast")]
+    sprung = [k for k in range(model.njnt) if model.joint(k).name.startswith("camera_")]
     assert model.nq == model.nv == len(axes) + len(sprung)
 
 

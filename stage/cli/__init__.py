@@ -15,6 +15,7 @@ examples:
   stage demo                              home three axes, dual-rate move, a:b move; writes demo.rrd
   stage home x --plot home.png            origin return, drawn like the data sheet's operation patterns
   stage move x 8000 --fh1 20000           a preset move of 8000 pulses
+  stage move x 8000 --chips pcl240ms --s-curve --plot s.png
   stage sync x=20000 y=-7500              two axes along a straight line, in the ratio a:b
   stage registers pcl240k                 the register map
   stage pullout --motor 17HS4401          the pull-out curve
@@ -79,7 +80,7 @@ def _command(commands, name: str, run: str, help_: str, description: str) -> arg
 def _bench(p: argparse.ArgumentParser) -> None:
     g = p.add_argument_group("stage")
     g.add_argument("--model", default="xyz", help="a shipped model (xyz, xy) or an MJCF file (default: xyz)")
-    g.add_argument("--chips", default="PCL240K", help="chip class on every axis (default: PCL240K)")
+    g.add_argument("--chips", default="PCL240K", help="chip on every axis: PCL240K, PCL240MK, PCL240MS (default: PCL240K)")
     g.add_argument("--motor", help="motor on every axis (default: 17HS4401)")
     g.add_argument("--microsteps", type=int, default=16, help="microsteps per full step (default: 16)")
     g.add_argument("--bus-voltage", type=float, default=24.0, help="drive supply, V (default: 24)")
@@ -103,6 +104,18 @@ def _speeds(p: argparse.ArgumentParser) -> None:
     g.add_argument("--decel", type=float, help="seconds back to FL (default: as --accel)")
 
 
+def _ramps(p: argparse.ArgumentParser) -> None:
+    g = p.add_argument_group("ramps")
+    g.add_argument(
+        "--s-curve", nargs="?", type=float, const=True, metavar="SHARE",
+        help="S-curves; with SHARE (0 to 0.5) that part of the ramp is curved at each end (needs PCL240MS)",
+    )  # fmt: skip
+    g.add_argument(
+        "--automatic", action=argparse.BooleanOptionalAction,
+        help="let the chip find the ramp-down point (PCL240MK, PCL240MS)",
+    )  # fmt: skip
+
+
 def _place(p: argparse.ArgumentParser) -> None:
     p.add_argument("--from", dest="start", type=float, metavar="MM", help="where the carriage starts, mm (default: 0)")
 
@@ -123,19 +136,22 @@ def _add_moves(commands) -> None:
     p.add_argument("--plus", action="store_true", help="search towards plus (default: minus)")
     p.add_argument("--constant", action="store_true", help="constant-speed return at FL")
     p.add_argument("--fast-only", action="store_true", help="without back-off and slow approach")
+    p.add_argument("--ez", type=int, metavar="N", help="end at the N-th index pulse after ORG (PCL240MK, PCL240MS)")
     _place(p)
     _speeds(p)
     _plot(p)
     _bench(p)
     p = _command(
         commands, "move", "moves:move", "a preset move of a number of pulses",
-        "A preset move: R0 counts the pulses down, the ramp-down point R6 is set by the data sheet's formula.",
+        "A preset move: R0 counts the pulses down, the ramp-down point R6 is set by the data sheet's formula, or found "
+        "by the chip itself where it can.",
     )  # fmt: skip
     p.add_argument("axis", metavar="AXIS")
     p.add_argument("pulses", type=int, metavar="PULSES", help="signed: the sign is the direction")
     p.add_argument("--constant", action="store_true", help="constant speed, no ramps")
     _place(p)
     _speeds(p)
+    _ramps(p)
     _plot(p)
     _bench(p)
     p = _command(
@@ -156,6 +172,7 @@ def _add_moves(commands) -> None:
     p.add_argument("--rate", type=float, help="pulse rate of the longest axis, pps")
     p.add_argument("--fl", type=float, help="start rate of the longest axis, pps")
     p.add_argument("--accel", type=float, help="seconds of ramp")
+    _ramps(p)
     _plot(p)
     _bench(p)
 

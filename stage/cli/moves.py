@@ -26,17 +26,19 @@ def home(args: argparse.Namespace) -> int:
                     profile(args, axis),
                     high_speed=not args.constant,
                     slow_approach=not args.fast_only,
+                    ez=args.ez,
                 )
             )
             print(reports[-1])
         plot(args, reports[0].plot)
-    return 0 if all(r.stopped_by == "ORG" and not r.lost_steps for r in reports) else 1
+    return 0 if all(r.stopped_by in ("ORG", "EZ") and not r.lost_steps for r in reports) else 1
 
 
 def move(args: argparse.Namespace) -> int:
     from stage import firmware
 
-    return _single(args, lambda axis, p: firmware.preset_move(axis, args.pulses, p, high_speed=not args.constant))
+    how = {"high_speed": not args.constant, "s_curve": args.s_curve, "automatic": args.automatic}
+    return _single(args, lambda axis, p: firmware.preset_move(axis, args.pulses, p, **how))
 
 
 def dual_rate(args: argparse.Namespace) -> int:
@@ -70,7 +72,8 @@ def sync(args: argparse.Namespace) -> int:
             distances[find_axis(stage, name).name] = int(pulses)
         except ValueError:
             raise ArgumentError(f"{item!r}: write AXIS=PULSES, for example x=20000.") from None
-    given = {k: getattr(args, k) for k in ("rate", "fl", "accel") if getattr(args, k) is not None}
+    keys = ("rate", "fl", "accel", "s_curve", "automatic")
+    given = {k: getattr(args, k) for k in keys if getattr(args, k) is not None}
     with recorded(args, stage):
         report = firmware.synchronized_move(distances, stage.axes, **given)
         print(report.plan)

@@ -36,7 +36,7 @@ def profile(args: argparse.Namespace, axis: Any) -> Any:
     from stage.firmware import Profile
 
     given = {k: getattr(args, k) for k in ("fl", "fh1", "fh2", "accel", "decel") if getattr(args, k, None) is not None}
-    return Profile.of(clock_hz=axis.chip.clock_hz, **given)
+    return Profile.of(clock_hz=axis.chip.clock_hz, chip=type(axis.chip), **given)
 
 
 def find_axis(stage: Any, name: str) -> Any:

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from stage import Stage, firmware
-from stage.chips import PCL240K
+from stage import ArgumentError, Stage, firmware
+from stage.chips import PCL240K, PCL240MK, PCL240MS
+from stage.firmware import Port
 
 SEED = np.random.SeedSequence().entropy
 
@@ -27,7 +28,7 @@ def homed(stage, name, runs, **options):
             fl=rng.uniform(600, 1800), fh1=rng.uniform(8000, 30_000), accel=rng.uniform(0.05, 0.2)
         )
         report = firmware.origin_return(axis, profile=profile, **options)
-        assert report.stopped_by == "ORG"
+        assert report.stopped_by == ("EZ" if "ez" in options else "ORG")
         assert report.lost_steps == 0
         places.append(report.position / axis.meters_per_pulse)
     return np.array(places)
@@ -51,19 +52,19 @@ def test_without_the_slow_approach_the_spread_is_larger(stage):
     assert np.ptp(fast) < 20
 
 
-@pytest.mark.parametrize("place", [-0.1455, -0.1405, -0.1399, -0.1499, 0.0, 0.1499, -0.1501, 0.1501])
+@pytest.mark.parametrize("place", [-0.1255, -0.1205, -0.1199, -0.1499, 0.0, 0.1499, -0.1501, 0.1501])
 def test_it_works_from_any_place_on_the_switches_or_between(stage, place):
     stage.reset()
     stage.place(x=place)
     x = stage.axes["x"]
     report = firmware.origin_return(x)
     assert report.stopped_by == "ORG"
-    assert report.position == pytest.approx(-0.140, abs=3 * x.meters_per_pulse)
+    assert report.position == pytest.approx(-0.120, abs=3 * x.meters_per_pulse)
 
 
 def test_constant_speed_return_needs_no_sd(stage):
     stage.reset()
-    stage.place(y=-0.08)
+    stage.place(y=-0.06)
     report = firmware.origin_return(stage.axes["y"], high_speed=False)
     assert report.stopped_by == "ORG"
     assert not report.course.pin("fup").any()
@@ -82,7 +83,7 @@ def test_sd_slows_the_axis_to_fl_before_org_stops_it(stage):
 def test_a_missing_org_ends_at_the_limit_and_says_so(stage):
     stage.reset()
     x = stage.axes["x"]
-    stage.place(x=-0.12)
+    stage.place(x=-0.10)
     x.switches.stick("org", False)
     try:
         report = firmware.origin_return(x)
@@ -90,3 +91,72 @@ def test_a_missing_org_ends_at_the_limit_and_says_so(stage):
         x.switches.stick("org", None)
     assert report.stopped_by == "EL-"
     assert report.position == pytest.approx(-0.150, abs=1e-4)
+
+
+@pytest.fixture(scope="module")
+def extended():
+    return Stage("xyz", chips={"x": PCL240MS, "y": PCL240MK, "z": PCL240MS})
+
+
+def index_places(axis):
+    """Joint positions of the first index pulses below ORG: their rims nearer to plus, m."""
+    org = next(s.touch for s in axis._plant.switches if s.pin == "org")
+    lead = 2 * np.pi / axis.gear
+    first = org - (org / lead - axis._plant.index) % 1.0 * lead
+    return [first - k * lead + 0.005 * lead for k in range(3)]
+
+
+@pytest.mark.parametrize(("name", "ez"), [("x", 1), ("x", 2), ("y", 2), ("z", 3)])
+def test_it_ends_at_the_index_pulse_asked_for(extended, name, ez):
+    extended.reset()
+    axis = extended.axes[name]
+    report = firmware.origin_return(axis, ez=ez)
+    assert report.stopped_by == "EZ"
+    assert report.position == pytest.approx(index_places(axis)[ez - 1], abs=2 * axis.meters_per_pulse)
+    assert Port(axis).position() == 0, "the position counter starts at the origin"
+    assert axis.chip.diagnostics == []
+
+
+@pytest.mark.parametrize(("name", "runs"), [("x", 6), ("y", 6), ("z", 6), *HUNDRED])
+def test_with_ez_returns_end_at_one_pulse(extended, name, runs):
+    places = homed(extended, name, runs, ez=2)
+    print(f"{name}: spread {np.ptp(places):.2f} pulses over {runs} returns")
+    assert np.ptp(places) <= 1.0
+
+
+def test_a_switch_that_drifts_moves_the_origin_with_org_and_not_with_ez(extended):
+    x, shift = extended.axes["x"], 0.0004
+    beam = extended.model.geom("x_org_switch").pos
+    ends = {}
+    for ez in (None, 1):
+        ends[ez] = []
+        for way in (0.0, shift, -shift):
+            extended.reset()
+            beam[0] += way
+            ends[ez].append(firmware.origin_return(x, ez=ez).position)
+            beam[0] -= way
+    assert np.ptp(ends[None]) == pytest.approx(2 * shift, abs=1e-5)
+    assert np.ptp(ends[1]) < x.meters_per_pulse
+
+
+def test_a_fast_return_to_ez_slows_down_between_org_and_the_index(extended):
+    extended.reset()
+    x = extended.axes["x"]
+    report = firmware.origin_return(x, ez=3, slow_approach=False)
+    assert report.stopped_by == "EZ"
+    assert report.position == pytest.approx(index_places(x)[2], abs=10 * x.meters_per_pulse)
+
+
+def test_an_index_that_never_comes_ends_at_the_limit_and_says_so(extended):
+    extended.reset()
+    report = firmware.origin_return(extended.axes["x"], ez=16)
+    assert report.stopped_by == "EL-"
+    assert not report.ok
+
+
+def test_ez_is_refused_where_it_cannot_be(stage, extended):
+    with pytest.raises(ArgumentError, match=r"PCL240K does not count EZ: a PCL240MK or PCL240MS does"):
+        firmware.origin_return(stage.axes["x"], ez=1)
+    for ez in (0, 17, 1.5):
+        with pytest.raises(ArgumentError, match="1st to 16th"):
+            firmware.origin_return(extended.axes["x"], ez=ez)
