@@ -120,7 +120,9 @@ def dump(map_: RegisterMap, values: dict[str, int] | None = None) -> str:
         legal = f"{r.legal[0]}..{r.legal[1]}" if r.legal else "any"
         now = f" = {values[r.name]}" if values and r.name in values else ""
         lines.append(f"{r.name:9}{r.bits:>5} {r.access:4}{legal:>18}  {r.evidence:3}{r.title}{now}")
-        lines += [_field(f, values.get(r.name) if values else None) for f in r.fields]
+        for f in r.fields:
+            fixed = " (read only)" if f.access == "R" and r.access != "R" else ""
+            lines.append(_field(f, values.get(r.name) if values else None) + fixed)
     for w in map_.words:
         now = f" = {values[w.name]:02X}h" if values and w.name in values else ""
         lines += ["", f"{w.name}: {w.title}{now}"]

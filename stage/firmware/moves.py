@@ -15,6 +15,7 @@ from stage.firmware.bus import Port, stop_reason
 from stage.firmware.profile import Profile
 from stage.firmware.report import Procedure, Report
 
+AUTOMATIC_OFFSET = 2  # pulses; the counts of ramp-up and ramp-down differ by one or two, and this way FL is reached
 SETTLE = 0.05  # s after a stop, before the report looks where the carriage came to rest
 
 
@@ -43,7 +44,7 @@ def preset_move(
             the profile's R5 is its R4.
         fh_correction: with the automatic point a PCL240MS lowers the FH of a move too short to reach it; False: a triangle.
         down_point: R6; default by the data sheet's formula, triangular for a short move, so that it ends at FL. With
-            `automatic` a signed offset: pulses by which the ramp-down begins earlier.
+            `automatic` a signed offset, default 2: pulses by which the ramp-down begins earlier than the count of the ramp-up.
         slow_down: the SD switch of the direction slows the axis to FL while it is asserted.
         interrupt: /INT at the stop.
         timeout: s; default half as much again as the move can take, and one.
@@ -57,7 +58,7 @@ def preset_move(
         automatic = automatic and down_point is None and not slow_down
     control = bus.PRESET | _sd(slow_down) | _minus(pulses)
     if automatic:
-        point = _offset(profile, down_point or 0)
+        point = _offset(profile, AUTOMATIC_OFFSET if down_point is None else down_point)
         control |= bus.AUTOMATIC
     else:
         profile = profile.within(count, fh2)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from stage.chips.pcl240.state import EZ_COUNT, EZ_FROM_FL, EZ_RETURN, LINEAR, R13, R14, R15, SPAN
+from stage.chips.pcl240.state import EZ_COUNT, EZ_FROM_FL, EZ_RETURN, LINEAR, ORG, R13, R14, R15, SPAN
 from stage.chips.register_map import RegisterMap
 
 Note = tuple[str, str]
@@ -76,6 +76,8 @@ def _start(c: Any, value: int) -> Note | None:
         return "start with a speed register at 0: no pulse will come; any data must be set on R1", "Q & A"
     if c["preset"] and r[0] == 0:
         return "start in preset mode with R0 = 0: no pulse, no /INT", "section 4 R0"
+    if c["origin"] and c["inputs"] & ORG:
+        return "origin return that starts on ORG: no pulse comes; leave ORG first", "section 5 f"
     if value & 4 and min(r[4], r[5]) < 2:
         return f"high-speed start with R4 = {r[4]}, R5 = {r[5]}: rates below 2 hold the speed", "section 4 R4"
     if not c["extended"]:

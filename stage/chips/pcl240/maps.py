@@ -71,6 +71,13 @@ def _with(word: Word, *more: Field) -> Word:
     return replace(word, fields=tuple(sorted((*word.fields, *more), key=lambda f: -f.high)))
 
 
+EXTENDED_OPERATING_MODE = replace(
+    OPERATING_MODE,
+    fields=tuple(
+        replace(f, meaning=f.meaning.replace("reset command", "reset command, clears R6")) if f.name == "stop" else f
+        for f in OPERATING_MODE.fields
+    ),
+)
 EXTENDED_CONTROL_MODE = _with(
     CONTROL_MODE,
     Field("position", 5, 5, "R10 counts output pulses", "H", "W"),
@@ -93,9 +100,10 @@ EXTENDED_OUTPUT_MODE = _with(
 )
 
 
-def _registers(rate_bits: int, point_bits: int, access: str = "W") -> tuple[Register, ...]:
+def _registers(rate_bits: int, point_bits: int, extended: bool) -> tuple[Register, ...]:
     speed, rate = (1, 8191), (2, (1 << rate_bits) - 1)
-    point = (0, (1 << point_bits) - 1)
+    point, access = (0, (1 << point_bits) - 1), "RW" if extended else "W"
+    offset = f"; with the automatic point its offset, sign in b{point_bits - 1}" if extended else ""
     return (
         Register("R0", 0, 24, "RW", "down counter: pulses left", (0, 16777215), unit="pulses"),
         Register("R1", 1, 13, access, "FL speed", speed, unit="speed steps"),
@@ -103,74 +111,95 @@ def _registers(rate_bits: int, point_bits: int, access: str = "W") -> tuple[Regi
         Register("R3", 3, 13, access, "FH2 speed", speed, unit="speed steps"),
         Register("R4", 4, rate_bits, access, "acceleration rate", rate, unit="clocks per speed step"),
         Register("R5", 5, rate_bits, access, "deceleration rate", rate, unit="clocks per speed step"),
-        Register("R6", 6, point_bits, access, "ramping-down point", point, unit="pulses"),
+        Register("R6", 6, point_bits, access, "ramping-down point" + offset, point, unit="pulses"),
         Register("R7", 7, 10, access, "multiplier: one speed step is clock / (8192 R7)", (2, 1023)),
     )
 
 
+def _stored(high: int, low: int) -> Field:
+    return Field("stored", high, low, "stored, no effect", "I")
+
+
 def _extension(s_curves: bool) -> tuple[Register, ...]:
     """R10 to R17. On the MK the registers that only the MS has store what is written."""
-    origin = (
-        Field("ez_return", 21, 21, "1 = origin return ends at EZ, not at ORG", "I"),
-        Field("ez_from_fl", 20, 20, "EZ counts from: 0 ORG on, 1 FL reached after ORG", "I"),
-        Field("ez_count", 19, 16, "EZ edges to let pass: the return ends at the next one", "S"),
+    seen = "S" if s_curves else "I"
+    span = "speed steps of each curved end, 1 to 4095; 0 or above half the ramp: half"
+    org = (
+        Field("org_logic", 23, 23, "ORG logic: 0 negative, 1 positive; stored, pins are set as asserted", "S")
+        if s_curves
+        else Field("fixed", 23, 23, "always 0", "S", "R")
     )
-    up = (
-        Field("uncorrected", 15, 15, "1 = FH correction off: a short preset move is a triangle", "S"),
-        Field("linear", 12, 12, "1 = linear ramps, 0 = S-curves", "I"),
-        Field("span", 11, 0, "steps of speed of each curved end; 0 or above half the ramp: half", "S"),
+    if s_curves:
+        up = (
+            Field("uncorrected", 15, 15, "1 = FH correction off: a short preset move is a triangle", "S"),
+            Field("stored", 14, 13, "stored, no effect", "I"),
+            Field("linear", 12, 12, "1 = linear ramps, 0 = S-curves", "I"),
+            Field("span", 11, 0, span, "S"),
+        )
+        down = (Field("span", 11, 0, span, "S"),)
+    else:
+        up, down = (_stored(15, 0),), (_stored(11, 0),)
+    title = (
+        "S-curve" if s_curves else "no S-curve on this chip; a write in motion ends the automatic point all the same"
     )
-    down = (Field("span", 11, 0, "steps of speed of each curved end; 0 or above half the ramp: half", "S"),)
-    monitor = (
-        Field("ez", 20, 20, "EZ asserted", "S" if s_curves else "I", "R"),
-        Field("ez_counter", 19, 16, "EZ edges to come; at rest R13's count", "S" if s_curves else "I", "R"),
-    )
-    logic = (Field("org_logic", 23, 23, "ORG logic: 0 negative, 1 positive; stored, pins are set as asserted", "S"),)
-    none = "on this chip without effect"
     return (
-        Register("R10", 0x10, 24, "RW", "position counter, two's complement", evidence="S", unit="pulses"),
-        Register("R11", 0x11, 24, "RW", "stored", evidence="I"),
+        Register("R10", 0x10, 24, "RW", "position counter, two's complement", evidence="H", unit="pulses"),
+        Register("R11", 0x11, 24, "RW", "stored, no effect", evidence="I"),
         Register(
-            "R12", 0x12, 24, "RW", "input logic", evidence="S",
-            fields=(Field("ez_logic", 12, 12, "EZ logic; stored, pins are set as asserted", "S"),),
+            "R12", 0x12, 24, "RW", "input logic", None,
+            (
+                _stored(23, 13),
+                Field("ez_logic", 12, 12, "EZ logic; stored, pins are set as asserted", "S"),
+                _stored(11, 0),
+            ),
         ),
         Register(
-            "R13", 0x13, 24 if s_curves else 23, "RW", "origin return", evidence="S",
-            fields=(logic if s_curves else ()) + origin,
+            "R13", 0x13, 24 if s_curves else 23, "RW", "origin return", None,
+            (
+                org,
+                _stored(22, 22),
+                Field("ez_return", 21, 21, "1 = origin return ends at EZ, not at ORG", "I"),
+                Field("ez_from_fl", 20, 20, "EZ counts from: 0 ORG on, 1 FL reached after ORG", "I"),
+                Field("ez_count", 19, 16, "EZ edges to let pass: the return ends at the next one", "S"),
+                _stored(15, 0),
+            ),
         ),
+        Register("R14", 0x14, 16, "RW", f"acceleration: {title}", None, up, seen),
+        Register("R15", 0x15, 12, "RW", f"deceleration: {title}", None, down, seen),
+        Register("R16", 0x16, 24, "RW", "stored, no effect", evidence="I"),
         Register(
-            "R14", 0x14, 16, "RW", "acceleration S-curve" if s_curves else none, fields=up if s_curves else (),
-            evidence="S" if s_curves else "I",
+            "R17", 0x17, 24, "RW", "EZ monitor", None,
+            (
+                _stored(23, 21),
+                Field("ez", 20, 20, "EZ asserted", seen, "R"),
+                Field("ez_counter", 19, 16, "EZ edges to come; at rest R13's count", seen, "R"),
+                _stored(15, 0),
+            ),
+            seen,
         ),
-        Register(
-            "R15", 0x15, 12, "RW", "deceleration S-curve" if s_curves else none, fields=down if s_curves else (),
-            evidence="S" if s_curves else "I",
-        ),
-        Register("R16", 0x16, 24, "RW", "stored", evidence="I"),
-        Register("R17", 0x17, 24, "RW", "EZ monitor", evidence="S" if s_curves else "I", fields=monitor),
     )  # fmt: skip
 
 
-EXTENDED_WORDS = (OPERATING_MODE, EXTENDED_CONTROL_MODE, EXTENDED_SELECT, EXTENDED_OUTPUT_MODE, STATUS)
+EXTENDED_WORDS = (EXTENDED_OPERATING_MODE, EXTENDED_CONTROL_MODE, EXTENDED_SELECT, EXTENDED_OUTPUT_MODE, STATUS)
 
 PCL240K_MAP = RegisterMap(
     "PCL240K",
     "Nippon Pulse PCL-240K pulse generator, one axis, 8-bit bus",
     "data sheet PCL-240K, sections 3 and 4; PDIR as a pin is asserted while low (minus) [I]",
-    _registers(14, 20),
+    _registers(14, 20, extended=False),
     (OPERATING_MODE, CONTROL_MODE, REGISTER_SELECT, OUTPUT_MODE, STATUS),
 )
 PCL240MK_MAP = RegisterMap(
     "PCL240MK",
     "Nippon Pulse PCL-240MK pulse generator with automatic ramp-down and position counter, one axis, 8-bit bus",
     'data sheets PCL-240K and "Differences between PCL-240MK and PCL-240MS", vendor header 240MK',
-    (*_registers(14, 20, "RW"), *_extension(s_curves=False)),
+    (*_registers(14, 20, extended=True), *_extension(s_curves=False)),
     EXTENDED_WORDS,
 )
 PCL240MS_MAP = RegisterMap(
     "PCL240MS",
     "Nippon Pulse PCL-240MS pulse generator with S-curves, automatic ramp-down and position counter, one axis, 8-bit bus",
     'data sheets PCL-240K and "Differences between PCL-240MK and PCL-240MS", vendor header 240MK',
-    (*_registers(16, 24, "RW"), *_extension(s_curves=True)),
+    (*_registers(16, 24, extended=True), *_extension(s_curves=True)),
     EXTENDED_WORDS,
 )

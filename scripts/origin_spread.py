@@ -1,0 +1,83 @@
+"""Where an origin return ends, a hundred times over: at the ORG switch, and at an index pulse (EZ) of the motor after it.
+
+python scripts/origin_spread.py [--returns N] [--seed N] [--picture FILE.png]
+
+Each return starts at a random place. In the second column the ORG switch drifts: before each return its beam is shifted
+by up to 0.1 mm, as dirt, heat and a loose screw do.
+"""
+
+import argparse
+
+import numpy as np
+
+from stage import Stage, firmware
+from stage.chips import PCL240MS
+
+DRIFT = 1e-4  # m
+WAYS = {"ORG": None, "EZ, 2nd pulse": 2}
+
+
+def places(stage, name, ez, drift, returns, rng):
+    """Final positions in pulses."""
+    axis, beam = stage.axes[name], stage.model.geom(f"{name}_org_switch").pos
+    low, high = (next(s.touch for s in axis._plant.switches if s.pin == pin) for pin in ("el_minus", "el_plus"))
+    home, ends, way = beam.copy(), [], "xyz".index(name)
+    for _ in range(returns):
+        stage.reset()
+        beam[way] = home[way] + rng.uniform(-drift, drift)
+        stage.place(**{name: rng.uniform(low + 5e-4, high - 5e-4)})
+        report = firmware.origin_return(axis, ez=ez)
+        assert report.ok, report
+        ends.append(report.position / axis.meters_per_pulse)
+        beam[:] = home
+    return np.array(ends)
+
+
+def draw(found, path):
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    rng = np.random.default_rng(0)
+    figure, panels = plt.subplots(1, 2, figsize=(9, 3.6), layout="constrained")
+    for ax, drift in zip(panels, (0.0, DRIFT), strict=True):
+        for k, name in enumerate("xyz"):
+            for shift, way, colour in ((-0.16, "ORG", "#0072B2"), (0.16, "EZ, 2nd pulse", "#D55E00")):
+                ends = found[name, way, drift]
+                ax.plot(
+                    k + shift + rng.uniform(-0.08, 0.08, len(ends)), ends - np.median(ends), "o", ms=3, alpha=0.6,
+                    color=colour, mec="none", label=way if k == 0 else None,
+                )  # fmt: skip
+        ax.set_xticks(range(3), "xyz")
+        ax.set_title("the switch stays" if not drift else f"the switch drifts by ±{DRIFT * 1e3:g} mm", fontsize=10)
+        ax.set_ylabel("final position from the median, pulses")
+        ax.grid(axis="y", alpha=0.3)
+        ax.spines[["top", "right"]].set_visible(False)
+    panels[1].legend(frameon=False, fontsize=9)
+    figure.savefig(path, dpi=130)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--returns", type=int, default=100)
+    parser.add_argument("--seed", type=int, default=240)
+    parser.add_argument("--picture", metavar="FILE.png")
+    args = parser.parse_args()
+    stage, found = Stage("xyz", chips=PCL240MS), {}
+    print(f"{args.returns} returns each, seed {args.seed}; largest minus smallest final position, pulses of 3.125 um")
+    print(f"{'axis':6}{'ends at':16}{'switch stays':>14}{f'drifts {DRIFT * 1e3:g} mm':>16}")
+    for name in stage.axes:
+        for k, (way, ez) in enumerate(WAYS.items()):
+            spreads = []
+            for drift in (0.0, DRIFT):
+                rng = np.random.default_rng([args.seed, ord(name), k])
+                found[name, way, drift] = ends = places(stage, name, ez, drift, args.returns, rng)
+                spreads.append(np.ptp(ends))
+            print(f"{name:6}{way:16}{spreads[0]:>14.2f}{spreads[1]:>16.2f}", flush=True)
+    if args.picture:
+        draw(found, args.picture)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,152 @@
+"""How well does the automatic ramp-down point end a move? Thousands of random moves; every number of docs/ramp_down.md.
+
+python scripts/ramp_down_survey.py                 the tables, and docs/pictures/ramp_down.png
+python scripts/ramp_down_survey.py --moves 2000 --seed 7 --picture ramp_down.png
+"""
+
+import argparse
+import sys
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT / "tests" / "chips"))
+from pcl240ms_bench import excuse, made, random_move, span_of  # noqa: E402
+
+SHAPES = "linear", "S, no linear part", "S with linear part", "S, R15 shorter", "S, R15 longer"
+TOPS = "trapezoid", "FH corrected", "triangle"
+ROUNDING = "rounding to whole pulses"
+
+
+def shape(move):
+    """By the ramps: linear, S-curves alike both ways, or a ramp-down shorter or longer than the ramp-up."""
+    r, gain = move.registers, move.fh - move.registers.R1
+    up, down = span_of(r.R14, gain), span_of(r.R15, gain)
+    if move.linear:
+        return SHAPES[0]
+    if up == down:
+        return SHAPES[1 if up == gain / 2 else 2]
+    return SHAPES[3 if up > down else 4]
+
+
+def top(move, ended):
+    if move.fh < move.registers.R2:
+        return "FH corrected"
+    return "trapezoid" if ended.peak == move.fh else "triangle"
+
+
+def ends_above(move, ended):
+    return ended.speed > move.registers.R1
+
+
+def ramp_pulses(move, ended):
+    """Pulses of the ramp-down, by the sheet's R6."""
+    r = move.registers._replace(R2=ended.peak)
+    gain = r.R2 - r.R1
+    span = gain / 2 if move.linear else span_of(r.R15, gain)
+    return (r.R1 + r.R2) * (gain + 2 * span) * r.R4 / (r.R7 * 32768)
+
+
+def row(*cells):
+    print("| " + " | ".join(str(c) for c in cells) + " |")
+
+
+def quantiles(values, percents, digits=0):
+    return " / ".join(f"{v:,.{digits}f}" for v in np.percentile(values, percents))
+
+
+def survey(count, seed):
+    rng = np.random.default_rng(seed)
+    moves = [random_move(rng)._replace(offset=0) for _ in range(count)]
+    endings = [made(move) for move in moves]
+    exact = sum(e.r0 == 0 and e.pulses == m.r0 for m, e in zip(moves, endings, strict=True))
+    runs = [(m, e) for m, e in zip(moves, endings, strict=True) if e.peak > m.registers.R1]
+    print(
+        f"{count} random moves, seed {seed}, R6 = 0: {exact} ended exactly at R0 = 0; {count - len(runs)} had no ramp\n"
+    )
+    row("ramps", "moves", "pulses at FL: median / 90 % / most", "late by: 10 % / median / 90 %", "above FL")
+    row("---", *["--:"] * 4)
+    for kind in SHAPES[:3]:
+        for end in TOPS:
+            tell(f"{kind}, {end}", [(m, e) for m, e in runs if shape(m) == kind and top(m, e) == end])
+    for kind in SHAPES[3:]:
+        tell(kind, [(m, e) for m, e in runs if shape(m) == kind])
+    tell("all", runs)
+    short = [e.peak < m.fh for m, e in runs if shape(m) == SHAPES[3] and top(m, e) == TOPS[1]]
+    print(
+        f"\nof {len(short)} FH corrected moves with R15 shorter, {np.mean(short):.0%} start down before the revised R2"
+    )
+    reasons(runs)
+    return runs
+
+
+def tell(name, group):
+    if not group:
+        return
+    above = f"{np.mean([ends_above(m, e) for m, e in group]):.0%}"
+    late = quantiles([e.late for _, e in group], (10, 50, 90), 1)
+    row(name, f"{len(group):,}", quantiles([e.at_fl for _, e in group], (50, 90, 100)), late, above)
+
+
+def reasons(runs):
+    print()
+    row("ends above FL", "R6 = 0", "R6 = 2", "pulses of the ramp left: median / 90 % / most")
+    row("---", *["--:"] * 3)
+    above = [(m, e, excuse(m, e) or ROUNDING) for m, e in runs if ends_above(m, e)]
+    two = [(m, made(m._replace(offset=2))) for m, _ in runs]
+    still = Counter(excuse(m, e) or ROUNDING for m, e in two if ends_above(m, e))
+    for why, moves in Counter(why for *_, why in above).most_common():
+        lefts = quantiles([e.left for _, e, reason in above if reason == why], (50, 90, 100), 2)
+        row(why, f"{100 * moves / len(runs):.1f} %", f"{100 * still[why] / len(runs):.1f} %", lefts)
+    way = [
+        100 * (e.speed - m.registers.R1) / (e.peak - m.registers.R1)
+        for m, e, why in above
+        if why == ROUNDING and ramp_pulses(m, e) >= 100
+    ]
+    print(
+        f"\nwhere rounding alone is why and the ramp has 100 pulses or more, the last pulse comes at\n"
+        f"{quantiles(way, (50, 90, 100), 1)} % of the way from FL to the top speed (median / 90 % / most)"
+    )
+
+
+def draw(runs, path):
+    from matplotlib.figure import Figure
+
+    ink = "#1d2733"
+    colors = dict(zip(SHAPES, ("#7b8794", "#1f5f9e", "#3a8a5f", "#c05621"), strict=False))
+    figure = Figure(figsize=(10, 3.9), layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=(1.1, 1))
+    for kind, color in colors.items():
+        values = np.sort([e.at_fl for m, e in runs if shape(m) == kind and not excuse(m, e)])
+        left.plot(
+            values, np.linspace(0, 100, len(values)), drawstyle="steps-pre", color=color, linewidth=1.6, label=kind
+        )
+    left.set_xscale("symlog", linthresh=1, linscale=0.5)
+    left.set_xlim(0, None)
+    left.set_ylim(0, 101)
+    left.set_xlabel("pulses at FL at the end", color=ink)
+    left.set_ylabel("% of the moves", color=ink)
+    left.legend(frameon=False, fontsize=8, labelcolor=ink, loc="lower right")
+    alike = SHAPES[:3]
+    late = [[e.late for m, e in runs if shape(m) == k and not excuse(m, e)] for k in alike]
+    right.hist(late, np.linspace(-2, 4, 61), stacked=True, color=[colors[k] for k in alike], label=alike)
+    right.axvline(0, color=ink, linewidth=0.8, linestyle=(0, (4, 4)))
+    right.set_xlabel("pulses from the end of the ramp-down to the last pulse", color=ink)
+    right.set_ylabel("moves", color=ink)
+    right.legend(frameon=False, fontsize=8, labelcolor=ink, loc="upper right")
+    for ax in (left, right):
+        ax.spines[["top", "right"]].set_visible(False)
+        ax.spines[["left", "bottom"]].set_color("#c9d1da")
+        ax.tick_params(color="#c9d1da", labelcolor=ink, labelsize=8)
+    figure.savefig(path, dpi=150)
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--moves", type=int, default=20_000)
+    parser.add_argument("--seed", type=int, default=240)
+    parser.add_argument("--picture", default=str(ROOT / "docs/pictures/ramp_down.png"))
+    given = parser.parse_args()
+    draw(survey(given.moves, given.seed), given.picture)

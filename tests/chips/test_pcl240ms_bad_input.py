@@ -1,0 +1,460 @@
+"""Bad input to the PCL-240MK and PCL-240MS: silicon takes anything, and `chip.diagnostics` says what a reader would.
+
+The notes are tested by the names that they must mention, never by their words. Each set-up has one contradiction.
+"""
+
+import numpy as np
+import pytest
+from pcl240k_bench import FOREVER, RNG, SEED, clocks_while, commands, counter, operating
+from pcl240ms_bench import AUTOMATIC, LINEAR, NO_CORRECTION, load
+from test_pcl240ms_statements import BITS, NAMES, SWITCH_OFF, begun, kept, last_gaps, select
+
+from stage.chips import PCL240K, PCL240MK, PCL240MS
+
+BOTH = pytest.mark.parametrize("make", [PCL240MK, PCL240MS])
+ALL = pytest.mark.parametrize("make", [PCL240K, PCL240MK, PCL240MS])
+PRESET, MANUAL = 0x44, 0x40
+
+
+def notes(chip, *names):
+    """Messages that mention all these names, in any case."""
+    said = [d.message for d in chip.diagnostics]
+    return [message for message in said if all(name.lower() in message.lower() for name in names)]
+
+
+def noted(chip, *names):
+    """The chip noted this once, and nothing else."""
+    assert len(notes(chip, *names)) == len(chip.diagnostics) == 1, chip.diagnostics
+    assert chip.diagnostics[0].source
+    return True
+
+
+def set_up(make, control, start, **registers):
+    """A chip with a set-up that gives no cause for a note but by `registers`: FL 50, FH 800, ramps of 583 pulses."""
+    sound = {"R0": 5000, "R1": 50, "R2": 800, "R3": 900, "R4": 30, "R5": 30, "R7": 2}
+    if control & 0x14 == 0x04:
+        sound["R6"] = 800
+    return begun(make, control, start, **(sound | registers))
+
+
+# Silicon takes anything
+
+
+@BOTH
+def test_any_write_is_taken_and_no_register_ever_exceeds_its_width(make):
+    print(f"PULSESTAGE_SEED={SEED}")
+    chip = make()
+    for _ in range(3000):
+        chip.write(int(RNG.integers(-9, 9)), int(RNG.integers(-1000, 1000)))
+        chip.advance(int(RNG.integers(0, 50)))
+        assert 0 <= chip.read(int(RNG.integers(-9, 9))) <= 0xFF
+    values = chip.values()
+    assert {name: values[name] & ~((1 << BITS[make][name]) - 1) for name in NAMES} == dict.fromkeys(NAMES, 0)
+
+
+@BOTH
+@pytest.mark.parametrize(("address", "value"), [(1, 1 << 40), (1, -1), (5, 0x15), (-1, 0xFF), (1 << 40, 0x15)])
+def test_address_and_value_are_masked_to_2_and_8_bits(make, address, value):
+    chip, twin = make(), make()
+    for one in (chip, twin):
+        load(one, R0=0x123456, R1=50, R7=2)
+        one.write(0, 0x80)
+    chip.write(address, value)
+    twin.write(address & 3, value & 0xFF)
+    assert chip.values() == twin.values()
+    assert chip.trace(10_000).tolist() == twin.trace(10_000).tolist()
+
+
+@BOTH
+def test_an_ez_return_with_every_bit_of_every_register_set_raises_nothing(make):
+    chip = begun(make, 0x75, 0x35, **dict.fromkeys(NAMES, 0xFFFFFF))
+    chip.pins.org = True
+    for level in (True, False) * 20:
+        chip.pins.ez = level
+        chip.advance(1 << 20)
+        assert chip.dump()
+    assert 0 <= chip.read(0) <= 0xFF
+
+
+# Bits that a register does not have
+
+
+@ALL
+def test_bits_above_a_width_are_masked_and_each_byte_that_loses_some_is_noted(make):
+    for name, bits in BITS[make].items():
+        chip = make()
+        load(chip, **{name: 0xFFFFFF & ~(0 if name != "R17" else 0x1F0000)})
+        about_width = notes(chip, name, f"{bits} bits")
+        expected = (24 - bits + 7) // 8
+        assert len(about_width) == expected, (name, chip.diagnostics)
+        assert chip.values()[name] == kept(make, name)
+        fits = make()
+        load(fits, **{name: kept(make, name)})
+        assert [d for d in fits.diagnostics if "S-curve" not in d.message] == [], "nothing is lost"
+
+
+def test_r15_of_the_ms_loses_its_bits_15_to_12():
+    chip = PCL240MS()
+    load(chip, R15=0x8123)
+    assert noted(chip, "R15")
+    assert chip.values()["R15"] == 0x123
+
+
+def test_r13_bit_23_of_the_mk_is_fixed_as_0_and_the_ms_has_it():
+    mk, ms = PCL240MK(), PCL240MS()
+    for chip in (mk, ms):
+        load(chip, R13=0x800000)
+    assert noted(mk, "R13")
+    assert mk.values()["R13"] == 0
+    assert ms.diagnostics == []
+    assert ms.values()["R13"] == 0x800000
+
+
+@BOTH
+@pytest.mark.parametrize("bit", range(24))
+def test_the_monitor_bits_of_r17_are_read_only(make, bit):
+    chip = make()
+    load(chip, R17=1 << bit)
+    if 16 <= bit <= 20:
+        assert noted(chip, "R17")
+        assert chip.values()["R17"] == 0
+    else:
+        assert chip.diagnostics == []
+        assert chip.values()["R17"] == 1 << bit
+
+
+@BOTH
+def test_a_collective_write_that_loses_bits_is_noted_once_when_it_transfers(make):
+    chip = make()
+    chip.write(0, 0xA1)
+    chip.write(3, 0xFF)
+    chip.write(2, 0xFF)
+    assert chip.diagnostics == [], "held, and nothing lost yet"
+    chip.write(0, 0xA0)
+    chip.write(1, 0xFF)
+    assert chip.diagnostics == [], "R0 takes them all"
+    chip.write(0, 0xA1)
+    chip.write(1, 0xFF)
+    assert noted(chip, "R1")
+    assert chip.values()["R1"] == 0x1FFF
+
+
+@BOTH
+def test_the_legal_minimum_is_judged_by_the_value_that_a_collective_write_transfers(make):
+    chip = make()
+    for name, value in (("R1", 0x0100), ("R4", 0x0200), ("R7", 0x0300)):
+        commands(chip, select(name) | 0x20)
+        chip.write(3, 0)
+        chip.write(2, value >> 8)
+        chip.write(1, 0)
+        assert chip.values()[name] == value
+    assert chip.diagnostics == []
+    commands(chip, 0xA1)
+    chip.write(2, 0)
+    chip.write(1, 0)
+    assert noted(chip, "R1")
+
+
+# What a chip does not have
+
+
+def test_the_k_has_neither_extension_registers_nor_automatic_point_nor_extension_mode():
+    for command in (0x90, 0x97, 0xA1, 0x88, 0x50, 0x60, 0xC8):
+        chip = PCL240K()
+        chip.write(0, command)
+        assert len(chip.diagnostics) == 1, f"{command:02X}h"
+        mk = PCL240MK()
+        mk.write(0, command)
+        assert len(mk.diagnostics) == (command == 0x88), f"{command:02X}h: bit 3 of a register select means nothing"
+
+
+def test_extension_register_4_of_the_k_is_r4():
+    chip = PCL240K()
+    load(chip, R14=0x1234)
+    assert chip.values()["R4"] == 0x1234
+    assert chip.diagnostics
+
+
+@pytest.mark.parametrize(("name", "value"), [("R14", 1), ("R14", 0x100), ("R15", 100), ("R15", 0xF00)])
+def test_an_s_curve_span_on_the_mk_is_noted_and_only_stored(name, value):
+    chip = PCL240MK()
+    load(chip, **{name: value})
+    assert noted(chip, name)
+    assert chip.values()[name] == value
+
+
+def test_linear_ramps_chosen_on_the_mk_are_what_it_has():
+    chip = PCL240MK()
+    load(chip, R14=LINEAR | NO_CORRECTION, R15=0)
+    assert chip.diagnostics == []
+
+
+# Spans above half the ramp
+
+
+@pytest.mark.parametrize("fh", [800, 801], ids=["even", "odd"])
+@pytest.mark.parametrize("control", [PRESET, AUTOMATIC], ids=["R6", "automatic"])
+@pytest.mark.parametrize("r0", [5000, 700], ids=["trapezoid", "short"])
+def test_a_span_above_half_the_ramp_falls_back_to_half(fh, control, r0):
+    half = (fh - 50) // 2
+
+    def pulses(r14, r15):
+        chip = set_up(PCL240MS, control, 0x15, R0=r0, R2=fh, R14=r14, R15=r15)
+        trace = chip.trace(FOREVER)
+        assert len(trace) == r0
+        return trace["clock"].tolist()
+
+    zero = pulses(0, 0)
+    above = (fh - 50) // 2 + 1
+    for r14, r15 in ((above, above), (4095, 4095), (above, 0), (0, 4095), (750, 2000)):
+        assert pulses(r14, r15) == zero, (r14, r15)
+    if r0 == 5000:
+        assert pulses(half // 2, half // 2) != zero
+        assert pulses(half // 2, 0) != zero
+        assert pulses(0, half // 2) != zero
+
+
+def test_the_upper_bits_of_r14_are_not_part_of_the_span():
+    traces = [
+        set_up(PCL240MS, PRESET, 0x15, R14=bits | 200, R15=200).trace(FOREVER)["clock"].tolist()
+        for bits in (0, 0x2000, 0x4000, 0x6000, NO_CORRECTION)
+    ]
+    assert traces[1:] == traces[:-1]
+
+
+# Contradictions at the start
+
+
+@BOTH
+@pytest.mark.parametrize("control", [0x50, 0x70, 0x58])
+def test_the_automatic_point_without_preset_is_noted(make, control):
+    assert noted(set_up(make, control, 0x15), "automatic", "preset")
+
+
+@BOTH
+@pytest.mark.parametrize(("start", "name", "control"), [(0x15, "R2", MANUAL), (0x17, "R3", MANUAL), (0x35, "R2", 0x54)])
+def test_fl_above_fh_with_ramps_is_noted(make, start, name, control):
+    chip = set_up(make, control, start, R0=5000, R1=1000, R14=LINEAR)
+    assert noted(chip, "R1", name)
+    chip.advance(1)
+    assert chip.pins.fdown or control == 0x54
+    assert chip.advance(1_000_000) > 0
+
+
+@BOTH
+def test_a_preset_run_whose_r6_the_reset_command_cleared_is_noted(make):
+    chip = set_up(make, PRESET, 0x08, R6=800)
+    commands(chip, 0x08, 0x15)
+    assert noted(chip, "R6", "08h")
+    assert set(last_gaps(chip)) <= {20, 21}, "it stops from FH"
+
+
+@BOTH
+@pytest.mark.parametrize("offset", [-1200, -100_000], ids=str)
+def test_an_offset_so_negative_that_no_ramp_down_comes_is_noted(make, offset):
+    chip = set_up(make, AUTOMATIC, 0x15, R6=offset & (1 << BITS[make]["R6"]) - 1)
+    assert noted(chip, "R6")
+    assert set(last_gaps(chip)) <= {20, 21}, "it stops from FH"
+
+
+@pytest.mark.parametrize("span", [0, 100], ids=["no linear part", "with a linear part"])
+def test_the_pulses_of_an_s_curve_decide_what_is_too_negative(span):
+    """583 of them without a linear part; 369 with spans of 100."""
+    for offset, too_negative in ((-290 if span == 0 else -180, False), (-450, span > 0), (-1170, True)):
+        chip = set_up(PCL240MS, AUTOMATIC, 0x15, R6=offset & 0xFFFFFF, R14=span, R15=span)
+        assert bool(notes(chip, "R6")) == too_negative
+        journal = chip.journal()
+        chip.advance(FOREVER)
+        assert journal.course().pin("fdown").any() == (not too_negative), "so it is"
+
+
+@BOTH
+def test_a_move_shorter_than_its_negative_offset_is_noted(make):
+    """With 200 pulses, all of them made while the speed rises, R0 never gets down to 200 - 400."""
+    chip = set_up(make, AUTOMATIC, 0x15, R0=200, R6=-400 & (1 << BITS[make]["R6"]) - 1, R14=NO_CORRECTION)
+    assert noted(chip, "R6")
+    clocks_while(chip, "fup")
+    assert counter(chip) == 0
+    assert not operating(chip) or chip.pins.zero
+
+
+@BOTH
+@pytest.mark.parametrize("r13", [0x030000, 0x100000, 0x1F0000])
+def test_an_ez_count_without_r13_bit_21_is_noted_at_an_origin_return(make, r13):
+    for start in (0x10, 0x15):
+        assert noted(set_up(make, 0x41, start, R13=r13), "R13")
+
+
+@pytest.mark.parametrize(("r14", "r15"), [(100, 0), (0, 100), (100, 100), (4095, 4095)])
+def test_a_span_with_linear_ramps_selected_is_noted(r14, r15):
+    chip = set_up(PCL240MS, MANUAL, 0x15, R14=LINEAR | r14, R15=r15)
+    assert noted(chip, "R14")
+    twin = set_up(PCL240MS, MANUAL, 0x15, R14=LINEAR)
+    assert twin.diagnostics == []
+    assert (chip.trace(100_000) == twin.trace(100_000)).all(), "the span means nothing"
+
+
+@pytest.mark.parametrize(
+    ("r14", "r15", "said"), [(100, 300, True), (100, 0, True), (100, 4095, True), (300, 100, False), (0, 100, False)]
+)
+def test_a_deceleration_span_above_the_acceleration_span_is_noted_with_the_automatic_point_on(r14, r15, said):
+    for control, bits in ((AUTOMATIC, 0), (AUTOMATIC, NO_CORRECTION), (0x74, 0)):
+        chip = set_up(PCL240MS, control, 0x15, R14=r14 | bits, R15=r15)
+        assert bool(notes(chip, "R14", "R15")) == bool(chip.diagnostics) == said
+    assert set_up(PCL240MS, PRESET, 0x15, R14=r14, R15=r15).diagnostics == [], "automatic off: R6 is the host's"
+
+
+@ALL
+def test_the_start_notes_of_the_k_hold(make):
+    assert "multiplier" in set_up(make, MANUAL, 0x15, R7=0).diagnostics[-1].message
+    assert noted(set_up(make, PRESET, 0x15, R0=0), "R0")
+    chip = set_up(make, MANUAL, 0x11)
+    chip.advance(1000)
+    commands(chip, 0x08)
+    chip.advance(1000)
+    commands(chip, 0x11)
+    assert chip.diagnostics == []
+    chip.pins.el_plus = True
+    chip.advance(1000)
+    chip.pins.el_plus = False
+    commands(chip, 0x11)
+    assert noted(chip, "reset command")
+
+
+# Writes in motion
+
+
+@BOTH
+@pytest.mark.parametrize("name", SWITCH_OFF)
+@pytest.mark.parametrize("collective", [0, 0x20], ids=["bytes", "collective"])
+def test_a_write_that_switches_the_automatic_point_off_is_noted_once_a_run(make, name, collective):
+    chip = set_up(make, AUTOMATIC, 0x15)
+    chip.advance(5000)
+    value = chip.values()[name]
+    for _ in range(2):
+        chip.write(0, select(name) | collective)
+        for address in (3, 2):
+            chip.write(address, value >> 8 * (address - 1) & 0xFF)
+        assert len(chip.diagnostics) == (0 if collective and not _ else 1)
+        chip.write(1, value & 0xFF)
+    assert noted(chip, name, "automatic")
+    assert set(last_gaps(chip)) <= {20, 21}, "it stops from FH"
+    load(chip, R0=5000)
+    commands(chip, 0x08, 0x15)
+    chip.advance(5000)
+    load(chip, **{name: value})
+    assert len(notes(chip, name, "automatic")) == len(chip.diagnostics) == 2, "the next run says it again"
+
+
+@BOTH
+@pytest.mark.parametrize("name", NAMES)
+def test_a_write_in_motion_that_switches_nothing_off_is_not_noted(make, name):
+    for control, start in ((AUTOMATIC, 0x11), (MANUAL, 0x15), (PRESET, 0x15), (0x41, 0x15), (AUTOMATIC, 0x15)):
+        chip = set_up(make, control, start)
+        chip.advance(5000)
+        load(chip, **{name: chip.values()[name]})
+        preset_ramp = control & 0x04 and start == 0x15
+        if not (preset_ramp and name in ("R0", "R6")) and not (
+            preset_ramp and control == AUTOMATIC and name in SWITCH_OFF
+        ):
+            assert chip.diagnostics == [], (f"{control:02X}h", f"{start:02X}h")
+
+
+@ALL
+@pytest.mark.parametrize("name", ["R0", "R6"])
+def test_r0_and_r6_written_in_a_high_speed_preset_run_are_noted(make, name):
+    chip = set_up(make, PRESET, 0x15)
+    chip.advance(5000)
+    load(chip, **{name: chip.values()[name]})
+    assert len(notes(chip, name)) == len(chip.diagnostics) > 0
+
+
+# What is no mistake
+
+
+def silent(make, control, start, **registers):
+    chip = set_up(make, control, start, **registers)
+    assert chip.diagnostics == []
+    assert chip.advance(1_000_000) > 0
+    return chip
+
+
+@BOTH
+def test_sound_set_ups_are_not_noted(make):
+    small = -20 & (1 << BITS[make]["R6"]) - 1
+    silent(make, PRESET, 0x15)
+    silent(make, 0x74, 0x17, R6=0)
+    silent(make, 0x74, 0x15, R6=10)
+    silent(make, 0x74, 0x15, R6=small)
+    silent(make, 0x74, 0x15, R4=30, R5=3000)
+    silent(make, 0x7C, 0x11, R6=0)
+    silent(make, 0x50, 0x11)
+    silent(make, 0x60, 0x10, R10=0x800000)
+    silent(make, PRESET, 0x11, R6=0)
+    silent(make, MANUAL, 0x15, R1=800)
+    silent(make, MANUAL, 0x14, R1=1000)
+    silent(make, MANUAL, 0x11, R1=1000)
+    silent(make, PRESET, 0x15, R1=800, R6=0)
+    silent(make, 0x41, 0x15, R13=0x200000)
+    silent(make, 0x63, 0x15, R13=0x350000, R12=0x1000)
+
+
+@BOTH
+def test_an_ez_return_stays_set_up_during_other_moves(make):
+    silent(make, PRESET, 0x15, R13=0x330000)
+    silent(make, MANUAL, 0x15, R13=0x330000)
+    silent(make, PRESET, 0x15, R13=0x030000)
+
+
+def test_sound_s_curves_are_not_noted():
+    for r14, r15 in ((0, 0), (200, 200), (200, 100), (4095, 4095), (4095, 0), (0, 4095), (NO_CORRECTION, 0)):
+        silent(PCL240MS, PRESET, 0x15, R14=r14, R15=r15)
+        silent(PCL240MS, AUTOMATIC, 0x15, R14=r14, R15=r15)
+        silent(PCL240MS, AUTOMATIC, 0x11, R14=r14, R15=r15)
+    silent(PCL240MS, MANUAL, 0x15, R14=100, R15=200)
+    silent(PCL240MS, MANUAL, 0x11, R14=LINEAR | 100)
+
+
+@BOTH
+def test_commands_and_reads_of_the_extension_are_not_noted(make):
+    chip = make()
+    for command in (
+        *range(0x90, 0x98),
+        *range(0xB0, 0xB8),
+        *range(0xA0, 0xA8),
+        0xC8,
+        0xC9,
+        0xC0,
+        0x50,
+        0x60,
+        0x7F,
+        0x08,
+    ):
+        chip.write(0, command)
+        for address in range(4):
+            chip.read(address)
+    load(chip, R10=0xFFFFFF, R11=0xFFFFFF, R12=0xFFFFFF, R16=0xFFFFFF)
+    assert chip.diagnostics == []
+
+
+@BOTH
+def test_a_note_says_when_where_what_and_on_whose_word(make):
+    chip = make()
+    chip.advance(77)
+    load(chip, R1=0x012345)
+    note = chip.diagnostics[0]
+    assert (note.clock, note.address, note.value) == (77, 3, 0x01)
+    assert "R1" in note.message
+    assert note.source
+
+
+def test_diagnostics_do_not_change_what_the_chip_does():
+    """The same bytes on chips whose notes were cleared and not."""
+    chips = [set_up(PCL240MS, 0x50, 0x15, R14=LINEAR | 100) for _ in range(2)]
+    for n in range(200):
+        chips[1].diagnostics.clear()
+        for chip in chips:
+            chip.write(n % 4, n * 37 & 0xFF)
+            chip.advance(100)
+    assert chips[0].values() == chips[1].values()
+    assert np.array_equal(chips[0].trace(10_000), chips[1].trace(10_000))
