@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo pictures test test-slow lint bench pictures clean help
+.PHONY: demo test test-slow lint bench pictures clean help
 
 help:
 	@echo "make demo       origin return, dual-rate and a:b moves; writes demo.rrd"
@@ -46,6 +46,8 @@ pictures: .venv/.dev
 	$(BIN)/stage home x --from -90 --force --plot docs/pictures/origin_return.png
 	$(BIN)/stage pullout --force --plot docs/pictures/pullout.png
 	for script in render_models stepper_behaviours draw_patterns synchronized_survey; do $(BIN)/python scripts/$$script.py || exit 1; done
+	$(BIN)/python scripts/ramp_down_survey.py
+	for script in s_curve origin_spread; do $(BIN)/python scripts/$$script.py --picture docs/pictures/$$script.png || exit 1; done
 
 clean:
 	rm -rf .venv build dist *.egg-info .pytest_cache .hypothesis .ruff_cache .mypy_cache

@@ -13,7 +13,8 @@ import mujoco
 import numpy as np
 
 from stage import Stage
-from stage.chips import PCL240K
+from stage.chips import PCL240K, PCL240MS
+from stage.firmware import Bench, Port, Profile
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 from programs import load_registers
@@ -77,6 +78,49 @@ def ramping_chip():
     return chip
 
 
+def ramps_of(spans):
+    """Work: a chip that ramps up and down twenty times, 7950 speed steps each way; its profile's `spans`."""
+    chip = PCL240MS()
+    port = Port(Bench(x=chip).axes["x"])
+    profile = Profile(50, 8000, 8000, 3, 3, 2, spans=spans, chip=PCL240MS)
+    port.write_registers(**profile.registers(), R0=0xFFFFFF)
+    for command in (0x08, 0x40, 0x15):
+        port.command(command)
+
+    def work():
+        for _ in range(20):
+            port.axis.wait(60_000 / chip.clock_hz)
+            port.command(0x14)
+            port.axis.wait(60_000 / chip.clock_hz)
+            port.command(0x15)
+
+    return work
+
+
+def s_curve_in_the_engine(rounds):
+    """Seconds for half a second of three axes ramping up and down: with S-curves, and with linear ramps."""
+    stage, seconds = Stage("xyz", chips=PCL240MS), {(0, 0): [], None: []}
+    for _ in range(rounds):
+        for spans, times in seconds.items():
+            stage.reset()
+            profile = Profile(500, 4000, 4000, 400, 400, 100, spans=spans, chip=PCL240MS)
+            ports = [Port(axis) for axis in stage.axes.values()]
+            for port in ports:
+                port.command(0x08)
+                port.write_registers(**profile.registers())
+                port.command(0x40)
+                port.command(0x15)
+
+            def work(ports=ports):
+                stage.run(0.29)
+                for port in ports:
+                    port.command(0x14)
+                stage.run(0.29)
+
+            times.append(timed(work))
+    return np.array(seconds[0, 0]), np.array(seconds[None])
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rounds", type=int, default=7)
@@ -107,6 +151,14 @@ def main():
         chip = ramping_chip()
         ramp.append(timed(lambda c=chip: c.advance(2 * 7950)))
     row("chip on its fastest ramp (R4 = 2)", 2 * 7950 / np.array(ramp), "clocks/s")
+    shapes = {spans: [] for spans in (None, (0, 0), (1000, 1000))}
+    for _ in range(args.rounds):
+        for spans, seconds in shapes.items():
+            seconds.append(timed(ramps_of(spans)))
+    for spans, name in (((0, 0), "S-curve"), ((1000, 1000), "S-curve with linear part")):
+        row(f"{name} / linear ramp, time", np.array(shapes[spans]) / np.array(shapes[None]), "ratio")
+    curved, linear = s_curve_in_the_engine(args.rounds)
+    row("S-curve move / linear move in the engine, time", curved / linear, "ratio")
     traced = []
     for _ in range(args.rounds):
         chip = running_chip()

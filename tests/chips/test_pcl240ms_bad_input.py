@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from pcl240k_bench import FOREVER, RNG, SEED, clocks_while, commands, counter, operating
 from pcl240ms_bench import AUTOMATIC, LINEAR, NO_CORRECTION, load
-from test_pcl240ms_statements import BITS, NAMES, SWITCH_OFF, begun, kept, last_gaps, select
+from pcl240ms_hands import BITS, NAMES, SWITCH_OFF, begun, kept, last_gaps, select
 
 from stage.chips import PCL240K, PCL240MK, PCL240MS
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from pcl240k_bench import FOREVER, clocks_while, commands, operating
 from pcl240ms_bench import LINEAR, load
-from test_pcl240ms_statements import begun, read_back, wait_for
+from pcl240ms_hands import begun, read_back, wait_for
 
 from stage.chips import PCL240MK, PCL240MS
 
