@@ -1,7 +1,7 @@
 """Random PCL-240K programs for Hypothesis, and the player that runs one on the product and on the reference.
 
 A program is a list of operations, tuples that print as what they do:
-    ("write", address, value)   ("pin", name, asserted)   ("advance" or "trace", clocks)   ("reset",)
+    ("write", address, value)   ("read", address)   ("pin", name, asserted)   ("advance" or "trace", clocks)   ("reset",)
 """
 
 from hypothesis import strategies as st
@@ -197,8 +197,8 @@ def say(operation):
 class Pair:
     """Product and reference side by side. With `look` all that can be seen is compared after every operation."""
 
-    def __init__(self, look=True):
-        self.chip, self.model, self.look, self.log = PCL240K(), ReferencePCL240K(), look, []
+    def __init__(self, look=True, chip=PCL240K, model=ReferencePCL240K):
+        self.chip, self.model, self.look, self.log = chip(), model(), look, []
 
     def play(self, program):
         for operation in program:
@@ -216,6 +216,8 @@ class Pair:
             self.agree("pulses (clock, direction)", got, self.model.trace(*rest))
         elif kind == "advance":
             self.agree("pulses begun", self.chip.advance(*rest), self.model.advance(*rest))
+        elif kind == "read":
+            self.agree("byte read", self.chip.read(*rest), self.model.read(*rest))
         else:  # write, reset
             for chip in (self.chip, self.model):
                 getattr(chip, kind)(*rest)
@@ -228,6 +230,8 @@ class Pair:
         seen = {"status": chip.read(0), "counter": tuple(chip.read(a) for a in (1, 2, 3))}
         seen |= {name: bool(getattr(chip.pins, name)) for name in OUTPUTS}
         expected = model.state()
+        seen |= chip.values()
+        expected |= model.values()
         differ = [name for name in expected if seen[name] != expected[name]]
         self.agree(" ".join(differ), [seen[n] for n in differ], [expected[n] for n in differ])
 

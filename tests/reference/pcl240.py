@@ -5,10 +5,10 @@
     chip.write(0, 0x10); chip.trace(1000)       a start; [(clock, direction), ...]
 
 No closed form, no event queue: every clock is one `tick()`. It shares nothing with stage.chips, so that the two can
-disagree. Where the specification leaves a choice, the comment beside the line says which was taken.
+disagree. Where the specification leaves a choice, the comment beside the line says which was taken. The MK and MS of
+pcl240ms.py override what differs.
 """
 
-WIDTHS = (24, 13, 13, 13, 14, 14, 20, 10)  # bits of R0 .. R7 [4]
 INPUTS = ("el_plus", "el_minus", "sd_plus", "sd_minus", "org", "ins", "extp")
 OUTPUTS = ("ots", "pout", "pdir", "hold", "fdown", "fkeep", "fup", "lt", "zero", "irq")
 
@@ -17,7 +17,7 @@ class Pins:
     """Input pins are attributes to set, output pins attributes to get; True = asserted, whatever the polarity."""
 
     def __init__(self, chip):
-        vars(self).update(dict.fromkeys(INPUTS, False), _chip=chip)
+        vars(self).update(dict.fromkeys(chip.INPUTS, False), _chip=chip)
 
     def __getattr__(self, name):  # reached for outputs only: inputs lie in vars(self)
         if name not in OUTPUTS:
@@ -25,12 +25,16 @@ class Pins:
         return self._chip.outputs()[name]
 
     def __setattr__(self, name, asserted):
-        if name not in INPUTS:
+        if name not in self._chip.INPUTS:
             raise AttributeError(f"{name} is not an input pin")
         vars(self)[name] = bool(asserted)
 
 
 class ReferencePCL240K:
+    WIDTHS = (24, 13, 13, 13, 14, 14, 20, 10)  # bits of R0 .. R7 [4]
+    INPUTS = INPUTS
+    CONTROL_BITS, SELECT_BITS, OUTPUT_BITS = 0x0F, 0x07, 0x31  # the 240K ignores D4, D5 [2]
+
     def __init__(self):
         self.clock = 0
         self.pins = Pins(self)
@@ -42,7 +46,7 @@ class ReferencePCL240K:
 
         Choice: the last sample of EXTP belongs to the pin, so a rising edge across /RESET is still an edge.
         """
-        self.registers = [0] * 8
+        self.registers = [0] * len(self.WIDTHS)
         self.select = self.control = self.output_mode = 0
         self.running = self.finishing = self.ramps = self.stop_pending = False
         self.armed = True
@@ -59,20 +63,30 @@ class ReferencePCL240K:
             if group == 0:
                 self._operating_mode(value)
             elif group == 1:
-                self.control = value & 0x0F  # the 240K ignores D4, D5 [2]
+                self.control = value & self.CONTROL_BITS
             elif group == 2:
-                self.select = value & 7
+                self.select = value & self.SELECT_BITS
             else:
-                self.output_mode = value & 0x31
-            return
-        shift = 8 * (address - 1)
-        word = self.registers[self.select] & ~(0xFF << shift) | value << shift  # acts at once: torn writes are real
-        self.registers[self.select] = word & ((1 << WIDTHS[self.select]) - 1)
-        if self.select == 7:
+                self.output_mode = value & self.OUTPUT_BITS
+        else:
+            self._write_byte(8 * (address - 1), value)
+
+    number = property(lambda self: self.select)  # of the selected register
+
+    def _write_byte(self, shift, value):
+        self._store(self.number, self.registers[self.number] & ~(0xFF << shift) | value << shift)
+
+    def _store(self, number, word):
+        """At once, so torn writes are real."""
+        self.registers[number] = word & ((1 << self.WIDTHS[number]) - 1)
+        if number == 7:
             self.phase = min(self.phase, max(self.modulus - 1, 0))  # [5 fine points]
 
     def read(self, address):
-        return self.status() if address == 0 else self.registers[0] >> 8 * (address - 1) & 0xFF
+        return self.status() if address == 0 else self._read_byte(8 * (address - 1))
+
+    def _read_byte(self, shift):
+        return self.registers[0] >> shift & 0xFF
 
     def _operating_mode(self, value):
         self.int_at_stop = bool(value & 0x20)  # every 00 command, an ignored start too [5 fine points]
@@ -81,13 +95,16 @@ class ReferencePCL240K:
         start, stop = value & 0x10, value & 0x08
         if start and stop:
             self._decelerating_stop(value)
-        elif stop:  # reset command [2]
-            self._stop()
-            self.armed = True
+        elif stop:
+            self._reset_command()
         elif start and self.running:
             self._choose_speed(value)
         elif start:
             self._start(value)
+
+    def _reset_command(self):
+        self._stop()
+        self.armed = True
 
     def _choose_speed(self, value):
         self.ramps = bool(value & 4)
@@ -104,6 +121,9 @@ class ReferencePCL240K:
         ):
             return  # stays halted and armed [5]
         self._choose_speed(value)
+        self._run()
+
+    def _run(self):
         self.running = True
         self.phase = self.timer = self.ramp = 0
         self.speed = self.registers[1] if self.ramps else self.selected_speed
@@ -142,8 +162,10 @@ class ReferencePCL240K:
         if rising and self.external:  # at the start of a tick, running or not [5 fine points]
             self._count()
             self._stop_at_zero()
-        if self.running and (self._limit_of_direction() or (self.control & 1 and self.pins.org)):  # 1
+        if self.running and self._limit_of_direction():  # 1
             self._stop()
+        if self.running:
+            self._origin_return()
         begun = 0
         # R7 < 2 freezes the phase, and speed 0 or R7 < 2 never completes a pulse: step 2 is skipped as a whole
         if (self.running or self.finishing) and self.registers[7] >= 2 and self.speed > 0:
@@ -152,11 +174,16 @@ class ReferencePCL240K:
             self._speed_control()  # 3
         return begun
 
+    def _origin_return(self):
+        if self.control & 1 and self.pins.org:
+            self._stop()
+
     def _pulse_output(self):
         self.phase += self.speed
         if self.running and self.phase >= self.modulus:
             self.phase -= self.modulus
             self.pout_low = True
+            self._pulse_begins()
             if not self.external:
                 self._count()
             # Choice: "in preset mode R0 = 0 stops", the brackets "(source = output pulses)" qualify the count alone
@@ -167,6 +194,9 @@ class ReferencePCL240K:
             if self.finishing:
                 self._operation_ends()
         return 0
+
+    def _pulse_begins(self):
+        """For the chips that count them otherwise, too."""
 
     def _count(self):
         self.registers[0] = (self.registers[0] - 1) % 2**24
@@ -190,8 +220,11 @@ class ReferencePCL240K:
         self.ramp = direction
         if direction == 0:
             return
+        self._ramp_clock(direction, first)
+
+    def _ramp_clock(self, direction, first):
         self.timer = 1 if first else self.timer + 1
-        rate = self.registers[4 if direction > 0 else 5]
+        rate = self.rate(direction)
         if rate < 2:
             return  # below the legal minimum: the speed holds, though the timer counts on
         if self.timer >= rate or (direction < 0 and first):
@@ -211,7 +244,11 @@ class ReferencePCL240K:
     direction = property(lambda self: -1 if self.control & 8 else 1)
     preset = property(lambda self: bool(self.control & 4))
     external = property(lambda self: bool(self.output_mode & 0x10))
-    selected_speed = property(lambda self: self.registers[(1, 2, 1, 3)[self.speed_select]])  # 10 as FL [2]
+    speed_register = property(lambda self: (1, 2, 1, 3)[self.speed_select])  # 10 as FL [2]
+    selected_speed = property(lambda self: self.registers[self.speed_register])
+
+    def rate(self, direction):
+        return self.registers[4 if direction > 0 else 5]
 
     def _limit_of_direction(self):
         return self.pins.el_minus if self.control & 8 else self.pins.el_plus
@@ -220,13 +257,12 @@ class ReferencePCL240K:
         return self.pins.sd_minus if self.control & 8 else self.pins.sd_plus
 
     def goal(self):
-        if (
-            self.stop_pending
-            or (self.control & 2 and self._slow_down_of_direction())
-            or (self.preset and self.registers[0] < self.registers[6])
-        ):
+        if self.stop_pending or (self.control & 2 and self._slow_down_of_direction()) or self._ramping_down_point():
             return self.registers[1]
         return self.selected_speed
+
+    def _ramping_down_point(self):
+        return self.preset and self.registers[0] < self.registers[6]
 
     def ramp_direction(self):
         goal = self.goal()
@@ -254,6 +290,10 @@ class ReferencePCL240K:
         bits = (not out["irq"], not out["hold"], out["fkeep"], out["lt"], out["zero"])
         bits += (self._slow_down_of_direction(), self.pins.org, self.pins.ins)
         return int("".join(str(int(bit)) for bit in bits), 2)
+
+    def values(self):
+        """Every register by name, and the status byte."""
+        return {f"R{number}": word for number, word in enumerate(self.registers)} | {"status": self.status()}
 
     def state(self):
         """All that a host or a probe can see: status, the three counter bytes, every output pin."""
