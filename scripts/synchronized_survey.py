@@ -2,6 +2,8 @@
 
 python scripts/synchronized_survey.py                     the tables
 python scripts/synchronized_survey.py --pictures          and docs/pictures/synchronized*.png
+python scripts/synchronized_survey.py --s-curve           PCL240MS with S-curves; --s-curve 0.2: with a linear part
+python scripts/synchronized_survey.py --automatic         PCL240MK with the automatic ramp-down point; or both
 """
 
 import argparse
@@ -11,23 +13,45 @@ import time
 import numpy as np
 
 from stage import ArgumentError
-from stage.chips import PCL240K
+from stage.chips import PCL240K, PCL240MK, PCL240MS
 from stage.firmware import Bench, plan, synchronized_move
-from stage.firmware.follow import run
+from stage.firmware.follow import bend, run, stretch
 from stage.firmware.path import path_deviation
 
 DELAYS = (1e-6, 1e-5, 1e-4)
 
 
-def bench(names, bus_cycle=1e-6):
-    return Bench(**{n: PCL240K() for n in names}, bus_cycle=bus_cycle)
+class Moves:
+    """a:b moves of one chip with one shape of ramps."""
+
+    def __init__(self, chip=PCL240K, **shape):
+        self.chip, self.shape = chip, shape
+
+    def __call__(self, distances, bus_cycle=1e-6, **options):
+        """Run one on new chips."""
+        bench = Bench(**{n: self.chip() for n in distances}, bus_cycle=bus_cycle)
+        return synchronized_move(distances, bench, **self.shape, **options)
+
+    def plan(self, distances, **options):
+        return plan(distances, chips=self.chip, **self.shape, **options)
+
+    def row(self, *registers):
+        """Registers as follow.py takes them, with ramps of this shape."""
+        share = float(self.shape.get("s_curve", 0.0))
+        row = np.array([*registers, *[0] * (2 * self.chip.S_CURVES)])
+        bend(row, min(share, 0.5))
+        return row
+
+    def __str__(self):
+        shape = ", ".join(f"{k} {v:g}" if isinstance(v, float) else k for k, v in self.shape.items())
+        return f"{self.chip.MAP.chip}{', ' + shape if shape else ''}"
 
 
 def random_distances(rng, names, low=100, high=50_000):
     return {n: rng.choice((-1, 1)) * rng.randint(low, high) for n in names}
 
 
-def common_multiplier(made):
+def common_multiplier(moves, made):
     """The deviation when both axes must do with one R7, the finest that reaches the rate: every register rounded to the
     nearest, R6 = Psd and 5 pulses of the longest axis."""
     long = made.axes[made.order[-1]]
@@ -37,10 +61,12 @@ def common_multiplier(made):
     for axis in made.axes.values():
         ratio = abs(axis.distance) / abs(long.distance)
         low, high = (max(1, round(ratio * rate / step)) for rate in (long.fl, long.fh))
-        gain = max(high - low, 1)
-        up, down = (min(max(round(t * long.clock_hz / gain), 2), 16383) for t in (long.accel, long.decel))
-        r6 = min(int((high**2 - low**2) * down / (16384 * r7)) + max(1, round(5 * ratio)), abs(axis.distance))
-        pulses.append((run([abs(axis.distance), low, high, high, up, down, r6, r7]), 1))
+        row = moves.row(abs(axis.distance), low, high, high, 2, 2, 0, r7)
+        gain, most = max(high - low, 1) * stretch(row), axis.chip.MAP.register("R4").mask
+        row[4], row[5] = (min(max(round(t * long.clock_hz / gain), 2), most) for t in (long.accel, long.decel))
+        down = (high + low) * gain * row[5] / (16384 * r7)
+        row[6] = min(int(down) + max(1, round(5 * ratio)), abs(axis.distance))
+        pulses.append((run(row, axis.chip), 1))
     return path_deviation(pulses, [abs(a.distance) for a in made.axes.values()]).pulses
 
 
@@ -50,23 +76,24 @@ def row(name, values, unit=""):
     print(f"| {name:44} | {median:8.3g}{unit} | {most:8.3g}{unit} | {top:8.3g}{unit} | {np.mean(v <= 2):6.1%} |")
 
 
-def survey(pairs, seed):
+def survey(moves, pairs, seed):
     rng = random.Random(seed)
-    plan({"x": 1000, "y": 700})  # compiles
+    moves.plan({"x": 1000, "y": 700})  # compiles
     asked = [random_distances(rng, "xy") for _ in range(pairs)]
-    reports = [synchronized_move(d, bench("xy")) for d in asked]
+    reports = [moves(d) for d in asked]
     exact = sum(r.axes[n].pulses == d[n] for r, d in zip(reports, asked, strict=True) for n in d)
     far = [r.deviation.pulses for r in reports]
     perfect = [r.plan.perfect for r in reports]
-    plain = [common_multiplier(r.plan) for r in reports]
+    plain = [common_multiplier(moves, r.plan) for r in reports]
     taken = []
     for d in asked:
         begin = time.process_time()
-        plan(d)
+        moves.plan(d)
         taken.append(1e3 * (time.process_time() - begin))
 
     print(
-        f"{pairs} random pairs of 100 to 50,000 pulses, seed {seed}, rate 16,000 pps; {exact} of {2 * pairs} axes exact\n"
+        f"{moves}: {pairs} random pairs of 100 to 50,000 pulses, seed {seed}, rate 16,000 pps; {exact} of {2 * pairs} axes "
+        f"exact\n"
     )
     print(
         f"| {'largest distance from the line, pulses':44} |   median |     95 % |  largest | <= 2   |\n|---|---|---|---|---|"
@@ -77,21 +104,23 @@ def survey(pairs, seed):
     for delay in DELAYS[1:]:
         row(
             f"bus cycle {delay * 1e6:.0f} us, planned for",
-            [late(r, d, delay, True) for r, d in zip(reports, asked, strict=True)],
+            [moves(d, delay).deviation.pulses for d in asked],
         )
         row(
             f"bus cycle {delay * 1e6:.0f} us, not planned for",
-            [late(r, d, delay) for r, d in zip(reports, asked, strict=True)],
+            [r.plan.with_bus_delay(delay).deviation for r in reports],
         )
-    three = [synchronized_move(random_distances(rng, "xyz"), bench("xyz")) for _ in range(pairs // 2)]
+    three = [moves(random_distances(rng, "xyz")) for _ in range(pairs // 2)]
     row(f"three axes, {len(three)} moves", [r.deviation.pulses for r in three])
     row("three perfect axes", [r.plan.perfect for r in three])
-    fast = [synchronized_move(d, bench("xy"), rate=200_000, fl=4000, accel=0.1) for d in asked]
+    fast = [moves(d, rate=200_000, fl=4000, accel=0.1) for d in asked]
     row("rate 200,000 pps", [r.deviation.pulses for r in fast])
-    wild, refused = anything(rng, pairs)
+    wild, refused = anything(moves, rng, pairs)
     row(f"anything, {len(wild)} moves", wild)
     long = [
-        plan(random_distances(rng, "xy", 1_000_000, 16_777_215), rate=r) for _ in range(25) for r in (16_000, 200_000)
+        moves.plan(random_distances(rng, "xy", 1_000_000, 16_777_215), rate=r)
+        for _ in range(25)
+        for r in (16_000, 200_000)
     ]
     row("over a million pulses, 16,000 pps, estimate", [p.deviation for p in long[::2]])
     row("over a million pulses, 200,000 pps, estimate", [p.deviation for p in long[1::2]])
@@ -110,32 +139,27 @@ def survey(pairs, seed):
     return asked, far, perfect, plain
 
 
-def anything(rng, moves):
+def anything(moves, rng, number):
     """Deviations of moves with everything at random, and how many were refused."""
 
     def between(low, high):
         return low * (high / low) ** rng.random()
 
     far, refused = [], 0
-    for _ in range(moves):
+    for _ in range(number):
         names = rng.choice(("xy", "xyz"))
         distances = {n: rng.choice((-1, 1)) * int(between(1, 100_000)) for n in names}
         rate = between(50, 240_000)
         ramps = {"accel": between(0.002, 2), "decel": between(0.002, 2)}
+        if "automatic" in moves.shape:
+            del ramps["decel"]
         try:
-            report = synchronized_move(distances, bench(names), rate=rate, fl=min(between(5, 5000), rate), **ramps)
+            report = moves(distances, rate=rate, fl=min(between(5, 5000), rate), **ramps)
         except ArgumentError:
             refused += 1
         else:
             far.append(report.deviation.pulses)
     return far, refused
-
-
-def late(report, distances, delay, aware=False):
-    """The deviation on a slower bus."""
-    if not aware:
-        return report.plan.with_bus_delay(delay).deviation
-    return synchronized_move(distances, bench("xy", delay)).deviation.pulses
 
 
 def draw(asked, far, perfect, plain, folder):
@@ -174,7 +198,10 @@ def draw(asked, far, perfect, plain, folder):
         ax.spines[["left", "bottom"]].set_color("#c9d1da")
         ax.tick_params(color="#c9d1da", labelcolor=ink, labelsize=8)
     figure.savefig(f"{folder}/synchronized.png", dpi=150)
-    synchronized_move({"x": 20_000, "y": -7_500}, bench("xy")).plot(f"{folder}/synchronized_move.png")
+    Moves()({"x": 20_000, "y": -7_500}).plot(f"{folder}/synchronized_move.png")
+    Moves(PCL240MS, s_curve=True, automatic=True)({"x": 20_000, "y": -7_500}, accel=0.3).plot(
+        f"{folder}/synchronized_s_curve.png", "a:b move with S-curves, x +20,000, y -7,500 pulses"
+    )
 
 
 if __name__ == "__main__":
@@ -182,7 +209,11 @@ if __name__ == "__main__":
     parser.add_argument("--pairs", type=int, default=200)
     parser.add_argument("--seed", type=int, default=240)
     parser.add_argument("--pictures", nargs="?", const="docs/pictures", metavar="FOLDER")
+    parser.add_argument("--s-curve", nargs="?", type=float, const=True, metavar="SHARE")
+    parser.add_argument("--automatic", action="store_true")
     given = parser.parse_args()
-    result = survey(given.pairs, given.seed)
+    shape = ({"s_curve": given.s_curve} if given.s_curve else {}) | ({"automatic": True} if given.automatic else {})
+    chip = PCL240MS if given.s_curve else PCL240MK if given.automatic else PCL240K
+    result = survey(Moves(chip, **shape), given.pairs, given.seed)
     if given.pictures:
         draw(*result, given.pictures)

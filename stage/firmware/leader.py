@@ -6,11 +6,12 @@ Any R7 and FH that make the rate asked for will do, so those are tried first who
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from stage.chips import PCL240K
+from stage.chips.pcl240 import PCL240
 from stage.errors import ArgumentError
 from stage.firmware import follow
 
@@ -26,26 +27,43 @@ TAILS = (5, 8, 11, 14, 4, 6, 9)  # pulses at FL after the ramp-down; first the d
 TAIL_SECONDS, TAIL_SHARE = 0.02, 0.05  # what a longer one may cost: seconds, or a share of the move
 
 _LEGAL = {r.name: r.legal or (0, r.mask) for r in PCL240K.MAP.registers}
-R4_MOST, R6_MOST = _LEGAL["R4"][1], _LEGAL["R6"][1]
-R7_LEAST, R7_MOST = _LEGAL["R7"]
+R7_LEAST, R7_MOST = _LEGAL["R7"]  # of the whole family
 SPEED_MOST = _LEGAL["R2"][1]
 
 
+class Widths(NamedTuple):
+    """What a chip's registers hold: the largest R4 and R5, the largest ramp-down point, and how many are in a row."""
+
+    rate: int
+    point: int
+    row: int
+
+    @classmethod
+    def of(cls, chip: type[PCL240], automatic: bool) -> Widths:
+        """Automatic: R6 holds an offset, and the point may be as far away as R0 counts."""
+        legal = {r.name: r.legal or (0, r.mask) for r in chip.MAP.registers}
+        return cls(legal["R4"][1], legal["R0" if automatic else "R6"][1], 10 if chip.S_CURVES else 8)
+
+
 class Ask(NamedTuple):
-    """What the longest axis shall do: pulses, rates in pps, ramp times in s."""
+    """What the longest axis shall do: pulses, rates in pps, ramp times in s; and all axes' ramps: `share` of the speed steps
+    in each curved end (0 linear, 0.5 curved throughout), and whether the chips find the ramp-down point."""
 
     length: int
     fh: float
     fl: float
     up: float
     down: float
+    share: float = 0.0
+    automatic: bool = False
 
 
 class Follower(NamedTuple):
-    """Pulses (unsigned), reference clock, and seconds that the axis is started before the leader."""
+    """Pulses (unsigned), reference clock, what its registers hold, and seconds that it is started before the leader."""
 
     pulses: int
     clock_hz: int
+    widths: Widths
     lead: float
 
 
@@ -56,21 +74,25 @@ class Kept(NamedTuple):
     scores: np.ndarray
 
 
-def search(ask: Ask, hz: int, followers: Mapping[str, Follower]) -> tuple[np.ndarray, dict[str, Kept]]:
-    """Registers of the leader (R0..R7) and of its followers: the first that are as close to the line as can be, or the best
-    of all. hz: the leader's clock. Raises ArgumentError when no registers make the ramps."""
+def search(ask: Ask, hz: int, widths: Widths, followers: Mapping[str, Follower]) -> tuple[np.ndarray, dict[str, Kept]]:
+    """Rows (see follow.py) of the leader and of its followers: the first that are as close to the line as can be, or the best
+    of all. hz, widths: of the leader's chip. Raises ArgumentError when no registers make the ramps."""
     best: tuple[np.ndarray, dict[str, Kept]] | None = None
     least = np.inf
-    for bare in _leaders(ask, hz, followers):
+    for bare in _leaders(ask, hz, widths, followers):
         rises: dict[str, np.ndarray] = {}
-        for leader in _with_tails(bare, hz):
+        for leader in _with_tails(bare, hz, widths.point):
             found = {}
-            for name, (d, own_hz, lead) in followers.items():
+            for name, (d, own_hz, (rate, point, size), lead) in followers.items():
                 if name not in rises:
-                    rises[name] = np.zeros((follow.KEPT, 8), np.int64)
-                    follow.accelerations(leader, hz, d, own_hz, lead, np.empty(follow.KEPT), rises[name])
-                found[name] = kept = Kept(np.zeros((follow.BEST, 8), np.int64), np.empty(follow.BEST))
-                follow.decelerations(leader, hz, own_hz, lead, rises[name], kept.scores, kept.registers)
+                    rises[name] = np.zeros((follow.KEPT, size), np.int64)
+                    scores = np.empty(follow.KEPT)
+                    follow.accelerations(leader, hz, d, own_hz, lead, ask.share, rate, scores, rises[name])
+                found[name] = Kept(np.zeros((follow.BEST, size), np.int64), np.empty(follow.BEST))
+                follow.decelerations(
+                    leader, hz, own_hz, lead, ask.automatic, rate, point, rises[name],
+                    found[name].scores, found[name].registers,
+                )  # fmt: skip
             worst = max((k.scores[0] for k in found.values()), default=0.0)
             if worst < least:
                 least, best = worst, (leader, found)
@@ -83,8 +105,8 @@ def search(ask: Ask, hz: int, followers: Mapping[str, Follower]) -> tuple[np.nda
     return best
 
 
-def _leaders(ask: Ask, hz: int, followers: Mapping[str, Follower]) -> list[np.ndarray]:
-    """R0 to R7 (R6 still 0) for the longest axis, most promising first.
+def _leaders(ask: Ask, hz: int, widths: Widths, followers: Mapping[str, Follower]) -> list[np.ndarray]:
+    """Rows (R6 still 0) for the longest axis, most promising first.
 
     R7 and FH may be any that make the rate to 0.2 %: what counts is how well the followers' registers make their share of it.
     """
@@ -100,16 +122,16 @@ def _leaders(ask: Ask, hz: int, followers: Mapping[str, Follower]) -> list[np.nd
     if ask.up == 0.0:
         low, up, down = high, np.full(len(r7), 2.0), np.full(len(r7), 2.0)
     else:
-        gain = np.maximum(high - low, 1)
+        gain = effective_steps(np.maximum(high - low, 1), ask.share)
         up, down = np.rint(ask.up * hz / gain), np.rint(ask.down * hz / gain)
-        fits &= (high > low) & (np.minimum(up, down) >= 2) & (np.maximum(up, down) <= R4_MOST)
+        fits &= (high > low) & (np.minimum(up, down) >= 2) & (np.maximum(up, down) <= widths.rate)
         error += np.abs(up * gain / hz / ask.up - 1) / 8 + np.abs(down * gain / hz / ask.down - 1) / 8
         if not fits.any():
-            _refuse_ramp(ask, hz, step, high, low)
+            _refuse_ramp(ask, hz, widths.rate, step, high, low)
     pick = np.flatnonzero(fits & (error <= max(RATE_ERROR, 1.01 * float(error[fits].min()))))
     pick = pick[np.argsort(np.abs(shift[pick]), kind="stable")]
     off = np.zeros(len(pick))
-    for d, own_hz, _ in followers.values():
+    for d, own_hz, _, _ in followers.values():
         misfit = np.zeros(len(pick))
         least = min(100.0, d / ask.length * ask.fh * 8192 * R7_MOST / own_hz / 2)
         follow.misfits(high[pick], r7[pick], hz, d / ask.length, own_hz, least, MATCH / d, misfit)
@@ -118,45 +140,59 @@ def _leaders(ask: Ask, hz: int, followers: Mapping[str, Follower]) -> list[np.nd
     plain = pick[shift[pick] == 0]
     spread = plain[np.linspace(len(plain) - 1, 0, tried // 2).astype(int)] if len(plain) else plain
     zero = np.zeros(len(r7))
-    table = np.stack([zero + ask.length, low, high, high, up, down, zero, r7], axis=1).astype(np.int64)
-    return [table[k] for k in dict.fromkeys([*best[: tried // 2], *spread])]
+    rest = [zero] * (widths.row - 8)
+    table = np.stack([zero + ask.length, low, high, high, up, down, zero, r7, *rest], axis=1).astype(np.int64)
+    chosen = [table[k] for k in dict.fromkeys([*best[: tried // 2], *spread])]
+    for row in chosen:
+        follow.bend(row, ask.share)
+    return chosen
 
 
-def _refuse_ramp(ask: Ask, hz: int, step: np.ndarray, high: np.ndarray, low: np.ndarray) -> None:
-    gain = (high - low)[high > low]
+def effective_steps(gain: Any, share: float) -> Any:
+    """Speed steps of a linear ramp that takes as long as one of `gain` steps with curved ends; see follow.bend."""
+    if not 0 < share < 0.5:
+        return gain
+    span = np.maximum(np.rint(share * gain), 1)
+    return np.minimum(gain / 2 + span, gain)
+
+
+def _refuse_ramp(ask: Ask, hz: int, most: int, step: np.ndarray, high: np.ndarray, low: np.ndarray) -> None:
+    gain = effective_steps((high - low)[high > low], ask.share)
     if not len(gain):
         raise ArgumentError(
             f"fl={ask.fl:g} and rate={ask.fh:g} pps are within one speed step ({step.min():.3g} pps): make them "
             f"equal for constant speed, or move them apart."
         )
-    least, most = 2 * gain.min() / hz, R4_MOST * gain.max() / hz
+    shortest, longest = 2 * gain.min() / hz, most * gain.max() / hz
     for name, register, value in (("accel", "R4", ask.up), ("decel", "R5", ask.down)):
-        if not least <= value <= most:
+        if not shortest <= value <= longest:
             raise ArgumentError(
-                f"{name}={value:.4g} s from {ask.fl:g} to {ask.fh:g} pps would need {register} outside 2 to {R4_MOST}. "
-                f"In reach are {least:.3g} to {most:.4g} s."
+                f"{name}={value:.4g} s from {ask.fl:g} to {ask.fh:g} pps would need {register} outside 2 to {most}. "
+                f"In reach are {shortest:.3g} to {longest:.4g} s."
             )
     raise ArgumentError(
-        f"accel={ask.up:.4g} s and decel={ask.down:.4g} s differ too much: no R7 keeps both R4 and R5 within 2 to {R4_MOST}."
+        f"accel={ask.up:.4g} s and decel={ask.down:.4g} s differ too much: no R7 keeps both R4 and R5 within 2 to {most}."
     )
 
 
-def _with_tails(leader: np.ndarray, hz: int) -> Iterator[np.ndarray]:
+def _with_tails(leader: np.ndarray, hz: int, most: int) -> Iterator[np.ndarray]:
     """The leader with R6 for a few lengths of its last part at FL: for some the followers' whole pulses fit better."""
     if leader[2] == leader[1]:
         yield leader
         return
     gain = int(leader[2] - leader[1])
-    fall = leader[5] * (leader[1] * gain + gain * (gain - 1) / 2) / (8192 * leader[7])
+    fall = leader[5] * (leader[1] * gain + gain * (gain - 1) / 2) / (8192 * leader[7]) * follow.stretch(leader)
     fl, fh = (leader[k] * hz / (8192 * leader[7]) for k in (1, 2))
     patience = max(TAIL_SECONDS, TAIL_SHARE * leader[0] / fh)
     for tail in TAILS:
         r6 = int(np.ceil(fall)) + tail
         if (tail - TAILS[0]) / fl > patience:
             continue
-        if r6 > R6_MOST:
+        if r6 > most:
             raise ArgumentError(
-                f"the ramp-down takes {fall:.0f} pulses, and R6 counts to {R6_MOST}: shorten decel or lower the rate."
+                f"the ramp-down takes {fall:.0f} pulses, and R6 counts to {most}: shorten decel or lower the rate."
             )
         if r6 <= leader[0]:
-            yield np.array([*leader[:6], r6, leader[7]])
+            with_point = leader.copy()
+            with_point[6] = r6
+            yield with_point

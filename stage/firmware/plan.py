@@ -14,13 +14,27 @@ from typing import Any
 import numpy as np
 
 from stage.chips import PCL240K
+from stage.chips.pcl240 import PCL240
+from stage.chips.pcl240.state import LINEAR, SPAN
 from stage.compiled import announced
 from stage.errors import ArgumentError, unknown
 from stage.firmware import follow
-from stage.firmware.leader import R4_MOST, R7_LEAST, R7_MOST, SPEED_MOST, TAILS, Ask, Follower, search
+from stage.firmware.leader import (
+    R7_LEAST,
+    R7_MOST,
+    SPEED_MOST,
+    TAILS,
+    Ask,
+    Follower,
+    Kept,
+    Widths,
+    effective_steps,
+    search,
+)
 from stage.firmware.path import path_deviation, perfect_deviation
 from stage.firmware.profile import ACCEL, FH1, FL, ramp_seconds
 
+NAMES = (*(f"R{k}" for k in range(8)), "R14", "R15")
 R0_MOST = PCL240K.MAP.registers[0].mask
 ROOM = 0.8  # of a short move may be ramps
 PLAYED = 2_000_000  # pulses: longer moves are judged by the closed form alone
@@ -31,8 +45,10 @@ COMPILING = "PulseStage: compiling the a:b planner, once on this machine (about 
 
 @dataclass(frozen=True)
 class AxisPlan:
-    """One axis: signed distance in pulses, registers R0 to R7, reference clock.
+    """One axis: signed distance in pulses, registers (R0 to R7, on a PCL240MS R14 and R15, too), reference clock.
 
+    down_point: pulses left when the ramp-down begins, as R6 without the automatic ramp-down point. automatic: the chip finds
+    that point, and R6 is its offset, a two's complement.
     lead: seconds between this axis' start command and the last axis'. seconds: from the first start command to its last pulse.
     """
 
@@ -41,6 +57,9 @@ class AxisPlan:
     clock_hz: int
     lead: float = 0.0
     seconds: float = 0.0
+    chip: type[PCL240] = PCL240K
+    down_point: int = 0
+    automatic: bool = False
 
     @property
     def step(self) -> float:
@@ -60,14 +79,30 @@ class AxisPlan:
         return self.registers["R2"] > self.registers["R1"]
 
     @property
+    def span(self) -> int | None:
+        """Speed steps of each curved end of the ramps, 0 when they have no linear part; None for linear ramps."""
+        return None if (word := self.registers.get("R14", LINEAR)) & LINEAR else word & SPAN
+
+    @property
     def accel(self) -> float:
         r = self.registers
-        return ramp_seconds(r["R1"], r["R2"], r["R4"], self.clock_hz)
+        return ramp_seconds(r["R1"], r["R2"], r["R4"], self.clock_hz, self.span)
 
     @property
     def decel(self) -> float:
         r = self.registers
-        return ramp_seconds(r["R1"], r["R2"], r["R5"], self.clock_hz)
+        return ramp_seconds(r["R1"], r["R2"], r["R5"], self.clock_hz, self.span)
+
+    @property
+    def offset(self) -> int:
+        """R6 of an automatic ramp-down point, signed."""
+        half = (self.chip.MAP.register("R6").mask + 1) // 2
+        return (self.registers["R6"] + half) % (2 * half) - half
+
+    @property
+    def row(self) -> np.ndarray:
+        """The registers as follow.py takes them."""
+        return np.array([*(self.registers | {"R6": self.down_point}).values()], np.int64)
 
 
 @dataclass(frozen=True)
@@ -106,20 +141,26 @@ class Plan:
 
     def with_bus_delay(self, bus_delay: float) -> Plan:
         """The same registers, their start commands `bus_delay` seconds apart; and what becomes of the deviation."""
-        registers = {n: list(a.registers.values()) for n, a in self.axes.items()}
-        again = _judge(self.distances, registers, {n: a.clock_hz for n, a in self.axes.items()}, bus_delay)
+        rows = {n: a.row for n, a in self.axes.items()}
+        chips = {n: (a.chip, a.clock_hz) for n, a in self.axes.items()}
+        again = _judge(self.distances, rows, chips, any(a.automatic for a in self.axes.values()), bus_delay)
         return replace(again, notes=self.notes)
 
     def __str__(self) -> str:
         width = max(4, *(len(n) for n in self.axes))
-        names = [f"R{k}" for k in range(8)]
+        names = [n for n in NAMES if any(n in a.registers for a in self.axes.values())]
         head = f"{'axis':{width}} {'pulses':>10}" + "".join(f"{n:>9}" if n == "R0" else f"{n:>7}" for n in names)
         lines = [head + f"{'FL pps':>10}{'FH pps':>12}{'up ms':>9}{'down ms':>9}{'ends s':>9}"]
         for name, a in self.axes.items():
             r = a.registers
+            shown = {n: r.get(n, "") for n in names}
+            if a.automatic:
+                shown["R6"] = f"{a.offset:+}"
+            if "R14" in r:
+                shown["R14"] = f"{r['R14']:04X}h"
             lines.append(
                 f"{name:{width}} {a.distance:>+10}"
-                + "".join(f"{r[n]:>9}" if n == "R0" else f"{r[n]:>7}" for n in names)
+                + "".join(f"{v:>9}" if n == "R0" else f"{v:>7}" for n, v in shown.items())
                 + f"{a.fl:>10.2f}{a.fh:>12.3f}{a.accel * 1e3:>9.2f}{a.decel * 1e3:>9.2f}{a.seconds:>9.4f}"
             )
         far = (
@@ -138,6 +179,9 @@ def plan(
     fl: float = FL,
     accel: float = ACCEL,
     decel: float | None = None,
+    s_curve: bool | float = False,
+    automatic: bool | None = None,
+    chips: type[PCL240] | Mapping[str, type[PCL240]] = PCL240K,
     clock_hz: int | Mapping[str, int] = PCL240K.DEFAULT_CLOCK_HZ,
     bus_delay: float = 0.0,
 ) -> Plan:
@@ -146,6 +190,11 @@ def plan(
     Args:
         distances: axis -> signed pulses, up to 16,777,215; 0 leaves the axis out.
         rate, fl: FH and FL of the longest axis, pps. accel, decel: ramp times, s; decel defaults to accel.
+        s_curve: True for S-curves throughout, or the share (0 to 0.5) of FH - FL that each curved end takes, with a linear part
+            between; the ramp times stay as asked. False for linear ramps. Every axis that moves needs a PCL240MS for it.
+        automatic: the chips find the ramp-down point and decelerate as they accelerated, R6 is its offset (PCL240MK and
+            PCL240MS). Default, as False: R6 is the point.
+        chips: the class of the chips, one or one an axis.
         clock_hz: the chips' reference clock, one number or one an axis.
         bus_delay: seconds between two start commands.
 
@@ -156,15 +205,24 @@ def plan(
     moving = {n: d for n, d in asked.items() if d}
     decel = accel if decel is None else decel
     _check(moving, distances, rate, fl, accel, decel, bus_delay)
-    hz = {n: _clock(n, clock_hz) for n in moving}
+    kinds = {n: (_of_axis("chips", n, chips), int(_of_axis("clock_hz", n, clock_hz))) for n in moving}
+    automatic = bool(automatic)
+    share = _share(s_curve)
+    _offers({n: chip for n, (chip, _) in kinds.items()}, share > 0, automatic, accel, decel)
+    hz = {n: hz for n, (_, hz) in kinds.items()}
     order = _order(moving)
     longest, lead = order[-1], _leads(order, bus_delay)
     ask, notes = _shorten(abs(moving[longest]), rate, fl, accel, decel)
+    ask = ask._replace(share=share, automatic=automatic)
     _reach(moving, longest, ask, rate, hz)
-    followers = {n: Follower(abs(moving[n]), hz[n], lead[n]) for n in order[:-1]}
+    widths = {n: Widths.of(chip, automatic) for n, (chip, _) in kinds.items()}
+    followers = {n: Follower(abs(moving[n]), hz[n], widths[n], lead[n]) for n in order[:-1]}
     with announced(COMPILING):
-        chosen = _choose(ask, longest, hz[longest], followers, sum(map(abs, moving.values())) <= PLAYED)
-        made = _judge(moving, chosen, hz, bus_delay)
+        leader, kept = search(ask, hz[longest], widths[longest], followers)
+        chosen = {longest: leader} | {n: found.registers[0] for n, found in kept.items()}
+        if sum(map(abs, moving.values())) <= PLAYED:
+            _play(chosen, longest, kinds, followers, kept)
+        made = _judge(moving, chosen, kinds, automatic, bus_delay)
     return replace(made, notes=(*notes, *_remarks(made.axes, ask, made.deviation)))
 
 
@@ -180,12 +238,42 @@ def _whole(name: str, d: Any) -> int:
     return whole
 
 
-def _clock(name: str, clock_hz: int | Mapping[str, int]) -> int:
-    if not isinstance(clock_hz, Mapping):
-        return int(clock_hz)
-    if name not in clock_hz:
-        raise unknown("axis in clock_hz", name, clock_hz)
-    return int(clock_hz[name])
+def _of_axis(what: str, name: str, given: Any) -> Any:
+    if not isinstance(given, Mapping):
+        return given
+    if name not in given:
+        raise unknown(f"axis in {what}", name, given)
+    return given[name]
+
+
+def _share(s_curve: bool | float) -> float:
+    """Of the speed steps in each curved end: 0 for linear ramps, 0.5 for S-curves throughout."""
+    if isinstance(s_curve, bool):
+        return 0.5 if s_curve else 0.0
+    if not isinstance(s_curve, int | float) or not 0 < s_curve <= 0.5:
+        raise ArgumentError(f"s_curve={s_curve!r}: True, False, or the share of the ramp at each end, 0 to 0.5.")
+    return float(s_curve)
+
+
+def _offers(chips: dict, s_curve: bool, automatic: bool, accel: float, decel: float) -> None:
+    """Refuse what a chip has not got."""
+    for name, chip in chips.items():
+        if not (isinstance(chip, type) and issubclass(chip, PCL240)):
+            raise ArgumentError(f"chips: axis {name} has {chip!r}; give a class, as PCL240K, PCL240MK or PCL240MS.")
+        if s_curve and not chip.S_CURVES:
+            raise ArgumentError(
+                f"axis {name} has a {chip.MAP.chip}, which has linear ramps only: for S-curves every axis that moves needs a "
+                f"PCL240MS."
+            )
+        if automatic and not chip.EXTENDED:
+            raise ArgumentError(
+                f"axis {name} has a {chip.MAP.chip}, which has no automatic ramp-down point: a PCL240MK or PCL240MS has."
+            )
+    if automatic and decel != accel:
+        raise ArgumentError(
+            f"accel={accel:g} s, decel={decel:g} s: with the automatic ramp-down point R4 is the rate both ways. Give accel "
+            f"alone, or automatic=False."
+        )
 
 
 def _check(moving: dict, distances: Any, rate: float, fl: float, accel: float, decel: float, bus_delay: float) -> None:
@@ -237,42 +325,49 @@ def _reach(moving: dict, longest: str, ask: Ask, rate: float, hz: dict) -> None:
             )
 
 
-def _choose(ask: Ask, longest: str, hz: int, followers: dict[str, Follower], play: bool) -> dict[str, np.ndarray]:
-    """R0..R7 for every axis. play: choose among the best followers by running emulated chips."""
-    leader, kept = search(ask, hz, followers)
-    chosen = {longest: leader} | {n: found.registers[0] for n, found in kept.items()}
-    if play:
-        pulses = follow.run(leader) / hz
-        for name, found in kept.items():
-            best = np.inf
-            d, own_hz, lead = followers[name]
-            for r in found.registers[found.scores < 1e17]:
-                far = path_deviation([(pulses, 1), (follow.run(r) / own_hz - lead, 1)], [ask.length, d]).pulses
-                if far < best - 1e-9:
-                    best, chosen[name] = far, r
-    return chosen
+def _play(chosen: dict, longest: str, kinds: dict, followers: dict[str, Follower], kept: Mapping[str, Kept]) -> None:
+    """Choose among the best followers by running emulated chips."""
+    leader = chosen[longest]
+    pulses = follow.run(leader, kinds[longest][0]) / kinds[longest][1]
+    for name, found in kept.items():
+        best = np.inf
+        d, hz, _, lead = followers[name]
+        for row in found.registers[found.scores < 1e17]:
+            own = follow.run(row, kinds[name][0]) / hz - lead
+            far = path_deviation([(pulses, 1), (own, 1)], [leader[0], d]).pulses
+            if far < best - 1e-9:
+                best, chosen[name] = far, row
 
 
-def _judge(distances: dict[str, int], registers: dict[str, Any], hz: dict[str, int], bus_delay: float) -> Plan:
-    """The plan that these registers are."""
+def _judge(distances: dict[str, int], rows: dict, kinds: dict, automatic: bool, bus_delay: float) -> Plan:
+    """The plan that these rows of registers are. kinds: axis -> class of its chip, and its clock in Hz."""
     order = _order(distances)
     lead = _leads(order, bus_delay)
-    rows = {n: np.array([registers[n][k] for k in range(8)], np.int64) for n in distances}
-    axes = {}
-    for n in distances:
-        c = np.zeros(4, np.int64)
-        follow.course(rows[n], c)
-        named = {f"R{k}": int(v) for k, v in enumerate(rows[n])}
-        axes[n] = AxisPlan(distances[n], named, hz[n], lead[n], lead[order[0]] - lead[n] + float(c[3]) / hz[n])
     exact = sum(abs(d) for d in distances.values()) <= PLAYED
+    axes, paths = {}, []
+    for n, d in distances.items():
+        row, (chip, hz) = rows[n], kinds[n]
+        by_itself = automatic and bool(row[6] > 1)  # a slow axis' last pulse may come before it would ramp down
+        if exact:
+            pulses = follow.run(row, chip, by_itself)
+            paths.append((pulses / hz - lead[n], 1))
+            last = pulses[-1]
+        else:
+            c = np.zeros(4, np.int64)
+            follow.course(row, c)
+            last = c[3]
+        named = dict(zip(NAMES, row.tolist(), strict=False))
+        if by_itself:
+            named["R6"] = follow.offset(row, chip) & chip.MAP.register("R6").mask
+        seconds = lead[order[0]] - lead[n] + float(last) / hz
+        axes[n] = AxisPlan(d, named, hz, lead[n], seconds, chip, int(row[6]), by_itself)
     if exact:
-        paths = [(follow.run(rows[n]) / hz[n] - lead[n], 1) for n in distances]
         far = path_deviation(paths, [abs(d) for d in distances.values()]).pulses
     else:
         longest = order[-1]
         far2 = 0.0
         for n in order[:-1]:
-            far2 += follow.estimate(rows[longest], hz[longest], rows[n], hz[n], lead[n]) ** 2
+            far2 += follow.estimate(rows[longest], axes[longest].clock_hz, rows[n], axes[n].clock_hz, lead[n]) ** 2
         far = float(np.sqrt(far2))
     top = axes[order[-1]].fh / abs(distances[order[-1]])
     error = max(abs(a.fh / abs(a.distance) / top - 1) for a in axes.values())
@@ -293,12 +388,13 @@ def _remarks(axes: dict[str, AxisPlan], ask: Ask, far: float) -> list[str]:
     for name, a in axes.items():
         own = abs(a.distance) / ask.length
         gain = round((ask.fh - ask.fl) * own * 8192 * R7_MOST / a.clock_hz)
-        longest_ramp = gain * R4_MOST / a.clock_hz
+        most = Widths.of(a.chip, a.automatic).rate
+        longest_ramp = effective_steps(gain, ask.share) * most / a.clock_hz
         for word, asked, made in (("accel", ask.up, a.accel), ("decel", ask.down, a.decel)):
             if asked > longest_ramp and made < 0.95 * asked:
                 reason = (
                     f"axis {name} cannot ramp for {word}={asked:.3g} s: to {own * ask.fh:.3g} pps it takes no more than about "
-                    f"{longest_ramp:.2g} s (R7 = {R7_MOST}, rate register {R4_MOST})"
+                    f"{longest_ramp:.2g} s (R7 = {R7_MOST}, rate register {most})"
                 )
                 if far > OFF_THE_LINE:
                     raise ArgumentError(

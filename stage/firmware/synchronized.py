@@ -96,6 +96,8 @@ def synchronized_move(
     fl: float = FL,
     accel: float = ACCEL,
     decel: float | None = None,
+    s_curve: bool | float = False,
+    automatic: bool | None = None,
     timeout: float | None = None,
 ) -> SynchronizedReport:
     """Move several axes along a straight line, by bus cycles only.
@@ -104,6 +106,10 @@ def synchronized_move(
         distances: axis name (or axis) -> signed pulses; 0 keeps an axis still. Or a Plan made before.
         axes: where the names are: a stage, a bench, or a mapping such as stage.axes. Not needed when the keys are axes.
         rate, fl: FH and FL of the longest axis, pps. accel, decel: ramp times, s; decel defaults to accel.
+        s_curve: True for S-curves throughout, a share (0 to 0.5) of FH - FL for curved ends with a linear part between, False
+            for linear ramps. Every axis that moves needs a PCL240MS for it.
+        automatic: the chips find the ramp-down point themselves, and decelerate as they accelerated (PCL240MK and PCL240MS).
+            Default, as False: the plan computes it.
         timeout: s for the motion, default half as much again as the plan takes, and one.
 
     A status read tells what a bus cycle costs, and the plan reckons with it. When an end limit stops an axis, the others are
@@ -114,13 +120,17 @@ def synchronized_move(
         distances, axes = axes, distances
     if isinstance(distances, Plan):
         chosen = _find(distances.distances, axes)
-        _same_clocks(distances, chosen)
+        _same_chips(distances, chosen)
         made = distances.with_bus_delay(_bus_delay(chosen, distances.order))
     else:
         chosen = _find(distances, axes)
         asked = {n: d for n, (_, d) in chosen.items()}
+        chips: dict[str, Any] = {n: type(a.chip) for n, (a, _) in chosen.items()}
         clocks = {n: a.chip.clock_hz for n, (a, _) in chosen.items()}
-        wanted = partial(plan, asked, rate=rate, fl=fl, accel=accel, decel=decel, clock_hz=clocks)
+        wanted = partial(
+            plan, asked, rate=rate, fl=fl, accel=accel, decel=decel, s_curve=s_curve, automatic=automatic,
+            chips=chips, clock_hz=clocks,
+        )  # fmt: skip
         at_once = wanted()  # refuses before the first bus cycle
         delay = _bus_delay(chosen, at_once.order)
         made = at_once.with_bus_delay(delay)
@@ -140,7 +150,8 @@ def _run(axes: dict[str, Axis], made: Plan, timeout: float | None) -> Synchroniz
             p.port.command(bus.RESET)
             p.port.write_registers(**made.axes[n].registers)
             p.port.command(bus.OUTPUT)
-            p.port.command(bus.CONTROL | bus.PRESET | (bus.MINUS if made.axes[n].distance < 0 else 0))
+            minus = bus.MINUS if made.axes[n].distance < 0 else 0
+            p.port.control(bus.PRESET | minus | (bus.AUTOMATIC if made.axes[n].automatic else 0))
         began = {}
         for n, p in watch.items():  # nothing between the starts but the bus
             p.port.command(bus.RAMP["FH1"] if made.axes[n].ramps else bus.START["FH1"])
@@ -242,8 +253,13 @@ def _find(distances: Mapping, axes: Any) -> dict[str, tuple[Axis, int]]:
     return chosen
 
 
-def _same_clocks(made: Plan, chosen: dict[str, tuple[Axis, int]]) -> None:
+def _same_chips(made: Plan, chosen: dict[str, tuple[Axis, int]]) -> None:
     for n, a in made.axes.items():
+        if type(chosen[n][0].chip) is not a.chip:
+            raise ArgumentError(
+                f"the plan is for a {a.chip.MAP.chip}, and axis {n} has a {chosen[n][0].chip.MAP.chip}: plan with "
+                f"chips={{{n!r}: {type(chosen[n][0].chip).__name__}}}."
+            )
         if chosen[n][0].chip.clock_hz != a.clock_hz:
             raise ArgumentError(
                 f"the plan is for a chip at {a.clock_hz} Hz, and axis {n}'s runs at {chosen[n][0].chip.clock_hz} Hz: "
