@@ -80,7 +80,9 @@ def _command(commands, name: str, run: str, help_: str, description: str) -> arg
 def _bench(p: argparse.ArgumentParser) -> None:
     g = p.add_argument_group("stage")
     g.add_argument("--model", default="xyz", help="a shipped model (xyz, xy) or an MJCF file (default: xyz)")
-    g.add_argument("--chips", default="PCL240K", help="chip on every axis: PCL240K, PCL240MK, PCL240MS (default: PCL240K)")
+    g.add_argument(
+        "--chips", default="PCL240K", help="chip on every axis: PCL240K, PCL240MK, PCL240MS (default: PCL240K)"
+    )
     g.add_argument("--motor", help="motor on every axis (default: 17HS4401)")
     g.add_argument("--microsteps", type=int, default=16, help="microsteps per full step (default: 16)")
     g.add_argument("--bus-voltage", type=float, default=24.0, help="drive supply, V (default: 24)")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, Protocol
 
 from stage.chips import Chip
+from stage.chips.pcl240 import PCL240
 from stage.errors import ArgumentError
 
 
@@ -35,12 +36,14 @@ class Axis(Protocol):
         """Full steps lost; None without a motor."""
 
 
-def check(axis: Any) -> None:
-    """ArgumentError if `axis` is none, or if its chip does not speak the language of the PCL-240 family."""
+def check(axis: Any) -> type[PCL240]:
+    """The class of the axis' chip; ArgumentError if `axis` is none, or its chip does not speak the language of the PCL-240
+    family."""
     chip = getattr(axis, "chip", None)
     if not isinstance(chip, Chip):
         raise ArgumentError(f"{axis!r} is no axis: give stage.axes['x'], or Bench(x=PCL240K()).axes['x'].")
-    if not any(w.name == "operate" for w in chip.MAP.words):
+    if not isinstance(chip, PCL240):
         raise ArgumentError(
             f"axis {axis.name} has a {chip.MAP.chip}; these procedures speak to the PCL-240 family, others by bus cycles."
         )
+    return type(chip)

@@ -14,6 +14,7 @@ from stage.chips import PCL240K
 from stage.chips.pcl240 import PCL240
 from stage.errors import ArgumentError
 from stage.firmware import follow
+from stage.firmware.closed_form import bend, stretch
 
 LONG = 500_000  # pulses
 LEADERS, LEADERS_LONG = 6, 60  # tried; more for a long move, in which small errors of the ratio add up
@@ -144,12 +145,12 @@ def _leaders(ask: Ask, hz: int, widths: Widths, followers: Mapping[str, Follower
     table = np.stack([zero + ask.length, low, high, high, up, down, zero, r7, *rest], axis=1).astype(np.int64)
     chosen = [table[k] for k in dict.fromkeys([*best[: tried // 2], *spread])]
     for row in chosen:
-        follow.bend(row, ask.share)
+        bend(row, ask.share)
     return chosen
 
 
 def effective_steps(gain: Any, share: float) -> Any:
-    """Speed steps of a linear ramp that takes as long as one of `gain` steps with curved ends; see follow.bend."""
+    """Speed steps of a linear ramp that takes as long as one of `gain` steps with curved ends; see closed_form.bend."""
     if not 0 < share < 0.5:
         return gain
     span = np.maximum(np.rint(share * gain), 1)
@@ -181,7 +182,7 @@ def _with_tails(leader: np.ndarray, hz: int, most: int) -> Iterator[np.ndarray]:
         yield leader
         return
     gain = int(leader[2] - leader[1])
-    fall = leader[5] * (leader[1] * gain + gain * (gain - 1) / 2) / (8192 * leader[7]) * follow.stretch(leader)
+    fall = leader[5] * (leader[1] * gain + gain * (gain - 1) / 2) / (8192 * leader[7]) * stretch(leader)
     fl, fh = (leader[k] * hz / (8192 * leader[7]) for k in (1, 2))
     patience = max(TAIL_SECONDS, TAIL_SHARE * leader[0] / fh)
     for tail in TAILS:

@@ -235,9 +235,9 @@ def _prepare(port: Port, profile: Profile, control: int, output: int = 0) -> Non
 
 
 def _profile(axis: Axis, profile: Profile | None) -> Profile:
-    check(axis)
+    chip = check(axis)
     if profile is None:
-        return Profile.of(clock_hz=axis.chip.clock_hz, chip=type(axis.chip))
+        return Profile.of(clock_hz=axis.chip.clock_hz, chip=chip)
     if not isinstance(profile, Profile):
         raise ArgumentError(f"profile={profile!r}: give a Profile, for example Profile.of(fl=500, fh1=16000).")
     if profile.clock_hz != axis.chip.clock_hz:
@@ -245,7 +245,7 @@ def _profile(axis: Axis, profile: Profile | None) -> Profile:
             f"the profile is for a chip at {profile.clock_hz} Hz, axis {axis.name}'s runs at {axis.chip.clock_hz} Hz: "
             f"Profile.of(..., clock_hz={axis.chip.clock_hz})."
         )
-    return profile.on(type(axis.chip))
+    return profile.on(chip)
 
 
 def _count(pulses: int) -> int:

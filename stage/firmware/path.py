@@ -18,7 +18,7 @@ from stage.compiled import hot
 from stage.errors import ArgumentError
 
 STRETCH = 1 << 24  # ticks replayed at a time
-NOTHING = 1e-16  # pulses squared: rounding
+NOTHING = 1e-12  # relative, and pulses squared: rounding
 
 
 class Deviation(NamedTuple):
@@ -64,7 +64,7 @@ def _walk(times, signs, starts, ends, line):
         d2 = 0.0
         for k in range(n):
             d2 += (at[k] - along * line[k]) ** 2
-        if d2 > worst + NOTHING:
+        if d2 > worst + NOTHING * (1.0 + worst):
             worst, when = d2, t
     return np.sqrt(worst), when
 

@@ -19,6 +19,7 @@ from stage.chips.pcl240.state import LINEAR, SPAN
 from stage.compiled import announced
 from stage.errors import ArgumentError, unknown
 from stage.firmware import follow
+from stage.firmware.closed_form import course
 from stage.firmware.leader import (
     R7_LEAST,
     R7_MOST,
@@ -354,7 +355,7 @@ def _judge(distances: dict[str, int], rows: dict, kinds: dict, automatic: bool, 
             last = pulses[-1]
         else:
             c = np.zeros(4, np.int64)
-            follow.course(row, c)
+            course(row, c)
             last = c[3]
         named = dict(zip(NAMES, row.tolist(), strict=False))
         if by_itself:

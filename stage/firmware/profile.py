@@ -283,7 +283,8 @@ class Profile:
         if self.spans is None or self.high(fh2) <= self.R1:
             return self
         high = revised_high(pulses, self.R1, self.high(fh2), self.R4, self.R5, self.R7, self._up or 0, self._down or 0)
-        return replace(self, **{"R3" if fh2 else "R2": max(high, self.R1)})
+        high = max(high, self.R1)
+        return replace(self, R3=high) if fh2 else replace(self, R2=high)
 
     def is_triangular(self, pulses: int, fh2: bool = False) -> bool:
         """Whether a move of so many pulses is too short to reach FH1, or FH2."""

@@ -129,6 +129,8 @@ def _extension(s_curves: bool) -> tuple[Register, ...]:
         if s_curves
         else Field("fixed", 23, 23, "always 0", "S", "R")
     )
+    up: tuple[Field, ...] = (_stored(15, 0),)
+    down: tuple[Field, ...] = (_stored(11, 0),)
     if s_curves:
         up = (
             Field("uncorrected", 15, 15, "1 = FH correction off: a short preset move is a triangle", "S"),
@@ -137,8 +139,6 @@ def _extension(s_curves: bool) -> tuple[Register, ...]:
             Field("span", 11, 0, span, "S"),
         )
         down = (Field("span", 11, 0, span, "S"),)
-    else:
-        up, down = (_stored(15, 0),), (_stored(11, 0),)
     title = (
         "S-curve" if s_curves else "no S-curve on this chip; a write in motion ends the automatic point all the same"
     )
