@@ -169,6 +169,7 @@ class Stage:
         drives: DriveChoice = None,
         *,
         bus_cycle: float = 1e-6,
+        textures: bool = True,
     ):
         from stage.chips import PCL240K
 
@@ -178,6 +179,8 @@ class Stage:
                 f"bus_cycle={bus_cycle!r}: a bus cycle takes 0 to 1 s; a slow microcomputer needs 1e-6."
             )
         spec = plant.open_spec(model)
+        if not textures:
+            plant.strip_textures(spec)
         known = plant.axis_names(spec)
         names = list(chips) if isinstance(chips, Mapping) else known
         for given in (chips, drives):
@@ -206,6 +209,8 @@ class Stage:
     def _wire(self, chips: list[Chip], drives: list[Drive], bus_ns: int, offset: int) -> None:
         """Lay the state out in userdata and the tables beside it; connect chips and axes."""
         model = self.model
+        self._payloads: dict[int, float] = {}
+        self._own_masses: dict[int, float] = {}
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         self.data = mujoco.MjData(model)
         self._offset, self._bus_ns = offset, bus_ns
@@ -344,6 +349,33 @@ class Stage:
             joint,
         )
 
+    # --- load ---
+
+    def set_payload(self, mass: float, body: str | None = None) -> None:
+        """Put `mass` kg on a body, in place of the payload that it had; default: the body that carries the site "work".
+
+        The payload is part of the machine, not of its state: snapshots and `reset` leave it alone. It sits at the body's
+        centre of mass. Raises ArgumentError.
+        """
+        model = self.model
+        if body is None:
+            site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, "work")
+            if site < 0:
+                raise ArgumentError("the model has no site 'work' to put a payload on: name the body.")
+            k = int(model.site_bodyid[site])
+        else:
+            k = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, body)
+            if k < 0:
+                raise unknown("body", body, (model.body(i).name for i in range(1, model.nbody)))
+        if not 0 <= mass < 1e6:
+            raise ArgumentError(f"mass={mass!r} kg: a payload weighs 0 kg or more.")
+        if mass == self._payloads.get(k, 0.0):
+            return
+        own = self._own_masses.setdefault(k, float(model.body_mass[k]))
+        self._payloads[k] = float(mass)
+        model.body_mass[k] = own + mass
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+
     # --- state ---
 
     def _joint_position(self, index: int) -> float:
@@ -426,6 +458,7 @@ class Stage:
             "bus_ns": self._bus_ns,
             "offset": self._offset,
             "forced": self._switch_table["forced"].copy(),
+            "payloads": (dict(self._payloads), dict(self._own_masses)),
             "initial": self._initial,
             "now": self.snapshot(),
         }
@@ -435,6 +468,7 @@ class Stage:
         self._plant = plant.bind(self.model, s["names"])
         self._wire([cls(hz) for cls, hz in s["chips"]], s["drives"], s["bus_ns"], s["offset"])
         self._switch_table["forced"] = s["forced"]
+        self._payloads, self._own_masses = s["payloads"]
         self._initial = s["initial"]
         self.restore(s["now"])
 

@@ -115,6 +115,15 @@ def open_spec(source: Any) -> Any:
         raise ModelError(f"{path} is no MJCF that MuJoCo reads: {error}") from error
 
 
+def strip_textures(spec: Any) -> None:
+    """Take the textures off an MjSpec: they are most of a model's memory. An MjModel stays as it is."""
+    if isinstance(spec, mujoco.MjSpec):
+        for material in spec.materials:
+            material.textures = [""] * len(material.textures)
+        for texture in list(spec.textures):
+            spec.delete(texture)
+
+
 def axis_names(source: Any) -> list[str]:
     """Every joint that has an actuator of its name, in the order of the actuators. Raises ModelError if there is none."""
     if isinstance(source, mujoco.MjModel):

@@ -1,0 +1,29 @@
+"""Gymnasium environments whose actions are registers and bus cycles.
+
+    import gymnasium
+    env = gymnasium.make("stage/RegisterTuning-v0")                     found by Gymnasium by itself
+    envs = gymnasium.make_vec("stage/RegisterTuning-v0", num_envs=64, vectorization_mode="vector_entry_point")
+
+One file each holds the rules (a Task, for any number of stages at once) and its settings; base.py makes the scalar and the
+vector environment of it, with the same bits.
+"""
+
+from __future__ import annotations
+
+IDS = {
+    "stage/RegisterTuning-v0": "register_tuning:RegisterTuning",
+    "stage/RegisterBus-v0": "register_bus:RegisterBus",
+    "stage/OriginReturn-v0": "origin_return:OriginReturn",
+    "stage/SynchronizedMove-v0": "synchronized_move:SynchronizedMove",
+}
+"""Gymnasium id -> module and name; NAMEEnv is the scalar environment, NAMEVectorEnv the vector one."""
+
+
+def register() -> None:
+    """Tell Gymnasium of the environments; it calls this itself when it is imported."""
+    import gymnasium
+
+    for id_, where in IDS.items():
+        if id_ not in gymnasium.registry:
+            entry = f"stage.envs.{where}"
+            gymnasium.register(id_, entry_point=f"{entry}Env", vector_entry_point=f"{entry}VectorEnv")

@@ -1,0 +1,58 @@
+"""Pictures of a stage for `render`: an off-screen renderer, or MuJoCo's viewer."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from stage import Stage
+from stage.errors import StageError, unknown
+
+
+class OffScreen:
+    """Frames as arrays (height, width, 3) of uint8."""
+
+    def __init__(self, stage: Stage, camera: str, width: int, height: int):
+        model = stage.model
+        names = [model.camera(k).name for k in range(model.ncam)]
+        if camera not in names:
+            raise unknown("camera", camera, names)
+        self._stage, self._camera = stage, camera
+        try:
+            self._renderer = mujoco.Renderer(model, height, width)
+        except Exception as error:
+            raise StageError(
+                f"no GL to render with ({error}): on a machine without a screen set MUJOCO_GL=egl or osmesa before Python starts."
+            ) from error
+
+    def frame(self) -> np.ndarray:
+        self._renderer.update_scene(self._stage.data, self._camera)
+        return self._renderer.render()
+
+    def close(self) -> None:
+        self._renderer.close()
+
+
+class OnScreen:
+    """MuJoCo's own viewer, brought up to date after every step."""
+
+    def __init__(self, stage: Stage):
+        import mujoco.viewer
+
+        try:
+            self._viewer: Any = mujoco.viewer.launch_passive(stage.model, stage.data)
+        except Exception as error:
+            raise StageError(f"no screen for render_mode='human' ({error}): use 'rgb_array', or record.") from error
+
+    def frame(self) -> None:
+        self._viewer.sync()
+
+    def close(self) -> None:
+        self._viewer.close()
+
+
+def viewer(stage: Stage, mode: str, camera: str, width: int, height: int) -> OffScreen | OnScreen:
+    """The viewer for a render mode; StageError where there is no GL or no screen."""
+    return OffScreen(stage, camera, width, height) if mode == "rgb_array" else OnScreen(stage)

@@ -1,0 +1,175 @@
+"""`Fleet`: many stages under one program each, on threads.
+
+    fleet = Fleet([Stage("xyz") for _ in range(64)])
+    program = Program().command(0, 0x08).register(0, "R0", 2000, fleet.stages[0]) ...
+    played = fleet.play([program] * 64)
+
+The stages go on as if a Python driver had done the same bus cycles on each of them alone: the same bits, on any number of
+threads. Stages that are being recorded, or whose chips keep a journal, are played by Python itself. A program's writes are
+not looked through for mistakes (`chip.diagnostics`), except there.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from stage import engine, host
+from stage.chips import Chip
+from stage.compiled import announced
+from stage.errors import ArgumentError
+from stage.machine import Stage
+
+CHUNKS = 4  # a thread's share, so that a slow stage does not hold up the rest
+
+
+class Program:
+    """A list of operations; each method appends and returns the program."""
+
+    def __init__(self) -> None:
+        self.ops: list[tuple[int, int, int, int]] = []
+
+    def __len__(self) -> int:
+        return len(self.ops)
+
+    def write(self, axis: int, address: int, value: int) -> Program:
+        """One bus write cycle to the chip of the axis with this index."""
+        self.ops.append((host.WRITE, axis, address, value))
+        return self
+
+    def read(self, axis: int, address: int) -> Program:
+        """One bus read cycle; the value is the operation's result."""
+        self.ops.append((host.READ, axis, address, 0))
+        return self
+
+    def command(self, axis: int, value: int) -> Program:
+        """A byte to address 0."""
+        return self.write(axis, 0, value)
+
+    def register(self, axis: int, chip: Chip, name: str, value: int) -> Program:
+        """Select a register of a PCL-240 and write its bytes, high to low."""
+        r = chip.MAP.register(name)
+        self.command(axis, 0x80 | r.number)
+        for k in reversed(range((r.bits + 7) // 8)):
+            self.write(axis, 1 + k, value >> 8 * k & 0xFF)
+        return self
+
+    def wait(self, seconds: float) -> Program:
+        self.ops.append((host.WAIT, round(seconds * 1e9), 0, 0))
+        return self
+
+    def until_stopped(self, axes: Sequence[int], limit: float, poll: float = 2.5e-4) -> Program:
+        """Poll until none of the axes operates; the result is the ns it took, negative when `limit` seconds came first."""
+        self.ops.append((host.STOP, sum(1 << a for a in axes), round(poll * 1e9), round(limit * 1e9)))
+        return self
+
+    def measure(self, seconds: float) -> Program:
+        """Let time pass and keep every coordinate's extremes."""
+        self.ops.append((host.MEASURE, round(seconds * 1e9), 0, 0))
+        return self
+
+
+class Played(NamedTuple):
+    """results: (stages, operations) int64; extremes: (stages, nq, 2), least and greatest qpos while measured (inf, -inf
+    where nothing was); diverged: (stages,) bool, the program ended there."""
+
+    results: np.ndarray
+    extremes: np.ndarray
+    diverged: np.ndarray
+
+
+class Fleet:
+    """Stages of one model and one set of axes, played together."""
+
+    def __init__(self, stages: Sequence[Stage], threads: int | None = None):
+        """threads: default one a processor, at most one a stage. Raises ArgumentError."""
+        if not len(stages):
+            raise ArgumentError("a fleet has at least one stage.")
+        if threads is not None and (int(threads) != threads or threads < 1):
+            raise ArgumentError(f"threads={threads!r}: a whole number, 1 or more.")
+        kinds = {(tuple(s.axes), s.model.nq) for s in stages}
+        if len(kinds) > 1:
+            raise ArgumentError(f"the stages of a fleet have the same axes and coordinates; here are {sorted(kinds)}.")
+        self.stages = list(stages)
+        self.threads = min(threads or _processors(), len(self.stages))
+        first = self.stages[0]
+        self._nq, self._axes = first.model.nq, len(first.axes)
+        self._handles = np.zeros(len(self.stages), host.HANDLE)
+        for k, stage in enumerate(self.stages):
+            self._handles[k] = host.handle(stage)
+        self._truth = np.zeros((len(self.stages), self._axes), host.TRUTH)
+        self._scratch = [self._new_scratch() for _ in range(self.threads * CHUNKS)]
+        self._pool: ThreadPoolExecutor | None = None
+
+    def __len__(self) -> int:
+        return len(self.stages)
+
+    def play(self, programs: Sequence[Program] | np.ndarray) -> Played:
+        """Play programs[k] on stage k; an empty one leaves it alone. Programs may be given as an array (stages, ops, 4)."""
+        ops = programs if isinstance(programs, np.ndarray) else _table(programs)
+        if ops.ndim != 3 or len(ops) != len(self) or ops.shape[2] != 4:
+            raise ArgumentError(f"programs of shape {ops.shape}: one a stage, ({len(self)}, operations, 4).")
+        n = len(self)
+        results, status = np.zeros(ops.shape[:2], np.int64), np.zeros(n, np.int64)
+        extremes = np.empty((n, self._nq, 2))
+        extremes[:, :, 0], extremes[:, :, 1] = np.inf, -np.inf
+        ops = np.ascontiguousarray(ops, np.int64)
+        watched = [k for k, s in enumerate(self.stages) if _watched(s)]
+        compiled = ops
+        if watched:
+            compiled = ops.copy()
+            compiled[watched, 0] = host.END
+        with announced("PulseStage: compiling the fleet's loop, once on this machine (about twenty seconds) ..."):
+            self._spread(lambda a, b, s: host.play(self._handles, a, b, compiled, results, extremes, status, *s))
+        for k in watched:
+            status[k] = host.by_hand(self.stages[k], ops[k], results[k], extremes[k])
+        return Played(results, extremes, status == host.DIVERGED)
+
+    def truth(self) -> np.ndarray:
+        """Every axis of every stage now: a new array (stages, axes) of host.TRUTH."""
+        host.look(self._handles, 0, len(self), self._truth)
+        return self._truth.copy()
+
+    def close(self) -> None:
+        """End the threads."""
+        if self._pool is not None:
+            self._pool.shutdown()
+            self._pool = None
+
+    def _new_scratch(self) -> tuple[np.ndarray, ...]:
+        samples = np.zeros((0, self._axes), engine.SAMPLE)
+        return samples, np.zeros((0, self._nq)), np.zeros(0, engine.EDGE), np.zeros(2, np.int64)
+
+    def _spread(self, work: Any) -> None:
+        n = len(self)
+        chunks = min(n, self.threads * CHUNKS if self.threads > 1 else 1)
+        cuts = [n * k // chunks for k in range(chunks + 1)]
+        if self.threads == 1:
+            work(0, n, self._scratch[0])
+            return
+        if self._pool is None:
+            self._pool = ThreadPoolExecutor(self.threads, thread_name_prefix="stage")
+        jobs = [self._pool.submit(work, cuts[k], cuts[k + 1], self._scratch[k]) for k in range(chunks)]
+        for job in jobs:
+            job.result()
+
+
+def _processors() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _watched(stage: Stage) -> bool:
+    return stage._recording is not None or any(a.chip._journal is not None for a in stage._axes_by_index)
+
+
+def _table(programs: Sequence[Program]) -> np.ndarray:
+    """Programs of any lengths as one array, padded with END."""
+    out = np.zeros((len(programs), max((len(p) for p in programs), default=0) or 1, 4), np.int64)
+    for row, p in zip(out, programs, strict=True):
+        if p.ops:
+            row[: len(p)] = p.ops
+    return out
