@@ -1,7 +1,8 @@
 """Gymnasium environments whose actions are registers and bus cycles.
 
     import gymnasium
-    env = gymnasium.make("stage/RegisterTuning-v0")                     found by Gymnasium by itself
+    import stage.envs                                                   registers them
+    env = gymnasium.make("stage/RegisterTuning-v0")
     envs = gymnasium.make_vec("stage/RegisterTuning-v0", num_envs=64, vectorization_mode="vector_entry_point")
 
 One file each holds the rules (a Task, for any number of stages at once) and its settings; base.py makes the scalar and the
@@ -9,6 +10,8 @@ vector environment of it, with the same bits.
 """
 
 from __future__ import annotations
+
+import gymnasium
 
 IDS = {
     "stage/RegisterTuning-v0": "register_tuning:RegisterTuning",
@@ -20,10 +23,11 @@ IDS = {
 
 
 def register() -> None:
-    """Tell Gymnasium of the environments; it calls this itself when it is imported."""
-    import gymnasium
-
+    """Tell Gymnasium of the environments; done when this module is imported."""
     for id_, where in IDS.items():
         if id_ not in gymnasium.registry:
             entry = f"stage.envs.{where}"
             gymnasium.register(id_, entry_point=f"{entry}Env", vector_entry_point=f"{entry}VectorEnv")
+
+
+register()

@@ -100,6 +100,9 @@ class Task(ABC, Generic[ConfigT]):
 
     def act(self, actions: np.ndarray, active: np.ndarray) -> tuple[np.ndarray, Outcome]:
         """Play the actions on the active stages. Returns (rewards, outcome)."""
+        if not active.any():
+            never = np.zeros(self.n, bool)
+            return np.zeros(self.n), Outcome({}, never, never.copy(), {})
         programs = self.programs(actions, active)
         if isinstance(programs, np.ndarray):
             programs[~active] = 0
@@ -315,7 +318,7 @@ class StageVectorEnv(VectorEnv):
         terminated, truncated = out.terminated & active, out.truncated & active
         rewards = np.where(active, rewards, 0.0)
         observation = self._task.observe(self._task.fleet.truth())
-        diverged = (out.info["cause"] == "diverged") & active
+        diverged = (out.info["cause"] == "diverged") & active if out.info else np.zeros(self.num_envs, bool)
         observation[diverged] = self._last[diverged]
         self._add(infos, out, active)
         self._over = terminated | truncated
@@ -342,7 +345,8 @@ class StageVectorEnv(VectorEnv):
     def _add(self, infos: dict[str, Any], out: Outcome, active: np.ndarray) -> None:
         """The outcome's info as Gymnasium wants it: arrays, each with a mask of whose it is."""
         for name, v in out.info.items():
-            infos[name], infos[f"_{name}"] = np.where(active, v, _nothing(v)), active.copy()
+            whose = active.reshape(-1, *[1] * (v.ndim - 1))
+            infos[name], infos[f"_{name}"] = np.where(whose, v, _nothing(v)), active.copy()
         parts: dict[str, Any] = {}
         for name, v in out.parts.items():
             parts[name], parts[f"_{name}"] = np.where(active, v, 0.0), active.copy()
@@ -362,7 +366,8 @@ class StageVectorEnv(VectorEnv):
 
 
 def _plain(value: Any) -> Any:
-    return value.item() if isinstance(value, np.generic) else value
+    """A number as Python's, an array as one of its own."""
+    return value.item() if isinstance(value, np.generic) else value.copy() if isinstance(value, np.ndarray) else value
 
 
 def _nothing(values: np.ndarray) -> Any:

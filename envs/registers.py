@@ -1,0 +1,87 @@
+"""Register values as actions: a number from -1 to 1 for each register, and back, without loss.
+
+    box = RegisterBox(PCL240K.MAP, ("R1", "R2", "R4", "R5", "R6", "R7"))
+    box.from_action(action)      int64 register values, each in its legal range
+    box.to_action(registers)     float32 in [-1, 1]; from_action of it gives the registers back, exactly
+
+With u = (a + 1) / 2, from 0 to 1, a register between low and high is
+
+    low (high / low)^u           where low > 0: speeds, rates and multipliers matter by their ratios
+    low + (high - low) u^3       where low is 0 and the range is wide (R6): small values matter most
+    low + (high - low) u         where it is not (spans of S-curves)
+
+rounded. R6 takes 0 to 1,048,575 on every chip: no float32 tells more apart, and no move here is longer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import gymnasium
+import numpy as np
+
+from stage.chips.register_map import RegisterMap
+from stage.errors import ArgumentError
+
+POINT_MOST = 0xFFFFF
+WIDE = 1 << 16
+
+
+def limits(map_: RegisterMap, name: str) -> tuple[int, int]:
+    """The legal range of a register as an action; of R14 and R15 their spans."""
+    r = map_.register(name)
+    if r.legal is None and name not in ("R14", "R15"):
+        raise ArgumentError(f"{map_.chip} {name} has no legal range to choose from.")
+    low, high = r.legal or (0, 0xFFF)
+    return low, min(high, POINT_MOST) if name == "R6" else high
+
+
+class RegisterBox:
+    """Some registers of a chip, as a Box or as a MultiDiscrete."""
+
+    def __init__(self, map_: RegisterMap, names: Sequence[str]):
+        self.names = tuple(names)
+        self.low, self.high = (np.array(side, np.int64) for side in zip(*(limits(map_, n) for n in names), strict=True))
+        self._ratio = np.log(self.high / np.maximum(self.low, 1))
+        self._power = np.where(self.high > WIDE, 3.0, 1.0)
+        self._logarithmic = self.low > 0
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    @property
+    def box(self) -> gymnasium.spaces.Box:
+        """Actions as numbers from -1 to 1."""
+        return gymnasium.spaces.Box(-1.0, 1.0, (len(self),), np.float32)
+
+    @property
+    def discrete(self) -> gymnasium.spaces.MultiDiscrete:
+        """Actions as the registers themselves."""
+        return gymnasium.spaces.MultiDiscrete(self.high - self.low + 1, start=self.low)
+
+    def from_action(self, action: np.ndarray) -> np.ndarray:
+        """(..., n) actions -> (..., n) int64 registers."""
+        u = (np.clip(np.asarray(action, np.float64), -1.0, 1.0) + 1.0) / 2.0
+        scaled = np.where(
+            self._logarithmic, self.low * np.exp(self._ratio * u), self.low + (self.high - self.low) * u**self._power
+        )
+        return np.clip(np.rint(scaled), self.low, self.high).astype(np.int64)
+
+    def to_action(self, registers: np.ndarray | Mapping[str, int]) -> np.ndarray:
+        """(..., n) registers, or a mapping by name -> (..., n) float32 actions. Raises ArgumentError outside the range."""
+        given = [registers[n] for n in self.names] if isinstance(registers, Mapping) else registers
+        r = np.asarray(given, np.int64)
+        if (r < self.low).any() or (r > self.high).any():
+            ranges = ", ".join(f"{n} {a}..{b}" for n, a, b in zip(self.names, self.low, self.high, strict=True))
+            raise ArgumentError(f"registers {given!r}: out of range; {ranges}.")
+        with np.errstate(divide="ignore"):
+            u = np.where(
+                self._logarithmic,
+                np.log(r / np.maximum(self.low, 1)) / self._ratio,
+                ((r - self.low) / (self.high - self.low)) ** (1.0 / self._power),
+            )
+        return (2.0 * u - 1.0).astype(np.float32)
+
+    def named(self, registers: np.ndarray) -> dict[str, int]:
+        """One row of registers by name."""
+        return {n: int(v) for n, v in zip(self.names, registers, strict=True)}
