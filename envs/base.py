@@ -50,6 +50,8 @@ class Task(ABC, Generic[ConfigT]):
     Config: ClassVar[type]
     OPTIONS: ClassVar[tuple[str, ...]] = ()
     """What `reset(options=...)` takes."""
+    RESTARTS: ClassVar[bool] = False
+    """Every step begins at power-up, made ready by `renew`; a recording then holds one step."""
     action_space: gymnasium.Space
     observation_space: gymnasium.Space
 
@@ -87,6 +89,9 @@ class Task(ABC, Generic[ConfigT]):
     def observe(self, truth: np.ndarray) -> np.ndarray:
         """Every stage's observation, (n, ...)."""
 
+    def renew(self, active: np.ndarray) -> None:
+        """Make the active stages ready for their next step, after the last has been judged."""
+
     def describe(self, k: int) -> dict[str, Any]:
         """`info` of a reset of stage k."""
         return {}
@@ -123,9 +128,6 @@ class Task(ABC, Generic[ConfigT]):
             rewards += part
         return rewards, outcome
 
-    def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__.copy()
-
 
 def configured(task: type[Task], settings: Mapping[str, Any]) -> Any:
     """The task's Config of these settings; ArgumentError for one that it does not have."""
@@ -140,9 +142,9 @@ def checked(space: gymnasium.Space, action: Any) -> np.ndarray:
     """The action as an array of the space's type; ArgumentError names the space and the value."""
     try:
         given = np.asarray(action)
-        whole = not np.issubdtype(space.dtype, np.integer) or np.issubdtype(given.dtype, np.integer)
-        value = given.astype(space.dtype)
-        if whole and given.shape == space.shape and space.contains(value):
+        kinds = "iu" if np.issubdtype(space.dtype, np.integer) else "iuf"
+        value = given.astype(space.dtype) if given.dtype.kind in kinds else given
+        if given.dtype.kind in kinds and given.shape == space.shape and space.contains(value):
             return value
     except (TypeError, ValueError, OverflowError):
         pass
@@ -161,7 +163,8 @@ class StageEnv(gymnasium.Env):
 
     Args:
         render_mode: "rgb_array" or "human" (needs GL), or None. camera: of the model.
-        record: a file name for rerun recordings, with {} for the number of the episode: "run/{}.rrd".
+        record: a file name for rerun recordings, with {} for the number of the episode, or of the step where each begins at
+            power-up: "run/{}.rrd".
         threads: does not matter for one stage. Other settings are those of the task's Config.
     """
 
@@ -193,8 +196,7 @@ class StageEnv(gymnasium.Env):
         self._task.rngs[0] = self.np_random
         self._task.restart(0, options)
         self._over = False
-        if self._record is not None:
-            self._recording = self.stage.record()
+        self._start_recording()
         if self.render_mode == "human":
             self.render()
         self._last = self._task.observe(self._task.fleet.truth())
@@ -205,8 +207,15 @@ class StageEnv(gymnasium.Env):
             raise ArgumentError("the episode is over: call reset() first.")
         value = checked(self.action_space, action)
         rewards, out = self._task.act(value[None], np.ones(1, bool))
+        diverged = out.info["cause"][0] == "diverged"
+        if self.task.RESTARTS:
+            self._save_recording()
+        if not diverged:
+            self._task.renew(np.ones(1, bool))
+        if self.task.RESTARTS:
+            self._start_recording()
         observation = self._task.observe(self._task.fleet.truth())
-        if out.info["cause"][0] == "diverged":
+        if diverged:
             observation = self._last
         self._last = observation
         self._over = bool(out.terminated[0] or out.truncated[0])
@@ -230,6 +239,10 @@ class StageEnv(gymnasium.Env):
         if self._viewer is not None:
             self._viewer.close()
             self._viewer = None
+
+    def _start_recording(self) -> None:
+        if self._record is not None:
+            self._recording = self.stage.record()
 
     def _save_recording(self) -> None:
         if self._recording is not None:
@@ -315,10 +328,11 @@ class StageVectorEnv(VectorEnv):
             self._task.restart(int(k), {})
             infos = self._add_info(infos, self._task.describe(int(k)), int(k))
         rewards, out = self._task.act(values, active)
+        diverged = (out.info["cause"] == "diverged") & active if out.info else np.zeros(self.num_envs, bool)
+        self._task.renew(active & ~diverged)
         terminated, truncated = out.terminated & active, out.truncated & active
         rewards = np.where(active, rewards, 0.0)
         observation = self._task.observe(self._task.fleet.truth())
-        diverged = (out.info["cause"] == "diverged") & active if out.info else np.zeros(self.num_envs, bool)
         observation[diverged] = self._last[diverged]
         self._add(infos, out, active)
         self._over = terminated | truncated
@@ -344,6 +358,8 @@ class StageVectorEnv(VectorEnv):
 
     def _add(self, infos: dict[str, Any], out: Outcome, active: np.ndarray) -> None:
         """The outcome's info as Gymnasium wants it: arrays, each with a mask of whose it is."""
+        if not active.any():
+            return
         for name, v in out.info.items():
             whose = active.reshape(-1, *[1] * (v.ndim - 1))
             infos[name], infos[f"_{name}"] = np.where(whose, v, _nothing(v)), active.copy()

@@ -70,6 +70,7 @@ class Config:
 class RegisterTuning(Task[Config]):
     Config = Config
     OPTIONS = ("distance", "payload")
+    RESTARTS = True
 
     def stage(self, textures: bool) -> Stage:
         c = self.config
@@ -97,6 +98,10 @@ class RegisterTuning(Task[Config]):
     def begin(self, k: int, options: Mapping[str, Any]) -> None:
         self.last[k] = 0.0
         self._draw(k, options)
+
+    def renew(self, active: np.ndarray) -> None:
+        for k in np.flatnonzero(active):
+            self._draw(int(k), {})
 
     def describe(self, k: int) -> dict[str, Any]:
         return {"distance": int(self.distance[k]), "payload": float(self.payload[k])}
@@ -162,8 +167,6 @@ class RegisterTuning(Task[Config]):
         now = np.stack([duration / c.limit, lost * 1.0, vibration / (vibration + TENTH), finished * 1.0], axis=1)
         good = active & ~played.diverged
         self.last[good] = np.clip(np.nan_to_num(now), 0.0, 1.0)[good]
-        for k in np.flatnonzero(good):
-            self._draw(int(k), {})
         return Outcome(parts, np.zeros(self.n, bool), self.steps >= c.moves, info)
 
     def _stops(self, played: Played) -> int:

@@ -67,6 +67,11 @@ class Program:
         self.ops.append((host.STOP, sum(1 << a for a in axes), round(poll * 1e9), round(limit * 1e9)))
         return self
 
+    def look(self, axis: int) -> Program:
+        """Note where the axis is; the result is its position in pm (prad on a hinge)."""
+        self.ops.append((host.LOOK, axis, 0, 0))
+        return self
+
     def measure(self, seconds: float) -> Program:
         """Let time pass and keep every coordinate's extremes."""
         self.ops.append((host.MEASURE, round(seconds * 1e9), 0, 0))
@@ -133,6 +138,12 @@ class Fleet:
         """Every axis of every stage now: a new array (stages, axes) of host.TRUTH."""
         host.look(self._handles, 0, len(self), self._truth)
         return self._truth.copy()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"stages": self.stages, "threads": self.threads}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__init__(state["stages"], state["threads"])  # type: ignore[misc]
 
     def close(self) -> None:
         """End the threads."""

@@ -1,0 +1,217 @@
+"""What every environment promises: Gymnasium's rules, equal seeds give equal episodes, a vector equals its parts, to the bit."""
+
+import importlib
+import pickle
+import warnings
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode
+
+import stage.envs
+from stage import ArgumentError
+
+EVERY = list(stage.envs.IDS)
+SETTINGS = {"stage/RegisterTuning-v0": {"moves": 2, "distances": (400, 1600), "limit": 0.5, "settle": 0.01}}
+"""What makes an episode short."""
+
+pytestmark = pytest.mark.filterwarnings("error")
+
+
+@pytest.fixture(params=EVERY, ids=lambda id_: id_.split("/")[1])
+def id_(request):
+    module = stage.envs.IDS[request.param].split(":")[0]
+    if importlib.util.find_spec(f"stage.envs.{module}") is None:
+        pytest.skip("not there yet")
+    return request.param
+
+
+def make(id_, **settings):
+    return gymnasium.make(id_, disable_env_checker=True, **SETTINGS.get(id_, {}) | settings).unwrapped
+
+
+def make_vec(id_, n, **settings):
+    settings = SETTINGS.get(id_, {}) | settings
+    return gymnasium.make_vec(id_, num_envs=n, vectorization_mode="vector_entry_point", **settings)
+
+
+def episode(env, seed, actions=6):
+    """Everything that an episode, and the next ones, say."""
+    said = [env.reset(seed=seed)]
+    env.action_space.seed(seed)
+    for _ in range(actions):
+        out = env.step(env.action_space.sample())
+        said.append(out)
+        if out[2] or out[3]:
+            said.append(env.reset())
+    return said
+
+
+def same(a, b):
+    """Equal to the bit, however nested."""
+    if isinstance(a, dict):
+        return a.keys() == b.keys() and all(same(a[k], b[k]) for k in a)
+    if isinstance(a, tuple | list):
+        return len(a) == len(b) and all(map(same, a, b))
+    if isinstance(a, np.ndarray):
+        return a.dtype == b.dtype and np.array_equal(a, b)
+    return type(a) is type(b) and a == b
+
+
+def test_gymnasium_finds_nothing_to_complain_about(id_):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(make(id_), skip_render_check=True)
+
+
+def test_stable_baselines3_finds_nothing_to_complain_about(id_):
+    checker = pytest.importorskip("stable_baselines3.common.env_checker", reason="extra rl is not installed")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        checker.check_env(make(id_), skip_render_check=True)
+
+
+def test_equal_seeds_give_equal_episodes(id_):
+    one, other = make(id_), make(id_)
+    assert same(episode(one, 7), episode(other, 7))
+    assert same(episode(one, 7), episode(other, 7)), "and again, after another episode"
+    assert not same(episode(one, 7), episode(other, 8))
+
+
+def test_a_pickled_environment_goes_on_as_the_first(id_):
+    env = make(id_)
+    env.reset(seed=3)
+    env.action_space.seed(3)
+    env.step(env.action_space.sample())
+    twin = pickle.loads(pickle.dumps(env))
+    for _ in range(2):
+        action = env.action_space.sample()
+        if env._over:
+            assert same(env.reset(), twin.reset())
+        assert same(env.step(action), twin.step(action))
+
+
+@pytest.mark.parametrize("mode", list(AutoresetMode), ids=lambda mode: mode.name.lower())
+@pytest.mark.parametrize("threads", [1, 2])
+def test_a_vector_is_as_many_environments_to_the_bit(id_, mode, threads):
+    n, steps = 3, 5
+    vector, parts = make_vec(id_, n, threads=threads, autoreset_mode=mode), [make(id_) for _ in range(n)]
+    seen, infos = vector.reset(seed=11)
+    for k, env in enumerate(parts):
+        observation, info = env.reset(seed=11 + k)
+        assert same(seen[k], observation)
+        assert same(stage.envs.base._one(infos, k), info)
+    vector.action_space.seed(11)
+    over = np.zeros(n, bool)
+    for _ in range(steps):
+        if mode == AutoresetMode.DISABLED and over.any():
+            seen, _ = vector.reset(options={"reset_mask": over})
+            for k in np.flatnonzero(over):
+                assert same(seen[k], parts[k].reset()[0])
+            over[:] = False
+        actions = vector.action_space.sample()
+        seen, rewards, terminated, truncated, infos = vector.step(actions)
+        assert seen.dtype == vector.observation_space.dtype
+        for k, env in enumerate(parts):
+            if over[k] and mode == AutoresetMode.NEXT_STEP:
+                expected = *env.reset(), 0.0
+                got = seen[k], stage.envs.base._one(infos, k), float(rewards[k])
+            else:
+                observation, reward, ended, cut, info = env.step(actions[k])
+                assert (ended, cut) == (terminated[k], truncated[k])
+                if mode == AutoresetMode.SAME_STEP and (ended or cut):
+                    assert same(infos["final_obs"][k], observation)
+                    assert same(stage.envs.base._one(infos["final_info"], k), info)
+                    observation, info = env.reset()
+                    got = stage.envs.base._one({n: v for n, v in infos.items() if "final" not in n}, k)
+                else:
+                    got = stage.envs.base._one(infos, k)
+                expected = observation, info, reward
+                got = seen[k], got, float(rewards[k])
+            assert same(got, expected), (k, got, expected)
+        over = (terminated | truncated) & (mode != AutoresetMode.SAME_STEP)
+
+
+def test_actions_that_are_none_are_refused_by_name(id_):
+    env = make(id_)
+    env.reset(seed=1)
+    space = env.action_space
+    good = space.sample()
+    for bad in (
+        None,
+        "x",
+        [],
+        np.zeros(99),
+        good.astype(complex),
+        np.full(space.shape, np.nan),
+        np.full(space.shape, 1e12),
+    ):
+        with pytest.raises(ArgumentError, match=r"is not in (Box|MultiDiscrete)"):
+            env.step(bad)
+    vector = make_vec(id_, 2)
+    vector.reset(seed=1)
+    with pytest.raises(ArgumentError, match="is not in"):
+        vector.step(good)
+
+
+def test_a_step_after_the_end_asks_for_a_reset(id_):
+    env = make(id_)
+    with pytest.raises(ArgumentError, match="call reset"):
+        env.step(env.action_space.sample())
+
+
+def test_unknown_settings_and_options_are_named(id_):
+    with pytest.raises(ArgumentError, match="setting 'colour'"):
+        make(id_, colour="red")
+    with pytest.raises(ArgumentError, match="reset option 'colour'"):
+        make(id_).reset(options={"colour": "red"})
+    with pytest.raises(ArgumentError, match="reset option 'colour'"):
+        make_vec(id_, 2).reset(options={"colour": "red"})
+    with pytest.raises(ArgumentError, match="render mode 'ansi'"), pytest.warns(UserWarning, match="render_mode"):
+        make(id_, render_mode="ansi")
+    for mask in ([True, False], np.zeros(2, bool), np.ones(3, bool), np.ones(2)):
+        with pytest.raises(ArgumentError, match="reset_mask"):
+            make_vec(id_, 2).reset(options={"reset_mask": mask})
+
+
+def test_a_stage_that_diverges_ends_its_own_episode_alone(id_):
+    vector, calm = make_vec(id_, 3), make_vec(id_, 3)
+    for v in (vector, calm):
+        v.reset(seed=5)
+    vector.stages[1].data.qfrc_applied[:] = 1e30
+    vector.action_space.seed(5)
+    actions = vector.action_space.sample()
+    for _ in range(3):
+        seen, rewards, _, truncated, infos = vector.step(actions)
+        expected = calm.step(actions)
+        if truncated[1]:
+            break
+    assert truncated[1]
+    assert infos["cause"][1] == "diverged"
+    assert infos["reward_parts"]["diverged"][1] == rewards[1] == stage.envs.base.DIVERGED
+    assert np.isfinite(seen).all()
+    for k in (0, 2):
+        assert same(seen[k], expected[0][k])
+        assert rewards[k] == expected[1][k]
+    assert infos["cause"][0] == ""
+    vector.stages[1].data.qfrc_applied[:] = 0.0
+    again, *_ = vector.step(actions)
+    assert np.isfinite(again).all(), "it starts anew"
+
+
+def test_the_named_parts_of_the_reward_are_its_sum(id_):
+    env = make(id_)
+    for step in episode(env, 21)[1:]:
+        if len(step) == 5:
+            assert sum(step[4]["reward_parts"].values()) == pytest.approx(step[1], abs=1e-12)
+
+
+def test_an_episode_can_be_recorded(id_, tmp_path):
+    env, plain = make(id_, record=str(tmp_path / "run" / "{}.rrd")), make(id_)
+    assert same(episode(env, 2, 3), episode(plain, 2, 3)), "a recording changes nothing"
+    env.close()
+    files = sorted((tmp_path / "run").iterdir())
+    assert files[0].name == "0.rrd"
+    assert all(f.stat().st_size > 1000 for f in files)
