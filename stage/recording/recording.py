@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import os
 import tempfile
+import weakref
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -67,6 +68,7 @@ class Recording:
         self._on_close: Callable[[], None] | None = on_close
         self._dtype = np.dtype([("axes", _SAMPLE, (len(axes),)), ("qpos", "f8", (model.nq,))])
         self._file = tempfile.TemporaryFile(prefix="pulsestage-", buffering=0)  # noqa: SIM115
+        weakref.finalize(self, self._file.close)
         self._spooled = 0
         self.samples = np.zeros((ROWS, len(axes)), SAMPLE)
         self.positions = np.zeros((ROWS, model.nq))
