@@ -1,0 +1,65 @@
+"""Registers as actions: every legal value has an action, and every action a legal value."""
+
+import os
+
+import numpy as np
+import pytest
+
+from stage import ArgumentError
+from stage.chips import PCL240K, PCL240MS
+from stage.envs.register_tuning import REGISTERS, S_CURVES
+from stage.envs.registers import RegisterBox
+
+SEED = int(os.environ.get("PULSESTAGE_SEED") or np.random.SeedSequence().entropy)
+
+
+def box(chip):
+    return RegisterBox(chip.MAP, REGISTERS + (S_CURVES if chip.S_CURVES else ()))
+
+
+@pytest.mark.parametrize("chip", [PCL240K, PCL240MS])
+def test_every_value_of_every_register_comes_back_exactly(chip):
+    b = box(chip)
+    for k, name in enumerate(b.names):
+        values = np.repeat(b.low[None], b.high[k] - b.low[k] + 1, axis=0)
+        values[:, k] = np.arange(b.low[k], b.high[k] + 1)
+        actions = b.to_action(values)
+        assert actions.dtype == np.float32
+        assert (np.abs(actions) <= 1).all()
+        assert (b.from_action(actions) == values).all(), name
+
+
+@pytest.mark.parametrize("chip", [PCL240K, PCL240MS])
+def test_every_action_is_legal_and_the_ends_are_the_ends(chip):
+    print(f"PULSESTAGE_SEED={SEED}")
+    b = box(chip)
+    actions = np.random.default_rng(SEED).uniform(-1, 1, (5000, len(b))).astype(np.float32)
+    for row in b.from_action(actions)[:200]:
+        for name, value in b.named(row).items():
+            if name not in S_CURVES:
+                chip.MAP.checked(name, value)
+            assert b.discrete.contains(row)
+    assert (b.from_action(-np.ones(len(b))) == b.low).all()
+    assert (b.from_action(np.ones(len(b))) == b.high).all()
+
+
+def test_a_row_of_many_is_that_row_alone():
+    b = box(PCL240MS)
+    actions = np.random.default_rng(SEED).uniform(-1, 1, (257, len(b))).astype(np.float32)
+    rows = b.from_action(actions)
+    assert all((b.from_action(actions[k]) == rows[k]).all() for k in range(len(rows)))
+
+
+def test_small_speeds_have_as_much_room_as_large_ones():
+    b = box(PCL240K)
+    middle = b.named(b.from_action(np.zeros(len(b))))
+    assert middle["R1"] == 91, "the root of 8191"
+    assert middle["R6"] == 131072, "an eighth of its range"
+
+
+def test_values_out_of_range_and_registers_without_one_are_refused():
+    b = box(PCL240K)
+    with pytest.raises(ArgumentError, match=r"R4 2\.\.16383"):
+        b.to_action({"R1": 1, "R2": 1, "R4": 1, "R5": 2, "R6": 0, "R7": 2})
+    with pytest.raises(ArgumentError, match="R10 has no legal range"):
+        RegisterBox(PCL240MS.MAP, ["R10"])

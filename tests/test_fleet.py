@@ -1,0 +1,149 @@
+"""Many stages under one program each: the same bits as one stage under a Python driver, on any number of threads."""
+
+import copy
+import pickle
+
+import numpy as np
+import pytest
+
+from stage import ArgumentError, Stage, host
+from stage.chips import PCL240K, PCL240MS
+from stage.fleet import Fleet, Program
+
+N = 5
+
+
+@pytest.fixture(scope="module")
+def first():
+    return Stage("xyz", chips={"x": PCL240MS, "z": PCL240K}, textures=False)
+
+
+def stages(first, n=N):
+    first.reset()
+    return [copy.deepcopy(first) for _ in range(n)]
+
+
+def program(first, k):
+    """Both axes move, each in its own way and until it stops, while the host reads."""
+    p = Program()
+    registers = {"R1": 200 + k, "R2": 3000 + 100 * k, "R4": 90, "R5": 90, "R7": 120, "R0": 300 + 50 * k, "R6": 60}
+    for axis in first.axes.values():
+        p.command(axis.index, 0x08)
+        for name, value in registers.items():
+            p.register(axis.index, axis.chip, name, value)
+        p.command(axis.index, 0x44 if k % 2 else 0x4C)
+    p.command(0, 0x15).wait(3.3e-4 * k).command(1, 0x15)
+    for _ in range(20):
+        p.wait(7.77e-4).read(0, 1).read(1, 0)
+    return p.until_stopped([0, 1], 2.0).measure(0.003).read(0, 0)
+
+
+def everything(fleet, played):
+    states = [s.snapshot().state.tobytes() for s in fleet.stages]
+    return states, played.results.tobytes(), played.extremes.tobytes(), fleet.truth().tobytes()
+
+
+def test_any_number_of_threads_gives_the_same_bits(first):
+    programs = [program(first, k) for k in range(N)]
+    seen = set()
+    for threads in (1, 2, 3):
+        fleet = Fleet(stages(first), threads)
+        seen.add(str(everything(fleet, fleet.play(programs))))
+        fleet.close()
+    assert len(seen) == 1
+
+
+def test_a_program_does_what_a_python_driver_does_to_the_bit(first):
+    fleet = Fleet(stages(first), 1)
+    played = fleet.play([program(first, k) for k in range(N)])
+    for k, stage in enumerate(stages(first)):
+        ops = np.array(program(first, k).ops)
+        results, extremes = np.zeros(len(ops), np.int64), np.full((3, 2), np.inf) * [1, -1]
+        assert host.by_hand(stage, ops, results, extremes) == host.PLAYED
+        assert (results == played.results[k][: len(ops)]).all()
+        assert (extremes == played.extremes[k]).all()
+        assert stage.snapshot().state.tobytes() == fleet.stages[k].snapshot().state.tobytes()
+        assert all(axis.chip.diagnostics == [] for axis in stage.axes.values())
+
+
+def test_the_truth_is_what_the_stages_say(first):
+    fleet = Fleet(stages(first), 1)
+    fleet.play([program(first, k) for k in range(N)])
+    for row, stage in zip(fleet.truth(), fleet.stages, strict=True):
+        for t, axis in zip(row, stage.axes.values(), strict=True):
+            assert (t["position"], t["commanded"], t["lost_steps"]) == (axis.position, axis.commanded, axis.lost_steps)
+            assert t["now"] == round(stage.time * 1e9)
+            assert t["counter"] == axis.chip.values()["R0"] == 0
+            assert t["status"] == axis.chip.values()["status"]
+
+
+def test_a_stage_that_is_recorded_makes_the_same_bits(first):
+    plain, watched = Fleet(stages(first), 1), Fleet(stages(first), 1)
+    programs = [program(first, k) for k in range(N)]
+    with watched.stages[2].record() as recording:
+        assert everything(watched, watched.play(programs))[1:] == everything(plain, plain.play(programs))[1:]
+    assert (watched.stages[2].data.qpos == plain.stages[2].data.qpos).all()
+    assert recording.duration > 0.02
+
+
+def test_a_wait_that_takes_too_long_ends_and_says_so(first):
+    fleet = Fleet(stages(first, 2), 1)
+    p = Program().register(0, first.axes["x"].chip, "R1", 500).register(0, first.axes["x"].chip, "R7", 100)
+    p.command(0, 0x40).command(0, 0x10).until_stopped([0], 0.01)
+    played = fleet.play([p, Program()])
+    assert -0.0103e9 < played.results[0, len(p) - 1] <= -0.01e9
+    assert fleet.stages[1].time == 0.0, "an empty program leaves its stage alone"
+
+
+def test_a_stage_that_diverges_does_not_stop_the_others(first):
+    fleet = Fleet(stages(first), 2)
+    fleet.stages[1].data.qfrc_applied[:] = 1e30
+    played = fleet.play([program(first, k) for k in range(N)])
+    assert played.diverged.tolist() == [k == 1 for k in range(N)]
+    assert (fleet.truth()["counter"][[0, 2, 3, 4]] == 0).all()
+
+
+def test_a_fleet_is_pickled_with_its_stages(first):
+    fleet = Fleet(stages(first, 2), 1)
+    twin = pickle.loads(pickle.dumps(fleet))
+    programs = [program(first, k) for k in range(2)]
+    assert everything(fleet, fleet.play(programs)) == everything(twin, twin.play(programs))
+
+
+def test_what_a_fleet_cannot_be_is_refused(first):
+    with pytest.raises(ArgumentError, match="at least one"):
+        Fleet([])
+    with pytest.raises(ArgumentError, match="same axes"):
+        Fleet([first, Stage("xy", textures=False)])
+    with pytest.raises(ArgumentError, match="threads=0"):
+        Fleet([first], threads=0)
+    with pytest.raises(ArgumentError, match="one a stage"):
+        Fleet([first]).play([Program(), Program()])
+
+
+def test_a_payload_makes_the_axis_heavier_and_stays_over_a_reset(first):
+    stage = stages(first, 1)[0]
+    masses = {}
+    for payload in (0.0, 6.0, 0.0):
+        stage.set_payload(payload)
+        stage.reset()
+        inertia = np.zeros((stage.model.nv, stage.model.nv))
+        import mujoco
+
+        mujoco.mj_fullM(stage.model, stage.data, inertia)
+        masses.setdefault(payload, []).append(inertia[0, 0])
+    assert masses[0.0][0] == masses[0.0][1]
+    assert masses[6.0][0] - masses[0.0][0] == pytest.approx(6.0)
+    for bad in (-1.0, float("nan")):
+        with pytest.raises(ArgumentError, match="kg"):
+            stage.set_payload(bad)
+    with pytest.raises(ArgumentError, match="body 'tabel'"):
+        stage.set_payload(1.0, "tabel")
+
+
+def test_without_textures_the_physics_is_the_same(first):
+    bare, full = stages(first, 1)[0], Stage("xyz", chips={"x": PCL240MS, "z": PCL240K})
+    ops = np.array(program(first, 1).ops)
+    for stage in (bare, full):
+        host.by_hand(stage, ops, np.zeros(len(ops), np.int64), np.zeros((3, 2)))
+    assert bare.snapshot().state.tobytes() == full.snapshot().state.tobytes()
