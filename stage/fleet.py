@@ -129,7 +129,7 @@ class Fleet:
             compiled = ops.copy()
             compiled[watched, 0] = host.END
         with announced("PulseStage: compiling the fleet's loop, once on this machine (about twenty seconds) ..."):
-            self._spread(lambda a, b, s: host.play(self._handles, a, b, compiled, results, extremes, status, *s))
+            self._spread(lambda a, b, s: host.play(self._handles, a, b, compiled, results, extremes, status, s))
         for k in watched:
             status[k] = host.by_hand(self.stages[k], ops[k], results[k], extremes[k])
         return Played(results, extremes, status == host.DIVERGED)

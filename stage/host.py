@@ -8,6 +8,7 @@ A program is an array of operations, (kind, a, b, c) of int64 each:
     STOP     mask, poll ns, limit ns  poll status bit 6 of the axes in `mask` until none operates;
                                       the result is the ns it took, negative where `limit` came first
     MEASURE  ns, -, -                 pass the time a physics step at a time and keep each coordinate's extremes
+    LOOK     axis, -, -               the axis' position is the operation's result, in pm (prad on a hinge)
     END      -, -, -
 
 It is what a Python driver would do through `Stage`, to the bit: `by_hand` plays a program that way, for recordings and tests.
@@ -16,6 +17,7 @@ It is what a Python driver would do through `Stage`, to the bit: `by_hand` plays
 from __future__ import annotations
 
 import ctypes
+import math
 from typing import Any
 
 import numba
@@ -28,7 +30,7 @@ from stage.chips.pcl240 import core
 from stage.compiled import COMPILED, hot, record
 from stage.drives import stepper
 
-END, WRITE, READ, WAIT, STOP, MEASURE = range(6)
+END, WRITE, READ, WAIT, STOP, MEASURE, LOOK = range(7)
 PLAYED, DIVERGED = range(2)
 OPERATING = 0x40  # of the status byte
 
@@ -58,86 +60,107 @@ if COMPILED:
         return types.voidptr(address), build
 else:
 
-    def _pointer(address):
+    def _pointer(address):  # type: ignore[misc]
         return ctypes.c_void_p(int(address))
 
 
 @hot
-def _play(h, ops, results, extremes, samples, positions, edges, counts):
+def _arrays(h):
+    """The arrays of a stage."""
+    return (
+        numba.carray(_pointer(h.world), (1,), WORLD),
+        numba.carray(_pointer(h.axes), (h.n_axes,), AXIS),
+        numba.carray(_pointer(h.chips), (h.n_axes,), CHIP),
+        numba.carray(_pointer(h.drives), (h.n_axes,), DRIVE),
+        numba.carray(_pointer(h.switches), (h.n_switches,), SWITCH),
+        numba.carray(_pointer(h.table), (h.n_axes,), AXIS_TABLE),
+        numba.carray(_pointer(h.switch_table), (h.n_switches,), SWITCH_TABLE),
+        numba.carray(_pointer(h.clockwork), (1,), CLOCKWORK),
+        numba.carray(_pointer(h.qpos), (h.nq,), REAL),
+        numba.carray(_pointer(h.qvel), (h.nv,), REAL),
+        numba.carray(_pointer(h.ctrl), (h.nu,), REAL),
+        numba.carray(_pointer(h.sensordata), (h.ns,), REAL),
+    )
+
+
+@hot
+def _pass(h, arrays, scratch, until):
+    """Let a stage's time pass up to `until`; True if it diverged."""
+    world, axes, chips, drives, switches, table, switch_table, clockwork, qpos, qvel, ctrl, sensordata = arrays
+    samples, positions, edges, counts = scratch
+    return engine.run(
+        int(h.model), int(h.data), world, axes, chips, drives, switches, table, switch_table, clockwork,
+        qpos, qvel, ctrl, sensordata, until, samples, positions, 0, edges, 0, counts,
+    ) == engine.DIVERGED  # fmt: skip
+
+
+@hot
+def _until_stopped(h, arrays, scratch, left, poll, limit):
+    """Poll the axes in the mask `left`. Returns (diverged, ns that it took; negative if `limit` came first)."""
+    world, chips, table = arrays[0][0], arrays[2], arrays[5]
+    begin = world.now
+    while True:
+        for k in range(h.n_axes):
+            if left >> k & 1:
+                if _pass(h, arrays, scratch, world.now + h.bus):
+                    return True, 0
+                if not core.read(chips, table[k].chip, 0) & OPERATING:
+                    left &= ~(1 << k)
+        took = world.now - begin
+        if left == 0 or took >= limit:
+            return False, took if left == 0 else -took
+        if _pass(h, arrays, scratch, world.now + poll):
+            return True, 0
+
+
+@hot
+def _measure(h, arrays, scratch, end, extremes):
+    """Let time pass up to `end` a physics step at a time; True if the stage diverged."""
+    world, clockwork, qpos = arrays[0][0], arrays[7][0], arrays[8]
+    while world.now < end:
+        if _pass(h, arrays, scratch, min(end, world.start + clockwork.dt)):
+            return True
+        for i in range(h.nq):
+            extremes[i, 0] = min(extremes[i, 0], qpos[i])
+            extremes[i, 1] = max(extremes[i, 1], qpos[i])
+    return False
+
+
+@hot
+def _play(h, ops, results, extremes, scratch):
     """Play `ops` on the stage of handle `h`. Returns PLAYED or DIVERGED."""
-    world = numba.carray(_pointer(h.world), (1,), WORLD)
-    axes = numba.carray(_pointer(h.axes), (h.n_axes,), AXIS)
-    chips = numba.carray(_pointer(h.chips), (h.n_axes,), CHIP)
-    drives = numba.carray(_pointer(h.drives), (h.n_axes,), DRIVE)
-    switches = numba.carray(_pointer(h.switches), (h.n_switches,), SWITCH)
-    table = numba.carray(_pointer(h.table), (h.n_axes,), AXIS_TABLE)
-    switch_table = numba.carray(_pointer(h.switch_table), (h.n_switches,), SWITCH_TABLE)
-    clockwork = numba.carray(_pointer(h.clockwork), (1,), CLOCKWORK)
-    qpos = numba.carray(_pointer(h.qpos), (h.nq,), REAL)
-    qvel = numba.carray(_pointer(h.qvel), (h.nv,), REAL)
-    ctrl = numba.carray(_pointer(h.ctrl), (h.nu,), REAL)
-    sensordata = numba.carray(_pointer(h.sensordata), (h.ns,), REAL)
-    here = world[0]
+    arrays = _arrays(h)
+    world, chips, table = arrays[0][0], arrays[2], arrays[5]
     for j in range(len(ops)):
         kind, a, b, c = ops[j, 0], ops[j, 1], ops[j, 2], ops[j, 3]
+        bad = False
         if kind == END:
             break
-        begin = here.now
-        until = begin + (a if kind in (WAIT, MEASURE) else h.bus if kind in (WRITE, READ) else 0)
-        left = a  # axes that still operate
-        k = 0
-        while True:
-            if kind == MEASURE:
-                until = min(begin + a, here.start + clockwork[0].dt)
-            elif kind == STOP:
-                until = here.now + h.bus
-            status = engine.run(
-                h.model, h.data, world, axes, chips, drives, switches, table, switch_table, clockwork,
-                qpos, qvel, ctrl, sensordata, until, samples, positions, 0, edges, 0, counts,
-            )  # fmt: skip
-            if status == engine.DIVERGED:
-                return DIVERGED
-            if kind == MEASURE:
-                for i in range(h.nq):
-                    extremes[i, 0] = min(extremes[i, 0], qpos[i])
-                    extremes[i, 1] = max(extremes[i, 1], qpos[i])
-                if here.now >= begin + a:
-                    break
-            elif kind == STOP:
-                while k < h.n_axes and not left >> k & 1:
-                    k += 1
-                if k < h.n_axes:
-                    if not core.read(chips, table[k].chip, 0) & OPERATING:
-                        left &= ~(1 << k)
-                    k += 1
-                if k >= h.n_axes or left >> k == 0:  # all were asked
-                    k = 0
-                    if left == 0:
-                        results[j] = here.now - begin
-                        break
-                    if here.now - begin >= c:
-                        results[j] = begin - here.now
-                        break
-                    status = engine.run(
-                        h.model, h.data, world, axes, chips, drives, switches, table, switch_table, clockwork,
-                        qpos, qvel, ctrl, sensordata, here.now + b, samples, positions, 0, edges, 0, counts,
-                    )  # fmt: skip
-                    if status == engine.DIVERGED:
-                        return DIVERGED
-            else:
-                break
-        if kind == WRITE:
-            core.write(chips, table[a].chip, b, c)
-        elif kind == READ:
-            results[j] = core.read(chips, table[a].chip, b)
+        if kind == STOP:
+            bad, results[j] = _until_stopped(h, arrays, scratch, a, b, c)
+        elif kind == MEASURE:
+            bad = _measure(h, arrays, scratch, world.now + a, extremes)
+        elif kind == WAIT:
+            bad = _pass(h, arrays, scratch, world.now + a)
+        elif kind == LOOK:
+            tau = (world.now - world.start - 0.5 * arrays[7][0].dt) * 1e-9
+            results[j] = math.floor((arrays[8][table[a].qpos] + arrays[9][table[a].dof] * tau) * 1e12)
+        else:
+            bad = _pass(h, arrays, scratch, world.now + h.bus)
+            if not bad and kind == WRITE:
+                core.write(chips, table[a].chip, b, c)
+            elif not bad:
+                results[j] = core.read(chips, table[a].chip, b)
+        if bad:
+            return DIVERGED
     return PLAYED
 
 
 @hot
-def play(handles, begin, end, ops, results, extremes, status, samples, positions, edges, counts):
+def play(handles, begin, end, ops, results, extremes, status, scratch):
     """Play ops[k] on stage k for k in begin..end-1; results (stages, ops), extremes (stages, nq, 2), status (stages)."""
     for k in range(begin, end):
-        status[k] = _play(handles[k], ops[k], results[k], extremes[k], samples, positions, edges, counts)
+        status[k] = _play(handles[k], ops[k], results[k], extremes[k], scratch)
 
 
 @hot
@@ -145,13 +168,9 @@ def look(handles, begin, end, truth):
     """Fill truth[k, a] for every axis of the stages begin..end-1."""
     for k in range(begin, end):
         h = handles[k]
-        world = numba.carray(_pointer(h.world), (1,), WORLD)
-        chips = numba.carray(_pointer(h.chips), (h.n_axes,), CHIP)
-        drives = numba.carray(_pointer(h.drives), (h.n_axes,), DRIVE)
-        table = numba.carray(_pointer(h.table), (h.n_axes,), AXIS_TABLE)
-        clockwork = numba.carray(_pointer(h.clockwork), (1,), CLOCKWORK)
-        qpos = numba.carray(_pointer(h.qpos), (h.nq,), REAL)
-        qvel = numba.carray(_pointer(h.qvel), (h.nv,), REAL)
+        arrays = _arrays(h)
+        world, chips, drives, table = arrays[0], arrays[2], arrays[3], arrays[5]
+        clockwork, qpos, qvel = arrays[7], arrays[8], arrays[9]
         tau = (world[0].now - world[0].start - 0.5 * clockwork[0].dt) * 1e-9
         for a in range(h.n_axes):
             t, out = table[a], truth[k, a]
@@ -218,6 +237,8 @@ def by_hand(stage: Any, ops: np.ndarray, results: np.ndarray, extremes: np.ndarr
                 stage._run_until(stage._now + a)
             elif kind == STOP:
                 results[j] = until_stopped(a, b, c)
+            elif kind == LOOK:
+                results[j] = math.floor(stage._joint_position(a) * 1e12)
             else:
                 measure(a)
     except SimulationError:
