@@ -36,7 +36,7 @@ OPERATING = 0x40  # of the status byte
 
 _ARRAYS = "world axes chips drives switches table switch_table clockwork qpos qvel ctrl sensordata".split()
 HANDLE = record(
-    [(name, "i8") for name in ["model", "data", *_ARRAYS, "n_axes", "n_switches", "nq", "nv", "nu", "ns", "bus"]]
+    [(name, "i8") for name in ["mj_model", "mj_data", *_ARRAYS, "n_axes", "n_switches", "nq", "nv", "nu", "ns", "bus"]]
 )
 """Where a stage's arrays lie, their lengths, and the ns of a bus cycle."""
 
@@ -89,7 +89,7 @@ def _pass(h, arrays, scratch, until):
     world, axes, chips, drives, switches, table, switch_table, clockwork, qpos, qvel, ctrl, sensordata = arrays
     samples, positions, edges, counts = scratch
     return engine.run(
-        int(h.model), int(h.data), world, axes, chips, drives, switches, table, switch_table, clockwork,
+        int(h.mj_model), int(h.mj_data), world, axes, chips, drives, switches, table, switch_table, clockwork,
         qpos, qvel, ctrl, sensordata, until, samples, positions, 0, edges, 0, counts,
     ) == engine.DIVERGED  # fmt: skip
 
@@ -189,7 +189,7 @@ def handle(stage: Any) -> np.record:
     """The HANDLE of a stage, which must outlive it."""
     h = np.zeros(1, HANDLE)
     model, data = stage.model, stage.data
-    h["model"], h["data"] = model._address, data._address
+    h["mj_model"], h["mj_data"] = model._address, data._address
     held = (
         stage._world, stage._axis_state, stage._chips, stage._drives, stage._switches, stage._table, stage._switch_table,
         stage._clockwork, data.qpos, data.qvel, data.ctrl, data.sensordata,

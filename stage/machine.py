@@ -452,8 +452,8 @@ class Stage:
     def __getstate__(self) -> dict[str, Any]:
         return {
             "model": self.model,
+            "plant": self._plant,
             "chips": [(type(a.chip), a.chip.clock_hz) for a in self._axes_by_index],
-            "names": list(self.axes),
             "drives": [a.drive for a in self._axes_by_index],
             "bus_ns": self._bus_ns,
             "offset": self._offset,
@@ -465,7 +465,7 @@ class Stage:
 
     def __setstate__(self, s: dict[str, Any]) -> None:
         self.model = s["model"]
-        self._plant = plant.bind(self.model, s["names"])
+        self._plant = s["plant"]
         self._wire([cls(hz) for cls, hz in s["chips"]], s["drives"], s["bus_ns"], s["offset"])
         self._switch_table["forced"] = s["forced"]
         self._payloads, self._own_masses = s["payloads"]
