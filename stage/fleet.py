@@ -109,6 +109,9 @@ class Fleet:
         self._truth = np.zeros((len(self.stages), self._axes), host.TRUTH)
         self._scratch = [self._new_scratch() for _ in range(self.threads * CHUNKS)]
         self._pool: ThreadPoolExecutor | None = None
+        with announced("PulseStage: compiling the fleet's loop, once on this machine (about twenty seconds) ..."):
+            none = np.zeros((0, 1, 4), np.int64), np.zeros((0, 1), np.int64), np.zeros((0, self._nq, 2))
+            host.play(self._handles, 0, 0, *none, np.zeros(0, np.int64), self._scratch[0])
 
     def __len__(self) -> int:
         return len(self.stages)
@@ -128,8 +131,7 @@ class Fleet:
         if watched:
             compiled = ops.copy()
             compiled[watched, 0] = host.END
-        with announced("PulseStage: compiling the fleet's loop, once on this machine (about twenty seconds) ..."):
-            self._spread(lambda a, b, s: host.play(self._handles, a, b, compiled, results, extremes, status, s))
+        self._spread(lambda a, b, s: host.play(self._handles, a, b, compiled, results, extremes, status, s))
         for k in watched:
             status[k] = host.by_hand(self.stages[k], ops[k], results[k], extremes[k])
         return Played(results, extremes, status == host.DIVERGED)

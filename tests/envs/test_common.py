@@ -14,7 +14,11 @@ import stage.envs
 from stage import ArgumentError
 
 EVERY = list(stage.envs.IDS)
-SETTINGS = {"stage/RegisterTuning-v0": {"moves": 2, "distances": (400, 1600), "limit": 0.5, "settle": 0.01}}
+SETTINGS = {
+    "stage/RegisterTuning-v0": {"moves": 2, "distances": (400, 1600), "limit": 0.5, "settle": 0.01},
+    "stage/RegisterBus-v0": {"cycles": 4, "bus_cycle": 1e-3, "waits": (1e-3, 1e-2)},
+    "stage/OriginReturn-v0": {"returns": 2, "limit": 0.15, "settle": 0.01},
+}
 """What makes an episode short."""
 
 pytestmark = pytest.mark.filterwarnings("error")

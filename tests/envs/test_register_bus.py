@@ -1,11 +1,10 @@
 """RegisterBus: a host's own byte sequence reaches the goal, bus cycle by bus cycle."""
 
-
 import gymnasium
 import numpy as np
 import pytest
 
-from stage import firmware
+from stage import ArgumentError, firmware
 from stage.chips import PCL240K, PCL240MK, PCL240MS
 from stage.envs import register_bus as rb
 from stage.firmware import bus
@@ -24,8 +23,8 @@ def make_vec(n, **settings):
     ).unwrapped
 
 
-class EpisodeOver(Exception):  # noqa: N818
-    pass
+class EpisodeOver(Exception):
+    """The environment takes no more actions."""
 
 
 class HostChip:
@@ -73,6 +72,11 @@ class Host:
         self.info = self.steps[-1][4]
         return self.info
 
+    def wait_out(self, kind):
+        """Wait to the end of the episode."""
+        while not self.over:
+            self.act(kind)
+
     @property
     def over(self):
         return bool(self.steps) and (self.steps[-1][2] or self.steps[-1][3])
@@ -95,9 +99,7 @@ def test_the_bytes_of_a_preset_move_reach_the_target_without_a_lost_step(chip):
     for k, pulses in enumerate(info["target"]):
         for address, byte in sequence(int(pulses), chip):
             host.act(rb.WRITE, k, address, byte)
-    with pytest.raises(EpisodeOver):
-        while True:
-            host.act(rb.WAIT + 2)
+    host.wait_out(rb.WAIT + 2)
     _, _, terminated, truncated, last = host.steps[-1]
     assert (terminated, truncated, last["success"], last["lost_steps"]) == (True, False, True, 0)
     assert last["error"] <= env._task.config.tolerance
@@ -138,7 +140,11 @@ def go_home(host):
 
 @pytest.mark.parametrize(
     "start",
-    [{"x": -0.1, "y": -0.06, "z": 0.0}, {"x": -0.1215, "y": -0.074, "z": -0.0145}, {"x": -0.119, "y": -0.098, "z": -0.01}],
+    [
+        {"x": -0.1, "y": -0.06, "z": 0.0},
+        {"x": -0.1215, "y": -0.074, "z": -0.0145},
+        {"x": -0.119, "y": -0.075, "z": -0.01},
+    ],
     ids=["before ORG", "on ORG", "near and far"],
 )
 def test_a_scripted_host_finds_home(start):
@@ -152,3 +158,196 @@ def test_a_scripted_host_finds_home(start):
     for axis in env.stage.axes.values():
         touch = next(s.touch for s in axis._plant.switches if s.pin == "org")
         assert axis.position == pytest.approx(touch, abs=4 * axis.meters_per_pulse)
+
+
+def test_what_a_host_reads_is_what_the_chip_says_and_the_observation_keeps_it():
+    env = make(axes=("x", "z"))
+    env.reset(seed=0)
+    host = Host(env)
+    chip = env.stage.axes["z"].chip
+    for address, byte in ((0, 0x80), (3, 0x12), (2, 0x34), (1, 0x56)):
+        host.act(rb.WRITE, 1, address, byte)
+    for address, byte in ((1, 0x56), (2, 0x34), (3, 0x12)):
+        assert host.act(rb.READ, 1, address)["value"] == byte
+    assert chip.values()["R0"] == 0x123456
+    status = host.act(rb.READ, 1, 0)["value"]
+    seen = host.steps[-1][0]
+    x, z, common = seen[:16], seen[16:32], seen[32:]
+    assert z[:8].tolist() == [status >> k & 1 for k in range(8)]
+    assert z[8:11] == pytest.approx(np.array([0x56, 0x34, 0x12]) / 255, abs=1e-6)
+    assert x[:15].tolist() == [0] * 15, "the other chip was not read"
+    assert common[:2] == pytest.approx([status / 255, 1], abs=1e-6)
+    assert host.act(rb.WAIT)["value"] == -1
+    assert host.steps[-1][0][33] == 0
+
+
+def test_freshness_fades_with_age_and_is_0_before_the_first_read():
+    env = make(axes=("x",))
+    first, _ = env.reset(seed=0)
+    host = Host(env)
+    assert first[11:15].tolist() == [0, 0, 0, 0]
+    host.act(rb.READ, 0, 0)
+    assert host.steps[-1][0][11:15].tolist() == [1, 0, 0, 0]
+    host.act(rb.WAIT + 1)
+    assert host.steps[-1][0][11] == pytest.approx(0.5)
+    host.act(rb.READ, 0, 3)
+    assert host.steps[-1][0][14] == 1
+
+
+def test_live_observations_cost_no_bus_cycle_and_know_the_counter_in_motion():
+    env, slow = make(axes=("x",), live=True), make(axes=("x",))
+    for e in (env, slow):
+        e.reset(seed=0)
+    host, blind = Host(env), Host(slow)
+    for h in (host, blind):
+        for address, byte in [(0, 0x80), (3, 0), (2, 0x10), (1, 0), (0, 0x81), (2, 1), (1, 0), (0, 0x87), (1, 24)]:
+            h.act(rb.WRITE, 0, address, byte)
+        h.act(rb.WRITE, 0, 0, 0x10)
+        h.act(rb.WAIT + 2)
+    seen = host.steps[-1][0]
+    counter = env.stage.axes["x"].chip.values()["R0"]
+    assert 0 < counter < 0x1000
+    assert np.rint(seen[8:11] * 255).tolist() == [counter & 0xFF, counter >> 8, 0]
+    assert seen[6] == 1, "operating"
+    assert seen[11:15].tolist() == [1, 1, 1, 1]
+    assert blind.steps[-1][0][:15].tolist() == [0] * 15
+    assert env.stage.time == slow.stage.time
+
+
+def test_truth_shows_what_no_host_knows():
+    env = make(axes=("x",), truth=True)
+    first, _ = env.reset(seed=0, options={"target": {"x": 4000}})
+    assert first.shape == (24,)
+    assert first[15:20] == pytest.approx([0.5, 0, 0, 0, -0.5], abs=1e-3)
+    env.stage.place(x=0.079)
+    env.stage.data.qvel[env.stage.axes["x"]._plant.dof] = 0.1
+    seen = env.step(np.array([rb.READ, 0, 0, 0]))[0]
+    assert seen[16] == pytest.approx(0.5, abs=1e-3)
+    assert seen[17] == pytest.approx(0.2, abs=1e-3)
+
+
+def test_a_wait_lasts_as_long_as_it_says_and_a_bus_cycle_as_long_as_one():
+    env = make(axes=("x",), bus_cycle=2e-6, waits=(1e-5, 2.0))
+    env.reset(seed=0)
+    host = Host(env)
+    assert env.action_space.nvec.tolist() == [4, 1, 4, 256]
+    passed = [host.act(kind)["elapsed"] for kind in (rb.WRITE, rb.READ, rb.WAIT, rb.WAIT + 1)]
+    assert passed == pytest.approx([2e-6, 4e-6, 14e-6, 2.000014])
+    assert host.steps[-1][4]["reward_parts"]["time"] == pytest.approx(-0.2)
+
+
+def test_progress_telescopes_so_that_the_way_does_not_matter():
+    env = make(axes=("x",), waits=(0.05, 0.2))
+    env.reset(seed=0, options={"target": {"x": 2000}})
+    host, task = Host(env), env._task
+    start = task.potential[0]
+    assert start == pytest.approx(-(2000 - 4) / 8000)
+    for address, byte in sequence(-1000, PCL240K):  # the wrong way first
+        host.act(rb.WRITE, 0, address, byte)
+    for _ in range(4):
+        host.act(rb.WAIT + 1)
+    assert task.potential[0] < start
+    for address, byte in sequence(3000, PCL240K):
+        host.act(rb.WRITE, 0, address, byte)
+    host.wait_out(rb.WAIT)
+    assert host.info["success"]
+    assert sum(s[4]["reward_parts"]["progress"] for s in host.steps) == pytest.approx(-start)
+    total = sum(s[1] for s in host.steps)
+    assert total == pytest.approx(-start - 0.1 * host.info["elapsed"] + rb.Config.success_weight)
+
+
+def test_lost_steps_cost_and_bar_success():
+    env = make(axes=("x",), cycles=10_000)
+    env.reset(seed=0, options={"target": {"x": 2000}})
+    host = Host(env)
+    for address, byte in [(0, 0x80), (3, 0), (2, 2000 >> 8), (1, 2000 & 0xFF)]:
+        host.act(rb.WRITE, 0, address, byte)
+    for address, byte in [(0, 0x82), (2, 0x1F), (1, 0xFF), (0, 0x87), (1, 6), (0, 0x44), (0, 0x11)]:
+        host.act(rb.WRITE, 0, address, byte)  # FH1 = 8191, 819 kpps at once
+    for _ in range(5):
+        host.act(rb.WAIT + 3)
+    assert env.stage.axes["x"].lost_steps > 0
+    assert not host.info["success"]
+    lost = host.info["lost_steps"]
+    assert sum(s[4]["reward_parts"]["lost"] for s in host.steps) == pytest.approx(
+        -rb.Config.lost_weight * lost, rel=0.5
+    )
+
+
+def test_time_and_cycles_end_an_episode():
+    env = make(axes=("x",), time_limit=0.25)
+    env.reset(seed=0)
+    ends = [env.step(np.array([rb.WAIT + 3, 0, 0, 0]))[2:4] for _ in range(3)]
+    assert ends == [(False, False), (False, False), (False, True)]
+    env = make(axes=("x",), cycles=3)
+    env.reset(seed=0)
+    ends = [env.step(np.array([rb.READ, 0, 0, 0]))[2:4] for _ in range(3)]
+    assert ends == [(False, False), (False, False), (False, True)]
+
+
+def test_targets_and_places_are_drawn_over_their_ranges():
+    env = make()
+    targets = np.array([env.reset(seed=s)[1]["target"] for s in range(60)])
+    assert (np.abs(targets) >= 400).all()
+    assert (np.abs(targets) <= 8000).all()
+    assert (targets > 0).any(axis=0).all()
+    assert (targets < 0).any(axis=0).all()
+    home = make(goal="home")
+    places = []
+    for s in range(60):
+        home.reset(seed=s)
+        places.append([a.position for a in home.stage.axes.values()])
+    assert np.ptp(places, axis=0) == pytest.approx([0.28, 0.18, 0.07], abs=0.03)
+
+
+def test_every_axis_can_be_a_chip_of_its_own_or_left_alone():
+    env = make(axes=("z", "x"))
+    assert list(env.stage.axes) == ["z", "x"]
+    assert env.action_space.nvec.tolist() == [6, 2, 4, 256]
+    assert env.observation_space.shape == (2 * 16 + 4,)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"goal": "away"}, "unknown goal 'away'"),
+        ({"chip": "PCL240X"}, "unknown chip 'PCL240X'"),
+        ({"axes": ("x", "w")}, "unknown axis 'w'"),
+        ({"waits": ()}, "waits="),
+        ({"waits": (0.0,)}, "waits="),
+        ({"distances": (2, 10)}, "distances="),
+        ({"distances": (10, 20_000)}, "there is room for 12"),
+        ({"tolerance": np.nan}, "tolerance="),
+        ({"cycles": 0}, "cycles=0"),
+        ({"goal": "home", "tolerance": 7000.0, "distances": (8000, 8000)}, "no place to start from"),
+    ],
+)
+def test_settings_that_cannot_be_are_named(settings, message):
+    with pytest.raises(ArgumentError, match=message):
+        make(**settings)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"target": {"w": 100}}, "unknown axis 'w'"),
+        ({"target": {"x": 10.5}}, "whole numbers"),
+        ({"target": 100}, "a mapping axis -> value"),
+        ({"target": {"x": 60_000}}, "beyond an end limit"),
+        ({"start": {"x": 1.0}}, "within the travel"),
+        ({"start": {"x": "far"}}, "places are metres"),
+    ],
+)
+def test_options_that_cannot_be_are_named(options, message):
+    with pytest.raises(ArgumentError, match=message):
+        make().reset(options=options)
+    with pytest.raises(ArgumentError, match="has no target"):
+        make(goal="home").reset(options={"target": {"x": 100}})
+
+
+def test_a_stage_that_is_home_already_is_not_drawn():
+    env = make(goal="home", tolerance=3000.0, distances=(4000, 8000))
+    for seed in range(10):
+        env.reset(seed=seed)
+        for axis, origin in zip(env._task.axes, env._task.origin, strict=True):
+            assert abs(env.stage.axes[axis.name].position - origin) > 3000 * axis.meters_per_pulse

@@ -1,0 +1,319 @@
+"""`stage/OriginReturn-v0`: find the origin from an unknown place, fast and repeatably.
+
+A step is one whole origin return of an axis that was powered up anywhere between its end limits, before ORG, on it or beyond:
+
+    leave      plus by a preset distance (0: not at all): a search that starts on ORG is refused by the chip
+    search     minus, fast, until ORG; with SD enabled at FL from the SD switch on
+    back off   plus by a preset distance, at FL
+    approach   minus, at another FL, until ORG, or (ez = N) until the N-th index pulse after it
+
+with a rest of `settle` after each. What the chip says meanwhile is read, and no decision is taken on it.
+
+action        Box [-1, 1]^7, see registers.py; with actions="registers" the integers themselves, MultiDiscrete:
+              R1 FL and R2 FH1 of leaving, search and backing off, R4 their rate (R5 as well), approach (R1 of the approach),
+              leave and back_off (pulses), sd (1 uses SD). A unit of R1, R2 and approach is clock / (8192 R7) pps, 20 by default.
+observation   float32: 0 ORG asserted now    1 SD+ asserted now    2 returns to go / returns
+              3 payload, 4 friction, -1 to 1 over their ranges (friction by its logarithm)
+              and of the last return, as a host knows it (0 before the first)
+              5 there was one    6 ended at the origin    7 ran into an end limit    8 a run took longer than `limit`
+              9 ORG let go after backing off    10 duration / 4 limits    11 pulses of the search / those from EL to EL
+              12 pulses of the approach beyond those of backing off / 64: how far the search overran
+              Where the carriage stands is hidden.
+reward        the sum of
+              time     - time_weight x s
+              error    - error_weight x pulses between the carriage and the place where ORG trips (or the N-th index
+                         pulse after it), 64 at most
+              spread   - spread_weight x pulses by which this return widened the episode's largest minus smallest end
+              missed   - missed_weight if the return did not end at the origin
+              limit    - limit_weight if a run ended neither after its pulses nor at ORG: an end limit, or its time limit
+              lost     - lost_weight if a full step was lost on the way
+episode       `returns` returns, then truncated. Payload and friction are drawn once for all, places anew for each return.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+from stage import Stage
+from stage.chips import CHIPS, Chip
+from stage.engine import INDEX
+from stage.envs.base import Outcome, StageEnv, StageVectorEnv, Task
+from stage.envs.registers import RegisterBox
+from stage.errors import ArgumentError, unknown
+from stage.firmware import bus
+from stage.fleet import Played, Program
+
+NAMES = ("R1", "R2", "R4", "approach", "leave", "back_off", "sd")
+FROM_LIMIT = 5e-4  # m; no return starts nearer to an end limit
+CAP = 64.0  # pulses, of an error: an electrical period of a motor at 1/16 step
+COUNTER = 0xFFFFFF
+ORG, ZERO = 0x02, 0x08  # of the status byte
+
+
+@dataclass(frozen=True)
+class Config:
+    """Settings of OriginReturn."""
+
+    model: str = "xyz"
+    chip: str | type[Chip] = "PCL240K"
+    axis: str = "x"
+    actions: str = "box"  # or "registers"
+    returns: int = 5  # an episode
+    payloads: tuple[float, float] = (0.0, 10.0)  # kg, drawn evenly
+    frictions: tuple[float, float] = (0.5, 2.0)  # times the axis' friction and damping, drawn evenly by their logarithm
+    drift: float = 0.0  # m; ORG trips up to so far from its place, drawn for each return
+    ez: int = 0  # end at the ez-th index pulse after ORG (PCL240MK, PCL240MS); 0: at ORG
+    multiplier: int = 30  # R7
+    leave: int = 16_000  # pulses, the most
+    back_off: int = 3_200  # pulses, the most
+    limit: float = 20.0  # s, each of the four runs may take
+    settle: float = 0.05  # s
+    time_weight: float = 1.0
+    error_weight: float = 0.05
+    spread_weight: float = 0.2
+    missed_weight: float = 20.0
+    limit_weight: float = 2.0
+    lost_weight: float = 2.0
+    bus_cycle: float = 1e-6  # s
+
+    def __post_init__(self) -> None:
+        if self.actions not in ("box", "registers"):
+            raise unknown("actions", self.actions, ("box", "registers"))
+        for name, (low, high), least in (("payloads", self.payloads, 0.0), ("frictions", self.frictions, 1e-3)):
+            if not least <= low <= high:
+                raise ArgumentError(f"{name}={getattr(self, name)!r}: (least, most), from {least} up.")
+        for name in ("returns", "leave", "back_off", "limit", "settle"):
+            if not getattr(self, name) > 0:
+                raise ArgumentError(f"{name}={getattr(self, name)!r}: more than 0.")
+        if self.ez not in range(17):
+            raise ArgumentError(f"ez={self.ez!r}: 0, or the 1st to 16th index pulse after ORG.")
+        if not 0 <= self.drift <= FROM_LIMIT:
+            raise ArgumentError(f"drift={self.drift!r} m: 0 to {FROM_LIMIT}.")
+
+
+class Strategy(RegisterBox):
+    """What an action chooses, NAMES, as a RegisterBox of numbers that are not all registers of their own."""
+
+    def __init__(self, map_: Any, leave: int, back_off: int):
+        super().__init__(map_, ("R1", "R2", "R4", "R1"))
+        self.names = NAMES
+        self.low = np.append(self.low, (0, 1, 0))
+        self.high = np.append(self.high, (leave, back_off, 1))
+        self._logarithmic = self.low > 0
+        self._ratio = np.where(self._logarithmic, np.log(self.high / np.maximum(self.low, 1)), 1.0)
+        self._power = np.where(np.array(NAMES) == "leave", 3.0, 1.0)
+
+
+class OriginReturn(Task[Config]):
+    Config = Config
+    OPTIONS = ("start", "payload", "friction")
+    """start: m, of the first return."""
+    RESTARTS = True
+
+    def stage(self, textures: bool) -> Stage:
+        c = self.config
+        chip = CHIPS.get(c.chip) if isinstance(c.chip, str) else c.chip
+        if chip is None:
+            raise unknown("chip", str(c.chip), CHIPS)
+        if c.ez and not getattr(chip, "EXTENDED", False):
+            raise ArgumentError(f"ez={c.ez!r}: a {chip.__name__} does not count EZ: a PCL240MK or PCL240MS does.")
+        made = Stage(c.model, chips=chip, bus_cycle=c.bus_cycle, textures=textures)
+        if c.axis not in made.axes:
+            raise unknown("axis", c.axis, made.axes)
+        return made
+
+    def prepare(self) -> None:
+        c, n, first = self.config, self.n, self.stages[0]
+        self.axis = first.axes[c.axis]
+        self.chip: Any = self.axis.chip
+        self.chip.MAP.checked("R7", c.multiplier)
+        self.switch = {s.pin: s for s in self.axis._plant.switches}
+        for pin in ("org", "el_minus", "el_plus"):
+            if pin not in self.switch:
+                raise ArgumentError(f"axis {c.axis} has no {pin}: an origin return needs ORG and both end limits.")
+        self.low, self.high = self.switch["el_minus"].touch, self.switch["el_plus"].touch
+        self.per_pulse = self.axis.meters_per_pulse
+        self.origin = self._origin()
+        self.dof = self.axis._plant.dof
+        self.friction0 = float(first.model.dof_frictionloss[self.dof]), float(first.model.dof_damping[self.dof])
+        self._find_beam(first)
+        self.strategy = Strategy(self.chip.MAP, c.leave, c.back_off)
+        self.action_space = self.strategy.box if c.actions == "box" else self.strategy.discrete
+        self.observation_space = gymnasium.spaces.Box(-1.0, 1.0, (13,), np.float32)
+        self.marks: dict[str, int] = {}
+        self._program(self.strategy.low, self.marks)
+        self.payload, self.friction, self.place = np.zeros(n), np.ones(n), np.zeros(n)
+        self.ends = np.zeros((n, 2))
+        self.last = np.zeros((n, 8))
+
+    def _origin(self) -> float:
+        """Where a perfect return ends, m: ORG, or the edge of the ez-th index pulse after it."""
+        touch, ez = self.switch["org"].touch, self.config.ez
+        if not ez:
+            return touch
+        turn = 2 * np.pi / self.axis.gear
+        first, turn = self.axis._plant.index * turn + 0.5 * INDEX * abs(turn), abs(turn)
+        return float(first + (np.floor((touch - first) / turn) - (ez - 1)) * turn)
+
+    def _find_beam(self, stage: Stage) -> None:
+        """The beam of ORG, and the way to shift it in its body's frame, per metre of travel."""
+        self.beam = int(stage.model.sensor_refid[self.switch["org"].sensor])
+        turned = stage.data.xmat[stage.model.geom_bodyid[self.beam]].reshape(3, 3)
+        self.along = turned.T @ stage.data.xaxis[self.axis.joint]
+        self.beam0 = stage.model.geom_pos[self.beam].copy()
+
+    def begin(self, k: int, options: Mapping[str, Any]) -> None:
+        c, rng, model = self.config, self.rngs[k], self.stages[k].model
+        payload, friction = float(rng.uniform(*c.payloads)), float(np.exp(rng.uniform(*np.log(c.frictions))))
+        self.payload[k] = self._given(options, "payload", payload, c.payloads)
+        self.friction[k] = self._given(options, "friction", friction, c.frictions)
+        self.stages[k].set_payload(float(self.payload[k]))
+        model.dof_frictionloss[self.dof], model.dof_damping[self.dof] = np.array(self.friction0) * self.friction[k]
+        self.ends[k], self.last[k] = (np.inf, -np.inf), 0.0
+        self._draw(k, options)
+
+    def renew(self, active: np.ndarray) -> None:
+        for k in np.flatnonzero(active):
+            self._draw(int(k), {})
+
+    def _draw(self, k: int, options: Mapping[str, Any]) -> None:
+        """The next unknown place."""
+        c, rng, stage = self.config, self.rngs[k], self.stages[k]
+        drawn = float(rng.uniform(self.low + FROM_LIMIT, self.high - FROM_LIMIT))
+        self.place[k] = self._given(options, "start", drawn, self.axis.travel)
+        if c.drift:
+            stage.model.geom_pos[self.beam] = self.beam0 + self.along * rng.uniform(-c.drift, c.drift)
+        stage.restore(self.start)
+        stage.place(**{c.axis: float(self.place[k])})
+
+    @staticmethod
+    def _given(options: Mapping[str, Any], name: str, drawn: float, ends: tuple[float, float]) -> float:
+        value = options.get(name, drawn)
+        if not isinstance(value, int | float | np.number) or not ends[0] <= value <= ends[1]:
+            raise ArgumentError(f"option {name}={value!r}: from {ends[0]} to {ends[1]}.")
+        return float(value)
+
+    def describe(self, k: int) -> dict[str, Any]:
+        return {"payload": float(self.payload[k]), "friction": float(self.friction[k])}
+
+    def chosen(self, actions: np.ndarray) -> np.ndarray:
+        """The numbers that actions choose, in the order of NAMES."""
+        return self.strategy.from_action(actions) if self.config.actions == "box" else actions.astype(np.int64)
+
+    def programs(self, actions: np.ndarray, active: np.ndarray) -> list[Program]:
+        rows = self.chosen(actions)
+        return [self._program(row) if on else Program() for row, on in zip(rows, active, strict=True)]
+
+    def _program(self, row: np.ndarray, marks: dict[str, int] | None = None) -> Program:
+        """A whole return. `marks` takes the places of what its operations find; they are the same for every row."""
+        c, a, chip = self.config, self.axis.index, self.chip
+        fl, fh, rate, approach, leave, back_off, sd = row.tolist()
+        marks = {} if marks is None else marks
+        p = Program().command(a, bus.RESET)
+        values = {"R1": fl, "R2": fh, "R4": rate, "R5": rate, "R7": c.multiplier}
+        if chip.S_CURVES:
+            values["R14"] = chip.LINEAR_RAMPS
+        for name, value in values.items():
+            p.register(a, chip, name, value)
+        p.command(a, bus.OUTPUT)
+
+        def run(name: str, control: int, start: int, r0: int, rest: float = c.settle) -> None:
+            p.register(a, chip, "R0", r0).command(a, bus.CONTROL | control).command(a, start)
+            marks[f"{name} time"] = len(p)
+            p.until_stopped([a], c.limit).command(a, bus.RESET).wait(rest)
+            for address in (0, 3, 2, 1):
+                marks[f"{name} {address}"] = len(p)
+                p.read(a, address)
+
+        ramp_down = max(fh * fh - fl * fl, 0) * rate // (16384 * c.multiplier) + 5
+        p.register(a, chip, "R6", min(leave // 2 + 2, ramp_down))
+        run("leave", bus.PRESET, bus.RAMP["FH1"], leave, rest=c.settle if leave else 0.0)
+        run("search", bus.ORIGIN | bus.MINUS | (bus.SD if sd else 0), bus.RAMP["FH1"], 0)
+        run("back off", bus.PRESET, bus.START["FL"], back_off)
+        p.register(a, chip, "R1", approach)
+        if c.ez:
+            p.register(a, chip, "R13", bus.EZ_RETURN | bus.EZ_FROM_FL | (c.ez - 1) << 16)
+        run("approach", bus.ORIGIN | bus.MINUS, bus.START["FL"], 0)
+        if c.ez:  # the index pulse, as R17 shows it: bit 20, in the high byte
+            p.command(a, bus.OUTPUT | bus.EXTENSION)
+            p.command(a, bus.SELECT | bus.COLLECTIVE | chip.MAP.register("R17").number)
+            marks["index"] = len(p)
+            p.read(a, 3).command(a, bus.OUTPUT)
+        return p
+
+    def outcome(self, actions: np.ndarray, played: Played, truth: np.ndarray, active: np.ndarray) -> Outcome:
+        c, t = self.config, truth[:, self.axis.index]
+        found = {name: played.results[:, at] for name, at in self.marks.items()}
+        status = {name: found[f"{name} 0"] for name in ("leave", "search", "back off", "approach")}
+        made = {
+            name: -(found[f"{name} 3"] << 16 | found[f"{name} 2"] << 8 | found[f"{name} 1"]) & COUNTER
+            for name in ("search", "approach")
+        }
+        late = np.zeros(self.n, bool)
+        for name in status:
+            late |= found[f"{name} time"] < 0
+        on_org = {name: s & ORG != 0 for name, s in status.items()}
+        arrived = found["index"] & bus.EZ_SIGNAL >> 16 != 0 if c.ez else on_org["approach"]
+        released = ~on_org["back off"]
+        home = ~late & released & arrived & (made["approach"] > 0)
+        short = (status["leave"] & ZERO == 0) | (status["back off"] & ZERO == 0)
+        end_limit = ~late & (short | ~on_org["search"] | (released & ~arrived))
+        duration = t["now"] * 1e-9  # since power-up
+        error = np.clip((t["position"] - self.origin) / self.per_pulse, -1e6, 1e6)
+        lost = np.abs(t["lost_steps"])
+        ends = np.where(
+            home[:, None],
+            np.stack([np.minimum(self.ends[:, 0], error), np.maximum(self.ends[:, 1], error)], axis=1),
+            self.ends,
+        )
+        spread, before = _width(ends), _width(self.ends)
+        parts = {
+            "time": -c.time_weight * duration,
+            "error": -c.error_weight * np.minimum(np.abs(error), CAP),
+            "spread": -c.spread_weight * np.minimum(spread - before, CAP),
+            "missed": np.where(home, 0.0, -c.missed_weight),
+            "limit": np.where(end_limit | late, -c.limit_weight, 0.0),
+            "lost": np.where(lost > 0, -c.lost_weight, 0.0),
+        }
+        info = {
+            "duration": duration, "error": error, "spread": spread, "home": home, "end_limit": end_limit, "late": late,
+            "lost_steps": lost, "start": self.place.copy(), "registers": self.chosen(actions),
+        }  # fmt: skip
+        overrun = made["approach"] - self.chosen(actions)[:, NAMES.index("back_off")]
+        whole = (self.high - self.low) / self.per_pulse
+        now = [active, home, end_limit, late, released, duration / (4 * c.limit), made["search"] / whole, overrun / CAP]
+        good = active & ~played.diverged
+        self.ends[good] = ends[good]
+        self.last[good] = np.clip(np.nan_to_num(np.stack(now, axis=1)), -1.0, 1.0)[good]
+        return Outcome(parts, np.zeros(self.n, bool), self.steps >= c.returns, info)
+
+    def observe(self, truth: np.ndarray) -> np.ndarray:
+        c, status = self.config, truth["status"][:, self.axis.index]
+        (p0, p1), (f0, f1) = c.payloads, np.log(c.frictions)
+        columns = [
+            status & ORG != 0,
+            status >> 2 & 1,
+            1.0 - self.steps / c.returns,
+            (self.payload - p0) / max(p1 - p0, 1e-9) * 2.0 - 1.0,
+            (np.log(self.friction) - f0) / max(f1 - f0, 1e-9) * 2.0 - 1.0,
+        ]
+        now = np.concatenate([np.stack(columns, axis=1), self.last], axis=1)
+        return np.clip(now, -1.0, 1.0).astype(np.float32)
+
+
+def _width(ends: np.ndarray) -> np.ndarray:
+    """Largest minus smallest; 0 where there is none yet."""
+    return np.where(ends[:, 1] >= ends[:, 0], ends[:, 1] - ends[:, 0], 0.0)
+
+
+class OriginReturnEnv(StageEnv):
+    task = OriginReturn
+
+
+class OriginReturnVectorEnv(StageVectorEnv):
+    task = OriginReturn

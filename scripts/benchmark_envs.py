@@ -1,0 +1,226 @@
+"""Throughput and memory of the environments, as ratios measured in one run: rounds interleaved, medians with spread.
+
+python scripts/benchmark_envs.py [--most 512] [--ids RegisterTuning] [--rounds 5] [--json FILE]
+
+Every line is one environment with so many stages under random actions. In each round the same episodes, seeds and actions, are
+played by our vector environment, by gymnasium.vector.SyncVectorEnv of our scalar one, and as many physics steps by a
+mujoco.batch.Batch of the bare model, carriages moving, torques constant, on as many threads.
+"""
+
+import argparse
+import gc
+import importlib.util
+import json
+import os
+import subprocess
+import sys
+import time
+
+import gymnasium
+import mujoco
+import mujoco.batch
+import numpy as np
+from benchmark import moving_stage
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+
+import stage.envs
+
+NUMBERS = (1, 8, 64, 512, 4096)
+PAGE = os.sysconf("SC_PAGE_SIZE") if hasattr(os, "sysconf") else 4096
+MODE = AutoresetMode.SAME_STEP  # every step is a step of every stage
+SEED = 240
+ENOUGH = 64  # stages, to tell how much memory one takes
+STATE = mujoco.mjtState.mjSTATE_INTEGRATION
+
+
+def timed(work):
+    begin = time.perf_counter()
+    work()
+    return time.perf_counter() - begin
+
+
+def vector(id_, n, threads=None, **settings):
+    kind = {"vectorization_mode": "vector_entry_point", "autoreset_mode": MODE, "threads": threads}
+    return gymnasium.make_vec(id_, num_envs=n, **kind, **settings)
+
+
+def sync(id_, n, **settings):
+    return SyncVectorEnv([lambda: gymnasium.make(id_, disable_env_checker=True, **settings)] * n, autoreset_mode=MODE)
+
+
+class Batch:
+    """The bare model, `n` times, in the middle of a move of three axes; `nstep` physics steps each at every step."""
+
+    def __init__(self, n, threads):
+        moving = moving_stage()
+        with moving.record() as recording:
+            moving.step(400)
+        torque = [recording.columns[f"{name}/torque"].mean() for name in moving.axes]
+        moving.data.ctrl[:] = torque
+        self.start = np.zeros(mujoco.mj_stateSize(moving.model, STATE))
+        mujoco.mj_getState(moving.model, moving.data, self.start, STATE)
+        self.batch = mujoco.batch.Batch(moving.model, nsim=n, nthread=threads)
+        self.qpos, self.qvel, self.ctrl = (self.batch.bind(name) for name in ("qpos", "qvel", "ctrl"))
+        self.move = moving.data.qpos.copy(), moving.data.qvel.copy(), moving.data.ctrl.copy()
+        self.nstep = 1
+
+    def reset(self, seed=None):
+        self.batch.reset()
+        self.qpos[:], self.qvel[:], self.ctrl[:] = self.move
+
+    def step(self, actions=None):
+        self.batch.step(nstep=self.nstep)
+
+    def close(self):
+        pass
+
+
+class Episodes:
+    """Random actions for at least `seconds` from SEED on, and the physics steps that they make."""
+
+    def __init__(self, envs, seconds):
+        task, self.actions, self.physics = envs.unwrapped._task, [], 0.0
+        play, dt = task.fleet.play, task.stages[0].model.opt.timestep * 1e9
+
+        def counted(programs):
+            before = task.fleet.truth()["now"][:, 0]
+            played = play(programs)
+            self.physics += float((task.fleet.truth()["now"][:, 0] - before).sum()) / dt
+            return played
+
+        task.fleet.play = counted
+        envs.action_space.seed(SEED)
+        envs.reset(seed=SEED)
+        passed = 0.0
+        while passed < seconds:
+            self.actions.append(envs.action_space.sample())
+            passed += timed(lambda: envs.step(self.actions[-1]))
+        task.fleet.play = play
+
+    def play(self, envs):
+        """Seconds that the same episodes take `envs`, resets at the beginning apart."""
+        envs.reset(seed=SEED)
+        return timed(lambda: [envs.step(a) for a in self.actions])
+
+
+def measure(id_, n, args):
+    """Rates and ratios of one environment with n stages, a value a round."""
+    ours = vector(id_, n, args.threads, **args.settings)
+    episodes = Episodes(ours, args.seconds)
+    other = sync(id_, n, **args.settings) if n <= args.most_sync else None
+    bare = Batch(n, ours.unwrapped._task.fleet.threads)
+    steps = n * len(episodes.actions)
+    bare.nstep = max(1, round(min(episodes.physics / n, args.bare)))
+    seconds = {"ours": [], "sync": [], "bare": []}
+    for _ in range(args.rounds):
+        seconds["ours"].append(episodes.play(ours))
+        if other is not None:
+            seconds["sync"].append(episodes.play(other))
+        bare.reset()
+        seconds["bare"].append(timed(bare.step))
+    for envs in (ours, other):
+        if envs is not None:
+            envs.close()
+    t = {name: np.array(values) for name, values in seconds.items()}
+    rows = {"env steps/s": steps / t["ours"], "physics steps/s": episodes.physics / t["ours"]}
+    if other is not None:
+        rows["times SyncVectorEnv"] = t["sync"] / t["ours"]
+    rows["of a bare Batch"] = rows["physics steps/s"] / (bare.nstep * n / t["bare"])
+    return rows
+
+
+def resident():
+    """Bytes of this process in memory."""
+    gc.collect()
+    with open("/proc/self/statm") as file:
+        return int(file.read().split()[1]) * PAGE
+
+
+def grow(kind, id_, n, settings):
+    """KiB that each of n stages takes after a step, beyond the first of its kind."""
+    make = {
+        "ours": lambda k: vector(id_, k, **settings),
+        "sync": lambda k: sync(id_, k, **settings),
+        "bare": lambda k: Batch(k, 0),
+    }[kind]
+
+    def stepped(number):
+        envs = make(number)
+        envs.reset(seed=SEED)
+        envs.step(None if kind == "bare" else envs.action_space.sample())
+        return envs
+
+    kept = [stepped(1)]
+    before = resident()
+    kept.append(stepped(n))
+    return (resident() - before) / n / 1024
+
+
+def memory(kind, id_, n, settings):
+    """`grow` in a process of its own, so that nothing freed before is used again."""
+    if not os.path.exists("/proc/self/statm"):
+        return float("nan")
+    what = [sys.executable, __file__, "--grow", kind, id_, str(n), "--settings", json.dumps(settings)]
+    out = subprocess.run(what, capture_output=True, text=True)
+    if out.returncode:
+        raise SystemExit(out.stderr)
+    return float(out.stdout)
+
+
+def present(ids):
+    """The ids asked for whose modules are there."""
+    for id_, where in stage.envs.IDS.items():
+        there = importlib.util.find_spec("stage.envs." + where.split(":")[0]) is not None
+        if there and (not ids or any(name in id_ for name in ids)):
+            yield id_
+
+
+def shown(values, digits=3):
+    """Median and spread."""
+    low, middle, high = np.min(values), np.median(values), np.max(values)
+    return f"{middle:,.{digits}g}" if middle < 1000 else f"{middle:,.0f}", f"({low:.{digits}g} .. {high:.{digits}g})"
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--ids", nargs="*", help="parts of the names of environments; default all")
+    parser.add_argument("--least", type=int, default=1, help="stages at least, of 1, 8, 64, 512, 4096")
+    parser.add_argument("--most", type=int, default=512, help="stages at most")
+    parser.add_argument("--most-sync", type=int, default=64, help="environments at most in SyncVectorEnv, slow to make")
+    parser.add_argument("--threads", type=int, help="default one a processor")
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--seconds", type=float, default=1.0, help="of our steps in a round, at least")
+    parser.add_argument(
+        "--bare", type=int, default=4000, help="physics steps of each bare simulation in a round, at most"
+    )
+    parser.add_argument("--settings", type=json.loads, default={}, help="of the environments, as JSON")
+    parser.add_argument("--json")
+    parser.add_argument("--grow", nargs=3, help=argparse.SUPPRESS)
+    args = parser.parse_args()
+    if args.grow:
+        print(grow(args.grow[0], args.grow[1], int(args.grow[2]), args.settings))
+        return
+    table = {}
+    print(f"{os.cpu_count()} processors, MuJoCo {mujoco.__version__}, {args.rounds} rounds; median (least .. most)")
+    for id_ in present(args.ids):
+        print(f"\n{id_}\n{'stages':>6}  {'env steps/s':>28}  {'physics steps/s':>30}  {'times SyncVectorEnv':>24}  "
+              f"{'of a bare Batch':>22}  {'KiB a stage: ours, sync, bare':>30}")  # fmt: skip
+        for n in (n for n in NUMBERS if args.least <= n <= args.most):
+            rows = measure(id_, n, args)
+            kinds = [k for k in ("ours", "sync", "bare") if n >= ENOUGH and (k != "sync" or n <= args.most_sync)]
+            kib = {kind: memory(kind, id_, n, args.settings) for kind in kinds}
+            cells = {name: " ".join(shown(values)) for name, values in rows.items()}
+            print(
+                f"{n:6}  {cells['env steps/s']:>28}  {cells['physics steps/s']:>30}  "
+                f"{cells.get('times SyncVectorEnv', '-'):>24}  {cells['of a bare Batch']:>22}  "
+                f"{' '.join(f'{kib[k]:9.0f}' if k in kib else '        -' for k in ('ours', 'sync', 'bare')):>30}",
+                flush=True,
+            )
+            table[f"{id_} {n}"] = {name: values.tolist() for name, values in rows.items()} | {"KiB a stage": kib}
+            if args.json:
+                with open(args.json, "w") as file:
+                    json.dump(table, file, indent=1)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,195 @@
+"""The baselines of scripts/baselines run, keep to their budgets, and the formula is a good engineer's answer."""
+
+import importlib
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stage import Stage
+from stage.errors import ArgumentError
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "scripts" / "baselines"))
+
+import agent_loop
+import formula
+from common import DISTANCE, PAYLOADS, Log, Moves, prove
+
+EXTRAS = {"cma_es": ("optuna", "cmaes"), "ppo": ("stable_baselines3",), "sac": ("stable_baselines3",)}
+SEARCHES = ("random_search", *EXTRAS)
+
+
+def search_of(name):
+    for extra in EXTRAS.get(name, ()):
+        pytest.importorskip(extra, reason=f"{name} needs {extra}: pip install 'pulsestage[rl]'")
+    return importlib.import_module(name).search
+
+
+def found(name, seed, budget=10, lanes=4):
+    with Moves(0.5, budget, distance=2000, lanes=lanes, seed=seed) as moves:
+        search_of(name)(moves, seed)
+        return moves.log
+
+
+@pytest.fixture
+def axis():
+    return Stage("xyz").axes["x"]
+
+
+@pytest.mark.parametrize("payload", PAYLOADS.values(), ids=PAYLOADS)
+def test_the_formula_loses_no_step_whatever_the_place_and_the_payloads_tolerance(payload, axis):
+    axis._stage.set_payload(payload)
+    r = formula.registers(axis, DISTANCE)
+    which, log = prove([[r[n] for n in ("R1", "R2", "R4", "R5", "R6", "R7")]], payload)
+    assert which == 0
+    assert not any(log.lost)
+
+
+def test_the_formula_takes_the_time_that_it_says(axis):
+    p = formula.profile(formula.Load.of(axis), DISTANCE)
+    ramps = formula.np.array([p.accel(), p.decel()])
+    made = (p.fl + p.fh1) / 2 * ramps.sum()
+    with Moves(0.0, 1, distance=DISTANCE, lanes=1) as moves:
+        formula.search(moves)
+        (duration,) = moves.log.duration
+    assert duration == pytest.approx(ramps.sum() + (DISTANCE - made) / p.fh1, rel=0.01)
+
+
+def test_no_other_top_rate_makes_the_formulas_move_shorter(axis):
+    """Its thrust, friction and mass, written out once more."""
+    load, safety = formula.Load.of(axis), formula.SAFETY
+    best = formula.profile(load, DISTANCE)
+    low = best.fl / load.per_metre
+
+    def seconds(top):
+        thrust, drag = float(load.thrust(np.array(top))) / safety, load.friction + load.damping * top
+        up, down = (thrust - drag) / load.mass, (thrust + drag) / load.mass
+        ramps = (top**2 - low**2) * (0.5 / up + 0.5 / down)
+        way = DISTANCE / load.per_metre
+        return np.inf if up <= 0 or ramps > way else (top - low) * (1 / up + 1 / down) + (way - ramps) / top
+
+    chosen = seconds(best.fh1 / load.per_metre)
+    assert chosen <= min(seconds(best.fh1 / load.per_metre * k) for k in np.linspace(0.7, 1.3, 61)) * 1.001
+
+
+def test_a_heavier_load_or_a_larger_safety_factor_makes_the_formulas_move_slower(axis):
+    bare = formula.profile(formula.Load.of(axis), DISTANCE)
+    careful = formula.profile(formula.Load.of(axis), DISTANCE, safety=2.0)
+    axis._stage.set_payload(10.0)
+    heavy = formula.profile(formula.Load.of(axis), DISTANCE)
+    for slower in (careful, heavy):
+        assert slower.fh1 < bare.fh1
+        assert slower.accel() / slower.fh1 > bare.accel() / bare.fh1
+
+
+def test_the_formula_refuses_what_the_motor_cannot_move(axis):
+    with pytest.raises(ArgumentError, match="too weak a motor"):
+        formula.profile(formula.Load.of(axis), DISTANCE, safety=100.0)
+
+
+def test_knobs_at_zero_are_the_formula_and_each_does_what_it_is_called(axis):
+    knobs = formula.Knobs(axis, DISTANCE)
+    middle = knobs.registers(np.zeros(5))
+    assert middle == formula.registers(axis, DISTANCE)
+
+    def rates(r):
+        step = 1 / r["R7"]
+        return np.array([r["R1"] * step, r["R2"] * step, step / r["R4"], step / r["R5"], r["R6"]])
+
+    for k, factor in enumerate(knobs.RANGES):
+        turned = rates(knobs.registers(np.eye(5)[k])) / rates(middle)
+        assert turned[k] == pytest.approx(factor, rel=0.03)
+        others = [j for j in range(4) if j != k]
+        assert turned[others] == pytest.approx(1, rel=0.03)
+
+
+@pytest.mark.parametrize("space", ["knobs", "registers"])
+def test_any_choice_makes_legal_registers(space):
+    rng = np.random.default_rng(5)
+    with Moves(10.0, 1, space, lanes=1) as moves:
+        for choice in rng.choice([-1.0, 0.0, 1.0], (40, moves.size)):
+            if moves.knobs:
+                moves.registers.to_action(moves.knobs.registers(choice))
+            else:
+                moves.registers.from_action(choice)
+
+
+@pytest.mark.parametrize("name", SEARCHES)
+def test_a_search_spends_its_budget_and_no_move_more(name):
+    log = found(name, seed=1)
+    assert len(log) == 10
+    assert {len(getattr(log, f)) for f in Log.__dataclass_fields__} == {10}
+
+
+@pytest.mark.parametrize("name", SEARCHES)
+def test_a_seed_gives_the_same_search_again_and_another_seed_another(name):
+    assert found(name, seed=3) == found(name, seed=3)
+    assert found(name, seed=3).registers != found(name, seed=4).registers
+
+
+@pytest.mark.parametrize("name", ["cma_es"])
+def test_a_search_that_begins_with_the_formula_makes_its_move_first(name, axis):
+    axis._stage.set_payload(0.5)
+    first = formula.registers(axis, 2000)
+    assert found(name, seed=0).registers[0] == [first[n] for n in ("R1", "R2", "R4", "R5", "R6", "R7")]
+
+
+def test_the_learning_curve_is_the_duration_of_the_best_move_so_far_that_kept_step():
+    log = Log()
+    for reward, duration, kept in ((-9, 1, False), (-3, 3, True), (-1, 9, False), (-4, 2, True), (-2, 5, True)):
+        log.note(reward, duration, 0, 0.0, kept, [1])
+    np.testing.assert_equal(log.curve(), [np.nan, 3, 3, 3, 5])
+    assert log.ranking == [4, 1, 3]
+
+
+def test_a_move_that_kept_step_by_luck_is_not_proven(axis):
+    reckless, r = {"R1": 150, "R2": 8000, "R4": 20, "R5": 20, "R6": 4000, "R7": 30}, formula.registers(axis, 2000)
+    rows = [[a[n] for n in ("R1", "R2", "R4", "R5", "R6", "R7")] for a in (reckless, r)]
+    assert prove(rows[:1], 0.5, 2000) is None
+    assert prove(rows, 0.5, 2000)[0] == 1
+
+
+def test_stable_baselines3_accepts_the_vector_environment():
+    pytest.importorskip("stable_baselines3", reason="needs stable-baselines3: pip install 'pulsestage[rl]'")
+    from vec_env import SCALE, WORST, MovesVecEnv
+
+    with Moves(0.5, 6, distance=2000, lanes=4) as moves:
+        env = MovesVecEnv(moves)
+        assert env.reset().shape == (4, *env.observation_space.shape)
+        for _ in range(3):  # the second step goes over the budget, the third makes nothing
+            seen, rewards, over, infos = env.step(np.zeros((4, 5), np.float32))
+            assert all(row in env.observation_space for row in seen)
+            assert over.all()
+            assert ((rewards <= 0) & (rewards >= SCALE * WORST)).all()
+            assert len(infos) == 4
+        assert len(moves.log) == 6
+
+
+def test_the_agent_loop_works_on_text_alone_and_improves():
+    machine = agent_loop.Machine(0.5, distance=4000, budget=12)
+    conversation = agent_loop.tune(machine, agent_loop.Technician())
+    json.dumps(conversation)
+    assert [m["role"] for m in conversation[:4]] == ["system", "user", "assistant", "user"]
+    assert "R2          13 W" in conversation[3]["content"]
+    assert len(machine.log) == 12
+    assert max(machine.log.reward) > machine.log.reward[0] + 0.02
+    assert "no moves left" not in conversation[-3]["content"]
+
+
+def test_an_agents_mistakes_are_told_and_not_raised():
+    machine = agent_loop.Machine(0.5, distance=500, budget=1)
+    replies = iter(["write R2 0", "write R9 5\nfly", "write R2 x", "move", "status\ndone"])
+    said = [m["content"] for m in agent_loop.tune(machine, lambda _: next(replies)) if m["role"] == "user"][1:]
+    assert said[0].startswith("error")
+    assert "R2" in said[0]
+    assert all(line.startswith("error") for line in [*said[1].splitlines(), *said[2].splitlines()])
+    assert "NOT all pulses made" in said[3]  # registers are 0 at power-up
+    assert said[4].startswith("halted")
+    assert "500 pulses left" in said[4]
+
+
+def test_a_model_that_never_says_done_is_ended():
+    machine = agent_loop.Machine(0.5, distance=500)
+    assert len(agent_loop.tune(machine, lambda _: "status", turns=3)) == 2 + 2 * 3

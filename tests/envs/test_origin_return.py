@@ -1,0 +1,231 @@
+"""OriginReturn: whole origin returns from unknown places; what the firmware knows works, what is too bold does not."""
+
+import pickle
+
+import gymnasium
+import numpy as np
+import pytest
+
+from stage import ArgumentError
+from stage.chips import PCL240K, PCL240MK, PCL240MS
+from stage.envs import origin_return as returns
+from stage.envs.registers import RegisterBox
+
+pytestmark = pytest.mark.filterwarnings("error")
+
+FIRMWARE = {"R1": 50, "R2": 800, "R4": 983, "approach": 20, "leave": 0, "back_off": 200, "sd": 1}
+"""firmware.origin_return's own rates: FL 1000, FH1 16,000, approach 400 pps, ramps of 0.15 s."""
+BEFORE, NEAR, ON, BEYOND = -0.10, -0.1195, -0.1203, -0.145  # m; x trips ORG at -0.12, EL- at -0.15
+
+
+def make(**settings):
+    return gymnasium.make("stage/OriginReturn-v0", disable_env_checker=True, **settings).unwrapped
+
+
+def action(env, **changes):
+    return env._task.strategy.to_action(FIRMWARE | changes)
+
+
+def one_return(env, start, *, payload=5.0, friction=1.0, **changes):
+    """(observation, reward, info) of a return from `start`."""
+    env.reset(seed=0, options={"start": start, "payload": payload, "friction": friction})
+    observation, reward, *_, info = env.step(action(env, **changes))
+    return observation, reward, info
+
+
+@pytest.mark.parametrize("chip", [PCL240K, PCL240MK, PCL240MS])
+@pytest.mark.parametrize(
+    ("start", "leave"), [(BEFORE, 0), (NEAR, 0), (ON, 0), (BEYOND, 8200)], ids=["before", "near", "on", "beyond"]
+)
+def test_the_firmwares_speeds_end_within_a_pulse_of_the_origin(chip, start, leave):
+    observation, _, info = one_return(make(chip=chip), start, leave=leave)
+    assert info["home"]
+    assert abs(info["error"]) < 1
+    assert info["lost_steps"] == 0
+    assert (info["end_limit"], info["late"]) == (False, False)
+    assert observation[6:10].tolist() == [1, 0, 0, 1]
+
+
+@pytest.mark.parametrize("axis", "xyz")
+def test_every_axis_finds_its_origin(axis):
+    env = make(axis=axis)
+    origin = env._task.origin
+    _, _, info = one_return(env, origin + 0.005)
+    assert info["home"]
+    assert abs(info["error"]) < 1
+
+
+def test_a_search_from_beyond_origin_is_refused_unless_the_carriage_leaves_first():
+    env = make()
+    observation, reward, info = one_return(env, BEYOND)
+    assert not info["home"]
+    assert info["reward_parts"]["missed"] == -returns.Config.missed_weight
+    assert observation[9] == 0, "ORG did not let go"
+    assert observation[11] == 0, "no pulse was made"
+    assert reward < one_return(env, BEYOND, leave=8200)[1]
+
+
+def test_status_tells_a_host_that_it_stands_on_origin_before_it_chooses():
+    env = make()
+    for start, on in ((BEFORE, 0), (ON, 1), (BEYOND, 1)):
+        observation, _ = env.reset(seed=0, options={"start": start})
+        assert observation[0] == on
+
+
+def test_a_fast_search_that_nothing_slows_down_loses_steps_at_the_switch():
+    env = make()
+    assert one_return(env, BEFORE)[2]["lost_steps"] == 0
+    _, _, info = one_return(env, BEFORE, sd=0)
+    assert info["lost_steps"] > 0
+    assert info["reward_parts"]["lost"] == -returns.Config.lost_weight
+    assert not info["home"], "200 pulses do not lead back over the switch"
+
+
+def test_a_faster_search_gains_time_and_a_faster_approach_loses_precision():
+    env = make()
+    _, plain_reward, plain = one_return(env, 0.05)
+    _, reward, fast = one_return(env, 0.05, R2=1500, R4=400, R1=150)
+    assert fast["home"]
+    assert fast["duration"] < plain["duration"] - 2
+    assert reward > plain_reward + 2
+    _, _, rough = one_return(env, BEFORE, approach=100)
+    assert rough["home"]
+    assert abs(rough["error"]) > abs(plain["error"]) + 1
+
+
+def test_leaving_into_the_end_limit_is_seen_and_costs():
+    observation, _, info = one_return(make(), 0.148, leave=8200)
+    assert info["home"]
+    assert info["end_limit"]
+    assert info["reward_parts"]["limit"] == -returns.Config.limit_weight
+    assert observation[7] == 1
+
+
+def test_a_run_that_takes_too_long_is_stopped_and_the_return_is_missed():
+    observation, _, info = one_return(make(limit=0.2), 0.0)
+    assert info["late"]
+    assert not info["home"]
+    assert info["duration"] < 4 * 0.2 + 0.3
+    assert observation[8] == 1
+
+
+def test_reward_counts_time_error_and_spread_as_documented():
+    env = make(returns=3)
+    env.reset(seed=2, options={"start": BEFORE})
+    c, errors = env._task.config, []
+    for k in range(3):
+        env._task._draw(0, {"start": BEFORE - 0.003 * k})
+        *_, truncated, info = env.step(action(env, approach=60))
+        errors.append(info["error"])
+        parts = info["reward_parts"]
+        assert info["home"]
+        assert parts["time"] == pytest.approx(-c.time_weight * info["duration"])
+        assert parts["error"] == pytest.approx(-c.error_weight * abs(info["error"]))
+        assert info["spread"] == pytest.approx(max(errors) - min(errors))
+        assert (parts["missed"], parts["limit"], parts["lost"]) == (0, 0, 0)
+        assert truncated == (k == 2)
+    assert info["spread"] > 0
+
+
+def test_index_pulses_make_up_for_a_switch_that_drifts():
+    def errors(ez):
+        env = make(chip=PCL240MS, ez=ez, drift=1e-4)
+        env.reset(seed=3)
+        found = []
+        for _ in range(2):
+            env._task._draw(0, {"start": NEAR})
+            info = env.step(action(env))[4]
+            assert info["home"]
+            found.append(info["error"])
+        return np.array(found)
+
+    assert np.ptp(errors(0)) > 5
+    assert np.abs(errors(1)).max() < 1
+
+
+def test_payload_and_friction_are_drawn_told_and_felt():
+    env = make(returns=1)
+    seen = set()
+    for seed in range(3):
+        observation, info = env.reset(seed=seed)
+        c = env._task.config
+        assert c.payloads[0] <= info["payload"] <= c.payloads[1]
+        assert c.frictions[0] <= info["friction"] <= c.frictions[1]
+        assert observation[3] == pytest.approx(info["payload"] / 5 - 1, abs=1e-6)
+        assert observation[4] == pytest.approx(np.log2(info["friction"]), abs=1e-6)
+        seen.add(tuple(info.values()))
+        dof = env._task.dof
+        assert env.stage.model.dof_frictionloss[dof] == pytest.approx(4.0 * info["friction"])
+    assert len(seen) == 3
+    ends = [one_return(env, BEFORE, payload=p, friction=f)[2]["error"] for p, f in ((0.0, 0.5), (10.0, 2.0))]
+    assert ends[0] != ends[1]
+
+
+def test_start_places_cover_the_way_between_the_end_limits():
+    env = make()
+    env.reset(seed=0)
+    places = []
+    for _ in range(200):
+        env._task._draw(0, {})
+        places.append(env._task.place[0])
+    assert -0.15 < min(places) < -0.14
+    assert 0.14 < max(places) < 0.15
+
+
+def test_an_action_stands_for_its_numbers_exactly():
+    seed = np.random.SeedSequence().entropy
+    rng = np.random.default_rng(seed)
+    for chip in (PCL240K, PCL240MS):
+        strategy = returns.Strategy(chip.MAP, 16_000, 3_200)
+        rows = rng.integers(strategy.low, strategy.high + 1, (500, len(returns.NAMES)))
+        assert np.array_equal(strategy.from_action(strategy.to_action(rows)), rows), f"seed {seed}"
+        for end, rows in ((-1.0, strategy.low), (1.0, strategy.high)):
+            assert np.array_equal(strategy.from_action(np.full(len(returns.NAMES), end)), rows)
+    plain = RegisterBox(PCL240K.MAP, ("R1", "R2", "R4", "R1"))
+    row = returns.Strategy(PCL240K.MAP, 16_000, 3_200).from_action(np.full(7, 0.3))
+    assert np.array_equal(row[:4], plain.from_action(np.full(4, 0.3)))
+
+
+def test_numbers_themselves_are_actions_too():
+    box, raw = make(), make(actions="registers")
+    _, reward, info = one_return(box, BEFORE)
+    raw.reset(seed=0, options={"start": BEFORE, "payload": 5.0, "friction": 1.0})
+    row = np.array(list(FIRMWARE.values()))
+    assert raw.action_space.contains(row)
+    assert raw.step(row)[1] == reward
+    assert np.array_equal(info["registers"], row)
+
+
+def test_a_pickled_environment_keeps_its_drifted_switch_and_friction():
+    env = make(drift=1e-4, returns=2)
+    env.reset(seed=9, options={"start": BEFORE, "friction": 1.7})
+    twin = pickle.loads(pickle.dumps(env))
+    assert env.step(action(env))[4]["error"] == twin.step(action(env))[4]["error"]
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"ez": 1}, "PCL240K does not count EZ"),
+        ({"ez": 17, "chip": "PCL240MS"}, "ez=17"),
+        ({"chip": "PCL240X"}, "unknown chip 'PCL240X'"),
+        ({"axis": "w"}, "unknown axis 'w'"),
+        ({"actions": "bytes"}, "unknown actions 'bytes'"),
+        ({"returns": 0}, "returns=0"),
+        ({"payloads": (2.0, 1.0)}, "payloads=.2.0, 1.0."),
+        ({"frictions": (0.0, 1.0)}, "frictions="),
+        ({"drift": 0.1}, "drift=0.1"),
+        ({"multiplier": 1}, "R7"),
+    ],
+)
+def test_settings_that_cannot_be_are_named(settings, message):
+    with pytest.raises(ArgumentError, match=message):
+        make(**settings)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("start", 1.0), ("start", "here"), ("payload", -1.0), ("friction", np.nan)]
+)
+def test_options_that_cannot_be_are_named(name, value):
+    with pytest.raises(ArgumentError, match=f"option {name}="):
+        make().reset(options={name: value})

@@ -1,0 +1,329 @@
+"""stage/SynchronizedMove-v0: what is special to it. What every environment promises is in test_common.py."""
+
+import gymnasium
+import numpy as np
+import pytest
+
+from stage import Stage, firmware
+from stage.chips import CHIPS
+from stage.envs.registers import RegisterBox
+from stage.envs.synchronized_move import (
+    REGISTERS,
+    Config,
+    SynchronizedMove,
+    SynchronizedMoveEnv,
+    SynchronizedMoveVectorEnv,
+)
+from stage.errors import ArgumentError
+from stage.firmware import follow
+from stage.firmware.path import path_deviation, pulses_of
+
+SHORT = {"distances": (500, 3000), "rate": 16_000.0, "accel": 0.05}
+NOTHING = np.zeros(12, np.float32)
+LINE = {"x": 3000, "y": -1130}
+
+
+def one_move(action=NOTHING, seed=1, options=None, **settings):
+    """(environment, info of the step, reward) after one move."""
+    env = SynchronizedMoveEnv(**(SHORT | settings))
+    env.reset(seed=seed, options=options)
+    _, reward, _, _, info = env.step(action)
+    return env, info, reward
+
+
+def as_action(chip, rows):
+    """Registers of each axis, as mappings, as an action of actions="box"."""
+    box = RegisterBox(chip.MAP, REGISTERS)
+    return np.concatenate([box.to_action({n: row[n] for n in REGISTERS}) for row in rows])
+
+
+def task(number=1, **settings):
+    """Rules alone, with `number` moves drawn."""
+    made = SynchronizedMove(number, Config(**settings))
+    for k in range(number):
+        made.rngs[k] = np.random.default_rng(k)
+        made.restart(k, {})
+    return made
+
+
+@pytest.mark.parametrize("bus_cycle", [1e-6, 3.3e-5])
+@pytest.mark.parametrize("chip", CHIPS)
+def test_deviation_and_duration_are_those_of_the_pulses_that_the_chips_made(chip, bus_cycle):
+    env = SynchronizedMoveEnv(**SHORT, chip=chip, bus_cycle=bus_cycle, moves=3)
+    env.reset(seed=7)
+    rng = np.random.default_rng(7)
+    print("seed 7")
+    for _ in range(3):
+        chips = [env.stage.axes[n].chip for n in "xy"]
+        began, journals = chips[0].clock, [c.journal() for c in chips]
+        info = env.step(rng.uniform(-1, 1, 12).astype(np.float32))[-1]
+        paths = [pulses_of(j) for j in journals]
+        for j in journals:
+            j.close()
+        assert [len(p) * int(p["direction"][0]) for p in paths] == info["distances"].tolist()
+        starts = [e.clock for j in journals for e in j.entries if (e.a, e.b) in [(0, 0x11), (0, 0x15)]]
+        assert info["deviation"] == path_deviation(paths, info["distances"]).pulses
+        last = max(int(p["clock"][-1]) for p in paths)
+        assert info["duration"] == (began + last - min(starts)) / chips[0].clock_hz
+
+
+def test_the_planners_registers_as_an_action_keep_the_planners_line():
+    made = firmware.plan(LINE, rate=16_000, accel=0.05, bus_delay=1e-6)
+    rows = [made.axes[n].registers for n in "xy"]
+    chip = CHIPS["PCL240K"]
+    _, info, _ = one_move(as_action(chip, rows), options={"distances": LINE}, actions="box")
+    assert info["registers"].tolist() == [[r[n] for n in REGISTERS] for r in rows]
+    assert info["deviation"] == pytest.approx(made.deviation, abs=0.01)
+    stage = Stage("xyz", chips=chip)
+    stage.place(**{n: -0.5 * d * stage.axes[n].meters_per_pulse for n, d in LINE.items()})
+    report = firmware.synchronized_move(made, stage)
+    assert info["duration"] == pytest.approx(made.seconds, abs=2e-6)
+    assert info["carriage_deviation"] == pytest.approx(report.carriage_deviation, rel=0.2)
+    assert 2e-6 < info["carriage_deviation"] < 1e-4
+
+
+def test_registers_as_integers_are_the_registers_written():
+    rows = [[60, 800, 300, 310, 400, 30], [20, 300, 800, 820, 120, 30]]
+    env, info, _ = one_move(np.array(rows).ravel(), actions="registers", options={"distances": LINE})
+    assert info["registers"].tolist() == rows
+    for name, row in zip("xy", rows, strict=True):
+        values = env.stage.axes[name].chip.values()
+        assert [values[n] for n in REGISTERS] == row
+        assert values["R3"] == values["R2"]
+        assert values["R0"] == 0
+
+
+@pytest.mark.parametrize("axes", ["xy", "xyz"])
+def test_no_correction_is_the_data_sheets_answer_in_the_ratio_of_the_distances(axes):
+    rules = task(15, axes=axes, distances=(2_000, 20_000))
+    made = rules.chosen(np.zeros((15, 6 * len(axes)), np.float32))
+    assert (made == rules.data_sheet()).all()
+    for row, d in zip(made.astype(float), np.abs(rules.distances), strict=True):
+        low, high, up, down, point, r7 = row.T
+        rho, lead = d / d.max(), int(d.argmax())
+        assert (r7 == r7[0]).all()
+        assert (abs(high - rho * high[lead]) <= 1).all()
+        assert (abs(low - rho * low[lead]) <= 1).all()
+        gain = high - low
+        assert (up == down).all()
+        assert (abs(gain * up - gain[lead] * up[lead]) <= gain).all()
+        assert (abs(point - (high**2 - low**2) * down / (16384 * r7) - 5 * rho) <= 2).all()
+
+
+def test_each_number_of_a_correction_moves_its_own_register_by_no_more_than_its_reach():
+    rules = task(8)
+    plain = rules.chosen(np.zeros((8, 12), np.float32))
+    worth = rules._worth(plain)
+    for k in range(12):
+        axis, register = divmod(k, 6)
+        for sign in (-1, 1):
+            action = np.zeros((8, 12), np.float32)
+            action[:, k] = sign
+            change = rules.chosen(action) - plain
+            assert (abs(change[:, :, 5]) <= (np.arange(2) == axis) * (register == 5)).all()
+            if register == 5:  # the other registers are worked out for the new R7
+                continue
+            assert (change[:, 1 - axis] == 0).all()
+            mine = change[:, axis, register]
+            assert (np.delete(change[:, axis], register, axis=1) == 0).all()
+            assert (np.sign(mine) == sign).all()
+            assert (abs(mine) * worth[:, axis, register] <= np.maximum(5.0, worth[:, axis, register])).all()
+
+
+def test_a_small_number_leaves_the_multiplier_alone():
+    rules = task(8)
+    action = np.zeros((8, 12), np.float32)
+    action[:, [5, 11]] = 0.49
+    assert (rules.chosen(action) == rules.data_sheet()).all()
+
+
+def test_the_observation_foretells_how_far_the_followers_pulses_are_off_their_share():
+    rules = task(30)
+    errors, rows = rules._errors(), rules._rows(rules.data_sheet())
+    for k, d in enumerate(np.abs(rules.distances)):
+        lead = int(d.argmax())
+        follower, rho = 1 - lead, d[1 - lead] / d[lead]
+        pulses = [follow.run(row, rules.chip) for row in rows[k]]
+        row = rows[k, lead]
+        risen = (row[2] - row[1]) * row[4]
+        falls = pulses[lead][d[lead] - row[6]]
+        off = [np.searchsorted(pulses[follower], t) - rho * np.searchsorted(pulses[lead], t) for t in (risen, falls)]
+        assert off[0] == pytest.approx(errors[k, follower, 0], abs=1.1)
+        assert off[1] == pytest.approx(errors[k, follower, 0] + errors[k, follower, 1], abs=1.1)
+        assert (errors[k, lead] == 0).all()
+
+
+def test_corrections_against_the_errors_seen_bring_the_path_closer_to_the_line():
+    """A policy without learning: R1 against the error after the ramp-up, R2 against that at the ramp-down."""
+    rules = task(60)
+    errors, zeros = rules._errors(), np.zeros((60, 2, 6))
+    action = zeros.copy()
+    action[:, :, 0], action[:, :, 1] = -errors[:, :, 0] / 4, -errors[:, :, 1] / 4
+
+    def deviation(action):
+        rules.programs(np.clip(action, -1, 1).reshape(60, 12).astype(np.float32), np.ones(60, bool))
+        return rules.path.mean()
+
+    assert deviation(action) < 0.85 * deviation(zeros)
+
+
+def test_the_reward_is_the_sum_of_its_parts_in_their_units():
+    _, info, reward = one_move(path_weight=2.0, carriage_weight=3.0, time_weight=0.5)
+    parts = info["reward_parts"]
+    assert reward == pytest.approx(sum(parts.values()), abs=1e-12)
+    assert parts["path"] == -2.0 * info["deviation"]
+    assert parts["carriages"] == pytest.approx(-3.0 * info["carriage_deviation"] / 1e-4, rel=1e-12)
+    assert parts["time"] == -0.5 * info["duration"]
+    assert parts["lost"] == parts["limit"] == 0
+
+
+def test_an_end_limit_ends_the_episode_of_its_stage_alone():
+    envs = SynchronizedMoveVectorEnv(num_envs=3, **SHORT, moves=4)
+    envs.reset(seed=3)
+    stage, sign = envs.stages[1], np.sign(envs._task.distances[1, 0])
+    stage.axes["x"].switches.stick("el_plus" if sign > 0 else "el_minus", True)
+    stage.step(2)
+    observation, _, terminated, truncated, info = envs.step(np.zeros((3, 12), np.float32))
+    assert terminated.tolist() == [False, True, False]
+    assert not truncated.any()
+    assert info["finished"].tolist() == [True, False, True]
+    assert info["reward_parts"]["limit"].tolist() == [0, -10, 0]
+    assert info["reward_parts"]["path"][1] == -20
+    assert info["duration"][1] == 4
+    assert np.isfinite(observation).all()
+
+
+def test_a_motor_that_stalls_costs_the_lost_weight():
+    _, info, _ = one_move(
+        rate=(8_000.0, 300_000.0), accel=0.003, options={"rate": 300_000.0}, distances=(8_000, 20_000)
+    )
+    assert info["finished"]
+    assert (info["lost_steps"] != 0).any()
+    assert info["reward_parts"]["lost"] == -10
+
+
+def test_a_move_that_takes_too_long_is_not_finished():
+    action = np.array([1, 10, 2, 2, 0, 1023] * 2)
+    env, info, _ = one_move(action, actions="registers", limit=0.2)
+    assert not info["finished"]
+    assert info["duration"] == 0.2
+    assert env.stage.time < 0.3
+    with pytest.raises(ArgumentError, match="over"):
+        env.step(action)
+
+
+def test_every_move_of_an_episode_starts_at_rest_around_the_middle():
+    env = SynchronizedMoveEnv(**SHORT, moves=3)
+    observation, _ = env.reset(seed=5)
+    assert (observation[-4:] == 0).all()
+    seen = []
+    for k in range(3):
+        for n, d in zip("xy", env._task.distances[0], strict=True):
+            axis = env.stage.axes[n]
+            assert axis.position == pytest.approx(-0.5 * d * axis.meters_per_pulse, abs=1e-9)
+            assert axis.lost_steps == 0
+        observation, _, terminated, truncated, info = env.step(NOTHING)
+        seen.append(info["distances"].tolist())
+        assert terminated == (k == 2)
+        assert not truncated
+        assert observation[-4] == np.float32(min(info["deviation"] / 20, 1))
+        assert observation[-1] == 1
+    assert len(set(map(tuple, seen))) == 3
+
+
+def test_distances_and_rate_may_be_given_at_reset():
+    env = SynchronizedMoveEnv()
+    _, info = env.reset(seed=1, options={"distances": {"y": -5_000, "x": 20_000}, "rate": 12_000})
+    assert info["distances"].tolist() == [20_000, -5_000]
+    assert info["rate"] == 12_000
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"distances": {"x": 5_000}}, "whole pulses"),
+        ({"distances": {"x": 5_000, "y": 100}}, "4000 to 20000"),
+        ({"distances": {"x": 5_000, "y": 5000.5}}, "whole pulses"),
+        ({"distances": 5_000}, "whole pulses"),
+        ({"rate": 1e6}, "8000 to 32000"),
+        ({"rate": "fast"}, "8000 to 32000"),
+        ({"speed": 1}, "unknown SynchronizedMove reset option"),
+    ],
+)
+def test_options_that_do_not_exist_are_refused(options, said):
+    with pytest.raises(ArgumentError, match=said):
+        SynchronizedMoveEnv().reset(seed=1, options=options)
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"axes": ("x",)}, "two or more"),
+        ({"axes": ("x", "x")}, "different"),
+        ({"axes": ("x", "q")}, "unknown axis"),
+        ({"actions": "bytes"}, "unknown actions"),
+        ({"chip": "Z80"}, "unknown chip"),
+        ({"s_curve": True}, "linear ramps only"),
+        ({"distances": (5, 1_000_000)}, "has room for"),
+        ({"distances": (0, 10)}, "from 1 up"),
+        ({"rate": 500.0}, "not below fl"),
+        ({"rate": 1e7}, "up to"),
+        ({"rate": (9000.0, float("nan"))}, "not below fl"),
+        ({"moves": 0}, "more than 0"),
+        ({"moves": 1.5}, "whole number"),
+        ({"limit": float("nan")}, "more than 0"),
+        ({"path_weight": -1.0}, "0 or more"),
+        ({"colour": 1}, "unknown SynchronizedMove setting"),
+    ],
+)
+def test_settings_that_make_no_sense_are_refused(settings, said):
+    with pytest.raises(ArgumentError, match=said):
+        SynchronizedMoveEnv(**settings)
+
+
+def test_s_curves_ramp_in_the_same_time_and_keep_the_line():
+    _, straight, _ = one_move(chip="PCL240MS")
+    env, curved, _ = one_move(chip="PCL240MS", s_curve=True)
+    assert (straight["registers"] == curved["registers"]).all()
+    assert curved["duration"] == pytest.approx(straight["duration"], rel=0.01)
+    assert curved["duration"] != straight["duration"]
+    assert env.stage.axes["x"].chip.values()["R14"] == 0x8000
+
+
+def test_three_axes_on_threads_are_as_three_axes_alone():
+    settings = SHORT | {"axes": "xyz", "moves": 2, "chip": "PCL240MK"}
+    envs = SynchronizedMoveVectorEnv(num_envs=5, threads=3, **settings)
+    alone = [SynchronizedMoveEnv(**settings) for _ in range(5)]
+    envs.reset(seed=40)
+    for k, env in enumerate(alone):
+        env.reset(seed=40 + k)
+    rng = np.random.default_rng(40)
+    for _ in range(2):
+        actions = rng.uniform(-1, 1, (5, 18)).astype(np.float32)
+        together = envs.step(actions)
+        for k, env in enumerate(alone):
+            observation, reward, terminated, _, info = env.step(actions[k])
+            assert (observation == together[0][k]).all()
+            assert (reward, terminated) == (together[1][k], together[2][k])
+            for name in ("deviation", "carriage_deviation", "duration"):
+                assert info[name] == together[4][name][k]
+            assert (info["registers"] == together[4]["registers"][k]).all()
+
+
+def test_a_recorded_episode_is_the_same_episode(tmp_path):
+    results = []
+    for record in (None, str(tmp_path / "{}.rrd")):
+        env = SynchronizedMoveEnv(**SHORT, moves=2, record=record)
+        env.reset(seed=9)
+        results.append([env.step(NOTHING) for _ in range(2)])
+        env.close()
+    for plain, recorded in zip(*results, strict=True):
+        assert (plain[0] == recorded[0]).all()
+        assert plain[1] == recorded[1]
+    assert (tmp_path / "0.rrd").stat().st_size > 1000
+
+
+def test_it_is_found_by_gymnasium():
+    env = gymnasium.make("stage/SynchronizedMove-v0", axes=("x", "z"), chip="PCL240MK", actions="registers")
+    assert env.action_space.shape == (12,)
+    assert env.observation_space.shape == (15,)
