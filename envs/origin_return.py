@@ -314,6 +314,16 @@ def _width(ends: np.ndarray) -> np.ndarray:
 class OriginReturnEnv(StageEnv):
     task = OriginReturn
 
+    @property
+    def strategy(self) -> Strategy:
+        """Turns named numbers into actions, and back."""
+        return self._task.strategy  # type: ignore[attr-defined]
+
 
 class OriginReturnVectorEnv(StageVectorEnv):
     task = OriginReturn
+
+    @property
+    def strategy(self) -> Strategy:
+        """Turns named numbers into actions, and back."""
+        return self._task.strategy  # type: ignore[attr-defined]

@@ -23,7 +23,7 @@ def make(**settings):
 
 
 def action(env, **changes):
-    return env._task.strategy.to_action(FIRMWARE | changes)
+    return env.strategy.to_action(FIRMWARE | changes)
 
 
 def one_return(env, start, *, payload=5.0, friction=1.0, **changes):
