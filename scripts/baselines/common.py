@@ -21,6 +21,7 @@ import formula
 import gymnasium
 import numpy as np
 
+from stage import Stage
 from stage.chips import PCL240K
 from stage.envs.register_tuning import REGISTERS
 from stage.envs.registers import RegisterBox
@@ -73,7 +74,8 @@ class Log:
 class Moves:
     """One move of one payload, made again and again with other registers, `lanes` at a time.
 
-    Attributes: log; size, the numbers of a choice; env, the vector environment; registers, its RegisterBox; axis, the first one.
+    Attributes: log; size, the numbers of a choice; env, the vector environment; registers, its RegisterBox; axis, with
+    just the payload, for whoever reckons.
     """
 
     def __init__(
@@ -97,7 +99,9 @@ class Moves:
         )
         self.observation, _ = self.env.reset(seed=1000 * seed)
         self.registers = RegisterBox(PCL240K.MAP, REGISTERS)
-        self.axis = self.env.stages[0].axes["x"]
+        nominal = Stage("xyz")
+        nominal.set_payload(payload)
+        self.axis = nominal.axes["x"]
         self.knobs = formula.Knobs(self.axis, distance) if space == "knobs" else None
         self.size = len(self.knobs.RANGES) if self.knobs else len(self.registers)
         self.log = Log()
@@ -142,13 +146,15 @@ class Moves:
         self.close()
 
 
-def prove(rows: Sequence[Sequence[int]], payload: float, distance: int = DISTANCE) -> tuple[int, Log] | None:
-    """Make moves with each row of registers REPEATS times, until one loses no step: which, and these moves. None: none did."""
-    with Moves(payload, REPEATS * len(rows), "registers", distance, seed=PROOF_SEED) as moves:
+def prove(
+    rows: Sequence[Sequence[int]], payload: float, distance: int = DISTANCE, repeats: int = REPEATS
+) -> tuple[int, Log] | None:
+    """Make moves with each row of registers, `repeats` of them, until one loses no step: which, and these moves. None: none did."""
+    with Moves(payload, repeats * len(rows), "registers", distance, seed=PROOF_SEED) as moves:
         for k, row in enumerate(rows):
             moves.log = Log()
             action = moves.registers.to_action(np.array(row))
-            while len(moves.log) < REPEATS and all(moves.log.kept):
+            while len(moves.log) < repeats and all(moves.log.kept):
                 moves.make_actions(np.tile(action, (moves.lanes, 1)))
             if all(moves.log.kept):
                 return k, moves.log

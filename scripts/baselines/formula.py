@@ -7,6 +7,7 @@ python scripts/baselines/formula.py --payload 10
    1 / SAFETY, as motor makers advise for open loop (1.5 to 2).
 3. For a top rate, constant acceleration uses that thrust up at the top; deceleration, where friction helps, too. The top rate is
    the one that makes the move shortest.
+   But no ramp is shorter than SWINGS periods of the rotor in its field, which would swing out of it.
 4. FL: an eighth of the rate at which the motor starts at once. The bare rotor's from its data sheet, by the root of the inertias
    for the load (motor makers' rule). Half of it would do to start; but a move also ends
    by stopping from FL at once, which swings, and half of it saves only 10 ms.
@@ -21,7 +22,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stage.drives.dynamometer import closed_form, pull_in
+from stage.drives.dynamometer import closed_form, natural_frequency, pull_in
 from stage.drives.motors import Drive
 from stage.errors import ArgumentError
 from stage.firmware import Profile
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
 
 SAFETY = 1.5
 START = 0.125  # FL in parts of the pull-in rate
+SWINGS = 4  # natural periods of a ramp, at least
 FACTORS = np.arange(2.0, 0.99, -0.05)  # safety factors that `boldest` tries
 
 
@@ -62,10 +64,14 @@ class Load:
         return closed_form(self.drive.motor, self.drive.bus_voltage, self.drive.amplitude, rpm) * self.gear
 
     @property
+    def inertia(self) -> float:
+        """kg m^2 at the rotor."""
+        return self.mass / self.gear**2
+
+    @property
     def pull_in(self) -> float:
         """pps at which the motor starts at once with this load: f / sqrt(J / J rotor)."""
-        inertias = self.mass / self.gear**2 / self.drive.motor.rotor_inertia
-        return bare_pull_in(self.drive) / float(np.sqrt(inertias))
+        return bare_pull_in(self.drive) / float(np.sqrt(self.inertia / self.drive.motor.rotor_inertia))
 
 
 @cache
@@ -80,7 +86,8 @@ def profile(load: Load, pulses: int, safety: float = SAFETY) -> Profile:
     top = np.geomspace(low * 1.01, 2.0, 4000)
     thrust, friction = load.thrust(top) / safety, load.friction + load.damping * top
     with np.errstate(divide="ignore"):
-        up, down = (thrust - friction) / load.mass, (thrust + friction) / load.mass
+        gentle = (top - low) * natural_frequency(load.drive, load.inertia) / SWINGS
+        up, down = (np.minimum(f / load.mass, gentle) for f in (thrust - friction, thrust + friction))
         ramps = (top**2 - low**2) / 2 * (1 / up + 1 / down)
         seconds = (top - low) * (1 / up + 1 / down) + (way - ramps) / top
     fits = (up > 0) & (ramps <= way)

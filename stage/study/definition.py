@@ -11,7 +11,7 @@ import json
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
 from importlib import import_module, metadata
 from itertools import product
 from typing import Any
@@ -84,7 +84,10 @@ class Values:
 
 def versions() -> dict[str, str]:
     """What the numbers depend on. A study keeps to one set."""
-    return {name: metadata.version(name) for name in ("pulsestage", "mujoco", "numpy", "numba")}
+    return {name: _version(name) for name in ("pulsestage", "mujoco", "numpy", "numba")}
+
+
+_version = cache(metadata.version)
 
 
 @dataclass(frozen=True)

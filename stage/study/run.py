@@ -164,7 +164,7 @@ def evaluate(objective: str, trial: Trial, path: Sequence[str] = (), expected: d
         return Outcome("broken", message=str(error))
     try:
         return Outcome("values", _checked(function(trial), trial))
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         return Outcome("raised", message=f"{type(error).__name__}: {error}")
 
 

@@ -268,10 +268,9 @@ def test_lost_steps_cost_and_bar_success():
         host.act(rb.WAIT + 3)
     assert env.stage.axes["x"].lost_steps > 0
     assert not host.info["success"]
-    lost = host.info["lost_steps"]
-    assert sum(s[4]["reward_parts"]["lost"] for s in host.steps) == pytest.approx(
-        -rb.Config.lost_weight * lost, rel=0.5
-    )
+    parts = [step[4]["reward_parts"]["lost"] for step in host.steps]
+    assert max(parts) == 0, "found again is not paid back"
+    assert sum(parts) <= -rb.Config.lost_weight * host.info["lost_steps"] + 1e-9
 
 
 def test_time_and_cycles_end_an_episode():

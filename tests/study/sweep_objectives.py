@@ -29,6 +29,12 @@ def raises_at_five(trial):
     return valley(trial)
 
 
+def exits_at_five(trial):
+    if trial.id == 5:
+        raise SystemExit("enough")
+    return valley(trial)
+
+
 def kills_its_worker_at_five(trial):
     if trial.id == 5:
         _note(trial)

@@ -255,6 +255,14 @@ def test_a_trial_that_raises_is_tried_twice_more_and_recorded_with_its_message(e
     assert Counter(id for id, _ in log_of(log))[5] == 3  # a failure is a result, too
 
 
+@pytest.mark.parametrize("executor", [Threads, Processes])
+def test_a_trial_that_exits_fails_and_ends_nothing_else(executor, tmp_path):
+    wanted = definition("exits_at_five", trials=12, sleep=0.0)
+    rows = results(tmp_path, wanted, executor(wanted.objective, 2)).to_pylist()
+    assert [(r["id"], r["error"]) for r in rows if r["status"] == "failed"] == [(5, "SystemExit: enough")]
+    assert len(rows) == 12
+
+
 def test_a_trial_that_succeeds_at_the_second_attempt_is_done(tmp_path):
     wanted = definition("fails_at_first", trials=5, log=str(tmp_path / "log"))
     rows = results(tmp_path / "study", wanted, Threads(wanted.objective, 1)).to_pylist()
