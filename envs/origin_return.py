@@ -260,7 +260,7 @@ class OriginReturn(Task[Config]):
         on_org = {name: s & ORG != 0 for name, s in status.items()}
         arrived = found["index"] & bus.EZ_SIGNAL >> 16 != 0 if c.ez else on_org["approach"]
         released = ~on_org["back off"]
-        home = ~late & released & arrived & (made["approach"] > 0)
+        home = ~late & released & arrived
         short = (status["leave"] & ZERO == 0) | (status["back off"] & ZERO == 0)
         end_limit = ~late & (short | ~on_org["search"] | (released & ~arrived))
         duration = t["now"] * 1e-9  # since power-up

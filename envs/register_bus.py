@@ -103,6 +103,7 @@ class RegisterBus(Task[Config]):
         m = len(self.axes)
         self.per_pulse = np.array([a.meters_per_pulse for a in self.axes])
         self.sign = np.array([np.sign(a.gear) for a in self.axes])  # of the joint, when pulses go plus
+        self.full_step = np.array([0.5 * np.pi / (a.drive.motor.rotor_teeth * a.gear) for a in self.axes])
         self.travel = np.array([a.travel for a in self.axes])
         self.limits = np.array([self._limits(a) for a in self.axes])
         self.power_up = self.fleet.truth()["position"][0]
@@ -206,7 +207,8 @@ class RegisterBus(Task[Config]):
         self._take(actions, played, now, good)
         error = truth["position"] - self.goal
         near = c.tolerance * self.per_pulse
-        there = (np.abs(error) <= near) & (np.abs(truth["commanded"] - self.goal) <= near)
+        rest = truth["commanded"] - truth["lost_steps"] * self.full_step  # where the motor pulls the carriage
+        there = (np.abs(error) <= near) & (np.abs(rest - self.goal) <= near)
         still = (truth["status"] & host.OPERATING == 0) & (np.abs(truth["velocity"]) < c.standing)
         lost = np.abs(truth["lost_steps"])
         success = (there & still & ((lost == 0) | (c.goal == "home"))).all(axis=1)

@@ -33,10 +33,10 @@ ENOUGH = 64  # stages, to tell how much memory one takes
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
 
-def timed(work):
-    begin = time.perf_counter()
+def timed(work, clock=time.perf_counter):
+    begin = clock()
     work()
-    return time.perf_counter() - begin
+    return clock() - begin
 
 
 def vector(id_, n, threads=None, **settings):
@@ -97,10 +97,10 @@ class Episodes:
             passed += timed(lambda: envs.step(self.actions[-1]))
         task.fleet.play = play
 
-    def play(self, envs):
+    def play(self, envs, clock):
         """Seconds that the same episodes take `envs`, resets at the beginning apart."""
         envs.reset(seed=SEED)
-        return timed(lambda: [envs.step(a) for a in self.actions])
+        return timed(lambda: [envs.step(a) for a in self.actions], clock)
 
 
 def measure(id_, n, args):
@@ -112,12 +112,13 @@ def measure(id_, n, args):
     steps = n * len(episodes.actions)
     bare.nstep = max(1, round(min(episodes.physics / n, args.bare)))
     seconds = {"ours": [], "sync": [], "bare": []}
+    clock = time.process_time if args.cpu else time.perf_counter
     for _ in range(args.rounds):
-        seconds["ours"].append(episodes.play(ours))
+        seconds["ours"].append(episodes.play(ours, clock))
         if other is not None:
-            seconds["sync"].append(episodes.play(other))
+            seconds["sync"].append(episodes.play(other, clock))
         bare.reset()
-        seconds["bare"].append(timed(bare.step))
+        seconds["bare"].append(timed(bare.step, clock))
     for envs in (ours, other):
         if envs is not None:
             envs.close()
@@ -193,6 +194,7 @@ def main():
     parser.add_argument(
         "--bare", type=int, default=4000, help="physics steps of each bare simulation in a round, at most"
     )
+    parser.add_argument("--cpu", action="store_true", help="seconds of processor time: for a machine that others use")
     parser.add_argument("--settings", type=json.loads, default={}, help="of the environments, as JSON")
     parser.add_argument("--json")
     parser.add_argument("--grow", nargs=3, help=argparse.SUPPRESS)
@@ -201,7 +203,8 @@ def main():
         print(grow(args.grow[0], args.grow[1], int(args.grow[2]), args.settings))
         return
     table = {}
-    print(f"{os.cpu_count()} processors, MuJoCo {mujoco.__version__}, {args.rounds} rounds; median (least .. most)")
+    print(f"{os.cpu_count()} processors, MuJoCo {mujoco.__version__}, {args.rounds} rounds; median (least .. most)"
+          f"{'; a second is one of processor time' if args.cpu else ''}")  # fmt: skip
     for id_ in present(args.ids):
         print(f"\n{id_}\n{'stages':>6}  {'env steps/s':>28}  {'physics steps/s':>30}  {'times SyncVectorEnv':>24}  "
               f"{'of a bare Batch':>22}  {'KiB a stage: ours, sync, bare':>30}")  # fmt: skip

@@ -15,6 +15,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import cache
 from importlib import metadata
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -83,7 +84,6 @@ class Run:
     moves: int
     kept: float
     curve: list[float]
-    seconds: float
     registers: dict[str, int] | None = None
     duration: float = np.nan
     vibration: float = np.nan
@@ -91,8 +91,8 @@ class Run:
     lucky: int = 0
 
     @classmethod
-    def of(cls, method: Method, payload: str, seed: int, log: Log, seconds: float) -> Run:
-        run = cls(method.name, payload, seed, len(log), float(np.mean(log.kept)), log.curve().tolist(), seconds)
+    def of(cls, method: Method, payload: str, seed: int, log: Log) -> Run:
+        run = cls(method.name, payload, seed, len(log), float(np.mean(log.kept)), log.curve().tolist())
         rows, mass = [log.registers[k] for k in log.ranking[:CANDIDATES]], PAYLOADS[payload]
         proven = prove(rows, mass) if rows else None
         run.lucky = proven[0] if proven else len(rows)
@@ -129,21 +129,42 @@ def spare(registers: dict[str, int], payload: float) -> float:
     return MOST
 
 
-def run_all(budget: int, seeds: int, say: Callable[[str], None]) -> list[Run]:
-    runs = []
-    for payload, mass in PAYLOADS.items():
-        for method in METHODS:
-            for seed in range(1 if method.fixed else seeds):
-                began = time.perf_counter()
-                with Moves(mass, method.moves(budget), method.space, lanes=method.lanes, seed=seed) as moves:
-                    method.search(moves, seed)
-                run = Run.of(method, payload, seed, moves.log, time.perf_counter() - began)
-                say(
-                    f"{payload:6}{run.method:22} seed {seed}: {run.moves:4} moves, {run.kept:4.0%} kept step, {run.lucky:2} lucky; "
-                    f"{run.duration:.4f} s, {run.vibration:5.1f} um, {run.spare:.1f} kg to spare; took {run.seconds:.0f} s"
-                )
-                runs.append(run)
-    return runs
+@dataclass
+class Runs:
+    """Everything that was run, kept in a file where one is given: what is in it is not run again."""
+
+    budget: int
+    seeds: int
+    took: float
+    runs: list[Run]
+
+    @classmethod
+    def read(cls, path: Path) -> Runs:
+        kept = json.loads(path.read_text())
+        return cls(**kept | {"runs": [Run(**r) for r in kept["runs"]]})
+
+    def run_all(self, keep: Path | None) -> None:
+        done = {(r.payload, r.method, r.seed) for r in self.runs}
+        for payload, method in product(PAYLOADS, METHODS):
+            for seed in range(1 if method.fixed else self.seeds):
+                if (payload, method.name, seed) not in done:
+                    self.run(payload, method, seed)
+                    if keep:
+                        keep.write_text(json.dumps(asdict(self)))
+
+    def run(self, payload: str, method: Method, seed: int) -> None:
+        began, mass = time.perf_counter(), PAYLOADS[payload]
+        with Moves(mass, method.moves(self.budget), method.space, lanes=method.lanes, seed=seed) as moves:
+            method.search(moves, seed)
+        run = Run.of(method, payload, seed, moves.log)
+        took = time.perf_counter() - began
+        self.runs.append(run)
+        self.took += took
+        print(
+            f"{payload:6}{run.method:22} seed {seed}: {run.moves:4} moves, {run.kept:4.0%} kept step, {run.lucky:2} lucky; "
+            f"{run.duration:.4f} s, {run.vibration:5.1f} um, {run.spare:.1f} kg to spare; took {took:.0f} s",
+            flush=True,
+        )
 
 
 # The page
@@ -181,40 +202,35 @@ def table(runs: list[Run], payload: str) -> list[str]:
 
 
 def verdict(runs: list[Run], payload: str, against: Method) -> str:
-    """Whether each method beats the formula by more than its own spread, in a sentence."""
+    """Which methods beat the formula by more than their own spread."""
     (base,) = of(runs, payload, against)
+    if not base.registers:
+        return f"**{payload}**: {against.name} found no move that can be repeated."
     yes, no = [], []
     for method in METHODS:
-        rs = of(runs, payload, method)
-        if method in (FORMULA, BOLDEST) or not any(r.registers for r in rs):
+        durations = [1e3 * r.duration for r in of(runs, payload, method)]
+        if method in (FORMULA, BOLDEST) or np.isnan(durations).all():
             continue
-        durations = [r.duration for r in rs]
-        margin = 1e3 * (base.duration - float(np.nanmedian(durations)))
-        apart = 1e3 * float(np.nanmax(durations) - np.nanmin(durations))
-        whole = all(r.registers for r in rs)
-        text = f"{method.name} by {margin:.1f} ms" + ("" if method.fixed else f" (spread {apart:.1f})")
-        (yes if whole and margin > apart else no).append(text)
-    name = f"{against.name} ({base.duration:.4f} s)"
-    parts = [f"**{payload}, against {name}**: "]
-    parts.append(
-        "beaten by more than the spread: " + ", ".join(yes) + ". "
-        if yes
-        else "beaten by none by more than the spread. "
-    )
-    if no:
-        parts.append("Not: " + ", ".join(no) + ".")
-    return "".join(parts)
+        margins = 1e3 * base.duration - np.array(durations)
+        apart, middle = float(np.ptp(margins)), float(np.nanmedian(margins))
+        text = f"{method.name} {middle:+.1f}" + (
+            "" if method.fixed else f" (spread {apart:.1f}, worst {np.nanmin(margins):+.1f})"
+        )
+        (yes if middle > apart and not np.isnan(durations).any() else no).append(text)
+    beaten, others = ("; ".join(side) or "none" for side in (yes, no))
+    return f"**{payload}, against {against.name}** ({1e3 * base.duration:.1f} ms): {beaten}. Not by more: {others}."
 
 
-def page(runs: list[Run], budget: int, seeds: int, took: float) -> str:
+def page(all_: Runs) -> str:
+    runs = all_.runs
     packages = ("pulsestage", "mujoco", "numpy", "optuna", "cmaes", "stable-baselines3", "torch")
     versions = ", ".join(f"{p} {metadata.version(p)}" for p in packages)
     payloads = " and ".join(f"{kg:g} kg ({name})" for name, kg in PAYLOADS.items())
     tables = [line for p in PAYLOADS for line in (f"### {PAYLOADS[p]:g} kg, {p}", "", *table(runs, p), "")]
     verdicts = [f"- {verdict(runs, p, against)}" for p in PAYLOADS for against in (FORMULA, BOLDEST)]
     return TEXT.format(
-        distance=DISTANCE, mm=DISTANCE * 3.125e-3, payloads=payloads, budget=budget, seeds=seeds, limit=LIMIT,
-        tables="\n".join(tables), verdicts="\n".join(verdicts), versions=versions, minutes=took / 60,
+        distance=DISTANCE, mm=DISTANCE * 3.125e-3, payloads=payloads, budget=all_.budget, seeds=all_.seeds, limit=LIMIT,
+        tables="\n".join(tables), verdicts="\n".join(verdicts), versions=versions, minutes=all_.took / 60,
         moves=sum(r.moves for r in runs), safety=formula.SAFETY, step=STEP, most=MOST,
         tolerance=TOLERANCE, repeats=REPEATS, candidates=CANDIDATES,
     )  # fmt: skip
@@ -235,6 +251,10 @@ counts the moves with a higher reward that failed this proof (up to {candidates}
 ![Learning curves, and the moves found](pictures/results.png)
 
 {tables}
+### Does it beat the formula, by more than the spread?
+
+ms that the median seed gains on the formula; in brackets the spread, from the worst seed to the best, and the worst seed's gain:
+
 {verdicts}
 
 ## How to read it
@@ -314,22 +334,14 @@ def main() -> None:
     parser.add_argument(
         "--out", type=Path, default=DOCS, metavar="FOLDER", help="of results.md and pictures/results.png"
     )
-    parser.add_argument("--keep", type=Path, metavar="FILE", help="write the runs there as JSON, too")
-    parser.add_argument("--redraw", type=Path, metavar="FILE", help="make page and picture of runs kept before")
+    parser.add_argument("--keep", type=Path, metavar="FILE", help="keep the runs there, and go on with what is there")
     args = parser.parse_args()
-    if args.redraw:
-        kept = json.loads(args.redraw.read_text())
-        runs, budget, seeds, took = [Run(**r) for r in kept["runs"]], kept["budget"], kept["seeds"], kept["took"]
-    else:
-        budget, seeds, began = args.budget, args.seeds, time.perf_counter()
-        runs = run_all(budget, seeds, lambda line: print(line, flush=True))
-        took = time.perf_counter() - began
-    if args.keep:
-        args.keep.write_text(
-            json.dumps({"budget": budget, "seeds": seeds, "took": took, "runs": [asdict(r) for r in runs]})
-        )
-    draw(runs, args.out / "pictures" / "results.png")
-    (args.out / "results.md").write_text(page(runs, budget, seeds, took))
+    all_ = Runs(args.budget, args.seeds, 0.0, [])
+    if args.keep and args.keep.exists():
+        all_ = Runs.read(args.keep)
+    all_.run_all(args.keep)
+    draw(all_.runs, args.out / "pictures" / "results.png")
+    (args.out / "results.md").write_text(page(all_))
     print(f"{args.out}/results.md and pictures/results.png: written")
 
 

@@ -112,7 +112,7 @@ def test_a_run_that_takes_too_long_is_stopped_and_the_return_is_missed():
 def test_reward_counts_time_error_and_spread_as_documented():
     env = make(returns=3)
     env.reset(seed=2, options={"start": BEFORE})
-    c, errors = env._task.config, []
+    c, errors, widened = env._task.config, [], 0.0
     for k in range(3):
         env._task._draw(0, {"start": BEFORE - 0.003 * k})
         *_, truncated, info = env.step(action(env, approach=60))
@@ -122,6 +122,8 @@ def test_reward_counts_time_error_and_spread_as_documented():
         assert parts["time"] == pytest.approx(-c.time_weight * info["duration"])
         assert parts["error"] == pytest.approx(-c.error_weight * abs(info["error"]))
         assert info["spread"] == pytest.approx(max(errors) - min(errors))
+        widened += parts["spread"]
+        assert widened == pytest.approx(-c.spread_weight * info["spread"])
         assert (parts["missed"], parts["limit"], parts["lost"]) == (0, 0, 0)
         assert truncated == (k == 2)
     assert info["spread"] > 0

@@ -160,6 +160,18 @@ def test_a_scripted_host_finds_home(start):
         assert axis.position == pytest.approx(touch, abs=4 * axis.meters_per_pulse)
 
 
+def test_steps_lost_on_the_way_home_are_mended_by_it():
+    env = make(goal="home", axes=("x",))
+    env.reset(seed=1, options={"start": {"x": -0.119}})
+    axis = env.stage.axes["x"]
+    env.stage.data.qpos[axis._plant.qpos] += 64 * axis.meters_per_pulse  # a tooth of the motor
+    host = Host(env)
+    with pytest.raises(EpisodeOver):
+        go_home(host)
+    assert host.info["success"]
+    assert host.info["lost_steps"] == 4
+
+
 def test_what_a_host_reads_is_what_the_chip_says_and_the_observation_keeps_it():
     env = make(axes=("x", "z"))
     env.reset(seed=0)
@@ -271,6 +283,40 @@ def test_lost_steps_cost_and_bar_success():
     parts = [step[4]["reward_parts"]["lost"] for step in host.steps]
     assert max(parts) == 0, "found again is not paid back"
     assert sum(parts) <= -rb.Config.lost_weight * host.info["lost_steps"] + 1e-9
+
+
+def test_a_carriage_that_slipped_to_its_target_has_not_made_it():
+    env = make(axes=("x",))
+    env.reset(seed=0, options={"target": {"x": 2000}})
+    host, axis = Host(env), env.stage.axes["x"]
+    tooth = 64 * axis.meters_per_pulse  # an electrical period, four full steps
+    for address, byte in sequence(2000 - 64, PCL240K):
+        host.act(rb.WRITE, 0, address, byte)
+    for nudge, lost, error, part in ((0, 0, 64, 0), (tooth, 4, 0, -0.2), (-tooth, 0, 64, 0), (tooth, 4, 0, 0)):
+        env.stage.data.qpos[axis._plant.qpos] += nudge
+        for _ in range(5):
+            host.act(rb.WAIT + 3)
+        assert host.info["lost_steps"] == lost
+        assert host.info["error"] == pytest.approx(error, abs=1)
+        assert not host.info["success"]
+        assert sum(s[4]["reward_parts"]["lost"] for s in host.steps[-5:]) == pytest.approx(part)
+
+
+def test_passing_the_target_is_not_reaching_it():
+    env = make(axes=("x",))
+    env.reset(seed=0, options={"target": {"x": 22}})
+    host = Host(env)
+    for address, byte in [(0, 0x81), (1, 1), (0, 0x87), (1, 30), (0, 0x10)]:  # FL, 20 pps
+        host.act(rb.WRITE, 0, address, byte)
+    errors = []
+    for _ in range(11):
+        host.act(rb.WAIT + 3)
+        errors.append(host.info["error"])
+        assert not host.info["success"]
+    assert errors[-1] < 3, "and goes on"
+    host.act(rb.WRITE, 0, 0, 0x08)
+    host.act(rb.WAIT + 3)
+    assert host.info["success"], "stopped in time, it is"
 
 
 def test_time_and_cycles_end_an_episode():
