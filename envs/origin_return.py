@@ -102,8 +102,8 @@ class Strategy(RegisterBox):
     def __init__(self, map_: Any, leave: int, back_off: int):
         super().__init__(map_, ("R1", "R2", "R4", "R1"))
         self.names = NAMES
-        self.low = np.append(self.low, (0, 1, 0))
-        self.high = np.append(self.high, (leave, back_off, 1))
+        self.low: np.ndarray = np.append(self.low, np.array([0, 1, 0]))
+        self.high: np.ndarray = np.append(self.high, np.array([leave, back_off, 1]))
         self._logarithmic = self.low > 0
         self._ratio = np.where(self._logarithmic, np.log(self.high / np.maximum(self.low, 1)), 1.0)
         self._power = np.where(np.array(NAMES) == "leave", 3.0, 1.0)
