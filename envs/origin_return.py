@@ -40,7 +40,7 @@ import gymnasium
 import numpy as np
 
 from stage import Stage
-from stage.chips import CHIPS, Chip
+from stage.chips import Chip, chip_class
 from stage.engine import INDEX
 from stage.envs.base import Outcome, StageEnv, StageVectorEnv, Task
 from stage.envs.registers import RegisterBox
@@ -117,9 +117,7 @@ class OriginReturn(Task[Config]):
 
     def stage(self, textures: bool) -> Stage:
         c = self.config
-        chip = CHIPS.get(c.chip) if isinstance(c.chip, str) else c.chip
-        if chip is None:
-            raise unknown("chip", str(c.chip), CHIPS)
+        chip = chip_class(c.chip)
         if c.ez and not getattr(chip, "EXTENDED", False):
             raise ArgumentError(f"ez={c.ez!r}: a {chip.__name__} does not count EZ: a PCL240MK or PCL240MS does.")
         made = Stage(c.model, chips=chip, bus_cycle=c.bus_cycle, textures=textures)

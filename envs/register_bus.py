@@ -35,7 +35,7 @@ import gymnasium
 import numpy as np
 
 from stage import Stage, host
-from stage.chips import CHIPS, Chip
+from stage.chips import Chip, chip_class
 from stage.envs.base import Outcome, StageEnv, StageVectorEnv, Task
 from stage.errors import ArgumentError, unknown
 from stage.fleet import Played
@@ -91,9 +91,7 @@ class RegisterBus(Task[Config]):
 
     def stage(self, textures: bool) -> Stage:
         c = self.config
-        chip = CHIPS.get(c.chip) if isinstance(c.chip, str) else c.chip
-        if chip is None:
-            raise unknown("chip", str(c.chip), CHIPS)
+        chip = chip_class(c.chip)
         chips = chip if c.axes is None else dict.fromkeys(c.axes, chip)
         return Stage(c.model, chips=chips, bus_cycle=c.bus_cycle, textures=textures)
 

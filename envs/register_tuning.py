@@ -26,7 +26,7 @@ import gymnasium
 import numpy as np
 
 from stage import Stage
-from stage.chips import CHIPS, Chip
+from stage.chips import Chip, chip_class
 from stage.envs.base import Outcome, StageEnv, StageVectorEnv, Task
 from stage.envs.registers import RegisterBox
 from stage.errors import ArgumentError, unknown
@@ -74,9 +74,7 @@ class RegisterTuning(Task[Config]):
 
     def stage(self, textures: bool) -> Stage:
         c = self.config
-        chip = CHIPS.get(c.chip) if isinstance(c.chip, str) else c.chip
-        if chip is None:
-            raise unknown("chip", str(c.chip), CHIPS)
+        chip = chip_class(c.chip)
         made = Stage(c.model, chips=chip, bus_cycle=c.bus_cycle, textures=textures)
         if c.axis not in made.axes:
             raise unknown("axis", c.axis, made.axes)

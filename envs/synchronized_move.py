@@ -38,7 +38,7 @@ import gymnasium
 import numpy as np
 
 from stage import Stage
-from stage.chips import CHIPS, Chip
+from stage.chips import Chip, chip_class
 from stage.compiled import announced
 from stage.engine import clock_at
 from stage.envs.base import Outcome, StageEnv, StageVectorEnv, Task
@@ -120,9 +120,7 @@ class SynchronizedMove(Task[Config]):
 
     def stage(self, textures: bool) -> Stage:
         c = self.config
-        chip: Any = CHIPS.get(c.chip) if isinstance(c.chip, str) else c.chip
-        if chip is None:
-            raise unknown("chip", str(c.chip), CHIPS)
+        chip: Any = chip_class(c.chip)
         made = Stage(c.model, chips=chip, bus_cycle=c.bus_cycle, textures=textures)
         for name in c.axes:
             if name not in made.axes:

@@ -1,5 +1,4 @@
-"""What the baselines share: one move to be tuned, a count of the moves made, and the vector environment's face for
-Stable-Baselines3.
+"""What the baselines share: one move to be tuned, a log of the moves made, the proof of the best, and the command line.
 
 The task is `stage/RegisterTuning-v0` with one distance and one payload, as a bench has them: each move begins somewhere else within
 an electrical turn and weighs up to 3 % more or less. A move is an episode of one step, and a budget is a number of moves. What a

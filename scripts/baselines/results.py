@@ -265,6 +265,7 @@ ms that the median seed gains on the formula; in brackets the spread, from the w
 - **random, CMA-ES, PPO, SAC** choose five factors on the formula's answer: FL, FH, acceleration, deceleration, ramp-down point.
   They begin with what the formula knows (random aside). **Raw registers** begin with nothing: R1, R2, R4, R5, R6, R7 over their
   whole legal ranges, where nearly every move loses steps or takes too long.
+- The learning curves show the duration of the move with the highest reward so far; it may rise where vibration falls by more.
 - PPO and SAC learn a policy, here of one situation only; what counts is the best of the moves that they made while learning.
 - **agent loop** is a scripted stand-in for a model, which reads text and writes commands: it changes one register at a time.
 - **spare** is the payload that may be added, in steps of {step:g} kg up to {most:g} kg, before the same registers lose steps for

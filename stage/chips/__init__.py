@@ -7,8 +7,21 @@ A family is a register map (data), a state record and a compiled core; see chip.
 
 from stage.chips.chip import Chip, Diagnostic, Snapshot
 from stage.chips.pcl240 import PCL240K, PCL240MK, PCL240MS
+from stage.errors import ArgumentError, unknown
 
 CHIPS: dict[str, type[Chip]] = {cls.__name__: cls for cls in (PCL240K, PCL240MK, PCL240MS)}
 """Every chip by class name."""
 
-__all__ = ["CHIPS", "PCL240K", "PCL240MK", "PCL240MS", "Chip", "Diagnostic", "Snapshot"]
+
+def chip_class(chip: str | type[Chip]) -> type[Chip]:
+    """A chip class, by itself or by its name in any case, with or without hyphens. Raises ArgumentError with near misses."""
+    if isinstance(chip, str):
+        if (key := chip.upper().replace("-", "")) not in CHIPS:
+            raise unknown("chip", chip, CHIPS)
+        return CHIPS[key]
+    if not (isinstance(chip, type) and issubclass(chip, Chip)):
+        raise ArgumentError(f"chip {chip!r}: give a chip class or its name: {', '.join(CHIPS)}.")
+    return chip
+
+
+__all__ = ["CHIPS", "PCL240K", "PCL240MK", "PCL240MS", "Chip", "Diagnostic", "Snapshot", "chip_class"]

@@ -15,20 +15,11 @@ from stage.errors import unknown
 def make_stage(args: argparse.Namespace) -> Any:
     """The stage that the options describe."""
     from stage import Drive, Stage
+    from stage.chips import chip_class
 
     motor = {} if args.motor is None else {"motor": args.motor}
     drive = Drive(microsteps=args.microsteps, bus_voltage=args.bus_voltage, **motor)
     return Stage(args.model, chips=chip_class(args.chips), drives=drive, bus_cycle=args.bus_cycle)
-
-
-def chip_class(name: str) -> Any:
-    """A chip class by its name, in any case and with or without hyphens."""
-    from stage.chips import CHIPS
-
-    key = name.upper().replace("-", "")
-    if key not in CHIPS:
-        raise unknown("chip", name, CHIPS)
-    return CHIPS[key]
 
 
 def profile(args: argparse.Namespace, axis: Any) -> Any:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import argparse
 
-from stage.cli.setup import chip_class, progress
+from stage.cli.setup import progress
 from stage.errors import StageError
 
 
 def registers(args: argparse.Namespace) -> int:
     """Print a register map."""
+    from stage.chips import chip_class
     from stage.chips.register_map import dump
 
     print(dump(chip_class(args.chip).MAP))
