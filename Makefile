@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test test-slow lint bench pictures clean help
+.PHONY: demo test test-slow lint bench results pictures clean help
 
 help:
 	@echo "make demo       origin return, dual-rate and a:b moves; writes demo.rrd"
@@ -10,6 +10,7 @@ help:
 	@echo "make test-slow  the long checks"
 	@echo "make lint       ruff and mypy"
 	@echo "make bench      speed, as ratios measured in one run"
+	@echo "make results    baselines of RegisterTuning: docs/results.md (extra rl; a quarter of an hour)"
 	@echo "make pictures   draw every picture of README and docs again"
 
 $(BIN)/python:
@@ -40,6 +41,11 @@ lint: .venv/.dev
 
 bench: .venv/.dev
 	$(BIN)/python scripts/benchmark.py
+	$(BIN)/python scripts/benchmark_envs.py --most 64 --rounds 3
+
+results: .venv/.dev
+	$(BIN)/python -m pip install -q -e '.[rl,plot]'
+	$(BIN)/python scripts/baselines/results.py
 
 pictures: .venv/.dev
 	$(BIN)/stage demo --no-view --force --picture docs/pictures/dashboard.png

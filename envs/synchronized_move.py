@@ -328,7 +328,7 @@ class SynchronizedMove(Task[Config]):
         ops[:, self._starts, 1] = np.array(self.index)[order]
         ops[:, self._starts, 3] = np.take_along_axis(ramps, order, 1)
         self._begun = self.fleet.truth()[:, self.index]
-        self.fleet._spread(lambda low, high, _: self._twins(low, high, rows, order, active))
+        self.fleet.spread(lambda low, high, _: self._twins(low, high, rows, order, active))
         slow = (
             np.max(4096 * rows[:, :, 7] / np.minimum(rows[:, :, 1], rows[:, :, 2]), axis=1) / self.hz
         )  # the last pulse

@@ -12,7 +12,7 @@ not looked through for mistakes (`chip.diagnostics`), except there.
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
@@ -131,7 +131,7 @@ class Fleet:
         if watched:
             compiled = ops.copy()
             compiled[watched, 0] = host.END
-        self._spread(lambda a, b, s: host.play(self._handles, a, b, compiled, results, extremes, status, s))
+        self.spread(lambda a, b, s: host.play(self._handles, a, b, compiled, results, extremes, status, s))
         for k in watched:
             status[k] = host.by_hand(self.stages[k], ops[k], results[k], extremes[k])
         return Played(results, extremes, status == host.DIVERGED)
@@ -157,7 +157,8 @@ class Fleet:
         samples = np.zeros((0, self._axes), engine.SAMPLE)
         return samples, np.zeros((0, self._nq)), np.zeros(0, engine.EDGE), np.zeros(2, np.int64)
 
-    def _spread(self, work: Any) -> None:
+    def spread(self, work: Callable[[int, int, tuple[np.ndarray, ...]], None]) -> None:
+        """Call work(begin, end, scratch) for ranges of stages that make them all, on the fleet's threads."""
         n = len(self)
         chunks = min(n, self.threads * CHUNKS if self.threads > 1 else 1)
         cuts = [n * k // chunks for k in range(chunks + 1)]
