@@ -129,6 +129,26 @@ class Task(ABC, Generic[ConfigT]):
         return rewards, outcome
 
 
+def check_choice(config: Any, name: str, known: Sequence[str]) -> None:
+    """ArgumentError if a setting is none of the words known."""
+    if getattr(config, name) not in known:
+        raise unknown(name, getattr(config, name), known)
+
+
+def check_range(config: Any, name: str, least: float) -> None:
+    """ArgumentError if a setting is no (least, most) from `least` up."""
+    low, high = getattr(config, name)
+    if not least <= low <= high:
+        raise ArgumentError(f"{name}={getattr(config, name)!r}: (least, most), from {least} up.")
+
+
+def check_positive(config: Any, *names: str) -> None:
+    """ArgumentError if one of the settings is not more than 0."""
+    for name in names:
+        if not getattr(config, name) > 0:
+            raise ArgumentError(f"{name}={getattr(config, name)!r}: more than 0.")
+
+
 def configured(task: type[Task], settings: Mapping[str, Any]) -> Any:
     """The task's Config of these settings; ArgumentError for one that it does not have."""
     known = [f.name for f in fields(task.Config)]

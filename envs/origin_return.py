@@ -42,7 +42,7 @@ import numpy as np
 from stage import Stage
 from stage.chips import Chip, chip_class
 from stage.engine import INDEX
-from stage.envs.base import Outcome, StageEnv, StageVectorEnv, Task
+from stage.envs.base import Outcome, StageEnv, StageVectorEnv, Task, check_choice, check_positive, check_range
 from stage.envs.registers import RegisterBox
 from stage.errors import ArgumentError, unknown
 from stage.firmware import bus
@@ -82,14 +82,10 @@ class Config:
     bus_cycle: float = 1e-6  # s
 
     def __post_init__(self) -> None:
-        if self.actions not in ("box", "registers"):
-            raise unknown("actions", self.actions, ("box", "registers"))
-        for name, (low, high), least in (("payloads", self.payloads, 0.0), ("frictions", self.frictions, 1e-3)):
-            if not least <= low <= high:
-                raise ArgumentError(f"{name}={getattr(self, name)!r}: (least, most), from {least} up.")
-        for name in ("returns", "leave", "back_off", "limit", "settle"):
-            if not getattr(self, name) > 0:
-                raise ArgumentError(f"{name}={getattr(self, name)!r}: more than 0.")
+        check_choice(self, "actions", ("box", "registers"))
+        check_range(self, "payloads", 0.0)
+        check_range(self, "frictions", 1e-3)
+        check_positive(self, "returns", "leave", "back_off", "limit", "settle")
         if self.ez not in range(17):
             raise ArgumentError(f"ez={self.ez!r}: 0, or the 1st to 16th index pulse after ORG.")
         if not 0 <= self.drift <= FROM_LIMIT:

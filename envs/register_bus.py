@@ -36,7 +36,7 @@ import numpy as np
 
 from stage import Stage, host
 from stage.chips import Chip, chip_class
-from stage.envs.base import Outcome, StageEnv, StageVectorEnv, Task
+from stage.envs.base import Outcome, StageEnv, StageVectorEnv, Task, check_choice, check_positive
 from stage.errors import ArgumentError, unknown
 from stage.fleet import Played
 
@@ -72,13 +72,10 @@ class Config:
     bus_cycle: float = 1e-6  # s
 
     def __post_init__(self) -> None:
-        if self.goal not in GOALS:
-            raise unknown("goal", self.goal, GOALS)
+        check_choice(self, "goal", GOALS)
         if not self.waits or not all(0 < w <= self.time_limit for w in self.waits):
             raise ArgumentError(f"waits={self.waits!r}: one or more, each from above 0 s to time_limit.")
-        for name in ("tolerance", "standing", "time_limit", "cycles", "discount"):
-            if not getattr(self, name) > 0:
-                raise ArgumentError(f"{name}={getattr(self, name)!r}: more than 0.")
+        check_positive(self, "tolerance", "standing", "time_limit", "cycles", "discount")
         low, high = self.distances
         if not self.tolerance < low <= high:
             raise ArgumentError(f"distances={self.distances!r}: (least, most) pulses, beyond the tolerance.")

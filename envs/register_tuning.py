@@ -27,7 +27,7 @@ import numpy as np
 
 from stage import Stage
 from stage.chips import Chip, chip_class
-from stage.envs.base import Outcome, StageEnv, StageVectorEnv, Task
+from stage.envs.base import Outcome, StageEnv, StageVectorEnv, Task, check_choice, check_positive, check_range
 from stage.envs.registers import RegisterBox
 from stage.errors import ArgumentError, unknown
 from stage.fleet import Played, Program
@@ -57,14 +57,10 @@ class Config:
     bus_cycle: float = 1e-6  # s
 
     def __post_init__(self) -> None:
-        if self.actions not in ("box", "registers"):
-            raise unknown("actions", self.actions, ("box", "registers"))
-        for name, (low, high), least in (("distances", self.distances, 1), ("payloads", self.payloads, 0)):
-            if not least <= low <= high:
-                raise ArgumentError(f"{name}={getattr(self, name)!r}: (least, most), from {least} up.")
-        for name in ("moves", "limit", "settle"):
-            if not getattr(self, name) > 0:
-                raise ArgumentError(f"{name}={getattr(self, name)!r}: more than 0.")
+        check_choice(self, "actions", ("box", "registers"))
+        check_range(self, "distances", 1)
+        check_range(self, "payloads", 0)
+        check_positive(self, "moves", "limit", "settle")
 
 
 class RegisterTuning(Task[Config]):
@@ -92,6 +88,7 @@ class RegisterTuning(Task[Config]):
         self.observation_space = gymnasium.spaces.Box(-1.0, 1.0, (6,), np.float32)
         self.distance, self.payload = np.ones(self.n, np.int64), np.zeros(self.n)
         self.last = np.zeros((self.n, 4))
+        self.stop = len(self._program(self.registers.low, 1)) - 3  # the wait for the stop; all programs are alike
 
     def begin(self, k: int, options: Mapping[str, Any]) -> None:
         self.last[k] = 0.0
@@ -146,7 +143,7 @@ class RegisterTuning(Task[Config]):
 
     def outcome(self, actions: np.ndarray, played: Played, truth: np.ndarray, active: np.ndarray) -> Outcome:
         c, t = self.config, truth[:, self.axis.index]
-        took = played.results[np.arange(self.n), self._stops(played)] * 1e-9
+        took = played.results[:, self.stop] * 1e-9
         finished = (took > 0) & (t["counter"] == 0)
         duration = np.abs(took)
         lost = (t["lost_steps"] != 0) | (np.abs(t["commanded"] - t["position"]) > ALLOWED)
@@ -166,16 +163,6 @@ class RegisterTuning(Task[Config]):
         good = active & ~played.diverged
         self.last[good] = np.clip(np.nan_to_num(now), 0.0, 1.0)[good]
         return Outcome(parts, np.zeros(self.n, bool), self.steps >= c.moves, info)
-
-    def _stops(self, played: Played) -> int:
-        """Where in the program the wait for the stop is: all programs are alike."""
-        return self._length - 3
-
-    @property
-    def _length(self) -> int:
-        if not hasattr(self, "_known_length"):
-            self._known_length = len(self._program(self.registers.low, 1))
-        return self._known_length
 
     def observe(self, truth: np.ndarray) -> np.ndarray:
         c = self.config

@@ -41,7 +41,7 @@ from stage import Stage
 from stage.chips import Chip, chip_class
 from stage.compiled import announced
 from stage.engine import clock_at
-from stage.envs.base import Outcome, StageEnv, StageVectorEnv, Task
+from stage.envs.base import Outcome, StageEnv, StageVectorEnv, Task, check_choice
 from stage.envs.registers import RegisterBox
 from stage.errors import ArgumentError, unknown
 from stage.firmware import bus, follow
@@ -88,8 +88,7 @@ class Config:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "axes", tuple(self.axes))
-        if self.actions not in ACTIONS:
-            raise unknown("actions", self.actions, ACTIONS)
+        check_choice(self, "actions", ACTIONS)
         if len(set(self.axes)) != len(self.axes) or len(self.axes) < 2:
             raise ArgumentError(f"axes={self.axes!r}: two or more different axes.")
         if not 1 <= self.distances[0] <= self.distances[1]:

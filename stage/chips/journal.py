@@ -8,7 +8,7 @@ of speed and of every pin, to the clock. Waveforms and the drawings of operation
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -27,6 +27,15 @@ class Entry(NamedTuple):
     kind: int
     a: int
     b: int
+
+    def apply(self, core: Any, rows: np.ndarray) -> None:
+        """Let it happen to the chip in `rows[0]`, whose core this is."""
+        if self.kind == WRITE:
+            core.write(rows, 0, self.a, self.b)
+        elif self.kind == INPUT:
+            core.set_inputs(rows, 0, self.a, self.b)
+        else:
+            core.power_up(rows, 0)
 
 
 class Course(NamedTuple):
@@ -111,14 +120,8 @@ class Journal:
                     yield out[:k].copy()
                     k = 0
                 k += core.scan(rows, 0, until, every_pulse, out[k:])
-            if e is None:
-                pass
-            elif e.kind == WRITE:
-                core.write(rows, 0, e.a, e.b)
-            elif e.kind == INPUT:
-                core.set_inputs(rows, 0, e.a, e.b)
-            else:
-                core.power_up(rows, 0)
+            if e is not None:
+                e.apply(core, rows)
             if k == size:
                 yield out.copy()
                 k = 0

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from stage.chips.journal import INPUT, WRITE, Journal
+from stage.chips.journal import Journal
 from stage.compiled import hot
 from stage.errors import ArgumentError
 
@@ -129,7 +129,7 @@ def perfect_deviation(distances: Sequence[int]) -> float:
 def pulses_of(journal: Journal) -> np.ndarray:
     """Every pulse that a chip made while `journal` noted, as `chip.trace` would have returned them; `clock` counts from
     the journal's beginning."""
-    chip, core = journal._chip, journal._chip.CORE
+    core = journal._chip.CORE
     rows = np.frombuffer(bytearray(journal._start), core.STATE)
     begin = int(rows[0].clock)
     parts = [np.empty(0, core.PULSE)]
@@ -143,13 +143,8 @@ def pulses_of(journal: Journal) -> np.ndarray:
 
     for e in journal.entries:
         go(e.clock)
-        if e.kind == WRITE:
-            core.write(rows, 0, e.a, e.b)
-        elif e.kind == INPUT:
-            core.set_inputs(rows, 0, e.a, e.b)
-        else:
-            core.power_up(rows, 0)
-    go(chip.clock if journal._end is None else journal._end)
+        e.apply(core, rows)
+    go(journal.until)
     pulses = np.concatenate(parts)
     pulses["clock"] -= begin
     return pulses
