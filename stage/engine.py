@@ -44,14 +44,15 @@ FAR = 1.0  # distance of a vane that no sensor sees
 TURN = 2.0 * math.pi
 INDEX, INDEX_HYSTERESIS = 0.01, 5e-4  # turns: width of the encoder's index pulse, and by how much it lets go later
 SECOND = 1_000_000_000
+SLICES = stepper.SLICES
 
 # --- state, in userdata ---
 WORLD = record([("now", "i8"), ("start", "i8"), ("slice", "i8"), ("steps", "i8"), ("to_sample", "i8")])
 """`now`, `start` of the window (ns); slices and steps done; steps until the next sample."""
 AXIS = record(
-    [("torque_sum", "f8")] + [(name, "i8") for name in "count next_edge index_on index_edge index_end".split()]
+    [("counts", "f8", (SLICES,))] + [(name, "i8") for name in "count next_edge index_on index_edge index_end".split()]
 )
-"""Torque of the window so far, the drive's pulse count at the slice's start, time of the next input edge (ns); the
+"""Mean pulse counts of the window's slices so far, the count at the last slice's end, time of the next input edge (ns); the
 encoder's index pulse: asserted, its next edge in this window, and the one after (ns)."""
 SWITCH = record([("dist", "f8"), ("edge", "i8"), ("on", "i8")])
 """Distance vane to switch at `qpos`, time of its next edge (ns), asserted."""
@@ -61,10 +62,10 @@ CLOCKWORK = record([("dt", "i8"), ("slices", "i8"), ("h", "f8"), ("half", "f8"),
 """Window (ns), slices in it, a slice and half a window (s), degrees of freedom, steps per sample (0: none)."""
 AXIS_TABLE = record(
     [(name, "i8") for name in "chip chip_axis hz qpos dof actuator first_switch end_switch index_bit".split()]
-    + [("gear", "f8"), ("index_at", "f8")]
+    + [("gear", "f8"), ("index_at", "f8"), ("ticks", "f8")]
 )
 """Which chip row and drive row (= the axis' own index) move which joint; rotor radians per joint unit; the pin bit of
-the index pulse (0: not connected) and where in the rotor's turn it stands, in turns."""
+the index pulse (0: not connected) and where in the rotor's turn it stands, in turns; the chip's clocks in a slice."""
 SWITCH_TABLE = record(
     [("bit", "i8"), ("found", "i8"), ("at", "i8"), ("slope", "f8"), ("hysteresis", "f8"), ("forced", "i8")]
 )
@@ -160,9 +161,8 @@ def _foresee(world, axes, table, switches, switch_table, clockwork, sensordata, 
 
 
 @hot
-def _run_chip(axis, t, chips, switches, switch_table, a, until, edges, n_edges):
-    """Let the chip of axis `a` run to `until` ns, its switches changing on the way."""
-    c = chips[t.chip]
+def _meet_edges(axis, t, c, switches, switch_table, a, until, edges, n_edges):
+    """Take chip `c` of axis `a` through the edges of its switches up to `until` ns. Returns how many are noted by now."""
     while axis.next_edge <= until:
         now = axis.next_edge
         pcl240_core.run(c, clock_at(now, t.hz))
@@ -185,7 +185,6 @@ def _run_chip(axis, t, chips, switches, switch_table, a, until, edges, n_edges):
             e = edges[n_edges]
             e.now, e.clock, e.axis, e.inputs = now, c.clock, a, c.inputs
             n_edges += 1
-    pcl240_core.run(c, clock_at(until, t.hz))
     return n_edges
 
 
@@ -220,28 +219,35 @@ def run(
     world, clockwork = world_[0], clockwork_[0]
     status = REACHED
     while world.now < until:
-        stop = min(until, world.start + (world.slice + 1) * clockwork.dt // clockwork.slices)
-        boundary = stop == world.start + (world.slice + 1) * clockwork.dt // clockwork.slices
-        middle = (world.slice + 0.5) * clockwork.h - clockwork.half
+        start, dt = world.start, clockwork.dt
+        end = start + dt
+        stop, k = min(until, end), 0
         for a in range(len(axes)):
             axis, t = axes[a], table[a]
-            n_edges = _run_chip(axis, t, chips, switches, switch_table, a, stop, edges, n_edges)
-            if boundary:
-                net = chips[t.chip].net
-                omega = qvel[t.dof] * t.gear
-                theta = qpos[t.qpos] * t.gear + omega * middle
-                count = pcl240_core.mean_count(chips[t.chip], axis.count, clockwork.h * t.hz)
-                axis.torque_sum += stepper.torque(drives[a], count, theta, omega, clockwork.h)
-                axis.count = net
+            c, means = chips[t.chip], axis.counts
+            k, now = world.slice, 0
+            while now < stop:
+                bound = start + (k + 1) * dt // SLICES
+                now = min(bound, stop)
+                if axis.next_edge <= now:
+                    n_edges = _meet_edges(axis, t, c, switches, switch_table, a, now, edges, n_edges)
+                pcl240_core.run(c, clock_at(now, t.hz))
+                if now == bound:
+                    means[k] = pcl240_core.mean_count(c, axis.count, t.ticks)
+                    axis.count = c.net
+                    k += 1
         world.now = stop
-        if not boundary:
+        world.slice = k
+        if stop < end:
             break
-        world.slice += 1
-        if world.slice < clockwork.slices:
-            continue
+        first = 0.5 * clockwork.h - clockwork.half  # the middle of the first slice
         for a in range(len(axes)):
-            ctrl[table[a].actuator] = axes[a].torque_sum / clockwork.slices
-            axes[a].torque_sum = 0.0
+            t = table[a]
+            omega = qvel[t.dof] * t.gear
+            theta = qpos[t.qpos] * t.gear + omega * first
+            ctrl[t.actuator] = stepper.mean_torque(
+                drives[a], axes[a].counts, clockwork.slices, theta, omega, clockwork.h
+            )
         mj_step(model, data)
         world.slice = 0
         world.start += clockwork.dt
@@ -281,7 +287,8 @@ def settle(world_, axes, chips, drives, switches, table, switch_table, clockwork
     for a in range(len(axes)):
         axes[a].next_edge = NEVER
         axes[a].count = chips[table[a].chip].net
-        axes[a].torque_sum = 0.0
+        for k in range(SLICES):
+            axes[a].counts[k] = axes[a].count
         for k in range(table[a].first_switch, table[a].end_switch):
             s, t = switches[k], switch_table[k]
             s.edge = NEVER

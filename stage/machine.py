@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from stage.recording import Recording
 
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
-SLICES = 8
 HYSTERESIS = 25e-6  # m; a slotted optical switch lets go that much later than it trips (typical data sheets)
 EDGES = 1024
 
@@ -226,16 +225,17 @@ class Stage:
         self._switch_table = np.zeros(m, engine.SWITCH_TABLE)
         self._clockwork = np.zeros(1, engine.CLOCKWORK)
         dt = round(model.opt.timestep * 1e9)
-        if dt < 100 * SLICES:
-            raise ArgumentError(f"timestep {model.opt.timestep} s: the stage needs at least {100 * SLICES} ns.")
+        if dt < 100 * engine.SLICES:
+            raise ArgumentError(f"timestep {model.opt.timestep} s: the stage needs at least {100 * engine.SLICES} ns.")
         self._dt = dt
         w = self._clockwork[0]
-        w.dt, w.slices, w.h, w.half, w.nv = dt, SLICES, dt * 1e-9 / SLICES, dt * 0.5e-9, model.nv
+        w.dt, w.slices, w.h, w.half, w.nv = dt, engine.SLICES, dt * 1e-9 / engine.SLICES, dt * 0.5e-9, model.nv
         axes, first = {}, 0
         for k, (p, chip, drive) in enumerate(zip(self._plant, chips, drives, strict=True)):
             chip._attach(self, self._chips, k)
             t = self._table[k]
             t.chip, t.hz, t.qpos, t.dof, t.actuator, t.gear = k, chip.clock_hz, p.qpos, p.dof, p.actuator, p.gear
+            t.ticks = w.h * chip.clock_hz
             t.index_bit, t.index_at = chip.INPUTS.get("ez", 0), p.index
             t.first_switch, t.end_switch = first, first + len(p.switches)
             for row, s in zip(self._switch_table[first : t.end_switch], p.switches, strict=True):

@@ -20,20 +20,23 @@ from __future__ import annotations
 import math
 
 from stage.compiled import hot, record
+from stage.drives.trig import sincos
 
 CHOPPER, SINE = 0, 1
+SLICES = 8  # that the engine cuts a physics step into
 
 STEPPER = record(
     [
         (name, "f8")
         for name in (
             "resistance inductance torque_constant detent current voltage teeth per_pulse "  # what it is
-            "offset current_a current_b slice decay"  # where it is; slice and decay cache 1 - exp(-h R / L)
+            "offset current_a current_b "  # where it is
+            "slice keep reach back"  # of a slice of so many seconds: see torque()
         ).split()
     ]
-    + [("mode", "i8")]
+    + [("mode", "i8"), ("waves", "f8", (2, SLICES))]
 )
-"""One motor and drive, SI units. `teeth`: rotor teeth Nr; `per_pulse`: electrical radians a pulse."""
+"""One motor and drive, SI units. `teeth`: rotor teeth Nr; `per_pulse`: electrical radians a pulse; `waves`: room to compute in."""
 
 
 @hot
@@ -63,15 +66,17 @@ def align(d, count, theta):
     """
     d.offset = math.floor(theta * d.teeth / d.per_pulse + 0.5) * d.per_pulse - d.per_pulse * count
     phi = d.offset + d.per_pulse * count
-    d.current_a, d.current_b = d.current * math.cos(phi), d.current * math.sin(phi)
+    s, c = sincos(phi)
+    d.current_a, d.current_b = d.current * c, d.current * s
 
 
 @hot
-def _toward(i, target, v, e, r, decay):
-    """The current after a slice: its target if a voltage within +-v takes it there, else as far as it gets."""
-    low = i + ((-v - e) / r - i) * decay
-    high = i + ((v - e) / r - i) * decay
-    return min(max(target, low), high)
+def _prepare(d, h):
+    """What a slice of h seconds leaves of a current, what the bus voltage adds, and what back-EMF takes a (rad/s)."""
+    d.slice = h
+    d.keep = math.exp(-h * d.resistance / d.inductance)
+    d.reach = (1.0 - d.keep) * d.voltage / d.resistance
+    d.back = (1.0 - d.keep) * d.torque_constant / d.resistance
 
 
 @hot
@@ -83,31 +88,62 @@ def _pull_out_voltage(d, omega):
 
 
 @hot
-def torque(d, count, theta, omega, h):
-    """Advance the currents by h seconds; returns the mean torque on the rotor, N m.
+def _slice(d, a, b, ta, tb, s, c, omega):
+    """The currents at the end of a slice that they begin as a, b, and their means.
 
-    d: a STEPPER record. count: commanded pulses, mean over the slice; theta, omega: rotor angle (rad) and speed (rad/s) at its
-    middle. The mean of a current is that of its ends, exact but for h R / (12 L) of its change.
+    ta, tb: cosine and sine of the commanded phase; s, c: sine and cosine of the rotor's. The mean of a current is that of its
+    ends, exact but for h R / (12 L) of its change.
+    """
+    push = d.back * omega
+    ia, ib = d.current * ta, d.current * tb
+    if d.mode == CHOPPER:  # on target if a voltage within the bus takes it there, else as far as it gets
+        ia = min(max(ia, a * d.keep + (push * s - d.reach)), a * d.keep + (push * s + d.reach))
+        ib = min(max(ib, b * d.keep - (push * c + d.reach)), b * d.keep - (push * c - d.reach))
+    elif _pull_out_voltage(d, omega) < d.torque_constant * d.current:
+        ia = a * d.keep + (push * s + d.reach * ta)
+        ib = b * d.keep - (push * c - d.reach * tb)
+    else:
+        a, b = ia, ib
+    return ia, ib, 0.5 * (a + ia), 0.5 * (b + ib)
+
+
+@hot
+def _torque(d, ia, ib, s, c):
+    return d.torque_constant * (ib * c - ia * s) - d.detent * 4.0 * s * c * (c * c - s * s)
+
+
+@hot
+def mean_torque(d, counts, n, theta, omega, h):
+    """Advance the currents by n slices of h seconds at constant speed; returns the mean torque on the rotor, N m.
+
+    d: a STEPPER record. counts: (n,) commanded pulses, mean over each slice; theta: rotor angle (rad) in the middle of the
+    first; omega: rad/s.
     """
     if d.slice != h:
-        d.slice = h
-        d.decay = 1.0 - math.exp(-h * d.resistance / d.inductance)
-    phi = d.offset + d.per_pulse * count
-    alpha = theta * d.teeth
-    s, c = math.sin(alpha), math.cos(alpha)
-    ea, eb = -d.torque_constant * omega * s, d.torque_constant * omega * c
-    ta, tb = d.current * math.cos(phi), d.current * math.sin(phi)
+        _prepare(d, h)
+    waves, offset, per_pulse = d.waves, d.offset, d.per_pulse
+    for k in range(n):
+        s, c = sincos(offset + per_pulse * counts[k])
+        waves[0, k] = s
+        waves[1, k] = c
+    s, c = sincos(theta * d.teeth)
+    turn_s, turn_c = sincos(omega * h * d.teeth)  # the rotor turns by as much in every slice
     a, b = d.current_a, d.current_b
-    r = d.resistance
-    if d.mode == CHOPPER:
-        d.current_a = _toward(a, ta, d.voltage, ea, r, d.decay)
-        d.current_b = _toward(b, tb, d.voltage, eb, r, d.decay)
-    elif _pull_out_voltage(d, omega) >= d.torque_constant * d.current:
-        d.current_a, d.current_b = ta, tb
-        a, b = ta, tb
-    else:
-        scale = d.voltage / d.current
-        d.current_a = a + ((ta * scale - ea) / r - a) * d.decay
-        d.current_b = b + ((tb * scale - eb) / r - b) * d.decay
-    ia, ib = 0.5 * (a + d.current_a), 0.5 * (b + d.current_b)
-    return d.torque_constant * (ib * c - ia * s) - d.detent * 4.0 * s * c * (c * c - s * s)
+    total = 0.0
+    for k in range(n):
+        a, b, mean_a, mean_b = _slice(d, a, b, waves[1, k], waves[0, k], s, c, omega)
+        total += _torque(d, mean_a, mean_b, s, c)
+        s, c = s * turn_c + c * turn_s, c * turn_c - s * turn_s
+    d.current_a, d.current_b = a, b
+    return total / n
+
+
+@hot
+def torque(d, count, theta, omega, h):
+    """`mean_torque` of one slice."""
+    if d.slice != h:
+        _prepare(d, h)
+    tb, ta = sincos(d.offset + d.per_pulse * count)
+    s, c = sincos(theta * d.teeth)
+    d.current_a, d.current_b, mean_a, mean_b = _slice(d, d.current_a, d.current_b, ta, tb, s, c, omega)
+    return _torque(d, mean_a, mean_b, s, c)

@@ -52,7 +52,7 @@ def test_a_drive_fills_every_parameter_of_its_record_and_leaves_its_state():
 
 
 def test_a_record_holds_only_8_byte_numbers_since_it_lives_in_userdata():
-    assert {stepper.STEPPER[name] for name in stepper.STEPPER.names} <= {np.dtype("i8"), np.dtype("f8")}
+    assert {stepper.STEPPER[name].base for name in stepper.STEPPER.names} <= {np.dtype("i8"), np.dtype("f8")}
 
 
 def test_drives_default_to_the_motor_s_own_current_and_detent():

@@ -102,6 +102,7 @@ def write_byte(c, address, value):
     """One bus write cycle."""
     address &= 3
     value &= 0xFF
+    c.quiet = 0
     if address:
         _write_data(c, address, value)
         return

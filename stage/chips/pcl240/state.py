@@ -22,6 +22,7 @@ STATE = record(
             "selected output collective high middle latch "  # register select, output mode; collective bytes
             "inputs sampled total net "  # pins now and at the last tick; pulses begun ever, and + minus -
             "curved goal steps step twice_span rate next "  # the S-curve ramp in progress
+            "quiet "  # the clock up to which nothing happens but pulses
             "rising risen manual down top top_select "  # automatic ramp-down and FH correction of this run
             "homing counting ez_left ez_running "  # origin return with EZ of this run
             "extended s_curves"  # what this variant has
@@ -33,6 +34,7 @@ STATE = record(
 240K: variants differ by data alone.
 
 curved, goal, steps, twice_span, rate: of the S-curve ramp as it started; step: how many it has taken.
+quiet: holds while the inputs stay as they are and nobody writes; 0 where it is not known.
 timer: ticks since the last step of a linear ramp, since the start of an S-curve ramp. next: the `timer` of its next step.
 risen: pulses output while the speed rose; rising: step 3 of the last tick found goal > speed; down: the automatic point
 has come; manual: the automatic point is off for this run; top: corrected FH in place of register `top_select`.
