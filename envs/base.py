@@ -55,9 +55,9 @@ class Task(ABC, Generic[ConfigT]):
     action_space: gymnasium.Space
     observation_space: gymnasium.Space
 
-    def __init__(self, n: int, config: ConfigT, threads: int | None = None, textures: bool = False):
+    def __init__(self, n: int, config: ConfigT, threads: int | None = None, visuals: bool = False):
         self.n, self.config = n, config
-        first = self.stage(textures)
+        first = self.stage(visuals)
         self.stages = [first, *(copy.deepcopy(first) for _ in range(n - 1))]
         self.fleet = Fleet(self.stages, threads)
         self.start = first.snapshot()
@@ -66,7 +66,7 @@ class Task(ABC, Generic[ConfigT]):
         self.prepare()
 
     @abstractmethod
-    def stage(self, textures: bool) -> Stage:
+    def stage(self, visuals: bool) -> Stage:
         """One stage, at power-up."""
 
     @abstractmethod
@@ -197,7 +197,7 @@ class StageEnv(gymnasium.Env):
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise unknown("render mode", render_mode, RENDER_MODES)
         self.render_mode, self._camera, self._record = render_mode, camera, record
-        self._task = self.task(1, configured(self.task, settings), 1, textures=render_mode is not None)
+        self._task = self.task(1, configured(self.task, settings), 1, visuals=render_mode is not None or record is not None)
         self.action_space, self.observation_space = self._task.action_space, self._task.observation_space
         self._over = True
         self._viewer: Any = None

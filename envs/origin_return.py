@@ -111,12 +111,12 @@ class OriginReturn(Task[Config]):
     """start: m, of the first return."""
     RESTARTS = True
 
-    def stage(self, textures: bool) -> Stage:
+    def stage(self, visuals: bool) -> Stage:
         c = self.config
         chip = chip_class(c.chip)
         if c.ez and not getattr(chip, "EXTENDED", False):
             raise ArgumentError(f"ez={c.ez!r}: a {chip.__name__} does not count EZ: a PCL240MK or PCL240MS does.")
-        made = Stage(c.model, chips=chip, bus_cycle=c.bus_cycle, textures=textures)
+        made = Stage(c.model, chips=chip, bus_cycle=c.bus_cycle, visuals=visuals)
         if c.axis not in made.axes:
             raise unknown("axis", c.axis, made.axes)
         return made

@@ -86,11 +86,11 @@ class RegisterBus(Task[Config]):
     OPTIONS = ("target", "start")
     """target: {axis: pulses, signed} instead of drawn ones; start: {axis: m}, where carriages stand at the beginning."""
 
-    def stage(self, textures: bool) -> Stage:
+    def stage(self, visuals: bool) -> Stage:
         c = self.config
         chip = chip_class(c.chip)
         chips = chip if c.axes is None else dict.fromkeys(c.axes, chip)
-        return Stage(c.model, chips=chips, bus_cycle=c.bus_cycle, textures=textures)
+        return Stage(c.model, chips=chips, bus_cycle=c.bus_cycle, visuals=visuals)
 
     def prepare(self) -> None:
         c, n = self.config, self.n

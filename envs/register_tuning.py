@@ -68,10 +68,10 @@ class RegisterTuning(Task[Config]):
     OPTIONS = ("distance", "payload")
     RESTARTS = True
 
-    def stage(self, textures: bool) -> Stage:
+    def stage(self, visuals: bool) -> Stage:
         c = self.config
         chip = chip_class(c.chip)
-        made = Stage(c.model, chips=chip, bus_cycle=c.bus_cycle, textures=textures)
+        made = Stage(c.model, chips=chip, bus_cycle=c.bus_cycle, visuals=visuals)
         if c.axis not in made.axes:
             raise unknown("axis", c.axis, made.axes)
         return made

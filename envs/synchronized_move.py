@@ -117,10 +117,10 @@ class SynchronizedMove(Task[Config]):
     Config = Config
     OPTIONS = ("distances", "rate")
 
-    def stage(self, textures: bool) -> Stage:
+    def stage(self, visuals: bool) -> Stage:
         c = self.config
         chip: Any = chip_class(c.chip)
-        made = Stage(c.model, chips=chip, bus_cycle=c.bus_cycle, textures=textures)
+        made = Stage(c.model, chips=chip, bus_cycle=c.bus_cycle, visuals=visuals)
         for name in c.axes:
             if name not in made.axes:
                 raise unknown("axis", name, made.axes)

