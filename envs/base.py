@@ -197,7 +197,9 @@ class StageEnv(gymnasium.Env):
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise unknown("render mode", render_mode, RENDER_MODES)
         self.render_mode, self._camera, self._record = render_mode, camera, record
-        self._task = self.task(1, configured(self.task, settings), 1, visuals=render_mode is not None or record is not None)
+        self._task = self.task(
+            1, configured(self.task, settings), 1, visuals=render_mode is not None or record is not None
+        )
         self.action_space, self.observation_space = self._task.action_space, self._task.observation_space
         self._over = True
         self._viewer: Any = None

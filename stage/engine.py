@@ -1,9 +1,9 @@
 """The one compiled loop: switches -> chips -> drives -> mj_step, many steps per call.
 
 Time is an integer of nanoseconds. A physics step of dt is a *window* [start, start + dt) of chip time, cut into equal
-slices. In each slice every chip runs to the slice's end (an input edge or a bus cycle may fall anywhere inside), then
-every drive turns the pulses of the slice into torque. At the window's end the mean torque goes to `ctrl` and mj_step moves
-the stage.
+slices. Every chip runs through the window (an input edge or a bus cycle may fall anywhere inside), and its mean pulse count
+in each slice is kept. At the window's end every drive turns its counts into torque, slice by slice; the mean goes to
+`ctrl`, and mj_step moves the stage.
 
 MuJoCo's integrator is a leapfrog: positions live at times t, velocities half a step before. The force that it wants at a
 position is the mean over the window centred there, so a window's centre, not its start, is the time of the position held in

@@ -210,3 +210,15 @@ def test_uncompiled_the_drive_says_the_same_and_it_needs_neither_mujoco_nor_chip
     runs = [follow(Drive(mode=mode), pulses(np.full(300, 30_000.0)), 54e-7, 0.05) for mode in ("chopper", "sine")]
     here = [r[name] for r in runs for name in r.dtype.names]
     assert np.allclose(columns, here, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("mode", ["chopper", "sine"])
+def test_many_slices_at_once_are_the_same_slices_one_by_one(mode):
+    """At speeds where currents are held, and where the back-EMF does not let them."""
+    for speed in (3.0, -40.0, 250.0):
+        one, many = record(Drive(mode=mode)), record(Drive(mode=mode))
+        counts, theta = 40.0 + 0.37 * np.arange(stepper.SLICES), 0.2
+        torques = [stepper.torque(one, c, theta + k * speed * H, speed, H) for k, c in enumerate(counts)]
+        mean = stepper.mean_torque(many, counts, stepper.SLICES, theta, speed, H)
+        assert mean == pytest.approx(np.mean(torques), rel=1e-12)
+        assert (many.current_a, many.current_b) == pytest.approx((one.current_a, one.current_b), rel=1e-12)

@@ -40,6 +40,8 @@ from stage.chips.pcl240.state import (
 )
 from stage.compiled import hot
 
+FOREVER = 1 << 62
+
 __all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE", "advance", "mark", "mean_count", "outputs", "pins", "power_up",
            "pulse_rate", "read", "run", "scan", "set_inputs", "trace", "value", "write"]  # fmt: skip
 
@@ -135,7 +137,7 @@ def _span(c, n):
     s = until_step(c, goal)
     own = not c.output & EXTERNAL
     if s == NEVER and not c.homing and (not c.ramps or c.speed == goal):
-        c.quiet = c.clock + _quiet_ticks(c, own)
+        c.quiet = _next_event(c, own)
     s = min(n, s)
     pulses = 0
     if c.reg[7] >= 2 and c.speed > 0:
@@ -183,12 +185,12 @@ def _pulses_to_event(c, own):
 
 
 @hot
-def _quiet_ticks(c, own):
-    """At constant speed: ticks before the next pulse that is an event."""
+def _next_event(c, own):
+    """At constant speed: the clock before that of the next pulse that is an event."""
     far = _pulses_to_event(c, own)
     if far == NEVER or c.speed == 0 or c.reg[7] < 2:
-        return NEVER
-    return (far * 8192 * c.reg[7] - c.phase - 1) // c.speed
+        return FOREVER
+    return c.clock + (far * 8192 * c.reg[7] - c.phase - 1) // c.speed
 
 
 @hot
