@@ -116,8 +116,8 @@ def _torque(d, ia, ib, s, c):
 def mean_torque(d, counts, n, theta, omega, h):
     """Advance the currents by n slices of h seconds at constant speed; returns the mean torque on the rotor, N m.
 
-    d: a STEPPER record. counts: (n,), n up to SLICES: commanded pulses, mean over each slice; theta: rotor angle (rad) in the middle of the
-    first; omega: rad/s.
+    d: a STEPPER record. counts: (n,), n up to SLICES: commanded pulses, mean over each slice; theta: rotor angle (rad) in the
+    middle of the first; omega: rad/s.
     """
     if d.slice != h:
         _prepare(d, h)
