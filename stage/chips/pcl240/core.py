@@ -12,7 +12,7 @@ the normative model: 1 limit switches, 2 pulse, 3 speed.
 from __future__ import annotations
 
 from stage.chips.pcl240.bus import blocked, outputs, read_byte, register, write_byte
-from stage.chips.pcl240.ramp import NEVER, goal_speed, margin, step_speed, until_step, watching
+from stage.chips.pcl240.ramp import NEVER, goal_speed, linear_rate, margin, next_step, step_speed, until_step, watching
 from stage.chips.pcl240.state import (
     COUNTER_MASK,
     EDGE,
@@ -213,6 +213,49 @@ def _cruise(c, until):
 
 
 @hot
+def _climb(c, until):
+    """Take the steps of a ramp, but not its last, that come up to `until` and before anything else happens."""
+    goal, way = goal_speed(c), c.ramp
+    rate, last = linear_rate(c, way), goal - way
+    if c.rising != (1 if way > 0 else 0) or (last - c.speed) * way <= 0 or rate < 2 or c.reg[7] < 2:
+        return
+    if blocked(c) or c.homing or (c.decel and c.speed <= c.reg[1]) or (not c.down and watching(c)):
+        return
+    if c.curved and c.goal != goal:
+        return
+    own = not c.output & EXTERNAL
+    m, far, begun = 8192 * c.reg[7], _pulses_to_event(c, own), 0
+    clock, phase, speed = c.clock, c.phase, c.speed
+    wait = (c.next if c.curved else rate) - c.timer
+    while speed != last and 0 < wait <= until - clock:
+        ahead = phase + wait * speed
+        pulses = 0
+        if ahead >= m:
+            pulses = 1 if ahead < 2 * m else ahead // m
+            if begun + pulses >= far:
+                break
+            begun += pulses
+        phase = ahead - pulses * m
+        clock += wait
+        speed += way
+        if c.curved:
+            c.timer = c.next
+            c.step += 1
+            next_step(c)
+            wait = c.next - c.timer
+        else:
+            c.timer = 0
+            wait = rate
+    if clock == c.clock:
+        return
+    c.clock, c.phase, c.speed = clock, phase, speed
+    if begun or c.low:
+        c.low = 1 if 2 * phase < m else 0
+    if begun:
+        _count(c, begun, own)
+
+
+@hot
 def _count(c, pulses, own):
     """`pulses` have begun."""
     way = -pulses if c.minus else pulses
@@ -237,7 +280,10 @@ def run(c, until):
         elif not (c.running or c.finishing):
             c.clock = until
         else:
-            _span(c, until - c.clock)
+            if c.ramp and c.ramps and c.running:
+                _climb(c, until)
+            if c.clock < until:
+                _span(c, until - c.clock)
 
 
 @hot

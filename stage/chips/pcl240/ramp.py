@@ -122,7 +122,7 @@ def _start_ramp(c, goal, way):
         span = c.reg[R14 if way > 0 else R15] & SPAN
         c.twice_span = c.steps if span == 0 or 2 * span > c.steps else 2 * span
         c.rate = linear_rate(c, way)
-        _next_step(c)
+        next_step(c)
 
 
 @hot
@@ -132,7 +132,7 @@ def linear_rate(c, way):
 
 
 @hot
-def _next_step(c):
+def next_step(c):
     """When the S-curve takes its next step: upwards the k-th at t(k), downwards a clock after t(k - 1)."""
     if c.rate < 2:
         c.next = NEVER
@@ -187,7 +187,7 @@ def step_speed(c):
                 c.speed += way
                 c.step += 1
                 if c.step < c.steps:
-                    _next_step(c)
+                    next_step(c)
         else:
             rate = linear_rate(c, way)
             if rate >= 2 and (c.timer >= rate or (first and way < 0)):
