@@ -1,15 +1,10 @@
-"""What the environments share. A `Task` holds the rules of one for n stages at once; `StageEnv` and `StageVectorEnv` are its
-scalar and vector faces, so that both give the same bits.
-"""
+"""What the environments share: `StageEnv` and `StageVectorEnv`, the scalar and vector faces of a `Task`, with the same bits."""
 
 from __future__ import annotations
 
-import copy
-from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any, ClassVar, Generic, TypeVar
+from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
@@ -18,157 +13,12 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from stage import Stage
+from stage.envs.results import DIVERGED as DIVERGED
+from stage.envs.task import Task, checked, configured
 from stage.errors import ArgumentError, unknown
-from stage.fleet import Fleet, Played, Program
 
-DIVERGED = -10.0  # reward of a step in which the simulation diverged
 RENDER_MODES = ("rgb_array", "human")
 WIDTH, HEIGHT = 640, 480
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """Of one step, for every stage: named parts of the reward, whose sum it is; ends of episodes; numbers and words for `info`."""
-
-    parts: Mapping[str, np.ndarray]
-    terminated: np.ndarray
-    truncated: np.ndarray
-    info: Mapping[str, np.ndarray] = field(default_factory=dict)
-
-
-ConfigT = TypeVar("ConfigT")
-
-
-class Task(ABC, Generic[ConfigT]):
-    """The rules of an environment, for n stages at once.
-
-    A subclass sets `Config` (a frozen dataclass of its settings), makes the two spaces, and writes `stage`, `begin`,
-    `programs`, `outcome` and `observe`. Arrays have the stage as their first index. Elementwise arithmetic only, so that
-    a stage's numbers do not depend on how many there are.
-    """
-
-    Config: ClassVar[type]
-    OPTIONS: ClassVar[tuple[str, ...]] = ()
-    """What `reset(options=...)` takes."""
-    RESTARTS: ClassVar[bool] = False
-    """Every step begins at power-up, made ready by `renew`; a recording then holds one step."""
-    action_space: gymnasium.Space
-    observation_space: gymnasium.Space
-
-    def __init__(self, n: int, config: ConfigT, threads: int | None = None, visuals: bool = False):
-        self.n, self.config = n, config
-        first = self.stage(visuals)
-        self.stages = [first, *(copy.deepcopy(first) for _ in range(n - 1))]
-        self.fleet = Fleet(self.stages, threads)
-        self.start = first.snapshot()
-        self.rngs = [np.random.default_rng(0)] * n
-        self.steps = np.zeros(n, np.int64)
-        self.prepare()
-
-    @abstractmethod
-    def stage(self, visuals: bool) -> Stage:
-        """One stage, at power-up."""
-
-    @abstractmethod
-    def prepare(self) -> None:
-        """Make the spaces and the arrays of what is drawn for each stage."""
-
-    @abstractmethod
-    def begin(self, k: int, options: Mapping[str, Any]) -> None:
-        """A new episode on stage k, drawn from self.rngs[k]. The stage is at power-up (its payload is as it was)."""
-
-    @abstractmethod
-    def programs(self, actions: np.ndarray, active: np.ndarray) -> Sequence[Program] | np.ndarray:
-        """What the host does on each stage for these actions; of stages that are not `active` it does not count."""
-
-    @abstractmethod
-    def outcome(self, actions: np.ndarray, played: Played, truth: np.ndarray, active: np.ndarray) -> Outcome:
-        """The result of the step that was just played."""
-
-    @abstractmethod
-    def observe(self, truth: np.ndarray) -> np.ndarray:
-        """Every stage's observation, (n, ...)."""
-
-    def renew(self, active: np.ndarray) -> None:
-        """Make the active stages ready for their next step, after the last has been judged."""
-
-    def describe(self, k: int) -> dict[str, Any]:
-        """`info` of a reset of stage k."""
-        return {}
-
-    # --- the rest is the same for all ---
-
-    def restart(self, k: int, options: Mapping[str, Any]) -> None:
-        self.stages[k].restore(self.start)
-        self.steps[k] = 0
-        self.begin(k, options)
-
-    def act(self, actions: np.ndarray, active: np.ndarray) -> tuple[np.ndarray, Outcome]:
-        """Play the actions on the active stages. Returns (rewards, outcome)."""
-        if not active.any():
-            never = np.zeros(self.n, bool)
-            return np.zeros(self.n), Outcome({}, never, never.copy(), {})
-        programs = self.programs(actions, active)
-        if isinstance(programs, np.ndarray):
-            programs[~active] = 0
-        else:
-            programs = [p if on else Program() for p, on in zip(programs, active, strict=True)]
-        played = self.fleet.play(programs)
-        self.steps += active
-        bad = played.diverged & active
-        with np.errstate(invalid="ignore", over="ignore"):
-            out = self.outcome(actions, played, self.fleet.truth(), active)
-        parts = {name: np.where(bad, 0.0, v) for name, v in out.parts.items()}
-        if bad.any():
-            parts["diverged"] = np.where(bad, DIVERGED, 0.0)
-        cause = np.where(bad, "diverged", "").astype(object)
-        outcome = Outcome(parts, out.terminated & ~bad, out.truncated | bad, {**out.info, "cause": cause})
-        rewards = np.zeros(self.n)
-        for part in parts.values():
-            rewards += part
-        return rewards, outcome
-
-
-def check_choice(config: Any, name: str, known: Sequence[str]) -> None:
-    """ArgumentError if a setting is none of the words known."""
-    if getattr(config, name) not in known:
-        raise unknown(name, getattr(config, name), known)
-
-
-def check_range(config: Any, name: str, least: float) -> None:
-    """ArgumentError if a setting is no (least, most) from `least` up."""
-    low, high = getattr(config, name)
-    if not least <= low <= high:
-        raise ArgumentError(f"{name}={getattr(config, name)!r}: (least, most), from {least} up.")
-
-
-def check_positive(config: Any, *names: str) -> None:
-    """ArgumentError if one of the settings is not more than 0."""
-    for name in names:
-        if not getattr(config, name) > 0:
-            raise ArgumentError(f"{name}={getattr(config, name)!r}: more than 0.")
-
-
-def configured(task: type[Task], settings: Mapping[str, Any]) -> Any:
-    """The task's Config of these settings; ArgumentError for one that it does not have."""
-    known = [f.name for f in fields(task.Config)]
-    for name in settings:
-        if name not in known:
-            raise unknown(f"{task.__name__} setting", name, known)
-    return task.Config(**settings)
-
-
-def checked(space: gymnasium.Space, action: Any) -> np.ndarray:
-    """The action as an array of the space's type; ArgumentError names the space and the value."""
-    try:
-        given = np.asarray(action)
-        kinds = "iu" if np.issubdtype(space.dtype, np.integer) else "iuf"
-        value = given.astype(space.dtype) if given.dtype.kind in kinds else given
-        if given.dtype.kind in kinds and given.shape == space.shape and space.contains(value):
-            return value
-    except (TypeError, ValueError, OverflowError):
-        pass
-    raise ArgumentError(f"action {action!r} is not in {space}: give an array of shape {space.shape}, {space.dtype}.")
 
 
 def _options(task: type[Task], options: Mapping[str, Any] | None) -> dict[str, Any]:
@@ -221,31 +71,26 @@ class StageEnv(gymnasium.Env):
         self._start_recording()
         if self.render_mode == "human":
             self.render()
-        self._last = self._task.observe(self._task.fleet.truth())
-        return self._last[0].copy(), self._task.describe(0)
+        self._task.observe()
+        return self._task.observations[0].copy(), self._task.describe(0)
 
     def step(self, action: Any):
         if self._over:
             raise ArgumentError("the episode is over: call reset() first.")
-        value = checked(self.action_space, action)
-        rewards, out = self._task.act(value[None], np.ones(1, bool))
-        diverged = out.info["cause"][0] == "diverged"
-        if self.task.RESTARTS:
+        task = self._task
+        task.take(0, action)
+        task.act()
+        if task.RESTARTS:
             self._save_recording()
-        if not diverged:
-            self._task.renew(np.ones(1, bool))
-        if self.task.RESTARTS:
+        task.renew()
+        if task.RESTARTS:
             self._start_recording()
-        observation = self._task.observe(self._task.fleet.truth())
-        if diverged:
-            observation = self._last
-        self._last = observation
-        self._over = bool(out.terminated[0] or out.truncated[0])
+        task.observe()
+        reward, terminated, truncated, info = task.results.row(0)
+        self._over = terminated or truncated
         if self.render_mode == "human":
             self.render()
-        info = {name: _plain(v[0]) for name, v in out.info.items()}
-        info["reward_parts"] = {name: float(v[0]) for name, v in out.parts.items()}
-        return observation[0].copy(), float(rewards[0]), bool(out.terminated[0]), bool(out.truncated[0]), info
+        return task.observations[0].copy(), reward, terminated, truncated, info
 
     def render(self):
         if self.render_mode is None:
@@ -335,60 +180,49 @@ class StageVectorEnv(VectorEnv):
             self._task.restart(int(k), options)
             infos = self._add_info(infos, self._task.describe(int(k)), int(k))
         self._over[mask] = False
-        self._last = self._task.observe(self._task.fleet.truth())
-        return self._last.copy(), infos
+        self._task.observe()
+        return self._task.observations.copy(), infos
 
     def step(self, actions: Any):
         mode = self.autoreset_mode
         if mode != AutoresetMode.NEXT_STEP and self._over.any():
             k = int(np.flatnonzero(self._over)[0])
             raise ArgumentError(f"the episode of environment {k} is over: reset it first (options reset_mask).")
-        values = checked(self.action_space, actions)
-        active = ~self._over
+        task, active = self._task, self._task.active
+        task.actions[...] = checked(self.action_space, actions)
+        active[...] = ~self._over
         infos: dict[str, Any] = {}
         for k in np.flatnonzero(self._over):
-            self._task.restart(int(k), {})
-            infos = self._add_info(infos, self._task.describe(int(k)), int(k))
-        rewards, out = self._task.act(values, active)
-        diverged = (out.info["cause"] == "diverged") & active if out.info else np.zeros(self.num_envs, bool)
-        self._task.renew(active & ~diverged)
-        terminated, truncated = out.terminated & active, out.truncated & active
-        rewards = np.where(active, rewards, 0.0)
-        observation = self._task.observe(self._task.fleet.truth())
-        observation[diverged] = self._last[diverged]
-        self._add(infos, out, active)
-        self._over = terminated | truncated
+            task.restart(int(k), {})
+            infos = self._add_info(infos, task.describe(int(k)), int(k))
+        rewards, ends = np.zeros(self.num_envs), np.zeros((2, self.num_envs), bool)
+        if active.any():
+            task.act()
+            rewards[active] = task.results["reward"][active]
+            ends[:, active] = task.results["terminated"][active], task.results["truncated"][active]
+            _join(infos, task.results.columns(active))
+            task.renew()
+        task.observe()
+        observations = task.observations.copy()
+        self._over = ends.any(axis=0)
         if mode == AutoresetMode.SAME_STEP and self._over.any():
-            infos = self._same_step(infos, observation, active)
-            now = self._task.observe(self._task.fleet.truth())
-            observation = np.where(self._over.reshape(-1, *[1] * (now.ndim - 1)), now, observation)
+            infos = self._same_step(infos, observations)
+            task.observe()
+            observations[self._over] = task.observations[self._over]
             self._over = np.zeros(self.num_envs, bool)
-        self._last = observation
-        return observation.copy(), rewards, terminated, truncated, infos
+        return observations, rewards, ends[0], ends[1], infos
 
-    def _same_step(self, infos: dict[str, Any], observation: np.ndarray, active: np.ndarray) -> dict[str, Any]:
+    def _same_step(self, infos: dict[str, Any], observations: np.ndarray) -> dict[str, Any]:
         """Reset what is over, and move its last observation and info aside, as Gymnasium asks."""
         last, kept = infos, {}
         for k in range(self.num_envs):
             info = _one(last, k)
             if self._over[k]:
-                kept = self._add_info(kept, {"final_obs": observation[k].copy(), "final_info": info}, k)
+                kept = self._add_info(kept, {"final_obs": observations[k].copy(), "final_info": info}, k)
                 self._task.restart(k, {})
                 info = self._task.describe(k)
             kept = self._add_info(kept, info, k)
         return kept
-
-    def _add(self, infos: dict[str, Any], out: Outcome, active: np.ndarray) -> None:
-        """The outcome's info as Gymnasium wants it: arrays, each with a mask of whose it is."""
-        if not active.any():
-            return
-        for name, v in out.info.items():
-            whose = active.reshape(-1, *[1] * (v.ndim - 1))
-            infos[name], infos[f"_{name}"] = np.where(whose, v, _nothing(v)), active.copy()
-        parts: dict[str, Any] = {}
-        for name, v in out.parts.items():
-            parts[name], parts[f"_{name}"] = np.where(active, v, 0.0), active.copy()
-        infos["reward_parts"], infos["_reward_parts"] = parts, active.copy()
 
     def _check_mask(self, mask: Any) -> None:
         if (
@@ -408,8 +242,13 @@ def _plain(value: Any) -> Any:
     return value.item() if isinstance(value, np.generic) else value.copy() if isinstance(value, np.ndarray) else value
 
 
-def _nothing(values: np.ndarray) -> Any:
-    return None if values.dtype == object else np.zeros((), values.dtype)
+def _join(infos: dict[str, Any], columns: dict[str, Any]) -> None:
+    """Add columns to a vector's infos, in which other environments may have the same names."""
+    for name in [n for n in columns if n in infos and f"_{n}" in infos]:
+        whose = infos[f"_{name}"]
+        columns[name][whose] = infos[name][whose]
+        columns[f"_{name}"] |= whose
+    infos.update(columns)
 
 
 def _one(infos: Mapping[str, Any], k: int) -> dict[str, Any]:

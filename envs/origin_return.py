@@ -42,8 +42,10 @@ import numpy as np
 from stage import Stage
 from stage.chips import Chip, chip_class
 from stage.engine import INDEX
-from stage.envs.base import Outcome, StageEnv, StageVectorEnv, Task, check_choice, check_positive, check_range
+from stage.envs.base import StageEnv, StageVectorEnv
 from stage.envs.registers import RegisterBox
+from stage.envs.results import result
+from stage.envs.task import MoveTask, check_choice, check_positive, check_range
 from stage.errors import ArgumentError, unknown
 from stage.firmware import bus
 from stage.fleet import Played, Program
@@ -105,7 +107,7 @@ class Strategy(RegisterBox):
         self._power = np.where(np.array(NAMES) == "leave", 3.0, 1.0)
 
 
-class OriginReturn(Task[Config]):
+class OriginReturn(MoveTask[Config]):
     Config = Config
     OPTIONS = ("start", "payload", "friction")
     """start: m, of the first return."""
@@ -139,6 +141,11 @@ class OriginReturn(Task[Config]):
         self.strategy = Strategy(self.chip.MAP, c.leave, c.back_off)
         self.action_space = self.strategy.box if c.actions == "box" else self.strategy.discrete
         self.observation_space = gymnasium.spaces.Box(-1.0, 1.0, (13,), np.float32)
+        self.result = result(
+            ("time", "error", "spread", "missed", "limit", "lost"),
+            duration=float, error=float, spread=float, home=bool, end_limit=bool, late=bool,
+            lost_steps=int, start=float, registers=(int, (len(NAMES),)),
+        )  # fmt: skip
         self.marks: dict[str, int] = {}
         self._program(self.strategy.low, self.marks)
         self.payload, self.friction, self.place = np.zeros(n), np.ones(n), np.zeros(n)
@@ -171,8 +178,8 @@ class OriginReturn(Task[Config]):
         self.ends[k], self.last[k] = (np.inf, -np.inf), 0.0
         self._draw(k, options)
 
-    def renew(self, active: np.ndarray) -> None:
-        for k in np.flatnonzero(active):
+    def renew(self) -> None:
+        for k in np.flatnonzero(self.sound):
             self._draw(int(k), {})
 
     def _draw(self, k: int, options: Mapping[str, Any]) -> None:
@@ -199,9 +206,8 @@ class OriginReturn(Task[Config]):
         """The numbers that actions choose, in the order of NAMES."""
         return self.strategy.from_action(actions) if self.config.actions == "box" else actions.astype(np.int64)
 
-    def programs(self, actions: np.ndarray, active: np.ndarray) -> list[Program]:
-        rows = self.chosen(actions)
-        return [self._program(row) if on else Program() for row, on in zip(rows, active, strict=True)]
+    def programs(self) -> list[Program]:
+        return [self._program(row) for row in self.chosen(self.actions)]
 
     def _program(self, row: np.ndarray, marks: dict[str, int] | None = None) -> Program:
         """A whole return. `marks` takes the places of what its operations find; they are the same for every row."""
@@ -240,7 +246,7 @@ class OriginReturn(Task[Config]):
             p.read(a, 3).command(a, bus.OUTPUT)
         return p
 
-    def outcome(self, actions: np.ndarray, played: Played, truth: np.ndarray, active: np.ndarray) -> Outcome:
+    def judge(self, played: Played, truth: np.ndarray) -> None:
         c, t = self.config, truth[:, self.axis.index]
         found = {name: played.results[:, at] for name, at in self.marks.items()}
         status = {name: found[f"{name} 0"] for name in ("leave", "search", "back off", "approach")}
@@ -276,18 +282,27 @@ class OriginReturn(Task[Config]):
         }
         info = {
             "duration": duration, "error": error, "spread": spread, "home": home, "end_limit": end_limit, "late": late,
-            "lost_steps": lost, "start": self.place.copy(), "registers": self.chosen(actions),
+            "lost_steps": lost, "start": self.place, "registers": self.chosen(self.actions),
         }  # fmt: skip
-        overrun = made["approach"] - self.chosen(actions)[:, NAMES.index("back_off")]
+        overrun = made["approach"] - self.chosen(self.actions)[:, NAMES.index("back_off")]
         whole = (self.high - self.low) / self.per_pulse
-        now = [active, home, end_limit, late, released, duration / (4 * c.limit), made["search"] / whole, overrun / CAP]
-        good = active & ~played.diverged
+        now = [
+            self.active,
+            home,
+            end_limit,
+            late,
+            released,
+            duration / (4 * c.limit),
+            made["search"] / whole,
+            overrun / CAP,
+        ]
+        good = self.sound
         self.ends[good] = ends[good]
         self.last[good] = np.clip(np.nan_to_num(np.stack(now, axis=1)), -1.0, 1.0)[good]
-        return Outcome(parts, np.zeros(self.n, bool), self.steps >= c.returns, info)
+        self.fill(parts, info, False, self.steps >= c.returns)
 
-    def observe(self, truth: np.ndarray) -> np.ndarray:
-        c, status = self.config, truth["status"][:, self.axis.index]
+    def observed(self) -> np.ndarray:
+        c, status = self.config, self.fleet.truth()["status"][:, self.axis.index]
         (p0, p1), (f0, f1) = c.payloads, np.log(c.frictions)
         columns = [
             status & ORG != 0,

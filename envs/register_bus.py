@@ -36,16 +36,16 @@ import numpy as np
 
 from stage import Stage, host
 from stage.chips import Chip, chip_class
-from stage.envs.base import Outcome, StageEnv, StageVectorEnv, Task, check_choice, check_positive
+from stage.compiled import announced
+from stage.envs import register_bus_core as core
+from stage.envs.base import StageEnv, StageVectorEnv
+from stage.envs.results import DIVERGED
+from stage.envs.task import Task, check_choice, check_positive
 from stage.errors import ArgumentError, unknown
-from stage.fleet import Played
 
-WRITE, READ, WAIT = range(3)  # kinds of action; WAIT + k
+WRITE, READ, WAIT = core.WRITE, core.READ, core.WAIT  # kinds of action; WAIT + k
 GOALS = ("position", "home")
-AGE = 1e6  # ns, at which freshness is one half
-FAST, MANY = 0.5, 64.0  # m/s, full steps: what counts as 1 in an observation
 FROM_LIMIT = 5e-4  # m; "home" starts no nearer to an end limit
-PER_AXIS, TRUTH, COMMON = 16, 4, 4
 
 
 @dataclass(frozen=True)
@@ -116,18 +116,49 @@ class RegisterBus(Task[Config]):
                 raise ArgumentError(
                     f"distances={c.distances!r}: there is room for {int((room / self.per_pulse).min())} pulses."
                 )
-        self.action_space = gymnasium.spaces.MultiDiscrete([2 + len(c.waits), m, 4, 256])
-        size = m * (PER_AXIS + TRUTH * c.truth) + COMMON
+        self._choices = [2 + len(c.waits), m, 4, 256]
+        self.action_space = gymnasium.spaces.MultiDiscrete(self._choices)
+        size = m * (core.PER_AXIS + core.TRUTH * c.truth) + core.COMMON
         self.observation_space = gymnasium.spaces.Box(-1.0, 1.0, (size,), np.float32)
-        self.waits = np.array([round(w * 1e9) for w in c.waits])  # ns
-        self.target = np.zeros((n, m), np.int64)  # pulses
-        self.goal = np.zeros((n, m))  # m
-        self.began, self.before = np.zeros(n, np.int64), np.zeros(n, np.int64)  # ns, of the episode, of the step
-        self.potential = np.zeros(n)
-        self.seen = np.zeros((n, m, 4), np.int64)  # bytes as last read, by address
-        self.when = np.full((n, m, 4), -1)  # ns; -1: never
-        self.lost = np.zeros((n, m), np.int64)
-        self.value = np.full(n, -1)
+        self.result = core.RESULT
+        self.waits = np.array([round(w * 1e9) for w in c.waits], np.int64)  # ns
+        self._note_rules()
+        self.episodes, self.axis_states = np.zeros(n, core.EPISODE), np.zeros((n, m), core.AXIS)
+        self._truth = np.zeros((n, m), host.TRUTH)
+        self._ops, self._values, self._status = (np.zeros(shape, np.int64) for shape in ((n, 1, 4), (n, 1), n))
+        self._by_hand, self._counts = np.zeros(n, bool), np.zeros((n, 2), np.int64)
+
+    def _note_rules(self) -> None:
+        """The settings as compiled code reads them."""
+        c = self.config
+        self.rules, self.axis_rules = np.zeros(1, core.RULES), np.zeros(len(self.axes), core.AXIS_RULES)
+        rules = {name: getattr(c, name) for name in core.SETTINGS}
+        rules |= {"distance": c.distances[1], "duration": c.time_limit * 1e9, "limit": round(c.time_limit * 1e9)}
+        for name, value in {**rules, "home": c.goal == "home", "diverged": DIVERGED}.items():
+            self.rules[name] = value
+        of_axes = {
+            "near": c.tolerance * self.per_pulse, "per_pulse": self.per_pulse, "full_step": self.full_step,
+            "scale": self.scale, "low": self.travel[:, 0], "high": self.travel[:, 1],
+        }  # fmt: skip
+        for name, values in of_axes.items():
+            self.axis_rules[name] = values
+
+    def wire(self) -> None:
+        arrays = {
+            "handles": self.fleet.handles, "rules": self.rules, "axis_rules": self.axis_rules, "waits": self.waits,
+            "active": self.active, "by_hand": self._by_hand, "actions": self.actions, "steps": self.steps,
+            "ops": self._ops, "values": self._values, "status": self._status, "counts": self._counts,
+            "truth": self._truth, "episodes": self.episodes, "axes": self.axis_states,
+            "observations": self.observations,
+        }  # fmt: skip
+        self._frame = np.zeros(1, core.FRAME)
+        lengths = {"stages": self.n, "n_axes": len(self.axes), "n_waits": len(self.waits)}
+        lengths["width"] = self.observations.shape[1]
+        for name, value in {**{name: a.ctypes.data for name, a in arrays.items()}, **lengths}.items():
+            self._frame[name] = value
+        self._address = self._frame.ctypes.data
+        with announced("PulseStage: compiling RegisterBus, once on this machine (about five seconds) ..."):
+            self._step(0, 0, None)
 
     @staticmethod
     def _touch(axis: Any, pin: str) -> float:
@@ -158,10 +189,9 @@ class RegisterBus(Task[Config]):
         for axis, q, at in zip(self.axes, start, self.power_up, strict=True):
             if q != at:
                 stage.place(**{axis.name: float(q)})
-        self.target[k], self.goal[k] = target, goal
-        self.potential[k] = self._potential((start - goal)[None])[0]
-        self.began[k] = self.before[k] = stage._now
-        self.seen[k], self.when[k], self.lost[k], self.value[k] = 0, -1, 0, -1
+        mine = self.axis_states[k]
+        mine["target"], mine["goal"], mine["lost"], mine["seen"], mine["when"] = target, goal, 0, 0, -1
+        core.conclude(self._address, k, k + 1, True, self.results.rows)
 
     def _places(self, rng: np.random.Generator) -> np.ndarray:
         """Anywhere between the end limits, but not at the origin already."""
@@ -184,85 +214,36 @@ class RegisterBus(Task[Config]):
         return [(names.index(axis), value) for axis, value in given.items()]
 
     def describe(self, k: int) -> dict[str, Any]:
-        return {"target": self.target[k].copy()}
+        return {"target": self.axis_states["target"][k].copy()}
 
-    def programs(self, actions: np.ndarray, active: np.ndarray) -> np.ndarray:
-        kind = actions[:, 0]
-        waits = kind >= WAIT
-        ops = np.zeros((self.n, 1, 4), np.int64)
-        ops[:, 0, 0] = np.where(waits, host.WAIT, np.where(kind == WRITE, host.WRITE, host.READ))
-        ops[:, 0, 1] = np.where(waits, self.waits[np.maximum(kind - WAIT, 0)], actions[:, 1])
-        ops[:, 0, 2] = np.where(waits, 0, actions[:, 2])
-        ops[:, 0, 3] = np.where(kind == WRITE, actions[:, 3], 0)
-        return ops
+    def take(self, k: int, action: Any) -> None:
+        if type(action) is np.ndarray and action.dtype == np.int64 and action.shape == (4,):
+            kind, axis, address, value = action.tolist()
+            kinds, axes, addresses, values = self._choices
+            if 0 <= kind < kinds and 0 <= axis < axes and 0 <= address < addresses and 0 <= value < values:
+                self.actions[k] = action
+                return
+        super().take(k, action)
 
-    def outcome(self, actions: np.ndarray, played: Played, truth: np.ndarray, active: np.ndarray) -> Outcome:
-        c, good = self.config, active & ~played.diverged
-        now = truth["now"][:, 0]
-        self._take(actions, played, now, good)
-        error = truth["position"] - self.goal
-        near = c.tolerance * self.per_pulse
-        rest = truth["commanded"] - truth["lost_steps"] * self.full_step  # where the motor pulls the carriage
-        there = (np.abs(error) <= near) & (np.abs(rest - self.goal) <= near)
-        still = (truth["status"] & host.OPERATING == 0) & (np.abs(truth["velocity"]) < c.standing)
-        lost = np.abs(truth["lost_steps"])
-        success = (there & still & ((lost == 0) | (c.goal == "home"))).all(axis=1)
-        potential = self._potential(error)
-        parts = {
-            "progress": c.progress_weight * (c.discount * potential - self.potential),
-            "time": -c.time_weight * 1e-9 * (now - self.before),
-            "success": np.where(success, c.success_weight, 0.0),
-            "lost": -c.lost_weight * np.maximum(lost - self.lost, 0).sum(axis=1),
-        }
-        info = {
-            "elapsed": 1e-9 * (now - self.began), "value": self.value.copy(), "success": success,
-            "error": (np.abs(error) / self.per_pulse).max(axis=1), "lost_steps": lost.sum(axis=1),
-        }  # fmt: skip
-        self.potential[good], self.before[good] = potential[good], now[good]
-        self.lost[good] = np.maximum(lost, self.lost)[good]
-        late = (now - self.began >= round(c.time_limit * 1e9)) | (self.steps >= c.cycles)
-        return Outcome(parts, success, late & ~success, info)
+    def act(self) -> None:
+        watched = self.fleet.watched()
+        if not watched:
+            self.fleet.spread(self._step)
+            return
+        self._by_hand[watched] = True
+        self.fleet.spread(lambda begin, end, _: core.play(self._address, begin, end))
+        self._by_hand[:] = False
+        for k in watched:
+            if self.active[k]:
+                self._status[k] = host.by_hand(self.stages[k], self._ops[k], self._values[k], np.zeros((0, 2)))
+        core.conclude(self._address, 0, self.n, False, self.results.rows)
 
-    def _take(self, actions: np.ndarray, played: Played, now: np.ndarray, good: np.ndarray) -> None:
-        """Keep what was read."""
-        reads = good & (actions[:, 0] == READ)
-        values = played.results[:, 0]
-        self.value[good] = np.where(reads, values, -1)[good]
-        rows = np.flatnonzero(reads)
-        place = rows, actions[rows, 1], actions[rows, 2]
-        self.seen[place], self.when[place] = values[rows], now[rows]
+    def _step(self, begin: int, end: int, _: Any) -> None:
+        core.play(self._address, begin, end)
+        core.conclude(self._address, begin, end, False, self.results.rows)
 
-    def _potential(self, error: np.ndarray) -> np.ndarray:
-        beyond = np.maximum(np.abs(error) - self.config.tolerance * self.per_pulse, 0.0) / self.scale
-        total = np.zeros(len(error))
-        for j in range(len(self.axes)):
-            total -= beyond[:, j]
-        return total / len(self.axes)
-
-    def observe(self, truth: np.ndarray) -> np.ndarray:
-        c, n = self.config, self.n
-        now = truth["now"][:, 0]
-        status, counter = self.seen[..., 0], self.seen[..., 1:]
-        age = now[:, None, None] - self.when
-        fresh = np.where(self.when < 0, 0.0, 1.0 / (1.0 + age / AGE))
-        if c.live:
-            status, fresh = truth["status"], np.ones_like(fresh)
-            counter = truth["counter"][..., None] >> np.array([0, 8, 16]) & 0xFF
-        target = np.zeros(self.target.shape) if c.goal == "home" else self.target / c.distances[1]
-        columns = [status[..., None] >> np.arange(8) & 1, counter / 255.0, fresh, target[..., None]]
-        if c.truth:
-            low, high = self.travel[:, 0], self.travel[:, 1]
-            place = (truth["position"] - low) / (high - low) * 2.0 - 1.0
-            error = (truth["position"] - self.goal) / self.scale
-            columns.append(np.stack([place, truth["velocity"] / FAST, truth["lost_steps"] / MANY, error], axis=2))
-        common = np.stack(
-            [
-                np.maximum(self.value, 0) / 255.0, self.value >= 0,
-                (now - self.began) / (c.time_limit * 1e9), self.steps / c.cycles,
-            ], axis=1,
-        )  # fmt: skip
-        rows = np.concatenate(columns, axis=2).reshape(n, -1)
-        return np.clip(np.concatenate([rows, common], axis=1), -1.0, 1.0).astype(np.float32)
+    def observe(self) -> None:
+        """Done by `begin` and `act`."""
 
 
 class RegisterBusEnv(StageEnv):

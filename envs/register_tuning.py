@@ -27,8 +27,10 @@ import numpy as np
 
 from stage import Stage
 from stage.chips import Chip, chip_class
-from stage.envs.base import Outcome, StageEnv, StageVectorEnv, Task, check_choice, check_positive, check_range
+from stage.envs.base import StageEnv, StageVectorEnv
 from stage.envs.registers import RegisterBox
+from stage.envs.results import result
+from stage.envs.task import MoveTask, check_choice, check_positive, check_range
 from stage.errors import ArgumentError, unknown
 from stage.fleet import Played, Program
 
@@ -63,7 +65,7 @@ class Config:
         check_positive(self, "moves", "limit", "settle")
 
 
-class RegisterTuning(Task[Config]):
+class RegisterTuning(MoveTask[Config]):
     Config = Config
     OPTIONS = ("distance", "payload")
     RESTARTS = True
@@ -86,6 +88,11 @@ class RegisterTuning(Task[Config]):
         if c.distances[1] > room:
             raise ArgumentError(f"distances={c.distances!r}: axis {c.axis} has room for {int(room)} pulses.")
         self.observation_space = gymnasium.spaces.Box(-1.0, 1.0, (6,), np.float32)
+        self.result = result(
+            ("time", "lost", "vibration", "limit"),
+            duration=float, lost_steps=int, vibration=float, finished=bool, distance=int, payload=float,
+            registers=(int, (len(self.registers),)),
+        )  # fmt: skip
         self.distance, self.payload = np.ones(self.n, np.int64), np.zeros(self.n)
         self.last = np.zeros((self.n, 4))
         self.stop = len(self._program(self.registers.low, 1)) - 3  # the wait for the stop; all programs are alike
@@ -94,8 +101,8 @@ class RegisterTuning(Task[Config]):
         self.last[k] = 0.0
         self._draw(k, options)
 
-    def renew(self, active: np.ndarray) -> None:
-        for k in np.flatnonzero(active):
+    def renew(self) -> None:
+        for k in np.flatnonzero(self.sound):
             self._draw(int(k), {})
 
     def describe(self, k: int) -> dict[str, Any]:
@@ -126,12 +133,9 @@ class RegisterTuning(Task[Config]):
         """Register values of actions."""
         return self.registers.from_action(actions) if self.config.actions == "box" else actions.astype(np.int64)
 
-    def programs(self, actions: np.ndarray, active: np.ndarray) -> list[Program]:
-        rows = self.chosen(actions)
-        return [
-            self._program(row, int(d)) if on else Program()
-            for row, d, on in zip(rows, self.distance, active, strict=True)
-        ]
+    def programs(self) -> list[Program]:
+        rows = self.chosen(self.actions)
+        return [self._program(row, int(d)) for row, d in zip(rows, self.distance, strict=True)]
 
     def _program(self, row: np.ndarray, distance: int) -> Program:
         a, chip, c = self.axis.index, self.chip, self.config
@@ -141,7 +145,7 @@ class RegisterTuning(Task[Config]):
         p.register(a, chip, "R0", distance).command(a, 0xC0).command(a, 0x44).command(a, 0x15)
         return p.until_stopped([a], c.limit).command(a, 0x08).measure(c.settle)
 
-    def outcome(self, actions: np.ndarray, played: Played, truth: np.ndarray, active: np.ndarray) -> Outcome:
+    def judge(self, played: Played, truth: np.ndarray) -> None:
         c, t = self.config, truth[:, self.axis.index]
         took = played.results[:, self.stop] * 1e-9
         finished = (took > 0) & (t["counter"] == 0)
@@ -156,15 +160,15 @@ class RegisterTuning(Task[Config]):
             "limit": np.where(finished, 0.0, -c.limit_weight),
         }
         info = {
-            "duration": duration, "lost_steps": t["lost_steps"].copy(), "vibration": vibration, "finished": finished,
-            "distance": self.distance.copy(), "payload": self.payload.copy(), "registers": self.chosen(actions),
+            "duration": duration, "lost_steps": t["lost_steps"], "vibration": vibration, "finished": finished,
+            "distance": self.distance, "payload": self.payload, "registers": self.chosen(self.actions),
         }  # fmt: skip
         now = np.stack([duration / c.limit, lost * 1.0, vibration / (vibration + TENTH), finished * 1.0], axis=1)
-        good = active & ~played.diverged
+        good = self.sound
         self.last[good] = np.clip(np.nan_to_num(now), 0.0, 1.0)[good]
-        return Outcome(parts, np.zeros(self.n, bool), self.steps >= c.moves, info)
+        self.fill(parts, info, False, self.steps >= c.moves)
 
-    def observe(self, truth: np.ndarray) -> np.ndarray:
+    def observed(self) -> np.ndarray:
         c = self.config
         (d0, d1), (p0, p1) = np.log(c.distances), c.payloads
         asked = np.stack(

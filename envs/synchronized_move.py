@@ -41,8 +41,10 @@ from stage import Stage
 from stage.chips import Chip, chip_class
 from stage.compiled import announced
 from stage.engine import clock_at
-from stage.envs.base import Outcome, StageEnv, StageVectorEnv, Task, check_choice
+from stage.envs.base import StageEnv, StageVectorEnv
 from stage.envs.registers import RegisterBox
+from stage.envs.results import result
+from stage.envs.task import MoveTask, check_choice
 from stage.errors import ArgumentError, unknown
 from stage.firmware import bus, follow
 from stage.firmware.path import path_deviation
@@ -113,7 +115,7 @@ class Config:
         return float(low), float(high)
 
 
-class SynchronizedMove(Task[Config]):
+class SynchronizedMove(MoveTask[Config]):
     Config = Config
     OPTIONS = ("distances", "rate")
 
@@ -147,6 +149,12 @@ class SynchronizedMove(Task[Config]):
         self.registers = RegisterBox(chip.MAP, REGISTERS * len(self.axes))
         self.action_space = self.registers.discrete if c.actions == "registers" else self.registers.box
         self.observation_space = gymnasium.spaces.Box(-1.0, 1.0, (5 + 5 * len(self.axes),), np.float32)
+        m = len(self.axes)
+        self.result = result(
+            ("path", "carriages", "time", "lost", "limit"),
+            deviation=float, carriage_deviation=float, duration=float, lost_steps=(int, (m,)),
+            finished=bool, distances=(int, (m,)), rate=float, registers=(int, (m, len(REGISTERS))),
+        )  # fmt: skip
         self.distances = np.ones((self.n, len(self.axes)), np.int64)
         self.rate, self.last = np.full(self.n, c.rates[0]), np.zeros((self.n, 4))
         self.path, self.seconds = np.zeros(self.n), np.zeros(self.n)
@@ -161,6 +169,10 @@ class SynchronizedMove(Task[Config]):
 
     def describe(self, k: int) -> dict[str, Any]:
         return {"distances": self.distances[k].copy(), "rate": float(self.rate[k])}
+
+    def renew(self) -> None:
+        for k in np.flatnonzero(self.sound & ~self.results["terminated"]):
+            self._draw(int(k), {})
 
     def _draw(self, k: int, options: Mapping[str, Any]) -> None:
         """The next move of stage k, and its carriages where it starts."""
@@ -314,9 +326,9 @@ class SynchronizedMove(Task[Config]):
             columns += [np.full_like(r[..., 0], r14), np.zeros_like(r[..., 0])]
         return np.stack(columns, axis=2)
 
-    def programs(self, actions: np.ndarray, active: np.ndarray) -> np.ndarray:
+    def programs(self) -> np.ndarray:
         c = self.config
-        rows = self._rows(self.chosen(actions))
+        rows = self._rows(self.chosen(self.actions))
         order = np.argsort(np.abs(self.distances), axis=1, kind="stable")
         ops = np.repeat(self._template[None], self.n, axis=0)
         for j, a, column, shift in self._bytes:
@@ -327,7 +339,7 @@ class SynchronizedMove(Task[Config]):
         ops[:, self._starts, 1] = np.array(self.index)[order]
         ops[:, self._starts, 3] = np.take_along_axis(ramps, order, 1)
         self._begun = self.fleet.truth()[:, self.index]
-        self.fleet.spread(lambda low, high, _: self._twins(low, high, rows, order, active))
+        self.fleet.spread(lambda low, high, _: self._twins(low, high, rows, order))
         slow = (
             np.max(4096 * rows[:, :, 7] / np.minimum(rows[:, :, 1], rows[:, :, 2]), axis=1) / self.hz
         )  # the last pulse
@@ -335,10 +347,10 @@ class SynchronizedMove(Task[Config]):
         ops[:, self._waits, 1] = np.ceil(length * (1e9 / c.looks)).astype(np.int64)[:, None]
         return ops
 
-    def _twins(self, low: int, high: int, rows: np.ndarray, order: np.ndarray, active: np.ndarray) -> None:
+    def _twins(self, low: int, high: int, rows: np.ndarray, order: np.ndarray) -> None:
         """Run twins of the chips of stages low..high-1: how far the pulses stray from the line, and how long they take."""
         cycle = round(self.config.bus_cycle * 1e9)
-        for k in np.flatnonzero(active[low:high]) + low:
+        for k in np.flatnonzero(self.active[low:high]) + low:
             now = int(self._begun[k, 0]["now"]) + (self._starts.start + 1) * cycle
             first = clock_at(now, self.hz)
             paths = [np.empty(0)] * len(self.axes)
@@ -347,7 +359,7 @@ class SynchronizedMove(Task[Config]):
             self.path[k] = path_deviation([(t, 1) for t in paths], np.abs(self.distances[k])).pulses
             self.seconds[k] = max(float(t[-1]) for t in paths) / self.hz
 
-    def outcome(self, actions: np.ndarray, played: Played, truth: np.ndarray, active: np.ndarray) -> Outcome:
+    def judge(self, played: Played, truth: np.ndarray) -> None:
         c, t = self.config, truth[:, self.index]
         finished = ((t["counter"] == 0) & (t["status"] & 0x40 == 0)).all(axis=1)
         lost = t["lost_steps"] - self._begun["lost_steps"]
@@ -362,15 +374,13 @@ class SynchronizedMove(Task[Config]):
         }
         info = {
             "deviation": deviation, "carriage_deviation": off_line, "duration": duration, "lost_steps": lost,
-            "finished": finished, "distances": self.distances.copy(), "rate": self.rate.copy(),
-            "registers": self.chosen(actions),
+            "finished": finished, "distances": self.distances, "rate": self.rate,
+            "registers": self.chosen(self.actions),
         }  # fmt: skip
         now = [np.minimum(deviation / c.far, 1.0), off_line / (off_line + TENTH), duration / c.limit, finished * 1.0]
-        good, over = active & ~played.diverged, self.steps >= c.moves
+        good, over = self.sound, self.steps >= c.moves
         self.last[good] = np.clip(np.nan_to_num(np.stack(now, axis=1)), 0.0, 1.0)[good]
-        for k in np.flatnonzero(good & finished & ~over):
-            self._draw(int(k), {})
-        return Outcome(parts, over | ~finished, np.zeros(self.n, bool), info)
+        self.fill(parts, info, over | ~finished, False)
 
     def _carriages(self, results: np.ndarray) -> np.ndarray:
         """The largest distance of the carriages from their line, m."""
@@ -386,7 +396,7 @@ class SynchronizedMove(Task[Config]):
             far2 += (off[a] - along * line[:, a, None]) ** 2
         return np.sqrt(far2.max(axis=1))
 
-    def observe(self, truth: np.ndarray) -> np.ndarray:
+    def observed(self) -> np.ndarray:
         c = self.config
         low, high = np.log(c.rates)
         rate = (np.log(self.rate) - low) / max(high - low, 1e-9) * 2.0 - 1.0 if high > low else np.zeros(self.n)

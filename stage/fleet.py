@@ -91,7 +91,10 @@ class Fleet:
     """Stages of one model and one set of axes, played together."""
 
     def __init__(self, stages: Sequence[Stage], threads: int | None = None):
-        """threads: default one a processor, at most one a stage. Raises ArgumentError."""
+        """threads: default one a processor, at most one a stage. Raises ArgumentError.
+
+        `handles`: a host.HANDLE for each stage, for compiled code.
+        """
         if not len(stages):
             raise ArgumentError("a fleet has at least one stage.")
         if threads is not None and (int(threads) != threads or threads < 1):
@@ -103,15 +106,16 @@ class Fleet:
         self.threads = min(threads or _processors(), len(self.stages))
         first = self.stages[0]
         self._nq, self._axes = first.model.nq, len(first.axes)
-        self._handles = np.zeros(len(self.stages), host.HANDLE)
+        self.handles = np.zeros(len(self.stages), host.HANDLE)
         for k, stage in enumerate(self.stages):
-            self._handles[k] = host.handle(stage)
+            self.handles[k] = host.handle(stage)
+        self._chips = [[axis.chip for axis in stage.axes.values()] for stage in self.stages]
         self._truth = np.zeros((len(self.stages), self._axes), host.TRUTH)
         self._scratch = [self._new_scratch() for _ in range(self.threads * CHUNKS)]
         self._pool: ThreadPoolExecutor | None = None
         with announced("PulseStage: compiling the fleet's loop, once on this machine (about twenty seconds) ..."):
             none = np.zeros((0, 1, 4), np.int64), np.zeros((0, 1), np.int64), np.zeros((0, self._nq, 2))
-            host.play(self._handles, 0, 0, *none, np.zeros(0, np.int64), self._scratch[0])
+            host.play(self.handles, 0, 0, *none, np.zeros(0, np.int64), self._scratch[0])
 
     def __len__(self) -> int:
         return len(self.stages)
@@ -126,19 +130,32 @@ class Fleet:
         extremes = np.empty((n, self._nq, 2))
         extremes[:, :, 0], extremes[:, :, 1] = np.inf, -np.inf
         ops = np.ascontiguousarray(ops, np.int64)
-        watched = [k for k, s in enumerate(self.stages) if _watched(s)]
+        watched = self.watched()
         compiled = ops
         if watched:
             compiled = ops.copy()
             compiled[watched, 0] = host.END
-        self.spread(lambda a, b, s: host.play(self._handles, a, b, compiled, results, extremes, status, s))
+        self.spread(lambda a, b, s: host.play(self.handles, a, b, compiled, results, extremes, status, s))
         for k in watched:
             status[k] = host.by_hand(self.stages[k], ops[k], results[k], extremes[k])
         return Played(results, extremes, status == host.DIVERGED)
 
+    def watched(self) -> list[int]:
+        """The stages that Python has to play: those being recorded, or whose chips keep a journal."""
+        found = []
+        for k, stage in enumerate(self.stages):
+            if stage._recording is not None:
+                found.append(k)
+                continue
+            for chip in self._chips[k]:
+                if chip._journal is not None:
+                    found.append(k)
+                    break
+        return found
+
     def truth(self) -> np.ndarray:
         """Every axis of every stage now: a new array (stages, axes) of host.TRUTH."""
-        host.look(self._handles, 0, len(self), self._truth)
+        host.look(self.handles, 0, len(self), self._truth)
         return self._truth.copy()
 
     def __getstate__(self) -> dict[str, Any]:
@@ -159,12 +176,12 @@ class Fleet:
 
     def spread(self, work: Callable[[int, int, tuple[np.ndarray, ...]], None]) -> None:
         """Call work(begin, end, scratch) for ranges of stages that make them all, on the fleet's threads."""
-        n = len(self)
-        chunks = min(n, self.threads * CHUNKS if self.threads > 1 else 1)
-        cuts = [n * k // chunks for k in range(chunks + 1)]
+        n = len(self.stages)
         if self.threads == 1:
             work(0, n, self._scratch[0])
             return
+        chunks = min(n, self.threads * CHUNKS)
+        cuts = [n * k // chunks for k in range(chunks + 1)]
         if self._pool is None:
             self._pool = ThreadPoolExecutor(self.threads, thread_name_prefix="stage")
         jobs = [self._pool.submit(work, cuts[k], cuts[k + 1], self._scratch[k]) for k in range(chunks)]
@@ -174,10 +191,6 @@ class Fleet:
 
 def _processors() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def _watched(stage: Stage) -> bool:
-    return stage._recording is not None or any(a.chip._journal is not None for a in stage._axes_by_index)
 
 
 def _table(programs: Sequence[Program]) -> np.ndarray:

@@ -1,5 +1,6 @@
 """What every environment promises: Gymnasium's rules, equal seeds give equal episodes, a vector equals its parts, to the bit."""
 
+import copy
 import importlib
 import pickle
 import warnings
@@ -138,6 +139,23 @@ def test_a_vector_is_as_many_environments_to_the_bit(id_, mode, threads):
         over = (terminated | truncated) & (mode != AutoresetMode.SAME_STEP)
 
 
+def test_an_episode_begins_with_its_own_info_beside_others_that_go_on(id_):
+    longer = {"moves": 3} if id_ == "stage/SynchronizedMove-v0" else {}
+    vector = make_vec(id_, 2, **longer)
+    vector.reset(seed=13)
+    vector.action_space.seed(13)
+    over = np.zeros(2, bool)
+    vector.step(vector.action_space.sample())
+    vector.reset(options={"reset_mask": np.array([True, False])})
+    while over.tolist() != [False, True]:
+        assert not over[0], "the first began later"
+        _, _, terminated, truncated, _ = vector.step(vector.action_space.sample())
+        over = terminated | truncated
+    infos = vector.step(vector.action_space.sample())[4]
+    assert same(stage.envs.base._one(infos, 1), vector.unwrapped._task.describe(1))
+    assert "reward_parts" in stage.envs.base._one(infos, 0)
+
+
 def test_actions_that_are_none_are_refused_by_name(id_):
     env = make(id_)
     env.reset(seed=1)
@@ -158,6 +176,29 @@ def test_actions_that_are_none_are_refused_by_name(id_):
     vector.reset(seed=1)
     with pytest.raises(ArgumentError, match="is not in"):
         vector.step(good)
+
+
+def test_a_refused_action_changes_nothing(id_):
+    env, other = make(id_), make(id_)
+    for e in (env, other):
+        e.reset(seed=5)
+    action = env.action_space.sample()
+    with pytest.raises(ArgumentError, match="is not in"):
+        env.step(np.full_like(action, 120) if action.dtype.kind == "f" else np.full_like(action, 1 << 40))
+    assert same(env.step(action), other.step(action))
+
+
+def test_what_a_step_said_stays_said(id_):
+    env, vector = make(id_), make_vec(id_, 2)
+    for e in (env, vector):
+        e.reset(seed=6)
+        e.action_space.seed(6)
+        said = e.step(e.action_space.sample())
+        kept = copy.deepcopy(said)
+        if np.any(said[2] | said[3]):
+            e.reset()
+        e.step(e.action_space.sample())
+        assert same(list(said), list(kept))
 
 
 def test_a_step_after_the_end_asks_for_a_reset(id_):

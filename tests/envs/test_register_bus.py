@@ -1,11 +1,14 @@
 """RegisterBus: a host's own byte sequence reaches the goal, bus cycle by bus cycle."""
 
+import time
+
 import gymnasium
 import numpy as np
 import pytest
 
-from stage import ArgumentError, firmware
+from stage import ArgumentError, Stage, firmware
 from stage.chips import PCL240K, PCL240MK, PCL240MS
+from stage.compiled import COMPILED
 from stage.envs import register_bus as rb
 from stage.firmware import bus
 
@@ -252,13 +255,13 @@ def test_progress_telescopes_so_that_the_way_does_not_matter():
     env = make(axes=("x",), waits=(0.05, 0.2))
     env.reset(seed=0, options={"target": {"x": 2000}})
     host, task = Host(env), env._task
-    start = task.potential[0]
+    start = task.episodes["potential"][0]
     assert start == pytest.approx(-(2000 - 4) / 8000)
     for address, byte in sequence(-1000, PCL240K):  # the wrong way first
         host.act(rb.WRITE, 0, address, byte)
     for _ in range(4):
         host.act(rb.WAIT + 1)
-    assert task.potential[0] < start
+    assert task.episodes["potential"][0] < start
     for address, byte in sequence(3000, PCL240K):
         host.act(rb.WRITE, 0, address, byte)
     host.wait_out(rb.WAIT)
@@ -343,6 +346,83 @@ def test_targets_and_places_are_drawn_over_their_ranges():
         home.reset(seed=s)
         places.append([a.position for a in home.stage.axes.values()])
     assert np.ptp(places, axis=0) == pytest.approx([0.28, 0.18, 0.07], abs=0.03)
+
+
+def same(a, b):
+    return all(np.array_equal(x, y) for x, y in zip(a[:4], b[:4], strict=True)) and repr(a[4]) == repr(b[4])
+
+
+@pytest.mark.parametrize(
+    "form", [list, tuple, np.int8, np.uint8, np.int64, ">i8"], ids=lambda f: getattr(f, "__name__", f)
+)
+def test_whole_numbers_of_any_form_are_an_action(form):
+    env, plain = make(), make()
+    for e in (env, plain):
+        e.reset(seed=2)
+    action = [rb.WRITE, 2, 3, 77]
+    given = form(action) if form in (list, tuple) else np.array(action, form)
+    assert same(env.step(given), plain.step(np.array(action)))
+
+
+@pytest.mark.parametrize("place", range(4))
+@pytest.mark.parametrize("value", [-1, 256])
+def test_a_number_out_of_range_is_refused(place, value):
+    env = make()
+    env.reset(seed=2)
+    action = np.array([rb.WRITE, 0, 0, 0])
+    action[place] = value
+    with pytest.raises(ArgumentError, match=rf"action array\(.*{value}.*is not in MultiDiscrete"):
+        env.step(action)
+    assert env.stage.time == 0, "and nothing was done"
+
+
+@pytest.mark.parametrize("goal", rb.GOALS)
+def test_a_journal_changes_nothing(goal):
+    """Stages with a journal are played by Python, the others compiled."""
+    settings = {"axes": ("x", "z"), "goal": goal, "truth": True, "cycles": 40, "threads": 2}
+    envs, plain = make_vec(3, **settings), make_vec(3, **settings)
+    journal = envs.stages[1].axes["x"].chip.journal()
+    for e in (envs, plain):
+        e.reset(seed=8)
+        e.action_space.seed(8)
+    for _ in range(60):
+        actions = plain.action_space.sample()
+        assert same(envs.step(actions), plain.step(actions))
+    assert journal.entries
+
+
+def test_one_thread_and_many_give_the_same_bits():
+    one, many = make_vec(9, threads=1, live=True, cycles=30), make_vec(9, threads=2, live=True, cycles=30)
+    for e in (one, many):
+        e.reset(seed=9)
+    one.action_space.seed(9)
+    for _ in range(40):
+        actions = one.action_space.sample()
+        assert same(one.step(actions), many.step(actions))
+
+
+def fastest(rounds, *works):
+    """Least seconds that 20 calls of each took, in turns."""
+    took = np.full(len(works), np.inf)
+    for _ in range(rounds):
+        for k, work in enumerate(works):
+            begin = time.perf_counter()
+            for _ in range(20):
+                work()
+            took[k] = min(took[k], time.perf_counter() - begin)
+    return took
+
+
+@pytest.mark.skipif(not COMPILED, reason="plain Python is slow")
+@pytest.mark.parametrize("steps", [1, 4])
+def test_a_step_costs_less_beside_its_physics_than_ten_calls_of_numpy(steps):
+    env = make(waits=(steps * 2.5e-4,), cycles=10**9, time_limit=1e6)
+    env.reset(seed=0)
+    bare, action, one = Stage("xyz", visuals=False), np.array([rb.WAIT, 0, 0, 0]), np.ones(1)
+    ours, physics, ten = fastest(
+        150, lambda: env.step(action), lambda: bare.step(steps), lambda: [np.where(one, one, one) for _ in range(10)]
+    )
+    assert ours - physics < ten
 
 
 def test_every_axis_can_be_a_chip_of_its_own_or_left_alone():

@@ -161,7 +161,8 @@ def test_corrections_against_the_errors_seen_bring_the_path_closer_to_the_line()
     action[:, :, 0], action[:, :, 1] = -errors[:, :, 0] / 4, -errors[:, :, 1] / 4
 
     def deviation(action):
-        rules.programs(np.clip(action, -1, 1).reshape(60, 12).astype(np.float32), np.ones(60, bool))
+        rules.actions[:] = np.clip(action, -1, 1).reshape(60, 12)
+        rules.programs()
         return rules.path.mean()
 
     assert deviation(action) < 0.85 * deviation(zeros)

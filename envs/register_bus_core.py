@@ -1,0 +1,220 @@
+"""What `register_bus` compiles: a step of many stages, from actions to observations, without the GIL.
+
+All that it works on lies in arrays of the task, whose addresses a FRAME holds: a call takes a few numbers. A step has two
+halves, `play` and `conclude`, so that a recorded stage can be played by Python in between.
+
+numba looks at this file, at those of stage/ and at the types of arguments to tell whether its cache is fresh. So what other files
+of the environments decide comes as an argument: the layout of results, and the reward of a divergence.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+
+from stage import engine, host
+from stage.compiled import hot, record
+from stage.envs.results import result
+
+WRITE, READ, WAIT = range(3)  # kinds of action; WAIT + k
+AGE = 1e6  # ns, at which freshness is one half
+FAST, MANY = 0.5, 64.0  # m/s, full steps: what counts as 1 in an observation
+PER_AXIS, TRUTH, COMMON = 16, 4, 4
+
+SETTINGS = {
+    **dict.fromkeys("discount progress_weight time_weight success_weight lost_weight standing cycles".split(), "f8"),
+    **dict.fromkeys("live truth".split(), "i8"),
+}
+RULES = record(
+    [*SETTINGS.items(), ("distance", "f8"), ("duration", "f8"), ("limit", "i8"), ("home", "i8"), ("diverged", "f8")]
+)
+"""Settings by their names; what counts as 1 of a target (pulses) and of a time (ns); the time limit, ns; goal "home";
+the reward of a divergence."""
+
+AXIS_RULES = record([(name, "f8") for name in "near per_pulse full_step scale low high".split()])
+"""Of an axis: tolerance, pulse, full step, error that counts as 1, ends of its travel; all in m."""
+
+EPISODE = record([("began", "i8"), ("before", "i8"), ("potential", "f8"), ("value", "i8")])
+"""ns at its begin and at that of the step; the last potential; the byte that was just read, or -1."""
+
+AXIS = record([("goal", "f8"), ("target", "i8"), ("lost", "i8"), ("seen", "i8", (4,)), ("when", "i8", (4,))])
+"""Goal, m; target, pulses; most full steps lost so far; bytes as last read, by address, and when: ns, or -1."""
+
+PARTS = ("progress", "time", "success", "lost")
+RESULT = result(PARTS, elapsed=float, value=int, success=bool, error=float, lost_steps=int)
+
+FRAME = record(
+    [(name, "i8") for name in "handles rules axis_rules waits active by_hand actions steps ops values status".split()]
+    + [(name, "i8") for name in "counts truth episodes axes observations stages n_axes n_waits width".split()]
+)
+"""Where the arrays lie, and their lengths."""
+
+INTEGER, REAL, SMALL, FLAG = np.dtype("i8"), np.dtype("f8"), np.dtype("f4"), np.dtype("?")
+HANDLE, TRUTHS, SAMPLE, EDGE = host.HANDLE, host.TRUTH, engine.SAMPLE, engine.EDGE
+
+
+@hot
+def _frame(address):
+    return numba.carray(host._pointer(address), (1,), FRAME)[0]
+
+
+@hot
+def _scratch(f, k):
+    """What a stage's loop logs: nothing."""
+    nowhere = host._pointer(f.counts)
+    return (
+        numba.carray(nowhere, (0, f.n_axes), SAMPLE),
+        numba.carray(nowhere, (0, 1), REAL),
+        numba.carray(nowhere, (0,), EDGE),
+        numba.carray(nowhere, (f.stages, 2), INTEGER)[k],
+    )
+
+
+@hot
+def play(address, begin, end):
+    """Turn the actions of the active stages into operations of a host, and play them where Python does not."""
+    f = _frame(address)
+    handles = numba.carray(host._pointer(f.handles), (f.stages,), HANDLE)
+    waits = numba.carray(host._pointer(f.waits), (f.n_waits,), INTEGER)
+    active = numba.carray(host._pointer(f.active), (f.stages,), FLAG)
+    by_hand = numba.carray(host._pointer(f.by_hand), (f.stages,), FLAG)
+    actions = numba.carray(host._pointer(f.actions), (f.stages, 4), INTEGER)
+    ops = numba.carray(host._pointer(f.ops), (f.stages, 1, 4), INTEGER)
+    values = numba.carray(host._pointer(f.values), (f.stages, 1), INTEGER)
+    status = numba.carray(host._pointer(f.status), (f.stages,), INTEGER)
+    for k in range(begin, end):
+        if not active[k]:
+            continue
+        op, action = ops[k, 0], actions[k]
+        if action[0] >= WAIT:
+            op[0], op[1], op[2], op[3] = host.WAIT, waits[action[0] - WAIT], 0, 0
+        else:
+            op[0] = host.WRITE if action[0] == WRITE else host.READ
+            op[1], op[2], op[3] = action[1], action[2], action[3] if action[0] == WRITE else 0
+        if not by_hand[k]:
+            scratch = _scratch(f, k)
+            extremes = numba.carray(host._pointer(f.counts), (0, 2), REAL)
+            status[k] = host._play(handles[k], ops[k], values[k], extremes, scratch)
+
+
+@hot
+def _potential(axes, rules, truth):
+    """Minus the mean of the axes' errors beyond the tolerance, in parts of their scale."""
+    total = 0.0
+    for a in range(len(axes)):
+        total -= max(abs(truth[a].position - axes[a].goal) - rules[a].near, 0.0) / rules[a].scale
+    return total / len(axes)
+
+
+@hot
+def _arrived(r, axes, rules, truth):
+    """Every axis stands at its goal, where its motor pulls it to, without a lost step."""
+    for a in range(len(axes)):
+        t, rule, goal = truth[a], rules[a], axes[a].goal
+        rest = t.commanded - t.lost_steps * rule.full_step
+        if not (abs(t.position - goal) <= rule.near and abs(rest - goal) <= rule.near):
+            return False
+        if t.status & host.OPERATING or not abs(t.velocity) < r.standing:
+            return False
+        if t.lost_steps != 0 and not r.home:
+            return False
+    return True
+
+
+@hot
+def _judge(r, rules, action, value, bad, steps, episode, axes, truth, out):
+    """Fill the result of a step that was just played, and keep what the next one needs."""
+    now = truth[0].now
+    success = _arrived(r, axes, rules, truth)
+    error, lost, more = 0.0, 0, 0
+    for a in range(len(axes)):
+        off = abs(truth[a].position - axes[a].goal) / rules[a].per_pulse
+        if off > error or math.isnan(off):
+            error = off
+        lost += abs(truth[a].lost_steps)
+        more += max(abs(truth[a].lost_steps) - axes[a].lost, 0)
+    out.cause = 1 if bad else 0
+    out.terminated = success and not bad
+    out.truncated = bad or (not success and (now - episode.began >= r.limit or steps >= r.cycles))
+    parts, info = out.parts, out.info
+    if bad:
+        parts.progress = parts.time = parts.success = parts.lost = 0.0
+        out.reward = r.diverged
+    else:
+        if action[0] == READ:
+            axes[action[1]].seen[action[2]], axes[action[1]].when[action[2]] = value, now
+        episode.value = value if action[0] == READ else -1
+        potential = _potential(axes, rules, truth)
+        parts.progress = r.progress_weight * (r.discount * potential - episode.potential)
+        parts.time = -r.time_weight * 1e-9 * (now - episode.before)
+        parts.success = r.success_weight if success else 0.0
+        parts.lost = -r.lost_weight * more
+        out.reward = parts.progress + parts.time + parts.success + parts.lost
+        episode.potential, episode.before = potential, now
+        for a in range(len(axes)):
+            axes[a].lost = max(axes[a].lost, abs(truth[a].lost_steps))
+    info.elapsed, info.value, info.success = 1e-9 * (now - episode.began), episode.value, success
+    info.error, info.lost_steps = error, lost
+
+
+@hot
+def _observe(r, rules, steps, episode, axes, truth, out):
+    now, width = truth[0].now, PER_AXIS + (TRUTH if r.truth else 0)
+    for a in range(len(axes)):
+        x, t, rule, at = axes[a], truth[a], rules[a], a * width
+        status = t.status if r.live else x.seen[0]
+        for j in range(8):
+            out[at + j] = status >> j & 1
+        for j in range(3):
+            out[at + 8 + j] = (t.counter >> 8 * j & 0xFF if r.live else x.seen[1 + j]) / 255.0
+        for j in range(4):
+            fresh = 0.0 if x.when[j] < 0 else 1.0 / (1.0 + (now - x.when[j]) / AGE)
+            out[at + 11 + j] = 1.0 if r.live else fresh
+        out[at + 15] = 0.0 if r.home else x.target / r.distance
+        if r.truth:
+            out[at + 16] = (t.position - rule.low) / (rule.high - rule.low) * 2.0 - 1.0
+            out[at + 17], out[at + 18] = t.velocity / FAST, t.lost_steps / MANY
+            out[at + 19] = (t.position - x.goal) / rule.scale
+    at = width * len(axes)
+    out[at], out[at + 1] = max(episode.value, 0) / 255.0, 1.0 if episode.value >= 0 else 0.0
+    out[at + 2], out[at + 3] = (now - episode.began) / r.duration, steps / r.cycles
+    for j in range(len(out)):
+        out[j] = min(max(out[j], -1.0), 1.0)
+
+
+@hot
+def conclude(address, begin, end, fresh, results):
+    """Look at the active stages, judge what they have done, observe; one that diverged keeps its last observation.
+
+    fresh: an episode begins on these stages in place of a step; goals and bytes read are set. results: (stages,) RESULT.
+    """
+    f = _frame(address)
+    handles = numba.carray(host._pointer(f.handles), (f.stages,), HANDLE)
+    r = numba.carray(host._pointer(f.rules), (1,), RULES)[0]
+    rules = numba.carray(host._pointer(f.axis_rules), (f.n_axes,), AXIS_RULES)
+    active = numba.carray(host._pointer(f.active), (f.stages,), FLAG)
+    actions = numba.carray(host._pointer(f.actions), (f.stages, 4), INTEGER)
+    values = numba.carray(host._pointer(f.values), (f.stages, 1), INTEGER)
+    status = numba.carray(host._pointer(f.status), (f.stages,), INTEGER)
+    steps = numba.carray(host._pointer(f.steps), (f.stages,), INTEGER)
+    episodes = numba.carray(host._pointer(f.episodes), (f.stages,), EPISODE)
+    axes = numba.carray(host._pointer(f.axes), (f.stages, f.n_axes), AXIS)
+    truth = numba.carray(host._pointer(f.truth), (f.stages, f.n_axes), TRUTHS)
+    observations = numba.carray(host._pointer(f.observations), (f.stages, f.width), SMALL)
+    for k in range(begin, end):
+        if not (fresh or active[k]):
+            continue
+        host.look(handles, k, k + 1, truth)
+        bad = False
+        if fresh:
+            e = episodes[k]
+            e.began = e.before = truth[k, 0].now
+            e.potential, e.value = _potential(axes[k], rules, truth[k]), -1
+        else:
+            steps[k] += 1
+            bad = status[k] == host.DIVERGED
+            _judge(r, rules, actions[k], values[k, 0], bad, steps[k], episodes[k], axes[k], truth[k], results[k])
+        if not bad:
+            _observe(r, rules, steps[k], episodes[k], axes[k], truth[k], observations[k])

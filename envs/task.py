@@ -1,0 +1,191 @@
+"""The rules of an environment for n stages at once: `Task`, and `MoveTask` where a step is a program of bus cycles."""
+
+from __future__ import annotations
+
+import copy
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from typing import Any, ClassVar, Generic, TypeVar
+
+import gymnasium
+import numpy as np
+
+from stage import Stage
+from stage.envs.results import Results
+from stage.errors import ArgumentError, unknown
+from stage.fleet import Fleet, Played, Program
+
+ConfigT = TypeVar("ConfigT")
+
+
+class Task(ABC, Generic[ConfigT]):
+    """What the scalar and the vector environment are the faces of.
+
+    A subclass sets `Config` (a frozen dataclass of its settings), makes the two spaces and `result` (the dtype of a step's
+    record), and writes `stage`, `begin`, `act` and `observe`. Arrays have the stage as their first index and stay where
+    they are. A stage's numbers do not depend on how many there are.
+
+    Attributes:
+        actions, active: what the next step does, (n, ...), and on which stages, (n,) bool.
+        results: of the last step, one record a stage; those of stages that are not active do not count.
+        observations: (n, ...). A stage that diverged keeps its last one.
+    """
+
+    Config: ClassVar[type]
+    OPTIONS: ClassVar[tuple[str, ...]] = ()
+    """What `reset(options=...)` takes."""
+    RESTARTS: ClassVar[bool] = False
+    """Every step begins at power-up, made ready by `renew`; a recording then holds one step."""
+    action_space: gymnasium.Space
+    observation_space: gymnasium.Space
+    result: np.dtype
+
+    def __init__(self, n: int, config: ConfigT, threads: int | None = None, visuals: bool = False):
+        self.n, self.config = n, config
+        first = self.stage(visuals)
+        self.stages = [first, *(copy.deepcopy(first) for _ in range(n - 1))]
+        self.fleet = Fleet(self.stages, threads)
+        self.start = first.snapshot()
+        self.rngs = [np.random.default_rng(0)] * n
+        self.steps = np.zeros(n, np.int64)
+        self.active = np.ones(n, bool)
+        self.prepare()
+        self.actions = np.zeros((n, *self.action_space.shape), self.action_space.dtype)  # type: ignore[misc]
+        self.observations = np.zeros((n, *self.observation_space.shape), self.observation_space.dtype)  # type: ignore[misc]
+        self.results = Results(n, self.result)
+        self.wire()
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self.wire()
+
+    @abstractmethod
+    def stage(self, visuals: bool) -> Stage:
+        """One stage, at power-up."""
+
+    @abstractmethod
+    def prepare(self) -> None:
+        """Make the spaces, the record, and the arrays of what is drawn for each stage."""
+
+    def wire(self) -> None:
+        """Note where the arrays lie, if it matters."""
+
+    @abstractmethod
+    def begin(self, k: int, options: Mapping[str, Any]) -> None:
+        """A new episode on stage k, drawn from self.rngs[k]. The stage is at power-up (its payload is as it was)."""
+
+    @abstractmethod
+    def act(self) -> None:
+        """Play `actions` on the `active` stages, one at least, and judge: fills `results` and counts `steps`."""
+
+    def renew(self) -> None:
+        """Make the stages that are `sound` ready for their next step, after the last has been judged."""
+
+    @abstractmethod
+    def observe(self) -> None:
+        """Bring `observations` up to date."""
+
+    def describe(self, k: int) -> dict[str, Any]:
+        """`info` of a reset of stage k."""
+        return {}
+
+    # --- the rest is the same for all ---
+
+    @property
+    def sound(self) -> np.ndarray:
+        """Which stages have made a step that did not diverge."""
+        return self.active & (self.results["cause"] == 0)
+
+    def restart(self, k: int, options: Mapping[str, Any]) -> None:
+        self.stages[k].restore(self.start)
+        self.steps[k] = 0
+        self.results["cause"][k] = 0
+        self.begin(k, options)
+
+    def take(self, k: int, action: Any) -> None:
+        """Let `action` be the next of stage k. Raises ArgumentError if it is not in the space."""
+        self.actions[k] = checked(self.action_space, action)
+
+
+class MoveTask(Task[ConfigT]):
+    """A task whose step is a program of bus cycles, judged when it has been played. Elementwise arithmetic only."""
+
+    @abstractmethod
+    def programs(self) -> Sequence[Program] | np.ndarray:
+        """What the host does on each stage for its action; of stages that are not active it does not count."""
+
+    @abstractmethod
+    def judge(self, played: Played, truth: np.ndarray) -> None:
+        """Fill the results of the step that was just played: parts, info, terminated, truncated."""
+
+    @abstractmethod
+    def observed(self) -> np.ndarray:
+        """Every stage's observation, (n, ...)."""
+
+    def act(self) -> None:
+        active, programs = self.active, self.programs()
+        if isinstance(programs, np.ndarray):
+            programs[~active] = 0
+        else:
+            programs = [p if on else Program() for p, on in zip(programs, active, strict=True)]
+        played = self.fleet.play(programs)
+        self.steps += active
+        bad = played.diverged & active
+        self.results["cause"] = bad
+        with np.errstate(invalid="ignore", over="ignore"):
+            self.judge(played, self.fleet.truth())
+        self.results.end(bad)
+
+    def observe(self) -> None:
+        fine = self.results["cause"] == 0
+        self.observations[fine] = self.observed()[fine]
+
+    def fill(self, parts: Mapping[str, Any], info: Mapping[str, Any], terminated: Any, truncated: Any) -> None:
+        """The results, by columns."""
+        for columns, values in ((self.results["parts"], parts), (self.results["info"], info)):
+            for name, value in values.items():
+                columns[name] = value
+        self.results["terminated"], self.results["truncated"] = terminated, truncated
+
+
+def check_choice(config: Any, name: str, known: Sequence[str]) -> None:
+    """ArgumentError if a setting is none of the words known."""
+    if getattr(config, name) not in known:
+        raise unknown(name, getattr(config, name), known)
+
+
+def check_range(config: Any, name: str, least: float) -> None:
+    """ArgumentError if a setting is no (least, most) from `least` up."""
+    low, high = getattr(config, name)
+    if not least <= low <= high:
+        raise ArgumentError(f"{name}={getattr(config, name)!r}: (least, most), from {least} up.")
+
+
+def check_positive(config: Any, *names: str) -> None:
+    """ArgumentError if one of the settings is not more than 0."""
+    for name in names:
+        if not getattr(config, name) > 0:
+            raise ArgumentError(f"{name}={getattr(config, name)!r}: more than 0.")
+
+
+def configured(task: type[Task], settings: Mapping[str, Any]) -> Any:
+    """The task's Config of these settings; ArgumentError for one that it does not have."""
+    known = [f.name for f in fields(task.Config)]
+    for name in settings:
+        if name not in known:
+            raise unknown(f"{task.__name__} setting", name, known)
+    return task.Config(**settings)
+
+
+def checked(space: gymnasium.Space, action: Any) -> np.ndarray:
+    """The action as an array of the space's type; ArgumentError names the space and the value."""
+    try:
+        given = np.asarray(action)
+        kinds = "iu" if np.issubdtype(space.dtype, np.integer) else "iuf"
+        value = given.astype(space.dtype) if given.dtype.kind in kinds else given
+        if given.dtype.kind in kinds and given.shape == space.shape and space.contains(value):
+            return value
+    except (TypeError, ValueError, OverflowError):
+        pass
+    raise ArgumentError(f"action {action!r} is not in {space}: give an array of shape {space.shape}, {space.dtype}.")
