@@ -2,9 +2,6 @@
 
 All that it works on lies in arrays of the task, whose addresses a FRAME holds: a call takes a few numbers. A step has two
 halves, `play` and `conclude`, so that a recorded stage can be played by Python in between.
-
-numba looks at this file, at those of stage/ and at the types of arguments to tell whether its cache is fresh. So what other files
-of the environments decide comes as an argument: the layout of results, and the reward of a divergence.
 """
 
 from __future__ import annotations

@@ -23,6 +23,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -37,22 +38,24 @@ KEPT_CACHES = 4
 @cache
 def cache_folder() -> Path:
     """Where compiled code is kept: $NUMBA_CACHE_DIR or the user's cache folder, by the state of the sources."""
-    package = Path(__file__).parent
     digest = hashlib.sha256(numba.__version__.encode())
-    for source in sorted(package.rglob("*.py")):
-        if b"@hot" in (text := source.read_bytes()):
-            digest.update(source.name.encode() + text)
+    environments = find_spec("stage.envs")  # a folder of its own in a source tree
+    folders = [str(Path(__file__).parent), *(environments and environments.submodule_search_locations or ())]
+    for folder in folders:
+        for source in sorted(Path(folder).rglob("*.py")):
+            if b"@hot" in (text := source.read_bytes()):
+                digest.update(source.name.encode() + text)
     default = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     base = Path(os.environ.get("NUMBA_CACHE_DIR") or default) / "pulsestage"
-    folder = base / digest.hexdigest()[:16]
+    kept = base / digest.hexdigest()[:16]
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        os.utime(folder)
+        kept.mkdir(parents=True, exist_ok=True)
+        os.utime(kept)
     except OSError:
-        return Path(tempfile.gettempdir()) / f"pulsestage-{os.getuid() if hasattr(os, 'getuid') else 0}" / folder.name
+        return Path(tempfile.gettempdir()) / f"pulsestage-{os.getuid() if hasattr(os, 'getuid') else 0}" / kept.name
     for old in sorted(base.iterdir(), key=lambda p: p.stat().st_mtime)[:-KEPT_CACHES]:
         shutil.rmtree(old, ignore_errors=True)
-    return folder
+    return kept
 
 
 def hot(function: Callable) -> Any:
