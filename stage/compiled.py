@@ -40,7 +40,7 @@ def cache_folder() -> Path:
     """Where compiled code is kept: $NUMBA_CACHE_DIR or the user's cache folder, by the state of the sources."""
     digest = hashlib.sha256(numba.__version__.encode())
     environments = find_spec("stage.envs")  # a folder of its own in a source tree
-    folders = [str(Path(__file__).parent), *(environments and environments.submodule_search_locations or ())]
+    folders = [str(Path(__file__).parent), *((environments and environments.submodule_search_locations) or ())]
     for folder in folders:
         for source in sorted(Path(folder).rglob("*.py")):
             if b"@hot" in (text := source.read_bytes()):
