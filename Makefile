@@ -10,7 +10,7 @@ help:
 	@echo "make test-slow  the long checks"
 	@echo "make lint       ruff and mypy"
 	@echo "make bench      speed, as ratios measured in one run"
-	@echo "make results    baselines of RegisterTuning: docs/results.md (extra rl; a quarter of an hour)"
+	@echo "make results    baselines of RegisterTuning: docs/results.md (extra rl; half an hour)"
 	@echo "make pictures   draw every picture of README and docs again"
 
 $(BIN)/python:

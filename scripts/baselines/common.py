@@ -32,7 +32,7 @@ TOLERANCE = 0.03  # of the payload
 LIMIT = 1.0  # s, a move may take; twice what the formula needs
 BUDGET = 1_024  # moves
 LANES = 16  # moves made at once
-CANDIDATES, REPEATS, PROOF_SEED = 20, 48, 99  # a method's best moves that are tried again, and how often each
+CANDIDATES, REPEATS, PROOF_SEED = 100, 48, 99  # a method's best moves that are tried again, and how often each
 SPACES = ("registers", "knobs")
 
 

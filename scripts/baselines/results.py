@@ -1,6 +1,6 @@
 """All baselines, compared: runs every one with its budget and seeds, for a light and a heavy payload.
 
-python scripts/baselines/results.py                  docs/results.md and docs/pictures/results.png; about a quarter of an hour
+python scripts/baselines/results.py                  docs/results.md and docs/pictures/results.png; about half an hour
 python scripts/baselines/results.py --budget 32 --seeds 2 --out /tmp/results
 
 Needs the extras `rl` and `plot`.
