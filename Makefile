@@ -40,7 +40,7 @@ lint: .venv/.dev
 	$(BIN)/mypy
 
 bench: .venv/.dev
-	$(BIN)/python scripts/benchmark.py
+	$(BIN)/python scripts/benchmark.py --markdown docs/performance.md --picture docs/pictures/performance.png
 	$(BIN)/python scripts/benchmark_envs.py --most 64 --rounds 3
 
 results: .venv/.dev

@@ -8,7 +8,6 @@ mujoco.batch.Batch of the bare model, carriages moving, torques constant, on as 
 """
 
 import argparse
-import gc
 import importlib.util
 import json
 import os
@@ -18,25 +17,17 @@ import time
 
 import gymnasium
 import mujoco
-import mujoco.batch
 import numpy as np
-from benchmark import moving_stage
+from bench.machines import Batch
+from bench.timing import resident, timed
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import stage.envs
 
 NUMBERS = (1, 8, 64, 512, 4096)
-PAGE = os.sysconf("SC_PAGE_SIZE") if hasattr(os, "sysconf") else 4096
 MODE = AutoresetMode.SAME_STEP  # every step is a step of every stage
 SEED = 240
 ENOUGH = 64  # stages, to tell how much memory one takes
-STATE = mujoco.mjtState.mjSTATE_INTEGRATION
-
-
-def timed(work, clock=time.perf_counter):
-    begin = clock()
-    work()
-    return clock() - begin
 
 
 def vector(id_, n, threads=None, **settings):
@@ -46,33 +37,6 @@ def vector(id_, n, threads=None, **settings):
 
 def sync(id_, n, **settings):
     return SyncVectorEnv([lambda: gymnasium.make(id_, disable_env_checker=True, **settings)] * n, autoreset_mode=MODE)
-
-
-class Batch:
-    """The bare model, `n` times, in the middle of a move of three axes; `nstep` physics steps each at every step."""
-
-    def __init__(self, n, threads):
-        moving = moving_stage()
-        with moving.record() as recording:
-            moving.step(400)
-        torque = [recording.columns[f"{name}/torque"].mean() for name in moving.axes]
-        moving.data.ctrl[:] = torque
-        self.start = np.zeros(mujoco.mj_stateSize(moving.model, STATE))
-        mujoco.mj_getState(moving.model, moving.data, self.start, STATE)
-        self.batch = mujoco.batch.Batch(moving.model, nsim=n, nthread=threads)
-        self.qpos, self.qvel, self.ctrl = (self.batch.bind(name) for name in ("qpos", "qvel", "ctrl"))
-        self.move = moving.data.qpos.copy(), moving.data.qvel.copy(), moving.data.ctrl.copy()
-        self.nstep = 1
-
-    def reset(self, seed=None):
-        self.batch.reset()
-        self.qpos[:], self.qvel[:], self.ctrl[:] = self.move
-
-    def step(self, actions=None):
-        self.batch.step(nstep=self.nstep)
-
-    def close(self):
-        pass
 
 
 class Episodes:
@@ -128,13 +92,6 @@ def measure(id_, n, args):
         rows["times SyncVectorEnv"] = t["sync"] / t["ours"]
     rows["of a bare Batch"] = rows["physics steps/s"] / (bare.nstep * n / t["bare"])
     return rows
-
-
-def resident():
-    """Bytes of this process in memory."""
-    gc.collect()
-    with open("/proc/self/statm") as file:
-        return int(file.read().split()[1]) * PAGE
 
 
 def grow(kind, id_, n, settings):

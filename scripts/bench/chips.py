@@ -1,0 +1,124 @@
+"""Chips alone, without a stage, beside the reference that takes one clock at a time (tests/reference)."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from bench.figures import Figure, Run
+from bench.timing import race
+from stage.chips import PCL240K, PCL240MS
+from stage.firmware import Profile
+from stage.firmware.bus import CONTROL, RAMP, RESET, SELECT, START
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
+from reference.pcl240 import ReferencePCL240K
+from reference.pcl240ms import ReferencePCL240MS
+
+TITLE = "Chips alone"
+CONSTANT = 10_000_000_000  # clocks
+RAMP_CLOCKS = 2 * 7950  # of the fastest ramp: from 50 to 8000, a step every second clock
+S_CLOCKS = 47_700  # of an S-curve of as many steps, R4 = 3
+WHOLE = 60_000  # clocks, beyond the end of both
+PULSES = 2_000_000
+
+
+def load(chip: Any, *commands: int, **registers: int) -> Any:
+    """Registers by name, then commands, by the bus cycles that chip and reference both know."""
+    for name, value in registers.items():
+        r = PCL240MS.MAP.register(name)
+        chip.write(0, SELECT | r.number)
+        for address in (3, 2, 1):
+            chip.write(address, value >> 8 * (address - 1) & 0xFF)
+    for command in commands:
+        chip.write(0, command)
+    return chip
+
+
+def constant(chip: Any) -> Any:
+    """8000 / 16384 pulses a clock, for ever."""
+    return load(chip, RESET, CONTROL, START["FH1"], R1=50, R2=8000, R7=2)
+
+
+def ramping(chip: Any) -> Any:
+    """The fastest ramp there is: R4 = 2, every second clock a speed step."""
+    return load(chip, RESET, CONTROL, RAMP["FH1"], R1=50, R2=8000, R4=2, R5=2, R7=2)
+
+
+def curved(chip: Any) -> Any:
+    """An S-curve of 7950 speed steps."""
+    profile = Profile(50, 8000, 8000, 3, 3, 2, spans=(0, 0), chip=PCL240MS)
+    return load(chip, RESET, CONTROL, RAMP["FH1"], **profile.registers(), R0=0xFFFFFF)
+
+
+def linear(chip: Any) -> Any:
+    """A linear ramp of as many steps, and as the S-curve of the same R4."""
+    profile = Profile(50, 8000, 8000, 3, 3, 2, chip=PCL240MS)
+    return load(chip, RESET, CONTROL, RAMP["FH1"], **profile.registers(), R0=0xFFFFFF)
+
+
+def measure(run: Run) -> Iterator[Figure]:
+    ticks = run.pick(20_000, 5_000)
+    cases = (
+        ("constant", "constant speed", PCL240K, ReferencePCL240K, constant, CONSTANT),
+        ("ramp", "fastest ramp (R4 = 2)", PCL240K, ReferencePCL240K, ramping, RAMP_CLOCKS),
+        ("s_curve", "S-curve (R4 = 3)", PCL240MS, ReferencePCL240MS, curved, S_CLOCKS),
+    )
+    for key, name, chip, reference, begin, clocks in cases:
+        t = race(
+            {"fast": advance(begin, chip, clocks), "slow": tick(begin, reference, ticks)}, run.rounds, run.pick(9, 3)
+        )
+        yield Figure.of(f"chips.{key}", f"{name}, simulated clocks", "1/s", clocks / t["fast"])
+        times = (clocks / t["fast"]) / (ticks / t["slow"])
+        yield Figure.of(f"chips.{key}_reference", "  beside the tick reference", "times", times)
+    works = {"curved": advance(curved, PCL240MS, WHOLE), "linear": advance(linear, PCL240MS, WHOLE)}
+    t = race(works, run.rounds, run.pick(25, 5))
+    yield Figure.of(
+        "chips.s_curve_linear", "S-curve / linear ramp (PCL240MS), time", "ratio", t["curved"] / t["linear"]
+    )
+    pulses = run.pick(PULSES, PULSES // 10)
+    clocks = pulses * 16384 // 8000
+    works = {"trace": trace(clocks), "slow": tick(constant, ReferencePCL240K, ticks, traced=True)}
+    t = race(works, run.rounds, 3)
+    yield Figure.of("chips.traced", "pulses traced", "1/s", pulses / t["trace"], "each with clock, axis, direction")
+    times = (clocks / t["trace"]) / (ticks / t["slow"])
+    yield Figure.of("chips.traced_reference", "  beside the tick reference", "times", times)
+
+
+def advance(begin: Callable[[Any], Any], make: Any, clocks: int) -> tuple[Callable[[], None], Callable[[], None]]:
+    """A race's entry: a chip, begun anew, that advances."""
+    chip = make()
+    fresh = chip.snapshot()
+
+    def prepare() -> None:
+        chip.restore(fresh)
+        begin(chip)
+
+    return prepare, lambda: chip.advance(clocks)
+
+
+def tick(begin: Callable[[Any], Any], make: Any, ticks: int, traced: bool = False) -> tuple[Any, Any]:
+    """The same for the reference."""
+    chip: Any = None
+
+    def prepare() -> None:
+        nonlocal chip
+        chip = begin(make())
+
+    def work() -> None:
+        if traced:
+            chip.trace(ticks)
+        else:
+            for _ in range(ticks):
+                chip.tick()
+
+    return prepare, work
+
+
+def trace(clocks: int) -> tuple[Callable[[], None], Callable[[], Any]]:
+    """The same, and every pulse is noted."""
+    chip = constant(PCL240K())
+    fresh = chip.snapshot()
+    return lambda: chip.restore(fresh), lambda: chip.trace(clocks)

@@ -1,0 +1,82 @@
+"""The whole closed loop, three chips in motion, three steppers, fifteen switches, beside bare mj_step on the same model."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from bench.figures import Figure, Run
+from bench.machines import Bare, moving_stage
+from bench.timing import nothing, race
+from stage import Stage
+from stage.chips import PCL240MS
+from stage.firmware import Port, Profile
+
+TITLE = "Closed loop beside bare mj_step (xyz, three axes in motion)"
+STEPS = 2000
+
+
+def measure(run: Run) -> Iterator[Figure]:
+    stage = moving_stage(textures=False)
+    bare, start = Bare(stage, STEPS), stage.snapshot()
+    recording = None
+
+    def again() -> None:
+        nonlocal recording
+        if recording is not None:
+            recording.close()
+            recording = None
+        stage.restore(start)
+
+    def again_recorded() -> None:
+        nonlocal recording
+        again()
+        recording = stage.record()
+
+    works = {
+        "bare": (bare.reset, lambda: bare.step(STEPS)),
+        "off": (again, lambda: stage.step(STEPS)),
+        "on": (again_recorded, lambda: stage.step(STEPS)),
+    }
+    t = race(works, run.rounds, run.pick(25, 5))
+    again()
+    yield Figure.of("closed_loop.off", "closed loop / bare mj_step, throughput", "ratio", t["bare"] / t["off"])
+    yield Figure.of("closed_loop.on", "the same, recording every ms", "ratio", t["bare"] / t["on"])
+    yield Figure.of("closed_loop.rate", "closed loop, physics steps", "1/s", STEPS / t["off"])
+    yield Figure.of("closed_loop.bare_rate", "bare mj_step", "1/s", STEPS / t["bare"])
+    bare.reset()
+    bare.step(STEPS)
+    way = (bare.data.qpos - bare.began) / bare.way
+    yield Figure.of("closed_loop.way", "way of the bare carriages / ours, an axis each", "ratio", way)
+    curved, linear = _ramps(run)
+    yield Figure.of("closed_loop.s_curve", "S-curve move / linear move (PCL240MS), time", "ratio", curved / linear)
+    axis = moving_stage().axes["x"]
+    cycles = run.pick(20_000, 5_000)
+    t = race({"read": (nothing, lambda: [axis.chip.read(0) for _ in range(cycles)])}, run.rounds, 1)
+    yield Figure.of("closed_loop.bus", "bus cycles from Python, on a stage", "1/s", cycles / t["read"])
+
+
+def _ramps(run: Run) -> tuple[np.ndarray, np.ndarray]:
+    """Seconds for half a second of three axes ramping up and down: with S-curves, and with linear ramps."""
+    stage = Stage("xyz", chips=PCL240MS)
+    ports = [Port(axis) for axis in stage.axes.values()]
+
+    def start(spans: tuple[int, int] | None) -> None:
+        stage.reset()
+        profile = Profile(500, 4000, 4000, 400, 400, 100, spans=spans, chip=PCL240MS)
+        for port in ports:
+            port.command(0x08)
+            port.write_registers(**profile.registers())
+            port.command(0x40)
+            port.command(0x15)
+
+    def work() -> None:
+        stage.run(0.29)
+        for port in ports:
+            port.command(0x14)
+        stage.run(0.29)
+
+    works = {"curved": (lambda: start((0, 0)), work), "linear": (lambda: start(None), work)}
+    t = race(works, run.rounds, run.pick(5, 2))
+    return t["curved"], t["linear"]

@@ -1,0 +1,99 @@
+"""One environment beside a plain Gymnasium MujocoEnv on the same MJCF, at equal frame skip.
+
+The overhead of a step is its time less that of the physics in it: as many steps of the stage, or of bare mj_step, in one call.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.envs.mujoco import MujocoEnv
+
+import stage.envs  # noqa: F401 registers the ids
+from bench.figures import Figure, Run
+from bench.machines import Bare, model_path, moving_stage
+from bench.timing import race
+
+TITLE = "One environment beside gymnasium's MujocoEnv (RegisterBus, an action that waits)"
+SKIPS = (1, 4, 40)  # physics steps an action
+DT = 2.5e-4  # s, of the shipped models
+WAIT = np.array([2, 0, 0, 0])  # an action
+
+
+class PlainEnv(MujocoEnv):
+    """What anybody would write first: torques, positions and velocities, a reward, an info."""
+
+    def __init__(self, model: str, frame_skip: int):
+        super().__init__(model, frame_skip, None)
+        self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (self.model.nq + self.model.nv,), np.float64)
+        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (self.model.nu,), np.float32)
+
+    def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, float]]:
+        self.do_simulation(action, self.frame_skip)
+        observation = np.concatenate([self.data.qpos, self.data.qvel])
+        error = float(np.linalg.norm(self.data.qpos))
+        return observation, -error, False, False, {"error": error}
+
+    def reset_model(self) -> np.ndarray:
+        self.set_state(self.init_qpos, self.init_qvel)
+        return np.concatenate([self.data.qpos, self.data.qvel])
+
+
+def measure(run: Run) -> Iterator[Figure]:
+    if importlib.util.find_spec("imageio") is None:
+        print("    left out: gymnasium's MujocoEnv needs imageio; pip install '.[bench]'")
+        return
+    moving = moving_stage(textures=False)
+    start, bare = moving.snapshot(), Bare(moving)
+    for k in SKIPS:
+        n = run.pick(4000, 800) // (k + 7)  # actions in a turn
+        works = {
+            "ours": ours(k, n, start),
+            "physics": (lambda: moving.restore(start), lambda n=n, k=k: moving.step(n * k)),
+            "plain": plain(k, n, bare),
+            "bare": (bare.reset, lambda n=n, k=k: bare.step(n * k)),
+        }
+        t = {name: seconds / n * 1e6 for name, seconds in race(works, run.rounds, run.pick(25, 7)).items()}
+        over, plain_over = t["ours"] - t["physics"], t["plain"] - t["bare"]
+        yield Figure.of(
+            f"environment.overhead_{k}",
+            f"overhead / MujocoEnv's, {k} step{'s' if k > 1 else ''} an action",
+            "ratio",
+            over / plain_over,
+        )
+        yield Figure.of(f"environment.ours_{k}", "  ours", "us", over)
+        yield Figure.of(f"environment.plain_{k}", "  MujocoEnv's", "us", plain_over)
+        yield Figure.of(f"environment.time_{k}", "  whole step / MujocoEnv's", "ratio", t["ours"] / t["plain"])
+
+
+def ours(k: int, n: int, start: Any) -> tuple[Callable[[], None], Callable[[], None]]:
+    """A race's entry: RegisterBus, its stage put in the middle of a move, an action of k physics steps n times."""
+    env = gymnasium.make(
+        "stage/RegisterBus-v0", waits=(k * DT,), time_limit=1e6, cycles=10**9, disable_env_checker=True
+    ).unwrapped
+
+    def prepare() -> None:
+        env.reset(seed=0)
+        env.stage.restore(start)
+
+    def work() -> None:
+        for _ in range(n):
+            env.step(WAIT)
+
+    return prepare, work
+
+
+def plain(k: int, n: int, bare: Bare) -> tuple[Callable[[], None], Callable[[], None]]:
+    """The same for the plain environment, under the mean torques of that move."""
+    env = PlainEnv(model_path(), k)
+    torque = bare.torque.astype(np.float32)
+
+    def work() -> None:
+        for _ in range(n):
+            env.step(torque)
+
+    return lambda: env.set_state(bare.began, bare.velocity), work

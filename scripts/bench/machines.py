@@ -1,0 +1,133 @@
+"""Stages in motion, and the same models without chips, drives and switches."""
+
+from __future__ import annotations
+
+from importlib import resources
+from typing import Any
+
+import mujoco
+import mujoco.batch
+import numpy as np
+
+from stage import Stage
+from stage.chips import PCL240K
+from stage.firmware import Port
+from stage.firmware.bus import CONTROL, MINUS, RAMP, RESET
+
+STATE = mujoco.mjtState.mjSTATE_INTEGRATION
+SETTLED = 0.3  # s, ramps are over
+RATE = dict(R0=0, R1=25, R2=100, R3=100, R4=1500, R5=1500, R6=0, R7=30)  # 500 to 2000 pps: 6.25 mm/s
+MATCHING = 12  # times that the bare model's torque is corrected
+LEG = 1.0  # s of a run to and fro
+
+
+def run_continuously(stage: Stage, minus: bool = False) -> None:
+    """Every axis ramps to its speed and keeps it."""
+    for axis in stage.axes.values():
+        for command in (RESET, CONTROL | (MINUS if minus else 0), RAMP["FH1"]):
+            axis.chip.write(0, command)
+
+
+def moving_stage(model: Any = "xyz", **settings: Any) -> Stage:
+    """Chips that keep their motors running for as long as a comparison takes: some seconds."""
+    stage = Stage(model, chips=PCL240K, **settings)
+    for axis in stage.axes.values():
+        Port(axis).write_registers(**RATE)
+    run_continuously(stage)
+    stage.run(SETTLED)
+    return stage
+
+
+def shuttle(stage: Stage, seconds: float) -> None:
+    """Run a `moving_stage` to and fro for an even number of legs, or a part of one; for hours where one likes."""
+    minus = False
+    while seconds > 0:
+        run_continuously(stage, minus)
+        stage.run(min(LEG, seconds))
+        seconds -= LEG
+        minus = not minus
+
+
+def mean_torque(stage: Stage, steps: int) -> np.ndarray:
+    """The torque that keeps bare carriages moving alike: each actuator's mean over the next `steps`, which pass."""
+    torque = np.zeros(stage.model.nu)
+    with stage.record() as recording:
+        stage.step(steps)
+    for name in stage.axes:
+        torque[stage.model.actuator(name).id] = recording.column(f"{name}/torque").mean()
+    return torque
+
+
+class Bare:
+    """mj_step alone on a stage's model, from the state that the stage is in, under constant torques that move it as far."""
+
+    def __init__(self, stage: Stage, steps: int = 4000):
+        self.model, self.data = stage.model, mujoco.MjData(stage.model)
+        start = stage.snapshot()
+        self.start, self.torque = start.state, mean_torque(stage, steps)
+        way = stage.data.qpos.copy()
+        stage.restore(start)
+        self.began, self.velocity = stage.data.qpos.copy(), stage.data.qvel.copy()
+        self.way = way - self.began
+        self._match(stage, steps)
+
+    def _match(self, stage: Stage, steps: int) -> None:
+        """Friction hardly grows with speed, so that the mean torque alone leaves the speed open: correct it by the damping."""
+        axes = [(p.joint, stage.model.actuator(name).id, p.gear) for name, p in stage.axes.items()]
+        seconds = steps * self.model.opt.timestep
+        for _ in range(MATCHING):
+            self.reset()
+            self.step(steps)
+            for joint, actuator, gear in axes:
+                dof, q = self.model.jnt_dofadr[joint], self.model.jnt_qposadr[joint]
+                missing = self.began[q] + self.way[q] - self.data.qpos[q]
+                self.torque[actuator] += self.model.dof_damping[dof] * missing / seconds / gear
+
+    def reset(self) -> None:
+        mujoco.mj_setState(self.model, self.data, self.start, STATE)
+        self.data.ctrl[:] = self.torque
+
+    def step(self, n: int) -> None:
+        mujoco.mj_step(self.model, self.data, n)
+
+
+class Batch:
+    """The bare model, `n` times, in the middle of a move of three axes; `nstep` physics steps each at every step."""
+
+    def __init__(self, n: int, threads: int | None):
+        moving = moving_stage(textures=False)
+        bare = Bare(moving)
+        self.batch = mujoco.batch.Batch(moving.model, nsim=n, nthread=threads)
+        self.qpos, self.qvel, self.ctrl = (self.batch.bind(name) for name in ("qpos", "qvel", "ctrl"))
+        self.move = bare.began, bare.velocity, bare.torque
+        self.nstep = 1
+
+    def reset(self, seed: int | None = None) -> None:
+        self.batch.reset()
+        self.qpos[:], self.qvel[:], self.ctrl[:] = self.move
+
+    def step(self, actions: Any = None) -> None:
+        self.batch.step(nstep=self.nstep)
+
+    def close(self) -> None:
+        pass
+
+
+def model_path(name: str = "xyz") -> str:
+    """The file of a shipped model."""
+    return str(resources.files("stage.models") / f"{name}.xml")
+
+
+def axes_in_a_row(n: int) -> mujoco.MjSpec:
+    """A model of `n` axes side by side, each the X axis of the shipped `xy`: rail, motor, carriage, five switches, hard stops."""
+    row = mujoco.MjSpec()
+    for k in range(n):
+        one = mujoco.MjSpec.from_file(model_path("xy"))
+        one.delete(one.body("y"))
+        for key in list(one.keys):
+            one.delete(key)
+        for field in ("timestep", "integrator", "cone", "iterations", "ls_iterations"):
+            setattr(row.option, field, getattr(one.option, field))
+        row.visual.map.znear, row.visual.map.zfar = one.visual.map.znear, one.visual.map.zfar
+        row.attach(one, prefix=f"a{k}_", frame=row.worldbody.add_frame(pos=[0, 0.7 * k, 0]))
+    return row

@@ -1,0 +1,128 @@
+"""A benchmark's results as one picture: a panel for each subject that was measured."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.figure import Figure as Canvas
+
+from bench.figures import Curve
+from bench.report import Results
+from bench.targets import BY_FIGURE
+
+OURS, OTHER, SECOND = "#17508f", "#d1571f", "#4aa8d8"
+INK, MUTED, GREY = "#1d2733", "#66717d", "#e7ebef"
+BOUND: dict[str, Any] = {"color": OTHER, "lw": 1.6, "ls": (0, (4, 2))}
+
+
+def bars(ax: Any, results: Results, rows: dict[str, str], unit: str) -> None:
+    """Medians as bars, spreads as lines, targets dashed. rows: key -> label."""
+    rows = {key: label for key, label in rows.items() if key in results.figures}
+    for y, key in enumerate(rows):
+        f = results.figures[key]
+        ax.barh(y, f.median, 0.6, color=OURS)
+        ax.plot([f.least, f.most], [y, y], color=INK, lw=1.4, solid_capstyle="butt")
+        if target := BY_FIGURE.get(key):
+            ax.plot([target.bound] * 2, [y - 0.42, y + 0.42], **BOUND)
+    ax.set_yticks(range(len(rows)), rows.values())
+    ax.set(xlabel=unit, ylim=(len(rows) - 0.4, -0.6))
+    ax.grid(False, axis="y")
+
+
+def throughput(ax: Any, results: Results) -> None:
+    rows = {"closed_loop.off": "closed loop", "closed_loop.on": "recorded"}
+    rows |= {"vector.fleet_batch_1": "64 stages, 1 thread", "vector.fleet_batch_2": "2 threads"}
+    rows |= {"vector.env_batch_1": "64 envs, 1 thread", "vector.env_batch_2": "2 threads"}
+    bars(ax, results, rows, "throughput / bare mj_step or Batch")
+    ax.axvline(1, color=MUTED, lw=1)
+
+
+def threads(ax: Any, results: Results) -> None:
+    rows = {"vector.batch_two": "Batch", "vector.fleet_two": "Fleet", "vector.env_two": "vector env"}
+    bars(ax, results, rows, "two threads / one, throughput")
+
+
+def overhead(ax: Any, results: Results) -> None:
+    skips = [k for k in (1, 4, 40) if f"environment.ours_{k}" in results.figures]
+    x = np.arange(len(skips))
+    for shift, kind, color, name in ((-0.2, "ours", OURS, "RegisterBus"), (0.2, "plain", OTHER, "MujocoEnv")):
+        found = [results.figures[f"environment.{kind}_{k}"] for k in skips]
+        ax.bar(x + shift, [f.median for f in found], 0.36, color=color, label=name)
+        for at, f in zip(x + shift, found, strict=True):
+            ax.plot([at, at], [f.least, f.most], color=INK, lw=1.4, solid_capstyle="butt")
+            ax.annotate(
+                f"{f.median:.3g}", (at, max(f.most, 0)), (0, 2), textcoords="offset points", ha="center", color=MUTED
+            )
+    ax.set_xticks(x, [f"{k} step{'s' if k > 1 else ''}" for k in skips])
+    ax.set(ylabel="overhead of an action (µs)")
+    ax.margins(y=0.12)
+    ax.legend(frameon=False)
+    ax.grid(False, axis="x")
+
+
+def chips(ax: Any, results: Results) -> None:
+    rows = {"chips.constant": "constant speed, clocks", "chips.ramp": "fastest ramp, clocks"}
+    rows |= {"chips.s_curve": "S-curve, clocks", "chips.traced": "pulses traced"}
+    bars(ax, results, rows, "simulated a second of wall time")
+    ax.set_xscale("log")
+
+
+def curve_panel(*keys: str) -> Callable[[Any, Results], None]:
+    def panel(ax: Any, results: Results) -> None:
+        for key, color in zip(keys, (OURS, OTHER), strict=False):
+            if key in results.curves:
+                draw_curve(ax, results.curves[key], color)
+        ax.set(xscale="log", yscale="log")
+        ax.legend(frameon=False)
+
+    return panel
+
+
+def draw_curve(ax: Any, c: Curve, color: str) -> None:
+    """Medians with spread, and the fit where it holds."""
+    sizes, cost = np.array(c.sizes), np.array(c.cost)
+    p, middle = float(np.median(c.exponents())), np.median(cost, axis=0)
+    ax.plot(sizes, middle, "o", color=color, ms=4.5, label=f"{c.name.strip()}: n^{p:.3f}")
+    ax.vlines(sizes, cost.min(axis=0), cost.max(axis=0), color=color, lw=1.2)
+    upper = sizes >= c.fitted_from
+    level = np.exp(np.mean(np.log(middle[upper]) - p * np.log(sizes[upper])))
+    ax.plot(sizes[upper], level * sizes[upper] ** p, color=color, lw=1.2)
+    ax.set(xlabel=f"{c.over}", ylabel=c.unit)
+
+
+PANELS: tuple[tuple[str, str, Callable[[Any, Results], None]], ...] = (
+    ("closed_loop vector", "Beside bare MuJoCo", throughput),
+    ("vector", "Two threads", threads),
+    ("environment", "One environment", overhead),
+    ("chips", "Chips alone", chips),
+    ("scaling", "Cost over axes", curve_panel("scaling.axes", "scaling.axes_bare")),
+    ("scaling", "Cost over stages", curve_panel("scaling.stages")),
+    ("long_run", "Cost over run length", curve_panel("long_run.length", "long_run.length_recorded")),
+)
+
+
+def draw(results: Results, path: Path) -> None:
+    """Raises SystemExit when nothing that it shows was measured."""
+    shown = [(title, panel) for whose, title, panel in PANELS if set(whose.split()) & set(results.titles)]
+    if not shown:
+        raise SystemExit(f"{path}: not drawn, none of its figures was measured.")
+    across = min(len(shown), 4 if len(shown) > 6 else 3)
+    down = -(-len(shown) // across)
+    canvas = Canvas(figsize=(4.5 * across, 3.9 * down), layout="constrained")
+    canvas.get_layout_engine().set(w_pad=0.12, h_pad=0.12)
+    with rc_context({"font.size": 10}):
+        grid = canvas.subplots(down, across, squeeze=False).ravel()
+        for ax, (title, panel) in zip(grid, shown, strict=False):
+            ax.grid(True, color=GREY, lw=0.7)
+            panel(ax, results)
+            ax.set_title(title, loc="left", color=INK, fontsize=12, weight="bold")
+            ax.set_axisbelow(True)
+            ax.spines[["top", "right"]].set_visible(False)
+        for ax in grid[len(shown) :]:
+            ax.axis("off")
+    canvas.savefig(path, dpi=140)
+    print(f"{path}: drawn")

@@ -1,0 +1,132 @@
+"""A benchmark's results as lines, as JSON, and as the table of docs/performance.md."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+from collections.abc import Iterator
+from dataclasses import asdict
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from bench.figures import Curve, Figure, Run, number
+from bench.targets import BY_FIGURE, TARGETS
+
+BEGIN, END = "<!-- benchmark: begin -->", "<!-- benchmark: end -->"
+
+
+class Results:
+    """Figures and curves by key, titles by subject, in the order in which they were measured."""
+
+    def __init__(self) -> None:
+        self.titles: dict[str, str] = {}
+        self.figures: dict[str, Figure] = {}
+        self.curves: dict[str, Curve] = {}
+        self.machines: dict[str, str] = {}
+
+    def forget(self, subject: str) -> None:
+        """Drop what is known of a subject, which is to be measured anew."""
+        for kept in (self.titles, self.machines):
+            kept.pop(subject, None)
+        for kept in (self.figures, self.curves):
+            for key in [k for k in kept if subject_of(k) == subject]:
+                del kept[key]
+
+    def add(self, found: Figure | Curve) -> None:
+        (self.figures if isinstance(found, Figure) else self.curves)[found.key] = found
+
+    def of(self, subject: str) -> list[Figure]:
+        return [f for f in self.figures.values() if subject_of(f.key) == subject]
+
+    def save(self, path: Path) -> None:
+        path.write_text(json.dumps(self.as_json(), indent=1) + "\n")
+
+    def as_json(self) -> dict[str, Any]:
+        figures = {}
+        for key, f in self.figures.items():
+            figures[key] = {**asdict(f), "median": f.median, "least": f.least, "most": f.most}
+            if target := BY_FIGURE.get(key):
+                figures[key]["target"] = {**asdict(target), "met": target.met(f.median)}
+        curves = {key: asdict(c) for key, c in self.curves.items()}
+        return {"titles": self.titles, "machines": self.machines, "figures": figures, "curves": curves}
+
+    @classmethod
+    def load(cls, path: Path) -> Results:
+        """The results that `save` wrote."""
+        results, found = cls(), json.loads(path.read_text())
+        results.titles, results.machines = found["titles"], found["machines"]
+        for key, f in found["figures"].items():
+            results.figures[key] = Figure.of(key, f["name"], f["unit"], f["values"], f["note"])
+        for key, c in found["curves"].items():
+            results.curves[key] = Curve.of(**c)
+        return results
+
+
+def subject_of(key: str) -> str:
+    return key.split(".")[0]
+
+
+def machine(run: Run) -> str:
+    """Where and how, in words."""
+    packages = ", ".join(f"{name} {version(name)}" for name in ("mujoco", "numba", "numpy"))
+    how = f"{run.rounds} rounds" + (", quick: long ones are short" if run.quick else "")
+    return f"{processor()}, {os.cpu_count()} processors; Python {platform.python_version()}, {packages}; {how}"
+
+
+def processor() -> str:
+    try:
+        with open("/proc/cpuinfo") as file:
+            return next(line.split(":", 1)[1].strip() for line in file if line.startswith("model name"))
+    except (OSError, StopIteration):
+        return platform.processor() or platform.machine()
+
+
+def line(f: Figure) -> str:
+    """A figure as a line of the table on the screen."""
+    spread = f"{number(f.least)} .. {number(f.most)}" if len(f.values) > 1 else "once"
+    text = f"  {f.name:58.58}{number(f.median):>11} {f.unit:6} {spread:>22}"
+    if target := BY_FIGURE.get(f.key):
+        text += f"   {target}: {target.verdict(f.median)}"
+    return text + (f"   ({f.note})" if f.note else "")
+
+
+def verdicts(results: Results) -> Iterator[str]:
+    """Every target, a line each."""
+    for target in TARGETS:
+        f = results.figures.get(target.figure)
+        said = "not measured" if f is None else f"{number(f.median):>8}  {target.verdict(f.median)}"
+        yield f"  {target.name:34}{target!s:>10}  {said}"
+
+
+def write_markdown(results: Results, path: Path) -> None:
+    """Put the table between the two marker comments of a page. Raises SystemExit when the page has none."""
+    text = path.read_text() if path.exists() else ""
+    if text.count(BEGIN) != 1 or text.count(END) != 1 or text.index(BEGIN) > text.index(END):
+        raise SystemExit(f"{path}: has no pair of lines\n{BEGIN}\n{END}\nto put the table between.")
+    before, after = text[: text.index(BEGIN) + len(BEGIN)], text[text.index(END) :]
+    path.write_text(f"{before}\n\n{markdown(results)}\n{after}")
+
+
+def markdown(results: Results) -> str:
+    """The targets, and then every figure."""
+    lines = ["| target | bound | measured, median (least .. most) | |", "|---|---|---|---|"]
+    for target in TARGETS:
+        f = results.figures.get(target.figure)
+        measured, said = ("-", "not measured") if f is None else (spread(f), target.verdict(f.median))
+        lines.append(f"| {target.name} | {target.kind.replace('>=', '≥').replace('<=', '≤')} {number(target.bound)} "
+                     f"| {measured} | {said} |")  # fmt: skip
+    for subject, title in results.titles.items():
+        lines += ["", f"**{title}**", "", "| | median (least .. most) | |", "|---|---|---|"]
+        lines += [f"| {f.name.strip()} | {spread(f)} {f.unit} | {f.note} |" for f in results.of(subject)]
+    for words in dict.fromkeys(results.machines.values()):
+        names = [s for s, w in results.machines.items() if w == words]
+        what = "" if len(names) == len(results.machines) else f" ({', '.join(names)})"
+        lines += ["", f"{words}{what}."]
+    return "\n".join([*lines, ""])
+
+
+def spread(f: Figure) -> str:
+    many = f" ({number(f.least)} .. {number(f.most)})" if len(f.values) > 1 else ""
+    return number(f.median) + many

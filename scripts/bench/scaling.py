@@ -1,0 +1,85 @@
+"""Cost against the number of axes and of stages, with the exponent of cost ~ n^p; run length is in long_run.py."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterator
+
+import numpy as np
+
+from bench.figures import Curve, Figure, Run
+from bench.machines import Bare, axes_in_a_row, moving_stage
+from bench.timing import race
+from bench.vector import DT, waits
+from stage.fleet import Fleet
+
+TITLE = "Cost against number of axes and of stages"
+AXES = (1, 2, 3, 6, 12)
+STAGES = tuple(4**k for k in range(7))
+STEPS = 400  # of a turn, one stage
+WAIT = 40  # physics steps, many stages
+STAGE_BYTES = 1.5e6  # a stage and what it leaves behind, generously
+
+
+def measure(run: Run) -> Iterator[Figure | Curve]:
+    yield from axes(run)
+    yield from stages(run)
+
+
+def axes(run: Run) -> Iterator[Figure | Curve]:
+    works = {}
+    for n in AXES:
+        stage = moving_stage(axes_in_a_row(n), textures=False)
+        bare, start = Bare(stage, STEPS), stage.snapshot()
+        works[f"ours {n}"] = (lambda s=stage, at=start: s.restore(at)), (lambda s=stage: s.step(STEPS))
+        works[f"bare {n}"] = bare.reset, (lambda b=bare: b.step(STEPS))
+    t = {name: seconds / STEPS * 1e6 for name, seconds in race(works, run.rounds, run.pick(15, 3)).items()}
+    for n in AXES:
+        name = f"{n} {'axis' if n == 1 else 'axes'}: bare mj_step / ours, time"
+        yield Figure.of(f"scaling.axes_{n}", name, "ratio", t[f"bare {n}"] / t[f"ours {n}"])
+    cost = {kind: np.stack([t[f"{kind} {n}"] for n in AXES], axis=1) for kind in ("ours", "bare")}
+    for key, name, what in (
+        ("axes", "cost over axes", cost["ours"]),
+        ("axes_bare", "  that of bare mj_step alone", cost["bare"]),
+    ):
+        curve = Curve.of(f"scaling.{key}", name, "axes", "us a physics step", AXES, what, 3)
+        yield curve
+        yield curve.figure()
+
+
+def stages(run: Run) -> Iterator[Figure | Curve]:
+    most = min(run.pick(4096, 64), int(available() / STAGE_BYTES))
+    sizes = [n for n in STAGES if n <= most]
+    first = moving_stage(textures=False)
+    start = first.snapshot()
+    every = [first, *(copy.deepcopy(first) for _ in range(sizes[-1] - 1))]
+    note = f"up to {sizes[-1]} stages" + (" (quick)" if run.quick else " fit this memory" if sizes[-1] < 4096 else "")
+    works = {}
+    for n in sizes:
+        fleet, again, programs = Fleet(every[:n]), max(1, 256 // n), waits(n, WAIT)
+
+        def prepare(n: int = n) -> None:
+            for s in every[:n]:
+                s.restore(start)
+
+        def work(fleet: Fleet = fleet, again: int = again, programs: np.ndarray = programs) -> None:
+            for _ in range(again):
+                fleet.play(programs)
+
+        works[str(n)] = prepare, work
+    t = race(works, run.rounds, run.pick(1, 2))
+    cost = np.stack([t[str(n)] / max(1, 256 // n) * 1e3 for n in sizes], axis=1)
+    threads = Fleet(every[: min(64, len(every))]).threads
+    name = f"ms to play a wait of {WAIT * DT * 1e3:g} ms on {threads} threads"
+    curve = Curve.of("scaling.stages", "cost over stages", "stages", name, sizes, cost, 16 if most > 256 else 4)
+    yield curve
+    yield curve.figure(note)
+
+
+def available() -> float:
+    """Bytes of memory that are free for use; 4 GB where nobody says."""
+    try:
+        with open("/proc/meminfo") as file:
+            return next(int(line.split()[1]) * 1024 for line in file if line.startswith("MemAvailable")) * 0.7
+    except (OSError, StopIteration):
+        return 4e9

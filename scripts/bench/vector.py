@@ -1,0 +1,90 @@
+"""Many stages on threads beside mujoco.batch.Batch: a `Fleet` that plays a wait, and the vector form of RegisterBus."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+import stage.envs  # noqa: F401 registers the ids
+from bench.figures import Figure, Run
+from bench.machines import Batch, moving_stage
+from bench.timing import race
+from stage.fleet import Fleet, Program
+
+TITLE = "Vector stages beside mujoco.batch.Batch (64 stages in motion)"
+STAGES = 64
+STEPS = 40  # physics steps of a wait
+DT = 2.5e-4  # s, of the shipped models
+SETTINGS = {"waits": (STEPS * DT,), "time_limit": 1e6, "cycles": 10**9}
+WAIT = 2  # kind of action
+
+
+def measure(run: Run) -> Iterator[Figure]:
+    plays = run.pick(5, 2)  # waits in a turn
+    works: dict[str, tuple[Callable, Callable]] = {}
+    for threads in (1, 2):
+        works[f"fleet_{threads}"] = playing(threads, plays)
+        works[f"env_{threads}"] = acting(threads, plays)
+        works[f"batch_{threads}"] = batch(threads, plays)
+    t = race(works, run.rounds, run.pick(9, 2))
+    steps = STAGES * STEPS * plays
+    yield Figure.of(
+        "vector.batch_two", "Batch, two threads / one", "ratio", t["batch_1"] / t["batch_2"], "the machine's own"
+    )
+    for key, name in (("fleet", "Fleet"), ("env", "RegisterBus, vector")):
+        yield Figure.of(f"vector.{key}_two", f"{name}, two threads / one", "ratio", t[f"{key}_1"] / t[f"{key}_2"])
+        for threads, word in ((1, "one thread"), (2, "two threads")):
+            ratio = t[f"batch_{threads}"] / t[f"{key}_{threads}"]
+            yield Figure.of(f"vector.{key}_batch_{threads}", f"{name} / Batch, {word}", "ratio", ratio)
+        yield Figure.of(f"vector.{key}_rate", f"{name}, two threads, physics steps", "1/s", steps / t[f"{key}_2"])
+
+
+def playing(threads: int, plays: int) -> tuple[Callable[[], None], Callable[[], None]]:
+    """A race's entry: a fleet that plays waits."""
+    first = moving_stage(textures=False)
+    start = first.snapshot()
+    fleet = Fleet([first, *(copy.deepcopy(first) for _ in range(STAGES - 1))], threads)
+    programs = waits(STAGES, STEPS)
+
+    def prepare() -> None:
+        for s in fleet.stages:
+            s.restore(start)
+
+    return prepare, lambda: repeat(plays, lambda: fleet.play(programs))
+
+
+def acting(threads: int, plays: int) -> tuple[Callable[[], None], Callable[[], None]]:
+    """The same for the vector environment, its stages put in the middle of a move."""
+    kind: dict[str, Any] = {"vectorization_mode": "vector_entry_point", "threads": threads}
+    envs = gymnasium.make_vec("stage/RegisterBus-v0", num_envs=STAGES, **kind, **SETTINGS)
+    start = moving_stage().snapshot()
+    wait = np.tile([WAIT, 0, 0, 0], (STAGES, 1))
+
+    def prepare() -> None:
+        envs.reset(seed=0)
+        for s in envs.unwrapped.stages:
+            s.restore(start)
+
+    return prepare, lambda: repeat(plays, lambda: envs.step(wait))
+
+
+def batch(threads: int, plays: int) -> tuple[Callable[[], None], Callable[[], None]]:
+    """The same for bare models."""
+    bare = Batch(STAGES, threads)
+    bare.nstep = STEPS
+    return bare.reset, lambda: repeat(plays, bare.step)
+
+
+def repeat(n: int, work: Callable[[], Any]) -> None:
+    for _ in range(n):
+        work()
+
+
+def waits(stages: int, steps: int) -> np.ndarray:
+    """A program a stage: wait for so many physics steps."""
+    ops = Program().wait(steps * DT).ops
+    return np.tile(np.array(ops), (stages, 1, 1))
