@@ -44,22 +44,21 @@ class Episodes:
 
     def __init__(self, envs, seconds):
         task, self.actions, self.physics = envs.unwrapped._task, [], 0.0
-        play, dt = task.fleet.play, task.stages[0].model.opt.timestep * 1e9
+        act, dt = task.act, task.stages[0].model.opt.timestep * 1e9
 
-        def counted(programs):
+        def counted():
             before = task.fleet.truth()["now"][:, 0]
-            played = play(programs)
+            act()
             self.physics += float((task.fleet.truth()["now"][:, 0] - before).sum()) / dt
-            return played
 
-        task.fleet.play = counted
+        task.act = counted
         envs.action_space.seed(SEED)
         envs.reset(seed=SEED)
         passed = 0.0
         while passed < seconds:
             self.actions.append(envs.action_space.sample())
             passed += timed(lambda: envs.step(self.actions[-1]))
-        task.fleet.play = play
+        task.act = act
 
     def play(self, envs, clock):
         """Seconds that the same episodes take `envs`, resets at the beginning apart."""

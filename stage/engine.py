@@ -145,6 +145,8 @@ def _foresee(world, axes, table, switches, switch_table, clockwork, sensordata, 
             s.dist = FAR
             if sensordata[t.found] > 0.0:
                 s.dist = sensordata[t.at] + (t.slope * v * 2.0 * half if moved else 0.0)
+            elif not s.on and t.forced <= 0:
+                continue
             approach = -t.slope * v
             threshold = t.hysteresis if s.on else 0.0
             on = 1 if s.dist - approach * half <= threshold else 0
@@ -222,16 +224,20 @@ def run(
         start, dt = world.start, clockwork.dt
         end = start + dt
         stop, k = min(until, end), 0
+        hz = clock = rest = 0
         for a in range(len(axes)):
             axis, t = axes[a], table[a]
             c, means = chips[t.chip], axis.counts
+            if t.hz != hz:
+                hz = t.hz
+                clock, rest = clock_at(start, hz), start % SECOND * hz % SECOND
             k, now = world.slice, 0
             while now < stop:
                 bound = start + (k + 1) * dt // SLICES
                 now = min(bound, stop)
                 if axis.next_edge <= now:
                     n_edges = _meet_edges(axis, t, c, switches, switch_table, a, now, edges, n_edges)
-                pcl240_core.run(c, clock_at(now, t.hz))
+                pcl240_core.run(c, clock + (rest + (now - start) * hz) // SECOND)
                 if now == bound:
                     means[k] = pcl240_core.mean_count(c, axis.count, t.ticks)
                     axis.count = c.net

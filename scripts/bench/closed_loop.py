@@ -18,7 +18,18 @@ STEPS = 2000
 
 
 def measure(run: Run) -> Iterator[Figure]:
-    stage = moving_stage(textures=False)
+    yield from beside_bare(run, moving_stage(), "", "")
+    yield from beside_bare(run, moving_stage(visuals=False), "_fast", "visuals=False: ")
+    curved, linear = _ramps(run)
+    yield Figure.of("closed_loop.s_curve", "S-curve move / linear move (PCL240MS), time", "ratio", curved / linear)
+    axis = moving_stage().axes["x"]
+    cycles = run.pick(20_000, 5_000)
+    t = race({"read": (nothing, lambda: [axis.chip.read(0) for _ in range(cycles)])}, run.rounds, 1)
+    yield Figure.of("closed_loop.bus", "bus cycles from Python, on a stage", "1/s", cycles / t["read"])
+
+
+def beside_bare(run: Run, stage: Stage, suffix: str, words: str) -> Iterator[Figure]:
+    """A stage, recorded or not, beside mj_step on its own model."""
     bare, start = Bare(stage, STEPS), stage.snapshot()
     recording = None
 
@@ -41,20 +52,15 @@ def measure(run: Run) -> Iterator[Figure]:
     }
     t = race(works, run.rounds, run.pick(25, 5))
     again()
-    yield Figure.of("closed_loop.off", "closed loop / bare mj_step, throughput", "ratio", t["bare"] / t["off"])
-    yield Figure.of("closed_loop.on", "the same, recording every ms", "ratio", t["bare"] / t["on"])
-    yield Figure.of("closed_loop.rate", "closed loop, physics steps", "1/s", STEPS / t["off"])
-    yield Figure.of("closed_loop.bare_rate", "bare mj_step", "1/s", STEPS / t["bare"])
+    name = f"{words}closed loop / bare mj_step, throughput"
+    yield Figure.of(f"closed_loop.off{suffix}", name, "ratio", t["bare"] / t["off"])
+    yield Figure.of(f"closed_loop.on{suffix}", f"{words}the same, recording every ms", "ratio", t["bare"] / t["on"])
+    yield Figure.of(f"closed_loop.rate{suffix}", f"{words}closed loop, physics steps", "1/s", STEPS / t["off"])
+    yield Figure.of(f"closed_loop.bare_rate{suffix}", f"{words}bare mj_step", "1/s", STEPS / t["bare"])
     bare.reset()
     bare.step(STEPS)
     way = (bare.data.qpos - bare.began) / bare.way
-    yield Figure.of("closed_loop.way", "way of the bare carriages / ours, an axis each", "ratio", way)
-    curved, linear = _ramps(run)
-    yield Figure.of("closed_loop.s_curve", "S-curve move / linear move (PCL240MS), time", "ratio", curved / linear)
-    axis = moving_stage().axes["x"]
-    cycles = run.pick(20_000, 5_000)
-    t = race({"read": (nothing, lambda: [axis.chip.read(0) for _ in range(cycles)])}, run.rounds, 1)
-    yield Figure.of("closed_loop.bus", "bus cycles from Python, on a stage", "1/s", cycles / t["read"])
+    yield Figure.of(f"closed_loop.way{suffix}", "way of the bare carriages / ours, an axis each", "ratio", way)
 
 
 def _ramps(run: Run) -> tuple[np.ndarray, np.ndarray]:

@@ -47,8 +47,8 @@ def measure(run: Run) -> Iterator[Figure]:
     if importlib.util.find_spec("imageio") is None:
         print("    left out: gymnasium's MujocoEnv needs imageio; pip install '.[bench]'")
         return
-    moving = moving_stage(textures=False)
-    start, bare = moving.snapshot(), Bare(moving)
+    moving, bare = moving_stage(visuals=False), Bare(moving_stage())
+    start = moving.snapshot()
     for k in SKIPS:
         n = run.pick(4000, 800) // (k + 7)  # actions in a turn
         works = {

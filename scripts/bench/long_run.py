@@ -50,7 +50,7 @@ def measure(run: Run) -> Iterator[Figure | Curve]:
 
 def pieces_of(seconds: float, recorded: bool) -> list[Piece]:
     """The long run itself."""
-    stage = moving_stage(textures=False)
+    stage = moving_stage(visuals=False)
     bare = Bare(stage, 400)
     ends = [m for m in MARKS if m < seconds] + [m for m in range(120, int(seconds), 60)] + [seconds]
 

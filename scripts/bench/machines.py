@@ -95,7 +95,7 @@ class Batch:
     """The bare model, `n` times, in the middle of a move of three axes; `nstep` physics steps each at every step."""
 
     def __init__(self, n: int, threads: int | None):
-        moving = moving_stage(textures=False)
+        moving = moving_stage(visuals=False)
         bare = Bare(moving)
         self.batch = mujoco.batch.Batch(moving.model, nsim=n, nthread=threads)
         self.qpos, self.qvel, self.ctrl = (self.batch.bind(name) for name in ("qpos", "qvel", "ctrl"))

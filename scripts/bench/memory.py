@@ -17,7 +17,7 @@ from bench.timing import has_resident, in_a_fresh_process, resident
 TITLE = "Memory of a stage"
 KINDS = {
     "stage": "a Stage, in motion",
-    "bare_stage": "  without textures (textures=False)",
+    "bare_stage": "  without visuals (visuals=False)",
     "env": "a stage of the vector RegisterBus",
     "batch": "a simulation of a bare Batch",
 }
@@ -32,7 +32,7 @@ def measure(run: Run) -> Iterator[Figure]:
     for kind, name in KINDS.items():
         yield Figure.of(f"memory.{kind}", name, "KiB", kib[kind], f"growth by {n}, a fresh process each")
     ratio = np.array(kib["env"]) / np.array(kib["bare_stage"])
-    yield Figure.of("memory.env_stage", "a stage of the vector environment / a Stage without textures", "ratio", ratio)
+    yield Figure.of("memory.env_stage", "a stage of the vector environment / a Stage without visuals", "ratio", ratio)
 
 
 def grow(kind: str, n: int) -> float:
@@ -45,7 +45,7 @@ def grow(kind: str, n: int) -> float:
 
 def make(kind: str, n: int) -> Any:
     if "stage" in kind:
-        first = moving_stage(textures=kind == "stage")
+        first = moving_stage(visuals=kind == "stage")
         stages = [first, *(copy.deepcopy(first) for _ in range(n - 1))]
         for s in stages:
             s.step(4)

@@ -29,7 +29,7 @@ def measure(run: Run) -> Iterator[Figure | Curve]:
 def axes(run: Run) -> Iterator[Figure | Curve]:
     works = {}
     for n in AXES:
-        stage = moving_stage(axes_in_a_row(n), textures=False)
+        stage = moving_stage(axes_in_a_row(n), visuals=False)
         bare, start = Bare(stage, STEPS), stage.snapshot()
         works[f"ours {n}"] = (lambda s=stage, at=start: s.restore(at)), (lambda s=stage: s.step(STEPS))
         works[f"bare {n}"] = bare.reset, (lambda b=bare: b.step(STEPS))
@@ -50,7 +50,7 @@ def axes(run: Run) -> Iterator[Figure | Curve]:
 def stages(run: Run) -> Iterator[Figure | Curve]:
     most = min(run.pick(4096, 64), int(available() / STAGE_BYTES))
     sizes = [n for n in STAGES if n <= most]
-    first = moving_stage(textures=False)
+    first = moving_stage(visuals=False)
     start = first.snapshot()
     every = [first, *(copy.deepcopy(first) for _ in range(sizes[-1] - 1))]
     note = f"up to {sizes[-1]} stages" + (" (quick)" if run.quick else " fit this memory" if sizes[-1] < 4096 else "")

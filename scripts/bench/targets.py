@@ -5,6 +5,8 @@ from bench.figures import Target
 TARGETS = (
     Target("closed loop, recording off", "closed_loop.off", ">=", 0.85),
     Target("closed loop, recording on", "closed_loop.on", ">=", 0.7),
+    Target("without visuals, recording off", "closed_loop.off_fast", ">=", 0.85),
+    Target("without visuals, recording on", "closed_loop.on_fast", ">=", 0.7),
     Target("fleet, two threads", "vector.fleet_two", ">=", 1.7),
     Target("fleet of Batch, one thread", "vector.fleet_batch_1", ">=", 0.75),
     Target("fleet of Batch, two threads", "vector.fleet_batch_2", ">=", 0.75),

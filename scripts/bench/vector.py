@@ -45,7 +45,7 @@ def measure(run: Run) -> Iterator[Figure]:
 
 def playing(threads: int, plays: int) -> tuple[Callable[[], None], Callable[[], None]]:
     """A race's entry: a fleet that plays waits."""
-    first = moving_stage(textures=False)
+    first = moving_stage(visuals=False)
     start = first.snapshot()
     fleet = Fleet([first, *(copy.deepcopy(first) for _ in range(STAGES - 1))], threads)
     programs = waits(STAGES, STEPS)
