@@ -173,6 +173,9 @@ def _compile(spec: Any) -> Any:
     try:
         return spec.compile()
     except ValueError as error:
+        if spec.compiler.discardvisual:  # the inertia of an attached part may hang on what would go
+            spec.compiler.discardvisual = False
+            return _compile(spec)
         raise ModelError(f"MuJoCo cannot compile the model {spec.modelname!r}: {error}") from error
 
 

@@ -2,7 +2,9 @@
 
 import copy
 import pickle
+from importlib import resources
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -147,3 +149,20 @@ def test_without_visuals_the_physics_is_the_same(first):
     for stage in (bare, full):
         host.by_hand(stage, ops, np.zeros(len(ops), np.int64), np.zeros((3, 2)))
     assert bare.snapshot().state.tobytes() == full.snapshot().state.tobytes()
+
+
+def test_where_an_inertia_hangs_on_visuals_they_stay():
+    """A part attached to another model keeps its own compiler settings, out of our reach."""
+    part = mujoco.MjSpec.from_file(str(resources.files("stage.models") / "xy.xml"))
+    part.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
+    for key in list(part.keys):
+        part.delete(key)
+    whole = mujoco.MjSpec()
+    whole.visual.map.znear, whole.visual.map.zfar = part.visual.map.znear, part.visual.map.zfar
+    whole.attach(part, prefix="left_", frame=whole.worldbody.add_frame())
+    assert Stage(whole, visuals=False).model.ngeom == Stage(whole).model.ngeom > 100
+    part = mujoco.MjSpec.from_file(str(resources.files("stage.models") / "xy.xml"))
+    part.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
+    bare, full = Stage(part, visuals=False).model, Stage(part).model
+    assert bare.ngeom < full.ngeom / 4
+    assert np.array_equal(bare.body_inertia, full.body_inertia)
