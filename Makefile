@@ -2,12 +2,13 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test test-slow lint bench results pictures clean help
+.PHONY: demo test test-slow soak lint bench results pictures clean help
 
 help:
 	@echo "make demo       origin return, dual-rate and a:b moves; writes demo.rrd"
 	@echo "make test       the everyday test suite"
 	@echo "make test-slow  the long checks"
+	@echo "make soak       24 simulated hours of random moves, checked after each (less than an hour)"
 	@echo "make lint       ruff and mypy"
 	@echo "make bench      speed, as ratios measured in one run"
 	@echo "make results    baselines of RegisterTuning: docs/results.md (extra rl; half an hour)"
@@ -33,6 +34,9 @@ test: .venv/.dev
 
 test-slow: .venv/.dev
 	$(BIN)/python -m pytest -n 2 -m slow
+
+soak: .venv/.dev
+	$(BIN)/python scripts/soak.py --hours 24
 
 lint: .venv/.dev
 	$(BIN)/ruff check .

@@ -292,7 +292,7 @@ def anchor(title: str) -> str:
 def draw(p: Pattern, report: Report) -> Path:
     path = DOCS / "pictures" / "patterns" / f"{p.name}.png"
     path.parent.mkdir(parents=True, exist_ok=True)
-    report.plot(path, p.title)
+    report.plot(path, p.title, overwrite=True)
     return path
 
 

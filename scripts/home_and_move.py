@@ -12,7 +12,7 @@ x = stage.axes["x"]
 
 home = firmware.origin_return(x)
 print(home)
-home.plot("home.png")
+home.plot("home.png", overwrite=True)
 
 print(firmware.preset_move(x, 8000))
 
@@ -20,4 +20,4 @@ speeds = firmware.Profile.of(fl=1000, fh1=12_000, fh2=30_000, accel=0.2)
 move = firmware.dual_rate_move(x, 40_000, speeds, dwell=0.2)
 print(move)
 print(move.listing())
-move.plot("dual_rate.png")
+move.plot("dual_rate.png", overwrite=True)

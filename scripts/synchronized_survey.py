@@ -198,9 +198,9 @@ def draw(asked, far, perfect, plain, folder):
         ax.spines[["left", "bottom"]].set_color("#c9d1da")
         ax.tick_params(color="#c9d1da", labelcolor=ink, labelsize=8)
     figure.savefig(f"{folder}/synchronized.png", dpi=150)
-    Moves()({"x": 20_000, "y": -7_500}).plot(f"{folder}/synchronized_move.png")
+    Moves()({"x": 20_000, "y": -7_500}).plot(f"{folder}/synchronized_move.png", overwrite=True)
     Moves(PCL240MS, s_curve=True, automatic=True)({"x": 20_000, "y": -7_500}, accel=0.3).plot(
-        f"{folder}/synchronized_s_curve.png", "a:b move with S-curves, x +20,000, y -7,500 pulses"
+        f"{folder}/synchronized_s_curve.png", "a:b move with S-curves, x +20,000, y -7,500 pulses", overwrite=True
     )
 
 

@@ -29,6 +29,8 @@ from stage.drives.motors import Drive, Motor, motor
 from stage.errors import ArgumentError, RunTimeout, SimulationError, StageError, unknown
 
 if TYPE_CHECKING:
+    from os import PathLike
+
     from stage.recording import Recording
 
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
@@ -430,10 +432,18 @@ class Stage:
         axes = tuple((a.name, type(a.chip).__name__, a.chip.clock_hz) for a in self._axes_by_index)
         return (axes, len(self._state), self._dt)
 
-    def record(self, every: float = 1e-3) -> Recording:
+    def record(
+        self,
+        every: float = 1e-3,
+        path: str | PathLike | None = None,
+        *,
+        overwrite: bool = False,
+        on_error: str = "raise",
+    ) -> Recording:
         """A recording of all that happens from now to its close; use as `with stage.record() as recording:`.
 
         every: seconds between samples, rounded to whole physics steps; switch edges and bus writes are exact anyway.
+        path: write a rerun file as it goes, see `Recording.stream`, as for overwrite and on_error ("raise" or "warn").
         """
         from stage.recording import Recording
 
@@ -444,7 +454,14 @@ class Stage:
         self._recording = Recording(self.model, self.axes, steps * dt, self._stop_recording)
         self._clockwork[0].sample_every = steps
         self._world[0].to_sample = steps
-        return self._recording
+        recording = self._recording
+        if path is not None:
+            try:
+                recording.stream(path, overwrite=overwrite, on_error=on_error)
+            except StageError:
+                recording.close()
+                raise
+        return recording
 
     def _stop_recording(self) -> None:
         self._recording = None

@@ -60,42 +60,54 @@ def _operating(value: int) -> str:
     return "no operation" + (irq or ", clear /INT")
 
 
+class Decoder:
+    """Journal entries as commands and whole register values, in parts; register selects are folded into the writes."""
+
+    def __init__(self, map_: RegisterMap):
+        self._map = map_
+        self._select, self._clock = 0x80, 0
+        self._bytes: dict[int, int] = {}
+        self._held: dict[int, int] = {}
+
+    def take(self, entries: Iterable[Entry]) -> list[Said]:
+        """What `entries` say, after those before; a register's last bytes may wait for what comes next, see `rest`."""
+        said: list[Said] = []
+        for e in entries:
+            if e.kind == WRITE and e.a:
+                if e.a in self._bytes:
+                    said += self.rest()
+                self._bytes[e.a] = e.b
+                self._clock = e.clock
+            elif e.kind == WRITE:
+                said += self.rest()
+                if e.b >> 6 == 2:
+                    self._select = e.b
+                else:
+                    said.append(Said(e.clock, "command", f"{e.b:02X}", command_meaning(self._map, e.b)))
+            elif e.kind == RESET:
+                said += self.rest()
+                self._held.clear()
+                self._select = 0x80
+                said.append(Said(e.clock, "reset", "/RESET", "reset pin"))
+        return said
+
+    def rest(self) -> list[Said]:
+        """The register whose bytes are there, if any."""
+        if not self._bytes:
+            return []
+        r, whole, parts = _selected(self._map, self._select), self._bytes, self._bytes
+        self._bytes = {}
+        if _collective(self._map, self._select):  # the upper bytes wait for the lowest, and stay for the next
+            self._held.update(parts)
+            whole = self._held
+            if 1 not in parts:
+                return []
+        value = sum(b << 8 * (a - 1) for a, b in whole.items()) & r.mask
+        raw = " ".join(f"{b:02X}" for _, b in sorted(parts.items(), reverse=True))
+        return [Said(self._clock, "register", f"{self._select:02X} {raw}", f"{r.name} <- {value} ({r.title})")]
+
+
 def decode(map_: RegisterMap, entries: Iterable[Entry]) -> list[Said]:
-    """A journal's writes as commands and whole register values; register selects are folded into the writes."""
-    said: list[Said] = []
-    select, clock = 0x80, 0
-    bytes_: dict[int, int] = {}
-    held: dict[int, int] = {}
-
-    def flush() -> None:
-        if bytes_:
-            r, whole = _selected(map_, select), bytes_
-            if _collective(map_, select):  # the upper bytes wait for the lowest, and stay for the next
-                held.update(bytes_)
-                whole = held
-            value = sum(b << 8 * (a - 1) for a, b in whole.items()) & r.mask
-            raw = " ".join(f"{b:02X}" for _, b in sorted(bytes_.items(), reverse=True))
-            if whole is bytes_ or 1 in bytes_:
-                said.append(Said(clock, "register", f"{select:02X} {raw}", f"{r.name} <- {value} ({r.title})"))
-            bytes_.clear()
-
-    for e in entries:
-        if e.kind == WRITE and e.a:
-            if e.a in bytes_:
-                flush()
-            bytes_[e.a] = e.b
-            clock = e.clock
-            continue
-        if e.kind == WRITE:
-            flush()
-            if e.b >> 6 == 2:
-                select = e.b
-            else:
-                said.append(Said(e.clock, "command", f"{e.b:02X}", command_meaning(map_, e.b)))
-        elif e.kind == RESET:
-            flush()
-            held.clear()
-            select = 0x80
-            said.append(Said(e.clock, "reset", "/RESET", "reset pin"))
-    flush()
-    return said
+    """A journal's writes as commands and whole register values."""
+    decoder = Decoder(map_)
+    return decoder.take(entries) + decoder.rest()

@@ -107,13 +107,26 @@ class Journal:
 
     def pieces(self, every_pulse: bool = False, size: int = CHUNK) -> Iterator[np.ndarray]:
         """The edges of `course`, at most `size` at a time: any length of run in the same memory."""
-        core = self._chip.CORE
-        rows = np.frombuffer(bytearray(self._start), core.STATE)
+        return Replay(self).pieces(every_pulse, size)
+
+
+class Replay:
+    """A journal's course, read while it grows."""
+
+    def __init__(self, journal: Journal):
+        self._journal = journal
+        self._rows = np.frombuffer(bytearray(journal._start), journal._chip.CORE.STATE)
+        self._applied = 0
+
+    def pieces(self, every_pulse: bool = False, size: int = CHUNK) -> Iterator[np.ndarray]:
+        """As `Journal.pieces`, from where the last call ended; the first edge is the chip as it was there."""
+        core, rows = self._journal._chip.CORE, self._rows
         out = np.zeros(size, core.EDGE)
-        end = self.until
+        end, entries = self._journal.until, self._journal.entries[self._applied :]
+        self._applied += len(entries)
         core.mark(rows, 0, out, 0)
         k = 1
-        for e in (*self.entries, None):
+        for e in (*entries, None):
             until = end if e is None else e.clock
             while rows[0].clock < until:
                 if size - k < ROOM:

@@ -39,7 +39,7 @@ def find_axis(stage: Any, name: str) -> Any:
 @contextmanager
 def recorded(args: argparse.Namespace, stage: Any) -> Iterator[None]:
     """Record what happens inside if --record, --vcd, --view or --web asks for it, and write it at the end."""
-    from stage.recording.recording import writable
+    from stage.files import writable
 
     usual = getattr(args, "default_record", "stage.rrd" if args.view or args.web or args.picture else None)
     rrd: str | None = args.record or usual
@@ -71,7 +71,7 @@ def recorded(args: argparse.Namespace, stage: Any) -> Iterator[None]:
         from stage.recording.viewer import screenshot
 
         note(f"rendering {args.picture} ...")
-        screenshot(rrd, args.picture)
+        screenshot(rrd, args.picture, overwrite=args.force)
         print(f"{args.picture}: the dashboard")
     if args.web and rrd:
         from stage.recording.viewer import serve_web
@@ -95,7 +95,7 @@ def progress(what: str, done: float) -> None:
         print(f"\r{what} {done:4.0%}", end="\n" if done >= 1 else "", file=sys.stderr, flush=True)
 
 
-def plot(args: argparse.Namespace, draw: Callable[[str], Any]) -> None:
+def plot(args: argparse.Namespace, draw: Callable[..., Any]) -> None:
     if args.plot:
-        draw(args.plot)
+        draw(args.plot, overwrite=args.force)
         print(f"{args.plot}: drawn")

@@ -21,7 +21,7 @@ def pullout(args: argparse.Namespace) -> int:
     """Measure and print the pull-out curve; draw it with --plot."""
     from stage.drives.dynamometer import pull_out_table
     from stage.drives.motors import Drive, motor
-    from stage.recording.recording import writable
+    from stage.files import writable
 
     drive = Drive(motor(args.motor), microsteps=args.microsteps, bus_voltage=args.bus_voltage)
     if args.plot:
@@ -31,7 +31,7 @@ def pullout(args: argparse.Namespace) -> int:
     if args.plot:
         from stage.drives.picture import plot_pull_out
 
-        plot_pull_out(drive, table, args.plot)
+        plot_pull_out(drive, table, args.plot, overwrite=args.force)
         print(f"{args.plot}: drawn")
     return 0
 

@@ -10,6 +10,7 @@ import numpy as np
 from stage.drives.dynamometer import PullOut, bound_by_both, closed_form
 from stage.drives.motors import Drive
 from stage.errors import ArgumentError, StageError
+from stage.files import save_figure
 
 INK, MUTED, ACCENT, BAND, GRID = "#1d2733", "#8a94a0", "#1f5f9e", "#cfe0f2", "#e7ebef"
 COLORS = (ACCENT, "#c4572e", "#3a8a5f", "#7b5aa6", "#a8842c", "#4d5866")
@@ -48,8 +49,11 @@ def _closed_forms(drive: Drive, rpm_max: float) -> tuple[Any, Any, Any, Any]:
     return rpm, closed_form(m, v, i, rpm), closed_form(m, 4 / np.pi * v, i, rpm), bound_by_both(m, v, i, rpm)
 
 
-def plot_pull_out(drive: Drive, table: PullOut, path: str | None = None) -> Any:
-    """One motor: measured pull-out torque over speed on the closed forms. Saves to `path` if given; returns the figure."""
+def plot_pull_out(drive: Drive, table: PullOut, path: str | None = None, overwrite: bool = False) -> Any:
+    """One motor: measured pull-out torque over speed on the closed forms. Saves to `path` if given; returns the figure.
+
+    A file that exists stays, unless `overwrite`: FileError.
+    """
     figure, ax = _figure()
     rpm, at_v, at_most, both = _closed_forms(drive, table.rpm.max())
     ax.fill_between(rpm, at_v, at_most, color=BAND, linewidth=0, label="closed form, from V to 4/π V")
@@ -64,14 +68,15 @@ def plot_pull_out(drive: Drive, table: PullOut, path: str | None = None) -> Any:
     order = [handles[k] for k in (4, 3, 1, 2, 0)], [labels[k] for k in (4, 3, 1, 2, 0)]
     ax.legend(*order, frameon=False, fontsize=9, loc="upper right")
     if path is not None:
-        figure.savefig(path, dpi=150)
+        save_figure(figure, path, 150, overwrite)
     return figure
 
 
-def plot_motors(curves: Sequence[tuple[Drive, PullOut]], path: str | None = None) -> Any:
+def plot_motors(curves: Sequence[tuple[Drive, PullOut]], path: str | None = None, overwrite: bool = False) -> Any:
     """Several motors: each chopper curve over the band of its closed forms from V to 4/pi V. Saves; returns the figure.
 
-    The drives share one number of pulses per turn, that of the second scale. Raises ArgumentError for none, or for others.
+    The drives share one number of pulses per turn, that of the second scale. Raises ArgumentError for none, or for others;
+    FileError where the file exists, unless `overwrite`.
     """
     if len({drive.pulses_per_turn for drive, _ in curves}) != 1:
         raise ArgumentError(f"{len(curves)} curves: give one or more, of drives with the same pulses per turn.")
@@ -89,5 +94,5 @@ def plot_motors(curves: Sequence[tuple[Drive, PullOut]], path: str | None = None
     ax.set_title("bands: closed form from V to 4/π V", loc="right", color=MUTED, fontsize=9)
     ax.legend(frameon=False, fontsize=9, loc="upper right")
     if path is not None:
-        figure.savefig(path, dpi=150)
+        save_figure(figure, path, 150, overwrite)
     return figure

@@ -12,6 +12,7 @@ import numpy as np
 
 from stage.chips.pcl240 import OPERATING_MODE
 from stage.errors import StageError
+from stage.files import save_figure
 
 if TYPE_CHECKING:
     from stage.firmware.report import Report
@@ -52,7 +53,7 @@ class Note(NamedTuple):
     event: bool
 
 
-def draw(report: Report, path: Any = None, title: str | None = None, ax: Any = None) -> Any:
+def draw(report: Report, path: Any = None, title: str | None = None, ax: Any = None, overwrite: bool = False) -> Any:
     """Draw `report`; see Report.plot."""
     try:
         from matplotlib.figure import Figure
@@ -85,7 +86,7 @@ def draw(report: Report, path: Any = None, title: str | None = None, ax: Any = N
         low.set_xlabel(f"time from the first start, {unit}", color=INK, fontsize=8.5)
         _heading(figure, report, title, height)
     if path is not None:
-        figure.savefig(path, dpi=150)
+        save_figure(figure, path, 150, overwrite)
     return figure
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stage.errors import StageError
+from stage.files import save_figure
 from stage.firmware.path import path_points
 from stage.firmware.plot import INK, LINE, MUTED, _bare
 
@@ -19,7 +20,7 @@ AROUND = 5.5  # pulses to either side of the farthest point
 BINS = 300
 
 
-def draw(report: SynchronizedReport, path: Any = None, title: str | None = None) -> Any:
+def draw(report: SynchronizedReport, path: Any = None, title: str | None = None, overwrite: bool = False) -> Any:
     """Draw `report`; see SynchronizedReport.plot."""
     try:
         from matplotlib.figure import Figure
@@ -40,7 +41,7 @@ def draw(report: SynchronizedReport, path: Any = None, title: str | None = None)
     way = ", ".join(f"{n} {d:+,}" for n, d in report.plan.distances.items())
     figure.suptitle(title or f"a:b move, {way} pulses", x=0.01, ha="left", color=INK, fontsize=11, weight="bold")
     if path is not None:
-        figure.savefig(path, dpi=150)
+        save_figure(figure, path, 150, overwrite)
     return figure
 
 

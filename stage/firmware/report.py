@@ -94,15 +94,17 @@ class Report:
         """`writes` as text, a line each: ms from the first start, bytes, meaning."""
         return "\n".join(f"{t * 1e3:11.4f} ms  {code:14}{meaning}" for t, code, meaning in self.writes())
 
-    def plot(self, path: str | PathLike | None = None, title: str | None = None, *, ax: Any = None) -> Any:
+    def plot(
+        self, path: str | PathLike | None = None, title: str | None = None, *, ax: Any = None, overwrite: bool = False
+    ) -> Any:
         """Draw the move as the data sheet draws operation patterns; saves to `path` if given. Returns the figure.
 
-        With `ax`, an axes of your own, the pulse rate is drawn there, without the lanes of signals.
-        Needs matplotlib (extra `plot`).
+        A file that exists stays, unless `overwrite`: FileError. With `ax`, an axes of your own, the pulse rate is drawn there,
+        without the lanes of signals. Needs matplotlib (extra `plot`).
         """
         from stage.firmware.plot import draw
 
-        return draw(self, path, title, ax)
+        return draw(self, path, title, ax, overwrite)
 
 
 def rates(course: Course) -> np.ndarray:

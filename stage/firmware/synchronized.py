@@ -78,14 +78,14 @@ class SynchronizedReport:
             lines.append(f"  carriages {self.carriage_deviation * 1e6:.1f} um from the line at most")
         return "\n".join([*lines, *(str(r) for r in self.axes.values())])
 
-    def plot(self, path: str | PathLike | None = None, title: str | None = None) -> Any:
+    def plot(self, path: str | PathLike | None = None, title: str | None = None, *, overwrite: bool = False) -> Any:
         """Draw the path with its distance from the line magnified, and the rates over time; saves to `path` if given.
 
-        Returns the figure. Needs matplotlib (extra `plot`).
+        A file that exists stays, unless `overwrite`: FileError. Returns the figure. Needs matplotlib (extra `plot`).
         """
         from stage.firmware.plot_path import draw
 
-        return draw(self, path, title)
+        return draw(self, path, title, overwrite)
 
 
 def synchronized_move(

@@ -1,5 +1,5 @@
 """Recordings of a run: NumPy columns, rerun, VCD. See recording.py for what is kept and how, viewer.py to look at one."""
 
-from stage.recording.recording import COLUMNS, Recording, RecordingError
+from stage.recording.recording import COLUMNS, Recording, RecordingError, RecordingWarning
 
-__all__ = ["COLUMNS", "Recording", "RecordingError"]
+__all__ = ["COLUMNS", "Recording", "RecordingError", "RecordingWarning"]

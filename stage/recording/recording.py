@@ -6,6 +6,9 @@
     recording.save("x.rrd")
     recording.to_vcd("x.vcd")
 
+    with stage.record(path="long.rrd"):          written as it goes: what was flushed survives a kill
+        ...
+
 The engine fills a buffer of samples (engine.SAMPLE, one an axis) and joint positions; full buffers go to a temporary file, so
 that hours do not fill memory. Pins are not only sampled: the chips' journals hold the bus writes and switch edges, and
 replaying these gives every pulse and pin to the clock. Everything works while the run goes on, too, on what is there so far.
@@ -13,20 +16,25 @@ replaying these gives every pulse and pin to the clock. Everything works while t
 
 from __future__ import annotations
 
+import atexit
 import os
 import tempfile
+import warnings
 import weakref
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import mujoco
 import numpy as np
 
 from stage.chips.journal import Journal
 from stage.engine import SAMPLE
-from stage.errors import StageError, unknown
+from stage.errors import ArgumentError, unknown
+from stage.files import FileError, writable, written
+
+if TYPE_CHECKING:
+    from stage.recording.rerun_log import Log
 
 ROWS = 4096
 _FIELDS: Any = SAMPLE.fields
@@ -49,12 +57,23 @@ COLUMNS = {
 """Columns of each axis: unit (on a hinge rad for m) and meaning. Every pin has a bool column of its name as well."""
 
 
-class RecordingError(StageError):
+class RecordingError(FileError):
     """A recording cannot be kept, or not be written where it was asked to be."""
+
+
+class RecordingWarning(UserWarning):
+    """A recording could not go on, and the simulation went on without, as was asked (on_error="warn")."""
+
+
+def _unwritten(path: Path, error: OSError) -> RecordingError:
+    return RecordingError(f"{path} cannot be written: {error.strerror or error}.")
 
 
 class Recording:
     """Samples and journals of a run. Made by `Stage.record`; a context manager, usable after its end.
+
+    on_error: what a full disk does while it records: "raise" a RecordingError out of the run, which can then go on without,
+    or "warn" (RecordingWarning) and go on.
 
     Attributes:
         model: the MjModel. axes: the stage's axes by name. every: seconds between samples.
@@ -70,6 +89,9 @@ class Recording:
         self._file = tempfile.TemporaryFile(prefix="pulsestage-", buffering=0)  # noqa: SIM115
         weakref.finalize(self, self._file.close)
         self._spooled = 0
+        self.on_error: Literal["raise", "warn"] = "raise"
+        self._log: Log | None = None
+        self._log_path, self._flush_rows, self._flushed = Path(), 0, 0
         self.samples = np.zeros((ROWS, len(axes)), SAMPLE)
         self.positions = np.zeros((ROWS, model.nq))
         self.filled = 0
@@ -79,8 +101,12 @@ class Recording:
     def take(self, filled: int) -> None:
         """The engine has filled the buffers up to row `filled`; full ones go to the file."""
         self.filled = filled
-        if filled < ROWS:
-            return
+        if filled == ROWS:
+            self._spool()
+        if self._log is not None and len(self) - self._flushed >= self._flush_rows:
+            self.flush()
+
+    def _spool(self) -> None:
         self.filled = 0  # first of all: the engine must never find a full buffer
         self._disorder |= self._backwards(ROWS)
         rows = self._pack(ROWS).view(np.uint8).data
@@ -90,11 +116,64 @@ class Recording:
                 rows = rows[self._file.write(rows) :]
         except OSError as error:
             self.close()
-            raise RecordingError(
+            self._fail(
                 f"the recording was closed after {len(self)} samples: its temporary file in {tempfile.gettempdir()} cannot "
-                f"grow ({error.strerror}). Set TMPDIR to a folder with more room, or record with a larger `every`."
-            ) from error
+                f"grow ({error.strerror}). Set TMPDIR to a folder with more room, or record with a larger `every`.",
+                error,
+            )
+            return
         self._spooled += ROWS
+
+    def stream(
+        self, path: str | os.PathLike, seconds: float = 1.0, overwrite: bool = False, on_error: str = "raise"
+    ) -> Recording:
+        """Write the rerun file `path` while the stage runs, as `save` would at the end; returns the recording.
+
+        Every `seconds` of simulated time, at least every 4096 samples, and at `flush`, all there is goes to the file, where a
+        kill of this process does not take it away: `rerun FILE` and rerun's readers read it up to there. The footer that
+        makes `rerun rrd verify` content comes with `close`, and so does the tool's path.
+        on_error: see the class. When the file can grow no further, it ends with the last flush that went well, and the
+        samples go on to the temporary file: `save` them elsewhere.
+        Raises RecordingError, as `save` does; ArgumentError.
+        """
+        from stage.recording.rerun_log import Log
+
+        if not seconds > 0:
+            raise ArgumentError(f"seconds={seconds!r}: what is recorded goes to the file after more than 0 s.")
+        if on_error not in ("raise", "warn"):
+            raise ArgumentError(f"on_error={on_error!r}: 'raise' or 'warn'.")
+        if self._log is not None or self._on_close is None:
+            raise RecordingError(f"{self!r} {'goes to a file already' if self._log else 'is over: save it'}.")
+        self.on_error = on_error  # type: ignore[assignment]
+        self._log_path = writable(path, overwrite, RecordingError)
+        self._flush_rows = max(1, round(seconds / self.every))
+        try:
+            self._log = Log(self, self._log_path, overwrite)
+        except OSError as error:
+            raise _unwritten(self._log_path, error) from error
+        atexit.register(self.close)  # a program that forgets to still gets a whole file
+        return self
+
+    def flush(self) -> None:
+        """Write what a `stream` has not written yet, now."""
+        if self._log is not None:
+            self._flushed = len(self)
+            self._writing(self._log.take)
+
+    def _writing(self, write: Callable[[], None]) -> None:
+        try:
+            write()
+        except OSError as error:
+            log, self._log = self._log, None
+            if log is not None:
+                log.close()
+            kept = "It ends with the last flush; recording.save(...) writes all there is to another place."
+            self._fail(f"{_unwritten(self._log_path, error)} {kept}", error)
+
+    def _fail(self, message: str, error: Exception) -> None:
+        if self.on_error == "raise":
+            raise RecordingError(message) from error
+        warnings.warn(message, RecordingWarning, stacklevel=2)
 
     def _pack(self, n: int) -> np.ndarray:
         rows = np.empty(n, self._dtype)
@@ -107,8 +186,13 @@ class Recording:
         if self._on_close is not None:
             self._on_close()
             self._on_close = None
+            atexit.unregister(self.close)
             for journal in self.journals.values():
                 journal.close()
+            self.flush()
+            if self._log is not None:
+                self._writing(self._log.finish)
+                self._log = None
 
     def __enter__(self) -> Recording:
         return self
@@ -129,15 +213,17 @@ class Recording:
         """Seconds from the start to the last sample."""
         return len(self) * self.every
 
-    def pieces(self, rows: int = 16 * ROWS) -> Iterator[np.ndarray]:
-        """The samples in order, at most `rows` at a time: records with fields `axes` (SAMPLE, one an axis) and `qpos`."""
-        for begin in range(0, self._spooled, rows):
-            piece = np.empty(min(rows, self._spooled - begin), self._dtype)
-            self._file.seek(begin * self._dtype.itemsize)
+    def pieces(self, rows: int = 16 * ROWS, begin: int = 0) -> Iterator[np.ndarray]:
+        """The samples in order from number `begin` on, at most `rows` at a time: records with fields `axes` (SAMPLE, one an
+        axis) and `qpos`."""
+        held = max(0, begin - self._spooled)
+        for at in range(begin, self._spooled, rows):
+            piece = np.empty(min(rows, self._spooled - at), self._dtype)
+            self._file.seek(at * self._dtype.itemsize)
             self._file.readinto(piece.view(np.uint8).data)
             yield piece
-        if self.filled:
-            yield self._pack(self.filled)
+        if self.filled > held:
+            yield self._pack(self.filled)[held:]
 
     @property
     def columns(self) -> dict[str, np.ndarray]:
@@ -216,7 +302,7 @@ class Recording:
         from stage.recording.rerun_log import write
 
         self.check_time()
-        with written(path, overwrite) as part:
+        with written(path, overwrite, RecordingError) as part:
             write(self, part)
         return Path(path)
 
@@ -228,38 +314,10 @@ class Recording:
         from stage.recording.vcd import write
 
         self.check_time()
-        with written(path, overwrite) as part:
+        with written(path, overwrite, RecordingError) as part:
             write(self, part)
         return Path(path)
 
     def __repr__(self) -> str:
         state = "recording" if self._on_close else "closed"
         return f"<Recording {state}, {len(self)} samples of {', '.join(self.axes)}, {self.duration:.3f} s>"
-
-
-def writable(path: str | os.PathLike, overwrite: bool) -> Path:
-    """`path`, if it can be written and nothing would be lost; RecordingError otherwise."""
-    path = Path(path)
-    if path.is_dir():
-        raise RecordingError(f"{path} is a folder. Name a file in it.")
-    if path.exists() and not overwrite:
-        raise RecordingError(f"{path} exists. Choose another name, or say overwrite=True (--force).")
-    if not path.parent.is_dir():
-        raise RecordingError(f"{path.parent} is no folder. Make it first, or choose another.")
-    if not os.access(path.parent, os.W_OK) or (path.exists() and not os.access(path, os.W_OK)):
-        raise RecordingError(f"{path} cannot be written: no permission. Choose another folder.")
-    return path
-
-
-@contextmanager
-def written(path: str | os.PathLike, overwrite: bool) -> Iterator[Path]:
-    """A name beside `path` to write to; it becomes `path` when all went well, and is gone when not."""
-    path = writable(path, overwrite)
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        yield part
-        os.replace(part, path)
-    except OSError as error:
-        raise RecordingError(f"{path} cannot be written: {error.strerror or error}. Choose another folder.") from error
-    finally:
-        part.unlink(missing_ok=True)

@@ -22,8 +22,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import mujoco
 import numpy as np
 
-from stage.chips.decode import decode
+from stage.chips.decode import Decoder, Said
+from stage.chips.journal import Replay
 from stage.recording import scene, signals
+from stage.recording.sink import Sink
 from stage.recording.thin import thin
 
 if TYPE_CHECKING:
@@ -62,28 +64,64 @@ SERIES = {
 
 
 def write(recording: Recording, path: Path) -> None:
-    """Write `recording` to `path`, in memory that does not grow with its length."""
-    import rerun as rr
-
-    from stage.recording.blueprint import dashboard
-
-    colours = {name: PALETTE[k % len(PALETTE)] for k, name in enumerate(recording.axes)}
-    edges = {name: signals.pin_edges(journal) for name, journal in recording.journals.items()}
-    out = rr.RecordingStream("pulsestage")
+    """Write `recording` to the new file `path`, in memory that does not grow with its length."""
+    log = Log(recording, path)
     try:
-        out.save(str(path), default_blueprint=dashboard(recording))
-        _about(out, recording)
-        scene.write(out, recording, colours, edges)
-        _styles(out, recording, colours)
-        for piece in recording.pieces():
-            _series(out, recording, piece)
-            out.flush()  # or an hour would pile up before it is written
-        for name in recording.axes:
-            _lanes(out, recording, name, edges[name])
-            _bus(out, recording, name, colours[name])
-        out.flush()
+        log.take()
+        log.finish()
     finally:
-        out.disconnect()
+        log.close()
+
+
+class Log:
+    """The rerun file of a recording, written on while it grows. Raises OSError where the file cannot be written.
+
+    Everything up to the last `take` is in the file, and readable there, whatever becomes of this process.
+    """
+
+    def __init__(self, recording: Recording, path: Path, overwrite: bool = False):
+        import rerun as rr
+
+        from stage.recording.blueprint import dashboard
+
+        self._recording, self._rows = recording, 0
+        self._colours = {name: PALETTE[k % len(PALETTE)] for k, name in enumerate(recording.axes)}
+        self._lanes = {name: Lanes(recording, name, self._colours[name]) for name in recording.axes}
+        self._scene = scene.Scene(recording)
+        self._out = rr.RecordingStream("pulsestage")
+        self._sink = Sink(self._out, path, dashboard(recording), overwrite)
+        try:
+            _about(self._out, recording)
+            self._scene.begin(self._out, self._colours)
+            _styles(self._out, recording, self._colours)
+            self._sink.flush()
+        except BaseException:
+            self.close()
+            raise
+
+    def take(self) -> None:
+        """Write what the recording has got since the last time."""
+        for piece in self._recording.pieces(begin=self._rows):
+            _series(self._out, self._recording, piece)
+            self._scene.move(self._out, piece)
+            self._rows += len(piece)
+            self._sink.flush()  # or an hour would pile up before it is written
+        for name, lanes in self._lanes.items():
+            edges, first = lanes.take(self._out)
+            self._scene.light(self._out, name, edges, first)
+        self._sink.flush()
+
+    def finish(self) -> None:
+        """Write what is known at the end only: the length, the tool's path, the last register's value."""
+        _about(self._out, self._recording)
+        self._scene.end(self._out)
+        for lanes in self._lanes.values():
+            lanes.end(self._out)
+        self._sink.close()
+
+    def close(self) -> None:
+        """Let go of the file as it is; needed only without `finish`."""
+        self._sink.abandon()
 
 
 def model_name(model: mujoco.MjModel) -> str:
@@ -154,57 +192,76 @@ def _series(out: Any, recording: Recording, piece: np.ndarray) -> None:
             out.send_columns(f"{scene.axis_path(name)}/{key}", indexes=[scene.duration(time[keep])], columns=columns)
 
 
-def _lanes(out: Any, recording: Recording, name: str, edges: np.ndarray) -> None:
-    axis = recording.axes[name]
-    phases = {s: STATES[s] for s in signals.PHASES.values()}
-    _lane(out, recording, name, "phase", edges, signals.phases(axis.chip, edges), phases)
-    fitted = [p for p in signals.SWITCHES if p in axis.chip.INPUTS and p in axis.switches.as_dict()]
-    together = np.full(len(edges), "", object)
-    for pin in fitted:
-        label, kind = signals.SWITCHES[pin]
-        on = signals.asserted(axis.chip, edges, pin)
-        states = np.where(on, label, "off").astype(object)
-        colours = {label: STATES[kind], "off": STATES["off"]}
-        _lane(out, recording, name, f"switches/{pin}", edges, states, colours)
-        together = np.where(on, together + np.where(together == "", "", " ") + label, together)
-    kinds = {label: kind for label, kind in signals.SWITCHES.values()}
-    # EL, then ORG, then SD gives a combination its colour: the order of the alphabet, as it happens
-    shown = {state: STATES[min((kinds[s] for s in state.split()), default="off")] for state in dict.fromkeys(together)}
-    _lane(out, recording, name, "switches", edges, together, shown)
+class Lanes:
+    """Phase, switches and bus of one axis, as far as its journal goes."""
 
+    def __init__(self, recording: Recording, name: str, colour: tuple):
+        self._recording, self._name, self._colour = recording, name, colour
+        self._axis, self._journal = recording.axes[name], recording.journals[name]
+        self._replay, self._first = Replay(self._journal), True
+        self._decoder, self._said = Decoder(self._axis.chip.MAP), 0
+        self._shown: dict[str, tuple] = {}
 
-def _lane(
-    out: Any,
-    recording: Recording,
-    name: str,
-    lane: str,
-    edges: np.ndarray,
-    states: np.ndarray,
-    colours: dict[str, tuple],
-) -> None:
-    import rerun as rr
+    def take(self, out: Any) -> tuple[np.ndarray, bool]:
+        """Log what is new. Returns the pin edges, the first of them as it was before, and whether there was no before."""
+        edges, first = signals.pin_edges(self._replay), self._first
+        self._log_edges(out, edges)
+        entries = self._journal.entries[self._said :]
+        self._said += len(entries)
+        self._log_bus(out, self._decoder.take(entries))
+        self._first = False
+        return edges, first
 
-    path = f"{scene.axis_path(name)}/{lane}"
-    style = rr.StateConfiguration(values=list(colours), colors=list(colours.values()))
-    out.log(path, style, static=True)
-    clocks, states = signals.changes(edges, states)
-    when = scene.duration(recording.seconds(name, clocks))
-    out.send_columns(path, indexes=[when], columns=rr.StateChange.columns(state=[str(s) for s in states]))
+    def end(self, out: Any) -> None:
+        """Log a register write that nothing followed."""
+        self._log_bus(out, self._decoder.rest())
 
+    def _log_edges(self, out: Any, edges: np.ndarray) -> None:
+        chip = self._axis.chip
+        phases = {s: STATES[s] for s in signals.PHASES.values()}
+        self._lane(out, "phase", edges, signals.phases(chip, edges), phases)
+        fitted = [p for p in signals.SWITCHES if p in chip.INPUTS and p in self._axis.switches.as_dict()]
+        together = np.full(len(edges), "", object)
+        for pin in fitted:
+            label, kind = signals.SWITCHES[pin]
+            on = signals.asserted(chip, edges, pin)
+            states = np.where(on, label, "off").astype(object)
+            colours = {label: STATES[kind], "off": STATES["off"]}
+            self._lane(out, f"switches/{pin}", edges, states, colours)
+            together = np.where(on, together + np.where(together == "", "", " ") + label, together)
+        kinds = {label: kind for label, kind in signals.SWITCHES.values()}
+        # EL, then ORG, then SD gives a combination its colour: the order of the alphabet, as it happens
+        new = dict.fromkeys(s for s in together if s not in self._shown)
+        self._shown |= {state: STATES[min((kinds[s] for s in state.split()), default="off")] for state in new}
+        self._lane(out, "switches", edges, together, self._shown, bool(new))
 
-def _bus(out: Any, recording: Recording, name: str, colour: tuple) -> None:
-    import rerun as rr
+    def _lane(
+        self, out: Any, lane: str, edges: np.ndarray, states: Any, colours: dict[str, tuple], style: bool = False
+    ) -> None:
+        import rerun as rr
 
-    said = decode(recording.axes[name].chip.MAP, recording.journals[name].entries)
-    if not said:
-        return
-    seconds = recording.seconds(name, np.array([s.clock for s in said], np.int64))
-    out.send_columns(
-        f"{scene.axis_path(name)}/bus",
-        indexes=[scene.duration(seconds)],
-        columns=rr.TextLog.columns(
-            text=[f"{t:11.6f}  {name}  {s}" for t, s in zip(seconds, said, strict=True)],
-            level=[LEVELS[s.kind] for s in said],
-            color=[(*colour, 255)] * len(said),
-        ),
-    )
+        path = f"{scene.axis_path(self._name)}/{lane}"
+        if style or self._first:
+            out.log(path, rr.StateConfiguration(values=list(colours), colors=list(colours.values())), static=True)
+        clocks, states = signals.changes(edges, states)
+        if not self._first:  # the first edge is as it was
+            clocks, states = clocks[1:], states[1:]
+        if len(clocks):
+            when = scene.duration(self._recording.seconds(self._name, clocks))
+            out.send_columns(path, indexes=[when], columns=rr.StateChange.columns(state=[str(s) for s in states]))
+
+    def _log_bus(self, out: Any, said: list[Said]) -> None:
+        import rerun as rr
+
+        if not said:
+            return
+        seconds = self._recording.seconds(self._name, np.array([s.clock for s in said], np.int64))
+        out.send_columns(
+            f"{scene.axis_path(self._name)}/bus",
+            indexes=[scene.duration(seconds)],
+            columns=rr.TextLog.columns(
+                text=[f"{t:11.6f}  {self._name}  {s}" for t, s in zip(seconds, said, strict=True)],
+                level=[LEVELS[s.kind] for s in said],
+                color=[(*self._colour, 255)] * len(said),
+            ),
+        )

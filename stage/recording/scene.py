@@ -8,6 +8,7 @@ stage/directions                an arrow an axis, in its colour
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import mujoco
@@ -27,19 +28,70 @@ DARK = 0.35  # of a lamp that is off
 LIFT = 0.015  # of the model's extent: a lamp stands above its switch
 
 
-def write(out: Any, recording: Recording, colours: dict[str, tuple], edges: dict[str, np.ndarray]) -> None:
-    """Log the scene of `recording` to the stream `out`; `colours` and pin `edges` (see signals) by axis."""
-    import rerun as rr
+class Scene:
+    """The scene of a recording, logged in parts: `begin`, then `move` and `light` as it grows, then `end`."""
 
-    model = recording.model
-    out.log("stage", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    for body in range(model.nbody):
-        for name, shape in geoms.shapes(model, body):
-            out.log(f"{body_path(model, body)}/{name}", shape, static=True)
-    _bodies(out, recording)
-    _directions(out, recording, colours)
-    for name in recording.axes:
-        _lamps(out, recording, name, edges[name])
+    def __init__(self, recording: Recording):
+        self._recording, self._seen = recording, 0
+        self._moving = np.flatnonzero(recording.model.body_weldid != 0).tolist()
+        self._path: list[np.ndarray] = []
+        self._lamps = {name: list(_lamps(recording, name)) for name in recording.axes}
+
+    def begin(self, out: Any, colours: dict[str, tuple]) -> None:
+        """What does not move; `colours` by axis."""
+        import rerun as rr
+
+        model = self._recording.model
+        out.log("stage", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        for body in range(model.nbody):
+            for name, shape in geoms.shapes(model, body):
+                out.log(f"{body_path(model, body)}/{name}", shape, static=True)
+        for body in np.flatnonzero(model.body_weldid == 0).tolist():
+            if body:
+                _place(out, model, body)
+        _directions(out, self._recording, colours)
+        for path, place, _, _ in (lamp for lamps in self._lamps.values() for lamp in lamps):
+            out.log(path, rr.Points3D([place]), static=True)
+
+    def move(self, out: Any, piece: np.ndarray) -> None:
+        """Bodies and tool, from the next rows of the recording."""
+        model, every = self._recording.model, max(1, round(1 / FRAMES / self._recording.every))
+        pick = slice(-self._seen % every, None, every)
+        time, qpos = piece["axes"]["time"][pick, 0], piece["qpos"][pick]
+        if not self._seen:  # the file begins with the first edges, before the first sample
+            time = np.concatenate([[self._recording.began], time[1:]])
+        self._seen += len(piece)
+        if len(time):
+            xpos, xquat, sites = geoms.poses(model, qpos)
+            for body in self._moving:
+                _move(out, body_path(model, body), time, xpos[:, body], xquat[:, body])
+            self._path.append(_on_work(model, xpos, xquat, sites))
+
+    def light(self, out: Any, name: str, edges: np.ndarray, first: bool) -> None:
+        """The lamps of an axis, from its chip's pin edges; unless `first`, the first of them is as it was before."""
+        import rerun as rr
+
+        chip = self._recording.axes[name].chip
+        for path, _, pin, kind in self._lamps[name]:
+            clocks, on = signals.changes(edges, signals.asserted(chip, edges, pin))
+            if not first:
+                clocks, on = clocks[1:], on[1:]
+            if not len(clocks):
+                continue
+            full = np.array(LAMPS[kind], float)
+            out.send_columns(
+                path,
+                indexes=[duration(self._recording.seconds(name, clocks))],
+                columns=rr.Points3D.columns(
+                    colors=np.where(on[:, None], full, DARK * full).astype(np.uint8),
+                    radii=np.where(on, -6.0, -2.5).astype(np.float32),  # negative: in points of the screen
+                ),
+            )
+
+    def end(self, out: Any) -> None:
+        """The tool's path, which is drawn whole."""
+        if self._path:
+            _path(out, self._recording.model, np.concatenate(self._path))
 
 
 def body_path(model: mujoco.MjModel, body: int) -> str:
@@ -50,30 +102,6 @@ def body_path(model: mujoco.MjModel, body: int) -> str:
 def axis_path(name: str) -> str:
     """The entity that holds what belongs to an axis."""
     return f"axes/{signals.plain(name)}"
-
-
-def _bodies(out: Any, recording: Recording) -> None:
-    model = recording.model
-    moving = np.flatnonzero(model.body_weldid != 0).tolist()
-    for body in np.flatnonzero(model.body_weldid == 0).tolist():
-        if body:
-            _place(out, model, body)
-    step = max(1, round(1 / FRAMES / recording.every))
-    path: list[np.ndarray] = []
-    seen = 0
-    for piece in recording.pieces():
-        pick = slice(-seen % step, None, step)
-        time, qpos = piece["axes"]["time"][pick, 0], piece["qpos"][pick]
-        if not seen:  # the file begins with the first edges, before the first sample
-            time = np.concatenate([[recording.began], time[1:]])
-        seen += len(piece)
-        if len(time):
-            xpos, xquat, sites = geoms.poses(model, qpos)
-            for body in moving:
-                _move(out, body_path(model, body), time, xpos[:, body], xquat[:, body])
-            path.append(_on_work(model, xpos, xquat, sites))
-    if path:
-        _path(out, model, np.concatenate(path))
 
 
 def _place(out: Any, model: mujoco.MjModel, body: int) -> None:
@@ -166,9 +194,8 @@ def _directions(out: Any, recording: Recording, colours: dict[str, tuple[int, in
     )  # fmt: skip
 
 
-def _lamps(out: Any, recording: Recording, name: str, edges: np.ndarray) -> None:
-    import rerun as rr
-
+def _lamps(recording: Recording, name: str) -> Iterator[tuple[str, np.ndarray, str, str]]:
+    """The lamps of an axis: (entity, place, pin, kind)."""
     model, axis = recording.model, recording.axes[name]
     carriage = int(model.jnt_bodyid[axis.joint])
     data = mujoco.MjData(model)
@@ -180,16 +207,6 @@ def _lamps(out: Any, recording: Recording, name: str, edges: np.ndarray) -> None
         pair = (int(model.sensor_refid[sensor]), int(model.sensor_objid[sensor]))
         geom = next((g for g in pair if model.geom_bodyid[g] != carriage), pair[0])
         body = int(model.geom_bodyid[geom])
-        path = f"{body_path(model, body)}/lamp_{signals.plain(name)}_{pin}"
         above = rotated(data.xquat[body] * [1, -1, -1, -1], [0, 0, LIFT * model.stat.extent])
-        out.log(path, rr.Points3D([model.geom_pos[geom] + above]), static=True)
-        clocks, on = signals.changes(edges, signals.asserted(axis.chip, edges, pin))
-        full = np.array(LAMPS[kind], float)
-        out.send_columns(
-            path,
-            indexes=[duration(recording.seconds(name, clocks))],
-            columns=rr.Points3D.columns(
-                colors=np.where(on[:, None], full, DARK * full).astype(np.uint8),
-                radii=np.where(on, -6.0, -2.5).astype(np.float32),  # negative: in points of the screen
-            ),
-        )
+        path = f"{body_path(model, body)}/lamp_{signals.plain(name)}_{pin}"
+        yield path, model.geom_pos[geom] + above, pin, kind

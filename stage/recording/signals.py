@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from stage.chips.journal import RESET, WRITE, Journal
+from stage.chips.journal import RESET, WRITE, Journal, Replay
 
 WIRES = {
     "el_plus": ("EL_PLUS_n", 0), "el_minus": ("EL_MINUS_n", 0), "sd_plus": ("SD_PLUS_n", 0), "sd_minus": ("SD_MINUS_n", 0),
@@ -62,8 +62,8 @@ def settled(pieces: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
         yield kept
 
 
-def pin_edges(journal: Journal) -> np.ndarray:
-    """The edges of a chip at which a pin other than the pulses changes, and the first."""
+def pin_edges(journal: Journal | Replay) -> np.ndarray:
+    """The edges of a chip at which a pin other than the pulses changes, and the first (of a Replay, what is new)."""
     parts: list[np.ndarray] = []
     before = None
     for piece in settled(journal.pieces()):

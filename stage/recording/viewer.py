@@ -15,6 +15,7 @@ from pathlib import Path
 from urllib.parse import quote
 
 from stage.errors import ArgumentError, StageError
+from stage.files import written
 
 HOST = "127.0.0.1"
 FRAME = 36  # pixels
@@ -92,13 +93,21 @@ def screenshot(
     size: tuple[int, int] = (1920, 1080),
     at: float | None = None,
     timeout: float = 120.0,
+    overwrite: bool = False,
 ) -> Path:
     """Render the dashboard to a PNG without a screen (needs a Vulkan driver; Debian: mesa-vulkan-drivers).
 
     size: pixels. at: the moment shown, s; default: the end. Waits until the viewer has loaded everything and two pictures
-    in a row are the same.
+    in a row are the same. Raises FileError where the file exists (and not `overwrite`) or cannot be written; ViewerError.
     """
-    rrd, png, port = _existing(rrd), Path(png).absolute(), free_port()
+    rrd = _existing(rrd)
+    with written(Path(png).absolute(), overwrite) as part:
+        _render(rrd, part, size, at, timeout)
+    return Path(png).absolute()
+
+
+def _render(rrd: Path, png: Path, size: tuple[int, int], at: float | None, timeout: float) -> None:
+    port = free_port()
     command = [executable(), str(rrd), "--headless", "--window-size", f"{size[0]}x{size[1] + FRAME}"]
     command += ["--bind", HOST, "--port", str(port)]
     process = subprocess.Popen(command, env=os.environ | QUIET, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
@@ -113,7 +122,7 @@ def screenshot(
             now = png.read_bytes()
             if now == before:
                 _cut_frame(png, size)
-                return png
+                return
             before = now
             time.sleep(0.5)
     finally:

@@ -11,6 +11,7 @@ attempts (calls of the objective that ended), error, the registers, and what the
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import os
 from collections.abc import Iterable, Sequence
@@ -21,6 +22,7 @@ from typing import IO, Any
 import numpy as np
 
 from stage.errors import ArgumentError, StageError
+from stage.files import FileError
 from stage.study.definition import Definition, Trial
 
 try:
@@ -239,18 +241,26 @@ def _write_part(path: Path, table: Any) -> None:
 
 
 def _write(path: Path, content: Any) -> None:
-    """Put a file there, whole, to survive a kill at any instant."""
+    """Put a file there, whole, to survive a kill at any instant. Raises FileError; what was there is then as before."""
     beside = path.with_name(f".{path.name}.tmp")
-    with open(beside, "wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(beside, path)
-    directory = os.open(path.parent, os.O_RDONLY)
     try:
-        os.fsync(directory)
-    finally:
-        os.close(directory)
+        with open(beside, "wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(beside, path)
+        directory = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(directory)
+        finally:
+            os.close(directory)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            beside.unlink(missing_ok=True)
+        raise FileError(
+            f"{path} cannot be written: {error.strerror or error}. What was recorded before is safe: make room, then start "
+            "again, and the study goes on from there."
+        ) from error
 
 
 def _locked(folder: Path) -> IO:

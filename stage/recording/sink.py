@@ -1,0 +1,96 @@
+"""A rerun file, written by way of a pipe: rerun makes the bytes, this process writes them and sees what goes wrong.
+
+rerun's own file sink (0.41) says nothing to its caller when the disk is full, and waits for ever in the next flush.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import select
+import struct
+import termios
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+PATIENCE = 60.0  # s that a flush may take
+
+
+class Sink:
+    """The file `path` for the RecordingStream `out`. Raises OSError, and so do `flush` and `close`.
+
+    Each flush is one write of whole messages, and after an OSError the file ends with the last flush that went well.
+    """
+
+    def __init__(self, out: Any, path: Path, blueprint: Any, overwrite: bool):
+        self._out, self._bytes, self._closing = out, bytearray(), False
+        self._file = open(path, "wb" if overwrite else "xb", buffering=0)  # noqa: SIM115
+        self._end, write_end = os.pipe()
+        self._lock = threading.Lock()
+        self._thread = threading.Thread(target=self._collect, name="rerun file", daemon=True)
+        self._thread.start()
+        out.save(f"/dev/fd/{write_end}", default_blueprint=blueprint)
+        os.close(write_end)
+
+    def _collect(self) -> None:
+        """Take bytes from the pipe, so that rerun never waits."""
+        poll = select.poll()
+        poll.register(self._end, select.POLLIN)
+        while True:
+            ready = poll.poll(100)
+            with self._lock:
+                if not ready and not self._closing:
+                    continue
+                data = os.read(self._end, 1 << 16) if ready else b""
+                if not data:
+                    return
+                self._bytes += data
+
+    def flush(self) -> None:
+        """Everything logged so far is in the file, and a kill of this process does not take it away."""
+        try:
+            self._out.flush(timeout_sec=PATIENCE)
+        except RuntimeError as error:
+            raise OSError(f"rerun: {error}") from error
+        self._write()
+
+    def _write(self) -> None:
+        while True:
+            with self._lock:  # what is not in the pipe is in the buffer, never between
+                if not struct.unpack("i", fcntl.ioctl(self._end, termios.FIONREAD, bytes(4)))[0]:
+                    data, self._bytes = memoryview(self._bytes), bytearray()
+                    break
+            time.sleep(1e-4)
+        kept = self._file.tell()
+        try:
+            while len(data):
+                data = data[self._file.write(data) :]
+        except OSError:
+            with contextlib.suppress(OSError):  # a device has no length
+                self._file.truncate(kept)
+            raise
+
+    def close(self) -> None:
+        """Write what is left, and rerun's footer. Safe to call twice."""
+        if self._file.closed:
+            return
+        try:
+            self._out.disconnect()
+            self._write()
+        finally:
+            self._stop()
+
+    def abandon(self) -> None:
+        """Let go of the file as it is. Safe to call twice, and after `close`."""
+        if not self._file.closed:
+            self._out.disconnect()
+            self._stop()
+
+    def _stop(self) -> None:
+        self._closing = True
+        self._thread.join()
+        os.close(self._end)
+        self._file.close()

@@ -1,0 +1,105 @@
+"""Two minutes of the soak; `make soak` runs a day of it."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+SCRIPT = Path(__file__).parents[1] / "scripts" / "soak.py"
+sys.path.insert(0, str(SCRIPT.parent))
+
+import soak  # noqa: E402
+
+MINUTES = 2
+TIMELESS = ("simulated_hours", "rounds", "moves", "pulses", "homings", "worst_at_rest_pulses", "worst_home_pulses")
+
+
+def test_two_minutes_of_random_moves_lose_no_step_and_no_pulse(tmp_path, capsys):
+    path = tmp_path / "soak.json"
+    code = soak.main(["--hours", str(MINUTES / 60), "--json", str(path)])
+    said = capsys.readouterr().out
+    assert code == 0, said
+    assert said.startswith("seed "), "a failure can be repeated"
+    summary = json.loads(path.read_text())
+    assert summary["moves"] > 10
+    assert summary["homings"] >= 3
+    assert 0 < summary["worst_at_rest_pulses"] <= soak.AT_REST
+
+
+def test_the_same_seed_is_the_same_day():
+    first, second, other = (soak.soak(0.007, seed, say=lambda _: None) for seed in (7, 7, 8))
+    assert first["moves"] > 0
+    assert [first[k] for k in TIMELESS] == [second[k] for k in TIMELESS]
+    assert [first[k] for k in TIMELESS] != [other[k] for k in TIMELESS]
+
+
+@pytest.fixture
+def run():
+    run = soak.Soak(3)
+    run.round()  # origin returns
+    run.round()
+    return run
+
+
+def test_a_carriage_that_is_not_where_its_pulses_are_is_found(run):
+    run.stage.place(x=run.axes[0].position + 16 * run.axes[0].meters_per_pulse)
+    run.stage.run(0.2)
+    with pytest.raises(soak.Fault, match=r"axis x: .* pulses from where it should be"):
+        run.check(run.fleet.truth()[0], "planted")
+
+
+def test_lost_steps_are_found(run):
+    """X is held against its motor for a while, as if it had jammed."""
+    x = run.axes[0]
+    run.stage.model.dof_frictionloss[run.stage.model.jnt_dofadr[x.joint]] = 1e5
+
+    def go_on():
+        for _ in range(20):
+            run.move()
+
+    with pytest.raises(soak.Fault, match="axis x lost"):
+        go_on()
+
+
+def test_a_pulse_that_nobody_asked_for_is_found(run):
+    run.axes[1].chip.write(0, 0x08)
+    run.axes[1].chip.write(0, 0x40)
+    run.axes[1].chip.write(0, 0x10)
+    run.stage.run(0.05)
+    run.axes[1].chip.write(0, 0x08)
+    with pytest.raises(soak.Fault):
+        run.move()
+
+
+def test_an_origin_that_wanders_is_found(run):
+    run.homes["z"] += 2 * soak.HOME_SPREAD
+    with pytest.raises(soak.Fault, match="pulses from the first"):
+        run.home(run.axes[2])
+
+
+def test_a_process_that_grows_is_found(run):
+    run.memory = [(k / 100, 200 + 0.2 * k) for k in range(100)]
+    grown, allowed = run.growth()
+    assert grown > allowed
+    run.memory = [(k / 100, 200 + k % 3) for k in range(100)]
+    grown, allowed = run.growth()
+    assert grown < allowed
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+def test_ctrl_c_ends_it_with_the_summary_so_far():
+    process = subprocess.Popen(
+        [sys.executable, "-u", str(SCRIPT), "--seed", "5"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert "seed 5, 24 hours" in process.stdout.readline()
+    time.sleep(4)
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=30)
+    assert process.returncode == 130, err
+    summary = json.loads(out[out.index("{") :])
+    assert summary["ended"] == "interrupted"
+    assert summary["seed"] == 5
