@@ -177,7 +177,8 @@ def _processors() -> int:
 
 
 def _watched(stage: Stage) -> bool:
-    return stage._recording is not None or any(a.chip._journal is not None for a in stage._axes_by_index)
+    watched = any(a.chip._journal is not None or a.chip._glitches for a in stage._axes_by_index)
+    return watched or stage._recording is not None
 
 
 def _table(programs: Sequence[Program]) -> np.ndarray:

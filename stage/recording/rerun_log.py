@@ -5,7 +5,9 @@
     axes/x/phase                    state lane: up, keep, down, hold
     axes/x/switches                 state lane: those that are asserted
     axes/x/switches/el_plus ...     state lane of one switch
-    axes/x/bus                      register writes, commands and resets, in words
+    axes/x/bus                      register writes, commands and resets, in words; bytes that were lost
+    faults                          if there were any: state lane of the faults in force (stage.faults)
+    faults/log                      and when they came and went, in words
     about                           model, chips, motors
 
 All of it is on the timeline `time`, the stage's seconds since power-up. Series keep the samples that their plot needs: lines
@@ -32,9 +34,9 @@ if TYPE_CHECKING:
 PALETTE = ((240, 96, 84), (88, 190, 112), (88, 152, 245), (226, 172, 62), (172, 124, 232), (64, 190, 196))
 STATES = {
     "up": (38, 140, 92), "keep": (40, 108, 186), "down": (190, 120, 26), "hold": (52, 57, 66),
-    "el": (206, 52, 46), "sd": (204, 146, 22), "org": (44, 158, 88), "off": (52, 57, 66),
+    "fault": (206, 52, 46), "el": (206, 52, 46), "sd": (204, 146, 22), "org": (44, 158, 88), "off": (52, 57, 66),
 }  # fmt: skip
-LEVELS = {"register": "INFO", "command": "DEBUG", "reset": "WARN"}
+LEVELS = {"register": "INFO", "command": "DEBUG", "reset": "WARN", "lost": "ERROR"}
 
 
 class Series(NamedTuple):
@@ -81,6 +83,7 @@ def write(recording: Recording, path: Path) -> None:
         for name in recording.axes:
             _lanes(out, recording, name, edges[name])
             _bus(out, recording, name, colours[name])
+        _faults(out, recording)
         out.flush()
     finally:
         out.disconnect()
@@ -208,3 +211,23 @@ def _bus(out: Any, recording: Recording, name: str, colour: tuple) -> None:
             color=[(*colour, 255)] * len(said),
         ),
     )
+
+
+def _faults(out: Any, recording: Recording) -> None:
+    import rerun as rr
+
+    notes = recording.notes
+    if not notes:
+        return
+    when = scene.duration(np.array([n.time for n in notes]))
+    states = ["; ".join(n.in_force) or "none" for n in notes]
+    colours = {s: STATES["off" if s == "none" else "fault"] for s in dict.fromkeys(states)}
+    style = rr.StateConfiguration(values=list(colours), colors=list(colours.values()))
+    out.log("faults", style, static=True)
+    out.send_columns("faults", indexes=[when], columns=rr.StateChange.columns(state=states))
+    texts = rr.TextLog.columns(
+        text=[f"{n.time:11.6f}  FAULT  {n.text}" for n in notes],
+        level=["ERROR"] * len(notes),
+        color=[(*STATES["fault"], 255)] * len(notes),
+    )
+    out.send_columns("faults/log", indexes=[when], columns=texts)
