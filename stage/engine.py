@@ -54,8 +54,9 @@ AXIS = record(
 )
 """Mean pulse counts of the window's slices so far, the count at the last slice's end, time of the next input edge (ns); the
 encoder's index pulse: asserted, its next edge in this window, and the one after (ns)."""
-SWITCH = record([("dist", "f8"), ("edge", "i8"), ("on", "i8")])
-"""Distance vane to switch at `qpos`, time of its next edge (ns), asserted."""
+SWITCH = record([("dist", "f8"), ("edge", "i8"), ("on", "i8"), ("toggles", "i8"), ("until", "i8")])
+"""Distance vane to switch at `qpos`, time of its next edge (ns), asserted; of a contact that bounces, how often it will still
+toggle and when it will have come to rest (ns)."""
 
 # --- constants ---
 CLOCKWORK = record([("dt", "i8"), ("slices", "i8"), ("h", "f8"), ("half", "f8"), ("nv", "i8"), ("sample_every", "i8")])
@@ -67,9 +68,10 @@ AXIS_TABLE = record(
 """Which chip row and drive row (= the axis' own index) move which joint; rotor radians per joint unit; the pin bit of
 the index pulse (0: not connected) and where in the rotor's turn it stands, in turns; the chip's clocks in a slice."""
 SWITCH_TABLE = record(
-    [("bit", "i8"), ("found", "i8"), ("at", "i8"), ("slope", "f8"), ("hysteresis", "f8"), ("forced", "i8")]
+    [(name, "i8") for name in "bit found at forced bounce toggles".split()] + [("slope", "f8"), ("hysteresis", "f8")]
 )
-"""Pin bit, addresses in sensordata, d dist / d q; `forced`: -1 works, 0 stuck open, 1 stuck closed."""
+"""Pin bit, addresses in sensordata, d dist / d q; `forced`: -1 works, 0 stuck open, 1 stuck closed; how long a contact bounces
+after an edge (ns, 0: not at all), and how often it toggles in that time (even)."""
 
 SAMPLE = record(
     [
@@ -87,6 +89,8 @@ SAMPLE = record(
 EDGE = record([("now", "i8"), ("clock", "i8"), ("axis", "i8"), ("inputs", "i8")])
 """A switch edge: time (ns), the chip's clock, the chip's input word from then on."""
 
+MAX_TOGGLES = 8
+EDGES_A_WINDOW = 48  # of an axis at most: 5 switches, each an edge and its toggles; the index pulse
 REACHED, SAMPLES_FULL, EDGES_FULL, DIVERGED = range(4)
 MAX_SPEED = 1e6  # of any joint, per second; beyond it, or NaN, the simulation has diverged
 
@@ -130,6 +134,35 @@ def _foresee_index(world, axis, t, q, v, half):
 
 
 @hot
+def _foresee_switch(world, axis, s, t, v, half):
+    """When in this window, from now on, a switch will change; `s.dist` is known. A bouncing contact comes to rest first."""
+    if s.toggles == 0:
+        s.edge = NEVER
+        approach = -t.slope * v
+        threshold = t.hysteresis if s.on else 0.0
+        on = 1 if s.dist - approach * half <= threshold else 0
+        if t.forced >= 0:
+            on = t.forced
+        if on != s.on:
+            wait = 0.0
+            if t.forced < 0 and approach != 0.0:
+                wait = min(max(half + (s.dist - threshold) / approach, 0.0), 2.0 * half)
+            s.edge = max(world.start + int(wait * SECOND), world.now)
+    axis.next_edge = min(axis.next_edge, s.edge)
+
+
+@hot
+def _bounce(s, t, now):
+    """After an edge, or a toggle that followed it: when the contact toggles next, ever sooner, the last at the bounce's end."""
+    if s.toggles == 0:
+        s.toggles, s.until = t.toggles, now + t.bounce
+    else:
+        s.toggles -= 1
+    if s.toggles:
+        s.edge = now + 2 * (s.until - now) // (s.toggles + 1)
+
+
+@hot
 def _foresee(world, axes, table, switches, switch_table, clockwork, sensordata, qpos, qvel, moved):
     """At a window's start: where each vane is, and when in this window its switch will change.
 
@@ -141,23 +174,13 @@ def _foresee(world, axes, table, switches, switch_table, clockwork, sensordata, 
         v = qvel[table[a].dof]
         for k in range(table[a].first_switch, table[a].end_switch):
             s, t = switches[k], switch_table[k]
-            s.edge = NEVER
             s.dist = FAR
             if sensordata[t.found] > 0.0:
                 s.dist = sensordata[t.at] + (t.slope * v * 2.0 * half if moved else 0.0)
-            elif not s.on and t.forced <= 0:
+            elif not s.on and t.forced <= 0 and s.toggles == 0:
+                s.edge = NEVER
                 continue
-            approach = -t.slope * v
-            threshold = t.hysteresis if s.on else 0.0
-            on = 1 if s.dist - approach * half <= threshold else 0
-            if t.forced >= 0:
-                on = t.forced
-            if on != s.on:
-                wait = 0.0
-                if t.forced < 0 and approach != 0.0:
-                    wait = min(max(half + (s.dist - threshold) / approach, 0.0), 2.0 * half)
-                s.edge = world.start + int(wait * SECOND)
-                axes[a].next_edge = min(axes[a].next_edge, s.edge)
+            _foresee_switch(world, axes[a], s, t, v, half)
         if table[a].index_bit:
             _foresee_index(world, axes[a], table[a], qpos[table[a].qpos], v, half)
 
@@ -176,6 +199,8 @@ def _meet_edges(axis, t, c, switches, switch_table, a, until, edges, n_edges):
                 s.on = 1 - s.on
                 bit = switch_table[k].bit
                 c.inputs = c.inputs | bit if s.on else c.inputs & ~bit
+                if s.toggles or switch_table[k].bounce:
+                    _bounce(s, switch_table[k], now)
             axis.next_edge = min(axis.next_edge, s.edge)
         if t.index_bit:
             if axis.index_edge <= now:
@@ -276,7 +301,7 @@ def run(
                 if n_samples == len(samples):
                     status = SAMPLES_FULL
                     break
-        if len(edges) and n_edges > len(edges) - 8 * len(axes):
+        if len(edges) and n_edges > len(edges) - EDGES_A_WINDOW * len(axes):
             status = EDGES_FULL
             break
     counts[0], counts[1] = n_samples, n_edges
@@ -284,11 +309,25 @@ def run(
 
 
 @hot
+def look_again(world_, axes, chips, switches, switch_table, table, clockwork_, qvel, a, edges):
+    """A fault of axis `a`'s switches has come or gone, at any moment in a window: their levels now, their edges in the rest
+    of it. Returns how many edges are noted.
+    """
+    world, axis, t = world_[0], axes[a], table[a]
+    axis.next_edge = axis.index_edge if t.index_bit else NEVER
+    for k in range(t.first_switch, t.end_switch):
+        if switch_table[k].forced >= 0:
+            switches[k].toggles = 0
+        _foresee_switch(world, axis, switches[k], switch_table[k], qvel[t.dof], clockwork_[0].half)
+    return _meet_edges(axis, t, chips[t.chip], switches, switch_table, a, world.now, edges, 0)
+
+
+@hot
 def settle(world_, axes, chips, drives, switches, table, switch_table, clockwork_, qpos, qvel, sensordata):
     """Before the first window, or after the carriages were placed by hand: switch levels and pending edges anew."""
     world, clockwork = world_[0], clockwork_[0]
     for k in range(len(switches)):
-        switches[k].edge = NEVER
+        switches[k].toggles, switches[k].edge = 0, NEVER
     _foresee(world, axes, table, switches, switch_table, clockwork, sensordata, qpos, qvel, False)
     for a in range(len(axes)):
         axes[a].next_edge = NEVER

@@ -141,14 +141,14 @@ class Fleet:
         return Played(results, extremes, status == host.DIVERGED)
 
     def watched(self) -> list[int]:
-        """The stages that Python has to play: those being recorded, or whose chips keep a journal."""
+        """The stages that Python has to play: those being recorded, or whose chips keep a journal or lose writes."""
         found = []
         for k, stage in enumerate(self.stages):
             if stage._recording is not None:
                 found.append(k)
                 continue
             for chip in self._chips[k]:
-                if chip._journal is not None:
+                if chip._journal is not None or chip._glitches:
                     found.append(k)
                     break
         return found

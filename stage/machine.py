@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 HYSTERESIS = 25e-6  # m; a slotted optical switch lets go that much later than it trips (typical data sheets)
 EDGES = 1024
+SWITCH_FAULTS = ("forced", "bounce", "toggles")  # of the table of switches: what faults change
 
 ChipChoice = type[Chip] | Callable[[], Chip] | Mapping[str, Any]
 DriveChoice = Drive | Motor | str | Mapping[str, Any] | None
@@ -74,8 +75,9 @@ class Switches:
         raise StageError(f"a switch follows its vane; to force {name!r} use switches.stick({name!r}, True or False).")
 
     def stick(self, name: str, asserted: bool | None) -> None:
-        """Hold switch `name` asserted or released from the next physics step on; None mends it."""
+        """Hold switch `name` asserted or released from now on; None mends it."""
         self._axis._stage._switch_table[self._find(name)].forced = -1 if asserted is None else int(asserted)
+        self._axis._stage._look_again(self._axis.index)
 
     def __dir__(self):
         return [s.pin for s in self._axis._plant.switches]
@@ -104,6 +106,7 @@ class Axis:
         self.unit = "rad" if plant_axis.hinge else "m"
         self.meters_per_pulse = 2 * np.pi / drive.pulses_per_turn / abs(self.gear)
         self.switches = Switches(self)
+        self._voltage, self._open = drive.bus_voltage, 0  # faults change them: see stage.faults
 
     @property
     def time(self) -> float:
@@ -211,6 +214,7 @@ class Stage:
     def _wire(self, chips: list[Chip], drives: list[Drive], bus_ns: int, offset: int) -> None:
         """Lay the state out in userdata and the tables beside it; connect chips and axes."""
         model = self.model
+        self._faults: list[str] = []
         self._payloads: dict[int, float] = {}
         self._own_masses: dict[int, float] = {}
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
@@ -250,7 +254,8 @@ class Stage:
         self._axes_by_index = list(axes.values())
         self._recording: Recording | None = None
         self._no_samples, self._no_positions = np.zeros((0, n), engine.SAMPLE), np.zeros((0, model.nq))
-        self._edges, self._counts = np.zeros(EDGES, engine.EDGE), np.zeros(2, np.int64)
+        self._edges = np.zeros(EDGES + engine.EDGES_A_WINDOW * n, engine.EDGE)
+        self._counts = np.zeros(2, np.int64)
         self._state = np.zeros(mujoco.mj_stateSize(model, STATE))
         d, parts = self.data, (self._world, self._axis_state, self._chips, self._drives, self._switches)
         tables = (self._table, self._switch_table, self._clockwork)
@@ -336,6 +341,23 @@ class Stage:
             if journal is not None:
                 journal.note_input(int(e.clock), 0, int(e.inputs))
 
+    def _look_again(self, axis: int) -> None:
+        """The table of switches has changed: what it means for this axis, from now on."""
+        args = (self._world, self._axis_state, self._chips, self._switches, self._switch_table, self._table)
+        n = engine.look_again(*args, self._clockwork, self.data.qvel, axis, self._edges)
+        if n:
+            self._note_edges(n)
+
+    def _equip(self) -> None:
+        """Whatever state they were restored to: the drives have the supply and windings of today, and stuck switches stick."""
+        for axis, d in zip(self._axes_by_index, self._drives, strict=True):
+            if (d.voltage, d.open) != (axis._voltage, axis._open):
+                d.voltage, d.open, d.slice = axis._voltage, axis._open, 0.0
+        forced = self._switch_table["forced"]
+        if ((forced >= 0) & (forced != self._switches["on"])).any():
+            for axis in self._axes_by_index:
+                self._look_again(axis.index)
+
     def _undo_divergence(self, samples: np.ndarray, positions: np.ndarray, n: int) -> SimulationError:
         """Go back to where the last loop began and run it again, up to the step before the one that diverged."""
         speeds = np.abs(self.data.qvel)
@@ -360,16 +382,7 @@ class Stage:
         The payload is part of the machine, not of its state: snapshots and `reset` leave it alone. It sits at the body's
         centre of mass. Raises ArgumentError.
         """
-        model = self.model
-        if body is None:
-            site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, "work")
-            if site < 0:
-                raise ArgumentError("the model has no site 'work' to put a payload on: name the body.")
-            k = int(model.site_bodyid[site])
-        else:
-            k = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, body)
-            if k < 0:
-                raise unknown("body", body, (model.body(i).name for i in range(1, model.nbody)))
+        model, k = self.model, self._carrier(body)
         if not 0 <= mass < 1e6:
             raise ArgumentError(f"mass={mass!r} kg: a payload weighs 0 kg or more.")
         if mass == self._payloads.get(k, 0.0):
@@ -378,6 +391,34 @@ class Stage:
         self._payloads[k] = float(mass)
         model.body_mass[k] = own + mass
         mujoco.mj_setConst(model, mujoco.MjData(model))
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """The faults in force, in words, see stage.faults. They are the machine's: snapshots and `reset` leave them alone."""
+        return tuple(self._faults)
+
+    def payload(self, body: str | None = None) -> float:
+        """kg that `set_payload` put on a body; see there. Raises ArgumentError."""
+        return self._payloads.get(self._carrier(body), 0.0)
+
+    def _carrier(self, body: str | None) -> int:
+        """The id of the body that a payload goes on."""
+        model = self.model
+        if body is None:
+            site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, "work")
+            if site < 0:
+                raise ArgumentError("the model has no site 'work' to put a payload on: name the body.")
+            return int(model.site_bodyid[site])
+        k = int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, body))
+        if k < 0:
+            raise unknown("body", body, (model.body(i).name for i in range(1, model.nbody)))
+        return k
+
+    def _note_fault(self, text: str, begins: bool) -> None:
+        """A fault comes or goes: keep the list, tell the recording."""
+        (self._faults.append if begins else self._faults.remove)(text)
+        if self._recording is not None:
+            self._recording.note(self.time, f"{text}: {'begins' if begins else 'mended'}", self.faults)
 
     # --- state ---
 
@@ -413,7 +454,10 @@ class Stage:
         return Snapshot(self._kind(), state, tuple(tuple(a.chip.diagnostics) for a in self._axes_by_index))
 
     def restore(self, snapshot: Snapshot) -> None:
-        """Continue from `snapshot`, bit for bit. Raises ArgumentError when it is of another kind of stage."""
+        """Continue from `snapshot`, bit for bit. Raises ArgumentError when it is of another kind of stage.
+
+        Payloads and faults are the machine's and stay as they are.
+        """
         if snapshot.kind != self._kind():
             raise ArgumentError(f"a snapshot of a stage {snapshot.kind} cannot be restored into one of {self._kind()}.")
         if self._recording is not None:
@@ -423,6 +467,7 @@ class Stage:
             axis.chip.diagnostics[:] = said
         mujoco.mj_forward(self.model, self.data)
         mujoco.mj_setState(self.model, self.data, snapshot.state, STATE)
+        self._equip()
 
     def reset(self) -> None:
         """Back to power-up: the state that the stage was made with."""
@@ -452,6 +497,8 @@ class Stage:
         steps = max(1, round(every * 1e9 / self._dt))
         dt = self._dt * 1e-9
         self._recording = Recording(self.model, self.axes, steps * dt, self._stop_recording)
+        if self._faults:
+            self._recording.note(self.time, "in force from the start", self.faults)
         self._clockwork[0].sample_every = steps
         self._world[0].to_sample = steps
         recording = self._recording
@@ -475,7 +522,9 @@ class Stage:
             "drives": [a.drive for a in self._axes_by_index],
             "bus_ns": self._bus_ns,
             "offset": self._offset,
-            "forced": self._switch_table["forced"].copy(),
+            "switch_faults": self._switch_table[list(SWITCH_FAULTS)].copy(),
+            "drive_faults": [(a._voltage, a._open) for a in self._axes_by_index],
+            "faults": list(self._faults),
             "payloads": (dict(self._payloads), dict(self._own_masses)),
             "initial": self._initial,
             "now": self.snapshot(),
@@ -485,7 +534,11 @@ class Stage:
         self.model = s["model"]
         self._plant = s["plant"]
         self._wire([cls(hz) for cls, hz in s["chips"]], s["drives"], s["bus_ns"], s["offset"])
-        self._switch_table["forced"] = s["forced"]
+        for field in SWITCH_FAULTS:
+            self._switch_table[field] = s["switch_faults"][field]
+        for axis, fault in zip(self._axes_by_index, s["drive_faults"], strict=True):
+            axis._voltage, axis._open = fault
+        self._faults = s["faults"]
         self._payloads, self._own_masses = s["payloads"]
         self._initial = s["initial"]
         self.restore(s["now"])

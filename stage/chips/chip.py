@@ -10,6 +10,7 @@ A chip of a stage shares the stage's clock: there a bus cycle takes bus time, an
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Any, ClassVar, NamedTuple, Protocol
@@ -128,6 +129,7 @@ class Chip:
         self.axes = tuple(ChipAxis(self, k) for k in range(self.AXES))
         self._bus: Bus | None = None
         self._journal: Journal | None = None
+        self._glitches: tuple[Callable[[int, int], bool], ...] = ()  # told of each write first; True loses it
         self._hold(np.zeros(1, self.CORE.STATE), 0)
         self._configure(self._record)
         self.CORE.power_up(self._rows, 0)
@@ -164,8 +166,13 @@ class Chip:
     def write(self, address: int, value: int) -> None:
         """One bus write cycle. Never raises: address and value are masked, mistakes go to `diagnostics`."""
         address, value = int(address) & self._ADDRESS_MASK, int(value) & self.DATA_MASK
+        lost = any([glitch(address, value) for glitch in self._glitches]) if self._glitches else False
         if self._bus is not None:
             self._bus.cycle()
+        if lost:
+            if self._journal is not None:
+                self._journal.note_lost(self.clock, address, value)
+            return
         said = self._lint(address, value)
         if said:
             if len(self.diagnostics) >= MAX_DIAGNOSTICS:

@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import NamedTuple
 
-from stage.chips.journal import RESET, WRITE, Entry
+from stage.chips.journal import LOST, RESET, WRITE, Entry
 from stage.chips.register_map import Register, RegisterMap
 
 _SPEEDS = ("FL", "FH1", "FL", "FH2")
 
 
 class Said(NamedTuple):
-    """One command, or one register written with all its bytes. `clock`: of the last byte; `kind`: command, register, reset."""
+    """One command, or one register written with all its bytes. `clock`: of the last byte; `kind`: command, register, reset,
+    lost (a byte that did not arrive)."""
 
     clock: int
     kind: str
@@ -89,6 +90,9 @@ class Decoder:
                 self._held.clear()
                 self._select = 0x80
                 said.append(Said(e.clock, "reset", "/RESET", "reset pin"))
+            elif e.kind == LOST:
+                what = f"data to address {e.a}" if e.a else command_meaning(self._map, e.b)
+                said.append(Said(e.clock, "lost", f"{e.b:02X}", f"LOST: {what}"))
         return said
 
     def rest(self) -> list[Said]:

@@ -15,13 +15,13 @@ import numpy as np
 if TYPE_CHECKING:
     from stage.chips.chip import Chip
 
-WRITE, INPUT, RESET = range(3)
+WRITE, INPUT, RESET, LOST = range(4)
 CHUNK = 65536
 ROOM = 64  # a scan needs some to get on
 
 
 class Entry(NamedTuple):
-    """One event between two ticks: WRITE (address, value), INPUT (axis, pin word), or RESET."""
+    """One event between two ticks: WRITE (address, value), INPUT (axis, pin word), RESET, or LOST, a write that never came."""
 
     clock: int
     kind: int
@@ -34,7 +34,7 @@ class Entry(NamedTuple):
             core.write(rows, 0, self.a, self.b)
         elif self.kind == INPUT:
             core.set_inputs(rows, 0, self.a, self.b)
-        else:
+        elif self.kind == RESET:
             core.power_up(rows, 0)
 
 
@@ -69,6 +69,9 @@ class Journal:
 
     def note_write(self, clock: int, address: int, value: int) -> None:
         self._note(Entry(clock, WRITE, address, value))
+
+    def note_lost(self, clock: int, address: int, value: int) -> None:
+        self._note(Entry(clock, LOST, address, value))
 
     def note_input(self, clock: int, axis: int, word: int) -> None:
         self._note(Entry(clock, INPUT, axis, word))

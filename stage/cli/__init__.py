@@ -17,6 +17,7 @@ examples:
   stage move x 8000 --fh1 20000           a preset move of 8000 pulses
   stage move x 8000 --chips pcl240ms --s-curve --plot s.png
   stage sync x=20000 y=-7500              two axes along a straight line, in the ratio a:b
+  stage fault                             what can break; `stage fault jam --plot jam.png` breaks it
   stage registers pcl240k                 the register map
   stage pullout --motor 17HS4401          the pull-out curve
 
@@ -59,6 +60,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser.set_defaults(run=None)
     commands = parser.add_subparsers(title="commands", metavar="COMMAND")
     _add_moves(commands)
+    _add_fault(commands)
     _add_tools(commands)
     return parser
 
@@ -181,6 +183,17 @@ def _add_moves(commands) -> None:
 
 def _plot(p: argparse.ArgumentParser) -> None:
     p.add_argument("--plot", metavar="FILE.png", help="draw the move")
+
+
+def _add_fault(commands) -> None:
+    p = _command(
+        commands, "fault", "fault:run", "something breaks: a switch, a wire, the supply, the bus",
+        "Run a program on a healthy stage and on a faulty one and print what differs. Without a name: list the faults. "
+        "Recordings are of the faulty run. Exit code 0 if what was claimed happened.",
+    )  # fmt: skip
+    p.add_argument("name", nargs="?", metavar="NAME", help="for example jam (default: list them all)")
+    _plot(p)
+    _bench(p)
 
 
 def _add_tools(commands) -> None:

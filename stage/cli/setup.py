@@ -37,8 +37,9 @@ def find_axis(stage: Any, name: str) -> Any:
 
 
 @contextmanager
-def recorded(args: argparse.Namespace, stage: Any) -> Iterator[None]:
-    """Record what happens inside if --record, --vcd, --view or --web asks for it, and write it at the end."""
+def recorded(args: argparse.Namespace, stage: Any) -> Iterator[Any]:
+    """Record what happens inside if --record, --vcd, --view or --web asks for it, and write it at the end. Yields the recording,
+    or None."""
     from stage.files import writable
 
     usual = getattr(args, "default_record", "stage.rrd" if args.view or args.web or args.picture else None)
@@ -53,10 +54,10 @@ def recorded(args: argparse.Namespace, stage: Any) -> Iterator[None]:
         if path:
             writable(path, overwrite)  # say so before the work, not after it
     if not (rrd or args.vcd):
-        yield
+        yield None
         return
     with stage.record() as recording:
-        yield
+        yield recording
     if rrd is not None:
         note(f"writing {rrd} ...")
         recording.save(rrd, overwrite=replace)

@@ -159,4 +159,4 @@ class Drive:
         record.resistance, record.inductance, record.torque_constant = m.resistance, m.inductance, m.torque_constant
         record.detent, record.teeth, record.voltage = self.detent_torque, m.rotor_teeth, self.bus_voltage
         record.current, record.per_pulse, record.mode = self.amplitude, self.per_pulse, MODES[self.mode]
-        record.slice = 0.0
+        record.open, record.slice = 0, 0.0

@@ -23,6 +23,7 @@ from stage.compiled import hot, record
 from stage.drives.trig import sincos
 
 CHOPPER, SINE = 0, 1
+A, B = 1, 2  # phases
 SLICES = 8  # that the engine cuts a physics step into
 
 STEPPER = record(
@@ -34,9 +35,10 @@ STEPPER = record(
             "slice keep reach back"  # of a slice of so many seconds: see torque()
         ).split()
     ]
-    + [("mode", "i8"), ("waves", "f8", (2, SLICES))]
+    + [("mode", "i8"), ("open", "i8"), ("waves", "f8", (2, SLICES))]
 )
-"""One motor and drive, SI units. `teeth`: rotor teeth Nr; `per_pulse`: electrical radians a pulse; `waves`: room to compute in."""
+"""One motor and drive, SI units. `teeth`: rotor teeth Nr; `per_pulse`: electrical radians a pulse; `open`: the phases that are
+open, A + B (whoever sets it sets `slice` to 0, as for any other parameter); `waves`: room to compute in."""
 
 
 @hot
@@ -113,6 +115,22 @@ def _torque(d, ia, ib, s, c):
 
 
 @hot
+def _open_torque(d, counts, n, theta, omega, h):
+    """`mean_torque` while a phase is open. That phase carries no current, whatever the drive and the back-EMF want."""
+    _prepare(d, h)
+    live_a, live_b = 0.0 if d.open & A else 1.0, 0.0 if d.open & B else 1.0
+    total = 0.0
+    for k in range(n):
+        tb, ta = sincos(d.offset + d.per_pulse * counts[k])
+        s, c = sincos((theta + k * omega * h) * d.teeth)
+        a, b, mean_a, mean_b = _slice(d, d.current_a, d.current_b, ta, tb, s, c, omega)
+        d.current_a, d.current_b = live_a * a, live_b * b
+        total += _torque(d, live_a * mean_a, live_b * mean_b, s, c)
+    d.slice = 0.0  # so that the next call comes here, too: whole motors do not pay for a look at `open`
+    return total / n
+
+
+@hot
 def mean_torque(d, counts, n, theta, omega, h):
     """Advance the currents by n slices of h seconds at constant speed; returns the mean torque on the rotor, N m.
 
@@ -120,6 +138,8 @@ def mean_torque(d, counts, n, theta, omega, h):
     middle of the first; omega: rad/s.
     """
     if d.slice != h:
+        if d.open:
+            return _open_torque(d, counts, n, theta, omega, h)
         _prepare(d, h)
     waves, offset, per_pulse = d.waves, d.offset, d.per_pulse
     for k in range(n):
@@ -140,7 +160,7 @@ def mean_torque(d, counts, n, theta, omega, h):
 
 @hot
 def torque(d, count, theta, omega, h):
-    """`mean_torque` of one slice."""
+    """`mean_torque` of one slice; for benches, where no phase is open."""
     if d.slice != h:
         _prepare(d, h)
     tb, ta = sincos(d.offset + d.per_pulse * count)

@@ -223,6 +223,9 @@ def _notes(report: Report, t: np.ndarray) -> list[Note]:
             if not halted:
                 ahead.append(s.meaning.split(" (")[0].replace("<-", "\N{LEFTWARDS ARROW}"))
             continue
+        if s.kind == "lost":
+            notes.append(Note(when, f"{code}h", "lost on the bus", False))
+            continue
         byte = int(code, 16)
         words = _words(byte, halted)
         if (

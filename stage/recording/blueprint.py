@@ -50,14 +50,15 @@ def dashboard(recording: Recording) -> Any:
         )
 
     overview = [f"+ {path}/{lane}" for path in paths.values() for lane in ("phase", "switches")]
+    overview.append("+ /faults")  # no lane where there are none
     lanes = [rrb.StateTimelineView(origin="/", contents=overview, name="Phases and switches", time_view=together)]
     for name, path in paths.items():
         contents = [f"+ {path}/phase", f"+ {path}/switches/**", f"- {path}/switches"]
         lanes.append(rrb.StateTimelineView(origin="/", contents=contents, name=f"Axis {name}", time_view=together))
     low = min(0.08 + 0.08 * len(paths), 0.45)  # a lane wants 4 % of a usual window
     bus = rrb.TextLogView(
-        origin="/axes",
-        contents=[f"+ {path}/bus" for path in paths.values()],
+        origin="/",
+        contents=[*(f"+ {path}/bus" for path in paths.values()), "+ /faults/log"],
         name="Bus",
         columns=rrb.TextLogColumns(timeline_columns=["time"], text_log_columns=["Body"]),
         format_options=rrb.TextLogFormat(monospace_body=True),

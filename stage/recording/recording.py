@@ -23,7 +23,7 @@ import warnings
 import weakref
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import mujoco
 import numpy as np
@@ -57,6 +57,14 @@ COLUMNS = {
 """Columns of each axis: unit (on a hinge rad for m) and meaning. Every pin has a bool column of its name as well."""
 
 
+class Note(NamedTuple):
+    """A fault came or went at `time` (s): in words, and the faults in force from then on, see stage.faults."""
+
+    time: float
+    text: str
+    in_force: tuple[str, ...]
+
+
 class RecordingError(FileError):
     """A recording cannot be kept, or not be written where it was asked to be."""
 
@@ -77,6 +85,7 @@ class Recording:
 
     Attributes:
         model: the MjModel. axes: the stage's axes by name. every: seconds between samples.
+        notes: the faults that came and went, in order.
         samples, positions, filled: the engine's buffers, (ROWS, axes) SAMPLE and (ROWS, nq), and the rows that it filled.
     """
 
@@ -96,6 +105,7 @@ class Recording:
         self.positions = np.zeros((ROWS, model.nq))
         self.filled = 0
         self._disorder = False
+        self.notes: list[Note] = []
         self.journals: dict[str, Journal] = {name: axis.chip.journal() for name, axis in axes.items()}
 
     def take(self, filled: int) -> None:
@@ -180,6 +190,10 @@ class Recording:
         rows["axes"] = self.samples[:n].view(_SAMPLE)
         rows["qpos"] = self.positions[:n]
         return rows
+
+    def note(self, time: float, text: str, in_force: tuple[str, ...]) -> None:
+        """A fault came or went."""
+        self.notes.append(Note(time, text, in_force))
 
     def close(self) -> None:
         """Stop recording; the stage goes on without. Safe to call twice."""

@@ -5,7 +5,9 @@
     axes/x/phase                    state lane: up, keep, down, hold
     axes/x/switches                 state lane: those that are asserted
     axes/x/switches/el_plus ...     state lane of one switch
-    axes/x/bus                      register writes, commands and resets, in words
+    axes/x/bus                      register writes, commands and resets, in words; bytes that were lost
+    faults                          if there were any: state lane of the faults in force (stage.faults)
+    faults/log                      and when they came and went, in words
     about                           model, chips, motors
 
 All of it is on the timeline `time`, the stage's seconds since power-up. Series keep the samples that their plot needs: lines
@@ -29,14 +31,14 @@ from stage.recording.sink import Sink
 from stage.recording.thin import thin
 
 if TYPE_CHECKING:
-    from stage.recording.recording import Recording
+    from stage.recording.recording import Note, Recording
 
 PALETTE = ((240, 96, 84), (88, 190, 112), (88, 152, 245), (226, 172, 62), (172, 124, 232), (64, 190, 196))
 STATES = {
     "up": (38, 140, 92), "keep": (40, 108, 186), "down": (190, 120, 26), "hold": (52, 57, 66),
-    "el": (206, 52, 46), "sd": (204, 146, 22), "org": (44, 158, 88), "off": (52, 57, 66),
+    "fault": (206, 52, 46), "el": (206, 52, 46), "sd": (204, 146, 22), "org": (44, 158, 88), "off": (52, 57, 66),
 }  # fmt: skip
-LEVELS = {"register": "INFO", "command": "DEBUG", "reset": "WARN"}
+LEVELS = {"register": "INFO", "command": "DEBUG", "reset": "WARN", "lost": "ERROR"}
 
 
 class Series(NamedTuple):
@@ -84,7 +86,7 @@ class Log:
 
         from stage.recording.blueprint import dashboard
 
-        self._recording, self._rows = recording, 0
+        self._recording, self._rows, self._noted = recording, 0, 0
         self._colours = {name: PALETTE[k % len(PALETTE)] for k, name in enumerate(recording.axes)}
         self._lanes = {name: Lanes(recording, name, self._colours[name]) for name in recording.axes}
         self._scene = scene.Scene(recording)
@@ -109,6 +111,8 @@ class Log:
         for name, lanes in self._lanes.items():
             edges, first = lanes.take(self._out)
             self._scene.light(self._out, name, edges, first)
+        _faults(self._out, self._recording.notes, self._noted)
+        self._noted = len(self._recording.notes)
         self._sink.flush()
 
     def finish(self) -> None:
@@ -265,3 +269,24 @@ class Lanes:
                 color=[(*self._colour, 255)] * len(said),
             ),
         )
+
+
+def _faults(out: Any, notes: list[Note], first: int) -> None:
+    """Log the notes from `first` on."""
+    import rerun as rr
+
+    new = notes[first:]
+    if not new:
+        return
+    when = scene.duration(np.array([n.time for n in new]))
+    states = ["; ".join(n.in_force) or "none" for n in notes]
+    colours = {s: STATES["off" if s == "none" else "fault"] for s in dict.fromkeys(states)}
+    style = rr.StateConfiguration(values=list(colours), colors=list(colours.values()))
+    out.log("faults", style, static=True)
+    out.send_columns("faults", indexes=[when], columns=rr.StateChange.columns(state=states[first:]))
+    texts = rr.TextLog.columns(
+        text=[f"{n.time:11.6f}  FAULT  {n.text}" for n in new],
+        level=["ERROR"] * len(new),
+        color=[(*STATES["fault"], 255)] * len(new),
+    )
+    out.send_columns("faults/log", indexes=[when], columns=texts)

@@ -4,7 +4,8 @@
       POUT_n PDIR ...   every pin, as a probe on the wire would show it: `_n` marks what is 0 while asserted
       R0 RATE           down counter, 24 bits; pulse rate, pps
       status            operating, lt, zero ...: the byte that a read at address 0 would give, bit by bit
-      bus               WR: a write cycle (event), with A, its address, and D, its data; RESET: the /RESET pin (event)
+      bus               WR: a write cycle (event), with A, its address, and D, its data; RESET: the /RESET pin (event); LOST, if
+                          there was one: a write cycle that did not reach the chip
 
 Time is that of the stage, in nanoseconds. A tick n of a clock of f Hz stands at n / f, rounded to the nanosecond, each
 by itself: no error adds up, and n comes back as round(ns f / 1e9).
@@ -19,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stage.chips.journal import RESET, WRITE
+from stage.chips.journal import LOST, RESET, WRITE
 from stage.recording import signals
 
 if TYPE_CHECKING:
@@ -109,6 +110,8 @@ def _bus(recording: Recording, axis: str, writer: Any) -> Iterator[Change]:
     """Register the bus of an axis now; its writes and resets are the iterator."""
     chip, journal, scope = recording.axes[axis].chip, recording.journals[axis], f"{signals.plain(axis)}.bus"
     wr, reset = (writer.register_var(scope, name, "event", size=1) for name in ("WR", "RESET"))
+    any_lost = any(e.kind == LOST for e in journal.entries)
+    lost = writer.register_var(scope, "LOST", "event", size=1) if any_lost else None
     address = writer.register_var(scope, "A", "reg", size=chip._ADDRESS_MASK.bit_length(), init="x")
     data = writer.register_var(scope, "D", "reg", size=chip.DATA_MASK.bit_length(), init="x")
 
@@ -119,5 +122,7 @@ def _bus(recording: Recording, axis: str, writer: Any) -> Iterator[Change]:
                 yield from ((ns, address, e.a), (ns, data, e.b), (ns, wr, True))
             elif e.kind == RESET:
                 yield ns, reset, True
+            elif e.kind == LOST:
+                yield from ((ns, address, e.a), (ns, data, e.b), (ns, lost, True))
 
     return changes()

@@ -1,0 +1,548 @@
+"""Promises of `stage.faults`: what breaks does what it would do in physics and chip, from its moment on, and is mended."""
+
+import copy
+import pickle
+
+import numpy as np
+import pytest
+from programs import load_registers, start_preset
+
+from stage import ArgumentError, Drive, RunTimeout, Stage, engine, faults, firmware
+from stage.chips import PCL240K
+from stage.chips.journal import LOST, WRITE
+from stage.cli import fault as demos
+from stage.cli import main
+from stage.drives import stepper
+from stage.fleet import Fleet, Program
+
+EVERY = {
+    "stuck open": lambda s: faults.switch_stuck(s.axes["x"], "el_plus", False),
+    "stuck closed": lambda s: faults.switch_stuck(s.axes["x"], "el_plus", True),
+    "bounce": lambda s: faults.bounce(s.axes["x"], "org"),
+    "vane missing": lambda s: faults.vane_missing(s.axes["x"], "org"),
+    "payload": lambda s: faults.payload(s, 2.0),
+    "bus voltage": lambda s: faults.bus_voltage(s, 10.0),
+    "jam": lambda s: faults.jam(s.axes["x"]),
+    "phase open": lambda s: faults.phase_open(s.axes["x"], "b"),
+    "start skew": lambda s: faults.start_skew(s.axes["x"], 1e-3),
+    "lost write": lambda s: faults.lost_write(s.axes["x"], 0, 0x15),
+}
+MACHINES = [name for name in EVERY if name not in ("start skew", "lost write")]  # the others are the host's board's
+
+
+@pytest.fixture(scope="module")
+def fresh():
+    stage = Stage("xyz", chips=PCL240K)
+    stage.set_payload(1.0)
+    return stage
+
+
+@pytest.fixture
+def xyz(fresh):
+    fresh.reset()
+    yield fresh
+    assert fresh.faults == (), "a test left a fault behind"
+
+
+def bits(stage):
+    return stage.snapshot().state.tobytes()
+
+
+def touch(axis, pin):
+    return next(s.touch for s in axis._plant.switches if s.pin == pin)
+
+
+def run_into(axis, pin, ahead=5e-5):
+    """At 400 pps, which rings no carriage, towards a switch in plus that is `ahead` m away."""
+    axis._stage.place(**{axis.name: touch(axis, pin) - ahead})
+    load_registers(axis.chip, R0=100_000, R1=20, R2=20, R4=300, R5=300, R6=0, R7=30)
+    for command in (0x44, 0x10):
+        axis.chip.write(0, command)
+
+
+def edges_of(journal, pin):
+    """(clock, level) of each change of an input in a journal."""
+    course = journal.course()
+    level = course.pin(pin)
+    k = np.flatnonzero(level[1:] != level[:-1]) + 1
+    return course.edges["clock"][k], level[k]
+
+
+# --- what was claimed ---
+
+
+@pytest.mark.parametrize("name", demos.DEMOS)
+def test_what_was_claimed_of_a_fault_happens(name):
+    shown = demos.show(name, lambda: Stage("xyz", chips=PCL240K))
+    assert shown.as_claimed, shown.table()
+
+
+# --- all of them ---
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_a_mended_stage_is_as_good_as_new(xyz, name):
+    def course():
+        xyz.reset()
+        start_preset(xyz.axes["x"].chip, 3000)
+        xyz.run(0.4)
+        return bits(xyz)
+
+    before = course()
+    fault = EVERY[name](xyz)
+    assert xyz.faults == (fault.text,)
+    assert course() != before or name in ("stuck open", "bounce", "vane missing"), "it did something in this course"
+    fault.mend()
+    fault.mend()
+    assert not fault.in_force
+    assert course() == before
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_a_fault_that_comes_and_goes_in_no_time_leaves_every_bit(xyz, name):
+    x = xyz.axes["x"]
+    xyz.place(x=touch(x, "el_plus") - 0.001)
+    start_preset(x.chip, 3000)
+    twin = copy.deepcopy(xyz)
+    for seconds in (0.02, 0.1000713, 0.1400001):
+        xyz.run(seconds)
+        twin.run(seconds)
+        with EVERY[name](xyz):
+            pass
+    for stage in (xyz, twin):
+        stage.run(0.3)
+    assert (bits(xyz) == bits(twin)) == (name != "stuck closed"), "a chip feels EL+ at once"
+
+
+@pytest.mark.parametrize("name", MACHINES)
+def test_snapshots_leave_the_machines_faults_alone(xyz, name):
+    healthy = xyz.snapshot()
+    with EVERY[name](xyz):
+        start_preset(xyz.axes["x"].chip, 3000)
+        xyz.run(0.0501)
+        before = xyz.snapshot()
+        xyz.run(0.2)
+        first = bits(xyz)
+        xyz.restore(before)
+        xyz.run(0.2)
+        assert bits(xyz) == first
+        xyz.restore(healthy)
+        assert len(xyz.faults) == 1
+        start_preset(xyz.axes["x"].chip, 3000)
+        xyz.run(0.0501)
+        xyz.run(0.2)
+        assert bits(xyz) == first, "from a snapshot of the healthy stage, the fault is there again"
+
+
+@pytest.mark.parametrize("twin_of", [copy.copy, copy.deepcopy, lambda s: pickle.loads(pickle.dumps(s))])
+@pytest.mark.parametrize("name", MACHINES)
+def test_copies_have_the_machines_faults_and_keep_them(xyz, name, twin_of):
+    start_preset(xyz.axes["x"].chip, 3000)
+    xyz.run(0.0201)
+    with EVERY[name](xyz) as fault:
+        twin = twin_of(xyz)
+        xyz.run(0.2)
+        after = bits(xyz)
+    twin.run(0.2)
+    assert bits(twin) == after
+    assert twin.faults == (fault.text,)
+
+
+def test_faults_add_up_and_are_mended_in_any_order_that_nests(xyz):
+    x = xyz.axes["x"]
+    with faults.bus_voltage(xyz, 20.0), faults.bus_voltage(x, 12.0), faults.phase_open(x, "a"):
+        assert [a._voltage for a in xyz.axes.values()] == [12.0, 20.0, 20.0]
+        with faults.phase_open(x, "b"):
+            assert x._open == stepper.A + stepper.B
+        assert x._open == stepper.A
+        assert len(xyz.faults) == 3
+    assert [a._voltage for a in xyz.axes.values()] == [24.0] * 3
+
+
+# --- switches ---
+
+
+def test_a_switch_sticks_at_the_nanosecond_inside_a_physics_step(xyz):
+    x = xyz.axes["x"]
+    xyz.run(0.0201234567)
+    journal = x.chip.journal()
+    with faults.switch_stuck(x, "el_minus", True):
+        assert x.chip.pins.el_minus
+        xyz.run(0.0000123)
+    assert not x.chip.pins.el_minus
+    journal.close()
+    clocks, levels = edges_of(journal, "el_minus")
+    assert levels.tolist() == [True, False]
+    assert clocks.tolist() == [int(t * x.chip.clock_hz) for t in (0.0201234567, 0.0201357567)]
+
+
+def test_a_switch_that_sticks_in_a_move_stops_the_chip_within_the_pulse(xyz):
+    x = xyz.axes["x"]
+    start_preset(x.chip, 20_000)
+    xyz.run(0.3001234)
+    before = x.chip.clock
+    pulses = x._electrics()[1]
+    with faults.switch_stuck(x, "el_plus", True):
+        assert x.chip.clock == before
+        xyz.run(0.1)
+        assert x.chip.pins.hold
+        assert x._electrics()[1] - pulses <= 1
+
+
+def test_mending_a_switch_inside_a_step_finds_the_edge_in_the_rest_of_it(xyz):
+    """Stuck open across its edge, a switch that is mended afterwards trips at once; mended before, at its own moment."""
+    x = xyz.axes["x"]
+    run_into(x, "el_plus")
+    twin = copy.deepcopy(xyz)
+    journal = twin.axes["x"].chip.journal()
+    twin.run(0.1)
+    journal.close()
+    (clock,), _ = edges_of(journal, "el_plus")
+    moment = clock / x.chip.clock_hz
+    early = copy.deepcopy(xyz)
+    for stage, when, expected in ((early, moment - 20e-6, clock), (xyz, moment + 20e-6, None)):
+        axis = stage.axes["x"]
+        journal = axis.chip.journal()
+        fault = faults.switch_stuck(axis, "el_plus", False)
+        stage.run(when - stage.time)
+        fault.mend()
+        mended = axis.chip.clock
+        stage.run(0.1)
+        journal.close()
+        clocks, _ = edges_of(journal, "el_plus")
+        assert clocks[0] == (mended if expected is None else expected)
+
+
+@pytest.mark.parametrize(("seconds", "toggles"), [(2e-3, 6), (1e-4, 8), (1e-2, 2), (5e-7, 4)])
+def test_a_contact_bounces_as_its_docstring_says_and_rests_on_its_new_level(xyz, seconds, toggles):
+    x = xyz.axes["x"]
+    run_into(x, "el_plus")
+    with faults.bounce(x, "el_plus", seconds, toggles):
+        journal = x.chip.journal()
+        twin = copy.deepcopy(xyz)
+        xyz.run(0.1)
+        journal.close()
+        clocks, levels = [e.clock for e in journal.entries], [e.b & x.chip.INPUTS["el_plus"] for e in journal.entries]
+        n, k = toggles, np.arange(toggles + 1)
+        expected = seconds * (1 - (n - k) * (n - k + 1) / (n * (n + 1)))
+        assert len(clocks) == toggles + 1
+        assert (np.array(clocks) - clocks[0]) / x.chip.clock_hz == pytest.approx(expected, abs=1.1 / x.chip.clock_hz)
+        assert [bool(v) for v in levels] == [k % 2 == 0 for k in range(toggles + 1)]
+        assert x.switches.el_plus
+        seed = np.random.SeedSequence().entropy
+        print("seed", seed)
+        cuts = np.sort(np.random.default_rng(seed).integers(0, 100_000_000, 300))
+        for length in np.diff([0, *cuts, 100_000_000]):
+            twin.run(length * 1e-9)
+        assert bits(twin) == bits(xyz), "however time is cut"
+
+
+def test_a_snapshot_within_a_bounce_goes_on_bouncing(xyz):
+    x = xyz.axes["x"]
+    run_into(x, "el_plus")
+    with faults.bounce(x, "el_plus", 5e-3):
+        xyz.run_until(lambda: x.switches.el_plus, timeout=0.2, poll=1e-4)
+        xyz.run(1e-3)
+        middle = xyz.snapshot()
+        levels = []
+        for _ in range(2):
+            xyz.restore(middle)
+            levels.append([x.switches.el_plus for _ in range(100) if xyz.run(5e-5) is None])
+        assert levels[0] == levels[1]
+        assert False in levels[0]
+        assert levels[0][-1]
+
+
+def test_a_bounce_under_way_is_played_to_its_end_when_the_fault_is_mended(xyz):
+    x = xyz.axes["x"]
+    run_into(x, "el_plus")
+    journal = x.chip.journal()
+    with faults.bounce(x, "el_plus", 5e-3):
+        xyz.run_until(lambda: x.switches.el_plus, timeout=0.2, poll=1e-4)
+    xyz.run(0.02)
+    journal.close()
+    assert len(edges_of(journal, "el_plus")[0]) == 7
+    assert x.switches.el_plus
+
+
+def test_every_contact_of_the_machine_may_bounce_as_fast_as_it_can(xyz):
+    """More edges than a window has ever had: none is lost, none is written where it does not belong."""
+    each = [faults.bounce(a, pin, 1e-6, 8) for a in xyz.axes.values() for pin in a.switches.as_dict()]
+    with xyz.record() as recording:
+        for axis in xyz.axes.values():
+            axis.switches.stick("sd_plus", True)
+            assert firmware.origin_return(axis).stopped_by == "ORG"
+            axis.switches.stick("sd_plus", None)
+    for fault in each:
+        fault.mend()
+    recording.check_time()
+    for name, journal in recording.journals.items():
+        assert journal.course().edges["inputs"][-1] == xyz.axes[name].chip._input_word(0)
+        assert len(edges_of(journal, "org")[0]) <= 9 * 4
+
+
+def test_a_vane_serves_the_switches_of_its_kind(xyz):
+    y = xyz.axes["y"]
+    with faults.vane_missing(y, "el_plus") as fault:
+        assert "el_plus and el_minus" in fault.text
+        for pin, seen in (("el_plus", False), ("el_minus", False), ("org", True), ("sd_plus", True)):
+            xyz.place(y=touch(y, pin) + (1e-3 if pin.endswith("plus") else -1e-3))
+            assert y.switches.as_dict()[pin] is seen
+    xyz.place(y=touch(y, "el_plus") + 1e-3)
+    assert y.switches.el_plus
+
+
+# --- drives ---
+
+
+@pytest.mark.parametrize("mode", ["chopper", "sine"])
+@pytest.mark.parametrize("open_", [stepper.A, stepper.B, stepper.A + stepper.B])
+def test_an_open_phase_carries_no_current_and_the_other_is_as_it_was(mode, open_):
+    seed = np.random.SeedSequence().entropy
+    print("seed", seed)
+    rng = np.random.default_rng(seed)
+    whole, broken = np.zeros(1, stepper.STEPPER), np.zeros(1, stepper.STEPPER)
+    for rows in (whole, broken):
+        Drive(mode=mode).fill(rows[0])
+    broken[0].open, broken[0].slice = open_, 0.0
+    km, nr, td = whole[0].torque_constant, whole[0].teeth, whole[0].detent
+    h = 31.25e-6
+    for _ in range(200):
+        count, theta, omega = rng.uniform(-1e4, 1e4), rng.uniform(-10, 10), rng.uniform(-150, 150)
+        broken[0].current_a = whole[0].current_a = 0.0 if open_ & stepper.A else rng.uniform(-1.7, 1.7)
+        broken[0].current_b = whole[0].current_b = 0.0 if open_ & stepper.B else rng.uniform(-1.7, 1.7)
+        a0, b0 = broken[0].current_a, broken[0].current_b
+        torque = stepper.mean_torque(broken[0], np.full(8, count), 1, theta, omega, h)
+        stepper.mean_torque(whole[0], np.full(8, count), 1, theta, omega, h)
+        a, b = broken[0].current_a, broken[0].current_b
+        assert a == (0.0 if open_ & stepper.A else whole[0].current_a)
+        assert b == (0.0 if open_ & stepper.B else whole[0].current_b)
+        mean_a = 0.0 if open_ & stepper.A else (a0 + a) / 2
+        mean_b = 0.0 if open_ & stepper.B else (b0 + b) / 2
+        if mode == "chopper":
+            expected = km * (mean_b * np.cos(nr * theta) - mean_a * np.sin(nr * theta)) - td * np.sin(4 * nr * theta)
+            assert torque == pytest.approx(expected, abs=1e-12)
+
+
+def test_eight_slices_with_an_open_phase_are_eight_times_one():
+    rows, h, omega = np.zeros(2, stepper.STEPPER), 31.25e-6, 60.0
+    for d in rows:
+        Drive().fill(d)
+        d.open, d.slice, d.current_b = stepper.A, 0.0, 0.5
+    counts = np.arange(8) * 0.7
+    at_once = stepper.mean_torque(rows[0], counts, 8, 0.01, omega, h)
+    singly = [stepper.mean_torque(rows[1], counts[k : k + 1], 1, 0.01 + k * omega * h, omega, h) for k in range(8)]
+    assert at_once == pytest.approx(np.mean(singly), abs=1e-15)
+    assert rows[0].current_b == pytest.approx(rows[1].current_b, abs=1e-15)
+
+
+def test_the_current_of_an_open_phase_is_zero_in_the_recording_from_the_fault_on(xyz):
+    x = xyz.axes["x"]
+    start_preset(x.chip, 20_000)
+    with xyz.record(every=2.5e-4) as recording:
+        xyz.run(0.1)
+        with faults.phase_open(x, "b"):
+            xyz.run(0.1)
+    time, a, b = (recording.column(c) for c in ("time", "x/current_a", "x/current_b"))
+    assert np.abs(b[time < 0.0999]).max() > 1
+    assert (b[time > 0.1001] == 0).all()
+    assert np.abs(a[time > 0.1001]).max() > 1
+
+
+def test_a_supply_that_falls_at_power_up_is_a_stage_with_that_supply(xyz):
+    lower = Stage("xyz", chips=PCL240K, drives=Drive(bus_voltage=9.0))
+    lower.set_payload(1.0)
+    with faults.bus_voltage(xyz, 9.0):
+        for stage in (xyz, lower):
+            stage.reset()
+            start_preset(stage.axes["x"].chip, 20_000)
+            stage.run(0.5)
+        assert bits(xyz) == bits(lower)
+
+
+# --- mechanics ---
+
+
+@pytest.mark.parametrize("name", ["jam", "phase open"])
+def test_an_origin_return_that_gets_nowhere_ends_in_a_timeout(xyz, name):
+    with EVERY[name](xyz), pytest.raises(RunTimeout, match="axis x still operates"):
+        firmware.origin_return(xyz.axes["x"], timeout=6)
+    xyz.reset()
+    assert firmware.origin_return(xyz.axes["x"], timeout=6).stopped_by == "ORG"
+
+
+def test_a_doubled_payload_is_a_stage_with_twice_the_payload(xyz):
+    twin = copy.deepcopy(xyz)
+    twin.set_payload(2.0)
+    with faults.payload(xyz, 2.0):
+        assert xyz.payload() == 2.0
+        for stage in (xyz, twin):
+            start_preset(stage.axes["x"].chip, 8000)
+            stage.run(0.5)
+        assert bits(xyz) == bits(twin)
+    assert xyz.payload() == 1.0
+
+
+def test_a_jammed_axis_holds_against_its_motor_in_both_directions(xyz):
+    x = xyz.axes["x"]
+    with faults.jam(x):
+        for minus in (False, True):
+            start_preset(x.chip, 20_000, minus)
+            xyz.run(0.5)
+            assert abs(x.position) < 20e-6
+            xyz.run_until(lambda: x.chip.pins.hold, timeout=5)
+            assert x._electrics()[1] == (0 if minus else 20_000), "the chip makes all its pulses"
+    assert firmware.preset_move(xyz.axes["y"], 1000).ok
+
+
+# --- the host's board ---
+
+
+def test_only_the_next_start_command_is_late_and_by_its_time(xyz):
+    x, y = xyz.axes["x"], xyz.axes["y"]
+    with faults.start_skew(x, 3e-3) as fault:
+        report = firmware.synchronized_move({"x": 4000, "y": -1500}, xyz.axes)
+        assert not fault.in_force
+        assert report.skew == pytest.approx(3e-3 + xyz.bus_cycle, abs=1e-9)
+    again = firmware.synchronized_move({"x": 4000, "y": -1500}, xyz.axes)
+    assert again.skew == pytest.approx(xyz.bus_cycle, abs=1e-9)
+    assert x.lost_steps == y.lost_steps == 0
+
+
+def test_a_lost_write_takes_its_cycle_and_nothing_else_happens(xyz):
+    chip = xyz.axes["x"].chip
+    before, time = chip.values(), xyz.time
+    with faults.lost_write(xyz.axes["x"]) as fault:
+        chip.write(0, 0x15)
+        assert not fault.in_force
+    assert xyz.time == pytest.approx(time + xyz.bus_cycle, abs=1e-12)
+    assert chip.values() == before
+    assert chip.diagnostics == []
+    assert chip.pins.hold
+    chip.write(0, 0x08)
+    chip.write(0, 0x10)
+    assert not chip.pins.hold
+
+
+def test_a_lost_write_is_chosen_by_address_value_and_turn(xyz):
+    chip = xyz.axes["x"].chip
+    with faults.lost_write(xyz.axes["x"], 1, 7, skip=1):
+        load_registers(chip, R1=7, R2=7, R3=7)
+    assert [chip.values()[r] for r in ("R1", "R2", "R3")] == [7, 0, 7]
+
+
+def test_a_chip_without_a_stage_loses_writes_too():
+    chip = PCL240K()
+    with faults.lost_write(chip, address=2):
+        load_registers(chip, R0=0x123456)
+    assert chip.values()["R0"] == 0x120056
+
+
+def test_the_journal_the_report_and_the_waveforms_show_what_got_lost(xyz, tmp_path):
+    x = xyz.axes["x"]
+    with xyz.record() as recording, faults.lost_write(x, 0, 0x15):
+        report = firmware.preset_move(x, 1000)
+    entries = recording.journals["x"].entries
+    assert [(e.a, e.b) for e in entries if e.kind == LOST] == [(0, 0x15)]
+    assert not any(e.kind == WRITE and e.a == 0 and e.b == 0x15 for e in entries)
+    assert "LOST: start, ramp to FH1" in report.listing()
+    assert report.pulses == 0
+    assert not report.ok
+    assert report.stopped_by == "EL+", "what is left when a halted chip has pulses left: it never started"
+    course = recording.journals["x"].course()
+    assert course.pin("hold").all(), "its replay does not see the write either"
+    assert course.edges["r0"][-1] == 1000
+    assert " LOST " in recording.to_vcd(tmp_path / "x.vcd").read_text()
+    report.plot(tmp_path / "x.png")
+
+
+def test_a_fleet_loses_the_write_as_the_stage_alone_would():
+    stages = [Stage("xy", chips=PCL240K) for _ in range(2)]
+    program = Program()
+    for name, value in {"R0": 900, "R1": 25, "R2": 500, "R4": 1500, "R5": 1500, "R6": 100, "R7": 30}.items():
+        program.register(0, stages[0].axes["x"].chip, name, value)
+    program.command(0, 0x08).command(0, 0x44).command(0, 0x15).wait(0.3)
+    with faults.lost_write(stages[1].axes["x"], 0, 0x15):
+        fleet = Fleet(stages)
+        fleet.play([program, program])
+    assert [s.axes["x"]._electrics()[1] for s in stages] == [900, 0]
+
+
+# --- recordings, command line, errors ---
+
+
+def test_a_recording_names_the_faults_at_their_moments(xyz, tmp_path):
+    from rerun.chunk import RrdReader
+
+    x = xyz.axes["x"]
+    stuck = faults.switch_stuck(x, "org", True)
+    with xyz.record() as recording:
+        xyz.run(0.01)
+        with faults.jam(x):
+            xyz.run(0.0100001)
+        stuck.mend()
+    said = [(round(n.time, 7), n.text, n.in_force) for n in recording.notes]
+    both = ("axis x: org stuck closed", "axis x: jammed")
+    assert said == [
+        (0.0, "in force from the start", both[:1]),
+        (0.01, "axis x: jammed: begins", both),
+        (0.0200001, "axis x: jammed: mended", both[:1]),
+        (0.0200001, "axis x: org stuck closed: mended", ()),
+    ]
+    entities = {c.entity_path for c in RrdReader(str(recording.save(tmp_path / "f.rrd"))).stream()}
+    assert {"/faults", "/faults/log"} <= entities
+
+
+def test_the_command_lists_every_fault_and_shows_one(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["fault"]) == 0
+    listed = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in listed] == list(demos.DEMOS)
+    assert main(["fault", "jam", "--record", "jam.rrd", "--plot", "jam.png"]) == 0
+    said = capsys.readouterr().out
+    assert "happened as claimed" in said
+    assert "healthy" in said
+    assert (tmp_path / "jam.rrd").exists()
+    assert (tmp_path / "jam.png").read_bytes().startswith(b"\x89PNG")
+    assert main(["fault", "jamm"]) == 2
+    assert "Did you mean 'jam'" in capsys.readouterr().err
+
+
+def test_every_fault_has_a_section_with_its_command_in_the_docs():
+    from pathlib import Path
+
+    page = (Path(__file__).parent.parent / "docs" / "faults.md").read_text()
+    for name, demo in demos.DEMOS.items():
+        assert f"stage fault {name}" in page
+        assert demo.claim in " ".join(page.split())
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda s: faults.switch_stuck(s.axes["x"], "el", True), "unknown switch"),
+        (lambda s: faults.switch_stuck("x", "el_plus", True), "give stage.axes"),
+        (lambda s: faults.bounce(s.axes["x"], "org", 0), "bounces for more than 0"),
+        (lambda s: faults.bounce(s.axes["x"], "org", 1e-3, 3), "even number from 2 to 8"),
+        (lambda s: faults.vane_missing(s.axes["x"], "orgg"), "Did you mean 'org'"),
+        (lambda s: faults.payload(s, -1.0), "a factor is above 0"),
+        (lambda s: faults.payload(s, 2.0, "nowhere"), "unknown body"),
+        (lambda s: faults.payload(s.axes["x"], 2.0), "give a Stage"),
+        (lambda s: faults.jam(s.axes["x"], -5), "above 0 N"),
+        (lambda s: faults.bus_voltage(s, 0), "up to 400 V"),
+        (lambda s: faults.bus_voltage(24, 12), "give stage.axes"),
+        (lambda s: faults.phase_open(s.axes["x"], "c"), "unknown phase"),
+        (lambda s: faults.start_skew(s.axes["x"], -1e-3), "0 s or more"),
+        (lambda s: faults.lost_write(s.axes["x"], skip=-1), "whole number of writes"),
+    ],
+)
+def test_errors_say_what_is_allowed_and_break_nothing(xyz, make, message):
+    before = bits(xyz)
+    with pytest.raises(ArgumentError, match=message):
+        make(xyz)
+    assert xyz.faults == ()
+    assert bits(xyz) == before
+
+
+def test_edges_of_a_window_have_room():
+    assert engine.EDGES_A_WINDOW >= 5 * (1 + engine.MAX_TOGGLES) + 3
