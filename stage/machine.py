@@ -75,7 +75,7 @@ class Switches:
         """Hold switch `name` asserted or released from the next physics step on; None mends it."""
         self._axis._stage._switch_table[self._find(name)].forced = -1 if asserted is None else int(asserted)
 
-    def __dir__(self):
+    def __dir__(self) -> list[str]:
         return [s.pin for s in self._axis._plant.switches]
 
     def as_dict(self) -> dict[str, bool]:
