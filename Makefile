@@ -2,14 +2,22 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test test-slow soak lint bench results pictures clean help
+PHYSICS := tests/test_models.py tests/test_plant.py tests/test_stage.py tests/test_fleet.py tests/recording tests/envs tests/test_docs.py
+UNCOMPILED := tests/test_uncompiled.py tests/chips/test_pcl240k_statements.py tests/chips/test_mean_count.py tests/drives/test_stepper.py
+TYPES := build/types/stage
+
+.PHONY: ci demo test test-slow test-oldest test-mujoco soak coverage lint bench results pictures clean help
 
 help:
 	@echo "make demo       origin return, dual-rate and a:b moves; writes demo.rrd"
 	@echo "make test       the everyday test suite"
 	@echo "make test-slow  the long checks"
 	@echo "make soak       24 simulated hours of random moves, checked after each (less than an hour)"
+	@echo "make test-oldest                the everyday suite with the oldest of every dependency, in build/oldest"
+	@echo "make test-mujoco VERSION=3.17.0 what touches physics, with another MuJoCo"
+	@echo "make coverage   lines that the fast tests run, with the compiled code uncompiled"
 	@echo "make lint       ruff and mypy"
+	@echo "make ci         all that .github/workflows/ci.yml does on this Python"
 	@echo "make bench      speed, as ratios measured in one run"
 	@echo "make results    baselines of RegisterTuning: docs/results.md (extra rl; half an hour)"
 	@echo "make pictures   draw every picture of README and docs again"
@@ -38,10 +46,40 @@ test-slow: .venv/.dev
 soak: .venv/.dev
 	$(BIN)/python scripts/soak.py --hours 24
 
+# `>=` of pyproject.toml turned into `==`
+test-oldest:
+	rm -rf build/oldest
+	$(PYTHON) -m venv build/oldest
+	build/oldest/bin/python -m pip install -q --upgrade pip
+	build/oldest/bin/python -m pip install -q -e '.[test]' $$($(PYTHON) -c "$$OLDEST")
+	build/oldest/bin/python -m pytest -n 2 --dist worksteal
+
+define OLDEST
+import re, tomllib
+project = tomllib.load(open("pyproject.toml", "rb"))["project"]
+needs = project["dependencies"] + [n for extra in ("plot", "cluster", "test") for n in project["optional-dependencies"][extra]]
+print(*(re.sub(r">=([\d.]+).*", r"==\1.*", need) for need in needs if ">=" in need))
+endef
+export OLDEST
+
+# that MuJoCo goes before the one of .venv, whatever pyproject.toml allows; all else stays as it is
+test-mujoco: .venv/.dev
+	rm -rf build/mujoco
+	mkdir -p build
+	$(BIN)/python -m pip freeze --exclude-editable | grep -iv mujoco > build/others.txt
+	$(BIN)/python -m pip install -q --target build/mujoco -c build/others.txt mujoco==$(VERSION)
+	PYTHONPATH=build/mujoco $(BIN)/python -m pytest -n 2 --dist worksteal $(PHYSICS)
+
+coverage: .venv/.dev
+	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -n 2 --dist worksteal --cov --cov-report=term-missing $(UNCOMPILED)
+
 lint: .venv/.dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy
+	mkdir -p $(TYPES) && ln -sfn $(CURDIR)/stage/* $(CURDIR)/envs $(TYPES)/  # as installed: envs is stage.envs
+	$(BIN)/mypy $(TYPES)
+
+ci: lint test coverage
 
 bench: .venv/.dev
 	$(BIN)/python scripts/benchmark.py --markdown docs/performance.md --picture docs/pictures/performance.png

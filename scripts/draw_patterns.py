@@ -233,8 +233,20 @@ pins, filled while asserted (FUP, FKEEP, FDOWN, HOLD high; SD, ORG, EL, EXTP and
 **How to read the bytes.** The first byte of a row goes to address 0; further ones are a register's, to the addresses 3, 2,
 1, the last of them to 1. Times are ms from the first start.
 
-**How to make them.** `axis()` is a fresh chip, `Bench(PCL240K()).axes["x"]`; `stage.axes["x"]` does as well, and moves a
-carriage. `report.plot("move.png")` draws what `report = firmware.preset_move(...)` did.
+**How to make them.** The code of every pattern goes on from here. `axis()` is a fresh chip; `stage.axes["x"]` does as well, and
+moves a carriage. `report.plot("move.png")` draws what `report = firmware.preset_move(...)` did.
+
+```python
+from stage import firmware
+from stage.chips import PCL240K
+from stage.firmware import Bench, Profile
+
+P = CALL
+
+
+def axis():
+    return Bench(PCL240K()).axes["x"]
+```
 """
 
 SPEED_DATA = """
@@ -278,10 +290,10 @@ def section(p: Pattern, report: Report) -> str:
 def page(reports: dict[str, Report]) -> str:
     """docs/patterns.md."""
     first = [r for r in rows(next(iter(reports.values()))) if is_speed_data(r) or r[1] == "08"]
-    call = re.search(r"^P = (.*)$", Path(__file__).read_text(), re.M)
-    speed = SPEED_DATA.format(call=call[1] if call else P, accel=P.accel() * 1e3, table=table(first))
+    call = next(re.finditer(r"^P = (.*)$", Path(__file__).read_text(), re.M))[1]
+    speed = SPEED_DATA.format(call=call, accel=P.accel() * 1e3, table=table(first))
     contents = "".join(f"- [{p.title}](#{anchor(p.title)})\n" for p in PATTERNS)
-    return HEAD + "\n" + contents + speed + "".join(section(p, reports[p.name]) for p in PATTERNS)
+    return HEAD.replace("CALL", call) + "\n" + contents + speed + "".join(section(p, reports[p.name]) for p in PATTERNS)
 
 
 def anchor(title: str) -> str:

@@ -30,7 +30,7 @@ from stage.chips.pcl240 import core as pcl240_core
 from stage.compiled import COMPILED, hot, record
 from stage.drives import stepper
 
-_LIBRARY = glob.glob(os.path.join(os.path.dirname(mujoco.__file__), "libmujoco*.so*"))[0]
+_LIBRARY = glob.glob(os.path.join(os.path.dirname(mujoco.__file__), "libmujoco.*"))[0]  # .so or, on macOS, .dylib
 if COMPILED:
     llvmlite.binding.load_library_permanently(_LIBRARY)
     mj_step: Any = numba.types.ExternalFunction("mj_step", numba.types.void(numba.types.intp, numba.types.intp))

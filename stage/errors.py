@@ -39,7 +39,7 @@ class SimulationError(StageError, RuntimeError):
         self.time = time
         self.axis = axis
 
-    def __reduce__(self):
+    def __reduce__(self) -> tuple[type, tuple]:
         return type(self), (str(self), self.time, self.axis)
 
 

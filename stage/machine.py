@@ -79,7 +79,7 @@ class Switches:
         self._axis._stage._switch_table[self._find(name)].forced = -1 if asserted is None else int(asserted)
         self._axis._stage._look_again(self._axis.index)
 
-    def __dir__(self):
+    def __dir__(self) -> list[str]:
         return [s.pin for s in self._axis._plant.switches]
 
     def as_dict(self) -> dict[str, bool]:

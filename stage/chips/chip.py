@@ -86,7 +86,7 @@ class Pins:
             if chip._journal is not None:
                 chip._journal.note_input(chip.clock, self._axis, new)
 
-    def __dir__(self):
+    def __dir__(self) -> list[str]:
         return [*self._chip.INPUTS, *self._chip.OUTPUTS]
 
     def as_dict(self) -> dict[str, bool]:
@@ -240,10 +240,10 @@ class Chip:
         self.__init__(state.clock_hz)  # type: ignore[misc]
         self.restore(state)
 
-    def __copy__(self):
+    def __copy__(self) -> Chip:
         return self.__deepcopy__({})
 
-    def __deepcopy__(self, memo):
+    def __deepcopy__(self, memo: dict) -> Chip:
         twin = type(self)(self.clock_hz)
         twin.restore(self.snapshot())
         return twin

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from typing import Any
 
 EPILOG = """\
 examples:
@@ -65,7 +66,7 @@ def build_parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _command(commands, name: str, run: str, help_: str, description: str) -> argparse.ArgumentParser:
+def _command(commands: Any, name: str, run: str, help_: str, description: str) -> argparse.ArgumentParser:
     """A subcommand whose work is the function `module:function`, imported when it runs."""
     p = commands.add_parser(name, help=help_, description=description)
 
@@ -124,7 +125,7 @@ def _place(p: argparse.ArgumentParser) -> None:
     p.add_argument("--from", dest="start", type=float, metavar="MM", help="where the carriage starts, mm (default: 0)")
 
 
-def _add_moves(commands) -> None:
+def _add_moves(commands: Any) -> None:
     p = _command(
         commands, "demo", "demo:run", "origin return, dual-rate and a:b moves; writes demo.rrd",
         "Home all axes, make a dual-rate move and an a:b move, print a table and write a recording.",
@@ -185,7 +186,7 @@ def _plot(p: argparse.ArgumentParser) -> None:
     p.add_argument("--plot", metavar="FILE.png", help="draw the move")
 
 
-def _add_fault(commands) -> None:
+def _add_fault(commands: Any) -> None:
     p = _command(
         commands, "fault", "fault:run", "something breaks: a switch, a wire, the supply, the bus",
         "Run a program on a healthy stage and on a faulty one and print what differs. Without a name: list the faults. "
@@ -196,7 +197,7 @@ def _add_fault(commands) -> None:
     _bench(p)
 
 
-def _add_tools(commands) -> None:
+def _add_tools(commands: Any) -> None:
     p = _command(
         commands, "registers", "tools:registers", "the register map of a chip",
         "Print a chip's registers, commands and status bits with the evidence for each.",

@@ -123,7 +123,7 @@ class Profile:
     spans: tuple[int, int] | None = None
     chip: type[PCL240] = PCL240K
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if self.spans is not None and not self.chip.S_CURVES:
             raise ArgumentError(f"{self.chip.MAP.chip} has linear ramps only; S-curves need a PCL240MS.")
         for name, span in zip(("R14", "R15"), self.spans or (), strict=False):

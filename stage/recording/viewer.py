@@ -12,6 +12,7 @@ import sys
 import time
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 from urllib.parse import quote
 
 from stage.errors import ArgumentError, StageError
@@ -141,7 +142,7 @@ def _cut_frame(png: Path, size: tuple[int, int]) -> None:
         picture.crop((0, top, picture.width, top + size[1])).save(png)
 
 
-def _client(port: int, process: subprocess.Popen, deadline: float):
+def _client(port: int, process: subprocess.Popen, deadline: float) -> Any:
     """A client of the viewer at `port`, once that has loaded all it was given."""
     from rerun.experimental import ViewerClient
 
@@ -159,7 +160,7 @@ def _client(port: int, process: subprocess.Popen, deadline: float):
     raise ViewerError(f"rerun's viewer does not answer: {said}")
 
 
-def _hold_at(client, at: float | None) -> None:
+def _hold_at(client: Any, at: float | None) -> None:
     timeline = next(t for r in client.get_state().recordings for t in r.timelines if t.name == "time")
     seconds = (timeline.end or 0) * 1e-9 if at is None else at
     client.set_time("time", duration=seconds, play_state="paused")

@@ -1,0 +1,142 @@
+"""README.md and docs/*.md do what they say: Python blocks run and print what stands below them, commands, files and links exist.
+
+A block that begins with an import is a program of its own; any other goes on where the block before it ended. A block whose first
+line is `# NAME.py` is that file. Blocks of a page run in one empty folder. What cannot run is marked in the page, on the line
+above it: `<!-- not run: REASON -->`.
+"""
+
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+from stage.cli import build_parser, main
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+by_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+
+PYTHON = re.compile(r"^(?:<!-- not run: (?P<why>.+) -->\n)?```python\n(?P<code>.*?)^```\n", re.M | re.S)
+TEXT = re.compile(r"\n(?:```text\n(?P<fenced>.*?)^```|(?P<indented>(?: {4}[^\n]*\n)+))", re.M | re.S)
+NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]\d+)?")
+WATCHED = ("--web", "view")  # commands that somebody looks at, until he ends them
+
+
+class Block(NamedTuple):
+    """Python of a page: its line, why it is not run ("" if it is), and what it prints ("" if the page does not say)."""
+
+    line: int
+    code: str
+    why: str
+    prints: str
+
+
+def text_at(page: str, place: int) -> str:
+    """The block of text, fenced or indented, that follows a place of a page after an empty line; "" if none does."""
+    found = TEXT.match(page, place)
+    return (found["fenced"] or re.sub(r"^ {4}", "", found["indented"], flags=re.M)) if found else ""
+
+
+def blocks(page: Path) -> list[Block]:
+    text = page.read_text()
+    return [
+        Block(text[: m.start("code")].count("\n"), m["code"], m["why"] or "", text_at(text, m.end()))
+        for m in PYTHON.finditer(text)
+    ]
+
+
+def commands(page: Path) -> list[str]:
+    """The command lines that begin with `stage`: those in indented blocks, without their comments."""
+    return [m[1].strip() for m in re.finditer(r"^ {4}(stage [^#\n]*)", page.read_text(), re.M)]
+
+
+def agree(said: str, expected: str) -> bool:
+    """The same words, and numbers as near as another processor's arithmetic leaves them."""
+    return NUMBER.sub("#", said).split() == NUMBER.sub("#", expected).split() and [
+        float(n) for n in NUMBER.findall(said)
+    ] == pytest.approx([float(n) for n in NUMBER.findall(expected)], rel=0.02, abs=0.02)
+
+
+@pytest.mark.parametrize("page", [p for p in PAGES if blocks(p)], ids=lambda page: page.stem)
+def test_python_blocks_run_and_print_what_the_page_says(page, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    names: dict = {}
+    for block in blocks(page):
+        if block.why:
+            continue
+        first = block.code.partition("\n")[0]
+        if re.fullmatch(r"# \w+\.py", first):
+            Path(first[2:]).write_text(block.code)
+        elif "__main__" in block.code:  # its workers import it again
+            Path("program.py").write_text(block.code)
+            done = subprocess.run([sys.executable, "program.py"], capture_output=True, text=True, check=False)
+            assert done.returncode == 0, f"{page.name}:{block.line}: {done.stderr}"
+        else:
+            if first.startswith(("import ", "from ")):
+                names = {"__name__": page.stem}
+            exec(compile("\n" * block.line + block.code, page, "exec"), names)
+        said = capsys.readouterr().out
+        if block.prints:
+            assert agree(said, block.prints), f"{page.name}:{block.line} prints\n{said}"
+
+
+def test_a_changed_word_or_number_of_a_page_would_be_seen():
+    assert agree("data sheet: 2.05 pulses, -3 steps", "data sheet: 2.06 pulses,  -3 steps\n")
+    assert not agree("data sheet: 2.05 pulses", "data sheet: 2.15 pulses")
+    assert not agree("data sheet: 2.05 pulses", "data sheet: 2.05 um")
+    assert not agree("data sheet: 2.05 pulses", "data sheet: pulses")
+
+
+@by_page
+def test_commands_print_what_the_page_says(page, capsys):
+    text = page.read_text()
+    for m in re.finditer(r"^`stage ([^`]+)`[^\n]*:\n", text, re.M):
+        assert main(shlex.split(m[1])) == 0
+        assert capsys.readouterr().out.strip() == text_at(text, m.end()).strip(), m[1]
+
+
+@pytest.mark.parametrize(
+    "command", [c for page in PAGES for c in commands(page) if not any(word in c.split() for word in WATCHED)]
+)
+def test_commands_of_the_pages_run(command, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    assert main(shlex.split(command)[1:]) == 0
+
+
+@by_page
+def test_commands_that_a_page_names_exist_with_their_options(page):
+    text = page.read_text()
+    for command in [*commands(page), *re.findall(r"`(stage [a-z][^`]*)`", text)]:
+        build_parser().parse_args(shlex.split(command)[1:])  # ends the program with its usage if it does not know them
+    for script, arguments in re.findall(r"python (scripts/[\w/]+\.py)([^`#\n]*)", text):
+        source = "".join(path.read_text() for path in (ROOT / script).parent.glob("*.py"))
+        for option in re.findall(r"--[\w-]+", arguments):
+            assert f'"{option}"' in source, f"{script} has no {option}"
+    targets = re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(), re.M)
+    for target in re.findall(r"(?:^ {4}|`)make ([\w-]+)", text, re.M):
+        assert target in targets
+
+
+@by_page
+def test_files_and_links_that_a_page_names_exist(page):
+    text = re.sub(r"^```.*?^```", "", page.read_text(), flags=re.M | re.S)
+    for link, anchor in re.findall(r"\]\(([^)#\s]*)(?:#([^)]*))?\)", text):
+        if not link.startswith("http"):
+            there = (page.parent / link).resolve() if link else page
+            assert there.exists(), link
+            assert not anchor or anchor in headings(there), f"{link}#{anchor}"
+    for file in re.findall(r"\b(?:stage|scripts|tests|envs|models)/[\w/]+\.(?:py|xml)\b", text):
+        assert (ROOT / file).exists(), file
+
+
+def headings(page: Path) -> set[str]:
+    """GitHub's names for the headings of a page."""
+    return {
+        re.sub(r"[^\w\- ]", "", h.lower()).replace(" ", "-") for h in re.findall(r"^#+ (.*)$", page.read_text(), re.M)
+    }

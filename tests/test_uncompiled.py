@@ -1,0 +1,232 @@
+"""The compiled loops, a few physics steps at a time: short enough to run uncompiled, too, where they make the same bits and where
+`make coverage` sees their lines."""
+
+import hashlib
+import itertools
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from programs import start_preset
+
+from stage import SimulationError, Stage, host, machine
+from stage.chips import PCL240K, PCL240MK, PCL240MS
+from stage.compiled import COMPILED
+from stage.fleet import Fleet, Program
+from stage.recording import recording
+
+
+@pytest.fixture(autouse=True)
+def elsewhere(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes MUJOCO_LOG.TXT when it diverges
+
+
+def make_stage():
+    return Stage("xyz", chips={"x": PCL240MS, "y": PCL240K}, visuals=False)
+
+
+def go(chip, r2, minus=False):
+    """At r2 x 120 pps, at once."""
+    p = Program()
+    for name, value in {"R2": r2, "R7": 5}.items():
+        p.register(0, chip, name, value)
+    for command in (0x08, 0x48 if minus else 0x40, 0x11):
+        p.command(0, command)
+    for _, _, address, value in p.ops:
+        chip.write(address, value)
+
+
+def over_a_switch():
+    """X runs over its SD switch and back; the edges and samples of its recording."""
+    stage = make_stage()
+    x = stage.axes["x"]
+    sd = next(s.touch for s in x._plant.switches if s.pin == "sd_plus")
+    stage.place(x=sd - 5e-5)
+    with stage.record(every=5e-4) as recorded:
+        go(x.chip, 40)
+        stage.run_until(lambda: x.chip.pins.sd_plus, timeout=0.05)
+        x.chip.write(0, 0x08)
+        go(x.chip, 40, minus=True)
+        stage.run_until(lambda: not x.chip.pins.sd_plus, timeout=0.05)
+    assert recorded.columns["x/sd_plus"].any()
+    return stage.snapshot().state.tobytes(), *(recorded.columns[name].tobytes() for name in sorted(recorded.columns))
+
+
+def over_an_index_mark():
+    """X turns over the index pulse of its encoder, forth and back; when the chip saw it."""
+    stage = make_stage()
+    x = stage.axes["x"]
+    turn = 2 * np.pi / stage._table["gear"][0]
+    seen = []
+    for minus in (False, True):
+        stage.place(x=(stage._table["index_at"][0] + (0.007 if minus else -0.007)) * turn)
+        go(x.chip, 60, minus)
+        for on in (True, False):
+            stage.run_until(lambda on=on: x.chip.pins.ez == on, timeout=0.05, poll=1e-4)
+            seen.append(stage.time)
+        x.chip.write(0, 0x08)
+        stage.run_until(lambda: x.chip.pins.hold, timeout=0.05)
+    return str(seen), stage.snapshot().state.tobytes()
+
+
+def every_operation():
+    """A host's program: write, read, wait, poll until stopped or out of patience, measure, look."""
+    fleet = Fleet([make_stage()], threads=1)
+    chip = fleet.stages[0].axes["x"].chip
+    p = Program().command(0, 0x08)
+    for name, value in {"R0": 12, "R2": 30, "R7": 5}.items():
+        p.register(0, chip, name, value)
+    p.command(0, 0x44).command(0, 0x11).wait(1e-3).read(0, 0).until_stopped([0], 0.05).measure(1e-3).look(0)
+    p.command(0, 0x08).command(0, 0x40).command(0, 0x11).until_stopped([0, 1], 2e-3)
+    played = fleet.play([p])
+    assert played.results[0, -1] < 0, "X has not stopped"
+    return played.results.tobytes(), played.extremes.tobytes(), fleet.truth().tobytes()
+
+
+def load(chip, **values):
+    for name, value in values.items():
+        r = chip.MAP.register(name)
+        chip.write(0, 0x80 | r.number)
+        for k in reversed(range((r.bits + 7) // 8)):
+            chip.write(1 + k, value >> 8 * k & 0xFF)
+
+
+def fields(pulses):
+    """Without the padding between the fields, which is anything."""
+    return b"".join(pulses[name].tobytes() for name in pulses.dtype.names)
+
+
+def whole_moves():
+    """Preset moves of the three chips: linear and S-curves, R6 and the automatic point, with FH correction and without."""
+    for make in (PCL240K, PCL240MK, PCL240MS):
+        kinds = [{}] if make is PCL240K else [{}, {"R14": 0x1000}, {"R14": 30, "R15": 50}, {"R14": 0x8000}]
+        for pulses, control, kind in itertools.product((40, 300), (0x44, 0x5C), kinds):
+            chip = make()
+            load(chip, R1=50, R2=200, R3=300, R4=120, R5=90, R7=15)
+            chip.write(0, 0x08)
+            load(chip, R0=pulses, R6=0xFFFFFE if control == 0x5C else 30, **kind)
+            for command in (0xC8, control, 0x37):
+                chip.write(0, command)
+            begun = chip.trace(300_000)
+            chip.write(0, 0x15)  # to FH1 in motion
+            begun = np.concatenate([begun, chip.trace(20_000), chip.trace(20_000_000)])
+            assert len(begun) == pulses
+            yield fields(begun) + bytes(chip.read(a) for a in range(4)) + chip.snapshot().record
+
+
+def runs_with_switches():
+    """Origin returns to ORG and to EZ, a slow-down, an end limit, a decelerating stop, pulses counted from outside."""
+    for make, control, r13, stop in (
+        (PCL240K, 0x43, None, "org"), (PCL240MS, 0x61, 0x210000, "ez"), (PCL240MS, 0x69, 0x310000, "ez"),
+        (PCL240MK, 0x40, None, "el_plus"), (PCL240K, 0x42, None, 0x1D), (PCL240K, 0x44, None, "extp"),
+    ):  # fmt: skip
+        chip = make()
+        load(chip, R0=3, R1=50, R2=400, R4=120, R5=90, R7=15, **({"R13": r13} if r13 else {}))
+        for command in (0x08, 0xD1 if stop == "extp" else 0xC8, control, 0x11 if stop == "extp" else 0x15):
+            chip.write(0, command)
+        said = [chip.trace(100_000)]
+        for on in (True, False):
+            chip.pins.sd_plus = on
+            said.append(chip.trace(40_000))
+        if stop == 0x1D:
+            chip.write(0, stop)
+        for _ in range(4):
+            chip.pins.org = True
+            for on in (True, False):
+                if stop != 0x1D:
+                    setattr(chip.pins, stop, on)
+                said.append(chip.trace(10_000))
+        assert chip.pins.hold, f"{make.__name__} {stop}"
+        yield b"".join(map(fields, said)) + chip.snapshot().record
+
+
+def a_course():
+    """The journal of a move, replayed to the clock."""
+    chip = PCL240MS()
+    load(chip, R0=60, R1=50, R2=150, R4=120, R5=90, R7=15)
+    seen = []
+    journal = chip.journal()
+    for command in (0x08, 0x44, 0x15):
+        chip.write(0, command)
+    chip.advance(100_000)
+    chip.pins.sd_plus = True
+    chip.advance(5_000_000)
+    journal.close()
+    for every_pulse in (False, True):
+        seen.append(np.concatenate(list(journal.pieces(every_pulse, size=100))).tobytes())
+    return seen
+
+
+SCENES = (whole_moves, a_course, runs_with_switches, over_a_switch, over_an_index_mark, every_operation)
+
+
+def bits():
+    """What every scene leaves behind, as a hash of it."""
+    said = {}
+    for scene in SCENES:
+        parts = (part if isinstance(part, bytes) else part.encode() for part in scene())
+        said[scene.__name__] = hashlib.sha256(b"|".join(parts)).hexdigest()
+    return said
+
+
+def test_compiled_and_uncompiled_make_the_same_bits():
+    other = subprocess.run(
+        [sys.executable, "-c", "import json, test_uncompiled as t; print(json.dumps([t.COMPILED, t.bits()]))"],
+        env={**os.environ, "NUMBA_DISABLE_JIT": "1" if COMPILED else "0"},
+        cwd=Path(__file__).parent, capture_output=True, text=True, check=True,
+    ).stdout  # fmt: skip
+    assert json.loads(other) == [not COMPILED, bits()]
+
+
+def test_a_program_of_a_driver_in_python_makes_the_same_bits():
+    fleet, stage = Fleet([make_stage()], threads=1), make_stage()
+    chip = stage.axes["y"].chip
+    p = Program().command(1, 0x08).register(1, chip, "R0", 9).register(1, chip, "R2", 30).register(1, chip, "R7", 5)
+    p.command(1, 0x44).command(1, 0x11).until_stopped([1], 0.05).measure(1e-3).look(1).read(1, 0).wait(1e-4)
+    ops = np.array(p.ops)
+    results, extremes = np.zeros(len(ops), np.int64), np.full((stage.model.nq, 2), np.inf) * [1, -1]
+    assert host.by_hand(stage, ops, results, extremes) == host.PLAYED
+    played = fleet.play([p])
+    assert (played.results[0] == results).all()
+    assert (played.extremes[0] == extremes).all()
+    assert fleet.stages[0].snapshot().state.tobytes() == stage.snapshot().state.tobytes()
+
+
+@pytest.mark.parametrize("operation", ["wait", "measure", "until_stopped", "read"])
+def test_a_stage_that_diverges_ends_its_program(operation):
+    fleet = Fleet([make_stage()], threads=1)
+    fleet.stages[0].data.qfrc_applied[:] = 1e30
+    p = Program()
+    if operation == "read":
+        for _ in range(2000):
+            p.read(0, 0)
+    else:
+        start_preset(fleet.stages[0].axes["x"].chip, 100)
+        {"wait": p.wait, "measure": p.measure, "until_stopped": lambda s: p.until_stopped([0], s)}[operation](0.01)
+    assert fleet.play([p]).diverged.all()
+
+
+def test_by_hand_a_stage_that_diverges_ends_its_program():
+    stage = make_stage()
+    stage.data.qfrc_applied[:] = 1e30
+    ops = np.array(Program().wait(0.01).ops)
+    assert host.by_hand(stage, ops, np.zeros(1, np.int64), np.zeros((3, 2))) == host.DIVERGED
+
+
+def test_room_for_few_samples_and_edges_loses_none(monkeypatch):
+    """The loop returns when its room is full, and goes on."""
+    whole = over_a_switch()
+    monkeypatch.setattr(recording, "ROWS", 7)
+    monkeypatch.setattr(machine, "EDGES", 8 * 2)  # that is: full with the first edge
+    assert over_a_switch() == whole
+
+
+def test_a_diverging_stage_says_so():
+    stage = make_stage()
+    stage.data.qfrc_applied[:] = 1e30
+    with pytest.raises(SimulationError):
+        stage.run(0.01)
