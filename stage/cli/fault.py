@@ -60,9 +60,9 @@ class Shown:
         widths = [max(len(r[k]) for r in rows) for k in range(3)]
         return "\n".join("  ".join(v.ljust(w) for v, w in zip(r, widths, strict=True)).rstrip() for r in rows)
 
-    def plot(self, path: str | None = None) -> Any:
+    def plot(self, path: str | None = None, overwrite: bool = False) -> Any:
         """Both runs over time. Saves to `path` if given; returns the figure. Needs recordings, and matplotlib."""
-        return _draw(self, path)
+        return _draw(self, path, overwrite)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -114,8 +114,9 @@ def _text(value: Any) -> str:
     return f"{value:.4f}" if isinstance(value, float) else str(value)
 
 
-def _draw(shown: Shown, path: str | None) -> Any:
+def _draw(shown: Shown, path: str | None, overwrite: bool) -> Any:
     from stage.drives.picture import ACCENT, GRID, INK, MUTED
+    from stage.files import save_figure
     from stage.recording.recording import COLUMNS
     from stage.recording.signals import rates
 
@@ -156,7 +157,7 @@ def _draw(shown: Shown, path: str | None) -> Any:
         shown.recordings[1].notes[0].text.removesuffix(": begins"), x=0.01, ha="left", color=INK, weight="bold"
     )
     if path is not None:
-        figure.savefig(path, dpi=150)
+        save_figure(figure, path, 150, overwrite)
     return figure
 
 
