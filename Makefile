@@ -2,12 +2,13 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test test-slow lint bench results pictures clean help
+.PHONY: demo test test-slow fuzz lint bench results pictures clean help
 
 help:
 	@echo "make demo       origin return, dual-rate and a:b moves; writes demo.rrd"
 	@echo "make test       the everyday test suite"
 	@echo "make test-slow  the long checks"
+	@echo "make fuzz       fuzz the bus and the MJCF contract, SECONDS=60 each (extra fuzz)"
 	@echo "make lint       ruff and mypy"
 	@echo "make bench      speed, as ratios measured in one run"
 	@echo "make results    baselines of RegisterTuning: docs/results.md (extra rl; a quarter of an hour)"
@@ -33,6 +34,12 @@ test: .venv/.dev
 
 test-slow: .venv/.dev
 	$(BIN)/python -m pytest -n 2 -m slow
+
+SECONDS ?= 60
+fuzz: .venv/.dev
+	$(BIN)/python -m pip install -q -e '.[fuzz]'
+	$(BIN)/python scripts/fuzz.py bus --seconds $(SECONDS)
+	$(BIN)/python scripts/fuzz.py mjcf --seconds $(SECONDS)
 
 lint: .venv/.dev
 	$(BIN)/ruff check .
