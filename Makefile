@@ -6,7 +6,7 @@ PHYSICS := tests/test_models.py tests/test_plant.py tests/test_stage.py tests/te
 UNCOMPILED := tests/test_uncompiled.py tests/chips/test_pcl240k_statements.py tests/chips/test_mean_count.py tests/drives/test_stepper.py
 TYPES := build/types/stage
 
-.PHONY: ci demo test test-slow test-oldest test-mujoco soak coverage lint bench results pictures clean help
+.PHONY: ci demo test test-slow test-oldest test-mujoco soak fuzz coverage lint bench results pictures clean help
 
 help:
 	@echo "make demo       origin return, dual-rate and a:b moves; writes demo.rrd"
@@ -16,6 +16,7 @@ help:
 	@echo "make test-oldest                the everyday suite with the oldest of every dependency, in build/oldest"
 	@echo "make test-mujoco VERSION=3.17.0 what touches physics, with another MuJoCo"
 	@echo "make coverage   lines that the fast tests run, with the compiled code uncompiled"
+	@echo "make fuzz       fuzz the bus and the MJCF contract, SECONDS=60 each (extra fuzz)"
 	@echo "make lint       ruff and mypy"
 	@echo "make ci         all that .github/workflows/ci.yml does on this Python"
 	@echo "make bench      speed, as ratios measured in one run"
@@ -72,6 +73,12 @@ test-mujoco: .venv/.dev
 
 coverage: .venv/.dev
 	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -n 2 --dist worksteal --cov --cov-report=term-missing $(UNCOMPILED)
+
+SECONDS ?= 60
+fuzz: .venv/.dev
+	$(BIN)/python -m pip install -q -e '.[fuzz]'
+	$(BIN)/python scripts/fuzz.py bus --seconds $(SECONDS)
+	$(BIN)/python scripts/fuzz.py mjcf --seconds $(SECONDS)
 
 lint: .venv/.dev
 	$(BIN)/ruff check .

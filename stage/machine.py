@@ -231,9 +231,12 @@ class Stage:
         self._table = np.zeros(n, engine.AXIS_TABLE)
         self._switch_table = np.zeros(m, engine.SWITCH_TABLE)
         self._clockwork = np.zeros(1, engine.CLOCKWORK)
+        least = 100 * engine.SLICES
+        if not least - 0.5 <= model.opt.timestep * 1e9 <= engine.SECOND:  # not a number is out of range, too
+            raise ArgumentError(
+                f"timestep {model.opt.timestep} s: the stage needs {least} ns to 1 s; the shipped models take 0.00025 s."
+            )
         dt = round(model.opt.timestep * 1e9)
-        if dt < 100 * engine.SLICES:
-            raise ArgumentError(f"timestep {model.opt.timestep} s: the stage needs at least {100 * engine.SLICES} ns.")
         self._dt = dt
         w = self._clockwork[0]
         w.dt, w.slices, w.h, w.half, w.nv = dt, engine.SLICES, dt * 1e-9 / engine.SLICES, dt * 0.5e-9, model.nv

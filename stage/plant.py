@@ -181,7 +181,10 @@ def _compile(spec: Any) -> Any:
 
 def bind(model: mujoco.MjModel, axes: Sequence[str] | None = None) -> tuple[PlantAxis, ...]:
     """Find and check the axes of a model; `axes` chooses some. Raises one ModelError that lists everything that is wrong."""
-    return _Binder(model, list(axes) if axes is not None else axis_names(model)).bind()
+    try:
+        return _Binder(model, list(axes) if axes is not None else axis_names(model)).bind()
+    except UnicodeDecodeError as error:
+        raise ModelError(f"a name in the model is not UTF-8: {error}. Save the MJCF as UTF-8.") from error
 
 
 def describe(model: mujoco.MjModel) -> str:
@@ -231,7 +234,7 @@ class _Binder:
         self.texts = {
             mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_TEXT, k): bytes(
                 model.text_data[model.text_adr[k] : model.text_adr[k] + model.text_size[k]]
-            ).rstrip(b"\0").decode()
+            ).rstrip(b"\0").decode(errors="replace")
             for k in range(model.ntext)
         }  # fmt: skip
 
@@ -284,11 +287,11 @@ class _Binder:
         if not low < high:
             self._problem(name, f"joint {name!r} has no range, so its switches cannot be looked for", _joint_line(name))
         gear = float(m.actuator_gear[actuator][0])
-        if not self._is_motor(joint, actuator) or gear == 0:
+        if not self._is_motor(joint, actuator) or not 1e-6 <= abs(gear) <= 1e9:
             self._problem(
                 name,
-                f"actuator {name!r} is not a <motor> on joint {name!r} with a gear (rotor radians per joint unit); if {name!r} "
-                "is no axis of a chip, name those that are: chips={axis: chip}",
+                f"actuator {name!r} is not a <motor> on joint {name!r} with a gear of 1e-6 to 1e9 (rotor radians per joint "
+                f"unit); if {name!r} is no axis of a chip, name those that are: chips={{axis: chip}}",
                 _actuator_line(name),
             )
         unfitted = self.texts.get(f"{name}_unfitted", "").split()
@@ -311,7 +314,10 @@ class _Binder:
         m = self.model
         k = self._id(mujoco.mjtObj.mjOBJ_NUMERIC, f"{name}_index")
         if k >= 0:
-            return float(m.numeric_data[m.numeric_adr[k]])
+            index = float(m.numeric_data[m.numeric_adr[k]])
+            if not abs(index) <= 1e6:
+                self._problem(name, f"the numeric {name}_index is {index}: give turns, mostly 0 to 1")
+            return index
         return next(((s.touch * gear / (2 * np.pi) + 0.5) % 1.0 for s in switches if s.pin == "org"), 0.0)
 
     def _is_motor(self, joint: int, actuator: int) -> bool:
