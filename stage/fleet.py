@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -182,9 +182,19 @@ class Fleet:
             return
         chunks = min(n, self.threads * CHUNKS)
         cuts = [n * k // chunks for k in range(chunks + 1)]
+        left = iter(range(chunks))  # every thread takes the next, this one among them
+
+        def share() -> None:
+            for k in left:
+                work(cuts[k], cuts[k + 1], self._scratch[k])
+
         if self._pool is None:
-            self._pool = ThreadPoolExecutor(self.threads, thread_name_prefix="stage")
-        jobs = [self._pool.submit(work, cuts[k], cuts[k + 1], self._scratch[k]) for k in range(chunks)]
+            self._pool = ThreadPoolExecutor(self.threads - 1, thread_name_prefix="stage")
+        jobs = [self._pool.submit(share) for _ in range(self.threads - 1)]
+        try:
+            share()
+        finally:
+            wait(jobs)
         for job in jobs:
             job.result()
 
