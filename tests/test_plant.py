@@ -351,3 +351,34 @@ def test_userdata_begins_after_the_models_own_and_the_source_stays_as_it_was():
     assert (model.nuserdata, offset, spec.nuserdata) == (12, 7, 7)
     assert plant.compile_spec(plant.open_spec(model), 5)[1] == 7
     assert plant.compile_spec(plant.open_spec("xy"), 5)[1] == 0
+
+
+@pytest.mark.parametrize("timestep", ["inf", "nan", "1e300", "1e-8", "2"])
+def test_a_timestep_that_is_no_time_is_refused(timestep):
+    spec = plant.open_spec("xy")
+    spec.option.timestep = float(timestep)
+    with pytest.raises(ArgumentError, match=r"timestep .* needs 800 ns to 1 s"):
+        Stage(spec)
+
+
+@pytest.mark.parametrize("gear", ["inf", "nan", "1e300", "1e-300"])
+def test_a_gear_that_no_machine_has_is_refused(gear):
+    spec = plant.open_spec("xy")
+    spec.actuator("x").gear[0] = float(gear)
+    with pytest.raises(ModelError, match="gear of 1e-6 to 1e9"):
+        Stage(spec)
+
+
+@pytest.mark.parametrize("index", ["inf", "nan", "1e300"])
+def test_an_index_pulse_that_stands_nowhere_is_refused(index):
+    spec = plant.open_spec("xy")
+    spec.add_numeric(name="x_index", data=[float(index)], size=1)
+    with pytest.raises(ModelError, match=r"x_index is .* give turns"):
+        Stage(spec)
+
+
+def test_text_that_is_not_utf_8_is_an_unknown_motor(tmp_path):
+    for part in (Path(__file__).parent.parent / "models").glob("*.xml"):
+        (tmp_path / part.name).write_bytes(part.read_bytes().replace(b'data="17HS4401"', b'data="17HS\xe44401"'))
+    with pytest.raises(ArgumentError, match="unknown motor"):
+        Stage(tmp_path / "xy.xml")
