@@ -1,4 +1,4 @@
-"""Inputs that fuzzing found worth keeping, replayed every day; `make fuzz` looks for more."""
+"""Inputs for the fuzzer to begin with, and those that broke something, replayed every day; `make fuzz` looks for more."""
 
 import os
 import sys

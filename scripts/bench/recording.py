@@ -23,10 +23,6 @@ def measure(run: Run) -> Iterator[Figure]:
     recording: Any = None
 
     def again() -> None:
-        nonlocal recording
-        if recording is not None:
-            recording.close()
-            recording = None
         stage.restore(start)
 
     def work_recorded() -> None:

@@ -162,7 +162,7 @@ class StageMachine(RuleBasedStateMachine):
 
     @rule(ops=ops)
     def play_on_one_and_on_three_threads(self, ops):
-        """The same program on copies of this stage, on 1 thread and on 3, and by hand: the same bits."""
+        """The same program on copies of this stage, on 1 thread and on 3: the same bits."""
         program = Program()
         for kind, a, b, c in ops:
             if kind == "wait":

@@ -6,7 +6,7 @@ import sys
 
 import numpy as np
 import pytest
-from recording_bench import drive, feed, make_bench
+from recording_bench import Full, drive, feed, make_bench
 
 from stage import ArgumentError, Stage, StageError
 from stage.chips import PCL240K
@@ -164,12 +164,6 @@ def test_a_save_that_fails_half_way_leaves_the_old_file(run, tmp_path, monkeypat
 def test_a_full_disk_ends_the_recording_with_advice_and_keeps_what_was_there(bench, monkeypatch):
     recording = bench.recording
     feed(recording, ROWS + 10)
-
-    class Full:
-        def seek(self, at): ...
-
-        def write(self, rows):
-            raise OSError(28, "No space left on device")
 
     file = recording._file
     monkeypatch.setattr(recording, "_file", Full())

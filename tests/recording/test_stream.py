@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recording_bench import drive, read_rrd, rerun_cli
+from recording_bench import Full, drive, read_rrd, rerun_cli
 
 from stage import ArgumentError, Stage
 from stage.chips import PCL240K
@@ -226,12 +226,6 @@ def test_wrong_arguments_are_named(tmp_path):
 def test_a_full_temporary_file_warns_and_the_run_goes_on_where_asked(tmp_path, monkeypatch):
     stage = Stage("xy", visuals=False)
     recording = stage.record(path=tmp_path / "x.rrd", on_error="warn")
-
-    class Full:
-        def seek(self, at): ...
-
-        def write(self, rows):
-            raise OSError(28, "No space left on device")
 
     file = recording._file
     monkeypatch.setattr(recording, "_file", Full())
