@@ -70,7 +70,7 @@ def _scratch(f, k):
 
 
 @hot
-def play(address, begin, end):
+def play(address, kinds, begin, end):
     """Turn the actions of the active stages into operations of a host, and play them where Python does not."""
     f = _frame(address)
     handles = numba.carray(host._pointer(f.handles), (f.stages,), HANDLE)
@@ -93,7 +93,7 @@ def play(address, begin, end):
         if not by_hand[k]:
             scratch = _scratch(f, k)
             extremes = numba.carray(host._pointer(f.counts), (0, 2), REAL)
-            status[k] = host._play(handles[k], ops[k], values[k], extremes, scratch)
+            status[k] = host._play(handles[k], kinds, ops[k], values[k], extremes, scratch)
 
 
 @hot
@@ -113,7 +113,7 @@ def _arrived(r, axes, rules, truth):
         rest = t.commanded - t.lost_steps * rule.full_step
         if not (abs(t.position - goal) <= rule.near and abs(rest - goal) <= rule.near):
             return False
-        if t.status & host.OPERATING or not abs(t.velocity) < r.standing:
+        if t.busy or not abs(t.velocity) < r.standing:
             return False
         if t.lost_steps != 0 and not r.home:
             return False
@@ -182,7 +182,7 @@ def _observe(r, rules, steps, episode, axes, truth, out):
 
 
 @hot
-def conclude(address, begin, end, fresh, results):
+def conclude(address, kinds, begin, end, fresh, results):
     """Look at the active stages, judge what they have done, observe; one that diverged keeps its last observation.
 
     fresh: an episode begins on these stages in place of a step; goals and bytes read are set. results: (stages,) RESULT.
@@ -203,7 +203,7 @@ def conclude(address, begin, end, fresh, results):
     for k in range(begin, end):
         if not (fresh or active[k]):
             continue
-        host.look(handles, k, k + 1, truth)
+        host.look(handles, kinds, k, k + 1, truth)
         bad = False
         if fresh:
             e = episodes[k]

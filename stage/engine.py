@@ -25,8 +25,9 @@ from typing import Any
 import llvmlite.binding
 import mujoco
 import numba
+from numba import literal_unroll
 
-from stage.chips.pcl240 import core as pcl240_core
+from stage.chips import cores
 from stage.compiled import COMPILED, hot, record
 from stage.drives import stepper
 
@@ -61,12 +62,16 @@ toggle and when it will have come to rest (ns)."""
 # --- constants ---
 CLOCKWORK = record([("dt", "i8"), ("slices", "i8"), ("h", "f8"), ("half", "f8"), ("nv", "i8"), ("sample_every", "i8")])
 """Window (ns), slices in it, a slice and half a window (s), degrees of freedom, steps per sample (0: none)."""
+MOST_AXES = 4
+CHIP_TABLE = record([("hz", "i8"), ("axes", "i8"), ("axis", "i8", (MOST_AXES,)), ("ticks", "f8")])
+"""One chip, in the order of the families and their rows: reference clock, how many of its axes are used and which axes of the
+stage they are (the first is its axis 0), its clocks in a slice."""
 AXIS_TABLE = record(
-    [(name, "i8") for name in "chip chip_axis hz qpos dof actuator first_switch end_switch index_bit".split()]
-    + [("gear", "f8"), ("index_at", "f8"), ("ticks", "f8")]
+    [(name, "i8") for name in "chip chip_axis qpos dof actuator first_switch end_switch index_bit".split()]
+    + [("gear", "f8"), ("index_at", "f8")]
 )
-"""Which chip row and drive row (= the axis' own index) move which joint; rotor radians per joint unit; the pin bit of
-the index pulse (0: not connected) and where in the rotor's turn it stands, in turns; the chip's clocks in a slice."""
+"""Which axis of which chip (a row of CHIP_TABLE) and which drive row (= the axis' own index) move which joint; rotor radians
+per joint unit; the pin bit of the index pulse (0: not connected) and where in the rotor's turn it stands, in turns."""
 SWITCH_TABLE = record(
     [(name, "i8") for name in "bit found at forced bounce toggles".split()] + [("slope", "f8"), ("hysteresis", "f8")]
 )
@@ -186,96 +191,158 @@ def _foresee(world, axes, table, switches, switch_table, clockwork, sensordata, 
 
 
 @hot
-def _meet_edges(axis, t, c, switches, switch_table, a, until, edges, n_edges):
-    """Take chip `c` of axis `a` through the edges of its switches up to `until` ns. Returns how many are noted by now."""
-    while axis.next_edge <= until:
-        now = axis.next_edge
-        pcl240_core.run(c, clock_at(now, t.hz))
-        axis.next_edge = NEVER
-        for k in range(t.first_switch, t.end_switch):
-            s = switches[k]
-            if s.edge <= now:
-                s.edge = NEVER
-                s.on = 1 - s.on
-                bit = switch_table[k].bit
-                c.inputs = c.inputs | bit if s.on else c.inputs & ~bit
-                if s.toggles or switch_table[k].bounce:
-                    _bounce(s, switch_table[k], now)
-            axis.next_edge = min(axis.next_edge, s.edge)
-        if t.index_bit:
-            if axis.index_edge <= now:
-                axis.index_edge, axis.index_end = axis.index_end, NEVER
-                axis.index_on = 1 - axis.index_on
-                c.inputs = c.inputs | t.index_bit if axis.index_on else c.inputs & ~t.index_bit
-            axis.next_edge = min(axis.next_edge, axis.index_edge)
-        if len(edges):
-            e = edges[n_edges]
-            e.now, e.clock, e.axis, e.inputs = now, c.clock, a, c.inputs
-            n_edges += 1
+def _meet_axis_edges(axis, t, c, j, switches, switch_table, now):
+    """The switches of chip axis `j` that change at `now` do."""
+    axis.next_edge = NEVER
+    word = cores.inputs(c, j)
+    for k in range(t.first_switch, t.end_switch):
+        s = switches[k]
+        if s.edge <= now:
+            s.edge = NEVER
+            s.on = 1 - s.on
+            bit = switch_table[k].bit
+            word = word | bit if s.on else word & ~bit
+            if s.toggles or switch_table[k].bounce:
+                _bounce(s, switch_table[k], now)
+        axis.next_edge = min(axis.next_edge, s.edge)
+    if t.index_bit:
+        if axis.index_edge <= now:
+            axis.index_edge, axis.index_end = axis.index_end, NEVER
+            axis.index_on = 1 - axis.index_on
+            word = word | t.index_bit if axis.index_on else word & ~t.index_bit
+        axis.next_edge = min(axis.next_edge, axis.index_edge)
+    cores.set_input(c, j, word)
+
+
+@hot
+def _next_edge(axes, wiring):
+    """When the next input of a chip changes."""
+    edge = axes[wiring.axis[0]].next_edge
+    for j in range(1, wiring.axes):
+        edge = min(edge, axes[wiring.axis[j]].next_edge)
+    return edge
+
+
+@hot
+def _meet_edges(c, wiring, axes, table, switches, switch_table, until, edges, n_edges):
+    """Take chip `c` through the edges of its switches up to `until` ns. Returns how many are noted by now."""
+    now = _next_edge(axes, wiring)
+    while now <= until:
+        cores.run(c, clock_at(now, wiring.hz))
+        for j in range(wiring.axes):
+            a = wiring.axis[j]
+            if axes[a].next_edge > now:
+                continue
+            _meet_axis_edges(axes[a], table[a], c, j, switches, switch_table, now)
+            if len(edges):
+                e = edges[n_edges]
+                e.now, e.clock, e.axis, e.inputs = now, c.clock, a, cores.inputs(c, j)
+                n_edges += 1
+        now = _next_edge(axes, wiring)
     return n_edges
 
 
 @hot
-def _sample(world, t, chips, drives, a, clockwork, qpos, qvel, torque, out):
-    c, d = chips[t.chip], drives[a]
+def _run_chips(rows, wiring, world, axes, table, switches, switch_table, stop, dt, edges, n_edges):
+    """Run the chips of one family up to `stop` ns, inside the window. Returns edges noted and slices done by now."""
+    start = world.start
+    hz = clock = rest = 0
+    k = world.slice
+    for i in range(len(rows)):
+        c, w = rows[i], wiring[i]
+        if w.hz != hz:
+            hz = w.hz
+            clock, rest = clock_at(start, hz), start % SECOND * hz % SECOND
+        k, now = world.slice, 0
+        while now < stop:
+            bound = start + (k + 1) * dt // SLICES
+            now = min(bound, stop)
+            if _next_edge(axes, w) <= now:
+                n_edges = _meet_edges(c, w, axes, table, switches, switch_table, now, edges, n_edges)
+            cores.run(c, clock + (rest + (now - start) * hz) // SECOND)
+            if now == bound:
+                for j in range(w.axes):
+                    axis = axes[w.axis[j]]
+                    axis.counts[k] = cores.mean_count(c, j, axis.count, w.ticks)
+                    axis.count = cores.net(c, j)
+                k += 1
+    return n_edges, k
+
+
+@hot
+def _run_families(chips, wiring, world, axes, table, switches, switch_table, stop, dt, edges, n_edges):
+    first = k = 0
+    for rows in literal_unroll(chips):
+        n_edges, k = _run_chips(
+            rows, wiring[first:], world, axes, table, switches, switch_table, stop, dt, edges, n_edges
+        )
+        first += len(rows)
+    return n_edges, k
+
+
+@hot
+def _sample(world, t, c, hz, d, clockwork, qpos, qvel, torque, out):
+    j = t.chip_axis
+    net = cores.net(c, j)
     v = qvel[t.dof]
     q = qpos[t.qpos] - v * clockwork.half
     theta = q * t.gear
-    angle = stepper.load_angle(d, c.net, theta)
+    angle = stepper.load_angle(d, net, theta)
     out.time = world.now / SECOND
     out.position, out.velocity = q, v
     out.commanded = q + stepper.mechanical(d, angle) / t.gear
     out.load_angle, out.torque = angle, torque
     out.current_a, out.current_b = d.current_a, d.current_b
-    out.rate = pcl240_core.pulse_rate(c, t.hz)
-    out.pulses, out.counter = c.net, c.reg[0]
-    out.lost_steps = stepper.lost_steps(d, c.net, theta)
-    out.inputs, out.outputs = c.inputs, pcl240_core.outputs(c)
+    out.rate = cores.pulse_rate(c, j, hz)
+    out.pulses, out.counter = net, cores.counter(c, j)
+    out.lost_steps = stepper.lost_steps(d, net, theta)
+    out.inputs, out.outputs = cores.inputs(c, j), cores.outputs(c, j)
+
+
+@hot
+def _sample_chips(rows, wiring, world, table, drives, clockwork, qpos, qvel, ctrl, out):
+    for i in range(len(rows)):
+        for j in range(wiring[i].axes):
+            a = wiring[i].axis[j]
+            torque = ctrl[table[a].actuator]
+            _sample(world, table[a], rows[i], wiring[i].hz, drives[a], clockwork, qpos, qvel, torque, out[a])
+
+
+@hot
+def _sample_families(chips, wiring, world, table, drives, clockwork, qpos, qvel, ctrl, out):
+    first = 0
+    for rows in literal_unroll(chips):
+        _sample_chips(rows, wiring[first:], world, table, drives, clockwork, qpos, qvel, ctrl, out)
+        first += len(rows)
 
 
 @hot
 def run(
-    model, data, world_, axes, chips, drives, switches, table, switch_table, clockwork_,
+    model, data, world_, axes, chips, drives, switches, table, switch_table, wiring, clockwork_,
     qpos, qvel, ctrl, sensordata, until, samples, positions, n_samples, edges, n_edges, counts,
 ):  # fmt: skip
     """Run up to `until` ns. Returns why it returned (REACHED, ...); counts[0], counts[1] = samples and edges written.
 
-    model, data: addresses. samples: (capacity, axes) SAMPLE; positions: (capacity, nq) float64; edges: EDGE. Empty
-    arrays log nothing.
+    model, data: addresses. chips: the rows of each family that takes part. samples: (capacity, axes) SAMPLE; positions:
+    (capacity, nq) float64; edges: EDGE. Empty arrays log nothing.
     """
     world, clockwork = world_[0], clockwork_[0]
     status = REACHED
     while world.now < until:
-        start, dt = world.start, clockwork.dt
-        end = start + dt
-        stop, k = min(until, end), 0
-        hz = clock = rest = 0
-        for a in range(len(axes)):
-            axis, t = axes[a], table[a]
-            c, means = chips[t.chip], axis.counts
-            if t.hz != hz:
-                hz = t.hz
-                clock, rest = clock_at(start, hz), start % SECOND * hz % SECOND
-            k, now = world.slice, 0
-            while now < stop:
-                bound = start + (k + 1) * dt // SLICES
-                now = min(bound, stop)
-                if axis.next_edge <= now:
-                    n_edges = _meet_edges(axis, t, c, switches, switch_table, a, now, edges, n_edges)
-                pcl240_core.run(c, clock + (rest + (now - start) * hz) // SECOND)
-                if now == bound:
-                    means[k] = pcl240_core.mean_count(c, axis.count, t.ticks)
-                    axis.count = c.net
-                    k += 1
+        end = world.start + clockwork.dt
+        stop = min(until, end)
+        n_edges, k = _run_families(
+            chips, wiring, world, axes, table, switches, switch_table, stop, clockwork.dt, edges, n_edges
+        )
         world.now = stop
         world.slice = k
         if stop < end:
             break
-        first = 0.5 * clockwork.h - clockwork.half  # the middle of the first slice
+        middle = 0.5 * clockwork.h - clockwork.half  # of the first slice
         for a in range(len(axes)):
             t = table[a]
             omega = qvel[t.dof] * t.gear
-            theta = qpos[t.qpos] * t.gear + omega * first
+            theta = qpos[t.qpos] * t.gear + omega * middle
             ctrl[t.actuator] = stepper.mean_torque(
                 drives[a], axes[a].counts, clockwork.slices, theta, omega, clockwork.h
             )
@@ -293,9 +360,7 @@ def run(
             world.to_sample -= 1
             if world.to_sample <= 0:
                 world.to_sample = clockwork.sample_every
-                for a in range(len(axes)):
-                    torque = ctrl[table[a].actuator]
-                    _sample(world, table[a], chips, drives, a, clockwork, qpos, qvel, torque, samples[n_samples, a])
+                _sample_families(chips, wiring, world, table, drives, clockwork, qpos, qvel, ctrl, samples[n_samples])
                 positions[n_samples] = qpos
                 n_samples += 1
                 if n_samples == len(samples):
@@ -309,7 +374,7 @@ def run(
 
 
 @hot
-def look_again(world_, axes, chips, switches, switch_table, table, clockwork_, qvel, a, edges):
+def look_again(world_, axes, chips, switches, switch_table, table, wiring, clockwork_, qvel, a, edges):
     """A fault of axis `a`'s switches has come or gone, at any moment in a window: their levels now, their edges in the rest
     of it. Returns how many edges are noted.
     """
@@ -319,31 +384,51 @@ def look_again(world_, axes, chips, switches, switch_table, table, clockwork_, q
         if switch_table[k].forced >= 0:
             switches[k].toggles = 0
         _foresee_switch(world, axis, switches[k], switch_table[k], qvel[t.dof], clockwork_[0].half)
-    return _meet_edges(axis, t, chips[t.chip], switches, switch_table, a, world.now, edges, 0)
+    first = n = 0
+    for rows in literal_unroll(chips):
+        if first <= t.chip < first + len(rows):
+            c = rows[t.chip - first]
+            n = _meet_edges(c, wiring[t.chip], axes, table, switches, switch_table, world.now, edges, 0)
+        first += len(rows)
+    return n
 
 
 @hot
-def settle(world_, axes, chips, drives, switches, table, switch_table, clockwork_, qpos, qvel, sensordata):
+def _settle_axis(c, axis, t, switches, switch_table, d, qpos):
+    axis.next_edge = NEVER
+    axis.count = cores.net(c, t.chip_axis)
+    for k in range(SLICES):
+        axis.counts[k] = axis.count
+    word = cores.inputs(c, t.chip_axis)
+    for k in range(t.first_switch, t.end_switch):
+        s, bit = switches[k], switch_table[k].bit
+        s.edge = NEVER
+        s.on = switch_table[k].forced if switch_table[k].forced >= 0 else (1 if s.dist <= 0.0 else 0)
+        word = word | bit if s.on else word & ~bit
+    if t.index_bit:
+        axis.index_edge = axis.index_end = NEVER
+        axis.index_on = 1 if abs(_off_index(t, qpos[t.qpos])) <= 0.5 * INDEX else 0
+        word = word | t.index_bit if axis.index_on else word & ~t.index_bit
+    cores.set_input(c, t.chip_axis, word)
+    stepper.align(d, float(axis.count), qpos[t.qpos] * t.gear)
+
+
+@hot
+def _settle_chips(rows, wiring, axes, table, switches, switch_table, drives, qpos):
+    for i in range(len(rows)):
+        for j in range(wiring[i].axes):
+            a = wiring[i].axis[j]
+            _settle_axis(rows[i], axes[a], table[a], switches, switch_table, drives[a], qpos)
+
+
+@hot
+def settle(world_, axes, chips, drives, switches, table, switch_table, wiring, clockwork_, qpos, qvel, sensordata):
     """Before the first window, or after the carriages were placed by hand: switch levels and pending edges anew."""
     world, clockwork = world_[0], clockwork_[0]
     for k in range(len(switches)):
         switches[k].toggles, switches[k].edge = 0, NEVER
     _foresee(world, axes, table, switches, switch_table, clockwork, sensordata, qpos, qvel, False)
-    for a in range(len(axes)):
-        axes[a].next_edge = NEVER
-        axes[a].count = chips[table[a].chip].net
-        for k in range(SLICES):
-            axes[a].counts[k] = axes[a].count
-        for k in range(table[a].first_switch, table[a].end_switch):
-            s, t = switches[k], switch_table[k]
-            s.edge = NEVER
-            s.on = t.forced if t.forced >= 0 else (1 if s.dist <= 0.0 else 0)
-            c = chips[table[a].chip]
-            c.inputs = c.inputs | t.bit if s.on else c.inputs & ~t.bit
-        t = table[a]
-        if t.index_bit:
-            axes[a].index_edge = axes[a].index_end = NEVER
-            axes[a].index_on = 1 if abs(_off_index(t, qpos[t.qpos])) <= 0.5 * INDEX else 0
-            c = chips[t.chip]
-            c.inputs = c.inputs | t.index_bit if axes[a].index_on else c.inputs & ~t.index_bit
-        stepper.align(drives[a], float(axes[a].count), qpos[table[a].qpos] * table[a].gear)
+    first = 0
+    for rows in literal_unroll(chips):
+        _settle_chips(rows, wiring[first:], axes, table, switches, switch_table, drives, qpos)
+        first += len(rows)

@@ -93,15 +93,18 @@ class Fleet:
     def __init__(self, stages: Sequence[Stage], threads: int | None = None):
         """threads: default one a processor, at most one a stage. Raises ArgumentError.
 
-        `handles`: a host.HANDLE for each stage, for compiled code.
+        `handles`: a host.HANDLE for each stage, and `kinds`, for compiled code.
         """
         if not len(stages):
             raise ArgumentError("a fleet has at least one stage.")
         if threads is not None and (int(threads) != threads or threads < 1):
             raise ArgumentError(f"threads={threads!r}: a whole number, 1 or more.")
-        kinds = {(tuple(s.axes), s.model.nq) for s in stages}
+        kinds = {(tuple(s.axes), s.model.nq, tuple(rows.dtype for rows in s._chips)) for s in stages}
         if len(kinds) > 1:
-            raise ArgumentError(f"the stages of a fleet have the same axes and coordinates; here are {sorted(kinds)}.")
+            here = sorted({(names, nq) for names, nq, _ in kinds})
+            raise ArgumentError(
+                f"the stages of a fleet have the same axes, coordinates and families of chips; here are {here}."
+            )
         self.stages = list(stages)
         self.threads = min(threads or _processors(), len(self.stages))
         first = self.stages[0]
@@ -109,13 +112,13 @@ class Fleet:
         self.handles = np.zeros(len(self.stages), host.HANDLE)
         for k, stage in enumerate(self.stages):
             self.handles[k] = host.handle(stage)
-        self._chips = [[axis.chip for axis in stage.axes.values()] for stage in self.stages]
+        self.kinds = host.kinds(first)
         self._truth = np.zeros((len(self.stages), self._axes), host.TRUTH)
         self._scratch = [self._new_scratch() for _ in range(self.threads * CHUNKS)]
         self._pool: ThreadPoolExecutor | None = None
         with announced("PulseStage: compiling the fleet's loop, once on this machine (about twenty seconds) ..."):
             none = np.zeros((0, 1, 4), np.int64), np.zeros((0, 1), np.int64), np.zeros((0, self._nq, 2))
-            host.play(self.handles, 0, 0, *none, np.zeros(0, np.int64), self._scratch[0])
+            host.play(self.handles, self.kinds, 0, 0, *none, np.zeros(0, np.int64), self._scratch[0])
 
     def __len__(self) -> int:
         return len(self.stages)
@@ -135,7 +138,7 @@ class Fleet:
         if watched:
             compiled = ops.copy()
             compiled[watched, 0] = host.END
-        self.spread(lambda a, b, s: host.play(self.handles, a, b, compiled, results, extremes, status, s))
+        self.spread(lambda a, b, s: host.play(self.handles, self.kinds, a, b, compiled, results, extremes, status, s))
         for k in watched:
             status[k] = host.by_hand(self.stages[k], ops[k], results[k], extremes[k])
         return Played(results, extremes, status == host.DIVERGED)
@@ -147,7 +150,7 @@ class Fleet:
             if stage._recording is not None:
                 found.append(k)
                 continue
-            for chip in self._chips[k]:
+            for chip in stage.chips:
                 if chip._journal is not None or chip._glitches:
                     found.append(k)
                     break
@@ -155,7 +158,7 @@ class Fleet:
 
     def truth(self) -> np.ndarray:
         """Every axis of every stage now: a new array (stages, axes) of host.TRUTH."""
-        host.look(self.handles, 0, len(self), self._truth)
+        host.look(self.handles, self.kinds, 0, len(self), self._truth)
         return self._truth.copy()
 
     def __getstate__(self) -> dict[str, Any]:

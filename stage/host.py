@@ -5,7 +5,7 @@ A program is an array of operations, (kind, a, b, c) of int64 each:
     WRITE    axis, address, value     one bus write cycle; its time passes first
     READ     axis, address, -         one bus read cycle; its value is the operation's result
     WAIT     ns, -, -
-    STOP     mask, poll ns, limit ns  poll status bit 6 of the axes in `mask` until none operates;
+    STOP     mask, poll ns, limit ns  poll the status of the axes in `mask` until none operates;
                                       the result is the ns it took, negative where `limit` came first
     MEASURE  ns, -, -                 pass the time a physics step at a time and keep each coordinate's extremes
     LOOK     axis, -, -               the axis' position is the operation's result, in pm (prad on a hinge)
@@ -22,32 +22,39 @@ from typing import Any
 
 import numba
 import numpy as np
+from numba import literal_unroll
 from numba.core import types
-from numba.extending import intrinsic
+from numba.extending import intrinsic, overload
+from numba.np.numpy_support import as_dtype
 
 from stage import engine
-from stage.chips.pcl240 import core
+from stage.chips import cores
 from stage.compiled import COMPILED, hot, record
 from stage.drives import stepper
 
 END, WRITE, READ, WAIT, STOP, MEASURE, LOOK = range(7)
 PLAYED, DIVERGED = range(2)
-OPERATING = 0x40  # of the status byte
 
-_ARRAYS = "world axes chips drives switches table switch_table clockwork qpos qvel ctrl sensordata".split()
+_ARRAYS = "world axes drives switches table switch_table wiring clockwork qpos qvel ctrl sensordata".split()
+_LENGTHS = "n_axes n_switches n_wired nq nv nu ns".split()
+MOST_FAMILIES = 3
 HANDLE = record(
-    [(name, "i8") for name in ["mj_model", "mj_data", *_ARRAYS, "n_axes", "n_switches", "nq", "nv", "nu", "ns", "bus"]]
+    [(name, "i8") for name in ["mj_model", "mj_data", *_ARRAYS, *_LENGTHS, "bus"]]
+    + [("chips", "i8", (MOST_FAMILIES,)), ("n_chips", "i8", (MOST_FAMILIES,))]
 )
-"""Where a stage's arrays lie, their lengths, and the ns of a bus cycle."""
+"""Where a stage's arrays lie, their lengths, and the ns of a bus cycle; rows of chips by family, in the order of the families
+that the stage has: its *kinds*, a tuple of empty arrays of their records, which compiled code needs beside the handle."""
 
 TRUTH = record(
     [(name, "f8") for name in "position velocity commanded".split()]
-    + [(name, "i8") for name in "now lost_steps pulses counter inputs outputs status".split()]
+    + [(name, "i8") for name in "now lost_steps pulses counter inputs outputs status busy".split()]
 )
-"""One axis now: SI units, ns, full steps, pulses; pin words; the status byte."""
+"""One axis now: SI units, ns, full steps, pulses; pin words; the status byte; 1 while a drive is in progress."""
 
-WORLD, AXIS, CHIP, DRIVE = engine.WORLD, engine.AXIS, core.STATE, stepper.STEPPER
-SWITCH, AXIS_TABLE, SWITCH_TABLE, CLOCKWORK = engine.SWITCH, engine.AXIS_TABLE, engine.SWITCH_TABLE, engine.CLOCKWORK
+WORLD, AXIS, DRIVE, SWITCH = engine.WORLD, engine.AXIS, stepper.STEPPER, engine.SWITCH
+AXIS_TABLE, SWITCH_TABLE, CHIP_TABLE, CLOCKWORK = (
+    engine.AXIS_TABLE, engine.SWITCH_TABLE, engine.CHIP_TABLE, engine.CLOCKWORK,
+)  # fmt: skip
 REAL = np.dtype("f8")
 
 if COMPILED:
@@ -64,17 +71,36 @@ else:
         return ctypes.c_void_p(int(address))
 
 
+def _chips(h, kinds):
+    """The rows of each family."""
+    return tuple(numba.carray(_pointer(h.chips[f]), (int(h.n_chips[f]),), k.dtype) for f, k in enumerate(kinds))
+
+
+if COMPILED:
+
+    @overload(_chips)
+    def _compile_chips(h, kinds):
+        space = {"carray": numba.carray, "pointer": _pointer}
+        parts = []
+        for f, kind in enumerate(kinds):
+            space[f"D{f}"] = as_dtype(kind.dtype)
+            parts.append(f"carray(pointer(h.chips[{f}]), (h.n_chips[{f}],), D{f})")
+        exec(f"def chips(h, kinds):\n    return ({', '.join(parts)},)", space)
+        return space["chips"]
+
+
 @hot
-def _arrays(h):
-    """The arrays of a stage."""
+def _arrays(h, kinds):
+    """The arrays of a stage, in the order in which `engine.run` takes them."""
     return (
         numba.carray(_pointer(h.world), (1,), WORLD),
         numba.carray(_pointer(h.axes), (h.n_axes,), AXIS),
-        numba.carray(_pointer(h.chips), (h.n_axes,), CHIP),
+        _chips(h, kinds),
         numba.carray(_pointer(h.drives), (h.n_axes,), DRIVE),
         numba.carray(_pointer(h.switches), (h.n_switches,), SWITCH),
         numba.carray(_pointer(h.table), (h.n_axes,), AXIS_TABLE),
         numba.carray(_pointer(h.switch_table), (h.n_switches,), SWITCH_TABLE),
+        numba.carray(_pointer(h.wiring), (h.n_wired,), CHIP_TABLE),
         numba.carray(_pointer(h.clockwork), (1,), CLOCKWORK),
         numba.carray(_pointer(h.qpos), (h.nq,), REAL),
         numba.carray(_pointer(h.qvel), (h.nv,), REAL),
@@ -86,12 +112,42 @@ def _arrays(h):
 @hot
 def _pass(h, arrays, scratch, until):
     """Let a stage's time pass up to `until`; True if it diverged."""
-    world, axes, chips, drives, switches, table, switch_table, clockwork, qpos, qvel, ctrl, sensordata = arrays
+    world, axes, chips, drives, switches, table, switch_table, wiring, clockwork, qpos, qvel, ctrl, sensordata = arrays
     samples, positions, edges, counts = scratch
     return engine.run(
-        int(h.mj_model), int(h.mj_data), world, axes, chips, drives, switches, table, switch_table, clockwork,
+        int(h.mj_model), int(h.mj_data), world, axes, chips, drives, switches, table, switch_table, wiring, clockwork,
         qpos, qvel, ctrl, sensordata, until, samples, positions, 0, edges, 0, counts,
     ) == engine.DIVERGED  # fmt: skip
+
+
+@hot
+def _busy(chips, t):
+    """The drive of the axis with this table row is in progress."""
+    first = busy = 0
+    for rows in literal_unroll(chips):
+        if first <= t.chip < first + len(rows):
+            busy = cores.busy(rows[t.chip - first], t.chip_axis)
+        first += len(rows)
+    return busy
+
+
+@hot
+def _write(chips, chip, address, value):
+    first = 0
+    for rows in literal_unroll(chips):
+        if first <= chip < first + len(rows):
+            cores.write(rows, chip - first, address, value)
+        first += len(rows)
+
+
+@hot
+def _read(chips, chip, address):
+    first = value = 0
+    for rows in literal_unroll(chips):
+        if first <= chip < first + len(rows):
+            value = cores.read(rows, chip - first, address)
+        first += len(rows)
+    return value
 
 
 @hot
@@ -104,7 +160,7 @@ def _until_stopped(h, arrays, scratch, left, poll, limit):
             if left >> k & 1:
                 if _pass(h, arrays, scratch, world.now + h.bus):
                     return True, 0
-                if not core.read(chips, table[k].chip, 0) & OPERATING:
+                if not _busy(chips, table[k]):
                     left &= ~(1 << k)
         took = world.now - begin
         if left == 0 or took >= limit:
@@ -116,7 +172,7 @@ def _until_stopped(h, arrays, scratch, left, poll, limit):
 @hot
 def _measure(h, arrays, scratch, end, extremes):
     """Let time pass up to `end` a physics step at a time; True if the stage diverged."""
-    world, clockwork, qpos = arrays[0][0], arrays[7][0], arrays[8]
+    world, clockwork, qpos = arrays[0][0], arrays[8][0], arrays[9]
     while world.now < end:
         if _pass(h, arrays, scratch, min(end, world.start + clockwork.dt)):
             return True
@@ -127,9 +183,9 @@ def _measure(h, arrays, scratch, end, extremes):
 
 
 @hot
-def _play(h, ops, results, extremes, scratch):
+def _play(h, kinds, ops, results, extremes, scratch):
     """Play `ops` on the stage of handle `h`. Returns PLAYED or DIVERGED."""
-    arrays = _arrays(h)
+    arrays = _arrays(h, kinds)
     world, chips, table = arrays[0][0], arrays[2], arrays[5]
     for j in range(len(ops)):
         kind, a, b, c = ops[j, 0], ops[j, 1], ops[j, 2], ops[j, 3]
@@ -143,46 +199,69 @@ def _play(h, ops, results, extremes, scratch):
         elif kind == WAIT:
             bad = _pass(h, arrays, scratch, world.now + a)
         elif kind == LOOK:
-            tau = (world.now - world.start - 0.5 * arrays[7][0].dt) * 1e-9
-            results[j] = math.floor((arrays[8][table[a].qpos] + arrays[9][table[a].dof] * tau) * 1e12)
+            tau = (world.now - world.start - 0.5 * arrays[8][0].dt) * 1e-9
+            results[j] = math.floor((arrays[9][table[a].qpos] + arrays[10][table[a].dof] * tau) * 1e12)
         else:
             bad = _pass(h, arrays, scratch, world.now + h.bus)
             if not bad and kind == WRITE:
-                core.write(chips, table[a].chip, b, c)
+                _write(chips, table[a].chip, b, c)
             elif not bad:
-                results[j] = core.read(chips, table[a].chip, b)
+                results[j] = _read(chips, table[a].chip, b)
         if bad:
             return DIVERGED
     return PLAYED
 
 
 @hot
-def play(handles, begin, end, ops, results, extremes, status, scratch):
+def play(handles, kinds, begin, end, ops, results, extremes, status, scratch):
     """Play ops[k] on stage k for k in begin..end-1; results (stages, ops), extremes (stages, nq, 2), status (stages)."""
     for k in range(begin, end):
-        status[k] = _play(handles[k], ops[k], results[k], extremes[k], scratch)
+        status[k] = _play(handles[k], kinds, ops[k], results[k], extremes[k], scratch)
 
 
 @hot
-def look(handles, begin, end, truth):
+def _look_at(world, c, t, d, clockwork, qpos, qvel, out):
+    tau = (world.now - world.start - 0.5 * clockwork.dt) * 1e-9
+    j = t.chip_axis
+    net = cores.net(c, j)
+    v = qvel[t.dof]
+    q = qpos[t.qpos] + v * tau
+    theta = q * t.gear
+    out.now, out.position, out.velocity = world.now, q, v
+    out.commanded = q + stepper.mechanical(d, stepper.load_angle(d, float(net), theta)) / t.gear
+    out.lost_steps = stepper.lost_steps(d, float(net), theta)
+    out.pulses, out.counter, out.inputs = net, cores.counter(c, j), cores.inputs(c, j)
+    out.outputs, out.status, out.busy = cores.outputs(c, j), cores.status(c, j), 1 if cores.busy(c, j) else 0
+
+
+@hot
+def _look_at_chips(rows, wiring, arrays, truth):
+    world, drives, table, clockwork, qpos, qvel = arrays[0], arrays[3], arrays[5], arrays[8], arrays[9], arrays[10]
+    for i in range(len(rows)):
+        for j in range(wiring[i].axes):
+            a = wiring[i].axis[j]
+            _look_at(world[0], rows[i], table[a], drives[a], clockwork[0], qpos, qvel, truth[a])
+
+
+@hot
+def _look_at_families(chips, wiring, arrays, truth):
+    first = 0
+    for rows in literal_unroll(chips):
+        _look_at_chips(rows, wiring[first:], arrays, truth)
+        first += len(rows)
+
+
+@hot
+def look(handles, kinds, begin, end, truth):
     """Fill truth[k, a] for every axis of the stages begin..end-1."""
     for k in range(begin, end):
-        h = handles[k]
-        arrays = _arrays(h)
-        world, chips, drives, table = arrays[0], arrays[2], arrays[3], arrays[5]
-        clockwork, qpos, qvel = arrays[7], arrays[8], arrays[9]
-        tau = (world[0].now - world[0].start - 0.5 * clockwork[0].dt) * 1e-9
-        for a in range(h.n_axes):
-            t, out = table[a], truth[k, a]
-            c, d = chips[t.chip], drives[a]
-            v = qvel[t.dof]
-            q = qpos[t.qpos] + v * tau
-            theta = q * t.gear
-            out.now, out.position, out.velocity = world[0].now, q, v
-            out.commanded = q + stepper.mechanical(d, stepper.load_angle(d, float(c.net), theta)) / t.gear
-            out.lost_steps = stepper.lost_steps(d, float(c.net), theta)
-            out.pulses, out.counter, out.inputs = c.net, c.reg[0], c.inputs
-            out.outputs, out.status = core.outputs(c), core.read(chips, t.chip, 0)
+        arrays = _arrays(handles[k], kinds)
+        _look_at_families(arrays[2], arrays[7], arrays, truth[k])
+
+
+def kinds(stage: Any) -> tuple[np.ndarray, ...]:
+    """What chips a stage has, for compiled code: see HANDLE."""
+    return tuple(rows[:0].copy() for rows in stage._chips)
 
 
 def handle(stage: Any) -> np.record:
@@ -191,12 +270,14 @@ def handle(stage: Any) -> np.record:
     model, data = stage.model, stage.data
     h["mj_model"], h["mj_data"] = model._address, data._address
     held = (
-        stage._world, stage._axis_state, stage._chips, stage._drives, stage._switches, stage._table, stage._switch_table,
+        stage._world, stage._axis_state, stage._drives, stage._switches, stage._table, stage._switch_table, stage._wiring,
         stage._clockwork, data.qpos, data.qvel, data.ctrl, data.sensordata,
     )  # fmt: skip
     for name, array in zip(_ARRAYS, held, strict=True):
         h[name] = array.ctypes.data
-    h["n_axes"], h["n_switches"] = len(stage._table), len(stage._switches)
+    for f, rows in enumerate(stage._chips):
+        h["chips"][0, f], h["n_chips"][0, f] = rows.ctypes.data, len(rows)
+    h["n_axes"], h["n_switches"], h["n_wired"] = len(stage._table), len(stage._switches), len(stage._wiring)
     h["nq"], h["nv"], h["nu"], h["ns"] = model.nq, model.nv, model.nu, model.nsensordata
     h["bus"] = stage._bus_ns
     return h[0]
@@ -211,7 +292,7 @@ def by_hand(stage: Any, ops: np.ndarray, results: np.ndarray, extremes: np.ndarr
     def until_stopped(mask: int, poll: int, limit: int) -> int:
         begin, left = stage._now, {k for k in range(len(axes)) if mask >> k & 1}
         while True:
-            left = {k for k in sorted(left) if axes[k].chip.read(0) & OPERATING}
+            left = {k for k in sorted(left) if axes[k].chip.busy(axes[k].chip_axis)}
             if not left:
                 return int(stage._now - begin)
             if stage._now - begin >= limit:

@@ -21,8 +21,7 @@ import mujoco
 import numpy as np
 
 from stage import engine, plant
-from stage.chips import Chip, Diagnostic
-from stage.chips.pcl240 import core as pcl240_core
+from stage.chips import Chip, ChipAxis, Diagnostic, cores
 from stage.compiled import announced
 from stage.drives import stepper
 from stage.drives.motors import Drive, Motor, motor
@@ -31,6 +30,7 @@ from stage.errors import ArgumentError, RunTimeout, SimulationError, StageError,
 if TYPE_CHECKING:
     from os import PathLike
 
+    from stage.chips.chip import Pins
     from stage.recording import Recording
 
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
@@ -94,19 +94,26 @@ class Axis:
     """One axis: chip, drive, motor, joint, switches.
 
     Attributes:
-        name, chip, drive: as given; `index`: its column in recordings; `joint`: id in the model.
+        name, chip, drive: as given; `chip_axis`: the number of its axis of the chip.
+        index: its column in recordings; `joint`: id in the model.
         gear: rotor radians per joint unit; meters_per_pulse: joint units per pulse (rad on a hinge).
         unit: "m", or "rad" on a hinge.
     """
 
-    def __init__(self, stage: Stage, index: int, plant_axis: plant.PlantAxis, chip: Chip, drive: Drive):
+    def __init__(self, stage: Stage, index: int, plant_axis: plant.PlantAxis, chip_axis: ChipAxis, drive: Drive):
         self._stage, self._plant = stage, plant_axis
-        self.index, self.name, self.chip, self.drive = index, plant_axis.name, chip, drive
+        self.index, self.name, self.drive = index, plant_axis.name, drive
+        self.chip, self.chip_axis = chip_axis.chip, chip_axis.index
         self.joint, self.gear, self.travel = plant_axis.joint, plant_axis.gear, plant_axis.travel
         self.unit = "rad" if plant_axis.hinge else "m"
         self.meters_per_pulse = 2 * np.pi / drive.pulses_per_turn / abs(self.gear)
         self.switches = Switches(self)
         self._voltage, self._open = drive.bus_voltage, 0  # faults change them: see stage.faults
+
+    @property
+    def pins(self) -> Pins:
+        """The pins of its axis of the chip."""
+        return self.chip.axes[self.chip_axis].pins
 
     @property
     def time(self) -> float:
@@ -142,8 +149,7 @@ class Axis:
         return float(stepper.load_angle(d, net, self.position * self.gear))
 
     def _electrics(self) -> tuple[Any, float]:
-        s = self._stage
-        return s._drives[self.index], float(s._chips[s._table[self.index].chip].net)
+        return self._stage._drives[self.index], float(self.chip.net(self.chip_axis))
 
     def __repr__(self) -> str:
         return (
@@ -158,7 +164,8 @@ class Stage:
     Args:
         model: a name in models/ ("xyz", "xy"), a path to an MJCF file, an MjSpec or an MjModel that keeps the naming
             contract (docs/models.md).
-        chips: a chip class, a function that makes a chip, or a mapping axis -> either. A mapping chooses the axes.
+        chips: a chip class, a function that makes a chip, or a mapping axis -> either. A mapping chooses the axes. Axes that
+            are given the same class or function share a chip as far as it has axes, in their order.
         drives: a Drive, a motor or its name, or a mapping axis -> either; default: the motor that the model names,
             1/16 microsteps, 24 V.
         bus_cycle: seconds of simulated time that one bus cycle of a host takes.
@@ -192,10 +199,11 @@ class Stage:
             for name in given if isinstance(given, Mapping) else ():
                 if name not in known:
                     raise unknown("axis", name, known)
-        self.model, offset = plant.compile_spec(spec, _words(len(names), 5 * len(names)))
-        self._build(names, [_make_chip(chips, n) for n in names], drives, round(bus_cycle * 1e9), offset)
+        made = _make_chips(chips, names)
+        self.model, offset = plant.compile_spec(spec, _words(made, 5 * len(names)))
+        self._build(names, made, drives, round(bus_cycle * 1e9), offset)
 
-    def _build(self, names: list[str], chips: list[Chip], drives: DriveChoice, bus_ns: int, offset: int) -> None:
+    def _build(self, names: list[str], chips: list[ChipAxis], drives: DriveChoice, bus_ns: int, offset: int) -> None:
         model = self.model
         self._plant = plant.bind(model, names)
         chosen = [_choose_drive(drives, p) for p in self._plant]
@@ -211,8 +219,8 @@ class Stage:
             self._run_until(0)
         self._initial = self.snapshot()
 
-    def _wire(self, chips: list[Chip], drives: list[Drive], bus_ns: int, offset: int) -> None:
-        """Lay the state out in userdata and the tables beside it; connect chips and axes."""
+    def _wire(self, chips: list[ChipAxis], drives: list[Drive], bus_ns: int, offset: int) -> None:
+        """Lay the state out in userdata and the tables beside it; connect the axes of the chips, one an axis of the stage."""
         model = self.model
         self._faults: list[str] = []
         self._payloads: dict[int, float] = {}
@@ -225,7 +233,8 @@ class Stage:
         self._world = cut(engine.WORLD, 1)
         self._words = self._world.view(np.int64)  # now, start: fast access from Python
         self._axis_state = cut(engine.AXIS, n)
-        self._chips = cut(pcl240_core.STATE, n)
+        families = _by_family(chips)
+        self._chips = tuple(cut(core.STATE, len(members)) for core, members in families)
         self._drives = cut(stepper.STEPPER, n)
         self._switches = cut(engine.SWITCH, m)
         self._table = np.zeros(n, engine.AXIS_TABLE)
@@ -240,19 +249,27 @@ class Stage:
         self._dt = dt
         w = self._clockwork[0]
         w.dt, w.slices, w.h, w.half, w.nv = dt, engine.SLICES, dt * 1e-9 / engine.SLICES, dt * 0.5e-9, model.nv
+        self.chips = tuple(chip for _, members in families for chip in members)
+        self._wiring = np.zeros(len(self.chips), engine.CHIP_TABLE)
+        for rows, (_, members) in zip(self._chips, families, strict=True):
+            for i, chip in enumerate(members):
+                chip._attach(self, rows, i)
+        for chip, c in zip(self.chips, self._wiring, strict=True):
+            c.hz, c.ticks = chip.clock_hz, w.h * chip.clock_hz
         axes, first = {}, 0
-        for k, (p, chip, drive) in enumerate(zip(self._plant, chips, drives, strict=True)):
-            chip._attach(self, self._chips, k)
-            t = self._table[k]
-            t.chip, t.hz, t.qpos, t.dof, t.actuator, t.gear = k, chip.clock_hz, p.qpos, p.dof, p.actuator, p.gear
-            t.ticks = w.h * chip.clock_hz
-            t.index_bit, t.index_at = chip.INPUTS.get("ez", 0), p.index
+        for k, (p, chip_axis, drive) in enumerate(zip(self._plant, chips, drives, strict=True)):
+            chip, t = chip_axis.chip, self._table[k]
+            t.chip, t.chip_axis = self.chips.index(chip), chip_axis.index
+            self._wiring[t.chip].axis[chip_axis.index] = k
+            self._wiring[t.chip].axes += 1
+            t.qpos, t.dof, t.actuator, t.gear = p.qpos, p.dof, p.actuator, p.gear
+            t.index_bit, t.index_at = chip.wired("ez"), p.index
             t.first_switch, t.end_switch = first, first + len(p.switches)
             for row, s in zip(self._switch_table[first : t.end_switch], p.switches, strict=True):
-                row.bit, row.found, row.at, row.slope = chip.INPUTS[s.pin], s.found, s.dist, s.slope
+                row.bit, row.found, row.at, row.slope = chip.wired(s.pin), s.found, s.dist, s.slope
                 row.hysteresis, row.forced = HYSTERESIS * abs(s.slope), -1
             first = int(t.end_switch)
-            axes[p.name] = Axis(self, k, p, chip, drive)
+            axes[p.name] = Axis(self, k, p, chip_axis, drive)
         self.axes: Mapping[str, Axis] = MappingProxyType(axes)
         self._axes_by_index = list(axes.values())
         self._recording: Recording | None = None
@@ -261,7 +278,7 @@ class Stage:
         self._counts = np.zeros(2, np.int64)
         self._state = np.zeros(mujoco.mj_stateSize(model, STATE))
         d, parts = self.data, (self._world, self._axis_state, self._chips, self._drives, self._switches)
-        tables = (self._table, self._switch_table, self._clockwork)
+        tables = (self._table, self._switch_table, self._wiring, self._clockwork)
         self._run_args = (model._address, d._address, *parts, *tables, d.qpos, d.qvel, d.ctrl, d.sensordata)
         self._settle_args = (*parts, *tables, d.qpos, d.qvel, d.sensordata)
 
@@ -340,14 +357,14 @@ class Stage:
 
     def _note_edges(self, n: int) -> None:
         for e in self._edges[:n]:
-            journal = self._axes_by_index[e.axis].chip._journal
-            if journal is not None:
-                journal.note_input(int(e.clock), 0, int(e.inputs))
+            axis = self._axes_by_index[e.axis]
+            if axis.chip._journal is not None:
+                axis.chip._journal.note_input(int(e.clock), axis.chip_axis, int(e.inputs))
 
     def _look_again(self, axis: int) -> None:
         """The table of switches has changed: what it means for this axis, from now on."""
         args = (self._world, self._axis_state, self._chips, self._switches, self._switch_table, self._table)
-        n = engine.look_again(*args, self._clockwork, self.data.qvel, axis, self._edges)
+        n = engine.look_again(*args, self._wiring, self._clockwork, self.data.qvel, axis, self._edges)
         if n:
             self._note_edges(n)
 
@@ -448,13 +465,14 @@ class Stage:
         engine.settle(*self._settle_args)
         for axis in self._axes_by_index:
             if axis.chip._journal is not None:
-                axis.chip._journal.note_input(axis.chip.clock, 0, axis.chip._input_word(0))
+                word = axis.chip._input_word(axis.chip_axis)
+                axis.chip._journal.note_input(axis.chip.clock, axis.chip_axis, word)
 
     def snapshot(self) -> Snapshot:
         """All state: physics, chips, drives, switches, time."""
         state = np.zeros_like(self._state)
         mujoco.mj_getState(self.model, self.data, state, STATE)
-        return Snapshot(self._kind(), state, tuple(tuple(a.chip.diagnostics) for a in self._axes_by_index))
+        return Snapshot(self._kind(), state, tuple(tuple(chip.diagnostics) for chip in self.chips))
 
     def restore(self, snapshot: Snapshot) -> None:
         """Continue from `snapshot`, bit for bit. Raises ArgumentError when it is of another kind of stage.
@@ -466,8 +484,8 @@ class Stage:
         if self._recording is not None:
             raise StageError("time in a recording runs forward only: close the recording before restoring a snapshot.")
         mujoco.mj_setState(self.model, self.data, snapshot.state, STATE)
-        for axis, said in zip(self._axes_by_index, snapshot.diagnostics, strict=True):
-            axis.chip.diagnostics[:] = said
+        for chip, said in zip(self.chips, snapshot.diagnostics, strict=True):
+            chip.diagnostics[:] = said
         mujoco.mj_forward(self.model, self.data)
         mujoco.mj_setState(self.model, self.data, snapshot.state, STATE)
         self._equip()
@@ -477,7 +495,7 @@ class Stage:
         self.restore(self._initial)
 
     def _kind(self) -> tuple:
-        axes = tuple((a.name, type(a.chip).__name__, a.chip.clock_hz) for a in self._axes_by_index)
+        axes = tuple((a.name, a.chip.kind(), a.chip_axis) for a in self._axes_by_index)
         return (axes, len(self._state), self._dt)
 
     def record(
@@ -521,7 +539,8 @@ class Stage:
         return {
             "model": self.model,
             "plant": self._plant,
-            "chips": [(type(a.chip), a.chip.clock_hz) for a in self._axes_by_index],
+            "chips": [(type(chip), chip.options()) for chip in self.chips],
+            "wired": [(self.chips.index(a.chip), a.chip_axis) for a in self._axes_by_index],
             "drives": [a.drive for a in self._axes_by_index],
             "bus_ns": self._bus_ns,
             "offset": self._offset,
@@ -536,7 +555,8 @@ class Stage:
     def __setstate__(self, s: dict[str, Any]) -> None:
         self.model = s["model"]
         self._plant = s["plant"]
-        self._wire([cls(hz) for cls, hz in s["chips"]], s["drives"], s["bus_ns"], s["offset"])
+        chips = [cls(**options) for cls, options in s["chips"]]
+        self._wire([chips[k].axes[j] for k, j in s["wired"]], s["drives"], s["bus_ns"], s["offset"])
         for field in SWITCH_FAULTS:
             self._switch_table[field] = s["switch_faults"][field]
         for axis, fault in zip(self._axes_by_index, s["drive_faults"], strict=True):
@@ -571,18 +591,36 @@ class _Cut:
         return self._words[begin : self._at].view(dtype)
 
 
-def _words(axes: int, switches: int) -> int:
+def _words(chips: list[ChipAxis], switches: int) -> int:
     """float64 words of userdata that a stage needs."""
-    per_axis = engine.AXIS.itemsize + pcl240_core.STATE.itemsize + stepper.STEPPER.itemsize
-    return (engine.WORLD.itemsize + axes * per_axis + switches * engine.SWITCH.itemsize) // 8
+    per_axis = engine.AXIS.itemsize + stepper.STEPPER.itemsize
+    rows = sum(core.STATE.itemsize * len(members) for core, members in _by_family(chips))
+    return (engine.WORLD.itemsize + len(chips) * per_axis + rows + switches * engine.SWITCH.itemsize) // 8
 
 
-def _make_chip(chips: Any, name: str) -> Chip:
-    made = chips[name] if isinstance(chips, Mapping) else chips
-    chip = made() if callable(made) else made
-    if not isinstance(chip, Chip):
-        raise ArgumentError(f"chips for axis {name}: {made!r} is no chip class; for example chips=PCL240K.")
-    return chip
+def _by_family(axes: list[ChipAxis]) -> list[tuple[Any, list[Chip]]]:
+    """The chips of these axes, each once, by the core of their family; without any axis one family without a chip."""
+    chips = list(dict.fromkeys(axis.chip for axis in axes))
+    found = [(core, [chip for chip in chips if chip.CORE is core]) for core in cores.FAMILIES]
+    return [(core, members) for core, members in found if members] or found[:1]
+
+
+def _make_chips(chips: Any, names: list[str]) -> list[ChipAxis]:
+    """A chip's axis for each axis named; axes that are given the same thing share its chips."""
+    free: dict[int, list[ChipAxis]] = {}
+    found: list[ChipAxis] = []
+    for name in names:
+        given = chips[name] if isinstance(chips, Mapping) else chips
+        left = free.setdefault(id(given), [])
+        if not left:
+            chip = given() if callable(given) else given
+            if not isinstance(chip, Chip):
+                raise ArgumentError(f"chips for axis {name}: {given!r} is no chip class; for example chips=PCL240K.")
+            if chip._bus is not None or any(chip is axis.chip for axis in found):
+                raise ArgumentError(f"chips for axis {name}: {given!r} has no axis left that is free.")
+            left += chip.axes
+        found.append(left.pop(0))
+    return found
 
 
 def _choose_drive(drives: Any, p: plant.PlantAxis) -> Drive:

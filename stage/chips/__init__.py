@@ -1,15 +1,18 @@
 """Emulated motion-control chips, register for register. They know neither MuJoCo nor each other.
 
-    from stage.chips import PCL240K, PCL240MK, PCL240MS
+    from stage.chips import PCL240K, PCL240MK, PCL240MS, MCX514, MCX304, MCX302, MCX312
 
 A family is a register map (data), a state record and a compiled core; see chip.py for what they share.
 """
 
-from stage.chips.chip import Chip, Diagnostic, Snapshot
+from stage.chips.chip import Chip, ChipAxis, Diagnostic, Snapshot
+from stage.chips.nova import MCX302, MCX304, MCX312, MCX514
 from stage.chips.pcl240 import PCL240K, PCL240MK, PCL240MS
 from stage.errors import ArgumentError, unknown
 
-CHIPS: dict[str, type[Chip]] = {cls.__name__: cls for cls in (PCL240K, PCL240MK, PCL240MS)}
+CHIPS: dict[str, type[Chip]] = {
+    cls.__name__: cls for cls in (PCL240K, PCL240MK, PCL240MS, MCX514, MCX304, MCX302, MCX312)
+}
 """Every chip by class name."""
 
 
@@ -24,4 +27,18 @@ def chip_class(chip: str | type[Chip]) -> type[Chip]:
     return chip
 
 
-__all__ = ["CHIPS", "PCL240K", "PCL240MK", "PCL240MS", "Chip", "Diagnostic", "Snapshot", "chip_class"]
+__all__ = [
+    "CHIPS",
+    "MCX302",
+    "MCX304",
+    "MCX312",
+    "MCX514",
+    "PCL240K",
+    "PCL240MK",
+    "PCL240MS",
+    "Chip",
+    "ChipAxis",
+    "Diagnostic",
+    "Snapshot",
+    "chip_class",
+]

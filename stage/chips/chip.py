@@ -45,10 +45,9 @@ class Bus(Protocol):
 
 @dataclass(frozen=True)
 class Snapshot:
-    """All state of one chip; restores into a chip of the same class and clock."""
+    """All state of one chip; restores into a chip of the same kind (class, clock)."""
 
-    chip: str
-    clock_hz: int
+    kind: tuple
     record: bytes
     diagnostics: tuple[Diagnostic, ...]
 
@@ -116,8 +115,12 @@ class Chip:
     INPUTS: ClassVar[dict[str, int]]
     OUTPUTS: ClassVar[dict[str, int]]
     AXES: ClassVar[int] = 1
+    WIRING: ClassVar[dict[str, str]] = {}
+    """Which pin a switch of a stage is wired to, where it has another name than the switch; see `wired`."""
     DEFAULT_CLOCK_HZ: ClassVar[int]
     DATA_MASK: ClassVar[int] = 0xFF
+    BUSY: ClassVar[tuple[int, int]]
+    """Where the bus tells that a drive is in progress: address, and the bit of axis 0."""
 
     def __init__(self, clock_hz: int | None = None):
         """Power the chip up. `clock_hz`: reference clock, default the data sheet's."""
@@ -158,6 +161,23 @@ class Chip:
             raise StageError(f"{type(self).__name__} has {self.AXES} axes: use chip.axes[i].pins")
         return self.axes[0].pins
 
+    @classmethod
+    def wired(cls, switch: str) -> int:
+        """The input bit that a stage's switch drives ("el_plus", "org", "ez" ...); 0 where nothing is wired to it."""
+        return cls.INPUTS.get(cls.WIRING.get(switch, switch), 0)
+
+    def net(self, axis: int = 0) -> int:
+        """Pulses begun since power-up, plus minus minus: what a drive has been given. Not readable on the bus."""
+        return int(self._record["net"])
+
+    def options(self) -> dict[str, Any]:
+        """What the chip was made with: type(chip)(**chip.options()) is another of its kind."""
+        return {"clock_hz": self.clock_hz}
+
+    def kind(self) -> tuple:
+        """What tells chips apart that cannot take each other's state: class, clock and further options."""
+        return (type(self).__name__, *self.options().values())
+
     @property
     def clock(self) -> int:
         """Reference clocks since power-up."""
@@ -190,6 +210,11 @@ class Chip:
             self._bus.cycle()
         return int(self.CORE.read(self._rows, self._i, int(address) & self._ADDRESS_MASK))
 
+    def busy(self, axis: int = 0) -> bool:
+        """One bus read cycle of the status: is a drive in progress?"""
+        address, bit = self.BUSY
+        return bool(self.read(address) & bit << axis)
+
     def advance(self, clocks: int) -> int:
         """Let the reference clock run for `clocks` ticks. Returns the pulses begun, all axes."""
         return int(self.CORE.advance(self._rows, self._i, self._until(clocks)))
@@ -218,35 +243,28 @@ class Chip:
 
     def snapshot(self) -> Snapshot:
         """All state, to be restored into a chip of the same class."""
-        return Snapshot(type(self).__name__, self.clock_hz, self._rows[self._i].tobytes(), tuple(self.diagnostics))
+        return Snapshot(self.kind(), self._rows[self._i].tobytes(), tuple(self.diagnostics))
 
     def restore(self, snapshot: Snapshot) -> None:
         """Continue from `snapshot`. Raises ArgumentError when it is another chip's."""
         if self._bus is not None:
             raise StageError("this chip belongs to a stage: restore the stage, so that all its parts agree.")
-        ours = (type(self).__name__, self.clock_hz)
-        if (snapshot.chip, snapshot.clock_hz) != ours:
+        if snapshot.kind != self.kind():
+            (theirs, hz, *also), (ours, our_hz, *too) = snapshot.kind, self.kind()
             raise ArgumentError(
-                f"a snapshot of {snapshot.chip} at {snapshot.clock_hz} Hz cannot be restored into "
-                f"{ours[0]} at {ours[1]} Hz."
+                f"a snapshot of {theirs} at {hz} Hz{_listed(also)} cannot be restored into {ours} at {our_hz} Hz{_listed(too)}."
             )
         self._rows[self._i] = np.frombuffer(snapshot.record, self.CORE.STATE)[0]
         self.diagnostics[:] = snapshot.diagnostics
 
-    def __getstate__(self) -> Snapshot:
-        return self.snapshot()
-
-    def __setstate__(self, state: Snapshot) -> None:
-        self.__init__(state.clock_hz)  # type: ignore[misc]
-        self.restore(state)
+    def __reduce__(self) -> tuple:
+        return _revived, (type(self), self.options(), self.snapshot())
 
     def __copy__(self) -> Chip:
         return self.__deepcopy__({})
 
     def __deepcopy__(self, memo: dict) -> Chip:
-        twin = type(self)(self.clock_hz)
-        twin.restore(self.snapshot())
-        return twin
+        return _revived(type(self), self.options(), self.snapshot())
 
     def _input_word(self, axis: int) -> int:
         return int(self._record["inputs"])
@@ -255,7 +273,7 @@ class Chip:
         self._record["inputs"] = word
 
     def _output_word(self, axis: int) -> int:
-        return int(self.CORE.pins(self._rows, self._i))
+        return int(self.CORE.pins(self._rows, self._i, axis))
 
     def journal(self) -> Journal:
         """Start to note every bus write and input change, so that the chip's course can be replayed exactly.
@@ -276,3 +294,13 @@ class Chip:
     def __repr__(self) -> str:
         values = " ".join(f"{k}={v}" for k, v in self.values().items())
         return f"<{type(self).__name__} clock={self.clock} {values}>"
+
+
+def _revived(cls: type[Chip], options: dict[str, Any], snapshot: Snapshot) -> Chip:
+    chip = cls(**options)
+    chip.restore(snapshot)
+    return chip
+
+
+def _listed(options: list) -> str:
+    return "".join(f", {option}" for option in options)

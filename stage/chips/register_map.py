@@ -1,12 +1,15 @@
 """Register maps as data: dumps, diagnostics, documentation and tests read the same tables.
 
 A map says for every bit what it means and on what evidence: S data sheet, H vendor header, D another page of the
-manual, C working drivers agree, M memory of the manual, I inferred.
+manual, C working drivers agree, M memory of the manual, I inferred, ? in doubt. A core takes its masks, bit numbers and
+command codes from here when it is imported: `MAP.mask("WR3", "SACC")`, `MAP.command("DV").code`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TypeVar
 
 EVIDENCE = {
     "S": "data sheet",
@@ -15,12 +18,15 @@ EVIDENCE = {
     "C": "working drivers",
     "M": "memory of the manual",
     "I": "inferred",
+    "?": "in doubt",
 }
+T = TypeVar("T")
+COMMAND_KINDS = ("data write", "mode write", "data read", "drive", "interpolation", "sync", "other")
 
 
 @dataclass(frozen=True)
 class Field:
-    """Bits `high`..`low` of a register, command or status word."""
+    """Bits `high`..`low` of a register, command or status word. `legal`: its range, where not every value means something."""
 
     name: str
     high: int
@@ -28,6 +34,7 @@ class Field:
     meaning: str
     evidence: str = "S"
     access: str = "RW"
+    legal: tuple[int, int] | None = None
 
     @property
     def mask(self) -> int:
@@ -44,7 +51,10 @@ class Field:
 
 @dataclass(frozen=True)
 class Register:
-    """One register: `number` is how the chip selects it, `bits` its width, `legal` the data sheet's range."""
+    """One register: `number` is how the chip selects it, `bits` its width, `legal` the data sheet's range.
+
+    `signed`: two's complement. `also`: legal values outside the range. `reset`: what it holds after reset, if known.
+    """
 
     name: str
     number: int
@@ -55,80 +65,223 @@ class Register:
     fields: tuple[Field, ...] = ()
     evidence: str = "S"
     unit: str = ""
+    signed: bool = False
+    also: tuple[int, ...] = ()
+    reset: int | None = None
 
     @property
     def mask(self) -> int:
         return (1 << self.bits) - 1
 
     @property
+    def range(self) -> tuple[int, int]:
+        """The smallest and the largest legal value; what the bits can hold where the data sheet has no range."""
+        half = (self.mask + 1) // 2
+        return self.legal or ((-half, half - 1) if self.signed else (0, self.mask))
+
+    def value(self, word: int) -> int:
+        """The number that the bits `word` mean."""
+        word &= self.mask
+        return word - self.mask - 1 if self.signed and word > self.mask // 2 else word
+
+    def allows(self, value: int) -> bool:
+        """Whether the data sheet allows the number `value`."""
+        return self.range[0] <= value <= self.range[1] or value in self.also
+
+    @cached_property
     def writable(self) -> int:
         """The bits that a write changes."""
         return self.mask & ~sum(f.mask for f in self.fields if f.access == "R")
 
+    @cached_property
+    def used(self) -> int:
+        """The bits that mean something."""
+        return sum(f.mask for f in self.fields) or self.mask
+
 
 @dataclass(frozen=True)
 class Word:
-    """A command or status byte: what selects it, and its bits."""
+    """A command or status word: what selects it, its bits, and how many it has."""
 
     name: str
     title: str
     fields: tuple[Field, ...]
+    bits: int = 8
+
+    @cached_property
+    def used(self) -> int:
+        """The bits that mean something."""
+        return sum(f.mask for f in self.fields)
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command code. `bytes`: of data that it takes or returns, in the range `legal`. `kind`: one of COMMAND_KINDS.
+
+    `choice`: bits of the code that choose what it acts on; at least one is set. `axes`: it is sent to axes.
+    `starts`: it begins a drive.
+    """
+
+    code: int
+    symbol: str
+    title: str
+    kind: str
+    bytes: int = 0
+    legal: tuple[int, int] | None = None
+    evidence: str = "S"
+    unit: str = ""
+    choice: int = 0
+    axes: bool = True
+    starts: bool = False
+
+    @property
+    def codes(self) -> tuple[int, ...]:
+        """Every code that is this command."""
+        return tuple(self.code | k for k in range(1, self.choice + 1) if not k & ~self.choice) or (self.code,)
+
+    @property
+    def what(self) -> str:
+        """Title and unit."""
+        return self.title + (f" ({self.unit})" if self.unit else "")
+
+    @property
+    def hex(self) -> str:
+        """The code as data sheets print it."""
+        return f"{self.code:02X}h" if not self.choice else f"{self.codes[0]:02X}h..{self.codes[-1]:02X}h"
+
+
+def writes(r: Register, kind: str = "data write", axes: bool = True) -> Command:
+    """The command that writes `r`, where a register's number is this command's code."""
+    return Command(r.number, r.name, r.title, kind, r.bits // 8, r.legal, r.evidence, r.unit, axes=axes)
+
+
+def reads(r: Register, code: int | None = None, evidence: str = "", axes: bool = True) -> Command:
+    """The command that reads `r`: its number if it can only be read, else `code`, and R- before the symbol."""
+    if code is None:
+        return replace(writes(r, "data read", axes), legal=None)
+    found = evidence or r.evidence
+    return Command(code, f"R-{r.name}", f"read {r.name}", "data read", r.bits // 8, None, found, r.unit, axes=axes)
 
 
 @dataclass(frozen=True)
 class RegisterMap:
-    """Everything a host can address on one chip."""
+    """Everything a host can address on one chip, and how many axes it has."""
 
     chip: str
     title: str
     source: str
     registers: tuple[Register, ...]
     words: tuple[Word, ...]
+    commands: tuple[Command, ...] = ()
+    axes: int = 1
+
+    @property
+    def places(self) -> tuple[Register | Word, ...]:
+        """Everything with fields."""
+        return (*self.registers, *self.words)
 
     def register(self, name: str) -> Register:
         """The register called `name` (any case). Raises ArgumentError with near misses."""
-        from stage.errors import unknown
-
-        for r in self.registers:
-            if r.name == name.upper():
-                return r
-        raise unknown(f"{self.chip} register", name, (r.name for r in self.registers))
+        return _found(self._registers, name.upper(), f"{self.chip} register")
 
     def word(self, name: str) -> Word:
-        return next(w for w in self.words if w.name == name)
+        """The word called `name`. Raises ArgumentError with near misses."""
+        return _found(self._words, name, f"{self.chip} word")
+
+    def command(self, symbol: str) -> Command:
+        """The command with this symbol (any case). Raises ArgumentError with near misses."""
+        return _found(self._commands, symbol.upper(), f"{self.chip} command")
+
+    @cached_property
+    def by_code(self) -> dict[int, Command]:
+        """Every command code of the chip."""
+        return {code: c for c in self.commands for code in c.codes}
+
+    def field(self, where: str, name: str) -> Field:
+        """Field `name` of the register or word `where`. Raises ArgumentError with near misses."""
+        fields = _found(self._fields, where, f"{self.chip} register or word")
+        return _found(fields, name, f"field of {self.chip} {where}")
+
+    def mask(self, where: str, name: str) -> int:
+        """The bits of a field, in place."""
+        return self.field(where, name).mask
+
+    def bit(self, where: str, name: str) -> int:
+        """The number of a field's lowest bit."""
+        return self.field(where, name).low
+
+    @cached_property
+    def _registers(self) -> dict[str, Register]:
+        return {r.name: r for r in self.registers}
+
+    @cached_property
+    def _words(self) -> dict[str, Word]:
+        return {w.name: w for w in self.words}
+
+    @cached_property
+    def _commands(self) -> dict[str, Command]:
+        return {c.symbol: c for c in self.commands}
+
+    @cached_property
+    def _fields(self) -> dict[str, dict[str, Field]]:
+        return {place.name: {f.name: f for f in place.fields} for place in self.places}
 
     def checked(self, name: str, value: int) -> int:
         """`value` if the data sheet allows it in register `name`; ArgumentError otherwise."""
         from stage.errors import ArgumentError
 
         r = self.register(name)
-        low, high = r.legal or (0, r.mask)
-        if int(value) != value or not low <= value <= high:
+        if int(value) != value or not r.allows(int(value)):
+            low, high = r.range
+            other = "".join(f" or {v}" for v in r.also)
             raise ArgumentError(
                 f"{self.chip} {r.name} ({r.title}) cannot be {value!r}: it takes a whole number from {low} to {high}"
-                f"{' ' + r.unit if r.unit else ''}. To see what the silicon does with it, write it on the bus."
+                f"{other}{' ' + r.unit if r.unit else ''}. To see what the silicon does with it, write it on the bus."
             )
         return int(value)
+
+
+def _found(table: dict[str, T], name: str, kind: str) -> T:
+    if name not in table:
+        from stage.errors import unknown
+
+        raise unknown(kind, name, table)
+    return table[name]
 
 
 def dump(map_: RegisterMap, values: dict[str, int] | None = None) -> str:
     """The map as a text table; with `values` (register or word name -> value) also what each field holds now."""
     lines = [f"{map_.chip}: {map_.title}", f"source: {map_.source}", ""]
-    head = f"{'register':9}{'bits':>5} {'acc':4}{'legal':>18}  {'ev':3}{'title'}"
+    wide = max([18, *(len(_legal(r)) + 1 for r in map_.registers)])
+    head = f"{'register':9}{'bits':>5} {'acc':4}{'legal':>{wide}}  {'ev':3}{'title'}"
     lines += [head, "-" * len(head)]
     for r in map_.registers:
-        legal = f"{r.legal[0]}..{r.legal[1]}" if r.legal else "any"
         now = f" = {values[r.name]}" if values and r.name in values else ""
-        lines.append(f"{r.name:9}{r.bits:>5} {r.access:4}{legal:>18}  {r.evidence:3}{r.title}{now}")
+        lines.append(f"{r.name:9}{r.bits:>5} {r.access:4}{_legal(r):>{wide}}  {r.evidence:3}{_title(r)}{now}")
         for f in r.fields:
             fixed = " (read only)" if f.access == "R" and r.access != "R" else ""
             lines.append(_field(f, values.get(r.name) if values else None) + fixed)
     for w in map_.words:
-        now = f" = {values[w.name]:02X}h" if values and w.name in values else ""
+        now = f" = {values[w.name]:0{w.bits // 4}X}h" if values and w.name in values else ""
         lines += ["", f"{w.name}: {w.title}{now}"]
         lines += [_field(f, values.get(w.name) if values else None) for f in w.fields]
+    if map_.commands:
+        wide = max(len(c.symbol) for c in map_.commands) + 2
+        head = f"{'command':10}{'symbol':{wide}}{'kind':14}{'bytes':>5}  {'ev':3}{'title'}"
+        lines += ["", head, "-" * len(head)]
+    for c in map_.commands:
+        alone = "" if c.axes else "; no axis bits"
+        lines.append(f"{c.hex:10}{c.symbol:{wide}}{c.kind:14}{c.bytes or '':>5}  {c.evidence:3}{c.what}{alone}")
     lines += ["", "evidence: " + ", ".join(f"{k} {v}" for k, v in EVIDENCE.items() if k in _tags(map_))]
     return "\n".join(lines)
+
+
+def _legal(r: Register) -> str:
+    return " or ".join([f"{r.legal[0]}..{r.legal[1]}", *map(str, r.also)]) if r.legal else "any"
+
+
+def _title(r: Register) -> str:
+    return r.title + (f"; {r.reset} after reset" if r.reset else "")
 
 
 def _field(f: Field, word: int | None) -> str:
@@ -137,5 +290,5 @@ def _field(f: Field, word: int | None) -> str:
 
 
 def _tags(map_: RegisterMap) -> set[str]:
-    fields = [f for r in map_.registers for f in r.fields] + [f for w in map_.words for f in w.fields]
-    return {r.evidence for r in map_.registers} | {f.evidence for f in fields}
+    fields = {f.evidence for place in map_.places for f in place.fields}
+    return fields | {r.evidence for r in map_.registers} | {c.evidence for c in map_.commands}

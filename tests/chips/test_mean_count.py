@@ -10,7 +10,7 @@ from stage.compiled import hot
 
 @hot
 def mean_count(rows, i, before, ticks):
-    return pcl240_core.mean_count(rows[i], before, ticks)
+    return pcl240_core.mean_count(rows[i], 0, before, ticks)
 
 
 def test_it_is_the_mean_over_every_tick_at_constant_speed():

@@ -30,10 +30,10 @@ def first() -> Stage:
 
 def bits(stage) -> bytes:
     """All state but the chips' note of how long nothing will happen, which time's pieces may leave at different ends."""
-    kept = stage._chips["quiet"].copy()
-    stage._chips["quiet"] = 0
+    kept = stage._chips[0]["quiet"].copy()
+    stage._chips[0]["quiet"] = 0
     state = stage.snapshot().state.tobytes()
-    stage._chips["quiet"] = kept
+    stage._chips[0]["quiet"] = kept
     return state
 
 

@@ -19,6 +19,7 @@ class PCL240(Chip):
     INPUTS: ClassVar = core.INPUTS
     OUTPUTS: ClassVar = core.OUTPUTS
     DEFAULT_CLOCK_HZ: ClassVar = 4_915_200
+    BUSY: ClassVar = (0, 0x40)
     EXTENDED: ClassVar[bool] = True
     S_CURVES: ClassVar[bool] = False
     LINEAR_RAMPS: ClassVar = state.LINEAR

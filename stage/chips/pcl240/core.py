@@ -11,7 +11,8 @@ the normative model: 1 limit switches, 2 pulse, 3 speed.
 
 from __future__ import annotations
 
-from stage.chips.pcl240.bus import blocked, outputs, read_byte, register, write_byte
+from stage.chips.pcl240.bus import blocked, read_byte, register, write_byte
+from stage.chips.pcl240.bus import outputs as output_word
 from stage.chips.pcl240.ramp import NEVER, goal_speed, linear_rate, margin, next_step, step_speed, until_step, watching
 from stage.chips.pcl240.state import (
     COUNTER_MASK,
@@ -41,13 +42,60 @@ from stage.chips.pcl240.state import (
 from stage.compiled import hot
 
 FOREVER = 1 << 62
+OPERATING = 0x40  # of the status byte
 
-__all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE", "advance", "mark", "mean_count", "outputs", "pins", "power_up",
-           "pulse_rate", "read", "run", "scan", "set_inputs", "trace", "value", "write"]  # fmt: skip
+__all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE", "advance", "busy", "counter", "inputs", "mark", "mean_count", "net",
+           "outputs", "pins", "power_up", "pulse_rate", "read", "run", "scan", "set_input", "set_inputs", "status", "trace",
+           "value", "write"]  # fmt: skip
+
+
+# --- what a stage asks, see stage/chips/cores.py; the only axis is 0 ---
 
 
 @hot
-def pulse_rate(c, hz):
+def net(c, j):
+    """Pulses ever begun, plus minus minus."""
+    return c.net
+
+
+@hot
+def counter(c, j):
+    """The down counter R0."""
+    return c.reg[0]
+
+
+@hot
+def inputs(c, j):
+    """Input pins, see INPUTS."""
+    return c.inputs
+
+
+@hot
+def set_input(c, j, word):
+    """Set the input pins, see INPUTS."""
+    c.inputs = word
+
+
+@hot
+def status(c, j):
+    """The status byte."""
+    return read_byte(c, 0)
+
+
+@hot
+def busy(c, j):
+    """Status b6: in operation."""
+    return read_byte(c, 0) & OPERATING
+
+
+@hot
+def outputs(c, j):
+    """Output pins, see OUTPUTS."""
+    return output_word(c)
+
+
+@hot
+def pulse_rate(c, j, hz):
     """Output frequency now, pulses per second (data sheet section 4, R7)."""
     if (c.running or c.finishing) and c.reg[7] >= 2:
         return c.speed * hz / (8192.0 * c.reg[7])
@@ -55,7 +103,7 @@ def pulse_rate(c, hz):
 
 
 @hot
-def mean_count(c, before, ticks):
+def mean_count(c, j, before, ticks):
     """Mean over the last `ticks` of the net pulse count, which was `before` at their start.
 
     The last pulse began phase / speed ticks ago, the ones before it a period apart each.
@@ -326,7 +374,7 @@ def _log_pulses(c, out, k, clock, phase, low, s, pulses, base, r0, net):
 def mark(rows, i, out, k):
     """Write chip `i` as it stands to `out[k]` (an EDGE record)."""
     c = rows[i]
-    _log(c, out, k, c.clock, outputs(c), c.reg[0], c.net)
+    _log(c, out, k, c.clock, output_word(c), c.reg[0], c.net)
 
 
 @hot
@@ -344,7 +392,7 @@ def scan(rows, i, until, every_pulse, out):
         if pulsing:
             n = min(n, max(1, (len(out) - 8 - k) // 2 * 4096 * c.reg[7] // c.speed))
         clock, phase, low, r0, net, total = c.clock, c.phase, c.low, c.reg[0], c.net, c.total
-        speed, word, bit = c.speed, outputs(c), _pulse_bit(c)
+        speed, word, bit = c.speed, output_word(c), _pulse_bit(c)
         s = _span(c, n)
         pulses = c.total - total
         after = c.speed
@@ -352,7 +400,7 @@ def scan(rows, i, until, every_pulse, out):
             c.speed = speed
             k = _log_pulses(c, out, k, clock, phase, low, s, pulses, word & ~bit, r0, net)
             c.speed = after
-        new = outputs(c)
+        new = output_word(c)
         changed = (new ^ word) & ~bit
         if after != speed or changed:
             k = _log(c, out, k, c.clock, new, c.reg[0], c.net)
@@ -390,9 +438,9 @@ def set_inputs(rows, i, axis, word):
 
 
 @hot
-def pins(rows, i):
+def pins(rows, i, axis):
     """Output pins of chip `i`, see OUTPUTS."""
-    return outputs(rows[i])
+    return output_word(rows[i])
 
 
 @hot

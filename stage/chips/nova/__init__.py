@@ -1,0 +1,104 @@
+"""NOVA MCX514, MCX304, MCX302, MCX312: one family, one core; variants differ by their register maps and their bus."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+from stage.chips.chip import Chip
+from stage.chips.nova import core, state
+from stage.chips.nova.maps304 import MCX302_MAP, MCX304_MAP, MCX312_MAP
+from stage.chips.nova.maps514 import MCX514_MAP
+
+__all__ = ["MCX302", "MCX304", "MCX312", "MCX514", "Nova"]
+
+BYTES = 16
+
+
+class Nova(Chip):
+    """Base of the family. Bus addresses: n = 0 to 7 is WRn (write), RRn (read), words of 16 bits."""
+
+    CORE: ClassVar = core
+    INPUTS: ClassVar = state.INPUTS
+    OUTPUTS: ClassVar = state.OUTPUTS
+    WIRING: ClassVar = {"el_plus": "lmt_plus", "el_minus": "lmt_minus", "org": "stop1", "ez": "stop2"}
+    DEFAULT_CLOCK_HZ: ClassVar = 16_000_000
+    DATA_MASK: ClassVar = 0xFFFF
+    BUSY: ClassVar = (0, 1)
+    AXES: ClassVar = 4
+    VARIANT: ClassVar[int] = state.FIRST_GENERATION
+    _ADDRESS_MASK: ClassVar = 31
+
+    def _configure(self, record: Any) -> None:
+        record["variant"], record["axes"] = self.VARIANT, self.AXES
+
+    def write(self, address: int, value: int) -> None:
+        super().write(int(address) & 7, value)
+
+    def read(self, address: int) -> int:
+        return super().read(int(address) & 7)
+
+    def net(self, axis: int = 0) -> int:
+        return int(self._record["ax"][axis]["net"])
+
+    def values(self) -> dict[str, int]:
+        return {f"RR{k}": int(core.value(self._rows, self._i, k)) for k in range(8)}
+
+    def _input_word(self, axis: int) -> int:
+        return int(self._record["emg"] if axis == self.AXES else self._record["ax"][axis]["inputs"])
+
+    def _set_input_word(self, axis: int, word: int) -> None:
+        core.set_inputs(self._rows, self._i, axis, word)
+
+
+class MCX514(Nova):
+    """NOVA MCX514: four axes, interpolation, synchronous actions."""
+
+    MAP: ClassVar = MCX514_MAP
+    VARIANT: ClassVar = state.MCX514_TYPE
+
+    def write_byte(self, address: int, value: int) -> None:
+        """A write cycle of the 8-bit bus. Byte addresses: 0 low byte of WR0, 1 its high byte, to 15; the low byte of WR0 acts."""
+        Chip.write(self, BYTES | int(address) & 15, int(value) & 0xFF)
+
+    def read_byte(self, address: int) -> int:
+        """A read cycle of the 8-bit bus."""
+        return Chip.read(self, BYTES | int(address) & 15)
+
+
+class _Erratum(Nova):
+    """MCX304, MCX302, MCX312. errata: as sold, with the S-curve failure of NOVA's notice; False is the mended chip."""
+
+    def __init__(self, clock_hz: int | None = None, errata: bool = True):
+        self.errata = bool(errata)
+        super().__init__(clock_hz)
+
+    def options(self) -> dict[str, Any]:
+        return super().options() | {"errata": self.errata}
+
+    def _configure(self, record: Any) -> None:
+        super()._configure(record)
+        record["errata"] = self.errata
+
+
+class MCX304(_Erratum):
+    """NOVA MCX304: four axes."""
+
+    MAP: ClassVar = MCX304_MAP
+
+
+class MCX302(_Erratum):
+    """NOVA MCX302: two axes."""
+
+    MAP: ClassVar = MCX302_MAP
+    AXES: ClassVar = 2
+
+
+class MCX312(_Erratum):
+    """NOVA MCX312: two axes, interpolation."""
+
+    MAP: ClassVar = MCX312_MAP
+    AXES: ClassVar = 2
+
+    def _configure(self, record: Any) -> None:
+        super()._configure(record)
+        record["has_l"] = 1

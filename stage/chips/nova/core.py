@@ -1,0 +1,355 @@
+"""NOVA chips, compiled: `run` jumps from event to event, never clock by clock; in between, pulses follow in closed form.
+
+An event is the end of a drive or of a segment of its profile, a counter that reaches something, an input that comes through its
+filter, a timer, or a bus write. See drive.py for one axis' drive, profile.py for when its pulses begin.
+"""
+
+from __future__ import annotations
+
+from stage.chips.nova import bus304, bus514, drive, home, interpolation, sync
+from stage.chips.nova import inputs as pins_in
+from stage.chips.nova.profile import clock_of, speed_at
+from stage.chips.nova.state import (
+    ASND,
+    AXES,
+    CNST,
+    DCC,
+    DIR,
+    DRIVE,
+    DSND,
+    EDGE,
+    INPUTS,
+    LP,
+    MCX514_TYPE,
+    NEVER,
+    OUTPUTS,
+    PULSE,
+    SPLIT,
+    STATE,
+)  # fmt: skip
+from stage.compiled import hot
+
+ROUNDS = 100  # of events that cause others at one clock
+HZ = 16_000_000
+
+__all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE", "advance", "busy", "counter", "inputs", "mark", "mean_count", "net",
+           "outputs", "pins", "power_up", "pulse_rate", "read", "run", "scan", "set_input", "set_inputs", "status", "trace",
+           "value", "write"]  # fmt: skip
+
+
+@hot
+def _settle(c):
+    """Everything that is due at the present clock; then when the next event is."""
+    for _ in range(ROUNDS):
+        c.stale = 0
+        at = NEVER
+        for j in range(c.axes):
+            x = c.ax[j]
+            at = min(at, pins_in.follow(c, x))
+            drive.look(c, x)
+            drive.obey_inputs(c, x)
+            home.step(c, x)
+        interpolation.step(c)
+        for j in range(c.axes):
+            sync.step(c, c.ax[j])
+        if not c.stale:
+            break
+    c.stale = 0
+    for j in range(c.axes):
+        x = c.ax[j]
+        at = min(at, home.next_event(c, x))
+        at = min(at, sync.next_event(c, x))
+        if x.driving:
+            at = min(at, drive.next_event(c, x, sync.pulses_ahead(c, x)))
+    if c.interpolating:
+        at = min(at, interpolation.next_event(c))
+    c.quiet = max(at, c.clock + 1)
+
+
+@hot
+def _pass(c, until):
+    """Let time pass; nothing happens but pulses."""
+    for j in range(c.axes):
+        if c.ax[j].driving:
+            drive.move(c, c.ax[j], until)
+    if c.interpolating:
+        interpolation.move(c, until)
+    c.clock = until
+
+
+@hot
+def run(c, until):
+    """Let the chip's clock run up to `until`."""
+    if c.stale:
+        _settle(c)
+    while c.clock < until:
+        if c.quiet > until:
+            _pass(c, until)
+            return
+        _pass(c, c.quiet)
+        _settle(c)
+
+
+# --- what a stage asks, see stage/chips/cores.py ---
+
+
+@hot
+def net(c, j):
+    """Pulses ever begun, plus minus minus."""
+    return c.ax[j].net
+
+
+@hot
+def counter(c, j):
+    """The logical position counter LP."""
+    return c.ax[j].reg[LP]
+
+
+@hot
+def inputs(c, j):
+    """Input pins of axis `j`, see INPUTS; of the whole chip, see COMMON_INPUTS, where j = AXES."""
+    return c.emg if j == AXES else c.ax[j].inputs
+
+
+@hot
+def set_input(c, j, word):
+    """Set the input pins, see `inputs`."""
+    if j == AXES:
+        c.emg = word
+    else:
+        c.ax[j].inputs = word
+    c.stale = 1
+
+
+@hot
+def status(c, j):
+    """RR0."""
+    return read_word(c, 0)
+
+
+@hot
+def busy(c, j):
+    """n-DRV of RR0."""
+    return bus514.busy(c.ax[j])
+
+
+@hot
+def outputs(c, j):
+    """Output pins of axis `j`, see OUTPUTS."""
+    if j == AXES:
+        return _interrupts(c)
+    x = c.ax[j]
+    word = DIR if x.way < 0 else 0
+    if bus514.busy(x):
+        word |= DRIVE
+    bits = bus514.phase_bits(c, x)
+    word |= (ASND if bits & 1 else 0) | (CNST if bits & 2 else 0) | (DSND if bits & 4 else 0)
+    if x.dcc:
+        word |= DCC
+    if x.split_at:
+        word |= SPLIT
+    return word
+
+
+@hot
+def _interrupts(c):
+    return bus514.interrupts(c) if c.variant == MCX514_TYPE else bus304.interrupts(c)
+
+
+@hot
+def pulse_rate(c, j, hz):
+    """Output frequency now, pulses per second."""
+    x = c.ax[j]
+    return speed_at(x, c.clock - x.origin) * hz if x.driving else 0.0
+
+
+@hot
+def mean_count(c, j, before, ticks):
+    """Mean over the last `ticks` of the net pulse count, which was `before` at their start.
+
+    Pulses of a drive came evenly; those of an interpolation have had their clocks summed in `moment`.
+    """
+    x = c.ax[j]
+    n = abs(x.net - before)
+    if x.moment != 0:
+        late = x.moment - (x.net - before) * (c.clock - ticks)
+        x.moment = 0
+        return x.net - late / ticks
+    if n == 0:
+        return float(x.net)
+    way = 1.0 if x.net > before else -1.0
+    if not x.driving:
+        return 0.5 * (before + x.net)
+    s = drive.segment_at(x, c.clock - x.origin)
+    t = (float(c.clock - x.origin) - x.t[s, 0]) - x.t[s, 1]
+    r = x.p[s, 0] + t * (x.v[s, 0] + t * (x.a2[s, 0] + t * x.j6[s, 0])) + (x.from_pulse[s] - x.done)
+    v = x.v[s, 0] + t * (2.0 * x.a2[s, 0] + 3.0 * t * x.j6[s, 0])
+    if v <= 0.0:
+        return 0.5 * (before + x.net)
+    ago = (n * max(r, 0.0) + 0.5 * n * (n - 1)) / v
+    return x.net - way * (n - min(ago / ticks, float(n)))
+
+
+# --- the chip by itself ---
+
+
+@hot
+def write_word(c, address, value):
+    if c.variant == MCX514_TYPE:
+        bus514.write(c, address, value)
+    else:
+        bus304.write(c, address, value)
+
+
+@hot
+def read_word(c, address):
+    return bus514.read(c, address) if c.variant == MCX514_TYPE else bus304.read(c, address)
+
+
+@hot
+def write(rows, i, address, value):
+    """One bus write cycle: WR0 to WR7, or from 16 on a byte of them, where the high byte of WR0 waits for the low one."""
+    c = rows[i]
+    if c.stale:
+        _settle(c)
+    if address < 16:
+        write_word(c, address & 7, value)
+    else:
+        n, high = address >> 1 & 7, address & 1
+        old = c.first if n == 0 else bus514.content(c, n)
+        word = old & 0xFF | (value & 0xFF) << 8 if high else old & 0xFF00 | value & 0xFF
+        if n == 0 and high:
+            c.first = word
+        else:
+            write_word(c, n, word)
+    if c.stale:
+        _settle(c)
+
+
+@hot
+def read(rows, i, address):
+    """One bus read cycle: RR0 to RR7, or from 16 on a byte of them."""
+    c = rows[i]
+    if c.stale:
+        _settle(c)
+    if address < 16:
+        return read_word(c, address & 7)
+    return read_word(c, address >> 1 & 7) >> (8 if address & 1 else 0) & 0xFF
+
+
+@hot
+def value(rows, i, k):
+    """What the k-th word of bits 0 to 2 of chip `i` reads as, free of bus cycles and of what reading does."""
+    c = rows[i]
+    x = c.ax[bus514.lowest(c)]
+    kept = x.factors
+    word = read_word(c, k)
+    x.factors = kept
+    return word
+
+
+@hot
+def power_up(rows, i):
+    """A cleared record becomes a chip that was just switched on."""
+    c = rows[i]
+    for j in range(AXES):
+        if c.ax[j].way == 0:
+            c.ax[j].way = 1
+    if c.variant == MCX514_TYPE:
+        bus514.reset(c)
+    else:
+        bus304.reset(c)
+    _settle(c)
+
+
+@hot
+def set_inputs(rows, i, axis, word):
+    """Set the input pins of an axis of chip `i`, see `inputs`."""
+    set_input(rows[i], axis, word)
+
+
+@hot
+def pins(rows, i, axis):
+    """Output pins of an axis of chip `i`."""
+    c = rows[i]
+    if c.stale:
+        _settle(c)
+    return outputs(c, axis)
+
+
+@hot
+def advance(rows, i, until):
+    """Run chip `i` up to clock `until`; returns the pulses begun, all axes."""
+    c = rows[i]
+    before = c.total
+    run(c, until)
+    return c.total - before
+
+
+@hot
+def _trace_pulses(c, until, out, k):
+    """Log the pulses that the drives in progress begin up to `until`, ordered by clock, then axis."""
+    first = k
+    for j in range(c.axes):
+        x = c.ax[j]
+        if not x.driving or x.interpolates:
+            continue
+        begin, done = k, x.done
+        while k < len(out):
+            if x.fixed and done >= x.output:
+                break
+            clock = x.origin + clock_of(x, done + 1)
+            if clock > until:
+                break
+            done += 1
+            e = out[k]
+            e.clock, e.axis, e.direction = clock, j, x.way
+            k += 1
+        _merge(out, first, begin, k)
+    return k
+
+
+@hot
+def _merge(out, first, middle, end):
+    """Put out[middle:end], in order, among out[first:middle], in order: by clock, earlier ones first."""
+    if first == middle or middle == end:
+        return
+    for k in range(middle, end):
+        clock, axis, direction = out[k].clock, out[k].axis, out[k].direction
+        at = k
+        while at > first and out[at - 1].clock > clock:
+            out[at].clock, out[at].axis, out[at].direction = out[at - 1].clock, out[at - 1].axis, out[at - 1].direction
+            at -= 1
+        out[at].clock, out[at].axis, out[at].direction = clock, axis, direction
+
+
+@hot
+def trace(rows, i, until, out):
+    """As advance, and fills `out` (PULSE records) with the pulses; `out` is long enough. Returns how many."""
+    c = rows[i]
+    k = 0
+    if c.stale:
+        _settle(c)
+    while c.clock < until:
+        stop = min(until, c.quiet)
+        k = interpolation.trace(c, stop, out, k) if c.interpolating else _trace_pulses(c, stop, out, k)
+        _pass(c, stop)
+        if c.clock == c.quiet:
+            _settle(c)
+    return k
+
+
+@hot
+def mark(rows, i, out, k):
+    """Write chip `i` as it stands to `out[k]` (an EDGE record)."""
+    c = rows[i]
+    e, x = out[k], c.ax[0]
+    e.clock, e.axis, e.inputs, e.outputs = c.clock, 0, x.inputs, outputs(c, 0)
+    e.speed, e.multiplier, e.r0, e.net = 0, 1, x.reg[LP], x.net
+
+
+@hot
+def scan(rows, i, until, every_pulse, out):
+    """Not yet."""
+    run(rows[i], until)
+    return 0

@@ -1,0 +1,156 @@
+"""What a reader of the NOVA manuals would say to a bus write: (message, where it is written), or None.
+
+Pure functions of the register map, what the chip holds before the write, and the write. They read ranges, axes and bits
+from the map, so that all chips of the family share them.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from stage.chips.nova.maps import AXES
+from stage.chips.nova.maps304 import RESET
+from stage.chips.nova.maps514 import CONTINUOUS_SPEED, MCX514_MAP, POINT
+from stage.chips.register_map import Command, Register, RegisterMap, Word
+
+Note = tuple[str, str]
+CODE, AXIS = MCX514_MAP.field("WR0", "CODE"), MCX514_MAP.field("WR0", "AXIS")
+INTERPOLATION_AXES = {
+    "LHK1": (1,), "LHK2": (2,), "LHK3": (3,), "LHK4": (4,), "CHKCW": (2,), "CHKCCW": (2,), "BHK2": (2,), "BHK3": (3,),
+    "BHK4": (4,), "HLCW": (3, 4), "HLCCW": (3, 4), "IP_2ST": (2,), "IP_CW": (2,), "IP_CCW": (2,), "IP_2BP": (2,),
+}  # fmt: skip
+"""With how many axes an interpolation works."""
+_SECTIONS = {"TP": "7.2.7", "DP": "7.2.8"}
+
+
+class Held(NamedTuple):
+    """What a chip holds before a write. Masks have bit 0 for X; tuples an entry for every axis."""
+
+    wr6: int = 0
+    wr7: int = 0
+    unused: bool = False
+    """WR6 or WR7 was written after the last command."""
+    driving: int = 0
+    """n-DRV."""
+    relative: int = 0
+    """Axes in 50h, 51h driving."""
+    absolute: int = 0
+    """Axes in 54h driving."""
+    interpolating: bool = False
+    full: bool = False
+    """The next segment cannot be written yet (CNEXT = 0)."""
+    bit_pattern: bool = False
+    """WR2 to WR5 are the BP registers (36h)."""
+    interpolated: int = 0
+    """Axes that IPM or WR5 choose."""
+    drive_speed: tuple[int, ...] = ()
+    """DV of the MCX514, pps."""
+    finish: tuple[int, ...] = ()
+    """TP of the MCX514."""
+
+
+def write(map_: RegisterMap, held: Held, address: int, value: int) -> Note | None:
+    """A word to WRn, n = `address`."""
+    if address == 0:
+        return command(map_, held, value)
+    if address >= 6 or (held.bit_pattern and 2 <= address <= 5):
+        return None
+    w = map_.word(f"WR{address}")
+    if empty := value & ~w.used:
+        return f"{w.name} = {value:04X}h: the {map_.chip} has no {_bits(empty)} there", w.name
+    return _fields(w, value, w.name)
+
+
+def command(map_: RegisterMap, held: Held, value: int) -> Note | None:
+    """A word to WR0."""
+    if reserved := value & map_.mask("WR0", "zero"):
+        return f"WR0 = {value:04X}h: {_bits(reserved)} must be 0", "WR0"
+    if value & RESET:
+        more = value & ~RESET
+        return (f"WR0 = {value:04X}h resets the chip: leave {_bits(more)} 0", "WR0") if more else None
+    code, axes = CODE.of(value), AXIS.of(value)
+    c = map_.by_code.get(code)
+    if c is None:
+        return f"{code:02X}h is no command of the {map_.chip}", "command list"
+    name = f"{code:02X}h ({c.title})"
+    if said := _axes(map_, c, name, axes):
+        return said, "command list"
+    if c.kind in ("data write", "mode write"):
+        return _data(map_.register(c.symbol), held, c, axes)
+    if c.kind == "data read" and held.unused:
+        return f"{name} takes no data: what was written to WR6, WR7 is not used", "data reading commands"
+    if c.starts and c.kind == "drive" and (moving := axes & held.driving):
+        return f"{name} while {_names(moving)} is driving (n-DRV = 1)", "driving commands"
+    return _interpolation(held, c, name) if c.symbol in INTERPOLATION_AXES else None
+
+
+def _axes(map_: RegisterMap, c: Command, name: str, axes: int) -> str:
+    if absent := axes >> map_.axes << map_.axes:
+        return f"{name} to {_names(absent)}: the {map_.chip} has {map_.axes} axes"
+    if c.axes and not axes:
+        return f"{name} needs axis bits and has none"
+    if not c.axes and axes and c.kind != "data read":
+        return f"{name} carries no axis bits: {_names(axes)} given"
+    if c.axes and c.kind == "data read" and axes & (axes - 1):
+        return f"{name} reads one axis: of {_names(axes)} only the first is read"
+    return ""
+
+
+def _data(r: Register, held: Held, c: Command, axes: int) -> Note | None:
+    where = _SECTIONS.get(r.name, f"{c.kind[:4]} writing commands")
+    word = (held.wr6 | held.wr7 << 16) & r.mask
+    value = r.value(word)
+    if not r.allows(value):
+        return f"{r.name} = {value}: {r.title} takes {r.range[0]} to {r.range[1]}", where
+    if c.kind == "mode write" and (empty := word & ~r.used):
+        return f"{r.name} = {word:04X}h: it has no {_bits(empty)}", where
+    if r.name == "TP" and (moving := axes & held.absolute):
+        return f"TP written while {_names(moving)} is in absolute position driving: it cannot be changed", where
+    if r.name == "TP" and (turned := _turned(held, axes & held.relative, value)):
+        return f"TP = {value} while {_names(turned)} drives the other way: the direction cannot be changed", where
+    if r.name == "DV" and held.interpolating and axes & _main(held) and value > CONTINUOUS_SPEED:
+        return f"DV = {value} in continuous interpolation: {CONTINUOUS_SPEED} is the most", "interpolation commands"
+    return _fields(r, word, where)
+
+
+def _turned(held: Held, axes: int, value: int) -> int:
+    """Which of `axes` have a finish point of the other sign."""
+    return sum(1 << k for k, old in enumerate(held.finish) if axes >> k & 1 and old * value < 0)
+
+
+def _interpolation(held: Held, c: Command, name: str) -> Note | None:
+    axes, where = held.interpolated, "interpolation commands"
+    if (count := axes.bit_count()) not in INTERPOLATION_AXES[c.symbol]:
+        return f"{name} with {count} axes chosen{': ' if axes else ''}{_names(axes)}", where
+    if not held.interpolating and (moving := axes & held.driving):
+        return f"{name} while {_names(moving)} is driving (n-DRV = 1)", where
+    if held.full:
+        return f"{name} while the pre-buffer is full: wait for CNEXT = 1", where
+    speed = sum(dv for k, dv in enumerate(held.drive_speed) if _main(held) >> k & 1)
+    if held.interpolating and speed > CONTINUOUS_SPEED:
+        return f"{name} in continuous interpolation with DV = {speed}: {CONTINUOUS_SPEED} is the most", where
+    for k, tp in enumerate(held.finish):
+        if axes >> k & 1 and "bit pattern" not in c.title and not POINT[0] <= tp <= POINT[1]:
+            return f"{name} with TP = {tp} of {AXES[k]}: a finish point takes {POINT[0]} to {POINT[1]}", _SECTIONS["TP"]
+    return None
+
+
+def _main(held: Held) -> int:
+    """The main axis of the MCX514's interpolation, the lowest, as a bit."""
+    return held.interpolated & -held.interpolated
+
+
+def _fields(place: Register | Word, word: int, where: str) -> Note | None:
+    for f in place.fields:
+        if f.legal and not f.legal[0] <= f.of(word) <= f.legal[1]:
+            return f"{place.name} = {word:04X}h: {f.name} = {f.of(word)} ({f.meaning})", where
+    return None
+
+
+def _bits(mask: int) -> str:
+    found = [str(k) for k in range(15, -1, -1) if mask >> k & 1]
+    return f"bit{'s' if len(found) > 1 else ''} {' and '.join(found)}"
+
+
+def _names(axes: int) -> str:
+    return ", ".join(a for k, a in enumerate(AXES) if axes >> k & 1)

@@ -1,0 +1,108 @@
+"""NOVA chips, compiled: the records that hold a chip and its axes, their pins, and the names of bits, taken from the maps."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stage.chips.nova.maps514 import MCX514_MAP
+from stage.compiled import record
+
+AXES = 4
+REGISTERS = 32
+SEGMENTS = 12
+INPUT_PINS = 17
+PIECES = 4
+FIRST_GENERATION, MCX514_TYPE = 0, 1
+NEVER = 1 << 60
+
+# places in `reg`: the code of the command that writes it, the same on all chips as far as they share it
+JK, DJ, AC, DC, SV, DV, TP, DP, CP, LP, RP, SP, SM, AO, LX, RX, MR0 = range(17)
+HV, IV, TM, SP1, SP2, TX, HLN, HLV = range(0x14, 0x1C)
+R, K, A, D, V, P, C, EP, COMP_PLUS, COMP_MINUS, L = JK, DJ, AC, DC, DV, TP, CP, RP, SP, SM, LX
+
+ACCELERATING, CONSTANT, DECELERATING, AREA_D, RUNAWAY = 1, 0, -1, 2, 3
+"""What a segment of a speed profile is. AREA_D: the acceleration reads 0 at the end of an S-curve; RUNAWAY: after the erratum."""
+
+_PROFILE = [
+    ("origin", "i8"), ("segments", "i8"), ("end", "i8"), ("brake", "i8"),
+    ("from_clock", "i8", (SEGMENTS,)), ("from_pulse", "i8", (SEGMENTS,)), ("kind", "i8", (SEGMENTS,)),
+    ("t", "f8", (SEGMENTS, 2)), ("p", "f8", (SEGMENTS, 2)), ("v", "f8", (SEGMENTS, 2)),
+    ("a2", "f8", (SEGMENTS, 2)), ("j6", "f8", (SEGMENTS, 2)),
+    ("cursor", "f8", (4, 2)), ("piece", "f8", (PIECES, 3, 2)),
+    ("sv", "f8", (2,)), ("dv", "f8", (2,)), ("up", "f8", (2,)), ("down", "f8", (2,)), ("up_jerk", "f8", (2,)),
+    ("down_jerk", "f8", (2,)), ("finest", "f8", (2,)),
+    ("curved", "i8"), ("flat", "i8"),
+]  # fmt: skip
+"""The speed profile of a drive in progress: pieces of a cubic in the clocks since `origin`. All floats are double-doubles (see
+dd.py) in pulses and clocks. A segment: begins `t` clocks after the origin (whole: from_clock, the first clock at or after it), with
+from_pulse + p pulses done, at speed v, with half its acceleration a2 and a sixth of its jerk j6; the last one lasts for ever.
+end: clock after the origin at which the drive ends whatever its pulses; brake: the segment that begins the automatic deceleration.
+cursor: t, p, v, a where the next segment would begin; piece: duration, acceleration and jerk of a change of speed that is drafted.
+sv to down_jerk: the drive's speeds, accelerations and jerks; finest: the acceleration below which the chip shows none (erratum);
+curved: S-curve; flat: no ramps, constant dv."""
+
+AXIS = record(
+    [(name, "i8") for name in (
+        "driving waiting held way sense fixed output done slow absolute "  # the drive in progress
+        "total net moment "  # pulses ever, plus minus minus; sum of the clocks of interpolated pulses
+        "inputs level "  # pins now, and after the filters
+        "phase factors fired finish "  # last phase seen; RR1 (MCX514), the same not yet seen by the sync actions; RR2 (MCX514)
+        "timer split split_at split_left sync dcc "  # clocks of what comes next; see sync.py
+        "home home_step home_until "  # see home.py
+        "compared "  # which comparisons held
+        "interpolates "
+        # the modes of WR1 to WR3 in plain terms
+        "stops limits limit_slow alarm_stops inpos_waits soft_plus soft_minus soft_rp soft_instant "
+        "manual asymmetric s_curve prevents swaps encoder exchanges filtered delay slow_delay"
+    ).split()]
+    + [("reg", "i8", (REGISTERS,)), ("mode", "i8", (16,)), ("wr", "i8", (4,)), ("pending", "i8", (INPUT_PINS,))]
+    + _PROFILE
+)  # fmt: skip
+"""One axis. done: pulses of this drive that have begun; output: how many it will make (fixed = 1). held: a drive command waits for
+78h. waiting: all pulses are out, INPOS is awaited. mode: registers 20h to 2Fh. pending: clocks at which filtered inputs follow."""
+
+INTERPOLATION_WORDS = 64
+STATE = record(
+    [(name, "i8") for name in (
+        "clock quiet stale variant axes errata has_l "
+        "selected low high read_low read_high pages outputs4 outputs5 emg emg_seen total interrupt "
+        "interpolating first"
+    ).split()]
+    + [("work", "i8", (INTERPOLATION_WORDS,)), ("ax", AXIS, (AXES,))]
+)  # fmt: skip
+"""One chip. quiet: the clock up to which nothing happens but pulses, if not stale: inputs or registers have changed since.
+selected: axis bits; low, high: WR6, WR7; read_low, read_high: RR6, RR7; pages: axes whose RR3 shows page 1."""
+
+INPUTS = {
+    name: 1 << k
+    for k, name in enumerate(
+        [
+            "lmt_plus",
+            "lmt_minus",
+            "stop0",
+            "stop1",
+            "stop2",
+            "inpos",
+            "alarm",
+            "eca",
+            "ecb",
+            *(f"pio{i}" for i in range(8)),
+        ]
+    )
+}
+LMT_PLUS, LMT_MINUS, STOP0, STOP1, STOP2, INPOS, ALARM, ECA, ECB = (1 << k for k in range(9))
+PIO = 9
+EMG = 1
+COMMON_INPUTS = {"emg": EMG}
+OUTPUTS = {name: 1 << k for k, name in enumerate(["pls", "dir", "drive", "asnd", "cnst", "dsnd", "dcc", "split"])}
+PLS, DIR, DRIVE, ASND, CNST, DSND, DCC, SPLIT = (1 << k for k in range(8))
+COMMON_OUTPUTS = {"int0": 1, "int1": 2}
+
+# events, as in RR1 of the MCX514; and RR2: errors in the low byte, finishing status in the high one
+D_STA, C_STA, C_END, D_END, H_END, TIMER, SPLTP, SPLTE = (MCX514_MAP.mask("RR1", name) for name in (
+    "D-STA", "C-STA", "C-END", "D-END", "H-END", "TIMER", "SPLTP", "SPLTE"))  # fmt: skip
+E_SLMT_PLUS, E_SLMT_MINUS, E_HLMT_PLUS, E_HLMT_MINUS, E_ALARM, E_EMG, E_HOME, E_CERR = (1 << k for k in range(8))
+F_SYNC, F_STOP0, F_STOP1, F_STOP2, F_LMT_PLUS, F_LMT_MINUS, F_ALARM, F_EMG = (1 << k for k in range(8, 16))
+
+PULSE = np.dtype((np.record, np.dtype([("clock", "i8"), ("axis", "i1"), ("direction", "i1")], align=True)))
+EDGE = record([(name, "i8") for name in "clock axis inputs outputs speed multiplier r0 net".split()])

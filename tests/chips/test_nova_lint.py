@@ -1,0 +1,146 @@
+"""Diagnostics of the NOVA chips: each mistake of a host is named, and good writes pass."""
+
+import random
+import re
+
+import pytest
+
+from stage.chips.nova import lint
+from stage.chips.nova.lint import Held
+from stage.chips.nova.maps304 import MCX302_MAP, MCX304_MAP, MCX312_MAP
+from stage.chips.nova.maps514 import MCX514_MAP
+
+X, Y, Z, U = 0x100, 0x200, 0x400, 0x800
+MAPS = (MCX514_MAP, MCX304_MAP, MCX302_MAP, MCX312_MAP)
+every_chip = pytest.mark.parametrize("chip", MAPS, ids=lambda m: m.chip)
+
+
+def said(chip, value, address=0, **held):
+    """The diagnostic's message, or ""."""
+    note = lint.write(chip, Held(**held), address, value)
+    if note is None:
+        return ""
+    message, source = note
+    assert source
+    return message
+
+
+def data(value):
+    return {"wr6": value & 0xFFFF, "wr7": value >> 16 & 0xFFFF, "unused": True}
+
+
+# a write, what the chip holds, and what is said of it; then a write next to it that is right
+MISTAKES = [
+    ("a code that is no command", MCX514_MAP, X | 0x1C, {}, "1Ch is no command of the MCX514", X | 0x1F, {}),
+    ("a sync command that chooses no set", MCX514_MAP, X | 0x80, {}, "80h is no command", X | 0x81, {}),
+    ("reserved bits of WR0", MCX514_MAP, 0x9050 | X, {}, "bits 15 and 12 must be 0", X | 0x50, {}),
+    ("reserved bits of WR0 beside the reset", MCX304_MAP, 0x1020 | X, {}, "bit 12 must be 0", 0x8000, {}),
+    ("a reset with more", MCX304_MAP, 0x8020, {}, "resets the chip: leave bit 5 0", 0x8000, {}),
+    ("no axis", MCX514_MAP, 0x50, {}, r"50h \(relative position drive\) needs axis bits and has none", X | 0x50, {}),
+    ("an axis that is absent", MCX302_MAP, X | U | 0x20, {}, "to U: the MCX302 has 2 axes", X | Y | 0x20, {}),
+    ("axes for TX", MCX514_MAP, X | 0x19, data(5), "carries no axis bits: X given", 0x19, data(5)),
+    ("axes for HLN", MCX514_MAP, X | Y | 0x1A, data(5), "carries no axis bits: X, Y given", 0x1A, data(5)),
+    ("axes for IPM", MCX514_MAP, X | 0x2A, data(3), "carries no axis bits", 0x2A, data(3)),
+    ("axes for an interpolation", MCX514_MAP, X | 0x61, {"interpolated": 3}, "carries no axis bits", 0x61, {"interpolated": 3}),
+    ("axes for an interpolation of the MCX312", MCX312_MAP, Y | 0x30, {"interpolated": 3}, "carries no axis bits", 0x30,
+     {"interpolated": 3}),
+    ("an interpolation of a chip that has none", MCX304_MAP, 0x30, {}, "30h is no command of the MCX304", X | 0x20, {}),
+    ("a reading code to write with", MCX514_MAP, X | 0x30, data(7), "takes no data: what was written to WR6", X | 0x09, data(7)),
+    ("a reading code to write with on the MCX304", MCX304_MAP, X | 0x10, data(7), "takes no data", X | 0x09, data(7)),
+    ("a reading of several axes", MCX514_MAP, X | Y | 0x30, {}, "reads one axis: of X, Y only the first", Y | 0x30, {}),
+    ("JK above its range", MCX514_MAP, X, data(1_073_741_824), "JK = 1073741824: jerk takes 1 to 1073741823", X, data(1)),
+    ("DV of 0", MCX514_MAP, X | 0x05, data(0), "DV = 0: .* takes 1 to 8000000", X | 0x05, data(8_000_000)),
+    ("TP below its range", MCX514_MAP, X | 0x06, data(-2_147_483_647), "TP = -2147483647", X | 0x06, data(-2_147_483_646)),
+    ("LX above its range", MCX514_MAP, X | 0x0E, data(0x8000_0000), "LX = 2147483648", X | 0x0E, data(0xFFFF_FFFF)),
+    ("CP below its range", MCX514_MAP, X | 0x08, data(-1_073_741_824), "CP = -1073741824", X | 0x08, data(-1_073_741_823)),
+    ("a split pulse of width 0", MCX514_MAP, X | 0x17, data(0x0000_0005), "WIDTH = 0", X | 0x17, data(0x0001_0005)),
+    ("a split pulse of length 1", MCX514_MAP, X | 0x17, data(0x0001_0001), "CYCLE = 1", X | 0x17, data(0x0001_0002)),
+    ("an action that does not exist", MCX514_MAP, X | 0x26, data(0x19 << 4), "ACT = 25", X | 0x26, data(0x18 << 4)),
+    ("a mode bit that does not exist", MCX514_MAP, 0x2A, data(0x2023), "IPM = 2023h: it has no bits 13 and 5", 0x2A, data(3)),
+    ("R below its range", MCX304_MAP, X, data(15_999), "R = 15999: .* takes 16000 to 8000000", X, data(16_000)),
+    ("V above its range", MCX304_MAP, X | 0x05, data(8001), "V = 8001: .* takes 1 to 8000", X | 0x05, data(8000)),
+    ("a drive while driving", MCX514_MAP, X | Y | 0x52, {"driving": 2}, r"while Y is driving \(n-DRV = 1\)", X | 0x52,
+     {"driving": 2}),
+    ("a home search while driving", MCX304_MAP, X | 0x62, {"driving": 1}, "while X is driving", X | 0x26, {"driving": 1}),
+    ("TP in absolute driving", MCX514_MAP, X | 0x06, {**data(9), "absolute": 1}, "in absolute position driving: it cannot",
+     Y | 0x06, {**data(9), "absolute": 1}),
+    ("TP the other way", MCX514_MAP, Y | 0x06, {**data(-9), "relative": 2, "finish": (0, 5, 0, 0)}, "TP = -9 while Y drives",
+     Y | 0x06, {**data(0), "relative": 2, "finish": (0, 5, 0, 0)}),
+    ("a continuous interpolation above 4 Mpps", MCX514_MAP, 0x61,
+     {"interpolated": 6, "interpolating": True, "drive_speed": (1, 4_000_001, 1, 1)}, "with DV = 4000001: 4000000 is", 0x61,
+     {"interpolated": 6, "interpolating": True, "drive_speed": (5_000_000, 4_000_000, 5_000_000, 1)}),
+    ("DV above 4 Mpps in a continuous interpolation", MCX514_MAP, X | 0x05,
+     {**data(4_000_001), "interpolated": 3, "interpolating": True}, "DV = 4000001 in continuous interpolation", Y | 0x05,
+     {**data(4_000_001), "interpolated": 3, "interpolating": True}),
+    ("an interpolation with too many axes", MCX514_MAP, 0x61, {"interpolated": 7}, "with 3 axes chosen: X, Y, Z", 0x62,
+     {"interpolated": 7}),
+    ("an interpolation without axes", MCX514_MAP, 0x64, {}, "with 0 axes chosen", 0x64, {"interpolated": 0b1010}),
+    ("an interpolation while an axis drives", MCX514_MAP, 0x61, {"interpolated": 3, "driving": 2}, "while Y is driving", 0x61,
+     {"interpolated": 3, "driving": 4}),
+    ("a segment too many", MCX514_MAP, 0x61, {"interpolated": 3, "interpolating": True, "driving": 3, "full": True},
+     "pre-buffer is full", 0x61, {"interpolated": 3, "interpolating": True, "driving": 3}),
+    ("a finish point of 32 bits", MCX514_MAP, 0x61, {"interpolated": 3, "finish": (0, 1_073_741_824, 0, 0)}, "TP = 1073741824 of Y",
+     0x66, {"interpolated": 3, "finish": (0, 0x7FFF_FFFF, 0, 0)}),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("chip", "value", "held", "message", "right", "right_held"), [m[1:] for m in MISTAKES], ids=[m[0] for m in MISTAKES]
+)
+def test_a_mistake_is_named_and_the_right_write_passes(chip, value, held, message, right, right_held):
+    assert re.search(message, said(chip, value, **held)), said(chip, value, **held)
+    assert said(chip, right, **right_held) == ""
+
+
+@pytest.mark.parametrize(
+    ("chip", "address", "value", "message"),
+    [
+        (MCX514_MAP, 3, 0x8000, "WR3 = 8000h: the MCX514 has no bit 15 there"),
+        (MCX304_MAP, 2, 0x0C00, "WR2 = 0C00h: PIND = 3"),
+        (MCX304_MAP, 5, 0x0001, "WR5 = 0001h: the MCX304 has no bit 0 there"),
+        (MCX302_MAP, 4, 0xFF00, "has no bits 15 and 14 and 13 and 12 and 11 and 10 and 9 and 8 there"),
+        (MCX312_MAP, 5, 0x0008, "WR5 = 0008h: AX2 = 2"),
+    ],
+    ids=[
+        "a bit of WR3",
+        "an invalid division",
+        "WR5 without interpolation",
+        "outputs of absent axes",
+        "an absent axis",
+    ],
+)
+def test_bits_that_a_register_does_not_have_are_named(chip, address, value, message):
+    assert message in said(chip, value, address)
+
+
+def test_wr2_to_wr5_take_anything_while_they_are_bp_registers():
+    for address in range(2, 6):
+        assert said(MCX312_MAP, 0xFFFF, address, bit_pattern=True) == ""
+    assert said(MCX312_MAP, 0x0C00, 2) != ""
+
+
+@every_chip
+def test_every_command_with_legal_data_to_one_resting_axis_passes(chip):
+    for c in chip.commands:
+        held = {"interpolated": {1: 1, 3: 7, 4: 15}.get(lint.INTERPOLATION_AXES.get(c.symbol, (2,))[0], 3)}
+        if c.kind in ("data write", "mode write"):
+            r = chip.register(c.symbol)
+            lows = sum(f.legal[0] << f.low for f in r.fields if f.legal)
+            held |= data(r.legal[0] if r.legal else lows)
+        for code in c.codes:
+            assert said(chip, code | (X if c.axes else 0), **held) == "", c
+
+
+@every_chip
+def test_any_write_gets_an_answer(chip):
+    seed = random.randrange(2**32)
+    print(f"seed {seed}")
+    rng = random.Random(seed)
+    for _ in range(3000):
+        held = Held(
+            *(rng.getrandbits(16) for _ in range(2)), rng.random() < 0.5, *(rng.getrandbits(4) for _ in range(3)),
+            *(rng.random() < 0.5 for _ in range(3)), rng.getrandbits(4), tuple(rng.getrandbits(24) for _ in range(4)),
+            tuple(rng.getrandbits(32) - 2**31 for _ in range(4)),
+        )  # fmt: skip
+        note = lint.write(chip, held, rng.choice((0, 0, 0, rng.randrange(8))), rng.getrandbits(16))
+        assert note is None or (len(note) == 2 and all(note))

@@ -1,0 +1,48 @@
+"""`@covers("MCX514", "DV", "SV")`: this test writes these commands to that chip, and fails if it does not.
+
+The tables of commands in the docs name such tests (scripts/command_table.py). Arguments are literals; a test that runs with one
+of several chips at a time names them all: `@covers("MCX304 MCX302", "SV")`. Only what reaches `chip.write` counts. Decorate outside
+of `given`, so that it counts over all examples.
+"""
+
+import functools
+from collections import defaultdict
+from collections.abc import Callable
+from unittest import mock
+
+from stage.chips import Chip, chip_class
+
+
+def covers(chips: str, *symbols: str) -> Callable:
+    """Raises ArgumentError, when the test is collected, for a chip or symbol that does not exist."""
+    codes = {cls: {s: cls.MAP.command(s).codes for s in symbols} for cls in map(chip_class, chips.split())}
+
+    def decorate(test: Callable) -> Callable:
+        @functools.wraps(test)
+        def watched(*args, **kwargs):
+            seen: dict[type[Chip], set[int]] = defaultdict(set)
+            with mock.patch.object(Chip, "write", _spy(seen)):
+                test(*args, **kwargs)
+            written = {cls: seen[cls] for cls in codes if cls in seen}
+            assert written, f"this test claims to cover commands of {chips} and wrote none"
+            for cls, its in written.items():
+                missing = [symbol for symbol, of in codes[cls].items() if its.isdisjoint(of)]
+                assert not missing, (
+                    f"this test claims to cover {', '.join(missing)} of {cls.__name__} and never wrote it"
+                )
+
+        return watched
+
+    return decorate
+
+
+def _spy(seen: dict[type[Chip], set[int]]) -> Callable:
+    """`Chip.write`, but the codes of the commands written are noted: words at address 0, bytes at 16 of an 8-bit bus."""
+    write = Chip.write
+
+    def spy(self, address, value):
+        if int(address) in (0, 16) and not int(value) & 0xF000:
+            seen[type(self)].add(int(value) & 0xFF)
+        return write(self, address, value)
+
+    return spy
