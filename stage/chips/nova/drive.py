@@ -7,8 +7,9 @@ from stage.chips.nova.plan import (
     RATE,
     SPEED,
     begin,
+    brake,
     brake_at,
-    change,
+    cap,
     for_ever,
     from_here,
     pair,
@@ -29,6 +30,7 @@ from stage.chips.nova.state import (
     D_END,
     D_STA,
     DC,
+    DECELERATING,
     DJ,
     DP,
     DV,
@@ -135,19 +137,20 @@ def rate_reading(c, x):
 
 @hot
 def _take_speeds(c, x):
-    """Speeds as they are now: dv can change while driving, and is never below the speed at which drives begin and end."""
+    """The drive speed as it is now."""
     put(x.dv, speed(c, x, x.reg[DV]))
-    put(x.sv, dd.least(speed(c, x, x.reg[SV]), pair(x.dv)))
 
 
 @hot
 def _take_rates(c, x):
-    """Accelerations and jerks, at the start of a drive."""
+    """Initial speed, accelerations and jerks, at the start of a drive."""
+    put(x.sv, speed(c, x, x.reg[SV]))
     put(x.up, _rate(c, x, x.reg[AC]))
     put(x.down, _rate(c, x, x.reg[DC] if x.asymmetric else x.reg[AC]))
-    put(x.up_jerk, _jerk(c, x, x.reg[JK]))
-    other = x.reg[DJ] if c.variant == MCX514_TYPE else x.reg[L] if c.has_l else x.reg[K]
-    put(x.down_jerk, _jerk(c, x, other if x.asymmetric else x.reg[JK]))
+    own = x.reg[JK] if c.variant == MCX514_TYPE else x.reg[K]
+    other = x.reg[DJ] if c.variant == MCX514_TYPE else x.reg[L] if c.has_l else own
+    put(x.up_jerk, _jerk(c, x, own))
+    put(x.down_jerk, _jerk(c, x, other if x.asymmetric else own))
     x.curved = x.s_curve
     put(x.finest, _rate(c, x, 1) if c.errata and x.fixed else dd.ZERO)
 
@@ -208,27 +211,21 @@ def hardware_limit(x, way):
 def plan(c, x):
     """Plan the rest of the drive from the cursor on."""
     _take_speeds(c, x)
+    goal = pair(x.dv)
     if not x.fixed:
-        for_ever(x)
+        for_ever(x, goal)
         return
-    if x.manual:
-        if x.done < x.reg[DP]:
-            for_ever(x)
-            if x.reg[DP] < x.output:
-                brake_at(x, x.reg[DP])
-        else:
-            x.brake = 0
-            change(x, pair(x.sv), True)
-            for_ever_slow(x)
-        return
-    to_the_end(x, dd.whole(x.output - x.reg[AO]), x.prevents)
-
-
-@hot
-def for_ever_slow(x):
-    """From the cursor on at the speed that it has."""
-    put(x.dv, pair(x.cursor[SPEED]))
-    for_ever(x)
+    if x.prevents and not x.curved and dd.less(pair(x.sv), goal):  # a speed above the cap is kept
+        top, now = cap(x, x.output), pair(x.cursor[SPEED])
+        goal = dd.least(goal, now if dd.less(top, now) else top)
+    if not x.manual:
+        to_the_end(x, dd.whole(x.output - x.reg[AO]), goal)
+    elif x.done < x.reg[DP]:
+        for_ever(x, goal)
+        if x.reg[DP] < x.output:
+            brake_at(x, x.reg[DP])
+    else:
+        brake(x)
 
 
 @hot
@@ -248,7 +245,7 @@ def launch(c, x, way, output):
     x.driving, x.phase = 1, CONSTANT - 9
     _take_rates(c, x)
     _take_speeds(c, x)
-    begin(x, c.clock, dd.ZERO, dd.ZERO, pair(x.sv), dd.ZERO)
+    begin(x, c.clock, dd.ZERO, dd.ZERO, dd.least(pair(x.sv), pair(x.dv)), dd.ZERO)
     plan(c, x)
 
 
@@ -362,25 +359,24 @@ def finish(c, x, cause):
 
 @hot
 def request_stop(c, x, cause):
-    """A decelerating stop: 56h, 26h, a STOP signal, a limit in that mode. While the drive brakes anyway nothing changes, but in
-    area d the chips with the erratum run away."""
+    """A decelerating stop: 56h, 26h, a STOP signal, a limit in that mode. The chips of the erratum take no notice while they
+    brake on an S-curve anyway, and in its area d they run away."""
     x.finish |= cause
     if not x.driving or x.slow:
         return
     n = c.clock - x.origin
     s = segment_at(x, n)
-    if s >= x.brake:
-        if x.kind[s] == AREA_D and c.errata and x.done < x.output:
-            from_here(x, n)
-            put(x.cursor[RATE], dd.ZERO)
-            run_away(x)
-            x.fixed, x.slow = 0, 1
-            c.stale = 1
+    if s >= x.brake and x.curved and c.variant != MCX514_TYPE and x.kind[s] == DECELERATING:
         return
     x.slow = 1
     from_here(x, n)
-    _take_speeds(c, x)
-    slow_down(x)
+    if x.kind[s] == AREA_D:
+        put(x.cursor[RATE], dd.ZERO)
+        run_away(x)
+        x.fixed = 0
+    else:
+        _take_speeds(c, x)
+        slow_down(x)
     c.stale = 1
 
 

@@ -2,7 +2,8 @@
 
 A change of speed is jerk-limited: the acceleration goes at the jerk to the side of the goal, is held at its limit if it gets
 there, and returns to 0 just when the speed is reached; one that would overshoot is brought to 0 first. Linear ramps jump.
-A drive of so many pulses brakes so that its speed is the initial speed, and its acceleration 0, exactly at the last of them.
+A drive of so many pulses brakes as late as it can, so that its speed is the initial speed, and its acceleration 0, exactly at
+the last of them.
 """
 
 from __future__ import annotations
@@ -88,10 +89,26 @@ def _after(duration, v, a, jerk):
 
 
 @hot
-def distance(x, v, a, goal):
-    """Pulses that the change of speed takes."""
+def draft_brake(x, v, a):
+    """Draft the deceleration to the initial speed; at or below it only what acceleration there is goes to 0."""
+    if not x.curved:
+        return draft(x, v, a, pair(x.sv)) if dd.less(pair(x.sv), v) else 0
+    if a[0] == 0.0:
+        return draft(x, v, a, pair(x.sv)) if dd.less(pair(x.sv), v) else 0
+    falls = a[0] < 0.0
+    jerk = pair(x.down_jerk) if falls else pair(x.up_jerk)
+    left = dd.times(dd.div(dd.mul(a, a), jerk), 0.5)
+    settled = dd.sub(v, left) if falls else dd.add(v, left)
+    if dd.less(pair(x.sv), settled):
+        return draft(x, v, a, pair(x.sv))
+    return _piece(x, 0, dd.div(_signed(a, falls), jerk), a, _signed(jerk, not falls))
+
+
+@hot
+def braking_distance(x, v, a):
+    """Pulses that the deceleration to the initial speed takes."""
     far = dd.ZERO
-    for k in range(draft(x, v, a, goal)):
+    for k in range(draft_brake(x, v, a)):
         way, v = _after(pair(x.piece[k, DURATION]), v, pair(x.piece[k, FROM]), pair(x.piece[k, JERK]))
         far = dd.add(far, way)
     return far
@@ -140,21 +157,39 @@ def _go(x, kind, duration, a, jerk):
 
 
 @hot
-def change(x, goal, last):
-    """Append the change from the cursor's speed to `goal`. last: it is the automatic deceleration, which can have an area d."""
+def _kind(a, jerk):
+    return ACCELERATING if a[0] > 0.0 or (a[0] == 0.0 and jerk[0] > 0.0) else DECELERATING
+
+
+@hot
+def change(x, goal):
+    """Append the change from the cursor's speed to `goal`."""
     for k in range(draft(x, pair(x.cursor[SPEED]), pair(x.cursor[RATE]), goal)):
         duration, a, jerk = pair(x.piece[k, DURATION]), pair(x.piece[k, FROM]), pair(x.piece[k, JERK])
-        kind = ACCELERATING if a[0] > 0.0 or (a[0] == 0.0 and jerk[0] > 0.0) else DECELERATING
-        dull = pair(x.finest)
-        if last and dull[0] > 0.0 and a[0] < 0.0 and jerk[0] > 0.0:
-            calm = dd.least(dd.div(dull, jerk), duration)
-            before = dd.sub(duration, calm)
-            _go(x, kind, before, a, jerk)
-            _go(x, AREA_D, calm, dd.add(a, dd.mul(jerk, before)), jerk)
-        else:
-            _go(x, kind, duration, a, jerk)
+        _go(x, _kind(a, jerk), duration, a, jerk)
     put(x.cursor[SPEED], goal)
     put(x.cursor[RATE], dd.ZERO)
+
+
+@hot
+def brake(x):
+    """Append the automatic deceleration, and the initial speed for ever; it may have an area d."""
+    x.brake = x.segments
+    n = draft_brake(x, pair(x.cursor[SPEED]), pair(x.cursor[RATE]))
+    for k in range(n):
+        duration, a, jerk = pair(x.piece[k, DURATION]), pair(x.piece[k, FROM]), pair(x.piece[k, JERK])
+        dull = pair(x.finest)
+        if dull[0] > 0.0 and a[0] < 0.0 and jerk[0] > 0.0:
+            calm = dd.least(dd.div(dull, jerk), duration)
+            before = dd.sub(duration, calm)
+            _go(x, DECELERATING, before, a, jerk)
+            _go(x, AREA_D, calm, dd.add(a, dd.mul(jerk, before)), jerk)
+        else:
+            _go(x, _kind(a, jerk), duration, a, jerk)
+    if n and dd.less(pair(x.sv), pair(x.cursor[SPEED])):  # but for rounding it is there
+        put(x.cursor[SPEED], pair(x.sv))
+    put(x.cursor[RATE], dd.ZERO)
+    _on(x)
 
 
 @hot
@@ -170,7 +205,7 @@ def _on(x):
 def slow_down(x):
     """A decelerating stop: to the initial speed, where the drive ends."""
     if dd.less(pair(x.sv), pair(x.cursor[SPEED])) or x.cursor[RATE, 0] > 0.0:
-        change(x, pair(x.sv), False)
+        change(x, pair(x.sv))
     _on(x)
     x.end = x.from_clock[x.segments - 1]
 
@@ -182,81 +217,75 @@ def run_away(x):
 
 
 @hot
-def _peak(x, far):
-    """The speed to which the drive can go and still brake within `far` pulses; less than dv, and at least the present one."""
-    v, a, low = pair(x.cursor[SPEED]), pair(x.cursor[RATE]), pair(x.sv)
-    if not x.curved:
-        up, down = pair(x.up), pair(x.down)
-        square = dd.times(dd.mul(far, dd.mul(up, down)), 2.0)
-        square = dd.add(square, dd.add(dd.mul(dd.mul(v, v), down), dd.mul(dd.mul(low, low), up)))
-        top = dd.root(dd.div(square, dd.add(up, down)))
-        return v if dd.less(top, v) else top
-    high = pair(x.dv)
-    if a[0] > 0.0:
-        low = dd.add(v, dd.times(dd.div(dd.mul(a, a), pair(x.up_jerk)), 0.5))
-    under = dd.sub(_both(x, v, a, low), far)
-    over = dd.sub(_both(x, v, a, high), far)
+def cap(x, pulses):
+    """Triangle prevention: the speed at which accelerating and decelerating have taken half of the pulses of the drive."""
+    up, down, low = pair(x.up), pair(x.down), pair(x.sv)
+    square = dd.mul(dd.whole(pulses), dd.div(dd.mul(up, down), dd.add(up, down)))
+    return dd.root(dd.add(dd.mul(low, low), square))
+
+
+@hot
+def _overshoot(x, t, v, a, jerk, room):
+    """Pulses by which the drive would pass its end if it braked t clocks into this piece."""
+    way, speed = _after(t, v, a, jerk)
+    return dd.sub(dd.add(way, braking_distance(x, speed, dd.add(a, dd.mul(jerk, t)))), room)
+
+
+@hot
+def _brake_time(x, longest, v, a, jerk, room):
+    """When in a piece to begin to brake, so as to need `room` pulses from its beginning. Illinois: false position, never stuck."""
+    low, high = dd.ZERO, longest
+    under, over = _overshoot(x, low, v, a, jerk, room), _overshoot(x, high, v, a, jerk, room)
     side = 0
-    for _ in range(200):  # Illinois: false position that cannot get stuck
+    for _ in range(200):
         width = dd.sub(high, low)
-        if width[0] <= 1e-30 * high[0] or over[0] == under[0]:
+        if width[0] <= 1e-31 * high[0] or over[0] == under[0]:
             break
         middle = dd.sub(high, dd.div(dd.mul(over, width), dd.sub(over, under)))
-        off = dd.sub(_both(x, v, a, middle), far)
-        if off[0] == 0.0:
-            low = middle
-            break
+        off = _overshoot(x, middle, v, a, jerk, room)
+        if abs(off[0]) <= 1e-28:
+            return middle
         if off[0] > 0.0:
             high, over = middle, off
-            if side > 0:
-                under = dd.times(under, 0.5)
+            under = dd.times(under, 0.5) if side > 0 else under
             side = 1
         else:
             low, under = middle, off
-            if side < 0:
-                over = dd.times(over, 0.5)
+            over = dd.times(over, 0.5) if side < 0 else over
             side = -1
-        if abs(off[0]) <= 1e-31 * far[0]:
-            low = middle
-            break
     return low
 
 
 @hot
-def _both(x, v, a, peak):
-    """Pulses to go to a speed and to brake from it."""
-    return dd.add(distance(x, v, a, peak), distance(x, peak, dd.ZERO, pair(x.sv)))
-
-
-@hot
-def to_the_end(x, pulses, prevents):
-    """A drive that ends after `pulses` (a double-double: of the drive, not from here); `prevents`: triangle prevention."""
-    v, a, low, high = pair(x.cursor[SPEED]), pair(x.cursor[RATE]), pair(x.sv), pair(x.dv)
-    far = dd.sub(pulses, pair(x.cursor[PLACE]))
-    if not dd.less(distance(x, v, a, low), far):
-        x.brake = x.segments
-        change(x, low, True)
-        _on(x)
+def to_the_end(x, pulses, goal):
+    """A drive to the speed `goal` that ends after `pulses` (a double-double: of the drive, not from here): it brakes as soon as
+    braking takes all that is left."""
+    v, a = pair(x.cursor[SPEED]), pair(x.cursor[RATE])
+    room = dd.sub(pulses, pair(x.cursor[PLACE]))
+    if not dd.less(braking_distance(x, v, a), room):
+        brake(x)
         return
-    need = _both(x, v, a, high)
-    half = prevents and not x.curved
-    room = dd.times(far, 0.5) if half else far
-    if dd.less(room, need) and dd.less(v, high):
-        high = _peak(x, room)
-        need = _both(x, v, a, high)
-    change(x, high, False)
-    rest = dd.sub(far, need)
-    if rest[0] > 0.0:
-        _go(x, CONSTANT, dd.div(rest, high), dd.ZERO, dd.ZERO)
-    x.brake = x.segments
-    change(x, low, True)
-    _on(x)
+    n = draft(x, v, a, goal)
+    x.course[:] = x.piece
+    for k in range(n):
+        duration, a, jerk = pair(x.course[k, DURATION]), pair(x.course[k, FROM]), pair(x.course[k, JERK])
+        if _overshoot(x, duration, v, a, jerk, room)[0] > 0.0:
+            _go(x, _kind(a, jerk), _brake_time(x, duration, v, a, jerk, room), a, jerk)
+            brake(x)
+            return
+        way, v = _after(duration, v, a, jerk)
+        room = dd.sub(room, way)
+        _go(x, _kind(a, jerk), duration, a, jerk)
+    put(x.cursor[SPEED], goal)
+    put(x.cursor[RATE], dd.ZERO)
+    _go(x, CONSTANT, dd.div(dd.sub(room, braking_distance(x, goal, dd.ZERO)), goal), dd.ZERO, dd.ZERO)
+    brake(x)
 
 
 @hot
-def for_ever(x):
-    """A drive without an end: to dv."""
-    change(x, pair(x.dv), False)
+def for_ever(x, goal):
+    """A drive without an end: to the speed `goal`."""
+    change(x, goal)
     _on(x)
 
 
@@ -281,9 +310,7 @@ def brake_at(x, pulses):
     put(x.cursor[PLACE], dd.whole(pulses))
     put(x.cursor[SPEED], speed)
     put(x.cursor[RATE], a if x.curved else dd.ZERO)
-    x.brake = x.segments
-    change(x, pair(x.sv), True)
-    _on(x)
+    brake(x)
 
 
 @hot

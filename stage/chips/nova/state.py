@@ -28,18 +28,18 @@ _PROFILE = [
     ("from_clock", "i8", (SEGMENTS,)), ("from_pulse", "i8", (SEGMENTS,)), ("kind", "i8", (SEGMENTS,)),
     ("t", "f8", (SEGMENTS, 2)), ("p", "f8", (SEGMENTS, 2)), ("v", "f8", (SEGMENTS, 2)),
     ("a2", "f8", (SEGMENTS, 2)), ("j6", "f8", (SEGMENTS, 2)),
-    ("cursor", "f8", (4, 2)), ("piece", "f8", (PIECES, 3, 2)),
+    ("cursor", "f8", (4, 2)), ("piece", "f8", (PIECES, 3, 2)), ("course", "f8", (PIECES, 3, 2)),
     ("sv", "f8", (2,)), ("dv", "f8", (2,)), ("up", "f8", (2,)), ("down", "f8", (2,)), ("up_jerk", "f8", (2,)),
     ("down_jerk", "f8", (2,)), ("finest", "f8", (2,)),
-    ("curved", "i8"), ("flat", "i8"),
+    ("curved", "i8"),
 ]  # fmt: skip
 """The speed profile of a drive in progress: pieces of a cubic in the clocks since `origin`. All floats are double-doubles (see
 dd.py) in pulses and clocks. A segment: begins `t` clocks after the origin (whole: from_clock, the first clock at or after it), with
 from_pulse + p pulses done, at speed v, with half its acceleration a2 and a sixth of its jerk j6; the last one lasts for ever.
 end: clock after the origin at which the drive ends whatever its pulses; brake: the segment that begins the automatic deceleration.
-cursor: t, p, v, a where the next segment would begin; piece: duration, acceleration and jerk of a change of speed that is drafted.
-sv to down_jerk: the drive's speeds, accelerations and jerks; finest: the acceleration below which the chip shows none (erratum);
-curved: S-curve; flat: no ramps, constant dv."""
+cursor: t, p, v, a where the next segment would begin; piece: durations, accelerations and jerks of a change of speed that is
+drafted, course: of one that is kept meanwhile. sv to down_jerk: the drive's speeds, accelerations and jerks; finest: the
+acceleration below which the chip shows none (erratum); curved: S-curve."""
 
 AXIS = record(
     [(name, "i8") for name in (
