@@ -451,7 +451,7 @@ def test_the_journal_the_report_and_the_waveforms_show_what_got_lost(xyz, tmp_pa
     assert report.stopped_by == "EL+", "what is left when a halted chip has pulses left: it never started"
     course = recording.journals["x"].course()
     assert course.pin("hold").all(), "its replay does not see the write either"
-    assert course.edges["r0"][-1] == 1000
+    assert course.edges["counter"][-1] == 1000
     assert " LOST " in recording.to_vcd(tmp_path / "x.vcd").read_text()
     report.plot(tmp_path / "x.png")
 

@@ -17,6 +17,7 @@ from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
+from stage.chips.decode import Decoder
 from stage.chips.journal import Journal
 from stage.chips.register_map import RegisterMap, dump
 from stage.compiled import plain
@@ -114,6 +115,8 @@ class Chip:
     CORE: ClassVar[ModuleType]
     INPUTS: ClassVar[dict[str, int]]
     OUTPUTS: ClassVar[dict[str, int]]
+    COUNTER: ClassVar[tuple[str, int]]
+    """The register that counts the pulses for the host, and its bits."""
     AXES: ClassVar[int] = 1
     WIRING: ClassVar[dict[str, str]] = {}
     """Which pin a switch of a stage is wired to, where it has another name than the switch; see `wired`."""
@@ -275,13 +278,17 @@ class Chip:
     def _output_word(self, axis: int) -> int:
         return int(self.CORE.pins(self._rows, self._i, axis))
 
-    def journal(self) -> Journal:
-        """Start to note every bus write and input change, so that the chip's course can be replayed exactly.
+    def journal(self, axis: int = 0) -> Journal:
+        """Start to note every bus write and input change, so that the course of an axis can be replayed exactly.
 
         The journal notes until its `close()`; a chip keeps one journal at a time, a new one continues beside it.
         """
-        self._journal = Journal(self, self._journal)
+        self._journal = Journal(self, self._journal, axis)
         return self._journal
+
+    def decoder(self, axis: int = 0) -> Decoder:
+        """Tells what a journal's bus writes say to an axis."""
+        raise NotImplementedError
 
     def values(self) -> dict[str, int]:
         """What every register holds now, by name: a debugger's view, free of bus cycles."""

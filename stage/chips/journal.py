@@ -39,8 +39,9 @@ class Entry(NamedTuple):
 
 
 class Course(NamedTuple):
-    """What a chip did. `edges`: EDGE records of its core (clock, inputs, outputs, speed, multiplier, r0, net), one for
-    the start, one after each write or input change, one for every change in between, and one for the end."""
+    """What an axis of a chip did. `edges`: EDGE records of its core (clock, inputs, outputs, counter, net, rate in pulses per
+    clock, and what the family adds), one for the start, one after each write or input change, one for every change in between, and
+    one for the end."""
 
     chip: type[Chip]
     clock_hz: int
@@ -59,10 +60,10 @@ class Course(NamedTuple):
 
 
 class Journal:
-    """Notes events of one chip from its creation to `close()`."""
+    """Notes events of one chip from its creation to `close()`; its course is that of one axis of the chip."""
 
-    def __init__(self, chip: Chip, previous: Journal | None = None):
-        self._chip, self._previous = chip, previous
+    def __init__(self, chip: Chip, previous: Journal | None = None, axis: int = 0):
+        self._chip, self._previous, self.axis = chip, previous, axis
         self._start = chip._rows[chip._i].tobytes()
         self._end: int | None = None
         self.entries: list[Entry] = []
@@ -90,8 +91,10 @@ class Journal:
         if self._end is not None:
             return
         self._end = self._chip.clock
-        if self._chip._journal is self:
-            self._chip._journal = self._previous
+        now = self._chip._journal
+        while now is not None and now._end is not None:
+            now = now._previous
+        self._chip._journal = now
 
     @property
     def start(self) -> np.record:
@@ -123,11 +126,11 @@ class Replay:
 
     def pieces(self, every_pulse: bool = False, size: int = CHUNK) -> Iterator[np.ndarray]:
         """As `Journal.pieces`, from where the last call ended; the first edge is the chip as it was there."""
-        core, rows = self._journal._chip.CORE, self._rows
+        core, rows, axis = self._journal._chip.CORE, self._rows, self._journal.axis
         out = np.zeros(size, core.EDGE)
         end, entries = self._journal.until, self._journal.entries[self._applied :]
         self._applied += len(entries)
-        core.mark(rows, 0, out, 0)
+        core.mark(rows, 0, out, 0, axis)
         k = 1
         for e in (*entries, None):
             until = end if e is None else e.clock
@@ -135,12 +138,12 @@ class Replay:
                 if size - k < ROOM:
                     yield out[:k].copy()
                     k = 0
-                k += core.scan(rows, 0, until, every_pulse, out[k:])
+                k += core.scan(rows, 0, until, every_pulse, out[k:], axis)
             if e is not None:
                 e.apply(core, rows)
             if k == size:
                 yield out.copy()
                 k = 0
-            core.mark(rows, 0, out, k)
+            core.mark(rows, 0, out, k, axis)
             k += 1
         yield out[:k].copy()

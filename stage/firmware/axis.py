@@ -14,6 +14,7 @@ class Axis(Protocol):
 
     name: str
     chip: Chip
+    chip_axis: int
     meters_per_pulse: float | None
 
     @property

@@ -29,6 +29,7 @@ Span = tuple[int | None, int | None]
 class BenchAxis:
     """A chip alone: it makes pulses, and nothing moves but a rail's carriage."""
 
+    chip_axis = 0
     meters_per_pulse = None
     position = None
     commanded = None

@@ -108,8 +108,8 @@ class Report:
 
 
 def rates(course: Course) -> np.ndarray:
-    """Pulse rate from each edge on, pps (data sheet section 4, R7)."""
-    return course.edges["speed"] * course.clock_hz / (8192.0 * np.maximum(course.edges["multiplier"], 1))
+    """Pulse rate from each edge on, pps."""
+    return course.edges["rate"] * course.clock_hz
 
 
 def _running(course: Course) -> np.ndarray:
@@ -127,7 +127,7 @@ class Procedure:
         self.axis, self.name, self.port = axis, name, Port(axis)
 
     def __enter__(self) -> Procedure:
-        self.journal = self.axis.chip.journal()
+        self.journal = self.axis.chip.journal(self.axis.chip_axis)
         self.began = self.axis.time
         self._position, self._lost = self.axis.position, self.axis.lost_steps
         return self
@@ -149,5 +149,5 @@ class Procedure:
         return Report(
             self.name, axis.name, int(net[-1] - net[0]), asked, duration, float(rates(course).max()),
             self._position, axis.position, None if lost is None else lost - (self._lost or 0),
-            stopped_by, residual, course, tuple(decode(axis.chip.MAP, self.journal.entries)),
+            stopped_by, residual, course, tuple(decode(axis.chip.decoder(axis.chip_axis), self.journal.entries)),
         )  # fmt: skip

@@ -52,7 +52,7 @@ COLUMNS = {
     "current_b": ("A", "phase B"),
     "rate": ("pps", "pulse rate"),
     "pulses": ("pulses", "plus minus minus, since power-up"),
-    "counter": ("pulses", "down counter R0"),
+    "counter": ("pulses", "what counts the pulses for the host: down counter R0, logical position LP"),
 }
 """Columns of each axis: unit (on a hinge rad for m) and meaning. Every pin has a bool column of its name as well."""
 
@@ -106,7 +106,7 @@ class Recording:
         self.filled = 0
         self._disorder = False
         self.notes: list[Note] = []
-        self.journals: dict[str, Journal] = {name: axis.chip.journal() for name, axis in axes.items()}
+        self.journals: dict[str, Journal] = {name: axis.chip.journal(axis.chip_axis) for name, axis in axes.items()}
 
     def take(self, filled: int) -> None:
         """The engine has filled the buffers up to row `filled`; full ones go to the file."""

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import mujoco
 import numpy as np
 
-from stage.chips.decode import Decoder, Said
+from stage.chips.decode import Said
 from stage.chips.journal import Replay
 from stage.recording import scene, signals
 from stage.recording.sink import Sink
@@ -203,7 +203,7 @@ class Lanes:
         self._recording, self._name, self._colour = recording, name, colour
         self._axis, self._journal = recording.axes[name], recording.journals[name]
         self._replay, self._first = Replay(self._journal), True
-        self._decoder, self._said = Decoder(self._axis.chip.MAP), 0
+        self._decoder, self._said = self._axis.chip.decoder(self._axis.chip_axis), 0
         self._shown: dict[str, tuple] = {}
 
     def take(self, out: Any) -> tuple[np.ndarray, bool]:
@@ -224,11 +224,11 @@ class Lanes:
         chip = self._axis.chip
         phases = {s: STATES[s] for s in signals.PHASES.values()}
         self._lane(out, "phase", edges, signals.phases(chip, edges), phases)
-        fitted = [p for p in signals.SWITCHES if p in chip.INPUTS and p in self._axis.switches.as_dict()]
+        fitted = [p for p in signals.SWITCHES if chip.wired(p) and p in self._axis.switches.as_dict()]
         together = np.full(len(edges), "", object)
         for pin in fitted:
             label, kind = signals.SWITCHES[pin]
-            on = signals.asserted(chip, edges, pin)
+            on = edges["inputs"] & chip.wired(pin) != 0
             states = np.where(on, label, "off").astype(object)
             colours = {label: STATES[kind], "off": STATES["off"]}
             self._lane(out, f"switches/{pin}", edges, states, colours)

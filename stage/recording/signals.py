@@ -28,8 +28,9 @@ SWITCHES = {
 }  # fmt: skip
 """Switch pin -> (label, kind), in the order along an axis."""
 
-PHASES = {"hold": "hold", "fup": "up", "fkeep": "keep", "fdown": "down"}
-"""Output pin -> phase of the chip; the first that is asserted counts."""
+HOLD = "hold"
+PHASES = {"hold": HOLD, "fup": "up", "asnd": "up", "fkeep": "keep", "cnst": "keep", "fdown": "down", "dsnd": "down"}
+"""Output pin -> phase of the chip; the first that is asserted counts, hold if none is."""
 
 STATUS = {
     "no_int": ("irq", 0), "operating": ("hold", 0), "fkeep": ("fkeep", 1), "lt": ("lt", 1), "zero": ("zero", 1),
@@ -89,17 +90,16 @@ def asserted(chip: Any, edges: np.ndarray, pin: str) -> np.ndarray:
 def phases(chip: Any, edges: np.ndarray) -> np.ndarray:
     """The chip's phase from each edge on: up, keep, down, hold."""
     known = [p for p in PHASES if p in chip.OUTPUTS]
-    return np.select([asserted(chip, edges, p) for p in known], [PHASES[p] for p in known], "")
+    return np.select([asserted(chip, edges, p) for p in known], [PHASES[p] for p in known], HOLD)
 
 
 def status(chip: Any, edges: np.ndarray, minus: np.ndarray) -> dict[str, np.ndarray]:
     """The bits of the status byte from each edge on, as a read at address 0 would give them.
 
-    minus: whether the direction is minus, see `directions`.
+    minus: whether the direction is minus, see `directions`. Empty for a chip that has no status byte.
     """
-    try:
-        word = chip.MAP.word("status")
-    except StopIteration:
+    word = next((w for w in chip.MAP.words if w.name == "status"), None)
+    if word is None:
         return {}
     out = {}
     for field in word.fields:
@@ -113,7 +113,10 @@ def status(chip: Any, edges: np.ndarray, minus: np.ndarray) -> dict[str, np.ndar
 
 def directions(journal: Journal) -> tuple[np.ndarray, np.ndarray]:
     """(clocks, minus): the direction that the control mode says, from each clock on; the first clock is the start's."""
-    clocks, minus = [int(journal.start["clock"])], [bool(journal.start["minus"])]
+    start = journal.start
+    if "minus" not in (start.dtype.names or ()):
+        return np.array([int(start["clock"])]), np.array([False])
+    clocks, minus = [int(start["clock"])], [bool(start["minus"])]
     for clock, value in _modes(journal):
         clocks.append(clock)
         minus.append(value)
@@ -129,6 +132,5 @@ def _modes(journal: Journal) -> Iterator[tuple[int, bool]]:
 
 
 def rates(edges: np.ndarray, clock_hz: int) -> np.ndarray:
-    """Pulse rate from each edge on, pps (data sheet section 4, R7)."""
-    runs = edges["multiplier"] >= 2
-    return np.where(runs, edges["speed"] * clock_hz / (8192.0 * np.maximum(edges["multiplier"], 1)), 0.0)
+    """Pulse rate from each edge on, pps."""
+    return edges["rate"] * clock_hz

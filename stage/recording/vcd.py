@@ -99,7 +99,8 @@ def _levels(chip: Any, edges: np.ndarray, minus: np.ndarray) -> dict[str, tuple[
     for pin in (*chip.OUTPUTS, *chip.INPUTS):
         name, level = signals.wire(pin)
         out[name] = ("wire", 1, (signals.asserted(chip, edges, pin) == bool(level)).astype(np.int64))
-    out["R0"] = ("reg", 24, edges["r0"])
+    counter, bits = chip.COUNTER
+    out[counter] = ("reg", bits, edges["counter"])
     out["RATE"] = ("real", 64, signals.rates(edges, chip.clock_hz))
     for name, v in signals.status(chip, edges, minus).items():
         out[f"status.{name}"] = ("wire", 1, v.astype(np.int64))

@@ -171,10 +171,10 @@ class Course:
         edges = course.edges
         last = np.flatnonzero(edges["speed"])[-1] + 1
         self.clock = edges["clock"][:last] - edges["clock"][0]
-        self.speed, self.r0 = edges["speed"][:last], edges["r0"][:last]
+        self.speed, self.r0 = edges["speed"][:last], edges["counter"][:last]
         self.pin = lambda name: course.pin(name)[:last]
         self.pulses = abs(int(edges["net"][-1] - edges["net"][0]))
-        self.end = int(edges["clock"][edges["r0"] == 0][0] - edges["clock"][0])
+        self.end = int(edges["clock"][edges["counter"] == 0][0] - edges["clock"][0])
 
     def clocks(self, pin: str) -> int:
         """How long a pin was asserted."""
@@ -293,7 +293,7 @@ def made(move: Move) -> Ended:
     above = np.flatnonzero(course.speed > r.R1)
     at_fl = 0
     if speed <= r.R1:
-        at_fl = int(course.r0[above[-1] + 1]) if len(above) else move.r0
+        at_fl = int(course.counter[above[-1] + 1]) if len(above) else move.r0
     return Ended(chip.values()["R0"], course.pulses, speed, peak, at_fl, *ramp_down(move, course))
 
 

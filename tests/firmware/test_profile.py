@@ -86,7 +86,7 @@ def test_a_preset_move_of_any_length_ends_at_fl(trial):
     slow = np.flatnonzero(speed > p.R1)
     if len(slow) and speed.max() == p.R2:
         stairs = (p.R2 - p.R1) * p.R5 / (16384 * p.R7)  # the chip's staircase makes so many fewer
-        assert 5 <= report.course.edges["r0"][slow[-1] + 1] + 1 <= 8 + stairs, (p, count)
+        assert 5 <= report.course.edges["counter"][slow[-1] + 1] + 1 <= 8 + stairs, (p, count)
 
 
 def test_the_triangles_two_extra_pulses_are_what_it_takes():

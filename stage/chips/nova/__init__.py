@@ -6,6 +6,7 @@ from typing import Any, ClassVar
 
 from stage.chips.chip import Chip
 from stage.chips.nova import core, state
+from stage.chips.nova.decode import Decoder
 from stage.chips.nova.maps304 import MCX302_MAP, MCX304_MAP, MCX312_MAP
 from stage.chips.nova.maps514 import MCX514_MAP
 
@@ -24,6 +25,7 @@ class Nova(Chip):
     DEFAULT_CLOCK_HZ: ClassVar = 16_000_000
     DATA_MASK: ClassVar = 0xFFFF
     BUSY: ClassVar = (0, 1)
+    COUNTER: ClassVar = ("LP", 32)
     AXES: ClassVar = 4
     VARIANT: ClassVar[int] = state.FIRST_GENERATION
     _ADDRESS_MASK: ClassVar = 31
@@ -39,6 +41,9 @@ class Nova(Chip):
 
     def net(self, axis: int = 0) -> int:
         return int(self._record["ax"][axis]["net"])
+
+    def decoder(self, axis: int = 0) -> Decoder:
+        return Decoder(self.MAP, axis)
 
     def values(self) -> dict[str, int]:
         return {f"RR{k}": int(core.value(self._rows, self._i, k)) for k in range(8)}

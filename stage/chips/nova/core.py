@@ -9,6 +9,7 @@ from __future__ import annotations
 from stage.chips.nova import bus304, bus514, drive, home, interpolation, sync
 from stage.chips.nova import inputs as pins_in
 from stage.chips.nova.profile import clock_of, speed_at
+from stage.chips.nova.scan import ROOM, log, raise_pulse, shown, stop_at
 from stage.chips.nova.state import (
     ASND,
     AXES,
@@ -340,16 +341,34 @@ def trace(rows, i, until, out):
 
 
 @hot
-def mark(rows, i, out, k):
-    """Write chip `i` as it stands to `out[k]` (an EDGE record)."""
+def mark(rows, i, out, k, axis):
+    """Write an axis of chip `i` as it stands to `out[k]` (an EDGE record)."""
     c = rows[i]
-    e, x = out[k], c.ax[0]
-    e.clock, e.axis, e.inputs, e.outputs = c.clock, 0, x.inputs, outputs(c, 0)
-    e.speed, e.multiplier, e.r0, e.net = 0, 1, x.reg[LP], x.net
+    log(c, axis, out, k, shown(c, axis, outputs(c, axis)))
 
 
 @hot
-def scan(rows, i, until, every_pulse, out):
-    """Not yet."""
-    run(rows[i], until)
-    return 0
+def scan(rows, i, until, every_pulse, out, axis):
+    """As advance, and fills `out` (EDGE records) with every change of an axis' rate and output pins, the pulse output's only with
+    `every_pulse`. Returns how many; stops early when `out` is almost full: look at the clock and call again."""
+    c = rows[i]
+    k = 0
+    if c.stale:
+        _settle(c)
+    x = c.ax[axis]
+    while c.clock < until and k < len(out) - ROOM:
+        before, net_before = shown(c, axis, outputs(c, axis)), x.net
+        rate = speed_at(x, c.clock - x.origin) if x.driving else 0.0
+        stop = stop_at(c, axis, every_pulse, min(until, c.quiet))
+        if every_pulse and c.interpolating:
+            stop = min(stop, interpolation.next_tick(c))
+        _pass(c, max(stop, c.clock + 1))
+        if every_pulse and x.net != net_before:
+            raise_pulse(c, axis, speed_at(x, c.clock - x.origin) if x.driving else 0.0)
+        if c.clock == c.quiet:
+            _settle(c)
+        word = shown(c, axis, outputs(c, axis))
+        now = speed_at(x, c.clock - x.origin) if x.driving else 0.0
+        if word != before or now != rate or (every_pulse and x.net != net_before):
+            k = log(c, axis, out, k, word)
+    return k

@@ -82,3 +82,9 @@ def load_pattern(c, k, value):
 def status_bits304(c):
     """RR0 of the MCX312: I-DRV, CNEXT, ZONE, BPSC."""
     return 0
+
+
+@hot
+def next_tick(c):
+    """The clock of the next tick."""
+    return 1 << 60

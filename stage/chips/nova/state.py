@@ -50,7 +50,7 @@ AXIS = record(
         "timer split split_at split_left sync dcc "  # clocks of what comes next; see sync.py
         "home home_step home_until "  # see home.py
         "compared "  # which comparisons held
-        "interpolates "
+        "interpolates high "  # high: until when the pulse output is, in a scan
         # the modes of WR1 to WR3 in plain terms
         "stops limits limit_slow alarm_stops inpos_waits soft_plus soft_minus soft_rp soft_instant "
         "manual asymmetric s_curve prevents swaps encoder exchanges filtered delay slow_delay"
@@ -105,4 +105,4 @@ E_SLMT_PLUS, E_SLMT_MINUS, E_HLMT_PLUS, E_HLMT_MINUS, E_ALARM, E_EMG, E_HOME, E_
 F_SYNC, F_STOP0, F_STOP1, F_STOP2, F_LMT_PLUS, F_LMT_MINUS, F_ALARM, F_EMG = (1 << k for k in range(8, 16))
 
 PULSE = np.dtype((np.record, np.dtype([("clock", "i8"), ("axis", "i1"), ("direction", "i1")], align=True)))
-EDGE = record([(name, "i8") for name in "clock axis inputs outputs speed multiplier r0 net".split()])
+EDGE = record([(name, "i8") for name in "clock inputs outputs counter net".split()] + [("rate", "f8")])

@@ -6,6 +6,7 @@ from typing import Any, ClassVar
 
 from stage.chips.chip import Chip
 from stage.chips.pcl240 import core, lint, state
+from stage.chips.pcl240.decode import Decoder
 from stage.chips.pcl240.maps import OPERATING_MODE, PCL240K_MAP, PCL240MK_MAP, PCL240MS_MAP, STATUS
 
 __all__ = ["OPERATING_MODE", "STATUS", "PCL240", "PCL240K", "PCL240MK", "PCL240MS"]
@@ -20,6 +21,7 @@ class PCL240(Chip):
     OUTPUTS: ClassVar = core.OUTPUTS
     DEFAULT_CLOCK_HZ: ClassVar = 4_915_200
     BUSY: ClassVar = (0, 0x40)
+    COUNTER: ClassVar = ("R0", 24)
     EXTENDED: ClassVar[bool] = True
     S_CURVES: ClassVar[bool] = False
     LINEAR_RAMPS: ClassVar = state.LINEAR
@@ -30,6 +32,9 @@ class PCL240(Chip):
         for k, r in enumerate(self.MAP.registers):
             record["mask"][k] = r.writable
         record["top_bit"] = (self.MAP.register("R6").mask + 1) // 2
+
+    def decoder(self, axis: int = 0) -> Decoder:
+        return Decoder(self.MAP)
 
     def values(self) -> dict[str, int]:
         return {r.name: int(core.value(self._rows, self._i, k)) for k, r in enumerate(self.MAP.registers)} | {

@@ -343,9 +343,9 @@ def _pulse_bit(c):
 @hot
 def _log(c, out, k, clock, word, r0, net):
     e = out[k]
-    e.clock, e.outputs, e.inputs, e.r0, e.net = clock, word, c.inputs, r0, net
+    e.clock, e.outputs, e.inputs, e.counter, e.net = clock, word, c.inputs, r0, net
     e.speed = c.speed if c.running or c.finishing else 0
-    e.multiplier = c.reg[7]
+    e.rate = e.speed / (8192.0 * c.reg[7]) if c.reg[7] >= 2 else 0.0
     return k + 1
 
 
@@ -361,7 +361,7 @@ def _log_pulses(c, out, k, clock, phase, low, s, pulses, base, r0, net):
             k = _log(c, out, k, clock - (phase - j * m) // c.speed, base | bit, r0, net)
             r0 = (r0 - own) & COUNTER_MASK
             net += way
-            out[k - 1].r0, out[k - 1].net = r0, net
+            out[k - 1].counter, out[k - 1].net = r0, net
             low = 1
         rise = max(1, -((phase - j * m - m // 2) // c.speed))
         if low and rise <= s and (j == pulses or rise < -((phase - (j + 1) * m) // c.speed)):
@@ -371,14 +371,14 @@ def _log_pulses(c, out, k, clock, phase, low, s, pulses, base, r0, net):
 
 
 @hot
-def mark(rows, i, out, k):
+def mark(rows, i, out, k, axis):
     """Write chip `i` as it stands to `out[k]` (an EDGE record)."""
     c = rows[i]
     _log(c, out, k, c.clock, output_word(c), c.reg[0], c.net)
 
 
 @hot
-def scan(rows, i, until, every_pulse, out):
+def scan(rows, i, until, every_pulse, out, axis):
     """As advance, and fills `out` (EDGE records) with every change of speed or of an output pin, POUT's edges only with
     `every_pulse`. Returns how many; stops early when `out` is almost full: look at the clock and call again."""
     c = rows[i]

@@ -71,7 +71,7 @@ EZ_COUNT, EZ_FROM_FL, EZ_RETURN = 16, 1 << 20, 1 << 21  # R13: shift of the coun
 EZ_SIGNAL = 1 << 20  # R17
 
 PULSE = np.dtype((np.record, np.dtype([("clock", "i8"), ("axis", "i1"), ("direction", "i1")], align=True)))
-EDGE = record([(name, "i8") for name in "clock inputs outputs speed multiplier r0 net".split()])
+EDGE = record([(name, "i8") for name in "clock inputs outputs speed counter net".split()] + [("rate", "f8")])
 
 
 @hot
