@@ -28,7 +28,7 @@ def _options(task: type[Task], options: Mapping[str, Any] | None) -> dict[str, A
     return dict(options or {})
 
 
-class StageEnv(gymnasium.Env):
+class StageEnv(gymnasium.Env[np.ndarray, Any]):
     """One stage under a task.
 
     Args:
@@ -39,7 +39,7 @@ class StageEnv(gymnasium.Env):
     """
 
     task: ClassVar[type[Task]]
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": list(RENDER_MODES), "render_fps": 30}
+    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 30}  # noqa: RUF012 (as in Gymnasium)
 
     def __init__(
         self, render_mode: str | None = None, camera: str = "overview", record: str | None = None, **settings: Any
@@ -61,7 +61,9 @@ class StageEnv(gymnasium.Env):
         """The stage itself, for whoever wants to look."""
         return self._task.stages[0]
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
         super().reset(seed=seed)
         options = _options(self.task, options)
         self._save_recording()
@@ -74,7 +76,7 @@ class StageEnv(gymnasium.Env):
         self._task.observe()
         return self._task.observations[0].copy(), self._task.describe(0)
 
-    def step(self, action: Any):
+    def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         if self._over:
             raise ArgumentError("the episode is over: call reset() first.")
         task = self._task
@@ -92,7 +94,7 @@ class StageEnv(gymnasium.Env):
             self.render()
         return task.observations[0].copy(), reward, terminated, truncated, info
 
-    def render(self):
+    def render(self) -> np.ndarray | None:
         if self.render_mode is None:
             return None
         if self._viewer is None:
@@ -124,7 +126,7 @@ class StageEnv(gymnasium.Env):
         return self.__dict__ | {"_viewer": None, "_recording": None}
 
 
-class StageVectorEnv(VectorEnv):
+class StageVectorEnv(VectorEnv[np.ndarray, Any, np.ndarray]):
     """Many stages under a task, on threads, without the GIL: the same bits as as many scalar environments.
 
     Args:
@@ -133,7 +135,7 @@ class StageVectorEnv(VectorEnv):
     """
 
     task: ClassVar[type[Task]]
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}
+    metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012 (as in Gymnasium)
 
     def __init__(
         self,
@@ -163,7 +165,9 @@ class StageVectorEnv(VectorEnv):
         """The stages themselves."""
         return self._task.stages
 
-    def reset(self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None):
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
         options = dict(options or {})
         mask = options.pop("reset_mask", np.ones(self.num_envs, bool))
         self._check_mask(mask)
@@ -173,28 +177,28 @@ class StageVectorEnv(VectorEnv):
         if len(seed) != self.num_envs:
             raise ArgumentError(f"{len(seed)} seeds for {self.num_envs} environments: one each, one for all, or None.")
         infos: dict[str, Any] = {}
-        for k in np.flatnonzero(mask):
+        for k in np.flatnonzero(mask).tolist():
             if seed[k] is not None or not self._seeded[k]:
                 self._task.rngs[k], _ = seeding.np_random(seed[k])
                 self._seeded[k] = True
-            self._task.restart(int(k), options)
-            infos = self._add_info(infos, self._task.describe(int(k)), int(k))
+            self._task.restart(k, options)
+            infos = self._add_info(infos, self._task.describe(k), k)
         self._over[mask] = False
         self._task.observe()
         return self._task.observations.copy(), infos
 
-    def step(self, actions: Any):
+    def step(self, actions: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         mode = self.autoreset_mode
         if mode != AutoresetMode.NEXT_STEP and self._over.any():
-            k = int(np.flatnonzero(self._over)[0])
+            k = int(np.argmax(self._over))
             raise ArgumentError(f"the episode of environment {k} is over: reset it first (options reset_mask).")
         task, active = self._task, self._task.active
         task.actions[...] = checked(self.action_space, actions)
         active[...] = ~self._over
         infos: dict[str, Any] = {}
-        for k in np.flatnonzero(self._over):
-            task.restart(int(k), {})
-            infos = self._add_info(infos, task.describe(int(k)), int(k))
+        for k in np.flatnonzero(self._over).tolist():
+            task.restart(k, {})
+            infos = self._add_info(infos, task.describe(k), k)
         rewards, ends = np.zeros(self.num_envs), np.zeros((2, self.num_envs), bool)
         if active.any():
             task.act()
@@ -204,7 +208,7 @@ class StageVectorEnv(VectorEnv):
             task.renew()
         task.observe()
         observations = task.observations.copy()
-        self._over = ends.any(axis=0)
+        self._over = ends[0] | ends[1]
         if mode == AutoresetMode.SAME_STEP and self._over.any():
             infos = self._same_step(infos, observations)
             task.observe()
@@ -214,7 +218,8 @@ class StageVectorEnv(VectorEnv):
 
     def _same_step(self, infos: dict[str, Any], observations: np.ndarray) -> dict[str, Any]:
         """Reset what is over, and move its last observation and info aside, as Gymnasium asks."""
-        last, kept = infos, {}
+        last = infos
+        kept: dict[str, Any] = {}
         for k in range(self.num_envs):
             info = _one(last, k)
             if self._over[k]:

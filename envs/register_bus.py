@@ -174,7 +174,8 @@ class RegisterBus(Task[Config]):
         if c.goal == "home":
             start, target = self._places(rng), np.zeros(m, np.int64)
         else:
-            far = np.rint(np.exp(rng.uniform(*np.log(c.distances), m))).astype(np.int64)
+            low, high = np.log(c.distances)
+            far = np.rint(np.exp(rng.uniform(low, high, m))).astype(np.int64)
             start, target = self.power_up.copy(), far * rng.choice((-1, 1), m)
         for j, q in self._by_axis("start", options, (int, float)):
             start[j] = q

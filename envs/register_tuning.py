@@ -81,8 +81,9 @@ class RegisterTuning(MoveTask[Config]):
     def prepare(self) -> None:
         c, first = self.config, self.stages[0]
         self.axis = first.axes[c.axis]
-        self.chip: Any = self.axis.chip
-        self.registers = RegisterBox(self.chip.MAP, REGISTERS + (S_CURVES if self.chip.S_CURVES else ()))
+        chip: Any = self.axis.chip
+        self.chip = chip
+        self.registers = RegisterBox(chip.MAP, REGISTERS + (S_CURVES if chip.S_CURVES else ()))
         self.action_space = self.registers.box if c.actions == "box" else self.registers.discrete
         room = 0.95 * (self.axis.travel[1] - self.axis.travel[0]) / self.axis.meters_per_pulse
         if c.distances[1] > room:
@@ -123,7 +124,7 @@ class RegisterTuning(MoveTask[Config]):
         stage.place(**{c.axis: middle - 0.5 * way * float(self.distance[k])})
 
     @staticmethod
-    def _given(options: Mapping[str, Any], name: str, drawn: float, ends: tuple[float, float]) -> float:
+    def _given(options: Mapping[str, Any], name: str, drawn: float, ends: tuple[float, float]) -> float | np.number:
         value = options.get(name, drawn)
         if not isinstance(value, int | float | np.number) or not ends[0] <= value <= ends[1]:
             raise ArgumentError(f"option {name}={value!r}: from {ends[0]} to {ends[1]}.")

@@ -177,7 +177,8 @@ class SynchronizedMove(MoveTask[Config]):
     def _draw(self, k: int, options: Mapping[str, Any]) -> None:
         """The next move of stage k, and its carriages where it starts."""
         c, rng = self.config, self.rngs[k]
-        sizes = np.rint(np.exp(rng.uniform(*np.log(c.distances), len(self.axes)))).astype(np.int64)
+        low, high = np.log(c.distances)
+        sizes = np.rint(np.exp(rng.uniform(low, high, len(self.axes)))).astype(np.int64)
         self.distances[k] = sizes * rng.choice([-1, 1], len(self.axes))
         self.rate[k] = np.clip(np.exp(rng.uniform(*np.log(c.rates))), *c.rates)
         self._obey(k, options)
@@ -197,7 +198,7 @@ class SynchronizedMove(MoveTask[Config]):
             if (
                 not isinstance(given, Mapping)
                 or set(given) != set(names)
-                or not all(isinstance(d, int | np.integer) and low <= abs(d) <= high for d in given.values())
+                or not all(isinstance(d, int | np.integer) and low <= abs(int(d)) <= high for d in given.values())
             ):
                 raise ArgumentError(
                     f"option distances={given!r}: whole pulses, {low} to {high} either way, for {names}."

@@ -25,7 +25,7 @@ from stage.chips import Chip, ChipAxis, Diagnostic, cores
 from stage.compiled import announced
 from stage.drives import stepper
 from stage.drives.motors import Drive, Motor, motor
-from stage.errors import ArgumentError, RunTimeout, SimulationError, StageError, unknown
+from stage.errors import ArgumentError, ModelError, RunTimeout, SimulationError, StageError, unknown
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -209,7 +209,13 @@ class Stage:
         chosen = [_choose_drive(drives, p) for p in self._plant]
         for p, d in zip(self._plant, chosen, strict=True):
             built_in = motor(p.motor).rotor_inertia if p.motor else d.motor.rotor_inertia
+            given, inside = float(model.dof_armature[p.dof]), built_in * p.gear**2
             model.dof_armature[p.dof] += (d.motor.rotor_inertia - built_in) * p.gear**2
+            if model.dof_armature[p.dof] < 0:
+                raise ModelError(
+                    f"axis {p.name}: the model names motor {p.motor} inside an armature of {given:g}, but the rotor of that alone "
+                    f'makes {inside:g}: write armature="{inside:g}" or more, or leave the text {p.name}_motor out.'
+                )
         self._wire(chips, chosen, bus_ns, offset)
         for k, d in enumerate(chosen):
             d.fill(self._drives[k])

@@ -286,6 +286,13 @@ class _Binder:
         low, high = (float(v) for v in m.jnt_range[joint])
         if not low < high:
             self._problem(name, f"joint {name!r} has no range, so its switches cannot be looked for", _joint_line(name))
+        armature = float(m.dof_armature[m.jnt_dofadr[joint]])
+        if not 0 <= armature <= 1e9:
+            self._problem(
+                name,
+                f"joint {name!r} has an armature of {armature:g}; inertia is 0 to 1e9, in kg (kg m2 on a hinge): that of the "
+                "rotor times the gear squared, or 0",
+            )
         gear = float(m.actuator_gear[actuator][0])
         if not self._is_motor(joint, actuator) or not 1e-6 <= abs(gear) <= 1e9:
             self._problem(

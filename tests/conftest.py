@@ -3,6 +3,14 @@ import os
 import sys
 from pathlib import Path
 
+import pytest
+
 sys.path.insert(0, str(Path(__file__).parent))
 if sys.platform == "linux" and "DISPLAY" not in os.environ and ctypes.util.find_library("EGL"):
     os.environ.setdefault("MUJOCO_GL", "egl")  # frames without a screen; must be said before MuJoCo is imported
+
+
+@pytest.fixture
+def elsewhere(tmp_path, monkeypatch):
+    """For what MuJoCo warns of, as a simulation that diverges: it writes MUJOCO_LOG.TXT into the working directory."""
+    monkeypatch.chdir(tmp_path)

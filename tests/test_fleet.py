@@ -97,6 +97,7 @@ def test_a_wait_that_takes_too_long_ends_and_says_so(first):
     assert fleet.stages[1].time == 0.0, "an empty program leaves its stage alone"
 
 
+@pytest.mark.usefixtures("elsewhere")
 def test_a_stage_that_diverges_does_not_stop_the_others(first):
     fleet = Fleet(stages(first), 2)
     fleet.stages[1].data.qfrc_applied[:] = 1e30
@@ -151,6 +152,8 @@ def test_without_visuals_the_physics_is_the_same(first):
     assert bare.snapshot().state.tobytes() == full.snapshot().state.tobytes()
 
 
+@pytest.mark.usefixtures("elsewhere")
+@pytest.mark.filterwarnings("ignore:Attach conflict")
 def test_where_an_inertia_hangs_on_visuals_they_stay():
     """A part attached to another model keeps its own compiler settings, out of our reach."""
     part = mujoco.MjSpec.from_file(str(resources.files("stage.models") / "xy.xml"))

@@ -369,6 +369,21 @@ def test_a_gear_that_no_machine_has_is_refused(gear):
         Stage(spec)
 
 
+@pytest.mark.parametrize("armature", ["-1e-3", "-0.5", "inf", "nan"])
+def test_an_armature_that_is_no_inertia_is_refused(armature):
+    spec = plant.open_spec("xy")
+    spec.joint("y").armature = float(armature)
+    with pytest.raises(ModelError, match=r"axis y: joint 'y' has an armature of .* inertia is 0 to 1e9"):
+        Stage(spec)
+
+
+def test_an_armature_that_does_not_hold_the_motor_it_names_is_told_where_a_lighter_motor_would_make_it_negative():
+    spec = plant.open_spec("xy")
+    spec.joint("y").armature = 0.0
+    with pytest.raises(ModelError, match=r"axis y: the model names motor .* armature of 0, but .* makes [23]\.\d+"):
+        Stage(spec, drives={"y": "SS2422-5041"})
+
+
 @pytest.mark.parametrize("index", ["inf", "nan", "1e300"])
 def test_an_index_pulse_that_stands_nowhere_is_refused(index):
     spec = plant.open_spec("xy")

@@ -92,9 +92,12 @@ def test_a_process_that_grows_is_found(run):
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
 def test_ctrl_c_ends_it_with_the_summary_so_far():
-    process = subprocess.Popen(
-        [sys.executable, "-u", str(SCRIPT), "--seed", "5"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
+    def hear():  # a suite that a shell runs in the background is deaf to it, and so would be its children
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+    command = [sys.executable, "-u", str(SCRIPT), "--seed", "5"]
+    pipe = subprocess.PIPE
+    process = subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True, preexec_fn=hear)
     assert "seed 5, 24 hours" in process.stdout.readline()
     time.sleep(4)
     process.send_signal(signal.SIGINT)

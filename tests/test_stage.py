@@ -188,6 +188,7 @@ def test_place_makes_no_jump(xyz):
     assert x.lost_steps == 0
 
 
+@pytest.mark.usefixtures("elsewhere")
 def test_a_diverging_simulation_names_time_and_axis_and_keeps_the_state_before(xyz):
     moving(xyz).run(0.0201)
     twin = copy.deepcopy(xyz)
@@ -203,6 +204,7 @@ def test_a_diverging_simulation_names_time_and_axis_and_keeps_the_state_before(x
     assert abs(xyz.axes["x"].position - twin.axes["x"].position) < 1e-3
 
 
+@pytest.mark.usefixtures("elsewhere")
 def test_a_recording_of_a_diverging_run_holds_all_that_came_before(xyz):
     moving(xyz)
     with xyz.record() as recording:

@@ -19,10 +19,7 @@ from stage.compiled import COMPILED
 from stage.fleet import Fleet, Program
 from stage.recording import recording
 
-
-@pytest.fixture(autouse=True)
-def elsewhere(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)  # MuJoCo writes MUJOCO_LOG.TXT when it diverges
+pytestmark = pytest.mark.usefixtures("elsewhere")
 
 
 def make_stage():

@@ -227,7 +227,7 @@ class Chip:
         begins, int64), `axis` and `direction` (int8; +1 or -1)."""
         until = self._until(clocks)
         probe = self._rows[self._i : self._i + 1].copy()
-        out = np.empty(int(self.CORE.advance(probe, 0, until)), self.CORE.PULSE)
+        out = np.zeros(int(self.CORE.advance(probe, 0, until)), self.CORE.PULSE)
         self.CORE.trace(self._rows, self._i, until, out)
         return out
 

@@ -137,7 +137,7 @@ def pulses_of(journal: Journal) -> np.ndarray:
     def go(until: int) -> None:
         while rows[0].clock < until:
             to = min(until, int(rows[0].clock) + STRETCH)
-            out = np.empty(int(core.advance(rows.copy(), 0, to)), core.PULSE)
+            out = np.zeros(int(core.advance(rows.copy(), 0, to)), core.PULSE)
             core.trace(rows, 0, to, out)
             parts.append(out)
 

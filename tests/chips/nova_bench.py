@@ -12,13 +12,13 @@ from reference.nova_profile import SECOND, Drive, ceil_clock
 
 EXAMPLES = int(os.environ.get("PULSESTAGE_EXAMPLES", "500"))
 SEED = int(os.environ.get("PULSESTAGE_SEED", random.SystemRandom().getrandbits(32)))
-ROUNDING = 1e-6  # clocks; a pulse due this near to a whole clock may be rounded to the clock beside
+ROUNDING = 1e-9  # clocks; a pulse due this near to a whole clock may be rounded to the clock beside
 X, Y, Z, U = 1, 2, 4, 8
 DATA_514 = dict(JK=0x00, DJ=0x01, AC=0x02, DC=0x03, SV=0x04, DV=0x05, TP=0x06, DP=0x07, CP=0x08, LP=0x09, AO=0x0D)
 DATA_514.update(IV=0x15, HLN=0x1A, IPM=0x2A)
 DATA_304 = dict(R=0x00, K=0x01, A=0x02, D=0x03, SV=0x04, V=0x05, P=0x06, DP=0x07, LP=0x09, AO=0x0D)
 MANLD, DSNDE, SACC = 0x0001, 0x0002, 0x0004  # WR3 of both families
-AVTRI_514, AVTRI_304 = 0x2000, 0x0020
+AVTRI_514, AVTRI_304 = (0x2000, 0), (0, 0x0020)  # of WR3, prevention off and on: the MCX514 reversed the sense
 NOP_514, NOP_304 = 0x1F, 0x0F
 
 
@@ -97,8 +97,9 @@ class Move(NamedTuple):
         return Drive(**self._asdict(), interventions=interventions)
 
     def wr3(self, avtri):
+        """WR3; `avtri`: its bit for the state that triangle prevention is in."""
         bits = (MANLD, self.DP is not None), (DSNDE, self.asymmetric), (SACC, self.s_curve)
-        return sum(bit for bit, on in (*bits, (avtri, self.triangle_prevention == (avtri == AVTRI_304))) if on)
+        return sum(bit for bit, on in bits if on) | avtri[self.triangle_prevention]
 
 
 def prepare(chip, move, axes=X):

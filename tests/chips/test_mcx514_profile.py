@@ -69,6 +69,7 @@ NAMED = {
     "manual point behind the end": LINEAR._replace(DP=500),
     "manual point in a rising S-curve": CURVE._replace(DP=200),
     "AO": LINEAR._replace(AO=8),
+    "AO of a short move": LINEAR._replace(P=48, DV=8000, AO=12),
     "AO of an S-curve": CURVE._replace(AO=50),
     "negative AO": LINEAR._replace(AO=-5),
     "AO beyond the move": LINEAR._replace(AO=500),
@@ -190,6 +191,26 @@ def test_a_new_drive_speed_acts_at_once_in_each_phase(index, phase, dv, s_curve)
     assert_made(MCX514(), move, [(clock, "DV", dv)])
 
 
+def test_a_drive_speed_lowered_shortly_before_the_deceleration_point_still_lets_the_drive_end_at_sv():
+    """The point lies where the S-curve to the new speed is about to flatten."""
+    move = Move(SV=13, DV=46, AC=246, DC=246, JK=4589, DJ=1835, P=22, s_curve=True, asymmetric=True)
+    assert_made(MCX514(), move, [(5_492_589, "DV", 25)])
+
+
+@pytest.mark.parametrize("clock", [2 * MS, 8 * MS], ids=["accelerating", "constant"])
+def test_writing_what_is_there_already_changes_nothing(clock):
+    """In a short move with triangle prevention, too."""
+    short = LINEAR._replace(P=48, DV=8000)
+    assert short.reference((clock, "P", 48)).pulse_clocks() == short.reference().pulse_clocks()
+    for what, value in (("P", short.P), ("DV", short.DV)):
+        assert_made(MCX514(), short, [(clock, what, value)])
+
+
+def test_triangle_prevention_holds_for_a_drive_speed_raised_on_the_way():
+    for clock in (1, 2 * MS, 8 * MS):
+        assert_made(MCX514(), LINEAR._replace(P=100, DV=4000), [(clock, "DV", 20_000)])
+
+
 def test_a_new_output_pulse_number_acts_at_once():
     for rng in examples(0.1):
         move = random_move(rng, fixed=True)._replace(DP=None)
@@ -222,6 +243,20 @@ def test_a_decelerating_stop_goes_down_to_sv_from_any_phase():
         clock = somewhere(rng, move.reference())
         drive = assert_made(MCX514(), move, [(clock, "slow")])
         assert drive.end_clock is not None
+
+
+@pytest.mark.parametrize(
+    "move",
+    [LINEAR._replace(AO=80), CURVE._replace(AO=80), LINEAR._replace(DP=200)],
+    ids=["AO", "AO of an S-curve", "DP"],
+)
+def test_a_decelerating_stop_ends_the_creep_at_sv(move):
+    """Written while the drive creeps, or in the ramp-down before."""
+    drive = move.reference()
+    creep = drive.pieces[-1]
+    for clock in (int(creep.t * SECOND) - 10, int(creep.t * SECOND) + 5 * MS):
+        stopped = assert_made(MCX514(), move, [(clock, "slow")])
+        assert stopped.end_clock < drive.end_clock
 
 
 def test_an_instant_stop_ends_the_drive_at_its_clock_in_any_phase():

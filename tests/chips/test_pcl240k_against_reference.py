@@ -10,6 +10,7 @@ from collections import Counter
 import numpy as np
 from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
+from pcl240k_bench import commands
 from pcl240k_programs import (
     OPERATING,
     Pair,
@@ -19,6 +20,7 @@ from pcl240k_programs import (
     register,
     wide_programs,
 )
+from programs import load_registers
 from reference.pcl240 import INPUTS, ReferencePCL240K
 
 from stage.chips import PCL240K
@@ -62,6 +64,20 @@ def test_advancing_in_pieces_is_advancing_at_once(program, pieces):
             pair.do(operation)
     assert one.chip.advance(sum(pieces)) == sum(many.chip.advance(n) for n in pieces)
     assert one.chip.snapshot().record == many.chip.snapshot().record
+
+
+def test_the_same_trace_has_the_same_bytes_to_the_padding():
+    chip = PCL240K()
+    load_registers(chip, R0=500, R1=400, R7=2)
+    commands(chip, 0x44, 0x10)
+    before, seen = chip.snapshot(), []
+    for filler in (0x00, 0xFF):
+        chip.restore(before)
+        used = np.full(500 * chip.CORE.PULSE.itemsize, filler, np.uint8)
+        del used  # memory that the trace is likely to be given
+        seen.append(chip.trace(1 << 20))
+    assert len(seen[0]) == 500
+    assert seen[0].tobytes() == seen[1].tobytes()
 
 
 def test_a_long_life_agrees():

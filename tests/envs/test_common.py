@@ -217,6 +217,7 @@ def test_unknown_settings_and_options_are_named(id_):
             make_vec(id_, 2).reset(options={"reset_mask": mask})
 
 
+@pytest.mark.usefixtures("elsewhere")
 def test_a_stage_that_diverges_ends_its_own_episode_alone(id_):
     vector, calm = make_vec(id_, 3), make_vec(id_, 3)
     for v in (vector, calm):

@@ -48,18 +48,19 @@ class ChipMachine(RuleBasedStateMachine):
     @rule(data=st.data())
     def write(self, data):
         self.last = None
-        writes = data.draw(programs(self.CHIP))
-        self._write(writes, (self.chip, self.twin))
+        self._program(data.draw(programs(self.CHIP)))
+
+    def _program(self, writes):
         for address, value in writes:
+            blocked = self.chip.pins.hold and getattr(self.chip.pins, self.host.limit())
+            self._write([(address, value)], (self.chip, self.twin))
             self.host = self.host.written(address, value)
+            assert self.chip.pins.hold or not blocked, "a start towards an asserted limit was not refused"
 
     @rule(data=st.data(), n=st.integers(1, 20_000), more=st.integers(1, 20_000))
     def start_and_run(self, data, n, more):
         """A run as a driver starts it, then some of its time."""
-        writes = data.draw(starts(self.CHIP))
-        self._write(writes, (self.chip, self.twin))
-        for address, value in writes:
-            self.host = self.host.written(address, value)
+        self._program(data.draw(starts(self.CHIP)))
         self.last = Before(self.host, self.chip, n + more)
         pulses = self.chip.advance(n) + self.chip.advance(more)
         assert self.twin.advance(n + more) == pulses, "n then m made other pulses than n + m"
@@ -113,6 +114,18 @@ class ChipMachine(RuleBasedStateMachine):
         pulses = sum(self.chip.advance(step) for _ in range(times))
         assert self.twin.advance(step * times) == pulses, "n then m made other pulses than n + m"
         self._advanced(step * times, pulses)
+
+    @rule(first=st.integers(0, 3), past=st.integers(-8, 8))
+    def end_close_to_an_event(self, first, past):
+        """To some ticks before or after a pin changes: the twin cruises and may not cruise past it; a trace never cruises."""
+        n = (clocks_to_a_change(self.chip) or 0) + past
+        if n < first:
+            return
+        self.last = Before(self.host, self.chip, n)
+        traced = self.chip.trace(n)
+        pulses = self.twin.advance(first) + self.twin.advance(n - first)
+        assert pulses == len(traced), "cruising made other pulses"
+        self._advanced(n, pulses, traced)
 
     @rule(n=st.integers(0, 100_000))
     def trace(self, n):
@@ -216,10 +229,31 @@ class ChipMachine(RuleBasedStateMachine):
         assert (b.traced["direction"] == b.host.direction).all()
 
 
+def clocks_to_a_change(chip, most=1 << 22):
+    """Clocks until an output pin changes, the pulses' apart, by doubling and bisection; None if none does in `most`."""
+    probe, start = type(chip)(), chip.snapshot()
+
+    def pins_after(clocks):
+        probe.restore(start)
+        probe.advance(clocks)
+        return [getattr(probe.pins, name) for name in chip.OUTPUTS if name not in ("pout", "pdir")]
+
+    now, n = pins_after(0), 1
+    while pins_after(n) == now:
+        n *= 2
+        if n > most:
+            return None
+    low = n // 2
+    while n - low > 1:
+        middle = (low + n) // 2
+        low, n = (middle, n) if pins_after(middle) == now else (low, middle)
+    return n
+
+
 def state_of(chip) -> dict:
-    """All state, without the note of how long nothing will happen, which time's pieces may leave at different ends."""
+    """All state, by name."""
     record = np.frombuffer(chip.snapshot().record, chip.CORE.STATE)[0]
-    return {name: np.asarray(record[name]).tolist() for name in record.dtype.names if name != "quiet"} | {
+    return {name: np.asarray(record[name]).tolist() for name in record.dtype.names} | {
         "diagnostics": len(chip.diagnostics)
     }
 

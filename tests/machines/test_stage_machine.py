@@ -7,7 +7,7 @@ from stage_machine import StageMachine
 
 
 def test_whatever_happens_to_a_stage_its_invariants_hold():
-    run_state_machine_as_test(StageMachine, settings=everyday(25, 15))
+    run_state_machine_as_test(StageMachine, settings=everyday(40, 15))
 
 
 @pytest.mark.slow

@@ -207,8 +207,8 @@ class Drive:
     def _goal(self, now):
         if self.P is None or self.s_curve or not self.prevention or self.DV <= self.SV:
             return self.DV
-        # Linear ramps accelerate until Pa + Pd = P / 2. Choice: a cap of the speed that P alone sets, whatever
-        # happened before, and with the manual point too; a speed above it is kept
+        # Linear ramps accelerate until Pa + Pd = P / 2, whatever AO is. Choice: a cap of the speed that P alone sets,
+        # whatever happened before, and with the manual point too; a speed above it is kept
         half = mp.mpf(self.P) / 2
         cap = mp.sqrt(self.SV**2 + 2 * half / (1 / self.limit[+1] + 1 / self.limit[-1]))
         return min(self.DV, max(cap, now[2]))
