@@ -15,6 +15,7 @@ from stage.compiled import hot
 
 T, PLACE, SPEED, RATE = range(4)  # rows of the cursor
 DURATION, FROM, JERK = range(3)  # columns of a piece
+DUST = 1e-25  # of a speed: what rounding leaves
 
 
 @hot
@@ -63,7 +64,7 @@ def draft(x, v, a, goal):
             v, a = settled, zero
     falls = dd.less(goal, v) if a[0] == 0.0 else falls
     way = _signed(dd.sub(goal, v), falls)
-    if way[0] <= 0.0 and a[0] == 0.0:
+    if a[0] == 0.0 and way[0] <= DUST * goal[0]:
         return k
     jerk, most = (pair(x.down_jerk), pair(x.down)) if falls else (pair(x.up_jerk), pair(x.up))
     size = _signed(a, falls)
