@@ -228,7 +228,7 @@ class Lanes:
         together = np.full(len(edges), "", object)
         for pin in fitted:
             label, kind = signals.SWITCHES[pin]
-            on = edges["inputs"] & chip.wired(pin) != 0
+            on = signals.asserted(chip, edges, pin)
             states = np.where(on, label, "off").astype(object)
             colours = {label: STATES[kind], "off": STATES["off"]}
             self._lane(out, f"switches/{pin}", edges, states, colours)

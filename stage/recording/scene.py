@@ -202,7 +202,7 @@ def _lamps(recording: Recording, name: str) -> Iterator[tuple[str, np.ndarray, s
     mujoco.mj_kinematics(model, data)
     for pin, (_, kind) in signals.SWITCHES.items():
         sensor = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, f"{name}_{pin}")
-        if sensor < 0 or pin not in axis.chip.INPUTS:
+        if sensor < 0 or not axis.chip.wired(pin):
             continue
         pair = (int(model.sensor_refid[sensor]), int(model.sensor_objid[sensor]))
         geom = next((g for g in pair if model.geom_bodyid[g] != carriage), pair[0])

@@ -82,9 +82,9 @@ def changes(edges: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def asserted(chip: Any, edges: np.ndarray, pin: str) -> np.ndarray:
-    """A pin's state from each edge on (bool); `edges` of a chip's journal."""
-    word, bit = ("inputs", chip.INPUTS[pin]) if pin in chip.INPUTS else ("outputs", chip.OUTPUTS[pin])
-    return edges[word] & bit != 0
+    """The state of a pin, or of the switch wired to it, from each edge on (bool); `edges` of a chip's journal."""
+    bit = chip.wired(pin)
+    return (edges["inputs"] & bit if bit else edges["outputs"] & chip.OUTPUTS[pin]) != 0
 
 
 def phases(chip: Any, edges: np.ndarray) -> np.ndarray:
