@@ -1,249 +1,156 @@
-"""Coverage-guided fuzzing of the bus and of the MJCF contract: pip install 'pulsestage[fuzz]'
+"""Fuzzing of the bus and of the MJCF contract: pip install 'pulsestage[fuzz]'
 
-python scripts/fuzz.py bus --seconds 60        bus cycles, input edges and clocks on any chip
-python scripts/fuzz.py mjcf --seconds 60       a small model with elements dropped, renamed, doubled, odd numbers
-python scripts/fuzz.py bus --replay FILE ...   the same checks on given inputs; needs no atheris
+python scripts/fuzz.py bus --seconds 60         bus cycles, input edges and clocks on any chip
+python scripts/fuzz.py mjcf --seconds 60        a small model with elements dropped, renamed, doubled, odd numbers
+python scripts/fuzz.py bus --replay FILE ...    the same checks on given inputs; needs no atheris
+python scripts/fuzz.py bus --keep               add to tests/corpus/bus the fewest found inputs that reach further
 
-`bus` runs the compiled functions as plain Python, so that atheris sees their branches. Findings are inputs named crash-*,
-timeout-* or oom-* in build/fuzz/TARGET; a small corpus of inputs in tests/corpus/TARGET is replayed by tests/test_corpus.py.
+A guided run follows the coverage (atheris). For `bus` it takes two thirds of the time, with the compiled functions as plain
+Python, whose branches atheris sees, and a bound on the work of each advance; then come the chips compiled, beside a twin, at
+random mutations of all that was found. Findings are inputs named crash-*, timeout-* or oom-* in build/fuzz/TARGET; a small corpus
+in tests/corpus/TARGET is replayed by tests/test_corpus.py. What was done is counted in build/fuzz and printed at the end.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
-import re
+import random
+import shlex
 import subprocess
 import sys
-import tempfile
-import time
-import xml.etree.ElementTree as ET
+from dataclasses import dataclass
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
+
+from fuzzing.promises import Counts, counted
 
 ROOT = Path(__file__).resolve().parent.parent
 SEEDS, FOUND = ROOT / "tests" / "corpus", ROOT / "build" / "fuzz"
-LONGEST = 1 << 14  # clocks of one advance, and
-TOTAL = 1 << 16  # of one input
-RAMPS = 8  # of one advance, each of 8191 steps at most: a write or an edge could cause more, an advance has none
-SECONDS_PER_ADVANCE = 5.0
-MOST_BYTES = {"bus": 512, "mjcf": 12}
+BUDGET = 3000  # events of one guided input: a long ramp is nothing new after that
 
 
-class Finding(AssertionError):
-    """A promise that an input breaks."""
+@dataclass(frozen=True)
+class Target:
+    """What takes the inputs, a class `name` of `module`, and how atheris is to look at it."""
+
+    module: str
+    name: str
+    most_bytes: int
+    instrumented: str  # the package whose branches count
+    before: tuple[str, ...] = ()  # compiled functions cannot be instrumented: these modules are loaded before
+    uncompiled: bool = False  # guided as plain Python, and then compiled with mutations
+
+    def load(self) -> type:
+        return getattr(import_module(self.module), self.name)
 
 
-def demand(holds: bool, what: str) -> None:
-    if not holds:
-        raise Finding(what)
+TARGETS = {
+    "bus": Target("fuzzing.bus", "Bus", 256, "stage.chips", uncompiled=True),
+    "mjcf": Target("fuzzing.mjcf", "Mjcf", 12, "stage", ("stage.drives.motors", "stage.engine")),
+}
 
 
-# --- bus ---
+def inputs_of(target: str) -> list[Path]:
+    """The corpus, and all that was found on top of it."""
+    return [f for folder in (SEEDS / target, FOUND / target) for f in sorted(folder.glob("*")) if f.is_file()]
 
 
-def spans_counted():
-    """A list whose one number counts the events of the cores that run uncompiled, or None where they are compiled."""
-    from stage.chips.pcl240 import core
-    from stage.compiled import COMPILED
-
-    if COMPILED:
-        return None
-    span, counted = core._span, [0]
-
-    def counting(c, n):
-        counted[0] += 1
-        return span(c, n)
-
-    core._span = counting
-    return counted
+def child(target: str, run: str, options: list[str]) -> int:
+    """Fuzz in a process of its own and print what it has counted. Returns its exit status; not 0 means a finding."""
+    (FOUND / target).mkdir(parents=True, exist_ok=True)
+    counts = FOUND / f"{target}-{run}.json"
+    counts.unlink(missing_ok=True)
+    uncompiled = run in ("guided", "merge") and TARGETS[target].uncompiled
+    command = [sys.executable, __file__, target, "--inside", run, *options]
+    status = subprocess.run(command, env={**os.environ, "NUMBA_DISABLE_JIT": str(int(uncompiled))}).returncode
+    said = ", ".join(f"{n:,} {name}" for name, n in counted(counts).items())
+    print(f"{target}, {run}: {said or 'nothing done'}; {'no finding' if status == 0 else f'exit status {status}'}")
+    return status
 
 
-class Bus:
-    """Bytes as a host's doings: the chip, then one operation at a time."""
-
-    def __init__(self) -> None:
-        from stage.chips import CHIPS
-
-        self.classes, self.events = list(CHIPS.values()), spans_counted()
-
-    def __call__(self, data: bytes) -> None:
-        if not data:
-            return
-        chip = self.classes[data[0] % len(self.classes)]()
-        inputs, at, left = list(chip.INPUTS), 1, TOTAL
-        while at < len(data):
-            op, at = data[at], at + 1
-            kind, low = op >> 5, op & 0x1F
-            byte = data[at] if at < len(data) else 0
-            if kind <= 2:  # a raw write
-                chip.write(low, byte)
-                at += 1
-            elif kind == 3:  # a whole register
-                value = int.from_bytes(data[at : at + 3], "big")
-                chip.write(0, 0x80 | low)
-                for address in (3, 2, 1):
-                    chip.write(address, value >> 8 * (address - 1) & 0xFF)
-                at += 3
-            elif kind == 4:
-                setattr(chip.pins, inputs[low % len(inputs)], bool(low & 0x10))
-            elif kind == 5:
-                demand(0 <= chip.read(low) <= 0xFF, "a read is no byte")
-            else:  # 2^(low / 1.5) clocks and some
-                clocks = min(int(2 ** (low / 1.5)) + (byte if kind == 7 else 0), LONGEST, left)
-                at += kind == 7
-                left -= clocks
-                self.advance(chip, clocks)
-            self.check(chip)
-
-    def advance(self, chip, clocks: int) -> None:
-        before, wall = chip.clock, time.process_time()
-        if self.events:
-            self.events[0] = 0
-        pulses = chip.advance(clocks)
-        demand(chip.clock == before + clocks, "time did not pass as asked")
-        demand(0 <= pulses <= clocks, f"{pulses} pulses in {clocks} clocks")
-        demand(
-            time.process_time() - wall < SECONDS_PER_ADVANCE,
-            f"{clocks} clocks took more than {SECONDS_PER_ADVANCE} s of processor time",
-        )
-        if self.events:
-            most = min(clocks, RAMPS * 8192) + 8
-            demand(self.events[0] <= most, f"{self.events[0]} events in {clocks} clocks, at most {most}")
-
-    def check(self, chip) -> None:
-        values, pins = chip.values(), chip.pins
-        for r in chip.MAP.registers:
-            demand(0 <= values[r.name] <= r.mask, f"{r.name} = {values[r.name]} is wider than {r.bits} bits")
-        status = values["status"]
-        for bit, pin in ((0x20, "fkeep"), (0x10, "lt"), (0x08, "zero"), (0x02, "org"), (0x01, "ins")):
-            demand(bool(status & bit) == getattr(pins, pin), f"status {status:02X}h and pin {pin} disagree")
-        demand(bool(status & 0x80) != pins.irq, f"status {status:02X}h and irq disagree")
-        demand(bool(status & 0x40) != pins.hold, f"status {status:02X}h and hold disagree")
-        demand(pins.fup + pins.fkeep + pins.fdown == 1, "not one of FUP, FKEEP, FDOWN")
-        if self.events is not None:  # words of the state are small where arithmetic is Python's
-            demand(0 <= chip._record["phase"] < max(8192 * values["R7"], 1) + 8192, f"phase {chip._record['phase']}")
-        demand(0 <= chip._record["speed"] <= 8191, f"speed {chip._record['speed']}")
-
-
-# --- mjcf ---
-
-NUMBERS = [*"0 -0 1 -1 nan inf -inf 1e300 -1e300 1e-300 1e-9 0.5 1e6 2147483648 x".split(), "", "0 0", "1 2 3 4 5 6 7"]
-STRINGS = [*" x y vane carriage x_el_plus x_org found hinge free ball \u00b5 false".split(" "), "dist found force"]
-
-
-class Mjcf:
-    """Bytes as changes of the complete model in docs/models.md, four bytes each: what, where, which attribute, to what."""
-
-    def __init__(self) -> None:
-        page = (ROOT / "docs" / "models.md").read_text(encoding="utf-8")
-        self.model = re.search(r"```xml\n(<mujoco.*?)```", page, re.DOTALL).group(1)  # type: ignore[union-attr]
-        self.folder = tempfile.TemporaryDirectory()
-        os.chdir(self.folder.name)  # MuJoCo writes its log where it stands
-
-    def mutated(self, data: bytes) -> str:
-        root = ET.fromstring(self.model)
-        for k in range(0, min(len(data), 32) - 3, 4):
-            what, where, which, value = data[k : k + 4]
-            parents = [(p, c) for p in root.iter() for c in p]
-            if not parents:
-                break
-            parent, child = parents[where % len(parents)]
-            keys = sorted(child.attrib)
-            kind = what % 6
-            if kind == 0:
-                parent.remove(child)
-            elif kind == 1:
-                parent.append(ET.fromstring(ET.tostring(child)))
-            elif kind == 2 and keys:
-                del child.attrib[keys[which % len(keys)]]
-            elif kind == 3 and keys:
-                child.set(keys[which % len(keys)], NUMBERS[value % len(NUMBERS)])
-            elif kind == 4 and keys:
-                child.set(keys[which % len(keys)], STRINGS[value % len(STRINGS)])
-            elif kind == 5:
-                other = parents[value % len(parents)][0]
-                if other is not child and other not in list(child.iter()):
-                    parent.remove(child)
-                    other.append(child)
-        return ET.tostring(root, encoding="unicode")
-
-    def __call__(self, data: bytes) -> None:
-        import numpy as np
-
-        from stage import Stage, StageError
-
-        path = Path(self.folder.name) / "model.xml"
-        path.write_text(self.mutated(data), encoding="utf-8")
-        try:
-            stage = Stage(path)
-            stage.run(0.01)
-        except StageError as error:
-            demand(bool(str(error).strip()), f"{type(error).__name__} without a word")
-            return
-        demand(
-            bool(np.isfinite(stage.data.qpos).all() and np.isfinite(stage.data.qvel).all()), "not a number in the state"
-        )
-
-
-TARGETS = {"bus": Bus, "mjcf": Mjcf}
-
-
-def fuzz(target: str, seconds: int) -> int:
-    """Fuzz in a process of its own. Returns its exit status; not 0 means a finding."""
-    try:
-        import atheris  # noqa: F401
-    except ImportError:
-        print("fuzzing skipped: atheris is not installed; pip install 'pulsestage[fuzz]' (Linux, macOS)")
-        return 0
-    found, seeds = FOUND / target, SEEDS / target
-    found.mkdir(parents=True, exist_ok=True)
-    seeds.mkdir(parents=True, exist_ok=True)
+def guided(target: str, seconds: int) -> int:
     options = [
-        *(f"-max_total_time={seconds}", "-timeout=60", f"-max_len={MOST_BYTES[target]}"),
-        *("-len_control=0", "-print_final_stats=1", f"-artifact_prefix={found}/"),
+        *(f"-max_total_time={seconds}", "-timeout=60", f"-max_len={TARGETS[target].most_bytes}", "-len_control=0"),
+        *("-print_final_stats=1", f"-artifact_prefix={FOUND / target}/", str(FOUND / target), str(SEEDS / target)),
     ]
-    command = [sys.executable, __file__, target, "--inside", *options, str(found), str(seeds)]
-    environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"} if target == "bus" else dict(os.environ)
-    return subprocess.run(command, env=environment).returncode
+    return child(target, "guided", options)
 
 
-def inside(target: str, options: list[str]) -> None:
+def keep(target: str) -> int:
+    """Add to the corpus the fewest of the found inputs that reach all branches which it does not."""
+    return child(target, "merge", ["-set_cover_merge=1", "-use_counters=0", str(SEEDS / target), str(FOUND / target)])
+
+
+def inside(target: str, run: str, options: list[str]) -> int:
+    """The child: atheris with libFuzzer's options, or mutations for so many seconds."""
+    counts, made_of = Counts(FOUND / f"{target}-{run}.json"), TARGETS[target]
+    if run == "compiled":
+        from fuzzing.mutation import mutate_for
+
+        seconds, seed = map(int, options)
+        pool = [f.read_bytes() for f in inputs_of(target)]
+        try:
+            return mutate_for(made_of.load()(counts), pool, seconds, seed, FOUND / target, made_of.most_bytes)
+        finally:
+            counts.save()
     import atheris
 
-    if target == "mjcf":  # compiled functions cannot be instrumented: load them before
-        import stage.drives.motors
-        import stage.engine
-
-        with atheris.instrument_imports(include=["stage"]):
-            import stage.machine
-            import stage.plant
-    else:
-        with atheris.instrument_imports(include=["stage.chips"]):
-            import stage.chips  # noqa: F401
-    atheris.Setup([sys.argv[0], *options], TARGETS[target]())
+    for name in made_of.before:
+        import_module(name)
+    with atheris.instrument_imports(include=[made_of.instrumented]):
+        cls = made_of.load()
+    again = shlex.join([sys.executable, __file__, target, "--inside", run])  # libFuzzer merges in processes of its own
+    atheris.Setup([again, *options], cls(counts, budget=BUDGET))
     atheris.Fuzz()
+    return 0
+
+
+def replay(target: str, files: list[Path]) -> None:
+    inputs = [f.read_bytes() for f in files]
+    check = TARGETS[target].load()()  # may go elsewhere
+    for data in inputs:
+        check(data)
+    digest = getattr(check, "digest", None)  # the same compiled and with NUMBA_DISABLE_JIT=1
+    print(f"{len(files)} inputs, no finding{f'; final states {digest.hexdigest()[:16]}' if digest else ''}")
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description="Fuzz the bus or the MJCF contract.")
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("target", choices=TARGETS)
-    parser.add_argument("--seconds", type=int, default=60)
+    parser.add_argument("--seconds", type=int, default=60, help="of all runs together")
+    parser.add_argument("--run", choices=["guided", "compiled"], help="only this; bus has both, mjcf is always guided")
+    parser.add_argument("--seed", type=int, default=random.randrange(1 << 32), help="of the compiled run's mutations")
     parser.add_argument("--replay", nargs="+", type=Path, metavar="FILE", help="check these inputs and exit")
-    parser.add_argument("--inside", action="store_true", help=argparse.SUPPRESS)
+    parser.add_argument("--keep", action="store_true", help="enlarge tests/corpus from what was found, and exit")
+    parser.add_argument("--inside", metavar="RUN", help=argparse.SUPPRESS)
     given, options = parser.parse_known_args()
     if options and not given.inside:
         parser.error(f"unknown: {' '.join(options)}")
-    if given.replay:
-        files = [f.resolve() for f in given.replay]
-        check = TARGETS[given.target]()
-        for f in files:
-            check(f.read_bytes())
-        print(f"{len(files)} inputs, no finding")
-        return 0
     if given.inside:
-        inside(given.target, options)
+        return inside(given.target, given.inside, options)
+    if given.replay:
+        replay(given.target, given.replay)
         return 0
-    return fuzz(given.target, given.seconds)
+    both = TARGETS[given.target].uncompiled
+    if given.run == "compiled" and not both:
+        parser.error(f"{given.target} has no compiled run of its own")
+    runs = [given.run] if given.run else ["guided", "compiled"] if both else ["guided"]
+    if (given.keep or "guided" in runs) and find_spec("atheris") is None:
+        print("guided fuzzing skipped: atheris is not installed; pip install 'pulsestage[fuzz]' (Linux, macOS)")
+        runs = [] if given.keep else [run for run in runs if run != "guided"]
+    elif given.keep:
+        return keep(given.target)
+    shares = {"guided": given.seconds * 2 // 3, "compiled": given.seconds // 3}
+    status = 0
+    for run in runs:
+        seconds = shares[run] if len(runs) > 1 else given.seconds
+        if run == "guided":
+            status = guided(given.target, seconds) or status
+        else:
+            status = child(given.target, run, [str(seconds), str(given.seed)]) or status
+    return status
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 import pytest
 from pcl240k_bench import clocks_while, commands, counter, operating, pins_clock_by_clock, started
+from programs import load_registers
 
 from stage.chips import PCL240K
 
@@ -192,3 +193,19 @@ def test_lt_is_high_while_the_counter_is_below_r6_and_zero_while_it_is_0_as_in_t
         seen.append((lt, zero))
         chip.advance(1)
     assert set(seen) == {(False, False), (True, False), (True, True)}
+
+
+@pytest.mark.parametrize(("fh", "start", "ends"), [(0, 0x11, 60), (3, 0x15, 21)], ids=["at rest", "about to ramp up"])
+@pytest.mark.parametrize("first", [0, 5, 19])
+def test_a_pulse_at_speed_0_ends_at_the_first_clock_of_another_speed_however_time_is_cut(fh, start, ends, first):
+    """R7 shrinks meanwhile, so that the phase is in the second half of the pulse already."""
+    for clocks in range(first, 60):
+        chip = started(0, 512, 20, 20, 98, start=0x11)
+        chip.advance(98 * 8192 // 512 + 30)
+        load_registers(chip, R2=0)
+        chip.advance(1)
+        load_registers(chip, R7=3, R2=fh)
+        chip.write(0, start)
+        chip.advance(first)
+        chip.advance(clocks - first)
+        assert chip.pins.pout == (clocks < ends), clocks

@@ -246,7 +246,7 @@ def _cruise(c, until):
     """Run up to `until`, while all is quiet: what `_span` would do, without its questions."""
     ahead = c.phase + (until - c.clock) * c.speed
     c.clock = until
-    if c.reg[7] < 2:
+    if c.reg[7] < 2 or c.speed == 0:  # a pulse in progress never ends
         return
     m = 8192 * c.reg[7]
     pulses = 0
@@ -296,8 +296,9 @@ def _climb(c, until):
             wait = rate
     if clock == c.clock:
         return
+    moved = phase != c.phase  # a step from speed 0 comes before any
     c.clock, c.phase, c.speed = clock, phase, speed
-    if begun or c.low:
+    if begun or (c.low and moved):
         c.low = 1 if 2 * phase < m else 0
     if begun:
         _count(c, begun, own)

@@ -1,0 +1,165 @@
+"""The bus target: bytes as a host's doings on any chip.
+
+The first byte is the chip, by its place in CHIPS; then come operations, `kind` in three bits of a byte, `low` in the lower five:
+
+    0 to 3    bus writes, as the family says           5    a bus read, or with low = 31 the /RESET pin
+    4         an input pin turns, as the family says    6    2^low clocks    7    (256 + the next byte) 2^low / 256 clocks
+"""
+
+from __future__ import annotations
+
+import hashlib
+import time
+
+import numpy as np
+
+from fuzzing.family import Enough, Family, Values
+from fuzzing.pcl240 import Pcl240
+from fuzzing.promises import Counts, demand
+from stage.chips import CHIPS, Chip
+from stage.chips.pcl240 import PCL240
+from stage.compiled import COMPILED
+
+FAMILIES: dict[type[Chip], type[Family]] = {PCL240: Pcl240}
+SECONDS_PER_ADVANCE = 5.0  # compiled, however busy the machine; 2^32 clocks take milliseconds
+TRACED = 1 << 16  # clocks: the twin's longer advances are not traced pulse by pulse
+
+
+def family_of(chip: type[Chip]) -> Family:
+    """The nearest family, or what all chips share."""
+    return next((family for cls, family in FAMILIES.items() if issubclass(chip, cls)), Family)(chip)
+
+
+class Bus:
+    """Checks one input a call."""
+
+    def __init__(self, counts: Counts | None = None, budget: int | None = None) -> None:
+        """`budget`: events that the work of one input may have; it ends there."""
+        self.families = [family_of(chip) for chip in CHIPS.values()]
+        self.counts = Counts() if counts is None else counts
+        self.budget, self.digest = budget, hashlib.sha256()
+        for family in self.families:
+            family.warm_up()
+
+    def __call__(self, data: bytes) -> None:
+        self.counts["inputs"] += 1
+        self.counts.save(every=1.0)
+        if not data or data[0] >= len(self.families):
+            return
+        family = self.families[data[0]]
+        if family.work:
+            family.work.done, family.work.budget = 0, self.budget
+        run = Run(family, data[1:], self.counts)
+        try:
+            run.to_the_end()
+        except Enough:
+            self.counts["out of budget"] += 1
+        else:
+            self.digest.update(repr(family.state(run.chip)).encode())
+
+
+class Run:
+    """One input. Compiled, the chip has a journal, and a twin whose clocks run in pieces; uncompiled, its work is counted."""
+
+    def __init__(self, family: Family, data: bytes, counts: Counts):
+        self.family, self.data, self.at, self.counts = family, data, 0, counts
+        self.chip = family.make(uncompiled=not COMPILED)
+        self.chips = (self.chip, family.make(uncompiled=False)) if COMPILED else (self.chip,)
+        self.values: Values = self.chip.values()
+        self.pulses, self.journal = 0, self.chip.journal() if COMPILED else None
+
+    def take(self, n: int) -> int:
+        """The number in the next `n` bytes; there are zeros after the end."""
+        taken = self.data[self.at : self.at + n]
+        self.at += n
+        return int.from_bytes(taken.ljust(n, b"\0"), "big")
+
+    def to_the_end(self) -> None:
+        while self.at < len(self.data):
+            op = self.take(1)
+            kind, low = op >> 5, op & 0x1F
+            if kind <= 3:
+                self.write(kind, low)
+            elif kind == 4:
+                self.edge(low)
+            elif kind == 5:
+                self.reset() if low == 31 else self.read(low)
+            else:
+                self.advance(1 << low if kind == 6 else (256 + self.take(1) << low) >> 8)
+                continue
+            self.check()
+        if self.journal:
+            self.family.course(self.chip, self.journal, self.pulses)
+
+    def write(self, kind: int, low: int) -> None:
+        for address, value in self.family.writes(kind, low, self.take):
+            self.counts["bus cycles"] += 1
+            for chip in self.chips:
+                chip.write(address, value)
+
+    def read(self, low: int) -> None:
+        """Addresses of more than 30 are in a byte of their own."""
+        address = low if self.chip._ADDRESS_MASK < 31 else self.take(1)
+        self.counts["bus cycles"] += 1
+        words = [chip.read(address) for chip in self.chips]
+        demand(0 <= words[0] <= self.chip.DATA_MASK, f"{words[0]} read at {address}")
+        right = self.family.said(self.chip, self.values, address)
+        demand(right is None or words[0] == right, f"{words[0]} read at {address}, where {right} is")
+        demand(words[0] == words[-1], f"{words[0]} read at {address}, {words[-1]} by the twin")
+
+    def edge(self, low: int) -> None:
+        self.counts["input edges"] += 1
+        for chip in self.chips:
+            self.family.edge(chip, low)
+
+    def reset(self) -> None:
+        for chip in self.chips:
+            chip.reset()
+
+    def check(self) -> None:
+        self.values = self.chip.values()
+        self.family.check(self.chip, self.values)
+        if len(self.chips) == 2:
+            one, other = (self.family.bits(chip) for chip in self.chips)
+            demand(one == other, "a twin that ran in pieces is in another state")
+
+    def advance(self, clocks: int) -> None:
+        chip, family, work = self.chip, self.family, self.family.work
+        silent, start = family.silent(chip), chip.clock
+        if work:
+            work.calls = work.steps = 0
+        started = time.perf_counter()
+        pulses = chip.advance(clocks)
+        spent = time.perf_counter() - started
+        self.counts["clocks"] += clocks
+        self.counts["pulses"] += pulses
+        self.pulses += pulses
+        demand(chip.clock == start + clocks, "time did not pass as asked")
+        demand(pulses == 0 if silent else pulses >= 0, f"{pulses} pulses in {clocks} clocks{' of silence' * silent}")
+        if work:
+            most = family.most_work(pulses)
+            demand(work.calls <= most, f"{work.calls} calls for {work.steps} steps in {clocks} clocks: at most {most}")
+        else:
+            demand(spent < SECONDS_PER_ADVANCE, f"{clocks} clocks took {spent:.1f} s")
+        if len(self.chips) == 2:
+            self.twin_advance(clocks, pulses)
+        before = self.values
+        self.check()
+        family.advanced(chip, before, self.values, clocks, pulses)
+
+    def twin_advance(self, clocks: int, pulses: int) -> None:
+        """The same clocks traced, where they are not too many, and once more in pieces: a cut is where the last pulse begins."""
+        chip, twin = self.chips
+        cuts = [clocks // 3]
+        if clocks <= TRACED:
+            before, start = twin.snapshot(), twin.clock
+            begun = twin.trace(clocks)["clock"]
+            demand(len(begun) == pulses, f"{pulses} pulses in {clocks} clocks, {len(begun)} traced")
+            demand(bool((begun[1:] > begun[:-1]).all()) or twin.AXES > 1, "pulses out of order")
+            demand(not pulses or start < begun[0] <= begun[-1] <= start + clocks, "a pulse at no time")
+            demand(self.family.bits(chip) == self.family.bits(twin), "a trace ends in another state")
+            twin.restore(before)
+            cuts += [int(clock) - start for clock in begun[-1:]]
+        pieces = np.diff([0, *sorted(cuts), clocks])
+        others = sum(twin.advance(int(piece)) for piece in pieces)
+        demand(others == pulses, f"{pulses} pulses in {clocks} clocks, {others} in pieces of {pieces}")

@@ -1,0 +1,144 @@
+"""What the bus target knows of a family of chips. `Family` serves any chip: raw bus cycles, edges, clocks, and what holds of all.
+
+A family of its own says more by overriding: how bytes become whole registers, which chips must stay silent, what an advance may
+change, and where the work of its core is counted. It gets a line in FAMILIES of bus.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from fuzzing.promises import Finding
+from stage.chips import Chip
+from stage.chips.chip import Pins
+from stage.chips.journal import Journal
+
+Values = dict[str, int]
+
+
+class Row:
+    """A chip's state in Python's own numbers: uncompiled, NumPy's records take nine tenths of the time."""
+
+    def __init__(self, record: np.record):
+        for name in record.dtype.names:
+            setattr(self, name, record[name].tolist())
+
+    def fits(self) -> bool:
+        """Compiled, a word has 64 bits."""
+        return all(-(1 << 63) <= word < 1 << 63 for word in vars(self).values() if type(word) is int)
+
+    def __getitem__(self, name: str) -> Any:
+        return getattr(self, name)
+
+    def __setitem__(self, name: str, value: int) -> None:
+        setattr(self, name, value)
+
+
+class Enough(Exception):
+    """An input has done all the work that it may."""
+
+
+class Work:
+    """Counts what an uncompiled core does: `calls` of the functions between two events, and the speed `steps` they took."""
+
+    def __init__(self) -> None:
+        self.calls = self.steps = self.done = 0
+        self.budget: int | None = None
+
+    def spend(self, n: int = 1) -> None:
+        """`n` events more of this input."""
+        self.done += n
+        if self.budget is not None and self.done > self.budget:
+            raise Enough
+
+
+class Family:
+    """One class of chips on the fuzzer's bench."""
+
+    work: Work | None = None
+    FREE: tuple[str, ...] = ()  # words of the state that an advance in pieces may leave otherwise
+
+    def __init__(self, chip: type[Chip]):
+        self.chip = chip
+        self.limits = [(r.name, r.mask) for r in chip.MAP.registers]
+        dtype = chip.CORE.STATE
+        fields = [dtype.fields[name] for name in self.FREE]
+        self.free = [slice(offset, offset + kind.itemsize) for kind, offset in fields]
+        self.floats = [name for name in dtype.names if dtype[name].base.kind == "f"]
+        self.plain = all(dtype[name].names is None and len(dtype[name].shape) <= 1 for name in dtype.names)
+
+    def warm_up(self) -> None:
+        """Compile what will be timed."""
+        chip = self.chip()
+        chip.write(0, 0)
+        chip.read(0)
+        chip.advance(1)
+        chip.trace(1)
+
+    def make(self, uncompiled: bool) -> Chip:
+        """A chip as powered up; uncompiled with its state in a Row, where a Row can hold it."""
+        chip = self.chip()
+        if uncompiled and self.plain:
+            row: Any = Row(chip._rows[0])
+            chip._rows, chip._record = [row], row  # type: ignore[assignment]
+        return chip
+
+    def state(self, chip: Chip) -> list:
+        """All words of the state but those that are FREE, whatever holds them."""
+        row, names = chip._rows[chip._i], self.chip.CORE.STATE.names
+        return [getattr(v, "tolist", lambda v=v: v)() for v in (row[name] for name in names if name not in self.FREE)]
+
+    def bits(self, chip: Chip) -> bytes:
+        """The same of a compiled chip, fast."""
+        row = bytearray(chip._rows[chip._i].tobytes())
+        for place in self.free:
+            row[place] = bytes(place.stop - place.start)
+        return bytes(row)
+
+    def pins(self, chip: Chip) -> list[tuple[Pins, str]]:
+        """Every input pin, of all axes."""
+        return [(axis.pins, name) for axis in chip.axes for name in chip.INPUTS]
+
+    def edge(self, chip: Chip, low: int) -> None:
+        """What the outside does to a chip, `low` 0 to 31. Here: one of its input pins turns to the other level."""
+        pins = self.pins(chip)
+        on, name = pins[low % len(pins)]
+        setattr(on, name, not getattr(on, name))
+
+    def writes(self, kind: int, low: int, take: Callable[[int], int]) -> list[tuple[int, int]]:
+        """Bus writes (address, value) of an operation: `kind` 0 to 3 and `low` 0 to 31 are of its first byte, take(n) is the
+        number in its next n bytes. Here: a raw write."""
+        return [(kind << 5 | low, take(1 if self.chip.DATA_MASK <= 0xFF else 2))]
+
+    def said(self, chip: Chip, values: Values, address: int) -> int | None:
+        """What a bus read says now, if that follows from the debugger's view, `values`."""
+        return None
+
+    def silent(self, chip: Chip) -> bool:
+        """No pulse may begin before the next write or edge."""
+        return False
+
+    def check(self, chip: Chip, values: Values) -> None:
+        """What must hold between any two operations."""
+        wide = [name for name, mask in self.limits if values.get(name, 0) & ~mask]
+        if wide:
+            raise Finding(f"{wide[0]} = {values[wide[0]]} is wider than the register")
+        row: Any = chip._rows[chip._i]
+        if isinstance(row, Row) and not row.fits():
+            raise Finding(f"a word of the state has more than 64 bits: {vars(row)}")
+        for name in self.floats:
+            if not np.isfinite(chip._record[name]).all():
+                raise Finding(f"{name} is {chip._record[name]}")
+
+    def advanced(self, chip: Chip, before: Values, after: Values, clocks: int, pulses: int) -> None:
+        """What must hold of an advance."""
+
+    def course(self, chip: Chip, journal: Journal, pulses: int) -> None:
+        """What must hold of the course that the journal of a whole compiled input replays."""
+
+    def most_work(self, pulses: int) -> int:
+        """The calls that `work` may have counted in one advance."""
+        raise NotImplementedError

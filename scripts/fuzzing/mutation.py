@@ -1,0 +1,82 @@
+"""Random mutations of known inputs, for compiled code, whose coverage cannot be seen."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import random
+import threading
+import time
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+
+HANG = 60.0  # seconds of one input
+
+
+def changed(rng: random.Random, data: bytes, other: bytes) -> bytes:
+    """`data` after one change; `other` is an input to take a part of."""
+    at, end = sorted(rng.randrange(len(data) + 1) for _ in range(2))
+    kind = rng.randrange(6)
+    if kind == 0:
+        return data[:at] + rng.randbytes(1) + data[at + 1 :]
+    if kind == 1:
+        return data[:at] + bytes([(data[at] if at < len(data) else 0) ^ 1 << rng.randrange(8)]) + data[at + 1 :]
+    if kind == 2:
+        return data[:at] + rng.randbytes(rng.randint(1, 4)) + data[at:]
+    if kind == 3:
+        return data[:at] + data[min(end, at + 8) :]
+    if kind == 4:
+        return data[:end] + data[at:end] + data[end:]
+    return data[:at] + other[rng.randrange(len(other) + 1) :]
+
+
+class Watchdog(threading.Thread):
+    """Ends the process when an input hangs, and leaves the input behind: compiled loops let other threads run."""
+
+    def __init__(self, found: Path):
+        super().__init__(daemon=True)
+        self.found, self.input, self.since = found, b"", time.monotonic()
+        self.over = threading.Event()
+
+    def watch(self, data: bytes) -> None:
+        self.input, self.since = data, time.monotonic()
+
+    def run(self) -> None:
+        while not self.over.wait(HANG / 10):
+            if time.monotonic() - self.since > HANG:
+                left(self.found, "timeout", self.input)
+                os._exit(70)
+
+
+def left(found: Path, kind: str, data: bytes) -> None:
+    """Leave a finding's input where the next run begins with it."""
+    path = found / f"{kind}-{hashlib.sha1(data).hexdigest()}"
+    path.write_bytes(data)
+    print(f"{kind}: {path}", flush=True)
+
+
+def mutate_for(
+    check: Callable[[bytes], None], pool: list[bytes], seconds: float, seed: int, found: Path, most: int
+) -> int:
+    """Check all of `pool`, then inputs of it after one to six changes, at most `most` bytes long, for `seconds`. Returns 1 at
+    a finding, which is left in the folder `found`, else 0."""
+    print(f"{len(pool)} inputs, then mutations by seed {seed}", flush=True)
+    rng, watchdog, end = random.Random(seed), Watchdog(found), time.monotonic() + seconds
+    watchdog.start()
+    fresh, status = iter(pool), 0
+    while status == 0 and time.monotonic() < end:
+        data = next(fresh, None)
+        if data is None:
+            data = rng.choice(pool)
+            for _ in range(rng.randint(1, 6)):
+                data = changed(rng, data, rng.choice(pool))[:most]
+        watchdog.watch(data)
+        try:
+            check(data)
+        except Exception:
+            traceback.print_exc()
+            left(found, "crash", data)
+            status = 1
+    watchdog.over.set()
+    return status

@@ -1,0 +1,118 @@
+"""The PCL-240 family on the fuzzer's bench."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import ClassVar
+
+import numpy as np
+
+from fuzzing.family import Family, Values, Work
+from fuzzing.promises import Finding, demand
+from stage.chips import Chip
+from stage.chips.journal import Journal
+from stage.chips.pcl240 import core
+from stage.chips.pcl240.state import EXTENSION, EXTERNAL
+from stage.compiled import COMPILED
+
+WRAP = 1 << 24  # pulses in which R0 comes round, and passes 0 and R6 again
+PIN = core.INPUTS | {name: bit << 8 for name, bit in core.OUTPUTS.items()}
+FEW = 5000  # pulses: the edges of more are not looked for one by one
+STATUS = {0x80: "irq", 0x40: "hold", 0x20: "fkeep", 0x10: "lt", 0x08: "zero", 0x02: "org", 0x01: "ins"}
+LOW, SD = 0xC0, 0x04  # bits that are 0 with the pin asserted; the bit of the SD switch ahead
+RAMPS = {PIN["fup"], PIN["fkeep"], PIN["fdown"]}
+RAMPING = sum(RAMPS)
+
+
+@cache
+def counted_core() -> Work:
+    """The core's functions between two events, wrapped once to be counted."""
+    work = Work()
+    span, cruise, climb, next_step = core._span, core._cruise, core._climb, core.next_step
+
+    def counting_span(c, n):
+        work.spend()
+        work.calls += 1
+        speed = c.speed
+        ran = span(c, n)
+        work.steps += c.speed != speed
+        return ran
+
+    def counting_cruise(c, until):
+        work.calls += 1
+        cruise(c, until)
+
+    def counting_climb(c, until):
+        work.calls += 1
+        climb(c, until)
+
+    def counting_next_step(c):
+        work.spend()  # a climb's step is due; what counts is that one call takes many
+        next_step(c)
+
+    core._span, core._cruise = counting_span, counting_cruise
+    core._climb, core.next_step = counting_climb, counting_next_step
+    return work
+
+
+class Pcl240(Family):
+    FREE: ClassVar = ("quiet",)
+    LIVE: ClassVar = {"R0", "R10", "R17", "status"}  # what clocks change
+
+    def __init__(self, chip: type[Chip]):
+        super().__init__(chip)
+        self.work = None if COMPILED else counted_core()
+
+    def writes(self, kind: int, low: int, take: Callable[[int], int]) -> list[tuple[int, int]]:
+        """A raw write, or a whole register."""
+        if kind < 3:
+            return [(low, take(1))]
+        value = take(3)
+        return [(0, 0x80 | low), (3, value >> 16), (2, value >> 8 & 0xFF), (1, value & 0xFF)]
+
+    def said(self, chip: Chip, values: Values, address: int) -> int | None:
+        """A byte of the status or of a register; what a collective read has latched is not in view."""
+        c, byte = chip._record, address & 3
+        if not byte:
+            return values["status"]
+        name = self.limits[int(c["selected"])][0] if c["extended"] and c["output"] & EXTENSION else "R0"
+        return None if c["collective"] else values[name] >> 8 * (byte - 1) & 0xFF
+
+    def silent(self, chip: Chip) -> bool:
+        """A chip at rest, or at a limit of its direction."""
+        return chip.pins.hold or (chip.pins.el_minus if chip._record["minus"] else chip.pins.el_plus)
+
+    def check(self, chip: Chip, values: Values) -> None:
+        super().check(chip, values)
+        c, status = chip._record, values["status"]
+        pins = chip._input_word(0) | chip._output_word(0) << 8
+        right = sum(bit for bit, pin in STATUS.items() if pins & PIN[pin]) ^ LOW
+        right |= SD if pins & PIN["sd_minus" if c["minus"] else "sd_plus"] else 0
+        if status != right:
+            raise Finding(f"status {status:02X}h, but the pins say {right:02X}h")
+        if pins & RAMPING not in RAMPS:
+            raise Finding("not one of FUP, FKEEP, FDOWN")
+        if not (0 <= c["phase"] < 8192 * max(values["R7"], 1) + 8192 and 0 <= c["speed"] <= 8191):
+            raise Finding(f"phase {c['phase']}, speed {c['speed']}")
+
+    def advanced(self, chip: Chip, before: Values, after: Values, clocks: int, pulses: int) -> None:
+        changed = {name for name in before if before[name] != after[name]} - self.LIVE
+        demand(not changed, f"clocks changed {changed}")
+        demand(2 * (pulses - 1) < clocks, f"{pulses} pulses in {clocks} clocks: no multiplier is that small")
+        if not chip._record["output"] & EXTERNAL:
+            counted = (before["R0"] - after["R0"]) % WRAP
+            demand(counted == pulses % WRAP, f"{pulses} pulses, but R0 counted {counted}")
+
+    def course(self, chip: Chip, journal: Journal, pulses: int) -> None:
+        edges = np.concatenate(list(journal.pieces(every_pulse=pulses <= FEW, size=1024)))
+        demand(bool((edges["clock"][1:] >= edges["clock"][:-1]).all()), "a course that runs back")
+        c, last = chip._record, edges[-1]
+        is_at = (int(c["clock"]), int(c["net"]), int(c["reg"][0]), chip._output_word(0), int(c["inputs"]))
+        ends_at = tuple(int(last[name]) for name in ("clock", "net", "r0", "outputs", "inputs"))
+        demand(ends_at == is_at, f"a course that ends with {ends_at}, a chip with {is_at}")
+
+    def most_work(self, pulses: int) -> int:
+        """Two calls an event, a climb and a span. Events are the steps of the speed that no climb took, three each time that R0
+        comes round (below R6, 0, wrapped), some starts, stops and turns; never clocks, nor pulses as such."""
+        return 2 * (self.work.steps + 3 * (pulses // WRAP) + 8)  # type: ignore[union-attr]
