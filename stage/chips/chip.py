@@ -58,28 +58,30 @@ class Pins:
 
     _chip: Chip
     _axis: int
+    _inputs: dict[str, int]
+    _outputs: dict[str, int]
 
-    def __init__(self, chip: Chip, axis: int = 0):
-        object.__setattr__(self, "_chip", chip)
-        object.__setattr__(self, "_axis", axis)
+    def __init__(self, chip: Chip, axis: int, inputs: dict[str, int], outputs: dict[str, int]):
+        for name, value in (("_chip", chip), ("_axis", axis), ("_inputs", inputs), ("_outputs", outputs)):
+            object.__setattr__(self, name, value)
 
     def __getattr__(self, name: str) -> bool:
-        chip = self._chip
-        if name in chip.INPUTS:
-            return bool(chip._input_word(self._axis) & chip.INPUTS[name])
-        if name in chip.OUTPUTS:
-            return bool(chip._output_word(self._axis) & chip.OUTPUTS[name])
-        if name.startswith("__"):
+        if name.startswith("_"):
             raise AttributeError(name)
-        raise _NoPin(unknown(f"{type(chip).__name__} pin", name, (*chip.INPUTS, *chip.OUTPUTS)))
+        chip = self._chip
+        if name in self._inputs:
+            return bool(chip._input_word(self._axis) & self._inputs[name])
+        if name in self._outputs:
+            return bool(chip._output_word(self._axis) & self._outputs[name])
+        raise _NoPin(unknown(f"{type(chip).__name__} pin", name, dir(self)))
 
     def __setattr__(self, name: str, value: bool) -> None:
         chip = self._chip
-        if name not in chip.INPUTS:
-            kind = "is an output and cannot be driven" if name in chip.OUTPUTS else "is not a pin"
-            raise _NoPin(f"{type(chip).__name__} {name!r} {kind}. Inputs: {', '.join(chip.INPUTS)}.")
+        if name not in self._inputs:
+            kind = "is an output and cannot be driven" if name in self._outputs else "is not a pin"
+            raise _NoPin(f"{type(chip).__name__} {name!r} {kind}. Inputs: {', '.join(self._inputs)}.")
         word = chip._input_word(self._axis)
-        bit = chip.INPUTS[name]
+        bit = self._inputs[name]
         new = word | bit if value else word & ~bit
         if new != word:
             chip._set_input_word(self._axis, new)
@@ -87,7 +89,7 @@ class Pins:
                 chip._journal.note_input(chip.clock, self._axis, new)
 
     def __dir__(self) -> list[str]:
-        return [*self._chip.INPUTS, *self._chip.OUTPUTS]
+        return [*self._inputs, *self._outputs]
 
     def as_dict(self) -> dict[str, bool]:
         """Every pin, inputs first."""
@@ -105,7 +107,7 @@ class ChipAxis:
     """One axis of a chip."""
 
     def __init__(self, chip: Chip, index: int):
-        self.chip, self.index, self.pins = chip, index, Pins(chip, index)
+        self.chip, self.index, self.pins = chip, index, Pins(chip, index, chip.INPUTS, chip.OUTPUTS)
 
 
 class Chip:

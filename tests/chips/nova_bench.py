@@ -1,6 +1,6 @@
 """NOVA chips on the bench: their buses by hand, moves that chip and reference both make, and how they are compared.
 
-Command codes and bits are typed from shared/spec/nova_mcx514.md and nova_mcx304.md, not taken from the product.
+Command codes and bits are typed from the specification pages of the chips, not taken from the product.
 """
 
 import os

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
-from stage.chips.chip import Chip
+from stage.chips.chip import Chip, Pins
 from stage.chips.nova import core, state
 from stage.chips.nova.decode import Decoder
 from stage.chips.nova.maps304 import MCX302_MAP, MCX304_MAP, MCX312_MAP
@@ -39,6 +39,11 @@ class Nova(Chip):
     def read(self, address: int) -> int:
         return super().read(int(address) & 7)
 
+    @property
+    def pins(self) -> Pins:
+        """The pins that are no axis': the emergency stop, the interrupts."""
+        return Pins(self, state.AXES, state.COMMON_INPUTS, state.COMMON_OUTPUTS)
+
     def net(self, axis: int = 0) -> int:
         return int(self._record["ax"][axis]["net"])
 
@@ -46,10 +51,11 @@ class Nova(Chip):
         return Decoder(self.MAP, axis)
 
     def values(self) -> dict[str, int]:
-        return {f"RR{k}": int(core.value(self._rows, self._i, k)) for k in range(8)}
+        words = (w.name for w in self.MAP.words if w.name.startswith("RR"))
+        return {name: int(core.value(self._rows, self._i, int(name[2]), name == "RR3-1")) for name in words}
 
     def _input_word(self, axis: int) -> int:
-        return int(self._record["emg"] if axis == self.AXES else self._record["ax"][axis]["inputs"])
+        return int(self._record["emg"] if axis == state.AXES else self._record["ax"][axis]["inputs"])
 
     def _set_input_word(self, axis: int, word: int) -> None:
         core.set_inputs(self._rows, self._i, axis, word)

@@ -239,13 +239,14 @@ def read(rows, i, address):
 
 
 @hot
-def value(rows, i, k):
-    """What the k-th word of bits 0 to 2 of chip `i` reads as, free of bus cycles and of what reading does."""
+def value(rows, i, k, page):
+    """What RRk of chip `i` reads as (of RR3 this page), free of bus cycles and of what reading does."""
     c = rows[i]
     x = c.ax[bus514.lowest(c)]
-    kept = x.factors
+    factors, compared, pages = x.factors, x.compared, c.pages
+    c.pages = 15 if page else 0
     word = read_word(c, k)
-    x.factors = kept
+    x.factors, x.compared, c.pages = factors, compared, pages
     return word
 
 
