@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 from stage.chips.chip import Chip, Pins
-from stage.chips.nova import core, state
+from stage.chips.nova import core, lint, state
 from stage.chips.nova.decode import Decoder
 from stage.chips.nova.maps304 import MCX302_MAP, MCX304_MAP, MCX312_MAP
 from stage.chips.nova.maps514 import MCX514_MAP
@@ -46,6 +46,34 @@ class Nova(Chip):
 
     def net(self, axis: int = 0) -> int:
         return int(self._record["ax"][axis]["net"])
+
+    def _lint(self, address: int, value: int) -> lint.Note | None:
+        if address >= BYTES:  # of the 8-bit bus only the low byte of WR0 acts
+            if address != BYTES:
+                return None
+            address, value = 0, int(self._record["first"]) & 0xFF00 | value
+        return None if address >= 6 else lint.write(self.MAP, self._held(), address, value)
+
+    def _held(self) -> lint.Held:
+        """What the lint looks at."""
+        c = self._record
+        driving = relative = absolute = 0
+        for k, x in enumerate(c["ax"][: self.AXES]):
+            if x["driving"]:
+                driving |= 1 << k
+                if x["fixed"] and not x["interpolates"]:
+                    absolute, relative = absolute | x["absolute"] << k, relative | (1 - x["absolute"]) << k
+        return lint.Held(
+            wr6=int(c["low"]),
+            wr7=int(c["high"]),
+            unused=bool(c["unused"]),
+            driving=driving,
+            relative=int(relative),
+            absolute=int(absolute),
+            interpolating=bool(c["interpolating"]),
+            drive_speed=tuple(int(x["reg"][state.DV]) for x in c["ax"]),
+            finish=tuple(int(x["reg"][state.TP]) for x in c["ax"]),
+        )
 
     def decoder(self, axis: int = 0) -> Decoder:
         return Decoder(self.MAP, axis)

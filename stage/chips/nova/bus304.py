@@ -168,6 +168,7 @@ def _axis_command(c, x, j, code):
 @hot
 def command(c, value):
     """A write to WR0."""
+    c.unused = 0
     if value == RESET:
         reset(c)
         return
@@ -213,10 +214,8 @@ def write(c, address, value):
     elif address == 5:
         c.outputs5 = value
         c.stale = 1
-    elif address == 6:
-        c.low = value
     else:
-        c.high = value
+        drive.keep_data(c, address, value)
 
 
 @hot

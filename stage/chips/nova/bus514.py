@@ -225,6 +225,7 @@ def _axis_command(c, x, j, code):
 @hot
 def command(c, value):
     """A write to WR0."""
+    c.unused = 0
     code, axes = value & 0xFF, value >> 8 & 0xF
     if axes:
         c.selected = axes
@@ -272,10 +273,8 @@ def write(c, address, value):
         c.outputs4 = value
     elif address == 5:
         c.outputs5 = value
-    elif address == 6:
-        c.low = value
     else:
-        c.high = value
+        drive.keep_data(c, address, value)
 
 
 @hot

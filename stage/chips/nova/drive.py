@@ -80,6 +80,16 @@ def note(x, event):
     x.fired |= event
 
 
+@hot
+def keep_data(c, address, value):
+    """A write to WR6 or WR7."""
+    c.unused = 1
+    if address == 6:
+        c.low = value
+    else:
+        c.high = value
+
+
 # --- parameters ---
 
 

@@ -66,12 +66,13 @@ STATE = record(
     [(name, "i8") for name in (
         "clock quiet stale variant axes errata has_l "
         "selected low high read_low read_high pages outputs4 outputs5 emg emg_seen total interrupt "
-        "interpolating first"
+        "interpolating first unused"
     ).split()]
     + [("work", "i8", (INTERPOLATION_WORDS,)), ("ax", AXIS, (AXES,))]
 )  # fmt: skip
 """One chip. quiet: the clock up to which nothing happens but pulses, if not stale: inputs or registers have changed since.
-selected: axis bits; low, high: WR6, WR7; read_low, read_high: RR6, RR7; pages: axes whose RR3 shows page 1."""
+selected: axis bits; low, high: WR6, WR7; read_low, read_high: RR6, RR7; pages: axes whose RR3 shows page 1.
+first: the high byte of WR0, waiting for the low one; unused: WR6 or WR7 was written after the last command."""
 
 INPUTS = {
     name: 1 << k
