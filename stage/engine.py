@@ -25,7 +25,6 @@ from typing import Any
 import llvmlite.binding
 import mujoco
 import numba
-from numba import literal_unroll
 
 from stage.chips import cores
 from stage.compiled import COMPILED, hot, record
@@ -243,13 +242,13 @@ def _meet_edges(c, wiring, axes, table, switches, switch_table, until, edges, n_
 
 
 @hot
-def _run_chips(rows, wiring, world, axes, table, switches, switch_table, stop, dt, edges, n_edges):
-    """Run the chips of one family up to `stop` ns, inside the window. Returns edges noted and slices done by now."""
+def _run_chips(rows, first, wiring, world, axes, table, switches, switch_table, stop, dt, edges, counts):
+    """Run the chips of one family up to `stop` ns, inside the window; counts[1]: edges noted by now. Returns slices done."""
     start = world.start
     hz = clock = rest = 0
     k = world.slice
     for i in range(len(rows)):
-        c, w = rows[i], wiring[i]
+        c, w = rows[i], wiring[first + i]
         if w.hz != hz:
             hz = w.hz
             clock, rest = clock_at(start, hz), start % SECOND * hz % SECOND
@@ -258,7 +257,7 @@ def _run_chips(rows, wiring, world, axes, table, switches, switch_table, stop, d
             bound = start + (k + 1) * dt // SLICES
             now = min(bound, stop)
             if _next_edge(axes, w) <= now:
-                n_edges = _meet_edges(c, w, axes, table, switches, switch_table, now, edges, n_edges)
+                counts[1] = _meet_edges(c, w, axes, table, switches, switch_table, now, edges, counts[1])
             cores.run(c, clock + (rest + (now - start) * hz) // SECOND)
             if now == bound:
                 for j in range(w.axes):
@@ -266,18 +265,10 @@ def _run_chips(rows, wiring, world, axes, table, switches, switch_table, stop, d
                     axis.counts[k] = cores.mean_count(c, j, axis.count, w.ticks)
                     axis.count = cores.net(c, j)
                 k += 1
-    return n_edges, k
+    return k
 
 
-@hot
-def _run_families(chips, wiring, world, axes, table, switches, switch_table, stop, dt, edges, n_edges):
-    first = k = 0
-    for rows in literal_unroll(chips):
-        n_edges, k = _run_chips(
-            rows, wiring[first:], world, axes, table, switches, switch_table, stop, dt, edges, n_edges
-        )
-        first += len(rows)
-    return n_edges, k
+_run_families = cores.over_families(_run_chips)
 
 
 @hot
@@ -300,20 +291,17 @@ def _sample(world, t, c, hz, d, clockwork, qpos, qvel, torque, out):
 
 
 @hot
-def _sample_chips(rows, wiring, world, table, drives, clockwork, qpos, qvel, ctrl, out):
+def _sample_chips(rows, first, wiring, world, table, drives, clockwork, qpos, qvel, ctrl, out):
     for i in range(len(rows)):
-        for j in range(wiring[i].axes):
-            a = wiring[i].axis[j]
+        w = wiring[first + i]
+        for j in range(w.axes):
+            a = w.axis[j]
             torque = ctrl[table[a].actuator]
-            _sample(world, table[a], rows[i], wiring[i].hz, drives[a], clockwork, qpos, qvel, torque, out[a])
+            _sample(world, table[a], rows[i], w.hz, drives[a], clockwork, qpos, qvel, torque, out[a])
+    return 0
 
 
-@hot
-def _sample_families(chips, wiring, world, table, drives, clockwork, qpos, qvel, ctrl, out):
-    first = 0
-    for rows in literal_unroll(chips):
-        _sample_chips(rows, wiring[first:], world, table, drives, clockwork, qpos, qvel, ctrl, out)
-        first += len(rows)
+_sample_families = cores.over_families(_sample_chips)
 
 
 @hot
@@ -327,13 +315,11 @@ def run(
     (capacity, nq) float64; edges: EDGE. Empty arrays log nothing.
     """
     world, clockwork = world_[0], clockwork_[0]
-    status = REACHED
+    status, counts[1] = REACHED, n_edges
     while world.now < until:
         end = world.start + clockwork.dt
         stop = min(until, end)
-        n_edges, k = _run_families(
-            chips, wiring, world, axes, table, switches, switch_table, stop, clockwork.dt, edges, n_edges
-        )
+        k = _run_families(chips, wiring, world, axes, table, switches, switch_table, stop, clockwork.dt, edges, counts)
         world.now = stop
         world.slice = k
         if stop < end:
@@ -366,11 +352,21 @@ def run(
                 if n_samples == len(samples):
                     status = SAMPLES_FULL
                     break
-        if len(edges) and n_edges > len(edges) - EDGES_A_WINDOW * len(axes):
+        if len(edges) and counts[1] > len(edges) - EDGES_A_WINDOW * len(axes):
             status = EDGES_FULL
             break
-    counts[0], counts[1] = n_samples, n_edges
+    counts[0] = n_samples
     return status
+
+
+@hot
+def _meet_edges_in(rows, first, chip, wiring, axes, table, switches, switch_table, until, edges):
+    if first <= chip < first + len(rows):
+        return _meet_edges(rows[chip - first], wiring[chip], axes, table, switches, switch_table, until, edges, 0)
+    return 0
+
+
+_meet_edges_of = cores.over_families(_meet_edges_in)
 
 
 @hot
@@ -384,13 +380,7 @@ def look_again(world_, axes, chips, switches, switch_table, table, wiring, clock
         if switch_table[k].forced >= 0:
             switches[k].toggles = 0
         _foresee_switch(world, axis, switches[k], switch_table[k], qvel[t.dof], clockwork_[0].half)
-    first = n = 0
-    for rows in literal_unroll(chips):
-        if first <= t.chip < first + len(rows):
-            c = rows[t.chip - first]
-            n = _meet_edges(c, wiring[t.chip], axes, table, switches, switch_table, world.now, edges, 0)
-        first += len(rows)
-    return n
+    return _meet_edges_of(chips, t.chip, wiring, axes, table, switches, switch_table, world.now, edges)
 
 
 @hot
@@ -414,11 +404,16 @@ def _settle_axis(c, axis, t, switches, switch_table, d, qpos):
 
 
 @hot
-def _settle_chips(rows, wiring, axes, table, switches, switch_table, drives, qpos):
+def _settle_chips(rows, first, wiring, axes, table, switches, switch_table, drives, qpos):
     for i in range(len(rows)):
-        for j in range(wiring[i].axes):
-            a = wiring[i].axis[j]
+        w = wiring[first + i]
+        for j in range(w.axes):
+            a = w.axis[j]
             _settle_axis(rows[i], axes[a], table[a], switches, switch_table, drives[a], qpos)
+    return 0
+
+
+_settle_families = cores.over_families(_settle_chips)
 
 
 @hot
@@ -428,7 +423,4 @@ def settle(world_, axes, chips, drives, switches, table, switch_table, wiring, c
     for k in range(len(switches)):
         switches[k].toggles, switches[k].edge = 0, NEVER
     _foresee(world, axes, table, switches, switch_table, clockwork, sensordata, qpos, qvel, False)
-    first = 0
-    for rows in literal_unroll(chips):
-        _settle_chips(rows, wiring[first:], axes, table, switches, switch_table, drives, qpos)
-        first += len(rows)
+    _settle_families(chips, wiring, axes, table, switches, switch_table, drives, qpos)

@@ -22,7 +22,6 @@ from typing import Any
 
 import numba
 import numpy as np
-from numba import literal_unroll
 from numba.core import types
 from numba.extending import intrinsic, overload
 from numba.np.numpy_support import as_dtype
@@ -121,33 +120,27 @@ def _pass(h, arrays, scratch, until):
 
 
 @hot
-def _busy(chips, t):
-    """The drive of the axis with this table row is in progress."""
-    first = busy = 0
-    for rows in literal_unroll(chips):
-        if first <= t.chip < first + len(rows):
-            busy = cores.busy(rows[t.chip - first], t.chip_axis)
-        first += len(rows)
-    return busy
+def _busy_in(rows, first, t):
+    if first <= t.chip < first + len(rows):
+        return 1 if cores.busy(rows[t.chip - first], t.chip_axis) else 0
+    return 0
 
 
 @hot
-def _write(chips, chip, address, value):
-    first = 0
-    for rows in literal_unroll(chips):
-        if first <= chip < first + len(rows):
-            cores.write(rows, chip - first, address, value)
-        first += len(rows)
+def _write_in(rows, first, chip, address, value):
+    if first <= chip < first + len(rows):
+        cores.write(rows, chip - first, address, value)
+    return 0
 
 
 @hot
-def _read(chips, chip, address):
-    first = value = 0
-    for rows in literal_unroll(chips):
-        if first <= chip < first + len(rows):
-            value = cores.read(rows, chip - first, address)
-        first += len(rows)
-    return value
+def _read_in(rows, first, chip, address):
+    if first <= chip < first + len(rows):
+        return cores.read(rows, chip - first, address)
+    return 0
+
+
+_busy, _write, _read = map(cores.over_families, (_busy_in, _write_in, _read_in))
 
 
 @hot
@@ -235,20 +228,19 @@ def _look_at(world, c, t, d, clockwork, qpos, qvel, out):
 
 
 @hot
-def _look_at_chips(rows, wiring, arrays, truth):
-    world, drives, table, clockwork, qpos, qvel = arrays[0], arrays[3], arrays[5], arrays[8], arrays[9], arrays[10]
+def _look_at_chips(rows, first, arrays, truth):
+    world, drives, table, wiring, clockwork, qpos, qvel = (
+        arrays[0], arrays[3], arrays[5], arrays[7], arrays[8], arrays[9], arrays[10],
+    )  # fmt: skip
     for i in range(len(rows)):
-        for j in range(wiring[i].axes):
-            a = wiring[i].axis[j]
+        w = wiring[first + i]
+        for j in range(w.axes):
+            a = w.axis[j]
             _look_at(world[0], rows[i], table[a], drives[a], clockwork[0], qpos, qvel, truth[a])
+    return 0
 
 
-@hot
-def _look_at_families(chips, wiring, arrays, truth):
-    first = 0
-    for rows in literal_unroll(chips):
-        _look_at_chips(rows, wiring[first:], arrays, truth)
-        first += len(rows)
+_look_at_families = cores.over_families(_look_at_chips)
 
 
 @hot
@@ -256,7 +248,7 @@ def look(handles, kinds, begin, end, truth):
     """Fill truth[k, a] for every axis of the stages begin..end-1."""
     for k in range(begin, end):
         arrays = _arrays(handles[k], kinds)
-        _look_at_families(arrays[2], arrays[7], arrays, truth[k])
+        _look_at_families(arrays[2], arrays, truth[k])
 
 
 def kinds(stage: Any) -> tuple[np.ndarray, ...]:

@@ -17,6 +17,7 @@ and, for `Chip` alone, power_up, set_inputs, pins, advance, trace, scan and mark
 
 from __future__ import annotations
 
+from inspect import signature
 from typing import Any
 
 import numba
@@ -32,24 +33,52 @@ _BY_TYPE = {numba.from_dtype(core.STATE): core for core in FAMILIES} if COMPILED
 _BY_DTYPE = {core.STATE: core for core in FAMILIES}
 
 
+def _inlined(stub: Any, choose: Any) -> Any:
+    """`stub`, in compiled code replaced by what `choose` says for the types of its arguments: without a call in between."""
+    if COMPILED:
+        overload(stub, inline="always")(choose)
+    return stub
+
+
 def _answering(name: str) -> Any:
     """The function `name` of the core whose records, or rows of records, the first argument holds."""
+    arguments = list(signature(getattr(pcl240, name)).parameters)[1:]
+    given = ", ".join(["c", *arguments])
 
-    def answer(c, *arguments):  # type: ignore[no-untyped-def]
-        return getattr(_BY_DTYPE[c.dtype], name)(c, *arguments)
+    def find(c: Any) -> Any:
+        if COMPILED:
+            return getattr(_BY_TYPE[c.dtype if isinstance(c, types.Array) else c], name)
+        return getattr(_BY_DTYPE[c.dtype], name)
 
-    if COMPILED:
+    def choose(c: Any, function: Any = None) -> Any:
+        return _written(f"def call({given}):\n    return function({given})", function=find(c))
 
-        @overload(answer)
-        def choose(c, *arguments):  # type: ignore[no-untyped-def]
-            function = getattr(_BY_TYPE[c.dtype if isinstance(c, types.Array) else c], name)
+    stub = _written(f"def call({given}):\n    return find(c)({given})", find=find)
+    return _inlined(stub, _written(f"def call({given}):\n    return choose(c)", choose=choose))
 
-            def call(c, *arguments):  # type: ignore[no-untyped-def]
-                return function(c, *arguments)
 
-            return call
+def over_families(function: Any) -> Any:
+    """function(rows, first, *arguments) as a function of (chips, *arguments): called for the rows of each family in the tuple
+    `chips`, of which `first` come before them; the greatest of the results."""
+    given = ", ".join(list(signature(getattr(function, "py_func", function)).parameters)[2:])
 
-    return answer
+    def write(families: int) -> Any:
+        lines = [f"def call(chips, {given}):", f"    result = function(chips[0], 0, {given})"]
+        before = "len(chips[0])"
+        for k in range(1, families):
+            lines.append(f"    result = max(result, function(chips[{k}], {before}, {given}))")
+            before += f" + len(chips[{k}])"
+        return _written("\n".join([*lines, "    return result"]), function=function)
+
+    stub = _written(f"def call(chips, {given}):\n    return write(len(chips))(chips, {given})", write=write)
+    return _inlined(stub, _written(f"def call(chips, {given}):\n    return write(len(chips))", write=write))
+
+
+def _written(source: str, **names: Any) -> Any:
+    """The function `call` of `source`: numba wants parameters by name, where we would say *arguments."""
+    space: dict[str, Any] = {**names, "__name__": __name__}
+    exec(source, space)
+    return space["call"]
 
 
 run, net, mean_count, pulse_rate = (

@@ -242,7 +242,7 @@ def _notes(report: Report, t: np.ndarray) -> list[Note]:
             ahead = [a for a in ahead if a[0] != code[0]] + [f"{code}h"]  # the latest of a group counts
     falls = course.pin("fdown") & course.pin("lt") & ~hold
     for k in np.flatnonzero(falls[1:] & ~course.pin("lt")[:-1]) + 1:
-        notes.append(Note(float(t[k]), "", f"R0 < R6 = {course.edges['r0'][k] + 1:,d}", True))
+        notes.append(Note(float(t[k]), "", f"R0 < R6 = {course.edges['counter'][k] + 1:,d}", True))
     if report.duration and report.stopped_by != "reset command":  # a note of its own
         why = "stop at FL" if report.stopped_by == "decelerating stop" else report.stopped_by
         notes.append(Note(report.duration, "", why, True))
