@@ -109,7 +109,7 @@ class Pcl240(Family):
         demand(bool((edges["clock"][1:] >= edges["clock"][:-1]).all()), "a course that runs back")
         c, last = chip._record, edges[-1]
         is_at = (int(c["clock"]), int(c["net"]), int(c["reg"][0]), chip._output_word(0), int(c["inputs"]))
-        ends_at = tuple(int(last[name]) for name in ("clock", "net", "r0", "outputs", "inputs"))
+        ends_at = tuple(int(last[name]) for name in ("clock", "net", "counter", "outputs", "inputs"))
         demand(ends_at == is_at, f"a course that ends with {ends_at}, a chip with {is_at}")
 
     def most_work(self, pulses: int) -> int:

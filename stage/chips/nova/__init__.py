@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 from stage.chips.chip import Chip, Pins
-from stage.chips.nova import core, lint, state
+from stage.chips.nova import core, interpolation, lint, state
 from stage.chips.nova.decode import Decoder
 from stage.chips.nova.maps304 import MCX302_MAP, MCX304_MAP, MCX312_MAP
 from stage.chips.nova.maps514 import MCX514_MAP
@@ -13,6 +13,7 @@ from stage.chips.nova.maps514 import MCX514_MAP
 __all__ = ["MCX302", "MCX304", "MCX312", "MCX514", "Nova"]
 
 BYTES = 16
+AX1, AX2 = MCX312_MAP.field("WR5", "AX1"), MCX312_MAP.field("WR5", "AX2")
 
 
 class Nova(Chip):
@@ -59,9 +60,9 @@ class Nova(Chip):
         c = self._record
         driving = relative = absolute = 0
         for k, x in enumerate(c["ax"][: self.AXES]):
-            if x["driving"]:
+            if x["driving"] or x["interpolates"]:
                 driving |= 1 << k
-                if x["fixed"] and not x["interpolates"]:
+                if x["fixed"]:
                     absolute, relative = absolute | x["absolute"] << k, relative | (1 - x["absolute"]) << k
         return lint.Held(
             wr6=int(c["low"]),
@@ -71,9 +72,16 @@ class Nova(Chip):
             relative=int(relative),
             absolute=int(absolute),
             interpolating=bool(c["interpolating"]),
+            full=bool(c["interpolating"] and c["ip"]["waiting"] >= c["ip"]["depth"]),
+            bit_pattern=bool(c["ip"]["writing"]),
+            interpolated=self._interpolated(),
             drive_speed=tuple(int(x["reg"][state.DV]) for x in c["ax"]),
             finish=tuple(int(x["reg"][state.TP]) for x in c["ax"]),
         )
+
+    def _interpolated(self) -> int:
+        """The axes that take part in interpolation, as bits."""
+        return 0
 
     def decoder(self, axis: int = 0) -> Decoder:
         return Decoder(self.MAP, axis)
@@ -94,6 +102,9 @@ class MCX514(Nova):
 
     MAP: ClassVar = MCX514_MAP
     VARIANT: ClassVar = state.MCX514_TYPE
+
+    def _interpolated(self) -> int:
+        return int(self._record["ax"][0]["mode"][interpolation.IPM]) & 15
 
     def write_byte(self, address: int, value: int) -> None:
         """A write cycle of the 8-bit bus. Byte addresses: 0 low byte of WR0, 1 its high byte, to 15; the low byte of WR0 acts."""
@@ -138,6 +149,18 @@ class MCX312(_Erratum):
     MAP: ClassVar = MCX312_MAP
     AXES: ClassVar = 2
 
+    def _interpolated(self) -> int:
+        chosen = int(self._record["outputs5"])
+        return 1 << AX1.of(chosen) | 1 << AX2.of(chosen)
+
+    def _held(self) -> lint.Held:
+        finish = tuple(_signed(p) for p in super()._held().finish)
+        return super()._held()._replace(drive_speed=(), finish=finish)
+
     def _configure(self, record: Any) -> None:
         super()._configure(record)
         record["has_l"] = 1
+
+
+def _signed(p: int) -> int:
+    return p - (p >> 31 << 32)

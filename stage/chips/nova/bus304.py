@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from stage.chips.nova import drive, home, interpolation, sync
+from stage.chips.nova import drive, home, interpolation, interpolation312, sync
 from stage.chips.nova.bus514 import busy, lowest, phase_bits
 from stage.chips.nova.drive import rate_reading
 from stage.chips.nova.maps304 import MCX312_MAP as MAP
@@ -153,8 +153,7 @@ def _axis_command(c, x, j, code):
         drive.request_stop(c, x, 0)
     elif code == SSTOP:
         home.end(c, x)
-        if x.driving:
-            drive.finish(c, x, 0)
+        drive.stop(c, x, 0)
     elif code == HM_CODE:
         x.mode[HM] = c.low
     elif code == HV_CODE:
@@ -185,11 +184,11 @@ def command(c, value):
         if code in (R_LP, R_EP):
             data = x.reg[LP] if code == R_LP else x.reg[EP]
         else:
-            data = interpolation.speed_reading(c, x) if code == R_CV else rate_reading(c, x)
+            data = drive.speed_reading(c, x) if code == R_CV else rate_reading(c, x)
         c.read_low, c.read_high = data & 0xFFFF, data >> 16 & 0xFFFF
     elif INTERPOLATION_FIRST <= code <= INTERPOLATION_LAST:
         if c.has_l:
-            interpolation.command304(c, code)
+            interpolation312.command(c, code)
     else:
         for j in range(c.axes):
             if axes >> j & 1:
@@ -201,8 +200,8 @@ def write(c, address, value):
     """WR0 to WR7; on the MCX312 after 36h the bit pattern in place of WR2 to WR5."""
     if address == 0:
         command(c, value)
-    elif c.has_l and interpolation.takes_pattern(c) and 2 <= address <= 5:
-        interpolation.load_pattern(c, address - 2, value)
+    elif c.has_l and interpolation312.takes_pattern(c) and 2 <= address <= 5:
+        interpolation312.load_pattern(c, address - 2, value)
     elif address <= 3:
         for j in range(c.axes):
             if c.selected >> j & 1:
@@ -255,7 +254,7 @@ def status(c):
         word |= (1 << j if busy(x) else 0) | (16 << j if errors(c, x) or x.finish & 0xC000 else 0)
         if not c.has_l and x.home:
             word |= 256 << j
-    return word | (interpolation.status_bits304(c) if c.has_l else 0)
+    return word | (interpolation312.status_bits(c) if c.has_l else 0)
 
 
 @hot
@@ -310,7 +309,9 @@ def read(c, address):
 
 @hot
 def interrupts(c):
-    """INTN: an enabled factor of an axis."""
+    """INTN: an enabled factor of an axis, or the interpolation's."""
+    if c.ip.interrupt:
+        return 1
     for j in range(c.axes):
         x = c.ax[j]
         enabled = x.wr[1] >> 8

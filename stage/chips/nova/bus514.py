@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from stage.chips.nova import drive, home, interpolation, sync
+from stage.chips.nova import drive, home, interpolation, prebuffer, sync
 from stage.chips.nova.drive import rate_reading
 from stage.chips.nova.maps514 import MCX514_MAP as MAP
 from stage.chips.nova.state import (
@@ -48,7 +48,7 @@ NOP, RST = _code("NOP"), _code("RST")
 MODE_FIRST, MODE_LAST, IPM = 0x20, 0x2A, 0x2A
 FLM = 5  # place in `mode`
 READS = {c.symbol: c.code for c in MAP.commands if c.kind == "data read"}
-R_CV, R_CA, R_CT, R_CHLN, R_UI = (READS[n] for n in ("CV", "CA", "CT", "CHLN", "UI"))
+R_CV, R_CA, R_CT, R_CHLN, R_TX = (READS[n] for n in ("CV", "CA", "CT", "CHLN", "R-TX"))
 _PLACES = [-1] * 256
 for _symbol, _at in READS.items():
     if _symbol.startswith("R-") and not _symbol.startswith("R-WR"):
@@ -164,18 +164,20 @@ def _read_data(c, code):
     """A data-reading command: RR6 and RR7."""
     x = c.ax[lowest(c)]
     place = PLACES[code]
-    if 0 <= place < REGISTERS:
+    if code == R_TX:
+        value = prebuffer.longest(c)
+    elif 0 <= place < REGISTERS:
         value = c.ax[0].reg[place] if ALONE >> place & 1 else x.reg[place]
     elif place >= 1000:
         value = x.mode[place - 1000]
     elif code == R_CV:
-        value = interpolation.speed_reading(c, x)
+        value = drive.speed_reading(c, x)
     elif code == R_CA:
         value = rate_reading(c, x)
     elif code == R_CT:
         value = sync.timer_reading(c, x)
     elif code == R_CHLN:
-        value = interpolation.rotations(c)
+        value = prebuffer.rotations(c)
     elif R_WR1 <= code < R_WR1 + 3:
         value = x.wr[code - R_WR1 + 1]
     else:
@@ -200,10 +202,9 @@ def _axis_command(c, x, j, code):
         drive.request_stop(c, x, 0)
     elif code == DRVFBRK:
         home.end(c, x)
-        if x.driving:
-            drive.finish(c, x, 0)
+        drive.stop(c, x, 0)
     elif code in (DIRCP, DIRCM):
-        if not x.driving:
+        if not (x.driving or x.interpolates):
             x.way = 1 if code == DIRCP else -1
     elif code == HMSRC:
         home.start(c, x)
@@ -251,7 +252,7 @@ def command(c, value):
     elif 0x30 <= code < 0x50:
         _read_data(c, code)
     elif INTERPOLATION_FIRST <= code <= INTERPOLATION_LAST or code == MFPC:
-        interpolation.command(c, code)
+        prebuffer.command(c, code)
     else:
         for j in range(AXES):
             if axes >> j & 1:
@@ -298,7 +299,7 @@ def busy(x):
 @hot
 def phase_bits(c, x):
     """ASND, CNST, DSND, AASND, ACNST, ADSND as bits 0 to 5."""
-    if not x.driving:
+    if not drive.runs(x):
         return 0
     n = c.clock - x.origin
     phase = drive.phase_at(x, n)
@@ -339,7 +340,7 @@ def status(c):
     for j in range(AXES):
         x = c.ax[j]
         word |= (1 << j if busy(x) else 0) | (16 << j if x.finish & 0xFF else 0)
-    return word | interpolation.status_bits(c)
+    return word | prebuffer.status_bits(c)
 
 
 @hot
@@ -357,7 +358,7 @@ def read(c, address):
         return x.finish & 0xFFFF
     if address == 3:
         if c.pages >> j & 1:
-            return sync.status_bits(c, x) | phase_bits(c, x) << 4 | interpolation.multichip_error(c) << 12
+            return sync.status_bits(c, x) | phase_bits(c, x) << 4
         return _pins_page(c, x)
     if address == 4:
         return sync.ports(c, 0, c.outputs4)

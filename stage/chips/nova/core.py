@@ -69,12 +69,18 @@ def _settle(c):
 
 @hot
 def _pass(c, until):
-    """Let time pass; nothing happens but pulses."""
+    """Let time pass; nothing happens but pulses. An interpolation can end it early, with a tick that somebody has to look at."""
+    if c.interpolating:
+        until = interpolation.move(c, until)
+    _drive(c, until)
+
+
+@hot
+def _drive(c, until):
+    """Let the drives of single axes, and the clock, come to `until`."""
     for j in range(c.axes):
         if c.ax[j].driving:
             drive.move(c, c.ax[j], until)
-    if c.interpolating:
-        interpolation.move(c, until)
     c.clock = until
 
 
@@ -84,11 +90,9 @@ def run(c, until):
     if c.stale:
         _settle(c)
     while c.clock < until:
-        if c.quiet > until:
-            _pass(c, until)
-            return
-        _pass(c, c.quiet)
-        _settle(c)
+        _pass(c, min(until, c.quiet))
+        if c.stale or c.clock >= c.quiet:
+            _settle(c)
 
 
 # --- what a stage asks, see stage/chips/cores.py ---
@@ -154,13 +158,16 @@ def outputs(c, j):
 
 @hot
 def _interrupts(c):
-    return bus514.interrupts(c) if c.variant == MCX514_TYPE else bus304.interrupts(c)
+    """INT0N, INT1N: see COMMON_OUTPUTS."""
+    return bus514.interrupts(c) | c.ip.interrupt << 1 if c.variant == MCX514_TYPE else bus304.interrupts(c)
 
 
 @hot
 def pulse_rate(c, j, hz):
     """Output frequency now, pulses per second."""
     x = c.ax[j]
+    if x.interpolates:
+        return interpolation.rate(c, j) * hz
     return speed_at(x, c.clock - x.origin) * hz if x.driving else 0.0
 
 
@@ -171,24 +178,30 @@ def mean_count(c, j, before, ticks):
     Pulses of a drive came evenly; those of an interpolation have had their clocks summed in `moment`.
     """
     x = c.ax[j]
-    n = abs(x.net - before)
-    if x.moment != 0:
-        late = x.moment - (x.net - before) * (c.clock - ticks)
-        x.moment = 0
-        return x.net - late / ticks
+    start, late, rest = c.clock - ticks, 0.0, x.net - before
+    if x.since > start:
+        late = float(x.moment - x.shift * start)
+        rest -= x.shift
+    x.moment = x.shift = x.since = 0
+    return x.net - late / ticks - _missing(c, x, rest, ticks)
+
+
+@hot
+def _missing(c, x, rest, ticks):
+    """By how much the mean over the last `ticks` is less than the count now, for `rest` pulses of a drive."""
+    n = abs(rest)
     if n == 0:
-        return float(x.net)
-    way = 1.0 if x.net > before else -1.0
+        return 0.0
     if not x.driving:
-        return 0.5 * (before + x.net)
+        return 0.5 * rest
     s = drive.segment_at(x, c.clock - x.origin)
     t = (float(c.clock - x.origin) - x.t[s, 0]) - x.t[s, 1]
     r = x.p[s, 0] + t * (x.v[s, 0] + t * (x.a2[s, 0] + t * x.j6[s, 0])) + (x.from_pulse[s] - x.done)
     v = x.v[s, 0] + t * (2.0 * x.a2[s, 0] + 3.0 * t * x.j6[s, 0])
     if v <= 0.0:
-        return 0.5 * (before + x.net)
+        return 0.5 * rest
     ago = (n * max(r, 0.0) + 0.5 * n * (n - 1)) / v
-    return x.net - way * (n - min(ago / ticks, float(n)))
+    return (1.0 if rest > 0 else -1.0) * (n - min(ago / ticks, float(n)))
 
 
 # --- the chip by itself ---
@@ -289,12 +302,11 @@ def advance(rows, i, until):
 
 
 @hot
-def _trace_pulses(c, until, out, k):
-    """Log the pulses that the drives in progress begin up to `until`, ordered by clock, then axis."""
-    first = k
+def _trace_pulses(c, until, out, first, k):
+    """Log the pulses that the drives in progress begin up to `until`, among out[first:k], by clock, then axis."""
     for j in range(c.axes):
         x = c.ax[j]
-        if not x.driving or x.interpolates:
+        if not x.driving:
             continue
         begin, done = k, x.done
         while k < len(out):
@@ -313,13 +325,13 @@ def _trace_pulses(c, until, out, k):
 
 @hot
 def _merge(out, first, middle, end):
-    """Put out[middle:end], in order, among out[first:middle], in order: by clock, earlier ones first."""
+    """Put out[middle:end], in order, among out[first:middle], in order: by clock, then axis."""
     if first == middle or middle == end:
         return
     for k in range(middle, end):
         clock, axis, direction = out[k].clock, out[k].axis, out[k].direction
         at = k
-        while at > first and out[at - 1].clock > clock:
+        while at > first and (out[at - 1].clock > clock or (out[at - 1].clock == clock and out[at - 1].axis > axis)):
             out[at].clock, out[at].axis, out[at].direction = out[at - 1].clock, out[at - 1].axis, out[at - 1].direction
             at -= 1
         out[at].clock, out[at].axis, out[at].direction = clock, axis, direction
@@ -333,10 +345,12 @@ def trace(rows, i, until, out):
     if c.stale:
         _settle(c)
     while c.clock < until:
-        stop = min(until, c.quiet)
-        k = interpolation.trace(c, stop, out, k) if c.interpolating else _trace_pulses(c, stop, out, k)
-        _pass(c, stop)
-        if c.clock == c.quiet:
+        stop, first = min(until, c.quiet), k
+        if c.interpolating:
+            stop, k = interpolation.trace(c, stop, out, k)
+        k = _trace_pulses(c, stop, out, first, k)
+        _drive(c, stop)
+        if c.stale or c.clock >= c.quiet:
             _settle(c)
     return k
 
@@ -345,7 +359,7 @@ def trace(rows, i, until, out):
 def mark(rows, i, out, k, axis):
     """Write an axis of chip `i` as it stands to `out[k]` (an EDGE record)."""
     c = rows[i]
-    log(c, axis, out, k, shown(c, axis, outputs(c, axis)))
+    log(c, axis, out, k, shown(c, axis, outputs(c, axis)), pulse_rate(c, axis, 1.0))
 
 
 @hot
@@ -359,17 +373,17 @@ def scan(rows, i, until, every_pulse, out, axis):
     x = c.ax[axis]
     while c.clock < until and k < len(out) - ROOM:
         before, net_before = shown(c, axis, outputs(c, axis)), x.net
-        rate = speed_at(x, c.clock - x.origin) if x.driving else 0.0
+        rate = pulse_rate(c, axis, 1.0)
         stop = stop_at(c, axis, every_pulse, min(until, c.quiet))
         if every_pulse and c.interpolating:
             stop = min(stop, interpolation.next_tick(c))
         _pass(c, max(stop, c.clock + 1))
         if every_pulse and x.net != net_before:
-            raise_pulse(c, axis, speed_at(x, c.clock - x.origin) if x.driving else 0.0)
-        if c.clock == c.quiet:
+            raise_pulse(c, axis, pulse_rate(c, axis, 1.0))
+        if c.stale or c.clock >= c.quiet:
             _settle(c)
         word = shown(c, axis, outputs(c, axis))
-        now = speed_at(x, c.clock - x.origin) if x.driving else 0.0
+        now = pulse_rate(c, axis, 1.0)
         if word != before or now != rate or (every_pulse and x.net != net_before):
-            k = log(c, axis, out, k, word)
+            k = log(c, axis, out, k, word, now)
     return k

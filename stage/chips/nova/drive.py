@@ -71,6 +71,13 @@ RANGE = 8_000_000
 OFF = 0xFFFFFFFF
 RELATIVE, COUNTER_RELATIVE, ABSOLUTE, FORWARD, BACKWARD = range(5)
 FIXED_PLUS, FIXED_MINUS = 5, 6
+MAIN, AT_ONCE = 2, 2  # of `interpolates`; of `slow`
+
+
+@hot
+def runs(x):
+    """The profile of the axis is in force: it drives, or is the main axis of an interpolation."""
+    return x.driving or x.interpolates == MAIN
 
 
 @hot
@@ -126,7 +133,7 @@ def _jerk(c, x, value):
 @hot
 def speed_reading(c, x):
     """CV: the current speed in the unit of the speed parameters."""
-    if not x.driving:
+    if not runs(x):
         return 0
     v = speed_at(x, c.clock - x.origin) * HZ
     if c.variant != MCX514_TYPE:
@@ -137,7 +144,7 @@ def speed_reading(c, x):
 @hot
 def rate_reading(c, x):
     """CA: the current acceleration or deceleration in the unit of its parameter; without a sign."""
-    if not x.driving:
+    if not runs(x):
         return 0
     a = abs(acceleration_at(x, c.clock - x.origin)) * HZ * HZ
     if c.variant != MCX514_TYPE:
@@ -146,13 +153,13 @@ def rate_reading(c, x):
 
 
 @hot
-def _take_speeds(c, x):
+def take_speed(c, x, value):
     """The drive speed as it is now."""
-    put(x.dv, speed(c, x, x.reg[DV]))
+    put(x.dv, speed(c, x, value))
 
 
 @hot
-def _take_rates(c, x):
+def take_rates(c, x):
     """Initial speed, accelerations and jerks, at the start of a drive."""
     put(x.sv, speed(c, x, x.reg[SV]))
     put(x.up, _rate(c, x, x.reg[AC]))
@@ -218,16 +225,23 @@ def hardware_limit(x, way):
 
 
 @hot
+def goal_of(x, pulses):
+    """The speed to which a drive of so many pulses accelerates: DV, or less to prevent a triangle."""
+    goal = pair(x.dv)
+    if x.prevents and not x.curved and dd.less(pair(x.sv), goal):  # a speed above the cap is kept
+        top, now = cap(x, pulses), pair(x.cursor[SPEED])
+        goal = dd.least(goal, now if dd.less(top, now) else top)
+    return goal
+
+
+@hot
 def plan(c, x):
     """Plan the rest of the drive from the cursor on."""
-    _take_speeds(c, x)
-    goal = pair(x.dv)
+    take_speed(c, x, x.reg[DV])
     if not x.fixed:
-        for_ever(x, goal)
+        for_ever(x, pair(x.dv))
         return
-    if x.prevents and not x.curved and dd.less(pair(x.sv), goal):  # a speed above the cap is kept
-        top, now = cap(x, x.output), pair(x.cursor[SPEED])
-        goal = dd.least(goal, now if dd.less(top, now) else top)
+    goal = goal_of(x, x.output)
     if not x.manual:
         to_the_end(x, dd.whole(x.output - x.reg[AO]), goal)
     elif x.done < x.reg[DP]:
@@ -253,8 +267,8 @@ def launch(c, x, way, output):
         return
     note(x, D_STA)
     x.driving, x.phase = 1, CONSTANT - 9
-    _take_rates(c, x)
-    _take_speeds(c, x)
+    take_rates(c, x)
+    take_speed(c, x, x.reg[DV])
     begin(x, c.clock, dd.ZERO, dd.ZERO, dd.least(pair(x.sv), pair(x.dv)), dd.ZERO)
     plan(c, x)
 
@@ -282,7 +296,7 @@ def blocked(c, x, way):
 @hot
 def start(c, x, kind):
     """A drive command: RELATIVE ... FIXED_MINUS. Nothing happens while a drive is in progress."""
-    if x.driving or x.waiting:
+    if x.driving or x.waiting or x.interpolates:
         return
     if x.held & 1:
         x.held = 1 | (kind + 1) << 1
@@ -358,7 +372,7 @@ def change_output(c, x, value):
 def finish(c, x, cause):
     """The drive ends now. Cause: bits of RR2."""
     x.finish |= cause
-    x.driving = x.slow = 0
+    x.driving = x.slow = x.interpolates = 0
     x.phase = CONSTANT - 9
     c.stale = 1
     if x.inpos_waits and not x.level & INPOS:
@@ -370,8 +384,10 @@ def finish(c, x, cause):
 @hot
 def request_stop(c, x, cause):
     """A decelerating stop: 56h, 26h, a STOP signal, a limit in that mode. The chips of the erratum take no notice while they
-    brake on an S-curve anyway, and in its area d they run away."""
+    brake on an S-curve anyway, and in its area d they run away. An axis that interpolates asks the interpolation to stop."""
     x.finish |= cause
+    if x.interpolates and not x.slow:
+        x.slow = c.stale = 1
     if not x.driving or x.slow:
         return
     n = c.clock - x.origin
@@ -385,42 +401,59 @@ def request_stop(c, x, cause):
         run_away(x)
         x.fixed = 0
     else:
-        _take_speeds(c, x)
+        take_speed(c, x, x.reg[DV])
         slow_down(x)
     c.stale = 1
 
 
 @hot
+def stop(c, x, cause):
+    """An instant stop: 57h, 27h, ALARM, EMG, a limit. Cause: bits of RR2."""
+    if x.driving:
+        finish(c, x, cause)
+    elif x.interpolates:
+        x.finish |= cause
+        x.slow, c.stale = AT_ONCE, 1
+
+
+@hot
 def obey_inputs(c, x):
-    """What the present levels do to a drive."""
+    """What the present levels do to a drive, or to an interpolation in which the axis takes part; limits if that moves it."""
     if x.waiting and (x.level & INPOS or not x.inpos_waits):
         x.waiting = 0
         note(x, D_END)
-    if c.emg:
-        if x.driving:
-            finish(c, x, E_EMG | F_EMG)
+    if not (x.driving or x.interpolates):
         return
-    if not x.driving:
+    if c.emg:
+        stop(c, x, E_EMG | F_EMG)
         return
     if x.alarm_stops and x.level & ALARM:
-        finish(c, x, E_ALARM | F_ALARM)
+        stop(c, x, E_ALARM | F_ALARM)
         return
+    if (x.driving or x.moves) and _obey_limits(c, x):
+        return
+    for k in range(3):
+        if x.stops >> k & 1 and x.level & STOP0 << k:
+            request_stop(c, x, F_STOP0 << k)
+
+
+@hot
+def _obey_limits(c, x):
+    """Returns whether a limit has stopped the drive at once."""
     if x.limits and hardware_limit(x, x.way):
         cause = (E_HLMT_PLUS | F_LMT_PLUS) if x.way > 0 else (E_HLMT_MINUS | F_LMT_MINUS)
         if x.limit_slow:
             request_stop(c, x, cause)
         else:
-            finish(c, x, cause)
-            return
+            stop(c, x, cause)
+            return True
     if beyond(c, x, x.way):
         cause = E_SLMT_PLUS if x.way > 0 else E_SLMT_MINUS
         if x.soft_instant:
-            finish(c, x, cause)
-            return
+            stop(c, x, cause)
+            return True
         request_stop(c, x, cause)
-    for k in range(3):
-        if x.stops >> k & 1 and x.level & STOP0 << k:
-            request_stop(c, x, F_STOP0 << k)
+    return False
 
 
 # --- time ---
@@ -445,6 +478,12 @@ def look(c, x):
     if (x.fixed and x.done >= x.output) or n >= x.end:
         finish(c, x, 0)
         return
+    watch_phase(x, n)
+
+
+@hot
+def watch_phase(x, n):
+    """Note where constant speed begins and ends."""
     now = phase_at(x, n)
     if now == AREA_D:
         now = CONSTANT
@@ -457,7 +496,7 @@ def look(c, x):
 
 
 @hot
-def _pulses_ahead(c, x):
+def pulses_ahead(c, x):
     """Pulses until a counter reaches something."""
     far = x.output - x.done if x.fixed else NEVER
     if not x.soft_rp:
@@ -481,7 +520,7 @@ def next_event(c, x, far):
     at = x.end
     if s + 1 < x.segments:
         at = min(at, x.from_clock[s + 1])
-    far = min(far, _pulses_ahead(c, x))
+    far = min(far, pulses_ahead(c, x))
     if far < NEVER:
         k = x.done + max(far, 1)
         if at >= NEVER or reached(x, at) >= k:

@@ -5,7 +5,7 @@ The pulse output is high for half a period from each pulse on (inferred); a ramp
 
 from __future__ import annotations
 
-from stage.chips.nova.profile import clock_of, segment_at, speed_at
+from stage.chips.nova.profile import clock_of, segment_at
 from stage.chips.nova.state import CONSTANT, LP, PLS
 from stage.compiled import hot
 
@@ -14,11 +14,11 @@ ROOM = 8
 
 
 @hot
-def log(c, j, out, k, word):
-    """Write axis `j` as it stands to `out[k]` (an EDGE record). Returns k + 1."""
+def log(c, j, out, k, word, rate):
+    """Write axis `j` as it stands to `out[k]` (an EDGE record), its rate in pulses per clock. Returns k + 1."""
     e, x = out[k], c.ax[j]
     e.clock, e.inputs, e.outputs, e.counter, e.net = c.clock, x.inputs, word, x.reg[LP], x.net
-    e.rate = speed_at(x, c.clock - x.origin) if x.driving else 0.0
+    e.rate = rate
     return k + 1
 
 

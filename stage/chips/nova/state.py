@@ -44,13 +44,15 @@ acceleration below which the chip shows none (erratum); curved: S-curve."""
 AXIS = record(
     [(name, "i8") for name in (
         "driving waiting held way sense fixed output done slow absolute "  # the drive in progress
-        "total net moment "  # pulses ever, plus minus minus; sum of the clocks of interpolated pulses
+        "total net "  # pulses ever, plus minus minus
+        "moment shift since "  # of interpolated pulses since mean_count asked: sum of the clocks, net count, first clock
         "inputs level "  # pins now, and after the filters
         "phase factors fired finish "  # last phase seen; RR1 (MCX514), the same not yet seen by the sync actions; RR2 (MCX514)
         "timer split split_at split_left sync dcc "  # clocks of what comes next; see sync.py
         "home home_step home_until "  # see home.py
         "compared "  # which comparisons held
-        "interpolates high "  # high: until when the pulse output is, in a scan
+        "interpolates moves "  # 1: takes part in an interpolation, 2: as its main axis; its segment moves the axis
+        "high "  # until when the pulse output is, in a scan
         # the modes of WR1 to WR3 in plain terms
         "stops limits limit_slow alarm_stops inpos_waits soft_plus soft_minus soft_rp soft_instant "
         "manual asymmetric s_curve prevents swaps encoder exchanges filtered delay slow_delay"
@@ -59,16 +61,52 @@ AXIS = record(
     + _PROFILE
 )  # fmt: skip
 """One axis. done: pulses of this drive that have begun; output: how many it will make (fixed = 1). held: a drive command waits for
-78h. waiting: all pulses are out, INPOS is awaited. mode: registers 20h to 2Fh. pending: clocks at which filtered inputs follow."""
+78h. slow: it brakes for a stop; of an axis that interpolates: 1 asks for that, 2 for an instant stop. waiting: all pulses are
+out, INPOS is awaited. mode: registers 20h to 2Fh. pending: clocks at which filtered inputs follow."""
 
-INTERPOLATION_WORDS = 64
+LINE, ARC, PATTERN, HELIX = range(1, 5)
+STAGES = 8  # of the pre-buffer; one more place holds the running segment
+
+SEGMENT = record(
+    [(name, "i8") for name in "kind axes vector fine slows longest turns mirror".split()]
+    + [("axis", "i8", (AXES,)), ("finish", "i8", (AXES,)), ("centre", "i8", (2,))]
+)  # fmt: skip
+"""One segment of an interpolation, as its command captured it. Its `axes` axes have places 0, 1, ...: `axis` says which they are.
+vector: how many of them constant vector speed looks at, 0: off; fine: 8 inner ticks a tick, where short-axis pulses are equalized,
+else 1; slows: deceleration was enabled; longest: ticks of a line, of a helix the ticks in which the other axes make their pulses;
+turns: of a helix, before the arc; mirror: -1 clockwise. finish: relative, of a bit pattern + in the low, - in the high 16 bits."""
+
+ARC_STATE = record([(name, "i8") for name in "x y off octant passed target goal_x goal_y".split()])
+"""A circle in progress, counter-clockwise (a clockwise one is mirrored in y). x, y: about the centre; off: x^2 + y^2 - radius^2;
+octant: of the next tick; passed, target: octants entered, and how many it takes into the one of the finish point."""
+
+INTERPOLATION = record(
+    [(name, "i8") for name in (
+        "enabled interrupt "  # 6Dh, 3Bh; an interrupt asks
+        "main mask depth head waiting began continuous stepped speed slow ends "
+        "due watch piece last closing left rotations turns zone "
+        "writing stacked"  # bit patterns of the MCX312
+    ).split()]
+    + [(name, "i8", (AXES,)) for name in "step toward error inner loading".split()]
+    + [("arc", ARC_STATE), ("probe", ARC_STATE), ("stack", "i8", (3, 4))]
+    + [(name, "f8", (2,)) for name in "place begun finish".split()]
+)  # fmt: skip
+"""The interpolation in progress. main: its main axis, whose profile makes the ticks; mask: the axes that take part; head, waiting:
+the running segment in `queue`, and how many wait behind it, `depth` at most; began: clock of the start; continuous: there has been
+a second segment; stepped: ticks come by command; speed: DV of the present plan; slow: it brakes for a stop; ends: the plan ends at
+SV. The next tick is prepared: due: its clock; place: where in the profile it is; step: which places of the segment make a pulse,
+toward: in which direction, inner: their ways in inner ticks; last: the segment ends with it; closing: it has no pulses and ends it
+all. watch: ticks until somebody looks at a counter; piece: segment of the profile; left: ticks of the segment still to prepare;
+error: of the slower axes; turns: still to go; begun, finish: where in the profile the segment begins and ends (if it slows).
+writing: WR2 to WR5 load the pattern `loading`; stack: sets that wait for 34h."""
+
 STATE = record(
     [(name, "i8") for name in (
         "clock quiet stale variant axes errata has_l "
         "selected low high read_low read_high pages outputs4 outputs5 emg emg_seen total interrupt "
         "interpolating first unused"
     ).split()]
-    + [("work", "i8", (INTERPOLATION_WORDS,)), ("ax", AXIS, (AXES,))]
+    + [("ip", INTERPOLATION), ("queue", SEGMENT, (STAGES + 1,)), ("ax", AXIS, (AXES,))]
 )  # fmt: skip
 """One chip. quiet: the clock up to which nothing happens but pulses, if not stale: inputs or registers have changed since.
 selected: axis bits; low, high: WR6, WR7; read_low, read_high: RR6, RR7; pages: axes whose RR3 shows page 1.
