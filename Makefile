@@ -100,6 +100,7 @@ pictures: .venv/.dev
 	$(BIN)/stage demo --no-view --force --picture docs/pictures/dashboard.png
 	$(BIN)/stage home x --from -90 --force --plot docs/pictures/origin_return.png
 	$(BIN)/stage pullout --force --plot docs/pictures/pullout.png
+	$(BIN)/stage erratum --force --plot docs/pictures/erratum.png
 	for script in render_models stepper_behaviours draw_patterns synchronized_survey; do $(BIN)/python scripts/$$script.py || exit 1; done
 	$(BIN)/python scripts/ramp_down_survey.py
 	for script in s_curve origin_spread; do $(BIN)/python scripts/$$script.py --picture docs/pictures/$$script.png || exit 1; done

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from stage.chips import Chip
+from stage.chips.chip import Pins
 from stage.errors import ArgumentError, unknown
 
 NAMES = "xyzuvw"
@@ -37,9 +38,14 @@ class BenchAxis:
 
     def __init__(self, bench: Bench, name: str, chip: Chip):
         self._bench, self.name, self.chip = bench, name, chip
-        self._offset = -int(chip._record["net"])
+        self._offset = -chip.net(self.chip_axis)
         self._spans: dict[str, Span] = {}
         self._bounds: list[int] = []
+
+    @property
+    def pins(self) -> Pins:
+        """The pins of the chip's first axis."""
+        return self.chip.axes[self.chip_axis].pins
 
     @property
     def time(self) -> float:
@@ -53,17 +59,17 @@ class BenchAxis:
     @property
     def place(self) -> int:
         """Where a rail's carriage stands, pulses."""
-        return self._offset + int(self.chip._record["net"])
+        return self._offset + self.chip.net(self.chip_axis)
 
     def _lay(self, at: int, spans: dict[str, Span]) -> None:
-        self._offset, self._spans = at - int(self.chip._record["net"]), spans
+        self._offset, self._spans = at - self.chip.net(self.chip_axis), spans
         self._bounds = [bound for span in spans.values() for bound in span if bound is not None]
         self._assert_switches()
 
     def _assert_switches(self) -> None:
         place = self.place
         for pin, span in self._spans.items():
-            setattr(self.chip.pins, pin, bool(_within(place, span)))
+            setattr(self.pins, pin, bool(_within(place, span)))
 
     def _twin(self) -> np.ndarray:
         """A copy of the chip's record, to look ahead with."""
@@ -82,7 +88,7 @@ class BenchAxis:
             places = place + np.cumsum(pulses["direction"], dtype=np.int64)
             changed = np.zeros(n, bool)
             for pin, span in self._spans.items():
-                changed |= _within(places, span) != getattr(chip.pins, pin)
+                changed |= _within(places, span) != getattr(self.pins, pin)
             if not changed.any():
                 break
             core.advance(rows, i, int(pulses["clock"][np.argmax(changed)]))

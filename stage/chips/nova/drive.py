@@ -370,8 +370,10 @@ def change_output(c, x, value):
 
 @hot
 def finish(c, x, cause):
-    """The drive ends now. Cause: bits of RR2."""
+    """The drive ends now. Cause: bits of RR2. Before the MCX514 constant speed ends with it (C-END): the failure notice says so."""
     x.finish |= cause
+    if x.phase == CONSTANT and c.variant != MCX514_TYPE:
+        note(x, C_END)
     x.driving = x.slow = x.interpolates = 0
     x.phase = CONSTANT - 9
     c.stale = 1

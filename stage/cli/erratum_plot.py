@@ -1,0 +1,91 @@
+"""The picture of `stage erratum`: the drive with a bare 26h in area d, and with the work-around."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from stage.errors import StageError
+
+if TYPE_CHECKING:
+    from stage.cli.erratum import Shown
+
+CLOSE = 0.06  # s before area d, and after it
+LANES = {"ASND": "asnd", "CNST": "cnst", "DSND": "dsnd", "n-DRV": "drive"}
+
+
+def draw(shown: Shown, path: str | None, overwrite: bool) -> Any:
+    """Rate and position of both runs; beside them, close up, the rate and the bits of RR1 around area d."""
+    from stage.drives.picture import ACCENT, GRID, INK, MUTED
+    from stage.files import save_figure
+
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise StageError("drawing needs matplotlib: pip install 'pulsestage[plot]'.") from error
+    figure = Figure(figsize=(11, 6), layout="constrained")
+    (rate, close), (place, lanes) = figure.subplots(2, 2)
+    styles = ((ACCENT, 1.6, "26h in area d", 2), (MUTED, 3.0, "stop_by_speed", 1))
+    areas = _areas(shown.recordings[0])
+    for recording, (color, width, label, order) in zip(shown.recordings, styles, strict=True):
+        axis = next(iter(recording.axes))
+        time, pps = recording.column("time"), recording.column(f"{axis}/rate")
+        drawn = {"color": color, "linewidth": width, "label": label, "zorder": order}
+        for panel in (rate, close):
+            panel.plot(time, pps, **drawn)
+        place.plot(time, recording.column(f"{axis}/position") * 1e3, **drawn)
+        place.plot(time, recording.column(f"{axis}/commanded") * 1e3, color=color, linewidth=1, linestyle=(0, (2, 2)))
+    _lanes(lanes, shown.recordings[0], ACCENT)
+    begin, end = areas["d"]
+    for panel in (close, lanes):
+        panel.set_xlim(begin - CLOSE, end + CLOSE)
+        panel.axvspan(begin, end, color=ACCENT, alpha=0.15, linewidth=0)
+    rate.set_ylim(top=1.12 * pps.max())
+    initial = float(np.interp(areas["a"][0] + 1e-3, time, pps))
+    close.set_ylim(0.97 * initial, 1.08 * initial)
+    letters = {area: sum(areas[area]) / 2 for area in "abc"} | ({} if shown.mended else {"e": end + 0.9})
+    for area, when in letters.items():
+        rate.annotate(area, (when, 0.98), xycoords=("data", "axes fraction"), ha="center", va="top", color=INK)
+    for area, when in {"c": begin - CLOSE / 2, "d": (begin + end) / 2, "e": end + CLOSE / 2}.items():
+        if area in letters or area == "d":
+            close.annotate(area, (when, 0.92), xycoords=("data", "axes fraction"), ha="center", color=INK)
+    rate.set(ylabel="pulse rate (pps)", title=f"{shown.chip}{', mended' if shown.mended else ''}: the drive")
+    close.set(ylabel="pulse rate (pps)", title="the end of the deceleration; shaded: area d, up to 26h")
+    place.set(ylabel="position (mm)", xlabel="time (s)", title="the carriage; dotted: what the pulses say")
+    lanes.set(xlabel="time (s)", title="RR1 and n-DRV after 26h in area d")
+    for panel in (rate, close, place, lanes):
+        panel.grid(True, axis="x" if panel is lanes else "both", color=GRID, linewidth=0.7)
+        panel.spines[["top", "right"]].set_visible(False)
+        panel.title.set_fontsize(10)
+    rate.legend(frameon=False, fontsize=9, loc="center right")
+    if path is not None:
+        save_figure(figure, path, 150, overwrite)
+    return figure
+
+
+def _course(recording: Any) -> tuple[Any, np.ndarray]:
+    course = recording.journals[next(iter(recording.axes))].course()
+    return course, recording.began + course.seconds
+
+
+def _areas(recording: Any) -> dict[str, tuple[float, float]]:
+    """When the areas a to d of the notice begin and end, s, by the chip's status pins."""
+    course, time = _course(recording)
+    asnd, cnst, dsnd = (course.pin(name) for name in ("asnd", "cnst", "dsnd"))
+
+    def span(on: np.ndarray) -> tuple[float, float]:
+        first = int(np.argmax(on))
+        rest = np.flatnonzero(~on[first:])
+        return float(time[first]), float(time[first + rest[0]] if len(rest) else time[-1])
+
+    a, c = span(asnd), span(dsnd)
+    return {"a": a, "b": (a[1], c[0]), "c": c, "d": span(cnst & (time >= c[1]))}
+
+
+def _lanes(panel: Any, recording: Any, color: str) -> None:
+    course, time = _course(recording)
+    for k, pin in enumerate(reversed(LANES.values())):
+        panel.plot(time, k + 0.7 * course.pin(pin), drawstyle="steps-post", color=color, linewidth=1.6)
+        panel.axhline(k, color=color, linewidth=0.5, alpha=0.4)
+    panel.set_yticks([k + 0.35 for k in range(len(LANES))], list(reversed(LANES)))

@@ -1,0 +1,107 @@
+"""`stage erratum`, as a stranger would run it."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from stage.cli import erratum, main
+
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "erratum.md"
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    return tmp_path
+
+
+def out(capsys, *argv, code=0):
+    assert main(["erratum", *argv]) == code
+    return capsys.readouterr()
+
+
+def figures(said):
+    """The table: name -> (with 26h, with stop_by_speed)."""
+    rows = [re.split(r" {2,}", line) for line in said.splitlines()]
+    return {row[0]: tuple(row[1:]) for row in rows if len(row) == 3 and row[0]}
+
+
+@pytest.mark.parametrize("chip", ["mcx304", "mcx302", "mcx312"])
+def test_the_bare_command_runs_into_the_hard_stop_and_the_work_around_ends_on_target(here, capsys, chip):
+    said = out(capsys, "--chips", chip).out
+    table = figures(said)
+    assert said.startswith(f"{chip.upper()}: ")
+    assert said.rstrip().endswith("as claimed")
+    assert table["ASND CNST DSND then"] == ("0 0 0", "0 1 0")
+    assert table["n-DRV 2 s later"] == ("1", "0")
+    assert table["26h given"] == ("yes", "no")
+    past, none = map(int, table["pulses past the target"])
+    assert (past, none) == (pytest.approx(2 * int(table["speed, pps"][0]), rel=0.02), 0)
+    beyond, _ = map(float, table["beyond EL+, mm"])
+    assert 3 < beyond < 10  # the hard stop; the pulses say 20 mm
+    lost, none = map(int, table["lost steps"])
+    assert (lost % 4, none) == (0, 0)
+    assert lost > 100
+
+
+def test_the_page_has_the_figures(here, capsys):
+    table = figures(out(capsys).out)
+    rows = re.findall(r"^\| (.+) \| (.+) \| (.+) \|$", PAGE.read_text(), re.M)
+    told = {
+        re.sub(r"(pulses past the target), .*", r"\1", name): said
+        for name, *said in rows
+        if name in table or "past" in name
+    }
+    assert len(told) == 6
+    for name, said in told.items():
+        for number, written in zip(table[name], said, strict=True):
+            if number.replace(".", "").isdecimal():
+                assert float(number) == pytest.approx(float(written), rel=0.03)
+            else:
+                assert number == written
+
+
+def test_mended_chips_end_on_target_either_way(here, capsys):
+    said = out(capsys, "--mended").out
+    assert said.startswith("MCX304, mended: ")
+    table = figures(said)
+    for row in ("pulses past the target", "lost steps", "n-DRV 2 s later"):
+        assert table[row] == ("0", "0")
+    assert table["position, mm"][0] == table["position, mm"][1]
+    assert said.rstrip().endswith("as claimed")
+
+
+def test_it_draws_itself_and_records_both_runs(here, capsys):
+    said = out(capsys, "--plot", "e.png", "--record", "e.rrd", "--vcd", "e.vcd").out
+    assert (here / "e.png").read_bytes().startswith(b"\x89PNG")
+    for name in ("e.rrd", "e-work-around.rrd"):
+        assert (here / name).read_bytes()[:3] == b"RRF"
+        assert f"{name}: " in said
+    for name in ("e.vcd", "e-work-around.vcd"):
+        assert (here / name).read_text().startswith("$")
+
+
+def test_nothing_is_overwritten_unasked(here, capsys):
+    (here / "e-work-around.rrd").write_text("precious")
+    assert "exists" in out(capsys, "--record", "e.rrd", code=2).err
+    assert (here / "e-work-around.rrd").read_text() == "precious"
+    assert not (here / "e.rrd").exists()
+
+
+@pytest.mark.parametrize("chip", ["pcl240k", "mcx514"])
+def test_other_chips_are_refused_by_name(here, capsys, chip):
+    assert "one of MCX302, MCX304, MCX312" in out(capsys, "--chips", chip, code=2).err
+
+
+def test_what_is_not_as_claimed_is_said_so(here, capsys, monkeypatch):
+    """A work-around that does nothing."""
+    monkeypatch.setattr(erratum, "_guarded", erratum._bare)
+    assert out(capsys, code=1).out.rstrip().endswith("NOT as claimed")
+
+
+def test_the_overview_has_a_line_for_it(capsys):
+    assert main([]) == 2
+    assert re.search(r"^ +stage erratum  +\S", capsys.readouterr().out, re.M)
