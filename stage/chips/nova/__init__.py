@@ -43,7 +43,7 @@ class Nova(Chip):
     @property
     def pins(self) -> Pins:
         """The pins that are no axis': the emergency stop, the interrupts."""
-        return Pins(self, state.AXES, state.COMMON_INPUTS, state.COMMON_OUTPUTS)
+        return Pins(self, self.AXES, state.COMMON_INPUTS, state.COMMON_OUTPUTS)
 
     def net(self, axis: int = 0) -> int:
         return int(self._record["ax"][axis]["net"])
@@ -91,7 +91,7 @@ class Nova(Chip):
         return {name: int(core.value(self._rows, self._i, int(name[2]), name == "RR3-1")) for name in words}
 
     def _input_word(self, axis: int) -> int:
-        return int(self._record["emg"] if axis == state.AXES else self._record["ax"][axis]["inputs"])
+        return int(self._record["emg"] if axis == self.AXES else self._record["ax"][axis]["inputs"])
 
     def _set_input_word(self, axis: int, word: int) -> None:
         core.set_inputs(self._rows, self._i, axis, word)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from stage.chips.nova import drive, home, interpolation, interpolation312, sync
-from stage.chips.nova.bus514 import busy, lowest, phase_bits
+from stage.chips.nova import drive, home, interpolation, interpolation312, ports, sync
+from stage.chips.nova.bus514 import lowest
 from stage.chips.nova.drive import rate_reading
 from stage.chips.nova.maps304 import MCX312_MAP as MAP
 from stage.chips.nova.maps304 import RESET
@@ -38,6 +38,7 @@ from stage.chips.nova.state import (
     STOP2,
     TP,
 )  # fmt: skip
+from stage.chips.nova.status import busy, phase_bits
 from stage.compiled import hot
 
 SIGNED = sum(1 << r.number for r in MAP.registers if r.signed and r.number < REGISTERS)
@@ -90,7 +91,7 @@ def reset(c):
         x.factors = x.fired = x.finish = 0
         x.phase = CONSTANT - 9
         configure(x)
-        sync.reset(x)
+        sync.reset(c, x)
         home.reset(x)
     interpolation.reset(c)
     c.selected = 1
@@ -161,7 +162,7 @@ def _axis_command(c, x, j, code):
     elif code == HOME:
         home.start(c, x)
     elif code == DCC:
-        sync.command(c, x, 0x72)
+        ports.clear_deviation(c, x)
 
 
 @hot
@@ -279,7 +280,7 @@ def _levels(c, x, j):
 @hot
 def factors(x):
     """RR3."""
-    word = x.compared & 0x1F  # PULSE and the comparisons, see sync.py
+    word = x.compared  # PULSE and the comparisons, see compare.py
     word |= (0x20 if x.factors & C_END else 0) | (0x40 if x.factors & C_STA else 0) | (0x80 if x.factors & D_END else 0)
     return word | (0x100 if x.factors & H_END else 0)
 

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-from stage.chips.nova import drive, home, interpolation, prebuffer, sync
+from stage.chips.nova import drive, home, interpolation, ports, prebuffer, sync, timer
 from stage.chips.nova.drive import rate_reading
 from stage.chips.nova.maps514 import MCX514_MAP as MAP
 from stage.chips.nova.state import (
-    ACCELERATING,
     ALARM,
-    AREA_D,
     AXES,
     CONSTANT,
-    DECELERATING,
     DV,
     ECA,
     ECB,
     INPOS,
-    IV,
     LMT_MINUS,
     LMT_PLUS,
     PIO,
@@ -26,6 +22,7 @@ from stage.chips.nova.state import (
     STOP2,
     TP,
 )  # fmt: skip
+from stage.chips.nova.status import busy, phase_bits
 from stage.compiled import hot
 
 SIGNED = sum(1 << r.number for r in MAP.registers if r.signed and r.number < REGISTERS)
@@ -61,8 +58,6 @@ DRVRL, DRVNR, DRVVP, DRVVM, DRVAB, DRVSBRK, DRVFBRK, DIRCP, DIRCM, HMSRC = (_cod
     "DRVRL", "DRVNR", "DRVVP", "DRVVM", "DRVAB", "DRVSBRK", "DRVFBRK", "DIRCP", "DIRCM", "HMSRC"))  # fmt: skip
 VINC, VDEC, DHOLD, DFREE, R2CLR, RR3P0, RR3P1 = (_code(n) for n in (
     "VINC", "VDEC", "DHOLD", "DFREE", "R2CLR", "RR3P0", "RR3P1"))  # fmt: skip
-DCC, TMSTA, TMSTP, SPSTA, SPSTP = (_code(n) for n in ("DCC", "TMSTA", "TMSTP", "SPSTA", "SPSTP"))
-SYNCEN, SYNCDIS, SYNCACT = (_code(n) for n in ("SYNCEN", "SYNCDIS", "SYNCACT"))
 INTERPOLATION_FIRST, INTERPOLATION_LAST, MFPC = 0x60, 0x6F, _code("MFPC")
 
 SP0_E, SP1_E, SP2_E, INP_E, ALM_E, HLM_E, HLM_M, SLM_E, SLM_O, SLM_M = (_of("WR2", n) for n in (
@@ -91,7 +86,7 @@ def reset(c):
         x.factors = x.fired = x.finish = 0
         x.phase = CONSTANT - 9
         configure(x)
-        sync.reset(x)
+        sync.reset(c, x)
         home.reset(x)
     interpolation.reset(c)
     c.selected = 1
@@ -175,7 +170,7 @@ def _read_data(c, code):
     elif code == R_CA:
         value = rate_reading(c, x)
     elif code == R_CT:
-        value = sync.timer_reading(c, x)
+        value = timer.reading(c, x)
     elif code == R_CHLN:
         value = prebuffer.rotations(c)
     elif R_WR1 <= code < R_WR1 + 3:
@@ -209,8 +204,7 @@ def _axis_command(c, x, j, code):
     elif code == HMSRC:
         home.start(c, x)
     elif code in (VINC, VDEC):
-        v = x.reg[DV] + (x.reg[IV] if code == VINC else -x.reg[IV])
-        drive.change_speed(c, x, min(max(v, 1), 8_000_000))
+        drive.step_speed(c, x, 1 if code == VINC else -1)
     elif code in (DHOLD, DFREE):
         drive.hold(c, x, code == DHOLD)
     elif code == R2CLR:
@@ -291,32 +285,6 @@ def content(c, address):
 
 
 @hot
-def busy(x):
-    """n-DRV."""
-    return x.driving or x.waiting or x.home or x.interpolates
-
-
-@hot
-def phase_bits(c, x):
-    """ASND, CNST, DSND, AASND, ACNST, ADSND as bits 0 to 5."""
-    if not drive.runs(x):
-        return 0
-    n = c.clock - x.origin
-    phase = drive.phase_at(x, n)
-    if phase in (CONSTANT, AREA_D):
-        return 2
-    if phase != ACCELERATING and phase != DECELERATING:
-        return 0
-    bits = 1 if phase == ACCELERATING else 4
-    if not x.curved:
-        return bits | 16
-    j6 = x.j6[drive.segment_at(x, n), 0]
-    if j6 == 0.0:
-        return bits | 16
-    return bits | (8 if (j6 > 0.0) == (phase == ACCELERATING) else 32)
-
-
-@hot
 def _raw(x, bit, high_active):
     """The electrical level of an input."""
     return 1 if (x.inputs & bit != 0) == (high_active != 0) else 0
@@ -358,12 +326,12 @@ def read(c, address):
         return x.finish & 0xFFFF
     if address == 3:
         if c.pages >> j & 1:
-            return sync.status_bits(c, x) | phase_bits(c, x) << 4
+            return sync.status_bits(x) | phase_bits(c, x) << 4
         return _pins_page(c, x)
     if address == 4:
-        return sync.ports(c, 0, c.outputs4)
+        return ports.word(c, 0)
     if address == 5:
-        return sync.ports(c, 2, c.outputs5)
+        return ports.word(c, 2)
     return c.read_low if address == 6 else c.read_high
 
 

@@ -6,7 +6,7 @@ filter, a timer, or a bus write. See drive.py for one axis' drive, profile.py fo
 
 from __future__ import annotations
 
-from stage.chips.nova import bus304, bus514, drive, home, interpolation, sync
+from stage.chips.nova import bus304, bus514, drive, home, interpolation, ports, sync
 from stage.chips.nova import inputs as pins_in
 from stage.chips.nova.profile import clock_of, speed_at
 from stage.chips.nova.scan import ROOM, log, raise_pulse, shown, stop_at
@@ -23,11 +23,14 @@ from stage.chips.nova.state import (
     LP,
     MCX514_TYPE,
     NEVER,
+    OUT,
     OUTPUTS,
     PULSE,
     SPLIT,
     STATE,
 )  # fmt: skip
+from stage.chips.nova.status import busy as driving
+from stage.chips.nova.status import phase_bits
 from stage.compiled import hot
 
 ROUNDS = 100  # of events that cause others at one clock
@@ -41,6 +44,8 @@ __all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE", "advance", "busy", "co
 @hot
 def _settle(c):
     """Everything that is due at the present clock; then when the next event is."""
+    for j in range(c.axes):
+        c.ax[j].acted = 0
     for _ in range(ROUNDS):
         c.stale = 0
         at = NEVER
@@ -49,10 +54,12 @@ def _settle(c):
             at = min(at, pins_in.follow(c, x))
             drive.look(c, x)
             drive.obey_inputs(c, x)
+            if x.go:
+                home.go(c, x)
             home.step(c, x)
         interpolation.step(c)
         for j in range(c.axes):
-            sync.step(c, c.ax[j])
+            sync.step(c, j)
         if not c.stale:
             break
     c.stale = 0
@@ -112,14 +119,14 @@ def counter(c, j):
 
 @hot
 def inputs(c, j):
-    """Input pins of axis `j`, see INPUTS; of the whole chip, see COMMON_INPUTS, where j = AXES."""
-    return c.emg if j == AXES else c.ax[j].inputs
+    """Input pins of axis `j`, see INPUTS; of the whole chip, see COMMON_INPUTS, where j is one more than its last."""
+    return c.emg if j == c.axes else c.ax[j].inputs
 
 
 @hot
 def set_input(c, j, word):
     """Set the input pins, see `inputs`."""
-    if j == AXES:
+    if j == c.axes:
         c.emg = word
     else:
         c.ax[j].inputs = word
@@ -135,25 +142,22 @@ def status(c, j):
 @hot
 def busy(c, j):
     """n-DRV of RR0."""
-    return bus514.busy(c.ax[j])
+    return driving(c.ax[j])
 
 
 @hot
 def outputs(c, j):
     """Output pins of axis `j`, see OUTPUTS."""
-    if j == AXES:
+    if j == c.axes:
         return _interrupts(c)
     x = c.ax[j]
     word = DIR if x.way < 0 else 0
-    if bus514.busy(x):
+    if driving(x):
         word |= DRIVE
-    bits = bus514.phase_bits(c, x)
+    bits = phase_bits(c, x)
     word |= (ASND if bits & 1 else 0) | (CNST if bits & 2 else 0) | (DSND if bits & 4 else 0)
-    if x.dcc:
-        word |= DCC
-    if x.split_at:
-        word |= SPLIT
-    return word
+    word |= (DCC if c.clock < x.dcc else 0) | (SPLIT if x.split_on else 0)
+    return word | ports.driven(c, j) * OUT
 
 
 @hot

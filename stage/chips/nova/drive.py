@@ -18,7 +18,7 @@ from stage.chips.nova.plan import (
     slow_down,
     to_the_end,
 )  # fmt: skip
-from stage.chips.nova.profile import acceleration_at, clock_of, phase_at, reached, segment_at, speed_at
+from stage.chips.nova.profile import HZ, acceleration_at, clock_of, phase_at, reached, segment_at, speed_at
 from stage.chips.nova.state import (
     AC,
     ALARM,
@@ -45,13 +45,16 @@ from stage.chips.nova.state import (
     F_LMT_MINUS,
     F_LMT_PLUS,
     F_STOP0,
+    HV,
     INPOS,
+    IV,
     JK,
     LMT_MINUS,
     LMT_PLUS,
     LP,
     LX,
     MCX514_TYPE,
+    MR0,
     NEVER,
     RP,
     RX,
@@ -66,11 +69,12 @@ from stage.chips.nova.state import (
 )  # fmt: skip
 from stage.compiled import hot
 
-HZ = 16_000_000  # clocks in what the formulas call a second
 RANGE = 8_000_000
 OFF = 0xFFFFFFFF
 RELATIVE, COUNTER_RELATIVE, ABSOLUTE, FORWARD, BACKWARD = range(5)
 FIXED_PLUS, FIXED_MINUS = 5, 6
+RELATIVE_BY, ABSOLUTE_TO = 7, 11  # + m: by MRm, to MRm
+PULSE = 1  # RR3 of the older chips
 MAIN, AT_ONCE = 2, 2  # of `interpolates`; of `slow`
 
 
@@ -85,6 +89,13 @@ def note(x, event):
     """An event has happened: RR1, and what the synchronous actions look at."""
     x.factors |= event
     x.fired |= event
+
+
+@hot
+def note_drive(x, event):
+    """A drive begins or ends. Those of a home search are its steps: for the host it is one drive."""
+    if not x.home:
+        note(x, event)
 
 
 @hot
@@ -154,8 +165,8 @@ def rate_reading(c, x):
 
 @hot
 def take_speed(c, x, value):
-    """The drive speed as it is now."""
-    put(x.dv, speed(c, x, value))
+    """The drive speed as it is now; HV in the slow steps of a home search."""
+    put(x.dv, speed(c, x, x.reg[HV] if x.creeps else value))
 
 
 @hot
@@ -190,6 +201,7 @@ def count(c, x, n):
     x.total += n
     c.total += n
     x.net += x.way * n
+    x.compared |= PULSE
     x.reg[LP] = _ring(x.reg[LP] + x.way * n, x.reg[LX] if c.variant == MCX514_TYPE else OFF)
 
 
@@ -261,11 +273,11 @@ def launch(c, x, way, output):
     x.interpolates = 0
     c.stale = 1
     if output == 0:
-        note(x, D_STA | D_END)
+        note_drive(x, D_STA | D_END)
         return
     if blocked(c, x, way):
         return
-    note(x, D_STA)
+    note_drive(x, D_STA)
     x.driving, x.phase = 1, CONSTANT - 9
     take_rates(c, x)
     take_speed(c, x, x.reg[DV])
@@ -295,13 +307,13 @@ def blocked(c, x, way):
 
 @hot
 def start(c, x, kind):
-    """A drive command: RELATIVE ... FIXED_MINUS. Nothing happens while a drive is in progress."""
-    if x.driving or x.waiting or x.interpolates:
+    """A drive command: RELATIVE ... FIXED_MINUS, or by a MR. Nothing happens while a drive or a home search is in progress."""
+    if x.driving or x.waiting or x.home or x.interpolates:
         return
     if x.held & 1:
         x.held = 1 | (kind + 1) << 1
         return
-    x.absolute = 1 if kind == ABSOLUTE else 0
+    x.absolute = 1 if kind == ABSOLUTE or kind >= ABSOLUTE_TO else 0
     x.sense = -1 if kind == COUNTER_RELATIVE else 1
     tp = x.reg[TP]
     if kind == FORWARD:
@@ -311,7 +323,9 @@ def start(c, x, kind):
     elif kind in (FIXED_PLUS, FIXED_MINUS):
         launch(c, x, 1 if kind == FIXED_PLUS else -1, tp & 0xFFFFFFFF)
     else:
-        if kind == ABSOLUTE:
+        if kind >= RELATIVE_BY:
+            tp = x.reg[MR0 + kind - (ABSOLUTE_TO if kind >= ABSOLUTE_TO else RELATIVE_BY)]
+        if x.absolute:
             tp -= x.reg[LP]
         elif kind == COUNTER_RELATIVE:
             tp = -tp
@@ -349,6 +363,12 @@ def change_speed(c, x, value):
 
 
 @hot
+def step_speed(c, x, way):
+    """Speed increase, decrease: the drive speed by IV."""
+    change_speed(c, x, min(max(x.reg[DV] + way * x.reg[IV], 1), RANGE))
+
+
+@hot
 def change_output(c, x, value):
     """A new number of pulses while driving: not the other way, and not one that has been passed, which stops at once."""
     x.reg[TP] = value
@@ -380,7 +400,7 @@ def finish(c, x, cause):
     if x.inpos_waits and not x.level & INPOS:
         x.waiting = 1
     else:
-        note(x, D_END)
+        note_drive(x, D_END)
 
 
 @hot
@@ -423,7 +443,7 @@ def obey_inputs(c, x):
     """What the present levels do to a drive, or to an interpolation in which the axis takes part; limits if that moves it."""
     if x.waiting and (x.level & INPOS or not x.inpos_waits):
         x.waiting = 0
-        note(x, D_END)
+        note_drive(x, D_END)
     if not (x.driving or x.interpolates):
         return
     if c.emg:
@@ -435,14 +455,14 @@ def obey_inputs(c, x):
     if (x.driving or x.moves) and _obey_limits(c, x):
         return
     for k in range(3):
-        if x.stops >> k & 1 and x.level & STOP0 << k:
+        if x.stops >> k & 1 and x.level & STOP0 << k and not x.home:
             request_stop(c, x, F_STOP0 << k)
 
 
 @hot
 def _obey_limits(c, x):
     """Returns whether a limit has stopped the drive at once."""
-    if x.limits and hardware_limit(x, x.way):
+    if x.limits and not x.seeks and hardware_limit(x, x.way):
         cause = (E_HLMT_PLUS | F_LMT_PLUS) if x.way > 0 else (E_HLMT_MINUS | F_LMT_MINUS)
         if x.limit_slow:
             request_stop(c, x, cause)

@@ -12,6 +12,7 @@ from stage.chips.nova import dd
 from stage.chips.nova.state import NEVER
 from stage.compiled import hot
 
+HZ = 16_000_000  # clocks in what the formulas call a second
 SNAP = 2.0**-50
 GUARD = 1e-6
 
@@ -123,3 +124,33 @@ def clock_of(x, k):
     while reached_in(x, s, n) < k:
         n += 1
     return n
+
+
+@hot
+def _fast(x, n, pps):
+    """The current speed as the chip shows it, cut to whole pps, is at least `pps`."""
+    return speed_at(x, n) * HZ + 1e-6 >= pps
+
+
+@hot
+def speed_passes(x, n, pps):
+    """The first clock after `n` at which the speed is no longer below `pps`, or no longer at or above it. NEVER if none.
+
+    Both count from the origin. Within a segment the speed only rises or only falls.
+    """
+    side = _fast(x, n, pps)
+    for s in range(segment_at(x, n) + 1, x.segments):
+        end = x.from_clock[s]
+        if _fast(x, end - 1, pps) != side:
+            low, high = n, end - 1
+            while high - low > 1:
+                middle = (low + high) // 2
+                if _fast(x, middle, pps) == side:
+                    low = middle
+                else:
+                    high = middle
+            return high
+        if _fast(x, end, pps) != side:
+            return end
+        n = end
+    return NEVER

@@ -12,6 +12,7 @@ REGISTERS = 32
 SEGMENTS = 12
 INPUT_PINS = 17
 PIECES = 4
+SYNC_SETS = 4
 FIRST_GENERATION, MCX514_TYPE = 0, 1
 NEVER = 1 << 60
 
@@ -48,9 +49,11 @@ AXIS = record(
         "moment shift since "  # of interpolated pulses since mean_count asked: sum of the clocks, net count, first clock
         "inputs level "  # pins now, and after the filters
         "phase factors fired finish "  # last phase seen; RR1 (MCX514), the same not yet seen by the sync actions; RR2 (MCX514)
-        "timer split split_at split_left sync dcc "  # clocks of what comes next; see sync.py
-        "home home_step home_until "  # see home.py
-        "compared "  # which comparisons held
+        "timer timer_from dcc "  # clocks: the timer is up (0: stopped), it began; DCC ends
+        "split split_on split_left split_rise split_fall "  # see split_pulse.py; rise, fall: at which `total`
+        "sync triggered acted ports "  # SYNC sets: enabled, due, done at this clock; PIO levels last seen
+        "home found pause seeks creeps go go_count "  # see home.py; go: direction of a drive that is asked for
+        "holds compared "  # which comparisons hold now; RR3 (MCX304)
         "interpolates moves "  # 1: takes part in an interpolation, 2: as its main axis; its segment moves the axis
         "high "  # until when the pulse output is, in a scan
         # the modes of WR1 to WR3 in plain terms
@@ -58,11 +61,13 @@ AXIS = record(
         "manual asymmetric s_curve prevents swaps encoder exchanges filtered delay slow_delay"
     ).split()]
     + [("reg", "i8", (REGISTERS,)), ("mode", "i8", (16,)), ("wr", "i8", (4,)), ("pending", "i8", (INPUT_PINS,))]
+    + [("pulse_until", "i8", (SYNC_SETS,))]
     + _PROFILE
 )  # fmt: skip
 """One axis. done: pulses of this drive that have begun; output: how many it will make (fixed = 1). held: a drive command waits for
 78h. slow: it brakes for a stop; of an axis that interpolates: 1 asks for that, 2 for an instant stop. waiting: all pulses are
-out, INPOS is awaited. mode: registers 20h to 2Fh. pending: clocks at which filtered inputs follow."""
+out, INPOS is awaited. mode: registers 20h to 2Fh. pending: clocks at which filtered inputs follow; pulse_until: at which sync
+pulses on PIO end. seeks: the home search looks after the limits; creeps: its drive runs at HV."""
 
 LINE, ARC, PATTERN, HELIX = range(1, 5)
 STAGES = 8  # of the pre-buffer; one more place holds the running segment
@@ -133,13 +138,20 @@ LMT_PLUS, LMT_MINUS, STOP0, STOP1, STOP2, INPOS, ALARM, ECA, ECB = (1 << k for k
 PIO = 9
 EMG = 1
 COMMON_INPUTS = {"emg": EMG}
-OUTPUTS = {name: 1 << k for k, name in enumerate(["pls", "dir", "drive", "asnd", "cnst", "dsnd", "dcc", "split"])}
+OUTPUTS = {
+    name: 1 << k
+    for k, name in enumerate(
+        ["pls", "dir", "drive", "asnd", "cnst", "dsnd", "dcc", "split", *(f"out{i}" for i in range(8))]
+    )
+}
+OUT = 1 << 8  # out0
 PLS, DIR, DRIVE, ASND, CNST, DSND, DCC, SPLIT = (1 << k for k in range(8))
 COMMON_OUTPUTS = {"int0": 1, "int1": 2}
 
 # events, as in RR1 of the MCX514; and RR2: errors in the low byte, finishing status in the high one
 D_STA, C_STA, C_END, D_END, H_END, TIMER, SPLTP, SPLTE = (MCX514_MAP.mask("RR1", name) for name in (
     "D-STA", "C-STA", "C-END", "D-END", "H-END", "TIMER", "SPLTP", "SPLTE"))  # fmt: skip
+SPLIT_START = 1 << 16  # not in RR1
 E_SLMT_PLUS, E_SLMT_MINUS, E_HLMT_PLUS, E_HLMT_MINUS, E_ALARM, E_EMG, E_HOME, E_CERR = (1 << k for k in range(8))
 F_SYNC, F_STOP0, F_STOP1, F_STOP2, F_LMT_PLUS, F_LMT_MINUS, F_ALARM, F_EMG = (1 << k for k in range(8, 16))
 
