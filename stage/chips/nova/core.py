@@ -34,7 +34,7 @@ ROUNDS = 100  # of events that cause others at one clock
 HZ = 16_000_000
 
 __all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE", "advance", "busy", "counter", "inputs", "mark", "mean_count", "net",
-           "outputs", "pins", "power_up", "pulse_rate", "read", "run", "scan", "set_input", "set_inputs", "status", "trace",
+           "outputs", "peek", "pins", "power_up", "pulse_rate", "read", "run", "scan", "set_input", "set_inputs", "status", "trace",
            "value", "write"]  # fmt: skip
 
 
@@ -126,6 +126,16 @@ def set_input(c, j, word):
 def status(c, j):
     """RR0."""
     return read_word(c, 0)
+
+
+@hot
+def peek(c, address):
+    """RR0 to RR7 as they read, without what reading does."""
+    x = c.ax[bus514.lowest(c)]
+    factors, compared = x.factors, x.compared
+    word = read_word(c, address)
+    x.factors, x.compared = factors, compared
+    return word
 
 
 @hot
@@ -241,12 +251,7 @@ def read(rows, i, address):
 @hot
 def value(rows, i, k):
     """What the k-th word of bits 0 to 2 of chip `i` reads as, free of bus cycles and of what reading does."""
-    c = rows[i]
-    x = c.ax[bus514.lowest(c)]
-    kept = x.factors
-    word = read_word(c, k)
-    x.factors = kept
-    return word
+    return peek(rows[i], k)
 
 
 @hot
