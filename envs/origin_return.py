@@ -12,12 +12,17 @@ with a rest of `settle` after each. What the chip says meanwhile is read, and no
 action        Box [-1, 1]^7, see registers.py; with actions="registers" the integers themselves, MultiDiscrete:
               R1 FL and R2 FH1 of leaving, search and backing off, R4 their rate (R5 as well), approach (R1 of the approach),
               leave and back_off (pulses), sd (1 uses SD). A unit of R1, R2 and approach is clock / (8192 R7) pps, 20 by default.
+              NOVA chips do search, backing off and approach by themselves, the automatic home search. MCX514, Box [-1, 1]^7: SV,
+              DV, AC, HV of the approach, leave, step1 (1: the fast search to ORG comes first), timer (between steps: 0 none, 1 to 8
+              of H2M). MCX304, MCX302, MCX312, Box [-1, 1]^6: SV, V, A, HV in units of 20 pps, leave, step1 (a continuous drive
+              to ORG). Their search runs on from an end limit, and may take three times `limit`.
 observation   float32: 0 ORG asserted now    1 SD+ asserted now    2 returns to go / returns
               3 payload, 4 friction, -1 to 1 over their ranges (friction by its logarithm)
               and of the last return, as a host knows it (0 before the first)
               5 there was one    6 ended at the origin    7 ran into an end limit    8 a run took longer than `limit`
-              9 ORG let go after backing off    10 duration / 4 limits    11 pulses of the search / those from EL to EL
-              12 pulses of the approach beyond those of backing off / 64: how far the search overran
+              9 ORG let go after backing off (NOVA: no error of the home search)    10 duration / 4 limits
+              11 pulses of the search / those from EL to EL
+              12 pulses of the approach beyond those of backing off / 64: how far the search overran (NOVA: 0)
               Where the carriage stands is hidden.
 reward        the sum of
               time     - time_weight x s
@@ -43,18 +48,15 @@ from stage import Stage
 from stage.chips import Chip, chip_class
 from stage.engine import INDEX
 from stage.envs.base import StageEnv, StageVectorEnv
+from stage.envs.hosts import host_of
 from stage.envs.registers import RegisterBox
 from stage.envs.results import result
 from stage.envs.task import MoveTask, check_choice, check_positive, check_range
 from stage.errors import ArgumentError, unknown
-from stage.firmware import bus
 from stage.fleet import Played, Program
 
-NAMES = ("R1", "R2", "R4", "approach", "leave", "back_off", "sd")
 FROM_LIMIT = 5e-4  # m; no return starts nearer to an end limit
 CAP = 64.0  # pulses, of an error: an electrical period of a motor at 1/16 step
-COUNTER = 0xFFFFFF
-ORG, ZERO = 0x02, 0x08  # of the status byte
 
 
 @dataclass(frozen=True)
@@ -69,10 +71,10 @@ class Config:
     payloads: tuple[float, float] = (0.0, 10.0)  # kg, drawn evenly
     frictions: tuple[float, float] = (0.5, 2.0)  # times the axis' friction and damping, drawn evenly by their logarithm
     drift: float = 0.0  # m; ORG trips up to so far from its place, drawn for each return
-    ez: int = 0  # end at the ez-th index pulse after ORG (PCL240MK, PCL240MS); 0: at ORG
-    multiplier: int = 30  # R7
+    ez: int = 0  # end at the ez-th index pulse after ORG (PCL240MK, PCL240MS; NOVA chips the first); 0: at ORG
+    multiplier: int = 30  # R7 of a PCL-240
     leave: int = 16_000  # pulses, the most
-    back_off: int = 3_200  # pulses, the most
+    back_off: int = 3_200  # pulses, the most, of a PCL-240
     limit: float = 20.0  # s, each of the four runs may take
     settle: float = 0.05  # s
     time_weight: float = 1.0
@@ -94,19 +96,6 @@ class Config:
             raise ArgumentError(f"drift={self.drift!r} m: 0 to {FROM_LIMIT}.")
 
 
-class Strategy(RegisterBox):
-    """What an action chooses, NAMES, as a RegisterBox of numbers that are not all registers of their own."""
-
-    def __init__(self, map_: Any, leave: int, back_off: int):
-        super().__init__(map_, ("R1", "R2", "R4", "R1"))
-        self.names = NAMES
-        self.low: np.ndarray = np.append(self.low, np.array([0, 1, 0]))
-        self.high: np.ndarray = np.append(self.high, np.array([leave, back_off, 1]))
-        self._logarithmic = self.low > 0
-        self._ratio = np.where(self._logarithmic, np.log(self.high / np.maximum(self.low, 1)), 1.0)
-        self._power = np.where(np.array(NAMES) == "leave", 3.0, 1.0)
-
-
 class OriginReturn(MoveTask[Config]):
     Config = Config
     OPTIONS = ("start", "payload", "friction")
@@ -115,10 +104,7 @@ class OriginReturn(MoveTask[Config]):
 
     def stage(self, visuals: bool) -> Stage:
         c = self.config
-        chip = chip_class(c.chip)
-        if c.ez and not getattr(chip, "EXTENDED", False):
-            raise ArgumentError(f"ez={c.ez!r}: a {chip.__name__} does not count EZ: a PCL240MK or PCL240MS does.")
-        made = Stage(c.model, chips=chip, bus_cycle=c.bus_cycle, visuals=visuals)
+        made = Stage(c.model, chips=chip_class(c.chip), bus_cycle=c.bus_cycle, visuals=visuals)
         if c.axis not in made.axes:
             raise unknown("axis", c.axis, made.axes)
         return made
@@ -126,8 +112,7 @@ class OriginReturn(MoveTask[Config]):
     def prepare(self) -> None:
         c, n, first = self.config, self.n, self.stages[0]
         self.axis = first.axes[c.axis]
-        self.chip: Any = self.axis.chip
-        self.chip.MAP.checked("R7", c.multiplier)
+        self.search = host_of(self.axis).search(c)
         self.switch = {s.pin: s for s in self.axis._plant.switches}
         for pin in ("org", "el_minus", "el_plus"):
             if pin not in self.switch:
@@ -138,16 +123,14 @@ class OriginReturn(MoveTask[Config]):
         self.dof = self.axis._plant.dof
         self.friction0 = float(first.model.dof_frictionloss[self.dof]), float(first.model.dof_damping[self.dof])
         self._find_beam(first)
-        self.strategy = Strategy(self.chip.MAP, c.leave, c.back_off)
+        self.strategy = self.search.box
         self.action_space = self.strategy.box if c.actions == "box" else self.strategy.discrete
         self.observation_space = gymnasium.spaces.Box(-1.0, 1.0, (13,), np.float32)
         self.result = result(
             ("time", "error", "spread", "missed", "limit", "lost"),
             duration=float, error=float, spread=float, home=bool, end_limit=bool, late=bool,
-            lost_steps=int, start=float, registers=(int, (len(NAMES),)),
+            lost_steps=int, start=float, registers=(int, (len(self.strategy),)),
         )  # fmt: skip
-        self.marks: dict[str, int] = {}
-        self._program(self.strategy.low, self.marks)
         self.payload, self.friction, self.place = np.zeros(n), np.ones(n), np.zeros(n)
         self.ends = np.zeros((n, 2))
         self.last = np.zeros((n, 8))
@@ -203,66 +186,17 @@ class OriginReturn(MoveTask[Config]):
         return {"payload": float(self.payload[k]), "friction": float(self.friction[k])}
 
     def chosen(self, actions: np.ndarray) -> np.ndarray:
-        """The numbers that actions choose, in the order of NAMES."""
+        """The numbers that actions choose, in the order of strategy.names."""
         return self.strategy.from_action(actions) if self.config.actions == "box" else actions.astype(np.int64)
 
     def programs(self) -> list[Program]:
-        return [self._program(row) for row in self.chosen(self.actions)]
-
-    def _program(self, row: np.ndarray, marks: dict[str, int] | None = None) -> Program:
-        """A whole return. `marks` takes the places of what its operations find; they are the same for every row."""
-        c, a, chip = self.config, self.axis.index, self.chip
-        fl, fh, rate, approach, leave, back_off, sd = row.tolist()
-        marks = {} if marks is None else marks
-        p = Program().command(a, bus.RESET)
-        values = {"R1": fl, "R2": fh, "R4": rate, "R5": rate, "R7": c.multiplier}
-        if chip.S_CURVES:
-            values["R14"] = chip.LINEAR_RAMPS
-        for name, value in values.items():
-            p.register(a, chip, name, value)
-        p.command(a, bus.OUTPUT)
-
-        def run(name: str, control: int, start: int, r0: int, rest: float = c.settle) -> None:
-            p.register(a, chip, "R0", r0).command(a, bus.CONTROL | control).command(a, start)
-            marks[f"{name} time"] = len(p)
-            p.until_stopped([a], c.limit).command(a, bus.RESET).wait(rest)
-            for address in (0, 3, 2, 1):
-                marks[f"{name} {address}"] = len(p)
-                p.read(a, address)
-
-        ramp_down = max(fh * fh - fl * fl, 0) * rate // (16384 * c.multiplier) + 5
-        p.register(a, chip, "R6", min(leave // 2 + 2, ramp_down))
-        run("leave", bus.PRESET, bus.RAMP["FH1"], leave, rest=c.settle if leave else 0.0)
-        run("search", bus.ORIGIN | bus.MINUS | (bus.SD if sd else 0), bus.RAMP["FH1"], 0)
-        run("back off", bus.PRESET, bus.START["FL"], back_off)
-        p.register(a, chip, "R1", approach)
-        if c.ez:
-            p.register(a, chip, "R13", bus.EZ_RETURN | bus.EZ_FROM_FL | (c.ez - 1) << 16)
-        run("approach", bus.ORIGIN | bus.MINUS, bus.START["FL"], 0)
-        if c.ez:  # the index pulse, as R17 shows it: bit 20, in the high byte
-            p.command(a, bus.OUTPUT | bus.EXTENSION)
-            p.command(a, bus.SELECT | bus.COLLECTIVE | chip.MAP.register("R17").number)
-            marks["index"] = len(p)
-            p.read(a, 3).command(a, bus.OUTPUT)
-        return p
+        return [self.search.program(row) for row in self.chosen(self.actions)]
 
     def judge(self, played: Played, truth: np.ndarray) -> None:
         c, t = self.config, truth[:, self.axis.index]
-        found = {name: played.results[:, at] for name, at in self.marks.items()}
-        status = {name: found[f"{name} 0"] for name in ("leave", "search", "back off", "approach")}
-        made = {
-            name: -(found[f"{name} 3"] << 16 | found[f"{name} 2"] << 8 | found[f"{name} 1"]) & COUNTER
-            for name in ("search", "approach")
-        }
-        late = np.zeros(self.n, bool)
-        for name in status:
-            late |= found[f"{name} time"] < 0
-        on_org = {name: s & ORG != 0 for name, s in status.items()}
-        arrived = found["index"] & bus.EZ_SIGNAL >> 16 != 0 if c.ez else on_org["approach"]
-        released = ~on_org["back off"]
-        home = ~late & released & arrived
-        short = (status["leave"] & ZERO == 0) | (status["back off"] & ZERO == 0)
-        end_limit = ~late & (short | ~on_org["search"] | (released & ~arrived))
+        rows = self.chosen(self.actions)
+        found = self.search.found(played.results, rows)
+        late, home, end_limit = found.late, found.home, found.end_limit
         duration = t["now"] * 1e-9  # since power-up
         error = np.clip((t["position"] - self.origin) / self.per_pulse, -1e6, 1e6)
         lost = np.abs(t["lost_steps"])
@@ -282,19 +216,18 @@ class OriginReturn(MoveTask[Config]):
         }
         info = {
             "duration": duration, "error": error, "spread": spread, "home": home, "end_limit": end_limit, "late": late,
-            "lost_steps": lost, "start": self.place, "registers": self.chosen(self.actions),
+            "lost_steps": lost, "start": self.place, "registers": rows,
         }  # fmt: skip
-        overrun = made["approach"] - self.chosen(self.actions)[:, NAMES.index("back_off")]
         whole = (self.high - self.low) / self.per_pulse
         now = [
             self.active,
             home,
             end_limit,
             late,
-            released,
+            found.released,
             duration / (4 * c.limit),
-            made["search"] / whole,
-            overrun / CAP,
+            found.searched / whole,
+            found.overrun / CAP,
         ]
         good = self.sound
         self.ends[good] = ends[good]
@@ -302,11 +235,11 @@ class OriginReturn(MoveTask[Config]):
         self.fill(parts, info, False, self.steps >= c.returns)
 
     def observed(self) -> np.ndarray:
-        c, status = self.config, self.fleet.truth()["status"][:, self.axis.index]
+        c, inputs = self.config, self.fleet.truth()["inputs"][:, self.axis.index]
         (p0, p1), (f0, f1) = c.payloads, np.log(c.frictions)
         columns = [
-            status & ORG != 0,
-            status >> 2 & 1,
+            inputs & self.axis.chip.wired("org") != 0,
+            inputs & self.axis.chip.wired("sd_plus") != 0,
             1.0 - self.steps / c.returns,
             (self.payload - p0) / max(p1 - p0, 1e-9) * 2.0 - 1.0,
             (np.log(self.friction) - f0) / max(f1 - f0, 1e-9) * 2.0 - 1.0,
@@ -324,7 +257,7 @@ class OriginReturnEnv(StageEnv):
     task = OriginReturn
 
     @property
-    def strategy(self) -> Strategy:
+    def strategy(self) -> RegisterBox:
         """Turns named numbers into actions, and back."""
         return self._task.strategy  # type: ignore[attr-defined]
 
@@ -333,6 +266,6 @@ class OriginReturnVectorEnv(StageVectorEnv):
     task = OriginReturn
 
     @property
-    def strategy(self) -> Strategy:
+    def strategy(self) -> RegisterBox:
         """Turns named numbers into actions, and back."""
         return self._task.strategy  # type: ignore[attr-defined]

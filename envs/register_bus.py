@@ -1,17 +1,21 @@
 """`stage/RegisterBus-v0`: be the host. An action is one bus cycle, or a wait; everything else is up to the chips.
 
-action        MultiDiscrete [kind, axis, address 0..3, byte]
-              kind 0 writes `byte` to `address` of the axis' chip, kind 1 reads that address, kind 2 + k waits for waits[k].
-              What a kind does not need does not matter.
-observation   float32 in [-1, 1]; first for every axis in turn
-              0..7    status bits b0..b7 as last read        8..10   counter bytes 7..0, 15..8, 23..16 as last read, / 255
-              11..14  freshness of the bytes at the addresses 0..3: 0 never read, else 1 / (1 + age / 1 ms)
-              15      target / distances[1], pulses from the start; 0 with goal "home"
+action        MultiDiscrete [kind, chip, address, value]
+              kind 0 writes `value` to `address` of a chip, kind 1 reads that address, kind 2 + k waits for waits[k].
+              What a kind does not need does not matter. Addresses and values are those of the chip's bus: 0..3 and a byte on
+              a PCL-240, one an axis; 0..7 and a word of 16 bits on a NOVA chip, one for several axes.
+observation   float32 in [-1, 1]; for every chip in turn
+              status bits b0.. as last read (PCL-240 8, NOVA 16: RR0)
+              what was last read at the other addresses (3: bytes of a PCL-240's counter; 7: RR1..RR7), / the largest datum
+              freshness of all addresses (4; 8): 0 never read, else 1 / (1 + age / 1 ms)
+              and then for each of its axes
+              target / distances[1], pulses from the start; 0 with goal "home"
               and with truth=True, what no host knows: the carriage's
-              16      place in its travel    17 velocity / 0.5 m/s    18 lost full steps / 64    19 error / its scale
+              place in its travel    velocity / 0.5 m/s    lost full steps / 64    error / its scale
               then for all
-              0       value of the last read / 255    1 the last action was a read    2 time / time_limit    3 actions / cycles
-              With live=True status and counter R0 are always those of now, freshness is 1, and nobody pays for the bus.
+              value of the last read / the largest    1 if the last action was a read    time / time_limit    actions / cycles
+              With live=True the addresses always show what is there now (PCL-240: status and R0; NOVA: RR0 to RR7), freshness
+              is 1, and nobody pays for the bus.
 reward        the sum of
               progress   progress_weight x (discount x potential now - potential before); the potential is - the mean of the
                          axes' errors beyond the tolerance / scale (distances[1], or with "home" the way from EL to EL),
@@ -116,14 +120,21 @@ class RegisterBus(Task[Config]):
                 raise ArgumentError(
                     f"distances={c.distances!r}: there is room for {int((room / self.per_pulse).min())} pulses."
                 )
-        self._choices = [2 + len(c.waits), m, 4, 256]
+        chip = self.axes[0].chip
+        chips = list(dict.fromkeys(a.chip for a in self.axes))
+        self.on_chip = np.array([chips.index(a.chip) for a in self.axes])
+        self.first = np.array([self.on_chip.tolist().index(i) for i in range(len(chips))], np.int64)
+        bits = chip.DATA_MASK.bit_length()
+        self._bus = {"bits": bits, "status": chip.BUSY[0], "most": chip.DATA_MASK}
+        self._choices = [2 + len(c.waits), len(chips), chip.ADDRESSES, chip.DATA_MASK + 1]
         self.action_space = gymnasium.spaces.MultiDiscrete(self._choices)
-        size = m * (core.PER_AXIS + core.TRUTH * c.truth) + core.COMMON
+        size = len(chips) * core.width(chip.ADDRESSES, bits) + m * (core.PER_AXIS + core.TRUTH * c.truth) + core.COMMON
         self.observation_space = gymnasium.spaces.Box(-1.0, 1.0, (size,), np.float32)
         self.result = core.RESULT
         self.waits = np.array([round(w * 1e9) for w in c.waits], np.int64)  # ns
         self._note_rules()
         self.episodes, self.axis_states = np.zeros(n, core.EPISODE), np.zeros((n, m), core.AXIS)
+        self.words = np.zeros((n, len(chips), chip.ADDRESSES), core.WORD)
         self._truth = np.zeros((n, m), host.TRUTH)
         self._ops, self._values, self._status = (np.zeros(shape, np.int64) for shape in ((n, 1, 4), (n, 1), n))
         self._by_hand, self._counts = np.zeros(n, bool), np.zeros((n, 2), np.int64)
@@ -133,12 +144,16 @@ class RegisterBus(Task[Config]):
         c = self.config
         self.rules, self.axis_rules = np.zeros(1, core.RULES), np.zeros(len(self.axes), core.AXIS_RULES)
         rules = {name: getattr(c, name) for name in core.SETTINGS}
-        rules |= {"distance": c.distances[1], "duration": c.time_limit * 1e9, "limit": round(c.time_limit * 1e9)}
+        rules |= self._bus | {
+            "distance": c.distances[1],
+            "duration": c.time_limit * 1e9,
+            "limit": round(c.time_limit * 1e9),
+        }
         for name, value in {**rules, "home": c.goal == "home", "diverged": DIVERGED}.items():
             self.rules[name] = value
         of_axes = {
             "near": c.tolerance * self.per_pulse, "per_pulse": self.per_pulse, "full_step": self.full_step,
-            "scale": self.scale, "low": self.travel[:, 0], "high": self.travel[:, 1],
+            "scale": self.scale, "low": self.travel[:, 0], "high": self.travel[:, 1], "chip": self.on_chip,
         }  # fmt: skip
         for name, values in of_axes.items():
             self.axis_rules[name] = values
@@ -149,10 +164,11 @@ class RegisterBus(Task[Config]):
             "active": self.active, "by_hand": self._by_hand, "actions": self.actions, "steps": self.steps,
             "ops": self._ops, "values": self._values, "status": self._status, "counts": self._counts,
             "truth": self._truth, "episodes": self.episodes, "axes": self.axis_states,
-            "observations": self.observations,
+            "words": self.words, "first": self.first, "observations": self.observations,
         }  # fmt: skip
         self._frame = np.zeros(1, core.FRAME)
         lengths = {"stages": self.n, "n_axes": len(self.axes), "n_waits": len(self.waits)}
+        lengths |= {"n_chips": self.words.shape[1], "n_addresses": self.words.shape[2]}
         lengths["width"] = self.observations.shape[1]
         for name, value in {**{name: a.ctypes.data for name, a in arrays.items()}, **lengths}.items():
             self._frame[name] = value
@@ -191,7 +207,8 @@ class RegisterBus(Task[Config]):
             if q != at:
                 stage.place(**{axis.name: float(q)})
         mine = self.axis_states[k]
-        mine["target"], mine["goal"], mine["lost"], mine["seen"], mine["when"] = target, goal, 0, 0, -1
+        mine["target"], mine["goal"], mine["lost"] = target, goal, 0
+        self.words[k]["seen"], self.words[k]["when"] = 0, -1
         core.conclude(self._address, self.fleet.kinds, k, k + 1, True, self.results.rows)
 
     def _places(self, rng: np.random.Generator) -> np.ndarray:

@@ -18,35 +18,49 @@ from stage.envs.results import result
 WRITE, READ, WAIT = range(3)  # kinds of action; WAIT + k
 AGE = 1e6  # ns, at which freshness is one half
 FAST, MANY = 0.5, 64.0  # m/s, full steps: what counts as 1 in an observation
-PER_AXIS, TRUTH, COMMON = 16, 4, 4
+PER_AXIS, TRUTH, COMMON = 1, 4, 4
 
 SETTINGS = {
     **dict.fromkeys("discount progress_weight time_weight success_weight lost_weight standing cycles".split(), "f8"),
     **dict.fromkeys("live truth".split(), "i8"),
 }
 RULES = record(
-    [*SETTINGS.items(), ("distance", "f8"), ("duration", "f8"), ("limit", "i8"), ("home", "i8"), ("diverged", "f8")]
+    [
+        *SETTINGS.items(),
+        *(("distance", "f8"), ("duration", "f8"), ("limit", "i8"), ("home", "i8"), ("diverged", "f8")),
+        *(("bits", "i8"), ("status", "i8"), ("most", "f8")),
+    ]
 )
 """Settings by their names; what counts as 1 of a target (pulses) and of a time (ns); the time limit, ns; goal "home";
-the reward of a divergence."""
+the reward of a divergence; bits of the data bus, address of the status, the largest datum."""
 
-AXIS_RULES = record([(name, "f8") for name in "near per_pulse full_step scale low high".split()])
-"""Of an axis: tolerance, pulse, full step, error that counts as 1, ends of its travel; all in m."""
+AXIS_RULES = record([(name, "f8") for name in "near per_pulse full_step scale low high".split()] + [("chip", "i8")])
+"""Of an axis: tolerance, pulse, full step, error that counts as 1, ends of its travel, all in m; which chip it is on."""
 
 EPISODE = record([("began", "i8"), ("before", "i8"), ("potential", "f8"), ("value", "i8")])
-"""ns at its begin and at that of the step; the last potential; the byte that was just read, or -1."""
+"""ns at its begin and at that of the step; the last potential; what was just read, or -1."""
 
-AXIS = record([("goal", "f8"), ("target", "i8"), ("lost", "i8"), ("seen", "i8", (4,)), ("when", "i8", (4,))])
-"""Goal, m; target, pulses; most full steps lost so far; bytes as last read, by address, and when: ns, or -1."""
+AXIS = record([("goal", "f8"), ("target", "i8"), ("lost", "i8")])
+"""Goal, m; target, pulses; most full steps lost so far."""
+
+WORD = record([("seen", "i8"), ("when", "i8")])
+"""Of an address of a chip: what was last read there, and when: ns, or -1."""
+
+
+def width(addresses, bits):
+    """Entries of an observation for a chip: status bits, words at the other addresses, freshness of all."""
+    return bits + (addresses - 1) + addresses
+
 
 PARTS = ("progress", "time", "success", "lost")
 RESULT = result(PARTS, elapsed=float, value=int, success=bool, error=float, lost_steps=int)
 
 FRAME = record(
     [(name, "i8") for name in "handles rules axis_rules waits active by_hand actions steps ops values status".split()]
-    + [(name, "i8") for name in "counts truth episodes axes observations stages n_axes n_waits width".split()]
+    + [(name, "i8") for name in "counts truth episodes axes words first observations".split()]
+    + [(name, "i8") for name in "stages n_axes n_chips n_addresses n_waits width".split()]
 )
-"""Where the arrays lie, and their lengths."""
+"""Where the arrays lie, and their lengths. first: the first axis of each chip."""
 
 INTEGER, REAL, SMALL, FLAG = np.dtype("i8"), np.dtype("f8"), np.dtype("f4"), np.dtype("?")
 HANDLE, TRUTHS, SAMPLE, EDGE = host.HANDLE, host.TRUTH, engine.SAMPLE, engine.EDGE
@@ -81,6 +95,7 @@ def play(address, kinds, begin, end):
     ops = numba.carray(host._pointer(f.ops), (f.stages, 1, 4), INTEGER)
     values = numba.carray(host._pointer(f.values), (f.stages, 1), INTEGER)
     status = numba.carray(host._pointer(f.status), (f.stages,), INTEGER)
+    first = numba.carray(host._pointer(f.first), (f.n_chips,), INTEGER)
     for k in range(begin, end):
         if not active[k]:
             continue
@@ -89,7 +104,7 @@ def play(address, kinds, begin, end):
             op[0], op[1], op[2], op[3] = host.WAIT, waits[action[0] - WAIT], 0, 0
         else:
             op[0] = host.WRITE if action[0] == WRITE else host.READ
-            op[1], op[2], op[3] = action[1], action[2], action[3] if action[0] == WRITE else 0
+            op[1], op[2], op[3] = first[action[1]], action[2], action[3] if action[0] == WRITE else 0
         if not by_hand[k]:
             scratch = _scratch(f, k)
             extremes = numba.carray(host._pointer(f.counts), (0, 2), REAL)
@@ -121,7 +136,7 @@ def _arrived(r, axes, rules, truth):
 
 
 @hot
-def _judge(r, rules, action, value, bad, steps, episode, axes, truth, out):
+def _judge(r, rules, action, value, bad, steps, episode, axes, words, truth, out):
     """Fill the result of a step that was just played, and keep what the next one needs."""
     now = truth[0].now
     success = _arrived(r, axes, rules, truth)
@@ -141,7 +156,7 @@ def _judge(r, rules, action, value, bad, steps, episode, axes, truth, out):
         out.reward = r.diverged
     else:
         if action[0] == READ:
-            axes[action[1]].seen[action[2]], axes[action[1]].when[action[2]] = value, now
+            words[action[1], action[2]].seen, words[action[1], action[2]].when = value, now
         episode.value = value if action[0] == READ else -1
         potential = _potential(axes, rules, truth)
         parts.progress = r.progress_weight * (r.discount * potential - episode.potential)
@@ -157,25 +172,45 @@ def _judge(r, rules, action, value, bad, steps, episode, axes, truth, out):
 
 
 @hot
-def _observe(r, rules, steps, episode, axes, truth, out):
-    now, width = truth[0].now, PER_AXIS + (TRUTH if r.truth else 0)
+def _look_into(h, kinds, first, words, now):
+    """Note what is at every address of the chips now."""
+    arrays = host._arrays(h, kinds)
+    for i in range(len(words)):
+        chip = arrays[5][first[i]].chip
+        for j in range(words.shape[1]):
+            words[i, j].seen, words[i, j].when = host._peek(arrays[2], chip, j), now
+
+
+@hot
+def _observe_words(r, words, now, out, at):
+    """What was last read from a chip; returns the place after it."""
+    for j in range(r.bits):
+        out[at + j] = words[r.status].seen >> j & 1
+    at += r.bits
+    for j in range(len(words)):
+        if j != r.status:
+            out[at] = words[j].seen / r.most
+            at += 1
+    for j in range(len(words)):
+        out[at + j] = 0.0 if words[j].when < 0 else 1.0 / (1.0 + (now - words[j].when) / AGE)
+    return at + len(words)
+
+
+@hot
+def _observe(r, rules, steps, episode, axes, words, truth, out):
+    now, at = truth[0].now, 0
     for a in range(len(axes)):
-        x, t, rule, at = axes[a], truth[a], rules[a], a * width
-        status = t.status if r.live else x.seen[0]
-        for j in range(8):
-            out[at + j] = status >> j & 1
-        for j in range(3):
-            out[at + 8 + j] = (t.counter >> 8 * j & 0xFF if r.live else x.seen[1 + j]) / 255.0
-        for j in range(4):
-            fresh = 0.0 if x.when[j] < 0 else 1.0 / (1.0 + (now - x.when[j]) / AGE)
-            out[at + 11 + j] = 1.0 if r.live else fresh
-        out[at + 15] = 0.0 if r.home else x.target / r.distance
+        x, t, rule = axes[a], truth[a], rules[a]
+        if a == 0 or rule.chip != rules[a - 1].chip:
+            at = _observe_words(r, words[rule.chip], now, out, at)
+        out[at] = 0.0 if r.home else x.target / r.distance
+        at += PER_AXIS
         if r.truth:
-            out[at + 16] = (t.position - rule.low) / (rule.high - rule.low) * 2.0 - 1.0
-            out[at + 17], out[at + 18] = t.velocity / FAST, t.lost_steps / MANY
-            out[at + 19] = (t.position - x.goal) / rule.scale
-    at = width * len(axes)
-    out[at], out[at + 1] = max(episode.value, 0) / 255.0, 1.0 if episode.value >= 0 else 0.0
+            out[at] = (t.position - rule.low) / (rule.high - rule.low) * 2.0 - 1.0
+            out[at + 1], out[at + 2] = t.velocity / FAST, t.lost_steps / MANY
+            out[at + 3] = (t.position - x.goal) / rule.scale
+            at += TRUTH
+    out[at], out[at + 1] = max(episode.value, 0) / r.most, 1.0 if episode.value >= 0 else 0.0
     out[at + 2], out[at + 3] = (now - episode.began) / r.duration, steps / r.cycles
     for j in range(len(out)):
         out[j] = min(max(out[j], -1.0), 1.0)
@@ -185,7 +220,7 @@ def _observe(r, rules, steps, episode, axes, truth, out):
 def conclude(address, kinds, begin, end, fresh, results):
     """Look at the active stages, judge what they have done, observe; one that diverged keeps its last observation.
 
-    fresh: an episode begins on these stages in place of a step; goals and bytes read are set. results: (stages,) RESULT.
+    fresh: an episode begins on these stages in place of a step; goals and words read are set. results: (stages,) RESULT.
     """
     f = _frame(address)
     handles = numba.carray(host._pointer(f.handles), (f.stages,), HANDLE)
@@ -198,6 +233,8 @@ def conclude(address, kinds, begin, end, fresh, results):
     steps = numba.carray(host._pointer(f.steps), (f.stages,), INTEGER)
     episodes = numba.carray(host._pointer(f.episodes), (f.stages,), EPISODE)
     axes = numba.carray(host._pointer(f.axes), (f.stages, f.n_axes), AXIS)
+    words = numba.carray(host._pointer(f.words), (f.stages, f.n_chips, f.n_addresses), WORD)
+    first = numba.carray(host._pointer(f.first), (f.n_chips,), INTEGER)
     truth = numba.carray(host._pointer(f.truth), (f.stages, f.n_axes), TRUTHS)
     observations = numba.carray(host._pointer(f.observations), (f.stages, f.width), SMALL)
     for k in range(begin, end):
@@ -212,6 +249,10 @@ def conclude(address, kinds, begin, end, fresh, results):
         else:
             steps[k] += 1
             bad = status[k] == host.DIVERGED
-            _judge(r, rules, actions[k], values[k, 0], bad, steps[k], episodes[k], axes[k], truth[k], results[k])
+            _judge(
+                r, rules, actions[k], values[k, 0], bad, steps[k], episodes[k], axes[k], words[k], truth[k], results[k]
+            )
         if not bad:
-            _observe(r, rules, steps[k], episodes[k], axes[k], truth[k], observations[k])
+            if r.live:
+                _look_into(handles[k], kinds, first, words[k], truth[k, 0].now)
+            _observe(r, rules, steps[k], episodes[k], axes[k], words[k], truth[k], observations[k])

@@ -1,10 +1,11 @@
 """`stage/RegisterTuning-v0`: choose a chip's registers for one move after the other.
 
-A step is one whole preset move of a drawn distance with a drawn payload on the table: reset command, registers, start, and
-then physics decides. Each move starts at rest from the same place, so steps are independent of each other.
+A step is one whole move of a drawn distance with a drawn payload on the table: registers, start, and then physics decides. Each
+move starts at rest from the same place, so steps are independent of each other. How a chip is spoken to: envs/hosts.
 
 action        Box [-1, 1]^n, see registers.py; with actions="registers" the integers themselves, MultiDiscrete.
-              R1 FL, R2 FH1, R4, R5 rates, R6 ramp-down point, R7 multiplier; on a PCL240MS R14 and R15, spans of S-curves.
+              PCL-240: R1 FL, R2 FH1, R4, R5 rates, R6 ramp-down point, R7 multiplier; with S-curves R14 and R15, their spans
+              MCX514: SV, DV, AC; with S-curves JK        MCX304, MCX302, MCX312: SV, V, A; with S-curves K; R is 400,000
 observation   float32, what is asked for and how the last move went:
               0 distance, -1 to 1 over its range    1 payload, -1 to 1    2 last duration / limit
               3 last move: steps lost (0 or 1)      4 last vibration / (last + 0.1 mm)    5 last move made all its pulses
@@ -28,14 +29,13 @@ import numpy as np
 from stage import Stage
 from stage.chips import Chip, chip_class
 from stage.envs.base import StageEnv, StageVectorEnv
+from stage.envs.hosts import host_of
 from stage.envs.registers import RegisterBox
 from stage.envs.results import result
 from stage.envs.task import MoveTask, check_choice, check_positive, check_range
 from stage.errors import ArgumentError, unknown
 from stage.fleet import Played, Program
 
-REGISTERS = ("R1", "R2", "R4", "R5", "R6", "R7")
-S_CURVES = ("R14", "R15")
 TENTH = 1e-4  # m
 ALLOWED = 50e-6  # m, between carriage and pulses at rest
 
@@ -46,6 +46,7 @@ class Config:
 
     model: str = "xyz"
     chip: str | type[Chip] = "PCL240K"
+    s_curve: bool | None = None  # None: on a PCL240MS only
     axis: str = "x"
     actions: str = "box"  # or "registers"
     distances: tuple[int, int] = (1600, 32000)  # pulses, drawn evenly by their logarithm
@@ -81,9 +82,8 @@ class RegisterTuning(MoveTask[Config]):
     def prepare(self) -> None:
         c, first = self.config, self.stages[0]
         self.axis = first.axes[c.axis]
-        chip: Any = self.axis.chip
-        self.chip = chip
-        self.registers = RegisterBox(chip.MAP, REGISTERS + (S_CURVES if chip.S_CURVES else ()))
+        self.host = host_of(self.axis)
+        self.registers = RegisterBox(self.axis.chip.MAP, self.host.tuned_by(c.s_curve))
         self.action_space = self.registers.box if c.actions == "box" else self.registers.discrete
         room = 0.95 * (self.axis.travel[1] - self.axis.travel[0]) / self.axis.meters_per_pulse
         if c.distances[1] > room:
@@ -96,7 +96,7 @@ class RegisterTuning(MoveTask[Config]):
         )  # fmt: skip
         self.distance, self.payload = np.ones(self.n, np.int64), np.zeros(self.n)
         self.last = np.zeros((self.n, 4))
-        self.stop = len(self._program(self.registers.low, 1)) - 3  # the wait for the stop; all programs are alike
+        self._program(self.registers.low, 1)
 
     def begin(self, k: int, options: Mapping[str, Any]) -> None:
         self.last[k] = 0.0
@@ -139,17 +139,16 @@ class RegisterTuning(MoveTask[Config]):
         return [self._program(row, int(d)) for row, d in zip(rows, self.distance, strict=True)]
 
     def _program(self, row: np.ndarray, distance: int) -> Program:
-        a, chip, c = self.axis.index, self.chip, self.config
-        p = Program().command(a, 0x08)
-        for name, value in zip(self.registers.names, row.tolist(), strict=True):
-            p.register(a, chip, name, value)
-        p.register(a, chip, "R0", distance).command(a, 0xC0).command(a, 0x44).command(a, 0x15)
-        return p.until_stopped([a], c.limit).command(a, 0x08).measure(c.settle)
+        p, c = Program(), self.config
+        self.host.move(p, self.registers.named(row), distance)
+        self.stop = len(p)  # the wait for the stop; all programs are alike
+        self.host.rest(p.until_stopped([self.axis.index], c.limit))
+        return p.measure(c.settle)
 
     def judge(self, played: Played, truth: np.ndarray) -> None:
         c, t = self.config, truth[:, self.axis.index]
         took = played.results[:, self.stop] * 1e-9
-        finished = (took > 0) & (t["counter"] == 0)
+        finished = (took > 0) & (t["pulses"] == self.distance)
         duration = np.abs(took)
         lost = (t["lost_steps"] != 0) | (np.abs(t["commanded"] - t["position"]) > ALLOWED)
         low, high = (played.extremes[:, self.axis._plant.qpos, side] for side in (0, 1))

@@ -2,7 +2,8 @@
 
     box = RegisterBox(PCL240K.MAP, ("R1", "R2", "R4", "R5", "R6", "R7"))
     box.from_action(action)      int64 register values, each in its legal range
-    box.to_action(registers)     float32 in [-1, 1]; from_action of it gives the registers back, exactly
+    box.to_action(registers)     float32 in [-1, 1]; from_action of it gives the registers back, exactly (of the MCX514's to
+                                 2 in a million: its registers hold more values than a float32)
 
 With u = (a + 1) / 2, from 0 to 1, a register between low and high is
 
@@ -40,11 +41,21 @@ class RegisterBox:
     """Some registers of a chip, as a Box or as a MultiDiscrete."""
 
     def __init__(self, map_: RegisterMap, names: Sequence[str]):
+        self._span(names, [limits(map_, n) for n in names])
+
+    @classmethod
+    def of(cls, ranges: Mapping[str, tuple[int, int]], cubed: Sequence[str] = ()) -> RegisterBox:
+        """Numbers that need not be registers, between ends; `cubed`: where small values matter most, beside the wide ones."""
+        box = cls.__new__(cls)
+        box._span(tuple(ranges), list(ranges.values()), cubed)
+        return box
+
+    def _span(self, names: Sequence[str], ends: Sequence[tuple[int, int]], cubed: Sequence[str] = ()) -> None:
         self.names = tuple(names)
-        self.low, self.high = (np.array(side, np.int64) for side in zip(*(limits(map_, n) for n in names), strict=True))
-        self._ratio = np.log(self.high / np.maximum(self.low, 1))
-        self._power = np.where(self.high > WIDE, 3.0, 1.0)
+        self.low, self.high = (np.array(side, np.int64) for side in zip(*ends, strict=True))
         self._logarithmic = self.low > 0
+        self._ratio = np.where(self._logarithmic, np.log(self.high / np.maximum(self.low, 1)), 1.0)
+        self._power = np.where((self.high > WIDE) | np.isin(self.names, cubed), 3.0, 1.0)
 
     def __len__(self) -> int:
         return len(self.names)

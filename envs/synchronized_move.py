@@ -39,6 +39,7 @@ import numpy as np
 
 from stage import Stage
 from stage.chips import Chip, chip_class
+from stage.chips.pcl240 import PCL240
 from stage.compiled import announced
 from stage.engine import clock_at
 from stage.envs.base import StageEnv, StageVectorEnv
@@ -122,6 +123,10 @@ class SynchronizedMove(MoveTask[Config]):
     def stage(self, visuals: bool) -> Stage:
         c = self.config
         chip: Any = chip_class(c.chip)
+        if not issubclass(chip, PCL240):
+            raise ArgumentError(
+                f"chip={c.chip!r}: a {chip.__name__} has no a:b registers; they are for the PCL-240 family."
+            )
         made = Stage(c.model, chips=chip, bus_cycle=c.bus_cycle, visuals=visuals)
         for name in c.axes:
             if name not in made.axes:

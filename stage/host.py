@@ -144,6 +144,17 @@ _busy, _write, _read = map(cores.over_families, (_busy_in, _write_in, _read_in))
 
 
 @hot
+def _peek(chips, chip, address):
+    """What is at an address of a chip now, free of bus cycles."""
+    first = value = 0
+    for rows in literal_unroll(chips):
+        if first <= chip < first + len(rows):
+            value = cores.peek(rows[chip - first], address)
+        first += len(rows)
+    return value
+
+
+@hot
 def _until_stopped(h, arrays, scratch, left, poll, limit):
     """Poll the axes in the mask `left`. Returns (diverged, ns that it took; negative if `limit` came first)."""
     world, chips, table = arrays[0][0], arrays[2], arrays[5]

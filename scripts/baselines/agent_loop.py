@@ -18,7 +18,8 @@ import numpy as np
 from common import DISTANCE, LIMIT, Log, Moves, arguments, told
 
 from stage import Stage
-from stage.envs.register_tuning import ALLOWED, REGISTERS, TENTH, Config
+from stage.envs.hosts.pcl240 import TUNED as REGISTERS
+from stage.envs.register_tuning import ALLOWED, TENTH, Config
 from stage.errors import RunTimeout, StageError
 from stage.firmware import Port, bus
 from stage.firmware.profile import AT_FL, ramp_pulses

@@ -22,7 +22,7 @@ import numpy as np
 
 from stage import Stage
 from stage.chips import PCL240K
-from stage.envs.register_tuning import REGISTERS
+from stage.envs.hosts.pcl240 import TUNED as REGISTERS
 from stage.envs.registers import RegisterBox
 
 DISTANCE = 32_000  # pulses, 100 mm on the default stage

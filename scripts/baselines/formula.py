@@ -11,7 +11,8 @@ python scripts/baselines/formula.py --payload 10
 4. FL: an eighth of the rate at which the motor starts at once. The bare rotor's from its data sheet, by the root of the inertias
    for the load (motor makers' rule). Half of it would do to start; but a move also ends
    by stopping from FL at once, which swings, and half of it saves only 10 ms.
-5. Rates and times into R1, R2, R4, R5, R7, R6 by the chip's data sheet (`firmware.Profile`).
+5. Rates and times into R1, R2, R4, R5, R7, R6 by the chip's data sheet (`firmware.Profile`); of other families into their own
+   registers (`stage.envs.hosts`).
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ import numpy as np
 
 from stage.drives.dynamometer import closed_form, natural_frequency, pull_in
 from stage.drives.motors import Drive
+from stage.envs.hosts import host_of
 from stage.errors import ArgumentError
 from stage.firmware import Profile
 from stage.machine import Axis
@@ -98,10 +100,10 @@ def profile(load: Load, pulses: int, safety: float = SAFETY) -> Profile:
     return Profile.of(fl, rate, rate, accel=(top[k] - low) / up[k], decel=(top[k] - low) / down[k])
 
 
-def registers(axis: Axis, pulses: int, safety: float = SAFETY) -> dict[str, int]:
-    """R1 to R7 for a preset move of `pulses`."""
+def registers(axis: Axis, pulses: int, safety: float = SAFETY, s_curve: bool | None = None) -> dict[str, int]:
+    """The registers of the axis' chip for a move of `pulses`; of a PCL-240 R1 to R7."""
     p = profile(Load.of(axis), pulses, safety)
-    return {**p.registers(), "R6": p.down_point(pulses)}
+    return host_of(axis).formula(p.fl, p.fh1, p.accel(), p.decel(), pulses, s_curve)
 
 
 class Knobs:

@@ -123,6 +123,8 @@ class Chip:
     WIRING: ClassVar[dict[str, str]] = {}
     """Which pin a switch of a stage is wired to, where it has another name than the switch; see `wired`."""
     DEFAULT_CLOCK_HZ: ClassVar[int]
+    ADDRESSES: ClassVar[int] = 4
+    """Bus addresses: 0 up to ADDRESSES - 1."""
     DATA_MASK: ClassVar[int] = 0xFF
     BUSY: ClassVar[tuple[int, int]]
     """Where the bus tells that a drive is in progress: address, and the bit of axis 0."""

@@ -10,6 +10,7 @@ Add it to FAMILIES, and every loop of the package takes it. Of chip `c` and its 
     counter(c, j)                     what counts the pulses for the host: R0, LP
     inputs(c, j), set_input(c, j, word), outputs(c, j)     pins as words
     status(c, j), busy(c, j)          the status word; a drive is in progress
+    peek(c, address)                  what a host would like to read there now: no bus cycle, nothing changes
     write(rows, i, address, value), read(rows, i, address)     bus cycles
 
 and, for `Chip` alone, power_up, set_inputs, pins, advance, trace, scan and mark, see stage/chips/pcl240/core.py.
@@ -88,4 +89,4 @@ run, net, mean_count, pulse_rate = (
     _answering("pulse_rate"),
 )
 counter, inputs, set_input, outputs = map(_answering, ("counter", "inputs", "set_input", "outputs"))
-status, busy, write, read = map(_answering, ("status", "busy", "write", "read"))
+status, busy, peek, write, read = map(_answering, ("status", "busy", "peek", "write", "read"))

@@ -14,6 +14,8 @@ import stage.envs
 from stage import ArgumentError
 
 EVERY = list(stage.envs.IDS)
+OTHER_CHIPS = ["stage/RegisterTuning-v0 MCX304", "stage/RegisterBus-v0 MCX514", "stage/OriginReturn-v0 MCX514"]
+"""Families of chips beside the default: an id and a chip."""
 SETTINGS = {
     "stage/RegisterTuning-v0": {"moves": 2, "distances": (400, 1600), "limit": 0.5, "settle": 0.01},
     "stage/RegisterBus-v0": {"cycles": 4, "bus_cycle": 1e-3, "waits": (1e-3, 1e-2)},
@@ -29,13 +31,25 @@ def id_(request):
     return request.param
 
 
+@pytest.fixture(params=[*EVERY, *OTHER_CHIPS], ids=lambda id_: id_.split("/")[1])
+def any_(request):
+    """An id, or an id and a chip."""
+    return request.param
+
+
+def _settings(id_, settings):
+    name, _, chip = id_.partition(" ")
+    return name, SETTINGS.get(name, {}) | ({"chip": chip} if chip else {}) | settings
+
+
 def make(id_, **settings):
-    return gymnasium.make(id_, disable_env_checker=True, **SETTINGS.get(id_, {}) | settings).unwrapped
+    name, settings = _settings(id_, settings)
+    return gymnasium.make(name, disable_env_checker=True, **settings).unwrapped
 
 
 def make_vec(id_, n, **settings):
-    settings = SETTINGS.get(id_, {}) | settings
-    return gymnasium.make_vec(id_, num_envs=n, vectorization_mode="vector_entry_point", **settings)
+    name, settings = _settings(id_, settings)
+    return gymnasium.make_vec(name, num_envs=n, vectorization_mode="vector_entry_point", **settings)
 
 
 def episode(env, seed, actions=6):
@@ -61,10 +75,10 @@ def same(a, b):
     return type(a) is type(b) and a == b
 
 
-def test_gymnasium_finds_nothing_to_complain_about(id_):
+def test_gymnasium_finds_nothing_to_complain_about(any_):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        check_env(make(id_), skip_render_check=True)
+        check_env(make(any_), skip_render_check=True)
 
 
 def test_stable_baselines3_finds_nothing_to_complain_about(id_):
@@ -74,15 +88,15 @@ def test_stable_baselines3_finds_nothing_to_complain_about(id_):
         checker.check_env(make(id_), skip_render_check=True)
 
 
-def test_equal_seeds_give_equal_episodes(id_):
-    one, other = make(id_), make(id_)
+def test_equal_seeds_give_equal_episodes(any_):
+    one, other = make(any_), make(any_)
     assert same(episode(one, 7), episode(other, 7))
     assert same(episode(one, 7), episode(other, 7)), "and again, after another episode"
     assert not same(episode(one, 7), episode(other, 8))
 
 
-def test_a_pickled_environment_goes_on_as_the_first(id_):
-    env = make(id_)
+def test_a_pickled_environment_goes_on_as_the_first(any_):
+    env = make(any_)
     env.reset(seed=3)
     env.action_space.seed(3)
     env.step(env.action_space.sample())
@@ -96,9 +110,9 @@ def test_a_pickled_environment_goes_on_as_the_first(id_):
 
 @pytest.mark.parametrize("mode", list(AutoresetMode), ids=lambda mode: mode.name.lower())
 @pytest.mark.parametrize("threads", [1, 2])
-def test_a_vector_is_as_many_environments_to_the_bit(id_, mode, threads):
+def test_a_vector_is_as_many_environments_to_the_bit(any_, mode, threads):
     n, steps = 3, 5
-    vector, parts = make_vec(id_, n, threads=threads, autoreset_mode=mode), [make(id_) for _ in range(n)]
+    vector, parts = make_vec(any_, n, threads=threads, autoreset_mode=mode), [make(any_) for _ in range(n)]
     seen, infos = vector.reset(seed=11)
     for k, env in enumerate(parts):
         observation, info = env.reset(seed=11 + k)
@@ -174,8 +188,8 @@ def test_actions_that_are_none_are_refused_by_name(id_):
         vector.step(good)
 
 
-def test_a_refused_action_changes_nothing(id_):
-    env, other = make(id_), make(id_)
+def test_a_refused_action_changes_nothing(any_):
+    env, other = make(any_), make(any_)
     for e in (env, other):
         e.reset(seed=5)
     action = env.action_space.sample()
@@ -218,8 +232,8 @@ def test_unknown_settings_and_options_are_named(id_):
 
 
 @pytest.mark.usefixtures("elsewhere")
-def test_a_stage_that_diverges_ends_its_own_episode_alone(id_):
-    vector, calm = make_vec(id_, 3), make_vec(id_, 3)
+def test_a_stage_that_diverges_ends_its_own_episode_alone(any_):
+    vector, calm = make_vec(any_, 3), make_vec(any_, 3)
     for v in (vector, calm):
         v.reset(seed=5)
     vector.stages[1].data.qfrc_applied[:] = 1e30
@@ -243,15 +257,15 @@ def test_a_stage_that_diverges_ends_its_own_episode_alone(id_):
     assert np.isfinite(again).all(), "it starts anew"
 
 
-def test_the_named_parts_of_the_reward_are_its_sum(id_):
-    env = make(id_)
+def test_the_named_parts_of_the_reward_are_its_sum(any_):
+    env = make(any_)
     for step in episode(env, 21)[1:]:
         if len(step) == 5:
             assert sum(step[4]["reward_parts"].values()) == pytest.approx(step[1], abs=1e-12)
 
 
-def test_an_episode_can_be_recorded(id_, tmp_path):
-    env, plain = make(id_, record=str(tmp_path / "run" / "{}.rrd")), make(id_)
+def test_an_episode_can_be_recorded(any_, tmp_path):
+    env, plain = make(any_, record=str(tmp_path / "run" / "{}.rrd")), make(any_)
     assert same(episode(env, 2, 3), episode(plain, 2, 3)), "a recording changes nothing"
     env.close()
     files = sorted((tmp_path / "run").iterdir())

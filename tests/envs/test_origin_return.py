@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from stage import ArgumentError
-from stage.chips import PCL240K, PCL240MK, PCL240MS
+from stage.chips import MCX302, MCX304, MCX514, PCL240K, PCL240MK, PCL240MS
 from stage.envs import origin_return as returns
 from stage.envs.registers import RegisterBox
 
@@ -53,6 +53,69 @@ def test_every_axis_finds_its_origin(axis):
     _, _, info = one_return(env, origin + 0.005)
     assert info["home"]
     assert abs(info["error"]) < 1
+
+
+NOVA = {
+    MCX514: {"SV": 1000, "DV": 16_000, "AC": 100_000, "HV": 400, "leave": 0, "step1": 1, "timer": 6},
+    MCX304: {"SV": 50, "V": 800, "A": 40, "HV": 20, "leave": 0, "step1": 1},
+    MCX302: {"SV": 50, "V": 800, "A": 40, "HV": 20, "leave": 0, "step1": 1},
+}
+"""The same speeds; a rest of 200 ms between the steps."""
+
+
+def nova_return(chip, start, settings=None, **changes):
+    """(observation, reward, info) of a return by the automatic home search."""
+    env = make(chip=chip, **settings or {})
+    env.reset(seed=0, options={"start": start, "payload": 5.0, "friction": 1.0})
+    observation, reward, *_, info = env.step(env.strategy.to_action(NOVA[chip] | changes))
+    return observation, reward, info
+
+
+@pytest.mark.parametrize("chip", NOVA)
+@pytest.mark.parametrize("start", [BEFORE, NEAR, ON, BEYOND], ids=["before", "near", "on", "beyond"])
+def test_the_automatic_home_search_ends_within_two_pulses_of_the_origin_wherever_it_starts(chip, start):
+    observation, _, info = nova_return(chip, start)
+    assert info["home"]
+    assert abs(info["error"]) < 2
+    assert (info["end_limit"], info["late"]) == (False, False)
+    assert observation[6:10].tolist() == [1, 0, 0, 1]
+
+
+@pytest.mark.parametrize("chip", [MCX514, MCX304])
+def test_a_home_search_can_end_at_the_index_pulse_after_origin(chip):
+    _, _, info = nova_return(chip, NEAR, {"ez": 1})
+    assert info["home"]
+    assert abs(info["error"]) < 1
+
+
+@pytest.mark.parametrize("chip", [MCX514, MCX304])
+def test_a_home_search_without_its_fast_step_is_slower_and_another_axis_finds_home_as_well(chip):
+    slow, fast = (nova_return(chip, NEAR + 0.01, step1=s)[2] for s in (0, 1))
+    assert slow["home"]
+    assert slow["duration"] > fast["duration"]
+    env = make(chip=chip, axis="z")
+    env.reset(seed=0, options={"start": env._task.origin + 0.002, "payload": 0.0})
+    info = env.step(env.strategy.to_action(NOVA[chip]))[4]
+    assert info["home"]
+    assert abs(info["error"]) < 2
+
+
+def test_leaving_first_is_a_drive_of_so_many_pulses_and_an_end_limit_cuts_it_short():
+    observation, _, info = nova_return(MCX514, ON, leave=3200)
+    assert info["home"]
+    assert not info["end_limit"]
+    searched, way = 3200 - (-0.12 - ON) / 3.125e-6, 0.3 / 3.125e-6
+    assert observation[11] == pytest.approx(searched / way, abs=1e-4)
+    _, _, info = nova_return(MCX514, 0.148, leave=8200)
+    assert info["home"]
+    assert info["end_limit"]
+
+
+def test_a_home_search_that_takes_too_long_is_missed():
+    observation, _, info = nova_return(MCX514, 0.0, {"limit": 0.1})
+    assert info["late"]
+    assert not info["home"]
+    assert observation[8] == 1
 
 
 def test_a_search_from_beyond_origin_is_refused_unless_the_carriage_leaves_first():
@@ -177,14 +240,14 @@ def test_start_places_cover_the_way_between_the_end_limits():
 def test_an_action_stands_for_its_numbers_exactly():
     seed = np.random.SeedSequence().entropy
     rng = np.random.default_rng(seed)
-    for chip in (PCL240K, PCL240MS):
-        strategy = returns.Strategy(chip.MAP, 16_000, 3_200)
-        rows = rng.integers(strategy.low, strategy.high + 1, (500, len(returns.NAMES)))
+    for chip in (PCL240K, PCL240MS, MCX304):
+        strategy = make(chip=chip).strategy
+        rows = rng.integers(strategy.low, strategy.high + 1, (500, len(strategy)))
         assert np.array_equal(strategy.from_action(strategy.to_action(rows)), rows), f"seed {seed}"
         for end, rows in ((-1.0, strategy.low), (1.0, strategy.high)):
-            assert np.array_equal(strategy.from_action(np.full(len(returns.NAMES), end)), rows)
+            assert np.array_equal(strategy.from_action(np.full(len(strategy), end)), rows)
     plain = RegisterBox(PCL240K.MAP, ("R1", "R2", "R4", "R1"))
-    row = returns.Strategy(PCL240K.MAP, 16_000, 3_200).from_action(np.full(7, 0.3))
+    row = make().strategy.from_action(np.full(7, 0.3))
     assert np.array_equal(row[:4], plain.from_action(np.full(4, 0.3)))
 
 
@@ -218,6 +281,7 @@ def test_a_pickled_environment_keeps_its_drifted_switch_and_friction():
         ({"frictions": (0.0, 1.0)}, "frictions="),
         ({"drift": 0.1}, "drift=0.1"),
         ({"multiplier": 1}, "R7"),
+        ({"ez": 2, "chip": "MCX514"}, "ez=2: a MCX514 ends at the first index pulse"),
     ],
 )
 def test_settings_that_cannot_be_are_named(settings, message):

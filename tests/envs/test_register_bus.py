@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from stage import ArgumentError, Stage, firmware
-from stage.chips import PCL240K, PCL240MK, PCL240MS
+from stage.chips import MCX302, MCX304, MCX514, PCL240K, PCL240MK, PCL240MS
 from stage.compiled import COMPILED
 from stage.envs import register_bus as rb
 from stage.firmware import bus
@@ -35,7 +35,7 @@ class HostChip:
 
     def __init__(self, host, index, chip):
         self.host, self.index = host, index
-        self.MAP, self.EXTENDED = chip.MAP, chip.EXTENDED
+        self.MAP, self.EXTENDED = chip.MAP, getattr(chip, "EXTENDED", False)
 
     def write(self, address, value):
         self.host.act(rb.WRITE, self.index, address, value)
@@ -109,6 +109,106 @@ def test_the_bytes_of_a_preset_move_reach_the_target_without_a_lost_step(chip):
     assert host.steps[-1][4]["reward_parts"]["success"] == rb.Config.success_weight
 
 
+class Words:
+    """Writes the commands of a NOVA chip by their symbols, as actions."""
+
+    def __init__(self, host, index, chip):
+        self.host, self.index, self.map = host, index, chip.MAP
+
+    def command(self, symbol, axes, value=None):
+        if value is not None:
+            for address, word in ((6, value), (7, value >> 16)):
+                self.host.act(rb.WRITE, self.index, address, word & 0xFFFF)
+        self.host.act(rb.WRITE, self.index, 0, axes << 8 | self.map.command(symbol).code)
+
+    def long(self, symbol, axes):
+        """What a data-reading command says, as a signed number."""
+        self.command(symbol, axes)
+        low, high = (self.host.act(rb.READ, self.index, address)["value"] for address in (6, 7))
+        return (high << 16 | low) - (high >> 15 << 32)
+
+
+@pytest.mark.parametrize("chip", [MCX514, MCX304])
+def test_the_words_of_a_move_of_every_axis_reach_the_targets_through_one_nova_chip(chip):
+    env = make(chip=chip)
+    _, info = env.reset(seed=4)
+    host = Host(env)
+    nova = Words(host, 0, env.stage.axes["x"].chip)
+    rates = {"SV": 500, "DV": 4000, "AC": 40_000} if chip is MCX514 else {"SV": 500, "V": 4000, "A": 320}
+    for name, value in rates.items():
+        nova.command(name, 0b111, value)
+    for k, pulses in enumerate(info["target"].tolist()):
+        if chip is MCX514:
+            nova.command("TP", 1 << k, pulses)
+            nova.command("DRVRL", 1 << k)
+        else:
+            nova.command("P", 1 << k, abs(pulses))
+            nova.command("F_DRV_P" if pulses > 0 else "F_DRV_M", 1 << k)
+    assert host.act(rb.READ, 0, 0)["value"] == 0b111, "all three drive"
+    assert host.steps[-1][0][:16].tolist() == [1] * 3 + [0] * 13
+    while host.act(rb.READ, 0, 0)["value"] & 0b111:
+        host.act(rb.WAIT + 2)
+    assert [nova.long("R-LP", 1 << k) for k in range(3)] == info["target"].tolist()
+    host.wait_out(rb.WAIT + 2)
+    _, _, terminated, truncated, last = host.steps[-1]
+    assert (terminated, truncated, last["success"], last["lost_steps"]) == (True, False, True, 0)
+
+
+def test_a_chip_of_several_axes_is_observed_once_and_then_its_axes():
+    env = make(chip=MCX302, truth=True)
+    first, info = env.reset(seed=0)
+    assert env.action_space.nvec.tolist() == [6, 2, 8, 65536], "X and Y share a chip, Z has the other"
+    block = 16 + 7 + 8
+    assert first.shape == (2 * block + 3 * 5 + 4,)
+    host = Host(env)
+    second = Words(host, 1, env.stage.axes["z"].chip)
+    second.command("LP", 1, -2)
+    assert second.long("R-LP", 1) == -2
+    seen = host.steps[-1][0]
+    targets = seen[[block, block + 5, 2 * block + 10]]
+    assert targets == pytest.approx(info["target"] / 8000, abs=1e-6)
+    assert seen[:block].tolist() == [0] * block, "the first chip was not read"
+    words, fresh = seen[block + 10 + 16 :][:7], seen[block + 10 + 23 :][:8]
+    assert words == pytest.approx([0, 0, 0, 0, 0, 0xFFFE / 0xFFFF, 1], abs=1e-6)
+    assert fresh[:6].tolist() == [0] * 6
+    assert fresh[6:] == pytest.approx([1 / 1.001, 1], abs=1e-6)
+    assert seen[-4:-2].tolist() == [1, 1]
+
+
+def test_a_live_observation_of_a_nova_chip_clears_nothing():
+    env = make(chip=MCX514, live=True)
+    env.reset(seed=0)
+    host = Host(env)
+    nova = Words(host, 0, env.stage.axes["x"].chip)
+    nova.command("DV", 1, 1000)
+    nova.command("TP", 1, 400)
+    nova.command("DRVRL", 1)
+    host.act(rb.WAIT)
+    seen = host.steps[-1][0]
+    assert seen[:16].tolist() == [1] + [0] * 15
+    started = nova.map.mask("RR1", "D-STA")
+    assert int(np.rint(seen[16] * 0xFFFF)) & started
+    assert seen[23:31].tolist() == [1] * 8
+    assert host.act(rb.READ, 0, 1)["value"] & started, "the first read of RR1"
+    assert not int(np.rint(host.steps[-1][0][16] * 0xFFFF)) & started, "which clears it"
+
+
+def test_a_live_observation_leaves_the_factors_of_an_mcx304_for_the_host_to_read():
+    env = make(chip=MCX304, live=True)
+    env.reset(seed=0)
+    host = Host(env)
+    nova = Words(host, 0, env.stage.axes["x"].chip)
+    for name, value in {"SV": 1000, "V": 1000, "P": 10}.items():
+        nova.command(name, 1, value)
+    nova.command("F_DRV_P", 1)
+    host.act(rb.WAIT + 2)
+    host.act(rb.WAIT + 2)
+    ended = nova.map.mask("RR3", "D-END")
+    assert int(np.rint(host.steps[-1][0][18] * 0xFFFF)) & ended
+    assert host.act(rb.READ, 0, 3)["value"] & ended
+    assert not host.act(rb.READ, 0, 3)["value"] & ended
+
+
 def go_home(host):
     """The firmware's origin return, by hand: leave ORG if on it, fast to ORG, back off, slowly to ORG again."""
     for axis in host.axes:
@@ -161,6 +261,21 @@ def test_a_scripted_host_finds_home(start):
     for axis in env.stage.axes.values():
         touch = next(s.touch for s in axis._plant.switches if s.pin == "org")
         assert axis.position == pytest.approx(touch, abs=4 * axis.meters_per_pulse)
+
+
+def test_one_command_to_a_nova_chip_sends_all_its_axes_home():
+    env = make(chip=MCX514, goal="home", axes=("x", "y"))
+    env.reset(seed=1, options={"start": {"x": -0.119, "y": -0.071}})
+    host = Host(env)
+    nova = Words(host, 0, env.stage.axes["x"].chip)
+    steps = [nova.map.mask("H1M", name) for name in ("S1EN", "S1DR", "S2EN", "S2DR")]
+    stop1 = 1 << nova.map.bit("H1M", "S1G")
+    for name, value in {"SV": 500, "DV": 4000, "AC": 40_000, "HV": 200, "H1M": sum(steps) | stop1}.items():
+        nova.command(name, 0b11, value)
+    host.act(rb.WRITE, 0, 2, nova.map.mask("WR2", "HLM-E"))
+    nova.command("HMSRC", 0b11)
+    host.wait_out(rb.WAIT + 2)
+    assert host.info["success"]
 
 
 def test_steps_lost_on_the_way_home_are_mended_by_it():

@@ -7,7 +7,8 @@ import pytest
 
 from stage import ArgumentError
 from stage.chips import PCL240K, PCL240MS
-from stage.envs.register_tuning import REGISTERS, S_CURVES
+from stage.envs.hosts.pcl240 import S_CURVES
+from stage.envs.hosts.pcl240 import TUNED as REGISTERS
 from stage.envs.registers import RegisterBox
 
 SEED = int(os.environ.get("PULSESTAGE_SEED") or np.random.SeedSequence().entropy)

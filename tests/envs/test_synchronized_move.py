@@ -264,6 +264,7 @@ def test_options_that_do_not_exist_are_refused(options, said):
         ({"axes": ("x", "q")}, "unknown axis"),
         ({"actions": "bytes"}, "unknown actions"),
         ({"chip": "Z80"}, "unknown chip"),
+        ({"chip": "MCX514"}, "for the PCL-240 family"),
         ({"s_curve": True}, "linear ramps only"),
         ({"distances": (5, 1_000_000)}, "has room for"),
         ({"distances": (0, 10)}, "from 1 up"),

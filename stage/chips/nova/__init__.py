@@ -24,6 +24,7 @@ class Nova(Chip):
     OUTPUTS: ClassVar = state.OUTPUTS
     WIRING: ClassVar = {"el_plus": "lmt_plus", "el_minus": "lmt_minus", "org": "stop1", "ez": "stop2"}
     DEFAULT_CLOCK_HZ: ClassVar = 16_000_000
+    ADDRESSES: ClassVar = 8
     DATA_MASK: ClassVar = 0xFFFF
     BUSY: ClassVar = (0, 1)
     COUNTER: ClassVar = ("LP", 32)

@@ -37,7 +37,7 @@ ROUNDS = 100  # of events that cause others at one clock
 HZ = 16_000_000
 
 __all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE", "advance", "busy", "counter", "inputs", "mark", "mean_count", "net",
-           "outputs", "pins", "power_up", "pulse_rate", "read", "run", "scan", "set_input", "set_inputs", "status", "trace",
+           "outputs", "peek", "pins", "power_up", "pulse_rate", "read", "run", "scan", "set_input", "set_inputs", "status", "trace",
            "value", "write"]  # fmt: skip
 
 
@@ -137,6 +137,16 @@ def set_input(c, j, word):
 def status(c, j):
     """RR0."""
     return read_word(c, 0)
+
+
+@hot
+def peek(c, address):
+    """RR0 to RR7 as they read, without what reading does."""
+    x = c.ax[bus514.lowest(c)]
+    factors, compared = x.factors, x.compared
+    word = read_word(c, address)
+    x.factors, x.compared = factors, compared
+    return word
 
 
 @hot
@@ -259,11 +269,9 @@ def read(rows, i, address):
 def value(rows, i, k, page):
     """What RRk of chip `i` reads as (of RR3 this page), free of bus cycles and of what reading does."""
     c = rows[i]
-    x = c.ax[bus514.lowest(c)]
-    factors, compared, pages = x.factors, x.compared, c.pages
-    c.pages = 15 if page else 0
-    word = read_word(c, k)
-    x.factors, x.compared, c.pages = factors, compared, pages
+    pages, c.pages = c.pages, 15 if page else 0
+    word = peek(c, k)
+    c.pages = pages
     return word
 
 

@@ -45,7 +45,7 @@ FOREVER = 1 << 62
 OPERATING = 0x40  # of the status byte
 
 __all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE", "advance", "busy", "counter", "inputs", "mark", "mean_count", "net",
-           "outputs", "pins", "power_up", "pulse_rate", "read", "run", "scan", "set_input", "set_inputs", "status", "trace",
+           "outputs", "peek", "pins", "power_up", "pulse_rate", "read", "run", "scan", "set_input", "set_inputs", "status", "trace",
            "value", "write"]  # fmt: skip
 
 
@@ -80,6 +80,12 @@ def set_input(c, j, word):
 def status(c, j):
     """The status byte."""
     return read_byte(c, 0)
+
+
+@hot
+def peek(c, address):
+    """The status byte, and R0's bytes whatever register is selected."""
+    return c.reg[0] >> 8 * (address - 1) & 0xFF if address else read_byte(c, 0)
 
 
 @hot

@@ -1,0 +1,61 @@
+"""Hosts: every chip can be tuned and sent home, with registers that its data sheet allows."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from stage import ArgumentError, Stage
+from stage.chips import CHIPS
+from stage.envs.hosts import host_of
+from stage.envs.origin_return import Config
+from stage.envs.registers import RegisterBox
+from stage.fleet import Program
+
+
+def host(chip, axis="x"):
+    return host_of(Stage("xyz", chips=CHIPS[chip], visuals=False).axes[axis])
+
+
+@pytest.mark.parametrize("chip", CHIPS)
+def test_the_formulas_registers_of_every_chip_are_those_that_tune_it_and_legal(chip):
+    h = host(chip)
+    for s_curve in (None, False, True):
+        if s_curve and chip in ("PCL240K", "PCL240MK"):
+            with pytest.raises(ArgumentError, match="linear ramps only"):
+                h.tuned_by(s_curve)
+            continue
+        box = RegisterBox(h.chip.MAP, h.tuned_by(s_curve))
+        values = h.formula(1000.0, 40_000.0, 0.2, 0.15, 16_000, s_curve)
+        made = box.named(box.from_action(box.to_action(values)))
+        assert made == {name: pytest.approx(values[name], rel=2e-6) for name in box.names}
+
+
+@pytest.mark.parametrize("chip", CHIPS)
+def test_programs_of_moves_are_alike_whatever_their_registers(chip):
+    h = host(chip)
+    box = RegisterBox(h.chip.MAP, h.tuned_by(None))
+
+    def move(row, pulses):
+        program = Program()
+        h.move(program, box.named(row), pulses)
+        return np.array(program.ops)
+
+    least, most = move(box.low, 1), move(box.high, 100_000)
+    assert (least[:, :3] == most[:, :3]).all(), "only data differ"
+
+
+@pytest.mark.parametrize("chip", CHIPS)
+@pytest.mark.parametrize("axis", ["x", "z"])
+def test_programs_of_searches_keep_their_marks_whatever_is_chosen(chip, axis):
+    search = host(chip, axis).search(Config())
+    kept = dict(search.marks)
+    for row in (search.box.low, search.box.high):
+        program = search.program(row)
+        assert search.marks == kept
+        assert max(kept.values()) < len(program)
+
+
+def test_a_family_without_a_host_is_named():
+    with pytest.raises(ArgumentError, match="chip Z80: no host speaks to it yet"):
+        host_of(SimpleNamespace(chip=type("Z80", (), {})()))

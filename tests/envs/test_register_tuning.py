@@ -1,0 +1,111 @@
+"""RegisterTuning: every family's registers reach the chip and make the move; the data sheet's formula moves without a loss."""
+
+import sys
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+
+from stage import ArgumentError
+from stage.chips import MCX302, MCX304, MCX514, PCL240K, PCL240MS
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "scripts" / "baselines"))
+
+import formula
+
+pytestmark = pytest.mark.filterwarnings("error")
+DISTANCE = 4000
+SHORT = {"limit": 1.0, "settle": 0.02, "distances": (1600, 8000), "payloads": (0.0, 1.0)}
+TUNED = {
+    (PCL240K, None): "R1 R2 R4 R5 R6 R7",
+    (PCL240MS, None): "R1 R2 R4 R5 R6 R7 R14 R15",
+    (PCL240MS, False): "R1 R2 R4 R5 R6 R7",
+    (MCX514, None): "SV DV AC",
+    (MCX514, True): "SV DV AC JK",
+    (MCX304, False): "SV V A",
+    (MCX304, True): "SV V A K",
+    (MCX302, None): "SV V A",
+}
+
+
+def make(**settings):
+    return gymnasium.make("stage/RegisterTuning-v0", disable_env_checker=True, **SHORT | settings).unwrapped
+
+
+def one_move(values, **settings):
+    """(environment, info) after one move with these registers."""
+    env = make(**settings)
+    env.reset(seed=1, options={"distance": DISTANCE, "payload": 0.0})
+    return env, env.step(env._task.registers.to_action(values))[4]
+
+
+@pytest.mark.parametrize(("chip", "s_curve"), TUNED, ids=lambda x: getattr(x, "__name__", f"{x}"))
+def test_each_family_is_tuned_by_its_own_registers(chip, s_curve):
+    env = make(chip=chip, s_curve=s_curve)
+    assert env._task.registers.names == tuple(TUNED[chip, s_curve].split())
+    assert env.action_space.shape == (len(env._task.registers),)
+
+
+def test_a_chip_without_s_curves_is_refused_them():
+    with pytest.raises(ArgumentError, match="PCL240K has linear ramps only"):
+        make(chip=PCL240K, s_curve=True)
+
+
+@pytest.mark.parametrize(
+    ("chip", "values", "curved"),
+    [
+        (MCX514, {"SV": 800, "DV": 20_000, "AC": 200_000}, {"AC": 500_000, "JK": 8_000_000}),
+        (MCX304, {"SV": 40, "V": 1000, "A": 80}, {"A": 200, "K": 156}),
+    ],
+    ids=["MCX514", "MCX304"],
+)
+def test_registers_are_rates_by_the_data_sheet(chip, values, curved):
+    """SV 800, DV 20,000 pps at 200,000 pps/s; and a jerk of 8,000,000 pps/s2."""
+    (_, straight), (env, bent) = one_move(values, chip=chip), one_move(values | curved, chip=chip, s_curve=True)
+    ramp = (20_000 - 800) / 200_000
+    on_top = (DISTANCE - 2 * ramp * (20_000 + 800) / 2) / 20_000
+    assert straight["finished"]
+    assert straight["lost_steps"] == 0
+    assert straight["duration"] == pytest.approx(2 * ramp + on_top, abs=2e-3)
+    ramp = 2 * np.sqrt((20_000 - 800) / 8_000_000)
+    on_top = (DISTANCE - 2 * ramp * (20_000 + 800) / 2) / 20_000
+    assert bent["finished"]
+    assert bent["duration"] == pytest.approx(2 * ramp + on_top, abs=4e-3)
+    assert env.stage.axes["x"].chip.net(0) == 0, "the next move begins at power-up"
+
+
+@pytest.mark.parametrize("axis", ["x", "z"])
+def test_the_axis_of_a_chip_that_moves_is_the_one_asked_for(axis):
+    env = make(chip=MCX514, axis=axis)
+    env.reset(seed=1, options={"distance": DISTANCE})
+    env._task.renew = lambda: None
+    env.step(env._task.registers.to_action({"SV": 800, "DV": 8000, "AC": 100_000}))
+    moved = {name: a.chip.net(a.chip_axis) for name, a in env.stage.axes.items()}
+    assert moved == {"x": 0, "y": 0, "z": 0} | {axis: DISTANCE}
+
+
+def test_an_end_limit_stops_a_nova_move_and_costs():
+    env = make(chip=MCX514)
+    env.reset(seed=1, options={"distance": DISTANCE})
+    axis = env.stage.axes["x"]
+    axis.switches.stick("el_plus", True)
+    env.stage.step(2)
+    info = env.step(env._task.registers.to_action({"SV": 800, "DV": 8000, "AC": 100_000}))[4]
+    assert not info["finished"]
+    assert info["reward_parts"]["limit"] == -env._task.config.limit_weight
+
+
+@pytest.mark.parametrize(
+    ("chip", "s_curve"),
+    [(PCL240K, None), *((chip, s) for chip in (PCL240MS, MCX514, MCX304) for s in (False, True))],
+    ids=lambda x: getattr(x, "__name__", f"{x}"),
+)
+def test_the_formulas_registers_for_a_chip_make_the_move_without_a_loss(chip, s_curve):
+    env = make(chip=chip, s_curve=s_curve)
+    values = formula.registers(env.stage.axes["x"], DISTANCE, s_curve=s_curve)
+    _, info = one_move(values, chip=chip, s_curve=s_curve)
+    assert info["finished"]
+    assert info["lost_steps"] == 0
+    _, slow = one_move(formula.registers(env.stage.axes["x"], DISTANCE, 2.0, s_curve), chip=chip, s_curve=s_curve)
+    assert slow["duration"] > info["duration"] - 0.01
