@@ -140,18 +140,14 @@ def _read_in(rows, first, chip, address):
     return 0
 
 
-_busy, _write, _read = map(cores.over_families, (_busy_in, _write_in, _read_in))
-
-
 @hot
-def _peek(chips, chip, address):
-    """What is at an address of a chip now, free of bus cycles."""
-    first = value = 0
-    for rows in literal_unroll(chips):
-        if first <= chip < first + len(rows):
-            value = cores.peek(rows[chip - first], address)
-        first += len(rows)
-    return value
+def _peek_in(rows, first, chip, address):
+    if first <= chip < first + len(rows):
+        return cores.peek(rows[chip - first], address)
+    return 0
+
+
+_busy, _write, _read, _peek = map(cores.over_families, (_busy_in, _write_in, _read_in, _peek_in))
 
 
 @hot

@@ -9,12 +9,13 @@ import subprocess
 import sys
 from pathlib import Path
 
+import nova_programs as nova
 import numpy as np
 import pytest
 from programs import start_preset
 
 from stage import SimulationError, Stage, host, machine
-from stage.chips import PCL240K, PCL240MK, PCL240MS
+from stage.chips import MCX302, MCX514, PCL240K, PCL240MK, PCL240MS
 from stage.compiled import COMPILED
 from stage.fleet import Fleet, Program
 from stage.recording import recording
@@ -158,7 +159,56 @@ def a_course():
     return seen
 
 
-SCENES = (whole_moves, a_course, runs_with_switches, over_a_switch, over_an_index_mark, every_operation)
+def moves_of_several_axes():
+    """NOVA chips: linear ramps and S-curves of two axes, a new speed in motion, a decelerating stop, a limit, a journal."""
+    for make in (MCX514, MCX302):
+        of_514 = make is MCX514
+        chip = make()
+        journal = chip.journal(1)
+        names = ("SV", "DV", "AC", "DC", "JK") if of_514 else ("SV", "V", "A", "D", "K")
+        values = (2000, 50_000, 20_000_000, 9_000_000, 900_000_000) if of_514 else (200, 5000, 8000, 4000, 3)
+        for axes, curved in ((1, 4), (2, 2)):
+            nova.load(chip, axes, **dict(zip(names, values, strict=True)), **({} if of_514 else {"R": 800_000}))
+            chip.write(2, 0x0800 if of_514 else 0)
+            chip.write(3, curved)
+            nova.load(chip, axes, **{"TP" if of_514 else "P": 150 * axes})
+        nova.command(chip, "DRVRL" if of_514 else "F_DRV_P", 3)
+        said = [chip.trace(20_000)]
+        nova.load(chip, 3, **{names[1]: values[1] * 6 // 10})
+        said.append(chip.trace(30_000))
+        yield b"".join(map(fields, said)) + bytes(chip.read(k) & 0xFF for k in range(8)) + chip.snapshot().record
+        nova.command(chip, "DRVSBRK" if of_514 else "STOP_DEC", 1)
+        said = [chip.trace(60_000)]
+        nova.command(chip, "DRVVP" if of_514 else "C_DRV_P", 1)
+        said.append(chip.trace(9_000))
+        chip.axes[0].pins.lmt_plus = True
+        said.append(chip.trace(600_000))
+        assert not chip.axes[0].pins.drive
+        assert not chip.axes[1].pins.drive
+        journal.close()
+        yield b"".join(map(fields, said)) + chip.snapshot().record
+        for every_pulse in (False, True):
+            yield np.concatenate(list(journal.pieces(every_pulse, size=100))).tobytes()
+    stage = Stage("xyz", chips={"x": MCX514, "y": MCX514, "z": PCL240K}, visuals=False)
+    x, chip = stage.axes["x"], stage.axes["x"].chip
+    stage.place(x=next(s.touch for s in x._plant.switches if s.pin == "el_plus") - 3e-5)
+    nova.load(chip, 3, SV=4000, DV=4000)
+    chip.write(2, 0x0800)
+    nova.command(chip, "DRVVP", 3)
+    stage.run_until(lambda: not x.pins.drive, timeout=0.03)
+    assert chip.net(1) > chip.net(0) - 2 > 0
+    yield stage.snapshot().state.tobytes()
+
+
+SCENES = (
+    whole_moves,
+    a_course,
+    runs_with_switches,
+    over_a_switch,
+    over_an_index_mark,
+    every_operation,
+    moves_of_several_axes,
+)
 
 
 def bits():

@@ -1,16 +1,16 @@
 """What the drive is told of a slice: the mean of the pulse count over it, from the phase at its end alone."""
 
 import numpy as np
+from nova_programs import command, load
 from programs import load_registers
 
-from stage.chips import PCL240K
-from stage.chips.pcl240 import core as pcl240_core
+from stage.chips import MCX302, MCX514, PCL240K, cores
 from stage.compiled import hot
 
 
 @hot
-def mean_count(rows, i, before, ticks):
-    return pcl240_core.mean_count(rows[i], 0, before, ticks)
+def mean_count(rows, i, j, before, ticks):
+    return cores.mean_count(rows[i], j, before, ticks)
 
 
 def test_it_is_the_mean_over_every_tick_at_constant_speed():
@@ -28,10 +28,59 @@ def test_it_is_the_mean_over_every_tick_at_constant_speed():
         start = chip.clock
         pulses = chip.trace(ticks)
         counts = before + way * np.searchsorted(pulses["clock"], np.arange(start + 1, start + ticks + 1), side="right")
-        error = abs(mean_count(chip._rows, chip._i, before, float(ticks)) - counts.mean())
+        error = abs(mean_count(chip._rows, chip._i, 0, before, float(ticks)) - counts.mean())
         assert error <= 0.03 * max(1, len(pulses)), "a tick is rounded away, no more"
 
 
 def test_a_halted_chip_stands_on_its_count():
     chip = PCL240K()
-    assert mean_count(chip._rows, chip._i, 0, 154.0) == 0
+    assert mean_count(chip._rows, chip._i, 0, 0, 154.0) == 0
+
+
+def mean_over_every_clock(chip, axis, before, ticks):
+    """What `mean_count` is held against; the ticks pass. Returns (it, the mean, the pulses of the axis)."""
+    start = chip.clock
+    pulses = chip.trace(ticks)
+    own = pulses[pulses["axis"] == axis]
+    steps = np.concatenate([[0], np.cumsum(own["direction"], dtype=np.int64)])
+    clocks = np.arange(start + 1, start + ticks + 1)
+    counts = before + steps[np.searchsorted(own["clock"], clocks, side="right")]
+    return mean_count(chip._rows, chip._i, axis, before, float(ticks)), counts.mean(), len(own)
+
+
+def test_of_a_nova_chip_too_at_any_speed_of_any_axis():
+    seed = np.random.SeedSequence().entropy
+    print("seed", seed)
+    rng = np.random.default_rng(seed)
+    for trial in range(200):
+        chip, minus = (MCX514, MCX302)[trial // 2 % 2](), trial % 2
+        axis, of_514 = int(rng.integers(0, chip.AXES)), isinstance(chip, MCX514)
+        speed = int(np.exp(rng.uniform(np.log(1000), np.log(8_000_000))))
+        named = {"SV": speed, "DV": speed} if of_514 else {"R": 16_000, "SV": speed // 1000 + 1, "V": speed // 1000 + 1}
+        load(chip, 1 << axis, **named)
+        orders = ("DRVVP", "DRVVM") if of_514 else ("C_DRV_P", "C_DRV_M")
+        command(chip, orders[minus], 1 << axis)
+        chip.advance(int(rng.integers(1000, 200_000)))
+        found, expected, pulses = mean_over_every_clock(chip, axis, chip.net(axis), int(rng.integers(50, 2000)))
+        assert abs(found - expected) <= 0.03 * max(1, pulses), "a clock is rounded away, no more"
+
+
+def test_of_a_nova_chip_in_a_ramp_it_is_close():
+    """The engine's slice is 50 us; in the steepest of these ramps the speed changes by a tenth in that time."""
+    seed = np.random.SeedSequence().entropy
+    print("seed", seed)
+    rng = np.random.default_rng(seed)
+    for trial in range(200):
+        chip = MCX514()
+        load(chip, 1, SV=20_000, DV=200_000, AC=40_000_000, JK=1_000_000_000)
+        chip.write(3, 4 * (trial % 2))
+        command(chip, "DRVVM" if trial % 4 > 1 else "DRVVP")
+        chip.advance(int(rng.integers(10, 60_000)))
+        found, expected, pulses = mean_over_every_clock(chip, 0, chip.net(0), 800)
+        assert abs(found - expected) <= 0.06 * max(1, pulses)
+
+
+def test_a_nova_chip_at_rest_stands_on_its_count():
+    for make in (MCX514, MCX302):
+        chip = make()
+        assert [mean_count(chip._rows, chip._i, j, 0, 800.0) for j in range(chip.AXES)] == [0] * chip.AXES

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from chip_machine import state_of
+from chip_machine import Course, differences
 
 from stage.chips.journal import RESET, WRITE
 
 
 class BenchTwin:
-    """Replays the journal of `chip` as it grows. host: what the host knows when the journal begins (pcl240_bus.py)."""
+    """Replays the journal of `chip` as it grows. host: what the host knows when the journal begins, see families.py."""
 
     def __init__(self, chip, host):
         self.chip, self.host = chip, host
-        self.journal, self.lone = chip.journal(), type(chip)(chip.clock_hz)
+        self.journal, self.lone = chip.journal(), type(chip)(**chip.options())
         self.lone._rows[0] = self.journal.start
         self._applied = 0
 
     def catch_up(self):
-        """Live up to the chip's clock. AssertionError if a pulse begins while HOLD or the limit of the direction is asserted."""
+        """Live up to the chip's clock. AssertionError where the invariants of the chip's family do not hold on the way."""
         lone = self.lone
         for e in self.journal.entries[self._applied :]:
             self._advance(e.clock)
@@ -31,18 +31,14 @@ class BenchTwin:
 
     def _advance(self, clock):
         """From one event to the next: the pins stay as they are."""
-        limit, hold = getattr(self.lone.pins, self.host.limit()), self.lone.pins.hold
-        pulses = self.lone.advance(clock - self.lone.clock)
-        assert not (limit and pulses), f"{pulses} pulses towards an asserted limit"
-        assert not (hold and pulses), f"{pulses} pulses while HOLD is asserted"
+        clocks = clock - self.lone.clock
+        if not clocks:
+            return
+        course = Course(self.host, self.lone, clocks)
+        course.end(self.lone, self.lone.advance(clocks))
+        self.host.check_course(course, self.lone)
+        self.host = self.host.advanced(course.inputs)
 
-    def state(self):
-        return self._without_diagnostics(self.lone)
-
-    def state_of_the_chip(self):
-        return self._without_diagnostics(self.chip)
-
-    @staticmethod
-    def _without_diagnostics(chip):
-        """The journal's writes reach the core, not the chip's lint."""
-        return state_of(chip) | {"diagnostics": None}
+    def differences(self):
+        """What the chip and the one on the bench differ in."""
+        return differences(self.lone, self.chip)

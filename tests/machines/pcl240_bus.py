@@ -1,7 +1,5 @@
-"""What a host knows of a PCL-240 from its own bus writes and input edges alone, and programs for it as strategies.
-
-Nothing here looks into the chip: a mode is what was written last. A new family of chips brings a class of the same
-methods and a line in FAMILIES.
+"""What a host knows of a PCL-240 from its own bus writes and input edges alone, what it may expect of the chip, and programs for
+it as strategies. Nothing here looks into the chip: a mode is what was written last.
 """
 
 from __future__ import annotations
@@ -11,16 +9,18 @@ from typing import ClassVar
 
 from hypothesis import strategies as st
 
-from stage.chips.pcl240 import PCL240
-
 COUNTER = 1 << 24
+Writes = list[tuple[int, int]]
 
 
 @dataclass(frozen=True)
 class Pcl240Host:
     """Modes by what was written, inputs by what was set; `extp`: EXTP as the last tick saw it."""
 
-    COUNTED: ClassVar = ("extp",) * 4  # inputs whose edges count, by weight
+    BLINKING: ClassVar = ("extp",) * 4  # inputs that rather blink, whose edges count, by weight
+    ADDRESSES: ClassVar = range(4)
+    QUIET: ClassVar = (0,)  # reading here changes nothing
+    PULSE_PINS: ClassVar = ("pout", "pdir")
 
     control: int = 0
     output: int = 0
@@ -38,9 +38,9 @@ class Pcl240Host:
         """After /RESET: the pins stay as they were."""
         return Pcl240Host(extp=self.extp)
 
-    def advanced(self, inputs: dict[str, bool]) -> Pcl240Host:
-        """After at least one tick."""
-        return Pcl240Host(self.control, self.output, inputs["extp"])
+    def advanced(self, inputs: list[dict[str, bool]]) -> Pcl240Host:
+        """After at least one tick with these inputs, axis by axis."""
+        return Pcl240Host(self.control, self.output, inputs[0].get("extp", False))
 
     @property
     def direction(self) -> int:
@@ -49,7 +49,7 @@ class Pcl240Host:
     def counted(self, pulses: int, inputs: dict[str, bool]) -> int:
         """By how much R0 falls while `pulses` are output and the inputs are these."""
         if self.output & 0x10:
-            return int(self.extp and not inputs["extp"])
+            return int(self.extp and not inputs.get("extp", False))
         return pulses
 
     def position_counts(self, registers: dict[str, int]) -> bool:
@@ -75,16 +75,44 @@ class Pcl240Host:
         )
         return sum(bool(bit) << 7 - k for k, bit in enumerate(bits))
 
+    @staticmethod
+    def put(chip, address: int, value: int) -> None:
+        """One bus write cycle."""
+        chip.write(address, value)
 
-FAMILIES = {PCL240: Pcl240Host}
+    def refuses(self, chip) -> bool:
+        """At rest, and the limit of the direction is asserted: whatever is written next, no drive begins."""
+        return chip.pins.hold and getattr(chip.pins, self.limit())
+
+    def check(self, chip) -> None:
+        """What holds at any moment."""
+        assert chip.values()["status"] == self.status(chip.pins.as_dict()), "the status byte agrees with the pins"
+        assert not (chip.pins.hold and chip.pins.pout), "HOLD before the last pulse is complete"
+
+    def seen(self, chip) -> dict:
+        """What `check_course` needs of the moment before time passes."""
+        return {"registers": chip.values(), "hold": chip.pins.hold}
+
+    def check_course(self, before, chip) -> None:
+        """What holds after a time in which the pins stayed as they were. before: a `Course`."""
+        (inputs,), registers, values = before.inputs, before.seen["registers"], chip.values()
+        if before.clocks:
+            fell = (registers["R0"] - values["R0"]) % COUNTER
+            assert fell == self.counted(before.pulses, inputs) % COUNTER, "pulses out are the change of the counter"
+        if "R10" in registers:
+            moved = (values["R10"] - registers["R10"]) % COUNTER
+            expected = before.pulses * self.direction if self.position_counts(registers) else 0
+            assert moved == expected % COUNTER, "pulses out are the change of position"
+        if before.pulses:
+            assert before.moved == [before.pulses * self.direction], "pulses go the way that was asked for"
+            assert not inputs[self.limit()], f"{before.pulses} pulses towards an asserted limit"
+            assert not before.seen["hold"], f"{before.pulses} pulses while HOLD is asserted"
+        assert chip.pins.hold or not before.seen["hold"], "HOLD ends by itself"
 
 
-def host_of(cls):
-    """The host's view of a chip class, at power-up."""
-    return next(host for family, host in FAMILIES.items() if issubclass(cls, family))()
-
-
-Writes = list[tuple[int, int]]
+def host(cls) -> Pcl240Host:
+    """The host's view of a chip at power-up."""
+    return Pcl240Host()
 
 
 def load(cls, name: str, value: int) -> Writes:
@@ -143,3 +171,9 @@ def clocks() -> st.SearchStrategy[int]:
     return st.one_of(
         st.integers(0, 3), st.integers(0, 5000), st.integers(0, 400_000), st.sampled_from([4_915_200, 1 << 27])
     )
+
+
+def cruise(cls, axis: int, plus: bool) -> Writes:
+    """At 4000 pps, which the motors follow."""
+    writes = [w for name, value in (("R0", 1000), ("R1", 400), ("R7", 60)) for w in load(cls, name, value)]
+    return [*writes, (0, 0x08), (0, 0x40 if plus else 0x48), (0, 0x10)]

@@ -1,4 +1,4 @@
-"""Whatever a host does to a chip, the named invariants of chip_machine.py hold."""
+"""Whatever a host does to a chip, the named invariants of chip_machine.py and of its family hold."""
 
 import pytest
 from chip_machine import machine_of
@@ -8,12 +8,12 @@ from machine_profile import everyday, long
 from stage.chips import CHIPS
 
 
-@pytest.mark.parametrize("name", [name for name in CHIPS if name.startswith("PCL")])
+@pytest.mark.parametrize("name", CHIPS)
 def test_whatever_a_host_does_the_invariants_of_a_chip_hold(name):
     run_state_machine_as_test(machine_of(CHIPS[name]), settings=everyday(60))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name in CHIPS if name.startswith("PCL")])
+@pytest.mark.parametrize("name", CHIPS)
 def test_whatever_a_host_does_for_minutes_the_invariants_of_a_chip_hold(name):
     run_state_machine_as_test(machine_of(CHIPS[name]), settings=long(3000))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from stage.chips.nova import bus304, bus514, drive, home, interpolation, ports, sync
 from stage.chips.nova import inputs as pins_in
-from stage.chips.nova.profile import clock_of, speed_at
+from stage.chips.nova.profile import clock_in, segment_of, speed_at
 from stage.chips.nova.scan import ROOM, log, raise_pulse, shown, stop_at
 from stage.chips.nova.state import (
     ASND,
@@ -125,12 +125,12 @@ def inputs(c, j):
 
 @hot
 def set_input(c, j, word):
-    """Set the input pins, see `inputs`."""
+    """Set the input pins, see `inputs`. They act at once, so that it does not matter who looks at the chip meanwhile."""
     if j == c.axes:
         c.emg = word
     else:
         c.ax[j].inputs = word
-    c.stale = 1
+    _settle(c)
 
 
 @hot
@@ -238,6 +238,7 @@ def read_word(c, address):
 def write(rows, i, address, value):
     """One bus write cycle: WR0 to WR7, or from 16 on a byte of them, where the high byte of WR0 waits for the low one."""
     c = rows[i]
+    value &= 0xFFFF
     if c.stale:
         _settle(c)
     if address < 16:
@@ -315,23 +316,27 @@ def advance(rows, i, until):
 
 @hot
 def _trace_pulses(c, until, out, first, k):
-    """Log the pulses that the drives in progress begin up to `until`, among out[first:k], by clock, then axis."""
+    """Log the pulses that the drives in progress begin up to `until`, by clock, then axis, among out[first:k]."""
+    begin = k
     for j in range(c.axes):
         x = c.ax[j]
-        if not x.driving:
-            continue
-        begin, done = k, x.done
-        while k < len(out):
-            if x.fixed and done >= x.output:
-                break
-            clock = x.origin + clock_of(x, done + 1)
-            if clock > until:
-                break
-            done += 1
-            e = out[k]
-            e.clock, e.axis, e.direction = clock, j, x.way
-            k += 1
-        _merge(out, first, begin, k)
+        x.ahead, x.due, x.at = 0, NEVER, 0
+        if x.driving and not x.interpolates:
+            _foresee(x)
+    while k < len(out):
+        a = 0
+        for j in range(1, c.axes):
+            if c.ax[j].due < c.ax[a].due:
+                a = j
+        x = c.ax[a]
+        if x.due > until:
+            break
+        out[k].clock, out[k].axis, out[k].direction = x.due, a, x.way
+        k += 1
+        _foresee(x)
+    for j in range(c.axes):
+        c.ax[j].ahead = c.ax[j].due = c.ax[j].at = 0
+    _merge(out, first, begin, k)
     return k
 
 
@@ -347,6 +352,19 @@ def _merge(out, first, middle, end):
             out[at].clock, out[at].axis, out[at].direction = out[at - 1].clock, out[at - 1].axis, out[at - 1].direction
             at -= 1
         out[at].clock, out[at].axis, out[at].direction = clock, axis, direction
+
+
+@hot
+def _foresee(x):
+    """The clock of the drive's next pulse but `ahead`, NEVER if it is over then."""
+    x.ahead += 1
+    x.due = NEVER
+    k = x.done + x.ahead
+    if x.fixed and k > x.output:
+        return
+    if x.at + 1 < x.segments:
+        x.at = segment_of(x, x.at, k)
+    x.due = x.origin + clock_in(x, x.at, k)
 
 
 @hot

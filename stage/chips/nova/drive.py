@@ -118,10 +118,17 @@ def _ratio(a, b):
 
 @hot
 def speed(c, x, value):
-    """A speed parameter in pulses per clock."""
+    """A speed parameter in pulses per clock. What is out of range counts as the range's end: two pulses never begin at once."""
     if c.variant == MCX514_TYPE:
-        return _ratio(max(value, 1), HZ)
-    return dd.div(dd.whole(max(value, 1) * RANGE), dd.whole(HZ * max(x.reg[R], 1)))
+        return _ratio(min(max(value, 1), RANGE), HZ)
+    fastest = RANGE // 1000
+    return dd.div(dd.whole(min(max(value, 1), fastest) * RANGE), dd.whole(HZ * _range(x)))
+
+
+@hot
+def _range(x):
+    """R in its range: multiples 1 to 500."""
+    return min(max(x.reg[R], RANGE // 500), RANGE)
 
 
 @hot
@@ -129,7 +136,7 @@ def _rate(c, x, value):
     """An acceleration parameter in pulses per clock^2."""
     if c.variant == MCX514_TYPE:
         return dd.div(_ratio(max(value, 1), HZ), dd.whole(HZ))
-    return dd.div(dd.div(dd.whole(125 * max(value, 1) * RANGE), dd.whole(HZ * max(x.reg[R], 1))), dd.whole(HZ))
+    return dd.div(dd.div(dd.whole(125 * max(value, 1) * RANGE), dd.whole(HZ * _range(x))), dd.whole(HZ))
 
 
 @hot
@@ -137,7 +144,7 @@ def _jerk(c, x, value):
     """A jerk parameter in pulses per clock^3."""
     if c.variant == MCX514_TYPE:
         return dd.div(dd.div(_ratio(max(value, 1), HZ), dd.whole(HZ)), dd.whole(HZ))
-    up = dd.div(dd.whole(62_500_000 * RANGE), dd.whole(max(value, 1) * max(x.reg[R], 1)))
+    up = dd.div(dd.whole(62_500_000 * RANGE), dd.whole(max(value, 1) * _range(x)))
     return dd.div(dd.div(dd.div(up, dd.whole(HZ)), dd.whole(HZ)), dd.whole(HZ))
 
 
@@ -148,7 +155,7 @@ def speed_reading(c, x):
         return 0
     v = speed_at(x, c.clock - x.origin) * HZ
     if c.variant != MCX514_TYPE:
-        v *= x.reg[R] / RANGE
+        v *= _range(x) / RANGE
     return int(v + 1e-6)
 
 
@@ -159,7 +166,7 @@ def rate_reading(c, x):
         return 0
     a = abs(acceleration_at(x, c.clock - x.origin)) * HZ * HZ
     if c.variant != MCX514_TYPE:
-        a *= x.reg[R] / RANGE / 125.0
+        a *= _range(x) / RANGE / 125.0
     return int(a + 1e-6)
 
 

@@ -1,0 +1,98 @@
+"""An MCX514 beside PCL-240K at the same pulse rates: alone, and three axes of a stage in the closed loop."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from bench.chips import load as load_pcl
+from bench.figures import Figure, Run
+from bench.machines import RATE, SETTLED, moving_stage
+from bench.timing import race
+from stage import Stage
+from stage.chips import MCX514, PCL240K
+from stage.firmware.bus import CONTROL, RAMP, RESET, START
+
+TITLE = "NOVA chips beside PCL-240 at the same pulse rates"
+PCL_HZ, NOVA_HZ = PCL240K.DEFAULT_CLOCK_HZ, MCX514.DEFAULT_CLOCK_HZ
+STEPS = 2000
+LOW, HIGH = 50 * PCL_HZ // 16384, 8000 * PCL_HZ // 16384  # pps of R1 = 50, R2 = 8000
+RAMP_CLOCKS = 4 * 7950  # of the PCL-240K with R4 = 4
+CONSTANT = 0.08  # s
+
+
+def load(chip: Any, axes: int, order: str, **registers: int) -> Any:
+    """Parameters of an MCX514 by name, then a command, of all these axes."""
+    for name, value in registers.items():
+        chip.write(6, value & 0xFFFF)
+        chip.write(7, value >> 16 & 0xFFFF)
+        chip.write(0, axes << 8 | chip.MAP.command(name).code)
+    chip.write(0, axes << 8 | chip.MAP.command(order).code)
+    return chip
+
+
+def nova_constant(chip: Any) -> Any:
+    return load(chip, 1, "DRVVP", SV=HIGH, DV=HIGH)
+
+
+def nova_ramping(chip: Any) -> Any:
+    return load(chip, 1, "DRVVP", SV=LOW, DV=HIGH, AC=(HIGH - LOW) * PCL_HZ // RAMP_CLOCKS)
+
+
+def pcl_constant(chip: Any) -> Any:
+    return load_pcl(chip, RESET, CONTROL, START["FH1"], R1=50, R2=8000, R7=2)
+
+
+def pcl_ramping(chip: Any) -> Any:
+    return load_pcl(chip, RESET, CONTROL, RAMP["FH1"], R1=50, R2=8000, R4=4, R5=4, R7=2)
+
+
+def nova_stage() -> Stage:
+    """The moves of `moving_stage`, by one MCX514."""
+    stage = Stage("xyz", chips=MCX514, visuals=False)
+    low, high = RATE["R1"] * PCL_HZ // (8192 * RATE["R7"]), RATE["R2"] * PCL_HZ // (8192 * RATE["R7"])
+    load(stage.chips[0], 0b111, "DRVVP", SV=low, DV=high, AC=20_000)
+    stage.run(SETTLED)
+    return stage
+
+
+def measure(run: Run) -> Iterator[Figure]:
+    stages = {"nova": nova_stage(), "pcl": moving_stage(visuals=False)}
+    t = race({name: stepping(stage) for name, stage in stages.items()}, run.rounds, run.pick(25, 5))
+    yield Figure.of(
+        "nova.closed_loop", "closed loop, xyz at 2000 pps: MCX514 / PCL240K, time", "ratio", t["nova"] / t["pcl"]
+    )
+    ramp = RAMP_CLOCKS / PCL_HZ
+    cases = (
+        ("advance", "constant speed, advanced", nova_constant, pcl_constant, 100.0, False),
+        ("constant", "constant speed, traced", nova_constant, pcl_constant, CONSTANT, True),
+        ("ramp", "a ramp, traced", nova_ramping, pcl_ramping, ramp, True),
+    )
+    for key, name, nova, pcl, seconds, traced in cases:
+        works = {
+            "nova": running(MCX514, nova, round(seconds * NOVA_HZ), traced),
+            "pcl": running(PCL240K, pcl, round(seconds * PCL_HZ), traced),
+        }
+        t = race(works, run.rounds, run.pick(15, 5))
+        yield Figure.of(f"nova.{key}", f"{name}: MCX514 / PCL240K, time", "ratio", t["nova"] / t["pcl"])
+        if traced:
+            n = len(nova(MCX514()).trace(round(seconds * NOVA_HZ)))
+            yield Figure.of(f"nova.{key}_rate", "  pulses of the MCX514 traced", "1/s", n / t["nova"])
+
+
+def stepping(stage: Stage) -> tuple[Callable[[], None], Callable[[], None]]:
+    """A race's entry: a stage from where it is now."""
+    start = stage.snapshot()
+    return lambda: stage.restore(start), lambda: stage.step(STEPS)
+
+
+def running(make: Any, begin: Callable[[Any], Any], clocks: int, traced: bool) -> tuple[Any, Any]:
+    """A race's entry: a chip, begun anew, that advances or is traced."""
+    chip = make()
+    fresh = chip.snapshot()
+
+    def prepare() -> None:
+        chip.restore(fresh)
+        begin(chip)
+
+    return prepare, lambda: chip.trace(clocks) if traced else chip.advance(clocks)
