@@ -400,5 +400,6 @@ def test_a_chip_that_is_used_twice_is_refused():
 
 def test_the_pins_of_a_chip_of_several_axes_are_those_of_its_axes(made):
     chip = made(MCX514).chips[0]
-    with pytest.raises(StageError, match=r"use chip\.axes\[i\]\.pins"):
-        _ = chip.pins
+    with pytest.raises(StageError, match="emg"):
+        _ = chip.pins.lmt_plus
+    assert not chip.pins.emg

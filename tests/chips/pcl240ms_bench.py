@@ -293,7 +293,7 @@ def made(move: Move) -> Ended:
     above = np.flatnonzero(course.speed > r.R1)
     at_fl = 0
     if speed <= r.R1:
-        at_fl = int(course.counter[above[-1] + 1]) if len(above) else move.r0
+        at_fl = int(course.r0[above[-1] + 1]) if len(above) else move.r0
     return Ended(chip.values()["R0"], course.pulses, speed, peak, at_fl, *ramp_down(move, course))
 
 

@@ -279,8 +279,8 @@ def at_fl(r, r6, r0, bits=0):
     course = Course(started(r, r0, r6, control=PRESET, bits=bits))
     assert course.pulses == r0
     assert course.peak == r.R2
-    assert course.counter[-1] == 0
-    return int(course.counter[np.flatnonzero(course.speed > r.R1)[-1] + 1]) if course.speed[-1] == r.R1 else None
+    assert course.r0[-1] == 0
+    return int(course.r0[np.flatnonzero(course.speed > r.R1)[-1] + 1]) if course.speed[-1] == r.R1 else None
 
 
 def assert_r6_is_right(r, psd, minimum, time):

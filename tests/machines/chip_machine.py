@@ -260,7 +260,7 @@ def _fields(record, prefix=""):
     for name in record.dtype.names:
         value = record[name]
         if np.asarray(value).dtype.names:
-            for k, inner in enumerate(value):
+            for k, inner in enumerate(value if np.ndim(value) else [value]):
                 yield from _fields(inner, f"{prefix}{name}{k}.")
         else:
             yield prefix + name, np.asarray(value).tolist()

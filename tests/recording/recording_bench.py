@@ -37,6 +37,7 @@ def make_bench(axes=1):
     table = {
         name: SimpleNamespace(
             name=name, chip=PCL240K(), index=k, joint=0, gear=628.3, meters_per_pulse=3.125e-6, unit="m",
+            chip_axis=0,
             switches=SimpleNamespace(as_dict=dict),
         )
         for k, name in enumerate("xyz"[:axes])

@@ -114,6 +114,7 @@ def test_the_bus_is_told_in_words(tmp_path):
 def test_names_that_no_file_format_likes_become_plain_words(tmp_path):
     axis = SimpleNamespace(
         name="my x/1", chip=PCL240K(), index=0, joint=0, gear=1.0, meters_per_pulse=1e-3, unit="rad",
+        chip_axis=0,
         switches=SimpleNamespace(as_dict=lambda: {"org": False}),
     )  # fmt: skip
     xml = '<mujoco><worldbody><body name="a body"><joint name="my x/1"/><geom size="1"/></body></worldbody></mujoco>'

@@ -537,6 +537,8 @@ def pulses_ahead(c, x):
         elif x.way < 0 and x.soft_minus and lp >= x.reg[SM]:
             far = min(far, lp - x.reg[SM] + 1)
     if c.variant == MCX514_TYPE and x.reg[LX] != OFF:
+        if not 0 <= x.reg[LP] <= x.reg[LX]:
+            return 1  # the ring takes it in with the next pulse
         far = min(far, x.reg[LX] + 1 - x.reg[LP] if x.way > 0 else x.reg[LP] + 1)
     return far
 
