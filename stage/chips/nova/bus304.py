@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from stage.chips.nova import drive, home, interpolation, interpolation312, ports, sync
+from stage.chips.nova import drive, home, interpolation312, ports, power
 from stage.chips.nova.bus514 import lowest
 from stage.chips.nova.drive import rate_reading
 from stage.chips.nova.maps304 import MCX312_MAP as MAP
@@ -14,7 +14,6 @@ from stage.chips.nova.state import (
     C_STA,
     COMP_MINUS,
     COMP_PLUS,
-    CONSTANT,
     D_END,
     DV,
     E_ALARM,
@@ -75,28 +74,14 @@ _DELAYS = (2, 256, 512, 1024, 2048, 4096, 8192, 16384)  # us; FL = 2 is known to
 @hot
 def reset(c):
     """Reset: registers to their values, modes and counters 0, X selected; the clock, the pins and the pulse totals go on."""
+    power.clear(c)
     for j in range(AXES):
         x = c.ax[j]
-        for k in range(len(x.reg)):
-            x.reg[k] = 0
         for k in range(len(RESET_PLACES)):
             x.reg[RESET_PLACES[k]] = RESET_VALUES[k]
         x.reg[LX] = 1  # L; LX is the other chips'
         x.reg[HV] = 1
-        for k in range(4):
-            x.wr[k] = 0
-        for k in range(16):
-            x.mode[k] = 0
-        x.driving = x.waiting = x.held = x.done = x.output = x.fixed = x.slow = 0
-        x.factors = x.fired = x.finish = 0
-        x.phase = CONSTANT - 9
         configure(x)
-        sync.reset(c, x)
-        home.reset(x)
-    interpolation.reset(c)
-    c.selected = 1
-    c.low = c.high = c.read_low = c.read_high = c.outputs4 = c.outputs5 = 0
-    c.stale = 1
 
 
 @hot

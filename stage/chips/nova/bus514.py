@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from stage.chips.nova import drive, home, interpolation, ports, prebuffer, sync, timer
+from stage.chips.nova import drive, home, ports, power, prebuffer, sync, timer
 from stage.chips.nova.drive import rate_reading
 from stage.chips.nova.maps514 import MCX514_MAP as MAP
 from stage.chips.nova.state import (
     ALARM,
     AXES,
-    CONSTANT,
     DV,
     ECA,
     ECB,
@@ -72,26 +71,12 @@ _FILTERS = (0, LMT_PLUS | LMT_MINUS, STOP0 | STOP1, INPOS | ALARM, 0xF << PIO, 0
 @hot
 def reset(c):
     """Reset: registers to their values, modes and counters 0, X selected; the clock, the pins and the pulse totals go on."""
+    power.clear(c)
     for j in range(AXES):
         x = c.ax[j]
-        for k in range(len(x.reg)):
-            x.reg[k] = 0
         for k in range(len(RESET_PLACES)):
             x.reg[RESET_PLACES[k]] = RESET_VALUES[k]
-        for k in range(4):
-            x.wr[k] = 0
-        for k in range(16):
-            x.mode[k] = 0
-        x.driving = x.waiting = x.held = x.done = x.output = x.fixed = x.slow = 0
-        x.factors = x.fired = x.finish = 0
-        x.phase = CONSTANT - 9
         configure(x)
-        sync.reset(c, x)
-        home.reset(x)
-    interpolation.reset(c)
-    c.selected = 1
-    c.low = c.high = c.read_low = c.read_high = c.pages = c.outputs4 = c.outputs5 = 0
-    c.stale = 1
 
 
 @hot

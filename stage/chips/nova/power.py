@@ -1,0 +1,29 @@
+"""NOVA chips, compiled: what a reset does on all of them."""
+
+from __future__ import annotations
+
+from stage.chips.nova import home, interpolation, sync
+from stage.chips.nova.state import AXES, CONSTANT
+from stage.compiled import hot
+
+
+@hot
+def clear(c):
+    """Registers, modes, counters and drives 0, X selected; the clock, the pins and the pulse totals go on."""
+    for j in range(AXES):
+        x = c.ax[j]
+        for k in range(len(x.reg)):
+            x.reg[k] = 0
+        for k in range(len(x.wr)):
+            x.wr[k] = 0
+        for k in range(len(x.mode)):
+            x.mode[k] = 0
+        x.driving = x.waiting = x.held = x.done = x.output = x.fixed = x.slow = 0
+        x.factors = x.fired = x.finish = 0
+        x.phase = CONSTANT - 9
+        sync.reset(c, x)
+        home.reset(x)
+    interpolation.reset(c)
+    c.selected = 1
+    c.low = c.high = c.read_low = c.read_high = c.pages = c.outputs4 = c.outputs5 = 0
+    c.stale = 1
