@@ -196,8 +196,14 @@ def mean_count(c, j, before, ticks):
     if x.since > start:
         late = float(x.moment - x.shift * start)
         rest -= x.shift
-    x.moment = x.shift = x.since = 0
+    _forget(x)
     return x.net - late / ticks - _missing(c, x, rest, ticks)
+
+
+@hot
+def _forget(x):
+    """Nobody asks for the mean of what was: so it does not matter how time was cut, nor whether a stage or a bench ran it."""
+    x.moment = x.shift = x.since = 0
 
 
 @hot
@@ -219,6 +225,13 @@ def _missing(c, x, rest, ticks):
 
 
 # --- the chip by itself ---
+
+
+@hot
+def _alone(c):
+    """Time passed without a stage."""
+    for j in range(c.axes):
+        _forget(c.ax[j])
 
 
 @hot
@@ -311,6 +324,7 @@ def advance(rows, i, until):
     c = rows[i]
     before = c.total
     run(c, until)
+    _alone(c)
     return c.total - before
 
 
@@ -382,6 +396,7 @@ def trace(rows, i, until, out):
         _drive(c, stop)
         if c.stale or c.clock >= c.quiet:
             _settle(c)
+    _alone(c)
     return k
 
 
@@ -416,4 +431,5 @@ def scan(rows, i, until, every_pulse, out, axis):
         now = pulse_rate(c, axis, 1.0)
         if word != before or now != rate or (every_pulse and x.net != net_before):
             k = log(c, axis, out, k, word, now)
+    _alone(c)
     return k
