@@ -8,13 +8,14 @@ import os
 from collections import Counter
 
 import numpy as np
-from hypothesis import HealthCheck, Phase, given, seed, settings
+from hypothesis import HealthCheck, Phase, example, given, seed, settings
 from hypothesis import strategies as st
 from pcl240k_bench import commands
 from pcl240k_programs import (
     OPERATING,
     Pair,
     chaotic_programs,
+    driver_program,
     flatten,
     real_programs,
     register,
@@ -55,6 +56,7 @@ def test_registers_of_any_legal_value_agree_over_long_runs(program):
 
 @random_programs
 @given(real_programs, st.lists(st.integers(1, 900), min_size=1, max_size=8))
+@example(driver_program(0, 32, (50, 500, 500), (2, 2), 17, 2, 68, 192, 21, [], []), [1, 1, 30, 900, 1])
 def test_advancing_in_pieces_is_advancing_at_once(program, pieces):
     one, many = Pair(look=False), Pair(look=False)
     for pair in (one, many):
