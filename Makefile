@@ -43,6 +43,7 @@ test: .venv/.dev
 
 test-slow: .venv/.dev
 	$(BIN)/python -m pytest -n 2 -m slow
+	PULSESTAGE_EXAMPLES=1500 $(BIN)/python -m pytest -n 2 tests/chips
 
 soak: .venv/.dev
 	$(BIN)/python scripts/soak.py --hours 24

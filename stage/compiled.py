@@ -76,11 +76,8 @@ def _cached() -> Iterator[None]:
 
 def hot(function: Callable) -> Any:
     """Compile `function` at its first call. No fastmath: the same input gives the same bits."""
-    inner = function.__name__.startswith("_")
     with _cached():
-        compiled = numba.njit(
-            nogil=True, cache=True, error_model="numpy", no_cpython_wrapper=inner, no_cfunc_wrapper=inner
-        )(function)
+        compiled = numba.njit(nogil=True, cache=True, error_model="numpy", no_cfunc_wrapper=True)(function)
     if COMPILED:
         _once_for_all_literals(compiled)
     return compiled

@@ -4,10 +4,10 @@ A failing program is printed with the clock of each operation and its bus writes
 the number of programs.
 """
 
-import os
 from collections import Counter
 
 import numpy as np
+from examples import EXAMPLES
 from hypothesis import HealthCheck, Phase, example, given, seed, settings
 from hypothesis import strategies as st
 from pcl240k_bench import commands
@@ -26,7 +26,6 @@ from reference.pcl240 import INPUTS, ReferencePCL240K
 
 from stage.chips import PCL240K
 
-EXAMPLES = int(os.environ.get("PULSESTAGE_EXAMPLES", "500"))
 random_programs = settings(
     max_examples=EXAMPLES,
     deadline=None,
