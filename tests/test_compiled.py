@@ -7,6 +7,7 @@ import time
 
 import numpy as np
 import pytest
+from numba.core.types import literal
 
 from stage.compiled import COMPILED, Sealed, announced, greatest, hot, least, ready, record, sealed
 
@@ -17,11 +18,6 @@ compiled_only = pytest.mark.skipif(not COMPILED, reason="this Python runs hot fu
 @hot
 def double(n):
     return 2 * n
-
-
-@hot
-def doubles(n):
-    return double(1) + double(2) + double(n)
 
 
 @sealed("f8", CELL, "i8")
@@ -46,8 +42,9 @@ def through_the_seal(rows):
 
 @compiled_only
 def test_literal_arguments_share_one_compiled_function():
-    assert doubles(3) == 12
-    assert len(double.signatures) == 1
+    for number in (1, 2):  # as the compiler asks where it finds double(1) and double(2)
+        double.get_call_template((literal(number),), {})
+    assert [str(s) for s in double.signatures] == ["(int64,)"]
 
 
 def test_a_sealed_function_does_through_its_address_what_it_says():
