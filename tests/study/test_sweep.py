@@ -105,7 +105,7 @@ def assert_all_once(table, undisturbed):
 # Killed drivers
 
 
-@pytest.mark.parametrize("way", ["processes", "threads", "ray"])
+@pytest.mark.parametrize("way", ["processes", "threads", pytest.param("ray", marks=pytest.mark.slow)])
 def test_a_killed_driver_resumes_with_the_same_command_and_runs_only_what_lacks(way, tmp_path, undisturbed, request):
     seed = random.randrange(10**6)
     print(f"seed {seed}")
