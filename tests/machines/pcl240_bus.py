@@ -21,6 +21,7 @@ class Pcl240Host:
     ADDRESSES: ClassVar = range(4)
     QUIET: ClassVar = (0,)  # reading here changes nothing
     PULSE_PINS: ClassVar = ("pout", "pdir")
+    MAKES_PULSES: ClassVar = True
 
     control: int = 0
     output: int = 0
