@@ -43,6 +43,7 @@ test: .venv/.dev
 
 test-slow: .venv/.dev
 	$(BIN)/python -m pytest -n 2 -m slow
+	PULSESTAGE_EXAMPLES=1500 $(BIN)/python -m pytest -n 2 tests/chips
 
 soak: .venv/.dev
 	$(BIN)/python scripts/soak.py --hours 24
@@ -103,7 +104,7 @@ pictures: .venv/.dev
 	$(BIN)/stage erratum --force --plot docs/pictures/erratum.png
 	for script in render_models stepper_behaviours draw_patterns synchronized_survey; do $(BIN)/python scripts/$$script.py || exit 1; done
 	$(BIN)/python scripts/ramp_down_survey.py
-	for script in s_curve origin_spread; do $(BIN)/python scripts/$$script.py --picture docs/pictures/$$script.png || exit 1; done
+	for script in s_curve origin_spread circles_and_helices; do $(BIN)/python scripts/$$script.py --picture docs/pictures/$$script.png || exit 1; done
 
 clean:
 	rm -rf .venv build dist *.egg-info .pytest_cache .hypothesis .ruff_cache .mypy_cache

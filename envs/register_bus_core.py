@@ -12,7 +12,7 @@ import numba
 import numpy as np
 
 from stage import engine, host
-from stage.compiled import hot, record
+from stage.compiled import greatest, hot, least, record
 from stage.envs.results import result
 
 WRITE, READ, WAIT = range(3)  # kinds of action; WAIT + k
@@ -116,7 +116,7 @@ def _potential(axes, rules, truth):
     """Minus the mean of the axes' errors beyond the tolerance, in parts of their scale."""
     total = 0.0
     for a in range(len(axes)):
-        total -= max(abs(truth[a].position - axes[a].goal) - rules[a].near, 0.0) / rules[a].scale
+        total -= greatest(abs(truth[a].position - axes[a].goal) - rules[a].near, 0.0) / rules[a].scale
     return total / len(axes)
 
 
@@ -146,7 +146,7 @@ def _judge(r, rules, action, value, bad, steps, episode, axes, words, truth, out
         if off > error or math.isnan(off):
             error = off
         lost += abs(truth[a].lost_steps)
-        more += max(abs(truth[a].lost_steps) - axes[a].lost, 0)
+        more += greatest(abs(truth[a].lost_steps) - axes[a].lost, 0)
     out.cause = 1 if bad else 0
     out.terminated = success and not bad
     out.truncated = bad or (not success and (now - episode.began >= r.limit or steps >= r.cycles))
@@ -166,7 +166,7 @@ def _judge(r, rules, action, value, bad, steps, episode, axes, words, truth, out
         out.reward = parts.progress + parts.time + parts.success + parts.lost
         episode.potential, episode.before = potential, now
         for a in range(len(axes)):
-            axes[a].lost = max(axes[a].lost, abs(truth[a].lost_steps))
+            axes[a].lost = greatest(axes[a].lost, abs(truth[a].lost_steps))
     info.elapsed, info.value, info.success = 1e-9 * (now - episode.began), episode.value, success
     info.error, info.lost_steps = error, lost
 
@@ -210,10 +210,10 @@ def _observe(r, rules, steps, episode, axes, words, truth, out):
             out[at + 1], out[at + 2] = t.velocity / FAST, t.lost_steps / MANY
             out[at + 3] = (t.position - x.goal) / rule.scale
             at += TRUTH
-    out[at], out[at + 1] = max(episode.value, 0) / r.most, 1.0 if episode.value >= 0 else 0.0
+    out[at], out[at + 1] = greatest(episode.value, 0) / r.most, 1.0 if episode.value >= 0 else 0.0
     out[at + 2], out[at + 3] = (now - episode.began) / r.duration, steps / r.cycles
     for j in range(len(out)):
-        out[j] = min(max(out[j], -1.0), 1.0)
+        out[j] = least(greatest(out[j], -1.0), 1.0)
 
 
 @hot

@@ -1,6 +1,7 @@
 """Throughput and memory of the environments, as ratios measured in one run: rounds interleaved, medians with spread.
 
 python scripts/benchmark_envs.py [--most 512] [--ids RegisterTuning] [--rounds 5] [--json FILE]
+python scripts/benchmark_envs.py --chips PCL240K MCX514 MCX304 --markdown      rows of the table of docs/envs.md
 
 Every line is one environment with so many stages under random actions. In each round the same episodes, seeds and actions, are
 played by our vector environment, by gymnasium.vector.SyncVectorEnv of our scalar one, and as many physics steps by a
@@ -13,6 +14,7 @@ import os
 import subprocess
 import sys
 import time
+from itertools import product
 
 import gymnasium
 import mujoco
@@ -22,11 +24,13 @@ from bench.timing import resident, timed
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import stage.envs
+from stage.chips import CHIPS
 
 NUMBERS = (1, 8, 64, 512, 4096)
 MODE = AutoresetMode.SAME_STEP  # every step is a step of every stage
 SEED = 240
 ENOUGH = 64  # stages, to tell how much memory one takes
+COLUMNS = ("env steps/s", "physics steps/s", "times SyncVectorEnv", "of a bare Batch")
 
 
 def vector(id_, n, threads=None, **settings):
@@ -65,11 +69,11 @@ class Episodes:
         return timed(lambda: [envs.step(a) for a in self.actions], clock)
 
 
-def measure(id_, n, args):
+def measure(id_, n, settings, args):
     """Rates and ratios of one environment with n stages, a value a round."""
-    ours = vector(id_, n, args.threads, **args.settings)
+    ours = vector(id_, n, args.threads, **settings)
     episodes = Episodes(ours, args.seconds)
-    other = sync(id_, n, **args.settings) if n <= args.most_sync else None
+    other = sync(id_, n, **settings) if n <= args.most_sync else None
     bare = Batch(n, ours.unwrapped._task.fleet.threads)
     steps = n * len(episodes.actions)
     bare.nstep = max(1, round(min(episodes.physics / n, args.bare)))
@@ -134,9 +138,31 @@ def shown(values, digits=3):
     return f"{middle:,.{digits}g}" if middle < 1000 else f"{middle:,.0f}", f"({low:.{digits}g} .. {high:.{digits}g})"
 
 
+def markdown(rows, first, n):
+    """A row of the table of docs/envs.md."""
+    cells = [" ".join(shown(rows[name])) if name in rows else "" for name in COLUMNS]
+    cells[1] = cells[1].split()[0]
+    return f"| {first} | {n} | {' | '.join(cells)} |"
+
+
+def tell(rows, id_, n, settings, most_sync):
+    """Print a line; returns KiB a stage."""
+    kinds = [k for k in ("ours", "sync", "bare") if n >= ENOUGH and (k != "sync" or n <= most_sync)]
+    kib = {kind: memory(kind, id_, n, settings) for kind in kinds}
+    cells = {name: " ".join(shown(values)) for name, values in rows.items()}
+    print(
+        f"{n:6}  {cells['env steps/s']:>28}  {cells['physics steps/s']:>30}  "
+        f"{cells.get('times SyncVectorEnv', '-'):>24}  {cells['of a bare Batch']:>22}  "
+        f"{' '.join(f'{kib[k]:9.0f}' if k in kib else '        -' for k in ('ours', 'sync', 'bare')):>30}",
+        flush=True,
+    )
+    return kib
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--ids", nargs="*", help="parts of the names of environments; default all")
+    parser.add_argument("--chips", nargs="*", default=["PCL240K"], choices=CHIPS, metavar="CHIP", help=", ".join(CHIPS))
     parser.add_argument("--least", type=int, default=1, help="stages at least, of 1, 8, 64, 512, 4096")
     parser.add_argument("--most", type=int, default=512, help="stages at most")
     parser.add_argument("--most-sync", type=int, default=64, help="environments at most in SyncVectorEnv, slow to make")
@@ -149,6 +175,7 @@ def main():
     parser.add_argument("--cpu", action="store_true", help="seconds of processor time: for a machine that others use")
     parser.add_argument("--settings", type=json.loads, default={}, help="of the environments, as JSON")
     parser.add_argument("--json")
+    parser.add_argument("--markdown", action="store_true", help="rows of a table in place of columns, without memory")
     parser.add_argument("--grow", nargs=3, help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.grow:
@@ -157,21 +184,21 @@ def main():
     table = {}
     print(f"{os.cpu_count()} processors, MuJoCo {mujoco.__version__}, {args.rounds} rounds; median (least .. most)"
           f"{'; a second is one of processor time' if args.cpu else ''}")  # fmt: skip
-    for id_ in chosen(args.ids):
-        print(f"\n{id_}\n{'stages':>6}  {'env steps/s':>28}  {'physics steps/s':>30}  {'times SyncVectorEnv':>24}  "
-              f"{'of a bare Batch':>22}  {'KiB a stage: ours, sync, bare':>30}")  # fmt: skip
+    for id_, chip in product(chosen(args.ids), args.chips):
+        settings = {"chip": chip} | args.settings
+        name = id_ if chip == "PCL240K" else f"{id_} {chip}"
+        if not args.markdown:
+            print(f"\n{name}\n{'stages':>6}  {'env steps/s':>28}  {'physics steps/s':>30}  {'times SyncVectorEnv':>24}  "
+                  f"{'of a bare Batch':>22}  {'KiB a stage: ours, sync, bare':>30}")  # fmt: skip
+        first = name.removeprefix("stage/").replace("-v0", "")
         for n in (n for n in NUMBERS if args.least <= n <= args.most):
-            rows = measure(id_, n, args)
-            kinds = [k for k in ("ours", "sync", "bare") if n >= ENOUGH and (k != "sync" or n <= args.most_sync)]
-            kib = {kind: memory(kind, id_, n, args.settings) for kind in kinds}
-            cells = {name: " ".join(shown(values)) for name, values in rows.items()}
-            print(
-                f"{n:6}  {cells['env steps/s']:>28}  {cells['physics steps/s']:>30}  "
-                f"{cells.get('times SyncVectorEnv', '-'):>24}  {cells['of a bare Batch']:>22}  "
-                f"{' '.join(f'{kib[k]:9.0f}' if k in kib else '        -' for k in ('ours', 'sync', 'bare')):>30}",
-                flush=True,
-            )
-            table[f"{id_} {n}"] = {name: values.tolist() for name, values in rows.items()} | {"KiB a stage": kib}
+            rows = measure(id_, n, settings, args)
+            if args.markdown:
+                print(markdown(rows, first, n), flush=True)
+                first, kib = "", {}
+            else:
+                kib = tell(rows, id_, n, settings, args.most_sync)
+            table[f"{name} {n}"] = {name: values.tolist() for name, values in rows.items()} | {"KiB a stage": kib}
             if args.json:
                 with open(args.json, "w") as file:
                     json.dump(table, file, indent=1)

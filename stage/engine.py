@@ -27,7 +27,7 @@ import mujoco
 import numba
 
 from stage.chips import cores
-from stage.compiled import COMPILED, hot, record
+from stage.compiled import COMPILED, greatest, hot, least, record
 from stage.drives import stepper
 
 _LIBRARY = glob.glob(os.path.join(os.path.dirname(mujoco.__file__), "libmujoco.*"))[0]  # .so or, on macOS, .dylib
@@ -134,7 +134,7 @@ def _foresee_index(world, axis, t, q, v, half):
             last = wait + INDEX + INDEX_HYSTERESIS if wait > 0.0 else rim + INDEX_HYSTERESIS - off
             if 0.0 < last < speed * 2.0 * half:
                 axis.index_end = world.start + int(last / speed * SECOND)
-        axis.next_edge = min(axis.next_edge, axis.index_edge)
+        axis.next_edge = least(axis.next_edge, axis.index_edge)
 
 
 @hot
@@ -150,9 +150,9 @@ def _foresee_switch(world, axis, s, t, v, half):
         if on != s.on:
             wait = 0.0
             if t.forced < 0 and approach != 0.0:
-                wait = min(max(half + (s.dist - threshold) / approach, 0.0), 2.0 * half)
-            s.edge = max(world.start + int(wait * SECOND), world.now)
-    axis.next_edge = min(axis.next_edge, s.edge)
+                wait = least(greatest(half + (s.dist - threshold) / approach, 0.0), 2.0 * half)
+            s.edge = greatest(world.start + int(wait * SECOND), world.now)
+    axis.next_edge = least(axis.next_edge, s.edge)
 
 
 @hot
@@ -203,13 +203,13 @@ def _meet_axis_edges(axis, t, c, j, switches, switch_table, now):
             word = word | bit if s.on else word & ~bit
             if s.toggles or switch_table[k].bounce:
                 _bounce(s, switch_table[k], now)
-        axis.next_edge = min(axis.next_edge, s.edge)
+        axis.next_edge = least(axis.next_edge, s.edge)
     if t.index_bit:
         if axis.index_edge <= now:
             axis.index_edge, axis.index_end = axis.index_end, NEVER
             axis.index_on = 1 - axis.index_on
             word = word | t.index_bit if axis.index_on else word & ~t.index_bit
-        axis.next_edge = min(axis.next_edge, axis.index_edge)
+        axis.next_edge = least(axis.next_edge, axis.index_edge)
     cores.set_input(c, j, word)
 
 
@@ -218,7 +218,7 @@ def _next_edge(axes, wiring):
     """When the next input of a chip changes."""
     edge = axes[wiring.axis[0]].next_edge
     for j in range(1, wiring.axes):
-        edge = min(edge, axes[wiring.axis[j]].next_edge)
+        edge = least(edge, axes[wiring.axis[j]].next_edge)
     return edge
 
 
@@ -255,7 +255,7 @@ def _run_chips(rows, first, wiring, world, axes, table, switches, switch_table, 
         k, now = world.slice, 0
         while now < stop:
             bound = start + (k + 1) * dt // SLICES
-            now = min(bound, stop)
+            now = least(bound, stop)
             if _next_edge(axes, w) <= now:
                 counts[1] = _meet_edges(c, w, axes, table, switches, switch_table, now, edges, counts[1])
             cores.run(c, clock + (rest + (now - start) * hz) // SECOND)
@@ -318,7 +318,7 @@ def run(
     status, counts[1] = REACHED, n_edges
     while world.now < until:
         end = world.start + clockwork.dt
-        stop = min(until, end)
+        stop = least(until, end)
         k = _run_families(chips, wiring, world, axes, table, switches, switch_table, stop, clockwork.dt, edges, counts)
         world.now = stop
         world.slice = k
@@ -347,7 +347,8 @@ def run(
             if world.to_sample <= 0:
                 world.to_sample = clockwork.sample_every
                 _sample_families(chips, wiring, world, table, drives, clockwork, qpos, qvel, ctrl, samples[n_samples])
-                positions[n_samples] = qpos
+                for i in range(len(qpos)):
+                    positions[n_samples, i] = qpos[i]
                 n_samples += 1
                 if n_samples == len(samples):
                     status = SAMPLES_FULL

@@ -1,7 +1,7 @@
 """`Fleet`: many stages under one program each, on threads.
 
     fleet = Fleet([Stage("xyz") for _ in range(64)])
-    program = Program().command(0, 0x08).register(0, "R0", 2000, fleet.stages[0]) ...
+    program = Program().command(0, 0x08).register(0, PCL240K, "R0", 2000) ...
     played = fleet.play([program] * 64)
 
 The stages go on as if a Python driver had done the same bus cycles on each of them alone: the same bits, on any number of
@@ -50,13 +50,22 @@ class Program:
         """A byte to address 0."""
         return self.write(axis, 0, value)
 
-    def register(self, axis: int, chip: Chip, name: str, value: int) -> Program:
-        """Select a register of a PCL-240 and write its bytes, high to low."""
+    def register(self, axis: int, chip: Chip | type[Chip], name: str, value: int, chip_axis: int = 0) -> Program:
+        """Write a register of a chip as its family does.
+
+        A PCL-240: select it, then its bytes, high to low. NOVA: WR6, WR7 if it has more than 16 bits, and the command that is its
+        number, to axis `chip_axis` of the chip where it is an axis' register.
+        """
         r = chip.MAP.register(name)
-        self.command(axis, 0x80 | r.number)
-        for k in reversed(range((r.bits + 7) // 8)):
-            self.write(axis, 1 + k, value >> 8 * k & 0xFF)
-        return self
+        if chip.DATA_MASK == 0xFF:
+            self.command(axis, 0x80 | r.number)
+            for k in reversed(range((r.bits + 7) // 8)):
+                self.write(axis, 1 + k, value >> 8 * k & 0xFF)
+            return self
+        self.write(axis, 6, value & 0xFFFF)
+        if r.bits > 16:
+            self.write(axis, 7, value >> 16 & 0xFFFF)
+        return self.write(axis, 0, r.number | (1 << chip_axis << 8 if chip.MAP.command(name).axes else 0))
 
     def wait(self, seconds: float) -> Program:
         self.ops.append((host.WAIT, round(seconds * 1e9), 0, 0))

@@ -28,7 +28,7 @@ from numba.np.numpy_support import as_dtype
 
 from stage import engine
 from stage.chips import cores
-from stage.compiled import COMPILED, hot, record
+from stage.compiled import COMPILED, greatest, hot, least, record
 from stage.drives import stepper
 
 END, WRITE, READ, WAIT, STOP, MEASURE, LOOK = range(7)
@@ -174,11 +174,11 @@ def _measure(h, arrays, scratch, end, extremes):
     """Let time pass up to `end` a physics step at a time; True if the stage diverged."""
     world, clockwork, qpos = arrays[0][0], arrays[8][0], arrays[9]
     while world.now < end:
-        if _pass(h, arrays, scratch, min(end, world.start + clockwork.dt)):
+        if _pass(h, arrays, scratch, least(end, world.start + clockwork.dt)):
             return True
         for i in range(h.nq):
-            extremes[i, 0] = min(extremes[i, 0], qpos[i])
-            extremes[i, 1] = max(extremes[i, 1], qpos[i])
+            extremes[i, 0] = least(extremes[i, 0], qpos[i])
+            extremes[i, 1] = greatest(extremes[i, 1], qpos[i])
     return False
 
 

@@ -5,6 +5,7 @@
     host.move(program, values, pulses)          the bus cycles of a move, up to its start
     host.formula(fl, fh, up, down, pulses)      what the data sheet makes of rates and ramps
     search = host.search(settings)              an origin return: what can be chosen, its program, what it finds
+    line = line_of(hosts, settings)             several axes on a straight line
 
 A new family takes part with a `Host` of its own, in a file here, and a row in HOSTS. What the bus looks like, addresses, data
 and status, stands in the chip's class, and RegisterBus needs no more.
@@ -14,12 +15,13 @@ from stage.chips import MCX514
 from stage.chips.nova import Nova
 from stage.chips.pcl240 import PCL240
 from stage.envs.hosts.host import Found, Host, Search
+from stage.envs.hosts.line import Line, line_of
 from stage.envs.hosts.nova import FirstGeneration, Mcx514
 from stage.envs.hosts.pcl240 import Pcl240
 from stage.errors import ArgumentError
 from stage.machine import Axis
 
-__all__ = ["HOSTS", "Found", "Host", "Search", "host_of"]
+__all__ = ["HOSTS", "Found", "Host", "Line", "Search", "host_of", "line_of"]
 
 HOSTS: tuple[tuple[type, type[Host]], ...] = ((PCL240, Pcl240), (MCX514, Mcx514), (Nova, FirstGeneration))
 """Chip classes and who speaks to them; the first that fits."""

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -12,6 +12,9 @@ from stage.envs.registers import RegisterBox
 from stage.errors import ArgumentError
 from stage.fleet import Program
 from stage.machine import Axis
+
+if TYPE_CHECKING:
+    from stage.envs.hosts.line import Line
 
 
 class Found(NamedTuple):
@@ -86,6 +89,13 @@ class Host(ABC):
     @abstractmethod
     def search(self, settings: Any) -> Search:
         """An origin return with the settings of OriginReturn. Raises ArgumentError for what the chip cannot do."""
+
+    def line(self, hosts: Sequence[Host], settings: Any) -> Line:
+        """Straight lines with the axes of `hosts`, whose chips are of this one's kind, with the settings of SynchronizedMove.
+
+        Raises ArgumentError where the chips cannot.
+        """
+        raise ArgumentError(f"chip {type(self.chip).__name__}: no host draws lines with it yet (stage.envs.hosts).")
 
     def no_s_curves(self) -> ArgumentError:
         return ArgumentError(f"s_curve=True: a {self.chip.MAP.chip} has linear ramps only.")

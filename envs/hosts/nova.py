@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
 
 from stage.chips.nova.maps304 import RANGE
 from stage.envs.hosts.host import Found, Host, Search
+from stage.envs.hosts.line import Line
+from stage.envs.hosts.nova_line import InRatio, Interpolated
 from stage.envs.registers import RegisterBox, limits
 from stage.errors import ArgumentError
 from stage.fleet import Program
@@ -25,6 +27,8 @@ class NovaHost(Host):
 
     SPEEDS: ClassVar[tuple[str, str, str]]
     JERK: ClassVar[str]
+    UNIT: ClassVar[int] = 1
+    """pps of a unit of speed, as `begin` sets it."""
     NOP: ClassVar[str] = "NOP"
     STOP: ClassVar[str]
 
@@ -34,16 +38,13 @@ class NovaHost(Host):
         self.bit = 1 << axis.chip_axis
 
     def command(self, p: Program, symbol: str) -> Program:
-        """A command to this axis."""
-        return p.write(self.index, 0, self.bit << 8 | self.map.command(symbol).code)
+        """A command to this axis, or to the chip."""
+        c = self.map.command(symbol)
+        return p.write(self.index, 0, (self.bit << 8 if c.axes else 0) | c.code)
 
     def set(self, p: Program, name: str, value: int) -> Program:
-        """A parameter or mode of this axis: WR6, WR7, and the command that is its register's number."""
-        r = self.map.register(name)
-        p.write(self.index, 6, value & 0xFFFF)
-        if r.bits > 16:
-            p.write(self.index, 7, value >> 16 & 0xFFFF)
-        return p.write(self.index, 0, self.bit << 8 | r.number)
+        """A parameter or mode of this axis, or of the chip."""
+        return p.register(self.index, self.chip, name, value, self.axis.chip_axis)
 
     def words(self, p: Program, **words: int) -> Program:
         """WR1 to WR3 of this axis."""
@@ -83,6 +84,25 @@ class NovaHost(Host):
     def search(self, settings: Any) -> Search:
         return HomeSearch(self, settings)
 
+    # --- lines ---
+
+    FINISH: ClassVar[str]
+    """The register of the finish point."""
+
+    def line(self, hosts: Sequence[Any], settings: Any) -> Line:
+        """By the chip's interpolation where all axes are on one chip that has it; else by the ratio of speeds and accelerations."""
+        if self.interpolates(hosts):
+            return Interpolated(hosts, settings)
+        return InRatio(hosts, settings)
+
+    @abstractmethod
+    def interpolates(self, hosts: Sequence[NovaHost]) -> bool:
+        """Whether the chip can interpolate these axes. Raises ArgumentError where there is no other way, either."""
+
+    @abstractmethod
+    def interpolate(self, p: Program, hosts: Sequence[NovaHost]) -> Program:
+        """Choose axes, let the speed fall at the end, and start linear interpolation; finish points are set."""
+
     # --- the home search ---
 
     @abstractmethod
@@ -104,6 +124,7 @@ class NovaHost(Host):
 class Mcx514(NovaHost):
     SPEEDS: ClassVar = ("SV", "DV", "AC")
     JERK: ClassVar = "JK"
+    FINISH: ClassVar = "TP"
     STOP: ClassVar = "DRVFBRK"
 
     def begin(self, p: Program, s_curve: bool = False) -> Program:
@@ -122,6 +143,18 @@ class Mcx514(NovaHost):
         if s_curve:
             values |= {"AC": limits(self.map, "AC")[1], "JK": 4 * (fh - fl) / seconds**2}
         return {name: self.legal(name, value) for name, value in values.items()}
+
+    def interpolates(self, hosts: Sequence[NovaHost]) -> bool:
+        if len({id(h.chip) for h in hosts}) > 1:
+            names = ", ".join(h.axis.name for h in hosts)
+            raise ArgumentError(
+                f"axes {names} are on several MCX514, and one interpolates its own: choose axes of one chip."
+            )
+        return True
+
+    def interpolate(self, p: Program, hosts: Sequence[NovaHost]) -> Program:
+        self.set(p, "IPM", sum(h.bit for h in hosts))
+        return self.command(self.command(p, "DECEN"), f"LHK{len(hosts)}")
 
     def choices(self) -> dict[str, tuple[int, int]]:
         return {"step1": (0, 1), "timer": (0, TIMERS)}
@@ -151,6 +184,8 @@ class FirstGeneration(NovaHost):
 
     SPEEDS: ClassVar = ("SV", "V", "A")
     JERK: ClassVar = "K"
+    UNIT: ClassVar = MULTIPLE
+    FINISH: ClassVar = "P"
     STOP: ClassVar = "STOP_SUDDEN"
 
     def begin(self, p: Program, s_curve: bool = False) -> Program:
@@ -172,6 +207,15 @@ class FirstGeneration(NovaHost):
         if s_curve:
             values |= {"A": limits(self.map, "A")[1], "K": 62_500_000 * MULTIPLE * seconds**2 / (4 * (fh - fl))}
         return {name: self.legal(name, value) for name, value in values.items()}
+
+    def interpolates(self, hosts: Sequence[NovaHost]) -> bool:
+        has_it = any(c.symbol == "IP_2ST" for c in self.map.commands)
+        return has_it and len(hosts) == 2 and hosts[0].chip is hosts[1].chip
+
+    def interpolate(self, p: Program, hosts: Sequence[NovaHost]) -> Program:
+        places = (h.axis.chip_axis << self.map.bit("WR5", name) for h, name in zip(hosts, ("AX1", "AX2"), strict=True))
+        p.write(self.index, 5, sum(places))
+        return self.command(self.command(p, "IP_DEC_VALID"), "IP_2ST")
 
     def choices(self) -> dict[str, tuple[int, int]]:
         return {"step1": (0, 1)}

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from stage.envs.hosts.host import Found, Host, Search
+from stage.envs.hosts.line import Line
+from stage.envs.hosts.pcl240_line import Together
 from stage.envs.registers import RegisterBox, limits
 from stage.errors import ArgumentError
 from stage.firmware import Profile, bus
@@ -50,6 +52,9 @@ class Pcl240(Host):
 
     def search(self, settings: Any) -> Search:
         return FourRuns(self, settings)
+
+    def line(self, hosts: Sequence[Any], settings: Any) -> Line:
+        return Together(hosts, settings)
 
 
 class FourRuns(Search):

@@ -182,7 +182,7 @@ def search(moves: Moves, seed: int = 0) -> None:
 
 
 def main() -> None:
-    parser = arguments(__doc__, searches=False)
+    parser = arguments(__doc__, searches=False, chips=False)
     parser.add_argument("--budget", type=int, default=64, metavar="N", help="moves")
     parser.add_argument("--show", action="store_true", help="the conversation")
     args = parser.parse_args()

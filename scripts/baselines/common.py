@@ -4,9 +4,11 @@ The task is `stage/RegisterTuning-v0` with one distance and one payload, as a be
 an electrical turn and weighs up to 3 % more or less. A move is an episode of one step, and a budget is a number of moves. What a
 method chooses is an array in [-1, 1]^n, of one of two spaces:
 
-registers   the environment's own action: R1, R2, R4, R5, R6, R7, each over its legal range
-knobs       five factors on the data sheet's answer, 0 for 1: FL, FH, acceleration, deceleration, ramp-down point; the chip's
-            formulas make registers of them (formula.py)
+registers   the environment's own action: of a PCL-240 R1, R2, R4, R5, R6, R7, each over its legal range
+knobs       factors on the data sheet's answer, 0 for 1: FL, FH, acceleration, of a PCL-240 also deceleration and ramp-down point;
+            the chip's formulas make registers of them (formula.py)
+
+Any chip that has a host (`stage.envs.hosts`) can be tuned: --chip MCX514.
 """
 
 from __future__ import annotations
@@ -21,8 +23,8 @@ import gymnasium
 import numpy as np
 
 from stage import Stage
-from stage.chips import PCL240K
-from stage.envs.hosts.pcl240 import TUNED as REGISTERS
+from stage.chips import CHIPS, chip_class
+from stage.envs.hosts import host_of
 from stage.envs.registers import RegisterBox
 
 DISTANCE = 32_000  # pulses, 100 mm on the default stage
@@ -32,6 +34,7 @@ TOLERANCE = 0.03  # of the payload
 LIMIT = 1.0  # s, a move may take; twice what the formula needs
 BUDGET = 1_024  # moves
 LANES = 16  # moves made at once
+CHIP = "PCL240K"
 CANDIDATES, REPEATS, PROOF_SEED = 100, 48, 99  # a method's best moves that are tried again, and how often each
 SPACES = ("registers", "knobs")
 
@@ -85,24 +88,27 @@ class Moves:
         distance: int = DISTANCE,
         lanes: int = LANES,
         seed: int = 0,
+        chip: str = CHIP,
     ):
         self.payload, self.distance, self.budget, self.lanes = payload, distance, budget, lanes
         self.env: Any = gymnasium.make_vec(
             "stage/RegisterTuning-v0",
             num_envs=lanes,
             vectorization_mode="vector_entry_point",
+            chip=chip,
+            s_curve=False,
             distances=(distance - TURN, distance + TURN),
             payloads=(payload * (1 - TOLERANCE), payload * (1 + TOLERANCE)),
             moves=budget + lanes,
             limit=LIMIT,
         )
         self.observation, _ = self.env.reset(seed=1000 * seed)
-        self.registers = RegisterBox(PCL240K.MAP, REGISTERS)
-        nominal = Stage("xyz")
+        nominal = Stage("xyz", chips=chip_class(chip))
         nominal.set_payload(payload)
         self.axis = nominal.axes["x"]
+        self.registers = RegisterBox(self.axis.chip.MAP, host_of(self.axis).tuned_by(s_curve=False))
         self.knobs = formula.Knobs(self.axis, distance) if space == "knobs" else None
-        self.size = len(self.knobs.RANGES) if self.knobs else len(self.registers)
+        self.size = len(self.knobs.ranges) if self.knobs else len(self.registers)
         self.log = Log()
 
     @property
@@ -146,10 +152,10 @@ class Moves:
 
 
 def prove(
-    rows: Sequence[Sequence[int]], payload: float, distance: int = DISTANCE, repeats: int = REPEATS
+    rows: Sequence[Sequence[int]], payload: float, distance: int = DISTANCE, repeats: int = REPEATS, chip: str = CHIP
 ) -> tuple[int, Log] | None:
     """Make moves with each row of registers, `repeats` of them, until one loses no step: which, and these moves. None: none did."""
-    with Moves(payload, repeats * len(rows), "registers", distance, seed=PROOF_SEED) as moves:
+    with Moves(payload, repeats * len(rows), "registers", distance, seed=PROOF_SEED, chip=chip) as moves:
         for k, row in enumerate(rows):
             moves.log = Log()
             action = moves.registers.to_action(np.array(row))
@@ -160,10 +166,10 @@ def prove(
     return None
 
 
-def told(log: Log, names: Sequence[str], payload: float, distance: int) -> str:
+def told(log: Log, names: Sequence[str], payload: float, distance: int, chip: str = CHIP) -> str:
     """The best move that can be repeated, in a line."""
     candidates = log.ranking[:CANDIDATES]
-    proven = prove([log.registers[k] for k in candidates], payload, distance) if candidates else None
+    proven = prove([log.registers[k] for k in candidates], payload, distance, chip=chip) if candidates else None
     if proven is None:
         return f"{len(log)} moves, {np.mean(log.kept):.0%} kept step; none of the best {len(candidates)} does so again and again"
     k, again = candidates[proven[0]], proven[1]
@@ -177,16 +183,18 @@ def told(log: Log, names: Sequence[str], payload: float, distance: int) -> str:
 def run(doc: str | None, search: Callable[[Moves, int], None]) -> None:
     """The command line of a search: make the moves, tell the best."""
     args = arguments(doc).parse_args()
-    with Moves(args.payload, args.budget, args.space, args.distance, seed=args.seed) as moves:
+    with Moves(args.payload, args.budget, args.space, args.distance, seed=args.seed, chip=args.chip) as moves:
         search(moves, args.seed)
-    print(told(moves.log, moves.registers.names, args.payload, args.distance))
+    print(told(moves.log, moves.registers.names, args.payload, args.distance, args.chip))
 
 
-def arguments(doc: str | None, searches: bool = True) -> argparse.ArgumentParser:
+def arguments(doc: str | None, searches: bool = True, chips: bool = True) -> argparse.ArgumentParser:
     """The options that all baselines have."""
     parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--payload", type=float, default=PAYLOADS["light"], metavar="KG", help="on the table")
     parser.add_argument("--distance", type=int, default=DISTANCE, metavar="PULSES", help="of the move")
+    if chips:
+        parser.add_argument("--chip", choices=CHIPS, default=CHIP)
     if searches:
         parser.add_argument("--budget", type=int, default=BUDGET, metavar="N", help="moves")
         parser.add_argument("--seed", type=int, default=0)

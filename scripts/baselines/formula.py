@@ -107,27 +107,33 @@ def registers(axis: Axis, pulses: int, safety: float = SAFETY, s_curve: bool | N
 
 
 class Knobs:
-    """The formula's answer as the middle of a search: factors on its rates, accelerations and ramp-down point."""
+    """The formula's answer as the middle of a search: factors on its rates and accelerations, and on the ramp-down point.
+
+    A chip without R6 finds its ramp-down point itself, and has one acceleration for both ramps.
+    """
 
     RANGES = (3.0, 1.3, 1.7, 1.7, 1.06)  # FL, FH, acceleration, deceleration, R6: from 1 / so much to so much
 
     def __init__(self, axis: Axis, pulses: int):
-        self.pulses, self.middle = pulses, profile(Load.of(axis), pulses)
+        self.pulses, self.middle, self.host = pulses, profile(Load.of(axis), pulses), host_of(axis)
+        self.ranges = self.RANGES if "R6" in self.host.tuned_by(s_curve=False) else self.RANGES[:3]
 
     def registers(self, knobs: np.ndarray) -> dict[str, int]:
-        """Registers of five numbers from -1 to 1; all 0 are the formula's."""
-        fl, fh, up, down, point = np.array(self.RANGES) ** np.asarray(knobs, float)
+        """Registers of as many numbers from -1 to 1 as there are `ranges`; all 0 are the formula's."""
+        fl, fh, up, *others = np.array(self.ranges) ** np.asarray(knobs, float)
+        down, point = others or (up, 1.0)
         m = self.middle
         low, high = m.fl * fl, m.fh1 * fh
         low = min(low, high)
         longer = (high - low) / (m.fh1 - m.fl)
-        p = Profile.of(low, high, high, max(m.accel() * longer / up, 1e-3), max(m.decel() * longer / down, 1e-3))
-        return {**p.registers(), "R6": min(round(p.down_point(self.pulses) * point), 0xFFFFF)}
+        ramps = (max(ramp * longer / factor, 1e-3) for ramp, factor in ((m.accel(), up), (m.decel(), down)))
+        made = self.host.formula(low, high, *ramps, self.pulses, s_curve=False)
+        return {**made, "R6": min(round(made["R6"] * point), 0xFFFFF)} if others else made
 
 
 def search(moves: Moves, seed: int = 0, safety: float = SAFETY) -> None:
     """One move."""
-    moves.make_actions(moves.registers.to_action(registers(moves.axis, moves.distance, safety))[None])
+    moves.make_actions(moves.registers.to_action(registers(moves.axis, moves.distance, safety, s_curve=False))[None])
 
 
 def boldest(moves: Moves, seed: int = 0) -> None:
@@ -142,12 +148,12 @@ def main() -> None:
     parser = arguments(__doc__, searches=False)
     parser.add_argument("--safety", type=float, default=SAFETY, help="pull-out thrust over the thrust used")
     args = parser.parse_args()
-    with Moves(args.payload, 1, "registers", args.distance, lanes=1) as moves:
+    with Moves(args.payload, 1, "registers", args.distance, lanes=1, chip=args.chip) as moves:
         load = Load.of(moves.axis)
         print(f"moves {load.mass:.2f} kg, rotor and screw included; pull-in {load.pull_in:.0f} pps")
         print(profile(load, args.distance, args.safety))
         search(moves, safety=args.safety)
-    print(told(moves.log, moves.registers.names, args.payload, args.distance))
+    print(told(moves.log, moves.registers.names, args.payload, args.distance, args.chip))
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import os
 import random
 import threading
@@ -59,15 +60,16 @@ def left(found: Path, kind: str, data: bytes) -> None:
 def mutate_for(
     check: Callable[[bytes], None], pool: list[bytes], seconds: float, seed: int, found: Path, most: int
 ) -> int:
-    """Check all of `pool`, then inputs of it after one to six changes, at most `most` bytes long, for `seconds`. Returns 1 at
-    a finding, which is left in the folder `found`, else 0."""
+    """Check all of `pool`, then for `seconds` inputs of it after one to six changes, at most `most` bytes long. Returns 1 at a
+    finding, which is left in the folder `found`, else 0."""
     print(f"{len(pool)} inputs, then mutations by seed {seed}", flush=True)
-    rng, watchdog, end = random.Random(seed), Watchdog(found), time.monotonic() + seconds
+    rng, watchdog, end = random.Random(seed), Watchdog(found), math.inf
     watchdog.start()
     fresh, status = iter(pool), 0
     while status == 0 and time.monotonic() < end:
         data = next(fresh, None)
         if data is None:
+            end = min(end, time.monotonic() + seconds)
             data = rng.choice(pool)
             for _ in range(rng.randint(1, 6)):
                 data = changed(rng, data, rng.choice(pool))[:most]

@@ -20,7 +20,7 @@ import numpy as np
 from stage.chips.decode import Decoder
 from stage.chips.journal import Journal
 from stage.chips.register_map import RegisterMap, dump
-from stage.compiled import plain
+from stage.compiled import plain, ready
 from stage.errors import ArgumentError, StageError, unknown
 
 MAX_DIAGNOSTICS = 1000
@@ -128,6 +128,10 @@ class Chip:
     DATA_MASK: ClassVar[int] = 0xFF
     BUSY: ClassVar[tuple[int, int]]
     """Where the bus tells that a drive is in progress: address, and the bit of axis 0."""
+
+    def __new__(cls, *_arguments: Any, **_options: Any) -> Chip:
+        ready(str(cls.CORE.__package__))
+        return super().__new__(cls)
 
     def __init__(self, clock_hz: int | None = None):
         """Power the chip up. `clock_hz`: reference clock, default the data sheet's."""

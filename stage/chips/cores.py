@@ -23,7 +23,8 @@ from typing import Any
 
 import numba
 from numba.core import types
-from numba.extending import overload
+from numba.core.imputils import lower_constant
+from numba.extending import models, overload, register_model, typeof_impl
 
 from stage.chips.nova import core as nova
 from stage.chips.pcl240 import core as pcl240
@@ -34,28 +35,49 @@ _BY_TYPE = {numba.from_dtype(core.STATE): core for core in FAMILIES} if COMPILED
 _BY_DTYPE = {core.STATE: core for core in FAMILIES}
 
 
-def _inlined(stub: Any, choose: Any) -> Any:
-    """`stub`, in compiled code replaced by what `choose` says for the types of its arguments: without a call in between."""
-    if COMPILED:
-        overload(stub, inline="always")(choose)
-    return stub
+class Answer:
+    """The function `name` of the core whose record, or rows of records, the first argument is: in compiled code as if that
+    function had been called by its own name."""
+
+    def __init__(self, name: str):
+        self.name = name
+
+    def __call__(self, c: Any, *arguments: Any) -> Any:
+        return getattr(_BY_DTYPE[c.dtype], self.name)(c, *arguments)
 
 
-def _answering(name: str) -> Any:
-    """The function `name` of the core whose records, or rows of records, the first argument holds."""
-    arguments = list(signature(getattr(pcl240, name)).parameters)[1:]
-    given = ", ".join(["c", *arguments])
+class AnswerType(types.Callable, types.Opaque):
+    """What numba knows of an `Answer`: that of the core's function."""
 
-    def find(c: Any) -> Any:
-        if COMPILED:
-            return getattr(_BY_TYPE[c.dtype if isinstance(c, types.Array) else c], name)
-        return getattr(_BY_DTYPE[c.dtype], name)
+    def __init__(self, name: str):
+        self.answer = name
+        super().__init__(f"Answer({name})")
 
-    def choose(c: Any, function: Any = None) -> Any:
-        return _written(f"def call({given}):\n    return function({given})", function=find(c))
+    def _function(self, c: Any) -> Any:
+        core = _BY_TYPE[c.dtype if isinstance(c, types.Array) else c]
+        return numba.typeof(getattr(core, self.answer))
 
-    stub = _written(f"def call({given}):\n    return find(c)({given})", find=find)
-    return _inlined(stub, _written(f"def call({given}):\n    return choose(c)", choose=choose))
+    def get_call_type(self, context: Any, args: Any, kws: Any) -> Any:
+        return self._function(args[0]).get_call_type(context, args, kws)
+
+    def get_call_signatures(self) -> Any:
+        return (), True
+
+    def get_impl_key(self, sig: Any) -> Any:
+        return self._function(sig.args[0]).get_impl_key(sig)
+
+
+@typeof_impl.register(Answer)
+def _typeof_answer(value: Answer, _context: Any) -> AnswerType:
+    return AnswerType(value.name)
+
+
+register_model(AnswerType)(models.OpaqueModel)
+
+
+@lower_constant(AnswerType)
+def _constant_answer(context: Any, _builder: Any, _type: Any, _value: Any) -> Any:
+    return context.get_dummy_value()
 
 
 def over_families(function: Any) -> Any:
@@ -72,7 +94,10 @@ def over_families(function: Any) -> Any:
         return _written("\n".join([*lines, "    return result"]), function=function)
 
     stub = _written(f"def call(chips, {given}):\n    return write(len(chips))(chips, {given})", write=write)
-    return _inlined(stub, _written(f"def call(chips, {given}):\n    return write(len(chips))", write=write))
+    if COMPILED:
+        choose = _written(f"def call(chips, {given}):\n    return write(len(chips))", write=write)
+        overload(stub, inline="always")(choose)
+    return stub
 
 
 def _written(source: str, **names: Any) -> Any:
@@ -82,11 +107,6 @@ def _written(source: str, **names: Any) -> Any:
     return space["call"]
 
 
-run, net, mean_count, pulse_rate = (
-    _answering("run"),
-    _answering("net"),
-    _answering("mean_count"),
-    _answering("pulse_rate"),
-)
-counter, inputs, set_input, outputs = map(_answering, ("counter", "inputs", "set_input", "outputs"))
-status, busy, peek, write, read = map(_answering, ("status", "busy", "peek", "write", "read"))
+run, net, mean_count, pulse_rate = map(Answer, ("run", "net", "mean_count", "pulse_rate"))
+counter, inputs, set_input, outputs = map(Answer, ("counter", "inputs", "set_input", "outputs"))
+status, busy, peek, write, read = map(Answer, ("status", "busy", "peek", "write", "read"))

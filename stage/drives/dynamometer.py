@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from stage.compiled import hot, record
+from stage.compiled import greatest, hot, least, record
 from stage.drives import stepper
 from stage.drives.motors import Drive, Motor
 from stage.errors import ArgumentError
@@ -107,7 +107,7 @@ def _follow(rows, counts, load, inertia, viscous, damper, theta, omega, trace):
         row.count, row.theta, row.omega, row.torque = counts[k], theta, omega, force
         row.current_a, row.current_b = d.current_a, d.current_b
         push, brake = omega + H / inertia * (force + damper * case), H / inertia * load[k]
-        push = max(push - brake, 0.0) if push > 0.0 else min(push + brake, 0.0)
+        push = greatest(push - brake, 0.0) if push > 0.0 else least(push + brake, 0.0)
         omega = push / (1.0 + H / inertia * (viscous + damper))
         theta += H * omega
 

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 
-from stage.compiled import hot, record
+from stage.compiled import greatest, hot, least, record
 from stage.drives.trig import sincos
 
 CHOPPER, SINE = 0, 1
@@ -99,8 +99,8 @@ def _slice(d, a, b, ta, tb, s, c, omega):
     push = d.back * omega
     ia, ib = d.current * ta, d.current * tb
     if d.mode == CHOPPER:  # on target if a voltage within the bus takes it there, else as far as it gets
-        ia = min(max(ia, a * d.keep + (push * s - d.reach)), a * d.keep + (push * s + d.reach))
-        ib = min(max(ib, b * d.keep - (push * c + d.reach)), b * d.keep - (push * c - d.reach))
+        ia = least(greatest(ia, a * d.keep + (push * s - d.reach)), a * d.keep + (push * s + d.reach))
+        ib = least(greatest(ib, b * d.keep - (push * c + d.reach)), b * d.keep - (push * c - d.reach))
     elif _pull_out_voltage(d, omega) < d.torque_constant * d.current:
         ia = a * d.keep + (push * s + d.reach * ta)
         ib = b * d.keep - (push * c - d.reach * tb)

@@ -6,7 +6,8 @@
     driver.start(12_000)
     driver.wait_until_stopped(timeout=5)
 
-See nova_erratum.py for the work-arounds of the S-curve failure.
+See nova_erratum.py for the work-arounds of the S-curve failure; nova_home.py and nova_draw.py for home search and interpolation of
+an MCX514.
 """
 
 from __future__ import annotations

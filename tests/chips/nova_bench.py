@@ -3,15 +3,13 @@
 Command codes and bits are typed from the specification pages of the chips, not taken from the product.
 """
 
-import os
 import random
 from fractions import Fraction
 from typing import NamedTuple
 
+from examples import EXAMPLES, SEED
 from reference.nova_profile import SECOND, Drive, ceil_clock
 
-EXAMPLES = int(os.environ.get("PULSESTAGE_EXAMPLES", "500"))
-SEED = int(os.environ.get("PULSESTAGE_SEED", random.SystemRandom().getrandbits(32)))
 ROUNDING = 1e-9  # clocks; a pulse due this near to a whole clock may be rounded to the clock beside
 X, Y, Z, U = 1, 2, 4, 8
 DATA_514 = dict(JK=0x00, DJ=0x01, AC=0x02, DC=0x03, SV=0x04, DV=0x05, TP=0x06, DP=0x07, CP=0x08, LP=0x09, AO=0x0D)

@@ -424,6 +424,11 @@ def test_two_chips_interpolate_at_the_same_time_without_a_trace_of_each_other():
     assert found == expected
 
 
+def run(chip, clocks):
+    """As a stage does, which asks for the mean afterwards."""
+    core.run(chip._rows[0], chip.clock + clocks)
+
+
 def test_the_mean_count_is_exact_where_pulses_are_interpolated():
     chip, twin = (prepared(main=RAMP._replace(DV=90_000, AC=900_000)) for _ in range(2))
     for c in (chip, twin):
@@ -431,7 +436,7 @@ def test_the_mean_count_is_exact_where_pulses_are_interpolated():
     window = 7001
     while driving(chip):
         before, began = [chip.net(j) for j in range(2)], chip.clock
-        chip.advance(window)
+        run(chip, window)
         pulses = twin.trace(window).tolist()
         for j in range(2):
             exact = before[j] + sum(way * (chip.clock - clock) for clock, axis, way in pulses if axis == j) / window
@@ -441,18 +446,18 @@ def test_the_mean_count_is_exact_where_pulses_are_interpolated():
 
 def test_the_mean_count_knows_old_and_foreign_pulses_from_interpolated_ones():
     chip = prepared()
-    chip.advance(ENOUGH)
+    run(chip, ENOUGH)
     line(chip, (100, 0))
-    chip.advance(100 * PERIOD)
+    run(chip, 100 * PERIOD)
     core.mean_count(chip._rows[0], 0, 0, 100 * PERIOD)
     line(chip, (5, 0))
-    chip.advance(5 * PERIOD)
+    run(chip, 5 * PERIOD)
     load(chip, X, TP=45)
     command(chip, 0x50, X)
-    chip.advance(45 * PERIOD)
+    run(chip, 45 * PERIOD)
     expected = 105 + 45 - sum(range(1, 6)) / 50 - 45 / 2  # the drive is over: its pulses came evenly over the window
     assert core.mean_count(chip._rows[0], 0, 100, 50 * PERIOD) == pytest.approx(expected)
-    chip.advance(ENOUGH)
+    run(chip, ENOUGH)
     line(chip, (30, 0))
-    chip.advance(31 * PERIOD)
+    run(chip, 31 * PERIOD)
     assert core.mean_count(chip._rows[0], 0, 180, PERIOD) == 180  # nobody asked while they came

@@ -4,17 +4,18 @@ A failing program is printed with the clock of each operation and its bus writes
 the number of programs.
 """
 
-import os
 from collections import Counter
 
 import numpy as np
-from hypothesis import HealthCheck, Phase, given, seed, settings
+from examples import EXAMPLES
+from hypothesis import HealthCheck, Phase, example, given, seed, settings
 from hypothesis import strategies as st
 from pcl240k_bench import commands
 from pcl240k_programs import (
     OPERATING,
     Pair,
     chaotic_programs,
+    driver_program,
     flatten,
     real_programs,
     register,
@@ -25,7 +26,6 @@ from reference.pcl240 import INPUTS, ReferencePCL240K
 
 from stage.chips import PCL240K
 
-EXAMPLES = int(os.environ.get("PULSESTAGE_EXAMPLES", "500"))
 random_programs = settings(
     max_examples=EXAMPLES,
     deadline=None,
@@ -55,6 +55,7 @@ def test_registers_of_any_legal_value_agree_over_long_runs(program):
 
 @random_programs
 @given(real_programs, st.lists(st.integers(1, 900), min_size=1, max_size=8))
+@example(driver_program(0, 32, (50, 500, 500), (2, 2), 17, 2, 68, 192, 21, [], []), [1, 1, 30, 900, 1])
 def test_advancing_in_pieces_is_advancing_at_once(program, pieces):
     one, many = Pair(look=False), Pair(look=False)
     for pair in (one, many):

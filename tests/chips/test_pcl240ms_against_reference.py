@@ -4,13 +4,13 @@ A failing program is cut short and printed with the clock of each operation and 
 scales the number of programs, PULSESTAGE_SEED repeats a run.
 """
 
-import os
 import random
 from bisect import bisect_left
 from collections import Counter
 
 import numpy as np
 import pytest
+from examples import EXAMPLES, SEED
 from pcl240k_programs import flatten
 from pcl240ms_programs import (
     ANY_REAL_PROGRAM,
@@ -26,8 +26,6 @@ from pcl240ms_programs import (
 )
 from reference.pcl240ms import R10, R14, R15, SCurve
 
-EXAMPLES = int(os.environ.get("PULSESTAGE_EXAMPLES", "500"))
-SEED = int(os.environ.get("PULSESTAGE_SEED", random.SystemRandom().getrandbits(32)))
 both_chips = pytest.mark.parametrize("name", PAIRS)
 
 

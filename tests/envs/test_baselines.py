@@ -106,10 +106,28 @@ def test_knobs_at_zero_are_the_formula_and_each_does_what_it_is_called(axis):
         assert turned[others] == pytest.approx(1, rel=0.03)
 
 
+@pytest.mark.parametrize("chip", ["MCX514", "MCX304"])
+def test_a_nova_chip_is_tuned_by_three_knobs_and_its_formula_keeps_step(chip):
+    with Moves(0.5, 1, distance=2000, lanes=1, chip=chip) as moves:
+        assert moves.size == 3
+        middle = moves.knobs.registers(np.zeros(3))
+        assert middle == formula.registers(moves.axis, 2000, s_curve=False)
+        assert tuple(middle) == moves.registers.names
+        for k, factor in enumerate(moves.knobs.ranges):
+            turned = moves.knobs.registers(np.eye(3)[k])
+            assert turned[moves.registers.names[k]] == pytest.approx(
+                factor * middle[moves.registers.names[k]], rel=0.02
+            )
+        formula.search(moves)
+    assert moves.log.registers == [list(middle.values())]
+    assert prove(moves.log.registers, 0.5, 2000, repeats=8, chip=chip)[0] == 0
+
+
+@pytest.mark.parametrize("chip", ["PCL240K", "MCX514", "MCX304"])
 @pytest.mark.parametrize("space", ["knobs", "registers"])
-def test_any_choice_makes_legal_registers(space):
+def test_any_choice_makes_legal_registers(space, chip):
     rng = np.random.default_rng(5)
-    with Moves(10.0, 1, space, lanes=1) as moves:
+    with Moves(10.0, 1, space, lanes=1, chip=chip) as moves:
         for choice in rng.choice([-1.0, 0.0, 1.0], (40, moves.size)):
             if moves.knobs:
                 moves.registers.to_action(moves.knobs.registers(choice))

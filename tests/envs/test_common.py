@@ -14,7 +14,10 @@ import stage.envs
 from stage import ArgumentError
 
 EVERY = list(stage.envs.IDS)
-OTHER_CHIPS = ["stage/RegisterTuning-v0 MCX304", "stage/RegisterBus-v0 MCX514", "stage/OriginReturn-v0 MCX514"]
+OTHER_CHIPS = [
+    "stage/RegisterTuning-v0 MCX304", "stage/RegisterBus-v0 MCX514", "stage/OriginReturn-v0 MCX514",
+    "stage/SynchronizedMove-v0 MCX514", "stage/SynchronizedMove-v0 MCX302",
+]  # fmt: skip
 """Families of chips beside the default: an id and a chip."""
 SETTINGS = {
     "stage/RegisterTuning-v0": {"moves": 2, "distances": (400, 1600), "limit": 0.5, "settle": 0.01},

@@ -6,9 +6,10 @@ import pytest
 
 from stage import Stage, firmware
 from stage.chips import CHIPS
+from stage.envs.hosts import host_of, line_of
+from stage.envs.hosts.pcl240 import TUNED as REGISTERS
 from stage.envs.registers import RegisterBox
 from stage.envs.synchronized_move import (
-    REGISTERS,
     Config,
     SynchronizedMove,
     SynchronizedMoveEnv,
@@ -16,7 +17,7 @@ from stage.envs.synchronized_move import (
 )
 from stage.errors import ArgumentError
 from stage.firmware import follow
-from stage.firmware.path import path_deviation, pulses_of
+from stage.firmware.path import path_deviation, perfect_deviation, pulses_of
 
 SHORT = {"distances": (500, 3000), "rate": 16_000.0, "accel": 0.05}
 NOTHING = np.zeros(12, np.float32)
@@ -46,25 +47,39 @@ def task(number=1, **settings):
     return made
 
 
+STARTS = {"PCL240": (0x11, 0x15), "MCX514": (0x61,), "MCX3": (0x25, 0x30)}
+"""Codes of the commands that start axes, by how the chip's name begins."""
+
+
+def step_with_journals(env, action):
+    """(info, pulses of each axis, clocks from the first start command to the last pulse)."""
+    chips, began = env.stage.chips, env.stage.chips[0].clock
+    journals = [c.journal() for c in chips]
+    info = env.step(action)[-1]
+    pulses = {id(c): pulses_of(j) for c, j in zip(chips, journals, strict=True)}
+    codes = next(codes for name, codes in STARTS.items() if type(chips[0]).__name__.startswith(name))
+    first = min(e.clock for j in journals for e in j.entries if e.a == 0 and e.b & 0xFF in codes)
+    for j in journals:
+        j.close()
+    axes = [env.stage.axes[n] for n in env._task.config.axes]
+    paths = [pulses[id(a.chip)][pulses[id(a.chip)]["axis"] == a.chip_axis] for a in axes]
+    return info, paths, began + max(int(p["clock"][-1]) for p in paths) - first
+
+
 @pytest.mark.parametrize("bus_cycle", [1e-6, 3.3e-5])
-@pytest.mark.parametrize("chip", [name for name in CHIPS if name.startswith("PCL")])
-def test_deviation_and_duration_are_those_of_the_pulses_that_the_chips_made(chip, bus_cycle):
-    env = SynchronizedMoveEnv(**SHORT, chip=chip, bus_cycle=bus_cycle, moves=3)
+@pytest.mark.parametrize("axes", ["xy", "zx"])
+@pytest.mark.parametrize("chip", CHIPS)
+def test_deviation_and_duration_are_those_of_the_pulses_that_the_chips_made(chip, axes, bus_cycle):
+    env = SynchronizedMoveEnv(**SHORT, chip=chip, axes=axes, bus_cycle=bus_cycle, moves=3)
     env.reset(seed=7)
     rng = np.random.default_rng(7)
     print("seed 7")
     for _ in range(3):
-        chips = [env.stage.axes[n].chip for n in "xy"]
-        began, journals = chips[0].clock, [c.journal() for c in chips]
-        info = env.step(rng.uniform(-1, 1, 12).astype(np.float32))[-1]
-        paths = [pulses_of(j) for j in journals]
-        for j in journals:
-            j.close()
+        action = rng.uniform(-1, 1, env.action_space.shape).astype(np.float32)
+        info, paths, clocks = step_with_journals(env, action)
         assert [len(p) * int(p["direction"][0]) for p in paths] == info["distances"].tolist()
-        starts = [e.clock for j in journals for e in j.entries if (e.a, e.b) in [(0, 0x11), (0, 0x15)]]
         assert info["deviation"] == path_deviation(paths, info["distances"]).pulses
-        last = max(int(p["clock"][-1]) for p in paths)
-        assert info["duration"] == (began + last - min(starts)) / chips[0].clock_hz
+        assert info["duration"] == clocks / env.stage.chips[0].clock_hz
 
 
 def test_the_planners_registers_as_an_action_keep_the_planners_line():
@@ -113,7 +128,7 @@ def test_no_correction_is_the_data_sheets_answer_in_the_ratio_of_the_distances(a
 def test_each_number_of_a_correction_moves_its_own_register_by_no_more_than_its_reach():
     rules = task(8)
     plain = rules.chosen(np.zeros((8, 12), np.float32))
-    worth = rules._worth(plain)
+    worth = rules.line.worth(plain, rules.asked)
     for k in range(12):
         axis, register = divmod(k, 6)
         for sign in (-1, 1):
@@ -139,11 +154,11 @@ def test_a_small_number_leaves_the_multiplier_alone():
 
 def test_the_observation_foretells_how_far_the_followers_pulses_are_off_their_share():
     rules = task(30)
-    errors, rows = rules._errors(), rules._rows(rules.data_sheet())
+    errors, rows = rules.line.errors(rules.asked), rules.line.rows(rules.data_sheet(), rules.asked)
     for k, d in enumerate(np.abs(rules.distances)):
         lead = int(d.argmax())
         follower, rho = 1 - lead, d[1 - lead] / d[lead]
-        pulses = [follow.run(row, rules.chip) for row in rows[k]]
+        pulses = [follow.run(row, CHIPS["PCL240K"]) for row in rows[k]]
         row = rows[k, lead]
         risen = (row[2] - row[1]) * row[4]
         falls = pulses[lead][d[lead] - row[6]]
@@ -156,7 +171,7 @@ def test_the_observation_foretells_how_far_the_followers_pulses_are_off_their_sh
 def test_corrections_against_the_errors_seen_bring_the_path_closer_to_the_line():
     """A policy without learning: R1 against the error after the ramp-up, R2 against that at the ramp-down."""
     rules = task(60)
-    errors, zeros = rules._errors(), np.zeros((60, 2, 6))
+    errors, zeros = rules.line.errors(rules.asked), np.zeros((60, 2, 6))
     action = zeros.copy()
     action[:, :, 0], action[:, :, 1] = -errors[:, :, 0] / 4, -errors[:, :, 1] / 4
 
@@ -264,8 +279,8 @@ def test_options_that_do_not_exist_are_refused(options, said):
         ({"axes": ("x", "q")}, "unknown axis"),
         ({"actions": "bytes"}, "unknown actions"),
         ({"chip": "Z80"}, "unknown chip"),
-        ({"chip": "MCX514"}, "for the PCL-240 family"),
         ({"s_curve": True}, "linear ramps only"),
+        ({"chip": "MCX514", "rate": 1e7}, "up to 8000000 pps"),
         ({"distances": (5, 1_000_000)}, "has room for"),
         ({"distances": (0, 10)}, "from 1 up"),
         ({"rate": 500.0}, "not below fl"),
@@ -329,3 +344,116 @@ def test_it_is_found_by_gymnasium():
     env = gymnasium.make("stage/SynchronizedMove-v0", axes=("x", "z"), chip="PCL240MK", actions="registers")
     assert env.action_space.shape == (12,)
     assert env.observation_space.shape == (15,)
+
+
+NOVA = [name for name in CHIPS if name.startswith("MCX")]
+
+
+@pytest.mark.parametrize("s_curve", [False, True])
+@pytest.mark.parametrize("axes", ["xy", "yx", "xyz"])
+@pytest.mark.parametrize("chip", ["MCX514", "MCX312"])
+def test_interpolation_keeps_half_a_pulse_whatever_is_chosen(chip, axes, s_curve):
+    if chip == "MCX312" and axes == "xyz":
+        pytest.skip("its two chips have two axes each")
+    env = SynchronizedMoveEnv(**SHORT, chip=chip, axes=axes, s_curve=s_curve, moves=4)
+    env.reset(seed=12)
+    rng = np.random.default_rng(12)
+    print("seed 12")
+    assert env.action_space.shape == (3 + s_curve,), "one row: speeds of the main axis"
+    for _ in range(4):
+        info = env.step(rng.uniform(-1, 1, env.action_space.shape).astype(np.float32))[-1]
+        assert info["finished"]
+        assert info["deviation"] <= 0.5 * np.sqrt(len(axes) - 1) + 1e-9
+    assert not env.stage.axes["x"].chip.diagnostics
+
+
+@pytest.mark.parametrize("s_curve", [False, True])
+@pytest.mark.parametrize(("chip", "axes"), [("MCX304", "xyz"), ("MCX302", "xy"), ("MCX302", "xz"), ("MCX312", "xyz")])
+def test_ranges_in_the_ratio_of_the_distances_stray_as_perfect_axes_do(chip, axes, s_curve):
+    """The chips of two axes each are released a bus cycle apart."""
+    rules = task(20, chip=chip, axes=axes, s_curve=s_curve)
+    made = rules.chosen(np.zeros((20, *rules.action_space.shape), np.float32))
+    assert (made == rules.data_sheet()).all()
+    rules.programs()
+    for row, d, path, rate in zip(made.astype(float), rules.distances, rules.path, rules.rate, strict=True):
+        assert path <= perfect_deviation(d) + 0.1
+        m = 8_000_000 / row[:, 0]
+        shares = np.abs(d) / np.abs(d).max()
+        assert m / m.max() == pytest.approx(shares, rel=1e-5)
+        assert (row[:, 1:] == row[0, 1:]).all()
+        assert (m * row[:, 2]).max() <= rate * (1 + 1e-6)
+    assert abs(rules.line.errors(rules.asked)).max() < 0.01
+
+
+def test_very_different_distances_still_have_legal_ranges():
+    rules = task(1, chip="MCX304", distances=(1, 20_000))
+    for d in ([20_000, 1], [20_000, 300], [3, 2], [1, 1]):
+        rules.distances[0] = d
+        (registers,) = rules.data_sheet()
+        assert ((registers >= rules.line.legal(registers)) & (registers <= rules.line.legal(registers))).all()
+        rules.programs()
+        assert rules.path[0] < 1.6
+
+
+@pytest.mark.parametrize("s_curve", [False, True])
+def test_counts_of_the_ratio_move_an_axis_by_no_more_than_reach_pulses(s_curve):
+    rules = task(8, chip="MCX304", s_curve=s_curve)
+    plain, (n, m) = rules.data_sheet(), rules.line.shape
+    worth = rules.line.worth(plain, rules.asked)
+    for k in range(n * m):
+        axis, register = divmod(k, m)
+        for sign in (-1, 1):
+            action = np.zeros((8, n * m), np.float32)
+            action[:, k] = sign
+            change = rules.chosen(action) - plain
+            mine = np.delete(change.reshape(8, -1), k, axis=1)
+            assert (mine == 0).all()
+            count = worth[:, axis, register]
+            if np.isfinite(count).all():
+                assert (abs(change[:, axis, register]) * count <= np.maximum(4.0 + count / 2, count)).all()
+            else:  # the acceleration of an S-curve is at its limit
+                assert (register, s_curve) == (3, True)
+
+
+def test_corrections_of_interpolation_are_factors():
+    rules = task(6, chip="MCX514")
+    plain = rules.data_sheet()
+    assert plain.shape == (6, 1, 3)
+    for k in range(3):
+        action = np.zeros((6, 3), np.float32)
+        action[:, k] = 1
+        factors = rules.chosen(action) / plain
+        assert factors[:, 0, k] == pytest.approx(2, rel=1e-4)
+        assert (np.delete(factors[:, 0], k, axis=1) == 1).all()
+
+
+@pytest.mark.parametrize("chip", NOVA)
+def test_the_duration_of_the_formulas_registers_is_that_of_the_formula(chip):
+    distances = {"x": 3000, "y": -2000}
+    _, info, _ = one_move(
+        np.zeros(3 if chip in ("MCX514", "MCX312") else 8, np.float32), options={"distances": distances}, chip=chip
+    )
+    ramps = (16_000**2 - 1000**2) / (15_000 / 0.05)
+    assert info["duration"] == pytest.approx(0.1 + (3000 - ramps) / 16_000, rel=0.01)
+
+
+@pytest.mark.parametrize("chip", NOVA)
+def test_an_end_limit_ends_a_line_of_a_nova_chip(chip):
+    env = SynchronizedMoveEnv(**SHORT, chip=chip, moves=2)
+    env.reset(seed=3)
+    sign = np.sign(env._task.distances[0, 0])
+    env.stage.axes["x"].switches.stick("el_plus" if sign > 0 else "el_minus", True)
+    env.stage.step(2)
+    _, _, terminated, _, info = env.step(np.zeros(env.action_space.shape, np.float32))
+    assert terminated
+    assert not info["finished"]
+    assert info["reward_parts"]["limit"] == -10
+
+
+def test_chips_that_cannot_be_synchronized_are_refused():
+    mixed = Stage("xyz", chips={"x": CHIPS["PCL240K"], "y": CHIPS["MCX514"], "z": CHIPS["MCX514"]}, visuals=False)
+    with pytest.raises(ArgumentError, match="MCX514 and PCL240K cannot be synchronized"):
+        line_of([host_of(mixed.axes[n]) for n in "xy"], Config())
+    hosts = [host_of(Stage("xyz", chips=CHIPS["MCX514"], visuals=False).axes[n]) for n in "xy"]
+    with pytest.raises(ArgumentError, match="on several MCX514"):
+        line_of(hosts, Config())

@@ -32,13 +32,14 @@ from stage.chips.nova.state import (
     LP,
     LX,
     REGISTERS,
+    STATE,
     STOP0,
     STOP1,
     STOP2,
     TP,
 )  # fmt: skip
 from stage.chips.nova.status import busy, phase_bits
-from stage.compiled import hot
+from stage.compiled import hot, least, sealed
 
 SIGNED = sum(1 << r.number for r in MAP.registers if r.signed and r.number < REGISTERS)
 SHORT = sum(1 << r.number for r in MAP.registers if r.bits == 16 and r.number < REGISTERS)
@@ -94,7 +95,7 @@ def configure(x):
     x.limits, x.limit_slow = 1, w & LMTMD
     x.soft_plus, x.soft_minus, x.soft_rp, x.soft_instant = w & SLMT_PLUS, w & SLMT_MINUS, w & CMPSL, 0
     x.inpos_waits, x.alarm_stops = w & INP_E, w & ALM_E
-    x.encoder = 3 if w & PINMD else min(w >> PIND & 3, 2)
+    x.encoder = 3 if w & PINMD else least(w >> PIND & 3, 2)
     w = x.wr[3]
     x.manual, x.asymmetric = w & MANLD, 1 if w & DSNDE else 0
     x.s_curve, x.prevents = 1 if w & SACC else 0, 1 if w & AVTRI else 0
@@ -181,7 +182,7 @@ def command(c, value):
                 _axis_command(c, c.ax[j], j, code)
 
 
-@hot
+@sealed(None, STATE, "i8", "i8")
 def write(c, address, value):
     """WR0 to WR7; on the MCX312 after 36h the bit pattern in place of WR2 to WR5."""
     if address == 0:

@@ -16,13 +16,14 @@ from stage.chips.nova.state import (
     LMT_PLUS,
     PIO,
     REGISTERS,
+    STATE,
     STOP0,
     STOP1,
     STOP2,
     TP,
 )  # fmt: skip
 from stage.chips.nova.status import busy, phase_bits
-from stage.compiled import hot
+from stage.compiled import hot, sealed
 
 SIGNED = sum(1 << r.number for r in MAP.registers if r.signed and r.number < REGISTERS)
 SHORT = sum(1 << r.number for r in MAP.registers if r.bits == 16 and r.number < REGISTERS)
@@ -238,7 +239,7 @@ def command(c, value):
                 _axis_command(c, c.ax[j], j, code)
 
 
-@hot
+@sealed(None, STATE, "i8", "i8")
 def write(c, address, value):
     """WR0 to WR7."""
     if address == 0:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from stage.compiled import hot
+from stage.compiled import hot, least
 
 FAST = (1, 0, 0, 1, 1, 0, 0, 1)
 """The faster axis of an octant; octants count counter-clockwise from +X."""
@@ -105,7 +105,7 @@ def ticks(a, square):
         u, v = (a.y, a.x) if fast else (a.x, a.y)
         room = _root(square // 2) - abs(u) if u * ahead >= 0 else abs(u)
         if a.passed == a.target:
-            room = min(room, _to_go(a))
+            room = least(room, _to_go(a))
         if room > 2 * NEAR and abs(v) == _nearest(u, square):
             jump = room - NEAR
             u += jump * ahead

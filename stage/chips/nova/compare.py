@@ -9,7 +9,7 @@ from stage.chips.nova import drive, timer
 from stage.chips.nova.maps514 import MCX514_MAP
 from stage.chips.nova.profile import speed_passes
 from stage.chips.nova.state import COMP_MINUS, COMP_PLUS, LP, MCX514_TYPE, MR0, NEVER, RP
-from stage.compiled import hot
+from stage.compiled import hot, least
 
 MRM = 0  # place in `mode`
 AT_LP, AT_RP, AT_CV, AT_CT = range(4)
@@ -82,7 +82,7 @@ def _until(counter, way, value):
     """Pulses until the counter comes to a value, leaves it, or turns over."""
     left = (1 << 31) - counter if way > 0 else counter + (1 << 31) + 1
     far = way * (value - counter)
-    return min(left, far if far > 0 else 1) if far >= 0 else left
+    return least(left, far if far > 0 else 1) if far >= 0 else left
 
 
 @hot
@@ -91,11 +91,11 @@ def pulses_ahead(c, x):
     far = NEVER
     if c.variant != MCX514_TYPE:
         if not x.soft_rp:
-            far = min(_until(x.reg[LP], x.way, x.reg[COMP_PLUS]), _until(x.reg[LP], x.way, x.reg[COMP_MINUS]))
+            far = least(_until(x.reg[LP], x.way, x.reg[COMP_PLUS]), _until(x.reg[LP], x.way, x.reg[COMP_MINUS]))
         return far
     for m in range(MRS):
         if _what(x, m) == AT_LP:
-            far = min(far, _until(x.reg[LP], x.way, x.reg[MR0 + m]))
+            far = least(far, _until(x.reg[LP], x.way, x.reg[MR0 + m]))
     return far
 
 
@@ -108,10 +108,10 @@ def next_event(c, x):
     for m in range(MRS):
         kind, value = _what(x, m), x.reg[MR0 + m]
         if kind == AT_CT and x.timer:
-            at = min(at, timer.next_count(c, x, value), timer.next_count(c, x, value + 1))
+            at = least(at, least(timer.next_count(c, x, value), timer.next_count(c, x, value + 1)))
         elif kind == AT_CV and x.driving:
             n = c.clock - x.origin
-            passes = min(speed_passes(x, n, value), speed_passes(x, n, value + 1))
+            passes = least(speed_passes(x, n, value), speed_passes(x, n, value + 1))
             if passes < NEVER:
-                at = min(at, x.origin + passes)
+                at = least(at, x.origin + passes)
     return at

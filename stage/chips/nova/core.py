@@ -31,7 +31,7 @@ from stage.chips.nova.state import (
 )  # fmt: skip
 from stage.chips.nova.status import busy as driving
 from stage.chips.nova.status import phase_bits
-from stage.compiled import hot
+from stage.compiled import greatest, hot, least, sealed
 
 ROUNDS = 100  # of events that cause others at one clock
 HZ = 16_000_000
@@ -41,7 +41,7 @@ __all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE", "advance", "busy", "co
            "value", "write"]  # fmt: skip
 
 
-@hot
+@sealed(None, STATE)
 def _settle(c):
     """Everything that is due at the present clock; then when the next event is."""
     for j in range(c.axes):
@@ -51,7 +51,7 @@ def _settle(c):
         at = NEVER
         for j in range(c.axes):
             x = c.ax[j]
-            at = min(at, pins_in.follow(c, x))
+            at = least(at, pins_in.follow(c, x))
             drive.look(c, x)
             drive.obey_inputs(c, x)
             if x.go:
@@ -65,13 +65,13 @@ def _settle(c):
     c.stale = 0
     for j in range(c.axes):
         x = c.ax[j]
-        at = min(at, home.next_event(c, x))
-        at = min(at, sync.next_event(c, x))
+        at = least(at, home.next_event(c, x))
+        at = least(at, sync.next_event(c, x))
         if x.driving:
-            at = min(at, drive.next_event(c, x, sync.pulses_ahead(c, x)))
+            at = least(at, drive.next_event(c, x, sync.pulses_ahead(c, x)))
     if c.interpolating:
-        at = min(at, interpolation.next_event(c))
-    c.quiet = max(at, c.clock + 1)
+        at = least(at, interpolation.next_event(c))
+    c.quiet = greatest(at, c.clock + 1)
 
 
 @hot
@@ -97,7 +97,7 @@ def run(c, until):
     if c.stale:
         _settle(c)
     while c.clock < until:
-        _pass(c, min(until, c.quiet))
+        _pass(c, least(until, c.quiet))
         if c.stale or c.clock >= c.quiet:
             _settle(c)
 
@@ -220,8 +220,8 @@ def _missing(c, x, rest, ticks):
     v = x.v[s, 0] + t * (2.0 * x.a2[s, 0] + 3.0 * t * x.j6[s, 0])
     if v <= 0.0:
         return 0.5 * rest
-    ago = (n * max(r, 0.0) + 0.5 * n * (n - 1)) / v
-    return (1.0 if rest > 0 else -1.0) * (n - min(ago / ticks, float(n)))
+    ago = (n * greatest(r, 0.0) + 0.5 * n * (n - 1)) / v
+    return (1.0 if rest > 0 else -1.0) * (n - least(ago / ticks, float(n)))
 
 
 # --- the chip by itself ---
@@ -389,7 +389,7 @@ def trace(rows, i, until, out):
     if c.stale:
         _settle(c)
     while c.clock < until:
-        stop, first = min(until, c.quiet), k
+        stop, first = least(until, c.quiet), k
         if c.interpolating:
             stop, k = interpolation.trace(c, stop, out, k)
         k = _trace_pulses(c, stop, out, first, k)
@@ -419,10 +419,10 @@ def scan(rows, i, until, every_pulse, out, axis):
     while c.clock < until and k < len(out) - ROOM:
         before, net_before = shown(c, axis, outputs(c, axis)), x.net
         rate = pulse_rate(c, axis, 1.0)
-        stop = stop_at(c, axis, every_pulse, min(until, c.quiet))
+        stop = stop_at(c, axis, every_pulse, least(until, c.quiet))
         if every_pulse and c.interpolating:
-            stop = min(stop, interpolation.next_tick(c))
-        _pass(c, max(stop, c.clock + 1))
+            stop = least(stop, interpolation.next_tick(c))
+        _pass(c, greatest(stop, c.clock + 1))
         if every_pulse and x.net != net_before:
             raise_pulse(c, axis, pulse_rate(c, axis, 1.0))
         if c.stale or c.clock >= c.quiet:

@@ -24,6 +24,7 @@ from stage.chips.nova.state import (
     ALARM,
     AO,
     AREA_D,
+    AXIS,
     C_END,
     C_STA,
     CONSTANT,
@@ -60,6 +61,7 @@ from stage.chips.nova.state import (
     RX,
     SM,
     SP,
+    STATE,
     STOP0,
     SV,
     TP,
@@ -67,7 +69,7 @@ from stage.chips.nova.state import (
     L,
     R,
 )  # fmt: skip
-from stage.compiled import hot
+from stage.compiled import greatest, hot, least, sealed
 
 RANGE = 8_000_000
 OFF = 0xFFFFFFFF
@@ -120,31 +122,31 @@ def _ratio(a, b):
 def speed(c, x, value):
     """A speed parameter in pulses per clock. What is out of range counts as the range's end: two pulses never begin at once."""
     if c.variant == MCX514_TYPE:
-        return _ratio(min(max(value, 1), RANGE), HZ)
+        return _ratio(least(greatest(value, 1), RANGE), HZ)
     fastest = RANGE // 1000
-    return dd.div(dd.whole(min(max(value, 1), fastest) * RANGE), dd.whole(HZ * _range(x)))
+    return dd.div(dd.whole(least(greatest(value, 1), fastest) * RANGE), dd.whole(HZ * _range(x)))
 
 
 @hot
 def _range(x):
     """R in its range: multiples 1 to 500."""
-    return min(max(x.reg[R], RANGE // 500), RANGE)
+    return least(greatest(x.reg[R], RANGE // 500), RANGE)
 
 
 @hot
 def _rate(c, x, value):
     """An acceleration parameter in pulses per clock^2."""
     if c.variant == MCX514_TYPE:
-        return dd.div(_ratio(max(value, 1), HZ), dd.whole(HZ))
-    return dd.div(dd.div(dd.whole(125 * max(value, 1) * RANGE), dd.whole(HZ * _range(x))), dd.whole(HZ))
+        return dd.div(_ratio(greatest(value, 1), HZ), dd.whole(HZ))
+    return dd.div(dd.div(dd.whole(125 * greatest(value, 1) * RANGE), dd.whole(HZ * _range(x))), dd.whole(HZ))
 
 
 @hot
 def _jerk(c, x, value):
     """A jerk parameter in pulses per clock^3."""
     if c.variant == MCX514_TYPE:
-        return dd.div(dd.div(_ratio(max(value, 1), HZ), dd.whole(HZ)), dd.whole(HZ))
-    up = dd.div(dd.whole(62_500_000 * RANGE), dd.whole(max(value, 1) * _range(x)))
+        return dd.div(dd.div(_ratio(greatest(value, 1), HZ), dd.whole(HZ)), dd.whole(HZ))
+    up = dd.div(dd.whole(62_500_000 * RANGE), dd.whole(greatest(value, 1) * _range(x)))
     return dd.div(dd.div(dd.div(up, dd.whole(HZ)), dd.whole(HZ)), dd.whole(HZ))
 
 
@@ -271,7 +273,7 @@ def plan(c, x):
         brake(x)
 
 
-@hot
+@sealed(None, STATE, AXIS, "i8", "i8")
 def launch(c, x, way, output):
     """Begin a drive of `output` pulses, or without an end where it is negative, at the present clock."""
     x.finish &= 0xFF
@@ -351,7 +353,7 @@ def hold(c, x, on):
         start(c, x, kind)
 
 
-@hot
+@sealed(None, STATE, AXIS)
 def replan(c, x):
     """The drive speed or the number of pulses has changed while driving."""
     if not x.driving or x.slow:
@@ -372,7 +374,7 @@ def change_speed(c, x, value):
 @hot
 def step_speed(c, x, way):
     """Speed increase, decrease: the drive speed by IV."""
-    change_speed(c, x, min(max(x.reg[DV] + way * x.reg[IV], 1), RANGE))
+    change_speed(c, x, least(greatest(x.reg[DV] + way * x.reg[IV], 1), RANGE))
 
 
 @hot
@@ -410,7 +412,7 @@ def finish(c, x, cause):
         note_drive(x, D_END)
 
 
-@hot
+@sealed(None, STATE, AXIS, "i8")
 def request_stop(c, x, cause):
     """A decelerating stop: 56h, 26h, a STOP signal, a limit in that mode. The chips of the erratum take no notice while they
     brake on an S-curve anyway, and in its area d they run away. An axis that interpolates asks the interpolation to stop."""
@@ -533,13 +535,13 @@ def pulses_ahead(c, x):
         if x.way > 0 and x.soft_plus:
             limit = x.reg[SP] + (1 if c.variant == MCX514_TYPE else 0)
             if lp < limit:
-                far = min(far, limit - lp)
+                far = least(far, limit - lp)
         elif x.way < 0 and x.soft_minus and lp >= x.reg[SM]:
-            far = min(far, lp - x.reg[SM] + 1)
+            far = least(far, lp - x.reg[SM] + 1)
     if c.variant == MCX514_TYPE and x.reg[LX] != OFF:
         if not 0 <= x.reg[LP] <= x.reg[LX]:
             return 1  # the ring takes it in with the next pulse
-        far = min(far, x.reg[LX] + 1 - x.reg[LP] if x.way > 0 else x.reg[LP] + 1)
+        far = least(far, x.reg[LX] + 1 - x.reg[LP] if x.way > 0 else x.reg[LP] + 1)
     return far
 
 
@@ -550,10 +552,10 @@ def next_event(c, x, far):
     s = segment_at(x, n)
     at = x.end
     if s + 1 < x.segments:
-        at = min(at, x.from_clock[s + 1])
-    far = min(far, pulses_ahead(c, x))
+        at = least(at, x.from_clock[s + 1])
+    far = least(far, pulses_ahead(c, x))
     if far < NEVER:
-        k = x.done + max(far, 1)
+        k = x.done + greatest(far, 1)
         if at >= NEVER or reached(x, at) >= k:
-            at = min(at, clock_of(x, k))
+            at = least(at, clock_of(x, k))
     return x.origin + at if at < NEVER else NEVER

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from stage.chips.nova import circular
 from stage.chips.nova.maps514 import MCX514_MAP
-from stage.compiled import hot
+from stage.compiled import greatest, hot, least
 
 MOST = MCX514_MAP.register("HLV").range[1]
 
@@ -85,4 +85,4 @@ def ticks(a, g):
 def calculate(a, g):
     """HLV, as far as it can hold that."""
     count, _ = _count(a, g, g.turns > 0)
-    return min(max(count, 1), MOST)
+    return least(greatest(count, 1), MOST)

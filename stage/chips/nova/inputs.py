@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from stage.chips.nova.drive import count_encoder
 from stage.chips.nova.state import ECA, ECB, INPUT_PINS, NEVER, STOP2
-from stage.compiled import hot
+from stage.compiled import greatest, hot, least
 
 UP_DOWN = 3  # PIMD
 
@@ -29,7 +29,9 @@ def _encoder(c, x, old, new):
     if step == 2:
         return  # both at once: no direction can be told
     step = 1 if step == 1 else -1
-    seam = max(begin, end) if abs(begin - end) == 1 else 0  # between which quarters: 1, 2, 3, or 0 at the period's end
+    seam = (
+        greatest(begin, end) if abs(begin - end) == 1 else 0
+    )  # between which quarters: 1, 2, 3, or 0 at the period's end
     if x.encoder == 0 or (x.encoder == 1 and seam % 2 == 0) or (x.encoder == 2 and seam == 0):
         count_encoder(c, x, way * step)
 
@@ -52,7 +54,7 @@ def follow(c, x):
             if x.pending[k] == 0:
                 x.pending[k] = c.clock + (x.slow_delay if bit & (STOP2 | ECA | ECB) else x.delay)
             if c.clock < x.pending[k]:
-                at = min(at, x.pending[k])
+                at = least(at, x.pending[k])
                 continue
             x.pending[k] = 0
         x.level ^= bit

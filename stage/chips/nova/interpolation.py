@@ -12,8 +12,20 @@ from stage.chips.nova.maps304 import MCX312_MAP
 from stage.chips.nova.maps514 import MCX514_MAP
 from stage.chips.nova.plan import from_here, pair, put, slow_down
 from stage.chips.nova.profile import segment_at, speed_at
-from stage.chips.nova.state import AXES, CONSTANT, D_END, D_STA, E_CERR, LINE, MCX514_TYPE, NEVER, PATTERN, STAGES
-from stage.compiled import hot
+from stage.chips.nova.state import (
+    AXES,
+    CONSTANT,
+    D_END,
+    D_STA,
+    E_CERR,
+    LINE,
+    MCX514_TYPE,
+    NEVER,
+    PATTERN,
+    STAGES,
+    STATE,
+)
+from stage.compiled import greatest, hot, least, sealed
 
 IPM = MCX514_MAP.register("IPM").number - 0x20  # place in `mode`
 INTA, INTB = MCX514_MAP.mask("IPM", "INTA"), MCX514_MAP.mask("IPM", "INTB")
@@ -122,7 +134,7 @@ def end(c):
     c.stale = 1
 
 
-@hot
+@sealed(None, STATE)
 def _after_the_last(c):
     """The last tick of a segment has begun: the next segment, or the end."""
     ip, x = c.ip, c.ax[c.ip.main]
@@ -189,7 +201,7 @@ def tick(c):
         segment.next_clock(c, c.ax[ip.main])
 
 
-@hot
+@sealed("i8", STATE, "i8")
 def move(c, until):
     """Let the ticks up to a clock begin. Returns how far it came: it stops where something is to be looked at."""
     while c.ip.due <= until:
@@ -228,7 +240,7 @@ def step(c):
     stop = 0
     for j in range(c.axes):
         if c.ax[j].interpolates:
-            stop = max(stop, c.ax[j].slow)
+            stop = greatest(stop, c.ax[j].slow)
     n = c.clock - x.origin
     if stop == drive.AT_ONCE or n >= x.end or (stop and ip.stepped):
         end(c)
@@ -255,12 +267,12 @@ def next_event(c):
     for j in range(c.axes):
         y = c.ax[j]
         if y.interpolates:
-            ip.watch = min(ip.watch, drive.pulses_ahead(c, y), sync.pulses_ahead(c, y))
+            ip.watch = least(ip.watch, least(drive.pulses_ahead(c, y), sync.pulses_ahead(c, y)))
     n = c.clock - x.origin
     s = segment_at(x, n)
     at = x.end
     if s + 1 < x.segments:
-        at = min(at, x.from_clock[s + 1])
+        at = least(at, x.from_clock[s + 1])
     return x.origin + at if at < NEVER else NEVER
 
 
@@ -285,10 +297,10 @@ def rate(c, j):
             if g.kind == PATTERN:
                 share = float(ip.step[k])
             elif g.kind == LINE or k >= 2:
-                share = abs(g.finish[k]) / max(g.longest, 1)
+                share = abs(g.finish[k]) / greatest(g.longest, 1)
             else:
                 u, v = abs(ip.arc.x), abs(ip.arc.y)
-                share = (v if k == 0 else u) / max(u, v, 1)
+                share = (v if k == 0 else u) / greatest(greatest(u, v), 1)
     return share * speed_at(x, c.clock - x.origin)
 
 

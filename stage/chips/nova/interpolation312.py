@@ -5,7 +5,7 @@ from __future__ import annotations
 from stage.chips.nova import interpolation, segment
 from stage.chips.nova.maps304 import MCX312_MAP as MAP
 from stage.chips.nova.state import ARC, AXES, CP, LINE, PATTERN, TP
-from stage.compiled import hot
+from stage.compiled import greatest, hot
 
 
 def _code(symbol: str) -> int:
@@ -85,7 +85,7 @@ def _segment(c, code):
     for k in range(2):
         x = c.ax[g.axis[k]]
         g.finish[k], g.centre[k] = _coordinate(x.reg[TP]), _coordinate(x.reg[CP])
-        g.longest = max(g.longest, abs(g.finish[k]))
+        g.longest = greatest(g.longest, abs(g.finish[k]))
     g.kind = LINE if code == LINE_2 else ARC
     g.mirror = -1 if code == CIRCLE_CW else 1
     interpolation.submit(c, 1 << first | 1 << second, first, 1, stepped)

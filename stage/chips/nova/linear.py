@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from stage.compiled import hot
+from stage.compiled import greatest, hot, least
 
 
 @hot
@@ -35,14 +35,14 @@ def ticks(ip, g):
     if not g.vector or g.axes == 1:
         return whole, 0, 0
     first, second = abs(g.finish[0]), abs(g.finish[1])
-    if g.axes == 2 and g.longest == max(first, second):
-        both = min(first, second) * g.fine
+    if g.axes == 2 and g.longest == greatest(first, second):
+        both = least(first, second) * g.fine
         return whole - both, both, 0
     two = three = 0
     for _ in range(whole if load(ip, g) else 0):  # the steps of two short axes meet where they like
         step(ip, g)
         moved = 0
-        for k in range(min(g.vector, g.axes)):
+        for k in range(least(g.vector, g.axes)):
             moved += ip.step[k]
         two += moved == 2
         three += moved == 3

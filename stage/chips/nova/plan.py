@@ -267,7 +267,9 @@ def to_the_end(x, pulses, goal):
         brake(x)
         return
     n = draft(x, v, a, goal)
-    x.course[:] = x.piece
+    for k in range(n):
+        for part in range(3):
+            put(x.course[k, part], pair(x.piece[k, part]))
     for k in range(n):
         duration, a, jerk = pair(x.course[k, DURATION]), pair(x.course[k, FROM]), pair(x.course[k, JERK])
         if _overshoot(x, duration, v, a, jerk, room)[0] > 0.0:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from stage.chips.nova import helical, interpolation, segment
 from stage.chips.nova.maps514 import MCX514_MAP as MAP
 from stage.chips.nova.state import ARC, AXES, CP, HELIX, HLN, HLV, LINE, PATTERN, STAGES, TP, TX
-from stage.compiled import hot
+from stage.compiled import greatest, hot, least
 
 
 def _code(symbol: str) -> int:
@@ -76,7 +76,7 @@ def _circle(c, g, word, clockwise):
     if word & CXIV:
         g.axis[0], g.axis[1] = g.axis[1], g.axis[0]
     g.mirror = -1 if clockwise else 1
-    g.vector = min(g.vector, 2)
+    g.vector = least(g.vector, 2)
     for k in range(2):
         x = c.ax[g.axis[k]]
         g.finish[k], g.centre[k] = coordinate(x.reg[TP], g.fine), coordinate(x.reg[CP], g.fine)
@@ -109,9 +109,9 @@ def _segment(c, code):
             g.fine = segment.INNER
         for k in range(g.axes):
             g.finish[k] = coordinate(c.ax[g.axis[k]].reg[TP], g.fine)
-            g.longest = max(g.longest, abs(g.finish[k]))
+            g.longest = greatest(g.longest, abs(g.finish[k]))
         if word & MAXM:
-            g.longest = max(g.longest, c.ax[0].reg[TX])
+            g.longest = greatest(g.longest, c.ax[0].reg[TX])
     elif PATTERNS <= code < HELIX_CW:
         g.kind = PATTERN
         for k in range(g.axes):
@@ -120,7 +120,7 @@ def _segment(c, code):
         _circle(c, g, word, code in (CIRCLE_CW, HELIX_CW))
         g.kind = HELIX if helix else ARC
         if helix:
-            g.turns, g.longest = c.ax[0].reg[HLN], max(c.ax[0].reg[HLV], 1) * g.fine
+            g.turns, g.longest = c.ax[0].reg[HLN], greatest(c.ax[0].reg[HLV], 1) * g.fine
             for k in range(2, g.axes):
                 g.finish[k] = coordinate(c.ax[g.axis[k]].reg[TP], g.fine)
     interpolation.submit(c, mask, main, STAGES, word & STEP)
@@ -151,7 +151,7 @@ def longest(c):
     most = 0
     for j in range(AXES):
         if word >> j & 1:
-            most = max(most, abs(coordinate(c.ax[j].reg[TP], 1)))
+            most = greatest(most, abs(coordinate(c.ax[j].reg[TP], 1)))
     return most
 
 

@@ -10,7 +10,7 @@ import math
 
 from stage.chips.nova import dd
 from stage.chips.nova.state import NEVER
-from stage.compiled import hot
+from stage.compiled import greatest, hot, least
 
 HZ = 16_000_000  # clocks in what the formulas call a second
 SNAP = 2.0**-50
@@ -59,7 +59,7 @@ def speed_at(x, n):
     """Pulses per clock."""
     s = segment_at(x, n)
     t = (float(n) - x.t[s, 0]) - x.t[s, 1]
-    return max(x.v[s, 0] + t * (2.0 * x.a2[s, 0] + 3.0 * t * x.j6[s, 0]), 0.0)
+    return greatest(x.v[s, 0] + t * (2.0 * x.a2[s, 0] + 3.0 * t * x.j6[s, 0]), 0.0)
 
 
 @hot
@@ -83,8 +83,8 @@ def _time_in(x, s, far, longest):
     root = v * v + 4.0 * a2 * far
     t = 2.0 * far / (v + math.sqrt(root)) if root > 0.0 else longest
     if j6 == 0.0:
-        return min(t, longest)
-    t = min(t, longest)
+        return least(t, longest)
+    t = least(t, longest)
     low, high = 0.0, longest
     for _ in range(100):
         off = t * (v + t * (a2 + t * j6)) - far
@@ -152,14 +152,14 @@ def clock_in(x, s, k):
         return n
     last = s + 1 == x.segments
     longest = 1e17 if last else (x.t[s + 1, 0] - x.t[s, 0]) + (x.t[s + 1, 1] - x.t[s, 1])
-    t = x.t[s, 0] + _time_in(x, s, max(far, 0.0), longest)
+    t = x.t[s, 0] + _time_in(x, s, greatest(far, 0.0), longest)
     if not t < 1e17:
         return NEVER
     n = int(math.ceil(t))
     low = x.from_clock[s]
-    n = max(n, low)
+    n = greatest(n, low)
     if not last:
-        n = min(n, x.from_clock[s + 1])
+        n = least(n, x.from_clock[s + 1])
     while n > low and reached_in(x, s, n - 1) >= k:
         n -= 1
     while reached_in(x, s, n) < k:

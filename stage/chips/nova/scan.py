@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from stage.chips.nova.profile import clock_of, segment_at
 from stage.chips.nova.state import CONSTANT, LP, PLS
-from stage.compiled import hot
+from stage.compiled import greatest, hot, least
 
 RAMP = 128
 ROOM = 8
@@ -29,7 +29,7 @@ def _step(x, n):
     if x.kind[s] == CONSTANT or s + 1 >= x.segments:
         return 1 << 60
     begin = x.from_clock[s]
-    step = max(1, (x.from_clock[s + 1] - begin) // RAMP)
+    step = greatest(1, (x.from_clock[s + 1] - begin) // RAMP)
     return begin + ((n - begin) // step + 1) * step
 
 
@@ -38,11 +38,11 @@ def stop_at(c, j, every_pulse, until):
     """How far the chip can run so that nothing of axis `j` is missed."""
     x = c.ax[j]
     if x.high > c.clock:
-        until = min(until, x.high)
+        until = least(until, x.high)
     if x.driving:
-        until = min(until, x.origin + _step(x, c.clock - x.origin))
+        until = least(until, x.origin + _step(x, c.clock - x.origin))
         if every_pulse and not (x.fixed and x.done >= x.output):
-            until = min(until, x.origin + clock_of(x, x.done + 1))
+            until = least(until, x.origin + clock_of(x, x.done + 1))
     return until
 
 
@@ -55,4 +55,4 @@ def shown(c, j, word):
 @hot
 def raise_pulse(c, j, rate):
     """A pulse has begun at the present clock, at `rate` pulses per clock."""
-    c.ax[j].high = c.clock + max(1, int(0.5 / rate) if rate > 0.0 else 1)
+    c.ax[j].high = c.clock + greatest(1, int(0.5 / rate) if rate > 0.0 else 1)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from stage.chips.nova import dd, drive, helical, linear, pattern
 from stage.chips.nova.maps514 import CONTINUOUS_SPEED, MCX514_MAP
 from stage.chips.nova.plan import PLACE, begin, brake, brake_at, for_ever, from_here, pair, put, to_the_end
-from stage.chips.nova.state import AO, AXES, DP, DV, LINE, MCX514_TYPE, NEVER, PATTERN, STAGES
+from stage.chips.nova.state import AO, AXES, AXIS, DP, DV, LINE, MCX514_TYPE, NEVER, PATTERN, STAGES, STATE
 from stage.chips.nova.ticks import clock_at
-from stage.compiled import hot
+from stage.compiled import hot, least, sealed
 
 ONE = (1.0, 0.0)
 ROOT2 = (1.4142135623730951, -9.667293313452913e-17)
@@ -51,7 +51,7 @@ def _way(c, k):
     return dd.times(far, 1.0 / g.fine)
 
 
-@hot
+@sealed(None, STATE)
 def prepare(c):
     """The steps and directions of the next tick, and its place in the profile."""
     ip, g = c.ip, c.queue[c.ip.head]
@@ -62,7 +62,7 @@ def prepare(c):
     else:
         ip.last = helical.step(ip, g)
     moved = 0
-    for k in range(min(g.vector, g.axes)):
+    for k in range(least(g.vector, g.axes)):
         moved += ip.step[k]
     put(ip.place, dd.add(pair(ip.place), dd.times(_length(moved), 1.0 / g.fine)))
     for k in range(g.axes):
@@ -83,7 +83,7 @@ def limited(c, x):
     ip = c.ip
     if c.variant != MCX514_TYPE:
         return x.reg[DV]
-    return min(x.reg[DV], (CONTINUOUS_SPEED if ip.continuous else MOST) // c.queue[ip.head].fine)
+    return least(x.reg[DV], (CONTINUOUS_SPEED if ip.continuous else MOST) // c.queue[ip.head].fine)
 
 
 @hot
@@ -108,7 +108,7 @@ def _plan(c, x):
         brake(x)
 
 
-@hot
+@sealed(None, STATE, AXIS)
 def replan(c, x):
     """The speed, or what is to come, has changed."""
     ip = c.ip

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from stage.chips.nova.drive import note
 from stage.chips.nova.state import NEVER, SP1, SP2, SPLIT_START, SPLTE, SPLTP
-from stage.compiled import hot
+from stage.compiled import greatest, hot, least
 
 ENDLESS = -1
 
@@ -38,8 +38,8 @@ def stop(c, x):
 @hot
 def _rise(x):
     """A split pulse begins; SP1 holds for its whole cycle."""
-    cycle = max(x.reg[SP1] & 0xFFFF, 2)
-    width = min(max(x.reg[SP1] >> 16 & 0xFFFF, 1), cycle - 1)
+    cycle = greatest(x.reg[SP1] & 0xFFFF, 2)
+    width = least(greatest(x.reg[SP1] >> 16 & 0xFFFF, 1), cycle - 1)
     x.split_on = 1
     x.split_fall, x.split_rise = x.split_rise + width, x.split_rise + cycle
     if x.split_left > 0:

@@ -30,7 +30,7 @@ from stage.chips.nova.state import (
     SYNC_SETS,
     TIMER,
 )  # fmt: skip
-from stage.compiled import hot
+from stage.compiled import hot, least
 
 DCC, TMSTA, TMSTP, SPSTA, SPSTP = (MCX514_MAP.command(n).code for n in ("DCC", "TMSTA", "TMSTP", "SPSTA", "SPSTP"))
 ENABLE, DISABLE, ACTIVATE = (MCX514_MAP.command(n).code for n in ("SYNCEN", "SYNCDIS", "SYNCACT"))
@@ -228,10 +228,10 @@ def step(c, j):
 @hot
 def pulses_ahead(c, x):
     """Pulses of the drive until a comparison or the split pulse cares."""
-    return min(compare.pulses_ahead(c, x), split_pulse.pulses_ahead(x))
+    return least(compare.pulses_ahead(c, x), split_pulse.pulses_ahead(x))
 
 
 @hot
 def next_event(c, x):
     """The clock of the next event, NEVER if none is coming."""
-    return min(timer.next_event(x), compare.next_event(c, x), ports.next_event(c, x))
+    return least(least(timer.next_event(x), compare.next_event(c, x)), ports.next_event(c, x))

@@ -8,7 +8,7 @@ from stage.chips.nova import dd
 from stage.chips.nova.plan import pair
 from stage.chips.nova.profile import SNAP, _time_in, exactly
 from stage.chips.nova.state import NEVER
-from stage.compiled import hot
+from stage.compiled import greatest, hot
 
 FAR = 1e17  # clocks: centuries
 
@@ -32,14 +32,14 @@ def clock_at(x, s, place):
         last = s + 1 == x.segments
         edge = NEVER if last else x.from_clock[s + 1]
         longest = FAR if last else (x.t[s + 1, 0] - x.t[s, 0]) + (x.t[s + 1, 1] - x.t[s, 1])
-        far = max(dd.sub(dd.sub(place, dd.whole(x.from_pulse[s])), pair(x.p[s]))[0], 0.0)
+        far = greatest(dd.sub(dd.sub(place, dd.whole(x.from_pulse[s])), pair(x.p[s]))[0], 0.0)
         t = _time_in(x, s, far, longest)
         at = x.t[s, 0] + t
         if not at < FAR:
             return NEVER, s
-        n = max(int(math.ceil(at)), low)
+        n = greatest(int(math.ceil(at)), low)
         slope = x.v[s, 0] + t * (2.0 * x.a2[s, 0] + 3.0 * t * x.j6[s, 0])
-        guard = 1e-6 + 1e-14 * at + 1e-14 * (far + 1.0) / max(slope, 1e-12)
+        guard = 1e-6 + 1e-14 * at + 1e-14 * (far + 1.0) / greatest(slope, 1e-12)
         if n - at > 1.0 - guard:
             while n > low and _reached(x, s, n - 1, place):
                 n -= 1

@@ -8,7 +8,7 @@ from __future__ import annotations
 from stage.chips.nova.drive import note
 from stage.chips.nova.maps514 import MCX514_MAP
 from stage.chips.nova.state import NEVER, TIMER, TM
-from stage.compiled import hot
+from stage.compiled import greatest, hot
 
 CLOCKS = 16  # of one count: a microsecond at 16 MHz
 TMMD = MCX514_MAP.mask("WR3", "TMMD")
@@ -16,7 +16,7 @@ TMMD = MCX514_MAP.mask("WR3", "TMMD")
 
 @hot
 def _begin(x, clock):
-    x.timer_from, x.timer = clock, clock + CLOCKS * max(x.reg[TM], 1)
+    x.timer_from, x.timer = clock, clock + CLOCKS * greatest(x.reg[TM], 1)
 
 
 @hot

@@ -33,7 +33,7 @@ from stage.chips.pcl240.state import (
     begin,
     stop,
 )
-from stage.compiled import hot
+from stage.compiled import greatest, hot, least
 
 
 @hot
@@ -78,7 +78,7 @@ def _store(c, k, value):
     """Register `k` takes a new value, masked."""
     c.reg[k] = c.reg[k] & ~c.mask[k] | value & c.mask[k]
     if k == 7:
-        c.phase = min(c.phase, max(8192 * c.reg[7] - 1, 0))
+        c.phase = least(c.phase, greatest(8192 * c.reg[7] - 1, 0))
     if c.running and (k in (1, 4, 5, R14, R15)):
         c.manual = 1
 

@@ -39,7 +39,7 @@ from stage.chips.pcl240.state import (
     reset,
     stop,
 )
-from stage.compiled import hot
+from stage.compiled import greatest, hot, least
 
 FOREVER = 1 << 62
 OPERATING = 0x40  # of the status byte
@@ -120,7 +120,7 @@ def mean_count(c, j, before, ticks):
     if not (c.running or c.finishing) or c.speed == 0:
         return 0.5 * (before + c.net)
     ago = n * c.phase + 4096.0 * c.reg[7] * n * (n - 1)  # x speed
-    missing = n - min(
+    missing = n - least(
         ago / (c.speed * ticks), float(n)
     )  # pulses x the part of the time in which they were still to come
     return c.net - missing if c.net > before else c.net + missing
@@ -167,7 +167,7 @@ def _finish(c, n):
     s = n
     if c.finishing and c.speed > 0 and c.reg[7] >= 2:
         half = 4096 * c.reg[7]
-        s = max(1, -((c.phase - half) // c.speed))
+        s = greatest(1, -((c.phase - half) // c.speed))
         if s > n:
             s = n
         c.phase += s * c.speed
@@ -192,7 +192,7 @@ def _span(c, n):
     own = not c.output & EXTERNAL
     if s == NEVER and not c.homing and (not c.ramps or c.speed == goal):
         c.quiet = _next_event(c, own)
-    s = min(n, s)
+    s = least(n, s)
     pulses = 0
     if c.reg[7] >= 2 and c.speed > 0:
         m = 8192 * c.reg[7]
@@ -213,6 +213,8 @@ def _span(c, n):
         else:
             c.timer += s - 1
     c.clock += s
+    if c.quiet < c.clock:
+        c.quiet = 0  # over: what is left of it must not tell how time was cut
     if pulses:
         _count(c, pulses, own)
         if c.preset and c.reg[0] == 0:
@@ -234,7 +236,7 @@ def _pulses_to_event(c, own):
     if not c.down and watching(c):
         closer = (1 if own else 0) + c.rising
         if closer:
-            far = min(far, max(1, -(-margin(c) // closer)))
+            far = least(far, greatest(1, -(-margin(c) // closer)))
     return far
 
 
@@ -370,7 +372,7 @@ def _log_pulses(c, out, k, clock, phase, low, s, pulses, base, r0, net):
             net += way
             out[k - 1].counter, out[k - 1].net = r0, net
             low = 1
-        rise = max(1, -((phase - j * m - m // 2) // c.speed))
+        rise = greatest(1, -((phase - j * m - m // 2) // c.speed))
         if low and rise <= s and (j == pulses or rise < -((phase - (j + 1) * m) // c.speed)):
             k = _log(c, out, k, clock + rise, base, r0, net)
             low = 0
@@ -397,7 +399,7 @@ def scan(rows, i, until, every_pulse, out, axis):
         n = until - c.clock
         pulsing = every_pulse and c.speed > 0 and c.reg[7] >= 2
         if pulsing:
-            n = min(n, max(1, (len(out) - 8 - k) // 2 * 4096 * c.reg[7] // c.speed))
+            n = least(n, greatest(1, (len(out) - 8 - k) // 2 * 4096 * c.reg[7] // c.speed))
         clock, phase, low, r0, net, total = c.clock, c.phase, c.low, c.reg[0], c.net, c.total
         speed, word, bit = c.speed, output_word(c), _pulse_bit(c)
         s = _span(c, n)

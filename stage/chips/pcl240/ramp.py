@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 
 from stage.chips.pcl240.state import LINEAR, R14, R15, SD_MINUS, SD_PLUS, SPAN, UNCORRECTED, stop
-from stage.compiled import hot
+from stage.compiled import greatest, hot
 
 NEVER = 1 << 40
 
@@ -88,7 +88,7 @@ def correct_top(c):
         return
     way = c.reg[0] * c.reg[7]
     a, b = c.reg[R14] & SPAN, c.reg[R15] & SPAN
-    s, m = a + b, max(a, b)
+    s, m = a + b, greatest(a, b)
     whole = c.reg[R14] & LINEAR or a == 0 or b == 0 or 2 * m >= high - low
     if way * 16384 > ((high + low) * (high - low) * 2 if whole else (low + high) * (high - low + s)) * rate:
         return
@@ -157,9 +157,9 @@ def until_step(c, goal):
     if c.ramp != (1 if speed < goal else -1):
         return 1
     if c.curved:
-        return max(1, c.next - c.timer) if c.goal == goal else 1
+        return greatest(1, c.next - c.timer) if c.goal == goal else 1
     rate = linear_rate(c, c.ramp)
-    return max(1, rate - c.timer) if rate >= 2 else NEVER
+    return greatest(1, rate - c.timer) if rate >= 2 else NEVER
 
 
 @hot

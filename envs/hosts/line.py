@@ -1,0 +1,183 @@
+"""`Line`: how the hosts of several axes draw straight lines together, for SynchronizedMove.
+
+    line = line_of(hosts, settings)         hosts of axes whose chips are of one kind
+    line.registers, line.shape              what an action chooses: a RegisterBox, and how its numbers lie
+    line.data_sheet(asked)                  the engineer's answer to moves that are asked for
+    line.corrected(asked, corrections)      the same with corrections from -1 to 1
+    ops = line.programs(registers, asked)   bus cycles up to the last start command, as arrays
+    line.pulses(ops[k], distances)          when the pulses come, by twins of the chips
+
+Arrays have the stage as their first index.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from stage import host
+from stage.chips import cores
+from stage.compiled import hot
+from stage.envs.hosts.host import Host
+from stage.envs.registers import RegisterBox
+from stage.errors import ArgumentError
+from stage.fleet import Program
+
+ROOM = 0.8  # of a short move may be ramps
+FAR = 1 << 44  # clocks: weeks
+
+
+class Asked(NamedTuple):
+    """Moves: signed pulses of each axis (stages, axes), and the peak rate of the longest one in pps (stages)."""
+
+    distances: np.ndarray
+    rate: np.ndarray
+
+    @property
+    def size(self) -> np.ndarray:
+        return np.abs(self.distances)
+
+    @property
+    def longest(self) -> np.ndarray:
+        """Pulses of the longest axis (stages)."""
+        return self.size.max(axis=1)
+
+    @property
+    def share(self) -> np.ndarray:
+        """Each axis' pulses as a share of the longest one's (stages, axes)."""
+        return self.size / self.longest[:, None]
+
+    def of_longest(self, values: np.ndarray) -> np.ndarray:
+        """The longest axis' value (stages, 1) of values (stages, axes)."""
+        return np.take_along_axis(values, self.size.argmax(axis=1)[:, None], 1)
+
+
+class Line(ABC):
+    """Several axes with chips of one kind, under the settings of SynchronizedMove.
+
+    Attributes:
+        registers: RegisterBox of the whole action. shape: (rows, names) of its numbers: a row an axis, or one row for all.
+        names: of a row. fastest: pps that the longest axis can be asked for.
+    """
+
+    names: tuple[str, ...]
+    shape: tuple[int, int]
+    registers: RegisterBox
+    fastest: float
+
+    def __init__(self, hosts: Sequence[Host], settings: Any, rows: int, names: tuple[str, ...]):
+        self.hosts: list[Any] = list(hosts)
+        self.settings, self.names = settings, names
+        self.chip: Any = hosts[0].chip
+        self.hz = self.chip.clock_hz
+        self.shape = (rows, len(names))
+        self.registers = RegisterBox(self.chip.MAP, names * rows)
+        self._slots: list[tuple[int, int, int]] = []
+        self._fresh = [type(chip)(**chip.options()).snapshot().record for chip, _ in self._chips()]
+
+    # --- what a family answers ---
+
+    @abstractmethod
+    def data_sheet(self, asked: Asked) -> np.ndarray:
+        """The registers by the data sheet (stages, *shape)."""
+
+    @abstractmethod
+    def corrected(self, asked: Asked, corrections: np.ndarray) -> np.ndarray:
+        """The data sheet's registers with corrections (stages, *shape) from -1 to 1; 0 changes nothing."""
+
+    @abstractmethod
+    def errors(self, asked: Asked) -> np.ndarray:
+        """(stages, axes, 4) pulses: how far the data sheet's registers take an axis off its share, see `strays`."""
+
+    @abstractmethod
+    def programs(self, registers: np.ndarray, asked: Asked) -> np.ndarray:
+        """Bus cycles from rest to the last start command, (stages, operations, 4); all alike but for what they write."""
+
+    @abstractmethod
+    def starts(self, distances: np.ndarray) -> np.ndarray:
+        """Which operation of a program starts each axis (axes), for one stage's distances."""
+
+    def last_pulse(self, registers: np.ndarray) -> np.ndarray:
+        """Seconds from the beginning of the last pulse to the end of the drive (stages)."""
+        return np.zeros(len(registers))
+
+    # --- the same for all ---
+
+    def legal(self, registers: np.ndarray) -> np.ndarray:
+        """The nearest registers that the data sheet allows."""
+        low, high = (side.reshape(self.shape) for side in (self.registers.low, self.registers.high))
+        return np.clip(np.rint(registers), low, high).astype(np.int64)
+
+    def reach(self, asked: Asked) -> tuple[np.ndarray, np.ndarray]:
+        """Peak rate (pps) and ramp time (s) that there is room for (stages)."""
+        c = self.settings
+        top = np.maximum(asked.rate - c.fl, 1e-9)
+        peak = np.minimum(asked.rate, np.sqrt(c.fl**2 + ROOM * asked.longest * top / c.accel))
+        return peak, np.maximum(c.accel * (peak - c.fl) / top, 1e-6)
+
+    def strays(
+        self, asked: Asked, rate: np.ndarray, ramp: np.ndarray, behind: np.ndarray, less: np.ndarray, point: np.ndarray
+    ) -> np.ndarray:
+        """(stages, axes, 4) pulses by the closed form: ahead after the ramp-up, more ahead at the ramp-down, ramp-down earlier by,
+        shorter ramp-down by, all against the axis' share of the longest one.
+
+        Each (stages, axes): rate in pps, seconds of the ramp-up, pulses by which the two ramps fall short of the full rate,
+        pulses left at the ramp-down.
+        """
+        lead, share = asked.of_longest, asked.share
+        risen = lead(ramp)
+        falls = lead((asked.size - point + behind) / rate)
+        off = rate - share * lead(rate)
+        rise = off * risen - (behind - share * lead(behind))
+        return np.stack([rise, off * (falls - risen), point - share * lead(point), less - share * lead(less)], axis=2)
+
+    def pulses(self, ops: np.ndarray, distances: np.ndarray) -> list[np.ndarray]:
+        """Ticks (int64) from an axis' start to each of its pulses: twins of the chips are given one stage's program, at once."""
+        out: list[np.ndarray] = [np.empty(0, np.int64)] * len(self.hosts)
+        for (chip, mine), fresh in zip(self._chips(), self._fresh, strict=True):
+            rows = np.frombuffer(bytearray(fresh), chip.CORE.STATE)
+            _write(rows, ops, sum(1 << self.hosts[a].index for a in mine))
+            made = np.empty(int(np.abs(distances[mine]).sum()), chip.CORE.PULSE)
+            made = made[: chip.CORE.trace(rows, 0, FAR, made)]
+            for a in mine:
+                out[a] = made["clock"][made["axis"] == self.hosts[a].axis.chip_axis]
+        return out
+
+    def _chips(self) -> list[tuple[Any, list[int]]]:
+        """Each chip, and which axes of the line it has."""
+        found: dict[int, tuple[Any, list[int]]] = {}
+        for a, h in enumerate(self.hosts):
+            found.setdefault(id(h.chip), (h.chip, []))[1].append(a)
+        return list(found.values())
+
+    def _slot(self, program: Program, back: int, column: int, shift: int = 0) -> None:
+        """The operation `back` before the end writes a number, shifted right."""
+        self._slots.append((len(program) - back, column, shift))
+
+    def _filled(self, template: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        """Programs with the numbers of columns (stages, columns) in their slots."""
+        ops = np.repeat(template[None], len(columns), axis=0)
+        for j, column, shift in self._slots:
+            ops[:, j, 3] = columns[:, column] >> shift & self.chip.DATA_MASK
+        return ops
+
+
+@hot
+def _write(rows: Any, ops: Any, axes: int) -> None:
+    """The write cycles of a program to the chip whose axes are in the mask, at one clock."""
+    for j in range(len(ops)):
+        if ops[j, 0] == host.WRITE and axes >> ops[j, 1] & 1:
+            cores.write(rows, 0, ops[j, 2], ops[j, 3])
+
+
+def line_of(hosts: Sequence[Host], settings: Any) -> Line:
+    """The line of axes' hosts. Raises ArgumentError where their chips cannot draw one together."""
+    kinds = sorted({type(h.chip).__name__ for h in hosts})
+    if len(kinds) > 1:
+        raise ArgumentError(
+            f"axes={settings.axes!r}: {' and '.join(kinds)} cannot be synchronized: give them one kind of chip."
+        )
+    return hosts[0].line(hosts, settings)

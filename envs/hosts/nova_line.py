@@ -1,0 +1,192 @@
+"""The NOVA chips on a straight line: by the chip's linear interpolation, or, where it has none, by ranges in the ratio a:b."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from stage.chips.nova.maps304 import RANGE
+from stage.envs.hosts.line import Asked, Line
+from stage.envs.registers import limits
+from stage.fleet import Program
+
+if TYPE_CHECKING:
+    from stage.envs.hosts.nova import NovaHost
+
+FACTOR = 2.0  # a correction of 1 doubles a register of the main axis, of -1 halves it
+MOST = 8000  # of SV, V
+
+
+class Course(NamedTuple):
+    """Of each axis (stages, axes): multiple, SV and V in pps, seconds of a ramp, pulses by which a ramp falls short of V."""
+
+    multiple: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    ramp: np.ndarray
+    behind: np.ndarray
+
+
+class NovaLine(Line):
+    """What both share."""
+
+    def _set(self, program: Program, h: NovaHost, name: str, column: int) -> None:
+        """A register whose value is a column."""
+        h.set(program, name, 0)
+        wide = self.chip.MAP.register(name).bits > 16
+        self._slot(program, 3 if wide else 2, column)
+        if wide:
+            self._slot(program, 2, column, 16)
+
+
+class Interpolated(NovaLine):
+    """One row: the speeds of the main axis, which are those of the longest one.
+
+    The chip keeps all axes on the line, so that what is left to choose is how fast the carriages can follow. Finish points are
+    the distances that are asked for.
+    """
+
+    def __init__(self, hosts: Sequence[NovaHost], settings: Any):
+        self.main = min(hosts, key=lambda h: h.bit)
+        super().__init__(hosts, settings, 1, self.main.tuned_by(settings.s_curve))
+        self.fastest = float(limits(self.chip.MAP, self.names[1])[1] * self.main.UNIT)
+        self._first = self._write_template()
+
+    def _write_template(self) -> int:
+        p, h = Program(), self.main
+        for other in self.hosts:
+            other.begin(p, self.settings.s_curve)
+        for column, name in enumerate(self.names):
+            self._set(p, h, name, column)
+        for a, other in enumerate(self.hosts):
+            self._set(p, other, other.FINISH, len(self.names) + a)
+        h.interpolate(p, sorted(self.hosts, key=lambda h: h.bit))
+        self._template = np.array(p.ops, np.int64)
+        return len(p) - 1
+
+    def data_sheet(self, asked: Asked) -> np.ndarray:
+        """The formulas of the data sheet for the longest axis."""
+        c, rows = self.settings, []
+        for peak, ramp, longest in zip(*self.reach(asked), asked.longest, strict=True):
+            made = self.main.formula(min(c.fl, peak), peak, ramp, ramp, int(longest), c.s_curve)
+            rows.append([[made[name] for name in self.names]])
+        return np.array(rows, np.int64)
+
+    def corrected(self, asked: Asked, corrections: np.ndarray) -> np.ndarray:
+        """Factors, from a half to twice: nothing brings the axes off the line, so there is no count that a pulse is worth."""
+        made = self.legal(self.data_sheet(asked) * FACTOR**corrections)
+        made[:, :, 0] = np.minimum(made[:, :, 0], made[:, :, 1])
+        return made
+
+    def errors(self, asked: Asked) -> np.ndarray:
+        """None: the chip interpolates."""
+        return np.zeros((*asked.distances.shape, 4))
+
+    def programs(self, registers: np.ndarray, asked: Asked) -> np.ndarray:
+        return self._filled(self._template, np.concatenate([registers[:, 0], asked.distances], axis=1))
+
+    def starts(self, distances: np.ndarray) -> np.ndarray:
+        return np.full(len(self.hosts), self._first)
+
+
+class InRatio(NovaLine):
+    """A row R, SV, V, A, with S-curves K an axis.
+
+    The multiple 8,000,000 / R scales speeds, acceleration and jerk alike: with R in inverse ratio to the distances and all else
+    equal, the axes' courses are the same but for their scale. The axes of a chip are released together, at one clock.
+    """
+
+    def __init__(self, hosts: Sequence[NovaHost], settings: Any):
+        tuned = hosts[0].tuned_by(settings.s_curve)
+        super().__init__(hosts, settings, len(hosts), ("R", *tuned))
+        self.ranges = limits(self.chip.MAP, "R")
+        self.fastest = float(MOST * RANGE / self.ranges[0])
+        self._write_template()
+
+    def _write_template(self) -> None:
+        p, m = Program(), len(self.names)
+        self._drives, self._released = [], np.zeros(len(self.hosts), np.int64)
+        chips = [[self.hosts[a] for a in mine] for _, mine in self._chips()]
+        for a, h in enumerate(self.hosts):
+            h.begin(p, self.settings.s_curve)
+            for column, name in enumerate(self.names):
+                self._set(p, h, name, a * m + column)
+            self._set(p, h, h.FINISH, len(self.hosts) * m + a)
+        for h in self.hosts:
+            h.command(h.command(p, "START_HOLD"), "F_DRV_P")
+            self._drives.append(len(p) - 1)
+        for mine in chips:
+            free = self.chip.MAP.command("START_FREE").code
+            p.write(mine[0].index, 0, sum(h.bit for h in mine) << 8 | free)
+            for h in mine:
+                self._released[self.hosts.index(h)] = len(p) - 1
+        self._template = np.array(p.ops, np.int64)
+
+    def data_sheet(self, asked: Asked) -> np.ndarray:
+        """V as large as leaves the shortest axis a multiple of 1; speeds, acceleration and jerk of the longest axis, and of the
+        others the nearest to its share of them."""
+        c, rho, (peak, ramp) = self.settings, asked.share, self.reach(asked)
+        fl = np.minimum(c.fl, peak)
+        least, most = self.ranges
+        multiple = np.clip(np.maximum(1.0 / rho.min(axis=1), peak / MOST), 1.0, np.minimum(RANGE / least, peak))
+        speed = np.maximum(np.floor(peak / multiple), 1.0)
+        multiple = np.clip(peak / speed, 1.0, RANGE / least)
+        gain = np.maximum(peak - fl, 1e-9)
+        ranges = np.clip(np.rint(RANGE / (rho * multiple[:, None])), least, most)
+        m = RANGE / ranges
+        share = rho * multiple[:, None] / m  # 1 where the multiple could be the share
+        low, high = np.rint(fl / multiple), speed
+        columns = [ranges, share * low[:, None], share * high[:, None]]
+        if c.s_curve:
+            columns += [np.full_like(m, limits(self.chip.MAP, "A")[1])]
+            jerk = 4.0 * gain / ramp**2
+            columns += [np.rint(62_500_000 * multiple / jerk)[:, None] / share]
+        else:
+            columns += [share * np.maximum(np.rint(gain / ramp / (125 * multiple)), 1.0)[:, None]]
+        return self._ordered(self.legal(np.stack(columns, axis=2)))
+
+    def corrected(self, asked: Asked, corrections: np.ndarray) -> np.ndarray:
+        """By a share of the counts that move the axis by `reach` pulses along the line, one at least."""
+        made = self.data_sheet(asked)
+        counts = np.maximum(np.rint(self.settings.reach / self.worth(made, asked)), 1)
+        return self._ordered(self.legal(made + np.rint(corrections * counts)))
+
+    def worth(self, registers: np.ndarray, asked: Asked) -> np.ndarray:
+        """By how many pulses one count of each register moves an axis along the line, by the data sheet's formulas."""
+        at, r = self._course(registers), registers.astype(np.float64)
+        worth = [asked.size / r[..., 0], at.ramp * at.multiple, asked.size / r[..., 2], at.behind / r[..., 3]]
+        if self.settings.s_curve:  # the acceleration is at its limit, and the jerk makes the ramps
+            worth[3:] = [np.full_like(at.ramp, np.inf), at.behind / (2.0 * r[..., 4])]
+        return np.maximum(np.stack(worth, axis=2), 1e-9)
+
+    def errors(self, asked: Asked) -> np.ndarray:
+        at = self._course(self.data_sheet(asked))
+        return self.strays(asked, at.high, at.ramp, at.behind, at.behind, 0.5 * (at.low + at.high) * at.ramp)
+
+    def _course(self, registers: np.ndarray) -> Course:
+        """What registers (stages, axes, names) come to."""
+        r = registers.astype(np.float64)
+        m = RANGE / r[..., 0]
+        low, high, rate = m * r[..., 1], m * r[..., 2], 125.0 * m * r[..., 3]
+        ramp = (high - low) / rate
+        if self.settings.s_curve:
+            jerk = 62_500_000 * m / r[..., 4]
+            ramp = np.where(rate**2 < (high - low) * jerk, ramp + rate / jerk, 2.0 * np.sqrt((high - low) / jerk))
+        return Course(m, low, high, ramp, 0.5 * (high - low) * ramp)
+
+    def _ordered(self, registers: np.ndarray) -> np.ndarray:
+        """SV no higher than V."""
+        registers[..., 1] = np.minimum(registers[..., 1], registers[..., 2])
+        return registers
+
+    def programs(self, registers: np.ndarray, asked: Asked) -> np.ndarray:
+        ops = self._filled(self._template, np.concatenate([registers.reshape(len(registers), -1), asked.size], axis=1))
+        minus = self.chip.MAP.command("F_DRV_M").code ^ self.chip.MAP.command("F_DRV_P").code
+        for a, j in enumerate(self._drives):
+            ops[:, j, 3] ^= np.where(asked.distances[:, a] < 0, minus, 0)
+        return ops
+
+    def starts(self, distances: np.ndarray) -> np.ndarray:
+        return self._released

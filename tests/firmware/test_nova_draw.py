@@ -1,0 +1,168 @@
+"""Lines, arcs, helices and paths of an MCX514 on the stage: where the tool goes, by the stage's own carriages."""
+
+import numpy as np
+import pytest
+from covers import covers
+
+from stage import ArgumentError, RunTimeout, Stage
+from stage.chips import MCX304, MCX514
+from stage.firmware.nova_draw import Arc, Helix, Line, Speed, draw
+
+RADIUS = 1600  # pulses
+SPEED = Speed(8_000)
+CARRIAGE = 50e-6  # m, by which motors lag and ring: a full step
+AT_REST = 8e-6
+
+
+@pytest.fixture
+def stage():
+    return Stage("xyz", chips=MCX514, visuals=False)
+
+
+def drawn(stage, segments, names="xy", speed=SPEED):
+    """The report, and columns of a recording."""
+    with stage.record() as recording:
+        report = draw(segments, *(stage.axes[n] for n in names), speed=speed)
+        stage.run(0.3)
+    return report, recording.columns
+
+
+def off_circle(columns, what, scale, radius=RADIUS, turned=1):
+    """Distance outside a circle about (0, radius) from where the axes began, in the columns' unit."""
+    x, y = (columns[f"{n}/{what}"] * scale for n in "xy")
+    return np.hypot(x - x[0], y - y[0] - turned * radius) - radius
+
+
+@covers("MCX514", "SV", "DV", "AC", "TP", "CP", "IPM", "DECEN")
+@pytest.mark.parametrize("clockwise", [False, True])
+@pytest.mark.parametrize("even", [False, True])
+def test_a_circle_ends_where_it_began_and_the_carriages_keep_its_radius(stage, clockwise, even):
+    report, columns = drawn(stage, [Arc((0, RADIUS), clockwise=clockwise)], speed=Speed(8_000, even=even))
+    assert report.ok
+    assert report.pulses == {"x": 0, "y": 0}
+    assert abs(off_circle(columns, "pulses", 1)).max() <= 1
+    m = stage.axes["x"].meters_per_pulse
+    off = off_circle(columns, "position", 1, RADIUS * m)
+    assert abs(off).max() < CARRIAGE
+    for n in "xy":
+        assert abs(columns[f"{n}/position"][-1] - columns[f"{n}/position"][0]) < AT_REST
+        assert stage.axes[n].lost_steps == 0
+    at = np.searchsorted(columns["time"], report.seconds / 4)
+    assert (columns["x/pulses"][at] > 0) == (not clockwise), "from the lowest point, counter-clockwise is to the right"
+    assert not stage.chips[0].diagnostics
+
+
+def test_constant_vector_speed_makes_a_circle_last_as_long_as_its_steps_are(stage):
+    """Ticks of both axes last sqrt(2) as long: of a circle's 4 sqrt(2) R ticks (8 - 4 sqrt(2)) R are such."""
+    slow = Speed(8_000, initial=8_000)
+    even, _ = drawn(stage, [Arc((0, RADIUS))], speed=slow)
+    plain, _ = drawn(stage, [Arc((0, RADIUS))], speed=Speed(8_000, initial=8_000, even=False))
+    ticks, both = 4 * np.sqrt(2) * RADIUS, (8 - 4 * np.sqrt(2)) * RADIUS
+    assert plain.seconds == pytest.approx(ticks / 8_000, abs=3e-3)
+    assert even.seconds == pytest.approx((ticks + (np.sqrt(2) - 1) * both) / 8_000, abs=3e-3)
+
+
+@covers("MCX514", "HLN", "HLPCCW", "R-HLV", "HLV", "HLCCW")
+@pytest.mark.parametrize("rotations", [0, 1, 3])
+def test_a_helix_rises_evenly_and_its_turns_end_where_they_began(stage, rotations):
+    report, columns = drawn(stage, [Helix((0, RADIUS), (960,), rotations)], "xyz")
+    turns = max(rotations, 1)
+    assert report.ok
+    assert report.pulses == {"x": 0, "y": 0, "z": 960 * turns}
+    x, y, z = (columns[f"{n}/pulses"] - columns[f"{n}/pulses"][0] for n in "xyz")
+    angle = np.unwrap(np.arctan2(y - RADIUS, x)) + np.pi / 2
+    assert angle[-1] == pytest.approx(2 * np.pi * turns, abs=1e-3)
+    assert abs(z - 960 * angle / (2 * np.pi)).max() < 0.03 * 960, "a tick is not always the same angle"
+    assert abs(off_circle(columns, "position", 1, RADIUS * stage.axes["x"].meters_per_pulse)).max() < CARRIAGE
+    assert not stage.chips[0].diagnostics
+
+
+@covers("MCX514", "CHKCCW", "LHK2", "DECDIS", "DECEN")
+def test_a_path_goes_on_from_segment_to_segment_at_its_speed(stage):
+    path = [Line(3200, 0), Arc((0, 1600), (1600, 1600)), Line(0, 3200)]
+    report, columns = drawn(stage, path)
+    assert report.ok
+    assert (report.segments, report.pulses) == (3, {"x": 4800, "y": 4800})
+    v = np.hypot(np.diff(columns["x/pulses"][::10]), np.diff(columns["y/pulses"][::10])) / 10e-3
+    length = 6400 + np.pi / 2 * 1600
+    ramp = (SPEED.drive - SPEED.initial) / SPEED.acceleration
+    inside = slice(int(ramp / 10e-3) + 2, int((report.seconds - ramp) / 10e-3) - 2)
+    assert v[inside].min() > 0.9 * SPEED.drive, "no stop between segments"
+    assert v[inside].max() < 1.03 * SPEED.drive
+    assert report.seconds > length / SPEED.drive
+    assert {stage.axes[n].lost_steps for n in "xy"} == {0}
+
+
+def test_more_segments_than_the_pre_buffer_holds_are_fed_as_it_empties(stage):
+    rng = np.random.default_rng(20)
+    print("seed 20")
+    corners = rng.integers(150, 400, (25, 2)) * rng.choice([-1, 1], (25, 2))
+    report, _ = drawn(stage, [Line(*map(int, p)) for p in corners], speed=Speed(3_000))
+    assert report.ok
+    assert report.pulses == dict(zip("xy", corners.sum(axis=0).tolist(), strict=True))
+    assert not stage.chips[0].diagnostics
+
+
+@covers("MCX514", "CHKCW", "HLCW", "HLPCW")
+def test_clockwise_arcs_and_helices_turn_the_other_way(stage):
+    for segment in (Arc((0, 800), (800, 800), clockwise=True), Helix((0, 800), (300,), 0, (800, 800), clockwise=True)):
+        report, columns = drawn(stage, [segment], "xyz")
+        assert report.ok
+        assert (report.pulses["x"], report.pulses["y"]) == (800, 800)
+        x = columns["x/pulses"] - columns["x/pulses"][0]
+        assert x.min() == -800, "the long way round"
+
+
+@covers("MCX514", "LHK3", "CHKCCW", "HLCCW")
+def test_lines_of_three_axes_and_arcs_of_their_first_two_make_one_path(stage):
+    report, _ = drawn(
+        stage, [Line(800, 400, -300), Arc((0, 800), (800, 800)), Helix((-800, 0), (500,), 2), Line(9, -900, 0)], "xyz"
+    )
+    assert report.ok
+    assert report.pulses == {"x": 1609, "y": 300, "z": 700}
+
+
+def test_a_limit_ends_the_path_and_what_waits_is_not_drawn(stage):
+    x = stage.axes["x"]
+    stage.place(x=x.travel[1] - 0.02)
+    report, _ = drawn(stage, [Line(32_000, 0)] + [Line(-2_000, 500)] * 12, speed=Speed(16_000))
+    assert not report.ok
+    assert report.errors["x"] == ("HLMT+",)
+    assert report.pulses["y"] == 0
+    assert x.switches.el_plus
+
+
+@pytest.mark.parametrize(
+    ("segment", "names", "said"),
+    [
+        (Line(1, 2, 3), "xy", "a finish point for each of 2 axes"),
+        (Helix((0, 9), (9,)), "xy", "`along` for each"),
+        (Helix((0, 9), ()), "xyz", "`along` for each"),
+        (Line(1), "x", "interpolates 2 to 4"),
+        (Arc((0, 2**31)), "xy", "CP"),
+    ],
+)
+def test_segments_that_do_not_suit_the_axes_are_refused(stage, segment, names, said):
+    with pytest.raises(ArgumentError, match=said):
+        draw([segment], *(stage.axes[n] for n in names), speed=SPEED)
+    assert not stage.chips[0].busy(0)
+
+
+def test_axes_of_other_chips_and_nothing_to_draw_are_refused(stage):
+    x, y = stage.axes["x"], stage.axes["y"]
+    with pytest.raises(ArgumentError, match="no segments"):
+        draw([], x, y, speed=SPEED)
+    with pytest.raises(ArgumentError, match="different axes of one MCX514"):
+        draw([Line(1, 1)], x, x, speed=SPEED)
+    other = Stage("xyz", chips=MCX514, visuals=False)
+    with pytest.raises(ArgumentError, match="different axes of one MCX514"):
+        draw([Line(1, 1)], x, other.axes["y"], speed=SPEED)
+    old = Stage("xyz", chips=MCX304, visuals=False)
+    with pytest.raises(ArgumentError, match="no MCX514"):
+        draw([Line(1, 1)], old.axes["x"], old.axes["y"], speed=SPEED)
+
+
+def test_a_path_that_takes_too_long_is_stopped_and_told(stage):
+    with pytest.raises(RunTimeout, match=r"0\.1 s"):
+        draw([Line(8000, 8000)], stage.axes["x"], stage.axes["y"], speed=Speed(1000), timeout=0.1)
+    assert not stage.chips[0].busy(0)

@@ -1,0 +1,129 @@
+"""The automatic home search of an MCX514 with the switches of the stage."""
+
+import pytest
+from covers import covers
+
+from stage import ArgumentError, RunTimeout, Stage
+from stage.chips import MCX304, MCX514
+from stage.firmware.nova_home import home_search
+
+EDGE = 6e-6  # m: home is so near the edge of ORG, two pulses
+PULSE = 3.125e-6
+
+
+def a_stage(**places):
+    stage = Stage("xyz", chips=MCX514, visuals=False)
+    stage.place(**places)
+    return stage
+
+
+def edge_of(axis, pin="org"):
+    return next(s.touch for s in axis._plant.switches if s.pin == pin)
+
+
+@covers("MCX514", "H1M", "H2M", "HV", "HMSRC", "R2CLR", "RR3P0")
+@pytest.mark.parametrize("way", [0.009, 0.0003, -0.0002, -0.0015], ids=["before", "just before", "on", "beyond"])
+@pytest.mark.parametrize("name", ["x", "y", "z"])
+def test_home_is_at_the_edge_of_org_wherever_the_axis_begins(name, way):
+    stage = a_stage()
+    axis = stage.axes[name]
+    stage.place(**{name: edge_of(axis) + way})
+    report = home_search(axis)[name]
+    assert report.ok
+    assert report.position == pytest.approx(edge_of(axis), abs=EDGE)
+    assert report.position == axis.position
+    assert axis.switches.org
+    assert axis.lost_steps == 0
+    assert stage.chips[0].values()["RR0"] == 0
+    states = [state for _, state in report.states]
+    expected = {3, 6} if way > 0.0001 else {15}
+    assert expected <= set(states)
+    assert states[-2:] == [20, 0]
+    assert not stage.chips[0].diagnostics
+
+
+def test_an_axis_on_its_end_limit_finds_home_too():
+    """Half a millimetre beyond ORG, the limit ahead of it: the search begins by backing out."""
+    stage = a_stage()
+    x = stage.axes["x"]
+    stage.place(x=edge_of(x, "el_minus") - 1e-4)
+    assert x.switches.el_minus
+    report = home_search(x, home_speed=4_000)["x"]
+    assert report.ok
+    assert report.position == pytest.approx(edge_of(x), abs=60e-6), "HV is ten times as high"
+
+
+def test_one_command_sends_all_axes_home_at_once():
+    stage = a_stage(x=-0.1, y=-0.066, z=-0.0142)
+    reports = home_search(*stage.axes.values())
+    for name, report in reports.items():
+        assert report.ok
+        assert report.position == pytest.approx(edge_of(stage.axes[name]), abs=EDGE)
+    assert stage.time < 1.05 * max(r.seconds for r in reports.values())
+    assert "home found" in str(reports["x"])
+    assert "step 2: waits for the signal" in str(reports["x"])
+
+
+def test_home_is_the_same_pulse_from_everywhere():
+    places = []
+    for way in (0.004, 0.0052, -0.0004, 0.0111):
+        stage = a_stage()
+        stage.place(x=edge_of(stage.axes["x"]) + way)
+        places.append(home_search(stage.axes["x"])["x"].position)
+    assert max(places) - min(places) < 1.5 * PULSE
+
+
+@pytest.mark.parametrize("pulses", [800, -300])
+def test_an_offset_is_gone_from_home_and_the_counters_are_0_there(pulses):
+    stage = a_stage(x=-0.115)
+    x = stage.axes["x"]
+    report = home_search(x, offset=pulses)["x"]
+    assert report.ok
+    assert 36 in [state for _, state in report.states]
+    stage.run(0.1)
+    assert x.position == pytest.approx(edge_of(x) + pulses * PULSE, abs=2 * EDGE)
+    chip = stage.chips[0]
+    chip.write(0, 0x130)
+    assert chip.read(6) == chip.read(7) == 0
+
+
+def test_an_index_pulse_after_org_is_found():
+    stage = a_stage(x=-0.115)
+    x = stage.axes["x"]
+    report = home_search(x, index=True)["x"]
+    assert report.ok
+    assert 28 in [state for _, state in report.states]
+    assert x.pins.stop2
+    assert edge_of(x) - 3200 * PULSE < report.position < edge_of(x)
+
+
+def test_a_switch_that_never_trips_is_an_error_and_no_home():
+    stage = a_stage()
+    z = stage.axes["z"]
+    stage.place(z=edge_of(z) + 0.001)
+    z.switches.stick("org", False)
+    stage.step(2)
+    report = home_search(z, home_speed=8_000)["z"]
+    assert not report.ok
+    assert report.errors == ("HLMT+",)
+    assert [state for _, state in report.states][-2:] == [11, 0], "back from the limit ahead, up to the other one"
+    assert "NOT found" in str(report)
+
+
+def test_what_the_chip_cannot_do_is_refused():
+    stage = a_stage()
+    x = stage.axes["x"]
+    for wrong, said in (({"direction": 0}, "-1 or 1"), ({"timer": 0.05}, "one of"), ({"speed": 0}, "DV")):
+        with pytest.raises(ArgumentError, match=said):
+            home_search(x, **wrong)
+    with pytest.raises(ArgumentError, match="one MCX514"):
+        home_search()
+    with pytest.raises(ArgumentError, match="no MCX514"):
+        home_search(Stage("xyz", chips=MCX304, visuals=False).axes["x"])
+
+
+def test_a_search_that_takes_too_long_is_stopped_and_told():
+    stage = a_stage()
+    with pytest.raises(RunTimeout, match="still searched home"):
+        home_search(stage.axes["x"], timeout=0.05)
+    assert not stage.chips[0].busy(0)
