@@ -241,7 +241,7 @@ class Stage:
         self._axis_state = cut(engine.AXIS, n)
         families = _by_family(chips)
         self._chips = tuple(cut(core.STATE, len(members)) for core, members in families)
-        self._drives = cut(stepper.STEPPER, n)
+        self._drives = cut(stepper.DRIVE, n)
         self._switches = cut(engine.SWITCH, m)
         self._table = np.zeros(n, engine.AXIS_TABLE)
         self._switch_table = np.zeros(m, engine.SWITCH_TABLE)
@@ -599,7 +599,7 @@ class _Cut:
 
 def _words(chips: list[ChipAxis], switches: int) -> int:
     """float64 words of userdata that a stage needs."""
-    per_axis = engine.AXIS.itemsize + stepper.STEPPER.itemsize
+    per_axis = engine.AXIS.itemsize + stepper.DRIVE.itemsize
     rows = sum(core.STATE.itemsize * len(members) for core, members in _by_family(chips))
     return (engine.WORLD.itemsize + len(chips) * per_axis + rows + switches * engine.SWITCH.itemsize) // 8
 

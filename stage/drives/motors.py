@@ -154,7 +154,7 @@ class Drive:
         return math.pi / 2 / self.microsteps
 
     def fill(self, record: Any) -> None:
-        """Write the parameters into a STEPPER record; its state stays."""
+        """Write the parameters into a DRIVE record; its state stays."""
         m = self.motor
         record.resistance, record.inductance, record.torque_constant = m.resistance, m.inductance, m.torque_constant
         record.detent, record.teeth, record.voltage = self.detent_torque, m.rotor_teeth, self.bus_voltage

@@ -72,8 +72,9 @@ def see(c, j, count, rate):
 
 @hot
 def net(c, j):
-    """The command position."""
-    return c.command
+    """The encoder's count that the command position stands for."""
+    now = encoder.raw(c)
+    return now + signed(c.command - (now - c.zero), 24)
 
 
 @hot
