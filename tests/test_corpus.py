@@ -100,6 +100,51 @@ def test_a_core_that_works_by_the_clock_or_by_the_pulse_is_a_finding():
     assert ["calls for" in line for line in found] == [True] * 3
 
 
+PLANTED_NOVA = """
+import test_corpus as t
+from fuzzing.nova import COMPILED, counted_core
+from stage.chips.nova import core, drive
+assert not COMPILED
+settle, hardware_limit, count, look = core._settle, drive.hardware_limit, drive.count, drive.look
+def settle_by_the_clock(c):
+    settle(c)
+    c.quiet = min(c.quiet, c.clock + 1000)
+def count_twice(c, x, n):
+    count(c, x, n)
+    x.reg[drive.LP] += x.way
+def end_early(c, x):
+    if x.driving and x.fixed and 3 <= x.done:
+        x.driving = 0
+    look(c, x)
+check = t.Bus()
+for module, name, right, wrong in (
+    (drive, "pulses_ahead", drive.pulses_ahead, lambda c, x: 1),
+    (drive, "hardware_limit", hardware_limit, lambda x, way: 0),
+    (drive, "count", count, count_twice),
+    (drive, "look", look, end_early),
+    (core, "_settle", core._settle, settle_by_the_clock),
+):
+    setattr(module, name, wrong)
+    if name == "_settle":
+        counted_core.cache_clear()
+        check = t.Bus()
+    try:
+        for path in t.inputs("bus"):
+            if path.name.startswith("nova"):
+                check(path.read_bytes())
+        print("MISSED", name)
+    except t.Finding as finding:
+        print("FOUND", finding)
+    setattr(module, name, right)
+"""
+
+
+def test_a_nova_core_that_does_too_much_work_or_breaks_a_promise_is_a_finding():
+    found = uncompiled(PLANTED_NOVA).splitlines()
+    says = ("calls for", "towards a limit", "LP", "an end after", "calls for")
+    assert all(line.startswith("FOUND") and say in line for line, say in zip(found, says, strict=True)), found
+
+
 def test_a_chip_that_breaks_a_promise_is_a_finding(monkeypatch):
     check = Bus()
     monkeypatch.setattr(PCL240K, "advance", lambda self, clocks: 0)

@@ -9,7 +9,7 @@ from programs import load_registers, start_preset
 
 from stage import ArgumentError, Drive, RunTimeout, Stage, engine, faults, firmware
 from stage.chips import PCL240K
-from stage.chips.journal import LOST, WRITE
+from stage.chips.entries import LOST, WRITE
 from stage.cli import fault as demos
 from stage.cli import main
 from stage.drives import stepper

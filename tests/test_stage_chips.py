@@ -12,7 +12,7 @@ from recording.vcd_parser import parse
 
 from stage import ArgumentError, Stage, StageError, host
 from stage.chips import MCX302, MCX304, MCX312, MCX514, PCL240K
-from stage.chips.journal import INPUT
+from stage.chips.entries import INPUT
 from stage.fleet import Fleet, Program
 
 MIXED = {"x": MCX514, "y": MCX514, "z": PCL240K}

@@ -18,6 +18,7 @@ TARGETS = (
     Target("traced pulses", "chips.traced", ">=", 1e7),
     Target("MCX514 in the closed loop, beside PCL240K", "nova.closed_loop", "<=", 1.5),
     Target("MCX514 at constant speed, beside PCL240K", "nova.advance", "<=", 1.5),
+    Target("MCX514 traced at constant speed, beside PCL240K", "nova.constant", "<=", 1.5),
     Target("MCX514 traced at constant speed", "nova.constant_rate", ">=", 1e7),
     Target("MCX514 traced in a ramp", "nova.ramp_rate", ">=", 1e7),
     Target("cost over axes", "scaling.axes_exponent", "<=", 1.05),

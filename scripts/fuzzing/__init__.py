@@ -1,1 +1,1 @@
-"""What scripts/fuzz.py is made of: targets (bus.py, mjcf.py), chip families (family.py, pcl240.py), and how a run goes."""
+"""What scripts/fuzz.py is made of: targets (bus.py, mjcf.py), chip families (family.py, pcl240.py, nova.py), and how a run goes."""

@@ -14,13 +14,15 @@ import time
 import numpy as np
 
 from fuzzing.family import Enough, Family, Values
+from fuzzing.nova import NovaFamily
 from fuzzing.pcl240 import Pcl240
 from fuzzing.promises import Counts, demand
 from stage.chips import CHIPS, Chip
+from stage.chips.nova import Nova
 from stage.chips.pcl240 import PCL240
 from stage.compiled import COMPILED
 
-FAMILIES: dict[type[Chip], type[Family]] = {PCL240: Pcl240}
+FAMILIES: dict[type[Chip], type[Family]] = {PCL240: Pcl240, Nova: NovaFamily}
 SECONDS_PER_ADVANCE = 5.0  # compiled, however busy the machine; 2^32 clocks take milliseconds
 TRACED = 1 << 16  # clocks: the twin's longer advances are not traced pulse by pulse
 
@@ -47,6 +49,7 @@ class Bus:
         if not data or data[0] >= len(self.families):
             return
         family = self.families[data[0]]
+        self.counts[f"for {family.chip.__name__}"] += 1
         if family.work:
             family.work.done, family.work.budget = 0, self.budget
         run = Run(family, data[1:], self.counts)
@@ -95,13 +98,13 @@ class Run:
         for address, value in self.family.writes(kind, low, self.take):
             self.counts["bus cycles"] += 1
             for chip in self.chips:
-                chip.write(address, value)
+                self.family.write(chip, address, value)
 
     def read(self, low: int) -> None:
         """Addresses of more than 30 are in a byte of their own."""
         address = low if self.chip._ADDRESS_MASK < 31 else self.take(1)
         self.counts["bus cycles"] += 1
-        words = [chip.read(address) for chip in self.chips]
+        words = [self.family.read(chip, address) for chip in self.chips]
         demand(0 <= words[0] <= self.chip.DATA_MASK, f"{words[0]} read at {address}")
         right = self.family.said(self.chip, self.values, address)
         demand(right is None or words[0] == right, f"{words[0]} read at {address}, where {right} is")
@@ -125,6 +128,7 @@ class Run:
 
     def advance(self, clocks: int) -> None:
         chip, family, work = self.chip, self.family, self.family.work
+        clocks, before = family.clocks(chip, clocks), family.seen(chip, self.values)
         silent, start = family.silent(chip), chip.clock
         if work:
             work.calls = work.steps = 0
@@ -137,13 +141,12 @@ class Run:
         demand(chip.clock == start + clocks, "time did not pass as asked")
         demand(pulses == 0 if silent else pulses >= 0, f"{pulses} pulses in {clocks} clocks{' of silence' * silent}")
         if work:
-            most = family.most_work(pulses)
+            most = family.most_work(chip, pulses)
             demand(work.calls <= most, f"{work.calls} calls for {work.steps} steps in {clocks} clocks: at most {most}")
         else:
             demand(spent < SECONDS_PER_ADVANCE, f"{clocks} clocks took {spent:.1f} s")
         if len(self.chips) == 2:
             self.twin_advance(clocks, pulses)
-        before = self.values
         self.check()
         family.advanced(chip, before, self.values, clocks, pulses)
 

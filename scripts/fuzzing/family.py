@@ -12,29 +12,12 @@ from typing import Any
 import numpy as np
 
 from fuzzing.promises import Finding
+from fuzzing.rows import Row, listed
 from stage.chips import Chip
 from stage.chips.chip import Pins
 from stage.chips.journal import Journal
 
 Values = dict[str, int]
-
-
-class Row:
-    """A chip's state in Python's own numbers: uncompiled, NumPy's records take nine tenths of the time."""
-
-    def __init__(self, record: np.record):
-        for name in record.dtype.names:
-            setattr(self, name, record[name].tolist())
-
-    def fits(self) -> bool:
-        """Compiled, a word has 64 bits."""
-        return all(-(1 << 63) <= word < 1 << 63 for word in vars(self).values() if type(word) is int)
-
-    def __getitem__(self, name: str) -> Any:
-        return getattr(self, name)
-
-    def __setitem__(self, name: str, value: int) -> None:
-        setattr(self, name, value)
 
 
 class Enough(Exception):
@@ -68,7 +51,6 @@ class Family:
         fields = [dtype.fields[name] for name in self.FREE]
         self.free = [slice(offset, offset + kind.itemsize) for kind, offset in fields]
         self.floats = [name for name in dtype.names if dtype[name].base.kind == "f"]
-        self.plain = all(dtype[name].names is None and len(dtype[name].shape) <= 1 for name in dtype.names)
 
     def warm_up(self) -> None:
         """Compile what will be timed."""
@@ -79,9 +61,9 @@ class Family:
         chip.trace(1)
 
     def make(self, uncompiled: bool) -> Chip:
-        """A chip as powered up; uncompiled with its state in a Row, where a Row can hold it."""
+        """A chip as powered up; uncompiled with its state in a Row."""
         chip = self.chip()
-        if uncompiled and self.plain:
+        if uncompiled:
             row: Any = Row(chip._rows[0])
             chip._rows, chip._record = [row], row  # type: ignore[assignment]
         return chip
@@ -89,7 +71,7 @@ class Family:
     def state(self, chip: Chip) -> list:
         """All words of the state but those that are FREE, whatever holds them."""
         row, names = chip._rows[chip._i], self.chip.CORE.STATE.names
-        return [getattr(v, "tolist", lambda v=v: v)() for v in (row[name] for name in names if name not in self.FREE)]
+        return [listed(row[name]) for name in names if name not in self.FREE]
 
     def bits(self, chip: Chip) -> bytes:
         """The same of a compiled chip, fast."""
@@ -113,6 +95,14 @@ class Family:
         number in its next n bytes. Here: a raw write."""
         return [(kind << 5 | low, take(1 if self.chip.DATA_MASK <= 0xFF else 2))]
 
+    def write(self, chip: Chip, address: int, value: int) -> None:
+        """One bus write cycle."""
+        chip.write(address, value)
+
+    def read(self, chip: Chip, address: int) -> int:
+        """One bus read cycle."""
+        return chip.read(address)
+
     def said(self, chip: Chip, values: Values, address: int) -> int | None:
         """What a bus read says now, if that follows from the debugger's view, `values`."""
         return None
@@ -133,12 +123,20 @@ class Family:
             if not np.isfinite(chip._record[name]).all():
                 raise Finding(f"{name} is {chip._record[name]}")
 
-    def advanced(self, chip: Chip, before: Values, after: Values, clocks: int, pulses: int) -> None:
+    def clocks(self, chip: Chip, clocks: int) -> int:
+        """How far an advance goes that was to be of so many clocks."""
+        return clocks
+
+    def seen(self, chip: Chip, values: Values) -> Any:
+        """What `advanced` wants to know of the moment before an advance."""
+        return values
+
+    def advanced(self, chip: Chip, before: Any, after: Values, clocks: int, pulses: int) -> None:
         """What must hold of an advance."""
 
     def course(self, chip: Chip, journal: Journal, pulses: int) -> None:
         """What must hold of the course that the journal of a whole compiled input replays."""
 
-    def most_work(self, pulses: int) -> int:
+    def most_work(self, chip: Chip, pulses: int) -> int:
         """The calls that `work` may have counted in one advance."""
         raise NotImplementedError

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -96,7 +96,7 @@ class Pcl240(Family):
         if not (0 <= c["phase"] < 8192 * max(values["R7"], 1) + 8192 and 0 <= c["speed"] <= 8191):
             raise Finding(f"phase {c['phase']}, speed {c['speed']}")
 
-    def advanced(self, chip: Chip, before: Values, after: Values, clocks: int, pulses: int) -> None:
+    def advanced(self, chip: Chip, before: Any, after: Values, clocks: int, pulses: int) -> None:
         changed = {name for name in before if before[name] != after[name]} - self.LIVE
         demand(not changed, f"clocks changed {changed}")
         demand(2 * (pulses - 1) < clocks, f"{pulses} pulses in {clocks} clocks: no multiplier is that small")
@@ -112,7 +112,7 @@ class Pcl240(Family):
         ends_at = tuple(int(last[name]) for name in ("clock", "net", "counter", "outputs", "inputs"))
         demand(ends_at == is_at, f"a course that ends with {ends_at}, a chip with {is_at}")
 
-    def most_work(self, pulses: int) -> int:
+    def most_work(self, chip: Chip, pulses: int) -> int:
         """Two calls an event, a climb and a span. Events are the steps of the speed that no climb took, three each time that R0
         comes round (below R6, 0, wrapped), some starts, stops and turns; never clocks, nor pulses as such."""
         return 2 * (self.work.steps + 3 * (pulses // WRAP) + 8)  # type: ignore[union-attr]

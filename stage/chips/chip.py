@@ -126,6 +126,8 @@ class Chip:
     ADDRESSES: ClassVar[int] = 4
     """Bus addresses: 0 up to ADDRESSES - 1."""
     DATA_MASK: ClassVar[int] = 0xFF
+    READING_ACTS: ClassVar[frozenset[int]] = frozenset()
+    """Bus addresses at which a read cycle changes something, in some mode at least: journals note these cycles."""
     BUSY: ClassVar[tuple[int, int]]
     """Where the bus tells that a drive is in progress: address, and the bit of axis 0."""
 
@@ -219,7 +221,11 @@ class Chip:
         """One bus read cycle; the byte (or word) on the data bus."""
         if self._bus is not None:
             self._bus.cycle()
-        return int(self.CORE.read(self._rows, self._i, int(address) & self._ADDRESS_MASK))
+        address = int(address) & self._ADDRESS_MASK
+        value = int(self.CORE.read(self._rows, self._i, address))
+        if self._journal is not None and address in self.READING_ACTS:
+            self._journal.note_read(self.clock, address, value)
+        return value
 
     def busy(self, axis: int = 0) -> bool:
         """One bus read cycle of the status: is a drive in progress?"""
@@ -287,7 +293,8 @@ class Chip:
         return int(self.CORE.pins(self._rows, self._i, axis))
 
     def journal(self, axis: int = 0) -> Journal:
-        """Start to note every bus write and input change, so that the course of an axis can be replayed exactly.
+        """Start to note what acts on the chip, so that the course of an axis can be replayed exactly: bus writes, input changes,
+        and the reads at READING_ACTS.
 
         The journal notes until its `close()`; a chip keeps one journal at a time, a new one continues beside it.
         """

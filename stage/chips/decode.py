@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import NamedTuple, Protocol
 
-from stage.chips.journal import Entry
+from stage.chips.entries import Entry
 
 
 class Said(NamedTuple):

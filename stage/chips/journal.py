@@ -1,4 +1,4 @@
-"""A chip's course, replayed: note the bus writes and input changes, and everything else follows.
+"""A chip's course, replayed: note the bus cycles and input changes that act on it, and everything else follows.
 
 A chip is deterministic, so its state at the start and what reached its pins say all it did. `Journal` keeps just that,
 a few bytes an event however many pulses there are; `Journal.course()` runs a twin through it and returns each change
@@ -8,45 +8,28 @@ of speed and of every pin, to the clock. Waveforms and the drawings of operation
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+
+from stage.chips.entries import INPUT, LOST, READ, RESET, WRITE, Entries
 
 if TYPE_CHECKING:
     from stage.chips.chip import Chip
 
-WRITE, INPUT, RESET, LOST = range(4)
 CHUNK = 65536
 ROOM = 64  # a scan needs some to get on
 
 
-class Entry(NamedTuple):
-    """One event between two ticks: WRITE (address, value), INPUT (axis, pin word), RESET, or LOST, a write that never came."""
-
-    clock: int
-    kind: int
-    a: int
-    b: int
-
-    def apply(self, core: Any, rows: np.ndarray) -> None:
-        """Let it happen to the chip in `rows[0]`, whose core this is."""
-        if self.kind == WRITE:
-            core.write(rows, 0, self.a, self.b)
-        elif self.kind == INPUT:
-            core.set_inputs(rows, 0, self.a, self.b)
-        elif self.kind == RESET:
-            core.power_up(rows, 0)
-
-
 class Course(NamedTuple):
     """What an axis of a chip did. `edges`: EDGE records of its core (clock, inputs, outputs, counter, net, rate in pulses per
-    clock, and what the family adds), one for the start, one after each write or input change, one for every change in between, and
+    clock, and what the family adds), one for the start, one after each entry, one for every change in between, and
     one for the end."""
 
     chip: type[Chip]
     clock_hz: int
     edges: np.ndarray
-    entries: tuple[Entry, ...]
+    entries: Entries
 
     @property
     def seconds(self) -> np.ndarray:
@@ -66,25 +49,28 @@ class Journal:
         self._chip, self._previous, self.axis = chip, previous, axis
         self._start = chip._rows[chip._i].tobytes()
         self._end: int | None = None
-        self.entries: list[Entry] = []
+        self.entries = Entries()
 
     def note_write(self, clock: int, address: int, value: int) -> None:
-        self._note(Entry(clock, WRITE, address, value))
+        self._note(clock, WRITE, address, value)
 
     def note_lost(self, clock: int, address: int, value: int) -> None:
-        self._note(Entry(clock, LOST, address, value))
+        self._note(clock, LOST, address, value)
+
+    def note_read(self, clock: int, address: int, value: int) -> None:
+        self._note(clock, READ, address, value)
 
     def note_input(self, clock: int, axis: int, word: int) -> None:
-        self._note(Entry(clock, INPUT, axis, word))
+        self._note(clock, INPUT, axis, word)
 
     def note_reset(self, clock: int) -> None:
-        self._note(Entry(clock, RESET, 0, 0))
+        self._note(clock, RESET, 0, 0)
 
-    def _note(self, entry: Entry) -> None:
+    def _note(self, clock: int, kind: int, a: int, b: int) -> None:
         if self._end is None:
-            self.entries.append(entry)
+            self.entries.note(clock, kind, a, b)
         if self._previous is not None:
-            self._previous._note(entry)
+            self._previous._note(clock, kind, a, b)
 
     def close(self) -> None:
         """Stop noting; the course ends here."""
@@ -109,7 +95,7 @@ class Journal:
     def course(self, every_pulse: bool = False) -> Course:
         """Replay. With `every_pulse` the edges of the pulse output are in it too."""
         chip = self._chip
-        return Course(type(chip), chip.clock_hz, np.concatenate(list(self.pieces(every_pulse))), tuple(self.entries))
+        return Course(type(chip), chip.clock_hz, np.concatenate(list(self.pieces(every_pulse))), self.entries[:])
 
     def pieces(self, every_pulse: bool = False, size: int = CHUNK) -> Iterator[np.ndarray]:
         """The edges of `course`, at most `size` at a time: any length of run in the same memory."""

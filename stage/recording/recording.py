@@ -300,7 +300,7 @@ class Recording:
     def check_time(self) -> None:
         """Raise RecordingError if the stage was restored to an earlier time: its journals then make no sense."""
         for name, journal in self.journals.items():
-            clocks = np.fromiter((e.clock for e in journal.entries), np.int64, len(journal.entries))
+            clocks = journal.entries.packed()["clock"]
             ends = int(clocks.max(initial=0)) > journal.until
             if self._disorder or ends or self._backwards(self.filled) or np.any(np.diff(clocks) < 0):
                 raise RecordingError(

@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from stage.chips.journal import RESET, WRITE, Journal, Replay
+from stage.chips.entries import RESET, WRITE
+from stage.chips.journal import Journal, Replay
 
 WIRES = {
     "el_plus": ("EL_PLUS_n", 0), "el_minus": ("EL_MINUS_n", 0), "sd_plus": ("SD_PLUS_n", 0), "sd_minus": ("SD_MINUS_n", 0),

@@ -4,8 +4,8 @@
       POUT_n PDIR ...   every pin, as a probe on the wire would show it: `_n` marks what is 0 while asserted
       R0 RATE           down counter, 24 bits; pulse rate, pps
       status            operating, lt, zero ...: the byte that a read at address 0 would give, bit by bit
-      bus               WR: a write cycle (event), with A, its address, and D, its data; RESET: the /RESET pin (event); LOST, if
-                          there was one: a write cycle that did not reach the chip
+      bus               WR: a write cycle (event), with A, its address, and D, its data; RESET: the /RESET pin (event); if there
+                          were any, LOST: a write cycle that did not reach the chip; RD: a read cycle that changed something
 
 Time is that of the stage, in nanoseconds. A tick n of a clock of f Hz stands at n / f, rounded to the nanosecond, each
 by itself: no error adds up, and n comes back as round(ns f / 1e9).
@@ -20,10 +20,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stage.chips.journal import LOST, RESET, WRITE
+from stage.chips.entries import LOST, READ, RESET, WRITE
 from stage.recording import signals
 
 if TYPE_CHECKING:
+    from stage.chips.journal import Journal
     from stage.recording.recording import Recording
 
 SECOND = 1_000_000_000
@@ -111,8 +112,7 @@ def _bus(recording: Recording, axis: str, writer: Any) -> Iterator[Change]:
     """Register the bus of an axis now; its writes and resets are the iterator."""
     chip, journal, scope = recording.axes[axis].chip, recording.journals[axis], f"{signals.plain(axis)}.bus"
     wr, reset = (writer.register_var(scope, name, "event", size=1) for name in ("WR", "RESET"))
-    any_lost = any(e.kind == LOST for e in journal.entries)
-    lost = writer.register_var(scope, "LOST", "event", size=1) if any_lost else None
+    lost, rd = (_event_if_any(journal, kind, writer, scope, name) for kind, name in ((LOST, "LOST"), (READ, "RD")))
     address = writer.register_var(scope, "A", "reg", size=chip._ADDRESS_MASK.bit_length(), init="x")
     data = writer.register_var(scope, "D", "reg", size=chip.DATA_MASK.bit_length(), init="x")
 
@@ -125,5 +125,14 @@ def _bus(recording: Recording, axis: str, writer: Any) -> Iterator[Change]:
                 yield ns, reset, True
             elif e.kind == LOST:
                 yield from ((ns, address, e.a), (ns, data, e.b), (ns, lost, True))
+            elif e.kind == READ:
+                yield from ((ns, address, e.a), (ns, data, e.b), (ns, rd, True))
 
     return changes()
+
+
+def _event_if_any(journal: Journal, kind: int, writer: Any, scope: str, name: str) -> Any:
+    """A variable for events that most recordings have none of, or None."""
+    if not (journal.entries.packed()["kind"] == kind).any():
+        return None
+    return writer.register_var(scope, name, "event", size=1)

@@ -10,6 +10,7 @@ from typing import NamedTuple
 from examples import EXAMPLES, SEED
 from reference.nova_profile import SECOND, Drive, ceil_clock
 
+MOST = 100_000  # pulses, or twice as many: a slow S-curve to a high speed would make millions
 ROUNDING = 1e-9  # clocks; a pulse due this near to a whole clock may be rounded to the clock beside
 X, Y, Z, U = 1, 2, 4, 8
 DATA_514 = dict(JK=0x00, DJ=0x01, AC=0x02, DC=0x03, SV=0x04, DV=0x05, TP=0x06, DP=0x07, CP=0x08, LP=0x09, AO=0x0D)
@@ -158,10 +159,12 @@ def log_uniform(rng, low, high):
 
 
 def somewhere(rng, drive, most_pulses=2000):
-    """A clock in a phase of a drive, each as likely as the other."""
-    piece = rng.choice([p for p in drive.pieces if drive.end is None or p.t < drive.end])
-    longest = most_pulses / piece.v
-    until = piece.t + min(piece.length, longest)
+    """A clock in a phase of a drive, each as likely as the other; not after more than MOST pulses."""
+    piece = rng.choice([p for p in drive.pieces if (drive.end is None or p.t < drive.end) and p.p < MOST])
+    longest = min(piece.length, most_pulses / piece.v)
+    while piece.position(longest) > 2 * MOST:
+        longest /= 2
+    until = piece.t + longest
     if drive.end is not None:
         until = min(until, drive.end)
     low, high = ceil_clock(piece.t * SECOND), int(until * SECOND)

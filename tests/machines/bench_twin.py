@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from chip_machine import Course, differences
 
-from stage.chips.journal import RESET, WRITE
+from stage.chips.entries import RESET, WRITE
 
 
 class BenchTwin:

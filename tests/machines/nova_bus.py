@@ -51,14 +51,7 @@ class NovaHost:
     interpolates: bool = False
     patterns: bool = False
 
-    @property
-    def ADDRESSES(self):
-        return range(8)
-
-    @property
-    def QUIET(self):
-        """All but the interrupt factors."""
-        return [k for k in range(8) if k != (1 if self.mcx514 else 3)]
+    ADDRESSES: ClassVar = range(8)
 
     @staticmethod
     def put(chip, address: int, value: int) -> None:

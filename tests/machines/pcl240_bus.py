@@ -19,7 +19,6 @@ class Pcl240Host:
 
     BLINKING: ClassVar = ("extp",) * 4  # inputs that rather blink, whose edges count, by weight
     ADDRESSES: ClassVar = range(4)
-    QUIET: ClassVar = (0,)  # reading here changes nothing
     PULSE_PINS: ClassVar = ("pout", "pdir")
     MAKES_PULSES: ClassVar = True
 

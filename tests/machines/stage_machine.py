@@ -118,9 +118,8 @@ class StageMachine(RuleBasedStateMachine):
         cls = self.classes[name]
         self.tell(name, data.draw(bus_of(cls).programs(cls)))
 
-    @rule(name=axes, address=st.sampled_from([0, 2, 4, 5, 6, 7]))
+    @rule(name=axes, address=st.integers(0, 7))
     def read(self, name, address):
-        """But RR1 and RR3 of the NOVA chips: reading clears them, and journals do not note reads."""
         a, b = (stage.axes[name].chip.read(address) for stage in self.both())
         assert a == b
 

@@ -11,7 +11,7 @@ from programs import load_registers
 from recording_bench import feed, make_bench, read_rrd, rerun_cli
 
 from stage.chips import PCL240K
-from stage.chips.journal import INPUT
+from stage.chips.entries import INPUT
 from stage.recording import Recording, geoms, rerun_log, signals
 from stage.recording.thin import thin
 

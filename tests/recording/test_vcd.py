@@ -9,7 +9,7 @@ from recording_bench import drive, make_bench
 from vcd_parser import parse
 
 from stage import Stage
-from stage.chips import PCL240K
+from stage.chips import MCX514, PCL240K
 from stage.recording import signals
 from stage.recording.vcd import nanoseconds
 
@@ -153,6 +153,19 @@ def test_pieces_of_a_course_are_the_course(bench):
         parts = list(journal.pieces(every_pulse, size=100))
         assert max(map(len, parts)) <= 100
         assert np.array_equal(np.concatenate(parts), journal.course(every_pulse).edges)
+
+
+def test_reads_that_change_something_are_events_and_others_are_not(tmp_path):
+    stage = Stage("xyz", chips=MCX514, visuals=False)
+    chip = stage.chips[0]
+    with stage.record() as recording:
+        for address in (0, 1, 2, 1):
+            word, ticks = chip.read(address), chip.clock
+    vcd = parse(recording.to_vcd(tmp_path / "x.vcd"))
+    times = [t for t, _ in vcd.changes["x.bus.RD"]]
+    assert len(times) == 2
+    assert times[-1] == nanoseconds(ticks, chip.clock_hz)
+    assert (vcd.at("x.bus.A", times[-1]), vcd.at("x.bus.D", times[-1])) == (1, word)
 
 
 def test_the_same_run_makes_the_same_file(tmp_path):

@@ -103,6 +103,7 @@ class MCX514(Nova):
 
     MAP: ClassVar = MCX514_MAP
     VARIANT: ClassVar = state.MCX514_TYPE
+    READING_ACTS: ClassVar = frozenset({1, BYTES | 2, BYTES | 3})  # RR1, the interrupt factors
 
     def _interpolated(self) -> int:
         return int(self._record["ax"][0]["mode"][interpolation.IPM]) & 15
@@ -118,6 +119,8 @@ class MCX514(Nova):
 
 class _Erratum(Nova):
     """MCX304, MCX302, MCX312. errata: as sold, with the S-curve failure of NOVA's notice; False is the mended chip."""
+
+    READING_ACTS: ClassVar = frozenset({3})  # RR3, the interrupt factors
 
     def __init__(self, clock_hz: int | None = None, errata: bool = True):
         self.errata = bool(errata)

@@ -1,14 +1,15 @@
 """NOVA chips, compiled: `run` jumps from event to event, never clock by clock; in between, pulses follow in closed form.
 
 An event is the end of a drive or of a segment of its profile, a counter that reaches something, an input that comes through its
-filter, a timer, or a bus write. See drive.py for one axis' drive, profile.py for when its pulses begin.
+filter, a timer, or a bus write. See drive.py for one axis' drive, profile.py for when its pulses begin,
+pulses.py for a trace of them.
 """
 
 from __future__ import annotations
 
-from stage.chips.nova import bus304, bus514, drive, home, interpolation, ports, sync
+from stage.chips.nova import bus304, bus514, drive, home, interpolation, ports, pulses, sync
 from stage.chips.nova import inputs as pins_in
-from stage.chips.nova.profile import clock_in, segment_of, speed_at
+from stage.chips.nova.profile import speed_at
 from stage.chips.nova.scan import ROOM, log, raise_pulse, shown, stop_at
 from stage.chips.nova.state import (
     ASND,
@@ -334,59 +335,6 @@ def advance(rows, i, until):
 
 
 @hot
-def _trace_pulses(c, until, out, first, k):
-    """Log the pulses that the drives in progress begin up to `until`, by clock, then axis, among out[first:k]."""
-    begin = k
-    for j in range(c.axes):
-        x = c.ax[j]
-        x.ahead, x.due, x.at = 0, NEVER, 0
-        if x.driving and not x.interpolates:
-            _foresee(x)
-    while k < len(out):
-        a = 0
-        for j in range(1, c.axes):
-            if c.ax[j].due < c.ax[a].due:
-                a = j
-        x = c.ax[a]
-        if x.due > until:
-            break
-        out[k].clock, out[k].axis, out[k].direction = x.due, a, x.way
-        k += 1
-        _foresee(x)
-    for j in range(c.axes):
-        c.ax[j].ahead = c.ax[j].due = c.ax[j].at = 0
-    _merge(out, first, begin, k)
-    return k
-
-
-@hot
-def _merge(out, first, middle, end):
-    """Put out[middle:end], in order, among out[first:middle], in order: by clock, then axis."""
-    if first == middle or middle == end:
-        return
-    for k in range(middle, end):
-        clock, axis, direction = out[k].clock, out[k].axis, out[k].direction
-        at = k
-        while at > first and (out[at - 1].clock > clock or (out[at - 1].clock == clock and out[at - 1].axis > axis)):
-            out[at].clock, out[at].axis, out[at].direction = out[at - 1].clock, out[at - 1].axis, out[at - 1].direction
-            at -= 1
-        out[at].clock, out[at].axis, out[at].direction = clock, axis, direction
-
-
-@hot
-def _foresee(x):
-    """The clock of the drive's next pulse but `ahead`, NEVER if it is over then."""
-    x.ahead += 1
-    x.due = NEVER
-    k = x.done + x.ahead
-    if x.fixed and k > x.output:
-        return
-    if x.at + 1 < x.segments:
-        x.at = segment_of(x, x.at, k)
-    x.due = x.origin + clock_in(x, x.at, k)
-
-
-@hot
 def trace(rows, i, until, out):
     """As advance, and fills `out` (PULSE records) with the pulses; `out` is long enough. Returns how many."""
     c = rows[i]
@@ -397,7 +345,7 @@ def trace(rows, i, until, out):
         stop, first = least(until, c.quiet), k
         if c.interpolating:
             stop, k = interpolation.trace(c, stop, out, k)
-        k = _trace_pulses(c, stop, out, first, k)
+        k = pulses.log(c, stop, out, first, k)
         _drive(c, stop)
         if c.stale or c.clock >= c.quiet:
             _settle(c)

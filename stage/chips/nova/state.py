@@ -57,6 +57,7 @@ AXIS = record(
         "interpolates moves "  # 1: takes part in an interpolation, 2: as its main axis; its segment moves the axis
         "high "  # until when the pulse output is, in a scan
         "ahead due at "  # in a trace: pulses logged before they begin; when, and in which segment, the next one begins
+        "pps rest "  # the same: speed and place of that segment, where its pulses come evenly, see pulses.py
         # the modes of WR1 to WR3 in plain terms
         "stops limits limit_slow alarm_stops inpos_waits soft_plus soft_minus soft_rp soft_instant "
         "manual asymmetric s_curve prevents swaps encoder exchanges filtered delay slow_delay"

@@ -22,6 +22,7 @@ class PCL240(Chip):
     DEFAULT_CLOCK_HZ: ClassVar = 4_915_200
     BUSY: ClassVar = (0, 0x40)
     COUNTER: ClassVar = ("R0", 24)
+    READING_ACTS: ClassVar = frozenset({3})  # latches the register in collective mode
     EXTENDED: ClassVar[bool] = True
     S_CURVES: ClassVar[bool] = False
     LINEAR_RAMPS: ClassVar = state.LINEAR
@@ -51,6 +52,7 @@ class PCL240K(PCL240):
 
     MAP: ClassVar = PCL240K_MAP
     INPUTS: ClassVar = {name: bit for name, bit in core.INPUTS.items() if name != "ez"}
+    READING_ACTS: ClassVar = frozenset()
     EXTENDED: ClassVar = False
 
 

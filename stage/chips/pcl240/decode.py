@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from stage.chips.decode import Said
-from stage.chips.journal import LOST, RESET, WRITE, Entry
+from stage.chips.entries import LOST, RESET, WRITE, Entry
 from stage.chips.register_map import Register, RegisterMap
 
 _SPEEDS = ("FL", "FH1", "FL", "FH2")

@@ -1,0 +1,291 @@
+"""The NOVA family on the fuzzer's bench."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from fuzzing.family import Family, Values, Work
+from fuzzing.promises import Finding, demand
+from fuzzing.rows import finite
+from stage.chips import Chip
+from stage.chips.chip import Pins
+from stage.chips.journal import Journal
+from stage.chips.nova import (
+    MCX312,
+    MCX514,
+    circular,
+    core,
+    drive,
+    interpolation,
+    linear,
+    plan,
+    split_pulse,
+    state,
+    timer,
+)
+from stage.compiled import COMPILED
+
+BYTES = 16  # byte addresses of the 8-bit bus
+OFF = 0xFFFFFFFF
+WORD = 1 << 32
+MODES, HOME_MODES = 0x20, 0x60  # codes
+SECOND = 16_000_000  # clocks; 1 pps is the slowest there is
+LONG = 1 << 18  # clocks, where work is by the tick
+FEW = 2000  # pulses: the edges of more are not looked for one by one
+SHARED_PINS = ("lmt_plus", "lmt_minus", "stop0", "stop1", "stop2")
+OWN_PINS = (("inpos", "alarm", "pio0"), ("eca", "ecb", "pio4"), ("inpos", "alarm", "pio1"), ("alarm", "pio5", "pio2"))
+"""Of each axis, so that five bits tell them all; EMG of the chip takes the place of the very last one."""
+MODES_514 = ((2, (0, 0x0800, 0x1800, 0x2800, 0xA800, 0x0AAA, 0x0880, 0x0A0A)), (3, (0, 4, 6, 1, 0x2000, 2, 0x1000, 5)))
+MODES_304 = ((2, (0, 4, 1, 3, 0x2000, 0x8000, 0x0018, 0)), (3, (0, 4, 6, 1, 0x20, 2, 0x100, 5)))
+SPEEDS_514 = (1, 100, 4000, 20_000, 100_000, 1_000_000, 4_000_000, 8_000_000)
+SPEEDS_304 = (1, 2, 50, 400, 1000, 3000, 5000, 8000)
+RATES = (1, 1000, 100_000, 1_000_000, 10_000_000, 100_000_000, 400_000_000, 536_870_911)
+RANGES = (8_000_000, 800_000, 80_000, 16_000)
+STARTS_514 = ("DRVRL", "DRVNR", "DRVVP", "DRVVM", "DRVAB", "HMSRC", "LHK2", "LHK3", "CHKCW", "CHKCCW", "BHK2", "HLCW")
+STARTS_304 = ("F_DRV_P", "F_DRV_M", "C_DRV_P", "C_DRV_M")
+STARTS_312 = (*STARTS_304, "IP_2ST", "IP_CW", "IP_CCW", "IP_2BP")
+INTERPOLATION_AXES = (0x03, 0x07, 0x0F, 0x05, 0x43, 0x87, 0x103, 0x203)  # IPM
+
+
+@cache
+def counted_core() -> Work:
+    """The core's functions between two events, wrapped once to be counted: `calls` of _settle; `steps`: what may cause one."""
+    work = Work()
+
+    def counting(module: Any, name: str, calls: int = 0, steps: int = 0) -> None:
+        function = getattr(module, name)
+
+        def counted(*given: Any) -> Any:
+            work.spend()
+            work.calls += calls
+            work.steps += steps
+            return function(*given)
+
+        setattr(module, name, counted)
+
+    counting(core, "_settle", calls=1)
+    for module, name in (
+        (drive, "note"), (timer, "note"), (split_pulse, "note"), (plan, "_write"), (interpolation, "tick"),
+    ):  # fmt: skip
+        counting(module, name, steps=1)
+    for module, name in ((linear, "step"), (circular, "step"), (circular, "_nearest")):
+        counting(module, name)
+    return work
+
+
+class NovaFamily(Family):
+    def __init__(self, chip: type[Chip]):
+        super().__init__(chip)
+        self.work = None if COMPILED else counted_core()
+        self.new = issubclass(chip, MCX514)
+        self.codes = sorted(chip.MAP.by_code)
+        self.all = (1 << chip.AXES) - 1
+        self.starts = STARTS_514 if self.new else STARTS_312 if issubclass(chip, MCX312) else STARTS_304
+
+    # --- bytes as bus writes ---
+
+    def _code(self, symbol: str) -> int:
+        return self.chip.MAP.command(symbol).code
+
+    def _data(self, code: int, value: int, axes: int) -> list[tuple[int, int]]:
+        return [(6, value & 0xFFFF), (7, value >> 16 & 0xFFFF), (0, (axes & self.all) << 8 | code)]
+
+    def writes(self, kind: int, low: int, take: Callable[[int], int]) -> list[tuple[int, int]]:
+        """A raw word, of the 8-bit bus a byte, or a mode; a register with a number of any size; a command; a whole start."""
+        if kind == 0 and low & 24 == 8:
+            what, value = take(1), take(2)
+            return self._data((MODES if self.new else HOME_MODES) + (what >> 4), value, what)
+        if kind == 0:
+            return [(low, take(2))]
+        if kind == 1:
+            how, value = take(1), take(2)
+            value <<= 2 * (how >> 4 & 7)
+            return self._data(low, -value if how & 0x80 else value, how)
+        if kind == 2:
+            code = take(1)
+            return [(0, (low & self.all) << 8 | (code if low & 16 else self.codes[code % len(self.codes)]))]
+        return self._start(low, take)
+
+    def _start(self, low: int, take: Callable[[int], int]) -> list[tuple[int, int]]:
+        """Modes, speeds, pulses, start, as a driver writes them."""
+        axes, modes, speeds, rate = low & self.all, take(1), take(1), take(1)
+        order, pulses, centre = take(1), take(2), take(2)
+        pulses, centre = pulses - (pulses >> 15 << 16), centre - (centre >> 15 << 16)
+        start = self.starts[order % len(self.starts)]
+        writes = [(0, axes << 8 | self._code("NOP"))]
+        for k, (word, choices) in enumerate(MODES_514 if self.new else MODES_304):
+            writes.append((word, choices[modes >> 3 * k & 7]))
+        table, common = (SPEEDS_514, {}) if self.new else (SPEEDS_304, {"R": RANGES[modes >> 6]})
+        sv, dv, rates = table[speeds & 7], table[speeds >> 3 & 7], RATES[rate & 7]
+        if self.new:
+            values = {
+                "SV": sv, "DV": dv, "AC": rates, "DC": RATES[rate >> 3 & 7], "JK": rates, "TP": pulses, "CP": centre,
+            }  # fmt: skip
+        else:
+            values = {
+                "SV": sv, "V": dv, "A": 1 + rate * 31, "D": 1 + speeds * 31, "K": 1 + rate * 15, "P": pulses & 0xFFFFF,
+            }  # fmt: skip
+            if self.chip is MCX312:
+                values |= {"P": pulses, "C": centre}
+        for name, value in (common | values).items():
+            writes += self._data(self._code(name), value, axes)
+        if "HK" in start or start.startswith("HL"):
+            writes += self._data(self._code("IPM"), INTERPOLATION_AXES[order >> 5], 0)
+            return [*writes, (0, self._code("DECEN" if order & 16 else "DECDIS")), (0, self._code(start))]
+        if start.startswith("IP"):
+            return [*writes, (5, 4 | order >> 7 << 8), (0, self._code(start))]
+        return [*writes, (0, axes << 8 | self._code(start))]
+
+    def write(self, chip: Chip, address: int, value: int) -> None:
+        if address >= BYTES and isinstance(chip, MCX514):
+            chip.write_byte(address, value)
+        else:
+            chip.write(address, value)
+
+    def read(self, chip: Chip, address: int) -> int:
+        if address & BYTES and isinstance(chip, MCX514):
+            return chip.read_byte(address)
+        return chip.read(address)
+
+    def pins(self, chip: Chip) -> list[tuple[Pins, str]]:
+        found = [(axis.pins, name) for k, axis in enumerate(chip.axes) for name in (*SHARED_PINS, *OWN_PINS[k])]
+        found[-1] = (Pins(chip, chip.AXES, state.COMMON_INPUTS, state.COMMON_OUTPUTS), "emg")
+        return found
+
+    # --- what must hold ---
+
+    def said(self, chip: Chip, values: Values, address: int) -> int | None:
+        c, n = chip._record, address & 7
+        if self.new and address & BYTES:
+            return None
+        lowest = next((j for j in range(chip.AXES) if c["selected"] >> j & 1), 0)
+        return values[f"RR3-{c['pages'] >> lowest & 1}" if n == 3 and self.new else f"RR{n}"]
+
+    def silent(self, chip: Chip) -> bool:
+        """Nothing drives, and nothing can begin a drive by itself; or the emergency stop is there."""
+        c = chip._record
+        axes = [c["ax"][j] for j in range(chip.AXES)]
+        return bool(c["emg"]) or not (values_of(axes, "driving home interpolates sync triggered go"))
+
+    def check(self, chip: Chip, values: Values) -> None:
+        super().check(chip, values)
+        c, status = chip._record, values["RR0"]
+        for j in range(chip.AXES):
+            x, word = c["ax"][j], chip._output_word(j)
+            if bool(status >> j & 1) != bool(word & core.DRIVE):
+                raise Finding(f"RR0 {status:04X}h, but axis {j} has the pins {word:04X}h")
+            phases = [bool(word & bit) for bit in (core.ASND, core.CNST, core.DSND)]
+            if sum(phases) > (1 if word & core.DRIVE else 0):
+                raise Finding(f"axis {j} has the pins {word:04X}h")
+            if self.new and bool(status >> 4 + j & 1) != bool(x["finish"] & 0xFF):
+                raise Finding(f"RR0 {status:04X}h, but the errors of axis {j} are {x['finish']:04X}h")
+            if x["driving"] and x["interpolates"]:
+                raise Finding(f"axis {j} drives by itself and interpolates")
+            if x["driving"] and x["fixed"] and x["done"] >= x["output"]:
+                raise Finding(f"axis {j} drives on after {x['done']} of {x['output']} pulses")
+            if not -WORD < min(x["reg"]) <= max(x["reg"]) < WORD:
+                raise Finding(f"a register of axis {j} is too wide")
+            if x["driving"] and not all(finite(x[name]) for name in ("t", "p", "v", "a2", "j6")):
+                raise Finding(f"the profile of axis {j} is not of numbers")
+        taking = [j for j in range(chip.AXES) if c["ax"][j]["interpolates"]]
+        if bool(taking) != bool(c["interpolating"]):
+            raise Finding(f"interpolating {c['interpolating']}, the axes {taking}")
+        if c["interpolating"] and not c["ip"]["stepped"] and not 0 < c["ip"]["due"] - c["clock"] <= 2 * SECOND:
+            raise Finding(f"an interpolation whose next tick is due at {c['ip']['due']}, at {c['clock']}")
+        if self.new and not c["interpolating"] and status & 0xFF00:
+            raise Finding(f"RR0 {status:04X}h without an interpolation")
+
+    def seen(self, chip: Chip, values: Values) -> list[Before]:
+        return [Before(chip, j, self._forbidden(chip, j)) for j in range(chip.AXES)]
+
+    def _forbidden(self, chip: Chip, j: int) -> set[int]:
+        """The ways that limits forbid to an axis: those that are asserted, enabled, stop at once and are not filtered."""
+        x = chip._record["ax"][j]
+        w2, w3 = int(x["wr"][2]), int(x["wr"][3])
+        on = w2 & 0x0800 and not w2 & 0x1000 and not x["mode"][5] & 2 if self.new else not (w2 & 4 or w3 & 0x100)
+        inputs = chip._input_word(j)
+        ways = {1: inputs & state.LMT_PLUS, -1: inputs & state.LMT_MINUS}
+        if self.new and w3 & 0x1000:
+            ways = {1: ways[-1], -1: ways[1]}
+        return {way for way, there in ways.items() if on and there and not x["home"]}
+
+    def clocks(self, chip: Chip, clocks: int) -> int:
+        """Ticks of an interpolation, timings and turns of a ring are work, one by one."""
+        c = chip._record
+        busy = "timer sync split home"
+        rings = self.new and any(c["ax"][j]["reg"][state.LX] != OFF for j in range(chip.AXES))
+        works = rings or c["interpolating"] or values_of([c["ax"][j] for j in range(chip.AXES)], busy)
+        return min(clocks, LONG) if works else clocks
+
+    def advanced(self, chip: Chip, before: Any, after: Values, clocks: int, pulses: int) -> None:
+        acts = bool(values_of([chip._record["ax"][j] for j in range(chip.AXES)], "home sync")) or any(
+            b.acts for b in before
+        )
+        way = 0
+        for j, b in enumerate(before):
+            x = chip._record["ax"][j]
+            moved, total = chip.net(j) - b.net, int(x["total"]) - b.total
+            way += total
+            demand(
+                abs(moved) <= total and 2 * (total - 1) <= clocks,
+                f"axis {j}: {total} pulses, moved {moved}, in {clocks} clocks",
+            )
+            demand(all(moved * f <= 0 for f in b.forbidden), f"axis {j}: {moved} pulses towards a limit")
+            if acts:
+                continue
+            lp, most = int(x["reg"][state.LP]), b.ring
+            if most == OFF:
+                demand((lp - b.lp - moved) % WORD == 0, f"axis {j}: LP {b.lp} to {lp}, but it moved {moved}")
+            elif 0 <= b.lp <= most:
+                demand(
+                    lp == (b.lp + moved) % (most + 1), f"axis {j}: LP {b.lp} to {lp} of {most}, but it moved {moved}"
+                )
+            if b.fixed and not x["driving"] and not x["finish"] and not b.slow:
+                demand(int(x["done"]) == b.output, f"axis {j}: an end after {x['done']} of {b.output} pulses")
+                demand(total == b.left, f"axis {j}: {total} pulses, where {b.left} were left")
+            if b.driving and x["driving"] and clocks > SECOND + 1:
+                demand(total > 0, f"axis {j}: n-DRV without a pulse in {clocks} clocks")
+        demand(way == pulses, f"{pulses} pulses, {way} of all axes")
+
+    def course(self, chip: Chip, journal: Journal, pulses: int) -> None:
+        edges = np.concatenate(list(journal.pieces(every_pulse=pulses <= FEW, size=1024)))
+        demand(bool((edges["clock"][1:] >= edges["clock"][:-1]).all()), "a course that runs back")
+        last = edges[-1]
+        is_at = (
+            chip.clock,
+            chip.net(0),
+            int(chip._record["ax"][0]["reg"][state.LP]),
+            chip._output_word(0),
+            chip._input_word(0),
+        )
+        ends_at = tuple(int(last[name]) for name in ("clock", "net", "counter", "outputs", "inputs"))
+        ends_at = (*ends_at[:3], ends_at[3] & ~state.PLS, ends_at[4])
+        demand(ends_at == is_at, f"a course that ends with {ends_at}, a chip with {is_at}")
+
+    def most_work(self, chip: Chip, pulses: int) -> int:
+        """Rounds of events. What may cause one is an event that is noted, a segment of a speed profile, a tick of an
+        interpolation, a turn of a ring counter with the comparisons on it, an input's filter; never clocks, nor pulses as such."""
+        rings = [int(chip._record["ax"][j]["reg"][state.LX]) for j in range(chip.AXES)] if self.new else [OFF]
+        turns = sum(pulses // (ring + 1) for ring in rings if ring >= 0)
+        return 3 * self.work.steps + 10 * turns + 64  # type: ignore[union-attr]
+
+
+class Before:
+    """What is remembered of an axis before an advance."""
+
+    def __init__(self, chip: Chip, j: int, forbidden: set[int]):
+        x = chip._record["ax"][j]
+        self.net, self.total, self.forbidden = chip.net(j), int(x["total"]), forbidden
+        self.lp, self.ring = int(x["reg"][state.LP]), int(x["reg"][state.LX]) if chip._record["variant"] else OFF
+        self.driving, self.slow, self.acts = bool(x["driving"]), bool(x["slow"]), bool(x["home"] or x["sync"])
+        self.fixed, self.output = bool(x["driving"] and x["fixed"]), int(x["output"])
+        self.left = self.output - int(x["done"])
+
+
+def values_of(axes: list, names: str) -> bool:
+    """Any of these fields of any of the axes is not 0."""
+    return any(x[name] for x in axes for name in names.split())

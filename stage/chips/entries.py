@@ -1,0 +1,72 @@
+"""What a journal has noted, packed: 32 bytes an event, so that millions of them are no burden."""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple, overload
+
+import numpy as np
+
+WRITE, INPUT, RESET, LOST, READ = range(5)
+PACKED = np.dtype([(name, "i8") for name in ("clock", "kind", "a", "b")])
+
+
+class Entry(NamedTuple):
+    """One event between two ticks: WRITE (address, value), INPUT (axis, pin word), RESET, LOST, a write that never came, or
+    READ (address, value): a read cycle that changes something, see `Chip.READING_ACTS`."""
+
+    clock: int
+    kind: int
+    a: int
+    b: int
+
+    def apply(self, core: Any, rows: np.ndarray) -> None:
+        """Let it happen to the chip in `rows[0]`, whose core this is."""
+        if self.kind == WRITE:
+            core.write(rows, 0, self.a, self.b)
+        elif self.kind == INPUT:
+            core.set_inputs(rows, 0, self.a, self.b)
+        elif self.kind == RESET:
+            core.power_up(rows, 0)
+        elif self.kind == READ:
+            core.read(rows, 0, self.a)
+
+
+class Entries(Sequence[Entry]):
+    """A sequence of `Entry` that holds none: they are made as one looks at them."""
+
+    def __init__(self) -> None:
+        self._words = array("q")
+
+    def note(self, clock: int, kind: int, a: int, b: int) -> None:
+        """One more at the end."""
+        self._words.extend((clock, kind, a, b))
+
+    def packed(self) -> np.ndarray:
+        """A copy as PACKED records."""
+        return np.frombuffer(self._words.tobytes(), PACKED)
+
+    def __len__(self) -> int:
+        return len(self._words) // 4
+
+    def __iter__(self) -> Iterator[Entry]:
+        words = iter(self._words)
+        return map(Entry._make, zip(words, words, words, words, strict=True))
+
+    @overload
+    def __getitem__(self, k: int) -> Entry: ...
+
+    @overload
+    def __getitem__(self, k: slice) -> Entries: ...
+
+    def __getitem__(self, k: int | slice) -> Entry | Entries:
+        if isinstance(k, slice):
+            part, (start, stop, step) = Entries(), k.indices(len(self))
+            if step == 1:  # without a copy of all
+                part._words = self._words[4 * start : 4 * max(start, stop)]
+            else:
+                part._words.frombytes(self.packed()[k].tobytes())
+            return part
+        at = range(len(self))[k] * 4
+        return Entry._make(self._words[at : at + 4])

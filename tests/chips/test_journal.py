@@ -1,0 +1,140 @@
+"""Promises of a journal: what it notes is all that acted, reads included; it is a sequence of entries, 32 bytes each."""
+
+import random
+
+import numpy as np
+import pytest
+
+from stage.chips import CHIPS, MCX304, MCX514, PCL240MK
+from stage.chips.entries import PACKED, READ, WRITE, Entries, Entry
+
+
+def command(chip, code, value=0, axes=1):
+    chip.write(6, value & 0xFFFF)
+    chip.write(7, value >> 16 & 0xFFFF)
+    chip.write(0, axes << 8 | code)
+
+
+def replayed(chip, journal, seen=lambda twin: None):
+    """A chip that lived through `journal`, and what `seen` said of it before each read and at the end."""
+    core, twin = chip.CORE, type(chip)(**chip.options())
+    twin._rows[0], said = journal.start, []
+    for e in journal.entries:
+        twin.advance(e.clock - twin.clock)
+        if e.kind == READ:
+            said.append(seen(twin))
+        e.apply(core, twin._rows)
+    twin.advance(chip.clock - twin.clock)
+    return twin, [*said, seen(twin)]
+
+
+def asking(make):
+    """A chip whose drives' ends ask for an interrupt, and where they are read. Drives of 3 pulses at 1 Mpps."""
+    chip = make()
+    if make is MCX514:
+        command(chip, 0x1F)
+        chip.write(1, 0x0080)
+        for code, value in ((0x04, 1_000_000), (0x05, 1_000_000), (0x06, 3)):
+            command(chip, code, value)
+        return chip, 0x50, 1
+    command(chip, 0x0F)
+    chip.write(1, 0x8000)
+    for code, value in ((0x00, 8000), (0x04, 1000), (0x05, 1000), (0x06, 3)):
+        command(chip, code, value)
+    return chip, 0x20, 3
+
+
+@pytest.mark.parametrize("make", [MCX514, MCX304])
+def test_the_interrupt_pin_in_a_replay_agrees_at_every_read_and_at_the_end(make):
+    chip, drive, address = asking(make)
+    seed = random.randrange(1 << 32)
+    print("seed", seed)
+    rng, journal, pins, reads = random.Random(seed), chip.journal(), [], 0
+    for _ in range(40):
+        kind = rng.randrange(3)
+        if kind == 0:
+            command(chip, drive)
+        elif kind == 1:
+            chip.advance(rng.randrange(100))
+        else:
+            pins.append(chip.pins.int0)
+            assert bool(chip.read(address)) or not pins[-1]
+            assert not chip.pins.int0
+            reads += 1
+    twin, said = replayed(chip, journal, lambda chip: chip.pins.int0)
+    assert said == [*pins, chip.pins.int0]
+    assert twin.snapshot().record == chip.snapshot().record
+    assert sum(e.kind == READ for e in journal.entries) == reads
+
+
+@pytest.mark.parametrize(("make", "addresses"), [(MCX514, (1, 18, 19)), (MCX304, (3,)), (PCL240MK, (3,))])
+def test_reads_that_change_something_are_noted_with_what_they_gave_and_no_others(make, addresses):
+    chip = make()
+    journal, values = chip.journal(), {}
+    for address in range(chip._ADDRESS_MASK + 1):
+        read = chip.read_byte if make is MCX514 and address >= 16 else chip.read
+        values[address] = read(address)
+        if not address:
+            chip.advance(5)
+    entries = list(journal.entries)
+    assert {e.a for e in entries} == set(addresses)
+    assert all(e.kind == READ and e.b == values[e.a] and e.clock == 5 for e in entries)
+
+
+def test_a_byte_read_of_the_interrupt_factors_is_replayed_as_one():
+    chip, drive, _ = asking(MCX514)
+    journal = chip.journal()
+    command(chip, drive)
+    chip.advance(200)
+    assert chip.pins.int0
+    chip.read_byte(3)
+    assert not chip.pins.int0
+    twin, _ = replayed(chip, journal)
+    assert twin.snapshot().record == chip.snapshot().record
+
+
+def test_a_collective_read_latches_in_a_replay_too():
+    chip = PCL240MK()
+    for address, value in ((0, 0xC0 | 0x20), (0, 0x80), (3, 1), (2, 2), (1, 3), (0, 0xA0)):
+        chip.write(address, value)
+    journal, latched = chip.journal(), int(chip._record["latch"])
+    chip.read(3)
+    assert chip._record["latch"] != latched
+    twin, _ = replayed(chip, journal)
+    assert twin.snapshot().record == chip.snapshot().record
+
+
+@pytest.mark.parametrize("name", CHIPS)
+def test_a_chip_says_at_which_of_its_addresses_reading_acts(name):
+    acting = CHIPS[name].READING_ACTS
+    assert acting.issubset(range(CHIPS[name]._ADDRESS_MASK + 1))
+
+
+def test_entries_are_a_sequence_of_32_bytes_each():
+    rows = [(k, WRITE, k % 4, -(1 << 40) if k == 7 else 3 * k) for k in range(1000)]
+    entries = Entries()
+    assert not entries
+    for row in rows:
+        entries.note(*row)
+    assert list(entries) == rows
+    assert (len(entries), entries[0], entries[-1], entries[7].b) == (1000, rows[0], rows[-1], -(1 << 40))
+    assert isinstance(entries[5], Entry)
+    assert list(entries[990:]) == rows[990:]
+    for part in (slice(None, None, -250), slice(5, 2), slice(-3, None), slice(2, 2000), slice(1, 9, 3)):
+        assert list(entries[part]) == rows[part]
+    with pytest.raises(IndexError):
+        entries[1000]
+    packed = entries.packed()
+    assert packed.dtype == PACKED
+    assert packed.nbytes == 32_000
+    assert np.array_equal(packed["b"], [row[3] for row in rows])
+    assert Entries().packed().size == len(Entries()[2:]) == 0
+
+
+def test_entries_that_are_looked_at_can_still_grow():
+    entries = Entries()
+    entries.note(1, WRITE, 0, 0)
+    kept, walk = entries.packed(), iter(entries)
+    entries.note(2, WRITE, 0, 0)
+    assert len(kept) == 1
+    assert [e.clock for e in walk] == [1, 2]

@@ -1,0 +1,126 @@
+"""A NOVA chip's trace, where pulses come evenly, falls where the profile puts each pulse by itself."""
+
+import random
+
+import numpy as np
+import pytest
+from nova_bench import NOP_304, command, examples, load, load_304, set_wr3
+
+from stage.chips import MCX304, MCX514
+from stage.chips.nova import profile, pulses
+from stage.compiled import hot
+
+PARTS = (1, 2, 3, 7, 11, 64, 625, 999, 4096, 15_625)
+
+
+@hot
+def one_by_one(x, out):
+    """The clocks of the next pulses of a drive, each found alone. Returns how many there are."""
+    k = 0
+    while k < len(out) and (x.fixed == 0 or x.done + k < x.output):
+        out[k] = x.origin + profile.clock_of(x, x.done + k + 1)
+        k += 1
+    return k
+
+
+def compare(chip, clocks):
+    """Each axis' pulses of a trace with those found one by one; returns how many. Nothing but pulses may happen in it."""
+    expected, before = {}, chip._rows.copy()
+    traced = chip.trace(clocks)
+    for axis in range(chip.AXES):
+        x = before[0].ax[axis]
+        own = traced["clock"][traced["axis"] == axis]
+        expected[axis] = np.zeros(len(own), np.int64)
+        if x.driving:
+            assert one_by_one(x, expected[axis]) == len(own)
+        assert np.array_equal(own, expected[axis]), f"axis {axis}, {before[0].ax[axis].reg[:8]}"
+    order = np.lexsort((traced["axis"], traced["clock"]))
+    assert np.array_equal(order, np.arange(len(traced)))
+    return len(traced)
+
+
+def speed(rng):
+    """Periods of whole clocks, of simple and of odd fractions of them."""
+    return rng.choice(
+        [
+            rng.randint(1, 8_000_000),
+            16_000_000 // rng.randint(2, 5000),
+            rng.choice(PARTS) * rng.randint(1, 500),
+            8_000_000,
+        ]
+    )
+
+
+def ramp(rng):
+    """SV, DV and AC so that the ramp takes few pulses."""
+    sv, dv = speed(rng), speed(rng)
+    return sv, dv, min(max(int(abs(dv * dv - sv * sv) / rng.uniform(2, 2000)), 1), 536_870_911)
+
+
+def test_pulses_at_any_constant_speed_fall_where_each_would_alone():
+    seen = 0
+    for rng in examples(0.1):
+        chip = MCX514()
+        for axes in (1, 2, 4, 8)[: rng.randint(1, 4)]:
+            sv = speed(rng)
+            load(chip, axes, SV=sv, DV=sv, TP=rng.randint(1, 5000))
+            command(chip, rng.choice([0x50, 0x52, 0x53]), axes)
+            chip.advance(rng.randint(0, 1000))
+        for _ in range(3):
+            seen += compare(chip, rng.randint(1, 100_000))
+    assert seen > 1000
+
+
+@pytest.mark.parametrize("wr3", [0, 4], ids=["linear", "S-curve"])
+def test_so_they_do_after_ramps_of_any_kind_and_when_the_speed_is_changed(wr3):
+    seen = 0
+    for rng in examples(0.1):
+        chip = MCX514()
+        set_wr3(chip, wr3)
+        sv, dv, ac = ramp(rng)
+        load(chip, 1, SV=sv, DV=dv, AC=ac, JK=rng.randint(1 << 24, 1 << 30), TP=rng.randint(1, 50_000))
+        command(chip, rng.choice([0x50, 0x52, 0x53]))
+        seen += compare(chip, rng.randint(1, 200_000))
+        load(chip, 1, DV=speed(rng))
+        seen += compare(chip, rng.randint(1, 200_000))
+    assert seen > 1000
+
+
+def test_so_they_do_in_the_multiples_of_the_first_generation():
+    seen = 0
+    for rng in examples(0.05):
+        chip = MCX304()
+        set_wr3(chip, 0, nop=NOP_304)
+        r = rng.choice([16_000, 80_000, 800_000, 8_000_000, rng.randint(16_000, 8_000_000)])
+        load_304(chip, 1, R=r, SV=rng.randint(1, 8000), V=rng.randint(1, 8000), A=rng.randint(1, 8000), P=30_000)
+        command(chip, rng.choice([0x20, 0x22, 0x23]))
+        seen += compare(chip, rng.randint(1, 200_000))
+    assert seen > 1000
+
+
+def test_whole_speeds_are_known_as_such_all_over_the_range():
+    """So the fast way is the one that is taken."""
+    chip, seed = MCX514(), random.randrange(1 << 32)
+    print("seed", seed)
+    rng = random.Random(seed)
+    for pps in [1, 2, 3, 7_999_999, 8_000_000, *(rng.randint(1, 8_000_000) for _ in range(200))]:
+        command(chip, 0x57)
+        load(chip, 1, SV=pps, DV=pps)
+        command(chip, 0x52)
+        rows = chip._rows.copy()
+        x = rows[0].ax[0]
+        pulses._look_back(x)
+        pulses._foresee(x, 1)
+        assert x.pps == pps
+        assert 0 <= x.rest < pps
+
+
+def test_a_long_drive_is_where_the_reciprocal_of_its_speed_puts_it_after_a_hundred_million_pulses():
+    chip, pps = MCX514(), 1_999_993
+    load(chip, 1, SV=pps, DV=pps)
+    command(chip, 0x52)
+    chip.advance(800_000_000)
+    done = chip.net()
+    clocks = chip.trace(1000)["clock"]
+    assert clocks.tolist() == [-(-(done + k) * 16_000_000 // pps) for k in range(1, len(clocks) + 1)]
+    assert len(clocks) in (124, 125)
