@@ -60,7 +60,15 @@ toggle and when it will have come to rest (ns)."""
 
 # --- constants ---
 CLOCKWORK = record(
-    [("dt", "i8"), ("slices", "i8"), ("h", "f8"), ("half", "f8"), ("nv", "i8"), ("sample_every", "i8"), ("encoders", "i8")]
+    [
+        ("dt", "i8"),
+        ("slices", "i8"),
+        ("h", "f8"),
+        ("half", "f8"),
+        ("nv", "i8"),
+        ("sample_every", "i8"),
+        ("encoders", "i8"),
+    ]
 )
 """Window (ns), slices in it, a slice and half a window (s), degrees of freedom, steps per sample (0: none), axes whose chips see an
 encoder."""
@@ -434,7 +442,7 @@ def _settle_axis(c, hz, world, axis, t, switches, switch_table, d, clockwork, qp
     axis.next_edge = NEVER
     axis.count = cores.net(c, t.chip_axis)
     for k in range(SLICES):
-        axis.counts[k] = axis.count
+        axis.counts[k] = drive.at_rest(d, axis.count)
     for k in range(t.first_switch, t.end_switch):
         s = switches[k]
         s.edge = NEVER

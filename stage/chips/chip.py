@@ -122,6 +122,8 @@ class Chip:
     AXES: ClassVar[int] = 1
     WIRING: ClassVar[dict[str, str]] = {}
     """Which pin a switch of a stage is wired to, where it has another name than the switch; see `wired`."""
+    SERVO: ClassVar[bool] = False
+    """Drives a DC motor with an encoder, not a stepper."""
     DEFAULT_CLOCK_HZ: ClassVar[int]
     ADDRESSES: ClassVar[int] = 4
     """Bus addresses: 0 up to ADDRESSES - 1."""

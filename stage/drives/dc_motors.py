@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from stage.drives.drive import SERVO
-from stage.drives.motors import _within as within
-from stage.errors import ArgumentError
+from stage.drives.motors import within
+from stage.errors import ArgumentError, unknown
 
 MOST_COUNTS = 1 << 20
 
@@ -34,7 +34,7 @@ class DCMotor:
     def __post_init__(self) -> None:
         within(f"{self.name}: resistance", self.resistance, 0, 1000, "ohm")
         within(f"{self.name}: torque_constant", self.torque_constant, 0, 1000, "N m/A")
-        within(f"{self.name}: rotor_inertia", self.rotor_inertia, 0, 1, "kg m^2")
+        within(f"{self.name}: rotor_inertia", self.rotor_inertia, 0, 1, "kg m^2", zero=True)
         within(f"{self.name}: continuous_torque", self.continuous_torque, 0, 1000, "N m")
         within(f"{self.name}: nominal_voltage", self.nominal_voltage, 0, 400, "V")
 
@@ -63,6 +63,15 @@ DC_MOTORS: dict[str, DCMotor] = {
 """Presets by name: Ametek Pittman."""
 
 
+def dc_motor(name: str | DCMotor) -> DCMotor:
+    """A preset by name, or the motor itself. Raises ArgumentError with near misses."""
+    if isinstance(name, DCMotor):
+        return name
+    if name not in DC_MOTORS:
+        raise unknown("DC motor", name, DC_MOTORS)
+    return DC_MOTORS[name]
+
+
 @dataclass(frozen=True)
 class Servo:
     """A servo amplifier, its DC motor and an incremental encoder on the motor's shaft.
@@ -78,12 +87,7 @@ class Servo:
     counts: int = 2000
 
     def __post_init__(self) -> None:
-        from stage.drives.presets import motor  # presets knows both kinds
-
-        found = motor(self.motor)
-        if not isinstance(found, DCMotor):
-            raise ArgumentError(f"motor={found.name!r} is a stepper: a servo takes a DC motor, {', '.join(DC_MOTORS)}.")
-        object.__setattr__(self, "motor", found)
+        object.__setattr__(self, "motor", dc_motor(self.motor))
         within("bus_voltage", self.bus_voltage, 0, 400, "V")
         if isinstance(self.counts, bool) or int(self.counts) != self.counts or not 4 <= self.counts <= MOST_COUNTS:
             raise ArgumentError(

@@ -10,7 +10,7 @@ from stage.compiled import hot
 from stage.drives import servo, stepper
 from stage.drives.stepper import DRIVE, SERVO
 
-__all__ = ["DRIVE", "SERVO", "align", "behind", "effort", "lost_steps", "torque"]
+__all__ = ["DRIVE", "SERVO", "align", "at_rest", "behind", "effort", "lost_steps", "torque"]
 
 
 @hot
@@ -33,6 +33,12 @@ def align(d, count, theta):
     """Power up. The encoder of a servo is where it is."""
     if d.mode != SERVO:
         stepper.align(d, count, theta)
+
+
+@hot
+def at_rest(d, count):
+    """What the chip says, see `effort`, while it moves nothing."""
+    return 0.0 if d.mode == SERVO else float(count)
 
 
 @hot

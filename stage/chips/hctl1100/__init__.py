@@ -34,6 +34,7 @@ class HCTL1100(Chip):
     INPUTS: ClassVar = core.INPUTS
     OUTPUTS: ClassVar = core.OUTPUTS
     WIRING: ClassVar = {"el_plus": "limit", "el_minus": "limit", "org": "stop", "ez": "index"}
+    SERVO: ClassVar = True
     DEFAULT_CLOCK_HZ: ClassVar = 2_000_000
     ADDRESSES: ClassVar = ADDRESSES
     BUSY: ClassVar = (0x07, MAP.mask("R07", "profile"))

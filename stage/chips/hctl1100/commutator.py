@@ -13,7 +13,7 @@ from stage.chips.hctl1100 import filter as law
 from stage.chips.hctl1100 import motor
 from stage.chips.hctl1100.encoder import raw
 from stage.chips.hctl1100.state import ALIGN, CONTROL, F4, FOUR, FULL, PHA, signed
-from stage.compiled import hot
+from stage.compiled import greatest, hot, least
 
 RING, TIMER, X, Y, OFFSET, MOST_ADVANCE = 0x18, 0x19, 0x1A, 0x1B, 0x1C, 0x1F
 ALIGN_SAMPLES = 2048  # of each of two phases
@@ -61,7 +61,7 @@ def advance(c):
     """Counts of the ring that the shaft turns in the time of R19, at most R1F."""
     turned = c.rate * (16.0 * (c.reg[TIMER] + 1)) / _counts(c)
     most = float(c.reg[MOST_ADVANCE])
-    return int(min(max(turned, -most), most))
+    return int(least(greatest(turned, -most), most))
 
 
 @hot

@@ -24,7 +24,7 @@ from stage.chips.hctl1100.state import (
     control_mode,
     signed,
 )
-from stage.compiled import hot
+from stage.compiled import hot, least
 
 ROOM = 8
 
@@ -54,7 +54,7 @@ def run(c, until):
             timer.idle_to(c, until)
             c.clock = until
             return
-        stop = min(until, c.next)
+        stop = least(until, c.next)
         motor.spend(c, stop)
         c.clock = stop
         if stop == c.next:
@@ -222,11 +222,11 @@ def mark(rows, i, out, k, axis):
 @hot
 def _next_change(c, until):
     """The clock, at most `until`, at which a pin may change."""
-    stop = until if c.mode == IDLE else min(until, c.next)
+    stop = until if c.mode == IDLE else least(until, c.next)
     if c.clock < c.dead:
-        stop = min(stop, c.dead)
+        stop = least(stop, c.dead)
     if c.reg[commutator.RING]:
-        stop = min(stop, encoder.next_count(c, stop))
+        stop = least(stop, encoder.next_count(c, stop))
     return stop
 
 

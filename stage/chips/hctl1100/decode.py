@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from stage.chips.decode import Said
+from stage.chips.entries import LOST, RESET, WRITE, Entry
 from stage.chips.hctl1100.maps import FLAG_WRITE
-from stage.chips.journal import LOST, RESET, WRITE, Entry
 from stage.chips.register_map import RegisterMap
 
 MODES = ("reset", "Init/Idle", "Align", "control")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from stage.chips.hctl1100.state import NEVER, signed
-from stage.compiled import hot
+from stage.compiled import greatest, hot, least
 
 FASTEST = 1.0 / 3.0  # counts a clock: a state shorter than the filter's three clocks does not come through
 FAR = float(1 << 53)
@@ -20,7 +20,7 @@ def raw(c):
 @hot
 def _count_at(c, clock):
     x = c.count + c.rate * (clock - c.seen)
-    return int(math.floor(min(max(x, -FAR), FAR)))
+    return int(math.floor(least(greatest(x, -FAR), FAR)))
 
 
 @hot
@@ -34,7 +34,7 @@ def see(c, count, rate):
 def missed(c):
     """Counts that came too fast for the filter so far. The actual position has them all the same."""
     excess = (abs(c.rate) - FASTEST) * (c.clock - c.seen)
-    return c.missed + (int(min(excess, FAR)) if excess > 0.0 else 0)
+    return c.missed + (int(least(excess, FAR)) if excess > 0.0 else 0)
 
 
 @hot

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from stage.chips.hctl1100.state import F2, INHIBIT, PULSE_ON, SIGN
-from stage.compiled import hot
+from stage.compiled import greatest, hot, least
 
 FULL_DRIVE = 100
 PWM_PERIOD = 100  # clocks
@@ -12,7 +12,7 @@ PWM_PERIOD = 100  # clocks
 @hot
 def clipped(c, value):
     """A motor command as the ports can hold it; F2 leaves one sign."""
-    return min(max(value, 0 if c.flag & F2 else -128), 127)
+    return least(greatest(value, 0 if c.flag & F2 else -128), 127)
 
 
 @hot
@@ -47,13 +47,13 @@ def to_pwm(c, value):
 @hot
 def share(drive):
     """The part of full drive that a command is, in hundredths: the PWM is full at 100 and beyond."""
-    return min(max(drive, -FULL_DRIVE), FULL_DRIVE)
+    return least(greatest(drive, -FULL_DRIVE), FULL_DRIVE)
 
 
 @hot
 def spend(c, until):
     """The motor is driven until then."""
-    live = until - max(c.clock, min(c.dead, until))
+    live = until - greatest(c.clock, least(c.dead, until))
     c.moment += share(c.drive) * live
 
 

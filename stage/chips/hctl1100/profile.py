@@ -9,7 +9,7 @@
 from __future__ import annotations
 
 from stage.chips.hctl1100.state import F0, signed
-from stage.compiled import hot
+from stage.compiled import greatest, hot, least
 
 COMMAND_VELOCITY = 0x3C
 
@@ -47,8 +47,8 @@ def trapezoid(c):
     rest = ((goal - c.command) << 8) - c.fraction
     way, v = (1 if rest >= 0 else -1), abs(c.velocity)
     if a:
-        faster = min(v + a, c.reg[0x28] << 8)
-        v = faster if abs(rest) - faster >= _braking(faster, a) else max(v - a, a)
+        faster = least(v + a, c.reg[0x28] << 8)
+        v = faster if abs(rest) - faster >= _braking(faster, a) else greatest(v - a, a)
     if v >= abs(rest):
         c.command, c.fraction, c.velocity = goal, 0, 0
         c.flag &= ~F0
@@ -63,5 +63,5 @@ def integral(c):
     if c.stopped:
         c.reg[COMMAND_VELOCITY] = 0
     goal, a = signed(c.reg[COMMAND_VELOCITY], 8) << 8, acceleration(c)
-    c.velocity = min(c.velocity + a, goal) if c.velocity < goal else max(c.velocity - a, goal)
+    c.velocity = least(c.velocity + a, goal) if c.velocity < goal else greatest(c.velocity - a, goal)
     _move(c, c.velocity)

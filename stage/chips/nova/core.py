@@ -38,7 +38,8 @@ ROUNDS = 100  # of events that cause others at one clock
 HZ = 16_000_000
 
 __all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE", "advance", "busy", "counter", "inputs", "mark", "mean_count", "net",
-           "outputs", "peek", "pins", "power_up", "pulse_rate", "read", "run", "scan", "see", "set_input", "set_inputs", "status", "trace",
+           "outputs", "peek", "pins", "power_up", "pulse_rate", "read", "run", "scan", "see",
+           "set_input", "set_inputs", "status", "trace",
            "value", "write"]  # fmt: skip
 
 

@@ -45,7 +45,8 @@ FOREVER = 1 << 62
 OPERATING = 0x40  # of the status byte
 
 __all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE", "advance", "busy", "counter", "inputs", "mark", "mean_count", "net",
-           "outputs", "peek", "pins", "power_up", "pulse_rate", "read", "run", "scan", "see", "set_input", "set_inputs", "status", "trace",
+           "outputs", "peek", "pins", "power_up", "pulse_rate", "read", "run", "scan", "see",
+           "set_input", "set_inputs", "status", "trace",
            "value", "write"]  # fmt: skip
 
 
