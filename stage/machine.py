@@ -22,6 +22,7 @@ import numpy as np
 
 from stage import engine, plant
 from stage.chips import Chip, ChipAxis, Diagnostic, cores
+from stage.chips.entries import INPUT, PACKED, SEE
 from stage.compiled import announced
 from stage.drives import drive as any_drive
 from stage.drives import stepper
@@ -378,10 +379,16 @@ class Stage:
                 return
 
     def _note_edges(self, n: int) -> None:
-        for e in self._edges[:n]:
-            axis = self._axes_by_index[e.axis]
-            if axis.chip._journal is not None:
-                axis.chip._journal.note_input(int(e.clock), axis.chip_axis, int(e.inputs))
+        edges, chip_of = self._edges[:n], self._table["chip"][self._edges["axis"][:n]]
+        for k, chip in enumerate(self.chips):
+            if chip._journal is None:
+                continue
+            own = edges[chip_of == k]
+            seen, packed = own["inputs"] == engine.SEEN, np.zeros(len(own), PACKED)
+            packed["clock"], packed["kind"] = own["clock"], np.where(seen, SEE, INPUT)
+            packed["a"] = np.where(seen, own["count"].view(np.int64), self._table["chip_axis"][own["axis"]])
+            packed["b"] = np.where(seen, own["rate"].view(np.int64), own["inputs"])
+            chip._journal.extend(packed)
 
     def _look_again(self, axis: int) -> None:
         """The table of switches has changed: what it means for this axis, from now on."""
@@ -489,6 +496,8 @@ class Stage:
             if axis.chip._journal is not None:
                 word = axis.chip._input_word(axis.chip_axis)
                 axis.chip._journal.note_input(axis.chip.clock, axis.chip_axis, word)
+                if self._table[axis.index].counts:
+                    axis.chip._journal.note_seen(axis.chip.clock, *axis.chip.shaft)
 
     def snapshot(self) -> Snapshot:
         """All state: physics, chips, drives, switches, time."""

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from stage.chips.entries import INPUT, LOST, READ, RESET, WRITE, Entries
+from stage.chips.entries import INPUT, LOST, READ, RESET, SEE, WRITE, Entries, bits
 
 if TYPE_CHECKING:
     from stage.chips.chip import Chip
@@ -65,6 +65,16 @@ class Journal:
 
     def note_reset(self, clock: int) -> None:
         self._note(clock, RESET, 0, 0)
+
+    def note_seen(self, clock: int, count: float, rate: float) -> None:
+        self._note(clock, SEE, bits(count), bits(rate))
+
+    def extend(self, packed: np.ndarray) -> None:
+        """Note PACKED records, in the order of their clocks."""
+        if self._end is None:
+            self.entries.extend(packed)
+        if self._previous is not None:
+            self._previous.extend(packed)
 
     def _note(self, clock: int, kind: int, a: int, b: int) -> None:
         if self._end is None:
@@ -127,6 +137,8 @@ class Replay:
                 k += core.scan(rows, 0, until, every_pulse, out[k:], axis)
             if e is not None:
                 e.apply(core, rows)
+                if e.kind == SEE:  # nothing of the chip changes with it
+                    continue
             if k == size:
                 yield out.copy()
                 k = 0

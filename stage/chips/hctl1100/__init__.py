@@ -35,6 +35,7 @@ class HCTL1100(Chip):
     OUTPUTS: ClassVar = core.OUTPUTS
     WIRING: ClassVar = {"el_plus": "limit", "el_minus": "limit", "org": "stop", "ez": "index"}
     SERVO: ClassVar = True
+    READING_ACTS: ClassVar = frozenset({0x14})
     DEFAULT_CLOCK_HZ: ClassVar = 2_000_000
     ADDRESSES: ClassVar = ADDRESSES
     BUSY: ClassVar = (0x07, MAP.mask("R07", "profile"))
@@ -67,6 +68,13 @@ class HCTL1100(Chip):
         if not (math.isfinite(count) and math.isfinite(rate)):
             raise ArgumentError(f"see({count!r}, {rate!r}): a shaft is at a finite count and has a finite rate.")
         core.shaft(self._rows, self._i, float(count), float(rate))
+        if self._journal is not None:
+            self._journal.note_seen(self.clock, count, rate)
+
+    @property
+    def shaft(self) -> tuple[float, float]:
+        """What the chip was told last: count and rate, see `see`."""
+        return float(self._record["count"]), float(self._record["rate"])
 
     def net(self, axis: int = 0) -> int:
         """The command position, counts: what the loop is given. The chip makes no pulses."""
