@@ -20,7 +20,7 @@ import sys
 import tempfile
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from functools import cache
 from importlib import import_module
 from importlib.util import find_spec
@@ -204,9 +204,18 @@ def _alone() -> Iterator[None]:
     global _depth
     _depth += 1
     try:
-        with (cache_folder() / "lock").open("w") if fcntl and _depth == 1 else nullcontext() as lock:
-            if lock:
-                fcntl.flock(lock, fcntl.LOCK_EX)
+        with _lock_file() if _depth == 1 else nullcontext():
             yield
     finally:
         _depth -= 1
+
+
+@contextmanager
+def _lock_file() -> Iterator[None]:
+    """Hold the lock in the cache folder; go on without one where there is none to be had."""
+    with ExitStack() as held:
+        with suppress(OSError):
+            lock = held.enter_context((cache_folder() / "lock").open("w"))
+            if fcntl:
+                fcntl.flock(lock, fcntl.LOCK_EX)
+        yield

@@ -7,5 +7,5 @@ takes ten times as many. PULSESTAGE_SEED repeats a run of the tests that draw fo
 import os
 import random
 
-EXAMPLES = int(os.environ.get("PULSESTAGE_EXAMPLES", "150"))
+EXAMPLES = int(os.environ.get("PULSESTAGE_EXAMPLES", "100"))
 SEED = int(os.environ.get("PULSESTAGE_SEED", random.SystemRandom().getrandbits(32)))

@@ -29,7 +29,9 @@ def figures(said):
     return {row[0]: tuple(row[1:]) for row in rows if len(row) == 3 and row[0]}
 
 
-@pytest.mark.parametrize("chip", ["mcx304", "mcx302", "mcx312"])
+@pytest.mark.parametrize(
+    "chip", ["mcx304", *(pytest.param(chip, marks=pytest.mark.slow) for chip in ("mcx302", "mcx312"))]
+)
 def test_the_bare_command_runs_into_the_hard_stop_and_the_work_around_ends_on_target(here, capsys, chip):
     said = out(capsys, "--chips", chip).out
     table = figures(said)

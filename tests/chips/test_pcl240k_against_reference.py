@@ -7,6 +7,7 @@ the number of programs.
 from collections import Counter
 
 import numpy as np
+import pytest
 from examples import EXAMPLES
 from hypothesis import HealthCheck, Phase, example, given, seed, settings
 from hypothesis import strategies as st
@@ -175,6 +176,7 @@ def census(strategy, programs=400):
     return count
 
 
+@pytest.mark.slow
 def test_programs_as_drivers_write_them_have_teeth():
     count = census(real_programs)
     floor = {"pulses": 300, "plus": 150, "minus": 100, "fup": 130, "fdown": 60, "written or reset in motion": 150}
@@ -183,6 +185,7 @@ def test_programs_as_drivers_write_them_have_teeth():
     assert {name: count[name] for name in floor if count[name] < floor[name]} == {}, dict(count)
 
 
+@pytest.mark.slow
 def test_chaotic_programs_have_teeth():
     count = census(chaotic_programs)
     floor = {"pulses": 50, "plus": 40, "minus": 6, "fup": 25, "fdown": 20, "written or reset in motion": 120}

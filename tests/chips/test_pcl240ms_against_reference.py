@@ -250,6 +250,7 @@ FLOORS = {  # of 60 programs with a fixed seed so many show it, at least: some t
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("about", REAL_PROGRAMS)
 def test_programs_as_drivers_write_them_have_teeth(about):
     count, rng = Counter(), random.Random(240)

@@ -3,6 +3,7 @@
 import copy
 import pickle
 import warnings
+from itertools import product
 
 import gymnasium
 import numpy as np
@@ -111,8 +112,19 @@ def test_a_pickled_environment_goes_on_as_the_first(any_):
         assert same(env.step(action), twin.step(action))
 
 
-@pytest.mark.parametrize("mode", list(AutoresetMode), ids=lambda mode: mode.name.lower())
-@pytest.mark.parametrize("threads", [1, 2])
+BRIEFLY = [  # every chip in every mode on every number of threads: `make test-slow`
+    *(pytest.param(id_, mode, 2) for id_ in EVERY for mode in AutoresetMode),
+    *(pytest.param(id_, AutoresetMode.NEXT_STEP, 1) for id_ in EVERY),
+    *(pytest.param(id_, AutoresetMode.SAME_STEP, 2) for id_ in OTHER_CHIPS),
+]
+LONG = [
+    pytest.param(*case, marks=pytest.mark.slow)
+    for case in product([*EVERY, *OTHER_CHIPS], AutoresetMode, (1, 2))
+    if case not in [brief.values for brief in BRIEFLY]
+]
+
+
+@pytest.mark.parametrize(("any_", "mode", "threads"), [*BRIEFLY, *LONG])
 def test_a_vector_is_as_many_environments_to_the_bit(any_, mode, threads):
     n, steps = 3, 5
     vector, parts = make_vec(any_, n, threads=threads, autoreset_mode=mode), [make(any_) for _ in range(n)]
@@ -267,6 +279,7 @@ def test_the_named_parts_of_the_reward_are_its_sum(any_):
             assert sum(step[4]["reward_parts"].values()) == pytest.approx(step[1], abs=1e-12)
 
 
+@pytest.mark.parametrize("any_", [*EVERY, OTHER_CHIPS[0]], ids=lambda id_: id_.split("/")[1])
 def test_an_episode_can_be_recorded(any_, tmp_path):
     env, plain = make(any_, record=str(tmp_path / "run" / "{}.rrd")), make(any_)
     assert same(episode(env, 2, 3), episode(plain, 2, 3)), "a recording changes nothing"

@@ -10,7 +10,7 @@ from stage.chips import CHIPS
 
 @pytest.mark.parametrize("name", CHIPS)
 def test_whatever_a_host_does_the_invariants_of_a_chip_hold(name):
-    run_state_machine_as_test(machine_of(CHIPS[name]), settings=everyday(60))
+    run_state_machine_as_test(machine_of(CHIPS[name]), settings=everyday(30))
 
 
 @pytest.mark.slow

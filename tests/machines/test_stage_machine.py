@@ -8,7 +8,7 @@ from stage_machine import ARRANGEMENTS, stage_machine_of
 
 @pytest.mark.parametrize("arrangement", ARRANGEMENTS)
 def test_whatever_happens_to_a_stage_its_invariants_hold(arrangement):
-    run_state_machine_as_test(stage_machine_of(arrangement), settings=everyday(40, 15))
+    run_state_machine_as_test(stage_machine_of(arrangement), settings=everyday(25, 15))
 
 
 @pytest.mark.slow

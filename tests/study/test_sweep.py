@@ -301,6 +301,7 @@ def test_every_executor_gives_the_same_bits_for_real_moves(tmp_path):
     assert tables[0].equals(tables[2])
 
 
+@pytest.mark.slow
 def test_a_local_ray_gives_the_same_bits_for_real_moves(tmp_path):
     pytest.importorskip("ray", reason="Ray is not installed: pip install ray")
     wanted = Definition("stage.study.objectives:preset_moves", space=SPACE, trials=8, seed=3, options={"pulses": 4000})
