@@ -98,10 +98,10 @@ SAMPLE = record(
         ("load_angle", "f8"),
         ("torque", "f8"),
     ]
-    + [("current_a", "f8"), ("current_b", "f8"), ("rate", "f8")]
+    + [("current_a", "f8"), ("current_b", "f8"), ("voltage", "f8"), ("rate", "f8")]
     + [(name, "i8") for name in "pulses lost_steps counter inputs outputs".split()]
 )
-"""One axis at one moment. SI units; load angle in electrical radians; rate in pps."""
+"""One axis at one moment. SI units; load angle in electrical radians; voltage at a DC motor; rate in pps, counts a second."""
 SEEN = -1
 EDGE = record([(name, "i8") for name in ("now", "clock", "axis", "inputs")] + [("count", "f8"), ("rate", "f8")])
 """What reached a chip: a switch edge: time (ns), the chip's clock, the chip's input word from then on; or, with SEEN for that, the
@@ -333,6 +333,7 @@ def _sample(world, t, c, hz, d, clockwork, qpos, qvel, effort, out):
     out.position, out.velocity = q, v
     out.commanded = q + drive.behind(d, net, theta) / t.gear
     out.load_angle, out.torque = stepper.load_angle(d, net, theta), drive.torque(d, effort)
+    out.voltage = drive.voltage(d, effort)
     out.current_a, out.current_b = d.current_a, d.current_b
     out.rate = cores.pulse_rate(c, j, hz)
     out.pulses, out.counter = net, cores.counter(c, j)

@@ -27,7 +27,7 @@ from stage.compiled import announced
 from stage.drives import drive as any_drive
 from stage.drives import stepper
 from stage.drives.dc_motors import DC_MOTORS, DCMotor, Servo, dc_motor
-from stage.drives.motors import Drive, Motor, motor
+from stage.drives.motors import MOTORS, Drive, Motor, motor
 from stage.errors import ArgumentError, ModelError, RunTimeout, SimulationError, StageError, unknown
 
 if TYPE_CHECKING:
@@ -493,11 +493,11 @@ class Stage:
         mujoco.mj_forward(self.model, self.data)
         engine.settle(*self._settle_args)
         for axis in self._axes_by_index:
-            if axis.chip._journal is not None:
-                word = axis.chip._input_word(axis.chip_axis)
-                axis.chip._journal.note_input(axis.chip.clock, axis.chip_axis, word)
-                if self._table[axis.index].counts:
-                    axis.chip._journal.note_seen(axis.chip.clock, *axis.chip.shaft)
+            chip: Any = axis.chip
+            if chip._journal is not None:
+                if chip.SERVO:
+                    chip._journal.note_seen(chip.clock, *chip.shaft)
+                chip._journal.note_input(chip.clock, axis.chip_axis, chip._input_word(axis.chip_axis))
 
     def snapshot(self) -> Snapshot:
         """All state: physics, chips, drives, switches, time."""
@@ -661,13 +661,14 @@ def _motor_named(name: str) -> Motor | DCMotor:
 def _choose_drive(drives: Any, axis: str, chip: Chip, spec: Any) -> Drive | Servo:
     """The drive of an axis for its chip, as asked or as the model says; the spec gets the actuator that it needs."""
     given, named = drives.get(axis) if isinstance(drives, Mapping) else drives, plant.motors(spec).get(axis)
-    stepping = isinstance(given, Drive | Motor) or (isinstance(given, str) and given not in DC_MOTORS)
-    if stepping == chip.SERVO if given is not None else False:
+    kind, presets = ((Drive, Motor), MOTORS) if chip.SERVO else ((Servo, DCMotor), DC_MOTORS)
+    if isinstance(given, kind) or (isinstance(given, str) and given in presets):
         what, want = (
             ("a DC servo", "a Servo or a DC motor") if chip.SERVO else ("a stepper", "a Drive or a stepper motor")
         )
+        shown = given.title if isinstance(given, Drive | Servo) else getattr(given, "name", repr(given))
         raise ArgumentError(
-            f"drives for axis {axis}: {type(chip).__name__} drives {what}; {given!r} is none: give {want}."
+            f"drives for axis {axis}: {type(chip).__name__} drives {what}; {shown} is none: give {want}."
         )
     if not chip.SERVO:
         plant.equip(spec, axis, None)
@@ -677,8 +678,10 @@ def _choose_drive(drives: Any, axis: str, chip: Chip, spec: Any) -> Drive | Serv
     own = plant.dc_constants(spec, axis)
     if isinstance(given, Servo):
         chosen = given
-    elif given is not None or named in DC_MOTORS:
-        chosen = Servo(dc_motor(given if given is not None else named))
+    elif given is not None:
+        chosen = Servo(dc_motor(given))
+    elif named in DC_MOTORS:
+        chosen = Servo(DC_MOTORS[named])
     elif own is not None:
         chosen = Servo(DCMotor(f"that of axis {axis}", own[1], own[0], 0.0, own[0]))
     else:

@@ -155,11 +155,17 @@ def axis_names(source: Any) -> list[str]:
 
 def motors(source: Any) -> dict[str, str]:
     """The motors that a model names, by axis."""
-    if isinstance(source, mujoco.MjModel):
-        texts = _texts(source)
-    else:
-        texts = {t.name: t.data for t in source.texts}
+    compiled = isinstance(source, mujoco.MjModel)
+    texts = _texts(source) if compiled else {_readable(t, "name"): _readable(t, "data") for t in source.texts}
     return {name[: -len("_motor")]: data for name, data in texts.items() if name.endswith("_motor")}
+
+
+def _readable(text: Any, field: str) -> str:
+    """A field of an MjSpec's text; what is not UTF-8 in it is replaced, as in `_texts`."""
+    try:
+        return str(getattr(text, field))
+    except UnicodeDecodeError as error:
+        return error.object.decode(errors="replace")
 
 
 def equip(source: Any, axis: str, constants: tuple[float, float] | None) -> None:
@@ -180,11 +186,8 @@ def equip(source: Any, axis: str, constants: tuple[float, float] | None) -> None
 
 def dc_constants(source: Any, axis: str) -> tuple[float, float] | None:
     """(torque constant N m/A, resistance ohm) of the axis' <dcmotor>, if it has one."""
-    if isinstance(source, mujoco.MjModel):
-        actuators = [source.actuator(k) for k in range(source.nu)]
-    else:
-        actuators = list(source.actuators)
-    for a in actuators:
+    compiled = isinstance(source, mujoco.MjModel)
+    for a in [source.actuator(k) for k in range(source.nu)] if compiled else list(source.actuators):
         if a.name == axis and int(np.squeeze(a.gaintype)) == mujoco.mjtGain.mjGAIN_DCMOTOR:
             return float(a.gainprm[1]), float(a.gainprm[0])
     return None
@@ -344,8 +347,9 @@ class _Binder:
         if not fits or not 1e-6 <= abs(gear) <= 1e9:
             self._problem(
                 name,
-                f"actuator {name!r} is not a <motor> (or <dcmotor>, with voltage input only) on joint {name!r} with a gear of 1e-6 to 1e9 (rotor radians per joint "
-                f"unit); if {name!r} is no axis of a chip, name those that are: chips={{axis: chip}}",
+                f"actuator {name!r} is not a <motor> on joint {name!r}, nor a <dcmotor> with voltage input only, with a gear of "
+                f"1e-6 to 1e9 (rotor radians per joint unit); if {name!r} is no axis of a chip, name those that are: "
+                "chips={axis: chip}",
                 _actuator_line(name),
             )
         unfitted = self.texts.get(f"{name}_unfitted", "").split()

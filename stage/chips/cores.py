@@ -16,7 +16,8 @@ Add it to FAMILIES, and every loop of the package takes it. Of chip `c` and its 
     peek(c, address)                  what a host would like to read there now: no bus cycle, nothing changes
     write(rows, i, address, value), read(rows, i, address)     bus cycles
 
-and, for `Chip` alone, power_up, set_inputs, pins, advance, trace, scan and mark, see stage/chips/pcl240/core.py.
+and, for `Chip` alone, power_up, set_inputs, pins, advance, trace, scan and mark, see stage/chips/pcl240/core.py; of a servo
+scan_seen as well, see stage/chips/hctl1100/core.py.
 """
 
 from __future__ import annotations

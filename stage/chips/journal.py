@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from stage.chips.entries import INPUT, LOST, READ, RESET, SEE, WRITE, Entries, bits
+from stage.chips.entries import INPUT, LOST, READ, RESET, SEE, WRITE, Entries, Entry, bits
 
 if TYPE_CHECKING:
     from stage.chips.chip import Chip
@@ -128,20 +128,37 @@ class Replay:
         self._applied += len(entries)
         core.mark(rows, 0, out, 0, axis)
         k = 1
-        for e in (*entries, None):
-            until = end if e is None else e.clock
-            while rows[0].clock < until:
+        for e, shafts in _between_shafts(entries):
+            until, at = end if e is None else e.clock, np.zeros(1, np.int64)
+            while rows[0].clock < until or at[0] < len(shafts[0]):
                 if size - k < ROOM:
                     yield out[:k].copy()
                     k = 0
-                k += core.scan(rows, 0, until, every_pulse, out[k:], axis)
+                if len(shafts[0]):
+                    k += core.scan_seen(rows, 0, until, every_pulse, out[k:], axis, *shafts, at)
+                else:
+                    k += core.scan(rows, 0, until, every_pulse, out[k:], axis)
             if e is not None:
                 e.apply(core, rows)
-                if e.kind == SEE:  # nothing of the chip changes with it
-                    continue
             if k == size:
                 yield out.copy()
                 k = 0
             core.mark(rows, 0, out, k, axis)
             k += 1
         yield out[:k].copy()
+
+
+Shafts = tuple[np.ndarray, np.ndarray, np.ndarray]  # clocks, counts, rates
+
+
+def _between_shafts(entries: Entries) -> Iterator[tuple[Entry | None, Shafts]]:
+    """Each entry but the SEEs, and after all None, with the SEEs since the one before: they come every physics step."""
+    packed = entries.packed()
+    seen = packed["kind"] == SEE
+    clocks = np.ascontiguousarray(packed["clock"])
+    counts, rates = (np.ascontiguousarray(packed[name]).view(np.float64) for name in ("a", "b"))
+    begin = 0
+    for k in (*np.flatnonzero(~seen).tolist(), len(entries)):
+        part = slice(begin, k)
+        yield entries[k] if k < len(entries) else None, (clocks[part], counts[part], rates[part])
+        begin = k + 1

@@ -95,6 +95,16 @@ class Servo:
             )
 
     @property
+    def peak_torque(self) -> float:
+        """N m: at stall, with the whole bus voltage."""
+        return self.motor.torque_constant * self.bus_voltage / self.motor.resistance
+
+    @property
+    def title(self) -> str:
+        """Motor and settings, for people."""
+        return f"{self.motor.name}, encoder of {self.counts} counts"
+
+    @property
     def pulses_per_turn(self) -> int:
         """What a turn is for the chip: counts."""
         return int(self.counts)

@@ -10,13 +10,13 @@ from stage.compiled import hot
 from stage.drives import servo, stepper
 from stage.drives.stepper import DRIVE, SERVO
 
-__all__ = ["DRIVE", "SERVO", "align", "at_rest", "behind", "effort", "lost_steps", "torque"]
+__all__ = ["DRIVE", "SERVO", "align", "at_rest", "behind", "effort", "lost_steps", "torque", "voltage"]
 
 
 @hot
 def effort(d, signal, n, theta, omega, h):
-    """What goes to the actuator, mean over n slices of h seconds, N m or V. signal: (n,), what the chip says: mean pulses so far, or
-    shares of full drive; theta: rotor angle (rad) in the middle of the first slice; omega: rad/s."""
+    """What goes to the actuator, mean over n slices of h seconds, N m or V. signal: (n,), what the chip says: mean pulses so far,
+    or shares of full drive; theta: rotor angle (rad) in the middle of the first slice; omega: rad/s."""
     if d.mode == SERVO:
         return servo.voltage(d, signal, n, omega)
     return stepper.mean_torque(d, signal, n, theta, omega, h)
@@ -26,6 +26,12 @@ def effort(d, signal, n, theta, omega, h):
 def torque(d, effort):
     """The motor's torque, N m, when that goes to its actuator."""
     return d.torque_constant * d.current_a if d.mode == SERVO else effort
+
+
+@hot
+def voltage(d, effort):
+    """The terminal voltage of a DC motor, V; 0 for a stepper, whose phases have one each."""
+    return effort if d.mode == SERVO else 0.0
 
 
 @hot

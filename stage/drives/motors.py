@@ -145,6 +145,16 @@ class Drive:
         return self.motor.detent_torque if self.detent is None else self.detent
 
     @property
+    def peak_torque(self) -> float:
+        """N m: the most that the motor holds, with both phases at the amplitude."""
+        return math.sqrt(2) * self.motor.torque_constant * self.amplitude
+
+    @property
+    def title(self) -> str:
+        """Motor and settings, for people."""
+        return f"{self.motor.name}, 1/{self.microsteps} steps"
+
+    @property
     def pulses_per_turn(self) -> int:
         return int(self.motor.steps_per_turn * self.microsteps)
 

@@ -2,8 +2,8 @@
 
     i = (v - K w) / R        T = K i
 
-MuJoCo's <dcmotor> makes the torque from the voltage, its inductance left out: L / R of such motors is shorter than a physics step.
-The current that is logged is that of the same formula.
+MuJoCo's <dcmotor> makes the torque from the voltage. The inductance is left out: L / R is little beside the mechanical time
+constant J R / K^2 of a loaded axis. The current that is logged is that of the same formula.
 """
 
 from __future__ import annotations

@@ -11,6 +11,7 @@ host is a value with
     ADDRESSES                         where it reads
     BLINKING, PULSE_PINS              inputs that rather blink, outputs that say no more than that there are pulses
     MAKES_PULSES                      what the chip moves, it moves by pulses
+    FOR_A_STAGE                       fields of the state that only a stage's questions leave as they are, where there are any
 """
 
 import hctl1100_bus

@@ -4,6 +4,7 @@ strategies.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -24,6 +25,7 @@ class HctlHost:
     QUIET: ClassVar = tuple(k for k in range(64) if k != 0x14)  # reading the low byte of the position latches
     PULSE_PINS: ClassVar = ("pulse", "sign")
     MAKES_PULSES: ClassVar = False
+    FOR_A_STAGE: ClassVar = ("moment",)
 
     flags: int = 0
 
@@ -67,7 +69,8 @@ class HctlHost:
         if not pins["init"]:
             assert v["R08"] == chip.motor_command + 0x80
             assert v["R09"] == chip.motor_command & 0xFF
-        assert chip.encoder == 0, "nobody turns the shaft"
+        count, rate = chip.shaft
+        assert rate or chip.encoder == math.floor(count), "a shaft that stands is where it was seen"
 
     def seen(self, chip) -> dict:
         """What `check_course` needs of the moment before time passes."""
@@ -78,6 +81,8 @@ class HctlHost:
         was, now = before.seen["values"], chip.values()
         assert before.pulses == 0
         apart = {"R00", "R07", "R08", "R09", "R0C", "R0D", "R0E", "R0F", "R34", "R35", "R3C"}
+        if chip.shaft[1]:
+            apart.add("R14")
         assert {k: v for k, v in now.items() if k not in apart} == {k: v for k, v in was.items() if k not in apart}
         assert now["R00"] == was["R00"] or now["R00"] == was["R00"] & ~F0, "time clears F0 and nothing else"
         assert now["R07"] & ~PROFILE == was["R07"] & ~PROFILE
@@ -124,5 +129,6 @@ def clocks() -> st.SearchStrategy[int]:
 
 
 def cruise(cls, axis: int, plus: bool) -> Writes:
-    """Integral velocity, one count a sample: 1923 counts per second after reset."""
-    return [*traffic.acceleration(16), *traffic.begin("integral"), (0x3C, 1 if plus else 0xFF)]
+    """Integral velocity from where the shaft is, one count a sample: 1923 counts per second after reset."""
+    here = [*traffic.word(traffic.COMMAND, 0), (0x13, 0)]
+    return [*here, *traffic.acceleration(16), *traffic.begin("integral"), (0x3C, 1 if plus else 0xFF)]

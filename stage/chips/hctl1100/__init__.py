@@ -35,11 +35,13 @@ class HCTL1100(Chip):
     OUTPUTS: ClassVar = core.OUTPUTS
     WIRING: ClassVar = {"el_plus": "limit", "el_minus": "limit", "org": "stop", "ez": "index"}
     SERVO: ClassVar = True
+    DIRECT: ClassVar = True
     READING_ACTS: ClassVar = frozenset({0x14})
     DEFAULT_CLOCK_HZ: ClassVar = 2_000_000
     ADDRESSES: ClassVar = ADDRESSES
     BUSY: ClassVar = (0x07, MAP.mask("R07", "profile"))
     COUNTER: ClassVar = ("R14", 24)
+    TRACED: ClassVar = {"R0E": ("net", 24), "MC": ("motor", 8)}
     _ADDRESS_MASK: ClassVar = ADDRESSES - 1
 
     @property

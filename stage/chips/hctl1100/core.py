@@ -29,8 +29,8 @@ from stage.compiled import hot, least
 ROOM = 8
 
 __all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE", "advance", "busy", "counter", "inputs", "mark", "mean_count", "net",
-           "outputs", "peek", "pins", "power_up", "pulse_rate", "read", "run", "scan", "see", "set_input", "set_inputs", "status",
-           "trace", "value", "write"]  # fmt: skip
+           "outputs", "peek", "pins", "power_up", "pulse_rate", "read", "run", "scan", "scan_seen", "see", "set_input",
+           "set_inputs", "status", "trace", "value", "write"]  # fmt: skip
 
 
 @hot
@@ -245,4 +245,22 @@ def scan(rows, i, until, every_pulse, out, axis):
             mark(rows, i, out, k, axis)
             k += 1
     c.moment = 0
+    return k
+
+
+@hot
+def scan_seen(rows, i, until, every_pulse, out, axis, clocks, counts, rates, at):
+    """As scan, while the shaft is seen anew at `clocks`, in order and up to `until`, with these counts and rates, from number at[0]
+    on, which goes up. Stops early as scan does: call again until at[0] is all of them and the clock is there."""
+    c = rows[i]
+    k = 0
+    while k < len(out) - ROOM:
+        n = at[0]
+        while n < len(clocks) and clocks[n] <= c.clock:
+            encoder.see(c, counts[n], rates[n])
+            n += 1
+        at[0] = n
+        if c.clock >= until:
+            return k
+        k += scan(rows, i, clocks[n] if n < len(clocks) else until, every_pulse, out[k:], axis)
     return k
