@@ -59,7 +59,7 @@ def ramp(rng):
 
 def test_pulses_at_any_constant_speed_fall_where_each_would_alone():
     seen = 0
-    for rng in examples(0.1):
+    for rng in examples(0.5):
         chip = MCX514()
         for axes in (1, 2, 4, 8)[: rng.randint(1, 4)]:
             sv = speed(rng)
@@ -74,7 +74,7 @@ def test_pulses_at_any_constant_speed_fall_where_each_would_alone():
 @pytest.mark.parametrize("wr3", [0, 4], ids=["linear", "S-curve"])
 def test_so_they_do_after_ramps_of_any_kind_and_when_the_speed_is_changed(wr3):
     seen = 0
-    for rng in examples(0.1):
+    for rng in examples(0.5):
         chip = MCX514()
         set_wr3(chip, wr3)
         sv, dv, ac = ramp(rng)
@@ -88,7 +88,7 @@ def test_so_they_do_after_ramps_of_any_kind_and_when_the_speed_is_changed(wr3):
 
 def test_so_they_do_in_the_multiples_of_the_first_generation():
     seen = 0
-    for rng in examples(0.05):
+    for rng in examples(0.25):
         chip = MCX304()
         set_wr3(chip, 0, nop=NOP_304)
         r = rng.choice([16_000, 80_000, 800_000, 8_000_000, rng.randint(16_000, 8_000_000)])
