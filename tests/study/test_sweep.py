@@ -113,7 +113,7 @@ def test_a_killed_driver_resumes_with_the_same_command_and_runs_only_what_lacks(
     folder, log = tmp_path / "study", tmp_path / "log"
     how = {"processes": [], "threads": ["--threads"]}.get(way)
     how = ["--ray", request.getfixturevalue("cluster")] if how is None else how
-    options = ["--option", f"log={log}", "sleep=0.08"]  # slow enough that it is killed in the middle on a busy machine, too
+    options = ["--option", f"log={log}", "sleep=0.08"]  # so that it is killed in the middle on a busy machine, too
     driver = start(folder, *how, *options)
     target = rng.randrange(1, 20)
     wait_for(lambda: recorded(folder) >= target or driver.poll() is not None)
