@@ -59,7 +59,7 @@ test-oldest:
 define OLDEST
 import re, tomllib
 project = tomllib.load(open("pyproject.toml", "rb"))["project"]
-needs = project["dependencies"] + [n for extra in ("plot", "cluster", "test") for n in project["optional-dependencies"][extra]]
+needs = project["dependencies"] + [n for extra in ("plot", "cluster", "servo", "test") for n in project["optional-dependencies"][extra]]
 print(*(re.sub(r">=([\d.]+).*", r"==\1.*", need) for need in needs if ">=" in need))
 endef
 export OLDEST
@@ -104,6 +104,7 @@ pictures: .venv/.dev
 	$(BIN)/stage erratum --force --plot docs/pictures/erratum.png
 	for script in render_models stepper_behaviours draw_patterns synchronized_survey; do $(BIN)/python scripts/$$script.py || exit 1; done
 	$(BIN)/python scripts/ramp_down_survey.py
+	$(BIN)/python scripts/servo_moves.py --picture docs/pictures/servo.png
 	for script in s_curve origin_spread circles_and_helices; do $(BIN)/python scripts/$$script.py --picture docs/pictures/$$script.png || exit 1; done
 
 clean:

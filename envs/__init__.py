@@ -18,6 +18,7 @@ IDS = {
     "stage/RegisterBus-v0": "register_bus:RegisterBus",
     "stage/OriginReturn-v0": "origin_return:OriginReturn",
     "stage/SynchronizedMove-v0": "synchronized_move:SynchronizedMove",
+    "stage/ServoTuning-v0": "servo_tuning:ServoTuning",
 }
 """Gymnasium id -> module and name; NAMEEnv is the scalar environment, NAMEVectorEnv the vector one."""
 

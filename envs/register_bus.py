@@ -3,11 +3,12 @@
 action        MultiDiscrete [kind, chip, address, value]
               kind 0 writes `value` to `address` of a chip, kind 1 reads that address, kind 2 + k waits for waits[k].
               What a kind does not need does not matter. Addresses and values are those of the chip's bus: 0..3 and a byte on
-              a PCL-240, one an axis; 0..7 and a word of 16 bits on a NOVA chip, one for several axes.
+              a PCL-240, one an axis; 0..7 and a word of 16 bits on a NOVA chip, one for several axes; 0..63 and a byte on an
+              HCTL-1100, one an axis.
 observation   float32 in [-1, 1]; for every chip in turn
-              status bits b0.. as last read (PCL-240 8, NOVA 16: RR0)
+              status bits b0.. as last read (PCL-240 8, NOVA 16: RR0, HCTL-1100 8: R07)
               what was last read at the other addresses (3: bytes of a PCL-240's counter; 7: RR1..RR7), / the largest datum
-              freshness of all addresses (4; 8): 0 never read, else 1 / (1 + age / 1 ms)
+              freshness of all addresses (4; 8; 64): 0 never read, else 1 / (1 + age / 1 ms)
               and then for each of its axes
               target / distances[1], pulses from the start; 0 with goal "home"
               and with truth=True, what no host knows: the carriage's
@@ -102,7 +103,7 @@ class RegisterBus(Task[Config]):
         m = len(self.axes)
         self.per_pulse = np.array([a.meters_per_pulse for a in self.axes])
         self.sign = np.array([np.sign(a.gear) for a in self.axes])  # of the joint, when pulses go plus
-        self.full_step = np.array([0.5 * np.pi / (a.drive.motor.rotor_teeth * a.gear) for a in self.axes])
+        self.full_step = np.array([self._full_step(a) for a in self.axes])
         self.travel = np.array([a.travel for a in self.axes])
         self.limits = np.array([self._limits(a) for a in self.axes])
         self.power_up = self.fleet.truth()["position"][0]
@@ -175,6 +176,11 @@ class RegisterBus(Task[Config]):
         self._address = self._frame.ctypes.data
         with announced("PulseStage: compiling RegisterBus, once on this machine (about five seconds) ..."):
             self._step(0, 0, None)
+
+    @staticmethod
+    def _full_step(axis: Any) -> float:
+        """Of the carriage, m; a servo has none."""
+        return 0.0 if axis.chip.SERVO else 0.5 * np.pi / (axis.drive.motor.rotor_teeth * axis.gear)
 
     @staticmethod
     def _touch(axis: Any, pin: str) -> float:

@@ -193,7 +193,7 @@ def _many(rows, n, omega):
 
 def cost():
     for mode in ("chopper", "sine"):
-        rows = np.zeros(1, stepper.STEPPER)
+        rows = np.zeros(1, stepper.DRIVE)
         Drive(mode=mode).fill(rows[0])
         for rpm in (300, 2000):
             best = np.inf

@@ -28,7 +28,7 @@ import numba
 
 from stage.chips import cores
 from stage.compiled import COMPILED, greatest, hot, least, record
-from stage.drives import stepper
+from stage.drives import drive, stepper
 
 _LIBRARY = glob.glob(os.path.join(os.path.dirname(mujoco.__file__), "libmujoco.*"))[0]  # .so or, on macOS, .dylib
 if COMPILED:
@@ -59,18 +59,30 @@ SWITCH = record([("dist", "f8"), ("edge", "i8"), ("on", "i8"), ("toggles", "i8")
 toggle and when it will have come to rest (ns)."""
 
 # --- constants ---
-CLOCKWORK = record([("dt", "i8"), ("slices", "i8"), ("h", "f8"), ("half", "f8"), ("nv", "i8"), ("sample_every", "i8")])
-"""Window (ns), slices in it, a slice and half a window (s), degrees of freedom, steps per sample (0: none)."""
+CLOCKWORK = record(
+    [
+        ("dt", "i8"),
+        ("slices", "i8"),
+        ("h", "f8"),
+        ("half", "f8"),
+        ("nv", "i8"),
+        ("sample_every", "i8"),
+        ("encoders", "i8"),
+    ]
+)
+"""Window (ns), slices in it, a slice and half a window (s), degrees of freedom, steps per sample (0: none), axes whose chips see an
+encoder."""
 MOST_AXES = 4
 CHIP_TABLE = record([("hz", "i8"), ("axes", "i8"), ("axis", "i8", (MOST_AXES,)), ("ticks", "f8")])
 """One chip, in the order of the families and their rows: reference clock, how many of its axes are used and which axes of the
 stage they are (the first is its axis 0), its clocks in a slice."""
 AXIS_TABLE = record(
     [(name, "i8") for name in "chip chip_axis qpos dof actuator first_switch end_switch index_bit".split()]
-    + [("gear", "f8"), ("index_at", "f8")]
+    + [("gear", "f8"), ("index_at", "f8"), ("counts", "f8")]
 )
 """Which axis of which chip (a row of CHIP_TABLE) and which drive row (= the axis' own index) move which joint; rotor radians
-per joint unit; the pin bit of the index pulse (0: not connected) and where in the rotor's turn it stands, in turns."""
+per joint unit; the pin bit of the index pulse (0: not connected) and where in the rotor's turn it stands, in turns; counts of the
+encoder that the chip sees per joint unit (0: none)."""
 SWITCH_TABLE = record(
     [(name, "i8") for name in "bit found at forced bounce toggles".split()] + [("slope", "f8"), ("hysteresis", "f8")]
 )
@@ -86,15 +98,17 @@ SAMPLE = record(
         ("load_angle", "f8"),
         ("torque", "f8"),
     ]
-    + [("current_a", "f8"), ("current_b", "f8"), ("rate", "f8")]
+    + [("current_a", "f8"), ("current_b", "f8"), ("voltage", "f8"), ("rate", "f8")]
     + [(name, "i8") for name in "pulses lost_steps counter inputs outputs".split()]
 )
-"""One axis at one moment. SI units; load angle in electrical radians; rate in pps."""
-EDGE = record([("now", "i8"), ("clock", "i8"), ("axis", "i8"), ("inputs", "i8")])
-"""A switch edge: time (ns), the chip's clock, the chip's input word from then on."""
+"""One axis at one moment. SI units; load angle in electrical radians; voltage at a DC motor; rate in pps, counts a second."""
+SEEN = -1
+EDGE = record([(name, "i8") for name in ("now", "clock", "axis", "inputs")] + [("count", "f8"), ("rate", "f8")])
+"""What reached a chip: a switch edge: time (ns), the chip's clock, the chip's input word from then on; or, with SEEN for that, the
+shaft: from then on at `count + rate * clocks`, in counts of its encoder."""
 
 MAX_TOGGLES = 8
-EDGES_A_WINDOW = 48  # of an axis at most: 5 switches, each an edge and its toggles; the index pulse
+EDGES_A_WINDOW = 49  # of an axis at most: 5 switches, each an edge and its toggles; the index pulse; the shaft
 REACHED, SAMPLES_FULL, EDGES_FULL, DIVERGED = range(4)
 MAX_SPEED = 1e6  # of any joint, per second; beyond it, or NaN, the simulation has diverged
 
@@ -190,20 +204,28 @@ def _foresee(world, axes, table, switches, switch_table, clockwork, sensordata, 
 
 
 @hot
+def _switched(t, switches, switch_table, word):
+    """The pin word of an axis with its switches as they are. Two that are wired to one pin assert it if either is on."""
+    on = off = 0
+    for k in range(t.first_switch, t.end_switch):
+        bit = switch_table[k].bit
+        on, off = (on | bit, off) if switches[k].on else (on, off | bit)
+    return word & ~off | on
+
+
+@hot
 def _meet_axis_edges(axis, t, c, j, switches, switch_table, now):
     """The switches of chip axis `j` that change at `now` do."""
     axis.next_edge = NEVER
-    word = cores.inputs(c, j)
     for k in range(t.first_switch, t.end_switch):
         s = switches[k]
         if s.edge <= now:
             s.edge = NEVER
             s.on = 1 - s.on
-            bit = switch_table[k].bit
-            word = word | bit if s.on else word & ~bit
             if s.toggles or switch_table[k].bounce:
                 _bounce(s, switch_table[k], now)
         axis.next_edge = least(axis.next_edge, s.edge)
+    word = _switched(t, switches, switch_table, cores.inputs(c, j))
     if t.index_bit:
         if axis.index_edge <= now:
             axis.index_edge, axis.index_end = axis.index_end, NEVER
@@ -272,21 +294,50 @@ _run_families = cores.over_families(_run_chips)
 
 
 @hot
-def _sample(world, t, c, hz, d, clockwork, qpos, qvel, torque, out):
+def _shaft(world, t, clockwork, qpos, qvel):
+    """Where an axis' shaft is now, in counts of its encoder, and how fast, in counts a second."""
+    v = qvel[t.dof]
+    tau = float(world.now - world.start) / SECOND - clockwork.half
+    return (qpos[t.qpos] + v * tau) * t.counts, v * t.counts
+
+
+@hot
+def _see_chips(rows, first, wiring, world, table, clockwork, qpos, qvel, edges, counts):
+    """At a window's start: the shafts, for the chips of one family. Returns the edges noted by now."""
+    for i in range(len(rows)):
+        c, w = rows[i], wiring[first + i]
+        for j in range(w.axes):
+            a = w.axis[j]
+            if table[a].counts == 0.0:
+                continue
+            count, speed = _shaft(world, table[a], clockwork, qpos, qvel)
+            cores.see(c, j, count, speed / w.hz)
+            if len(edges):
+                e = edges[counts[1]]
+                e.now, e.clock, e.axis, e.inputs, e.count, e.rate = world.now, c.clock, a, SEEN, count, speed / w.hz
+                counts[1] += 1
+    return counts[1]
+
+
+_see_families = cores.over_families(_see_chips)
+
+
+@hot
+def _sample(world, t, c, hz, d, clockwork, qpos, qvel, effort, out):
     j = t.chip_axis
     net = cores.net(c, j)
     v = qvel[t.dof]
     q = qpos[t.qpos] - v * clockwork.half
     theta = q * t.gear
-    angle = stepper.load_angle(d, net, theta)
     out.time = world.now / SECOND
     out.position, out.velocity = q, v
-    out.commanded = q + stepper.mechanical(d, angle) / t.gear
-    out.load_angle, out.torque = angle, torque
+    out.commanded = q + drive.behind(d, net, theta) / t.gear
+    out.load_angle, out.torque = stepper.load_angle(d, net, theta), drive.torque(d, effort)
+    out.voltage = drive.voltage(d, effort)
     out.current_a, out.current_b = d.current_a, d.current_b
     out.rate = cores.pulse_rate(c, j, hz)
     out.pulses, out.counter = net, cores.counter(c, j)
-    out.lost_steps = stepper.lost_steps(d, net, theta)
+    out.lost_steps = drive.lost_steps(d, net, theta)
     out.inputs, out.outputs = cores.inputs(c, j), cores.outputs(c, j)
 
 
@@ -296,8 +347,8 @@ def _sample_chips(rows, first, wiring, world, table, drives, clockwork, qpos, qv
         w = wiring[first + i]
         for j in range(w.axes):
             a = w.axis[j]
-            torque = ctrl[table[a].actuator]
-            _sample(world, table[a], rows[i], w.hz, drives[a], clockwork, qpos, qvel, torque, out[a])
+            effort = ctrl[table[a].actuator]
+            _sample(world, table[a], rows[i], w.hz, drives[a], clockwork, qpos, qvel, effort, out[a])
     return 0
 
 
@@ -329,9 +380,7 @@ def run(
             t = table[a]
             omega = qvel[t.dof] * t.gear
             theta = qpos[t.qpos] * t.gear + omega * middle
-            ctrl[t.actuator] = stepper.mean_torque(
-                drives[a], axes[a].counts, clockwork.slices, theta, omega, clockwork.h
-            )
+            ctrl[t.actuator] = drive.effort(drives[a], axes[a].counts, clockwork.slices, theta, omega, clockwork.h)
         mj_step(model, data)
         world.slice = 0
         world.start += clockwork.dt
@@ -342,6 +391,8 @@ def run(
         if status == DIVERGED:
             break
         _foresee(world, axes, table, switches, switch_table, clockwork, sensordata, qpos, qvel, True)
+        if clockwork.encoders:
+            counts[1] = _see_families(chips, wiring, world, table, clockwork, qpos, qvel, edges, counts)
         if clockwork.sample_every:
             world.to_sample -= 1
             if world.to_sample <= 0:
@@ -385,32 +436,36 @@ def look_again(world_, axes, chips, switches, switch_table, table, wiring, clock
 
 
 @hot
-def _settle_axis(c, axis, t, switches, switch_table, d, qpos):
+def _settle_axis(c, hz, world, axis, t, switches, switch_table, d, clockwork, qpos, qvel):
+    if t.counts != 0.0:
+        count, speed = _shaft(world, t, clockwork, qpos, qvel)
+        cores.see(c, t.chip_axis, count, speed / hz)
     axis.next_edge = NEVER
     axis.count = cores.net(c, t.chip_axis)
     for k in range(SLICES):
-        axis.counts[k] = axis.count
-    word = cores.inputs(c, t.chip_axis)
+        axis.counts[k] = drive.at_rest(d, axis.count)
     for k in range(t.first_switch, t.end_switch):
-        s, bit = switches[k], switch_table[k].bit
+        s = switches[k]
         s.edge = NEVER
         s.on = switch_table[k].forced if switch_table[k].forced >= 0 else (1 if s.dist <= 0.0 else 0)
-        word = word | bit if s.on else word & ~bit
+    word = _switched(t, switches, switch_table, cores.inputs(c, t.chip_axis))
     if t.index_bit:
         axis.index_edge = axis.index_end = NEVER
         axis.index_on = 1 if abs(_off_index(t, qpos[t.qpos])) <= 0.5 * INDEX else 0
         word = word | t.index_bit if axis.index_on else word & ~t.index_bit
     cores.set_input(c, t.chip_axis, word)
-    stepper.align(d, float(axis.count), qpos[t.qpos] * t.gear)
+    drive.align(d, float(axis.count), qpos[t.qpos] * t.gear)
 
 
 @hot
-def _settle_chips(rows, first, wiring, axes, table, switches, switch_table, drives, qpos):
+def _settle_chips(rows, first, wiring, world, axes, table, switches, switch_table, drives, clockwork, qpos, qvel):
     for i in range(len(rows)):
         w = wiring[first + i]
         for j in range(w.axes):
             a = w.axis[j]
-            _settle_axis(rows[i], axes[a], table[a], switches, switch_table, drives[a], qpos)
+            _settle_axis(
+                rows[i], w.hz, world, axes[a], table[a], switches, switch_table, drives[a], clockwork, qpos, qvel
+            )
     return 0
 
 
@@ -424,4 +479,4 @@ def settle(world_, axes, chips, drives, switches, table, switch_table, wiring, c
     for k in range(len(switches)):
         switches[k].toggles, switches[k].edge = 0, NEVER
     _foresee(world, axes, table, switches, switch_table, clockwork, sensordata, qpos, qvel, False)
-    _settle_families(chips, wiring, axes, table, switches, switch_table, drives, qpos)
+    _settle_families(chips, wiring, world, axes, table, switches, switch_table, drives, clockwork, qpos, qvel)

@@ -21,7 +21,6 @@ docs/faults.md measures what each does, and how a host can notice; `stage fault`
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -163,10 +162,10 @@ def jam(axis: Axis, force: float | None = None) -> Fault:
     """The axis jams: dry friction of `force` N (N m on a hinge) more, default ten times what its motor can push.
 
     It stops a carriage within a few physics steps and holds it to 20 um, in both directions: MuJoCo's friction yields a little.
+    A DC motor's steady push moves it on by some 0.7 mm/s at full drive.
     """
     _check(axis)
-    motor = axis.drive.motor
-    default = JAM * math.sqrt(2) * motor.torque_constant * axis.drive.amplitude * abs(axis.gear)
+    default = JAM * axis.drive.peak_torque * abs(axis.gear)
     more = default if force is None else force
     if not 0 < more < 1e9:
         raise ArgumentError(
@@ -214,9 +213,13 @@ def bus_voltage(where: Axis | Stage, volts: float) -> Fault:
 def phase_open(axis: Axis, phase: str = "a") -> Fault:
     """A wire to the motor is broken: phase "a" or "b" carries no current, from one moment to the next.
 
-    Raises ArgumentError.
+    Raises ArgumentError; also for a DC motor, which has no phases.
     """
     _check(axis)
+    if axis.chip.SERVO:
+        raise ArgumentError(
+            f"axis {axis.name} has a DC motor, {axis.drive.motor.name}, without phases: bus_voltage takes its supply away."
+        )
     if phase not in PHASES:
         raise unknown(f"phase of axis {axis.name}", phase, PHASES)
     before = axis._open

@@ -54,9 +54,11 @@ class Program:
         """Write a register of a chip as its family does.
 
         A PCL-240: select it, then its bytes, high to low. NOVA: WR6, WR7 if it has more than 16 bits, and the command that is its
-        number, to axis `chip_axis` of the chip where it is an axis' register.
+        number, to axis `chip_axis` of the chip where it is an axis' register. HCTL-1100: its address.
         """
         r = chip.MAP.register(name)
+        if chip.DIRECT:
+            return self.write(axis, r.number, value)
         if chip.DATA_MASK == 0xFF:
             self.command(axis, 0x80 | r.number)
             for k in reversed(range((r.bits + 7) // 8)):

@@ -29,7 +29,7 @@ from numba.np.numpy_support import as_dtype
 from stage import engine
 from stage.chips import cores
 from stage.compiled import COMPILED, greatest, hot, least, record
-from stage.drives import stepper
+from stage.drives import drive
 
 END, WRITE, READ, WAIT, STOP, MEASURE, LOOK = range(7)
 PLAYED, DIVERGED = range(2)
@@ -50,7 +50,7 @@ TRUTH = record(
 )
 """One axis now: SI units, ns, full steps, pulses; pin words; the status byte; 1 while a drive is in progress."""
 
-WORLD, AXIS, DRIVE, SWITCH = engine.WORLD, engine.AXIS, stepper.STEPPER, engine.SWITCH
+WORLD, AXIS, DRIVE, SWITCH = engine.WORLD, engine.AXIS, drive.DRIVE, engine.SWITCH
 AXIS_TABLE, SWITCH_TABLE, CHIP_TABLE, CLOCKWORK = (
     engine.AXIS_TABLE, engine.SWITCH_TABLE, engine.CHIP_TABLE, engine.CLOCKWORK,
 )  # fmt: skip
@@ -228,8 +228,8 @@ def _look_at(world, c, t, d, clockwork, qpos, qvel, out):
     q = qpos[t.qpos] + v * tau
     theta = q * t.gear
     out.now, out.position, out.velocity = world.now, q, v
-    out.commanded = q + stepper.mechanical(d, stepper.load_angle(d, float(net), theta)) / t.gear
-    out.lost_steps = stepper.lost_steps(d, float(net), theta)
+    out.commanded = q + drive.behind(d, float(net), theta) / t.gear
+    out.lost_steps = drive.lost_steps(d, float(net), theta)
     out.pulses, out.counter, out.inputs = net, cores.counter(c, j), cores.inputs(c, j)
     out.outputs, out.status, out.busy = cores.outputs(c, j), cores.status(c, j), 1 if cores.busy(c, j) else 0
 

@@ -22,9 +22,12 @@ import numpy as np
 
 from stage import engine, plant
 from stage.chips import Chip, ChipAxis, Diagnostic, cores
+from stage.chips.entries import INPUT, PACKED, SEE
 from stage.compiled import announced
+from stage.drives import drive as any_drive
 from stage.drives import stepper
-from stage.drives.motors import Drive, Motor, motor
+from stage.drives.dc_motors import DC_MOTORS, DCMotor, Servo, dc_motor
+from stage.drives.motors import MOTORS, Drive, Motor, motor
 from stage.errors import ArgumentError, ModelError, RunTimeout, SimulationError, StageError, unknown
 
 if TYPE_CHECKING:
@@ -39,7 +42,7 @@ EDGES = 1024
 SWITCH_FAULTS = ("forced", "bounce", "toggles")  # of the table of switches: what faults change
 
 ChipChoice = type[Chip] | Callable[[], Chip] | Mapping[str, Any]
-DriveChoice = Drive | Motor | str | Mapping[str, Any] | None
+DriveChoice = Drive | Servo | Motor | DCMotor | str | Mapping[str, Any] | None
 
 
 @dataclass(frozen=True)
@@ -100,7 +103,9 @@ class Axis:
         unit: "m", or "rad" on a hinge.
     """
 
-    def __init__(self, stage: Stage, index: int, plant_axis: plant.PlantAxis, chip_axis: ChipAxis, drive: Drive):
+    def __init__(
+        self, stage: Stage, index: int, plant_axis: plant.PlantAxis, chip_axis: ChipAxis, drive: Drive | Servo
+    ):
         self._stage, self._plant = stage, plant_axis
         self.index, self.name, self.drive = index, plant_axis.name, drive
         self.chip, self.chip_axis = chip_axis.chip, chip_axis.index
@@ -134,22 +139,23 @@ class Axis:
         """Where the pulses say that the carriage is, m; it differs from `position` by following error and lost steps."""
         d, net = self._electrics()
         q = self.position
-        return float(q + stepper.load_angle(d, net, q * self.gear) / (self.drive.motor.rotor_teeth * self.gear))
+        return float(q + any_drive.behind(d, net, q * self.gear) / self.gear)
 
     @property
     def lost_steps(self) -> int:
-        """Full steps by which the rotor is behind the pulses, a multiple of four; from the rotor's angle."""
+        """Full steps by which the rotor is behind the pulses, a multiple of four; from the rotor's angle. 0 for a servo."""
         d, net = self._electrics()
-        return int(stepper.lost_steps(d, net, self.position * self.gear))
+        return int(any_drive.lost_steps(d, net, self.position * self.gear))
 
     @property
     def load_angle(self) -> float:
-        """Commanded minus rotor angle, electrical radians."""
+        """Commanded minus rotor angle, electrical radians; plain radians for a servo."""
         d, net = self._electrics()
         return float(stepper.load_angle(d, net, self.position * self.gear))
 
     def _electrics(self) -> tuple[Any, float]:
-        return self._stage._drives[self.index], float(self.chip.net(self.chip_axis))
+        chip = self.chip
+        return self._stage._drives[self.index], float(cores.net(chip._rows[chip._i], self.chip_axis))
 
     def __repr__(self) -> str:
         return (
@@ -166,8 +172,8 @@ class Stage:
             contract (docs/models.md).
         chips: a chip class, a function that makes a chip, or a mapping axis -> either. A mapping chooses the axes. Axes that
             are given the same class or function share a chip as far as it has axes, in their order.
-        drives: a Drive, a motor or its name, or a mapping axis -> either; default: the motor that the model names,
-            1/16 microsteps, 24 V.
+        drives: a Drive, for a chip of servos a Servo, a motor or its name, or a mapping axis -> either; default: the motor that
+            the model names, 1/16 microsteps or an encoder of 2000 counts, 24 V.
         bus_cycle: seconds of simulated time that one bus cycle of a host takes.
         visuals: False leaves out what is only looked at, for runs that nobody sees: the same bits, a third faster.
     Raises:
@@ -200,15 +206,23 @@ class Stage:
                 if name not in known:
                     raise unknown("axis", name, known)
         made = _make_chips(chips, names)
+        chosen = [_choose_drive(drives, name, axis.chip, spec) for name, axis in zip(names, made, strict=True)]
         self.model, offset = plant.compile_spec(spec, _words(made, 5 * len(names)))
-        self._build(names, made, drives, round(bus_cycle * 1e9), offset)
+        self._build(names, made, chosen, round(bus_cycle * 1e9), offset)
 
-    def _build(self, names: list[str], chips: list[ChipAxis], drives: DriveChoice, bus_ns: int, offset: int) -> None:
+    def _build(
+        self, names: list[str], chips: list[ChipAxis], chosen: list[Drive | Servo], bus_ns: int, offset: int
+    ) -> None:
         model = self.model
         self._plant = plant.bind(model, names)
-        chosen = [_choose_drive(drives, p) for p in self._plant]
-        for p, d in zip(self._plant, chosen, strict=True):
-            built_in = motor(p.motor).rotor_inertia if p.motor else d.motor.rotor_inertia
+        for p, axis, d in zip(self._plant, chips, chosen, strict=True):
+            if p.servo != axis.chip.SERVO:
+                have, want = ("<dcmotor>", "<motor>") if p.servo else ("<motor>", "<dcmotor>")
+                raise ModelError(
+                    f"axis {p.name}: {type(axis.chip).__name__} drives a {want}, and this MjModel, which cannot change, has a "
+                    f"{have}: pass its path or MjSpec."
+                )
+            built_in = _motor_named(p.motor).rotor_inertia if p.motor else d.motor.rotor_inertia
             given, inside = float(model.dof_armature[p.dof]), built_in * p.gear**2
             model.dof_armature[p.dof] += (d.motor.rotor_inertia - built_in) * p.gear**2
             if model.dof_armature[p.dof] < 0:
@@ -225,7 +239,7 @@ class Stage:
             self._run_until(0)
         self._initial = self.snapshot()
 
-    def _wire(self, chips: list[ChipAxis], drives: list[Drive], bus_ns: int, offset: int) -> None:
+    def _wire(self, chips: list[ChipAxis], drives: list[Drive | Servo], bus_ns: int, offset: int) -> None:
         """Lay the state out in userdata and the tables beside it; connect the axes of the chips, one an axis of the stage."""
         model = self.model
         self._faults: list[str] = []
@@ -241,7 +255,7 @@ class Stage:
         self._axis_state = cut(engine.AXIS, n)
         families = _by_family(chips)
         self._chips = tuple(cut(core.STATE, len(members)) for core, members in families)
-        self._drives = cut(stepper.STEPPER, n)
+        self._drives = cut(stepper.DRIVE, n)
         self._switches = cut(engine.SWITCH, m)
         self._table = np.zeros(n, engine.AXIS_TABLE)
         self._switch_table = np.zeros(m, engine.SWITCH_TABLE)
@@ -270,6 +284,9 @@ class Stage:
             self._wiring[t.chip].axes += 1
             t.qpos, t.dof, t.actuator, t.gear = p.qpos, p.dof, p.actuator, p.gear
             t.index_bit, t.index_at = chip.wired("ez"), p.index
+            if isinstance(drive, Servo):
+                t.counts = drive.counts * p.gear / (2 * np.pi)
+                w.encoders += 1
             t.first_switch, t.end_switch = first, first + len(p.switches)
             for row, s in zip(self._switch_table[first : t.end_switch], p.switches, strict=True):
                 row.bit, row.found, row.at, row.slope = chip.wired(s.pin), s.found, s.dist, s.slope
@@ -362,10 +379,16 @@ class Stage:
                 return
 
     def _note_edges(self, n: int) -> None:
-        for e in self._edges[:n]:
-            axis = self._axes_by_index[e.axis]
-            if axis.chip._journal is not None:
-                axis.chip._journal.note_input(int(e.clock), axis.chip_axis, int(e.inputs))
+        edges, chip_of = self._edges[:n], self._table["chip"][self._edges["axis"][:n]]
+        for k, chip in enumerate(self.chips):
+            if chip._journal is None:
+                continue
+            own = edges[chip_of == k]
+            seen, packed = own["inputs"] == engine.SEEN, np.zeros(len(own), PACKED)
+            packed["clock"], packed["kind"] = own["clock"], np.where(seen, SEE, INPUT)
+            packed["a"] = np.where(seen, own["count"].view(np.int64), self._table["chip_axis"][own["axis"]])
+            packed["b"] = np.where(seen, own["rate"].view(np.int64), own["inputs"])
+            chip._journal.extend(packed)
 
     def _look_again(self, axis: int) -> None:
         """The table of switches has changed: what it means for this axis, from now on."""
@@ -470,9 +493,11 @@ class Stage:
         mujoco.mj_forward(self.model, self.data)
         engine.settle(*self._settle_args)
         for axis in self._axes_by_index:
-            if axis.chip._journal is not None:
-                word = axis.chip._input_word(axis.chip_axis)
-                axis.chip._journal.note_input(axis.chip.clock, axis.chip_axis, word)
+            chip: Any = axis.chip
+            if chip._journal is not None:
+                if chip.SERVO:
+                    chip._journal.note_seen(chip.clock, *chip.shaft)
+                chip._journal.note_input(chip.clock, axis.chip_axis, chip._input_word(axis.chip_axis))
 
     def snapshot(self) -> Snapshot:
         """All state: physics, chips, drives, switches, time."""
@@ -599,7 +624,7 @@ class _Cut:
 
 def _words(chips: list[ChipAxis], switches: int) -> int:
     """float64 words of userdata that a stage needs."""
-    per_axis = engine.AXIS.itemsize + stepper.STEPPER.itemsize
+    per_axis = engine.AXIS.itemsize + stepper.DRIVE.itemsize
     rows = sum(core.STATE.itemsize * len(members) for core, members in _by_family(chips))
     return (engine.WORLD.itemsize + len(chips) * per_axis + rows + switches * engine.SWITCH.itemsize) // 8
 
@@ -629,8 +654,37 @@ def _make_chips(chips: Any, names: list[str]) -> list[ChipAxis]:
     return found
 
 
-def _choose_drive(drives: Any, p: plant.PlantAxis) -> Drive:
-    given = drives.get(p.name) if isinstance(drives, Mapping) else drives
-    if isinstance(given, Drive):
-        return given
-    return Drive(motor(given if given is not None else p.motor or "17HS4401"))
+def _motor_named(name: str) -> Motor | DCMotor:
+    return DC_MOTORS[name] if name in DC_MOTORS else motor(name)
+
+
+def _choose_drive(drives: Any, axis: str, chip: Chip, spec: Any) -> Drive | Servo:
+    """The drive of an axis for its chip, as asked or as the model says; the spec gets the actuator that it needs."""
+    given, named = drives.get(axis) if isinstance(drives, Mapping) else drives, plant.motors(spec).get(axis)
+    kind, presets = ((Drive, Motor), MOTORS) if chip.SERVO else ((Servo, DCMotor), DC_MOTORS)
+    if isinstance(given, kind) or (isinstance(given, str) and given in presets):
+        what, want = (
+            ("a DC servo", "a Servo or a DC motor") if chip.SERVO else ("a stepper", "a Drive or a stepper motor")
+        )
+        shown = given.title if isinstance(given, Drive | Servo) else getattr(given, "name", repr(given))
+        raise ArgumentError(
+            f"drives for axis {axis}: {type(chip).__name__} drives {what}; {shown} is none: give {want}."
+        )
+    if not chip.SERVO:
+        plant.equip(spec, axis, None)
+        if isinstance(given, Drive):
+            return given
+        return Drive(motor(given if given is not None else named if named and named not in DC_MOTORS else "17HS4401"))
+    own = plant.dc_constants(spec, axis)
+    if isinstance(given, Servo):
+        chosen = given
+    elif given is not None:
+        chosen = Servo(dc_motor(given))
+    elif named in DC_MOTORS:
+        chosen = Servo(DC_MOTORS[named])
+    elif own is not None:
+        chosen = Servo(DCMotor(f"that of axis {axis}", own[1], own[0], 0.0, own[0]))
+    else:
+        chosen = Servo()
+    plant.equip(spec, axis, (chosen.motor.torque_constant, chosen.motor.resistance))
+    return chosen

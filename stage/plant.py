@@ -2,11 +2,13 @@
 
 Axis NAME is
     a joint NAME (slide or hinge) with a range,
-    an actuator NAME, a <motor> on it: ctrl is rotor torque in N m, gear is rotor radians per joint unit,
+    an actuator NAME on it: a <motor> for a stepper, whose ctrl is rotor torque in N m, or a <dcmotor> for a servo, whose ctrl is
+        terminal voltage; gear is rotor radians per joint unit,
     five contact sensors NAME_el_plus, NAME_el_minus, NAME_sd_plus, NAME_sd_minus, NAME_org between a vane and a switch,
         each with data="found dist" and a force-free <pair margin="-0.03" gap="0.04">,
     or <custom><text name="NAME_unfitted" data="sd_plus sd_minus"/></custom> for the switches that it does without.
 <text name="NAME_motor" data="17HS4401"/> names the motor whose rotor inertia is in the joint's armature.
+A stage fits the actuator that its chip drives, see `equip`: any model takes any chip.
 <numeric name="NAME_index" data="0.5"/> says where in the rotor's turn the encoder's index pulse (EZ) stands, in turns from the
 rotor's place at joint position 0; without it, half a turn from where ORG trips, as one mounts it.
 
@@ -67,7 +69,8 @@ class PlantAxis:
 
     Attributes:
         joint, actuator: ids in the model; qpos, dof: addresses. gear: rotor radians per joint unit, signed.
-        travel: the joint's range, m (rad if `hinge`). motor: name of the motor inside the armature, or None.
+        travel: the joint's range, m (rad if `hinge`). motor: name of the motor inside the armature, or None. servo: the actuator is
+            a DC motor.
         index: where in the rotor's turn the index pulse stands, in turns from its place at joint position 0.
         switches: those fitted, in the order of PINS.
     """
@@ -81,6 +84,7 @@ class PlantAxis:
     travel: tuple[float, float]
     hinge: bool
     motor: str | None
+    servo: bool
     index: float
     switches: tuple[Switch, ...]
 
@@ -147,6 +151,55 @@ def axis_names(source: Any) -> list[str]:
             [_actuator_line("x")],
         )
     return found
+
+
+def motors(source: Any) -> dict[str, str]:
+    """The motors that a model names, by axis."""
+    compiled = isinstance(source, mujoco.MjModel)
+    texts = _texts(source) if compiled else {_readable(t, "name"): _readable(t, "data") for t in source.texts}
+    return {name[: -len("_motor")]: data for name, data in texts.items() if name.endswith("_motor")}
+
+
+def _readable(text: Any, field: str) -> str:
+    """A field of an MjSpec's text; what is not UTF-8 in it is replaced, as in `_texts`."""
+    try:
+        return str(getattr(text, field))
+    except UnicodeDecodeError as error:
+        return error.object.decode(errors="replace")
+
+
+def equip(source: Any, axis: str, constants: tuple[float, float] | None) -> None:
+    """Fit the actuator of an axis: a <dcmotor> of these constants (N m/A, ohm), or without any a <motor>, if it is no such yet.
+
+    An MjModel cannot change; `bind` tells if it does not fit.
+    """
+    actuator = (
+        None if isinstance(source, mujoco.MjModel) else next((a for a in source.actuators if a.name == axis), None)
+    )
+    if actuator is None:
+        return
+    if constants:
+        actuator.set_to_dcmotor([constants[0]] * 2, constants[1])
+    elif actuator.gaintype == mujoco.mjtGain.mjGAIN_DCMOTOR:
+        actuator.set_to_motor()
+
+
+def dc_constants(source: Any, axis: str) -> tuple[float, float] | None:
+    """(torque constant N m/A, resistance ohm) of the axis' <dcmotor>, if it has one."""
+    compiled = isinstance(source, mujoco.MjModel)
+    for a in [source.actuator(k) for k in range(source.nu)] if compiled else list(source.actuators):
+        if a.name == axis and int(np.squeeze(a.gaintype)) == mujoco.mjtGain.mjGAIN_DCMOTOR:
+            return float(a.gainprm[1]), float(a.gainprm[0])
+    return None
+
+
+def _texts(model: mujoco.MjModel) -> dict[str, str]:
+    return {
+        mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_TEXT, k): bytes(
+            model.text_data[model.text_adr[k] : model.text_adr[k] + model.text_size[k]]
+        ).rstrip(b"\0").decode(errors="replace")
+        for k in range(model.ntext)
+    }  # fmt: skip
 
 
 def compile_spec(source: Any, words: int) -> tuple[mujoco.MjModel, int]:
@@ -231,12 +284,7 @@ class _Binder:
         self.model, self.data, self.axes = model, mujoco.MjData(model), axes
         self.problems: list[str] = []
         self.lines: list[str] = []
-        self.texts = {
-            mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_TEXT, k): bytes(
-                model.text_data[model.text_adr[k] : model.text_adr[k] + model.text_size[k]]
-            ).rstrip(b"\0").decode(errors="replace")
-            for k in range(model.ntext)
-        }  # fmt: skip
+        self.texts = _texts(model)
 
     def bind(self) -> tuple[PlantAxis, ...]:
         off = mujoco.mjtDisableBit
@@ -294,11 +342,14 @@ class _Binder:
                 "rotor times the gear squared, or 0",
             )
         gear = float(m.actuator_gear[actuator][0])
-        if not self._is_motor(joint, actuator) or not 1e-6 <= abs(gear) <= 1e9:
+        servo = bool(m.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_DCMOTOR)
+        fits = self._is_dc_motor(joint, actuator) if servo else self._is_motor(joint, actuator)
+        if not fits or not 1e-6 <= abs(gear) <= 1e9:
             self._problem(
                 name,
-                f"actuator {name!r} is not a <motor> on joint {name!r} with a gear of 1e-6 to 1e9 (rotor radians per joint "
-                f"unit); if {name!r} is no axis of a chip, name those that are: chips={{axis: chip}}",
+                f"actuator {name!r} is not a <motor> on joint {name!r}, nor a <dcmotor> with voltage input only, with a gear of "
+                f"1e-6 to 1e9 (rotor radians per joint unit); if {name!r} is no axis of a chip, name those that are: "
+                "chips={axis: chip}",
                 _actuator_line(name),
             )
         unfitted = self.texts.get(f"{name}_unfitted", "").split()
@@ -313,7 +364,7 @@ class _Binder:
         self._order(name, switches)
         return PlantAxis(
             name, joint, int(m.jnt_qposadr[joint]), int(m.jnt_dofadr[joint]), actuator, gear, (low, high),
-            bool(m.jnt_type[joint] == hinge), self.texts.get(f"{name}_motor"), self._index(name, gear, switches),
+            bool(m.jnt_type[joint] == hinge), self.texts.get(f"{name}_motor"), servo, self._index(name, gear, switches),
             switches,
         )  # fmt: skip
 
@@ -327,12 +378,23 @@ class _Binder:
             return index
         return next(((s.touch * gear / (2 * np.pi) + 0.5) % 1.0 for s in switches if s.pin == "org"), 0.0)
 
-    def _is_motor(self, joint: int, actuator: int) -> bool:
+    def _is_on(self, joint: int, actuator: int) -> bool:
         m = self.model
         return bool(
-            m.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT
-            and m.actuator_trnid[actuator][0] == joint
-            and m.actuator_dyntype[actuator] == mujoco.mjtDyn.mjDYN_NONE
+            m.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT and m.actuator_trnid[actuator][0] == joint
+        )
+
+    def _is_dc_motor(self, joint: int, actuator: int) -> bool:
+        """Without states of its own, one control: the voltage."""
+        m = self.model
+        resistance, constant = m.actuator_gainprm[actuator][:2]
+        plain = m.actuator_actnum[actuator] == 0 and not m.actuator_biasprm[actuator].any()
+        return self._is_on(joint, actuator) and bool(plain and resistance > 0 and constant > 0)
+
+    def _is_motor(self, joint: int, actuator: int) -> bool:
+        m = self.model
+        return self._is_on(joint, actuator) and bool(
+            m.actuator_dyntype[actuator] == mujoco.mjtDyn.mjDYN_NONE
             and m.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_FIXED
             and m.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_NONE
             and m.actuator_gainprm[actuator][0] == 1

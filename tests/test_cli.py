@@ -104,6 +104,8 @@ def test_view_without_a_screen_says_what_to_do(here, capsys):
         (["move", "x", "100", "--model", "xyzz"], "Did you mean"),
         (["move", "x", "100", "--model", "nowhere.xml"], "no MJCF file"),
         (["move", "x", "100", "--chips", "PCL241"], "Did you mean"),
+        (["move", "x", "100", "--chips", "hctl1100"], "HCTL1100 closes a loop and makes no pulses"),
+        (["demo", "--no-view", "--chips", "HCTL-1100"], "HCTL1100 closes a loop"),
         (["move", "x", "100", "--motor", "17HS4410"], "Did you mean '17HS4401'"),
         (["move", "x", "100", "--fh1", "1e9"], "at most|makes up to"),
         (["sync", "x:3"], "unknown axis|AXIS=PULSES"),

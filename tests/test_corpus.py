@@ -145,6 +145,44 @@ def test_a_nova_core_that_does_too_much_work_or_breaks_a_promise_is_a_finding():
     assert all(line.startswith("FOUND") and say in line for line, say in zip(found, says, strict=True)), found
 
 
+PLANTED_HCTL = """
+import test_corpus as t
+from stage.compiled import COMPILED
+from stage.chips.hctl1100 import bus, core, motor
+assert not COMPILED
+check = t.Bus()
+def twice(c, until, sample=core._sample):
+    sample(c, until)
+    sample(c, until)
+def clear_flags(c, until, sample=core._sample):
+    sample(c, until)
+    c.flag = 0x20
+for module, name, wrong in (
+    (core, "_sample", twice),
+    (bus, "idle", lambda c: None),
+    (bus, "status_byte", lambda c: 0xC0),
+    (motor, "clipped", lambda c, value: value),
+    (core, "_sample", clear_flags),
+):
+    right = getattr(module, name)
+    setattr(module, name, wrong)
+    try:
+        for path in t.inputs("bus"):
+            if path.name.startswith("hctl1100"):
+                check(path.read_bytes())
+        print("MISSED", name)
+    except t.Finding as finding:
+        print("FOUND", finding)
+    setattr(module, name, right)
+"""
+
+
+def test_an_hctl1100_core_that_does_too_much_work_or_breaks_a_promise_is_a_finding():
+    found = uncompiled(PLANTED_HCTL).splitlines()
+    says = ("calls for", "LIMIT has triggered", "but the pins", "R08", "clocks clear F0")
+    assert all(line.startswith("FOUND") and say in line for line, say in zip(found, says, strict=True)), found
+
+
 def test_a_chip_that_breaks_a_promise_is_a_finding(monkeypatch):
     check = Bus()
     monkeypatch.setattr(PCL240K, "advance", lambda self, clocks: 0)

@@ -301,7 +301,7 @@ def test_an_open_phase_carries_no_current_and_the_other_is_as_it_was(mode, open_
     seed = np.random.SeedSequence().entropy
     print("seed", seed)
     rng = np.random.default_rng(seed)
-    whole, broken = np.zeros(1, stepper.STEPPER), np.zeros(1, stepper.STEPPER)
+    whole, broken = np.zeros(1, stepper.DRIVE), np.zeros(1, stepper.DRIVE)
     for rows in (whole, broken):
         Drive(mode=mode).fill(rows[0])
     broken[0].open, broken[0].slice = open_, 0.0
@@ -325,7 +325,7 @@ def test_an_open_phase_carries_no_current_and_the_other_is_as_it_was(mode, open_
 
 
 def test_eight_slices_with_an_open_phase_are_eight_times_one():
-    rows, h, omega = np.zeros(2, stepper.STEPPER), 31.25e-6, 60.0
+    rows, h, omega = np.zeros(2, stepper.DRIVE), 31.25e-6, 60.0
     for d in rows:
         Drive().fill(d)
         d.open, d.slice, d.current_b = stepper.A, 0.0, 0.5

@@ -1,10 +1,14 @@
 """The shipped models: loadable anywhere, true to their sizes, switches seen and never felt."""
 
+import copy
+
 import mujoco
 import numpy as np
 import pytest
 
 from stage import Stage, plant
+from stage.drives.dc_motors import DC_MOTORS
+from stage.drives.motors import motor
 
 TRAVEL = {"x": 0.300, "y": 0.200, "z": 0.080}
 
@@ -19,6 +23,10 @@ def axes(model):
     return plant.bind(model)
 
 
+def rotor_inertia(axis):
+    return (DC_MOTORS[axis.motor] if axis.servo else motor(axis.motor)).rotor_inertia
+
+
 def put(model, data, **positions):
     mujoco.mj_resetData(model, data)
     for name, q in positions.items():
@@ -28,6 +36,35 @@ def put(model, data, **positions):
 
 def test_there_are_an_xy_and_an_xyz_stage():
     assert {"xy", "xyz"} <= set(plant.names())
+
+
+MODEL_FIELDS = [name for name in dir(mujoco.MjModel) if not name.startswith("_")]
+
+
+def test_xyz_servo_is_xyz_with_other_motors():
+    """Field by field: actuators, the rotors in the armatures and what follows from them differ, and nothing else."""
+    one, other = (plant.open_spec(name).compile() for name in ("xyz", "xyz_servo"))
+    differ = {
+        name
+        for name in MODEL_FIELDS
+        if isinstance(value := getattr(one, name), np.ndarray | int | float)
+        and not np.array_equal(value, getattr(other, name))
+    }
+    differ = {name for name in differ if not name.startswith(("name", "nname", "text", "ntext", "signature"))}
+    motors = {
+        name for name in differ if name.startswith("actuator_") and name not in ("actuator_gear", "actuator_trnid")
+    }
+    inertia = {"dof_armature", "dof_M0", "dof_invweight0", "body_invweight0", "jnt_invweight0", "stat"}
+    assert motors >= {"actuator_gaintype", "actuator_gainprm"}
+    assert differ - motors - inertia == set()
+
+
+@pytest.mark.parametrize("name", ["x", "y", "z"])
+def test_the_same_screw_turns_on_steppers_and_on_servos(name):
+    models = [plant.open_spec(name).compile() for name in ("xyz", "xyz_servo")]
+    both = [next(a for a in plant.bind(m) if a.name == name) for m in models]
+    screws = [m.dof_armature[a.dof] / a.gear**2 - rotor_inertia(a) for m, a in zip(models, both, strict=True)]
+    assert screws[0] == pytest.approx(screws[1], rel=1e-3)
 
 
 def test_it_runs_without_a_warning_or_an_unwanted_contact(model):
@@ -62,11 +99,9 @@ def test_travel_and_order_of_switches(axes):
 
 
 def test_screws_have_10_mm_lead_and_the_motors_rotor_is_in_the_armature(model, axes):
-    from stage.drives.motors import motor
-
     for a in axes:
         assert 2 * np.pi / a.gear == pytest.approx(0.010)
-        rotor = motor(a.motor).rotor_inertia * a.gear**2
+        rotor = rotor_inertia(a) * a.gear**2
         assert rotor < model.dof_armature[a.dof] < 3 * rotor, "rotor and screw"
 
 
@@ -142,6 +177,8 @@ def test_limits_and_origin_stay_asserted_up_to_the_hard_stop(model, axes):
 
 
 def test_a_carriage_that_runs_into_its_stop_at_300_mm_per_s_is_caught_within_two_millimetres(model, axes):
+    model = copy.copy(model)
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ACTUATION  # a DC motor would brake
     for a in axes:
         for direction in (1, -1):
             data = mujoco.MjData(model)
@@ -158,10 +195,8 @@ def test_a_carriage_that_runs_into_its_stop_at_300_mm_per_s_is_caught_within_two
 
 
 def test_the_screws_in_the_armature_are_screws(model, axes):
-    from stage.drives.motors import motor
-
     for a in axes:
-        screw = model.dof_armature[a.dof] / a.gear**2 - motor(a.motor).rotor_inertia
+        screw = model.dof_armature[a.dof] / a.gear**2 - rotor_inertia(a)
         assert 1e-6 < screw < 6e-6, "kg m2, of a screw of 10 mm diameter and its coupling"
 
 

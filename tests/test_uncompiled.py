@@ -1,6 +1,7 @@
 """The compiled loops, a few physics steps at a time: short enough to run uncompiled, too, where they make the same bits and where
 `make coverage` sees their lines."""
 
+import copy
 import hashlib
 import itertools
 import json
@@ -12,10 +13,11 @@ from pathlib import Path
 import nova_programs as nova
 import numpy as np
 import pytest
+import servo_programs as servo
 from programs import start_preset
 
 from stage import SimulationError, Stage, host, machine
-from stage.chips import MCX302, MCX514, PCL240K, PCL240MK, PCL240MS
+from stage.chips import HCTL1100, MCX302, MCX514, PCL240K, PCL240MK, PCL240MS
 from stage.compiled import COMPILED
 from stage.fleet import Fleet, Program
 from stage.recording import recording
@@ -200,6 +202,33 @@ def moves_of_several_axes():
     yield stage.snapshot().state.tobytes()
 
 
+def a_closed_loop():
+    """A servo holds, moves, runs into its limit; a stepper beside it; journals and a program on a fleet."""
+    stage = Stage("xyz_servo", chips={"x": HCTL1100, "y": PCL240K}, visuals=False)
+    x = stage.axes["x"]
+    stage.place(x=next(s.touch for s in x._plant.switches if s.pin == "el_plus") - 3e-4)
+    fleet = Fleet([copy.copy(stage)], threads=1)
+    with stage.record(every=5e-4) as recorded:
+        x.chip.write(0x13, 0)
+        servo.control(x.chip)
+        start_preset(stage.axes["y"].chip, 20)
+        servo.trapezoid(x.chip, 40)
+        stage.run(0.008)
+        servo.run_on(x.chip, 3)
+        stage.run_until(lambda: x.pins.limit, timeout=0.04)
+        stage.run(0.001)
+    assert x.pins.init
+    yield stage.snapshot().state.tobytes()
+    for name in sorted(recorded.columns):
+        yield recorded.columns[name].tobytes()
+    yield np.concatenate(list(recorded.journals["x"].pieces(every_pulse=True, size=100))).tobytes()
+    p = Program()
+    servo.control(type("Bus", (), {"write": staticmethod(lambda *w: p.write(0, *w))}))
+    p.register(0, x.chip, "R29", 30).register(0, x.chip, "R28", 5).register(0, x.chip, "R26", 0x80).write(0, 0, 0x08)
+    played = fleet.play([p.until_stopped([0], 0.01).read(0, 0x14).look(0)])
+    yield played.results.tobytes() + fleet.truth().tobytes()
+
+
 SCENES = (
     whole_moves,
     a_course,
@@ -208,6 +237,7 @@ SCENES = (
     over_an_index_mark,
     every_operation,
     moves_of_several_axes,
+    a_closed_loop,
 )
 
 

@@ -11,9 +11,10 @@ A new family takes part with a `Host` of its own, in a file here, and a row in H
 and status, stands in the chip's class, and RegisterBus needs no more.
 """
 
-from stage.chips import MCX514
+from stage.chips import HCTL1100, MCX514
 from stage.chips.nova import Nova
 from stage.chips.pcl240 import PCL240
+from stage.envs.hosts.hctl1100 import Hctl1100
 from stage.envs.hosts.host import Found, Host, Search
 from stage.envs.hosts.line import Line, line_of
 from stage.envs.hosts.nova import FirstGeneration, Mcx514
@@ -23,7 +24,9 @@ from stage.machine import Axis
 
 __all__ = ["HOSTS", "Found", "Host", "Line", "Search", "host_of", "line_of"]
 
-HOSTS: tuple[tuple[type, type[Host]], ...] = ((PCL240, Pcl240), (MCX514, Mcx514), (Nova, FirstGeneration))
+HOSTS: tuple[tuple[type, type[Host]], ...] = (
+    (PCL240, Pcl240), (MCX514, Mcx514), (Nova, FirstGeneration), (HCTL1100, Hctl1100),
+)  # fmt: skip
 """Chip classes and who speaks to them; the first that fits."""
 
 

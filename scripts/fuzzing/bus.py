@@ -14,15 +14,17 @@ import time
 import numpy as np
 
 from fuzzing.family import Enough, Family, Values
+from fuzzing.hctl1100 import HctlFamily
 from fuzzing.nova import NovaFamily
 from fuzzing.pcl240 import Pcl240
 from fuzzing.promises import Counts, demand
 from stage.chips import CHIPS, Chip
+from stage.chips.hctl1100 import HCTL1100
 from stage.chips.nova import Nova
 from stage.chips.pcl240 import PCL240
 from stage.compiled import COMPILED
 
-FAMILIES: dict[type[Chip], type[Family]] = {PCL240: Pcl240, Nova: NovaFamily}
+FAMILIES: dict[type[Chip], type[Family]] = {PCL240: Pcl240, Nova: NovaFamily, HCTL1100: HctlFamily}
 SECONDS_PER_ADVANCE = 5.0  # compiled, however busy the machine; 2^32 clocks take milliseconds
 TRACED = 1 << 16  # clocks: the twin's longer advances are not traced pulse by pulse
 

@@ -119,13 +119,19 @@ class Chip:
     OUTPUTS: ClassVar[dict[str, int]]
     COUNTER: ClassVar[tuple[str, int]]
     """The register that counts the pulses for the host, and its bits."""
+    TRACED: ClassVar[dict[str, tuple[str, int]]] = {}
+    """What else waveforms show: register, or a name for it -> field of the core's EDGE, bits."""
     AXES: ClassVar[int] = 1
     WIRING: ClassVar[dict[str, str]] = {}
     """Which pin a switch of a stage is wired to, where it has another name than the switch; see `wired`."""
+    SERVO: ClassVar[bool] = False
+    """Drives a DC motor with an encoder, not a stepper."""
     DEFAULT_CLOCK_HZ: ClassVar[int]
     ADDRESSES: ClassVar[int] = 4
     """Bus addresses: 0 up to ADDRESSES - 1."""
     DATA_MASK: ClassVar[int] = 0xFF
+    DIRECT: ClassVar[bool] = False
+    """Each register has a bus address of its own, its number."""
     READING_ACTS: ClassVar[frozenset[int]] = frozenset()
     """Bus addresses at which a read cycle changes something, in some mode at least: journals note these cycles."""
     BUSY: ClassVar[tuple[int, int]]

@@ -4,16 +4,20 @@ A family is a module of compiled functions, its *core*, over records of its `STA
 Add it to FAMILIES, and every loop of the package takes it. Of chip `c` and its axis `j` (0 up to AXES - 1):
 
     run(c, until)                     let its clock run up to `until`
-    net(c, j)                         pulses ever, plus minus minus
-    mean_count(c, j, before, ticks)   mean of `net` over the last `ticks`; it was `before` at their start
-    pulse_rate(c, j, hz)              output frequency now, pps
+    see(c, j, count, rate)            from now on the shaft is at `count + rate * clocks`, in counts of its encoder; only where
+                                      the axis has one
+    net(c, j)                         where it wants the axis: pulses ever, plus minus minus; the encoder's count of a servo
+    mean_count(c, j, before, ticks)   what the drive gets, its mean over the last `ticks`: `net`, which was `before` at their
+                                      start; the motor command of a servo, -1 to 1
+    pulse_rate(c, j, hz)              how fast `net` moves now, a second
     counter(c, j)                     what counts the pulses for the host: R0, LP
     inputs(c, j), set_input(c, j, word), outputs(c, j)     pins as words
     status(c, j), busy(c, j)          the status word; a drive is in progress
     peek(c, address)                  what a host would like to read there now: no bus cycle, nothing changes
     write(rows, i, address, value), read(rows, i, address)     bus cycles
 
-and, for `Chip` alone, power_up, set_inputs, pins, advance, trace, scan and mark, see stage/chips/pcl240/core.py.
+and, for `Chip` alone, power_up, set_inputs, pins, advance, trace, scan and mark, see stage/chips/pcl240/core.py; of a servo
+scan_seen as well, see stage/chips/hctl1100/core.py.
 """
 
 from __future__ import annotations
@@ -26,11 +30,12 @@ from numba.core import types
 from numba.core.imputils import lower_constant
 from numba.extending import models, overload, register_model, typeof_impl
 
+from stage.chips.hctl1100 import core as hctl1100
 from stage.chips.nova import core as nova
 from stage.chips.pcl240 import core as pcl240
 from stage.compiled import COMPILED
 
-FAMILIES: tuple[Any, ...] = (pcl240, nova)
+FAMILIES: tuple[Any, ...] = (pcl240, nova, hctl1100)
 _BY_TYPE = {numba.from_dtype(core.STATE): core for core in FAMILIES} if COMPILED else {}
 _BY_DTYPE = {core.STATE: core for core in FAMILIES}
 
@@ -107,6 +112,6 @@ def _written(source: str, **names: Any) -> Any:
     return space["call"]
 
 
-run, net, mean_count, pulse_rate = map(Answer, ("run", "net", "mean_count", "pulse_rate"))
+run, see, net, mean_count, pulse_rate = map(Answer, ("run", "see", "net", "mean_count", "pulse_rate"))
 counter, inputs, set_input, outputs = map(Answer, ("counter", "inputs", "set_input", "outputs"))
 status, busy, peek, write, read = map(Answer, ("status", "busy", "peek", "write", "read"))

@@ -2,19 +2,31 @@
 
 from __future__ import annotations
 
+import struct
 from array import array
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple, overload
 
 import numpy as np
 
-WRITE, INPUT, RESET, LOST, READ = range(5)
+WRITE, INPUT, RESET, LOST, READ, SEE = range(6)
 PACKED = np.dtype([(name, "i8") for name in ("clock", "kind", "a", "b")])
 
 
+def bits(number: float) -> int:
+    """A float64 as the whole number of the same bits, for an entry."""
+    return int(struct.unpack("q", struct.pack("d", number))[0])
+
+
+def number(bits: int) -> float:
+    """The float64 of these bits."""
+    return float(struct.unpack("d", struct.pack("q", bits))[0])
+
+
 class Entry(NamedTuple):
-    """One event between two ticks: WRITE (address, value), INPUT (axis, pin word), RESET, LOST, a write that never came, or
-    READ (address, value): a read cycle that changes something, see `Chip.READING_ACTS`."""
+    """One event between two ticks: WRITE (address, value), INPUT (axis, pin word), RESET, LOST, a write that never came,
+    READ (address, value), a read cycle that changes something, see `Chip.READING_ACTS`, or SEE (count, rate, both as `bits`): where
+    the shaft of axis 0 is from then on, in counts and counts a clock."""
 
     clock: int
     kind: int
@@ -31,6 +43,8 @@ class Entry(NamedTuple):
             core.power_up(rows, 0)
         elif self.kind == READ:
             core.read(rows, 0, self.a)
+        elif self.kind == SEE:
+            core.see(rows[0], 0, number(self.a), number(self.b))
 
 
 class Entries(Sequence[Entry]):
@@ -42,6 +56,10 @@ class Entries(Sequence[Entry]):
     def note(self, clock: int, kind: int, a: int, b: int) -> None:
         """One more at the end."""
         self._words.extend((clock, kind, a, b))
+
+    def extend(self, packed: np.ndarray) -> None:
+        """PACKED records at the end."""
+        self._words.frombytes(packed.tobytes())
 
     def packed(self) -> np.ndarray:
         """A copy as PACKED records."""

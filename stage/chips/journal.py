@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from stage.chips.entries import INPUT, LOST, READ, RESET, WRITE, Entries
+from stage.chips.entries import INPUT, LOST, READ, RESET, SEE, WRITE, Entries, Entry, bits
 
 if TYPE_CHECKING:
     from stage.chips.chip import Chip
@@ -66,6 +66,16 @@ class Journal:
     def note_reset(self, clock: int) -> None:
         self._note(clock, RESET, 0, 0)
 
+    def note_seen(self, clock: int, count: float, rate: float) -> None:
+        self._note(clock, SEE, bits(count), bits(rate))
+
+    def extend(self, packed: np.ndarray) -> None:
+        """Note PACKED records, in the order of their clocks."""
+        if self._end is None:
+            self.entries.extend(packed)
+        if self._previous is not None:
+            self._previous.extend(packed)
+
     def _note(self, clock: int, kind: int, a: int, b: int) -> None:
         if self._end is None:
             self.entries.note(clock, kind, a, b)
@@ -118,13 +128,16 @@ class Replay:
         self._applied += len(entries)
         core.mark(rows, 0, out, 0, axis)
         k = 1
-        for e in (*entries, None):
-            until = end if e is None else e.clock
-            while rows[0].clock < until:
+        for e, shafts in _between_shafts(entries):
+            until, at = end if e is None else e.clock, np.zeros(1, np.int64)
+            while rows[0].clock < until or at[0] < len(shafts[0]):
                 if size - k < ROOM:
                     yield out[:k].copy()
                     k = 0
-                k += core.scan(rows, 0, until, every_pulse, out[k:], axis)
+                if len(shafts[0]):
+                    k += core.scan_seen(rows, 0, until, every_pulse, out[k:], axis, *shafts, at)
+                else:
+                    k += core.scan(rows, 0, until, every_pulse, out[k:], axis)
             if e is not None:
                 e.apply(core, rows)
             if k == size:
@@ -133,3 +146,19 @@ class Replay:
             core.mark(rows, 0, out, k, axis)
             k += 1
         yield out[:k].copy()
+
+
+Shafts = tuple[np.ndarray, np.ndarray, np.ndarray]  # clocks, counts, rates
+
+
+def _between_shafts(entries: Entries) -> Iterator[tuple[Entry | None, Shafts]]:
+    """Each entry but the SEEs, and after all None, with the SEEs since the one before: they come every physics step."""
+    packed = entries.packed()
+    seen = packed["kind"] == SEE
+    clocks = np.ascontiguousarray(packed["clock"])
+    counts, rates = (np.ascontiguousarray(packed[name]).view(np.float64) for name in ("a", "b"))
+    begin = 0
+    for k in (*np.flatnonzero(~seen).tolist(), len(entries)):
+        part = slice(begin, k)
+        yield entries[k] if k < len(entries) else None, (clocks[part], counts[part], rates[part])
+        begin = k + 1

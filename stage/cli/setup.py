@@ -9,17 +9,23 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from stage.errors import unknown
+from stage.errors import StageError, unknown
 
 
 def make_stage(args: argparse.Namespace) -> Any:
-    """The stage that the options describe."""
+    """The stage that the options describe. Raises StageError for a chip of servos."""
     from stage import Drive, Stage
     from stage.chips import chip_class
 
+    chips = chip_class(args.chips)
+    if chips.SERVO:
+        raise StageError(
+            f"--chips {args.chips}: a {chips.MAP.chip} closes a loop and makes no pulses; this command's moves are those of the "
+            "PCL-240 family. docs/hctl1100.md shows how a program moves it."
+        )
     motor = {} if args.motor is None else {"motor": args.motor}
     drive = Drive(microsteps=args.microsteps, bus_voltage=args.bus_voltage, **motor)
-    return Stage(args.model, chips=chip_class(args.chips), drives=drive, bus_cycle=args.bus_cycle)
+    return Stage(args.model, chips=chips, drives=drive, bus_cycle=args.bus_cycle)
 
 
 def profile(args: argparse.Namespace, axis: Any) -> Any:

@@ -161,7 +161,7 @@ def follow(
         raise ArgumentError(
             f"load={load!r}, viscous={viscous!r}, damper={damper!r}: friction takes power: give 0 or more."
         )
-    rows = np.zeros(1, stepper.STEPPER)
+    rows = np.zeros(1, stepper.DRIVE)
     drive.fill(rows[0])
     trace = np.zeros(len(course), TRACE)
     brake = np.ascontiguousarray(np.broadcast_to(np.asarray(load, float), course.shape))
@@ -177,7 +177,7 @@ def load_angle(drive: Drive, trace: np.ndarray) -> np.ndarray:
 
 def lost_steps(drive: Drive, trace: np.ndarray) -> int:
     """Full steps that the rotor is behind at a trace's end: stepper.lost_steps of its last slice."""
-    rows = np.zeros(1, stepper.STEPPER)
+    rows = np.zeros(1, stepper.DRIVE)
     drive.fill(rows[0])
     return int(stepper.lost_steps(rows[0], float(trace["count"][-1]), float(trace["theta"][-1])))
 

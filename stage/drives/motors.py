@@ -14,7 +14,7 @@ MICROSTEPS = range(1, 257)
 MODES = {"chopper": stepper.CHOPPER, "sine": stepper.SINE}
 
 
-def _within(what: str, value: object, low: float, high: float, unit: str, zero: bool = False) -> None:
+def within(what: str, value: object, low: float, high: float, unit: str, zero: bool = False) -> None:
     """Raise ArgumentError unless `value` is a number above `low` (or, if `zero`, from `low` on) up to `high`."""
     fits = isinstance(value, Real) and not isinstance(value, bool)
     if fits and (low <= value <= high if zero else low < value <= high):  # type: ignore[operator]
@@ -45,13 +45,13 @@ class Motor:
     evidence: dict[str, str] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
-        _within(f"{self.name}: rated_current", self.rated_current, 0, 100, "A")
-        _within(f"{self.name}: resistance", self.resistance, 0, 1000, "ohm")
-        _within(f"{self.name}: inductance", self.inductance, 0, 1, "H")
-        _within(f"{self.name}: holding_torque", self.holding_torque, 0, 1000, "N m")
-        _within(f"{self.name}: detent_torque", self.detent_torque, 0, self.holding_torque, "N m", zero=True)
-        _within(f"{self.name}: rotor_inertia", self.rotor_inertia, 0, 1, "kg m^2")
-        _within(f"{self.name}: steps_per_turn", self.steps_per_turn, 0, 4000, "")
+        within(f"{self.name}: rated_current", self.rated_current, 0, 100, "A")
+        within(f"{self.name}: resistance", self.resistance, 0, 1000, "ohm")
+        within(f"{self.name}: inductance", self.inductance, 0, 1, "H")
+        within(f"{self.name}: holding_torque", self.holding_torque, 0, 1000, "N m")
+        within(f"{self.name}: detent_torque", self.detent_torque, 0, self.holding_torque, "N m", zero=True)
+        within(f"{self.name}: rotor_inertia", self.rotor_inertia, 0, 1, "kg m^2")
+        within(f"{self.name}: steps_per_turn", self.steps_per_turn, 0, 4000, "")
         if self.steps_per_turn % 4:
             raise ArgumentError(
                 f"{self.name}: steps_per_turn={self.steps_per_turn!r}: a tooth is 4 steps; try 200 or 400."
@@ -126,11 +126,11 @@ class Drive:
         object.__setattr__(self, "motor", motor(self.motor))
         if isinstance(self.microsteps, bool) or self.microsteps not in MICROSTEPS:
             raise ArgumentError(f"microsteps={self.microsteps!r}: a drive takes a whole number from 1 to 256.")
-        _within("bus_voltage", self.bus_voltage, 0, 400, "V")
+        within("bus_voltage", self.bus_voltage, 0, 400, "V")
         if self.current is not None:
-            _within(f"current of the {self.motor.name}", self.current, 0, 2 * self.motor.rated_current, "A")
+            within(f"current of the {self.motor.name}", self.current, 0, 2 * self.motor.rated_current, "A")
         if self.detent is not None:
-            _within(f"detent of the {self.motor.name}", self.detent, 0, self.motor.holding_torque, "N m", zero=True)
+            within(f"detent of the {self.motor.name}", self.detent, 0, self.motor.holding_torque, "N m", zero=True)
         if self.mode not in MODES:
             raise unknown("drive mode", self.mode, MODES)
 
@@ -145,6 +145,16 @@ class Drive:
         return self.motor.detent_torque if self.detent is None else self.detent
 
     @property
+    def peak_torque(self) -> float:
+        """N m: the most that the motor holds, with both phases at the amplitude."""
+        return math.sqrt(2) * self.motor.torque_constant * self.amplitude
+
+    @property
+    def title(self) -> str:
+        """Motor and settings, for people."""
+        return f"{self.motor.name}, 1/{self.microsteps} steps"
+
+    @property
     def pulses_per_turn(self) -> int:
         return int(self.motor.steps_per_turn * self.microsteps)
 
@@ -154,7 +164,7 @@ class Drive:
         return math.pi / 2 / self.microsteps
 
     def fill(self, record: Any) -> None:
-        """Write the parameters into a STEPPER record; its state stays."""
+        """Write the parameters into a DRIVE record; its state stays."""
         m = self.motor
         record.resistance, record.inductance, record.torque_constant = m.resistance, m.inductance, m.torque_constant
         record.detent, record.teeth, record.voltage = self.detent_torque, m.rotor_teeth, self.bus_voltage

@@ -22,11 +22,11 @@ import math
 from stage.compiled import greatest, hot, least, record
 from stage.drives.trig import sincos
 
-CHOPPER, SINE = 0, 1
+CHOPPER, SINE, SERVO = range(3)  # modes
 A, B = 1, 2  # phases
 SLICES = 8  # that the engine cuts a physics step into
 
-STEPPER = record(
+DRIVE = record(
     [
         (name, "f8")
         for name in (
@@ -37,7 +37,8 @@ STEPPER = record(
     ]
     + [("mode", "i8"), ("open", "i8"), ("waves", "f8", (2, SLICES))]
 )
-"""One motor and drive, SI units. `teeth`: rotor teeth Nr; `per_pulse`: electrical radians a pulse; `open`: the phases that are
+"""One motor and drive, SI units, or a SERVO: see servo.py; `per_pulse` is then the rotor's angle a count of the encoder, `teeth` 1.
+`teeth`: rotor teeth Nr; `per_pulse`: electrical radians a pulse; `open`: the phases that are
 open, A + B (whoever sets it sets `slice` to 0, as for any other parameter); `waves`: room to compute in."""
 
 
@@ -134,7 +135,7 @@ def _open_torque(d, counts, n, theta, omega, h):
 def mean_torque(d, counts, n, theta, omega, h):
     """Advance the currents by n slices of h seconds at constant speed; returns the mean torque on the rotor, N m.
 
-    d: a STEPPER record. counts: (n,), n up to SLICES: commanded pulses, mean over each slice; theta: rotor angle (rad) in the
+    d: a DRIVE record. counts: (n,), n up to SLICES: commanded pulses, mean over each slice; theta: rotor angle (rad) in the
     middle of the first; omega: rad/s.
     """
     if d.slice != h:

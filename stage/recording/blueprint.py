@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 CAMERA = "overview"  # a camera of this name in the MJCF is where the eye begins
 FIELD_OF_VIEW = 55.0  # of rerun's eye, degrees
 MARGIN = 1.12
+MEASURED = ("following_error", "voltage", "current", "load_angle", "lost_steps", "counter")
 BACKGROUND = (30, 34, 41)
 GRID = (96, 104, 118, 110)
 
@@ -25,7 +26,7 @@ def dashboard(recording: Recording) -> Any:
     """A rerun blueprint for `recording`."""
     import rerun.blueprint as rrb
 
-    from stage.recording.rerun_log import SERIES, unit
+    from stage.recording.rerun_log import axes_with, heading
 
     position, target = eye(recording.model)
     view = rrb.Spatial3DView(
@@ -42,9 +43,9 @@ def dashboard(recording: Recording) -> Any:
 
     def plot(*keys: str) -> Any:
         return rrb.TimeSeriesView(
-            name=f"{SERIES[keys[0]].title} ({unit(recording, keys[0])})",
+            name=heading(recording, keys[0]),
             origin="/",
-            contents=[f"+ {path}/{k}" for k in keys for path in paths.values()],
+            contents=[f"+ {paths[name]}/{k}" for k in keys for name in axes_with(recording, k)],
             plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=True),
             axis_x=together,
         )
@@ -69,7 +70,7 @@ def dashboard(recording: Recording) -> Any:
             rrb.Vertical(
                 plot("rate"),
                 plot("position", "commanded"),
-                rrb.Tabs(plot("following_error"), plot("load_angle"), plot("lost_steps"), plot("counter")),
+                rrb.Tabs(*(plot(key) for key in MEASURED if axes_with(recording, key))),
                 rrb.Tabs(
                     bus,
                     rrb.TextDocumentView(origin="/about", name="About"),

@@ -48,13 +48,15 @@ COLUMNS = {
     "load_angle": ("rad", "commanded - rotor angle, electrical"),
     "lost_steps": ("full steps", "behind the pulses, a multiple of four"),
     "torque": ("N m", "on the rotor, mean of the physics step"),
-    "current_a": ("A", "phase A"),
-    "current_b": ("A", "phase B"),
-    "rate": ("pps", "pulse rate"),
-    "pulses": ("pulses", "plus minus minus, since power-up"),
-    "counter": ("pulses", "what counts the pulses for the host: down counter R0, logical position LP"),
+    "current_a": ("A", "phase A; the current of a DC motor"),
+    "current_b": ("A", "phase B; 0 for a DC motor"),
+    "voltage": ("V", "at a DC motor, mean of the physics step; 0 for a stepper"),
+    "rate": ("pps", "pulse rate; the commanded velocity of a servo, counts a second"),
+    "pulses": ("pulses", "plus minus minus, since power-up; where a servo is told to be, counts"),
+    "counter": ("pulses", "what counts for the host: down counter R0, logical position LP, actual position R14"),
 }
-"""Columns of each axis: unit (on a hinge rad for m) and meaning. Every pin has a bool column of its name as well."""
+"""Columns of each axis: unit (on a hinge rad for m; counts of the encoder for pulses where the axis is a servo's) and meaning.
+Every pin has a bool column of its name as well."""
 
 
 class Note(NamedTuple):

@@ -2,7 +2,7 @@
 
     stage/...                       the scene, see scene.py
     axes/x/rate ...                 series, see SERIES
-    axes/x/phase                    state lane: up, keep, down, hold
+    axes/x/phase                    state lane: up, keep, down, hold; of an HCTL-1100 idle, profile, control
     axes/x/switches                 state lane: those that are asserted
     axes/x/switches/el_plus ...     state lane of one switch
     axes/x/bus                      register writes, commands and resets, in words; bytes that were lost
@@ -36,33 +36,68 @@ if TYPE_CHECKING:
 PALETTE = ((240, 96, 84), (88, 190, 112), (88, 152, 245), (226, 172, 62), (172, 124, 232), (64, 190, 196))
 STATES = {
     "up": (38, 140, 92), "keep": (40, 108, 186), "down": (190, 120, 26), "hold": (52, 57, 66),
+    "idle": (52, 57, 66), "profile": (38, 140, 92), "control": (40, 108, 186),
     "fault": (206, 52, 46), "el": (206, 52, 46), "sd": (204, 146, 22), "org": (44, 158, 88), "off": (52, 57, 66),
 }  # fmt: skip
 LEVELS = {"register": "INFO", "command": "DEBUG", "reset": "WARN", "lost": "ERROR"}
 
 
 class Series(NamedTuple):
-    """A plot: `value` of the samples of an axis times `scale`, within `tolerance`; (slide, hinge) where they differ."""
+    """A plot: `value` of the samples of an axis times `scale`, within `tolerance`; (slide, hinge) where they differ.
+
+    only: "stepper" or "servo" where the other kind of axis has none. servo: title and unit of a servo, where they differ."""
 
     title: str
     units: tuple[str, str]
     scales: tuple[float, float]
     tolerance: float
     value: Callable[[np.ndarray], np.ndarray]
+    only: str = ""
+    servo: tuple[str, str] | None = None
 
 
 _DEGREES = math.degrees(1)
 SERIES = {
-    "rate": Series("Pulse rate", ("pps", "pps"), (1, 1), 0.5, lambda s: s["rate"]),
+    "rate": Series(
+        "Pulse rate", ("pps", "pps"), (1, 1), 0.5, lambda s: s["rate"], servo=("Commanded velocity", "counts/s")
+    ),
     "position": Series("Position", ("mm", "deg"), (1e3, _DEGREES), 2e-4, lambda s: s["position"]),
     "commanded": Series("Commanded position", ("mm", "deg"), (1e3, _DEGREES), 2e-4, lambda s: s["commanded"]),
     "following_error": Series(
         "Following error", ("um", "0.001 deg"), (1e6, 1e3 * _DEGREES), 0.02, lambda s: s["commanded"] - s["position"]
     ),
-    "load_angle": Series("Load angle", ("electrical deg",) * 2, (_DEGREES,) * 2, 0.1, lambda s: s["load_angle"]),
-    "lost_steps": Series("Lost steps", ("full steps",) * 2, (1, 1), 0, lambda s: s["lost_steps"]),
-    "counter": Series("Counter R0", ("pulses",) * 2, (1, 1), 0.5, lambda s: s["counter"]),
+    "voltage": Series("Motor voltage", ("V", "V"), (1, 1), 0.02, lambda s: s["voltage"], "servo"),
+    "current": Series("Motor current", ("A", "A"), (1, 1), 0.005, lambda s: s["current_a"], "servo"),
+    "load_angle": Series(
+        "Load angle", ("electrical deg",) * 2, (_DEGREES,) * 2, 0.1, lambda s: s["load_angle"], "stepper"
+    ),
+    "lost_steps": Series("Lost steps", ("full steps",) * 2, (1, 1), 0, lambda s: s["lost_steps"], "stepper"),
+    "counter": Series(
+        "Counter", ("pulses",) * 2, (1, 1), 0.5, lambda s: s["counter"], servo=("Actual position", "counts")
+    ),
 }
+
+
+def series_of(axis: Any) -> dict[str, Series]:
+    """The series that an axis has."""
+    return {key: s for key, s in SERIES.items() if s.only in ("", "servo" if axis.chip.SERVO else "stepper")}
+
+
+def axes_with(recording: Recording, series: str) -> list[str]:
+    """The names of the axes that have a series."""
+    return [name for name, axis in recording.axes.items() if series in series_of(axis)]
+
+
+def heading(recording: Recording, series: str) -> str:
+    """What a plot of a series over all axes that have it is called, with its units."""
+    spec, axes = SERIES[series], [recording.axes[name] for name in axes_with(recording, series)]
+    title, units = spec.title, {spec.units[a.unit != "m"] for a in axes if not (a.chip.SERVO and spec.servo)}
+    if series == "counter":
+        title = " ".join([title, *dict.fromkeys(a.chip.COUNTER[0] for a in axes if not a.chip.SERVO)])
+    if spec.servo and any(a.chip.SERVO for a in axes):
+        title = title if units else spec.servo[0]
+        units = {*units, spec.servo[1]}
+    return f"{title} ({' | '.join(sorted(units, reverse=True))})"
 
 
 def write(recording: Recording, path: Path) -> None:
@@ -111,6 +146,7 @@ class Log:
         for name, lanes in self._lanes.items():
             edges, first = lanes.take(self._out)
             self._scene.light(self._out, name, edges, first)
+        self._scene.lit()
         _faults(self._out, self._recording.notes, self._noted)
         self._noted = len(self._recording.notes)
         self._sink.flush()
@@ -143,14 +179,14 @@ def _about(out: Any, recording: Recording) -> None:
     facts: dict[str, Any] = {}
     for axis in recording.axes.values():
         chip, drive = axis.chip, getattr(axis, "drive", None)
-        motor = f"{drive.motor.name}, 1/{drive.microsteps} steps" if drive else "-"
-        pulse = f"{axis.meters_per_pulse * 1e6:.4g} u{axis.unit}"
+        motor = drive.title if drive else "-"
+        pulse = f"{axis.meters_per_pulse * 1e6:.4g} u{axis.unit} a {'count' if chip.SERVO else 'pulse'}"
         rows.append(f"| {axis.name} | {type(chip).__name__} | {chip.clock_hz:,} Hz | {motor} | {pulse} |")
-        facts[axis.name] = f"{type(chip).__name__} at {chip.clock_hz} Hz, {motor}, {pulse} per pulse"
+        facts[axis.name] = f"{type(chip).__name__} at {chip.clock_hz} Hz, {motor}, {pulse}"
     of_stage = {"model": name, "samples": len(recording), "every_s": recording.every, "timestep_s": model.opt.timestep}
     out.send_property("stage", rr.AnyValues(**of_stage))
     out.send_property("axes", rr.AnyValues(**facts))
-    table = "\n".join(["| axis | chip | clock | motor | one pulse |", "|---|---|---|---|---|", *rows])
+    table = "\n".join(["| axis | chip | clock | motor | way |", "|---|---|---|---|---|", *rows])
     text = (
         f"# {name}\n\n{table}\n\n"
         f"{recording.duration:.3f} s, a sample every {recording.every * 1e3:g} ms; "
@@ -161,17 +197,11 @@ def _about(out: Any, recording: Recording) -> None:
     out.log("about", rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
 
 
-def unit(recording: Recording, series: str) -> str:
-    """The unit of a series over all axes, for a plot's title."""
-    used = {SERIES[series].units[a.unit != "m"] for a in recording.axes.values()}
-    return " | ".join(sorted(used, reverse=True))
-
-
 def _styles(out: Any, recording: Recording, colours: dict[str, tuple]) -> None:
     import rerun as rr
 
     for name, colour in colours.items():
-        for series in SERIES:
+        for series in series_of(recording.axes[name]):
             behind = series == "commanded"
             style = rr.SeriesLines(
                 colors=[tuple(c // 2 for c in colour) if behind else colour],
@@ -188,7 +218,7 @@ def _series(out: Any, recording: Recording, piece: np.ndarray) -> None:
     for name, axis in recording.axes.items():
         samples = piece["axes"][:, axis.index]
         time = np.ascontiguousarray(samples["time"])
-        for key, series in SERIES.items():
+        for key, series in series_of(axis).items():
             v = np.ascontiguousarray(series.value(samples) * float(series.scales[axis.unit != "m"]))
             keep = np.empty(len(v), np.bool_)
             thin(time, v, float(series.tolerance), keep)
@@ -222,18 +252,16 @@ class Lanes:
 
     def _log_edges(self, out: Any, edges: np.ndarray) -> None:
         chip = self._axis.chip
-        phases = {s: STATES[s] for s in signals.PHASES.values()}
+        phases = {s: STATES[s] for s in signals.phases_of(chip)}
         self._lane(out, "phase", edges, signals.phases(chip, edges), phases)
-        fitted = [p for p in signals.SWITCHES if chip.wired(p) and p in self._axis.switches.as_dict()]
-        together = np.full(len(edges), "", object)
-        for pin in fitted:
-            label, kind = signals.SWITCHES[pin]
+        together, kinds = np.full(len(edges), "", object), {}
+        for pin, label, kind in signals.seen_switches(self._axis):
+            kinds[label] = kind
             on = signals.asserted(chip, edges, pin)
             states = np.where(on, label, "off").astype(object)
             colours = {label: STATES[kind], "off": STATES["off"]}
             self._lane(out, f"switches/{pin}", edges, states, colours)
             together = np.where(on, together + np.where(together == "", "", " ") + label, together)
-        kinds = {label: kind for label, kind in signals.SWITCHES.values()}
         # EL, then ORG, then SD gives a combination its colour: the order of the alphabet, as it happens
         new = dict.fromkeys(s for s in together if s not in self._shown)
         self._shown |= {state: STATES[min((kinds[s] for s in state.split()), default="off")] for state in new}

@@ -36,6 +36,9 @@ class Scene:
         self._moving = np.flatnonzero(recording.model.body_weldid != 0).tolist()
         self._path: list[np.ndarray] = []
         self._lamps = {name: list(_lamps(recording, name)) for name in recording.axes}
+        shared = any(rivals for lamps in self._lamps.values() for *_, rivals in lamps)
+        self._track: list[tuple[np.ndarray, np.ndarray]] | None = [] if shared else None
+        """Times and qpos of the pictures since the lamps were lit, where that says which of two switches on one pin it was."""
 
     def begin(self, out: Any, colours: dict[str, tuple]) -> None:
         """What does not move; `colours` by axis."""
@@ -50,7 +53,7 @@ class Scene:
             if body:
                 _place(out, model, body)
         _directions(out, self._recording, colours)
-        for path, place, _, _ in (lamp for lamps in self._lamps.values() for lamp in lamps):
+        for path, place, *_ in (lamp for lamps in self._lamps.values() for lamp in lamps):
             out.log(path, rr.Points3D([place]), static=True)
 
     def move(self, out: Any, piece: np.ndarray) -> None:
@@ -66,14 +69,19 @@ class Scene:
             for body in self._moving:
                 _move(out, body_path(model, body), time, xpos[:, body], xquat[:, body])
             self._path.append(_on_work(model, xpos, xquat, sites))
+            if self._track is not None:
+                self._track.append((time, qpos))
 
     def light(self, out: Any, name: str, edges: np.ndarray, first: bool) -> None:
         """The lamps of an axis, from its chip's pin edges; unless `first`, the first of them is as it was before."""
         import rerun as rr
 
         chip = self._recording.axes[name].chip
-        for path, _, pin, kind in self._lamps[name]:
-            clocks, on = signals.changes(edges, signals.asserted(chip, edges, pin))
+        for path, _, pin, kind, rivals in self._lamps[name]:
+            lit = signals.asserted(chip, edges, pin)
+            if rivals:
+                lit &= self._nearest(name, edges, pin, rivals)
+            clocks, on = signals.changes(edges, lit)
             if not first:
                 clocks, on = clocks[1:], on[1:]
             if not len(clocks):
@@ -87,6 +95,22 @@ class Scene:
                     radii=np.where(on, -6.0, -2.5).astype(np.float32),  # negative: in points of the screen
                 ),
             )
+
+    def lit(self) -> None:
+        """All lamps are up to date: forget the pictures but the last."""
+        if self._track:
+            time, qpos = self._track[-1]
+            self._track = [(time[-1:], qpos[-1:])]
+
+    def _nearest(self, name: str, edges: np.ndarray, pin: str, rivals: tuple[str, ...]) -> np.ndarray:
+        """Whether at each edge the carriage is nearer to where switch `pin` trips than to any other on its pin (bool)."""
+        if not self._track:
+            return np.ones(len(edges), bool)
+        axis = self._recording.axes[name]
+        time, q = (np.concatenate([part[k] for part in self._track]) for k in (0, 1))
+        at = np.interp(self._recording.seconds(name, edges["clock"]), time, q[:, axis._plant.qpos])
+        away = {s.pin: np.abs(at - s.touch) for s in axis._plant.switches}
+        return np.all([away[pin] <= away[rival] for rival in rivals], axis=0)
 
     def end(self, out: Any) -> None:
         """The tool's path, which is drawn whole."""
@@ -194,8 +218,8 @@ def _directions(out: Any, recording: Recording, colours: dict[str, tuple[int, in
     )  # fmt: skip
 
 
-def _lamps(recording: Recording, name: str) -> Iterator[tuple[str, np.ndarray, str, str]]:
-    """The lamps of an axis: (entity, place, pin, kind)."""
+def _lamps(recording: Recording, name: str) -> Iterator[tuple[str, np.ndarray, str, str, tuple[str, ...]]]:
+    """The lamps of an axis: (entity, place, switch, kind, other switches on the same pin of the chip)."""
     model, axis = recording.model, recording.axes[name]
     carriage = int(model.jnt_bodyid[axis.joint])
     data = mujoco.MjData(model)
@@ -209,4 +233,6 @@ def _lamps(recording: Recording, name: str) -> Iterator[tuple[str, np.ndarray, s
         body = int(model.geom_bodyid[geom])
         above = rotated(data.xquat[body] * [1, -1, -1, -1], [0, 0, LIFT * model.stat.extent])
         path = f"{body_path(model, body)}/lamp_{signals.plain(name)}_{pin}"
-        yield path, model.geom_pos[geom] + above, pin, kind
+        wired, others = axis.chip.wired(pin), axis.switches.as_dict()
+        rivals = tuple(p for p in signals.SWITCHES if p != pin and p in others and axis.chip.wired(p) == wired)
+        yield path, model.geom_pos[geom] + above, pin, kind, rivals

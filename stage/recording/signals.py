@@ -19,6 +19,7 @@ WIRES = {
     "org": ("ORG_n", 0), "extp": ("EXTP_n", 0), "ez": ("EZ_n", 0), "ins": ("INS", 1), "pout": ("POUT_n", 0), "pdir": ("PDIR", 0),
     "irq": ("INT_n", 0), "ots": ("OTS", 1), "hold": ("HOLD", 1), "fdown": ("FDOWN", 1), "fkeep": ("FKEEP", 1),
     "fup": ("FUP", 1), "lt": ("LT", 1), "zero": ("ZERO", 1),
+    "limit": ("LIMIT_n", 0), "stop": ("STOP_n", 0), "index": ("INDEX_n", 0), "sync": ("SYNC_n", 0),
 }  # fmt: skip
 """Pin -> (name on the wire, level while asserted). As HDL people write it, `_n` marks a signal that is active low.
 PDIR is a level: 0 minus, 1 plus (data sheet section 2)."""
@@ -29,9 +30,12 @@ SWITCHES = {
 }  # fmt: skip
 """Switch pin -> (label, kind), in the order along an axis."""
 
-HOLD = "hold"
-PHASES = {"hold": HOLD, "fup": "up", "asnd": "up", "fkeep": "keep", "cnst": "keep", "fdown": "down", "dsnd": "down"}
-"""Output pin -> phase of the chip; the first that is asserted counts, hold if none is."""
+HOLD, CONTROL = "hold", "control"
+PHASES = {
+    "hold": HOLD, "fup": "up", "asnd": "up", "fkeep": "keep", "cnst": "keep", "fdown": "down", "dsnd": "down",
+    "init": "idle", "prof": "profile",
+}  # fmt: skip
+"""Output pin -> phase of the chip; the first that is asserted counts, hold if none is, or control where the chip is a servo's."""
 
 STATUS = {
     "no_int": ("irq", 0), "operating": ("hold", 0), "fkeep": ("fkeep", 1), "lt": ("lt", 1), "zero": ("zero", 1),
@@ -88,10 +92,30 @@ def asserted(chip: Any, edges: np.ndarray, pin: str) -> np.ndarray:
     return (edges["inputs"] & bit if bit else edges["outputs"] & chip.OUTPUTS[pin]) != 0
 
 
+def phases_of(chip: Any) -> list[str]:
+    """The phases that a chip can have, the one without a pin last."""
+    rest = CONTROL if chip.SERVO else HOLD
+    return [*dict.fromkeys(PHASES[p] for p in PHASES if p in chip.OUTPUTS and PHASES[p] != rest), rest]
+
+
 def phases(chip: Any, edges: np.ndarray) -> np.ndarray:
-    """The chip's phase from each edge on: up, keep, down, hold."""
+    """The chip's phase from each edge on: up, keep, down, hold; of a servo's idle, profile, control."""
     known = [p for p in PHASES if p in chip.OUTPUTS]
-    return np.select([asserted(chip, edges, p) for p in known], [PHASES[p] for p in known], HOLD)
+    return np.select([asserted(chip, edges, p) for p in known], [PHASES[p] for p in known], phases_of(chip)[-1])
+
+
+def seen_switches(axis: Any) -> Iterator[tuple[str, str, str]]:
+    """(name, label, kind) of what an axis' chip sees of its switches; `asserted` takes the name. Those that are wired to one pin
+    are one, by the pin's name."""
+    chip = axis.chip
+    there = [p for p in SWITCHES if chip.wired(p) and p in axis.switches.as_dict()]
+    for switch in there:
+        label, kind = SWITCHES[switch]
+        together = [p for p in there if chip.wired(p) == chip.wired(switch)]
+        if len(together) == 1:
+            yield switch, label, kind
+        elif switch == together[0]:
+            yield chip.WIRING[switch], kind.upper(), kind
 
 
 def status(chip: Any, edges: np.ndarray, minus: np.ndarray) -> dict[str, np.ndarray]:

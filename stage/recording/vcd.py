@@ -2,7 +2,8 @@
 
     x                   a scope an axis
       POUT_n PDIR ...   every pin, as a probe on the wire would show it: `_n` marks what is 0 while asserted
-      R0 RATE           down counter, 24 bits; pulse rate, pps
+      R0 RATE           down counter, 24 bits; pulse rate, pps. Of an HCTL-1100 R14, the actual position, and R0E, the command
+                          position, at the samples that change the command or the motor command MC; RATE in counts a second
       status            operating, lt, zero ...: the byte that a read at address 0 would give, bit by bit
       bus               WR: a write cycle (event), with A, its address, and D, its data; RESET: the /RESET pin (event); if there
                           were any, LOST: a write cycle that did not reach the chip; RD: a read cycle that changed something
@@ -102,6 +103,8 @@ def _levels(chip: Any, edges: np.ndarray, minus: np.ndarray) -> dict[str, tuple[
         out[name] = ("wire", 1, (signals.asserted(chip, edges, pin) == bool(level)).astype(np.int64))
     counter, bits = chip.COUNTER
     out[counter] = ("reg", bits, edges["counter"])
+    for word, (field, size) in chip.TRACED.items():
+        out[word] = ("reg", size, edges[field])
     out["RATE"] = ("real", 64, signals.rates(edges, chip.clock_hz))
     for name, v in signals.status(chip, edges, minus).items():
         out[f"status.{name}"] = ("wire", 1, v.astype(np.int64))

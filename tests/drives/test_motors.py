@@ -40,7 +40,7 @@ def test_the_table_has_all_motors():
 
 
 def test_a_drive_fills_every_parameter_of_its_record_and_leaves_its_state():
-    rows = np.full(1, 7, stepper.STEPPER)
+    rows = np.full(1, 7, stepper.DRIVE)
     drive = Drive("SS2422-5041", microsteps=8, bus_voltage=36, current=0.7, mode="sine", detent=0.001)
     drive.fill(rows[0])
     d, m = rows[0], drive.motor
@@ -52,7 +52,7 @@ def test_a_drive_fills_every_parameter_of_its_record_and_leaves_its_state():
 
 
 def test_a_record_holds_only_8_byte_numbers_since_it_lives_in_userdata():
-    assert {stepper.STEPPER[name].base for name in stepper.STEPPER.names} <= {np.dtype("i8"), np.dtype("f8")}
+    assert {stepper.DRIVE[name].base for name in stepper.DRIVE.names} <= {np.dtype("i8"), np.dtype("f8")}
 
 
 def test_drives_default_to_the_motor_s_own_current_and_detent():

@@ -22,7 +22,7 @@ RATED = MOTOR.torque_constant * MOTOR.rated_current  # N m
 
 
 def record(drive):
-    rows = np.zeros(1, stepper.STEPPER)
+    rows = np.zeros(1, stepper.DRIVE)
     drive.fill(rows[0])
     stepper.align(rows[0], 0.0, 0.0)
     return rows[0]

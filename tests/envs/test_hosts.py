@@ -1,23 +1,28 @@
-"""Hosts: every chip can be tuned and sent home, with registers that its data sheet allows."""
+"""Hosts: every chip that makes pulses can be tuned and sent home, with registers that its data sheet allows."""
 
 from types import SimpleNamespace
 
+import gymnasium
 import numpy as np
 import pytest
 
+import stage.envs  # noqa: F401
 from stage import ArgumentError, Stage
 from stage.chips import CHIPS
 from stage.envs.hosts import host_of
 from stage.envs.origin_return import Config
 from stage.envs.registers import RegisterBox
 from stage.fleet import Program
+from stage.host import WRITE
+
+PULSING = [name for name, cls in CHIPS.items() if not cls.SERVO]
 
 
 def host(chip, axis="x"):
     return host_of(Stage("xyz", chips=CHIPS[chip], visuals=False).axes[axis])
 
 
-@pytest.mark.parametrize("chip", CHIPS)
+@pytest.mark.parametrize("chip", PULSING)
 def test_the_formulas_registers_of_every_chip_are_those_that_tune_it_and_legal(chip):
     h = host(chip)
     for s_curve in (None, False, True):
@@ -31,7 +36,7 @@ def test_the_formulas_registers_of_every_chip_are_those_that_tune_it_and_legal(c
         assert made == {name: pytest.approx(values[name], rel=2e-6) for name in box.names}
 
 
-@pytest.mark.parametrize("chip", CHIPS)
+@pytest.mark.parametrize("chip", PULSING)
 def test_programs_of_moves_are_alike_whatever_their_registers(chip):
     h = host(chip)
     box = RegisterBox(h.chip.MAP, h.tuned_by(None))
@@ -45,7 +50,7 @@ def test_programs_of_moves_are_alike_whatever_their_registers(chip):
     assert (least[:, :3] == most[:, :3]).all(), "only data differ"
 
 
-@pytest.mark.parametrize("chip", CHIPS)
+@pytest.mark.parametrize("chip", PULSING)
 @pytest.mark.parametrize("axis", ["x", "z"])
 def test_programs_of_searches_keep_their_marks_whatever_is_chosen(chip, axis):
     search = host(chip, axis).search(Config())
@@ -54,6 +59,29 @@ def test_programs_of_searches_keep_their_marks_whatever_is_chosen(chip, axis):
         program = search.program(row)
         assert search.marks == kept
         assert max(kept.values()) < len(program)
+
+
+def test_the_host_of_a_servos_chip_stops_it_and_refuses_what_is_of_pulses():
+    h, p = host("HCTL1100"), Program()
+    h.rest(p)
+    assert p.ops == [(WRITE, 0, 0x05, 0x01)]
+    for asked in (
+        lambda: h.tuned_by(None),
+        lambda: h.move(p, {}, 100),
+        lambda: h.formula(1000.0, 40_000.0, 0.2, 0.15, 16_000),
+        lambda: h.search(Config()),
+        lambda: h.line([h], None),
+    ):
+        with pytest.raises(
+            ArgumentError, match=r"chip HCTL1100 on axis x: .* makes no pulses\. Take ServoTuning, RegisterBus"
+        ):
+            asked()
+
+
+@pytest.mark.parametrize("name", ["RegisterTuning", "OriginReturn", "SynchronizedMove"])
+def test_the_tasks_of_pulses_refuse_a_servos_chip_when_they_are_made(name):
+    with pytest.raises(ArgumentError, match="chip HCTL1100"):
+        gymnasium.make(f"stage/{name}-v0", chip="HCTL1100")
 
 
 def test_a_family_without_a_host_is_named():

@@ -213,6 +213,9 @@ class ChipMachine(RuleBasedStateMachine):
     def traced_pulses_are_in_order_in_time_and_sum_up_to_the_way(self):
         if (b := self.last) is None or b.traced is None:
             return
+        if not b.host.MAKES_PULSES:
+            assert len(b.traced) == 0
+            return
         assert (np.diff(b.traced["clock"]) >= 0).all()
         for axis, moved in enumerate(b.moved):
             own = b.traced[b.traced["axis"] == axis]

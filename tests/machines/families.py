@@ -10,15 +10,19 @@ host is a value with
     check(chip), seen(chip), check_course(course, chip)     the family's invariants: at any moment, and of a time
     ADDRESSES                         where it reads
     BLINKING, PULSE_PINS              inputs that rather blink, outputs that say no more than that there are pulses
+    MAKES_PULSES                      what the chip moves, it moves by pulses
+    FOR_A_STAGE                       fields of the state that only a stage's questions leave as they are, where there are any
 """
 
+import hctl1100_bus
 import nova_bus
 import pcl240_bus
 
+from stage.chips.hctl1100 import HCTL1100
 from stage.chips.nova import Nova
 from stage.chips.pcl240 import PCL240
 
-FAMILIES = {PCL240: pcl240_bus, Nova: nova_bus}
+FAMILIES = {PCL240: pcl240_bus, Nova: nova_bus, HCTL1100: hctl1100_bus}
 
 
 def bus_of(cls):

@@ -38,6 +38,7 @@ class NovaHost:
 
     BLINKING: ClassVar = ("lmt_plus", "lmt_minus") * 4 + ("stop0", "stop1", "eca", "ecb")
     PULSE_PINS: ClassVar = ("pls", "dir")
+    MAKES_PULSES: ClassVar = True
 
     axes: tuple[Axis, ...]
     mcx514: bool

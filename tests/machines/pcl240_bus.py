@@ -20,6 +20,7 @@ class Pcl240Host:
     BLINKING: ClassVar = ("extp",) * 4  # inputs that rather blink, whose edges count, by weight
     ADDRESSES: ClassVar = range(4)
     PULSE_PINS: ClassVar = ("pout", "pdir")
+    MAKES_PULSES: ClassVar = True
 
     control: int = 0
     output: int = 0

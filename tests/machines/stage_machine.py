@@ -20,12 +20,13 @@ from families import bus_of, host_of
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 from stage import Stage
-from stage.chips import MCX514, PCL240K, PCL240MK, PCL240MS
+from stage.chips import HCTL1100, MCX514, PCL240K, PCL240MK, PCL240MS
 from stage.fleet import Fleet, Program
 
 ARRANGEMENTS = {
     "three PCL-240": {"x": PCL240K, "y": PCL240MK, "z": PCL240MS},
     "MCX514 and PCL240K": {"x": MCX514, "y": MCX514, "z": PCL240K},
+    "HCTL1100 and PCL240K": {"x": HCTL1100, "y": HCTL1100, "z": PCL240K},
 }
 
 
@@ -66,10 +67,11 @@ def bits(stage) -> dict[str, object]:
 
 axes = st.sampled_from("xyz")
 spans = st.one_of(st.floats(0, 1e-3), st.floats(0, 0.02))
+addresses = st.one_of(st.integers(0, 7), st.integers(0, 63))
 ops = st.lists(
     st.one_of(
-        st.tuples(st.just("write"), st.integers(0, 2), st.integers(0, 7), st.integers(0, 0xFFFF)),
-        st.tuples(st.just("read"), st.integers(0, 2), st.integers(0, 7), st.just(0)),
+        st.tuples(st.just("write"), st.integers(0, 2), addresses, st.integers(0, 0xFFFF)),
+        st.tuples(st.just("read"), st.integers(0, 2), addresses, st.just(0)),
         st.tuples(st.just("wait"), st.integers(0, 2000), st.just(0), st.just(0)),
     ),
     min_size=1,
@@ -118,7 +120,7 @@ class StageMachine(RuleBasedStateMachine):
         cls = self.classes[name]
         self.tell(name, data.draw(bus_of(cls).programs(cls)))
 
-    @rule(name=axes, address=st.integers(0, 7))
+    @rule(name=axes, address=addresses)
     def read(self, name, address):
         a, b = (stage.axes[name].chip.read(address) for stage in self.both())
         assert a == b
@@ -152,7 +154,7 @@ class StageMachine(RuleBasedStateMachine):
 
     @rule(data=st.data(), seconds=st.floats(0.005, 0.03), cuts=st.lists(st.floats(0, 1), max_size=4))
     def move_over_switches(self, data, seconds, cuts):
-        """Every axis at 4000 pps, which the motors follow, from just before one of its switches or just behind."""
+        """Every axis at a speed that the motors follow, from just before one of its switches or just behind."""
         for name, axis in self.stage.axes.items():
             touch = data.draw(st.sampled_from([s.touch for s in axis._plant.switches]))
             plus, before = data.draw(st.booleans()), data.draw(st.floats(-1e-4, 2e-4))
@@ -240,8 +242,8 @@ class StageMachine(RuleBasedStateMachine):
 
     @invariant()
     def a_chip_on_the_bench_that_saw_the_same_edges_holds_the_same_state(self):
-        """So the chips of one stage do not influence each other, nor does anything else but the journal. What the hosts
-        expect of their chips holds on the way, see `BenchTwin`, and now."""
+        """So the chips of one stage do not influence each other, nor does anything else but the journal, which has the shafts of
+        servos, too. What the hosts expect of their chips holds on the way, see `BenchTwin`, and now."""
         for bench in self.benches:
             bench.catch_up()
             assert not bench.differences(), bench.chip
@@ -250,9 +252,11 @@ class StageMachine(RuleBasedStateMachine):
     @invariant()
     def the_chip_sees_its_switches(self):
         for axis in self.stage.axes.values():
+            wired: dict[str, list[bool]] = {}
             for switch, on in axis.switches.as_dict().items():
-                pin = type(axis.chip).WIRING.get(switch, switch)
-                assert pin not in axis.chip.INPUTS or getattr(axis.pins, pin) == on, f"{axis.name} {switch}"
+                wired.setdefault(type(axis.chip).WIRING.get(switch, switch), []).append(on)
+            for pin, levels in wired.items():
+                assert pin not in axis.chip.INPUTS or getattr(axis.pins, pin) == any(levels), f"{axis.name} {pin}"
 
     @invariant()
     def everything_is_a_number(self):

@@ -38,7 +38,8 @@ ROUNDS = 100  # of events that cause others at one clock
 HZ = 16_000_000
 
 __all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE", "advance", "busy", "counter", "inputs", "mark", "mean_count", "net",
-           "outputs", "peek", "pins", "power_up", "pulse_rate", "read", "run", "scan", "set_input", "set_inputs", "status", "trace",
+           "outputs", "peek", "pins", "power_up", "pulse_rate", "read", "run", "scan", "see",
+           "set_input", "set_inputs", "status", "trace",
            "value", "write"]  # fmt: skip
 
 
@@ -116,6 +117,11 @@ def net(c, j):
 def counter(c, j):
     """The logical position counter LP."""
     return c.ax[j].reg[LP]
+
+
+@hot
+def see(c, j, count, rate):
+    """No encoder is connected: these chips make pulses, and nobody looks where the shaft goes."""
 
 
 @hot

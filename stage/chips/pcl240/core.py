@@ -45,7 +45,8 @@ FOREVER = 1 << 62
 OPERATING = 0x40  # of the status byte
 
 __all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE", "advance", "busy", "counter", "inputs", "mark", "mean_count", "net",
-           "outputs", "peek", "pins", "power_up", "pulse_rate", "read", "run", "scan", "set_input", "set_inputs", "status", "trace",
+           "outputs", "peek", "pins", "power_up", "pulse_rate", "read", "run", "scan", "see",
+           "set_input", "set_inputs", "status", "trace",
            "value", "write"]  # fmt: skip
 
 
@@ -62,6 +63,11 @@ def net(c, j):
 def counter(c, j):
     """The down counter R0."""
     return c.reg[0]
+
+
+@hot
+def see(c, j, count, rate):
+    """No encoder is connected: these chips make pulses, and nobody looks where the shaft goes."""
 
 
 @hot

@@ -1,0 +1,236 @@
+"""HCTL-1100s on a servo stage: a trapezoid and its linear model, commands written too early, a circle with and without SYNC.
+
+python scripts/servo_moves.py                                          prints the numbers
+python scripts/servo_moves.py --picture docs/pictures/servo.png        and draws them
+
+docs/servo.md says how to read it. Needs scipy and matplotlib (extra servo).
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from stage import Stage
+from stage.chips import HCTL1100
+from stage.firmware.servo import MoveReport, Tuning, set_up, trapezoid
+from stage.firmware.servo_model import Loop
+from stage.firmware.servo_port import Port
+from stage.firmware.servo_profile import circle, follow, off_circle, synchronize
+
+TUNING = Tuning()
+STEP = 0.25e-3  # s between samples of a recording: a physics step
+COUNTS, VELOCITY, ACCELERATION = 20_000, 60_000, 600_000  # 100 mm at 0.3 m/s and 3 m/s2
+RADIUS, SECONDS = 6_000, 1.2  # of the circle: 30 mm
+PHASES = {"x": 0, "z": 2, "y": 30}  # counts of the timer from one chip's reset to the next one's
+SLOW, LINE = 3, 3_000  # counts a sample of the line, samples
+INK, MUTED, GREY, LAMP = "#1d2733", "#66717d", "#e7ebef", "#2fb457"
+BLUE, LIGHT, ORANGE, RED = "#17508f", "#8fb3d9", "#e8b04a", "#d1571f"
+
+
+class Trapezoid(NamedTuple):
+    """time: s from the profile's first sample; command, position: counts; error, predicted: counts, at the chip's samples."""
+
+    report: MoveReport
+    time: np.ndarray
+    command: np.ndarray
+    position: np.ndarray
+    error: np.ndarray
+    predicted: np.ndarray
+
+    @property
+    def deviation(self) -> float:
+        """Largest difference between measured and predicted error, over the largest error predicted."""
+        return float(np.abs(self.error - self.predicted).max() / np.abs(self.predicted).max())
+
+
+def a_stage(**places: float) -> Stage:
+    stage = Stage("xyz_servo", chips=HCTL1100, visuals=False)
+    stage.place(**places)
+    return stage
+
+
+def commands(port: Port, begin: int, samples: int) -> np.ndarray:
+    """What the profile generator commands with this chip's registers, sample by sample from `begin` on, by a chip on the bench."""
+    chip, values = HCTL1100(port.chip.clock_hz), port.chip.values()
+    chip.write(0x0F, port.t)
+    for address in (0x26, 0x27, 0x28, 0x29, 0x2A, 0x2B):
+        chip.write(address, values[f"R{address:02X}"])
+    for k, address in enumerate((0x0C, 0x0D, 0x0E)):
+        chip.write(address, begin >> 8 * (2 - k) & 0xFF)
+    clocks = 16 * (port.t + 1)
+    chip.advance(16 * 0x41)  # the sample of the reset ends
+    chip.write(0x00, 0x08)
+    chip.write(0x05, 0x03)
+    out = [chip.net()]
+    for _ in range(samples):
+        chip.advance(clocks)
+        out.append(chip.net())
+    return np.array(out)
+
+
+def run_trapezoid(tuning: Tuning = TUNING, counts: int = COUNTS, name: str = "x") -> Trapezoid:
+    """A move, and what the linear model says that it will be."""
+    stage = a_stage(x=-0.05)
+    axis = stage.axes[name]
+    port = set_up(axis, tuning)
+    stage.run(0.1)
+    at, zero = port.commanded(), round(axis.commanded / axis.meters_per_pulse)
+    with stage.record(every=STEP) as recording:
+        while port.chip.read(0x0F) < port.t // 2:  # the profile begins with the next sample
+            stage.run(port.count)
+        first = stage.time + (port.chip.read(0x0F) + 0.5) * port.count
+        report = trapezoid(port, counts, velocity=VELOCITY, acceleration=ACCELERATION)
+        stage.run(0.1)
+    columns = recording.columns
+    when = first + port.sample * np.arange(-1, int((stage.time - first) / port.sample) - 1)
+    command = zero + commands(port, at, len(when) - 1) - at
+    position = np.interp(when, columns["time"], columns[f"{name}/position"]) / axis.meters_per_pulse
+    predicted = Loop.of(axis, tuning).following_error(command)
+    return Trapezoid(report, when - first, command - zero, position - zero, command - position, predicted)
+
+
+def run_line(early: bool) -> tuple[np.ndarray, np.ndarray]:
+    """A slow line commanded sample by sample, each command at the beginning of a sample or in its safe part: s, following error in
+    counts."""
+    stage = a_stage(x=-0.05)
+    axis = stage.axes["x"]
+    port = set_up(axis, TUNING)
+    at = port.commanded()
+    with stage.record(every=STEP) as recording:
+        for k in range(1, LINE + 1):
+            stage.run((port.chip.read(0x0F) + 2) * port.count)  # the next sample has begun
+            if not early:
+                port.wait_for_the_safe_part()
+            port.load(command_position=at + SLOW * k)
+    c = recording.columns
+    error = (c["x/commanded"] - c["x/position"]) / axis.meters_per_pulse
+    return c["time"] - c["time"][0], error
+
+
+def run_circle(sync: bool, leader_only: bool, tuning: Tuning = TUNING) -> tuple[np.ndarray, np.ndarray, int]:
+    """A circle of three axes: angle in turns, distance from the circle that begins where the carriages stand, in um, and how many
+    commands the chips noted as written too early. Without SYNC the chips keep the phases of their resets: see PHASES."""
+    stage = a_stage(x=0.0, y=-0.03, z=-0.03)
+    for name, counts in PHASES.items():
+        stage.run(counts * 16 / stage.axes[name].chip.clock_hz)
+        stage.axes[name].chip.write(0x05, 0x00)  # a reset: its sample begins now
+    ports = [set_up(stage.axes[name], tuning) for name in "xyz"]
+    if sync:
+        synchronize(ports)
+    stage.run(0.2)
+    for port in ports:
+        port.chip.diagnostics.clear()
+    start = [axis.position for axis in stage.axes.values()]
+    with stage.record(every=STEP) as recording:
+        profile = circle(RADIUS, seconds=SECONDS, sample=ports[0].sample, axes=3)
+        follow(ports, profile, leader_only=leader_only)
+    c = recording.columns
+    radius = RADIUS * stage.axes["x"].meters_per_pulse
+    places = np.stack([c[f"{name}/position"] - s for name, s in zip("xyz", start, strict=True)], axis=1)
+    turns = np.unwrap(np.arctan2(places[:, 0], radius - places[:, 1:].sum(axis=1) * np.sqrt(0.5))) / (2 * np.pi)
+    torn = sum("while the sample is computed" in d.message for port in ports for d in port.chip.diagnostics)
+    return turns, off_circle(places, radius) * 1e6, torn
+
+
+CIRCLES = {
+    "SYNC": (True, True, BLUE),
+    "no SYNC, each timer read": (False, False, ORANGE),
+    "no SYNC, one timer read": (False, True, RED),
+}
+"""Synchronized, one timer for all, colour."""
+
+
+class Results(NamedTuple):
+    trapezoid: Trapezoid
+    lines: dict[str, tuple[np.ndarray, np.ndarray]]
+    circles: dict[str, tuple[np.ndarray, np.ndarray, int]]
+
+
+def measure() -> Results:
+    circles = {name: run_circle(sync, one) for name, (sync, one, _) in CIRCLES.items()}
+    return Results(run_trapezoid(), {"too early": run_line(True), "safe": run_line(False)}, circles)
+
+
+def tell(r: Results) -> None:
+    t = r.trapezoid
+    print(t.report)
+    print(f"following error {np.abs(t.error).max():.1f} counts at most, predicted {np.abs(t.predicted).max():.1f}; "
+          f"they differ by {100 * t.deviation:.1f} % of that at most")  # fmt: skip
+    for name, (_, error) in r.lines.items():
+        print(f"line, commands {name}: following error {np.abs(error).max():.1f} counts at most")
+    for name, (_, off, torn) in r.circles.items():
+        rms = np.sqrt((off**2).mean())
+        print(f"circle, {name}: off by {off.max():.1f} um at most, {rms:.1f} um rms; {torn} commands written too early")
+
+
+# --- the picture ---
+
+
+def draw_the_move(ax: Any, t: Trapezoid) -> None:
+    mm = 5e-3
+    ax.plot(t.time, t.command * mm, color=LIGHT, lw=4, label="command position")
+    ax.plot(t.time, t.position * mm, color=INK, lw=1.3, label="carriage")
+    ax.axvspan(0, t.report.profile, ymax=0.03, color=LAMP, lw=0)
+    ax.text(t.report.profile / 2, 6, "PROF", color=LAMP, ha="center", weight="bold")
+    ax.set(xlabel="time (s)", ylabel="position (mm)", xlim=(t.time[0], t.report.settled + 0.08))
+    ax.legend(frameon=False, loc="upper left")
+
+
+def draw_the_error(ax: Any, t: Trapezoid) -> None:
+    ax.plot(t.time, t.predicted, color=RED, lw=3, alpha=0.6, label="linear model")
+    ax.plot(t.time, t.error, color=INK, lw=0.9, label="measured")
+    ax.set(xlabel="time (s)", ylabel="following error (counts)", xlim=(t.time[0], t.report.settled + 0.08))
+    said = f"apart by {100 * t.deviation:.1f} % at most"
+    ax.text(0.98, 0.95, said, transform=ax.transAxes, ha="right", va="top", color=MUTED)
+    ax.legend(frameon=False, loc="lower left")
+
+
+def draw_the_lines(ax: Any, lines: dict[str, tuple[np.ndarray, np.ndarray]]) -> None:
+    for (name, (time, error)), colour in zip(lines.items(), (RED, BLUE), strict=True):
+        ax.plot(time, error, color=colour, lw=0.9, label=f"commands {name}")
+    ax.set(xlabel="time (s)", ylabel="following error (counts)", xlim=(0, 0.6), ylim=(-170, 170))
+    ax.legend(frameon=False, loc="upper right", ncols=2)
+
+
+def draw_the_circles(ax: Any, circles: dict[str, tuple[np.ndarray, np.ndarray, int]]) -> None:
+    for name, (turns, off, _) in reversed(circles.items()):
+        ax.plot(turns * 360, off, color=CIRCLES[name][2], lw=0.9, label=f"{name}: {off.max():.0f} µm at most")
+    ax.set(xlabel="angle (degrees)", ylabel="distance from the circle (µm)", xlim=(0, 360), xticks=range(0, 361, 90))
+    ax.set(yscale="log", ylim=(1, 2e4))
+    ax.legend(frameon=False, loc="upper right")
+
+
+def picture(r: Results, path: Path) -> None:
+    from matplotlib import rc_context
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(13, 8), layout="constrained")
+    with rc_context({"font.size": 10}):
+        (move, error), (line, ring) = figure.subplots(2, 2)
+        draw_the_move(move, r.trapezoid)
+        draw_the_error(error, r.trapezoid)
+        draw_the_lines(line, r.lines)
+        draw_the_circles(ring, r.circles)
+        titles = ("A trapezoid of 100 mm", "Its following error", "A line, commanded once a sample",
+                  "A circle of 30 mm, three axes, commanded once a sample")  # fmt: skip
+        for ax, title in zip((move, error, line, ring), titles, strict=True):
+            ax.set_title(title, loc="left", color=INK, weight="bold")
+            ax.grid(True, color=GREY, lw=0.7)
+            ax.set_axisbelow(True)
+            ax.spines[["top", "right"]].set_visible(False)
+    figure.savefig(path, dpi=120)
+    print(f"{path}: drawn")
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--picture", type=Path, metavar="PNG", help="draw the picture")
+    args = parser.parse_args()
+    measured = measure()
+    tell(measured)
+    if args.picture:
+        picture(measured, args.picture)

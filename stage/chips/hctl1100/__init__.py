@@ -1,0 +1,96 @@
+"""Agilent HCTL-1100 (HCTL-1000 and HCTL-1101 work alike): a closed-loop DC servo axis on one chip.
+
+    chip = HCTL1100()
+    chip.write(0x05, 0x03)            Init/Idle -> position control
+    chip.see(0, rate=0.01)            the shaft turns, in counts of the encoder a clock
+    chip.advance(1040)                one sample
+
+`chip.motor_command` is what drives the motor then.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, ClassVar
+
+from stage.chips.chip import Chip
+from stage.chips.hctl1100 import core, lint
+from stage.chips.hctl1100.decode import Decoder
+from stage.chips.hctl1100.maps import MAP
+from stage.chips.hctl1100.state import ADDRESSES
+from stage.errors import ArgumentError
+
+__all__ = ["HCTL1100"]
+
+
+class HCTL1100(Chip):
+    """Agilent HCTL-1100: digital filter, profile generator and commutator for one axis.
+
+    Bus addresses are those of the registers, 0 to 63, and act modulo 64. It makes no pulses: `trace` is empty, `net` the command
+    position. The input pins are low when asserted, the output pins high."""
+
+    MAP: ClassVar = MAP
+    CORE: ClassVar = core
+    INPUTS: ClassVar = core.INPUTS
+    OUTPUTS: ClassVar = core.OUTPUTS
+    WIRING: ClassVar = {"el_plus": "limit", "el_minus": "limit", "org": "stop", "ez": "index"}
+    SERVO: ClassVar = True
+    DIRECT: ClassVar = True
+    READING_ACTS: ClassVar = frozenset({0x14})
+    DEFAULT_CLOCK_HZ: ClassVar = 2_000_000
+    ADDRESSES: ClassVar = ADDRESSES
+    BUSY: ClassVar = (0x07, MAP.mask("R07", "profile"))
+    COUNTER: ClassVar = ("R14", 24)
+    TRACED: ClassVar = {"R0E": ("net", 24), "MC": ("motor", 8)}
+    _ADDRESS_MASK: ClassVar = ADDRESSES - 1
+
+    @property
+    def motor_command(self) -> int:
+        """What drives the motor, -128 to 127: the command given last, by a control law or by a write to R08 or R09."""
+        return int(self._record["drive"])
+
+    @property
+    def encoder(self) -> int:
+        """The encoder's raw count. Set, the shaft is there and stands still."""
+        return int(core.encoder_count(self._rows, self._i))
+
+    @encoder.setter
+    def encoder(self, count: int) -> None:
+        self.see(count)
+
+    @property
+    def missed(self) -> int:
+        """Counts that came faster than one in three clocks, which the encoder's input filter does not let through; the emulated
+        chip counts them all the same."""
+        return int(core.missed(self._rows, self._i))
+
+    def see(self, count: float, rate: float = 0.0) -> None:
+        """From now on the shaft is at `count + rate * (clock - now)`: encoder counts (a position between two counts shows the lower
+        one), counts a clock. Raises ArgumentError for what is no finite number."""
+        if not (math.isfinite(count) and math.isfinite(rate)):
+            raise ArgumentError(f"see({count!r}, {rate!r}): a shaft is at a finite count and has a finite rate.")
+        core.shaft(self._rows, self._i, float(count), float(rate))
+        if self._journal is not None:
+            self._journal.note_seen(self.clock, count, rate)
+
+    @property
+    def shaft(self) -> tuple[float, float]:
+        """What the chip was told last: count and rate, see `see`."""
+        return float(self._record["count"]), float(self._record["rate"])
+
+    def net(self, axis: int = 0) -> int:
+        """The command position, counts: what the loop is given. The chip makes no pulses."""
+        return int(self._record["command"])
+
+    def values(self) -> dict[str, int]:
+        return {r.name: int(core.value(self._rows, self._i, r.number)) for r in self.MAP.registers}
+
+    def decoder(self, axis: int = 0) -> Decoder:
+        return Decoder(self.MAP)
+
+    def _set_input_word(self, axis: int, word: int) -> None:
+        core.set_inputs(self._rows, self._i, axis, word)
+
+    def _lint(self, address: int, value: int) -> lint.Note | None:
+        c: Any = self._record
+        return lint.write(c, lambda: self.encoder, address, value)

@@ -1,0 +1,61 @@
+"""HCTL-1100, compiled: the shaft as the encoder shows it, and the actual position."""
+
+from __future__ import annotations
+
+import math
+
+from stage.chips.hctl1100.state import NEVER, signed
+from stage.compiled import greatest, hot, least
+
+FASTEST = 1.0 / 3.0  # counts a clock: a state shorter than the filter's three clocks does not come through
+FAR = float(1 << 53)
+
+
+@hot
+def raw(c):
+    """The encoder's count now."""
+    return _count_at(c, c.clock)
+
+
+@hot
+def _count_at(c, clock):
+    x = c.count + c.rate * (clock - c.seen)
+    return int(math.floor(least(greatest(x, -FAR), FAR)))
+
+
+@hot
+def see(c, count, rate):
+    """From now on the shaft is at `count + rate * (clock - now)`."""
+    c.missed = missed(c)
+    c.seen, c.count, c.rate = c.clock, count, rate
+
+
+@hot
+def missed(c):
+    """Counts that came too fast for the filter so far. The actual position has them all the same."""
+    excess = (abs(c.rate) - FASTEST) * (c.clock - c.seen)
+    return c.missed + (int(least(excess, FAR)) if excess > 0.0 else 0)
+
+
+@hot
+def actual(c):
+    """The actual position, 24 bits, sign extended."""
+    return signed(raw(c) - c.zero, 24)
+
+
+@hot
+def next_count(c, until):
+    """The clock after now at which the raw count changes, at most `until`."""
+    if c.rate == 0.0:
+        return NEVER
+    now = raw(c)
+    if _count_at(c, until) == now:
+        return NEVER
+    low, high = c.clock, until
+    while high - low > 1:
+        middle = (low + high) // 2
+        if _count_at(c, middle) == now:
+            low = middle
+        else:
+            high = middle
+    return high

@@ -1,0 +1,67 @@
+"""HCTL-1100, compiled: the profile generator, which moves the command position once a sample. Velocities in 256ths of counts.
+
+    trapezoid          integral velocity
+       ____                 ______ R3C
+      /    \\               /      \\
+    _/      \\_           _/        \\___ STOP
+"""
+
+from __future__ import annotations
+
+from stage.chips.hctl1100.state import F0, signed
+from stage.compiled import greatest, hot, least
+
+COMMAND_VELOCITY = 0x3C
+
+
+@hot
+def acceleration(c):
+    """256ths of counts per sample2."""
+    return c.reg[0x27] << 8 | c.reg[0x26]
+
+
+@hot
+def final_position(c):
+    """R2B to R29, sign extended."""
+    return signed(c.reg[0x2B] << 16 | c.reg[0x2A] << 8 | c.reg[0x29], 24)
+
+
+@hot
+def _move(c, way):
+    """Move the command position by `way`, round the 24 bits."""
+    at = (c.command << 8 | c.fraction) + way
+    c.command, c.fraction = signed(at >> 8, 24), at & 0xFF
+
+
+@hot
+def _braking(v, a):
+    """The way of v - a, v - 2 a ... as long as they are above 0."""
+    n = (v - 1) // a
+    return n * v - a * (n * (n + 1) // 2)
+
+
+@hot
+def trapezoid(c):
+    """One sample of a move to the final position: faster as long as the rest allows to brake then."""
+    a, goal = acceleration(c), final_position(c)
+    rest = ((goal - c.command) << 8) - c.fraction
+    way, v = (1 if rest >= 0 else -1), abs(c.velocity)
+    if a:
+        faster = least(v + a, c.reg[0x28] << 8)
+        v = faster if abs(rest) - faster >= _braking(faster, a) else greatest(v - a, a)
+    if v >= abs(rest):
+        c.command, c.fraction, c.velocity = goal, 0, 0
+        c.flag &= ~F0
+        return
+    c.velocity = way * v
+    _move(c, c.velocity)
+
+
+@hot
+def integral(c):
+    """One sample at the command velocity, or on the ramp towards it. STOP makes it 0."""
+    if c.stopped:
+        c.reg[COMMAND_VELOCITY] = 0
+    goal, a = signed(c.reg[COMMAND_VELOCITY], 8) << 8, acceleration(c)
+    c.velocity = least(c.velocity + a, goal) if c.velocity < goal else greatest(c.velocity - a, goal)
+    _move(c, c.velocity)

@@ -1,0 +1,116 @@
+"""DC motors by name, and the servo amplifier with encoder that feeds one. Values of the maker's data sheets."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+from stage.drives.drive import SERVO
+from stage.drives.motors import within
+from stage.errors import ArgumentError, unknown
+
+MOST_COUNTS = 1 << 20
+
+
+@dataclass(frozen=True)
+class DCMotor:
+    """A brushed DC motor with permanent magnets.
+
+    resistance ohm (terminals), torque_constant N m/A (the back-EMF constant in V s/rad as well), rotor_inertia kg m^2,
+    continuous_torque N m, nominal_voltage V. `evidence` says for a field where its value comes from.
+
+    Raises ArgumentError for values that no motor has.
+    """
+
+    name: str
+    resistance: float
+    torque_constant: float
+    rotor_inertia: float
+    continuous_torque: float
+    nominal_voltage: float = 24.0
+    evidence: dict[str, str] = field(default_factory=dict, hash=False)
+
+    def __post_init__(self) -> None:
+        within(f"{self.name}: resistance", self.resistance, 0, 1000, "ohm")
+        within(f"{self.name}: torque_constant", self.torque_constant, 0, 1000, "N m/A")
+        within(f"{self.name}: rotor_inertia", self.rotor_inertia, 0, 1, "kg m^2", zero=True)
+        within(f"{self.name}: continuous_torque", self.continuous_torque, 0, 1000, "N m")
+        within(f"{self.name}: nominal_voltage", self.nominal_voltage, 0, 400, "V")
+
+    @property
+    def stall_torque(self) -> float:
+        """N m at the nominal voltage."""
+        return self.torque_constant * self.nominal_voltage / self.resistance
+
+
+def _pittman(name: str, torque_constant: float, motor_constant: float, inertia: float, continuous: float) -> DCMotor:
+    evidence = dict.fromkeys(("torque_constant", "rotor_inertia", "continuous_torque"), "data sheet")
+    evidence["resistance"] = "data sheet: (torque constant / motor constant)^2"
+    evidence["nominal_voltage"] = "data sheet: no-load speed times torque constant, rounded up"
+    return DCMotor(name, (torque_constant / motor_constant) ** 2, torque_constant, inertia, continuous, 24.0, evidence)
+
+
+DC_MOTORS: dict[str, DCMotor] = {
+    m.name: m
+    for m in (
+        _pittman("9233S013", 3.73e-2, 1.88e-2, 3.2e-6, 3.3e-2),
+        _pittman("14201S003", 5.25e-2, 3.14e-2, 1.1e-5, 7.1e-2),
+        _pittman("14203S010", 3.27e-2, 5.56e-2, 2.1e-5, 1.5e-1),
+        _pittman("14204S004", 3.06e-2, 6.09e-2, 2.6e-5, 1.8e-1),
+    )
+}
+"""Presets by name: Ametek Pittman."""
+
+
+def dc_motor(name: str | DCMotor) -> DCMotor:
+    """A preset by name, or the motor itself. Raises ArgumentError with near misses."""
+    if isinstance(name, DCMotor):
+        return name
+    if name not in DC_MOTORS:
+        raise unknown("DC motor", name, DC_MOTORS)
+    return DC_MOTORS[name]
+
+
+@dataclass(frozen=True)
+class Servo:
+    """A servo amplifier, its DC motor and an incremental encoder on the motor's shaft.
+
+    motor: a DCMotor or a preset's name; bus_voltage V, up to 400: the voltage at full drive; counts: of the encoder per turn of the
+    rotor, all four edges counted (500 lines make 2000).
+
+    Raises ArgumentError that says what is allowed.
+    """
+
+    motor: DCMotor = DC_MOTORS["14201S003"]
+    bus_voltage: float = 24.0
+    counts: int = 2000
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "motor", dc_motor(self.motor))
+        within("bus_voltage", self.bus_voltage, 0, 400, "V")
+        if isinstance(self.counts, bool) or int(self.counts) != self.counts or not 4 <= self.counts <= MOST_COUNTS:
+            raise ArgumentError(
+                f"counts={self.counts!r}: an encoder has a whole number of counts a turn, 4 to {MOST_COUNTS:,}."
+            )
+
+    @property
+    def peak_torque(self) -> float:
+        """N m: at stall, with the whole bus voltage."""
+        return self.motor.torque_constant * self.bus_voltage / self.motor.resistance
+
+    @property
+    def title(self) -> str:
+        """Motor and settings, for people."""
+        return f"{self.motor.name}, encoder of {self.counts} counts"
+
+    @property
+    def pulses_per_turn(self) -> int:
+        """What a turn is for the chip: counts."""
+        return int(self.counts)
+
+    def fill(self, record: Any) -> None:
+        """Write the parameters into a DRIVE record."""
+        record.resistance, record.torque_constant = self.motor.resistance, self.motor.torque_constant
+        record.voltage, record.per_pulse, record.teeth = self.bus_voltage, 2 * math.pi / self.counts, 1.0
+        record.mode, record.open, record.slice, record.offset = SERVO, 0, 0.0, 0.0

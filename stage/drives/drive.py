@@ -1,0 +1,59 @@
+"""What the engine asks of a drive, whatever it is: a DRIVE record says by its `mode` whether a stepper drive or a servo amplifier.
+
+A stepper's chip commands pulses, a servo's the counts of its encoder: both are angles of the rotor. What goes to the actuator, the
+drive's *effort*, is the torque of a stepper and the terminal voltage of a DC motor.
+"""
+
+from __future__ import annotations
+
+from stage.compiled import hot
+from stage.drives import servo, stepper
+from stage.drives.stepper import DRIVE, SERVO
+
+__all__ = ["DRIVE", "SERVO", "align", "at_rest", "behind", "effort", "lost_steps", "torque", "voltage"]
+
+
+@hot
+def effort(d, signal, n, theta, omega, h):
+    """What goes to the actuator, mean over n slices of h seconds, N m or V. signal: (n,), what the chip says: mean pulses so far,
+    or shares of full drive; theta: rotor angle (rad) in the middle of the first slice; omega: rad/s."""
+    if d.mode == SERVO:
+        return servo.voltage(d, signal, n, omega)
+    return stepper.mean_torque(d, signal, n, theta, omega, h)
+
+
+@hot
+def torque(d, effort):
+    """The motor's torque, N m, when that goes to its actuator."""
+    return d.torque_constant * d.current_a if d.mode == SERVO else effort
+
+
+@hot
+def voltage(d, effort):
+    """The terminal voltage of a DC motor, V; 0 for a stepper, whose phases have one each."""
+    return effort if d.mode == SERVO else 0.0
+
+
+@hot
+def align(d, count, theta):
+    """Power up. The encoder of a servo is where it is."""
+    if d.mode != SERVO:
+        stepper.align(d, count, theta)
+
+
+@hot
+def at_rest(d, count):
+    """What the chip says, see `effort`, while it moves nothing."""
+    return 0.0 if d.mode == SERVO else float(count)
+
+
+@hot
+def behind(d, count, theta):
+    """Commanded minus rotor angle, rad."""
+    return stepper.mechanical(d, stepper.load_angle(d, count, theta))
+
+
+@hot
+def lost_steps(d, count, theta):
+    """Full steps by which the rotor is behind; a servo loses none."""
+    return 0 if d.mode == SERVO else stepper.lost_steps(d, count, theta)

@@ -1,0 +1,178 @@
+"""`Port`: an axis of an HCTL-1100 as its driver's author sees it. Nothing here but bus cycles and waiting.
+
+port = Port(stage.axes["x"])
+port.load(gain=0x40, zero=0xE5, pole=0x40, timer=0x40)
+port.hold()                               position control, where the shaft stands
+port.command(port.position() + 100)       in the safe part of a sample
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from stage.chips import HCTL1100
+from stage.chips.hctl1100.maps import MAP, MINIMUM_T
+from stage.chips.hctl1100.state import signed
+from stage.errors import ArgumentError, RunTimeout
+from stage.firmware.axis import Axis
+
+POLL = 1e-3  # s between two looks
+RESET, IDLE, ALIGN, CONTROL = range(4)  # R05
+SET = 8  # R00: set the flag, not clear it
+FLAGS = {"trapezoid": 0, "proportional velocity": 3, "integral velocity": 5}
+LIMIT, STOP, INIT, PROFILE = (MAP.mask("R07", name) for name in ("limit", "stop", "init", "profile"))
+MARGIN = 3  # counts of the timer: so long before the sample's end no command is begun
+TOP = 1 << 23  # counts; positions are -TOP to TOP - 1
+
+
+class Word(NamedTuple):
+    """Bus addresses of a number, in the order in which its bytes are written, the high one first; least and most."""
+
+    addresses: tuple[int, ...]
+    least: int
+    most: int
+
+
+WORDS = {
+    "timer": Word((0x0F,), 0, 0xFF),
+    "zero": Word((0x20,), 0, 0xFF),
+    "pole": Word((0x21,), 0, 0xFF),
+    "gain": Word((0x22,), 0, 0xFF),
+    "command_position": Word((0x0C, 0x0D, 0x0E), -TOP, TOP - 1),
+    "preset_position": Word((0x15, 0x16, 0x17), -TOP, TOP - 1),
+    "final_position": Word((0x2B, 0x2A, 0x29), -TOP, TOP - 1),
+    "acceleration": Word((0x27, 0x26), 0, 0x7FFF),
+    "maximum_velocity": Word((0x28,), 0, 0x7F),
+    "proportional_velocity": Word((0x24, 0x23), -0x8000, 0x7FFF),
+    "integral_velocity": Word((0x3C,), -0x80, 0x7F),
+    "motor_command": Word((0x09,), -100, 100),
+}
+"""What `Port.load` takes: acceleration in 256ths of counts per sample2, proportional velocity in 16ths of counts per sample, the
+other velocities in counts per sample; motor_command in hundredths of full drive, in Init/Idle only."""
+
+
+class Port:
+    """The bus of one axis, and what a driver has to remember: T, which cannot be read back.
+
+    Raises ArgumentError when the axis' chip is no HCTL-1100.
+    """
+
+    def __init__(self, axis: Axis):
+        if not isinstance(getattr(axis, "chip", None), HCTL1100):
+            raise ArgumentError(f"{axis!r} has no HCTL1100: make the stage with chips=HCTL1100.")
+        self.axis, self.chip, self.t = axis, axis.chip, 0x40
+
+    @property
+    def count(self) -> float:
+        """Seconds of one count of the sample timer."""
+        return 16 / self.chip.clock_hz
+
+    @property
+    def sample(self) -> float:
+        """Seconds of a sample."""
+        return self.count * (self.t + 1)
+
+    def load(self, **values: int) -> None:
+        """Write numbers by name, see WORDS. Raises ArgumentError, before the first bus cycle."""
+        for name, value in values.items():
+            word = WORDS.get(name)
+            if word is None:
+                raise ArgumentError(f"{name} is nothing to load: {', '.join(WORDS)}.")
+            if not word.least <= value <= word.most or int(value) != value:
+                raise ArgumentError(f"{name}={value!r}: a whole number from {word.least} to {word.most}.")
+        for name, value in values.items():
+            addresses = WORDS[name].addresses
+            for k, address in enumerate(addresses):
+                self.chip.write(address, value >> 8 * (len(addresses) - 1 - k) & 0xFF)
+        self.t = values.get("timer", self.t)
+
+    def _read(self, *addresses: int) -> int:
+        """Bytes as a signed number, the low one first."""
+        value = sum(self.chip.read(address) << 8 * k for k, address in enumerate(addresses))
+        return signed(value, 8 * len(addresses))
+
+    def position(self) -> int:
+        """The actual position, counts."""
+        return self._read(0x14, 0x13, 0x12)
+
+    def commanded(self) -> int:
+        """The command position, counts. Its bytes have no latch: at rest, or slowly, only."""
+        return self._read(0x0E, 0x0D, 0x0C)
+
+    def velocity(self) -> int:
+        """The actual velocity, counts per sample; the chip knows it in proportional velocity mode only."""
+        return self._read(0x34, 0x35)
+
+    def status(self) -> int:
+        """R07, see LIMIT, STOP, INIT, PROFILE."""
+        return self.chip.read(0x07)
+
+    def clear_status(self) -> int:
+        """Clear what has triggered and is released again; R07 then."""
+        self.chip.write(0x07, self.chip.read(0x07) & 0x0F)
+        return self.status()
+
+    def idle(self) -> None:
+        """Init/Idle: no motor command."""
+        self.chip.write(0x05, IDLE)
+
+    def mode(self, name: str) -> None:
+        """Choose a control mode by its flag, "position" by none, and let the sample in progress end: with a profile it takes longer
+        to be worked out."""
+        self._set_flags(name)
+        self.axis.wait(self.sample)
+
+    def _set_flags(self, name: str) -> None:
+        for flag in FLAGS.values():
+            if flag != FLAGS.get(name):
+                self.chip.write(0x00, flag)
+        if name != "position":
+            self.chip.write(0x00, SET | FLAGS[name])
+
+    def hold(self) -> None:
+        """Position control where the shaft stands, from any mode. While LIMIT has triggered the chip refuses, see `limited`."""
+        self.idle()
+        self._set_flags("position")
+        self.load(command_position=self.position())
+        self.chip.write(0x05, CONTROL)
+
+    def limited(self) -> bool:
+        """LIMIT has triggered, and the chip is in Init/Idle."""
+        return not self.status() & LIMIT
+
+    def wait_for_the_safe_part(self, mode: str = "position") -> None:
+        """Wait, if need be, until the timer says that the sample has been worked out and does not end at once. Raises ArgumentError
+        where T is so short that there is no such part."""
+        least = MINIMUM_T[mode]
+        if self.t < least + MARGIN:
+            raise ArgumentError(
+                f"axis {self.axis.name}: T = {self.t} leaves no time in a sample for commands of {mode} control: load "
+                f"{least + MARGIN} or more."
+            )
+        while True:
+            left = self.chip.read(0x0F)
+            if self.t - left < least:
+                self.axis.wait((least - self.t + left) * self.count)
+            elif left < MARGIN:
+                self.axis.wait((left + 1 + least) * self.count)
+            else:
+                return
+
+    def command(self, position: int) -> None:
+        """A new command position, in the safe part of a sample."""
+        self.wait_for_the_safe_part()
+        self.load(command_position=position)
+
+    def wait_until(self, test: Callable[[], bool], timeout: float, what: str, poll: float = POLL) -> float:
+        """Poll until `test()` holds; the seconds it took. Raises RunTimeout, and leaves the axis without a motor command."""
+        begin = self.axis.time
+        while not test():
+            if self.axis.time - begin >= timeout:
+                said = f"at {self.position()} counts, R07 = {self.status():02X}h"
+                self.idle()
+                raise RunTimeout(
+                    f"axis {self.axis.name}: {what} did not come in {timeout:g} s; it was {said} and is in Init/Idle now."
+                )
+            self.axis.wait(poll)
+        return self.axis.time - begin

@@ -1,0 +1,172 @@
+"""DC motors and servo amplifiers: from a motor command to voltage, and what MuJoCo's <dcmotor> makes of it."""
+
+import math
+
+import mujoco
+import numpy as np
+import pytest
+
+from stage import ArgumentError
+from stage.drives import drive, stepper
+from stage.drives.dc_motors import DC_MOTORS, DCMotor, Servo, dc_motor
+from stage.drives.motors import Drive
+
+EVERY = pytest.mark.parametrize("name", DC_MOTORS)
+
+
+def filled(servo=None):
+    rows = np.zeros(1, drive.DRIVE)
+    (servo or Servo()).fill(rows[0])
+    return rows[0]
+
+
+def shares(*values):
+    return np.array([*values, *[0.0] * (stepper.SLICES - len(values))])
+
+
+def rotor(motor, damping=0.0):
+    """The motor alone in MuJoCo: a rotor, and the actuator that a stage fits."""
+    spec = mujoco.MjSpec()
+    body = spec.worldbody.add_body(name="rotor")
+    body.add_joint(name="x", type=mujoco.mjtJoint.mjJNT_HINGE, armature=motor.rotor_inertia, damping=damping)
+    body.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.001, 0, 0], mass=1e-6, contype=0, conaffinity=0)
+    actuator = spec.add_actuator(name="x", target="x", trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    actuator.set_to_dcmotor([motor.torque_constant] * 2, motor.resistance)
+    spec.option.timestep, spec.option.integrator = 2.5e-4, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.gravity = [0, 0, 0]
+    model = spec.compile()
+    return model, mujoco.MjData(model)
+
+
+# --- the amplifier ---
+
+
+def test_the_voltage_is_the_mean_command_times_the_bus_voltage():
+    d = filled(Servo(bus_voltage=30.0))
+    assert drive.effort(d, shares(1.0, 0.5, -0.25, 0.75), 4, 0.0, 0.0, 1e-4) == pytest.approx(15.0)
+    assert drive.effort(d, shares(-1.0), 1, 0.0, 0.0, 1e-4) == -30.0
+    assert drive.effort(d, shares(), 8, 0.0, 50.0, 1e-4) == 0.0
+
+
+def test_the_voltage_does_not_hang_on_place_speed_or_what_was_before():
+    d = filled()
+    first = drive.effort(d, shares(0.3), 1, 0.0, 0.0, 1e-4)
+    for theta, omega in ((1.0, 0.0), (-3.0, 400.0), (0.0, -900.0)):
+        assert drive.effort(d, shares(0.3), 1, theta, omega, 1e-4) == first
+
+
+@EVERY
+def test_the_current_is_what_is_left_of_the_voltage_over_the_resistance(name):
+    servo = Servo(name)
+    d, m = filled(servo), servo.motor
+    for share, omega in ((1.0, 0.0), (0.5, 120.0), (-0.2, 300.0)):
+        v = drive.effort(d, shares(share), 1, 0.0, omega, 1e-4)
+        assert d.current_a == pytest.approx((24.0 * share - m.torque_constant * omega) / m.resistance)
+        assert drive.torque(d, v) == pytest.approx(m.torque_constant * d.current_a)
+        assert drive.voltage(d, v) == v
+    assert d.current_b == 0
+
+
+def test_a_stepper_has_no_terminal_voltage_and_its_effort_is_its_torque():
+    rows = np.zeros(1, drive.DRIVE)
+    Drive().fill(rows[0])
+    assert drive.voltage(rows[0], 0.2) == 0.0
+    assert drive.torque(rows[0], 0.2) == 0.2
+
+
+def test_a_servo_powers_up_where_it_is_and_loses_no_steps():
+    d = filled()
+    drive.align(d, 1234.0, 0.7)
+    assert d.offset == 0.0
+    assert drive.at_rest(d, 1234) == 0.0
+    assert drive.behind(d, 2000, 0.0) == pytest.approx(2 * math.pi), "2000 counts are a turn"
+    assert drive.lost_steps(d, 1_000_000, 0.0) == 0
+
+
+# --- the motor, in MuJoCo ---
+
+
+@EVERY
+def test_stall_torque_is_that_of_the_formula_and_of_mujoco(name):
+    m = DC_MOTORS[name]
+    assert m.stall_torque == pytest.approx(m.torque_constant * m.nominal_voltage / m.resistance)
+    assert Servo(name, bus_voltage=12.0).peak_torque == pytest.approx(m.stall_torque / 2)
+    model, data = rotor(m)
+    data.ctrl[0] = m.nominal_voltage
+    mujoco.mj_forward(model, data)
+    assert data.qfrc_actuator[0] == pytest.approx(m.stall_torque)
+
+
+@EVERY
+def test_back_emf_takes_mujocos_torque_down_as_the_formula_says(name):
+    m, d = DC_MOTORS[name], filled(Servo(name))
+    model, data = rotor(m)
+    for share, omega in ((1.0, 100.0), (0.4, -250.0), (-0.7, 77.0), (0.0, 300.0)):
+        data.ctrl[0], data.qvel[0] = drive.effort(d, shares(share), 1, 0.0, omega, 1e-4), omega
+        mujoco.mj_forward(model, data)
+        assert data.qfrc_actuator[0] == pytest.approx(drive.torque(d, data.ctrl[0]), rel=1e-12)
+
+
+@EVERY
+def test_without_load_it_turns_at_voltage_over_constant(name):
+    """And gets there with the mechanical time constant J R / K^2."""
+    m = DC_MOTORS[name]
+    model, data = rotor(m)
+    data.ctrl[0] = m.nominal_voltage
+    no_load, tau = m.nominal_voltage / m.torque_constant, m.rotor_inertia * m.resistance / m.torque_constant**2
+    steps = round(tau / model.opt.timestep)
+    mujoco.mj_step(model, data, steps)
+    assert data.qvel[0] == pytest.approx(no_load * (1 - math.exp(-steps * model.opt.timestep / tau)), rel=0.02)
+    mujoco.mj_step(model, data, 20 * steps)
+    assert data.qvel[0] == pytest.approx(no_load, rel=1e-6)
+
+
+@EVERY
+def test_short_circuited_it_brakes(name):
+    model, data = rotor(DC_MOTORS[name])
+    data.qvel[0] = 100.0
+    mujoco.mj_step(model, data)
+    assert 0 < data.qvel[0] < 100.0
+
+
+# --- presets and what is refused ---
+
+
+@EVERY
+def test_presets_say_where_their_values_come_from(name):
+    m = DC_MOTORS[name]
+    assert m.name == name
+    assert set(m.evidence) == {"resistance", "torque_constant", "rotor_inertia", "continuous_torque", "nominal_voltage"}
+    assert m.continuous_torque < m.stall_torque
+    assert dc_motor(name) is m is dc_motor(m)
+
+
+def test_a_servo_takes_a_motor_by_name_and_says_what_it_is():
+    servo = Servo("9233S013", counts=4000)
+    assert servo.motor is DC_MOTORS["9233S013"]
+    assert servo.pulses_per_turn == 4000
+    assert servo.title == "9233S013, encoder of 4000 counts"
+    assert Drive().title == "17HS4401, 1/16 steps"
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Servo("9233S031"), "Did you mean '9233S013'"),
+        (lambda: Servo("17HS4401"), "unknown DC motor '17HS4401'"),
+        (lambda: Servo(bus_voltage=0), "bus_voltage=0: give a number above 0, up to 400 V"),
+        (lambda: Servo(bus_voltage=math.nan), "bus_voltage=nan"),
+        (lambda: Servo(counts=3), "counts=3: an encoder has a whole number of counts a turn, 4 to 1,048,576"),
+        (lambda: Servo(counts=2000.5), "counts=2000.5"),
+        (lambda: Servo(counts=True), "counts=True"),
+        (lambda: DCMotor("mine", 0, 0.05, 1e-5, 0.1), "mine: resistance=0: give a number above 0, up to 1000 ohm"),
+        (lambda: DCMotor("mine", 2, -0.05, 1e-5, 0.1), "mine: torque_constant=-0.05"),
+        (lambda: DCMotor("mine", 2, 0.05, -1e-5, 0.1), "mine: rotor_inertia=-1e-05: give a number from 0"),
+        (lambda: DCMotor("mine", 2, 0.05, 1e-5, "0.1"), "mine: continuous_torque='0.1'"),
+        (lambda: DCMotor("mine", 2, 0.05, 1e-5, 0.1, 500), "mine: nominal_voltage=500"),
+    ],
+)
+def test_what_no_motor_and_no_amplifier_has_is_refused_in_words(make, message):
+    with pytest.raises(ArgumentError) as error:
+        make()
+    assert message in str(error.value)

@@ -1,0 +1,133 @@
+"""ServoTuning: the registers reach the chip, physics answers, and the engineer's design settles sooner than a reset's values."""
+
+import sys
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+
+import stage.envs  # noqa: F401
+from stage import ArgumentError
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "scripts" / "baselines"))
+
+import servo_loop
+
+pytestmark = pytest.mark.filterwarnings("error")
+GOOD = {"R22": 0x40, "R20": 0xE5, "R21": 0x40, "R0F": 0x40}
+
+
+def make(**settings):
+    return gymnasium.make("stage/ServoTuning-v0", disable_env_checker=True, **settings).unwrapped
+
+
+def one_move(values, distance=200, payload=0.0, **settings):
+    """(environment, reward, info) after one move with these registers."""
+    env = make(**settings)
+    env.reset(seed=1, options={"distance": distance, "payload": payload})
+    _, reward, _, _, info = env.step(env._task.registers.to_action(values))
+    return env, reward, info
+
+
+def test_the_registers_chosen_are_those_in_the_chip():
+    env = make()
+    env.reset(seed=1)
+    env._task.renew = lambda: None
+    values = {"R22": 77, "R20": 200, "R21": 31, "R0F": 90}
+    info = env.step(env._task.registers.to_action(values))[4]
+    held = env.stage.axes["x"].chip.values()
+    assert {n: held[n] for n in ("R22", "R20", "R21")} == {"R22": 77, "R20": 200, "R21": 31}
+    assert int(env.stage.axes["x"].chip._record["period"]) == 90
+    assert list(info["registers"]) == list(values.values())
+
+
+@pytest.mark.parametrize("motion", ["step", "trapezoid"])
+@pytest.mark.parametrize("axis", ["x", "y"])
+def test_a_good_filter_settles_and_the_carriage_is_at_its_goal(motion, axis):
+    env = make(motion=motion, axis=axis, distances=(100, 4000))
+    env.reset(seed=1, options={"distance": 1000, "payload": 0.0})
+    env._task.renew = lambda: None
+    before = env.stage.axes[axis].position
+    _, reward, _, _, info = env.step(env._task.registers.to_action(GOOD))
+    assert info["finished"]
+    assert 0.01 < info["settled"] < 0.4
+    assert abs(info["error"]) <= 3
+    assert env.stage.axes[axis].position - before == pytest.approx(1000 * 5e-6, abs=5 * 5e-6)
+    assert reward == pytest.approx(sum(info["reward_parts"].values()))
+
+
+def test_a_trapezoid_takes_its_time_by_the_rates_asked_for_whatever_t_is():
+    """4000 counts at 40,000 counts/s and 400,000 counts/s2: triangle, 0.2 s."""
+    for t in (0x1F, 0x40, 0x60):
+        _, _, info = one_move(GOOD | {"R0F": t, "R22": 0x30}, 4000, motion="trapezoid", distances=(100, 4000))
+        assert info["settled"] == pytest.approx(0.2, abs=0.04), t
+
+
+def test_a_gain_too_high_never_rests_and_costs():
+    _, good, _ = one_move(GOOD)
+    _, bad, info = one_move({"R22": 0xFF, "R20": 0x00, "R21": 0x00, "R0F": 0xFF})
+    assert info["unrest"] > 50
+    assert not info["finished"]
+    assert info["reward_parts"]["limit"] == -1.0
+    assert bad < good - 1.0
+
+
+def test_a_gain_too_low_stays_away_and_costs():
+    _, _, info = one_move({"R22": 1, "R20": 0xFF, "R21": 0xFF, "R0F": 0x40}, 50)
+    assert not info["finished"]
+    assert info["settled"] == 0.5
+
+
+def test_a_heavier_load_overshoots_more_with_the_same_filter():
+    _, _, light = one_move(GOOD, 400, 0.0)
+    _, _, heavy = one_move(GOOD, 400, 10.0)
+    assert heavy["overshoot"] > light["overshoot"]
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"motion": "jump"}, "unknown motion"), ({"axis": "w"}, "unknown axis"), ({"rest": 1.0}, "a part of limit"),
+        ({"distances": (10, 10_000_000)}, "has room for"),
+    ],
+)  # fmt: skip
+def test_settings_that_make_no_sense_are_refused(settings, said):
+    with pytest.raises(ArgumentError, match=said):
+        make(**settings)
+    env = make()
+    with pytest.raises(ArgumentError, match="option distance=1"):
+        env.reset(options={"distance": 1})
+
+
+# --- the engineer ---
+
+
+@pytest.mark.parametrize("payload", [0.0, 10.0])
+def test_the_engineers_design_has_its_margin_and_settles_sooner_than_after_a_reset(payload):
+    pytest.importorskip("control", reason="extra servo is not installed")
+    stage = make().stage
+    stage.set_payload(payload)
+    loop = servo_loop.Loop.of(stage.axes["x"], servo_loop.Tuning(pole=servo_loop.POLE))
+    made = servo_loop.design(loop)
+    assert made.phase_margin == pytest.approx(servo_loop.MARGIN, abs=servo_loop.WITHIN)
+    assert made.gain_margin > 2
+    assert abs(servo_loop.replace(loop, tuning=made.tuning).poles).max() < 1
+    values = servo_loop.registers(stage.axes["x"])
+    (_, designed, info), (_, reset, _) = one_move(values, payload=payload), one_move(GOOD, payload=payload)
+    assert info["finished"]
+    assert designed > reset
+
+
+def test_without_python_control_the_baseline_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "control", None)
+    with pytest.raises(servo_loop.StageError, match=r"pip install 'pulsestage\[servo\]'"):
+        servo_loop.control()
+
+
+def test_distances_and_payloads_are_drawn_within_their_ranges():
+    env = make(distances=(60, 90), payloads=(1.0, 2.0))
+    drawn = [env.reset(seed=k)[1] for k in range(20)]
+    assert all(60 <= d["distance"] <= 90 and 1.0 <= d["payload"] <= 2.0 for d in drawn)
+    assert len({d["distance"] for d in drawn}) > 5
+    assert np.isfinite([d["payload"] for d in drawn]).all()

@@ -1,0 +1,254 @@
+"""Servo procedures on the stage: set-up, steps, trapezoids, velocity modes, home."""
+
+import numpy as np
+import pytest
+
+from stage import ArgumentError, RunTimeout, Stage
+from stage.chips import HCTL1100
+from stage.firmware.servo import Tuning, integral_velocity, proportional_velocity, set_up, step, trapezoid
+from stage.firmware.servo_home import home, leave_limit
+from stage.firmware.servo_model import Loop
+from stage.firmware.servo_port import INIT, PROFILE, Port
+
+COUNT = 5e-6  # m
+DEADBAND = 3
+
+
+@pytest.fixture
+def stage():
+    return Stage("xyz_servo", chips=HCTL1100, visuals=False)
+
+
+def edge_of(axis, pin="org"):
+    return next(s.touch for s in axis._plant.switches if s.pin == pin)
+
+
+def test_a_port_is_for_hctl1100s_only():
+    with pytest.raises(ArgumentError, match="no HCTL1100"):
+        Port(Stage("xyz", visuals=False).axes["x"])
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("gain", 256), ("timer", -1), ("maximum_velocity", 128), ("final_position", 1 << 23), ("zero", 0.5)],
+)
+def test_what_a_register_cannot_hold_is_refused_before_the_first_bus_cycle(stage, name, value):
+    port = Port(stage.axes["x"])
+    with pytest.raises(ArgumentError, match=f"{name}={value}"):
+        port.load(pole=1, **{name: value})
+    with pytest.raises(ArgumentError, match="nothing to load"):
+        port.load(poles=1)
+    assert stage.time == 0
+    assert port.chip.values()["R21"] == 0x40
+
+
+def test_a_port_writes_and_reads_whole_numbers(stage):
+    port = Port(stage.axes["x"])
+    port.load(
+        command_position=-70_000,
+        final_position=1_234_567,
+        acceleration=0x123,
+        proportional_velocity=-18,
+        preset_position=-9,
+    )
+    values = port.chip.values()
+    assert port.commanded() == -70_000
+    assert port.position() == -9
+    assert [values[f"R{a:02X}"] for a in (0x2B, 0x2A, 0x29)] == [0x12, 0xD6, 0x87]
+    assert [values[f"R{a:02X}"] for a in (0x27, 0x26, 0x24, 0x23)] == [0x01, 0x23, 0xFF, 0xEE]
+
+
+def test_set_up_loads_the_filter_and_holds_the_axis_where_it_stands(stage):
+    stage.place(x=0.02)
+    before = stage.axes["x"].position
+    port = set_up(stage.axes["x"], Tuning(gain=0x30, zero=0xE0, pole=0x20, timer=0x3F))
+    stage.run(0.2)
+    values = port.chip.values()
+    assert [values[n] for n in ("R22", "R20", "R21")] == [0x30, 0xE0, 0x20]
+    assert port.sample == 16 * 0x40 / 2e6
+    assert not port.status() & INIT
+    assert stage.axes["x"].position == pytest.approx(before, abs=2 * COUNT)
+    assert not port.chip.diagnostics
+
+
+@pytest.mark.parametrize("name", ["x", "y"])
+@pytest.mark.parametrize("counts", [1, 50, -400])
+def test_a_step_settles_within_its_deadband(stage, name, counts):
+    port = set_up(stage.axes[name])
+    stage.run(0.05)
+    before = port.position()
+    report = step(port, counts, deadband=DEADBAND)
+    assert report.ok
+    assert abs(report.error) <= DEADBAND
+    assert abs(port.position() - before - counts) <= 2 * DEADBAND
+    assert 0 <= report.settled < 0.2
+    assert not port.chip.diagnostics, "no command in the unsafe part of a sample"
+
+
+def test_a_step_is_settled_when_it_has_come_to_stay_within_its_deadband(stage):
+    """With a load it swings: leaving the deadband begins the wait anew."""
+    stage.set_payload(10.0)
+    port = set_up(stage.axes["x"])
+    goal = stage.axes["x"].position + 400 * COUNT
+    with stage.record(every=0.25e-3) as recording:
+        begin = stage.time
+        report = step(port, 400, deadband=DEADBAND)
+    error = np.abs(recording.columns["x/position"] - goal) / COUNT
+    time = recording.columns["time"] - begin
+    outside = time[error > DEADBAND + 0.5]
+    assert np.diff(outside).max() > 2e-3, "it was in and out again"
+    assert report.settled == pytest.approx(outside[-1], abs=3e-3)
+
+
+@pytest.mark.parametrize("counts", [2_000, -12_000])
+def test_a_trapezoid_shows_the_profile_flag_and_ends_within_its_deadband(stage, counts):
+    port = set_up(stage.axes["x"])
+    before, rates = port.commanded(), {"velocity": 40_000, "acceleration": 400_000}
+    stage.run(0.05)
+    report = trapezoid(port, counts, **rates, deadband=DEADBAND)
+    assert report.ok
+    assert not port.status() & PROFILE
+    assert port.commanded() - before == counts
+    assert abs(port.position() - before - counts) <= DEADBAND
+    v, a = report.velocity, report.acceleration
+    assert v == pytest.approx(40_000, rel=0.03), "whole counts a sample"
+    assert a == pytest.approx(400_000, rel=0.03)
+    ramp = min(v / a, np.sqrt(abs(counts) / a))
+    expected = 2 * ramp + max(abs(counts) / v - v / a, 0)
+    assert report.profile == pytest.approx(expected, abs=5e-3)
+    assert not port.chip.diagnostics
+
+
+def test_rates_that_the_chip_has_not_at_this_sample_time_are_refused(stage):
+    port = set_up(stage.axes["x"])
+    for rates in ({"velocity": 1e6}, {"velocity": 100}, {"acceleration": 1}, {"acceleration": 1e9}):
+        with pytest.raises(ArgumentError, match="Choose another rate, or another T"):
+            trapezoid(port, 100, **rates)
+
+
+def test_a_deadband_that_no_loop_keeps_ends_in_a_timeout_and_without_a_motor_command(stage):
+    """Gravity on Z: a filter without integral keeps an error."""
+    port = set_up(stage.axes["z"], Tuning(gain=2))
+    with pytest.raises(RunTimeout, match="rest within 0 counts"):
+        step(port, 10, deadband=0, timeout=0.2)
+    assert port.status() & INIT
+
+
+@pytest.mark.parametrize("rate", [20_000, -6_000])
+def test_integral_velocity_turns_as_asked_and_stops_in_position_control(stage, rate):
+    port = set_up(stage.axes["x"])
+    report = integral_velocity(port, rate, seconds=0.2)
+    assert report.asked == pytest.approx(rate, rel=0.08), "whole counts a sample"
+    assert report.measured == pytest.approx(report.asked, rel=0.01)
+    stage.run(0.1)
+    assert abs(port.commanded() - port.position()) <= DEADBAND
+    assert not port.chip.diagnostics
+
+
+@pytest.mark.parametrize("rate", [20_000, -6_000])
+def test_proportional_velocity_turns_more_slowly_than_asked_by_what_drag_and_friction_take(stage, rate):
+    """K/4 (command - velocity) = motor command, and that holds the velocity against drag and friction."""
+    tuning = Tuning(gain=0x80)
+    port = set_up(stage.axes["x"], tuning)
+    report = proportional_velocity(port, rate, seconds=0.4)
+    loop = Loop.of(stage.axes["x"], tuning)
+    per = tuning.gain / 4 * port.sample  # motor command for one count/s
+    way = np.sign(rate)
+    expected = (per * report.asked - way * loop.friction) * loop.gain / (1 + per * loop.gain)
+    assert report.measured == pytest.approx(expected, rel=0.05)
+    assert abs(report.measured) < abs(report.asked)
+    at = stage.axes["x"].position
+    stage.run(0.1)
+    assert stage.axes["x"].position == pytest.approx(at, abs=DEADBAND * COUNT)
+    assert not port.chip.diagnostics
+
+
+def test_stop_brakes_integral_velocity_only(stage):
+    port = set_up(stage.axes["x"])
+    stage.axes["x"].switches.stick("org", True)
+    report = integral_velocity(port, 8_000, seconds=0.2)
+    assert report.ended == "STOP"
+    assert abs(report.measured) < 100
+    assert "ended by STOP" in str(report)
+    assert trapezoid(port, 500).ok
+    assert proportional_velocity(port, 8_000, seconds=0.2).measured > 6_000
+
+
+def test_a_limit_ends_a_run_at_a_velocity(stage):
+    port = set_up(stage.axes["x"])
+    stage.axes["x"].switches.stick("el_plus", True)
+    assert integral_velocity(port, 8_000, seconds=0.1).ended == "LIMIT"
+    assert port.status() & INIT
+
+
+def test_a_limit_ends_a_trapezoid_in_init_idle(stage):
+    port = set_up(stage.axes["x"])
+    stage.axes["x"].switches.stick("el_plus", True)
+    report = trapezoid(port, 4_000)
+    assert report.limited
+    assert not report.ok
+    assert "LIMIT" in str(report)
+    assert port.status() & INIT
+    with pytest.raises(ArgumentError, match="stands on a limit switch"):
+        set_up(stage.axes["x"])
+
+
+def test_an_axis_leaves_its_limit_switch_by_the_motor_command_of_the_host(stage):
+    x = stage.axes["x"]
+    stage.place(x=edge_of(x, "el_plus") + 1e-4)
+    assert x.switches.el_plus
+    port = Port(x)
+    leave_limit(port, -1)
+    stage.run(0.1)
+    assert not x.switches.el_plus
+    assert not port.status() & INIT
+    assert abs(port.commanded() - port.position()) <= 2 * DEADBAND
+
+
+# --- home ---
+
+
+@pytest.mark.parametrize("way", [0.009, 0.0003, -0.0002], ids=["before", "just before", "on"])
+@pytest.mark.parametrize(("name", "sag"), [("x", DEADBAND), ("y", DEADBAND), ("z", 8)])
+def test_home_is_at_the_index_pulse_wherever_the_axis_begins(stage, name, sag, way):
+    axis = stage.axes[name]
+    stage.place(**{name: edge_of(axis) + way})
+    report = home(set_up(axis), deadband=sag)
+    port = Port(axis)
+    stage.run(0.1)
+    assert abs(port.position()) <= sag
+    turns = axis.position * axis.gear / (2 * np.pi) - axis._plant.index
+    assert abs(turns - round(turns)) * 2000 == pytest.approx(10, abs=sag), "the rim of a pulse of 20 counts"
+    assert -1.2 * 2000 < report.index - report.switch < 0
+    assert not [d for d in port.chip.diagnostics if "computed" in d.message]
+
+
+def test_home_is_the_same_place_each_time(stage):
+    axis, found = stage.axes["x"], []
+    for k in range(4):
+        stage.place(x=edge_of(axis) + 0.002 + 0.00037 * k)
+        home(set_up(axis))
+        stage.run(0.1)
+        found.append(axis.position)
+    assert np.ptp(found) <= 3 * COUNT
+
+
+def test_home_without_an_index_pulse_is_at_the_switch(stage):
+    axis = stage.axes["x"]
+    stage.place(x=edge_of(axis) + 0.002)
+    report = home(set_up(axis), index=False)
+    assert report.index is None
+    assert axis.position == pytest.approx(edge_of(axis), abs=30e-6)
+
+
+def test_a_search_that_comes_to_a_limit_ends_in_a_timeout(stage):
+    axis = stage.axes["x"]
+    port = set_up(axis)
+    axis.switches.stick("el_minus", True)
+    stage.run(1e-3)
+    axis.switches.stick("el_minus", None)
+    with pytest.raises(RunTimeout, match="the home switch did not come"):
+        home(port, timeout=0.2)
+    assert port.status() & INIT
+    with pytest.raises(ArgumentError, match="-1 or 1"):
+        home(port, direction=0)

@@ -1,0 +1,172 @@
+"""Custom profiles: a command a sample, in its safe part, to axes in step by SYNC; the error that a linear model predicts."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stage import ArgumentError, Stage
+from stage.chips import HCTL1100
+from stage.chips.entries import WRITE
+from stage.firmware.servo import Tuning, set_up
+from stage.firmware.servo_model import Loop
+from stage.firmware.servo_profile import circle, follow, off_circle, synchronize
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
+
+import servo_moves
+
+RADIUS, SECONDS = 2_000, 0.6
+
+
+@pytest.fixture
+def stage():
+    return Stage("xyz_servo", chips=HCTL1100, visuals=False)
+
+
+def early(ports):
+    """Notes of commands written while a sample was computed."""
+    return [d for port in ports for d in port.chip.diagnostics if "while the sample is computed" in d.message]
+
+
+@pytest.mark.parametrize("axes", [2, 3])
+def test_a_circle_lies_on_a_circle_from_rest_to_rest(axes):
+    points = circle(RADIUS, seconds=SECONDS, sample=520e-6, axes=axes)
+    assert abs(off_circle(points, RADIUS)).max() < 1e-6
+    assert points[-1] == pytest.approx(np.zeros(axes), abs=1e-6)
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    assert steps.max() * len(points) == pytest.approx(2 * np.pi * RADIUS * SECONDS / (SECONDS - 0.2), rel=0.01)
+    assert max(steps[0], steps[-1]) < 0.02 * steps.max()
+    away = points + [3.0, 4.0, 12.0][:axes]
+    assert 0 < off_circle(away, RADIUS).max() <= 13.0
+    with pytest.raises(ArgumentError, match="2 or 3 axes"):
+        circle(RADIUS, seconds=SECONDS, sample=520e-6, axes=4)
+
+
+def test_sync_lets_the_samples_of_all_axes_begin_at_one_clock(stage):
+    ports = []
+    for axis in stage.axes.values():
+        stage.run(137e-6)
+        axis.chip.write(0x05, 0)
+        ports.append(set_up(axis))
+    assert len({int(port.chip._record["next"]) for port in ports}) == 3
+    synchronize(ports)
+    assert len({int(port.chip._record["next"]) for port in ports}) == 1
+    stage.run(0.05)
+    for port in ports:
+        assert abs(port.commanded() - port.position()) <= 8, "gravity on Z"
+    other = set_up(stage.axes["x"], Tuning(timer=0x20))
+    with pytest.raises(ArgumentError, match="one sample time"):
+        synchronize([other, ports[1]])
+
+
+@pytest.mark.parametrize(("timer", "names"), [(0x20, "xyz"), (0x40, "xyz"), (0x40, "yx")])
+def test_a_profile_is_one_command_a_sample_each_in_the_safe_part(stage, timer, names):
+    ports = [set_up(stage.axes[n], Tuning(timer=timer)) for n in names]
+    synchronize(ports)
+    begin = [port.commanded() for port in ports]
+    profile = circle(RADIUS, seconds=SECONDS, sample=ports[0].sample, axes=len(ports))
+    journals = [port.chip.journal() for port in ports]
+    report = follow(ports, profile)
+    assert report.missed == 0
+    assert report.commands == len(profile)
+    assert report.seconds == pytest.approx(SECONDS, abs=2 * ports[0].sample)
+    assert not early(ports)
+    for port, journal, k in zip(ports, journals, range(len(ports)), strict=True):
+        written = [e.clock for e in journal.entries if e.kind == WRITE and e.a == 0x0E]
+        clocks = 16 * (timer + 1)
+        assert len(written) == len(profile)
+        assert abs(np.diff(written) - clocks).max() <= 16 * 2
+        assert port.commanded() == begin[k] + round(float(profile[-1, k]))
+
+
+def test_a_host_that_is_too_slow_misses_samples_and_says_so():
+    stage = Stage("xyz_servo", chips=HCTL1100, visuals=False, bus_cycle=80e-6)
+    ports = [set_up(stage.axes[n]) for n in "xyz"]
+    synchronize(ports)
+    profile = np.zeros((50, 3))
+    assert follow(ports, profile).missed > 20
+    with pytest.raises(ArgumentError, match=r"\(samples, axes\)"):
+        follow(ports, np.zeros((5, 2)))
+
+
+def test_a_circle_of_three_axes_is_rounder_with_sync_than_without():
+    off, torn = {}, {}
+    for name, (sync, one, _) in servo_moves.CIRCLES.items():
+        _, distance, torn[name] = servo_moves.run_circle(sync, one)
+        off[name] = np.sqrt((distance**2).mean())
+    with_sync, apart, blind = off.values()
+    assert with_sync < 0.6 * apart
+    assert apart < blind
+    assert list(torn.values())[:2] == [0, 0]
+    assert list(torn.values())[2] > 100, "whoever reads one timer of chips out of step writes to the others too early"
+
+
+def test_commands_written_too_early_kick_the_axis_and_safe_ones_do_not():
+    """Each time that the low byte of the command wraps, a torn one is 256 counts off."""
+    _, bad = servo_moves.run_line(early=True)
+    _, good = servo_moves.run_line(early=False)
+    moving = slice(400, None)
+    assert np.ptp(good[moving]) < 6
+    assert np.ptp(bad[moving]) > 4 * np.ptp(good[moving])
+
+
+# --- the linear model ---
+
+
+@pytest.mark.parametrize(
+    "tuning", [Tuning(), Tuning(gain=0x30, zero=0xF0, pole=0x00, timer=0x20)], ids=["after a reset", "other"]
+)
+def test_the_following_error_of_a_trapezoid_is_the_linear_models_within_a_tenth(tuning):
+    move = servo_moves.run_trapezoid(tuning)
+    assert move.report.ok
+    assert move.command[-1] == servo_moves.COUNTS
+    assert np.abs(move.predicted).max() > 15, "there is something to predict"
+    assert move.deviation < 0.1
+    flat = np.abs(np.diff(move.command, 2, append=[0, 0])) <= 1
+    assert flat.any()
+    assert np.abs(move.error).max() == pytest.approx(np.abs(move.predicted).max(), rel=0.1)
+
+
+def test_the_models_plant_is_the_differential_equation_sampled():
+    """A constant motor command from rest: x = g u (t - tau (1 - exp(-t / tau)))."""
+    from scipy.signal import dlsim
+
+    loop = Loop(gain=1260.0, tau=0.02, friction=0.0, tuning=Tuning())
+    b, a = loop.plant
+    t, x = dlsim((b, a, loop.sample), np.ones(400))
+    expected = loop.gain * (t - loop.tau * (1 - np.exp(-t / loop.tau)))
+    assert x[:, 0] == pytest.approx(expected, abs=1e-6)
+
+
+def test_the_models_closed_loop_is_the_sum_over_its_samples():
+    """Worked out sample by sample: filter, then plant with its two states."""
+    loop = Loop(gain=1260.0, tau=0.02, friction=1.5, tuning=Tuning())
+    h, p, k, t = loop.sample, np.exp(-loop.sample / loop.tau), loop.tuning.gain / 4, loop.tuning
+    command = np.cumsum(np.concatenate([[0], np.minimum(np.arange(1, 300) * 0.1, 12)]))
+    x = v = e_before = u = 0.0
+    expected = []
+    for n, r in enumerate(command):
+        e = r - x
+        u = k * e - t.zero / 256 * k * e_before - t.pole / 256 * u
+        e_before = e
+        expected.append(e)
+        way = 1.0 if n and r > command[n - 1] else 0.0
+        f = loop.gain * (u - loop.friction * way)
+        x, v = x + loop.tau * (1 - p) * v + (h - loop.tau * (1 - p)) * f, p * v + (1 - p) * f
+    assert loop.following_error(command) == pytest.approx(np.array(expected), abs=1e-9)
+
+
+@pytest.mark.parametrize("name", ["x", "y"])
+@pytest.mark.parametrize("payload", [0.0, 8.0])
+def test_the_models_masses_and_friction_are_those_of_the_machine(stage, name, payload):
+    """An open loop: half of full drive from rest, PWM port in Init/Idle; the way after 0.1 s."""
+    axis = stage.axes[name]
+    stage.set_payload(payload)
+    loop, before = Loop.of(axis, Tuning()), axis.position
+    axis.chip.write(0x09, 50)
+    stage.run(0.1)
+    u = 50 - loop.friction
+    expected = loop.gain * u * (0.1 - loop.tau * (1 - np.exp(-0.1 / loop.tau)))
+    assert (axis.position - before) / axis.meters_per_pulse == pytest.approx(expected, rel=0.02)

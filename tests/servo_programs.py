@@ -1,0 +1,36 @@
+"""Bus programs for HCTL-1100 whose loop a stage closes, as drivers write them. `chip` is anything with `write`."""
+
+SAMPLE = 0x0F  # T: 256 clocks, 128 us
+FILTER = {0x20: 0xE5, 0x21: 0x40, 0x22: 0x20}  # zero, pole, gain: the shipped stages stand firm with it
+F0, F3, F5 = 0x00, 0x03, 0x05
+
+
+def tell(chip, writes):
+    for address, value in dict(writes).items():
+        chip.write(address, value & 0xFF)
+
+
+def control(chip, sample=SAMPLE, filter=FILTER):
+    """Set the filter up and hold the position 0, from Init/Idle on."""
+    tell(chip, {0x0F: sample, **filter})
+    tell(chip, {0x0E: 0, 0x05: 0x03})
+
+
+def trapezoid(chip, counts, velocity=4, acceleration=4):
+    """From position control: a profile to this count. velocity: counts a sample; acceleration: 256ths of that a sample."""
+    tell(chip, {0x26: acceleration, 0x27: 0, 0x28: velocity})
+    tell(chip, {0x29: counts, 0x2A: counts >> 8, 0x2B: counts >> 16})
+    chip.write(0x00, 0x08 | F0)
+
+
+def run_on(chip, velocity, acceleration=8):
+    """From position control: integral velocity, counts a sample."""
+    tell(chip, {0x26: acceleration, 0x27: 0})
+    chip.write(0x00, 0x08 | F5)
+    chip.write(0x3C, velocity & 0xFF)
+
+
+def move(chip, counts):
+    """From power-up to a trapezoid's start."""
+    control(chip)
+    trapezoid(chip, counts)
