@@ -52,19 +52,19 @@ def cache_folder() -> Path:
                 digest.update(source.name.encode() + text)
     default = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     base = Path(os.environ.get("NUMBA_CACHE_DIR") or default) / "pulsestage"
-    kept = base / digest.hexdigest()[:16]
+    folder = base / digest.hexdigest()[:16]
     try:
-        kept.mkdir(parents=True, exist_ok=True)
-        os.utime(kept)
+        folder.mkdir(parents=True, exist_ok=True)
+        os.utime(folder)
     except OSError:
-        return Path(tempfile.gettempdir()) / f"pulsestage-{os.getuid() if hasattr(os, 'getuid') else 0}" / kept.name
+        return Path(tempfile.gettempdir()) / f"pulsestage-{os.getuid() if hasattr(os, 'getuid') else 0}" / folder.name
     for old in sorted(base.iterdir(), key=lambda p: p.stat().st_mtime)[:-KEPT_CACHES]:
         shutil.rmtree(old, ignore_errors=True)
-    return kept
+    return folder
 
 
 @contextmanager
-def _cached() -> Iterator[None]:
+def kept() -> Iterator[None]:
     """numba keeps what is decorated here in our folder."""
     before = numba.config.CACHE_DIR
     numba.config.CACHE_DIR = str(cache_folder())
@@ -76,7 +76,7 @@ def _cached() -> Iterator[None]:
 
 def hot(function: Callable) -> Any:
     """Compile `function` at its first call. No fastmath: the same input gives the same bits."""
-    with _cached():
+    with kept():
         compiled = numba.njit(nogil=True, cache=True, error_model="numpy", no_cfunc_wrapper=True)(function)
     if COMPILED:
         _once_for_all_literals(compiled)
@@ -120,7 +120,7 @@ class Sealed:
     def ready(self) -> None:
         """Compile it, or load what was compiled."""
         if not self.address:
-            with _cached():
+            with kept():
                 entry = numba.cfunc(self.signature, cache=True, error_model="numpy")(self.function)
             self._kept = entry
             llvmlite.binding.add_symbol(self.symbol, entry.address)

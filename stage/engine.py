@@ -27,6 +27,7 @@ import mujoco
 import numba
 
 from stage.chips import cores
+from stage.chips.entries import INPUT, SEE
 from stage.compiled import COMPILED, greatest, hot, least, record
 from stage.drives import drive, stepper
 
@@ -102,10 +103,9 @@ SAMPLE = record(
     + [(name, "i8") for name in "pulses lost_steps counter inputs outputs".split()]
 )
 """One axis at one moment. SI units; load angle in electrical radians; voltage at a DC motor; rate in pps, counts a second."""
-SEEN = -1
-EDGE = record([(name, "i8") for name in ("now", "clock", "axis", "inputs")] + [("count", "f8"), ("rate", "f8")])
-"""What reached a chip: a switch edge: time (ns), the chip's clock, the chip's input word from then on; or, with SEEN for that, the
-shaft: from then on at `count + rate * clocks`, in counts of its encoder."""
+EDGE = record([(name, "i8") for name in ("now", "clock", "axis", "kind", "a", "b")] + [("count", "f8"), ("rate", "f8")])
+"""What reached the chip of an axis: time (ns), the chip's clock, and an `Entry` for its journal: kind, a, b; of a SEE count and
+rate in their place."""
 
 MAX_TOGGLES = 8
 EDGES_A_WINDOW = 49  # of an axis at most: 5 switches, each an edge and its toggles; the index pulse; the shaft
@@ -257,7 +257,7 @@ def _meet_edges(c, wiring, axes, table, switches, switch_table, until, edges, n_
             _meet_axis_edges(axes[a], table[a], c, j, switches, switch_table, now)
             if len(edges):
                 e = edges[n_edges]
-                e.now, e.clock, e.axis, e.inputs = now, c.clock, a, cores.inputs(c, j)
+                e.now, e.clock, e.axis, e.kind, e.a, e.b = now, c.clock, a, INPUT, j, cores.inputs(c, j)
                 n_edges += 1
         now = _next_edge(axes, wiring)
     return n_edges
@@ -314,7 +314,7 @@ def _see_chips(rows, first, wiring, world, table, clockwork, qpos, qvel, edges, 
             cores.see(c, j, count, speed / w.hz)
             if len(edges):
                 e = edges[counts[1]]
-                e.now, e.clock, e.axis, e.inputs, e.count, e.rate = world.now, c.clock, a, SEEN, count, speed / w.hz
+                e.now, e.clock, e.axis, e.kind, e.count, e.rate = world.now, c.clock, a, SEE, count, speed / w.hz
                 counts[1] += 1
     return counts[1]
 

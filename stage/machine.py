@@ -22,7 +22,7 @@ import numpy as np
 
 from stage import engine, plant
 from stage.chips import Chip, ChipAxis, Diagnostic, cores
-from stage.chips.entries import INPUT, PACKED, SEE
+from stage.chips.entries import PACKED, SEE
 from stage.compiled import announced
 from stage.drives import drive as any_drive
 from stage.drives import stepper
@@ -384,10 +384,10 @@ class Stage:
             if chip._journal is None:
                 continue
             own = edges[chip_of == k]
-            seen, packed = own["inputs"] == engine.SEEN, np.zeros(len(own), PACKED)
-            packed["clock"], packed["kind"] = own["clock"], np.where(seen, SEE, INPUT)
-            packed["a"] = np.where(seen, own["count"].view(np.int64), self._table["chip_axis"][own["axis"]])
-            packed["b"] = np.where(seen, own["rate"].view(np.int64), own["inputs"])
+            seen, packed = own["kind"] == SEE, np.zeros(len(own), PACKED)
+            packed["clock"], packed["kind"] = own["clock"], own["kind"]
+            packed["a"] = np.where(seen, own["count"].view(np.int64), own["a"])
+            packed["b"] = np.where(seen, own["rate"].view(np.int64), own["b"])
             chip._journal.extend(packed)
 
     def _look_again(self, axis: int) -> None:

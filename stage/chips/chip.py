@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from types import ModuleType
-from typing import Any, ClassVar, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
@@ -22,6 +22,9 @@ from stage.chips.journal import Journal
 from stage.chips.register_map import RegisterMap, dump
 from stage.compiled import plain, ready
 from stage.errors import ArgumentError, StageError, unknown
+
+if TYPE_CHECKING:
+    from stage.chips.late import LateLint
 
 MAX_DIAGNOSTICS = 1000
 MAX_CLOCKS = 1 << 45  # a speed of 13 bits times this still fits 63 bits
@@ -134,6 +137,8 @@ class Chip:
     """Each register has a bus address of its own, its number."""
     READING_ACTS: ClassVar[frozenset[int]] = frozenset()
     """Bus addresses at which a read cycle changes something, in some mode at least: journals note these cycles."""
+    IRQ: ClassVar[tuple[int, int]] = (0, 0)
+    """The outputs that ask a host for attention: of which axis' pins (-1: those of no axis), and their bits."""
     BUSY: ClassVar[tuple[int, int]]
     """Where the bus tells that a drive is in progress: address, and the bit of axis 0."""
 
@@ -147,14 +152,22 @@ class Chip:
         if int(hz) != hz or not 1 <= hz <= 100_000_000:
             raise ArgumentError(f"clock_hz={clock_hz!r}: a reference clock is a whole number of 1 to 100,000,000 Hz.")
         self.clock_hz = int(hz)
-        self.diagnostics: list[Diagnostic] = []
+        self._diagnostics: list[Diagnostic] = []
         self.axes = tuple(ChipAxis(self, k) for k in range(self.AXES))
         self._bus: Bus | None = None
         self._journal: Journal | None = None
+        self._late: LateLint | None = None
         self._glitches: tuple[Callable[[int, int], bool], ...] = ()  # told of each write first; True loses it
         self._hold(np.zeros(1, self.CORE.STATE), 0)
         self._configure(self._record)
         self.CORE.power_up(self._rows, 0)
+
+    @property
+    def diagnostics(self) -> list[Diagnostic]:
+        """The writes that a data-sheet reader would call mistakes, oldest first; the last MAX_DIAGNOSTICS of them."""
+        if self._late is not None:
+            self._late.settle()
+        return self._diagnostics
 
     def _configure(self, record: Any) -> None:
         """Fill the fields that tell variants of a family apart."""
@@ -205,21 +218,27 @@ class Chip:
     def write(self, address: int, value: int) -> None:
         """One bus write cycle. Never raises: address and value are masked, mistakes go to `diagnostics`."""
         address, value = int(address) & self._ADDRESS_MASK, int(value) & self.DATA_MASK
-        lost = any([glitch(address, value) for glitch in self._glitches]) if self._glitches else False
+        lost = self._loses(address, value)
         if self._bus is not None:
             self._bus.cycle()
         if lost:
             if self._journal is not None:
                 self._journal.note_lost(self.clock, address, value)
             return
-        said = self._lint(address, value)
-        if said:
-            if len(self.diagnostics) >= MAX_DIAGNOSTICS:
-                del self.diagnostics[0]
-            self.diagnostics.append(Diagnostic(self.clock, address, value, *said))
+        if self._late is None and (said := self._lint(address, value)):
+            self._say(self.clock, address, value, *said)
         self.CORE.write(self._rows, self._i, address, value)
         if self._journal is not None:
             self._journal.note_write(self.clock, address, value)
+
+    def _loses(self, address: int, value: int) -> bool:
+        """Before a write: does a fault of the bus keep it from the chip? Every fault is told of it."""
+        return any([glitch(address, value) for glitch in self._glitches]) if self._glitches else False
+
+    def _say(self, clock: int, address: int, value: int, message: str, source: str) -> None:
+        if len(self._diagnostics) >= MAX_DIAGNOSTICS:
+            del self._diagnostics[0]
+        self._diagnostics.append(Diagnostic(clock, address, value, message, source))
 
     _ADDRESS_MASK: ClassVar[int] = 3
 

@@ -92,6 +92,10 @@ class Journal:
             now = now._previous
         self._chip._journal = now
 
+    def restart(self) -> None:
+        """Forget what was noted; begin again here."""
+        self._start, self.entries = self._chip._rows[self._chip._i].tobytes(), Entries()
+
     @property
     def start(self) -> np.record:
         """The chip's state when the journal began, a record of its core's STATE."""

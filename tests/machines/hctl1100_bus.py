@@ -13,12 +13,14 @@ from hypothesis import strategies as st
 
 Writes = traffic.Writes
 F0, F1, F3, F5 = 0x01, 0x02, 0x08, 0x20
+LONGEST_SAMPLE = 16 * 256  # clocks
 LIMIT, STOP, INIT, PROFILE = 0x80, 0x40, 0x20, 0x10  # of R07
 
 
 @dataclass(frozen=True)
 class HctlHost:
-    """Flags by what was set and cleared; F0 may since have been cleared by the chip."""
+    """Flags by what was set and cleared; F0 may since have been cleared by the chip. `drove`: it may have written a motor port,
+    which then holds that value, into a control mode too, up to the first sample."""
 
     BLINKING: ClassVar = ("limit", "stop", "sync") * 2
     ADDRESSES: ClassVar = range(64)
@@ -28,9 +30,14 @@ class HctlHost:
     FOR_A_STAGE: ClassVar = ("moment",)
 
     flags: int = 0
+    drove: bool = False
 
     def written(self, address: int, value: int) -> HctlHost:
         """After a bus write."""
+        if address % 64 in (0x08, 0x09):
+            return replace(self, drove=True)
+        if address % 64 == 0x05 and value in (0, 1):  # to Init/Idle, which clears both ports
+            return replace(self, drove=False)
         bit = 1 << (value & 7)
         if address % 64 or bit == F1 or bit > F5:
             return self
@@ -66,7 +73,7 @@ class HctlHost:
         assert v["R07"] & LIMIT or pins["init"], "LIMIT ends every mode"
         assert pins["sign"] == bool(v["R09"] & 0x80)
         assert not pins["pulse"] or v["R09"]
-        if not pins["init"]:
+        if not pins["init"] and not self.drove:
             assert v["R08"] == chip.motor_command + 0x80
             assert v["R09"] == chip.motor_command & 0xFF
         count, rate = chip.shaft
@@ -97,6 +104,9 @@ class HctlHost:
         if was["R00"] & F0:
             self._check_trapezoid(was, now, before.seen["net"], chip.net())
         assert 0 <= now["R0F"] <= 255
+        if before.clocks >= LONGEST_SAMPLE and not was["R00"] & F1:
+            assert now["R08"] == chip.motor_command + 0x80
+            assert now["R09"] == chip.motor_command & 0xFF, "from its first sample on a mode drives both ports"
 
     @staticmethod
     def _check_trapezoid(was, now, start, end) -> None:

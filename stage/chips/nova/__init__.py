@@ -29,6 +29,7 @@ class Nova(Chip):
     BUSY: ClassVar = (0, 1)
     COUNTER: ClassVar = ("LP", 32)
     AXES: ClassVar = 4
+    IRQ: ClassVar = (-1, sum(state.COMMON_OUTPUTS.values()))
     VARIANT: ClassVar[int] = state.FIRST_GENERATION
     _ADDRESS_MASK: ClassVar = 31
 

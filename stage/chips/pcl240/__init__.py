@@ -19,6 +19,7 @@ class PCL240(Chip):
     CORE: ClassVar = core
     INPUTS: ClassVar = core.INPUTS
     OUTPUTS: ClassVar = core.OUTPUTS
+    IRQ: ClassVar = (0, core.OUTPUTS["irq"])
     DEFAULT_CLOCK_HZ: ClassVar = 4_915_200
     BUSY: ClassVar = (0, 0x40)
     COUNTER: ClassVar = ("R0", 24)

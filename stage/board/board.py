@@ -1,0 +1,311 @@
+"""`Board`: the chips of a stage behind the ports of a host's bus.
+
+    board = Board(Stage("xyz", chips=PCL240K))           one chip per 4 ports, from 300h on
+    board.out8(0x300, 0x11)                              a bus cycle; takes the stage's `bus_cycle`
+    board.in8(0x300)
+    board.delay_us(500)
+    print(board.trace)
+
+A port that reaches nothing reads as FFh, and is noted: `board.strays`. Firmware in C runs on the same board, see NativeHost.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from stage import host
+from stage.board import bus, layouts
+from stage.board.trace import BusTrace, Cycle, Meaning
+from stage.chips.late import LateLint
+from stage.compiled import announced
+from stage.errors import ArgumentError, StageError, unknown
+from stage.machine import Stage
+
+KEPT_CYCLES = 100_000
+MOST = 1 << 62
+UPCALL = ctypes.CFUNCTYPE(None, ctypes.c_int64)
+HOOK = ctypes.CFUNCTYPE(None, ctypes.c_void_p)
+
+
+class StormError(StageError):
+    """An interrupt hook does not clear the interrupt that calls it."""
+
+
+class Board:
+    """A bus with the chips of `stage` on it. One board a stage.
+
+    Args:
+        stage: a Stage.
+        layout: a name of stage.board.LAYOUTS or a Layout; default: what is usual for each chip.
+        base: the first port of the first chip, or a mapping axis -> first port of its chip; default: the layout's.
+        stride: ports from one chip to the next; default: the layout's.
+        keep_cycles: lines of the bus trace that are kept.
+    Raises:
+        ArgumentError: a layout that does not fit the chips, ports that overlap or do not exist.
+    """
+
+    def __init__(
+        self,
+        stage: Stage,
+        layout: str | layouts.Layout | None = None,
+        base: int | Mapping[str, int] | None = None,
+        stride: int | None = None,
+        *,
+        keep_cycles: int = KEPT_CYCLES,
+    ):
+        if not isinstance(stage, Stage):
+            raise ArgumentError(f"{stage!r} is no Stage: Board(Stage('xyz', chips=PCL240K)).")
+        if int(keep_cycles) != keep_cycles or not 1 <= keep_cycles <= 1 << 28:
+            raise ArgumentError(f"keep_cycles={keep_cycles!r}: a trace keeps 1 to {1 << 28} lines.")
+        self.stage = stage
+        chips = {stage.chips.index(axis.chip): axis.chip for axis in stage.axes.values()}
+        self.places = layouts.places(chips, layout, _by_chip(stage, base), stride)
+        self._first, self._ports = layouts.table(self.places)
+        self.trace = BusTrace(self, int(keep_cycles))
+        self.log: list[tuple[float, str]] = []
+        """Lines that the firmware noted: seconds, text."""
+        self._error: BaseException | None = None
+        self._stand_still: Callable[[], None] | None = None  # how a host in a thread of its own waits
+        self._hook: Any = None
+        self._call = UPCALL(self._called)
+        for chip in stage.chips:
+            if chip._late is None:
+                chip._late = LateLint(chip)
+        self._lay_out()
+        with announced("PulseStage: compiling the bus, once on this machine (about fifteen seconds) ..."):
+            self._request = bus.requests(host.kinds(stage))
+            self.interrupt  # noqa: B018: the first request loads what was compiled
+
+    # --- what a host does ---
+
+    def out8(self, port: int, value: int) -> None:
+        """One write cycle of 8 bits. Of a chip with a bus of 16 bits it sets half a register; the other half floats."""
+        self._ask(bus.OUT8, port, value)
+
+    def in8(self, port: int) -> int:
+        """One read cycle of 8 bits; FFh where there is nothing."""
+        return self._ask(bus.IN8, port, 0)
+
+    def out16(self, port: int, value: int) -> None:
+        """One write cycle of 16 bits; two of 8, the low byte first, at chips with a bus of 8 bits."""
+        self._ask(bus.OUT16, port, value)
+
+    def in16(self, port: int) -> int:
+        """One read cycle of 16 bits; two of 8, the low byte first, at chips with a bus of 8 bits."""
+        return self._ask(bus.IN16, port, 0)
+
+    def delay_us(self, us: int) -> None:
+        """Microseconds pass."""
+        self._ask(bus.DELAY, us, 0)
+
+    @property
+    def micros(self) -> int:
+        """Microseconds since power-up."""
+        return self.stage._now // 1000
+
+    @property
+    def interrupt(self) -> bool:
+        """Whether a chip pulls the interrupt line."""
+        return bool(self._ask(bus.LINE, 0, 0))
+
+    def on_interrupt(self, hook: Callable[[], None] | None) -> None:
+        """Call `hook` while the interrupt line is asserted: after a bus cycle, or within a delay at the very ns; again and
+        again until it is released, and not from within itself. It may make bus cycles. None: nobody is called."""
+        self._hook = None if hook is None else HOOK(lambda _: self._guarded(hook))
+        self._ask(bus.HOOK, 0 if hook is None else ctypes.cast(self._hook, ctypes.c_void_p).value, 0)
+
+    # --- what one looks at ---
+
+    @property
+    def cycles(self) -> int:
+        """Bus cycles since the board was made."""
+        return int(self._host["cycles"])
+
+    @property
+    def strays(self) -> list[Cycle]:
+        """The cycles of the trace that reached no chip, or half of a register only."""
+        return [cycle for cycle in self.trace if cycle.stray]
+
+    @property
+    def ports(self) -> dict[int, str]:
+        """What each port reaches, in words."""
+        names = {place.index: self._name(place.index) for place in self.places}
+        kinds = ("", "address {}", "address {}", "upper byte of address {}", "address latch", "data", "interrupts")
+        return {
+            self._first + n: f"{names[int(p['chip'])]} {kinds[int(p['kind'])].format(int(p['address']))}"
+            for n, p in enumerate(self._ports)
+            if p["kind"]
+        }
+
+    def __repr__(self) -> str:
+        lie = ", ".join(f"{self._name(p.index)} at {p.first:03X}h ({p.layout.name})" for p in self.places)
+        return f"<Board {lie}; {self.cycles:,} cycles>"
+
+    # --- inside ---
+
+    def _name(self, chip: int) -> str:
+        """The axes of a chip."""
+        return "".join(axis.name for axis in self.stage.axes.values() if axis.chip is self.stage.chips[chip])
+
+    def _lay_out(self) -> None:
+        """The HOST record, and the arrays that it points to."""
+        stage = self.stage
+        self._rows = np.zeros(1, bus.HOST)
+        self._host = h = self._rows.view(np.dtype([(n, bus.HOST[n]) for n in bus.HOST.names or ()]))[0]
+        given = host.handle(stage)
+        for name in host.HANDLE.names or ():
+            h[name] = given[name]
+        self._irqs = np.zeros(len(stage.chips), bus.IRQ)
+        self._acts = np.zeros(len(stage.chips), np.int64)
+        for k, chip in enumerate(stage.chips):
+            axis, bits = chip.IRQ
+            self._irqs[k] = (axis % (chip.AXES + 1), bits)
+            self._acts[k] = np.uint64(sum(1 << a for a in chip.READING_ACTS)).astype(np.int64)
+        words = stage.data.userdata[stage._offset :]
+        self._before = np.zeros(len(words))
+        for name, array in (
+            ("state", stage._state), ("edges", stage._edges), ("counts", stage._counts), ("ports", self._ports),
+            ("trace", self.trace._lines), ("irqs", self._irqs), ("acts", self._acts), ("userdata", words),
+            ("before", self._before),
+        ):  # fmt: skip
+            h[name] = array.ctypes.data
+        h["edge_room"], h["n_ports"], h["first"] = len(stage._edges), len(self._ports), self._first
+        h["trace_room"], h["words"] = self.trace.room, len(words)
+        h["until"] = h["most_cycles"] = MOST
+        h["journals"] = 1
+        h["call"] = ctypes.cast(self._call, ctypes.c_void_p).value
+
+    @property
+    def _traced(self) -> int:
+        return int(self._host["traced"])
+
+    def _teller(self, whole: bool) -> Meaning:
+        """Tells what a bus cycle means, those before it given. whole: from the first cycle on."""
+        listeners = {place.index: place.chip.listener() for place in self.places}
+        latches: dict[int, int] = {}
+        reached = {self._first + n: tuple(p) for n, p in enumerate(self._ports.tolist())}
+
+        def tell(port: int, value: int, writes: bool) -> str:
+            kind, chip, address, _ = reached.get(port, (bus.NOTHING, 0, 0, 0))
+            if kind == bus.NOTHING:
+                return "nothing is here"
+            if kind == bus.PULLS:
+                on = [self._name(k) for k in range(len(self.stage.chips)) if value >> k & 1]
+                return f"interrupts: {', '.join(on) or 'none'}"
+            name = f"{self._name(chip)}: "
+            if kind == bus.LATCH:
+                latches[port] = value
+                return name + (f"address latch = {value:02X}h" if writes else "the address latch cannot be read")
+            if kind == bus.LATCHED:
+                address = latches.get(port - 1, 0)
+            if kind == bus.HALF:
+                value = value << 8 | 0xFF
+            listener = listeners[chip]
+            return name + (listener.write(address, value) if writes else listener.read(address, value))
+
+        return tell
+
+    def _begin(self) -> None:
+        """Before compiled code runs: what it may have to write to, and whom it has to ask."""
+        stage, h = self.stage, self._host
+        asks = 0
+        for k, chip in enumerate(stage.chips):
+            if chip._glitches:
+                asks |= 1 << k
+        h["asks"] = asks
+        if (recording := stage._recording) is not None:
+            h["samples"], h["positions"] = recording.samples.ctypes.data, recording.positions.ctypes.data
+            h["room"], h["filled"] = len(recording.samples), recording.filled
+
+    def _end(self) -> None:
+        """After compiled code has run: what it noted goes to journals and recording."""
+        stage, h = self.stage, self._host
+        if n := int(h["noted"]):
+            h["noted"] = 0
+            stage._note_edges(n)
+            for chip in stage.chips:
+                chip._late.tidy()
+        if (recording := stage._recording) is not None:
+            recording.take(int(h["filled"]))
+            h["filled"] = recording.filled
+
+    def _ask(self, what: int, a: int, b: int) -> int:
+        """One request of a host in Python."""
+        self._begin()
+        answer = int(self._request(self._rows.ctypes.data, what, int(a), int(b)))
+        self._end()
+        self._raise()
+        return answer
+
+    def _raise(self) -> None:
+        """Raise what went wrong below compiled code."""
+        if self._error is not None:
+            error, self._error = self._error, None
+            self._host["stopped"] = 0
+            raise error
+
+    def _called(self, reason: int) -> None:
+        """Compiled code calls, see stage.board.bus."""
+        try:
+            self._end()
+            if reason == bus.DIVERGED:
+                self._diverged()
+            elif reason == bus.STORM:
+                raise StormError(
+                    f"the interrupt hook was called {bus.STORM_CALLS:,} times in a row at {self.stage.time:.6f} s and the line is "
+                    f"still asserted: the hook has to clear the interrupt at its chip.\n{self.trace.text(8)}"
+                )
+            elif reason == bus.LINE_OF_LOG:
+                self.note(ctypes.string_at(int(self._host["asked"])).decode(errors="replace"))
+            elif reason == bus.ASKED_WRITE:
+                h = self._host
+                chip = self.stage.chips[int(h["asked_chip"])]
+                h["asked"] = chip._loses(int(h["asked_address"]), int(h["asked"]))
+            self._begin()
+        except BaseException as error:
+            self._fail(error)
+        if self._stand_still is not None and (reason == bus.PAUSE or self._host["stopped"]):
+            self._stand_still()
+
+    def _diverged(self) -> None:
+        stage, recording = self.stage, self.stage._recording
+        samples, positions, filled = stage._no_samples, stage._no_positions, 0
+        if recording is not None:
+            samples, positions, filled = recording.samples, recording.positions, recording.filled
+        error = stage._undo_divergence(samples, positions, filled)
+        self._host["noted"], self._host["filled"] = stage._counts[1], stage._counts[0]
+        self._end()
+        raise error
+
+    def _fail(self, error: BaseException) -> None:
+        """Nothing more happens on this bus until somebody was told."""
+        self._host["stopped"] = 1
+        if self._error is None:
+            self._error = error
+
+    def note(self, text: str) -> None:
+        """A line for the log, now."""
+        self.log.append((self.stage.time, text))
+
+    def _guarded(self, hook: Callable[[], None]) -> None:
+        try:
+            hook()
+        except BaseException as error:
+            self._fail(error)
+
+
+def _by_chip(stage: Stage, base: int | Mapping[str, int] | None) -> Any:
+    if not isinstance(base, Mapping):
+        return base
+    for name in base:
+        if name not in stage.axes:
+            raise unknown("axis", name, stage.axes)
+    found = {stage.axes[name].chip: port for name, port in base.items()}
+    for axis in stage.axes.values():
+        if axis.chip not in found:
+            raise ArgumentError(f"base={dict(base)!r}: the chip of axis {axis.name} has no first port.")
+    return found

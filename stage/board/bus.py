@@ -1,0 +1,440 @@
+"""One bus cycle of a host, compiled: time passes, the interrupt line is looked at, the chip answers, the trace notes it.
+
+A host, in C or in Python, says everything through one function, `request(host, what, a, b)`; it lies behind a pointer that C calls.
+`host` is the address of a HOST record. Where compiled code cannot go on by itself (a buffer is full, the firmware is to stand
+still), it calls back, with one of the reasons below, and Python sees to it.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from functools import cache
+from typing import Any
+
+import mujoco
+import numba
+import numpy as np
+from llvmlite import ir
+from numba.core import types
+from numba.extending import intrinsic
+
+from stage import engine, host
+from stage.chips import cores
+from stage.chips.entries import LOST, READ, WRITE
+from stage.compiled import COMPILED, greatest, hot, kept, least, record
+
+STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
+IN8, OUT8, IN16, OUT16, DELAY, MICROS, LOG, HOOK, LINE = range(9)
+"""What a host asks: port cycles (a: port, b: value), a delay (a: us), the time (us), to note a line (a: its address), to call a
+function (a: its address) with an argument (b) while the interrupt line is asserted, whether it is."""
+FULL, DIVERGED, PAUSE, STORM, LINE_OF_LOG, ASKED_WRITE = range(1, 7)
+"""Why Python is called: buffers are full; the physics has diverged; time or cycles are up; an interrupt that nothing clears; a
+line to note; a write that Python makes, since a fault of the bus looks at each."""
+STORM_CALLS = 1000
+
+NOTHING, BYTE, WORD, HALF, LATCH, LATCHED, PULLS = range(7)
+PORT = record([(name, "i8") for name in "kind chip address seen".split()])
+"""What a port reaches. BYTE, WORD: an address of a chip of 8, 16 bits; HALF: the upper byte of the WORD one below; LATCH: takes the
+address for LATCHED; PULLS: which chips pull the interrupt line, a bit each. `seen`: number of the trace's line about its last read, plus one."""
+
+IN, OUT, IN_WIDE, OUT_WIDE, CALLED, RETURNED = range(6)
+STRAY = 8
+CYCLE = record([(name, "i8") for name in "first last count kind port value".split()])
+"""A line of the trace: when (ns) the cycle ended; the last of `count` that were alike, with no write between; kind, | STRAY if it
+hit nothing, or only half of what is there."""
+
+HOST = record(
+    [(name, *host.HANDLE.fields[name][:1]) for name in host.HANDLE.names or ()]
+    + [(name, "i8") for name in "state samples positions room filled edges edge_room noted counts".split()]
+    + [(name, "i8") for name in "ports first n_ports trace trace_room traced changed".split()]
+    + [(name, "i8") for name in "until cycles most_cycles stopped call hook argument serving pulling".split()]
+    + [(name, "i8") for name in "irqs acts before userdata words journals asks asked_chip asked_address asked".split()]
+)
+"""A stage's handle, and: its state as saved for `SimulationError`; the buffers of recording and journals; the table of ports; the
+trace, a ring, and the number of its line after which something was last written; when (ns) and after how many cycles to call
+Python, and whether to do nothing more; the addresses of the call back, of the interrupt hook and its argument, and whether it is
+being called; IRQ of each chip, and at which addresses (bits) a read changes it; a copy of the state in userdata, and where and how long
+(words) that is; whether journals are kept; chips (bits) whose writes Python makes; what Python is called about."""
+
+IRQ = record([("axis", "i8"), ("bits", "i8")])
+"""Of each chip: the outputs that pull the interrupt line (0: none), and as which axis' they are asked for."""
+WHOLE = np.dtype("i8")
+
+
+if COMPILED:
+    mj_get_state: Any = types.ExternalFunction(
+        "mj_getState", types.void(types.intp, types.intp, types.intp, types.int32)
+    )
+
+    @intrinsic
+    def _call(context, address, argument):
+        def build(context, builder, signature, given):
+            kind = ir.FunctionType(ir.VoidType(), [ir.IntType(64)])
+            builder.call(builder.inttoptr(given[0], kind.as_pointer()), [given[1]])
+            return context.get_dummy_value()
+
+        return types.void(types.int64, types.int64), build
+else:
+    mj_get_state = ctypes.CDLL(engine._LIBRARY).mj_getState
+    mj_get_state.argtypes = (ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int)
+    mj_get_state.restype = None
+
+    def _call(address, argument):  # type: ignore[misc]
+        ctypes.CFUNCTYPE(None, ctypes.c_int64)(int(address))(int(argument))
+
+
+@hot
+def _at(address, n, dtype):
+    """The array of `n` records or numbers at an address."""
+    return numba.carray(host._pointer(address), (n,), dtype)
+
+
+@hot
+def _ask(h, reason):
+    """Call Python about `reason`."""
+    _call(h.call, reason)
+
+
+@hot
+def _run(h, arrays, until):
+    """Let the stage's time pass up to `until` ns; journals and recordings take part."""
+    world_, axes, chips, drives, switches, table, switch_table, wiring, clockwork, qpos, qvel, ctrl, sensordata = arrays
+    world = world_[0]
+    while world.now < until and not h.stopped:
+        if world.start + clockwork[0].dt <= until:  # only physics can diverge
+            mj_get_state(int(h.mj_model), int(h.mj_data), int(h.state), STATE)
+        filled, noted = h.filled, h.noted
+        counts = _at(h.counts, 2, WHOLE)
+        samples = numba.carray(host._pointer(h.samples), (h.room, h.n_axes), engine.SAMPLE)
+        positions = numba.carray(host._pointer(h.positions), (h.room, h.nq), host.REAL)
+        status = engine.run(
+            int(h.mj_model), int(h.mj_data), world_, axes, chips, drives, switches, table, switch_table, wiring, clockwork,
+            qpos, qvel, ctrl, sensordata, until, samples, positions, h.filled, _at(h.edges, h.edge_room, engine.EDGE), h.noted,
+            counts,
+        )  # fmt: skip
+        h.filled, h.noted = counts[0], counts[1]
+        if status == engine.DIVERGED:
+            h.filled, h.noted = filled, noted
+            _ask(h, DIVERGED)
+        elif status != engine.REACHED:
+            _ask(h, FULL)
+
+
+@hot
+def _pass(h, arrays, ns):
+    """`ns` pass; where the firmware is to stand still on the way, it does."""
+    world, left = arrays[0][0], ns
+    while left > 0 and not h.stopped:
+        if world.now >= h.until:
+            _ask(h, PAUSE)
+            continue
+        end = least(world.now + left, h.until)
+        left -= end - world.now
+        _run(h, arrays, end)
+
+
+@hot
+def _look_at_lines(rows, first, h):
+    irqs = _at(h.irqs, int(h.n_wired), IRQ)
+    for i in range(len(rows)):
+        irq = irqs[first + i]
+        if irq.bits and cores.outputs(rows[i], irq.axis) & irq.bits:
+            h.pulling |= 1 << first + i
+    return 0
+
+
+_look_at_all_lines = cores.over_families(_look_at_lines)
+
+
+@hot
+def _line(h, arrays):
+    """The chips that pull the interrupt line, a bit each."""
+    h.pulling = 0
+    _look_at_all_lines(arrays[2], h)
+    return h.pulling
+
+
+@hot
+def _serve(h, arrays):
+    """The line is looked at: while it is asserted, the firmware's hook is called."""
+    if h.hook == 0 or h.serving:
+        return
+    calls = 0
+    while _line(h, arrays) and h.hook and not h.stopped:
+        if calls == STORM_CALLS:
+            _ask(h, STORM)
+        calls += 1
+        _note(h, arrays, CALLED, 0, 0, -1)
+        h.serving = 1
+        _call(h.hook, h.argument)
+        h.serving = 0
+        _note(h, arrays, RETURNED, 0, 0, -1)
+
+
+@hot
+def _copy(source, target, words):
+    a, b = _at(source, words, WHOLE), _at(target, words, WHOLE)
+    for k in range(words):
+        b[k] = a[k]
+
+
+@hot
+def _wait(h, arrays, ns):
+    """`ns` pass in a delay; an interrupt comes at the ns at which the line is asserted. What its hook takes is part of the
+    delay."""
+    world, dt = arrays[0][0], arrays[8][0].dt
+    end = world.now + ns
+    while world.now < end and not h.stopped:
+        if h.hook == 0 or h.serving:
+            _pass(h, arrays, end - world.now)
+            return
+        if world.now >= h.until:
+            _ask(h, PAUSE)
+            continue
+        stop = least(least(end, h.until), world.start + dt)
+        inside = stop - 1 if stop == world.start + dt else stop  # where no physics has come between, time can be taken back
+        begin, noted = world.now, h.noted
+        _copy(h.userdata, h.before, h.words)
+        _run(h, arrays, inside)
+        if _line(h, arrays):
+            low, high = begin, inside  # off at `low`, asserted at `high`
+            while high - low > 1:
+                middle = (low + high) // 2
+                _copy(h.before, h.userdata, h.words)
+                h.noted = noted
+                _run(h, arrays, middle)
+                if _line(h, arrays):
+                    high = middle
+                else:
+                    low = middle
+            _copy(h.before, h.userdata, h.words)
+            h.noted = noted
+            _run(h, arrays, high)
+        else:
+            _run(h, arrays, stop)
+        _serve(h, arrays)
+
+
+@hot
+def _note(h, arrays, kind, port, value, seen):
+    """A line of the trace about the cycle that has just ended. seen: the last line about a read of this port that may say
+    it all, or -1. Returns the line's number."""
+    if h.stopped:
+        return -1
+    now, lines = arrays[0][0].now, _at(h.trace, h.trace_room, CYCLE)
+    if seen >= h.changed and h.traced - seen <= h.trace_room:
+        line = lines[seen % h.trace_room]
+        if line.value == value and line.kind == kind and line.port == port:
+            line.last, line.count = now, line.count + 1
+            return seen
+    line = lines[h.traced % h.trace_room]
+    line.first, line.last, line.count, line.kind, line.port, line.value = now, now, 1, kind, port, value
+    h.traced += 1
+    if kind != IN and kind != IN_WIDE and kind != IN | STRAY and kind != IN_WIDE | STRAY:
+        h.changed = h.traced
+    return h.traced - 1
+
+
+@hot
+def _journal(h, arrays, kind, chip, address, value):
+    """What a cycle did to a chip, for its journal, in the order of the switches' edges."""
+    if h.noted >= h.edge_room:
+        _ask(h, FULL)
+    e = _at(h.edges, h.edge_room, engine.EDGE)[h.noted]
+    e.now, e.clock, e.axis = arrays[0][0].now, _clock(arrays[2], chip), arrays[7][chip].axis[0]
+    e.kind, e.a, e.b = kind, address, value
+    h.noted += 1
+
+
+@hot
+def _clock_in(rows, first, chip):
+    if first <= chip < first + len(rows):
+        return rows[chip - first].clock
+    return 0
+
+
+_clock = cores.over_families(_clock_in)
+
+
+@hot
+def _lost(h, chip, address, value):
+    """1 if a fault of the bus keeps this write from its chip."""
+    if h.asks >> chip & 1 == 0:
+        return 0
+    h.asked_chip, h.asked_address, h.asked = chip, address, value
+    _ask(h, ASKED_WRITE)
+    return h.asked
+
+
+@hot
+def _write(h, arrays, lost, chip, address, value):
+    """A write cycle reaches a chip, or does not."""
+    if h.stopped:
+        return
+    if not lost:
+        host._write(arrays[2], chip, address, value)
+    if h.journals:
+        _journal(h, arrays, LOST if lost else WRITE, chip, address, value)
+
+
+@hot
+def _read(h, arrays, chip, address):
+    """A read cycle reaches a chip."""
+    if h.stopped:
+        return 0xFFFF
+    value = host._read(arrays[2], chip, address)
+    if h.journals and _at(h.acts, h.n_wired, WHOLE)[chip] >> address & 1:
+        _journal(h, arrays, READ, chip, address, value)
+    return value
+
+
+@hot
+def _cycle(h, arrays):
+    """The time of one bus cycle."""
+    if h.cycles >= h.most_cycles:
+        _ask(h, PAUSE)
+    h.cycles += 1
+    _pass(h, arrays, h.bus)
+
+
+@hot
+def _kind(h, port):
+    p = port - h.first
+    return _at(h.ports, h.n_ports, PORT)[p].kind if 0 <= p < h.n_ports else NOTHING
+
+
+@hot
+def _in8(h, arrays, port):
+    _cycle(h, arrays)
+    kind, value, ports = _kind(h, port), 0xFF, _at(h.ports, h.n_ports, PORT)
+    if kind == NOTHING or kind == LATCH:
+        _note(h, arrays, IN | STRAY, port, value, h.traced - 1)
+    else:
+        p = ports[port - h.first]
+        if kind == LATCHED:
+            value = _read(h, arrays, p.chip, ports[p.address].address)
+        elif kind == PULLS:
+            value = _line(h, arrays)
+        elif kind == HALF:
+            value = _read(h, arrays, p.chip, p.address) >> 8
+        else:
+            value = _read(h, arrays, p.chip, p.address) & 0xFF
+        p.seen = _note(h, arrays, IN, port, value, p.seen - 1) + 1
+    _serve(h, arrays)
+    return value
+
+
+@hot
+def _out8(h, arrays, port, value):
+    kind, ports = _kind(h, port), _at(h.ports, h.n_ports, PORT)
+    if kind == NOTHING or kind == LATCH or kind == PULLS:
+        _cycle(h, arrays)
+        if kind == LATCH:
+            ports[port - h.first].address = value
+        _note(h, arrays, OUT if kind == LATCH else OUT | STRAY, port, value, -1)
+    else:
+        p = ports[port - h.first]
+        address, word = p.address, value
+        if kind == LATCHED:
+            address = ports[address].address
+        elif kind == WORD:  # the other half of the bus floats
+            word = value | 0xFF00
+        elif kind == HALF:
+            word = value << 8 | 0xFF
+        lost = _lost(h, p.chip, address, word)
+        _cycle(h, arrays)
+        _write(h, arrays, lost, p.chip, address, word)
+        _note(h, arrays, OUT | STRAY if kind == WORD or kind == HALF else OUT, port, value, -1)
+    _serve(h, arrays)
+
+
+@hot
+def _in16(h, arrays, port):
+    kind = _kind(h, port)
+    if kind != WORD and kind != NOTHING:  # the bus makes two cycles of it
+        low = _in8(h, arrays, port)
+        return _in8(h, arrays, port + 1) << 8 | low
+    _cycle(h, arrays)
+    value = 0xFFFF
+    if kind == WORD:
+        p = _at(h.ports, h.n_ports, PORT)[port - h.first]
+        value = _read(h, arrays, p.chip, p.address)
+        p.seen = _note(h, arrays, IN_WIDE, port, value, p.seen - 1) + 1
+    else:
+        _note(h, arrays, IN_WIDE | STRAY, port, value, h.traced - 1)
+    _serve(h, arrays)
+    return value
+
+
+@hot
+def _out16(h, arrays, port, value):
+    kind = _kind(h, port)
+    if kind != WORD and kind != NOTHING:
+        _out8(h, arrays, port, value & 0xFF)
+        _out8(h, arrays, port + 1, value >> 8)
+        return
+    if kind == WORD:
+        p = _at(h.ports, h.n_ports, PORT)[port - h.first]
+        lost = _lost(h, p.chip, p.address, value)
+        _cycle(h, arrays)
+        _write(h, arrays, lost, p.chip, p.address, value)
+    else:
+        _cycle(h, arrays)
+    _note(h, arrays, OUT_WIDE if kind == WORD else OUT_WIDE | STRAY, port, value, -1)
+    _serve(h, arrays)
+
+
+@hot
+def _answer(h, kinds, what, a, b):
+    """What a host asks, see IN8."""
+    if h.stopped:
+        _ask(h, PAUSE)
+        return -1
+    arrays = host._arrays(h, kinds)
+    if what == IN8:
+        return _in8(h, arrays, a & 0xFFFFFFFF)
+    if what == OUT8:
+        _out8(h, arrays, a & 0xFFFFFFFF, b & 0xFF)
+    elif what == IN16:
+        return _in16(h, arrays, a & 0xFFFFFFFF)
+    elif what == OUT16:
+        _out16(h, arrays, a & 0xFFFFFFFF, b & 0xFFFF)
+    elif what == DELAY:
+        _wait(h, arrays, greatest(a, 0) * 1000)
+    elif what == MICROS:
+        return arrays[0][0].now // 1000
+    elif what == LOG:
+        h.asked = a
+        _ask(h, LINE_OF_LOG)
+    elif what == HOOK:
+        h.hook, h.argument = a, b
+        _serve(h, arrays)
+    elif what == LINE:
+        return 1 if _line(h, arrays) else 0
+    return 0
+
+
+REQUEST = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_void_p, ctypes.c_int32, ctypes.c_int64, ctypes.c_int64)
+"""int64_t request(void *host, int32_t what, int64_t a, int64_t b): the type of what `requests` gives."""
+
+
+def requests(kinds: tuple[np.ndarray, ...]) -> Any:
+    """The function that hosts call, for boards with such families of chips, see `host.kinds`; a REQUEST."""
+    return _requests(tuple(k.dtype for k in kinds))
+
+
+@cache
+def _requests(dtypes: tuple[np.dtype, ...]) -> Any:
+    kinds = tuple(np.zeros(0, dtype) for dtype in dtypes)
+
+    def request(address, what, a, b):
+        return _answer(numba.carray(host._pointer(address), (1,), HOST)[0], kinds, what, a, b)
+
+    if not COMPILED:
+        return REQUEST(lambda address, what, a, b: int(request(address, what, a, b)))
+    with kept():
+        signature = types.int64(types.int64, types.int32, types.int64, types.int64)
+        made = numba.cfunc(signature, cache=True, error_model="numpy")(request)
+    found = REQUEST(made.address)
+    found.made = made  # type: ignore[attr-defined]
+    return found

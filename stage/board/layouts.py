@@ -1,0 +1,123 @@
+"""Which port of a host's bus reaches which address of which chip: layouts as data.
+
+Chips stand one after the other from a base on, each as many ports as its layout has; a card may add ports of its own behind them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from stage.board.bus import BYTE, HALF, LATCH, LATCHED, PORT, PULLS, WORD
+from stage.chips import Chip
+from stage.chips.hctl1100 import HCTL1100
+from stage.chips.nova import BYTES, MCX514, Nova
+from stage.chips.pcl240 import PCL240
+from stage.errors import ArgumentError, unknown
+
+MOST_PORTS = 1 << 16
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How one kind of chip lies on the bus.
+
+    ports: of each port of a chip, what it reaches: (kind, address), see stage.board.bus. stride: ports from one chip to the next.
+    own: ports of the card itself, behind room for `chips` chips. evidence: S data sheet, I inferred (a card's choice).
+    """
+
+    name: str
+    title: str
+    kind: type[Chip]
+    ports: tuple[tuple[int, int], ...]
+    stride: int
+    base: int = 0x300
+    own: tuple[tuple[int, int], ...] = ()
+    chips: int = 0
+    evidence: str = "S"
+
+
+_FOUR = tuple((BYTE, a) for a in range(4))
+_WORDS = tuple((WORD if n % 2 == 0 else HALF, n // 2) for n in range(16))
+LAYOUTS: dict[str, Layout] = {
+    x.name: x
+    for x in (
+        Layout("pcl240", "one chip per 4 ports: command or status, then the data bytes", PCL240, _FOUR, 4),
+        Layout(
+            "pcl240-card", "three chips, and at +12 which of them pull the interrupt line (bits 0 to 2)", PCL240, _FOUR, 4, 0x340,
+            ((PULLS, 0),), 3, "I",
+        ),
+        Layout("nova", "16-bit bus: WRn, RRn at +2n", Nova, _WORDS, 16),
+        Layout("nova-8bit", "8-bit bus of the MCX514: low byte of WRn, RRn at +2n, high byte at +2n+1", MCX514,
+               tuple((BYTE, BYTES | n) for n in range(16)), 16),
+        Layout("hctl1100", "address latch at +0, data at +1", HCTL1100, ((LATCH, 0), (LATCHED, 0)), 2, evidence="I"),
+    )
+}  # fmt: skip
+
+
+def usual(chip: Chip) -> Layout:
+    """The layout that a chip has where none is asked for."""
+    return next(x for x in LAYOUTS.values() if isinstance(chip, x.kind))
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a chip lies on a bus. index: of the stage's chips."""
+
+    chip: Chip
+    index: int
+    layout: Layout
+    first: int
+
+
+def places(
+    chips: Mapping[int, Chip], layout: str | Layout | None, base: int | Mapping[Chip, int] | None, stride: int | None
+) -> list[Place]:
+    """Where each of a stage's chips (by index, in their order on the bus) lies. Raises ArgumentError for a layout that does not fit, or ports that do not exist."""
+    if isinstance(layout, str):
+        if layout not in LAYOUTS:
+            raise unknown("layout", layout, LAYOUTS)
+        layout = LAYOUTS[layout]
+    found: list[Place] = []
+    at = None if isinstance(base, Mapping) else base
+    for k, chip in chips.items():
+        own = layout or usual(chip)
+        if not isinstance(chip, own.kind):
+            raise ArgumentError(
+                f"layout {own.name}: it is for a {own.kind.__name__}, and this stage has a {type(chip).__name__}. Layouts for "
+                f"that: {', '.join(x.name for x in LAYOUTS.values() if isinstance(chip, x.kind))}."
+            )
+        if own.chips and len(chips) > own.chips:
+            raise ArgumentError(f"layout {own.name}: it has room for {own.chips} chips, and this stage has {len(chips)}.")
+        first = base[chip] if isinstance(base, Mapping) else own.base if at is None else at
+        if not 0 <= first <= MOST_PORTS - len(own.ports):
+            raise ArgumentError(f"base={first!r}: ports are 0 to {MOST_PORTS - 1:X}h.")
+        found.append(Place(chip, k, own, int(first)))
+        at = first + (own.stride if stride is None else stride)
+    return found
+
+
+def table(found: list[Place]) -> tuple[int, np.ndarray]:
+    """The first port of a bus, and PORT records from there on. Raises ArgumentError where two things share a port."""
+    lines: dict[int, tuple[int, int, int]] = {}
+
+    def put(port: int, kind: int, chip: int, address: int) -> None:
+        if port in lines:
+            raise ArgumentError(f"port {port:03X}h would reach two things: choose another base or a stride of more ports.")
+        lines[port] = (kind, chip, address)
+
+    for place in found:
+        for n, (kind, address) in enumerate(place.layout.ports):
+            put(place.first + n, kind, place.index, address)
+    if found and (own := found[0].layout).own:
+        for n, (kind, address) in enumerate(own.own):
+            put(found[0].first + own.stride * own.chips + n, kind, 0, address)
+    first = min(lines)
+    ports = np.zeros(max(lines) - first + 1, PORT)
+    for port, line in lines.items():
+        ports[port - first] = (*line, 0)
+    for k in np.flatnonzero(ports["kind"] == LATCHED):  # the latch is the port before
+        ports[k].address = k - 1
+    return first, ports

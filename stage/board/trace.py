@@ -1,0 +1,104 @@
+"""The bus trace: what a host read and wrote, when, and what it means.
+
+        0.001204000  304h W 11h    y: start, constant FH1
+        0.001205000  300h R 40h    x: operating                          31,204 times until 0.412377000
+
+Reads that give again what the last read of that port gave, with no write in between, are one line with a count.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from stage.board import bus
+
+if TYPE_CHECKING:
+    from stage.board.board import Board
+
+
+class Cycle(NamedTuple):
+    """Equal bus cycles of one port. seconds, until: when the first and the last of them ended; width: bits; stray: no chip was
+    reached, or half of a register only. port is None where the interrupt hook was called ("I") or returned ("i")."""
+
+    seconds: float
+    until: float
+    count: int
+    way: str
+    port: int | None
+    value: int
+    width: int
+    stray: bool
+    meaning: str
+
+    def __str__(self) -> str:
+        if self.port is None:
+            return f"{self.seconds:17.9f}  {self.meaning}"
+        value = f"{self.value:0{self.width // 4}X}h"
+        again = f"{self.count:,} times until {self.until:.9f}" if self.count > 1 else ""
+        return f"{self.seconds:17.9f}  {self.port:03X}h {self.way} {value:5}  {self.meaning:56}  {again}".rstrip()
+
+
+Meaning = Callable[[int, int, bool], str]
+
+
+class BusTrace:
+    """The last cycles of a board, oldest first; iterate for `Cycle`s, print for text.
+
+    room: how many lines are kept. dropped: lines before these.
+    """
+
+    def __init__(self, board: Board, room: int):
+        self._board = board
+        self._lines = np.zeros(room, bus.CYCLE)
+        self.room = room
+
+    def lines(self) -> np.ndarray:
+        """The lines kept, as CYCLE records."""
+        n = self._board._traced
+        if n <= self.room:
+            return self._lines[:n].copy()
+        return np.roll(self._lines, -(n % self.room))
+
+    @property
+    def dropped(self) -> int:
+        return max(0, self._board._traced - self.room)
+
+    def __len__(self) -> int:
+        return min(self._board._traced, self.room)
+
+    def __iter__(self) -> Iterator[Cycle]:
+        return self.last(len(self))
+
+    def last(self, n: int) -> Iterator[Cycle]:
+        """The last `n` lines. What they mean is told from all that are kept."""
+        lines = self.lines()
+        first = len(lines) - n
+        tell = self._board._teller(self.dropped == 0)
+        for k, line in enumerate(lines.tolist()):
+            at, until, count, kind, port, value = line
+            stray, kind = bool(kind & bus.STRAY), kind & ~bus.STRAY
+            if kind in (bus.CALLED, bus.RETURNED):
+                if k >= first:
+                    text = "interrupt: the hook is called" if kind == bus.CALLED else "interrupt: the hook returns"
+                    yield Cycle(at * 1e-9, at * 1e-9, 1, "Ii"[kind - bus.CALLED], None, 0, 0, False, text)
+                continue
+            writes, wide = kind in (bus.OUT, bus.OUT_WIDE), kind in (bus.IN_WIDE, bus.OUT_WIDE)
+            meaning = tell(port, value, writes)
+            if k >= first:
+                yield Cycle(
+                    at * 1e-9, until * 1e-9, count, "W" if writes else "R", port, value, 16 if wide else 8, stray, meaning
+                )
+
+    def text(self, n: int | None = None) -> str:
+        """The last `n` lines (default: all) as text."""
+        shown = len(self) if n is None else min(n, len(self))
+        head = [f"{'seconds':>17}  port R/W value  meaning"]
+        if len(self) + self.dropped > shown:
+            head.append(f"{'':17}  ... {len(self) + self.dropped - shown:,} lines before")
+        return "\n".join([*head, *map(str, self.last(shown))])
+
+    def __str__(self) -> str:
+        return self.text()

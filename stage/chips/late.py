@@ -1,0 +1,45 @@
+"""The lint of a chip whose bus cycles compiled code makes: its journal is read when somebody looks at the diagnostics."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stage.chips.entries import WRITE
+
+if TYPE_CHECKING:
+    from stage.chips.chip import Chip
+
+MOST_ENTRIES = 1 << 17
+
+
+class LateLint:
+    """Notes all that acts on `chip` from now on. `settle` says what a data-sheet reader would have said at each write."""
+
+    def __init__(self, chip: Chip):
+        self._chip = chip
+        self._journal = chip.journal()
+
+    def tidy(self) -> None:
+        """Settle if there is much to settle, so that the journal does not grow for ever."""
+        if len(self._journal.entries) > MOST_ENTRIES:
+            self.settle()
+
+    def settle(self) -> None:
+        """Live through the journal again and begin a new one."""
+        chip, journal = self._chip, self._journal
+        entries = journal.entries
+        if not len(entries) and journal.until == chip.clock == int(journal.start["clock"]):
+            return
+        if (entries.packed()["kind"] == WRITE).any():
+            twin = type(chip)(**chip.options())
+            twin._hold(np.frombuffer(bytearray(journal._start), chip.CORE.STATE), 0)
+            for entry in entries:
+                chip.CORE.advance(twin._rows, 0, entry.clock)
+                if entry.kind == WRITE:
+                    said = twin._lint(entry.a, entry.b)
+                    if said:
+                        chip._say(entry.clock, entry.a, entry.b, *said)
+                entry.apply(chip.CORE, twin._rows)
+        journal.restart()
