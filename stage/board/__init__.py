@@ -2,6 +2,11 @@
 
 from stage.board.board import Board, StormError
 from stage.board.layouts import LAYOUTS, Layout
+from stage.board.library import CompileError, LibraryError, NoCompilerError, build, include
+from stage.board.native import HostError, HostTimeout, NativeHost, Result
 from stage.board.trace import BusTrace, Cycle
 
-__all__ = ["LAYOUTS", "Board", "BusTrace", "Cycle", "Layout", "StormError"]
+__all__ = [
+    "LAYOUTS", "Board", "BusTrace", "CompileError", "Cycle", "HostError", "HostTimeout", "Layout", "LibraryError", "NativeHost",
+    "NoCompilerError", "Result", "StormError", "build", "include",
+]  # fmt: skip

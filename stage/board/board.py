@@ -12,12 +12,13 @@ A port that reaches nothing reads as FFh, and is noted: `board.strays`. Firmware
 from __future__ import annotations
 
 import ctypes
+import threading
 from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
-from stage import host
+from stage import engine, host
 from stage.board import bus, layouts
 from stage.board.trace import BusTrace, Cycle, Meaning
 from stage.chips.late import LateLint
@@ -26,6 +27,7 @@ from stage.errors import ArgumentError, StageError, unknown
 from stage.machine import Stage
 
 KEPT_CYCLES = 100_000
+NOTED = 1 << 14  # edges and writes between two calls of Python
 MOST = 1 << 62
 UPCALL = ctypes.CFUNCTYPE(None, ctypes.c_int64)
 HOOK = ctypes.CFUNCTYPE(None, ctypes.c_void_p)
@@ -69,6 +71,9 @@ class Board:
         self.log: list[tuple[float, str]] = []
         """Lines that the firmware noted: seconds, text."""
         self._error: BaseException | None = None
+        self._driver: Any = None  # the firmware that has begun and not returned
+        self._abandoned: set[int] = set()
+        self._left: list[np.ndarray] = []
         self._stand_still: Callable[[], None] | None = None  # how a host in a thread of its own waits
         self._hook: Any = None
         self._call = UPCALL(self._called)
@@ -154,8 +159,10 @@ class Board:
     def _lay_out(self) -> None:
         """The HOST record, and the arrays that it points to."""
         stage = self.stage
-        self._rows = np.zeros(1, bus.HOST)
-        self._host = h = self._rows.view(np.dtype([(n, bus.HOST[n]) for n in bus.HOST.names or ()]))[0]
+        if len(stage._edges) < NOTED:
+            stage._edges = np.zeros(NOTED, engine.EDGE)
+        self._take(np.zeros(1, bus.HOST))
+        h = self._host
         given = host.handle(stage)
         for name in host.HANDLE.names or ():
             h[name] = given[name]
@@ -250,6 +257,8 @@ class Board:
 
     def _called(self, reason: int) -> None:
         """Compiled code calls, see stage.board.bus."""
+        if threading.get_ident() in self._abandoned:
+            threading.Event().wait()
         try:
             self._end()
             if reason == bus.DIVERGED:
@@ -286,6 +295,19 @@ class Board:
         self._host["stopped"] = 1
         if self._error is None:
             self._error = error
+
+    def _abandon(self, thread: threading.Thread) -> None:
+        """A firmware's thread, which may still run, never reaches this board again: it has a HOST record that is stopped, and
+        the board goes on with a copy."""
+        self._abandoned.add(thread.ident or 0)
+        self._host["stopped"] = 1
+        self._left.append(self._rows)
+        self._take(self._rows.copy())
+        self._host["stopped"] = self._host["hook"] = self._host["serving"] = 0
+
+    def _take(self, rows: np.ndarray) -> None:
+        self._rows = rows
+        self._host = rows.view(np.dtype([(n, bus.HOST[n]) for n in bus.HOST.names or ()]))[0]
 
     def note(self, text: str) -> None:
         """A line for the log, now."""

@@ -24,9 +24,9 @@ from stage.chips.entries import LOST, READ, WRITE
 from stage.compiled import COMPILED, greatest, hot, kept, least, record
 
 STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
-IN8, OUT8, IN16, OUT16, DELAY, MICROS, LOG, HOOK, LINE = range(9)
+IN8, OUT8, IN16, OUT16, DELAY, MICROS, LOG, HOOK, LINE, SETTLE = range(10)
 """What a host asks: port cycles (a: port, b: value), a delay (a: us), the time (us), to note a line (a: its address), to call a
-function (a: its address) with an argument (b) while the interrupt line is asserted, whether it is."""
+function (a: its address) with an argument (b) while the interrupt line is asserted, whether it is, that the stage catches up."""
 FULL, DIVERGED, PAUSE, STORM, LINE_OF_LOG, ASKED_WRITE = range(1, 7)
 """Why Python is called: buffers are full; the physics has diverged; time or cycles are up; an interrupt that nothing clears; a
 line to note; a write that Python makes, since a fault of the bus looks at each."""
@@ -47,12 +47,16 @@ HOST = record(
     [(name, *host.HANDLE.fields[name][:1]) for name in host.HANDLE.names or ()]
     + [(name, "i8") for name in "state samples positions room filled edges edge_room noted counts".split()]
     + [(name, "i8") for name in "ports first n_ports trace trace_room traced changed".split()]
-    + [(name, "i8") for name in "until cycles most_cycles stopped call hook argument serving pulling".split()]
+    + [
+        (name, "i8")
+        for name in "until lazy ahead quiet cycles most_cycles stopped call hook argument serving pulling".split()
+    ]
     + [(name, "i8") for name in "irqs acts before userdata words journals asks asked_chip asked_address asked".split()]
 )
 """A stage's handle, and: its state as saved for `SimulationError`; the buffers of recording and journals; the table of ports; the
 trace, a ring, and the number of its line after which something was last written; when (ns) and after how many cycles to call
-Python, and whether to do nothing more; the addresses of the call back, of the interrupt hook and its argument, and whether it is
+Python, and whether to do nothing more; whether the stage may stay behind the host, by how much (ns) it does, and
+up to when it may; the addresses of the call back, of the interrupt hook and its argument, and whether it is
 being called; IRQ of each chip, and at which addresses (bits) a read changes it; a copy of the state in userdata, and where and how long
 (words) that is; whether journals are kept; chips (bits) whose writes Python makes; what Python is called about."""
 
@@ -96,21 +100,38 @@ def _ask(h, reason):
 
 
 @hot
-def _run(h, arrays, until):
+def _world(h):
+    return _at(h.world, 1, host.WORLD)[0]
+
+
+@hot
+def _clockwork(h):
+    return _at(h.clockwork, 1, host.CLOCKWORK)[0]
+
+
+@hot
+def _wiring(h):
+    return _at(h.wiring, h.n_wired, host.CHIP_TABLE)
+
+
+@hot
+def _run(h, chips, until):
     """Let the stage's time pass up to `until` ns; journals and recordings take part."""
-    world_, axes, chips, drives, switches, table, switch_table, wiring, clockwork, qpos, qvel, ctrl, sensordata = arrays
-    world = world_[0]
+    world = _world(h)
+    counts = _at(h.counts, 2, WHOLE)
     while world.now < until and not h.stopped:
-        if world.start + clockwork[0].dt <= until:  # only physics can diverge
+        if world.start + _clockwork(h).dt <= until:  # only physics can diverge
             mj_get_state(int(h.mj_model), int(h.mj_data), int(h.state), STATE)
         filled, noted = h.filled, h.noted
-        counts = _at(h.counts, 2, WHOLE)
         samples = numba.carray(host._pointer(h.samples), (h.room, h.n_axes), engine.SAMPLE)
         positions = numba.carray(host._pointer(h.positions), (h.room, h.nq), host.REAL)
         status = engine.run(
-            int(h.mj_model), int(h.mj_data), world_, axes, chips, drives, switches, table, switch_table, wiring, clockwork,
-            qpos, qvel, ctrl, sensordata, until, samples, positions, h.filled, _at(h.edges, h.edge_room, engine.EDGE), h.noted,
-            counts,
+            int(h.mj_model), int(h.mj_data), _at(h.world, 1, host.WORLD), _at(h.axes, h.n_axes, host.AXIS), chips,
+            _at(h.drives, h.n_axes, host.DRIVE), _at(h.switches, h.n_switches, host.SWITCH),
+            _at(h.table, h.n_axes, host.AXIS_TABLE), _at(h.switch_table, h.n_switches, host.SWITCH_TABLE), _wiring(h),
+            _at(h.clockwork, 1, host.CLOCKWORK), _at(h.qpos, h.nq, host.REAL), _at(h.qvel, h.nv, host.REAL),
+            _at(h.ctrl, h.nu, host.REAL), _at(h.sensordata, h.ns, host.REAL),
+            until, samples, positions, h.filled, _at(h.edges, h.edge_room, engine.EDGE), h.noted, counts,
         )  # fmt: skip
         h.filled, h.noted = counts[0], counts[1]
         if status == engine.DIVERGED:
@@ -121,16 +142,72 @@ def _run(h, arrays, until):
 
 
 @hot
-def _pass(h, arrays, ns):
+def _catch_up(h, chips):
+    """The whole stage stands where the host does."""
+    if h.ahead:
+        ahead, h.ahead = h.ahead, 0
+        _run(h, chips, _world(h).now + ahead)
+
+
+@hot
+def _foresee(h):
+    """Up to when nothing but the chips themselves moves: no edge, no end of a slice."""
+    world, axes, dt = _world(h), _at(h.axes, h.n_axes, host.AXIS), _clockwork(h).dt
+    h.quiet = least(h.until, world.start + (world.slice + 1) * dt // engine.SLICES)
+    for a in range(len(axes)):
+        h.quiet = least(h.quiet, axes[a].next_edge)
+
+
+@hot
+def _now(h):
+    """The host's time, ns."""
+    return _world(h).now + h.ahead
+
+
+@hot
+def _pass_cycle(h, chips):
+    """A bus cycle's time passes. While nothing but the chips moves, the stage follows later, and of the chips only the one
+    that the host turns to is taken along: all of them for each cycle would cost as much as the physics."""
+    if h.lazy and h.hook == 0:
+        if _now(h) + h.bus < h.quiet:
+            h.ahead += h.bus
+            return
+        _catch_up(h, chips)
+        _pass(h, chips, h.bus)
+        _foresee(h)
+    else:
+        _catch_up(h, chips)
+        _pass(h, chips, h.bus)
+
+
+@hot
+def _run_one_in(rows, first, chip, clock):
+    if first <= chip < first + len(rows):
+        cores.run(rows[chip - first], clock)
+    return 0
+
+
+_run_one = cores.over_families(_run_one_in)
+
+
+@hot
+def _turn_to(h, chips, chip):
+    """The chip stands where the host does."""
+    if h.ahead:
+        _run_one(chips, chip, engine.clock_at(_now(h), _wiring(h)[chip].hz))
+
+
+@hot
+def _pass(h, chips, ns):
     """`ns` pass; where the firmware is to stand still on the way, it does."""
-    world, left = arrays[0][0], ns
+    world, left = _world(h), ns
     while left > 0 and not h.stopped:
         if world.now >= h.until:
             _ask(h, PAUSE)
             continue
         end = least(world.now + left, h.until)
         left -= end - world.now
-        _run(h, arrays, end)
+        _run(h, chips, end)
 
 
 @hot
@@ -147,28 +224,29 @@ _look_at_all_lines = cores.over_families(_look_at_lines)
 
 
 @hot
-def _line(h, arrays):
+def _line(h, chips):
     """The chips that pull the interrupt line, a bit each."""
+    _catch_up(h, chips)
     h.pulling = 0
-    _look_at_all_lines(arrays[2], h)
+    _look_at_all_lines(chips, h)
     return h.pulling
 
 
 @hot
-def _serve(h, arrays):
+def _serve(h, chips):
     """The line is looked at: while it is asserted, the firmware's hook is called."""
     if h.hook == 0 or h.serving:
         return
     calls = 0
-    while _line(h, arrays) and h.hook and not h.stopped:
+    while _line(h, chips) and h.hook and not h.stopped:
         if calls == STORM_CALLS:
             _ask(h, STORM)
         calls += 1
-        _note(h, arrays, CALLED, 0, 0, -1)
+        _note(h, CALLED, 0, 0, -1)
         h.serving = 1
         _call(h.hook, h.argument)
         h.serving = 0
-        _note(h, arrays, RETURNED, 0, 0, -1)
+        _note(h, RETURNED, 0, 0, -1)
 
 
 @hot
@@ -179,49 +257,52 @@ def _copy(source, target, words):
 
 
 @hot
-def _wait(h, arrays, ns):
+def _wait(h, chips, ns):
     """`ns` pass in a delay; an interrupt comes at the ns at which the line is asserted. What its hook takes is part of the
     delay."""
-    world, dt = arrays[0][0], arrays[8][0].dt
+    _catch_up(h, chips)
+    world, dt = _world(h), _clockwork(h).dt
     end = world.now + ns
     while world.now < end and not h.stopped:
         if h.hook == 0 or h.serving:
-            _pass(h, arrays, end - world.now)
+            _pass(h, chips, end - world.now)
             return
         if world.now >= h.until:
             _ask(h, PAUSE)
             continue
         stop = least(least(end, h.until), world.start + dt)
-        inside = stop - 1 if stop == world.start + dt else stop  # where no physics has come between, time can be taken back
+        inside = (
+            stop - 1 if stop == world.start + dt else stop
+        )  # where no physics has come between, time can be taken back
         begin, noted = world.now, h.noted
         _copy(h.userdata, h.before, h.words)
-        _run(h, arrays, inside)
-        if _line(h, arrays):
+        _run(h, chips, inside)
+        if _line(h, chips):
             low, high = begin, inside  # off at `low`, asserted at `high`
             while high - low > 1:
                 middle = (low + high) // 2
                 _copy(h.before, h.userdata, h.words)
                 h.noted = noted
-                _run(h, arrays, middle)
-                if _line(h, arrays):
+                _run(h, chips, middle)
+                if _line(h, chips):
                     high = middle
                 else:
                     low = middle
             _copy(h.before, h.userdata, h.words)
             h.noted = noted
-            _run(h, arrays, high)
+            _run(h, chips, high)
         else:
-            _run(h, arrays, stop)
-        _serve(h, arrays)
+            _run(h, chips, stop)
+        _serve(h, chips)
 
 
 @hot
-def _note(h, arrays, kind, port, value, seen):
+def _note(h, kind, port, value, seen):
     """A line of the trace about the cycle that has just ended. seen: the last line about a read of this port that may say
     it all, or -1. Returns the line's number."""
     if h.stopped:
         return -1
-    now, lines = arrays[0][0].now, _at(h.trace, h.trace_room, CYCLE)
+    now, lines = _now(h), _at(h.trace, h.trace_room, CYCLE)
     if seen >= h.changed and h.traced - seen <= h.trace_room:
         line = lines[seen % h.trace_room]
         if line.value == value and line.kind == kind and line.port == port:
@@ -236,12 +317,12 @@ def _note(h, arrays, kind, port, value, seen):
 
 
 @hot
-def _journal(h, arrays, kind, chip, address, value):
+def _journal(h, chips, kind, chip, address, value):
     """What a cycle did to a chip, for its journal, in the order of the switches' edges."""
     if h.noted >= h.edge_room:
         _ask(h, FULL)
     e = _at(h.edges, h.edge_room, engine.EDGE)[h.noted]
-    e.now, e.clock, e.axis = arrays[0][0].now, _clock(arrays[2], chip), arrays[7][chip].axis[0]
+    e.now, e.clock, e.axis = _now(h), _clock(chips, chip), _wiring(h)[chip].axis[0]
     e.kind, e.a, e.b = kind, address, value
     h.noted += 1
 
@@ -257,44 +338,50 @@ _clock = cores.over_families(_clock_in)
 
 
 @hot
-def _lost(h, chip, address, value):
+def _lost(h, chips, chip, address, value):
     """1 if a fault of the bus keeps this write from its chip."""
     if h.asks >> chip & 1 == 0:
         return 0
+    _catch_up(h, chips)
     h.asked_chip, h.asked_address, h.asked = chip, address, value
     _ask(h, ASKED_WRITE)
+    h.quiet = 0
     return h.asked
 
 
 @hot
-def _write(h, arrays, lost, chip, address, value):
+def _write(h, chips, lost, chip, address, value):
     """A write cycle reaches a chip, or does not."""
     if h.stopped:
         return
+    _turn_to(h, chips, chip)
     if not lost:
-        host._write(arrays[2], chip, address, value)
+        host._write(chips, chip, address, value)
     if h.journals:
-        _journal(h, arrays, LOST if lost else WRITE, chip, address, value)
+        _journal(h, chips, LOST if lost else WRITE, chip, address, value)
 
 
 @hot
-def _read(h, arrays, chip, address):
+def _read(h, chips, chip, address):
     """A read cycle reaches a chip."""
     if h.stopped:
         return 0xFFFF
-    value = host._read(arrays[2], chip, address)
+    _turn_to(h, chips, chip)
+    value = host._read(chips, chip, address)
     if h.journals and _at(h.acts, h.n_wired, WHOLE)[chip] >> address & 1:
-        _journal(h, arrays, READ, chip, address, value)
+        _journal(h, chips, READ, chip, address, value)
     return value
 
 
 @hot
-def _cycle(h, arrays):
+def _cycle(h, chips):
     """The time of one bus cycle."""
     if h.cycles >= h.most_cycles:
+        _catch_up(h, chips)
         _ask(h, PAUSE)
+        h.quiet = 0
     h.cycles += 1
-    _pass(h, arrays, h.bus)
+    _pass_cycle(h, chips)
 
 
 @hot
@@ -304,34 +391,34 @@ def _kind(h, port):
 
 
 @hot
-def _in8(h, arrays, port):
-    _cycle(h, arrays)
+def _in8(h, chips, port):
+    _cycle(h, chips)
     kind, value, ports = _kind(h, port), 0xFF, _at(h.ports, h.n_ports, PORT)
     if kind == NOTHING or kind == LATCH:
-        _note(h, arrays, IN | STRAY, port, value, h.traced - 1)
+        _note(h, IN | STRAY, port, value, h.traced - 1)
     else:
         p = ports[port - h.first]
         if kind == LATCHED:
-            value = _read(h, arrays, p.chip, ports[p.address].address)
+            value = _read(h, chips, p.chip, ports[p.address].address)
         elif kind == PULLS:
-            value = _line(h, arrays)
+            value = _line(h, chips)
         elif kind == HALF:
-            value = _read(h, arrays, p.chip, p.address) >> 8
+            value = _read(h, chips, p.chip, p.address) >> 8
         else:
-            value = _read(h, arrays, p.chip, p.address) & 0xFF
-        p.seen = _note(h, arrays, IN, port, value, p.seen - 1) + 1
-    _serve(h, arrays)
+            value = _read(h, chips, p.chip, p.address) & 0xFF
+        p.seen = _note(h, IN, port, value, p.seen - 1) + 1
+    _serve(h, chips)
     return value
 
 
 @hot
-def _out8(h, arrays, port, value):
+def _out8(h, chips, port, value):
     kind, ports = _kind(h, port), _at(h.ports, h.n_ports, PORT)
     if kind == NOTHING or kind == LATCH or kind == PULLS:
-        _cycle(h, arrays)
+        _cycle(h, chips)
         if kind == LATCH:
             ports[port - h.first].address = value
-        _note(h, arrays, OUT if kind == LATCH else OUT | STRAY, port, value, -1)
+        _note(h, OUT if kind == LATCH else OUT | STRAY, port, value, -1)
     else:
         p = ports[port - h.first]
         address, word = p.address, value
@@ -341,47 +428,47 @@ def _out8(h, arrays, port, value):
             word = value | 0xFF00
         elif kind == HALF:
             word = value << 8 | 0xFF
-        lost = _lost(h, p.chip, address, word)
-        _cycle(h, arrays)
-        _write(h, arrays, lost, p.chip, address, word)
-        _note(h, arrays, OUT | STRAY if kind == WORD or kind == HALF else OUT, port, value, -1)
-    _serve(h, arrays)
+        lost = _lost(h, chips, p.chip, address, word)
+        _cycle(h, chips)
+        _write(h, chips, lost, p.chip, address, word)
+        _note(h, OUT | STRAY if kind == WORD or kind == HALF else OUT, port, value, -1)
+    _serve(h, chips)
 
 
 @hot
-def _in16(h, arrays, port):
+def _in16(h, chips, port):
     kind = _kind(h, port)
     if kind != WORD and kind != NOTHING:  # the bus makes two cycles of it
-        low = _in8(h, arrays, port)
-        return _in8(h, arrays, port + 1) << 8 | low
-    _cycle(h, arrays)
+        low = _in8(h, chips, port)
+        return _in8(h, chips, port + 1) << 8 | low
+    _cycle(h, chips)
     value = 0xFFFF
     if kind == WORD:
         p = _at(h.ports, h.n_ports, PORT)[port - h.first]
-        value = _read(h, arrays, p.chip, p.address)
-        p.seen = _note(h, arrays, IN_WIDE, port, value, p.seen - 1) + 1
+        value = _read(h, chips, p.chip, p.address)
+        p.seen = _note(h, IN_WIDE, port, value, p.seen - 1) + 1
     else:
-        _note(h, arrays, IN_WIDE | STRAY, port, value, h.traced - 1)
-    _serve(h, arrays)
+        _note(h, IN_WIDE | STRAY, port, value, h.traced - 1)
+    _serve(h, chips)
     return value
 
 
 @hot
-def _out16(h, arrays, port, value):
+def _out16(h, chips, port, value):
     kind = _kind(h, port)
     if kind != WORD and kind != NOTHING:
-        _out8(h, arrays, port, value & 0xFF)
-        _out8(h, arrays, port + 1, value >> 8)
+        _out8(h, chips, port, value & 0xFF)
+        _out8(h, chips, port + 1, value >> 8)
         return
     if kind == WORD:
         p = _at(h.ports, h.n_ports, PORT)[port - h.first]
-        lost = _lost(h, p.chip, p.address, value)
-        _cycle(h, arrays)
-        _write(h, arrays, lost, p.chip, p.address, value)
+        lost = _lost(h, chips, p.chip, p.address, value)
+        _cycle(h, chips)
+        _write(h, chips, lost, p.chip, p.address, value)
     else:
-        _cycle(h, arrays)
-    _note(h, arrays, OUT_WIDE if kind == WORD else OUT_WIDE | STRAY, port, value, -1)
-    _serve(h, arrays)
+        _cycle(h, chips)
+    _note(h, OUT_WIDE if kind == WORD else OUT_WIDE | STRAY, port, value, -1)
+    _serve(h, chips)
 
 
 @hot
@@ -390,27 +477,31 @@ def _answer(h, kinds, what, a, b):
     if h.stopped:
         _ask(h, PAUSE)
         return -1
-    arrays = host._arrays(h, kinds)
+    chips = host._chips(h, kinds)
     if what == IN8:
-        return _in8(h, arrays, a & 0xFFFFFFFF)
+        return _in8(h, chips, a & 0xFFFFFFFF)
     if what == OUT8:
-        _out8(h, arrays, a & 0xFFFFFFFF, b & 0xFF)
+        _out8(h, chips, a & 0xFFFFFFFF, b & 0xFF)
     elif what == IN16:
-        return _in16(h, arrays, a & 0xFFFFFFFF)
+        return _in16(h, chips, a & 0xFFFFFFFF)
     elif what == OUT16:
-        _out16(h, arrays, a & 0xFFFFFFFF, b & 0xFFFF)
+        _out16(h, chips, a & 0xFFFFFFFF, b & 0xFFFF)
     elif what == DELAY:
-        _wait(h, arrays, greatest(a, 0) * 1000)
+        _wait(h, chips, greatest(a, 0) * 1000)
     elif what == MICROS:
-        return arrays[0][0].now // 1000
+        return _now(h) // 1000
     elif what == LOG:
+        _catch_up(h, chips)
         h.asked = a
         _ask(h, LINE_OF_LOG)
     elif what == HOOK:
-        h.hook, h.argument = a, b
-        _serve(h, arrays)
+        _catch_up(h, chips)
+        h.hook, h.argument, h.quiet = a, b, 0
+        _serve(h, chips)
     elif what == LINE:
-        return 1 if _line(h, arrays) else 0
+        return 1 if _line(h, chips) else 0
+    elif what == SETTLE:
+        _catch_up(h, chips)
     return 0
 
 

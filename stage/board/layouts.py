@@ -90,7 +90,9 @@ def places(
                 f"that: {', '.join(x.name for x in LAYOUTS.values() if isinstance(chip, x.kind))}."
             )
         if own.chips and len(chips) > own.chips:
-            raise ArgumentError(f"layout {own.name}: it has room for {own.chips} chips, and this stage has {len(chips)}.")
+            raise ArgumentError(
+                f"layout {own.name}: it has room for {own.chips} chips, and this stage has {len(chips)}."
+            )
         first = base[chip] if isinstance(base, Mapping) else own.base if at is None else at
         if not 0 <= first <= MOST_PORTS - len(own.ports):
             raise ArgumentError(f"base={first!r}: ports are 0 to {MOST_PORTS - 1:X}h.")
@@ -105,7 +107,9 @@ def table(found: list[Place]) -> tuple[int, np.ndarray]:
 
     def put(port: int, kind: int, chip: int, address: int) -> None:
         if port in lines:
-            raise ArgumentError(f"port {port:03X}h would reach two things: choose another base or a stride of more ports.")
+            raise ArgumentError(
+                f"port {port:03X}h would reach two things: choose another base or a stride of more ports."
+            )
         lines[port] = (kind, chip, address)
 
     for place in found:

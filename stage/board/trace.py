@@ -89,7 +89,15 @@ class BusTrace:
             meaning = tell(port, value, writes)
             if k >= first:
                 yield Cycle(
-                    at * 1e-9, until * 1e-9, count, "W" if writes else "R", port, value, 16 if wide else 8, stray, meaning
+                    at * 1e-9,
+                    until * 1e-9,
+                    count,
+                    "W" if writes else "R",
+                    port,
+                    value,
+                    16 if wide else 8,
+                    stray,
+                    meaning,
                 )
 
     def text(self, n: int | None = None) -> str:

@@ -330,6 +330,14 @@ class Chip:
         """Tells what a journal's bus writes say to an axis."""
         raise NotImplementedError
 
+    def listener(self) -> Any:
+        """STUB until merged."""
+        import types
+
+        return types.SimpleNamespace(
+            write=lambda a, v: f"address {a} <- {v:02X}h", read=lambda a, v: f"address {a} is {v:02X}h"
+        )
+
     def values(self) -> dict[str, int]:
         """What every register holds now, by name: a debugger's view, free of bus cycles."""
         raise NotImplementedError

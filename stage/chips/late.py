@@ -11,7 +11,7 @@ from stage.chips.entries import WRITE
 if TYPE_CHECKING:
     from stage.chips.chip import Chip
 
-MOST_ENTRIES = 1 << 17
+MOST_ENTRIES = 1 << 21  # 64 MB
 
 
 class LateLint:

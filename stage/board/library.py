@@ -1,0 +1,186 @@
+"""What a firmware library must be, how to build one, and what to say if it is none."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import platform
+import shutil
+import struct
+import subprocess
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from stage.board.bus import REQUEST
+from stage.errors import ArgumentError, StageError
+from stage.files import FileError
+
+ABI = 1
+SOURCES = (".c", ".cc", ".cpp", ".cxx")
+ENTRY = "pulsestage_main"
+_MACHINES = {
+    3: "x86 (32 bit)",
+    8: "MIPS",
+    20: "PowerPC",
+    40: "ARM (32 bit)",
+    62: "x86-64",
+    183: "aarch64",
+    243: "RISC-V",
+}
+_OURS = {"x86_64": "x86-64", "AMD64": "x86-64", "arm64": "aarch64"}
+
+
+class BusStruct(ctypes.Structure):
+    """struct pulsestage_bus of pulsestage.h."""
+
+    _fields_ = (("abi", ctypes.c_uint32), ("size", ctypes.c_uint32), ("host", ctypes.c_void_p), ("request", REQUEST))
+
+
+class LibraryError(StageError):
+    """A firmware library that cannot be loaded, or is none."""
+
+
+class CompileError(StageError):
+    """The compiler refused the firmware. `output`: what it said."""
+
+    def __init__(self, message: str, output: str = ""):
+        super().__init__(message)
+        self.output = output
+
+
+class NoCompilerError(StageError):
+    """There is no C compiler."""
+
+
+def include() -> Path:
+    """The folder of pulsestage.h."""
+    return Path(__file__).parent
+
+
+def how_to_build(path: Any = "driver.so") -> str:
+    """The command that builds a library."""
+    suffix = ".dylib" if platform.system() == "Darwin" else ".dll" if platform.system() == "Windows" else ".so"
+    return f'cc -shared -fPIC -I"$(stage include)" {Path(path).stem}.c -o {Path(path).stem}{suffix}'
+
+
+def compiler(source: str | Path = "x.c") -> str:
+    """The compiler for a source: $CC or cc, of C++ $CXX or c++. Raises NoCompilerError."""
+    variable, usual = (
+        ("CC", ("cc", "gcc", "clang")) if Path(source).suffix == ".c" else ("CXX", ("c++", "g++", "clang++"))
+    )
+    for name in (os.environ.get(variable, ""), *usual):
+        if name and shutil.which(name.split()[0]):
+            return name
+    raise NoCompilerError(
+        f"no compiler for {source}: none of {', '.join(usual)} is on the PATH, and ${variable} is not set."
+    )
+
+
+def build(
+    sources: str | os.PathLike | Sequence[str | os.PathLike],
+    output: str | os.PathLike | None = None,
+    flags: Sequence[str] = (),
+) -> Path:
+    """Build a firmware library from C or C++ sources; returns its path.
+
+    output: default a file in a folder for temporary files. flags: for the compiler, after -O2 -g.
+    Raises FileError, NoCompilerError, CompileError with what the compiler said.
+    """
+    files = [Path(s) for s in ([sources] if isinstance(sources, str | os.PathLike) else sources)]
+    if not files:
+        raise ArgumentError("nothing to build: give at least one source.")
+    for file in files:
+        if not file.is_file():
+            raise FileError(f"{file}: there is no such source.")
+    plus = [file for file in files if file.suffix != ".c"]
+    name = compiler(plus[0] if plus else files[0])
+    made = Path(output) if output else Path(tempfile.mkdtemp(prefix="pulsestage-")) / f"{files[0].stem}.so"
+    command = [
+        *name.split(),
+        "-shared",
+        "-fPIC",
+        "-O2",
+        "-g",
+        f"-I{include()}",
+        *flags,
+        *map(str, files),
+        "-o",
+        str(made),
+    ]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        said = (done.stderr + done.stdout).strip()
+        raise CompileError(f"{files[0]} does not compile ({name}):\n{said}", said)
+    return made
+
+
+def check(path: str | os.PathLike) -> Path:
+    """The path if there is a library for this machine. Raises LibraryError or FileError."""
+    file = Path(path)
+    if not file.is_file():
+        raise FileError(f"{file}: there is no such library. Build it: {how_to_build(file)}")
+    with file.open("rb") as f:
+        head = f.read(20)
+    ours = _OURS.get(platform.machine(), platform.machine())
+    if head[:4] == b"\x7fELF" and len(head) == 20:
+        kind, machine = struct.unpack("<HH" if head[5] == 1 else ">HH", head[16:20])
+        theirs = _MACHINES.get(machine, f"machine {machine}")
+        if platform.system() == "Linux" and theirs != ours:
+            raise LibraryError(
+                f"{file} was built for {theirs}, and this is {ours}. Build it here: {how_to_build(file)}"
+            )
+        if kind != 3:
+            what = {1: "an object file", 2: "a program", 4: "a core dump"}.get(kind, "no library")
+            raise LibraryError(f"{file} is {what}, not a shared library. Build it so: {how_to_build(file)}")
+    elif platform.system() == "Linux":
+        raise LibraryError(
+            f"{file} is no shared library of this machine ({ours}, ELF). Build it so: {how_to_build(file)}"
+        )
+    return file
+
+
+class Library:
+    """A copy of a library of its own, so that its variables begin as they were compiled, in each run."""
+
+    def __init__(self, path: Path, bus: BusStruct):
+        self.path = path
+        with tempfile.TemporaryDirectory(prefix="pulsestage-") as folder:
+            own = Path(shutil.copy(path, Path(folder) / path.name))
+            try:
+                self._library = ctypes.CDLL(str(own), mode=getattr(os, "RTLD_NOW", 0) | getattr(os, "RTLD_LOCAL", 0))
+            except OSError as error:
+                said = str(error).replace(str(own), str(path))
+                raise LibraryError(
+                    f"{path} cannot be loaded: {said}. Link what it needs into it; it is built so: {how_to_build(path)}"
+                ) from None
+        abi = self._find(ctypes.c_uint32, "pulsestage_abi").value
+        if abi != ABI:
+            raise LibraryError(
+                f"{path} was built with pulsestage.h of version {abi}, and this is version {ABI}: build it again."
+            )
+        self._find(ctypes.c_void_p, "pulsestage_bus").value = ctypes.addressof(bus)
+        self.main = getattr(self._library, ENTRY, None)
+        if self.main is None:
+            raise LibraryError(
+                f"{path} has no entry point {ENTRY}: begin the firmware with `PULSESTAGE_MAIN {{ ... return 0; }}`, which "
+                f"pulsestage.h defines, and build it so: {how_to_build(path)}"
+            )
+        self.main.restype = ctypes.c_int
+
+    def _find(self, kind: Any, name: str) -> Any:
+        try:
+            return kind.in_dll(self._library, name)
+        except ValueError:
+            raise LibraryError(
+                f"{self.path} has no {name}: it was not built with pulsestage.h, so nobody knows whether its {ENTRY} is meant. "
+                f"Write `#include <pulsestage.h>` and `PULSESTAGE_MAIN {{ ... }}`, and build it so: {how_to_build(self.path)}"
+            ) from None
+
+    def close(self) -> None:
+        """Unload it."""
+        if platform.system() != "Windows":
+            import _ctypes
+
+            _ctypes.dlclose(self._library._handle)

@@ -1,0 +1,117 @@
+/* pulsestage.h: firmware on emulated boards.
+ *
+ *     #include <pulsestage.h>
+ *     PULSESTAGE_MAIN
+ *     {
+ *         ps_out8(0x300, 0x11);
+ *         while (ps_in8(0x300) & 0x40)
+ *             ;
+ *         return 0;
+ *     }
+ *
+ *     cc -shared -fPIC -I"$(stage include)" driver.c -o driver.so
+ *     stage run driver.so
+ *
+ * Simulated time passes in these functions only: in port cycles (one bus cycle each) and in delays. A driver that already
+ * says inp and outp, or inb and outb, finds these when PULSESTAGE_DOS_IO or PULSESTAGE_LINUX_IO is defined before the include.
+ *
+ * Other languages: export `pulsestage_abi` (uint32_t, PULSESTAGE_ABI), `pulsestage_bus` (a pointer, filled in before the entry is
+ * called) and `int pulsestage_main(void)`, and call `request` of the struct that the pointer points to.
+ */
+#ifndef PULSESTAGE_H
+#define PULSESTAGE_H
+
+#include <stdarg.h>
+#include <stdint.h>
+#include <stdio.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#define PULSESTAGE_ABI 1u
+
+struct pulsestage_bus {
+    uint32_t abi, size;
+    void *host;
+    int64_t (*request)(void *host, int32_t what, int64_t a, int64_t b);
+};
+
+enum { PS_IN8, PS_OUT8, PS_IN16, PS_OUT16, PS_DELAY, PS_MICROS, PS_LOG, PS_HOOK, PS_LINE };
+
+#if defined(_MSC_VER)
+#define PULSESTAGE_SHARED __declspec(selectany) __declspec(dllexport)
+#define PULSESTAGE_EXPORT __declspec(dllexport)
+#else
+#define PULSESTAGE_SHARED __attribute__((weak, visibility("default"), used))
+#define PULSESTAGE_EXPORT __attribute__((visibility("default"), used))
+#endif
+
+/* one for all files of a library, however many include this */
+extern struct pulsestage_bus *pulsestage_bus;
+extern uint32_t pulsestage_abi;
+PULSESTAGE_SHARED struct pulsestage_bus *pulsestage_bus = 0;
+PULSESTAGE_SHARED uint32_t pulsestage_abi = PULSESTAGE_ABI;
+
+/* where the firmware begins; what it returns is the run's result */
+PULSESTAGE_EXPORT int pulsestage_main(void);
+#define PULSESTAGE_MAIN int pulsestage_main(void)
+
+static inline int64_t ps_request(int32_t what, int64_t a, int64_t b)
+{
+    return pulsestage_bus->request(pulsestage_bus->host, what, a, b);
+}
+
+/* port cycles; what reaches nothing reads as all ones */
+static inline uint8_t ps_in8(uint32_t port) { return (uint8_t)ps_request(PS_IN8, port, 0); }
+static inline void ps_out8(uint32_t port, uint8_t value) { ps_request(PS_OUT8, port, value); }
+static inline uint16_t ps_in16(uint32_t port) { return (uint16_t)ps_request(PS_IN16, port, 0); }
+static inline void ps_out16(uint32_t port, uint16_t value) { ps_request(PS_OUT16, port, value); }
+
+/* time */
+static inline void ps_delay_us(uint32_t us) { ps_request(PS_DELAY, us, 0); }
+static inline uint64_t ps_micros(void) { return (uint64_t)ps_request(PS_MICROS, 0, 0); }
+
+/* a line for the log of the run */
+static inline void ps_log(const char *text) { ps_request(PS_LOG, (int64_t)(intptr_t)text, 0); }
+static inline void ps_logf(const char *format, ...)
+{
+    char text[1024];
+    va_list arguments;
+    va_start(arguments, format);
+    vsnprintf(text, sizeof text, format, arguments);
+    va_end(arguments);
+    ps_log(text);
+}
+
+/* Call `hook(argument)` while the interrupt line is asserted: after a port cycle, or in the middle of a delay; again and again
+ * until it is released, never from within itself. hook = 0: no longer. */
+static inline void ps_on_interrupt(void (*hook)(void *argument), void *argument)
+{
+    ps_request(PS_HOOK, (int64_t)(intptr_t)hook, (int64_t)(intptr_t)argument);
+}
+static inline int ps_interrupt_line(void) { return (int)ps_request(PS_LINE, 0, 0); }
+
+#if defined(PULSESTAGE_DOS_IO)
+#define inp(port) ps_in8(port)
+#define inpw(port) ps_in16(port)
+#define outp(port, value) ps_out8((port), (uint8_t)(value))
+#define outpw(port, value) ps_out16((port), (uint16_t)(value))
+#define inportb(port) ps_in8(port)
+#define inport(port) ps_in16(port)
+#define outportb(port, value) ps_out8((port), (uint8_t)(value))
+#define outport(port, value) ps_out16((port), (uint16_t)(value))
+#endif
+#if defined(PULSESTAGE_LINUX_IO)
+#define inb(port) ps_in8(port)
+#define inw(port) ps_in16(port)
+#define outb(value, port) ps_out8((port), (uint8_t)(value))
+#define outw(value, port) ps_out16((port), (uint16_t)(value))
+#define udelay(us) ps_delay_us(us)
+#define usleep(us) ps_delay_us(us)
+#endif
+
+#ifdef __cplusplus
+}
+#endif
+#endif
