@@ -83,7 +83,7 @@ class Board:
         self._lay_out()
         with announced("PulseStage: compiling the bus, once on this machine (about fifteen seconds) ..."):
             self._request = bus.requests(host.kinds(stage))
-            self.interrupt  # noqa: B018: the first request loads what was compiled
+            self._ask(bus.SETTLE, 0, 0)  # the first request loads what was compiled
 
     # --- what a host does ---
 
@@ -121,7 +121,7 @@ class Board:
         """Call `hook` while the interrupt line is asserted: after a bus cycle, or within a delay at the very ns; again and
         again until it is released, and not from within itself. It may make bus cycles. None: nobody is called."""
         self._hook = None if hook is None else HOOK(lambda _: self._guarded(hook))
-        self._ask(bus.HOOK, 0 if hook is None else ctypes.cast(self._hook, ctypes.c_void_p).value, 0)
+        self._ask(bus.HOOK, ctypes.cast(self._hook, ctypes.c_void_p).value or 0 if hook else 0, 0)
 
     # --- what one looks at ---
 
@@ -235,7 +235,8 @@ class Board:
             h["noted"] = 0
             stage._note_edges(n)
             for chip in stage.chips:
-                chip._late.tidy()
+                if chip._late is not None:
+                    chip._late.tidy()
         if (recording := stage._recording) is not None:
             recording.take(int(h["filled"]))
             h["filled"] = recording.filled

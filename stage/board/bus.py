@@ -34,8 +34,9 @@ STORM_CALLS = 1000
 
 NOTHING, BYTE, WORD, HALF, LATCH, LATCHED, PULLS = range(7)
 PORT = record([(name, "i8") for name in "kind chip address seen".split()])
-"""What a port reaches. BYTE, WORD: an address of a chip of 8, 16 bits; HALF: the upper byte of the WORD one below; LATCH: takes the
-address for LATCHED; PULLS: which chips pull the interrupt line, a bit each. `seen`: number of the trace's line about its last read, plus one."""
+"""What a port reaches. BYTE, WORD: an address of a chip of 8, 16 bits; HALF: the upper byte of the WORD one below; LATCH: takes
+the address for LATCHED; PULLS: which chips pull the interrupt line, a bit each. `seen`: number of the trace's line about its last
+read, plus one."""
 
 IN, OUT, IN_WIDE, OUT_WIDE, CALLED, RETURNED = range(6)
 STRAY = 8
@@ -53,12 +54,19 @@ HOST = record(
     ]
     + [(name, "i8") for name in "irqs acts before userdata words journals asks asked_chip asked_address asked".split()]
 )
-"""A stage's handle, and: its state as saved for `SimulationError`; the buffers of recording and journals; the table of ports; the
-trace, a ring, and the number of its line after which something was last written; when (ns) and after how many cycles to call
-Python, and whether to do nothing more; whether the stage may stay behind the host, by how much (ns) it does, and
-up to when it may; the addresses of the call back, of the interrupt hook and its argument, and whether it is
-being called; IRQ of each chip, and at which addresses (bits) a read changes it; a copy of the state in userdata, and where and how long
-(words) that is; whether journals are kept; chips (bits) whose writes Python makes; what Python is called about."""
+"""A stage's handle, and
+    state                      the stage's state as it was before the last physics, for SimulationError
+    samples ... counts         buffers of recording and journals
+    ports, first, n_ports      the table of ports, and which is its first
+    trace, trace_room, traced, changed   the trace, a ring; lines so far, and how many there were after the last write
+    until, most_cycles         when (ns), and after how many cycles, to call Python; cycles: so far
+    lazy, ahead, quiet         whether the stage may stay behind the host, by how much (ns) it does, and up to when it may
+    stopped, call              nothing more happens; how to call Python
+    hook, argument, serving, pulling   the interrupt hook, whether it is being called, and the chips that pull the line
+    irqs, acts                 of each chip: its IRQ, and the addresses (bits) at which a read changes it
+    before, userdata, words    room for a copy of the state in userdata; where that is, and how long
+    journals, asks, asked ...  whether journals are kept; chips (bits) whose writes Python looks at; what Python is called about
+"""
 
 IRQ = record([("axis", "i8"), ("bits", "i8")])
 """Of each chip: the outputs that pull the interrupt line (0: none), and as which axis' they are asked for."""
@@ -311,7 +319,7 @@ def _note(h, kind, port, value, seen):
     line = lines[h.traced % h.trace_room]
     line.first, line.last, line.count, line.kind, line.port, line.value = now, now, 1, kind, port, value
     h.traced += 1
-    if kind != IN and kind != IN_WIDE and kind != IN | STRAY and kind != IN_WIDE | STRAY:
+    if kind & ~STRAY not in (IN, IN_WIDE):
         h.changed = h.traced
     return h.traced - 1
 
@@ -394,7 +402,7 @@ def _kind(h, port):
 def _in8(h, chips, port):
     _cycle(h, chips)
     kind, value, ports = _kind(h, port), 0xFF, _at(h.ports, h.n_ports, PORT)
-    if kind == NOTHING or kind == LATCH:
+    if kind in (NOTHING, LATCH):
         _note(h, IN | STRAY, port, value, h.traced - 1)
     else:
         p = ports[port - h.first]
@@ -414,7 +422,7 @@ def _in8(h, chips, port):
 @hot
 def _out8(h, chips, port, value):
     kind, ports = _kind(h, port), _at(h.ports, h.n_ports, PORT)
-    if kind == NOTHING or kind == LATCH or kind == PULLS:
+    if kind in (NOTHING, LATCH, PULLS):
         _cycle(h, chips)
         if kind == LATCH:
             ports[port - h.first].address = value
@@ -431,14 +439,14 @@ def _out8(h, chips, port, value):
         lost = _lost(h, chips, p.chip, address, word)
         _cycle(h, chips)
         _write(h, chips, lost, p.chip, address, word)
-        _note(h, OUT | STRAY if kind == WORD or kind == HALF else OUT, port, value, -1)
+        _note(h, OUT | STRAY if kind in (WORD, HALF) else OUT, port, value, -1)
     _serve(h, chips)
 
 
 @hot
 def _in16(h, chips, port):
     kind = _kind(h, port)
-    if kind != WORD and kind != NOTHING:  # the bus makes two cycles of it
+    if kind not in (NOTHING, WORD):  # the bus makes two cycles of it
         low = _in8(h, chips, port)
         return _in8(h, chips, port + 1) << 8 | low
     _cycle(h, chips)
@@ -456,7 +464,7 @@ def _in16(h, chips, port):
 @hot
 def _out16(h, chips, port, value):
     kind = _kind(h, port)
-    if kind != WORD and kind != NOTHING:
+    if kind not in (NOTHING, WORD):
         _out8(h, chips, port, value & 0xFF)
         _out8(h, chips, port + 1, value >> 8)
         return
@@ -518,7 +526,7 @@ def requests(kinds: tuple[np.ndarray, ...]) -> Any:
 def _requests(dtypes: tuple[np.dtype, ...]) -> Any:
     kinds = tuple(np.zeros(0, dtype) for dtype in dtypes)
 
-    def request(address, what, a, b):
+    def request(address: Any, what: int, a: int, b: int) -> Any:
         return _answer(numba.carray(host._pointer(address), (1,), HOST)[0], kinds, what, a, b)
 
     if not COMPILED:
@@ -526,6 +534,6 @@ def _requests(dtypes: tuple[np.dtype, ...]) -> Any:
     with kept():
         signature = types.int64(types.int64, types.int32, types.int64, types.int64)
         made = numba.cfunc(signature, cache=True, error_model="numpy")(request)
-    found = REQUEST(made.address)
+    found = REQUEST(int(made.address))
     found.made = made  # type: ignore[attr-defined]
     return found

@@ -75,7 +75,8 @@ class Place:
 def places(
     chips: Mapping[int, Chip], layout: str | Layout | None, base: int | Mapping[Chip, int] | None, stride: int | None
 ) -> list[Place]:
-    """Where each of a stage's chips (by index, in their order on the bus) lies. Raises ArgumentError for a layout that does not fit, or ports that do not exist."""
+    """Where each of a stage's chips (by index, in their order on the bus) lies. Raises ArgumentError for a layout that does not
+    fit, or ports that do not exist."""
     if isinstance(layout, str):
         if layout not in LAYOUTS:
             raise unknown("layout", layout, LAYOUTS)

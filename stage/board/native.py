@@ -97,7 +97,8 @@ class NativeHost:
             board, now = self.board, self.board.stage.time
             bound = f"{max_cycles:,} bus cycles" if self._bound else f"{timeout:g} s of simulated time"
             raise HostTimeout(
-                f"{self.path.name} has not returned after {bound} (now {now:.6f} s). Its last bus cycles:\n{board.trace.text(SHOWN)}"
+                f"{self.path.name} has not returned after {bound} (now {now:.6f} s). Its last bus cycles:\n"
+                f"{board.trace.text(SHOWN)}"
             )
         return self._result()
 

@@ -20,12 +20,12 @@ if TYPE_CHECKING:
 
 
 class Cycle(NamedTuple):
-    """Equal bus cycles of one port. seconds, until: when the first and the last of them ended; width: bits; stray: no chip was
+    """Equal bus cycles of one port. seconds, until: when the first and the last of `times` ended; width: bits; stray: no chip was
     reached, or half of a register only. port is None where the interrupt hook was called ("I") or returned ("i")."""
 
     seconds: float
     until: float
-    count: int
+    times: int
     way: str
     port: int | None
     value: int
@@ -37,7 +37,7 @@ class Cycle(NamedTuple):
         if self.port is None:
             return f"{self.seconds:17.9f}  {self.meaning}"
         value = f"{self.value:0{self.width // 4}X}h"
-        again = f"{self.count:,} times until {self.until:.9f}" if self.count > 1 else ""
+        again = f"{self.times:,} times until {self.until:.9f}" if self.times > 1 else ""
         return f"{self.seconds:17.9f}  {self.port:03X}h {self.way} {value:5}  {self.meaning:56}  {again}".rstrip()
 
 
