@@ -37,10 +37,9 @@ PLAYED, DIVERGED = range(2)
 _ARRAYS = "world axes drives switches table switch_table wiring clockwork qpos qvel ctrl sensordata".split()
 _LENGTHS = "n_axes n_switches n_wired nq nv nu ns".split()
 MOST_FAMILIES = 3
-HANDLE = record(
-    [(name, "i8") for name in ["mj_model", "mj_data", *_ARRAYS, *_LENGTHS, "bus"]]
-    + [("chips", "i8", (MOST_FAMILIES,)), ("n_chips", "i8", (MOST_FAMILIES,))]
-)
+HANDLE_FIELDS: list = [(name, "i8") for name in ["mj_model", "mj_data", *_ARRAYS, *_LENGTHS, "bus"]]
+HANDLE_FIELDS += [("chips", "i8", (MOST_FAMILIES,)), ("n_chips", "i8", (MOST_FAMILIES,))]
+HANDLE = record(HANDLE_FIELDS)
 """Where a stage's arrays lie, their lengths, and the ns of a bus cycle; rows of chips by family, in the order of the families
 that the stage has: its *kinds*, a tuple of empty arrays of their records, which compiled code needs beside the handle."""
 

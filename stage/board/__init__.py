@@ -3,7 +3,8 @@
 from stage.board.board import Board, StormError
 from stage.board.layouts import LAYOUTS, Layout
 from stage.board.library import CompileError, LibraryError, NoCompilerError, build, include
-from stage.board.native import HostError, HostTimeout, NativeHost, Result
+from stage.board.native import HostTimeout, NativeHost, Result
+from stage.board.threaded import HostError
 from stage.board.trace import BusTrace, Cycle
 
 __all__ = [

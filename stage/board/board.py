@@ -14,7 +14,7 @@ from __future__ import annotations
 import ctypes
 import threading
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -50,6 +50,8 @@ class Board:
         ArgumentError: a layout that does not fit the chips, ports that overlap or do not exist.
     """
 
+    LINTS: ClassVar = True
+
     def __init__(
         self,
         stage: Stage,
@@ -64,6 +66,7 @@ class Board:
         if int(keep_cycles) != keep_cycles or not 1 <= keep_cycles <= 1 << 28:
             raise ArgumentError(f"keep_cycles={keep_cycles!r}: a trace keeps 1 to {1 << 28} lines.")
         self.stage = stage
+        self._options = {"layout": layout, "base": base, "stride": stride, "keep_cycles": keep_cycles}
         chips = {stage.chips.index(axis.chip): axis.chip for axis in stage.axes.values()}
         self.places = layouts.places(chips, layout, _by_chip(stage, base), stride)
         self._first, self._ports = layouts.table(self.places)
@@ -78,7 +81,7 @@ class Board:
         self._hook: Any = None
         self._call = UPCALL(self._called)
         for chip in stage.chips:
-            if chip._late is None:
+            if self.LINTS and chip._late is None:
                 chip._late = LateLint(chip)
         self._lay_out()
         with announced("PulseStage: compiling the bus, once on this machine (about fifteen seconds) ..."):
@@ -115,7 +118,8 @@ class Board:
     @property
     def interrupt(self) -> bool:
         """Whether a chip pulls the interrupt line."""
-        return bool(self._ask(bus.LINE, 0, 0))
+        irqs = zip(self.stage.chips, self._irqs.tolist(), strict=True)
+        return any(chip._output_word(axis) & bits for chip, (axis, bits) in irqs if bits)
 
     def on_interrupt(self, hook: Callable[[], None] | None) -> None:
         """Call `hook` while the interrupt line is asserted: after a bus cycle, or within a delay at the very ns; again and

@@ -45,7 +45,7 @@ CYCLE = record([(name, "i8") for name in "first last count kind port value".spli
 hit nothing, or only half of what is there."""
 
 HOST = record(
-    [(name, *host.HANDLE.fields[name][:1]) for name in host.HANDLE.names or ()]
+    host.HANDLE_FIELDS
     + [(name, "i8") for name in "state samples positions room filled edges edge_room noted counts".split()]
     + [(name, "i8") for name in "ports first n_ports trace trace_room traced changed".split()]
     + [
@@ -480,6 +480,13 @@ def _out16(h, chips, port, value):
 
 
 @hot
+def _look(h, chips):
+    """A look at a timer or a line takes a bus cycle: firmware that waits for either gets on."""
+    _cycle(h, chips)
+    _serve(h, chips)
+
+
+@hot
 def _answer(h, kinds, what, a, b):
     """What a host asks, see IN8."""
     if h.stopped:
@@ -497,6 +504,7 @@ def _answer(h, kinds, what, a, b):
     elif what == DELAY:
         _wait(h, chips, greatest(a, 0) * 1000)
     elif what == MICROS:
+        _look(h, chips)
         return _now(h) // 1000
     elif what == LOG:
         _catch_up(h, chips)
@@ -507,6 +515,7 @@ def _answer(h, kinds, what, a, b):
         h.hook, h.argument, h.quiet = a, b, 0
         _serve(h, chips)
     elif what == LINE:
+        _look(h, chips)
         return 1 if _line(h, chips) else 0
     elif what == SETTLE:
         _catch_up(h, chips)
@@ -527,13 +536,13 @@ def _requests(dtypes: tuple[np.dtype, ...]) -> Any:
     kinds = tuple(np.zeros(0, dtype) for dtype in dtypes)
 
     def request(address: Any, what: int, a: int, b: int) -> Any:
-        return _answer(numba.carray(host._pointer(address), (1,), HOST)[0], kinds, what, a, b)
+        return _answer(_at(address, 1, HOST)[0], kinds, what, a, b)
 
     if not COMPILED:
         return REQUEST(lambda address, what, a, b: int(request(address, what, a, b)))
     with kept():
         signature = types.int64(types.int64, types.int32, types.int64, types.int64)
-        made = numba.cfunc(signature, cache=True, error_model="numpy")(request)
-    found = REQUEST(int(made.address))
+        made: Any = numba.cfunc(signature, cache=True, error_model="numpy")(request)
+    found = REQUEST(made.address)
     found.made = made  # type: ignore[attr-defined]
     return found

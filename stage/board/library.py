@@ -161,7 +161,7 @@ class Library:
                 f"{path} was built with pulsestage.h of version {abi}, and this is version {ABI}: build it again."
             )
         self._find(ctypes.c_void_p, "pulsestage_bus").value = ctypes.addressof(bus)
-        self.main = getattr(self._library, ENTRY, None)
+        self.main: Any = getattr(self._library, ENTRY, None)
         if self.main is None:
             raise LibraryError(
                 f"{path} has no entry point {ENTRY}: begin the firmware with `PULSESTAGE_MAIN {{ ... return 0; }}`, which "

@@ -12,7 +12,8 @@
  *     cc -shared -fPIC -I"$(stage include)" driver.c -o driver.so
  *     stage run driver.so
  *
- * Simulated time passes in these functions only: in port cycles (one bus cycle each) and in delays. A driver that already
+ * Simulated time passes in these functions only: in port cycles and looks at the timer or the interrupt line, one bus cycle each,
+ * and in delays; computing takes no time. A driver that already
  * says inp and outp, or inb and outb, finds these when PULSESTAGE_DOS_IO or PULSESTAGE_LINUX_IO is defined before the include.
  *
  * Other languages: export `pulsestage_abi` (uint32_t, PULSESTAGE_ABI), `pulsestage_bus` (a pointer, filled in before the entry is

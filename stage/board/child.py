@@ -1,0 +1,90 @@
+"""The process that isolated firmware runs in, see stage.board.isolated: python -m stage.board.child FILENO."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import sys
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stage.board.board import Board
+from stage.board.isolated import SENT, Begin, Cycles, Go, Line, Shared, Stands
+from stage.board.threaded import Threaded
+from stage.errors import StageError
+
+
+class TellingBoard(Board):
+    """A board that says over the pipe what happens on it, and keeps its state where the parent sees it."""
+
+    LINTS = False  # the parent does
+
+    def __init__(self, pipe: Connection, begin: Begin):
+        self._pipe = pipe
+        super().__init__(pickle.loads(begin.stage), **begin.board)
+        shared = Shared(begin.shared, self.trace.room)
+        shared.host[:] = self._rows
+        self.stage._edges, self.trace._lines, self._shared = shared.edges, shared.trace, shared
+        shared.host["edges"], shared.host["trace"] = shared.edges.ctypes.data, shared.trace.ctypes.data
+        shared.host["edge_room"] = len(shared.edges)
+        self._take(shared.host)
+
+    def _end(self) -> None:
+        edges = self.stage._edges[: int(self._host["noted"])]
+        changes = edges[np.isin(edges["kind"], SENT)]
+        if len(changes):
+            self._pipe.send(Cycles(changes))
+        super()._end()
+
+    def note(self, text: str) -> None:
+        self._pipe.send(Line(self.stage._now, text))
+
+    def adopt(self, stage: Any) -> None:
+        """The parent's stage was changed: ours becomes like it."""
+        ours = self.stage
+        for mine, theirs in ((ours.model, stage.model), (ours.model.opt, stage.model.opt)):
+            for name in dir(theirs):
+                value = getattr(theirs, name)
+                if isinstance(value, np.ndarray) and value.size and value.flags.writeable:
+                    np.copyto(getattr(mine, name), value)
+                elif isinstance(value, int | float) and not name.startswith("_") and value != getattr(mine, name):
+                    setattr(mine, name, value)
+        ours._switch_table[:] = stage._switch_table
+        for axis, like in zip(ours._axes_by_index, stage._axes_by_index, strict=True):
+            axis._voltage, axis._open = like._voltage, like._open
+        ours.restore(stage.snapshot())
+
+
+def main(fileno: int) -> None:
+    pipe = Connection(fileno)
+    begin = pipe.recv()
+    try:
+        board = TellingBoard(pipe, begin)
+        runner = Threaded(Path(begin.library), board, begin.patience)
+    except StageError as error:
+        pipe.send((type(error).__name__, str(error)))
+        return
+    pipe.send(None)
+    while True:
+        go: Go = pipe.recv()
+        if go.stage is not None:
+            board.adopt(pickle.loads(go.stage))
+        board._ports["address"] = go.latches
+        code, failure = None, None
+        try:
+            code = runner.go_on(go.until, go.most_cycles)
+        except Exception as error:
+            failure = (type(error).__name__, str(error))
+        pipe.send(Stands(board.stage._now, board._ports["address"].copy(), code, failure))
+        if failure is not None:
+            os._exit(1)
+
+
+if __name__ == "__main__":
+    try:
+        main(int(sys.argv[1]))
+    except (EOFError, BrokenPipeError):
+        os._exit(0)  # the parent is gone

@@ -1,0 +1,241 @@
+"""Firmware in a process of its own: its crash is an error here, and a loop that never ends is ended.
+
+The child has a stage like ours, a copy, and the firmware drives that. The bus cycles that changed something come over, and our
+stage lives through them: since a stage is the same to the bit whenever it is treated alike, it ends where the child's did,
+recording, waveforms and diagnostics included. What the firmware did last before a crash lies in memory that both share.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import tempfile
+import weakref
+from multiprocessing import Pipe
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from stage.board import bus
+from stage.board.board import NOTED, Board
+from stage.board.threaded import HostError
+from stage.chips.entries import LOST, READ, WRITE
+from stage.engine import EDGE
+from stage.errors import StageError
+
+SENT = (WRITE, READ, LOST)
+
+
+class Begin(NamedTuple):
+    """The first message to the child."""
+
+    library: str
+    shared: str
+    stage: bytes
+    board: dict[str, Any]
+    patience: float
+
+
+class Go(NamedTuple):
+    """Run up to there; `stage`, pickled, if ours was changed since. latches: what the ports hold."""
+
+    until: int
+    most_cycles: int
+    latches: np.ndarray
+    stage: bytes | None
+
+
+class Cycles(NamedTuple):
+    """Bus cycles that changed something, EDGE records."""
+
+    edges: np.ndarray
+
+
+class Line(NamedTuple):
+    """A line for the log."""
+
+    now: int
+    text: str
+
+
+class Stands(NamedTuple):
+    """The firmware stands still or has returned, at `now`; or `error` ended it."""
+
+    now: int
+    latches: np.ndarray
+    code: int | None
+    error: tuple[str, str] | None
+
+
+class Shared:
+    """What parent and child both see: a file in memory."""
+
+    def __init__(self, path: str | Path, room: int, create: bool = False):
+        sizes = [(bus.HOST, 1), (EDGE, NOTED), (bus.CYCLE, room)]
+        total = sum(dtype.itemsize * n for dtype, n in sizes)
+        self._map = np.memmap(path, np.uint8, "w+" if create else "r+", shape=(total,))
+        parts, at = [], 0
+        for dtype, n in sizes:
+            parts.append(np.asarray(self._map[at : at + dtype.itemsize * n]).view(dtype))
+            at += dtype.itemsize * n
+        self.host, self.edges, self.trace = parts
+
+
+class Isolated:
+    """See `Runner`."""
+
+    def __init__(self, path: Path, board: Board, patience: float):
+        if os.name != "posix":
+            raise StageError("isolated=True needs a POSIX system; run the firmware in this process.")
+        self._path, self._board, self._patience = path, board, patience
+        self._child: subprocess.Popen | None = None
+        self._pipe: Any = None
+        self._running = False
+        self._seen = b""
+        self._start()
+
+    @property
+    def running(self) -> bool:
+        return self._running
+
+    def go_on(self, until: int, most_cycles: int) -> int | None:
+        board = self._board
+        if any(chip._glitches for chip in board.stage.chips):
+            raise StageError(
+                "a fault of the bus asks this process about each write: run the firmware with isolated=False."
+            )
+        if self._child is None:
+            self._start()
+        self._running = True
+        stage = pickle.dumps(board.stage)
+        try:
+            changed = stage if _digest(stage) != self._seen else None
+            self._pipe.send(Go(until, most_cycles, board._ports["address"], changed))
+            while not isinstance(message := self._pipe.recv(), Stands):
+                self._take(message)
+        except (EOFError, OSError):
+            raise self._crashed() from None
+        except BaseException:
+            self._end()
+            raise
+        if message.error is not None:
+            self._end()
+        self._catch_up(message.now)
+        board._ports["address"] = message.latches
+        if message.error is not None:
+            raise _revived(*message.error)
+        self._running = message.code is None
+        self._seen = _digest(pickle.dumps(board.stage))
+        return message.code
+
+    def _start(self) -> None:
+        """A child with a copy of the stage; raises what is wrong with the library."""
+        board = self._board
+        file, shared = tempfile.mkstemp(prefix="pulsestage-")
+        os.close(file)
+        ours, theirs = Pipe()
+        try:
+            self._shared = Shared(shared, board.trace.room, create=True)
+            command = [sys.executable, "-m", "stage.board.child", str(theirs.fileno())]
+            self._child = subprocess.Popen(
+                command, pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL, process_group=0,
+                env=os.environ | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)},
+            )  # fmt: skip
+            theirs.close()
+            self._pipe = ours
+            weakref.finalize(self, self._child.kill)
+            stage = pickle.dumps(board.stage)
+            ours.send(Begin(str(self._path), shared, stage, board._options, self._patience))
+            self._seen = _digest(stage)
+            answer = ours.recv()
+        except EOFError:
+            raise self._crashed() from None
+        finally:
+            os.unlink(shared)
+        if answer is not None:
+            self._end()
+            raise _revived(*answer)
+
+    def _take(self, message: Cycles | Line) -> None:
+        if isinstance(message, Line):
+            self._board.log.append((message.now * 1e-9, message.text))
+        else:
+            self._live_through(message.edges)
+
+    def _live_through(self, edges: np.ndarray) -> None:
+        """Our stage makes the cycles that the child's has made."""
+        stage = self._board.stage
+        for now, axis, kind, a, b in zip(*(edges[n].tolist() for n in ("now", "axis", "kind", "a", "b")), strict=True):
+            stage._run_until(now)
+            chip: Any = stage._axes_by_index[axis].chip
+            if kind == LOST:
+                chip._journal.note_lost(chip.clock, a, b)
+            elif kind == READ:
+                read = int(chip.CORE.read(chip._rows, chip._i, a))
+                if read != b:
+                    raise HostError(
+                        f"the stage of the firmware's process read {b:X}h where this one reads {read:X}h: report this."
+                    )
+                chip._journal.note_read(chip.clock, a, b)
+            else:
+                chip.CORE.write(chip._rows, chip._i, a, b)
+                chip._journal.note_write(chip.clock, a, b)
+
+    def _catch_up(self, now: int) -> None:
+        """To `now`, and what the child's board knows."""
+        board = self._board
+        board.stage._run_until(max(now, board.stage._now))
+        theirs = self._shared.host[0]
+        board._host["cycles"], board._host["traced"] = theirs["cycles"], theirs["traced"]
+        board._host["changed"] = theirs["changed"]
+        board.trace._lines[:] = self._shared.trace
+
+    def _crashed(self) -> HostError:
+        """The child is gone. What it did last is in the memory that we share."""
+        child = self._child
+        code = child.wait() if child is not None else 0
+        self._end()
+        theirs = self._shared.host[0]
+        edges = self._shared.edges[: int(theirs["noted"])]
+        self._live_through(edges[np.isin(edges["kind"], SENT)])
+        traced = int(theirs["traced"])
+        last = self._shared.trace[(traced - 1) % len(self._shared.trace)]["last"] if traced else 0
+        self._catch_up(int(last))
+        board = self._board
+        why = f"was ended by {_signal(-code)}" if code < 0 else f"ended its process with exit code {code}"
+        return HostError(
+            f"{self._path.name} {why} at {board.stage.time:.6f} s, after {board.cycles:,} bus cycles. The stage stands where it "
+            f"stood then. Its last bus cycles:\n{board.trace.text(12)}"
+        )
+
+    def _end(self) -> None:
+        """No child any more."""
+        if self._child is not None:
+            self._child.kill()
+            self._child.wait()
+            self._pipe.close()
+        self._child, self._running, self._seen = None, False, b""
+
+
+def _digest(data: bytes) -> bytes:
+    return hashlib.blake2b(data, digest_size=16).digest()
+
+
+def _signal(number: int) -> str:
+    try:
+        return f"{signal.Signals(number).name} ({signal.strsignal(number)})"
+    except ValueError:
+        return f"signal {number}"
+
+
+def _revived(name: str, text: str) -> Exception:
+    """An error of the child's, as ours."""
+    from stage import board, errors
+
+    kind = getattr(board, name, None) or getattr(errors, name, None)
+    return kind(text) if isinstance(kind, type) and issubclass(kind, StageError) else HostError(f"{name}: {text}")

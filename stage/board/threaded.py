@@ -1,0 +1,125 @@
+"""Firmware in a thread of this process. It stands still where it is told to: its thread waits, deep in a bus cycle.
+
+A thread cannot be ended from outside. Firmware that is not to go on (after an error, or since it loops for ever without a bus
+cycle) is left to itself with a bus that does nothing more.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import threading
+import time
+from pathlib import Path
+
+from stage.board import bus, library
+from stage.board.board import MOST, Board
+from stage.errors import StageError
+
+PATIENCE = 20.0  # s of real time
+STACK = 64 << 20  # bytes
+
+
+class HostError(StageError):
+    """Firmware that could not go on."""
+
+
+class Threaded:
+    """See `Runner`. Raises LibraryError when it is made."""
+
+    def __init__(self, path: Path, board: Board, patience: float):
+        self._path, self._board, self._patience = path, board, patience
+        self._bus = library.BusStruct(
+            library.ABI, ctypes.sizeof(library.BusStruct), board._rows.ctypes.data, board._request
+        )
+        library.Library(path, self._bus).close()  # says what is wrong before anything runs
+        self._thread: threading.Thread | None = None
+        self._code: int | None = None
+
+    @property
+    def running(self) -> bool:
+        return self._thread is not None
+
+    def go_on(self, until: int, most_cycles: int) -> int | None:
+        board = self._board
+        if self._thread is None:
+            self._start()
+        board._host["lazy"], board._host["quiet"] = 1, 0
+        board._host["until"], board._host["most_cycles"] = until, most_cycles
+        board._stand_still = self._stand_still
+        board._begin()
+        self._go.release()
+        try:
+            self._wait()
+        except BaseException:
+            self._interrupt()
+            raise
+        finally:
+            board._stand_still = None
+            board._host["until"] = board._host["most_cycles"] = MOST
+            board._host["lazy"] = 0
+        if board._error is not None:
+            self._abandon()
+        board._raise()
+        return self._code
+
+    def _start(self) -> None:
+        self._bus.host = self._board._rows.ctypes.data
+        loaded = library.Library(self._path, self._bus)
+        self._go, self._stands = threading.Semaphore(0), threading.Semaphore(0)
+        self._code = None
+        before = threading.stack_size(STACK)
+        try:
+            name = f"firmware {self._path.name}"
+            self._thread = threading.Thread(target=self._main, args=(loaded,), name=name, daemon=True)
+            self._thread.start()
+        finally:
+            threading.stack_size(before)
+
+    def _main(self, loaded: library.Library) -> None:
+        """The firmware's thread."""
+        self._go.acquire()
+        code, board = int(loaded.main()), self._board
+        if threading.get_ident() in board._abandoned:
+            return
+        board._host["hook"] = board._host["lazy"] = 0
+        try:
+            board._request(board._rows.ctypes.data, bus.SETTLE, 0, 0)
+            board._end()
+        except BaseException as error:
+            board._fail(error)
+        self._thread = None
+        loaded.close()
+        self._code = code
+        self._stands.release()
+
+    def _stand_still(self) -> None:
+        """In the firmware's thread, called by compiled code."""
+        self._stands.release()
+        self._go.acquire()
+
+    def _wait(self) -> None:
+        """Wait for the firmware to stand still."""
+        board = self._board
+        h, seen, since = board._host, None, time.monotonic()
+        while not self._stands.acquire(timeout=0.2):
+            now = (int(h["cycles"]), board.stage._now)
+            if now != seen:
+                seen, since = now, time.monotonic()
+            elif time.monotonic() - since > self._patience:
+                raise HostError(
+                    f"{self._path.name} has computed for {self._patience:g} s of real time without a bus cycle or a delay (at "
+                    f"{board.stage.time:.6f} s): a loop that waits for nothing? (isolated=True ends such a loop; else "
+                    f"its thread goes on until the process ends.) Its last bus cycles:\n{board.trace.text(12)}"
+                )
+
+    def _interrupt(self) -> None:
+        """Somebody has pressed Ctrl-C, or lost patience: the firmware stands still at its next request, or is left alone."""
+        self._board._host["until"] = 0
+        if not self._stands.acquire(timeout=0.5):
+            self._abandon()
+
+    def _abandon(self) -> None:
+        """Whatever the firmware still does, it does not reach the board."""
+        if self._thread is not None:
+            self._board._abandon(self._thread)
+        self._thread = None
