@@ -18,6 +18,7 @@ examples:
   stage move x 8000 --fh1 20000           a preset move of 8000 pulses
   stage move x 8000 --chips pcl240ms --s-curve --plot s.png
   stage sync x=20000 y=-7500              two axes along a straight line, in the ratio a:b
+  stage run driver.c --chips pcl240mk     firmware in C drives the chips
   stage fault                             what can break; `stage fault jam --plot jam.png` breaks it
   stage erratum                           the S-curve failure of the MCX304: pulses for ever, and a work-around
   stage registers pcl240k                 the register map
@@ -62,6 +63,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser.set_defaults(run=None)
     commands = parser.add_subparsers(title="commands", metavar="COMMAND")
     _add_moves(commands)
+    _add_firmware(commands)
     _add_fault(commands)
     _add_erratum(commands)
     _add_tools(commands)
@@ -185,6 +187,44 @@ def _add_moves(commands: Any) -> None:
 
 def _plot(p: argparse.ArgumentParser) -> None:
     p.add_argument("--plot", metavar="FILE.png", help="draw the move")
+
+
+def _add_firmware(commands: Any) -> None:
+    p = _command(
+        commands, "run", "firmware:run", "firmware in C on an emulated board",
+        "Run firmware (a shared library, or a C or C++ source, which is built first) against the chips: print what it notes, where "
+        "the axes end, and what a reader of the data sheet would say to its writes. Exit code 0 if it returns 0 and loses no step.",
+    )  # fmt: skip
+    p.add_argument("firmware", metavar="FIRMWARE", help="driver.so or driver.c; see docs/firmware_in_the_loop.md")
+    g = p.add_argument_group("firmware")
+    g.add_argument(
+        "--timeout", type=float, default=60.0, help="simulated seconds after which it has to return (default: 60)"
+    )
+    g.add_argument(
+        "--isolated", action="store_true", help="in a process of its own: a crash ends that, and files are written"
+    )
+    g.add_argument(
+        "--layout",
+        help="which ports reach the chips: pcl240, pcl240-card, nova, nova-8bit, hctl1100 (default: the chip's)",
+    )
+    g.add_argument(
+        "--base", type=_number, help="first port of the first chip, for example 0x300 (default: the layout's)"
+    )
+    g.add_argument("--stride", type=_number, help="ports from one chip to the next (default: the layout's)")
+    g.add_argument("--trace", metavar="FILE.txt", help="write the bus cycles in words")
+    g.add_argument("--keep", type=int, default=1_000_000, help="lines of bus cycles that are kept (default: 1,000,000)")
+    g.add_argument(
+        "--place", action="append", default=[], metavar="AXIS=MM", help="where a carriage starts, for example x=62"
+    )
+    _bench(p, ("PCL240K", "PCL240MK", "PCL240MS", "MCX514", "MCX304", "MCX302", "MCX312", "HCTL1100"))
+    _command(
+        commands, "include", "firmware:include", "where pulsestage.h is",
+        'Print the folder of the one header that firmware needs: cc -shared -fPIC -I"$(stage include)" driver.c -o driver.so',
+    )  # fmt: skip
+
+
+def _number(text: str) -> int:
+    return int(text, 0)
 
 
 def _add_fault(commands: Any) -> None:

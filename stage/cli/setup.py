@@ -12,12 +12,14 @@ from typing import Any
 from stage.errors import StageError, unknown
 
 
-def make_stage(args: argparse.Namespace) -> Any:
-    """The stage that the options describe. Raises StageError for a chip of servos."""
+def make_stage(args: argparse.Namespace, servos: bool = False) -> Any:
+    """The stage that the options describe. Raises StageError for a chip of servos unless the command drives `servos`, too."""
     from stage import Drive, Stage
     from stage.chips import chip_class
 
     chips = chip_class(args.chips)
+    if chips.SERVO and servos:
+        return Stage(args.model, chips=chips, drives=args.motor, bus_cycle=args.bus_cycle)
     if chips.SERVO:
         raise StageError(
             f"--chips {args.chips}: a {chips.MAP.chip} closes a loop and makes no pulses; this command's moves are those of the "

@@ -1,0 +1,95 @@
+"""The commands run and include: firmware in C on an emulated board."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+from stage.cli.setup import find_axis, make_stage, note, recorded
+from stage.errors import ArgumentError, StageError
+
+SHOWN = 10
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run firmware; print what it noted and where the axes are."""
+    from stage.board import Board, HostError, HostTimeout, NativeHost, StormError
+    from stage.errors import SimulationError
+    from stage.files import writable
+
+    if args.trace:
+        writable(args.trace, args.force)
+    stage = make_stage(args, servos=True)
+    for item in args.place:
+        name, _, millimetres = item.partition("=")
+        try:
+            stage.place(**{find_axis(stage, name).name: float(millimetres) * 1e-3})
+        except ValueError:
+            raise ArgumentError(f"--place {item!r}: write AXIS=MM, for example x=62.") from None
+    board = Board(stage, args.layout, args.base, args.stride, keep_cycles=args.keep)
+    host = NativeHost(args.firmware, board, isolated=args.isolated)
+    error: StageError | None = None
+    result = None
+    begin = time.perf_counter()
+    with recorded(args, stage):
+        note(f"{host.path.name} runs ...")
+        try:
+            result = host.run(timeout=args.timeout)
+        except (
+            HostTimeout,
+            HostError,
+            StormError,
+            SimulationError,
+        ) as failed:  # recording and trace are wanted all the more
+            error = failed
+        wall = time.perf_counter() - begin
+        for seconds, text in board.log:
+            print(f"{seconds:12.6f}  {text}")
+        if result is not None:
+            print(
+                f"{host.path.name} returned {result.code} after {result.seconds:.6f} s of simulated time and {result.cycles:,} bus "
+                f"cycles, in {wall:.2f} s of wall time"
+            )
+        _report(stage, board)
+    if args.trace:
+        Path(args.trace).write_text(board.trace.text() + "\n")
+        print(f"{args.trace}: {len(board.trace):,} lines of bus cycles")
+    if error is not None:
+        print(f"stage: {error}", file=sys.stderr)
+        return 1
+    return 0 if result is not None and result.code == 0 and not any(a.lost_steps for a in stage.axes.values()) else 1
+
+
+def include(_args: argparse.Namespace) -> int:
+    """Print the folder of pulsestage.h."""
+    from stage.board.library import include
+
+    print(include())
+    return 0
+
+
+def _report(stage: Any, board: Any) -> None:
+    print(f"{'axis':6}{'position mm':>12}{'commanded mm':>14}{'lost':>6}  switches")
+    for axis in stage.axes.values():
+        on = ", ".join(name for name, state in axis.switches.as_dict().items() if state)
+        print(f"{axis.name:6}{axis.position * 1e3:12.4f}{axis.commanded * 1e3:14.4f}{axis.lost_steps:6}  {on}".rstrip())
+    for axis in {id(a.chip): a for a in stage.axes.values()}.values():
+        said = axis.chip.diagnostics
+        if said:
+            print(
+                f"axis {axis.name}: {len(said)} writes that a reader of the data sheet would call mistakes, the first of each kind:"
+            )
+            firsts = {d.message: d for d in reversed(said)}
+            times = Counter(d.message for d in said)
+            for d in sorted(firsts.values())[:SHOWN]:
+                again = f" ({times[d.message]} times)" if times[d.message] > 1 else ""
+                what = f"address {d.address} <- {d.value:02X}h: {d.message} [{d.source}]{again}"
+                print(f"  {d.clock / axis.chip.clock_hz:.6f} s, {what}")
+    if strays := board.strays:
+        print(
+            f"{sum(c.times for c in strays):,} bus cycles reached no chip or half a register, the first:\n{strays[0]}"
+        )
