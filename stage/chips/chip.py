@@ -19,6 +19,7 @@ import numpy as np
 
 from stage.chips.decode import Decoder
 from stage.chips.journal import Journal
+from stage.chips.listener import Listener
 from stage.chips.register_map import RegisterMap, dump
 from stage.compiled import plain, ready
 from stage.errors import ArgumentError, StageError, unknown
@@ -309,6 +310,10 @@ class Chip:
 
     def decoder(self, axis: int = 0) -> Decoder:
         """Tells what a journal's bus writes say to an axis."""
+        raise NotImplementedError
+
+    def listener(self) -> Listener:
+        """Tells in words what bus cycles say from now on; it starts from what the chip holds now."""
         raise NotImplementedError
 
     def values(self) -> dict[str, int]:
