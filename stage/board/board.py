@@ -70,6 +70,7 @@ class Board:
         chips = {stage.chips.index(axis.chip): axis.chip for axis in stage.axes.values()}
         self.places = layouts.places(chips, layout, _by_chip(stage, base), stride)
         self._first, self._ports = layouts.table(self.places)
+        self._at_first = [place.chip.twin() for place in self.places]
         self.trace = BusTrace(self, int(keep_cycles))
         self.log: list[tuple[float, str]] = []
         """Lines that the firmware noted: seconds, text."""
@@ -194,9 +195,9 @@ class Board:
     def _traced(self) -> int:
         return int(self._host["traced"])
 
-    def _teller(self, whole: bool) -> Meaning:
-        """Tells what a bus cycle means, those before it given. whole: from the first cycle on."""
-        listeners = {place.index: place.chip.listener() for place in self.places}
+    def _teller(self) -> Meaning:
+        """Tells what a bus cycle means, those before it given, from the first on."""
+        listeners = {place.index: twin.listener() for place, twin in zip(self.places, self._at_first, strict=True)}
         latches: dict[int, int] = {}
         reached = {self._first + n: tuple(p) for n, p in enumerate(self._ports.tolist())}
 

@@ -39,10 +39,10 @@ the address for LATCHED; PULLS: which chips pull the interrupt line, a bit each.
 read, plus one."""
 
 IN, OUT, IN_WIDE, OUT_WIDE, CALLED, RETURNED = range(6)
-STRAY = 8
+STRAY, LOST_ON_THE_WAY = 8, 16
 CYCLE = record([(name, "i8") for name in "first last count kind port value".split()])
 """A line of the trace: when (ns) the cycle ended; the last of `count` that were alike, with no write between; kind, | STRAY if it
-hit nothing, or only half of what is there."""
+hit nothing, or only half of what is there, | LOST_ON_THE_WAY if a fault of the bus kept it from its chip."""
 
 HOST = record(
     host.HANDLE_FIELDS
@@ -439,7 +439,7 @@ def _out8(h, chips, port, value):
         lost = _lost(h, chips, p.chip, address, word)
         _cycle(h, chips)
         _write(h, chips, lost, p.chip, address, word)
-        _note(h, OUT | STRAY if kind in (WORD, HALF) else OUT, port, value, -1)
+        _note(h, OUT | lost * LOST_ON_THE_WAY | (STRAY if kind in (WORD, HALF) else 0), port, value, -1)
     _serve(h, chips)
 
 
@@ -473,9 +473,10 @@ def _out16(h, chips, port, value):
         lost = _lost(h, chips, p.chip, p.address, value)
         _cycle(h, chips)
         _write(h, chips, lost, p.chip, p.address, value)
+        _note(h, OUT_WIDE | lost * LOST_ON_THE_WAY, port, value, -1)
     else:
         _cycle(h, chips)
-    _note(h, OUT_WIDE if kind == WORD else OUT_WIDE | STRAY, port, value, -1)
+        _note(h, OUT_WIDE | STRAY, port, value, -1)
     _serve(h, chips)
 
 

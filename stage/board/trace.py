@@ -47,7 +47,8 @@ Meaning = Callable[[int, int, bool], str]
 class BusTrace:
     """The last cycles of a board, oldest first; iterate for `Cycle`s, print for text.
 
-    room: how many lines are kept. dropped: lines before these.
+    room: how many lines are kept. dropped: lines before these. What cycles mean is told from the lines that are kept; where some
+    were dropped, the first of the rest may be taken for another register's.
     """
 
     def __init__(self, board: Board, room: int):
@@ -76,17 +77,17 @@ class BusTrace:
         """The last `n` lines. What they mean is told from all that are kept."""
         lines = self.lines()
         first = len(lines) - n
-        tell = self._board._teller(self.dropped == 0)
+        tell = self._board._teller()
         for k, line in enumerate(lines.tolist()):
             at, until, count, kind, port, value = line
-            stray, kind = bool(kind & bus.STRAY), kind & ~bus.STRAY
+            stray, lost, kind = bool(kind & bus.STRAY), bool(kind & bus.LOST_ON_THE_WAY), kind & 7
             if kind in (bus.CALLED, bus.RETURNED):
                 if k >= first:
                     text = "interrupt: the hook is called" if kind == bus.CALLED else "interrupt: the hook returns"
                     yield Cycle(at * 1e-9, at * 1e-9, 1, "Ii"[kind - bus.CALLED], None, 0, 0, False, text)
                 continue
             writes, wide = kind in (bus.OUT, bus.OUT_WIDE), kind in (bus.IN_WIDE, bus.OUT_WIDE)
-            meaning = tell(port, value, writes)
+            meaning = "lost on the way: it does not reach the chip" if lost else tell(port, value, writes)
             if k >= first:
                 yield Cycle(
                     at * 1e-9,

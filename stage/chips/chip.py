@@ -19,6 +19,7 @@ import numpy as np
 
 from stage.chips.decode import Decoder
 from stage.chips.journal import Journal
+from stage.chips.listener import Listener
 from stage.chips.register_map import RegisterMap, dump
 from stage.compiled import plain, ready
 from stage.errors import ArgumentError, StageError, unknown
@@ -176,6 +177,12 @@ class Chip:
         """What a data-sheet reader would say to this write, and where it is written; None if nothing."""
         return None
 
+    def twin(self) -> Chip:
+        """A chip like this one, in the same state, on no stage and without diagnostics."""
+        twin = type(self)(**self.options())
+        twin._hold(self._rows[self._i : self._i + 1].copy(), 0)
+        return twin
+
     def _attach(self, bus: Bus, rows: np.ndarray, i: int) -> None:
         """Become a chip of a stage: the state moves into `rows[i]`."""
         rows[i] = self._rows[self._i]
@@ -330,13 +337,9 @@ class Chip:
         """Tells what a journal's bus writes say to an axis."""
         raise NotImplementedError
 
-    def listener(self) -> Any:
-        """STUB until merged."""
-        import types
-
-        return types.SimpleNamespace(
-            write=lambda a, v: f"address {a} <- {v:02X}h", read=lambda a, v: f"address {a} is {v:02X}h"
-        )
+    def listener(self) -> Listener:
+        """Tells in words what bus cycles say from now on; it starts from what the chip holds now."""
+        raise NotImplementedError
 
     def values(self) -> dict[str, int]:
         """What every register holds now, by name: a debugger's view, free of bus cycles."""

@@ -16,6 +16,7 @@ from typing import Any, ClassVar
 from stage.chips.chip import Chip
 from stage.chips.hctl1100 import core, lint
 from stage.chips.hctl1100.decode import Decoder
+from stage.chips.hctl1100.listen import Listener
 from stage.chips.hctl1100.maps import MAP
 from stage.chips.hctl1100.state import ADDRESSES
 from stage.errors import ArgumentError
@@ -87,6 +88,9 @@ class HCTL1100(Chip):
 
     def decoder(self, axis: int = 0) -> Decoder:
         return Decoder(self.MAP)
+
+    def listener(self) -> Listener:
+        return Listener(self.MAP, self._record)
 
     def _set_input_word(self, axis: int, word: int) -> None:
         core.set_inputs(self._rows, self._i, axis, word)

@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 from stage.chips.chip import Chip, Pins
 from stage.chips.nova import core, interpolation, lint, state
 from stage.chips.nova.decode import Decoder
+from stage.chips.nova.listen import Listener
 from stage.chips.nova.maps304 import MCX302_MAP, MCX304_MAP, MCX312_MAP
 from stage.chips.nova.maps514 import MCX514_MAP
 
@@ -87,6 +88,9 @@ class Nova(Chip):
 
     def decoder(self, axis: int = 0) -> Decoder:
         return Decoder(self.MAP, axis)
+
+    def listener(self) -> Listener:
+        return Listener(self.MAP, self._record)
 
     def values(self) -> dict[str, int]:
         words = (w.name for w in self.MAP.words if w.name.startswith("RR"))

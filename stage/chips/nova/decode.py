@@ -7,9 +7,20 @@ from collections.abc import Iterable
 from stage.chips.decode import Said
 from stage.chips.entries import LOST, RESET, WRITE, Entry
 from stage.chips.nova.maps import AXES
+from stage.chips.nova.maps304 import RESET as RESET_WORD
 from stage.chips.register_map import Command, RegisterMap
 
 BYTES = 16  # byte addresses of the 8-bit bus begin here
+
+
+def axis_names(axes: int) -> str:
+    """Axes of a chip, bit 0 for X, by name."""
+    return " ".join(AXES[k] for k in range(4) if axes >> k & 1)
+
+
+def resets(map_: RegisterMap, value: int) -> bool:
+    """Whether a word to WR0 is the reset of a chip that has no command for it."""
+    return value == RESET_WORD and not map_.by_code.get(0xFF)
 
 
 class Decoder:
@@ -58,12 +69,11 @@ class Decoder:
         self._selected = axes or self._selected
         if axes and not axes & self._bit:
             return []
-        names = " ".join(AXES[k] for k in range(4) if axes >> k & 1)
         kind = "command" if command is None or command.kind not in ("data write", "mode write") else "register"
-        return [Said(clock, kind, f"{value:04X}", f"{names} {self._meaning(command, value)}".strip())]
+        return [Said(clock, kind, f"{value:04X}", f"{axis_names(axes)} {self._meaning(command, value)}".strip())]
 
     def _meaning(self, command: Command | None, value: int) -> str:
-        if value == 0x8000 and not self._map.by_code.get(0xFF):
+        if resets(self._map, value):
             return "reset"
         if command is None:
             return "no command"

@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 from stage.chips.chip import Chip
 from stage.chips.pcl240 import core, lint, state
 from stage.chips.pcl240.decode import Decoder
+from stage.chips.pcl240.listen import Listener
 from stage.chips.pcl240.maps import OPERATING_MODE, PCL240K_MAP, PCL240MK_MAP, PCL240MS_MAP, STATUS
 
 __all__ = ["OPERATING_MODE", "STATUS", "PCL240", "PCL240K", "PCL240MK", "PCL240MS"]
@@ -37,6 +38,9 @@ class PCL240(Chip):
 
     def decoder(self, axis: int = 0) -> Decoder:
         return Decoder(self.MAP)
+
+    def listener(self) -> Listener:
+        return Listener(self.MAP, self._record)
 
     def values(self) -> dict[str, int]:
         return {r.name: int(core.value(self._rows, self._i, k)) for k, r in enumerate(self.MAP.registers)} | {

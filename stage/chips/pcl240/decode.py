@@ -18,20 +18,20 @@ def command_meaning(map_: RegisterMap, value: int) -> str:
         return _operating(value)
     word = map_.words[group]
     if group == 2:
-        return f"select {_selected(map_, value).name}{', collective' if _collective(map_, value) else ''}"
+        return f"select {selected(map_, value).name}{', collective' if collective(map_, value) else ''}"
     on = [f.name for f in word.fields if f.name != "group" and f.of(value)]
     none = "manual, plus" if group == 1 else "common pulses"
     return f"{word.name} mode: {', '.join(on) or none}"
 
 
-def _selected(map_: RegisterMap, value: int) -> Register:
+def selected(map_: RegisterMap, value: int) -> Register:
     """The register that a select byte names; bits that the chip does not have do not count."""
     extension = sum(f.mask for f in map_.word("select").fields if f.name == "extension")
     number = value & (extension | 7)
     return next(r for r in map_.registers if r.number == number)
 
 
-def _collective(map_: RegisterMap, value: int) -> int:
+def collective(map_: RegisterMap, value: int) -> int:
     return sum(f.of(value) for f in map_.word("select").fields if f.name == "collective")
 
 
@@ -86,9 +86,9 @@ class Decoder:
         """The register whose bytes are there, if any."""
         if not self._bytes:
             return []
-        r, whole, parts = _selected(self._map, self._select), self._bytes, self._bytes
+        r, whole, parts = selected(self._map, self._select), self._bytes, self._bytes
         self._bytes = {}
-        if _collective(self._map, self._select):  # the upper bytes wait for the lowest, and stay for the next
+        if collective(self._map, self._select):  # the upper bytes wait for the lowest, and stay for the next
             self._held.update(parts)
             whole = self._held
             if 1 not in parts:

@@ -1,0 +1,268 @@
+"""A board is the chips' own bus cycles behind port numbers: nothing is lost and nothing added, from Python and from C."""
+
+from __future__ import annotations
+
+import random
+
+import pytest
+from compiled_firmware import PLAYER, firmware
+
+from stage import Stage
+from stage.board import LAYOUTS, Board, NativeHost, StormError
+from stage.chips import HCTL1100, MCX304, MCX514, PCL240K, PCL240MK, PCL240MS
+from stage.errors import ArgumentError
+
+IN8, OUT8, IN16, OUT16, DELAY = range(5)
+
+
+def pcl240_traffic(rng: random.Random, n: int) -> list[tuple[int, int, int]]:
+    """Moves of three PCL-240, and noise: (what, a, b) of ports from 300h."""
+    program: list[tuple[int, int, int]] = []
+    for k in range(3):
+        port = 0x300 + 4 * k
+        for register, value in ((0, 900), (1, 60), (2, 700), (4, 200), (5, 200), (7, 300), (6, 300)):
+            program += [(OUT8, port, 0x80 | register)]
+            program += [(OUT8, port + 1 + byte, value >> 8 * byte & 0xFF) for byte in (2, 1, 0)]
+        program += [(OUT8, port, 0x44 | rng.choice((0, 8))), (OUT8, port, 0x35)]
+    for _ in range(n):
+        kind = rng.random()
+        port = 0x300 + rng.randrange(12)
+        if kind < 0.5:
+            program += [(IN8, port, 0)] * rng.choice((1, 1, 7, 60))
+        elif kind < 0.6:
+            program.append((OUT8, port & ~3, rng.choice((0x15, 0x10, 0x1D, 0x18, 0x08, 0x80, 0x86, 0xC0, 0x44))))
+        elif kind < 0.7:
+            program.append((OUT8, port | 1, rng.randrange(256)))
+        elif kind < 0.75:
+            program.append((IN8, rng.choice((0x2FF, 0x30C, 0x1000)), 0))
+        else:
+            program.append((DELAY, rng.choice((0, 1, 3, 40, 250, 251, 4000)), 0))
+    return program
+
+
+def by_hand(stage: Stage, program: list[tuple[int, int, int]]) -> list[int]:
+    """The same on the chips themselves."""
+    chips, answers = [axis.chip for axis in stage.axes.values()], []
+    for what, a, b in program:
+        k, address = divmod(a - 0x300, 4)
+        if what == DELAY:
+            stage.run(a * 1e-6)
+        elif 0 <= k < 3 and what == IN8:
+            answers.append(chips[k].read(address))
+        elif 0 <= k < 3:
+            chips[k].write(address, b)
+        else:
+            stage.cycle()
+            answers += [0xFF] * (what == IN8)
+    return answers
+
+
+def everything(stage: Stage) -> tuple:
+    """All that a run may leave behind."""
+    return stage.snapshot().state.tobytes(), [chip.diagnostics for chip in stage.chips]
+
+
+@pytest.mark.parametrize("chips", [PCL240K, PCL240MS], ids=lambda c: c.__name__)
+def test_a_host_in_c_a_host_in_python_and_the_chips_themselves_go_the_same_way_to_the_bit(chips, monkeypatch, tmp_path):
+    library = firmware(PLAYER)
+    for seed in range(3):
+        print("seed", seed)
+        program = pcl240_traffic(random.Random(seed), 400)
+        plain, python, native = (Stage("xyz", chips=chips, visuals=False) for _ in range(3))
+        with plain.record() as expected:
+            answers = by_hand(plain, program)
+        with python.record() as recording:
+            board = Board(python)
+            asked = [board._ask(*request) for request in program]
+        assert [v for v, (what, _, _) in zip(asked, program, strict=True) if what == IN8] == answers
+        assert everything(python) == everything(plain)
+        (tmp_path / "program").write_text("".join(f"{what} {a} {b}\n" for what, a, b in program))
+        monkeypatch.setenv("PLAYER_PROGRAM", str(tmp_path / "program"))
+        with native.record() as from_c:
+            board = Board(native)
+            result = NativeHost(library, board).run()
+        assert result.code == len(program)
+        assert [int(text) for _, text in board.log] == answers
+        assert everything(native) == everything(plain)
+        for name, column in expected.columns.items():
+            assert column.tobytes() == recording.columns[name].tobytes() == from_c.columns[name].tobytes(), name
+        for name, journal in expected.journals.items():
+            course = journal.course().edges.tobytes()
+            assert recording.journals[name].course().edges.tobytes() == course
+            assert from_c.journals[name].course().edges.tobytes() == course
+        assert any(chip.diagnostics for chip in plain.chips), "the program is meant to have mistakes in it"
+
+
+def test_a_port_that_reaches_nothing_reads_as_ffh_takes_a_cycle_and_is_noted():
+    stage = Stage("xyz")
+    board = Board(stage)
+    assert board.in8(0x200) == 0xFF
+    assert board.in16(0x30C) == 0xFFFF
+    board.out8(0x2FF, 1)
+    assert stage.time == pytest.approx(3e-6)
+    assert [(c.port, c.way, c.value) for c in board.strays] == [(0x200, "R", 0xFF), (0x30C, "R", 0xFFFF), (0x2FF, "W", 1)]
+
+
+def test_each_layout_reaches_its_chip():
+    stage = Stage("xyz", chips=PCL240MK)
+    board = Board(stage, base={"x": 0x200, "y": 0x300, "z": 0x210})
+    board.out8(0x300, 0x82)
+    board.out8(0x301, 0x34)
+    board.out8(0x302, 0x12)
+    assert stage.axes["y"].chip.values()["R2"] == 0x1234
+    assert board.in16(0x301) == stage.axes["y"].chip.read(1) | stage.axes["y"].chip.read(2) << 8, "two cycles, the low byte first"
+
+    stage = Stage("xyz", chips=MCX304)
+    board = Board(stage, base=0x400)
+    board.out16(0x40C, 4321)
+    board.out16(0x400, 0x0105)
+    assert stage.chips[0].read(0) == board.in16(0x400)
+    twin = MCX304()
+    twin.write(6, 4321)
+    twin.write(0, 0x0105)
+    assert twin._record["ax"][0]["reg"].tolist() == stage.chips[0]._record["ax"][0]["reg"].tolist()
+    assert board.in8(0x400) | board.in8(0x401) << 8 == board.in16(0x400)
+
+    stage, twin = Stage("xyz", chips=MCX514), MCX514()
+    board = Board(stage, layout="nova-8bit")
+    for byte, value in ((12, 0x34), (13, 0x12), (1, 1), (0, 5)):  # WR6 = 1234h; WR0: the low byte acts
+        board.out8(0x300 + byte, value)
+        twin.write_byte(byte, value)
+    assert stage.chips[0]._record["ax"][0]["reg"].tolist() == twin._record["ax"][0]["reg"].tolist()
+    assert 0x1234 in twin._record["ax"][0]["reg"]
+
+    stage = Stage("xyz_servo", chips=HCTL1100)
+    board = Board(stage)
+    board.out8(0x302, 0x22)
+    board.out8(0x303, 99)
+    assert stage.axes["y"].chip.values()["R22"] == 99
+    board.out8(0x300, 0x22)
+    assert (board.in8(0x301), board.in8(0x303)) == (0x40, 99), "each chip has a latch of its own"
+
+
+def test_half_a_register_of_a_16_bit_chip_is_noted():
+    stage = Stage("xyz", chips=MCX304)
+    board = Board(stage)
+    board.out8(0x30C, 0x21)
+    assert [c.port for c in board.strays] == [0x30C]
+    assert int(stage.chips[0]._record["low"]) == 0xFF21, "the other half of the bus floats"
+
+
+def test_mixed_chips_stand_one_behind_the_other():
+    stage = Stage("xyz_servo", chips={"x": HCTL1100, "z": PCL240K})
+    board = Board(stage)
+    assert [(stage.chips[p.index], p.first) for p in board.places] == [
+        (stage.axes["x"].chip, 0x300),
+        (stage.axes["z"].chip, 0x302),
+    ]
+    board.out8(0x302, 0x81)
+    board.out8(0x303, 77)
+    assert stage.axes["z"].chip.values()["R1"] == 77
+
+
+def test_a_card_tells_which_of_its_chips_pull_the_interrupt_line():
+    stage = Stage("xyz", chips=PCL240K)
+    board = Board(stage, layout="pcl240-card")
+    assert board.in8(0x34C) == 0
+    start(board, 0x344, 3)
+    start(board, 0x348, 1)
+    board.delay_us(100_000)
+    assert (board.in8(0x34C), board.interrupt) == (0b110, True)
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"layout": "nova"}, "PCL240K"),
+        ({"layout": "pcl420"}, "pcl240"),
+        ({"base": -4}, "ports are"),
+        ({"base": 0xFFFF}, "ports are"),
+        ({"stride": 2}, "two things"),
+        ({"base": {"x": 0x300}}, "axis y"),
+        ({"base": {"q": 0x300}}, "q"),
+        ({"keep_cycles": 0}, "keep_cycles"),
+    ],
+)
+def test_a_board_that_cannot_be_says_why(settings, said):
+    with pytest.raises(ArgumentError, match=said):
+        Board(Stage("xyz"), **settings)
+
+
+def test_every_layout_can_be_looked_up_and_lies_where_it_says():
+    for layout in LAYOUTS.values():
+        assert layout.stride >= len(layout.ports)
+        assert layout.evidence in "SI"
+
+
+# --- interrupts ---
+
+
+def moving(stage: Stage, pulses: int = 400) -> Board:
+    """A board whose x chip makes `pulses` at a constant rate and then pulls the interrupt line."""
+    board = Board(stage)
+    start(board, 0x300, pulses)
+    return board
+
+
+def start(board: Board, port: int, pulses: int) -> None:
+    for register, value in ((0, pulses), (1, 800), (7, 300)):
+        board.out8(port, 0x80 | register)
+        for byte in (2, 1, 0):
+            board.out8(port + 1 + byte, value >> 8 * byte & 0xFF)
+    board.out8(port, 0x44)
+    board.out8(port, 0x30)
+
+
+def test_an_interrupt_comes_within_a_delay_at_the_very_nanosecond():
+    stage = Stage("xyz")
+    board = moving(stage)
+    chip, seen = stage.axes["x"].chip, []
+
+    def hook():
+        seen.append((stage._now, chip.pins.irq))
+        board.out8(0x300, 0x00)
+
+    board.on_interrupt(hook)
+    begin = stage._now
+    board.delay_us(2_000_000)
+    assert stage._now == begin + 2_000_000_000, "the hook's time is part of the delay"
+    assert [on for _, on in seen] == [True]
+    twin = Stage("xyz")
+    moving(twin)
+    twin._run_until(seen[0][0] - 1)
+    assert not twin.axes["x"].chip.pins.irq
+    twin._run_until(seen[0][0])
+    assert twin.axes["x"].chip.pins.irq
+    assert [c.way for c in board.trace if c.port is None] == ["I", "i"]
+
+
+def test_interrupts_change_nothing_but_what_their_hook_does():
+    plain, watched = Stage("xyz"), Stage("xyz")
+    for stage in (plain, watched):
+        board = moving(stage)
+        if stage is watched:
+            board.on_interrupt(lambda board=board: board.on_interrupt(None))
+        board.delay_us(1_500_000)
+    assert watched.snapshot().state.tobytes() == plain.snapshot().state.tobytes()
+
+
+def test_an_interrupt_that_nobody_clears_is_an_error_with_the_cycles_before_it():
+    stage = Stage("xyz")
+    board = moving(stage)
+    board.on_interrupt(lambda: None)
+    with pytest.raises(StormError, match="clear the interrupt"):
+        board.delay_us(2_000_000)
+    board.on_interrupt(None)
+    board.out8(0x300, 0x00)
+    assert not board.interrupt
+
+
+def test_an_error_in_a_hook_reaches_the_host():
+    board = moving(Stage("xyz"))
+
+    def hook():
+        raise KeyError("mine")
+
+    board.on_interrupt(hook)
+    with pytest.raises(KeyError, match="mine"):
+        board.delay_us(2_000_000)
