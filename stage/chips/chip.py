@@ -126,6 +126,8 @@ class Chip:
     """Which pin a switch of a stage is wired to, where it has another name than the switch; see `wired`."""
     SERVO: ClassVar[bool] = False
     """Drives a DC motor with an encoder, not a stepper."""
+    IN_POSITION: ClassVar[float] = 4.0
+    """Pulses: so near its goal an axis has arrived, where nobody says otherwise."""
     DEFAULT_CLOCK_HZ: ClassVar[int]
     ADDRESSES: ClassVar[int] = 4
     """Bus addresses: 0 up to ADDRESSES - 1."""
@@ -214,14 +216,18 @@ class Chip:
             return
         said = self._lint(address, value)
         if said:
-            if len(self.diagnostics) >= MAX_DIAGNOSTICS:
-                del self.diagnostics[0]
-            self.diagnostics.append(Diagnostic(self.clock, address, value, *said))
+            self._note(address, value, *said)
         self.CORE.write(self._rows, self._i, address, value)
         if self._journal is not None:
             self._journal.note_write(self.clock, address, value)
 
     _ADDRESS_MASK: ClassVar[int] = 3
+
+    def _note(self, address: int, value: int, message: str, source: str) -> None:
+        """A mistake of the host, now."""
+        if len(self.diagnostics) >= MAX_DIAGNOSTICS:
+            del self.diagnostics[0]
+        self.diagnostics.append(Diagnostic(self.clock, address, value, message, source))
 
     def read(self, address: int) -> int:
         """One bus read cycle; the byte (or word) on the data bus."""

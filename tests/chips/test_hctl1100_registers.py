@@ -15,14 +15,19 @@ def test_the_chip_is_found_by_name():
     assert HCTL1100().clock_hz == 2_000_000
 
 
-def test_addresses_act_modulo_64():
+def test_addresses_act_modulo_64_and_that_is_noted():
     one, other = HCTL1100(), HCTL1100()
     for address in range(64):
         one.write(address + 64, 0x5A)
         other.write(address + 192, 0x5A)
         assert one.read(address) == other.read(address + 128)
     assert one.read(0x22) == 0x5A
-    assert one.snapshot() == other.snapshot()
+    assert one.values() == other.values()
+    one.diagnostics.clear()
+    one.write(0x62, 0x11)
+    assert [(d.address, d.value, d.message) for d in one.diagnostics] == [
+        (0x22, 0x11, "address 62h acts as 22h: six bits")
+    ]
 
 
 @pytest.mark.parametrize("address", [0x1C, 0x20, 0x21, 0x22, 0x23, 0x24, 0x26, 0x29, 0x2A, 0x2B, 0x3C])
@@ -69,7 +74,7 @@ def test_two_mode_flags_are_noted_and_the_first_of_f0_f3_f5_acts():
     assert chip.read(0x00) == 0x2A
     tell(chip, [(0x3C, 1), (0x27, 1), (0x05, CONTROL)])
     chip.advance(SAMPLE)
-    assert chip.net() == 0, "proportional velocity moves no command position"
+    assert chip.command_position == 0, "proportional velocity moves no command position"
 
 
 def test_the_status_shows_modes_flags_and_options_and_b3_is_0():
@@ -264,12 +269,12 @@ def test_a_chip_makes_no_pulses_and_its_course_shows_the_commanded_motion():
     chip = trapezoid(100)
     journal = chip.journal()
     assert len(chip.trace(60 * SAMPLE)) == 0
-    assert chip.net() == 100
+    assert chip.command_position == 100
     assert not chip.busy()
     journal.close()
     course = journal.course(every_pulse=True)
     edges = course.edges
-    assert edges["net"][[0, -1]].tolist() == [0, 100]
+    assert edges["command"][[0, -1]].tolist() == [0, 100]
     assert (edges["clock"][1:-1] % SAMPLE == 0).all()
     assert course.pin("prof")[0]
     assert not course.pin("prof")[-1]

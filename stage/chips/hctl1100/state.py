@@ -57,7 +57,7 @@ STORED = tuple(
 """The bits that a write stores, by address."""
 
 PULSE = np.dtype((np.record, np.dtype([("clock", "i8"), ("axis", "i1"), ("direction", "i1")], align=True)))
-EDGE = record([(name, "i8") for name in "clock inputs outputs counter net motor".split()] + [("rate", "f8")])
+EDGE = record([(name, "i8") for name in "clock inputs outputs counter net command motor".split()] + [("rate", "f8")])
 
 
 @hot
