@@ -50,6 +50,8 @@ from stage.errors import ArgumentError, unknown
 
 WRITE, READ, WAIT = core.WRITE, core.READ, core.WAIT  # kinds of action; WAIT + k
 GOALS = ("position", "home")
+DISTANCES = (400, 8000)  # pulses
+ROOM = 0.9  # of the way to the nearest end limit, that targets by default use at most
 FROM_LIMIT = 5e-4  # m; "home" starts no nearer to an end limit
 
 
@@ -62,8 +64,8 @@ class Config:
     axes: tuple[str, ...] | None = None  # that have a chip; None: every axis of the model
     goal: str = "position"  # or "home"
     waits: tuple[float, ...] = (1e-4, 1e-3, 1e-2, 1e-1)  # s
-    distances: tuple[int, int] = (400, 8000)  # pulses, of goal "position"
-    tolerance: float = 4.0  # pulses
+    distances: tuple[int, int] | None = None  # pulses, of goal "position"; None: 400 to 8000, as far as there is room
+    tolerance: float | None = None  # pulses; None: IN_POSITION of the chip's class, 4, counts of a servo 10
     standing: float = 1e-3  # m/s, slower than this is standing still
     time_limit: float = 30.0  # s
     cycles: int = 2000  # actions
@@ -77,13 +79,15 @@ class Config:
     bus_cycle: float = 1e-6  # s
 
     def __post_init__(self) -> None:
+        if self.tolerance is None:
+            object.__setattr__(self, "tolerance", chip_class(self.chip).IN_POSITION)
         check_choice(self, "goal", GOALS)
         if not self.waits or not all(0 < w <= self.time_limit for w in self.waits):
             raise ArgumentError(f"waits={self.waits!r}: one or more, each from above 0 s to time_limit.")
         check_positive(self, "tolerance", "standing", "time_limit", "cycles", "discount")
-        low, high = self.distances
+        low, high = self.distances or DISTANCES
         if not self.tolerance < low <= high:
-            raise ArgumentError(f"distances={self.distances!r}: (least, most) pulses, beyond the tolerance.")
+            raise ArgumentError(f"distances={(low, high)!r}: (least, most) pulses, beyond the tolerance.")
 
 
 class RegisterBus(Task[Config]):
@@ -107,6 +111,9 @@ class RegisterBus(Task[Config]):
         self.travel = np.array([a.travel for a in self.axes])
         self.limits = np.array([self._limits(a) for a in self.axes])
         self.power_up = self.fleet.truth()["position"][0]
+        room = (np.abs(self.limits - self.power_up[:, None]).min(axis=1) / self.per_pulse).min()
+        least, most = DISTANCES
+        self.distances = c.distances or (least, max(least, min(most, int(ROOM * room))))
         if c.goal == "home":
             self.origin = np.array([self._touch(a, "org") for a in self.axes])
             if np.isnan(self.origin).any():
@@ -115,12 +122,9 @@ class RegisterBus(Task[Config]):
             if (4 * c.tolerance * self.per_pulse > self.scale).any():
                 raise ArgumentError(f"tolerance={c.tolerance!r}: between the end limits is no place to start from.")
         else:
-            self.scale = c.distances[1] * self.per_pulse
-            room = np.abs(self.limits - self.power_up[:, None]).min(axis=1)
-            if (self.scale > room).any():
-                raise ArgumentError(
-                    f"distances={c.distances!r}: there is room for {int((room / self.per_pulse).min())} pulses."
-                )
+            self.scale = self.distances[1] * self.per_pulse
+            if self.distances[1] > room:
+                raise ArgumentError(f"distances={self.distances!r}: there is room for {int(room)} pulses.")
         chip = self.axes[0].chip
         chips = list(dict.fromkeys(a.chip for a in self.axes))
         self.on_chip = np.array([chips.index(a.chip) for a in self.axes])
@@ -146,7 +150,7 @@ class RegisterBus(Task[Config]):
         self.rules, self.axis_rules = np.zeros(1, core.RULES), np.zeros(len(self.axes), core.AXIS_RULES)
         rules = {name: getattr(c, name) for name in core.SETTINGS}
         rules |= self._bus | {
-            "distance": c.distances[1],
+            "distance": self.distances[1],
             "duration": c.time_limit * 1e9,
             "limit": round(c.time_limit * 1e9),
         }
@@ -196,7 +200,7 @@ class RegisterBus(Task[Config]):
         if c.goal == "home":
             start, target = self._places(rng), np.zeros(m, np.int64)
         else:
-            low, high = np.log(c.distances)
+            low, high = np.log(self.distances)
             far = np.rint(np.exp(rng.uniform(low, high, m))).astype(np.int64)
             start, target = self.power_up.copy(), far * rng.choice((-1, 1), m)
         for j, q in self._by_axis("start", options, (int, float)):

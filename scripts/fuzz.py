@@ -3,6 +3,7 @@
 python scripts/fuzz.py bus --seconds 60         bus cycles, input edges and clocks on any chip
 python scripts/fuzz.py mjcf --seconds 60        a small model with elements dropped, renamed, doubled, odd numbers
 python scripts/fuzz.py bus --replay FILE ...    the same checks on given inputs; needs no atheris
+python scripts/fuzz.py bus --chip hctl1100      one chip only
 python scripts/fuzz.py bus --keep               add to tests/corpus/bus the fewest found inputs that reach further
 
 A guided run follows the coverage (atheris). For `bus` it takes two thirds of the time, with the compiled functions as plain
@@ -57,25 +58,30 @@ def inputs_of(target: str) -> list[Path]:
     return [f for folder in (SEEDS / target, FOUND / target) for f in sorted(folder.glob("*")) if f.is_file()]
 
 
-def child(target: str, run: str, options: list[str]) -> int:
+def child(target: str, run: str, options: list[str], chip: str | None = None) -> int:
     """Fuzz in a process of its own and print what it has counted. Returns its exit status; not 0 means a finding."""
     (FOUND / target).mkdir(parents=True, exist_ok=True)
     counts = FOUND / f"{target}-{run}.json"
     counts.unlink(missing_ok=True)
     uncompiled = run in ("guided", "merge") and TARGETS[target].uncompiled
-    command = [sys.executable, __file__, target, "--inside", run, *options]
+    command = [*_inside(target, run, chip), *options]
     status = subprocess.run(command, env={**os.environ, "NUMBA_DISABLE_JIT": str(int(uncompiled))}).returncode
     said = ", ".join(f"{n:,} {name}" for name, n in counted(counts).items())
     print(f"{target}, {run}: {said or 'nothing done'}; {'no finding' if status == 0 else f'exit status {status}'}")
     return status
 
 
-def guided(target: str, seconds: int) -> int:
+def _inside(target: str, run: str, chip: str | None) -> list[str]:
+    """The command of a process that fuzzes."""
+    return [sys.executable, __file__, target, "--inside", run, *(["--chip", chip] if chip else [])]
+
+
+def guided(target: str, seconds: int, chip: str | None) -> int:
     options = [
         *(f"-max_total_time={seconds}", "-timeout=60", f"-max_len={TARGETS[target].most_bytes}", "-len_control=0"),
         *("-print_final_stats=1", f"-artifact_prefix={FOUND / target}/", str(FOUND / target), str(SEEDS / target)),
     ]
-    return child(target, "guided", options)
+    return child(target, "guided", options, chip)
 
 
 def keep(target: str) -> int:
@@ -83,16 +89,17 @@ def keep(target: str) -> int:
     return child(target, "merge", ["-set_cover_merge=1", "-use_counters=0", str(SEEDS / target), str(FOUND / target)])
 
 
-def inside(target: str, run: str, options: list[str]) -> int:
+def inside(target: str, run: str, options: list[str], chip: str | None) -> int:
     """The child: atheris with libFuzzer's options, or mutations for so many seconds."""
     counts, made_of = Counts(FOUND / f"{target}-{run}.json"), TARGETS[target]
+    only = {"only": chip} if chip else {}
     if run == "compiled":
         from fuzzing.mutation import mutate_for
 
         seconds, seed = map(int, options)
         pool = [f.read_bytes() for f in inputs_of(target)]
         try:
-            return mutate_for(made_of.load()(counts), pool, seconds, seed, FOUND / target, made_of.most_bytes)
+            return mutate_for(made_of.load()(counts, **only), pool, seconds, seed, FOUND / target, made_of.most_bytes)
         finally:
             counts.save()
     import atheris
@@ -101,8 +108,8 @@ def inside(target: str, run: str, options: list[str]) -> int:
         import_module(name)
     with atheris.instrument_imports(include=[made_of.instrumented]):
         cls = made_of.load()
-    again = shlex.join([sys.executable, __file__, target, "--inside", run])  # libFuzzer merges in processes of its own
-    atheris.Setup([again, *options], cls(counts, budget=BUDGET))
+    again = shlex.join(_inside(target, run, chip))  # libFuzzer merges in processes of its own
+    atheris.Setup([again, *options], cls(counts, budget=BUDGET, **only))
     atheris.Fuzz()
     return 0
 
@@ -121,6 +128,7 @@ def main() -> int:
     parser.add_argument("target", choices=TARGETS)
     parser.add_argument("--seconds", type=int, default=60, help="of all runs together")
     parser.add_argument("--run", choices=["guided", "compiled"], help="only this; bus has both, mjcf is always guided")
+    parser.add_argument("--chip", help="bus: inputs of this chip only")
     parser.add_argument("--seed", type=int, default=random.randrange(1 << 32), help="of the compiled run's mutations")
     parser.add_argument("--replay", nargs="+", type=Path, metavar="FILE", help="check these inputs and exit")
     parser.add_argument("--keep", action="store_true", help="enlarge tests/corpus from what was found, and exit")
@@ -128,8 +136,10 @@ def main() -> int:
     given, options = parser.parse_known_args()
     if options and not given.inside:
         parser.error(f"unknown: {' '.join(options)}")
+    if given.chip and given.target != "bus":
+        parser.error(f"{given.target} has no chips to choose from")
     if given.inside:
-        return inside(given.target, given.inside, options)
+        return inside(given.target, given.inside, options, given.chip)
     if given.replay:
         replay(given.target, given.replay)
         return 0
@@ -147,9 +157,9 @@ def main() -> int:
     for run in runs:
         seconds = shares[run] if len(runs) > 1 else given.seconds
         if run == "guided":
-            status = guided(given.target, seconds) or status
+            status = guided(given.target, seconds, given.chip) or status
         else:
-            status = child(given.target, run, [str(seconds), str(given.seed)]) or status
+            status = child(given.target, run, [str(seconds), str(given.seed)], given.chip) or status
     return status
 
 

@@ -65,10 +65,10 @@ def commands(port: Port, begin: int, samples: int) -> np.ndarray:
     chip.advance(16 * 0x41)  # the sample of the reset ends
     chip.write(0x00, 0x08)
     chip.write(0x05, 0x03)
-    out = [chip.net()]
+    out = [chip.command_position]
     for _ in range(samples):
         chip.advance(clocks)
-        out.append(chip.net())
+        out.append(chip.command_position)
     return np.array(out)
 
 

@@ -18,7 +18,7 @@ from fuzzing.hctl1100 import HctlFamily
 from fuzzing.nova import NovaFamily
 from fuzzing.pcl240 import Pcl240
 from fuzzing.promises import Counts, demand
-from stage.chips import CHIPS, Chip
+from stage.chips import CHIPS, Chip, chip_class
 from stage.chips.hctl1100 import HCTL1100
 from stage.chips.nova import Nova
 from stage.chips.pcl240 import PCL240
@@ -37,20 +37,24 @@ def family_of(chip: type[Chip]) -> Family:
 class Bus:
     """Checks one input a call."""
 
-    def __init__(self, counts: Counts | None = None, budget: int | None = None) -> None:
-        """`budget`: events that the work of one input may have; it ends there."""
+    def __init__(self, counts: Counts | None = None, budget: int | None = None, only: str | None = None) -> None:
+        """`budget`: events that the work of one input may have; it ends there. `only`: the chip whose inputs are checked."""
         self.families = [family_of(chip) for chip in CHIPS.values()]
+        self.only = chip_class(only) if only else None
         self.counts = Counts() if counts is None else counts
         self.budget, self.digest = budget, hashlib.sha256()
         for family in self.families:
             family.warm_up()
 
-    def __call__(self, data: bytes) -> None:
+    def __call__(self, data: bytes) -> int:
+        """Check an input. Returns 0; -1, by which libFuzzer keeps no such input, where it is for no chip."""
         self.counts["inputs"] += 1
         self.counts.save(every=1.0)
         if not data or data[0] >= len(self.families):
-            return
+            return -1
         family = self.families[data[0]]
+        if self.only not in (None, family.chip):
+            return -1
         self.counts[f"for {family.chip.__name__}"] += 1
         if family.work:
             family.work.done, family.work.budget = 0, self.budget
@@ -61,6 +65,7 @@ class Bus:
             self.counts["out of budget"] += 1
         else:
             self.digest.update(repr(family.state(run.chip)).encode())
+        return 0
 
 
 class Run:

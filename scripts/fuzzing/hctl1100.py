@@ -12,11 +12,13 @@ from fuzzing.family import Family, Values, Work
 from fuzzing.promises import Finding, demand
 from stage.chips import Chip
 from stage.chips.hctl1100 import core, state
+from stage.chips.hctl1100.commutator import RING
 from stage.chips.hctl1100.timer import STEP, T
 from stage.chips.journal import Journal
 from stage.compiled import COMPILED
 
 LONG = 1 << 22  # clocks: a loop in motion works sample by sample
+LONGEST = STEP << 8  # clocks of a sample
 FEW = 1 << 18  # clocks: the edges of more are not looked for one by one
 MODES = (0x00, 0x08, 0x0B, 0x0D)  # position; F0, F3, F5 set
 RATES = (0.0, 1e-4, -1e-4, 0.003, -0.003, 0.1, -0.1, 0.5)  # counts a clock; the encoder's filter follows 1/3
@@ -87,6 +89,8 @@ class HctlFamily(Family):
     def clocks(self, chip: Chip, clocks: int) -> int:
         c = chip._record
         idle = c["mode"] == state.IDLE
+        if c["rate"] and c["reg"][RING]:
+            clocks = min(clocks, FEW)  # each count is an edge of the course, the phases'
         clocks = clocks if idle else min(clocks, LONG)
         shortest = STEP * (min(int(c["period"]), int(c["reg"][T])) + 1)
         self.most_samples = 0 if idle else clocks // shortest + 2
@@ -100,8 +104,6 @@ class HctlFamily(Family):
             raise Finding(f"R07 {values['R07']:02X}h, but the pins {pins:02X}h")
         if not (c["port"] in PORTS and c["pwm"] in PORTS and c["drive"] in PORTS and c["output"] in PORTS):
             raise Finding(f"motor commands {c['port']}, {c['pwm']}, {c['drive']}, {c['output']}")
-        if c["flag"] & state.F2 and c["mode"] == state.CONTROL and c["output"] < 0:
-            raise Finding(f"a unipolar motor command of {c['output']}")
         for name in ("command", "latch"):
             if not -HALF <= c[name] < 2 * HALF:
                 raise Finding(f"{name} {c[name]} has more than 24 bits")
@@ -112,6 +114,8 @@ class HctlFamily(Family):
 
     def advanced(self, chip: Any, before: Any, after: Values, clocks: int, pulses: int) -> None:
         demand(after["R00"] in (before["R00"], before["R00"] & ~state.F0), "clocks clear F0 and no other flag")
+        if clocks >= LONGEST and after["R00"] & state.F2 and chip._record["mode"] == state.CONTROL:
+            demand(chip.motor_command >= 0, f"a unipolar motor command of {chip.motor_command} after a sample")
         if before["R00"] & state.F1:
             changed = {name for name in before if before[name] != after[name]} - {"R0F", "R14"}
             demand(not changed, f"clocks changed {changed} in Init/Idle")
@@ -121,8 +125,15 @@ class HctlFamily(Family):
         edges = np.concatenate(list(journal.pieces(every_pulse=every, size=1024)))
         demand(bool((edges["clock"][1:] >= edges["clock"][:-1]).all()), "a course that runs back")
         last = edges[-1]
-        is_at = (chip.clock, chip.net(), chip.motor_command, chip._output_word(0), chip._input_word(0))
-        ends_at = tuple(int(last[name]) for name in ("clock", "net", "motor", "outputs", "inputs"))
+        is_at = (
+            chip.clock,
+            chip.net(),
+            chip.command_position,
+            chip.motor_command,
+            chip._output_word(0),
+            chip._input_word(0),
+        )
+        ends_at = tuple(int(last[name]) for name in ("clock", "net", "command", "motor", "outputs", "inputs"))
         demand(ends_at == is_at, f"a course that ends with {ends_at}, a chip with {is_at}")
 
     def most_work(self, chip: Any, pulses: int) -> int:

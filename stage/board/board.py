@@ -202,7 +202,7 @@ class Board:
         reached = {self._first + n: tuple(p) for n, p in enumerate(self._ports.tolist())}
 
         def tell(port: int, value: int, writes: bool) -> str:
-            kind, chip, address, _ = reached.get(port, (bus.NOTHING, 0, 0, 0))
+            kind, chip, address, mask, _ = reached.get(port, (bus.NOTHING, 0, 0, 0, 0))
             if kind == bus.NOTHING:
                 return "nothing is here"
             if kind == bus.PULLS:
@@ -210,7 +210,7 @@ class Board:
                 return f"interrupts: {', '.join(on) or 'none'}"
             name = f"{self._name(chip)}: "
             if kind == bus.LATCH:
-                latches[port] = value
+                latches[port] = value & mask
                 return name + (f"address latch = {value:02X}h" if writes else "the address latch cannot be read")
             if kind == bus.LATCHED:
                 address = latches.get(port - 1, 0)

@@ -33,10 +33,10 @@ line to note; a write that Python makes, since a fault of the bus looks at each.
 STORM_CALLS = 1000
 
 NOTHING, BYTE, WORD, HALF, LATCH, LATCHED, PULLS = range(7)
-PORT = record([(name, "i8") for name in "kind chip address seen".split()])
+PORT = record([(name, "i8") for name in "kind chip address mask seen".split()])
 """What a port reaches. BYTE, WORD: an address of a chip of 8, 16 bits; HALF: the upper byte of the WORD one below; LATCH: takes
-the address for LATCHED; PULLS: which chips pull the interrupt line, a bit each. `seen`: number of the trace's line about its last
-read, plus one."""
+the address for LATCHED, as much of it (`mask`) as the chip does; PULLS: which chips pull the interrupt line, a bit each. `seen`:
+number of the trace's line about its last read, plus one."""
 
 IN, OUT, IN_WIDE, OUT_WIDE, CALLED, RETURNED = range(6)
 STRAY, LOST_ON_THE_WAY = 8, 16
@@ -425,7 +425,7 @@ def _out8(h, chips, port, value):
     if kind in (NOTHING, LATCH, PULLS):
         _cycle(h, chips)
         if kind == LATCH:
-            ports[port - h.first].address = value
+            ports[port - h.first].address = value & ports[port - h.first].mask
         _note(h, OUT if kind == LATCH else OUT | STRAY, port, value, -1)
     else:
         p = ports[port - h.first]

@@ -104,21 +104,21 @@ def places(
 
 def table(found: list[Place]) -> tuple[int, np.ndarray]:
     """The first port of a bus, and PORT records from there on. Raises ArgumentError where two things share a port."""
-    lines: dict[int, tuple[int, int, int]] = {}
+    lines: dict[int, tuple[int, int, int, int]] = {}
 
-    def put(port: int, kind: int, chip: int, address: int) -> None:
+    def put(port: int, kind: int, chip: int, address: int, mask: int) -> None:
         if port in lines:
             raise ArgumentError(
                 f"port {port:03X}h would reach two things: choose another base or a stride of more ports."
             )
-        lines[port] = (kind, chip, address)
+        lines[port] = (kind, chip, address, mask)
 
     for place in found:
         for n, (kind, address) in enumerate(place.layout.ports):
-            put(place.first + n, kind, place.index, address)
+            put(place.first + n, kind, place.index, address, place.chip._ADDRESS_MASK)
     if found and (own := found[0].layout).own:
         for n, (kind, address) in enumerate(own.own):
-            put(found[0].first + own.stride * own.chips + n, kind, 0, address)
+            put(found[0].first + own.stride * own.chips + n, kind, 0, address, 0)
     first = min(lines)
     ports = np.zeros(max(lines) - first + 1, PORT)
     for port, line in lines.items():

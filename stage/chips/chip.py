@@ -130,6 +130,8 @@ class Chip:
     """Which pin a switch of a stage is wired to, where it has another name than the switch; see `wired`."""
     SERVO: ClassVar[bool] = False
     """Drives a DC motor with an encoder, not a stepper."""
+    IN_POSITION: ClassVar[float] = 4.0
+    """Pulses: so near its goal an axis has arrived, where nobody says otherwise."""
     DEFAULT_CLOCK_HZ: ClassVar[int]
     ADDRESSES: ClassVar[int] = 4
     """Bus addresses: 0 up to ADDRESSES - 1."""

@@ -22,8 +22,8 @@ def make_stage(args: argparse.Namespace, servos: bool = False) -> Any:
         return Stage(args.model, chips=chips, drives=args.motor, bus_cycle=args.bus_cycle)
     if chips.SERVO:
         raise StageError(
-            f"--chips {args.chips}: a {chips.MAP.chip} closes a loop and makes no pulses; this command's moves are those of the "
-            "PCL-240 family. docs/hctl1100.md shows how a program moves it."
+            f"--chips {args.chips}: an {chips.MAP.chip} closes a loop and makes no pulses; this command's moves are those of "
+            "the PCL-240 family. Programs move it by stage.firmware.servo, see docs/servo.md."
         )
     motor = {} if args.motor is None else {"motor": args.motor}
     drive = Drive(microsteps=args.microsteps, bus_voltage=args.bus_voltage, **motor)

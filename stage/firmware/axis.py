@@ -45,6 +45,7 @@ def check(axis: Any) -> type[PCL240]:
         raise ArgumentError(f"{axis!r} is no axis: give stage.axes['x'], or Bench(x=PCL240K()).axes['x'].")
     if not isinstance(chip, PCL240):
         raise ArgumentError(
-            f"axis {axis.name} has a {chip.MAP.chip}; these procedures speak to the PCL-240 family, others by bus cycles."
+            f"axis {axis.name} has an {chip.MAP.chip}; these procedures speak to the PCL-240 family, stage.firmware.nova and "
+            "stage.firmware.servo to others."
         )
     return type(chip)

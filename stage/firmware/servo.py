@@ -12,6 +12,7 @@ Init/Idle. See servo_home.py for home, servo_profile.py for motion commanded sam
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from stage.errors import ArgumentError
@@ -204,17 +205,16 @@ def _measure(port: Port, seconds: float) -> float:
 
 def velocity_word(port: Port, rate: float, name: str, scale: int) -> int:
     """What a velocity register holds for counts/s. Raises ArgumentError where that is 0, or too much."""
-    value = round(rate * port.sample * scale)
-    return _held(port, name, value, f"{rate:g} counts/s")
+    return _held(port, name, rate * port.sample * scale, f"{rate:g} counts/s")
 
 
 def acceleration_word(port: Port, acceleration: float) -> int:
     """What R27:R26 hold for counts/s2. Raises ArgumentError where that is 0, or too much."""
-    return _held(port, "acceleration", round(acceleration * port.sample**2 * 256), f"{acceleration:g} counts/s2")
+    return _held(port, "acceleration", acceleration * port.sample**2 * 256, f"{acceleration:g} counts/s2")
 
 
-def _held(port: Port, name: str, value: int, said: str) -> int:
-    word = WORDS[name]
+def _held(port: Port, name: str, rate: float, said: str) -> int:
+    word, value = WORDS[name], round(rate) if math.isfinite(rate) else 0
     if value == 0 or not word.least <= value <= word.most:
         raise ArgumentError(
             f"{said} are {value} in the register of {name} at samples of {port.sample * 1e6:g} us: {max(word.least, 1)} to "

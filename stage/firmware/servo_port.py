@@ -14,7 +14,7 @@ from typing import NamedTuple
 from stage.chips import HCTL1100
 from stage.chips.hctl1100.maps import MAP, MINIMUM_T
 from stage.chips.hctl1100.state import signed
-from stage.errors import ArgumentError, RunTimeout
+from stage.errors import ArgumentError, RunTimeout, unknown
 from stage.firmware.axis import Axis
 
 POLL = 1e-3  # s between two looks
@@ -23,6 +23,7 @@ SET = 8  # R00: set the flag, not clear it
 FLAGS = {"trapezoid": 0, "proportional velocity": 3, "integral velocity": 5}
 LIMIT, STOP, INIT, PROFILE = (MAP.mask("R07", name) for name in ("limit", "stop", "init", "profile"))
 MARGIN = 3  # counts of the timer: so long before the sample's end no command is begun
+LOOKS = 8  # at the timer, one after the other; two or three are enough
 TOP = 1 << 23  # counts; positions are -TOP to TOP - 1
 
 
@@ -119,7 +120,9 @@ class Port:
 
     def mode(self, name: str) -> None:
         """Choose a control mode by its flag, "position" by none, and let the sample in progress end: with a profile it takes longer
-        to be worked out."""
+        to be worked out. Raises ArgumentError for a name that MINIMUM_T has not."""
+        if name not in MINIMUM_T:
+            raise unknown("control mode", name, MINIMUM_T)
         self._set_flags(name)
         self.axis.wait(self.sample)
 
@@ -143,14 +146,14 @@ class Port:
 
     def wait_for_the_safe_part(self, mode: str = "position") -> None:
         """Wait, if need be, until the timer says that the sample has been worked out and does not end at once. Raises ArgumentError
-        where T is so short that there is no such part."""
+        where T is so short that there is no such part, or is another than what this port knows."""
         least = MINIMUM_T[mode]
         if self.t < least + MARGIN:
             raise ArgumentError(
                 f"axis {self.axis.name}: T = {self.t} leaves no time in a sample for commands of {mode} control: load "
                 f"{least + MARGIN} or more."
             )
-        while True:
+        for _ in range(LOOKS):
             left = self.chip.read(0x0F)
             if self.t - left < least:
                 self.axis.wait((least - self.t + left) * self.count)
@@ -158,6 +161,10 @@ class Port:
                 self.axis.wait((left + 1 + least) * self.count)
             else:
                 return
+        raise ArgumentError(
+            f"axis {self.axis.name}: its timer never shows the safe part of T = {self.t}. T cannot be read back: load timer= by "
+            "this port, or take the port that has loaded it."
+        )
 
     def command(self, position: int) -> None:
         """A new command position, in the safe part of a sample."""

@@ -100,7 +100,11 @@ def test_a_port_that_reaches_nothing_reads_as_ffh_takes_a_cycle_and_is_noted():
     assert board.in16(0x30C) == 0xFFFF
     board.out8(0x2FF, 1)
     assert stage.time == pytest.approx(3e-6)
-    assert [(c.port, c.way, c.value) for c in board.strays] == [(0x200, "R", 0xFF), (0x30C, "R", 0xFFFF), (0x2FF, "W", 1)]
+    assert [(c.port, c.way, c.value) for c in board.strays] == [
+        (0x200, "R", 0xFF),
+        (0x30C, "R", 0xFFFF),
+        (0x2FF, "W", 1),
+    ]
 
 
 def test_each_layout_reaches_its_chip():
@@ -110,7 +114,9 @@ def test_each_layout_reaches_its_chip():
     board.out8(0x301, 0x34)
     board.out8(0x302, 0x12)
     assert stage.axes["y"].chip.values()["R2"] == 0x1234
-    assert board.in16(0x301) == stage.axes["y"].chip.read(1) | stage.axes["y"].chip.read(2) << 8, "two cycles, the low byte first"
+    assert board.in16(0x301) == stage.axes["y"].chip.read(1) | stage.axes["y"].chip.read(2) << 8, (
+        "two cycles, the low byte first"
+    )
 
     stage = Stage("xyz", chips=MCX304)
     board = Board(stage, base=0x400)

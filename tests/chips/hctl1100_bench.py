@@ -39,8 +39,8 @@ def signed(value, bits):
 
 def to_sample(chip):
     """To the next sample of a chip whose command position moves."""
-    at = chip.net()
-    while chip.net() == at:
+    at = chip.command_position
+    while chip.command_position == at:
         chip.advance(1)
 
 

@@ -93,7 +93,7 @@ class Pair:
             reference.encoder,
             reference.motor_command,
         )
-        assert chip.net() == reference.command
+        assert chip.command_position == reference.command
 
 
 @random_programs
@@ -210,7 +210,7 @@ def test_a_trapezoid_or_triangle_agrees_sample_by_sample_and_ends_at_the_final_p
         pair.agree()
         pair.advance(16 * (t + 1))
     assert not pair.chip.pins.prof
-    assert pair.chip.net() == at + distance
+    assert pair.chip.command_position == at + distance
     pair.agree()
 
 

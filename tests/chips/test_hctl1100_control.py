@@ -15,7 +15,7 @@ def course(chip, samples):
     at = []
     for _ in range(samples):
         chip.advance(SAMPLE)
-        at.append(chip.net())
+        at.append(chip.command_position)
     return at
 
 
@@ -30,7 +30,7 @@ def test_a_trapezoid_climbs_by_the_acceleration_cruises_and_brakes():
     assert (steps[5:90] == 10).all()
     moving = steps[steps > 0]
     assert (np.diff(moving[90:]) <= 0).all()
-    assert chip.net() == 1000
+    assert chip.command_position == 1000
 
 
 def test_a_short_move_is_a_triangle():
@@ -38,17 +38,17 @@ def test_a_short_move_is_a_triangle():
     steps = -np.diff([0, *course(chip, 40)])
     assert steps.max() < 10
     assert steps.sum() == 60
-    assert chip.net() == -60
+    assert chip.command_position == -60
 
 
 def test_the_profile_flag_falls_with_the_last_command_position_and_control_goes_on_there():
     chip = trapezoid(50)
     assert chip.pins.prof
     while chip.pins.prof:
-        assert chip.net() < 50
+        assert chip.command_position < 50
         assert chip.read(0x07) & 0x10
         chip.advance(SAMPLE)
-    assert chip.net() == 50
+    assert chip.command_position == 50
     assert chip.read(0x00) == 0
     assert chip.motor_command > 0, "the shaft has not moved, and the position loop pulls"
     chip.encoder = 50
@@ -59,7 +59,7 @@ def test_the_profile_flag_falls_with_the_last_command_position_and_control_goes_
 def test_the_flag_set_in_position_control_starts_the_profile_at_once():
     chip = bench(word(FINAL, 30), acceleration(256), [(0x28, 3)], begin("position"))
     chip.advance(5 * SAMPLE)
-    assert chip.net() == 0
+    assert chip.command_position == 0
     chip.write(0x00, 0x08)
     assert course(chip, 3) == [1, 3, 6]
 
@@ -79,7 +79,7 @@ def test_what_follows_a_profile_begins_at_rest():
         chip.write(0x00, 0x0D)
         chip.advance(30 * SAMPLE)
         assert not chip.pins.prof
-        assert chip.net() == goal
+        assert chip.command_position == goal
 
 
 @pytest.mark.parametrize(("a", "top"), [(0, 5), (100, 0)])
@@ -88,7 +88,7 @@ def test_a_trapezoid_that_cannot_move_is_noted_and_never_ends(a, top):
     assert "never ends" in chip.diagnostics[-1].message
     chip.advance(1000 * SAMPLE)
     assert chip.pins.prof
-    assert chip.net() == 0
+    assert chip.command_position == 0
 
 
 def test_new_data_while_the_profile_runs_is_noted():
@@ -116,19 +116,19 @@ def test_stop_brakes_at_the_acceleration_and_holds_until_it_is_cleared_and_told_
     chip.pins.stop = True
     chip.pins.stop = False
     assert chip.read(0x07) & 0x40 == 0, "latched"
-    assert np.diff([chip.net(), *course(chip, 12)]).tolist() == [18, 16, 14, 12, 10, 8, 6, 4, 2, 0, 0, 0]
+    assert np.diff([chip.command_position, *course(chip, 12)]).tolist() == [18, 16, 14, 12, 10, 8, 6, 4, 2, 0, 0, 0]
     chip.advance(300)
     chip.write(0x3C, 5)
     assert "STOP has triggered" in chip.diagnostics[-1].message
-    at = chip.net()
+    at = chip.command_position
     chip.advance(20 * SAMPLE)
-    assert chip.net() == at
+    assert chip.command_position == at
     chip.write(0x07, 0)
     chip.advance(20 * SAMPLE)
-    assert chip.net() == at, "the command velocity is 0 now"
+    assert chip.command_position == at, "the command velocity is 0 now"
     chip.write(0x3C, 5)
     chip.advance(20 * SAMPLE)
-    assert chip.net() > at
+    assert chip.command_position > at
 
 
 def test_stop_is_not_cleared_while_its_pin_is_asserted():
@@ -148,7 +148,7 @@ def test_stop_acts_in_integral_velocity_only(mode):
         chip = bench(word(FINAL, 500), acceleration(64), [(0x28, 9)], velocity(40), begin(mode))
         chip.pins.stop = stop
         chip.advance(50 * SAMPLE)
-        return chip.net(), chip.motor_command
+        return chip.command_position, chip.motor_command
 
     assert run(True) == run(False)
 
@@ -171,14 +171,14 @@ def test_limit_ends_every_control_mode_at_once_and_its_flags_stay(mode):
     )
     chip.advance(4 * SAMPLE)
     assert chip.motor_command != 0
-    flags, at = chip.read(0x00), chip.net()
+    flags, at = chip.read(0x00), chip.command_position
     chip.pins.limit = True
     assert chip.pins.init
     assert chip.motor_command == 0
     assert (chip.read(0x08), chip.read(0x09)) == (0x80, 0)
     assert chip.read(0x00) == flags | 0x02
     chip.advance(10 * SAMPLE)
-    assert chip.net() == at
+    assert chip.command_position == at
 
 
 def test_limit_is_latched_and_cleared_by_a_write_to_the_status_once_the_pin_is_released():
@@ -348,7 +348,7 @@ def test_the_loop_closes_round_a_motor_in_every_control_mode():
     tell(chip, [(0x3C, 5), (0x00, 0x0D)])
     motor.run(400)
     assert motor.velocity == pytest.approx(5, abs=0.3)
-    assert abs(motor.at - chip.net()) < 40
+    assert abs(motor.at - chip.command_position) < 40
     chip.pins.stop = True
     motor.run(400)
     assert abs(motor.velocity) < 0.3

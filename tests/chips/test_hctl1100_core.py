@@ -3,7 +3,7 @@
 import time
 
 import pytest
-from hctl1100_bench import SAMPLE, bench, moving, trapezoid
+from hctl1100_bench import SAMPLE, bench, moving, position, trapezoid
 from hctl1100_programs import COMMAND, begin, velocity, word
 
 from stage.chips import HCTL1100
@@ -39,6 +39,24 @@ def test_a_stage_sees_the_commanded_and_the_actual_position():
     chip.pins.stop = True
     assert of(chip) == (-77, 300, 0.0, 0, HCTL1100.INPUTS["stop"], chip.read(0x07), 300 & 0xFF)
     assert [chip.read(a) for a in (0x12, 0x13)] == [0, 0], "looking has latched nothing"
+
+
+def test_net_is_the_raw_count_of_the_command_position_wherever_the_position_has_its_0():
+    """For a stage, for whoever asks the chip, and in its course."""
+    chip = bench(word(COMMAND, -77))
+    journal = chip.journal()
+    chip.encoder = 300
+    assert (chip.command_position, chip.net(), of(chip)[0]) == (-77, -77, -77)
+    chip.write(0x13, 0)  # the actual position is 0 at 300
+    assert (chip.command_position, chip.net(), of(chip)[0]) == (-77, 223, 223)
+    chip.encoder = chip.net()
+    chip.read(0x14)
+    assert chip.command_position == position(chip)
+    chip.encoder = 1 << 24  # once round: the nearer count of those that read alike
+    assert chip.net() == of(chip)[0] == (1 << 24) + 223
+    edges = journal.course().edges
+    assert edges["command"].tolist() == [-77] * len(edges)
+    assert set(edges["net"].tolist()) == {-77, 223, (1 << 24) + 223}
 
 
 def test_the_commanded_velocity_is_that_of_the_profile_or_of_the_command():

@@ -15,14 +15,19 @@ def test_the_chip_is_found_by_name():
     assert HCTL1100().clock_hz == 2_000_000
 
 
-def test_addresses_act_modulo_64():
+def test_addresses_act_modulo_64_and_that_is_noted():
     one, other = HCTL1100(), HCTL1100()
     for address in range(64):
         one.write(address + 64, 0x5A)
         other.write(address + 192, 0x5A)
         assert one.read(address) == other.read(address + 128)
     assert one.read(0x22) == 0x5A
-    assert one.snapshot() == other.snapshot()
+    assert one.values() == other.values()
+    one.diagnostics.clear()
+    one.write(0x62, 0x11)
+    assert [(d.address, d.value, d.message) for d in one.diagnostics] == [
+        (0x22, 0x11, "address 62h acts as 22h: six bits")
+    ]
 
 
 @pytest.mark.parametrize("address", [0x1C, 0x20, 0x21, 0x22, 0x23, 0x24, 0x26, 0x29, 0x2A, 0x2B, 0x3C])
@@ -69,7 +74,7 @@ def test_two_mode_flags_are_noted_and_the_first_of_f0_f3_f5_acts():
     assert chip.read(0x00) == 0x2A
     tell(chip, [(0x3C, 1), (0x27, 1), (0x05, CONTROL)])
     chip.advance(SAMPLE)
-    assert chip.net() == 0, "proportional velocity moves no command position"
+    assert chip.command_position == 0, "proportional velocity moves no command position"
 
 
 def test_the_status_shows_modes_flags_and_options_and_b3_is_0():
@@ -204,16 +209,22 @@ def test_the_position_is_24_bits_round_and_the_loop_does_not_see_the_seam():
     assert chip.motor_command == -0x40 // 4
 
 
-def test_counts_faster_than_one_in_three_clocks_are_told():
+def test_counts_faster_than_one_in_three_clocks_do_not_come_through_the_filter():
     chip = HCTL1100()
     chip.see(0, 1 / 3)
     chip.advance(3000)
-    assert chip.missed == 0
+    assert (chip.encoder, chip.missed) == (1000, 0)
     chip.see(1000, 0.5)
     chip.advance(3000)
-    assert chip.missed == 500
-    chip.encoder = 0
-    assert chip.missed == 500
+    assert (chip.encoder, chip.missed, position(chip)) == (1000, 1500, 1000)
+    chip.see(2500, -0.25)
+    chip.advance(400)
+    assert (chip.encoder, chip.missed) == (900, 1500), "slow enough again, from where it was heard last"
+    chip.see(2400, -0.5)
+    chip.advance(400)
+    assert (chip.encoder, chip.missed) == (900, 1300)
+    chip.encoder = 70
+    assert (chip.encoder, position(chip)) == (70, 70)
 
 
 @pytest.mark.parametrize("wrong", [float("nan"), float("inf")])
@@ -264,12 +275,12 @@ def test_a_chip_makes_no_pulses_and_its_course_shows_the_commanded_motion():
     chip = trapezoid(100)
     journal = chip.journal()
     assert len(chip.trace(60 * SAMPLE)) == 0
-    assert chip.net() == 100
+    assert chip.command_position == 100
     assert not chip.busy()
     journal.close()
     course = journal.course(every_pulse=True)
     edges = course.edges
-    assert edges["net"][[0, -1]].tolist() == [0, 100]
+    assert edges["command"][[0, -1]].tolist() == [0, 100]
     assert (edges["clock"][1:-1] % SAMPLE == 0).all()
     assert course.pin("prof")[0]
     assert not course.pin("prof")[-1]

@@ -13,12 +13,12 @@ def test_a_sample_lasts_16_times_t_plus_1_clocks_for_every_t():
         chip = moving(1, t=t)
         chip.advance(3 * 16 * (t + 1))
         to_sample(chip)
-        at = chip.net()
+        at = chip.command_position
         for k in range(1, 4):
             chip.advance(16 * (t + 1) - 1)
-            assert chip.net() == at + k - 1, f"T = {t}: a sample came a clock early"
+            assert chip.command_position == at + k - 1, f"T = {t}: a sample came a clock early"
             chip.advance(1)
-            assert chip.net() == at + k, f"T = {t}: no sample after 16 (T + 1) clocks"
+            assert chip.command_position == at + k, f"T = {t}: no sample after 16 (T + 1) clocks"
 
 
 @pytest.mark.parametrize(
@@ -29,9 +29,9 @@ def test_a_sample_lasts_16_times_t_plus_1_clocks_for_every_t():
 def test_sample_times_of_the_data_sheet(hz, t, seconds):
     chip = bench([(0x0F, t)], acceleration(0x100), begin("integral"), [(0x3C, 1)], clock_hz=hz)
     chip.advance(20 * SAMPLE)
-    at = chip.net()
+    at = chip.command_position
     chip.advance(round(10 * seconds * hz))
-    assert chip.net() == at + 10
+    assert chip.command_position == at + 10
 
 
 def test_table_4_is_the_least_t_of_each_control_mode_and_a_smaller_one_is_noted_and_works():
@@ -73,17 +73,17 @@ def test_a_new_t_is_used_after_the_present_count_ends():
 def test_the_first_sample_comes_16_times_41h_clocks_after_reset():
     chip = bench(acceleration(0x100), begin("integral"), [(0x3C, 1)])
     chip.advance(SAMPLE - 1)
-    assert chip.net() == 0
+    assert chip.command_position == 0
     chip.advance(1)
-    assert chip.net() == 1
+    assert chip.command_position == 1
 
 
 def test_t_of_0_samples_every_16_clocks():
     chip = moving(1, t=0)
     to_sample(chip)
-    at = chip.net()
+    at = chip.command_position
     chip.advance(16 * 100)
-    assert chip.net() == at + 100
+    assert chip.command_position == at + 100
     assert chip.read(0x0F) == 0
 
 
@@ -182,7 +182,7 @@ def test_sync_starts_the_samples_of_several_chips_at_one_clock():
         for chip in chips:
             chip.advance(16)
         assert len({chip.read(0x0F) for chip in chips}) == 1
-        assert {chip.net() for chip in chips} == {n // 0x20}
+        assert {chip.command_position for chip in chips} == {n // 0x20}
 
 
 def test_without_sync_chips_keep_the_phase_of_their_resets():
@@ -200,7 +200,7 @@ def test_sync_means_nothing_in_a_control_mode_and_leaving_idle_lets_the_timer_go
     chip = moving(1)
     chip.pins.sync = True
     chip.advance(10 * SAMPLE)
-    assert chip.net() >= 10
+    assert chip.command_position >= 10
     chip.write(0x05, 0x01)
     chip.advance(10 * SAMPLE)
     assert chip.read(0x0F) == 0

@@ -8,7 +8,7 @@ import servo_programs as servo
 from stage import ArgumentError
 from stage.envs import register_bus as rb
 
-SETTINGS = dict(model="xyz_servo", chip="HCTL1100", axes=("x", "y"), distances=(400, 4000), tolerance=40.0)
+SETTINGS = dict(model="xyz_servo", chip="HCTL1100", axes=("x", "y"), distances=(400, 4000))
 R07, R12, R14 = 0x07, 0x12, 0x14
 BLOCK = 8 + 63 + 64  # bits of R07, the other addresses, freshness of all
 
@@ -46,7 +46,25 @@ def test_trapezoids_of_two_servos_reach_their_targets():
         if terminated or truncated:
             break
     assert (terminated, truncated, last["success"], last["lost_steps"]) == (True, False, True, 0)
-    assert last["error"] <= 40
+    assert last["error"] <= 10
+
+
+@pytest.mark.parametrize("model", ["xyz_servo", "xyz"])
+def test_the_default_tolerance_leaves_room_for_the_weight_that_a_filter_without_integral_holds(model):
+    """As made without a setting: three axes, targets as far as Z has room."""
+    env = gymnasium.make("stage/RegisterBus-v0", disable_env_checker=True, model=model, chip="HCTL1100").unwrapped
+    assert env._task.distances == (400, 7199)
+    _, info = env.reset(seed=1, options={"target": {"x": 900, "y": -1200, "z": 700}})
+    hosts = [Bus(env, k) for k in range(3)]
+    for host, counts in zip(hosts, info["target"].tolist(), strict=True):
+        servo.move(host, counts)
+    done = False
+    while not done:
+        _, _, done, truncated, info = hosts[0].act(rb.WAIT + 2)
+        assert not truncated
+    assert info["success"]
+    z = env.stage.axes["z"]
+    assert 4 < abs(z.commanded - z.position) / z.meters_per_pulse <= 10, "what a stepper's default would not take"
 
 
 def test_addresses_and_values_are_those_of_the_chips_bus():

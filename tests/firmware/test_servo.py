@@ -100,9 +100,10 @@ def test_a_step_is_settled_when_it_has_come_to_stay_within_its_deadband(stage):
     assert report.settled == pytest.approx(outside[-1], abs=3e-3)
 
 
+@pytest.mark.parametrize("name", ["x", "y"])
 @pytest.mark.parametrize("counts", [2_000, -12_000])
-def test_a_trapezoid_shows_the_profile_flag_and_ends_within_its_deadband(stage, counts):
-    port = set_up(stage.axes["x"])
+def test_a_trapezoid_shows_the_profile_flag_and_ends_within_its_deadband(stage, name, counts):
+    port = set_up(stage.axes[name])
     before, rates = port.commanded(), {"velocity": 40_000, "acceleration": 400_000}
     stage.run(0.05)
     report = trapezoid(port, counts, **rates, deadband=DEADBAND)
@@ -124,6 +125,27 @@ def test_rates_that_the_chip_has_not_at_this_sample_time_are_refused(stage):
     for rates in ({"velocity": 1e6}, {"velocity": 100}, {"acceleration": 1}, {"acceleration": 1e9}):
         with pytest.raises(ArgumentError, match="Choose another rate, or another T"):
             trapezoid(port, 100, **rates)
+
+
+def test_a_mode_that_is_none_is_refused(stage):
+    with pytest.raises(ArgumentError, match="unknown control mode 'trapezium'"):
+        set_up(stage.axes["x"]).mode("trapezium")
+
+
+@pytest.mark.parametrize("rate", [float("nan"), float("inf")])
+def test_rates_that_are_no_finite_numbers_are_refused(stage, rate):
+    port = set_up(stage.axes["x"])
+    with pytest.raises(ArgumentError, match="counts/s are 0 in the register"):
+        trapezoid(port, 100, velocity=rate)
+    with pytest.raises(ArgumentError, match="counts/s2 are 0 in the register"):
+        trapezoid(port, 100, acceleration=rate)
+
+
+def test_a_port_that_never_sees_its_safe_part_says_so_instead_of_waiting_for_ever(stage):
+    """T cannot be read back: a second port takes it to be as after a reset."""
+    set_up(stage.axes["x"], Tuning(timer=0))
+    with pytest.raises(ArgumentError, match="T cannot be read back"):
+        Port(stage.axes["x"]).command(5)
 
 
 def test_a_deadband_that_no_loop_keeps_ends_in_a_timeout_and_without_a_motor_command(stage):

@@ -40,8 +40,9 @@ def test_a_circle_lies_on_a_circle_from_rest_to_rest(axes):
     assert max(steps[0], steps[-1]) < 0.02 * steps.max()
     away = points + [3.0, 4.0, 12.0][:axes]
     assert 0 < off_circle(away, RADIUS).max() <= 13.0
-    with pytest.raises(ArgumentError, match="2 or 3 axes"):
-        circle(RADIUS, seconds=SECONDS, sample=520e-6, axes=4)
+    for radius, number in ((RADIUS, 4), (float("nan"), 2)):
+        with pytest.raises(ArgumentError, match="a finite radius, 2 or 3 axes"):
+            circle(radius, seconds=SECONDS, sample=520e-6, axes=number)
 
 
 def test_sync_lets_the_samples_of_all_axes_begin_at_one_clock(stage):

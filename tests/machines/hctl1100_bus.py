@@ -77,11 +77,11 @@ class HctlHost:
             assert v["R08"] == chip.motor_command + 0x80
             assert v["R09"] == chip.motor_command & 0xFF
         count, rate = chip.shaft
-        assert rate or chip.encoder == math.floor(count), "a shaft that stands is where it was seen"
+        assert rate or chip.encoder == math.floor(count - chip.missed), "a shaft that stands is where it was seen"
 
     def seen(self, chip) -> dict:
         """What `check_course` needs of the moment before time passes."""
-        return {"values": chip.values(), "net": chip.net(), "motor": chip.motor_command}
+        return {"values": chip.values(), "command": chip.command_position, "motor": chip.motor_command}
 
     def check_course(self, before, chip) -> None:
         """What holds after a time in which the pins stayed as they were."""
@@ -94,15 +94,15 @@ class HctlHost:
         assert now["R00"] == was["R00"] or now["R00"] == was["R00"] & ~F0, "time clears F0 and nothing else"
         assert now["R07"] & ~PROFILE == was["R07"] & ~PROFILE
         if was["R00"] & F1:
-            assert (chip.net(), chip.motor_command, now["R00"]) == (
-                before.seen["net"],
+            assert (chip.command_position, chip.motor_command, now["R00"]) == (
+                before.seen["command"],
                 before.seen["motor"],
                 was["R00"],
             )
         if not was["R00"] & (F0 | F5) or was["R00"] & (F0 | F3) == F3:
-            assert chip.net() == before.seen["net"], "only a profile moves the command position"
+            assert chip.command_position == before.seen["command"], "only a profile moves the command position"
         if was["R00"] & F0:
-            self._check_trapezoid(was, now, before.seen["net"], chip.net())
+            self._check_trapezoid(was, now, before.seen["command"], chip.command_position)
         assert 0 <= now["R0F"] <= 255
         if before.clocks >= LONGEST_SAMPLE and not was["R00"] & F1:
             assert now["R08"] == chip.motor_command + 0x80

@@ -23,7 +23,7 @@ class ReferenceHCTL1100:
     def __init__(self):
         self.clock = 0
         self.pins = {"limit": False, "stop": False, "index": False, "sync": False}
-        self.turned, self.count, self.rate = 0, Fraction(0), Fraction(0)
+        self.turned, self.count, self.rate, self.lost = 0, Fraction(0), Fraction(0), Fraction(0)
         self.motor_command = 0
         self.index_at = 0
         self.hard_reset()
@@ -31,11 +31,17 @@ class ReferenceHCTL1100:
     # --- the shaft ---
 
     def see(self, count, rate=0):
+        self.lost += (self.rate - self.heard) * (self.clock - self.turned)
         self.turned, self.count, self.rate = self.clock, Fraction(count), Fraction(rate)
 
     @property
+    def heard(self):
+        """Counts a clock that come through the filter, which drops states of less than three clocks."""
+        return self.rate if abs(self.rate) <= Fraction(1, 3) else Fraction(0)
+
+    @property
     def encoder(self):
-        return math.floor(self.count + self.rate * (self.clock - self.turned))
+        return math.floor(self.count - self.lost + self.heard * (self.clock - self.turned))
 
     @property
     def actual(self):
@@ -215,7 +221,7 @@ class ReferenceHCTL1100:
         length, x, y = (self.register[k] for k in (0x18, 0x1A, 0x1B))
         if not length or not x + y:
             return ""
-        turned = self.rate * 16 * (self.register[0x19] + 1) / self.unit
+        turned = self.heard * 16 * (self.register[0x19] + 1) / self.unit
         advance = math.copysign(min(math.floor(abs(turned)), self.register[0x1F]), turned)
         place = int(self.ring + sign_extended(self.register[0x1C], 8) + advance) % length
         on = set()

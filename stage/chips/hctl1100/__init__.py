@@ -27,8 +27,8 @@ __all__ = ["HCTL1100"]
 class HCTL1100(Chip):
     """Agilent HCTL-1100: digital filter, profile generator and commutator for one axis.
 
-    Bus addresses are those of the registers, 0 to 63, and act modulo 64. It makes no pulses: `trace` is empty, `net` the command
-    position. The input pins are low when asserted, the output pins high."""
+    Bus addresses are those of the registers, 0 to 63, and act modulo 64. It makes no pulses: `trace` is empty, `net` the encoder's
+    count that the command position stands for. The input pins are low when asserted, the output pins high."""
 
     MAP: ClassVar = MAP
     CORE: ClassVar = core
@@ -36,13 +36,14 @@ class HCTL1100(Chip):
     OUTPUTS: ClassVar = core.OUTPUTS
     WIRING: ClassVar = {"el_plus": "limit", "el_minus": "limit", "org": "stop", "ez": "index"}
     SERVO: ClassVar = True
+    IN_POSITION: ClassVar = 10.0  # counts: a filter without an integral holds a weight by an error
     DIRECT: ClassVar = True
     READING_ACTS: ClassVar = frozenset({0x14})
     DEFAULT_CLOCK_HZ: ClassVar = 2_000_000
     ADDRESSES: ClassVar = ADDRESSES
     BUSY: ClassVar = (0x07, MAP.mask("R07", "profile"))
     COUNTER: ClassVar = ("R14", 24)
-    TRACED: ClassVar = {"R0E": ("net", 24), "MC": ("motor", 8)}
+    TRACED: ClassVar = {"R0E": ("command", 24), "MC": ("motor", 8)}
     _ADDRESS_MASK: ClassVar = ADDRESSES - 1
 
     @property
@@ -57,13 +58,14 @@ class HCTL1100(Chip):
 
     @encoder.setter
     def encoder(self, count: int) -> None:
-        self.see(count)
+        lost = float(core.lost(self._rows, self._i))
+        self.see(count + lost + 0.5 if lost else count)  # between two counts, where rounding does not matter
 
     @property
-    def missed(self) -> int:
-        """Counts that came faster than one in three clocks, which the encoder's input filter does not let through; the emulated
-        chip counts them all the same."""
-        return int(core.missed(self._rows, self._i))
+    def missed(self) -> float:
+        """Counts that came faster than one in three clocks, plus minus minus: the encoder's input filter lets none of them
+        through, and the shaft is so far ahead of the count."""
+        return float(core.lost(self._rows, self._i))
 
     def see(self, count: float, rate: float = 0.0) -> None:
         """From now on the shaft is at `count + rate * (clock - now)`: encoder counts (a position between two counts shows the lower
@@ -79,9 +81,23 @@ class HCTL1100(Chip):
         """What the chip was told last: count and rate, see `see`."""
         return float(self._record["count"]), float(self._record["rate"])
 
-    def net(self, axis: int = 0) -> int:
-        """The command position, counts: what the loop is given. The chip makes no pulses."""
+    @property
+    def command_position(self) -> int:
+        """R0C to R0E, sign extended: what the loop is given, counts of the actual position."""
         return int(self._record["command"])
+
+    def net(self, axis: int = 0) -> int:
+        """The command position as a raw count of the encoder: there `encoder` is when the actual position is the command position.
+        The chip makes no pulses."""
+        return int(core.wanted(self._rows, self._i))
+
+    def write(self, address: int, value: int) -> None:
+        """One bus write cycle. Never raises: the address acts modulo 64, the value modulo 256, mistakes go to `diagnostics`."""
+        super().write(address, value)
+        at = int(address) & self._ADDRESS_MASK
+        if at != address:
+            said = f"address {int(address):02X}h acts as {at:02X}h: six bits"
+            self._say(self.clock, at, int(value) & self.DATA_MASK, said, "bus")
 
     def values(self) -> dict[str, int]:
         return {r.name: int(core.value(self._rows, self._i, r.number)) for r in self.MAP.registers}

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from stage.chips.hctl1100 import filter as law
 from stage.chips.hctl1100 import motor
-from stage.chips.hctl1100.encoder import raw
+from stage.chips.hctl1100.encoder import heard, raw
 from stage.chips.hctl1100.state import ALIGN, CONTROL, F4, FOUR, FULL, PHA, signed
 from stage.compiled import greatest, hot, least
 
@@ -59,7 +59,7 @@ def release(c):
 @hot
 def advance(c):
     """Counts of the ring that the shaft turns in the time of R19, at most R1F."""
-    turned = c.rate * (16.0 * (c.reg[TIMER] + 1)) / _counts(c)
+    turned = heard(c) * (16.0 * (c.reg[TIMER] + 1)) / _counts(c)
     most = float(c.reg[MOST_ADVANCE])
     return int(least(greatest(turned, -most), most))
 

@@ -1,6 +1,7 @@
 """HCTL-1100, compiled: `run` jumps from sample to sample, and over those that change nothing. Between samples nothing changes.
 
-The chip makes no pulses: for a stage `net` is the command position, and the motor gets `mean_count`, a share of full drive.
+The chip makes no pulses: for a stage `net` is the count that the command position stands for, and the motor gets `mean_count`, a
+share of full drive.
 """
 
 from __future__ import annotations
@@ -179,9 +180,15 @@ def encoder_count(rows, i):
 
 
 @hot
-def missed(rows, i):
-    """Counts that came too fast for the encoder's filter of chip `i`."""
-    return encoder.missed(rows[i])
+def wanted(rows, i):
+    """The raw count that the command position of chip `i` stands for."""
+    return net(rows[i], 0)
+
+
+@hot
+def lost(rows, i):
+    """Counts that came too fast for the encoder's filter of chip `i`, plus minus minus."""
+    return encoder.lost(rows[i])
 
 
 @hot
@@ -215,8 +222,8 @@ def trace(rows, i, until, out):
 def mark(rows, i, out, k, axis):
     """Write chip `i` as it stands to `out[k]` (an EDGE record)."""
     c, e = rows[i], out[k]
-    e.clock, e.inputs, e.outputs, e.counter, e.net = c.clock, c.inputs, outputs(c, 0), counter(c, 0), c.command
-    e.motor, e.rate = c.drive, pulse_rate(c, 0, 1.0)
+    e.clock, e.inputs, e.outputs, e.counter, e.net = c.clock, c.inputs, outputs(c, 0), counter(c, 0), net(c, 0)
+    e.command, e.motor, e.rate = c.command, c.drive, pulse_rate(c, 0, 1.0)
 
 
 @hot

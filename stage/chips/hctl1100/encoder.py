@@ -7,7 +7,7 @@ import math
 from stage.chips.hctl1100.state import NEVER, signed
 from stage.compiled import greatest, hot, least
 
-FASTEST = 1.0 / 3.0  # counts a clock: a state shorter than the filter's three clocks does not come through
+FASTEST = 1.0 / 3.0  # counts a clock: a state that is shorter than the filter's three clocks does not come through
 FAR = float(1 << 53)
 
 
@@ -19,22 +19,27 @@ def raw(c):
 
 @hot
 def _count_at(c, clock):
-    x = c.count + c.rate * (clock - c.seen)
+    x = c.count - c.lost + heard(c) * (clock - c.seen)
     return int(math.floor(least(greatest(x, -FAR), FAR)))
+
+
+@hot
+def heard(c):
+    """Counts a clock that come through the filter: all of them or, too fast, none."""
+    return c.rate if abs(c.rate) <= FASTEST else 0.0
 
 
 @hot
 def see(c, count, rate):
     """From now on the shaft is at `count + rate * (clock - now)`."""
-    c.missed = missed(c)
+    c.lost = lost(c)
     c.seen, c.count, c.rate = c.clock, count, rate
 
 
 @hot
-def missed(c):
-    """Counts that came too fast for the filter so far. The actual position has them all the same."""
-    excess = (abs(c.rate) - FASTEST) * (c.clock - c.seen)
-    return c.missed + (int(least(excess, FAR)) if excess > 0.0 else 0)
+def lost(c):
+    """Counts that came too fast for the filter so far, plus minus minus: the shaft is so far ahead of the count."""
+    return c.lost + (c.rate - heard(c)) * (c.clock - c.seen)
 
 
 @hot
@@ -46,7 +51,7 @@ def actual(c):
 @hot
 def next_count(c, until):
     """The clock after now at which the raw count changes, at most `until`."""
-    if c.rate == 0.0:
+    if heard(c) == 0.0:
         return NEVER
     now = raw(c)
     if _count_at(c, until) == now:

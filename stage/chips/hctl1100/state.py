@@ -26,10 +26,10 @@ STATE = record(
             "error output last speed "  # what the control law remembers
             "port pwm drive dead moment "  # motor command
             "aligning home ring "  # align, commutator
-            "seen missed "  # shaft
+            "seen "  # shaft
         ).split()
     ]
-    + [("count", "f8"), ("rate", "f8"), ("reg", "i8", (ADDRESSES,))]
+    + [("count", "f8"), ("rate", "f8"), ("lost", "f8"), ("reg", "i8", (ADDRESSES,))]
 )
 """One chip. reg: what is stored as it was written, by address.
 
@@ -39,7 +39,8 @@ sample. high, middle: bytes of the command position that wait for the low one. z
 error, output: X(n - 1), MC(n - 1); last, speed: the raw count at the last sample, counts of the one before it.
 port: R08 - 80h; pwm: R09; drive: the one given last; dead: the clock up to which PULSE is off after a reversal; moment: hundredths
 of full drive times clocks, since a stage asked. aligning: samples of Align to come. home: the raw count at which the commutator's
-ring is 0; ring: where it is held. The shaft is at `count + rate * (clock - seen)`; missed: counts too fast to be followed."""
+ring is 0; ring: where it is held. The shaft is at `count + rate * (clock - seen)`; lost: counts of it that came too fast
+for the filter, plus minus minus."""
 
 LIMIT, STOP, INDEX, SYNC = (1 << k for k in range(4))
 INPUTS = {"limit": LIMIT, "stop": STOP, "index": INDEX, "sync": SYNC}
@@ -57,7 +58,7 @@ STORED = tuple(
 """The bits that a write stores, by address."""
 
 PULSE = np.dtype((np.record, np.dtype([("clock", "i8"), ("axis", "i1"), ("direction", "i1")], align=True)))
-EDGE = record([(name, "i8") for name in "clock inputs outputs counter net motor".split()] + [("rate", "f8")])
+EDGE = record([(name, "i8") for name in "clock inputs outputs counter net command motor".split()] + [("rate", "f8")])
 
 
 @hot
