@@ -39,7 +39,7 @@ def see(c, count, rate):
 @hot
 def lost(c):
     """Counts that came too fast for the filter so far, plus minus minus: the shaft is so far ahead of the count."""
-    return c.lost + (c.rate - heard(c)) * (c.clock - c.seen)
+    return least(greatest(c.lost + (c.rate - heard(c)) * (c.clock - c.seen), -FAR), FAR)
 
 
 @hot

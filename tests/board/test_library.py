@@ -1,0 +1,130 @@
+"""A library that is none says what was looked for, and how to build it."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+
+import pytest
+from compiled_firmware import firmware
+
+from stage import Stage
+from stage.board import Board, CompileError, LibraryError, NativeHost, NoCompilerError, build, include
+from stage.board.library import how_to_build
+from stage.errors import ArgumentError
+from stage.files import FileError
+
+BUILD = r'cc -shared -fPIC -I"\$\(stage include\)"'
+
+
+@pytest.fixture(scope="module")
+def board():
+    return Board(Stage("xyz", visuals=False))
+
+
+def plain(tmp_path, text: str, *flags: str, name: str = "plain.so"):
+    """A library built without the header."""
+    firmware("PULSESTAGE_MAIN { return 0; }")  # skips without a compiler
+    source, made = tmp_path / "plain.c", tmp_path / name
+    source.write_text(text)
+    subprocess.run(["cc", *(flags or ("-shared", "-fPIC")), str(source), "-o", str(made)], check=True)
+    return made
+
+
+@pytest.mark.parametrize("isolated", [False, True], ids=["thread", "process"])
+def test_a_library_without_the_entry_point_says_what_was_looked_for(board, isolated):
+    without = firmware("int something_else(void) { return ps_in8(1); }")
+    with pytest.raises(LibraryError, match=f"pulsestage_main.*PULSESTAGE_MAIN.*{BUILD}"):
+        NativeHost(without, board, isolated=isolated)
+
+
+def test_a_library_built_without_the_header_is_refused(board, tmp_path):
+    with pytest.raises(LibraryError, match=f"pulsestage_abi.*include <pulsestage.h>.*{BUILD}"):
+        NativeHost(plain(tmp_path, "double pulsestage_main(double x) { return x; }"), board)
+
+
+def test_a_wrong_signature_does_not_compile():
+    with pytest.raises(CompileError, match="pulsestage_main"):
+        firmware("void pulsestage_main(char *text) { ps_log(text); }")
+
+
+def test_a_library_of_another_version_is_refused(board, tmp_path):
+    text = "unsigned pulsestage_abi = 9; void *pulsestage_bus; int pulsestage_main(void) { return 0; }"
+    with pytest.raises(LibraryError, match="version 9.*build it again"):
+        NativeHost(plain(tmp_path, text), board)
+
+
+def test_a_library_for_another_machine_is_named(board, tmp_path):
+    made = bytearray(firmware("PULSESTAGE_MAIN { return 0; }").read_bytes())
+    made[18:20] = (243).to_bytes(2, "little")
+    foreign = tmp_path / "foreign.so"
+    foreign.write_bytes(made)
+    with pytest.raises(LibraryError, match=f"built for RISC-V.*{BUILD}"):
+        NativeHost(foreign, board)
+
+
+def test_what_is_no_library_is_named(board, tmp_path):
+    text = tmp_path / "text.so"
+    text.write_text("hello")
+    with pytest.raises(LibraryError, match="no shared library"):
+        NativeHost(text, board)
+    with pytest.raises(LibraryError, match="object file"):
+        NativeHost(plain(tmp_path, "int f(void) { return 0; }", "-c", name="plain.o"), board)
+    with pytest.raises(FileError, match=f"no such library.*{BUILD}"):
+        NativeHost(tmp_path / "missing.so", board)
+    with pytest.raises(FileError, match="no such source"):
+        NativeHost(tmp_path / "missing.c", board)
+    with pytest.raises(ArgumentError, match="no Board"):
+        NativeHost(text, Stage("xyz", visuals=False))
+
+
+def test_a_library_that_needs_another_says_which(board, tmp_path):
+    with pytest.raises(LibraryError, match="nowhere_to_be_found"):
+        NativeHost(
+            firmware("extern int nowhere_to_be_found(void); PULSESTAGE_MAIN { return nowhere_to_be_found(); }"), board
+        )
+
+
+def test_without_a_compiler_it_is_said(monkeypatch, tmp_path):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.delenv("CC", raising=False)
+    (tmp_path / "a.c").write_text("")
+    with pytest.raises(NoCompilerError, match=r"cc.*\$CC"):
+        build(tmp_path / "a.c")
+
+
+def test_several_sources_share_one_bus_and_cpp_works(board, tmp_path):
+    firmware("PULSESTAGE_MAIN { return 0; }")
+    (tmp_path / "a.c").write_text("#include <pulsestage.h>\nint other(void);\nPULSESTAGE_MAIN { return other(); }\n")
+    (tmp_path / "b.c").write_text("#include <pulsestage.h>\nint other(void) { return ps_in8(0x300); }\n")
+    assert (
+        NativeHost(build([tmp_path / "a.c", tmp_path / "b.c"], flags=("-std=c99", "-pedantic", "-Werror")), board)
+        .run()
+        .code
+        == 0xA8
+    )
+    if shutil.which("c++"):
+        made = firmware(
+            'struct S { ~S() { ps_log("bye"); } }; PULSESTAGE_MAIN { S s; return ps_in8(0x300); }', suffix=".cpp"
+        )
+        assert NativeHost(made, board).run().code == 0xA8
+        assert board.log[-1][1] == "bye"
+
+
+@pytest.mark.parametrize(
+    ("macro", "body"),
+    [
+        ("DOS", "outp(0x300, 8); return inp(0x300) + inportb(0x300);"),
+        ("LINUX", "outb(8, 0x300); udelay(5); return inb(0x300) * 2;"),
+    ],
+)
+def test_drivers_find_the_port_macros_that_they_use(board, macro, body):
+    assert (
+        NativeHost(firmware(f"PULSESTAGE_MAIN {{ {body} }}", f"-DPULSESTAGE_{macro}_IO"), board).run().code == 2 * 0xA8
+    )
+    assert board.trace.text().count("reset command") >= 1
+
+
+def test_the_header_is_where_include_says_and_the_hint_names_it():
+    assert (include() / "pulsestage.h").is_file()
+    assert how_to_build("x/driver.so").endswith("driver.c -o driver.so")

@@ -1,0 +1,261 @@
+"""Firmware in C: paused, resumed, bounded, interrupted, and the same to the bit in a process of its own."""
+
+from __future__ import annotations
+
+import ctypes
+
+import pytest
+from compiled_firmware import firmware
+
+from stage import Stage, faults
+from stage.board import Board, HostError, HostTimeout, NativeHost, StormError
+from stage.chips import PCL240K, PCL240MS
+from stage.errors import ArgumentError, RunTimeout, SimulationError, StageError
+
+MOVE = r"""
+int runs;
+static void put(uint32_t port, int r, uint32_t value)
+{
+    ps_out8(port, (uint8_t)(0x80 | r));
+    for (int byte = 3; byte; byte--)
+        ps_out8(port + (uint32_t)byte, (uint8_t)(value >> 8 * (byte - 1)));
+}
+static void start(uint32_t port, uint32_t pulses, int command)
+{
+    put(port, 0, pulses), put(port, 1, 100), put(port, 2, 1500), put(port, 4, 300), put(port, 5, 300), put(port, 7, 300);
+    put(port, 6, 400), ps_out8(port, 0x44), ps_out8(port, (uint8_t)command);
+}
+"""
+THREE = (
+    MOVE
+    + r"""
+PULSESTAGE_MAIN
+{
+    ps_logf("run %d", ++runs);
+    for (uint32_t port = 0x300; port < 0x30C; port += 4)
+        start(port, 3000, 0x15);
+    for (uint32_t port = 0x300; port < 0x30C; port += 4)
+        while (ps_in8(port) & 0x40)
+            ;
+    ps_logf("done at %llu", (unsigned long long)ps_micros());
+    return 7;
+}
+"""
+)
+FOR_EVER = "PULSESTAGE_MAIN { for (;;) { ps_in8(0x300); ps_delay_us(10); } }"
+
+
+def host(body: str, chips=PCL240K, isolated: bool = False, **options) -> NativeHost:
+    """Firmware on a board of its own."""
+    return NativeHost(firmware(body), Board(Stage("xyz", chips=chips, visuals=False)), isolated=isolated, **options)
+
+
+def left_behind(h: NativeHost) -> tuple:
+    """All that a run leaves: state, trace, log, diagnostics."""
+    stage = h.board.stage
+    said = [chip.diagnostics for chip in stage.chips]
+    return stage.snapshot().state.tobytes(), h.board.trace.lines().tobytes(), h.board.log, h.board.cycles, said
+
+
+def in_pieces(h: NativeHost) -> NativeHost:
+    """A run with a payload put on in the middle of it."""
+    assert h.run_for(0.31) is None
+    h.board.stage.set_payload(0.3)
+    assert h.run_for(0.0701234) is None
+    assert h.run().code == 7
+    return h
+
+
+def test_the_same_firmware_gives_the_same_bits_in_every_run_in_pieces_and_in_a_process_of_its_own():
+    whole, again, apart = host(THREE), host(THREE), host(THREE, isolated=True)
+    for h in (whole, again, apart):
+        assert h.run().code == 7
+    assert left_behind(whole) == left_behind(again) == left_behind(apart)
+    pieces = host(THREE)
+    while pieces.run_for(0.0123457) is None:
+        pass
+    assert left_behind(pieces) == left_behind(whole)
+    assert whole.board.log[0] == (0.0, "run 1")
+    whole.run()
+    assert whole.board.log[2][1] == "run 1", "a run from the entry has fresh variables"
+
+
+def test_what_a_test_changes_between_two_pieces_reaches_firmware_in_a_process_of_its_own():
+    ours, theirs = in_pieces(host(THREE, PCL240MS)), in_pieces(host(THREE, PCL240MS, isolated=True))
+    assert left_behind(ours) == left_behind(theirs)
+    unloaded = host(THREE, PCL240MS)
+    unloaded.run()
+    assert left_behind(unloaded)[0] != left_behind(ours)[0]
+
+
+def test_firmware_in_a_process_of_its_own_is_recorded_all_the_same():
+    columns = []
+    for isolated in (False, True):
+        h = host(THREE, isolated=isolated)
+        with h.board.stage.record() as recording:
+            h.run()
+        columns.append({name: column.tobytes() for name, column in recording.columns.items()})
+        assert len(recording) > 100
+    assert columns[0] == columns[1]
+
+
+def test_firmware_stands_still_at_the_very_nanosecond_and_goes_on():
+    h = host("PULSESTAGE_MAIN { ps_delay_us(1000); return 3; }")
+    assert h.run_for(0.000123456) is None
+    assert (h.board.stage._now, h.running) == (123_456, True)
+    h.board.stage.run(0.5)
+    result = h.run()
+    assert h.board.stage._now == 501_000_000, (
+        "what was left of the delay is left after a time in which the firmware stood still"
+    )
+    assert (result.code, h.running) == (3, False)
+
+
+@pytest.mark.parametrize("isolated", [False, True], ids=["thread", "process"])
+def test_firmware_that_never_returns_is_stopped_by_time_or_by_cycles_and_shows_the_last(isolated):
+    h = host(FOR_EVER, isolated=isolated)
+    with pytest.raises(HostTimeout, match=r"0.25 s of simulated time.*\n(.*\n)*.*300h R"):
+        h.run(timeout=0.25)
+    assert h.board.stage._now == 250_000_000
+    with pytest.raises(HostTimeout, match="100 bus cycles"):
+        h.run(max_cycles=100)
+    assert h.run_until(lambda: h.board.stage.time > 0.3, timeout=1, poll=0.01) > 0.04
+    with pytest.raises(RunTimeout, match="did not come true"):
+        h.run_until(lambda: False, timeout=0.002)
+    with pytest.raises(StageError, match="one host"):
+        NativeHost(firmware(FOR_EVER), h.board).run()
+
+
+def test_firmware_that_waits_for_a_timer_gets_on():
+    h = host("PULSESTAGE_MAIN { uint64_t end = ps_micros() + 500; while (ps_micros() < end) ; return 0; }")
+    assert h.run(timeout=1).seconds == pytest.approx(500e-6, abs=3e-6)
+
+
+def test_firmware_that_computes_for_ever_is_left_alone_and_in_its_own_process_ended():
+    endless = "PULSESTAGE_MAIN { ps_out8(0x300, 8); for (volatile int k = 0;; k++) ; }"
+    h = host(endless, isolated=True, patience=1)
+    with pytest.raises(HostError, match="without a bus cycle"):
+        h.run()
+    assert h._runner._child is None
+    assert h.board.stage._now == 1000
+
+
+def test_a_firmware_given_up_never_reaches_the_board_again():
+    h = host("PULSESTAGE_MAIN { for (;;) ps_request(-1, 0, 0); }", patience=0.3)
+    with pytest.raises(HostError, match="without a bus cycle"):
+        h.run()
+    cycles = h.board.cycles
+    assert NativeHost(firmware("PULSESTAGE_MAIN { return ps_in8(0x300); }"), h.board).run().code == 0xA8
+    assert h.board.cycles == cycles + 1
+
+
+@pytest.mark.parametrize(
+    ("crash", "signal"), [("raise(SIGSEGV);", "SIGSEGV"), ("abort();", "SIGABRT"), ("exit(5);", "exit code 5")]
+)
+def test_a_crash_is_an_error_that_shows_the_last_cycles_and_the_recording_arrives(crash, signal):
+    body = (
+        "#include <signal.h>\n#include <stdlib.h>\n"
+        + MOVE
+        + "PULSESTAGE_MAIN { start(0x300, 3000, 0x15); ps_delay_us(100000);"
+    )
+    h = host(body + f' ps_log("falling"); ps_in8(0x304); runs = 1; {crash} return 0; }}', isolated=True)
+    with h.board.stage.record() as recording, pytest.raises(HostError, match=rf"(?s){signal}.*304h R"):
+        h.run()
+    assert h.board.log[0][1] == "falling"
+    assert h.board.stage._now == 100_000_000 + h.board.cycles * 1000
+    assert h.board.stage.axes["x"].position > 1e-4
+    assert len(recording) == 100
+    assert not h.running
+    again = host(body + " ps_in8(0x304); return 0; }")
+    with again.board.stage.record():
+        again.run()
+    assert again.board.stage.snapshot().state.tobytes() == h.board.stage.snapshot().state.tobytes()
+
+
+def test_an_interrupt_hook_in_c_is_called_in_the_middle_of_a_delay():
+    body = (
+        MOVE
+        + r"""
+    static volatile int calls;
+    static void hook(void *argument) { calls++; ps_logf("%s", (const char *)argument); ps_out8(0x300, 0x00); }
+    PULSESTAGE_MAIN
+    {
+        ps_on_interrupt(hook, "stopped");
+        start(0x300, 50, 0x35);
+        ps_delay_us(1000000);
+        return 10 * calls + ps_interrupt_line();
+    }
+    """
+    )
+    results = []
+    for isolated in (False, True):
+        h = host(body, isolated=isolated)
+        assert h.run().code == 10
+        ((at, text),) = h.board.log
+        assert text == "stopped"
+        assert 0.05 < at < 1
+        results.append(left_behind(h))
+    assert results[0] == results[1]
+
+
+def test_a_storm_of_interrupts_ends_the_firmware_and_the_board_goes_on():
+    body = MOVE + "static void hook(void *a) { (void)a; } PULSESTAGE_MAIN { ps_on_interrupt(hook, 0);"
+    for isolated in (False, True):
+        h = host(body + "start(0x300, 50, 0x35); ps_delay_us(1000000); return 0; }", isolated=isolated)
+        with pytest.raises(StormError, match="clear the interrupt"):
+            h.run()
+        assert not h.running
+        assert h.board.in8(0x300) != 0xFF
+
+
+def test_a_stage_that_diverges_ends_the_firmware_with_the_state_before_it():
+    h = host(FOR_EVER)
+    h.run_for(0.01)
+    stage = h.board.stage
+    stage.data.qfrc_applied[0] = 1e12
+    with pytest.raises(SimulationError, match="diverged"):
+        h.run()
+    assert stage.time == pytest.approx(0.01, abs=1e-3)
+    stage.data.qfrc_applied[0] = 0
+    assert h.run_for(0.01) is None, "a new run"
+
+
+def test_faults_of_the_bus_strike_writes_of_firmware_and_are_seen_in_the_trace():
+    plain = Stage("xyz")
+    faults.lost_write(plain.axes["x"], address=0, value=0x15)
+    board = Board(plain)
+    NativeHost(firmware(THREE), board).run()
+    assert plain.axes["x"].position == pytest.approx(0, abs=1e-5)
+    assert plain.axes["y"].position > 1e-3
+    assert "lost on the way" in str(board.trace)
+    h = host(THREE, isolated=True)
+    faults.lost_write(h.board.stage.axes["x"])
+    with pytest.raises(StageError, match="isolated=False"):
+        h.run()
+
+
+def test_a_long_run_of_writes_is_linted_when_somebody_looks():
+    h = host("PULSESTAGE_MAIN { for (int k = 0; k < 5000; k++) ps_out8(0x300, 0x80); ps_out8(0x300, 0x15); return 0; }")
+    h.run()
+    said = h.board.stage.axes["x"].chip.diagnostics
+    chip = Stage("xyz").axes["x"].chip
+    for _ in range(5000):
+        chip.write(0, 0x80)
+    chip.write(0, 0x15)
+    assert said == chip.diagnostics != []
+
+
+@pytest.mark.parametrize("asked", [{"timeout": -1}, {"timeout": float("nan")}, {"timeout": "long"}, {"max_cycles": 0}])
+def test_bounds_that_make_no_sense_are_refused(asked):
+    with pytest.raises(ArgumentError):
+        host(FOR_EVER).run(**asked)
+
+
+def test_the_header_and_python_agree_on_the_requests():
+    from stage.board import bus, library
+
+    text = (library.include() / "pulsestage.h").read_text()
+    names = text[text.index("enum {") + 6 : text.index("};", text.index("enum {"))].replace(" ", "").split(",")
+    ours = [bus.IN8, bus.OUT8, bus.IN16, bus.OUT16, bus.DELAY, bus.MICROS, bus.LOG, bus.HOOK, bus.LINE]
+    assert ours == list(range(len(names)))
+    assert ctypes.sizeof(library.BusStruct) == 24
