@@ -14,6 +14,7 @@ from stage.board.library import how_to_build
 from stage.errors import ArgumentError
 from stage.files import FileError
 
+STRICT = ("-std=c99", "-pedantic", "-Werror")
 BUILD = r'cc -shared -fPIC -I"\$\(stage include\)"'
 
 
@@ -50,7 +51,7 @@ def test_a_wrong_signature_does_not_compile():
 
 def test_a_library_of_another_version_is_refused(board, tmp_path):
     text = "unsigned pulsestage_abi = 9; void *pulsestage_bus; int pulsestage_main(void) { return 0; }"
-    with pytest.raises(LibraryError, match="version 9.*build it again"):
+    with pytest.raises(LibraryError, match=r"version 9.*build it again"):
         NativeHost(plain(tmp_path, text), board)
 
 
@@ -97,12 +98,7 @@ def test_several_sources_share_one_bus_and_cpp_works(board, tmp_path):
     firmware("PULSESTAGE_MAIN { return 0; }")
     (tmp_path / "a.c").write_text("#include <pulsestage.h>\nint other(void);\nPULSESTAGE_MAIN { return other(); }\n")
     (tmp_path / "b.c").write_text("#include <pulsestage.h>\nint other(void) { return ps_in8(0x300); }\n")
-    assert (
-        NativeHost(build([tmp_path / "a.c", tmp_path / "b.c"], flags=("-std=c99", "-pedantic", "-Werror")), board)
-        .run()
-        .code
-        == 0xA8
-    )
+    assert NativeHost(build([tmp_path / "a.c", tmp_path / "b.c"], flags=STRICT), board).run().code == 0xA8
     if shutil.which("c++"):
         made = firmware(
             'struct S { ~S() { ps_log("bye"); } }; PULSESTAGE_MAIN { S s; return ps_in8(0x300); }', suffix=".cpp"
