@@ -74,6 +74,7 @@ class Board:
         self.trace = BusTrace(self, int(keep_cycles))
         self.log: list[tuple[float, str]] = []
         """Lines that the firmware noted: seconds, text."""
+        self.calls = 0  # of Python by compiled code, begun and ended: odd in one
         self._error: BaseException | None = None
         self._driver: Any = None  # the firmware that has begun and not returned
         self._abandoned: set[int] = set()
@@ -181,12 +182,12 @@ class Board:
         self._before = np.zeros(len(words))
         for name, array in (
             ("state", stage._state), ("edges", stage._edges), ("counts", stage._counts), ("ports", self._ports),
-            ("trace", self.trace._lines), ("irqs", self._irqs), ("acts", self._acts), ("userdata", words),
+            ("lines", self.trace._lines), ("irqs", self._irqs), ("acts", self._acts), ("userdata", words),
             ("before", self._before),
         ):  # fmt: skip
             h[name] = array.ctypes.data
         h["edge_room"], h["n_ports"], h["first"] = len(stage._edges), len(self._ports), self._first
-        h["trace_room"], h["words"] = self.trace.room, len(words)
+        h["line_room"], h["words"] = self.trace.room, len(words)
         h["until"] = h["most_cycles"] = MOST
         h["journals"] = 1
         h["call"] = ctypes.cast(self._call, ctypes.c_void_p).value
@@ -232,6 +233,8 @@ class Board:
         if (recording := stage._recording) is not None:
             h["samples"], h["positions"] = recording.samples.ctypes.data, recording.positions.ctypes.data
             h["room"], h["filled"] = len(recording.samples), recording.filled
+        else:
+            h["samples"], h["positions"], h["room"], h["filled"] = h["state"], h["state"], 0, 0  # somewhere
 
     def _end(self) -> None:
         """After compiled code has run: what it noted goes to journals and recording."""
@@ -265,6 +268,7 @@ class Board:
         """Compiled code calls, see stage.board.bus."""
         if threading.get_ident() in self._abandoned:
             threading.Event().wait()
+        self.calls += 1
         try:
             self._end()
             if reason == bus.DIVERGED:
@@ -283,6 +287,7 @@ class Board:
             self._begin()
         except BaseException as error:
             self._fail(error)
+        self.calls += 1
         if self._stand_still is not None and (reason == bus.PAUSE or self._host["stopped"]):
             self._stand_still()
 

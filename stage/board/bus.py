@@ -47,7 +47,7 @@ hit nothing, or only half of what is there, | LOST_ON_THE_WAY if a fault of the 
 HOST = record(
     host.HANDLE_FIELDS
     + [(name, "i8") for name in "state samples positions room filled edges edge_room noted counts".split()]
-    + [(name, "i8") for name in "ports first n_ports trace trace_room traced changed".split()]
+    + [(name, "i8") for name in "ports first n_ports lines line_room traced changed".split()]
     + [
         (name, "i8")
         for name in "until lazy ahead quiet cycles most_cycles stopped call hook argument serving pulling".split()
@@ -58,7 +58,7 @@ HOST = record(
     state                      the stage's state as it was before the last physics, for SimulationError
     samples ... counts         buffers of recording and journals
     ports, first, n_ports      the table of ports, and which is its first
-    trace, trace_room, traced, changed   the trace, a ring; lines so far, and how many there were after the last write
+    lines, line_room, traced, changed   the trace, a ring; lines so far, and how many there were after the last write
     until, most_cycles         when (ns), and after how many cycles, to call Python; cycles: so far
     lazy, ahead, quiet         whether the stage may stay behind the host, by how much (ns) it does, and up to when it may
     stopped, call              nothing more happens; how to call Python
@@ -310,13 +310,13 @@ def _note(h, kind, port, value, seen):
     it all, or -1. Returns the line's number."""
     if h.stopped:
         return -1
-    now, lines = _now(h), _at(h.trace, h.trace_room, CYCLE)
-    if seen >= h.changed and h.traced - seen <= h.trace_room:
-        line = lines[seen % h.trace_room]
+    now, lines = _now(h), _at(h.lines, h.line_room, CYCLE)
+    if seen >= h.changed and h.traced - seen <= h.line_room:
+        line = lines[seen % h.line_room]
         if line.value == value and line.kind == kind and line.port == port:
             line.last, line.count = now, line.count + 1
             return seen
-    line = lines[h.traced % h.trace_room]
+    line = lines[h.traced % h.line_room]
     line.first, line.last, line.count, line.kind, line.port, line.value = now, now, 1, kind, port, value
     h.traced += 1
     if kind & ~STRAY not in (IN, IN_WIDE):

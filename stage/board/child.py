@@ -28,7 +28,7 @@ class TellingBoard(Board):
         shared = Shared(begin.shared, self.trace.room)
         shared.host[:] = self._rows
         self.stage._edges, self.trace._lines, self._shared = shared.edges, shared.trace, shared
-        shared.host["edges"], shared.host["trace"] = shared.edges.ctypes.data, shared.trace.ctypes.data
+        shared.host["edges"], shared.host["lines"] = shared.edges.ctypes.data, shared.trace.ctypes.data
         shared.host["edge_room"] = len(shared.edges)
         self._take(shared.host)
 

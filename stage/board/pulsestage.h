@@ -25,6 +25,14 @@
 #include <stdarg.h>
 #include <stdint.h>
 #include <stdio.h>
+#if defined(PULSESTAGE_LINUX_IO) && defined(__has_include) /* before the names below, which would meet their prototypes */
+#if __has_include(<sys/io.h>)
+#include <sys/io.h>
+#endif
+#if __has_include(<unistd.h>)
+#include <unistd.h>
+#endif
+#endif
 
 #ifdef __cplusplus
 extern "C" {

@@ -111,7 +111,7 @@ def test_several_sources_share_one_bus_and_cpp_works(board, tmp_path):
     ("macro", "body"),
     [
         ("DOS", "outp(0x300, 8); return inp(0x300) + inportb(0x300);"),
-        ("LINUX", "outb(8, 0x300); udelay(5); return inb(0x300) * 2;"),
+        ("LINUX", "outb(8, 0x300); udelay(5); usleep(1); return inb(0x300) * 2;"),
     ],
 )
 def test_drivers_find_the_port_macros_that_they_use(board, macro, body):
