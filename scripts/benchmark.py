@@ -15,7 +15,9 @@ from pathlib import Path
 from bench.figures import Curve, Run
 from bench.report import Results, line, machine, verdicts, write_markdown
 
-SUBJECTS = "closed_loop vector environment chips nova hctl1100 scaling memory recording startup long_run".split()
+SUBJECTS = (
+    "closed_loop vector environment chips nova hctl1100 firmware scaling memory recording startup long_run".split()
+)
 
 
 def main() -> None:

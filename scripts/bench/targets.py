@@ -22,6 +22,7 @@ TARGETS = (
     Target("MCX514 traced at constant speed", "nova.constant_rate", ">=", 1e7),
     Target("MCX514 traced in a ramp", "nova.ramp_rate", ">=", 1e7),
     Target("HCTL1100 in the closed loop, beside PCL240K", "hctl1100.closed_loop", "<=", 1.5),
+    Target("bus cycles from C", "firmware.tight", ">=", 3e6),
     Target("cost over axes", "scaling.axes_exponent", "<=", 1.05),
     Target("cost over stages", "scaling.stages_exponent", "<=", 1.05),
     Target("cost over run length", "long_run.length_exponent", "<=", 1.05),

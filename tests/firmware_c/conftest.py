@@ -1,0 +1,40 @@
+"""The examples of scripts/firmware, built as their reader would: C99, all warnings, errors."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from stage.board import NoCompilerError, build
+from stage.board.library import compiler
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "scripts" / "firmware"
+FLAGS = ("-std=c99", "-Wall", "-Wextra", "-pedantic", "-Werror")
+
+
+@pytest.fixture(scope="session")
+def firmware(tmp_path_factory):
+    """firmware("pcl240mk", *flags, change=(file, old, new)) -> a library; with `change` of a copy that is broken on purpose."""
+    try:
+        compiler()
+    except NoCompilerError as error:
+        pytest.skip(f"firmware in C is not tested here: {error}")
+    made = {}
+
+    def make(name, *flags, change=None):
+        key = (name, flags, change)
+        if key not in made:
+            folder = tmp_path_factory.mktemp(name)
+            shutil.copytree(EXAMPLES / "hal", folder / "hal")
+            shutil.copytree(EXAMPLES / name, folder / name)
+            if change:
+                file, old, new = change
+                path = folder / name / file
+                text = path.read_text()
+                assert text.count(old) == 1, f"{file} has no {old!r} to change, or several"
+                path.write_text(text.replace(old, new))
+            sources = [*sorted((folder / name).glob("*.c")), folder / "hal" / "hal_pulsestage.c"]
+            made[key] = build(sources, folder / f"{name}.so", (*FLAGS, f"-I{folder / 'hal'}", *flags))
+        return made[key]
+
+    return make
