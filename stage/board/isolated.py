@@ -133,6 +133,9 @@ class Isolated:
         self._seen = _digest(pickle.dumps(board.stage))
         return message.code
 
+    def close(self) -> None:
+        self._end()
+
     def _start(self) -> None:
         """A child with a copy of the stage; raises what is wrong with the library."""
         board = self._board

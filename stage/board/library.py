@@ -116,6 +116,16 @@ def build(
     return made
 
 
+def ready(firmware: str | os.PathLike | Sequence[str | os.PathLike], flags: Sequence[str] = ()) -> Path:
+    """The library that `firmware` is, or that is built from it. Raises as `build` and `check`."""
+    given = [firmware] if isinstance(firmware, str | os.PathLike) else list(firmware)
+    if all(str(file).endswith(SOURCES) for file in given):
+        return check(build(given, flags=flags))
+    if len(given) > 1:
+        raise ArgumentError(f"{', '.join(map(str, given))}: give one library, or sources only ({', '.join(SOURCES)}).")
+    return check(given[0])
+
+
 def check(path: str | os.PathLike) -> Path:
     """The path if there is a library for this machine. Raises LibraryError or FileError."""
     file = Path(path)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -50,12 +50,14 @@ class Runner(Protocol):
         Raises what went wrong; it then runs no more.
         """
 
+    def close(self) -> None: ...
+
 
 class NativeHost:
     """Firmware on a board.
 
     Args:
-        firmware: a shared library, or a C or C++ source, which is built first.
+        firmware: a shared library, or C or C++ sources (one, or a sequence), which are built first.
         board: a Board; one firmware at a time drives it.
         isolated: run it in a process of its own, whose crash is an error here; see stage.board.isolated.
         flags: for the compiler.
@@ -67,7 +69,7 @@ class NativeHost:
 
     def __init__(
         self,
-        firmware: str | os.PathLike,
+        firmware: str | os.PathLike | Sequence[str | os.PathLike],
         board: Board,
         *,
         isolated: bool = False,
@@ -76,8 +78,7 @@ class NativeHost:
     ):
         if not isinstance(board, Board):
             raise ArgumentError(f"{board!r} is no Board: NativeHost('driver.c', Board(stage)).")
-        made = library.build(firmware, flags=flags) if str(firmware).endswith(library.SOURCES) else firmware
-        self.path = library.check(made)
+        self.path = library.ready(firmware, flags)
         self.board = board
         self._runner: Runner
         if isolated:
@@ -139,6 +140,20 @@ class NativeHost:
             if done is not None and not condition():
                 raise RunTimeout(f"{self.path.name} returned at {stage.time:.6f} s, and condition {name} is not true.")
         return (stage._now - begin) * 1e-9
+
+    def close(self) -> None:
+        """Give up firmware that stands still; a process of its own ends. A thread cannot be ended: it waits for ever, and what
+        it stands in stays in memory."""
+        self._runner.close()
+
+    def __enter__(self) -> NativeHost:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        return f"<NativeHost {self.path.name}, {'in the middle' if self.running else 'not running'}; {self.board!r}>"
 
     def _go_on(self, ns: int, max_cycles: int) -> Result | None:
         board, stage = self.board, self.board.stage

@@ -62,6 +62,9 @@ class Threaded:
         board._raise()
         return self._code
 
+    def close(self) -> None:
+        self._abandon()
+
     def _start(self) -> None:
         self._bus.host = self._board._rows.ctypes.data
         loaded = library.Library(self._path, self._bus)

@@ -195,8 +195,11 @@ def _add_firmware(commands: Any) -> None:
         "Run firmware (a shared library, or a C or C++ source, which is built first) against the chips: print what it notes, where "
         "the axes end, and what a reader of the data sheet would say to its writes. Exit code 0 if it returns 0 and loses no step.",
     )  # fmt: skip
-    p.add_argument("firmware", metavar="FIRMWARE", help="driver.so or driver.c; see docs/firmware_in_the_loop.md")
+    p.add_argument(
+        "firmware", nargs="+", metavar="FIRMWARE", help="driver.so, or C or C++ sources; docs/firmware_in_the_loop.md"
+    )
     g = p.add_argument_group("firmware")
+    g.add_argument("--cflags", default="", help='for the compiler, for example --cflags="-Ihal -DSLOW"')
     g.add_argument(
         "--timeout", type=float, default=60.0, help="simulated seconds after which it has to return (default: 60)"
     )

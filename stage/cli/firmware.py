@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 import sys
 import time
 from collections import Counter
@@ -31,7 +32,7 @@ def run(args: argparse.Namespace) -> int:
         except ValueError:
             raise ArgumentError(f"--place {item!r}: write AXIS=MM, for example x=62.") from None
     board = Board(stage, args.layout, args.base, args.stride, keep_cycles=args.keep)
-    host = NativeHost(args.firmware, board, isolated=args.isolated)
+    host = NativeHost(args.firmware, board, isolated=args.isolated, flags=tuple(shlex.split(args.cflags)))
     error: StageError | None = None
     result = None
     begin = time.perf_counter()

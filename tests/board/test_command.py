@@ -1,0 +1,86 @@
+"""`stage run`, as a stranger would type it."""
+
+from __future__ import annotations
+
+import pytest
+from compiled_firmware import firmware
+
+from stage.board import include
+from stage.cli import main
+
+MOVE = r"""
+static void put(uint32_t port, int r, uint32_t value)
+{
+    ps_out8(port, (uint8_t)(0x80 | r));
+    for (int byte = 3; byte; byte--)
+        ps_out8(port + (uint32_t)byte, (uint8_t)(value >> 8 * (byte - 1)));
+}
+PULSESTAGE_MAIN
+{
+    ps_out8(PORT, 0x08);
+    put(PORT, 0, 800), put(PORT, 1, 100), put(PORT, 7, 300);
+    ps_out8(PORT, 0x44), ps_out8(PORT, 0x10);
+    while (ps_in8(PORT) & 0x40)
+        ;
+    ps_log("arrived");
+    return RESULT;
+}
+"""
+
+
+def built(result: int = 0, port: str = "0x300") -> str:
+    return str(firmware(MOVE, f"-DRESULT={result}", f"-DPORT={port}"))
+
+
+def test_a_run_prints_what_the_firmware_notes_and_where_the_axes_end_and_writes_what_is_asked(tmp_path, capsys):
+    files = [str(tmp_path / name) for name in ("run.rrd", "run.vcd", "run.txt")]
+    outputs = ["--record", files[0], "--vcd", files[1], "--trace", files[2]]
+    assert main(["run", built(), "--chips", "pcl240mk", *outputs]) == 0
+    said = capsys.readouterr().out
+    for part in ("arrived", "returned 0", "x           2.5", "bus cycles", *files):
+        assert part in said
+    assert "mistakes" not in said
+    trace = (tmp_path / "run.txt").read_text()
+    assert "x: start, constant FL" in trace
+    assert "times until" in trace
+    assert main(["run", built(), *outputs]) == 2, "files that exist are not written over"
+    assert "--force" in capsys.readouterr().err or "exists" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("isolated", [[], ["--isolated"]], ids=["thread", "process"])
+def test_the_exit_code_says_whether_it_went_as_asked(isolated, capsys, tmp_path):
+    assert main(["run", built(5), *isolated]) == 1
+    assert main(["run", built(), "--timeout", "0.01", "--record", str(tmp_path / "late.rrd"), *isolated]) == 1
+    assert "has not returned after 0.01 s" in capsys.readouterr().err
+    assert (tmp_path / "late.rrd").stat().st_size > 1000, "a run that fails is the one to look at"
+    assert main(["run", str(tmp_path / "nothing.so"), *isolated]) == 2
+    assert "stage include" in capsys.readouterr().err
+
+
+def test_a_card_that_is_not_where_the_firmware_looks_is_seen_in_what_is_printed(capsys):
+    assert main(["run", built(port="0x300"), "--base", "0x340", "--timeout", "0.01"]) == 1
+    assert "reached no chip" in capsys.readouterr().out
+    assert main(["run", built(port="0x340"), "--base", "0x340", "--place", "x=-20"]) == 0
+    assert "-17.5" in capsys.readouterr().out
+    assert main(["run", built(), "--place", "x"]) == 2
+    assert main(["run", built(), "--layout", "nova"]) == 2
+
+
+def test_sources_are_built_first(tmp_path, capsys):
+    built()
+    (tmp_path / "a.c").write_text("#include <pulsestage.h>\nint other(void);\nPULSESTAGE_MAIN { return other(); }\n")
+    (tmp_path / "b.c").write_text("int other(void) { return CODE; }\n")
+    assert main(["run", str(tmp_path / "a.c"), str(tmp_path / "b.c"), "--cflags=-DCODE=0"]) == 0
+    assert main(["run", str(tmp_path / "a.c"), built()]) == 2
+    assert "sources only" in capsys.readouterr().err
+
+
+def test_a_servo_chip_runs_too(capsys):
+    body = "PULSESTAGE_MAIN { ps_out8(0x300, 5); ps_out8(0x301, 0); return ps_in8(0x301) == 0xFF; }"
+    assert main(["run", str(firmware(body)), "--chips", "hctl1100", "--model", "xyz_servo"]) in (0, 1)
+    assert "returned" in capsys.readouterr().out
+
+
+def test_include_prints_the_folder_of_the_header(capsys):
+    assert main(["include"]) == 0
+    assert capsys.readouterr().out.strip() == str(include())
