@@ -151,8 +151,8 @@ class Chip:
 
     def __init__(self, clock_hz: int | None = None):
         """Power the chip up. `clock_hz`: reference clock, default the data sheet's."""
-        hz = self.DEFAULT_CLOCK_HZ if clock_hz is None else clock_hz
-        if int(hz) != hz or not 1 <= hz <= 100_000_000:
+        hz: Any = self.DEFAULT_CLOCK_HZ if clock_hz is None else clock_hz
+        if not isinstance(hz, int | float | np.number) or not 1 <= hz <= 100_000_000 or int(hz) != hz:
             raise ArgumentError(f"clock_hz={clock_hz!r}: a reference clock is a whole number of 1 to 100,000,000 Hz.")
         self.clock_hz = int(hz)
         self._diagnostics: list[Diagnostic] = []

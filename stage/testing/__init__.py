@@ -1,0 +1,42 @@
+"""Tests of motion firmware with pytest: a plugin (fixtures `stage`, `board`, `host`, see plugin.py) and what tests assert.
+
+    @pytest.mark.stage(model="xy", chips="PCL240MS")
+    @pytest.mark.firmware("driver.c")
+    def test_the_driver_homes_x(stage, host):
+        assert host.run(timeout=20).code == 0
+        assert_at(stage.axes["x"], -0.12, within=100e-6)
+        assert_no_lost_steps(stage)
+
+pytest imports this package in every session, so it loads what it holds with the first use.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from stage.testing.assertions import (
+        assert_at,
+        assert_no_diagnostics,
+        assert_no_lost_steps,
+        assert_no_strays,
+        assert_pins,
+        assert_stopped,
+    )
+    from stage.testing.path import assert_path_within
+
+__all__ = [
+    "assert_at", "assert_no_diagnostics", "assert_no_lost_steps", "assert_no_strays", "assert_path_within", "assert_pins",
+    "assert_stopped",
+]  # fmt: skip
+
+
+def __getattr__(name: str) -> Any:
+    if name in __all__:
+        return getattr(import_module(f"stage.testing.{'path' if name == 'assert_path_within' else 'assertions'}"), name)
+    raise AttributeError(f"module 'stage.testing' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,0 +1,97 @@
+"""Is a path, as recorded, that polyline?"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from stage.errors import ArgumentError, unknown
+from stage.testing.assertions import fine
+
+if TYPE_CHECKING:
+    from stage.recording import Recording
+
+
+def assert_path_within(
+    recording: Recording,
+    line: Any,
+    within: float,
+    axes: Sequence[str] | None = None,
+    *,
+    begin: float = 0.0,
+    end: float = float("inf"),
+) -> None:
+    """The carriages, together, kept to a line: every sample is within `within` of it, and every point of it was passed.
+
+    Args:
+        recording: of the move: `with stage.record() as recording:`.
+        line: points of a polyline, (n, 2) or (n, 3) metres, n of 2 or more; one number for each of `axes`. A circle is many points.
+        within: metres.
+        axes: names; default: the first two or three axes of the stage.
+        begin, end: stage time, s: only this part of the recording counts.
+    """
+    import numpy as np
+
+    __tracebackhide__ = True
+    points = np.asarray(line, float)
+    if points.ndim != 2 or len(points) < 2 or points.shape[1] not in (2, 3) or not np.isfinite(points).all():
+        raise ArgumentError(
+            f"line of shape {points.shape}: two points or more, each of two or three numbers, in metres."
+        )
+    names = list(axes) if axes is not None else list(recording.axes)[: points.shape[1]]
+    if len(names) != points.shape[1]:
+        raise ArgumentError(f"axes={names}: the points of the line have {points.shape[1]} numbers, one an axis.")
+    for name in names:
+        if name not in recording.axes:
+            raise unknown("axis", name, recording.axes)
+    time = recording.column("time")
+    taken = (time >= begin) & (time <= end)
+    time = time[taken]
+    path = np.stack([recording.column(f"{name}/position")[taken] for name in names], axis=1)
+    if len(path) < 2:
+        raise ArgumentError(f"{len(path)} samples from {begin} s to {end} s: nothing to judge. {recording!r}")
+
+    off, foot = _distances(path, points)
+    worst = int(np.argmax(off))
+    if not off[worst] <= within:
+        raise AssertionError(
+            f"the path of {', '.join(names)} left its line: expected within {fine(within, 'm')}, was {fine(off[worst], 'm')} off\n"
+            f"  at   {time[worst]:.6f} s: {_point(names, path[worst])}\n"
+            f"  line {_point(names, foot[worst])}, the nearest point of it\n"
+            f"{int((off > within).sum()):,} of {len(path):,} samples are off, first at {time[int(np.argmax(off > within))]:.6f} s. "
+            "Look at following_error, lost_steps and rate of these axes there."
+        )
+    missed, nearest = _distances(points, path)
+    worst = int(np.argmax(missed))
+    if not missed[worst] <= within:
+        raise AssertionError(
+            f"the path of {', '.join(names)} kept to its line and did not pass point {worst} of it: expected within "
+            f"{fine(within, 'm')}, was {fine(missed[worst], 'm')} off\n"
+            f"  point {_point(names, points[worst])}\n"
+            f"  path  {_point(names, nearest[worst])}, the nearest point of it\n"
+            f"It was recorded from {time[0]:.6f} s, {_point(names, path[0])}, to {time[-1]:.6f} s, {_point(names, path[-1])}: is "
+            "the whole move inside?"
+        )
+
+
+def _distances(points: Any, line: Any) -> tuple[Any, Any]:
+    """Of each point (n, d) from a polyline (m, d): how far it is, (n,), and the nearest point of the line, (n, d)."""
+    import numpy as np
+
+    a, along = line[:-1], np.diff(line, axis=0)
+    length2 = np.maximum((along**2).sum(axis=1), 1e-300)
+    off, foot = np.full(len(points), np.inf), np.zeros(points.shape)
+    for begin in range(0, len(a), rows := max(1, 1_000_000 // len(points))):  # so that it fits any memory
+        part = slice(begin, begin + rows)
+        t = np.einsum("nmd,md->nm", points[:, None] - a[None, part], along[part]) / length2[part]
+        feet = a[part] + np.clip(t, 0, 1)[..., None] * along[part]
+        d = np.sqrt(((points[:, None] - feet) ** 2).sum(axis=-1))
+        k = np.argmin(d, axis=1)
+        nearest = d[np.arange(len(points)), k]
+        better = nearest < off
+        off[better], foot[better] = nearest[better], feet[np.arange(len(points)), k][better]
+    return off, foot
+
+
+def _point(names: list[str], values: Any) -> str:
+    return ", ".join(f"{name} {value * 1e3:.4f} mm" for name, value in zip(names, values, strict=True))

@@ -1,0 +1,233 @@
+"""The assertions of stage.testing: what passes, what does not, and what a failure says."""
+
+import re
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from stage import ArgumentError, Stage, firmware
+from stage.board import Board
+from stage.testing import (
+    assert_at,
+    assert_no_diagnostics,
+    assert_no_lost_steps,
+    assert_no_strays,
+    assert_path_within,
+    assert_pins,
+    assert_stopped,
+)
+
+SLOW = firmware.Profile.of(fh1=8000, accel=0.05)
+TOO_FAST = firmware.Profile.of(fh1=200_000, accel=0.01)
+
+
+@pytest.fixture
+def stage():
+    return Stage("xy", visuals=False)
+
+
+def run_on(axis):
+    """A continuous move, plus, with the registers of the last one."""
+    for command in (0x08, 0x40, 0x15):
+        axis.chip.write(0, command)
+    axis.wait(0.02)
+
+
+def says(assertion, *arguments, **keywords):
+    """The message of an assertion that fails."""
+    with pytest.raises(AssertionError) as caught:
+        assertion(*arguments, **keywords)
+    return str(caught.value)
+
+
+def test_a_move_within_the_torque_of_the_motor_loses_no_steps(stage):
+    firmware.preset_move(stage.axes["x"], 1600, SLOW)
+    for what in (stage, stage.axes["x"], stage.axes.values(), list(stage.axes.values())):
+        assert_no_lost_steps(what)
+
+
+def test_lost_steps_are_counted_and_told_axis_by_axis(stage):
+    x = stage.axes["x"]
+    firmware.preset_move(x, 20_000, TOO_FAST)
+    assert x.lost_steps
+    assert_no_lost_steps(stage.axes["y"])
+    message = says(assert_no_lost_steps, stage)
+    assert f"x is {x.lost_steps} full steps behind its pulses: told 62.5000 mm, is at " in message
+    assert f"at {stage.time:.6f} s" in message
+    assert "x/lost_steps" in message
+    assert "y is" not in message
+
+
+def test_what_is_no_axis_is_refused():
+    with pytest.raises(ArgumentError, match=r"3 is no axis: give a stage, stage\.axes"):
+        assert_no_lost_steps(3)
+
+
+def test_a_carriage_is_where_it_is_and_nowhere_else(stage):
+    x = stage.axes["x"]
+    firmware.preset_move(x, 1600, SLOW)
+    stage.run(0.1)
+    assert_at(x, 0.005)
+    assert_at(x, x.position, within=0)
+    message = says(assert_at, x, 0.0051, within=50e-6)
+    assert "expected 5.1000 mm +- 50.0 um" in message
+    assert re.search(r"is at    \d\.\d{4} mm: -\d+\.\d um, short of it", message)
+    assert "told     5.0000 mm by its pulses, 0 full steps lost" in message
+    assert "wrong number of them" in message
+    assert "beyond it" in says(assert_at, x, 0.0049)
+
+
+def test_a_carriage_that_still_moves_lost_steps_or_swings_is_said_to(stage):
+    x = stage.axes["x"]
+    firmware.preset_move(x, 1600, SLOW)
+    assert "still swings" in says(assert_at, x, x.commanded, within=0)
+    run_on(x)
+    assert "It still moves, +" in says(assert_at, x, 0.01)
+    x.chip.write(0, 0x08)
+    stage.reset()
+    firmware.preset_move(x, 20_000, TOO_FAST)
+    stage.run(0.5)
+    assert "lost its steps: see assert_no_lost_steps" in says(assert_at, x, 0.0625)
+
+
+@pytest.mark.parametrize("within", [-1e-6, float("nan")])
+def test_a_tolerance_is_a_length(stage, within):
+    with pytest.raises(ArgumentError, match="0 m or more"):
+        assert_at(stage.axes["x"], 0.0, within=within)
+
+
+def test_an_axis_has_stopped_when_it_gets_no_pulses_and_does_not_move(stage):
+    x = stage.axes["x"]
+    assert_stopped(stage)
+    firmware.origin_return(x)
+    run_on(x)
+    message = says(assert_stopped, stage)
+    assert re.search(
+        r"  x gets \+[\d,]+ pulses a second and moves at \+\d+\.\d{3} mm/s, at -1\d\d\.\d{4} mm; switches", message
+    )
+    assert "y gets" not in message
+    assert_stopped(stage.axes["y"])
+    x.chip.write(0, 0x08)
+    stage.run(1.0)
+    assert_stopped(x)
+
+
+def test_pins_are_told_with_what_was_expected_of_them(stage):
+    x = stage.axes["x"]
+    assert_pins(x, org=False, el_plus=False)
+    stage.place(x=-0.13)
+    assert_pins(x, org=True, el_minus=False)
+    message = says(assert_pins, x, org=False, el_minus=False, hold=True)
+    assert "org is asserted, expected not asserted" in message
+    assert "el_minus is" not in message
+    assert "x is at -130.0000 mm; asserted are: " in message
+    with pytest.raises(AttributeError, match="unknown PCL240K pin 'home'"):
+        assert_pins(x, home=True)
+
+
+def test_writes_that_a_data_sheet_reader_would_call_mistakes_are_listed(stage):
+    assert_no_diagnostics(stage)
+    stage.axes["y"].chip.write(0, 0x11)  # a start without the reset command before
+    stage.run(0.001)
+    said = stage.axes["y"].chip.diagnostics
+    message = says(assert_no_diagnostics, stage)
+    assert f"{len(said)} bus write" in message
+    for d in said:
+        assert f"y: address 0 W 11h  {d.message} ({d.source})" in message
+    assert re.search(r"^  0\.\d{9} s  y: ", message, re.M)
+
+
+def test_long_lists_are_cut(stage):
+    board = Board(stage)
+    for port in range(30):
+        board.out8(0x100 + port, port)
+    message = says(assert_no_strays, board)
+    assert message.count("nothing is here") == 20
+    assert "... and 10 more" in message
+
+
+def test_cycles_that_reach_no_chip_are_told_with_where_the_chips_are(stage):
+    board = Board(stage, base={"x": 0x300, "y": 0x320})
+    board.out8(0x300, 0x08)
+    assert_no_strays(board)
+    board.in8(0x310)
+    message = says(assert_no_strays, board)
+    assert message.startswith("1 bus cycle reached no chip")
+    assert "310h R FFh" in message
+    assert "Chips are at 300h to 303h, 320h to 323h" in message
+
+
+@pytest.fixture(scope="module")
+def corner():
+    """A recording: x by 5 mm, then y by 5 mm."""
+    stage = Stage("xy", visuals=False)
+    stage.run(0.01)
+    with stage.record() as recording:
+        for name in "xy":
+            firmware.preset_move(stage.axes[name], 1600, SLOW)
+            stage.run(0.05)
+    return recording
+
+
+def test_a_path_keeps_to_its_line(corner):
+    assert_path_within(corner, [(0, 0), (5e-3, 0), (5e-3, 5e-3)], within=60e-6)
+    assert_path_within(corner, [(0, 0), (0, 5e-3), (5e-3, 5e-3)], within=60e-6, axes="yx")
+
+
+def test_a_path_off_its_line_is_told_with_place_and_time(corner):
+    message = says(assert_path_within, corner, [(0, 0), (5e-3, 5e-3)], within=100e-6)
+    off = float(re.search(r"was ([\d,.]+) um off", message)[1].replace(",", ""))
+    assert off == pytest.approx(5000 / np.sqrt(2), abs=20)
+    seconds, x, y = map(float, re.search(r"at   ([\d.]+) s: x ([-\d.]+) mm, y ([-\d.]+) mm", message).groups())
+    assert (x, y) == pytest.approx((5, 0), abs=0.05)
+    at = np.searchsorted(corner.column("time"), seconds - 1e-7)
+    assert corner.column("x/position")[at] * 1e3 == pytest.approx(x, abs=1e-4)
+    assert re.search(r"line x 2\.\d+ mm, y 2\.\d+ mm, the nearest point", message)
+
+
+def test_a_path_that_ends_early_does_not_pass(corner):
+    message = says(assert_path_within, corner, [(0, 0), (5e-3, 0), (5e-3, 6e-3)], within=100e-6)
+    assert "did not pass point 2 of it" in message
+    assert re.search(r"was (9\d\d|1,0\d\d)\.\d um off", message)
+    assert "is the whole move inside?" in message
+
+
+def test_a_part_of_a_recording_is_judged_alone(corner):
+    half = float(corner.column("time")[np.argmax(corner.column("y/position") > 1e-4)]) - 0.02
+    assert_path_within(corner, [(0, 0), (5e-3, 0)], within=60e-6, end=half)
+    assert_path_within(corner, [(5e-3, 0), (5e-3, 5e-3)], within=60e-6, begin=half)
+
+
+def test_distances_from_a_polyline_are_those_of_a_dense_search():
+    from stage.testing.path import _distances
+
+    seed = np.random.SeedSequence().entropy
+    print(f"seed {seed}")
+    draw = np.random.default_rng(seed)
+    line, points = draw.normal(size=(6, 3)), draw.normal(size=(40, 3))
+    line[3] = line[2]  # a segment without length
+    off, foot = _distances(points, line)
+    dense = np.concatenate([a + np.linspace(0, 1, 2001)[:, None] * (b - a) for a, b in pairwise(line)])
+    nearest = np.sqrt(((points[:, None] - dense) ** 2).sum(axis=-1)).min(axis=1)
+    assert (off <= nearest + 1e-12).all()
+    assert off == pytest.approx(nearest, abs=1e-4)
+    assert np.sqrt(((points - foot) ** 2).sum(axis=-1)) == pytest.approx(off)
+
+
+@pytest.mark.parametrize(
+    ("line", "keywords", "message"),
+    [
+        ([(0, 0)], {}, r"line of shape \(1, 2\): two points or more"),
+        ([0, 1], {}, r"line of shape \(2,\)"),
+        ([(0, 0, 0, 0)] * 2, {}, "each of two or three numbers"),
+        ([(0, 0), (np.nan, 0)], {}, "two points or more"),
+        ([(0, 0), (1, 0)], {"axes": ["x"]}, "the points of the line have 2 numbers"),
+        ([(0, 0), (1, 0)], {"axes": ["x", "q"]}, "unknown axis 'q'"),
+        ([(0, 0), (1, 0)], {"begin": 1e6}, "nothing to judge"),
+    ],
+    ids=["one point", "flat", "four axes", "nan", "too few axes", "no such axis", "no samples"],
+)
+def test_a_line_that_is_none_is_refused(corner, line, keywords, message):
+    with pytest.raises(ArgumentError, match=message):
+        assert_path_within(corner, line, within=1e-3, **keywords)
