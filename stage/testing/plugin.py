@@ -85,14 +85,16 @@ def board(request: pytest.FixtureRequest, stage: Stage) -> Board:
 
 
 @pytest.fixture
-def host(request: pytest.FixtureRequest, board: Board) -> NativeHost:
+def host(request: pytest.FixtureRequest, board: Board) -> Iterator[NativeHost]:
     """The firmware of @pytest.mark.firmware("driver.c"), ready to run on `board`. Built once a session, with cc."""
     with _plainly():
         from stage.board import NativeHost
         from stage.testing import markers, sources
 
         arguments = markers.firmware_arguments(request.node)
-        return NativeHost(sources.library_of(request, arguments), board, **arguments)
+        made = NativeHost(sources.library_of(request, arguments), board, **arguments)
+    with made:
+        yield made
 
 
 @contextmanager

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 from compiled_firmware import firmware
 
@@ -37,9 +39,10 @@ def test_a_run_prints_what_the_firmware_notes_and_where_the_axes_end_and_writes_
     outputs = ["--record", files[0], "--vcd", files[1], "--trace", files[2]]
     assert main(["run", built(), "--chips", "pcl240mk", *outputs]) == 0
     said = capsys.readouterr().out
-    for part in ("arrived", "returned 0", "x           2.5", "bus cycles", *files):
+    for part in ("arrived", "returned 0", "bus cycles", *files):
         assert part in said
     assert "mistakes" not in said
+    assert re.search(r"^x +2\.(49|50)\d\d +2\.5000 +0$", said, re.M)
     trace = (tmp_path / "run.txt").read_text()
     assert "x: start, constant FL" in trace
     assert "times until" in trace
