@@ -87,7 +87,8 @@ class Board:
                 chip._late = LateLint(chip)
         self._lay_out()
         with announced("PulseStage: compiling the bus, once on this machine (about fifteen seconds) ..."):
-            self._request = bus.requests(host.kinds(stage))
+            self._request, self._advance = bus.compiled(host.kinds(stage))
+            self._host["advance"] = ctypes.cast(self._advance, ctypes.c_void_p).value
             self._ask(bus.SETTLE, 0, 0)  # the first request loads what was compiled
 
     # --- what a host does ---
@@ -318,6 +319,7 @@ class Board:
 
     def _take(self, rows: np.ndarray) -> None:
         self._rows = rows
+        rows["own"] = rows.ctypes.data
         self._host = rows.view(np.dtype([(n, bus.HOST[n]) for n in bus.HOST.names or ()]))[0]
 
     def note(self, text: str) -> None:

@@ -52,7 +52,10 @@ HOST = record(
         (name, "i8")
         for name in "until lazy ahead quiet cycles most_cycles stopped call hook argument serving pulling".split()
     ]
-    + [(name, "i8") for name in "irqs acts before userdata words journals asks asked_chip asked_address asked".split()]
+    + [
+        (name, "i8")
+        for name in "irqs acts before userdata words journals asks asked_chip asked_address asked advance own".split()
+    ]
 )
 """A stage's handle, and
     state                      the stage's state as it was before the last physics, for SimulationError
@@ -65,6 +68,7 @@ HOST = record(
     hook, argument, serving, pulling   the interrupt hook, whether it is being called, and the chips that pull the line
     irqs, acts                 of each chip: its IRQ, and the addresses (bits) at which a read changes it
     before, userdata, words    room for a copy of the state in userdata; where that is, and how long
+    advance, own               the engine's and this record's address
     journals, asks, asked ...  whether journals are kept; chips (bits) whose writes Python looks at; what Python is called about
 """
 
@@ -86,6 +90,15 @@ if COMPILED:
             return context.get_dummy_value()
 
         return types.void(types.int64, types.int64), build
+
+    @intrinsic
+    def _advance(context, address, where, until):
+        def build(context, builder, signature, given):
+            word = ir.IntType(64)
+            kind = ir.FunctionType(word, [word, word])
+            return builder.call(builder.inttoptr(given[0], kind.as_pointer()), given[1:])
+
+        return types.int64(types.int64, types.int64, types.int64), build
 else:
     mj_get_state = ctypes.CDLL(engine._LIBRARY).mj_getState
     mj_get_state.argtypes = (ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int)
@@ -93,6 +106,9 @@ else:
 
     def _call(address, argument):  # type: ignore[misc]
         ctypes.CFUNCTYPE(None, ctypes.c_int64)(int(address))(int(argument))
+
+    def _advance(address, where, until):  # type: ignore[misc]
+        return ADVANCE(int(address))(int(where), int(until))
 
 
 @hot
@@ -123,38 +139,45 @@ def _wiring(h):
 
 
 @hot
-def _run(h, chips, until):
-    """Let the stage's time pass up to `until` ns; journals and recordings take part."""
-    world = _world(h)
+def _engine(h, kinds, until):
+    """The engine runs up to `until` ns. Returns why it returned."""
     counts = _at(h.counts, 2, WHOLE)
+    samples = numba.carray(host._pointer(h.samples), (h.room, h.n_axes), engine.SAMPLE)
+    positions = numba.carray(host._pointer(h.positions), (h.room, h.nq), host.REAL)
+    status = engine.run(
+        int(h.mj_model), int(h.mj_data), _at(h.world, 1, host.WORLD), _at(h.axes, h.n_axes, host.AXIS),
+        host._chips(h, kinds), _at(h.drives, h.n_axes, host.DRIVE), _at(h.switches, h.n_switches, host.SWITCH),
+        _at(h.table, h.n_axes, host.AXIS_TABLE), _at(h.switch_table, h.n_switches, host.SWITCH_TABLE), _wiring(h),
+        _at(h.clockwork, 1, host.CLOCKWORK), _at(h.qpos, h.nq, host.REAL), _at(h.qvel, h.nv, host.REAL),
+        _at(h.ctrl, h.nu, host.REAL), _at(h.sensordata, h.ns, host.REAL),
+        until, samples, positions, h.filled, _at(h.edges, h.edge_room, engine.EDGE), h.noted, counts,
+    )  # fmt: skip
+    if status != engine.DIVERGED:
+        h.filled, h.noted = counts[0], counts[1]
+    return status
+
+
+@hot
+def _run(h, until):
+    """Let the stage's time pass up to `until` ns; journals and recordings take part. The engine is called by its address: numba
+    would compile it anew into each function that calls one that calls it."""
+    world = _world(h)
     while world.now < until and not h.stopped:
         if world.start + _clockwork(h).dt <= until:  # only physics can diverge
             mj_get_state(int(h.mj_model), int(h.mj_data), int(h.state), STATE)
-        filled, noted = h.filled, h.noted
-        samples = numba.carray(host._pointer(h.samples), (h.room, h.n_axes), engine.SAMPLE)
-        positions = numba.carray(host._pointer(h.positions), (h.room, h.nq), host.REAL)
-        status = engine.run(
-            int(h.mj_model), int(h.mj_data), _at(h.world, 1, host.WORLD), _at(h.axes, h.n_axes, host.AXIS), chips,
-            _at(h.drives, h.n_axes, host.DRIVE), _at(h.switches, h.n_switches, host.SWITCH),
-            _at(h.table, h.n_axes, host.AXIS_TABLE), _at(h.switch_table, h.n_switches, host.SWITCH_TABLE), _wiring(h),
-            _at(h.clockwork, 1, host.CLOCKWORK), _at(h.qpos, h.nq, host.REAL), _at(h.qvel, h.nv, host.REAL),
-            _at(h.ctrl, h.nu, host.REAL), _at(h.sensordata, h.ns, host.REAL),
-            until, samples, positions, h.filled, _at(h.edges, h.edge_room, engine.EDGE), h.noted, counts,
-        )  # fmt: skip
-        h.filled, h.noted = counts[0], counts[1]
+        status = _advance(int(h.advance), int(h.own), int(until))
         if status == engine.DIVERGED:
-            h.filled, h.noted = filled, noted
             _ask(h, DIVERGED)
         elif status != engine.REACHED:
             _ask(h, FULL)
 
 
 @hot
-def _catch_up(h, chips):
+def _catch_up(h):
     """The whole stage stands where the host does."""
     if h.ahead:
         ahead, h.ahead = h.ahead, 0
-        _run(h, chips, _world(h).now + ahead)
+        _run(h, _world(h).now + ahead)
 
 
 @hot
@@ -173,19 +196,19 @@ def _now(h):
 
 
 @hot
-def _pass_cycle(h, chips):
+def _pass_cycle(h):
     """A bus cycle's time passes. While nothing but the chips moves, the stage follows later, and of the chips only the one
     that the host turns to is taken along: all of them for each cycle would cost as much as the physics."""
     if h.lazy and h.hook == 0:
         if _now(h) + h.bus < h.quiet:
             h.ahead += h.bus
             return
-        _catch_up(h, chips)
-        _pass(h, chips, h.bus)
+        _catch_up(h)
+        _pass(h, h.bus)
         _foresee(h)
     else:
-        _catch_up(h, chips)
-        _pass(h, chips, h.bus)
+        _catch_up(h)
+        _pass(h, h.bus)
 
 
 @hot
@@ -206,7 +229,7 @@ def _turn_to(h, chips, chip):
 
 
 @hot
-def _pass(h, chips, ns):
+def _pass(h, ns):
     """`ns` pass; where the firmware is to stand still on the way, it does."""
     world, left = _world(h), ns
     while left > 0 and not h.stopped:
@@ -215,7 +238,7 @@ def _pass(h, chips, ns):
             continue
         end = least(world.now + left, h.until)
         left -= end - world.now
-        _run(h, chips, end)
+        _run(h, end)
 
 
 @hot
@@ -234,7 +257,7 @@ _look_at_all_lines = cores.over_families(_look_at_lines)
 @hot
 def _line(h, chips):
     """The chips that pull the interrupt line, a bit each."""
-    _catch_up(h, chips)
+    _catch_up(h)
     h.pulling = 0
     _look_at_all_lines(chips, h)
     return h.pulling
@@ -268,12 +291,12 @@ def _copy(source, target, words):
 def _wait(h, chips, ns):
     """`ns` pass in a delay; an interrupt comes at the ns at which the line is asserted. What its hook takes is part of the
     delay."""
-    _catch_up(h, chips)
+    _catch_up(h)
     world, dt = _world(h), _clockwork(h).dt
     end = world.now + ns
     while world.now < end and not h.stopped:
         if h.hook == 0 or h.serving:
-            _pass(h, chips, end - world.now)
+            _pass(h, end - world.now)
             return
         if world.now >= h.until:
             _ask(h, PAUSE)
@@ -284,23 +307,23 @@ def _wait(h, chips, ns):
         )  # where no physics has come between, time can be taken back
         begin, noted = world.now, h.noted
         _copy(h.userdata, h.before, h.words)
-        _run(h, chips, inside)
+        _run(h, inside)
         if _line(h, chips):
             low, high = begin, inside  # off at `low`, asserted at `high`
             while high - low > 1:
                 middle = (low + high) // 2
                 _copy(h.before, h.userdata, h.words)
                 h.noted = noted
-                _run(h, chips, middle)
+                _run(h, middle)
                 if _line(h, chips):
                     high = middle
                 else:
                     low = middle
             _copy(h.before, h.userdata, h.words)
             h.noted = noted
-            _run(h, chips, high)
+            _run(h, high)
         else:
-            _run(h, chips, stop)
+            _run(h, stop)
         _serve(h, chips)
 
 
@@ -350,7 +373,7 @@ def _lost(h, chips, chip, address, value):
     """1 if a fault of the bus keeps this write from its chip."""
     if h.asks >> chip & 1 == 0:
         return 0
-    _catch_up(h, chips)
+    _catch_up(h)
     h.asked_chip, h.asked_address, h.asked = chip, address, value
     _ask(h, ASKED_WRITE)
     h.quiet = 0
@@ -382,14 +405,14 @@ def _read(h, chips, chip, address):
 
 
 @hot
-def _cycle(h, chips):
+def _cycle(h):
     """The time of one bus cycle."""
     if h.cycles >= h.most_cycles:
-        _catch_up(h, chips)
+        _catch_up(h)
         _ask(h, PAUSE)
         h.quiet = 0
     h.cycles += 1
-    _pass_cycle(h, chips)
+    _pass_cycle(h)
 
 
 @hot
@@ -400,7 +423,7 @@ def _kind(h, port):
 
 @hot
 def _in8(h, chips, port):
-    _cycle(h, chips)
+    _cycle(h)
     kind, value, ports = _kind(h, port), 0xFF, _at(h.ports, h.n_ports, PORT)
     if kind in (NOTHING, LATCH):
         _note(h, IN | STRAY, port, value, h.traced - 1)
@@ -423,7 +446,7 @@ def _in8(h, chips, port):
 def _out8(h, chips, port, value):
     kind, ports = _kind(h, port), _at(h.ports, h.n_ports, PORT)
     if kind in (NOTHING, LATCH, PULLS):
-        _cycle(h, chips)
+        _cycle(h)
         if kind == LATCH:
             ports[port - h.first].address = value & ports[port - h.first].mask
         _note(h, OUT if kind == LATCH else OUT | STRAY, port, value, -1)
@@ -437,7 +460,7 @@ def _out8(h, chips, port, value):
         elif kind == HALF:
             word = value << 8 | 0xFF
         lost = _lost(h, chips, p.chip, address, word)
-        _cycle(h, chips)
+        _cycle(h)
         _write(h, chips, lost, p.chip, address, word)
         _note(h, OUT | lost * LOST_ON_THE_WAY | (STRAY if kind in (WORD, HALF) else 0), port, value, -1)
     _serve(h, chips)
@@ -449,7 +472,7 @@ def _in16(h, chips, port):
     if kind not in (NOTHING, WORD):  # the bus makes two cycles of it
         low = _in8(h, chips, port)
         return _in8(h, chips, port + 1) << 8 | low
-    _cycle(h, chips)
+    _cycle(h)
     value = 0xFFFF
     if kind == WORD:
         p = _at(h.ports, h.n_ports, PORT)[port - h.first]
@@ -471,11 +494,11 @@ def _out16(h, chips, port, value):
     if kind == WORD:
         p = _at(h.ports, h.n_ports, PORT)[port - h.first]
         lost = _lost(h, chips, p.chip, p.address, value)
-        _cycle(h, chips)
+        _cycle(h)
         _write(h, chips, lost, p.chip, p.address, value)
         _note(h, OUT_WIDE | lost * LOST_ON_THE_WAY, port, value, -1)
     else:
-        _cycle(h, chips)
+        _cycle(h)
         _note(h, OUT_WIDE | STRAY, port, value, -1)
     _serve(h, chips)
 
@@ -483,7 +506,7 @@ def _out16(h, chips, port, value):
 @hot
 def _look(h, chips):
     """A look at a timer or a line takes a bus cycle: firmware that waits for either gets on."""
-    _cycle(h, chips)
+    _cycle(h)
     _serve(h, chips)
 
 
@@ -508,42 +531,53 @@ def _answer(h, kinds, what, a, b):
         _look(h, chips)
         return _now(h) // 1000
     elif what == LOG:
-        _catch_up(h, chips)
+        _catch_up(h)
         h.asked = a
         _ask(h, LINE_OF_LOG)
     elif what == HOOK:
-        _catch_up(h, chips)
+        _catch_up(h)
         h.hook, h.argument, h.quiet = a, b, 0
         _serve(h, chips)
     elif what == LINE:
         _look(h, chips)
         return 1 if _line(h, chips) else 0
     elif what == SETTLE:
-        _catch_up(h, chips)
+        _catch_up(h)
     return 0
 
 
 REQUEST = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_void_p, ctypes.c_int32, ctypes.c_int64, ctypes.c_int64)
-"""int64_t request(void *host, int32_t what, int64_t a, int64_t b): the type of what `requests` gives."""
+"""int64_t request(void *host, int32_t what, int64_t a, int64_t b): what hosts call."""
+ADVANCE = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_int64)
 
 
-def requests(kinds: tuple[np.ndarray, ...]) -> Any:
-    """The function that hosts call, for boards with such families of chips, see `host.kinds`; a REQUEST."""
-    return _requests(tuple(k.dtype for k in kinds))
+def compiled(kinds: tuple[np.ndarray, ...]) -> tuple[Any, Any]:
+    """The functions behind a board with such families of chips (`host.kinds`): a REQUEST, and the ADVANCE that HOST points to."""
+    return _compiled(tuple(k.dtype for k in kinds))
 
 
 @cache
-def _requests(dtypes: tuple[np.dtype, ...]) -> Any:
+def _compiled(dtypes: tuple[np.dtype, ...]) -> tuple[Any, Any]:
     kinds = tuple(np.zeros(0, dtype) for dtype in dtypes)
 
     def request(address: Any, what: int, a: int, b: int) -> Any:
         return _answer(_at(address, 1, HOST)[0], kinds, what, a, b)
 
+    def advance(address: int, until: int) -> Any:
+        return _engine(_at(address, 1, HOST)[0], kinds, until)
+
     if not COMPILED:
-        return REQUEST(lambda address, what, a, b: int(request(address, what, a, b)))
+        return (
+            REQUEST(lambda address, what, a, b: int(request(address, what, a, b))),
+            ADVANCE(lambda address, until: int(advance(address, until))),
+        )
+    word = types.int64
+    return _entry(REQUEST, word(word, types.int32, word, word), request), _entry(ADVANCE, word(word, word), advance)
+
+
+def _entry(kind: Any, signature: Any, function: Any) -> Any:
     with kept():
-        signature = types.int64(types.int64, types.int32, types.int64, types.int64)
-        made: Any = numba.cfunc(signature, cache=True, error_model="numpy")(request)
-    found = REQUEST(made.address)
-    found.made = made  # type: ignore[attr-defined]
+        made: Any = numba.cfunc(signature, cache=True, error_model="numpy")(function)
+    found = kind(made.address)
+    found.made = made
     return found

@@ -1,4 +1,4 @@
-"""docs/firmware_in_the_loop.md does what it says, with a C compiler at hand."""
+"""docs/firmware_in_the_loop.md and the tour of the README do what they say, with a C compiler at hand."""
 
 import re
 import subprocess
@@ -9,8 +9,10 @@ import pytest
 
 from stage import Stage
 from stage.board import Board, NativeHost, build
+from stage.cli import main
 
-PAGE = (Path(__file__).resolve().parents[2] / "docs" / "firmware_in_the_loop.md").read_text()
+ROOT = Path(__file__).resolve().parents[2]
+PAGE, README = (ROOT / "docs" / "firmware_in_the_loop.md").read_text(), (ROOT / "README.md").read_text()
 DRIVER = re.search(r"^```c\n(/\* driver\.c.*?)^```", PAGE, re.M | re.S)[1]
 TEST, WITHOUT_PYTEST = re.findall(r"^```python\n(.*?)^```", PAGE, re.M | re.S)
 HEADERLESS = """
@@ -58,3 +60,20 @@ def test_three_symbols_make_a_library(folder):
     host = NativeHost(folder / "plain.c", Board(Stage("xyz")))
     result = host.run(timeout=1.0)
     assert (result.code & 0x40, result.cycles) == (0, 2)
+
+
+def test_the_tour_of_the_readme_runs_as_printed(folder, capsys):
+    driver, test = (
+        re.search(rf"^```{begin}(.*?)^```", README, re.M | re.S) for begin in ("c\n", "python\nimport pytest")
+    )
+    (folder / "driver.c").write_text(driver[1])
+    (folder / "test_driver.py").write_text("import pytest" + test[1])
+    command = re.search(r"^stage (run driver.*)$", README, re.M)[1].split()
+    assert main([*command, "--cflags=-Wall -Wextra -Werror -std=c99 -pedantic"]) == 0
+    assert "mistakes" not in capsys.readouterr().out
+    shown = re.search(r"^```text\n( +0\.0.*?)^```", README, re.M | re.S)[1].splitlines()
+    assert set(shown) <= set((folder / "run.txt").read_text().splitlines())
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider"], capture_output=True, text=True, check=False
+    )
+    assert "1 passed" in done.stdout, done.stdout + done.stderr
