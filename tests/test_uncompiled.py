@@ -16,7 +16,8 @@ import pytest
 import servo_programs as servo
 from programs import start_preset
 
-from stage import SimulationError, Stage, host, machine
+from stage import SimulationError, Stage, faults, host, machine
+from stage.board import Board, bus
 from stage.chips import HCTL1100, MCX302, MCX514, PCL240K, PCL240MK, PCL240MS
 from stage.compiled import COMPILED
 from stage.fleet import Fleet, Program
@@ -229,7 +230,36 @@ def a_closed_loop():
     yield played.results.tobytes() + fleet.truth().tobytes()
 
 
+def on_a_board():
+    """A host behind ports: moves, polls, stray ports, an interrupt in a delay, a write that gets lost; and one that may run ahead."""
+    for lazy in (False, True):
+        stage = Stage("xyz", chips={"x": PCL240K, "y": PCL240MS}, visuals=False)
+        board, seen = Board(stage), []
+        board._host["lazy"] = lazy
+        with stage.record(every=5e-4) as recorded:
+            for port in (0x300, 0x304):
+                for number, value in {"0": 5, "1": 500, "7": 5}.items():
+                    board.out8(port, 0x80 | int(number))
+                    for byte in (2, 1, 0):
+                        board.out8(port + 1 + byte, value >> 8 * byte & 0xFF)
+                board.out8(port, 0x44)
+                board.out8(port, 0x30)
+            while board.in8(0x304) & 0x40 and stage.time < 1e-3:
+                seen.append(board.in16(0x301) + board.in8(0x2FF))
+            board._ask(bus.SETTLE, 0, 0)
+            board.on_interrupt(
+                lambda board=board, seen=seen: (seen.append(board.micros), board.out8(0x300, 0), board.out8(0x304, 0))
+            )
+            faults.lost_write(stage.axes["y"], address=0)
+            board.delay_us(6000)
+        yield repr([seen, list(board.trace), stage.axes["x"].chip.diagnostics])
+        yield stage.snapshot().state.tobytes()
+        for name in sorted(recorded.columns):
+            yield recorded.columns[name].tobytes()
+
+
 SCENES = (
+    on_a_board,
     whole_moves,
     a_course,
     runs_with_switches,
