@@ -231,7 +231,7 @@ def a_closed_loop():
 
 
 def on_a_board():
-    """A host behind ports: moves, polls, stray ports, an interrupt in a delay, a write that gets lost; and one that may run ahead."""
+    """A host behind ports: moves, polls, stray ports, interrupts, a write that gets lost; and one that may run ahead."""
     for lazy in (False, True):
         stage = Stage("xyz", chips={"x": PCL240K, "y": PCL240MS}, visuals=False)
         board, seen = Board(stage), []
@@ -252,6 +252,7 @@ def on_a_board():
             )
             faults.lost_write(stage.axes["y"], address=0)
             board.delay_us(6000)
+        assert "lost on the way" in str(board.trace)
         yield repr([seen, list(board.trace), stage.axes["x"].chip.diagnostics])
         yield stage.snapshot().state.tobytes()
         for name in sorted(recorded.columns):
