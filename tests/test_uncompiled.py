@@ -247,10 +247,10 @@ def on_a_board():
             while board.in8(0x304) & 0x40 and stage.time < 1e-3:
                 seen.append(board.in16(0x301) + board.in8(0x2FF))
             board._ask(bus.SETTLE, 0, 0)
+            faults.lost_write(stage.axes["y"], address=0)
             board.on_interrupt(
                 lambda board=board, seen=seen: (seen.append(board.micros), board.out8(0x300, 0), board.out8(0x304, 0))
             )
-            faults.lost_write(stage.axes["y"], address=0)
             board.delay_us(6000)
         assert "lost on the way" in str(board.trace)
         yield repr([seen, list(board.trace), stage.axes["x"].chip.diagnostics])
