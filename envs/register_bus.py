@@ -142,7 +142,7 @@ class RegisterBus(Task[Config]):
         self.words = np.zeros((n, len(chips), chip.ADDRESSES), core.WORD)
         self._truth = np.zeros((n, m), host.TRUTH)
         self._ops, self._values, self._status = (np.zeros(shape, np.int64) for shape in ((n, 1, 4), (n, 1), n))
-        self._by_hand, self._counts = np.zeros(n, bool), np.zeros((n, 2), np.int64)
+        self._by_hand = np.zeros(n, bool)
 
     def _note_rules(self) -> None:
         """The settings as compiled code reads them."""
@@ -167,7 +167,7 @@ class RegisterBus(Task[Config]):
         arrays = {
             "handles": self.fleet.handles, "rules": self.rules, "axis_rules": self.axis_rules, "waits": self.waits,
             "active": self.active, "by_hand": self._by_hand, "actions": self.actions, "steps": self.steps,
-            "ops": self._ops, "values": self._values, "status": self._status, "counts": self._counts,
+            "ops": self._ops, "values": self._values, "status": self._status,
             "truth": self._truth, "episodes": self.episodes, "axes": self.axis_states,
             "words": self.words, "first": self.first, "observations": self.observations,
         }  # fmt: skip
@@ -179,7 +179,7 @@ class RegisterBus(Task[Config]):
             self._frame[name] = value
         self._address = self._frame.ctypes.data
         with announced("PulseStage: compiling RegisterBus, once on this machine (about five seconds) ..."):
-            self._step(0, 0, None)
+            self._step(0, 0)
 
     @staticmethod
     def _full_step(axis: Any) -> float:
@@ -259,14 +259,14 @@ class RegisterBus(Task[Config]):
             self.fleet.spread(self._step)
             return
         self._by_hand[watched] = True
-        self.fleet.spread(lambda begin, end, _: core.play(self._address, self.fleet.kinds, begin, end))
+        self.fleet.spread(lambda begin, end: core.play(self._address, self.fleet.kinds, begin, end))
         self._by_hand[:] = False
         for k in watched:
             if self.active[k]:
                 self._status[k] = host.by_hand(self.stages[k], self._ops[k], self._values[k], np.zeros((0, 2)))
         core.conclude(self._address, self.fleet.kinds, 0, self.n, False, self.results.rows)
 
-    def _step(self, begin: int, end: int, _: Any) -> None:
+    def _step(self, begin: int, end: int) -> None:
         core.play(self._address, self.fleet.kinds, begin, end)
         core.conclude(self._address, self.fleet.kinds, begin, end, False, self.results.rows)
 

@@ -11,7 +11,7 @@ import math
 import numba
 import numpy as np
 
-from stage import engine, host
+from stage import host
 from stage.compiled import greatest, hot, least, record
 from stage.envs.results import result
 
@@ -57,30 +57,18 @@ RESULT = result(PARTS, elapsed=float, value=int, success=bool, error=float, lost
 
 FRAME = record(
     [(name, "i8") for name in "handles rules axis_rules waits active by_hand actions steps ops values status".split()]
-    + [(name, "i8") for name in "counts truth episodes axes words first observations".split()]
+    + [(name, "i8") for name in "truth episodes axes words first observations".split()]
     + [(name, "i8") for name in "stages n_axes n_chips n_addresses n_waits width".split()]
 )
 """Where the arrays lie, and their lengths. first: the first axis of each chip."""
 
 INTEGER, REAL, SMALL, FLAG = np.dtype("i8"), np.dtype("f8"), np.dtype("f4"), np.dtype("?")
-HANDLE, TRUTHS, SAMPLE, EDGE = host.HANDLE, host.TRUTH, engine.SAMPLE, engine.EDGE
+HANDLE, TRUTHS = host.HANDLE, host.TRUTH
 
 
 @hot
 def _frame(address):
     return numba.carray(host._pointer(address), (1,), FRAME)[0]
-
-
-@hot
-def _scratch(f, k):
-    """What a stage's loop logs: nothing."""
-    nowhere = host._pointer(f.counts)
-    return (
-        numba.carray(nowhere, (0, f.n_axes), SAMPLE),
-        numba.carray(nowhere, (0, 1), REAL),
-        numba.carray(nowhere, (0,), EDGE),
-        numba.carray(nowhere, (f.stages, 2), INTEGER)[k],
-    )
 
 
 @hot
@@ -106,9 +94,8 @@ def play(address, kinds, begin, end):
             op[0] = host.WRITE if action[0] == WRITE else host.READ
             op[1], op[2], op[3] = first[action[1]], action[2], action[3] if action[0] == WRITE else 0
         if not by_hand[k]:
-            scratch = _scratch(f, k)
-            extremes = numba.carray(host._pointer(f.counts), (0, 2), REAL)
-            status[k] = host._play(handles[k], kinds, ops[k], values[k], extremes, scratch)
+            extremes = numba.carray(host._pointer(f.ops), (0, 2), REAL)
+            status[k] = host.play_one(handles[k], kinds, ops[k], values[k], extremes)
 
 
 @hot
@@ -174,11 +161,11 @@ def _judge(r, rules, action, value, bad, steps, episode, axes, words, truth, out
 @hot
 def _look_into(h, kinds, first, words, now):
     """Note what is at every address of the chips now."""
-    arrays = host._arrays(h, kinds)
+    chips = host.chips_of(h, kinds)
     for i in range(len(words)):
-        chip = arrays[5][first[i]].chip
+        chip = host.table(h)[first[i]].chip
         for j in range(words.shape[1]):
-            words[i, j].seen, words[i, j].when = host._peek(arrays[2], chip, j), now
+            words[i, j].seen, words[i, j].when = host.peek(chips, chip, j), now
 
 
 @hot

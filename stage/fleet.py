@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from stage import engine, host
+from stage import host
 from stage.chips import Chip
 from stage.compiled import announced
 from stage.errors import ArgumentError
@@ -121,15 +121,14 @@ class Fleet:
         first = self.stages[0]
         self._nq, self._axes = first.model.nq, len(first.axes)
         self.handles = np.zeros(len(self.stages), host.HANDLE)
-        for k, stage in enumerate(self.stages):
-            self.handles[k] = host.handle(stage)
         self.kinds = host.kinds(first)
         self._truth = np.zeros((len(self.stages), self._axes), host.TRUTH)
-        self._scratch = [self._new_scratch() for _ in range(self.threads * CHUNKS)]
         self._pool: ThreadPoolExecutor | None = None
         with announced("PulseStage: compiling the fleet's loop, once on this machine (about twenty seconds) ..."):
+            for k, stage in enumerate(self.stages):
+                host.fill(self.handles, k, stage)
             none = np.zeros((0, 1, 4), np.int64), np.zeros((0, 1), np.int64), np.zeros((0, self._nq, 2))
-            host.play(self.handles, self.kinds, 0, 0, *none, np.zeros(0, np.int64), self._scratch[0])
+            host.play(self.handles, self.kinds, 0, 0, *none, np.zeros(0, np.int64))
 
     def __len__(self) -> int:
         return len(self.stages)
@@ -149,7 +148,7 @@ class Fleet:
         if watched:
             compiled = ops.copy()
             compiled[watched, 0] = host.END
-        self.spread(lambda a, b, s: host.play(self.handles, self.kinds, a, b, compiled, results, extremes, status, s))
+        self.spread(lambda a, b: host.play(self.handles, self.kinds, a, b, compiled, results, extremes, status))
         for k in watched:
             status[k] = host.by_hand(self.stages[k], ops[k], results[k], extremes[k])
         return Played(results, extremes, status == host.DIVERGED)
@@ -184,15 +183,11 @@ class Fleet:
             self._pool.shutdown()
             self._pool = None
 
-    def _new_scratch(self) -> tuple[np.ndarray, ...]:
-        samples = np.zeros((0, self._axes), engine.SAMPLE)
-        return samples, np.zeros((0, self._nq)), np.zeros(0, engine.EDGE), np.zeros(2, np.int64)
-
-    def spread(self, work: Callable[[int, int, tuple[np.ndarray, ...]], None]) -> None:
-        """Call work(begin, end, scratch) for ranges of stages that make them all, on the fleet's threads."""
+    def spread(self, work: Callable[[int, int], None]) -> None:
+        """Call work(begin, end) for ranges of stages that make them all, on the fleet's threads."""
         n = len(self.stages)
         if self.threads == 1:
-            work(0, n, self._scratch[0])
+            work(0, n)
             return
         chunks = min(n, self.threads * CHUNKS)
         cuts = [n * k // chunks for k in range(chunks + 1)]
@@ -200,7 +195,7 @@ class Fleet:
 
         def share() -> None:
             for k in left:
-                work(cuts[k], cuts[k + 1], self._scratch[k])
+                work(cuts[k], cuts[k + 1])
 
         if self._pool is None:
             self._pool = ThreadPoolExecutor(self.threads - 1, thread_name_prefix="stage")

@@ -18,17 +18,20 @@ from __future__ import annotations
 
 import ctypes
 import math
+from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import numba
 import numpy as np
+from llvmlite import ir
 from numba.core import types
 from numba.extending import intrinsic, overload
 from numba.np.numpy_support import as_dtype
 
 from stage import engine
 from stage.chips import cores
-from stage.compiled import COMPILED, greatest, hot, least, record
+from stage.compiled import COMPILED, greatest, hot, kept, least, record
 from stage.drives import drive
 
 END, WRITE, READ, WAIT, STOP, MEASURE, LOOK = range(7)
@@ -39,9 +42,14 @@ _LENGTHS = "n_axes n_switches n_wired nq nv nu ns".split()
 MOST_FAMILIES = 3
 HANDLE_FIELDS: list = [(name, "i8") for name in ["mj_model", "mj_data", *_ARRAYS, *_LENGTHS, "bus"]]
 HANDLE_FIELDS += [("chips", "i8", (MOST_FAMILIES,)), ("n_chips", "i8", (MOST_FAMILIES,))]
+HANDLE_FIELDS += [
+    (name, "i8") for name in "samples positions room filled edges edge_room noted counts advance own".split()
+]
 HANDLE = record(HANDLE_FIELDS)
 """Where a stage's arrays lie, their lengths, and the ns of a bus cycle; rows of chips by family, in the order of the families
-that the stage has: its *kinds*, a tuple of empty arrays of their records, which compiled code needs beside the handle."""
+that the stage has: its *kinds*, a tuple of empty arrays of their records, which compiled code needs beside the handle.
+samples ... counts: where the engine logs, as `engine.run` takes it; without rooms it logs nothing. advance: the engine's address,
+see `advance`; own: that of the handle itself."""
 
 TRUTH = record(
     [(name, "f8") for name in "position velocity commanded".split()]
@@ -53,7 +61,7 @@ WORLD, AXIS, DRIVE, SWITCH = engine.WORLD, engine.AXIS, drive.DRIVE, engine.SWIT
 AXIS_TABLE, SWITCH_TABLE, CHIP_TABLE, CLOCKWORK = (
     engine.AXIS_TABLE, engine.SWITCH_TABLE, engine.CHIP_TABLE, engine.CLOCKWORK,
 )  # fmt: skip
-REAL = np.dtype("f8")
+REAL, WHOLE = np.dtype("f8"), np.dtype("i8")
 
 if COMPILED:
 
@@ -63,20 +71,32 @@ if COMPILED:
             return builder.inttoptr(arguments[0], context.get_value_type(signature.return_type))
 
         return types.voidptr(address), build
+
+    @intrinsic
+    def _by_address(context, address, where, until):
+        def build(context, builder, signature, given):
+            word = ir.IntType(64)
+            kind = ir.FunctionType(word, [word, word])
+            return builder.call(builder.inttoptr(given[0], kind.as_pointer()), given[1:])
+
+        return types.int64(types.int64, types.int64, types.int64), build
 else:
+
+    def _by_address(address, where, until):  # type: ignore[misc]
+        return ADVANCE(int(address))(int(where), int(until))
 
     def _pointer(address):  # type: ignore[misc]
         return ctypes.c_void_p(int(address))
 
 
-def _chips(h, kinds):
+def chips_of(h, kinds):
     """The rows of each family."""
     return tuple(numba.carray(_pointer(h.chips[f]), (int(h.n_chips[f]),), k.dtype) for f, k in enumerate(kinds))
 
 
 if COMPILED:
 
-    @overload(_chips)
+    @overload(chips_of)
     def _compile_chips(h, kinds):
         space = {"carray": numba.carray, "pointer": _pointer}
         parts = []
@@ -88,34 +108,88 @@ if COMPILED:
 
 
 @hot
-def _arrays(h, kinds):
-    """The arrays of a stage, in the order in which `engine.run` takes them."""
-    return (
-        numba.carray(_pointer(h.world), (1,), WORLD),
-        numba.carray(_pointer(h.axes), (h.n_axes,), AXIS),
-        _chips(h, kinds),
-        numba.carray(_pointer(h.drives), (h.n_axes,), DRIVE),
-        numba.carray(_pointer(h.switches), (h.n_switches,), SWITCH),
-        numba.carray(_pointer(h.table), (h.n_axes,), AXIS_TABLE),
-        numba.carray(_pointer(h.switch_table), (h.n_switches,), SWITCH_TABLE),
-        numba.carray(_pointer(h.wiring), (h.n_wired,), CHIP_TABLE),
-        numba.carray(_pointer(h.clockwork), (1,), CLOCKWORK),
-        numba.carray(_pointer(h.qpos), (h.nq,), REAL),
-        numba.carray(_pointer(h.qvel), (h.nv,), REAL),
-        numba.carray(_pointer(h.ctrl), (h.nu,), REAL),
-        numba.carray(_pointer(h.sensordata), (h.ns,), REAL),
-    )
+def at(address, n, dtype):
+    """The array of `n` records or numbers at an address."""
+    return numba.carray(_pointer(address), (n,), dtype)
 
 
 @hot
-def _pass(h, arrays, scratch, until):
+def world(h):
+    """The stage's WORLD record."""
+    return at(h.world, 1, WORLD)[0]
+
+
+@hot
+def clockwork(h):
+    """The stage's CLOCKWORK record."""
+    return at(h.clockwork, 1, CLOCKWORK)[0]
+
+
+@hot
+def wiring(h):
+    """The stage's CHIP_TABLE."""
+    return at(h.wiring, h.n_wired, CHIP_TABLE)
+
+
+@hot
+def table(h):
+    """The stage's AXIS_TABLE."""
+    return at(h.table, h.n_axes, AXIS_TABLE)
+
+
+@hot
+def _engine(h, kinds, until):
+    """The engine runs up to `until` ns. Returns why it returned."""
+    counts = at(h.counts, 2, WHOLE)
+    samples = numba.carray(_pointer(h.samples), (h.room, h.n_axes), engine.SAMPLE)
+    positions = numba.carray(_pointer(h.positions), (h.room, h.nq), REAL)
+    status = engine.run(
+        int(h.mj_model), int(h.mj_data), at(h.world, 1, WORLD), at(h.axes, h.n_axes, AXIS), chips_of(h, kinds),
+        at(h.drives, h.n_axes, DRIVE), at(h.switches, h.n_switches, SWITCH), table(h),
+        at(h.switch_table, h.n_switches, SWITCH_TABLE), wiring(h), at(h.clockwork, 1, CLOCKWORK),
+        at(h.qpos, h.nq, REAL), at(h.qvel, h.nv, REAL), at(h.ctrl, h.nu, REAL), at(h.sensordata, h.ns, REAL),
+        until, samples, positions, h.filled, at(h.edges, h.edge_room, engine.EDGE), h.noted, counts,
+    )  # fmt: skip
+    if status != engine.DIVERGED:
+        h.filled, h.noted = counts[0], counts[1]
+    return status
+
+
+ADVANCE = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_int64)
+
+
+@cache
+def _compiled_engine(dtypes: tuple[np.dtype, ...]) -> Any:
+    kinds = tuple(np.zeros(0, dtype) for dtype in dtypes)
+
+    def advance(address: int, until: int) -> Any:
+        return _engine(at(address, 1, HANDLE)[0], kinds, until)
+
+    return entry(ADVANCE, types.int64(types.int64, types.int64), advance)
+
+
+def entry(kind: Any, signature: Any, function: Callable) -> Any:
+    """`function` of whole numbers as a C function of the ctypes type `kind`, compiled and cached."""
+    if not COMPILED:
+        return kind(lambda *given: int(function(*given)))
+    with kept():
+        made: Any = numba.cfunc(signature, cache=True, error_model="numpy")(function)
+    found = kind(made.address)
+    found.made = made
+    return found
+
+
+@hot
+def advance(h, until):
+    """The stage's time passes up to `until` ns; why it stopped, as `engine.run`. The engine is called by its address: numba would
+    compile it anew into each function that calls one that calls it."""
+    return _by_address(int(h.advance), int(h.own), int(until))
+
+
+@hot
+def _pass(h, until):
     """Let a stage's time pass up to `until`; True if it diverged."""
-    world, axes, chips, drives, switches, table, switch_table, wiring, clockwork, qpos, qvel, ctrl, sensordata = arrays
-    samples, positions, edges, counts = scratch
-    return engine.run(
-        int(h.mj_model), int(h.mj_data), world, axes, chips, drives, switches, table, switch_table, wiring, clockwork,
-        qpos, qvel, ctrl, sensordata, until, samples, positions, 0, edges, 0, counts,
-    ) == engine.DIVERGED  # fmt: skip
+    return advance(h, until) == engine.DIVERGED
 
 
 @hot
@@ -146,34 +220,34 @@ def _peek_in(rows, first, chip, address):
     return 0
 
 
-_busy, _write, _read, _peek = map(cores.over_families, (_busy_in, _write_in, _read_in, _peek_in))
+_busy, write, read, peek = map(cores.over_families, (_busy_in, _write_in, _read_in, _peek_in))
 
 
 @hot
-def _until_stopped(h, arrays, scratch, left, poll, limit):
+def _until_stopped(h, chips, left, poll, limit):
     """Poll the axes in the mask `left`. Returns (diverged, ns that it took; negative if `limit` came first)."""
-    world, chips, table = arrays[0][0], arrays[2], arrays[5]
-    begin = world.now
+    w, axes = world(h), table(h)
+    begin = w.now
     while True:
         for k in range(h.n_axes):
             if left >> k & 1:
-                if _pass(h, arrays, scratch, world.now + h.bus):
+                if _pass(h, w.now + h.bus):
                     return True, 0
-                if not _busy(chips, table[k]):
+                if not _busy(chips, axes[k]):
                     left &= ~(1 << k)
-        took = world.now - begin
+        took = w.now - begin
         if left == 0 or took >= limit:
             return False, took if left == 0 else -took
-        if _pass(h, arrays, scratch, world.now + poll):
+        if _pass(h, w.now + poll):
             return True, 0
 
 
 @hot
-def _measure(h, arrays, scratch, end, extremes):
+def _measure(h, end, extremes):
     """Let time pass up to `end` a physics step at a time; True if the stage diverged."""
-    world, clockwork, qpos = arrays[0][0], arrays[8][0], arrays[9]
-    while world.now < end:
-        if _pass(h, arrays, scratch, least(end, world.start + clockwork.dt)):
+    w, dt, qpos = world(h), clockwork(h).dt, at(h.qpos, h.nq, REAL)
+    while w.now < end:
+        if _pass(h, least(end, w.start + dt)):
             return True
         for i in range(h.nq):
             extremes[i, 0] = least(extremes[i, 0], qpos[i])
@@ -182,40 +256,40 @@ def _measure(h, arrays, scratch, end, extremes):
 
 
 @hot
-def _play(h, kinds, ops, results, extremes, scratch):
+def play_one(h, kinds, ops, results, extremes):
     """Play `ops` on the stage of handle `h`. Returns PLAYED or DIVERGED."""
-    arrays = _arrays(h, kinds)
-    world, chips, table = arrays[0][0], arrays[2], arrays[5]
+    w, chips, axes = world(h), chips_of(h, kinds), table(h)
     for j in range(len(ops)):
         kind, a, b, c = ops[j, 0], ops[j, 1], ops[j, 2], ops[j, 3]
         bad = False
         if kind == END:
             break
         if kind == STOP:
-            bad, results[j] = _until_stopped(h, arrays, scratch, a, b, c)
+            bad, results[j] = _until_stopped(h, chips, a, b, c)
         elif kind == MEASURE:
-            bad = _measure(h, arrays, scratch, world.now + a, extremes)
+            bad = _measure(h, w.now + a, extremes)
         elif kind == WAIT:
-            bad = _pass(h, arrays, scratch, world.now + a)
+            bad = _pass(h, w.now + a)
         elif kind == LOOK:
-            tau = (world.now - world.start - 0.5 * arrays[8][0].dt) * 1e-9
-            results[j] = math.floor((arrays[9][table[a].qpos] + arrays[10][table[a].dof] * tau) * 1e12)
+            tau = (w.now - w.start - 0.5 * clockwork(h).dt) * 1e-9
+            q, v = at(h.qpos, h.nq, REAL)[axes[a].qpos], at(h.qvel, h.nv, REAL)[axes[a].dof]
+            results[j] = math.floor((q + v * tau) * 1e12)
         else:
-            bad = _pass(h, arrays, scratch, world.now + h.bus)
+            bad = _pass(h, w.now + h.bus)
             if not bad and kind == WRITE:
-                _write(chips, table[a].chip, b, c)
+                write(chips, axes[a].chip, b, c)
             elif not bad:
-                results[j] = _read(chips, table[a].chip, b)
+                results[j] = read(chips, axes[a].chip, b)
         if bad:
             return DIVERGED
     return PLAYED
 
 
 @hot
-def play(handles, kinds, begin, end, ops, results, extremes, status, scratch):
+def play(handles, kinds, begin, end, ops, results, extremes, status):
     """Play ops[k] on stage k for k in begin..end-1; results (stages, ops), extremes (stages, nq, 2), status (stages)."""
     for k in range(begin, end):
-        status[k] = _play(handles[k], kinds, ops[k], results[k], extremes[k], scratch)
+        status[k] = play_one(handles[k], kinds, ops[k], results[k], extremes[k])
 
 
 @hot
@@ -234,15 +308,13 @@ def _look_at(world, c, t, d, clockwork, qpos, qvel, out):
 
 
 @hot
-def _look_at_chips(rows, first, arrays, truth):
-    world, drives, table, wiring, clockwork, qpos, qvel = (
-        arrays[0], arrays[3], arrays[5], arrays[7], arrays[8], arrays[9], arrays[10],
-    )  # fmt: skip
+def _look_at_chips(rows, first, h, truth):
+    drives, axes, qpos, qvel = at(h.drives, h.n_axes, DRIVE), table(h), at(h.qpos, h.nq, REAL), at(h.qvel, h.nv, REAL)
     for i in range(len(rows)):
-        w = wiring[first + i]
+        w = wiring(h)[first + i]
         for j in range(w.axes):
             a = w.axis[j]
-            _look_at(world[0], rows[i], table[a], drives[a], clockwork[0], qpos, qvel, truth[a])
+            _look_at(world(h), rows[i], axes[a], drives[a], clockwork(h), qpos, qvel, truth[a])
     return 0
 
 
@@ -253,8 +325,7 @@ _look_at_families = cores.over_families(_look_at_chips)
 def look(handles, kinds, begin, end, truth):
     """Fill truth[k, a] for every axis of the stages begin..end-1."""
     for k in range(begin, end):
-        arrays = _arrays(handles[k], kinds)
-        _look_at_families(arrays[2], arrays, truth[k])
+        _look_at_families(chips_of(handles[k], kinds), handles[k], truth[k])
 
 
 def kinds(stage: Any) -> tuple[np.ndarray, ...]:
@@ -262,9 +333,9 @@ def kinds(stage: Any) -> tuple[np.ndarray, ...]:
     return tuple(rows[:0].copy() for rows in stage._chips)
 
 
-def handle(stage: Any) -> np.record:
-    """The HANDLE of a stage, which must outlive it."""
-    h = np.zeros(1, HANDLE)
+def fill(handles: np.ndarray, k: int, stage: Any) -> None:
+    """Write the HANDLE of `stage`, which must outlive it, into handles[k], whose record has these fields first. Compiles."""
+    h = handles[k]
     model, data = stage.model, stage.data
     h["mj_model"], h["mj_data"] = model._address, data._address
     held = (
@@ -274,11 +345,15 @@ def handle(stage: Any) -> np.record:
     for name, array in zip(_ARRAYS, held, strict=True):
         h[name] = array.ctypes.data
     for f, rows in enumerate(stage._chips):
-        h["chips"][0, f], h["n_chips"][0, f] = rows.ctypes.data, len(rows)
+        h["chips"][f], h["n_chips"][f] = rows.ctypes.data, len(rows)
     h["n_axes"], h["n_switches"], h["n_wired"] = len(stage._table), len(stage._switches), len(stage._wiring)
     h["nq"], h["nv"], h["nu"], h["ns"] = model.nq, model.nv, model.nu, model.nsensordata
     h["bus"] = stage._bus_ns
-    return h[0]
+    h["samples"] = h["positions"] = h["edges"] = stage._state.ctypes.data  # somewhere: no room
+    h["counts"] = stage._counts.ctypes.data
+    engine_of = _compiled_engine(tuple(rows.dtype for rows in stage._chips))
+    h["advance"] = ctypes.cast(engine_of, ctypes.c_void_p).value
+    h["own"] = handles.ctypes.data + k * handles.itemsize
 
 
 def by_hand(stage: Any, ops: np.ndarray, results: np.ndarray, extremes: np.ndarray) -> int:

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 HYSTERESIS = 25e-6  # m; a slotted optical switch lets go that much later than it trips (typical data sheets)
-EDGES = 1024
+EDGES = 640
 SWITCH_FAULTS = ("forced", "bounce", "toggles")  # of the table of switches: what faults change
 
 ChipChoice = type[Chip] | Callable[[], Chip] | Mapping[str, Any]

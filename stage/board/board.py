@@ -85,10 +85,9 @@ class Board:
         for chip in stage.chips:
             if self.LINTS and chip._late is None:
                 chip._late = LateLint(chip)
-        self._lay_out()
         with announced("PulseStage: compiling the bus, once on this machine (about fifteen seconds) ..."):
-            self._request, self._advance = bus.compiled(host.kinds(stage))
-            self._host["advance"] = ctypes.cast(self._advance, ctypes.c_void_p).value
+            self._lay_out()
+            self._request = bus.requests(host.kinds(stage))
             self._ask(bus.SETTLE, 0, 0)  # the first request loads what was compiled
 
     # --- what a host does ---
@@ -170,9 +169,7 @@ class Board:
             stage._edges = np.zeros(NOTED, engine.EDGE)
         self._take(np.zeros(1, bus.HOST))
         h = self._host
-        given = host.handle(stage)
-        for name in host.HANDLE.names or ():
-            h[name] = given[name]
+        host.fill(self._rows, 0, stage)
         self._irqs = np.zeros(len(stage.chips), bus.IRQ)
         self._acts = np.zeros(len(stage.chips), np.int64)
         for k, chip in enumerate(stage.chips):

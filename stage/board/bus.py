@@ -12,7 +12,6 @@ from functools import cache
 from typing import Any
 
 import mujoco
-import numba
 import numpy as np
 from llvmlite import ir
 from numba.core import types
@@ -21,7 +20,8 @@ from numba.extending import intrinsic
 from stage import engine, host
 from stage.chips import cores
 from stage.chips.entries import LOST, READ, WRITE
-from stage.compiled import COMPILED, greatest, hot, kept, least, record
+from stage.compiled import COMPILED, greatest, hot, least, record
+from stage.host import at, clockwork, wiring, world
 
 STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 IN8, OUT8, IN16, OUT16, DELAY, MICROS, LOG, HOOK, LINE, SETTLE = range(10)
@@ -46,20 +46,16 @@ hit nothing, or only half of what is there, | LOST_ON_THE_WAY if a fault of the 
 
 HOST = record(
     host.HANDLE_FIELDS
-    + [(name, "i8") for name in "state samples positions room filled edges edge_room noted counts".split()]
+    + [(name, "i8") for name in ["state"]]
     + [(name, "i8") for name in "ports first n_ports lines line_room traced changed".split()]
     + [
         (name, "i8")
         for name in "until lazy ahead quiet cycles most_cycles stopped call hook argument serving pulling".split()
     ]
-    + [
-        (name, "i8")
-        for name in "irqs acts before userdata words journals asks asked_chip asked_address asked advance own".split()
-    ]
+    + [(name, "i8") for name in "irqs acts before userdata words journals asks asked_chip asked_address asked".split()]
 )
 """A stage's handle, and
     state                      the stage's state as it was before the last physics, for SimulationError
-    samples ... counts         buffers of recording and journals
     ports, first, n_ports      the table of ports, and which is its first
     lines, line_room, traced, changed   the trace, a ring; lines so far, and how many there were after the last write
     until, most_cycles         when (ns), and after how many cycles, to call Python; cycles: so far
@@ -68,13 +64,11 @@ HOST = record(
     hook, argument, serving, pulling   the interrupt hook, whether it is being called, and the chips that pull the line
     irqs, acts                 of each chip: its IRQ, and the addresses (bits) at which a read changes it
     before, userdata, words    room for a copy of the state in userdata; where that is, and how long
-    advance, own               the engine's and this record's address
     journals, asks, asked ...  whether journals are kept; chips (bits) whose writes Python looks at; what Python is called about
 """
 
 IRQ = record([("axis", "i8"), ("bits", "i8")])
 """Of each chip: the outputs that pull the interrupt line (0: none), and as which axis' they are asked for."""
-WHOLE = np.dtype("i8")
 
 
 if COMPILED:
@@ -90,15 +84,6 @@ if COMPILED:
             return context.get_dummy_value()
 
         return types.void(types.int64, types.int64), build
-
-    @intrinsic
-    def _advance(context, address, where, until):
-        def build(context, builder, signature, given):
-            word = ir.IntType(64)
-            kind = ir.FunctionType(word, [word, word])
-            return builder.call(builder.inttoptr(given[0], kind.as_pointer()), given[1:])
-
-        return types.int64(types.int64, types.int64, types.int64), build
 else:
     mj_get_state = ctypes.CDLL(engine._LIBRARY).mj_getState
     mj_get_state.argtypes = (ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int)
@@ -107,14 +92,11 @@ else:
     def _call(address, argument):  # type: ignore[misc]
         ctypes.CFUNCTYPE(None, ctypes.c_int64)(int(address))(int(argument))
 
-    def _advance(address, where, until):  # type: ignore[misc]
-        return ADVANCE(int(address))(int(where), int(until))
-
 
 @hot
-def _at(address, n, dtype):
-    """The array of `n` records or numbers at an address."""
-    return numba.carray(host._pointer(address), (n,), dtype)
+def stage_of(h):
+    """The HANDLE that a HOST record begins with."""
+    return at(h.own, 1, host.HANDLE)[0]
 
 
 @hot
@@ -124,48 +106,13 @@ def _ask(h, reason):
 
 
 @hot
-def _world(h):
-    return _at(h.world, 1, host.WORLD)[0]
-
-
-@hot
-def _clockwork(h):
-    return _at(h.clockwork, 1, host.CLOCKWORK)[0]
-
-
-@hot
-def _wiring(h):
-    return _at(h.wiring, h.n_wired, host.CHIP_TABLE)
-
-
-@hot
-def _engine(h, kinds, until):
-    """The engine runs up to `until` ns. Returns why it returned."""
-    counts = _at(h.counts, 2, WHOLE)
-    samples = numba.carray(host._pointer(h.samples), (h.room, h.n_axes), engine.SAMPLE)
-    positions = numba.carray(host._pointer(h.positions), (h.room, h.nq), host.REAL)
-    status = engine.run(
-        int(h.mj_model), int(h.mj_data), _at(h.world, 1, host.WORLD), _at(h.axes, h.n_axes, host.AXIS),
-        host._chips(h, kinds), _at(h.drives, h.n_axes, host.DRIVE), _at(h.switches, h.n_switches, host.SWITCH),
-        _at(h.table, h.n_axes, host.AXIS_TABLE), _at(h.switch_table, h.n_switches, host.SWITCH_TABLE), _wiring(h),
-        _at(h.clockwork, 1, host.CLOCKWORK), _at(h.qpos, h.nq, host.REAL), _at(h.qvel, h.nv, host.REAL),
-        _at(h.ctrl, h.nu, host.REAL), _at(h.sensordata, h.ns, host.REAL),
-        until, samples, positions, h.filled, _at(h.edges, h.edge_room, engine.EDGE), h.noted, counts,
-    )  # fmt: skip
-    if status != engine.DIVERGED:
-        h.filled, h.noted = counts[0], counts[1]
-    return status
-
-
-@hot
 def _run(h, until):
-    """Let the stage's time pass up to `until` ns; journals and recordings take part. The engine is called by its address: numba
-    would compile it anew into each function that calls one that calls it."""
-    world = _world(h)
-    while world.now < until and not h.stopped:
-        if world.start + _clockwork(h).dt <= until:  # only physics can diverge
+    """Let the stage's time pass up to `until` ns; journals and recordings take part."""
+    w = world(stage_of(h))
+    while w.now < until and not h.stopped:
+        if w.start + clockwork(stage_of(h)).dt <= until:  # only physics can diverge
             mj_get_state(int(h.mj_model), int(h.mj_data), int(h.state), STATE)
-        status = _advance(int(h.advance), int(h.own), int(until))
+        status = host.advance(stage_of(h), until)
         if status == engine.DIVERGED:
             _ask(h, DIVERGED)
         elif status != engine.REACHED:
@@ -177,14 +124,14 @@ def _catch_up(h):
     """The whole stage stands where the host does."""
     if h.ahead:
         ahead, h.ahead = h.ahead, 0
-        _run(h, _world(h).now + ahead)
+        _run(h, world(stage_of(h)).now + ahead)
 
 
 @hot
 def _foresee(h):
     """Up to when nothing but the chips themselves moves: no edge, no end of a slice."""
-    world, axes, dt = _world(h), _at(h.axes, h.n_axes, host.AXIS), _clockwork(h).dt
-    h.quiet = least(h.until, world.start + (world.slice + 1) * dt // engine.SLICES)
+    w, axes, dt = world(stage_of(h)), at(h.axes, h.n_axes, host.AXIS), clockwork(stage_of(h)).dt
+    h.quiet = least(h.until, w.start + (w.slice + 1) * dt // engine.SLICES)
     for a in range(len(axes)):
         h.quiet = least(h.quiet, axes[a].next_edge)
 
@@ -192,7 +139,7 @@ def _foresee(h):
 @hot
 def _now(h):
     """The host's time, ns."""
-    return _world(h).now + h.ahead
+    return world(stage_of(h)).now + h.ahead
 
 
 @hot
@@ -225,25 +172,25 @@ _run_one = cores.over_families(_run_one_in)
 def _turn_to(h, chips, chip):
     """The chip stands where the host does."""
     if h.ahead:
-        _run_one(chips, chip, engine.clock_at(_now(h), _wiring(h)[chip].hz))
+        _run_one(chips, chip, engine.clock_at(_now(h), wiring(stage_of(h))[chip].hz))
 
 
 @hot
 def _pass(h, ns):
     """`ns` pass; where the firmware is to stand still on the way, it does."""
-    world, left = _world(h), ns
+    w, left = world(stage_of(h)), ns
     while left > 0 and not h.stopped:
-        if world.now >= h.until:
+        if w.now >= h.until:
             _ask(h, PAUSE)
             continue
-        end = least(world.now + left, h.until)
-        left -= end - world.now
+        end = least(w.now + left, h.until)
+        left -= end - w.now
         _run(h, end)
 
 
 @hot
 def _look_at_lines(rows, first, h):
-    irqs = _at(h.irqs, int(h.n_wired), IRQ)
+    irqs = at(h.irqs, int(h.n_wired), IRQ)
     for i in range(len(rows)):
         irq = irqs[first + i]
         if irq.bits and cores.outputs(rows[i], irq.axis) & irq.bits:
@@ -282,7 +229,7 @@ def _serve(h, chips):
 
 @hot
 def _copy(source, target, words):
-    a, b = _at(source, words, WHOLE), _at(target, words, WHOLE)
+    a, b = at(source, words, host.WHOLE), at(target, words, host.WHOLE)
     for k in range(words):
         b[k] = a[k]
 
@@ -292,20 +239,18 @@ def _wait(h, chips, ns):
     """`ns` pass in a delay; an interrupt comes at the ns at which the line is asserted. What its hook takes is part of the
     delay."""
     _catch_up(h)
-    world, dt = _world(h), _clockwork(h).dt
-    end = world.now + ns
-    while world.now < end and not h.stopped:
+    w, dt = world(stage_of(h)), clockwork(stage_of(h)).dt
+    end = w.now + ns
+    while w.now < end and not h.stopped:
         if h.hook == 0 or h.serving:
-            _pass(h, end - world.now)
+            _pass(h, end - w.now)
             return
-        if world.now >= h.until:
+        if w.now >= h.until:
             _ask(h, PAUSE)
             continue
-        stop = least(least(end, h.until), world.start + dt)
-        inside = (
-            stop - 1 if stop == world.start + dt else stop
-        )  # where no physics has come between, time can be taken back
-        begin, noted = world.now, h.noted
+        stop = least(least(end, h.until), w.start + dt)
+        inside = stop - 1 if stop == w.start + dt else stop  # where no physics has come between, time can be taken back
+        begin, noted = w.now, h.noted
         _copy(h.userdata, h.before, h.words)
         _run(h, inside)
         if _line(h, chips):
@@ -333,7 +278,7 @@ def _note(h, kind, port, value, seen):
     it all, or -1. Returns the line's number."""
     if h.stopped:
         return -1
-    now, lines = _now(h), _at(h.lines, h.line_room, CYCLE)
+    now, lines = _now(h), at(h.lines, h.line_room, CYCLE)
     if seen >= h.changed and h.traced - seen <= h.line_room:
         line = lines[seen % h.line_room]
         if line.value == value and line.kind == kind and line.port == port:
@@ -352,8 +297,8 @@ def _journal(h, chips, kind, chip, address, value):
     """What a cycle did to a chip, for its journal, in the order of the switches' edges."""
     if h.noted >= h.edge_room:
         _ask(h, FULL)
-    e = _at(h.edges, h.edge_room, engine.EDGE)[h.noted]
-    e.now, e.clock, e.axis = _now(h), _clock(chips, chip), _wiring(h)[chip].axis[0]
+    e = at(h.edges, h.edge_room, engine.EDGE)[h.noted]
+    e.now, e.clock, e.axis = _now(h), _clock(chips, chip), wiring(stage_of(h))[chip].axis[0]
     e.kind, e.a, e.b = kind, address, value
     h.noted += 1
 
@@ -387,7 +332,7 @@ def _write(h, chips, lost, chip, address, value):
         return
     _turn_to(h, chips, chip)
     if not lost:
-        host._write(chips, chip, address, value)
+        host.write(chips, chip, address, value)
     if h.journals:
         _journal(h, chips, LOST if lost else WRITE, chip, address, value)
 
@@ -398,8 +343,8 @@ def _read(h, chips, chip, address):
     if h.stopped:
         return 0xFFFF
     _turn_to(h, chips, chip)
-    value = host._read(chips, chip, address)
-    if h.journals and _at(h.acts, h.n_wired, WHOLE)[chip] >> address & 1:
+    value = host.read(chips, chip, address)
+    if h.journals and at(h.acts, h.n_wired, host.WHOLE)[chip] >> address & 1:
         _journal(h, chips, READ, chip, address, value)
     return value
 
@@ -418,13 +363,13 @@ def _cycle(h):
 @hot
 def _kind(h, port):
     p = port - h.first
-    return _at(h.ports, h.n_ports, PORT)[p].kind if 0 <= p < h.n_ports else NOTHING
+    return at(h.ports, h.n_ports, PORT)[p].kind if 0 <= p < h.n_ports else NOTHING
 
 
 @hot
 def _in8(h, chips, port):
     _cycle(h)
-    kind, value, ports = _kind(h, port), 0xFF, _at(h.ports, h.n_ports, PORT)
+    kind, value, ports = _kind(h, port), 0xFF, at(h.ports, h.n_ports, PORT)
     if kind in (NOTHING, LATCH):
         _note(h, IN | STRAY, port, value, h.traced - 1)
     else:
@@ -444,7 +389,7 @@ def _in8(h, chips, port):
 
 @hot
 def _out8(h, chips, port, value):
-    kind, ports = _kind(h, port), _at(h.ports, h.n_ports, PORT)
+    kind, ports = _kind(h, port), at(h.ports, h.n_ports, PORT)
     if kind in (NOTHING, LATCH, PULLS):
         _cycle(h)
         if kind == LATCH:
@@ -475,7 +420,7 @@ def _in16(h, chips, port):
     _cycle(h)
     value = 0xFFFF
     if kind == WORD:
-        p = _at(h.ports, h.n_ports, PORT)[port - h.first]
+        p = at(h.ports, h.n_ports, PORT)[port - h.first]
         value = _read(h, chips, p.chip, p.address)
         p.seen = _note(h, IN_WIDE, port, value, p.seen - 1) + 1
     else:
@@ -492,7 +437,7 @@ def _out16(h, chips, port, value):
         _out8(h, chips, port + 1, value >> 8)
         return
     if kind == WORD:
-        p = _at(h.ports, h.n_ports, PORT)[port - h.first]
+        p = at(h.ports, h.n_ports, PORT)[port - h.first]
         lost = _lost(h, chips, p.chip, p.address, value)
         _cycle(h)
         _write(h, chips, lost, p.chip, p.address, value)
@@ -516,7 +461,7 @@ def _answer(h, kinds, what, a, b):
     if h.stopped:
         _ask(h, PAUSE)
         return -1
-    chips = host._chips(h, kinds)
+    chips = host.chips_of(stage_of(h), kinds)
     if what == IN8:
         return _in8(h, chips, a & 0xFFFFFFFF)
     if what == OUT8:
@@ -548,36 +493,19 @@ def _answer(h, kinds, what, a, b):
 
 REQUEST = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_void_p, ctypes.c_int32, ctypes.c_int64, ctypes.c_int64)
 """int64_t request(void *host, int32_t what, int64_t a, int64_t b): what hosts call."""
-ADVANCE = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_int64)
 
 
-def compiled(kinds: tuple[np.ndarray, ...]) -> tuple[Any, Any]:
-    """The functions behind a board with such families of chips (`host.kinds`): a REQUEST, and the ADVANCE that HOST points to."""
-    return _compiled(tuple(k.dtype for k in kinds))
+def requests(kinds: tuple[np.ndarray, ...]) -> Any:
+    """The function that hosts call, for boards with such families of chips, see `host.kinds`; a REQUEST."""
+    return _requests(tuple(k.dtype for k in kinds))
 
 
 @cache
-def _compiled(dtypes: tuple[np.dtype, ...]) -> tuple[Any, Any]:
+def _requests(dtypes: tuple[np.dtype, ...]) -> Any:
     kinds = tuple(np.zeros(0, dtype) for dtype in dtypes)
 
     def request(address: Any, what: int, a: int, b: int) -> Any:
-        return _answer(_at(address, 1, HOST)[0], kinds, what, a, b)
+        return _answer(at(address, 1, HOST)[0], kinds, what, a, b)
 
-    def advance(address: int, until: int) -> Any:
-        return _engine(_at(address, 1, HOST)[0], kinds, until)
-
-    if not COMPILED:
-        return (
-            REQUEST(lambda address, what, a, b: int(request(address, what, a, b))),
-            ADVANCE(lambda address, until: int(advance(address, until))),
-        )
     word = types.int64
-    return _entry(REQUEST, word(word, types.int32, word, word), request), _entry(ADVANCE, word(word, word), advance)
-
-
-def _entry(kind: Any, signature: Any, function: Any) -> Any:
-    with kept():
-        made: Any = numba.cfunc(signature, cache=True, error_model="numpy")(function)
-    found = kind(made.address)
-    found.made = made
-    return found
+    return host.entry(REQUEST, word(word, types.int32, word, word), request)
