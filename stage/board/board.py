@@ -77,11 +77,11 @@ class Board:
         self.calls = 0  # of Python by compiled code, begun and ended: odd in one
         self._error: BaseException | None = None
         self._driver: Any = None  # the firmware that has begun and not returned
-        self._abandoned: set[int] = set()
+        self._abandoned: set[threading.Thread] = set()
         self._left: list[np.ndarray] = []
         self._stand_still: Callable[[], None] | None = None  # how a host in a thread of its own waits
-        self._hook: Any = None
-        self._call = UPCALL(self._called)
+        self._hook: Callable[[], None] | None = None
+        self._call, self._call_hook = UPCALL(self._called), HOOK(self._hooked)
         for chip in stage.chips:
             if self.LINTS and chip._late is None:
                 chip._late = LateLint(chip)
@@ -125,9 +125,10 @@ class Board:
 
     def on_interrupt(self, hook: Callable[[], None] | None) -> None:
         """Call `hook` while the interrupt line is asserted: after a bus cycle, or within a delay at the very ns; again and
-        again until it is released, and not from within itself. It may make bus cycles. None: nobody is called."""
-        self._hook = None if hook is None else HOOK(lambda _: self._guarded(hook))
-        self._ask(bus.HOOK, ctypes.cast(self._hook, ctypes.c_void_p).value or 0 if hook else 0, 0)
+        again until it is released, and not from within itself. It may make bus cycles. None: nobody is called. Firmware's own
+        hook comes in its place, until the firmware returns."""
+        self._hook = hook
+        self._ask(bus.HOOK, self._own_hook(), 0)
 
     # --- what one looks at ---
 
@@ -227,7 +228,7 @@ class Board:
         for k, chip in enumerate(stage.chips):
             if chip._glitches:
                 asks |= 1 << k
-        h["asks"] = asks
+        h["asks"], h["reached"] = asks, stage._now
         if (recording := stage._recording) is not None:
             h["samples"], h["positions"] = recording.samples.ctypes.data, recording.positions.ctypes.data
             h["room"], h["filled"] = len(recording.samples), recording.filled
@@ -264,7 +265,7 @@ class Board:
 
     def _called(self, reason: int) -> None:
         """Compiled code calls, see stage.board.bus."""
-        if threading.get_ident() in self._abandoned:
+        if threading.current_thread() in self._abandoned:
             threading.Event().wait()
         self.calls += 1
         try:
@@ -308,11 +309,20 @@ class Board:
     def _abandon(self, thread: threading.Thread) -> None:
         """A firmware's thread, which may still run, never reaches this board again: it has a HOST record that is stopped, and
         the board goes on with a copy."""
-        self._abandoned.add(thread.ident or 0)
+        self._abandoned.add(thread)
         self._host["stopped"] = 1
         self._left.append(self._rows)
         self._take(self._rows.copy())
-        self._host["stopped"] = self._host["hook"] = self._host["serving"] = 0
+        self._host["stopped"] = self._host["serving"] = 0
+        self._host["hook"] = self._own_hook()
+        self._stand_still = None
+
+    def _settle(self) -> None:
+        """After firmware that computed was given up: what its cycles noted is taken, and the stage stands where it stood."""
+        self._end()
+        self._begin()
+        self._request(self._rows.ctypes.data, bus.SETTLE, 0, 0)
+        self._end()
 
     def _take(self, rows: np.ndarray) -> None:
         self._rows = rows
@@ -323,9 +333,14 @@ class Board:
         """A line for the log, now."""
         self.log.append((self.stage.time, text))
 
-    def _guarded(self, hook: Callable[[], None]) -> None:
+    def _own_hook(self) -> int:
+        """What calls the hook of `on_interrupt`: its address, or 0."""
+        return (ctypes.cast(self._call_hook, ctypes.c_void_p).value or 0) if self._hook else 0
+
+    def _hooked(self, _: Any) -> None:
         try:
-            hook()
+            if self._hook is not None:
+                self._hook()
         except BaseException as error:
             self._fail(error)
 

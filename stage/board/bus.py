@@ -31,6 +31,8 @@ FULL, DIVERGED, PAUSE, STORM, LINE_OF_LOG, ASKED_WRITE = range(1, 7)
 """Why Python is called: buffers are full; the physics has diverged; time or cycles are up; an interrupt that nothing clears; a
 line to note; a write that Python makes, since a fault of the bus looks at each."""
 STORM_CALLS = 1000
+AT_ONCE = 10_000_000
+"""ns that pass between two looks at whether the firmware is to stand still: Ctrl-C in a long delay."""
 
 NOTHING, BYTE, WORD, HALF, LATCH, LATCHED, PULLS = range(7)
 PORT = record([(name, "i8") for name in "kind chip address mask seen".split()])
@@ -52,7 +54,10 @@ HOST = record(
         (name, "i8")
         for name in "until lazy ahead quiet cycles most_cycles stopped call hook argument serving pulling".split()
     ]
-    + [(name, "i8") for name in "irqs acts before userdata words journals asks asked_chip asked_address asked".split()]
+    + [
+        (name, "i8")
+        for name in "irqs acts before userdata words journals asks asked_chip asked_address asked reached".split()
+    ]
 )
 """A stage's handle, and
     state                      the stage's state as it was before the last physics, for SimulationError
@@ -64,6 +69,7 @@ HOST = record(
     hook, argument, serving, pulling   the interrupt hook, whether it is being called, and the chips that pull the line
     irqs, acts                 of each chip: its IRQ, and the addresses (bits) at which a read changes it
     before, userdata, words    room for a copy of the state in userdata; where that is, and how long
+    reached                    the stage's time (ns), for whoever sees nothing but this record
     journals, asks, asked ...  whether journals are kept; chips (bits) whose writes Python looks at; what Python is called about
 """
 
@@ -117,6 +123,7 @@ def _run(h, until):
             _ask(h, DIVERGED)
         elif status != engine.REACHED:
             _ask(h, FULL)
+    h.reached = w.now
 
 
 @hot
@@ -183,7 +190,7 @@ def _pass(h, ns):
         if w.now >= h.until:
             _ask(h, PAUSE)
             continue
-        end = least(w.now + left, h.until)
+        end = least(least(w.now + left, h.until), w.now + AT_ONCE)
         left -= end - w.now
         _run(h, end)
 
@@ -295,7 +302,7 @@ def _note(h, kind, port, value, seen):
 @hot
 def _journal(h, chips, kind, chip, address, value):
     """What a cycle did to a chip, for its journal, in the order of the switches' edges."""
-    if h.noted >= h.edge_room:
+    if h.noted >= h.edge_room - engine.EDGES_A_WINDOW * h.n_axes:  # the engine needs that much in any step
         _ask(h, FULL)
     e = at(h.edges, h.edge_room, engine.EDGE)[h.noted]
     e.now, e.clock, e.axis = _now(h), _clock(chips, chip), wiring(stage_of(h))[chip].axis[0]

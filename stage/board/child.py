@@ -24,7 +24,8 @@ class TellingBoard(Board):
 
     def __init__(self, pipe: Connection, begin: Begin):
         self._pipe = pipe
-        super().__init__(pickle.loads(begin.stage), **begin.board)
+        stage, options = _unpickled(begin.board)
+        super().__init__(stage, **options)
         shared = Shared(begin.shared, self.trace.room)
         shared.host[:] = self._rows
         self.stage._edges, self.trace._lines, self._shared = shared.edges, shared.trace, shared
@@ -58,6 +59,16 @@ class TellingBoard(Board):
         ours.restore(stage.snapshot())
 
 
+def _unpickled(board: bytes) -> tuple[Any, dict[str, Any]]:
+    try:
+        return pickle.loads(board)
+    except Exception as error:
+        raise StageError(
+            f"the process of firmware with isolated=True cannot take over the stage: {error}. Define the classes of its chips and "
+            "layouts in a module that it can import (not in a script), or run the firmware with isolated=False."
+        ) from None
+
+
 def main(fileno: int) -> None:
     pipe = Connection(fileno)
     begin = pipe.recv()
@@ -72,13 +83,13 @@ def main(fileno: int) -> None:
         go: Go = pipe.recv()
         if go.stage is not None:
             board.adopt(pickle.loads(go.stage))
-        board._ports["address"] = go.latches
+        board._ports[:] = go.ports
         code, failure = None, None
         try:
             code = runner.go_on(go.until, go.most_cycles)
         except Exception as error:
             failure = (type(error).__name__, str(error))
-        pipe.send(Stands(board.stage._now, board._ports["address"].copy(), code, failure))
+        pipe.send(Stands(board.stage._now, board._ports, code, failure))
         if failure is not None:
             os._exit(1)
 

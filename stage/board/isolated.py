@@ -29,24 +29,24 @@ from stage.engine import EDGE
 from stage.errors import StageError
 
 SENT = (WRITE, READ, LOST)
+COUNTS = ("cycles", "traced", "changed")  # of HOST
 
 
 class Begin(NamedTuple):
-    """The first message to the child."""
+    """The first message to the child. board: the stage and what else a Board takes, pickled."""
 
     library: str
     shared: str
-    stage: bytes
-    board: dict[str, Any]
+    board: bytes
     patience: float
 
 
 class Go(NamedTuple):
-    """Run up to there; `stage`, pickled, if ours was changed since. latches: what the ports hold."""
+    """Run up to there; `stage`, pickled, if ours was changed since."""
 
     until: int
     most_cycles: int
-    latches: np.ndarray
+    ports: np.ndarray
     stage: bytes | None
 
 
@@ -67,7 +67,7 @@ class Stands(NamedTuple):
     """The firmware stands still or has returned, at `now`; or `error` ended it."""
 
     now: int
-    latches: np.ndarray
+    ports: np.ndarray
     code: int | None
     error: tuple[str, str] | None
 
@@ -84,6 +84,19 @@ class Shared:
             parts.append(np.asarray(self._map[at : at + dtype.itemsize * n]).view(dtype))
             at += dtype.itemsize * n
         self.host, self.edges, self.trace = parts
+
+    def copy(self, board: Board, back: bool = False) -> None:
+        """A board's cycles, counted and traced, for the child's board to go on from; or back."""
+        pairs = [(board._host[name], self.host[0][name]) for name in COUNTS]
+        if all(ours == theirs for ours, theirs in pairs):
+            return
+        target, source = (board._host, self.host[0]) if back else (self.host[0], board._host)
+        for name in COUNTS:
+            target[name] = source[name]
+        if back:
+            board.trace._lines[:] = self.trace
+        else:
+            self.trace[:] = board.trace._lines
 
 
 class Isolated:
@@ -109,13 +122,19 @@ class Isolated:
             raise StageError(
                 "a fault of the bus asks this process about each write: run the firmware with isolated=False."
             )
+        if board._host["hook"]:
+            raise StageError(
+                "an interrupt hook in Python is called in this process only: run the firmware with isolated=False, or take the "
+                "hook away: board.on_interrupt(None)."
+            )
         if self._child is None:
             self._start()
         self._running = True
-        stage = pickle.dumps(board.stage)
+        stage = _pickled(board.stage)
+        self._shared.copy(board)
         try:
             changed = stage if _digest(stage) != self._seen else None
-            self._pipe.send(Go(until, most_cycles, board._ports["address"], changed))
+            self._pipe.send(Go(until, most_cycles, board._ports, changed))
             while not isinstance(message := self._pipe.recv(), Stands):
                 self._take(message)
         except (EOFError, OSError):
@@ -126,11 +145,11 @@ class Isolated:
         if message.error is not None:
             self._end()
         self._catch_up(message.now)
-        board._ports["address"] = message.latches
+        board._ports[:] = message.ports
         if message.error is not None:
             raise _revived(*message.error)
         self._running = message.code is None
-        self._seen = _digest(pickle.dumps(board.stage))
+        self._seen = _digest(_pickled(board.stage))
         return message.code
 
     def close(self) -> None:
@@ -139,6 +158,7 @@ class Isolated:
     def _start(self) -> None:
         """A child with a copy of the stage; raises what is wrong with the library."""
         board = self._board
+        stage, given = _pickled(board.stage), _pickled((board.stage, board._options))
         file, shared = tempfile.mkstemp(prefix="pulsestage-")
         os.close(file)
         ours, theirs = Pipe()
@@ -151,13 +171,12 @@ class Isolated:
             )  # fmt: skip
             theirs.close()
             self._pipe = ours
-            weakref.finalize(self, self._child.kill)
-            stage = pickle.dumps(board.stage)
-            ours.send(Begin(str(self._path), shared, stage, board._options, self._patience))
+            weakref.finalize(self, _ended, self._child)
+            ours.send(Begin(str(self._path), shared, given, self._patience))
             self._seen = _digest(stage)
             answer = ours.recv()
-        except EOFError:
-            raise self._crashed() from None
+        except (EOFError, ConnectionError):
+            raise HostError(f"{self._path.name} {self._ended_how()} while it was loaded.") from None
         finally:
             os.unlink(shared)
         if answer is not None:
@@ -193,36 +212,46 @@ class Isolated:
         """To `now`, and what the child's board knows."""
         board = self._board
         board.stage._run_until(max(now, board.stage._now))
-        theirs = self._shared.host[0]
-        board._host["cycles"], board._host["traced"] = theirs["cycles"], theirs["traced"]
-        board._host["changed"] = theirs["changed"]
-        board.trace._lines[:] = self._shared.trace
+        self._shared.copy(board, back=True)
 
     def _crashed(self) -> HostError:
         """The child is gone. What it did last is in the memory that we share."""
-        child = self._child
-        code = child.wait() if child is not None else 0
-        self._end()
-        theirs = self._shared.host[0]
+        how, board, theirs = self._ended_how(), self._board, self._shared.host[0]
         edges = self._shared.edges[: int(theirs["noted"])]
         self._live_through(edges[np.isin(edges["kind"], SENT)])
-        traced = int(theirs["traced"])
-        last = self._shared.trace[(traced - 1) % len(self._shared.trace)]["last"] if traced else 0
-        self._catch_up(int(last))
-        board = self._board
-        why = f"was ended by {_signal(-code)}" if code < 0 else f"ended its process with exit code {code}"
+        self._catch_up(int(theirs["reached"] + theirs["ahead"]))
         return HostError(
-            f"{self._path.name} {why} at {board.stage.time:.6f} s, after {board.cycles:,} bus cycles. The stage stands where it "
+            f"{self._path.name} {how} at {board.stage.time:.6f} s, after {board.cycles:,} bus cycles. The stage stands where it "
             f"stood then. Its last bus cycles:\n{board.trace.text(12)}"
         )
+
+    def _ended_how(self) -> str:
+        """How the child ended by itself."""
+        code = self._child.wait() if self._child is not None else 0
+        self._end()
+        return f"was ended by {_signal(-code)}" if code < 0 else f"ended its process with exit code {code}"
 
     def _end(self) -> None:
         """No child any more."""
         if self._child is not None:
-            self._child.kill()
-            self._child.wait()
+            _ended(self._child)
             self._pipe.close()
         self._child, self._running, self._seen = None, False, b""
+
+
+def _ended(child: subprocess.Popen) -> None:
+    child.kill()
+    child.wait()
+
+
+def _pickled(stage: Any) -> bytes:
+    try:
+        return pickle.dumps(stage)
+    except Exception as error:
+        raise StageError(
+            f"firmware with isolated=True needs a stage that can be pickled: {error}. Define the classes of its chips and layouts "
+            "at the top of a module, or run the firmware with isolated=False."
+        ) from None
 
 
 def _digest(data: bytes) -> bytes:

@@ -116,10 +116,19 @@ def build(
     return made
 
 
+def _listed(firmware: str | os.PathLike | Sequence[str | os.PathLike]) -> list[str | os.PathLike]:
+    return [firmware] if isinstance(firmware, str | os.PathLike) else list(firmware)
+
+
+def are_sources(firmware: str | os.PathLike | Sequence[str | os.PathLike]) -> bool:
+    """Whether this is to be built first."""
+    return all(str(file).endswith(SOURCES) for file in _listed(firmware))
+
+
 def ready(firmware: str | os.PathLike | Sequence[str | os.PathLike], flags: Sequence[str] = ()) -> Path:
     """The library that `firmware` is, or that is built from it. Raises as `build` and `check`."""
-    given = [firmware] if isinstance(firmware, str | os.PathLike) else list(firmware)
-    if all(str(file).endswith(SOURCES) for file in given):
+    given = _listed(firmware)
+    if are_sources(given):
         return check(build(given, flags=flags))
     if len(given) > 1:
         raise ArgumentError(f"{', '.join(map(str, given))}: give one library, or sources only ({', '.join(SOURCES)}).")
@@ -170,6 +179,7 @@ class Library:
             raise LibraryError(
                 f"{path} was built with pulsestage.h of version {abi}, and this is version {ABI}: build it again."
             )
+        self._bus = bus  # the library points to it
         self._find(ctypes.c_void_p, "pulsestage_bus").value = ctypes.addressof(bus)
         self.main: Any = getattr(self._library, ENTRY, None)
         if self.main is None:

@@ -12,6 +12,8 @@ from __future__ import annotations
 
 import math
 import os
+import shutil
+import weakref
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
@@ -79,6 +81,8 @@ class NativeHost:
         if not isinstance(board, Board):
             raise ArgumentError(f"{board!r} is no Board: NativeHost('driver.c', Board(stage)).")
         self.path = library.ready(firmware, flags)
+        if library.are_sources(firmware):  # built into a folder of its own, which goes with the host
+            weakref.finalize(self, shutil.rmtree, self.path.parent, ignore_errors=True)
         self.board = board
         self._runner: Runner
         if isolated:
@@ -162,7 +166,8 @@ class NativeHost:
         if not self.running:
             if board._driver is not None and board._driver.running:
                 raise StageError(
-                    f"{board._driver.path.name} drives this board and has not returned: a bus has one host."
+                    f"{board._driver.path.name} drives this board and has not returned: a bus has one host. "
+                    "Run it on, or close() it."
                 )
             board._driver, self._begun = self, (stage._now, board.cycles)
         self._most = min(board.cycles + int(max_cycles), MOST)

@@ -28,10 +28,7 @@ class Threaded:
 
     def __init__(self, path: Path, board: Board, patience: float):
         self._path, self._board, self._patience = path, board, patience
-        self._bus = library.BusStruct(
-            library.ABI, ctypes.sizeof(library.BusStruct), board._rows.ctypes.data, board._request
-        )
-        library.Library(path, self._bus).close()  # says what is wrong before anything runs
+        self._load().close()  # says what is wrong before anything runs
         self._thread: threading.Thread | None = None
         self._code: int | None = None
 
@@ -65,9 +62,15 @@ class Threaded:
     def close(self) -> None:
         self._abandon()
 
+    def _load(self) -> library.Library:
+        """A copy of the library, with a bus of its own: firmware that was given up keeps its own."""
+        size, board = ctypes.sizeof(library.BusStruct), self._board
+        return library.Library(
+            self._path, library.BusStruct(library.ABI, size, board._rows.ctypes.data, board._request)
+        )
+
     def _start(self) -> None:
-        self._bus.host = self._board._rows.ctypes.data
-        loaded = library.Library(self._path, self._bus)
+        loaded = self._load()
         self._go, self._stands = threading.Semaphore(0), threading.Semaphore(0)
         self._code = None
         before = threading.stack_size(STACK)
@@ -82,9 +85,9 @@ class Threaded:
         """The firmware's thread."""
         self._go.acquire()
         code, board = int(loaded.main()), self._board
-        if threading.get_ident() in board._abandoned:
+        if threading.current_thread() in board._abandoned:
             return
-        board._host["hook"] = board._host["lazy"] = 0
+        board._host["hook"], board._host["lazy"] = board._own_hook(), 0
         try:
             board._request(board._rows.ctypes.data, bus.SETTLE, 0, 0)
             board._end()
@@ -120,6 +123,7 @@ class Threaded:
         self._board._host["until"] = 0
         if not self._stands.acquire(timeout=0.5):
             self._abandon()
+            self._board._settle()
 
     def _abandon(self) -> None:
         """Whatever the firmware still does, it does not reach the board."""

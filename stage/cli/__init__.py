@@ -227,7 +227,10 @@ def _add_firmware(commands: Any) -> None:
 
 
 def _number(text: str) -> int:
-    return int(text, 0)
+    try:
+        return int(text, 0)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is no whole number, as 0x300 or 768") from None
 
 
 def _add_fault(commands: Any) -> None:

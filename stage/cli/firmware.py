@@ -26,13 +26,18 @@ def run(args: argparse.Namespace) -> int:
         writable(args.trace, args.force)
     stage = make_stage(args, servos=True)
     for item in args.place:
-        name, _, millimetres = item.partition("=")
+        name, _, text = item.partition("=")
         try:
-            stage.place(**{find_axis(stage, name).name: float(millimetres) * 1e-3})
+            millimetres = float(text)
         except ValueError:
             raise ArgumentError(f"--place {item!r}: write AXIS=MM, for example x=62.") from None
+        stage.place(**{find_axis(stage, name).name: millimetres * 1e-3})
+    try:
+        flags = tuple(shlex.split(args.cflags))
+    except ValueError as failed:
+        raise ArgumentError(f"--cflags {args.cflags!r}: {failed}.") from None
     board = Board(stage, args.layout, args.base, args.stride, keep_cycles=args.keep)
-    host = NativeHost(args.firmware, board, isolated=args.isolated, flags=tuple(shlex.split(args.cflags)))
+    host = NativeHost(args.firmware, board, isolated=args.isolated, flags=flags)
     error: StageError | None = None
     result = None
     begin = time.perf_counter()
@@ -78,18 +83,19 @@ def _report(stage: Any, board: Any) -> None:
     for axis in stage.axes.values():
         on = ", ".join(name for name, state in axis.switches.as_dict().items() if state)
         print(f"{axis.name:6}{axis.position * 1e3:12.4f}{axis.commanded * 1e3:14.4f}{axis.lost_steps:6}  {on}".rstrip())
-    for axis in {id(a.chip): a for a in stage.axes.values()}.values():
-        said = axis.chip.diagnostics
+    for k, chip in enumerate(stage.chips):
+        said = chip.diagnostics
         if said:
             print(
-                f"axis {axis.name}: {len(said)} writes that a reader of the data sheet would call mistakes, the first of each kind:"
+                f"chip of {board._name(k)}: {len(said)} writes that a reader of the data sheet would call mistakes, the first of "
+                "each kind:"
             )
             firsts = {d.message: d for d in reversed(said)}
             times = Counter(d.message for d in said)
             for d in sorted(firsts.values())[:SHOWN]:
                 again = f" ({times[d.message]} times)" if times[d.message] > 1 else ""
                 what = f"address {d.address} <- {d.value:02X}h: {d.message} [{d.source}]{again}"
-                print(f"  {d.clock / axis.chip.clock_hz:.6f} s, {what}")
+                print(f"  {d.clock / chip.clock_hz:.6f} s, {what}")
     if strays := board.strays:
         print(
             f"{sum(c.times for c in strays):,} bus cycles reached no chip or half a register, the first:\n{strays[0]}"

@@ -66,6 +66,8 @@ def test_a_card_that_is_not_where_the_firmware_looks_is_seen_in_what_is_printed(
     assert main(["run", built(port="0x340"), "--base", "0x340", "--place", "x=-20"]) == 0
     assert "-17.5" in capsys.readouterr().out
     assert main(["run", built(), "--place", "x"]) == 2
+    assert main(["run", built(), "--place", "q=3"]) == 2
+    assert "unknown axis 'q'" in capsys.readouterr().err
     assert main(["run", built(), "--layout", "nova"]) == 2
 
 
@@ -76,6 +78,18 @@ def test_sources_are_built_first(tmp_path, capsys):
     assert main(["run", str(tmp_path / "a.c"), str(tmp_path / "b.c"), "--cflags=-DCODE=0"]) == 0
     assert main(["run", str(tmp_path / "a.c"), built()]) == 2
     assert "sources only" in capsys.readouterr().err
+    assert main(["run", str(tmp_path / "a.c"), "--cflags=-D'"]) == 2
+    assert "--cflags" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        main(["run", built(), "--base", "3OO"])
+    assert "0x300" in capsys.readouterr().err
+
+
+def test_mistakes_of_a_chip_of_several_axes_are_told_with_all_of_them(capsys):
+    assert (
+        main(["run", str(firmware("PULSESTAGE_MAIN { ps_out16(0x300, 0x7F01); return 0; }")), "--chips", "mcx304"]) == 0
+    )
+    assert "chip of xyz: 1 writes" in capsys.readouterr().out
 
 
 def test_a_servo_chip_runs_too(capsys):

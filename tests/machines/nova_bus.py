@@ -39,6 +39,7 @@ class NovaHost:
     BLINKING: ClassVar = ("lmt_plus", "lmt_minus") * 4 + ("stop0", "stop1", "eca", "ecb")
     PULSE_PINS: ClassVar = ("pls", "dir")
     MAKES_PULSES: ClassVar = True
+    FOR_A_STAGE: ClassVar = tuple(f"ax{k}.{name}" for k in range(4) for name in ("moment", "shift", "since"))
 
     axes: tuple[Axis, ...]
     mcx514: bool

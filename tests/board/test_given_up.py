@@ -1,0 +1,215 @@
+"""Firmware that is given up, interrupted or has crashed: what it leaves, and what it cannot reach any more."""
+
+from __future__ import annotations
+
+import gc
+import os
+import signal
+import threading
+import time
+
+import numpy as np
+import pytest
+from compiled_firmware import firmware
+
+from stage import Stage, engine
+from stage.board import Board, HostError, NativeHost
+from stage.chips import HCTL1100, PCL240K
+from stage.errors import StageError
+
+SLEEPS = "#include <unistd.h>\n#include <stdlib.h>\n"
+COMPUTES = "for (volatile int k = 0;; k++) ;"
+
+
+def board(model: str = "xyz", chips=PCL240K) -> Board:
+    return Board(Stage(model, chips=chips, visuals=False))
+
+
+def run_on(b: Board, body: str, isolated: bool = False, **options) -> NativeHost:
+    return NativeHost(firmware(body), b, isolated=isolated, **options)
+
+
+def test_a_thread_that_was_given_up_and_ended_leaves_nothing_to_the_next_one():
+    b = board()
+    slow = run_on(b, SLEEPS + "PULSESTAGE_MAIN { ps_in8(0x300); usleep(900000); return 1; }", patience=0.2)
+    with pytest.raises(HostError, match="without a bus cycle"):
+        slow.run()
+    until = time.monotonic() + 10
+    while any(t.name.startswith("firmware") for t in threading.enumerate()) and time.monotonic() < until:
+        time.sleep(0.05)
+    for _ in range(3):  # their threads' numbers are those of threads that ended
+        assert run_on(b, 'PULSESTAGE_MAIN { ps_log("here"); return 3; }', patience=3).run().code == 3
+
+
+def test_firmware_that_was_given_up_does_not_reach_the_board_of_a_later_run_of_the_same_host(monkeypatch):
+    h = run_on(
+        board(),
+        SLEEPS
+        + """PULSESTAGE_MAIN
+        {
+            ps_in8(0x300);
+            if (getenv("PULSESTAGE_TEST_SLOW"))
+                usleep(1200000);
+            for (int k = 0; k < 5; k++)
+                ps_in8(0x777);
+            return 1;
+        }""",
+        patience=0.2,
+    )
+    monkeypatch.setenv("PULSESTAGE_TEST_SLOW", "1")
+    with pytest.raises(HostError):
+        h.run()
+    monkeypatch.delenv("PULSESTAGE_TEST_SLOW")
+    assert h.run().cycles == 6
+    time.sleep(1.5)  # it wakes up
+    assert h.board.cycles == 7
+
+
+@pytest.mark.parametrize("isolated", [False, True], ids=["thread", "process"])
+def test_what_firmware_did_before_it_computed_for_ever_is_on_the_stage_and_in_the_recording(isolated):
+    h = run_on(
+        board(),
+        f"PULSESTAGE_MAIN {{ ps_delay_us(4000); ps_out8(0x300, 0x15); ps_in8(0x300); {COMPUTES} }}",
+        isolated,
+        patience=0.5,
+    )
+    with h.board.stage.record() as recording, pytest.raises(HostError, match="without a bus cycle"):
+        h.run()
+    assert h.board.stage._now == 4_002_000
+    assert len(recording) == 4
+    assert [d.value for d in h.board.stage.axes["x"].chip.diagnostics] == [0x15]
+    assert h.board.cycles == 2
+    assert h.board.in8(0x300) != 0xFF
+
+
+@pytest.mark.parametrize("body", ["ps_delay_us(4000000000u);", "for (;;) ps_in8(0x300);"], ids=["delay", "polling"])
+def test_ctrl_c_makes_firmware_stand_still_at_once_even_in_a_delay_of_an_hour(body):
+    h = run_on(board(), f"PULSESTAGE_MAIN {{ {body} return 0; }}")
+    threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT)).start()
+    with pytest.raises(KeyboardInterrupt):
+        h.run(timeout=1e6)
+    assert h.running, "it was not given up"
+    now = h.board.stage._now
+    assert h.run_for(0.001) is None
+    assert h.board.stage._now == now + 1_000_000
+    h.close()
+
+
+def test_a_crash_after_a_delay_leaves_the_stage_at_the_end_of_the_delay():
+    h = run_on(board(), "PULSESTAGE_MAIN { ps_in8(0x300); ps_delay_us(2500); *(volatile int *)0 = 1; return 0; }", True)
+    with pytest.raises(HostError, match="SIGSEGV"):
+        h.run()
+    assert h.board.stage._now == 2_501_000
+    with pytest.raises(HostError, match="after 2 bus cycles"):
+        h.run()
+    assert h.board.stage._now == 5_002_000
+
+
+def test_a_library_that_crashes_while_it_is_loaded_says_so():
+    with pytest.raises(HostError, match=r"SIGABRT.*while it was loaded"):
+        run_on(
+            board(),
+            "#include <stdlib.h>\n__attribute__((constructor)) static void at_load(void) { abort(); }\n"
+            "PULSESTAGE_MAIN { return 0; }",
+            True,
+        )
+
+
+def test_cycles_and_trace_go_on_where_python_or_another_firmware_left_them_in_a_process_of_its_own_too():
+    left = []
+    for isolated in (False, True):
+        b = board()
+        for _ in range(30):
+            b.out8(0x300, 0x08)
+        b.in8(0x304)
+        h = run_on(
+            b, "PULSESTAGE_MAIN { ps_in8(0x304); for (int k = 0; k < 10; k++) ps_out8(0x304, 8); return 0; }", isolated
+        )
+        assert h.run().cycles == 11
+        b.out8(0x308, 0x08)
+        assert h.run().cycles == 11
+        assert b.cycles == 30 + 1 + 11 + 1 + 11
+        left.append((b.trace.lines().tobytes(), b.stage.snapshot().state.tobytes()))
+    assert left[0] == left[1]
+
+
+def test_a_stage_that_the_process_cannot_take_over_says_why():
+    class Local(PCL240K):
+        pass
+
+    with pytest.raises(StageError, match=r"pickled.*Local.*isolated=False"):
+        run_on(board(chips=Local), "PULSESTAGE_MAIN { return 0; }", True)
+    elsewhere = type("Elsewhere", (PCL240K,), {"__module__": "__main__"})
+    import __main__
+
+    __main__.Elsewhere = elsewhere  # a class of the script that was started, which the child does not run
+    try:
+        with pytest.raises(StageError, match=r"Elsewhere.*isolated=False"):
+            run_on(board(chips=elsewhere), "PULSESTAGE_MAIN { return 0; }", True)
+    finally:
+        del __main__.Elsewhere
+
+
+def test_a_hook_in_python_is_not_forgotten_in_silence_by_firmware_in_a_process_of_its_own():
+    b = board()
+    b.on_interrupt(lambda: None)
+    h = run_on(b, "PULSESTAGE_MAIN { return 3; }", True)
+    with pytest.raises(StageError, match=r"on_interrupt\(None\)"):
+        h.run()
+    b.on_interrupt(None)
+    assert h.run().code == 3
+
+
+def test_writes_leave_the_engine_room_for_what_it_notes_within_a_step():
+    b = board("xyz_servo", HCTL1100)
+    room = 3 * engine.EDGES_A_WINDOW + 20
+    b._host["edge_room"] = room  # of an array that is longer: what lies behind would be overwritten
+    run_on(b, "PULSESTAGE_MAIN { for (int k = 0; k < 5000; k++) ps_out8(0x300 + k % 6, 5); return 0; }").run()
+    used = np.flatnonzero(b.stage._edges["clock"])[-1]
+    assert used < room - engine.EDGES_A_WINDOW, f"{room} records, {used + 1} used"
+
+
+def test_what_a_host_built_goes_with_it(tmp_path):
+    firmware("PULSESTAGE_MAIN { return 0; }")
+    source = tmp_path / "driver.c"
+    source.write_text("#include <pulsestage.h>\nPULSESTAGE_MAIN { return 4; }\n")
+    h = NativeHost(source, board())
+    built = h.path
+    assert h.run().code == 4
+    del h
+    gc.collect()
+    assert not built.parent.exists()
+    assert source.exists()
+
+
+def test_a_hook_in_python_that_takes_itself_away_is_called_once_and_one_that_stays_outlives_firmware():
+    b = board()
+    calls = []
+
+    def once() -> None:
+        calls.append("once")
+        b.on_interrupt(None)
+
+    for port in (0x300, 0x304):
+        b.out8(port, 0x08)
+        for register, value in ((0, 5), (1, 100), (7, 300)):
+            b.out8(port, 0x80 | register)
+            for byte in (3, 2, 1):
+                b.out8(port + byte, value >> 8 * (byte - 1) & 0xFF)
+        b.out8(port, 0x44)
+    b.on_interrupt(once)
+    b.out8(0x300, 0x30)
+    b.delay_us(200_000)
+    assert calls == ["once"]
+    assert b.interrupt
+    b.out8(0x300, 0x00)
+    b.on_interrupt(lambda: (calls.append("stays"), b.out8(0x304, 0x00)))
+    assert (
+        run_on(b, "static void own(void *a) { (void)a; } PULSESTAGE_MAIN { ps_on_interrupt(own, 0); return 0; }")
+        .run()
+        .code
+        == 0
+    )
+    b.out8(0x304, 0x30)
+    b.delay_us(200_000)
+    assert calls == ["once", "stays"]
