@@ -124,7 +124,7 @@ class Fleet:
         self.kinds = host.kinds(first)
         self._truth = np.zeros((len(self.stages), self._axes), host.TRUTH)
         self._pool: ThreadPoolExecutor | None = None
-        with announced("PulseStage: compiling the fleet's loop, once on this machine (about twenty seconds) ..."):
+        with announced("PulseStage: compiling the fleet's loop, once on this machine (about ten seconds) ..."):
             for k, stage in enumerate(self.stages):
                 host.fill(self.handles, k, stage)
             none = np.zeros((0, 1, 4), np.int64), np.zeros((0, 1), np.int64), np.zeros((0, self._nq, 2))

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import functools
+import hashlib
 from pathlib import Path
-from tempfile import mkdtemp
+from tempfile import TemporaryDirectory
 
 import pytest
 
 from stage.board import NoCompilerError, build
 from stage.board.library import compiler
+
+
+_FOLDER = TemporaryDirectory(prefix="pulsestage-test-")
 
 
 @functools.cache
@@ -19,7 +23,9 @@ def firmware(body: str, *flags: str, suffix: str = ".c") -> Path:
         compiler(f"x{suffix}")
     except NoCompilerError as error:
         pytest.skip(str(error))
-    source = Path(mkdtemp(prefix="pulsestage-test-")) / f"firmware{suffix}"
+    digest = hashlib.blake2b(repr((body, flags)).encode(), digest_size=8).hexdigest()
+    source = Path(_FOLDER.name) / digest / f"firmware{suffix}"
+    source.parent.mkdir()
     source.write_text(f"#include <pulsestage.h>\n{body}\n")
     return build(source, output=source.with_suffix(".so"), flags=("-Wall", "-Wextra", "-Werror", *flags))
 
