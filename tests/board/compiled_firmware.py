@@ -12,7 +12,6 @@ import pytest
 from stage.board import NoCompilerError, build
 from stage.board.library import compiler
 
-
 _FOLDER = TemporaryDirectory(prefix="pulsestage-test-")
 
 
