@@ -24,7 +24,7 @@ def firmware(body: str, *flags: str, suffix: str = ".c") -> Path:
         pytest.skip(str(error))
     digest = hashlib.blake2b(repr((body, flags)).encode(), digest_size=8).hexdigest()
     source = Path(_FOLDER.name) / digest / f"firmware{suffix}"
-    source.parent.mkdir()
+    source.parent.mkdir(exist_ok=True)
     source.write_text(f"#include <pulsestage.h>\n{body}\n")
     return build(source, output=source.with_suffix(".so"), flags=("-Wall", "-Wextra", "-Werror", *flags))
 
