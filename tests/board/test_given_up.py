@@ -83,6 +83,15 @@ def test_what_firmware_did_before_it_computed_for_long_is_on_the_stage_and_in_th
     assert h.board.in8(0x300) != 0xFF
 
 
+@pytest.fixture
+def ctrl_c():
+    """Python's own handler, also where the tests run in the background of a shell, which ignores Ctrl-C there."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("ctrl_c")
 @pytest.mark.parametrize("body", ["ps_delay_us(4000000000u);", "for (;;) ps_in8(0x300);"], ids=["delay", "polling"])
 def test_ctrl_c_makes_firmware_stand_still_at_once_even_in_a_delay_of_an_hour(body):
     h = run_on(board(), f"PULSESTAGE_MAIN {{ {body} return 0; }}")
