@@ -383,11 +383,16 @@ class Stage:
         for k, chip in enumerate(self.chips):
             if chip._journal is None:
                 continue
-            own = edges[chip_of == k]
-            seen, packed = own["kind"] == SEE, np.zeros(len(own), PACKED)
-            packed["clock"], packed["kind"] = own["clock"], own["kind"]
-            packed["a"] = np.where(seen, own["count"].view(np.int64), own["a"])
-            packed["b"] = np.where(seen, own["rate"].view(np.int64), own["b"])
+            own = np.flatnonzero(chip_of == k)
+            if not len(own):
+                continue
+            packed = np.empty(len(own), PACKED)
+            for name in PACKED.names or ():
+                packed[name] = edges[name][own]
+            seen = np.flatnonzero(packed["kind"] == SEE)
+            if len(seen):
+                packed["a"][seen] = edges["count"][own[seen]].view(np.int64)
+                packed["b"][seen] = edges["rate"][own[seen]].view(np.int64)
             chip._journal.extend(packed)
 
     def _look_again(self, axis: int) -> None:
