@@ -22,7 +22,7 @@ from stage import engine, host
 from stage.board import bus, layouts
 from stage.board.trace import BusTrace, Cycle, Meaning
 from stage.chips.late import LateLint
-from stage.compiled import announced
+from stage.compiled import announced, plain
 from stage.errors import ArgumentError, StageError, unknown
 from stage.machine import Stage
 
@@ -232,7 +232,7 @@ class Board:
         if (recording := stage._recording) is not None:
             h["samples"], h["positions"] = recording.samples.ctypes.data, recording.positions.ctypes.data
             h["room"], h["filled"] = len(recording.samples), recording.filled
-        else:
+        elif h["room"]:  # of a recording that was closed
             h["samples"], h["positions"], h["room"], h["filled"] = h["state"], h["state"], 0, 0  # somewhere
 
     def _end(self) -> None:
@@ -327,7 +327,7 @@ class Board:
     def _take(self, rows: np.ndarray) -> None:
         self._rows = rows
         rows["own"] = rows.ctypes.data
-        self._host = rows.view(np.dtype([(n, bus.HOST[n]) for n in bus.HOST.names or ()]))[0]
+        self._host = rows.view(plain(bus.HOST))[0]
 
     def note(self, text: str) -> None:
         """A line for the log, now."""
