@@ -65,7 +65,7 @@ class Config:
     goal: str = "position"  # or "home"
     waits: tuple[float, ...] = (1e-4, 1e-3, 1e-2, 1e-1)  # s
     distances: tuple[int, int] | None = None  # pulses, of goal "position"; None: 400 to 8000, as far as there is room
-    tolerance: float | None = None  # pulses; None: IN_POSITION of the chip's class, 4, counts of a servo 10
+    tolerance: float = None  # type: ignore[assignment]  # pulses; None: IN_POSITION of the chip's class, 4, counts of a servo 10
     standing: float = 1e-3  # m/s, slower than this is standing still
     time_limit: float = 30.0  # s
     cycles: int = 2000  # actions

@@ -21,7 +21,7 @@ import mujoco
 import numpy as np
 
 from stage import engine, plant
-from stage.chips import Chip, ChipAxis, Diagnostic, cores
+from stage.chips import PCL240K, Chip, ChipAxis, Diagnostic, cores
 from stage.chips.entries import PACKED, SEE
 from stage.compiled import announced
 from stage.drives import drive as any_drive
@@ -189,8 +189,6 @@ class Stage:
         bus_cycle: float = 1e-6,
         visuals: bool = True,
     ):
-        from stage.chips import PCL240K
-
         chips = PCL240K if chips is None else chips
         if not 0 <= bus_cycle <= 1:
             raise ArgumentError(
@@ -637,8 +635,8 @@ def _words(chips: list[ChipAxis], switches: int) -> int:
 def _by_family(axes: list[ChipAxis]) -> list[tuple[Any, list[Chip]]]:
     """The chips of these axes, each once, by the core of their family; without any axis one family without a chip."""
     chips = list(dict.fromkeys(axis.chip for axis in axes))
-    found = [(core, [chip for chip in chips if chip.CORE is core]) for core in cores.FAMILIES]
-    return [(core, members) for core, members in found if members] or found[:1]
+    found = [(core, [chip for chip in chips if chip.CORE is core]) for core in cores.loaded()]
+    return [(core, members) for core, members in found if members] or [(PCL240K.CORE, [])]
 
 
 def _make_chips(chips: Any, names: list[str]) -> list[ChipAxis]:

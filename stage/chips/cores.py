@@ -1,7 +1,7 @@
 """What a stage asks of a chip, whatever its family: the type of its record says which core answers.
 
 A family is a module of compiled functions, its *core*, over records of its `STATE`, in an array `rows` of one family's chips.
-Add it to FAMILIES, and every loop of the package takes it. Of chip `c` and its axis `j` (0 up to AXES - 1):
+Add its package to FAMILIES of stage/chips, and every loop takes it. Of chip `c` and its axis `j` (0 up to AXES - 1):
 
     run(c, until)                     let its clock run up to `until`
     see(c, j, count, rate)            from now on the shaft is at `count + rate * clocks`, in counts of its encoder; only where
@@ -22,7 +22,10 @@ scan_seen as well, see stage/chips/hctl1100/core.py.
 
 from __future__ import annotations
 
+import sys
+from functools import cache
 from inspect import signature
+from types import ModuleType
 from typing import Any
 
 import numba
@@ -30,14 +33,23 @@ from numba.core import types
 from numba.core.imputils import lower_constant
 from numba.extending import models, overload, register_model, typeof_impl
 
-from stage.chips.hctl1100 import core as hctl1100
-from stage.chips.nova import core as nova
-from stage.chips.pcl240 import core as pcl240
+from stage.chips import FAMILIES
 from stage.compiled import COMPILED
 
-FAMILIES: tuple[Any, ...] = (pcl240, nova, hctl1100)
-_BY_TYPE = {numba.from_dtype(core.STATE): core for core in FAMILIES} if COMPILED else {}
-_BY_DTYPE = {core.STATE: core for core in FAMILIES}
+
+def loaded() -> list[ModuleType]:
+    """The cores of the families that are loaded, in the order of FAMILIES."""
+    return [sys.modules[name] for family in FAMILIES if (name := f"stage.chips.{family}.core") in sys.modules]
+
+
+@cache
+def _of_dtype(dtype: Any) -> ModuleType:
+    return next(core for core in loaded() if dtype == core.STATE)
+
+
+@cache
+def _of_type(record: Any) -> ModuleType:
+    return next(core for core in loaded() if numba.from_dtype(core.STATE) == record)
 
 
 class Answer:
@@ -48,7 +60,7 @@ class Answer:
         self.name = name
 
     def __call__(self, c: Any, *arguments: Any) -> Any:
-        return getattr(_BY_DTYPE[c.dtype], self.name)(c, *arguments)
+        return getattr(_of_dtype(c.dtype), self.name)(c, *arguments)
 
 
 class AnswerType(types.Callable, types.Opaque):
@@ -59,7 +71,7 @@ class AnswerType(types.Callable, types.Opaque):
         super().__init__(f"Answer({name})")
 
     def _function(self, c: Any) -> Any:
-        core = _BY_TYPE[c.dtype if isinstance(c, types.Array) else c]
+        core = _of_type(c.dtype if isinstance(c, types.Array) else c)
         return numba.typeof(getattr(core, self.answer))
 
     def get_call_type(self, context: Any, args: Any, kws: Any) -> Any:
