@@ -219,7 +219,7 @@ class RegisterBus(Task[Config]):
         mine = self.axis_states[k]
         mine["target"], mine["goal"], mine["lost"] = target, goal, 0
         self.words[k]["seen"], self.words[k]["when"] = 0, -1
-        core.conclude(self._address, self.fleet.kinds, k, k + 1, True, self.results.rows)
+        core.conclude(self._address, k, k + 1, True, self.results.rows)
 
     def _places(self, rng: np.random.Generator) -> np.ndarray:
         """Anywhere between the end limits, but not at the origin already."""
@@ -259,16 +259,16 @@ class RegisterBus(Task[Config]):
             self.fleet.spread(self._step)
             return
         self._by_hand[watched] = True
-        self.fleet.spread(lambda begin, end: core.play(self._address, self.fleet.kinds, begin, end))
+        self.fleet.spread(lambda begin, end: core.play(self._address, begin, end))
         self._by_hand[:] = False
         for k in watched:
             if self.active[k]:
                 self._status[k] = host.by_hand(self.stages[k], self._ops[k], self._values[k], np.zeros((0, 2)))
-        core.conclude(self._address, self.fleet.kinds, 0, self.n, False, self.results.rows)
+        core.conclude(self._address, 0, self.n, False, self.results.rows)
 
     def _step(self, begin: int, end: int) -> None:
-        core.play(self._address, self.fleet.kinds, begin, end)
-        core.conclude(self._address, self.fleet.kinds, begin, end, False, self.results.rows)
+        core.play(self._address, begin, end)
+        core.conclude(self._address, begin, end, False, self.results.rows)
 
     def observe(self) -> None:
         """Done by `begin` and `act`."""

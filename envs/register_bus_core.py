@@ -11,9 +11,11 @@ import math
 import numba
 import numpy as np
 
-from stage import host
+from stage import handle, host
+from stage.chips import cores
 from stage.compiled import greatest, hot, least, record
 from stage.envs.results import result
+from stage.sealed import pointer
 
 WRITE, READ, WAIT = range(3)  # kinds of action; WAIT + k
 AGE = 1e6  # ns, at which freshness is one half
@@ -63,27 +65,27 @@ FRAME = record(
 """Where the arrays lie, and their lengths. first: the first axis of each chip."""
 
 INTEGER, REAL, SMALL, FLAG = np.dtype("i8"), np.dtype("f8"), np.dtype("f4"), np.dtype("?")
-HANDLE, TRUTHS = host.HANDLE, host.TRUTH
+HANDLE, TRUTHS = handle.HANDLE, host.TRUTH
 
 
 @hot
 def _frame(address):
-    return numba.carray(host._pointer(address), (1,), FRAME)[0]
+    return numba.carray(pointer(address), (1,), FRAME)[0]
 
 
 @hot
-def play(address, kinds, begin, end):
+def play(address, begin, end):
     """Turn the actions of the active stages into operations of a host, and play them where Python does not."""
     f = _frame(address)
-    handles = numba.carray(host._pointer(f.handles), (f.stages,), HANDLE)
-    waits = numba.carray(host._pointer(f.waits), (f.n_waits,), INTEGER)
-    active = numba.carray(host._pointer(f.active), (f.stages,), FLAG)
-    by_hand = numba.carray(host._pointer(f.by_hand), (f.stages,), FLAG)
-    actions = numba.carray(host._pointer(f.actions), (f.stages, 4), INTEGER)
-    ops = numba.carray(host._pointer(f.ops), (f.stages, 1, 4), INTEGER)
-    values = numba.carray(host._pointer(f.values), (f.stages, 1), INTEGER)
-    status = numba.carray(host._pointer(f.status), (f.stages,), INTEGER)
-    first = numba.carray(host._pointer(f.first), (f.n_chips,), INTEGER)
+    handles = numba.carray(pointer(f.handles), (f.stages,), HANDLE)
+    waits = numba.carray(pointer(f.waits), (f.n_waits,), INTEGER)
+    active = numba.carray(pointer(f.active), (f.stages,), FLAG)
+    by_hand = numba.carray(pointer(f.by_hand), (f.stages,), FLAG)
+    actions = numba.carray(pointer(f.actions), (f.stages, 4), INTEGER)
+    ops = numba.carray(pointer(f.ops), (f.stages, 1, 4), INTEGER)
+    values = numba.carray(pointer(f.values), (f.stages, 1), INTEGER)
+    status = numba.carray(pointer(f.status), (f.stages,), INTEGER)
+    first = numba.carray(pointer(f.first), (f.n_chips,), INTEGER)
     for k in range(begin, end):
         if not active[k]:
             continue
@@ -94,8 +96,8 @@ def play(address, kinds, begin, end):
             op[0] = host.WRITE if action[0] == WRITE else host.READ
             op[1], op[2], op[3] = first[action[1]], action[2], action[3] if action[0] == WRITE else 0
         if not by_hand[k]:
-            extremes = numba.carray(host._pointer(f.ops), (0, 2), REAL)
-            status[k] = host.play_one(handles[k], kinds, ops[k], values[k], extremes)
+            extremes = numba.carray(pointer(f.ops), (0, 2), REAL)
+            status[k] = host.play_one(handles[k], ops[k], values[k], extremes)
 
 
 @hot
@@ -159,13 +161,12 @@ def _judge(r, rules, action, value, bad, steps, episode, axes, words, truth, out
 
 
 @hot
-def _look_into(h, kinds, first, words, now):
+def _look_into(h, first, words, now):
     """Note what is at every address of the chips now."""
-    chips = host.chips_of(h, kinds)
     for i in range(len(words)):
-        chip = host.table(h)[first[i]].chip
+        chip = handle.chips(h)[handle.table(h)[first[i]].chip]
         for j in range(words.shape[1]):
-            words[i, j].seen, words[i, j].when = host.peek(chips, chip, j), now
+            words[i, j].seen, words[i, j].when = cores.peek(chip, j), now
 
 
 @hot
@@ -204,30 +205,30 @@ def _observe(r, rules, steps, episode, axes, words, truth, out):
 
 
 @hot
-def conclude(address, kinds, begin, end, fresh, results):
+def conclude(address, begin, end, fresh, results):
     """Look at the active stages, judge what they have done, observe; one that diverged keeps its last observation.
 
     fresh: an episode begins on these stages in place of a step; goals and words read are set. results: (stages,) RESULT.
     """
     f = _frame(address)
-    handles = numba.carray(host._pointer(f.handles), (f.stages,), HANDLE)
-    r = numba.carray(host._pointer(f.rules), (1,), RULES)[0]
-    rules = numba.carray(host._pointer(f.axis_rules), (f.n_axes,), AXIS_RULES)
-    active = numba.carray(host._pointer(f.active), (f.stages,), FLAG)
-    actions = numba.carray(host._pointer(f.actions), (f.stages, 4), INTEGER)
-    values = numba.carray(host._pointer(f.values), (f.stages, 1), INTEGER)
-    status = numba.carray(host._pointer(f.status), (f.stages,), INTEGER)
-    steps = numba.carray(host._pointer(f.steps), (f.stages,), INTEGER)
-    episodes = numba.carray(host._pointer(f.episodes), (f.stages,), EPISODE)
-    axes = numba.carray(host._pointer(f.axes), (f.stages, f.n_axes), AXIS)
-    words = numba.carray(host._pointer(f.words), (f.stages, f.n_chips, f.n_addresses), WORD)
-    first = numba.carray(host._pointer(f.first), (f.n_chips,), INTEGER)
-    truth = numba.carray(host._pointer(f.truth), (f.stages, f.n_axes), TRUTHS)
-    observations = numba.carray(host._pointer(f.observations), (f.stages, f.width), SMALL)
+    handles = numba.carray(pointer(f.handles), (f.stages,), HANDLE)
+    r = numba.carray(pointer(f.rules), (1,), RULES)[0]
+    rules = numba.carray(pointer(f.axis_rules), (f.n_axes,), AXIS_RULES)
+    active = numba.carray(pointer(f.active), (f.stages,), FLAG)
+    actions = numba.carray(pointer(f.actions), (f.stages, 4), INTEGER)
+    values = numba.carray(pointer(f.values), (f.stages, 1), INTEGER)
+    status = numba.carray(pointer(f.status), (f.stages,), INTEGER)
+    steps = numba.carray(pointer(f.steps), (f.stages,), INTEGER)
+    episodes = numba.carray(pointer(f.episodes), (f.stages,), EPISODE)
+    axes = numba.carray(pointer(f.axes), (f.stages, f.n_axes), AXIS)
+    words = numba.carray(pointer(f.words), (f.stages, f.n_chips, f.n_addresses), WORD)
+    first = numba.carray(pointer(f.first), (f.n_chips,), INTEGER)
+    truth = numba.carray(pointer(f.truth), (f.stages, f.n_axes), TRUTHS)
+    observations = numba.carray(pointer(f.observations), (f.stages, f.width), SMALL)
     for k in range(begin, end):
         if not (fresh or active[k]):
             continue
-        host.look(handles, kinds, k, k + 1, truth)
+        host.look(handles, k, k + 1, truth)
         bad = False
         if fresh:
             e = episodes[k]
@@ -241,5 +242,5 @@ def conclude(address, kinds, begin, end, fresh, results):
             )
         if not bad:
             if r.live:
-                _look_into(handles[k], kinds, first, words[k], truth[k, 0].now)
+                _look_into(handles[k], first, words[k], truth[k, 0].now)
             _observe(r, rules, steps[k], episodes[k], axes[k], words[k], truth[k], observations[k])

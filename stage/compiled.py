@@ -1,4 +1,4 @@
-"""What is compiled, and how: one decorator for the hot functions.
+"""What is compiled, and how: one decorator for the hot functions. (Another, for those behind an address: stage/sealed.py.)
 
     @hot
     def advance(rows, i, until): ...
@@ -20,18 +20,14 @@ import sys
 import tempfile
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, nullcontext, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from functools import cache
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
-import llvmlite.binding
 import numpy as np
-from llvmlite import ir
-from numba.core import cgutils
-from numba.extending import intrinsic
 
 numba: Any = import_module("numba")  # its settings have no types
 fcntl: Any = import_module("fcntl") if find_spec("fcntl") else None  # not on Windows
@@ -83,67 +79,6 @@ def hot(function: Callable) -> Any:
     return compiled
 
 
-def sealed(result: str | None, *arguments: Any) -> Any:
-    """As `hot`, for functions with much behind them that much calls: compiled once and by itself, where a hot function is
-    compiled anew into each that calls it.
-
-    result: None, "i8" or "f8"; arguments: the same, or a record's dtype. Only hot functions call it, after `ready`.
-    """
-    return (lambda function: Sealed(function, result, arguments).inside) if COMPILED else lambda function: function
-
-
-class Sealed:
-    """A function behind an address. `inside`: what hot functions call."""
-
-    every: ClassVar[list[Sealed]] = []
-
-    def __init__(self, function: Callable, result: str | None, arguments: tuple):
-        self.function, self.address = function, 0
-        self.symbol = f"pulsestage {function.__module__}.{function.__qualname__}"
-        types = [numba.from_dtype(np.dtype(a)) for a in arguments]
-        self.signature = (numba.from_dtype(np.dtype(result)) if result else numba.types.void)(*types)
-        self.every.append(self)
-
-        def call(_context: Any, *given: Any) -> Any:
-            self.ready()
-            return self.signature, self._call
-
-        self.inside = intrinsic(_with_parameters(call, len(arguments)))
-
-    def _call(self, context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        value = context.get_value_type
-        returned = ir.VoidType() if signature.return_type == numba.types.void else value(signature.return_type)
-        kind = ir.FunctionType(returned, [value(a) for a in signature.args])
-        done = builder.call(cgutils.get_or_insert_function(builder.module, kind, self.symbol), arguments)
-        return context.get_dummy_value() if signature.return_type == numba.types.void else done
-
-    def ready(self) -> None:
-        """Compile it, or load what was compiled."""
-        if not self.address:
-            with kept():
-                entry = numba.cfunc(self.signature, cache=True, error_model="numpy")(self.function)
-            self._kept = entry
-            llvmlite.binding.add_symbol(self.symbol, entry.address)
-            self.address = entry.address
-
-
-def _with_parameters(call: Callable, n: int) -> Any:
-    """numba wants parameters by name."""
-    names = "".join(f", a{k}" for k in range(n))
-    space: dict[str, Any] = {"call": call}
-    exec(f"def sealed(context{names}):\n    return call(context{names})", space)
-    return space["sealed"]
-
-
-def ready(package: str) -> None:
-    """Before compiled functions of `package` run, fresh or from the cache: what they call by address is there."""
-    waiting = [s for s in Sealed.every if not s.address and s.function.__module__.startswith(package)]
-    if waiting:
-        with announced(f"PulseStage: compiling {package}, once on this machine (about thirty seconds) ..."):
-            for function in waiting:
-                function.ready()
-
-
 def _once_for_all_literals(compiled: Any) -> None:
     """Callers that say f(1) and f(2) share the code for a whole number: numba would compile one for each."""
     template = compiled.get_call_template
@@ -176,14 +111,15 @@ def plain(dtype: np.dtype) -> np.dtype:
 
 _announced: list[str] = []
 _first_calls = threading.RLock()
-_depth = 0
+_held: set[str] = set()  # what this process compiles
 
 
 @contextmanager
 def announced(message: str, after: float = 1.0) -> Iterator[None]:
     """Around a call that has to compile if it is the first. If that takes longer than `after` s, `message` goes to stderr.
 
-    Of several processes that come here first, one compiles and the others wait for it and load what it made."""
+    Of several processes that come here first, one compiles and the others wait for it and load what it made; what has another
+    message they compile meanwhile."""
     if message in _announced:
         yield
         return
@@ -191,7 +127,7 @@ def announced(message: str, after: float = 1.0) -> Iterator[None]:
     timer.daemon = True
     timer.start()
     try:
-        with _first_calls, _alone():
+        with _first_calls, _alone(message):
             yield
         _announced.append(message)
     finally:
@@ -199,23 +135,25 @@ def announced(message: str, after: float = 1.0) -> Iterator[None]:
 
 
 @contextmanager
-def _alone() -> Iterator[None]:
-    """One process at a time; calls may be nested."""
-    global _depth
-    _depth += 1
+def _alone(message: str) -> Iterator[None]:
+    """One process at a time."""
+    if message in _held:
+        yield
+        return
+    _held.add(message)
     try:
-        with _lock_file() if _depth == 1 else nullcontext():
+        with _lock_file(hashlib.sha256(message.encode()).hexdigest()[:16]):
             yield
     finally:
-        _depth -= 1
+        _held.remove(message)
 
 
 @contextmanager
-def _lock_file() -> Iterator[None]:
-    """Hold the lock in the cache folder; go on without one where there is none to be had."""
+def _lock_file(name: str) -> Iterator[None]:
+    """Hold a lock in the cache folder; go on without one where there is none to be had."""
     with ExitStack() as held:
         with suppress(OSError):
-            lock = held.enter_context((cache_folder() / "lock").open("w"))
+            lock = held.enter_context((cache_folder() / f"{name}.lock").open("w"))
             if fcntl:
                 fcntl.flock(lock, fcntl.LOCK_EX)
         yield

@@ -73,10 +73,7 @@ CLOCKWORK = record(
 )
 """Window (ns), slices in it, a slice and half a window (s), degrees of freedom, steps per sample (0: none), axes whose chips see an
 encoder."""
-MOST_AXES = 4
-CHIP_TABLE = record([("hz", "i8"), ("axes", "i8"), ("axis", "i8", (MOST_AXES,)), ("ticks", "f8")])
-"""One chip, in the order of the families and their rows: reference clock, how many of its axes are used and which axes of the
-stage they are (the first is its axis 0), its clocks in a slice."""
+CHIP_TABLE = cores.CHIP
 AXIS_TABLE = record(
     [(name, "i8") for name in "chip chip_axis qpos dof actuator first_switch end_switch index_bit".split()]
     + [("gear", "f8"), ("index_at", "f8"), ("counts", "f8")]
@@ -236,61 +233,58 @@ def _meet_axis_edges(axis, t, c, j, switches, switch_table, now):
 
 
 @hot
-def _next_edge(axes, wiring):
+def _next_edge(axes, c):
     """When the next input of a chip changes."""
-    edge = axes[wiring.axis[0]].next_edge
-    for j in range(1, wiring.axes):
-        edge = least(edge, axes[wiring.axis[j]].next_edge)
+    edge = axes[c.axis[0]].next_edge
+    for j in range(1, c.axes):
+        edge = least(edge, axes[c.axis[j]].next_edge)
     return edge
 
 
 @hot
-def _meet_edges(c, wiring, axes, table, switches, switch_table, until, edges, n_edges):
+def _meet_edges(c, axes, table, switches, switch_table, until, edges, n_edges):
     """Take chip `c` through the edges of its switches up to `until` ns. Returns how many are noted by now."""
-    now = _next_edge(axes, wiring)
+    now = _next_edge(axes, c)
     while now <= until:
-        cores.run(c, clock_at(now, wiring.hz))
-        for j in range(wiring.axes):
-            a = wiring.axis[j]
+        cores.run(c, clock_at(now, c.hz))
+        for j in range(c.axes):
+            a = c.axis[j]
             if axes[a].next_edge > now:
                 continue
             _meet_axis_edges(axes[a], table[a], c, j, switches, switch_table, now)
             if len(edges):
                 e = edges[n_edges]
-                e.now, e.clock, e.axis, e.kind, e.a, e.b = now, c.clock, a, INPUT, j, cores.inputs(c, j)
+                e.now, e.clock, e.axis, e.kind, e.a, e.b = now, cores.clock(c), a, INPUT, j, cores.inputs(c, j)
                 n_edges += 1
-        now = _next_edge(axes, wiring)
+        now = _next_edge(axes, c)
     return n_edges
 
 
 @hot
-def _run_chips(rows, first, wiring, world, axes, table, switches, switch_table, stop, dt, edges, counts):
-    """Run the chips of one family up to `stop` ns, inside the window; counts[1]: edges noted by now. Returns slices done."""
+def _run_chips(chips, world, axes, table, switches, switch_table, stop, dt, edges, counts):
+    """Run the chips up to `stop` ns, inside the window; counts[1]: edges noted by now. Returns slices done."""
     start = world.start
     hz = clock = rest = 0
     k = world.slice
-    for i in range(len(rows)):
-        c, w = rows[i], wiring[first + i]
-        if w.hz != hz:
-            hz = w.hz
+    for i in range(len(chips)):
+        c = chips[i]
+        if c.hz != hz:
+            hz = c.hz
             clock, rest = clock_at(start, hz), start % SECOND * hz % SECOND
         k, now = world.slice, 0
         while now < stop:
             bound = start + (k + 1) * dt // SLICES
             now = least(bound, stop)
-            if _next_edge(axes, w) <= now:
-                counts[1] = _meet_edges(c, w, axes, table, switches, switch_table, now, edges, counts[1])
+            if _next_edge(axes, c) <= now:
+                counts[1] = _meet_edges(c, axes, table, switches, switch_table, now, edges, counts[1])
             cores.run(c, clock + (rest + (now - start) * hz) // SECOND)
             if now == bound:
-                for j in range(w.axes):
-                    axis = axes[w.axis[j]]
-                    axis.counts[k] = cores.mean_count(c, j, axis.count, w.ticks)
+                for j in range(c.axes):
+                    axis = axes[c.axis[j]]
+                    axis.counts[k] = cores.mean_count(c, j, axis.count, c.ticks)
                     axis.count = cores.net(c, j)
                 k += 1
     return k
-
-
-_run_families = cores.over_families(_run_chips)
 
 
 @hot
@@ -302,28 +296,25 @@ def _shaft(world, t, clockwork, qpos, qvel):
 
 
 @hot
-def _see_chips(rows, first, wiring, world, table, clockwork, qpos, qvel, edges, counts):
-    """At a window's start: the shafts, for the chips of one family. Returns the edges noted by now."""
-    for i in range(len(rows)):
-        c, w = rows[i], wiring[first + i]
-        for j in range(w.axes):
-            a = w.axis[j]
+def _see(chips, world, table, clockwork, qpos, qvel, edges, counts):
+    """At a window's start: the shafts, for the chips that look at them. Returns the edges noted by now."""
+    for i in range(len(chips)):
+        c = chips[i]
+        for j in range(c.axes):
+            a = c.axis[j]
             if table[a].counts == 0.0:
                 continue
             count, speed = _shaft(world, table[a], clockwork, qpos, qvel)
-            cores.see(c, j, count, speed / w.hz)
+            cores.see(c, j, count, speed / c.hz)
             if len(edges):
                 e = edges[counts[1]]
-                e.now, e.clock, e.axis, e.kind, e.count, e.rate = world.now, c.clock, a, SEE, count, speed / w.hz
+                e.now, e.clock, e.axis, e.kind, e.count, e.rate = world.now, cores.clock(c), a, SEE, count, speed / c.hz
                 counts[1] += 1
     return counts[1]
 
 
-_see_families = cores.over_families(_see_chips)
-
-
 @hot
-def _sample(world, t, c, hz, d, clockwork, qpos, qvel, effort, out):
+def _sample(world, t, c, d, clockwork, qpos, qvel, effort, out):
     j = t.chip_axis
     net = cores.net(c, j)
     v = qvel[t.dof]
@@ -335,34 +326,20 @@ def _sample(world, t, c, hz, d, clockwork, qpos, qvel, effort, out):
     out.load_angle, out.torque = stepper.load_angle(d, net, theta), drive.torque(d, effort)
     out.voltage = drive.voltage(d, effort)
     out.current_a, out.current_b = d.current_a, d.current_b
-    out.rate = cores.pulse_rate(c, j, hz)
+    out.rate = cores.pulse_rate(c, j, c.hz)
     out.pulses, out.counter = net, cores.counter(c, j)
     out.lost_steps = drive.lost_steps(d, net, theta)
     out.inputs, out.outputs = cores.inputs(c, j), cores.outputs(c, j)
 
 
 @hot
-def _sample_chips(rows, first, wiring, world, table, drives, clockwork, qpos, qvel, ctrl, out):
-    for i in range(len(rows)):
-        w = wiring[first + i]
-        for j in range(w.axes):
-            a = w.axis[j]
-            effort = ctrl[table[a].actuator]
-            _sample(world, table[a], rows[i], w.hz, drives[a], clockwork, qpos, qvel, effort, out[a])
-    return 0
-
-
-_sample_families = cores.over_families(_sample_chips)
-
-
-@hot
 def run(
-    model, data, world_, axes, chips, drives, switches, table, switch_table, wiring, clockwork_,
+    model, data, world_, axes, drives, switches, table, switch_table, chips, clockwork_,
     qpos, qvel, ctrl, sensordata, until, samples, positions, n_samples, edges, n_edges, counts,
 ):  # fmt: skip
     """Run up to `until` ns. Returns why it returned (REACHED, ...); counts[0], counts[1] = samples and edges written.
 
-    model, data: addresses. chips: the rows of each family that takes part. samples: (capacity, axes) SAMPLE; positions:
+    model, data: addresses. chips: CHIP_TABLE. samples: (capacity, axes) SAMPLE; positions:
     (capacity, nq) float64; edges: EDGE. Empty arrays log nothing.
     """
     world, clockwork = world_[0], clockwork_[0]
@@ -370,7 +347,7 @@ def run(
     while world.now < until:
         end = world.start + clockwork.dt
         stop = least(until, end)
-        k = _run_families(chips, wiring, world, axes, table, switches, switch_table, stop, clockwork.dt, edges, counts)
+        k = _run_chips(chips, world, axes, table, switches, switch_table, stop, clockwork.dt, edges, counts)
         world.now = stop
         world.slice = k
         if stop < end:
@@ -392,12 +369,15 @@ def run(
             break
         _foresee(world, axes, table, switches, switch_table, clockwork, sensordata, qpos, qvel, True)
         if clockwork.encoders:
-            counts[1] = _see_families(chips, wiring, world, table, clockwork, qpos, qvel, edges, counts)
+            counts[1] = _see(chips, world, table, clockwork, qpos, qvel, edges, counts)
         if clockwork.sample_every:
             world.to_sample -= 1
             if world.to_sample <= 0:
                 world.to_sample = clockwork.sample_every
-                _sample_families(chips, wiring, world, table, drives, clockwork, qpos, qvel, ctrl, samples[n_samples])
+                for a in range(len(axes)):
+                    t = table[a]
+                    c, out, effort = chips[t.chip], samples[n_samples, a], ctrl[t.actuator]
+                    _sample(world, t, c, drives[a], clockwork, qpos, qvel, effort, out)
                 for i in range(len(qpos)):
                     positions[n_samples, i] = qpos[i]
                 n_samples += 1
@@ -412,17 +392,7 @@ def run(
 
 
 @hot
-def _meet_edges_in(rows, first, chip, wiring, axes, table, switches, switch_table, until, edges):
-    if first <= chip < first + len(rows):
-        return _meet_edges(rows[chip - first], wiring[chip], axes, table, switches, switch_table, until, edges, 0)
-    return 0
-
-
-_meet_edges_of = cores.over_families(_meet_edges_in)
-
-
-@hot
-def look_again(world_, axes, chips, switches, switch_table, table, wiring, clockwork_, qvel, a, edges):
+def look_again(world_, axes, switches, table, switch_table, chips, clockwork_, qvel, a, edges, n_edges):
     """A fault of axis `a`'s switches has come or gone, at any moment in a window: their levels now, their edges in the rest
     of it. Returns how many edges are noted.
     """
@@ -432,14 +402,14 @@ def look_again(world_, axes, chips, switches, switch_table, table, wiring, clock
         if switch_table[k].forced >= 0:
             switches[k].toggles = 0
         _foresee_switch(world, axis, switches[k], switch_table[k], qvel[t.dof], clockwork_[0].half)
-    return _meet_edges_of(chips, t.chip, wiring, axes, table, switches, switch_table, world.now, edges)
+    return _meet_edges(chips[t.chip], axes, table, switches, switch_table, world.now, edges, n_edges)
 
 
 @hot
-def _settle_axis(c, hz, world, axis, t, switches, switch_table, d, clockwork, qpos, qvel):
+def _settle_axis(c, world, axis, t, switches, switch_table, d, clockwork, qpos, qvel):
     if t.counts != 0.0:
         count, speed = _shaft(world, t, clockwork, qpos, qvel)
-        cores.see(c, t.chip_axis, count, speed / hz)
+        cores.see(c, t.chip_axis, count, speed / c.hz)
     axis.next_edge = NEVER
     axis.count = cores.net(c, t.chip_axis)
     for k in range(SLICES):
@@ -458,25 +428,12 @@ def _settle_axis(c, hz, world, axis, t, switches, switch_table, d, clockwork, qp
 
 
 @hot
-def _settle_chips(rows, first, wiring, world, axes, table, switches, switch_table, drives, clockwork, qpos, qvel):
-    for i in range(len(rows)):
-        w = wiring[first + i]
-        for j in range(w.axes):
-            a = w.axis[j]
-            _settle_axis(
-                rows[i], w.hz, world, axes[a], table[a], switches, switch_table, drives[a], clockwork, qpos, qvel
-            )
-    return 0
-
-
-_settle_families = cores.over_families(_settle_chips)
-
-
-@hot
-def settle(world_, axes, chips, drives, switches, table, switch_table, wiring, clockwork_, qpos, qvel, sensordata):
+def settle(world_, axes, drives, switches, table, switch_table, chips, clockwork_, qpos, qvel, sensordata):
     """Before the first window, or after the carriages were placed by hand: switch levels and pending edges anew."""
     world, clockwork = world_[0], clockwork_[0]
     for k in range(len(switches)):
         switches[k].toggles, switches[k].edge = 0, NEVER
     _foresee(world, axes, table, switches, switch_table, clockwork, sensordata, qpos, qvel, False)
-    _settle_families(chips, wiring, world, axes, table, switches, switch_table, drives, clockwork, qpos, qvel)
+    for a in range(len(axes)):
+        t = table[a]
+        _settle_axis(chips[t.chip], world, axes[a], t, switches, switch_table, drives[a], clockwork, qpos, qvel)

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from stage import host
+from stage import handle, host
 from stage.chips import Chip
 from stage.compiled import announced
 from stage.errors import ArgumentError
@@ -104,31 +104,27 @@ class Fleet:
     def __init__(self, stages: Sequence[Stage], threads: int | None = None):
         """threads: default one a processor, at most one a stage. Raises ArgumentError.
 
-        `handles`: a host.HANDLE for each stage, and `kinds`, for compiled code.
+        `handles`: a HANDLE for each stage, for compiled code.
         """
         if not len(stages):
             raise ArgumentError("a fleet has at least one stage.")
         if threads is not None and (int(threads) != threads or threads < 1):
             raise ArgumentError(f"threads={threads!r}: a whole number, 1 or more.")
-        kinds = {(tuple(s.axes), s.model.nq, tuple(rows.dtype for rows in s._chips)) for s in stages}
-        if len(kinds) > 1:
-            here = sorted({(names, nq) for names, nq, _ in kinds})
-            raise ArgumentError(
-                f"the stages of a fleet have the same axes, coordinates and families of chips; here are {here}."
-            )
+        here = sorted({(tuple(s.axes), s.model.nq) for s in stages})
+        if len(here) > 1:
+            raise ArgumentError(f"the stages of a fleet have the same axes and coordinates; here are {here}.")
         self.stages = list(stages)
         self.threads = min(threads or _processors(), len(self.stages))
         first = self.stages[0]
         self._nq, self._axes = first.model.nq, len(first.axes)
-        self.handles = np.zeros(len(self.stages), host.HANDLE)
-        self.kinds = host.kinds(first)
+        self.handles = np.zeros(len(self.stages), handle.HANDLE)
         self._truth = np.zeros((len(self.stages), self._axes), host.TRUTH)
         self._pool: ThreadPoolExecutor | None = None
         with announced("PulseStage: compiling the fleet's loop, once on this machine (about ten seconds) ..."):
             for k, stage in enumerate(self.stages):
-                host.fill(self.handles, k, stage)
+                handle.fill(self.handles, k, stage)
             none = np.zeros((0, 1, 4), np.int64), np.zeros((0, 1), np.int64), np.zeros((0, self._nq, 2))
-            host.play(self.handles, self.kinds, 0, 0, *none, np.zeros(0, np.int64))
+            host.play(self.handles, 0, 0, *none, np.zeros(0, np.int64))
 
     def __len__(self) -> int:
         return len(self.stages)
@@ -148,7 +144,7 @@ class Fleet:
         if watched:
             compiled = ops.copy()
             compiled[watched, 0] = host.END
-        self.spread(lambda a, b: host.play(self.handles, self.kinds, a, b, compiled, results, extremes, status))
+        self.spread(lambda a, b: host.play(self.handles, a, b, compiled, results, extremes, status))
         for k in watched:
             status[k] = host.by_hand(self.stages[k], ops[k], results[k], extremes[k])
         return Played(results, extremes, status == host.DIVERGED)
@@ -168,7 +164,7 @@ class Fleet:
 
     def truth(self) -> np.ndarray:
         """Every axis of every stage now: a new array (stages, axes) of host.TRUTH."""
-        host.look(self.handles, self.kinds, 0, len(self), self._truth)
+        host.look(self.handles, 0, len(self), self._truth)
         return self._truth.copy()
 
     def __getstate__(self) -> dict[str, Any]:

@@ -20,15 +20,16 @@ from typing import TYPE_CHECKING, Any
 import mujoco
 import numpy as np
 
-from stage import engine, plant
+from stage import engine, handle, plant
 from stage.chips import PCL240K, Chip, ChipAxis, Diagnostic, cores
 from stage.chips.entries import PACKED, SEE
-from stage.compiled import announced
+from stage.compiled import plain
 from stage.drives import drive as any_drive
 from stage.drives import stepper
 from stage.drives.dc_motors import DC_MOTORS, DCMotor, Servo, dc_motor
 from stage.drives.motors import MOTORS, Drive, Motor, motor
 from stage.errors import ArgumentError, ModelError, RunTimeout, SimulationError, StageError, unknown
+from stage.sealed import ready
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -155,7 +156,7 @@ class Axis:
 
     def _electrics(self) -> tuple[Any, float]:
         chip = self.chip
-        return self._stage._drives[self.index], float(cores.net(chip._rows[chip._i], self.chip_axis))
+        return self._stage._drives[self.index], float(chip.CORE.net.c(chip._at, self.chip_axis))
 
     def __repr__(self) -> str:
         return (
@@ -232,9 +233,8 @@ class Stage:
         for k, d in enumerate(chosen):
             d.fill(self._drives[k])
         mujoco.mj_forward(model, self.data)
-        with announced("PulseStage: compiling the simulation loop, once on this machine (about ten seconds) ..."):
-            engine.settle(*self._settle_args)
-            self._run_until(0)
+        handle.settle.c(self._at)
+        self._run_until(0)
         self._initial = self.snapshot()
 
     def _wire(self, chips: list[ChipAxis], drives: list[Drive | Servo], bus_ns: int, offset: int) -> None:
@@ -251,8 +251,9 @@ class Stage:
         self._world = cut(engine.WORLD, 1)
         self._words = self._world.view(np.int64)  # now, start: fast access from Python
         self._axis_state = cut(engine.AXIS, n)
-        families = _by_family(chips)
-        self._chips = tuple(cut(core.STATE, len(members)) for core, members in families)
+        self.chips = _each_once(chips)
+        for chip in self.chips:
+            chip._attach(self, cut(chip.CORE.STATE, 1), 0)
         self._drives = cut(stepper.DRIVE, n)
         self._switches = cut(engine.SWITCH, m)
         self._table = np.zeros(n, engine.AXIS_TABLE)
@@ -267,19 +268,16 @@ class Stage:
         self._dt = dt
         w = self._clockwork[0]
         w.dt, w.slices, w.h, w.half, w.nv = dt, engine.SLICES, dt * 1e-9 / engine.SLICES, dt * 0.5e-9, model.nv
-        self.chips = tuple(chip for _, members in families for chip in members)
-        self._wiring = np.zeros(len(self.chips), engine.CHIP_TABLE)
-        for rows, (_, members) in zip(self._chips, families, strict=True):
-            for i, chip in enumerate(members):
-                chip._attach(self, rows, i)
-        for chip, c in zip(self.chips, self._wiring, strict=True):
+        self._chip_table = np.zeros(len(self.chips), engine.CHIP_TABLE)
+        for chip, c in zip(self.chips, self._chip_table, strict=True):
+            cores.fill(c, chip.CORE, chip._at)
             c.hz, c.ticks = chip.clock_hz, w.h * chip.clock_hz
         axes, first = {}, 0
         for k, (p, chip_axis, drive) in enumerate(zip(self._plant, chips, drives, strict=True)):
             chip, t = chip_axis.chip, self._table[k]
             t.chip, t.chip_axis = self.chips.index(chip), chip_axis.index
-            self._wiring[t.chip].axis[chip_axis.index] = k
-            self._wiring[t.chip].axes += 1
+            self._chip_table[t.chip].axis[chip_axis.index] = k
+            self._chip_table[t.chip].axes += 1
             t.qpos, t.dof, t.actuator, t.gear = p.qpos, p.dof, p.actuator, p.gear
             t.index_bit, t.index_at = chip.wired("ez"), p.index
             if isinstance(drive, Servo):
@@ -294,14 +292,19 @@ class Stage:
         self.axes: Mapping[str, Axis] = MappingProxyType(axes)
         self._axes_by_index = list(axes.values())
         self._recording: Recording | None = None
-        self._no_samples, self._no_positions = np.zeros((0, n), engine.SAMPLE), np.zeros((0, model.nq))
-        self._edges = np.zeros(EDGES + engine.EDGES_A_WINDOW * n, engine.EDGE)
         self._counts = np.zeros(2, np.int64)
         self._state = np.zeros(mujoco.mj_stateSize(model, STATE))
-        d, parts = self.data, (self._world, self._axis_state, self._chips, self._drives, self._switches)
-        tables = (self._table, self._switch_table, self._wiring, self._clockwork)
-        self._run_args = (model._address, d._address, *parts, *tables, d.qpos, d.qvel, d.ctrl, d.sensordata)
-        self._settle_args = (*parts, *tables, d.qpos, d.qvel, d.sensordata)
+        rows = np.zeros(1, handle.HANDLE)
+        handle.fill(rows, 0, self)
+        self._at, self._handle = rows.ctypes.data, rows.view(plain(handle.HANDLE))[0]
+        self._note_in(np.zeros(EDGES + engine.EDGES_A_WINDOW * n, engine.EDGE))
+        ready("stage.handle", "the simulation loop")
+        self._advance = handle.advance.c
+
+    def _note_in(self, edges: np.ndarray) -> None:
+        """From now on the engine notes what reaches the chips in `edges`."""
+        self._edges = edges
+        self._handle["edges"], self._handle["edge_room"] = edges.ctypes.data, len(edges)
 
     # --- time ---
 
@@ -358,19 +361,19 @@ class Stage:
         return (self._now - begin) * 1e-9
 
     def _run_until(self, until: int) -> None:
-        recording = self._recording
-        samples, positions, n = self._no_samples, self._no_positions, 0
+        recording, h = self._recording, self._handle
         while True:
             if self._words.item(1) + self._dt <= until:  # only physics can diverge
                 mujoco.mj_getState(self.model, self.data, self._state, STATE)
             if recording is not None:
-                samples, positions, n = recording.samples, recording.positions, recording.filled
-            status = engine.run(*self._run_args, until, samples, positions, n, self._edges, 0, self._counts)
-            diverged = self._undo_divergence(samples, positions, n) if status == engine.DIVERGED else None
-            if self._counts[1]:
-                self._note_edges(int(self._counts[1]))
+                h["filled"] = recording.filled
+            status = self._advance(self._at, until)
+            diverged = self._undo_divergence(self._at) if status == engine.DIVERGED else None
+            if h["noted"]:
+                self._note_edges(int(h["noted"]))
+                h["noted"] = 0
             if recording is not None:
-                recording.take(int(self._counts[0]))
+                recording.take(int(h["filled"]))
             if diverged is not None:
                 raise diverged
             if status == engine.REACHED:
@@ -395,10 +398,10 @@ class Stage:
 
     def _look_again(self, axis: int) -> None:
         """The table of switches has changed: what it means for this axis, from now on."""
-        args = (self._world, self._axis_state, self._chips, self._switches, self._switch_table, self._table)
-        n = engine.look_again(*args, self._wiring, self._clockwork, self.data.qvel, axis, self._edges)
-        if n:
+        handle.look_again.c(self._at, axis)
+        if n := int(self._handle["noted"]):
             self._note_edges(n)
+            self._handle["noted"] = 0
 
     def _equip(self) -> None:
         """Whatever state they were restored to: the drives have the supply and windings of today, and stuck switches stick."""
@@ -410,14 +413,15 @@ class Stage:
             for axis in self._axes_by_index:
                 self._look_again(axis.index)
 
-    def _undo_divergence(self, samples: np.ndarray, positions: np.ndarray, n: int) -> SimulationError:
-        """Go back to where the last loop began and run it again, up to the step before the one that diverged."""
+    def _undo_divergence(self, at: int) -> SimulationError:
+        """Go back to where the last loop began and run it again, by the handle at this address, up to the step before the one that
+        diverged."""
         speeds = np.abs(self.data.qvel)
         bad = int(np.argmax(np.where(np.isfinite(speeds), speeds, np.inf)))
         joint = self.model.joint(int(self.model.dof_jntid[bad])).name or f"degree of freedom {bad}"
         good = self._words.item(1) - self._dt
         mujoco.mj_setState(self.model, self.data, self._state, STATE)
-        engine.run(*self._run_args, good, samples, positions, n, self._edges, 0, self._counts)
+        self._advance(at, good)
         return SimulationError(
             f"the simulation diverged at {self.time:.6f} s on axis {joint!r}: its speed left +-{engine.MAX_SPEED:g} per "
             f"second. The stage holds the state before that step. Usual causes: a timestep too long for the motor's "
@@ -494,7 +498,7 @@ class Stage:
             t = self._table[self.axes[name].index]
             self.data.qpos[t.qpos], self.data.qvel[t.dof] = q, 0.0
         mujoco.mj_forward(self.model, self.data)
-        engine.settle(*self._settle_args)
+        handle.settle.c(self._at)
         for axis in self._axes_by_index:
             chip: Any = axis.chip
             if chip._journal is not None:
@@ -552,6 +556,7 @@ class Stage:
         steps = max(1, round(every * 1e9 / self._dt))
         dt = self._dt * 1e-9
         self._recording = Recording(self.model, self.axes, steps * dt, self._stop_recording)
+        handle.log_to(self._handle, self._recording)
         if self._faults:
             self._recording.note(self.time, "in force from the start", self.faults)
         self._clockwork[0].sample_every = steps
@@ -567,6 +572,7 @@ class Stage:
 
     def _stop_recording(self) -> None:
         self._recording = None
+        handle.log_to(self._handle, None)
         self._clockwork[0].sample_every = 0
 
     def __getstate__(self) -> dict[str, Any]:
@@ -628,15 +634,13 @@ class _Cut:
 def _words(chips: list[ChipAxis], switches: int) -> int:
     """float64 words of userdata that a stage needs."""
     per_axis = engine.AXIS.itemsize + stepper.DRIVE.itemsize
-    rows = sum(core.STATE.itemsize * len(members) for core, members in _by_family(chips))
+    rows = sum(chip.CORE.STATE.itemsize for chip in _each_once(chips))
     return (engine.WORLD.itemsize + len(chips) * per_axis + rows + switches * engine.SWITCH.itemsize) // 8
 
 
-def _by_family(axes: list[ChipAxis]) -> list[tuple[Any, list[Chip]]]:
-    """The chips of these axes, each once, by the core of their family; without any axis one family without a chip."""
-    chips = list(dict.fromkeys(axis.chip for axis in axes))
-    found = [(core, [chip for chip in chips if chip.CORE is core]) for core in cores.loaded()]
-    return [(core, members) for core, members in found if members] or [(PCL240K.CORE, [])]
+def _each_once(axes: list[ChipAxis]) -> tuple[Chip, ...]:
+    """The chips of these axes."""
+    return tuple(dict.fromkeys(axis.chip for axis in axes))
 
 
 def _make_chips(chips: Any, names: list[str]) -> list[ChipAxis]:

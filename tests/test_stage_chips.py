@@ -73,7 +73,7 @@ def bench_pulses(journal, cls):
     lone._rows[0] = journal.start
     for e in journal.entries:
         traces.append(lone.trace(e.clock - lone.clock))
-        e.apply(lone.CORE, lone._rows)
+        e.apply(lone.CORE, lone._rows[0])
     return np.concatenate([*traces, lone.trace(journal.until - lone.clock)])
 
 
@@ -204,7 +204,7 @@ def test_a_limit_stops_an_axis_at_the_very_pulse(made, cls, name):
     for e in journal.entries:
         if e.kind != INPUT:
             lone.advance(e.clock - lone.clock)
-            e.apply(lone.CORE, lone._rows)
+            e.apply(lone.CORE, lone._rows[0])
     started = lone.net(axis.chip_axis)
     own = lone.trace(edge.clock - lone.clock + 160_000)
     own = own[own["axis"] == axis.chip_axis]
@@ -342,11 +342,18 @@ def test_the_truth_of_an_axis_is_what_its_chip_says(made):
         assert not t["busy"]
 
 
-def test_families_are_not_mixed_in_a_fleet(made):
-    with pytest.raises(ArgumentError, match="families of chips"):
-        Fleet([made(MCX514), made(PCL240K)])
-    with pytest.raises(ArgumentError, match="families of chips"):
-        Fleet([made(MIXED), made(MCX514)])
+def test_every_stage_of_a_fleet_may_have_its_own_chips(made):
+    stages = [made(chips) for chips in (MCX514, MIXED, {n: ALL[n] for n in "xyz"}, PCL240K)]
+    fleet = Fleet([copy.deepcopy(stage) for stage in stages], 2)
+    programs = [program(stage, 2) for stage in fleet.stages]
+    played = fleet.play(programs)
+    for stage, ours, p, results in zip(stages, fleet.stages, programs, played.results, strict=True):
+        by_hand = np.zeros(len(p), np.int64)
+        ops = np.array(p.ops, np.int64)
+        assert host.by_hand(stage, ops, by_hand, np.full((stage.model.nq, 2), np.inf) * [1, -1]) == host.PLAYED
+        assert (results[: len(p)] == by_hand).all()
+        assert bits(stage) == bits(ours)
+        assert pulses_of(stage) == [400] * 3
 
 
 # --- recordings ---

@@ -139,7 +139,9 @@ class Line(ABC):
         out: list[np.ndarray] = [np.empty(0, np.int64)] * len(self.hosts)
         for (chip, mine), fresh in zip(self._chips(), self._fresh, strict=True):
             rows = np.frombuffer(bytearray(fresh), chip.CORE.STATE)
-            _write(rows, ops, sum(1 << self.hosts[a].index for a in mine))
+            twin = np.zeros(1, cores.CHIP)
+            cores.fill(twin[0], chip.CORE, rows.ctypes.data)
+            _write(twin, ops, sum(1 << self.hosts[a].index for a in mine))
             made = np.empty(int(np.abs(distances[mine]).sum()), chip.CORE.PULSE)
             made = made[: chip.CORE.trace(rows, 0, FAR, made)]
             for a in mine:
@@ -166,11 +168,11 @@ class Line(ABC):
 
 
 @hot
-def _write(rows: Any, ops: Any, axes: int) -> None:
+def _write(twin: Any, ops: Any, axes: int) -> None:
     """The write cycles of a program to the chip whose axes are in the mask, at one clock."""
     for j in range(len(ops)):
         if ops[j, 0] == host.WRITE and axes >> ops[j, 1] & 1:
-            cores.write(rows, 0, ops[j, 2], ops[j, 3])
+            cores.write(twin[0], ops[j, 2], ops[j, 3])
 
 
 def line_of(hosts: Sequence[Host], settings: Any) -> Line:

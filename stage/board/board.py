@@ -18,13 +18,14 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from stage import engine, host
+from stage import engine, handle
 from stage.board import bus, layouts
 from stage.board.trace import BusTrace, Cycle, Meaning
 from stage.chips.late import LateLint
-from stage.compiled import announced, plain
+from stage.compiled import plain
 from stage.errors import ArgumentError, StageError, unknown
 from stage.machine import Stage
+from stage.sealed import ready
 
 KEPT_CYCLES = 100_000
 NOTED = 1 << 14  # edges and writes between two calls of Python
@@ -85,10 +86,9 @@ class Board:
         for chip in stage.chips:
             if self.LINTS and chip._late is None:
                 chip._late = LateLint(chip)
-        with announced("PulseStage: compiling the bus, once on this machine (about fifteen seconds) ..."):
-            self._lay_out()
-            self._request = bus.requests(host.kinds(stage))
-            self._ask(bus.SETTLE, 0, 0)  # the first request loads what was compiled
+        ready("stage.board.bus", "the bus")
+        self._request = bus.request.pointer
+        self._lay_out()
 
     # --- what a host does ---
 
@@ -167,10 +167,10 @@ class Board:
         """The HOST record, and the arrays that it points to."""
         stage = self.stage
         if len(stage._edges) < NOTED:
-            stage._edges = np.zeros(NOTED, engine.EDGE)
+            stage._note_in(np.zeros(NOTED, engine.EDGE))
         self._take(np.zeros(1, bus.HOST))
         h = self._host
-        host.fill(self._rows, 0, stage)
+        handle.fill(self._rows, 0, stage)
         self._irqs = np.zeros(len(stage.chips), bus.IRQ)
         self._acts = np.zeros(len(stage.chips), np.int64)
         for k, chip in enumerate(stage.chips):
@@ -229,11 +229,7 @@ class Board:
             if chip._glitches:
                 asks |= 1 << k
         h["asks"], h["reached"] = asks, stage._now
-        if (recording := stage._recording) is not None:
-            h["samples"], h["positions"] = recording.samples.ctypes.data, recording.positions.ctypes.data
-            h["room"], h["filled"] = len(recording.samples), recording.filled
-        elif h["room"]:  # of a recording that was closed
-            h["samples"], h["positions"], h["room"], h["filled"] = h["state"], h["state"], 0, 0  # somewhere
+        handle.log_to(h, stage._recording)
 
     def _end(self) -> None:
         """After compiled code has run: what it noted goes to journals and recording."""
@@ -251,7 +247,7 @@ class Board:
     def _ask(self, what: int, a: int, b: int) -> int:
         """One request of a host in Python."""
         self._begin()
-        answer = int(self._request(self._rows.ctypes.data, what, int(a), int(b)))
+        answer = int(self._request(self._at, what, int(a), int(b)))
         self._end()
         self._raise()
         return answer
@@ -291,12 +287,7 @@ class Board:
             self._stand_still()
 
     def _diverged(self) -> None:
-        stage, recording = self.stage, self.stage._recording
-        samples, positions, filled = stage._no_samples, stage._no_positions, 0
-        if recording is not None:
-            samples, positions, filled = recording.samples, recording.positions, recording.filled
-        error = stage._undo_divergence(samples, positions, filled)
-        self._host["noted"], self._host["filled"] = stage._counts[1], stage._counts[0]
+        error = self.stage._undo_divergence(self._at)
         self._end()
         raise error
 
@@ -321,12 +312,12 @@ class Board:
         """After firmware that computed was given up: what its cycles noted is taken, and the stage stands where it stood."""
         self._end()
         self._begin()
-        self._request(self._rows.ctypes.data, bus.SETTLE, 0, 0)
+        self._request(self._at, bus.SETTLE, 0, 0)
         self._end()
 
     def _take(self, rows: np.ndarray) -> None:
-        self._rows = rows
-        rows["own"] = rows.ctypes.data
+        self._rows, self._at = rows, rows.ctypes.data
+        rows["own"] = self._at
         self._host = rows.view(plain(bus.HOST))[0]
 
     def note(self, text: str) -> None:

@@ -8,20 +8,17 @@ still), it calls back, with one of the reasons below, and Python sees to it.
 from __future__ import annotations
 
 import ctypes
-from functools import cache
 from typing import Any
 
 import mujoco
-import numpy as np
-from llvmlite import ir
 from numba.core import types
-from numba.extending import intrinsic
 
-from stage import engine, host
+from stage import engine, handle
 from stage.chips import cores
 from stage.chips.entries import LOST, READ, WRITE
 from stage.compiled import COMPILED, greatest, hot, least, record
-from stage.host import at, clockwork, wiring, world
+from stage.handle import AXIS, WHOLE, chips, clockwork, world
+from stage.sealed import at, called, sealed
 
 STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 IN8, OUT8, IN16, OUT16, DELAY, MICROS, LOG, HOOK, LINE, SETTLE = range(10)
@@ -47,13 +44,10 @@ CYCLE = record([(name, "i8") for name in "first last count kind port value".spli
 hit nothing, or only half of what is there, | LOST_ON_THE_WAY if a fault of the bus kept it from its chip."""
 
 HOST = record(
-    host.HANDLE_FIELDS
+    handle.HANDLE_FIELDS
     + [(name, "i8") for name in ["state"]]
     + [(name, "i8") for name in "ports first n_ports lines line_room traced changed".split()]
-    + [
-        (name, "i8")
-        for name in "until lazy ahead quiet cycles most_cycles stopped call hook argument serving pulling".split()
-    ]
+    + [(name, "i8") for name in "until lazy ahead quiet cycles most_cycles stopped call hook argument serving".split()]
     + [
         (name, "i8")
         for name in "irqs acts before userdata words journals asks asked_chip asked_address asked reached".split()
@@ -66,7 +60,7 @@ HOST = record(
     until, most_cycles         when (ns), and after how many cycles, to call Python; cycles: so far
     lazy, ahead, quiet         whether the stage may stay behind the host, by how much (ns) it does, and up to when it may
     stopped, call              nothing more happens; how to call Python
-    hook, argument, serving, pulling   the interrupt hook, whether it is being called, and the chips that pull the line
+    hook, argument, serving    the interrupt hook, and whether it is being called
     irqs, acts                 of each chip: its IRQ, and the addresses (bits) at which a read changes it
     before, userdata, words    room for a copy of the state in userdata; where that is, and how long
     reached                    the stage's time (ns), for whoever sees nothing but this record
@@ -81,28 +75,18 @@ if COMPILED:
     mj_get_state: Any = types.ExternalFunction(
         "mj_getState", types.void(types.intp, types.intp, types.intp, types.int32)
     )
-
-    @intrinsic
-    def _call(context, address, argument):
-        def build(context, builder, signature, given):
-            kind = ir.FunctionType(ir.VoidType(), [ir.IntType(64)])
-            builder.call(builder.inttoptr(given[0], kind.as_pointer()), [given[1]])
-            return context.get_dummy_value()
-
-        return types.void(types.int64, types.int64), build
 else:
     mj_get_state = ctypes.CDLL(engine._LIBRARY).mj_getState
     mj_get_state.argtypes = (ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int)
     mj_get_state.restype = None
 
-    def _call(address, argument):  # type: ignore[misc]
-        ctypes.CFUNCTYPE(None, ctypes.c_int64)(int(address))(int(argument))
+_call = called(None, "i8")
 
 
 @hot
 def stage_of(h):
     """The HANDLE that a HOST record begins with."""
-    return at(h.own, 1, host.HANDLE)[0]
+    return at(h.own, 1, handle.HANDLE)[0]
 
 
 @hot
@@ -118,7 +102,7 @@ def _run(h, until):
     while w.now < until and not h.stopped:
         if w.start + clockwork(stage_of(h)).dt <= until:  # only physics can diverge
             mj_get_state(int(h.mj_model), int(h.mj_data), int(h.state), STATE)
-        status = host.advance(stage_of(h), until)
+        status = handle.advance(stage_of(h), until)
         if status == engine.DIVERGED:
             _ask(h, DIVERGED)
         elif status != engine.REACHED:
@@ -137,7 +121,7 @@ def _catch_up(h):
 @hot
 def _foresee(h):
     """Up to when nothing but the chips themselves moves: no edge, no end of a slice."""
-    w, axes, dt = world(stage_of(h)), at(h.axes, h.n_axes, host.AXIS), clockwork(stage_of(h)).dt
+    w, axes, dt = world(stage_of(h)), at(h.axes, h.n_axes, AXIS), clockwork(stage_of(h)).dt
     h.quiet = least(h.until, w.start + (w.slice + 1) * dt // engine.SLICES)
     for a in range(len(axes)):
         h.quiet = least(h.quiet, axes[a].next_edge)
@@ -166,20 +150,16 @@ def _pass_cycle(h):
 
 
 @hot
-def _run_one_in(rows, first, chip, clock):
-    if first <= chip < first + len(rows):
-        cores.run(rows[chip - first], clock)
-    return 0
-
-
-_run_one = cores.over_families(_run_one_in)
+def _turn_to(h, chip):
+    """The chip stands where the host does."""
+    if h.ahead:
+        c = _chip(h, chip)
+        cores.run(c, engine.clock_at(_now(h), c.hz))
 
 
 @hot
-def _turn_to(h, chips, chip):
-    """The chip stands where the host does."""
-    if h.ahead:
-        _run_one(chips, chip, engine.clock_at(_now(h), wiring(stage_of(h))[chip].hz))
+def _chip(h, chip):
+    return chips(stage_of(h))[chip]
 
 
 @hot
@@ -196,34 +176,24 @@ def _pass(h, ns):
 
 
 @hot
-def _look_at_lines(rows, first, h):
-    irqs = at(h.irqs, int(h.n_wired), IRQ)
-    for i in range(len(rows)):
-        irq = irqs[first + i]
-        if irq.bits and cores.outputs(rows[i], irq.axis) & irq.bits:
-            h.pulling |= 1 << first + i
-    return 0
-
-
-_look_at_all_lines = cores.over_families(_look_at_lines)
-
-
-@hot
-def _line(h, chips):
+def _line(h):
     """The chips that pull the interrupt line, a bit each."""
     _catch_up(h)
-    h.pulling = 0
-    _look_at_all_lines(chips, h)
-    return h.pulling
+    irqs, pulling = at(h.irqs, h.n_chips, IRQ), 0
+    for k in range(h.n_chips):
+        irq = irqs[k]
+        if irq.bits and cores.outputs(_chip(h, k), irq.axis) & irq.bits:
+            pulling |= 1 << k
+    return pulling
 
 
 @hot
-def _serve(h, chips):
+def _serve(h):
     """The line is looked at: while it is asserted, the firmware's hook is called."""
     if h.hook == 0 or h.serving:
         return
     calls = 0
-    while _line(h, chips) and h.hook and not h.stopped:
+    while _line(h) and h.hook and not h.stopped:
         if calls == STORM_CALLS:
             _ask(h, STORM)
         calls += 1
@@ -236,13 +206,13 @@ def _serve(h, chips):
 
 @hot
 def _copy(source, target, words):
-    a, b = at(source, words, host.WHOLE), at(target, words, host.WHOLE)
+    a, b = at(source, words, WHOLE), at(target, words, WHOLE)
     for k in range(words):
         b[k] = a[k]
 
 
 @hot
-def _wait(h, chips, ns):
+def _wait(h, ns):
     """`ns` pass in a delay; an interrupt comes at the ns at which the line is asserted. What its hook takes is part of the
     delay."""
     _catch_up(h)
@@ -260,14 +230,14 @@ def _wait(h, chips, ns):
         begin, noted = w.now, h.noted
         _copy(h.userdata, h.before, h.words)
         _run(h, inside)
-        if _line(h, chips):
+        if _line(h):
             low, high = begin, inside  # off at `low`, asserted at `high`
             while high - low > 1:
                 middle = (low + high) // 2
                 _copy(h.before, h.userdata, h.words)
                 h.noted = noted
                 _run(h, middle)
-                if _line(h, chips):
+                if _line(h):
                     high = middle
                 else:
                     low = middle
@@ -276,7 +246,7 @@ def _wait(h, chips, ns):
             _run(h, high)
         else:
             _run(h, stop)
-        _serve(h, chips)
+        _serve(h)
 
 
 @hot
@@ -300,28 +270,19 @@ def _note(h, kind, port, value, seen):
 
 
 @hot
-def _journal(h, chips, kind, chip, address, value):
+def _journal(h, kind, chip, address, value):
     """What a cycle did to a chip, for its journal, in the order of the switches' edges."""
     if h.noted >= h.edge_room - engine.EDGES_A_WINDOW * h.n_axes:  # the engine needs that much in any step
         _ask(h, FULL)
     e = at(h.edges, h.edge_room, engine.EDGE)[h.noted]
-    e.now, e.clock, e.axis = _now(h), _clock(chips, chip), wiring(stage_of(h))[chip].axis[0]
+    c = _chip(h, chip)
+    e.now, e.clock, e.axis = _now(h), cores.clock(c), c.axis[0]
     e.kind, e.a, e.b = kind, address, value
     h.noted += 1
 
 
 @hot
-def _clock_in(rows, first, chip):
-    if first <= chip < first + len(rows):
-        return rows[chip - first].clock
-    return 0
-
-
-_clock = cores.over_families(_clock_in)
-
-
-@hot
-def _lost(h, chips, chip, address, value):
+def _lost(h, chip, address, value):
     """1 if a fault of the bus keeps this write from its chip."""
     if h.asks >> chip & 1 == 0:
         return 0
@@ -333,26 +294,26 @@ def _lost(h, chips, chip, address, value):
 
 
 @hot
-def _write(h, chips, lost, chip, address, value):
+def _write(h, lost, chip, address, value):
     """A write cycle reaches a chip, or does not."""
     if h.stopped:
         return
-    _turn_to(h, chips, chip)
+    _turn_to(h, chip)
     if not lost:
-        host.write(chips, chip, address, value)
+        cores.write(_chip(h, chip), address, value)
     if h.journals:
-        _journal(h, chips, LOST if lost else WRITE, chip, address, value)
+        _journal(h, LOST if lost else WRITE, chip, address, value)
 
 
 @hot
-def _read(h, chips, chip, address):
+def _read(h, chip, address):
     """A read cycle reaches a chip."""
     if h.stopped:
         return 0xFFFF
-    _turn_to(h, chips, chip)
-    value = host.read(chips, chip, address)
-    if h.journals and at(h.acts, h.n_wired, host.WHOLE)[chip] >> address & 1:
-        _journal(h, chips, READ, chip, address, value)
+    _turn_to(h, chip)
+    value = cores.read(_chip(h, chip), address)
+    if h.journals and at(h.acts, h.n_chips, WHOLE)[chip] >> address & 1:
+        _journal(h, READ, chip, address, value)
     return value
 
 
@@ -374,7 +335,7 @@ def _kind(h, port):
 
 
 @hot
-def _in8(h, chips, port):
+def _in8(h, port):
     _cycle(h)
     kind, value, ports = _kind(h, port), 0xFF, at(h.ports, h.n_ports, PORT)
     if kind in (NOTHING, LATCH):
@@ -382,20 +343,20 @@ def _in8(h, chips, port):
     else:
         p = ports[port - h.first]
         if kind == LATCHED:
-            value = _read(h, chips, p.chip, ports[p.address].address)
+            value = _read(h, p.chip, ports[p.address].address)
         elif kind == PULLS:
-            value = _line(h, chips)
+            value = _line(h)
         elif kind == HALF:
-            value = _read(h, chips, p.chip, p.address) >> 8
+            value = _read(h, p.chip, p.address) >> 8
         else:
-            value = _read(h, chips, p.chip, p.address) & 0xFF
+            value = _read(h, p.chip, p.address) & 0xFF
         p.seen = _note(h, IN, port, value, p.seen - 1) + 1
-    _serve(h, chips)
+    _serve(h)
     return value
 
 
 @hot
-def _out8(h, chips, port, value):
+def _out8(h, port, value):
     kind, ports = _kind(h, port), at(h.ports, h.n_ports, PORT)
     if kind in (NOTHING, LATCH, PULLS):
         _cycle(h)
@@ -411,76 +372,75 @@ def _out8(h, chips, port, value):
             word = value | 0xFF00
         elif kind == HALF:
             word = value << 8 | 0xFF
-        lost = _lost(h, chips, p.chip, address, word)
+        lost = _lost(h, p.chip, address, word)
         _cycle(h)
-        _write(h, chips, lost, p.chip, address, word)
+        _write(h, lost, p.chip, address, word)
         _note(h, OUT | lost * LOST_ON_THE_WAY | (STRAY if kind in (WORD, HALF) else 0), port, value, -1)
-    _serve(h, chips)
+    _serve(h)
 
 
 @hot
-def _in16(h, chips, port):
+def _in16(h, port):
     kind = _kind(h, port)
     if kind not in (NOTHING, WORD):  # the bus makes two cycles of it
-        low = _in8(h, chips, port)
-        return _in8(h, chips, port + 1) << 8 | low
+        low = _in8(h, port)
+        return _in8(h, port + 1) << 8 | low
     _cycle(h)
     value = 0xFFFF
     if kind == WORD:
         p = at(h.ports, h.n_ports, PORT)[port - h.first]
-        value = _read(h, chips, p.chip, p.address)
+        value = _read(h, p.chip, p.address)
         p.seen = _note(h, IN_WIDE, port, value, p.seen - 1) + 1
     else:
         _note(h, IN_WIDE | STRAY, port, value, h.traced - 1)
-    _serve(h, chips)
+    _serve(h)
     return value
 
 
 @hot
-def _out16(h, chips, port, value):
+def _out16(h, port, value):
     kind = _kind(h, port)
     if kind not in (NOTHING, WORD):
-        _out8(h, chips, port, value & 0xFF)
-        _out8(h, chips, port + 1, value >> 8)
+        _out8(h, port, value & 0xFF)
+        _out8(h, port + 1, value >> 8)
         return
     if kind == WORD:
         p = at(h.ports, h.n_ports, PORT)[port - h.first]
-        lost = _lost(h, chips, p.chip, p.address, value)
+        lost = _lost(h, p.chip, p.address, value)
         _cycle(h)
-        _write(h, chips, lost, p.chip, p.address, value)
+        _write(h, lost, p.chip, p.address, value)
         _note(h, OUT_WIDE | lost * LOST_ON_THE_WAY, port, value, -1)
     else:
         _cycle(h)
         _note(h, OUT_WIDE | STRAY, port, value, -1)
-    _serve(h, chips)
+    _serve(h)
 
 
 @hot
-def _look(h, chips):
+def _look(h):
     """A look at a timer or a line takes a bus cycle: firmware that waits for either gets on."""
     _cycle(h)
-    _serve(h, chips)
+    _serve(h)
 
 
 @hot
-def _answer(h, kinds, what, a, b):
+def _answer(h, what, a, b):
     """What a host asks, see IN8."""
     if h.stopped:
         _ask(h, PAUSE)
         return -1
-    chips = host.chips_of(stage_of(h), kinds)
     if what == IN8:
-        return _in8(h, chips, a & 0xFFFFFFFF)
+        return _in8(h, a & 0xFFFFFFFF)
     if what == OUT8:
-        _out8(h, chips, a & 0xFFFFFFFF, b & 0xFF)
+        _out8(h, a & 0xFFFFFFFF, b & 0xFF)
     elif what == IN16:
-        return _in16(h, chips, a & 0xFFFFFFFF)
+        return _in16(h, a & 0xFFFFFFFF)
     elif what == OUT16:
-        _out16(h, chips, a & 0xFFFFFFFF, b & 0xFFFF)
+        _out16(h, a & 0xFFFFFFFF, b & 0xFFFF)
     elif what == DELAY:
-        _wait(h, chips, greatest(a, 0) * 1000)
+        _wait(h, greatest(a, 0) * 1000)
     elif what == MICROS:
-        _look(h, chips)
+        _look(h)
         return _now(h) // 1000
     elif what == LOG:
         _catch_up(h)
@@ -489,30 +449,19 @@ def _answer(h, kinds, what, a, b):
     elif what == HOOK:
         _catch_up(h)
         h.hook, h.argument, h.quiet = a, b, 0
-        _serve(h, chips)
+        _serve(h)
     elif what == LINE:
-        _look(h, chips)
-        return 1 if _line(h, chips) else 0
+        _look(h)
+        return 1 if _line(h) else 0
     elif what == SETTLE:
         _catch_up(h)
     return 0
 
 
-REQUEST = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_void_p, ctypes.c_int32, ctypes.c_int64, ctypes.c_int64)
-"""int64_t request(void *host, int32_t what, int64_t a, int64_t b): what hosts call."""
+@sealed("i8", HOST, "i4", "i8", "i8")
+def request(h, what, a, b):
+    """int64_t request(void *host, int32_t what, int64_t a, int64_t b): what hosts call."""
+    return _answer(h, what, a, b)
 
 
-def requests(kinds: tuple[np.ndarray, ...]) -> Any:
-    """The function that hosts call, for boards with such families of chips, see `host.kinds`; a REQUEST."""
-    return _requests(tuple(k.dtype for k in kinds))
-
-
-@cache
-def _requests(dtypes: tuple[np.dtype, ...]) -> Any:
-    kinds = tuple(np.zeros(0, dtype) for dtype in dtypes)
-
-    def request(address: Any, what: int, a: int, b: int) -> Any:
-        return _answer(at(address, 1, HOST)[0], kinds, what, a, b)
-
-    word = types.int64
-    return host.entry(REQUEST, word(word, types.int32, word, word), request)
+REQUEST = request.kind

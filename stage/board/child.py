@@ -28,7 +28,8 @@ class TellingBoard(Board):
         super().__init__(stage, **options)
         shared = Shared(begin.shared, self.trace.room)
         shared.host[:] = self._rows
-        self.stage._edges, self.trace._lines, self._shared = shared.edges, shared.trace, shared
+        self.stage._note_in(shared.edges)
+        self.trace._lines, self._shared = shared.trace, shared
         shared.host["edges"], shared.host["lines"] = shared.edges.ctypes.data, shared.trace.ctypes.data
         shared.host["edge_room"] = len(shared.edges)
         self._take(shared.host)

@@ -198,14 +198,14 @@ class Isolated:
             if kind == LOST:
                 chip._journal.note_lost(chip.clock, a, b)
             elif kind == READ:
-                read = int(chip.CORE.read(chip._rows, chip._i, a))
+                read = chip.CORE.read.c(chip._at, a)
                 if read != b:
                     raise HostError(
                         f"the stage of the firmware's process read {b:X}h where this one reads {read:X}h: report this."
                     )
                 chip._journal.note_read(chip.clock, a, b)
             else:
-                chip.CORE.write(chip._rows, chip._i, a, b)
+                chip.CORE.write.c(chip._at, a, b)
                 chip._journal.note_write(chip.clock, a, b)
 
     def _catch_up(self, now: int) -> None:

@@ -21,8 +21,9 @@ from stage.chips.decode import Decoder
 from stage.chips.journal import Journal
 from stage.chips.listener import Listener
 from stage.chips.register_map import RegisterMap, dump
-from stage.compiled import plain, ready
+from stage.compiled import plain
 from stage.errors import ArgumentError, StageError, unknown
+from stage.sealed import ready
 
 if TYPE_CHECKING:
     from stage.chips.late import LateLint
@@ -146,7 +147,8 @@ class Chip:
     """Where the bus tells that a drive is in progress: address, and the bit of axis 0."""
 
     def __new__(cls, *_arguments: Any, **_options: Any) -> Chip:
-        ready(str(cls.CORE.__package__))
+        package = str(cls.CORE.__package__)
+        ready(package, f"the {package.rpartition('.')[2]} chips")
         return super().__new__(cls)
 
     def __init__(self, clock_hz: int | None = None):
@@ -163,7 +165,7 @@ class Chip:
         self._glitches: tuple[Callable[[int, int], bool], ...] = ()  # told of each write first; True loses it
         self._hold(np.zeros(1, self.CORE.STATE), 0)
         self._configure(self._record)
-        self.CORE.power_up(self._rows, 0)
+        self.CORE.power_up.c(self._at)
 
     @property
     def diagnostics(self) -> list[Diagnostic]:
@@ -193,6 +195,7 @@ class Chip:
 
     def _hold(self, rows: np.ndarray, i: int) -> None:
         self._rows, self._i = rows, i
+        self._at = rows.ctypes.data + i * rows.itemsize
         self._record = rows.view(plain(rows.dtype))[i]
 
     @property
@@ -236,7 +239,7 @@ class Chip:
             return
         if self._late is None and (said := self._lint(address, value)):
             self._say(self.clock, address, value, *said)
-        self.CORE.write(self._rows, self._i, address, value)
+        self.CORE.write.c(self._at, address, value)
         if self._journal is not None:
             self._journal.note_write(self.clock, address, value)
 
@@ -256,7 +259,7 @@ class Chip:
         if self._bus is not None:
             self._bus.cycle()
         address = int(address) & self._ADDRESS_MASK
-        value = int(self.CORE.read(self._rows, self._i, address))
+        value: int = self.CORE.read.c(self._at, address)
         if self._journal is not None and address in self.READING_ACTS:
             self._journal.note_read(self.clock, address, value)
         return value
@@ -268,14 +271,14 @@ class Chip:
 
     def advance(self, clocks: int) -> int:
         """Let the reference clock run for `clocks` ticks. Returns the pulses begun, all axes."""
-        return int(self.CORE.advance(self._rows, self._i, self._until(clocks)))
+        return int(self.CORE.advance.c(self._at, self._until(clocks)))
 
     def trace(self, clocks: int) -> np.ndarray:
         """As advance, but returns the pulses: a structured array of `clock` (tick since power-up at which the pulse
         begins, int64), `axis` and `direction` (int8; +1 or -1)."""
         until = self._until(clocks)
         probe = self._rows[self._i : self._i + 1].copy()
-        out = np.zeros(int(self.CORE.advance(probe, 0, until)), self.CORE.PULSE)
+        out = np.zeros(self.CORE.advance(probe[0], until), self.CORE.PULSE)
         self.CORE.trace(self._rows, self._i, until, out)
         return out
 
@@ -288,7 +291,7 @@ class Chip:
 
     def reset(self) -> None:
         """The /RESET pin. Registers and modes clear; the clock, the inputs and the diagnostics stay."""
-        self.CORE.power_up(self._rows, self._i)
+        self.CORE.power_up.c(self._at)
         if self._journal is not None:
             self._journal.note_reset(self.clock)
 
@@ -321,10 +324,10 @@ class Chip:
         return int(self._record["inputs"])
 
     def _set_input_word(self, axis: int, word: int) -> None:
-        self._record["inputs"] = word
+        self.CORE.set_input.c(self._at, axis, word)
 
     def _output_word(self, axis: int) -> int:
-        return int(self.CORE.pins(self._rows, self._i, axis))
+        return int(self.CORE.pins.c(self._at, axis))
 
     def journal(self, axis: int = 0) -> Journal:
         """Start to note what acts on the chip, so that the course of an axis can be replayed exactly: bus writes, input changes,

@@ -1,129 +1,147 @@
-"""What a stage asks of a chip, whatever its family: the type of its record says which core answers.
+"""What a stage asks of a chip, whatever its family.
 
-A family is a module of compiled functions, its *core*, over records of its `STATE`, in an array `rows` of one family's chips.
-Add its package to FAMILIES of stage/chips, and every loop takes it. Of chip `c` and its axis `j` (0 up to AXES - 1):
+A family is a module of compiled functions, its *core*, over a record of its own, `STATE`, that begins with the chip's clock. Add
+its package to FAMILIES of stage/chips, and every loop takes it, without being compiled anew: for a loop a chip is a CHIP record:
+where the state lies and where the core's answers are.
 
-    run(c, until)                     let its clock run up to `until`
-    see(c, j, count, rate)            from now on the shaft is at `count + rate * clocks`, in counts of its encoder; only where
-                                      the axis has one
-    net(c, j)                         where it wants the axis: pulses ever, plus minus minus; the encoder's count of a servo
-    mean_count(c, j, before, ticks)   what the drive gets, its mean over the last `ticks`: `net`, which was `before` at their
-                                      start; the motor command of a servo, -1 to 1
-    pulse_rate(c, j, hz)              how fast `net` moves now, a second
-    counter(c, j)                     what counts the pulses for the host: R0, LP
-    inputs(c, j), set_input(c, j, word), outputs(c, j)     pins as words
-    status(c, j), busy(c, j)          the status word; a drive is in progress
-    peek(c, address)                  what a host would like to read there now: no bus cycle, nothing changes
-    write(rows, i, address, value), read(rows, i, address)     bus cycles
-
-and, for `Chip` alone, power_up, set_inputs, pins, advance, trace, scan and mark, see stage/chips/pcl240/core.py; of a servo
-scan_seen as well, see stage/chips/hctl1100/core.py.
+A core has the functions below, over a state in place of a CHIP, `sealed` (stage/sealed.py) as ANSWERS says. For `Chip` alone it
+has power_up(c), pins(c, axis), advance(c, until), trace, scan and mark, see stage/chips/pcl240/core.py; of a servo scan_seen as
+well, see stage/chips/hctl1100/core.py.
 """
 
 from __future__ import annotations
 
-import sys
-from functools import cache
-from inspect import signature
-from types import ModuleType
 from typing import Any
 
-import numba
-from numba.core import types
-from numba.core.imputils import lower_constant
-from numba.extending import models, overload, register_model, typeof_impl
+from stage.compiled import hot, record
+from stage.sealed import at, called
 
-from stage.chips import FAMILIES
-from stage.compiled import COMPILED
+ANSWERS: dict[str, tuple[str | None, ...]] = {
+    "run": (None, "i8"),
+    "see": (None, "i8", "f8", "f8"),
+    "net": ("i8", "i8"),
+    "mean_count": ("f8", "i8", "i8", "f8"),
+    "pulse_rate": ("f8", "i8", "f8"),
+    "counter": ("i8", "i8"),
+    "inputs": ("i8", "i8"),
+    "set_input": (None, "i8", "i8"),
+    "outputs": ("i8", "i8"),
+    "status": ("i8", "i8"),
+    "busy": ("i8", "i8"),
+    "peek": ("i8", "i8"),
+    "write": (None, "i8", "i8"),
+    "read": ("i8", "i8"),
+}
+"""Name -> result and arguments after the chip."""
 
+MOST_AXES = 4
+CHIP = record(
+    [(name, "i8") for name in ("at", *ANSWERS)]
+    + [("hz", "i8"), ("axes", "i8"), ("axis", "i8", (MOST_AXES,)), ("ticks", "f8")]
+)
+"""A chip for compiled code: the address of its state, and those of its core's answers. On a stage: its reference clock, how many of
+its axes are used and which axes of the stage they are (the first is its axis 0), its clocks in a slice."""
+CLOCK = record([("clock", "i8")])
 
-def loaded() -> list[ModuleType]:
-    """The cores of the families that are loaded, in the order of FAMILIES."""
-    return [sys.modules[name] for family in FAMILIES if (name := f"stage.chips.{family}.core") in sys.modules]
-
-
-@cache
-def _of_dtype(dtype: Any) -> ModuleType:
-    return next(core for core in loaded() if dtype == core.STATE)
-
-
-@cache
-def _of_type(record: Any) -> ModuleType:
-    return next(core for core in loaded() if numba.from_dtype(core.STATE) == record)
-
-
-class Answer:
-    """The function `name` of the core whose record, or rows of records, the first argument is: in compiled code as if that
-    function had been called by its own name."""
-
-    def __init__(self, name: str):
-        self.name = name
-
-    def __call__(self, c: Any, *arguments: Any) -> Any:
-        return getattr(_of_dtype(c.dtype), self.name)(c, *arguments)
-
-
-class AnswerType(types.Callable, types.Opaque):
-    """What numba knows of an `Answer`: that of the core's function."""
-
-    def __init__(self, name: str):
-        self.answer = name
-        super().__init__(f"Answer({name})")
-
-    def _function(self, c: Any) -> Any:
-        core = _of_type(c.dtype if isinstance(c, types.Array) else c)
-        return numba.typeof(getattr(core, self.answer))
-
-    def get_call_type(self, context: Any, args: Any, kws: Any) -> Any:
-        return self._function(args[0]).get_call_type(context, args, kws)
-
-    def get_call_signatures(self) -> Any:
-        return (), True
-
-    def get_impl_key(self, sig: Any) -> Any:
-        return self._function(sig.args[0]).get_impl_key(sig)
+_TYPES = {types: called(types[0], "i8", *types[1:]) for types in set(ANSWERS.values())}
+_run, _see, _set = (_TYPES[ANSWERS[name]] for name in ("run", "see", "set_input"))
+_mean, _rate, _word = (_TYPES[ANSWERS[name]] for name in ("mean_count", "pulse_rate", "net"))
 
 
-@typeof_impl.register(Answer)
-def _typeof_answer(value: Answer, _context: Any) -> AnswerType:
-    return AnswerType(value.name)
+def fill(row: Any, core: Any, at: int) -> None:
+    """Make `row`, a CHIP, that of this core whose state lies at an address."""
+    row["at"] = at
+    for name in ANSWERS:
+        row[name] = getattr(core, name).address
 
 
-register_model(AnswerType)(models.OpaqueModel)
+@hot
+def clock(c):
+    """Ticks of its reference clock since power-up."""
+    return at(c.at, 1, CLOCK)[0].clock
 
 
-@lower_constant(AnswerType)
-def _constant_answer(context: Any, _builder: Any, _type: Any, _value: Any) -> Any:
-    return context.get_dummy_value()
+@hot
+def run(c, until):
+    """Let its clock run up to `until`."""
+    _run(c.run, c.at, until)
 
 
-def over_families(function: Any) -> Any:
-    """function(rows, first, *arguments) as a function of (chips, *arguments): called for the rows of each family in the tuple
-    `chips`, of which `first` come before them; the greatest of the results."""
-    given = ", ".join(list(signature(getattr(function, "py_func", function)).parameters)[2:])
-
-    def write(families: int) -> Any:
-        lines = [f"def call(chips, {given}):", f"    result = function(chips[0], 0, {given})"]
-        before = "len(chips[0])"
-        for k in range(1, families):
-            lines.append(f"    result = max(result, function(chips[{k}], {before}, {given}))")
-            before += f" + len(chips[{k}])"
-        return _written("\n".join([*lines, "    return result"]), function=function)
-
-    stub = _written(f"def call(chips, {given}):\n    return write(len(chips))(chips, {given})", write=write)
-    if COMPILED:
-        choose = _written(f"def call(chips, {given}):\n    return write(len(chips))", write=write)
-        overload(stub, inline="always")(choose)
-    return stub
+@hot
+def see(c, j, count, rate):
+    """From now on the shaft of axis `j` (0 up to AXES - 1) is at `count + rate * clocks`, in counts of its encoder; only where the
+    axis has one."""
+    _see(c.see, c.at, j, count, rate)
 
 
-def _written(source: str, **names: Any) -> Any:
-    """The function `call` of `source`: numba wants parameters by name, where we would say *arguments."""
-    space: dict[str, Any] = {**names, "__name__": __name__}
-    exec(source, space)
-    return space["call"]
+@hot
+def net(c, j):
+    """Where it wants the axis: pulses ever, plus minus minus; the encoder's count of a servo."""
+    return _word(c.net, c.at, j)
 
 
-run, see, net, mean_count, pulse_rate = map(Answer, ("run", "see", "net", "mean_count", "pulse_rate"))
-counter, inputs, set_input, outputs = map(Answer, ("counter", "inputs", "set_input", "outputs"))
-status, busy, peek, write, read = map(Answer, ("status", "busy", "peek", "write", "read"))
+@hot
+def mean_count(c, j, before, ticks):
+    """What the drive gets, its mean over the last `ticks`: `net`, which was `before` at their start; the motor command of a servo,
+    -1 to 1."""
+    return _mean(c.mean_count, c.at, j, before, ticks)
+
+
+@hot
+def pulse_rate(c, j, hz):
+    """How fast `net` moves now, a second."""
+    return _rate(c.pulse_rate, c.at, j, hz)
+
+
+@hot
+def counter(c, j):
+    """What counts the pulses for the host: R0, LP."""
+    return _word(c.counter, c.at, j)
+
+
+@hot
+def inputs(c, j):
+    """Input pins as a word."""
+    return _word(c.inputs, c.at, j)
+
+
+@hot
+def set_input(c, j, word):
+    """Set the input pins."""
+    _set(c.set_input, c.at, j, word)
+
+
+@hot
+def outputs(c, j):
+    """Output pins as a word."""
+    return _word(c.outputs, c.at, j)
+
+
+@hot
+def status(c, j):
+    """The status word."""
+    return _word(c.status, c.at, j)
+
+
+@hot
+def busy(c, j):
+    """A drive is in progress."""
+    return _word(c.busy, c.at, j)
+
+
+@hot
+def peek(c, address):
+    """What a host would like to read there now: no bus cycle, nothing changes."""
+    return _word(c.peek, c.at, address)
+
+
+@hot
+def write(c, address, value):
+    """A bus write cycle."""
+    _set(c.write, c.at, address, value)
+
+
+@hot
+def read(c, address):
+    """A bus read cycle."""
+    return _word(c.read, c.at, address)

@@ -33,18 +33,18 @@ class Entry(NamedTuple):
     a: int
     b: int
 
-    def apply(self, core: Any, rows: np.ndarray) -> None:
-        """Let it happen to the chip in `rows[0]`, whose core this is."""
+    def apply(self, core: Any, c: Any) -> None:
+        """Let it happen to the chip of state `c`, or at that address, whose core this is."""
         if self.kind == WRITE:
-            core.write(rows, 0, self.a, self.b)
+            core.write(c, self.a, self.b)
         elif self.kind == INPUT:
-            core.set_inputs(rows, 0, self.a, self.b)
+            core.set_input(c, self.a, self.b)
         elif self.kind == RESET:
-            core.power_up(rows, 0)
+            core.power_up(c)
         elif self.kind == READ:
-            core.read(rows, 0, self.a)
+            core.read(c, self.a)
         elif self.kind == SEE:
-            core.see(rows[0], 0, number(self.a), number(self.b))
+            core.see(c, 0, number(self.a), number(self.b))
 
 
 class Entries(Sequence[Entry]):

@@ -143,7 +143,7 @@ class Replay:
                 else:
                     k += core.scan(rows, 0, until, every_pulse, out[k:], axis)
             if e is not None:
-                e.apply(core, rows)
+                e.apply(core, rows[0])
             if k == size:
                 yield out.copy()
                 k = 0

@@ -36,10 +36,10 @@ class LateLint:
             twin = type(chip)(**chip.options())
             twin._hold(np.frombuffer(bytearray(journal._start), chip.CORE.STATE), 0)
             for entry in entries:
-                chip.CORE.advance(twin._rows, 0, entry.clock)
+                chip.CORE.advance.c(twin._at, entry.clock)
                 if entry.kind == WRITE:
                     said = twin._lint(entry.a, entry.b)
                     if said:
                         chip._say(entry.clock, entry.a, entry.b, *said)
-                entry.apply(chip.CORE, twin._rows)
+                entry.apply(chip.CORE, twin._at)
         journal.restart()

@@ -78,9 +78,9 @@ class BenchAxis:
     def _run(self, clock: int) -> None:
         """Let the chip run up to `clock`, and stop at each pulse that takes the carriage into a span or out of it."""
         chip = self.chip
-        core, rows, i = chip.CORE, chip._rows, chip._i
+        core, c = chip.CORE, chip._at
         while self._spans and chip.clock < clock:
-            n, place = core.advance(self._twin(), 0, clock), self.place
+            n, place = core.advance(self._twin()[0], clock), self.place
             if n == 0 or n < min((abs(bound - place) for bound in self._bounds), default=0):
                 break
             pulses = np.empty(n, core.PULSE)
@@ -91,9 +91,9 @@ class BenchAxis:
                 changed |= _within(places, span) != getattr(self.pins, pin)
             if not changed.any():
                 break
-            core.advance(rows, i, int(pulses["clock"][np.argmax(changed)]))
+            core.advance(c, int(pulses["clock"][np.argmax(changed)]))
             self._assert_switches()
-        core.advance(rows, i, clock)
+        core.advance(c, clock)
 
     def __repr__(self) -> str:
         return f"<BenchAxis {self.name} {self.chip!r}>"

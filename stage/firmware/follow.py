@@ -282,8 +282,8 @@ def start(rows, r, automatic, r6):
     if len(r) > 8:
         chip.reg[R14], chip.reg[R15] = r[8], r[9]
     chip.reg[6] = r6 & chip.mask[6] if automatic else r6
-    core.write(rows, 0, 0, 0x54 if automatic else 0x44)
-    core.write(rows, 0, 0, 0x15 if r[2] > r[1] else 0x11)
+    core.write(chip, 0, 0x54 if automatic else 0x44)
+    core.write(chip, 0, 0x15 if r[2] > r[1] else 0x11)
 
 
 @hot
@@ -297,7 +297,7 @@ def play(rows, r, automatic, r6, out):
 def risen(rows, r):
     """Pulses that the chip in `rows` counts in the ramp-up of row `r`."""
     start(rows, r, False, r[6])
-    core.advance(rows, 0, NEVER >> 16)
+    core.advance(rows[0], NEVER >> 16)
     return rows[0].risen
 
 

@@ -137,13 +137,13 @@ def pulses_of(journal: Journal) -> np.ndarray:
     def go(until: int) -> None:
         while rows[0].clock < until:
             to = min(until, int(rows[0].clock) + STRETCH)
-            out = np.zeros(int(core.advance(rows.copy(), 0, to)), core.PULSE)
+            out = np.zeros(core.advance(rows.copy()[0], to), core.PULSE)
             core.trace(rows, 0, to, out)
             parts.append(out)
 
     for e in journal.entries:
         go(e.clock)
-        e.apply(core, rows)
+        e.apply(core, rows[0])
     go(journal.until)
     pulses = np.concatenate(parts)
     pulses["clock"] -= begin

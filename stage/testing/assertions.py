@@ -165,10 +165,8 @@ def axes_of(what: Any) -> list[Axis]:
 
 def pulse_rate(axis: Axis) -> float:
     """Pulses a second now (counts of a servo), signed."""
-    from stage.chips import cores
-
     chip = axis.chip
-    return float(cores.pulse_rate(chip._rows[chip._i], axis.chip_axis, float(chip.clock_hz)))
+    return float(chip.CORE.pulse_rate.c(chip._at, axis.chip_axis, float(chip.clock_hz)))
 
 
 def velocity_of(axis: Axis) -> float:

@@ -4,13 +4,11 @@ import numpy as np
 from nova_programs import command, load
 from programs import load_registers
 
-from stage.chips import MCX302, MCX514, PCL240K, cores
-from stage.compiled import hot
+from stage.chips import MCX302, MCX514, PCL240K
 
 
-@hot
-def mean_count(rows, i, j, before, ticks):
-    return cores.mean_count(rows[i], j, before, ticks)
+def mean_count(chip, j, before, ticks):
+    return chip.CORE.mean_count(chip._rows[0], j, before, ticks)
 
 
 def test_it_is_the_mean_over_every_tick_at_constant_speed():
@@ -28,13 +26,13 @@ def test_it_is_the_mean_over_every_tick_at_constant_speed():
         start = chip.clock
         pulses = chip.trace(ticks)
         counts = before + way * np.searchsorted(pulses["clock"], np.arange(start + 1, start + ticks + 1), side="right")
-        error = abs(mean_count(chip._rows, chip._i, 0, before, float(ticks)) - counts.mean())
+        error = abs(mean_count(chip, 0, before, float(ticks)) - counts.mean())
         assert error <= 0.03 * max(1, len(pulses)), "a tick is rounded away, no more"
 
 
 def test_a_halted_chip_stands_on_its_count():
     chip = PCL240K()
-    assert mean_count(chip._rows, chip._i, 0, 0, 154.0) == 0
+    assert mean_count(chip, 0, 0, 154.0) == 0
 
 
 def mean_over_every_clock(chip, axis, before, ticks):
@@ -45,7 +43,7 @@ def mean_over_every_clock(chip, axis, before, ticks):
     steps = np.concatenate([[0], np.cumsum(own["direction"], dtype=np.int64)])
     clocks = np.arange(start + 1, start + ticks + 1)
     counts = before + steps[np.searchsorted(own["clock"], clocks, side="right")]
-    return mean_count(chip._rows, chip._i, axis, before, float(ticks)), counts.mean(), len(own)
+    return mean_count(chip, axis, before, float(ticks)), counts.mean(), len(own)
 
 
 def test_of_a_nova_chip_too_at_any_speed_of_any_axis():
@@ -83,4 +81,4 @@ def test_of_a_nova_chip_in_a_ramp_it_is_close():
 def test_a_nova_chip_at_rest_stands_on_its_count():
     for make in (MCX514, MCX302):
         chip = make()
-        assert [mean_count(chip._rows, chip._i, j, 0, 800.0) for j in range(chip.AXES)] == [0] * chip.AXES
+        assert [mean_count(chip, j, 0, 800.0) for j in range(chip.AXES)] == [0] * chip.AXES

@@ -33,18 +33,18 @@ def play(rows, moments, steps, noise):
     begin = rows[0].next
     for n in range(len(moments)):
         shaft = command + noise[n]
-        core.shaft(rows, 0, float(shaft), 0.0)
-        core.advance(rows, 0, begin)  # the sample of the command written before
+        core.see(rows[0], 0, float(shaft), 0.0)
+        core.advance(rows[0], begin)  # the sample of the command written before
         x = command - shaft
         output = _clipped((256 * K * x - A * K * before - 4 * B * output) >> 10)
         before = x
         wrong = rows[0].drive != output
         command += steps[n]
-        core.advance(rows, 0, begin + moments[n])
+        core.advance(rows[0], begin + moments[n])
         for k in range(3):
-            core.write(rows, 0, 0x0C + k, (command >> 8 * (2 - k)) & 0xFF)
+            core.write(rows[0], 0x0C + k, (command >> 8 * (2 - k)) & 0xFF)
         wrong = wrong or rows[0].drive != output
-        core.advance(rows, 0, begin + SAMPLE - 1)
+        core.advance(rows[0], begin + SAMPLE - 1)
         wrong = wrong or rows[0].drive != output
         begin += SAMPLE
         corrupted += 1 if wrong else 0

@@ -54,25 +54,25 @@ class HCTL1100(Chip):
     @property
     def encoder(self) -> int:
         """The encoder's raw count. Set, the shaft is there and stands still."""
-        return int(core.encoder_count(self._rows, self._i))
+        return core.encoder_count.c(self._at)
 
     @encoder.setter
     def encoder(self, count: int) -> None:
-        lost = float(core.lost(self._rows, self._i))
+        lost = core.lost.c(self._at)
         self.see(count + lost + 0.5 if lost else count)  # between two counts, where rounding does not matter
 
     @property
     def missed(self) -> float:
         """Counts that came faster than one in three clocks, plus minus minus: the encoder's input filter lets none of them
         through, and the shaft is so far ahead of the count."""
-        return float(core.lost(self._rows, self._i))
+        return core.lost.c(self._at)
 
     def see(self, count: float, rate: float = 0.0) -> None:
         """From now on the shaft is at `count + rate * (clock - now)`: encoder counts (a position between two counts shows the lower
         one), counts a clock. Raises ArgumentError for what is no finite number."""
         if not (math.isfinite(count) and math.isfinite(rate)):
             raise ArgumentError(f"see({count!r}, {rate!r}): a shaft is at a finite count and has a finite rate.")
-        core.shaft(self._rows, self._i, float(count), float(rate))
+        core.see.c(self._at, 0, float(count), float(rate))
         if self._journal is not None:
             self._journal.note_seen(self.clock, count, rate)
 
@@ -89,7 +89,7 @@ class HCTL1100(Chip):
     def net(self, axis: int = 0) -> int:
         """The command position as a raw count of the encoder: there `encoder` is when the actual position is the command position.
         The chip makes no pulses."""
-        return int(core.wanted(self._rows, self._i))
+        return core.net.c(self._at, 0)
 
     def write(self, address: int, value: int) -> None:
         """One bus write cycle. Never raises: the address acts modulo 64, the value modulo 256, mistakes go to `diagnostics`."""
@@ -100,16 +100,13 @@ class HCTL1100(Chip):
             self._say(self.clock, at, int(value) & self.DATA_MASK, said, "bus")
 
     def values(self) -> dict[str, int]:
-        return {r.name: int(core.value(self._rows, self._i, r.number)) for r in self.MAP.registers}
+        return {r.name: core.value.c(self._at, r.number) for r in self.MAP.registers}
 
     def decoder(self, axis: int = 0) -> Decoder:
         return Decoder(self.MAP)
 
     def listener(self) -> Listener:
         return Listener(self.MAP, self._record)
-
-    def _set_input_word(self, axis: int, word: int) -> None:
-        core.set_inputs(self._rows, self._i, axis, word)
 
     def _lint(self, address: int, value: int) -> lint.Note | None:
         c: Any = self._record

@@ -26,12 +26,13 @@ from stage.chips.hctl1100.state import (
     signed,
 )
 from stage.compiled import hot, least
+from stage.sealed import sealed
 
 ROOM = 8
 
 __all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE", "advance", "busy", "counter", "inputs", "mark", "mean_count", "net",
            "outputs", "peek", "pins", "power_up", "pulse_rate", "read", "run", "scan", "scan_seen", "see", "set_input",
-           "set_inputs", "status", "trace", "value", "write"]  # fmt: skip
+           "status", "trace", "value", "write"]  # fmt: skip
 
 
 @hot
@@ -46,7 +47,7 @@ def _sample(c, until):
         timer.skip(c, more)
 
 
-@hot
+@sealed(None, STATE, "i8")
 def run(c, until):
     """Let the chip's clock run up to `until`."""
     while c.clock < until:
@@ -65,63 +66,63 @@ def run(c, until):
 # --- what a stage asks, see stage/chips/cores.py; the only axis is 0 ---
 
 
-@hot
+@sealed(None, STATE, "i8", "f8", "f8")
 def see(c, j, count, rate):
     """From now on the shaft is at `count + rate * (clock - now)`, in counts of the encoder and counts a clock."""
     encoder.see(c, count, rate)
 
 
-@hot
+@sealed("i8", STATE, "i8")
 def net(c, j):
     """The encoder's count that the command position stands for."""
     now = encoder.raw(c)
     return now + signed(c.command - (now - c.zero), 24)
 
 
-@hot
+@sealed("i8", STATE, "i8")
 def counter(c, j):
     """The actual position."""
     return encoder.actual(c)
 
 
-@hot
+@sealed("i8", STATE, "i8")
 def inputs(c, j):
     """Input pins, see INPUTS."""
     return c.inputs
 
 
-@hot
+@sealed(None, STATE, "i8", "i8")
 def set_input(c, j, word):
     """Set the input pins, see INPUTS. They act at once."""
     bus.set_pins(c, word)
 
 
-@hot
+@sealed("i8", STATE, "i8")
 def status(c, j):
     """R07."""
     return bus.status_byte(c)
 
 
-@hot
+@sealed("i8", STATE, "i8")
 def peek(c, address):
     """A register as it reads, without what reading does."""
     return bus.peek_byte(c, address)
 
 
-@hot
+@sealed("i8", STATE, "i8")
 def busy(c, j):
     """A trapezoid is in progress."""
     return c.flag & F0 if c.mode == CONTROL else 0
 
 
-@hot
+@sealed("i8", STATE, "i8")
 def outputs(c, j):
     """Output pins, see OUTPUTS."""
     word = (PROF if c.flag & F0 else 0) | (INIT if c.mode == IDLE else 0)
     return word | motor.pins(c) | commutator.phases(c)
 
 
-@hot
+@sealed("f8", STATE, "i8", "f8")
 def pulse_rate(c, j, hz):
     """The commanded velocity, counts per second."""
     if c.mode != CONTROL:
@@ -132,7 +133,7 @@ def pulse_rate(c, j, hz):
     return c.velocity * hz / (256.0 * sample) if mode in (TRAPEZOID, INTEGRAL) else 0.0
 
 
-@hot
+@sealed("f8", STATE, "i8", "i8", "f8")
 def mean_count(c, j, before, ticks):
     """Mean over the last `ticks`, since it was asked last, of the motor command as a share of full drive, -1 to 1."""
     mean = c.moment / (motor.FULL_DRIVE * ticks)
@@ -143,70 +144,51 @@ def mean_count(c, j, before, ticks):
 # --- the chip by itself: no stage asks for the mean of what was, so it does not matter how time was cut ---
 
 
-@hot
-def power_up(rows, i):
+@sealed(None, STATE)
+def power_up(c):
     """A cleared record becomes a chip that was just switched on."""
-    bus.hard_reset(rows[i])
+    bus.hard_reset(c)
 
 
-@hot
-def write(rows, i, address, value):
-    """One bus write cycle to chip `i`, between two clocks."""
-    bus.write_byte(rows[i], address & 0x3F, value & 0xFF)
+@sealed(None, STATE, "i8", "i8")
+def write(c, address, value):
+    """One bus write cycle, between two clocks."""
+    bus.write_byte(c, address & 0x3F, value & 0xFF)
 
 
-@hot
-def read(rows, i, address):
-    """One bus read cycle from chip `i`; that of R14 latches."""
-    return bus.read_byte(rows[i], address & 0x3F)
+@sealed("i8", STATE, "i8")
+def read(c, address):
+    """One bus read cycle; that of R14 latches."""
+    return bus.read_byte(c, address & 0x3F)
 
 
-@hot
-def value(rows, i, address):
-    """What a register of chip `i` reads as, free of bus cycles."""
-    return bus.peek_byte(rows[i], address)
+@sealed("i8", STATE, "i8")
+def value(c, address):
+    """What a register reads as, free of bus cycles."""
+    return bus.peek_byte(c, address)
 
 
-@hot
-def shaft(rows, i, count, rate):
-    """`see` for chip `i`."""
-    encoder.see(rows[i], count, rate)
+@sealed("i8", STATE)
+def encoder_count(c):
+    """The encoder's raw count."""
+    return encoder.raw(c)
 
 
-@hot
-def encoder_count(rows, i):
-    """The encoder's raw count at chip `i`."""
-    return encoder.raw(rows[i])
+@sealed("f8", STATE)
+def lost(c):
+    """Counts that came too fast for the encoder's filter, plus minus minus."""
+    return encoder.lost(c)
 
 
-@hot
-def wanted(rows, i):
-    """The raw count that the command position of chip `i` stands for."""
-    return net(rows[i], 0)
+@sealed("i8", STATE, "i8")
+def pins(c, axis):
+    """Output pins, see OUTPUTS."""
+    return outputs(c, axis)
 
 
-@hot
-def lost(rows, i):
-    """Counts that came too fast for the encoder's filter of chip `i`, plus minus minus."""
-    return encoder.lost(rows[i])
-
-
-@hot
-def set_inputs(rows, i, axis, word):
-    """Set the input pins of chip `i`, see INPUTS."""
-    bus.set_pins(rows[i], word)
-
-
-@hot
-def pins(rows, i, axis):
-    """Output pins of chip `i`, see OUTPUTS."""
-    return outputs(rows[i], axis)
-
-
-@hot
-def advance(rows, i, until):
-    """Run chip `i` up to clock `until`; returns the pulses begun: none."""
-    c = rows[i]
+@sealed("i8", STATE, "i8")
+def advance(c, until):
+    """Run up to clock `until`; returns the pulses begun: none."""
     run(c, until)
     c.moment = 0
     return 0
@@ -215,7 +197,7 @@ def advance(rows, i, until):
 @hot
 def trace(rows, i, until, out):
     """As advance: there are no pulses to fill `out` with."""
-    return advance(rows, i, until)
+    return advance(rows[i], until)
 
 
 @hot

@@ -94,13 +94,10 @@ class Nova(Chip):
 
     def values(self) -> dict[str, int]:
         words = (w.name for w in self.MAP.words if w.name.startswith("RR"))
-        return {name: int(core.value(self._rows, self._i, int(name[2]), name == "RR3-1")) for name in words}
+        return {name: core.value.c(self._at, int(name[2]), name == "RR3-1") for name in words}
 
     def _input_word(self, axis: int) -> int:
         return int(self._record["emg"] if axis == self.AXES else self._record["ax"][axis]["inputs"])
-
-    def _set_input_word(self, axis: int, word: int) -> None:
-        core.set_inputs(self._rows, self._i, axis, word)
 
 
 class MCX514(Nova):

@@ -39,7 +39,8 @@ from stage.chips.nova.state import (
     TP,
 )  # fmt: skip
 from stage.chips.nova.status import busy, phase_bits
-from stage.compiled import hot, least, sealed
+from stage.compiled import hot, least
+from stage.sealed import sealed
 
 SIGNED = sum(1 << r.number for r in MAP.registers if r.signed and r.number < REGISTERS)
 SHORT = sum(1 << r.number for r in MAP.registers if r.bits == 16 and r.number < REGISTERS)

@@ -32,14 +32,15 @@ from stage.chips.nova.state import (
 )  # fmt: skip
 from stage.chips.nova.status import busy as driving
 from stage.chips.nova.status import phase_bits
-from stage.compiled import greatest, hot, least, sealed
+from stage.compiled import greatest, hot, least
+from stage.sealed import sealed
 
 ROUNDS = 100  # of events that cause others at one clock
 HZ = 16_000_000
 
 __all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE", "advance", "busy", "counter", "inputs", "mark", "mean_count", "net",
            "outputs", "peek", "pins", "power_up", "pulse_rate", "read", "run", "scan", "see",
-           "set_input", "set_inputs", "status", "trace",
+           "set_input", "status", "trace",
            "value", "write"]  # fmt: skip
 
 
@@ -93,7 +94,7 @@ def _drive(c, until):
     c.clock = until
 
 
-@hot
+@sealed(None, STATE, "i8")
 def run(c, until):
     """Let the chip's clock run up to `until`."""
     if c.stale:
@@ -107,30 +108,30 @@ def run(c, until):
 # --- what a stage asks, see stage/chips/cores.py ---
 
 
-@hot
+@sealed("i8", STATE, "i8")
 def net(c, j):
     """Pulses ever begun, plus minus minus."""
     return c.ax[j].net
 
 
-@hot
+@sealed("i8", STATE, "i8")
 def counter(c, j):
     """The logical position counter LP."""
     return c.ax[j].reg[LP]
 
 
-@hot
+@sealed(None, STATE, "i8", "f8", "f8")
 def see(c, j, count, rate):
     """No encoder is connected: these chips make pulses, and nobody looks where the shaft goes."""
 
 
-@hot
+@sealed("i8", STATE, "i8")
 def inputs(c, j):
     """Input pins of axis `j`, see INPUTS; of the whole chip, see COMMON_INPUTS, where j is one more than its last."""
     return c.emg if j == c.axes else c.ax[j].inputs
 
 
-@hot
+@sealed(None, STATE, "i8", "i8")
 def set_input(c, j, word):
     """Set the input pins, see `inputs`. They act at once, so that it does not matter who looks at the chip meanwhile."""
     if j == c.axes:
@@ -140,13 +141,13 @@ def set_input(c, j, word):
     _settle(c)
 
 
-@hot
+@sealed("i8", STATE, "i8")
 def status(c, j):
     """RR0."""
     return read_word(c, 0)
 
 
-@hot
+@sealed("i8", STATE, "i8")
 def peek(c, address):
     """RR0 to RR7 as they read, without what reading does."""
     x = c.ax[bus514.lowest(c)]
@@ -156,13 +157,13 @@ def peek(c, address):
     return word
 
 
-@hot
+@sealed("i8", STATE, "i8")
 def busy(c, j):
     """n-DRV of RR0."""
     return driving(c.ax[j])
 
 
-@hot
+@sealed("i8", STATE, "i8")
 def outputs(c, j):
     """Output pins of axis `j`, see OUTPUTS."""
     if j == c.axes:
@@ -183,7 +184,7 @@ def _interrupts(c):
     return bus514.interrupts(c) | c.ip.interrupt << 1 if c.variant == MCX514_TYPE else bus304.interrupts(c)
 
 
-@hot
+@sealed("f8", STATE, "i8", "f8")
 def pulse_rate(c, j, hz):
     """Output frequency now, pulses per second."""
     x = c.ax[j]
@@ -192,7 +193,7 @@ def pulse_rate(c, j, hz):
     return speed_at(x, c.clock - x.origin) * hz if x.driving else 0.0
 
 
-@hot
+@sealed("f8", STATE, "i8", "i8", "f8")
 def mean_count(c, j, before, ticks):
     """Mean over the last `ticks` of the net pulse count, which was `before` at their start.
 
@@ -254,10 +255,9 @@ def read_word(c, address):
     return bus514.read(c, address) if c.variant == MCX514_TYPE else bus304.read(c, address)
 
 
-@hot
-def write(rows, i, address, value):
+@sealed(None, STATE, "i8", "i8")
+def write(c, address, value):
     """One bus write cycle: WR0 to WR7, or from 16 on a byte of them, where the high byte of WR0 waits for the low one."""
-    c = rows[i]
     value &= 0xFFFF
     if c.stale:
         _settle(c)
@@ -275,10 +275,9 @@ def write(rows, i, address, value):
         _settle(c)
 
 
-@hot
-def read(rows, i, address):
+@sealed("i8", STATE, "i8")
+def read(c, address):
     """One bus read cycle: RR0 to RR7, or from 16 on a byte of them."""
-    c = rows[i]
     if c.stale:
         _settle(c)
     if address < 16:
@@ -286,20 +285,18 @@ def read(rows, i, address):
     return read_word(c, address >> 1 & 7) >> (8 if address & 1 else 0) & 0xFF
 
 
-@hot
-def value(rows, i, k, page):
-    """What RRk of chip `i` reads as (of RR3 this page), free of bus cycles and of what reading does."""
-    c = rows[i]
+@sealed("i8", STATE, "i8", "i8")
+def value(c, k, page):
+    """What RRk reads as (of RR3 this page), free of bus cycles and of what reading does."""
     pages, c.pages = c.pages, 15 if page else 0
     word = peek(c, k)
     c.pages = pages
     return word
 
 
-@hot
-def power_up(rows, i):
+@sealed(None, STATE)
+def power_up(c):
     """A cleared record becomes a chip that was just switched on."""
-    c = rows[i]
     for j in range(AXES):
         if c.ax[j].way == 0:
             c.ax[j].way = 1
@@ -310,25 +307,17 @@ def power_up(rows, i):
     _settle(c)
 
 
-@hot
-def set_inputs(rows, i, axis, word):
-    """Set the input pins of an axis of chip `i`, see `inputs`."""
-    set_input(rows[i], axis, word)
-
-
-@hot
-def pins(rows, i, axis):
-    """Output pins of an axis of chip `i`."""
-    c = rows[i]
+@sealed("i8", STATE, "i8")
+def pins(c, axis):
+    """Output pins of an axis, see `outputs`, whatever has just been written."""
     if c.stale:
         _settle(c)
     return outputs(c, axis)
 
 
-@hot
-def advance(rows, i, until):
-    """Run chip `i` up to clock `until`; returns the pulses begun, all axes."""
-    c = rows[i]
+@sealed("i8", STATE, "i8")
+def advance(c, until):
+    """Run up to clock `until`; returns the pulses begun, all axes."""
     before = c.total
     run(c, until)
     _alone(c)

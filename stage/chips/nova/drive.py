@@ -69,7 +69,8 @@ from stage.chips.nova.state import (
     L,
     R,
 )  # fmt: skip
-from stage.compiled import greatest, hot, least, sealed
+from stage.compiled import greatest, hot, least
+from stage.sealed import sealed
 
 RANGE = 8_000_000
 OFF = 0xFFFFFFFF

@@ -25,7 +25,8 @@ from stage.chips.nova.state import (
     STAGES,
     STATE,
 )
-from stage.compiled import greatest, hot, least, sealed
+from stage.compiled import greatest, hot, least
+from stage.sealed import sealed
 
 IPM = MCX514_MAP.register("IPM").number - 0x20  # place in `mode`
 INTA, INTB = MCX514_MAP.mask("IPM", "INTA"), MCX514_MAP.mask("IPM", "INTB")

@@ -7,7 +7,8 @@ from stage.chips.nova.maps514 import CONTINUOUS_SPEED, MCX514_MAP
 from stage.chips.nova.plan import PLACE, begin, brake, brake_at, for_ever, from_here, pair, put, to_the_end
 from stage.chips.nova.state import AO, AXES, AXIS, DP, DV, LINE, MCX514_TYPE, NEVER, PATTERN, STAGES, STATE
 from stage.chips.nova.ticks import clock_at
-from stage.compiled import hot, least, sealed
+from stage.compiled import hot, least
+from stage.sealed import sealed
 
 ONE = (1.0, 0.0)
 ROOT2 = (1.4142135623730951, -9.667293313452913e-17)

@@ -43,8 +43,8 @@ class PCL240(Chip):
         return Listener(self.MAP, self._record)
 
     def values(self) -> dict[str, int]:
-        return {r.name: int(core.value(self._rows, self._i, k)) for k, r in enumerate(self.MAP.registers)} | {
-            "status": int(core.read(self._rows, self._i, 0))
+        return {r.name: core.value.c(self._at, k) for k, r in enumerate(self.MAP.registers)} | {
+            "status": core.read.c(self._at, 0)
         }
 
     def _lint(self, address: int, value: int) -> lint.Note | None:

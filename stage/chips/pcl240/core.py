@@ -40,73 +40,74 @@ from stage.chips.pcl240.state import (
     stop,
 )
 from stage.compiled import greatest, hot, least
+from stage.sealed import sealed
 
 FOREVER = 1 << 62
 OPERATING = 0x40  # of the status byte
 
 __all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE", "advance", "busy", "counter", "inputs", "mark", "mean_count", "net",
            "outputs", "peek", "pins", "power_up", "pulse_rate", "read", "run", "scan", "see",
-           "set_input", "set_inputs", "status", "trace",
+           "set_input", "status", "trace",
            "value", "write"]  # fmt: skip
 
 
 # --- what a stage asks, see stage/chips/cores.py; the only axis is 0 ---
 
 
-@hot
+@sealed("i8", STATE, "i8")
 def net(c, j):
     """Pulses ever begun, plus minus minus."""
     return c.net
 
 
-@hot
+@sealed("i8", STATE, "i8")
 def counter(c, j):
     """The down counter R0."""
     return c.reg[0]
 
 
-@hot
+@sealed(None, STATE, "i8", "f8", "f8")
 def see(c, j, count, rate):
     """No encoder is connected: these chips make pulses, and nobody looks where the shaft goes."""
 
 
-@hot
+@sealed("i8", STATE, "i8")
 def inputs(c, j):
     """Input pins, see INPUTS."""
     return c.inputs
 
 
-@hot
+@sealed(None, STATE, "i8", "i8")
 def set_input(c, j, word):
     """Set the input pins, see INPUTS."""
     c.inputs = word
 
 
-@hot
+@sealed("i8", STATE, "i8")
 def status(c, j):
     """The status byte."""
     return read_byte(c, 0)
 
 
-@hot
+@sealed("i8", STATE, "i8")
 def peek(c, address):
     """The status byte, and R0's bytes whatever register is selected."""
     return c.reg[0] >> 8 * (address - 1) & 0xFF if address else read_byte(c, 0)
 
 
-@hot
+@sealed("i8", STATE, "i8")
 def busy(c, j):
     """Status b6: in operation."""
     return read_byte(c, 0) & OPERATING
 
 
-@hot
+@sealed("i8", STATE, "i8")
 def outputs(c, j):
     """Output pins, see OUTPUTS."""
     return output_word(c)
 
 
-@hot
+@sealed("f8", STATE, "i8", "f8")
 def pulse_rate(c, j, hz):
     """Output frequency now, pulses per second (data sheet section 4, R7)."""
     if (c.running or c.finishing) and c.reg[7] >= 2:
@@ -114,7 +115,7 @@ def pulse_rate(c, j, hz):
     return 0.0
 
 
-@hot
+@sealed("f8", STATE, "i8", "i8", "f8")
 def mean_count(c, j, before, ticks):
     """Mean over the last `ticks` of the net pulse count, which was `before` at their start.
 
@@ -332,7 +333,7 @@ def _count(c, pulses, own):
         c.reg[R10] = (c.reg[R10] + way) & COUNTER_MASK
 
 
-@hot
+@sealed(None, STATE, "i8")
 def run(c, until):
     """Let the chip's clock run up to `until`."""
     while c.clock < until:
@@ -422,46 +423,39 @@ def scan(rows, i, until, every_pulse, out, axis):
     return k
 
 
-@hot
-def power_up(rows, i):
+@sealed(None, STATE)
+def power_up(c):
     """A cleared record becomes a chip that was just switched on."""
-    reset(rows[i])
+    reset(c)
 
 
-@hot
-def write(rows, i, address, value):
-    """One bus write cycle to chip `i`, between two ticks."""
-    write_byte(rows[i], address, value)
+@sealed(None, STATE, "i8", "i8")
+def write(c, address, value):
+    """One bus write cycle, between two ticks."""
+    write_byte(c, address, value)
 
 
-@hot
-def read(rows, i, address):
-    """One bus read cycle from chip `i`."""
-    return read_byte(rows[i], address)
+@sealed("i8", STATE, "i8")
+def read(c, address):
+    """One bus read cycle."""
+    return read_byte(c, address)
 
 
-@hot
-def value(rows, i, k):
-    """What the k-th register of chip `i` reads as, free of bus cycles."""
-    return register(rows[i], k)
+@sealed("i8", STATE, "i8")
+def value(c, k):
+    """What the k-th register reads as, free of bus cycles."""
+    return register(c, k)
 
 
-@hot
-def set_inputs(rows, i, axis, word):
-    """Set the input pins of chip `i`, see INPUTS."""
-    rows[i].inputs = word
+@sealed("i8", STATE, "i8")
+def pins(c, axis):
+    """Output pins, see OUTPUTS."""
+    return output_word(c)
 
 
-@hot
-def pins(rows, i, axis):
-    """Output pins of chip `i`, see OUTPUTS."""
-    return output_word(rows[i])
-
-
-@hot
-def advance(rows, i, until):
-    """Run chip `i` up to clock `until`; returns the pulses begun."""
-    c = rows[i]
+@sealed("i8", STATE, "i8")
+def advance(c, until):
+    """Run up to clock `until`; returns the pulses begun."""
     before = c.total
     run(c, until)
     return c.total - before
