@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from stage.board.board import Board
-from stage.board.isolated import SENT, Begin, Cycles, Go, Line, Shared, Stands
+from stage.board.isolated import SENT, Begin, Cycles, Go, Line, Shared, Stands, settings
 from stage.board.threaded import Threaded
 from stage.errors import StageError
 
@@ -47,13 +47,12 @@ class TellingBoard(Board):
     def adopt(self, stage: Any) -> None:
         """The parent's stage was changed: ours becomes like it."""
         ours = self.stage
-        for mine, theirs in ((ours.model, stage.model), (ours.model.opt, stage.model.opt)):
-            for name in dir(theirs):
-                value = getattr(theirs, name)
-                if isinstance(value, np.ndarray) and value.size and value.flags.writeable:
-                    np.copyto(getattr(mine, name), value)
-                elif isinstance(value, int | float) and not name.startswith("_") and value != getattr(mine, name):
-                    setattr(mine, name, value)
+        for part, name, value in settings(stage.model):
+            mine = ours.model if part is stage.model else ours.model.opt
+            if isinstance(value, np.ndarray):
+                np.copyto(getattr(mine, name), value)
+            elif value != getattr(mine, name):
+                setattr(mine, name, value)
         ours._switch_table[:] = stage._switch_table
         for axis, like in zip(ours._axes_by_index, stage._axes_by_index, strict=True):
             axis._voltage, axis._open = like._voltage, like._open

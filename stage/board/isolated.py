@@ -15,6 +15,8 @@ import subprocess
 import sys
 import tempfile
 import weakref
+from collections.abc import Iterator
+from functools import cache
 from multiprocessing import Pipe
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -91,12 +93,15 @@ class Shared:
         if all(ours == theirs for ours, theirs in pairs):
             return
         target, source = (board._host, self.host[0]) if back else (self.host[0], board._host)
+        begin = int(min(target["changed"], source["changed"]))  # lines before are as they were
         for name in COUNTS:
             target[name] = source[name]
+        ours, theirs = board.trace._lines, self.trace
+        lines = np.arange(max(begin, int(target["traced"]) - len(ours)), target["traced"]) % len(ours)
         if back:
-            board.trace._lines[:] = self.trace
+            ours[lines] = theirs[lines]
         else:
-            self.trace[:] = board.trace._lines
+            theirs[lines] = ours[lines]
 
 
 class Isolated:
@@ -130,10 +135,9 @@ class Isolated:
         if self._child is None:
             self._start()
         self._running = True
-        stage = _pickled(board.stage)
+        changed = _pickled(board.stage) if fingerprint(board.stage) != self._seen else None
         self._shared.copy(board)
         try:
-            changed = stage if _digest(stage) != self._seen else None
             self._pipe.send(Go(until, most_cycles, board._ports, changed))
             while not isinstance(message := self._pipe.recv(), Stands):
                 self._take(message)
@@ -149,7 +153,7 @@ class Isolated:
         if message.error is not None:
             raise _revived(*message.error)
         self._running = message.code is None
-        self._seen = _digest(_pickled(board.stage))
+        self._seen = fingerprint(board.stage)
         return message.code
 
     def close(self) -> None:
@@ -158,7 +162,7 @@ class Isolated:
     def _start(self) -> None:
         """A child with a copy of the stage; raises what is wrong with the library."""
         board = self._board
-        stage, given = _pickled(board.stage), _pickled((board.stage, board._options))
+        given = _pickled((board.stage, board._options))
         file, shared = tempfile.mkstemp(prefix="pulsestage-")
         os.close(file)
         ours, theirs = Pipe()
@@ -173,7 +177,7 @@ class Isolated:
             self._pipe = ours
             weakref.finalize(self, _ended, self._child)
             ours.send(Begin(str(self._path), shared, given, self._patience))
-            self._seen = _digest(stage)
+            self._seen = fingerprint(board.stage)
             answer = ours.recv()
         except (EOFError, ConnectionError):
             raise HostError(f"{self._path.name} {self._ended_how()} while it was loaded.") from None
@@ -244,6 +248,33 @@ def _ended(child: subprocess.Popen) -> None:
     child.wait()
 
 
+def settings(model: Any) -> Iterator[tuple[Any, str, Any]]:
+    """(part, name, value) of all in a model that can be set, but for pictures on surfaces: arrays, and numbers of its options."""
+    for part in (model, model.opt):
+        for name in _names(type(part)):
+            value = getattr(part, name)
+            if isinstance(value, np.ndarray):
+                if value.size and value.flags.writeable and not name.startswith("tex_"):
+                    yield part, name, value
+            elif isinstance(value, int | float) and part is not model:
+                yield part, name, value
+
+
+@cache
+def _names(kind: type) -> list[str]:
+    return [name for name in dir(kind) if not name.startswith("_")]
+
+
+def fingerprint(stage: Any) -> bytes:
+    """Of all that a stage of firmware in a process of its own must be alike in."""
+    parts = stage.__getstate__()
+    digest = hashlib.blake2b(digest_size=16)
+    for _, name, value in settings(parts.pop("model")):
+        digest.update(value if isinstance(value, np.ndarray) else f"{name} {value!r}".encode())
+    digest.update(_pickled(parts))
+    return digest.digest()
+
+
 def _pickled(stage: Any) -> bytes:
     try:
         return pickle.dumps(stage)
@@ -252,10 +283,6 @@ def _pickled(stage: Any) -> bytes:
             f"firmware with isolated=True needs a stage that can be pickled: {error}. Define the classes of its chips and layouts "
             "at the top of a module, or run the firmware with isolated=False."
         ) from None
-
-
-def _digest(data: bytes) -> bytes:
-    return hashlib.blake2b(data, digest_size=16).digest()
 
 
 def _signal(number: int) -> str:
