@@ -19,21 +19,17 @@ episode       `moves` moves, then truncated.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import ClassVar
 
-import gymnasium
 import numpy as np
 
-from stage import Stage
 from stage.chips import Chip, chip_class
 from stage.envs.base import StageEnv, StageVectorEnv
 from stage.envs.hosts import host_of
 from stage.envs.registers import RegisterBox
-from stage.envs.results import result
-from stage.envs.task import MoveTask, check_choice, check_positive, check_range
-from stage.errors import ArgumentError, unknown
+from stage.envs.task import check_positive
+from stage.envs.tuning import Tuning
 from stage.fleet import Played, Program
 
 TENTH = 1e-4  # m
@@ -60,88 +56,27 @@ class Config:
     bus_cycle: float = 1e-6  # s
 
     def __post_init__(self) -> None:
-        check_choice(self, "actions", ("box", "registers"))
-        check_range(self, "distances", 1)
-        check_range(self, "payloads", 0)
-        check_positive(self, "moves", "limit", "settle")
+        Tuning.check(self)
+        check_positive(self, "settle")
 
 
-class RegisterTuning(MoveTask[Config]):
+class RegisterTuning(Tuning[Config]):
     Config = Config
-    OPTIONS = ("distance", "payload")
-    RESTARTS = True
+    PARTS = ("time", "lost", "vibration", "limit")
+    INFO: ClassVar = {"duration": float, "lost_steps": int, "vibration": float, "finished": bool}
+    UNIT = "pulses"
 
-    def stage(self, visuals: bool) -> Stage:
-        c = self.config
-        chip = chip_class(c.chip)
-        made = Stage(c.model, chips=chip, bus_cycle=c.bus_cycle, visuals=visuals)
-        if c.axis not in made.axes:
-            raise unknown("axis", c.axis, made.axes)
-        return made
+    def chip(self) -> type[Chip]:
+        return chip_class(self.config.chip)
 
-    def prepare(self) -> None:
-        c, first = self.config, self.stages[0]
-        self.axis = first.axes[c.axis]
+    def tuned(self) -> RegisterBox:
         self.host = host_of(self.axis)
-        self.registers = RegisterBox(self.axis.chip.MAP, self.host.tuned_by(c.s_curve))
-        self.action_space = self.registers.box if c.actions == "box" else self.registers.discrete
-        room = 0.95 * (self.axis.travel[1] - self.axis.travel[0]) / self.axis.meters_per_pulse
-        if c.distances[1] > room:
-            raise ArgumentError(f"distances={c.distances!r}: axis {c.axis} has room for {int(room)} pulses.")
-        self.observation_space = gymnasium.spaces.Box(-1.0, 1.0, (6,), np.float32)
-        self.result = result(
-            ("time", "lost", "vibration", "limit"),
-            duration=float, lost_steps=int, vibration=float, finished=bool, distance=int, payload=float,
-            registers=(int, (len(self.registers),)),
-        )  # fmt: skip
-        self.distance, self.payload = np.ones(self.n, np.int64), np.zeros(self.n)
-        self.last = np.zeros((self.n, 4))
-        self._program(self.registers.low, 1)
+        return RegisterBox(self.axis.chip.MAP, self.host.tuned_by(self.config.s_curve))
 
-    def begin(self, k: int, options: Mapping[str, Any]) -> None:
-        self.last[k] = 0.0
-        self._draw(k, options)
-
-    def renew(self) -> None:
-        for k in np.flatnonzero(self.sound):
-            self._draw(int(k), {})
-
-    def describe(self, k: int) -> dict[str, Any]:
-        return {"distance": int(self.distance[k]), "payload": float(self.payload[k])}
-
-    def _draw(self, k: int, options: Mapping[str, Any]) -> None:
-        """The next move of stage k: distance and payload, and the carriage at its start."""
-        c, rng = self.config, self.rngs[k]
-        low, high = np.log(c.distances)
-        distance, payload = int(np.rint(np.exp(rng.uniform(low, high)))), float(rng.uniform(*c.payloads))
-        self.distance[k] = self._given(options, "distance", distance, c.distances)
-        self.payload[k] = self._given(options, "payload", payload, c.payloads)
-        stage = self.stages[k]
-        stage.restore(self.start)
-        stage.set_payload(float(self.payload[k]))
-        middle = 0.5 * (self.axis.travel[0] + self.axis.travel[1])
-        way = np.sign(self.axis.gear) * self.axis.meters_per_pulse
-        stage.place(**{c.axis: middle - 0.5 * way * float(self.distance[k])})
-
-    @staticmethod
-    def _given(options: Mapping[str, Any], name: str, drawn: float, ends: tuple[float, float]) -> float | np.number:
-        value = options.get(name, drawn)
-        if not isinstance(value, int | float | np.number) or not ends[0] <= value <= ends[1]:
-            raise ArgumentError(f"option {name}={value!r}: from {ends[0]} to {ends[1]}.")
-        return value
-
-    def chosen(self, actions: np.ndarray) -> np.ndarray:
-        """Register values of actions."""
-        return self.registers.from_action(actions) if self.config.actions == "box" else actions.astype(np.int64)
-
-    def programs(self) -> list[Program]:
-        rows = self.chosen(self.actions)
-        return [self._program(row, int(d)) for row, d in zip(rows, self.distance, strict=True)]
-
-    def _program(self, row: np.ndarray, distance: int) -> Program:
+    def program(self, row: np.ndarray, distance: int) -> Program:
         p, c = Program(), self.config
         self.host.move(p, self.registers.named(row), distance)
-        self.stop = len(p)  # the wait for the stop; all programs are alike
+        self.stop = len(p)  # the wait for the stop
         self.host.rest(p.until_stopped([self.axis.index], c.limit))
         return p.measure(c.settle)
 
@@ -159,26 +94,9 @@ class RegisterTuning(MoveTask[Config]):
             "vibration": -c.vibration_weight * np.minimum(vibration / TENTH, 100.0),
             "limit": np.where(finished, 0.0, -c.limit_weight),
         }
-        info = {
-            "duration": duration, "lost_steps": t["lost_steps"], "vibration": vibration, "finished": finished,
-            "distance": self.distance, "payload": self.payload, "registers": self.chosen(self.actions),
-        }  # fmt: skip
+        info = {"duration": duration, "lost_steps": t["lost_steps"], "vibration": vibration, "finished": finished}
         now = np.stack([duration / c.limit, lost * 1.0, vibration / (vibration + TENTH), finished * 1.0], axis=1)
-        good = self.sound
-        self.last[good] = np.clip(np.nan_to_num(now), 0.0, 1.0)[good]
-        self.fill(parts, info, False, self.steps >= c.moves)
-
-    def observed(self) -> np.ndarray:
-        c = self.config
-        (d0, d1), (p0, p1) = np.log(c.distances), c.payloads
-        asked = np.stack(
-            [
-                (np.log(self.distance) - d0) / max(d1 - d0, 1e-9) * 2.0 - 1.0,
-                (self.payload - p0) / max(p1 - p0, 1e-9) * 2.0 - 1.0,
-            ],
-            axis=1,
-        )
-        return np.clip(np.concatenate([asked, self.last], axis=1), -1.0, 1.0).astype(np.float32)
+        self.tell(parts, info, now)
 
 
 class RegisterTuningEnv(StageEnv):

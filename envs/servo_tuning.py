@@ -21,21 +21,18 @@ counts per sample in the registers: the host converts them for the T that was ch
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
-import gymnasium
 import numpy as np
 
-from stage import Stage
-from stage.chips import HCTL1100
+from stage.chips import HCTL1100, Chip
 from stage.chips.hctl1100.maps import MINIMUM_T
 from stage.envs.base import StageEnv, StageVectorEnv
 from stage.envs.registers import RegisterBox
-from stage.envs.results import result
-from stage.envs.task import MoveTask, check_choice, check_positive, check_range
-from stage.errors import ArgumentError, unknown
+from stage.envs.task import check_choice, check_positive
+from stage.envs.tuning import Tuning
+from stage.errors import ArgumentError
 from stage.firmware.servo_port import CONTROL, FLAGS, SET, WORDS
 from stage.fleet import Played, Program
 
@@ -67,91 +64,36 @@ class Config:
 
     def __post_init__(self) -> None:
         check_choice(self, "motion", MOTIONS)
-        check_choice(self, "actions", ("box", "registers"))
-        check_range(self, "distances", 1)
-        check_range(self, "payloads", 0)
-        check_positive(self, "moves", "velocity", "acceleration", "deadband", "limit", "rest")
+        Tuning.check(self)
+        check_positive(self, "velocity", "acceleration", "deadband", "rest")
         if not self.rest < self.limit:
             raise ArgumentError(f"rest={self.rest!r}: a part of limit={self.limit!r}.")
 
 
-class ServoTuning(MoveTask[Config]):
+class ServoTuning(Tuning[Config]):
     Config = Config
-    OPTIONS = ("distance", "payload")
-    RESTARTS = True
+    PARTS = ("time", "overshoot", "unrest", "limit")
+    INFO: ClassVar = {"settled": float, "overshoot": float, "unrest": float, "error": float, "finished": bool}
+    UNIT = "counts"
 
-    def stage(self, visuals: bool) -> Stage:
-        c = self.config
-        made = Stage(c.model, chips=HCTL1100, bus_cycle=c.bus_cycle, visuals=visuals)
-        if c.axis not in made.axes:
-            raise unknown("axis", c.axis, made.axes)
-        return made
+    def chip(self) -> type[Chip]:
+        return HCTL1100
+
+    def tuned(self) -> RegisterBox:
+        least = MINIMUM_T["trapezoid" if self.config.motion == "trapezoid" else "position"]
+        return RegisterBox.of({"R22": (1, 0xFF), "R20": (0, 0xFF), "R21": (0, 0xFF), "R0F": (least, 0xFF)})
 
     def prepare(self) -> None:
-        c, first = self.config, self.stages[0]
-        self.axis = first.axes[c.axis]
-        least = MINIMUM_T["trapezoid" if c.motion == "trapezoid" else "position"]
-        self.registers = RegisterBox.of({"R22": (1, 0xFF), "R20": (0, 0xFF), "R21": (0, 0xFF), "R0F": (least, 0xFF)})
-        self.action_space = self.registers.box if c.actions == "box" else self.registers.discrete
-        room = 0.95 * (self.axis.travel[1] - self.axis.travel[0]) / self.axis.meters_per_pulse
-        if c.distances[1] > room:
-            raise ArgumentError(f"distances={c.distances!r}: axis {c.axis} has room for {int(room)} counts.")
-        self.observation_space = gymnasium.spaces.Box(-1.0, 1.0, (6,), np.float32)
-        self.result = result(
-            ("time", "overshoot", "unrest", "limit"),
-            settled=float, overshoot=float, unrest=float, error=float, finished=bool, distance=int, payload=float,
-            registers=(int, (len(self.registers),)),
-        )  # fmt: skip
-        self.distance, self.payload = np.ones(self.n, np.int64), np.zeros(self.n)
+        c = self.config
+        self.looks, self.tail = int(round(c.limit / LOOK)), int(round(c.rest / LOOK))
+        super().prepare()
         self.goal = np.zeros(self.n)  # counts of the encoder, absolute
-        self.last = np.zeros((self.n, 4))
-        self.looks = int(round(c.limit / LOOK))
-        self.tail = int(round(c.rest / LOOK))
-        self._program(self.registers.low, 1)
 
-    def begin(self, k: int, options: Mapping[str, Any]) -> None:
-        self.last[k] = 0.0
-        self._draw(k, options)
-
-    def renew(self) -> None:
-        for k in np.flatnonzero(self.sound):
-            self._draw(int(k), {})
-
-    def describe(self, k: int) -> dict[str, Any]:
-        return {"distance": int(self.distance[k]), "payload": float(self.payload[k])}
-
-    def _draw(self, k: int, options: Mapping[str, Any]) -> None:
-        """The next move of stage k: distance and payload, and the carriage at its start."""
-        c, rng = self.config, self.rngs[k]
-        low, high = np.log(c.distances)
-        distance, payload = int(np.rint(np.exp(rng.uniform(low, high)))), float(rng.uniform(*c.payloads))
-        self.distance[k] = self._given(options, "distance", distance, c.distances)
-        self.payload[k] = self._given(options, "payload", payload, c.payloads)
-        stage = self.stages[k]
-        chip: Any = stage.axes[c.axis].chip
-        stage.restore(self.start)
-        stage.set_payload(float(self.payload[k]))
-        middle = 0.5 * (self.axis.travel[0] + self.axis.travel[1])
-        way = np.sign(self.axis.gear) * self.axis.meters_per_pulse
-        stage.place(**{c.axis: middle - 0.5 * way * float(self.distance[k])})
+    def placed(self, k: int) -> None:
+        chip: Any = self.stages[k].axes[self.config.axis].chip
         self.goal[k] = chip.encoder + self.distance[k]
 
-    @staticmethod
-    def _given(options: Mapping[str, Any], name: str, drawn: float, ends: tuple[float, float]) -> float | np.number:
-        value = options.get(name, drawn)
-        if not isinstance(value, int | float | np.number) or not ends[0] <= value <= ends[1]:
-            raise ArgumentError(f"option {name}={value!r}: from {ends[0]} to {ends[1]}.")
-        return value
-
-    def chosen(self, actions: np.ndarray) -> np.ndarray:
-        """Register values of actions."""
-        return self.registers.from_action(actions) if self.config.actions == "box" else actions.astype(np.int64)
-
-    def programs(self) -> list[Program]:
-        rows = self.chosen(self.actions)
-        return [self._program(row, int(d)) for row, d in zip(rows, self.distance, strict=True)]
-
-    def _program(self, row: np.ndarray, distance: int) -> Program:
+    def program(self, row: np.ndarray, distance: int) -> Program:
         """The host's bus cycles for one move, and looks at the carriage."""
         c, p, values = self.config, Program(), self.registers.named(row)
         for name, value in values.items():
@@ -173,7 +115,7 @@ class ServoTuning(MoveTask[Config]):
             for k, address in enumerate(addresses):
                 p.write(self.axis.index, address, value >> 8 * (len(addresses) - 1 - k) & 0xFF)
         p.write(self.axis.index, 0x05, CONTROL)
-        self.first = len(p)  # of the pairs of a wait and a look; all programs are alike
+        self.first = len(p)  # of the pairs of a wait and a look
         for _ in range(self.looks):
             p.wait(LOOK).look(self.axis.index)
         return p
@@ -197,25 +139,9 @@ class ServoTuning(MoveTask[Config]):
         }
         info = {
             "settled": settled, "overshoot": overshoot, "unrest": unrest, "error": error[:, -1], "finished": finished,
-            "distance": self.distance, "payload": self.payload, "registers": self.chosen(self.actions),
         }  # fmt: skip
         shares = overshoot / (overshoot + SMALL), unrest / (unrest + SMALL)
-        now = np.stack([settled / c.limit, *shares, finished * 1.0], axis=1)
-        good = self.sound
-        self.last[good] = np.clip(np.nan_to_num(now), 0.0, 1.0)[good]
-        self.fill(parts, info, False, self.steps >= c.moves)
-
-    def observed(self) -> np.ndarray:
-        c = self.config
-        (d0, d1), (p0, p1) = np.log(c.distances), c.payloads
-        asked = np.stack(
-            [
-                (np.log(self.distance) - d0) / max(d1 - d0, 1e-9) * 2.0 - 1.0,
-                (self.payload - p0) / max(p1 - p0, 1e-9) * 2.0 - 1.0,
-            ],
-            axis=1,
-        )
-        return np.clip(np.concatenate([asked, self.last], axis=1), -1.0, 1.0).astype(np.float32)
+        self.tell(parts, info, np.stack([settled / c.limit, *shares, finished * 1.0], axis=1))
 
 
 def _held(name: str, value: float) -> int:

@@ -26,6 +26,7 @@ import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
+from functools import lru_cache
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -34,11 +35,13 @@ import mujoco
 import numpy as np
 
 from stage.errors import ArgumentError, ModelError, unknown
+from stage.fingerprint import fingerprint
 
 PINS = ("el_plus", "el_minus", "sd_plus", "sd_minus", "org")
 MARGIN, GAP = -0.03, 0.04  # of the pairs that the errors propose
 LOOK_AHEAD = 0.5e-3  # m; a switch must be seen this far before the touch, so that the edge is found inside a step
 SCAN = 401  # joint positions tried over the range
+KEPT_PLANTS = 64
 _DATA_DIMS = (("FOUND", 1), ("FORCE", 3), ("TORQUE", 3), ("DIST", 1), ("POS", 3), ("NORMAL", 3), ("TANGENT", 3))
 
 
@@ -108,7 +111,7 @@ def open_spec(source: Any) -> Any:
     if not path.suffix and len(path.parts) == 1:
         if str(source) not in names():
             raise unknown("model", str(source), names())
-        path = Path(str(resources.files("stage.models") / f"{source}.xml"))
+        return _shipped(str(source), _state_of_models()).copy()
     if not path.is_file():
         near = get_close_matches(path.stem, names(), n=1, cutoff=0.5)
         hint = f" Did you mean the shipped model {near[0]!r}?" if near else ""
@@ -117,6 +120,21 @@ def open_spec(source: Any) -> Any:
         return mujoco.MjSpec.from_file(str(path))
     except ValueError as error:
         raise ModelError(f"{path} is no MJCF that MuJoCo reads: {error}") from error
+
+
+def _models() -> Path:
+    return Path(str(resources.files("stage.models")))
+
+
+def _state_of_models() -> tuple[int, ...]:
+    """Changes when a file of a shipped model does."""
+    return tuple(sorted(f.stat().st_mtime_ns for f in _models().iterdir() if f.is_file()))
+
+
+@lru_cache(16)
+def _shipped(name: str, _state: tuple[int, ...]) -> Any:
+    """The MjSpec of a shipped model; to be copied. Reading it takes a hundred times longer."""
+    return mujoco.MjSpec.from_file(str(_models() / f"{name}.xml"))
 
 
 def discard_visuals(spec: Any) -> None:
@@ -235,9 +253,18 @@ def _compile(spec: Any) -> Any:
 def bind(model: mujoco.MjModel, axes: Sequence[str] | None = None) -> tuple[PlantAxis, ...]:
     """Find and check the axes of a model; `axes` chooses some. Raises one ModelError that lists everything that is wrong."""
     try:
-        return _Binder(model, list(axes) if axes is not None else axis_names(model)).bind()
+        chosen = tuple(axes if axes is not None else axis_names(model))
+        key = fingerprint(model), chosen
+        if key not in _bound:
+            if len(_bound) >= KEPT_PLANTS:
+                _bound.clear()
+            _bound[key] = _Binder(model, list(chosen)).bind()
+        return _bound[key]
     except UnicodeDecodeError as error:
         raise ModelError(f"a name in the model is not UTF-8: {error}. Save the MJCF as UTF-8.") from error
+
+
+_bound: dict[tuple, tuple[PlantAxis, ...]] = {}  # by model and axes: the same model is measured once
 
 
 def describe(model: mujoco.MjModel) -> str:

@@ -24,11 +24,9 @@ def out(capsys, *argv, code=0):
 
 
 def seconds(*command):
-    """Of the processor, which do not count how busy the machine is; by the clock where the system does not tell. Python keeps its
-    bytecode, as it does unless told otherwise."""
-    kept = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    """Of the processor, which do not count how busy the machine is; by the clock where the system does not tell."""
     before, begin = os.times(), time.perf_counter()
-    subprocess.run(command, check=True, capture_output=True, env=kept)
+    subprocess.run(command, check=True, capture_output=True)
     after, took = os.times(), time.perf_counter() - begin
     spent = sum(after[2:4]) - sum(before[2:4])  # children's, user and system
     return min(spent, took) if spent else took

@@ -5,13 +5,11 @@ import sys
 import textwrap
 import time
 
-import numpy as np
 import pytest
 from numba.core.types import literal
 
-from stage.compiled import COMPILED, Sealed, announced, greatest, hot, least, ready, record, sealed
+from stage.compiled import COMPILED, announced, greatest, hot, least
 
-CELL = record([("a", "i8"), ("b", "f8")])
 compiled_only = pytest.mark.skipif(not COMPILED, reason="this Python runs hot functions uncompiled")
 
 
@@ -20,46 +18,11 @@ def double(n):
     return 2 * n
 
 
-@sealed("f8", CELL, "i8")
-def scaled(c, n):
-    c.a += n
-    return c.b * n
-
-
-@sealed(None, CELL)
-def cleared(c):
-    c.a = 0
-
-
-@hot
-def through_the_seal(rows):
-    total = 0.0
-    for k in range(len(rows)):
-        total += scaled(rows[k], k + 1) + scaled(rows[k], 2)
-    cleared(rows[0])
-    return total
-
-
 @compiled_only
 def test_literal_arguments_share_one_compiled_function():
     for number in (1, 2):  # as the compiler asks where it finds double(1) and double(2)
         double.get_call_template((literal(number),), {})
     assert [str(s) for s in double.signatures] == ["(int64,)"]
-
-
-def test_a_sealed_function_does_through_its_address_what_it_says():
-    ready(__name__)  # as a chip does for its family: what comes from the cache finds the addresses
-    rows = np.zeros(3, CELL)
-    rows["b"] = 0.5, 1.0, 2.0
-    assert through_the_seal(rows) == 0.5 * 3 + 1.0 * 4 + 2.0 * 5
-    assert rows["a"].tolist() == [0, 4, 5]
-
-
-@compiled_only
-def test_ready_makes_the_sealed_functions_of_a_package_and_no_others():
-    ready("stage.no_such_package")
-    ready(__name__)
-    assert all(s.address for s in Sealed.every if s.function.__module__ == __name__)
 
 
 @pytest.mark.parametrize(("a", "b"), [(1, 2), (2, 1), (-3, -3), (0.5, -0.5), (1, 0.5), (-0.0, 0.0)])
@@ -106,6 +69,29 @@ def test_of_processes_that_come_first_at_once_one_goes_in_at_a_time(tmp_path, mo
     said = [line.split() for p in running for line in p.communicate(timeout=60)[0].splitlines()]
     order = [what for what, _ in sorted(said, key=lambda line: float(line[1]))]
     assert order == ["in", "out"] * 3
+
+
+MEETS = """
+    import sys, time
+    from pathlib import Path
+    from stage.compiled import announced
+    here, other = map(Path, sys.argv[1:])
+    with announced(here.name, after=60):
+        here.touch()
+        end = time.monotonic() + 50
+        while not other.exists() and time.monotonic() < end:
+            time.sleep(0.01)
+        sys.exit(not other.exists())
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no lock on Windows: each process compiles for itself")
+def test_what_has_another_message_is_compiled_meanwhile(tmp_path, monkeypatch):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    names = [str(tmp_path / name) for name in ("the one", "the other")]
+    command = [sys.executable, "-c", textwrap.dedent(MEETS)]
+    running = [subprocess.Popen([*command, *order]) for order in (names, names[::-1])]
+    assert [p.wait(timeout=60) for p in running] == [0, 0], "each saw that the other was inside"
 
 
 def test_without_a_cache_folder_to_write_in_nothing_is_locked_and_all_goes_on(tmp_path, monkeypatch):

@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 
 from stage.board.board import Board
-from stage.board.isolated import SENT, Begin, Cycles, Go, Line, Shared, Stands, settings
+from stage.board.isolated import SENT, Begin, Cycles, Go, Line, Shared, Stands
 from stage.board.threaded import Threaded
 from stage.errors import StageError
+from stage.fingerprint import settings
 
 
 class TellingBoard(Board):

@@ -15,8 +15,6 @@ import subprocess
 import sys
 import tempfile
 import weakref
-from collections.abc import Iterator
-from functools import cache
 from multiprocessing import Pipe
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -29,6 +27,7 @@ from stage.board.threaded import HostError
 from stage.chips.entries import LOST, READ, WRITE
 from stage.engine import EDGE
 from stage.errors import StageError
+from stage.fingerprint import fingerprint
 
 SENT = (WRITE, READ, LOST)
 COUNTS = ("cycles", "traced", "changed")  # of HOST
@@ -135,7 +134,7 @@ class Isolated:
         if self._child is None:
             self._start()
         self._running = True
-        changed = _pickled(board.stage) if fingerprint(board.stage) != self._seen else None
+        changed = _pickled(board.stage) if _fingerprint(board.stage) != self._seen else None
         self._shared.copy(board)
         try:
             self._pipe.send(Go(until, most_cycles, board._ports, changed))
@@ -153,7 +152,7 @@ class Isolated:
         if message.error is not None:
             raise _revived(*message.error)
         self._running = message.code is None
-        self._seen = fingerprint(board.stage)
+        self._seen = _fingerprint(board.stage)
         return message.code
 
     def close(self) -> None:
@@ -177,7 +176,7 @@ class Isolated:
             self._pipe = ours
             weakref.finalize(self, _ended, self._child)
             ours.send(Begin(str(self._path), shared, given, self._patience))
-            self._seen = fingerprint(board.stage)
+            self._seen = _fingerprint(board.stage)
             answer = ours.recv()
         except (EOFError, ConnectionError):
             raise HostError(f"{self._path.name} {self._ended_how()} while it was loaded.") from None
@@ -248,31 +247,10 @@ def _ended(child: subprocess.Popen) -> None:
     child.wait()
 
 
-def settings(model: Any) -> Iterator[tuple[Any, str, Any]]:
-    """(part, name, value) of all in a model that can be set, but for pictures on surfaces: arrays, and numbers of its options."""
-    for part in (model, model.opt):
-        for name in _names(type(part)):
-            value = getattr(part, name)
-            if isinstance(value, np.ndarray):
-                if value.size and value.flags.writeable and not name.startswith("tex_"):
-                    yield part, name, value
-            elif isinstance(value, int | float) and part is not model:
-                yield part, name, value
-
-
-@cache
-def _names(kind: type) -> list[str]:
-    return [name for name in dir(kind) if not name.startswith("_")]
-
-
-def fingerprint(stage: Any) -> bytes:
-    """Of all that a stage of firmware in a process of its own must be alike in."""
+def _fingerprint(stage: Any) -> bytes:
+    """Of all in which the child's stage must be like this one."""
     parts = stage.__getstate__()
-    digest = hashlib.blake2b(digest_size=16)
-    for _, name, value in settings(parts.pop("model")):
-        digest.update(value if isinstance(value, np.ndarray) else f"{name} {value!r}".encode())
-    digest.update(_pickled(parts))
-    return digest.digest()
+    return fingerprint(parts.pop("model")) + hashlib.blake2b(_pickled(parts)).digest()
 
 
 def _pickled(stage: Any) -> bytes:

@@ -1,0 +1,146 @@
+"""`Tuning`: what RegisterTuning and ServoTuning have in common. An action chooses the registers of one move of one axis; the
+distance and the payload are drawn for each move.
+
+A subclass says its chip, its registers, the bus cycles of a move and how a move is judged.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping
+from typing import Any, ClassVar, TypeVar
+
+import gymnasium
+import numpy as np
+
+from stage import Stage
+from stage.chips import Chip
+from stage.envs.registers import RegisterBox
+from stage.envs.results import result
+from stage.envs.task import MoveTask, check_choice, check_positive, check_range
+from stage.errors import ArgumentError, unknown
+from stage.fleet import Program
+
+ConfigT = TypeVar("ConfigT")
+
+
+class Tuning(MoveTask[ConfigT]):
+    """Base of the tuning tasks. Their settings have model, axis, actions ("box" or "registers"), distances and payloads (ends of
+    what is drawn), moves (an episode's), limit (s, for a move) and bus_cycle."""
+
+    OPTIONS = ("distance", "payload")
+    RESTARTS = True
+    PARTS: ClassVar[tuple[str, ...]]
+    """What a reward is made of."""
+    INFO: ClassVar[dict[str, Any]]
+    """What an info says besides distance, payload and registers."""
+    UNIT: ClassVar[str]
+    """Of a distance."""
+
+    @abstractmethod
+    def chip(self) -> type[Chip]:
+        """The class of the axis' chip."""
+
+    @abstractmethod
+    def tuned(self) -> RegisterBox:
+        """What an action chooses; `axis` is known."""
+
+    @abstractmethod
+    def program(self, row: np.ndarray, distance: int) -> Program:
+        """The bus cycles of a move with these registers, and what is measured. All programs are alike in length."""
+
+    def placed(self, k: int) -> None:
+        """Stage k stands where its next move begins."""
+
+    @staticmethod
+    def check(config: Any) -> None:
+        """Raises ArgumentError for settings that no tuning task takes."""
+        check_choice(config, "actions", ("box", "registers"))
+        check_range(config, "distances", 1)
+        check_range(config, "payloads", 0)
+        check_positive(config, "moves", "limit")
+
+    def stage(self, visuals: bool) -> Stage:
+        c: Any = self.config
+        made = Stage(c.model, chips=self.chip(), bus_cycle=c.bus_cycle, visuals=visuals)
+        if c.axis not in made.axes:
+            raise unknown("axis", c.axis, made.axes)
+        return made
+
+    def prepare(self) -> None:
+        c: Any = self.config
+        self.axis = self.stages[0].axes[c.axis]
+        self.registers = self.tuned()
+        self.action_space = self.registers.box if c.actions == "box" else self.registers.discrete
+        room = 0.95 * (self.axis.travel[1] - self.axis.travel[0]) / self.axis.meters_per_pulse
+        if c.distances[1] > room:
+            raise ArgumentError(f"distances={c.distances!r}: axis {c.axis} has room for {int(room)} {self.UNIT}.")
+        self.observation_space = gymnasium.spaces.Box(-1.0, 1.0, (6,), np.float32)
+        self.result = result(
+            self.PARTS, **self.INFO, distance=int, payload=float, registers=(int, (len(self.registers),))
+        )
+        self.distance, self.payload = np.ones(self.n, np.int64), np.zeros(self.n)
+        self.last = np.zeros((self.n, 4))
+        self.program(self.registers.low, 1)
+
+    def begin(self, k: int, options: Mapping[str, Any]) -> None:
+        self.last[k] = 0.0
+        self._draw(k, options)
+
+    def renew(self) -> None:
+        for k in np.flatnonzero(self.sound):
+            self._draw(int(k), {})
+
+    def describe(self, k: int) -> dict[str, Any]:
+        return {"distance": int(self.distance[k]), "payload": float(self.payload[k])}
+
+    def _draw(self, k: int, options: Mapping[str, Any]) -> None:
+        """The next move of stage k: distance and payload, and the carriage at its start."""
+        c: Any = self.config
+        rng, stage = self.rngs[k], self.stages[k]
+        low, high = np.log(c.distances)
+        distance, payload = int(np.rint(np.exp(rng.uniform(low, high)))), float(rng.uniform(*c.payloads))
+        self.distance[k] = _given(options, "distance", distance, c.distances)
+        self.payload[k] = _given(options, "payload", payload, c.payloads)
+        stage.restore(self.start)
+        stage.set_payload(float(self.payload[k]))
+        middle = 0.5 * (self.axis.travel[0] + self.axis.travel[1])
+        way = np.sign(self.axis.gear) * self.axis.meters_per_pulse
+        stage.place(**{c.axis: middle - 0.5 * way * float(self.distance[k])})
+        self.placed(k)
+
+    def chosen(self, actions: np.ndarray) -> np.ndarray:
+        """Register values of actions."""
+        c: Any = self.config
+        return self.registers.from_action(actions) if c.actions == "box" else actions.astype(np.int64)
+
+    def programs(self) -> list[Program]:
+        rows = self.chosen(self.actions)
+        return [self.program(row, int(d)) for row, d in zip(rows, self.distance, strict=True)]
+
+    def tell(self, parts: Mapping[str, np.ndarray], info: Mapping[str, np.ndarray], now: np.ndarray) -> None:
+        """The results of the moves. now: (stages, 4) of how they went, which the next observations say."""
+        c: Any = self.config
+        good = self.sound
+        self.last[good] = np.clip(np.nan_to_num(now), 0.0, 1.0)[good]
+        asked = {"distance": self.distance, "payload": self.payload, "registers": self.chosen(self.actions)}
+        self.fill(parts, {**info, **asked}, False, self.steps >= c.moves)
+
+    def observed(self) -> np.ndarray:
+        c: Any = self.config
+        (d0, d1), (p0, p1) = np.log(c.distances), c.payloads
+        asked = np.stack(
+            [
+                (np.log(self.distance) - d0) / max(d1 - d0, 1e-9) * 2.0 - 1.0,
+                (self.payload - p0) / max(p1 - p0, 1e-9) * 2.0 - 1.0,
+            ],
+            axis=1,
+        )
+        return np.clip(np.concatenate([asked, self.last], axis=1), -1.0, 1.0).astype(np.float32)
+
+
+def _given(options: Mapping[str, Any], name: str, drawn: float, ends: tuple[float, float]) -> float | np.number:
+    value = options.get(name, drawn)
+    if not isinstance(value, int | float | np.number) or not ends[0] <= value <= ends[1]:
+        raise ArgumentError(f"option {name}={value!r}: from {ends[0]} to {ends[1]}.")
+    return value

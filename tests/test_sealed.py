@@ -1,0 +1,100 @@
+"""Promises of `stage.sealed`: functions and records behind addresses."""
+
+import ctypes
+
+import numpy as np
+import pytest
+
+from stage.compiled import COMPILED, hot, record
+from stage.sealed import Sealed, address_of, at, called, ready, sealed
+
+CELL = record([("a", "i8"), ("b", "f8")])
+
+
+@sealed("f8", CELL, "i8")
+def scaled(c, n):
+    """b times n; a grows."""
+    c.a += n
+    return c.b * n
+
+
+@sealed(None, CELL)
+def cleared(c):
+    c.a = 0
+
+
+@sealed("i8", "i4", "i8")
+def joined(a, b):
+    return a * 1000 + b
+
+
+scale = called("f8", "i8", "i8")
+
+
+@hot
+def by_name(rows):
+    total = 0.0
+    for k in range(len(rows)):
+        total += scaled(rows[k], k + 1) + scaled(rows[k], 2)
+    cleared(rows[0])
+    return total
+
+
+@hot
+def by_address(function, where, n):
+    return scale(function, where, n) + at(where, 1, CELL)[0].a
+
+
+def cells(*b):
+    rows = np.zeros(len(b), CELL)
+    rows["b"] = b
+    return rows
+
+
+def test_a_hot_function_calls_it_by_its_name():
+    ready(__name__, "a test")  # as a chip does for its family: what comes from the cache finds the addresses
+    rows = cells(0.5, 1.0, 2.0)
+    assert by_name(rows) == 0.5 * 3 + 1.0 * 4 + 2.0 * 5
+    assert rows["a"].tolist() == [0, 4, 5]
+
+
+def test_a_hot_function_calls_it_by_its_address():
+    rows = cells(0.5, 3.0)
+    assert by_address(scaled.address, rows.ctypes.data + CELL.itemsize, 7) == 21.0 + 7
+    assert rows["a"].tolist() == [0, 7]
+
+
+def test_python_calls_it_with_a_record_or_its_address():
+    rows = cells(0.5, 3.0)
+    assert scaled(rows[1], 4) == scaled(address_of(rows[1]), 4) == scaled.c(rows.ctypes.data + 16, 4) == 12.0
+    assert rows["a"].tolist() == [0, 12]
+    assert cleared(rows[1]) is None
+    assert rows["a"].tolist() == [0, 0]
+
+
+def test_c_calls_it_through_a_pointer():
+    rows = cells(2.0)
+    assert isinstance(scaled.pointer, ctypes._CFuncPtr)
+    assert scaled.pointer(rows.ctypes.data, 8) == 16.0
+    assert joined.pointer(2, 3) == 2003
+
+
+def test_it_has_the_docstring_of_its_function():
+    assert scaled.__doc__ == "b times n; a grows."
+
+
+def test_ready_makes_those_of_a_package_and_no_others():
+    made = [s for s in Sealed.every if s._address]
+    ready("stage.no_such_package", "nothing")
+    assert [s for s in Sealed.every if s._address] == made
+    ready(__name__, "a test")
+    assert all(s._address for s in Sealed.every if s.module == __name__)
+
+
+@pytest.mark.skipif(not COMPILED, reason="this Python runs hot functions uncompiled")
+def test_it_is_compiled_once_whoever_calls_it():
+    before = scaled._kept
+    by_name(cells(1.0))
+    by_address(scaled.address, cells(1.0).ctypes.data, 1)
+    scaled(cells(1.0)[0], 1)
+    assert scaled._kept is before
