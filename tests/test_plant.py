@@ -397,3 +397,23 @@ def test_text_that_is_not_utf_8_is_an_unknown_motor(tmp_path):
         (tmp_path / part.name).write_bytes(part.read_bytes().replace(b'data="17HS4401"', b'data="17HS\xe44401"'))
     with pytest.raises(ArgumentError, match="unknown motor"):
         Stage(tmp_path / "xy.xml")
+
+
+def test_a_spec_that_was_changed_is_nobody_elses():
+    spec = plant.open_spec("xyz")
+    spec.geom("x_org_vane").pos[0] += 0.01
+    for source, moved in ((spec, 0.01), ("xyz", 0.0)):
+        model, _ = plant.compile_spec(plant.open_spec(source), 0)
+        here = next(s for s in plant.bind(model)[0].switches if s.pin == "org")
+        assert abs(here.touch - (-0.12 - moved)) < 2e-4, "the switch trips where the vane is"
+
+
+def test_a_model_that_was_changed_is_measured_again():
+    model, _ = plant.compile_spec(plant.open_spec("xyz"), 0)
+    before = plant.bind(model)
+    assert plant.bind(model) is before, "the same model is measured once"
+    model.geom("x_org_vane").pos[0] += 0.01
+    after = plant.bind(model)
+    assert [s.touch for s in after[1].switches] == [s.touch for s in before[1].switches]
+    org, moved = (next(s.touch for s in axes[0].switches if s.pin == "org") for axes in (before, after))
+    assert abs(moved - org + 0.01) < 1e-6
