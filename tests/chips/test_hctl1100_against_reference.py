@@ -9,7 +9,7 @@ from fractions import Fraction
 import hctl1100_programs as traffic
 import pytest
 from hctl1100_programs import CONTROL, MODE_FLAGS, acceleration, begin, gains, velocity, word
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from reference.hctl1100 import ReferenceHCTL1100
 
@@ -102,7 +102,13 @@ def test_any_program_agrees_in_every_register_and_pin(program):
     Pair().play(program)
 
 
+BY_INTEGRAL = [(0x0F, 7), (0x20, 0), (0x22, 4), (0x3C, 1), (0x00, 0x0D), (0x05, 3)]
+BY_PROPORTION = [(0x0F, 7), (0x22, 64), (0x23, 0), (0x24, 1), (0x00, 0x0B), (0x05, 3)]
+
+
 @random_programs
+@example(BY_INTEGRAL, [(1040, velocity(0))])  # the other mode's velocity, while the law is at work
+@example(BY_PROPORTION, [(1040, [(0x3C, 5)])])
 @given(traffic.starts(), st.lists(st.tuples(moments, st.one_of(traffic.commands(), shafts)), max_size=30))
 def test_a_control_mode_agrees_sample_by_sample_whatever_is_commanded_in_it(start, course):
     pair = Pair()

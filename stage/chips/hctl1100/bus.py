@@ -14,6 +14,7 @@ from stage.chips.hctl1100.state import (
     F4,
     IDLE,
     INDEX,
+    INTEGRAL,
     LIMIT,
     PROPORTIONAL,
     STOP,
@@ -160,8 +161,10 @@ def write_byte(c, address, value):
             _write_idle(c, address, value)
     else:
         c.reg[address] = value & STORED[address]
-        if address == 0x23 or address == 0x24 or address == COMMAND_VELOCITY:
-            law.tear_velocity(c)
+        if address == 0x23 or address == 0x24:
+            law.tear_velocity(c, PROPORTIONAL)
+        elif address == COMMAND_VELOCITY:
+            law.tear_velocity(c, INTEGRAL)
 
 
 @hot

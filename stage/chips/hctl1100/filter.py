@@ -78,14 +78,13 @@ def tear(c, command):
 
 
 @hot
-def tear_velocity(c):
-    """A command velocity written too early: the law runs once more, in proportional velocity with the bytes as they are just
-    now, in integral velocity with the new velocity in place of the ramp's."""
-    if not _computes(c):
+def tear_velocity(c, mode):
+    """The command velocity of a mode, written too early: if that is the mode, its law runs once more, in proportional velocity with
+    the bytes as they are just now, in integral velocity with the new velocity in place of the ramp's."""
+    if not _computes(c) or control_mode(c.flag) != mode:
         return
-    mode = control_mode(c.flag)
     if mode == PROPORTIONAL:
         motor.command(c, _velocity_law(c))
-    elif mode == INTEGRAL:
+    else:
         jump = ((signed(c.reg[profile.COMMAND_VELOCITY], 8) << 8) - c.velocity) >> 8
         motor.command(c, _law(c, signed(c.error + jump, 24)))
