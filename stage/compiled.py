@@ -8,7 +8,7 @@ no allocation, no strings, no exceptions, so that the same source can later comp
 With NUMBA_DISABLE_JIT=1 they run as plain Python, for debugging and for coverage.
 
 numba looks only at the file of the function itself to tell whether its cache is fresh, but our loops are made of functions of
-many files. So the cache folder carries a hash of them all: a change anywhere compiles anew.
+many files, and of the constants of register maps. So the cache folder carries a hash of them all: a change in any compiles anew.
 """
 
 from __future__ import annotations
@@ -44,7 +44,8 @@ def cache_folder() -> Path:
     folders = [str(Path(__file__).parent), *((environments and environments.submodule_search_locations) or ())]
     for folder in folders:
         for source in sorted(Path(folder).rglob("*.py")):
-            if any(mark in (text := source.read_bytes()) for mark in (b"@hot", b"@sealed")):
+            text = source.read_bytes()
+            if b"@hot" in text or b"@sealed" in text or "chips" in source.parts or "drives" in source.parts:
                 digest.update(source.name.encode() + text)
     default = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     base = Path(os.environ.get("NUMBA_CACHE_DIR") or default) / "pulsestage"

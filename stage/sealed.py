@@ -21,6 +21,7 @@ from numba.core import cgutils
 from numba.core.registry import cpu_target
 from numba.extending import intrinsic, typeof_impl
 
+from stage import code
 from stage.compiled import COMPILED, announced, hot, kept, numba
 
 _C: dict[str | None, Any] = {None: None, "i4": ctypes.c_int32, "i8": ctypes.c_int64, "f8": ctypes.c_double}
@@ -84,10 +85,14 @@ class Sealed:
         return self._address
 
     def _compile(self) -> None:
+        self._address, self._kept = code.load(self.function) or self._compiled()
+        llvmlite.binding.add_symbol(self.symbol, self._address)
+
+    def _compiled(self) -> tuple[int, Any]:
         with kept():
-            self._kept: Any = numba.cfunc(self._signature, cache=True, error_model="numpy")(self.function)
-        llvmlite.binding.add_symbol(self.symbol, self._kept.address)
-        self._address = self._kept.address
+            made: Any = numba.cfunc(self._signature, cache=not code.HERE, error_model="numpy")(self.function)
+        code.keep(self.function, made)
+        return made.address, made
 
     @property
     def _signature(self) -> Any:

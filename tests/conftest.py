@@ -15,3 +15,8 @@ if sys.platform == "linux" and "DISPLAY" not in os.environ and ctypes.util.find_
 def elsewhere(tmp_path, monkeypatch):
     """For what MuJoCo warns of, as a simulation that diverges: it writes MUJOCO_LOG.TXT into the working directory."""
     monkeypatch.chdir(tmp_path)
+
+
+def pytest_collection_modifyitems(items):
+    """What NOVA chips do comes first: where nothing is compiled yet, one worker compiles them, and another need not wait for it."""
+    items.sort(key=lambda item: not any(name in item.nodeid.lower() for name in ("nova", "mcx")))
