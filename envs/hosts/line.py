@@ -143,7 +143,7 @@ class Line(ABC):
             cores.fill(twin[0], chip.CORE, rows.ctypes.data)
             _write(twin, ops, sum(1 << self.hosts[a].index for a in mine))
             made = np.empty(int(np.abs(distances[mine]).sum()), chip.CORE.PULSE)
-            made = made[: chip.CORE.trace(rows, 0, FAR, made)]
+            made = made[: chip.CORE.trace_at.c(rows.ctypes.data, FAR, made.ctypes.data, len(made))]
             for a in mine:
                 out[a] = made["clock"][made["axis"] == self.hosts[a].axis.chip_axis]
         return out

@@ -279,7 +279,7 @@ class Chip:
         until = self._until(clocks)
         probe = self._rows[self._i : self._i + 1].copy()
         out = np.zeros(self.CORE.advance(probe[0], until), self.CORE.PULSE)
-        self.CORE.trace(self._rows, self._i, until, out)
+        self.CORE.trace_at.c(self._at, until, out.ctypes.data, len(out))
         return out
 
     def _until(self, clocks: int) -> int:

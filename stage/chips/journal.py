@@ -127,10 +127,11 @@ class Replay:
     def pieces(self, every_pulse: bool = False, size: int = CHUNK) -> Iterator[np.ndarray]:
         """As `Journal.pieces`, from where the last call ended; the first edge is the chip as it was there."""
         core, rows, axis = self._journal._chip.CORE, self._rows, self._journal.axis
+        chip = rows.ctypes.data
         out = np.zeros(size, core.EDGE)
         end, entries = self._journal.until, self._journal.entries[self._applied :]
         self._applied += len(entries)
-        core.mark(rows, 0, out, 0, axis)
+        core.mark_at.c(chip, axis, out.ctypes.data)
         k = 1
         for e, shafts in _between_shafts(entries):
             until, at = end if e is None else e.clock, np.zeros(1, np.int64)
@@ -138,16 +139,18 @@ class Replay:
                 if size - k < ROOM:
                     yield out[:k].copy()
                     k = 0
+                given = chip, until, every_pulse, axis, out.ctypes.data + k * out.itemsize, size - k
                 if len(shafts[0]):
-                    k += core.scan_seen(rows, 0, until, every_pulse, out[k:], axis, *shafts, at)
+                    where = (array.ctypes.data for array in shafts)
+                    k += core.scan_seen_at.c(*given, *where, len(shafts[0]), at.ctypes.data)
                 else:
-                    k += core.scan(rows, 0, until, every_pulse, out[k:], axis)
+                    k += core.scan_at.c(*given)
             if e is not None:
-                e.apply(core, rows[0])
+                e.apply(core, chip)
             if k == size:
                 yield out.copy()
                 k = 0
-            core.mark(rows, 0, out, k, axis)
+            core.mark_at.c(chip, axis, out.ctypes.data + k * out.itemsize)
             k += 1
         yield out[:k].copy()
 

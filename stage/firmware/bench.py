@@ -84,7 +84,8 @@ class BenchAxis:
             if n == 0 or n < min((abs(bound - place) for bound in self._bounds), default=0):
                 break
             pulses = np.empty(n, core.PULSE)
-            core.trace(self._twin(), 0, clock, pulses)
+            twin = self._twin()
+            core.trace_at.c(twin.ctypes.data, clock, pulses.ctypes.data, n)
             places = place + np.cumsum(pulses["direction"], dtype=np.int64)
             changed = np.zeros(n, bool)
             for pin, span in self._spans.items():

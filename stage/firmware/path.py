@@ -138,7 +138,7 @@ def pulses_of(journal: Journal) -> np.ndarray:
         while rows[0].clock < until:
             to = min(until, int(rows[0].clock) + STRETCH)
             out = np.zeros(core.advance(rows.copy()[0], to), core.PULSE)
-            core.trace(rows, 0, to, out)
+            core.trace_at.c(rows.ctypes.data, to, out.ctypes.data, len(out))
             parts.append(out)
 
     for e in journal.entries:

@@ -6,6 +6,8 @@ share of full drive.
 
 from __future__ import annotations
 
+import numpy as np
+
 from stage.chips.hctl1100 import bus, commutator, encoder, motor, timer
 from stage.chips.hctl1100 import filter as law
 from stage.chips.hctl1100.state import (
@@ -26,9 +28,10 @@ from stage.chips.hctl1100.state import (
     signed,
 )
 from stage.compiled import hot, least
-from stage.sealed import sealed
+from stage.sealed import at, sealed
 
 ROOM = 8
+REAL, WHOLE = np.dtype("f8"), np.dtype("i8")
 
 __all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE", "advance", "busy", "counter", "inputs", "mark", "mean_count", "net",
            "outputs", "peek", "pins", "power_up", "pulse_rate", "read", "run", "scan", "scan_seen", "see", "set_input",
@@ -253,3 +256,31 @@ def scan_seen(rows, i, until, every_pulse, out, axis, clocks, counts, rates, at)
             return k
         k += scan(rows, i, clocks[n] if n < len(clocks) else until, every_pulse, out[k:], axis)
     return k
+
+
+# --- the same for Python, which knows addresses: of the chip's state, and of arrays with their lengths ---
+
+
+@sealed("i8", "i8", "i8", "i8", "i8")
+def trace_at(chip, until, out, n):
+    """`trace` of the chip at an address into `n` PULSE records at `out`."""
+    return trace(at(chip, 1, STATE), 0, until, at(out, n, PULSE))
+
+
+@sealed("i8", "i8", "i8", "i8", "i8", "i8", "i8")
+def scan_at(chip, until, every_pulse, axis, out, n):
+    """`scan` of the chip at an address into `n` EDGE records at `out`."""
+    return scan(at(chip, 1, STATE), 0, until, every_pulse, at(out, n, EDGE), axis)
+
+
+@sealed(None, "i8", "i8", "i8")
+def mark_at(chip, axis, out):
+    """`mark` of the chip at an address into the EDGE record at `out`."""
+    mark(at(chip, 1, STATE), 0, at(out, 1, EDGE), 0, axis)
+
+
+@sealed("i8", "i8", "i8", "i8", "i8", "i8", "i8", "i8", "i8", "i8", "i8", "i8")
+def scan_seen_at(chip, until, every_pulse, axis, out, n, clocks, counts, rates, m, done):
+    """`scan_seen` likewise; clocks, counts, rates: of `m` numbers each; done: of one."""
+    shafts = at(clocks, m, WHOLE), at(counts, m, REAL), at(rates, m, REAL)
+    return scan_seen(at(chip, 1, STATE), 0, until, every_pulse, at(out, n, EDGE), axis, *shafts, at(done, 1, WHOLE))

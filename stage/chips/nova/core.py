@@ -33,7 +33,7 @@ from stage.chips.nova.state import (
 from stage.chips.nova.status import busy as driving
 from stage.chips.nova.status import phase_bits
 from stage.compiled import greatest, hot, least
-from stage.sealed import sealed
+from stage.sealed import at, sealed
 
 ROUNDS = 100  # of events that cause others at one clock
 HZ = 16_000_000
@@ -376,3 +376,24 @@ def scan(rows, i, until, every_pulse, out, axis):
             k = log(c, axis, out, k, word, now)
     _alone(c)
     return k
+
+
+# --- the same for Python, which knows addresses: of the chip's state, and of arrays with their lengths ---
+
+
+@sealed("i8", "i8", "i8", "i8", "i8")
+def trace_at(chip, until, out, n):
+    """`trace` of the chip at an address into `n` PULSE records at `out`."""
+    return trace(at(chip, 1, STATE), 0, until, at(out, n, PULSE))
+
+
+@sealed("i8", "i8", "i8", "i8", "i8", "i8", "i8")
+def scan_at(chip, until, every_pulse, axis, out, n):
+    """`scan` of the chip at an address into `n` EDGE records at `out`."""
+    return scan(at(chip, 1, STATE), 0, until, every_pulse, at(out, n, EDGE), axis)
+
+
+@sealed(None, "i8", "i8", "i8")
+def mark_at(chip, axis, out):
+    """`mark` of the chip at an address into the EDGE record at `out`."""
+    mark(at(chip, 1, STATE), 0, at(out, 1, EDGE), 0, axis)

@@ -40,7 +40,7 @@ from stage.chips.pcl240.state import (
     stop,
 )
 from stage.compiled import greatest, hot, least
-from stage.sealed import sealed
+from stage.sealed import at, sealed
 
 FOREVER = 1 << 62
 OPERATING = 0x40  # of the status byte
@@ -494,3 +494,24 @@ def trace(rows, i, until, out):
                     t += q
                     rest -= r
     return k
+
+
+# --- the same for Python, which knows addresses: of the chip's state, and of arrays with their lengths ---
+
+
+@sealed("i8", "i8", "i8", "i8", "i8")
+def trace_at(chip, until, out, n):
+    """`trace` of the chip at an address into `n` PULSE records at `out`."""
+    return trace(at(chip, 1, STATE), 0, until, at(out, n, PULSE))
+
+
+@sealed("i8", "i8", "i8", "i8", "i8", "i8", "i8")
+def scan_at(chip, until, every_pulse, axis, out, n):
+    """`scan` of the chip at an address into `n` EDGE records at `out`."""
+    return scan(at(chip, 1, STATE), 0, until, every_pulse, at(out, n, EDGE), axis)
+
+
+@sealed(None, "i8", "i8", "i8")
+def mark_at(chip, axis, out):
+    """`mark` of the chip at an address into the EDGE record at `out`."""
+    mark(at(chip, 1, STATE), 0, at(out, 1, EDGE), 0, axis)
