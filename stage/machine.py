@@ -152,7 +152,7 @@ class Axis:
     def load_angle(self) -> float:
         """Commanded minus rotor angle, electrical radians; plain radians for a servo."""
         d, net = self._electrics()
-        return float(stepper.load_angle(d, net, self.position * self.gear))
+        return float(any_drive.load_angle(d, net, self.position * self.gear))
 
     def _electrics(self) -> tuple[Any, float]:
         chip = self.chip
@@ -298,7 +298,8 @@ class Stage:
         handle.fill(rows, 0, self)
         self._at, self._handle = rows.ctypes.data, rows.view(plain(handle.HANDLE))[0]
         self._note_in(np.zeros(EDGES + engine.EDGES_A_WINDOW * n, engine.EDGE))
-        ready("stage.handle", "the simulation loop")
+        for package in ("stage.drives", "stage.handle"):
+            ready(package, "the simulation loop")
         self._advance = handle.advance.c
 
     def _note_in(self, edges: np.ndarray) -> None:
