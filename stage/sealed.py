@@ -31,7 +31,7 @@ def sealed(result: str | None, *arguments: Any) -> Callable[[Callable], Sealed]:
     """Compile the function once and by itself. It keeps to what hot functions do.
 
     result, arguments: "i4", "i8", "f8", or None for no result, or an argument that is a record: its dtype. Hot functions call it
-    after `ready`; Python calls it at any time, with records or their addresses.
+    after `ready`; Python calls it at any time, with records, arrays of one or addresses.
     """
     return lambda function: Sealed(function, result, arguments)
 
@@ -56,7 +56,7 @@ class Sealed:
         """From Python."""
         if not COMPILED:
             return self.function(*map(_as_record, given, self._records))
-        return self.c(*(address_of(g) if isinstance(g, np.void) else g for g in given))
+        return self.c(*(address_of(g) if isinstance(g, np.ndarray | np.void) else g for g in given))
 
     @cached_property
     def c(self) -> Any:
@@ -165,8 +165,10 @@ def at(address: Any, n: Any, dtype: Any) -> Any:
     return numba.carray(pointer(address), (n,), dtype)
 
 
-def address_of(record: np.void) -> int:
-    """Where a record lies."""
+def address_of(record: np.ndarray | np.void) -> int:
+    """Where an array or a record lies; of a record it takes a while."""
+    if isinstance(record, np.ndarray):
+        return int(record.ctypes.data)
     return int(record.__array_interface__["data"][0])
 
 
@@ -176,7 +178,9 @@ def _record_at(address: int, dtype: np.dtype) -> Any:
 
 
 def _as_record(given: Any, dtype: np.dtype | None) -> Any:
-    return given if dtype is None or not isinstance(given, int) else _record_at(given, dtype)
+    if dtype is None or not isinstance(given, int | np.ndarray):
+        return given
+    return given[0] if isinstance(given, np.ndarray) else _record_at(given, dtype)
 
 
 # --- kinds of functions ---

@@ -64,10 +64,11 @@ def test_a_hot_function_calls_it_by_its_address():
     assert rows["a"].tolist() == [0, 7]
 
 
-def test_python_calls_it_with_a_record_or_its_address():
+def test_python_calls_it_with_a_record_an_array_or_an_address():
     rows = cells(0.5, 3.0)
-    assert scaled(rows[1], 4) == scaled(address_of(rows[1]), 4) == scaled.c(rows.ctypes.data + 16, 4) == 12.0
+    assert scaled(rows[1], 4) == scaled(rows[1:], 4) == scaled.c(rows.ctypes.data + 16, 4) == 12.0
     assert rows["a"].tolist() == [0, 12]
+    assert address_of(rows[1]) == address_of(rows[1:]) == rows.ctypes.data + 16
     assert cleared(rows[1]) is None
     assert rows["a"].tolist() == [0, 0]
 

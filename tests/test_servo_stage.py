@@ -236,7 +236,7 @@ def test_a_stage_placed_on_an_index_mark_shows_its_chip_the_shaft_first(xyz):
     lone = HCTL1100()
     lone._rows[0] = journal.start
     for e in journal.entries:
-        e.apply(lone.CORE, lone._rows[0])
+        e.apply(lone.CORE, lone._rows)
     assert int(lone._record["home"]) == int(y.chip._record["home"]) == y.chip.encoder
 
 
@@ -253,7 +253,7 @@ def test_what_reached_a_chip_of_a_stage_brings_one_on_the_bench_to_the_same_stat
     lone._rows[0] = journal.start
     for e in journal.entries:
         lone.advance(e.clock - lone.clock)
-        e.apply(lone.CORE, lone._rows[0])
+        e.apply(lone.CORE, lone._rows)
     lone.advance(journal.until - lone.clock)
     apart = {"moment"}
     for field in lone._record.dtype.names:
@@ -279,7 +279,7 @@ def test_a_course_is_that_of_a_chip_that_is_shown_the_shaft_step_by_step(xyz, ev
     for e in (*journal.entries, None):
         k += core.scan(rows, 0, journal.until if e is None else e.clock, every_pulse, out[k:], 0)
         if e is not None:
-            e.apply(core, rows[0])
+            e.apply(core, rows)
         if e is None or e.kind != SEE:
             core.mark(rows, 0, out, k, 0)
             k += 1

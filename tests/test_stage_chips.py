@@ -73,7 +73,7 @@ def bench_pulses(journal, cls):
     lone._rows[0] = journal.start
     for e in journal.entries:
         traces.append(lone.trace(e.clock - lone.clock))
-        e.apply(lone.CORE, lone._rows[0])
+        e.apply(lone.CORE, lone._rows)
     return np.concatenate([*traces, lone.trace(journal.until - lone.clock)])
 
 
@@ -204,7 +204,7 @@ def test_a_limit_stops_an_axis_at_the_very_pulse(made, cls, name):
     for e in journal.entries:
         if e.kind != INPUT:
             lone.advance(e.clock - lone.clock)
-            e.apply(lone.CORE, lone._rows[0])
+            e.apply(lone.CORE, lone._rows)
     started = lone.net(axis.chip_axis)
     own = lone.trace(edge.clock - lone.clock + 160_000)
     own = own[own["axis"] == axis.chip_axis]

@@ -278,7 +278,7 @@ class Chip:
         begins, int64), `axis` and `direction` (int8; +1 or -1)."""
         until = self._until(clocks)
         probe = self._rows[self._i : self._i + 1].copy()
-        out = np.zeros(self.CORE.advance(probe[0], until), self.CORE.PULSE)
+        out = np.zeros(self.CORE.advance(probe, until), self.CORE.PULSE)
         self.CORE.trace_at.c(self._at, until, out.ctypes.data, len(out))
         return out
 

@@ -34,7 +34,7 @@ class Entry(NamedTuple):
     b: int
 
     def apply(self, core: Any, c: Any) -> None:
-        """Let it happen to the chip of state `c`, or at that address, whose core this is."""
+        """Let it happen to the chip of state `c` (a record, an array of one, an address), whose core this is."""
         if self.kind == WRITE:
             core.write(c, self.a, self.b)
         elif self.kind == INPUT:

@@ -80,7 +80,7 @@ class BenchAxis:
         chip = self.chip
         core, c = chip.CORE, chip._at
         while self._spans and chip.clock < clock:
-            n, place = core.advance(self._twin()[0], clock), self.place
+            n, place = core.advance(self._twin(), clock), self.place
             if n == 0 or n < min((abs(bound - place) for bound in self._bounds), default=0):
                 break
             pulses = np.empty(n, core.PULSE)

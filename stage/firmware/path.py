@@ -137,13 +137,13 @@ def pulses_of(journal: Journal) -> np.ndarray:
     def go(until: int) -> None:
         while rows[0].clock < until:
             to = min(until, int(rows[0].clock) + STRETCH)
-            out = np.zeros(core.advance(rows.copy()[0], to), core.PULSE)
+            out = np.zeros(core.advance(rows.copy(), to), core.PULSE)
             core.trace_at.c(rows.ctypes.data, to, out.ctypes.data, len(out))
             parts.append(out)
 
     for e in journal.entries:
         go(e.clock)
-        e.apply(core, rows[0])
+        e.apply(core, rows)
     go(journal.until)
     pulses = np.concatenate(parts)
     pulses["clock"] -= begin

@@ -23,7 +23,7 @@ def replayed(chip, journal, seen=lambda twin: None):
         twin.advance(e.clock - twin.clock)
         if e.kind == READ:
             said.append(seen(twin))
-        e.apply(core, twin._rows[0])
+        e.apply(core, twin._rows)
     twin.advance(chip.clock - twin.clock)
     return twin, [*said, seen(twin)]
 

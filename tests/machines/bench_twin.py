@@ -21,7 +21,7 @@ class BenchTwin:
         lone = self.lone
         for e in self.journal.entries[self._applied :]:
             self._advance(e.clock)
-            e.apply(lone.CORE, lone._rows[0])
+            e.apply(lone.CORE, lone._rows)
             if e.kind == WRITE:
                 self.host = self.host.written(e.a, e.b)
             elif e.kind == RESET:
