@@ -180,7 +180,7 @@ class Board:
         words = stage.data.userdata[stage._offset :]
         self._before = np.zeros(len(words))
         for name, array in (
-            ("state", stage._state), ("edges", stage._edges), ("counts", stage._counts), ("ports", self._ports),
+            ("state", stage._state), ("edges", stage._edges), ("ports", self._ports),
             ("lines", self.trace._lines), ("irqs", self._irqs), ("acts", self._acts), ("userdata", words),
             ("before", self._before),
         ):  # fmt: skip

@@ -65,9 +65,7 @@ class Threaded:
     def _load(self) -> library.Library:
         """A copy of the library, with a bus of its own: firmware that was given up keeps its own."""
         size, board = ctypes.sizeof(library.BusStruct), self._board
-        return library.Library(
-            self._path, library.BusStruct(library.ABI, size, board._rows.ctypes.data, board._request)
-        )
+        return library.Library(self._path, library.BusStruct(library.ABI, size, board._at, board._request))
 
     def _start(self) -> None:
         loaded = self._load()
@@ -89,7 +87,7 @@ class Threaded:
             return
         board._host["hook"], board._host["lazy"] = board._own_hook(), 0
         try:
-            board._request(board._rows.ctypes.data, bus.SETTLE, 0, 0)
+            board._request(board._at, bus.SETTLE, 0, 0)
             board._end()
         except BaseException as error:
             board._fail(error)
