@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import pickle
+import select
 import sys
+import threading
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -16,6 +18,8 @@ from stage.board.isolated import SENT, Begin, Cycles, Go, Line, Shared, Stands
 from stage.board.threaded import Threaded
 from stage.errors import StageError
 from stage.fingerprint import settings
+
+LOOK_MS = 500  # hanging up is seen at once, unless a process that the parent has forked holds the pipe as well
 
 
 class TellingBoard(Board):
@@ -70,12 +74,22 @@ def _unpickled(board: bytes) -> tuple[Any, dict[str, Any]]:
         ) from None
 
 
+def _ends_with(parent: int, fileno: int) -> None:
+    """This process ends when its parent does, however: firmware that computes, or whose end is far, looks at no pipe."""
+    pipe = select.poll()
+    pipe.register(fileno, 0)  # hanging up is told unasked
+    while os.getppid() == parent and not pipe.poll(LOOK_MS):
+        pass
+    os._exit(0)
+
+
 def main(fileno: int) -> None:
+    threading.Thread(target=_ends_with, args=(os.getppid(), fileno), name="parent", daemon=True).start()
     pipe = Connection(fileno)
     begin = pipe.recv()
     try:
         board = TellingBoard(pipe, begin)
-        runner = Threaded(Path(begin.library), board, begin.patience)
+        runner = Threaded(Path(begin.library), board, begin.patience, may_exit=True)
     except StageError as error:
         pipe.send((type(error).__name__, str(error)))
         return

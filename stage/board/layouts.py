@@ -58,8 +58,16 @@ LAYOUTS: dict[str, Layout] = {
 
 
 def usual(chip: Chip) -> Layout:
-    """The layout that a chip has where none is asked for."""
-    return next(x for x in LAYOUTS.values() if isinstance(chip, x.kind))
+    """The layout that a chip has where none is asked for; a chip of nobody's here has each bus address at a port of its own."""
+    for layout in LAYOUTS.values():
+        if isinstance(chip, layout.kind):
+            return layout
+    ports = [(BYTE, a) for a in range(chip.ADDRESSES)]
+    if chip.DATA_MASK > 0xFF:
+        ports = [(kind, a) for a in range(chip.ADDRESSES) for kind in (WORD, HALF)]
+    return Layout(
+        type(chip).__name__.lower(), "one address after the other", type(chip), tuple(ports), len(ports), evidence="I"
+    )
 
 
 @dataclass(frozen=True)
@@ -86,9 +94,10 @@ def places(
     for k, chip in chips.items():
         own = layout or usual(chip)
         if not isinstance(chip, own.kind):
+            theirs = ", ".join(x.name for x in LAYOUTS.values() if isinstance(chip, x.kind))
             raise ArgumentError(
                 f"layout {own.name}: it is for a {own.kind.__name__}, and this stage has a {type(chip).__name__}. Layouts for "
-                f"that: {', '.join(x.name for x in LAYOUTS.values() if isinstance(chip, x.kind))}."
+                f"that: {theirs or 'the one that it has without layout=, or a Layout of yours'}."
             )
         if own.chips and len(chips) > own.chips:
             raise ArgumentError(

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from stage.board import exits
 from stage.board.bus import REQUEST
 from stage.errors import ArgumentError, StageError
 from stage.files import FileError
@@ -161,9 +162,12 @@ def check(path: str | os.PathLike) -> Path:
 
 
 class Library:
-    """A copy of a library of its own, so that its variables begin as they were compiled, in each run."""
+    """A copy of a library of its own, so that its variables begin as they were compiled, in each run.
 
-    def __init__(self, path: Path, bus: BusStruct):
+    may_exit: its calls of exit and the like end the process; otherwise they come to us, see stage.board.exits.
+    """
+
+    def __init__(self, path: Path, bus: BusStruct, may_exit: bool = False):
         self.path = path
         with tempfile.TemporaryDirectory(prefix="pulsestage-") as folder:
             own = Path(shutil.copy(path, Path(folder) / path.name))
@@ -174,6 +178,8 @@ class Library:
                 raise LibraryError(
                     f"{path} cannot be loaded: {said}. Link what it needs into it; it is built so: {how_to_build(path)}"
                 ) from None
+        if not may_exit:
+            exits.interpose(self._library._handle)
         abi = self._find(ctypes.c_uint32, "pulsestage_abi").value
         if abi != ABI:
             raise LibraryError(

@@ -11,7 +11,7 @@ import threading
 import time
 from pathlib import Path
 
-from stage.board import bus, library
+from stage.board import bus, exits, library
 from stage.board.board import MOST, Board
 from stage.errors import StageError
 
@@ -24,13 +24,14 @@ class HostError(StageError):
 
 
 class Threaded:
-    """See `Runner`. Raises LibraryError when it is made."""
+    """See `Runner`. may_exit: firmware that calls exit ends this process, which is its own. Raises LibraryError when it is made."""
 
-    def __init__(self, path: Path, board: Board, patience: float):
-        self._path, self._board, self._patience = path, board, patience
+    def __init__(self, path: Path, board: Board, patience: float, may_exit: bool = False):
+        self._path, self._board, self._patience, self._may_exit = path, board, patience, may_exit
         self._load().close()  # says what is wrong before anything runs
         self._thread: threading.Thread | None = None
         self._code: int | None = None
+        self._left = ""  # the call by which the firmware would have ended the process
 
     @property
     def running(self) -> bool:
@@ -57,6 +58,14 @@ class Threaded:
         if board._error is not None:
             self._abandon()
         board._raise()
+        if self._left:
+            self._abandon()
+            board._settle()
+            raise HostError(
+                f"{self._path.name}: {self._left} at {board.stage.time:.6f} s, after {board.cycles:,} bus cycles, would have ended "
+                "the process. Return from PULSESTAGE_MAIN instead; or run it with isolated=True, in a process of its own. Its last "
+                f"bus cycles:\n{board.trace.text(12)}"
+            )
         return self._code
 
     def close(self) -> None:
@@ -65,12 +74,14 @@ class Threaded:
     def _load(self) -> library.Library:
         """A copy of the library, with a bus of its own: firmware that was given up keeps its own."""
         size, board = ctypes.sizeof(library.BusStruct), self._board
-        return library.Library(self._path, library.BusStruct(library.ABI, size, board._at, board._request))
+        return library.Library(
+            self._path, library.BusStruct(library.ABI, size, board._at, board._request), self._may_exit
+        )
 
     def _start(self) -> None:
         loaded = self._load()
         self._go, self._stands = threading.Semaphore(0), threading.Semaphore(0)
-        self._code = None
+        self._code, self._left = None, ""
         before = threading.stack_size(STACK)
         try:
             name = f"firmware {self._path.name}"
@@ -82,7 +93,10 @@ class Threaded:
     def _main(self, loaded: library.Library) -> None:
         """The firmware's thread."""
         self._go.acquire()
+        me = threading.get_ident()
+        exits.told[me] = self._leave
         code, board = int(loaded.main()), self._board
+        del exits.told[me]
         if threading.current_thread() in board._abandoned:
             return
         board._host["hook"], board._host["lazy"] = board._own_hook(), 0
@@ -96,6 +110,17 @@ class Threaded:
         self._code = code
         self._stands.release()
 
+    def _leave(self, call: str) -> None:
+        """In the firmware's thread: it is not to go on, and cannot be ended."""
+        me = threading.current_thread()
+        if me not in self._board._abandoned:
+            self._left = call
+            if me is self._thread:
+                self._stands.release()
+            else:  # one that the firmware has started: the firmware stands still at its next request
+                self._board._host["until"] = 0
+        threading.Event().wait()
+
     def _stand_still(self) -> None:
         """In the firmware's thread, called by compiled code."""
         self._stands.release()
@@ -106,6 +131,8 @@ class Threaded:
         board = self._board
         h, seen, since = board._host, None, time.monotonic()
         while not self._stands.acquire(timeout=0.2):
+            if self._left:
+                return
             now = (int(h["cycles"]), board.stage._now, board.calls)
             if now != seen or board.calls % 2:  # a call may have much to do
                 seen, since = now, time.monotonic()

@@ -9,7 +9,7 @@ from compiled_firmware import PLAYER, firmware
 
 from stage import Stage
 from stage.board import LAYOUTS, Board, NativeHost, StormError
-from stage.chips import HCTL1100, MCX304, MCX514, PCL240K, PCL240MK, PCL240MS
+from stage.chips import HCTL1100, MCX304, MCX514, PCL240K, PCL240MK, PCL240MS, Chip
 from stage.errors import ArgumentError
 
 IN8, OUT8, IN16, OUT16, DELAY = range(5)
@@ -192,6 +192,30 @@ def test_a_card_tells_which_of_its_chips_pull_the_interrupt_line():
 def test_a_board_that_cannot_be_says_why(settings, said):
     with pytest.raises(ArgumentError, match=said):
         Board(Stage("xyz"), **settings)
+
+
+class Foreign(Chip):
+    """A chip that is none of the families."""
+
+    MAP, CORE, INPUTS, OUTPUTS = PCL240K.MAP, PCL240K.CORE, PCL240K.INPUTS, PCL240K.OUTPUTS
+    DEFAULT_CLOCK_HZ, BUSY, COUNTER = 4_915_200, PCL240K.BUSY, PCL240K.COUNTER
+    _configure, listener, EXTENDED, S_CURVES = PCL240K._configure, PCL240K.listener, False, False
+
+
+def test_a_chip_from_outside_has_a_port_for_each_of_its_addresses():
+    # Board(Stage("xy", chips=Foreign))
+    stage = Stage("xy", chips=Foreign, visuals=False)
+    board = Board(stage)
+    board.out8(0x304, 0x08)
+    assert (board.in8(0x300), board.in8(0x304), len(board.ports)) == (0xA8, 0xA8, 8)
+    assert "y: reset command" in board.trace.text()
+    with pytest.raises(ArgumentError, match=r"layout nova: .*Foreign.*without layout=, or a Layout of yours"):
+        Board(stage, layout="nova")
+
+    class Wide(Foreign):
+        DATA_MASK = 0xFFFF
+
+    assert len(Board(Stage("xy", chips=Wide, visuals=False)).ports) == 16
 
 
 def test_every_layout_can_be_looked_up_and_lies_where_it_says():

@@ -12,7 +12,7 @@ from _pytest.pytester import SysModulesSnapshot
 from rerun.chunk import RrdReader
 
 import stage.models
-from stage.board import build
+from stage.board import build, exits
 
 pytest_plugins = ["pytester"]
 needs_cc = pytest.mark.skipif(not shutil.which("cc"), reason="no C compiler: cc is not on the PATH")
@@ -499,6 +499,25 @@ def test_workers_of_xdist_share_builds_and_never_a_folder(pytester, driver, monk
     for folder in found:
         assert f"{folder.name}/recording.rrd" in result.stdout.str()
     assert len(list((pytester.path / "temporary" / "pulsestage-firmware").glob("*/driver.so"))) == 1
+
+
+@needs_cc
+@pytest.mark.skipif(not exits.HERE, reason="elsewhere firmware that exits needs isolated=True")
+def test_firmware_that_exits_fails_its_test_and_the_tests_after_it_run(pytester, driver):
+    # pytest, with PULSESTAGE_MAIN { ... exit(0); } in driver.c
+    driver.write_text(DRIVER.replace("return 7;", "exit(0);").replace("#include", "#include <stdlib.h>\n#include", 1))
+    pytester.makepyfile(
+        """
+        import pytest
+        @pytest.mark.firmware("driver.c")
+        def test_it_exits(host): host.run(timeout=5)
+        def test_after_it(): assert 0
+        """
+    )
+    result = pytester.runpytest_subprocess(*PLUGIN)
+    result.assert_outcomes(failed=2)
+    assert result.ret == pytest.ExitCode.TESTS_FAILED
+    result.stdout.fnmatch_lines("*HostError: driver.so: exit(0) at *would have ended the process.*")
 
 
 # --- the page ---

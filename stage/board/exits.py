@@ -1,0 +1,126 @@
+"""Firmware that would end the process it runs in: its calls of exit, abort and the like come to us instead.
+
+In a process of its own such a call ends that process, and is an error here. In this one it would end the tests that are still to
+come, or the recording, and exit(0) would even say that all went well. So the slots through which a loaded library calls these
+functions get ours: the library's own, and those of libraries that came with it. It needs nothing of how the library was built.
+Not seen are a call that goes round libc (a system call), one of a library that was there before, and one while it is loaded.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import mmap
+import sys
+from collections.abc import Callable, Iterator
+from threading import get_ident
+from typing import Any
+
+import numpy as np
+
+HERE = sys.platform == "linux" and sys.maxsize > 1 << 32  # 64-bit ELF; elsewhere only isolated=True helps
+
+told: dict[int, Callable[[str], None]] = {}
+"""By the number of a thread that firmware runs in: who is told there of the call that would end it. It does not return."""
+
+_CALL = ctypes.CFUNCTYPE(None, ctypes.c_int64, ctypes.c_int64, ctypes.c_int64, ctypes.c_int64)
+_RELOCATION = np.dtype([("offset", "u8"), ("info", "u8"), ("addend", "i8")])
+_SYMBOL_SIZE = 24
+_CALLS_SIZE, _NAMES, _SYMBOLS, _RELOCATIONS, _RELOCATIONS_SIZE, _CALLS = (
+    2,
+    5,
+    6,
+    7,
+    8,
+    23,
+)  # in a dynamic section; 0 ends it
+
+
+class _Loaded(ctypes.Structure):
+    """struct link_map: a library in memory."""
+
+
+_Loaded._fields_ = [
+    ("base", ctypes.c_uint64), ("name", ctypes.c_char_p), ("dynamic", ctypes.c_uint64), ("next", ctypes.POINTER(_Loaded)),
+]  # fmt: skip
+
+
+def _with_status(name: str) -> Callable[..., str]:
+    return lambda status, *_: f"{name}({ctypes.c_int(status).value})"
+
+
+_NAMED: dict[str, Callable[..., str]] = {
+    **{name: _with_status(name) for name in ("exit", "_exit", "_Exit", "quick_exit", "err", "errx", "thrd_exit")},
+    "abort": lambda *_: "abort()",
+    "pthread_exit": lambda *_: "pthread_exit()",
+    "__assert_fail": lambda what, file, line, _: f"assert({_text(what)}) in {_text(file)}, line {line & 0xFFFFFFFF}",
+}
+"""What the call is in words, by its arguments."""
+
+
+def interpose(handle: int) -> None:
+    """Take the calls of the library of that handle, just loaded, and of those that came with it."""
+    if HERE:
+        library = ctypes.cast(handle, ctypes.POINTER(_Loaded))
+        while library:
+            for slot, name in _slots(library.contents):
+                _set(slot, _address(name))
+            library = library.contents.next
+
+
+def _taken(name: str) -> Any:
+    def call(*given: int) -> None:
+        leave = told.get(get_ident()) or next(
+            reversed(list(told.values())), None
+        )  # else it is a thread of the firmware's own
+        if leave is not None:
+            leave(_NAMED[name](*given))
+        else:
+            ctypes.CDLL(None)[name](*given)
+
+    return _CALL(call)
+
+
+_OURS: dict[str, Any] = {}
+
+
+def _address(name: str) -> int:
+    if name not in _OURS:
+        _OURS[name] = _taken(name)  # for ever: libraries that are never unloaded have its address
+    return ctypes.cast(_OURS[name], ctypes.c_void_p).value or 0
+
+
+def _slots(library: _Loaded) -> Iterator[tuple[int, str]]:
+    """Where the addresses of these functions lie that the library calls."""
+    base, tags, at = library.base, {}, library.dynamic
+    while tag := ctypes.c_int64.from_address(at).value:
+        tags[tag] = ctypes.c_uint64.from_address(at + 8).value
+        at += 16
+    names, symbols = (_absolute(tags.get(tag, 0), base) for tag in (_NAMES, _SYMBOLS))
+    for table, size in ((_CALLS, _CALLS_SIZE), (_RELOCATIONS, _RELOCATIONS_SIZE)):
+        if not tags.get(size):
+            continue
+        raw: Any = (ctypes.c_char * tags[size]).from_address(_absolute(tags[table], base))
+        found = np.frombuffer(raw, _RELOCATION)
+        numbers = found["info"] >> 32
+        for number in np.unique(numbers[numbers > 0]).tolist():
+            name = ctypes.string_at(
+                names + ctypes.c_uint32.from_address(symbols + _SYMBOL_SIZE * number).value
+            ).decode()
+            if name in _NAMED:
+                for offset in found["offset"][numbers == number].tolist():
+                    yield base + offset, name
+
+
+def _absolute(address: int, base: int) -> int:
+    """Some loaders turn the addresses of a dynamic section into those in memory, others leave them."""
+    return address if address >= base else base + address
+
+
+def _set(slot: int, address: int) -> None:
+    page = slot // mmap.PAGESIZE * mmap.PAGESIZE
+    if ctypes.CDLL(None).mprotect(ctypes.c_void_p(page), mmap.PAGESIZE, mmap.PROT_READ | mmap.PROT_WRITE) == 0:
+        ctypes.c_uint64.from_address(slot).value = address
+
+
+def _text(address: int) -> str:
+    return ctypes.string_at(address).decode(errors="replace")

@@ -1,0 +1,149 @@
+"""Firmware that would end the process which it runs in, and a process of its own whose parent has ended."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+
+import pytest
+from compiled_firmware import firmware
+
+from stage import Stage
+from stage.board import Board, HostError, NativeHost, exits
+from stage.chips import PCL240K
+
+here_only = pytest.mark.skipif(not exits.HERE, reason="elsewhere firmware that exits needs isolated=True")
+HEADERS = "#include <stdlib.h>\n#include <unistd.h>\n#include <assert.h>\n#include <err.h>\n#include <pthread.h>\n"
+
+
+@pytest.fixture(scope="module")
+def board():
+    return Board(Stage("xy", chips=PCL240K, visuals=False))
+
+
+@here_only
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        ("exit(0);", r"exit\(0\)"),
+        ("exit(-1);", r"exit\(-1\)"),
+        ("_exit(0);", r"_exit\(0\)"),
+        ("_Exit(3);", r"_exit\(3\)|_Exit\(3\)"),
+        ("quick_exit(0);", r"quick_exit\(0\)"),
+        ("abort();", r"abort\(\)"),
+        ("assert(ps_in8(0x300) == 0xAA);", r"assert\(ps_in8\(0x300\) == 0xAA\) in .*firmware\.c, line \d+"),
+        ('errx(0, "%d", 3);', r"errx\(0\)"),
+        ("pthread_exit(0);", r"pthread_exit\(\)"),
+        ("void (*volatile leave)(int) = exit; leave(0);", r"exit\(0\)"),
+    ],
+)
+def test_firmware_that_ends_the_process_is_an_error_that_says_so_and_the_board_goes_on(board, call, said):
+    # stage run driver.c, with PULSESTAGE_MAIN { ... exit(0); }
+    begin, before = board.stage._now, board.cycles
+    h = NativeHost(
+        firmware(f"{HEADERS}PULSESTAGE_MAIN {{ ps_delay_us(1500); ps_in8(0x304); {call} return 0; }}"), board
+    )
+    with (
+        board.stage.record() as recording,
+        pytest.raises(HostError, match=rf"(?s){said} at .*isolated=True.*304h R"),
+    ):
+        h.run()
+    assert board.stage._now == begin + 1_500_000 + 1000 * (board.cycles - before)
+    assert recording.columns["time"][-1] > board.stage.time - 1.1e-3
+    assert not h.running
+    assert NativeHost(firmware("PULSESTAGE_MAIN { return ps_in8(0x300); }"), board).run().code == 0xA8
+
+
+@here_only
+def test_an_exit_in_an_interrupt_hook_in_a_thread_or_in_a_library_beside_it_is_one_too(board, tmp_path):
+    # driver.c starts a thread that says exit(0); driver.so needs libmotion.so, which says exit(0)
+    thread = "static void *other(void *a) { exit(0); return a; } PULSESTAGE_MAIN { pthread_t t; pthread_create(&t, 0, other, 0);"
+    for waits in ("for (;;) ps_delay_us(10);", "pthread_join(t, 0);"):
+        h = NativeHost(firmware(f"{HEADERS}{thread} {waits} return 0; }}", "-pthread"), board, patience=5)
+        with pytest.raises(HostError, match=r"exit\(0\)"):
+            h.run()
+    hook = """static void put(int r, uint8_t value)
+    {
+        ps_out8(0x300, 0x80 | r), ps_out8(0x303, 0), ps_out8(0x302, 0), ps_out8(0x301, value);
+    }
+    static void hook(void *a) { (void)a; exit(0); }
+    PULSESTAGE_MAIN
+    {
+        ps_out8(0x300, 8), put(0, 5), put(1, 100), put(7, 200), ps_out8(0x300, 0x44), ps_out8(0x300, 0x30);
+        ps_on_interrupt(hook, 0);
+        ps_delay_us(1000000);
+        return 1;
+    }"""
+    with pytest.raises(HostError, match=r"(?s)exit\(0\).*hook is called"):
+        NativeHost(firmware(HEADERS + hook), Board(Stage("xy", chips=PCL240K, visuals=False))).run()
+    (tmp_path / "motion.c").write_text("#include <stdlib.h>\nvoid motion(void) { exit(0); }\n")
+    subprocess.run(
+        ["cc", "-shared", "-fPIC", "-Wl,-z,now", str(tmp_path / "motion.c"), "-o", str(tmp_path / "libmotion.so")],
+        check=True,
+    )
+    needs = (f"-L{tmp_path}", "-Wl,--no-as-needed", "-lmotion", f"-Wl,-rpath,{tmp_path}", "-Wl,-z,now")
+    made = firmware("void motion(void); PULSESTAGE_MAIN { motion(); return 0; }", *needs)
+    for _ in range(2):  # the second time the other library is there already
+        with pytest.raises(HostError, match=r"exit\(0\)"):
+            NativeHost(made, board).run()
+
+
+@here_only
+@pytest.mark.skipif(not shutil.which("cc"), reason="no C compiler: cc is not on the PATH")
+def test_stage_run_of_firmware_that_exits_fails_in_words(tmp_path):
+    # stage run driver.c
+    (tmp_path / "driver.c").write_text(
+        f"#include <pulsestage.h>\n{HEADERS}PULSESTAGE_MAIN {{ ps_in8(0x300); exit(0); }}\n"
+    )
+    command = [sys.executable, "-m", "stage", "run", "driver.c", "--model", "xy", "--record", "run.rrd"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert "driver.so: exit(0) at 0.000001 s, after 1 bus cycles, would have ended the process" in done.stderr
+    assert (tmp_path / "run.rrd").stat().st_size > 1000
+
+
+PARENT = """
+import sys
+from stage import Stage
+from stage.board import Board, NativeHost
+host = NativeHost(sys.argv[1], Board(Stage("xy", visuals=False)), isolated=True, patience=1e6)
+print(host._runner._child.pid, flush=True)
+host.run(timeout=1e8, max_cycles=1 << 60)
+"""
+
+
+def ended(pid: int) -> bool:
+    """No such process, or a dead one that nobody has waited for."""
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return True
+    said = subprocess.run(["ps", "-o", "stat=", "-p", str(pid)], capture_output=True, text=True, check=False).stdout
+    return said.strip()[:1] in ("", "Z")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="isolated=True needs a POSIX system")
+def test_firmware_in_a_process_of_its_own_ends_when_its_parent_is_killed(tmp_path):
+    # python parent.py & kill -9 $!
+    program = tmp_path / "parent.py"
+    program.write_text(textwrap.dedent(PARENT))
+    body = "PULSESTAGE_MAIN { ps_in8(0x300); for (volatile int k = 0;; k++) ; return 0; }"
+    parent = subprocess.Popen([sys.executable, str(program), str(firmware(body))], stdout=subprocess.PIPE, text=True)
+    child = int(parent.stdout.readline())
+    try:
+        time.sleep(0.5)
+        assert not ended(child)
+        parent.kill()
+        parent.wait()
+        until = time.monotonic() + 10
+        while not ended(child) and time.monotonic() < until:
+            time.sleep(0.05)
+        assert ended(child)
+    finally:
+        if not ended(child):
+            os.kill(child, signal.SIGKILL)
