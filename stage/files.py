@@ -1,52 +1,158 @@
-"""Files that are written whole or not at all, and never over another one unasked."""
+"""Files that are written whole or not at all, and never over another one unasked.
+
+A symbolic link is followed to the file that it names. A device or a pipe loses nothing by being written into: it takes the bytes
+and stays what it is, whatever `overwrite` says. Only regular files are replaced.
+"""
 
 from __future__ import annotations
 
+import errno
 import os
+import shutil
+import stat
+import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from stage.errors import StageError
+
+PASSING = ("/dev/", "/proc/")  # a regular file named there, as /dev/stdout, is somebody's open file
 
 
 class FileError(StageError):
     """A file cannot be written, or another one would be lost."""
 
 
-def writable(path: str | os.PathLike, overwrite: bool, error: type[FileError] = FileError) -> Path:
-    """`path`, if it can be written and nothing would be lost; raises `error` otherwise."""
+def writable(
+    path: str | os.PathLike, overwrite: bool, error: type[FileError] = FileError, ask: str = "say overwrite=True"
+) -> Path:
+    """The file that `path` names, links followed, if it can be written and nothing would be lost; raises `error` otherwise.
+
+    ask: what whoever wants to overwrite has to do.
+    """
     path = Path(path)
-    if path.is_dir():
+    kind = _kind(path, error)
+    if kind is not None and stat.S_ISDIR(kind):
         raise error(f"{path} is a folder. Name a file in it.")
-    if path.exists() and not overwrite:
-        raise error(f"{path} exists. Choose another name, or say overwrite=True (--force).")
-    if not path.parent.is_dir():
-        raise error(f"{path.parent} is no folder. Make it first, or choose another.")
-    if not os.access(path.parent, os.W_OK) or (path.exists() and not os.access(path, os.W_OK)):
+    if kind is not None and (stat.S_ISBLK(kind) or stat.S_ISSOCK(kind)):
+        raise error(f"{path} is a {'disk' if stat.S_ISBLK(kind) else 'socket'}. Choose a file, a pipe or a device.")
+    if is_stream(path):
+        if not os.access(path, os.W_OK):
+            raise error(f"{path} cannot be written: no permission. Choose another.")
+        return path
+    if kind is not None and not overwrite:
+        raise error(f"{path} exists. Choose another name, or {ask}.")
+    target = Path(os.path.realpath(path)) if path.is_symlink() else path
+    if not target.parent.is_dir():
+        raise error(f"{target.parent} is no folder. Make it first, or choose another.")
+    if not os.access(target.parent, os.W_OK) or (kind is not None and not os.access(target, os.W_OK)):
         raise error(f"{path} cannot be written: no permission. Choose another folder.")
-    return path
+    return target
+
+
+def is_stream(path: str | os.PathLike) -> bool:
+    """Whether `path` is there and bytes pass through it, as through a device, a pipe or /dev/stdout."""
+    try:
+        kind = os.stat(path).st_mode
+    except (OSError, ValueError):
+        return False
+    return not stat.S_ISDIR(kind) and (not stat.S_ISREG(kind) or os.path.abspath(path).startswith(PASSING))
 
 
 @contextmanager
 def written(path: str | os.PathLike, overwrite: bool, error: type[FileError] = FileError) -> Iterator[Path]:
-    """A name beside `path` to write to; it becomes `path` when all went well, and is gone when not.
+    """A name, in a folder of its own, to write to; it becomes `path` when all went well, and is gone when not.
 
+    The bytes are on the disk before the name is. A file that appears as `path` meanwhile stays, unless `overwrite`.
     Raises `error` for what `writable` refuses and for every OSError inside.
     """
-    path = writable(path, overwrite, error)
-    part = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
+    target = writable(path, overwrite, error)
+    folder = None
     try:
+        beside = None if is_stream(target) else target.parent  # a rename does not leave a file system
+        folder = Path(tempfile.mkdtemp(prefix=".", suffix=".part", dir=beside))
+        part = folder / target.name
         yield part
-        os.replace(part, path)
+        if beside is None:
+            _pour(part, target)
+        elif not _placed(part, target, overwrite):
+            raise error(f"{path} exists: it appeared meanwhile, and stays. Choose another name, or say overwrite=True.")
     except OSError as why:
         raise error(f"{path} cannot be written: {why.strerror or why}. Choose another folder.") from why
     finally:
-        part.unlink(missing_ok=True)
+        if folder is not None:
+            shutil.rmtree(folder, ignore_errors=True)
 
 
 def save_figure(figure: Any, path: str | os.PathLike, dpi: int, overwrite: bool) -> None:
-    """Write a matplotlib figure, in the format that the name says. Raises FileError."""
+    """Write a matplotlib figure, in the format that the name says, PNG where it says none. Raises FileError."""
+    kind = figure_format(path)
     with written(path, overwrite) as part:
-        figure.savefig(part, dpi=dpi)
+        figure.savefig(part, dpi=dpi, format=kind)
+
+
+def figure_format(path: str | os.PathLike) -> str:
+    """The format that matplotlib writes to `path`; FileError where it knows none of that name."""
+    try:
+        from matplotlib.backend_bases import FigureCanvasBase
+    except ImportError as why:
+        raise StageError("drawing needs matplotlib: pip install 'pulsestage[plot]'.") from why
+    known = FigureCanvasBase.get_supported_filetypes()
+    kind = Path(path).suffix[1:].lower() or "png"
+    if kind not in known:
+        raise FileError(f"{path}: a figure is no {kind!r}. Name a file that ends in .{', .'.join(sorted(known))}.")
+    return kind
+
+
+def _kind(path: Path, error: type[FileError]) -> int | None:
+    """What stands at `path`, as the mode of stat; None if nothing does."""
+    try:
+        return path.stat().st_mode
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except (OSError, ValueError) as why:
+        raise error(f"{path} cannot be written: {getattr(why, 'strerror', None) or why}. Choose another name.") from why
+
+
+def _pour(part: Path, target: Path) -> None:
+    """Copy the bytes of `part` into the device or pipe `target`."""
+    with part.open("rb") as source, os.fdopen(os.open(target, os.O_WRONLY | os.O_APPEND), "wb") as sink:
+        shutil.copyfileobj(source, sink)
+
+
+def _placed(part: Path, target: Path, overwrite: bool) -> bool:
+    """Give `part` the name `target`; False if something else has it and is not to be overwritten."""
+    _sync(part)
+    if overwrite:
+        with suppress(FileNotFoundError):
+            shutil.copymode(target, part)
+        os.replace(part, target)
+    else:
+        try:
+            _name(part, target)
+        except FileExistsError:
+            return False
+    with suppress(OSError):  # not every file system can sync a folder
+        _sync(target.parent)
+    return True
+
+
+def _name(part: Path, target: Path) -> None:
+    """Rename, but never over another file: FileExistsError."""
+    try:
+        os.link(part, target)
+    except OSError as why:
+        if why.errno not in (errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS):
+            raise
+        os.close(os.open(target, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))  # a file system without hard links
+        os.replace(part, target)
+
+
+def _sync(path: Path) -> None:
+    file = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(file)
+    finally:
+        os.close(file)

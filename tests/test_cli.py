@@ -1,6 +1,7 @@
 """The command `stage`, as a stranger would run it."""
 
 import os
+import re
 import subprocess
 import sys
 import time
@@ -112,28 +113,102 @@ def test_view_without_a_screen_says_what_to_do(here, capsys):
         (["sync", "x=abc"], "AXIS=PULSES"),
         (["registers", "pcl"], "Known: .*PCL240K"),
         (["move", "x", "100", "--record", "no/such/folder.rrd"], "no folder"),
+        (["move", "x", "100", "--plot", "a.foo"], r"a\.foo: a figure is no 'foo'\. .*\.png"),
+        (["move", "x", "100", "--picture", "q.jpg"], r"q\.jpg: .*\.png"),
+        (["pullout", "--plot", "a.foo"], "a figure is no 'foo'"),
+        (["move", "x", "100", "--chips", "mcx514"], r"an MCX514 has other registers; .* PCL240K, PCL240MK, PCL240MS\."),
+        (["demo", "--no-view", "--chips", "mcx304"], "an MCX304 has other registers"),
+        (["fault", "jam", "--chips", "mcx302"], "an MCX302 has other registers"),
+        (["move", "x", "100", "--fh1", "-5"], r"^stage: fh1=-5\.0 pps"),
+        (["move", "x", "100", "--from", "1000"], r"--from 1000: axis x travels from -158 to 158 mm"),
+        (["home", "y", "--from", "nan"], r"--from nan: axis y travels from .* mm"),
+        (["sync", "x=100", "x=200"], "'x=200': axis x has got 100 pulses already"),
     ],
 )
 def test_errors_say_what_was_given_and_what_is_allowed(here, capsys, argv, message):
-    import re
-
     assert re.search(message, out(capsys, *argv, code=2).err)
 
 
 def test_nothing_is_overwritten_unasked(here, capsys):
     (here / "mine.rrd").write_text("precious")
-    assert "exists" in out(capsys, "move", "x", "100", "--record", "mine.rrd", code=2).err
+    said = out(capsys, "move", "x", "100", "--record", "mine.rrd", code=2).err
+    assert said == "stage: mine.rrd exists. Choose another name, or give --force.\n"
     assert (here / "mine.rrd").read_text() == "precious"
     out(capsys, "move", "x", "100", "--record", "mine.rrd", "--force")
     assert (here / "mine.rrd").read_bytes()[:3] == b"RRF"
 
 
-def test_the_demo_writes_its_own_file_again_and_no_other(here, capsys):
-    out(capsys, "demo", "--no-view")
-    out(capsys, "demo", "--no-view")
+def test_the_demo_overwrites_no_file_and_takes_the_next_name(here, capsys):
+    """stage demo --no-view"""
+    (here / "demo.rrd").write_text("precious")
+    assert "demo-2.rrd: " in out(capsys, "demo", "--no-view").out
+    assert (here / "demo.rrd").read_text() == "precious"
     (here / "mine.rrd").write_text("precious")
     assert "exists" in out(capsys, "demo", "--no-view", "--record", "mine.rrd", code=2).err
     assert (here / "mine.rrd").read_text() == "precious"
+    assert "demo.rrd: " in out(capsys, "demo", "--no-view", "--force").out
+    assert (here / "demo.rrd").read_bytes()[:3] == b"RRF"
+
+
+def test_a_picture_overwrites_no_recording(here, capsys, monkeypatch):
+    """stage move x 100 --picture q.png"""
+    from stage.recording import viewer
+
+    drawn = []
+    monkeypatch.setattr(viewer, "screenshot", lambda rrd, png, overwrite: drawn.append((rrd, png, overwrite)))
+    (here / "stage.rrd").write_text("precious")
+    out(capsys, "move", "x", "100", "--picture", "q.png")
+    assert drawn == [("stage-2.rrd", "q.png", False)]
+    assert (here / "stage.rrd").read_text() == "precious"
+    assert (here / "stage-2.rrd").read_bytes()[:3] == b"RRF"
+
+
+HINGE = """
+<mujoco>
+  <compiler angle="radian"/>
+  <custom><text name="x_unfitted" data="el_plus el_minus sd_plus sd_minus org"/></custom>
+  <option timestep="0.0001"/>
+  <worldbody><body><joint name="x" type="hinge" axis="0 0 1" range="-4 4" armature="1e-5"/>
+    <geom type="cylinder" size="0.02 0.005" mass="0.05"/></body></worldbody>
+  <actuator><motor name="x" joint="x" gear="1"/></actuator>
+</mujoco>
+"""
+
+
+def test_a_hinge_is_told_in_its_own_unit(here, capsys):
+    """stage move x 1544 --model hinge.xml"""
+    (here / "hinge.xml").write_text(HINGE)
+    said = out(capsys, "move", "x", "1544", "--model", "hinge.xml", "--from", "100").out
+    assert re.search(r"from 100\.0000 mrad to 313\d\.\d{4} mrad, lost", said)
+    said = out(capsys, "move", "x", "1544", "--model", "hinge.xml", "--from", "5000", code=2).err
+    assert "--from 5000: axis x travels from -4000 to 4000 mrad" in said
+
+
+@pytest.fixture
+def shell(here):
+    """Run a line of bash in which `stage` is this package's; its exit code and what it says to stderr."""
+
+    def run(line):
+        line = line.replace("stage ", f"{sys.executable} -m stage ")
+        ended = subprocess.run(["bash", "-c", line], capture_output=True, text=True, check=False, timeout=120)
+        return ended.returncode, ended.stderr
+
+    return run
+
+
+def test_a_reader_that_goes_away_takes_no_recording_with_it(here, shell):
+    """PYTHONUNBUFFERED=1 stage demo --no-view --record x.rrd | true"""
+    assert shell("set -o pipefail; PYTHONUNBUFFERED=1 stage move x 40 --record x.rrd | true") == (0, "")
+    assert (here / "x.rrd").read_bytes()[:3] == b"RRF"
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full here")
+def test_what_cannot_be_printed_is_said_and_the_files_are_written(here, shell):
+    """stage move x 100 --vcd x.vcd > /dev/full; stage --help > /dev/full"""
+    full = (2, "stage: nothing can be printed: No space left on device.\n")
+    assert shell("stage move x 100 --vcd x.vcd > /dev/full") == full
+    assert (here / "x.vcd").read_text().startswith("$")
+    assert shell("stage --help > /dev/full") == full
 
 
 def test_without_a_command_the_help_is_shown(capsys):

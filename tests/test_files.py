@@ -1,7 +1,10 @@
 """What writes a file never writes over another one unasked, and says what goes wrong in errors of our own."""
 
 import errno
+import fcntl
+import os
 import resource
+import stat
 from contextlib import contextmanager
 
 import numpy as np
@@ -97,6 +100,144 @@ def test_a_full_disk_is_named_and_leaves_what_was_there(tmp_path):
         write()
     assert [f.name for f in tmp_path.iterdir()] == ["x.bin"]
     assert path.read_text() == "mine"
+
+
+def device(path, number=(1, 3)):
+    """/dev/null under another name, so that a failure costs nothing."""
+    try:
+        os.mknod(path, stat.S_IFCHR | 0o666, os.makedev(*number))
+    except OSError:
+        pytest.skip("only root makes devices")
+
+
+@pytest.mark.parametrize("force", [[], ["--force"]])
+def test_a_device_takes_the_bytes_and_stays_a_device(tmp_path, capsys, force):
+    """stage move x 100 --force --vcd /dev/null"""
+    device(tmp_path / "null")
+    assert main(["move", "x", "100", *force, "--vcd", str(tmp_path / "null")]) == 0
+    assert stat.S_ISCHR((tmp_path / "null").stat().st_mode)
+    assert [f.name for f in tmp_path.iterdir()] == ["null"]
+
+
+def test_a_device_that_is_full_says_so(tmp_path):
+    """stage move x 100 --force --vcd /dev/full"""
+    device(tmp_path / "full", (1, 7))
+    with pytest.raises(FileError, match="No space left on device"), written(tmp_path / "full", True) as part:
+        part.write_text("half")
+    assert stat.S_ISCHR((tmp_path / "full").stat().st_mode)
+
+
+@contextmanager
+def pipe(path):
+    """A pipe at `path` with room for a small recording; its end to read from."""
+    os.mkfifo(path)
+    end = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    fcntl.fcntl(end, fcntl.F_SETPIPE_SZ, 1 << 20)
+    try:
+        yield end
+    finally:
+        os.close(end)
+
+
+@pytest.mark.skipif(not hasattr(fcntl, "F_SETPIPE_SZ"), reason="pipes of another system")
+@pytest.mark.parametrize("force", [False, True])
+def test_a_pipe_takes_the_bytes_and_stays_a_pipe(tmp_path, force):
+    """mkfifo p; cat p & stage move x 100 --vcd p"""
+    path = tmp_path / "p"
+    with pipe(path) as end:
+        with written(path, force) as part:
+            part.write_bytes(b"bytes")
+        assert os.read(end, 100) == b"bytes"
+    assert stat.S_ISFIFO(path.stat().st_mode)
+
+
+@pytest.mark.skipif(not hasattr(fcntl, "F_SETPIPE_SZ"), reason="pipes of another system")
+def test_a_recording_streams_into_a_pipe(stage, tmp_path):
+    """mkfifo p; cat p > x.rrd & python -c 'stage.record(path="p")'"""
+    path = tmp_path / "p"
+    with pipe(path) as end:
+        with stage.record(path=path):
+            stage.run(0.01)
+        assert os.read(end, 3) == b"RRF"
+    assert stat.S_ISFIFO(path.stat().st_mode)
+
+
+def test_a_link_is_followed_to_its_file(tmp_path):
+    """ln -s far/x.vcd x.vcd; stage move x 100 --force --vcd x.vcd"""
+    (tmp_path / "far").mkdir()
+    link, file = tmp_path / "x.vcd", tmp_path / "far" / "x.vcd"
+    link.symlink_to(file)
+    for text in ("new", "newer"):
+        with written(link, True) as part:
+            part.write_text(text)
+        assert link.is_symlink()
+        assert file.read_text() == text
+    with pytest.raises(FileError, match="exists"), written(link, False):
+        pass
+    loop = tmp_path / "loop"
+    loop.symlink_to(loop)
+    with pytest.raises(FileError, match="cannot be written"), written(loop, True):
+        pass
+    assert file.read_text() == "newer"
+
+
+@pytest.mark.parametrize("links", [True, False])
+def test_a_file_that_appears_meanwhile_stays(tmp_path, monkeypatch, links):
+    """stage demo --record x.rrd & stage demo --record x.rrd"""
+
+    def refuse(*_):
+        raise OSError(errno.EOPNOTSUPP, "a file system without hard links")
+
+    if not links:
+        monkeypatch.setattr(os, "link", refuse)
+    path = tmp_path / "x.rrd"
+    with written(path, False) as part:
+        part.write_text("first")
+    assert path.read_text() == "first"
+    path.unlink()
+
+    def second():
+        with written(path, False) as part:
+            part.write_text("mine")
+            path.write_text("another's")
+
+    with pytest.raises(FileError, match="appeared meanwhile"):
+        second()
+    assert path.read_text() == "another's"
+    assert [f.name for f in tmp_path.iterdir()] == ["x.rrd"]
+
+
+def test_the_bytes_are_on_the_disk_before_the_name_is(tmp_path, monkeypatch):
+    """stage move x 100 --record x.rrd, and the power fails"""
+    synced, path = [], tmp_path / "x"
+    monkeypatch.setattr(os, "fsync", lambda file: synced.append((os.fstat(file).st_ino, path.exists())))
+    for overwrite in (False, True):
+        with written(path, overwrite) as part:
+            part.write_text("all")
+        assert synced == [(path.stat().st_ino, overwrite), (tmp_path.stat().st_ino, True)]
+        synced.clear()
+
+
+def test_a_file_that_is_replaced_keeps_its_mode_and_nobody_guesses_the_name_beside_it(tmp_path):
+    """ln -s /etc/passwd .x.1234.part.vcd; stage move x 100 --vcd x.vcd"""
+    path = tmp_path / "x.vcd"
+    path.write_text("old")
+    path.chmod(0o640)
+    with written(path, True) as part:
+        assert stat.S_IMODE(part.parent.stat().st_mode) == 0o700
+        assert part.name == path.name
+        part.write_text("new")
+    assert stat.S_IMODE(path.stat().st_mode) == 0o640
+
+
+def test_a_disk_is_no_place_for_a_file(tmp_path):
+    """stage move x 100 --force --vcd /dev/sda"""
+    try:
+        os.mknod(tmp_path / "sda", stat.S_IFBLK | 0o600, os.makedev(7, 250))
+    except OSError:
+        pytest.skip("only root makes devices")
+    with pytest.raises(FileError, match="is a disk"), written(tmp_path / "sda", True):
+        pass
 
 
 @contextmanager

@@ -30,6 +30,12 @@ exit codes: 0 done as asked, 1 ran but not as asked (lost steps, limit switch), 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
+    from stage.cli.output import printing
+
+    return printing(lambda: _main(argv))
+
+
+def _main(argv: Sequence[str] | None) -> int:
     from stage.errors import StageError
 
     parser = build_parser()
@@ -44,9 +50,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 2
     except KeyboardInterrupt:
         return 130
-    except BrokenPipeError:
-        sys.stderr.close()
-        return 0
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -125,7 +128,13 @@ def _ramps(p: argparse.ArgumentParser) -> None:
 
 
 def _place(p: argparse.ArgumentParser) -> None:
-    p.add_argument("--from", dest="start", type=float, metavar="MM", help="where the carriage starts, mm (default: 0)")
+    p.add_argument(
+        "--from",
+        dest="start",
+        type=float,
+        metavar="MM",
+        help="where the carriage starts, mm; mrad on a hinge (default: 0)",
+    )
 
 
 def _add_moves(commands: Any) -> None:
@@ -217,7 +226,11 @@ def _add_firmware(commands: Any) -> None:
     g.add_argument("--trace", metavar="FILE.txt", help="write the bus cycles in words")
     g.add_argument("--keep", type=int, default=1_000_000, help="lines of bus cycles that are kept (default: 1,000,000)")
     g.add_argument(
-        "--place", action="append", default=[], metavar="AXIS=MM", help="where a carriage starts, for example x=62"
+        "--place",
+        action="append",
+        default=[],
+        metavar="AXIS=MM",
+        help="where a carriage starts, mm (mrad on a hinge), for example x=62",
     )
     _bench(p, ("PCL240K", "PCL240MK", "PCL240MS", "MCX514", "MCX304", "MCX302", "MCX312", "HCTL1100"))
     _command(

@@ -41,7 +41,7 @@ def story(stage: Any, rows: list[tuple]) -> None:
         rows.append(
             (
                 report.axis, report.procedure, asked, f"{report.pulses:+d}", f"{report.duration:.3f}",
-                f"{report.peak_rate:,.0f}", f"{report.position * 1e3:.4f}", str(report.lost_steps),
+                f"{report.peak_rate:,.0f}", f"{report.position * 1e3:.4f} m{report.unit}", str(report.lost_steps),
                 report.stopped_by, "yes" if good else "NO",
             )
         )  # fmt: skip
@@ -67,7 +67,7 @@ def story(stage: Any, rows: list[tuple]) -> None:
 
 
 def _table(rows: list[tuple]) -> str:
-    head = ("axis", "procedure", "asked", "pulses", "s", "peak pps", "position mm", "lost", "stopped by", "ok")
+    head = ("axis", "procedure", "asked", "pulses", "s", "peak pps", "position", "lost", "stopped by", "ok")
     widths = [max(len(str(r[k])) for r in (head, *rows)) for k in range(len(head))]
     lines = ["  ".join(str(v).ljust(w) for v, w in zip(r, widths, strict=True)).rstrip() for r in (head, *rows)]
     return "\n".join([lines[0], "-" * len(lines[0]), *lines[1:]])

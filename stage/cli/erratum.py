@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from stage.cli.fault import EVERY, Figures, Record, _first, _text, _touch
-from stage.cli.setup import note, plot, recorded
+from stage.cli.setup import note, outputs, plot, recorded
 from stage.errors import StageError
 
 MULTIPLE = 10
@@ -60,12 +60,9 @@ class Shown:
 
 def run(args: argparse.Namespace) -> int:
     """Show the failure; exit code 0 if it is as claimed."""
-    from stage.files import writable
-
     beside = _beside(args)
-    for path in (beside.record, beside.vcd, beside.picture):
-        if path:
-            writable(path, args.force)
+    outputs(args)
+    outputs(beside)
     shown = show(partial(_make, args), (partial(_kept, args), partial(_kept, beside)))
     print(
         f"{shown.chip}{', mended' if shown.mended else ''}: a decelerating stop is asked for in area d\n\n{shown.table()}"

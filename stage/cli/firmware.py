@@ -7,10 +7,9 @@ import shlex
 import sys
 import time
 from collections import Counter
-from pathlib import Path
 from typing import Any
 
-from stage.cli.setup import find_axis, make_stage, note, recorded
+from stage.cli.setup import find_axis, make_stage, note, outputs, place, recorded
 from stage.errors import ArgumentError, StageError
 
 SHOWN = 10
@@ -20,18 +19,21 @@ def run(args: argparse.Namespace) -> int:
     """Run firmware; print what it noted and where the axes are."""
     from stage.board import Board, HostError, HostTimeout, NativeHost, StormError
     from stage.errors import SimulationError
-    from stage.files import writable
+    from stage.files import written
 
-    if args.trace:
-        writable(args.trace, args.force)
-    stage = make_stage(args, servos=True)
+    outputs(args)
+    stage = make_stage(args, any_chip=True)
+    placed = set()
     for item in args.place:
         name, _, text = item.partition("=")
         try:
             millimetres = float(text)
         except ValueError:
             raise ArgumentError(f"--place {item!r}: write AXIS=MM, for example x=62.") from None
-        stage.place(**{find_axis(stage, name).name: millimetres * 1e-3})
+        if name in placed:
+            raise ArgumentError(f"--place {item!r}: axis {name} has got a place already. Give an axis once.")
+        place(stage, find_axis(stage, name), f"--place {name}", millimetres)
+        placed.add(name)
     try:
         flags = tuple(shlex.split(args.cflags))
     except ValueError as failed:
@@ -62,7 +64,8 @@ def run(args: argparse.Namespace) -> int:
             )
         _report(stage, board)
     if args.trace:
-        Path(args.trace).write_text(board.trace.text() + "\n")
+        with written(args.trace, args.force) as part:
+            part.write_text(board.trace.text() + "\n")
         print(f"{args.trace}: {len(board.trace):,} lines of bus cycles")
     if error is not None:
         print(f"stage: {error}", file=sys.stderr)
@@ -79,10 +82,14 @@ def include(_args: argparse.Namespace) -> int:
 
 
 def _report(stage: Any, board: Any) -> None:
-    print(f"{'axis':6}{'position mm':>12}{'commanded mm':>14}{'lost':>6}  switches")
+    units = [f"m{unit}" for unit in dict.fromkeys(axis.unit for axis in stage.axes.values())]
+    unit, mixed = "|".join(units), len(units) > 1
+    print(f"{'axis':6}{f'position {unit}':>18}{f'commanded {unit}':>19}{'lost':>6}  switches")
     for axis in stage.axes.values():
         on = ", ".join(name for name, state in axis.switches.as_dict().items() if state)
-        print(f"{axis.name:6}{axis.position * 1e3:12.4f}{axis.commanded * 1e3:14.4f}{axis.lost_steps:6}  {on}".rstrip())
+        own = f" m{axis.unit}" if mixed else ""
+        position, commanded = (f"{q * 1e3:.4f}{own}" for q in (axis.position, axis.commanded))
+        print(f"{axis.name:6}{position:>18}{commanded:>19}{axis.lost_steps:6}  {on}".rstrip())
     for k, chip in enumerate(stage.chips):
         said = chip.diagnostics
         if said:

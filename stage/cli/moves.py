@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from stage.cli.setup import find_axis, make_stage, note, plot, profile, recorded
+from stage.cli.setup import find_axis, make_stage, note, place, plot, profile, recorded
 from stage.errors import ArgumentError
 
 
@@ -14,7 +14,8 @@ def home(args: argparse.Namespace) -> int:
 
     stage = make_stage(args)
     axes = [find_axis(stage, name) for name in args.axes] or list(stage.axes.values())
-    _place(args, stage, axes)
+    for axis in axes:
+        place(stage, axis, "--from", args.start)
     reports = []
     with recorded(args, stage):
         for axis in axes:
@@ -50,7 +51,7 @@ def dual_rate(args: argparse.Namespace) -> int:
 def _single(args: argparse.Namespace, run: Any) -> int:
     stage = make_stage(args)
     axis = find_axis(stage, args.axis)
-    _place(args, stage, [axis])
+    place(stage, axis, "--from", args.start)
     speeds = profile(args, axis)
     print(speeds)
     with recorded(args, stage):
@@ -65,13 +66,16 @@ def sync(args: argparse.Namespace) -> int:
     from stage import firmware
 
     stage = make_stage(args)
-    distances = {}
+    distances: dict[str, int] = {}
     for item in args.distances:
         name, _, pulses = item.partition("=")
         try:
-            distances[find_axis(stage, name).name] = int(pulses)
+            number = int(pulses)
         except ValueError:
             raise ArgumentError(f"{item!r}: write AXIS=PULSES, for example x=20000.") from None
+        if find_axis(stage, name).name in distances:
+            raise ArgumentError(f"{item!r}: axis {name} has got {distances[name]} pulses already. Give an axis once.")
+        distances[name] = number
     keys = ("rate", "fl", "accel", "s_curve", "automatic")
     given = {k: getattr(args, k) for k in keys if getattr(args, k) is not None}
     with recorded(args, stage):
@@ -80,8 +84,3 @@ def sync(args: argparse.Namespace) -> int:
         print(report)
         plot(args, report.plot)
     return 0 if report.ok else 1
-
-
-def _place(args: argparse.Namespace, stage: Any, axes: list) -> None:
-    if args.start is not None:
-        stage.place(**{a.name: args.start * 1e-3 for a in axes})

@@ -3,28 +3,33 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from stage.errors import StageError, unknown
+from stage.errors import ArgumentError, StageError, unknown
 
 
-def make_stage(args: argparse.Namespace, servos: bool = False) -> Any:
-    """The stage that the options describe. Raises StageError for a chip of servos unless the command drives `servos`, too."""
+def make_stage(args: argparse.Namespace, any_chip: bool = False) -> Any:
+    """The stage that the options describe. Raises StageError for a chip that is not of the PCL-240 family, the only one that the
+    moves of the command line speak to, unless `any_chip`."""
     from stage import Drive, Stage
-    from stage.chips import chip_class
+    from stage.chips import FAMILIES, chip_class
+    from stage.chips.pcl240 import PCL240
 
     chips = chip_class(args.chips)
-    if chips.SERVO and servos:
-        return Stage(args.model, chips=chips, drives=args.motor, bus_cycle=args.bus_cycle)
-    if chips.SERVO:
+    if not any_chip and not issubclass(chips, PCL240):
+        what = "closes a loop and makes no pulses" if chips.SERVO else "has other registers"
+        how = "stage.firmware.servo, see docs/servo.md" if chips.SERVO else "stage.firmware.nova, see docs/nova.md"
         raise StageError(
-            f"--chips {args.chips}: an {chips.MAP.chip} closes a loop and makes no pulses; this command's moves are those of "
-            "the PCL-240 family. Programs move it by stage.firmware.servo, see docs/servo.md."
+            f"--chips {args.chips}: an {chips.MAP.chip} {what}; this command's moves are those of the PCL-240 family: "
+            f"{', '.join(FAMILIES['pcl240'])}. Programs move it by {how}."
         )
+    if chips.SERVO:
+        return Stage(args.model, chips=chips, drives=args.motor, bus_cycle=args.bus_cycle)
     motor = {} if args.motor is None else {"motor": args.motor}
     drive = Drive(microsteps=args.microsteps, bus_voltage=args.bus_voltage, **motor)
     return Stage(args.model, chips=chips, drives=drive, bus_cycle=args.bus_cycle)
@@ -44,31 +49,45 @@ def find_axis(stage: Any, name: str) -> Any:
     return stage.axes[name]
 
 
+def place(stage: Any, axis: Any, option: str, where: float | None) -> None:
+    """Put the carriage of `axis` where `option` says, mm (mrad on a hinge). Raises ArgumentError outside its travel."""
+    if where is None:
+        return
+    low, high = (end * 1e3 for end in axis.travel)
+    if not low <= where <= high:
+        raise ArgumentError(f"{option} {where:g}: axis {axis.name} travels from {low:g} to {high:g} m{axis.unit}.")
+    stage.place(**{axis.name: min(max(where * 1e-3, axis.travel[0]), axis.travel[1])})
+
+
+def outputs(args: argparse.Namespace) -> None:
+    """Refuse what cannot be written, before the work and not after it. Raises FileError."""
+    from stage.files import FileError, figure_format, writable
+
+    for name in ("record", "vcd", "picture", "plot", "trace"):
+        if path := getattr(args, name, None):
+            writable(path, args.force, ask="give --force")
+            if name == "plot":
+                figure_format(path)
+            if name == "picture" and Path(path).suffix.lower() != ".png":
+                raise FileError(f"--picture {path}: the dashboard is drawn as PNG. Name a file that ends in .png.")
+
+
 @contextmanager
 def recorded(args: argparse.Namespace, stage: Any) -> Iterator[Any]:
     """Record what happens inside if --record, --vcd, --view or --web asks for it, and write it at the end. Yields the recording,
     or None."""
-    from stage.files import writable
-
     usual = getattr(args, "default_record", "stage.rrd" if args.view or args.web or args.picture else None)
-    rrd: str | None = args.record or usual
-    replace = args.force or args.record is None  # the usual name is ours to write again, one that was given is not
-    for path, overwrite in (
-        (rrd, replace),
-        (args.vcd, args.force),
-        (args.picture, args.force),
-        (getattr(args, "plot", None), args.force),
-    ):
-        if path:
-            writable(path, overwrite)  # say so before the work, not after it
+    rrd: str | None = args.record or (usual and _free(usual, args.force))
+    outputs(argparse.Namespace(**vars(args) | {"record": rrd}))
     if not (rrd or args.vcd):
         yield None
         return
     with stage.record() as recording:
         yield recording
     if rrd is not None:
+        rrd = args.record or _free(str(usual), args.force)  # another command may have taken the name meanwhile
         note(f"writing {rrd} ...")
-        recording.save(rrd, overwrite=replace)
+        recording.save(rrd, overwrite=args.force)
         print(
             f"{rrd}: {Path(rrd).stat().st_size / 1e6:.1f} MB, {recording.duration:.2f} s of simulated time; open with: rerun {rrd}"
         )
@@ -90,6 +109,12 @@ def recorded(args: argparse.Namespace, stage: Any) -> Iterator[Any]:
         from stage.recording.viewer import open_viewer
 
         open_viewer(rrd)
+
+
+def _free(usual: str, force: bool) -> str:
+    """The usual name, or with a number where that one is taken: demo.rrd, demo-2.rrd, ... With --force always the usual one."""
+    names = (usual, *(f"{Path(usual).stem}-{n}{Path(usual).suffix}" for n in range(2, 10_000)))
+    return usual if force else next((name for name in names if not os.path.lexists(name)), usual)
 
 
 def note(text: str) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from stage.cli.setup import progress
+from stage.cli.setup import outputs, progress
 from stage.errors import StageError
 
 
@@ -21,11 +21,9 @@ def pullout(args: argparse.Namespace) -> int:
     """Measure and print the pull-out curve; draw it with --plot."""
     from stage.drives.dynamometer import pull_out_table
     from stage.drives.motors import Drive, motor
-    from stage.files import writable
 
     drive = Drive(motor(args.motor), microsteps=args.microsteps, bus_voltage=args.bus_voltage)
-    if args.plot:
-        writable(args.plot, args.force)
+    outputs(args)
     table = pull_out_table(drive, progress=lambda done: progress("measuring", done))
     print(table)
     if args.plot:

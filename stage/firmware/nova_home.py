@@ -31,7 +31,7 @@ class HomeReport:
     Attributes:
         states: (seconds since the start, HSST) whenever it was seen to change; HOME_STATES says what each is.
         seconds: from the command to the end. errors: names of the bits of RR2 that are set.
-        position: where the carriage is, m; None without one.
+        position: where the carriage is, m; None without one. unit: "m", or "rad" on a hinge.
     """
 
     axis: str
@@ -39,6 +39,7 @@ class HomeReport:
     seconds: float
     errors: tuple[str, ...]
     position: float | None = field(default=None)
+    unit: str = "m"
 
     @property
     def ok(self) -> bool:
@@ -47,7 +48,7 @@ class HomeReport:
 
     def __str__(self) -> str:
         what = "found" if self.ok else f"NOT found ({', '.join(self.errors)})"
-        where = "" if self.position is None else f", at {self.position * 1e3:.4f} mm"
+        where = "" if self.position is None else f", at {self.position * 1e3:.4f} m{self.unit}"
         lines = [f"{self.axis}: home {what} in {self.seconds:.3f} s{where}"]
         return "\n".join([*lines, *(f"  {t:8.3f} s  {HOME_STATES[state]}" for t, state in self.states)])
 
@@ -97,7 +98,9 @@ def home_search(
     ports[0].chip.write(0, together << 8 | MAP.command("HMSRC").code)
     seen = _watch(ports, begin, timeout)
     return {
-        port.axis.name: HomeReport(port.axis.name, states, states[-1][0], port.errors(), port.axis.position)
+        port.axis.name: HomeReport(
+            port.axis.name, states, states[-1][0], port.errors(), port.axis.position, getattr(port.axis, "unit", "m")
+        )
         for port, states in zip(ports, seen, strict=True)
     }
 

@@ -162,7 +162,7 @@ class Profile:
         fh2 = min(2 * fh1, most) if fh2 is None else fh2
         fl = min(FL, fh1, fh2) if fl is None else fl
         decel = accel if decel is None else decel
-        for name, value in {"fl": fl, "fh1": fh1, "fh2": fh2}.items():
+        for name, value in {"fh1": fh1, "fh2": fh2, "fl": fl}.items():
             if not 0 < value <= most:
                 raise ArgumentError(
                     f"{name}={value!r} pps: a chip at {clock_hz} Hz makes up to {most:.0f} pps (R7 = {r7[0]})."

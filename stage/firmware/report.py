@@ -26,11 +26,11 @@ class Report:
         procedure, axis: names.
         pulses: pulses made, + minus - (signed). asked: pulses asked for, None where a procedure asks for none.
         duration: seconds from the first start to the last stop. peak_rate, average_rate: pps.
-        start, position: m, where the carriage was before and is after (None without a stage).
+        start, position: m, where the carriage was before and is after (None without a stage); rad on a hinge.
         lost_steps: full steps lost meanwhile, a multiple of four (None without a motor).
         stopped_by: why it stopped: "R0 = 0", "ORG", "EZ", "EL+", "EL-", "decelerating stop", "reset command", "timeout".
         residual: R0 at the end. course: every change of the chip's pins and speed, by the clock.
-        said: the bytes written, decoded: commands, and registers with all their bytes.
+        said: the bytes written, decoded: commands, and registers with all their bytes. unit: "m", or "rad" on a hinge.
     """
 
     procedure: str
@@ -46,6 +46,7 @@ class Report:
     residual: int
     course: Course = field(repr=False)
     said: tuple[Said, ...] = field(repr=False)
+    unit: str = "m"
 
     @property
     def ok(self) -> bool:
@@ -78,7 +79,8 @@ class Report:
         ]
         if self.position is not None and self.start is not None:
             lines.append(
-                f"  from {self.start * 1e3:.4f} mm to {self.position * 1e3:.4f} mm, lost steps {self.lost_steps}"
+                f"  from {self.start * 1e3:.4f} m{self.unit} to {self.position * 1e3:.4f} m{self.unit}, "
+                f"lost steps {self.lost_steps}"
             )
         return "\n".join(lines)
 
@@ -150,4 +152,5 @@ class Procedure:
             self.name, axis.name, int(net[-1] - net[0]), asked, duration, float(rates(course).max()),
             self._position, axis.position, None if lost is None else lost - (self._lost or 0),
             stopped_by, residual, course, tuple(decode(axis.chip.decoder(axis.chip_axis), self.journal.entries)),
+            getattr(axis, "unit", "m"),
         )  # fmt: skip

@@ -34,7 +34,7 @@ class HomeReport:
 
     Attributes:
         switch: where STOP triggered when it was approached slowly. index: where the index pulse began, None without it.
-        seconds: of it all. position: where the carriage is, m; None without one.
+        seconds: of it all. position: where the carriage is, m; None without one. unit: "m", or "rad" on a hinge.
     """
 
     axis: str
@@ -42,10 +42,11 @@ class HomeReport:
     index: int | None
     seconds: float
     position: float | None
+    unit: str = "m"
 
     def __str__(self) -> str:
         index = "" if self.index is None else f", index {self.index - self.switch:+d} counts from it"
-        where = "" if self.position is None else f"; at {self.position * 1e3:.4f} mm"
+        where = "" if self.position is None else f"; at {self.position * 1e3:.4f} m{self.unit}"
         return f"{self.axis}: home found in {self.seconds:.3f} s, switch at {self.switch}{index}{where}"
 
 
@@ -80,7 +81,9 @@ def home(
     found = _to_index(port, direction, turn) if index else None
     _preset(port, switch if found is None else found)
     trapezoid(port, -port.commanded(), velocity=speed, acceleration=acceleration, deadband=deadband)
-    return HomeReport(port.axis.name, switch, found, port.axis.time - begin, port.axis.position)
+    return HomeReport(
+        port.axis.name, switch, found, port.axis.time - begin, port.axis.position, getattr(port.axis, "unit", "m")
+    )
 
 
 def leave_limit(port: Port, direction: int, *, push: int = PUSH, timeout: float = 2.0) -> None:

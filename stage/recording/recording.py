@@ -31,7 +31,7 @@ import numpy as np
 from stage.chips.journal import Journal
 from stage.engine import SAMPLE
 from stage.errors import ArgumentError, unknown
-from stage.files import FileError, writable, written
+from stage.files import FileError, is_stream, writable, written
 
 if TYPE_CHECKING:
     from stage.recording.rerun_log import Log
@@ -160,7 +160,7 @@ class Recording:
         self._log_path = writable(path, overwrite, RecordingError)
         self._flush_rows = max(1, round(seconds / self.every))
         try:
-            self._log = Log(self, self._log_path, overwrite)
+            self._log = Log(self, self._log_path, overwrite or is_stream(self._log_path))
         except OSError as error:
             raise _unwritten(self._log_path, error) from error
         atexit.register(self.close)  # a program that forgets to still gets a whole file

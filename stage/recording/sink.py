@@ -64,7 +64,7 @@ class Sink:
                     data, self._bytes = memoryview(self._bytes), bytearray()
                     break
             time.sleep(1e-4)
-        kept = self._file.tell()
+        kept = self._file.tell() if self._file.seekable() else 0
         try:
             while len(data):
                 data = data[self._file.write(data) :]

@@ -1,0 +1,60 @@
+"""Standard output that breaks while a command runs, as in `stage demo | head -1`: the command goes on and writes its files."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable
+from contextlib import redirect_stdout, suppress
+from typing import Any
+
+
+class Output:
+    """A text stream that drops everything after the first write that fails; `error` is what it failed with."""
+
+    def __init__(self, stream: Any):
+        self._stream = stream
+        self.error: OSError | None = None
+
+    def write(self, text: str) -> int:
+        self._try(self._stream.write, text)
+        return len(text)
+
+    def flush(self) -> None:
+        self._try(self._stream.flush)
+
+    def _try(self, call: Callable[..., Any], *args: str) -> None:
+        if self.error is not None:
+            return
+        try:
+            call(*args)
+        except OSError as error:
+            self.error = error
+            with suppress(OSError, ValueError):  # not every stream has a descriptor
+                nowhere = os.open(os.devnull, os.O_WRONLY)
+                os.dup2(nowhere, self._stream.fileno())  # or Python writes what is left once more at its end
+                os.close(nowhere)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
+def printing(run: Callable[[], int]) -> int:
+    """The exit code of `run()`, and what it prints. A reader that has gone away has seen all it wanted; for anything else that
+    keeps the text from being written the code is 2."""
+    if sys.stdout is None:
+        return run()
+    output = Output(sys.stdout)
+    ended = None
+    with redirect_stdout(output):
+        try:
+            code = run()
+        except SystemExit as end:  # argparse: the help, the version, wrong usage
+            ended = end
+        output.flush()
+    if output.error is not None and not isinstance(output.error, BrokenPipeError):
+        print(f"stage: nothing can be printed: {output.error.strerror}.", file=sys.stderr)
+        return 2
+    if ended is not None:
+        raise ended
+    return code
