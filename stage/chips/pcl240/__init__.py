@@ -12,6 +12,9 @@ from stage.chips.pcl240.maps import OPERATING_MODE, PCL240K_MAP, PCL240MK_MAP, P
 
 __all__ = ["OPERATING_MODE", "STATUS", "PCL240", "PCL240K", "PCL240MK", "PCL240MS"]
 
+LONGEST_WAIT = 1 << 26
+"""Clocks: a start waits no longer for its first pulse, be it a step of R4 = 65535 from speed 0 and 8192 R7 clocks at speed 1."""
+
 
 class PCL240(Chip):
     """Base of the family. Bus addresses: 0 command (write) and status (read); 1, 2, 3 the bytes of the selected
@@ -49,7 +52,13 @@ class PCL240(Chip):
 
     def _lint(self, address: int, value: int) -> lint.Note | None:
         c = self._record
-        return lint.data(self.MAP, c, address, value) if address else lint.command(self.MAP, c, value)
+        return lint.data(self.MAP, c, address, value) if address else lint.command(self.MAP, c, self._moves, value)
+
+    def _moves(self, command: int) -> bool:
+        """Do pulses come of this command, if nobody interferes?"""
+        twin = self._rows[self._i : self._i + 1].copy()
+        core.write(twin, 0, command)
+        return core.advance(twin, int(twin["clock"][0]) + LONGEST_WAIT) > 0
 
 
 class PCL240K(PCL240):

@@ -1,13 +1,27 @@
 """What a reader of the PCL-240 data sheets would say to a bus write: (message, where it is written), or None.
 
-`map_` is the chip's register map, `c` its record before the write, with access by name.
+`map_` is the chip's register map, `c` its record before the write, with access by name; `moves` tells whether pulses come of a
+command if nobody interferes.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
-from stage.chips.pcl240.state import EZ_COUNT, EZ_FROM_FL, EZ_RETURN, LINEAR, ORG, R13, R14, R15, SPAN
+from stage.chips.pcl240.state import (
+    EL_MINUS,
+    EL_PLUS,
+    EZ_COUNT,
+    EZ_FROM_FL,
+    EZ_RETURN,
+    LINEAR,
+    ORG,
+    R13,
+    R14,
+    R15,
+    SPAN,
+)
 from stage.chips.register_map import RegisterMap
 
 Note = tuple[str, str]
@@ -49,7 +63,7 @@ def data(map_: RegisterMap, c: Any, address: int, value: int) -> Note | None:
     return None
 
 
-def command(map_: RegisterMap, c: Any, value: int) -> Note | None:
+def command(map_: RegisterMap, c: Any, moves: Callable[[int], bool], value: int) -> Note | None:
     """A byte to address 0."""
     if group := value >> 6:
         name, where = _WORDS[group]
@@ -60,24 +74,25 @@ def command(map_: RegisterMap, c: Any, value: int) -> Note | None:
         return None
     if value & 3 == 2:
         return f"speed select 10 in {value:02X}h is in no table; it acts as FL", "section 3 a"
-    return None if c["running"] else _start(c, value)
+    return None if c["running"] else _start(c, moves, value)
 
 
-def _start(c: Any, value: int) -> Note | None:
+def _start(c: Any, moves: Callable[[int], bool], value: int) -> Note | None:
     if c["finishing"]:
         return "start while the last pulse is still being completed is ignored: poll status bit 6", "Q & A"
     if not c["armed"]:
         return "start after a stop without the reset command 08h is ignored", "section 3 a"
     r = [int(v) for v in c["reg"]]
-    speed = r[_FH.get(value & 3, 1)]
-    if r[7] < 2:
-        return f"start with R7 = {r[7]}: the multiplier does not operate unless it is set", "Q & A"
-    if r[1] == 0 or speed == 0:
-        return "start with a speed register at 0: no pulse will come; any data must be set on R1", "Q & A"
     if c["preset"] and r[0] == 0:
         return "start in preset mode with R0 = 0: no pulse, no /INT", "section 4 R0"
+    if c["inputs"] & (EL_MINUS if c["minus"] else EL_PLUS):
+        return "start towards an asserted limit switch: no pulse comes; drive the other way", "pins 23 and 24"
     if c["origin"] and c["inputs"] & ORG:
         return "origin return that starts on ORG: no pulse comes; leave ORG first", "section 5 f"
+    if r[7] < 2:
+        return f"start with R7 = {r[7]}: no pulse comes; the multiplier does not operate unless it is set", "Q & A"
+    if standing := _standing(r, value, moves):
+        return standing
     if value & 4 and min(r[4], r[5]) < 2:
         return f"high-speed start with R4 = {r[4]}, R5 = {r[5]}: rates below 2 hold the speed", "section 4 R4"
     if not c["extended"]:
@@ -85,6 +100,16 @@ def _start(c: Any, value: int) -> Note | None:
     if c["origin"] and not r[R13] & EZ_RETURN and r[R13] & (15 << EZ_COUNT | EZ_FROM_FL):
         return "R13 counts EZ, but its bit 21 is 0: the origin return ends at ORG", "MS section 2-4"
     return _ramps(c, r, value & 3) if value & 4 else None
+
+
+def _standing(r: list[int], value: int, moves: Callable[[int], bool]) -> Note | None:
+    """Speed registers of the run that are 0. Ramps start from FL, and a decelerating stop ends there, whatever is selected."""
+    zero = [k for k in sorted({1, _FH.get(value & 3, 1)}) if r[k] == 0]
+    if not zero:
+        return None
+    what = f"start with {' and '.join(f'R{k} = 0' for k in zero)}: "
+    what += "the pulses end where a ramp leads to speed 0" if moves(value) else "no pulse comes"
+    return (f"{what}; any data must be set on R1", "Q & A") if 1 in zero else (what, "section 4 R1 to R3")
 
 
 def _ramps(c: Any, r: list[int], select: int) -> Note | None:
@@ -105,7 +130,10 @@ def _ramps(c: Any, r: list[int], select: int) -> Note | None:
         return None
     if not c["automatic"]:
         if r[6] == 0:
-            return "R6 = 0 in a high-speed preset move: it stops from FH. 08h clears R6 on this chip", "MS section 3-4"
+            return (
+                "R6 = 0 in a high-speed preset move: it stops without ramping down. 08h clears R6 on this chip",
+                "MS section 3-4",
+            )
         return None
     offset = r[6] - 2 * int(c["top_bit"]) if r[6] & int(c["top_bit"]) else r[6]
     rising = (r[1] + r[fh]) * (height + 2 * up if up else 2 * height) * r[4] // (32768 * r[7])
