@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from stage import Stage
 from stage.errors import StageError, unknown
+from stage.opengl import check_window, renderer
 
 
 class OffScreen:
@@ -20,12 +20,7 @@ class OffScreen:
         if camera not in names:
             raise unknown("camera", camera, names)
         self._stage, self._camera = stage, camera
-        try:
-            self._renderer = mujoco.Renderer(model, height, width)
-        except Exception as error:
-            raise StageError(
-                f"no GL to render with ({error}): on a machine without a screen set MUJOCO_GL=egl or osmesa before Python starts."
-            ) from error
+        self._renderer = renderer(model, height, width)
 
     def frame(self) -> np.ndarray:
         self._renderer.update_scene(self._stage.data, self._camera)
@@ -39,12 +34,15 @@ class OnScreen:
     """MuJoCo's own viewer, brought up to date after every step."""
 
     def __init__(self, stage: Stage):
-        import mujoco.viewer
-
+        check_window("Use render_mode='rgb_array', or record.")
         try:
+            import mujoco.viewer
+
             self._viewer: Any = mujoco.viewer.launch_passive(stage.model, stage.data)
         except Exception as error:
-            raise StageError(f"no screen for render_mode='human' ({error}): use 'rgb_array', or record.") from error
+            raise StageError(
+                f"MuJoCo's viewer does not open ({error}). Use render_mode='rgb_array', or record."
+            ) from error
 
     def frame(self) -> None:
         self._viewer.sync()

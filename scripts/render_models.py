@@ -1,17 +1,13 @@
 """Draw docs/pictures/model_NAME.png of every model that ships, or of one camera: render_models.py [--camera switches]."""
 
 import argparse
-import os
-import sys
 from pathlib import Path
-
-if sys.platform == "linux" and "DISPLAY" not in os.environ:
-    os.environ.setdefault("MUJOCO_GL", "egl")
 
 import matplotlib.image
 import mujoco
 
 from stage import plant
+from stage.opengl import renderer
 
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--camera", default="overview", help="overview, front, top or switches")
@@ -24,8 +20,8 @@ for name in plant.names():
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, model.key(args.key).id)
     mujoco.mj_forward(model, data)
-    with mujoco.Renderer(model, height=900, width=1600) as renderer:
-        renderer.update_scene(data, args.camera)
+    with renderer(model, height=900, width=1600) as picture:
+        picture.update_scene(data, args.camera)
         path = args.out / f"model_{name}{'' if args.camera == 'overview' else '_' + args.camera}.png"
-        matplotlib.image.imsave(path, renderer.render())
+        matplotlib.image.imsave(path, picture.render())
         print(path)

@@ -11,10 +11,11 @@ Importing this package is cheap: MuJoCo and the compiled loop load with the firs
 
 from __future__ import annotations
 
+import os
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from stage.errors import ArgumentError, ModelError, RunTimeout, SimulationError, StageError
+from stage.errors import ArgumentError, LoadError, ModelError, RunTimeout, SimulationError, StageError
 
 if TYPE_CHECKING:
     from stage import firmware
@@ -31,17 +32,29 @@ _LAZY = {
 }
 
 __all__ = [
-    "ArgumentError", "Drive", "ModelError", "Motor", "RunTimeout", "SimulationError", "Snapshot", "Stage", "StageError",
-    "firmware",
+    "ArgumentError", "Drive", "LoadError", "ModelError", "Motor", "RunTimeout", "SimulationError", "Snapshot", "Stage",
+    "StageError", "firmware",
 ]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:
-    if name == "firmware":
-        return import_module("stage.firmware")
+    if name in ("firmware", "plant"):
+        return _loaded(f"stage.{name}")
     if name in _LAZY:
-        return getattr(import_module(_LAZY[name]), name)
+        return getattr(_loaded(_LAZY[name]), name)
     raise AttributeError(f"module 'stage' has no attribute {name!r}")
+
+
+def _loaded(module: str) -> Any:
+    """The module. An AttributeError on the way would be told as "cannot import name", and its cause nowhere: LoadError."""
+    try:
+        return import_module(module)
+    except StageError:
+        raise
+    except (AttributeError, ImportError, OSError, RuntimeError) as error:
+        gl = os.environ.get("MUJOCO_GL")
+        hint = f" MUJOCO_GL={gl} wants a GL library of MuJoCo, which may not be here: unset it." if gl else ""
+        raise LoadError(f"{module} cannot be loaded: {type(error).__name__}: {error}.{hint}") from error
 
 
 def __dir__() -> list[str]:

@@ -47,6 +47,10 @@ class RunTimeout(StageError, TimeoutError):
     """A condition did not come true within the simulated time allowed."""
 
 
+class LoadError(StageError, ImportError):
+    """A part of the package cannot be loaded, because a library below it cannot."""
+
+
 def unknown(kind: str, given: object, allowed: Iterable[str]) -> ArgumentError:
     """An ArgumentError for a name that is not among `allowed`, with the near misses."""
     names = sorted(allowed)

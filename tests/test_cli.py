@@ -202,6 +202,23 @@ def test_a_reader_that_goes_away_takes_no_recording_with_it(here, shell):
     assert (here / "x.rrd").read_bytes()[:3] == b"RRF"
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="OSMesa is Linux's")
+@pytest.mark.parametrize("program", ["from stage import Stage", "from stage import plant"])
+def test_a_library_that_is_missing_is_named(program):
+    """MUJOCO_GL=osmesa python -c 'from stage import Stage'"""
+    command = [
+        sys.executable,
+        "-c",
+        f"try:\n    {program}\nexcept ImportError as error:\n    print(type(error), error)",
+    ]
+    environment = os.environ | {"MUJOCO_GL": "osmesa", "PYOPENGL_PLATFORM": "osmesa"}
+    said = subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
+    if said:  # or OSMesa is here
+        assert "LoadError" in said
+        assert "glGetError" in said
+        assert "MUJOCO_GL=osmesa" in said
+
+
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full here")
 def test_what_cannot_be_printed_is_said_and_the_files_are_written(here, shell):
     """stage move x 100 --vcd x.vcd > /dev/full; stage --help > /dev/full"""

@@ -13,7 +13,7 @@ WHERE = {"x": 0.062, "y": -0.031, "z": 0.017}  # where the carriages happen to s
 
 def run(args: argparse.Namespace) -> int:
     """Origin return of all axes, a dual-rate move, an a:b move; a table; demo.rrd."""
-    from stage.recording.viewer import has_screen
+    from stage.opengl import has_screen
 
     begin = time.perf_counter()
     note("building the stage ...")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 
 from stage.cli.setup import outputs, progress
-from stage.errors import StageError
 
 
 def registers(args: argparse.Namespace) -> int:
@@ -36,18 +35,17 @@ def pullout(args: argparse.Namespace) -> int:
 
 def view(args: argparse.Namespace) -> int:
     """MuJoCo's own viewer, or the axes as text."""
-    import mujoco
-
     from stage import plant
-    from stage.recording.viewer import has_screen
+    from stage.opengl import check_window
+
+    import mujoco  # isort: skip
 
     spec = plant.open_spec(args.model)
     model = spec if isinstance(spec, mujoco.MjModel) else spec.compile()
     print(plant.describe(model))
     if args.text:
         return 0
-    if not has_screen():
-        raise StageError("there is no screen here for MuJoCo's viewer; `stage view --text` prints the axes.")
+    check_window("`stage view --text` prints the axes.")
     import mujoco.viewer
 
     mujoco.viewer.launch(model)

@@ -8,7 +8,6 @@ from __future__ import annotations
 import os
 import socket
 import subprocess
-import sys
 import time
 from importlib.util import find_spec
 from pathlib import Path
@@ -17,6 +16,7 @@ from urllib.parse import quote
 
 from stage.errors import ArgumentError, StageError
 from stage.files import written
+from stage.opengl import has_screen
 
 HOST = "127.0.0.1"
 FRAME = 36  # pixels
@@ -25,13 +25,6 @@ QUIET = {"RUST_LOG": "error"}  # without it the viewer's own messages are in the
 
 class ViewerError(StageError):
     """rerun's viewer is missing or failed."""
-
-
-def has_screen() -> bool:
-    """Whether a window could open here."""
-    if sys.platform in ("darwin", "win32"):
-        return True
-    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 def executable() -> str:

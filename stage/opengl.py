@@ -1,0 +1,107 @@
+"""OpenGL for MuJoCo's pictures and windows: chosen for this machine, and refused in words where there is none.
+
+MuJoCo's own choice without MUJOCO_GL is GLFW, which needs a screen: without one its viewer ends the process, and so does the
+second renderer after a first one that failed. So EGL is taken where there is no screen, GLFW is asked before MuJoCo uses it, and
+what has failed once is not tried again.
+"""
+
+from __future__ import annotations
+
+import atexit
+import os
+import sys
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+from weakref import WeakSet
+
+from stage.errors import StageError
+
+if TYPE_CHECKING:
+    import mujoco
+
+_failed: list[str] = []  # why this process cannot render
+_open: WeakSet = WeakSet()  # renderers
+
+
+def has_screen() -> bool:
+    """Whether a window could open here."""
+    if sys.platform in ("darwin", "win32"):
+        return True
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def check_window(instead: str) -> None:
+    """Raise StageError where MuJoCo's viewer cannot open a window; `instead`: what to do then."""
+    if not has_screen():
+        raise StageError(f"there is no screen here for MuJoCo's viewer. {instead}")
+    if why := _glfw():
+        raise StageError(f"MuJoCo's viewer cannot open a window here: {why}. {instead}")
+
+
+def renderer(model: mujoco.MjModel, height: int, width: int) -> mujoco.Renderer:
+    """MuJoCo's renderer of pictures (pixels), without a screen by EGL unless MUJOCO_GL says otherwise.
+
+    Raises StageError where there is no OpenGL, each time, and where the model's offscreen buffer is smaller than the picture.
+    """
+    import mujoco
+
+    buffer = model.vis.global_
+    if width > buffer.offwidth or height > buffer.offheight:
+        raise StageError(
+            f"a picture of {width} x {height} pixels is larger than the model's offscreen buffer of {buffer.offwidth} x "
+            f'{buffer.offheight}: <visual><global offwidth="{width}" offheight="{height}"/></visual>.'
+        )
+    if not _failed:
+        try:
+            with _chosen(mujoco.Renderer):
+                made = mujoco.Renderer(model, height, width)
+            if not _open:
+                atexit.register(_close)  # after MuJoCo's own, hence before it: EGL's display goes last
+            _open.add(made)
+            return made
+        except Exception as error:  # PyOpenGL and MuJoCo have no common one
+            _failed.append(f"{type(error).__name__}: {error}")
+    raise StageError(
+        f"no OpenGL to render with ({_failed[0]}). Without a screen it takes EGL (Debian: libegl1), with MUJOCO_GL=osmesa, "
+        "said before Python starts, OSMesa (Debian: libosmesa6); recordings need neither."
+    )
+
+
+def _close() -> None:
+    for made in list(_open):
+        made.close()
+
+
+@contextmanager
+def _chosen(cls: type) -> Iterator[None]:
+    """Inside, MuJoCo's renderer makes its context by EGL where there is no screen and MUJOCO_GL asks for nothing else. Raises
+    where GLFW would be used and does not work."""
+    asked = os.environ.get("MUJOCO_GL", "").lower().strip()
+    module: Any = getattr(sys.modules[cls.__module__], "gl_context", None)
+    if sys.platform == "linux" and not asked and not has_screen() and module is not None:
+        from mujoco.egl import GLContext
+
+        usual, module.GLContext = module.GLContext, GLContext
+        try:
+            yield
+        finally:
+            module.GLContext = usual
+        return
+    if sys.platform == "linux" and asked not in ("egl", "osmesa") and (why := _glfw()):
+        raise RuntimeError(why)
+    yield
+
+
+def _glfw() -> str:
+    """Why GLFW does not work here; empty where it does."""
+    try:
+        import glfw
+
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            works = glfw.init()
+    except Exception as error:  # the library itself may be missing
+        return f"{type(error).__name__}: {error}"
+    return "" if works else "; ".join(str(w.message) for w in said) or "GLFW does not start"
