@@ -24,6 +24,7 @@ from stage.errors import RunTimeout, StageError
 from stage.firmware import Port, bus
 from stage.firmware.profile import AT_FL, ramp_pulses
 
+NUMBER = re.compile(r"[0-9]{1,19}|0[xX][0-9a-fA-F]{1,16}|[0-9a-fA-F]{1,16}[hH]")
 Conversation = list[dict[str, str]]
 Model = Callable[[Conversation], str]
 
@@ -33,11 +34,16 @@ score is - duration / s - vibration / mm - 5 if steps were lost - 5 if not all p
 Reply with commands, one a line:
   dump              the register map, what it says and holds
   status            the status byte in words, and the pulses left
-  write R2 4000     one of {names}
+  write R2 4000     one of {names}; in hex 0xFA0 or FA0h
   move              make the move with the registers as they are; afterwards the table is put back to the start
   done              you are finished
 Pulse rate = R2 x clock / (8192 R7), FL likewise with R1; clock {clock} Hz. R4 and R5 are clocks per speed step. The ramp-down
 begins when R6 pulses are left. You have {moves} moves."""
+
+
+def _number(text: str) -> int:
+    """What NUMBER allows: 4000, 0xFA0, FA0h."""
+    return int(text, 16) if text[:2] in ("0x", "0X") else int(text[:-1], 16) if text[-1] in "hH" else int(text)
 
 
 class Machine:
@@ -66,9 +72,9 @@ class Machine:
                 return self._axis.chip.dump()
             case ["status"]:
                 return f"{self._port.status()}; {self._port.counter()} pulses left"
-            case ["write", name, value] if name in REGISTERS and value.isdigit():
+            case ["write", name, value] if name in REGISTERS and NUMBER.fullmatch(value):
                 try:
-                    self._port.write_register(name, int(value))
+                    self._port.write_register(name, _number(value))
                 except StageError as error:
                     return f"error: {error}"
                 return f"{name} = {value}"

@@ -202,11 +202,11 @@ def table(runs: list[Run], payload: str) -> list[str]:
 
 
 def verdict(runs: list[Run], payload: str, against: Method) -> str:
-    """Which methods beat the formula by more than their own spread."""
+    """Which methods beat the formula by more than their own spread; one run has none, and only its gain is told."""
     (base,) = of(runs, payload, against)
     if not base.registers:
         return f"**{payload}**: {against.name} found no move that can be repeated."
-    yes, no = [], []
+    yes, no, one = [], [], []
     for method in METHODS:
         durations = [1e3 * r.duration for r in of(runs, payload, method)]
         if method in (FORMULA, BOLDEST) or np.isnan(durations).all():
@@ -214,11 +214,17 @@ def verdict(runs: list[Run], payload: str, against: Method) -> str:
         margins = 1e3 * base.duration - np.array(durations)
         apart, middle = float(np.ptp(margins)), float(np.nanmedian(margins))
         text = f"{method.name} {middle:+.1f}" + (
-            "" if method.fixed else f" (spread {apart:.1f}, worst {np.nanmin(margins):+.1f})"
+            "" if len(durations) == 1 else f" (spread {apart:.1f}, worst {np.nanmin(margins):+.1f})"
         )
-        (yes if middle > apart and not np.isnan(durations).any() else no).append(text)
+        if len(durations) == 1:
+            one.append(text)
+        else:
+            (yes if middle > apart and not np.isnan(durations).any() else no).append(text)
     beaten, others = ("; ".join(side) or "none" for side in (yes, no))
-    return f"**{payload}, against {against.name}** ({1e3 * base.duration:.1f} ms): {beaten}. Not by more: {others}."
+    alone = f" One run, hence without a spread: {'; '.join(one)}." if one else ""
+    return (
+        f"**{payload}, against {against.name}** ({1e3 * base.duration:.1f} ms): {beaten}. Not by more: {others}.{alone}"
+    )
 
 
 def page(all_: Runs) -> str:

@@ -1,14 +1,21 @@
 """Look at a recording: in rerun's viewer, in a browser, or as a picture without a screen.
 
-rerun's servers listen on every address of the machine unless told otherwise; those started here listen on 127.0.0.1 only.
+rerun's servers listen on every address of the machine unless told otherwise; those started here listen on 127.0.0.1 only,
+send no usage data (PULSESTAGE_RERUN_ANALYTICS=1 leaves that to rerun's own settings), and end with the process that waits for them.
 """
 
 from __future__ import annotations
 
+import ctypes
 import os
+import signal
 import socket
 import subprocess
+import sys
+import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -21,6 +28,8 @@ from stage.opengl import has_screen
 HOST = "127.0.0.1"
 FRAME = 36  # pixels
 QUIET = {"RUST_LOG": "error"}  # without it the viewer's own messages are in the picture
+SETTINGS = Path(__file__).with_name("settings")  # rerun's: usage data off. It asks no variable, and by default it sends
+DEATH = 1  # PR_SET_PDEATHSIG
 
 
 class ViewerError(StageError):
@@ -48,7 +57,8 @@ def open_viewer(rrd: str | os.PathLike) -> None:
             f"no screen here to show {rrd} on. Serve it to a browser (--web), or draw it with screenshot()."
         )
     command = [executable(), str(rrd), "--bind", HOST, "--port", "auto"]
-    subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
+    nowhere = subprocess.DEVNULL
+    subprocess.Popen(command, env=environment(), stdout=nowhere, stderr=nowhere, start_new_session=True)
 
 
 def serve_command(rrd: str | os.PathLike, port: int = 9090) -> tuple[list[str], str]:
@@ -66,19 +76,17 @@ def serve_web(rrd: str | os.PathLike, port: int = 9090) -> int:
     command, url = serve_command(rrd, port)
     if not _free(port):
         raise ViewerError(f"port {port} is in use. Choose another: --port {free_port()}, for example.")
-    process = subprocess.Popen(command, env=os.environ | QUIET, stdout=subprocess.DEVNULL)
-    try:
+    with _running(command) as process:
         print(f"{rrd} is served on this machine only, at\n  {url}\nCtrl-C ends it.", flush=True)
         if has_screen():
             import webbrowser
 
             _wait_for(port, process)
             webbrowser.open(url)
-        return process.wait()
-    except KeyboardInterrupt:
-        return 0
-    finally:
-        _end(process)
+        try:
+            return process.wait()
+        except KeyboardInterrupt:
+            return 0
 
 
 def screenshot(
@@ -104,9 +112,8 @@ def _render(rrd: Path, png: Path, size: tuple[int, int], at: float | None, timeo
     port = free_port()
     command = [executable(), str(rrd), "--headless", "--window-size", f"{size[0]}x{size[1] + FRAME}"]
     command += ["--bind", HOST, "--port", str(port)]
-    process = subprocess.Popen(command, env=os.environ | QUIET, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
     deadline = time.monotonic() + timeout
-    try:
+    with _running(command, stderr=subprocess.PIPE) as process:
         _wait_for(port, process, deadline)
         client = _client(port, process, deadline)
         _hold_at(client, at)
@@ -119,8 +126,6 @@ def _render(rrd: Path, png: Path, size: tuple[int, int], at: float | None, timeo
                 return
             before = now
             time.sleep(0.5)
-    finally:
-        _end(process)
     raise ViewerError(f"rerun did not settle on a picture of {rrd} within {timeout:g} s.")
 
 
@@ -179,6 +184,39 @@ def _alive(process: subprocess.Popen) -> None:
         raise ViewerError(
             f"rerun ended with code {process.returncode} (no Vulkan driver? Debian: mesa-vulkan-drivers). {said}"
         )
+
+
+def environment() -> dict[str, str]:
+    """For rerun's program: usage data off, unless PULSESTAGE_RERUN_ANALYTICS asks for rerun's own settings."""
+    asked = os.environ.get("PULSESTAGE_RERUN_ANALYTICS", "0") not in ("", "0")
+    return {**os.environ, **({} if asked else {"XDG_CONFIG_HOME": str(SETTINGS)})}
+
+
+@contextmanager
+def _running(command: list[str], stderr: int | None = None) -> Iterator[subprocess.Popen]:
+    """rerun's program, which ends with this block: by SIGTERM and SIGHUP to this process, too, and on Linux however it ends."""
+
+    def leave(signum: int, _frame: object) -> None:
+        raise SystemExit(128 + signum)
+
+    prctl = getattr(ctypes.CDLL(None), "prctl", None) if sys.platform == "linux" else None
+    main = threading.current_thread() is threading.main_thread()
+    before = {s: signal.signal(s, leave) for s in (signal.SIGTERM, signal.SIGHUP) if main}
+    try:
+        process = subprocess.Popen(
+            command,
+            env=environment() | QUIET,
+            stdout=subprocess.DEVNULL,
+            stderr=stderr,
+            preexec_fn=prctl and (lambda: prctl(DEATH, signal.SIGTERM)),
+        )
+        try:
+            yield process
+        finally:
+            _end(process)
+    finally:
+        for s, handler in before.items():
+            signal.signal(s, handler)
 
 
 def _end(process: subprocess.Popen) -> None:

@@ -4,6 +4,7 @@ import importlib
 import json
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -207,6 +208,36 @@ def test_an_agents_mistakes_are_told_and_not_raised():
     assert "NOT all pulses made" in said[3]  # registers are 0 at power-up
     assert said[4].startswith("halted")
     assert "500 pulses left" in said[4]
+
+
+def test_numbers_are_decimal_or_hex_and_everything_else_is_told():
+    """write R2 ²"""
+    machine = agent_loop.Machine(0.5, distance=500)
+    for text in ("4000", "04000", "0xFA0", "FA0h", "0fa0H"):
+        assert machine.obey(f"write R2 {text}") == f"R2 = {text}"
+        assert machine._axis.chip.values()["R2"] == 4000
+        machine.obey("write R2 1")
+    for text in ("²", "٣", "-5", "0x", "h", "4e3", "9" * 5000, "FFFFh", "1_000"):
+        assert machine.obey(f"write R2 {text}").startswith("error")
+    assert machine._axis.chip.values()["R2"] == 1
+
+
+def test_one_run_has_no_spread_to_beat_a_formula_by(monkeypatch):
+    """docs/results.md: heavy, against formula (440.9 ms): agent loop +19.7"""
+    for name in ("cma_es", "ppo", "sac"):  # the page is made without running them
+        monkeypatch.setitem(sys.modules, name, SimpleNamespace(search=None))
+    results = importlib.import_module("results")
+    monkeypatch.delitem(sys.modules, "results")
+    made = {"formula": [0.44], "agent loop": [0.42], "CMA-ES": [0.40, 0.41], "PPO": [0.40, 0.50]}
+    runs = [
+        SimpleNamespace(payload="heavy", method=name, duration=t, registers={"R2": 1})
+        for name, times in made.items()
+        for t in times
+    ]
+    assert results.verdict(runs, "heavy", results.FORMULA) == (
+        "**heavy, against formula** (440.0 ms): CMA-ES +35.0 (spread 10.0, worst +30.0). Not by more: "
+        "PPO -10.0 (spread 100.0, worst -60.0). One run, hence without a spread: agent loop +20.0."
+    )
 
 
 def test_a_model_that_never_says_done_is_ended():

@@ -1,8 +1,10 @@
 """Looking at a recording: servers that only this machine reaches, processes that end, pictures without a screen."""
 
 import glob
+import signal
 import socket
 import subprocess
+import sys
 import time
 
 import numpy as np
@@ -40,6 +42,39 @@ def test_a_port_in_use_is_named_before_anything_starts(rrd):
         port = taken.getsockname()[1]
         with pytest.raises(ViewerError, match=f"port {port} is in use. Choose another: --port"):
             viewer.serve_web(rrd, port)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="how a process learns of its parent's end is Linux's")
+@pytest.mark.parametrize("sent", [signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
+def test_what_serves_ends_with_its_command(rrd, sent):
+    """stage demo --web & sleep 9; kill $!"""
+    program = f"from stage.recording import viewer; viewer.serve_web({str(rrd)!r}, {viewer.free_port()})"
+    command = [sys.executable, "-c", program]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, start_new_session=True) as parent:
+        assert b"is served" in parent.stdout.readline()
+        (rerun,) = psutil.Process(parent.pid).children()
+        parent.send_signal(sent)
+        parent.wait(20)
+    gone, alive = psutil.wait_procs([rerun], 10)
+    for process in alive:
+        process.kill()
+    assert gone, "rerun goes on serving"
+    assert parent.returncode == (-sent if sent == signal.SIGKILL else 128 + sent)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="where rerun keeps its settings is another place elsewhere")
+@pytest.mark.parametrize("asked", ["", "1"])
+def test_reruns_usage_data_is_off_unless_asked_for(tmp_path, monkeypatch, asked):
+    """stage demo --view"""
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "own"))
+    monkeypatch.setenv("PULSESTAGE_RERUN_ANALYTICS", asked)
+    before = {p: p.read_bytes() for p in viewer.SETTINGS.rglob("*") if p.is_file()}
+    command = [viewer.executable(), "analytics", "config"]
+    said = subprocess.run(command, env=viewer.environment(), capture_output=True, text=True, check=True).stdout
+    assert ('"analytics_enabled": true' in said) == bool(asked)
+    assert ('"analytics_enabled": false' in said) != bool(asked)
+    assert {p: p.read_bytes() for p in viewer.SETTINGS.rglob("*") if p.is_file()} == before
 
 
 @pytest.mark.parametrize("port", [0, -1, 65536, 9.5])
