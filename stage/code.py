@@ -20,23 +20,25 @@ import llvmlite.binding
 from numba.core.registry import cpu_target
 from numba.core.runtime import rtsys
 
-from stage.compiled import cache_folder
+from stage.cache import folder_of, intact, make_known, sealed_with_digest
 
 HERE = sys.platform == "linux"  # elsewhere nobody has tried: numba keeps the code
 
 
 def load(function: Callable) -> tuple[int, Any] | None:
     """(address, what keeps it there) of a function whose code was kept on a machine like this; None if it was not."""
-    if not HERE:
+    file = _file(function)
+    if file is None:
         return None
     try:
-        kept = _file(function).read_bytes()
+        kept = intact(file.read_bytes())
     except OSError:
         return None
-    digest, kept = kept[:32], kept[32:]
-    if hashlib.sha256(kept).digest() != digest:
+    if kept is None:
         return None
     name, _, machine_code = kept.partition(b"\0")
+    if not make_known(machine_code):
+        return None
     engine = _engine()
     engine.add_object_file(llvmlite.binding.ObjectFileRef.from_data(machine_code))
     engine.finalize_object()
@@ -45,23 +47,27 @@ def load(function: Callable) -> tuple[int, Any] | None:
 
 def keep(function: Callable, made: Any) -> None:
     """Keep the code of a compiled `numba.cfunc`; where that cannot be, it is compiled again next time."""
-    if not HERE:
+    file = _file(function)
+    if file is None:
         return
     _, _, (machine_code, _) = made._library.serialize_using_object_code()
-    file = _file(function)
-    with suppress(OSError):
+    part = file.with_suffix(f".{os.getpid()}")
+    try:
         file.parent.mkdir(parents=True, exist_ok=True)
-        part = file.with_suffix(f".{os.getpid()}")
-        kept = made.native_name.encode() + b"\0" + machine_code
-        part.write_bytes(hashlib.sha256(kept).digest() + kept)
+        part.write_bytes(sealed_with_digest(made.native_name.encode() + b"\0" + machine_code))
         part.replace(file)
+    except OSError:
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
 
 
-def _file(function: Callable) -> Path:
-    """By all that the code depends on: our sources and numba (the folder), the function's own file, Python, LLVM, the processor."""
-    source = Path(function.__code__.co_filename)
-    parts = (function.__module__, function.__qualname__, _machine(), hashlib.sha256(source.read_bytes()).hexdigest())
-    return cache_folder() / f"{function.__name__}-{hashlib.sha256(repr(parts).encode()).hexdigest()[:24]}.code"
+def _file(function: Callable) -> Path | None:
+    """By all that the code depends on: sources and numba (the folder), Python, LLVM, the processor."""
+    folder = folder_of(function.__code__.co_filename) if HERE else None
+    if folder is None:
+        return None
+    parts = (function.__module__, function.__qualname__, _machine())
+    return folder / f"{function.__name__}-{hashlib.sha256(repr(parts).encode()).hexdigest()[:24]}.code"
 
 
 @cache

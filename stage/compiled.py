@@ -6,75 +6,35 @@
 Functions so marked are compiled by numba without the GIL and cached on disk. They keep to scalars, records and arrays:
 no allocation, no strings, no exceptions, so that the same source can later compile for other targets.
 With NUMBA_DISABLE_JIT=1 they run as plain Python, for debugging and for coverage.
-
-numba looks only at the file of the function itself to tell whether its cache is fresh, but our loops are made of functions of
-many files, and of the constants of register maps. So the cache folder carries a hash of them all: a change in any compiles anew.
 """
 
 from __future__ import annotations
 
 import hashlib
-import os
-import shutil
 import sys
-import tempfile
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from functools import cache
 from importlib import import_module
 from importlib.util import find_spec
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-numba: Any = import_module("numba")  # its settings have no types
+from stage.cache import cache_folder, kept, numba
+
+event: Any = import_module("numba.core.event")
 fcntl: Any = import_module("fcntl") if find_spec("fcntl") else None  # not on Windows
 
 COMPILED = not numba.config.DISABLE_JIT
-KEPT_CACHES = 4
-
-
-@cache
-def cache_folder() -> Path:
-    """Where compiled code is kept: $NUMBA_CACHE_DIR or the user's cache folder, by the state of the sources."""
-    digest = hashlib.sha256(numba.__version__.encode())
-    environments = find_spec("stage.envs")  # a folder of its own in a source tree
-    folders = [str(Path(__file__).parent), *((environments and environments.submodule_search_locations) or ())]
-    for folder in folders:
-        for source in sorted(Path(folder).rglob("*.py")):
-            text = source.read_bytes()
-            if b"@hot" in text or b"@sealed" in text or "chips" in source.parts or "drives" in source.parts:
-                digest.update(source.name.encode() + text)
-    default = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    base = Path(os.environ.get("NUMBA_CACHE_DIR") or default) / "pulsestage"
-    folder = base / digest.hexdigest()[:16]
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        os.utime(folder)
-    except OSError:
-        return Path(tempfile.gettempdir()) / f"pulsestage-{os.getuid() if hasattr(os, 'getuid') else 0}" / folder.name
-    for old in sorted(base.iterdir(), key=lambda p: p.stat().st_mtime)[:-KEPT_CACHES]:
-        shutil.rmtree(old, ignore_errors=True)
-    return folder
-
-
-@contextmanager
-def kept() -> Iterator[None]:
-    """numba keeps what is decorated here in our folder."""
-    before = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = str(cache_folder())
-    try:
-        yield
-    finally:
-        numba.config.CACHE_DIR = before
+WAIT = 5.0  # s for another process, before that is said
 
 
 def hot(function: Callable) -> Any:
     """Compile `function` at its first call. No fastmath: the same input gives the same bits."""
-    with kept():
-        compiled = numba.njit(nogil=True, cache=True, error_model="numpy", no_cfunc_wrapper=True)(function)
+    with kept(function) as there:
+        compiled = numba.njit(nogil=True, cache=there, error_model="numpy", no_cfunc_wrapper=True)(function)
     if COMPILED:
         _once_for_all_literals(compiled)
     return compiled
@@ -113,26 +73,66 @@ def plain(dtype: np.dtype) -> np.dtype:
 _announced: list[str] = []
 _first_calls = threading.RLock()
 _held: set[str] = set()  # what this process compiles
+_open: list[_Message] = []  # the last one is what is compiled now
+
+
+class _Message:
+    """Said on stderr if something is still compiled `after` s from now."""
+
+    def __init__(self, text: str, after: float):
+        self.text, self.due = text, time.monotonic() + after
+        self.timer: threading.Timer | None = None
+
+    def soon(self) -> None:
+        if self.timer is None:
+            self.timer = threading.Timer(max(0.0, self.due - time.monotonic()), self._say)
+            self.timer.daemon = True
+            self.timer.start()
+
+    def never(self) -> None:
+        if self.timer is not None:
+            self.timer.cancel()
+
+    def _say(self) -> None:
+        print(self.text, file=sys.stderr, flush=True)
+
+
+def compiling() -> None:
+    """Something was not in the cache."""
+    for said in _open[-1:]:
+        said.soon()
+
+
+class _Listener(event.Listener):
+    def on_start(self, _event: Any) -> None:
+        compiling()
+
+    def on_end(self, _event: Any) -> None:
+        pass
+
+
+event.register("numba:compile", _Listener())
 
 
 @contextmanager
 def announced(message: str, after: float = 1.0) -> Iterator[None]:
-    """Around a call that has to compile if it is the first. If that takes longer than `after` s, `message` goes to stderr.
+    """Around a call that has to compile if it is the first. If it does, and takes longer than `after` s, `message` goes to stderr.
 
     Of several processes that come here first, one compiles and the others wait for it and load what it made; what has another
     message they compile meanwhile."""
     if message in _announced:
         yield
         return
-    timer = threading.Timer(after, lambda: print(message, file=sys.stderr, flush=True))
-    timer.daemon = True
-    timer.start()
-    try:
-        with _first_calls, _alone(message):
-            yield
+    said = _Message(message, after)
+    with _first_calls:
+        with _alone(message):
+            _open.append(said)
+            try:
+                yield
+            finally:
+                _open.remove(said)
+                said.never()
         _announced.append(message)
-    finally:
-        timer.cancel()
 
 
 @contextmanager
@@ -156,5 +156,17 @@ def _lock_file(name: str) -> Iterator[None]:
         with suppress(OSError):
             lock = held.enter_context((cache_folder() / f"{name}.lock").open("w"))
             if fcntl:
-                fcntl.flock(lock, fcntl.LOCK_EX)
+                _lock(lock)
         yield
+
+
+def _lock(file: Any) -> None:
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        waiting = _Message("PulseStage: waiting for another process, which compiles or loads the same code ...", WAIT)
+        waiting.soon()
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX)
+        finally:
+            waiting.never()

@@ -21,8 +21,8 @@ from numba.core import cgutils
 from numba.core.registry import cpu_target
 from numba.extending import intrinsic, typeof_impl
 
-from stage import code
-from stage.compiled import COMPILED, announced, hot, kept, numba
+from stage import cache, code
+from stage.compiled import COMPILED, announced, compiling, hot, kept, numba
 
 _C: dict[str | None, Any] = {None: None, "i4": ctypes.c_int32, "i8": ctypes.c_int64, "f8": ctypes.c_double}
 
@@ -50,6 +50,7 @@ class Sealed:
         self._address, self._records = 0, [a if isinstance(a, np.dtype) else None for a in arguments]
         self.every.append(self)
         if COMPILED:
+            cache.symbols[self.symbol] = lambda: self.address
             self.inside = intrinsic(_with_parameters(self._typed, len(arguments)))
 
     def __call__(self, *given: Any) -> Any:
@@ -89,8 +90,9 @@ class Sealed:
         llvmlite.binding.add_symbol(self.symbol, self._address)
 
     def _compiled(self) -> tuple[int, Any]:
-        with kept():
-            made: Any = numba.cfunc(self._signature, cache=not code.HERE, error_model="numpy")(self.function)
+        compiling()
+        with kept(self.function) as there:
+            made: Any = numba.cfunc(self._signature, cache=there and not code.HERE, error_model="numpy")(self.function)
         code.keep(self.function, made)
         return made.address, made
 
@@ -138,7 +140,7 @@ def called(result: str | None, *arguments: Any) -> Any:
 
 def ready(package: str, what: str) -> None:
     """Before compiled functions of `package` run, fresh or from the cache: what they call by name is there. what: in words."""
-    waiting = [s for s in Sealed.every if not s._address and s.module.startswith(package)]
+    waiting = [s for s in Sealed.every if not s._address and f"{s.module}.".startswith(f"{package}.")]
     if waiting:
         with announced(f"PulseStage: compiling {what}, once on this machine (up to a minute) ..."):
             for function in waiting:

@@ -8,7 +8,7 @@ import time
 import pytest
 from numba.core.types import literal
 
-from stage.compiled import COMPILED, announced, greatest, hot, least
+from stage.compiled import COMPILED, announced, compiling, greatest, hot, least
 
 compiled_only = pytest.mark.skipif(not COMPILED, reason="this Python runs hot functions uncompiled")
 
@@ -34,13 +34,29 @@ def test_least_and_greatest_are_min_and_max(a, b):
 def test_a_first_call_that_takes_long_is_announced_once(capsys):
     for _ in range(2):
         with announced("a test that is slow on purpose", after=0.01):
+            compiling()
             time.sleep(0.1)
     assert capsys.readouterr().err == "a test that is slow on purpose\n"
+
+
+def test_a_first_call_that_is_slow_and_compiles_nothing_says_nothing(capsys):
+    # stage demo, the second time, on a machine that is busy
+    with announced("a test that only loads", after=0.01):
+        time.sleep(0.1)
+    assert capsys.readouterr().err == ""
+
+
+def test_of_two_announced_calls_the_inner_one_says_what_is_compiled(capsys):
+    with announced("the outer call", after=0.01), announced("the inner call", after=0.01):
+        compiling()
+        time.sleep(0.1)
+    assert capsys.readouterr().err == "the inner call\n"
 
 
 def test_an_error_in_a_first_call_comes_through_and_the_next_one_is_first_again(capsys):
     def fail():
         with announced("a test that fails on purpose", after=0.01):
+            compiling()
             time.sleep(0.1)
             raise ZeroDivisionError
 

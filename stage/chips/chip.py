@@ -147,7 +147,7 @@ class Chip:
     """Where the bus tells that a drive is in progress: address, and the bit of axis 0."""
 
     def __new__(cls, *_arguments: Any, **_options: Any) -> Chip:
-        package = str(cls.CORE.__package__)
+        package = cls.CORE.__package__ or cls.CORE.__name__
         ready(package, f"the {package.rpartition('.')[2]} chips")
         return super().__new__(cls)
 
