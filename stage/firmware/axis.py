@@ -12,10 +12,21 @@ from stage.errors import ArgumentError
 class Axis(Protocol):
     """An axis as firmware sees it: a chip on a bus, and time. The rest is truth, for reports only."""
 
-    name: str
-    chip: Chip
-    chip_axis: int
-    meters_per_pulse: float | None
+    @property
+    def name(self) -> str:
+        """Its name on the machine."""
+
+    @property
+    def chip(self) -> Chip:
+        """Its chip."""
+
+    @property
+    def chip_axis(self) -> int:
+        """Which axis of the chip it is."""
+
+    @property
+    def meters_per_pulse(self) -> float | None:
+        """Metres per pulse (rad on a hinge); None without a carriage."""
 
     @property
     def time(self) -> float:

@@ -1,0 +1,55 @@
+"""The wheel, as a user installs it."""
+
+import re
+import shutil
+import subprocess
+import sys
+import sysconfig
+import tomllib
+import venv
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+
+MOVE = """
+from stage import Stage, firmware
+
+stage = Stage("xyz")
+firmware.preset_move(stage.axes["x"], 8000).plot("move.png")
+"""
+
+
+@pytest.mark.parametrize("library", ["numba", "mujoco", "rerun-sdk"])
+def test_where_we_use_a_library_s_inner_parts_the_next_version_is_not_taken_untried(library):
+    # pip install pulsestage, the day after numba 0.69 comes out
+    (needed,) = (need for need in PROJECT["dependencies"] if re.match(rf"{library}\b", need))
+    assert re.search(r">=[\d.]+,<[\d.]+", needed)
+
+
+@pytest.mark.slow
+def test_a_program_of_the_readme_passes_mypy_against_the_wheel(tmp_path):
+    # pip install pulsestage mypy; mypy program.py, with firmware.preset_move(stage.axes["x"], 8000)
+    pytest.importorskip("mypy")
+    tree = tmp_path / "tree"
+    for folder in ("stage", "envs", "models"):
+        shutil.copytree(ROOT / folder, tree / folder, ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(ROOT / name, tree)
+    pip = [sys.executable, "-m", "pip", "-q"]
+    subprocess.run([*pip, "wheel", "--no-deps", "-w", str(tmp_path), str(tree)], check=True)
+    (wheel,) = tmp_path.glob("pulsestage-*.whl")
+    venv.create(tmp_path / "venv")
+    site = Path(sysconfig.get_path("purelib", "venv", {"base": str(tmp_path / "venv")}))
+    subprocess.run([*pip, "install", "--no-deps", "--target", str(site), str(wheel)], check=True)
+    (site / "others.pth").write_text(sysconfig.get_path("purelib"))  # numpy and what else it needs
+    texts = [MOVE, *re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.S)]
+    programs = [tmp_path / f"program_{k}.py" for k in range(len(texts))]
+    for program, text in zip(programs, texts, strict=True):
+        program.write_text(text)
+    python = tmp_path / "venv" / ("Scripts/python.exe" if sys.platform == "win32" else "bin/python")
+    command = [sys.executable, "-m", "mypy", f"--python-executable={python}", "--cache-dir", str(tmp_path / "mypy")]
+    done = subprocess.run([*command, *map(str, programs)], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
