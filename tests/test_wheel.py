@@ -1,4 +1,4 @@
-"""The wheel, as a user installs it."""
+"""The wheel, as a user installs it, and what builds and tests it."""
 
 import re
 import shutil
@@ -27,6 +27,18 @@ def test_where_we_use_a_library_s_inner_parts_the_next_version_is_not_taken_untr
     # pip install pulsestage, the day after numba 0.69 comes out
     (needed,) = (need for need in PROJECT["dependencies"] if re.match(rf"{library}\b", need))
     assert re.search(r">=[\d.]+,<[\d.]+", needed)
+
+
+@pytest.mark.parametrize("workflow", sorted((ROOT / ".github" / "workflows").glob("*.yml")), ids=lambda path: path.stem)
+def test_a_workflow_takes_actions_by_their_commits_and_each_job_ends_some_time(workflow):
+    # uses: actions/checkout@v5, a tag that its owner may move
+    text = workflow.read_text()
+    used = re.findall(r"uses: (.*)", text)
+    assert used
+    assert all(re.fullmatch(r"[\w-]+/[\w-]+@[0-9a-f]{40}  # v[\d.]+", action) for action in used)
+    assert text.count("runs-on: ") == text.count("timeout-minutes: ") > 0
+    assert "concurrency:" in text
+    assert "permissions:\n  contents: read\n" in text
 
 
 @pytest.mark.slow
