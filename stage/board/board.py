@@ -24,7 +24,7 @@ from stage.board.trace import BusTrace, Cycle, Meaning
 from stage.chips.late import LateLint
 from stage.compiled import plain
 from stage.errors import ArgumentError, StageError, unknown
-from stage.machine import Stage
+from stage.machine import LONGEST, Stage
 from stage.sealed import ready
 
 KEPT_CYCLES = 100_000
@@ -109,7 +109,9 @@ class Board:
         return self._ask(bus.IN16, port, 0)
 
     def delay_us(self, us: int) -> None:
-        """Microseconds pass."""
+        """Microseconds pass. Raises ArgumentError below 0, and beyond 1e15 (1e9 s)."""
+        if not 0 <= us <= LONGEST * 1_000_000:
+            raise ArgumentError(f"us={us!r}: a delay takes 0 to 1e15 us (1e9 s).")
         self._ask(bus.DELAY, us, 0)
 
     @property
@@ -330,8 +332,10 @@ class Board:
 
     def _hooked(self, _: Any) -> None:
         try:
+            self._end()  # the hook may write to a chip itself: journals want what was before it first
             if self._hook is not None:
                 self._hook()
+            self._begin()
         except BaseException as error:
             self._fail(error)
 

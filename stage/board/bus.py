@@ -27,6 +27,8 @@ function (a: its address) with an argument (b) while the interrupt line is asser
 FULL, DIVERGED, PAUSE, STORM, LINE_OF_LOG, ASKED_WRITE = range(1, 7)
 """Why Python is called: buffers are full; the physics has diverged; time or cycles are up; an interrupt that nothing clears; a
 line to note; a write that Python makes, since a fault of the bus looks at each."""
+LONGEST_DELAY = 10**15
+"""us: with more, ns would no longer fit 63 bits."""
 STORM_CALLS = 1000
 AT_ONCE = 10_000_000
 """ns that pass between two looks at whether the firmware is to stand still: Ctrl-C in a long delay."""
@@ -438,7 +440,7 @@ def _answer(h, what, a, b):
     elif what == OUT16:
         _out16(h, a & 0xFFFFFFFF, b & 0xFFFF)
     elif what == DELAY:
-        _wait(h, greatest(a, 0) * 1000)
+        _wait(h, least(greatest(a, 0), LONGEST_DELAY) * 1000)
     elif what == MICROS:
         _look(h)
         return _now(h) // 1000

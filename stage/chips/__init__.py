@@ -70,7 +70,7 @@ def chip_class(chip: str | type[Chip]) -> type[Chip]:
     """A chip class, by itself or by its name in any case, with or without hyphens. Raises ArgumentError with near misses."""
     if isinstance(chip, str):
         if (key := chip.upper().replace("-", "")) not in CHIPS:
-            raise unknown("chip", chip, CHIPS)
+            raise unknown("chip", key, CHIPS)
         return CHIPS[key]
     if not (isinstance(chip, type) and issubclass(chip, Chip)):
         raise ArgumentError(f"chip {chip!r}: give a chip class or its name: {', '.join(CHIPS)}.")

@@ -11,12 +11,14 @@ A chip of a stage shares the stage's clock: there a bus cycle takes bus time, an
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from functools import cached_property
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
+from zlib import crc32
 
 import numpy as np
 
+from stage import snapshots
 from stage.chips.decode import Decoder
 from stage.chips.journal import Journal
 from stage.chips.listener import Listener
@@ -49,13 +51,15 @@ class Bus(Protocol):
         """Let the time of one bus cycle pass."""
 
 
-@dataclass(frozen=True)
-class Snapshot:
-    """All state of one chip; restores into a chip of the same kind (class, clock)."""
+class Snapshot(snapshots.Snapshot):
+    """All state of one chip, in bytes; restores into a chip of the same kind (class, clock)."""
 
-    kind: tuple
-    record: bytes
-    diagnostics: tuple[Diagnostic, ...]
+    of: ClassVar = "a chip"
+
+    @property
+    def record(self) -> bytes:
+        """The chip's state, a record of its core's STATE."""
+        return bytes(self.state)
 
 
 class Pins:
@@ -193,6 +197,11 @@ class Chip:
         self._bus = bus
         self._hold(rows, i)
 
+    def _detach(self, rows: np.ndarray, i: int) -> None:
+        """Be on no stage again; the state is what it was before `_attach`, which left it in `rows[i]`."""
+        self._bus = None
+        self._hold(rows, i)
+
     def _hold(self, rows: np.ndarray, i: int) -> None:
         self._rows, self._i = rows, i
         self._at = rows.ctypes.data + i * rows.itemsize
@@ -221,6 +230,15 @@ class Chip:
     def kind(self) -> tuple:
         """What tells chips apart that cannot take each other's state: class, clock and further options."""
         return (type(self).__name__, *self.options().values())
+
+    @cached_property
+    def _header(self) -> snapshots.Header:
+        """What its snapshots were taken of."""
+        name, hz, *also = self.kind()
+        options = "".join(f", {option}" for option in also)
+        return snapshots.Header(
+            (("chip", f"{name} at {hz} Hz{options}"), ("layout of its state", snapshots.layout(self.CORE.STATE)))
+        )
 
     @property
     def clock(self) -> int:
@@ -297,17 +315,14 @@ class Chip:
 
     def snapshot(self) -> Snapshot:
         """All state, to be restored into a chip of the same class."""
-        return Snapshot(self.kind(), self._rows[self._i].tobytes(), tuple(self.diagnostics))
+        state = self._rows[self._i].tobytes()
+        return Snapshot(self._header, state, tuple(self.diagnostics), crc32(state, self._header.checksum))
 
     def restore(self, snapshot: Snapshot) -> None:
-        """Continue from `snapshot`. Raises ArgumentError when it is another chip's."""
+        """Continue from `snapshot`. Raises ArgumentError when it is another chip's, or damaged."""
         if self._bus is not None:
             raise StageError("this chip belongs to a stage: restore the stage, so that all its parts agree.")
-        if snapshot.kind != self.kind():
-            (theirs, hz, *also), (ours, our_hz, *too) = snapshot.kind, self.kind()
-            raise ArgumentError(
-                f"a snapshot of {theirs} at {hz} Hz{_listed(also)} cannot be restored into {ours} at {our_hz} Hz{_listed(too)}."
-            )
+        snapshots.check(snapshot, Snapshot, self._header)
         self._rows[self._i] = np.frombuffer(snapshot.record, self.CORE.STATE)[0]
         self.diagnostics[:] = snapshot.diagnostics
 
@@ -363,7 +378,3 @@ def _revived(cls: type[Chip], options: dict[str, Any], snapshot: Snapshot) -> Ch
     chip = cls(**options)
     chip.restore(snapshot)
     return chip
-
-
-def _listed(options: list) -> str:
-    return "".join(f", {option}" for option in options)

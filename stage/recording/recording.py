@@ -97,8 +97,7 @@ class Recording:
         self.model, self.axes, self.every = model, axes, every
         self._on_close: Callable[[], None] | None = on_close
         self._dtype = np.dtype([("axes", _SAMPLE, (len(axes),)), ("qpos", "f8", (model.nq,))])
-        self._file = tempfile.TemporaryFile(prefix="pulsestage-", buffering=0)  # noqa: SIM115
-        weakref.finalize(self, self._file.close)
+        self._open()
         self._spooled = 0
         self.on_error: Literal["raise", "warn"] = "raise"
         self._log: Log | None = None
@@ -110,8 +109,35 @@ class Recording:
         self.notes: list[Note] = []
         self.journals: dict[str, Journal] = {name: axis.chip.journal(axis.chip_axis) for name, axis in axes.items()}
 
+    def _open(self) -> None:
+        self._process = os.getpid()
+        self._file = tempfile.TemporaryFile(prefix="pulsestage-", buffering=0)  # noqa: SIM115
+        weakref.finalize(self, self._file.close)
+
+    def _part(self) -> None:
+        """In a fork of the process that recorded: go on with a file of one's own, for both would write to the one they share.
+        A rerun file stays the other's."""
+        if self._process == os.getpid():
+            return
+        theirs, at, end = self._file, 0, self._spooled * self._dtype.itemsize
+        self._open()
+        while at < end:
+            piece = os.pread(theirs.fileno(), min(end - at, 1 << 20), at)  # where the other process stands in it stays
+            self._file.write(piece)
+            at += len(piece)
+        if self._log is not None:
+            self._theirs, self._log = self._log, None  # kept: its end would write to the file
+            atexit.unregister(self._close_at_exit)
+            warnings.warn(
+                f"{self._log_path} stays that of the process that began it; the recording of this fork goes on without: "
+                "recording.save(...) writes it to another place.",
+                RecordingWarning,
+                stacklevel=2,
+            )
+
     def take(self, filled: int) -> None:
         """The engine has filled the buffers up to row `filled`; full ones go to the file."""
+        self._part()
         self.filled = filled
         if filled == ROWS:
             self._spool()
@@ -163,11 +189,12 @@ class Recording:
             self._log = Log(self, self._log_path, overwrite or is_stream(self._log_path))
         except OSError as error:
             raise _unwritten(self._log_path, error) from error
-        atexit.register(self.close)  # a program that forgets to still gets a whole file
+        atexit.register(self._close_at_exit)  # a program that forgets to still gets a whole file
         return self
 
     def flush(self) -> None:
         """Write what a `stream` has not written yet, now."""
+        self._part()
         if self._log is not None:
             self._flushed = len(self)
             self._writing(self._log.take)
@@ -202,13 +229,17 @@ class Recording:
         if self._on_close is not None:
             self._on_close()
             self._on_close = None
-            atexit.unregister(self.close)
+            atexit.unregister(self._close_at_exit)
             for journal in self.journals.values():
                 journal.close()
             self.flush()
             if self._log is not None:
                 self._writing(self._log.finish)
                 self._log = None
+
+    def _close_at_exit(self) -> None:
+        if self._process == os.getpid():
+            self.close()
 
     def __enter__(self) -> Recording:
         return self
@@ -232,6 +263,7 @@ class Recording:
     def pieces(self, rows: int = 16 * ROWS, begin: int = 0) -> Iterator[np.ndarray]:
         """The samples in order from number `begin` on, at most `rows` at a time: records with fields `axes` (SAMPLE, one an
         axis) and `qpos`."""
+        self._part()
         held = max(0, begin - self._spooled)
         for at in range(begin, self._spooled, rows):
             piece = np.empty(min(rows, self._spooled - at), self._dtype)

@@ -287,6 +287,32 @@ def test_an_interrupt_that_nobody_clears_is_an_error_with_the_cycles_before_it()
     assert not board.interrupt
 
 
+def test_a_hook_may_write_to_a_chip_itself_and_the_recording_can_be_saved(tmp_path):
+    """board.on_interrupt(lambda: stage.axes["x"].chip.write(0, 0)) while it was recorded: "the stage went back in time" """
+    columns = []
+    for hand in (False, True):
+        stage = Stage("xyz", visuals=False)
+        with stage.record(every=0.25e-3) as recording:
+            board = moving(stage)
+            chip = stage.axes["x"].chip
+            write = (lambda chip=chip: chip.write(0, 0)) if hand else (lambda board=board: board.out8(0x300, 0))
+            board.on_interrupt(write)
+            board.delay_us(2_000_000)
+        recording.to_vcd(tmp_path / f"{hand}.vcd")
+        columns.append({name: c.tobytes() for name, c in recording.columns.items()})
+    assert columns[0] == columns[1]
+    assert (tmp_path / "True.vcd").read_text().splitlines()[3:] == (tmp_path / "False.vcd").read_text().splitlines()[3:]
+
+
+@pytest.mark.parametrize("us", [2**63 // 1000 + 1, -1, 10**16])
+def test_a_delay_that_no_clock_holds_is_refused(us):
+    """board.delay_us(2**63//1000+1) did nothing"""
+    board = Board(Stage("xyz", visuals=False))
+    with pytest.raises(ArgumentError, match="a delay takes 0 to 1e15 us"):
+        board.delay_us(us)
+    assert board.micros == 0
+
+
 def test_an_error_in_a_hook_reaches_the_host():
     board = moving(Stage("xyz"))
 

@@ -33,6 +33,47 @@ def test_the_last_sample_is_the_state_of_the_stage(run):
             assert c[f"{name}/{pin}"][-1] == level, pin
 
 
+FORKED = """
+import os, sys, warnings
+import numpy as np
+from stage import Stage, firmware
+
+def tell(who, recording):
+    c = recording.columns
+    increasing = bool((np.diff(c["time"]) > 0).all())
+    print(who, len(recording), f"{np.abs(c['x/position']).max():.4f}", increasing, flush=True)
+
+stage = Stage("xy", visuals=False)
+recording = stage.record(every=0.25e-3, path=sys.argv[1])
+stage.run(1.3)  # so that some of it is in the file
+child = os.fork()
+if child == 0:
+    with warnings.catch_warnings(record=True) as said:
+        firmware.preset_move(stage.axes["x"], 3200)
+        stage.run(2.0)
+    print(said[0].message, flush=True)
+    tell("child", recording)
+    os._exit(0)
+stage.run(1.5)
+os.waitpid(child, 0)
+recording.close()
+tell("parent", recording)
+"""
+
+
+def test_a_fork_and_its_parent_record_each_its_own(tmp_path):
+    """os.fork() while recording: a parent that never moved recorded 10 mm"""
+    path = tmp_path / "parent.rrd"
+    told = subprocess.run(
+        [sys.executable, "-c", FORKED, path], stdout=subprocess.PIPE, text=True, check=True, timeout=100
+    ).stdout.splitlines()
+    assert told[0].startswith(f"{path} stays that of the process that began it")
+    assert told[1].split()[0::2] == ["child", "0.0100"]
+    assert told[1].endswith("True")
+    assert told[2:] == ["parent 11200 0.0000 True"]
+    assert path.stat().st_size > 10_000
+
+
 def test_there_is_a_column_for_every_quantity_and_every_pin_of_every_axis(run):
     c = run.recording.columns
     assert {len(v) for v in c.values()} == {len(run.recording)}

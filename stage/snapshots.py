@@ -1,0 +1,102 @@
+"""What a snapshot says of itself: whose it is, and that it is whole.
+
+Compiled code trusts the state that it is given: a flipped bit may be an index. So a snapshot has a header, which says what it was
+taken of, and a checksum of header and state; both are compared before anything is restored. A pickled one has a checksum of all its
+bytes, and is refused when it is loaded.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import pickle
+import reprlib
+import zlib
+from dataclasses import dataclass, fields
+from functools import cache, cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+
+from stage.errors import ArgumentError
+
+VERSION = 1
+"""Counted up when a state of before would mean something else now, though its layout is the same."""
+
+
+@dataclass(frozen=True)
+class Header:
+    """What a snapshot was taken of: (what, which) in words, the coarsest difference first."""
+
+    parts: tuple[tuple[str, str], ...]
+
+    @cached_property
+    def checksum(self) -> int:
+        return zlib.crc32(repr((VERSION, self.parts)).encode())
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """Base of the snapshots of chips and of stages; `of` says in words what can be restored from it.
+
+    checksum: CRC-32 of header and state. It finds every flip of up to three bits, and of the rest all but one in 2^32.
+    """
+
+    of: ClassVar[str]
+    header: Header
+    state: Any
+    diagnostics: tuple
+    checksum: int
+
+    def checked(self) -> None:
+        """Raise ArgumentError where header and state are not those that were taken."""
+        try:
+            whole = self.checksum == zlib.crc32(self.state, self.header.checksum)
+        except (TypeError, ValueError, AttributeError):
+            whole = False
+        if not whole:
+            raise _damaged(type(self))
+
+    def __reduce__(self) -> tuple:
+        packed = pickle.dumps(tuple(getattr(self, field.name) for field in fields(self)))
+        return _unpacked, (type(self), VERSION, packed, zlib.crc32(packed))
+
+    def __setstate__(self, state: Any) -> None:
+        raise ArgumentError(f"this snapshot of {self.of} is from before snapshots had a header: take it anew.")
+
+
+def _unpacked(cls: type[Snapshot], version: int, packed: bytes, checksum: int) -> Snapshot:
+    if version != VERSION:
+        raise ArgumentError(
+            f"this snapshot of {cls.of} is of format {version}, and this PulseStage reads format {VERSION}: take it anew."
+        )
+    if not isinstance(packed, bytes) or zlib.crc32(packed) != checksum:
+        raise _damaged(cls)
+    return cls(*pickle.loads(packed))
+
+
+def _damaged(cls: type[Snapshot]) -> ArgumentError:
+    return ArgumentError(
+        f"this snapshot of {cls.of} is damaged: its checksum is not that of its state. Take it anew, or read it from a whole copy."
+    )
+
+
+def check(snapshot: Any, cls: type[Snapshot], header: Header) -> None:
+    """Raise ArgumentError unless `snapshot` is a whole one of this class that was taken where `header` stands."""
+    if not isinstance(snapshot, cls):
+        what = f"a snapshot of {snapshot.of}" if isinstance(snapshot, Snapshot) else reprlib.repr(snapshot)
+        raise ArgumentError(f"{what} cannot be restored into {cls.of}: give what its own snapshot() returned.")
+    snapshot.checked()
+    if snapshot.header is header or snapshot.header.parts == header.parts:
+        return
+    pairs = zip(snapshot.header.parts, header.parts, strict=False)
+    what, theirs, ours = next((what, theirs, ours) for (what, theirs), (_, ours) in pairs if theirs != ours)
+    raise ArgumentError(
+        f"this snapshot of {cls.of} cannot be restored here, for it is another's: {what}: {theirs} there, {ours} here. Restore it "
+        f"into {cls.of} made like the one that it was taken of."
+    )
+
+
+@cache
+def layout(dtype: np.dtype) -> str:
+    """A name for the layout of a record, another for each."""
+    return hashlib.blake2b(repr(dtype.fields).encode(), digest_size=6).hexdigest()

@@ -1,0 +1,154 @@
+"""A snapshot goes back only where it belongs, and only whole; everything else is refused in words, and nothing has changed."""
+
+import copy
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stage import ArgumentError, Drive, Stage, plant
+from stage.chips import PCL240K, PCL240MS
+
+
+@pytest.fixture(scope="module")
+def made():
+    return Stage("xy", visuals=False)
+
+
+@pytest.fixture
+def xy(made):
+    made.reset()
+    return made
+
+
+def changed_spec(change):
+    spec = plant.open_spec("xy")
+    change(spec)
+    return spec
+
+
+def damp(spec):
+    spec.joint("x").damping = [12, 0, 0]
+
+
+def halve_step(spec):
+    spec.option.timestep = 1.25e-4
+
+
+def flipped(data: bytes, bit: int) -> bytes:
+    other = bytearray(data)
+    other[bit // 8] ^= 1 << bit % 8
+    return bytes(other)
+
+
+@pytest.mark.parametrize(
+    ("other", "says"),
+    {
+        "microsteps": (lambda: Stage("xy", drives=Drive(microsteps=64), visuals=False),
+                       r"drive of axis x: 17HS4401, 1/64 steps .* there, 17HS4401, 1/16 steps"),
+        "supply": (lambda: Stage("xy", drives={"y": Drive(bus_voltage=48)}, visuals=False), "drive of axis y: "),
+        "bus": (lambda: Stage("xy", bus_cycle=0, visuals=False), "bus cycle: 0 ns there, 1000 ns here"),
+        "chips": (lambda: Stage("xy", chips=PCL240MS, visuals=False), "chip of axis x: PCL240MS at .* there, PCL240K at"),
+        "axes": (lambda: Stage("xy", chips={"y": PCL240K}, visuals=False), "axes: y there, x, y here"),
+        "mechanics": (lambda: Stage(changed_spec(damp), visuals=False), "mechanics of the model: "),
+        "time step": (lambda: Stage(changed_spec(halve_step), visuals=False), "time step: 125000 ns there, 250000 ns here"),
+    }.values(),
+)  # fmt: skip
+def test_a_snapshot_of_another_stage_is_refused_and_says_what_differs(xy, other, says):
+    """Stage("xy").restore(Stage("xy", drives=Drive(microsteps=64)).snapshot())"""
+    before = xy.snapshot()
+    with pytest.raises(ArgumentError, match=f"(?s)cannot be restored here, for it is another's: {says}"):
+        xy.restore(other().snapshot())
+    assert xy.snapshot().state.tobytes() == before.state.tobytes()
+
+
+def test_what_is_only_looked_at_payloads_and_copies_make_no_other_stage(xy):
+    begin = xy.snapshot()
+    twin, seen = copy.deepcopy(xy), Stage("xy")
+    xy.set_payload(0.5)
+    for stage in (xy, twin, seen, copy.deepcopy(xy)):
+        for snapshot in (begin, xy.snapshot(), seen.snapshot(), pickle.loads(pickle.dumps(begin)), copy.copy(begin)):
+            stage.restore(snapshot)
+    xy.set_payload(0)
+
+
+@pytest.mark.parametrize("given", ["x", None, 7, b"\0" * 9000])
+def test_what_is_no_snapshot_is_refused_in_words(xy, given):
+    """stage.restore("x")"""
+    for who, what in ((xy, "a stage"), (PCL240K(), "a chip")):
+        with pytest.raises(ArgumentError, match=f"cannot be restored into {what}: give what") as caught:
+            who.restore(given)
+        assert len(str(caught.value)) < 200
+
+
+def test_chips_and_stages_do_not_take_each_others_snapshots(xy):
+    """stage.restore(stage.axes["x"].chip.snapshot())"""
+    with pytest.raises(ArgumentError, match="a snapshot of a chip cannot be restored into a stage"):
+        xy.restore(xy.axes["x"].chip.snapshot())
+    with pytest.raises(ArgumentError, match="a snapshot of a stage cannot be restored into a chip"):
+        PCL240K().restore(xy.snapshot())
+
+
+def test_a_snapshot_of_another_chip_says_which(xy):
+    """PCL240K().restore(PCL240MS().snapshot())"""
+    with pytest.raises(ArgumentError, match="chip: PCL240MS at 4915200 Hz there, PCL240K at 4915200 Hz here"):
+        PCL240K().restore(PCL240MS().snapshot())
+    with pytest.raises(ArgumentError, match="chip: PCL240K at 1000 Hz there"):
+        PCL240K().restore(PCL240K(clock_hz=1000).snapshot())
+
+
+def test_no_flipped_bit_of_a_state_gets_into_a_stage_or_a_chip(xy):
+    """stage.restore(dataclasses.replace(snapshot, state=flipped)): 11,591 of 11,630 were taken without a word"""
+    seed = np.random.SeedSequence().entropy
+    print("seed", seed)
+    rng = np.random.default_rng(seed)
+    chips = (PCL240K(), PCL240MS())
+    for who, whole in [(who, who.snapshot()) for who in (xy, *chips)]:
+        data = bytes(whole.state)
+        for bit in rng.integers(0, 8 * len(data), 200):
+            state = flipped(data, int(bit))
+            other = replace(whole, state=np.frombuffer(state) if who is xy else state)
+            with pytest.raises(ArgumentError, match="is damaged"):
+                who.restore(other)
+        with pytest.raises(ArgumentError, match="is damaged"):
+            who.restore(replace(whole, state=None))
+        assert bytes(who.snapshot().state) == data
+
+
+def test_a_state_in_memory_cannot_be_written_to(xy):
+    """stage.snapshot().state[7] = 1e300"""
+    with pytest.raises(ValueError, match="read-only"):
+        xy.snapshot().state[7] = 1e300
+
+
+def test_no_pickled_snapshot_with_a_flipped_bit_is_taken(xy):
+    """stage.restore(pickle.loads(flipped)): refused when it is loaded, or when it is restored, or it is whole all the same"""
+    seed = np.random.SeedSequence().entropy
+    print("seed", seed)
+    rng = np.random.default_rng(seed)
+    chip = PCL240K()
+    chip.write(0, 0x10)
+    refused = 0
+    for who, whole in ((xy, xy.snapshot()), (chip, chip.snapshot())):
+        packed = pickle.dumps(whole)
+        state = packed.index(bytes(whole.state)[:64])
+        inside = rng.integers(8 * state, 8 * (state + len(bytes(whole.state))), 200)
+        for bit in (*inside, *rng.integers(0, 8 * len(packed), 200)):
+            try:
+                other = pickle.loads(flipped(packed, int(bit)))
+                who.restore(other)
+            except Exception as error:
+                refused += isinstance(error, ArgumentError)
+            else:
+                assert (bytes(other.state), other.diagnostics) == (bytes(whole.state), whole.diagnostics)
+    assert refused >= 400, "all those in the state, in words"
+
+
+def test_a_snapshot_of_another_version_says_that_it_is_one(xy):
+    """pickle.loads(open("of_the_last_release.pickle", "rb").read())"""
+    rebuild, (cls, version, *rest) = xy.snapshot().__reduce__()
+    with pytest.raises(ArgumentError, match=rf"of format {version + 1}, and this PulseStage reads format {version}"):
+        rebuild(cls, version + 1, *rest)
+    with pytest.raises(ArgumentError, match="from before snapshots had a header"):
+        cls.__new__(cls).__setstate__({"kind": (), "state": None, "diagnostics": ()})
