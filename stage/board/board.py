@@ -333,9 +333,11 @@ class Board:
     def _hooked(self, _: Any) -> None:
         try:
             self._end()  # the hook may write to a chip itself: journals want what was before it first
-            if self._hook is not None:
-                self._hook()
-            self._begin()
+            try:
+                if self._hook is not None:
+                    self._hook()
+            finally:
+                self._begin()
         except BaseException as error:
             self._fail(error)
 
