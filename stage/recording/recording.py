@@ -176,8 +176,10 @@ class Recording:
         """
         from stage.recording.rerun_log import Log
 
-        if not seconds > 0:
-            raise ArgumentError(f"seconds={seconds!r}: what is recorded goes to the file after more than 0 s.")
+        if not 0 < seconds <= 1e9:
+            raise ArgumentError(
+                f"seconds={seconds!r}: what is recorded goes to the file after more than 0 and up to 1e9 s."
+            )
         if on_error not in ("raise", "warn"):
             raise ArgumentError(f"on_error={on_error!r}: 'raise' or 'warn'.")
         if self._log is not None or self._on_close is None:
