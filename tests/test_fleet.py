@@ -161,6 +161,7 @@ def test_where_an_inertia_hangs_on_visuals_they_stay():
     for key in list(part.keys):
         part.delete(key)
     whole = mujoco.MjSpec()
+    whole.option.timestep = part.option.timestep  # that of the whole counts; left alone, it is 2 ms
     whole.visual.map.znear, whole.visual.map.zfar = part.visual.map.znear, part.visual.map.zfar
     whole.attach(part, prefix="left_", frame=whole.worldbody.add_frame())
     assert Stage(whole, visuals=False).model.ngeom == Stage(whole).model.ngeom > 100

@@ -178,7 +178,7 @@ class Recording:
 
         if not 0 < seconds <= 1e9:
             raise ArgumentError(
-                f"seconds={seconds!r}: what is recorded goes to the file after more than 0 and up to 1e9 s."
+                f"seconds={seconds!r}: what is recorded goes to the file after more than 0 s, up to 1e9 s."
             )
         if on_error not in ("raise", "warn"):
             raise ArgumentError(f"on_error={on_error!r}: 'raise' or 'warn'.")
