@@ -1,7 +1,9 @@
 """Promises of `stage.code`: machine code that is kept, and found again only where it fits."""
 
+import errno
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -81,3 +83,24 @@ def test_without_a_folder_to_write_in_it_runs_all_the_same(play, tmp_path):
     kept = tmp_path / "kept"
     kept.write_text("not a folder")
     play()
+
+
+def test_a_full_disk_leaves_nothing_half_written(tmp_path, monkeypatch):
+    # stage demo, the cache on a disk that is full
+    class Made:
+        native_name = "f"
+
+        class _library:
+            serialize_using_object_code = staticmethod(lambda: ("", "", (b"code", b"")))
+
+    def full(self, data):
+        self.touch()
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(code, "folder_of", lambda _: tmp_path)
+    code.keep(full, Made)
+    assert len(list(tmp_path.iterdir())) == 1
+    next(tmp_path.iterdir()).unlink()
+    monkeypatch.setattr(Path, "write_bytes", full)
+    code.keep(full, Made)
+    assert list(tmp_path.iterdir()) == []

@@ -1,8 +1,10 @@
 """Promises of `stage.compiled`: how hot functions are compiled, and how often."""
 
+import hashlib
 import subprocess
 import sys
 import textwrap
+import threading
 import time
 
 import pytest
@@ -85,6 +87,22 @@ def test_of_processes_that_come_first_at_once_one_goes_in_at_a_time(tmp_path, mo
     said = [line.split() for p in running for line in p.communicate(timeout=60)[0].splitlines()]
     order = [what for what, _ in sorted(said, key=lambda line: float(line[1]))]
     assert order == ["in", "out"] * 3
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no lock on Windows: each process compiles for itself")
+def test_waiting_for_another_process_is_said_and_not_called_compiling(tmp_path, monkeypatch, capsys):
+    # stage demo, in two terminals at once, the first time
+    import fcntl
+
+    monkeypatch.setattr("stage.compiled.cache_folder", lambda: tmp_path)
+    monkeypatch.setattr("stage.compiled.WAIT", 0.01)
+    name = hashlib.sha256(b"what two want").hexdigest()[:16]
+    lock = (tmp_path / f"{name}.lock").open("w")
+    fcntl.flock(lock, fcntl.LOCK_EX)
+    threading.Timer(0.3, lock.close).start()
+    with announced("what two want", after=0.01):
+        pass
+    assert capsys.readouterr().err.startswith("PulseStage: waiting for another process")
 
 
 MEETS = """

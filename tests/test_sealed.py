@@ -99,3 +99,23 @@ def test_it_is_compiled_once_whoever_calls_it():
     by_address(scaled.address, cells(1.0).ctypes.data, 1)
     scaled(cells(1.0)[0], 1)
     assert scaled._kept is before
+
+
+def test_ready_is_meant_for_a_module_or_a_package_and_not_for_what_begins_alike(monkeypatch):
+    # a chip whose core is a module of its own, without a package: every sealed function that there is was compiled
+    asked = []
+
+    class Waiting:
+        _address = 0
+
+        def __init__(self, module):
+            self.module = module
+
+        @property
+        def address(self):
+            return asked.append(self.module)
+
+    names = ["mine", "mine.core", "minerals", "stage.engine"]
+    monkeypatch.setattr(Sealed, "every", [Waiting(name) for name in names])
+    ready("mine", "a test of names")
+    assert asked == ["mine", "mine.core"]
