@@ -107,6 +107,19 @@ def test_a_port_that_reaches_nothing_reads_as_ffh_takes_a_cycle_and_is_noted():
     ]
 
 
+def test_the_oldest_line_of_a_full_trace_still_counts_a_repeated_read():
+    """Board(stage, keep_cycles=3): in8 of 304h, 300h, 308h, 304h"""
+    board = Board(Stage("xyz", visuals=False), keep_cycles=3)
+    for port in (0x304, 0x300, 0x308, 0x304):
+        board.in8(port)
+    assert [(c.port, c.times) for c in board.trace] == [(0x304, 2), (0x300, 1), (0x308, 1)]
+    assert board.trace.dropped == 0
+    for port in (0x200, 0x304):  # and one that has gone from the ring does not
+        board.in8(port)
+    assert [(c.port, c.times) for c in board.trace] == [(0x308, 1), (0x200, 1), (0x304, 1)]
+    assert board.trace.dropped == 2
+
+
 def test_each_layout_reaches_its_chip():
     stage = Stage("xyz", chips=PCL240MK)
     board = Board(stage, base={"x": 0x200, "y": 0x300, "z": 0x210})

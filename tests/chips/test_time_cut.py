@@ -205,3 +205,19 @@ def test_the_timer_of_the_hctl1100_ends_alike_in_idle_and_held_by_sync():
 
 def test_every_family_is_cut():
     assert set(CHIPS.values()) == {PCL240K, PCL240MK, PCL240MS, MCX302, MCX304, MCX312, MCX514, HCTL1100}
+
+
+@PCL240
+def test_a_decelerating_stop_below_fl_makes_no_other_pulse_however_time_is_cut(make):
+    """1Dh while the speed rises, then R1 <- 2000, above it: run(20000)"""
+    chip = make()
+    load_registers(chip, R0=100_000, R1=100, R2=4000, R4=50, R5=50, R6=10, R7=30)
+    commands(chip, 0x40, 0x15)
+    chip.advance(20_000)
+    commands(chip, 0x1D)
+    load_registers(chip, R1=2000)
+    cut = copy.copy(chip)
+    assert chip.advance(20_000) == 0, "it is below FL: no ramp leads down to it"
+    assert chip.pins.hold
+    assert cut.advance(1) + cut.advance(19_999) == 0
+    assert cut.snapshot().record == chip.snapshot().record

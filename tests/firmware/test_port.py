@@ -1,5 +1,7 @@
 """`Port`: bytes, bits and polling."""
 
+from types import SimpleNamespace
+
 import pytest
 
 from stage import ArgumentError, RunTimeout, StageError, firmware
@@ -51,6 +53,15 @@ def test_a_bus_too_slow_to_read_the_counter_says_so_and_does_not_hang():
     p.command(bus.START["FH1"])
     with pytest.raises(StageError, match="bytes did not agree in 100 reads: the bus is too slow"):
         p.counter()
+
+
+@pytest.mark.parametrize("count", [0x010000, 0xAB0000, 0x800000])
+def test_a_counter_read_while_its_high_byte_changes_is_read_again(count):
+    """R0 = 10000h at the first byte, FFFFh at the others: 1FFFFh"""
+    p = port()
+    counts = iter([count] + [count - 1] * 20)  # one pulse, after the first byte
+    p._chip = SimpleNamespace(read=lambda address: next(counts) >> 8 * (address - 1) & 0xFF)
+    assert p.counter() == count - 1
 
 
 def test_a_timeout_says_what_the_chip_was_doing_and_carries_the_report():

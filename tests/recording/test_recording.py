@@ -227,6 +227,17 @@ def test_a_stage_that_went_back_in_time_is_found_out(tmp_path):
     assert len(bench.recording.column("time")) == 3 * ROWS
 
 
+def test_a_chip_that_alone_went_back_in_time_is_found_out(bench, tmp_path):
+    """before = chip.snapshot(); stage.run(1); chip.write(0, 8); chip.restore(before); recording.save("x.rrd")"""
+    before = bench.chip.snapshot()
+    bench.chip.advance(1000)
+    bench.chip.write(0, 0x08)
+    bench.recording.check_time()
+    bench.chip.restore(before)
+    with pytest.raises(RecordingError, match="went back in time"):
+        bench.recording.save(tmp_path / "x.rrd")
+
+
 def test_rows_come_back_as_they_were_across_buffers(bench):
     feed(bench.recording, 2 * ROWS + 123)
     time = bench.recording.column("time")

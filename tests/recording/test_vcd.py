@@ -1,6 +1,7 @@
 """The waveforms, read back by a parser of their own and held against the chips."""
 
 import random
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -144,6 +145,15 @@ def test_ticks_come_back_from_nanoseconds_after_a_century():
         ns = nanoseconds(ticks, hz)
         assert [nanoseconds(int(t), hz) for t in ticks] == ns.tolist()
         assert [(2 * int(t) * hz + 10**9) // (2 * 10**9) for t in ns] == ticks.tolist()
+
+
+@pytest.mark.parametrize("hz", [1, 3, 4_915_200, 9_830_400, 99_999_999])
+def test_times_are_the_nearest_nanoseconds(hz):
+    """recording.to_vcd("x.vcd"): #203 for a tick of 203.45 ns, #306 for 305.18"""
+    ticks = [*range(2000), hz - 1, hz, 10**8 * hz + 7]
+    for t, ns in zip(ticks, nanoseconds(np.array(ticks, np.int64), hz).tolist(), strict=True):
+        assert -1 < 2 * (ns - Fraction(t * 10**9, hz)) <= 1
+        assert nanoseconds(t, hz) == ns
 
 
 def test_pieces_of_a_course_are_the_course(bench):
