@@ -28,7 +28,7 @@ def relations(counter, plus, minus):
     return (GE_MINUS if counter >= minus else LT_MINUS) | (GE_PLUS if counter >= plus else LT_PLUS)
 
 
-@covers("MCX304 MCX302 MCX312", "CP", "CM", "C_DRV_P", "C_DRV_M")
+@covers("MCX304 MCX302 MCX312", "CP", "CM", "C_DRV_P", "C_DRV_M", "R", "SV", "V", "LP")
 @FAMILY
 @pytest.mark.parametrize("example", range(3))
 def test_a_comparison_tells_at_the_clock_of_the_pulse_that_makes_it_true(example, make):
@@ -50,6 +50,7 @@ def test_a_comparison_tells_at_the_clock_of_the_pulse_that_makes_it_true(example
         assert counter == 33 * way
 
 
+@covers("MCX304 MCX302 MCX312", "EP", "R-EP", "NOP")
 @FAMILY
 def test_with_cmpsl_the_comparisons_follow_the_encoder(make):
     chip = make()

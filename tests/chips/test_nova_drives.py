@@ -511,6 +511,7 @@ def old_rr(chip, n, axis=X):
 
 
 @covers("MCX304", "F_DRV_P", "F_DRV_M", "C_DRV_P", "C_DRV_M", "STOP_SUDDEN", "STOP_DEC", "START_HOLD", "START_FREE")
+@covers("MCX304", "R", "A", "SV", "V", "AO", "R-LP")
 def test_drives_of_the_older_chips_go_and_stop():
     for code, sign in ((0x20, 1), (0x21, -1)):
         chip = MCX304()
@@ -572,6 +573,7 @@ def test_the_older_chips_reset_by_8000h(older):
     assert old_rr(older, 0) == 0
 
 
+@covers("MCX304", "K")
 def test_s_curves_need_sacc(older):
     load_304(older, K=500)
     set_wr3(older, 4, X, NOP_304)
