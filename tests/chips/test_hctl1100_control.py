@@ -22,6 +22,34 @@ def course(chip, samples):
 # --- trapezoid ---
 
 
+def every_step(way, a, top):
+    """The steps of a trapezoid in 256ths of counts, as the specification words them: faster if the rest allows to brake then."""
+    rest, v, steps = 256 * way, 0, []
+    while True:
+        faster = min(v + a, 256 * top)
+        braking = sum(range(faster - a, 0, -a))
+        v = faster if rest - faster >= braking else max(v - a, a)
+        if v >= rest:
+            return [*steps, rest]
+        steps.append(v)
+        rest -= v
+
+
+@pytest.mark.parametrize("a", [40, 64, 100, 256, 300, 700])
+def test_every_short_trapezoid_brakes_no_step_later_and_no_step_sooner_than_it_must(a):
+    """Its velocities on the way, and that it ends in the sample in which it must."""
+    for way in range(1, 30):
+        for top in (1, 2, 5):
+            chip = trapezoid(way, a, top)
+            steps = every_step(way, a, top)
+            at = [sum(steps[: k + 1]) // 256 for k in range(len(steps))]
+            found = course(chip, len(steps) - 1) if len(steps) > 1 else []
+            assert found == at[:-1], f"way {way}, top {top}"
+            assert chip.pins.prof
+            chip.advance(SAMPLE)
+            assert (chip.command_position, chip.pins.prof) == (way, False), f"way {way}, top {top}"
+
+
 def test_a_trapezoid_climbs_by_the_acceleration_cruises_and_brakes():
     chip = trapezoid(1000, a=512, top=10)
     steps = np.diff([0, *course(chip, 120)])
@@ -362,3 +390,19 @@ def test_the_loop_closes_round_a_motor_in_every_control_mode():
     chip.pins.limit = True
     motor.run(400)
     assert abs(motor.velocity) < 0.01
+
+
+# --- from one mode to another ---
+
+
+@pytest.mark.parametrize("mode", ["position", "integral", "trapezoid"])
+@pytest.mark.parametrize("k", [4, 64])
+def test_a_mode_that_is_entered_from_proportional_velocity_remembers_nothing_of_it(mode, k):
+    """X(n-1) = MC(n-1) = 0 on entering a mode: at rest on its goal the motor gets nothing, whatever it got before."""
+    chip = bench(gains(200, 200, k), velocity(2000), begin("proportional"))
+    chip.advance(SAMPLE)
+    assert chip.motor_command == min(127, k * 2000 // 64)
+    tell(chip, [(0x00, 0x03), (0x00, MODE_FLAGS[mode])])
+    for _ in range(3):
+        chip.advance(SAMPLE)
+        assert chip.motor_command == 0
