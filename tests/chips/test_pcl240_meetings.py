@@ -6,6 +6,7 @@ from reference.pcl240 import ReferencePCL240K
 from reference.pcl240ms import ReferencePCL240MK, ReferencePCL240MS
 
 from stage.chips import PCL240K, PCL240MK, PCL240MS
+from stage.errors import ArgumentError
 
 ALL = pytest.mark.parametrize(
     ("chip", "model"),
@@ -69,3 +70,73 @@ def test_the_last_pulse_and_a_limit_at_one_clock_end_the_run_once(chip, model):
         program += [*commands(0x44, 0x31), ("trace", ran), ("pin", "el_plus", True), ("trace", 1), ("trace", 20)]
         pair = Pair(chip=chip, model=model)
         pair.play([*program, *commands(0x00), ("trace", 20)])
+
+
+# What a stage and a waveform are told of a pulse that outlives its run
+
+
+def running(*control, r1=50):
+    chip = PCL240MS()
+    for _, address, value in [*registers(0xFFFFFF, r1, 800, 800, 30, 30, 0, 2), *commands(*control)]:
+        chip.write(address, value)
+    return chip
+
+
+def rate(chip):
+    return chip.CORE.pulse_rate(chip._rows[0], 0, float(chip.clock_hz))
+
+
+def test_while_the_last_pulse_is_completed_the_rate_is_that_of_the_run():
+    """The speed is frozen (section 5): for the motor, and in the course."""
+    chip = running(0x40, 0x11)
+    journal = chip.journal()
+    chip.advance(50)
+    at_speed = rate(chip)
+    assert at_speed == pytest.approx(800 * chip.clock_hz / 16384)
+    while not chip.pins.pout:
+        chip.advance(1)
+    chip.write(0, 0x08)
+    chip.advance(1)
+    assert not chip.pins.hold
+    assert rate(chip) == at_speed
+    middle = chip.clock
+    chip.advance(1000)
+    assert (chip.pins.hold, rate(chip)) == (True, 0.0)
+    edges = journal.course().edges
+    assert set(edges["speed"][(edges["clock"] > 0) & (edges["clock"] <= middle)].tolist()) <= {800}
+    assert edges["speed"][-1] == 0
+
+
+@pytest.mark.parametrize(("control", "moves", "rests"), [(0x40, "pout", "pdir"), (0x48, "pdir", "pout")])
+def test_with_independent_pulses_a_course_shows_them_on_the_pin_of_their_direction(control, moves, rests):
+    chip = running(0xC1, control)
+    journal = chip.journal()
+    chip.write(0, 0x11)
+    pulses = chip.advance(500)
+    course = journal.course(every_pulse=True)
+    shown = course.pin(moves)
+    assert int((shown[1:] & ~shown[:-1]).sum()) == pulses > 0
+    assert not course.pin(rests).any()
+
+
+def test_a_look_at_r0_tells_its_bytes_whatever_is_selected():
+    chip = running(0xC8, 0x91)
+    for _, address, value in [*register(0, 0x123456), *commands(0x83)]:
+        chip.write(address, value)
+    assert [chip.CORE.peek(chip._rows[0], a) for a in (1, 2, 3)] == [0x56, 0x34, 0x12]
+
+
+@ALL
+def test_a_reset_takes_a_pending_interrupt_back(chip, model):
+    pair = Pair(chip=chip, model=model)
+    pair.play([*registers(3, 4096, 4096, 4096, 5, 5, 0, 2), *commands(0x44, 0x31), ("trace", 20)])
+    assert pair.chip.pins.irq
+    pair.play([("reset",), ("trace", 5)])
+    assert not pair.chip.pins.irq
+
+
+def test_a_reference_clock_is_1_to_100_million_hz():
+    assert [PCL240K(hz).clock_hz for hz in (1, 100_000_000)] == [1, 100_000_000]
+    for hz in (0, 100_000_001, 1.5, "4"):
+        with pytest.raises(ArgumentError, match=r"1 to 100,000,000"):
+            PCL240K(hz)
