@@ -123,3 +123,10 @@ def test_a_move_that_is_noted_to_stop_without_ramping_down_never_ramps_down(make
         assert not journal.course().pin("fdown").any(), f"{chip.values()}: {said!r}"
         seen += 1
     assert seen > EXAMPLES // 2
+
+
+def test_the_last_thousand_notes_are_kept():
+    chip = PCL240K()
+    for value in range(1001):
+        chip.write(0, 0xB8 | value & 7)
+    assert [d.value for d in chip.diagnostics] == [0xB8 | value & 7 for value in range(1, 1001)]
