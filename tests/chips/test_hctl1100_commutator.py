@@ -195,7 +195,7 @@ def test_a_commutator_whose_offset_and_advance_leave_eight_bits_is_noted():
 def test_a_shaft_that_turns_too_fast_advances_the_phase_by_r1f_and_no_more_both_ways(way, most):
     """As an offset by R1F would, at rest."""
     for count in range(12):
-        fast, still = HCTL1100(), HCTL1100()
+        fast, still = bench(), bench()
         for chip, offset in ((fast, 0), (still, way * most)):
             for address, value in ((0x18, 12), (0x1A, 1), (0x1B, 3), (0x19, 255), (0x1F, most), (0x1C, offset & 0xFF)):
                 chip.write(address, value)
