@@ -9,7 +9,8 @@ MuJoCo's integrator is a leapfrog: positions live at times t, velocities half a 
 position is the mean over the window centred there, so a window's centre, not its start, is the time of the position held in
 `qpos`: at a chip time tau after the window's start a joint stands at q + v (tau - dt / 2). With that the coupling adds no
 damping of its own (a stepper on its detent would ring falsely dead), and a switch's edge is extrapolated by half
-a step only.
+a step only. The velocity of that centre is not known before the force is; what a drive needs of it, it finds by trying twice
+(`stepper.mean_torque`), or the coupling would feed energy in.
 
 All state is in records inside MjData.userdata, all tables of constants in arrays beside it; nothing here allocates.
 """
@@ -335,12 +336,12 @@ def _sample(world, t, c, d, clockwork, qpos, qvel, effort, out):
 @hot
 def run(
     model, data, world_, axes, drives, switches, table, switch_table, chips, clockwork_,
-    qpos, qvel, ctrl, sensordata, until, samples, positions, n_samples, edges, n_edges, counts,
+    qpos, qvel, ctrl, sensordata, inertia, until, samples, positions, n_samples, edges, n_edges, counts,
 ):  # fmt: skip
     """Run up to `until` ns. Returns why it returned (REACHED, ...); counts[0], counts[1] = samples and edges written.
 
-    model, data: addresses. chips: CHIP_TABLE. samples: (capacity, axes) SAMPLE; positions:
-    (capacity, nq) float64; edges: EDGE. Empty arrays log nothing.
+    model, data: addresses. chips: CHIP_TABLE. inertia: (nv,), kg or kg m^2 that each degree of freedom moves. samples:
+    (capacity, axes) SAMPLE; positions: (capacity, nq) float64; edges: EDGE. Empty arrays log nothing.
     """
     world, clockwork = world_[0], clockwork_[0]
     status, counts[1] = REACHED, n_edges
@@ -357,7 +358,10 @@ def run(
             t = table[a]
             omega = qvel[t.dof] * t.gear
             theta = qpos[t.qpos] * t.gear + omega * middle
-            ctrl[t.actuator] = drive.effort(drives[a], axes[a].counts, clockwork.slices, theta, omega, clockwork.h)
+            gain = clockwork.half * t.gear * t.gear / inertia[t.dof]
+            ctrl[t.actuator] = drive.effort(
+                drives[a], axes[a].counts, clockwork.slices, theta, omega, clockwork.h, gain
+            )
         mj_step(model, data)
         world.slice = 0
         world.start += clockwork.dt

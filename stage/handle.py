@@ -17,7 +17,7 @@ from stage.compiled import hot, record
 from stage.drives import drive
 from stage.sealed import at, pointer, sealed
 
-_ARRAYS = "world axes drives switches table switch_table chips clockwork qpos qvel ctrl sensordata".split()
+_ARRAYS = "world axes drives switches table switch_table chips clockwork qpos qvel ctrl sensordata inertia".split()
 _LENGTHS = "n_axes n_switches n_chips nq nv nu ns".split()
 _LOGS = "samples positions room filled edges edge_room noted counts".split()
 HANDLE_FIELDS: list = [(name, "i8") for name in ["mj_model", "mj_data", *_ARRAYS, *_LENGTHS, "bus", *_LOGS, "own"]]
@@ -66,7 +66,8 @@ def advance(h, until):
         int(h.mj_model), int(h.mj_data), at(h.world, 1, WORLD), at(h.axes, h.n_axes, AXIS), at(h.drives, h.n_axes, DRIVE),
         at(h.switches, h.n_switches, SWITCH), table(h), at(h.switch_table, h.n_switches, SWITCH_TABLE), chips(h),
         at(h.clockwork, 1, CLOCKWORK), at(h.qpos, h.nq, REAL), at(h.qvel, h.nv, REAL), at(h.ctrl, h.nu, REAL),
-        at(h.sensordata, h.ns, REAL), until, samples, positions, h.filled, at(h.edges, h.edge_room, engine.EDGE), h.noted, counts,
+        at(h.sensordata, h.ns, REAL), at(h.inertia, h.nv, REAL), until, samples, positions, h.filled,
+        at(h.edges, h.edge_room, engine.EDGE), h.noted, counts,
     )  # fmt: skip
     if status != engine.DIVERGED:
         h.filled, h.noted = counts[0], counts[1]
@@ -100,7 +101,7 @@ def fill(handles: np.ndarray, k: int, stage: Any) -> None:
     h["mj_model"], h["mj_data"] = model._address, data._address
     held = (
         stage._world, stage._axis_state, stage._drives, stage._switches, stage._table, stage._switch_table, stage._chip_table,
-        stage._clockwork, data.qpos, data.qvel, data.ctrl, data.sensordata,
+        stage._clockwork, data.qpos, data.qvel, data.ctrl, data.sensordata, model.dof_M0,
     )  # fmt: skip
     for name, array in zip(_ARRAYS, held, strict=True):
         h[name] = array.ctypes.data

@@ -1,0 +1,68 @@
+"""An axis without friction keeps its energy: the coupling of drives to MuJoCo's leapfrog neither brakes nor drives it."""
+
+import re
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from stage import Stage, faults
+from stage.drives.motors import Drive
+
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "models.md"
+
+
+def frictionless(drive):
+    """The page's one axis, without friction, its bumpers out of the way."""
+    text = re.search(r"```xml\n(.*?)```", PAGE.read_text(), re.S)[1]
+    for old, new in ((' damping="60" frictionloss="4"', ""), ('pos="0.091', 'pos="1'), ('pos="-0.091', 'pos="-1')):
+        assert old in text
+        text = text.replace(old, new)
+    return Stage(mujoco.MjSpec.from_string(text), drives=drive)
+
+
+def energies(stage, potential, seconds):
+    """Kinetic energy of what moves and `potential` of the rotor's angle, J, looked at every 10 ms."""
+    x = stage.axes["x"]
+    mass, out = float(stage.model.dof_M0[0]), []
+    for _ in range(round(seconds / 0.01)):
+        stage.run(0.01)
+        out.append(0.5 * mass * stage.data.qvel[0] ** 2 + potential(x.position * x.gear))
+    return np.array(out)
+
+
+@pytest.mark.parametrize("payload", [0.0, 3.0])
+@pytest.mark.parametrize("speed", [0.02, 0.05])
+def test_an_unpowered_axis_glides_over_its_detents_without_gaining_energy(speed, payload):
+    """faults.phase_open(x, "a"); faults.phase_open(x, "b"); stage.data.qvel[0] = 0.02; stage.run(4): 24 % more energy."""
+    stage = frictionless(Drive())
+    x = stage.axes["x"]
+    stage.set_payload(payload, "carriage")
+    faults.phase_open(x, "a")
+    faults.phase_open(x, "b")
+    stage.data.qvel[0] = speed
+    detent, teeth = x.drive.detent_torque, x.drive.motor.rotor_teeth
+    seen = energies(stage, lambda angle: -detent / (4 * teeth) * np.cos(4 * teeth * angle), 4.0)
+    assert seen[-20:].mean() == pytest.approx(seen[:20].mean(), rel=1e-4)
+
+
+@pytest.mark.parametrize("mode", ["chopper", "sine"])
+def test_a_powered_axis_that_was_pushed_rings_as_far_as_at_first(mode):
+    """Stage(one_axis_without_friction); stage.data.qvel[0] = 0.05; stage.run(4): it slipped, and ran away to 800 rad."""
+    stage = frictionless(Drive(mode=mode))
+    x = stage.axes["x"]
+    stage.data.qvel[0] = 0.05
+
+    def reach():
+        seen = []
+        for _ in range(100):
+            stage.step()
+            seen.append(abs(x.load_angle))
+        return max(seen)
+
+    first = reach()
+    assert first > 1.8, "a wide swing, electrical radians"
+    stage.run(4.0)
+    assert reach() == pytest.approx(first, rel=2e-3)
+    assert x.lost_steps == 0
