@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
@@ -14,10 +15,11 @@ from gymnasium.vector.utils import batch_space
 
 from stage import Stage
 from stage.envs.results import DIVERGED as DIVERGED
-from stage.envs.task import Task, checked, configured
+from stage.envs.task import MoveTask, Task, checked, configured
 from stage.errors import ArgumentError, unknown
 
-RENDER_MODES = ("rgb_array", "human")
+RENDER_MODES = ("rgb_array", "rgb_array_list", "human")
+FPS = 30  # of simulated time
 WIDTH, HEIGHT = 640, 480
 
 
@@ -32,14 +34,17 @@ class StageEnv(gymnasium.Env[np.ndarray, Any]):
     """One stage under a task.
 
     Args:
-        render_mode: "rgb_array" or "human" (needs GL), or None. camera: of the model.
+        render_mode: what `render` gives (needs GL). "rgb_array": the stage at the end of the step, and not where the next move
+            will begin. "rgb_array_list": the frames since the last call or reset, 30 a second of simulated time where a step
+            is a whole move, and the end of each step. "human": a viewer that shows the same in real time. None: nothing.
+        camera: of the model.
         record: a file name for rerun recordings, with {} for the number of the episode, or of the step where each begins at
             power-up: "run/{}.rrd".
-        threads: does not matter for one stage. Other settings are those of the task's Config.
+        Other settings are those of the task's Config.
     """
 
     task: ClassVar[type[Task]]
-    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 30}  # noqa: RUF012 (as in Gymnasium)
+    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": FPS}  # noqa: RUF012 (as in Gymnasium)
 
     def __init__(
         self, render_mode: str | None = None, camera: str = "overview", record: str | None = None, **settings: Any
@@ -55,6 +60,8 @@ class StageEnv(gymnasium.Env[np.ndarray, Any]):
         self._viewer: Any = None
         self._recording: Any = None
         self._episode = 0
+        self._seen: list[np.ndarray] = []  # qpos of the frames that `render` will give
+        self._end: np.ndarray | None = None  # of the last step, where the task has moved the stage since
 
     @property
     def stage(self) -> Stage:
@@ -71,8 +78,8 @@ class StageEnv(gymnasium.Env[np.ndarray, Any]):
         self._task.restart(0, options)
         self._over = False
         self._start_recording()
-        if self.render_mode == "human":
-            self.render()
+        self._seen.clear()
+        self._show(self.stage.data.qpos[None], None)
         self._task.observe()
         return self._task.observations[0].copy(), self._task.describe(0)
 
@@ -81,7 +88,7 @@ class StageEnv(gymnasium.Env[np.ndarray, Any]):
             raise ArgumentError("the episode is over: call reset() first.")
         task = self._task
         task.take(0, action)
-        task.act()
+        self._play()
         if task.RESTARTS:
             self._save_recording()
         task.renew()
@@ -90,18 +97,62 @@ class StageEnv(gymnasium.Env[np.ndarray, Any]):
         task.observe()
         reward, terminated, truncated, info = task.results.row(0)
         self._over = terminated or truncated
-        if self.render_mode == "human":
-            self.render()
         return task.observations[0].copy(), reward, terminated, truncated, info
 
-    def render(self) -> np.ndarray | None:
+    def _play(self) -> None:
+        """The step itself, and how it looks."""
+        task = self._task
         if self.render_mode is None:
-            return None
+            task.act()
+        elif not isinstance(task, MoveTask):
+            task.act()
+            self._show(self.stage.data.qpos[None], None)
+        else:
+            frames = self._filmed()
+            self._show(frames, frames[-1].copy())
+
+    def _filmed(self) -> np.ndarray:
+        """Play a whole move. Returns the qpos to show, (frames, nq), the last at its end."""
+        if self.render_mode == "rgb_array":
+            self._task.act()
+            return self.stage.data.qpos[None]
+        from stage.envs.rendering import Film
+
+        begin, film = self.stage.data.qpos.copy(), Film(self.stage, 1 / FPS)
+        try:
+            self._task.act()
+        finally:
+            frames = film.end()
+        shown = self._seen and (begin == self._seen[-1]).all()
+        return frames if shown else np.concatenate([begin[None], frames])
+
+    def _show(self, frames: np.ndarray, end: np.ndarray | None) -> None:
+        """There are frames to see, (frames, nq); the last is where the stage is, or is `end` if it will be elsewhere."""
+        self._end = end
+        if self.render_mode == "rgb_array_list":
+            self._seen += list(frames.copy())
+        elif self.render_mode == "human":
+            for k, qpos in enumerate(frames):
+                if k:
+                    time.sleep(1 / FPS)
+                self._looking().frame(qpos)
+
+    def _looking(self) -> Any:
         if self._viewer is None:
             from stage.envs.rendering import viewer
 
-            self._viewer = viewer(self.stage, self.render_mode, self._camera, WIDTH, HEIGHT)
-        return self._viewer.frame()
+            self._viewer = viewer(self.stage, str(self.render_mode), self._camera, WIDTH, HEIGHT)
+        return self._viewer
+
+    def render(self) -> Any:
+        """A frame (height, width, 3) of uint8, a list of them, or None, as the render mode says."""
+        if self.render_mode is None:
+            return None
+        if self.render_mode == "rgb_array_list":
+            frames = [self._looking().frame(qpos) for qpos in self._seen]
+            self._seen.clear()
+            return frames
+        return self._looking().frame(self._end)
 
     def close(self) -> None:
         self._save_recording()

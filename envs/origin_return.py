@@ -39,7 +39,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import gymnasium
 import numpy as np
@@ -51,7 +51,20 @@ from stage.envs.base import StageEnv, StageVectorEnv
 from stage.envs.hosts import host_of
 from stage.envs.registers import RegisterBox
 from stage.envs.results import result
-from stage.envs.task import MoveTask, check_choice, check_positive, check_range
+from stage.envs.settings import (
+    Actions,
+    AxisName,
+    Count,
+    Cycle,
+    Number,
+    Pair,
+    Payloads,
+    Range,
+    Seconds,
+    Settings,
+    Weight,
+)
+from stage.envs.task import MoveTask, carrier
 from stage.errors import ArgumentError, unknown
 from stage.fleet import Played, Program
 
@@ -60,40 +73,34 @@ CAP = 64.0  # pulses, of an error: an electrical period of a motor at 1/16 step
 
 
 @dataclass(frozen=True)
-class Config:
+class Config(Settings):
     """Settings of OriginReturn."""
 
     model: str = "xyz"
     chip: str | type[Chip] = "PCL240K"
-    axis: str = "x"
-    actions: str = "box"  # or "registers"
-    returns: int = 5  # an episode
-    payloads: tuple[float, float] = (0.0, 10.0)  # kg, drawn evenly
-    frictions: tuple[float, float] = (0.5, 2.0)  # times the axis' friction and damping, drawn evenly by their logarithm
-    drift: float = 0.0  # m; ORG trips up to so far from its place, drawn for each return
-    ez: int = 0  # end at the ez-th index pulse after ORG (PCL240MK, PCL240MS; NOVA chips the first); 0: at ORG
-    multiplier: int = 30  # R7 of a PCL-240
-    leave: int = 16_000  # pulses, the most
-    back_off: int = 3_200  # pulses, the most, of a PCL-240
-    limit: float = 20.0  # s, each of the four runs may take
-    settle: float = 0.05  # s
-    time_weight: float = 1.0
-    error_weight: float = 0.05
-    spread_weight: float = 0.2
-    missed_weight: float = 20.0
-    limit_weight: float = 2.0
-    lost_weight: float = 2.0
-    bus_cycle: float = 1e-6  # s
-
-    def __post_init__(self) -> None:
-        check_choice(self, "actions", ("box", "registers"))
-        check_range(self, "payloads", 0.0)
-        check_range(self, "frictions", 1e-3)
-        check_positive(self, "returns", "leave", "back_off", "limit", "settle")
-        if self.ez not in range(17):
-            raise ArgumentError(f"ez={self.ez!r}: 0, or the 1st to 16th index pulse after ORG.")
-        if not 0 <= self.drift <= FROM_LIMIT:
-            raise ArgumentError(f"drift={self.drift!r} m: 0 to {FROM_LIMIT}.")
+    axis: AxisName = "x"
+    actions: Actions = "box"  # or "registers"
+    returns: Count = 5  # an episode
+    payloads: Payloads = (0.0, 10.0)  # kg, drawn evenly
+    payload_on: AxisName | None = (
+        None  # body or site that carries it; None: site "work", else the body that the axis moves
+    )
+    frictions: Annotated[Pair, Range(1e-3)] = (0.5, 2.0)  # times the axis' friction and damping; by their logarithm
+    drift: Annotated[float, Number(high=FROM_LIMIT)] = 0.0  # m; ORG trips up to so far from its place, drawn each time
+    # end at the ez-th index pulse after ORG (PCL240MK, PCL240MS; NOVA chips the first); 0: at ORG
+    ez: Annotated[int, Number(high=16, whole=True)] = 0
+    multiplier: Count = 30  # R7 of a PCL-240
+    leave: Count = 16_000  # pulses, the most
+    back_off: Count = 3_200  # pulses, the most, of a PCL-240
+    limit: Seconds = 20.0  # s, each of the four runs may take
+    settle: Seconds = 0.05  # s
+    time_weight: Weight = 1.0
+    error_weight: Weight = 0.05
+    spread_weight: Weight = 0.2
+    missed_weight: Weight = 20.0
+    limit_weight: Weight = 2.0
+    lost_weight: Weight = 2.0
+    bus_cycle: Cycle = 1e-6  # s
 
 
 class OriginReturn(MoveTask[Config]):
@@ -112,6 +119,7 @@ class OriginReturn(MoveTask[Config]):
     def prepare(self) -> None:
         c, n, first = self.config, self.n, self.stages[0]
         self.axis = first.axes[c.axis]
+        self.carrier = carrier(first, c.axis, c.payload_on)
         self.search = host_of(self.axis).search(c)
         self.switch = {s.pin: s for s in self.axis._plant.switches}
         for pin in ("org", "el_minus", "el_plus"):
@@ -156,7 +164,7 @@ class OriginReturn(MoveTask[Config]):
         payload, friction = float(rng.uniform(*c.payloads)), float(np.exp(rng.uniform(*np.log(c.frictions))))
         self.payload[k] = self._given(options, "payload", payload, c.payloads)
         self.friction[k] = self._given(options, "friction", friction, c.frictions)
-        self.stages[k].set_payload(float(self.payload[k]))
+        self.stages[k].set_payload(float(self.payload[k]), self.carrier)
         model.dof_frictionloss[self.dof], model.dof_damping[self.dof] = np.array(self.friction0) * self.friction[k]
         self.ends[k], self.last[k] = (np.inf, -np.inf), 0.0
         self._draw(k, options)

@@ -34,7 +34,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import gymnasium
 import numpy as np
@@ -45,7 +45,21 @@ from stage.compiled import announced
 from stage.envs import register_bus_core as core
 from stage.envs.base import StageEnv, StageVectorEnv
 from stage.envs.results import DIVERGED
-from stage.envs.task import Task, check_choice, check_positive
+from stage.envs.settings import (
+    LONGEST,
+    Count,
+    Counts,
+    Cycle,
+    Each,
+    Flag,
+    Names,
+    Positive,
+    Seconds,
+    Settings,
+    Weight,
+    Word,
+)
+from stage.envs.task import Task
 from stage.errors import ArgumentError, unknown
 
 WRITE, READ, WAIT = core.WRITE, core.READ, core.WAIT  # kinds of action; WAIT + k
@@ -56,35 +70,34 @@ FROM_LIMIT = 5e-4  # m; "home" starts no nearer to an end limit
 
 
 @dataclass(frozen=True)
-class Config:
+class Config(Settings):
     """Settings of RegisterBus."""
 
     model: str = "xyz"
     chip: str | type[Chip] = "PCL240K"
-    axes: tuple[str, ...] | None = None  # that have a chip; None: every axis of the model
-    goal: str = "position"  # or "home"
-    waits: tuple[float, ...] = (1e-4, 1e-3, 1e-2, 1e-1)  # s
-    distances: tuple[int, int] | None = None  # pulses, of goal "position"; None: 400 to 8000, as far as there is room
-    tolerance: float = None  # type: ignore[assignment]  # pulses; None: IN_POSITION of the chip's class, 4, counts of a servo 10
-    standing: float = 1e-3  # m/s, slower than this is standing still
-    time_limit: float = 30.0  # s
-    cycles: int = 2000  # actions
-    live: bool = False
-    truth: bool = False
-    discount: float = 1.0
-    progress_weight: float = 1.0
-    time_weight: float = 0.1
-    success_weight: float = 10.0
-    lost_weight: float = 0.05
-    bus_cycle: float = 1e-6  # s
+    axes: Annotated[tuple[str, ...] | None, Names(1)] = None  # that have a chip; None: every axis of the model
+    goal: Annotated[str, Word(GOALS)] = "position"  # or "home"
+    waits: Annotated[tuple[float, ...], Each(above=True, high=LONGEST)] = (1e-4, 1e-3, 1e-2, 1e-1)  # s
+    distances: Counts | None = None  # pulses, of goal "position"; None: 400 to 8000, as far as there is room
+    tolerance: Positive = None  # type: ignore[assignment]  # pulses; None: IN_POSITION of the chip's class, 4, counts of a servo 10
+    standing: Positive = 1e-3  # m/s, slower than this is standing still
+    time_limit: Seconds = 30.0  # s
+    cycles: Count = 2000  # actions
+    live: Flag = False
+    truth: Flag = False
+    discount: Positive = 1.0
+    progress_weight: Weight = 1.0
+    time_weight: Weight = 0.1
+    success_weight: Weight = 10.0
+    lost_weight: Weight = 0.05
+    bus_cycle: Cycle = 1e-6  # s
 
     def __post_init__(self) -> None:
         if self.tolerance is None:
             object.__setattr__(self, "tolerance", chip_class(self.chip).IN_POSITION)
-        check_choice(self, "goal", GOALS)
-        if not self.waits or not all(0 < w <= self.time_limit for w in self.waits):
-            raise ArgumentError(f"waits={self.waits!r}: one or more, each from above 0 s to time_limit.")
-        check_positive(self, "tolerance", "standing", "time_limit", "cycles", "discount")
+        super().__post_init__()
+        if max(self.waits) > self.time_limit:
+            raise ArgumentError(f"waits={self.waits!r}: up to time_limit={self.time_limit!r} s.")
         low, high = self.distances or DISTANCES
         if not self.tolerance < low <= high:
             raise ArgumentError(f"distances={(low, high)!r}: (least, most) pulses, beyond the tolerance.")

@@ -28,7 +28,7 @@ from stage.chips import Chip, chip_class
 from stage.envs.base import StageEnv, StageVectorEnv
 from stage.envs.hosts import host_of
 from stage.envs.registers import RegisterBox
-from stage.envs.task import check_positive
+from stage.envs.settings import Actions, AxisName, Count, Counts, Cycle, Flag, Payloads, Seconds, Settings, Weight
 from stage.envs.tuning import Tuning
 from stage.fleet import Played, Program
 
@@ -37,27 +37,26 @@ ALLOWED = 50e-6  # m, between carriage and pulses at rest
 
 
 @dataclass(frozen=True)
-class Config:
+class Config(Settings):
     """Settings of RegisterTuning."""
 
     model: str = "xyz"
     chip: str | type[Chip] = "PCL240K"
-    s_curve: bool | None = None  # None: on a PCL240MS only
-    axis: str = "x"
-    actions: str = "box"  # or "registers"
-    distances: tuple[int, int] = (1600, 32000)  # pulses, drawn evenly by their logarithm
-    payloads: tuple[float, float] = (0.0, 10.0)  # kg, drawn evenly
-    moves: int = 8  # an episode
-    limit: float = 4.0  # s, a move may take
-    settle: float = 0.1  # s, in which vibration is measured
-    lost_weight: float = 5.0
-    vibration_weight: float = 0.1
-    limit_weight: float = 5.0
-    bus_cycle: float = 1e-6  # s
-
-    def __post_init__(self) -> None:
-        Tuning.check(self)
-        check_positive(self, "settle")
+    s_curve: Flag | None = None  # None: on a PCL240MS only
+    axis: AxisName = "x"
+    actions: Actions = "box"  # or "registers"
+    distances: Counts = (1600, 32000)  # pulses, drawn evenly by their logarithm
+    payloads: Payloads = (0.0, 10.0)  # kg, drawn evenly
+    payload_on: AxisName | None = (
+        None  # body or site that carries it; None: site "work", else the body that the axis moves
+    )
+    moves: Count = 8  # an episode
+    limit: Seconds = 4.0  # s, a move may take
+    settle: Seconds = 0.1  # s, in which vibration is measured
+    lost_weight: Weight = 5.0
+    vibration_weight: Weight = 0.1
+    limit_weight: Weight = 5.0
+    bus_cycle: Cycle = 1e-6  # s
 
 
 class RegisterTuning(Tuning[Config]):

@@ -2,13 +2,30 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import mujoco
 import numpy as np
 
 from stage import Stage
 from stage.errors import StageError, unknown
 from stage.opengl import check_window, renderer
+
+if TYPE_CHECKING:
+    from stage.recording import Recording
+
+
+class Pose:
+    """The stage, or its picture with its joints elsewhere: the stage itself stays where it is."""
+
+    def __init__(self, stage: Stage):
+        self._stage, self.data = stage, mujoco.MjData(stage.model)
+
+    def __call__(self, qpos: np.ndarray | None = None) -> mujoco.MjData:
+        """MjData with all that is drawn; always the same."""
+        self.data.qpos[:] = self._stage.data.qpos if qpos is None else qpos
+        mujoco.mj_fwdPosition(self._stage.model, self.data)
+        return self.data
 
 
 class OffScreen:
@@ -19,11 +36,12 @@ class OffScreen:
         names = [model.camera(k).name for k in range(model.ncam)]
         if camera not in names:
             raise unknown("camera", camera, names)
-        self._stage, self._camera = stage, camera
+        self._pose, self._camera = Pose(stage), camera
         self._renderer = renderer(model, height, width)
 
-    def frame(self) -> np.ndarray:
-        self._renderer.update_scene(self._stage.data, self._camera)
+    def frame(self, qpos: np.ndarray | None = None) -> np.ndarray:
+        """The stage as it is, or with its joints at `qpos`."""
+        self._renderer.update_scene(self._pose(qpos), self._camera)
         return self._renderer.render()
 
     def close(self) -> None:
@@ -31,26 +49,47 @@ class OffScreen:
 
 
 class OnScreen:
-    """MuJoCo's own viewer, brought up to date after every step."""
+    """MuJoCo's own viewer, which shows what it is told to."""
 
     def __init__(self, stage: Stage):
         check_window("Use render_mode='rgb_array', or record.")
+        self._pose = Pose(stage)
         try:
             import mujoco.viewer
 
-            self._viewer: Any = mujoco.viewer.launch_passive(stage.model, stage.data)
+            self._viewer: Any = mujoco.viewer.launch_passive(stage.model, self._pose())
         except Exception as error:
             raise StageError(
                 f"MuJoCo's viewer does not open ({error}). Use render_mode='rgb_array', or record."
             ) from error
 
-    def frame(self) -> None:
+    def frame(self, qpos: np.ndarray | None = None) -> None:
+        """The stage as it is, or with its joints at `qpos`."""
+        self._pose(qpos)
         self._viewer.sync()
 
     def close(self) -> None:
         self._viewer.close()
 
 
+class Film:
+    """Where the joints were during a step, at `every` s of its time and at its end. The stage moves as without it, to the bit."""
+
+    def __init__(self, stage: Stage, every: float):
+        self._stage, recorded = stage, stage._recording
+        self._own = stage.record(every) if recorded is None else None
+        self._recording: Recording = recorded or stage._recording  # type: ignore[assignment]
+        self._begin, self._stride = len(self._recording), max(1, round(every / self._recording.every))
+
+    def end(self) -> np.ndarray:
+        """The step is over: (frames, nq), at least one."""
+        rows = [piece["qpos"] for piece in self._recording.pieces(begin=self._begin)]
+        if self._own is not None:
+            self._own.close()
+        seen = np.concatenate([np.zeros((0, self._stage.model.nq)), *rows])[self._stride - 1 :: self._stride]
+        return np.concatenate([seen, self._stage.data.qpos[None]])
+
+
 def viewer(stage: Stage, mode: str, camera: str, width: int, height: int) -> OffScreen | OnScreen:
     """The viewer for a render mode; StageError where there is no GL or no screen."""
-    return OffScreen(stage, camera, width, height) if mode == "rgb_array" else OnScreen(stage)
+    return OnScreen(stage) if mode == "human" else OffScreen(stage, camera, width, height)

@@ -22,7 +22,7 @@ counts per sample in the registers: the host converts them for the T that was ch
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
@@ -30,7 +30,21 @@ from stage.chips import HCTL1100, Chip
 from stage.chips.hctl1100.maps import MINIMUM_T
 from stage.envs.base import StageEnv, StageVectorEnv
 from stage.envs.registers import RegisterBox
-from stage.envs.task import check_choice, check_positive
+from stage.envs.settings import (
+    LONGEST,
+    Actions,
+    AxisName,
+    Count,
+    Counts,
+    Cycle,
+    Number,
+    Payloads,
+    Positive,
+    Seconds,
+    Settings,
+    Weight,
+    Word,
+)
 from stage.envs.tuning import Tuning
 from stage.errors import ArgumentError
 from stage.firmware.servo_port import CONTROL, FLAGS, SET, WORDS
@@ -42,30 +56,31 @@ SMALL, LARGE = 10.0, 100.0  # counts
 
 
 @dataclass(frozen=True)
-class Config:
+class Config(Settings):
     """Settings of ServoTuning."""
 
     model: str = "xyz_servo"
-    axis: str = "x"
-    motion: str = "step"  # or "trapezoid"
-    actions: str = "box"  # or "registers"
-    distances: tuple[int, int] = (50, 500)  # counts, drawn evenly by their logarithm; a trapezoid takes longer ones
-    payloads: tuple[float, float] = (0.0, 10.0)  # kg, drawn evenly
-    moves: int = 8  # an episode
-    velocity: float = 40_000.0  # counts/s, of a trapezoid
-    acceleration: float = 400_000.0  # counts/s2
-    deadband: float = 3.0  # counts
-    limit: float = 0.5  # s, a move may take
-    rest: float = 0.1  # s at its end in which unrest is measured
-    overshoot_weight: float = 0.2
-    unrest_weight: float = 0.2
-    limit_weight: float = 1.0
-    bus_cycle: float = 1e-6  # s
+    axis: AxisName = "x"
+    motion: Annotated[str, Word(MOTIONS)] = "step"  # or "trapezoid"
+    actions: Actions = "box"  # or "registers"
+    distances: Counts = (50, 500)  # counts, drawn evenly by their logarithm; a trapezoid takes longer ones
+    payloads: Payloads = (0.0, 10.0)  # kg, drawn evenly
+    payload_on: AxisName | None = (
+        None  # body or site that carries it; None: site "work", else the body that the axis moves
+    )
+    moves: Count = 8  # an episode
+    velocity: Positive = 40_000.0  # counts/s, of a trapezoid
+    acceleration: Positive = 400_000.0  # counts/s2
+    deadband: Positive = 3.0  # counts
+    limit: Seconds = 0.5  # s, a move may take
+    rest: Annotated[float, Number(LOOK, high=LONGEST)] = 0.1  # s at its end in which unrest is measured
+    overshoot_weight: Weight = 0.2
+    unrest_weight: Weight = 0.2
+    limit_weight: Weight = 1.0
+    bus_cycle: Cycle = 1e-6  # s
 
     def __post_init__(self) -> None:
-        check_choice(self, "motion", MOTIONS)
-        Tuning.check(self)
-        check_positive(self, "velocity", "acceleration", "deadband", "rest")
+        super().__post_init__()
         if not self.rest < self.limit:
             raise ArgumentError(f"rest={self.rest!r}: a part of limit={self.limit!r}.")
 

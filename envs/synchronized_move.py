@@ -38,7 +38,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import gymnasium
 import numpy as np
@@ -51,7 +51,22 @@ from stage.envs.base import StageEnv, StageVectorEnv
 from stage.envs.hosts import host_of, line_of
 from stage.envs.hosts.line import Asked
 from stage.envs.results import result
-from stage.envs.task import MoveTask, check_choice
+from stage.envs.settings import (
+    Count,
+    Counts,
+    Cycle,
+    Flag,
+    Names,
+    Number,
+    NumberOrRange,
+    Pair,
+    Positive,
+    Seconds,
+    Settings,
+    Weight,
+    Word,
+)
+from stage.envs.task import MoveTask
 from stage.errors import ArgumentError, unknown
 from stage.firmware.path import path_deviation
 from stage.fleet import Played
@@ -61,54 +76,40 @@ TENTH = 1e-4  # m
 
 
 @dataclass(frozen=True)
-class Config:
+class Config(Settings):
     """Settings of SynchronizedMove."""
 
     model: str = "xyz"
     chip: str | type[Chip] = "PCL240K"
-    axes: tuple[str, ...] = ("x", "y")
-    actions: str = "corrections"  # or "box", "registers"
-    distances: tuple[int, int] = (4_000, 20_000)  # pulses of each axis, drawn evenly by their logarithm, with any sign
-    rate: float | tuple[float, float] = (
-        8_000.0,
-        32_000.0,
-    )  # pps, peak of the longest axis by the data sheet; drawn likewise
-    fl: float = 1_000.0  # pps, of the longest axis
-    accel: float = 0.1  # s, of both ramps
-    s_curve: bool = False  # S-curves throughout; PCL240MS, NOVA
-    reach: float = 4.0  # pulses
-    multiplier_reach: int = 1  # counts of R7
-    moves: int = 1  # an episode
-    limit: float = 4.0  # s, a move may take
-    settle: float = 0.05  # s after the last pulse
-    looks: int = 100  # at the carriages, a move
-    far: float = 20.0  # pulses
-    path_weight: float = 1.0  # a pulse
-    carriage_weight: float = 1.0  # 0.1 mm
-    time_weight: float = 1.0  # a second
-    lost_weight: float = 10.0
-    limit_weight: float = 10.0
-    bus_cycle: float = 1e-6  # s
+    axes: Annotated[tuple[str, ...], Names(2)] = ("x", "y")
+    actions: Annotated[str, Word(ACTIONS)] = "corrections"  # or "box", "registers"
+    distances: Counts = (4_000, 20_000)  # pulses of each axis, drawn evenly by their logarithm, with any sign
+    # pps, peak of the longest axis by the data sheet; drawn likewise
+    rate: Annotated[float | Pair, NumberOrRange()] = (8_000.0, 32_000.0)
+    fl: Positive = 1_000.0  # pps, of the longest axis
+    accel: Seconds = 0.1  # s, of both ramps
+    s_curve: Flag = False  # S-curves throughout; PCL240MS, NOVA
+    reach: Positive = 4.0  # pulses
+    multiplier_reach: Annotated[int, Number(whole=True)] = 1  # counts of R7
+    moves: Count = 1  # an episode
+    limit: Seconds = 4.0  # s, a move may take
+    settle: Seconds = 0.05  # s after the last pulse
+    looks: Count = 100  # at the carriages, a move
+    far: Positive = 20.0  # pulses
+    path_weight: Weight = 1.0  # a pulse
+    carriage_weight: Weight = 1.0  # 0.1 mm
+    time_weight: Weight = 1.0  # a second
+    lost_weight: Weight = 10.0
+    limit_weight: Weight = 10.0
+    bus_cycle: Cycle = 1e-6  # s
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         object.__setattr__(self, "axes", tuple(self.axes))
-        check_choice(self, "actions", ACTIONS)
-        if len(set(self.axes)) != len(self.axes) or len(self.axes) < 2:
-            raise ArgumentError(f"axes={self.axes!r}: two or more different axes.")
-        if not 1 <= self.distances[0] <= self.distances[1]:
-            raise ArgumentError(f"distances={self.distances!r}: (least, most) pulses, from 1 up.")
         if not 0 < self.fl <= self.rates[0] <= self.rates[1] < np.inf:
             raise ArgumentError(
                 f"fl={self.fl!r}, rate={self.rate!r}: a rate or (least, most), not below fl, which is above 0."
             )
-        above = "accel reach moves limit settle looks far".split()
-        weights = "path_weight carriage_weight time_weight lost_weight limit_weight".split()
-        for name in (*above, *weights, "multiplier_reach"):
-            value, zero = getattr(self, name), name not in above
-            if not (value > 0 or (zero and value == 0)) or value == np.inf:
-                raise ArgumentError(f"{name}={value!r}: {'0 or more' if zero else 'more than 0'}.")
-            if name in ("moves", "looks", "multiplier_reach") and int(value) != value:
-                raise ArgumentError(f"{name}={value!r}: a whole number.")
 
     @property
     def rates(self) -> tuple[float, float]:

@@ -149,24 +149,19 @@ class MoveTask(Task[ConfigT]):
         self.results["terminated"], self.results["truncated"] = terminated, truncated
 
 
-def check_choice(config: Any, name: str, known: Sequence[str]) -> None:
-    """ArgumentError if a setting is none of the words known."""
-    if getattr(config, name) not in known:
-        raise unknown(name, getattr(config, name), known)
-
-
-def check_range(config: Any, name: str, least: float) -> None:
-    """ArgumentError if a setting is no (least, most) from `least` up."""
-    low, high = getattr(config, name)
-    if not least <= low <= high:
-        raise ArgumentError(f"{name}={getattr(config, name)!r}: (least, most), from {least} up.")
-
-
-def check_positive(config: Any, *names: str) -> None:
-    """ArgumentError if one of the settings is not more than 0."""
-    for name in names:
-        if not getattr(config, name) > 0:
-            raise ArgumentError(f"{name}={getattr(config, name)!r}: more than 0.")
+def carrier(stage: Stage, axis: str, named: str | None) -> str:
+    """The body that a payload goes on: `named`, or that of the site of this name; None: of the site "work", or, in a model that
+    has none, the body that the axis moves. ArgumentError for a name that the model does not have."""
+    model = stage.model
+    sites = {model.site(k).name: model.site(k).bodyid[0] for k in range(model.nsite)}
+    bodies = {model.body(k).name: k for k in range(1, model.nbody)}
+    if named is None:
+        body = sites.get("work", model.jnt_bodyid[stage.axes[axis].joint])
+    elif named not in bodies and named not in sites:
+        raise unknown("body or site of payload_on", named, filter(None, {**bodies, **sites}))
+    else:
+        body = bodies.get(named, sites.get(named))
+    return str(model.body(int(body)).name)
 
 
 def configured(task: type[Task], settings: Mapping[str, Any]) -> Any:

@@ -17,7 +17,7 @@ from stage import Stage
 from stage.chips import Chip
 from stage.envs.registers import RegisterBox
 from stage.envs.results import result
-from stage.envs.task import MoveTask, check_choice, check_positive, check_range
+from stage.envs.task import MoveTask, carrier
 from stage.errors import ArgumentError, unknown
 from stage.fleet import Program
 
@@ -26,7 +26,7 @@ ConfigT = TypeVar("ConfigT")
 
 class Tuning(MoveTask[ConfigT]):
     """Base of the tuning tasks. Their settings have model, axis, actions ("box" or "registers"), distances and payloads (ends of
-    what is drawn), moves (an episode's), limit (s, for a move) and bus_cycle."""
+    what is drawn), payload_on, moves (an episode's), limit (s, for a move) and bus_cycle."""
 
     OPTIONS = ("distance", "payload")
     RESTARTS = True
@@ -52,14 +52,6 @@ class Tuning(MoveTask[ConfigT]):
     def placed(self, k: int) -> None:
         """Stage k stands where its next move begins."""
 
-    @staticmethod
-    def check(config: Any) -> None:
-        """Raises ArgumentError for settings that no tuning task takes."""
-        check_choice(config, "actions", ("box", "registers"))
-        check_range(config, "distances", 1)
-        check_range(config, "payloads", 0)
-        check_positive(config, "moves", "limit")
-
     def stage(self, visuals: bool) -> Stage:
         c: Any = self.config
         made = Stage(c.model, chips=self.chip(), bus_cycle=c.bus_cycle, visuals=visuals)
@@ -70,6 +62,7 @@ class Tuning(MoveTask[ConfigT]):
     def prepare(self) -> None:
         c: Any = self.config
         self.axis = self.stages[0].axes[c.axis]
+        self.carrier = carrier(self.stages[0], c.axis, c.payload_on)
         self.registers = self.tuned()
         self.action_space = self.registers.box if c.actions == "box" else self.registers.discrete
         room = 0.95 * (self.axis.travel[1] - self.axis.travel[0]) / self.axis.meters_per_pulse
@@ -103,7 +96,7 @@ class Tuning(MoveTask[ConfigT]):
         self.distance[k] = _given(options, "distance", distance, c.distances)
         self.payload[k] = _given(options, "payload", payload, c.payloads)
         stage.restore(self.start)
-        stage.set_payload(float(self.payload[k]))
+        stage.set_payload(float(self.payload[k]), self.carrier)
         middle = 0.5 * (self.axis.travel[0] + self.axis.travel[1])
         way = np.sign(self.axis.gear) * self.axis.meters_per_pulse
         stage.place(**{c.axis: middle - 0.5 * way * float(self.distance[k])})

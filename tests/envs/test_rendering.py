@@ -12,6 +12,50 @@ import pytest
 
 import stage.envs  # noqa: F401
 from stage import StageError
+from stage.envs import rendering
+
+MOVES = {
+    "stage/RegisterTuning-v0": {"distances": (3200, 3200), "payloads": (0.0, 0.0), "moves": 2, "limit": 0.5},
+    "stage/ServoTuning-v0": {"distances": (2000, 2000), "payloads": (0.0, 0.0), "moves": 2, "limit": 0.3},
+    "stage/OriginReturn-v0": {"returns": 2, "limit": 0.2, "settle": 0.01},
+    "stage/SynchronizedMove-v0": {"distances": (2000, 2000), "moves": 2},
+}
+"""Environments whose step is a whole move, and a short one."""
+
+
+class Watcher:
+    """In place of a screen or GL: keeps the joint positions of all frames."""
+
+    def __init__(self, stage):
+        self.stage, self.frames = stage, []
+
+    def frame(self, qpos=None):
+        self.frames.append(np.array(self.stage.data.qpos if qpos is None else qpos))
+        return self.frames[-1]
+
+    def close(self):
+        pass
+
+
+@pytest.fixture
+def watched(monkeypatch):
+    """All frames of the environments to come, however they are shown."""
+    made = []
+    monkeypatch.setattr(rendering, "viewer", lambda stage, *_: made.append(Watcher(stage)) or made[-1])
+    monkeypatch.setattr("time.sleep", lambda _: None)
+    return lambda: [frame for watcher in made for frame in watcher.frames]
+
+
+def make(id_, mode=None, **settings):
+    return gymnasium.make(id_, disable_env_checker=True, render_mode=mode, **MOVES.get(id_, {}) | settings).unwrapped
+
+
+def play(env):
+    """An episode of the action in the middle; returns what it said."""
+    said = [env.reset(seed=3)]
+    while len(said) == 1 or not (said[-1][2] or said[-1][3]):
+        said.append(env.step(np.zeros(env.action_space.shape, np.float32)))
+    return said
 
 
 @pytest.mark.skipif(not {"MUJOCO_GL", "DISPLAY"} & set(os.environ), reason="no GL on this machine")
@@ -105,3 +149,59 @@ def test_a_picture_larger_than_the_models_buffer_is_refused_in_words():
     model = mujoco.MjModel.from_xml_string('<mujoco><visual><global offwidth="64" offheight="48"/></visual></mujoco>')
     with pytest.raises(StageError, match=r'larger than .* 64 x 48: <visual><global offwidth="640" offheight="480"/>'):
         renderer(model, 480, 640)
+
+
+@pytest.mark.skipif(not {"MUJOCO_GL", "DISPLAY"} & set(os.environ), reason="no GL on this machine")
+def test_a_video_of_moves_shows_the_carriage_moving():
+    """RecordVideo(gymnasium.make("stage/RegisterTuning-v0", render_mode="rgb_array"), "videos"): nothing moves in the video."""
+    env = make("stage/RegisterTuning-v0", "rgb_array")
+    env.reset(seed=1)
+    begin = env.render()
+    env.step(np.zeros(env.action_space.shape, np.float32))
+    assert (env.render() != begin).any()
+    env.close()
+
+
+@pytest.mark.parametrize("id_", MOVES)
+def test_a_frame_after_a_step_shows_its_end_and_not_where_the_next_begins(id_, watched, monkeypatch):
+    """env.reset(); env.render(); env.step(action); env.render(): two equal pictures."""
+    env = make(id_, "rgb_array")
+    env.reset(seed=1)
+    assert (env.render() == env.stage.data.qpos).all()
+    ends, act = [], type(env._task).act
+    monkeypatch.setattr(type(env._task), "act", lambda task: (act(task), ends.append(task.stages[0].data.qpos.copy())))
+    env.step(np.zeros(env.action_space.shape, np.float32))
+    assert (env.render() == ends[-1]).all()
+    assert (watched()[0] != watched()[1]).any(), "it has moved"
+    env.reset()
+    assert (env.render() == env.stage.data.qpos).all(), "a new episode"
+
+
+@pytest.mark.parametrize("mode", ["rgb_array_list", "human"])
+@pytest.mark.parametrize("id_", MOVES)
+def test_frames_of_a_whole_move_show_the_way_and_change_nothing(id_, mode, watched):
+    """gymnasium.make("stage/OriginReturn-v0", render_mode="rgb_array_list"): a frame a step, the origin in each."""
+    env = make(id_, mode)
+    said, plain = play(env), play(make(id_))
+    for (seen, *_, info), (expected, *_, wanted) in zip(said, plain, strict=True):
+        assert np.array_equal(seen, expected)
+        assert info.get("duration") == wanted.get("duration")
+    if mode == "rgb_array_list":
+        assert len(env.render()) == len(watched())
+        assert env.render() == [], "each frame once"
+    seconds = [s[4].get("duration", 0.3) for s in said[1:]]
+    assert len(watched()) >= sum(int(s * 30) + 1 for s in seconds)
+    moved = [np.abs(b - a).max() for a, b in zip(watched(), watched()[1:], strict=False)]
+    assert np.count_nonzero(np.array(moved) > 1e-5) > len(seconds), "more than the ends"
+
+
+def test_a_bus_cycle_is_a_frame_and_a_recording_has_frames_beside_it(watched, tmp_path):
+    env = make("stage/RegisterBus-v0", "rgb_array_list")
+    env.reset(seed=1)
+    env.step(np.array([5, 0, 0, 0]))
+    assert len(env.render()) == 2
+    both, alone = (make("stage/ServoTuning-v0", "rgb_array_list", record=r) for r in (str(tmp_path / "{}.rrd"), None))
+    play(both), play(alone)
+    both.close()
+    assert len(both.render()) == pytest.approx(len(alone.render()), abs=2)
+    assert (tmp_path / "1.rrd").exists(), "the second step's"

@@ -1,0 +1,171 @@
+"""Settings of the environments: the kinds that there are, and the one place where they are checked.
+
+    @dataclass(frozen=True)
+    class Config(Settings):
+        moves: Count = 8                                     a whole number from 1 up
+        limit: Seconds = 4.0                                 more than 0, up to 1e6 s
+        payloads: Annotated[Pair, Range(0.0)] = (0.0, 10.0)  (least, most), from 0 up
+
+Whoever makes a Config with a number out of its range, with one that is no number (nan), or with a word that is not known
+gets an ArgumentError that names the setting. What a kind cannot tell, as which axes a model has, is checked where it is used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from numbers import Real
+from typing import Annotated, Any, get_args, get_type_hints
+
+import numpy as np
+
+from stage.errors import ArgumentError, unknown
+
+MOST = 1e9  # of any number
+LONGEST = 1e6  # s
+
+
+@dataclass(frozen=True)
+class Number:
+    """A number from `low` up, or above it, to `high`; a whole one."""
+
+    low: float = 0.0
+    above: bool = False
+    high: float = MOST
+    whole: bool = False
+
+    @property
+    def allowed(self) -> str:
+        """In words."""
+        start = f"more than {self.low:g}" if self.above else f"{self.low:g} or more"
+        return f"a {'whole ' if self.whole else ''}number, {start}, up to {self.high:g}"
+
+    def takes(self, value: Any) -> bool:
+        """Not for one that is no number, and not for True and False."""
+        if not isinstance(value, Real) or isinstance(value, bool):
+            return False
+        number = float(value)
+        inside = (self.low < number if self.above else self.low <= number) and number <= self.high
+        return inside and (number.is_integer() or not self.whole)
+
+    def check(self, name: str, value: Any) -> None:
+        """Raise ArgumentError, unless it takes the value of this setting."""
+        if not self.takes(value):
+            raise ArgumentError(f"{name}={value!r}: {self.allowed}.")
+
+
+@dataclass(frozen=True)
+class Range(Number):
+    """(least, most), each such a number."""
+
+    def check(self, name: str, value: Any) -> None:
+        if (
+            isinstance(value, Sequence | np.ndarray)
+            and len(value) == 2
+            and all(map(self.takes, value))
+            and value[0] <= value[1]
+        ):
+            return
+        raise ArgumentError(f"{name}={value!r}: (least, most), each {self.allowed}.")
+
+
+@dataclass(frozen=True)
+class Word:
+    """One of the words known."""
+
+    known: tuple[str, ...]
+
+    def check(self, name: str, value: Any) -> None:
+        """Raise ArgumentError, unless it takes the value of this setting."""
+        if value not in self.known:
+            raise unknown(name, value, self.known)
+
+
+@dataclass(frozen=True)
+class NumberOrRange(Range):
+    """Such a number, for least and most, or both."""
+
+    def check(self, name: str, value: Any) -> None:
+        if not self.takes(value):
+            super().check(name, value)
+
+
+@dataclass(frozen=True)
+class Each(Number):
+    """One or more such numbers."""
+
+    def check(self, name: str, value: Any) -> None:
+        if not isinstance(value, Sequence | np.ndarray) or not len(value) or not all(map(self.takes, value)):
+            raise ArgumentError(f"{name}={value!r}: one or more, each {self.allowed}.")
+
+
+class Truth:
+    """True or False, and nothing that Python takes for one of them."""
+
+    def check(self, name: str, value: Any) -> None:
+        """Raise ArgumentError, unless it takes the value of this setting."""
+        if not isinstance(value, bool | np.bool_):
+            raise ArgumentError(f"{name}={value!r}: True or False.")
+
+
+class Name:
+    """A name in the model."""
+
+    def check(self, name: str, value: Any) -> None:
+        """Raise ArgumentError, unless it takes the value of this setting."""
+        if not isinstance(value, str):
+            raise ArgumentError(f"{name}={value!r}: a name in the model.")
+
+
+@dataclass(frozen=True)
+class Names:
+    """At least so many different names in the model."""
+
+    least: int
+
+    def check(self, name: str, value: Any) -> None:
+        """Raise ArgumentError, unless it takes the value of this setting."""
+        given = list(value) if isinstance(value, Sequence) and not isinstance(value, str) else [None]
+        if not all(isinstance(n, str) for n in given) or not self.least <= len(set(given)) == len(given):
+            raise ArgumentError(f"{name}={value!r}: {self.least} or more different names, for example ('x', 'y').")
+
+
+Pair = tuple[float, float]
+Positive = Annotated[float, Number(above=True)]
+Seconds = Annotated[float, Number(above=True, high=LONGEST)]
+Cycle = Annotated[float, Number(high=1.0)]
+"""s, that a bus cycle takes."""
+Weight = Annotated[float, Number()]
+"""Of a part of the reward; which sign the part has is the environment's."""
+Count = Annotated[int, Number(1, whole=True)]
+Counts = Annotated[tuple[int, int], Range(1, whole=True)]
+Payloads = Annotated[Pair, Range()]
+"""kg."""
+Flag = Annotated[bool, Truth()]
+AxisName = Annotated[str, Name()]
+Actions = Annotated[str, Word(("box", "registers"))]
+
+
+class Settings:
+    """The base of every Config: a frozen dataclass whose settings are checked by their kinds.
+
+    None is a value of those settings alone whose default it is.
+    """
+
+    def __post_init__(self) -> None:
+        config: Any = type(self)
+        for name, kind in _kinds(config):
+            value = getattr(self, name)
+            if value is not None or getattr(config, name) is not None:
+                kind.check(name, value)
+
+
+@cache
+def _kinds(config: type) -> list[tuple[str, Any]]:
+    """The settings of a Config that have a kind."""
+    hints = get_type_hints(config, include_extras=True)
+    parts = [
+        (name, part) for name, hint in hints.items() for part in (hint, *get_args(hint))
+    ]  # those of `KIND | None`, too
+    return [(name, kind) for name, part in parts for kind in getattr(part, "__metadata__", ())]

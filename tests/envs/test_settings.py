@@ -1,0 +1,96 @@
+"""Settings: every number of every environment is checked, and a payload goes on any model that keeps the naming contract."""
+
+from dataclasses import fields
+from importlib import import_module
+
+import gymnasium
+import numpy as np
+import pytest
+
+import stage.envs
+from stage import ArgumentError, plant
+from stage.envs.settings import Name, Number, Range, Truth, _kinds
+
+EVERY = {id_: import_module("stage.envs." + where.split(":")[0]).Config for id_, where in stage.envs.IDS.items()}
+UNCHECKED = {"model", "chip"}
+"""What the stage checks."""
+
+
+def make(id_, **settings):
+    return gymnasium.make(id_, disable_env_checker=True, **settings).unwrapped
+
+
+@pytest.mark.parametrize("id_", EVERY)
+def test_no_setting_takes_what_is_no_number_or_out_of_range(id_):
+    """gymnasium.make("stage/RegisterTuning-v0", lost_weight=float("nan")), and lost_weight=-1: taken, rewards are nan."""
+    config = EVERY[id_]
+    kinds = dict(_kinds(config))
+    assert {f.name for f in fields(config)} - set(kinds) <= UNCHECKED
+    for name, kind in kinds.items():
+        default = getattr(config, name, None)
+        for bad in (np.nan, -1.0, np.inf, [], 1 + 2j, *([] if isinstance(kind, Name) else ["much"])):
+            wrong = (bad, bad) if isinstance(default, tuple) else bad
+            with pytest.raises(ArgumentError, match=rf"{name}"):
+                config(**{name: wrong})
+        if default is not None:
+            with pytest.raises(ArgumentError, match=rf"{name}.*None"):
+                config(**{name: None})
+        if isinstance(kind, Range) and default:
+            for wrong in ((default[1], default[0]), default[:1], "much", (*default, default[1])):
+                with pytest.raises(ArgumentError, match=rf"{name}=.*least, most"):
+                    config(**{name: wrong})
+        if isinstance(kind, Truth):
+            with pytest.raises(ArgumentError, match=rf"{name}=1: True or False"):
+                config(**{name: 1})
+        if name.endswith("_weight"):
+            assert getattr(config(**{name: 0}), name) == 0
+        if type(kind) is Number and kind.whole:
+            with pytest.raises(ArgumentError, match=rf"{name}=.*whole number"):
+                config(**{name: default + 0.5})
+            assert getattr(config(**{name: np.int64(default)}), name) == default
+
+
+@pytest.mark.parametrize(
+    ("id_", "settings", "message"),
+    [
+        ("stage/RegisterBus-v0", {"waits": (0.1, np.nan)}, "waits="),
+        ("stage/RegisterBus-v0", {"waits": 0.1}, "waits=0.1"),
+        ("stage/RegisterBus-v0", {"axes": ()}, r"axes=\(\): 1 or more"),
+        ("stage/RegisterBus-v0", {"distances": (np.nan, 1000)}, "distances="),
+        ("stage/RegisterBus-v0", {"distances": 1000}, "distances=1000"),
+        ("stage/SynchronizedMove-v0", {"rate": np.nan}, "rate=nan"),
+        ("stage/SynchronizedMove-v0", {"rate": "fast"}, "rate='fast'"),
+        ("stage/SynchronizedMove-v0", {"axes": ("x", "w")}, "unknown axis 'w'"),
+        ("stage/SynchronizedMove-v0", {"axes": 2}, "axes=2"),
+        ("stage/RegisterTuning-v0", {"axis": "w"}, "unknown axis 'w'"),
+        ("stage/RegisterTuning-v0", {"axis": ["x"]}, r"axis=\['x'\]: a name"),
+        ("stage/RegisterTuning-v0", {"payload_on": "wokr"}, "unknown body or site of payload_on 'wokr'.*Did you mean 'work'"),
+        ("stage/OriginReturn-v0", {"payload_on": "wokr"}, "unknown body or site of payload_on 'wokr'"),
+        ("stage/RegisterTuning-v0", {"s_curve": "no"}, "s_curve='no': True or False"),
+        ("stage/ServoTuning-v0", {"rest": 1e-4}, "rest=0.0001: a number, 0.001 or more"),
+    ],
+)  # fmt: skip
+def test_settings_that_name_or_count_wrongly_are_named(id_, settings, message):
+    with pytest.raises(ArgumentError, match=message):
+        make(id_, **settings)
+
+
+def without_work():
+    spec = plant.open_spec("xyz")
+    spec.delete(spec.site("work"))
+    return spec
+
+
+@pytest.mark.parametrize("id_", ["stage/RegisterTuning-v0", "stage/OriginReturn-v0"])
+def test_a_model_without_a_site_work_carries_its_payload(id_):
+    """gymnasium.make("stage/RegisterTuning-v0", model=spec_without_the_site_work).reset(): no site 'work' to put a payload on."""
+    env = make(id_, model=without_work(), axis="y", payloads=(2.0, 2.0))
+    env.reset(seed=1)
+    model = env.stage.model
+    moved = model.body(int(model.jnt_bodyid[env.stage.axes["y"].joint])).name
+    assert env.stage.payload(moved) == 2.0, "on the body that the axis moves"
+    tool = model.body(int(model.site("tool").bodyid[0])).name
+    for named in ("tool", tool):
+        env = make(id_, model=without_work(), axis="y", payloads=(2.0, 2.0), payload_on=named)
+        env.reset(seed=1)
+        assert env.stage.payload(tool) == 2.0, "on the body, or that of the site, that was named"
