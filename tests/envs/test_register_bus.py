@@ -6,7 +6,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-from stage import ArgumentError, Stage, firmware
+from stage import ArgumentError, Stage, faults, firmware
 from stage.chips import MCX302, MCX304, MCX514, PCL240K, PCL240MK, PCL240MS
 from stage.compiled import COMPILED
 from stage.envs import register_bus as rb
@@ -418,6 +418,27 @@ def test_a_carriage_that_slipped_to_its_target_has_not_made_it():
         assert host.info["error"] == pytest.approx(error, abs=1)
         assert not host.info["success"]
         assert sum(s[4]["reward_parts"]["lost"] for s in host.steps[-5:]) == pytest.approx(part)
+
+
+def test_a_carriage_held_at_its_target_while_its_field_stands_elsewhere_has_not_made_it():
+    """`_arrived` without `abs(rest - goal) <= rule.near`: success for a carriage that its motor will pull away."""
+    env = make(axes=("x",))
+    env.reset(seed=0, options={"target": {"x": 8}})
+    host, axis = Host(env), env.stage.axes["x"]
+    jam = faults.jam(axis)
+    env.stage.data.qpos[axis._plant.qpos] += 10 * axis.meters_per_pulse  # it yields a little
+    for error, wait in ((0, 2), (8, 3)):  # held, then let go
+        for _ in range(3):
+            host.act(rb.WAIT + wait)
+            assert (host.info["lost_steps"], host.info["success"]) == (0, False)
+        assert host.info["error"] == pytest.approx(error, abs=3)
+        jam.mend()
+    for address, byte in sequence(8, PCL240K):
+        host.act(rb.WRITE, 0, address, byte)
+    for _ in range(2):
+        if not host.over:
+            host.act(rb.WAIT + 3)
+    assert host.info["success"], "with its field there, it is"
 
 
 def test_passing_the_target_is_not_reaching_it():

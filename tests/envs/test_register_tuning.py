@@ -7,7 +7,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-from stage import ArgumentError
+from stage import ArgumentError, faults
 from stage.chips import MCX302, MCX304, MCX514, PCL240K, PCL240MS
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "scripts" / "baselines"))
@@ -109,3 +109,17 @@ def test_the_formulas_registers_for_a_chip_make_the_move_without_a_loss(chip, s_
     assert info["lost_steps"] == 0
     _, slow = one_move(formula.registers(env.stage.axes["x"], DISTANCE, 2.0, s_curve), chip=chip, s_curve=s_curve)
     assert slow["duration"] > info["duration"] - 0.01
+
+
+def test_a_carriage_that_its_motor_does_not_bring_along_costs_a_lost_step():
+    """`lost` without `abs(commanded - position) > ALLOWED`: a move whose carriage stayed behind was as good as another."""
+    parts = {}
+    for jammed in (False, True):
+        env = make(distances=(30, 30), moves=1)
+        env.reset(seed=1)
+        if jammed:
+            faults.jam(env.stage.axes["x"])
+        info = env.step(np.zeros(env.action_space.shape, np.float32))[4]
+        assert (info["finished"], info["lost_steps"]) == (True, 0)
+        parts[jammed] = info["reward_parts"]["lost"]
+    assert parts == {False: 0.0, True: -env._task.config.lost_weight}
