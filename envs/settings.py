@@ -57,7 +57,9 @@ class Number:
 
 @dataclass(frozen=True)
 class Range(Number):
-    """(least, most), each such a number."""
+    """(least, most), each such a number. more: what else is asked of it, in words."""
+
+    more: str = ""
 
     def check(self, name: str, value: Any) -> None:
         if (
@@ -67,7 +69,8 @@ class Range(Number):
             and value[0] <= value[1]
         ):
             return
-        raise ArgumentError(f"{name}={value!r}: (least, most), each {self.allowed}.")
+        what = f"{'whole ' if self.whole else ''}numbers {'above' if self.above else 'from'} {self.low:g} up"
+        raise ArgumentError(f"{name}={value!r}: (least, most), {what}, to {self.high:g}{self.more}.")
 
 
 @dataclass(frozen=True)
@@ -120,15 +123,16 @@ class Name:
 
 @dataclass(frozen=True)
 class Names:
-    """At least so many different names in the model."""
+    """At least so many different names in the model; a str is names of one letter."""
 
     least: int
 
     def check(self, name: str, value: Any) -> None:
         """Raise ArgumentError, unless it takes the value of this setting."""
-        given = list(value) if isinstance(value, Sequence) and not isinstance(value, str) else [None]
+        given = list(value) if isinstance(value, Sequence) else [None]
         if not all(isinstance(n, str) for n in given) or not self.least <= len(set(given)) == len(given):
-            raise ArgumentError(f"{name}={value!r}: {self.least} or more different names, for example ('x', 'y').")
+            few = ("one", "two")[self.least - 1]
+            raise ArgumentError(f"{name}={value!r}: {few} or more different names, for example ('x', 'y').")
 
 
 Pair = tuple[float, float]
@@ -138,7 +142,7 @@ Cycle = Annotated[float, Number(high=1.0)]
 """s, that a bus cycle takes."""
 Weight = Annotated[float, Number()]
 """Of a part of the reward; which sign the part has is the environment's."""
-Count = Annotated[int, Number(1, whole=True)]
+Count = Annotated[int, Number(above=True, whole=True)]
 Counts = Annotated[tuple[int, int], Range(1, whole=True)]
 Payloads = Annotated[Pair, Range()]
 """kg."""

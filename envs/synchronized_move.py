@@ -85,7 +85,7 @@ class Config(Settings):
     actions: Annotated[str, Word(ACTIONS)] = "corrections"  # or "box", "registers"
     distances: Counts = (4_000, 20_000)  # pulses of each axis, drawn evenly by their logarithm, with any sign
     # pps, peak of the longest axis by the data sheet; drawn likewise
-    rate: Annotated[float | Pair, NumberOrRange()] = (8_000.0, 32_000.0)
+    rate: Annotated[float | Pair, NumberOrRange(more=", not below fl")] = (8_000.0, 32_000.0)
     fl: Positive = 1_000.0  # pps, of the longest axis
     accel: Seconds = 0.1  # s, of both ramps
     s_curve: Flag = False  # S-curves throughout; PCL240MS, NOVA

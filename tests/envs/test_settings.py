@@ -9,7 +9,7 @@ import pytest
 
 import stage.envs
 from stage import ArgumentError, plant
-from stage.envs.settings import Name, Number, Range, Truth, _kinds
+from stage.envs.settings import Name, Names, Number, Range, Truth, _kinds
 
 EVERY = {id_: import_module("stage.envs." + where.split(":")[0]).Config for id_, where in stage.envs.IDS.items()}
 UNCHECKED = {"model", "chip"}
@@ -28,7 +28,7 @@ def test_no_setting_takes_what_is_no_number_or_out_of_range(id_):
     assert {f.name for f in fields(config)} - set(kinds) <= UNCHECKED
     for name, kind in kinds.items():
         default = getattr(config, name, None)
-        for bad in (np.nan, -1.0, np.inf, [], 1 + 2j, *([] if isinstance(kind, Name) else ["much"])):
+        for bad in (np.nan, -1.0, np.inf, [], 1 + 2j, *([] if isinstance(kind, Name | Names) else ["much"])):
             wrong = (bad, bad) if isinstance(default, tuple) else bad
             with pytest.raises(ArgumentError, match=rf"{name}"):
                 config(**{name: wrong})
@@ -55,7 +55,7 @@ def test_no_setting_takes_what_is_no_number_or_out_of_range(id_):
     [
         ("stage/RegisterBus-v0", {"waits": (0.1, np.nan)}, "waits="),
         ("stage/RegisterBus-v0", {"waits": 0.1}, "waits=0.1"),
-        ("stage/RegisterBus-v0", {"axes": ()}, r"axes=\(\): 1 or more"),
+        ("stage/RegisterBus-v0", {"axes": ()}, r"axes=\(\): one or more"),
         ("stage/RegisterBus-v0", {"distances": (np.nan, 1000)}, "distances="),
         ("stage/RegisterBus-v0", {"distances": 1000}, "distances=1000"),
         ("stage/SynchronizedMove-v0", {"rate": np.nan}, "rate=nan"),
