@@ -270,9 +270,11 @@ class RegisterBus(Task[Config]):
         watched = self.fleet.watched()
         if not watched:
             self.fleet.spread(self._step)
+            self.fleet.check(self._status)
             return
         self._by_hand[watched] = True
         self.fleet.spread(lambda begin, end: core.play(self._address, begin, end))
+        self.fleet.check(self._status)
         self._by_hand[:] = False
         for k in watched:
             if self.active[k]:

@@ -26,21 +26,31 @@ from typing import Any
 import llvmlite.binding
 import mujoco
 import numba
+import numpy as np
 
 from stage.chips import cores
 from stage.chips.entries import INPUT, SEE
 from stage.compiled import COMPILED, greatest, hot, least, record
 from stage.drives import drive, stepper
+from stage.plant import PINS
+from stage.sealed import at
 
-_LIBRARY = glob.glob(os.path.join(os.path.dirname(mujoco.__file__), "libmujoco.*"))[0]  # .so or, on macOS, .dylib
+LIBRARY = glob.glob(os.path.join(os.path.dirname(mujoco.__file__), "libmujoco.*"))[0]  # .so or, on macOS, .dylib
 if COMPILED:
-    llvmlite.binding.load_library_permanently(_LIBRARY)
-    mj_step: Any = numba.types.ExternalFunction("mj_step", numba.types.void(numba.types.intp, numba.types.intp))
+    llvmlite.binding.load_library_permanently(LIBRARY)
+    intp = numba.types.intp
+    mj_step: Any = numba.types.ExternalFunction("mj_step", numba.types.void(intp, intp))
+    mj_get_state: Any = numba.types.ExternalFunction(
+        "mj_getState", numba.types.void(intp, intp, intp, numba.types.int32)
+    )
 else:
-    mj_step = ctypes.CDLL(_LIBRARY).mj_step
+    mj_step, mj_get_state = ctypes.CDLL(LIBRARY).mj_step, ctypes.CDLL(LIBRARY).mj_getState
     mj_step.argtypes = (ctypes.c_void_p, ctypes.c_void_p)
-    mj_step.restype = None
+    mj_get_state.argtypes = (ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int)
+    mj_step.restype = mj_get_state.restype = None
 
+STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)  # all of it: physics, and in userdata chips, drives, switches
+ADDRESS = np.dtype("i8")
 NEVER = 1 << 62
 FAR = 1.0  # distance of a vane that no sensor sees
 TURN = 2.0 * math.pi
@@ -49,8 +59,9 @@ SECOND = 1_000_000_000
 SLICES = stepper.SLICES
 
 # --- state, in userdata ---
-WORLD = record([("now", "i8"), ("start", "i8"), ("slice", "i8"), ("steps", "i8"), ("to_sample", "i8")])
-"""`now`, `start` of the window (ns); slices and steps done; steps until the next sample."""
+WORLD = record([(name, "i8") for name in "now start slice steps to_sample powered".split()])
+"""`now`, `start` of the window (ns); slices and steps done; steps until the next sample; 1 under power: where it is 0, somebody has
+cleared userdata (mj_resetData does), and nothing in it means anything."""
 AXIS = record(
     [("counts", "f8", (SLICES,))] + [(name, "i8") for name in "count next_edge index_on index_edge index_end".split()]
 )
@@ -61,8 +72,10 @@ SWITCH = record([("dist", "f8"), ("edge", "i8"), ("on", "i8"), ("toggles", "i8")
 toggle and when it will have come to rest (ns)."""
 
 # --- constants ---
+CALLBACKS = 8  # that MuJoCo has
 CLOCKWORK = record(
     [
+        ("busy", "i8"),
         ("dt", "i8"),
         ("slices", "i8"),
         ("h", "f8"),
@@ -70,10 +83,15 @@ CLOCKWORK = record(
         ("nv", "i8"),
         ("sample_every", "i8"),
         ("encoders", "i8"),
+        ("guarded", "i8"),
+        ("failed", "i8"),
+        ("callbacks", "i8", (CALLBACKS,)),
+        ("native", "i8", (CALLBACKS,)),
     ]
 )
-"""Window (ns), slices in it, a slice and half a window (s), degrees of freedom, steps per sample (0: none), axes whose chips see an
-encoder."""
+"""Who runs the stage, see stage.in_use; window (ns), slices in it, a slice and half a window (s), degrees of freedom, steps per
+sample (0: none), axes whose chips see an encoder; of MuJoCo's callbacks, see stage.callbacks: whether they are guarded, whether one
+has failed, where their addresses lie and what these are while nobody in Python is called."""
 CHIP_TABLE = cores.CHIP
 AXIS_TABLE = record(
     [(name, "i8") for name in "chip chip_axis qpos dof actuator first_switch end_switch index_bit".split()]
@@ -106,8 +124,11 @@ EDGE = record([(name, "i8") for name in ("now", "clock", "axis", "kind", "a", "b
 rate in their place."""
 
 MAX_TOGGLES = 8
-EDGES_A_WINDOW = 49  # of an axis at most: 5 switches, each an edge and its toggles; the index pulse; the shaft
-REACHED, SAMPLES_FULL, EDGES_FULL, DIVERGED = range(4)
+EDGES_A_WINDOW = len(PINS) * (1 + MAX_TOGGLES) + 2 + 1
+"""Of an axis at most: each switch an edge and its toggles; the index pulse begins and ends; the shaft."""
+REACHED, SAMPLES_FULL, EDGES_FULL, DIVERGED, FAILED, UNGUARDED, IN_USE, WIPED = range(8)
+"""Why it returned: time is up; no room to log in; the physics diverged; a callback failed. And why it did nothing: there are
+callbacks, and nobody guards them; another runs the stage; it is not under power."""
 MAX_SPEED = 1e6  # of any joint, per second; beyond it, or NaN, the simulation has diverged
 
 
@@ -253,7 +274,7 @@ def _meet_edges(c, axes, table, switches, switch_table, until, edges, n_edges):
             if axes[a].next_edge > now:
                 continue
             _meet_axis_edges(axes[a], table[a], c, j, switches, switch_table, now)
-            if len(edges):
+            if n_edges < len(edges):
                 e = edges[n_edges]
                 e.now, e.clock, e.axis, e.kind, e.a, e.b = now, cores.clock(c), a, INPUT, j, cores.inputs(c, j)
                 n_edges += 1
@@ -307,7 +328,7 @@ def _see(chips, world, table, clockwork, qpos, qvel, edges, counts):
                 continue
             count, speed = _shaft(world, table[a], clockwork, qpos, qvel)
             cores.see(c, j, count, speed / c.hz)
-            if len(edges):
+            if counts[1] < len(edges):
                 e = edges[counts[1]]
                 e.now, e.clock, e.axis, e.kind, e.count, e.rate = world.now, cores.clock(c), a, SEE, count, speed / c.hz
                 counts[1] += 1
@@ -334,17 +355,35 @@ def _sample(world, t, c, d, clockwork, qpos, qvel, effort, out):
 
 
 @hot
+def _unguarded(clockwork):
+    """MuJoCo would call somebody whose exceptions nobody guards."""
+    if not clockwork.guarded:
+        for k in range(CALLBACKS):
+            if at(clockwork.callbacks[k], 1, ADDRESS)[0] != clockwork.native[k]:
+                return True
+    return False
+
+
+@hot
 def run(
     model, data, world_, axes, drives, switches, table, switch_table, chips, clockwork_,
-    qpos, qvel, ctrl, sensordata, inertia, until, samples, positions, n_samples, edges, n_edges, counts,
+    qpos, qvel, ctrl, sensordata, inertia, until, samples, positions, n_samples, edges, n_edges, counts, state,
 ):  # fmt: skip
     """Run up to `until` ns. Returns why it returned (REACHED, ...); counts[0], counts[1] = samples and edges written.
 
     model, data: addresses. chips: CHIP_TABLE. inertia: (nv,), kg or kg m^2 that each degree of freedom moves. samples:
-    (capacity, axes) SAMPLE; positions: (capacity, nq) float64; edges: EDGE. Empty arrays log nothing.
+    (capacity, axes) SAMPLE; positions: (capacity, nq) float64; edges: EDGE. Empty arrays log nothing. state: address (0: none) that
+    takes the state as it is before the physics.
     """
     world, clockwork = world_[0], clockwork_[0]
-    status, counts[1] = REACHED, n_edges
+    status, counts[0], counts[1] = REACHED, n_samples, n_edges
+    if not world.powered:
+        return WIPED
+    if world.start + clockwork.dt <= until:
+        if _unguarded(clockwork):
+            return UNGUARDED
+        if state:
+            mj_get_state(model, data, state, STATE)
     while world.now < until:
         end = world.start + clockwork.dt
         stop = least(until, end)
@@ -369,12 +408,14 @@ def run(
         for k in range(clockwork.nv):
             if not abs(qvel[k]) < MAX_SPEED:
                 status = DIVERGED
-        if status == DIVERGED:
+        if clockwork.failed:
+            status = FAILED
+        if status != REACHED:
             break
         _foresee(world, axes, table, switches, switch_table, clockwork, sensordata, qpos, qvel, True)
         if clockwork.encoders:
             counts[1] = _see(chips, world, table, clockwork, qpos, qvel, edges, counts)
-        if clockwork.sample_every:
+        if clockwork.sample_every and n_samples < len(samples):
             world.to_sample -= 1
             if world.to_sample <= 0:
                 world.to_sample = clockwork.sample_every
@@ -435,6 +476,7 @@ def _settle_axis(c, world, axis, t, switches, switch_table, d, clockwork, qpos, 
 def settle(world_, axes, drives, switches, table, switch_table, chips, clockwork_, qpos, qvel, sensordata):
     """Before the first window, or after the carriages were placed by hand: switch levels and pending edges anew."""
     world, clockwork = world_[0], clockwork_[0]
+    world.powered = 1
     for k in range(len(switches)):
         switches[k].toggles, switches[k].edge = 0, NEVER
     _foresee(world, axes, table, switches, switch_table, clockwork, sensordata, qpos, qvel, False)

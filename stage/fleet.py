@@ -18,12 +18,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from stage import handle, host
+from stage import callbacks, engine, handle, host
 from stage.chips import Chip
 from stage.compiled import announced
-from stage.errors import ArgumentError
-from stage.machine import Stage
+from stage.errors import ArgumentError, StageError
+from stage.machine import IN_USE, Stage
 
+MOST = engine.SECOND * 10**9  # ns
+MOST_AXES = 62  # bits of a mask
 CHUNKS = 4  # a thread's share, so that a slow stage does not hold up the rest
 
 
@@ -74,8 +76,14 @@ class Program:
         return self
 
     def until_stopped(self, axes: Sequence[int], limit: float, poll: float = 2.5e-4) -> Program:
-        """Poll until none of the axes operates; the result is the ns it took, negative when `limit` seconds came first."""
-        self.ops.append((host.STOP, sum(1 << a for a in axes), round(poll * 1e9), round(limit * 1e9)))
+        """Poll until none of the axes operates; the result is the ns it took, negative when `limit` seconds came first.
+
+        Raises ArgumentError for an axis that no stage has.
+        """
+        if not all(0 <= a < MOST_AXES for a in axes):
+            raise ArgumentError(f"axes={axes!r}: axes are given by their index, from 0 on.")
+        mask = sum(1 << a for a in set(axes))
+        self.ops.append((host.STOP, mask, round(poll * 1e9), round(limit * 1e9)))
         return self
 
     def look(self, axis: int) -> Program:
@@ -108,6 +116,8 @@ class Fleet:
         """
         if not len(stages):
             raise ArgumentError("a fleet has at least one stage.")
+        if len({id(s) for s in stages}) < len(stages):
+            raise ArgumentError("a stage is in the fleet twice: a fleet is of different stages, copy.deepcopy(stage).")
         if threads is not None and (int(threads) != threads or threads < 1):
             raise ArgumentError(f"threads={threads!r}: a whole number, 1 or more.")
         here = sorted({(tuple(s.axes), s.model.nq) for s in stages})
@@ -117,12 +127,14 @@ class Fleet:
         self.threads = min(threads or _processors(), len(self.stages))
         first = self.stages[0]
         self._nq, self._axes = first.model.nq, len(first.axes)
+        self._process = os.getpid()
         self.handles = np.zeros(len(self.stages), handle.HANDLE)
         self._truth = np.zeros((len(self.stages), self._axes), host.TRUTH)
         self._pool: ThreadPoolExecutor | None = None
         with announced("PulseStage: compiling the fleet's loop, once on this machine (about ten seconds) ..."):
             for k, stage in enumerate(self.stages):
                 handle.fill(self.handles, k, stage)
+            self.handles["state"] = 0  # nobody takes a step back
             none = np.zeros((0, 1, 4), np.int64), np.zeros((0, 1), np.int64), np.zeros((0, self._nq, 2))
             host.play(self.handles, 0, 0, *none, np.zeros(0, np.int64))
 
@@ -130,7 +142,10 @@ class Fleet:
         return len(self.stages)
 
     def play(self, programs: Sequence[Program] | np.ndarray) -> Played:
-        """Play programs[k] on stage k; an empty one leaves it alone. Programs may be given as an array (stages, ops, 4)."""
+        """Play programs[k] on stage k; an empty one leaves it alone. Programs may be given as an array (stages, ops, 4).
+
+        Raises ArgumentError for a program that names an axis that is not there, or a time that is no time; nothing is played then.
+        """
         ops = programs if isinstance(programs, np.ndarray) else _table(programs)
         if ops.ndim != 3 or len(ops) != len(self) or ops.shape[2] != 4:
             raise ArgumentError(f"programs of shape {ops.shape}: one a stage, ({len(self)}, operations, 4).")
@@ -139,21 +154,26 @@ class Fleet:
         extremes = np.empty((n, self._nq, 2))
         extremes[:, :, 0], extremes[:, :, 1] = np.inf, -np.inf
         ops = np.ascontiguousarray(ops, np.int64)
+        _check(ops, list(self.stages[0].axes))
         watched = self.watched()
         compiled = ops
         if watched:
             compiled = ops.copy()
             compiled[watched, 0] = host.END
         self.spread(lambda a, b: host.play(self.handles, a, b, compiled, results, extremes, status))
+        self.check(status)
         for k in watched:
             status[k] = host.by_hand(self.stages[k], ops[k], results[k], extremes[k])
         return Played(results, extremes, status == host.DIVERGED)
 
     def watched(self) -> list[int]:
-        """The stages that Python has to play: those being recorded, or whose chips keep a journal or lose writes."""
+        """The stages that Python has to play: those being recorded, or whose chips keep a journal or lose writes; all of
+        them where MuJoCo calls somebody back."""
         found = []
+        all_of_them = callbacks.present()
         for k, stage in enumerate(self.stages):
-            if stage._recording is not None:
+            stage.look()
+            if all_of_them or stage._recording is not None:
                 found.append(k)
                 continue
             for chip in stage.chips:
@@ -162,8 +182,18 @@ class Fleet:
                     break
         return found
 
+    @staticmethod
+    def check(status: np.ndarray) -> None:
+        """Raises StageError if one of the stages could not be played. status: of `host.play`."""
+        if any(how := status.tolist()):  # of few stages faster than numpy: steps of environments pass here
+            for k, why in enumerate(how):
+                if why not in (host.PLAYED, host.DIVERGED):
+                    raise StageError(f"stage {k} of the fleet: {IN_USE}")
+
     def truth(self) -> np.ndarray:
         """Every axis of every stage now: a new array (stages, axes) of host.TRUTH."""
+        for stage in self.stages:
+            stage._awake()
         host.look(self.handles, 0, len(self), self._truth)
         return self._truth.copy()
 
@@ -193,6 +223,8 @@ class Fleet:
             for k in left:
                 work(cuts[k], cuts[k + 1])
 
+        if self._process != os.getpid():  # forked: the threads are the parent's
+            self._pool, self._process = None, os.getpid()
         if self._pool is None:
             self._pool = ThreadPoolExecutor(self.threads - 1, thread_name_prefix="stage")
         jobs = [self._pool.submit(share) for _ in range(self.threads - 1)]
@@ -202,6 +234,31 @@ class Fleet:
             wait(jobs)
         for job in jobs:
             job.result()
+
+
+OF_AN_AXIS = (host.WRITE, host.READ, host.LOOK)
+TIMED = {host.WAIT: (1,), host.MEASURE: (1,), host.STOP: (2, 3)}  # which of an operation's numbers are ns
+
+
+def _check(ops: np.ndarray, axes: list[str]) -> None:
+    """Of programs, (stages, operations, 4): what compiled code believes. Raises ArgumentError."""
+    kind, a = ops[:, :, 0], ops[:, :, 1]
+    last = np.logical_or.accumulate(kind == host.END, axis=1)  # from here on nothing is played
+    bad = (kind < 0) | (kind > host.LOOK)
+    bad |= np.isin(kind, OF_AN_AXIS) & ((a < 0) | (a >= len(axes)))
+    bad |= (kind == host.STOP) & ((a < 0) | (a >= 1 << len(axes)) | (ops[:, :, 2] < 1))
+    for timed, numbers in TIMED.items():
+        for n in numbers:
+            bad |= (kind == timed) & ((ops[:, :, n] < 0) | (ops[:, :, n] > MOST))
+    bad &= ~last
+    if bad.any():
+        k, j = (int(n) for n in np.argwhere(bad)[0])
+        op = ops[k, j].tolist()
+        name = host.NAMES[op[0]] if 0 <= op[0] <= host.LOOK else "unknown operation"
+        raise ArgumentError(
+            f"program {k}, operation {j}: {name} {tuple(op[1:])}. Axes are given by their index, 0 to {len(axes) - 1} "
+            f"({', '.join(axes)}), several as a mask of bits; times are 0 to 1e9 s, in ns, and a poll takes 1 ns or more."
+        )
 
 
 def _processors() -> int:

@@ -15,15 +15,19 @@ import numpy as np
 from stage import engine
 from stage.compiled import hot, record
 from stage.drives import drive
+from stage.in_use import ENGINE, claim, release
 from stage.sealed import at, pointer, sealed
 
 _ARRAYS = "world axes drives switches table switch_table chips clockwork qpos qvel ctrl sensordata inertia".split()
 _LENGTHS = "n_axes n_switches n_chips nq nv nu ns".split()
 _LOGS = "samples positions room filled edges edge_room noted counts".split()
-HANDLE_FIELDS: list = [(name, "i8") for name in ["mj_model", "mj_data", *_ARRAYS, *_LENGTHS, "bus", *_LOGS, "own"]]
+HANDLE_FIELDS: list = [
+    (name, "i8") for name in ["mj_model", "mj_data", *_ARRAYS, *_LENGTHS, "bus", *_LOGS, "state", "status", "own"]
+]
 HANDLE = record(HANDLE_FIELDS)
 """Where a stage's arrays lie, their lengths, and the ns of a bus cycle. samples ... counts: where the engine logs, as `engine.run`
-takes it; without rooms it logs nothing. own: the address of the handle itself."""
+takes it; without rooms it logs nothing. state: where the stage's state goes before the physics moves it, or 0; status: what
+`advance` answered last; own: the address of the handle itself."""
 
 WORLD, AXIS, DRIVE, SWITCH = engine.WORLD, engine.AXIS, drive.DRIVE, engine.SWITCH
 AXIS_TABLE, SWITCH_TABLE, CHIP_TABLE, CLOCKWORK = (
@@ -59,6 +63,8 @@ def table(h):
 @sealed("i8", HANDLE, "i8")
 def advance(h, until):
     """The stage's time passes up to `until` ns, unless the engine has to stop before; why it stopped, as `engine.run`."""
+    if not claim(h.clockwork, ENGINE):
+        return engine.IN_USE
     counts = at(h.counts, 2, WHOLE)
     samples = numba.carray(pointer(h.samples), (h.room, h.n_axes), engine.SAMPLE)
     positions = numba.carray(pointer(h.positions), (h.room, h.nq), REAL)
@@ -67,11 +73,25 @@ def advance(h, until):
         at(h.switches, h.n_switches, SWITCH), table(h), at(h.switch_table, h.n_switches, SWITCH_TABLE), chips(h),
         at(h.clockwork, 1, CLOCKWORK), at(h.qpos, h.nq, REAL), at(h.qvel, h.nv, REAL), at(h.ctrl, h.nu, REAL),
         at(h.sensordata, h.ns, REAL), at(h.inertia, h.nv, REAL), until, samples, positions, h.filled,
-        at(h.edges, h.edge_room, engine.EDGE), h.noted, counts,
+        at(h.edges, h.edge_room, engine.EDGE), h.noted, counts, int(h.state),
     )  # fmt: skip
-    if status != engine.DIVERGED:
+    if status != engine.DIVERGED and status != engine.FAILED:
         h.filled, h.noted = counts[0], counts[1]
+    h.status = status
+    release(h.clockwork, ENGINE)
     return status
+
+
+@sealed("i8", HANDLE, "i8")
+def take(h, token):
+    """1 if nobody runs the stage: nobody will, until `give` with this token."""
+    return 1 if claim(h.clockwork, token) else 0
+
+
+@sealed(None, HANDLE, "i8")
+def give(h, token):
+    """Whoever took it with this token has it no more."""
+    release(h.clockwork, token)
 
 
 @sealed(None, HANDLE)
@@ -109,7 +129,7 @@ def fill(handles: np.ndarray, k: int, stage: Any) -> None:
     h["nq"], h["nv"], h["nu"], h["ns"] = model.nq, model.nv, model.nu, model.nsensordata
     h["bus"] = stage._bus_ns
     h["samples"] = h["positions"] = h["edges"] = stage._state.ctypes.data  # somewhere: no room
-    h["counts"] = stage._counts.ctypes.data
+    h["counts"], h["state"] = stage._counts.ctypes.data, stage._state.ctypes.data
     h["own"] = handles.ctypes.data + k * handles.itemsize
 
 

@@ -28,8 +28,10 @@ from stage.drives import drive
 from stage.handle import DRIVE, REAL, advance, chips, clockwork, table, world
 from stage.sealed import at
 
+NAMES = ("END", "WRITE", "READ", "WAIT", "STOP", "MEASURE", "LOOK")
 END, WRITE, READ, WAIT, STOP, MEASURE, LOOK = range(7)
-PLAYED, DIVERGED = range(2)
+PLAYED, DIVERGED = engine.REACHED, engine.DIVERGED
+"""How a program ended: as it says, or where the stage diverged. Or why it did not: engine.IN_USE and the like."""
 
 TRUTH = record(
     [(name, "f8") for name in "position velocity commanded".split()]
@@ -40,49 +42,52 @@ TRUTH = record(
 
 @hot
 def _pass(h, until):
-    """Let a stage's time pass up to `until`; True if it diverged."""
-    return advance(h, int(until)) == engine.DIVERGED
+    """Let a stage's time pass up to `until`; 0, or why it did not."""
+    return advance(h, int(until))
 
 
 @hot
 def _until_stopped(h, left, poll, limit):
-    """Poll the axes in the mask `left`. Returns (diverged, ns that it took; negative if `limit` came first)."""
+    """Poll the axes in the mask `left`. Returns (as `_pass`, ns that it took; negative if `limit` came first)."""
     w, axes = world(h), table(h)
     begin = w.now
     while True:
         for k in range(h.n_axes):
             if left >> k & 1:
-                if _pass(h, w.now + h.bus):
-                    return True, 0
+                bad = _pass(h, w.now + h.bus)
+                if bad:
+                    return bad, 0
                 if not cores.busy(chips(h)[axes[k].chip], axes[k].chip_axis):
                     left &= ~(1 << k)
         took = w.now - begin
         if left == 0 or took >= limit:
-            return False, took if left == 0 else -took
-        if _pass(h, w.now + poll):
-            return True, 0
+            return 0, took if left == 0 else -took
+        bad = _pass(h, w.now + poll)
+        if bad:
+            return bad, 0
 
 
 @hot
 def _measure(h, end, extremes):
-    """Let time pass up to `end` a physics step at a time; True if the stage diverged."""
+    """Let time pass up to `end` a physics step at a time; as `_pass`."""
     w, dt, qpos = world(h), clockwork(h).dt, at(h.qpos, h.nq, REAL)
     while w.now < end:
-        if _pass(h, least(end, w.start + dt)):
-            return True
+        bad = _pass(h, least(end, w.start + dt))
+        if bad:
+            return bad
         for i in range(h.nq):
             extremes[i, 0] = least(extremes[i, 0], qpos[i])
             extremes[i, 1] = greatest(extremes[i, 1], qpos[i])
-    return False
+    return 0
 
 
 @hot
 def play_one(h, ops, results, extremes):
-    """Play `ops` on the stage of handle `h`. Returns PLAYED or DIVERGED."""
+    """Play `ops` on the stage of handle `h`. Returns PLAYED, DIVERGED or why it could not be played."""
     w, axes = world(h), table(h)
     for j in range(len(ops)):
         kind, a, b, c = ops[j, 0], ops[j, 1], ops[j, 2], ops[j, 3]
-        bad = False
+        bad = 0
         if kind == END:
             break
         if kind == STOP:
@@ -102,7 +107,7 @@ def play_one(h, ops, results, extremes):
             elif not bad:
                 results[j] = cores.read(chips(h)[axes[a].chip], b)
         if bad:
-            return DIVERGED
+            return bad
     return PLAYED
 
 
@@ -182,6 +187,8 @@ def by_hand(stage: Any, ops: np.ndarray, results: np.ndarray, extremes: np.ndarr
                 results[j] = math.floor(stage._joint_position(a) * 1e12)
             else:
                 measure(a)
-    except SimulationError:
+    except SimulationError as error:
+        if error.__cause__ is not None:  # a callback's own, which says more
+            raise
         return DIVERGED
     return PLAYED

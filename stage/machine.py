@@ -13,7 +13,9 @@ from __future__ import annotations
 
 import copy
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from time import perf_counter
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
 from zlib import crc32
@@ -21,7 +23,7 @@ from zlib import crc32
 import mujoco
 import numpy as np
 
-from stage import engine, handle, integration, plant, snapshots
+from stage import callbacks, engine, handle, integration, plant, snapshots
 from stage.chips import CHIPS, PCL240K, Chip, ChipAxis, chip_class, cores
 from stage.chips.entries import PACKED, SEE
 from stage.compiled import plain
@@ -39,6 +41,7 @@ from stage.errors import (
     unknown,
 )
 from stage.fingerprint import mechanics
+from stage.in_use import token
 from stage.sealed import ready
 
 if TYPE_CHECKING:
@@ -47,12 +50,19 @@ if TYPE_CHECKING:
     from stage.chips.chip import Pins
     from stage.recording import Recording
 
-STATE = mujoco.mjtState.mjSTATE_INTEGRATION
+STATE = engine.STATE
 HYSTERESIS = 25e-6  # m; a slotted optical switch lets go that much later than it trips (typical data sheets)
 EDGES = 640
 LONGEST = 1_000_000_000  # s that a stage runs at a time: with as much behind it, a time in ns still fits 63 bits
 HEAVIEST = 1e6  # kg
 SWITCH_FAULTS = ("forced", "bounce", "toggles")  # of the table of switches: what faults change
+POWERED = (engine.WORLD.names or ()).index("powered")
+SHORT, LONG = 0.025, 0.1  # s of real time, a piece of a long run takes between them: Ctrl-C is seen to after each
+FIRST_PIECE = 16  # physics steps
+IN_USE = (
+    "this stage is in use, by another thread or by the run that has called MuJoCo's callback: one thread at a time runs a stage "
+    "or changes it. Give each thread a stage of its own, copy.deepcopy(stage); stage.fleet.Fleet plays many on threads."
+)
 
 ChipChoice = type[Chip] | str | Callable[[], Chip] | Mapping[str, Any]
 DriveChoice = Drive | Servo | Motor | DCMotor | str | Mapping[str, Any] | None
@@ -82,6 +92,7 @@ class Switches:
     def __getattr__(self, name: str) -> bool:
         if name.startswith("_"):
             raise AttributeError(name)
+        self._axis._stage._awake()
         return bool(self._axis._stage._switches[self._find(name)].on)
 
     def __setattr__(self, name: str, value: Any) -> None:
@@ -91,6 +102,7 @@ class Switches:
         """Hold switch `name` asserted (True) or released (False) from now on; None mends it. Raises ArgumentError."""
         if asserted is not None and (not isinstance(asserted, int | np.bool_) or asserted not in (0, 1)):
             raise ArgumentError(f"asserted={asserted!r}: True holds {name} asserted, False released, None mends it.")
+        self._axis._stage.change()
         self._axis._stage._switch_table[self._find(name)].forced = -1 if asserted is None else int(asserted)
         self._axis._stage._look_again(self._axis.index)
 
@@ -149,8 +161,8 @@ class Axis:
     @property
     def commanded(self) -> float:
         """Where the pulses say that the carriage is, m; it differs from `position` by following error and lost steps."""
-        d, net = self._electrics()
         q = self.position
+        d, net = self._electrics()
         return float(q + any_drive.behind(d, net, q * self.gear) / self.gear)
 
     @property
@@ -171,7 +183,7 @@ class Axis:
 
     def _electrics(self) -> tuple[Any, float]:
         chip = self.chip
-        return self._stage._drives[self.index], float(chip.CORE.net.c(chip._at, self.chip_axis))
+        return self._stage._drives[self.index], float(chip.CORE.net.held(chip._at, self.chip_axis))
 
     def __repr__(self) -> str:
         return (
@@ -269,7 +281,7 @@ class Stage:
             d.fill(self._drives[k])
         mujoco.mj_forward(model, self.data)
         integration.check_step(model, self.data, self._plant, chosen)
-        handle.settle.c(self._at)
+        handle.settle.held(self._at)
         self._run_until(0)
         self._initial = self.snapshot()
 
@@ -285,7 +297,7 @@ class Stage:
         n, m = len(chips), sum(len(p.switches) for p in self._plant)
         cut = _Cut(self.data.userdata[offset:])
         self._world = cut(engine.WORLD, 1)
-        self._words = self._world.view(np.int64)  # now, start: fast access from Python
+        self._words = self._world.view(np.int64)  # now, start, ... powered: fast access from Python
         self._axis_state = cut(engine.AXIS, n)
         self.chips = _each_once(chips)
         for chip in self.chips:
@@ -299,9 +311,12 @@ class Stage:
         self._dt = dt
         w = self._clockwork[0]
         w.dt, w.slices, w.h, w.half, w.nv = dt, engine.SLICES, dt * 1e-9 / engine.SLICES, dt * 0.5e-9, model.nv
+        w.callbacks, w.native = callbacks.ADDRESSES, callbacks.NATIVE
+        self._piece = FIRST_PIECE * dt
+        self._failure: BaseException | None = None
         self._chip_table = np.zeros(len(self.chips), engine.CHIP_TABLE)
         for chip, c in zip(self.chips, self._chip_table, strict=True):
-            cores.fill(c, chip.CORE, chip._at)
+            cores.fill(c, chip.CORE, chip._here)
             c.hz, c.ticks = chip.clock_hz, w.h * chip.clock_hz
         axes, first = _Axes(), 0
         for k, (p, chip_axis, drive) in enumerate(zip(self._plant, chips, drives, strict=True)):
@@ -359,6 +374,48 @@ class Stage:
         """Let the time of one bus cycle pass; chips call it before each read and write."""
         if self._bus_ns:
             self._run_until(self._now + self._bus_ns)
+        else:
+            self.change()
+
+    def look(self) -> None:
+        """Chips call it before their state is looked at."""
+        if not self._words.item(POWERED):
+            self._awake()
+
+    def change(self) -> None:
+        """Chips call it before their state is changed. Raises StageError while another thread runs the stage."""
+        if self._clockwork["busy"].item(0):
+            raise StageError(IN_USE)
+        self._awake()
+
+    def _awake(self) -> None:
+        """Whoever looks at the stage sees a machine under power, also after mj_resetData, mj_resetDataKeyframe and the like: they
+        clear userdata, where chips and drives live. Not in a recording, whose time would run backwards."""
+        if not self._words.item(POWERED) and self._recording is None:
+            self._power_up()
+
+    def _power_up(self) -> None:
+        """As `reset`; but a carriage that MuJoCo put elsewhere (a keyframe's place) is there."""
+        data = self.data
+        names = ("qpos", "qvel", "act", "mocap_pos", "mocap_quat")
+        given = [getattr(data, name).copy() for name in names]
+        self.restore(self._initial)
+        here = [getattr(data, name) for name in names]
+        if any(not np.array_equal(a, b) for a, b in zip(given, here, strict=True)):
+            for a, b in zip(given, here, strict=True):
+                b[:] = a
+            self._settle()
+
+    @contextmanager
+    def _alone(self) -> Iterator[None]:
+        """In here nobody else runs the stage. Raises StageError if somebody does."""
+        mine = token()
+        try:
+            if not handle.take.held(self._at, mine):
+                raise StageError(IN_USE)
+            yield
+        finally:
+            handle.give.held(self._at, mine)
 
     def step(self, n: int = 1) -> None:
         """Advance to the end of the current physics step, and n - 1 more."""
@@ -403,23 +460,75 @@ class Stage:
         return (self._now - begin) * 1e-9
 
     def _run_until(self, until: int) -> None:
-        recording, h = self._recording, self._handle
+        recording, piece = self._recording, self._piece
         while True:
-            if self._words.item(1) + self._dt <= until:  # only physics can diverge
-                mujoco.mj_getState(self.model, self.data, self._state, STATE)
+            goal = until
+            if long := until - self._words.item(1) > piece:
+                goal, begin = self._words.item(1) + piece, perf_counter()
             if recording is not None:
-                h["filled"] = recording.filled
-            status = self._advance(self._at, until)
-            diverged = self._undo_divergence(self._at) if status == engine.DIVERGED else None
-            if h["noted"]:
-                self._note_edges(int(h["noted"]))
-                h["noted"] = 0
-            if recording is not None:
-                recording.take(int(h["filled"]))
-            if diverged is not None:
-                raise diverged
-            if status == engine.REACHED:
+                self._handle["filled"] = recording.filled
+            try:
+                status = self._advance(self._at, goal)
+            except BaseException:  # Ctrl-C while compiled code ran: it has come to its end
+                self._account(int(self._handle["status"]), 0)
+                raise
+            if status or recording is not None or self._handle["noted"]:
+                self._account(status, until)
+            if long:
+                if status == engine.REACHED:
+                    self._piece = piece = self._next_piece(perf_counter() - begin)
+            elif status == engine.REACHED:
                 return
+
+    def _next_piece(self, took: float) -> int:
+        """ns of simulated time for the next piece of a long run, when the last took so many seconds."""
+        if took < SHORT:
+            return min(2 * self._piece, 1 << 60)
+        return max(self._piece // 2, self._dt) if took > LONG else self._piece
+
+    def _account(self, status: int, until: int) -> None:
+        """The engine has returned on its way to `until`: what it noted is taken, what stopped it is seen to, or raised."""
+        h, recording = self._handle, self._recording
+        error: BaseException | None = None
+        if status == engine.DIVERGED:
+            error = self._undo_divergence(self._at)
+        elif status == engine.FAILED:
+            error = self._undo_failure()
+        elif status == engine.IN_USE:
+            raise StageError(IN_USE)
+        if h["noted"]:
+            self._note_edges(int(h["noted"]))
+            h["noted"] = 0
+        if recording is not None:
+            recording.take(int(h["filled"]))
+        if error is not None:
+            raise error
+        if status == engine.WIPED:
+            if recording is not None:
+                raise StageError(
+                    "the stage's state was cleared (mj_resetData?) in the middle of a recording, whose time runs forward only: "
+                    "close the recording; the stage is at power-up then."
+                )
+            self._power_up()
+        elif status == engine.UNGUARDED:
+            self._run_guarded(until)
+
+    def _run_guarded(self, until: int) -> None:
+        """As `_run_until` where MuJoCo calls somebody back: a physics step at a time, to go back to the one before."""
+        clockwork = self._clockwork[0]
+
+        def failed(error: BaseException | None) -> bool:
+            if error is not None:
+                self._failure, clockwork.failed = error, 1
+            return bool(clockwork.failed)
+
+        try:
+            with callbacks.guarded(failed):
+                clockwork.guarded = 1
+                while self._now < until:
+                    self._run_until(min(until, self._words.item(1) + self._dt))
+        finally:
+            clockwork.guarded = clockwork.failed = 0
 
     def _note_edges(self, n: int) -> None:
         edges, chip_of = self._edges[:n], self._table["chip"][self._edges["axis"][:n]]
@@ -440,7 +549,9 @@ class Stage:
 
     def _look_again(self, axis: int) -> None:
         """The table of switches has changed: what it means for this axis, from now on."""
-        handle.look_again.c(self._at, axis)
+        self._awake()
+        with self._alone():
+            handle.look_again.held(self._at, axis)
         if n := int(self._handle["noted"]):
             self._note_edges(n)
             self._handle["noted"] = 0
@@ -454,6 +565,22 @@ class Stage:
         if ((forced >= 0) & (forced != self._switches["on"])).any():
             for axis in self._axes_by_index:
                 self._look_again(axis.index)
+
+    def _undo_failure(self) -> BaseException:
+        """Go back to before the step in which a callback failed."""
+        mujoco.mj_setState(self.model, self.data, self._state, STATE)
+        self._clockwork[0].failed = 0
+        failure, self._failure = self._failure, None
+        if not isinstance(failure, Exception):  # Ctrl-C while it ran
+            return failure or KeyboardInterrupt()
+        error = SimulationError(
+            f"a callback that MuJoCo calls raised {type(failure).__name__}: {failure} (at {self.time:.6f} s). The stage holds the "
+            "state before that physics step.",
+            self.time,
+            "",
+        )
+        error.__cause__ = failure
+        return error
 
     def _undo_divergence(self, at: int) -> SimulationError:
         """Go back to where the last loop began and run it again, by the handle at this address, up to the step before the one that
@@ -522,6 +649,7 @@ class Stage:
 
     def _joint_position(self, index: int) -> float:
         p = self._plant[index]
+        self._awake()
         tau = (self._now - self._words.item(1) - 0.5 * self._dt) * 1e-9
         return float(self.data.qpos[p.qpos] + self.data.qvel[p.dof] * tau)
 
@@ -536,11 +664,17 @@ class Stage:
             low, high = self.axes[name].travel
             if not low <= q <= high:
                 raise ArgumentError(f"{name}={q!r}: the joint travels from {low} to {high} {self.axes[name].unit}.")
+        self.change()
         for name, q in positions.items():
             t = self._table[self.axes[name].index]
             self.data.qpos[t.qpos], self.data.qvel[t.dof] = q, 0.0
-        mujoco.mj_forward(self.model, self.data)
-        handle.settle.c(self._at)
+        self._settle()
+
+    def _settle(self) -> None:
+        """The carriages stand where somebody has put them: see `engine.settle`."""
+        with self._alone():
+            mujoco.mj_forward(self.model, self.data)
+            handle.settle.held(self._at)
         for axis in self._axes_by_index:
             chip: Any = axis.chip
             if chip._journal is not None:
@@ -550,6 +684,7 @@ class Stage:
 
     def snapshot(self) -> Snapshot:
         """All state: physics, chips, drives, switches, time."""
+        self.change()
         state = np.zeros_like(self._state)
         mujoco.mj_getState(self.model, self.data, state, STATE)
         state.flags.writeable = False
@@ -565,11 +700,12 @@ class Stage:
         snapshots.check(snapshot, Snapshot, self._header)
         if self._recording is not None:
             raise StageError("time in a recording runs forward only: close the recording before restoring a snapshot.")
-        mujoco.mj_setState(self.model, self.data, snapshot.state, STATE)
+        with self._alone():
+            mujoco.mj_setState(self.model, self.data, snapshot.state, STATE)
+            mujoco.mj_forward(self.model, self.data)
+            mujoco.mj_setState(self.model, self.data, snapshot.state, STATE)
         for chip, said in zip(self.chips, snapshot.diagnostics, strict=True):
             chip.diagnostics[:] = said
-        mujoco.mj_forward(self.model, self.data)
-        mujoco.mj_setState(self.model, self.data, snapshot.state, STATE)
         self._equip()
 
     def reset(self) -> None:
@@ -616,6 +752,7 @@ class Stage:
             raise StageError("this stage is already being recorded; close that recording first.")
         if not 0 < every <= 1e6:
             raise ArgumentError(f"every={every!r}: the samples of a recording are more than 0 and up to 1e6 s apart.")
+        self.change()
         steps = max(1, round(every * 1e9 / self._dt))
         dt = self._dt * 1e-9
         self._recording = Recording(self.model, self.axes, steps * dt, self._stop_recording)

@@ -23,6 +23,7 @@ from numba.extending import intrinsic, typeof_impl
 
 from stage import cache, code
 from stage.compiled import COMPILED, announced, compiling, hot, kept, numba
+from stage.errors import ArgumentError
 
 _C: dict[str | None, Any] = {None: None, "i4": ctypes.c_int32, "i8": ctypes.c_int64, "f8": ctypes.c_double}
 
@@ -31,7 +32,7 @@ def sealed(result: str | None, *arguments: Any) -> Callable[[Callable], Sealed]:
     """Compile the function once and by itself. It keeps to what hot functions do.
 
     result, arguments: "i4", "i8", "f8", or None for no result, or an argument that is a record: its dtype. Hot functions call it
-    after `ready`; Python calls it at any time, with records, arrays of one or addresses.
+    after `ready`; Python calls it at any time, with records or arrays of them, which are looked at first, or by address with `.c`.
     """
     return lambda function: Sealed(function, result, arguments)
 
@@ -54,15 +55,27 @@ class Sealed:
             self.inside = intrinsic(_with_parameters(self._typed, len(arguments)))
 
     def __call__(self, *given: Any) -> Any:
-        """From Python."""
+        """From Python. Raises ArgumentError for what is no record of its kind, or a number too many or too few."""
         if not COMPILED:
             return self.function(*map(_as_record, given, self._records))
-        return self.c(*(address_of(g) if isinstance(g, np.ndarray | np.void) else g for g in given))
+        if len(given) != len(self.arguments):
+            raise ArgumentError(f"{self.symbol} takes {len(self.arguments)} arguments; given are {len(given)}.")
+        for g, dtype in zip(given, self._records, strict=True):
+            if dtype is not None:
+                _check_record(self.symbol, g, dtype)
+        return self.c(*(g if dtype is None else address_of(g) for g, dtype in zip(given, self._records, strict=True)))
 
     @cached_property
     def c(self) -> Any:
-        """As a call from Python, which takes addresses of records: faster."""
+        """As a call from Python, which takes addresses of records, unseen: faster."""
         return self.pointer if COMPILED else self
+
+    @cached_property
+    def held(self) -> Any:
+        """As `c`, with the GIL held: for what takes a microsecond. Two threads are never in such functions at once."""
+        if not COMPILED:
+            return self.c
+        return _c_kind(self.result, self.arguments, ctypes.PYFUNCTYPE)(self.address)
 
     @property
     def kind(self) -> Any:
@@ -174,6 +187,27 @@ def address_of(record: np.ndarray | np.void) -> int:
     return int(record.__array_interface__["data"][0])
 
 
+def _check_record(name: str, given: Any, dtype: np.dtype) -> None:
+    """Compiled code believes what it is given: what is no writable record of this kind, or array of such, is refused."""
+    kind = getattr(given, "dtype", None)
+    if not isinstance(given, np.ndarray | np.void) or kind is None or kind.fields != dtype.fields:
+        shown = (
+            type(given).__name__
+            if kind is None
+            else f"{given.size} of {kind.name}"
+            if not kind.names
+            else "another record"
+        )
+        raise ArgumentError(
+            f"{name} takes a record of {dtype.itemsize} bytes ({', '.join((dtype.names or ())[:4])} ...) or an array of such; "
+            f"given is {shown}. (An address is for .c, which believes it.)"
+        )
+    if not given.size or not given.flags.c_contiguous or not given.flags.writeable or not given.flags.aligned:
+        raise ArgumentError(
+            f"{name}: the record is the first of a writable, contiguous array of one or more; given is {given!r}."
+        )
+
+
 @lru_cache(1024)
 def _record_at(address: int, dtype: np.dtype) -> Any:
     return at(address, 1, dtype)[0]
@@ -188,8 +222,8 @@ def _as_record(given: Any, dtype: np.dtype | None) -> Any:
 # --- kinds of functions ---
 
 
-def _c_kind(result: str | None, arguments: tuple) -> Any:
-    return ctypes.CFUNCTYPE(_C[result], *(ctypes.c_int64 if isinstance(a, np.dtype) else _C[a] for a in arguments))
+def _c_kind(result: str | None, arguments: tuple, function: Any = ctypes.CFUNCTYPE) -> Any:
+    return function(_C[result], *(ctypes.c_int64 if isinstance(a, np.dtype) else _C[a] for a in arguments))
 
 
 def _signature(result: str | None, arguments: tuple) -> Any:

@@ -546,3 +546,47 @@ def test_errors_say_what_is_allowed_and_break_nothing(xyz, make, message):
 
 def test_edges_of_a_window_have_room():
     assert engine.EDGES_A_WINDOW >= 5 * (1 + engine.MAX_TOGGLES) + 3
+
+
+def test_where_there_is_no_room_for_edges_none_is_written(xyz):
+    """`EDGES_A_WINDOW = 49` guarded an unchecked write."""
+    x, room = xyz.axes["x"], len(xyz._edges)
+    journal = x.chip.journal()
+    run_into(x, "org")
+    xyz._edges["clock"] = -1
+    xyz._handle["edge_room"] = 3
+    try:
+        with faults.bounce(x, "org", 1e-6, 8):
+            xyz.run(0.1)
+        assert (xyz._edges["clock"][:3] > 0).all()
+        assert (xyz._edges["clock"][3:] == -1).all()
+    finally:
+        xyz._handle["edge_room"] = room
+        journal.close()
+
+
+def test_a_switch_that_sticks_while_it_bounces_bounces_no_more(xyz):
+    # planted: a stuck switch that goes on bouncing
+    x = xyz.axes["x"]
+    run_into(x, "el_plus")
+    with faults.bounce(x, "el_plus", 5e-3):
+        xyz.run_until(lambda: x.switches.el_plus, timeout=0.2, poll=1e-4)
+        xyz.run(1e-3)
+        with faults.switch_stuck(x, "el_plus", True):
+            assert all(x.switches.el_plus for _ in range(100) if xyz.run(1e-4) is None)
+
+
+def test_a_switch_lets_go_25_um_behind_where_it_trips(xyz):
+    # planted: no switch hysteresis
+    x, at = xyz.axes["x"], {}
+    xyz.place(x=touch(x, "el_plus") - 3e-5)
+    load_registers(x.chip, R1=1, R2=1, R4=300, R5=300, R6=0, R7=12)
+    for on, direction in ((True, 0x44), (False, 0x4C)):  # plus, minus: 50 pps, 0.16 mm/s
+        load_registers(x.chip, R0=40)
+        for command in (direction, 0x08, 0x10):
+            x.chip.write(0, command)
+        xyz.run_until(lambda on=on: x.switches.el_plus is on, timeout=1, poll=2.5e-4)
+        at[on] = x.position
+        xyz.run_until(lambda: x.chip.pins.hold, timeout=1, poll=1e-2)
+    assert at[True] == pytest.approx(touch(x, "el_plus"), abs=4e-6)
+    assert at[True] - at[False] == pytest.approx(25e-6, abs=4e-6)

@@ -1,14 +1,16 @@
 """Many stages under one program each: the same bits as one stage under a Python driver, on any number of threads."""
 
 import copy
+import os
 import pickle
+import signal
 from importlib import resources
 
 import mujoco
 import numpy as np
 import pytest
 
-from stage import ArgumentError, Stage, host
+from stage import ArgumentError, Stage, StageError, host
 from stage.chips import PCL240K, PCL240MS
 from stage.fleet import Fleet, Program
 
@@ -122,6 +124,63 @@ def test_what_a_fleet_cannot_be_is_refused(first):
         Fleet([first], threads=0)
     with pytest.raises(ArgumentError, match="one a stage"):
         Fleet([first]).play([Program(), Program()])
+
+
+@pytest.mark.parametrize(
+    "op",
+    [
+        (host.WRITE, 3, 0, 0x11), (host.READ, 2, 0, 0), (host.READ, -1, 0, 0), (host.LOOK, 2, 0, 0), (host.STOP, 4, 1, 1),
+        (host.STOP, -1, 1, 1), (host.STOP, 1, 0, 1), (host.WAIT, -1, 0, 0), (host.WAIT, 1 << 62, 0, 0), (host.MEASURE, -5, 0, 0),
+        (7, 0, 0, 0), (-1, 0, 0, 0),
+    ],
+)  # fmt: skip
+def test_a_program_that_names_what_is_not_there_is_refused(first, op):
+    """Fleet([Stage("xyz")], 1).play([Program().write(3, 0, 0x11).read(3, 0)]) ended the process"""
+    fleet = Fleet([first], 1)
+    program = Program().wait(1e-3)
+    program.ops.append(op)
+    before = first.snapshot().state.tobytes()
+    with pytest.raises(ArgumentError, match="program 0, operation 1"):
+        fleet.play([program])
+    assert first.snapshot().state.tobytes() == before
+    ended = np.array([[(host.END, 0, 0, 0), op]])
+    fleet.play(ended)  # what comes after the end is not played
+
+
+def test_axes_of_a_wait_are_a_set(first):
+    assert Program().until_stopped([0, 0], 1.0).ops == Program().until_stopped([0], 1.0).ops
+    with pytest.raises(ArgumentError, match="index"):
+        Program().until_stopped([-1], 1.0)
+
+
+def test_a_stage_is_in_a_fleet_once(first):
+    """s = Stage("xyz"); Fleet([s, s, s], 3)"""
+    with pytest.raises(ArgumentError, match="twice"):
+        Fleet([first, first, first], 3)
+
+
+def test_a_stage_that_another_thread_runs_is_not_played(first):
+    fleet = Fleet(stages(first, 2), 1)
+    with fleet.stages[1]._alone(), pytest.raises(StageError, match=r"stage 1 of the fleet.*in use"):
+        fleet.play([program(first, 0)] * 2)
+    fleet.play([program(first, 0)] * 2)
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_a_fleet_plays_in_a_child_of_fork():
+    """fleet.play(programs); os.fork(); and in the child fleet.play(programs)"""
+    fleet = Fleet([Stage("xy", visuals=False) for _ in range(2)], 2)
+    programs = [Program().wait(1e-3)] * 2
+    fleet.play(programs)
+    child = os.fork()
+    if not child:
+        signal.alarm(20)
+        fleet.play(programs)
+        os._exit(7)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 7
+    fleet.play(programs)
+    fleet.close()
 
 
 def test_a_payload_makes_the_axis_heavier_and_stays_over_a_reset(first):

@@ -5,6 +5,8 @@ import ctypes
 import numpy as np
 import pytest
 
+from stage import ArgumentError
+from stage.chips import PCL240K
 from stage.compiled import COMPILED, hot, record
 from stage.sealed import Sealed, address_of, at, called, ready, sealed
 
@@ -70,6 +72,31 @@ def test_python_calls_it_with_a_record_an_array_or_an_address():
     assert rows["a"].tolist() == [0, 12]
     assert address_of(rows[1]) == address_of(rows[1:]) == rows.ctypes.data + 16
     assert cleared(rows[1]) is None
+    assert rows["a"].tolist() == [0, 0]
+
+
+@pytest.mark.skipif(not COMPILED, reason="uncompiled, Python looks itself")
+def test_what_is_no_record_of_its_kind_is_refused():
+    """core.advance(np.zeros(4, np.int64)) read and wrote past the array"""
+    rows = cells(0.5, 3.0)
+    locked = rows.copy()
+    locked.flags.writeable = False
+    for wrong in (np.zeros(4, np.int64), rows.ctypes.data, locked, rows[:0], rows[::-1], rows.tobytes(), None,
+                  np.zeros(2, record([("a", "i8"), ("b", "i8")]))):  # fmt: skip
+        with pytest.raises(ArgumentError, match="scaled"):
+            scaled(wrong, 4)
+    for given in ((), (rows,), (rows, 1, 2)):
+        with pytest.raises(ArgumentError, match="2 arguments"):
+            scaled(*given)
+    assert rows["a"].tolist() == [0, 0]
+    with pytest.raises(ArgumentError, match="record of"):
+        PCL240K().CORE.advance(np.zeros(4, np.int64), 1000)
+
+
+def test_with_the_gil_held_it_is_the_same():
+    rows = cells(0.5, 3.0)
+    assert scaled.held(rows.ctypes.data, 4) == 2.0
+    assert cleared.held(rows.ctypes.data) is None
     assert rows["a"].tolist() == [0, 0]
 
 

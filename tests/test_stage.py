@@ -10,6 +10,7 @@ from programs import load_registers, start_preset
 import stage.engine as engine
 from stage import ArgumentError, RunTimeout, SimulationError, Stage, StageError, plant
 from stage.chips import PCL240K
+from stage.drives import stepper
 
 
 @pytest.fixture(scope="module")
@@ -202,6 +203,30 @@ def test_a_diverging_simulation_names_time_and_axis_and_keeps_the_state_before(x
     steps = round((xyz.time - twin.time) * 1e9)
     assert steps >= -engine.SECOND
     assert abs(xyz.axes["x"].position - twin.axes["x"].position) < 1e-3
+
+
+@pytest.mark.usefixtures("elsewhere")
+def test_a_speed_that_is_no_number_has_diverged(xyz):
+    # planted: NaN speed taken for no divergence
+    xyz.data.qfrc_applied[xyz.model.joint("y").dofadr[0]] = float("nan")
+    with pytest.raises(SimulationError, match="diverged"):
+        xyz.run(0.01)
+    assert np.isfinite(xyz.data.qpos).all()
+    assert np.isfinite(xyz.data.qvel).all()
+
+
+def test_the_torque_of_a_step_is_that_of_the_rotor_in_the_middle_of_each_slice(xyz):
+    # planted: the rotor's angle half a slice late
+    x = xyz.axes["x"]
+    t, w = xyz._table[x.index], xyz._clockwork[0]
+    xyz.data.qvel[t.dof] = v = 0.05
+    d, q, count = xyz._drives[x.index].copy(), xyz.data.qpos[t.qpos], float(x.chip.net())
+    middles = [
+        (k + 0.5) * w.h - w.half for k in range(engine.SLICES)
+    ]  # s, from the moment at which the joint stands at q
+    torques = [stepper.torque(d, count, (q + v * tau) * t.gear, v * t.gear, w.h) for tau in middles]
+    xyz.step()
+    assert xyz.data.ctrl[t.actuator] == pytest.approx(np.mean(torques), rel=1e-9)
 
 
 @pytest.mark.usefixtures("elsewhere")

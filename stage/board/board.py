@@ -182,7 +182,7 @@ class Board:
         words = stage.data.userdata[stage._offset :]
         self._before = np.zeros(len(words))
         for name, array in (
-            ("state", stage._state), ("edges", stage._edges), ("ports", self._ports),
+            ("edges", stage._edges), ("ports", self._ports),
             ("lines", self.trace._lines), ("irqs", self._irqs), ("acts", self._acts), ("userdata", words),
             ("before", self._before),
         ):  # fmt: skip
@@ -226,6 +226,7 @@ class Board:
     def _begin(self) -> None:
         """Before compiled code runs: what it may have to write to, and whom it has to ask."""
         stage, h = self.stage, self._host
+        stage._awake()
         asks = 0
         for k, chip in enumerate(stage.chips):
             if chip._glitches:
@@ -250,6 +251,8 @@ class Board:
         """One request of a host in Python."""
         self._begin()
         answer = int(self._request(self._at, what, int(a), int(b)))
+        if answer == bus.TWO_AT_ONCE:
+            raise StageError("this board is in use by another thread: a bus has one host at a time.")
         self._end()
         self._raise()
         return answer
@@ -281,6 +284,8 @@ class Board:
                 h = self._host
                 chip = self.stage.chips[int(h["asked_chip"])]
                 h["asked"] = chip._loses(int(h["asked_address"]), int(h["asked"]))
+            elif reason == bus.BY_HAND:
+                self.stage._run_until(int(self._host["asked"]))
             self._begin()
         except BaseException as error:
             self._fail(error)
@@ -306,7 +311,7 @@ class Board:
         self._host["stopped"] = 1
         self._left.append(self._rows)
         self._take(self._rows.copy())
-        self._host["stopped"] = self._host["serving"] = 0
+        self._host["stopped"] = self._host["serving"] = self._host["inside"] = 0
         self._host["hook"] = self._own_hook()
         self._stand_still = None
 

@@ -7,26 +7,23 @@ still), it calls back, with one of the reasons below, and Python sees to it.
 
 from __future__ import annotations
 
-import ctypes
-from typing import Any
-
-import mujoco
-from numba.core import types
-
 from stage import engine, handle
 from stage.chips import cores
 from stage.chips.entries import LOST, READ, WRITE
-from stage.compiled import COMPILED, greatest, hot, least, record
+from stage.compiled import greatest, hot, least, record
 from stage.handle import AXIS, WHOLE, chips, clockwork, world
+from stage.in_use import ENGINE, claim, release
 from stage.sealed import at, called, sealed
 
-STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 IN8, OUT8, IN16, OUT16, DELAY, MICROS, LOG, HOOK, LINE, SETTLE = range(10)
 """What a host asks: port cycles (a: port, b: value), a delay (a: us), the time (us), to note a line (a: its address), to call a
 function (a: its address) with an argument (b) while the interrupt line is asserted, whether it is, that the stage catches up."""
-FULL, DIVERGED, PAUSE, STORM, LINE_OF_LOG, ASKED_WRITE = range(1, 7)
+FULL, DIVERGED, PAUSE, STORM, LINE_OF_LOG, ASKED_WRITE, BY_HAND = range(1, 8)
 """Why Python is called: buffers are full; the physics has diverged; time or cycles are up; an interrupt that nothing clears; a
-line to note; a write that Python makes, since a fault of the bus looks at each."""
+line to note; a write that Python makes, since a fault of the bus looks at each; the stage's time is to pass and compiled code alone
+may not let it."""
+TWO_AT_ONCE = -(1 << 62)
+"""The answer to a host that asks while another asks in another thread."""
 LONGEST_DELAY = 10**15
 """us: with more, ns would no longer fit 63 bits."""
 STORM_CALLS = 1000
@@ -47,7 +44,7 @@ hit nothing, or only half of what is there, | LOST_ON_THE_WAY if a fault of the 
 
 HOST = record(
     handle.HANDLE_FIELDS
-    + [(name, "i8") for name in ["state"]]
+    + [("inside", "i8")]
     + [(name, "i8") for name in "ports first n_ports lines line_room traced changed".split()]
     + [(name, "i8") for name in "until lazy ahead quiet cycles most_cycles stopped call hook argument serving".split()]
     + [
@@ -56,7 +53,7 @@ HOST = record(
     ]
 )
 """A stage's handle, and
-    state                      the stage's state as it was before the last physics, for SimulationError
+    inside                     whether a request is being answered, see stage.in_use; not while Python or a hook is called
     ports, first, n_ports      the table of ports, and which is its first
     lines, line_room, traced, changed   the trace, a ring; lines so far, and how many there were after the last write
     until, most_cycles         when (ns), and after how many cycles, to call Python; cycles: so far
@@ -73,15 +70,7 @@ IRQ = record([("axis", "i8"), ("bits", "i8")])
 """Of each chip: the outputs that pull the interrupt line (0: none), and as which axis' they are asked for."""
 
 
-if COMPILED:
-    mj_get_state: Any = types.ExternalFunction(
-        "mj_getState", types.void(types.intp, types.intp, types.intp, types.int32)
-    )
-else:
-    mj_get_state = ctypes.CDLL(engine._LIBRARY).mj_getState
-    mj_get_state.argtypes = (ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int)
-    mj_get_state.restype = None
-
+INSIDE = int(dict(HOST.fields or {})["inside"][1])
 _call = called(None, "i8")
 
 
@@ -92,9 +81,29 @@ def stage_of(h):
 
 
 @hot
+def _enter(h):
+    """True if no other request is being answered, which none will be then until `_leave`."""
+    return claim(h.own + INSIDE, ENGINE)
+
+
+@hot
+def _leave(h):
+    release(h.own + INSIDE, ENGINE)
+
+
+@hot
+def _call_out(h, function, argument):
+    """Call a function that may make requests."""
+    _leave(h)
+    _call(function, argument)
+    while not _enter(h):  # another thread is inside, and soon out
+        pass
+
+
+@hot
 def _ask(h, reason):
     """Call Python about `reason`."""
-    _call(h.call, reason)
+    _call_out(h, h.call, reason)
 
 
 @hot
@@ -102,13 +111,14 @@ def _run(h, until):
     """Let the stage's time pass up to `until` ns; journals and recordings take part."""
     w = world(stage_of(h))
     while w.now < until and not h.stopped:
-        if w.start + clockwork(stage_of(h)).dt <= until:  # only physics can diverge
-            mj_get_state(int(h.mj_model), int(h.mj_data), int(h.state), STATE)
         status = handle.advance(stage_of(h), until)
         if status == engine.DIVERGED:
             _ask(h, DIVERGED)
-        elif status != engine.REACHED:
+        elif status == engine.SAMPLES_FULL or status == engine.EDGES_FULL:
             _ask(h, FULL)
+        elif status != engine.REACHED:
+            h.asked = until
+            _ask(h, BY_HAND)
     h.reached = w.now
 
 
@@ -201,7 +211,7 @@ def _serve(h):
         calls += 1
         _note(h, CALLED, 0, 0, -1)
         h.serving = 1
-        _call(h.hook, h.argument)
+        _call_out(h, h.hook, h.argument)
         h.serving = 0
         _note(h, RETURNED, 0, 0, -1)
 
@@ -463,7 +473,11 @@ def _answer(h, what, a, b):
 @sealed("i8", HOST, "i4", "i8", "i8")
 def request(h, what, a, b):
     """int64_t request(void *host, int32_t what, int64_t a, int64_t b): what hosts call."""
-    return _answer(h, what, a, b)
+    if not _enter(h):
+        return TWO_AT_ONCE
+    answer = _answer(h, what, a, b)
+    _leave(h)
+    return answer
 
 
 REQUEST = request.kind

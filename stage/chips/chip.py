@@ -50,6 +50,12 @@ class Bus(Protocol):
     def cycle(self) -> None:
         """Let the time of one bus cycle pass."""
 
+    def look(self) -> None:
+        """Somebody is about to look at a chip's state, between bus cycles."""
+
+    def change(self) -> None:
+        """Somebody is about to change a chip's state, between bus cycles. Raises StageError where he may not now."""
+
 
 class Snapshot(snapshots.Snapshot):
     """All state of one chip, in bytes; restores into a chip of the same kind (class, clock)."""
@@ -93,6 +99,7 @@ class Pins:
         bit = self._inputs[name]
         new = word | bit if value else word & ~bit
         if new != word:
+            chip._change()
             chip._set_input_word(self._axis, new)
             if chip._journal is not None:
                 chip._journal.note_input(chip.clock, self._axis, new)
@@ -168,8 +175,8 @@ class Chip:
         self._late: LateLint | None = None
         self._glitches: tuple[Callable[[int, int], bool], ...] = ()  # told of each write first; True loses it
         self._hold(np.zeros(1, self.CORE.STATE), 0)
-        self._configure(self._record)
-        self.CORE.power_up.c(self._at)
+        self._configure(self._plain)
+        self.CORE.power_up.held(self._here)
 
     @property
     def diagnostics(self) -> list[Diagnostic]:
@@ -188,6 +195,7 @@ class Chip:
     def twin(self) -> Chip:
         """A chip like this one, in the same state, on no stage and without diagnostics."""
         twin = type(self)(**self.options())
+        _ = self._record
         twin._hold(self._rows[self._i : self._i + 1].copy(), 0)
         return twin
 
@@ -204,8 +212,26 @@ class Chip:
 
     def _hold(self, rows: np.ndarray, i: int) -> None:
         self._rows, self._i = rows, i
-        self._at = rows.ctypes.data + i * rows.itemsize
-        self._record = rows.view(plain(rows.dtype))[i]
+        self._here = rows.ctypes.data + i * rows.itemsize
+        self._plain = rows.view(plain(rows.dtype))[i]
+
+    @property
+    def _at(self) -> int:
+        """Where its state lies, for whoever looks at it now; `_here` is for bus cycles, which begin with a look."""
+        if self._bus is not None:
+            self._bus.look()
+        return self._here
+
+    @property
+    def _record(self) -> Any:
+        """Its state, as `_at`; `_plain` is for bus cycles."""
+        if self._bus is not None:
+            self._bus.look()
+        return self._plain
+
+    def _change(self) -> None:
+        if self._bus is not None:
+            self._bus.change()
 
     @property
     def pins(self) -> Pins:
@@ -257,7 +283,7 @@ class Chip:
             return
         if self._late is None and (said := self._lint(address, value)):
             self._say(self.clock, address, value, *said)
-        self.CORE.write.c(self._at, address, value)
+        self.CORE.write.held(self._here, address, value)
         if self._journal is not None:
             self._journal.note_write(self.clock, address, value)
 
@@ -277,7 +303,7 @@ class Chip:
         if self._bus is not None:
             self._bus.cycle()
         address = int(address) & self._ADDRESS_MASK
-        value: int = self.CORE.read.c(self._at, address)
+        value: int = self.CORE.read.held(self._here, address)
         if self._journal is not None and address in self.READING_ACTS:
             self._journal.note_read(self.clock, address, value)
         return value
@@ -309,12 +335,14 @@ class Chip:
 
     def reset(self) -> None:
         """The /RESET pin. Registers and modes clear; the clock, the inputs and the diagnostics stay."""
-        self.CORE.power_up.c(self._at)
+        self._change()
+        self.CORE.power_up.held(self._here)
         if self._journal is not None:
             self._journal.note_reset(self.clock)
 
     def snapshot(self) -> Snapshot:
         """All state, to be restored into a chip of the same class."""
+        _ = self._record
         state = self._rows[self._i].tobytes()
         return Snapshot(self._header, state, tuple(self.diagnostics), crc32(state, self._header.checksum))
 
@@ -339,19 +367,27 @@ class Chip:
         return int(self._record["inputs"])
 
     def _set_input_word(self, axis: int, word: int) -> None:
-        self.CORE.set_input.c(self._at, axis, word)
+        self.CORE.set_input.held(self._here, axis, word)
 
     def _output_word(self, axis: int) -> int:
-        return int(self.CORE.pins.c(self._at, axis))
+        return int(self.CORE.pins.held(self._at, axis))
 
     def journal(self, axis: int = 0) -> Journal:
         """Start to note what acts on the chip, so that the course of an axis can be replayed exactly: bus writes, input changes,
         and the reads at READING_ACTS.
 
         The journal notes until its `close()`; a chip keeps one journal at a time, a new one continues beside it.
+        Raises ArgumentError for an axis that the chip does not have.
         """
+        self._check_axis(axis)
+        _ = self._record
         self._journal = Journal(self, self._journal, axis)
         return self._journal
+
+    def _check_axis(self, axis: int) -> None:
+        if isinstance(axis, bool) or not isinstance(axis, int | np.integer) or not 0 <= axis < self.AXES:
+            most = "one axis, 0" if self.AXES == 1 else f"axes 0 to {self.AXES - 1}"
+            raise ArgumentError(f"axis={axis!r}: a {type(self).__name__} has {most}.")
 
     def decoder(self, axis: int = 0) -> Decoder:
         """Tells what a journal's bus writes say to an axis."""

@@ -35,16 +35,15 @@ class Entry(NamedTuple):
 
     def apply(self, core: Any, c: Any) -> None:
         """Let it happen to the chip of state `c` (a record, an array of one, an address), whose core this is."""
-        if self.kind == WRITE:
-            core.write(c, self.a, self.b)
-        elif self.kind == INPUT:
-            core.set_input(c, self.a, self.b)
-        elif self.kind == RESET:
-            core.power_up(c)
-        elif self.kind == READ:
-            core.read(c, self.a)
-        elif self.kind == SEE:
-            core.see(c, 0, number(self.a), number(self.b))
+        does, given = {
+            WRITE: (core.write, (self.a, self.b)),
+            INPUT: (core.set_input, (self.a, self.b)),
+            RESET: (core.power_up, ()),
+            READ: (core.read, (self.a,)),
+            SEE: (core.see, (0, number(self.a), number(self.b))),
+        }.get(self.kind, (None, ()))
+        if does is not None:
+            (does.c if isinstance(c, int) else does)(c, *given)
 
 
 class Entries(Sequence[Entry]):

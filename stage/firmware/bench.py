@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from stage.chips import Chip
-from stage.chips.chip import Pins
+from stage.chips.chip import Bus, Pins
 from stage.errors import ArgumentError, unknown
 
 NAMES = "xyzuvw"
@@ -92,15 +92,15 @@ class BenchAxis:
                 changed |= _within(places, span) != getattr(self.pins, pin)
             if not changed.any():
                 break
-            core.advance(c, int(pulses["clock"][np.argmax(changed)]))
+            core.advance.c(c, int(pulses["clock"][np.argmax(changed)]))
             self._assert_switches()
-        core.advance(c, clock)
+        core.advance.c(c, clock)
 
     def __repr__(self) -> str:
         return f"<BenchAxis {self.name} {self.chip!r}>"
 
 
-class Bench:
+class Bench(Bus):
     """Chips on one bus and one time line.
 
     Args:

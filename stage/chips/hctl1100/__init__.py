@@ -54,25 +54,26 @@ class HCTL1100(Chip):
     @property
     def encoder(self) -> int:
         """The encoder's raw count. Set, the shaft is there and stands still."""
-        return core.encoder_count.c(self._at)
+        return core.encoder_count.held(self._at)
 
     @encoder.setter
     def encoder(self, count: int) -> None:
-        lost = core.lost.c(self._at)
+        lost = core.lost.held(self._at)
         self.see(count + lost + 0.5 if lost else count)  # between two counts, where rounding does not matter
 
     @property
     def missed(self) -> float:
         """Counts that came faster than one in three clocks, plus minus minus: the encoder's input filter lets none of them
         through, and the shaft is so far ahead of the count."""
-        return core.lost.c(self._at)
+        return core.lost.held(self._at)
 
     def see(self, count: float, rate: float = 0.0) -> None:
         """From now on the shaft is at `count + rate * (clock - now)`: encoder counts (a position between two counts shows the lower
         one), counts a clock. Raises ArgumentError for what is no finite number."""
         if not (math.isfinite(count) and math.isfinite(rate)):
             raise ArgumentError(f"see({count!r}, {rate!r}): a shaft is at a finite count and has a finite rate.")
-        core.see.c(self._at, 0, float(count), float(rate))
+        self._change()
+        core.see.held(self._at, 0, float(count), float(rate))
         if self._journal is not None:
             self._journal.note_seen(self.clock, count, rate)
 
@@ -89,7 +90,7 @@ class HCTL1100(Chip):
     def net(self, axis: int = 0) -> int:
         """The command position as a raw count of the encoder: there `encoder` is when the actual position is the command position.
         The chip makes no pulses."""
-        return core.net.c(self._at, 0)
+        return core.net.held(self._at, 0)
 
     def write(self, address: int, value: int) -> None:
         """One bus write cycle. Never raises: the address acts modulo 64, the value modulo 256, mistakes go to `diagnostics`."""
@@ -100,7 +101,7 @@ class HCTL1100(Chip):
             self._say(self.clock, at, int(value) & self.DATA_MASK, said, "bus")
 
     def values(self) -> dict[str, int]:
-        return {r.name: core.value.c(self._at, r.number) for r in self.MAP.registers}
+        return {r.name: core.value.held(self._at, r.number) for r in self.MAP.registers}
 
     def decoder(self, axis: int = 0) -> Decoder:
         return Decoder(self.MAP)
@@ -109,5 +110,5 @@ class HCTL1100(Chip):
         return Listener(self.MAP, self._record)
 
     def _lint(self, address: int, value: int) -> lint.Note | None:
-        c: Any = self._record
+        c: Any = self._plain
         return lint.write(c, lambda: self.encoder, address, value)

@@ -49,18 +49,19 @@ class Nova(Chip):
         return Pins(self, self.AXES, state.COMMON_INPUTS, state.COMMON_OUTPUTS)
 
     def net(self, axis: int = 0) -> int:
+        self._check_axis(axis)
         return int(self._record["ax"][axis]["net"])
 
     def _lint(self, address: int, value: int) -> lint.Note | None:
         if address >= BYTES:  # of the 8-bit bus only the low byte of WR0 acts
             if address != BYTES:
                 return None
-            address, value = 0, int(self._record["first"]) & 0xFF00 | value
+            address, value = 0, int(self._plain["first"]) & 0xFF00 | value
         return None if address >= 6 else lint.write(self.MAP, self._held(), address, value)
 
     def _held(self) -> lint.Held:
         """What the lint looks at."""
-        c = self._record
+        c = self._plain
         driving = relative = absolute = 0
         for k, x in enumerate(c["ax"][: self.AXES]):
             if x["driving"] or x["interpolates"]:
@@ -94,7 +95,7 @@ class Nova(Chip):
 
     def values(self) -> dict[str, int]:
         words = (w.name for w in self.MAP.words if w.name.startswith("RR"))
-        return {name: core.value.c(self._at, int(name[2]), name == "RR3-1") for name in words}
+        return {name: core.value.held(self._at, int(name[2]), name == "RR3-1") for name in words}
 
     def _input_word(self, axis: int) -> int:
         return int(self._record["emg"] if axis == self.AXES else self._record["ax"][axis]["inputs"])
@@ -108,7 +109,7 @@ class MCX514(Nova):
     READING_ACTS: ClassVar = frozenset({1, BYTES | 2, BYTES | 3})  # RR1, the interrupt factors
 
     def _interpolated(self) -> int:
-        return int(self._record["ax"][0]["mode"][interpolation.IPM]) & 15
+        return int(self._plain["ax"][0]["mode"][interpolation.IPM]) & 15
 
     def write_byte(self, address: int, value: int) -> None:
         """A write cycle of the 8-bit bus. Byte addresses: 0 low byte of WR0, 1 its high byte, to 15; the low byte of WR0 acts."""
@@ -156,7 +157,7 @@ class MCX312(_Erratum):
     AXES: ClassVar = 2
 
     def _interpolated(self) -> int:
-        chosen = int(self._record["outputs5"])
+        chosen = int(self._plain["outputs5"])
         return 1 << AX1.of(chosen) | 1 << AX2.of(chosen)
 
     def _held(self) -> lint.Held:

@@ -46,12 +46,12 @@ class PCL240(Chip):
         return Listener(self.MAP, self._record)
 
     def values(self) -> dict[str, int]:
-        return {r.name: core.value.c(self._at, k) for k, r in enumerate(self.MAP.registers)} | {
-            "status": core.read.c(self._at, 0)
+        return {r.name: core.value.held(self._at, k) for k, r in enumerate(self.MAP.registers)} | {
+            "status": core.read.held(self._at, 0)
         }
 
     def _lint(self, address: int, value: int) -> lint.Note | None:
-        c = self._record
+        c = self._plain
         return lint.data(self.MAP, c, address, value) if address else lint.command(self.MAP, c, self._moves, value)
 
     def _moves(self, command: int) -> bool:

@@ -1,0 +1,278 @@
+"""Who may run a stage, and who may not: threads, callbacks, Ctrl-C."""
+
+import copy
+import signal
+import threading
+import time
+
+import mujoco
+import numpy as np
+import pytest
+from programs import start_preset
+
+from stage import SimulationError, Stage, StageError, callbacks, faults
+from stage.board import Board
+from stage.chips import MCX514, PCL240K
+from stage.compiled import COMPILED
+from stage.errors import ArgumentError
+from stage.fleet import Fleet, Program
+
+
+@pytest.fixture(scope="module")
+def fresh():
+    return Stage("xy", chips=PCL240K, visuals=False)
+
+
+@pytest.fixture
+def xy(fresh):
+    fresh.reset()
+    yield fresh
+    mujoco.set_mjcb_control(None)
+
+
+def bits(stage):
+    return stage.snapshot().state.tobytes()
+
+
+# --- threads ---
+
+WAYS = {
+    "step": lambda s: s.step(),
+    "run": lambda s: s.run(1e-3),
+    "run_until": lambda s: s.run_until(lambda: s.time > 0.1, timeout=1),
+    "write": lambda s: s.axes["x"].chip.write(0, 0x41),
+    "read": lambda s: s.axes["x"].chip.read(0),
+    "pin": lambda s: setattr(s.axes["x"].pins, "ins", True),
+    "reset pin": lambda s: s.axes["x"].chip.reset(),
+    "place": lambda s: s.place(x=0.01),
+    "reset": lambda s: s.reset(),
+    "snapshot": lambda s: s.snapshot(),
+    "stick": lambda s: s.axes["x"].switches.stick("org", True),
+    "record": lambda s: s.record(),
+}
+
+
+@pytest.mark.skipif(not COMPILED, reason="uncompiled, threads take turns by themselves")
+@pytest.mark.parametrize("way", WAYS)
+def test_a_stage_in_use_says_so_and_stays_as_it_was(xy, way):
+    start_preset(xy.axes["x"].chip, 1000)
+    before = bits(xy)
+    with xy._alone(), pytest.raises(StageError, match="in use"):
+        WAYS[way](xy)
+    assert bits(xy) == before
+    xy.run(1e-3)
+
+
+@pytest.mark.skipif(not COMPILED, reason="uncompiled, threads take turns by themselves")
+def test_without_bus_time_a_cycle_is_refused_as_well():
+    stage = Stage("xy", chips=PCL240K, bus_cycle=0, visuals=False)
+    with stage._alone(), pytest.raises(StageError, match="in use"):
+        stage.axes["x"].chip.read(0)
+    stage.axes["x"].chip.read(0)
+
+
+def test_two_threads_on_one_stage_do_no_harm(xy):
+    """two threads: for _ in range(2000): stage.run(0.001)"""
+    said, left = [], [60, 60]
+
+    def drive(me):
+        while left[me]:
+            left[me] -= 1
+            try:
+                xy.axes["x"].chip.write(1, left[me])
+                xy.run(0.002)
+            except StageError as error:
+                said.append(str(error))
+
+    threads = [threading.Thread(target=drive, args=(k,)) for k in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert all("in use" in text for text in said)
+    twin = copy.deepcopy(xy)
+    xy.run(0.01)
+    twin.run(0.01)
+    assert bits(xy) == bits(twin)
+
+
+def test_a_board_has_one_host_at_a_time(xy):
+    board = Board(Stage("xy", chips=PCL240K, visuals=False))
+    board._host["inside"] = 1
+    if COMPILED:
+        with pytest.raises(StageError, match="one host"):
+            board.in8(0x300)
+    board._host["inside"] = 0
+    board.in8(0x300)
+    assert board._host["inside"] == 0
+
+
+def test_a_hook_may_run_the_stage():
+    """What Python does in the middle of a bus cycle: an interrupt hook that waits, a fault that delays a write."""
+    stage = Stage("xy", chips=PCL240K, visuals=False)
+    board, calls = Board(stage), []
+
+    def hook():
+        calls.append(board.in8(0x303))
+        stage.run(1e-4)
+        stage.axes["x"].chip.write(0, 0x08)  # a reset command, which lets the line go
+        stage.snapshot()
+
+    board.on_interrupt(hook)
+    with faults.start_skew(stage.axes["x"], 1e-3):
+        for value in (0x81, 0x87):
+            board.out8(0x300, value)
+            for port in (3, 2, 1):
+                board.out8(0x300 + port, 0x10)
+        board.out8(0x300, 0x40)
+        board.out8(0x300, 0x30)  # start, interrupt at stop
+        board.delay_us(2000)
+        board.out8(0x300, 0x28)  # stop
+        board.delay_us(2000)
+    assert stage.time > 4e-3
+    assert calls
+
+
+# --- MuJoCo's callbacks ---
+
+
+def failing(after):
+    left = [after]
+
+    def control(model, data):
+        left[0] -= 1
+        if left[0] < 0:
+            raise ZeroDivisionError("mine")
+
+    return control
+
+
+def test_a_callback_that_raises_is_a_simulation_error_and_the_stage_as_before_the_step(xy):
+    """mujoco.set_mjcb_control(f), f raises: stage.run(0.1) ended the process"""
+    start_preset(xy.axes["x"].chip, 1000)
+    twin = copy.deepcopy(xy)
+    with xy.record() as recording:
+        control = failing(10)
+        mujoco.set_mjcb_control(control)
+        with pytest.raises(SimulationError, match="ZeroDivisionError: mine") as caught:
+            xy.run(0.1)
+    assert isinstance(caught.value.__cause__, ZeroDivisionError)
+    assert mujoco.get_mjcb_control() is control, "it stays where it was set"
+    assert len(recording) == 2
+    mujoco.set_mjcb_control(None)
+    assert caught.value.time == xy.time
+    with twin.record():
+        twin.run(xy.time - twin.time)
+    assert 9 <= xy._world[0].steps <= 10
+    assert bits(xy) == bits(twin)
+    xy.run(0.1)
+    twin.run(0.1)
+    assert bits(xy) == bits(twin), "and goes on"
+
+
+def test_a_callback_that_does_nothing_changes_nothing(xy):
+    twin = copy.deepcopy(xy)
+    seen = []
+    for stage in (xy, twin):
+        start_preset(stage.axes["x"].chip, 500)
+        stage.run(0.05)
+        mujoco.set_mjcb_control(lambda m, d: seen.append(d.time))
+    mujoco.set_mjcb_control(None)
+    assert len(seen) >= 200
+    assert bits(xy) == bits(twin)
+
+
+@pytest.mark.parametrize("name", callbacks.NAMES)
+def test_every_callback_is_guarded(xy, name):
+    def fail(*_):
+        raise KeyError(name)
+
+    before = getattr(mujoco, f"get_mjcb_{name}")()
+    getattr(mujoco, f"set_mjcb_{name}")(fail)
+    try:
+        if name in ("passive", "control", "time"):
+            with pytest.raises(SimulationError) as caught:
+                xy.run(0.002)
+            assert isinstance(caught.value.__cause__, KeyError)
+        else:  # this model does not ask for it
+            xy.run(0.002)
+    finally:
+        getattr(mujoco, f"set_mjcb_{name}")(before)
+
+
+@pytest.mark.skipif(not COMPILED, reason="uncompiled, the stage may be run from within")
+def test_a_callback_that_runs_the_stage_it_is_called_by_is_refused(xy):
+    mujoco.set_mjcb_control(lambda m, d: xy.run(1e-3))
+    with pytest.raises(SimulationError) as caught:
+        xy.run(0.01)
+    assert "in use" in str(caught.value.__cause__)
+
+
+def test_ctrl_c_in_a_callback_is_ctrl_c(xy):
+    def control(model, data):
+        raise KeyboardInterrupt
+
+    mujoco.set_mjcb_control(control)
+    with pytest.raises(KeyboardInterrupt):
+        xy.run(0.01)
+    mujoco.set_mjcb_control(None)
+    xy.run(0.01)
+
+
+def test_a_fleet_and_a_board_tell_of_a_callback_that_raises(xy):
+    fleet, board = Fleet([copy.deepcopy(xy) for _ in range(3)], 2), Board(Stage("xy", chips=PCL240K, visuals=False))
+    for work in (lambda: fleet.play([Program().wait(0.01)] * 3), lambda: board.delay_us(10_000)):
+        mujoco.set_mjcb_control(failing(5))
+        with pytest.raises(SimulationError, match="mine"):
+            work()
+        mujoco.set_mjcb_control(None)
+        work()
+    fleet.close()
+
+
+# --- Ctrl-C ---
+
+
+@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="no timers here")
+@pytest.mark.parametrize("recorded", [False, True])
+def test_ctrl_c_ends_a_long_run_and_the_stage_goes_on_from_there(xy, recorded):
+    """stage.run(1e6), Ctrl-C"""
+
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    start_preset(xy.axes["x"].chip, 20000)
+    twin, recording = copy.deepcopy(xy), xy.record() if recorded else None
+    before = signal.signal(signal.SIGALRM, interrupt)
+    began = time.monotonic()
+    try:
+        signal.setitimer(signal.ITIMER_REAL, 0.2)
+        with pytest.raises(KeyboardInterrupt):
+            xy.run(1e6)
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+    assert time.monotonic() - began < 5
+    xy.run(0.01)
+    if recording is not None:
+        recording.close()
+        assert np.diff(recording.columns["time"]) == pytest.approx(1e-3), "not a sample is lost"
+        recording.check_time()
+        twin.record()
+    twin.run(xy.time - twin.time)
+    assert bits(xy) == bits(twin)
+
+
+# --- indices ---
+
+
+@pytest.mark.parametrize("axis", [4, -1, 10**8, 1.0, True])
+def test_a_journal_is_of_an_axis_that_the_chip_has(axis):
+    """MCX514().journal(4).course() read foreign memory, journal(10**8) ended the process"""
+    chip = MCX514()
+    with pytest.raises(ArgumentError, match="axes 0 to 3"):
+        chip.journal(axis)
+    with pytest.raises(ArgumentError, match="axes 0 to 3"):
+        chip.net(axis)
+    with pytest.raises(ArgumentError, match="one axis, 0"):
+        PCL240K().journal(1)
