@@ -2,11 +2,14 @@
 
 rerun's servers listen on every address of the machine unless told otherwise; those started here listen on 127.0.0.1 only,
 send no usage data (PULSESTAGE_RERUN_ANALYTICS=1 leaves that to rerun's own settings), and end with the process that waits for them.
+Browsers are served by stage.recording.web: rerun's servers answer to any name.
 """
 
 from __future__ import annotations
 
 import ctypes
+import errno
+import http.client
 import os
 import signal
 import socket
@@ -19,13 +22,12 @@ from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
-from urllib.parse import quote
 
 from stage.errors import ArgumentError, StageError
 from stage.files import written
 from stage.opengl import has_screen
+from stage.recording.web import HOST, PAGE, RECORDING, Server
 
-HOST = "127.0.0.1"
 FRAME = 36  # pixels
 QUIET = {"RUST_LOG": "error"}  # without it the viewer's own messages are in the picture
 SETTINGS = Path(__file__).with_name("settings")  # rerun's: usage data off. It asks no variable, and by default it sends
@@ -61,32 +63,67 @@ def open_viewer(rrd: str | os.PathLike) -> None:
     subprocess.Popen(command, env=environment(), stdout=nowhere, stderr=nowhere, start_new_session=True)
 
 
-def serve_command(rrd: str | os.PathLike, port: int = 9090) -> tuple[list[str], str]:
-    """The command that serves the dashboard to browsers of this machine only, and the address to open."""
+def web_server(rrd: str | os.PathLike, port: int = 9090) -> Server:
+    """What serves the dashboard to browsers of this machine, at its `address`, between `serve_forever()` and `server_close()`.
+
+    Raises ArgumentError for what is no port; ViewerError where it cannot be had, or rerun gives no page.
+    """
+    rrd = _existing(rrd)
     if int(port) != port or not 1 <= port <= 65535:
         raise ArgumentError(f"port={port!r}: a port is a whole number of 1 to 65535.")
-    data = free_port()
-    command = [executable(), str(_existing(rrd)), "--serve-web", "--bind", HOST]
-    command += ["--web-viewer-port", str(port), "--port", str(data)]
-    return command, f"http://{HOST}:{port}/?url={quote(f'rerun+http://{HOST}:{data}/proxy', safe='')}"
+    try:
+        server = Server(rrd, int(port), outside=_analytics())
+    except OSError as error:
+        why = "is in use" if error.errno == errno.EADDRINUSE else f"cannot be had: {error.strerror}"
+        raise ViewerError(f"port {port} {why}. Choose another: --port {free_port()}, for example.") from error
+    try:
+        server.page = _page()
+    except BaseException:
+        server.server_close()
+        raise
+    return server
 
 
-def serve_web(rrd: str | os.PathLike, port: int = 9090) -> int:
-    """Serve the dashboard to browsers of this machine until interrupted. Returns rerun's exit code."""
-    command, url = serve_command(rrd, port)
-    if not _free(port):
-        raise ViewerError(f"port {port} is in use. Choose another: --port {free_port()}, for example.")
-    with _running(command) as process:
-        print(f"{rrd} is served on this machine only, at\n  {url}\nCtrl-C ends it.", flush=True)
-        if has_screen():
-            import webbrowser
-
-            _wait_for(port, process)
-            webbrowser.open(url)
+def serve_web(rrd: str | os.PathLike, port: int = 9090) -> None:
+    """Serve the dashboard to browsers of this machine until interrupted."""
+    with _ends_in_order():
         try:
-            return process.wait()
+            with web_server(rrd, port) as server:
+                print(f"{rrd} is served on this machine only, at\n  {server.address}\nCtrl-C ends it.", flush=True)
+                if has_screen():
+                    import webbrowser
+
+                    webbrowser.open(server.address)
+                server.serve_forever()
         except KeyboardInterrupt:
-            return 0
+            return
+
+
+def _page() -> dict[str, bytes]:
+    """The files of rerun's page, from its own server, which is told of no recording and ends here."""
+    port = free_port()
+    command = [executable(), f"http://{HOST}/{RECORDING}", "--serve-web", "--bind", HOST]
+    command += ["--web-viewer-port", str(port)]
+    with _running(command, stderr=subprocess.PIPE) as process:
+        _wait_for(port, process)
+        page = {name: _got(port, name) for name in PAGE}
+        _alive(process)  # else somebody else has answered
+    return page
+
+
+def _got(port: int, name: str) -> bytes:
+    """A file of rerun's page."""
+    connection = http.client.HTTPConnection(HOST, port, timeout=30)
+    try:
+        connection.request("GET", f"/{name}")
+        answer = connection.getresponse()
+        if answer.status != 200:
+            raise ViewerError(f"rerun does not give {name or 'its page'}: {answer.status} {answer.reason}.")
+        return answer.read()
+    except (OSError, http.client.HTTPException) as error:
+        raise ViewerError(f"rerun does not give {name or 'its page'}: {error}.") from error
+    finally:
+        connection.close()
 
 
 def screenshot(
@@ -188,21 +225,20 @@ def _alive(process: subprocess.Popen) -> None:
 
 def environment() -> dict[str, str]:
     """For rerun's program: usage data off, unless PULSESTAGE_RERUN_ANALYTICS asks for rerun's own settings."""
-    asked = os.environ.get("PULSESTAGE_RERUN_ANALYTICS", "0") not in ("", "0")
-    return {**os.environ, **({} if asked else {"XDG_CONFIG_HOME": str(SETTINGS)})}
+    return {**os.environ, **({} if _analytics() else {"XDG_CONFIG_HOME": str(SETTINGS)})}
+
+
+def _analytics() -> bool:
+    """Whether rerun may do as its own settings say."""
+    return os.environ.get("PULSESTAGE_RERUN_ANALYTICS", "0") not in ("", "0")
 
 
 @contextmanager
 def _running(command: list[str], stderr: int | None = None) -> Iterator[subprocess.Popen]:
     """rerun's program, which ends with this block: by SIGTERM and SIGHUP to this process, too, and on Linux however it ends."""
 
-    def leave(signum: int, _frame: object) -> None:
-        raise SystemExit(128 + signum)
-
     prctl = getattr(ctypes.CDLL(None), "prctl", None) if sys.platform == "linux" else None
-    main = threading.current_thread() is threading.main_thread()
-    before = {s: signal.signal(s, leave) for s in (signal.SIGTERM, signal.SIGHUP) if main}
-    try:
+    with _ends_in_order():
         process = subprocess.Popen(
             command,
             env=environment() | QUIET,
@@ -214,6 +250,19 @@ def _running(command: list[str], stderr: int | None = None) -> Iterator[subproce
             yield process
         finally:
             _end(process)
+
+
+@contextmanager
+def _ends_in_order() -> Iterator[None]:
+    """SIGTERM and SIGHUP leave this block by SystemExit, so what is open gets closed."""
+
+    def leave(signum: int, _frame: object) -> None:
+        raise SystemExit(128 + signum)
+
+    main = threading.current_thread() is threading.main_thread()
+    before = {s: signal.signal(s, leave) for s in (signal.SIGTERM, signal.SIGHUP) if main}
+    try:
+        yield
     finally:
         for s, handler in before.items():
             signal.signal(s, handler)

@@ -1,11 +1,14 @@
 """Looking at a recording: servers that only this machine reaches, processes that end, pictures without a screen."""
 
+import contextlib
 import glob
+import http.client
 import signal
 import socket
 import subprocess
 import sys
-import time
+import threading
+from urllib.parse import parse_qsl, urlsplit
 
 import numpy as np
 import psutil
@@ -17,24 +20,120 @@ from stage.recording.rerun_log import PALETTE
 from stage.recording.viewer import ViewerError
 
 
-def listening(pid):
-    return {(c.laddr.ip, c.laddr.port) for c in psutil.Process(pid).net_connections("inet") if c.status == "LISTEN"}
+def listening(process):
+    return {(c.laddr.ip, c.laddr.port) for c in process.net_connections("inet") if c.status == "LISTEN"}
 
 
-def test_the_dashboard_is_served_to_this_machine_only_and_ends_with_its_command(rrd):
-    port = viewer.free_port()
-    command, url = viewer.serve_command(rrd, port)
-    assert url.startswith(f"http://127.0.0.1:{port}/?url=rerun%2Bhttp%3A%2F%2F127.0.0.1%3A")
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    try:
-        end = time.monotonic() + 20
-        while len(open_now := listening(process.pid)) < 2 and time.monotonic() < end:
-            time.sleep(0.1)
-    finally:
-        viewer._end(process)
-    assert {ip for ip, _ in open_now} == {"127.0.0.1"}
-    assert port in {p for _, p in open_now}
-    assert process.poll() is not None
+@pytest.fixture(scope="module")
+def served(rrd):
+    """The dashboard's server."""
+    with viewer.web_server(rrd, viewer.free_port()) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        yield server
+        server.shutdown()
+        thread.join()
+
+
+def asked(server, path, host, method="GET"):
+    """The answer to a browser that takes the server for `host`: status, headers, content."""
+    connection = http.client.HTTPConnection("127.0.0.1", server.server_port, timeout=10)
+    with contextlib.closing(connection):
+        connection.putrequest(method, path, skip_host=True)
+        for name in host:
+            connection.putheader("Host", name)
+        connection.endheaders()
+        answer = connection.getresponse()
+        return answer.status, answer.headers, answer.read()
+
+
+def test_the_dashboard_is_served_to_this_machine_only_and_nothing_else_listens(served, rrd):
+    me = psutil.Process()
+    mine = {(ip, port) for ip, port in listening(me) if port == served.server_port}
+    assert mine == {("127.0.0.1", served.server_port)}
+    assert [c for c in me.children() if "rerun" in c.name()] == []
+    for name in ("127.0.0.1", "localhost"):
+        host = [f"{name}:{served.server_port}"]
+        status, headers, _ = asked(served, served.folder, host)
+        assert (status, urlsplit(headers["Location"]).path) == (302, served.folder)
+        ((key, url),) = parse_qsl(urlsplit(headers["Location"]).query)
+        assert (key, url) == ("url", f"http://{host[0]}{served.folder}recording.rrd")  # the page's own origin
+        status, headers, page = asked(served, headers["Location"], host)
+        assert (status, headers["Content-Type"]) == (200, "text/html; charset=utf-8")
+        for part in (b're_viewer.js"', b're_viewer_bg.wasm"'):
+            assert part in page
+        status, headers, content = asked(served, urlsplit(url).path, host)
+        assert (status, content) == (200, rrd.read_bytes())
+        assert "Access-Control-Allow-Origin" not in headers
+    for part, kind, begin in (
+        ("re_viewer.js", "text/javascript", b""),
+        ("re_viewer_bg.wasm", "application/wasm", b"\0asm"),
+    ):
+        status, headers, content = asked(served, served.folder + part, host)
+        assert (status, headers["Content-Type"]) == (200, kind)
+        assert content.startswith(begin)
+        assert len(content) > 100_000
+    status, headers, content = asked(served, f"{served.folder}recording.rrd", host, "HEAD")
+    assert (status, content, int(headers["Content-Length"])) == (200, b"", rrd.stat().st_size)
+
+
+@pytest.mark.parametrize(
+    "host",
+    [["evil.example"], ["evil.example:PORT"], ["127.0.0.1:PORT.evil.example"], ["127.0.0.1"], ["localhost:1"], [],
+     ["127.0.0.1:PORT", "evil.example:PORT"]],
+)  # fmt: skip
+def test_a_web_site_that_is_made_to_point_here_gets_neither_page_nor_recording(served, rrd, host):
+    """stage demo --web & curl -H "Host: evil.example" http://127.0.0.1:9090/"""
+    host = [name.replace("PORT", str(served.server_port)) for name in host]
+    for path in (
+        "/",
+        served.folder,
+        f"{served.folder}?url=x",
+        f"{served.folder}recording.rrd",
+        f"{served.folder}re_viewer.js",
+    ):
+        status, headers, content = asked(served, path, host)
+        assert status == 403
+        assert content.decode().startswith("This server answers to 127.0.0.1:")
+        assert "Location" not in headers
+
+
+@pytest.mark.parametrize(
+    "path", ["/", "/recording.rrd", "/?url=x", "/guess/recording.rrd", "FOLDER../recording.rrd", "FOLDERx.rrd"]
+)
+def test_who_does_not_know_the_address_gets_nothing(served, path):
+    """curl http://127.0.0.1:9090/"""
+    path = path.replace("FOLDER", served.folder)
+    status, _, content = asked(served, path, [f"127.0.0.1:{served.server_port}"])
+    assert (status, len(content) < 100) == (404, True)
+    assert len(served.folder) >= 20
+
+
+@pytest.mark.parametrize("wanted", ["", "1"])
+def test_the_page_calls_nobody_unless_asked_for(rrd, monkeypatch, wanted):
+    """stage demo --web"""
+    monkeypatch.setenv("PULSESTAGE_RERUN_ANALYTICS", wanted)
+    monkeypatch.setattr(viewer, "_page", lambda: {"": b"page"})
+    with viewer.web_server(rrd, viewer.free_port()) as server:
+        thread = threading.Thread(target=server.handle_request)
+        thread.start()
+        _, headers, _ = asked(server, f"{server.folder}?url=x", [f"localhost:{server.server_port}"])
+        thread.join()
+    policy = headers["Content-Security-Policy"]
+    if wanted:
+        assert policy is None
+    else:
+        assert policy.split(";")[0].split()[:2] == ["default-src", "'self'"]
+        assert not {"*", "https:", "http:"} & set(policy.split())
+
+
+def test_each_server_has_an_address_of_its_own(rrd, monkeypatch):
+    monkeypatch.setattr(viewer, "_page", dict)
+    folders = set()
+    for _ in range(2):
+        with viewer.web_server(rrd, viewer.free_port()) as server:
+            folders.add(server.folder)
+    assert len(folders) == 2
 
 
 def test_a_port_in_use_is_named_before_anything_starts(rrd):
@@ -52,13 +151,29 @@ def test_what_serves_ends_with_its_command(rrd, sent):
     command = [sys.executable, "-c", program]
     with subprocess.Popen(command, stdout=subprocess.PIPE, start_new_session=True) as parent:
         assert b"is served" in parent.stdout.readline()
+        assert psutil.Process(parent.pid).children() == [], "rerun goes on serving"
+        parent.send_signal(sent)
+        parent.wait(20)
+    assert parent.returncode == (-sent if sent == signal.SIGKILL else 128 + sent)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="how a process learns of its parent's end is Linux's")
+@pytest.mark.parametrize("sent", [signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
+def test_rerun_ends_with_the_command_that_waits_for_it(sent):
+    """stage demo --picture x.png & sleep 9; kill $!"""
+    program = (
+        "from stage.recording import viewer\nwith viewer._running(['sleep', '100']): print('runs', flush=True); input()"
+    )
+    command = [sys.executable, "-c", program]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True) as parent:
+        assert b"runs" in parent.stdout.readline()
         (rerun,) = psutil.Process(parent.pid).children()
         parent.send_signal(sent)
         parent.wait(20)
     gone, alive = psutil.wait_procs([rerun], 10)
     for process in alive:
         process.kill()
-    assert gone, "rerun goes on serving"
+    assert gone, "rerun goes on"
     assert parent.returncode == (-sent if sent == signal.SIGKILL else 128 + sent)
 
 
@@ -80,7 +195,7 @@ def test_reruns_usage_data_is_off_unless_asked_for(tmp_path, monkeypatch, asked)
 @pytest.mark.parametrize("port", [0, -1, 65536, 9.5])
 def test_a_port_that_is_none_is_named(rrd, port):
     with pytest.raises(ArgumentError, match="1 to 65535"):
-        viewer.serve_command(rrd, port)
+        viewer.web_server(rrd, port)
 
 
 def test_without_a_screen_it_says_what_else_there_is(rrd, monkeypatch):
