@@ -7,6 +7,7 @@ from fractions import Fraction
 from typing import NamedTuple
 
 import pytest
+from covers import covers
 from nova_bench import (
     AVTRI_304,
     NOP_304,
@@ -163,6 +164,7 @@ def test_named_drives_are_the_references(cls, registers, minus):
     assert get_signed(chip, 0x10) == (-registers.P if minus else registers.P)
 
 
+@covers("MCX304 MCX302 MCX312", "R", "K", "A", "D", "SV", "V", "P", "AO")
 @every_chip
 def test_round_speeds_put_each_pulse_on_its_own_round_clock(cls):
     for r, v, period in ((8_000_000, 1000, 16_000), (800_000, 100, 16_000), (16_000, 8000, 4), (16_000, 1, 32_000)):
@@ -183,6 +185,13 @@ def test_any_fixed_pulse_drive_is_the_references(cls):
         assert_made(cls(), random_registers(rng), minus=rng.random() < 0.5)
 
 
+@covers("MCX304 MCX302 MCX312", "DP")
+@every_chip
+def test_a_deceleration_begins_at_the_manual_point(cls):
+    for point in (10, 1500):
+        assert_made(cls(), Registers(P=3000, DP=point))
+
+
 def test_the_erratum_does_not_touch_a_drive_left_alone():
     for rng in examples(0.03):
         registers = random_registers(rng)._replace(s_curve=True)
@@ -200,6 +209,7 @@ def test_the_offset_is_8_after_reset():
     assert_pulses([c for c, _ in played(chip, (), drive.end_clock)], drive, "AO not written")
 
 
+@covers("MCX312", "L", "D")
 def test_l_is_the_deceleration_jerk_of_an_mcx312():
     registers = Registers(K=500, D=60, s_curve=True, asymmetric=True, P=4000)
     chip = MCX312()

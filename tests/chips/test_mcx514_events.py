@@ -219,7 +219,7 @@ def mrm(*pairs):
     return sum((what | condition << 2) << 4 * m for m, (what, condition) in enumerate(pairs))
 
 
-@covers("MCX514", "MRM", "MR0", "MR1", "MR2", "MR3")
+@covers("MCX514", "MRM", "MR0", "MR1", "MR2", "MR3", "R-MR0", "R-MR1", "R-MR2", "R-MR3", "R-LP")
 @pytest.mark.parametrize("example", range(8))
 def test_a_comparison_with_lp_tells_at_the_clock_of_the_pulse_that_makes_it_true(example):
     """Against the counter recomputed from the trace, one pulse after the other."""

@@ -3,9 +3,10 @@
 PULSESTAGE_EXAMPLES scales the number of random drives, PULSESTAGE_SEED repeats a run.
 """
 
-from itertools import pairwise
+from itertools import pairwise, product
 
 import pytest
+from covers import covers
 from nova_bench import (
     DSNDE,
     SEED,
@@ -114,6 +115,18 @@ def test_a_drive_of_no_pulses_ends_at_once():
 def test_any_fixed_pulse_drive_is_the_references():
     for rng in examples(0.15):
         assert_made(MCX514(), random_move(rng, fixed=True), minus=rng.random() < 0.5)
+
+
+@covers("MCX514", "DP")
+def test_the_deceleration_begins_after_the_pulses_of_the_manual_point():
+    chip = MCX514()
+    began = start(chip, LINEAR._replace(DP=200))
+    command(chip, 0x7B)
+    last = int(chip.twin().trace(SECOND)["clock"][199])
+    chip.advance(last - began - 1)
+    assert chip.read(3) & (ASND | CNST | DSND) == CNST
+    chip.advance(2)
+    assert chip.read(3) & (ASND | CNST | DSND) == DSND
 
 
 def test_n_drv_falls_with_the_last_pulse():
@@ -280,18 +293,19 @@ def test_both_stops_act_in_each_phase(phase, what, s_curve):
     assert_made(MCX514(), move, [(clock, what)])
 
 
-@pytest.mark.parametrize(("code", "sign"), [(0x70, 1), (0x71, -1)], ids=["70h", "71h"])
-def test_iv_steps_the_drive_speed(code, sign):
+@covers("MCX514", "IV", "VINC", "VDEC")
+def test_iv_steps_the_drive_speed():
     move = LINEAR._replace(P=2000)
-    for clock in (3 * MS, 20 * MS):
+    for (code, sign), clock in product([(0x70, 1), (0x71, -1)], (3 * MS, 20 * MS)):
         chip = MCX514()
         load(chip, IV=1500)
         start(chip, move)
-        pulses = played(chip, [(clock, "IV")], SECOND, lambda chip, what: command(chip, code))
+        pulses = played(chip, [(clock, "IV")], SECOND, lambda chip, what, code=code: command(chip, code))
         drive = move.reference((clock, "DV", 7000 + sign * 1500))
-        assert_pulses([c for c, _ in pulses], drive, f"IV at {clock}")
+        assert_pulses([c for c, _ in pulses], drive, f"{code:X}h at {clock}")
 
 
+@covers("MCX514", "SV", "AC", "DC", "JK", "DJ", "AO")
 @pytest.mark.parametrize("name", ["SV", "AC", "DC", "JK", "DJ"])
 def test_other_parameters_act_at_the_next_drive(name):
     chip, move = MCX514(), CURVE._replace(asymmetric=True)
@@ -341,6 +355,7 @@ def test_advance_counts_what_trace_lists():
         assert one.snapshot().record == other.snapshot().record, f"{move} {clock}"
 
 
+@covers("MCX514", "CV", "CA")
 def test_speed_acceleration_and_phase_read_as_the_profile_says():
     for rng in examples(0.1):
         move = random_move(rng)

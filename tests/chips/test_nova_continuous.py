@@ -2,9 +2,10 @@
 
 import math
 from fractions import Fraction
-from itertools import pairwise
+from itertools import pairwise, product
 
 import pytest
+from covers import covers
 from nova_bench import (
     SEED,
     Move,
@@ -16,6 +17,7 @@ from nova_bench import (
     command,
     driving,
     examples,
+    get,
     load,
     log_uniform,
 )
@@ -65,9 +67,9 @@ def random_word(rng):
     return sum(step << bit for bit, step in enumerate(steps))
 
 
-@pytest.mark.parametrize("count", [2, 3, 4])
-def test_bit_patterns_step_lsb_first_and_pauses_take_a_tick(count):
-    for rng in examples(0.06):
+@covers("MCX514", "BHK2", "BHK3", "BHK4")
+def test_bit_patterns_step_lsb_first_and_pauses_take_a_tick():
+    for count, rng in product((2, 3, 4), examples(0.06)):
         axes = random_axes(rng, count)
         chip = prepared(axes)
         sets = [[random_word(rng) for _ in range(count)] for _ in range(rng.randint(1, 20))]
@@ -252,6 +254,18 @@ def test_a_helix_of_several_turns_takes_the_pulses_of_each_turn_on_both_axes():
     course = points(steps)
     assert angles(course, (-100, 0), False)[-1] == pytest.approx(3 * math.tau, abs=0.02)
     assert course[-1] == (0, 0, 180, -75)
+
+
+@covers("MCX514", "CHLN", "HLN", "HLCCW", "HLPCCW")
+def test_chln_counts_the_turns_of_a_helix():
+    chip = prepared(X | Y | Z)
+    helix(chip, (-100, 0), (0, 0), False, 60, turns=3)
+    began = chip.clock
+    turn = len(ticks(chip.twin(), axes=X | Y | Z)[0]) / 3
+    for turns in (0, 1, 2):
+        for part in (0.1, 0.9):
+            chip.advance(began + int((turns + part) * turn * PERIOD) - chip.clock)
+            assert get(chip, 0x3A, 0) == turns
 
 
 # Time

@@ -55,7 +55,7 @@ def stopped_after(chip, most=10 * SECOND):
     chip.advance(1)
     assert not driving(chip, X)
     took = chip.clock - begin
-    assert probe.kind == chip.kind()
+    assert probe.header == chip.snapshot().header
     return took
 
 
@@ -580,3 +580,20 @@ def test_s_curves_need_sacc(older):
     command(older, 0x20)
     older.advance(SECOND // 100)
     assert old_rr(older, 1) & 0x24 == 0x24, "ASND and AASND"
+
+
+@covers("MCX514", "DIRCP", "DIRCM")
+def test_the_direction_signal_is_set_at_rest_and_a_drive_sets_its_own(chip):
+    directions = []
+    for code in (0x59, 0x58, 0x59, PLUS, 0x59, STOP, 0x58, MINUS, 0x58):
+        command(chip, code)
+        directions.append(chip.axes[0].pins.dir)
+        assert not chip.axes[1].pins.dir
+    assert directions == [True, False, True, False, False, False, False, True, True]  # True: -
+
+
+@covers("MCX514", "UI", "LP")
+def test_nothing_is_connected_to_the_general_inputs(chip):
+    load(chip, LP=-1)
+    get(chip, 0x30)
+    assert get(chip, 0x48, 0) == 0

@@ -11,6 +11,7 @@ import pickle
 from typing import NamedTuple
 
 import pytest
+from covers import covers
 from nova_bench import (
     DSNDE,
     NOP_304,
@@ -331,6 +332,7 @@ def test_rr1_shows_the_areas_of_figure_3(cls):
     assert [*seen, phases(chip)] == [ASND, CNST, DSND, DSND, CNST, CNST, CNST, 0]
 
 
+@covers("MCX304 MCX302 MCX312", "CV", "CA")
 @every_chip
 def test_in_area_d_the_acceleration_reads_0_and_the_speed_is_above_sv(cls):
     chip = COURSE.begin(cls(), "c last")

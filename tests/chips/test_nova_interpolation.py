@@ -4,6 +4,7 @@ import math
 from fractions import Fraction
 
 import pytest
+from covers import covers
 from nova_bench import (
     DSNDE,
     SEED,
@@ -69,6 +70,14 @@ def test_any_line_is_within_half_an_lsb_at_every_pulse_and_ends_on_its_finish_po
         finish = [rng.choice([-1, 1]) * log_uniform(rng, 1, 3000) * (rng.random() < 0.9) for _ in range(count)]
         if any(finish):
             assert_line(prepared(axes), finish, axes)
+
+
+@covers("MCX514", "LHK1", "LHK2", "LHK3", "LHK4")
+def test_lines_of_one_to_four_axes_end_on_their_finish_point():
+    """One axis alone is what several chips share a line by."""
+    for finish in ((-30,), (30, -20), (10, -30, 0), (5, 20, 30, -29)):
+        axes = 0xF >> 4 - len(finish)
+        assert_line(prepared(axes), finish, axes)
 
 
 @pytest.mark.parametrize("finish", [(1, 0), (0, -1), (7, 7), (-6, 3), (1000, 1), (999, -998), (2, 20_000)])

@@ -391,3 +391,11 @@ def test_a_table_names_the_chips_and_the_tests_of_a_command(tmp_path):
         r"\| IP_CW \| 32h \|.*\| MCX312 \|.*\| test_two \| C \|",
     ):
         assert re.search(f"^{row}$", table, re.M), row
+
+
+@pytest.mark.parametrize("chips", [(MCX514_MAP,), FAMILY], ids=["MCX514", "MCX304 family"])
+def test_every_command_has_a_test_that_writes_it(chips):
+    """To one of the chips that share a row of the page's table."""
+    tests = command_table().covered(ROOT / "tests")
+    covered = {symbol for chip, symbol in tests if chip in {c.chip for c in chips}}
+    assert {c.symbol for chip in chips for c in chip.commands} == covered
