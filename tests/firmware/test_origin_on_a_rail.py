@@ -5,7 +5,7 @@ import pytest
 
 from stage import ArgumentError, firmware
 from stage.chips import PCL240K
-from stage.firmware import Bench, Profile
+from stage.firmware import Bench, Port, Profile
 
 P = Profile.of(fl=1000, fh1=16_000, accel=0.1)
 LOW, HIGH = -3200, 20_000
@@ -81,6 +81,26 @@ def test_an_org_that_never_lets_go_is_not_taken_for_the_origin():
     assert report.stopped_by == "EL+", "it went to look where ORG ends"
     assert not report.ok
     assert x.place == HIGH
+
+
+@pytest.mark.parametrize("high_speed", [True, False])
+def test_a_carriage_that_lets_go_of_org_as_the_host_looks_has_found_it(monkeypatch, high_speed):
+    """The carriage rings, or the contact bounces: the first status byte after each stop has no ORG, later ones do."""
+    look, operating, missed = Port.status, False, []
+
+    def status(port):
+        nonlocal operating
+        seen = look(port)
+        stops, operating = operating and not seen.operating, seen.operating
+        if stops and seen.org:
+            missed.append(seen)
+            seen = seen._replace(org=False)
+        return seen
+
+    monkeypatch.setattr(Port, "status", status)
+    x = at(12_000)
+    report = firmware.origin_return(x, -1, P, high_speed=high_speed)
+    assert (report.stopped_by, x.place, len(missed)) == ("ORG", 0, 2)
 
 
 def test_an_axis_without_any_switch_times_out_with_a_report():
