@@ -184,6 +184,35 @@ def test_a_hinge_is_told_in_its_own_unit(here, capsys):
     assert "--from 5000: axis x travels from -4000 to 4000 mrad" in said
 
 
+def test_a_fault_on_a_hinge_is_told_in_its_unit(here, capsys):
+    """stage fault lost-write --model hinge.xml"""
+    (here / "hinge.xml").write_text(HINGE)
+    said = out(capsys, "fault", "lost-write", "--model", "hinge.xml", "--plot", "f.png").out
+    assert re.search(r"^carriage moved, mrad +3\d{3}\.\d{4} ", said, re.M)
+    assert ", mm" not in said
+
+
+@pytest.mark.parametrize("unit", ["m", "rad"])
+def test_the_table_of_the_erratum_has_the_unit_of_its_axis(unit):
+    """stage erratum --model hinge.xml"""
+    from stage.cli.erratum import Shown
+
+    figures = {"position, mm": 1.5, "speed, pps": 0, "n-DRV 2 s later": 0}
+    rows = Shown("MCX304", True, (figures, figures), (None, None), unit).table().splitlines()[1:]
+    assert [row.split("  ")[0] for row in rows] == [f"position, m{unit}", "speed, pps", "n-DRV 2 s later"]
+
+
+@pytest.mark.parametrize("command", [("move", "x", "100"), ("fault", "jam"), ("erratum",)])
+@pytest.mark.parametrize("other", ["a.rrd", "./a.rrd", "link.rrd"])
+def test_one_file_for_two_outputs_is_refused_before_the_work(here, capsys, monkeypatch, command, other):
+    """stage move x 100 --record a.rrd --vcd a.rrd"""
+    (here / "link.rrd").symlink_to("a.rrd")
+    monkeypatch.setattr("stage.machine.Stage.record", None)
+    said = out(capsys, *command, "--record", "a.rrd", "--vcd", other, "--force", code=2).err
+    assert said == f"stage: --record and --vcd both write {other}. Give each a file of its own.\n"
+    assert not (here / "a.rrd").exists()
+
+
 @pytest.fixture
 def shell(here):
     """Run a line of bash in which `stage` is this package's; its exit code and what it says to stderr."""

@@ -14,7 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from stage.cli.fault import EVERY, Figures, Record, _first, _text, _touch
+from stage.cli.fault import EVERY, Figures, Record, _first, _text, _touch, named
 from stage.cli.setup import note, outputs, plot, recorded
 from stage.errors import StageError
 
@@ -27,12 +27,16 @@ LOOK = 2.0  # s after the stop was asked for
 
 @dataclass(frozen=True)
 class Shown:
-    """What came of it: figures and recordings (None where none was kept) with the bare 26h and with the work-around."""
+    """What came of it: figures and recordings (None where none was kept) with the bare 26h and with the work-around.
+
+    unit: as of stage.cli.fault.Shown.
+    """
 
     chip: str
     mended: bool
     figures: tuple[Figures, Figures]
     recordings: tuple[Any, Any] = field(repr=False)
+    unit: str = "m"
 
     @property
     def as_claimed(self) -> bool:
@@ -46,7 +50,10 @@ class Shown:
     def table(self) -> str:
         """The figures of both runs, a line each."""
         bare, guarded = self.figures
-        rows = [("", "26h", "stop_by_speed"), *((k, _text(v), _text(guarded[k])) for k, v in bare.items())]
+        rows = [
+            ("", "26h", "stop_by_speed"),
+            *((named(k, self.unit), _text(v), _text(guarded[k])) for k, v in bare.items()),
+        ]
         widths = [max(len(r[k]) for r in rows) for k in range(3)]
         return "\n".join("  ".join(v.ljust(w) for v, w in zip(r, widths, strict=True)).rstrip() for r in rows)
 
@@ -120,8 +127,8 @@ def show(make: Callable[[], Any], records: tuple[Record | None, Record | None] =
         with context as recording:
             figures.append(_move(stage, program))
         kept.append(recording)
-    chip = _first(stage).chip
-    return Shown(type(chip).__name__, not chip.errata, (figures[1], figures[0]), (kept[1], kept[0]))
+    x = _first(stage)
+    return Shown(type(x.chip).__name__, not x.chip.errata, (figures[1], figures[0]), (kept[1], kept[0]), x.unit)
 
 
 def _bare(driver: Any) -> bool:

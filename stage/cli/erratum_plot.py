@@ -52,7 +52,7 @@ def draw(shown: Shown, path: str | None, overwrite: bool) -> Any:
             close.annotate(area, (when, 0.92), xycoords=("data", "axes fraction"), ha="center", color=INK)
     rate.set(ylabel="pulse rate (pps)", title=f"{shown.chip}{', mended' if shown.mended else ''}: the drive")
     close.set(ylabel="pulse rate (pps)", title="the end of the deceleration; shaded: area d, up to 26h")
-    place.set(ylabel="position (mm)", xlabel="time (s)", title="the carriage; dotted: what the pulses say")
+    place.set(ylabel=f"position (m{shown.unit})", xlabel="time (s)", title="the carriage; dotted: what the pulses say")
     lanes.set(xlabel="time (s)", title="RR1 and n-DRV after 26h in area d")
     for panel in (rate, close, place, lanes):
         panel.grid(True, axis="x" if panel is lanes else "both", color=GRID, linewidth=0.7)

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
-from stage.cli.setup import make_stage, note, plot, recorded
+from stage.cli.setup import make_stage, note, outputs, plot, recorded
 from stage.errors import StageError, unknown
 
 EVERY = 2.5e-4  # s between the samples of a picture
@@ -42,12 +42,16 @@ class Demo:
 
 @dataclass(frozen=True)
 class Shown:
-    """What came of it: figures and recordings (None where none was kept) of the healthy run and of the faulty one."""
+    """What came of it: figures and recordings (None where none was kept) of the healthy run and of the faulty one.
+
+    unit: "m", or "rad" where the first axis is a hinge; figures whose names end in mm and um are then mrad and urad.
+    """
 
     name: str
     demo: Demo
     figures: tuple[Figures, Figures]
     recordings: tuple[Any, Any] = field(repr=False)
+    unit: str = "m"
 
     @property
     def as_claimed(self) -> bool:
@@ -56,7 +60,10 @@ class Shown:
     def table(self) -> str:
         """The figures of both runs, a line each."""
         healthy, faulty = self.figures
-        rows = [("", "healthy", "faulty"), *((k, _text(v), _text(faulty[k])) for k, v in healthy.items())]
+        rows = [
+            ("", "healthy", "faulty"),
+            *((named(k, self.unit), _text(v), _text(faulty[k])) for k, v in healthy.items()),
+        ]
         widths = [max(len(r[k]) for r in rows) for k in range(3)]
         return "\n".join("  ".join(v.ljust(w) for v, w in zip(r, widths, strict=True)).rstrip() for r in rows)
 
@@ -71,6 +78,7 @@ def run(args: argparse.Namespace) -> int:
         width = max(map(len, DEMOS)) + 2
         print("\n".join(f"{name:{width}}{demo.claim}" for name, demo in DEMOS.items()))
         return 0
+    outputs(args)
     shown = show(args.name, partial(make_stage, args), partial(_kept, args), args.plot is not None)
     print(f"{shown.name}: {shown.demo.claim}\n\n{shown.table()}\n\nHow a host can tell: {shown.demo.notice}")
     plot(args, shown.plot)
@@ -107,7 +115,13 @@ def show(name: str, make: Callable[[], Any], record: Record | None = None, recor
     note(f"{key}: the faulty run ...")
     with record(stage) if record else nullcontext() as faulty_record:
         faulty = demo.program(stage, lambda fault, *args: fault(*args))
-    return Shown(key, demo, (healthy, faulty), (healthy_record, faulty_record))
+    return Shown(key, demo, (healthy, faulty), (healthy_record, faulty_record), _first(stage).unit)
+
+
+def named(figure: str, unit: str) -> str:
+    """What a figure is called in a table: its mm and um are thousandths and millionths of `unit`."""
+    what, comma, scale = figure.rpartition(", ")
+    return f"{what}{comma}{scale[0]}{unit}" if comma and scale in ("mm", "um") else figure
 
 
 def _text(value: Any) -> str:
@@ -130,7 +144,7 @@ def _draw(shown: Shown, path: str | None, overwrite: bool) -> Any:
     struck = [n.time for n in shown.recordings[1].notes if n.text.endswith("begins")]
     for panel, column in zip(panels, shown.demo.draws, strict=True):
         unit = COLUMNS[column][0] if column in COLUMNS else None
-        unit, scale = ("mm", 1e3) if unit == "m" else (unit, 1)
+        unit, scale = (f"m{shown.unit}", 1e3) if unit == "m" else (unit, 1)
         for recording, style in zip(shown.recordings, ((MUTED, 2.6, "healthy"), (ACCENT, 1.4, "faulty")), strict=True):
             axis = next(iter(recording.axes))
             to_the_clock = unit is None or column == "rate"

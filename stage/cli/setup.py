@@ -63,9 +63,14 @@ def outputs(args: argparse.Namespace) -> None:
     """Refuse what cannot be written, before the work and not after it. Raises FileError."""
     from stage.files import FileError, figure_format, writable
 
+    taken: dict[str, str] = {}
     for name in ("record", "vcd", "picture", "plot", "trace"):
         if path := getattr(args, name, None):
             writable(path, args.force, ask="give --force")
+            if os.path.isfile(path) or not os.path.exists(path):  # a device takes all
+                other = taken.setdefault(os.path.realpath(path), name)
+                if other != name:
+                    raise FileError(f"--{other} and --{name} both write {path}. Give each a file of its own.")
             if name == "plot":
                 figure_format(path)
             if name == "picture" and Path(path).suffix.lower() != ".png":
