@@ -6,7 +6,7 @@ PHYSICS := tests/test_models.py tests/test_plant.py tests/test_stage.py tests/te
 UNCOMPILED := tests/test_uncompiled.py tests/chips/test_pcl240k_statements.py tests/chips/test_pcl240ms_statements.py tests/chips/test_mean_count.py tests/drives/test_stepper.py
 TYPES := build/types/stage
 
-.PHONY: ci demo test test-slow test-oldest test-mujoco soak fuzz coverage lint bench results pictures clean help
+.PHONY: ci demo test test-slow test-oldest test-mujoco soak fuzz coverage memory lint bench results pictures clean help
 
 help:
 	@echo "make demo       origin return, dual-rate and a:b moves; writes demo.rrd"
@@ -17,6 +17,7 @@ help:
 	@echo "make test-mujoco VERSION=3.17.0 what touches physics, with another MuJoCo"
 	@echo "make coverage   lines that the fast tests run, with the compiled code uncompiled"
 	@echo "make fuzz       fuzz the bus and the MJCF contract, SECONDS=60 each (extra fuzz)"
+	@echo "make memory     the native library under valgrind (Debian: valgrind), a few minutes"
 	@echo "make lint       ruff and mypy"
 	@echo "make ci         all that .github/workflows/ci.yml does on this Python"
 	@echo "make bench      speed, as ratios measured in one run"
@@ -80,6 +81,9 @@ fuzz: .venv/.dev
 	$(BIN)/python -m pip install -q -e '.[fuzz]'
 	$(BIN)/python scripts/fuzz.py bus --seconds $(SECONDS)
 	$(BIN)/python scripts/fuzz.py mjcf --seconds $(SECONDS)
+
+memory: .venv/.dev
+	$(BIN)/python scripts/memory.py
 
 lint: .venv/.dev
 	$(BIN)/ruff check .

@@ -41,7 +41,6 @@ import numpy as np
 
 from stage import Stage, host
 from stage.chips import Chip, chip_class
-from stage.compiled import announced
 from stage.envs import register_bus_core as core
 from stage.envs.base import StageEnv, StageVectorEnv
 from stage.envs.results import DIVERGED
@@ -191,8 +190,7 @@ class RegisterBus(Task[Config]):
         for name, value in {**{name: a.ctypes.data for name, a in arrays.items()}, **lengths}.items():
             self._frame[name] = value
         self._address = self._frame.ctypes.data
-        with announced("PulseStage: compiling RegisterBus, once on this machine (about five seconds) ..."):
-            self._step(0, 0)
+        self._rows = self.results.rows.ctypes.data, len(self.results.rows)
 
     @staticmethod
     def _full_step(axis: Any) -> float:
@@ -232,7 +230,7 @@ class RegisterBus(Task[Config]):
         mine = self.axis_states[k]
         mine["target"], mine["goal"], mine["lost"] = target, goal, 0
         self.words[k]["seen"], self.words[k]["when"] = 0, -1
-        core.conclude(self._address, k, k + 1, True, self.results.rows)
+        self._conclude(k, k + 1, True)
 
     def _places(self, rng: np.random.Generator) -> np.ndarray:
         """Anywhere between the end limits, but not at the origin already."""
@@ -273,17 +271,20 @@ class RegisterBus(Task[Config]):
             self.fleet.check(self._status)
             return
         self._by_hand[watched] = True
-        self.fleet.spread(lambda begin, end: core.play(self._address, begin, end))
+        self.fleet.spread(lambda begin, end: core.play.c(self._address, begin, end))
         self.fleet.check(self._status)
         self._by_hand[:] = False
         for k in watched:
             if self.active[k]:
                 self._status[k] = host.by_hand(self.stages[k], self._ops[k], self._values[k], np.zeros((0, 2)))
-        core.conclude(self._address, 0, self.n, False, self.results.rows)
+        self._conclude(0, self.n, False)
 
     def _step(self, begin: int, end: int) -> None:
-        core.play(self._address, begin, end)
-        core.conclude(self._address, begin, end, False, self.results.rows)
+        core.play.c(self._address, begin, end)
+        self._conclude(begin, end, False)
+
+    def _conclude(self, begin: int, end: int, fresh: bool) -> None:
+        core.conclude.c(self._address, begin, end, fresh, *self._rows)
 
     def observe(self) -> None:
         """Done by `begin` and `act`."""

@@ -8,14 +8,12 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 
 from stage import handle, host
 from stage.chips import cores
-from stage.compiled import greatest, hot, least, record
 from stage.envs.results import result
-from stage.sealed import pointer
+from stage.native import array_of, at, exported, greatest, hot, least, record
 
 WRITE, READ, WAIT = range(3)  # kinds of action; WAIT + k
 AGE = 1e6  # ns, at which freshness is one half
@@ -68,24 +66,18 @@ INTEGER, REAL, SMALL, FLAG = np.dtype("i8"), np.dtype("f8"), np.dtype("f4"), np.
 HANDLE, TRUTHS = handle.HANDLE, host.TRUTH
 
 
-@hot
-def _frame(address):
-    return numba.carray(pointer(address), (1,), FRAME)[0]
-
-
-@hot
-def play(address, begin, end):
-    """Turn the actions of the active stages into operations of a host, and play them where Python does not."""
-    f = _frame(address)
-    handles = numba.carray(pointer(f.handles), (f.stages,), HANDLE)
-    waits = numba.carray(pointer(f.waits), (f.n_waits,), INTEGER)
-    active = numba.carray(pointer(f.active), (f.stages,), FLAG)
-    by_hand = numba.carray(pointer(f.by_hand), (f.stages,), FLAG)
-    actions = numba.carray(pointer(f.actions), (f.stages, 4), INTEGER)
-    ops = numba.carray(pointer(f.ops), (f.stages, 1, 4), INTEGER)
-    values = numba.carray(pointer(f.values), (f.stages, 1), INTEGER)
-    status = numba.carray(pointer(f.status), (f.stages,), INTEGER)
-    first = numba.carray(pointer(f.first), (f.n_chips,), INTEGER)
+@exported(None, FRAME, "i8", "i8")
+def play(f, begin, end):
+    """Turn the actions of the active stages begin..end-1 into operations of a host, and play them where Python does not."""
+    handles = at(f.handles, f.stages, HANDLE)
+    waits = at(f.waits, f.n_waits, INTEGER)
+    active = at(f.active, f.stages, FLAG)
+    by_hand = at(f.by_hand, f.stages, FLAG)
+    actions = at(f.actions, (f.stages, 4), INTEGER)
+    ops = at(f.ops, (f.stages, 1, 4), INTEGER)
+    values = at(f.values, (f.stages, 1), INTEGER)
+    status = at(f.status, f.stages, INTEGER)
+    first = at(f.first, f.n_chips, INTEGER)
     for k in range(begin, end):
         if not active[k]:
             continue
@@ -96,7 +88,7 @@ def play(address, begin, end):
             op[0] = host.WRITE if action[0] == WRITE else host.READ
             op[1], op[2], op[3] = first[action[1]], action[2], action[3] if action[0] == WRITE else 0
         if not by_hand[k]:
-            extremes = numba.carray(pointer(f.ops), (0, 2), REAL)
+            extremes = at(f.ops, (0, 2), REAL)
             status[k] = host.play_one(handles[k], ops[k], values[k], extremes)
 
 
@@ -204,27 +196,26 @@ def _observe(r, rules, steps, episode, axes, words, truth, out):
         out[j] = least(greatest(out[j], -1.0), 1.0)
 
 
-@hot
-def conclude(address, begin, end, fresh, results):
+@exported(None, FRAME, "i8", "i8", "i8", array_of(RESULT))
+def conclude(f, begin, end, fresh, results):
     """Look at the active stages, judge what they have done, observe; one that diverged keeps its last observation.
 
     fresh: an episode begins on these stages in place of a step; goals and words read are set. results: (stages,) RESULT.
     """
-    f = _frame(address)
-    handles = numba.carray(pointer(f.handles), (f.stages,), HANDLE)
-    r = numba.carray(pointer(f.rules), (1,), RULES)[0]
-    rules = numba.carray(pointer(f.axis_rules), (f.n_axes,), AXIS_RULES)
-    active = numba.carray(pointer(f.active), (f.stages,), FLAG)
-    actions = numba.carray(pointer(f.actions), (f.stages, 4), INTEGER)
-    values = numba.carray(pointer(f.values), (f.stages, 1), INTEGER)
-    status = numba.carray(pointer(f.status), (f.stages,), INTEGER)
-    steps = numba.carray(pointer(f.steps), (f.stages,), INTEGER)
-    episodes = numba.carray(pointer(f.episodes), (f.stages,), EPISODE)
-    axes = numba.carray(pointer(f.axes), (f.stages, f.n_axes), AXIS)
-    words = numba.carray(pointer(f.words), (f.stages, f.n_chips, f.n_addresses), WORD)
-    first = numba.carray(pointer(f.first), (f.n_chips,), INTEGER)
-    truth = numba.carray(pointer(f.truth), (f.stages, f.n_axes), TRUTHS)
-    observations = numba.carray(pointer(f.observations), (f.stages, f.width), SMALL)
+    handles = at(f.handles, f.stages, HANDLE)
+    r = at(f.rules, 1, RULES)[0]
+    rules = at(f.axis_rules, f.n_axes, AXIS_RULES)
+    active = at(f.active, f.stages, FLAG)
+    actions = at(f.actions, (f.stages, 4), INTEGER)
+    values = at(f.values, (f.stages, 1), INTEGER)
+    status = at(f.status, f.stages, INTEGER)
+    steps = at(f.steps, f.stages, INTEGER)
+    episodes = at(f.episodes, f.stages, EPISODE)
+    axes = at(f.axes, (f.stages, f.n_axes), AXIS)
+    words = at(f.words, (f.stages, f.n_chips, f.n_addresses), WORD)
+    first = at(f.first, f.n_chips, INTEGER)
+    truth = at(f.truth, (f.stages, f.n_axes), TRUTHS)
+    observations = at(f.observations, (f.stages, f.width), SMALL)
     for k in range(begin, end):
         if not (fresh or active[k]):
             continue

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from stage.compiled import record
+from stage.native import record
 
 DIVERGED = -10.0  # reward of a step in which the simulation diverged
 CAUSES = ("", "diverged")  # of an end that is no part of the task, by the number in a record

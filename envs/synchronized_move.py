@@ -45,7 +45,6 @@ import numpy as np
 
 from stage import Stage, host
 from stage.chips import Chip, chip_class
-from stage.compiled import announced
 from stage.engine import clock_at
 from stage.envs.base import StageEnv, StageVectorEnv
 from stage.envs.hosts import host_of, line_of
@@ -157,10 +156,6 @@ class SynchronizedMove(MoveTask[Config]):
         self.distances = np.ones((self.n, m), np.int64)
         self.rate, self.last = np.full(self.n, c.rates[0]), np.zeros((self.n, 4))
         self.path, self.seconds = np.zeros(self.n), np.zeros(self.n)
-        with announced("PulseStage: compiling twins of the chips, once on this machine (about ten seconds) ..."):
-            few = Asked(np.full((1, m), 2), np.array(c.rates[:1]))
-            made = self.line.pulses(self.line.programs(self.line.data_sheet(few), few)[0], few.distances[0])
-            path_deviation([(t, 1) for t in made], few.distances[0])
 
     def begin(self, k: int, options: Mapping[str, Any]) -> None:
         self.last[k] = 0.0

@@ -15,7 +15,8 @@ import numpy as np
 from stage import ArgumentError
 from stage.chips import PCL240K, PCL240MK, PCL240MS
 from stage.firmware import Bench, plan, synchronized_move
-from stage.firmware.follow import bend, run, stretch
+from stage.firmware.closed_form import bend, stretch
+from stage.firmware.follow import run
 from stage.firmware.path import path_deviation
 
 DELAYS = (1e-6, 1e-5, 1e-4)
@@ -36,7 +37,7 @@ class Moves:
         return plan(distances, chips=self.chip, **self.shape, **options)
 
     def row(self, *registers):
-        """Registers as follow.py takes them, with ramps of this shape."""
+        """Registers as fit.py takes them, with ramps of this shape."""
         share = float(self.shape.get("s_curve", 0.0))
         row = np.array([*registers, *[0] * (2 * self.chip.S_CURVES)])
         bend(row, min(share, 0.5))

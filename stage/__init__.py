@@ -15,7 +15,7 @@ import os
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from stage.errors import ArgumentError, LoadError, ModelError, RunTimeout, SimulationError, StageError
+from stage.errors import ArgumentError, LoadError, ModelError, NativeError, RunTimeout, SimulationError, StageError
 
 if TYPE_CHECKING:
     from stage import firmware
@@ -32,8 +32,8 @@ _LAZY = {
 }
 
 __all__ = [
-    "ArgumentError", "Drive", "LoadError", "ModelError", "Motor", "RunTimeout", "SimulationError", "Snapshot", "Stage",
-    "StageError", "firmware",
+    "ArgumentError", "Drive", "LoadError", "ModelError", "Motor", "NativeError", "RunTimeout", "SimulationError", "Snapshot",
+    "Stage", "StageError", "firmware",
 ]  # fmt: skip
 
 

@@ -15,10 +15,10 @@ from typing import Any
 
 import mujoco
 
-from stage.engine import LIBRARY
+from stage.libmujoco import library
 
 NAMES = ("passive", "control", "contactfilter", "sensor", "time", "act_dyn", "act_gain", "act_bias")
-_POINTERS = [ctypes.c_void_p.in_dll(ctypes.CDLL(LIBRARY), f"mjcb_{name}") for name in NAMES]
+_POINTERS = [ctypes.c_void_p.in_dll(library(), f"mjcb_{name}") for name in NAMES]
 ADDRESSES = [ctypes.addressof(pointer) for pointer in _POINTERS]
 """Where MuJoCo keeps what it calls."""
 NATIVE = [

@@ -17,39 +17,19 @@ All state is in records inside MjData.userdata, all tables of constants in array
 
 from __future__ import annotations
 
-import ctypes
-import glob
 import math
-import os
-from typing import Any
 
-import llvmlite.binding
-import mujoco
-import numba
 import numpy as np
 
 from stage.chips import cores
 from stage.chips.entries import INPUT, SEE
-from stage.compiled import COMPILED, greatest, hot, least, record
 from stage.drives import drive, stepper
-from stage.plant import PINS
-from stage.sealed import at
+from stage.native import at, called, greatest, hot, least, record
+from stage.pins import PINS
 
-LIBRARY = glob.glob(os.path.join(os.path.dirname(mujoco.__file__), "libmujoco.*"))[0]  # .so or, on macOS, .dylib
-if COMPILED:
-    llvmlite.binding.load_library_permanently(LIBRARY)
-    intp = numba.types.intp
-    mj_step: Any = numba.types.ExternalFunction("mj_step", numba.types.void(intp, intp))
-    mj_get_state: Any = numba.types.ExternalFunction(
-        "mj_getState", numba.types.void(intp, intp, intp, numba.types.int32)
-    )
-else:
-    mj_step, mj_get_state = ctypes.CDLL(LIBRARY).mj_step, ctypes.CDLL(LIBRARY).mj_getState
-    mj_step.argtypes = (ctypes.c_void_p, ctypes.c_void_p)
-    mj_get_state.argtypes = (ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int)
-    mj_step.restype = mj_get_state.restype = None
+_step = called(None, "i8", "i8")
+_get_state = called(None, "i8", "i8", "i8", "i4")
 
-STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)  # all of it: physics, and in userdata chips, drives, switches
 ADDRESS = np.dtype("i8")
 NEVER = 1 << 62
 FAR = 1.0  # distance of a vane that no sensor sees
@@ -85,13 +65,17 @@ CLOCKWORK = record(
         ("encoders", "i8"),
         ("guarded", "i8"),
         ("failed", "i8"),
+        ("mj_step", "i8"),
+        ("mj_get_state", "i8"),
+        ("state_spec", "i8"),
         ("callbacks", "i8", (CALLBACKS,)),
         ("native", "i8", (CALLBACKS,)),
     ]
 )
 """Who runs the stage, see stage.in_use; window (ns), slices in it, a slice and half a window (s), degrees of freedom, steps per
 sample (0: none), axes whose chips see an encoder; of MuJoCo's callbacks, see stage.callbacks: whether they are guarded, whether one
-has failed, where their addresses lie and what these are while nobody in Python is called."""
+has failed, where their addresses lie and what these are while nobody in Python is called; addresses of
+MuJoCo's functions, and which parts of its state a snapshot has."""
 CHIP_TABLE = cores.CHIP
 AXIS_TABLE = record(
     [(name, "i8") for name in "chip chip_axis qpos dof actuator first_switch end_switch index_bit".split()]
@@ -383,7 +367,7 @@ def run(
         if _unguarded(clockwork):
             return UNGUARDED
         if state:
-            mj_get_state(model, data, state, STATE)
+            _get_state(clockwork.mj_get_state, (model, data, state, clockwork.state_spec))
     while world.now < until:
         end = world.start + clockwork.dt
         stop = least(until, end)
@@ -401,7 +385,7 @@ def run(
             ctrl[t.actuator] = drive.effort(
                 drives[a], axes[a].counts, clockwork.slices, theta, omega, clockwork.h, gain
             )
-        mj_step(model, data)
+        _step(clockwork.mj_step, (model, data))
         world.slice = 0
         world.start += clockwork.dt
         world.steps += 1

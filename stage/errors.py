@@ -58,6 +58,10 @@ class LoadError(StageError, ImportError):
     """A part of the package cannot be loaded, because a library below it cannot."""
 
 
+class NativeError(LoadError):
+    """The native library is missing, or does not fit these sources or this machine, and could not be built."""
+
+
 def unknown(kind: str, given: object, allowed: Iterable[str]) -> ArgumentError:
     """An ArgumentError for a name that is not among `allowed`, with the near misses."""
     names = sorted(allowed)

@@ -20,7 +20,6 @@ import numpy as np
 
 from stage import callbacks, engine, handle, host
 from stage.chips import Chip
-from stage.compiled import announced
 from stage.errors import ArgumentError, StageError
 from stage.machine import IN_USE, Stage
 
@@ -131,12 +130,9 @@ class Fleet:
         self.handles = np.zeros(len(self.stages), handle.HANDLE)
         self._truth = np.zeros((len(self.stages), self._axes), host.TRUTH)
         self._pool: ThreadPoolExecutor | None = None
-        with announced("PulseStage: compiling the fleet's loop, once on this machine (about ten seconds) ..."):
-            for k, stage in enumerate(self.stages):
-                handle.fill(self.handles, k, stage)
-            self.handles["state"] = 0  # nobody takes a step back
-            none = np.zeros((0, 1, 4), np.int64), np.zeros((0, 1), np.int64), np.zeros((0, self._nq, 2))
-            host.play(self.handles, 0, 0, *none, np.zeros(0, np.int64))
+        for k, stage in enumerate(self.stages):
+            handle.fill(self.handles, k, stage)
+        self.handles["state"] = 0  # nobody takes a step back
 
     def __len__(self) -> int:
         return len(self.stages)

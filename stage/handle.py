@@ -9,14 +9,12 @@ from __future__ import annotations
 
 from typing import Any
 
-import numba
 import numpy as np
 
 from stage import engine
-from stage.compiled import hot, record
 from stage.drives import drive
 from stage.in_use import ENGINE, claim, release
-from stage.sealed import at, pointer, sealed
+from stage.native import at, exported, hot, record
 
 _ARRAYS = "world axes drives switches table switch_table chips clockwork qpos qvel ctrl sensordata inertia".split()
 _LENGTHS = "n_axes n_switches n_chips nq nv nu ns".split()
@@ -60,20 +58,20 @@ def table(h):
     return at(h.table, h.n_axes, AXIS_TABLE)
 
 
-@sealed("i8", HANDLE, "i8")
+@exported("i8", HANDLE, "i8")
 def advance(h, until):
     """The stage's time passes up to `until` ns, unless the engine has to stop before; why it stopped, as `engine.run`."""
     if not claim(h.clockwork, ENGINE):
         return engine.IN_USE
     counts = at(h.counts, 2, WHOLE)
-    samples = numba.carray(pointer(h.samples), (h.room, h.n_axes), engine.SAMPLE)
-    positions = numba.carray(pointer(h.positions), (h.room, h.nq), REAL)
+    samples = at(h.samples, (h.room, h.n_axes), engine.SAMPLE)
+    positions = at(h.positions, (h.room, h.nq), REAL)
     status = engine.run(
-        int(h.mj_model), int(h.mj_data), at(h.world, 1, WORLD), at(h.axes, h.n_axes, AXIS), at(h.drives, h.n_axes, DRIVE),
+        h.mj_model, h.mj_data, at(h.world, 1, WORLD), at(h.axes, h.n_axes, AXIS), at(h.drives, h.n_axes, DRIVE),
         at(h.switches, h.n_switches, SWITCH), table(h), at(h.switch_table, h.n_switches, SWITCH_TABLE), chips(h),
         at(h.clockwork, 1, CLOCKWORK), at(h.qpos, h.nq, REAL), at(h.qvel, h.nv, REAL), at(h.ctrl, h.nu, REAL),
         at(h.sensordata, h.ns, REAL), at(h.inertia, h.nv, REAL), until, samples, positions, h.filled,
-        at(h.edges, h.edge_room, engine.EDGE), h.noted, counts, int(h.state),
+        at(h.edges, h.edge_room, engine.EDGE), h.noted, counts, h.state,
     )  # fmt: skip
     if status != engine.DIVERGED and status != engine.FAILED:
         h.filled, h.noted = counts[0], counts[1]
@@ -82,19 +80,19 @@ def advance(h, until):
     return status
 
 
-@sealed("i8", HANDLE, "i8")
+@exported("i8", HANDLE, "i8")
 def take(h, token):
     """1 if nobody runs the stage: nobody will, until `give` with this token."""
     return 1 if claim(h.clockwork, token) else 0
 
 
-@sealed(None, HANDLE, "i8")
+@exported(None, HANDLE, "i8")
 def give(h, token):
     """Whoever took it with this token has it no more."""
     release(h.clockwork, token)
 
 
-@sealed(None, HANDLE)
+@exported(None, HANDLE)
 def settle(h):
     """See `engine.settle`."""
     engine.settle(
@@ -104,7 +102,7 @@ def settle(h):
     )  # fmt: skip
 
 
-@sealed(None, HANDLE, "i8")
+@exported(None, HANDLE, "i8")
 def look_again(h, axis):
     """See `engine.look_again`."""
     h.noted = engine.look_again(

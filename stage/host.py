@@ -23,10 +23,9 @@ import numpy as np
 
 from stage import engine
 from stage.chips import cores
-from stage.compiled import greatest, hot, least, record
 from stage.drives import drive
-from stage.handle import DRIVE, REAL, advance, chips, clockwork, table, world
-from stage.sealed import at
+from stage.handle import DRIVE, HANDLE, REAL, advance, chips, clockwork, table, world
+from stage.native import array_of, at, exported, greatest, hot, least, record
 
 NAMES = ("END", "WRITE", "READ", "WAIT", "STOP", "MEASURE", "LOOK")
 END, WRITE, READ, WAIT, STOP, MEASURE, LOOK = range(7)
@@ -111,7 +110,7 @@ def play_one(h, ops, results, extremes):
     return PLAYED
 
 
-@hot
+@exported(None, array_of(HANDLE), "i8", "i8", array_of("i8", 3), array_of("i8", 2), array_of("f8", 3), array_of("i8"))
 def play(handles, begin, end, ops, results, extremes, status):
     """Play ops[k] on stage k for k in begin..end-1; results (stages, ops), extremes (stages, nq, 2), status (stages)."""
     for k in range(begin, end):
@@ -133,7 +132,7 @@ def _look_at(world, c, t, d, clockwork, qpos, qvel, out):
     out.outputs, out.status, out.busy = cores.outputs(c, j), cores.status(c, j), 1 if cores.busy(c, j) else 0
 
 
-@hot
+@exported(None, array_of(HANDLE), "i8", "i8", array_of(TRUTH, 2))
 def look(handles, begin, end, truth):
     """Fill truth[k, a] for every axis of the stages begin..end-1."""
     for k in range(begin, end):
@@ -146,6 +145,14 @@ def look(handles, begin, end, truth):
         )
         for a in range(h.n_axes):
             _look_at(world(h), chips(h)[axes[a].chip], axes[a], drives[a], clockwork(h), qpos, qvel, truth[k, a])
+
+
+@exported(None, cores.CHIP, array_of("i8", 2), "i8")
+def write_cycles(chip, ops, axes):
+    """The write cycles of a program to the chip whose axes are in the mask, at one clock."""
+    for j in range(len(ops)):
+        if ops[j, 0] == WRITE and axes >> ops[j, 1] & 1:
+            cores.write(chip, ops[j, 2], ops[j, 3])
 
 
 def by_hand(stage: Any, ops: np.ndarray, results: np.ndarray, extremes: np.ndarray) -> int:

@@ -13,15 +13,10 @@ from __future__ import annotations
 from itertools import count
 from typing import Any
 
-from llvmlite import ir
-from numba.core import types
-from numba.extending import intrinsic
-
-from stage.compiled import COMPILED
+from stage.native import exchange
 
 ENGINE = 1
 _tokens = count(ENGINE + 1)
-_WORD = ir.IntType(64)
 
 
 def token() -> int:
@@ -29,19 +24,5 @@ def token() -> int:
     return next(_tokens)
 
 
-def _exchanges(old: int | None, new: int | None) -> Any:
-    """(address, token) -> True if the word held `old` (None: the token) and now is `new`."""
-
-    def typed(_context: Any, address: Any, token: Any) -> Any:
-        def lower(_context: Any, builder: Any, _signature: Any, given: Any) -> Any:
-            before, after = (given[1] if v is None else ir.Constant(_WORD, v) for v in (old, new))
-            place = builder.inttoptr(given[0], _WORD.as_pointer())
-            return builder.extract_value(builder.cmpxchg(place, before, after, "acq_rel", "monotonic"), 1)
-
-        return types.boolean(types.int64, types.int64), lower
-
-    return intrinsic(typed) if COMPILED else lambda address, token: True
-
-
-claim: Any = _exchanges(0, None)
-release: Any = _exchanges(None, 0)
+claim: Any = exchange(0, None)
+release: Any = exchange(None, 0)

@@ -23,10 +23,9 @@ from zlib import crc32
 import mujoco
 import numpy as np
 
-from stage import callbacks, engine, handle, integration, plant, snapshots
+from stage import callbacks, engine, handle, integration, libmujoco, plant, snapshots
 from stage.chips import CHIPS, PCL240K, Chip, ChipAxis, chip_class, cores
 from stage.chips.entries import PACKED, SEE
-from stage.compiled import plain
 from stage.drives import drive as any_drive
 from stage.drives import stepper
 from stage.drives.dc_motors import DC_MOTORS, DCMotor, Servo, dc_motor
@@ -42,7 +41,7 @@ from stage.errors import (
 )
 from stage.fingerprint import mechanics
 from stage.in_use import token
-from stage.sealed import ready
+from stage.native import plain
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -50,7 +49,7 @@ if TYPE_CHECKING:
     from stage.chips.chip import Pins
     from stage.recording import Recording
 
-STATE = engine.STATE
+STATE = mujoco.mjtState.mjSTATE_INTEGRATION  # all of it: physics, and in userdata chips, drives, switches
 HYSTERESIS = 25e-6  # m; a slotted optical switch lets go that much later than it trips (typical data sheets)
 EDGES = 640
 LONGEST = 1_000_000_000  # s that a stage runs at a time: with as much behind it, a time in ns still fits 63 bits
@@ -310,6 +309,11 @@ class Stage:
         dt = round(model.opt.timestep * 1e9)
         self._dt = dt
         w = self._clockwork[0]
+        w.mj_step, w.mj_get_state, w.state_spec = (
+            libmujoco.address("mj_step"),
+            libmujoco.address("mj_getState"),
+            int(STATE),
+        )
         w.dt, w.slices, w.h, w.half, w.nv = dt, engine.SLICES, dt * 1e-9 / engine.SLICES, dt * 0.5e-9, model.nv
         w.callbacks, w.native = callbacks.ADDRESSES, callbacks.NATIVE
         self._piece = FIRST_PIECE * dt
@@ -344,8 +348,6 @@ class Stage:
         handle.fill(rows, 0, self)
         self._at, self._handle = rows.ctypes.data, rows.view(plain(handle.HANDLE))[0]
         self._note_in(np.zeros(EDGES + engine.EDGES_A_WINDOW * n, engine.EDGE))
-        for package in ("stage.drives", "stage.handle"):
-            ready(package, "the simulation loop")
         self._advance = handle.advance.c
         self._header = self._headed()
 

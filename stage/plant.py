@@ -36,8 +36,8 @@ import numpy as np
 
 from stage.errors import ArgumentError, ModelError, unknown
 from stage.fingerprint import fingerprint
+from stage.pins import PINS
 
-PINS = ("el_plus", "el_minus", "sd_plus", "sd_minus", "org")
 MARGIN, GAP = -0.03, 0.04  # of the pairs that the errors propose
 LOOK_AHEAD = 0.5e-3  # m; a switch must be seen this far before the touch, so that the edge is found inside a step
 SCAN = 401  # joint positions tried over the range

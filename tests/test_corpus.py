@@ -147,7 +147,7 @@ def test_a_nova_core_that_does_too_much_work_or_breaks_a_promise_is_a_finding():
 
 PLANTED_HCTL = """
 import test_corpus as t
-from stage.compiled import COMPILED
+from stage.native import COMPILED
 from stage.chips.hctl1100 import bus, core, motor
 assert not COMPILED
 check = t.Bus()

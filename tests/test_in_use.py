@@ -13,9 +13,9 @@ from programs import start_preset
 from stage import SimulationError, Stage, StageError, callbacks, faults
 from stage.board import Board
 from stage.chips import MCX514, PCL240K
-from stage.compiled import COMPILED
 from stage.errors import ArgumentError
 from stage.fleet import Fleet, Program
+from stage.native import COMPILED
 
 
 @pytest.fixture(scope="module")

@@ -275,13 +275,13 @@ def test_a_course_is_that_of_a_chip_that_is_shown_the_shaft_step_by_step(xyz, ev
     journal.close()
     core, rows = HCTL1100.CORE, np.frombuffer(bytearray(journal.start.tobytes()), HCTL1100.CORE.STATE)
     out, k = np.zeros(20_000, core.EDGE), 1
-    core.mark(rows, 0, out, 0, 0)
+    core.mark(rows, 0, out, 0)
     for e in (*journal.entries, None):
-        k += core.scan(rows, 0, journal.until if e is None else e.clock, every_pulse, out[k:], 0)
+        k += core.scan(rows, journal.until if e is None else e.clock, every_pulse, 0, out[k:])
         if e is not None:
             e.apply(core, rows)
         if e is None or e.kind != SEE:
-            core.mark(rows, 0, out, k, 0)
+            core.mark(rows, 0, out, k)
             k += 1
     assert k > (400 if every_pulse else 30)
     for size in (100, 5000):

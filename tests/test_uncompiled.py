@@ -19,8 +19,8 @@ from programs import start_preset
 from stage import SimulationError, Stage, faults, host, machine
 from stage.board import Board, bus
 from stage.chips import HCTL1100, MCX302, MCX514, PCL240K, PCL240MK, PCL240MS
-from stage.compiled import COMPILED
 from stage.fleet import Fleet, Program
+from stage.native import COMPILED
 from stage.recording import recording
 
 pytestmark = pytest.mark.usefixtures("elsewhere")

@@ -20,7 +20,6 @@ import numpy as np
 
 from stage import host
 from stage.chips import cores
-from stage.compiled import hot
 from stage.envs.hosts.host import Host
 from stage.envs.registers import RegisterBox
 from stage.errors import ArgumentError
@@ -141,9 +140,9 @@ class Line(ABC):
             rows = np.frombuffer(bytearray(fresh), chip.CORE.STATE)
             twin = np.zeros(1, cores.CHIP)
             cores.fill(twin[0], chip.CORE, rows.ctypes.data)
-            _write(twin, ops, sum(1 << self.hosts[a].index for a in mine))
+            host.write_cycles(twin, ops, sum(1 << self.hosts[a].index for a in mine))
             made = np.empty(int(np.abs(distances[mine]).sum()), chip.CORE.PULSE)
-            made = made[: chip.CORE.trace_at.c(rows.ctypes.data, FAR, made.ctypes.data, len(made))]
+            made = made[: chip.CORE.trace.c(rows.ctypes.data, FAR, made.ctypes.data, len(made))]
             for a in mine:
                 out[a] = made["clock"][made["axis"] == self.hosts[a].axis.chip_axis]
         return out
@@ -165,14 +164,6 @@ class Line(ABC):
         for j, column, shift in self._slots:
             ops[:, j, 3] = columns[:, column] >> shift & self.chip.DATA_MASK
         return ops
-
-
-@hot
-def _write(twin: Any, ops: Any, axes: int) -> None:
-    """The write cycles of a program to the chip whose axes are in the mask, at one clock."""
-    for j in range(len(ops)):
-        if ops[j, 0] == host.WRITE and axes >> ops[j, 1] & 1:
-            cores.write(twin[0], ops[j, 2], ops[j, 3])
 
 
 def line_of(hosts: Sequence[Host], settings: Any) -> Line:

@@ -70,7 +70,7 @@ def subject_of(key: str) -> str:
 
 def machine(run: Run) -> str:
     """Where and how, in words."""
-    packages = ", ".join(f"{name} {version(name)}" for name in ("mujoco", "numba", "numpy"))
+    packages = ", ".join(f"{name} {version(name)}" for name in ("mujoco", "numpy"))
     how = f"{run.rounds} rounds" + (", quick: long ones are short" if run.quick else "")
     return f"{processor()}, {os.cpu_count()} processors; Python {platform.python_version()}, {packages}; {how}"
 

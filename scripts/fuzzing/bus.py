@@ -22,7 +22,7 @@ from stage.chips import CHIPS, Chip, chip_class
 from stage.chips.hctl1100 import HCTL1100
 from stage.chips.nova import Nova
 from stage.chips.pcl240 import PCL240
-from stage.compiled import COMPILED
+from stage.native import COMPILED
 
 FAMILIES: dict[type[Chip], type[Family]] = {PCL240: Pcl240, Nova: NovaFamily, HCTL1100: HctlFamily}
 SECONDS_PER_ADVANCE = 5.0  # compiled, however busy the machine; 2^32 clocks take milliseconds

@@ -15,7 +15,7 @@ from stage.chips.hctl1100 import core, state
 from stage.chips.hctl1100.commutator import RING
 from stage.chips.hctl1100.timer import STEP, T
 from stage.chips.journal import Journal
-from stage.compiled import COMPILED
+from stage.native import COMPILED
 
 LONG = 1 << 22  # clocks: a loop in motion works sample by sample
 LONGEST = STEP << 8  # clocks of a sample

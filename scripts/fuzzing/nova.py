@@ -27,7 +27,7 @@ from stage.chips.nova import (
     state,
     timer,
 )
-from stage.compiled import COMPILED
+from stage.native import COMPILED
 
 BYTES = 16  # byte addresses of the 8-bit bus
 OFF = 0xFFFFFFFF

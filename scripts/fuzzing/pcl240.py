@@ -14,7 +14,7 @@ from stage.chips import Chip
 from stage.chips.journal import Journal
 from stage.chips.pcl240 import core
 from stage.chips.pcl240.state import EXTENSION, EXTERNAL
-from stage.compiled import COMPILED
+from stage.native import COMPILED
 
 WRAP = 1 << 24  # pulses in which R0 comes round, and passes 0 and R6 again
 PIN = core.INPUTS | {name: bit << 8 for name, bit in core.OUTPUTS.items()}

@@ -22,10 +22,9 @@ from stage import engine, handle
 from stage.board import bus, layouts
 from stage.board.trace import BusTrace, Cycle, Meaning
 from stage.chips.late import LateLint
-from stage.compiled import plain
 from stage.errors import ArgumentError, StageError, unknown
 from stage.machine import LONGEST, Stage
-from stage.sealed import ready
+from stage.native import plain
 
 KEPT_CYCLES = 100_000
 NOTED = 1 << 14  # edges and writes between two calls of Python
@@ -86,7 +85,6 @@ class Board:
         for chip in stage.chips:
             if self.LINTS and chip._late is None:
                 chip._late = LateLint(chip)
-        ready("stage.board.bus", "the bus")
         self._request = bus.request.pointer
         self._lay_out()
 

@@ -10,10 +10,9 @@ from __future__ import annotations
 from stage import engine, handle
 from stage.chips import cores
 from stage.chips.entries import LOST, READ, WRITE
-from stage.compiled import greatest, hot, least, record
 from stage.handle import AXIS, WHOLE, chips, clockwork, world
 from stage.in_use import ENGINE, claim, release
-from stage.sealed import at, called, sealed
+from stage.native import at, called, exported, greatest, hot, least, record
 
 IN8, OUT8, IN16, OUT16, DELAY, MICROS, LOG, HOOK, LINE, SETTLE = range(10)
 """What a host asks: port cycles (a: port, b: value), a delay (a: us), the time (us), to note a line (a: its address), to call a
@@ -95,7 +94,7 @@ def _leave(h):
 def _call_out(h, function, argument):
     """Call a function that may make requests."""
     _leave(h)
-    _call(function, argument)
+    _call(function, (argument,))
     while not _enter(h):  # another thread is inside, and soon out
         pass
 
@@ -470,7 +469,7 @@ def _answer(h, what, a, b):
     return 0
 
 
-@sealed("i8", HOST, "i4", "i8", "i8")
+@exported("i8", HOST, "i4", "i8", "i8")
 def request(h, what, a, b):
     """int64_t request(void *host, int32_t what, int64_t a, int64_t b): what hosts call."""
     if not _enter(h):

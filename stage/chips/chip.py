@@ -23,9 +23,8 @@ from stage.chips.decode import Decoder
 from stage.chips.journal import Journal
 from stage.chips.listener import Listener
 from stage.chips.register_map import RegisterMap, dump
-from stage.compiled import plain
 from stage.errors import ArgumentError, StageError, unknown
-from stage.sealed import ready
+from stage.native import plain
 
 if TYPE_CHECKING:
     from stage.chips.late import LateLint
@@ -156,11 +155,6 @@ class Chip:
     """The outputs that ask a host for attention: of which axis' pins (-1: those of no axis), and their bits."""
     BUSY: ClassVar[tuple[int, int]]
     """Where the bus tells that a drive is in progress: address, and the bit of axis 0."""
-
-    def __new__(cls, *_arguments: Any, **_options: Any) -> Chip:
-        package = cls.CORE.__package__ or cls.CORE.__name__
-        ready(package, f"the {package.rpartition('.')[2]} chips")
-        return super().__new__(cls)
 
     def __init__(self, clock_hz: int | None = None):
         """Power the chip up. `clock_hz`: reference clock, default the data sheet's."""
@@ -323,7 +317,7 @@ class Chip:
         until = self._until(clocks)
         probe = self._rows[self._i : self._i + 1].copy()
         out = np.zeros(self.CORE.advance(probe, until), self.CORE.PULSE)
-        self.CORE.trace_at.c(self._at, until, out.ctypes.data, len(out))
+        self.CORE.trace.c(self._at, until, out.ctypes.data, len(out))
         return out
 
     def _until(self, clocks: int) -> int:

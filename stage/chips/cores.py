@@ -4,7 +4,7 @@ A family is a module of compiled functions, its *core*, over a record of its own
 its package to FAMILIES of stage/chips, and every loop takes it, without being compiled anew: for a loop a chip is a CHIP record:
 where the state lies and where the core's answers are.
 
-A core has the functions below, over a state in place of a CHIP, `sealed` (stage/sealed.py) as ANSWERS says. For `Chip` alone it
+A core has the functions below, over a state in place of a CHIP, `exported` as ANSWERS says. For `Chip` alone it
 has power_up(c), pins(c, axis), advance(c, until), trace, scan and mark, see stage/chips/pcl240/core.py; of a servo scan_seen as
 well, see stage/chips/hctl1100/core.py.
 """
@@ -13,8 +13,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from stage.compiled import hot, record
-from stage.sealed import at, called
+from stage.native import at, called, hot, record
 
 ANSWERS: dict[str, tuple[str | None, ...]] = {
     "run": (None, "i8"),
@@ -64,84 +63,84 @@ def clock(c):
 @hot
 def run(c, until):
     """Let its clock run up to `until`."""
-    _run(c.run, c.at, until)
+    _run(c.run, (c.at, until))
 
 
 @hot
 def see(c, j, count, rate):
     """From now on the shaft of axis `j` (0 up to AXES - 1) is at `count + rate * clocks`, in counts of its encoder; only where the
     axis has one."""
-    _see(c.see, c.at, j, count, rate)
+    _see(c.see, (c.at, j, count, rate))
 
 
 @hot
 def net(c, j):
     """Where it wants the axis: pulses ever, plus minus minus; the encoder's count of a servo."""
-    return _word(c.net, c.at, j)
+    return _word(c.net, (c.at, j))
 
 
 @hot
 def mean_count(c, j, before, ticks):
     """What the drive gets, its mean over the last `ticks`: `net`, which was `before` at their start; the motor command of a servo,
     -1 to 1."""
-    return _mean(c.mean_count, c.at, j, before, ticks)
+    return _mean(c.mean_count, (c.at, j, before, ticks))
 
 
 @hot
 def pulse_rate(c, j, hz):
     """How fast `net` moves now, a second."""
-    return _rate(c.pulse_rate, c.at, j, hz)
+    return _rate(c.pulse_rate, (c.at, j, hz))
 
 
 @hot
 def counter(c, j):
     """What counts the pulses for the host: R0, LP."""
-    return _word(c.counter, c.at, j)
+    return _word(c.counter, (c.at, j))
 
 
 @hot
 def inputs(c, j):
     """Input pins as a word."""
-    return _word(c.inputs, c.at, j)
+    return _word(c.inputs, (c.at, j))
 
 
 @hot
 def set_input(c, j, word):
     """Set the input pins."""
-    _set(c.set_input, c.at, j, word)
+    _set(c.set_input, (c.at, j, word))
 
 
 @hot
 def outputs(c, j):
     """Output pins as a word."""
-    return _word(c.outputs, c.at, j)
+    return _word(c.outputs, (c.at, j))
 
 
 @hot
 def status(c, j):
     """The status word."""
-    return _word(c.status, c.at, j)
+    return _word(c.status, (c.at, j))
 
 
 @hot
 def busy(c, j):
     """A drive is in progress."""
-    return _word(c.busy, c.at, j)
+    return _word(c.busy, (c.at, j))
 
 
 @hot
 def peek(c, address):
     """What a host would like to read there now: no bus cycle, nothing changes."""
-    return _word(c.peek, c.at, address)
+    return _word(c.peek, (c.at, address))
 
 
 @hot
 def write(c, address, value):
     """A bus write cycle."""
-    _set(c.write, c.at, address, value)
+    _set(c.write, (c.at, address, value))
 
 
 @hot
 def read(c, address):
     """A bus read cycle."""
-    return _word(c.read, c.at, address)
+    return _word(c.read, (c.at, address))

@@ -131,26 +131,26 @@ class Replay:
         out = np.zeros(size, core.EDGE)
         end, entries = self._journal.until, self._journal.entries[self._applied :]
         self._applied += len(entries)
-        core.mark_at.c(chip, axis, out.ctypes.data)
+        core.mark.c(chip, axis, out.ctypes.data, size, 0)
         k = 1
         for e, shafts in _between_shafts(entries):
-            until, at = end if e is None else e.clock, np.zeros(1, np.int64)
-            while rows[0].clock < until or at[0] < len(shafts[0]):
+            until, done = end if e is None else e.clock, np.zeros(1, np.int64)
+            while rows[0].clock < until or done[0] < len(shafts[0]):
                 if size - k < ROOM:
                     yield out[:k].copy()
                     k = 0
                 given = chip, until, every_pulse, axis, out.ctypes.data + k * out.itemsize, size - k
                 if len(shafts[0]):
-                    where = (array.ctypes.data for array in shafts)
-                    k += core.scan_seen_at.c(*given, *where, len(shafts[0]), at.ctypes.data)
+                    where = (word for array in shafts for word in (array.ctypes.data, len(array)))
+                    k += core.scan_seen.c(*given, *where, done.ctypes.data, 1)
                 else:
-                    k += core.scan_at.c(*given)
+                    k += core.scan.c(*given)
             if e is not None:
                 e.apply(core, chip)
             if k == size:
                 yield out.copy()
                 k = 0
-            core.mark_at.c(chip, axis, out.ctypes.data + k * out.itemsize)
+            core.mark.c(chip, axis, out.ctypes.data, size, k)
             k += 1
         yield out[:k].copy()
 

@@ -6,10 +6,9 @@ drive's *effort*, is the torque of a stepper and the terminal voltage of a DC mo
 
 from __future__ import annotations
 
-from stage.compiled import hot
 from stage.drives import servo, stepper
 from stage.drives.stepper import DRIVE, SERVO
-from stage.sealed import sealed
+from stage.native import exported, hot
 
 __all__ = ["DRIVE", "SERVO", "align", "at_rest", "behind", "effort", "load_angle", "lost_steps", "torque", "voltage"]
 
@@ -48,19 +47,19 @@ def at_rest(d, count):
     return 0.0 if d.mode == SERVO else float(count)
 
 
-@sealed("f8", DRIVE, "f8", "f8")
+@exported("f8", DRIVE, "f8", "f8")
 def load_angle(d, count, theta):
     """Commanded minus rotor angle, electrical radians; plain radians for a servo."""
     return stepper.load_angle(d, count, theta)
 
 
-@sealed("f8", DRIVE, "f8", "f8")
+@exported("f8", DRIVE, "f8", "f8")
 def behind(d, count, theta):
     """Commanded minus rotor angle, rad."""
     return stepper.mechanical(d, stepper.load_angle(d, count, theta))
 
 
-@sealed("i8", DRIVE, "f8", "f8")
+@exported("i8", DRIVE, "f8", "f8")
 def lost_steps(d, count, theta):
     """Full steps by which the rotor is behind; a servo loses none."""
     return 0 if d.mode == SERVO else stepper.lost_steps(d, count, theta)

@@ -16,10 +16,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from stage.compiled import greatest, hot, least, record
 from stage.drives import stepper
 from stage.drives.motors import Drive, Motor
 from stage.errors import ArgumentError
+from stage.native import array_of, exported, greatest, least, record
 
 H = 15.625e-6
 SETTLE, HOLD = 0.3, 0.3  # s: the brake's onset, and how long it then holds
@@ -95,10 +95,9 @@ def natural_frequency(drive: Drive, inertia: float, half_step: bool = False) -> 
     return math.sqrt(m.rotor_teeth * (m.torque_constant * drive.amplitude + detent) / inertia) / 2 / math.pi
 
 
-@hot
-def _follow(rows, counts, load, inertia, viscous, damper, theta, omega, trace):
+@exported(None, stepper.DRIVE, array_of("f8"), array_of("f8"), *["f8"] * 5, array_of(TRACE))
+def _follow(d, counts, load, inertia, viscous, damper, theta, omega, trace):
     """Leapfrog: the torque of a slice acts at the rotor's angle in its middle; friction stops a rotor but never turns it."""
-    d = rows[0]
     case = omega
     stepper.align(d, counts[0], d.per_pulse * counts[0] / d.teeth)
     for k in range(len(counts)):
@@ -152,7 +151,7 @@ def follow(
         raise ArgumentError(
             f"inertia={inertia!r}: give kg m^2 above 0; the rotor alone has {drive.motor.rotor_inertia:g}."
         )
-    course = np.asarray(counts, float)
+    course = np.array(counts, float)
     if course.ndim != 1 or not len(course):
         raise ArgumentError(f"counts of shape {course.shape}: give one pulse count a slice, for example pulses(rates).")
     if np.shape(load) not in ((), course.shape):
@@ -164,7 +163,7 @@ def follow(
     rows = np.zeros(1, stepper.DRIVE)
     drive.fill(rows[0])
     trace = np.zeros(len(course), TRACE)
-    brake = np.ascontiguousarray(np.broadcast_to(np.asarray(load, float), course.shape))
+    brake = np.array(np.broadcast_to(np.asarray(load, float), course.shape))
     start = drive.per_pulse * course[0] / drive.motor.rotor_teeth if theta is None else theta
     _follow(rows, course, brake, float(inertia), float(viscous), float(damper), float(start), float(omega), trace)
     return trace

@@ -8,7 +8,7 @@ constant J R / K^2 of a loaded axis. The current that is logged is that of the s
 
 from __future__ import annotations
 
-from stage.compiled import hot
+from stage.native import hot
 
 
 @hot

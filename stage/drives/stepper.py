@@ -19,8 +19,8 @@ from __future__ import annotations
 
 import math
 
-from stage.compiled import greatest, hot, least, record
 from stage.drives.trig import sincos
+from stage.native import greatest, hot, least, record
 
 CHOPPER, SINE, SERVO = range(3)  # modes
 A, B = 1, 2  # phases

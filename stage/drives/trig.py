@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from stage.compiled import hot
+from stage.native import hot
 
 QUARTERS = 0.6366197723675814  # a radian, 2 / pi
 FIRST, SECOND, THIRD = 1.5707963267341256, 6.077100506303966e-11, 2.0222662487959506e-21  # pi / 2 in parts of 33 bits

@@ -85,7 +85,7 @@ class BenchAxis:
                 break
             pulses = np.empty(n, core.PULSE)
             twin = self._twin()
-            core.trace_at.c(twin.ctypes.data, clock, pulses.ctypes.data, n)
+            core.trace.c(twin.ctypes.data, clock, pulses.ctypes.data, n)
             places = place + np.cumsum(pulses["direction"], dtype=np.int64)
             changed = np.zeros(n, bool)
             for pin, span in self._spans.items():

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from stage.chips.pcl240.state import LINEAR, SPAN, UNCORRECTED
-from stage.compiled import hot
+from stage.native import array_of, exported, hot
 
 NEVER = 1 << 60
 ZETA = 0.2078862249773546  # -zeta(-1/2), of the sum of square roots
@@ -159,7 +159,7 @@ def _curved_course(r, c):
         c[3] = _tick_at(r, c, d * m, c[0] + 1.0)
 
 
-@hot
+@exported(None, array_of("i8"), array_of("i8"))
 def course(r, c):
     """Fill `c` from the row `r`: ticks to the ramp-down, speed and phase there, ticks to the last pulse."""
     d, fl, fh, up, down, m = r[0], r[1], r[2], r[4], r[5], 8192 * r[7]

@@ -13,7 +13,7 @@ import numpy as np
 from stage.chips import PCL240K
 from stage.chips.pcl240 import PCL240
 from stage.errors import ArgumentError
-from stage.firmware import follow
+from stage.firmware import fit
 from stage.firmware.closed_form import bend, stretch
 
 LONG = 500_000  # pulses
@@ -76,23 +76,23 @@ class Kept(NamedTuple):
 
 
 def search(ask: Ask, hz: int, widths: Widths, followers: Mapping[str, Follower]) -> tuple[np.ndarray, dict[str, Kept]]:
-    """Rows (see follow.py) of the leader and of its followers: the first that are as close to the line as can be, or the best
+    """Rows (see fit.py) of the leader and of its followers: the first that are as close to the line as can be, or the best
     of all. hz, widths: of the leader's chip. Raises ArgumentError when no registers make the ramps."""
     best: tuple[np.ndarray, dict[str, Kept]] | None = None
-    least = np.inf
+    least, work = np.inf, np.zeros(1, fit.WORK)
     for bare in _leaders(ask, hz, widths, followers):
         rises: dict[str, np.ndarray] = {}
         for leader in _with_tails(bare, hz, widths.point):
             found = {}
             for name, (d, own_hz, (rate, point, size), lead) in followers.items():
                 if name not in rises:
-                    rises[name] = np.zeros((follow.KEPT, size), np.int64)
-                    scores = np.empty(follow.KEPT)
-                    follow.accelerations(leader, hz, d, own_hz, lead, ask.share, rate, scores, rises[name])
-                found[name] = Kept(np.zeros((follow.BEST, size), np.int64), np.empty(follow.BEST))
-                follow.decelerations(
+                    rises[name] = np.zeros((fit.KEPT, size), np.int64)
+                    scores = np.empty(fit.KEPT)
+                    fit.accelerations(leader, hz, d, own_hz, lead, ask.share, rate, scores, rises[name], work)
+                found[name] = Kept(np.zeros((fit.BEST, size), np.int64), np.empty(fit.BEST))
+                fit.decelerations(
                     leader, hz, own_hz, lead, ask.automatic, rate, point, rises[name],
-                    found[name].scores, found[name].registers,
+                    found[name].scores, found[name].registers, work,
                 )  # fmt: skip
             worst = max((k.scores[0] for k in found.values()), default=0.0)
             if worst < least:
@@ -135,7 +135,7 @@ def _leaders(ask: Ask, hz: int, widths: Widths, followers: Mapping[str, Follower
     for d, own_hz, _, _ in followers.values():
         misfit = np.zeros(len(pick))
         least = min(100.0, d / ask.length * ask.fh * 8192 * R7_MOST / own_hz / 2)
-        follow.misfits(high[pick], r7[pick], hz, d / ask.length, own_hz, least, MATCH / d, misfit)
+        fit.misfits(high[pick], r7[pick], hz, d / ask.length, own_hz, least, MATCH / d, misfit)
         off = np.maximum(off, misfit * d)
     best = pick[np.argsort(np.maximum(off, DRIFT) + error[pick], kind="stable")]
     plain = pick[shift[pick] == 0]

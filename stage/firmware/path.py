@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from stage.chips.journal import Journal
-from stage.compiled import hot
 from stage.errors import ArgumentError
+from stage.native import array_of, exported, hot
 
 STRETCH = 1 << 24  # ticks replayed at a time
 NOTHING = 1e-12  # relative, and pulses squared: rounding
@@ -39,17 +39,15 @@ def _next(times, starts, ends, cursor):
     return t
 
 
-@hot
-def _walk(times, signs, starts, ends, line):
+@exported("f8", *[array_of(t) for t in ("f8", "i1", "i8", "i8", "f8", "f8", "i8", "f8")])
+def _walk(times, signs, starts, ends, line, at, cursor, when):
     """Walk the pulses of all axes in order of time; axis k's are times[starts[k]:ends[k]]. Pulses at one time are one
-    step. Returns the largest distance and its time."""
+    step. Returns the largest distance, and its time in when[0]. at, cursor: zeros, and `starts`, to work on."""
     n = len(line)
     length2 = 0.0
     for k in range(n):
         length2 += line[k] * line[k]
-    at = np.zeros(n)
-    cursor = starts.copy()
-    worst = when = 0.0
+    worst = when[0] = 0.0
     while True:
         t = _next(times, starts, ends, cursor)
         if t == np.inf:
@@ -65,8 +63,8 @@ def _walk(times, signs, starts, ends, line):
         for k in range(n):
             d2 += (at[k] - along * line[k]) ** 2
         if d2 > worst + NOTHING * (1.0 + worst):
-            worst, when = d2, t
-    return np.sqrt(worst), when
+            worst, when[0] = d2, t
+    return np.sqrt(worst)
 
 
 def _arrays(pulses: Sequence[Any], distances: Sequence[int], clock_hz: Any) -> tuple[np.ndarray, ...]:
@@ -99,7 +97,9 @@ def path_deviation(pulses: Sequence[Any], distances: Sequence[int], clock_hz: An
     Linear in the pulses. Pulses at the same time count as one step. Raises ArgumentError.
     """
     times, signs, starts, ends, line = _arrays(pulses, distances, clock_hz)
-    worst, when = _walk(times, signs, starts, ends, line)
+    found = np.zeros(1)
+    worst = _walk(times, signs, starts, ends, line, np.zeros(len(line)), starts.copy(), found)
+    when = found[0]
     made = (np.searchsorted(times[a:b], when, side="right") for a, b in zip(starts, ends, strict=True))
     counts = tuple(int(signs[a : a + k].sum(dtype=np.int64)) for a, k in zip(starts, made, strict=True))
     if worst == 0.0:
@@ -138,7 +138,7 @@ def pulses_of(journal: Journal) -> np.ndarray:
         while rows[0].clock < until:
             to = min(until, int(rows[0].clock) + STRETCH)
             out = np.zeros(core.advance(rows.copy(), to), core.PULSE)
-            core.trace_at.c(rows.ctypes.data, to, out.ctypes.data, len(out))
+            core.trace.c(rows.ctypes.data, to, out.ctypes.data, len(out))
             parts.append(out)
 
     for e in journal.entries:

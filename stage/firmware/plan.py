@@ -16,9 +16,8 @@ import numpy as np
 from stage.chips import PCL240K
 from stage.chips.pcl240 import PCL240
 from stage.chips.pcl240.state import LINEAR, SPAN
-from stage.compiled import announced
 from stage.errors import ArgumentError, unknown
-from stage.firmware import follow
+from stage.firmware import fit, follow
 from stage.firmware.closed_form import course
 from stage.firmware.leader import (
     R7_LEAST,
@@ -41,7 +40,6 @@ ROOM = 0.8  # of a short move may be ramps
 PLAYED = 2_000_000  # pulses: longer moves are judged by the closed form alone
 ON_THE_LINE = 2.0  # pulses
 OFF_THE_LINE = 5.0  # pulses: refused where shorter ramps would mend it
-COMPILING = "PulseStage: compiling the a:b planner, once on this machine (about ten seconds) ..."
 
 
 @dataclass(frozen=True)
@@ -218,12 +216,11 @@ def plan(
     _reach(moving, longest, ask, rate, hz)
     widths = {n: Widths.of(chip, automatic) for n, (chip, _) in kinds.items()}
     followers = {n: Follower(abs(moving[n]), hz[n], widths[n], lead[n]) for n in order[:-1]}
-    with announced(COMPILING):
-        leader, kept = search(ask, hz[longest], widths[longest], followers)
-        chosen = {longest: leader} | {n: found.registers[0] for n, found in kept.items()}
-        if sum(map(abs, moving.values())) <= PLAYED:
-            _play(chosen, longest, kinds, followers, kept)
-        made = _judge(moving, chosen, kinds, automatic, bus_delay)
+    leader, kept = search(ask, hz[longest], widths[longest], followers)
+    chosen = {longest: leader} | {n: found.registers[0] for n, found in kept.items()}
+    if sum(map(abs, moving.values())) <= PLAYED:
+        _play(chosen, longest, kinds, followers, kept)
+    made = _judge(moving, chosen, kinds, automatic, bus_delay)
     return replace(made, notes=(*notes, *_remarks(made.axes, ask, made.deviation)))
 
 
@@ -366,9 +363,9 @@ def _judge(distances: dict[str, int], rows: dict, kinds: dict, automatic: bool, 
         far = path_deviation(paths, [abs(d) for d in distances.values()]).pulses
     else:
         longest = order[-1]
-        far2 = 0.0
+        far2, work = 0.0, np.zeros(1, fit.WORK)
         for n in order[:-1]:
-            far2 += follow.estimate(rows[longest], axes[longest].clock_hz, rows[n], axes[n].clock_hz, lead[n]) ** 2
+            far2 += fit.estimate(rows[longest], axes[longest].clock_hz, rows[n], axes[n].clock_hz, lead[n], work) ** 2
         far = float(np.sqrt(far2))
     top = axes[order[-1]].fh / abs(distances[order[-1]])
     error = max(abs(a.fh / abs(a.distance) / top - 1) for a in axes.values())

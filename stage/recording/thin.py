@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from stage.compiled import hot
+from stage.native import array_of, exported
 
 
-@hot
+@exported(None, array_of("f8"), array_of("f8"), "f8", array_of("?"))
 def thin(t, v, tolerance, keep):
     """Mark in `keep` (bool) samples such that straight lines between them pass within `tolerance` of every other.
 

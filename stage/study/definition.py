@@ -84,7 +84,7 @@ class Values:
 
 def versions() -> dict[str, str]:
     """What the numbers depend on. A study keeps to one set."""
-    return {name: _version(name) for name in ("pulsestage", "mujoco", "numpy", "numba")}
+    return {name: _version(name) for name in ("pulsestage", "mujoco", "numpy")}
 
 
 _version = cache(metadata.version)

@@ -7,7 +7,6 @@ from hctl1100_programs import COMMAND, CONTROL, FINAL, IDLE, MODE_FLAGS, acceler
 
 from stage.chips import HCTL1100
 from stage.chips.hctl1100 import core
-from stage.compiled import hot
 
 
 def course(chip, samples):
@@ -284,12 +283,10 @@ def test_sign_reversal_inhibit_keeps_pulse_off_for_one_pwm_period(inhibit):
     assert mean_of(chip, 250, [(0, 0x09, 50)]) == pytest.approx(0.5 * (150 if inhibit else 250) / 250)
 
 
-@hot
 def run_for(rows, i, clocks):
     core.run(rows[i], rows[i].clock + clocks)
 
 
-@hot
 def mean(rows, i, ticks):
     return core.mean_count(rows[i], 0, 0, ticks)
 

@@ -9,10 +9,8 @@ from hctl1100_programs import COMMAND, begin, velocity, word
 from stage.chips import HCTL1100
 from stage.chips.decode import decode
 from stage.chips.hctl1100 import core
-from stage.compiled import hot
 
 
-@hot
 def asked(rows, i, hz):
     """net, counter, pulse rate, busy, inputs, status, R14 as it reads."""
     c = rows[i]
@@ -20,7 +18,6 @@ def asked(rows, i, hz):
             core.peek(c, 0x14))  # fmt: skip
 
 
-@hot
 def driven(rows, i, count, rate, word):
     """As a stage does: the shaft, the pins, time."""
     c = rows[i]

@@ -4,23 +4,13 @@ import random
 
 import numpy as np
 import pytest
+from loops.nova import one_by_one
 from nova_bench import NOP_304, command, examples, load, load_304, set_wr3
 
 from stage.chips import MCX304, MCX514
-from stage.chips.nova import profile, pulses
-from stage.compiled import hot
+from stage.chips.nova import pulses
 
 PARTS = (1, 2, 3, 7, 11, 64, 625, 999, 4096, 15_625)
-
-
-@hot
-def one_by_one(x, out):
-    """The clocks of the next pulses of a drive, each found alone. Returns how many there are."""
-    k = 0
-    while k < len(out) and (x.fixed == 0 or x.done + k < x.output):
-        out[k] = x.origin + profile.clock_of(x, x.done + k + 1)
-        k += 1
-    return k
 
 
 def compare(chip, clocks):

@@ -189,7 +189,7 @@ UNCOMPILED = """
 import json, sys
 import numpy as np
 from stage.drives import dynamometer, motors, picture, stepper
-from stage.compiled import COMPILED
+from stage.native import COMPILED
 runs = [
     dynamometer.follow(motors.Drive(mode=mode), dynamometer.pulses(np.full(300, 30_000.0)), 54e-7, 0.05)
     for mode in ("chopper", "sine")

@@ -7,48 +7,14 @@ is worked out beside the chip, in this file, from the numbers that were written.
 import numpy as np
 import pytest
 from examples import SEED
+from loops.hctl1100 import A, B, K, T, play
 
 from stage.chips import HCTL1100
-from stage.chips.hctl1100 import core
 from stage.chips.hctl1100.maps import MINIMUM_T
-from stage.compiled import hot
 
-A, B, K, T = 0xE5, 0x40, 0x40, 0x39
 MINIMUM = MINIMUM_T["position"]
-SAMPLE = 16 * (T + 1)  # clocks
 SAFE = 16 * MINIMUM  # clocks of a sample, after which commands are safe
 SAMPLES = 1_000_000
-
-
-@hot
-def _clipped(value):
-    return -128 if value < -128 else 127 if value > 127 else value
-
-
-@hot
-def play(rows, moments, steps, noise):
-    """In sample n, `moments[n]` clocks after it began, the host writes the command moved by steps[n]; the shaft follows the command
-    of the sample before, off by noise[n]. Returns how many samples had another motor command than the law's, at any time."""
-    command = before = output = corrupted = 0
-    begin = rows[0].next
-    for n in range(len(moments)):
-        shaft = command + noise[n]
-        core.see(rows[0], 0, float(shaft), 0.0)
-        core.advance(rows[0], begin)  # the sample of the command written before
-        x = command - shaft
-        output = _clipped((256 * K * x - A * K * before - 4 * B * output) >> 10)
-        before = x
-        wrong = rows[0].drive != output
-        command += steps[n]
-        core.advance(rows[0], begin + moments[n])
-        for k in range(3):
-            core.write(rows[0], 0x0C + k, (command >> 8 * (2 - k)) & 0xFF)
-        wrong = wrong or rows[0].drive != output
-        core.advance(rows[0], begin + SAMPLE - 1)
-        wrong = wrong or rows[0].drive != output
-        begin += SAMPLE
-        corrupted += 1 if wrong else 0
-    return corrupted
 
 
 def chip_before_a_sample():

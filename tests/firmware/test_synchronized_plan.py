@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from stage import ArgumentError
 from stage.chips import PCL240K
 from stage.firmware import Bench, plan, synchronized_move
-from stage.firmware.follow import count, course, run
+from stage.firmware.closed_form import count, course
+from stage.firmware.follow import run
 
 
 def log_uniform(low, high):

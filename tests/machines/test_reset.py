@@ -1,6 +1,7 @@
 """The reset pin: whatever a chip was told before, from then on it does what a chip does that was just switched on."""
 
 import pytest
+from examples import EXAMPLES
 from families import bus_of, host_of
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -28,15 +29,15 @@ def test_after_a_reset_nothing_tells_what_was_before(name):
     cls, bus = CHIPS[name], bus_of(CHIPS[name])
     programs = st.tuples(st.one_of(bus.programs(cls), bus.starts(cls)), st.integers(0, 5000))
     words = st.lists(st.integers(0, (1 << 17) - 1), min_size=cls.AXES, max_size=cls.AXES)
-    filters = (
-        300_000 if "eca" in cls.INPUTS else 0
-    )  # clocks: edges that are still in an input filter come after the reset
+    filters = 300_000 if "eca" in cls.INPUTS else 0  # clocks: edges still in an input filter come after the reset
 
     def drive(chip, pins):
         for axis, word in enumerate(pins):
             chip._set_input_word(axis, word & sum(cls.INPUTS.values()))
 
-    @settings(max_examples=30, deadline=None, suppress_health_check=list(HealthCheck), print_blob=True)
+    @settings(
+        max_examples=max(EXAMPLES // 25, 2), deadline=None, suppress_health_check=list(HealthCheck), print_blob=True
+    )
     @given(
         st.lists(st.tuples(programs, words), min_size=1, max_size=6), words, st.lists(programs, min_size=1, max_size=4)
     )

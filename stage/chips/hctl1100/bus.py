@@ -23,7 +23,7 @@ from stage.chips.hctl1100.state import (
     signed,
 )
 from stage.chips.hctl1100.timer import T, obey_sync, running_count, start
-from stage.compiled import hot
+from stage.native import hot
 
 ALL_FLAGS = sum(f.mask for f in MAP.register("R00").fields)
 SET = next(f.mask for f in FLAG_WRITE.fields if f.name == "set")

@@ -13,7 +13,7 @@ from stage.chips.hctl1100 import filter as law
 from stage.chips.hctl1100 import motor
 from stage.chips.hctl1100.encoder import heard, raw
 from stage.chips.hctl1100.state import ALIGN, CONTROL, F4, FOUR, FULL, PHA, signed
-from stage.compiled import greatest, hot, least
+from stage.native import greatest, hot, least
 
 RING, TIMER, X, Y, OFFSET, MOST_ADVANCE = 0x18, 0x19, 0x1A, 0x1B, 0x1C, 0x1F
 ALIGN_SAMPLES = 2048  # of each of two phases

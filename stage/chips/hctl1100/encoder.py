@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from stage.chips.hctl1100.state import NEVER, signed
-from stage.compiled import greatest, hot, least
+from stage.native import greatest, hot, least
 
 FASTEST = 1.0 / 3.0  # counts a clock: a state that is shorter than the filter's three clocks does not come through
 FAR = float(1 << 53)

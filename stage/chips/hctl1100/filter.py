@@ -11,7 +11,7 @@ from stage.chips.hctl1100 import motor, profile
 from stage.chips.hctl1100.encoder import raw
 from stage.chips.hctl1100.state import CONTROL, INTEGRAL, LEAST_T, PROPORTIONAL, TRAPEZOID, control_mode, signed
 from stage.chips.hctl1100.timer import STEP
-from stage.compiled import hot
+from stage.native import hot
 
 A, B, K = 0x20, 0x21, 0x22
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from stage.chips.hctl1100.state import F2, INHIBIT, PULSE_ON, SIGN
-from stage.compiled import greatest, hot, least
+from stage.native import greatest, hot, least
 
 FULL_DRIVE = 100
 PWM_PERIOD = 100  # clocks

@@ -9,7 +9,7 @@
 from __future__ import annotations
 
 from stage.chips.hctl1100.state import F0, signed
-from stage.compiled import greatest, hot, least
+from stage.native import greatest, hot, least
 
 COMMAND_VELOCITY = 0x3C
 

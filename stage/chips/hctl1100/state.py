@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from stage.chips.hctl1100.maps import MAP, MINIMUM_T
-from stage.compiled import hot, record
+from stage.native import hot, record
 
 ADDRESSES = 64
 NEVER = 1 << 62

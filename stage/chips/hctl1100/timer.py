@@ -8,7 +8,7 @@ Each count lasts 16 clocks; the bar is the reload, at which the chip samples.
 from __future__ import annotations
 
 from stage.chips.hctl1100.state import IDLE, NEVER, SYNC
-from stage.compiled import hot
+from stage.native import hot
 
 T = 0x0F
 STEP = 16  # clocks

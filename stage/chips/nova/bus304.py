@@ -39,8 +39,7 @@ from stage.chips.nova.state import (
     TP,
 )  # fmt: skip
 from stage.chips.nova.status import busy, phase_bits
-from stage.compiled import hot, least
-from stage.sealed import sealed
+from stage.native import exported, hot, least
 
 SIGNED = sum(1 << r.number for r in MAP.registers if r.signed and r.number < REGISTERS)
 SHORT = sum(1 << r.number for r in MAP.registers if r.bits == 16 and r.number < REGISTERS)
@@ -183,7 +182,7 @@ def command(c, value):
                 _axis_command(c, c.ax[j], j, code)
 
 
-@sealed(None, STATE, "i8", "i8")
+@exported(None, STATE, "i8", "i8")
 def write(c, address, value):
     """WR0 to WR7; on the MCX312 after 36h the bit pattern in place of WR2 to WR5."""
     if address == 0:

@@ -23,8 +23,7 @@ from stage.chips.nova.state import (
     TP,
 )  # fmt: skip
 from stage.chips.nova.status import busy, phase_bits
-from stage.compiled import hot
-from stage.sealed import sealed
+from stage.native import exported, hot
 
 SIGNED = sum(1 << r.number for r in MAP.registers if r.signed and r.number < REGISTERS)
 SHORT = sum(1 << r.number for r in MAP.registers if r.bits == 16 and r.number < REGISTERS)
@@ -240,7 +239,7 @@ def command(c, value):
                 _axis_command(c, c.ax[j], j, code)
 
 
-@sealed(None, STATE, "i8", "i8")
+@exported(None, STATE, "i8", "i8")
 def write(c, address, value):
     """WR0 to WR7."""
     if address == 0:

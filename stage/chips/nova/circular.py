@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from stage.compiled import hot, least
+from stage.native import hot, least
 
 FAST = (1, 0, 0, 1, 1, 0, 0, 1)
 """The faster axis of an octant; octants count counter-clockwise from +X."""

@@ -9,7 +9,7 @@ from stage.chips.nova import drive, timer
 from stage.chips.nova.maps514 import MCX514_MAP
 from stage.chips.nova.profile import speed_passes
 from stage.chips.nova.state import COMP_MINUS, COMP_PLUS, LP, MCX514_TYPE, MR0, NEVER, RP
-from stage.compiled import hot, least
+from stage.native import hot, least
 
 MRM = 0  # place in `mode`
 AT_LP, AT_RP, AT_CV, AT_CT = range(4)

@@ -32,8 +32,7 @@ from stage.chips.nova.state import (
 )  # fmt: skip
 from stage.chips.nova.status import busy as driving
 from stage.chips.nova.status import phase_bits
-from stage.compiled import greatest, hot, least
-from stage.sealed import at, sealed
+from stage.native import array_of, exported, greatest, hot, least
 
 ROUNDS = 100  # of events that cause others at one clock
 HZ = 16_000_000
@@ -44,7 +43,7 @@ __all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE", "advance", "busy", "co
            "value", "write"]  # fmt: skip
 
 
-@sealed(None, STATE)
+@exported(None, STATE)
 def _settle(c):
     """Everything that is due at the present clock; then when the next event is."""
     for j in range(c.axes):
@@ -94,7 +93,7 @@ def _drive(c, until):
     c.clock = until
 
 
-@sealed(None, STATE, "i8")
+@exported(None, STATE, "i8")
 def run(c, until):
     """Let the chip's clock run up to `until`."""
     if c.stale:
@@ -108,30 +107,30 @@ def run(c, until):
 # --- what a stage asks, see stage/chips/cores.py ---
 
 
-@sealed("i8", STATE, "i8")
+@exported("i8", STATE, "i8")
 def net(c, j):
     """Pulses ever begun, plus minus minus."""
     return c.ax[j].net
 
 
-@sealed("i8", STATE, "i8")
+@exported("i8", STATE, "i8")
 def counter(c, j):
     """The logical position counter LP."""
     return c.ax[j].reg[LP]
 
 
-@sealed(None, STATE, "i8", "f8", "f8")
+@exported(None, STATE, "i8", "f8", "f8")
 def see(c, j, count, rate):
     """No encoder is connected: these chips make pulses, and nobody looks where the shaft goes."""
 
 
-@sealed("i8", STATE, "i8")
+@exported("i8", STATE, "i8")
 def inputs(c, j):
     """Input pins of axis `j`, see INPUTS; of the whole chip, see COMMON_INPUTS, where j is one more than its last."""
     return c.emg if j == c.axes else c.ax[j].inputs
 
 
-@sealed(None, STATE, "i8", "i8")
+@exported(None, STATE, "i8", "i8")
 def set_input(c, j, word):
     """Set the input pins, see `inputs`. They act at once, so that it does not matter who looks at the chip meanwhile."""
     if j == c.axes:
@@ -141,13 +140,13 @@ def set_input(c, j, word):
     _settle(c)
 
 
-@sealed("i8", STATE, "i8")
+@exported("i8", STATE, "i8")
 def status(c, j):
     """RR0."""
     return read_word(c, 0)
 
 
-@sealed("i8", STATE, "i8")
+@exported("i8", STATE, "i8")
 def peek(c, address):
     """RR0 to RR7 as they read, without what reading does."""
     x = c.ax[bus514.lowest(c)]
@@ -157,13 +156,13 @@ def peek(c, address):
     return word
 
 
-@sealed("i8", STATE, "i8")
+@exported("i8", STATE, "i8")
 def busy(c, j):
     """n-DRV of RR0."""
     return driving(c.ax[j])
 
 
-@sealed("i8", STATE, "i8")
+@exported("i8", STATE, "i8")
 def outputs(c, j):
     """Output pins of axis `j`, see OUTPUTS."""
     if j == c.axes:
@@ -184,7 +183,7 @@ def _interrupts(c):
     return bus514.interrupts(c) | c.ip.interrupt << 1 if c.variant == MCX514_TYPE else bus304.interrupts(c)
 
 
-@sealed("f8", STATE, "i8", "f8")
+@exported("f8", STATE, "i8", "f8")
 def pulse_rate(c, j, hz):
     """Output frequency now, pulses per second."""
     x = c.ax[j]
@@ -193,7 +192,7 @@ def pulse_rate(c, j, hz):
     return speed_at(x, c.clock - x.origin) * hz if x.driving else 0.0
 
 
-@sealed("f8", STATE, "i8", "i8", "f8")
+@exported("f8", STATE, "i8", "i8", "f8")
 def mean_count(c, j, before, ticks):
     """Mean over the last `ticks` of the net pulse count, which was `before` at their start.
 
@@ -255,7 +254,7 @@ def read_word(c, address):
     return bus514.read(c, address) if c.variant == MCX514_TYPE else bus304.read(c, address)
 
 
-@sealed(None, STATE, "i8", "i8")
+@exported(None, STATE, "i8", "i8")
 def write(c, address, value):
     """One bus write cycle: WR0 to WR7, or from 16 on a byte of them, where the high byte of WR0 waits for the low one."""
     value &= 0xFFFF
@@ -275,7 +274,7 @@ def write(c, address, value):
         _settle(c)
 
 
-@sealed("i8", STATE, "i8")
+@exported("i8", STATE, "i8")
 def read(c, address):
     """One bus read cycle: RR0 to RR7, or from 16 on a byte of them."""
     if c.stale:
@@ -285,7 +284,7 @@ def read(c, address):
     return read_word(c, address >> 1 & 7) >> (8 if address & 1 else 0) & 0xFF
 
 
-@sealed("i8", STATE, "i8", "i8")
+@exported("i8", STATE, "i8", "i8")
 def value(c, k, page):
     """What RRk reads as (of RR3 this page), free of bus cycles and of what reading does."""
     pages, c.pages = c.pages, 15 if page else 0
@@ -294,7 +293,7 @@ def value(c, k, page):
     return word
 
 
-@sealed(None, STATE)
+@exported(None, STATE)
 def power_up(c):
     """A cleared record becomes a chip that was just switched on."""
     for j in range(AXES):
@@ -307,7 +306,7 @@ def power_up(c):
     _settle(c)
 
 
-@sealed("i8", STATE, "i8")
+@exported("i8", STATE, "i8")
 def pins(c, axis):
     """Output pins of an axis, see `outputs`, whatever has just been written."""
     if c.stale:
@@ -315,7 +314,7 @@ def pins(c, axis):
     return outputs(c, axis)
 
 
-@sealed("i8", STATE, "i8")
+@exported("i8", STATE, "i8")
 def advance(c, until):
     """Run up to clock `until`; returns the pulses begun, all axes."""
     before = c.total
@@ -324,10 +323,9 @@ def advance(c, until):
     return c.total - before
 
 
-@hot
-def trace(rows, i, until, out):
+@exported("i8", STATE, "i8", array_of(PULSE))
+def trace(c, until, out):
     """As advance, and fills `out` (PULSE records) with the pulses; `out` is long enough. Returns how many."""
-    c = rows[i]
     k = 0
     if c.stale:
         _settle(c)
@@ -343,18 +341,16 @@ def trace(rows, i, until, out):
     return k
 
 
-@hot
-def mark(rows, i, out, k, axis):
-    """Write an axis of chip `i` as it stands to `out[k]` (an EDGE record)."""
-    c = rows[i]
+@exported(None, STATE, "i8", array_of(EDGE), "i8")
+def mark(c, axis, out, k):
+    """Write an axis as it stands to `out[k]` (an EDGE record)."""
     log(c, axis, out, k, shown(c, axis, outputs(c, axis)), pulse_rate(c, axis, 1.0))
 
 
-@hot
-def scan(rows, i, until, every_pulse, out, axis):
+@exported("i8", STATE, "i8", "i8", "i8", array_of(EDGE))
+def scan(c, until, every_pulse, axis, out):
     """As advance, and fills `out` (EDGE records) with every change of an axis' rate and output pins, the pulse output's only with
     `every_pulse`. Returns how many; stops early when `out` is almost full: look at the clock and call again."""
-    c = rows[i]
     k = 0
     if c.stale:
         _settle(c)
@@ -376,24 +372,3 @@ def scan(rows, i, until, every_pulse, out, axis):
             k = log(c, axis, out, k, word, now)
     _alone(c)
     return k
-
-
-# --- the same for Python, which knows addresses: of the chip's state, and of arrays with their lengths ---
-
-
-@sealed("i8", "i8", "i8", "i8", "i8")
-def trace_at(chip, until, out, n):
-    """`trace` of the chip at an address into `n` PULSE records at `out`."""
-    return trace(at(chip, 1, STATE), 0, until, at(out, n, PULSE))
-
-
-@sealed("i8", "i8", "i8", "i8", "i8", "i8", "i8")
-def scan_at(chip, until, every_pulse, axis, out, n):
-    """`scan` of the chip at an address into `n` EDGE records at `out`."""
-    return scan(at(chip, 1, STATE), 0, until, every_pulse, at(out, n, EDGE), axis)
-
-
-@sealed(None, "i8", "i8", "i8")
-def mark_at(chip, axis, out):
-    """`mark` of the chip at an address into the EDGE record at `out`."""
-    mark(at(chip, 1, STATE), 0, at(out, 1, EDGE), 0, axis)

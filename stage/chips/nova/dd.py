@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from stage.compiled import hot
+from stage.native import hot
 
 SPLITTER = 134217729.0  # 2^27 + 1
 ZERO = (0.0, 0.0)

@@ -69,8 +69,7 @@ from stage.chips.nova.state import (
     L,
     R,
 )  # fmt: skip
-from stage.compiled import greatest, hot, least
-from stage.sealed import sealed
+from stage.native import exported, greatest, hot, least
 
 RANGE = 8_000_000
 OFF = 0xFFFFFFFF
@@ -274,7 +273,7 @@ def plan(c, x):
         brake(x)
 
 
-@sealed(None, STATE, AXIS, "i8", "i8")
+@exported(None, STATE, AXIS, "i8", "i8")
 def launch(c, x, way, output):
     """Begin a drive of `output` pulses, or without an end where it is negative, at the present clock."""
     x.finish &= 0xFF
@@ -354,7 +353,7 @@ def hold(c, x, on):
         start(c, x, kind)
 
 
-@sealed(None, STATE, AXIS)
+@exported(None, STATE, AXIS)
 def replan(c, x):
     """The drive speed or the number of pulses has changed while driving."""
     if not x.driving or x.slow:
@@ -413,7 +412,7 @@ def finish(c, x, cause):
         note_drive(x, D_END)
 
 
-@sealed(None, STATE, AXIS, "i8")
+@exported(None, STATE, AXIS, "i8")
 def request_stop(c, x, cause):
     """A decelerating stop: 56h, 26h, a STOP signal, a limit in that mode. The chips of the erratum take no notice while they
     brake on an S-curve anyway, and in its area d they run away. An axis that interpolates asks the interpolation to stop."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from stage.chips.nova import circular
 from stage.chips.nova.maps514 import MCX514_MAP
-from stage.compiled import greatest, hot, least
+from stage.native import greatest, hot, least
 
 MOST = MCX514_MAP.register("HLV").range[1]
 

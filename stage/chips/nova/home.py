@@ -39,7 +39,7 @@ from stage.chips.nova.state import (
     STOP2,
     TP,
 )  # fmt: skip
-from stage.compiled import hot
+from stage.native import hot
 
 IDLE, SEEK, PAUSE_1, OVER, OUT_OF, PAUSE_BACK, SEARCH, PAUSE_2, Z, PAUSE_3, OFFSET = (
     0, 3, 6, 11, 15, 18, 20, 23, 28, 32, 36)  # fmt: skip

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from stage.chips.nova.drive import count_encoder
 from stage.chips.nova.state import ECA, ECB, INPUT_PINS, NEVER, STOP2
-from stage.compiled import greatest, hot, least
+from stage.native import greatest, hot, least
 
 UP_DOWN = 3  # PIMD
 

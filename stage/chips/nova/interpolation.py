@@ -25,8 +25,7 @@ from stage.chips.nova.state import (
     STAGES,
     STATE,
 )
-from stage.compiled import greatest, hot, least
-from stage.sealed import sealed
+from stage.native import exported, greatest, hot, least
 
 IPM = MCX514_MAP.register("IPM").number - 0x20  # place in `mode`
 INTA, INTB = MCX514_MAP.mask("IPM", "INTA"), MCX514_MAP.mask("IPM", "INTB")
@@ -135,7 +134,7 @@ def end(c):
     c.stale = 1
 
 
-@sealed(None, STATE)
+@exported(None, STATE)
 def _after_the_last(c):
     """The last tick of a segment has begun: the next segment, or the end."""
     ip, x = c.ip, c.ax[c.ip.main]
@@ -202,7 +201,7 @@ def tick(c):
         segment.next_clock(c, c.ax[ip.main])
 
 
-@sealed("i8", STATE, "i8")
+@exported("i8", STATE, "i8")
 def move(c, until):
     """Let the ticks up to a clock begin. Returns how far it came: it stops where something is to be looked at."""
     while c.ip.due <= until:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from stage.chips.nova import interpolation, segment
 from stage.chips.nova.maps304 import MCX312_MAP as MAP
 from stage.chips.nova.state import ARC, AXES, CP, LINE, PATTERN, TP
-from stage.compiled import greatest, hot
+from stage.native import greatest, hot
 
 
 def _code(symbol: str) -> int:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from stage.compiled import greatest, hot, least
+from stage.native import greatest, hot, least
 
 
 @hot

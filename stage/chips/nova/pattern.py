@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from stage.compiled import hot
+from stage.native import hot
 
 STEPS = 16
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 from stage.chips.nova import dd
 from stage.chips.nova.profile import NEVER, _time_in, exactly, segment_at
 from stage.chips.nova.state import ACCELERATING, AREA_D, CONSTANT, DECELERATING, RUNAWAY, SEGMENTS
-from stage.compiled import hot
+from stage.native import hot
 
 T, PLACE, SPEED, RATE = range(4)  # rows of the cursor
 DURATION, FROM, JERK = range(3)  # columns of a piece

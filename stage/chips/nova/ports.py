@@ -10,7 +10,7 @@ from stage.chips.nova.maps304 import MCX304_MAP
 from stage.chips.nova.maps514 import MCX514_MAP
 from stage.chips.nova.state import MCX514_TYPE, NEVER, PIO, SYNC_SETS
 from stage.chips.nova.status import busy, phase_bits
-from stage.compiled import hot, least
+from stage.native import hot, least
 
 P1M, H2M, HM = 1, 4, 3  # places in `mode`
 INPUT, OUTPUT, STATUS, OTHER = range(4)

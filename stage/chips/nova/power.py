@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from stage.chips.nova import home, interpolation, sync
 from stage.chips.nova.state import AXES, CONSTANT
-from stage.compiled import hot
+from stage.native import hot
 
 
 @hot

@@ -5,7 +5,7 @@ from __future__ import annotations
 from stage.chips.nova import helical, interpolation, segment
 from stage.chips.nova.maps514 import MCX514_MAP as MAP
 from stage.chips.nova.state import ARC, AXES, CP, HELIX, HLN, HLV, LINE, PATTERN, STAGES, TP, TX
-from stage.compiled import greatest, hot, least
+from stage.native import greatest, hot, least
 
 
 def _code(symbol: str) -> int:

@@ -10,7 +10,7 @@ import math
 
 from stage.chips.nova import dd
 from stage.chips.nova.state import NEVER
-from stage.compiled import greatest, hot, least
+from stage.native import greatest, hot, least
 
 HZ = 16_000_000  # clocks in what the formulas call a second
 SNAP = 2.0**-50

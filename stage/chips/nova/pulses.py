@@ -10,7 +10,7 @@ from __future__ import annotations
 from stage.chips.nova import dd
 from stage.chips.nova.profile import HZ, SNAP, clock_in, exactly, segment_of
 from stage.chips.nova.state import NEVER
-from stage.compiled import hot, least
+from stage.native import hot, least
 
 UNEVEN = -1  # in place of pps: not a whole number, or a ramp
 LONG = 1 << 38  # clocks; times pps it fits 63 bits

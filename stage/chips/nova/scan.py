@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from stage.chips.nova.profile import clock_of, segment_at
 from stage.chips.nova.state import CONSTANT, LP, PLS
-from stage.compiled import greatest, hot, least
+from stage.native import greatest, hot, least
 
 RAMP = 128
 ROOM = 8

@@ -7,8 +7,7 @@ from stage.chips.nova.maps514 import CONTINUOUS_SPEED, MCX514_MAP
 from stage.chips.nova.plan import PLACE, begin, brake, brake_at, for_ever, from_here, pair, put, to_the_end
 from stage.chips.nova.state import AO, AXES, AXIS, DP, DV, LINE, MCX514_TYPE, NEVER, PATTERN, STAGES, STATE
 from stage.chips.nova.ticks import clock_at
-from stage.compiled import hot, least
-from stage.sealed import sealed
+from stage.native import exported, hot, least
 
 ONE = (1.0, 0.0)
 ROOT2 = (1.4142135623730951, -9.667293313452913e-17)
@@ -52,7 +51,7 @@ def _way(c, k):
     return dd.times(far, 1.0 / g.fine)
 
 
-@sealed(None, STATE)
+@exported(None, STATE)
 def prepare(c):
     """The steps and directions of the next tick, and its place in the profile."""
     ip, g = c.ip, c.queue[c.ip.head]
@@ -109,7 +108,7 @@ def _plan(c, x):
         brake(x)
 
 
-@sealed(None, STATE, AXIS)
+@exported(None, STATE, AXIS)
 def replan(c, x):
     """The speed, or what is to come, has changed."""
     ip = c.ip

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from stage.chips.nova.drive import note
 from stage.chips.nova.state import NEVER, SP1, SP2, SPLIT_START, SPLTE, SPLTP
-from stage.compiled import greatest, hot, least
+from stage.native import greatest, hot, least
 
 ENDLESS = -1
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from stage.chips.nova.maps514 import MCX514_MAP
-from stage.compiled import record
+from stage.native import record
 
 AXES = 4
 REGISTERS = 32

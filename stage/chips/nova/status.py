@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from stage.chips.nova import drive
 from stage.chips.nova.state import ACCELERATING, AREA_D, CONSTANT, DECELERATING
-from stage.compiled import hot
+from stage.native import hot
 
 
 @hot

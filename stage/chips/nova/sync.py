@@ -30,7 +30,7 @@ from stage.chips.nova.state import (
     SYNC_SETS,
     TIMER,
 )  # fmt: skip
-from stage.compiled import hot, least
+from stage.native import hot, least
 
 DCC, TMSTA, TMSTP, SPSTA, SPSTP = (MCX514_MAP.command(n).code for n in ("DCC", "TMSTA", "TMSTP", "SPSTA", "SPSTP"))
 ENABLE, DISABLE, ACTIVATE = (MCX514_MAP.command(n).code for n in ("SYNCEN", "SYNCDIS", "SYNCACT"))

@@ -8,7 +8,7 @@ from stage.chips.nova import dd
 from stage.chips.nova.plan import pair
 from stage.chips.nova.profile import SNAP, _time_in, exactly
 from stage.chips.nova.state import NEVER
-from stage.compiled import greatest, hot
+from stage.native import greatest, hot
 
 FAR = 1e17  # clocks: centuries
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from stage.chips.nova.drive import note
 from stage.chips.nova.maps514 import MCX514_MAP
 from stage.chips.nova.state import NEVER, TIMER, TM
-from stage.compiled import greatest, hot
+from stage.native import greatest, hot
 
 CLOCKS = 16  # of one count: a microsecond at 16 MHz
 TMMD = MCX514_MAP.mask("WR3", "TMMD")

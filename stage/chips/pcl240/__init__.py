@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from typing import Any, ClassVar
 
 from stage.chips.chip import Chip
@@ -56,9 +57,9 @@ class PCL240(Chip):
 
     def _moves(self, command: int) -> bool:
         """Do pulses come of this command, if nobody interferes?"""
-        twin = self._rows[self._i : self._i + 1].copy()
+        twin = copy.deepcopy(self._rows[self._i : self._i + 1])
         core.write(twin, 0, command)
-        return core.advance(twin, int(twin["clock"][0]) + LONGEST_WAIT) > 0
+        return bool(core.advance(twin, self.clock + LONGEST_WAIT) > 0)
 
 
 class PCL240K(PCL240):

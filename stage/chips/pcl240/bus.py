@@ -33,7 +33,7 @@ from stage.chips.pcl240.state import (
     begin,
     stop,
 )
-from stage.compiled import greatest, hot, least
+from stage.native import greatest, hot, least
 
 
 @hot

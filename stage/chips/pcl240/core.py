@@ -39,8 +39,7 @@ from stage.chips.pcl240.state import (
     reset,
     stop,
 )
-from stage.compiled import greatest, hot, least
-from stage.sealed import at, sealed
+from stage.native import array_of, exported, greatest, hot, least
 
 FOREVER = 1 << 62
 OPERATING = 0x40  # of the status byte
@@ -54,60 +53,60 @@ __all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE", "advance", "busy", "co
 # --- what a stage asks, see stage/chips/cores.py; the only axis is 0 ---
 
 
-@sealed("i8", STATE, "i8")
+@exported("i8", STATE, "i8")
 def net(c, j):
     """Pulses ever begun, plus minus minus."""
     return c.net
 
 
-@sealed("i8", STATE, "i8")
+@exported("i8", STATE, "i8")
 def counter(c, j):
     """The down counter R0."""
     return c.reg[0]
 
 
-@sealed(None, STATE, "i8", "f8", "f8")
+@exported(None, STATE, "i8", "f8", "f8")
 def see(c, j, count, rate):
     """No encoder is connected: these chips make pulses, and nobody looks where the shaft goes."""
 
 
-@sealed("i8", STATE, "i8")
+@exported("i8", STATE, "i8")
 def inputs(c, j):
     """Input pins, see INPUTS."""
     return c.inputs
 
 
-@sealed(None, STATE, "i8", "i8")
+@exported(None, STATE, "i8", "i8")
 def set_input(c, j, word):
     """Set the input pins, see INPUTS."""
     c.inputs = word
 
 
-@sealed("i8", STATE, "i8")
+@exported("i8", STATE, "i8")
 def status(c, j):
     """The status byte."""
     return read_byte(c, 0)
 
 
-@sealed("i8", STATE, "i8")
+@exported("i8", STATE, "i8")
 def peek(c, address):
     """The status byte, and R0's bytes whatever register is selected."""
     return c.reg[0] >> 8 * (address - 1) & 0xFF if address else read_byte(c, 0)
 
 
-@sealed("i8", STATE, "i8")
+@exported("i8", STATE, "i8")
 def busy(c, j):
     """Status b6: in operation."""
     return read_byte(c, 0) & OPERATING
 
 
-@sealed("i8", STATE, "i8")
+@exported("i8", STATE, "i8")
 def outputs(c, j):
     """Output pins, see OUTPUTS."""
     return output_word(c)
 
 
-@sealed("f8", STATE, "i8", "f8")
+@exported("f8", STATE, "i8", "f8")
 def pulse_rate(c, j, hz):
     """Output frequency now, pulses per second (data sheet section 4, R7)."""
     if (c.running or c.finishing) and c.reg[7] >= 2:
@@ -115,7 +114,7 @@ def pulse_rate(c, j, hz):
     return 0.0
 
 
-@sealed("f8", STATE, "i8", "i8", "f8")
+@exported("f8", STATE, "i8", "i8", "f8")
 def mean_count(c, j, before, ticks):
     """Mean over the last `ticks` of the net pulse count, which was `before` at their start.
 
@@ -333,7 +332,7 @@ def _count(c, pulses, own):
         c.reg[R10] = (c.reg[R10] + way) & COUNTER_MASK
 
 
-@sealed(None, STATE, "i8")
+@exported(None, STATE, "i8")
 def run(c, until):
     """Let the chip's clock run up to `until`."""
     while c.clock < until:
@@ -386,18 +385,16 @@ def _log_pulses(c, out, k, clock, phase, low, s, pulses, base, r0, net):
     return k
 
 
-@hot
-def mark(rows, i, out, k, axis):
-    """Write chip `i` as it stands to `out[k]` (an EDGE record)."""
-    c = rows[i]
+@exported(None, STATE, "i8", array_of(EDGE), "i8")
+def mark(c, axis, out, k):
+    """Write the chip as it stands to `out[k]` (an EDGE record)."""
     _log(c, out, k, c.clock, output_word(c), c.reg[0], c.net)
 
 
-@hot
-def scan(rows, i, until, every_pulse, out, axis):
+@exported("i8", STATE, "i8", "i8", "i8", array_of(EDGE))
+def scan(c, until, every_pulse, axis, out):
     """As advance, and fills `out` (EDGE records) with every change of speed or of an output pin, POUT's edges only with
     `every_pulse`. Returns how many; stops early when `out` is almost full: look at the clock and call again."""
-    c = rows[i]
     k = 0
     while c.clock < until and k < len(out) - 8:
         if not (c.running or c.finishing) and c.inputs == c.sampled:
@@ -423,37 +420,37 @@ def scan(rows, i, until, every_pulse, out, axis):
     return k
 
 
-@sealed(None, STATE)
+@exported(None, STATE)
 def power_up(c):
     """A cleared record becomes a chip that was just switched on."""
     reset(c)
 
 
-@sealed(None, STATE, "i8", "i8")
+@exported(None, STATE, "i8", "i8")
 def write(c, address, value):
     """One bus write cycle, between two ticks."""
     write_byte(c, address, value)
 
 
-@sealed("i8", STATE, "i8")
+@exported("i8", STATE, "i8")
 def read(c, address):
     """One bus read cycle."""
     return read_byte(c, address)
 
 
-@sealed("i8", STATE, "i8")
+@exported("i8", STATE, "i8")
 def value(c, k):
     """What the k-th register reads as, free of bus cycles."""
     return register(c, k)
 
 
-@sealed("i8", STATE, "i8")
+@exported("i8", STATE, "i8")
 def pins(c, axis):
     """Output pins, see OUTPUTS."""
     return output_word(c)
 
 
-@sealed("i8", STATE, "i8")
+@exported("i8", STATE, "i8")
 def advance(c, until):
     """Run up to clock `until`; returns the pulses begun."""
     before = c.total
@@ -461,10 +458,9 @@ def advance(c, until):
     return c.total - before
 
 
-@hot
-def trace(rows, i, until, out):
+@exported("i8", STATE, "i8", array_of(PULSE))
+def trace(c, until, out):
     """As advance, and fills `out` (PULSE records) with the pulses; `out` is long enough. Returns how many."""
-    c = rows[i]
     k = 0
     while c.clock < until:
         if not (c.running or c.finishing) and c.inputs == c.sampled:
@@ -494,24 +490,3 @@ def trace(rows, i, until, out):
                     t += q
                     rest -= r
     return k
-
-
-# --- the same for Python, which knows addresses: of the chip's state, and of arrays with their lengths ---
-
-
-@sealed("i8", "i8", "i8", "i8", "i8")
-def trace_at(chip, until, out, n):
-    """`trace` of the chip at an address into `n` PULSE records at `out`."""
-    return trace(at(chip, 1, STATE), 0, until, at(out, n, PULSE))
-
-
-@sealed("i8", "i8", "i8", "i8", "i8", "i8", "i8")
-def scan_at(chip, until, every_pulse, axis, out, n):
-    """`scan` of the chip at an address into `n` EDGE records at `out`."""
-    return scan(at(chip, 1, STATE), 0, until, every_pulse, at(out, n, EDGE), axis)
-
-
-@sealed(None, "i8", "i8", "i8")
-def mark_at(chip, axis, out):
-    """`mark` of the chip at an address into the EDGE record at `out`."""
-    mark(at(chip, 1, STATE), 0, at(out, 1, EDGE), 0, axis)

@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 
 from stage.chips.pcl240.state import LINEAR, R14, R15, SD_MINUS, SD_PLUS, SPAN, UNCORRECTED, stop
-from stage.compiled import greatest, hot
+from stage.native import greatest, hot
 
 NEVER = 1 << 40
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stage.compiled import hot, record
+from stage.native import hot, record
 
 REGISTERS = 16
 R10, R13, R14, R15, R17 = 8, 11, 12, 13, 15

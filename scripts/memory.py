@@ -1,0 +1,49 @@
+"""Run tests under valgrind, and see whether the native library reads or writes what is not its own.
+
+    python scripts/memory.py                             the chip machines and the stage machine, a few examples each
+    python scripts/memory.py tests/test_fleet.py -k x    other tests; arguments are pytest's
+
+Python itself and its libraries make valgrind speak, too; what counts is errors with the native library among the callers. Needs
+valgrind (Debian: valgrind); some forty times slower than without.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+MACHINES = ["tests/machines"]
+EXAMPLES = "3"
+
+
+def main(arguments: list[str]) -> int:
+    """The exit status: 0 where all is clean."""
+    if not shutil.which("valgrind"):
+        print("valgrind is not installed: apt-get install valgrind", file=sys.stderr)
+        return 2
+    with tempfile.TemporaryDirectory() as folder:
+        said = Path(folder) / "valgrind.xml"
+        done = subprocess.run(
+            ["valgrind", "--xml=yes", f"--xml-file={said}", "--num-callers=40", "--leak-check=no", sys.executable, "-m", "pytest",
+             "-q", "-p", "no:cacheprovider", "-p", "no:xdist", *(arguments or MACHINES)],
+            env={"PULSESTAGE_EXAMPLES": EXAMPLES} | os.environ | {"PYTHONMALLOC": "malloc"}, check=False,
+        )  # fmt: skip
+        errors = ElementTree.parse(said).findall("error")
+    ours = [error for error in errors if any("_native.so" in (obj.text or "") for obj in error.iter("obj"))]
+    for error in ours:
+        print(error.findtext("what") or error.findtext("xwhat/text"))
+        for frame in error.iter("frame"):
+            print("   ", frame.findtext("obj"), frame.findtext("fn") or frame.findtext("ip"))
+    print(
+        f"{len(errors)} remarks of valgrind, {len(ours)} with the native library among the callers; pytest: {done.returncode}"
+    )
+    return done.returncode or bool(ours)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,25 @@
+"""What is compiled, and how: Python functions that become one native library, built ahead.
+
+    @hot
+    def period(c): ...                         part of what calls it
+
+    @exported("i8", STATE, "i8")
+    def read(c, address): ...                  a function of the library: Python, C and other hot functions call it
+
+The sources are plain Python over records, scalars and arrays: no allocation, no strings, no exceptions. When a package is built
+(build.py), numba types them, LLVM makes one object of each part (emit.py) and a linker one shared library, `_native.so` in the
+package's folder. At run time ctypes loads it (load.py), after a look at whether it was made of these sources, for this machine.
+With NUMBA_DISABLE_JIT=1 the same functions run as plain Python, to the same bits: for debugging, coverage and fuzzing.
+
+A package outside this one is built by the same means: `python -m stage.native PACKAGE`.
+"""
+
+from stage.native.arithmetic import greatest, least
+from stage.native.functions import Exported, array_of, called, exchange, exported, hot
+from stage.native.mode import COMPILED
+from stage.native.records import address_of, at, plain, record
+
+__all__ = [
+    "COMPILED", "Exported", "address_of", "array_of", "at", "called", "exchange", "exported", "greatest", "hot", "least", "plain",
+    "record",
+]  # fmt: skip

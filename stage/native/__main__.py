@@ -1,0 +1,21 @@
+"""`python -m stage.native [PACKAGE ...]`: bring native libraries up to date; without a name, PulseStage's own."""
+
+import sys
+
+from stage.errors import NativeError
+from stage.native.build import build
+
+
+def main() -> int:
+    """Build what is named; 1 where that cannot be."""
+    for package in sys.argv[1:] or ["stage"]:
+        try:
+            print(build(package))
+        except NativeError as error:
+            print(error, file=sys.stderr)
+            return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,68 @@
+"""The build backend of this project (PEP 517): setuptools, after the native library has been brought up to date.
+
+What it takes to build is asked for only where the library is not there already: numba and, where no C compiler is found, the
+linker of the package ziglang. A family of chips from outside has one like it: see docs/native.md.
+"""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from setuptools import build_meta
+from setuptools.build_meta import *  # noqa: F403
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT))  # the sources, not what may be installed
+
+from stage.native import build, load  # noqa: E402
+
+LINKER = "ziglang==0.15.2"
+
+
+def needed() -> list[str]:
+    """What has to be installed to build the library; nothing where it is up to date."""
+    if not load.unfit("stage", ROOT / "stage" / load.NAME):
+        return []
+    linkers = [] if any(map(shutil.which, build.COMPILERS)) else [LINKER]
+    return [f"numba=={build.NUMBA}", *linkers]
+
+
+def get_requires_for_build_wheel(config_settings: Any = None) -> list[str]:
+    """PEP 517."""
+    return [*build_meta.get_requires_for_build_wheel(config_settings), *needed()]
+
+
+def get_requires_for_build_editable(config_settings: Any = None) -> list[str]:
+    """PEP 660."""
+    return [*build_meta.get_requires_for_build_editable(config_settings), *needed()]
+
+
+def build_wheel(wheel_directory: str, config_settings: Any = None, metadata_directory: str | None = None) -> str:
+    """PEP 517."""
+    build.build("stage")
+    return str(build_meta.build_wheel(wheel_directory, config_settings, metadata_directory))
+
+
+def build_editable(wheel_directory: str, config_settings: Any = None, metadata_directory: str | None = None) -> str:
+    """PEP 660."""
+    build.build("stage")
+    return str(build_meta.build_editable(wheel_directory, config_settings, metadata_directory))
+
+
+if find_spec("setuptools.command.bdist_wheel"):
+    from setuptools.command.bdist_wheel import bdist_wheel
+
+    class Wheel(bdist_wheel):
+        """A wheel for any Python of one system and processor: its library is machine code, but none of Python's."""
+
+        def finalize_options(self) -> None:
+            self.distribution.has_ext_modules = lambda: True
+            super().finalize_options()
+
+        def get_tag(self) -> tuple[str, str, str]:
+            """py3-none-PLATFORM."""
+            return "py3", "none", super().get_tag()[2]

@@ -1,0 +1,205 @@
+"""`hot` and `exported`: how a function says that it is compiled, and what calls it.
+
+A result or an argument of an exported function is a plain C type ("i4", "i8", "f8"; None is no result), the dtype of a record,
+of which C has the address, or `array_of` a dtype: an address and a length for each dimension.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from operator import index
+from typing import Any, ClassVar
+
+import numpy as np
+
+from stage.errors import ArgumentError
+from stage.native import load, records
+from stage.native.mode import COMPILED, EMITTING
+
+if EMITTING:
+    from stage.native import typed
+
+_C: dict[str | None, Any] = {None: None, "i4": ctypes.c_int32, "i8": ctypes.c_int64, "f8": ctypes.c_double}
+
+
+@dataclass(frozen=True)
+class Array:
+    """An argument: an array of contiguous elements."""
+
+    dtype: np.dtype
+    dimensions: int
+
+
+def array_of(dtype: Any, dimensions: int = 1) -> Array:
+    """An array argument of an exported function; C gives the address and the length of each dimension."""
+    return Array(np.dtype(dtype), dimensions)
+
+
+def hot(function: Callable) -> Any:
+    """Compile `function` into what calls it. From Python it runs as Python: what is to be fast there is `exported`."""
+    return typed.hot(function) if EMITTING else function
+
+
+def exported(result: str | None, *arguments: Any) -> Callable[[Callable], Exported]:
+    """Compile the function by itself, as one of the library's. result, arguments: see this module."""
+    return lambda function: Exported(function, result, arguments)
+
+
+class Exported:
+    """A function of the native library.
+
+    Calling it checks what it is given. `c` takes what C takes (addresses and lengths in place of records and arrays) and checks
+    nothing: for callers that hold the memory themselves.
+    """
+
+    every: ClassVar[list[Exported]] = []
+    numbered: ClassVar[dict[int, Exported]] = {}
+    """By what stands for an address where nothing is compiled."""
+
+    def __init__(self, function: Callable, result: str | None, arguments: tuple):
+        self.function, self.result, self.arguments = function, result, arguments
+        self.module, self.name, self.__doc__ = function.__module__, function.__qualname__, function.__doc__
+        self.symbol = f"{self.module}.{self.name}".replace("_", "_0").replace(".", "_1")
+        self.every.append(self)
+        if EMITTING:
+            self.hot = typed.hot(function)
+
+    def __call__(self, *given: Any) -> Any:
+        """From Python: records as records or arrays of one or more, of which the first is meant; arrays as arrays.
+
+        Raises ArgumentError for what compiled code could not take without harm: another dtype, strides, no memory of its own."""
+        if not COMPILED:  # Python looks by itself
+            return self.function(*map(_first, given, self.arguments))
+        if len(given) != len(self.arguments):
+            raise ArgumentError(f"{self.name}: {len(given)} arguments given, it takes {len(self.arguments)}.")
+        taken: list[Any] = []
+        for k, (value, kind) in enumerate(zip(given, self.arguments, strict=True)):
+            if isinstance(kind, Array):
+                self._check(k, value, kind.dtype, kind.dimensions)
+                taken += (value.ctypes.data, *value.shape)
+            elif isinstance(kind, np.dtype):
+                self._check(k, value, kind, 0)
+                taken.append(records.address_of(value))
+            else:
+                taken.append(self._number(k, value, kind))
+        return self.c(*taken)
+
+    def _number(self, k: int, value: Any, kind: str) -> Any:
+        if kind == "f8":
+            return float(value)
+        try:
+            number = index(value)
+        except TypeError:
+            number = None
+        bits = 8 * int(kind[1:]) - 1
+        if number is None or not -(1 << bits) <= number < 1 << bits:
+            raise ArgumentError(
+                f"{self.name}, argument {k + 1}: {value!r}; it takes a whole number of {bits + 1} bits."
+            )
+        return number
+
+    def _check(self, k: int, value: Any, dtype: np.dtype, dimensions: int) -> None:
+        if isinstance(value, np.void) and not dimensions:
+            value = np.asarray(value)  # of no dimensions, the same memory
+        elif not isinstance(value, np.ndarray):
+            raise self._refused(k, f"an {type(value).__name__}", dtype, dimensions)
+        elif not dimensions and not value.size:
+            raise self._refused(k, "an empty array", dtype, dimensions)
+        elif dimensions and value.ndim != dimensions:
+            raise self._refused(k, f"an array of {value.ndim} dimensions", dtype, dimensions)
+        if value.dtype is not dtype and value.dtype != dtype:
+            raise self._refused(k, f"elements {_shown(value.dtype)}", dtype, dimensions)
+        if not value.flags.c_contiguous or not value.flags.aligned or not value.flags.writeable:
+            raise self._refused(k, "an array with strides, unaligned or read-only", dtype, dimensions)
+
+    def _refused(self, k: int, what: str, dtype: np.dtype, dimensions: int) -> ArgumentError:
+        wanted = f"a contiguous, writeable array of {dimensions} dimensions" if dimensions else "a record, or an array"
+        return ArgumentError(f"{self.name}, argument {k + 1}: {what}; it takes {wanted} of {_shown(dtype)}.")
+
+    @cached_property
+    def c(self) -> Any:
+        """What C calls: addresses for records, addresses and lengths for arrays. It checks nothing."""
+        return self.kind(self.address) if COMPILED else self._uncompiled
+
+    @cached_property
+    def held(self) -> Any:
+        """As `c`, with the GIL held: for what takes a microsecond. Two threads are never in such functions at once."""
+        return _c_kind(self.result, self.arguments, ctypes.PYFUNCTYPE)(self.address) if COMPILED else self._uncompiled
+
+    @cached_property
+    def kind(self) -> Any:
+        """The type of `pointer`."""
+        return _c_kind(self.result, self.arguments)
+
+    @cached_property
+    def pointer(self) -> Any:
+        """A function of ctypes, for C."""
+        return self.c if COMPILED else self.kind(self._uncompiled)
+
+    @cached_property
+    def address(self) -> int:
+        """Where it lies, for tables of functions."""
+        if COMPILED:
+            return load.address(self.module, self.symbol)
+        self.numbered[len(self.numbered) + 1] = self
+        return len(self.numbered)
+
+    def _uncompiled(self, *given: Any) -> Any:
+        """As C would call it."""
+        left, taken = iter(given), []
+        for kind in self.arguments:
+            if isinstance(kind, Array):
+                address = next(left)
+                taken.append(records.at(address, tuple(next(left) for _ in range(kind.dimensions)), kind.dtype))
+            else:
+                value = next(left)
+                record = isinstance(kind, np.dtype) and isinstance(value, int | np.integer)
+                taken.append(records.at(value, 1, kind)[0] if record else value)
+        return self.function(*taken)
+
+
+def called(result: str | None, *arguments: Any) -> Any:
+    """(address, (argument, ...)) -> result: hot functions call the function at an address. Records are given by their addresses."""
+    if EMITTING:
+        return typed.called(result, arguments)
+    kind = _c_kind(result, arguments)
+
+    def call(address: int, given: tuple) -> Any:
+        function = Exported.numbered.get(int(address)) if not COMPILED else None
+        words = (float(g) if w == "f8" else int(g) for g, w in zip(given, arguments, strict=True))
+        return function._uncompiled(*words) if function else kind(int(address))(*words)
+
+    return call
+
+
+def exchange(old: int | None, new: int | None) -> Any:
+    """(address, word) -> True if the 64 bits at the address were `old` and now are `new`, in one step that no other thread gets
+    into; None stands for `word`. Uncompiled the GIL keeps threads out of each other's way, and it is always True."""
+    return typed.exchange(old, new) if EMITTING else lambda address, word: True
+
+
+def _c_kind(result: str | None, arguments: tuple, function: Any = ctypes.CFUNCTYPE) -> Any:
+    words: list[Any] = []
+    for a in arguments:
+        words += (
+            [ctypes.c_int64] * (1 + (a.dimensions if isinstance(a, Array) else 0))
+            if not isinstance(a, str)
+            else [_C[a]]
+        )
+    return function(_C[result], *words)
+
+
+def _first(value: Any, kind: Any) -> Any:
+    """What a function takes for a record that is given as a sequence of one."""
+    return value[0] if isinstance(kind, np.dtype) and isinstance(value, np.ndarray | list) else value
+
+
+def _shown(dtype: np.dtype) -> str:
+    return f"a record of {', '.join(dtype.names[:3])} ..." if dtype.names else str(dtype)
+
+
+if EMITTING:
+    typed.register(Exported)

@@ -1,0 +1,152 @@
+"""Find a package's native library, see that it fits, load it."""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import json
+import platform
+import sys
+import tomllib
+from functools import cache
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from stage.errors import NativeError
+
+NAME = "_native.so"
+MARK = b"\0PULSESTAGE NATIVE LIBRARY "
+"""In a library, before its manifest as JSON, which a zero ends."""
+FIELDS = {"digest", "target", "needs", "numba", "sources"}
+"""Of a manifest."""
+NO_DIGEST = "0" * 64
+"""In a manifest, where the digest of the file will be; it stays where a file may not be changed after the link."""
+
+
+def address(module: str, symbol: str) -> int:
+    """Where the function of this name lies, of the library of the package that the module belongs to."""
+    function = getattr(_library(module.partition(".")[0]), symbol)
+    return int(ctypes.cast(function, ctypes.c_void_p).value or 0)
+
+
+@cache
+def _library(package: str) -> ctypes.CDLL:
+    if sys.platform == "win32":
+        raise NativeError(
+            "PulseStage has no native library for Windows: use WSL. (NUMBA_DISABLE_JIT=1 runs it slowly, as Python.)"
+        )
+    path = folders(package)[package] / NAME
+    if why := unfit(package, path):
+        from stage.native import build
+
+        path = build.made(package, why)
+    if package != "stage":
+        _library("stage")  # what others call in it, they find by name
+    try:
+        return ctypes.CDLL(str(path), ctypes.RTLD_GLOBAL)
+    except OSError as error:
+        raise NativeError(f"{path} cannot be loaded: {error}. {advice(package)}") from error
+
+
+def unfit(package: str, path: Path) -> str:
+    """Why this library is not that of the package as it is here, in words; "" if it is."""
+    try:
+        content = path.read_bytes()
+    except OSError:
+        return f"package {package!r} has no native library in {path.parent}"
+    manifest = _manifest(content)
+    if manifest is None or manifest["digest"] not in (NO_DIGEST, digest_within(content, manifest["digest"])):
+        return f"{path} is damaged"
+    if manifest["target"] != target():
+        return f"{path} was built for {manifest['target']}, this is {target()}"
+    if lacking := [f for f in manifest["needs"] if f not in features()]:
+        return f"{path} needs a processor with {', '.join(lacking)}, which this one has not"
+    places: dict[str, dict[str, Path]] = {}
+    for module, digest in manifest["sources"].items():
+        root = module.partition(".")[0]
+        source = source_of(module, places.setdefault(root, folders(root)))
+        if source is None or digest_of(source) != digest:
+            return f"{path} was built from other sources: {module} has changed"
+    return ""
+
+
+def _manifest(content: bytes) -> dict[str, Any] | None:
+    """What a library says about itself; None if it is none."""
+    begin = content.find(MARK) + len(MARK)
+    end = content.find(b"\0", begin)
+    if begin < len(MARK) or end < 0:
+        return None
+    try:
+        said = dict(json.loads(content[begin:end]))
+    except ValueError:
+        return None
+    return said if said.keys() == FIELDS else None
+
+
+def digest_within(content: bytes, written: str) -> str:
+    """The digest of a library that has this one written in it."""
+    return hashlib.sha256(content.replace(written.encode(), NO_DIGEST.encode(), 1)).hexdigest()
+
+
+def manifest_of(path: Path) -> dict[str, Any] | None:
+    """What a library says about itself: target, needs, numba, sources; None where there is none."""
+    return _manifest(path.read_bytes()) if path.is_file() else None
+
+
+def advice(package: str) -> str:
+    """How to get a library."""
+    if package == "stage":
+        return "Install PulseStage again (pip install --force-reinstall --no-deps pulsestage; in a checkout: pip install -e .)."
+    return f"Build it: pip install 'pulsestage[build]', then python -m stage.native {package}"
+
+
+def target() -> str:
+    """System and processor, as a library names them."""
+    return f"{sys.platform}-{platform.machine()}"
+
+
+@cache
+def features() -> frozenset[str]:
+    """What the processor can, in Linux' words, where they are known; a library that needs none fits everywhere."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return frozenset(BASELINES.get(platform.machine(), ("", ()))[1])
+    return frozenset(next((line.partition(":")[2].split() for line in lines if line.startswith("flags")), []))
+
+
+BASELINES = {
+    "x86_64": ("x86-64-v2", ("cx16", "popcnt", "sse4_1", "sse4_2", "ssse3")),
+    "AMD64": ("x86-64-v2", ()),
+}
+"""Of a machine: the processor that LLVM makes code for, and what /proc/cpuinfo calls that; elsewhere the generic one."""
+
+
+def folders(package: str) -> dict[str, Path]:
+    """A package's name, and those of its subpackages that lie elsewhere in a checkout -> folder."""
+    spec = find_spec(package)
+    if spec is None or not spec.submodule_search_locations:
+        raise NativeError(f"package {package!r} cannot be found: compiled functions live in packages.")
+    root = Path(next(iter(spec.submodule_search_locations))).resolve()
+    found, project = {package: root}, root.parent / "pyproject.toml"
+    if project.is_file():
+        settings = tomllib.loads(project.read_text()).get("tool", {}).get("setuptools", {})
+        for name, folder in settings.get("package-dir", {}).items():
+            if name.startswith(f"{package}."):
+                found[name] = root.parent / folder
+    return found
+
+
+def source_of(module: str, places: dict[str, Path]) -> Path | None:
+    """The file of a module of a package whose folders are these; None if there is none."""
+    for name in sorted(places, key=len, reverse=True):
+        if module.startswith(f"{name}."):
+            path = places[name].joinpath(*module[len(name) + 1 :].split(".")).with_suffix(".py")
+            return path if path.is_file() else None
+    return None
+
+
+def digest_of(source: Path) -> str:
+    """Of a source file."""
+    return hashlib.sha256(source.read_bytes()).hexdigest()[:16]

@@ -1,0 +1,51 @@
+"""Records: the state that compiled code works on, as Python and as C see it."""
+
+from __future__ import annotations
+
+import ctypes
+from functools import lru_cache
+from math import prod
+from typing import Any
+
+import numpy as np
+
+from stage.native.mode import EMITTING
+
+
+def record(fields: list) -> np.dtype:
+    """A structured dtype whose elements have attributes, compiled or not; `hot` functions take arrays and elements of it."""
+    return np.dtype((np.record, np.dtype(fields)))
+
+
+def plain(dtype: np.dtype) -> np.dtype:
+    """The same fields without attributes: c["name"] is then the fast access from Python."""
+    return np.dtype([(name, dtype[name]) for name in dtype.names or ()])
+
+
+def address_of(given: np.ndarray | np.void) -> int:
+    """Where an array or a record lies; of a record it takes a while."""
+    if isinstance(given, np.ndarray):
+        return int(given.ctypes.data)
+    return int(given.__array_interface__["data"][0])
+
+
+@lru_cache(1024)
+def _seen(address: int, shape: tuple[int, ...], dtype: np.dtype) -> np.ndarray:
+    size = prod(shape) * dtype.itemsize
+    if not size:
+        return np.empty(shape, dtype)
+    words: Any = (ctypes.c_char * size).from_address(address)
+    return np.frombuffer(words, dtype).reshape(shape)
+
+
+def _at(address: Any, shape: Any, dtype: Any) -> Any:
+    """The array of this shape, a number or a tuple, that lies at an address; whoever holds the memory has to keep it."""
+    shape = tuple(map(int, shape)) if isinstance(shape, tuple) else (int(shape),)
+    return _seen(int(address), shape, dtype)
+
+
+at: Any = _at
+if EMITTING:
+    from stage.native import typed
+
+    at = typed.at

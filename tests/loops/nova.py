@@ -1,0 +1,15 @@
+"""Loops over a NOVA chip."""
+
+from stage.chips.nova import profile
+from stage.chips.nova.state import AXIS
+from stage.native import array_of, exported
+
+
+@exported("i8", AXIS, array_of("i8"))
+def one_by_one(x, out):
+    """The clocks of the next pulses of a drive, each found alone. Returns how many there are."""
+    k = 0
+    while k < len(out) and (x.fixed == 0 or x.done + k < x.output):
+        out[k] = x.origin + profile.clock_of(x, x.done + k + 1)
+        k += 1
+    return k

@@ -1,0 +1,68 @@
+"""Functions for tests of stage.native and of the table of chips."""
+
+from stage.chips import cores
+from stage.native import array_of, at, called, exported, hot, record
+
+CELL = record([("a", "i8"), ("b", "f8")])
+
+
+@exported("f8", CELL, "i8")
+def scaled(c, n):
+    """b times n; a grows."""
+    c.a += n
+    return c.b * n
+
+
+@exported(None, CELL)
+def cleared(c):
+    c.a = 0
+
+
+@exported("i8", "i4", "i8")
+def joined(a, b):
+    return a * 1000 + b
+
+
+scale = called("f8", "i8", "i8")
+
+
+@exported("f8", array_of(CELL))
+def by_name(rows):
+    total = 0.0
+    for k in range(len(rows)):
+        total += scaled(rows[k], k + 1) + scaled(rows[k], 2)
+    cleared(rows[0])
+    return total
+
+
+@exported("f8", "i8", "i8", "i8")
+def by_address(function, where, n):
+    return scale(function, (where, n)) + at(where, 1, CELL)[0].a
+
+
+@exported("f8", array_of("f8", 2), array_of("i8"))
+def weighed(table, weights):
+    """The sum of each row times its weight; the weights go up by one."""
+    return _weighed(table, weights)
+
+
+@hot
+def _weighed(table, weights):
+    total = 0.0
+    for i in range(table.shape[0]):
+        for j in range(table.shape[1]):
+            total += weights[i] * table[i, j]
+        weights[i] += 1
+    return total
+
+
+@exported("f8", array_of("f8", 2), array_of("i8"))
+def twice_weighed(table, weights):
+    return weighed(table, weights) + weighed(table, weights)
+
+
+@exported(None, cores.CHIP, "i8", array_of("i8"))
+def told(c, axis, out):
+    """What a loop is told of a chip's axis."""
+    out[0], out[1], out[2] = cores.clock(c), cores.net(c, axis), cores.inputs(c, axis)
+    out[3], out[4] = cores.outputs(c, axis), cores.status(c, axis)

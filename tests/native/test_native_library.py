@@ -1,0 +1,184 @@
+"""Promises of a package's native library: it is that of these sources and of this machine, or nothing runs."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from stage import NativeError
+from stage.native import COMPILED, load
+
+pytestmark = pytest.mark.skipif(not COMPILED, reason="asks of the compiled library")
+
+CORE = """
+from stage.native import exported, hot
+from toy.constants import STEP
+
+@hot
+def more(n):
+    return n + STEP
+
+@exported("i8", "i8")
+def stepped(n):
+    return more(n)
+"""
+RUN = "from toy.core import stepped; print(stepped(40))"
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory):
+    """A small package with its library."""
+    folder = tmp_path_factory.mktemp("built")
+    write(folder)
+    assert run(folder).stdout == "42\n"
+    return folder
+
+
+@pytest.fixture
+def toy(built, tmp_path):
+    """A copy of it."""
+    return shutil.copytree(built, tmp_path / "toy_project")
+
+
+def write(folder, step=2):
+    package = folder / "toy"
+    package.mkdir(exist_ok=True)
+    (package / "__init__.py").touch()
+    (package / "core.py").write_text(CORE)
+    (package / "constants.py").write_text(f"STEP = {step}\n")
+
+
+def run(folder, program=RUN, check=True, **environment):
+    """Run a program beside the package."""
+    return subprocess.run(
+        [sys.executable, "-c", program], cwd=folder, capture_output=True, text=True, check=check,
+        env=os.environ | {"PYTHONPATH": str(folder)} | environment,
+    )  # fmt: skip
+
+
+WITHOUT_NUMBA = "import sys; sys.modules['numba'] = None; sys.modules['llvmlite'] = None\n"
+"""As where only the wheel is installed."""
+
+
+def test_a_built_library_is_loaded_without_a_word(toy):
+    done = run(toy, WITHOUT_NUMBA + RUN)
+    assert (done.stdout, done.stderr) == ("42\n", "")
+
+
+def test_a_change_of_a_constant_in_a_module_that_a_hot_one_imports_is_built_anew(toy):
+    write(toy, step=5)
+    done = run(toy)
+    assert done.stdout == "45\n"
+    assert done.stderr.startswith("PulseStage: building the native library of toy: 1 of 1 parts ...")
+    assert run(toy).stderr == ""
+
+
+def test_old_code_never_runs_where_nothing_can_be_built(toy):
+    write(toy, step=5)
+    done = run(toy, WITHOUT_NUMBA + RUN, check=False)
+    assert done.returncode == 1
+    assert done.stdout == ""
+    last = done.stderr.strip().splitlines()[-1]
+    assert "was built from other sources: toy.constants has changed" in last
+    assert "pip install 'pulsestage[build]', then python -m stage.native toy" in last
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"target": "plan9-vax"}, f"was built for plan9-vax, this is {load.target()}"),
+        ({"needs": ["telepathy"]}, "needs a processor with telepathy, which this one has not"),
+    ],
+)
+def test_a_library_for_another_machine_is_refused_in_words(toy, change, words):
+    path = toy / "toy" / load.NAME
+    manifest = load.manifest_of(path)
+    path.write_bytes(load.MARK + json.dumps(manifest | change | {"digest": load.NO_DIGEST}).encode() + b"\0")
+    done = run(toy, WITHOUT_NUMBA + RUN, check=False)
+    assert done.returncode == 1
+    assert words in done.stderr
+
+
+@pytest.mark.parametrize("damage", ["missing", "empty", "text", "cut"])
+def test_a_library_that_is_not_one_is_built_anew_or_an_error(toy, damage):
+    path = toy / "toy" / load.NAME
+    content = path.read_bytes()
+    if damage == "missing":
+        path.unlink()
+    else:
+        path.write_bytes({"empty": b"", "text": b"no library", "cut": content[: len(content) // 2]}[damage])
+    failed = run(toy, WITHOUT_NUMBA + RUN, check=False)
+    assert failed.returncode == 1
+    assert "NativeError" in failed.stderr
+    assert run(toy).stdout == "42\n"
+
+
+def test_a_library_with_a_byte_flipped_is_not_loaded(toy):
+    path = toy / "toy" / load.NAME
+    content = bytearray(path.read_bytes())
+    content[len(content) // 3] ^= 0x40
+    path.write_bytes(content)
+    failed = run(toy, WITHOUT_NUMBA + RUN, check=False)
+    assert failed.returncode == 1
+    assert "is damaged" in failed.stderr
+
+
+def test_a_function_that_may_raise_is_refused_by_the_build(toy):
+    (toy / "toy" / "core.py").write_text(CORE.replace("return more(n)", "raise ValueError(n)"))
+    failed = run(toy, check=False)
+    assert failed.returncode == 1
+    assert "the native library could not be built" in failed.stderr
+
+
+def test_a_function_that_allocates_is_refused_by_the_build(toy):
+    (toy / "toy" / "core.py").write_text(
+        "import numpy as np\n" + CORE.replace("return more(n)", "return np.zeros(n).size")
+    )
+    failed = run(toy, check=False)
+    assert failed.returncode == 1
+    assert "may raise, or allocate" in failed.stderr
+
+
+def test_processes_that_start_at_once_build_it_once(toy):
+    write(toy, step=9)
+    command = [sys.executable, "-c", RUN]
+    environment = os.environ | {"PYTHONPATH": str(toy)}
+    started = [subprocess.Popen(command, cwd=toy, env=environment, stdout=-1, stderr=-1, text=True) for _ in range(3)]
+    ended = [p.communicate() for p in started]
+    assert [out for out, _ in ended] == ["49\n"] * 3
+    assert sum("building" in err for _, err in ended) == 1
+    assert not list((toy / "toy").glob(f"{load.NAME}.*"))
+
+
+def test_without_home_and_in_a_read_only_folder_it_runs(toy):
+    for path in (toy / "toy" / load.NAME, toy / "toy", toy):
+        path.chmod(0o555)
+    try:
+        done = run(toy, WITHOUT_NUMBA + RUN, HOME="/nonexistent", PYTHONDONTWRITEBYTECODE="1")
+        assert done.stdout == "42\n"
+    finally:
+        for path in (toy, toy / "toy"):
+            path.chmod(0o755)
+
+
+def test_uncompiled_it_needs_no_library(toy):
+    (toy / "toy" / load.NAME).unlink()
+    assert run(toy, WITHOUT_NUMBA + RUN, NUMBA_DISABLE_JIT="1").stdout == "42\n"
+    assert not (toy / "toy" / load.NAME).exists()
+
+
+def test_the_builder_says_where_the_library_is(toy):
+    done = subprocess.run(
+        [sys.executable, "-m", "stage.native", "toy"], cwd=toy, capture_output=True, text=True, check=True,
+        env=os.environ | {"PYTHONPATH": str(toy)},
+    )  # fmt: skip
+    assert Path(done.stdout.strip()) == (toy / "toy" / load.NAME).resolve()
+
+
+def test_a_package_that_is_not_there_is_named():
+    with pytest.raises(NativeError, match="'no_such_package' cannot be found"):
+        load.folders("no_such_package")

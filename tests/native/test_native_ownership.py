@@ -1,0 +1,48 @@
+"""What is kept keeps what it needs: nothing that compiled code reaches can be freed while somebody may call it."""
+
+import gc
+import weakref
+
+import numpy as np
+import pytest
+
+from stage import Stage
+from stage.board import Board
+from stage.chips import PCL240K
+from stage.fleet import Fleet, Program
+
+HANDED_OUT = {
+    "an axis": lambda stage: stage.axes["x"],
+    "a chip": lambda stage: stage.axes["x"].chip,
+    "pins": lambda stage: stage.axes["x"].pins,
+    "switches": lambda stage: stage.axes["x"].switches,
+    "a board": Board,
+    "a fleet": lambda stage: Fleet([stage]),
+    "a recording": lambda stage: stage.record(),
+}
+
+
+def use(kept):
+    """What one does with each of them."""
+    if isinstance(kept, Board):
+        return kept.in8(0x300)
+    if isinstance(kept, Fleet):
+        return kept.play([Program().wait(1e-3)]).diverged.any()
+    if isinstance(kept, PCL240K):
+        kept.write(0, 0x08)
+        return kept.read(0)
+    return repr(kept)
+
+
+@pytest.mark.parametrize("what", HANDED_OUT)
+def test_what_a_stage_handed_out_works_when_nobody_else_keeps_the_stage(what):
+    stage = Stage("xy", visuals=False)
+    kept, gone = HANDED_OUT[what](stage), weakref.ref(stage)
+    del stage
+    gc.collect()
+    rubbish = [np.full(50_000, 7.0) for _ in range(40)]  # takes the place of what was freed
+    assert gone() is not None
+    use(kept)
+    del rubbish, kept
+    gc.collect()
+    assert gone() is None, "and nothing keeps it longer"
