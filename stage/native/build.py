@@ -156,7 +156,8 @@ def _emit(parts: list[list[str]], roots: dict[str, Path], processor: str, say: A
     jobs = [parts[k::workers] for k in range(workers)]
     places = {name: str(folder) for name, folder in roots.items()}
     environment = {k: v for k, v in os.environ.items() if not k.startswith("NUMBA_")} | {"PULSESTAGE_EMIT": "1"}
-    environment["PYTHONPATH"] = os.pathsep.join(sorted({str(f.parent) for n, f in roots.items() if "." not in n}))
+    here = [str(folder.parent) for name, folder in roots.items() if "." not in name]
+    environment["PYTHONPATH"] = os.pathsep.join(dict.fromkeys([*here, *filter(None, sys.path)]))  # pip builds in a place of its own
     failed: list[str] = []
 
     def work(job: list[list[str]]) -> None:
