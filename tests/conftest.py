@@ -4,11 +4,17 @@ import sys
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 sys.path.insert(0, str(Path(__file__).parent))
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # processes of tests keep bytecode, as users' do
 if sys.platform == "linux" and "DISPLAY" not in os.environ and ctypes.util.find_library("EGL"):
     os.environ.setdefault("MUJOCO_GL", "egl")  # frames without a screen; must be said before MuJoCo is imported
+
+from examples import FIXED
+
+settings.register_profile("stage", derandomize=FIXED)
+settings.load_profile("stage")
 
 
 @pytest.fixture

@@ -18,6 +18,24 @@ def here(tmp_path, monkeypatch):
     return tmp_path
 
 
+MOVES = {}
+
+
+@pytest.fixture
+def once(monkeypatch):
+    """Tests that ask for nothing but figures share the moves: each is made once."""
+    move = erratum._move
+
+    def known(stage, stop):
+        chip = stage.chips[0]
+        key = type(chip), chip.errata, stop
+        if key not in MOVES:
+            MOVES[key] = move(stage, stop)
+        return MOVES[key]
+
+    monkeypatch.setattr(erratum, "_move", known)
+
+
 def out(capsys, *argv, code=0):
     assert main(["erratum", *argv]) == code
     return capsys.readouterr()
@@ -32,7 +50,7 @@ def figures(said):
 @pytest.mark.parametrize(
     "chip", ["mcx304", *(pytest.param(chip, marks=pytest.mark.slow) for chip in ("mcx302", "mcx312"))]
 )
-def test_the_bare_command_runs_into_the_hard_stop_and_the_work_around_ends_on_target(here, capsys, chip):
+def test_the_bare_command_runs_into_the_hard_stop_and_the_work_around_ends_on_target(here, once, capsys, chip):
     said = out(capsys, "--chips", chip).out
     table = figures(said)
     assert said.startswith(f"{chip.upper()}: ")
@@ -49,7 +67,7 @@ def test_the_bare_command_runs_into_the_hard_stop_and_the_work_around_ends_on_ta
     assert lost > 100
 
 
-def test_the_page_has_the_figures(here, capsys):
+def test_the_page_has_the_figures(here, once, capsys):
     table = figures(out(capsys).out)
     rows = re.findall(r"^\| (.+) \| (.+) \| (.+) \|$", PAGE.read_text(), re.M)
     told = {
@@ -66,7 +84,7 @@ def test_the_page_has_the_figures(here, capsys):
                 assert number == written
 
 
-def test_mended_chips_end_on_target_either_way(here, capsys):
+def test_mended_chips_end_on_target_either_way(here, once, capsys):
     said = out(capsys, "--mended").out
     assert said.startswith("MCX304, mended: ")
     table = figures(said)
@@ -98,7 +116,7 @@ def test_other_chips_are_refused_by_name(here, capsys, chip):
     assert "one of MCX302, MCX304, MCX312" in out(capsys, "--chips", chip, code=2).err
 
 
-def test_what_is_not_as_claimed_is_said_so(here, capsys, monkeypatch):
+def test_what_is_not_as_claimed_is_said_so(here, once, capsys, monkeypatch):
     """A work-around that does nothing."""
     monkeypatch.setattr(erratum, "_guarded", erratum._bare)
     assert out(capsys, code=1).out.rstrip().endswith("NOT as claimed")

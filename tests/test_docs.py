@@ -24,6 +24,7 @@ PYTHON = re.compile(r"^(?:<!-- not run: (?P<why>.+) -->\n)?```python\n(?P<code>.
 TEXT = re.compile(r"\n(?:```text\n(?P<fenced>.*?)^```|(?P<indented>(?: {4}[^\n]*\n)+))", re.M | re.S)
 NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]\d+)?")
 WATCHED = ("--web", "view")  # commands that somebody looks at, until he ends them
+ELSEWHERE = ("stage erratum", "stage fault ")  # every day in test_cli_erratum.py and test_faults.py
 
 
 class Block(NamedTuple):
@@ -100,7 +101,13 @@ def test_commands_print_what_the_page_says(page, capsys):
 
 
 @pytest.mark.parametrize(
-    "command", [c for page in PAGES for c in commands(page) if not any(word in c.split() for word in WATCHED)]
+    "command",
+    [
+        pytest.param(c, marks=pytest.mark.slow) if c.startswith(ELSEWHERE) else c
+        for page in PAGES
+        for c in commands(page)
+        if not any(word in c.split() for word in WATCHED)
+    ],
 )
 def test_commands_of_the_pages_run(command, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

@@ -143,7 +143,7 @@ def test_every_axis_of_every_model_homes():
     from stage import firmware
 
     for name in plant.names():
-        stage = Stage(name)
+        stage = Stage(name, visuals=False)
         for axis in stage.axes.values():
             report = firmware.origin_return(axis)
             assert report.stopped_by == "ORG"

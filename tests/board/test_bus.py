@@ -94,7 +94,7 @@ def test_a_host_in_c_a_host_in_python_and_the_chips_themselves_go_the_same_way_t
 
 
 def test_a_port_that_reaches_nothing_reads_as_ffh_takes_a_cycle_and_is_noted():
-    stage = Stage("xyz")
+    stage = Stage("xyz", visuals=False)
     board = Board(stage)
     assert board.in8(0x200) == 0xFF
     assert board.in16(0x30C) == 0xFFFF
@@ -121,7 +121,7 @@ def test_the_oldest_line_of_a_full_trace_still_counts_a_repeated_read():
 
 
 def test_each_layout_reaches_its_chip():
-    stage = Stage("xyz", chips=PCL240MK)
+    stage = Stage("xyz", chips=PCL240MK, visuals=False)
     board = Board(stage, base={"x": 0x200, "y": 0x300, "z": 0x210})
     board.out8(0x300, 0x82)
     board.out8(0x301, 0x34)
@@ -131,7 +131,7 @@ def test_each_layout_reaches_its_chip():
         "two cycles, the low byte first"
     )
 
-    stage = Stage("xyz", chips=MCX304)
+    stage = Stage("xyz", chips=MCX304, visuals=False)
     board = Board(stage, base=0x400)
     board.out16(0x40C, 4321)
     board.out16(0x400, 0x0105)
@@ -142,7 +142,7 @@ def test_each_layout_reaches_its_chip():
     assert twin._record["ax"][0]["reg"].tolist() == stage.chips[0]._record["ax"][0]["reg"].tolist()
     assert board.in8(0x400) | board.in8(0x401) << 8 == board.in16(0x400)
 
-    stage, twin = Stage("xyz", chips=MCX514), MCX514()
+    stage, twin = Stage("xyz", chips=MCX514, visuals=False), MCX514()
     board = Board(stage, layout="nova-8bit")
     for byte, value in ((12, 0x34), (13, 0x12), (1, 1), (0, 5)):  # WR6 = 1234h; WR0: the low byte acts
         board.out8(0x300 + byte, value)
@@ -150,7 +150,7 @@ def test_each_layout_reaches_its_chip():
     assert stage.chips[0]._record["ax"][0]["reg"].tolist() == twin._record["ax"][0]["reg"].tolist()
     assert 0x1234 in twin._record["ax"][0]["reg"]
 
-    stage = Stage("xyz_servo", chips=HCTL1100)
+    stage = Stage("xyz_servo", chips=HCTL1100, visuals=False)
     board = Board(stage)
     board.out8(0x302, 0x22)
     board.out8(0x303, 99)
@@ -160,7 +160,7 @@ def test_each_layout_reaches_its_chip():
 
 
 def test_half_a_register_of_a_16_bit_chip_is_noted():
-    stage = Stage("xyz", chips=MCX304)
+    stage = Stage("xyz", chips=MCX304, visuals=False)
     board = Board(stage)
     board.out8(0x30C, 0x21)
     assert [c.port for c in board.strays] == [0x30C]
@@ -168,7 +168,7 @@ def test_half_a_register_of_a_16_bit_chip_is_noted():
 
 
 def test_mixed_chips_stand_one_behind_the_other():
-    stage = Stage("xyz_servo", chips={"x": HCTL1100, "z": PCL240K})
+    stage = Stage("xyz_servo", chips={"x": HCTL1100, "z": PCL240K}, visuals=False)
     board = Board(stage)
     assert [(stage.chips[p.index], p.first) for p in board.places] == [
         (stage.axes["x"].chip, 0x300),
@@ -180,7 +180,7 @@ def test_mixed_chips_stand_one_behind_the_other():
 
 
 def test_a_card_tells_which_of_its_chips_pull_the_interrupt_line():
-    stage = Stage("xyz", chips=PCL240K)
+    stage = Stage("xyz", chips=PCL240K, visuals=False)
     board = Board(stage, layout="pcl240-card")
     assert board.in8(0x34C) == 0
     start(board, 0x344, 3)
@@ -204,7 +204,7 @@ def test_a_card_tells_which_of_its_chips_pull_the_interrupt_line():
 )
 def test_a_board_that_cannot_be_says_why(settings, said):
     with pytest.raises(ArgumentError, match=said):
-        Board(Stage("xyz"), **settings)
+        Board(Stage("xyz", visuals=False), **settings)
 
 
 class Foreign(Chip):
@@ -257,7 +257,7 @@ def start(board: Board, port: int, pulses: int) -> None:
 
 
 def test_an_interrupt_comes_within_a_delay_at_the_very_nanosecond():
-    stage = Stage("xyz")
+    stage = Stage("xyz", visuals=False)
     board = moving(stage)
     chip, seen = stage.axes["x"].chip, []
 
@@ -270,7 +270,7 @@ def test_an_interrupt_comes_within_a_delay_at_the_very_nanosecond():
     board.delay_us(2_000_000)
     assert stage._now == begin + 2_000_000_000, "the hook's time is part of the delay"
     assert [on for _, on in seen] == [True]
-    twin = Stage("xyz")
+    twin = Stage("xyz", visuals=False)
     moving(twin)
     twin._run_until(seen[0][0] - 1)
     assert not twin.axes["x"].chip.pins.irq
@@ -280,7 +280,7 @@ def test_an_interrupt_comes_within_a_delay_at_the_very_nanosecond():
 
 
 def test_interrupts_change_nothing_but_what_their_hook_does():
-    plain, watched = Stage("xyz"), Stage("xyz")
+    plain, watched = Stage("xyz", visuals=False), Stage("xyz", visuals=False)
     for stage in (plain, watched):
         board = moving(stage)
         if stage is watched:
@@ -290,7 +290,7 @@ def test_interrupts_change_nothing_but_what_their_hook_does():
 
 
 def test_an_interrupt_that_nobody_clears_is_an_error_with_the_cycles_before_it():
-    stage = Stage("xyz")
+    stage = Stage("xyz", visuals=False)
     board = moving(stage)
     board.on_interrupt(lambda: None)
     with pytest.raises(StormError, match="clear the interrupt"):
@@ -327,7 +327,7 @@ def test_a_delay_that_no_clock_holds_is_refused(us):
 
 
 def test_an_error_in_a_hook_reaches_the_host():
-    board = moving(Stage("xyz"))
+    board = moving(Stage("xyz", visuals=False))
 
     def hook():
         raise KeyError("mine")

@@ -3,16 +3,14 @@
 PULSESTAGE_SEED repeats a run. The test ids do not tell the random values, so that all pytest-xdist workers collect alike.
 """
 
-import os
-
 import numpy as np
 import pytest
+from examples import SEED
 from programs import load_registers
 
 from stage.chips import PCL240K
 
 FOREVER = 1 << 42
-SEED = int(os.environ.get("PULSESTAGE_SEED") or np.random.SeedSequence().entropy)
 RNG = np.random.default_rng(SEED)
 
 

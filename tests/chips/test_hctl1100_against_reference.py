@@ -3,11 +3,11 @@
 PULSESTAGE_EXAMPLES scales the number of programs.
 """
 
-import os
 from fractions import Fraction
 
 import hctl1100_programs as traffic
 import pytest
+from examples import EXAMPLES
 from hctl1100_programs import CONTROL, MODE_FLAGS, acceleration, begin, gains, velocity, word
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
@@ -15,7 +15,6 @@ from reference.hctl1100 import ReferenceHCTL1100
 
 from stage.chips import HCTL1100
 
-EXAMPLES = int(os.environ.get("PULSESTAGE_EXAMPLES", "100"))
 random_programs = settings(
     max_examples=EXAMPLES, deadline=None, print_blob=True, suppress_health_check=list(HealthCheck)
 )

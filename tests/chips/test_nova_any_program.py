@@ -4,13 +4,14 @@ import copy
 
 import pytest
 from covers import covers
+from examples import scaled
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from stage.chips import MCX302, MCX304, MCX312, MCX514
 
 CHIPS = (MCX514, MCX304, MCX302, MCX312)
-programs = settings(max_examples=50, deadline=None, suppress_health_check=list(HealthCheck), print_blob=True)
+programs = settings(max_examples=scaled(10), deadline=None, suppress_health_check=list(HealthCheck), print_blob=True)
 data = st.one_of(st.integers(-60, 60), st.integers(1, 1_000_000), st.integers(0, (1 << 32) - 1))
 
 

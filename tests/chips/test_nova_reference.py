@@ -1,12 +1,12 @@
 """The references that judge the NOVA chips, themselves judged: by hand-computed moves and by the page's formulas."""
 
 import math
-import os
 import random
 from fractions import Fraction
 from itertools import pairwise
 
 import pytest
+from examples import SEED, scaled
 from reference.nova_paths import (
     END,
     angles,
@@ -23,7 +23,6 @@ from reference.nova_paths import (
 )
 from reference.nova_profile import SECOND, Drive, mp
 
-SEED = int(os.environ.get("PULSESTAGE_SEED", random.SystemRandom().getrandbits(32)))
 MS = SECOND // 1000
 RAMP = {"SV": 1000, "AC": 1_000_000}  # 1000, 3000, 5000, 7000 pps after 0, 4, 12, 24 pulses and 0, 2, 4, 6 ms
 NO_PREVENTION = {"triangle_prevention": False}
@@ -105,7 +104,7 @@ def ramp(low, high, limit, jerk):
 def test_an_s_curve_too_short_for_dv_peaks_where_pa_and_pd_are_p():
     print("PULSESTAGE_SEED", SEED)
     rng = random.Random(SEED)
-    for _ in range(30):
+    for _ in range(scaled(6)):
         sv, peak, up, down = rng.uniform(10, 2000), rng.uniform(3000, 30_000), rng.uniform(1, 40), rng.uniform(1, 40)
         ac, dc = rng.uniform(0.3, 2) * up * 4000, rng.uniform(0.3, 2) * down * 4000
         jk, dj = ac * up, dc * down
@@ -169,7 +168,7 @@ def random_drive(rng):
 def test_any_fixed_pulse_drive_keeps_its_limits_and_ends_at_sv():
     print("PULSESTAGE_SEED", SEED)
     rng = random.Random(SEED)
-    for _ in range(60):
+    for _ in range(scaled(12)):
         options = random_drive(rng)
         drive = Drive(**options)
         note = repr(options)
@@ -212,7 +211,7 @@ def test_lines_of_a_hand():
 def test_any_line_is_within_half_an_lsb():
     print("PULSESTAGE_SEED", SEED)
     rng = random.Random(SEED)
-    for _ in range(100):
+    for _ in range(scaled(20)):
         finish = tuple(rng.randint(-300, 300) for _ in range(rng.randint(2, 4)))
         course = points(line_ticks(finish))
         assert course[-1] == finish
@@ -249,7 +248,7 @@ def random_arc(rng, least=3):
 def test_any_arc_is_within_one_lsb_and_ends_at_its_finish():
     print("PULSESTAGE_SEED", SEED)
     rng = random.Random(SEED)
-    for _ in range(300):
+    for _ in range(scaled(60)):
         centre, finish, clockwise = random_arc(rng)
         course = points(circle_ticks(centre, finish, clockwise))
         note = f"{centre} {finish} {clockwise}"

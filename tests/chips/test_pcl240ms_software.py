@@ -1,6 +1,7 @@
 """PCL-240MK and MS: /RESET, and what software written for an older chip does on a newer one."""
 
 import pytest
+from examples import scaled
 from hypothesis import HealthCheck, given, settings
 from pcl240k_bench import FOREVER, clocks_while, commands, counter
 from pcl240k_programs import real_programs, register
@@ -99,7 +100,7 @@ def life(make, program, **first):
     return seen
 
 
-same_programs = settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
+same_programs = settings(max_examples=scaled(30), deadline=None, suppress_health_check=list(HealthCheck))
 
 
 @same_programs

@@ -8,6 +8,7 @@ import sys
 
 import numpy as np
 import pytest
+from examples import scaled
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -149,7 +150,7 @@ def test_at_rest_the_torque_over_angle_is_a_sine_and_four_detents():
 
 
 @given(st.floats(-500, 500), st.integers(-1_000_000, 1_000_000), st.sampled_from([1, 2, 16, 256]))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=scaled(20), deadline=None)
 def test_powering_up_puts_the_field_on_the_nearest_microstep_without_a_jump(theta, count, microsteps):
     d = record(Drive(microsteps=microsteps))
     stepper.align(d, float(count), theta)
@@ -162,7 +163,7 @@ def test_powering_up_puts_the_field_on_the_nearest_microstep_without_a_jump(thet
 
 
 @given(st.integers(-1000, 1000), st.floats(-0.49, 0.49))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=scaled(20), deadline=None)
 def test_lost_steps_counts_four_for_each_tooth_the_rotor_is_behind(teeth, rest):
     d = record(Drive())
     lost = stepper.lost_steps(d, 0.0, -(teeth + rest) * 2 * math.pi / 50)

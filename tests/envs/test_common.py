@@ -3,7 +3,7 @@
 import copy
 import pickle
 import warnings
-from itertools import product
+from itertools import cycle, product
 
 import gymnasium
 import numpy as np
@@ -20,6 +20,8 @@ OTHER_CHIPS = [
     "stage/SynchronizedMove-v0 MCX514", "stage/SynchronizedMove-v0 MCX302",
 ]  # fmt: skip
 """Families of chips beside the default: an id and a chip."""
+BRIEF = ["stage/RegisterBus-v0", "stage/OriginReturn-v0"]
+"""Of those that are alike to a property: the everyday suite takes these, `make test-slow` all."""
 SETTINGS = {
     "stage/RegisterTuning-v0": {"moves": 2, "distances": (400, 1600), "limit": 0.5, "settle": 0.01},
     "stage/RegisterBus-v0": {"cycles": 4, "bus_cycle": 1e-3, "waits": (1e-3, 1e-2)},
@@ -30,12 +32,17 @@ SETTINGS = {
 pytestmark = pytest.mark.filterwarnings("error")
 
 
-@pytest.fixture(params=EVERY, ids=lambda id_: id_.split("/")[1])
+def daily(every, brief):
+    """The parameters, those that are not brief with the mark slow."""
+    return [id_ if id_ in brief else pytest.param(id_, marks=pytest.mark.slow) for id_ in every]
+
+
+@pytest.fixture(params=daily(EVERY, BRIEF), ids=lambda id_: id_.split("/")[1])
 def id_(request):
     return request.param
 
 
-@pytest.fixture(params=[*EVERY, *OTHER_CHIPS], ids=lambda id_: id_.split("/")[1])
+@pytest.fixture(params=daily([*EVERY, *OTHER_CHIPS], [*BRIEF, OTHER_CHIPS[0]]), ids=lambda id_: id_.split("/")[1])
 def any_(request):
     """An id, or an id and a chip."""
     return request.param
@@ -79,6 +86,7 @@ def same(a, b):
     return type(a) is type(b) and a == b
 
 
+@pytest.mark.parametrize("any_", daily([*EVERY, *OTHER_CHIPS], EVERY), ids=lambda id_: id_.split("/")[1])
 def test_gymnasium_finds_nothing_to_complain_about(any_):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -113,9 +121,9 @@ def test_a_pickled_environment_goes_on_as_the_first(any_):
 
 
 BRIEFLY = [  # every chip in every mode on every number of threads: `make test-slow`
-    *(pytest.param(id_, mode, 2) for id_ in EVERY for mode in AutoresetMode),
-    *(pytest.param(id_, AutoresetMode.NEXT_STEP, 1) for id_ in EVERY),
-    *(pytest.param(id_, AutoresetMode.SAME_STEP, 2) for id_ in OTHER_CHIPS),
+    *(pytest.param(id_, mode, 2) for id_ in BRIEF for mode in AutoresetMode),
+    *(pytest.param(id_, AutoresetMode.NEXT_STEP, threads) for id_, threads in zip(EVERY, cycle((1, 2)), strict=False)),
+    *(pytest.param(id_, AutoresetMode.SAME_STEP, 2) for id_ in OTHER_CHIPS[1:3]),
 ]
 LONG = [
     pytest.param(*case, marks=pytest.mark.slow)
@@ -279,7 +287,7 @@ def test_the_named_parts_of_the_reward_are_its_sum(any_):
             assert sum(step[4]["reward_parts"].values()) == pytest.approx(step[1], abs=1e-12)
 
 
-@pytest.mark.parametrize("any_", [*EVERY, OTHER_CHIPS[0]], ids=lambda id_: id_.split("/")[1])
+@pytest.mark.parametrize("any_", daily([*EVERY, OTHER_CHIPS[0]], BRIEF[1:]), ids=lambda id_: id_.split("/")[1])
 def test_an_episode_can_be_recorded(any_, tmp_path):
     env, plain = make(any_, record=str(tmp_path / "run" / "{}.rrd")), make(any_)
     assert same(episode(env, 2, 3), episode(plain, 2, 3)), "a recording changes nothing"

@@ -1,17 +1,14 @@
 """Registers as actions: every legal value has an action, and every action a legal value."""
 
-import os
-
 import numpy as np
 import pytest
+from examples import SEED
 
 from stage import ArgumentError
 from stage.chips import PCL240K, PCL240MS
 from stage.envs.hosts.pcl240 import S_CURVES
 from stage.envs.hosts.pcl240 import TUNED as REGISTERS
 from stage.envs.registers import RegisterBox
-
-SEED = int(os.environ.get("PULSESTAGE_SEED") or np.random.SeedSequence().entropy)
 
 
 def box(chip):

@@ -15,7 +15,7 @@ def x():
 
 @pytest.fixture(scope="module")
 def stage():
-    return Stage("xyz", chips=PCL240K)
+    return Stage("xyz", chips=PCL240K, visuals=False)
 
 
 @pytest.fixture

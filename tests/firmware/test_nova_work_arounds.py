@@ -43,7 +43,7 @@ class Setup:
         self.bench.wait(max(self.began + seconds - self.bench.time, 0))
 
     def runs_away(self):
-        self.bench.wait(5)
+        self.bench.wait(2.5)  # longer than a whole drive
         return self.driver.driving() and not self.driver.word(1) & nova.PHASES
 
     def ended_at(self):

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from examples import SEED
 
 from stage import ArgumentError, firmware
 from stage.chips import PCL240K
@@ -16,8 +17,6 @@ from stage.firmware.profile import (
     ramp_seconds,
     triangular_down_point,
 )
-
-SEED = np.random.SeedSequence().entropy
 
 
 def test_the_data_sheets_examples():

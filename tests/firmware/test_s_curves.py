@@ -1,15 +1,13 @@
 """What the MK and MS offer, used by the same procedures: S-curves, the automatic ramp-down point, position counter, read-back."""
 
-import os
-
 import numpy as np
 import pytest
+from examples import SEED
 
 from stage import ArgumentError, StageError, firmware
 from stage.chips import PCL240K, PCL240MK, PCL240MS
 from stage.firmware import Bench, Port, Profile
 
-SEED = int(os.environ.get("PULSESTAGE_SEED") or np.random.SeedSequence().entropy)
 SHAPES = [False, True, 0.2]
 
 

@@ -6,6 +6,7 @@ import time
 
 import numpy as np
 import pytest
+from examples import SEED, scaled
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -30,7 +31,7 @@ def bench(chip, names="xy", **options):
 
 
 def seeded():
-    seed = random.randrange(10**6)
+    seed = SEED
     print("seed", seed)
     return random.Random(seed)
 
@@ -42,7 +43,7 @@ def random_distances(rng, names, low=100, high=50_000):
 @every_shape
 def test_random_pairs_stay_as_close_to_their_line_as_perfect_axes(chip, shape):
     rng, far, perfect = seeded(), [], []
-    for _ in range(25):
+    for _ in range(scaled(5)):
         distances, chips = random_distances(rng, "xy"), bench(chip)
         report = synchronized_move(distances, chips, **shape)
         far.append(report.deviation.pulses)
@@ -60,7 +61,7 @@ def test_random_pairs_stay_as_close_to_their_line_as_perfect_axes(chip, shape):
 @every_shape
 def test_random_triples_stay_as_close_to_their_line_as_perfect_axes(chip, shape):
     rng, far, perfect = seeded(), [], []
-    for _ in range(8):
+    for _ in range(scaled(3)):
         distances = random_distances(rng, "xyz", high=30_000)
         report = synchronized_move(distances, bench(chip, "xyz"), **shape)
         assert {n: r.pulses for n, r in report.axes.items()} == distances
@@ -73,7 +74,7 @@ def test_random_triples_stay_as_close_to_their_line_as_perfect_axes(chip, shape)
 @every_shape
 def test_every_axis_rises_to_its_fh_and_ends_at_fl(chip, shape):
     rng = seeded()
-    for _ in range(10):
+    for _ in range(scaled(3)):
         long = rng.randint(5_000, 50_000)
         distances = {"x": long, "y": -round(long * rng.uniform(0.2, 1))}
         report = synchronized_move(distances, bench(chip), accel=rng.uniform(0.02, 0.3), **shape)
@@ -137,7 +138,7 @@ def test_a_linear_plan_for_an_ms_says_so_in_r14():
 )
 def test_an_automatic_plan_makes_the_pulses_of_its_r6_twin(chip, bits, s_curve):
     rng = seeded()
-    for _ in range(10):
+    for _ in range(scaled(3)):
         distances = random_distances(rng, "xyz", 50, 30_000)
         p = plan(distances, chips=chip, automatic=True, s_curve=s_curve, accel=rng.uniform(0.02, 0.4))
         report = synchronized_move(p, bench(chip, "xyz", bus_cycle=0.0))
@@ -182,7 +183,7 @@ def test_the_automatic_point_reaches_ramps_too_long_for_r6():
 
 def test_chips_may_be_mixed_and_each_axis_keeps_to_its_own_registers():
     rng = seeded()
-    for _ in range(12):
+    for _ in range(scaled(4)):
         kinds = {n: rng.choice(FAMILY) for n in "xyz"}
         distances = random_distances(rng, "xyz", 50, 20_000)
         report = synchronized_move(distances, Bench(**{n: kind() for n, kind in kinds.items()}))
@@ -208,7 +209,7 @@ def test_wider_rate_registers_ramp_more_slowly():
     assert p.deviation < 1.5
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=scaled(20), deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(
     st.lists(st.tuples(st.floats(0, math.log(300_000)), st.sampled_from(FAMILY)), min_size=1, max_size=3),
     st.floats(math.log(20), math.log(1_000_000)), st.floats(0, math.log(10_000)), st.floats(math.log(1e-3), math.log(5)),
@@ -235,7 +236,7 @@ def test_every_planned_register_is_legal_on_its_chip(axes, rate, fl, accel, s_cu
 
 def test_the_closed_form_of_s_curves_is_the_chip_to_a_thousandth_of_a_pulse():
     rng = random.Random(240)  # one draw in 20,000 is a little more than a thousandth off, as of seed 67343
-    for _ in range(200):
+    for _ in range(scaled(20)):
         fl = rng.randint(1, 500)
         fh = fl + rng.choice((0, 1, 2, 5, rng.randint(1, 3000)))
         r6 = rng.choice((0, rng.randint(1, 4000)))  # triangles and runs that never leave FL among them
@@ -255,7 +256,7 @@ def test_the_closed_form_of_s_curves_is_the_chip_to_a_thousandth_of_a_pulse():
 @every_shape
 def test_a_plan_comes_true(chip, shape):
     rng = seeded()
-    for _ in range(6):
+    for _ in range(scaled(2)):
         distances = random_distances(rng, "xyz", 50, 20_000)
         clocks = {n: rng.choice((4_915_200, 8_000_000)) for n in "xyz"}
         chips = Bench(**{n: chip(hz) for n, hz in clocks.items()}, bus_cycle=rng.choice((1e-6, 2e-5)))
@@ -305,7 +306,7 @@ def test_planning_s_curves_takes_milliseconds():
 
 @pytest.fixture(scope="module")
 def stage():
-    return Stage("xyz", chips=PCL240MS)
+    return Stage("xyz", chips=PCL240MS, visuals=False)
 
 
 @pytest.mark.parametrize("shape", [{"s_curve": True}, {"s_curve": 0.3, "automatic": True}], ids=["S", "automatic"])

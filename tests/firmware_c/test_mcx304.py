@@ -119,6 +119,6 @@ def test_a_broken_register_write_is_named_with_its_cycle_and_leaves_a_recording(
 
 
 def test_a_chip_that_is_not_there_is_missed(firmware):
-    board = Board(Stage("xyz", chips=MCX304), base=0x400)
+    board = Board(Stage("xyz", chips=MCX304, visuals=False), base=0x400)
     assert NativeHost(firmware("mcx304", BARE, LATE), board).run(TIMEOUT).code == 10
     assert {cycle.port for cycle in board.strays} == {0x300}

@@ -2,6 +2,7 @@
 
 import pytest
 from chip_machine import machine_of
+from examples import scaled
 from hypothesis.stateful import run_state_machine_as_test
 from machine_profile import everyday, long
 
@@ -10,7 +11,7 @@ from stage.chips import CHIPS
 
 @pytest.mark.parametrize("name", CHIPS)
 def test_whatever_a_host_does_the_invariants_of_a_chip_hold(name):
-    run_state_machine_as_test(machine_of(CHIPS[name]), settings=everyday(30))
+    run_state_machine_as_test(machine_of(CHIPS[name]), settings=everyday(scaled(6)))
 
 
 @pytest.mark.slow

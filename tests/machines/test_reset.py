@@ -1,7 +1,7 @@
 """The reset pin: whatever a chip was told before, from then on it does what a chip does that was just switched on."""
 
 import pytest
-from examples import EXAMPLES
+from examples import scaled
 from families import bus_of, host_of
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -35,9 +35,7 @@ def test_after_a_reset_nothing_tells_what_was_before(name):
         for axis, word in enumerate(pins):
             chip._set_input_word(axis, word & sum(cls.INPUTS.values()))
 
-    @settings(
-        max_examples=max(EXAMPLES // 25, 2), deadline=None, suppress_health_check=list(HealthCheck), print_blob=True
-    )
+    @settings(max_examples=scaled(2), deadline=None, suppress_health_check=list(HealthCheck), print_blob=True)
     @given(
         st.lists(st.tuples(programs, words), min_size=1, max_size=6), words, st.lists(programs, min_size=1, max_size=4)
     )

@@ -1,6 +1,7 @@
 """Whatever happens to a stage, whichever chips move it, the named invariants of stage_machine.py hold."""
 
 import pytest
+from examples import scaled
 from hypothesis.stateful import run_state_machine_as_test
 from machine_profile import everyday, long
 from stage_machine import ARRANGEMENTS, stage_machine_of
@@ -8,7 +9,7 @@ from stage_machine import ARRANGEMENTS, stage_machine_of
 
 @pytest.mark.parametrize("arrangement", ARRANGEMENTS)
 def test_whatever_happens_to_a_stage_its_invariants_hold(arrangement):
-    run_state_machine_as_test(stage_machine_of(arrangement), settings=everyday(25, 15))
+    run_state_machine_as_test(stage_machine_of(arrangement), settings=everyday(scaled(5), 15))
 
 
 @pytest.mark.slow

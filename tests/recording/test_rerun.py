@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import mujoco
 import numpy as np
 import pytest
+from examples import scaled
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from programs import load_registers
@@ -168,7 +169,7 @@ def test_geoms_of_every_kind_have_their_shape_size_and_colour():
     ]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=scaled(20), deadline=None)
 @given(
     values=st.lists(st.floats(-1e6, 1e6, width=32), min_size=1, max_size=60),
     repeats=st.integers(1, 5),

@@ -118,6 +118,7 @@ class Drive:
         self.jerk = {+1: number(JK), -1: number(down[1])} if s_curve else None
         self.pieces = []
         self.end = None  # seconds; None while it runs for ever
+        self._times = {}  # what pulse_times has said, by `until`
         self._run(sorted(interventions, key=lambda what: what[0]))
 
     # The course
@@ -286,6 +287,11 @@ class Drive:
 
     def pulse_times(self, until=None):
         """Exact clocks at which the pulses are due. `until`: clock, needed where a drive has no end."""
+        if until not in self._times:
+            self._times[until] = self._pulse_times(until)
+        return self._times[until]
+
+    def _pulse_times(self, until):
         end = mp.inf if self.end is None else self.end * SECOND
         horizon = min(end, mp.inf if until is None else mp.mpf(until))
         assert horizon < mp.inf, "a continuous drive: say until which clock"

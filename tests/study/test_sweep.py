@@ -14,6 +14,7 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
+from examples import SEED
 
 pytest.importorskip("pyarrow", reason="studies are kept in Parquet files: pip install pyarrow")
 
@@ -105,9 +106,11 @@ def assert_all_once(table, undisturbed):
 # Killed drivers
 
 
-@pytest.mark.parametrize("way", ["processes", "threads", pytest.param("ray", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "way", ["processes", *(pytest.param(way, marks=pytest.mark.slow) for way in ("threads", "ray"))]
+)
 def test_a_killed_driver_resumes_with_the_same_command_and_runs_only_what_lacks(way, tmp_path, undisturbed, request):
-    seed = random.randrange(10**6)
+    seed = SEED
     print(f"seed {seed}")
     rng = random.Random(seed)
     folder, log = tmp_path / "study", tmp_path / "log"
