@@ -43,8 +43,7 @@ test: .venv/.dev
 	$(BIN)/python -m pytest -n 2 --dist worksteal
 
 test-slow: .venv/.dev
-	PULSESTAGE_EXAMPLES=100 $(BIN)/python -m pytest -n 2 --dist worksteal -m 'slow or not slow' --ignore tests/chips
-	$(BIN)/python -m pytest -n 2 -m slow tests/chips
+	PULSESTAGE_EXAMPLES=100 $(BIN)/python -m pytest -n 2 --dist worksteal -m 'slow or not slow'
 	PULSESTAGE_EXAMPLES=1500 $(BIN)/python -m pytest -n 2 tests/chips
 
 soak: .venv/.dev

@@ -94,7 +94,8 @@ def test_mended_chips_end_on_target_either_way(here, once, capsys):
     assert said.rstrip().endswith("as claimed")
 
 
-def test_it_draws_itself_and_records_both_runs(here, capsys):
+def test_it_draws_itself_and_records_both_runs(here, capsys, monkeypatch):
+    monkeypatch.setattr(erratum, "LOOK", 0.4)
     said = out(capsys, "--plot", "e.png", "--record", "e.rrd", "--vcd", "e.vcd").out
     assert (here / "e.png").read_bytes().startswith(b"\x89PNG")
     for name in ("e.rrd", "e-work-around.rrd"):
