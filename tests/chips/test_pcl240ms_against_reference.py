@@ -113,7 +113,7 @@ def test_each_step_of_the_widest_s_curve_ramp_is_on_its_clock(rate, span, up):
 def test_the_revised_fh_of_any_legal_values_is_the_references():
     """Only the starts are played on the reference; the product ramps up to the top, which no automatic point prevents."""
     revised = 0
-    for program, _ in programs(LARGE_CORRECTION, 0.5):
+    for program, _ in programs(LARGE_CORRECTION, 2.5):
         chip, model = pair("MS").chip, PAIRS["MS"][1]()
         for player in (chip, model):
             follow(player, program)
