@@ -157,7 +157,8 @@ def _emit(parts: list[list[str]], roots: dict[str, Path], processor: str, say: A
     places = {name: str(folder) for name, folder in roots.items()}
     environment = {k: v for k, v in os.environ.items() if not k.startswith("NUMBA_")} | {"PULSESTAGE_EMIT": "1"}
     here = [str(folder.parent) for name, folder in roots.items() if "." not in name]
-    environment["PYTHONPATH"] = os.pathsep.join(dict.fromkeys([*here, *filter(None, sys.path)]))  # pip builds in a place of its own
+    inherited = filter(None, sys.path)  # pip builds in a place of its own
+    environment["PYTHONPATH"] = os.pathsep.join(dict.fromkeys([*here, *inherited]))
     failed: list[str] = []
 
     def work(job: list[list[str]]) -> None:

@@ -242,7 +242,7 @@ def random_arc(rng, least=3):
     finish = (0, 0) if whole else (centre[0] + round(radius * math.cos(end)), centre[1] + round(radius * math.sin(end)))
     off = abs(math.dist(finish, centre) - math.hypot(*centre))
     if not whole and (max(map(abs, finish)) < 2 or off > 1):
-        return random_arc(rng, least)  # beside the start: a step or a turn, as rounding has it; or more than an LSB off the circle
+        return random_arc(rng, least)  # a step or a turn, as rounding has it; or rounded off the circle
     return centre, finish, rng.random() < 0.5
 
 
