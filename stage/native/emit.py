@@ -91,7 +91,7 @@ def _gather(library: Any, into: dict[int, Any]) -> None:
 
 def _entry(function: Any, context: Any) -> Iterator[Any]:
     """The libraries of an exported function: its C entry, and what numba made of the function."""
-    from stage.native.typed import type_of
+    from stage.native.typed import array_at, type_of
 
     returned, arguments = type_of(function.result), tuple(type_of(a) for a in function.arguments)
     function.hot.compile(arguments)
@@ -106,7 +106,10 @@ def _entry(function: Any, context: Any) -> Iterator[Any]:
     builder = ir.IRBuilder(entry.append_basic_block("entry"))
     left, values = iter(entry.args), []
     for a in arguments:
-        values.append(_array(context, builder, a, left) if isinstance(a, types.Array) else next(left))
+        if isinstance(a, types.Array):
+            values.append(array_at(context, builder, a, next(left), [next(left) for _ in range(a.ndim)]))
+        else:
+            values.append(next(left))
     inner = context.declare_function(module, made.fndesc)
     _, done = context.call_conv.call_function(builder, inner, made.signature.return_type, arguments, values)
     if returned == types.void:
@@ -115,21 +118,6 @@ def _entry(function: Any, context: Any) -> Iterator[Any]:
         builder.ret(context.cast(builder, done, made.signature.return_type, returned))
     library.add_ir_module(module)
     yield from (library, made.library)
-
-
-def _array(context: Any, builder: Any, kind: Any, words: Iterator[Any]) -> Any:
-    """numba's array of an address and a length for each dimension."""
-    from numba.np.arrayobj import make_array, populate_array
-
-    address, shape = next(words), [next(words) for _ in range(kind.ndim)]
-    array = make_array(kind)(context, builder)
-    size = context.get_constant(types.intp, context.get_abi_sizeof(context.get_data_type(kind.dtype)))
-    strides = [size]
-    for length in reversed(shape[1:]):
-        strides.insert(0, builder.mul(strides[0], length))
-    data = builder.inttoptr(address, context.get_data_type(kind.dtype).as_pointer())
-    populate_array(array, data=data, shape=shape, strides=strides, itemsize=size, meminfo=None)
-    return array._getvalue()
 
 
 @global_compiler_lock

@@ -10,12 +10,68 @@ import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
-from numba.core.registry import CPUDispatcher
+from numba.core.compiler import CompilerBase
+from numba.core.compiler_machinery import PassManager
+from numba.core.registry import CPUDispatcher, cpu_target
+from numba.core.typed_passes import (
+    IRLegalization,
+    NativeLowering,
+    NoPythonBackend,
+    NopythonTypeInference,
+    PreLowerStripPhis,
+)
+from numba.core.typing import Context
+from numba.core.untyped_passes import (
+    DeadBranchPrune,
+    FixupArgs,
+    GenericRewrites,
+    IRProcessing,
+    ReconstructSSA,
+    RewriteSemanticConstants,
+    TranslateByteCode,
+)
 from numba.extending import intrinsic, typeof_impl
+from numba.np.arrayobj import make_array, populate_array
 
 _OPTIONS = {
     "nopython": True, "nogil": True, "error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True,
 }  # fmt: skip
+
+
+class _Typing(Context):
+    """Remembers what operators and functions of numba's own give for which types: numba asks each of their forms each time."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._found: dict[Any, Any] = {}
+
+    def resolve_function_type(self, func: Any, args: Any, kws: Any) -> Any:
+        """numba's; see there."""
+        if kws or isinstance(func, (str, types.Dispatcher)):
+            return super().resolve_function_type(func, args, kws)
+        asked = func, tuple(args)
+        found = self._found.get(asked)
+        if found is None:
+            found = self._found[asked] = super().resolve_function_type(func, args, kws)
+        return found
+
+
+vars(cpu_target)["_toplevel_typing_context"] = _Typing()
+
+
+class _Pipeline(CompilerBase):
+    """Of numba's passes those that hot functions need: no closures, generators, literals to unroll, inlined overloads, array
+    expressions, annotations."""
+
+    def define_pipelines(self) -> list[Any]:
+        passes = PassManager("hot")
+        for each in (
+            TranslateByteCode, FixupArgs, IRProcessing, RewriteSemanticConstants, DeadBranchPrune, GenericRewrites, ReconstructSSA,
+            NopythonTypeInference, PreLowerStripPhis, IRLegalization, NativeLowering, NoPythonBackend,
+        ):  # fmt: skip
+            passes.add_pass(each, each.__name__)
+        passes.finalize()
+        return [passes]
 
 
 class _Hot(CPUDispatcher):
@@ -29,23 +85,38 @@ class _Hot(CPUDispatcher):
 
 def hot(function: Callable) -> Any:
     """numba's form of a hot function. No fastmath: the same input gives the same bits."""
-    return _Hot(function, targetoptions=dict(_OPTIONS))
+    return _Hot(function, targetoptions=dict(_OPTIONS), pipeline_class=_Pipeline)
 
 
-def _as_pointer(_context: Any, address: Any) -> Any:
+def array_at(context: Any, builder: Any, kind: Any, address: Any, shape: list[Any]) -> Any:
+    """LLVM's value of numba's array of this type that lies at an address; nobody owns it."""
+    array = make_array(kind)(context, builder)
+    item = context.get_data_type(kind.dtype)
+    size = context.get_constant(types.intp, context.get_abi_sizeof(item))
+    strides = [size]
+    for length in reversed(shape[1:]):
+        strides.insert(0, builder.mul(strides[0], length))
+    data = builder.inttoptr(address, item.as_pointer())
+    populate_array(array, data=data, shape=shape, strides=strides, itemsize=size, meminfo=None)
+    return array._getvalue()
+
+
+def _at(_context: Any, address: Any, shape: Any, dtype: Any) -> Any:
+    several = isinstance(shape, types.BaseTuple)
+    kind = types.Array(dtype.dtype, len(shape) if several else 1, "C")
+
     def lower(context: Any, builder: Any, signature: Any, given: Any) -> Any:
-        return builder.inttoptr(given[0], context.get_value_type(signature.return_type))
+        lengths = cgutils.unpack_tuple(builder, given[1]) if several else [given[1]]
+        whole = [
+            context.cast(builder, n, t, types.intp) for n, t in zip(lengths, shape if several else [shape], strict=True)
+        ]
+        return array_at(context, builder, kind, context.cast(builder, given[0], address, types.intp), whole)
 
-    return types.voidptr(types.intp), lower
+    return kind(address, shape, dtype), lower
 
 
-_pointer: Any = intrinsic(_as_pointer)
-
-
-@hot
-def at(address: Any, shape: Any, dtype: Any) -> Any:
-    """See stage.native.records."""
-    return numba.carray(_pointer(address), shape, dtype)
+at: Any = intrinsic(_at)
+"""See stage.native.records."""
 
 
 def type_of(kind: Any) -> Any:
