@@ -23,6 +23,16 @@ def elsewhere(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
 
-def pytest_collection_modifyitems(items):
-    """What NOVA chips do comes first: where nothing is compiled yet, one worker compiles them, and another need not wait for it."""
-    items.sort(key=lambda item: not any(name in item.nodeid.lower() for name in ("nova", "mcx")))
+@pytest.fixture(scope="module")
+def fresh():
+    from stage import Stage
+    from stage.chips import PCL240K
+
+    return Stage("xy", chips=PCL240K, visuals=False)
+
+
+@pytest.fixture
+def xy(fresh):
+    """Two axes at rest."""
+    fresh.reset()
+    return fresh

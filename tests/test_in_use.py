@@ -18,15 +18,9 @@ from stage.fleet import Fleet, Program
 from stage.native import COMPILED
 
 
-@pytest.fixture(scope="module")
-def fresh():
-    return Stage("xy", chips=PCL240K, visuals=False)
-
-
-@pytest.fixture
-def xy(fresh):
-    fresh.reset()
-    yield fresh
+@pytest.fixture(autouse=True)
+def callbacks_of_mujoco():
+    yield
     mujoco.set_mjcb_control(None)
 
 

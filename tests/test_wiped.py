@@ -16,17 +16,6 @@ from stage.envs import register_bus as rb
 from stage.fleet import Fleet, Program
 
 
-@pytest.fixture(scope="module")
-def fresh():
-    return Stage("xy", chips=PCL240K, visuals=False)
-
-
-@pytest.fixture
-def xy(fresh):
-    fresh.reset()
-    return fresh
-
-
 def bits(stage):
     return stage.snapshot().state.tobytes()
 

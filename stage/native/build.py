@@ -7,9 +7,11 @@ kept in the folder's __pycache__ under a digest of them all: only parts whose so
 from __future__ import annotations
 
 import ast
+import atexit
 import hashlib
 import json
 import os
+import platform
 import shutil
 import subprocess
 import sys
@@ -49,8 +51,6 @@ def build(package: str, say: Any = None) -> Path:
             return _build(package, places, folder, say or _Progress())
     except PermissionError:
         folder = Path(tempfile.mkdtemp(prefix="pulsestage-"))  # 0700; for this process
-        import atexit
-
         atexit.register(shutil.rmtree, folder, ignore_errors=True)
         return _build(package, places, folder, say or _Progress())
 
@@ -68,7 +68,7 @@ def _build(package: str, places: dict[str, Path], folder: Path, say: Any) -> Pat
     parts = _parts(package, {m: s for m, s in known.items() if m.partition(".")[0] == package})
     kept = folder / "__pycache__"
     kept.mkdir(exist_ok=True)
-    processor, needs = load.BASELINES.get(load.target().rpartition("-")[2], ("", ()))
+    processor, needs = load.BASELINES.get(platform.machine(), ("", ()))
     sources: dict[str, str] = {}
     objects, missing = [], []
     for name, modules in parts.items():

@@ -89,7 +89,10 @@ class Exported:
 
     def _number(self, k: int, value: Any, kind: str) -> Any:
         if kind == "f8":
-            return float(value)
+            try:
+                return float(value)
+            except (TypeError, ValueError):
+                raise ArgumentError(f"{self.name}, argument {k + 1}: {value!r}; it takes a number.") from None
         try:
             number = index(value)
         except TypeError:

@@ -107,6 +107,15 @@ def test_arrays_are_refused_likewise():
 
 
 @pytest.mark.skipif(not COMPILED, reason="Python looks by itself")
+@pytest.mark.parametrize("given", ["fast", None, [1.0]])
+def test_a_number_that_is_none_is_refused_likewise(given):
+    halved = Exported(lambda x: x / 2, "f8", ("f8",))
+    Exported.every.remove(halved)
+    with pytest.raises(ArgumentError, match="argument 1: .*it takes a number"):
+        halved(given)
+
+
+@pytest.mark.skipif(not COMPILED, reason="Python looks by itself")
 def test_a_core_refuses_an_array_of_another_kind():
     """core.advance(np.zeros(4, np.int64))"""
     with pytest.raises(ArgumentError, match="advance, argument 1"):
