@@ -312,6 +312,7 @@ class _Binder:
         self.problems: list[str] = []
         self.lines: list[str] = []
         self.texts = _texts(model)
+        self.scans: dict[int, tuple[list[float], np.ndarray, np.ndarray]] = {}
 
     def bind(self) -> tuple[PlantAxis, ...]:
         off = mujoco.mjtDisableBit
@@ -500,10 +501,39 @@ class _Binder:
     def _distance(self, joint: int, q: float, vane: int, switch: int) -> float:
         self._at(joint, q)
         mujoco.mj_kinematics(self.model, self.data)
-        return float(mujoco.mj_geomDistance(self.model, self.data, vane, switch, 1e3, None))
+        return mujoco.mj_geomDistance(self.model, self.data, vane, switch, 1e3, None)
+
+    def _scan(self, joint: int, low: float, high: float) -> tuple[list[float], np.ndarray, np.ndarray]:
+        """SCAN positions of the joint over its range, and where all geoms are there; the same for all switches of an axis."""
+        if joint not in self.scans:
+            positions, turns = np.empty((SCAN, self.model.ngeom, 3)), np.empty((SCAN, self.model.ngeom, 9))
+            grid = np.linspace(low, high, SCAN).tolist()
+            for k, q in enumerate(grid):
+                self._at(joint, q)
+                mujoco.mj_kinematics(self.model, self.data)
+                positions[k], turns[k] = self.data.geom_xpos, self.data.geom_xmat
+            self.scans[joint] = grid, positions, turns
+        return self.scans[joint]
+
+    def _distances(
+        self, joint: int, low: float, high: float, vane: int, switch: int
+    ) -> tuple[list[float], list[float]]:
+        """SCAN positions of the joint over its range, and the distance of vane and switch at each."""
+        grid, positions, turns = self._scan(joint, low, high)
+        here = [(table[geom], kept[:, geom]) for geom in (vane, switch)
+                for table, kept in ((self.data.geom_xpos, positions), (self.data.geom_xmat, turns))]  # fmt: skip
+        found = []
+        for k in range(SCAN):
+            for place, kept in here:
+                place[:] = kept[k]
+            found.append(mujoco.mj_geomDistance(self.model, self.data, vane, switch, 1e3, None))
+        return list(grid), found
 
     def _pushing(self) -> list[set[int]]:
-        return [{int(c.geom1), int(c.geom2)} for c in self.data.contact[: self.data.ncon] if c.efc_address >= 0]
+        contact, count = self.data.contact, self.data.ncon
+        if not count:
+            return []
+        return [set(pair) for pair in contact.geom[contact.efc_address >= 0].tolist()]
 
     def _edge(self, joint: int, vane: int, switch: int, low: float, high: float, pin: str) -> tuple[float, float] | str:
         """(joint position where the vane trips the switch, d dist / d q there), or what is wrong."""
@@ -511,11 +541,10 @@ class _Binder:
         def distance(q: float) -> float:
             return self._distance(joint, q, vane, switch)
 
-        grid = list(np.linspace(low, high, SCAN))
-        dist = [distance(q) for q in grid]
+        grid, dist = self._distances(joint, low, high, vane, switch)
         for k in range(SCAN - 2, 0, -1):  # a narrow vane may pass between two positions tried
             if 0 < dist[k] <= min(dist[k - 1], dist[k + 1]) and 2 * dist[k] <= max(dist[k - 1], dist[k + 1]):
-                grid[k : k + 1] = finer = np.linspace(grid[k - 1], grid[k + 1], 65)[1:-1]
+                grid[k : k + 1] = finer = np.linspace(grid[k - 1], grid[k + 1], 65)[1:-1].tolist()
                 dist[k : k + 1] = [distance(q) for q in finer]
         on = np.array(dist) <= 0
         if on.all():

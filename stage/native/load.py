@@ -62,10 +62,9 @@ def unfit(package: str, path: Path) -> str:
         return f"{path} was built for {manifest['target']}, this is {target()}"
     if lacking := [f for f in manifest["needs"] if f not in features()]:
         return f"{path} needs a processor with {', '.join(lacking)}, which this one has not"
-    places: dict[str, dict[str, Path]] = {}
+    places = {root: folders(root) for root in {module.partition(".")[0] for module in manifest["sources"]}}
     for module, digest in manifest["sources"].items():
-        root = module.partition(".")[0]
-        source = source_of(module, places.setdefault(root, folders(root)))
+        source = source_of(module, places[module.partition(".")[0]])
         if source is None or digest_of(source) != digest:
             return f"{path} was built from other sources: {module} has changed"
     return ""
