@@ -135,6 +135,25 @@ def _along(d, n, theta, pace, omega, h):
 
 
 @hot
+def _along_within_reach(d, n, theta, pace, omega, h):
+    """`_along` of a CHOPPER whose bus voltage takes both currents to their targets in every slice: no slice then waits for the one
+    before, to the same bits. Returns as well whether it was so; otherwise the rest means nothing."""
+    s, c = sincos(theta * d.teeth)
+    turn_s, turn_c = sincos(pace * h * d.teeth)
+    keep, reach, push, current = d.keep, d.reach, d.back * omega, d.current
+    a, b, total, within = d.current_a, d.current_b, 0.0, True
+    for k in range(n):
+        ia, ib = current * d.waves[1, k], current * d.waves[0, k]
+        low_a, high_a = a * keep + (push * s - reach), a * keep + (push * s + reach)
+        low_b, high_b = b * keep - (push * c + reach), b * keep - (push * c - reach)
+        within = within & (low_a <= ia) & (ia <= high_a) & (low_b <= ib) & (ib <= high_b)
+        total += _torque(d, 0.5 * (a + ia), 0.5 * (b + ib), s, c)
+        a, b = ia, ib
+        s, c = s * turn_c + c * turn_s, c * turn_c - s * turn_s
+    return total / n, a, b, within
+
+
+@hot
 def mean_torque(d, counts, n, theta, omega, h, gain=0.0):
     """Advance the currents by n slices of h seconds at constant speed; returns the mean torque on the rotor, N m.
 
@@ -146,14 +165,25 @@ def mean_torque(d, counts, n, theta, omega, h, gain=0.0):
     """
     if d.slice != h:
         _prepare(d, h)
+    offset, per_pulse = d.offset, d.per_pulse  # read before anything is written: then this makes vector instructions
     for k in range(n):
-        s, c = sincos(d.offset + d.per_pulse * counts[k])
+        s, c = sincos(offset + per_pulse * counts[k])
         d.waves[0, k] = s
         d.waves[1, k] = c
-    torque, a, b = _along(d, n, theta, omega, omega, h)
+    torque = a = b = 0.0
+    within = d.mode == CHOPPER and d.open == 0
+    if within:
+        torque, a, b, within = _along_within_reach(d, n, theta, omega, omega, h)
+    if not within:
+        torque, a, b = _along(d, n, theta, omega, omega, h)
     if gain != 0.0:
         more = gain * torque
-        torque, a, b = _along(d, n, theta - 0.5 * (n - 1) * h * more, omega + more, omega, h)
+        theta -= 0.5 * (n - 1) * h * more
+        pace = omega + more
+        if within:
+            torque, a, b, within = _along_within_reach(d, n, theta, pace, omega, h)
+        if not within:
+            torque, a, b = _along(d, n, theta, pace, omega, h)
     d.current_a, d.current_b = a, b
     return torque
 
