@@ -24,7 +24,7 @@ import numpy as np
 from stage.chips import cores
 from stage.chips.entries import INPUT, SEE
 from stage.drives import drive, stepper
-from stage.native import at, called, greatest, hot, least, record
+from stage.native import at, called, floor, greatest, hot, least, record
 from stage.pins import PINS
 
 _step = called(None, "i8", "i8")
@@ -126,7 +126,7 @@ def clock_at(now, hz):
 def _off_index(t, q):
     """Turns from the nearest index mark to the rotor, -0.5 to 0.5."""
     turns = q * t.gear / TURN - t.index_at
-    return turns - math.floor(turns + 0.5)
+    return turns - floor(turns + 0.5)
 
 
 @hot
@@ -136,7 +136,7 @@ def _foresee_index(world, axis, t, q, v, half):
     speed = v * t.gear / TURN
     way = 1.0 if speed >= 0.0 else -1.0
     off = (_off_index(t, q) - speed * half) * way  # as if the motor turned forward
-    off -= math.floor(off + 0.5)
+    off -= floor(off + 0.5)
     rim = 0.5 * INDEX + (INDEX_HYSTERESIS if axis.index_on else 0.0)
     speed *= way
     if axis.index_on:

@@ -6,9 +6,7 @@ of fdlibm's k_sin.c and k_cos.c. Error: 1 unit in the last place, plus that of t
 
 from __future__ import annotations
 
-import math
-
-from stage.native import hot
+from stage.native import floor, hot
 
 QUARTERS = 0.6366197723675814  # a radian, 2 / pi
 FIRST, SECOND, THIRD = 1.5707963267341256, 6.077100506303966e-11, 2.0222662487959506e-21  # pi / 2 in parts of 33 bits
@@ -17,7 +15,7 @@ FIRST, SECOND, THIRD = 1.5707963267341256, 6.077100506303966e-11, 2.022266248795
 @hot
 def sincos(x):
     """(sin x, cos x), x in radians. No branch and no integer, so that a loop over it makes vector instructions."""
-    k = math.floor(x * QUARTERS + 0.5)
+    k = floor(x * QUARTERS + 0.5)
     r = x - k * FIRST - k * SECOND - k * THIRD
     z = r * r
     s = 8.333333333322489e-3 + z * (-1.98412698298579493134e-4 + z * (2.75573137070700676789e-6
@@ -26,7 +24,7 @@ def sincos(x):
     c = 4.16666666666666019037e-2 + z * (-1.38888888888741095749e-3 + z * (2.48015872894767294178e-5
         + z * (-2.75573143513906633035e-7 + z * (2.08757232129817482790e-9 - z * 1.13596475577881948265e-11))))  # fmt: skip
     c = 1.0 - (0.5 * z - z * z * c)
-    half = math.floor(0.5 * k)  # half turns
-    sign = 1.0 - 2.0 * (half - 2.0 * math.floor(0.5 * half))
+    half = floor(0.5 * k)  # half turns
+    sign = 1.0 - 2.0 * (half - 2.0 * floor(0.5 * half))
     odd = k - 2.0 * half > 0.5
     return sign * (c if odd else s), sign * (-s if odd else c)

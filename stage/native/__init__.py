@@ -14,12 +14,12 @@ With NUMBA_DISABLE_JIT=1 the same functions run as plain Python, to the same bit
 A package outside this one is built by the same means: `python -m stage.native PACKAGE`.
 """
 
-from stage.native.arithmetic import greatest, least
+from stage.native.arithmetic import floor, greatest, least
 from stage.native.functions import Exported, array_of, called, exchange, exported, hot
 from stage.native.mode import COMPILED
 from stage.native.records import address_of, at, plain, record
 
 __all__ = [
-    "COMPILED", "Exported", "address_of", "array_of", "at", "called", "exchange", "exported", "greatest", "hot", "least", "plain",
+    "COMPILED", "Exported", "address_of", "array_of", "at", "called", "exchange", "exported", "floor", "greatest", "hot", "least", "plain",
     "record",
 ]  # fmt: skip
