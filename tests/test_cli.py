@@ -67,6 +67,13 @@ def test_home_starts_where_it_is_told(here, capsys):
     assert "from -60.0000 mm" in said
 
 
+def test_a_home_that_loses_steps_on_its_way_ends_with_code_1(here, capsys):
+    fast = ["--fh1", "60000", "--fh2", "60000", "--accel", "0.15", "--fast-only"]
+    said = out(capsys, "home", "x", "--from", "-60", *fast, code=1).out
+    assert "stopped by ORG" in said
+    assert int(re.search(r"lost steps (-?\d+)", said)[1]) != 0
+
+
 def test_dual_rate_and_sync_do_as_asked(here, capsys):
     assert "12000 of 12000" in out(capsys, "dual-rate", "x", "12000").out
     said = out(capsys, "sync", "x=4000", "y=-1500", "--record", "s.rrd", "--vcd", "s.vcd").out

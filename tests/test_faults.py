@@ -266,6 +266,19 @@ def test_a_bounce_under_way_is_played_to_its_end_when_the_fault_is_mended(xyz):
     assert x.switches.el_plus
 
 
+def test_a_switch_works_again_when_its_carriage_was_put_elsewhere_in_the_middle_of_a_bounce(xyz):
+    x = xyz.axes["x"]
+    for _ in range(2):
+        with faults.bounce(x, "el_plus", 5e-3):
+            x.chip.write(0, 0x08)
+            run_into(x, "el_plus")
+            xyz.run_until(lambda: x.switches.el_plus, timeout=0.1, poll=1e-4)
+            xyz.run(2e-3)  # its last pulse is complete, and the contact still bounces
+    xyz.place(x=touch(x, "el_plus") - 1e-3)
+    xyz.run(0.01)
+    assert not x.switches.el_plus, "what was left of the bounce is gone"
+
+
 def test_every_contact_of_the_machine_may_bounce_as_fast_as_it_can(xyz):
     """More edges than a window has ever had: none is lost, none is written where it does not belong."""
     each = [faults.bounce(a, pin, 1e-6, 8) for a in xyz.axes.values() for pin in a.switches.as_dict()]

@@ -231,6 +231,9 @@ EL = 'name="el_plus_beam" class="beam" pos="0.0805 0.05 0"'
         "a filtered motor": (
             [(MOTOR, '<general name="x" joint="x" gear="628" dyntype="filter" dynprm="0.1"/>')],
             "is not a <motor> on joint 'x'", MOTOR),
+        "a motor that makes two of one": (
+            [(MOTOR, '<general name="x" joint="x" gear="628" gainprm="2"/>')],
+            "is not a <motor> on joint 'x'", MOTOR),
         "a motor on another joint": (
             [('<joint name="x"', '<joint name="a" type="slide" axis="0 1 0"/><joint name="x"'),
              (MOTOR, '<motor name="x" joint="a" gear="628"/>')],

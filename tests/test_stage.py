@@ -190,6 +190,17 @@ def test_place_makes_no_jump(xyz):
     assert x.lost_steps == 0
 
 
+def test_what_is_placed_stands_still_whatever_it_did_before(xyz):
+    """stage.run(0.1); stage.place(x=0.05) in the middle of a move: the carriage is at rest, as put there by hand"""
+    x, y = xyz.axes["x"], xyz.axes["y"]
+    moving(xyz, 16_000).run(0.3)
+    going = abs(xyz.data.qvel.copy())
+    xyz.place(x=0.05)
+    assert min(going[x._plant.dof], going[y._plant.dof]) > 0.01
+    assert xyz.data.qvel[x._plant.dof] == 0
+    assert abs(xyz.data.qvel[y._plant.dof]) == going[y._plant.dof]
+
+
 @pytest.mark.usefixtures("elsewhere")
 def test_a_diverging_simulation_names_time_and_axis_and_keeps_the_state_before(xyz):
     moving(xyz).run(0.0201)

@@ -192,6 +192,30 @@ def test_what_a_host_built_goes_with_it(tmp_path):
     assert source.exists()
 
 
+def test_firmware_that_was_given_up_in_its_interrupt_hook_leaves_interrupts_to_the_next_one():
+    b, calls = board(), []
+    for register, value in ((0, 5), (1, 100), (7, 300)):
+        b.out8(0x300, 0x80 | register)
+        for byte in (3, 2, 1):
+            b.out8(0x300 + byte, value >> 8 * (byte - 1) & 0xFF)
+    h = run_on(
+        b,
+        """static void waits(void *a) { (void)a; ps_delay_us(1000000); }
+        PULSESTAGE_MAIN
+        {
+            ps_on_interrupt(waits, 0);
+            ps_out8(0x300, 0x08), ps_out8(0x300, 0x44), ps_out8(0x300, 0x30);
+            ps_delay_us(500000);
+            return 0;
+        }""",
+    )
+    assert h.run_for(0.5) is None
+    assert b.interrupt, "it stands in its hook"
+    h.close()
+    b.on_interrupt(lambda: (calls.append("called"), b.out8(0x300, 0x00)))
+    assert (calls, b.interrupt) == (["called"], False)
+
+
 def test_a_hook_in_python_that_takes_itself_away_is_called_once_and_one_that_stays_outlives_firmware():
     b = board()
     calls = []

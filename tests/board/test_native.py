@@ -119,6 +119,9 @@ def test_firmware_that_never_returns_is_stopped_by_time_or_by_cycles_and_shows_t
     assert h.board.stage._now == 250_000_000
     with pytest.raises(HostTimeout, match="100 bus cycles"):
         h.run(max_cycles=100)
+    with pytest.raises(HostTimeout, match=r"100 bus cycles in less than 0\.5 s"):
+        h.run_for(0.5, max_cycles=100)
+    assert h.running
     assert h.run_until(lambda: h.board.stage.time > 0.3, timeout=1, poll=0.01) > 0.04
     with pytest.raises(RunTimeout, match="did not come true"):
         h.run_until(lambda: False, timeout=0.002)

@@ -101,6 +101,15 @@ def test_holding_the_commutator_stops_the_ring_and_releasing_goes_on_from_there(
     assert turn(chip, range(11, 17)) == ["B", "B", "BC", "C", "C", "AC"]
 
 
+def test_a_ring_of_full_counts_goes_on_from_where_it_was_held():
+    chip = commutator(x=2, y=1, status=FULL)
+    chip.encoder = 12
+    chip.write(0x00, 0x0C)
+    assert turn(chip, range(12, 40)) == ["B"] * 28
+    chip.write(0x00, 0x04)
+    assert turn(chip, range(39, 52)) == ["B"] * 8 + ["BC"] * 4 + ["C"]
+
+
 def test_index_resets_a_ring_that_is_held_and_it_goes_on_from_there():
     chip = commutator(x=2, y=1)
     chip.encoder = 3

@@ -104,6 +104,19 @@ def test_a_collective_read_latches_in_a_replay_too():
     assert twin.snapshot().record == chip.snapshot().record
 
 
+def test_journals_of_one_chip_end_in_any_order_and_the_others_go_on():
+    for first in range(3):
+        chip = PCL240MK()
+        journals = [chip.journal() for _ in range(3)]
+        closed = journals.pop(first)
+        closed.close()
+        chip.write(0, 0x08)
+        assert [len(j.entries) for j in (closed, *journals)] == [0, 1, 1]
+        journals.pop(0).close()
+        chip.write(0, 0x18)
+        assert [e.b for e in journals[0].entries] == [0x08, 0x18]
+
+
 @pytest.mark.parametrize("name", CHIPS)
 def test_a_chip_says_at_which_of_its_addresses_reading_acts(name):
     acting = CHIPS[name].READING_ACTS

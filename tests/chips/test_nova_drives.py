@@ -468,6 +468,19 @@ def test_the_8_bit_bus_does_what_the_16_bit_bus_does():
     ]
 
 
+@pytest.mark.parametrize("high_first", [False, True])
+def test_a_byte_written_alone_leaves_the_other_half_of_its_register(high_first):
+    words, octets, held = MCX514(), MCX514(), [0] * 8
+    for n in (*range(1, 8), *range(7, 0, -1)):
+        value = 0x1234 * n & 0x5A5A
+        for high in (high_first, not high_first):
+            part = 0xFF00 if high else 0xFF
+            held[n] = held[n] & ~part | value & part
+            words.write(n, held[n])
+            octets.write_byte(2 * n + high, (value & part) >> (8 if high else 0))
+            assert octets.snapshot().record == words.snapshot().record, f"byte {2 * n + high}"
+
+
 def test_the_high_byte_of_wr0_waits_for_the_low_one(chip):
     chip.write_byte(1, X)
     assert not driving(chip)

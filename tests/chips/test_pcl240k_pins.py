@@ -106,6 +106,19 @@ def test_extp_counts_at_the_edge_of_rise_and_stops_a_preset_run_at_0():
     assert chip.pins.hold
 
 
+def test_extp_that_counts_beyond_0_does_not_stop_a_continuous_run():
+    chip = started(*SLOW, r0=1, control=0x40, start=0x08)
+    commands(chip, 0xD0, 0x10)
+    for left in (0, 0xFFFFFF):
+        chip.pins.extp = True
+        chip.advance(10)
+        chip.pins.extp = False
+        chip.advance(10)
+        assert counter(chip) == left
+        assert operating(chip)
+    assert chip.advance(100_000) > 3
+
+
 def test_extp_counts_a_halted_chip_too_and_wraps():
     chip = PCL240K()
     chip.write(0, 0xD0)

@@ -102,9 +102,10 @@ def test_stable_baselines3_finds_nothing_to_complain_about(id_):
 
 def test_equal_seeds_give_equal_episodes(any_):
     one, other = make(any_), make(any_)
-    assert same(episode(one, 7), episode(other, 7))
-    assert same(episode(one, 7), episode(other, 7)), "and again, after another episode"
-    assert not same(episode(one, 7), episode(other, 8))
+    first = episode(one, 7)
+    assert same(first, episode(other, 7))
+    assert same(first, episode(one, 7)), "and again, after another episode, of which nothing is left"
+    assert not same(first, episode(other, 8))
 
 
 def test_a_pickled_environment_goes_on_as_the_first(any_):

@@ -107,6 +107,21 @@ def test_the_bus_writes_and_resets_are_events_with_address_and_data(tmp_path, be
     assert vcd.timescale == "1 ns"
 
 
+def test_after_the_reset_pin_the_direction_is_plus_and_the_sd_bit_that_of_its_switch(tmp_path, bench):
+    chip, looks = bench.chip, []
+    chip.pins.sd_minus = True
+    for act in (lambda: chip.write(0, 0x48), chip.reset, lambda: chip.write(0, 0x48)):
+        chip.advance(100)
+        act()
+        chip.advance(100)
+        looks.append((chip.clock, chip.read(0) >> 2 & 1))
+    chip.advance(1)
+    bench.recording.close()
+    vcd = parse(bench.recording.to_vcd(tmp_path / "x.vcd"))
+    assert [on for _, on in looks] == [1, 0, 1]
+    assert [vcd.at("x.status.sd", nanoseconds(at, HZ)) for at, _ in looks] == [1, 0, 1]
+
+
 def test_a_stage_has_a_scope_for_each_axis_and_one_time_for_all(run, tmp_path):
     vcd = parse(run.recording.to_vcd(tmp_path / "x.vcd"))
     assert {name.split(".")[0] for name in vcd.changes} == {"x", "y", "z"}

@@ -321,6 +321,14 @@ def test_a_test_that_fails_in_its_own_fixture_leaves_them_too(session, pytester)
     assert (pytester.path / FOLDER / "recording.rrd").exists()
 
 
+def test_two_tests_whose_long_names_begin_alike_have_a_folder_each(session, pytester):
+    names = [f"test_{'long_' * 30}{end}" for end in ("one", "two")]
+    session("".join(f"def {name}(stage):\n    stage.run(0.01)\n    assert 0\n" for name in names))
+    folders = [path for path in (pytester.path / ".pulsestage").iterdir() if path.is_dir()]
+    assert len(folders) == 2
+    assert all((path / "recording.rrd").exists() for path in folders)
+
+
 def test_the_folder_goes_when_the_test_passes_again(session, pytester):
     session(TURNS)
     assert (pytester.path / FOLDER).is_dir()
