@@ -96,6 +96,18 @@ def test_copies_continue_bit_for_bit_and_on_their_own(xyz, twin_of):
     assert bits(xyz) == bits(twin)
 
 
+def test_a_restored_stage_has_the_diagnostics_of_then(xyz):
+    chip = xyz.axes["x"].chip
+    chip.write(0, 0x15)
+    then, noted = xyz.snapshot(), list(chip.diagnostics)
+    chip.write(0, 0x12)
+    assert len(chip.diagnostics) > len(noted) > 0
+    xyz.restore(then)
+    assert chip.diagnostics == noted
+    xyz.reset()
+    assert chip.diagnostics == []
+
+
 def test_reset_is_power_up(xyz):
     first = bits(xyz)
     moving(xyz).run(0.1)

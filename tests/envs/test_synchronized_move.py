@@ -228,6 +228,13 @@ def test_a_move_that_takes_too_long_is_not_finished():
         env.step(action)
 
 
+def test_the_first_observation_of_an_episode_knows_of_no_move_before():
+    env = SynchronizedMoveEnv(**SHORT, moves=2)
+    for _ in range(2):
+        assert not env.reset(seed=1)[0][-4:].any()
+        assert env.step(NOTHING)[0][-1] == 1
+
+
 def test_every_move_of_an_episode_starts_at_rest_around_the_middle():
     env = SynchronizedMoveEnv(**SHORT, moves=3)
     observation, _ = env.reset(seed=5)

@@ -71,6 +71,16 @@ def test_set_up_loads_the_filter_and_holds_the_axis_where_it_stands(stage):
     assert not port.chip.diagnostics
 
 
+def test_an_error_as_large_as_the_deadband_is_within_it(stage):
+    port = set_up(stage.axes["x"])
+    step(port, 200)
+    stage.run(0.2)
+    error = port.commanded() - port.position()
+    report = step(port, 0, deadband=abs(error), timeout=0.1)
+    assert report.ok
+    assert report.error == error
+
+
 @pytest.mark.parametrize("name", ["x", "y"])
 @pytest.mark.parametrize("counts", [1, 50, -400])
 def test_a_step_settles_within_its_deadband(stage, name, counts):
