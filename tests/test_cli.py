@@ -136,6 +136,12 @@ def test_errors_say_what_was_given_and_what_is_allowed(here, capsys, argv, messa
     assert re.search(message, out(capsys, *argv, code=2).err)
 
 
+def test_a_plot_of_a_format_that_nobody_draws_is_refused_before_the_work(here, capsys):
+    said = out(capsys, "move", "x", "100", "--plot", "a.foo", code=2)
+    assert "a figure is no 'foo'" in said.err
+    assert "100 of 100" not in said.out
+
+
 def test_nothing_is_overwritten_unasked(here, capsys):
     (here / "mine.rrd").write_text("precious")
     said = out(capsys, "move", "x", "100", "--record", "mine.rrd", code=2).err

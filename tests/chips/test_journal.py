@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from stage.chips import CHIPS, MCX304, MCX514, PCL240MK
+from stage.chips.decode import decode
 from stage.chips.entries import PACKED, READ, WRITE, Entries, Entry
 
 
@@ -115,6 +116,19 @@ def test_journals_of_one_chip_end_in_any_order_and_the_others_go_on():
         journals.pop(0).close()
         chip.write(0, 0x18)
         assert [e.b for e in journals[0].entries] == [0x08, 0x18]
+
+
+def test_after_the_reset_pin_words_go_to_x_and_data_are_0_in_the_decoded_writes_too():
+    chip = MCX304()
+    journal = chip.journal()
+    command(chip, 0x06, 500, axes=2)
+    chip.write(2, 1)
+    chip.reset()
+    chip.write(2, 3)
+    chip.write(0, 0x0306)
+    x, y = ([s.meaning for s in decode(chip.decoder(axis), journal.entries)] for axis in range(2))
+    assert [s.partition(" (")[0] for s in x] == ["reset pin", "WR2 <- 0003h", "X Y P <- 0"]
+    assert [s.partition(" (")[0] for s in y] == ["Y P <- 500", "WR2 <- 0001h", "reset pin", "X Y P <- 0"]
 
 
 @pytest.mark.parametrize("name", CHIPS)

@@ -288,6 +288,15 @@ def test_the_named_parts_of_the_reward_are_its_sum(any_):
             assert sum(step[4]["reward_parts"].values()) == pytest.approx(step[1], abs=1e-12)
 
 
+def test_closing_writes_the_recording_of_an_episode_that_goes_on(tmp_path):
+    env = make("stage/RegisterBus-v0", record=str(tmp_path / "{}.rrd"))
+    env.reset(seed=1)
+    env.step(env.action_space.sample())
+    assert not list(tmp_path.iterdir())
+    env.close()
+    assert [file.name for file in tmp_path.iterdir()] == ["0.rrd"]
+
+
 @pytest.mark.parametrize("any_", daily([*EVERY, OTHER_CHIPS[0]], BRIEF[1:]), ids=lambda id_: id_.split("/")[1])
 def test_an_episode_can_be_recorded(any_, tmp_path):
     env, plain = make(any_, record=str(tmp_path / "run" / "{}.rrd")), make(any_)

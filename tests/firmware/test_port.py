@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from stage import ArgumentError, RunTimeout, StageError, firmware
-from stage.chips import PCL240K
+from stage.chips import PCL240K, PCL240MK
 from stage.firmware import Bench, Port, Profile, bus
 
 
@@ -44,6 +44,22 @@ def test_the_status_is_named_by_the_register_map_and_readable():
     assert str(status) == "halted, R0 = 0, R0 < R6, /INT pending"
     assert not status.no_int
     assert status.zero
+
+
+def test_reading_a_register_leaves_the_bus_as_it_was():
+    p = Port(Bench(PCL240MK()).axes["x"])
+    p.command(bus.OUTPUT | bus.EXTERNAL)
+    p.write_registers(R0=0x010203, R10=0x040506)
+    assert p.read_register("R10") == 0x040506
+    p.axis.chip.write(1, 0x77)  # R0 is selected, and byte by byte
+    values = p.axis.chip.values()
+    assert (values["R0"], values["R10"]) == (0x010277, 0x040506)
+    assert p.counter() == 0x010277, "the extension mode is over"
+    p.axis.chip.pins.extp = True
+    p.axis.wait(1e-5)
+    p.axis.chip.pins.extp = False
+    p.axis.wait(1e-5)
+    assert p.counter() == 0x010276, "what the output mode was before"
 
 
 def test_a_bus_too_slow_to_read_the_counter_says_so_and_does_not_hang():

@@ -114,6 +114,15 @@ def test_an_axis_has_stopped_when_it_gets_no_pulses_and_does_not_move(stage):
     assert_stopped(x)
 
 
+def test_an_axis_that_creeps_has_not_stopped(stage):
+    x = stage.axes["x"]
+    firmware.Port(x).write_registers(R1=20, R7=30)
+    for command in (0x08, 0x40, 0x10):
+        x.chip.write(0, command)
+    x.wait(0.1)
+    assert "x gets +400 pulses a second" in says(assert_stopped, stage)
+
+
 def test_pins_are_told_with_what_was_expected_of_them(stage):
     x = stage.axes["x"]
     assert_pins(x, org=False, el_plus=False)
