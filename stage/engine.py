@@ -68,6 +68,7 @@ CLOCKWORK = record(
         ("mj_step", "i8"),
         ("mj_get_state", "i8"),
         ("state_spec", "i8"),
+        ("clocks", "i8", (SLICES,)),
         ("callbacks", "i8", (CALLBACKS,)),
         ("native", "i8", (CALLBACKS,)),
     ]
@@ -75,7 +76,7 @@ CLOCKWORK = record(
 """Who runs the stage, see stage.in_use; window (ns), slices in it, a slice and half a window (s), degrees of freedom, steps per
 sample (0: none), axes whose chips see an encoder; of MuJoCo's callbacks, see stage.callbacks: whether they are guarded, whether one
 has failed, where their addresses lie and what these are while nobody in Python is called; addresses of
-MuJoCo's functions, and which parts of its state a snapshot has."""
+MuJoCo's functions, and which parts of its state a snapshot has; the clocks of a chip at the ends of the window's slices."""
 CHIP_TABLE = cores.CHIP
 AXIS_TABLE = record(
     [(name, "i8") for name in "chip chip_axis qpos dof actuator first_switch end_switch index_bit".split()]
@@ -267,9 +268,9 @@ def _meet_edges(c, axes, table, switches, switch_table, until, edges, n_edges):
 
 
 @hot
-def _run_chips(chips, world, axes, table, switches, switch_table, stop, dt, edges, counts):
+def _run_chips(chips, world, axes, table, switches, switch_table, stop, clockwork, edges, counts):
     """Run the chips up to `stop` ns, inside the window; counts[1]: edges noted by now. Returns slices done."""
-    start = world.start
+    start, dt = world.start, clockwork.dt
     hz = clock = rest = 0
     k = world.slice
     for i in range(len(chips)):
@@ -277,7 +278,13 @@ def _run_chips(chips, world, axes, table, switches, switch_table, stop, dt, edge
         if c.hz != hz:
             hz = c.hz
             clock, rest = clock_at(start, hz), start % SECOND * hz % SECOND
+            for k in range(SLICES):
+                clockwork.clocks[k] = clock + (rest + (k + 1) * dt // SLICES * hz) // SECOND
         k, now = world.slice, 0
+        if stop == start + dt and _next_edge(axes, c) > stop:
+            cores.window(c, k)
+            k = SLICES
+            continue
         while now < stop:
             bound = start + (k + 1) * dt // SLICES
             now = least(bound, stop)
@@ -371,7 +378,7 @@ def run(
     while world.now < until:
         end = world.start + clockwork.dt
         stop = least(until, end)
-        k = _run_chips(chips, world, axes, table, switches, switch_table, stop, clockwork.dt, edges, counts)
+        k = _run_chips(chips, world, axes, table, switches, switch_table, stop, clockwork, edges, counts)
         world.now = stop
         world.slice = k
         if stop < end:

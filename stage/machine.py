@@ -41,7 +41,7 @@ from stage.errors import (
 )
 from stage.fingerprint import mechanics
 from stage.in_use import token
-from stage.native import plain
+from stage.native import address_of, plain
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -322,12 +322,15 @@ class Stage:
         for chip, c in zip(self.chips, self._chip_table, strict=True):
             cores.fill(c, chip.CORE, chip._here)
             c.hz, c.ticks = chip.clock_hz, w.h * chip.clock_hz
+            c.slices, c.clocks = w.slices, address_of(w["clocks"])
         axes, first = _Axes(), 0
         for k, (p, chip_axis, drive) in enumerate(zip(self._plant, chips, drives, strict=True)):
             chip, t = chip_axis.chip, self._table[k]
             t.chip, t.chip_axis = self.chips.index(chip), chip_axis.index
             self._chip_table[t.chip].axis[chip_axis.index] = k
             self._chip_table[t.chip].axes += 1
+            self._chip_table[t.chip].means[chip_axis.index] = address_of(self._axis_state[k]["counts"])
+            self._chip_table[t.chip].nets[chip_axis.index] = address_of(self._axis_state[k : k + 1]["count"])
             t.qpos, t.dof, t.actuator, t.gear = p.qpos, p.dof, p.actuator, p.gear
             t.index_bit, t.index_at = chip.wired("ez"), p.index
             if isinstance(drive, Servo):

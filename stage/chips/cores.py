@@ -13,10 +13,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from stage.native import at, called, hot, record
+import numpy as np
+
+from stage.native import address_of, at, called, hot, record
 
 ANSWERS: dict[str, tuple[str | None, ...]] = {
     "run": (None, "i8"),
+    "window": (None, "i8", "i8"),
     "see": (None, "i8", "f8", "f8"),
     "net": ("i8", "i8"),
     "mean_count": ("f8", "i8", "i8", "f8"),
@@ -35,21 +38,25 @@ ANSWERS: dict[str, tuple[str | None, ...]] = {
 
 MOST_AXES = 4
 CHIP = record(
-    [(name, "i8") for name in ("at", *ANSWERS)]
+    [(name, "i8") for name in ("at", *ANSWERS, "own")]
     + [("hz", "i8"), ("axes", "i8"), ("axis", "i8", (MOST_AXES,)), ("ticks", "f8")]
+    + [("slices", "i8"), ("clocks", "i8"), ("means", "i8", (MOST_AXES,)), ("nets", "i8", (MOST_AXES,))]
 )
-"""A chip for compiled code: the address of its state, and those of its core's answers. On a stage: its reference clock, how many of
-its axes are used and which axes of the stage they are (the first is its axis 0), its clocks in a slice."""
+"""A chip for compiled code: the address of its state, those of its core's answers, its own. On a stage: its reference clock, how
+many of its axes are used and which axes of the stage they are (the first is its axis 0), its clocks in a slice; of a window, slices
+in it and addresses of the clocks at their ends and, of each axis, of the mean counts in them and of the count at the end of the
+last."""
 CLOCK = record([("clock", "i8")])
+WORD, REAL = np.dtype("i8"), np.dtype("f8")
 
 _TYPES = {types: called(types[0], "i8", *types[1:]) for types in set(ANSWERS.values())}
-_run, _see, _set = (_TYPES[ANSWERS[name]] for name in ("run", "see", "set_input"))
+_run, _see, _set, _window = (_TYPES[ANSWERS[name]] for name in ("run", "see", "set_input", "window"))
 _mean, _rate, _word = (_TYPES[ANSWERS[name]] for name in ("mean_count", "pulse_rate", "net"))
 
 
 def fill(row: Any, core: Any, at: int) -> None:
     """Make `row`, a CHIP, that of this core whose state lies at an address."""
-    row["at"] = at
+    row["at"], row["own"] = at, address_of(row)
     for name in ANSWERS:
         row[name] = getattr(core, name).address
 
@@ -64,6 +71,27 @@ def clock(c):
 def run(c, until):
     """Let its clock run up to `until`."""
     _run(c.run, (c.at, until))
+
+
+@hot
+def window(c, k):
+    """Let it run through the slices k, k + 1 ... of a window in which nothing happens to its pins; each axis' mean counts and net
+    go where the row says."""
+    _window(c.window, (c.at, c.own, k))
+
+
+@hot
+def through(state, row, k, run, net, mean_count):
+    """What a core answers to `window`; run, net, mean_count: its own."""
+    c = at(row, 1, CHIP)[0]
+    clocks = at(c.clocks, c.slices, WORD)
+    while k < c.slices:
+        run(state, clocks[k])
+        for j in range(c.axes):
+            before = at(c.nets[j], 1, WORD)
+            at(c.means[j], c.slices, REAL)[k] = mean_count(state, j, before[0], c.ticks)
+            before[0] = net(state, j)
+        k += 1
 
 
 @hot

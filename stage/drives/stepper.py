@@ -20,11 +20,12 @@ from __future__ import annotations
 import math
 
 from stage.drives.trig import sincos
-from stage.native import greatest, hot, least, record
+from stage.native import greatest, hot, least, record, room
 
 CHOPPER, SINE, SERVO = range(3)  # modes
 A, B = 1, 2  # phases
 SLICES = 8  # that the engine cuts a physics step into
+ENDS = SLICES + 1
 
 DRIVE = record(
     [
@@ -35,11 +36,14 @@ DRIVE = record(
             "slice keep reach back"  # of a slice of so many seconds: see torque()
         ).split()
     ]
-    + [("mode", "i8"), ("open", "i8"), ("waves", "f8", (2, SLICES))]
+    + [("mode", "i8"), ("open", "i8")]
 )
 """One motor and drive, SI units, or a SERVO: see servo.py; `per_pulse` is then the rotor's angle a count of the encoder, `teeth` 1.
 `teeth`: rotor teeth Nr; `per_pulse`: electrical radians a pulse; `open`: the phases that are
-open, A + B; whoever sets a parameter sets `slice` to 0; `waves`: room to compute in."""
+open, A + B; whoever sets a parameter sets `slice` to 0."""
+SIN, COS, CURRENT_A, CURRENT_B, ROTOR_SIN, ROTOR_COS, TORQUE, WAYS = range(8)
+"""What `mean_torque` knows of each slice: the commanded phase; the currents' targets, after the currents at the beginning; the
+rotor's phase; the torque."""
 
 
 @hot
@@ -116,15 +120,15 @@ def _torque(d, ia, ib, s, c):
 
 
 @hot
-def _along(d, n, theta, pace, omega, h):
-    """n slices of h seconds under `waves`, of a rotor that turns at `pace` and whose back-EMF is that of `omega`: the mean torque,
-    the currents at the end. theta: in the middle of the first. An open phase carries no current, whatever the drive wants."""
+def _along(d, ways, n, theta, pace, omega, h):
+    """n slices of h seconds, of a rotor that turns at `pace` and whose back-EMF is that of `omega`: the mean torque and the last
+    currents. theta: in the middle of the first. An open phase carries no current, whatever the drive wants."""
     s, c = sincos(theta * d.teeth)
     turn_s, turn_c = sincos(pace * h * d.teeth)  # the rotor turns by as much in every slice
     a, b, opened = d.current_a, d.current_b, d.open
     total = 0.0
     for k in range(n):
-        a, b, mean_a, mean_b = _slice(d, a, b, d.waves[1, k], d.waves[0, k], s, c, omega)
+        a, b, mean_a, mean_b = _slice(d, a, b, ways[COS, k], ways[SIN, k], s, c, omega)
         if opened & A:
             a = mean_a = 0.0
         if opened & B:
@@ -135,22 +139,33 @@ def _along(d, n, theta, pace, omega, h):
 
 
 @hot
-def _along_within_reach(d, n, theta, pace, omega, h):
+def _along_within_reach(d, ways, n, theta, pace, omega, h):
     """`_along` of a CHOPPER whose bus voltage takes both currents to their targets in every slice: no slice then waits for the one
-    before, to the same bits. Returns as well whether it was so; otherwise the rest means nothing."""
+    before, to the same bits. Returns as well whether it was so; otherwise the torque means nothing."""
     s, c = sincos(theta * d.teeth)
     turn_s, turn_c = sincos(pace * h * d.teeth)
-    keep, reach, push, current = d.keep, d.reach, d.back * omega, d.current
-    a, b, total, within = d.current_a, d.current_b, 0.0, True
     for k in range(n):
-        ia, ib = current * d.waves[1, k], current * d.waves[0, k]
-        low_a, high_a = a * keep + (push * s - reach), a * keep + (push * s + reach)
-        low_b, high_b = b * keep - (push * c + reach), b * keep - (push * c - reach)
-        within = within & (low_a <= ia) & (ia <= high_a) & (low_b <= ib) & (ib <= high_b)
-        total += _torque(d, 0.5 * (a + ia), 0.5 * (b + ib), s, c)
-        a, b = ia, ib
+        ways[ROTOR_SIN, k], ways[ROTOR_COS, k] = s, c
         s, c = s * turn_c + c * turn_s, c * turn_c - s * turn_s
-    return total / n, a, b, within
+    keep, reach, push = d.keep, d.reach, d.back * omega
+    constant, detent, outside = d.torque_constant, d.detent * 4.0, 0
+    for k in range(n):
+        s, c = ways[ROTOR_SIN, k], ways[ROTOR_COS, k]
+        before_a, before_b, a, b = (
+            ways[CURRENT_A, k],
+            ways[CURRENT_B, k],
+            ways[CURRENT_A, k + 1],
+            ways[CURRENT_B, k + 1],
+        )
+        low_a, high_a = before_a * keep + (push * s - reach), before_a * keep + (push * s + reach)
+        low_b, high_b = before_b * keep - (push * c + reach), before_b * keep - (push * c - reach)
+        outside |= (a < low_a) | (high_a < a) | (b < low_b) | (high_b < b)
+        mean_a, mean_b = 0.5 * (before_a + a), 0.5 * (before_b + b)
+        ways[TORQUE, k] = constant * (mean_b * c - mean_a * s) - detent * s * c * (c * c - s * s)
+    total = 0.0
+    for k in range(n):
+        total += ways[TORQUE, k]
+    return total / n, outside == 0
 
 
 @hot
@@ -165,25 +180,27 @@ def mean_torque(d, counts, n, theta, omega, h, gain=0.0):
     """
     if d.slice != h:
         _prepare(d, h)
-    offset, per_pulse = d.offset, d.per_pulse  # read before anything is written: then this makes vector instructions
+    ways = room(WAYS, ENDS)
+    offset, per_pulse, current = d.offset, d.per_pulse, d.current
     for k in range(n):
         s, c = sincos(offset + per_pulse * counts[k])
-        d.waves[0, k] = s
-        d.waves[1, k] = c
-    torque = a = b = 0.0
+        ways[SIN, k], ways[COS, k] = s, c
+        ways[CURRENT_A, k + 1], ways[CURRENT_B, k + 1] = current * c, current * s
+    ways[CURRENT_A, 0], ways[CURRENT_B, 0] = d.current_a, d.current_b
+    a, b, torque = ways[CURRENT_A, n], ways[CURRENT_B, n], 0.0
     within = d.mode == CHOPPER and d.open == 0
     if within:
-        torque, a, b, within = _along_within_reach(d, n, theta, omega, omega, h)
+        torque, within = _along_within_reach(d, ways, n, theta, omega, omega, h)
     if not within:
-        torque, a, b = _along(d, n, theta, omega, omega, h)
+        torque, a, b = _along(d, ways, n, theta, omega, omega, h)
     if gain != 0.0:
         more = gain * torque
         theta -= 0.5 * (n - 1) * h * more
         pace = omega + more
         if within:
-            torque, a, b, within = _along_within_reach(d, n, theta, pace, omega, h)
+            torque, within = _along_within_reach(d, ways, n, theta, pace, omega, h)
         if not within:
-            torque, a, b = _along(d, n, theta, pace, omega, h)
+            torque, a, b = _along(d, ways, n, theta, pace, omega, h)
     d.current_a, d.current_b = a, b
     return torque
 

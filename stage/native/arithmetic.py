@@ -11,7 +11,7 @@ from stage.native.functions import hot
 
 @hot
 def floor(x: Any) -> Any:
-    """The whole number at or below x, as a float: numba's math.floor goes by way of an integer, which no vector instruction does."""
+    """The whole number at or below x, as a float: math.floor of numba goes by way of an integer, and no vector does."""
     return float(np.floor(x))
 
 

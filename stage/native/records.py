@@ -45,7 +45,16 @@ def _at(address: Any, shape: Any, dtype: Any) -> Any:
 
 
 at: Any = _at
+
+
+def _room(rows: int, columns: int) -> np.ndarray:
+    """An array of float64 for the function's own use, on its stack: nothing is allocated, and it is gone when the function returns.
+    Both numbers are constants of the module, or written out."""
+    return np.empty((rows, columns))
+
+
+room: Any = _room
 if EMITTING:
     from stage.native import typed
 
-    at = typed.at
+    at, room = typed.at, typed.room

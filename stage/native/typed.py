@@ -12,6 +12,7 @@ from numba import types
 from numba.core import cgutils
 from numba.core.compiler import CompilerBase
 from numba.core.compiler_machinery import PassManager
+from numba.core.errors import TypingError
 from numba.core.registry import CPUDispatcher, cpu_target
 from numba.core.typed_passes import (
     IRLegalization,
@@ -116,6 +117,25 @@ def _at(_context: Any, address: Any, shape: Any, dtype: Any) -> Any:
 
 
 at: Any = intrinsic(_at)
+"""See stage.native.records."""
+
+
+def _room(_context: Any, rows: Any, columns: Any) -> Any:
+    kind = types.Array(types.float64, 2, "C")
+
+    def lower(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+        words = rows.literal_value * columns.literal_value
+        place = cgutils.alloca_once(builder, ir.ArrayType(ir.DoubleType(), words))
+        address = builder.ptrtoint(place, context.get_value_type(types.intp))
+        shape = [context.get_constant(types.intp, n.literal_value) for n in (rows, columns)]
+        return array_at(context, builder, kind, address, shape)
+
+    if not all(isinstance(n, types.IntegerLiteral) for n in (rows, columns)):
+        raise TypingError("room() takes numbers that are known when it is compiled.")
+    return kind(rows, columns), lower
+
+
+room: Any = intrinsic(prefer_literal=True)(_room)
 """See stage.native.records."""
 
 

@@ -1,7 +1,7 @@
 """Functions for tests of stage.native and of the table of chips."""
 
 from stage.chips import cores
-from stage.native import array_of, at, called, exported, hot, record
+from stage.native import array_of, at, called, exported, hot, record, room
 
 CELL = record([("a", "i8"), ("b", "f8")])
 
@@ -59,6 +59,28 @@ def _weighed(table, weights):
 @exported("f8", array_of("f8", 2), array_of("i8"))
 def twice_weighed(table, weights):
     return weighed(table, weights) + weighed(table, weights)
+
+
+ROWS, COLUMNS = 2, 5
+
+
+@hot
+def summed(room):
+    total = 0.0
+    for i in range(ROWS):
+        for k in range(COLUMNS):
+            total += room[i, k]
+    return total
+
+
+@exported("f8", "f8")
+def on_the_stack(x):
+    """2 * 5 * x, by way of two arrays of its own."""
+    here, there = room(ROWS, COLUMNS), room(ROWS, COLUMNS)
+    for i in range(ROWS):
+        for k in range(COLUMNS):
+            here[i, k], there[i, k] = x, -1.0
+    return summed(here) + 10.0 + summed(there)
 
 
 @exported(None, cores.CHIP, "i8", array_of("i8"))

@@ -6,7 +6,7 @@ import sys
 
 import numpy as np
 import pytest
-from loops.rows import CELL, by_address, by_name, cleared, joined, scaled, twice_weighed, weighed
+from loops.rows import CELL, by_address, by_name, cleared, joined, on_the_stack, scaled, twice_weighed, weighed
 
 from stage import ArgumentError
 from stage.chips import PCL240K
@@ -79,6 +79,11 @@ def test_least_and_greatest_are_min_and_max(a, b):
     assert greatest(a, b) == max(a, b)
 
 
+def test_room_on_the_stack_is_an_array_of_its_own():
+    assert on_the_stack(3.0) == 2 * 5 * 3.0
+    assert on_the_stack(-1.5) == 2 * 5 * -1.5
+
+
 BAD = {
     "of another dtype": (lambda: (np.zeros(4, np.int64), 1), "argument 1: elements int64; it takes a record, or an array"),
     "an address": (lambda: (cells(1.0).ctypes.data, 1), "argument 1: an int"),
@@ -111,7 +116,7 @@ def test_arrays_are_refused_likewise():
 def test_a_number_that_is_none_is_refused_likewise(given):
     halved = Exported(lambda x: x / 2, "f8", ("f8",))
     Exported.every.remove(halved)
-    with pytest.raises(ArgumentError, match="argument 1: .*it takes a number"):
+    with pytest.raises(ArgumentError, match=r"argument 1: .*it takes a number"):
         halved(given)
 
 

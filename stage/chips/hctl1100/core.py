@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from stage.chips.cores import through
 from stage.chips.hctl1100 import bus, commutator, encoder, motor, timer
 from stage.chips.hctl1100 import filter as law
 from stage.chips.hctl1100.state import (
@@ -144,6 +145,12 @@ def mean_count(c, j, before, ticks):
 
 
 # --- the chip by itself: no stage asks for the mean of what was, so it does not matter how time was cut ---
+
+
+@exported(None, STATE, "i8", "i8")
+def window(c, row, k):
+    """Let the chip's clock run through the slices of a window, see stage/chips/cores.py."""
+    through(c, row, k, run, net, mean_count)
 
 
 @exported(None, STATE)

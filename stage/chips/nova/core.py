@@ -7,6 +7,7 @@ pulses.py for a trace of them.
 
 from __future__ import annotations
 
+from stage.chips.cores import through
 from stage.chips.nova import bus304, bus514, drive, home, interpolation, ports, pulses, sync
 from stage.chips.nova import inputs as pins_in
 from stage.chips.nova.profile import speed_at
@@ -291,6 +292,12 @@ def value(c, k, page):
     word = peek(c, k)
     c.pages = pages
     return word
+
+
+@exported(None, STATE, "i8", "i8")
+def window(c, row, k):
+    """Let the chip's clock run through the slices of a window, see stage/chips/cores.py."""
+    through(c, row, k, run, net, mean_count)
 
 
 @exported(None, STATE)

@@ -11,6 +11,7 @@ the normative model: 1 limit switches, 2 pulse, 3 speed.
 
 from __future__ import annotations
 
+from stage.chips.cores import through
 from stage.chips.pcl240.bus import blocked, read_byte, register, write_byte
 from stage.chips.pcl240.bus import outputs as output_word
 from stage.chips.pcl240.ramp import NEVER, goal_speed, linear_rate, margin, next_step, step_speed, until_step, watching
@@ -418,6 +419,12 @@ def scan(c, until, every_pulse, axis, out):
         if after != speed or changed:
             k = _log(c, out, k, c.clock, new, c.reg[0], c.net)
     return k
+
+
+@exported(None, STATE, "i8", "i8")
+def window(c, row, k):
+    """Let the chip's clock run through the slices of a window, see stage/chips/cores.py."""
+    through(c, row, k, run, net, mean_count)
 
 
 @exported(None, STATE)
