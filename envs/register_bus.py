@@ -280,8 +280,7 @@ class RegisterBus(Task[Config]):
         self._conclude(0, self.n, False)
 
     def _step(self, begin: int, end: int) -> None:
-        core.play.c(self._address, begin, end)
-        self._conclude(begin, end, False)
+        core.step.c(self._address, begin, end, *self._rows)
 
     def _conclude(self, begin: int, end: int, fresh: bool) -> None:
         core.conclude.c(self._address, begin, end, fresh, *self._rows)

@@ -1,6 +1,6 @@
 """What `register_bus` compiles: a step of many stages, from actions to observations, without the GIL.
 
-All that it works on lies in arrays of the task, whose addresses a FRAME holds: a call takes a few numbers. A step has two
+All that it works on lies in arrays of the task, whose addresses a FRAME holds: a call takes a few numbers. A `step` has two
 halves, `play` and `conclude`, so that a recorded stage can be played by Python in between.
 """
 
@@ -235,3 +235,10 @@ def conclude(f, begin, end, fresh, results):
             if r.live:
                 _look_into(handles[k], first, words[k], truth[k, 0].now)
             _observe(r, rules, steps[k], episodes[k], axes[k], words[k], truth[k], observations[k])
+
+
+@exported(None, FRAME, "i8", "i8", array_of(RESULT))
+def step(f, begin, end, results):
+    """`play` and `conclude`, where Python plays no stage."""
+    play(f, begin, end)
+    conclude(f, begin, end, 0, results)

@@ -27,16 +27,9 @@ NATIVE = [
 ]
 """What stands there while nobody in Python is called: 0, or MuJoCo's own, as for the time."""
 
-_NATIVE = [address or None for address in NATIVE]
-
 _lock = threading.Lock()
 _installed: dict[str, tuple[Any, Any]] = {}  # name -> what the user set, and the guard in its place
 _guards: dict[int, Callable[[BaseException | None], bool]] = {}  # by thread
-
-
-def present() -> bool:
-    """Does MuJoCo call anybody in Python?"""
-    return [pointer.value for pointer in _POINTERS] != _NATIVE
 
 
 @contextmanager

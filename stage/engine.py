@@ -346,7 +346,7 @@ def _sample(world, t, c, d, clockwork, qpos, qvel, effort, out):
 
 
 @hot
-def _unguarded(clockwork):
+def unguarded(clockwork):
     """MuJoCo would call somebody whose exceptions nobody guards."""
     if not clockwork.guarded:
         for k in range(CALLBACKS):
@@ -371,7 +371,7 @@ def run(
     if not world.powered:
         return WIPED
     if world.start + clockwork.dt <= until:
-        if _unguarded(clockwork):
+        if unguarded(clockwork):
             return UNGUARDED
         if state:
             _get_state(clockwork.mj_get_state, (model, data, state, clockwork.state_spec))

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from stage import callbacks, engine, handle, host
+from stage import engine, handle, host
 from stage.chips import Chip
 from stage.errors import ArgumentError, StageError
 from stage.machine import IN_USE, Stage
@@ -133,6 +133,7 @@ class Fleet:
         for k, stage in enumerate(self.stages):
             handle.fill(self.handles, k, stage)
         self.handles["state"] = 0  # nobody takes a step back
+        self._first = self.handles.ctypes.data
 
     def __len__(self) -> int:
         return len(self.stages)
@@ -166,7 +167,7 @@ class Fleet:
         """The stages that Python has to play: those being recorded, or whose chips keep a journal or lose writes; all of
         them where MuJoCo calls somebody back."""
         found = []
-        all_of_them = callbacks.present()
+        all_of_them = handle.called_back.held(self._first)
         for k, stage in enumerate(self.stages):
             stage.look()
             if all_of_them or stage._recording is not None:

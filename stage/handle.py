@@ -80,6 +80,12 @@ def advance(h, until):
     return status
 
 
+@exported("i8", HANDLE)
+def called_back(h):
+    """1 if MuJoCo calls somebody in Python, whose exceptions nobody guards now."""
+    return 1 if engine.unguarded(clockwork(h)) else 0
+
+
 @exported("i8", HANDLE, "i8")
 def take(h, token):
     """1 if nobody runs the stage: nobody will, until `give` with this token."""
