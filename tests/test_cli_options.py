@@ -1,0 +1,296 @@
+"""Each option of the command line arrives where it is meant for; defaults and exit codes are those that the help tells."""
+
+import argparse
+import re
+from types import SimpleNamespace
+
+import pytest
+
+from stage import ArgumentError, Stage, firmware
+from stage.cli import build_parser, fault, main, moves, setup
+from stage.recording import viewer
+
+
+@pytest.fixture(scope="module")
+def made():
+    return Stage("xy", visuals=False)
+
+
+@pytest.fixture
+def bench(made, monkeypatch, tmp_path):
+    """The commands get this stage; no file of a test lies about."""
+    made.reset()
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(moves, "make_stage", lambda args: made)
+    return made
+
+
+def parsers():
+    commands = next(a for a in build_parser()._actions if isinstance(a, argparse._SubParsersAction))
+    return commands.choices
+
+
+def test_each_default_is_the_one_that_its_help_tells():
+    told = 0
+    for name, parser in parsers().items():
+        for action in parser._actions:
+            said = re.search(r"\(default: ([\w.,-]+)\)", action.help or "")
+            if said and action.type in (int, float) and action.dest != "start":
+                told += 1
+                assert float(said[1].replace(",", "")) == action.default, (name, action.dest)
+    assert told >= 30
+
+
+def test_what_the_commands_do_without_options():
+    p = build_parser()
+    asked = vars(p.parse_args(["move", "x", "100"]))
+    expected = {
+        "model": "xyz",
+        "chips": "PCL240K",
+        "bus_voltage": 24.0,
+        "microsteps": 16,
+        "bus_cycle": 1e-6,
+        "port": 9090,
+    }
+    assert expected.items() <= asked.items()
+    assert not any(
+        asked[k] for k in ("constant", "force", "view", "web", "automatic", "s_curve", "motor", "fl", "start")
+    )
+    assert (asked["axis"], asked["pulses"]) == ("x", 100)
+    assert p.parse_args(["run", "a.c"]).timeout == 60
+    assert p.parse_args(["run", "a.c"]).keep == 1_000_000
+    assert p.parse_args(["demo"]).default_record == "demo.rrd"
+    assert p.parse_args(["erratum"]).chips == "MCX304"
+    pullout = p.parse_args(["pullout"])
+    assert (pullout.motor, pullout.bus_voltage, pullout.microsteps) == ("17HS4401", 24.0, 16)
+    assert p.parse_args(["view"]).model == "xyz"
+
+
+def test_the_bench_options_make_the_stage():
+    options = "--model xy --chips pcl240mk --motor 17HS15-1504S --microsteps 8 --bus-voltage 36 --bus-cycle 2e-6"
+    stage = setup.make_stage(build_parser().parse_args(["move", "x", "1", *options.split()]))
+    x = stage.axes["x"]
+    assert list(stage.axes) == ["x", "y"]
+    assert (type(x.chip).__name__, stage._bus_ns) == ("PCL240MK", 2000)
+    assert (x.drive.motor.name, x.drive.microsteps, x.drive.bus_voltage) == ("17HS15-1504S", 8, 36)
+
+
+def report(**more):
+    drawn = lambda path, overwrite: None  # noqa: E731
+    return SimpleNamespace(
+        **{"ok": True, "plot": drawn, "listing": str, "stopped_by": "ORG", "lost_steps": 0, "plan": ""} | more
+    )
+
+
+@pytest.mark.parametrize(
+    ("options", "axes", "expected"),
+    [
+        ("", "xy", {}),
+        ("y", "y", {}),
+        ("y x --plus", "yx", {"direction": +1}),
+        ("x --constant", "x", {"high_speed": False}),
+        ("x --fast-only", "x", {"slow_approach": False}),
+        ("x --ez 3", "x", {"ez": 3}),
+    ],
+)
+def test_home_searches_as_the_options_say(bench, monkeypatch, options, axes, expected):
+    asked = []
+
+    def origin_return(axis, direction, profile, **how):
+        asked.append((axis.name, {"direction": direction} | how))
+        return report()
+
+    monkeypatch.setattr(firmware, "origin_return", origin_return)
+    assert main(["home", *options.split()]) == 0
+    usual = {"direction": -1, "high_speed": True, "slow_approach": True, "ez": None}
+    assert asked == [(axis, usual | expected) for axis in axes]
+
+
+@pytest.mark.parametrize(
+    ("ends", "code"),
+    [
+        ((("ORG", 0), ("EZ", 0)), 0),
+        ((("ORG", 0), ("EL", 0)), 1),
+        ((("EL", 0), ("ORG", 0)), 1),
+        ((("ORG", -4), ("ORG", 0)), 1),
+    ],
+)
+def test_home_ends_with_1_if_one_axis_is_not_at_home(bench, monkeypatch, ends, code):
+    reports = iter([report(stopped_by=by, lost_steps=lost) for by, lost in ends])
+    monkeypatch.setattr(firmware, "origin_return", lambda *_, **__: next(reports))
+    assert main(["home"]) == code
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        ([], {}),
+        (["--constant"], {"high_speed": False}),
+        (["--s-curve"], {"s_curve": True}),
+        (["--s-curve", "0.3"], {"s_curve": 0.3}),
+        (["--automatic"], {"automatic": True}),
+        (["--no-automatic"], {"automatic": False}),
+    ],
+)
+def test_move_ramps_as_the_options_say(bench, monkeypatch, options, expected):
+    asked = []
+    monkeypatch.setattr(
+        firmware, "preset_move", lambda axis, n, p, **how: asked.append((axis.name, n, how)) or report()
+    )
+    assert main(["move", "y", "-250", *options]) == 0
+    assert asked == [("y", -250, {"high_speed": True, "s_curve": None, "automatic": None} | expected)]
+
+
+def test_speeds_and_places_are_in_pps_s_and_mm(bench, monkeypatch, capsys):
+    asked = []
+
+    def dual_rate_move(axis, pulses, profile):
+        asked.append((axis.name, pulses, profile, bench.axes["y"].position))
+        return report(ok=False)
+
+    monkeypatch.setattr(firmware, "dual_rate_move", dual_rate_move)
+    speeds = {"fl": 700, "fh1": 9000, "fh2": 15_000, "accel": 0.2, "decel": 0.4}
+    options = [word for name, value in speeds.items() for word in (f"--{name}", str(value))]
+    assert main(["dual-rate", "y", "3000", *options, "--from", "-12.5"]) == 1, "it did not go as asked"
+    profile = firmware.Profile.of(**speeds)
+    assert asked == [("y", 3000, profile, pytest.approx(-0.0125))]
+    assert str(profile) in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        ("", {}),
+        ("--rate 9000 --fl 500 --accel 0.3", {"rate": 9000, "fl": 500, "accel": 0.3}),
+        ("--s-curve 0.2 --no-automatic", {"s_curve": 0.2, "automatic": False}),
+    ],
+)
+def test_sync_gives_what_was_given(bench, monkeypatch, options, expected):
+    asked = []
+    monkeypatch.setattr(
+        firmware, "synchronized_move", lambda d, axes, **how: asked.append((d, how)) or report(ok=not how)
+    )
+    assert main(["sync", "y=-30", "x=40", *options.split()]) == (1 if expected else 0)
+    assert asked == [({"y": -30, "x": 40}, expected)]
+
+
+def test_the_board_of_run_lies_where_the_options_say(monkeypatch):
+    asked = []
+
+    def board(*given, **more):
+        asked.append((given[1:], more))
+        raise ArgumentError("enough")
+
+    monkeypatch.setattr("stage.board.Board", board)
+    where = "--layout pcl240-card --base 0x2A0 --stride 16 --keep 77 --model xy"
+    assert main(["run", "a.c", *where.split()]) == 2
+    assert asked == [(("pcl240-card", 0x2A0, 16), {"keep_cycles": 77})]
+
+
+@pytest.mark.parametrize(("lost", "code"), [(4, 1), (0, 0)])
+def test_a_firmware_that_loses_steps_ends_with_1(monkeypatch, lost, code):
+    asked = []
+    done = SimpleNamespace(code=0, seconds=0.0, cycles=0)
+    host = SimpleNamespace(path=SimpleNamespace(name="a"), run=lambda timeout: asked.append(timeout) or done)
+    stage = SimpleNamespace(axes={"x": SimpleNamespace(lost_steps=lost)})
+    monkeypatch.setattr("stage.cli.firmware.make_stage", lambda args, any_chip: stage)
+    monkeypatch.setattr("stage.cli.firmware._report", lambda *_: None)
+    monkeypatch.setattr("stage.board.Board", lambda *_, **__: SimpleNamespace(log=[], stage=stage))
+    monkeypatch.setattr("stage.board.NativeHost", lambda *_, **__: host)
+    assert main(["run", "a.c", "--timeout", "1.5"]) == code
+    assert asked == [1.5]
+
+
+@pytest.mark.parametrize(
+    ("raised", "code", "says"),
+    [
+        (KeyboardInterrupt(), 130, ""),
+        (PermissionError("no"), 2, "stage: no\n"),
+        (FileNotFoundError("gone"), 2, "stage: gone\n"),
+        (ArgumentError("so"), 2, "stage: so\n"),
+    ],
+    ids=lambda v: type(v).__name__,
+)
+def test_what_ends_a_command_is_its_exit_code(monkeypatch, capsys, raised, code, says):
+    def end(args):
+        raise raised
+
+    monkeypatch.setattr("stage.cli.tools.registers", end)
+    assert main(["registers", "pcl240k"]) == code
+    assert capsys.readouterr().err == says
+
+
+def test_the_version_is_the_package_s(capsys):
+    from stage import __version__
+
+    with pytest.raises(SystemExit) as end:
+        main(["--version"])
+    assert (end.value.code, capsys.readouterr().out) == (0, f"pulsestage {__version__}\n")
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        ("--view", ("viewer", "stage.rrd")),
+        ("--web", ("web", "stage.rrd", 9090)),
+        ("--web --view --port 8123 --record a.rrd", ("web", "a.rrd", 8123)),
+        ("--record a.rrd", None),
+    ],
+)
+def test_a_recording_is_opened_where_asked(bench, monkeypatch, options, expected):
+    opened = []
+    monkeypatch.setattr(viewer, "open_viewer", lambda *given: opened.append(("viewer", *given)))
+    monkeypatch.setattr(viewer, "serve_web", lambda *given: opened.append(("web", *given)))
+    monkeypatch.setattr(firmware, "preset_move", lambda axis, *_, **__: axis.wait(1e-3) or report())
+    assert main(["move", "x", "10", *options.split()]) == 0
+    assert opened == ([expected] if expected else [])
+
+
+@pytest.mark.parametrize(
+    ("options", "screen", "viewed"),
+    [("", True, True), ("", False, False), ("--no-view", True, False), ("--web", True, False), ("--view", False, True)],
+)
+def test_the_demo_opens_the_viewer_where_there_is_a_screen(bench, monkeypatch, options, screen, viewed):
+    seen = []
+
+    def recorded(args, stage):
+        seen.append((args.view, [round(axis.position, 6) for axis in stage.axes.values()]))
+        raise ArgumentError("enough")
+
+    monkeypatch.setattr("stage.opengl.has_screen", lambda: screen)
+    monkeypatch.setattr("stage.cli.demo.make_stage", lambda args: bench)
+    monkeypatch.setattr("stage.cli.demo.recorded", recorded)
+    assert main(["demo", *options.split()]) == 2
+    assert seen == [(viewed, [0.062, -0.031])], "where the carriages happen to stand"
+
+
+def test_pullout_measures_the_drive_that_was_asked_for(monkeypatch, capsys, tmp_path):
+    asked = []
+    monkeypatch.setattr(
+        "stage.drives.dynamometer.pull_out_table", lambda drive, progress: asked.append(drive) or "table"
+    )
+    monkeypatch.setattr("stage.drives.picture.plot_pull_out", lambda *given, **how: asked.append((given[2], how)))
+    plot = str(tmp_path / "p.png")
+    assert main(["pullout", "--motor", "17HS15-1504S", "--bus-voltage", "36", "--microsteps", "8", "--plot", plot]) == 0
+    assert capsys.readouterr().out == f"table\n{plot}: drawn\n"
+    assert (asked[0].motor.name, asked[0].bus_voltage, asked[0].microsteps) == ("17HS15-1504S", 36, 8)
+    assert asked[1] == (plot, {"overwrite": False})
+
+
+def test_view_prints_the_axes_of_the_model_that_was_asked_for(capsys):
+    assert main(["view", "xy", "--text"]) == 0
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == ["axis", "x", "y"]
+
+
+def test_fault_lists_them_all_and_what_does_not_happen_as_claimed_ends_with_1(monkeypatch, capsys, tmp_path):
+    assert main(["fault"]) == 0
+    listed = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in listed] == list(fault.DEMOS)
+    assert all(demo.claim in line for demo, line in zip(fault.DEMOS.values(), listed, strict=True))
+    for happened, code, says in ((True, 0, "happened as claimed"), (False, 1, "did NOT happen as claimed")):
+        demo = fault.Demo("a claim", "a notice", lambda *_: {"n": 1}, lambda *_, h=happened: h)
+        monkeypatch.setattr(fault, "show", lambda *_, d=demo: fault.Shown("jam", d, ({"n": 1}, {"n": 2}), (None, None)))
+        assert main(["fault", "jam"]) == code
+        said = capsys.readouterr().out.splitlines()
+        assert (said[0], said[-1]) == ("jam: a claim", says)
+        assert "How a host can tell: a notice" in said
