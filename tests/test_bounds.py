@@ -1,0 +1,187 @@
+"""The ends of a range that is told are in it, and what lies just beyond is refused: arguments of all folders."""
+
+import math
+
+import numpy as np
+import pytest
+
+from stage import ArgumentError, Drive, Stage, StageError, engine, faults, firmware
+from stage.board import Board
+from stage.board.native import _nanoseconds
+from stage.chips import PCL240K, PCL240MK, PCL240MS
+from stage.chips.chip import MAX_CLOCKS
+from stage.drives import dynamometer
+from stage.drives.dc_motors import MOST_COUNTS, Servo
+from stage.firmware import Bench, Profile, servo_profile
+from stage.firmware.moves import _offset, _seconds
+from stage.firmware.plan import R0_MOST, _check, _share, _whole
+from stage.fleet import MOST, Fleet, Program
+from stage.machine import LONGEST
+from stage.recording.viewer import web_server
+from stage.study.definition import Definition, Values
+from stage.testing import assert_at
+
+BELOW_9 = math.nextafter(1e9, 0)
+MOTOR = Drive().motor
+
+
+@pytest.fixture(scope="module")
+def made():
+    return Stage("xy", visuals=False)
+
+
+@pytest.fixture
+def stage(made):
+    made.reset()
+    return made
+
+
+def check(given, *more):
+    _check(
+        {"x": 1},
+        {},
+        *{"rate": 100.0, "fl": 10.0, "accel": 1.0, "decel": 1.0, "bus_delay": 0.0, **given}.values(),
+        *more,
+    )
+
+
+def studied(**given):
+    return Definition("a:b", **{"space": {"R2": "1:2"}, "trials": 1, **given})
+
+
+PLAIN = {
+    "clock_hz": (lambda v: PCL240K(clock_hz=v), (1, 100_000_000), (0, 100_000_001, 1.5)),
+    "clocks": (lambda v: PCL240K()._until(v), (0, MAX_CLOCKS), (-1, MAX_CLOCKS + 1)),
+    "microsteps": (lambda v: Drive(microsteps=v), (1, 256), (0, 257, True)),
+    "bus_voltage of a drive": (lambda v: Drive(bus_voltage=v), (1e-9, 400), (0, 400.1)),
+    "current": (lambda v: Drive(current=v), (1e-9, 2 * MOTOR.rated_current), (0, 2.01 * MOTOR.rated_current)),
+    "detent": (lambda v: Drive(detent=v), (0, MOTOR.holding_torque), (-1e-9, 1.01 * MOTOR.holding_torque)),
+    "counts": (lambda v: Servo(counts=v), (4, MOST_COUNTS), (3, MOST_COUNTS + 1, 4.5, True)),
+    "bus_voltage of a servo": (lambda v: Servo(bus_voltage=v), (1e-9, 400), (0, 400.1)),
+    "bus cycle of a bench": (lambda v: Bench(PCL240K(), bus_cycle=v), (0, 1), (-1e-9, 1.001)),
+    "chips of a bench": (lambda v: Bench(*(PCL240K() for _ in range(v))), (1, 6), (0, 7)),
+    "wait of a bench": (lambda v: Bench(PCL240K()).wait(v), (0, 1e-3), (-1e-9, 1e9)),
+    "seconds of a firmware": (lambda v: _nanoseconds(v, "timeout"), (0, BELOW_9), (-1e-9, 1e9, math.nan, math.inf)),
+    "seconds of a move": (_seconds, (0, BELOW_9), (-1e-9, 1e9)),
+    "spans": (
+        lambda v: Profile(100, 200, 200, 100, 100, 12, chip=PCL240MS, spans=(v, 0)), (0, 4095), (-1, 4096),
+    ),
+    "R15's span": (
+        lambda v: Profile(100, 200, 200, 100, 100, 12, chip=PCL240MS, spans=(0, v)), (0, 4095), (-1, 4096),
+    ),
+    "fl": (lambda v: Profile.of(fl=v, fh1=5000, fh2=8000), (1, 5000), (0, 5001)),
+    "ramp": (lambda v: Profile.of(decel=v), (0.05,), (0, math.inf)),
+    "share of an S-curve": (
+        lambda v: Profile.of(chip=PCL240MS).shaped(v), (0.5, 1e-3, True, False), (0, 0.51),
+    ),
+    "share of a line's S-curve": (_share, (0.5, 1e-3, True, False), (0, 0.51)),
+    "pulses of a line": (lambda v: _whole("x", v), (R0_MOST, -R0_MOST), (R0_MOST + 1, -R0_MOST - 1, 0.5)),
+    "fl of a line": (lambda v: check({"fl": v}), (1e-9, 100.0), (0, 100.1)),
+    "ramp of a line": (lambda v: check({"decel": v}), (1e-9,), (0, math.inf)),
+    "delay of a line": (lambda v: check({"bus_delay": v}), (0, 1), (-1e-9, 1.01)),
+    "R6 as an offset": (
+        lambda v: _offset(Profile.of(chip=PCL240MK), v), (-(1 << 19), (1 << 19) - 1), (-(1 << 19) - 1, 1 << 19, 0.5),
+    ),
+    "ramp of a circle": (lambda v: servo_profile.circle(9, seconds=0.4, sample=1e-2, ramp=v), (1e-3, 0.2), (0, 0.21)),
+    "axes of a circle": (lambda v: servo_profile.circle(9, seconds=0.4, sample=1e-2, axes=v), (2, 3), (1, 4)),
+    "rate of a start": (lambda v: dynamometer.lost_in_start(Drive(), v, 1e-4), (1.0,), (0, 1.1e7)),
+    "rpm": (dynamometer._speeds, (1e-9, 20_000), (0, 20_001)),
+    "id of a trial": (lambda v: studied(trials=3).trial(v), (0, 2), (-1, 3)),
+    "seed of a study": (lambda v: studied(seed=v), (0, 1), (-1, 0.5)),
+    "points of a range": (lambda v: Values.parse("R2", f"1:9/{v}"), (2, 9), (1, -2)),
+    "low of a log range": (lambda v: Values.parse("R2", f"{v}:9:log"), (1, 9), (0, 10)),
+    "low of a range": (lambda v: Values.parse("R2", f"{v}:9"), (0, 9), (-1, 10)),
+}  # fmt: skip
+ON_A_STAGE = {
+    "timeout": (lambda s, v: s.run_until(lambda: True, timeout=v), (0, LONGEST), (-1e-9, LONGEST * 1.001)),
+    "poll": (lambda s, v: s.run_until(lambda: s.time > 3e-9, timeout=5e-9, poll=v), (0, LONGEST), (-1e-9, LONGEST * 1.001)),
+    "run": (lambda s, v: s.run(v), (0,), (-1e-9, LONGEST)),
+    "step": (lambda s, v: s.step(v), (0, 1), (-1, 0.5)),
+    "place": (lambda s, v: s.place(x=v * s.axes["x"].travel[1]), (-1, 1), (-1.001, 1.001)),
+    "payload": (lambda s, v: s.set_payload(v), (0,), (-1e-9, 1e6)),
+    "bus_voltage": (lambda s, v: faults.bus_voltage(s, v).mend(), (1e-3, 400), (0, 400.1)),
+    "bounce": (lambda s, v: faults.bounce(s.axes["x"], "org", v).mend(), (1e-9, 1), (0, 1.001)),
+    "toggles": (lambda s, v: faults.bounce(s.axes["x"], "org", toggles=v).mend(), (2, 8), (0, 3, 10)),
+    "jam": (lambda s, v: faults.jam(s.axes["x"], v).mend(), (1e-9, BELOW_9), (0, 1e9)),
+    "skew": (lambda s, v: faults.start_skew(s.axes["x"], v).mend(), (0, BELOW_9), (-1e-9, 1e9)),
+    "skip": (lambda s, v: faults.lost_write(s, skip=v), (), (-1, 0.5)),
+    "skip of an axis": (lambda s, v: faults.lost_write(s.axes["x"], skip=v).mend(), (0, 3), (-1, 0.5)),
+    "keep_cycles": (lambda s, v: Board(s, keep_cycles=v), (1, 2), (0, 1.5, (1 << 28) + 1)),
+    "base": (lambda s, v: Board(s, base=v, stride=-4), (4, 65532), (-1, 65533)),
+    "delay_us": (lambda s, v: Board(s).delay_us(v), (0, 1), (-1, 10**15 + 1)),
+    "threads": (lambda s, v: Fleet([s], v), (1, 2), (0, 1.5)),
+    "stages": (lambda s, v: Fleet([s] * v), (1,), (0, 2)),
+    "axes of a wait": (lambda s, v: Program().until_stopped([v], 1), (0, 61), (-1, 62)),
+    "ns of a wait": (
+        lambda s, v: Fleet([s], 1).play(np.array([[[0, 0, 0, 0], [3, v, 0, 0]]])), (0, 0), (),
+    ),
+    "axis of a look": (lambda s, v: Fleet([s], 1).play([Program().look(v)]), (0, 1), (-1, 2)),
+    "poll of a wait": (
+        lambda s, v: Fleet([s], 1).play(np.array([[[4, 1, v, MOST]]])), (1, MOST), (0, MOST + 1),
+    ),
+    "within": (lambda s, v: assert_at(s.axes["x"], s.axes["x"].position, v), (0, 1), (-1e-9, math.nan)),
+    "every": (lambda s, v: s.record(v).close(), (1e-9, 1e6), (0, 1.001e6)),
+    "approach": (
+        lambda s, v: firmware.origin_return(s.axes["x"], approach=v, timeout=1e-9), (), (0, -1, 1e9),
+    ),
+    "rate of EXTP": (
+        lambda s, v: firmware.external_count(s.axes["x"], 1, rate=v), (), (0, PCL240K.DEFAULT_CLOCK_HZ / 4 + 1),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", PLAIN)
+def test_a_range_has_its_ends(name):
+    call, inside, outside = PLAIN[name]
+    for value in inside:
+        call(value)
+    for value in outside:
+        with pytest.raises(ArgumentError):
+            call(value)
+
+
+@pytest.mark.parametrize("name", ON_A_STAGE)
+def test_a_range_of_a_stage_has_its_ends_and_what_is_refused_changes_nothing(stage, name):
+    call, inside, outside = ON_A_STAGE[name]
+    before = stage.snapshot().state.tobytes()
+    for value in outside:
+        with pytest.raises(ArgumentError):
+            call(stage, value)
+    assert stage.snapshot().state.tobytes() == before
+    assert (stage.faults, stage._recording, stage.payload()) == ((), None, 0)
+    for value in inside:
+        call(stage, value)
+
+
+@pytest.mark.parametrize("bus_cycle", [0, 1])
+def test_a_bus_cycle_takes_up_to_a_second(bus_cycle):
+    assert Stage("xy", bus_cycle=bus_cycle, visuals=False).bus_cycle == bus_cycle
+    with pytest.raises(ArgumentError):
+        Stage("xy", bus_cycle=1.001)
+
+
+def test_a_port_is_1_to_65535(tmp_path):
+    (tmp_path / "a.rrd").write_bytes(b"RRF2")
+    for port in (0, 65536, 80.5):
+        with pytest.raises(ArgumentError, match="1 to 65535"):
+            web_server(tmp_path / "a.rrd", port)
+
+
+def test_a_condition_has_until_the_end_of_its_time(stage):
+    """It is looked at once more when the time is over, and not at all after it holds."""
+    looked = []
+    assert stage.run_until(lambda: looked.append(stage._now) or stage._now >= 10, timeout=1e-8, poll=4e-9) == 1e-8
+    assert looked == [0, 4, 8, 10]
+    looked.clear()
+    with pytest.raises(StageError, match="did not come true"):
+        stage.run_until(lambda: looked.append(stage._now), timeout=0)
+    assert looked == [10]
+
+
+def test_time_of_a_stage_is_rounded_to_a_nanosecond(stage):
+    stage.run(1.6e-9)
+    assert stage._now == 2
+    stage.step(1)
+    assert stage._now == round(stage.model.opt.timestep * engine.SECOND), (
+        "a step goes to the end of the one that has begun"
+    )
