@@ -34,6 +34,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from stage import libmujoco, scan
 from stage.errors import ArgumentError, ModelError, unknown
 from stage.fingerprint import fingerprint
 from stage.pins import PINS
@@ -312,7 +313,6 @@ class _Binder:
         self.problems: list[str] = []
         self.lines: list[str] = []
         self.texts = _texts(model)
-        self.scans: dict[int, tuple[list[float], np.ndarray, np.ndarray]] = {}
 
     def bind(self) -> tuple[PlantAxis, ...]:
         off = mujoco.mjtDisableBit
@@ -387,7 +387,8 @@ class _Binder:
                 self._problem(name, f"the text {name}_unfitted names {pin!r}{near}; switches are {', '.join(PINS)}")
         if not low < high:
             return None
-        found = [self._switch(name, pin, joint, low, high) for pin in PINS if pin not in unfitted]
+        scanned = self._scanned(name, joint, low, high)
+        found = [self._switch(name, pin, joint, low, high, scanned) for pin in PINS if pin not in unfitted]
         switches = tuple(s for s in found if s is not None)
         self._order(name, switches)
         return PlantAxis(
@@ -430,7 +431,9 @@ class _Binder:
 
     # --- switches ---
 
-    def _switch(self, axis: str, pin: str, joint: int, low: float, high: float) -> Switch | None:
+    def _switch(
+        self, axis: str, pin: str, joint: int, low: float, high: float, scanned: dict[tuple[int, int], np.ndarray]
+    ) -> Switch | None:
         m, obj = self.model, mujoco.mjtObj
         name = f"{axis}_{pin}"
         sensor = self._id(obj.mjOBJ_SENSOR, name)
@@ -452,7 +455,7 @@ class _Binder:
         if "FOUND" not in at or "DIST" not in at:
             self._problem(axis, f'sensor {name!r} needs data="found dist"', line)
             return None
-        edge = self._edge(joint, vane, switch, low, high, pin)
+        edge = self._edge(joint, vane, switch, low, high, pin, scanned[vane, switch])
         if isinstance(edge, str):
             self._problem(axis, f"switch {pin}: the vane {edge}")
             return None
@@ -501,33 +504,31 @@ class _Binder:
     def _distance(self, joint: int, q: float, vane: int, switch: int) -> float:
         self._at(joint, q)
         mujoco.mj_kinematics(self.model, self.data)
-        return mujoco.mj_geomDistance(self.model, self.data, vane, switch, 1e3, None)
+        return mujoco.mj_geomDistance(self.model, self.data, vane, switch, scan.FAR, None)
 
-    def _scan(self, joint: int, low: float, high: float) -> tuple[list[float], np.ndarray, np.ndarray]:
-        """SCAN positions of the joint over its range, and where all geoms are there; the same for all switches of an axis."""
-        if joint not in self.scans:
-            positions, turns = np.empty((SCAN, self.model.ngeom, 3)), np.empty((SCAN, self.model.ngeom, 9))
-            grid = np.linspace(low, high, SCAN).tolist()
-            for k, q in enumerate(grid):
-                self._at(joint, q)
-                mujoco.mj_kinematics(self.model, self.data)
-                positions[k], turns[k] = self.data.geom_xpos, self.data.geom_xmat
-            self.scans[joint] = grid, positions, turns
-        return self.scans[joint]
+    def _far(self, joint: int, positions: np.ndarray, pairs: list[tuple[int, int]]) -> np.ndarray:
+        """(positions, pairs), m: how far pairs of geoms are apart with this joint at `positions` and the others at qpos0."""
+        out = np.empty((len(positions), len(pairs)))
+        both = np.array(pairs, np.int32).reshape(-1, 2)
+        self.data.qpos[:] = self.model.qpos0
+        scan.distances(
+            libmujoco.address("mj_kinematics"), libmujoco.address("mj_geomDistance"), self.model._address,
+            self.data._address, self.data.qpos, int(self.model.jnt_qposadr[joint]), positions, both, out,
+        )  # fmt: skip
+        return out
 
-    def _distances(
-        self, joint: int, low: float, high: float, vane: int, switch: int
-    ) -> tuple[list[float], list[float]]:
-        """SCAN positions of the joint over its range, and the distance of vane and switch at each."""
-        grid, positions, turns = self._scan(joint, low, high)
-        here = [(table[geom], kept[:, geom]) for geom in (vane, switch)
-                for table, kept in ((self.data.geom_xpos, positions), (self.data.geom_xmat, turns))]  # fmt: skip
-        found = []
-        for k in range(SCAN):
-            for place, kept in here:
-                place[:] = kept[k]
-            found.append(mujoco.mj_geomDistance(self.model, self.data, vane, switch, 1e3, None))
-        return list(grid), found
+    def _scanned(self, axis: str, joint: int, low: float, high: float) -> dict[tuple[int, int], np.ndarray]:
+        """Vane and switch -> their distance at SCAN positions over the range; of all the axis' sensors that name two geoms."""
+        m, geom = self.model, mujoco.mjtObj.mjOBJ_GEOM
+        sensors = [self._id(mujoco.mjtObj.mjOBJ_SENSOR, f"{axis}_{pin}") for pin in PINS]
+        pairs = [
+            (int(m.sensor_objid[s]), int(m.sensor_refid[s]))
+            for s in sensors
+            if s >= 0 and m.sensor_objtype[s] == geom and m.sensor_reftype[s] == geom
+        ]
+        for vane, switch in pairs:  # MuJoCo's errors are exceptions in Python only
+            mujoco.mj_geomDistance(m, self.data, vane, switch, scan.FAR, None)
+        return dict(zip(pairs, self._far(joint, np.linspace(low, high, SCAN), pairs).T, strict=True))
 
     def _pushing(self) -> list[set[int]]:
         contact, count = self.data.contact, self.data.ncon
@@ -535,17 +536,22 @@ class _Binder:
             return []
         return [set(pair) for pair in contact.geom[contact.efc_address >= 0].tolist()]
 
-    def _edge(self, joint: int, vane: int, switch: int, low: float, high: float, pin: str) -> tuple[float, float] | str:
+    def _edge(
+        self, joint: int, vane: int, switch: int, low: float, high: float, pin: str, scanned: np.ndarray
+    ) -> tuple[float, float] | str:
         """(joint position where the vane trips the switch, d dist / d q there), or what is wrong."""
 
         def distance(q: float) -> float:
             return self._distance(joint, q, vane, switch)
 
-        grid, dist = self._distances(joint, low, high, vane, switch)
+        grid, dist = np.linspace(low, high, SCAN).tolist(), scanned.tolist()
         for k in range(SCAN - 2, 0, -1):  # a narrow vane may pass between two positions tried
             if 0 < dist[k] <= min(dist[k - 1], dist[k + 1]) and 2 * dist[k] <= max(dist[k - 1], dist[k + 1]):
-                grid[k : k + 1] = finer = np.linspace(grid[k - 1], grid[k + 1], 65)[1:-1].tolist()
-                dist[k : k + 1] = [distance(q) for q in finer]
+                finer = np.linspace(grid[k - 1], grid[k + 1], 65)[1:-1]
+                grid[k : k + 1], dist[k : k + 1] = (
+                    finer.tolist(),
+                    self._far(joint, finer, [(vane, switch)])[:, 0].tolist(),
+                )
         on = np.array(dist) <= 0
         if on.all():
             return f"trips it over the whole range {low:g} to {high:g}"

@@ -64,8 +64,8 @@ def _build(package: str, places: dict[str, Path], folder: Path, say: Any) -> Pat
             f"libraries are built with numba {NUMBA}, and {found} is installed: pip install numba=={NUMBA}."
         )
     roots = places | load.folders("stage")
-    known = {module: source for module, source in _modules(roots)}
-    parts = _parts(package, {m: s for m, s in known.items() if m.partition(".")[0] == package})
+    known = dict(load.modules(roots))
+    parts = _parts(package, places)
     kept = folder / "__pycache__"
     kept.mkdir(exist_ok=True)
     processor, needs = load.BASELINES.get(platform.machine(), ("", ()))
@@ -104,21 +104,11 @@ def _build(package: str, places: dict[str, Path], folder: Path, say: Any) -> Pat
     return path
 
 
-def _modules(places: dict[str, Path]) -> Iterator[tuple[str, Path]]:
-    """Every module of the packages in these folders, by its full name."""
-    for name, folder in places.items():
-        for source in sorted(folder.rglob("*.py")):
-            inside = source.relative_to(folder).with_suffix("")
-            if inside.name != "__init__" and "__pycache__" not in inside.parts:
-                yield ".".join((name, *inside.parts)), source
-
-
-def _parts(package: str, known: dict[str, Path]) -> dict[str, list[str]]:
+def _parts(package: str, places: dict[str, Path]) -> dict[str, list[str]]:
     """Folder -> its modules that export something."""
     parts: dict[str, list[str]] = {}
-    for module, source in known.items():
-        if "\n@exported(" in source.read_text(encoding="utf-8") and not module.startswith("stage.native."):
-            parts.setdefault(module.rpartition(".")[0], []).append(module)
+    for module, _ in load.exporting(places):
+        parts.setdefault(module.rpartition(".")[0], []).append(module)
     if not parts:
         raise NativeError(f"package {package!r} exports no compiled function.")
     return parts

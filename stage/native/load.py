@@ -8,6 +8,7 @@ import json
 import platform
 import sys
 import tomllib
+from collections.abc import Iterator
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -67,7 +68,32 @@ def unfit(package: str, path: Path) -> str:
         source = source_of(module, places[module.partition(".")[0]])
         if source is None or digest_of(source) != digest:
             return f"{path} was built from other sources: {module} has changed"
+    if in_checkout(package):
+        new = (m for m, _ in exporting(places.get(package) or folders(package)) if m not in manifest["sources"])
+        for module in new:
+            return f"{path} was built from other sources: {module} is new"
     return ""
+
+
+def in_checkout(package: str) -> bool:
+    """Whether a package lies where its sources are worked on."""
+    return (folders(package)[package].parent / "pyproject.toml").is_file()
+
+
+def modules(places: dict[str, Path]) -> Iterator[tuple[str, Path]]:
+    """Every module of the packages in these folders, by its full name."""
+    for name, folder in places.items():
+        for source in sorted(folder.rglob("*.py")):
+            inside = source.relative_to(folder).with_suffix("")
+            if inside.name != "__init__" and "__pycache__" not in inside.parts:
+                yield ".".join((name, *inside.parts)), source
+
+
+def exporting(places: dict[str, Path]) -> Iterator[tuple[str, Path]]:
+    """Those of them that export something."""
+    for module, source in modules(places):
+        if b"\n@exported(" in source.read_bytes() and not module.startswith("stage.native."):
+            yield module, source
 
 
 def _manifest(content: bytes) -> dict[str, Any] | None:

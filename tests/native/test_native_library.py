@@ -87,6 +87,14 @@ def test_old_code_never_runs_where_nothing_can_be_built(toy):
     assert "pip install 'pulsestage[build]', then python -m stage.native toy" in last
 
 
+def test_a_new_module_is_missed_in_a_checkout(toy):
+    (toy / "pyproject.toml").touch()
+    (toy / "toy" / "second.py").write_text(CORE)
+    done = run(toy, WITHOUT_NUMBA + RUN, check=False)
+    assert done.returncode == 1
+    assert "was built from other sources: toy.second is new" in done.stderr
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [

@@ -1,0 +1,23 @@
+"""How far switches and their vanes are apart over an axis' travel: thousands of positions, before a stage can begin."""
+
+from __future__ import annotations
+
+from stage.native import array_of, called, exported
+
+FAR = 1e3  # m; what is farther apart is as far
+
+_kinematics = called(None, "i8", "i8")
+_distance = called("f8", "i8", "i8", "i4", "i4", "f8", "i8")
+
+
+@exported(None, "i8", "i8", "i8", "i8", array_of("f8"), "i8", array_of("f8"), array_of("i4", 2), array_of("f8", 2))
+def distances(kinematics, distance, model, data, qpos, k, positions, pairs, out):
+    """out[i, j], m: how far the geoms pairs[j] are apart where coordinate k of `qpos`, the data's own, is positions[i].
+
+    kinematics, distance, model, data: addresses of MuJoCo's functions mj_kinematics and mj_geomDistance, and of what they take.
+    """
+    for i in range(len(positions)):
+        qpos[k] = positions[i]
+        _kinematics(kinematics, (model, data))
+        for j in range(len(pairs)):
+            out[i, j] = _distance(distance, (model, data, pairs[j, 0], pairs[j, 1], FAR, 0))
