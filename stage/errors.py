@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from difflib import get_close_matches
 
 
 class StageError(Exception):
@@ -62,9 +61,16 @@ class NativeError(LoadError):
     """The native library is missing, or does not fit these sources or this machine, and could not be built."""
 
 
+def near_names(given: object, names: Iterable[str], cutoff: float = 0.5) -> list[str]:
+    """Those of `names` that somebody who wrote `given` may have meant, the nearest first; three at most."""
+    from difflib import get_close_matches  # 2 ms of a start that mostly has no error
+
+    return get_close_matches(str(given), list(names), n=3, cutoff=cutoff)
+
+
 def unknown(kind: str, given: object, allowed: Iterable[str]) -> ArgumentError:
     """An ArgumentError for a name that is not among `allowed`, with the near misses."""
     names = sorted(allowed)
-    near = get_close_matches(str(given), names, n=3, cutoff=0.5)
+    near = near_names(given, names)
     hint = f" Did you mean {' or '.join(repr(n) for n in near)}?" if near else ""
     return ArgumentError(f"unknown {kind} {given!r}.{hint} Known: {', '.join(names) or 'none'}.")

@@ -25,7 +25,6 @@ import copy
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from difflib import get_close_matches
 from functools import lru_cache
 from importlib import resources
 from pathlib import Path
@@ -35,7 +34,7 @@ import mujoco
 import numpy as np
 
 from stage import libmujoco, scan
-from stage.errors import ArgumentError, ModelError, unknown
+from stage.errors import ArgumentError, ModelError, near_names, unknown
 from stage.fingerprint import fingerprint
 from stage.pins import PINS
 
@@ -114,7 +113,7 @@ def open_spec(source: Any) -> Any:
             raise unknown("model", str(source), names())
         return _shipped(str(source), _state_of_models()).copy()
     if not path.is_file():
-        near = get_close_matches(path.stem, names(), n=1, cutoff=0.5)
+        near = near_names(path.stem, names(), 0.5)
         hint = f" Did you mean the shipped model {near[0]!r}?" if near else ""
         raise ModelError(f"no MJCF file at {path}.{hint} Shipped models, by name: {', '.join(names())}.")
     try:
@@ -285,7 +284,7 @@ def describe(model: mujoco.MjModel) -> str:
 def _similar(name: str, known: Iterable[str]) -> list[str]:
     """The names nearest to `name`, whatever the case."""
     folded = {k.casefold(): k for k in known if k}
-    return [folded[k] for k in get_close_matches(name.casefold(), folded, n=1, cutoff=0.6)]
+    return [folded[k] for k in near_names(name.casefold(), folded, 0.6)[:1]]
 
 
 def _actuator_line(name: str) -> str:
@@ -571,7 +570,7 @@ class _Binder:
         """Joint travel before the touch over which the sensor finds the vane."""
         sign, near, far = (1.0 if slope > 0 else -1.0), LOOK_AHEAD / abs(slope), 0.0
         room = high - q if slope > 0 else q - low
-        for _ in range(40):
+        for _ in range(24):
             x = 0.5 * (near + far) if far else min(2 * near, room)
             self._forward(joint, q + sign * x)
             if not self.data.sensordata[found] > 0:

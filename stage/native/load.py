@@ -7,7 +7,6 @@ import hashlib
 import json
 import platform
 import sys
-import tomllib
 from collections.abc import Iterator
 from functools import cache
 from importlib.util import find_spec
@@ -156,6 +155,8 @@ def folders(package: str) -> dict[str, Path]:
     root = Path(next(iter(spec.submodule_search_locations))).resolve()
     found, project = {package: root}, root.parent / "pyproject.toml"
     if project.is_file():
+        import tomllib  # for a checkout only
+
         settings = tomllib.loads(project.read_text()).get("tool", {}).get("setuptools", {})
         for name, folder in settings.get("package-dir", {}).items():
             if name.startswith(f"{package}."):
