@@ -421,3 +421,34 @@ def test_a_refused_stage_gives_the_callers_chip_back():
         chip.restore(before)
     stage = Stage("xy", chips={"x": lambda: chip}, visuals=False)
     assert stage.axes["x"].chip.values()["R1"] == chip.values()["R1"] == 77
+
+
+def test_a_recording_that_wants_more_than_every_step_has_every_step_and_each_begins_with_its_own(xyz):
+    for every, steps in ((1e-9, 1), (0.3e-3, 1), (1e-3, 4)):
+        with xyz.record(every) as recording:
+            xyz.step(3)
+            xyz.step(5)
+        assert len(recording) == 8 // steps
+        assert np.diff(recording.column("time")) == pytest.approx(steps * 2.5e-4)
+        assert recording.every == pytest.approx(steps * 2.5e-4)
+    xyz.step(5)
+    assert len(recording) == 2
+
+
+def test_a_payload_that_is_taken_off_leaves_the_mass_as_it_was(xyz):
+    body = xyz.model.site("work").bodyid[0]
+    before = xyz.model.body_mass[body], xyz.model.body_subtreemass[0]
+    xyz.set_payload(2.0)
+    xyz.set_payload(3.5)
+    assert xyz.payload() == 3.5
+    assert xyz.model.body_mass[body] == before[0] + 3.5
+    assert xyz.model.body_subtreemass[0] == pytest.approx(before[1] + 3.5)
+    xyz.set_payload(0)
+    assert (xyz.model.body_mass[body], xyz.model.body_subtreemass[0]) == before
+    assert xyz.payload() == 0
+
+
+def test_run_until_says_how_long_it_took_also_where_nothing_had_to_be_waited_for(xyz):
+    xyz.run(0.01)
+    assert xyz.run_until(lambda: True, timeout=1) == 0
+    assert xyz.run_until(lambda: xyz.time > 0.0135, timeout=1) == pytest.approx(4e-3, abs=1e-12)

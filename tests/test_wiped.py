@@ -134,6 +134,13 @@ def test_after_mj_reset_data_keyframe_the_carriages_stand_where_the_key_says(xy,
     assert [(a.position, a.commanded, a.lost_steps, a.chip.values()) for a in xy.axes.values()] == expected
 
 
+def test_what_is_put_into_qvel_after_mj_reset_data_is_how_fast_the_carriage_goes(xy):
+    wipe(xy)
+    xy.data.qvel[:] = 0.02
+    assert xy.axes["x"].position != 0
+    assert xy.data.qvel.tolist() == [0.02, 0.02]
+
+
 def test_what_is_put_into_qpos_after_mj_reset_data_is_where_the_carriage_stands(xy):
     wipe(xy)
     xy.data.qpos[:] = 0.02

@@ -3,8 +3,12 @@
 import subprocess
 import sys
 
+import nova_programs
 import numpy as np
+import programs
 import pytest
+import servo_programs
+from examples import SEED
 from loops.rows import told
 
 from stage.chips import CHIPS, FAMILIES, cores
@@ -54,3 +58,71 @@ def test_a_stage_loads_no_family_that_it_does_not_use():
     out = subprocess.run([sys.executable, "-c", say], capture_output=True, text=True, check=True).stdout
     loaded = {name for name in FAMILIES if f"stage.chips.{name}" in out.split()}
     assert loaded == {"pcl240"}
+
+
+LIKELY = (0x08, 0x10, 0x15, 0x12, 0x40, 0x44, 0x80, 0x87, 0x103, 0x104, 0x105, 0x10F, 0x120, 0x121, 0x220, 0x321)
+
+
+def move(chip, pulses):
+    """A drive on the first axis."""
+    if chip.SERVO:
+        servo_programs.move(chip, pulses)
+    elif "nova" in chip.CORE.__name__:
+        nova_programs.move(chip, pulses)
+    else:
+        programs.start_preset(chip, abs(pulses), pulses < 0)
+    chip.advance(chip.clock_hz // 20)
+
+
+def go_on(chip, rng, acts):
+    """Random bus cycles, pins and time; all that the chip said and did."""
+    cls, said = type(chip), []
+    for _ in range(acts):
+        what = rng.integers(0, 20)
+        if what < 13:
+            likely = what < 5
+            address = 0 if likely else rng.integers(0, cls.ADDRESSES)
+            chip.write(
+                address, rng.choice(LIKELY) if likely else rng.integers(0, cls.DATA_MASK + 1) >> rng.integers(0, 9)
+            )
+        elif what < 16:
+            begin, pulses = chip.clock, chip.trace(int(rng.integers(0, 5_000)))
+            said.append((pulses["clock"] - begin, pulses["axis"], pulses["direction"]))
+        elif what < 19:
+            said.append(chip.read(rng.integers(0, cls.ADDRESSES)))
+        else:
+            setattr(chip.axes[rng.integers(0, cls.AXES)].pins, rng.choice(list(cls.INPUTS)), bool(rng.integers(0, 2)))
+        said.append([chip._output_word(axis) for axis in range(cls.AXES)])
+    return [*said, chip.values()], np.array([chip.net(k) for k in range(cls.AXES)])
+
+
+COMMANDED = {"MCX514": 0x00FF, "MCX304": 0x8000, "MCX302": 0x8000, "MCX312": 0x8000}
+"""WR0 that resets."""
+
+
+@pytest.mark.parametrize(
+    ("name", "reset"), [*((name, type.reset) for name, type in CHIPS.items()),
+                        *((name, lambda chip, word=word: chip.write(0, word)) for name, word in COMMANDED.items())],
+    ids=[*CHIPS, *(f"{name} by a command" for name in COMMANDED)],
+)  # fmt: skip
+def test_after_a_reset_a_chip_goes_on_as_one_that_was_just_switched_on_whatever_it_did_before(name, reset):
+    make = CHIPS[name]
+    for seed in range(SEED, SEED + 4):
+        print("seed", seed)
+        used, other = make(), make()
+        move(used, -3000)
+        go_on(used, np.random.default_rng(seed), 40)
+        other.advance(used.clock)
+        for k in range(make.AXES):
+            other._set_input_word(k, used._input_word(k))
+        if make.SERVO:
+            other.encoder = used.encoder
+        net, noted = used.net(), list(used.diagnostics)
+        reset(used)
+        other.reset()
+        assert (used.diagnostics, used.clock) == (noted, other.clock), "the clock and what was noted stay"
+        assert net != 0 == other.net()
+        assert make.SERVO or used.net() == net, "pulses made stay made"
+        (mine, made), (its, its_made) = (go_on(chip, np.random.default_rng(seed + 1), 40) for chip in (used, other))
+        assert str(mine) == str(its)
+        assert make.SERVO or (made - its_made)[0] == net

@@ -57,6 +57,30 @@ def test_the_low_byte_alone_is_not_latched():
     assert counter.data == 6
 
 
+def test_the_high_byte_latches_when_it_is_selected_while_the_outputs_are_on():
+    shaft = Shaft(0x0101)
+    counter = HCTL2016(shaft)
+    shaft.count = 0x0202 + 0x0101
+    counter.sel, counter.oe = 1, True
+    counter.sel = 0
+    shaft.count = 0
+    assert counter.data == 0x02
+    counter.sel = 1
+    assert counter.data == 0x02
+
+
+def test_of_four_bytes_the_highest_alone_latches():
+    shaft = Shaft()
+    counter = HCTL2022(shaft)
+    counter.select, counter.oe = (1, 0), True
+    for shaft.count in (5, 6):
+        assert counter.data == shaft.count
+    counter.select = (0, 1)
+    shaft.count = 0x01020304
+    counter.select = (1, 0)
+    assert counter.data == 6
+
+
 @pytest.mark.parametrize("cls", [*TWO_BYTES, HCTL2022])
 def test_rst_clears(cls):
     shaft = Shaft()

@@ -5,9 +5,10 @@ import random
 import numpy as np
 import pytest
 
+from stage import faults
 from stage.chips import CHIPS, MCX304, MCX514, PCL240MK
 from stage.chips.decode import decode
-from stage.chips.entries import PACKED, READ, WRITE, Entries, Entry
+from stage.chips.entries import INPUT, PACKED, READ, WRITE, Entries, Entry
 
 
 def command(chip, code, value=0, axes=1):
@@ -116,6 +117,26 @@ def test_journals_of_one_chip_end_in_any_order_and_the_others_go_on():
         journals.pop(0).close()
         chip.write(0, 0x18)
         assert [e.b for e in journals[0].entries] == [0x08, 0x18]
+
+
+def test_a_course_ends_where_its_journal_was_closed_and_a_younger_one_hears_what_the_stage_tells(xy):
+    x = xy.axes["x"]
+    older, younger = x.chip.journal(), x.chip.journal()
+    xy.run(0.01)
+    older.close()
+    closed = x.chip.clock
+    xy.run(0.0213)
+    assert (older.until, int(older.course().edges["clock"][-1])) == (closed, closed)
+    assert younger.until == x.chip.clock == int(younger.course().edges["clock"][-1]) > closed
+    again = x.chip.journal()
+    with faults.switch_stuck(x, "org", True):
+        xy.step()
+    assert [e.kind for e in again.entries] == [e.kind for e in younger.entries] == [INPUT, INPUT]
+    assert len(older.entries) == 0
+    again.close()
+    younger.close()
+    older.close()
+    assert (older.until, x.chip._journal) == (closed, None)
 
 
 def test_after_the_reset_pin_words_go_to_x_and_data_are_0_in_the_decoded_writes_too():

@@ -74,7 +74,7 @@ _DELAYS = (2, 256, 512, 1024, 2048, 4096, 8192, 16384)  # us; FL = 2 is known to
 
 @hot
 def reset(c):
-    """Reset: registers to their values, modes and counters 0, X selected; the clock, the pins and the pulse totals go on."""
+    """Reset: registers to their values, modes and counters 0, X selected; the clock, the input pins and the pulse totals go on."""
     power.clear(c)
     for j in range(AXES):
         x = c.ax[j]

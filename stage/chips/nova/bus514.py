@@ -71,7 +71,7 @@ _FILTERS = (0, LMT_PLUS | LMT_MINUS, STOP0 | STOP1, INPOS | ALARM, 0xF << PIO, 0
 
 @hot
 def reset(c):
-    """Reset: registers to their values, modes and counters 0, X selected; the clock, the pins and the pulse totals go on."""
+    """Reset: registers to their values, modes and counters 0, X selected; the clock, the input pins and the pulse totals go on."""
     power.clear(c)
     for j in range(AXES):
         x = c.ax[j]

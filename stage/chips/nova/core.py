@@ -14,7 +14,6 @@ from stage.chips.nova.profile import speed_at
 from stage.chips.nova.scan import ROOM, log, raise_pulse, shown, stop_at
 from stage.chips.nova.state import (
     ASND,
-    AXES,
     CNST,
     DCC,
     DIR,
@@ -303,9 +302,6 @@ def window(c, row, k):
 @exported(None, STATE)
 def power_up(c):
     """A cleared record becomes a chip that was just switched on."""
-    for j in range(AXES):
-        if c.ax[j].way == 0:
-            c.ax[j].way = 1
     if c.variant == MCX514_TYPE:
         bus514.reset(c)
     else:

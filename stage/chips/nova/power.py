@@ -9,7 +9,8 @@ from stage.native import hot
 
 @hot
 def clear(c):
-    """Registers, modes, counters and drives 0, X selected; the clock, the pins and the pulse totals go on."""
+    """Registers, modes, counters and drives 0, X selected, the direction plus; the clock, the input pins and the pulse totals go
+    on."""
     for j in range(AXES):
         x = c.ax[j]
         for k in range(len(x.reg)):
@@ -20,6 +21,7 @@ def clear(c):
             x.mode[k] = 0
         x.driving = x.waiting = x.held = x.done = x.output = x.fixed = x.slow = 0
         x.factors = x.fired = x.finish = 0
+        x.way = 1
         x.phase = CONSTANT - 9
         sync.reset(c, x)
         home.reset(x)
