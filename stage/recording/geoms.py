@@ -16,7 +16,9 @@ _KIND = mujoco.mjtGeom
 
 def visible(model: mujoco.MjModel, geom: int) -> bool:
     """Whether a geom is there to be looked at."""
-    return bool(model.geom_group[geom] < HIDDEN_GROUP and colour(model, geom)[3] > 0)
+    material = model.geom_matid[geom]
+    rgba = model.mat_rgba[material] if material >= 0 else model.geom_rgba[geom]
+    return bool(model.geom_group[geom] < HIDDEN_GROUP and round(float(rgba[3]) * 255) > 0)
 
 
 def colour(model: mujoco.MjModel, geom: int) -> np.ndarray:
@@ -35,12 +37,14 @@ def _mean(model: mujoco.MjModel, texture: int) -> np.ndarray:
     channels = model.tex_nchannel[texture]
     begin = model.tex_adr[texture]
     size = model.tex_width[texture] * model.tex_height[texture] * channels
-    return model.tex_data[begin : begin + size].reshape(-1, channels)[:, :3].mean(axis=0) / 255
+    data = model.tex_data[begin : begin + size]
+    return np.array([data[k::channels].mean() for k in range(3)]) / 255
 
 
 def floor(model: mujoco.MjModel) -> int | None:
     """The first level plane of the world; it is shown as a grid of lines, which hides nothing from below."""
-    for g in np.flatnonzero((model.geom_type == _KIND.mjGEOM_PLANE) & (model.geom_bodyid == 0)).tolist():
+    planes = model.geom_type == int(_KIND.mjGEOM_PLANE)  # with the name itself numpy compares objects, one by one
+    for g in np.flatnonzero(planes & (model.geom_bodyid == 0)).tolist():
         if abs(model.geom_quat[g][0]) > 1 - 1e-9:
             return g
     return None
@@ -49,8 +53,9 @@ def floor(model: mujoco.MjModel) -> int | None:
 def shapes(model: mujoco.MjModel, body: int) -> Iterator[tuple[str, Any]]:
     """(entity name, archetype) for the geoms of a body, in the body's frame."""
     kinds: dict[int, list[int]] = {}
+    grid = floor(model)
     for g in np.flatnonzero(model.geom_bodyid == body).tolist():
-        if visible(model, g) and g != floor(model):
+        if g != grid and visible(model, g):
             kinds.setdefault(int(model.geom_type[g]), []).append(g)
     for kind, geoms in kinds.items():
         if kind in _MAKERS:
