@@ -1,5 +1,6 @@
 """Two minutes of the soak; `make soak` runs a day of it."""
 
+import copy
 import json
 import signal
 import subprocess
@@ -30,18 +31,30 @@ def test_two_minutes_of_random_moves_lose_no_step_and_no_pulse(tmp_path, capsys)
     assert 0 < summary["worst_at_rest_pulses"] <= soak.AT_REST
 
 
-def test_the_same_seed_is_the_same_day():
-    first, second, other = (soak.soak(0.007, seed, say=lambda _: None) for seed in (7, 7, 8))
+def test_the_same_seed_is_the_same_day(monkeypatch):
+    monkeypatch.setattr(soak, "LONGEST", 3.0)
+    """The first origin returns and a move."""
+    first, second, other = (soak.soak(0.0055, seed, say=lambda _: None) for seed in (9, 9, 8))
     assert first["moves"] > 0
     assert [first[k] for k in TIMELESS] == [second[k] for k in TIMELESS]
     assert [first[k] for k in TIMELESS] != [other[k] for k in TIMELESS]
 
 
-@pytest.fixture
-def run():
+@pytest.fixture(scope="module")
+def begun():
+    """A run with its first rounds behind it, a snapshot of its stage, and what it has counted."""
     run = soak.Soak(3)
     run.round()  # origin returns
     run.round()
+    counted = {name: value for name, value in vars(run).items() if name not in ("stage", "fleet", "axes")}
+    return run, run.stage.snapshot(), copy.deepcopy(counted)
+
+
+@pytest.fixture
+def run(begun):
+    run, snapshot, counted = begun
+    run.stage.restore(snapshot)
+    vars(run).update(copy.deepcopy(counted))
     return run
 
 
@@ -52,10 +65,12 @@ def test_a_carriage_that_is_not_where_its_pulses_are_is_found(run):
         run.check(run.fleet.truth()[0], "planted")
 
 
-def test_lost_steps_are_found(run):
+def test_lost_steps_are_found(run, monkeypatch):
     """X is held against its motor for a while, as if it had jammed."""
     x = run.axes[0]
-    run.stage.model.dof_frictionloss[run.stage.model.jnt_dofadr[x.joint]] = 1e5
+    friction = run.stage.model.dof_frictionloss.copy()
+    friction[run.stage.model.jnt_dofadr[x.joint]] = 1e5
+    monkeypatch.setattr(run.stage.model, "dof_frictionloss", friction)
 
     def go_on():
         for _ in range(20):

@@ -158,7 +158,7 @@ def _move(stage: Any, stop: Callable[[Any], bool]) -> Figures:
     while not driver.word(1) & nova.DSND:
         x.wait(1e-3)
     while driver.word(1) & nova.DSND:
-        x.wait(1e-4)
+        x.wait(5e-4)
     x.wait(1e-6 * MOVE["K"])  # area d lasts 2 K us
     left = PULSES - driver.position()
     given = stop(driver)

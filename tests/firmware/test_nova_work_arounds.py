@@ -20,6 +20,7 @@ MOST_IN_D = SV * M + JERK / 2 * AREA_D**2  # pps
 LATE = 3  # pulses: at MOST_IN_D in a polling period of 1 ms, and one for where the periods begin
 US = 1e-6
 IN_D = [WHOLE - AREA_D + 2 * US, WHOLE - AREA_D / 2, WHOLE - AREA_D / 7, WHOLE - 8 * US]
+SHORTLY = 3 * AREA_D  # from when on a routine watches that has nothing to see before
 LIMITS = {"CP": 2**31 - 1, "CM": -(2**31)}
 
 
@@ -47,7 +48,7 @@ class Setup:
         return self.driver.driving() and not self.driver.word(1) & nova.PHASES
 
     def ended_at(self):
-        self.driver.wait_until_stopped(5)
+        self.driver.wait_until_stopped(5, poll=0.02)
         return self.driver.position()
 
 
@@ -159,8 +160,9 @@ LIMIT_ROUTINES = {"interrupt": (erratum.limit_interrupt, nova.C_END_ENABLE), "po
 limit_routine = pytest.mark.parametrize("name", LIMIT_ROUTINES)
 
 
-def with_limit(name, when, cls=MCX304, sign=1, routine=True, errata=True):
-    """A drive whose limit is met `when` seconds after its start; where it was then; whether the routine gave 27h."""
+def with_limit(name, when, cls=MCX304, sign=1, routine=True, errata=True, begins=0.0):
+    """A drive whose limit is met `when` seconds after its start; where it was then; whether the routine gave 27h, which watches
+    from `begins` seconds after the start on."""
     watch, wr1 = LIMIT_ROUTINES[name]
     setup = Setup(cls, errata, wr1=wr1, wr2=nova.LIMITS_DECELERATE)
     setup.driver.word(3)
@@ -172,6 +174,7 @@ def with_limit(name, when, cls=MCX304, sign=1, routine=True, errata=True):
         places.append(abs(setup.driver.axis.place))
 
     setup.bench.at(setup.began + when, touch)
+    setup.run_to(begins)
     stopped = setup.driver.wait_until_stopped(3, lambda: watch(setup.driver)) if routine else None
     return setup, places, stopped
 
@@ -181,7 +184,7 @@ def with_limit(name, when, cls=MCX304, sign=1, routine=True, errata=True):
 @pytest.mark.parametrize("when", IN_D)
 def test_a_decelerating_limit_in_area_d_runs_away_and_is_ended_within_3_pulses(cls, name, when):
     assert with_limit(name, when, cls, routine=False)[0].runs_away()
-    setup, (place,), stopped = with_limit(name, when, cls)
+    setup, (place,), stopped = with_limit(name, when, cls, begins=WHOLE - SHORTLY)
     assert stopped
     assert setup.driver.position() - place <= LATE
 
@@ -207,7 +210,7 @@ def test_the_routines_leave_a_drive_alone_that_ends_by_itself(name, when):
 @limit_routine
 def test_a_mended_chip_needs_no_routine(name):
     for when in IN_D:
-        setup, _, stopped = with_limit(name, when, errata=False)
+        setup, _, stopped = with_limit(name, when, errata=False, begins=0.0 if when == IN_D[0] else WHOLE - SHORTLY)
         assert not stopped
         assert setup.driver.position() <= PULSES
 
@@ -241,7 +244,7 @@ def test_a_drive_up_to_a_software_limit_is_started_and_ends_there(sign):
 # Case 4: STOP0 to STOP2
 
 
-def with_stop(k, when, cls=MCX304, routine=True):
+def with_stop(k, when, cls=MCX304, routine=True, begins=0.0):
     setup = Setup(cls, wr1=nova.STOP_ENABLES[k]).start()
     places = []
 
@@ -250,6 +253,7 @@ def with_stop(k, when, cls=MCX304, routine=True):
         places.append(setup.driver.axis.place)
 
     setup.bench.at(setup.began + when, touch)
+    setup.run_to(begins)
     watch = setup.driver.wait_until_stopped
     return setup, places, watch(3, lambda: erratum.stop_signal_poll(setup.driver)) if routine else None
 
@@ -259,7 +263,7 @@ def with_stop(k, when, cls=MCX304, routine=True):
 def test_a_stop_signal_in_area_d_runs_away_and_is_ended_within_3_pulses(cls, k):
     for when in IN_D:
         assert with_stop(k, when, cls, routine=False)[0].runs_away()
-        setup, (place,), stopped = with_stop(k, when, cls)
+        setup, (place,), stopped = with_stop(k, when, cls, begins=WHOLE - SHORTLY)
         assert stopped
         assert setup.driver.position() - place <= LATE
 
