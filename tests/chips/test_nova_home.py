@@ -15,7 +15,7 @@ from nova_hands import D_END, D_STA, H_END, MS, READ, US, home_state, load, page
 from stage.chips import MCX302, MCX304, MCX312, MCX514
 
 FAMILY = (MCX304, MCX302, MCX312)
-CHUNK = MS // 4
+CHUNK = MS
 S1, S2, S3, S4 = 0x0001, 0x0010, 0x0400, 0x8000  # H1M: steps, and their directions
 S1_MINUS, S2_MINUS, S3_MINUS = 0x0002, 0x0020, 0x0800
 BY_STOP1, BY_LIMIT, LIMIT_2 = 0x0004, 0x0008, 0x0040  # signals of steps 1 and 2

@@ -30,7 +30,7 @@ class Ready(NamedTuple):
 
 def ready(library, errata=True):
     """The X axis begins where its target is 5 mm before EL+."""
-    stage = Stage("xyz", chips=lambda: MCX304(errata=errata))
+    stage = Stage("xy", chips=lambda: MCX304(errata=errata), visuals=False)
     x = stage.axes["x"]
     end = next(s.touch for s in x._plant.switches if s.pin == "el_plus")
     stage.place(x=end - SHORT - PULSES * x.meters_per_pulse)

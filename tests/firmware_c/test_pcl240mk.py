@@ -24,6 +24,7 @@ SPEED = (255, 4080, 193, 193, 153)  # that of home_and_line.c
 NO_CHIP, NOT_HOMED, NOT_THERE = 10, 20, 40
 LINE_OK, LINE_TOO_LONG, LINE_TOO_SHORT, LINE_TOO_SLOW = range(4)
 TIMEOUT = 60.0  # simulated s
+NEAR = {"x": -0.115, "y": -0.065, "z": -0.009}  # m, 5 mm before ORG
 
 
 class Ran(NamedTuple):
@@ -69,7 +70,7 @@ def library(firmware):
 
 @pytest.fixture(scope="module")
 def done(library):
-    return run(library)
+    return run(library, **NEAR)
 
 
 def test_three_axes_are_homed_within_a_pulse_of_orgs_edge(done):
@@ -121,7 +122,7 @@ def test_a_reader_of_the_data_sheet_finds_no_mistake(done):
 
 @pytest.mark.parametrize("isolated", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_two_runs_are_the_same_to_the_bit(library, done, isolated):
-    again = run(library, isolated)
+    again = run(library, isolated, **NEAR)
     assert again.stage.snapshot().state.tobytes() == done.stage.snapshot().state.tobytes()
     assert again.board.trace.lines().tobytes() == done.board.trace.lines().tobytes()
     assert again.log == done.log
@@ -194,7 +195,7 @@ def test_a_chip_that_is_not_there_is_missed_and_its_ports_are_noted(library):
 
 def test_an_org_that_never_comes_ends_at_the_limit(library):
     stage = Stage("xyz", chips=PCL240MK, visuals=False)
-    stage.place(x=-0.1)
+    stage.place(x=-0.14)
     x = stage.axes["x"]
     x.switches.stick("org", False)
     host = NativeHost(library, Board(stage))
@@ -205,6 +206,7 @@ def test_an_org_that_never_comes_ends_at_the_limit(library):
 
 def test_an_end_limit_on_the_line_stops_the_other_axes_too(library):
     stage = Stage("xyz", chips=PCL240MK, visuals=False)
+    stage.place(**NEAR)
     host = NativeHost(library, Board(stage))
     host.run_until(lambda: host.log and host.log[-1][1] == "line", timeout=TIMEOUT, poll=0.01)
     host.run_for(0.5)
@@ -269,7 +271,7 @@ def test_a_broken_register_write_is_named_with_its_cycle_and_leaves_a_recording(
 def test_without_r6_the_line_is_seen_to_end_with_a_bang(firmware, done):
     """The firmware itself notices nothing: it counts pulses, as the chip does."""
     old, new, *_ = BROKEN["R6 is not written"]
-    bang = run(firmware("pcl240mk", change=("pcl240.c", old, new)))
+    bang = run(firmware("pcl240mk", change=("pcl240.c", old, new)), **NEAR)
     assert bang.code == 0
     for name, pulses in LINE.items():
         seconds, _ = bang.paths[name]

@@ -20,7 +20,7 @@ from stage.recording.recording import ROWS
 KILLED = """
 import json, os, signal, sys
 from stage import Stage, firmware
-stage = Stage("xyz", visuals=False)
+stage = Stage("xy", visuals=False)
 recording = stage.record(path=sys.argv[1])
 firmware.preset_move(stage.axes["x"], 3200)
 stage.run(1.5)
@@ -35,9 +35,9 @@ LIMITED = """
 import os, resource, sys
 from stage import Stage
 from stage.recording import RecordingError
-stage = Stage("xyz", visuals=False)
+stage = Stage("xy", visuals=False)
 def limit(size):  # as a disk with room for so many bytes
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
 """
 
 
