@@ -305,3 +305,53 @@ def test_an_episode_can_be_recorded(any_, tmp_path):
     files = sorted((tmp_path / "run").iterdir())
     assert files[0].name == "0.rrd"
     assert all(f.stat().st_size > 1000 for f in files)
+
+
+def test_what_a_vector_cannot_be_or_do_is_said():
+    bus = "stage/RegisterBus-v0"
+    for n in (0, -1, 1.5):
+        with pytest.raises(ArgumentError, match=f"num_envs={n}: a whole number, 1 or more"):
+            stage.envs.base.StageVectorEnv(n)
+    with pytest.raises(ArgumentError, match="does not render"):
+        stage.envs.base.StageVectorEnv(1, render_mode="rgb_array")
+    vector = make_vec(bus, 2, cycles=1, autoreset_mode=AutoresetMode.DISABLED)
+    for seeds in ([1], [1, 2, 3]):
+        with pytest.raises(ArgumentError, match=f"{len(seeds)} seeds for 2 environments"):
+            vector.reset(seed=seeds)
+    vector.action_space.seed(1)
+    action = vector.action_space.sample()
+    with pytest.raises(ArgumentError, match="the episode of environment 0 is over: reset it first"):
+        vector.step(action)
+    vector.reset(seed=[4, None])
+    assert vector.step(action)[3].all()
+    vector.reset(options={"reset_mask": np.array([True, False])})
+    with pytest.raises(ArgumentError, match="the episode of environment 1 is over"):
+        vector.step(action)
+
+
+def test_a_vector_goes_on_with_its_numbers_unless_it_is_seeded_anew():
+    bus = "stage/RegisterBus-v0"
+    vector, parts = make_vec(bus, 2), [make(bus) for _ in range(2)]
+    firsts = []
+    for seed, seeds in ((None, (None, None)), (3, (3, 4)), (None, (None, None)), ([None, 9], (None, 9))):
+        seen, _ = vector.reset(seed=seed)
+        if seed is not None or firsts:
+            for k, env in enumerate(parts):
+                assert same(env.reset(seed=seeds[k])[0], seen[k]), (seed, k)
+            firsts.append(seen)
+    assert not same(firsts[0], firsts[1])
+    vector.reset(seed=3)
+    masked, _ = vector.reset(seed=5, options={"reset_mask": np.array([False, True])})
+    assert same(masked[0], firsts[0][0]), "the other stays as it was"
+    assert same(masked[1], parts[1].reset(seed=6)[0])
+
+
+def test_recordings_are_numbered_by_episode(tmp_path):
+    env = make("stage/RegisterBus-v0", record=str(tmp_path / "a" / "{}-{}.rrd"))
+    for seed in range(3):
+        env.reset(seed=seed)
+        env.step(env.action_space.sample())
+    assert sorted(file.name for file in (tmp_path / "a").iterdir()) == ["0-0.rrd", "1-1.rrd"]
+    env.close()
+    env.close()
+    assert sorted(file.name for file in (tmp_path / "a").iterdir()) == ["0-0.rrd", "1-1.rrd", "2-2.rrd"]

@@ -94,3 +94,32 @@ def test_a_model_without_a_site_work_carries_its_payload(id_):
         env = make(id_, model=without_work(), axis="y", payloads=(2.0, 2.0), payload_on=named)
         env.reset(seed=1)
         assert env.stage.payload(tool) == 2.0, "on the body, or that of the site, that was named"
+
+
+@pytest.mark.parametrize("id_", EVERY)
+def test_the_ends_of_a_setting_are_in_it(id_):
+    for name, kind in _kinds(EVERY[id_]):
+        if isinstance(kind, Number):
+            low = kind.low + (1 if kind.whole else 1e-9) if kind.above else kind.low
+            beyond = kind.low if kind.above else kind.low - (1 if kind.whole else 1e-9)
+            inside, outside = (low, kind.high), (beyond, kind.high * 1.01 + 1)
+            assert all(map(kind.takes, inside)), name
+            assert not any(map(kind.takes, (*outside, True))), name
+
+
+@pytest.mark.parametrize(
+    ("id_", "settings", "wrong"),
+    [
+        ("stage/OriginReturn-v0", {"ez": 16, "drift": 5e-4}, {"ez": 17, "drift": 6e-4}),
+        ("stage/OriginReturn-v0", {"frictions": (1e-3, 1e-3)}, {"frictions": (9e-4, 1)}),
+        ("stage/OriginReturn-v0", {"payloads": (0, 0), "bus_cycle": 1}, {"payloads": (-1e-9, 0), "bus_cycle": 1.01}),
+        ("stage/OriginReturn-v0", {"limit": 1e6, "returns": 1, "bus_cycle": 0}, {"limit": 1.1e6, "returns": 0}),
+        ("stage/RegisterTuning-v0", {"distances": (1, 1), "moves": 1}, {"distances": (0, 1), "moves": 0, "settle": 0}),
+    ],
+)  # fmt: skip
+def test_a_setting_goes_as_far_as_it_should(id_, settings, wrong):
+    for name, value in settings.items():
+        assert getattr(EVERY[id_](**{name: value}), name) == value
+    for name, value in wrong.items():
+        with pytest.raises(ArgumentError, match=f"{name}="):
+            EVERY[id_](**{name: value})
