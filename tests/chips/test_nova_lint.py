@@ -144,3 +144,21 @@ def test_any_write_gets_an_answer(chip):
         )  # fmt: skip
         note = lint.write(chip, held, rng.choice((0, 0, 0, rng.randrange(8))), rng.getrandbits(16))
         assert note is None or (len(note) == 2 and all(note))
+
+
+@every_chip
+def test_every_parameter_takes_the_ends_of_its_range_and_nothing_beyond(chip):
+    looked = 0
+    for c in chip.commands:
+        r = chip.register(c.symbol) if c.kind == "data write" else None
+        if r is None or r.legal is None or r.fields:
+            continue
+        looked += 1
+        low, high = r.legal
+        word, name = c.code | (X if c.axes else 0), f"{r.name} = "
+        for value in (low, high, *r.also):
+            assert not said(chip, word, **data(value)).startswith(name), (r.name, value)
+        for value in (low - 1, high + 1):
+            if r.value(value & r.mask) == value:  # it fits the register
+                assert said(chip, word, **data(value)).startswith(name), (r.name, value)
+    assert looked >= 8

@@ -458,3 +458,21 @@ def test_diagnostics_do_not_change_what_the_chip_does():
             chip.advance(100)
     assert chips[0].values() == chips[1].values()
     assert np.array_equal(chips[0].trace(10_000), chips[1].trace(10_000))
+
+
+@ALL
+@pytest.mark.parametrize(
+    ("name", "least", "rest"),
+    [("R0", 1, {}), ("R1", 1, {}), ("R2", 1, {"R1": 1}), ("R4", 2, {}), ("R5", 2, {}), ("R7", 2, {})],
+)
+def test_a_start_with_the_least_that_a_register_takes_is_sound_and_with_one_less_is_noted(make, name, least, rest):
+    assert set_up(make, PRESET, 0x15, **rest, **{name: least}).diagnostics == []
+    assert notes(set_up(make, PRESET, 0x15, **rest, **{name: least - 1}), name)
+
+
+@BOTH
+def test_fl_may_be_as_high_as_fh_and_no_higher(make):
+    assert set_up(make, PRESET, 0x15, R1=800).diagnostics == []
+    assert notes(set_up(make, PRESET, 0x15, R1=801), "R1", "R2")
+    assert set_up(make, PRESET, 0x17, R1=900).diagnostics == []
+    assert notes(set_up(make, PRESET, 0x17, R1=901), "R1", "R3")
