@@ -8,7 +8,7 @@ from stage.chips import HCTL1100
 from stage.firmware.servo import Tuning, integral_velocity, proportional_velocity, set_up, step, trapezoid
 from stage.firmware.servo_home import home, leave_limit
 from stage.firmware.servo_model import Loop
-from stage.firmware.servo_port import INIT, PROFILE, Port
+from stage.firmware.servo_port import INIT, PROFILE, WORDS, Port
 
 COUNT = 5e-6  # m
 DEADBAND = 3
@@ -26,6 +26,23 @@ def edge_of(axis, pin="org"):
 def test_a_port_is_for_hctl1100s_only():
     with pytest.raises(ArgumentError, match="no HCTL1100"):
         Port(Stage("xyz", visuals=False).axes["x"])
+
+
+@pytest.mark.parametrize("name", WORDS)
+def test_a_number_is_written_byte_by_byte_high_first_up_to_both_ends_of_its_range(stage, name):
+    x = stage.axes["x"]
+    port, word = Port(x), WORDS[name]
+    n = len(word.addresses)
+    for value in (word.least, word.most):
+        journal = x.chip.journal()
+        port.load(**{name: value})
+        journal.close()
+        expected = zip(word.addresses, (value % 256**n).to_bytes(n, "big"), strict=True)
+        assert [(e.a, e.b) for e in journal.entries] == list(expected)
+        assert port.t == (value if name == "timer" else 0x40)
+    for value in (word.least - 1, word.most + 1):
+        with pytest.raises(ArgumentError, match=f"from {word.least} to {word.most}"):
+            port.load(**{name: value})
 
 
 @pytest.mark.parametrize(

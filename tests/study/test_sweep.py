@@ -514,6 +514,28 @@ def test_a_definition_survives_its_file(tmp_path):
         assert Definition.from_json(wanted.to_json()) == wanted
 
 
+@pytest.mark.parametrize(
+    ("was", "now", "lines"),
+    [
+        ({}, {}, []),
+        ({}, {"trials": 9}, []),
+        ({}, {"trials": 4}, ["trials: 5 before, 4 now; a study only grows"]),
+        ({}, {"space": {"R4": "3", "R2": "1:2"}}, ["order of registers: R2 R4 before, R4 R2 now"]),
+        ({}, {"space": {"R2": "1:2"}}, ["space R4: 3 before, not given now"]),
+        ({}, {"objective": "a:c"}, ["objective: a:b before, a:c now"]),
+        ({}, {"options": {"rest": 1}}, ["options rest: not given before, 1 now"]),
+        ({"method": "list", "rows": [{"R2": 1}]}, {"method": "list", "rows": [{"R2": 2}]},
+         ["rows: 1 before, 1 now, not the same"]),
+        ({"method": "list", "rows": [{"R2": 1}]}, {"method": "list", "rows": [{"R2": 1}, {"R2": 2}]},
+         ["rows: 1 before, 2 now, not the same"]),
+    ],
+)  # fmt: skip
+def test_what_keeps_a_study_from_going_on_is_told_line_by_line(was, now, lines):
+    usual = {"objective": "a:b", "space": {"R2": "1:2", "R4": "3"}, "trials": 5}
+    first, second = (Definition(**usual | g | ({"trials": 0, "space": {}} if "rows" in g else {})) for g in (was, now))
+    assert first.differences(second) == lines
+
+
 @pytest.mark.parametrize("text", ["", "a", "5:4", "0:9:log", "1:9:lin", "1:9/1", "1:9/x", "1:2:log:3", "1.5", "-5:5"])
 def test_values_that_make_no_sense_are_refused(text):
     with pytest.raises(ArgumentError, match="R2="):

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from examples import SEED
 
-from stage import ArgumentError, Stage, firmware
+from stage import ArgumentError, Stage, faults, firmware
 from stage.board import Board
+from stage.chips import MCX304, PCL240K
 from stage.testing import (
     assert_at,
     assert_no_diagnostics,
@@ -18,6 +19,7 @@ from stage.testing import (
     assert_pins,
     assert_stopped,
 )
+from stage.testing.evidence import Watch
 
 SLOW = firmware.Profile.of(fh1=8000, accel=0.05)
 TOO_FAST = firmware.Profile.of(fh1=200_000, accel=0.01)
@@ -148,6 +150,15 @@ def test_writes_that_a_data_sheet_reader_would_call_mistakes_are_listed(stage):
     assert re.search(r"^  0\.\d{9} s  y: ", message, re.M)
 
 
+def test_mistakes_of_all_chips_are_told_in_their_order_with_all_axes_of_a_chip_and_words_of_four_digits():
+    stage = Stage("xyz", chips={"x": PCL240K, "y": MCX304, "z": MCX304}, visuals=False)
+    stage.axes["z"].chip.write(0, 0x7F01)
+    stage.axes["x"].chip.write(0, 0x11)
+    stage.axes["y"].chip.write(0, 0x7F)
+    lines = [line.split("  ")[2] for line in says(assert_no_diagnostics, stage).splitlines()[1:-1]]
+    assert lines == ["yz: address 0 W 7F01h", "x: address 0 W 11h", "yz: address 0 W 007Fh"]
+
+
 def test_long_lists_are_cut(stage):
     board = Board(stage)
     for port in range(30):
@@ -241,3 +252,21 @@ def test_distances_from_a_polyline_are_those_of_a_dense_search():
 def test_a_line_that_is_none_is_refused(corner, line, keywords, message):
     with pytest.raises(ArgumentError, match=message):
         assert_path_within(corner, line, within=1e-3, **keywords)
+
+
+def test_the_log_of_a_firmware_is_shown_from_its_end_and_its_stray_cycles_are_counted(stage):
+    watch = object.__new__(Watch)
+    watch.stage, watch.board = stage, Board(stage)
+    assert watch._log() == ""
+    for k in range(12):
+        watch.board.note(f"line {k}")
+    shown = watch._log().splitlines()
+    assert shown[:2] == ["log of the firmware:", "  ... 2 lines before"]
+    assert [line.split("  ")[-1] for line in shown[2:]] == [f"line {k}" for k in range(2, 12)]
+    for _ in range(3):
+        watch.board.in8(0x777)
+    with faults.switch_stuck(stage.axes["x"], "org", True):
+        state = watch._state()
+    assert "3 bus cycles reached no chip" in state
+    assert "fault in force: axis x: org stuck closed" in state
+    assert "asserted: org" in state
