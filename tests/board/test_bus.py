@@ -7,7 +7,7 @@ import random
 import pytest
 from compiled_firmware import PLAYER, firmware
 
-from stage import Stage
+from stage import Stage, faults
 from stage.board import LAYOUTS, Board, NativeHost, StormError
 from stage.chips import HCTL1100, MCX304, MCX514, PCL240K, PCL240MK, PCL240MS, Chip
 from stage.errors import ArgumentError
@@ -335,3 +335,50 @@ def test_an_error_in_a_hook_reaches_the_host():
     board.on_interrupt(hook)
     with pytest.raises(KeyError, match="mine"):
         board.delay_us(2_000_000)
+    board.on_interrupt(None)
+    before = board.micros
+    board.delay_us(5)
+    board.out8(0x300, 0x82)
+    board.out8(0x301, 9)
+    assert (board.micros - before, board.stage.axes["x"].chip.values()["R2"] & 0xFF) == (7, 9), "and the bus goes on"
+
+
+def test_base_and_stride_say_where_each_chip_lies_and_16_bits_are_two_cycles_the_low_byte_first():
+    stage = Stage("xy", chips=PCL240K, visuals=False)
+    board = Board(stage, base=0x240, stride=8)
+    assert sorted(board.ports) == [*range(0x240, 0x244), *range(0x248, 0x24C)]
+    assert (board.ports[0x24A], board.in8(0x244)) == ("y address 2", 0xFF)
+    assert str(board) == "<Board x at 240h (pcl240), y at 248h (pcl240); 1 cycles>"
+    board.out8(0x248, 0x81)
+    board.out16(0x249, 0x0203)
+    assert stage.axes["y"].chip.values()["R1"] == 0x0203
+    assert [(c.way, c.port, c.value, c.width) for c in board.trace][-2:] == [
+        ("W", 0x249, 0x03, 8),
+        ("W", 0x24A, 0x02, 8),
+    ]
+    assert (board.cycles, board.micros) == (4, 4)
+
+
+def test_each_chip_loses_its_own_writes():
+    stage = Stage("xyz", visuals=False)
+    board = Board(stage)
+    with faults.lost_write(stage.axes["x"]), faults.lost_write(stage.axes["z"]):
+        for port in (0x300, 0x304, 0x308) * 2:
+            board.out8(port, 0x81)
+            board.out8(port + 1, 7)
+    assert [c.port for c in board.trace if "lost on the way" in c.meaning] == [0x300, 0x308]
+    assert [axis.chip.values()["R1"] for axis in stage.axes.values()] == [7, 7, 7]
+
+
+def test_a_full_trace_goes_on_in_order_and_counts_the_lines_before():
+    board = Board(Stage("xy", visuals=False), keep_cycles=4)
+    for k in range(11):
+        board.out8(0x301, k)
+        shown = [cycle.value for cycle in board.trace]
+        assert shown == list(range(k + 1))[-4:]
+        assert (len(board.trace), board.trace.dropped) == (len(shown), k + 1 - len(shown))
+    assert [cycle.value for cycle in board.trace.last(2)] == [9, 10]
+    lines = board.trace.text(3).splitlines()
+    assert lines[1].strip() == "... 8 lines before"
+    assert len(lines) == 5
+    assert len(board.trace.text().splitlines()) == 6
