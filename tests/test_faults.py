@@ -445,6 +445,27 @@ def test_a_lost_write_is_chosen_by_address_value_and_turn(xyz):
     assert [chip.values()[r] for r in ("R1", "R2", "R3")] == [7, 0, 7]
 
 
+def test_faults_of_one_bus_strike_each_by_itself_and_every_one_is_told_of_each_write():
+    chip = PCL240K()
+    chip.write(0, 0x81)
+    first, second, third = (faults.lost_write(chip, **which) for which in ({"value": 5}, {"value": 6}, {"skip": 2}))
+    chip.write(1, 5)
+    assert (first.in_force, second.in_force, third.in_force) == (False, True, True)
+    chip.write(2, 6)
+    assert (second.in_force, third.in_force) == (False, True)
+    chip.write(3, 1)
+    assert not third.in_force
+    chip.write(1, 5)
+    assert chip.values()["R1"] == 5
+    third.mend()
+    with faults.lost_write(chip), faults.lost_write(chip, value=9) as late:
+        chip.write(1, 7)
+        assert late.in_force
+        chip.write(1, 9)
+        chip.write(1, 8)
+    assert chip.values()["R1"] == 8
+
+
 def test_a_chip_without_a_stage_loses_writes_too():
     chip = PCL240K()
     with faults.lost_write(chip, address=2):
