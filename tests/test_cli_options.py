@@ -2,11 +2,12 @@
 
 import argparse
 import re
+import sys
 from types import SimpleNamespace
 
 import pytest
 
-from stage import ArgumentError, Stage, firmware
+from stage import ArgumentError, Stage, StageError, firmware, opengl
 from stage.cli import build_parser, fault, main, moves, setup
 from stage.recording import viewer
 
@@ -294,3 +295,23 @@ def test_fault_lists_them_all_and_what_does_not_happen_as_claimed_ends_with_1(mo
         said = capsys.readouterr().out.splitlines()
         assert (said[0], said[-1]) == ("jam: a claim", says)
         assert "How a host can tell: a notice" in said
+
+
+@pytest.mark.skipif(sys.platform in ("darwin", "win32"), reason="there is a screen always")
+@pytest.mark.parametrize(
+    ("display", "wayland", "screen"),
+    [(None, None, False), ("", "", False), (":0", None, True), (None, "wayland-0", True)],
+)
+def test_there_is_a_screen_where_x_or_wayland_is(monkeypatch, display, wayland, screen):
+    for name, value in (("DISPLAY", display), ("WAYLAND_DISPLAY", wayland)):
+        monkeypatch.delenv(name, raising=False)
+        if value is not None:
+            monkeypatch.setenv(name, value)
+    assert opengl.has_screen() is screen
+    if not screen:
+        with pytest.raises(StageError, match=r"no screen here for MuJoCo's viewer\. Do this\.$"):
+            opengl.check_window("Do this.")
+    monkeypatch.setattr(opengl, "_glfw", lambda: "broken")
+    if screen:
+        with pytest.raises(StageError, match="cannot open a window here: broken"):
+            opengl.check_window("")

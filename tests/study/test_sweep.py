@@ -21,9 +21,10 @@ pytest.importorskip("pyarrow", reason="studies are kept in Parquet files: pip in
 import pyarrow.dataset
 import pyarrow.parquet as pq
 
+from stage.chips import PCL240K, PCL240MS
 from stage.errors import ArgumentError, StageError
 from stage.study import Definition, Processes, Ray, Record, Study, Threads, Trial, Values, read, read_definition, run
-from stage.study.objectives import SPACE, preset_moves
+from stage.study.objectives import SPACE, preset_moves, profile_of
 
 HERE = Path(__file__).parent
 SWEEP = HERE.parents[1] / "scripts" / "sweep.py"
@@ -512,6 +513,28 @@ def test_a_grid_has_every_combination_once():
 def test_a_definition_survives_its_file(tmp_path):
     for wanted in (definition(note=["a", 1.5]), Definition("a:b", "list", rows=[{"R2": 5}, {"R2": 6}])):
         assert Definition.from_json(wanted.to_json()) == wanted
+
+
+def test_registers_of_a_trial_are_a_profile_and_what_lacks_or_is_unknown_is_named():
+    plain = {"R1": 25, "R2": 500, "R4": 90, "R5": 80, "R7": 12}
+    made = profile_of(plain, PCL240K)
+    assert made.registers() == plain | {"R3": 500}
+    assert (made.spans, made.chip) == (None, PCL240K)
+    assert profile_of(plain | {"R3": 7}, PCL240K).R3 == 7
+    for curved, spans in (({"R14": 5}, (5, 0)), ({"R15": 6}, (0, 6)), ({"R14": 5, "R15": 6}, (5, 6))):
+        assert profile_of(plain | curved, PCL240MS).spans == spans
+    with pytest.raises(ArgumentError, match="unknown PCL240K speed register 'R14'"):
+        profile_of(plain | {"R14": 5}, PCL240K)
+    for name in plain:
+        with pytest.raises(ArgumentError, match=f"a preset move needs {name}, too"):
+            profile_of({n: v for n, v in plain.items() if n != name}, PCL240K)
+    for options, message in (
+        ({"pulse": 3}, "unknown option 'pulse'"),
+        ({"chips": "mcx514"}, "unknown chip"),
+        ({"axis": "w"}, "axis 'w'"),
+    ):
+        with pytest.raises(ArgumentError, match=message):
+            preset_moves(Trial(0, plain, 1, {"model": "xy"} | options))
 
 
 @pytest.mark.parametrize(
