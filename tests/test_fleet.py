@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from stage import ArgumentError, Stage, StageError, host
-from stage.chips import PCL240K, PCL240MS
+from stage.chips import HCTL1100, MCX304, MCX514, PCL240K, PCL240MS
 from stage.fleet import Fleet, Program
 
 N = 5
@@ -229,3 +229,45 @@ def test_where_an_inertia_hangs_on_visuals_they_stay():
     bare, full = Stage(part, visuals=False).model, Stage(part).model
     assert bare.ngeom < full.ngeom / 4
     assert np.array_equal(bare.body_inertia, full.body_inertia)
+
+
+def test_a_look_is_the_place_in_pm_and_extremes_are_of_what_was_measured_alone(first):
+    fleet = Fleet(stages(first, 2), 1)
+    x, z = fleet.stages[0].axes.values()
+    fleet.stages[0].place(x=0.0123, z=-0.01)
+    played = fleet.play([Program().wait(1.3e-4).look(0).look(1), Program()])
+    assert played.results[0].tolist() == [0, *(int(np.floor(axis.position * 1e12)) for axis in (x, z))]
+    assert played.results[1].tolist() == [0, 0, 0]
+    assert (played.extremes == [np.inf, -np.inf]).all()
+    assert not played.diverged.any()
+    at = fleet.stages[0].time
+    extremes = fleet.play([Program().measure(1.1e-3), Program().measure(0)]).extremes
+    assert fleet.stages[0].time == pytest.approx(at + 1.1e-3, abs=1e-12)
+    assert (extremes[0, :, 0] <= extremes[0, :, 1]).all()
+    assert extremes[0, x._plant.qpos] == pytest.approx([0.0123] * 2, abs=1e-5)
+    assert (extremes[1] == [np.inf, -np.inf]).all()
+
+
+def test_a_register_is_written_by_a_program_as_its_family_takes_it():
+    writes = {
+        (PCL240K, "R1"): [(0, 0x81), (2, 0x12), (1, 0x34)],
+        (PCL240MS, "R0"): [(0, 0x80), (3, 0), (2, 0x12), (1, 0x34)],
+        (MCX514, "DV"): [(6, 0x1234), (7, 0), (0, 0x0205)],
+        (MCX304, "V"): [(6, 0x1234), (0, 0x0205)],
+        (MCX514, "IPM"): [(6, 0x1234), (0, 0x002A)],
+        (HCTL1100, "R22"): [(0x22, 0x1234)],
+    }
+    for (chip, name), expected in writes.items():
+        ops = Program().register(3, chip, name, 0x1234, 1).ops
+        assert ops == [(host.WRITE, 3, address, value) for address, value in expected], (chip, name)
+
+
+def test_a_closed_fleet_plays_again_and_stops_are_waited_for_axis_by_axis(first):
+    fleet = Fleet(stages(first, 2), 2)
+    p = Program().until_stopped([0, 1], 1).until_stopped([], 1)
+    for _ in range(2):
+        took = fleet.play([p, p]).results
+        assert took[:, 0].tolist() == [2000, 2000], "a cycle an axis"
+        assert took[:, 1].tolist() == [0, 0]
+        fleet.close()
+        fleet.close()
