@@ -16,7 +16,7 @@ pytestmark = pytest.mark.filterwarnings("error")
 
 FIRMWARE = {"R1": 50, "R2": 800, "R4": 983, "approach": 20, "leave": 0, "back_off": 200, "sd": 1}
 """firmware.origin_return's own rates: FL 1000, FH1 16,000, approach 400 pps, ramps of 0.15 s."""
-BEFORE, NEAR, ON, BEYOND = -0.10, -0.1195, -0.1203, -0.145  # m; x trips ORG at -0.12, EL- at -0.15
+BEFORE, NEAR, ON, BEYOND = -0.11, -0.1195, -0.1203, -0.130  # m; x trips ORG at -0.12, EL- at -0.15
 
 
 def make(**settings):
