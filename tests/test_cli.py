@@ -46,7 +46,8 @@ def test_a_second_start_takes_less_than_two_seconds(here):
 
 
 def test_the_demo_homes_moves_and_writes_a_recording(here, capsys):
-    said = out(capsys, "demo", "--no-view").out
+    """stage demo"""
+    said = out(capsys, "demo").out
     assert said.count("ORG") >= 3
     assert "NO" not in said.split()
     assert (here / "demo.rrd").stat().st_size > 100_000
@@ -94,9 +95,10 @@ def test_registers_prints_the_map_with_evidence(capsys):
 
 
 def test_pullout_prints_a_table_and_draws(here, capsys):
-    said = out(capsys, "pullout", "--plot", "p.png").out
+    """stage pullout --motor 17HS4401 --bus-voltage 24 --plot pullout.png"""
+    said = out(capsys, "pullout", "--motor", "17HS4401", "--bus-voltage", "24", "--plot", "pullout.png").out
     assert "N m" in said
-    assert (here / "p.png").exists()
+    assert (here / "pullout.png").exists()
 
 
 def test_view_without_a_screen_says_what_to_do(here, capsys):
@@ -154,12 +156,12 @@ def test_nothing_is_overwritten_unasked(here, capsys):
 def test_the_demo_overwrites_no_file_and_takes_the_next_name(here, capsys):
     """stage demo --no-view"""
     (here / "demo.rrd").write_text("precious")
-    assert "demo-2.rrd: " in out(capsys, "demo", "--no-view").out
+    assert "demo-2.rrd: " in out(capsys, "demo", "--no-view", "--model", "xy").out
     assert (here / "demo.rrd").read_text() == "precious"
     (here / "mine.rrd").write_text("precious")
     assert "exists" in out(capsys, "demo", "--no-view", "--record", "mine.rrd", code=2).err
     assert (here / "mine.rrd").read_text() == "precious"
-    assert "demo.rrd: " in out(capsys, "demo", "--no-view", "--force").out
+    assert "demo.rrd: " in out(capsys, "demo", "--no-view", "--force", "--model", "xy").out
     assert (here / "demo.rrd").read_bytes()[:3] == b"RRF"
 
 

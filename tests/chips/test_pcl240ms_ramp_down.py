@@ -11,13 +11,14 @@ ramp-down at the last pulse:
 
 import numpy as np
 import pytest
+from examples import scaled
 from pcl240k_bench import SEED
 from pcl240ms_bench import LINEAR, NO_CORRECTION, Move, Registers, excuse, made, random_move, span_of
 
 from stage.chips import PCL240MK, PCL240MS
 
 ROUNDING = 1.5  # pulses
-COUNT = 1200
+COUNT = scaled(400)
 SLOW = Registers(1, 3, 9, 9, 1023)
 FAST = Registers(100, 8191, 2, 2, 2, 4000, 90)
 BITS = pytest.mark.parametrize("bits", [0, LINEAR, NO_CORRECTION, LINEAR | NO_CORRECTION], ids=lambda b: f"{b:04X}h")

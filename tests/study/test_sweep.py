@@ -1,5 +1,6 @@
 """stage.study and scripts/sweep.py: nothing is lost and nothing counts twice, whoever is killed; results do not depend on where."""
 
+import importlib.util
 import json
 import os
 import pty
@@ -72,6 +73,22 @@ def command(folder, *more, trials=TRIALS, name="valley"):
         sys.executable, str(SWEEP), "--out", str(folder), "--trials", str(trials), "--seed", "240", "--workers", "2",
         "--objective", objective(name), "--space", *space, *more,
     ]  # fmt: skip
+
+
+@pytest.fixture
+def swept(monkeypatch, capsys):
+    """Runs the command in this process, beside its objectives; its exit code, and what it printed on stdout and stderr."""
+    spec = importlib.util.spec_from_file_location("sweep", SWEEP)
+    script = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(script)
+    monkeypatch.chdir(HERE)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+
+    def run(command):
+        monkeypatch.setattr(sys, "argv", command[1:])
+        return script.main(), *capsys.readouterr()
+
+    return run
 
 
 def start(*args, **more):
@@ -626,7 +643,7 @@ def test_a_ray_that_is_not_there_is_said_to_be_out_of_reach():
 # The command
 
 
-def test_progress_is_one_line_of_a_terminal_and_nothing_in_a_pipe(tmp_path):
+def test_progress_is_one_line_of_a_terminal_and_nothing_in_a_pipe(tmp_path, swept):
     ours, theirs = pty.openpty()
     args = command(tmp_path / "shown", "--threads", "--option", "sleep=0.005")
     shown = subprocess.Popen(args, cwd=HERE, stdout=subprocess.PIPE, stderr=theirs)
@@ -644,35 +661,29 @@ def test_progress_is_one_line_of_a_terminal_and_nothing_in_a_pipe(tmp_path):
     assert f"{TRIALS} of {TRIALS} done, 0 failed, 0 running" in text
     assert "/s, " in text
     assert "best " in text
-    piped = subprocess.run(
-        command(tmp_path / "piped", "--threads", "--option", "sleep=0"), cwd=HERE, capture_output=True, text=True
-    )
-    assert piped.stderr == ""
-    assert len(piped.stdout.splitlines()) == 2
+    _, said, progress = swept(command(tmp_path / "piped", "--threads", "--option", "sleep=0"))
+    assert progress == ""
+    assert len(said.splitlines()) == 2
 
 
-def test_the_report_prints_the_best_trials_and_what_failed(tmp_path):
+def test_the_report_prints_the_best_trials_and_what_failed(tmp_path, swept):
     wanted = definition("raises_at_five", trials=12, sleep=0.0)
     table = results(tmp_path, wanted).to_pylist()
-    made = subprocess.run(
-        [sys.executable, str(SWEEP), "--report", "--out", str(tmp_path), "--top", "3"], capture_output=True, text=True
-    )
-    lines = made.stdout.splitlines()
+    _, said, _ = swept([sys.executable, str(SWEEP), "--report", "--out", str(tmp_path), "--top", "3"])
+    lines = said.splitlines()
     assert lines[0] == f"{tmp_path}: 11 of 12 trials done, 1 failed"
     assert lines[3].split() == ["id", "score", "twice", "R2", "R4", "R7"]
     best = sorted((t["score"], t["id"]) for t in table if t["id"] != 5)[:3]
     assert [int(line.split()[0]) for line in lines[4:7]] == [id for _, id in best]
-    assert f"failed, 1: {table[5]['error']}" in made.stdout
+    assert f"failed, 1: {table[5]['error']}" in said
 
 
-def test_the_trials_of_a_file_are_run_in_its_order(tmp_path):
+def test_the_trials_of_a_file_are_run_in_its_order(tmp_path, swept):
     rows = [{"R2": 1000, "R4": 200}, {"R2": 900, "R4": 100}]
     (tmp_path / "trials.csv").write_text("R2,R4\n1000,200\n900,100\n")
-    made = subprocess.run(
-        [sys.executable, str(SWEEP), "--list", str(tmp_path / "trials.csv"), "--out", str(tmp_path / "study"),
-         "--threads", "--objective", objective("valley")], cwd=HERE, capture_output=True, text=True,
-    )  # fmt: skip
-    assert made.returncode == 0, made.stderr
+    listed = ["--list", str(tmp_path / "trials.csv"), "--out", str(tmp_path / "study"), "--threads"]
+    code, _, errors = swept([sys.executable, str(SWEEP), *listed, "--objective", objective("valley")])
+    assert code == 0, errors
     assert read(tmp_path / "study").select(["R2", "R4"]).to_pylist() == rows
 
 
@@ -687,11 +698,16 @@ def test_the_trials_of_a_file_are_run_in_its_order(tmp_path):
         (["--report"], "holds no study"),
     ],
 )
-def test_wrong_usage_says_what_to_do_and_makes_no_trials(more, message, tmp_path):
-    made = subprocess.run(command(tmp_path / "study", *more), cwd=HERE, capture_output=True, text=True)
-    assert made.returncode == 2
-    assert message in made.stderr
-    assert made.stderr.startswith("sweep: ")
+def test_wrong_usage_says_what_to_do_and_makes_no_trials(more, message, tmp_path, swept):
+    wrong = command(tmp_path / "study", *more)
+    if message == "how many?":  # as a process, too
+        made = subprocess.run(wrong, cwd=HERE, capture_output=True, text=True)
+        code, said = made.returncode, made.stderr
+    else:
+        code, _, said = swept(wrong)
+    assert code == 2
+    assert message in said
+    assert said.startswith("sweep: ")
     assert recorded(tmp_path / "study") == 0
 
 

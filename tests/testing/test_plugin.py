@@ -18,6 +18,7 @@ pytest_plugins = ["pytester"]
 needs_cc = pytest.mark.skipif(not shutil.which("cc"), reason="no C compiler: cc is not on the PATH")
 PAGE = Path(__file__).parents[2] / "docs" / "testing.md"
 PLUGIN = () if "pulsestage" in entry_points(group="pytest11").names else ("-p", "stage.testing.plugin")
+FEW = ("-p", "no:hypothesispytest", "-p", "no:cov")  # what a process need not load
 HEAVY = ("mujoco", "numba", "numpy", "rerun", "stage.machine", "stage.chips")
 
 NUMBER = re.compile(r"\d[\d.,]*")
@@ -55,10 +56,14 @@ def _modules_stay(monkeypatch):
 
 @pytest.fixture
 def session(pytester):
-    """Runs pytest on a test file, in this process; returns the result and all that it printed."""
+    """Runs pytest on a test file, in this process; returns the result and all that it printed.
 
-    def run(source, *options, **keywords):
-        pytester.makepyfile(test_it="import pytest\nfrom stage.testing import *\n" + dedent(source))
+    Its stages are of the small model "xy" where no test says otherwise; with model=None of the plugin's own choice.
+    """
+
+    def run(source, *options, model="xy", **keywords):
+        small = f"pytestmark = pytest.mark.model({model!r})\n" if model else ""
+        pytester.makepyfile(test_it=f"import pytest\nfrom stage.testing import *\n{small}" + dedent(source))
         result = pytester.runpytest_inprocess(*PLUGIN, *options, **keywords)
         return result, result.stdout.str()
 
@@ -117,9 +122,7 @@ def test_a_session_without_stages_imports_nothing_heavy_and_its_own_fixtures_win
         def test_failing(): assert 0
         """
     )
-    result = pytester.runpytest_subprocess(
-        *PLUGIN, "-p", "no:hypothesispytest", "-p", "no:cov", "-s", "--strict-markers"
-    )
+    result = pytester.runpytest_subprocess(*PLUGIN, *FEW, "-s", "--strict-markers")
     result.assert_outcomes(passed=1, failed=1)
     result.stdout.fnmatch_lines("*HEAVY []*")
     assert "PulseStage" not in result.stdout.str()
@@ -283,7 +286,7 @@ def test_without_a_compiler_tests_of_sources_are_skipped_and_say_so(session, dri
 
 @needs_cc
 def test_a_failed_test_leaves_recording_waveforms_and_bus_trace_and_names_them(session, driver, pytester):
-    result, said = session(FAILS)
+    result, said = session(FAILS, model=None)
     result.assert_outcomes(failed=1)
     folder = pytester.path / FOLDER
     for opener, name in (("rerun", "recording.rrd"), ("gtkwave", "waveforms.vcd"), ("less", "bus.txt")):
@@ -368,7 +371,7 @@ def test_recording_can_be_off_and_the_report_says_so(session, pytester, how):
 
 def test_a_wrong_setting_ends_the_session_with_a_word(pytester):
     pytester.makeini("[pytest]\npulsestage_keep = some\n")
-    result = pytester.runpytest_subprocess(*PLUGIN)
+    result = pytester.runpytest_subprocess(*PLUGIN, *FEW)
     assert result.ret == pytest.ExitCode.USAGE_ERROR
     result.stderr.fnmatch_lines("*pulsestage_keep = some: known are failed, all.")
 
@@ -445,7 +448,7 @@ def test_firmware_runs_again_to_the_same_bits_after_a_restore_and_recorded_or_no
             stage.restore(start)
             host.run()
             assert bits(stage) == first
-            plain = Stage("xyz")
+            plain = Stage("xy")
             NativeHost(host.path, Board(plain)).run()
             assert bits(plain) == first
             assert_no_diagnostics(stage)
@@ -489,10 +492,11 @@ def test_ctrl_c_closes_the_recording_and_the_firmware_stands_still(session, driv
 def test_workers_of_xdist_share_builds_and_never_a_folder(pytester, driver, monkeypatch):
     monkeypatch.delenv("PYTEST_XDIST_WORKER", raising=False)
     monkeypatch.delenv("PYTEST_XDIST_TESTRUNUID", raising=False)
-    ids = ["a/b", "a:b", "a b", "A" * 200 + "1", "A" * 200 + "2", ""]
+    ids = ["a/b", "a:b", "A" * 200 + "1", "A" * 200 + "2", ""]
     pytester.makepyfile(
         f"""
         import pytest
+        @pytest.mark.model("xy")
         @pytest.mark.firmware("driver.c")
         @pytest.mark.parametrize("which", {ids!r})
         def test_it(host, which):
@@ -500,10 +504,10 @@ def test_workers_of_xdist_share_builds_and_never_a_folder(pytester, driver, monk
             assert not which
         """
     )
-    result = pytester.runpytest_subprocess(*PLUGIN, "-n2", "--basetemp=temporary")
-    result.assert_outcomes(passed=1, failed=5)
+    result = pytester.runpytest_subprocess(*PLUGIN, *FEW, "-n2", "--basetemp=temporary")
+    result.assert_outcomes(passed=1, failed=4)
     found = {path.parent for path in (pytester.path / ".pulsestage").glob("*/recording.rrd")}
-    assert len(found) == 5
+    assert len(found) == 4
     for folder in found:
         assert f"{folder.name}/recording.rrd" in result.stdout.str()
     assert len(list((pytester.path / "temporary" / "pulsestage-firmware").glob("*/driver.so"))) == 1
@@ -517,12 +521,13 @@ def test_firmware_that_exits_fails_its_test_and_the_tests_after_it_run(pytester,
     pytester.makepyfile(
         """
         import pytest
+        @pytest.mark.model("xy")
         @pytest.mark.firmware("driver.c")
         def test_it_exits(host): host.run(timeout=5)
         def test_after_it(): assert 0
         """
     )
-    result = pytester.runpytest_subprocess(*PLUGIN)
+    result = pytester.runpytest_subprocess(*PLUGIN, *FEW)
     result.assert_outcomes(failed=2)
     assert result.ret == pytest.ExitCode.TESTS_FAILED
     result.stdout.fnmatch_lines("*HostError: driver.so: exit(0) at *would have ended the process.*")
