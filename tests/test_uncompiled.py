@@ -106,8 +106,9 @@ def whole_moves():
     """Preset moves of the three chips: linear and S-curves, R6 and the automatic point, with FH correction and without."""
     for make in (PCL240K, PCL240MK, PCL240MS):
         kinds = [{}] if make is PCL240K else [{}, {"R14": 0x1000}, {"R14": 30, "R15": 50}, {"R14": 0x8000}]
-        moves = list(itertools.product((40, 300), (0x44, 0x5C), kinds))
-        for pulses, control, kind in moves[:: 3 if FIXED else 1]:  # each length, each control, each kind
+        moves = list(itertools.product((40, 120), (0x44, 0x5C), kinds))
+        step = (3 if make is PCL240K else 5) if FIXED else 1
+        for pulses, control, kind in moves[::step]:  # each length, each control, each kind
             chip = make()
             load(chip, R1=50, R2=200, R3=300, R4=120, R5=90, R7=15)
             chip.write(0, 0x08)
@@ -131,7 +132,7 @@ def runs_with_switches():
         load(chip, R0=3, R1=50, R2=400, R4=120, R5=90, R7=15, **({"R13": r13} if r13 else {}))
         for command in (0x08, 0xD1 if stop == "extp" else 0xC8, control, 0x11 if stop == "extp" else 0x15):
             chip.write(0, command)
-        said = [chip.trace(100_000)]
+        said = [chip.trace(60_000)]
         for on in (True, False):
             chip.pins.sd_plus = on
             said.append(chip.trace(40_000))
@@ -176,7 +177,7 @@ def moves_of_several_axes():
             nova.load(chip, axes, **dict(zip(names, values, strict=True)), **({} if of_514 else {"R": 800_000}))
             chip.write(2, 0x0800 if of_514 else 0)
             chip.write(3, curved)
-            nova.load(chip, axes, **{"TP" if of_514 else "P": 150 * axes})
+            nova.load(chip, axes, **{"TP" if of_514 else "P": 70 * axes})
         nova.command(chip, "DRVRL" if of_514 else "F_DRV_P", 3)
         said = [chip.trace(20_000)]
         nova.load(chip, 3, **{names[1]: values[1] * 6 // 10})
