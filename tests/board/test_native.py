@@ -136,7 +136,7 @@ def test_firmware_that_waits_for_a_timer_gets_on():
 
 def test_firmware_that_computes_for_ever_is_left_alone_and_in_its_own_process_ended():
     endless = "PULSESTAGE_MAIN { ps_out8(0x300, 8); for (volatile int k = 0;; k++) ; }"
-    h = host(endless, isolated=True, patience=1)
+    h = host(endless, isolated=True, patience=0.4)
     with pytest.raises(HostError, match="without a bus cycle"):
         h.run()
     assert h._runner._child is None

@@ -1,5 +1,6 @@
 """The arithmetic of the drive: against slow independent integration, against energy, against itself."""
 
+import itertools
 import json
 import math
 import os
@@ -95,8 +96,16 @@ def test_the_sine_drive_agrees_with_a_fine_independent_integration(speed, lag):
     assert measured(drive, rpm(speed), lag, seconds) == pytest.approx(slow, abs=0.01 * RATED)
 
 
-@pytest.mark.parametrize("speed", [1200, 1500, 2000])
-@pytest.mark.parametrize("lag", [1.6, 2.4, 3.0])
+DAILY = [(1200, 1.6), (1500, 2.4), (2000, 3.0)]  # each speed, each lag
+
+
+@pytest.mark.parametrize(
+    ("speed", "lag"),
+    [
+        case if case in DAILY else pytest.param(*case, marks=pytest.mark.slow)
+        for case in itertools.product((1200, 1500, 2000), (1.6, 2.4, 3.0))
+    ],
+)
 def test_a_chopper_agrees_with_it_too_but_for_a_command_that_acts_half_a_slice_late(speed, lag):
     """The target of a slice's middle is reached at its end: a shift of the load angle, not a loss of torque."""
     seconds = 8 / (speed / 60 * 50)

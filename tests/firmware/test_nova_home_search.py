@@ -11,8 +11,8 @@ EDGE = 6e-6  # m: home is so near the edge of ORG, two pulses
 PULSE = 3.125e-6
 
 
-def a_stage(**places):
-    stage = Stage("xyz", chips=MCX514, visuals=False)
+def a_stage(model="xy", **places):
+    stage = Stage(model, chips=MCX514, visuals=False)
     stage.place(**places)
     return stage
 
@@ -25,7 +25,7 @@ def edge_of(axis, pin="org"):
 @pytest.mark.parametrize("way", [0.009, 0.0003, -0.0002, -0.0015], ids=["before", "just before", "on", "beyond"])
 @pytest.mark.parametrize("name", ["x", "y", "z"])
 def test_home_is_at_the_edge_of_org_wherever_the_axis_begins(name, way):
-    stage = a_stage()
+    stage = a_stage("xyz" if name == "z" else "xy")
     axis = stage.axes[name]
     stage.place(**{name: edge_of(axis) + way})
     report = home_search(axis)[name]
@@ -54,7 +54,7 @@ def test_an_axis_on_its_end_limit_finds_home_too():
 
 
 def test_one_command_sends_all_axes_home_at_once():
-    stage = a_stage(x=-0.1, y=-0.066, z=-0.0142)
+    stage = a_stage("xyz", x=-0.1, y=-0.066, z=-0.0142)
     reports = home_search(*stage.axes.values())
     for name, report in reports.items():
         assert report.ok
@@ -98,7 +98,7 @@ def test_an_index_pulse_after_org_is_found():
 
 
 def test_a_switch_that_never_trips_is_an_error_and_no_home():
-    stage = a_stage()
+    stage = a_stage("xyz")
     z = stage.axes["z"]
     stage.place(z=edge_of(z) + 0.001)
     z.switches.stick("org", False)

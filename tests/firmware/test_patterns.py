@@ -33,8 +33,9 @@ def phases(report):
     """What the chip did, in order; a stop between two pulse edges ends with the fkeep of the pulse that is completed."""
     course, seen = report.course, []
     running = ~course.pin("hold")
+    pins = {name: course.pin(name) for name in ("fup", "fdown", "fkeep")}
     for k in np.flatnonzero(running):
-        now = next(n for n in ("fup", "fdown", "fkeep") if course.pin(n)[k])
+        now = next(name for name, on in pins.items() if on[k])
         if not seen or seen[-1] != now:
             seen.append(now)
     return " ".join(seen)
