@@ -281,6 +281,7 @@ def test_a_switch_works_again_when_its_carriage_was_put_elsewhere_in_the_middle_
 
 def test_every_contact_of_the_machine_may_bounce_as_fast_as_it_can(xyz):
     """More edges than a window has ever had: none is lost, none is written where it does not belong."""
+    xyz.place(**{name: touch(axis, "org") + 0.005 for name, axis in xyz.axes.items()})
     each = [faults.bounce(a, pin, 1e-6, 8) for a in xyz.axes.values() for pin in a.switches.as_dict()]
     with xyz.record() as recording:
         for axis in xyz.axes.values():

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from examples import FIXED
 
 from stage import Stage
 
@@ -106,8 +107,9 @@ def test_a_ramp_of_one_swing_of_the_mast_is_better_linear():
 def test_ringing_is_that_of_the_spectra_of_the_accelerations(shape):
     ramps = np.array([0.06, 0.09, 0.145, 0.2, 0.25, 0.29, 0.35])
     theory = s.ringing_in_theory(shape, ramps)
-    measured = np.array([s.run(shape, s.RATE, t, s.PULSES).ringing for t in ramps])
-    assert measured == pytest.approx(theory, rel=0.2, abs=0.05e-3)
+    some = slice(None, None, 2 if FIXED else 1)
+    measured = np.array([s.run(shape, s.RATE, t, s.PULSES).ringing for t in ramps[some]])
+    assert measured == pytest.approx(theory[some], rel=0.2, abs=0.05e-3)
     assert theory.max() > 10 * theory.min()
 
 

@@ -373,10 +373,16 @@ def command_table():
     return module
 
 
-def test_the_tables_of_the_docs_are_up_to_date():
+@pytest.fixture(scope="module")
+def covered():
+    """Chip and symbol -> the tests of a command, found in all test files."""
+    return command_table().covered(ROOT / "tests")
+
+
+def test_the_tables_of_the_docs_are_up_to_date(covered):
     script = command_table()
     page = script.PAGE.read_text()
-    assert script.renewed(page, script.covered(ROOT / "tests")) == page, "run python scripts/command_table.py"
+    assert script.renewed(page, covered) == page, "run python scripts/command_table.py"
     assert script.renewed(page.replace("| JK |", "| KJ |"), {}) != page.replace("| JK |", "| KJ |")
 
 
@@ -394,8 +400,7 @@ def test_a_table_names_the_chips_and_the_tests_of_a_command(tmp_path):
 
 
 @pytest.mark.parametrize("chips", [(MCX514_MAP,), FAMILY], ids=["MCX514", "MCX304 family"])
-def test_every_command_has_a_test_that_writes_it(chips):
+def test_every_command_has_a_test_that_writes_it(covered, chips):
     """To one of the chips that share a row of the page's table."""
-    tests = command_table().covered(ROOT / "tests")
-    covered = {symbol for chip, symbol in tests if chip in {c.chip for c in chips}}
-    assert {c.symbol for chip in chips for c in chip.commands} == covered
+    written = {symbol for chip, symbol in covered if chip in {c.chip for c in chips}}
+    assert {c.symbol for chip in chips for c in chip.commands} == written

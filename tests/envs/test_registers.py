@@ -15,7 +15,7 @@ def box(chip):
     return RegisterBox(chip.MAP, REGISTERS + (S_CURVES if chip.S_CURVES else ()))
 
 
-@pytest.mark.parametrize("chip", [PCL240K, PCL240MS])
+@pytest.mark.parametrize("chip", [pytest.param(PCL240K, marks=pytest.mark.slow), PCL240MS])
 def test_every_value_of_every_register_comes_back_exactly(chip):
     b = box(chip)
     for k, name in enumerate(b.names):
