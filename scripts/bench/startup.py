@@ -1,20 +1,24 @@
-"""Starting, each time a fresh process: import, first compile with an empty cache, the first step of a second start."""
+"""Starting, each time a fresh process: import, a first step beside MuJoCo's own; and building the native library."""
 
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
+from pathlib import Path
 
+import psutil
 from bench.figures import Figure, Run
 from bench.machines import model_path
-from bench.timing import nothing, race, timed
+from bench.timing import nothing, race
 
 TITLE = "Start, each in a fresh process"
 BARE = f"import mujoco; m = mujoco.MjModel.from_xml_path({model_path()!r}); mujoco.mj_step(m, mujoco.MjData(m))"
 FIRST_STEP = "from stage import Stage; Stage('xyz').step()"
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def measure(run: Run) -> Iterator[Figure]:
@@ -24,24 +28,30 @@ def measure(run: Run) -> Iterator[Figure]:
         "bare": BARE,
         "warm": FIRST_STEP,
     }
-    t = race({name: (nothing, lambda c=code: start(c)) for name, code in works.items()}, run.pick(run.rounds, 3), 1)
+    t = race({name: (nothing, lambda c=code: start(c)) for name, code in works.items()}, run.pick(run.rounds, 3), 3)
     yield Figure.of("startup.python", "python itself", "s", t["python"])
     yield Figure.of("startup.import", "python -c 'import stage'", "s", t["import"])
     yield Figure.of("startup.bare", "import mujoco, load the model, one mj_step", "s", t["bare"])
-    yield Figure.of("startup.warm", "warm start: import stage, Stage('xyz'), one step", "s", t["warm"])
+    yield Figure.of("startup.warm", "import stage, Stage('xyz'), one step", "s", t["warm"])
     yield Figure.of("startup.warm_bare", "  beside the bare one", "ratio", t["warm"] / t["bare"])
     if run.quick:
-        print("    left out (quick): first compile")
+        print("    left out (quick): building the library")
         return
-    seconds = [compiled_first() for _ in range(2)]
-    yield Figure.of("startup.compile", "first start, which compiles: the same with an empty cache", "s", seconds)
+    yield Figure.of("startup.build", "building the native library, processor time", "s", built())
 
 
-def start(code: str, **environment: str) -> None:
-    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, env={**os.environ, **environment})
+def start(code: str) -> None:
+    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
 
 
-def compiled_first() -> float:
-    """Seconds of a first start on a machine, with nothing compiled before."""
+def built() -> float:
+    """Seconds of processor time that the library of a fresh checkout takes."""
     with tempfile.TemporaryDirectory() as folder:
-        return timed(lambda: start(FIRST_STEP, NUMBA_CACHE_DIR=folder))
+        for name in ("stage", "envs", "models"):
+            shutil.copytree(ROOT / name, Path(folder, name), ignore=shutil.ignore_patterns("__pycache__", "_native.so"))
+        shutil.copy(ROOT / "pyproject.toml", folder)
+        before = psutil.Process().cpu_times()
+        command = [sys.executable, "-m", "stage.native"]
+        subprocess.run(command, check=True, capture_output=True, cwd=folder, env={**os.environ, "PYTHONPATH": folder})
+        after = psutil.Process().cpu_times()
+        return after.children_user + after.children_system - before.children_user - before.children_system

@@ -11,7 +11,7 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.core.compiler import CompilerBase
-from numba.core.compiler_machinery import PassManager
+from numba.core.compiler_machinery import PassManager, _pass_registry
 from numba.core.errors import TypingError
 from numba.core.registry import CPUDispatcher, cpu_target
 from numba.core.typed_passes import (
@@ -60,12 +60,25 @@ class _Typing(Context):
 vars(cpu_target)["_toplevel_typing_context"] = _Typing()
 
 
+class _Passes(PassManager):
+    """Runs passes, and nothing beside: numba's own run tells listeners of each, and looks after each at what it left."""
+
+    def run(self, state: Any) -> None:
+        """numba's; see there."""
+        for each, _ in self.passes:
+            one = _pass_registry.get(each).pass_inst
+            one.analysis = self._analysis
+            one.run_initialization(state)
+            one.run_pass(state)
+            one.run_finalizer(state)
+
+
 class _Pipeline(CompilerBase):
     """Of numba's passes those that hot functions need: no closures, generators, literals to unroll, inlined overloads, array
     expressions, annotations."""
 
     def define_pipelines(self) -> list[Any]:
-        passes = PassManager("hot")
+        passes = _Passes("hot")
         for each in (
             TranslateByteCode, FixupArgs, IRProcessing, RewriteSemanticConstants, DeadBranchPrune, GenericRewrites, ReconstructSSA,
             NopythonTypeInference, PreLowerStripPhis, IRLegalization, NativeLowering, NoPythonBackend,
