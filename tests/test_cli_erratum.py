@@ -95,7 +95,8 @@ def test_mended_chips_end_on_target_either_way(here, once, capsys):
 
 
 @pytest.mark.parametrize("vcd", [(), pytest.param(("--vcd", "e.vcd"), marks=pytest.mark.slow)], ids=["", "vcd"])
-def test_it_draws_itself_and_records_both_runs(here, capsys, vcd):
+def test_it_draws_itself_and_records_both_runs(here, capsys, monkeypatch, vcd):
+    monkeypatch.setattr(erratum, "LOOK", 1.0)
     said = out(capsys, "--plot", "e.png", "--record", "e.rrd", *vcd).out
     assert (here / "e.png").read_bytes().startswith(b"\x89PNG")
     for name in ("e.rrd", "e-work-around.rrd"):

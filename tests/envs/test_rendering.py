@@ -177,8 +177,13 @@ def test_a_frame_after_a_step_shows_its_end_and_not_where_the_next_begins(id_, w
     assert (env.render() == env.stage.data.qpos).all(), "a new episode"
 
 
-@pytest.mark.parametrize("mode", ["rgb_array_list", "human"])
-@pytest.mark.parametrize("id_", MOVES)
+@pytest.mark.parametrize(
+    ("id_", "mode"),
+    [
+        *((id_, "rgb_array_list") for id_ in MOVES),
+        *(pytest.param(id_, "human", marks=[pytest.mark.slow] if k else []) for k, id_ in enumerate(MOVES)),
+    ],
+)
 def test_frames_of_a_whole_move_show_the_way_and_change_nothing(id_, mode, watched):
     """gymnasium.make("stage/OriginReturn-v0", render_mode="rgb_array_list"): a frame a step, the origin in each."""
     env = make(id_, mode)
