@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import psutil
+
 from bench.figures import Figure, Run
 from bench.machines import model_path
 from bench.timing import nothing, race
