@@ -91,7 +91,7 @@ def test_a_home_search_can_end_at_the_index_pulse_after_origin(chip):
 
 @pytest.mark.parametrize("chip", [MCX514, MCX304])
 def test_a_home_search_without_its_fast_step_is_slower_and_another_axis_finds_home_as_well(chip):
-    slow, fast = (nova_return(chip, NEAR + 0.01, step1=s)[2] for s in (0, 1))
+    slow, fast = (nova_return(chip, NEAR + 0.007, step1=s)[2] for s in (0, 1))
     assert slow["home"]
     assert slow["duration"] > fast["duration"]
     env = make(chip=chip, axis="z")

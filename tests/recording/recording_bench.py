@@ -32,7 +32,7 @@ def drive(stage):
     stage.run(0.05)
 
 
-def make_bench(axes=1, every=1e-3):
+def make_bench(axes=1):
     model = mujoco.MjModel.from_xml_string(ONE_AXIS)
     table = {
         name: SimpleNamespace(
@@ -42,7 +42,7 @@ def make_bench(axes=1, every=1e-3):
         )
         for k, name in enumerate("xyz"[:axes])
     }  # fmt: skip
-    recording = Recording(model, table, every, lambda: None)
+    recording = Recording(model, table, 1e-3, lambda: None)
     return SimpleNamespace(recording=recording, chip=table["x"].chip, axes=table, model=model)
 
 
