@@ -27,7 +27,7 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 
 from stage.chips import HCTL1100, Chip
-from stage.chips.hctl1100.maps import MINIMUM_T
+from stage.chips.hctl1100.maps import MINIMUM_T, NUMBERS
 from stage.envs.base import StageEnv, StageVectorEnv
 from stage.envs.registers import RegisterBox
 from stage.envs.settings import (
@@ -47,7 +47,7 @@ from stage.envs.settings import (
 )
 from stage.envs.tuning import Tuning
 from stage.errors import ArgumentError
-from stage.firmware.servo_port import CONTROL, FLAGS, SET, WORDS
+from stage.firmware.servo_port import CONTROL, FLAGS, SET
 from stage.fleet import Played, Program
 
 MOTIONS = ("step", "trapezoid")
@@ -126,9 +126,7 @@ class ServoTuning(Tuning[Config]):
             }
             p.write(self.axis.index, 0x00, SET | FLAGS["trapezoid"])
         for name, value in words.items():
-            addresses = WORDS[name].addresses
-            for k, address in enumerate(addresses):
-                p.write(self.axis.index, address, value >> 8 * (len(addresses) - 1 - k) & 0xFF)
+            p.register(self.axis.index, self.axis.chip, name, value)
         p.write(self.axis.index, 0x05, CONTROL)
         self.first = len(p)  # of the pairs of a wait and a look
         for _ in range(self.looks):
@@ -161,7 +159,7 @@ class ServoTuning(Tuning[Config]):
 
 def _held(name: str, value: float) -> int:
     """What a register of rates holds of it, 1 at least."""
-    return int(np.clip(round(value), 1, WORDS[name].most))
+    return int(np.clip(round(value), 1, NUMBERS[name].most))
 
 
 class ServoTuningEnv(StageEnv):

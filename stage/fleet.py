@@ -52,23 +52,10 @@ class Program:
         return self.write(axis, 0, value)
 
     def register(self, axis: int, chip: Chip | type[Chip], name: str, value: int, chip_axis: int = 0) -> Program:
-        """Write a register of a chip as its family does.
-
-        A PCL-240: select it, then its bytes, high to low. NOVA: WR6, WR7 if it has more than 16 bits, and the command that is its
-        number, to axis `chip_axis` of the chip where it is an axis' register. HCTL-1100: its address.
-        """
-        r = chip.MAP.register(name)
-        if chip.DIRECT:
-            return self.write(axis, r.number, value)
-        if chip.DATA_MASK == 0xFF:
-            self.command(axis, 0x80 | r.number)
-            for k in reversed(range((r.bits + 7) // 8)):
-                self.write(axis, 1 + k, value >> 8 * k & 0xFF)
-            return self
-        self.write(axis, 6, value & 0xFFFF)
-        if r.bits > 16:
-            self.write(axis, 7, value >> 16 & 0xFFFF)
-        return self.write(axis, 0, r.number | (1 << chip_axis << 8 if chip.MAP.command(name).axes else 0))
+        """Write a register of a chip as its family does, see `Chip.register_cycles`; chip_axis: the axis of the chip."""
+        for address, datum in chip.register_cycles(name, value, chip_axis):
+            self.write(axis, address, datum)
+        return self
 
     def wait(self, seconds: float) -> Program:
         self.ops.append((host.WAIT, round(seconds * 1e9), 0, 0))

@@ -147,8 +147,6 @@ class Chip:
     ADDRESSES: ClassVar[int] = 4
     """Bus addresses: 0 up to ADDRESSES - 1."""
     DATA_MASK: ClassVar[int] = 0xFF
-    DIRECT: ClassVar[bool] = False
-    """Each register has a bus address of its own, its number."""
     READING_ACTS: ClassVar[frozenset[int]] = frozenset()
     """Bus addresses at which a read cycle changes something, in some mode at least: journals note these cycles."""
     IRQ: ClassVar[tuple[int, int]] = (0, 0)
@@ -242,6 +240,15 @@ class Chip:
     def net(self, axis: int = 0) -> int:
         """Pulses begun since power-up, plus minus minus: what a drive has been given. Not readable on the bus."""
         return int(self._record["net"])
+
+    @classmethod
+    def register_cycles(cls, name: str, value: int, axis: int = 0) -> list[tuple[int, int]]:
+        """The bus write cycles, (address, datum), that put a value into a register, as a driver of the family makes them.
+
+        axis: of the chip, where the register is an axis' own. The value is not checked, see `RegisterMap.checked`. Raises
+        ArgumentError for a name that is none.
+        """
+        raise NotImplementedError(f"{cls.__name__} does not say how its registers are written.")
 
     def options(self) -> dict[str, Any]:
         """What the chip was made with: type(chip)(**chip.options()) is another of its kind."""

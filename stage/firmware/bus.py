@@ -13,6 +13,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from stage.chips.pcl240 import STATUS
+from stage.chips.pcl240.maps import CONTROL, OUTPUT, SELECT
 from stage.errors import RunTimeout, StageError
 from stage.firmware.axis import Axis
 
@@ -20,7 +21,6 @@ RESET, STOP, SLOW_DOWN_FH1, SLOW_DOWN_FH2 = 0x08, 0x18, 0x1D, 0x1F
 INTERRUPT = 0x20
 START = {"FL": 0x10, "FH1": 0x11, "FH2": 0x13}  # constant speed
 RAMP = {"FL": 0x14, "FH1": 0x15, "FH2": 0x17}
-CONTROL, SELECT, OUTPUT = 0x40, 0x80, 0xC0
 ORIGIN, SD, PRESET, MINUS = 0x01, 0x02, 0x04, 0x08  # of the control mode
 AUTOMATIC, POSITION = 0x10, 0x20  # of the control mode, MK and MS
 COLLECTIVE = 0x20  # of the register select, MK and MS
@@ -93,14 +93,9 @@ class Port:
         self.command(CONTROL | bits | (POSITION if self.extended else 0))
 
     def write_register(self, name: str, value: int) -> None:
-        """Select a register and write its bytes, high to low: the silicon has no latch, and so a value that grows in motion
-        is never below the old one on the way. Raises ArgumentError when the data sheet does not allow the value.
-        """
-        r = self._chip.MAP.register(name)
-        value = self._chip.MAP.checked(name, value)
-        self.command(SELECT | r.number)
-        for k in reversed(range((r.bits + 7) // 8)):
-            self._chip.write(1 + k, value >> 8 * k & 0xFF)
+        """Select a register and write its bytes. Raises ArgumentError when the data sheet does not allow the value."""
+        for cycle in self._chip.register_cycles(name, self._chip.MAP.checked(name, value)):
+            self._chip.write(*cycle)
 
     def write_registers(self, **values: int) -> None:
         """Write registers by name, in the order given; all are checked before the first is written."""

@@ -53,11 +53,9 @@ class Driver:
     def load(self, **parameters: int) -> None:
         """Write parameters by name: R, K, A, D, SV, V, P, LP, CP, ... Raises ArgumentError, before the first bus cycle."""
         map_ = self._chip.MAP
-        words = [(map_.register(name).number, map_.checked(name, value)) for name, value in parameters.items()]
-        for code, value in words:
-            self._chip.write(6, value & 0xFFFF)
-            self._chip.write(7, value >> 16 & 0xFFFF)
-            self.command(code)
+        for name, value in [(name, map_.checked(name, value)) for name, value in parameters.items()]:
+            for cycle in self._chip.register_cycles(name, value, self.axis.chip_axis):
+                self._chip.write(*cycle)
 
     def mode(self, **words: int) -> None:
         """Write mode words by name: WR1, WR2, WR3."""

@@ -29,10 +29,8 @@ class Port:
     def load(self, **values: int) -> None:
         """Write parameters and modes by name: SV, DV, TP, H1M, IPM ... Raises ArgumentError, before the first bus cycle."""
         for name, value in [(n, MAP.checked(n, v)) for n, v in values.items()]:
-            self.chip.write(6, value & 0xFFFF)
-            if MAP.register(name).bits > 16:
-                self.chip.write(7, value >> 16 & 0xFFFF)
-            self.command(name)
+            for cycle in self.chip.register_cycles(name, value, self.axis.chip_axis):
+                self.chip.write(*cycle)
 
     def mode(self, **words: int) -> None:
         """Write WR1, WR2, WR3."""

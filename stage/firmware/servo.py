@@ -15,9 +15,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from stage.chips.hctl1100.maps import NUMBERS
 from stage.errors import ArgumentError
 from stage.firmware.axis import Axis
-from stage.firmware.servo_port import LIMIT, PROFILE, STOP, WORDS, Port
+from stage.firmware.servo_port import LIMIT, PROFILE, STOP, Port
 
 DWELL = 0.02  # s within the deadband: settled
 LONGEST = 16 * 256  # clocks of a sample
@@ -214,10 +215,10 @@ def acceleration_word(port: Port, acceleration: float) -> int:
 
 
 def _held(port: Port, name: str, rate: float, said: str) -> int:
-    word, value = WORDS[name], round(rate) if math.isfinite(rate) else 0
-    if value == 0 or not word.least <= value <= word.most:
+    number, value = NUMBERS[name], round(rate) if math.isfinite(rate) else 0
+    if value == 0 or not number.least <= value <= number.most:
         raise ArgumentError(
-            f"{said} are {value} in the register of {name} at samples of {port.sample * 1e6:g} us: {max(word.least, 1)} to "
-            f"{word.most} it holds. Choose another rate, or another T."
+            f"{said} are {value} in the register of {name} at samples of {port.sample * 1e6:g} us: {max(number.least, 1)} to "
+            f"{number.most} it holds. Choose another rate, or another T."
         )
     return value

@@ -9,10 +9,9 @@ port.command(port.position() + 100)       in the safe part of a sample
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
 
 from stage.chips import HCTL1100
-from stage.chips.hctl1100.maps import MAP, MINIMUM_T
+from stage.chips.hctl1100.maps import MAP, MINIMUM_T, NUMBERS
 from stage.chips.hctl1100.state import signed
 from stage.errors import ArgumentError, RunTimeout, unknown
 from stage.firmware.axis import Axis
@@ -24,33 +23,6 @@ FLAGS = {"trapezoid": 0, "proportional velocity": 3, "integral velocity": 5}
 LIMIT, STOP, INIT, PROFILE = (MAP.mask("R07", name) for name in ("limit", "stop", "init", "profile"))
 MARGIN = 3  # counts of the timer: so long before the sample's end no command is begun
 LOOKS = 8  # at the timer, one after the other; two or three are enough
-TOP = 1 << 23  # counts; positions are -TOP to TOP - 1
-
-
-class Word(NamedTuple):
-    """Bus addresses of a number, in the order in which its bytes are written, the high one first; least and most."""
-
-    addresses: tuple[int, ...]
-    least: int
-    most: int
-
-
-WORDS = {
-    "timer": Word((0x0F,), 0, 0xFF),
-    "zero": Word((0x20,), 0, 0xFF),
-    "pole": Word((0x21,), 0, 0xFF),
-    "gain": Word((0x22,), 0, 0xFF),
-    "command_position": Word((0x0C, 0x0D, 0x0E), -TOP, TOP - 1),
-    "preset_position": Word((0x15, 0x16, 0x17), -TOP, TOP - 1),
-    "final_position": Word((0x2B, 0x2A, 0x29), -TOP, TOP - 1),
-    "acceleration": Word((0x27, 0x26), 0, 0x7FFF),
-    "maximum_velocity": Word((0x28,), 0, 0x7F),
-    "proportional_velocity": Word((0x24, 0x23), -0x8000, 0x7FFF),
-    "integral_velocity": Word((0x3C,), -0x80, 0x7F),
-    "motor_command": Word((0x09,), -100, 100),
-}
-"""What `Port.load` takes: acceleration in 256ths of counts per sample2, proportional velocity in 16ths of counts per sample, the
-other velocities in counts per sample; motor_command in hundredths of full drive, in Init/Idle only."""
 
 
 class Port:
@@ -75,17 +47,16 @@ class Port:
         return self.count * (self.t + 1)
 
     def load(self, **values: int) -> None:
-        """Write numbers by name, see WORDS. Raises ArgumentError, before the first bus cycle."""
+        """Write numbers by name, see NUMBERS of the chip's maps. Raises ArgumentError, before the first bus cycle."""
         for name, value in values.items():
-            word = WORDS.get(name)
-            if word is None:
-                raise ArgumentError(f"{name} is nothing to load: {', '.join(WORDS)}.")
-            if not word.least <= value <= word.most or int(value) != value:
-                raise ArgumentError(f"{name}={value!r}: a whole number from {word.least} to {word.most}.")
+            number = NUMBERS.get(name)
+            if number is None:
+                raise ArgumentError(f"{name} is nothing to load: {', '.join(NUMBERS)}.")
+            if not number.least <= value <= number.most or int(value) != value:
+                raise ArgumentError(f"{name}={value!r}: a whole number from {number.least} to {number.most}.")
         for name, value in values.items():
-            addresses = WORDS[name].addresses
-            for k, address in enumerate(addresses):
-                self.chip.write(address, value >> 8 * (len(addresses) - 1 - k) & 0xFF)
+            for cycle in self.chip.register_cycles(name, value):
+                self.chip.write(*cycle)
         self.t = values.get("timer", self.t)
 
     def _read(self, *addresses: int) -> int:

@@ -126,3 +126,16 @@ def test_after_a_reset_a_chip_goes_on_as_one_that_was_just_switched_on_whatever_
         (mine, made), (its, its_made) = (go_on(chip, np.random.default_rng(seed + 1), 40) for chip in (used, other))
         assert str(mine) == str(its)
         assert make.SERVO or (made - its_made)[0] == net
+
+
+@every_chip
+def test_the_cycles_that_write_a_register_keep_to_the_bus(name):
+    """chip.register_cycles("R2", 8000)"""
+    chip = CHIPS[name]()
+    axis = chip.AXES - 1
+    for register in chip.MAP.registers:
+        if "W" in register.access:
+            cycles = chip.register_cycles(register.name, register.range[1], axis)
+            assert cycles, register.name
+            assert all(0 <= address < chip.ADDRESSES and datum <= chip.DATA_MASK for address, datum in cycles)
+            assert cycles == CHIPS[name].register_cycles(register.name.lower(), register.range[1], axis)

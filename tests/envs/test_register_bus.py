@@ -36,6 +36,7 @@ class HostChip:
     def __init__(self, host, index, chip):
         self.host, self.index = host, index
         self.MAP, self.EXTENDED = chip.MAP, getattr(chip, "EXTENDED", False)
+        self.register_cycles = chip.register_cycles
 
     def write(self, address, value):
         self.host.act(rb.WRITE, self.index, address, value)

@@ -5,10 +5,11 @@ import pytest
 
 from stage import ArgumentError, RunTimeout, Stage
 from stage.chips import HCTL1100
+from stage.chips.hctl1100.maps import NUMBERS
 from stage.firmware.servo import Tuning, integral_velocity, proportional_velocity, set_up, step, trapezoid
 from stage.firmware.servo_home import home, leave_limit
 from stage.firmware.servo_model import Loop
-from stage.firmware.servo_port import INIT, PROFILE, WORDS, Port
+from stage.firmware.servo_port import INIT, PROFILE, Port
 
 COUNT = 5e-6  # m
 DEADBAND = 3
@@ -28,10 +29,10 @@ def test_a_port_is_for_hctl1100s_only():
         Port(Stage("xyz", visuals=False).axes["x"])
 
 
-@pytest.mark.parametrize("name", WORDS)
+@pytest.mark.parametrize("name", NUMBERS)
 def test_a_number_is_written_byte_by_byte_high_first_up_to_both_ends_of_its_range(stage, name):
     x = stage.axes["x"]
-    port, word = Port(x), WORDS[name]
+    port, word = Port(x), NUMBERS[name]
     n = len(word.addresses)
     for value in (word.least, word.most):
         journal = x.chip.journal()

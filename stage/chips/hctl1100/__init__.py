@@ -17,7 +17,7 @@ from stage.chips.chip import Chip
 from stage.chips.hctl1100 import core, lint
 from stage.chips.hctl1100.decode import Decoder
 from stage.chips.hctl1100.listen import Listener
-from stage.chips.hctl1100.maps import MAP
+from stage.chips.hctl1100.maps import MAP, NUMBERS
 from stage.chips.hctl1100.state import ADDRESSES
 from stage.errors import ArgumentError
 
@@ -37,7 +37,6 @@ class HCTL1100(Chip):
     WIRING: ClassVar = {"el_plus": "limit", "el_minus": "limit", "org": "stop", "ez": "index"}
     SERVO: ClassVar = True
     IN_POSITION: ClassVar = 10.0  # counts: a filter without an integral holds a weight by an error
-    DIRECT: ClassVar = True
     READING_ACTS: ClassVar = frozenset({0x14})
     DEFAULT_CLOCK_HZ: ClassVar = 2_000_000
     ADDRESSES: ClassVar = ADDRESSES
@@ -45,6 +44,14 @@ class HCTL1100(Chip):
     COUNTER: ClassVar = ("R14", 24)
     TRACED: ClassVar = {"R0E": ("command", 24), "MC": ("motor", 8)}
     _ADDRESS_MASK: ClassVar = ADDRESSES - 1
+
+    @classmethod
+    def register_cycles(cls, name: str, value: int, axis: int = 0) -> list[tuple[int, int]]:
+        """To its address; a number of several bytes, see `maps.NUMBERS`, by its name, in the order that it asks for."""
+        if name in NUMBERS:
+            addresses = NUMBERS[name].addresses
+            return [(a, value >> 8 * (len(addresses) - 1 - k) & 0xFF) for k, a in enumerate(addresses)]
+        return [(cls.MAP.register(name).number, value)]
 
     @property
     def motor_command(self) -> int:

@@ -6,6 +6,8 @@ Sources: the data sheet's page on the sample timer (S), other pages of the manua
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from stage.chips.register_map import Field, Register, RegisterMap, Word
 
 SEVEN_BITS = (0, 0x7F)
@@ -98,3 +100,31 @@ MAP = RegisterMap(
 
 MINIMUM_T = {"position": 0x07, "proportional velocity": 0x07, "trapezoid": 0x0F, "integral velocity": 0x0F}
 """Table 4 of the data sheet: the smallest T of each control mode, and how far the timer counts before commands may be written."""
+
+TOP = 1 << 23  # counts; positions are -TOP to TOP - 1
+
+
+class Number(NamedTuple):
+    """Bus addresses of a number's bytes in the order in which they are written, the high one first; least and most."""
+
+    addresses: tuple[int, ...]
+    least: int
+    most: int
+
+
+NUMBERS = {
+    "timer": Number((0x0F,), 0, 0xFF),
+    "zero": Number((0x20,), 0, 0xFF),
+    "pole": Number((0x21,), 0, 0xFF),
+    "gain": Number((0x22,), 0, 0xFF),
+    "command_position": Number((0x0C, 0x0D, 0x0E), -TOP, TOP - 1),
+    "preset_position": Number((0x15, 0x16, 0x17), -TOP, TOP - 1),
+    "final_position": Number((0x2B, 0x2A, 0x29), -TOP, TOP - 1),
+    "acceleration": Number((0x27, 0x26), 0, 0x7FFF),
+    "maximum_velocity": Number((0x28,), 0, 0x7F),
+    "proportional_velocity": Number((0x24, 0x23), -0x8000, 0x7FFF),
+    "integral_velocity": Number((0x3C,), -0x80, 0x7F),
+    "motor_command": Number((0x09,), -100, 100),
+}
+"""What a host writes as one: acceleration in 256ths of counts per sample2, proportional velocity in 16ths of counts per sample, the
+other velocities in counts per sample; motor_command in hundredths of full drive, in Init/Idle only."""

@@ -87,6 +87,15 @@ class Nova(Chip):
         """The axes that take part in interpolation, as bits."""
         return 0
 
+    @classmethod
+    def register_cycles(cls, name: str, value: int, axis: int = 0) -> list[tuple[int, int]]:
+        """WR6, WR7 if it has more than 16 bits, and the command that is its number, with the axis' bit where it is an axis' own
+        (manual, data writing commands)."""
+        r = cls.MAP.register(name)
+        data = [(6, value & 0xFFFF), (7, value >> 16 & 0xFFFF)]
+        select = 1 << axis << 8 if cls.MAP.command(name).axes else 0
+        return [*data[: 2 if r.bits > 16 else 1], (0, select | r.number)]
+
     def decoder(self, axis: int = 0) -> Decoder:
         return Decoder(self.MAP, axis)
 

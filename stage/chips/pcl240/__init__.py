@@ -9,7 +9,7 @@ from stage.chips.chip import Chip
 from stage.chips.pcl240 import core, lint, state
 from stage.chips.pcl240.decode import Decoder
 from stage.chips.pcl240.listen import Listener
-from stage.chips.pcl240.maps import OPERATING_MODE, PCL240K_MAP, PCL240MK_MAP, PCL240MS_MAP, STATUS
+from stage.chips.pcl240.maps import OPERATING_MODE, PCL240K_MAP, PCL240MK_MAP, PCL240MS_MAP, SELECT, STATUS
 
 __all__ = ["OPERATING_MODE", "STATUS", "PCL240", "PCL240K", "PCL240MK", "PCL240MS"]
 
@@ -39,6 +39,14 @@ class PCL240(Chip):
         for k, r in enumerate(self.MAP.registers):
             record["mask"][k] = r.writable
         record["top_bit"] = (self.MAP.register("R6").mask + 1) // 2
+
+    @classmethod
+    def register_cycles(cls, name: str, value: int, axis: int = 0) -> list[tuple[int, int]]:
+        """Select it, then its bytes, high to low: the silicon has no latch, and so a value that grows in motion is never below the
+        old one on the way (data sheet section 4)."""
+        r = cls.MAP.register(name)
+        bytes_ = [(1 + k, value >> 8 * k & 0xFF) for k in reversed(range((r.bits + 7) // 8))]
+        return [(0, SELECT | r.number), *bytes_]
 
     def decoder(self, axis: int = 0) -> Decoder:
         return Decoder(self.MAP)

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 
 from stage.chips.decode import Said
 from stage.chips.entries import LOST, RESET, WRITE, Entry
+from stage.chips.pcl240.maps import SELECT
 from stage.chips.register_map import Register, RegisterMap
 
 _SPEEDS = ("FL", "FH1", "FL", "FH2")
@@ -53,7 +54,7 @@ class Decoder:
 
     def __init__(self, map_: RegisterMap):
         self._map = map_
-        self._select, self._clock = 0x80, 0
+        self._select, self._clock = SELECT, 0
         self._bytes: dict[int, int] = {}
         self._held: dict[int, int] = {}
 
@@ -75,7 +76,7 @@ class Decoder:
             elif e.kind == RESET:
                 said += self.rest()
                 self._held.clear()
-                self._select = 0x80
+                self._select = SELECT
                 said.append(Said(e.clock, "reset", "/RESET", "reset pin"))
             elif e.kind == LOST:
                 what = f"data to address {e.a}" if e.a else command_meaning(self._map, e.b)

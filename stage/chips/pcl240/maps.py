@@ -11,6 +11,9 @@ from dataclasses import replace
 
 from stage.chips.register_map import Field, Register, RegisterMap, Word
 
+CONTROL, SELECT, OUTPUT = 0x40, 0x80, 0xC0
+"""What a byte to address 0 begins with, in its two high bits (section 3); 00 begins a command."""
+
 OPERATING_MODE = Word(
     "operate",
     "operating mode selection, 00xx xxxx at address 0",
