@@ -120,6 +120,15 @@ def test_the_oldest_line_of_a_full_trace_still_counts_a_repeated_read():
     assert board.trace.dropped == 2
 
 
+def test_polling_a_port_that_reaches_nothing_is_one_line_with_a_count():
+    board = Board(Stage("xyz", visuals=False))
+    for port in (0x304, *[0x200] * 5, 0x304):
+        board.in8(port)
+    for _ in range(3):
+        board.in16(0x30C)
+    assert [(c.port, c.times, c.stray) for c in board.trace] == [(0x304, 2, False), (0x200, 5, True), (0x30C, 3, True)]
+
+
 def test_each_layout_reaches_its_chip():
     stage = Stage("xyz", chips=PCL240MK, visuals=False)
     board = Board(stage, base={"x": 0x200, "y": 0x300, "z": 0x210})

@@ -197,6 +197,19 @@ def test_new_cycle_and_width_act_from_the_next_split_pulse_on():
     assert shape == [1, 1, 0, 0, 0, 0] + [1, 0, 0] * 4 + [1, 0]
 
 
+@pytest.mark.parametrize("width", [3, 4, 9])
+def test_a_width_of_the_whole_cycle_or_more_still_leaves_the_output_off_for_a_pulse(width):
+    chip = MCX514()
+    load(chip, SP1=width << 16 | 4)
+    command(chip, 0x75)
+    cruise(chip)
+    shape = []
+    for _ in range(12):
+        chip.advance(US)
+        shape.append(int(chip.axes[0].pins.split))
+    assert shape == [1, 1, 1, 0] * 3
+
+
 def test_the_split_pulse_goes_on_over_the_next_drive():
     chip = MCX514()
     load(chip, SP1=4 << 16 | 6, SP2=1, SV=1_000_000, DV=1_000_000, TP=3)

@@ -368,6 +368,19 @@ def test_an_alarm_between_two_steps_ends_the_search():
     assert (chip.read(0) & 1, home_state(chip), word(chip, 2) & 0xC0FF) == (0, 0, 0x4010)
 
 
+def test_an_alarm_that_is_not_enabled_lets_the_search_go_on_between_two_steps():
+    chip = MCX514()
+    table = put_at(chip, 0, 1, H1M=h1m(1), H2M=0x780)
+    command(chip, 0x5A)
+    while home_state(chip) != 6:
+        go_on(chip, table)
+    chip.axes[0].pins.alarm = True
+    chip.advance(1)
+    assert (chip.read(0) & 1, home_state(chip), word(chip, 2) & 0xC0FF) == (1, 6, 0)
+    chip.advance(1000 * MS)
+    assert (chip.read(0) & 1, home_state(chip), word(chip, 2) & 0xC0FF) == (1, 20, 0)
+
+
 @pytest.mark.parametrize("make", [MCX514, MCX304])
 def test_n_drv_is_1_from_the_command_to_the_end_and_the_end_is_told_once(make):
     chip = make()

@@ -39,6 +39,15 @@ def assert_over(chip, axes=X | Y):
 # Ends
 
 
+def test_a_direction_command_in_mid_segment_turns_no_direction_signal():
+    chip = prepared()
+    line(chip, (50, -30))
+    chip.advance(10 * PERIOD + PERIOD // 2)
+    for code in (0x58, 0x59):  # plus, minus
+        command(chip, code, X | Y)
+        assert [axis.pins.dir for axis in chip.axes[:2]] == [False, True]  # True: -
+
+
 @covers("MCX514", "LHK2", "DRVFBRK")
 @pytest.mark.parametrize("axis", [X, Y], ids=["main", "other"])
 def test_an_instant_stop_of_any_axis_that_takes_part_ends_all(axis):

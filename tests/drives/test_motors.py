@@ -61,6 +61,11 @@ def test_drives_default_to_the_motor_s_own_current_and_detent():
     assert Drive(detent=0.0).detent_torque == 0.0
 
 
+def test_a_drive_holds_in_proportion_to_the_current_that_was_chosen():
+    assert Drive().peak_torque == pytest.approx(0.40)
+    assert Drive(current=0.85).peak_torque == pytest.approx(0.20)
+
+
 def test_drives_are_values_compared_pickled_and_hashed():
     drive = Drive("17HS15-1504S", 32)
     assert pickle.loads(pickle.dumps(drive)) == drive

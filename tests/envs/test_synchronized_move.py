@@ -193,6 +193,19 @@ def test_the_reward_is_the_sum_of_its_parts_in_their_units():
     assert parts["lost"] == parts["limit"] == 0
 
 
+def test_a_carriage_beyond_an_end_of_the_line_is_as_far_from_it_as_from_that_end():
+    env, _, _ = one_move(options={"distances": LINE})
+    made = env._task
+    looks, columns = made.config.looks, made._looks
+    results = np.zeros((1, columns[0].start + looks * columns[0].step - 1), np.int64)
+    length = float(np.hypot(*(made.way * made.distances)[0]))
+    for along, off in ((0.5, 0.0), (1.02, 0.02), (-0.03, 0.03)):
+        for a, column in enumerate(columns):
+            at = made._begun["position"][0, a] + along * made.way[a] * made.distances[0, a]
+            results[:, column] = round(at * 1e12)
+        assert made._carriages(results)[0] == pytest.approx(off * length, abs=1e-9)
+
+
 def test_an_end_limit_ends_the_episode_of_its_stage_alone():
     envs = SynchronizedMoveVectorEnv(num_envs=3, **SHORT, moves=4)
     envs.reset(seed=3)

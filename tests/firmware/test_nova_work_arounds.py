@@ -315,6 +315,23 @@ def test_other_chips_are_refused(chip):
         Driver(Bench(x=chip()).axes["x"])
 
 
+@pytest.mark.parametrize("stops", [True, False])
+def test_a_routine_that_has_stopped_the_drive_is_told_though_it_ran_often_after_that(stops):
+    setup, looks = Setup().start(), []
+
+    def routine():
+        looks.append(setup.bench.time)
+        if len(looks) != 100:
+            return False
+        if stops:
+            setup.driver.command(nova.DECELERATING_STOP)
+        return stops
+
+    assert setup.driver.wait_until_stopped(5, routine) is stops
+    assert len(looks) > 110
+    assert (setup.driver.position() < PULSES) is stops
+
+
 def test_a_runaway_ends_in_a_timeout_that_shows_rr1():
     setup, _ = asked(bare, IN_D[1])
     with pytest.raises(RunTimeout, match="still drives after 1 s: RR1 = 000"):

@@ -92,6 +92,14 @@ def test_a_host_that_is_too_slow_misses_samples_and_says_so():
         follow(ports, np.zeros((5, 2)))
 
 
+def test_a_profile_of_fractions_is_rounded_to_the_nearest_count(stage):
+    port = set_up(stage.axes["x"])
+    begin, journal = port.commanded(), port.chip.journal()
+    follow([port], np.array([[0.6], [-0.6], [1.4], [2.7]]))
+    written = [e.b for e in journal.entries if e.kind == WRITE and e.a == 0x0E]
+    assert written == [begin + count & 0xFF for count in (1, -1, 1, 3)]
+
+
 def test_a_circle_of_three_axes_is_rounder_with_sync_than_without():
     off, torn = {}, {}
     for name, (sync, one, _) in servo_moves.CIRCLES.items():

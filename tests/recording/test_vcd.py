@@ -9,7 +9,7 @@ from programs import load_registers
 from recording_bench import drive, make_bench
 from vcd_parser import parse
 
-from stage import Stage
+from stage import Stage, faults
 from stage.chips import MCX514, PCL240K
 from stage.recording import signals
 from stage.recording.vcd import nanoseconds
@@ -105,6 +105,23 @@ def test_the_bus_writes_and_resets_are_events_with_address_and_data(tmp_path, be
     assert [(clock(t), vcd.at("x.bus.A", t), vcd.at("x.bus.D", t)) for t in times] == wrote
     assert [clock(t) for t, _ in vcd.changes["x.bus.RESET"]] == [bench.chip.clock]
     assert vcd.timescale == "1 ns"
+
+
+def test_a_lost_write_is_an_event_of_its_own_and_no_write(tmp_path, bench):
+    chip, at = bench.chip, []
+    with faults.lost_write(chip, value=2):
+        for value in (1, 2, 3):
+            chip.advance(100)
+            at.append(chip.clock)
+            chip.write(1, value)
+    chip.advance(100)
+    bench.recording.close()
+    vcd = parse(bench.recording.to_vcd(tmp_path / "x.vcd"))
+    events = {
+        name: [(clock(t), vcd.at("x.bus.A", t), vcd.at("x.bus.D", t)) for t, _ in vcd.changes[f"x.bus.{name}"]]
+        for name in ("WR", "LOST")
+    }
+    assert events == {"WR": [(at[0], 1, 1), (at[2], 1, 3)], "LOST": [(at[1], 1, 2)]}
 
 
 def test_after_the_reset_pin_the_direction_is_plus_and_the_sd_bit_that_of_its_switch(tmp_path, bench):
