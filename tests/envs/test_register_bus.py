@@ -556,10 +556,12 @@ def test_a_step_costs_less_beside_its_physics_than_ten_calls_of_numpy(steps):
     env = make(waits=(steps * 2.5e-4,), cycles=10**9, time_limit=1e6)
     env.reset(seed=0)
     bare, action, one = Stage("xyz", visuals=False), np.array([rb.WAIT, 0, 0, 0]), np.ones(1)
-    ours, physics, ten = fastest(
-        150, lambda: env.step(action), lambda: bare.step(steps), lambda: [np.where(one, one, one) for _ in range(10)]
-    )
-    assert ours - physics < ten
+    works = lambda: env.step(action), lambda: bare.step(steps), lambda: [np.where(one, one, one) for _ in range(10)]
+    for _ in range(6):  # somebody else may use the machine
+        ours, physics, ten = fastest(50, *works)
+        if ours - physics < ten:
+            return
+    pytest.fail(f"{ours} s for 20 steps, {physics} s of them physics; ten calls of NumPy take {ten} s")
 
 
 def test_every_axis_can_be_a_chip_of_its_own_or_left_alone():
