@@ -16,7 +16,7 @@ from examples import FIXED
 
 
 def pytest_collection_finish():
-    """What the session keeps to its end is no rubbish: without it each gc.collect() of a test takes a tenth of the time."""
+    """What the session keeps to its end is no rubbish: a gc.collect() of a test then need not look at all of it."""
     gc.collect()
     gc.freeze()
 

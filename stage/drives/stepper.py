@@ -115,8 +115,8 @@ def _slice(d, a, b, ta, tb, s, c, omega):
 
 
 @hot
-def _torque(d, ia, ib, s, c):
-    return d.torque_constant * (ib * c - ia * s) - d.detent * 4.0 * s * c * (c * c - s * s)
+def _torque(constant, detent, ia, ib, s, c):
+    return constant * (ib * c - ia * s) - detent * 4.0 * s * c * (c * c - s * s)
 
 
 @hot
@@ -133,7 +133,7 @@ def _along(d, ways, n, theta, pace, omega, h):
             a = mean_a = 0.0
         if opened & B:
             b = mean_b = 0.0
-        total += _torque(d, mean_a, mean_b, s, c)
+        total += _torque(d.torque_constant, d.detent, mean_a, mean_b, s, c)
         s, c = s * turn_c + c * turn_s, c * turn_c - s * turn_s
     return total / n, a, b
 
@@ -148,7 +148,7 @@ def _along_within_reach(d, ways, n, theta, pace, omega, h):
         ways[ROTOR_SIN, k], ways[ROTOR_COS, k] = s, c
         s, c = s * turn_c + c * turn_s, c * turn_c - s * turn_s
     keep, reach, push = d.keep, d.reach, d.back * omega
-    constant, detent, outside = d.torque_constant, d.detent * 4.0, 0
+    constant, detent, outside = d.torque_constant, d.detent, 0
     for k in range(n):
         s, c = ways[ROTOR_SIN, k], ways[ROTOR_COS, k]
         before_a, before_b, a, b = (
@@ -161,7 +161,7 @@ def _along_within_reach(d, ways, n, theta, pace, omega, h):
         low_b, high_b = before_b * keep - (push * c + reach), before_b * keep - (push * c - reach)
         outside |= (a < low_a) | (high_a < a) | (b < low_b) | (high_b < b)
         mean_a, mean_b = 0.5 * (before_a + a), 0.5 * (before_b + b)
-        ways[TORQUE, k] = constant * (mean_b * c - mean_a * s) - detent * s * c * (c * c - s * s)
+        ways[TORQUE, k] = _torque(constant, detent, mean_a, mean_b, s, c)
     total = 0.0
     for k in range(n):
         total += ways[TORQUE, k]
@@ -213,4 +213,4 @@ def torque(d, count, theta, omega, h):
     tb, ta = sincos(d.offset + d.per_pulse * count)
     s, c = sincos(theta * d.teeth)
     d.current_a, d.current_b, mean_a, mean_b = _slice(d, d.current_a, d.current_b, ta, tb, s, c, omega)
-    return _torque(d, mean_a, mean_b, s, c)
+    return _torque(d.torque_constant, d.detent, mean_a, mean_b, s, c)

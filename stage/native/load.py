@@ -67,16 +67,17 @@ def unfit(package: str, path: Path) -> str:
         source = source_of(module, places[module.partition(".")[0]])
         if source is None or digest_of(source) != digest:
             return f"{path} was built from other sources: {module} has changed"
-    if in_checkout(package):
-        new = (m for m, _ in exporting(places.get(package) or folders(package)) if m not in manifest["sources"])
-        for module in new:
-            return f"{path} was built from other sources: {module} is new"
+    own = places.get(package) or folders(package)
+    if _project(own[package]).is_file():  # a checkout, where modules come and go
+        for module, _ in exporting(own):
+            if module not in manifest["sources"]:
+                return f"{path} was built from other sources: {module} is new"
     return ""
 
 
-def in_checkout(package: str) -> bool:
-    """Whether a package lies where its sources are worked on."""
-    return (folders(package)[package].parent / "pyproject.toml").is_file()
+def _project(folder: Path) -> Path:
+    """Where the project file of a package in this folder would be: it is there in a checkout."""
+    return folder.parent / "pyproject.toml"
 
 
 def modules(places: dict[str, Path]) -> Iterator[tuple[str, Path]]:
@@ -153,7 +154,7 @@ def folders(package: str) -> dict[str, Path]:
     if spec is None or not spec.submodule_search_locations:
         raise NativeError(f"package {package!r} cannot be found: compiled functions live in packages.")
     root = Path(next(iter(spec.submodule_search_locations))).resolve()
-    found, project = {package: root}, root.parent / "pyproject.toml"
+    found, project = {package: root}, _project(root)
     if project.is_file():
         import tomllib  # for a checkout only
 
