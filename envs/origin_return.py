@@ -46,7 +46,6 @@ import numpy as np
 
 from stage import Stage
 from stage.chips import Chip, chip_class
-from stage.engine import INDEX
 from stage.envs.base import StageEnv, StageVectorEnv
 from stage.envs.hosts import host_of
 from stage.envs.registers import RegisterBox
@@ -66,7 +65,9 @@ from stage.envs.settings import (
 )
 from stage.envs.task import MoveTask, carrier
 from stage.errors import ArgumentError, unknown
-from stage.fleet import Played, Program
+from stage.sim.engine import INDEX
+from stage.sim.fleet import Played
+from stage.sim.program import Program
 
 FROM_LIMIT = 5e-4  # m; no return starts nearer to an end limit
 CAP = 64.0  # pulses, of an error: an electrical period of a motor at 1/16 step

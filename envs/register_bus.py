@@ -39,7 +39,7 @@ from typing import Annotated, Any
 import gymnasium
 import numpy as np
 
-from stage import Stage, host
+from stage import Stage
 from stage.chips import Chip, chip_class
 from stage.envs import register_bus_core as core
 from stage.envs.base import StageEnv, StageVectorEnv
@@ -60,6 +60,7 @@ from stage.envs.settings import (
 )
 from stage.envs.task import Task
 from stage.errors import ArgumentError, unknown
+from stage.sim import play
 
 WRITE, READ, WAIT = core.WRITE, core.READ, core.WAIT  # kinds of action; WAIT + k
 GOALS = ("position", "home")
@@ -152,7 +153,7 @@ class RegisterBus(Task[Config]):
         self._note_rules()
         self.episodes, self.axis_states = np.zeros(n, core.EPISODE), np.zeros((n, m), core.AXIS)
         self.words = np.zeros((n, len(chips), chip.ADDRESSES), core.WORD)
-        self._truth = np.zeros((n, m), host.TRUTH)
+        self._truth = np.zeros((n, m), play.TRUTH)
         self._ops, self._values, self._status = (np.zeros(shape, np.int64) for shape in ((n, 1, 4), (n, 1), n))
         self._by_hand = np.zeros(n, bool)
 
@@ -276,7 +277,7 @@ class RegisterBus(Task[Config]):
         self._by_hand[:] = False
         for k in watched:
             if self.active[k]:
-                self._status[k] = host.by_hand(self.stages[k], self._ops[k], self._values[k], np.zeros((0, 2)))
+                self._status[k] = play.by_hand(self.stages[k], self._ops[k], self._values[k], np.zeros((0, 2)))
         self._conclude(0, self.n, False)
 
     def _step(self, begin: int, end: int) -> None:

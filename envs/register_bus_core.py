@@ -10,10 +10,11 @@ import math
 
 import numpy as np
 
-from stage import handle, host
 from stage.chips import cores
 from stage.envs.results import result
 from stage.native import array_of, at, exported, greatest, hot, least, record
+from stage.sim import handle, program
+from stage.sim import play as player
 
 WRITE, READ, WAIT = range(3)  # kinds of action; WAIT + k
 AGE = 1e6  # ns, at which freshness is one half
@@ -63,7 +64,7 @@ FRAME = record(
 """Where the arrays lie, and their lengths. first: the first axis of each chip."""
 
 INTEGER, REAL, SMALL, FLAG = np.dtype("i8"), np.dtype("f8"), np.dtype("f4"), np.dtype("?")
-HANDLE, TRUTHS = handle.HANDLE, host.TRUTH
+HANDLE, TRUTHS = handle.HANDLE, player.TRUTH
 
 
 @exported(None, FRAME, "i8", "i8")
@@ -83,13 +84,13 @@ def play(f, begin, end):
             continue
         op, action = ops[k, 0], actions[k]
         if action[0] >= WAIT:
-            op[0], op[1], op[2], op[3] = host.WAIT, waits[action[0] - WAIT], 0, 0
+            op[0], op[1], op[2], op[3] = program.WAIT, waits[action[0] - WAIT], 0, 0
         else:
-            op[0] = host.WRITE if action[0] == WRITE else host.READ
+            op[0] = program.WRITE if action[0] == WRITE else program.READ
             op[1], op[2], op[3] = first[action[1]], action[2], action[3] if action[0] == WRITE else 0
         if not by_hand[k]:
             extremes = at(f.ops, (0, 2), REAL)
-            status[k] = host.play_one(handles[k], ops[k], values[k], extremes)
+            status[k] = player.play_one(handles[k], ops[k], values[k], extremes)
 
 
 @hot
@@ -219,7 +220,7 @@ def conclude(f, begin, end, fresh, results):
     for k in range(begin, end):
         if not (fresh or active[k]):
             continue
-        host.look(handles, k, k + 1, truth)
+        player.look(handles, k, k + 1, truth)
         bad = False
         if fresh:
             e = episodes[k]
@@ -227,7 +228,7 @@ def conclude(f, begin, end, fresh, results):
             e.potential, e.value = _potential(axes[k], rules, truth[k]), -1
         else:
             steps[k] += 1
-            bad = status[k] == host.DIVERGED
+            bad = status[k] == player.DIVERGED
             _judge(
                 r, rules, actions[k], values[k, 0], bad, steps[k], episodes[k], axes[k], words[k], truth[k], results[k]
             )

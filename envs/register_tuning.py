@@ -30,7 +30,8 @@ from stage.envs.hosts import host_of
 from stage.envs.registers import RegisterBox
 from stage.envs.settings import Actions, AxisName, Count, Counts, Cycle, Flag, Payloads, Seconds, Settings, Weight
 from stage.envs.tuning import Tuning
-from stage.fleet import Played, Program
+from stage.sim.fleet import Played
+from stage.sim.program import Program
 
 TENTH = 1e-4  # m
 ALLOWED = 50e-6  # m, between carriage and pulses at rest

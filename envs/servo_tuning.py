@@ -47,8 +47,9 @@ from stage.envs.settings import (
 )
 from stage.envs.tuning import Tuning
 from stage.errors import ArgumentError
-from stage.firmware.servo_port import CONTROL, FLAGS, SET
-from stage.fleet import Played, Program
+from stage.firmware.hctl1100.port import CONTROL, FLAGS, SET
+from stage.sim.fleet import Played
+from stage.sim.program import Program
 
 MOTIONS = ("step", "trapezoid")
 LOOK = 1e-3  # s between two looks at the carriage

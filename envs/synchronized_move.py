@@ -43,9 +43,8 @@ from typing import Annotated, Any
 import gymnasium
 import numpy as np
 
-from stage import Stage, host
+from stage import Stage
 from stage.chips import Chip, chip_class
-from stage.engine import clock_at
 from stage.envs.base import StageEnv, StageVectorEnv
 from stage.envs.hosts import host_of, line_of
 from stage.envs.hosts.line import Asked
@@ -68,7 +67,9 @@ from stage.envs.settings import (
 from stage.envs.task import MoveTask
 from stage.errors import ArgumentError, unknown
 from stage.firmware.path import path_deviation
-from stage.fleet import Played
+from stage.sim.engine import clock_at
+from stage.sim.fleet import Played
+from stage.sim.program import LOOK, WAIT
 
 ACTIONS = ("corrections", "box", "registers")
 TENTH = 1e-4  # m
@@ -230,9 +231,9 @@ class SynchronizedMove(MoveTask[Config]):
         length = np.minimum(self.seconds + self.line.last_pulse(registers), c.limit) + c.settle
         every = 1 + len(self.index)  # a wait, and a look at each axis
         looks = np.zeros((self.n, c.looks, every, 4), np.int64)
-        looks[:, :, 0, 0] = host.WAIT
+        looks[:, :, 0, 0] = WAIT
         looks[:, :, 0, 1] = np.ceil(length * (1e9 / c.looks))[:, None]
-        looks[:, :, 1:, 0], looks[:, :, 1:, 1] = host.LOOK, self.index
+        looks[:, :, 1:, 0], looks[:, :, 1:, 1] = LOOK, self.index
         self._looks = [slice(moves.shape[1] + 1 + a, None, every) for a in range(len(self.index))]
         return np.concatenate([moves, looks.reshape(self.n, -1, 4)], axis=1)
 

@@ -14,7 +14,8 @@ import numpy as np
 from stage import Stage
 from stage.envs.results import Results
 from stage.errors import ArgumentError, unknown
-from stage.fleet import Fleet, Played, Program
+from stage.sim.fleet import Fleet, Played
+from stage.sim.program import Program
 
 ConfigT = TypeVar("ConfigT")
 

@@ -19,7 +19,7 @@ from stage.envs.registers import RegisterBox
 from stage.envs.results import result
 from stage.envs.task import MoveTask, carrier
 from stage.errors import ArgumentError, unknown
-from stage.fleet import Program
+from stage.sim.program import Program
 
 ConfigT = TypeVar("ConfigT")
 

@@ -17,8 +17,8 @@ from collections import Counter, defaultdict
 from pathlib import Path
 
 from stage.chips import CHIPS
-from stage.chips.nova.maps304 import MCX302_MAP, MCX304_MAP, MCX312_MAP
-from stage.chips.nova.maps514 import MCX514_MAP
+from stage.chips.nova.registers.mcx300 import MCX302_MAP, MCX304_MAP, MCX312_MAP
+from stage.chips.nova.registers.mcx514 import MCX514_MAP
 from stage.chips.register_map import EVIDENCE, Command, RegisterMap
 
 ROOT = Path(__file__).resolve().parents[1]

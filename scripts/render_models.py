@@ -6,8 +6,8 @@ from pathlib import Path
 import matplotlib.image
 import mujoco
 
-from stage import plant
 from stage.opengl import renderer
+from stage.sim import plant
 
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--camera", default="overview", help="overview, front, top or switches")

@@ -16,10 +16,10 @@ import numpy as np
 
 from stage import Stage
 from stage.chips import HCTL1100
-from stage.firmware.servo import MoveReport, Tuning, set_up, trapezoid
-from stage.firmware.servo_model import Loop
-from stage.firmware.servo_port import Port
-from stage.firmware.servo_profile import circle, follow, off_circle, synchronize
+from stage.firmware.hctl1100.model import Loop
+from stage.firmware.hctl1100.moves import MoveReport, Tuning, set_up, trapezoid
+from stage.firmware.hctl1100.port import Port
+from stage.firmware.hctl1100.profile import circle, follow, off_circle, synchronize
 
 TUNING = Tuning()
 STEP = 0.25e-3  # s between samples of a recording: a physics step

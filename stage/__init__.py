@@ -20,26 +20,32 @@ from stage.errors import ArgumentError, LoadError, ModelError, NativeError, RunT
 if TYPE_CHECKING:
     from stage import firmware
     from stage.drives.motors import Drive, Motor
-    from stage.machine import Snapshot, Stage
+    from stage.sim import faults
+    from stage.sim.fleet import Fleet
+    from stage.sim.program import Program
+    from stage.sim.stage import Snapshot, Stage
 
 __version__ = "0.1.0"
 
 _LAZY = {
-    "Stage": "stage.machine",
-    "Snapshot": "stage.machine",
+    "Stage": "stage.sim.stage",
+    "Snapshot": "stage.sim.stage",
+    "Fleet": "stage.sim.fleet",
+    "Program": "stage.sim.program",
     "Drive": "stage.drives.motors",
     "Motor": "stage.drives.motors",
 }
+_MODULES = {"faults": "stage.sim.faults", "firmware": "stage.firmware"}
 
 __all__ = [
-    "ArgumentError", "Drive", "LoadError", "ModelError", "Motor", "NativeError", "RunTimeout", "SimulationError", "Snapshot",
-    "Stage", "StageError", "firmware",
+    "ArgumentError", "Drive", "Fleet", "LoadError", "ModelError", "Motor", "NativeError", "Program", "RunTimeout",
+    "SimulationError", "Snapshot", "Stage", "StageError", "faults", "firmware",
 ]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:
-    if name in ("firmware", "plant"):
-        return _loaded(f"stage.{name}")
+    if name in _MODULES:
+        return _loaded(_MODULES[name])
     if name in _LAZY:
         return getattr(_loaded(_LAZY[name]), name)
     raise AttributeError(f"module 'stage' has no attribute {name!r}")

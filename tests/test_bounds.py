@@ -5,19 +5,22 @@ import math
 import numpy as np
 import pytest
 
-from stage import ArgumentError, Drive, Stage, StageError, engine, faults, firmware
+from stage import ArgumentError, Drive, Stage, StageError, firmware
 from stage.board import Board
 from stage.board.native import _nanoseconds
 from stage.chips import PCL240K, PCL240MK, PCL240MS
 from stage.chips.chip import MAX_CLOCKS
 from stage.drives import dynamometer
 from stage.drives.dc_motors import MOST_COUNTS, Servo
-from stage.firmware import Bench, Profile, servo_profile
-from stage.firmware.moves import _offset, _seconds
-from stage.firmware.plan import R0_MOST, _check, _share, _whole
-from stage.fleet import MOST, Fleet, Program
-from stage.machine import LONGEST
+from stage.firmware import Bench, Profile
+from stage.firmware.hctl1100 import profile as servo_profile
+from stage.firmware.pcl240.moves import _offset, _seconds
+from stage.firmware.pcl240.plan import R0_MOST, _check, _share, _whole
 from stage.recording.viewer import web_server
+from stage.sim import engine, faults
+from stage.sim.fleet import MOST, Fleet
+from stage.sim.program import Program
+from stage.sim.stage import LONGEST
 from stage.study.definition import Definition, Values
 from stage.testing import assert_at
 

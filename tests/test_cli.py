@@ -222,7 +222,7 @@ def test_the_table_of_the_erratum_has_the_unit_of_its_axis(unit):
 def test_one_file_for_two_outputs_is_refused_before_the_work(here, capsys, monkeypatch, command, other):
     """stage move x 100 --record a.rrd --vcd a.rrd"""
     (here / "link.rrd").symlink_to("a.rrd")
-    monkeypatch.setattr("stage.machine.Stage.record", None)
+    monkeypatch.setattr("stage.sim.stage.Stage.record", None)
     said = out(capsys, *command, "--record", "a.rrd", "--vcd", other, "--force", code=2).err
     assert said == f"stage: --record and --vcd both write {other}. Give each a file of its own.\n"
     assert not (here / "a.rrd").exists()

@@ -103,7 +103,8 @@ def test_a_core_that_works_by_the_clock_or_by_the_pulse_is_a_finding():
 PLANTED_NOVA = """
 import test_corpus as t
 from fuzzing.nova import COMPILED, counted_core
-from stage.chips.nova import core, drive
+from stage.chips.nova import core
+from stage.chips.nova.motion import drive
 assert not COMPILED
 settle, hardware_limit, count, look = core._settle, drive.hardware_limit, drive.count, drive.look
 def settle_by_the_clock(c):

@@ -8,13 +8,13 @@ import pytest
 from examples import SEED
 from programs import load_registers, start_preset
 
-from stage import ArgumentError, Drive, RunTimeout, Stage, engine, faults, firmware
+from stage import ArgumentError, Drive, Fleet, Program, RunTimeout, Stage, firmware
 from stage.chips import PCL240K
 from stage.chips.entries import LOST, WRITE
 from stage.cli import fault as demos
 from stage.cli import main
 from stage.drives import stepper
-from stage.fleet import Fleet, Program
+from stage.sim import engine, faults
 
 EVERY = {
     "stuck open": lambda s: faults.switch_stuck(s.axes["x"], "el_plus", False),

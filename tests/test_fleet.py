@@ -10,9 +10,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from stage import ArgumentError, Stage, StageError, host
+from stage import ArgumentError, Fleet, Program, Stage, StageError
 from stage.chips import HCTL1100, MCX304, MCX514, PCL240K, PCL240MS
-from stage.fleet import Fleet, Program
+from stage.sim import play
+from stage.sim.program import END, LOOK, MEASURE, READ, STOP, WAIT, WRITE
 
 N = 5
 
@@ -63,7 +64,7 @@ def test_a_program_does_what_a_python_driver_does_to_the_bit(first):
     for k, stage in enumerate(stages(first)):
         ops = np.array(program(first, k).ops)
         results, extremes = np.zeros(len(ops), np.int64), np.full((3, 2), np.inf) * [1, -1]
-        assert host.by_hand(stage, ops, results, extremes) == host.PLAYED
+        assert play.by_hand(stage, ops, results, extremes) == play.PLAYED
         assert (results == played.results[k][: len(ops)]).all()
         assert (extremes == played.extremes[k]).all()
         assert stage.snapshot().state.tobytes() == fleet.stages[k].snapshot().state.tobytes()
@@ -129,8 +130,8 @@ def test_what_a_fleet_cannot_be_is_refused(first):
 @pytest.mark.parametrize(
     "op",
     [
-        (host.WRITE, 3, 0, 0x11), (host.READ, 2, 0, 0), (host.READ, -1, 0, 0), (host.LOOK, 2, 0, 0), (host.STOP, 4, 1, 1),
-        (host.STOP, -1, 1, 1), (host.STOP, 1, 0, 1), (host.WAIT, -1, 0, 0), (host.WAIT, 1 << 62, 0, 0), (host.MEASURE, -5, 0, 0),
+        (WRITE, 3, 0, 0x11), (READ, 2, 0, 0), (READ, -1, 0, 0), (LOOK, 2, 0, 0), (STOP, 4, 1, 1),
+        (STOP, -1, 1, 1), (STOP, 1, 0, 1), (WAIT, -1, 0, 0), (WAIT, 1 << 62, 0, 0), (MEASURE, -5, 0, 0),
         (7, 0, 0, 0), (-1, 0, 0, 0),
     ],
 )  # fmt: skip
@@ -143,7 +144,7 @@ def test_a_program_that_names_what_is_not_there_is_refused(first, op):
     with pytest.raises(ArgumentError, match="program 0, operation 1"):
         fleet.play([program])
     assert first.snapshot().state.tobytes() == before
-    ended = np.array([[(host.END, 0, 0, 0), op]])
+    ended = np.array([[(END, 0, 0, 0), op]])
     fleet.play(ended)  # what comes after the end is not played
 
 
@@ -207,7 +208,7 @@ def test_without_visuals_the_physics_is_the_same(first):
     bare, full = stages(first, 1)[0], Stage("xyz", chips={"x": PCL240MS, "z": PCL240K})
     ops = np.array(program(first, 1).ops)
     for stage in (bare, full):
-        host.by_hand(stage, ops, np.zeros(len(ops), np.int64), np.zeros((3, 2)))
+        play.by_hand(stage, ops, np.zeros(len(ops), np.int64), np.zeros((3, 2)))
     assert bare.snapshot().state.tobytes() == full.snapshot().state.tobytes()
 
 
@@ -259,7 +260,7 @@ def test_a_register_is_written_by_a_program_as_its_family_takes_it():
     }
     for (chip, name), expected in writes.items():
         ops = Program().register(3, chip, name, 0x1234, 1).ops
-        assert ops == [(host.WRITE, 3, address, value) for address, value in expected], (chip, name)
+        assert ops == [(WRITE, 3, address, value) for address, value in expected], (chip, name)
 
 
 def test_a_closed_fleet_plays_again_and_stops_are_waited_for_axis_by_axis(first):

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from programs import start_preset
 
-from stage import SimulationError, Stage, StageError, callbacks, faults
+from stage import Fleet, Program, SimulationError, Stage, StageError
 from stage.board import Board
 from stage.chips import MCX514, PCL240K
 from stage.errors import ArgumentError
-from stage.fleet import Fleet, Program
 from stage.native import COMPILED
+from stage.sim import callbacks, faults
 
 
 @pytest.fixture(autouse=True)

@@ -6,9 +6,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from stage import Stage, plant
+from stage import Stage
 from stage.drives.dc_motors import DC_MOTORS
 from stage.drives.motors import motor
+from stage.sim import plant
 
 TRAVEL = {"x": 0.300, "y": 0.200, "z": 0.080}
 

@@ -8,7 +8,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from stage import ArgumentError, ModelError, Stage, plant
+from stage import ArgumentError, ModelError, Stage
+from stage.sim import plant
 
 ROOT = Path(__file__).parent.parent
 

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from examples import SEED
 
-from stage import ArgumentError, Drive, Stage, plant
+from stage import ArgumentError, Drive, Stage
 from stage.chips import PCL240K, PCL240MS
+from stage.sim import plant
 
 
 @pytest.fixture(scope="module")

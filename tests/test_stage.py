@@ -8,10 +8,11 @@ import pytest
 from examples import SEED
 from programs import load_registers, start_preset
 
-import stage.engine as engine
-from stage import ArgumentError, RunTimeout, SimulationError, Stage, StageError, plant
+import stage.sim.engine as engine
+from stage import ArgumentError, RunTimeout, SimulationError, Stage, StageError
 from stage.chips import PCL240K
 from stage.drives import stepper
+from stage.sim import plant
 
 
 @pytest.fixture(scope="module")

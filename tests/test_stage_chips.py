@@ -12,10 +12,10 @@ from programs import start_preset
 from recording.recording_bench import read_rrd
 from recording.vcd_parser import parse
 
-from stage import ArgumentError, Stage, StageError, host
+from stage import ArgumentError, Fleet, Program, Stage, StageError
 from stage.chips import HCTL1100, MCX302, MCX304, MCX312, MCX514, PCL240K
 from stage.chips.entries import INPUT
-from stage.fleet import Fleet, Program
+from stage.sim import play
 
 MIXED = {"x": MCX514, "y": MCX514, "z": PCL240K}
 ALL = {"z": PCL240K, "x": HCTL1100, "y": MCX304}
@@ -328,7 +328,7 @@ def test_any_number_of_threads_gives_the_same_bits_as_a_python_driver(made, chip
     for k, p in enumerate(programs):
         stage, ops = copy.deepcopy(first), np.array(p.ops)
         results = np.zeros(len(ops), np.int64)
-        assert host.by_hand(stage, ops, results, np.full((stage.model.nq, 2), np.inf) * [1, -1]) == host.PLAYED
+        assert play.by_hand(stage, ops, results, np.full((stage.model.nq, 2), np.inf) * [1, -1]) == play.PLAYED
         assert (results == played.results[k][: len(ops)]).all()
         assert bits(stage) == bits(fleet.stages[k])
         assert pulses_of(stage) == [300 + 50 * k] * 3
@@ -351,7 +351,7 @@ def test_every_stage_of_a_fleet_may_have_its_own_chips(made):
     for stage, ours, p, results in zip(stages, fleet.stages, programs, played.results, strict=True):
         by_hand = np.zeros(len(p), np.int64)
         ops = np.array(p.ops, np.int64)
-        assert host.by_hand(stage, ops, by_hand, np.full((stage.model.nq, 2), np.inf) * [1, -1]) == host.PLAYED
+        assert play.by_hand(stage, ops, by_hand, np.full((stage.model.nq, 2), np.inf) * [1, -1]) == play.PLAYED
         assert (results[: len(p)] == by_hand).all()
         assert bits(stage) == bits(ours)
         assert pulses_of(stage) == [400] * 3

@@ -17,12 +17,13 @@ import servo_programs as servo
 from examples import FIXED
 from programs import start_preset
 
-from stage import SimulationError, Stage, faults, host, machine
+from stage import Fleet, Program, SimulationError, Stage, faults
 from stage.board import Board, bus
 from stage.chips import HCTL1100, MCX302, MCX514, PCL240K, PCL240MK, PCL240MS
-from stage.fleet import Fleet, Program
 from stage.native import COMPILED
 from stage.recording import recording
+from stage.sim import play
+from stage.sim import stage as machine
 
 pytestmark = pytest.mark.usefixtures("elsewhere")
 
@@ -300,7 +301,7 @@ def test_a_program_of_a_driver_in_python_makes_the_same_bits():
     p.command(1, 0x44).command(1, 0x11).until_stopped([1], 0.05).measure(1e-3).look(1).read(1, 0).wait(1e-4)
     ops = np.array(p.ops)
     results, extremes = np.zeros(len(ops), np.int64), np.full((stage.model.nq, 2), np.inf) * [1, -1]
-    assert host.by_hand(stage, ops, results, extremes) == host.PLAYED
+    assert play.by_hand(stage, ops, results, extremes) == play.PLAYED
     played = fleet.play([p])
     assert (played.results[0] == results).all()
     assert (played.extremes[0] == extremes).all()
@@ -325,7 +326,7 @@ def test_by_hand_a_stage_that_diverges_ends_its_program():
     stage = make_stage()
     stage.data.qfrc_applied[:] = 1e30
     ops = np.array(Program().wait(0.01).ops)
-    assert host.by_hand(stage, ops, np.zeros(1, np.int64), np.zeros((3, 2))) == host.DIVERGED
+    assert play.by_hand(stage, ops, np.zeros(1, np.int64), np.zeros((3, 2))) == play.DIVERGED
 
 
 def test_room_for_few_samples_and_edges_loses_none(monkeypatch):

@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 from programs import start_preset
 
-from stage import Stage, StageError, faults, firmware
+from stage import Fleet, Program, Stage, StageError, faults, firmware
 from stage.board import Board
 from stage.chips import PCL240K
 from stage.envs import register_bus as rb
-from stage.fleet import Fleet, Program
 
 
 def bits(stage):

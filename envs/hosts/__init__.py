@@ -20,7 +20,7 @@ from stage.envs.hosts.line import Line, line_of
 from stage.envs.hosts.nova import FirstGeneration, Mcx514
 from stage.envs.hosts.pcl240 import Pcl240
 from stage.errors import ArgumentError
-from stage.machine import Axis
+from stage.sim.stage import Axis
 
 __all__ = ["HOSTS", "Found", "Host", "Line", "Search", "host_of", "line_of"]
 

@@ -9,7 +9,7 @@ from typing import Any, NoReturn
 from stage.envs.hosts.host import Host, Search
 from stage.envs.hosts.line import Line
 from stage.errors import ArgumentError
-from stage.fleet import Program
+from stage.sim.program import Program
 
 
 class Hctl1100(Host):

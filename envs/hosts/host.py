@@ -10,8 +10,8 @@ import numpy as np
 
 from stage.envs.registers import RegisterBox
 from stage.errors import ArgumentError
-from stage.fleet import Program
-from stage.machine import Axis
+from stage.sim.program import Program
+from stage.sim.stage import Axis
 
 if TYPE_CHECKING:
     from stage.envs.hosts.line import Line

@@ -18,12 +18,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from stage import host
 from stage.chips import cores
 from stage.envs.hosts.host import Host
 from stage.envs.registers import RegisterBox
 from stage.errors import ArgumentError
-from stage.fleet import Program
+from stage.sim import play
+from stage.sim.program import Program
 
 ROOM = 0.8  # of a short move may be ramps
 FAR = 1 << 44  # clocks: weeks
@@ -140,7 +140,7 @@ class Line(ABC):
             rows = np.frombuffer(bytearray(fresh), chip.CORE.STATE)
             twin = np.zeros(1, cores.CHIP)
             cores.fill(twin[0], chip.CORE, rows.ctypes.data)
-            host.write_cycles(twin, ops, sum(1 << self.hosts[a].index for a in mine))
+            play.write_cycles(twin, ops, sum(1 << self.hosts[a].index for a in mine))
             made = np.empty(int(np.abs(distances[mine]).sum()), chip.CORE.PULSE)
             made = made[: chip.CORE.trace.c(rows.ctypes.data, FAR, made.ctypes.data, len(made))]
             for a in mine:

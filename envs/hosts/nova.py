@@ -8,13 +8,13 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from stage.chips.nova.maps304 import RANGE
+from stage.chips.nova.registers.mcx300 import RANGE
 from stage.envs.hosts.host import Found, Host, Search
 from stage.envs.hosts.line import Line
 from stage.envs.hosts.nova_line import InRatio, Interpolated
 from stage.envs.registers import RegisterBox, limits
 from stage.errors import ArgumentError
-from stage.fleet import Program
+from stage.sim.program import Program
 
 MULTIPLE = 20
 """Of the first generation: R = 8,000,000 / 20, so that a unit of SV and V is 20 pps."""

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from stage.chips.nova.maps304 import RANGE
+from stage.chips.nova.registers.mcx300 import RANGE
 from stage.envs.hosts.line import Asked, Line
 from stage.envs.registers import limits
-from stage.fleet import Program
+from stage.sim.program import Program
 
 if TYPE_CHECKING:
     from stage.envs.hosts.nova import NovaHost

@@ -12,8 +12,9 @@ from stage.envs.hosts.line import Line
 from stage.envs.hosts.pcl240_line import Together
 from stage.envs.registers import RegisterBox, limits
 from stage.errors import ArgumentError
-from stage.firmware import Profile, bus
-from stage.fleet import Program
+from stage.firmware import Profile
+from stage.firmware.pcl240 import bus
+from stage.sim.program import Program
 
 TUNED = ("R1", "R2", "R4", "R5", "R6", "R7")
 S_CURVES = ("R14", "R15")

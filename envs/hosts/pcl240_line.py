@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stage.envs.hosts.line import Asked, Line
-from stage.firmware import bus
-from stage.fleet import Program
+from stage.firmware.pcl240 import bus
+from stage.sim.program import Program
 
 if TYPE_CHECKING:
     from stage.envs.hosts.pcl240 import Pcl240

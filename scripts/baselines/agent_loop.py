@@ -21,8 +21,9 @@ from stage import Stage
 from stage.envs.hosts.pcl240 import TUNED as REGISTERS
 from stage.envs.register_tuning import ALLOWED, TENTH, Config
 from stage.errors import RunTimeout, StageError
-from stage.firmware import Port, bus
-from stage.firmware.profile import AT_FL, ramp_pulses
+from stage.firmware import Port
+from stage.firmware.pcl240 import bus
+from stage.firmware.pcl240.profile import AT_FL, ramp_pulses
 
 NUMBER = re.compile(r"[0-9]{1,19}|0[xX][0-9a-fA-F]{1,16}|[0-9a-fA-F]{1,16}[hH]")
 Conversation = list[dict[str, str]]

@@ -28,7 +28,7 @@ from stage.drives.motors import Drive
 from stage.envs.hosts import host_of
 from stage.errors import ArgumentError
 from stage.firmware import Profile
-from stage.machine import Axis
+from stage.sim.stage import Axis
 
 if TYPE_CHECKING:
     from common import Moves

@@ -21,8 +21,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from stage.errors import StageError
-from stage.firmware.servo import Tuning
-from stage.firmware.servo_model import Loop
+from stage.firmware.hctl1100.model import Loop
+from stage.firmware.hctl1100.moves import Tuning
 
 MARGIN = 60.0  # degrees
 RATTLE = 48.0  # units of motor command for one count

@@ -11,7 +11,7 @@ from bench.figures import Curve, Figure, Run
 from bench.machines import Bare, axes_in_a_row, moving_stage
 from bench.timing import race
 from bench.vector import DT, waits
-from stage.fleet import Fleet
+from stage import Fleet
 
 TITLE = "Cost against number of axes and of stages"
 AXES = (1, 2, 3, 6, 12)

@@ -13,7 +13,7 @@ import stage.envs  # noqa: F401 registers the ids
 from bench.figures import Figure, Run
 from bench.machines import Batch, moving_stage
 from bench.timing import race
-from stage.fleet import Fleet, Program
+from stage import Fleet, Program
 
 TITLE = "Vector stages beside mujoco.batch.Batch (64 stages in motion)"
 STAGES = 64

@@ -14,19 +14,13 @@ from fuzzing.rows import finite
 from stage.chips import Chip
 from stage.chips.chip import Pins
 from stage.chips.journal import Journal
-from stage.chips.nova import (
-    MCX312,
-    MCX514,
-    circular,
-    core,
-    drive,
-    interpolation,
-    linear,
-    plan,
-    split_pulse,
-    state,
-    timer,
-)
+from stage.chips.nova import MCX312, MCX514, core, state
+from stage.chips.nova.functions import split_pulse, timer
+from stage.chips.nova.interpolation import circle as circular
+from stage.chips.nova.interpolation import line as linear
+from stage.chips.nova.interpolation import run as interpolation
+from stage.chips.nova.motion import drive
+from stage.chips.nova.motion import planner as plan
 from stage.native import COMPILED
 
 BYTES = 16  # byte addresses of the 8-bit bus

@@ -18,13 +18,13 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from stage import engine, handle
 from stage.board import bus, layouts
 from stage.board.trace import BusTrace, Cycle, Meaning
 from stage.chips.late import LateLint
 from stage.errors import ArgumentError, StageError, unknown
-from stage.machine import LONGEST, Stage
 from stage.native import plain
+from stage.sim import engine, handle
+from stage.sim.stage import LONGEST, Stage
 
 KEPT_CYCLES = 100_000
 NOTED = 1 << 14  # edges and writes between two calls of Python

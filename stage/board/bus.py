@@ -7,12 +7,12 @@ still), it calls back, with one of the reasons below, and Python sees to it.
 
 from __future__ import annotations
 
-from stage import engine, handle
 from stage.chips import cores
 from stage.chips.entries import LOST, READ, WRITE
-from stage.handle import AXIS, WHOLE, chips, clockwork, world
-from stage.in_use import ENGINE, claim, release
 from stage.native import at, called, exported, greatest, hot, least, record
+from stage.sim import engine, handle
+from stage.sim.handle import AXIS, WHOLE, chips, clockwork, world
+from stage.sim.in_use import ENGINE, claim, release
 
 IN8, OUT8, IN16, OUT16, DELAY, MICROS, LOG, HOOK, LINE, SETTLE = range(10)
 """What a host asks: port cycles (a: port, b: value), a delay (a: us), the time (us), to note a line (a: its address), to call a

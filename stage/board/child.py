@@ -17,7 +17,7 @@ from stage.board.board import Board
 from stage.board.isolated import SENT, Begin, Cycles, Go, Line, Shared, Stands
 from stage.board.threaded import Threaded
 from stage.errors import StageError
-from stage.fingerprint import settings
+from stage.sim.fingerprint import settings
 
 LOOK_MS = 500  # hanging up is seen at once, unless a process that the parent has forked holds the pipe as well
 

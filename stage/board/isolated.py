@@ -25,9 +25,9 @@ from stage.board import bus
 from stage.board.board import NOTED, Board
 from stage.board.threaded import HostError
 from stage.chips.entries import LOST, READ, WRITE
-from stage.engine import EDGE
 from stage.errors import StageError
-from stage.fingerprint import fingerprint
+from stage.sim.engine import EDGE
+from stage.sim.fingerprint import fingerprint
 
 SENT = (WRITE, READ, LOST)
 COUNTS = ("cycles", "traced", "changed")  # of HOST

@@ -132,21 +132,21 @@ def show(make: Callable[[], Any], records: tuple[Record | None, Record | None] =
 
 
 def _bare(driver: Any) -> bool:
-    from stage.firmware import nova
+    from stage.firmware.nova import mcx300 as nova
 
     driver.command(nova.DECELERATING_STOP)
     return True
 
 
 def _guarded(driver: Any) -> bool:
-    from stage.firmware.nova_erratum import judgmental_speed, stop_by_speed
+    from stage.firmware.nova.erratum import judgmental_speed, stop_by_speed
 
     return stop_by_speed(driver, judgmental_speed(MOVE["SV"], MOVE["V"]))
 
 
 def _move(stage: Any, stop: Callable[[Any], bool]) -> Figures:
     """An S-curve drive up to 5 mm before EL+, by bus cycles; once RR1 shows area d, stop(driver). Its figures."""
-    from stage.firmware import nova
+    from stage.firmware.nova import mcx300 as nova
 
     x = _first(stage)
     end = _touch(x, "el_plus")

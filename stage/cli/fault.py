@@ -192,7 +192,8 @@ def _start(axis: Any, pulses: int, armed: Callable[[Any], None] = lambda port: N
 
     armed(port) is called when everything but the start command is written.
     """
-    from stage.firmware import Port, Profile, bus
+    from stage.firmware import Port, Profile
+    from stage.firmware.pcl240 import bus
 
     count, start, lost = abs(pulses), axis.position, axis.lost_steps
     profile = Profile.of(clock_hz=axis.chip.clock_hz, chip=type(axis.chip), **speeds).within(count)
@@ -221,7 +222,7 @@ def _net(axis: Any) -> int:
 
 
 def _stuck_open(stage: Any, strike: Strike) -> Figures:
-    from stage import faults
+    from stage.sim import faults
 
     x = _first(stage)
     stage.place(**{x.name: _touch(x, "el_plus") - 0.010})
@@ -231,7 +232,7 @@ def _stuck_open(stage: Any, strike: Strike) -> Figures:
 
 
 def _stuck_closed(stage: Any, strike: Strike) -> Figures:
-    from stage import faults
+    from stage.sim import faults
 
     x = _first(stage)
     finish = _start(x, 32_000, fl=1000, fh1=20_000, accel=0.2)
@@ -242,8 +243,9 @@ def _stuck_closed(stage: Any, strike: Strike) -> Figures:
 
 
 def _bounce(stage: Any, strike: Strike) -> Figures:
-    from stage import faults
-    from stage.firmware import Port, Profile, bus, origin_return
+    from stage.firmware import Port, Profile, origin_return
+    from stage.firmware.pcl240 import bus
+    from stage.sim import faults
 
     x = _first(stage)
     with strike(faults.bounce, x, "org", 3e-3):
@@ -269,7 +271,8 @@ def _bounce(stage: Any, strike: Strike) -> Figures:
 
 
 def _vane_missing(stage: Any, strike: Strike) -> Figures:
-    from stage import faults, firmware
+    from stage import firmware
+    from stage.sim import faults
 
     x = _first(stage)
     with strike(faults.vane_missing, x, "org"):
@@ -283,7 +286,7 @@ def _vane_missing(stage: Any, strike: Strike) -> Figures:
 
 
 def _payload(stage: Any, strike: Strike) -> Figures:
-    from stage import faults
+    from stage.sim import faults
 
     x = _first(stage)
     stage.set_payload(10.0)
@@ -293,7 +296,7 @@ def _payload(stage: Any, strike: Strike) -> Figures:
 
 
 def _voltage(stage: Any, strike: Strike) -> Figures:
-    from stage import faults
+    from stage.sim import faults
 
     x = _first(stage)
     finish = _start(x, 40_000, fl=1500, fh1=60_000, accel=0.2)
@@ -303,7 +306,7 @@ def _voltage(stage: Any, strike: Strike) -> Figures:
 
 
 def _jam(stage: Any, strike: Strike) -> Figures:
-    from stage import faults
+    from stage.sim import faults
 
     x = _first(stage)
     finish = _start(x, 32_000, fl=1000, fh1=20_000, accel=0.2)
@@ -315,7 +318,7 @@ def _jam(stage: Any, strike: Strike) -> Figures:
 
 
 def _phase_open(stage: Any, strike: Strike) -> Figures:
-    from stage import faults
+    from stage.sim import faults
 
     x = _first(stage)
     with strike(faults.phase_open, x, "a"):
@@ -328,7 +331,8 @@ def _phase_open(stage: Any, strike: Strike) -> Figures:
 
 
 def _start_skew(stage: Any, strike: Strike) -> Figures:
-    from stage import faults, firmware
+    from stage import firmware
+    from stage.sim import faults
 
     first, second = list(stage.axes.values())[:2]
     with strike(faults.start_skew, first, 5e-3):
@@ -343,7 +347,7 @@ def _start_skew(stage: Any, strike: Strike) -> Figures:
 
 
 def _lost_write(stage: Any, strike: Strike) -> Figures:
-    from stage import faults
+    from stage.sim import faults
 
     x = _first(stage)
     read_back = []

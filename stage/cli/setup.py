@@ -23,7 +23,11 @@ def make_stage(args: argparse.Namespace, any_chip: bool = False) -> Any:
     chips = chip_class(args.chips)
     if not any_chip and not issubclass(chips, PCL240):
         what = "closes a loop and makes no pulses" if chips.SERVO else "has other registers"
-        how = "stage.firmware.servo, see docs/servo.md" if chips.SERVO else "stage.firmware.nova, see docs/nova.md"
+        how = (
+            "stage.firmware.hctl1100.moves, see docs/servo.md"
+            if chips.SERVO
+            else "stage.firmware.nova.mcx300, see docs/nova.md"
+        )
         raise StageError(
             f"--chips {args.chips}: an {chips.MAP.chip} {what}; this command's moves are those of the PCL-240 family: "
             f"{', '.join(FAMILIES['pcl240'])}. Programs move it by {how}."

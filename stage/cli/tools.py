@@ -35,8 +35,8 @@ def pullout(args: argparse.Namespace) -> int:
 
 def view(args: argparse.Namespace) -> int:
     """MuJoCo's own viewer, or the axes as text."""
-    from stage import plant
     from stage.opengl import check_window
+    from stage.sim import plant
 
     import mujoco  # isort: skip
 

@@ -14,14 +14,14 @@ from collections.abc import Callable
 from stage.errors import unknown
 from stage.firmware.axis import Axis
 from stage.firmware.bench import Bench
-from stage.firmware.bus import Port
-from stage.firmware.moves import continuous_move, external_count, interrupted_move, preset_move
-from stage.firmware.origin import origin_return
-from stage.firmware.plan import Plan, plan
-from stage.firmware.profile import Profile
-from stage.firmware.rates import curved_ramp_move, dual_rate_move, speed_change_move
+from stage.firmware.pcl240.bus import Port
+from stage.firmware.pcl240.home import origin_return
+from stage.firmware.pcl240.moves import continuous_move, external_count, interrupted_move, preset_move
+from stage.firmware.pcl240.plan import Plan, plan
+from stage.firmware.pcl240.profile import Profile
+from stage.firmware.pcl240.rates import curved_ramp_move, dual_rate_move, speed_change_move
+from stage.firmware.pcl240.synchronized import SynchronizedReport, synchronized_move
 from stage.firmware.report import Report
-from stage.firmware.synchronized import SynchronizedReport, synchronized_move
 
 PROCEDURES: dict[str, Callable] = {
     f.__name__: f

@@ -57,6 +57,6 @@ def check(axis: Any) -> type[PCL240]:
     if not isinstance(chip, PCL240):
         raise ArgumentError(
             f"axis {axis.name} has an {chip.MAP.chip}; these procedures speak to the PCL-240 family, stage.firmware.nova and "
-            "stage.firmware.servo to others."
+            "stage.firmware.hctl1100 to others."
         )
     return type(chip)

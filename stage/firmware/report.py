@@ -12,7 +12,7 @@ from stage.chips.decode import Said, decode
 from stage.chips.journal import Course
 from stage.errors import RunTimeout
 from stage.firmware.axis import Axis, check
-from stage.firmware.bus import Port
+from stage.firmware.pcl240.bus import Port
 
 if TYPE_CHECKING:
     from os import PathLike

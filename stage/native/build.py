@@ -1,7 +1,8 @@
 """Build a package's native library: which parts are stale, who emits them, the link.
 
-A part is what one folder exports. Its object depends on the modules that define it and on what they import, transitively, and is
-kept in the folder's __pycache__ under a digest of them all: only parts whose sources have changed are made again.
+A part is what one family exports: a folder of the third level, with all below it. Its object depends on the modules that define it
+and on what they import, transitively, and is kept in the package's __pycache__ under a digest of them all: only parts whose sources
+have changed are made again.
 """
 
 from __future__ import annotations
@@ -30,6 +31,9 @@ from stage.native import load
 NUMBA = "0.68.1"
 """The one version that libraries are made with: what it lowers to is part of what they do."""
 
+
+DEPTH = 3
+"""Names in that of a part: `stage.chips.nova` is one, whatever folders it has. What is compiled in two parts is compiled twice."""
 
 COMPILERS = tuple(filter(None, (os.environ.get("CC"), "cc", "clang", "gcc")))
 
@@ -74,7 +78,7 @@ def _build(package: str, places: dict[str, Path], folder: Path, say: Any) -> Pat
     for name, modules in parts.items():
         closure = {m: load.digest_of(known[m]) for m in sorted(_closure(modules, known))}
         sources |= closure
-        digest = hashlib.sha256(json.dumps([closure, NUMBA, load.target(), processor]).encode()).hexdigest()[:16]
+        digest = hashlib.sha256(json.dumps([modules, closure, NUMBA, load.target(), processor]).encode()).hexdigest()[:16]
         target = kept / f"{name}-{digest}.o"
         objects.append(target)
         if not target.is_file():
@@ -105,10 +109,11 @@ def _build(package: str, places: dict[str, Path], folder: Path, say: Any) -> Pat
 
 
 def _parts(package: str, places: dict[str, Path]) -> dict[str, list[str]]:
-    """Folder -> its modules that export something."""
+    """Folder -> the modules in it and below that export something."""
     parts: dict[str, list[str]] = {}
     for module, _ in load.exporting(places):
-        parts.setdefault(module.rpartition(".")[0], []).append(module)
+        folder = module.rpartition(".")[0]
+        parts.setdefault(".".join(folder.split(".")[:DEPTH]), []).append(module)
     if not parts:
         raise NativeError(f"package {package!r} exports no compiled function.")
     return parts

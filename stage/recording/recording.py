@@ -29,9 +29,9 @@ import mujoco
 import numpy as np
 
 from stage.chips.journal import Journal
-from stage.engine import SAMPLE
 from stage.errors import ArgumentError, unknown
 from stage.files import FileError, is_stream, writable, written
+from stage.sim.engine import SAMPLE
 
 if TYPE_CHECKING:
     from stage.recording.rerun_log import Log

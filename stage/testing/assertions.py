@@ -9,7 +9,7 @@ from stage.errors import ArgumentError
 
 if TYPE_CHECKING:
     from stage.board import Board
-    from stage.machine import Axis, Stage
+    from stage.sim.stage import Axis, Stage
 
 SHOWN = 20  # lines of a list
 STILL = 0.01  # m/s, rad/s: a motor that swings about its step is slower

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 import stage as package
-from stage import plant
 from stage.board.bus import STRAY
 from stage.chips.decode import decode
 from stage.errors import StageError
+from stage.sim import plant
 from stage.testing.assertions import distance, pulse_rate
 from stage.testing.plugin import setting
 from stage.testing.watched import WatchedStage, has_something

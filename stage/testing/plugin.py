@@ -14,7 +14,7 @@ import pytest
 
 if TYPE_CHECKING:
     from stage.board import Board, NativeHost
-    from stage.machine import Stage
+    from stage.sim.stage import Stage
 
 MARKERS = (
     "stage(model='xyz', chips='PCL240K', drives=None, bus_cycle=1e-6, visuals=False, record=True): the stage of a test",

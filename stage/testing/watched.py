@@ -6,8 +6,8 @@ from collections import deque
 from collections.abc import Sequence
 from typing import Any
 
-from stage.machine import Snapshot, Stage
 from stage.recording import Recording
+from stage.sim.stage import Snapshot, Stage
 
 KEPT = 3
 

@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 from compiled_firmware import firmware
 
-from stage import Stage, engine
+from stage import Stage
 from stage.board import Board, HostError, NativeHost
 from stage.chips import HCTL1100, PCL240K
 from stage.errors import StageError
+from stage.sim import engine
 
 SLEEPS = "#include <unistd.h>\n#include <stdlib.h>\n"
 CLOCK = "#include <time.h>\n#include <unistd.h>\n"

@@ -7,8 +7,8 @@ import pytest
 
 from stage.chips.nova import lint
 from stage.chips.nova.lint import Held
-from stage.chips.nova.maps304 import MCX302_MAP, MCX304_MAP, MCX312_MAP
-from stage.chips.nova.maps514 import MCX514_MAP
+from stage.chips.nova.registers.mcx300 import MCX302_MAP, MCX304_MAP, MCX312_MAP
+from stage.chips.nova.registers.mcx514 import MCX514_MAP
 
 X, Y, Z, U = 0x100, 0x200, 0x400, 0x800
 MAPS = (MCX514_MAP, MCX304_MAP, MCX302_MAP, MCX312_MAP)

@@ -10,9 +10,9 @@ import pytest
 from covers import covers
 
 from stage.chips import CHIPS, PCL240K, Chip
-from stage.chips.nova.maps304 import MCX302_MAP, MCX304_MAP, MCX312_MAP
-from stage.chips.nova.maps514 import MCX514_MAP
-from stage.chips.nova.words514 import ACTIONS, FACTORS, HOME_STATES
+from stage.chips.nova.registers.mcx300 import MCX302_MAP, MCX304_MAP, MCX312_MAP
+from stage.chips.nova.registers.mcx514 import MCX514_MAP
+from stage.chips.nova.registers.words514 import ACTIONS, FACTORS, HOME_STATES
 from stage.chips.pcl240.maps import PCL240K_MAP, PCL240MS_MAP
 from stage.chips.register_map import COMMAND_KINDS, EVIDENCE, Command, RegisterMap, dump
 from stage.errors import ArgumentError

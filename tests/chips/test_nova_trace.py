@@ -8,7 +8,7 @@ from loops.nova import one_by_one
 from nova_bench import NOP_304, command, examples, load, load_304, set_wr3
 
 from stage.chips import MCX304, MCX514
-from stage.chips.nova import pulses
+from stage.chips.nova.motion import trace as pulses
 
 PARTS = (1, 2, 3, 7, 11, 64, 625, 999, 4096, 15_625)
 

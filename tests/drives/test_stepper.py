@@ -204,7 +204,7 @@ runs = [
     dynamometer.follow(motors.Drive(mode=mode), dynamometer.pulses(np.full(300, 30_000.0)), 54e-7, 0.05)
     for mode in ("chopper", "sine")
 ]
-heavy = [m for m in ("mujoco", "matplotlib", "stage.chips", "stage.engine") if m in sys.modules]
+heavy = [m for m in ("mujoco", "matplotlib", "stage.chips", "stage.sim.engine") if m in sys.modules]
 print(json.dumps([COMPILED, heavy, [r[name].tolist() for r in runs for name in r.dtype.names]]))
 """
 

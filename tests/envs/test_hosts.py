@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 
 import stage.envs  # noqa: F401
-from stage import ArgumentError, Stage
+from stage import ArgumentError, Program, Stage
 from stage.chips import CHIPS
 from stage.envs.hosts import host_of
 from stage.envs.origin_return import Config
 from stage.envs.registers import RegisterBox
-from stage.fleet import Program
-from stage.host import WRITE
+from stage.sim.program import WRITE
 
 PULSING = [name for name, cls in CHIPS.items() if not cls.SERVO]
 

@@ -9,7 +9,7 @@ import pytest
 from stage import ArgumentError, Stage, faults, firmware
 from stage.chips import MCX302, MCX304, MCX514, PCL240K, PCL240MK, PCL240MS
 from stage.envs import register_bus as rb
-from stage.firmware import bus
+from stage.firmware.pcl240 import bus
 from stage.native import COMPILED
 
 pytestmark = pytest.mark.filterwarnings("error")

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 import stage.envs
-from stage import ArgumentError, plant
+from stage import ArgumentError
 from stage.envs.settings import Name, Names, Number, Range, Truth, _kinds
+from stage.sim import plant
 
 EVERY = {id_: import_module("stage.envs." + where.split(":")[0]).Config for id_, where in stage.envs.IDS.items()}
 UNCHECKED = {"model", "chip"}

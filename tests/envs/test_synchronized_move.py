@@ -16,8 +16,8 @@ from stage.envs.synchronized_move import (
     SynchronizedMoveVectorEnv,
 )
 from stage.errors import ArgumentError
-from stage.firmware import follow
 from stage.firmware.path import path_deviation, perfect_deviation, pulses_of
+from stage.firmware.pcl240 import emulated as follow
 
 SHORT = {"distances": (500, 3000), "rate": 16_000.0, "accel": 0.05}
 NOTHING = np.zeros(12, np.float32)

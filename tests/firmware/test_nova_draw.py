@@ -6,7 +6,7 @@ from covers import covers
 
 from stage import ArgumentError, RunTimeout, Stage
 from stage.chips import MCX304, MCX514
-from stage.firmware.nova_draw import Arc, Helix, Line, Speed, draw
+from stage.firmware.nova.draw import Arc, Helix, Line, Speed, draw
 
 RADIUS = 1600  # pulses
 SPEED = Speed(8_000)

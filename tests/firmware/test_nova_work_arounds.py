@@ -6,9 +6,10 @@ import pytest
 
 from stage import ArgumentError, RunTimeout
 from stage.chips import MCX302, MCX304, MCX312, MCX514, PCL240K
-from stage.firmware import Bench, nova
-from stage.firmware import nova_erratum as erratum
-from stage.firmware.nova import Driver
+from stage.firmware import Bench
+from stage.firmware.nova import erratum
+from stage.firmware.nova import mcx300 as nova
+from stage.firmware.nova.mcx300 import Driver
 
 every_chip = pytest.mark.parametrize("cls", [MCX302, MCX304, MCX312], ids=lambda cls: cls.__name__)
 PULSES = 12_000

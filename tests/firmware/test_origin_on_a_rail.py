@@ -105,7 +105,7 @@ def test_a_carriage_that_lets_go_of_org_as_the_host_looks_has_found_it(monkeypat
 
 def test_an_axis_without_any_switch_times_out_with_a_report():
     x = Bench(PCL240K()).axes["x"]
-    with pytest.raises(firmware.bus.RunTimeout) as caught:
+    with pytest.raises(RunTimeout) as caught:
         firmware.origin_return(x, -1, P, timeout=0.5)
     assert caught.value.report.procedure == "origin return"
     assert caught.value.report.stopped_by == "timeout"

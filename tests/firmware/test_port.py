@@ -6,7 +6,8 @@ import pytest
 
 from stage import ArgumentError, RunTimeout, StageError, firmware
 from stage.chips import PCL240K, PCL240MK
-from stage.firmware import Bench, Port, Profile, bus
+from stage.firmware import Bench, Port, Profile
+from stage.firmware.pcl240 import bus
 
 
 def port(**options):

@@ -9,7 +9,7 @@ from examples import SEED
 from stage import ArgumentError, firmware
 from stage.chips import PCL240K
 from stage.firmware import Bench, Profile
-from stage.firmware.profile import (
+from stage.firmware.pcl240.profile import (
     down_point,
     is_triangular,
     pulse_rate,

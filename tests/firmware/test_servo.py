@@ -6,10 +6,10 @@ import pytest
 from stage import ArgumentError, RunTimeout, Stage
 from stage.chips import HCTL1100
 from stage.chips.hctl1100.maps import NUMBERS
-from stage.firmware.servo import Tuning, integral_velocity, proportional_velocity, set_up, step, trapezoid
-from stage.firmware.servo_home import home, leave_limit
-from stage.firmware.servo_model import Loop
-from stage.firmware.servo_port import INIT, PROFILE, Port
+from stage.firmware.hctl1100.home import home, leave_limit
+from stage.firmware.hctl1100.model import Loop
+from stage.firmware.hctl1100.moves import Tuning, integral_velocity, proportional_velocity, set_up, step, trapezoid
+from stage.firmware.hctl1100.port import INIT, PROFILE, Port
 
 COUNT = 5e-6  # m
 DEADBAND = 3

@@ -9,9 +9,9 @@ import pytest
 from stage import ArgumentError, Stage
 from stage.chips import HCTL1100
 from stage.chips.entries import WRITE
-from stage.firmware.servo import Tuning, set_up
-from stage.firmware.servo_model import Loop
-from stage.firmware.servo_profile import circle, follow, off_circle, synchronize
+from stage.firmware.hctl1100.model import Loop
+from stage.firmware.hctl1100.moves import Tuning, set_up
+from stage.firmware.hctl1100.profile import circle, follow, off_circle, synchronize
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
 

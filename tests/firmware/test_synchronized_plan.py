@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from stage import ArgumentError
 from stage.chips import PCL240K
 from stage.firmware import Bench, plan, synchronized_move
-from stage.firmware.closed_form import count, course
-from stage.firmware.follow import run
+from stage.firmware.pcl240.closed_form import count, course
+from stage.firmware.pcl240.emulated import run
 
 
 def log_uniform(low, high):

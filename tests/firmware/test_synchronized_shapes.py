@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from stage import ArgumentError, Stage
 from stage.chips import PCL240K, PCL240MK, PCL240MS
 from stage.firmware import Bench, plan, synchronized_move
-from stage.firmware.closed_form import bend, count, course
-from stage.firmware.follow import run
+from stage.firmware.pcl240.closed_form import bend, count, course
+from stage.firmware.pcl240.emulated import run
 
 FAMILY = (PCL240K, PCL240MK, PCL240MS)
 SHAPES = {

@@ -15,8 +15,8 @@ from stage import Stage
 from stage.board import Board, NativeHost
 from stage.board.library import compiler
 from stage.chips import PCL240MK
-from stage.firmware import follow
 from stage.firmware.path import path_deviation, pulses_of
+from stage.firmware.pcl240 import emulated as follow
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "scripts" / "firmware"
 LINE = {"x": 20_000, "y": 12_000, "z": 5_000}

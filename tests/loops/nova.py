@@ -1,6 +1,6 @@
 """Loops over a NOVA chip."""
 
-from stage.chips.nova import profile
+from stage.chips.nova.motion import profile
 from stage.chips.nova.state import AXIS
 from stage.native import array_of, exported
 

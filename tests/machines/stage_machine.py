@@ -19,9 +19,8 @@ from bench_twin import BenchTwin
 from families import bus_of, host_of
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
-from stage import Stage
+from stage import Fleet, Program, Stage
 from stage.chips import HCTL1100, MCX514, PCL240K, PCL240MK, PCL240MS
-from stage.fleet import Fleet, Program
 
 ARRANGEMENTS = {
     "three PCL-240": {"x": PCL240K, "y": PCL240MK, "z": PCL240MS},

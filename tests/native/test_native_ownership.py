@@ -6,10 +6,9 @@ import weakref
 import numpy as np
 import pytest
 
-from stage import Stage
+from stage import Fleet, Program, Stage
 from stage.board import Board
 from stage.chips import PCL240K
-from stage.fleet import Fleet, Program
 
 HANDED_OUT = {
     "an axis": lambda stage: stage.axes["x"],

@@ -19,7 +19,7 @@ needs_cc = pytest.mark.skipif(not shutil.which("cc"), reason="no C compiler: cc 
 PAGE = Path(__file__).parents[2] / "docs" / "testing.md"
 PLUGIN = () if "pulsestage" in entry_points(group="pytest11").names else ("-p", "stage.testing.plugin")
 FEW = ("-p", "no:hypothesispytest", "-p", "no:cov")  # what a process need not load
-HEAVY = ("mujoco", "numba", "numpy", "rerun", "stage.machine", "stage.chips")
+HEAVY = ("mujoco", "numba", "numpy", "rerun", "stage.sim.stage", "stage.chips")
 
 NUMBER = re.compile(r"\d[\d.,]*")
 

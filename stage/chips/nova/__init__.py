@@ -5,11 +5,12 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 from stage.chips.chip import Chip, Pins
-from stage.chips.nova import core, interpolation, lint, state
+from stage.chips.nova import core, lint, state
 from stage.chips.nova.decode import Decoder
+from stage.chips.nova.interpolation import run as interpolation
 from stage.chips.nova.listen import Listener
-from stage.chips.nova.maps304 import MCX302_MAP, MCX304_MAP, MCX312_MAP
-from stage.chips.nova.maps514 import MCX514_MAP
+from stage.chips.nova.registers.mcx300 import MCX302_MAP, MCX304_MAP, MCX312_MAP
+from stage.chips.nova.registers.mcx514 import MCX514_MAP
 
 __all__ = ["MCX302", "MCX304", "MCX312", "MCX514", "Nova"]
 

@@ -8,10 +8,18 @@ pulses.py for a trace of them.
 from __future__ import annotations
 
 from stage.chips.cores import through
-from stage.chips.nova import bus304, bus514, drive, home, interpolation, ports, pulses, sync
-from stage.chips.nova import inputs as pins_in
-from stage.chips.nova.profile import speed_at
-from stage.chips.nova.scan import ROOM, log, raise_pulse, shown, stop_at
+from stage.chips.nova.bus import mcx300 as bus304
+from stage.chips.nova.bus import mcx514 as bus514
+from stage.chips.nova.bus.status import busy as driving
+from stage.chips.nova.bus.status import phase_bits
+from stage.chips.nova.functions import home, sync
+from stage.chips.nova.functions import inputs as pins_in
+from stage.chips.nova.functions import io as ports
+from stage.chips.nova.interpolation import run as interpolation
+from stage.chips.nova.motion import drive
+from stage.chips.nova.motion import trace as pulses
+from stage.chips.nova.motion.course import ROOM, log, raise_pulse, shown, stop_at
+from stage.chips.nova.motion.profile import speed_at
 from stage.chips.nova.state import (
     ASND,
     CNST,
@@ -30,8 +38,6 @@ from stage.chips.nova.state import (
     SPLIT,
     STATE,
 )  # fmt: skip
-from stage.chips.nova.status import busy as driving
-from stage.chips.nova.status import phase_bits
 from stage.native import array_of, exported, greatest, hot, least
 
 ROUNDS = 100  # of events that cause others at one clock

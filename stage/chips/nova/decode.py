@@ -6,8 +6,8 @@ from collections.abc import Iterable
 
 from stage.chips.decode import Said
 from stage.chips.entries import LOST, RESET, WRITE, Entry
-from stage.chips.nova.maps import AXES
-from stage.chips.nova.maps304 import RESET as RESET_WORD
+from stage.chips.nova.registers.common import AXES
+from stage.chips.nova.registers.mcx300 import RESET as RESET_WORD
 from stage.chips.register_map import Command, RegisterMap
 
 BYTES = 16  # byte addresses of the 8-bit bus begin here

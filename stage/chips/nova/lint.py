@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from stage.chips.nova.maps import AXES
-from stage.chips.nova.maps304 import RESET
-from stage.chips.nova.maps514 import CONTINUOUS_SPEED, MCX514_MAP, POINT
+from stage.chips.nova.registers.common import AXES
+from stage.chips.nova.registers.mcx300 import RESET
+from stage.chips.nova.registers.mcx514 import CONTINUOUS_SPEED, MCX514_MAP, POINT
 from stage.chips.register_map import Command, Register, RegisterMap, Word
 
 Note = tuple[str, str]

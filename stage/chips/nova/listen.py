@@ -8,9 +8,10 @@ from types import ModuleType
 from typing import Any
 
 from stage.chips.listener import Fields, Sayings, bits, line, short
-from stage.chips.nova import words304, words514
 from stage.chips.nova.decode import BYTES, axis_names, resets
-from stage.chips.nova.maps import AXES
+from stage.chips.nova.registers import words300 as words304
+from stage.chips.nova.registers import words514
+from stage.chips.nova.registers.common import AXES
 from stage.chips.register_map import Command, Field, Register, RegisterMap, Word
 
 _NAMES = re.compile(rf"{AXES[0]}(, [{AXES[1:]}])*")

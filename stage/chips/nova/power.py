@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from stage.chips.nova import home, interpolation, sync
+from stage.chips.nova.functions import home, sync
+from stage.chips.nova.interpolation import run as interpolation
 from stage.chips.nova.state import AXES, CONSTANT
 from stage.native import hot
 

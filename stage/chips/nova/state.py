@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stage.chips.nova.maps514 import MCX514_MAP
+from stage.chips.nova.registers.mcx514 import MCX514_MAP
 from stage.native import record
 
 AXES = 4

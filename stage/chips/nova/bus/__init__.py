@@ -1,0 +1,1 @@
+"""Bus cycles of the NOVA chips, compiled."""

@@ -1,0 +1,311 @@
+"""NOVA MCX304, MCX302, MCX312, compiled: their bus. Speeds and accelerations are in multiples of R, see drive.py."""
+
+from __future__ import annotations
+
+from stage.chips.nova import power
+from stage.chips.nova.bus.mcx514 import lowest
+from stage.chips.nova.bus.status import busy, phase_bits
+from stage.chips.nova.functions import home
+from stage.chips.nova.functions import io as ports
+from stage.chips.nova.interpolation import mcx312 as interpolation312
+from stage.chips.nova.motion import drive
+from stage.chips.nova.motion.drive import rate_reading
+from stage.chips.nova.registers.mcx300 import MCX312_MAP as MAP
+from stage.chips.nova.registers.mcx300 import RESET
+from stage.chips.nova.state import (
+    ALARM,
+    AXES,
+    C_END,
+    C_STA,
+    COMP_MINUS,
+    COMP_PLUS,
+    D_END,
+    DV,
+    E_ALARM,
+    E_EMG,
+    E_HLMT_MINUS,
+    E_HLMT_PLUS,
+    E_HOME,
+    E_SLMT_MINUS,
+    E_SLMT_PLUS,
+    EP,
+    H_END,
+    HV,
+    INPOS,
+    LMT_MINUS,
+    LMT_PLUS,
+    LP,
+    LX,
+    REGISTERS,
+    STATE,
+    STOP0,
+    STOP1,
+    STOP2,
+    TP,
+)  # fmt: skip
+from stage.native import exported, hot, least
+
+SIGNED = sum(1 << r.number for r in MAP.registers if r.signed and r.number < REGISTERS)
+SHORT = sum(1 << r.number for r in MAP.registers if r.bits == 16 and r.number < REGISTERS)
+WRITES = sum(1 << c.code for c in MAP.commands if c.kind == "data write" and c.code < REGISTERS)
+_RESETS = tuple((r.number, r.reset) for r in MAP.registers if r.number < REGISTERS and r.reset)
+RESET_PLACES, RESET_VALUES = tuple(k for k, _ in _RESETS), tuple(v for _, v in _RESETS)
+
+
+def _code(symbol: str) -> int:
+    return MAP.command(symbol).code
+
+
+def _of(word: str, name: str) -> int:
+    return MAP.mask(word, name)
+
+
+PLUS, MINUS, PLUS_ON, MINUS_ON, HOLD, FREE, DSTOP, SSTOP = range(0x20, 0x28)
+R_LP, R_EP, R_CV, R_CA = range(0x10, 0x14)
+INTERPOLATION_FIRST, INTERPOLATION_LAST = 0x30, 0x3D
+HM_CODE, HV_CODE, HOME, DCC = 0x60, 0x61, 0x62, 0x63
+HM, WR_OUT = 3, 0  # places in `mode`
+SP0_E, SP1_E, SP2_E = (_of("WR1", f"SP{k}-E") for k in range(3))
+SLMT_PLUS, SLMT_MINUS, LMTMD, HLMT_PLUS, HLMT_MINUS, CMPSL, PINMD, ALM_E, INP_E, ALM_L, INP_L = (_of("WR2", n) for n in (
+    "SLMT+", "SLMT-", "LMTMD", "HLMT+", "HLMT-", "CMPSL", "PINMD", "ALM-E", "INP-E", "ALM-L", "INP-L"))  # fmt: skip
+PIND, FL = MAP.bit("WR2", "PIND"), MAP.bit("WR3", "FL")
+MANLD, DSNDE, SACC, AVTRI = (_of("WR3", n) for n in ("MANLD", "DSNDE", "SACC", "AVTRI"))
+EPINV = _of("WR1", "EPINV")
+FE0 = MAP.bit("WR3", "FE0")
+_FILTERS = (LMT_PLUS | LMT_MINUS | STOP0 | STOP1, STOP2, INPOS | ALARM)
+_DELAYS = (2, 256, 512, 1024, 2048, 4096, 8192, 16384)  # us; FL = 2 is known to be 512
+
+
+@hot
+def reset(c):
+    """Reset: registers to their values, modes and counters 0, X selected; the clock, the input pins and the pulse totals go on."""
+    power.clear(c)
+    for j in range(AXES):
+        x = c.ax[j]
+        for k in range(len(RESET_PLACES)):
+            x.reg[RESET_PLACES[k]] = RESET_VALUES[k]
+        x.reg[LX] = 1  # L; LX is the other chips'
+        x.reg[HV] = 1
+        configure(x)
+
+
+@hot
+def configure(x):
+    """WR1 to WR3 in plain terms."""
+    w = x.wr[1]
+    x.stops = (1 if w & SP0_E else 0) | (2 if w & SP1_E else 0) | (4 if w & SP2_E else 0)
+    x.exchanges = w & EPINV
+    w = x.wr[2]
+    x.limits, x.limit_slow = 1, w & LMTMD
+    x.soft_plus, x.soft_minus, x.soft_rp, x.soft_instant = w & SLMT_PLUS, w & SLMT_MINUS, w & CMPSL, 0
+    x.inpos_waits, x.alarm_stops = w & INP_E, w & ALM_E
+    x.encoder = 3 if w & PINMD else least(w >> PIND & 3, 2)
+    w = x.wr[3]
+    x.manual, x.asymmetric = w & MANLD, 1 if w & DSNDE else 0
+    x.s_curve, x.prevents = 1 if w & SACC else 0, 1 if w & AVTRI else 0
+    x.swaps = 0
+    x.filtered = 0
+    for k in range(3):
+        if w >> FE0 + k & 1:
+            x.filtered |= _FILTERS[k]
+    x.delay = x.slow_delay = 16 * _DELAYS[w >> FL & 7]
+
+
+@hot
+def _set(c, x, code, value):
+    """Write parameter `code` of an axis."""
+    if SHORT >> code & 1:
+        value &= 0xFFFF
+        if SIGNED >> code & 1 and value & 0x8000:
+            value -= 0x10000
+    elif SIGNED >> code & 1 and value & 0x80000000:
+        value -= 1 << 32
+    if code == DV:
+        drive.change_speed(c, x, value)
+    elif code == TP:
+        drive.change_output(c, x, value)
+    else:
+        x.reg[code] = value
+    c.stale = 1
+
+
+@hot
+def _axis_command(c, x, j, code):
+    if PLUS <= code <= MINUS_ON:
+        kind = drive.FIXED_PLUS if code == PLUS else drive.FIXED_MINUS if code == MINUS else (
+            drive.FORWARD if code == PLUS_ON else drive.BACKWARD)  # fmt: skip
+        drive.start(c, x, kind)
+    elif code in (HOLD, FREE):
+        if code == FREE:
+            x.finish = 0
+        drive.hold(c, x, code == HOLD)
+    elif code == DSTOP:
+        home.end(c, x)
+        drive.request_stop(c, x, 0)
+    elif code == SSTOP:
+        home.end(c, x)
+        drive.stop(c, x, 0)
+    elif code == HM_CODE:
+        x.mode[HM] = c.low
+    elif code == HV_CODE:
+        x.reg[HV] = c.low
+    elif code == HOME:
+        home.start(c, x)
+    elif code == DCC:
+        ports.clear_deviation(c, x)
+
+
+@hot
+def command(c, value):
+    """A write to WR0."""
+    c.unused = 0
+    if value == RESET:
+        reset(c)
+        return
+    code, axes = value & 0xFF, value >> 8 & 0xF & ((1 << c.axes) - 1)
+    if axes:
+        c.selected = axes
+    c.stale = 1
+    if code < REGISTERS and WRITES >> code & 1:
+        for j in range(c.axes):
+            if axes >> j & 1:
+                _set(c, c.ax[j], code, c.high << 16 | c.low)
+    elif R_LP <= code <= R_CA:
+        x = c.ax[lowest(c)]
+        if code in (R_LP, R_EP):
+            data = x.reg[LP] if code == R_LP else x.reg[EP]
+        else:
+            data = drive.speed_reading(c, x) if code == R_CV else rate_reading(c, x)
+        c.read_low, c.read_high = data & 0xFFFF, data >> 16 & 0xFFFF
+    elif INTERPOLATION_FIRST <= code <= INTERPOLATION_LAST:
+        if c.has_l:
+            interpolation312.command(c, code)
+    else:
+        for j in range(c.axes):
+            if axes >> j & 1:
+                _axis_command(c, c.ax[j], j, code)
+
+
+@exported(None, STATE, "i8", "i8")
+def write(c, address, value):
+    """WR0 to WR7; on the MCX312 after 36h the bit pattern in place of WR2 to WR5."""
+    if address == 0:
+        command(c, value)
+    elif c.has_l and interpolation312.takes_pattern(c) and 2 <= address <= 5:
+        interpolation312.load_pattern(c, address - 2, value)
+    elif address <= 3:
+        for j in range(c.axes):
+            if c.selected >> j & 1:
+                c.ax[j].wr[address] = value
+                configure(c.ax[j])
+        c.stale = 1
+    elif address == 4:
+        c.outputs4 = value
+    elif address == 5:
+        c.outputs5 = value
+        c.stale = 1
+    else:
+        drive.keep_data(c, address, value)
+
+
+@hot
+def _compared(x):
+    """CMP+ and CMP-."""
+    counter = drive.limited(x)
+    return (1 if counter >= x.reg[COMP_PLUS] else 0) | (2 if counter < x.reg[COMP_MINUS] else 0)
+
+
+@hot
+def errors(c, x):
+    """RR2: soft limits while they are passed, hardware limits, ALARM and EMG while their levels are there."""
+    word = 0
+    if x.soft_plus and _compared(x) & 1:
+        word |= E_SLMT_PLUS
+    if x.soft_minus and _compared(x) & 2:
+        word |= E_SLMT_MINUS
+    if x.level & LMT_PLUS:
+        word |= E_HLMT_PLUS
+    if x.level & LMT_MINUS:
+        word |= E_HLMT_MINUS
+    if x.alarm_stops and x.level & ALARM:
+        word |= E_ALARM
+    if c.emg:
+        word |= E_EMG
+    if x.finish & E_HOME:
+        word |= 0x80
+    return word
+
+
+@hot
+def status(c):
+    """RR0."""
+    word = 0
+    for j in range(c.axes):
+        x = c.ax[j]
+        word |= (1 << j if busy(x) else 0) | (16 << j if errors(c, x) or x.finish & 0xC000 else 0)
+        if not c.has_l and x.home:
+            word |= 256 << j
+    return word | (interpolation312.status_bits(c) if c.has_l else 0)
+
+
+@hot
+def _levels(c, x, j):
+    """RR4, RR5: the electrical levels of an axis; STOP0, STOP1, STOP2, EMG, EX+, EX-, INPOS, ALARM."""
+    word = 0
+    for k in range(3):
+        high_active = x.wr[1] >> 2 * k & 1
+        word |= (1 if (x.inputs & STOP0 << k != 0) == (high_active != 0) else 0) << k
+    if j == 0:
+        word |= 0 if c.emg else 8
+    word |= 0x30
+    word |= 0x40 if (x.inputs & INPOS != 0) == (x.wr[2] & INP_L != 0) else 0
+    word |= 0x80 if (x.inputs & ALARM != 0) == (x.wr[2] & ALM_L != 0) else 0
+    if c.axes == 2:
+        word |= 0x3F00
+        word |= 0x4000 if (x.inputs & LMT_PLUS != 0) == (x.wr[2] & HLMT_PLUS != 0) else 0
+        word |= 0x8000 if (x.inputs & LMT_MINUS != 0) == (x.wr[2] & HLMT_MINUS != 0) else 0
+    return word
+
+
+@hot
+def factors(x):
+    """RR3."""
+    word = x.compared  # PULSE and the comparisons, see compare.py
+    word |= (0x20 if x.factors & C_END else 0) | (0x40 if x.factors & C_STA else 0) | (0x80 if x.factors & D_END else 0)
+    return word | (0x100 if x.factors & H_END else 0)
+
+
+@hot
+def read(c, address):
+    """RR0 to RR7."""
+    x = c.ax[lowest(c)]
+    if address == 0:
+        return status(c)
+    if address == 1:
+        bits = phase_bits(c, x)
+        return _compared(x) | bits << 2 | (x.finish >> 1 & 0x700) | (x.finish & 0xF000)
+    if address == 2:
+        return errors(c, x) | home.state304(x) << 8
+    if address == 3:
+        word = factors(x)
+        x.factors = x.compared = 0
+        return word
+    if address == 4 or address == 5:
+        if c.axes == 2:
+            return _levels(c, c.ax[address - 4], address - 4)
+        j = 2 * (address - 4)
+        return _levels(c, c.ax[j], j) | _levels(c, c.ax[j + 1], 1) << 8
+    return c.read_low if address == 6 else c.read_high
+
+
+@hot
+def interrupts(c):
+    """INTN: an enabled factor of an axis, or the interpolation's."""
+    if c.ip.interrupt:
+        return 1
+    for j in range(c.axes):
+        x = c.ax[j]
+        enabled = x.wr[1] >> 8
+        if factors(x) & (enabled & 0x1F | (enabled & 0x20) | (enabled & 0x40) | (enabled & 0x80)):
+            return 1
+    return 0

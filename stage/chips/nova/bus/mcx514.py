@@ -1,0 +1,334 @@
+"""NOVA MCX514, compiled: its bus. A data command takes WR6 and WR7, a reading command fills RR6 and RR7."""
+
+from __future__ import annotations
+
+from stage.chips.nova import power
+from stage.chips.nova.bus.status import busy, phase_bits
+from stage.chips.nova.functions import home, sync, timer
+from stage.chips.nova.functions import io as ports
+from stage.chips.nova.interpolation import queue as prebuffer
+from stage.chips.nova.motion import drive
+from stage.chips.nova.motion.drive import rate_reading
+from stage.chips.nova.registers.mcx514 import MCX514_MAP as MAP
+from stage.chips.nova.state import (
+    ALARM,
+    AXES,
+    DV,
+    ECA,
+    ECB,
+    INPOS,
+    LMT_MINUS,
+    LMT_PLUS,
+    PIO,
+    REGISTERS,
+    STATE,
+    STOP0,
+    STOP1,
+    STOP2,
+    TP,
+)  # fmt: skip
+from stage.native import exported, hot
+
+SIGNED = sum(1 << r.number for r in MAP.registers if r.signed and r.number < REGISTERS)
+SHORT = sum(1 << r.number for r in MAP.registers if r.bits == 16 and r.number < REGISTERS)
+WRITES = sum(1 << c.code for c in MAP.commands if c.kind == "data write")
+ALONE = sum(1 << c.code for c in MAP.commands if c.kind == "data write" and not c.axes)
+_RESETS = tuple((r.number, r.reset) for r in MAP.registers if r.number < REGISTERS and r.reset)
+RESET_PLACES, RESET_VALUES = tuple(k for k, _ in _RESETS), tuple(v for _, v in _RESETS)
+
+
+def _code(symbol: str) -> int:
+    return MAP.command(symbol).code
+
+
+def _of(word: str, name: str) -> int:
+    return MAP.mask(word, name)
+
+
+NOP, RST = _code("NOP"), _code("RST")
+MODE_FIRST, MODE_LAST, IPM = 0x20, 0x2A, 0x2A
+FLM = 5  # place in `mode`
+READS = {c.symbol: c.code for c in MAP.commands if c.kind == "data read"}
+R_CV, R_CA, R_CT, R_CHLN, R_TX = (READS[n] for n in ("CV", "CA", "CT", "CHLN", "R-TX"))
+_PLACES = [-1] * 256
+for _symbol, _at in READS.items():
+    if _symbol.startswith("R-") and not _symbol.startswith("R-WR"):
+        _place = MAP.register(_symbol[2:]).number
+        _PLACES[_at] = _place if _place < REGISTERS else 1000 + _place - MODE_FIRST
+PLACES = tuple(_PLACES)
+"""Of a reading command: the place in `reg` that it reads, 1000 + the place in `mode`, or -1."""
+R_WR1 = READS["R-WR1"]
+DRVRL, DRVNR, DRVVP, DRVVM, DRVAB, DRVSBRK, DRVFBRK, DIRCP, DIRCM, HMSRC = (_code(n) for n in (
+    "DRVRL", "DRVNR", "DRVVP", "DRVVM", "DRVAB", "DRVSBRK", "DRVFBRK", "DIRCP", "DIRCM", "HMSRC"))  # fmt: skip
+VINC, VDEC, DHOLD, DFREE, R2CLR, RR3P0, RR3P1 = (_code(n) for n in (
+    "VINC", "VDEC", "DHOLD", "DFREE", "R2CLR", "RR3P0", "RR3P1"))  # fmt: skip
+INTERPOLATION_FIRST, INTERPOLATION_LAST, MFPC = 0x60, 0x6F, _code("MFPC")
+
+SP0_E, SP1_E, SP2_E, INP_E, ALM_E, HLM_E, HLM_M, SLM_E, SLM_O, SLM_M = (_of("WR2", n) for n in (
+    "SP0-E", "SP1-E", "SP2-E", "INP-E", "ALM-E", "HLM-E", "HLM-M", "SLM-E", "SLM-O", "SLM-M"))  # fmt: skip
+SP0_L, SP1_L, SP2_L, INP_L, ALM_L, HLM_L = (_of("WR2", f"{n}-L") for n in ("SP0", "SP1", "SP2", "INP", "ALM", "HLM"))
+MANLD, DSNDE, SACC, PIINV, LMINV, AVTRI = (_of("WR3", n) for n in ("MANLD", "DSNDE", "SACC", "PIINV", "LMINV", "AVTRI"))
+PIMD = MAP.bit("WR3", "PIMD")
+FL0, FL1 = MAP.bit("FLM", "FL0"), MAP.bit("FLM", "FL1")
+_FILTERS = (0, LMT_PLUS | LMT_MINUS, STOP0 | STOP1, INPOS | ALARM, 0xF << PIO, 0xF0 << PIO, STOP2, ECA | ECB)
+
+
+@hot
+def reset(c):
+    """Reset: registers to their values, modes and counters 0, X selected; the clock, the input pins and the pulse totals go on."""
+    power.clear(c)
+    for j in range(AXES):
+        x = c.ax[j]
+        for k in range(len(RESET_PLACES)):
+            x.reg[RESET_PLACES[k]] = RESET_VALUES[k]
+        configure(x)
+
+
+@hot
+def configure(x):
+    """WR2, WR3 and the filters in plain terms."""
+    w = x.wr[2]
+    x.stops = (1 if w & SP0_E else 0) | (2 if w & SP1_E else 0) | (4 if w & SP2_E else 0)
+    x.inpos_waits, x.alarm_stops = w & INP_E, w & ALM_E
+    x.limits, x.limit_slow = w & HLM_E, w & HLM_M
+    x.soft_plus = x.soft_minus = w & SLM_E
+    x.soft_rp, x.soft_instant = w & SLM_O, w & SLM_M
+    w = x.wr[3]
+    x.manual, x.asymmetric = w & MANLD, 1 if w & DSNDE else 0
+    x.s_curve, x.prevents = 1 if w & SACC else 0, 0 if w & AVTRI else 1
+    x.swaps, x.exchanges, x.encoder = w & LMINV, w & PIINV, w >> PIMD & 3
+    f = x.mode[FLM]
+    x.filtered = 0
+    for k in range(8):
+        if f >> k & 1:
+            x.filtered |= _FILTERS[k]
+    x.delay, x.slow_delay = 8 << (f >> FL0 & 15), 8 << (f >> FL1 & 15)
+
+
+@hot
+def _data(c):
+    return c.high << 16 | c.low
+
+
+@hot
+def _meant(code, value):
+    """The number that 32 bits of data mean for the parameter `code`."""
+    if SHORT >> code & 1:
+        value &= 0xFFFF
+        if SIGNED >> code & 1 and value & 0x8000:
+            value -= 0x10000
+    elif SIGNED >> code & 1 and value & 0x80000000:
+        value -= 1 << 32
+    return value
+
+
+@hot
+def _set(c, x, code, value):
+    """Write parameter `code` of an axis."""
+    value = _meant(code, value)
+    if code == DV:
+        drive.change_speed(c, x, value)
+    elif code == TP:
+        drive.change_output(c, x, value)
+    else:
+        x.reg[code] = value
+    c.stale = 1
+
+
+@hot
+def lowest(c):
+    """The lowest selected axis: it answers."""
+    for j in range(AXES):
+        if c.selected >> j & 1:
+            return j
+    return 0
+
+
+@hot
+def _read_data(c, code):
+    """A data-reading command: RR6 and RR7."""
+    x = c.ax[lowest(c)]
+    place = PLACES[code]
+    if code == R_TX:
+        value = prebuffer.longest(c)
+    elif 0 <= place < REGISTERS:
+        value = c.ax[0].reg[place] if ALONE >> place & 1 else x.reg[place]
+    elif place >= 1000:
+        value = x.mode[place - 1000]
+    elif code == R_CV:
+        value = drive.speed_reading(c, x)
+    elif code == R_CA:
+        value = rate_reading(c, x)
+    elif code == R_CT:
+        value = timer.reading(c, x)
+    elif code == R_CHLN:
+        value = prebuffer.rotations(c)
+    elif R_WR1 <= code < R_WR1 + 3:
+        value = x.wr[code - R_WR1 + 1]
+    else:
+        value = 0
+    c.read_low, c.read_high = value & 0xFFFF, value >> 16 & 0xFFFF
+
+
+@hot
+def _axis_command(c, x, j, code):
+    if code == DRVRL:
+        drive.start(c, x, drive.RELATIVE)
+    elif code == DRVNR:
+        drive.start(c, x, drive.COUNTER_RELATIVE)
+    elif code == DRVVP:
+        drive.start(c, x, drive.FORWARD)
+    elif code == DRVVM:
+        drive.start(c, x, drive.BACKWARD)
+    elif code == DRVAB:
+        drive.start(c, x, drive.ABSOLUTE)
+    elif code == DRVSBRK:
+        home.end(c, x)
+        drive.request_stop(c, x, 0)
+    elif code == DRVFBRK:
+        home.end(c, x)
+        drive.stop(c, x, 0)
+    elif code in (DIRCP, DIRCM):
+        if not (x.driving or x.interpolates):
+            x.way = 1 if code == DIRCP else -1
+    elif code == HMSRC:
+        home.start(c, x)
+    elif code in (VINC, VDEC):
+        drive.step_speed(c, x, 1 if code == VINC else -1)
+    elif code in (DHOLD, DFREE):
+        drive.hold(c, x, code == DHOLD)
+    elif code == R2CLR:
+        x.finish = 0
+    elif code == RR3P0:
+        c.pages &= ~(1 << j)
+    elif code == RR3P1:
+        c.pages |= 1 << j
+    else:
+        sync.command(c, x, code)
+
+
+@hot
+def command(c, value):
+    """A write to WR0."""
+    c.unused = 0
+    code, axes = value & 0xFF, value >> 8 & 0xF
+    if axes:
+        c.selected = axes
+    elif code == RST:
+        reset(c)
+        return
+    c.stale = 1
+    if code < REGISTERS and WRITES >> code & 1:
+        if ALONE >> code & 1:
+            _set(c, c.ax[0], code, _data(c))
+            return
+        for j in range(AXES):
+            if axes >> j & 1:
+                _set(c, c.ax[j], code, _data(c))
+    elif MODE_FIRST <= code <= MODE_LAST:
+        if code == IPM:
+            c.ax[0].mode[IPM - MODE_FIRST] = c.low
+            return
+        for j in range(AXES):
+            if axes >> j & 1:
+                c.ax[j].mode[code - MODE_FIRST] = c.low
+                configure(c.ax[j])
+    elif 0x30 <= code < 0x50:
+        _read_data(c, code)
+    elif INTERPOLATION_FIRST <= code <= INTERPOLATION_LAST or code == MFPC:
+        prebuffer.command(c, code)
+    else:
+        for j in range(AXES):
+            if axes >> j & 1:
+                _axis_command(c, c.ax[j], j, code)
+
+
+@exported(None, STATE, "i8", "i8")
+def write(c, address, value):
+    """WR0 to WR7."""
+    if address == 0:
+        command(c, value)
+    elif address <= 3:
+        for j in range(AXES):
+            if c.selected >> j & 1:
+                c.ax[j].wr[address] = value
+                configure(c.ax[j])
+        c.stale = 1
+    elif address == 4:
+        c.outputs4 = value
+    elif address == 5:
+        c.outputs5 = value
+    else:
+        drive.keep_data(c, address, value)
+
+
+@hot
+def content(c, address):
+    """What was last written to WR1 to WR7, for a write of half a word."""
+    if address <= 3:
+        return c.ax[lowest(c)].wr[address]
+    if address == 4:
+        return c.outputs4
+    if address == 5:
+        return c.outputs5
+    return c.low if address == 6 else c.high
+
+
+@hot
+def _raw(x, bit, high_active):
+    """The electrical level of an input."""
+    return 1 if (x.inputs & bit != 0) == (high_active != 0) else 0
+
+
+@hot
+def _pins_page(c, x):
+    w = x.wr[2]
+    limit = w & HLM_L
+    return (
+        _raw(x, STOP0, w & SP0_L) | _raw(x, STOP1, w & SP1_L) << 1 | _raw(x, STOP2, w & SP2_L) << 2
+        | _raw(x, ECA, 1) << 3 | _raw(x, ECB, 1) << 4 | _raw(x, INPOS, w & INP_L) << 5 | _raw(x, ALARM, w & ALM_L) << 6
+        | _raw(x, LMT_PLUS, limit) << 7 | _raw(x, LMT_MINUS, limit) << 8 | x.home << 9
+    )  # fmt: skip
+
+
+@hot
+def status(c):
+    """RR0."""
+    word = 0
+    for j in range(AXES):
+        x = c.ax[j]
+        word |= (1 << j if busy(x) else 0) | (16 << j if x.finish & 0xFF else 0)
+    return word | prebuffer.status_bits(c)
+
+
+@hot
+def read(c, address):
+    """RR0 to RR7."""
+    j = lowest(c)
+    x = c.ax[j]
+    if address == 0:
+        return status(c)
+    if address == 1:
+        word = x.factors & 0xFFFF
+        x.factors = 0
+        return word
+    if address == 2:
+        return x.finish & 0xFFFF
+    if address == 3:
+        if c.pages >> j & 1:
+            return sync.status_bits(x) | phase_bits(c, x) << 4
+        return _pins_page(c, x)
+    if address == 4:
+        return ports.word(c, 0)
+    if address == 5:
+        return ports.word(c, 2)
+    return c.read_low if address == 6 else c.read_high
+
+
+@hot
+def interrupts(c):
+    """The interrupt pin INT0N: an enabled factor of an axis."""
+    for j in range(AXES):
+        if c.ax[j].factors & c.ax[j].wr[1]:
+            return 1
+    return 0

@@ -1,0 +1,1 @@
+"""What NOVA chips do beside driving, compiled: home search, comparators, synchronous actions, timer, inputs and outputs."""

@@ -1,0 +1,118 @@
+"""NOVA chips, compiled: comparisons of counters, speed and timer with registers, and when they next change.
+
+What counts is that a comparison becomes true, by whatever cause: a pulse, an edge of the encoder, time, or a bus write [I].
+"""
+
+from __future__ import annotations
+
+from stage.chips.nova.functions import timer
+from stage.chips.nova.motion import drive
+from stage.chips.nova.motion.profile import speed_passes
+from stage.chips.nova.registers.mcx514 import MCX514_MAP
+from stage.chips.nova.state import COMP_MINUS, COMP_PLUS, LP, MCX514_TYPE, MR0, NEVER, RP
+from stage.native import hot, least
+
+MRM = 0  # place in `mode`
+AT_LP, AT_RP, AT_CV, AT_CT = range(4)
+AT_LEAST, ABOVE, EQUAL, BELOW = range(4)
+CMR = MCX514_MAP.bit("RR1", "CMR0")
+MRS = 4
+PULSE, GE_MINUS, LT_MINUS, LT_PLUS, GE_PLUS = (1 << k for k in range(5))  # RR3 of the older chips
+
+
+@hot
+def _what(x, m):
+    """What MRm is compared with."""
+    return x.mode[MRM] >> 4 * m & 3
+
+
+@hot
+def _true(c, x, m):
+    kind, condition, than = _what(x, m), x.mode[MRM] >> 4 * m + 2 & 3, x.reg[MR0 + m]
+    if kind == AT_LP:
+        value = x.reg[LP]
+    elif kind == AT_RP:
+        value = x.reg[RP]
+    elif kind == AT_CV:
+        value = drive.speed_reading(c, x)
+    else:
+        value = timer.reading(c, x)
+    if condition == AT_LEAST:
+        return value >= than
+    if condition == ABOVE:
+        return value > than
+    return value == than if condition == EQUAL else value < than
+
+
+@hot
+def _now(c, x):
+    """Which comparisons hold."""
+    word = 0
+    if c.variant == MCX514_TYPE:
+        for m in range(MRS):
+            if _true(c, x, m):
+                word |= 1 << m
+        return word
+    counter = drive.limited(x)
+    word |= GE_MINUS if counter >= x.reg[COMP_MINUS] else LT_MINUS
+    return word | (GE_PLUS if counter >= x.reg[COMP_PLUS] else LT_PLUS)
+
+
+@hot
+def reset(c, x):
+    """What holds after a reset is no news."""
+    x.compared = 0
+    x.holds = _now(c, x)
+
+
+@hot
+def step(c, x):
+    now = _now(c, x)
+    new = now & ~x.holds
+    x.holds = now
+    if new == 0:
+        return
+    if c.variant == MCX514_TYPE:
+        drive.note(x, new << CMR)
+    else:
+        x.compared |= new
+
+
+@hot
+def _until(counter, way, value):
+    """Pulses until the counter comes to a value, leaves it, or turns over."""
+    left = (1 << 31) - counter if way > 0 else counter + (1 << 31) + 1
+    far = way * (value - counter)
+    return least(left, far if far > 0 else 1) if far >= 0 else left
+
+
+@hot
+def pulses_ahead(c, x):
+    """Pulses of the drive until a comparison may change."""
+    far = NEVER
+    if c.variant != MCX514_TYPE:
+        if not x.soft_rp:
+            far = least(_until(x.reg[LP], x.way, x.reg[COMP_PLUS]), _until(x.reg[LP], x.way, x.reg[COMP_MINUS]))
+        return far
+    for m in range(MRS):
+        if _what(x, m) == AT_LP:
+            far = least(far, _until(x.reg[LP], x.way, x.reg[MR0 + m]))
+    return far
+
+
+@hot
+def next_event(c, x):
+    """The clock at which a comparison with speed or timer may change."""
+    at = NEVER
+    if c.variant != MCX514_TYPE:
+        return at
+    for m in range(MRS):
+        kind, value = _what(x, m), x.reg[MR0 + m]
+        if kind == AT_CT and x.timer:
+            at = least(at, least(timer.next_count(c, x, value), timer.next_count(c, x, value + 1)))
+        elif kind == AT_CV and x.driving:
+            n = c.clock - x.origin
+            passes = least(speed_passes(x, n, value), speed_passes(x, n, value + 1))
+            if passes < NEVER:
+                at = least(at, x.origin + passes)
+    return at

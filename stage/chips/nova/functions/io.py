@@ -1,0 +1,102 @@
+"""NOVA chips, compiled: general inputs and outputs (PIO of the MCX514), pulses on them, and the deviation counter clear output.
+
+A pin is general input, general output, drive status, or sync pulse (PIO0 to PIO3) and comparison (PIO4 to PIO7). Drive status
+of PIO0 to PIO7 [M]: DRIVE, ERROR, ASND, CNST, DSND, AASND, ACNST, ADSND. A sync pulse lasts 2 clocks [I].
+"""
+
+from __future__ import annotations
+
+from stage.chips.nova.bus.status import busy, phase_bits
+from stage.chips.nova.registers.mcx300 import MCX304_MAP
+from stage.chips.nova.registers.mcx514 import MCX514_MAP
+from stage.chips.nova.state import MCX514_TYPE, NEVER, PIO, SYNC_SETS
+from stage.native import hot, least
+
+P1M, H2M, HM = 1, 4, 3  # places in `mode`
+INPUT, OUTPUT, STATUS, OTHER = range(4)
+PINS = 8
+SYNC_PULSE = 2
+US = 16  # clocks
+DCP, DCCW = MCX514_MAP.bit("H2M", "DCP"), MCX304_MAP.bit("HM", "DCCW")
+_WIDTHS = (10, 20, 100, 200, 1000, 2000, 10_000, 20_000)  # us
+
+
+@hot
+def kind(x, i):
+    """What PIO `i` is."""
+    return x.mode[P1M] >> 2 * i & 3
+
+
+@hot
+def inputs(x):
+    """PIO pins that are general inputs."""
+    word = 0
+    for i in range(PINS):
+        if kind(x, i) == INPUT:
+            word |= 1 << i
+    return word
+
+
+@hot
+def levels(c, j):
+    """The pins of an axis, bit i for PIO i."""
+    x = c.ax[j]
+    given = (c.outputs4 if j < 2 else c.outputs5) >> (8 if j & 1 else 0)
+    told = (1 if busy(x) else 0) | (2 if x.finish & 0xFF else 0) | phase_bits(c, x) << 2
+    other = (x.holds & 0xF) << 4
+    for m in range(SYNC_SETS):
+        if c.clock < x.pulse_until[m]:
+            other |= 1 << m
+    word = 0
+    for i in range(PINS):
+        what = kind(x, i)
+        source = x.inputs >> PIO if what == INPUT else given if what == OUTPUT else told if what == STATUS else other
+        word |= source & 1 << i
+    return word
+
+
+@hot
+def word(c, first):
+    """RR4, RR5: the pins of axes `first` and `first` + 1."""
+    return levels(c, first) | levels(c, first + 1) << 8
+
+
+@hot
+def driven(c, j):
+    """What the chip itself puts on the pins of an axis: PIO that are outputs; OUT3 to OUT0 of the older chips."""
+    if c.variant == MCX514_TYPE:
+        return levels(c, j) & ~inputs(c.ax[j]) if c.ax[j].mode[P1M] else 0
+    return c.outputs4 >> 4 * j & 15
+
+
+@hot
+def sync_pulse(c, x, m):
+    x.pulse_until[m] = c.clock + SYNC_PULSE
+    c.stale = 1
+
+
+@hot
+def clear_deviation(c, x):
+    """A pulse on DCC. Returns how many clocks it lasts."""
+    code = x.mode[H2M] >> DCP if c.variant == MCX514_TYPE else x.mode[HM] >> DCCW
+    clocks = US * _WIDTHS[code & 7]
+    x.dcc = c.clock + clocks
+    c.stale = 1
+    return clocks
+
+
+@hot
+def next_event(c, x):
+    """The end of a pulse."""
+    at = x.dcc if x.dcc > c.clock else NEVER
+    for m in range(SYNC_SETS):
+        if x.pulse_until[m] > c.clock:
+            at = least(at, x.pulse_until[m])
+    return at
+
+
+@hot
+def reset(x):
+    x.dcc = 0
+    for m in range(SYNC_SETS):
+        x.pulse_until[m] = 0

@@ -1,0 +1,313 @@
+"""NOVA chips, compiled: interpolation. The profile of the main axis makes ticks; at each, an axis makes one pulse at most.
+
+The k-th tick begins when the profile has come to place k; with constant vector speed a tick that moves two axes is sqrt2 places
+from the one before, one that moves three sqrt3. The next tick is always prepared: its steps, directions, place and clock. When the
+last tick of a segment has begun the next segment is taken from the pre-buffer, so that its first tick comes one period later.
+"""
+
+from __future__ import annotations
+
+from stage.chips.nova.functions import sync
+from stage.chips.nova.interpolation import segment
+from stage.chips.nova.motion import double_double as dd
+from stage.chips.nova.motion import drive
+from stage.chips.nova.motion.planner import from_here, pair, put, slow_down
+from stage.chips.nova.motion.profile import segment_at, speed_at
+from stage.chips.nova.registers.mcx300 import MCX312_MAP
+from stage.chips.nova.registers.mcx514 import MCX514_MAP
+from stage.chips.nova.state import (
+    AXES,
+    CONSTANT,
+    D_END,
+    D_STA,
+    E_CERR,
+    LINE,
+    MCX514_TYPE,
+    NEVER,
+    PATTERN,
+    STAGES,
+    STATE,
+)
+from stage.native import exported, greatest, hot, least
+
+IPM = MCX514_MAP.register("IPM").number - 0x20  # place in `mode`
+INTA, INTB = MCX514_MAP.mask("IPM", "INTA"), MCX514_MAP.mask("IPM", "INTB")
+CIINT, BPINT = MCX312_MAP.mask("WR5", "CIINT"), MCX312_MAP.mask("WR5", "BPINT")
+
+
+@hot
+def reset(c):
+    ip = c.ip
+    c.interpolating = 0
+    ip.enabled = ip.interrupt = ip.waiting = ip.head = ip.rotations = ip.writing = ip.stacked = 0
+    ip.due = NEVER
+    for j in range(AXES):
+        c.ax[j].interpolates = c.ax[j].moves = ip.loading[j] = 0
+
+
+# --- start, segments, end ---
+
+
+@hot
+def place_for(c):
+    """The place in the queue that takes the next segment."""
+    return (c.ip.head + 1 + c.ip.waiting) % (STAGES + 1) if c.interpolating else c.ip.head
+
+
+@hot
+def refuse(c):
+    """A segment that cannot be taken: an error of continuous interpolation, if there is one."""
+    if c.interpolating and c.variant == MCX514_TYPE:
+        c.ax[c.ip.main].finish |= E_CERR
+
+
+@hot
+def may_take(c, mask, depth):
+    """A segment of these axes can be written now; what is refused is noted."""
+    if mask == 0:
+        return False
+    if c.interpolating:
+        if mask != c.ip.mask or c.ip.waiting >= depth:
+            refuse(c)
+            return False
+        return True
+    for j in range(c.axes):
+        x = c.ax[j]
+        if mask >> j & 1 and (x.driving or x.waiting or x.home):
+            return False
+    return True
+
+
+@hot
+def submit(c, mask, main, depth, stepped):
+    """The segment at `place_for` is filled: it starts, or waits for those before it."""
+    ip = c.ip
+    c.stale = 1
+    if c.interpolating:
+        ip.waiting += 1
+        ip.continuous = 1
+        return
+    ip.mask, ip.main, ip.depth, ip.stepped = mask, main, depth, stepped
+    ip.began, ip.continuous, ip.waiting, ip.slow = c.clock, 0, 0, 0
+    _start(c)
+
+
+@hot
+def _start(c):
+    ip, x = c.ip, c.ax[c.ip.main]
+    put(ip.place, dd.ZERO)
+    for j in range(c.axes):
+        if ip.mask >> j & 1:
+            y = c.ax[j]
+            y.finish &= 0xFF
+            y.done = y.slow = y.fixed = y.output = 0
+    put(ip.begun, dd.ZERO)
+    segment.find_finish(c)
+    if not segment.load(c):
+        for j in range(c.axes):
+            if ip.mask >> j & 1:
+                drive.note(c.ax[j], D_STA | D_END)
+        return
+    segment.prepare(c)
+    stopped = 0
+    for j in range(c.axes):
+        if c.ax[j].moves:
+            stopped |= drive.blocked(c, c.ax[j], c.ax[j].way)
+    if stopped:
+        return
+    for j in range(c.axes):
+        if ip.mask >> j & 1:
+            c.ax[j].interpolates = drive.MAIN if j == ip.main else 1
+            drive.note(c.ax[j], D_STA)
+    c.interpolating = 1
+    x.phase = CONSTANT - 9
+    drive.take_rates(c, x)
+    segment.replan(c, x)
+
+
+@hot
+def end(c):
+    """The interpolation ends now, and what waits is dropped."""
+    ip = c.ip
+    c.interpolating = ip.waiting = ip.slow = ip.stepped = ip.zone = 0
+    ip.due = NEVER
+    for j in range(c.axes):
+        if c.ax[j].interpolates:
+            drive.finish(c, c.ax[j], 0)
+    c.stale = 1
+
+
+@exported(None, STATE)
+def _after_the_last(c):
+    """The last tick of a segment has begun: the next segment, or the end."""
+    ip, x = c.ip, c.ax[c.ip.main]
+    c.stale = 1
+    ended = ip.ends
+    while True:
+        if ip.waiting == 0 or (ip.slow and x.end >= NEVER):
+            end(c)
+            return
+        ip.waiting -= 1
+        ip.head = (ip.head + 1) % (STAGES + 1)
+        _ask(c)
+        put(ip.begun, pair(ip.place))
+        segment.find_finish(c)
+        if segment.load(c):
+            break
+    segment.prepare(c)
+    if not ip.slow and not segment.sets_follow(c) and (ended or c.queue[ip.head].slows):
+        segment.replan(c, x)
+    else:
+        segment.next_clock(c, x)
+
+
+@hot
+def _ask(c):
+    """A segment has left the pre-buffer: interrupts."""
+    ip = c.ip
+    if c.variant == MCX514_TYPE:
+        word = c.ax[0].mode[IPM]
+        asks = (ip.waiting == 3 and word & INTA) or (ip.waiting == 7 and word & INTB)
+    elif c.queue[ip.head].kind == PATTERN:
+        asks = ip.waiting == 0 and c.outputs5 & BPINT
+    else:
+        asks = c.outputs5 & CIINT
+    if asks:
+        ip.interrupt = 1
+
+
+# --- time ---
+
+
+@hot
+def tick(c):
+    """The prepared tick begins, at the present clock."""
+    ip, g = c.ip, c.queue[c.ip.head]
+    if ip.closing:
+        end(c)
+        return
+    for k in range(g.axes):
+        if ip.step[k]:
+            x = c.ax[g.axis[k]]
+            drive.count(c, x, 1)
+            x.moment += x.way * c.clock
+            x.shift += x.way
+            if x.since == 0:
+                x.since = c.clock
+    ip.watch -= 1
+    if ip.watch <= 0:
+        c.stale = 1
+    if ip.last:
+        _after_the_last(c)
+    else:
+        segment.prepare(c)
+        segment.next_clock(c, c.ax[ip.main])
+
+
+@exported("i8", STATE, "i8")
+def move(c, until):
+    """Let the ticks up to a clock begin. Returns how far it came: it stops where something is to be looked at."""
+    while c.ip.due <= until:
+        c.clock = c.ip.due
+        tick(c)
+        if c.stale:
+            return c.clock
+    return until
+
+
+@hot
+def trace(c, until, out, k):
+    """As `move`, and logs the pulses in out[k:], by clock, then axis. Returns how far it came, and the next k."""
+    ip = c.ip
+    while ip.due <= until:
+        c.clock = ip.due
+        g = c.queue[ip.head]
+        for j in range(c.axes):
+            for m in range(g.axes):
+                if g.axis[m] == j and ip.step[m] and not ip.closing and k < len(out):
+                    e = out[k]
+                    e.clock, e.axis, e.direction = c.clock, j, c.ax[j].way
+                    k += 1
+        tick(c)
+        if c.stale:
+            return c.clock, k
+    return until, k
+
+
+@hot
+def step(c):
+    """What is due at the present clock; sets `stale` where it changes something."""
+    if not c.interpolating:
+        return
+    ip, x = c.ip, c.ax[c.ip.main]
+    stop = 0
+    for j in range(c.axes):
+        if c.ax[j].interpolates:
+            stop = greatest(stop, c.ax[j].slow)
+    n = c.clock - x.origin
+    if stop == drive.AT_ONCE or n >= x.end or (stop and ip.stepped):
+        end(c)
+        return
+    s = segment_at(x, n)
+    if stop and not ip.slow:
+        ip.slow = 1
+        if s < x.brake or not x.curved or c.variant == MCX514_TYPE:
+            from_here(x, n)
+            slow_down(x)
+            segment.schedule(c, x)
+        c.stale = 1
+    elif not ip.slow and s < x.brake and ip.speed != segment.limited(c, x):
+        segment.replan(c, x)
+        c.stale = 1
+    drive.watch_phase(x, c.clock - x.origin)
+
+
+@hot
+def next_event(c):
+    """The clock of the next event but ticks; how many of these may pass until somebody looks at a counter goes to `watch`."""
+    ip, x = c.ip, c.ax[c.ip.main]
+    ip.watch = NEVER
+    for j in range(c.axes):
+        y = c.ax[j]
+        if y.interpolates:
+            ip.watch = least(ip.watch, least(drive.pulses_ahead(c, y), sync.pulses_ahead(c, y)))
+    n = c.clock - x.origin
+    s = segment_at(x, n)
+    at = x.end
+    if s + 1 < x.segments:
+        at = least(at, x.from_clock[s + 1])
+    return x.origin + at if at < NEVER else NEVER
+
+
+@hot
+def single_step(c):
+    """A command makes the next tick."""
+    if c.interpolating and c.ip.stepped:
+        tick(c)
+        c.stale = 1
+
+
+# --- what can be read ---
+
+
+@hot
+def rate(c, j):
+    """Pulses per clock of an axis that takes part; the ticks of constant vector speed are taken as even."""
+    ip, g, x = c.ip, c.queue[c.ip.head], c.ax[c.ip.main]
+    share = 0.0
+    for k in range(g.axes):
+        if g.axis[k] == j:
+            if g.kind == PATTERN:
+                share = float(ip.step[k])
+            elif g.kind == LINE or k >= 2:
+                share = abs(g.finish[k]) / greatest(g.longest, 1)
+            else:
+                u, v = abs(ip.arc.x), abs(ip.arc.y)
+                share = (v if k == 0 else u) / greatest(greatest(u, v), 1)
+    return share * speed_at(x, c.clock - x.origin)
+
+
+@hot
+def next_tick(c):
+    """The clock of the next tick."""
+    return c.ip.due

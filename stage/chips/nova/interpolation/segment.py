@@ -1,0 +1,167 @@
+"""NOVA chips, compiled: the running segment of an interpolation: its next tick, and the profile that it gives the main axis."""
+
+from __future__ import annotations
+
+from stage.chips.nova.interpolation import helix as helical
+from stage.chips.nova.interpolation import line as linear
+from stage.chips.nova.interpolation import pattern
+from stage.chips.nova.motion import double_double as dd
+from stage.chips.nova.motion import drive
+from stage.chips.nova.motion.planner import PLACE, begin, brake, brake_at, for_ever, from_here, pair, put, to_the_end
+from stage.chips.nova.motion.ticks import clock_at
+from stage.chips.nova.registers.mcx514 import CONTINUOUS_SPEED, MCX514_MAP
+from stage.chips.nova.state import AO, AXES, AXIS, DP, DV, LINE, MCX514_TYPE, NEVER, PATTERN, STAGES, STATE
+from stage.native import exported, hot, least
+
+ONE = (1.0, 0.0)
+ROOT2 = (1.4142135623730951, -9.667293313452913e-17)
+ROOT3 = (1.7320508075688772, 1.0035084221806903e-16)
+MOST = MCX514_MAP.register("DV").range[1]
+INNER = 8  # inner ticks of a tick where short-axis pulses are equalized
+
+
+@hot
+def load(c):
+    """Begin the segment at the head of the queue. Returns whether it has a tick."""
+    ip, g = c.ip, c.queue[c.ip.head]
+    ip.closing = ip.zone = 0
+    for k in range(AXES):
+        ip.inner[k] = 0
+    for j in range(c.axes):
+        c.ax[j].moves = 0
+    if g.kind == LINE:
+        return linear.load(ip, g)
+    if g.kind == PATTERN:
+        return pattern.load(ip, g)
+    return helical.load(ip, g)
+
+
+@hot
+def _length(moved):
+    return ONE if moved < 2 else ROOT2 if moved == 2 else ROOT3
+
+
+@hot
+def _way(c, k):
+    """Length of the k-th segment of the queue, the running one is 0, in places of the profile. It must not have begun."""
+    ip, g = c.ip, c.queue[(c.ip.head + k) % (STAGES + 1)]
+    if g.kind == LINE:
+        one, two, three = linear.ticks(ip, g)
+    elif g.kind == PATTERN:
+        one, two, three = pattern.ticks(g)
+    else:
+        one, two, three = helical.ticks(ip.probe, g)
+    far = dd.add(dd.whole(one), dd.add(dd.mul(dd.whole(two), ROOT2), dd.mul(dd.whole(three), ROOT3)))
+    return dd.times(far, 1.0 / g.fine)
+
+
+@exported(None, STATE)
+def prepare(c):
+    """The steps and directions of the next tick, and its place in the profile."""
+    ip, g = c.ip, c.queue[c.ip.head]
+    if g.kind == LINE:
+        ip.last = linear.step(ip, g)
+    elif g.kind == PATTERN:
+        ip.last = pattern.step(ip, g)
+    else:
+        ip.last = helical.step(ip, g)
+    moved = 0
+    for k in range(least(g.vector, g.axes)):
+        moved += ip.step[k]
+    put(ip.place, dd.add(pair(ip.place), dd.times(_length(moved), 1.0 / g.fine)))
+    for k in range(g.axes):
+        x, way = c.ax[g.axis[k]], ip.toward[k]
+        if g.fine > 1:
+            before = (ip.inner[k] + INNER // 2) // INNER
+            ip.inner[k] += way * ip.step[k]
+            ip.step[k] = (ip.inner[k] + INNER // 2) // INNER != before
+        x.moves = way != 0
+        if way != 0 and x.way != way:
+            x.way = way
+            c.stale = 1
+
+
+@hot
+def limited(c, x):
+    """DV, as far as the mode allows."""
+    ip = c.ip
+    if c.variant != MCX514_TYPE:
+        return x.reg[DV]
+    return least(x.reg[DV], (CONTINUOUS_SPEED if ip.continuous else MOST) // c.queue[ip.head].fine)
+
+
+@hot
+def _plan(c, x):
+    """Plan from the cursor of the main axis on: to the end of the segment if it slows."""
+    ip, g = c.ip, c.queue[c.ip.head]
+    ip.speed = limited(c, x)
+    ip.ends = g.slows
+    drive.take_speed(c, x, ip.speed)
+    if not g.slows:
+        for_ever(x, pair(x.dv))
+        return
+    goal = drive.goal_of(x, dd.floor(dd.sub(pair(ip.finish), pair(ip.begun))))
+    point = dd.floor(pair(ip.begun)) + x.reg[DP]
+    if not x.manual:
+        to_the_end(x, dd.sub(pair(ip.finish), dd.whole(x.reg[AO])), goal)
+    elif dd.less(pair(x.cursor[PLACE]), dd.whole(point)):
+        for_ever(x, goal)
+        if dd.less(dd.whole(point), pair(ip.finish)):
+            brake_at(x, point)
+    else:
+        brake(x)
+
+
+@exported(None, STATE, AXIS)
+def replan(c, x):
+    """The speed, or what is to come, has changed."""
+    ip = c.ip
+    if c.clock == ip.began:  # nothing has moved yet
+        drive.take_speed(c, x, limited(c, x))
+        begin(x, c.clock, dd.ZERO, dd.ZERO, dd.least(pair(x.sv), pair(x.dv)), dd.ZERO)
+    else:
+        from_here(x, c.clock - x.origin)
+    _plan(c, x)
+    schedule(c, x)
+
+
+@hot
+def schedule(c, x):
+    """The clock of the prepared tick, after a change of the plan."""
+    c.ip.piece = 0
+    next_clock(c, x)
+
+
+@hot
+def next_clock(c, x):
+    ip = c.ip
+    ip.due = NEVER
+    if not ip.stepped:
+        n, ip.piece = clock_at(x, ip.piece, pair(ip.place))
+        if n < NEVER:
+            ip.due = x.origin + n
+
+
+@hot
+def sets_follow(c):
+    """MCX312: a bit pattern, whose sets are one interpolation: it slows at the end of the last one."""
+    return c.variant != MCX514_TYPE and c.queue[c.ip.head].kind == PATTERN
+
+
+@hot
+def find_finish(c):
+    """Where in the profile the running segment ends, if it slows there."""
+    ip = c.ip
+    if c.queue[ip.head].slows:
+        far = pair(ip.begun)
+        for k in range(1 + (ip.waiting if sets_follow(c) else 0)):
+            far = dd.add(far, _way(c, k))
+        put(ip.finish, far)
+
+
+@hot
+def extend(c):
+    """MCX312: the number of sets that follow has changed."""
+    if c.interpolating:
+        find_finish(c)
+        c.ip.speed = -1  # plan anew

@@ -1,0 +1,1 @@
+"""The drive of one axis of a NOVA chip, compiled: its profile, its pulses, their clocks."""

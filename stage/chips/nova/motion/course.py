@@ -1,0 +1,58 @@
+"""NOVA chips, compiled: the course of one axis as a list of changes, for waveforms, lanes and drawings.
+
+The pulse output is high for half a period from each pulse on (inferred); a ramp shows as steps of its rate, RAMP in a segment.
+"""
+
+from __future__ import annotations
+
+from stage.chips.nova.motion.profile import clock_of, segment_at
+from stage.chips.nova.state import CONSTANT, LP, PLS
+from stage.native import greatest, hot, least
+
+RAMP = 128
+ROOM = 8
+
+
+@hot
+def log(c, j, out, k, word, rate):
+    """Write axis `j` as it stands to `out[k]` (an EDGE record), its rate in pulses per clock. Returns k + 1."""
+    e, x = out[k], c.ax[j]
+    e.clock, e.inputs, e.outputs, e.counter, e.net = c.clock, x.inputs, word, x.reg[LP], x.net
+    e.rate = rate
+    return k + 1
+
+
+@hot
+def _step(x, n):
+    """The clock after the origin at which the rate of a ramp takes its next step."""
+    s = segment_at(x, n)
+    if x.kind[s] == CONSTANT or s + 1 >= x.segments:
+        return 1 << 60
+    begin = x.from_clock[s]
+    step = greatest(1, (x.from_clock[s + 1] - begin) // RAMP)
+    return begin + ((n - begin) // step + 1) * step
+
+
+@hot
+def stop_at(c, j, every_pulse, until):
+    """How far the chip can run so that nothing of axis `j` is missed."""
+    x = c.ax[j]
+    if x.high > c.clock:
+        until = least(until, x.high)
+    if x.driving:
+        until = least(until, x.origin + _step(x, c.clock - x.origin))
+        if every_pulse and not (x.fixed and x.done >= x.output):
+            until = least(until, x.origin + clock_of(x, x.done + 1))
+    return until
+
+
+@hot
+def shown(c, j, word):
+    """The output pins, the pulse among them."""
+    return word | PLS if c.ax[j].high > c.clock else word
+
+
+@hot
+def raise_pulse(c, j, rate):
+    """A pulse has begun at the present clock, at `rate` pulses per clock."""
+    c.ax[j].high = c.clock + greatest(1, int(0.5 / rate) if rate > 0.0 else 1)

@@ -1,0 +1,197 @@
+"""NOVA chips, compiled: what the speed profile of a drive says at a clock, and when its k-th pulse begins.
+
+The k-th pulse begins at the first whole clock at which the ideal position p has reached k. Floats find out as long as p is not
+next to a whole number; there, double-doubles decide. A profile that comes to k within SNAP below it has reached it.
+"""
+
+from __future__ import annotations
+
+import math
+
+from stage.chips.nova.motion import double_double as dd
+from stage.chips.nova.state import NEVER
+from stage.native import greatest, hot, least
+
+HZ = 16_000_000  # clocks in what the formulas call a second
+SNAP = 2.0**-50
+GUARD = 1e-6
+
+
+@hot
+def segment_at(x, n):
+    """The segment in force `n` clocks after the origin."""
+    s = 0
+    while s + 1 < x.segments and x.from_clock[s + 1] <= n:
+        s += 1
+    return s
+
+
+@hot
+def exactly(x, s, n):
+    """Pulses since the beginning of segment `s`, and the fraction it began with, at clock `n`: a double-double."""
+    t = dd.sub(dd.whole(n), (x.t[s, 0], x.t[s, 1]))
+    r = dd.add((x.a2[s, 0], x.a2[s, 1]), dd.mul(t, (x.j6[s, 0], x.j6[s, 1])))
+    r = dd.add((x.v[s, 0], x.v[s, 1]), dd.mul(t, r))
+    return dd.add((x.p[s, 0], x.p[s, 1]), dd.mul(t, r))
+
+
+@hot
+def reached_in(x, s, n):
+    """Pulses of the drive that have begun `n` clocks after the origin, which is in segment `s`."""
+    t = (float(n) - x.t[s, 0]) - x.t[s, 1]
+    r = x.p[s, 0] + t * (x.v[s, 0] + t * (x.a2[s, 0] + t * x.j6[s, 0]))
+    k = math.floor(r)
+    over = r - k
+    guard = GUARD + 1e-14 * abs(r)
+    if guard < over < 1.0 - guard:
+        return x.from_pulse[s] + int(k)
+    return x.from_pulse[s] + dd.floor(dd.add(exactly(x, s, n), (SNAP, 0.0)))
+
+
+@hot
+def reached(x, n):
+    """Pulses of the drive that have begun `n` clocks after the origin."""
+    return reached_in(x, segment_at(x, n), n)
+
+
+@hot
+def speed_at(x, n):
+    """Pulses per clock."""
+    s = segment_at(x, n)
+    t = (float(n) - x.t[s, 0]) - x.t[s, 1]
+    return greatest(x.v[s, 0] + t * (2.0 * x.a2[s, 0] + 3.0 * t * x.j6[s, 0]), 0.0)
+
+
+@hot
+def acceleration_at(x, n):
+    """Pulses per clock^2, with its sign."""
+    s = segment_at(x, n)
+    t = (float(n) - x.t[s, 0]) - x.t[s, 1]
+    return 2.0 * x.a2[s, 0] + 6.0 * t * x.j6[s, 0]
+
+
+@hot
+def phase_at(x, n):
+    """ACCELERATING, CONSTANT, DECELERATING, ..."""
+    return x.kind[segment_at(x, n)]
+
+
+@hot
+def _time_in(x, s, far, longest):
+    """Clocks, a float, after the beginning of segment `s` until `far` more pulses are done, at most `longest`."""
+    v, a2, j6 = x.v[s, 0], x.a2[s, 0], x.j6[s, 0]
+    root = v * v + 4.0 * a2 * far
+    t = 2.0 * far / (v + math.sqrt(root)) if root > 0.0 else longest
+    if j6 == 0.0:
+        return least(t, longest)
+    t = least(t, longest)
+    low, high = 0.0, longest
+    for _ in range(100):
+        off = t * (v + t * (a2 + t * j6)) - far
+        if off > 0.0:
+            high = t
+        else:
+            low = t
+        slope = v + t * (2.0 * a2 + 3.0 * t * j6)
+        new = t - off / slope if slope > 0.0 else 0.5 * (low + high)
+        if not low <= new <= high:
+            new = 0.5 * (low + high)
+        if abs(new - t) <= 1e-15 * t:
+            break
+        t = new
+    return t
+
+
+@hot
+def _surely(x, s, far):
+    """The clock after the origin at which `far` pulses of segment `s` are done, if floats can tell it; else -1.
+
+    Their error is below 1e-15 of the time, 1e-14 in a ramp; S-curves, and linear ramps close to standstill, are not looked at.
+    """
+    v, a2 = x.v[s, 0], x.a2[s, 0]
+    if x.j6[s, 0] != 0.0 or v <= 0.0:
+        return -1
+    t = far / v
+    if a2 != 0.0:
+        root = v * v + 4.0 * a2 * far
+        if root < 1e-4 * v * v:
+            return -1
+        t = 2.0 * far / (v + math.sqrt(root))
+    t += x.t[s, 0]
+    if not 0.0 <= t < (1e9 if a2 == 0.0 else 1e8):
+        return -1
+    n = int(math.ceil(t))
+    late = n - t
+    if late < 1e-5 or late > 1.0 - 1e-5 or n < x.from_clock[s]:
+        return -1
+    if s + 1 < x.segments and n > x.from_clock[s + 1]:
+        return -1
+    return n
+
+
+@hot
+def segment_of(x, s, k):
+    """The segment, `s` or a later one, in which the k-th pulse of the drive begins."""
+    while s + 1 < x.segments and reached_in(x, s, x.from_clock[s + 1]) < k:
+        s += 1
+    return s
+
+
+@hot
+def clock_of(x, k):
+    """Clocks after the origin at which the k-th pulse of the drive begins, NEVER if that is centuries ahead."""
+    return clock_in(x, segment_of(x, 0, k), k)
+
+
+@hot
+def clock_in(x, s, k):
+    """The same, where it is known that this is in segment `s`."""
+    far = float(k - x.from_pulse[s]) - x.p[s, 0]
+    n = _surely(x, s, far)
+    if n >= 0:
+        return n
+    last = s + 1 == x.segments
+    longest = 1e17 if last else (x.t[s + 1, 0] - x.t[s, 0]) + (x.t[s + 1, 1] - x.t[s, 1])
+    t = x.t[s, 0] + _time_in(x, s, greatest(far, 0.0), longest)
+    if not t < 1e17:
+        return NEVER
+    n = int(math.ceil(t))
+    low = x.from_clock[s]
+    n = greatest(n, low)
+    if not last:
+        n = least(n, x.from_clock[s + 1])
+    while n > low and reached_in(x, s, n - 1) >= k:
+        n -= 1
+    while reached_in(x, s, n) < k:
+        n += 1
+    return n
+
+
+@hot
+def _fast(x, n, pps):
+    """The current speed as the chip shows it, cut to whole pps, is at least `pps`."""
+    return speed_at(x, n) * HZ + 1e-6 >= pps
+
+
+@hot
+def speed_passes(x, n, pps):
+    """The first clock after `n` at which the speed is no longer below `pps`, or no longer at or above it. NEVER if none.
+
+    Both count from the origin. Within a segment the speed only rises or only falls.
+    """
+    side = _fast(x, n, pps)
+    for s in range(segment_at(x, n) + 1, x.segments):
+        end = x.from_clock[s]
+        if _fast(x, end - 1, pps) != side:
+            low, high = n, end - 1
+            while high - low > 1:
+                middle = (low + high) // 2
+                if _fast(x, middle, pps) == side:
+                    low = middle
+                else:
+                    high = middle
+            return high
+        if _fast(x, end, pps) != side:
+            return end
+        n = end
+    return NEVER

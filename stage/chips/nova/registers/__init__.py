@@ -1,0 +1,1 @@
+"""The register maps of the NOVA chips as data."""

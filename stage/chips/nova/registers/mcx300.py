@@ -1,0 +1,123 @@
+"""Register maps of the NOVA MCX304, MCX302 and MCX312 as data: one table, with the chips that have each row.
+
+Sources: NOVA's failure notice of 2006 (data sheet), working drivers, the manuals from memory; words304.py has the bits.
+What none of them says is marked I; so are all values after reset but AO's [C]. m is the multiple, 8,000,000 / R.
+"""
+
+from __future__ import annotations
+
+from stage.chips.nova.registers.words300 import HM, words
+from stage.chips.register_map import Command, Register, RegisterMap, reads, writes
+
+RANGE = 8_000_000
+"""R of multiple 1."""
+SPEED, CURVE = (1, 8000), (1, 65535)
+RESET = 0x8000
+"""WR0 that resets the chip."""
+CHIPS = ("MCX304", "MCX302", "MCX312")
+INTERPOLATING = ("MCX312",)
+
+
+def _speed(code: int, name: str, title: str, legal: tuple[int, int] = SPEED) -> Register:
+    return Register(name, code, 16, "W", title, legal, evidence="C", reset=1)
+
+
+def _position(
+    code: int, name: str, title: str, access: str = "W", evidence: str = "C", signed: bool = True
+) -> Register:
+    return Register(name, code, 32, access, title, evidence=evidence, unit="pulses", signed=signed, reset=0)
+
+
+PARAMETERS = (
+    Register("R", 0x00, 32, "W", "range: m = 8000000 / R", (16_000, RANGE), evidence="C", reset=RANGE),
+    _speed(0x01, "K", "jerk: 62500000 m / K pps/s2", CURVE),
+    _speed(0x02, "A", "acceleration: 125 m A pps/s"),
+    _speed(0x03, "D", "deceleration: 125 m D pps/s, used with DSNDE"),
+    _speed(0x04, "SV", "initial speed: m SV pps"),
+    _speed(0x05, "V", "drive speed: m V pps; can be changed while driving"),
+    _position(0x06, "P", "output pulses; in interpolation the finish point, signed", evidence="M", signed=False),
+    _position(0x07, "DP", "manual deceleration point, used with MANLD", signed=False),
+    _position(0x08, "C", "circular centre, relative", evidence="M"),
+    _position(0x09, "LP", "logical position counter", "RW"),
+    _position(0x0A, "EP", "real position counter", "RW"),
+    _position(0x0B, "CP", "COMP+: compared with the counter, software limit +"),
+    _position(0x0C, "CM", "COMP-: compared with the counter, software limit -"),
+    Register(
+        "AO", 0x0D, 16, "W", "acceleration counter offset", (-32768, 32767), (), "C", "pulses", signed=True, reset=8
+    ),
+    _speed(0x0E, "L", "deceleration increasing rate: 62500000 m / L pps/s2, used with DSNDE", CURVE),
+    HM,
+    _speed(0x61, "HV", "home search speed: m HV pps"),
+)
+PRESENT = (
+    Register("CV", 0x12, 16, "R", "current speed: m CV pps", evidence="C"),
+    Register("CA", 0x13, 16, "R", "current acceleration / deceleration: 125 m CA pps/s", evidence="C"),
+)
+"""What can only be read."""
+INTERPOLATION_REGISTERS = ("C", "L")
+"""Registers that only interpolating chips have."""
+
+
+def _drive(code: int, symbol: str, title: str, starts: bool = False) -> Command:
+    return Command(code, symbol, title, "drive", evidence="C", starts=starts)
+
+
+def _interpolation(code: int, symbol: str, title: str, starts: bool = False) -> Command:
+    return Command(code, symbol, title, "interpolation", evidence="C", axes=False, starts=starts)
+
+
+_BY_NAME = {r.name: r for r in PARAMETERS}
+COMMANDS = (
+    *(writes(r) for r in PARAMETERS if r.number < 0x0F),
+    Command(0x0F, "NOP", "axis selection only", "other", evidence="C"),
+    reads(_BY_NAME["LP"], 0x10),
+    reads(_BY_NAME["EP"], 0x11),
+    *(reads(r) for r in PRESENT),
+    _drive(0x20, "F_DRV_P", "+ direction fixed pulse drive", True),
+    _drive(0x21, "F_DRV_M", "- direction fixed pulse drive", True),
+    _drive(0x22, "C_DRV_P", "+ direction continuous drive", True),
+    _drive(0x23, "C_DRV_M", "- direction continuous drive", True),
+    _drive(0x24, "START_HOLD", "drive start hold"),
+    _drive(0x25, "START_FREE", "drive start hold release, and end status clear"),
+    _drive(0x26, "STOP_DEC", "decelerating stop"),
+    _drive(0x27, "STOP_SUDDEN", "sudden stop"),
+    _interpolation(0x30, "IP_2ST", "2-axis linear interpolation", True),
+    _interpolation(0x32, "IP_CW", "CW circular interpolation", True),
+    _interpolation(0x33, "IP_CCW", "CCW circular interpolation", True),
+    _interpolation(0x34, "IP_2BP", "2-axis bit pattern interpolation", True),
+    _interpolation(0x36, "BP_ENABLED", "BP register write enable: WR2 to WR5 are BP1P to BP2M"),
+    _interpolation(0x37, "BP_DISABLED", "BP register write disable"),
+    _interpolation(0x38, "BP_STACK", "BP data stack"),
+    _interpolation(0x39, "BP_CLR", "BP data clear"),
+    _interpolation(0x3A, "IP_1STEP", "interpolation single step"),
+    _interpolation(0x3B, "IP_DEC_VALID", "interpolation decelerates at the end"),
+    _interpolation(0x3C, "IP_DEC_INVALID", "interpolation does not decelerate at the end"),
+    _interpolation(0x3D, "IP_INTRPT_CLR", "interpolation interrupt clear"),
+    writes(HM, "mode write"),
+    writes(_BY_NAME["HV"]),
+    _drive(0x62, "HOME_EXEC", "automatic home search", True),
+    Command(0x63, "DEVCTR_CLR", "deviation counter clear output", "other", evidence="C"),
+)
+
+
+def chips_with(row: Register | Command) -> tuple[str, ...]:
+    """The chips of the family that have a register or command."""
+    name = row.symbol if isinstance(row, Command) else row.name
+    only = name in INTERPOLATION_REGISTERS or (isinstance(row, Command) and row.kind == "interpolation")
+    return INTERPOLATING if only else CHIPS
+
+
+def _map(chip: str, axes: int) -> RegisterMap:
+    interpolates = chip in INTERPOLATING
+    return RegisterMap(
+        chip,
+        f"NOVA {chip} pulse generator{' with interpolation' if interpolates else ''}, {axes} axes, 16-bit bus",
+        "failure notice of 2006-11-21 (data sheet); working drivers; names from NOVA's MC8000P library and from memory",
+        tuple(r for r in (*PARAMETERS, *PRESENT) if chip in chips_with(r)),
+        words(axes, interpolates),
+        tuple(c for c in COMMANDS if chip in chips_with(c)),
+        axes,
+    )
+
+
+MCX304_MAP, MCX302_MAP, MCX312_MAP = _map("MCX304", 4), _map("MCX302", 2), _map("MCX312", 2)

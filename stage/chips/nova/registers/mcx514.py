@@ -1,0 +1,164 @@
+"""Register map of the NOVA MCX514 as data: parameters and commands; words514.py has the bits.
+
+Sources: sections 7.2.7 and 7.2.8 of NOVA's manual (data sheet), other pages of it, working drivers. What no page says is
+chosen as its reader would expect and marked I; so are all values after reset.
+"""
+
+from __future__ import annotations
+
+from stage.chips.nova.registers.words514 import MODES, WORDS
+from stage.chips.register_map import Command, Field, Register, RegisterMap, reads, writes
+
+JERK, RATE, SPEED = (1, 1_073_741_823), (1, 536_870_911), (1, 8_000_000)
+POINT = (-1_073_741_823, 1_073_741_823)
+"""Legal range of TP in interpolation, and of CP."""
+CONTINUOUS_SPEED = 4_000_000
+"""Highest drive speed in continuous interpolation, pps."""
+OFF = 0xFFFF_FFFF
+"""LX, RX: no ring."""
+READ_CODES = {
+    "LP": 0x30, "RP": 0x31, "MR0": 0x34, "MR1": 0x35, "MR2": 0x36, "MR3": 0x37, "TX": 0x39, "HLV": 0x3B, "MRM": 0x40,
+    "P1M": 0x41, "P2M": 0x42, "AC": 0x43, "SV": 0x44, "DV": 0x45, "TP": 0x46, "SP1": 0x47,
+}  # fmt: skip
+"""Commands that read back what another wrote."""
+NO_AXIS = ("TX", "HLN", "HLV", "CHLN", "IPM", "UI")
+"""Registers of the chip, not of an axis: their commands carry no axis bits."""
+
+
+def _parameter(
+    code: int, name: str, title: str, legal: tuple[int, int] | None = None, unit: str = "", reset: int = 0, bits: int = 32,
+    evidence: str = "C", signed: bool = False, also: tuple[int, ...] = (), fields: tuple[Field, ...] = (),
+) -> Register:  # fmt: skip
+    access = "RW" if name in READ_CODES else "W"
+    return Register(name, code, bits, access, title, legal, fields, evidence, unit, signed, also, reset)
+
+
+_SPLIT = (
+    Field("WIDTH", 31, 16, "pulse width, 1 to 65534 drive pulses", "C", legal=(1, 65534)),
+    Field("CYCLE", 15, 0, "cycle length, 2 to 65535 drive pulses", "C", legal=(2, 65535)),
+)
+PARAMETERS = (
+    _parameter(0x00, "JK", "jerk", JERK, "pps/s2", 1),
+    _parameter(0x01, "DJ", "deceleration increasing rate, used with DSNDE", JERK, "pps/s2", 1),
+    _parameter(0x02, "AC", "acceleration", RATE, "pps/s", 1),
+    _parameter(0x03, "DC", "deceleration, used with DSNDE", RATE, "pps/s", 1),
+    _parameter(0x04, "SV", "initial speed", SPEED, "pps", 1),
+    _parameter(0x05, "DV", "drive speed; can be changed while driving", SPEED, "pps", 1),
+    _parameter(0x06, "TP", f"drive pulse number, or finish point (interpolation: {POINT[0]} to {POINT[1]})",
+               (-2_147_483_646, 2_147_483_646), "pulses", evidence="S", signed=True),
+    _parameter(0x07, "DP", "manual deceleration point, used with MANLD", (0, 4_294_967_292), "pulses", evidence="S"),
+    _parameter(0x08, "CP", "circular centre, relative", POINT, "pulses", signed=True),
+    _parameter(0x09, "LP", "logical position counter", None, "pulses", signed=True),
+    _parameter(0x0A, "RP", "real position counter", None, "pulses", signed=True),
+    _parameter(0x0B, "SP", "software limit +", None, "pulses", signed=True),
+    _parameter(0x0C, "SM", "software limit -", None, "pulses", signed=True),
+    _parameter(0x0D, "AO", "acceleration counter offset", (-32768, 32767), "pulses", bits=16, signed=True),
+    _parameter(0x0E, "LX", "LP maximum of the ring; FFFFFFFFh: no ring", (1, 2_147_483_647), "pulses", OFF, also=(OFF,)),
+    _parameter(0x0F, "RX", "RP maximum of the ring; FFFFFFFFh: no ring", (1, 2_147_483_647), "pulses", OFF, also=(OFF,)),
+    *(_parameter(0x10 + m, f"MR{m}", f"multi-purpose register {m}", signed=True) for m in range(4)),
+    _parameter(0x14, "HV", "home search speed", SPEED, "pps", 1),
+    _parameter(0x15, "IV", "speed increasing / decreasing value", (1, 1_000_000), "pps", 1),
+    _parameter(0x16, "TM", "timer value, at 16 MHz", (1, 2_147_483_647), "us", 1),
+    _parameter(0x17, "SP1", "split pulse cycle and width", None, "pulses", 0x0001_0002, fields=_SPLIT),
+    _parameter(0x18, "SP2", "split pulse count, 0: endless", (0, 65535), bits=16),
+    _parameter(0x19, "TX", "maximum finish point of interpolation", (1, 1_073_741_823), "pulses", 1, evidence="D"),
+    _parameter(0x1A, "HLN", "helical rotation number", (0, 65535), bits=16),
+    _parameter(0x1B, "HLV", "helical calculation value", (1, 2_147_483_646), reset=1),
+)  # fmt: skip
+PRESENT = (
+    Register("CV", 0x32, 32, "R", "current speed", evidence="S", unit="pps"),
+    Register("CA", 0x33, 32, "R", "current acceleration / deceleration", evidence="C", unit="pps/s"),
+    Register("CT", 0x38, 32, "R", "current timer value, 0 while it is stopped", evidence="D", unit="us"),
+    Register("CHLN", 0x3A, 16, "R", "current helical rotation number", evidence="C"),
+    Register("UI", 0x48, 32, "R", "general inputs: RR7 the PIN pins, RR6 the data bus pins in I2C mode", evidence="C"),
+)
+"""What can only be read."""
+_PAGES = {"DV": "S", "TX": "D"}
+
+
+def _reading() -> tuple[Command, ...]:
+    """30h to 48h."""
+    back = [r for r in (*PARAMETERS, *MODES) if r.name in READ_CODES]
+    found = [
+        *(reads(r, READ_CODES[r.name], _PAGES.get(r.name, "C"), axes=r.name not in NO_AXIS) for r in back),
+        *(reads(r, axes=r.name not in NO_AXIS) for r in PRESENT),
+        *(Command(0x3C + k, f"R-WR{k}", f"read WR{k}", "data read", 2, evidence="C") for k in (1, 2, 3)),
+    ]
+    return tuple(sorted(found, key=lambda c: c.code))
+
+
+def _drive(code: int, symbol: str, title: str, starts: bool = False) -> Command:
+    return Command(code, symbol, title, "drive", evidence="C", starts=starts)
+
+
+def _interpolation(code: int, symbol: str, title: str, starts: bool = True) -> Command:
+    return Command(code, symbol, title, "interpolation", evidence="C", axes=False, starts=starts)
+
+
+def _other(code: int, symbol: str, title: str, axes: bool = True) -> Command:
+    return Command(code, symbol, title, "other", evidence="C", axes=axes)
+
+
+def _sync(code: int, symbol: str, verb: str) -> Command:
+    return Command(code, symbol, f"{verb} SYNC0 to SYNC3: bits 0 to 3 of the code", "sync", evidence="C", choice=0x0F)
+
+
+COMMANDS = (
+    *(writes(r, axes=r.name not in NO_AXIS) for r in PARAMETERS),
+    _other(0x1F, "NOP", "axis selection only"),
+    *(writes(r, "mode write", axes=r.name not in NO_AXIS) for r in MODES),
+    *_reading(),
+    _drive(0x50, "DRVRL", "relative position drive", True),
+    _drive(0x51, "DRVNR", "counter relative position drive: the sign of TP inverted", True),
+    _drive(0x52, "DRVVP", "+ direction continuous drive", True),
+    _drive(0x53, "DRVVM", "- direction continuous drive", True),
+    _drive(0x54, "DRVAB", "absolute position drive", True),
+    _drive(0x56, "DRVSBRK", "decelerating stop"),
+    _drive(0x57, "DRVFBRK", "instant stop"),
+    _drive(0x58, "DIRCP", "direction signal + (pulse and direction)"),
+    _drive(0x59, "DIRCM", "direction signal - (pulse and direction)"),
+    _drive(0x5A, "HMSRC", "automatic home search", True),
+    _interpolation(0x60, "LHK1", "1-axis linear interpolation (multichip)"),
+    _interpolation(0x61, "LHK2", "2-axis linear interpolation"),
+    _interpolation(0x62, "LHK3", "3-axis linear interpolation"),
+    _interpolation(0x63, "LHK4", "4-axis linear interpolation"),
+    _interpolation(0x64, "CHKCW", "CW circular interpolation"),
+    _interpolation(0x65, "CHKCCW", "CCW circular interpolation"),
+    _interpolation(0x66, "BHK2", "2-axis bit pattern interpolation"),
+    _interpolation(0x67, "BHK3", "3-axis bit pattern interpolation"),
+    _interpolation(0x68, "BHK4", "4-axis bit pattern interpolation"),
+    _interpolation(0x69, "HLCW", "CW helical interpolation"),
+    _interpolation(0x6A, "HLCCW", "CCW helical interpolation"),
+    _interpolation(0x6B, "HLPCW", "CW helical calculation", False),
+    _interpolation(0x6C, "HLPCCW", "CCW helical calculation", False),
+    _interpolation(0x6D, "DECEN", "deceleration enable", False),
+    _interpolation(0x6E, "DECDIS", "deceleration disable", False),
+    _interpolation(0x6F, "CLRSTEP", "interpolation interrupt clear, or single step", False),
+    _other(0x70, "VINC", "speed increase by IV"),
+    _other(0x71, "VDEC", "speed decrease by IV"),
+    _other(0x72, "DCC", "deviation counter clear output"),
+    _other(0x73, "TMSTA", "timer start"),
+    _other(0x74, "TMSTP", "timer stop"),
+    _other(0x75, "SPSTA", "split pulse start"),
+    _other(0x76, "SPSTP", "split pulse stop"),
+    _other(0x77, "DHOLD", "drive start hold"),
+    _other(0x78, "DFREE", "drive start hold release"),
+    _other(0x79, "R2CLR", "error and finishing status clear (RR2)"),
+    _other(0x7A, "RR3P0", "RR3 shows page 0"),
+    _other(0x7B, "RR3P1", "RR3 shows page 1"),
+    _other(0x7C, "MFPC", "maximum finish point clear", axes=False),
+    _sync(0x80, "SYNCEN", "enable"),
+    _sync(0x90, "SYNCDIS", "disable"),
+    _sync(0xA0, "SYNCACT", "activate"),
+    _other(0xFF, "RST", "command reset", axes=False),
+)
+
+MCX514_MAP = RegisterMap(
+    "MCX514",
+    "NOVA MCX514 pulse generator with interpolation, four axes, 16-bit bus",
+    "manual MCX514, 7.2.7 and 7.2.8 (data sheet) and other pages; working drivers; names of mode bits from memory",
+    (*PARAMETERS, *MODES, *PRESENT),
+    WORDS,
+    COMMANDS,
+    axes=4,
+)

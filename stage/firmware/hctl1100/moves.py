@@ -1,0 +1,224 @@
+"""Moves of a servo axis with an HCTL-1100: a position step, a trapezoid, and the two velocity modes.
+
+    x = set_up(stage.axes["x"], Tuning(gain=0x40))
+    print(step(x, 100))
+    print(trapezoid(x, 20_000, velocity=40_000, acceleration=400_000))
+    print(integral_velocity(x, 20_000, seconds=0.5))
+
+Positions are counts of the encoder, rates counts/s. The chip knows rates in counts per sample: they are rounded to what its
+registers hold, and the reports say to what. After each procedure the axis is in position control, or, where LIMIT has ended it, in
+Init/Idle. See servo_home.py for home, servo_profile.py for motion commanded sample by sample.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from stage.chips.hctl1100.maps import NUMBERS
+from stage.errors import ArgumentError
+from stage.firmware.axis import Axis
+from stage.firmware.hctl1100.port import LIMIT, PROFILE, STOP, Port
+
+DWELL = 0.02  # s within the deadband: settled
+LONGEST = 16 * 256  # clocks of a sample
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """The filter D(z) = K/4 (z - A/256) / (z + B/256) and the sample timer T; as after a reset."""
+
+    gain: int = 0x40
+    zero: int = 0xE5
+    pole: int = 0x40
+    timer: int = 0x40
+
+
+@dataclass(frozen=True)
+class MoveReport:
+    """What became of a step or a trapezoid. Counts, counts/s, seconds.
+
+    Attributes:
+        asked: counts. velocity, acceleration: as the registers hold them; 0 of a step.
+        profile: when the profile flag was seen cleared; 0 of a step. settled: when the axis came to stay in the deadband.
+        error: command position minus actual position at the end.
+        limited: LIMIT has triggered, and ended it.
+    """
+
+    axis: str
+    asked: int
+    velocity: float
+    acceleration: float
+    profile: float
+    settled: float
+    error: int
+    deadband: int
+    limited: bool = False
+
+    @property
+    def ok(self) -> bool:
+        """It is there."""
+        return not self.limited and abs(self.error) <= self.deadband
+
+    def __str__(self) -> str:
+        if self.limited:
+            return f"{self.axis}: {self.asked:+d} counts: ended by LIMIT after {self.settled:.3f} s"
+        flag = f"profile {self.profile:.3f} s, " if self.profile else ""
+        where = f"error {self.error} counts (deadband {self.deadband})"
+        return f"{self.axis}: {self.asked:+d} counts: {flag}settled after {self.settled:.3f} s, {where}"
+
+
+@dataclass(frozen=True)
+class VelocityReport:
+    """What became of a run at a velocity.
+
+    asked: counts/s as the register holds it; measured: mean over its second half. ended: "LIMIT", which leaves the axis in
+    Init/Idle, "STOP", which the chip obeys in integral velocity mode, or "".
+    """
+
+    axis: str
+    mode: str
+    asked: float
+    measured: float
+    ended: str = ""
+
+    def __str__(self) -> str:
+        end = f", ended by {self.ended}" if self.ended else ""
+        return f"{self.axis}: {self.mode} velocity {self.asked:+.0f} counts/s asked, {self.measured:+.0f} measured{end}"
+
+
+def set_up(axis: Axis, tuning: Tuning | None = None) -> Port:
+    """Load filter and sample time; the axis is then in position control where it stands.
+
+    Raises ArgumentError for an axis without an HCTL-1100, for values that its registers do not hold, and where LIMIT is asserted.
+    """
+    port, t = Port(axis), tuning or Tuning()
+    port.idle()
+    port.load(timer=t.timer, gain=t.gain, zero=t.zero, pole=t.pole)
+    if not port.clear_status() & LIMIT:
+        raise ArgumentError(
+            f"axis {axis.name} stands on a limit switch, where the chip takes no control mode: see leave_limit."
+        )
+    port.hold()
+    axis.wait(LONGEST / port.chip.clock_hz)  # the new T is used after the sample in progress
+    return port
+
+
+def step(port: Port, counts: int, *, deadband: int = 3, timeout: float = 2.0) -> MoveReport:
+    """Command a position `counts` away, at once. Raises RunTimeout when it does not settle."""
+    begin = port.axis.time
+    port.command(port.commanded() + counts)
+    return _settle(port, begin, counts, (0.0, 0.0, 0.0), deadband, timeout)
+
+
+def trapezoid(
+    port: Port,
+    counts: int,
+    *,
+    velocity: float = 40_000,
+    acceleration: float = 400_000,
+    deadband: int = 3,
+    timeout: float = 10.0,
+) -> MoveReport:
+    """A trapezoidal profile of `counts`, at counts/s and counts/s2. Raises ArgumentError for rates that the chip has not at this
+    sample time; RunTimeout."""
+    v, a = velocity_word(port, velocity, "maximum_velocity", 1), acceleration_word(port, acceleration)
+    port.load(final_position=port.commanded() + counts, acceleration=a, maximum_velocity=v)
+    rates = v / port.sample, a / 256 / port.sample**2
+    begin = port.axis.time
+    port.mode("trapezoid")
+    port.wait_until(lambda: not port.status() & PROFILE or port.limited(), timeout, "the end of its profile")
+    return _settle(port, begin, counts, (*rates, port.axis.time - begin), deadband, timeout)
+
+
+def _settle(
+    port: Port, begin: float, counts: int, said: tuple[float, float, float], deadband: int, timeout: float
+) -> MoveReport:
+    """Wait until the axis has been within the deadband for DWELL, or LIMIT has ended all."""
+    goal, since, error = port.commanded(), port.axis.time, 0
+    limited = False
+
+    def there() -> bool:
+        nonlocal since, error, limited
+        error, now = goal - port.position(), port.axis.time
+        limited = port.limited()
+        if abs(error) > deadband:
+            since = now
+        return limited or now - since >= DWELL
+
+    port.wait_until(there, timeout, f"rest within {deadband} counts")
+    return MoveReport(port.axis.name, counts, *said, since - begin, error, deadband, limited)
+
+
+def proportional_velocity(port: Port, rate: float, seconds: float = 0.5) -> VelocityReport:
+    """Turn at counts/s by the velocity error alone, then stop: friction and drag leave a difference."""
+    word = velocity_word(port, rate, "proportional_velocity", 16)
+    port.wait_for_the_safe_part()
+    port.load(proportional_velocity=0)
+    port.mode("proportional velocity")
+
+    def turn(value: int) -> None:
+        port.wait_for_the_safe_part("proportional velocity")
+        port.load(proportional_velocity=value)
+
+    turn(word)
+    measured = _measure(port, seconds)
+    turn(0)
+    port.axis.wait(port.sample)
+    port.wait_until(lambda: not port.velocity() or port.limited(), 2.0, "rest")
+    ended = "LIMIT" if port.limited() else ""
+    if not ended:
+        port.hold()
+    return VelocityReport(port.axis.name, "proportional", word / 16 / port.sample, measured, ended)
+
+
+def integral_velocity(port: Port, rate: float, seconds: float = 0.5, acceleration: float = 400_000) -> VelocityReport:
+    """Turn at counts/s, ramped, by a command position that moves on with each sample, then stop."""
+    word, a = velocity_word(port, rate, "integral_velocity", 1), acceleration_word(port, acceleration)
+    port.clear_status()
+    port.load(acceleration=a, integral_velocity=0)
+    port.mode("integral velocity")
+    ramp = (abs(word) * 256 / a + 2) * port.sample
+    cruise(port, word)
+    port.axis.wait(ramp)
+    measured = _measure(port, seconds)
+    ended = "LIMIT" if port.limited() else "" if port.status() & STOP else "STOP"
+    if ended != "LIMIT":
+        cruise(port, 0)
+        port.axis.wait(ramp)
+        port.mode("position")
+    return VelocityReport(port.axis.name, "integral", word / port.sample, measured, ended)
+
+
+def cruise(port: Port, velocity: int) -> None:
+    """A new command velocity of integral velocity mode, counts per sample, in the safe part of a sample."""
+    port.wait_for_the_safe_part("integral velocity")
+    port.load(integral_velocity=velocity)
+
+
+def _measure(port: Port, seconds: float) -> float:
+    """Mean velocity over the second half of `seconds`, counts/s."""
+    port.axis.wait(0.5 * seconds)
+    begin, first = port.axis.time, port.position()
+    port.axis.wait(0.5 * seconds)
+    return (port.position() - first) / (port.axis.time - begin)
+
+
+def velocity_word(port: Port, rate: float, name: str, scale: int) -> int:
+    """What a velocity register holds for counts/s. Raises ArgumentError where that is 0, or too much."""
+    return _held(port, name, rate * port.sample * scale, f"{rate:g} counts/s")
+
+
+def acceleration_word(port: Port, acceleration: float) -> int:
+    """What R27:R26 hold for counts/s2. Raises ArgumentError where that is 0, or too much."""
+    return _held(port, "acceleration", acceleration * port.sample**2 * 256, f"{acceleration:g} counts/s2")
+
+
+def _held(port: Port, name: str, rate: float, said: str) -> int:
+    number, value = NUMBERS[name], round(rate) if math.isfinite(rate) else 0
+    if value == 0 or not number.least <= value <= number.most:
+        raise ArgumentError(
+            f"{said} are {value} in the register of {name} at samples of {port.sample * 1e6:g} us: {max(number.least, 1)} to "
+            f"{number.most} it holds. Choose another rate, or another T."
+        )
+    return value

@@ -1,0 +1,119 @@
+"""A custom profile: the host writes a command position to each chip in each sample, all axes in step by the SYNC pin.
+
+    ports = [set_up(stage.axes[n]) for n in "xyz"]
+    synchronize(ports)
+    print(follow(ports, circle(6000, seconds=1.5, sample=ports[0].sample, axes=3)))
+
+As the data sheet says: at the beginning of a sample the chip computes, and a command written then may throw it off. The host
+reads the sample timer, which counts down from T, and writes when it has come down by the minimum of Table 4. SYNC starts the timers
+of several chips at one clock: then one of them tells of all, and the axes take their commands at the same time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from stage.errors import ArgumentError
+from stage.firmware.hctl1100.port import MARGIN, Port
+
+
+@dataclass(frozen=True)
+class FollowReport:
+    """What became of a profile: commands written to each axis, samples that passed without a new one, seconds."""
+
+    commands: int
+    missed: int
+    seconds: float
+
+    def __str__(self) -> str:
+        return f"{self.commands} commands in {self.seconds:.3f} s, {self.missed} samples missed"
+
+
+def synchronize(ports: Sequence[Port]) -> None:
+    """Let the sample timers of all begin at one clock, by the line to their SYNC pins. Raises ArgumentError where T differs.
+
+    The chips obey SYNC in Init/Idle only: the axes are without a motor command for a few bus cycles, and hold afterwards.
+    """
+    if len({port.sample for port in ports}) != 1:
+        raise ArgumentError(
+            "SYNC keeps chips of one sample time in step: load the same T on all, and give them the same clock."
+        )
+    for port in ports:
+        port.idle()
+    for asserted in (True, False):
+        for port in ports:
+            port.axis.chip.axes[port.axis.chip_axis].pins.sync = asserted
+    for port in ports:
+        port.hold()
+
+
+def follow(ports: Sequence[Port], profile: np.ndarray, *, leader_only: bool = True) -> FollowReport:
+    """Command positions relative to where the axes are, one row a sample, in the safe part of it.
+
+    Args:
+        profile: (samples, axes) counts, whole numbers or rounded to them.
+        leader_only: read the timer of the first chip and write to all, as SYNC allows. Without, each chip's own timer is asked.
+    Raises ArgumentError. A host too slow for the sample time misses samples: see the report.
+    """
+    rows = np.rint(np.asarray(profile)).astype(np.int64)
+    if rows.ndim != 2 or rows.shape[1] != len(ports) or not len(ports):
+        raise ArgumentError(f"a profile of shape {np.shape(profile)} for {len(ports)} axes: (samples, axes).")
+    rows += [port.commanded() for port in ports]
+    main = ports[0]
+    begin = main.axis.time
+    for row in rows.tolist():
+        _next_sample(main)
+        for port, value in zip(ports, row, strict=True):
+            if not leader_only:
+                port.wait_for_the_safe_part()
+            port.load(command_position=value)
+    seconds = main.axis.time - begin
+    return FollowReport(len(rows), max(round(seconds / main.sample) - len(rows), 0), seconds)
+
+
+def _next_sample(port: Port) -> None:
+    """Wait for the safe part of the next sample, as a timer interrupt and a look at R0F would."""
+    port.axis.wait((port.chip.read(0x0F) + MARGIN) * port.count)
+    port.wait_for_the_safe_part()
+
+
+def circle(
+    radius: float, *, seconds: float, sample: float, axes: int = 2, turns: int = 1, ramp: float = 0.2
+) -> np.ndarray:
+    """A profile for `follow`: `turns` of a circle of `radius` counts, from rest to rest in `seconds`.
+
+    With two axes in their plane, beginning at the lowest point to the right, counter-clockwise; with three in the plane that
+    contains the first axis and stands at 45 degrees to the others. The speed on the path rises and falls evenly in `ramp` s each.
+
+    Returns (samples, axes) counts from where it begins. Raises ArgumentError.
+    """
+    if axes not in PLANES or not np.isfinite(radius) or not 0 < ramp <= 0.5 * seconds or not sample > 0:
+        raise ArgumentError(
+            f"radius={radius}, axes={axes}, ramp={ramp}, seconds={seconds}: a finite radius, 2 or 3 axes, and a ramp of half the "
+            "time at most."
+        )
+    t = np.minimum(np.arange(1, int(np.ceil(seconds / sample)) + 1) * sample, seconds)
+    up, left = np.minimum(t, ramp), np.minimum(seconds - t, ramp)
+    way = np.where(
+        t < ramp, up**2 / (2 * ramp), np.where(left < ramp, seconds - ramp - left**2 / (2 * ramp), t - 0.5 * ramp)
+    )
+    angle = 2 * np.pi * turns * way / (seconds - ramp)
+    right, forward = PLANES[axes]
+    return radius * (np.outer(np.sin(angle), right) + np.outer(1 - np.cos(angle), forward))
+
+
+HALF = np.sqrt(0.5)
+PLANES = {2: np.eye(2), 3: np.array([[1.0, 0.0, 0.0], [0.0, HALF, HALF]])}
+"""Unit vectors at the circle's lowest point, by the number of axes: along it, and to the centre."""
+
+
+def off_circle(places: np.ndarray, radius: float) -> np.ndarray:
+    """How far places are from the circle that begins at the origin: (n, axes) in the radius' unit -> (n,)."""
+    places = np.asarray(places, float)
+    right, forward = PLANES[places.shape[1]]
+    u, v = places @ right, places @ forward - radius
+    above = places - np.outer(u, right) - np.outer(v + radius, forward)
+    return np.sqrt((np.hypot(u, v) - radius) ** 2 + (above**2).sum(axis=1))

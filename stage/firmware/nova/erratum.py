@@ -1,0 +1,127 @@
+"""The work-arounds for the S-curve failure of MCX302, MCX304 and MCX312, as NOVA's notice of 21 November 2006 gives them.
+
+In area d, the end of an S-curve drive with fixed pulses, RR1 shows CNST = 1, as in area b at the drive speed. A decelerating stop
+that is asked for there makes pulses for ever: ASND = CNST = DSND = 0, n-DRV = 1 (area e). Case 1 of the notice is the
+command 26h, 2 a hardware limit in decelerating mode, 3 a software limit, 4 STOP0 to STOP2. Cases 1 and 3 can be kept from
+happening; 2 and 4 only be ended by 27h, soon: call the routine often.
+"""
+
+from __future__ import annotations
+
+from stage.firmware.nova.mcx300 import (
+    ASND,
+    C_END,
+    C_END_ENABLE,
+    CNST,
+    DECELERATING_STOP,
+    DSND,
+    PHASES,
+    STOPPED_BY_LIMIT,
+    STOPPED_BY_STOP,
+    SUDDEN_STOP,
+    Driver,
+)
+
+
+class DecelerationFlag:
+    """Case 1, (1): "When deceleration starts, interruption will be occurred to prohibit execution of deceleration stop command
+    (26h) until driving completion."
+
+    Make one before each start. It needs a drive that reaches its drive speed V: one that does not has no constant speed
+    to end, and no interrupt comes before area d.
+    """
+
+    def __init__(self, driver: Driver):
+        self.driver, self.prohibits = driver, False
+        driver.word(3)  # factors of the drive before
+        driver.enable("WR1", C_END_ENABLE)
+
+    def interrupt(self) -> None:
+        """The interrupt routine: at the end of constant speed prohibit 26h, and ask for no more interrupts."""
+        if self.driver.word(3) & C_END:
+            self.prohibits = True
+            self.driver.enable("WR1", C_END_ENABLE, False)
+
+
+def stop_guarded(flag: DecelerationFlag) -> bool:
+    """Case 1, (1): "within task, see flag and if it's 1, don't execute deceleration stop command".
+
+    Here the routine is called in place of an interrupt. Returns whether 26h was given.
+    """
+    flag.interrupt()
+    if flag.prohibits:
+        return False
+    flag.driver.command(DECELERATING_STOP)
+    return True
+
+
+def judgmental_speed(initial: int, drive: int) -> float:
+    """Case 1, (2): "middle one between initial speed and setting speed ((Driving speed - initial speed)/2 + initial speed)"."""
+    return (drive - initial) / 2 + initial
+
+
+def stop_by_speed(driver: Driver, judgmental: float) -> bool:
+    """Case 1, (2): "make sure status is accelerating (ASND=1) or constant speed driving (CNST=1) and driving speed is same or
+    faster than judgmental speed".
+
+    judgmental: see `judgmental_speed`, in the unit of SV and V. Returns whether 26h was given; early in the
+    acceleration it is not: ask again.
+    """
+    if not driver.word(1) & (ASND | CNST) or driver.speed() < judgmental:
+        return False
+    driver.command(DECELERATING_STOP)
+    return True
+
+
+def limit_interrupt(driver: Driver) -> bool:
+    """Case 2, (1): the interrupt routine for C-END, which WR1 D13 enables. The numbers are those of the notice.
+
+    Returns whether it had to give 27h. It ends what a limit did; after 26h it does nothing.
+    """
+    if not driver.word(3) & C_END:  # 1: another factor
+        return False
+    status = driver.word(1)
+    if status & DSND:  # 2: from area b to c
+        return False
+    if not driver.driving():  # 3: it has ended as it should
+        return False
+    if not status & STOPPED_BY_LIMIT:  # 4
+        return False
+    if status & PHASES:  # 5
+        return False
+    driver.command(SUDDEN_STOP)  # 6
+    return True
+
+
+def limit_poll(driver: Driver) -> bool:
+    """Case 2, (2): "always read out status of progress directional hardware limit (RR1/D12, D13) with timer interruption. If limit
+    signal becomes active, read out bit status of ASND (D2), CNST (D3) and DSND (D4) in RR1 resister and execute sudden stop
+    command (27h) one time only if all those 3 bits are 0."
+
+    Returns whether it had to.
+    """
+    return _end_runaway(driver, STOPPED_BY_LIMIT)
+
+
+def start_within_limits(driver: Driver, pulses: int, low: int, high: int) -> bool:
+    """Case 3: "If target position is over value of software limit, don't drive to avoid the trouble."
+
+    low, high: CM and CP, the software limits, pulses. Starts the drive and returns True, or returns False.
+    """
+    if not low <= driver.position() + pulses <= high:
+        return False
+    driver.start(pulses)
+    return True
+
+
+def stop_signal_poll(driver: Driver) -> bool:
+    """Case 4: as case 2, (2), with STOP0 to STOP2 (RR1 D8 to D10). Returns whether it had to give 27h."""
+    return _end_runaway(driver, STOPPED_BY_STOP)
+
+
+def _end_runaway(driver: Driver, causes: int) -> bool:
+    status = driver.word(1)
+    if not status & causes or status & PHASES or not driver.driving():
+        return False
+    driver.command(SUDDEN_STOP)
+    return True

@@ -1,0 +1,122 @@
+"""The automatic home search of an MCX514 (command 5Ah) with the switches of a stage: STOP1 is ORG, the limits are EL, STOP2 is EZ.
+
+    reports = home_search(stage.axes["x"], stage.axes["y"], stage.axes["z"])
+    print(reports["x"])
+
+    step 1   at the drive speed to ORG, where it brakes and comes to rest beyond the edge
+    step 2   back out of ORG at HV, then at HV towards it again: it stops at the edge
+    step 3   `index`: on at HV to the index pulse
+    step 4   `offset`: so many pulses away at the drive speed; at the end the position counters are 0
+
+The chip does this alone, an axis that stands on ORG or on an end limit included; the host looks at its state (RR3, HSST).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from stage.chips.nova.registers.words514 import HOME_STATES
+from stage.errors import ArgumentError, RunTimeout
+from stage.firmware.axis import Axis
+from stage.firmware.nova.port import MAP, POLL, Port, mask, same_chip, stop
+
+HSST = MAP.field("RR3-0", "HSST")
+TIMERS = (1e-3, 2e-3, 10e-3, 20e-3, 0.1, 0.2, 0.5, 1.0)  # s, HTM
+
+
+@dataclass(frozen=True)
+class HomeReport:
+    """What became of an axis' home search.
+
+    Attributes:
+        states: (seconds since the start, HSST) whenever it was seen to change; HOME_STATES says what each is.
+        seconds: from the command to the end. errors: names of the bits of RR2 that are set.
+        position: where the carriage is, m; None without one. unit: "m", or "rad" on a hinge.
+    """
+
+    axis: str
+    states: tuple[tuple[float, int], ...]
+    seconds: float
+    errors: tuple[str, ...]
+    position: float | None = field(default=None)
+    unit: str = "m"
+
+    @property
+    def ok(self) -> bool:
+        """Home was found."""
+        return not self.errors
+
+    def __str__(self) -> str:
+        what = "found" if self.ok else f"NOT found ({', '.join(self.errors)})"
+        where = "" if self.position is None else f", at {self.position * 1e3:.4f} m{self.unit}"
+        lines = [f"{self.axis}: home {what} in {self.seconds:.3f} s{where}"]
+        return "\n".join([*lines, *(f"  {t:8.3f} s  {HOME_STATES[state]}" for t, state in self.states)])
+
+
+def home_search(
+    *axes: Axis,
+    direction: int = -1,
+    speed: int = 8_000,
+    home_speed: int = 400,
+    initial_speed: int = 400,
+    acceleration: int = 80_000,
+    index: bool = False,
+    offset: int = 0,
+    timer: float = 0.1,
+    timeout: float = 60.0,
+) -> dict[str, HomeReport]:
+    """Search home on axes of one MCX514, all at once.
+
+    Args:
+        direction: where ORG lies, -1 or 1.
+        speed, home_speed, initial_speed: pps, of steps 1 and 4 (DV), of steps 2 and 3 (HV), at the start of all (SV).
+        acceleration: pps/s.
+        index: end at an index pulse after ORG.
+        offset: pulses to go from there in the end, signed.
+        timer: s of rest between steps, one of TIMERS: a motor rings when a switch stops it.
+        timeout: s for all of it.
+    Returns a report for each axis by name. Raises ArgumentError; RunTimeout when the time is over, and stops the axes.
+    """
+    ports = same_chip(axes)
+    if direction not in (-1, 1):
+        raise ArgumentError(f"direction={direction!r}: -1 or 1, where ORG lies.")
+    if timer not in TIMERS:
+        raise ArgumentError(f"timer={timer!r}: one of {', '.join(f'{t:g}' for t in TIMERS)} s.")
+    steps = ["S1EN", "S2EN"] + ["S3EN"] * index + ["S4EN"] * bool(offset)
+    ways = [f"S{k}DR" for k in (1, 2, 3)] if direction < 0 else []
+    words = {
+        "SV": initial_speed, "DV": speed, "HV": home_speed, "AC": acceleration, "TP": offset,
+        "H1M": mask("H1M", *steps, *ways) | 1 << MAP.bit("H1M", "S1G"),
+        "H2M": mask("H2M", "LCLR", "RCLR", "HTME") | TIMERS.index(timer) << MAP.bit("H2M", "HTM"),
+    }  # fmt: skip
+    for port in ports:
+        port.load(**words)
+        port.mode(WR2=mask("WR2", "HLM-E", "SP1-L", "SP2-L"), WR3=0)
+        port.command("R2CLR")
+    begin = ports[0].axis.time
+    together = sum(port.bit for port in ports)
+    ports[0].chip.write(0, together << 8 | MAP.command("HMSRC").code)
+    seen = _watch(ports, begin, timeout)
+    return {
+        port.axis.name: HomeReport(
+            port.axis.name, states, states[-1][0], port.errors(), port.axis.position, getattr(port.axis, "unit", "m")
+        )
+        for port, states in zip(ports, seen, strict=True)
+    }
+
+
+def _watch(ports: list[Port], begin: float, timeout: float) -> list[tuple[tuple[float, int], ...]]:
+    """Look at HSST until it is 0 on all axes; what was seen."""
+    seen: list[list[tuple[float, int]]] = [[] for _ in ports]
+    while not all(states and states[-1][1] == 0 for states in seen):
+        for port, states in zip(ports, seen, strict=True):
+            state = HSST.of(port.word(3))
+            if not states or states[-1][1] != state:
+                states.append((port.axis.time - begin, state))
+        if ports[0].axis.time - begin > timeout:
+            stop(ports)
+            raise RunTimeout(
+                f"axes {', '.join(p.axis.name for p in ports)} still searched home after {timeout} s; they are stopped."
+            )
+        ports[0].axis.wait(POLL)
+    return [tuple(states) for states in seen]

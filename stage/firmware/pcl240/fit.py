@@ -1,0 +1,317 @@
+"""Registers with which one axis follows another along a line. Compiled; `plan` is the face of it.
+
+Between two speed steps a chip's pulses are a straight line in time, so its count is known in closed form, as a fraction N(t).
+Against a leader that makes d pulses, a follower that makes rho d (rho <= 1) errs by
+
+    E(t) = N(t + lead) - rho N_leader(t)        in the follower's pulses; lead: how much earlier it was started
+
+Counts are whole: n = floor(N), so n - rho n_leader lies between E - 1 and E + rho. A follower for which E stays within
+0 to 1 - rho strays no further than a perfect one does, whose first pulse is a whole pulse late; and by as much as E is
+above 0 before that pulse, it strays less. `accelerations` and `decelerations` look for it over every multiplier R7.
+
+An axis' registers are a row: R0 to R7, and on a chip with S-curves R14 and R15 after them. R6 in it is always the pulses left
+when the ramp-down begins; with the automatic ramp-down point the chip gets the offset that comes to the same (`offset`).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stage.chips.pcl240 import core
+from stage.chips.pcl240.state import R14, R15
+from stage.firmware.pcl240.closed_form import (
+    NEVER,
+    bend,
+    count,
+    course,
+    curved,
+    curved_phase,
+    first_pulse,
+    linear_phase,
+    ramp_ticks,
+    stretch,
+)
+from stage.native import array_of, exported, hot, record
+
+KEPT = 24  # accelerations that are tried with every deceleration
+BEST = 4  # followers returned
+RAMP_POINTS = 8
+MORE = 3  # points: ends of the follower's ramps
+SPREAD_WEIGHT = 0.02  # prefers a flat E among equals
+DRIFT_WEIGHT = 0.1  # and an exact ratio, by the pulses that it would drift
+TAIL_WEIGHT = 3.0  # pulses at FL after the ramp-down, of which a follower with another FL makes another number
+RATIO_WEIGHT = 1.0  # a ratio error of 1 % has to buy a hundredth of a pulse
+
+
+ROW = array_of("i8")
+POINTS = RAMP_POINTS + 1 + MORE
+WORK = record(
+    [
+        ("leader", "i8", (4,)),
+        ("own", "i8", (4,)),
+        ("row", "i8", (10,)),
+        ("up", "f8", (2, POINTS)),
+        ("down", "f8", (2, POINTS)),
+    ]
+)
+"""Room to work in: courses of the leader and of the follower that is tried, its row, and the leader's ramps, see `_due`."""
+
+
+@hot
+def _widen(due, r, own, hz, lead, end, lo, hi):
+    """Widen lo..hi by E at the times of `due` up to `end`. Until the follower's first pulse only its running ahead counts."""
+    bent, m = curved(r), 8192.0 * r[7]
+    for k in range(due.shape[1]):
+        if due[0, k] <= end:
+            t = max((due[0, k] + lead) * hz, 0.0)
+            n = (curved_phase(r, own, t) if bent else linear_phase(r, own, t)) / m
+            e = n - due[1, k]
+            if n >= 1.0:
+                lo = min(lo, e)
+            hi = max(hi, e)
+    return lo, hi
+
+
+@hot
+def _score(lo, hi, rho, penalty):
+    return max(1.0 - lo, hi + rho) + SPREAD_WEIGHT * abs(hi - lo) + penalty
+
+
+@hot
+def _copy(source, target):
+    for k in range(len(target)):
+        target[k] = source[k]
+
+
+@hot
+def _keep(scores, kept, score, r):
+    """Insert `r` into `kept`, best first, if it is good enough."""
+    k = len(scores) - 1
+    if score >= scores[k]:
+        return
+    while k > 0 and scores[k - 1] > score:
+        scores[k] = scores[k - 1]
+        _copy(kept[k - 1], kept[k])
+        k -= 1
+    scores[k] = score
+    _copy(r, kept[k])
+
+
+@hot
+def _due(leader, c, hz_leader, rho, begin, ticks, out):
+    """Fill `out` (POINTS columns) with a ramp of the leader in parts: times in s (row 0), and what the follower shall have made by
+    then (row 1); MORE times have room after them."""
+    length = ticks / hz_leader
+    for k in range(RAMP_POINTS + 1):
+        _demand(leader, c, hz_leader, rho, begin + length * k / RAMP_POINTS, out, k)
+
+
+@hot
+def _demand(leader, c, hz_leader, rho, t, out, k):
+    out[0, k] = t
+    out[1, k] = rho * count(leader, c, t * hz_leader)
+
+
+@hot
+def _due_up(leader, c, hz_leader, rho, out):
+    _due(leader, c, hz_leader, rho, 0.0, ramp_ticks(leader, leader[4]), out)
+
+
+@hot
+def _due_down(leader, c, hz_leader, rho, out):
+    _due(leader, c, hz_leader, rho, c[0] / hz_leader, ramp_ticks(leader, leader[5]), out)
+
+
+@hot
+def _rise(leader, c, hz_leader, due, r, own, hz, lead, rho):
+    """lo and hi of E from the start to the leader's ramp-down. due: of the ramp-up."""
+    own[0] = NEVER  # its own ramp-down is not chosen yet
+    end = min(c[0], c[3]) / hz_leader
+    k = RAMP_POINTS + 1
+    for t in (first_pulse(r, own) / hz - lead + 1e-12, ramp_ticks(r, r[4]) / hz - lead, end):
+        _demand(leader, c, hz_leader, rho, t if 0 <= t <= end else 0.0, due, k)
+        k += 1
+    return _widen(due, r, own, hz, lead, np.inf, 1.0, 0.0)
+
+
+@hot
+def _fall(leader, c, hz_leader, due, r, own, hz, lead, rho, lo, hi):
+    """As _rise, from the leader's ramp-down, or its own, to the first last pulse. due: of the ramp-down."""
+    course(r, own)
+    end = min(c[3] / hz_leader, own[3] / hz - lead)
+    k = RAMP_POINTS + 1
+    for t in (own[0] / hz - lead, own[0] / hz - lead + ramp_ticks(r, r[5]) / hz, end):
+        _demand(leader, c, hz_leader, rho, min(t, end), due, k)
+        k += 1
+    return _widen(due, r, own, hz, lead, end, lo, hi)
+
+
+@exported(None, ROW, "i8", "i8", "i8", "f8", "f8", "i8", array_of("f8"), array_of("i8", 2), WORK)
+def accelerations(leader, hz_leader, d, hz, lead, share, most, scores, kept, work):
+    """Choose R1, R2, R4 and R7 of a follower of `d` pulses: for each multiplier the nearest FH, R4 by the slope, and R1 by
+    the pulses lost in the ramp. Fills `kept` (rows), best first, and `scores`. leader: its row. share: of the steps in each
+    end of an S-curve, see `bend`. most: the largest R4."""
+    c, own, r, up = work.leader, work.own, work.row[: kept.shape[1]], work.up
+    course(leader, c)
+    rho = d / leader[0]
+    step0 = hz_leader / (8192.0 * leader[7])
+    fh, gain = rho * leader[2] * step0, leader[2] - leader[1]
+    slope = rho * step0 * hz_leader / leader[4]
+    rise = ramp_ticks(leader, leader[4]) / hz_leader
+    lag = rho * gain * (gain + 1) * leader[4] * stretch(leader) / (16384.0 * leader[7])
+    fall_lag = lag * leader[5] / leader[4]
+    end = min(c[0], c[3]) / hz_leader
+    middle = 0.5 * (rise + end)
+    r[:] = 0
+    r[0] = d
+    _due_up(leader, c, hz_leader, rho, up)
+    scores[:] = 1e18
+    kept[:] = 0
+    for r7 in range(1023, 1, -1):
+        step = hz / (8192.0 * r7)
+        high = max(1, int(np.rint(fh / step)))
+        drift = (high * step - fh) * (end - rise)
+        penalty = RATIO_WEIGHT * abs(high * step / fh - 1.0) + DRIFT_WEIGHT * abs(drift)
+        floor = 0.5 * (1.0 + rho + abs(drift)) + penalty  # no score is below
+        if high > 8191 or floor > scores[-1]:
+            continue
+        r[2] = r[3] = high
+        r[7] = r7
+        if gain == 0 or high == 1:
+            r[1], r[4], r[5] = high, 2, 2
+            bend(r, share)
+            lo, hi = _rise(leader, c, hz_leader, up, r, own, hz, lead, rho)
+            _keep(scores, kept, _score(lo, hi, rho, penalty), r)
+            continue
+        r[1] = max(high - max(int(np.rint(high * gain / leader[2])), 1), 1)
+        bend(r, share)
+        stretched = stretch(r)
+        nominal = int(np.rint(hz * step / slope * (stretch(leader) / stretched)))
+        needed = nominal * leader[5] / leader[4]  # R5
+        if needed > most:  # its ramp-down would be too short
+            penalty += fall_lag * (1.0 - most / needed)
+        # FH (t + lead) - lost = rho N_leader(t) + ahead
+        lost = high * step * (middle + lead) - fh * middle + lag
+        last = 0
+        for shift in range(-3, 4):
+            r4 = min(max(nominal + shift, 2), most)
+            if r4 == last:
+                continue
+            last = r[4] = r[5] = r4
+            tried = -1
+            for ahead in (min(0.5 * (1.0 - rho), 0.25 * lag), 0.0):
+                area = max(lost - ahead, 0.0) * 16384.0 * r7 / r4 / stretched
+                gained = int(0.5 * (np.sqrt(1.0 + 4.0 * area) - 1.0))
+                for k in (gained, gained + 1):
+                    if k <= tried:
+                        continue
+                    tried = k
+                    r[1] = max(high - k, 1)
+                    tail = TAIL_WEIGHT * abs(r[1] * step / (leader[1] * step0) - rho)
+                    if floor + tail < scores[-1]:
+                        bend(r, share)
+                        lo, hi = _rise(leader, c, hz_leader, up, r, own, hz, lead, rho)
+                        _keep(scores, kept, _score(lo, hi, rho, penalty) + tail, r)
+
+
+@exported(None, ROW, "i8", "i8", "f8", "i8", "i8", "i8", array_of("i8", 2), array_of("f8"), array_of("i8", 2), WORK)
+def decelerations(leader, hz_leader, hz, lead, automatic, most, point_most, kept, scores, best, work):
+    """Choose R5 and R6 for each of the `kept`. Fills `best`, best first, and `scores`: about the largest distance from the
+    line, in the follower's pulses. automatic: R5 is R4. most, point_most: the largest R5 and R6."""
+    c, own, r, up, down = work.leader, work.own, work.row[: kept.shape[1]], work.up, work.down
+    course(leader, c)
+    scores[:] = 1e18
+    best[:] = 0
+    begin = c[0] / hz_leader
+    rho = kept[0, 0] / leader[0]
+    _due_up(leader, c, hz_leader, rho, up)
+    _due_down(leader, c, hz_leader, rho, down)
+    for row in range(len(kept)):
+        _copy(kept[row], r)
+        d = r[0]
+        if d == 0:
+            continue
+        error = abs(r[2] * hz * leader[7] / (rho * leader[2] * hz_leader * r[7]) - 1.0)
+        penalty = RATIO_WEIGHT * error + DRIFT_WEIGHT * error * d
+        rise_lo, rise_hi = _rise(leader, c, hz_leader, up, r, own, hz, lead, rho)
+        if r[2] == r[1]:
+            lo, hi = _fall(leader, c, hz_leader, down, r, own, hz, lead, rho, rise_lo, rise_hi)
+            _keep(scores, best, _score(lo, hi, rho, penalty), r)
+            continue
+        slope = hz / (8192.0 * r[7]) * leader[5] * hz * 8192 * leader[7] / (rho * hz_leader * hz_leader)
+        nominal = int(np.rint(slope * (stretch(leader) / stretch(r))))
+        made = int(count(r, own, (begin + lead) * hz))
+        last = 0
+        for shift in range(-3, 4):
+            r5 = r[4] if automatic else min(max(nominal + shift, 2), most)
+            if r5 == last:
+                continue
+            last = r[5] = r5
+            for k in range(-1, 3):
+                r[6] = min(max(d - made - k + 1, 1), d, point_most)
+                lo, hi = _fall(leader, c, hz_leader, down, r, own, hz, lead, rho, rise_lo, rise_hi)
+                _keep(scores, best, _score(lo, hi, rho, penalty), r)
+
+
+@exported("f8", ROW, "i8", ROW, "i8", "f8", WORK)
+def estimate(leader, hz_leader, r, hz, lead, work):
+    """About the largest distance of a follower with row `r` from the line, in its pulses."""
+    c, own, up, down = work.leader, work.own, work.up, work.down
+    course(leader, c)
+    rho = r[0] / leader[0]
+    _due_up(leader, c, hz_leader, rho, up)
+    _due_down(leader, c, hz_leader, rho, down)
+    lo, hi = _rise(leader, c, hz_leader, up, r, own, hz, lead, rho)
+    lo, hi = _fall(leader, c, hz_leader, down, r, own, hz, lead, rho, lo, hi)
+    return max(1.0 - lo, hi + rho)
+
+
+@hot
+def misfit(high, r7, hz_leader, rho, hz, least, enough):
+    """The smallest relative error, or one below `enough`, with which registers of at least `least` make rho times the rate
+    of `high` at `r7`."""
+    ratio = rho * high * hz_leader / (r7 * hz)
+    best = 1.0
+    for own in range(2, 1024):
+        exact = ratio * own
+        if exact > 8191.5:
+            break
+        if exact >= least:
+            best = min(best, abs(np.rint(exact) / exact - 1.0))
+            if best < enough:
+                break
+    return best
+
+
+@exported(None, array_of("f8"), ROW, "i8", "f8", "i8", "f8", "f8", array_of("f8"))
+def misfits(highs, r7s, hz_leader, rho, hz, least, enough, out):
+    """`misfit` for many leaders; raises `out` to it."""
+    for k in range(len(out)):
+        out[k] = max(out[k], misfit(highs[k], r7s[k], hz_leader, rho, hz, least, enough))
+
+
+@hot
+def start(chip, r, automatic, r6):
+    """Start the chip on a preset move with row `r` but R6 = `r6`. automatic: by the automatic ramp-down point."""
+    for k in range(8):
+        chip.reg[k] = r[k]
+    if len(r) > 8:
+        chip.reg[R14], chip.reg[R15] = r[8], r[9]
+    chip.reg[6] = r6 & chip.mask[6] if automatic else r6
+    core.write(chip, 0, 0x54 if automatic else 0x44)
+    core.write(chip, 0, 0x15 if r[2] > r[1] else 0x11)
+
+
+@exported("i8", core.STATE, ROW, "i8", "i8", array_of(core.PULSE))
+def play(chip, r, automatic, r6, out):
+    """Fill `out` with the pulses of such a move."""
+    start(chip, r, automatic, r6)
+    return core.trace(chip, NEVER >> 16, out)
+
+
+@exported("i8", core.STATE, ROW)
+def risen(chip, r):
+    """Pulses that the chip counts in the ramp-up of row `r`."""
+    start(chip, r, False, r[6])
+    core.advance(chip, NEVER >> 16)
+    return chip.risen

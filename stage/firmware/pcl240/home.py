@@ -1,0 +1,124 @@
+"""Origin return: find ORG, from wherever the axis is (data sheet section 5 f, g).
+
+    fast:  SD enabled, ORG enabled, high speed. The SD switch lies before ORG and slows the axis to FL; ORG stops it.
+    slow:  leave ORG, a little more, and approach it again at a crawl.
+    ez:    with an MK or MS the last approach goes on, past ORG, to an index pulse of the motor's encoder (EC-Z counting).
+
+ORG is asserted at the origin and on from it to the end of travel, so that firmware can tell on which side it is.
+"""
+
+from __future__ import annotations
+
+from stage.errors import ArgumentError
+from stage.firmware.axis import Axis
+from stage.firmware.pcl240 import bus
+from stage.firmware.pcl240.bus import Port, Status, stop_reason
+from stage.firmware.pcl240.moves import SETTLE, _count, _direction, _minus, _prepare, _profile
+from stage.firmware.pcl240.profile import Profile
+from stage.firmware.report import Procedure, Report
+
+BACK_OFF = 200  # pulses beyond the release of ORG
+APPROACH = 400.0  # pps; slow, so that the motor does not ring when the switch trips
+
+
+def origin_return(
+    axis: Axis,
+    direction: int = -1,
+    profile: Profile | None = None,
+    *,
+    high_speed: bool = True,
+    slow_approach: bool = True,
+    back_off: int = BACK_OFF,
+    approach: float = APPROACH,
+    ez: int | None = None,
+    timeout: float = 60.0,
+) -> Report:
+    """Return to the mechanical origin, from any place: before ORG, on it, beyond it, on an end limit.
+
+    Args:
+        direction: where ORG lies.
+        high_speed: to FH1, slowed by SD; otherwise constant FL.
+        slow_approach: back off by `back_off` pulses and come again at `approach` pps, which makes the position repeatable
+            within a pulse.
+        ez: 1 to 16: end at the ez-th index pulse after ORG, at FL or slower, where a switch that has drifted does no harm
+            (R13; data sheet MS, 2-4). Needs a PCL240MK or PCL240MS.
+        timeout: s that each of its runs may take.
+    On MK and MS the position counter R10 is 0 at the origin. Returns a report: `stopped_by` is "ORG", or "EZ", or what was
+    met in its place: the end limit ahead (no ORG), the one behind (ORG never let go). Raises ArgumentError, RunTimeout.
+    """
+    profile = _profile(axis, profile)
+    if ez is not None:
+        _check_ez(axis, ez)
+    direction, back_off = _direction(direction), _count(back_off)
+    if not 0 < approach <= profile.step * 8191:
+        raise ArgumentError(
+            f"approach={approach!r} pps: more than 0, up to {profile.step * 8191:.0f} with R7 = {profile.R7}."
+        )
+    with Procedure(axis, "origin return" if high_speed else "constant-speed origin return") as p:
+        port = p.port
+        _prepare(port, profile, _minus(-direction))
+        status = port.status()
+        if status.org:
+            status = _leave(port, -direction, back_off, high_speed, timeout)
+        stopped_by = _behind(status, direction)
+        if not stopped_by:
+            stopped_by = _approach(port, direction, high_speed, timeout, None if slow_approach else ez)
+        if stopped_by == "ORG" and slow_approach:
+            port.command(bus.RESET)
+            port.write_register("R1", max(1, min(round(approach / profile.step), profile.R1)))
+            status = _leave(port, -direction, back_off, False, timeout)
+            stopped_by = _behind(status, direction)
+            if not stopped_by:
+                stopped_by = _approach(port, direction, False, timeout, ez)
+        port.command(bus.RESET)
+        if port.extended and stopped_by in ("ORG", "EZ"):
+            port.write_register("R10", 0)
+        return p.report(stopped_by)
+
+
+def _check_ez(axis: Axis, ez: int) -> None:
+    if not getattr(axis.chip, "EXTENDED", False):
+        raise ArgumentError(f"axis {axis.name}: a {axis.chip.MAP.chip} does not count EZ: a PCL240MK or PCL240MS does.")
+    if ez not in range(1, 17):
+        raise ArgumentError(f"ez={ez!r}: the origin return ends at the 1st to 16th index pulse after ORG.")
+
+
+def _approach(port: Port, direction: int, high_speed: bool, timeout: float, ez: int | None) -> str:
+    """Run until ORG, an index pulse after it (`ez`), or the end limit stops the axis. Returns which.
+
+    A carriage that rings can let go of ORG for a moment: look twice.
+    """
+    if port.extended:
+        port.write_register("R13", bus.EZ_RETURN | bus.EZ_FROM_FL | (ez - 1) << 16 if ez else 0)
+    port.control(bus.ORIGIN | (bus.SD if high_speed else 0) | _minus(direction))
+    port.command(bus.RAMP["FH1"] if high_speed else bus.START["FL"])
+    status = port.wait_until_stopped(timeout)
+    at_index = bool(ez) and bool(port.read_register("R17") & bus.EZ_SIGNAL)
+    port.axis.wait(SETTLE)
+    if ez:
+        return "EZ" if at_index else stop_reason(status, direction, preset=False)
+    org = status.org or port.status().org
+    return stop_reason(status._replace(org=org), direction, preset=False, origin=True)
+
+
+def _leave(port: Port, direction: int, back_off: int, high_speed: bool, timeout: float) -> Status:
+    """Run in `direction` until ORG lets go, stop, and go `back_off` pulses further, at FL."""
+    port.control(_minus(direction))
+    port.command(bus.RAMP["FH1"] if high_speed else bus.START["FL"])
+    port.wait_until(lambda s: not s.org or not s.operating, timeout, what="ORG to let go")
+    port.command(bus.SLOW_DOWN_FH1 if high_speed else bus.RESET)
+    port.wait_until_stopped(timeout)
+    port.axis.wait(SETTLE)
+    port.command(bus.RESET)
+    port.write_register("R0", back_off)
+    port.control(bus.PRESET | _minus(direction))
+    port.command(bus.START["FL"])
+    status = port.wait_until_stopped(timeout)
+    port.axis.wait(SETTLE)
+    port.command(bus.RESET)
+    return status
+
+
+def _behind(status: Status, direction: int) -> str:
+    """The end limit that the axis has run onto while it left an ORG that did not let go; else nothing."""
+    return ("EL+" if direction < 0 else "EL-") if status.org else ""

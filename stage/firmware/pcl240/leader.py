@@ -1,0 +1,199 @@
+"""The longest axis of an a:b move, which the others follow: its registers, and the search for a good set of all.
+
+Any R7 and FH that make the rate asked for will do, so those are tried first whose share the followers' registers make best.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from stage.chips import PCL240K
+from stage.chips.pcl240 import PCL240
+from stage.errors import ArgumentError
+from stage.firmware.pcl240 import fit
+from stage.firmware.pcl240.closed_form import bend, stretch
+
+LONG = 500_000  # pulses
+LEADERS, LEADERS_LONG = 6, 60  # tried; more for a long move, in which small errors of the ratio add up
+SHIFTS, SHIFTS_LONG = 4, 12  # speed steps around the rate asked for
+RATE_ERROR = 2e-3
+MATCH = 1e-6  # pulses of drift over the move: an exact ratio
+DRIFT = 0.05  # pulses that the ratio may cost a follower before another leader is preferred
+GOOD = 1.03  # a follower's score, about its largest distance in its pulses: search no further
+HOPELESS = 1.5  # not a matter of the tail
+TAILS = (5, 8, 11, 14, 4, 6, 9)  # pulses at FL after the ramp-down; first the data sheet's R6 = Psd + 5
+TAIL_SECONDS, TAIL_SHARE = 0.02, 0.05  # what a longer one may cost: seconds, or a share of the move
+
+_LEGAL = {r.name: r.legal or (0, r.mask) for r in PCL240K.MAP.registers}
+R7_LEAST, R7_MOST = _LEGAL["R7"]  # of the whole family
+SPEED_MOST = _LEGAL["R2"][1]
+
+
+class Widths(NamedTuple):
+    """What a chip's registers hold: the largest R4 and R5, the largest ramp-down point, and how many are in a row."""
+
+    rate: int
+    point: int
+    row: int
+
+    @classmethod
+    def of(cls, chip: type[PCL240], automatic: bool) -> Widths:
+        """Automatic: R6 holds an offset, and the point may be as far away as R0 counts."""
+        legal = {r.name: r.legal or (0, r.mask) for r in chip.MAP.registers}
+        return cls(legal["R4"][1], legal["R0" if automatic else "R6"][1], 10 if chip.S_CURVES else 8)
+
+
+class Ask(NamedTuple):
+    """What the longest axis shall do: pulses, rates in pps, ramp times in s; and all axes' ramps: `share` of the speed steps
+    in each curved end (0 linear, 0.5 curved throughout), and whether the chips find the ramp-down point."""
+
+    length: int
+    fh: float
+    fl: float
+    up: float
+    down: float
+    share: float = 0.0
+    automatic: bool = False
+
+
+class Follower(NamedTuple):
+    """Pulses (unsigned), reference clock, what its registers hold, and seconds that it is started before the leader."""
+
+    pulses: int
+    clock_hz: int
+    widths: Widths
+    lead: float
+
+
+class Kept(NamedTuple):
+    """The best registers found for a follower, and about how far they are from the line, in its pulses."""
+
+    registers: np.ndarray
+    scores: np.ndarray
+
+
+def search(ask: Ask, hz: int, widths: Widths, followers: Mapping[str, Follower]) -> tuple[np.ndarray, dict[str, Kept]]:
+    """Rows (see fit.py) of the leader and of its followers: the first that are as close to the line as can be, or the best
+    of all. hz, widths: of the leader's chip. Raises ArgumentError when no registers make the ramps."""
+    best: tuple[np.ndarray, dict[str, Kept]] | None = None
+    least, work = np.inf, np.zeros(1, fit.WORK)
+    for bare in _leaders(ask, hz, widths, followers):
+        rises: dict[str, np.ndarray] = {}
+        for leader in _with_tails(bare, hz, widths.point):
+            found = {}
+            for name, (d, own_hz, (rate, point, size), lead) in followers.items():
+                if name not in rises:
+                    rises[name] = np.zeros((fit.KEPT, size), np.int64)
+                    scores = np.empty(fit.KEPT)
+                    fit.accelerations(leader, hz, d, own_hz, lead, ask.share, rate, scores, rises[name], work)
+                found[name] = Kept(np.zeros((fit.BEST, size), np.int64), np.empty(fit.BEST))
+                fit.decelerations(
+                    leader, hz, own_hz, lead, ask.automatic, rate, point, rises[name],
+                    found[name].scores, found[name].registers, work,
+                )  # fmt: skip
+            worst = max((k.scores[0] for k in found.values()), default=0.0)
+            if worst < least:
+                least, best = worst, (leader, found)
+            if worst <= GOOD:
+                return leader, found
+            if worst > HOPELESS:
+                break
+    if best is None:
+        raise ArgumentError(f"{ask.length} pulses leave no room for ramps of {ask.up:.3g} and {ask.down:.3g} s.")
+    return best
+
+
+def _leaders(ask: Ask, hz: int, widths: Widths, followers: Mapping[str, Follower]) -> list[np.ndarray]:
+    """Rows (R6 still 0) for the longest axis, most promising first.
+
+    R7 and FH may be any that make the rate to 0.2 %: what counts is how well the followers' registers make their share of it.
+    """
+    finest = min(R7_MOST, int(hz * SPEED_MOST / (8192 * ask.fh) + 1e-9))
+    tried, around = (LEADERS_LONG, SHIFTS_LONG) if ask.length > LONG else (LEADERS, SHIFTS)
+    grids, shifts = np.arange(max(R7_LEAST, finest // 16), finest + 1), np.arange(-around, around + 1)
+    r7, shift = np.tile(grids, len(shifts)), np.repeat(shifts, len(grids))
+    step = hz / (8192.0 * r7)
+    high = np.rint(ask.fh / step) + shift
+    low = np.clip(np.rint(ask.fl / step), 1, SPEED_MOST)
+    error = np.abs(high * step / ask.fh - 1)
+    fits = (high >= 1) & (high <= SPEED_MOST)
+    if ask.up == 0.0:
+        low, up, down = high, np.full(len(r7), 2.0), np.full(len(r7), 2.0)
+    else:
+        gain = effective_steps(np.maximum(high - low, 1), ask.share)
+        up, down = np.rint(ask.up * hz / gain), np.rint(ask.down * hz / gain)
+        fits &= (high > low) & (np.minimum(up, down) >= 2) & (np.maximum(up, down) <= widths.rate)
+        error += np.abs(up * gain / hz / ask.up - 1) / 8 + np.abs(down * gain / hz / ask.down - 1) / 8
+        if not fits.any():
+            _refuse_ramp(ask, hz, widths.rate, step, high, low)
+    pick = np.flatnonzero(fits & (error <= max(RATE_ERROR, 1.01 * float(error[fits].min()))))
+    pick = pick[np.argsort(np.abs(shift[pick]), kind="stable")]
+    off = np.zeros(len(pick))
+    for d, own_hz, _, _ in followers.values():
+        misfit = np.zeros(len(pick))
+        least = min(100.0, d / ask.length * ask.fh * 8192 * R7_MOST / own_hz / 2)
+        fit.misfits(high[pick], r7[pick], hz, d / ask.length, own_hz, least, MATCH / d, misfit)
+        off = np.maximum(off, misfit * d)
+    best = pick[np.argsort(np.maximum(off, DRIFT) + error[pick], kind="stable")]
+    plain = pick[shift[pick] == 0]
+    spread = plain[np.linspace(len(plain) - 1, 0, tried // 2).astype(int)] if len(plain) else plain
+    zero = np.zeros(len(r7))
+    rest = [zero] * (widths.row - 8)
+    table = np.stack([zero + ask.length, low, high, high, up, down, zero, r7, *rest], axis=1).astype(np.int64)
+    chosen = [table[k] for k in dict.fromkeys([*best[: tried // 2], *spread])]
+    for row in chosen:
+        bend(row, ask.share)
+    return chosen
+
+
+def effective_steps(gain: Any, share: float) -> Any:
+    """Speed steps of a linear ramp that takes as long as one of `gain` steps with curved ends; see closed_form.bend."""
+    if not 0 < share < 0.5:
+        return gain
+    span = np.maximum(np.rint(share * gain), 1)
+    return np.minimum(gain / 2 + span, gain)
+
+
+def _refuse_ramp(ask: Ask, hz: int, most: int, step: np.ndarray, high: np.ndarray, low: np.ndarray) -> None:
+    gain = effective_steps((high - low)[high > low], ask.share)
+    if not len(gain):
+        raise ArgumentError(
+            f"fl={ask.fl:g} and rate={ask.fh:g} pps are within one speed step ({step.min():.3g} pps): make them "
+            f"equal for constant speed, or move them apart."
+        )
+    shortest, longest = 2 * gain.min() / hz, most * gain.max() / hz
+    for name, register, value in (("accel", "R4", ask.up), ("decel", "R5", ask.down)):
+        if not shortest <= value <= longest:
+            raise ArgumentError(
+                f"{name}={value:.4g} s from {ask.fl:g} to {ask.fh:g} pps would need {register} outside 2 to {most}. "
+                f"In reach are {shortest:.3g} to {longest:.4g} s."
+            )
+    raise ArgumentError(
+        f"accel={ask.up:.4g} s and decel={ask.down:.4g} s differ too much: no R7 keeps both R4 and R5 within 2 to {most}."
+    )
+
+
+def _with_tails(leader: np.ndarray, hz: int, most: int) -> Iterator[np.ndarray]:
+    """The leader with R6 for a few lengths of its last part at FL: for some the followers' whole pulses fit better."""
+    if leader[2] == leader[1]:
+        yield leader
+        return
+    gain = int(leader[2] - leader[1])
+    fall = leader[5] * (leader[1] * gain + gain * (gain - 1) / 2) / (8192 * leader[7]) * stretch(leader)
+    fl, fh = (leader[k] * hz / (8192 * leader[7]) for k in (1, 2))
+    patience = max(TAIL_SECONDS, TAIL_SHARE * leader[0] / fh)
+    for tail in TAILS:
+        r6 = int(np.ceil(fall)) + tail
+        if (tail - TAILS[0]) / fl > patience:
+            continue
+        if r6 > most:
+            raise ArgumentError(
+                f"the ramp-down takes {fall:.0f} pulses, and R6 counts to {most}: shorten decel or lower the rate."
+            )
+        if r6 <= leader[0]:
+            with_point = leader.copy()
+            with_point[6] = r6
+            yield with_point

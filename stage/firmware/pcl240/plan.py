@@ -1,0 +1,412 @@
+"""Registers for an a:b move: every axis at a rate in the ratio of the distances, ramps together, stops together.
+
+The data sheet's scheme (Q & A): FL and FH in the ratio a:b, equal ramp times. The longest axis leads: its registers come from
+the rates and times asked for (leader.py). Every other axis follows: its R7 is free, which gives it a thousand grids to choose
+from (follow.py). The followers that promise most are run on emulated chips, and the one closest to the line is taken.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from stage.chips import PCL240K
+from stage.chips.pcl240 import PCL240
+from stage.chips.pcl240.state import LINEAR, SPAN
+from stage.errors import ArgumentError, unknown
+from stage.firmware.path import path_deviation, perfect_deviation
+from stage.firmware.pcl240 import emulated as follow
+from stage.firmware.pcl240 import fit
+from stage.firmware.pcl240.closed_form import course
+from stage.firmware.pcl240.leader import (
+    R7_LEAST,
+    R7_MOST,
+    SPEED_MOST,
+    TAILS,
+    Ask,
+    Follower,
+    Kept,
+    Widths,
+    effective_steps,
+    search,
+)
+from stage.firmware.pcl240.profile import ACCEL, FH1, FL, ramp_seconds
+
+NAMES = (*(f"R{k}" for k in range(8)), "R14", "R15")
+R0_MOST = PCL240K.MAP.registers[0].mask
+ROOM = 0.8  # of a short move may be ramps
+PLAYED = 2_000_000  # pulses: longer moves are judged by the closed form alone
+ON_THE_LINE = 2.0  # pulses
+OFF_THE_LINE = 5.0  # pulses: refused where shorter ramps would mend it
+
+
+@dataclass(frozen=True)
+class AxisPlan:
+    """One axis: signed distance in pulses, registers (R0 to R7, on a PCL240MS R14 and R15, too), reference clock.
+
+    down_point: pulses left when the ramp-down begins, as R6 without the automatic ramp-down point. automatic: the chip finds
+    that point, and R6 is its offset, a two's complement.
+    lead: seconds between this axis' start command and the last axis'. seconds: from the first start command to its last pulse.
+    """
+
+    distance: int
+    registers: dict[str, int]
+    clock_hz: int
+    lead: float = 0.0
+    seconds: float = 0.0
+    chip: type[PCL240] = PCL240K
+    down_point: int = 0
+    automatic: bool = False
+
+    @property
+    def step(self) -> float:
+        """pps of one speed step."""
+        return self.clock_hz / (8192 * self.registers["R7"])
+
+    @property
+    def fl(self) -> float:
+        return self.registers["R1"] * self.step
+
+    @property
+    def fh(self) -> float:
+        return self.registers["R2"] * self.step
+
+    @property
+    def ramps(self) -> bool:
+        return self.registers["R2"] > self.registers["R1"]
+
+    @property
+    def span(self) -> int | None:
+        """Speed steps of each curved end of the ramps, 0 when they have no linear part; None for linear ramps."""
+        return None if (word := self.registers.get("R14", LINEAR)) & LINEAR else word & SPAN
+
+    @property
+    def accel(self) -> float:
+        r = self.registers
+        return ramp_seconds(r["R1"], r["R2"], r["R4"], self.clock_hz, self.span)
+
+    @property
+    def decel(self) -> float:
+        r = self.registers
+        return ramp_seconds(r["R1"], r["R2"], r["R5"], self.clock_hz, self.span)
+
+    @property
+    def offset(self) -> int:
+        """R6 of an automatic ramp-down point, signed."""
+        half = (self.chip.MAP.register("R6").mask + 1) // 2
+        return (self.registers["R6"] + half) % (2 * half) - half
+
+    @property
+    def row(self) -> np.ndarray:
+        """The registers as follow.py takes them."""
+        return np.array([*(self.registers | {"R6": self.down_point}).values()], np.int64)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Registers for every axis that moves, and how good they are.
+
+    Attributes:
+        axes: an AxisPlan each.
+        order: names in the order of the start commands, the longest axis last: an axis that is ahead by less than the
+            staircase does no harm, and one that lags does.
+        bus_delay: seconds between two start commands that the plan reckons with.
+        ratio_error: largest relative error of an FH against the longest axis'.
+        deviation: predicted largest distance from the line in pulses, found by running emulated chips. exact: False for
+            moves of more than 2,000,000 pulses in all, for which it is the closed form's estimate.
+        seconds: from the first start command to the last pulse.
+        notes: where the plan departs from what was asked for, and why.
+    """
+
+    axes: dict[str, AxisPlan]
+    order: tuple[str, ...]
+    bus_delay: float
+    ratio_error: float
+    deviation: float
+    exact: bool
+    seconds: float
+    notes: tuple[str, ...] = field(default=())
+
+    @property
+    def distances(self) -> dict[str, int]:
+        return {n: a.distance for n, a in self.axes.items()}
+
+    @property
+    def perfect(self) -> float:
+        """What axes with rates exactly in ratio and a common start would reach, pulses: their path is a staircase too."""
+        return perfect_deviation(list(self.distances.values()))
+
+    def with_bus_delay(self, bus_delay: float) -> Plan:
+        """The same registers, their start commands `bus_delay` seconds apart; and what becomes of the deviation."""
+        rows = {n: a.row for n, a in self.axes.items()}
+        chips = {n: (a.chip, a.clock_hz) for n, a in self.axes.items()}
+        again = _judge(self.distances, rows, chips, any(a.automatic for a in self.axes.values()), bus_delay)
+        return replace(again, notes=self.notes)
+
+    def __str__(self) -> str:
+        width = max(4, *(len(n) for n in self.axes))
+        names = [n for n in NAMES if any(n in a.registers for a in self.axes.values())]
+        head = f"{'axis':{width}} {'pulses':>10}" + "".join(f"{n:>9}" if n == "R0" else f"{n:>7}" for n in names)
+        lines = [head + f"{'FL pps':>10}{'FH pps':>12}{'up ms':>9}{'down ms':>9}{'ends s':>9}"]
+        for name, a in self.axes.items():
+            r = a.registers
+            shown = {n: r.get(n, "") for n in names}
+            if a.automatic:
+                shown["R6"] = f"{a.offset:+}"
+            if "R14" in r:
+                shown["R14"] = f"{r['R14']:04X}h"
+            lines.append(
+                f"{name:{width}} {a.distance:>+10}"
+                + "".join(f"{v:>9}" if n == "R0" else f"{v:>7}" for n, v in shown.items())
+                + f"{a.fl:>10.2f}{a.fh:>12.3f}{a.accel * 1e3:>9.2f}{a.decel * 1e3:>9.2f}{a.seconds:>9.4f}"
+            )
+        far = (
+            f"{self.deviation:.2f} pulses from the line"
+            if self.exact
+            else f"about {self.deviation:.2f} pulses from the line"
+        )
+        lines.append(f"ratio error {self.ratio_error:.1e}; {far}; {self.seconds:.4f} s; start {', '.join(self.order)}")
+        return "\n".join([*lines, *self.notes])
+
+
+def plan(
+    distances: Mapping[str, int],
+    *,
+    rate: float = FH1,
+    fl: float = FL,
+    accel: float = ACCEL,
+    decel: float | None = None,
+    s_curve: bool | float = False,
+    automatic: bool | None = None,
+    chips: type[PCL240] | Mapping[str, type[PCL240]] = PCL240K,
+    clock_hz: int | Mapping[str, int] = PCL240K.DEFAULT_CLOCK_HZ,
+    bus_delay: float = 0.0,
+) -> Plan:
+    """Plan a move along a straight line. Touches no chip.
+
+    Args:
+        distances: axis -> signed pulses, up to 16,777,215; 0 leaves the axis out.
+        rate, fl: FH and FL of the longest axis, pps. accel, decel: ramp times, s; decel defaults to accel.
+        s_curve: True for S-curves throughout, or the share (0 to 0.5) of FH - FL that each curved end takes, with a linear part
+            between; the ramp times stay as asked. False for linear ramps. Every axis that moves needs a PCL240MS for it.
+        automatic: the chips find the ramp-down point and decelerate as they accelerated, R6 is its offset (PCL240MK and
+            PCL240MS). Default, as False: R6 is the point.
+        chips: the class of the chips, one or one an axis.
+        clock_hz: the chips' reference clock, one number or one an axis.
+        bus_delay: seconds between two start commands.
+
+    A move too short for `rate` peaks lower, on all axes at once and with the same slopes; a very short one runs at constant FL.
+    Raises ArgumentError with the reason when no registers can do it.
+    """
+    asked = {n: _whole(n, d) for n, d in distances.items()}
+    moving = {n: d for n, d in asked.items() if d}
+    decel = accel if decel is None else decel
+    _check(moving, distances, rate, fl, accel, decel, bus_delay)
+    kinds = {n: (_of_axis("chips", n, chips), int(_of_axis("clock_hz", n, clock_hz))) for n in moving}
+    automatic = bool(automatic)
+    share = _share(s_curve)
+    _offers({n: chip for n, (chip, _) in kinds.items()}, share > 0, automatic, accel, decel)
+    hz = {n: hz for n, (_, hz) in kinds.items()}
+    order = _order(moving)
+    longest, lead = order[-1], _leads(order, bus_delay)
+    ask, notes = _shorten(abs(moving[longest]), rate, fl, accel, decel)
+    ask = ask._replace(share=share, automatic=automatic)
+    _reach(moving, longest, ask, rate, hz)
+    widths = {n: Widths.of(chip, automatic) for n, (chip, _) in kinds.items()}
+    followers = {n: Follower(abs(moving[n]), hz[n], widths[n], lead[n]) for n in order[:-1]}
+    leader, kept = search(ask, hz[longest], widths[longest], followers)
+    chosen = {longest: leader} | {n: found.registers[0] for n, found in kept.items()}
+    if sum(map(abs, moving.values())) <= PLAYED:
+        _play(chosen, longest, kinds, followers, kept)
+    made = _judge(moving, chosen, kinds, automatic, bus_delay)
+    return replace(made, notes=(*notes, *_remarks(made.axes, ask, made.deviation)))
+
+
+def _whole(name: str, d: Any) -> int:
+    try:
+        whole = int(d)
+    except (TypeError, ValueError, OverflowError):
+        whole = None
+    if whole is None or whole != d or abs(whole) > R0_MOST:
+        raise ArgumentError(
+            f"{name}={d!r}: R0 counts whole pulses, up to {R0_MOST}; the sign is the direction. Split a longer move."
+        )
+    return whole
+
+
+def _of_axis(what: str, name: str, given: Any) -> Any:
+    if not isinstance(given, Mapping):
+        return given
+    if name not in given:
+        raise unknown(f"axis in {what}", name, given)
+    return given[name]
+
+
+def _share(s_curve: bool | float) -> float:
+    """Of the speed steps in each curved end: 0 for linear ramps, 0.5 for S-curves throughout."""
+    if isinstance(s_curve, bool):
+        return 0.5 if s_curve else 0.0
+    if not isinstance(s_curve, int | float) or not 0 < s_curve <= 0.5:
+        raise ArgumentError(f"s_curve={s_curve!r}: True, False, or the share of the ramp at each end, 0 to 0.5.")
+    return float(s_curve)
+
+
+def _offers(chips: dict, s_curve: bool, automatic: bool, accel: float, decel: float) -> None:
+    """Refuse what a chip has not got."""
+    for name, chip in chips.items():
+        if not (isinstance(chip, type) and issubclass(chip, PCL240)):
+            raise ArgumentError(f"chips: axis {name} has {chip!r}; give a class, as PCL240K, PCL240MK or PCL240MS.")
+        if s_curve and not chip.S_CURVES:
+            raise ArgumentError(
+                f"axis {name} has a {chip.MAP.chip}, which has linear ramps only: for S-curves every axis that moves needs a "
+                f"PCL240MS."
+            )
+        if automatic and not chip.EXTENDED:
+            raise ArgumentError(
+                f"axis {name} has a {chip.MAP.chip}, which has no automatic ramp-down point: a PCL240MK or PCL240MS has."
+            )
+    if automatic and decel != accel:
+        raise ArgumentError(
+            f"accel={accel:g} s, decel={decel:g} s: with the automatic ramp-down point R4 is the rate both ways. Give accel "
+            f"alone, or automatic=False."
+        )
+
+
+def _check(moving: dict, distances: Any, rate: float, fl: float, accel: float, decel: float, bus_delay: float) -> None:
+    if not moving:
+        raise ArgumentError(f"distances={dict(distances)!r}: nothing moves; give at least one axis pulses to make.")
+    if not 0 < fl <= rate < float("inf"):
+        raise ArgumentError(f"fl={fl!r}, rate={rate!r}: FL is more than 0 and at most the rate, in pps.")
+    for name, value in {"accel": accel, "decel": decel}.items():
+        if not 0 < value < float("inf"):
+            raise ArgumentError(f"{name}={value!r}: a ramp takes more than 0 s. For constant speed give rate = fl.")
+    if not 0 <= bus_delay <= 1:
+        raise ArgumentError(f"bus_delay={bus_delay!r}: start commands are 0 to 1 s apart.")
+
+
+def _shorten(length: int, rate: float, fl: float, accel: float, decel: float) -> tuple[Ask, list[str]]:
+    """The peak rate and ramp times that a move of `length` pulses has room for, at the slopes asked for."""
+    if rate <= fl:
+        return Ask(length, fl, fl, 0.0, 0.0), []
+    room = max(min(ROOM * length, length - 2 * TAILS[0]), 0.0)
+    peak = (fl * fl + 2 * room * (rate - fl) / (accel + decel)) ** 0.5
+    if peak >= rate:
+        return Ask(length, rate, fl, accel, decel), []
+    if peak < 1.2 * fl:
+        return Ask(length, fl, fl, 0.0, 0.0), [f"{length} pulses are too few for a ramp: constant {fl:g} pps"]
+    part = (peak - fl) / (rate - fl)
+    note = f"{length} pulses are too few for {rate:g} pps at this slope: peaks at {peak:.0f} pps"
+    return Ask(length, peak, fl, accel * part, decel * part), [note]
+
+
+def _reach(moving: dict, longest: str, ask: Ask, rate: float, hz: dict) -> None:
+    """Refuse rates that no registers make."""
+    most = hz[longest] * SPEED_MOST / (8192 * R7_LEAST)
+    if max(rate, ask.fh) > most:
+        raise ArgumentError(
+            f"rate={rate:g} pps: a chip at {hz[longest]} Hz makes at most {most:.0f} pps (8191 at R7 = 2)."
+        )
+    for name, d in moving.items():
+        least, own = hz[name] / (8192 * R7_MOST), abs(d) / ask.length
+        own_most = hz[name] * SPEED_MOST / (8192 * R7_LEAST)
+        if own * ask.fh > own_most:
+            raise ArgumentError(
+                f"axis {name} would have to run at {own * ask.fh:.0f} pps, and a chip at {hz[name]} Hz makes at most "
+                f"{own_most:.0f} pps (8191 at R7 = 2). Lower the rate to {own_most / own:.0f} pps."
+            )
+        if own * ask.fh < least and abs(d) > 1:  # a single pulse is less than a pulse off whenever it comes
+            raise ArgumentError(
+                f"axis {name} would have to run at {own * ask.fh:.3g} pps, and the slowest a chip at {hz[name]} Hz makes is "
+                f"{least:.3g} pps (1 at R7 = 1023). Raise the rate to {least / own:.0f} pps, or move {name} by itself."
+            )
+
+
+def _play(chosen: dict, longest: str, kinds: dict, followers: dict[str, Follower], kept: Mapping[str, Kept]) -> None:
+    """Choose among the best followers by running emulated chips."""
+    leader = chosen[longest]
+    pulses = follow.run(leader, kinds[longest][0]) / kinds[longest][1]
+    for name, found in kept.items():
+        best = np.inf
+        d, hz, _, lead = followers[name]
+        for row in found.registers[found.scores < 1e17]:
+            own = follow.run(row, kinds[name][0]) / hz - lead
+            far = path_deviation([(pulses, 1), (own, 1)], [leader[0], d]).pulses
+            if far < best - 1e-9:
+                best, chosen[name] = far, row
+
+
+def _judge(distances: dict[str, int], rows: dict, kinds: dict, automatic: bool, bus_delay: float) -> Plan:
+    """The plan that these rows of registers are. kinds: axis -> class of its chip, and its clock in Hz."""
+    order = _order(distances)
+    lead = _leads(order, bus_delay)
+    exact = sum(abs(d) for d in distances.values()) <= PLAYED
+    axes, paths = {}, []
+    for n, d in distances.items():
+        row, (chip, hz) = rows[n], kinds[n]
+        by_itself = automatic and bool(row[6] > 1)  # a slow axis' last pulse may come before it would ramp down
+        if exact:
+            pulses = follow.run(row, chip, by_itself)
+            paths.append((pulses / hz - lead[n], 1))
+            last = pulses[-1]
+        else:
+            c = np.zeros(4, np.int64)
+            course(row, c)
+            last = c[3]
+        named = dict(zip(NAMES, row.tolist(), strict=False))
+        if by_itself:
+            named["R6"] = follow.offset(row, chip) & chip.MAP.register("R6").mask
+        seconds = lead[order[0]] - lead[n] + float(last) / hz
+        axes[n] = AxisPlan(d, named, hz, lead[n], seconds, chip, int(row[6]), by_itself)
+    if exact:
+        far = path_deviation(paths, [abs(d) for d in distances.values()]).pulses
+    else:
+        longest = order[-1]
+        far2, work = 0.0, np.zeros(1, fit.WORK)
+        for n in order[:-1]:
+            far2 += fit.estimate(rows[longest], axes[longest].clock_hz, rows[n], axes[n].clock_hz, lead[n], work) ** 2
+        far = float(np.sqrt(far2))
+    top = axes[order[-1]].fh / abs(distances[order[-1]])
+    error = max(abs(a.fh / abs(a.distance) / top - 1) for a in axes.values())
+    return Plan(axes, tuple(order), bus_delay, error, far, exact, max(a.seconds for a in axes.values()))
+
+
+def _order(distances: dict[str, int]) -> list[str]:
+    return sorted(distances, key=lambda n: abs(distances[n]))
+
+
+def _leads(order: list[str], bus_delay: float) -> dict[str, float]:
+    return {n: float(bus_delay) * (len(order) - 1 - k) for k, n in enumerate(order)}
+
+
+def _remarks(axes: dict[str, AxisPlan], ask: Ask, far: float) -> list[str]:
+    """Where registers could not do as asked. Raises ArgumentError where that takes the axes off the line."""
+    notes = []
+    for name, a in axes.items():
+        own = abs(a.distance) / ask.length
+        gain = round((ask.fh - ask.fl) * own * 8192 * R7_MOST / a.clock_hz)
+        most = Widths.of(a.chip, a.automatic).rate
+        longest_ramp = effective_steps(gain, ask.share) * most / a.clock_hz
+        for word, asked, made in (("accel", ask.up, a.accel), ("decel", ask.down, a.decel)):
+            if asked > longest_ramp and made < 0.95 * asked:
+                reason = (
+                    f"axis {name} cannot ramp for {word}={asked:.3g} s: to {own * ask.fh:.3g} pps it takes no more than about "
+                    f"{longest_ramp:.2g} s (R7 = {R7_MOST}, rate register {most})"
+                )
+                if far > OFF_THE_LINE:
+                    raise ArgumentError(
+                        f"{reason}, and would be {far:.1f} pulses off the line. Shorten {word} to {longest_ramp:.2g} s, raise "
+                        f"the rate, or move {name} by itself."
+                    )
+                notes.append(f"{reason}; {made:.2g} s here")
+        if abs(a.fl / (ask.fl * own) - 1) > 0.05 and a.ramps:
+            notes.append(
+                f"axis {name}: FL {a.fl:.4g} pps instead of {ask.fl * own:.4g}: the nearest that keeps to the line"
+            )
+    if far > ON_THE_LINE:
+        notes.append(
+            f"the closest registers leave the line by {far:.1f} pulses: another rate or other ramps may come closer"
+        )
+    return notes

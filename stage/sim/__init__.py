@@ -1,0 +1,1 @@
+"""One stage in MuJoCo: the engine that runs chips, drives and physics under one clock, `Stage`, `Fleet`, faults."""

@@ -1,0 +1,73 @@
+"""MuJoCo's callbacks (`mujoco.set_mjcb_control` and the like) while compiled code steps the physics.
+
+MuJoCo calls them in the middle of a step. An exception that leaves one has nobody to go to there, and MuJoCo ends the process. So
+they run guarded: the exception is kept, the step goes to its end without calling any of them again, and whoever wanted the step is
+told.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import mujoco
+
+from stage.sim.libmujoco import library
+
+NAMES = ("passive", "control", "contactfilter", "sensor", "time", "act_dyn", "act_gain", "act_bias")
+_POINTERS = [ctypes.c_void_p.in_dll(library(), f"mjcb_{name}") for name in NAMES]
+ADDRESSES = [ctypes.addressof(pointer) for pointer in _POINTERS]
+"""Where MuJoCo keeps what it calls."""
+NATIVE = [
+    0 if callable(getattr(mujoco, f"get_mjcb_{name}")()) else pointer.value or 0
+    for name, pointer in zip(NAMES, _POINTERS, strict=True)
+]
+"""What stands there while nobody in Python is called: 0, or MuJoCo's own, as for the time."""
+
+_lock = threading.Lock()
+_installed: dict[str, tuple[Any, Any]] = {}  # name -> what the user set, and the guard in its place
+_guards: dict[int, Callable[[BaseException | None], bool]] = {}  # by thread
+
+
+@contextmanager
+def guarded(failed: Callable[[BaseException | None], bool]) -> Iterator[None]:
+    """In here no exception of a callback leaves it, in this thread. failed: is given the exception, or None, and says whether there
+    was one."""
+    me = threading.get_ident()
+    try:
+        with _lock:
+            if not _guards:
+                for name in NAMES:
+                    own = getattr(mujoco, f"get_mjcb_{name}")()
+                    if callable(own):
+                        _installed[name] = own, _guard(own)
+                        getattr(mujoco, f"set_mjcb_{name}")(_installed[name][1])
+            _guards[me] = failed
+        yield
+    finally:
+        with _lock:
+            _guards.pop(me, None)
+            if not _guards:
+                for name, (own, guard) in _installed.items():
+                    if getattr(mujoco, f"get_mjcb_{name}")() is guard:  # it may have taken itself away
+                        getattr(mujoco, f"set_mjcb_{name}")(own)
+                _installed.clear()
+
+
+def _guard(own: Callable) -> Callable:
+    def call(*given: Any) -> Any:
+        failed = _guards.get(threading.get_ident())
+        if failed is None:  # somebody else steps a model of his own
+            return own(*given)
+        if failed(None):
+            return 0
+        try:
+            return own(*given)
+        except BaseException as error:
+            failed(error)
+            return 0
+
+    return call

@@ -1,0 +1,303 @@
+"""Faults of a stage: what breaks in real machines, brought about where it would happen, for tests of firmware.
+
+    from stage import Stage, firmware
+    from stage.sim import faults
+
+    stage = Stage("xyz")
+    x = stage.axes["x"]
+    with faults.phase_open(x, "a"):
+        print(firmware.preset_move(x, 3200))
+
+Each function makes its fault at the present simulated time and returns a `Fault`: leaving the `with`, or `mend()`, ends it.
+Faults of switches and of the bus begin on the nanosecond, also inside a physics step; those of drives and mechanics act on
+the whole physics step (0.25 ms) in which they begin. Several may be in force; `stage.faults` names them, and so does a
+recording, at their moments.
+
+A fault is the machine's, as a payload is: snapshots, `restore` and `reset` leave it alone, copies and pickles of a stage have
+it too (for good: only the stage that a fault was made on is mended). What it has done is state: a contact that is bouncing, a
+rotor that has slipped, a current. `start_skew` and `lost_write` are faults of the host's board: copies do not have them.
+
+docs/faults.md measures what each does, and how a host can notice; `stage fault` shows it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import mujoco
+
+from stage.chips import Chip
+from stage.chips.pcl240 import PCL240
+from stage.drives import stepper
+from stage.errors import ArgumentError, unknown
+from stage.sim.engine import MAX_TOGGLES
+from stage.sim.stage import Axis, Stage
+
+PHASES = {"a": stepper.A, "b": stepper.B}
+JAM = 10.0  # times what the motor can push at its most
+STIFF = (0.9, 0.9, 0.001, 0.5, 2)  # solimp of its friction; from 0.97 on the solver no longer finds the force
+
+
+class Fault:
+    """A fault in force. A context manager; `text` says what it is."""
+
+    def __init__(self, stage: Stage | None, text: str, mend: Callable[[], None]):
+        self.text, self.in_force = text, True
+        self._stage, self._mend = stage, mend
+        if stage is not None:
+            stage._note_fault(text, True)
+
+    def mend(self) -> None:
+        """End it, now. Safe to call twice; what it has done stays done."""
+        if self.in_force:
+            self.in_force = False
+            self._mend()
+            if self._stage is not None:
+                self._stage._note_fault(self.text, False)
+
+    def __enter__(self) -> Fault:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.mend()
+
+    def __repr__(self) -> str:
+        return f"<Fault {self.text}{'' if self.in_force else ', mended'}>"
+
+
+# --- switches ---
+
+
+def switch_stuck(axis: Axis, pin: str, closed: bool) -> Fault:
+    """A limit switch stays asserted (`closed`) or released, wherever its vane is.
+
+    pin: el_plus, el_minus, sd_plus, sd_minus or org. Raises ArgumentError for a switch that is not fitted.
+    """
+    _check(axis)
+    row = axis.switches._find(pin)
+    return _switches(axis, f"{pin} stuck {'closed' if closed else 'open'}", {row: {"forced": int(bool(closed))}})
+
+
+def vane_missing(axis: Axis, pin: str) -> Fault:
+    """The vane that trips switch `pin` has come off: no switch that it serves will trip again (an EL vane serves both EL).
+
+    The beam that nothing breaks is all that is modelled, not the vane that lies in the machine.
+    """
+    _check(axis)
+    axis.switches._find(pin)
+    fitted = axis._plant.switches
+    vane = next(_vane(axis, s.sensor) for s in fitted if s.pin == pin)
+    served = [s.pin for s in fitted if s.pin == pin or (vane is not None and _vane(axis, s.sensor) == vane)]
+    rows = {axis.switches._find(p): {"forced": 0} for p in served}
+    return _switches(axis, f"vane of {' and '.join(served)} missing", rows)
+
+
+def bounce(axis: Axis, pin: str, seconds: float = 2e-3, toggles: int = 6) -> Fault:
+    """The contact of switch `pin` bounces: each edge is followed by `toggles` more within `seconds`, and then it rests.
+
+    The toggles come ever sooner, as a contact's do, the last at `seconds`: after an edge at 0 and with n toggles, number k comes
+    at seconds (1 - (n - k) (n - k + 1) / (n (n + 1))). No chance is in it: equal runs bounce alike. While a contact bounces it
+    does not see its vane. A bounce that is under way when the fault is mended is played to its end.
+
+    seconds: above 0, up to 1; toggles: 2, 4, 6 or 8. Raises ArgumentError.
+    """
+    _check(axis)
+    row = axis.switches._find(pin)
+    if not 0 < seconds <= 1:
+        raise ArgumentError(f"seconds={seconds!r}: a contact bounces for more than 0 and up to 1 s; 2e-3 is usual.")
+    if toggles not in range(2, MAX_TOGGLES + 1, 2):
+        raise ArgumentError(f"toggles={toggles!r}: an even number from 2 to {MAX_TOGGLES}, so that the edge remains.")
+    ns = max(round(seconds * 1e9), 1)
+    return _switches(axis, f"{pin} bounces for {seconds * 1e3:g} ms", {row: {"bounce": ns, "toggles": int(toggles)}})
+
+
+def _switches(axis: Axis, what: str, rows: dict[int, dict[str, int]]) -> Fault:
+    stage = axis._stage
+    before = {row: {field: int(stage._switch_table[row][field]) for field in change} for row, change in rows.items()}
+
+    def put(values: dict[int, dict[str, int]]) -> None:
+        for row, change in values.items():
+            for field, value in change.items():
+                stage._switch_table[row][field] = value
+        stage._look_again(axis.index)
+
+    put(rows)
+    return Fault(stage, f"axis {axis.name}: {what}", lambda: put(before))
+
+
+def _vane(axis: Axis, sensor: int) -> int | None:
+    """The geom of a switch's sensor that the axis carries, by its id."""
+    m = axis._stage.model
+    ends = ((m.sensor_objtype[sensor], m.sensor_objid[sensor]), (m.sensor_reftype[sensor], m.sensor_refid[sensor]))
+    geoms = [int(k) for kind, k in ends if kind == mujoco.mjtObj.mjOBJ_GEOM]
+    return next((g for g in geoms if _carries(m, int(m.jnt_bodyid[axis.joint]), int(m.geom_bodyid[g]))), None)
+
+
+def _carries(model: Any, body: int, other: int) -> bool:
+    while other > body:
+        other = int(model.body_parentid[other])
+    return other == body
+
+
+# --- mechanics ---
+
+
+def payload(stage: Stage, factor: float = 2.0, body: str | None = None) -> Fault:
+    """The payload weighs `factor` times what `Stage.set_payload` put on `body` (default: where the site "work" is).
+
+    Raises ArgumentError where there is no payload, or for a factor that is not above 0.
+    """
+    _check(stage, Stage)
+    before = stage.payload(body)
+    if not 0 < factor < 1e6 or not before:
+        raise ArgumentError(
+            f"factor={factor!r} of a payload of {before:g} kg: put one on with stage.set_payload; a factor is above 0."
+        )
+    stage.set_payload(before * factor, body)
+    text = f"payload {before * factor:g} kg in place of {before:g} kg"
+    return Fault(stage, text, lambda: stage.set_payload(before, body))
+
+
+def jam(axis: Axis, force: float | None = None) -> Fault:
+    """The axis jams: dry friction of `force` N (N m on a hinge) more, default ten times what its motor can push.
+
+    It stops a carriage within a few physics steps and holds it to 20 um, in both directions: MuJoCo's friction yields a little.
+    A DC motor's steady push moves it on by some 0.7 mm/s at full drive.
+    """
+    _check(axis)
+    default = JAM * axis.drive.peak_torque * abs(axis.gear)
+    more = default if force is None else force
+    if not 0 < more < 1e9:
+        raise ArgumentError(
+            f"force={force!r}: friction is above 0 N (N m on a hinge); None for more than the motor can."
+        )
+    model, dof = axis._stage.model, axis._plant.dof
+    fields = (model.dof_frictionloss, model.dof_solref, model.dof_solimp)
+    before = [field[dof].copy() for field in fields]
+
+    def put(values: Iterable[Any]) -> None:
+        for field, value in zip(fields, values, strict=True):
+            field[dof] = value
+
+    put((before[0] + more, (2 * model.opt.timestep, 1), STIFF))
+    return Fault(axis._stage, f"axis {axis.name}: jammed", lambda: put(before))
+
+
+# --- drives ---
+
+
+def bus_voltage(where: Axis | Stage, volts: float) -> Fault:
+    """The supply of an axis' drive, or of all drives of a stage, falls (or rises) to `volts`: above 0, up to 400.
+
+    Currents stay what they are and follow the new voltage. Raises ArgumentError.
+    """
+    if not isinstance(where, Stage):
+        _check(where)
+    if not 0 < volts <= 400:
+        raise ArgumentError(
+            f"volts={volts!r}: a supply has above 0 and up to 400 V; with phase_open there is none at all."
+        )
+    stage, axes = (where, list(where.axes.values())) if isinstance(where, Stage) else (where._stage, [where])
+    before = [a._voltage for a in axes]
+
+    def put(values: list[float]) -> None:
+        for axis, value in zip(axes, values, strict=True):
+            axis._voltage = float(value)
+        stage._equip()
+
+    put([volts] * len(axes))
+    who = "all axes" if isinstance(where, Stage) else f"axis {where.name}"
+    return Fault(stage, f"{who}: bus voltage {volts:g} V in place of {before[0]:g} V", lambda: put(before))
+
+
+def phase_open(axis: Axis, phase: str = "a") -> Fault:
+    """A wire to the motor is broken: phase "a" or "b" carries no current, from one moment to the next.
+
+    Raises ArgumentError; also for a DC motor, which has no phases.
+    """
+    _check(axis)
+    if axis.chip.SERVO:
+        raise ArgumentError(
+            f"axis {axis.name} has a DC motor, {axis.drive.motor.name}, without phases: bus_voltage takes its supply away."
+        )
+    if phase not in PHASES:
+        raise unknown(f"phase of axis {axis.name}", phase, PHASES)
+    before = axis._open
+
+    def put(value: int) -> None:
+        axis._open = value
+        axis._stage._equip()
+
+    put(before | PHASES[phase])
+    return Fault(axis._stage, f"axis {axis.name}: phase {phase} open", lambda: put(before))
+
+
+# --- the host's board ---
+
+
+def start_skew(axis: Axis, seconds: float) -> Fault:
+    """The CPU is called away for `seconds` just before it writes the next start command to this axis' chip.
+
+    Raises ArgumentError; also for a chip that is not of the PCL-240 family.
+    """
+    _check(axis)
+    if not isinstance(axis.chip, PCL240):
+        raise ArgumentError(
+            f"axis {axis.name} has a {axis.chip.MAP.chip}: start commands are known of the PCL-240 family."
+        )
+    if not 0 <= seconds < 1e9:
+        raise ArgumentError(f"seconds={seconds!r}: the CPU comes back after 0 s or more.")
+
+    def glitch(address: int, value: int) -> bool:
+        if address == 0 and value & 0xD8 == 0x10:  # operating command, start and not stop
+            fault.mend()
+            axis._stage.run(seconds)
+        return False
+
+    fault = _on_bus(axis, f"start command {seconds * 1e3:g} ms late", glitch)
+    return fault
+
+
+def lost_write(where: Axis | Chip, address: int | None = None, value: int | None = None, skip: int = 0) -> Fault:
+    """One bus write does not arrive: the next to this axis' chip, or the next that has this `address` and this `value`.
+
+    The cycle takes its time and the chip sees nothing of it, so nothing gets into `chip.diagnostics`; journals and recordings
+    show the byte as lost. skip: writes (that match) which arrive before. The fault is over when it has struck.
+    Raises ArgumentError.
+    """
+    if not isinstance(where, Chip):
+        _check(where)
+    if int(skip) != skip or skip < 0:
+        raise ArgumentError(f"skip={skip!r}: a whole number of writes, 0 or more, arrive before one is lost.")
+    left = int(skip)
+
+    def glitch(a: int, v: int) -> bool:
+        nonlocal left
+        if address not in (None, a) or value not in (None, v):
+            return False
+        left -= 1
+        if left < 0:
+            fault.mend()
+        return left < 0
+
+    which = ("" if value is None else f" of {value:02X}h") + ("" if address is None else f" to address {address}")
+    fault = _on_bus(where, f"a bus write{which} gets lost", glitch)
+    return fault
+
+
+def _on_bus(where: Axis | Chip, what: str, glitch: Callable[[int, int], bool]) -> Fault:
+    chip, stage = (where, None) if isinstance(where, Chip) else (where.chip, where._stage)
+    name = type(where).__name__ if isinstance(where, Chip) else f"axis {where.name}"
+    chip._glitches += (glitch,)
+
+    def mend() -> None:
+        chip._glitches = tuple(g for g in chip._glitches if g is not glitch)
+
+    return Fault(stage, f"{name}: {what}", mend)
+
+
+def _check(given: Any, kind: type = Axis) -> None:
+    if not isinstance(given, kind):
+        wanted = "stage.axes['x']" if kind is Axis else "a Stage"
+        raise ArgumentError(f"{given!r} is not what breaks here: give {wanted}.")

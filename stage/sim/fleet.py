@@ -1,0 +1,202 @@
+"""`Fleet`: many stages under one program each, on threads.
+
+    fleet = Fleet([Stage("xyz") for _ in range(64)])
+    program = Program().command(0, 0x08).register(0, PCL240K, "R0", 2000) ...
+    played = fleet.play([program] * 64)
+
+The stages go on as if a Python driver had done the same bus cycles on each of them alone: the same bits, on any number of
+threads. Stages that are being recorded, or whose chips keep a journal, are played by Python itself. A program's writes are
+not looked through for mistakes (`chip.diagnostics`), except there.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from stage.errors import ArgumentError, StageError
+from stage.sim import engine, handle, play
+from stage.sim.program import END, LOOK, MEASURE, NAMES, READ, STOP, WAIT, WRITE, Program
+from stage.sim.stage import IN_USE, Stage
+
+MOST = engine.SECOND * 10**9  # ns
+CHUNKS = 4  # a thread's share, so that a slow stage does not hold up the rest
+
+
+class Played(NamedTuple):
+    """results: (stages, operations) int64; extremes: (stages, nq, 2), least and greatest qpos while measured (inf, -inf
+    where nothing was); diverged: (stages,) bool, the program ended there."""
+
+    results: np.ndarray
+    extremes: np.ndarray
+    diverged: np.ndarray
+
+
+class Fleet:
+    """Stages of one model and one set of axes, played together."""
+
+    def __init__(self, stages: Sequence[Stage], threads: int | None = None):
+        """threads: default one a processor, at most one a stage. Raises ArgumentError.
+
+        `handles`: a HANDLE for each stage, for compiled code.
+        """
+        if not len(stages):
+            raise ArgumentError("a fleet has at least one stage.")
+        if len({id(s) for s in stages}) < len(stages):
+            raise ArgumentError("a stage is in the fleet twice: a fleet is of different stages, copy.deepcopy(stage).")
+        if threads is not None and (int(threads) != threads or threads < 1):
+            raise ArgumentError(f"threads={threads!r}: a whole number, 1 or more.")
+        here = sorted({(tuple(s.axes), s.model.nq) for s in stages})
+        if len(here) > 1:
+            raise ArgumentError(f"the stages of a fleet have the same axes and coordinates; here are {here}.")
+        self.stages = list(stages)
+        self.threads = min(threads or _processors(), len(self.stages))
+        first = self.stages[0]
+        self._nq, self._axes = first.model.nq, len(first.axes)
+        self._process = os.getpid()
+        self.handles = np.zeros(len(self.stages), handle.HANDLE)
+        self._truth = np.zeros((len(self.stages), self._axes), play.TRUTH)
+        self._pool: ThreadPoolExecutor | None = None
+        for k, stage in enumerate(self.stages):
+            handle.fill(self.handles, k, stage)
+        self.handles["state"] = 0  # nobody takes a step back
+        self._first = self.handles.ctypes.data
+
+    def __len__(self) -> int:
+        return len(self.stages)
+
+    def play(self, programs: Sequence[Program] | np.ndarray) -> Played:
+        """Play programs[k] on stage k; an empty one leaves it alone. Programs may be given as an array (stages, ops, 4).
+
+        Raises ArgumentError for a program that names an axis that is not there, or a time that is no time; nothing is played then.
+        """
+        ops = programs if isinstance(programs, np.ndarray) else _table(programs)
+        if ops.ndim != 3 or len(ops) != len(self) or ops.shape[2] != 4:
+            raise ArgumentError(f"programs of shape {ops.shape}: one a stage, ({len(self)}, operations, 4).")
+        n = len(self)
+        results, status = np.zeros(ops.shape[:2], np.int64), np.zeros(n, np.int64)
+        extremes = np.empty((n, self._nq, 2))
+        extremes[:, :, 0], extremes[:, :, 1] = np.inf, -np.inf
+        ops = np.ascontiguousarray(ops, np.int64)
+        _check(ops, list(self.stages[0].axes))
+        watched = self.watched()
+        compiled = ops
+        if watched:
+            compiled = ops.copy()
+            compiled[watched, 0] = END
+        self.spread(lambda a, b: play.play(self.handles, a, b, compiled, results, extremes, status))
+        self.check(status)
+        for k in watched:
+            status[k] = play.by_hand(self.stages[k], ops[k], results[k], extremes[k])
+        return Played(results, extremes, status == play.DIVERGED)
+
+    def watched(self) -> list[int]:
+        """The stages that Python has to play: those being recorded, or whose chips keep a journal or lose writes; all of
+        them where MuJoCo calls somebody back."""
+        found = []
+        all_of_them = handle.called_back.held(self._first)
+        for k, stage in enumerate(self.stages):
+            stage.look()
+            if all_of_them or stage._recording is not None:
+                found.append(k)
+                continue
+            for chip in stage.chips:
+                if chip._journal is not None or chip._glitches:
+                    found.append(k)
+                    break
+        return found
+
+    @staticmethod
+    def check(status: np.ndarray) -> None:
+        """Raises StageError if one of the stages could not be played. status: of `play.play`."""
+        if any(how := status.tolist()):  # of few stages faster than numpy: steps of environments pass here
+            for k, why in enumerate(how):
+                if why not in (play.PLAYED, play.DIVERGED):
+                    raise StageError(f"stage {k} of the fleet: {IN_USE}")
+
+    def truth(self) -> np.ndarray:
+        """Every axis of every stage now: a new array (stages, axes) of play.TRUTH."""
+        for stage in self.stages:
+            stage._awake()
+        play.look(self.handles, 0, len(self), self._truth)
+        return self._truth.copy()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"stages": self.stages, "threads": self.threads}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__init__(state["stages"], state["threads"])  # type: ignore[misc]
+
+    def close(self) -> None:
+        """End the threads."""
+        if self._pool is not None:
+            self._pool.shutdown()
+            self._pool = None
+
+    def spread(self, work: Callable[[int, int], None]) -> None:
+        """Call work(begin, end) for ranges of stages that make them all, on the fleet's threads."""
+        n = len(self.stages)
+        if self.threads == 1:
+            work(0, n)
+            return
+        chunks = min(n, self.threads * CHUNKS)
+        cuts = [n * k // chunks for k in range(chunks + 1)]
+        left = iter(range(chunks))  # every thread takes the next, this one among them
+
+        def share() -> None:
+            for k in left:
+                work(cuts[k], cuts[k + 1])
+
+        if self._process != os.getpid():  # forked: the threads are the parent's
+            self._pool, self._process = None, os.getpid()
+        if self._pool is None:
+            self._pool = ThreadPoolExecutor(self.threads - 1, thread_name_prefix="stage")
+        jobs = [self._pool.submit(share) for _ in range(self.threads - 1)]
+        try:
+            share()
+        finally:
+            wait(jobs)
+        for job in jobs:
+            job.result()
+
+
+OF_AN_AXIS = (WRITE, READ, LOOK)
+TIMED = {WAIT: (1,), MEASURE: (1,), STOP: (2, 3)}  # which of an operation's numbers are ns
+
+
+def _check(ops: np.ndarray, axes: list[str]) -> None:
+    """Of programs, (stages, operations, 4): what compiled code believes. Raises ArgumentError."""
+    kind, a = ops[:, :, 0], ops[:, :, 1]
+    last = np.logical_or.accumulate(kind == END, axis=1)  # from here on nothing is played
+    bad = (kind < 0) | (kind > LOOK)
+    bad |= np.isin(kind, OF_AN_AXIS) & ((a < 0) | (a >= len(axes)))
+    bad |= (kind == STOP) & ((a < 0) | (a >= 1 << len(axes)) | (ops[:, :, 2] < 1))
+    for timed, numbers in TIMED.items():
+        for n in numbers:
+            bad |= (kind == timed) & ((ops[:, :, n] < 0) | (ops[:, :, n] > MOST))
+    bad &= ~last
+    if bad.any():
+        k, j = (int(n) for n in np.argwhere(bad)[0])
+        op = ops[k, j].tolist()
+        name = NAMES[op[0]] if 0 <= op[0] <= LOOK else "unknown operation"
+        raise ArgumentError(
+            f"program {k}, operation {j}: {name} {tuple(op[1:])}. Axes are given by their index, 0 to {len(axes) - 1} "
+            f"({', '.join(axes)}), several as a mask of bits; times are 0 to 1e9 s, in ns, and a poll takes 1 ns or more."
+        )
+
+
+def _processors() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _table(programs: Sequence[Program]) -> np.ndarray:
+    """Programs of any lengths as one array, padded with END."""
+    out = np.zeros((len(programs), max((len(p) for p in programs), default=0) or 1, 4), np.int64)
+    for row, p in zip(out, programs, strict=True):
+        if p.ops:
+            row[: len(p)] = p.ops
+    return out

@@ -1,0 +1,147 @@
+"""A stage for compiled code: a HANDLE says where its arrays lie. And what the engine does for whoever has one.
+
+handles = np.zeros(1, HANDLE)
+fill(handles, 0, stage)
+advance(handles[0], until)       the stage's time passes, in hot functions and in Python
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from stage.drives import drive
+from stage.native import at, exported, hot, record
+from stage.sim import engine
+from stage.sim.in_use import ENGINE, claim, release
+
+_ARRAYS = "world axes drives switches table switch_table chips clockwork qpos qvel ctrl sensordata inertia".split()
+_LENGTHS = "n_axes n_switches n_chips nq nv nu ns".split()
+_LOGS = "samples positions room filled edges edge_room noted counts".split()
+HANDLE_FIELDS: list = [
+    (name, "i8") for name in ["mj_model", "mj_data", *_ARRAYS, *_LENGTHS, "bus", *_LOGS, "state", "status", "own"]
+]
+HANDLE = record(HANDLE_FIELDS)
+"""Where a stage's arrays lie, their lengths, and the ns of a bus cycle. samples ... counts: where the engine logs, as `engine.run`
+takes it; without rooms it logs nothing. state: where the stage's state goes before the physics moves it, or 0; status: what
+`advance` answered last; own: the address of the handle itself."""
+
+WORLD, AXIS, DRIVE, SWITCH = engine.WORLD, engine.AXIS, drive.DRIVE, engine.SWITCH
+AXIS_TABLE, SWITCH_TABLE, CHIP_TABLE, CLOCKWORK = (
+    engine.AXIS_TABLE, engine.SWITCH_TABLE, engine.CHIP_TABLE, engine.CLOCKWORK,
+)  # fmt: skip
+REAL, WHOLE = np.dtype("f8"), np.dtype("i8")
+
+
+@hot
+def world(h):
+    """The stage's WORLD record."""
+    return at(h.world, 1, WORLD)[0]
+
+
+@hot
+def clockwork(h):
+    """The stage's CLOCKWORK record."""
+    return at(h.clockwork, 1, CLOCKWORK)[0]
+
+
+@hot
+def chips(h):
+    """The stage's CHIP_TABLE."""
+    return at(h.chips, h.n_chips, CHIP_TABLE)
+
+
+@hot
+def table(h):
+    """The stage's AXIS_TABLE."""
+    return at(h.table, h.n_axes, AXIS_TABLE)
+
+
+@exported("i8", HANDLE, "i8")
+def advance(h, until):
+    """The stage's time passes up to `until` ns, unless the engine has to stop before; why it stopped, as `engine.run`."""
+    if not claim(h.clockwork, ENGINE):
+        return engine.IN_USE
+    counts = at(h.counts, 2, WHOLE)
+    samples = at(h.samples, (h.room, h.n_axes), engine.SAMPLE)
+    positions = at(h.positions, (h.room, h.nq), REAL)
+    status = engine.run(
+        h.mj_model, h.mj_data, at(h.world, 1, WORLD), at(h.axes, h.n_axes, AXIS), at(h.drives, h.n_axes, DRIVE),
+        at(h.switches, h.n_switches, SWITCH), table(h), at(h.switch_table, h.n_switches, SWITCH_TABLE), chips(h),
+        at(h.clockwork, 1, CLOCKWORK), at(h.qpos, h.nq, REAL), at(h.qvel, h.nv, REAL), at(h.ctrl, h.nu, REAL),
+        at(h.sensordata, h.ns, REAL), at(h.inertia, h.nv, REAL), until, samples, positions, h.filled,
+        at(h.edges, h.edge_room, engine.EDGE), h.noted, counts, h.state,
+    )  # fmt: skip
+    if status != engine.DIVERGED and status != engine.FAILED:
+        h.filled, h.noted = counts[0], counts[1]
+    h.status = status
+    release(h.clockwork, ENGINE)
+    return status
+
+
+@exported("i8", HANDLE)
+def called_back(h):
+    """1 if MuJoCo calls somebody in Python, whose exceptions nobody guards now."""
+    return 1 if engine.unguarded(clockwork(h)) else 0
+
+
+@exported("i8", HANDLE, "i8")
+def take(h, token):
+    """1 if nobody runs the stage: nobody will, until `give` with this token."""
+    return 1 if claim(h.clockwork, token) else 0
+
+
+@exported(None, HANDLE, "i8")
+def give(h, token):
+    """Whoever took it with this token has it no more."""
+    release(h.clockwork, token)
+
+
+@exported(None, HANDLE)
+def settle(h):
+    """See `engine.settle`."""
+    engine.settle(
+        at(h.world, 1, WORLD), at(h.axes, h.n_axes, AXIS), at(h.drives, h.n_axes, DRIVE), at(h.switches, h.n_switches, SWITCH),
+        table(h), at(h.switch_table, h.n_switches, SWITCH_TABLE), chips(h), at(h.clockwork, 1, CLOCKWORK),
+        at(h.qpos, h.nq, REAL), at(h.qvel, h.nv, REAL), at(h.sensordata, h.ns, REAL),
+    )  # fmt: skip
+
+
+@exported(None, HANDLE, "i8")
+def look_again(h, axis):
+    """See `engine.look_again`."""
+    h.noted = engine.look_again(
+        at(h.world, 1, WORLD), at(h.axes, h.n_axes, AXIS), at(h.switches, h.n_switches, SWITCH), table(h),
+        at(h.switch_table, h.n_switches, SWITCH_TABLE), chips(h), at(h.clockwork, 1, CLOCKWORK), at(h.qvel, h.nv, REAL),
+        axis, at(h.edges, h.edge_room, engine.EDGE), h.noted,
+    )  # fmt: skip
+
+
+def fill(handles: np.ndarray, k: int, stage: Any) -> None:
+    """Write the HANDLE of `stage`, which must outlive it, into handles[k], whose record has these fields first."""
+    h = handles[k]
+    model, data = stage.model, stage.data
+    h["mj_model"], h["mj_data"] = model._address, data._address
+    held = (
+        stage._world, stage._axis_state, stage._drives, stage._switches, stage._table, stage._switch_table, stage._chip_table,
+        stage._clockwork, data.qpos, data.qvel, data.ctrl, data.sensordata, model.dof_M0,
+    )  # fmt: skip
+    for name, array in zip(_ARRAYS, held, strict=True):
+        h[name] = array.ctypes.data
+    h["n_axes"], h["n_switches"], h["n_chips"] = len(stage._table), len(stage._switches), len(stage._chip_table)
+    h["nq"], h["nv"], h["nu"], h["ns"] = model.nq, model.nv, model.nu, model.nsensordata
+    h["bus"] = stage._bus_ns
+    h["samples"] = h["positions"] = h["edges"] = stage._state.ctypes.data  # somewhere: no room
+    h["counts"], h["state"] = stage._counts.ctypes.data, stage._state.ctypes.data
+    h["own"] = handles.ctypes.data + k * handles.itemsize
+
+
+def log_to(h: Any, recording: Any) -> None:
+    """From now on the engine samples for `recording`; None: for nobody."""
+    if recording is not None:
+        h["samples"], h["positions"] = recording.samples.ctypes.data, recording.positions.ctypes.data
+        h["room"], h["filled"] = len(recording.samples), recording.filled
+    elif h["room"]:
+        h["samples"] = h["positions"] = h["own"]  # somewhere
+        h["room"] = h["filled"] = 0

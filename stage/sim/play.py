@@ -1,0 +1,189 @@
+"""A host's program, played on many stages at once: compiled, without the GIL.
+
+It is what a Python driver would do through `Stage`, to the bit: `by_hand` plays a program that way, for recordings and tests.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from stage.chips import cores
+from stage.drives import drive
+from stage.native import array_of, at, exported, greatest, hot, least, record
+from stage.sim import engine
+from stage.sim.handle import DRIVE, HANDLE, REAL, advance, chips, clockwork, table, world
+from stage.sim.program import END, LOOK, MEASURE, READ, STOP, WAIT, WRITE
+
+PLAYED, DIVERGED = engine.REACHED, engine.DIVERGED
+"""How a program ended: as it says, or where the stage diverged. Or why it did not: engine.IN_USE and the like."""
+
+TRUTH = record(
+    [(name, "f8") for name in "position velocity commanded".split()]
+    + [(name, "i8") for name in "now lost_steps pulses counter inputs outputs status busy".split()]
+)
+"""One axis now: SI units, ns, full steps, pulses; pin words; the status byte; 1 while a drive is in progress."""
+
+
+@hot
+def _pass(h, until):
+    """Let a stage's time pass up to `until`; 0, or why it did not."""
+    return advance(h, int(until))
+
+
+@hot
+def _until_stopped(h, left, poll, limit):
+    """Poll the axes in the mask `left`. Returns (as `_pass`, ns that it took; negative if `limit` came first)."""
+    w, axes = world(h), table(h)
+    begin = w.now
+    while True:
+        for k in range(h.n_axes):
+            if left >> k & 1:
+                bad = _pass(h, w.now + h.bus)
+                if bad:
+                    return bad, 0
+                if not cores.busy(chips(h)[axes[k].chip], axes[k].chip_axis):
+                    left &= ~(1 << k)
+        took = w.now - begin
+        if left == 0 or took >= limit:
+            return 0, took if left == 0 else -took
+        bad = _pass(h, w.now + poll)
+        if bad:
+            return bad, 0
+
+
+@hot
+def _measure(h, end, extremes):
+    """Let time pass up to `end` a physics step at a time; as `_pass`."""
+    w, dt, qpos = world(h), clockwork(h).dt, at(h.qpos, h.nq, REAL)
+    while w.now < end:
+        bad = _pass(h, least(end, w.start + dt))
+        if bad:
+            return bad
+        for i in range(h.nq):
+            extremes[i, 0] = least(extremes[i, 0], qpos[i])
+            extremes[i, 1] = greatest(extremes[i, 1], qpos[i])
+    return 0
+
+
+@hot
+def play_one(h, ops, results, extremes):
+    """Play `ops` on the stage of handle `h`. Returns PLAYED, DIVERGED or why it could not be played."""
+    w, axes = world(h), table(h)
+    for j in range(len(ops)):
+        kind, a, b, c = ops[j, 0], ops[j, 1], ops[j, 2], ops[j, 3]
+        bad = 0
+        if kind == END:
+            break
+        if kind == STOP:
+            bad, results[j] = _until_stopped(h, a, b, c)
+        elif kind == MEASURE:
+            bad = _measure(h, w.now + a, extremes)
+        elif kind == WAIT:
+            bad = _pass(h, w.now + a)
+        elif kind == LOOK:
+            tau = (w.now - w.start - 0.5 * clockwork(h).dt) * 1e-9
+            q, v = at(h.qpos, h.nq, REAL)[axes[a].qpos], at(h.qvel, h.nv, REAL)[axes[a].dof]
+            results[j] = math.floor((q + v * tau) * 1e12)
+        else:
+            bad = _pass(h, w.now + h.bus)
+            if not bad and kind == WRITE:
+                cores.write(chips(h)[axes[a].chip], b, c)
+            elif not bad:
+                results[j] = cores.read(chips(h)[axes[a].chip], b)
+        if bad:
+            return bad
+    return PLAYED
+
+
+@exported(None, array_of(HANDLE), "i8", "i8", array_of("i8", 3), array_of("i8", 2), array_of("f8", 3), array_of("i8"))
+def play(handles, begin, end, ops, results, extremes, status):
+    """Play ops[k] on stage k for k in begin..end-1; results (stages, ops), extremes (stages, nq, 2), status (stages)."""
+    for k in range(begin, end):
+        status[k] = play_one(handles[k], ops[k], results[k], extremes[k])
+
+
+@hot
+def _look_at(world, c, t, d, clockwork, qpos, qvel, out):
+    tau = (world.now - world.start - 0.5 * clockwork.dt) * 1e-9
+    j = t.chip_axis
+    net = cores.net(c, j)
+    v = qvel[t.dof]
+    q = qpos[t.qpos] + v * tau
+    theta = q * t.gear
+    out.now, out.position, out.velocity = world.now, q, v
+    out.commanded = q + drive.behind(d, float(net), theta) / t.gear
+    out.lost_steps = drive.lost_steps(d, float(net), theta)
+    out.pulses, out.counter, out.inputs = net, cores.counter(c, j), cores.inputs(c, j)
+    out.outputs, out.status, out.busy = cores.outputs(c, j), cores.status(c, j), 1 if cores.busy(c, j) else 0
+
+
+@exported(None, array_of(HANDLE), "i8", "i8", array_of(TRUTH, 2))
+def look(handles, begin, end, truth):
+    """Fill truth[k, a] for every axis of the stages begin..end-1."""
+    for k in range(begin, end):
+        h = handles[k]
+        drives, axes, qpos, qvel = (
+            at(h.drives, h.n_axes, DRIVE),
+            table(h),
+            at(h.qpos, h.nq, REAL),
+            at(h.qvel, h.nv, REAL),
+        )
+        for a in range(h.n_axes):
+            _look_at(world(h), chips(h)[axes[a].chip], axes[a], drives[a], clockwork(h), qpos, qvel, truth[k, a])
+
+
+@exported(None, cores.CHIP, array_of("i8", 2), "i8")
+def write_cycles(chip, ops, axes):
+    """The write cycles of a program to the chip whose axes are in the mask, at one clock."""
+    for j in range(len(ops)):
+        if ops[j, 0] == WRITE and axes >> ops[j, 1] & 1:
+            cores.write(chip, ops[j, 2], ops[j, 3])
+
+
+def by_hand(stage: Any, ops: np.ndarray, results: np.ndarray, extremes: np.ndarray) -> int:
+    """As `play` for one stage, through its chips' own bus cycles: recordings, journals and diagnostics take part."""
+    from stage.errors import SimulationError
+
+    axes = list(stage.axes.values())
+
+    def until_stopped(mask: int, poll: int, limit: int) -> int:
+        begin, left = stage._now, {k for k in range(len(axes)) if mask >> k & 1}
+        while True:
+            left = {k for k in sorted(left) if axes[k].chip.busy(axes[k].chip_axis)}
+            if not left:
+                return int(stage._now - begin)
+            if stage._now - begin >= limit:
+                return int(begin - stage._now)
+            stage._run_until(stage._now + poll)
+
+    def measure(ns: int) -> None:
+        end = stage._now + ns
+        while stage._now < end:
+            stage._run_until(min(end, stage._words.item(1) + stage._dt))
+            np.minimum(extremes[:, 0], stage.data.qpos, out=extremes[:, 0])
+            np.maximum(extremes[:, 1], stage.data.qpos, out=extremes[:, 1])
+
+    try:
+        for j, (kind, a, b, c) in enumerate(ops.tolist()):
+            if kind == END:
+                break
+            if kind == WRITE:
+                axes[a].chip.write(b, c)
+            elif kind == READ:
+                results[j] = axes[a].chip.read(b)
+            elif kind == WAIT:
+                stage._run_until(stage._now + a)
+            elif kind == STOP:
+                results[j] = until_stopped(a, b, c)
+            elif kind == LOOK:
+                results[j] = math.floor(stage._joint_position(a) * 1e12)
+            else:
+                measure(a)
+    except SimulationError as error:
+        if error.__cause__ is not None:  # a callback's own, which says more
+            raise
+        return DIVERGED
+    return PLAYED

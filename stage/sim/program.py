@@ -1,0 +1,84 @@
+"""`Program`: what a host does, written down before it is done: bus cycles and waiting, without branches.
+
+A program is an array of operations, (kind, a, b, c) of int64 each:
+
+    WRITE    axis, address, value     one bus write cycle; its time passes first
+    READ     axis, address, -         one bus read cycle; its value is the operation's result
+    WAIT     ns, -, -
+    STOP     mask, poll ns, limit ns  poll the status of the axes in `mask` until none operates;
+                                      the result is the ns it took, negative where `limit` came first
+    MEASURE  ns, -, -                 pass the time a physics step at a time and keep each coordinate's extremes
+    LOOK     axis, -, -               the axis' position is the operation's result, in pm (prad on a hinge)
+    END      -, -, -
+
+See play.py for who plays one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from stage.errors import ArgumentError
+
+if TYPE_CHECKING:
+    from stage.chips import Chip
+
+NAMES = ("END", "WRITE", "READ", "WAIT", "STOP", "MEASURE", "LOOK")
+END, WRITE, READ, WAIT, STOP, MEASURE, LOOK = range(7)
+MOST_AXES = 62  # bits of a mask
+
+
+class Program:
+    """A list of operations; each method appends and returns the program."""
+
+    def __init__(self) -> None:
+        self.ops: list[tuple[int, int, int, int]] = []
+
+    def __len__(self) -> int:
+        return len(self.ops)
+
+    def write(self, axis: int, address: int, value: int) -> Program:
+        """One bus write cycle to the chip of the axis with this index."""
+        self.ops.append((WRITE, axis, address, value))
+        return self
+
+    def read(self, axis: int, address: int) -> Program:
+        """One bus read cycle; the value is the operation's result."""
+        self.ops.append((READ, axis, address, 0))
+        return self
+
+    def command(self, axis: int, value: int) -> Program:
+        """A byte to address 0."""
+        return self.write(axis, 0, value)
+
+    def register(self, axis: int, chip: Chip | type[Chip], name: str, value: int, chip_axis: int = 0) -> Program:
+        """Write a register of a chip as its family does, see `Chip.register_cycles`; chip_axis: the axis of the chip."""
+        for address, datum in chip.register_cycles(name, value, chip_axis):
+            self.write(axis, address, datum)
+        return self
+
+    def wait(self, seconds: float) -> Program:
+        self.ops.append((WAIT, round(seconds * 1e9), 0, 0))
+        return self
+
+    def until_stopped(self, axes: Sequence[int], limit: float, poll: float = 2.5e-4) -> Program:
+        """Poll until none of the axes operates; the result is the ns it took, negative when `limit` seconds came first.
+
+        Raises ArgumentError for an axis that no stage has.
+        """
+        if not all(0 <= a < MOST_AXES for a in axes):
+            raise ArgumentError(f"axes={axes!r}: axes are given by their index, from 0 on.")
+        mask = sum(1 << a for a in set(axes))
+        self.ops.append((STOP, mask, round(poll * 1e9), round(limit * 1e9)))
+        return self
+
+    def look(self, axis: int) -> Program:
+        """Note where the axis is; the result is its position in pm (prad on a hinge)."""
+        self.ops.append((LOOK, axis, 0, 0))
+        return self
+
+    def measure(self, seconds: float) -> Program:
+        """Let time pass and keep every coordinate's extremes."""
+        self.ops.append((MEASURE, round(seconds * 1e9), 0, 0))
+        return self
