@@ -247,7 +247,7 @@ def test_a_reader_that_goes_away_takes_no_recording_with_it(here, shell):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="OSMesa is Linux's")
-@pytest.mark.parametrize("program", ["from stage import Stage", "from stage import plant"])
+@pytest.mark.parametrize("program", ["from stage import Stage", "from stage import faults"])
 def test_a_library_that_is_missing_is_named(program):
     """MUJOCO_GL=osmesa python -c 'from stage import Stage'"""
     command = [

@@ -6,17 +6,17 @@ from importlib import import_module
 import pytest
 
 DEFAULTS = """
-stage.machine
+stage.sim.stage
     Stage: model='xyz', chips=None, drives=None, bus_cycle=1e-06, visuals=True
     Stage.step: n=1
     Stage.run_until: poll=0.001
     Stage.record: every=0.001, path=None, overwrite=False, on_error='raise'
-stage.faults
+stage.sim.faults
     bounce: seconds=0.002, toggles=6
     payload: factor=2.0, body=None
     phase_open: phase='a'
     lost_write: address=None, value=None, skip=0
-stage.fleet
+stage.sim.program
     Program.register: chip_axis=0
     Program.until_stopped: poll=0.00025
 stage.board.board
@@ -80,16 +80,16 @@ stage.chips.hctl20xx
 stage.firmware.bench
     Bench: bus_cycle=1e-06
     Bench.rail: at=0
-stage.firmware.moves
+stage.firmware.pcl240.moves
     preset_move: profile=None, high_speed=True, fh2=False, s_curve=None, automatic=None, fh_correction=True, down_point=None,
         slow_down=False, interrupt=False, timeout=None
     continuous_move: direction=1, profile=None, high_speed=True, fh2=False, slow_down=False, immediate=False, interrupt=False
     interrupted_move: profile=None, fh2=False, after=0.3, pause=0.2, timeout=None
     external_count: profile=None, rate=1000.0, direction=1, source=None, timeout=60.0
-stage.firmware.origin
+stage.firmware.pcl240.home
     origin_return: direction=-1, profile=None, high_speed=True, slow_approach=True, back_off=200, approach=400.0, ez=None,
         timeout=60.0
-stage.firmware.profile
+stage.firmware.pcl240.profile
     pulse_rate: clock_hz=4915200
     ramp_seconds: clock_hz=4915200, span=None
     Profile: clock_hz=4915200, spans=None
@@ -102,20 +102,20 @@ stage.firmware.profile
     Profile.within: fh2=False
     Profile.is_triangular: fh2=False
     Profile.pulses_through: dwell=0.0
-stage.firmware.synchronized
+stage.firmware.pcl240.synchronized
     SynchronizedReport.plot: path=None, title=None, overwrite=False
     synchronized_move: axes=None, rate=16000.0, fl=1000.0, accel=0.15, decel=None, s_curve=False, automatic=None, timeout=None
-stage.firmware.plan
+stage.firmware.pcl240.plan
     AxisPlan: lead=0.0, seconds=0.0, down_point=0, automatic=False
     Plan: notes=()
     plan: rate=16000.0, fl=1000.0, accel=0.15, decel=None, s_curve=False, automatic=None, clock_hz=4915200, bus_delay=0.0
 stage.firmware.report
     Report: unit='m'
     Report.plot: path=None, title=None, ax=None, overwrite=False
-stage.firmware.rates
+stage.firmware.pcl240.rates
     dual_rate_move: profile=None, rates=('FH1', 'FH2', 'FH1'), dwell=0.1, seconds=None, direction=1, timeout=None
     speed_change_move: profile=None, dwell=0.1, timeout=None
-stage.firmware.servo
+stage.firmware.hctl1100.moves
     Tuning: gain=64, zero=229, pole=64, timer=64
     MoveReport: limited=False
     VelocityReport: ended=''
@@ -123,24 +123,24 @@ stage.firmware.servo
     trapezoid: velocity=40000, acceleration=400000, deadband=3, timeout=10.0
     proportional_velocity: seconds=0.5
     integral_velocity: seconds=0.5, acceleration=400000
-stage.firmware.servo_home
+stage.firmware.hctl1100.home
     HomeReport: unit='m'
     home: direction=-1, speed=8000, acceleration=400000, index=True, turn=2000, deadband=3, timeout=20.0
     leave_limit: push=15, timeout=2.0
-stage.firmware.servo_port
+stage.firmware.hctl1100.port
     Port.wait_for_the_safe_part: mode='position'
     Port.wait_until: poll=0.001
-stage.firmware.servo_profile
+stage.firmware.hctl1100.profile
     follow: leader_only=True
     circle: axes=2, turns=1, ramp=0.2
-stage.firmware.nova
+stage.firmware.nova.mcx300
     Driver.enable: on=True
     Driver.wait_until_stopped: routine=None, poll=0.001
-stage.firmware.nova_home
+stage.firmware.nova.home
     HomeReport: position=None, unit='m'
     home_search: direction=-1, speed=8000, home_speed=400, initial_speed=400, acceleration=80000, index=False, offset=0,
         timer=0.1, timeout=60.0
-stage.firmware.nova_draw
+stage.firmware.nova.draw
     Speed: initial=400, acceleration=80000, jerk=0, even=True
     Arc: finish=(0, 0), clockwise=False
     Helix: rotations=1, finish=(0, 0), clockwise=False

@@ -46,7 +46,7 @@ class HostChip:
 
 
 class HostAxis:
-    """An axis for `firmware.bus.Port`, and for the steps of an origin return."""
+    """An axis for `firmware.Port`, and for the steps of an origin return."""
 
     def __init__(self, host, index, axis):
         self.host, self.name, self.chip = host, axis.name, HostChip(host, index, axis.chip)

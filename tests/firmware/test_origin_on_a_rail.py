@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from examples import SEED, scaled
 
-from stage import ArgumentError, firmware
+from stage import ArgumentError, RunTimeout, firmware
 from stage.chips import PCL240K
 from stage.firmware import Bench, Port, Profile
 
