@@ -47,7 +47,6 @@ import numpy as np
 from stage import Stage
 from stage.chips import Chip, chip_class
 from stage.envs.base import StageEnv, StageVectorEnv
-from stage.envs.hosts import host_of
 from stage.envs.registers import RegisterBox
 from stage.envs.results import result
 from stage.envs.settings import (
@@ -65,6 +64,7 @@ from stage.envs.settings import (
 )
 from stage.envs.task import MoveTask, carrier
 from stage.errors import ArgumentError, unknown
+from stage.firmware.driver import driver_of
 from stage.sim.engine import INDEX
 from stage.sim.fleet import Played
 from stage.sim.program import Program
@@ -121,7 +121,7 @@ class OriginReturn(MoveTask[Config]):
         c, n, first = self.config, self.n, self.stages[0]
         self.axis = first.axes[c.axis]
         self.carrier = carrier(first, c.axis, c.payload_on)
-        self.search = host_of(self.axis).search(c)
+        self.search = driver_of(self.axis).search(c)
         self.switch = {s.pin: s for s in self.axis._plant.switches}
         for pin in ("org", "el_minus", "el_plus"):
             if pin not in self.switch:
@@ -132,7 +132,7 @@ class OriginReturn(MoveTask[Config]):
         self.dof = self.axis._plant.dof
         self.friction0 = float(first.model.dof_frictionloss[self.dof]), float(first.model.dof_damping[self.dof])
         self._find_beam(first)
-        self.strategy = self.search.box
+        self.strategy = RegisterBox.of(self.search.choices.ranges, self.search.choices.cubed)
         self.action_space = self.strategy.box if c.actions == "box" else self.strategy.discrete
         self.observation_space = gymnasium.spaces.Box(-1.0, 1.0, (13,), np.float32)
         self.result = result(

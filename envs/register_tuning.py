@@ -1,7 +1,7 @@
 """`stage/RegisterTuning-v0`: choose a chip's registers for one move after the other.
 
 A step is one whole move of a drawn distance with a drawn payload on the table: registers, start, and then physics decides. Each
-move starts at rest from the same place, so steps are independent of each other. How a chip is spoken to: envs/hosts.
+move starts at rest from the same place, so steps are independent of each other. How a chip is spoken to: stage/firmware/driver.py.
 
 action        Box [-1, 1]^n, see registers.py; with actions="registers" the integers themselves, MultiDiscrete.
               PCL-240: R1 FL, R2 FH1, R4, R5 rates, R6 ramp-down point, R7 multiplier; with S-curves R14 and R15, their spans
@@ -26,10 +26,10 @@ import numpy as np
 
 from stage.chips import Chip, chip_class
 from stage.envs.base import StageEnv, StageVectorEnv
-from stage.envs.hosts import host_of
 from stage.envs.registers import RegisterBox
 from stage.envs.settings import Actions, AxisName, Count, Counts, Cycle, Flag, Payloads, Seconds, Settings, Weight
 from stage.envs.tuning import Tuning
+from stage.firmware.driver import driver_of
 from stage.sim.fleet import Played
 from stage.sim.program import Program
 
@@ -70,14 +70,14 @@ class RegisterTuning(Tuning[Config]):
         return chip_class(self.config.chip)
 
     def tuned(self) -> RegisterBox:
-        self.host = host_of(self.axis)
-        return RegisterBox(self.axis.chip.MAP, self.host.tuned_by(self.config.s_curve))
+        self.driver = driver_of(self.axis)
+        return RegisterBox(self.axis.chip.MAP, self.driver.tuned_by(self.config.s_curve))
 
     def program(self, row: np.ndarray, distance: int) -> Program:
         p, c = Program(), self.config
-        self.host.move(p, self.registers.named(row), distance)
+        self.driver.write_move(p, self.registers.named(row), distance)
         self.stop = len(p)  # the wait for the stop
-        self.host.rest(p.until_stopped([self.axis.index], c.limit))
+        self.driver.write_stop(p.until_stopped([self.axis.index], c.limit))
         return p.measure(c.settle)
 
     def judge(self, played: Played, truth: np.ndarray) -> None:

@@ -23,18 +23,9 @@ import numpy as np
 
 from stage.chips.register_map import RegisterMap
 from stage.errors import ArgumentError
+from stage.firmware.choices import limits
 
-POINT_MOST = 0xFFFFF
 WIDE = 1 << 16
-
-
-def limits(map_: RegisterMap, name: str) -> tuple[int, int]:
-    """The legal range of a register as an action; of R14 and R15 their spans."""
-    r = map_.register(name)
-    if r.legal is None and name not in ("R14", "R15"):
-        raise ArgumentError(f"{map_.chip} {name} has no legal range to choose from.")
-    low, high = r.legal or (0, 0xFFF)
-    return low, min(high, POINT_MOST) if name == "R6" else high
 
 
 class RegisterBox:

@@ -1,7 +1,7 @@
 """`stage/SynchronizedMove-v0`: choose the registers that bring two or three axes along a straight line together.
 
 A step is one whole move of drawn signed distances, from rest to rest, its middle in the middle of the travel. What keeps the axes
-on the line is the family's: its `Line` in envs/hosts writes the registers and starts the axes.
+on the line is the family's: its `Line` in stage/firmware writes the registers and starts the axes.
     PCL-240           the a:b scheme. Nothing couples the chips but their registers, R0 and R1 to R7 of each, and their start
                       commands, a bus cycle apart, the longest axis last: what strays from the line is what they round differently.
     MCX514, MCX312    linear interpolation by the chip, where it has all axes; it takes speeds of one axis and finish points of all.
@@ -46,8 +46,7 @@ import numpy as np
 from stage import Stage
 from stage.chips import Chip, chip_class
 from stage.envs.base import StageEnv, StageVectorEnv
-from stage.envs.hosts import host_of, line_of
-from stage.envs.hosts.line import Asked
+from stage.envs.registers import RegisterBox
 from stage.envs.results import result
 from stage.envs.settings import (
     Count,
@@ -66,6 +65,8 @@ from stage.envs.settings import (
 )
 from stage.envs.task import MoveTask
 from stage.errors import ArgumentError, unknown
+from stage.firmware.driver import driver_of
+from stage.firmware.lines import Asked, line_of
 from stage.firmware.path import path_deviation
 from stage.sim.engine import clock_at
 from stage.sim.fleet import Played
@@ -137,7 +138,7 @@ class SynchronizedMove(MoveTask[Config]):
         self.axes = [first.axes[name] for name in c.axes]
         self.index = [a.index for a in self.axes]
         self.way = np.array([a.meters_per_pulse * np.sign(a.gear) for a in self.axes])
-        self.line = line_of([host_of(a) for a in self.axes], c)
+        self.line = line_of([driver_of(a) for a in self.axes], c)
         self.hz = self.line.hz
         for a in self.axes:
             room = int(0.95 * (a.travel[1] - a.travel[0]) / a.meters_per_pulse)
@@ -145,7 +146,7 @@ class SynchronizedMove(MoveTask[Config]):
                 raise ArgumentError(f"distances={c.distances!r}: axis {a.name} has room for {room} pulses.")
         if c.rates[1] > self.line.fastest:
             raise ArgumentError(f"rate={c.rate!r}: up to {self.line.fastest:.0f} pps here.")
-        self.registers = self.line.registers
+        self.registers = RegisterBox(self.line.chip.MAP, self.line.names * self.line.shape[0])
         self.action_space = self.registers.discrete if c.actions == "registers" else self.registers.box
         m = len(self.axes)
         self.observation_space = gymnasium.spaces.Box(-1.0, 1.0, (5 + 5 * m,), np.float32)

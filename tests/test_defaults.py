@@ -133,9 +133,9 @@ stage.firmware.hctl1100.port
 stage.firmware.hctl1100.profile
     follow: leader_only=True
     circle: axes=2, turns=1, ramp=0.2
-stage.firmware.nova.mcx300
-    Driver.enable: on=True
-    Driver.wait_until_stopped: routine=None, poll=0.001
+stage.firmware.nova.port
+    Port.enable: on=True
+    Port.wait_until_stopped: routine=None, poll=0.001
 stage.firmware.nova.home
     HomeReport: position=None, unit='m'
     home_search: direction=-1, speed=8000, home_speed=400, initial_speed=400, acceleration=80000, index=False, offset=0,

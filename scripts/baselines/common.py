@@ -8,7 +8,7 @@ registers   the environment's own action: of a PCL-240 R1, R2, R4, R5, R6, R7, e
 knobs       factors on the data sheet's answer, 0 for 1: FL, FH, acceleration, of a PCL-240 also deceleration and ramp-down point;
             the chip's formulas make registers of them (formula.py)
 
-Any chip that has a host (`stage.envs.hosts`) can be tuned: --chip MCX514.
+Any chip that has a driver (`stage.firmware.driver`) can be tuned: --chip MCX514.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ import numpy as np
 
 from stage import Stage
 from stage.chips import CHIPS, chip_class
-from stage.envs.hosts import host_of
 from stage.envs.registers import RegisterBox
+from stage.firmware.driver import driver_of
 
 DISTANCE = 32_000  # pulses, 100 mm on the default stage
 PAYLOADS = {"light": 0.5, "heavy": 10.0}  # kg on the table of the X axis
@@ -106,7 +106,7 @@ class Moves:
         nominal = Stage("xyz", chips=chip_class(chip))
         nominal.set_payload(payload)
         self.axis = nominal.axes["x"]
-        self.registers = RegisterBox(self.axis.chip.MAP, host_of(self.axis).tuned_by(s_curve=False))
+        self.registers = RegisterBox(self.axis.chip.MAP, driver_of(self.axis).tuned_by(s_curve=False))
         self.knobs = formula.Knobs(self.axis, distance) if space == "knobs" else None
         self.size = len(self.knobs.ranges) if self.knobs else len(self.registers)
         self.log = Log()

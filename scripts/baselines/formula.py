@@ -12,7 +12,7 @@ python scripts/baselines/formula.py --payload 10
    for the load (motor makers' rule). Half of it would do to start; but a move also ends
    by stopping from FL at once, which swings, and half of it saves only 10 ms.
 5. Rates and times into R1, R2, R4, R5, R7, R6 by the chip's data sheet (`firmware.Profile`); of other families into their own
-   registers (`stage.envs.hosts`).
+   registers (`stage.firmware.driver`).
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ import numpy as np
 
 from stage.drives.dynamometer import closed_form, natural_frequency, pull_in
 from stage.drives.motors import Drive
-from stage.envs.hosts import host_of
 from stage.errors import ArgumentError
 from stage.firmware import Profile
+from stage.firmware.driver import driver_of
 from stage.sim.stage import Axis
 
 if TYPE_CHECKING:
@@ -103,7 +103,7 @@ def profile(load: Load, pulses: int, safety: float = SAFETY) -> Profile:
 def registers(axis: Axis, pulses: int, safety: float = SAFETY, s_curve: bool | None = None) -> dict[str, int]:
     """The registers of the axis' chip for a move of `pulses`; of a PCL-240 R1 to R7."""
     p = profile(Load.of(axis), pulses, safety)
-    return host_of(axis).formula(p.fl, p.fh1, p.accel(), p.decel(), pulses, s_curve)
+    return driver_of(axis).formula(p.fl, p.fh1, p.accel(), p.decel(), pulses, s_curve)
 
 
 class Knobs:
@@ -115,8 +115,8 @@ class Knobs:
     RANGES = (3.0, 1.3, 1.7, 1.7, 1.06)  # FL, FH, acceleration, deceleration, R6: from 1 / so much to so much
 
     def __init__(self, axis: Axis, pulses: int):
-        self.pulses, self.middle, self.host = pulses, profile(Load.of(axis), pulses), host_of(axis)
-        self.ranges = self.RANGES if "R6" in self.host.tuned_by(s_curve=False) else self.RANGES[:3]
+        self.pulses, self.middle, self.driver = pulses, profile(Load.of(axis), pulses), driver_of(axis)
+        self.ranges = self.RANGES if "R6" in self.driver.tuned_by(s_curve=False) else self.RANGES[:3]
 
     def registers(self, knobs: np.ndarray) -> dict[str, int]:
         """Registers of as many numbers from -1 to 1 as there are `ranges`; all 0 are the formula's."""
@@ -127,7 +127,7 @@ class Knobs:
         low = min(low, high)
         longer = (high - low) / (m.fh1 - m.fl)
         ramps = (max(ramp * longer / factor, 1e-3) for ramp, factor in ((m.accel(), up), (m.decel(), down)))
-        made = self.host.formula(low, high, *ramps, self.pulses, s_curve=False)
+        made = self.driver.formula(low, high, *ramps, self.pulses, s_curve=False)
         return {**made, "R6": min(round(made["R6"] * point), 0xFFFFF)} if others else made
 
 

@@ -31,7 +31,7 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from stage import Stage, firmware
-from stage.envs.hosts.pcl240 import TUNED as REGISTERS
+from stage.firmware.pcl240.driver import TUNED as REGISTERS
 from stage.firmware.report import Report, rates
 
 SEEDS = 5

@@ -151,6 +151,8 @@ class Chip:
     """Bus addresses at which a read cycle changes something, in some mode at least: journals note these cycles."""
     IRQ: ClassVar[tuple[int, int]] = (0, 0)
     """The outputs that ask a host for attention: of which axis' pins (-1: those of no axis), and their bits."""
+    DRIVER: ClassVar[str] = ""
+    """Who speaks to the chip as a host: "package.module:Class" of a `stage.firmware.driver.Driver`, loaded when it is needed."""
     BUSY: ClassVar[tuple[int, int]]
     """Where the bus tells that a drive is in progress: address, and the bit of axis 0."""
 
@@ -249,6 +251,11 @@ class Chip:
         ArgumentError for a name that is none.
         """
         raise NotImplementedError(f"{cls.__name__} does not say how its registers are written.")
+
+    @classmethod
+    def running(cls, edges: np.ndarray) -> np.ndarray:
+        """Whether the axis of a course drives, from each of its edges on (bool)."""
+        return edges["rate"] != 0
 
     def options(self) -> dict[str, Any]:
         """What the chip was made with: type(chip)(**chip.options()) is another of its kind."""

@@ -36,6 +36,11 @@ class Course(NamedTuple):
         """Time of each edge since the first."""
         return (self.edges["clock"] - self.edges["clock"][0]) / self.clock_hz
 
+    @property
+    def running(self) -> np.ndarray:
+        """Whether the axis drives, from each edge on (bool)."""
+        return self.chip.running(self.edges)
+
     def pin(self, name: str) -> np.ndarray:
         """A pin's state from each edge on (bool)."""
         bit, word = (self.chip.INPUTS, "inputs") if name in self.chip.INPUTS else (self.chip.OUTPUTS, "outputs")

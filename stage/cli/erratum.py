@@ -131,52 +131,54 @@ def show(make: Callable[[], Any], records: tuple[Record | None, Record | None] =
     return Shown(type(x.chip).__name__, not x.chip.errata, (figures[1], figures[0]), (kept[1], kept[0]), x.unit)
 
 
-def _bare(driver: Any) -> bool:
-    from stage.firmware.nova import mcx300 as nova
+def _bare(port: Any) -> bool:
+    from stage.firmware.nova import erratum
 
-    driver.command(nova.DECELERATING_STOP)
+    port.command(erratum.DECELERATING_STOP)
     return True
 
 
-def _guarded(driver: Any) -> bool:
+def _guarded(port: Any) -> bool:
     from stage.firmware.nova.erratum import judgmental_speed, stop_by_speed
 
-    return stop_by_speed(driver, judgmental_speed(MOVE["SV"], MOVE["V"]))
+    return stop_by_speed(port, judgmental_speed(MOVE["SV"], MOVE["V"]))
 
 
 def _move(stage: Any, stop: Callable[[Any], bool]) -> Figures:
-    """An S-curve drive up to 5 mm before EL+, by bus cycles; once RR1 shows area d, stop(driver). Its figures."""
-    from stage.firmware.nova import mcx300 as nova
+    """An S-curve drive up to 5 mm before EL+, by bus cycles; once RR1 shows area d, stop(port). Its figures."""
+    from stage.firmware.nova import erratum
 
     x = _first(stage)
     end = _touch(x, "el_plus")
     stage.place(**{x.name: end - SHORT - PULSES * x.meters_per_pulse})
-    driver = nova.Driver(x)
-    driver.load(**MOVE)
-    driver.mode(WR2=nova.LIMITS_DECELERATE, WR3=nova.S_CURVE)
-    driver.start(PULSES)
-    while not driver.word(1) & nova.DSND:
+    port = erratum.port_of(x)
+    port.load(**MOVE)
+    port.mode(WR2=erratum.LIMITS_DECELERATE, WR3=erratum.S_CURVE)
+    port.start(PULSES)
+    while not port.word(1) & erratum.DSND:
         x.wait(1e-3)
-    while driver.word(1) & nova.DSND:
+    while port.word(1) & erratum.DSND:
         x.wait(5e-4)
     x.wait(1e-6 * MOVE["K"])  # area d lasts 2 K us
-    left = PULSES - driver.position()
-    given = stop(driver)
-    status = driver.word(1)
+    left = PULSES - port.position()
+    given = stop(port)
+    status = port.word(1)
     x.wait(LOOK)
-    away = driver.driving()
-    speed = driver.speed() * MULTIPLE
+    away = port.driving()
+    speed = port.speed() * MULTIPLE
     figures: Figures = {
         "pulses left in area d": left,
         "26h given": "yes" if given else "no",
-        "ASND CNST DSND then": " ".join(str(int(bool(status & bit))) for bit in (nova.ASND, nova.CNST, nova.DSND)),
+        "ASND CNST DSND then": " ".join(
+            str(int(bool(status & bit))) for bit in (erratum.ASND, erratum.CNST, erratum.DSND)
+        ),
         "n-DRV 2 s later": int(away),
         "speed, pps": speed,
-        "pulses past the target": driver.position() - PULSES,
+        "pulses past the target": port.position() - PULSES,
         "position, mm": x.position * 1e3,
         "beyond EL+, mm": max(x.position - end, 0.0) * 1e3,
         "lost steps": x.lost_steps,
     }
-    driver.command(nova.SUDDEN_STOP)
+    port.command(erratum.SUDDEN_STOP)
     x.wait(0.3)
     return figures

@@ -2,9 +2,12 @@
 
     from stage import Stage, firmware
 
-    stage = Stage("xyz")
-    print(firmware.origin_return(stage.axes["x"]))
-    firmware.preset_move(stage.axes["x"], 8000).plot("move.png")
+    stage = Stage("xyz", chips="mcx514")
+    print(firmware.home(stage.axes["x"]))
+    print(firmware.move(stage.axes["x"], 10e-3))
+
+move, home, line, jog and stop work with every chip. preset_move, origin_return and the like are those of the PCL-240's data sheet;
+`stage.firmware.nova` and `stage.firmware.hctl1100` have what only these families can do.
 
 Chips without a stage run the same procedures on a `Bench`.
 """
@@ -20,14 +23,16 @@ from stage.firmware.pcl240.moves import continuous_move, external_count, interru
 from stage.firmware.pcl240.plan import Plan, plan
 from stage.firmware.pcl240.profile import Profile
 from stage.firmware.pcl240.rates import curved_ramp_move, dual_rate_move, speed_change_move
-from stage.firmware.pcl240.synchronized import SynchronizedReport, synchronized_move
+from stage.firmware.pcl240.synchronized import synchronized_move
+from stage.firmware.procedures import home, jog, line, move, stop
 from stage.firmware.report import Report
+from stage.firmware.together import SynchronizedReport
 
 PROCEDURES: dict[str, Callable] = {
     f.__name__: f
     for f in (
         preset_move, continuous_move, dual_rate_move, speed_change_move, curved_ramp_move, interrupted_move, external_count,
-        origin_return, synchronized_move,
+        origin_return, synchronized_move, move, home, line, jog, stop,
     )
 }  # fmt: skip
 """Every procedure by name."""
@@ -43,6 +48,6 @@ def procedure(name: str) -> Callable:
 
 __all__ = [
     "Axis", "Bench", "PROCEDURES", "Plan", "Port", "Profile", "Report", "SynchronizedReport", "continuous_move",
-    "curved_ramp_move", "dual_rate_move", "external_count", "interrupted_move", "origin_return", "plan", "preset_move",
-    "procedure", "speed_change_move", "synchronized_move",
+    "curved_ramp_move", "dual_rate_move", "external_count", "home", "interrupted_move", "jog", "line", "move", "origin_return",
+    "plan", "preset_move", "procedure", "speed_change_move", "stop", "synchronized_move",
 ]  # fmt: skip

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Protocol
 
 from stage.chips import Chip
-from stage.chips.pcl240 import PCL240
-from stage.errors import ArgumentError
 
 
 class Axis(Protocol):
@@ -46,17 +44,3 @@ class Axis(Protocol):
     @property
     def lost_steps(self) -> int | None:
         """Full steps lost; None without a motor."""
-
-
-def check(axis: Any) -> type[PCL240]:
-    """The class of the axis' chip; ArgumentError if `axis` is none, or its chip does not speak the language of the PCL-240
-    family."""
-    chip = getattr(axis, "chip", None)
-    if not isinstance(chip, Chip):
-        raise ArgumentError(f"{axis!r} is no axis: give stage.axes['x'], or Bench(x=PCL240K()).axes['x'].")
-    if not isinstance(chip, PCL240):
-        raise ArgumentError(
-            f"axis {axis.name} has an {chip.MAP.chip}; these procedures speak to the PCL-240 family, stage.firmware.nova and "
-            "stage.firmware.hctl1100 to others."
-        )
-    return type(chip)

@@ -12,7 +12,7 @@ from stage.firmware.path import path_points
 from stage.firmware.plot import INK, LINE, MUTED, _bare
 
 if TYPE_CHECKING:
-    from stage.firmware.pcl240.synchronized import SynchronizedReport
+    from stage.firmware.together import SynchronizedReport
 
 COLOURS = (LINE, "#c05621", "#2f855a", "#6b46c1", "#b7791f", "#2b6cb0")
 WORST = "#c53030"

@@ -11,11 +11,13 @@ import numpy as np
 from stage.chips.decode import Said, decode
 from stage.chips.journal import Course
 from stage.errors import RunTimeout
-from stage.firmware.axis import Axis, check
-from stage.firmware.pcl240.bus import Port
+from stage.firmware.axis import Axis
 
 if TYPE_CHECKING:
     from os import PathLike
+
+
+NOT_AS_ASKED = ("EL+", "EL-", "STOP0", "ALARM", "EMG", "timeout")
 
 
 @dataclass(frozen=True)
@@ -24,12 +26,14 @@ class Report:
 
     Attributes:
         procedure, axis: names.
-        pulses: pulses made, + minus - (signed). asked: pulses asked for, None where a procedure asks for none.
+        pulses: pulses made, + minus - (signed); of a servo counts of the command. asked: pulses asked for, None where a procedure
+            asks for none.
         duration: seconds from the first start to the last stop. peak_rate, average_rate: pps.
         start, position: m, where the carriage was before and is after (None without a stage); rad on a hinge.
         lost_steps: full steps lost meanwhile, a multiple of four (None without a motor).
-        stopped_by: why it stopped: "R0 = 0", "ORG", "EZ", "EL+", "EL-", "decelerating stop", "reset command", "timeout".
-        residual: R0 at the end. course: every change of the chip's pins and speed, by the clock.
+        stopped_by: why it stopped: "R0 = 0" (of a NOVA chip "all pulses", of a servo "end of profile"), "ORG", "EZ", "EL+", "EL-",
+            "decelerating stop", "reset command", "timeout", or the name of another input.
+        residual: R0 at the end; None of a chip that has none. course: every change of the chip's pins and speed, by the clock.
         said: the bytes written, decoded: commands, and registers with all their bytes. unit: "m", or "rad" on a hinge.
     """
 
@@ -43,7 +47,7 @@ class Report:
     position: float | None
     lost_steps: int | None
     stopped_by: str
-    residual: int
+    residual: int | None
     course: Course = field(repr=False)
     said: tuple[Said, ...] = field(repr=False)
     unit: str = "m"
@@ -52,7 +56,7 @@ class Report:
     def ok(self) -> bool:
         """Every pulse asked for was made, none of them lost, and neither an end limit nor the time ended it."""
         done = self.asked is None or self.pulses == self.asked
-        return done and not self.lost_steps and self.stopped_by not in ("EL+", "EL-", "timeout")
+        return done and not self.lost_steps and self.stopped_by not in NOT_AS_ASKED
 
     @cached_property
     def average_rate(self) -> float:
@@ -63,7 +67,7 @@ class Report:
     @property
     def began(self) -> float:
         """Seconds from the first byte to the first start; 0 if nothing ran."""
-        return float(self.course.seconds[running[0]]) if len(running := _running(self.course)) else 0.0
+        return float(self.course.seconds[running[0]]) if len(running := np.flatnonzero(self.course.running)) else 0.0
 
     @property
     def rates(self) -> np.ndarray:
@@ -72,9 +76,10 @@ class Report:
 
     def __str__(self) -> str:
         asked = "" if self.asked is None else f" of {self.asked}"
+        left = "" if self.residual is None else f", R0 {self.residual}"
         lines = [
             f"{self.procedure} on {self.axis}: {'done' if self.ok else 'NOT as asked'}, stopped by {self.stopped_by}",
-            f"  pulses {self.pulses}{asked}, R0 {self.residual}; {self.duration:.4f} s, peak {self.peak_rate:.1f} pps, "
+            f"  pulses {self.pulses}{asked}{left}; {self.duration:.4f} s, peak {self.peak_rate:.1f} pps, "
             f"average {self.average_rate:.1f} pps",
         ]
         if self.position is not None and self.start is not None:
@@ -110,12 +115,8 @@ class Report:
 
 
 def rates(course: Course) -> np.ndarray:
-    """Pulse rate from each edge on, pps."""
-    return course.edges["rate"] * course.clock_hz
-
-
-def _running(course: Course) -> np.ndarray:
-    return np.flatnonzero(~course.pin("hold"))
+    """Pulse rate from each edge on, pps; without a sign."""
+    return np.abs(course.edges["rate"]) * course.clock_hz
 
 
 class Procedure:
@@ -125,8 +126,7 @@ class Procedure:
     """
 
     def __init__(self, axis: Axis, name: str):
-        check(axis)
-        self.axis, self.name, self.port = axis, name, Port(axis)
+        self.axis, self.name = axis, name
 
     def __enter__(self) -> Procedure:
         self.journal = self.axis.chip.journal(self.axis.chip_axis)
@@ -139,13 +139,17 @@ class Procedure:
             error.report = self.report("timeout")  # type: ignore[attr-defined]
         self.journal.close()
 
+    def residual(self) -> int | None:
+        """What the chip's down counter says, where it has one."""
+        return None
+
     def report(self, stopped_by: str, asked: int | None = None) -> Report:
         """Close the books."""
         axis = self.axis
-        residual = self.port.counter()
+        residual = self.residual()
         self.journal.close()
         course = self.journal.course()
-        net, running, seconds = course.edges["net"], _running(course), course.seconds
+        net, running, seconds = course.edges["net"], np.flatnonzero(course.running), course.seconds
         duration = float(seconds[min(running[-1] + 1, len(net) - 1)] - seconds[running[0]]) if len(running) else 0.0
         lost = axis.lost_steps
         return Report(

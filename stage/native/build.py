@@ -78,7 +78,9 @@ def _build(package: str, places: dict[str, Path], folder: Path, say: Any) -> Pat
     for name, modules in parts.items():
         closure = {m: load.digest_of(known[m]) for m in sorted(_closure(modules, known))}
         sources |= closure
-        digest = hashlib.sha256(json.dumps([modules, closure, NUMBA, load.target(), processor]).encode()).hexdigest()[:16]
+        digest = hashlib.sha256(json.dumps([modules, closure, NUMBA, load.target(), processor]).encode()).hexdigest()[
+            :16
+        ]
         target = kept / f"{name}-{digest}.o"
         objects.append(target)
         if not target.is_file():

@@ -16,8 +16,9 @@ See play.py for who plays one.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 from stage.errors import ArgumentError
 
@@ -29,7 +30,37 @@ END, WRITE, READ, WAIT, STOP, MEASURE, LOOK = range(7)
 MOST_AXES = 62  # bits of a mask
 
 
-class Program:
+class Operations(ABC):
+    """What a host does, one operation after the other; each method returns the same object."""
+
+    @abstractmethod
+    def __len__(self) -> int:
+        """How many there are so far."""
+
+    @abstractmethod
+    def write(self, axis: int, address: int, value: int) -> Self:
+        """One bus write cycle to the chip of the axis with this index."""
+
+    @abstractmethod
+    def wait(self, seconds: float) -> Self:
+        """Let time pass."""
+
+    @abstractmethod
+    def until_stopped(self, axes: Sequence[int], limit: float) -> Self:
+        """Poll until none of the axes operates, for `limit` seconds at most."""
+
+    def command(self, axis: int, value: int) -> Self:
+        """A byte to address 0."""
+        return self.write(axis, 0, value)
+
+    def register(self, axis: int, chip: Chip | type[Chip], name: str, value: int, chip_axis: int = 0) -> Self:
+        """Write a register of a chip as its family does, see `Chip.register_cycles`; chip_axis: the axis of the chip."""
+        for address, datum in chip.register_cycles(name, value, chip_axis):
+            self.write(axis, address, datum)
+        return self
+
+
+class Program(Operations):
     """A list of operations; each method appends and returns the program."""
 
     def __init__(self) -> None:
@@ -38,31 +69,21 @@ class Program:
     def __len__(self) -> int:
         return len(self.ops)
 
-    def write(self, axis: int, address: int, value: int) -> Program:
+    def write(self, axis: int, address: int, value: int) -> Self:
         """One bus write cycle to the chip of the axis with this index."""
         self.ops.append((WRITE, axis, address, value))
         return self
 
-    def read(self, axis: int, address: int) -> Program:
+    def read(self, axis: int, address: int) -> Self:
         """One bus read cycle; the value is the operation's result."""
         self.ops.append((READ, axis, address, 0))
         return self
 
-    def command(self, axis: int, value: int) -> Program:
-        """A byte to address 0."""
-        return self.write(axis, 0, value)
-
-    def register(self, axis: int, chip: Chip | type[Chip], name: str, value: int, chip_axis: int = 0) -> Program:
-        """Write a register of a chip as its family does, see `Chip.register_cycles`; chip_axis: the axis of the chip."""
-        for address, datum in chip.register_cycles(name, value, chip_axis):
-            self.write(axis, address, datum)
-        return self
-
-    def wait(self, seconds: float) -> Program:
+    def wait(self, seconds: float) -> Self:
         self.ops.append((WAIT, round(seconds * 1e9), 0, 0))
         return self
 
-    def until_stopped(self, axes: Sequence[int], limit: float, poll: float = 2.5e-4) -> Program:
+    def until_stopped(self, axes: Sequence[int], limit: float, poll: float = 2.5e-4) -> Self:
         """Poll until none of the axes operates; the result is the ns it took, negative when `limit` seconds came first.
 
         Raises ArgumentError for an axis that no stage has.
@@ -73,12 +94,12 @@ class Program:
         self.ops.append((STOP, mask, round(poll * 1e9), round(limit * 1e9)))
         return self
 
-    def look(self, axis: int) -> Program:
+    def look(self, axis: int) -> Self:
         """Note where the axis is; the result is its position in pm (prad on a hinge)."""
         self.ops.append((LOOK, axis, 0, 0))
         return self
 
-    def measure(self, seconds: float) -> Program:
+    def measure(self, seconds: float) -> Self:
         """Let time pass and keep every coordinate's extremes."""
         self.ops.append((MEASURE, round(seconds * 1e9), 0, 0))
         return self

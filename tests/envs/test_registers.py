@@ -6,9 +6,9 @@ from examples import SEED
 
 from stage import ArgumentError
 from stage.chips import PCL240K, PCL240MS
-from stage.envs.hosts.pcl240 import S_CURVES
-from stage.envs.hosts.pcl240 import TUNED as REGISTERS
 from stage.envs.registers import RegisterBox
+from stage.firmware.pcl240.driver import S_CURVES
+from stage.firmware.pcl240.driver import TUNED as REGISTERS
 
 
 def box(chip):

@@ -6,8 +6,6 @@ import pytest
 
 from stage import Stage, firmware
 from stage.chips import CHIPS
-from stage.envs.hosts import host_of, line_of
-from stage.envs.hosts.pcl240 import TUNED as REGISTERS
 from stage.envs.registers import RegisterBox
 from stage.envs.synchronized_move import (
     Config,
@@ -16,8 +14,11 @@ from stage.envs.synchronized_move import (
     SynchronizedMoveVectorEnv,
 )
 from stage.errors import ArgumentError
+from stage.firmware.driver import driver_of
+from stage.firmware.lines import line_of
 from stage.firmware.path import path_deviation, perfect_deviation, pulses_of
 from stage.firmware.pcl240 import emulated as follow
+from stage.firmware.pcl240.driver import TUNED as REGISTERS
 
 SHORT = {"distances": (500, 3000), "rate": 16_000.0, "accel": 0.05}
 NOTHING = np.zeros(12, np.float32)
@@ -473,7 +474,7 @@ def test_an_end_limit_ends_a_line_of_a_nova_chip(chip):
 def test_chips_that_cannot_be_synchronized_are_refused():
     mixed = Stage("xyz", chips={"x": CHIPS["PCL240K"], "y": CHIPS["MCX514"], "z": CHIPS["MCX514"]}, visuals=False)
     with pytest.raises(ArgumentError, match="MCX514 and PCL240K cannot be synchronized"):
-        line_of([host_of(mixed.axes[n]) for n in "xy"], Config())
-    hosts = [host_of(Stage("xyz", chips=CHIPS["MCX514"], visuals=False).axes[n]) for n in "xy"]
+        line_of([driver_of(mixed.axes[n]) for n in "xy"], Config())
+    hosts = [driver_of(Stage("xyz", chips=CHIPS["MCX514"], visuals=False).axes[n]) for n in "xy"]
     with pytest.raises(ArgumentError, match="on several MCX514"):
         line_of(hosts, Config())

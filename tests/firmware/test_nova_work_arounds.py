@@ -8,8 +8,6 @@ from stage import ArgumentError, RunTimeout
 from stage.chips import MCX302, MCX304, MCX312, MCX514, PCL240K
 from stage.firmware import Bench
 from stage.firmware.nova import erratum
-from stage.firmware.nova import mcx300 as nova
-from stage.firmware.nova.mcx300 import Driver
 
 every_chip = pytest.mark.parametrize("cls", [MCX302, MCX304, MCX312], ids=lambda cls: cls.__name__)
 PULSES = 12_000
@@ -30,10 +28,10 @@ class Setup:
 
     def __init__(self, cls=MCX304, errata=True, wr1=0, wr2=0, **parameters):
         self.bench = Bench(x=cls(errata=errata))
-        self.driver = Driver(self.bench.axes["x"])
+        self.driver = erratum.port_of(self.bench.axes["x"])
         self.pins = self.driver.axis.pins
         self.driver.load(**{"R": 800_000, "K": K, "A": 8000, "SV": SV, "V": V, "AO": 0} | LIMITS | parameters)
-        self.driver.mode(WR1=wr1, WR2=wr2, WR3=nova.S_CURVE)
+        self.driver.mode(WR1=wr1, WR2=wr2, WR3=erratum.S_CURVE)
 
     def start(self, pulses=PULSES):
         self.driver.start(pulses)
@@ -46,7 +44,7 @@ class Setup:
 
     def runs_away(self):
         self.bench.wait(2.5)  # longer than a whole drive
-        return self.driver.driving() and not self.driver.word(1) & nova.PHASES
+        return self.driver.driving() and not self.driver.word(1) & erratum.PHASES
 
     def ended_at(self):
         self.driver.wait_until_stopped(5, poll=0.02)
@@ -58,7 +56,7 @@ class Setup:
 
 def bare(setup):
     """26h whenever it is asked for."""
-    setup.driver.command(nova.DECELERATING_STOP)
+    setup.driver.command(erratum.DECELERATING_STOP)
     return True
 
 
@@ -157,7 +155,7 @@ def test_the_flag_is_made_anew_for_each_drive():
 
 # Case 2: a hardware limit that decelerates
 
-LIMIT_ROUTINES = {"interrupt": (erratum.limit_interrupt, nova.C_END_ENABLE), "polling": (erratum.limit_poll, 0)}
+LIMIT_ROUTINES = {"interrupt": (erratum.limit_interrupt, erratum.C_END_ENABLE), "polling": (erratum.limit_poll, 0)}
 limit_routine = pytest.mark.parametrize("name", LIMIT_ROUTINES)
 
 
@@ -165,7 +163,7 @@ def with_limit(name, when, cls=MCX304, sign=1, routine=True, errata=True, begins
     """A drive whose limit is met `when` seconds after its start; where it was then; whether the routine gave 27h, which watches
     from `begins` seconds after the start on."""
     watch, wr1 = LIMIT_ROUTINES[name]
-    setup = Setup(cls, errata, wr1=wr1, wr2=nova.LIMITS_DECELERATE)
+    setup = Setup(cls, errata, wr1=wr1, wr2=erratum.LIMITS_DECELERATE)
     setup.driver.word(3)
     setup.start(sign * PULSES)
     places = []
@@ -226,9 +224,9 @@ def test_a_mended_chip_needs_no_routine(name):
     ids=["plus", "minus"],
 )
 def test_a_drive_beyond_a_software_limit_is_not_started(cls, pulses, limits):
-    setup = Setup(cls, wr2=nova.SOFT_LIMITS, **limits).start(pulses)
+    setup = Setup(cls, wr2=erratum.SOFT_LIMITS, **limits).start(pulses)
     assert setup.runs_away()
-    setup = Setup(cls, wr2=nova.SOFT_LIMITS, **limits)
+    setup = Setup(cls, wr2=erratum.SOFT_LIMITS, **limits)
     assert not erratum.start_within_limits(setup.driver, pulses, limits["CM"], limits["CP"])
     assert not setup.driver.driving()
     assert setup.driver.position() == 0
@@ -237,7 +235,7 @@ def test_a_drive_beyond_a_software_limit_is_not_started(cls, pulses, limits):
 @pytest.mark.parametrize("sign", [1, -1], ids=["plus", "minus"])
 def test_a_drive_up_to_a_software_limit_is_started_and_ends_there(sign):
     limits = {"CP": PULSES if sign > 0 else 1, "CM": -PULSES}
-    setup = Setup(wr2=nova.SOFT_LIMITS, **limits)
+    setup = Setup(wr2=erratum.SOFT_LIMITS, **limits)
     assert erratum.start_within_limits(setup.driver, sign * PULSES, limits["CM"], limits["CP"])
     assert setup.ended_at() == sign * PULSES
 
@@ -246,7 +244,7 @@ def test_a_drive_up_to_a_software_limit_is_started_and_ends_there(sign):
 
 
 def with_stop(k, when, cls=MCX304, routine=True, begins=0.0):
-    setup = Setup(cls, wr1=nova.STOP_ENABLES[k]).start()
+    setup = Setup(cls, wr1=erratum.STOP_ENABLES[k]).start()
     places = []
 
     def touch():
@@ -281,10 +279,10 @@ def test_the_stop_routine_leaves_a_drive_alone_that_ends_by_itself(when):
 
 def test_the_driver_speaks_to_its_own_axis():
     chip = MCX304()
-    z = Driver(SimpleNamespace(name="z", chip=chip, chip_axis=2))
-    Driver(SimpleNamespace(name="x", chip=chip, chip_axis=0)).load(P=5)
+    z = erratum.port_of(SimpleNamespace(name="z", chip=chip, chip_axis=2))
+    erratum.port_of(SimpleNamespace(name="x", chip=chip, chip_axis=0)).load(P=5)
     z.load(R=800_000, SV=1000, V=1000, LP=-3)
-    z.mode(WR1=nova.C_END_ENABLE)
+    z.mode(WR1=erratum.C_END_ENABLE)
     z.start(40)
     assert (z.driving(), z.speed()) == (True, 1000)
     assert set(chip.trace(16_000_000)["axis"]) == {2}
@@ -313,7 +311,7 @@ def test_errors_come_before_the_first_bus_cycle(act, message):
 @pytest.mark.parametrize("chip", [PCL240K, MCX514], ids=lambda cls: cls.__name__)
 def test_other_chips_are_refused(chip):
     with pytest.raises(ArgumentError, match="no MCX304, MCX302 or MCX312"):
-        Driver(Bench(x=chip()).axes["x"])
+        erratum.port_of(Bench(x=chip()).axes["x"])
 
 
 @pytest.mark.parametrize("stops", [True, False])
@@ -325,7 +323,7 @@ def test_a_routine_that_has_stopped_the_drive_is_told_though_it_ran_often_after_
         if len(looks) != 100:
             return False
         if stops:
-            setup.driver.command(nova.DECELERATING_STOP)
+            setup.driver.command(erratum.DECELERATING_STOP)
         return stops
 
     assert setup.driver.wait_until_stopped(5, routine) is stops

@@ -42,6 +42,7 @@ class HCTL1100(Chip):
     ADDRESSES: ClassVar = ADDRESSES
     BUSY: ClassVar = (0x07, MAP.mask("R07", "profile"))
     COUNTER: ClassVar = ("R14", 24)
+    DRIVER: ClassVar = "stage.firmware.hctl1100.driver:Hctl1100Driver"
     TRACED: ClassVar = {"R0E": ("command", 24), "MC": ("motor", 8)}
     _ADDRESS_MASK: ClassVar = ADDRESSES - 1
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import copy
 from typing import Any, ClassVar
 
+import numpy as np
+
 from stage.chips.chip import Chip
 from stage.chips.pcl240 import core, lint, state
 from stage.chips.pcl240.decode import Decoder
@@ -25,6 +27,7 @@ class PCL240(Chip):
     INPUTS: ClassVar = core.INPUTS
     OUTPUTS: ClassVar = core.OUTPUTS
     IRQ: ClassVar = (0, core.OUTPUTS["irq"])
+    DRIVER: ClassVar = "stage.firmware.pcl240.driver:Pcl240Driver"
     DEFAULT_CLOCK_HZ: ClassVar = 4_915_200
     BUSY: ClassVar = (0, 0x40)
     COUNTER: ClassVar = ("R0", 24)
@@ -47,6 +50,10 @@ class PCL240(Chip):
         r = cls.MAP.register(name)
         bytes_ = [(1 + k, value >> 8 * k & 0xFF) for k in reversed(range((r.bits + 7) // 8))]
         return [(0, SELECT | r.number), *bytes_]
+
+    @classmethod
+    def running(cls, edges: np.ndarray) -> np.ndarray:
+        return (edges["outputs"] & cls.OUTPUTS["hold"]) == 0
 
     def decoder(self, axis: int = 0) -> Decoder:
         return Decoder(self.MAP)

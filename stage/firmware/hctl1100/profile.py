@@ -11,7 +11,7 @@ of several chips at one clock: then one of them tells of all, and the axes take 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,12 +50,15 @@ def synchronize(ports: Sequence[Port]) -> None:
         port.hold()
 
 
-def follow(ports: Sequence[Port], profile: np.ndarray, *, leader_only: bool = True) -> FollowReport:
+def follow(
+    ports: Sequence[Port], profile: np.ndarray, *, leader_only: bool = True, look: Callable[[], None] | None = None
+) -> FollowReport:
     """Command positions relative to where the axes are, one row a sample, in the safe part of it.
 
     Args:
         profile: (samples, axes) counts, whole numbers or rounded to them.
         leader_only: read the timer of the first chip and write to all, as SYNC allows. Without, each chip's own timer is asked.
+        look: called after each row.
     Raises ArgumentError. A host too slow for the sample time misses samples: see the report.
     """
     rows = np.rint(np.asarray(profile)).astype(np.int64)
@@ -70,6 +73,8 @@ def follow(ports: Sequence[Port], profile: np.ndarray, *, leader_only: bool = Tr
             if not leader_only:
                 port.wait_for_the_safe_part()
             port.load(command_position=value)
+        if look is not None:
+            look()
     seconds = main.axis.time - begin
     return FollowReport(len(rows), max(round(seconds / main.sample) - len(rows), 0), seconds)
 

@@ -8,19 +8,29 @@ happening; 2 and 4 only be ended by 27h, soon: call the routine often.
 
 from __future__ import annotations
 
-from stage.firmware.nova.mcx300 import (
-    ASND,
-    C_END,
-    C_END_ENABLE,
-    CNST,
-    DECELERATING_STOP,
-    DSND,
-    PHASES,
-    STOPPED_BY_LIMIT,
-    STOPPED_BY_STOP,
-    SUDDEN_STOP,
-    Driver,
-)
+from stage.chips import MCX302, MCX304, MCX312
+from stage.chips.nova.registers.mcx300 import MCX304_MAP as MAP
+from stage.errors import ArgumentError
+from stage.firmware.axis import Axis
+from stage.firmware.nova.port import Port
+
+DECELERATING_STOP, SUDDEN_STOP = "STOP_DEC", "STOP_SUDDEN"
+ASND, CNST, DSND = (MAP.mask("RR1", name) for name in ("ASND", "CNST", "DSND"))
+PHASES = ASND | CNST | DSND
+STOPPED_BY_LIMIT = MAP.mask("RR1", "LMT+") | MAP.mask("RR1", "LMT-")
+STOPPED_BY_STOP = sum(MAP.mask("RR1", f"STOP{k}") for k in range(3))
+C_END_ENABLE, C_END = MAP.mask("WR1", "C-END"), MAP.mask("RR3", "C-END")
+STOP_ENABLES = tuple(MAP.mask("WR1", f"SP{k}-E") for k in range(3))
+SOFT_LIMITS = MAP.mask("WR2", "SLMT+") | MAP.mask("WR2", "SLMT-")
+LIMITS_DECELERATE, ALARM_ENABLE = MAP.mask("WR2", "LMTMD"), MAP.mask("WR2", "ALM-E")
+S_CURVE = MAP.mask("WR3", "SACC")
+
+
+def port_of(axis: Axis) -> Port:
+    """The port of an axis whose chip can have the failure. Raises ArgumentError for another."""
+    if not isinstance(getattr(axis, "chip", None), (MCX304, MCX302, MCX312)):
+        raise ArgumentError(f"{axis!r} has no MCX304, MCX302 or MCX312, and no other chip has this failure.")
+    return Port(axis)
 
 
 class DecelerationFlag:
@@ -31,16 +41,16 @@ class DecelerationFlag:
     to end, and no interrupt comes before area d.
     """
 
-    def __init__(self, driver: Driver):
-        self.driver, self.prohibits = driver, False
-        driver.word(3)  # factors of the drive before
-        driver.enable("WR1", C_END_ENABLE)
+    def __init__(self, port: Port):
+        self.port, self.prohibits = port, False
+        port.word(3)  # factors of the drive before
+        port.enable("WR1", C_END_ENABLE)
 
     def interrupt(self) -> None:
         """The interrupt routine: at the end of constant speed prohibit 26h, and ask for no more interrupts."""
-        if self.driver.word(3) & C_END:
+        if self.port.word(3) & C_END:
             self.prohibits = True
-            self.driver.enable("WR1", C_END_ENABLE, False)
+            self.port.enable("WR1", C_END_ENABLE, False)
 
 
 def stop_guarded(flag: DecelerationFlag) -> bool:
@@ -51,7 +61,7 @@ def stop_guarded(flag: DecelerationFlag) -> bool:
     flag.interrupt()
     if flag.prohibits:
         return False
-    flag.driver.command(DECELERATING_STOP)
+    flag.port.command(DECELERATING_STOP)
     return True
 
 
@@ -60,68 +70,68 @@ def judgmental_speed(initial: int, drive: int) -> float:
     return (drive - initial) / 2 + initial
 
 
-def stop_by_speed(driver: Driver, judgmental: float) -> bool:
+def stop_by_speed(port: Port, judgmental: float) -> bool:
     """Case 1, (2): "make sure status is accelerating (ASND=1) or constant speed driving (CNST=1) and driving speed is same or
     faster than judgmental speed".
 
     judgmental: see `judgmental_speed`, in the unit of SV and V. Returns whether 26h was given; early in the
     acceleration it is not: ask again.
     """
-    if not driver.word(1) & (ASND | CNST) or driver.speed() < judgmental:
+    if not port.word(1) & (ASND | CNST) or port.speed() < judgmental:
         return False
-    driver.command(DECELERATING_STOP)
+    port.command(DECELERATING_STOP)
     return True
 
 
-def limit_interrupt(driver: Driver) -> bool:
+def limit_interrupt(port: Port) -> bool:
     """Case 2, (1): the interrupt routine for C-END, which WR1 D13 enables. The numbers are those of the notice.
 
     Returns whether it had to give 27h. It ends what a limit did; after 26h it does nothing.
     """
-    if not driver.word(3) & C_END:  # 1: another factor
+    if not port.word(3) & C_END:  # 1: another factor
         return False
-    status = driver.word(1)
+    status = port.word(1)
     if status & DSND:  # 2: from area b to c
         return False
-    if not driver.driving():  # 3: it has ended as it should
+    if not port.driving():  # 3: it has ended as it should
         return False
     if not status & STOPPED_BY_LIMIT:  # 4
         return False
     if status & PHASES:  # 5
         return False
-    driver.command(SUDDEN_STOP)  # 6
+    port.command(SUDDEN_STOP)  # 6
     return True
 
 
-def limit_poll(driver: Driver) -> bool:
+def limit_poll(port: Port) -> bool:
     """Case 2, (2): "always read out status of progress directional hardware limit (RR1/D12, D13) with timer interruption. If limit
     signal becomes active, read out bit status of ASND (D2), CNST (D3) and DSND (D4) in RR1 resister and execute sudden stop
     command (27h) one time only if all those 3 bits are 0."
 
     Returns whether it had to.
     """
-    return _end_runaway(driver, STOPPED_BY_LIMIT)
+    return _end_runaway(port, STOPPED_BY_LIMIT)
 
 
-def start_within_limits(driver: Driver, pulses: int, low: int, high: int) -> bool:
+def start_within_limits(port: Port, pulses: int, low: int, high: int) -> bool:
     """Case 3: "If target position is over value of software limit, don't drive to avoid the trouble."
 
     low, high: CM and CP, the software limits, pulses. Starts the drive and returns True, or returns False.
     """
-    if not low <= driver.position() + pulses <= high:
+    if not low <= port.position() + pulses <= high:
         return False
-    driver.start(pulses)
+    port.start(pulses)
     return True
 
 
-def stop_signal_poll(driver: Driver) -> bool:
+def stop_signal_poll(port: Port) -> bool:
     """Case 4: as case 2, (2), with STOP0 to STOP2 (RR1 D8 to D10). Returns whether it had to give 27h."""
-    return _end_runaway(driver, STOPPED_BY_STOP)
+    return _end_runaway(port, STOPPED_BY_STOP)
 
 
-def _end_runaway(driver: Driver, causes: int) -> bool:
-    status = driver.word(1)
-    if not status & causes or status & PHASES or not driver.driving():
+def _end_runaway(port: Port, causes: int) -> bool:
+    status = port.word(1)
+    if not status & causes or status & PHASES or not port.driving():
         return False
-    driver.command(SUDDEN_STOP)
+    port.command(SUDDEN_STOP)
     return True

@@ -1,10 +1,22 @@
-"""`Port`: an axis of an MCX514 as its driver's author sees it. Nothing here but bus cycles and waiting."""
+"""`Port`: an axis of a NOVA chip as its driver's author sees it. Nothing here but bus cycles and waiting.
+
+    port = Port(axis)                        the axis of a Stage or a Bench
+    port.load(SV=400, DV=8000, AC=80_000)    parameters and modes, by their names on this chip
+    port.mode(WR2=..., WR3=...)
+    port.command("DRVRL")
+    port.wait_until_stopped(timeout=5)
+
+See home.py and draw.py for home search and interpolation of an MCX514, erratum.py for the work-arounds of the S-curve failure.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from stage.chips import MCX514
+from stage.chips.nova import Nova
 from stage.chips.nova.registers.mcx514 import MCX514_MAP as MAP
-from stage.errors import ArgumentError
+from stage.errors import ArgumentError, RunTimeout
 from stage.firmware.axis import Axis
 
 POLL = 1e-3  # s between two looks
@@ -13,34 +25,45 @@ ERRORS = ("SLMT+", "SLMT-", "HLMT+", "HLMT-", "ALARM", "EMG", "HOME", "CERR")
 
 
 class Port:
-    """The bus of one axis. Raises ArgumentError when the axis' chip is no MCX514."""
+    """The bus of one axis. Raises ArgumentError when the axis' chip is none of the family."""
 
     def __init__(self, axis: Axis):
-        if not isinstance(getattr(axis, "chip", None), MCX514):
-            raise ArgumentError(f"{axis!r} has no MCX514: make the stage with chips=MCX514.")
-        self.axis, self.chip = axis, axis.chip
+        if not isinstance(getattr(axis, "chip", None), Nova):
+            raise ArgumentError(
+                f"{axis!r} has no chip of the NOVA family: make the stage with chips=MCX514, for example."
+            )
+        self.axis, self.chip, self.map = axis, axis.chip, axis.chip.MAP
         self.bit = 1 << axis.chip_axis
+        self._modes = {"WR1": 0, "WR2": 0, "WR3": 0}  # the first generation cannot read them
 
     def command(self, symbol: str) -> None:
         """A command to the axis, or to the chip where it carries no axis bits."""
-        c = MAP.command(symbol)
+        c = self.map.command(symbol)
         self.chip.write(0, (self.bit << 8 if c.axes else 0) | c.code)
 
     def load(self, **values: int) -> None:
         """Write parameters and modes by name: SV, DV, TP, H1M, IPM ... Raises ArgumentError, before the first bus cycle."""
-        for name, value in [(n, MAP.checked(n, v)) for n, v in values.items()]:
+        for name, value in [(n, self.map.checked(n, v)) for n, v in values.items()]:
             for cycle in self.chip.register_cycles(name, value, self.axis.chip_axis):
                 self.chip.write(*cycle)
 
     def mode(self, **words: int) -> None:
-        """Write WR1, WR2, WR3."""
+        """Write mode words by name: WR1, WR2, WR3."""
+        for name in words:
+            if name not in self._modes:
+                raise ArgumentError(f"{name} is no mode word of an axis: WR1, WR2, WR3 are.")
         self.command("NOP")
         for name, value in words.items():
+            self._modes[name] = value
             self.chip.write(int(name[2]), value)
 
+    def enable(self, name: str, bits: int, on: bool = True) -> None:
+        """Set (or clear) bits of a mode word and leave its others, as this port has written them."""
+        self.mode(**{name: self._modes[name] | bits if on else self._modes[name] & ~bits})
+
     def word(self, n: int) -> int:
-        """RR1, RR2 or RR3 (page 0) of the axis."""
-        self.command("RR3P0" if n == 3 else "NOP")
+        """RR1, RR2 or RR3 (of an MCX514 its page 0) of the axis. Reading factors of an interrupt clears them."""
+        self.command("RR3P0" if n == 3 and isinstance(self.chip, MCX514) else "NOP")
         return self.chip.read(n)
 
     def value(self, symbol: str) -> int:
@@ -49,19 +72,60 @@ class Port:
         word = self.chip.read(6) | self.chip.read(7) << 16
         return word - (word >> 31 << 32)
 
+    def position(self) -> int:
+        """LP, pulses."""
+        return self.value("R-LP")
+
+    def speed(self) -> int:
+        """CV, in the unit of the drive speed."""
+        return self.value("CV")
+
+    def driving(self) -> bool:
+        """n-DRV."""
+        return self.chip.busy(self.axis.chip_axis)
+
     def errors(self) -> tuple[str, ...]:
         """The error bits of RR2 that are set, by name."""
         word = self.word(2)
-        return tuple(name for name in ERRORS if word & MAP.mask("RR2", name))
+        return tuple(name for name in ERRORS if word & self.map.mask("RR2", name))
+
+    def start(self, pulses: int) -> None:
+        """Start a drive of so many pulses; the sign is the direction. Raises ArgumentError for 0."""
+        if pulses == 0:
+            raise ArgumentError("pulses=0: a drive has at least one; its sign is the direction.")
+        if isinstance(self.chip, MCX514):
+            self.load(TP=pulses)
+            self.command("DRVRL")
+        else:
+            self.load(P=abs(pulses))
+            self.command("F_DRV_P" if pulses > 0 else "F_DRV_M")
+
+    def wait_until_stopped(self, timeout: float, routine: Callable[[], bool] | None = None, poll: float = POLL) -> bool:
+        """Wait for n-DRV = 0, seconds `timeout` at most.
+
+        routine: called before each look, every `poll` seconds, as a timer or an interrupt would; see erratum.py.
+        Returns whether a call of it said True: it had to stop the drive. Raises RunTimeout.
+        """
+        until, stopped = self.axis.time + timeout, False
+        while True:
+            stopped |= bool(routine and routine())
+            if not self.driving():
+                return stopped
+            if self.axis.time >= until:
+                raise RunTimeout(f"axis {self.axis.name} still drives after {timeout} s: RR1 = {self.word(1):04X}h.")
+            self.axis.wait(poll)
 
 
 def mask(word: str, *names: str) -> int:
-    """Bits of a word or mode register."""
+    """Bits of a word or mode register of an MCX514."""
     return sum(MAP.mask(word, name) for name in names)
 
 
 def same_chip(axes: tuple[Axis, ...]) -> list[Port]:
     """Ports of axes in the order of the chip's. Raises ArgumentError where they are not axes of one MCX514."""
+    for axis in axes:
+        if not isinstance(getattr(axis, "chip", None), MCX514):
+            raise ArgumentError(f"{axis!r} has no MCX514: make the stage with chips=MCX514.")
     ports = sorted((Port(axis) for axis in axes), key=lambda port: port.bit)
     if not ports or len({id(port.chip) for port in ports}) > 1 or len({port.bit for port in ports}) < len(ports):
         raise ArgumentError(f"axes {', '.join(a.name for a in axes) or 'none'}: give different axes of one MCX514.")

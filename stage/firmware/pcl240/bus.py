@@ -10,11 +10,12 @@ port.wait_until_stopped(timeout=5)
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from stage.chips.pcl240 import STATUS
+from stage.chips import Chip
+from stage.chips.pcl240 import PCL240, STATUS
 from stage.chips.pcl240.maps import CONTROL, OUTPUT, SELECT
-from stage.errors import RunTimeout, StageError
+from stage.errors import ArgumentError, RunTimeout, StageError
 from stage.firmware.axis import Axis
 
 RESET, STOP, SLOW_DOWN_FH1, SLOW_DOWN_FH2 = 0x08, 0x18, 0x1D, 0x1F
@@ -32,6 +33,20 @@ EZ_SIGNAL = 1 << 20  # of R17
 POLL = 1e-3  # s between two looks at the status byte of a run that takes long
 QUICK = 2e-4  # s, where a command follows at once
 READS = 100  # tries to read a counter that changes
+
+
+def check(axis: Any) -> type[PCL240]:
+    """The class of the axis' chip; ArgumentError if `axis` is none, or its chip does not speak the language of the PCL-240
+    family."""
+    chip = getattr(axis, "chip", None)
+    if not isinstance(chip, Chip):
+        raise ArgumentError(f"{axis!r} is no axis: give stage.axes['x'], or Bench(x=PCL240K()).axes['x'].")
+    if not isinstance(chip, PCL240):
+        raise ArgumentError(
+            f"axis {axis.name} has an {chip.MAP.chip}; these procedures speak to the PCL-240 family, stage.firmware.nova and "
+            "stage.firmware.hctl1100 to others."
+        )
+    return type(chip)
 
 
 class Status(NamedTuple):

@@ -13,9 +13,10 @@ from stage.errors import ArgumentError
 from stage.firmware.axis import Axis
 from stage.firmware.pcl240 import bus
 from stage.firmware.pcl240.bus import Port, Status, stop_reason
-from stage.firmware.pcl240.moves import SETTLE, _count, _direction, _minus, _prepare, _profile
+from stage.firmware.pcl240.moves import SETTLE, _count, _direction, _minus, _profile, prepare
+from stage.firmware.pcl240.procedure import Procedure
 from stage.firmware.pcl240.profile import Profile
-from stage.firmware.report import Procedure, Report
+from stage.firmware.report import Report
 
 BACK_OFF = 200  # pulses beyond the release of ORG
 APPROACH = 400.0  # pps; slow, so that the motor does not ring when the switch trips
@@ -56,7 +57,7 @@ def origin_return(
         )
     with Procedure(axis, "origin return" if high_speed else "constant-speed origin return") as p:
         port = p.port
-        _prepare(port, profile, _minus(-direction))
+        prepare(port, profile, _minus(-direction))
         status = port.status()
         if status.org:
             status = _leave(port, -direction, back_off, high_speed, timeout)

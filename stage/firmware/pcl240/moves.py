@@ -9,11 +9,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 from stage.errors import ArgumentError, StageError
-from stage.firmware.axis import Axis, check
+from stage.firmware.axis import Axis
 from stage.firmware.pcl240 import bus
-from stage.firmware.pcl240.bus import Port, stop_reason
+from stage.firmware.pcl240.bus import Port, check, stop_reason
+from stage.firmware.pcl240.procedure import Procedure
 from stage.firmware.pcl240.profile import Profile
-from stage.firmware.report import Procedure, Report
+from stage.firmware.report import Report
 
 AUTOMATIC_OFFSET = 2  # pulses; the counts of ramp-up and ramp-down differ by one or two, and this way FL is reached
 SETTLE = 0.05  # s after a stop, before the report looks where the carriage came to rest
@@ -64,7 +65,7 @@ def preset_move(
         profile = profile.within(count, fh2)
         point = profile.down_point(count, fh2) if down_point is None else profile.chip.MAP.checked("R6", down_point)
     with Procedure(axis, "preset move" if high_speed else "constant-speed preset move") as p:
-        _prepare(p.port, profile, control)
+        prepare(p.port, profile, control)
         if profile.chip.S_CURVES and not fh_correction:
             p.port.write_register("R14", profile.registers()["R14"] | bus.UNCORRECTED)
         p.port.write_register("R0", count)
@@ -107,7 +108,7 @@ def continuous_move(
     direction, seconds = _direction(direction), _seconds(seconds)
     slow = high_speed and not immediate
     with Procedure(axis, "continuous move" if high_speed else "constant-speed continuous move") as p:
-        _prepare(p.port, profile, _sd(slow_down) | _minus(direction))
+        prepare(p.port, profile, _sd(slow_down) | _minus(direction))
         p.port.command(_start(high_speed, fh2) | _int(interrupt))
         axis.wait(seconds)
         by_itself = not p.port.status().operating
@@ -142,7 +143,7 @@ def interrupted_move(
     after, pause, point = _seconds(after), _seconds(pause), profile.down_point(count, fh2)
     rate = "FH2" if fh2 else "FH1"
     with Procedure(axis, "interrupted move") as p:
-        _prepare(p.port, profile, bus.PRESET | _minus(pulses))
+        prepare(p.port, profile, bus.PRESET | _minus(pulses))
         p.port.write_registers(R0=count, R6=point)
         p.port.command(bus.RAMP[rate])
         axis.wait(after)
@@ -190,7 +191,7 @@ def external_count(
         raise ArgumentError(f"rate={rate!r} Hz: EXTP is sampled by the clock; more than 0 and up to a quarter of it.")
     make = _one_by_one(source) if source is not None else lambda a: _square_wave(a, rate)
     with Procedure(axis, "external count") as p:
-        _prepare(p.port, profile, bus.PRESET | _minus(direction), output=bus.EXTERNAL)
+        prepare(p.port, profile, bus.PRESET | _minus(direction), output=bus.EXTERNAL)
         p.port.write_register("R0", count)
         p.port.command(bus.START["FL"])
         end, more = axis.time + timeout, True
@@ -224,7 +225,7 @@ def _one_by_one(source: Callable[[Axis], bool] | Iterator) -> Callable[[Axis], b
     return lambda axis: next(source, StopIteration) is not StopIteration
 
 
-def _prepare(port: Port, profile: Profile, control: int, output: int = 0) -> None:
+def prepare(port: Port, profile: Profile, control: int, output: int = 0) -> None:
     """Reset command, speed data, output mode, control mode (data sheet section 5 a). Refuses a moving axis."""
     if port.status().operating:
         raise StageError(f"axis {port.axis.name} is moving: wait until it stops, or stop it with 08h.")

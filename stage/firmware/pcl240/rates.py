@@ -15,9 +15,10 @@ from stage.errors import ArgumentError
 from stage.firmware.axis import Axis
 from stage.firmware.pcl240 import bus
 from stage.firmware.pcl240.bus import Port, Status, stop_reason
-from stage.firmware.pcl240.moves import SETTLE, _count, _direction, _minus, _patience, _prepare, _profile, _seconds
+from stage.firmware.pcl240.moves import SETTLE, _count, _direction, _minus, _patience, _profile, _seconds, prepare
+from stage.firmware.pcl240.procedure import Procedure
 from stage.firmware.pcl240.profile import Profile, down_point, ramp_pulses
-from stage.firmware.report import Procedure, Report
+from stage.firmware.report import Report
 
 LONGEST_RAMP = 60.0  # s; R4 and R5 make no more than 27
 SLACK = 1e-3  # s by which a host that polls may be late at each rate
@@ -58,7 +59,7 @@ def dual_rate_move(
     else:
         direction, seconds = _direction(direction), _seconds(seconds or 0.0)
     with Procedure(axis, "dual-rate move") as p:
-        _prepare(p.port, profile, (bus.PRESET if pulses is not None else 0) | _minus(direction))
+        prepare(p.port, profile, (bus.PRESET if pulses is not None else 0) | _minus(direction))
         if pulses is not None:
             p.port.write_registers(R0=_count(pulses), R6=point)
         constant = rates[0] == "FL"
@@ -104,7 +105,7 @@ def speed_change_move(
     speeds, count, dwell = _speeds(axis, profile, rates), _count(pulses), _seconds(dwell)
     point = _down_point(profile, speeds, count, dwell)
     with Procedure(axis, "speed change in motion") as p:
-        _prepare(p.port, replace(profile, R2=speeds[0]), bus.PRESET | _minus(pulses))
+        prepare(p.port, replace(profile, R2=speeds[0]), bus.PRESET | _minus(pulses))
         p.port.write_registers(R0=count, R6=point)
         p.port.command(bus.RAMP["FH1"])
         for k, speed in enumerate(speeds[1:], 1):
@@ -147,7 +148,7 @@ def curved_ramp_move(
     point = down_point(count, profile.R1, speeds[-1], 0, profile.R5, profile.R7)
     axis.chip.MAP.checked("R6", point)
     with Procedure(axis, "curved ramp") as p:
-        _prepare(p.port, replace(profile, R2=speeds[0], R4=ramps[0]), bus.PRESET | _minus(pulses))
+        prepare(p.port, replace(profile, R2=speeds[0], R4=ramps[0]), bus.PRESET | _minus(pulses))
         p.port.write_registers(R0=count, R6=point)
         p.port.command(bus.RAMP["FH1"])
         for k, (speed, ramp) in enumerate(zip(speeds[1:], ramps[1:], strict=True), 1):

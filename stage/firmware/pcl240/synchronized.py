@@ -9,83 +9,24 @@ It is planned, written to the chips, and started by one start command after the 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import ExitStack
-from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from stage.errors import ArgumentError, RunTimeout, unknown
-from stage.firmware.axis import Axis, check
-from stage.firmware.path import Deviation, path_deviation, pulses_of
+from stage.errors import ArgumentError, RunTimeout
+from stage.firmware.axis import Axis
 from stage.firmware.pcl240 import bus
+from stage.firmware.pcl240.bus import check
 from stage.firmware.pcl240.moves import SETTLE
 from stage.firmware.pcl240.plan import Plan, plan
+from stage.firmware.pcl240.procedure import Procedure
 from stage.firmware.pcl240.profile import ACCEL, FH1, FL
-from stage.firmware.report import Procedure, Report
+from stage.firmware.together import SynchronizedReport, Together, chosen_axes
 
 if TYPE_CHECKING:
-    from os import PathLike
+    pass
 
 WORTH_IT = 0.02  # pulses that a plan for the bus delay may be better than one for a common start
 LOOKS = 200  # at the status bytes of a long move
-
-
-@dataclass(frozen=True)
-class SynchronizedReport:
-    """What the axes did together.
-
-    Attributes:
-        axes: a Report for each axis that moved. plan: the registers and what was expected of them.
-        deviation: the largest distance from the straight line in pulses, with its time (s from the first start command) and
-            the counts then.
-        skew: seconds between the first start command and the last.
-        finish: seconds between the first axis' last pulse and the last axis'.
-        carriage_deviation: m, the largest distance of the carriages from the line while they moved, looked at every
-            millisecond; None without a stage. Motors lag behind their pulses, and not all alike.
-        paths: for each axis (times in s since the first start command, directions) of its pulses.
-    """
-
-    axes: dict[str, Report]
-    plan: Plan
-    deviation: Deviation
-    skew: float
-    finish: float
-    carriage_deviation: float | None
-    paths: dict[str, tuple[np.ndarray, np.ndarray]] = field(repr=False)
-
-    @property
-    def ok(self) -> bool:
-        """Every axis made its pulses, and lost none."""
-        return all(r.ok for r in self.axes.values())
-
-    @property
-    def ratio_error(self) -> float:
-        """The largest relative error of a planned rate against the longest axis'."""
-        return self.plan.ratio_error
-
-    def __str__(self) -> str:
-        d, counts = self.deviation, dict(zip(self.paths, self.deviation.counts, strict=True))
-        where = ", ".join(f"{n} {c:+d}" for n, c in counts.items())
-        lines = [
-            f"synchronized move: {'done' if self.ok else 'NOT as asked'}, {d.pulses:.2f} pulses from the line at most "
-            f"(at {d.time:.4f} s, {where})",
-            f"  started within {self.skew * 1e6:.1f} us, finished within {self.finish * 1e3:.3f} ms, "
-            f"ratio error {self.ratio_error:.1e}",
-        ]
-        if self.carriage_deviation is not None:
-            lines.append(f"  carriages {self.carriage_deviation * 1e6:.1f} um from the line at most")
-        return "\n".join([*lines, *(str(r) for r in self.axes.values())])
-
-    def plot(self, path: str | PathLike | None = None, title: str | None = None, *, overwrite: bool = False) -> Any:
-        """Draw the path with its distance from the line magnified, and the rates over time; saves to `path` if given.
-
-        A file that exists stays, unless `overwrite`: FileError. Returns the figure. Needs matplotlib (extra `plot`).
-        """
-        from stage.firmware.plot_path import draw
-
-        return draw(self, path, title, overwrite)
 
 
 def synchronized_move(
@@ -119,11 +60,11 @@ def synchronized_move(
     if not isinstance(distances, Mapping | Plan):
         distances, axes = axes, distances
     if isinstance(distances, Plan):
-        chosen = _find(distances.distances, axes)
+        chosen = _chosen(distances.distances, axes)
         _same_chips(distances, chosen)
         made = distances.with_bus_delay(_bus_delay(chosen, distances.order))
     else:
-        chosen = _find(distances, axes)
+        chosen = _chosen(distances, axes)
         asked = {n: d for n, (_, d) in chosen.items()}
         chips: dict[str, Any] = {n: type(a.chip) for n, (a, _) in chosen.items()}
         clocks = {n: a.chip.clock_hz for n, (a, _) in chosen.items()}
@@ -142,40 +83,26 @@ def synchronized_move(
 def _run(axes: dict[str, Axis], made: Plan, timeout: float | None) -> SynchronizedReport:
     """Write, start in the order given, wait, report."""
     watch = {n: Procedure(a, "synchronized move") for n, a in axes.items()}
-    with ExitStack() as books:
-        for p in watch.values():
-            books.enter_context(p)
-        line = _Line(axes, made.distances)
+    with Together(watch, made.distances) as line:
         for n, p in watch.items():
             p.port.command(bus.RESET)
             p.port.write_registers(**made.axes[n].registers)
             p.port.command(bus.OUTPUT)
             minus = bus.MINUS if made.axes[n].distance < 0 else 0
             p.port.control(bus.PRESET | minus | (bus.AUTOMATIC if made.axes[n].automatic else 0))
-        began = {}
         for n, p in watch.items():  # nothing between the starts but the bus
             p.port.command(bus.RAMP["FH1"] if made.axes[n].ramps else bus.START["FH1"])
-            began[n] = p.axis.time
+            line.began(n)
         try:
             stopped_by = _wait(watch, made, 1.5 * made.seconds + 1 if timeout is None else timeout, line)
         except RunTimeout as error:
-            error.reports = {n: watch[n].report("timeout", a.distance) for n, a in made.axes.items()}  # type: ignore[attr-defined]
+            error.reports = line.reports(dict.fromkeys(watch, "timeout"))  # type: ignore[attr-defined]
             raise
         next(iter(axes.values())).wait(SETTLE)
-        reports = {n: watch[n].report(stopped_by[n], a.distance) for n, a in made.axes.items()}
-    first = min(began.values())
-    paths = {}
-    for n in made.axes:
-        pulses, origin = pulses_of(watch[n].journal), first - watch[n].began
-        paths[n] = pulses["clock"] / axes[n].chip.clock_hz - origin, pulses["direction"].copy()
-    ends = [t[-1] for t, _ in paths.values() if len(t)]
-    return SynchronizedReport(
-        reports, made, path_deviation(list(paths.values()), list(made.distances.values())),
-        max(began.values()) - first, float(max(ends) - min(ends)) if ends else 0.0, line.worst, paths,
-    )  # fmt: skip
+        return line.report(stopped_by, made)
 
 
-def _wait(watch: dict[str, Procedure], made: Plan, patience: float, line: _Line) -> dict[str, str]:
+def _wait(watch: dict[str, Procedure], made: Plan, patience: float, line: Together) -> dict[str, str]:
     """Poll all axes until none operates. Returns why each stopped."""
     stopped_by: dict[str, str] = {}
     broken = False
@@ -203,53 +130,14 @@ def _wait(watch: dict[str, Procedure], made: Plan, patience: float, line: _Line)
             raise RunTimeout(
                 f"after {patience:.3f} s axes still operate; pulses left: {left}. Give more time, or stop them with 08h."
             )
-        poll = bus.POLL if line.worst is not None else max(bus.POLL, made.seconds / LOOKS)
+        poll = bus.POLL if line.carriages.worst is not None else max(bus.POLL, made.seconds / LOOKS)
         clock.wait(min(poll, patience - passed + 1e-6))
 
 
-class _Line:
-    """The carriages' largest distance from their line, m; `worst` is None without a stage."""
-
-    def __init__(self, axes: dict[str, Axis], distances: dict[str, int]):
-        self._axes = list(axes.values())
-        self.worst: float | None = None
-        if any(a.position is None or getattr(a, "unit", "m") != "m" for a in self._axes):
-            self._axes = []
-            return
-        self.worst = 0.0
-        self._start = self._positions()
-        self._way = np.array(
-            [distances[n] * (a.meters_per_pulse or 0.0) * np.sign(getattr(a, "gear", 1.0)) for n, a in axes.items()]
-        )
-
-    def _positions(self) -> np.ndarray:
-        return np.array([a.position for a in self._axes])
-
-    def look(self) -> None:
-        if self._axes:
-            off = self._positions() - self._start
-            along = min(max(off @ self._way / (self._way @ self._way), 0.0), 1.0)
-            self.worst = max(self.worst or 0.0, float(np.linalg.norm(off - along * self._way)))
-
-
-def _find(distances: Mapping, axes: Any) -> dict[str, tuple[Axis, int]]:
-    """Label -> (axis, pulses); the label is the name used, or the axis' own."""
-    known = getattr(axes, "axes", axes)
-    chosen: dict[str, tuple[Axis, int]] = {}
-    for key, d in distances.items():
-        label, axis = key, key
-        if isinstance(key, str):
-            if known is None:
-                raise ArgumentError(f"axis {key!r}: say where it is: synchronized_move({{{key!r}: ...}}, stage.axes).")
-            if key not in known:
-                raise unknown("axis", key, known)
-            axis = known[key]
-        else:
-            label = getattr(key, "name", repr(key))
-        if label in chosen or any(axis is other for other, _ in chosen.values()):
-            raise ArgumentError(f"axis {label!r} is given twice: one distance an axis.")
+def _chosen(distances: Mapping, axes: Any) -> dict[str, tuple[Axis, int]]:
+    chosen = chosen_axes(distances, axes)
+    for axis, _ in chosen.values():
         check(axis)
-        chosen[label] = (axis, d)
     return chosen
 
 

@@ -7,23 +7,23 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stage.envs.hosts.line import Asked, Line
+from stage.firmware.lines import Asked, Line
 from stage.firmware.pcl240 import bus
 from stage.sim.program import Program
 
 if TYPE_CHECKING:
-    from stage.envs.hosts.pcl240 import Pcl240
+    from stage.firmware.pcl240.driver import Pcl240Driver
 
 SPEED = 8191  # most steps of R1, R2
 FINEST = 8000  # the longest axis' FH in the data sheet's answer: fine, with room to correct
 AT_FL = 5  # pulses of the longest axis at FL after its ramp-down
 
 
-class Together(Line):
+class RatioLine(Line):
     """A row R1 R2 R4 R5 R6 R7 an axis; R3 is R2. Start commands follow one another, the longest axis last."""
 
-    def __init__(self, hosts: Sequence[Pcl240], settings: Any):
-        super().__init__(hosts, settings, len(hosts), hosts[0].tuned_by(settings.s_curve)[:6])
+    def __init__(self, drivers: Sequence[Pcl240Driver], settings: Any):
+        super().__init__(drivers, settings, len(drivers), drivers[0].tuned_by(settings.s_curve)[:6])
         self.fastest = self.hz * FINEST / (8192 * 2)
         self._write_template()
 
@@ -85,7 +85,7 @@ class Together(Line):
         """Alike for all moves but for the bytes of registers, the direction and the order of starts, and where those are."""
         p, self._controls = Program(), []
         self._written = [f"R{k}" for k in range(8)] + (["R14", "R15"] if self.chip.S_CURVES else [])
-        for a, h in enumerate(self.hosts):
+        for a, h in enumerate(self.drivers):
             p.command(h.index, bus.RESET).command(h.index, bus.OUTPUT)
             for column, name in enumerate(self._written):
                 p.register(h.index, self.chip, name, 0)
@@ -94,7 +94,7 @@ class Together(Line):
             p.command(h.index, bus.CONTROL | bus.PRESET)
             self._controls.append(len(p) - 1)
         self._first = len(p)
-        for h in self.hosts:
+        for h in self.drivers:
             p.command(h.index, bus.START["FH1"])
         self._template = np.array(p.ops, np.int64)
 
@@ -114,7 +114,7 @@ class Together(Line):
             ops[:, j, 3] |= np.where(asked.distances[:, a] < 0, bus.MINUS, 0)
         order = np.argsort(asked.size, axis=1, kind="stable")
         ramps = np.where(rows[:, :, 2] > rows[:, :, 1], bus.RAMP["FH1"], bus.START["FH1"])
-        ops[:, self._first :, 1] = np.array([h.index for h in self.hosts])[order]
+        ops[:, self._first :, 1] = np.array([h.index for h in self.drivers])[order]
         ops[:, self._first :, 3] = np.take_along_axis(ramps, order, 1)
         return ops
 

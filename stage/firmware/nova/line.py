@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from stage.chips.nova.registers.mcx300 import RANGE
-from stage.envs.hosts.line import Asked, Line
-from stage.envs.registers import limits
+from stage.firmware.choices import limits
+from stage.firmware.lines import Asked, Line
 from stage.sim.program import Program
 
 if TYPE_CHECKING:
-    from stage.envs.hosts.nova import NovaHost
+    from stage.firmware.nova.driver import NovaDriver
 
 FACTOR = 2.0  # a correction of 1 doubles a register of the main axis, of -1 halves it
 MOST = 8000  # of SV, V
@@ -32,7 +32,7 @@ class Course(NamedTuple):
 class NovaLine(Line):
     """What both share."""
 
-    def _set(self, program: Program, h: NovaHost, name: str, column: int) -> None:
+    def _set(self, program: Program, h: NovaDriver, name: str, column: int) -> None:
         """A register whose value is a column."""
         h.set(program, name, 0)
         wide = self.chip.MAP.register(name).bits > 16
@@ -48,21 +48,21 @@ class Interpolated(NovaLine):
     the distances that are asked for.
     """
 
-    def __init__(self, hosts: Sequence[NovaHost], settings: Any):
-        self.main = min(hosts, key=lambda h: h.bit)
-        super().__init__(hosts, settings, 1, self.main.tuned_by(settings.s_curve))
+    def __init__(self, drivers: Sequence[NovaDriver], settings: Any):
+        self.main = min(drivers, key=lambda h: h.bit)
+        super().__init__(drivers, settings, 1, self.main.tuned_by(settings.s_curve))
         self.fastest = float(limits(self.chip.MAP, self.names[1])[1] * self.main.UNIT)
         self._first = self._write_template()
 
     def _write_template(self) -> int:
         p, h = Program(), self.main
-        for other in self.hosts:
+        for other in self.drivers:
             other.begin(p, self.settings.s_curve)
         for column, name in enumerate(self.names):
             self._set(p, h, name, column)
-        for a, other in enumerate(self.hosts):
+        for a, other in enumerate(self.drivers):
             self._set(p, other, other.FINISH, len(self.names) + a)
-        h.interpolate(p, sorted(self.hosts, key=lambda h: h.bit))
+        h.interpolate(p, sorted(self.drivers, key=lambda h: h.bit))
         self._template = np.array(p.ops, np.int64)
         return len(p) - 1
 
@@ -88,7 +88,7 @@ class Interpolated(NovaLine):
         return self._filled(self._template, np.concatenate([registers[:, 0], asked.distances], axis=1))
 
     def starts(self, distances: np.ndarray) -> np.ndarray:
-        return np.full(len(self.hosts), self._first)
+        return np.full(len(self.drivers), self._first)
 
 
 class InRatio(NovaLine):
@@ -98,30 +98,30 @@ class InRatio(NovaLine):
     equal, the axes' courses are the same but for their scale. The axes of a chip are released together, at one clock.
     """
 
-    def __init__(self, hosts: Sequence[NovaHost], settings: Any):
-        tuned = hosts[0].tuned_by(settings.s_curve)
-        super().__init__(hosts, settings, len(hosts), ("R", *tuned))
+    def __init__(self, drivers: Sequence[NovaDriver], settings: Any):
+        tuned = drivers[0].tuned_by(settings.s_curve)
+        super().__init__(drivers, settings, len(drivers), ("R", *tuned))
         self.ranges = limits(self.chip.MAP, "R")
         self.fastest = float(MOST * RANGE / self.ranges[0])
         self._write_template()
 
     def _write_template(self) -> None:
         p, m = Program(), len(self.names)
-        self._drives, self._released = [], np.zeros(len(self.hosts), np.int64)
-        chips = [[self.hosts[a] for a in mine] for _, mine in self._chips()]
-        for a, h in enumerate(self.hosts):
+        self._drives, self._released = [], np.zeros(len(self.drivers), np.int64)
+        chips = [[self.drivers[a] for a in mine] for _, mine in self._chips()]
+        for a, h in enumerate(self.drivers):
             h.begin(p, self.settings.s_curve)
             for column, name in enumerate(self.names):
                 self._set(p, h, name, a * m + column)
-            self._set(p, h, h.FINISH, len(self.hosts) * m + a)
-        for h in self.hosts:
+            self._set(p, h, h.FINISH, len(self.drivers) * m + a)
+        for h in self.drivers:
             h.command(h.command(p, "START_HOLD"), "F_DRV_P")
             self._drives.append(len(p) - 1)
         for mine in chips:
             free = self.chip.MAP.command("START_FREE").code
             p.write(mine[0].index, 0, sum(h.bit for h in mine) << 8 | free)
             for h in mine:
-                self._released[self.hosts.index(h)] = len(p) - 1
+                self._released[self.drivers.index(h)] = len(p) - 1
         self._template = np.array(p.ops, np.int64)
 
     def data_sheet(self, asked: Asked) -> np.ndarray:

@@ -1,7 +1,7 @@
-"""`Line`: how the hosts of several axes draw straight lines together, for SynchronizedMove.
+"""`Line`: how the drivers of several axes draw straight lines together, as programs.
 
-    line = line_of(hosts, settings)         hosts of axes whose chips are of one kind
-    line.registers, line.shape              what an action chooses: a RegisterBox, and how its numbers lie
+    line = line_of(drivers, settings)       drivers of axes whose chips are of one kind
+    line.names, line.shape                  what can be chosen: registers, and how their numbers lie
     line.data_sheet(asked)                  the engineer's answer to moves that are asked for
     line.corrected(asked, corrections)      the same with corrections from -1 to 1
     ops = line.programs(registers, asked)   bus cycles up to the last start command, as arrays
@@ -19,9 +19,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from stage.chips import cores
-from stage.envs.hosts.host import Host
-from stage.envs.registers import RegisterBox
 from stage.errors import ArgumentError
+from stage.firmware.choices import limits
+from stage.firmware.driver import Driver
 from stage.sim import play
 from stage.sim.program import Program
 
@@ -54,26 +54,37 @@ class Asked(NamedTuple):
         return np.take_along_axis(values, self.size.argmax(axis=1)[:, None], 1)
 
 
+class LineSettings(NamedTuple):
+    """How lines are to be: fl of the longest axis, pps; accel: its ramp, s; reach: pulses along the line that a correction of 1 is
+    worth; axes: their names, for errors."""
+
+    fl: float
+    accel: float
+    s_curve: bool = False
+    reach: float = 1.0
+    axes: tuple[str, ...] = ()
+
+
 class Line(ABC):
-    """Several axes with chips of one kind, under the settings of SynchronizedMove.
+    """Several axes with chips of one kind, under settings: fl (pps), accel (s), s_curve, reach (pulses), axes (names).
 
     Attributes:
-        registers: RegisterBox of the whole action. shape: (rows, names) of its numbers: a row an axis, or one row for all.
-        names: of a row. fastest: pps that the longest axis can be asked for.
+        names: registers of a row. shape: (rows, names): a row an axis, or one row for all.
+        fastest: pps that the longest axis can be asked for.
     """
 
     names: tuple[str, ...]
     shape: tuple[int, int]
-    registers: RegisterBox
     fastest: float
 
-    def __init__(self, hosts: Sequence[Host], settings: Any, rows: int, names: tuple[str, ...]):
-        self.hosts: list[Any] = list(hosts)
+    def __init__(self, drivers: Sequence[Driver], settings: Any, rows: int, names: tuple[str, ...]):
+        self.drivers: list[Any] = list(drivers)
         self.settings, self.names = settings, names
-        self.chip: Any = hosts[0].chip
+        self.chip: Any = drivers[0].chip
         self.hz = self.chip.clock_hz
         self.shape = (rows, len(names))
-        self.registers = RegisterBox(self.chip.MAP, names * rows)
+        ranges = [limits(self.chip.MAP, name) for name in names]
+        self.low, self.high = (np.array(side, np.int64) for side in zip(*ranges, strict=True))
         self._slots: list[tuple[int, int, int]] = []
         self._fresh = [type(chip)(**chip.options()).snapshot().record for chip, _ in self._chips()]
 
@@ -107,8 +118,7 @@ class Line(ABC):
 
     def legal(self, registers: np.ndarray) -> np.ndarray:
         """The nearest registers that the data sheet allows."""
-        low, high = (side.reshape(self.shape) for side in (self.registers.low, self.registers.high))
-        return np.clip(np.rint(registers), low, high).astype(np.int64)
+        return np.clip(np.rint(registers), self.low, self.high).astype(np.int64)
 
     def reach(self, asked: Asked) -> tuple[np.ndarray, np.ndarray]:
         """Peak rate (pps) and ramp time (s) that there is room for (stages)."""
@@ -135,22 +145,22 @@ class Line(ABC):
 
     def pulses(self, ops: np.ndarray, distances: np.ndarray) -> list[np.ndarray]:
         """Ticks (int64) from an axis' start to each of its pulses: twins of the chips are given one stage's program, at once."""
-        out: list[np.ndarray] = [np.empty(0, np.int64)] * len(self.hosts)
+        out: list[np.ndarray] = [np.empty(0, np.int64)] * len(self.drivers)
         for (chip, mine), fresh in zip(self._chips(), self._fresh, strict=True):
             rows = np.frombuffer(bytearray(fresh), chip.CORE.STATE)
             twin = np.zeros(1, cores.CHIP)
             cores.fill(twin[0], chip.CORE, rows.ctypes.data)
-            play.write_cycles(twin, ops, sum(1 << self.hosts[a].index for a in mine))
+            play.write_cycles(twin, ops, sum(1 << self.drivers[a].index for a in mine))
             made = np.empty(int(np.abs(distances[mine]).sum()), chip.CORE.PULSE)
             made = made[: chip.CORE.trace.c(rows.ctypes.data, FAR, made.ctypes.data, len(made))]
             for a in mine:
-                out[a] = made["clock"][made["axis"] == self.hosts[a].axis.chip_axis]
+                out[a] = made["clock"][made["axis"] == self.drivers[a].axis.chip_axis]
         return out
 
     def _chips(self) -> list[tuple[Any, list[int]]]:
         """Each chip, and which axes of the line it has."""
         found: dict[int, tuple[Any, list[int]]] = {}
-        for a, h in enumerate(self.hosts):
+        for a, h in enumerate(self.drivers):
             found.setdefault(id(h.chip), (h.chip, []))[1].append(a)
         return list(found.values())
 
@@ -166,11 +176,11 @@ class Line(ABC):
         return ops
 
 
-def line_of(hosts: Sequence[Host], settings: Any) -> Line:
-    """The line of axes' hosts. Raises ArgumentError where their chips cannot draw one together."""
-    kinds = sorted({type(h.chip).__name__ for h in hosts})
+def line_of(drivers: Sequence[Driver], settings: Any) -> Line:
+    """The line of axes' drivers. Raises ArgumentError where their chips cannot draw one together."""
+    kinds = sorted({type(h.chip).__name__ for h in drivers})
     if len(kinds) > 1:
         raise ArgumentError(
             f"axes={settings.axes!r}: {' and '.join(kinds)} cannot be synchronized: give them one kind of chip."
         )
-    return hosts[0].line(hosts, settings)
+    return drivers[0].lines(drivers, settings)

@@ -1,4 +1,4 @@
-"""Hosts: every chip that makes pulses can be tuned and sent home, with registers that its data sheet allows."""
+"""Drivers: every chip that makes pulses can be tuned and sent home, with registers that its data sheet allows."""
 
 from types import SimpleNamespace
 
@@ -8,22 +8,22 @@ import pytest
 
 import stage.envs  # noqa: F401
 from stage import ArgumentError, Program, Stage
-from stage.chips import CHIPS
-from stage.envs.hosts import host_of
+from stage.chips import CHIPS, PCL240K
 from stage.envs.origin_return import Config
 from stage.envs.registers import RegisterBox
+from stage.firmware.driver import driver_of
 from stage.sim.program import WRITE
 
 PULSING = [name for name, cls in CHIPS.items() if not cls.SERVO]
 
 
-def host(chip, axis="x"):
-    return host_of(Stage("xyz", chips=CHIPS[chip], visuals=False).axes[axis])
+def driver(chip, axis="x"):
+    return driver_of(Stage("xyz", chips=CHIPS[chip], visuals=False).axes[axis])
 
 
 @pytest.mark.parametrize("chip", PULSING)
 def test_the_formulas_registers_of_every_chip_are_those_that_tune_it_and_legal(chip):
-    h = host(chip)
+    h = driver(chip)
     for s_curve in (None, False, True):
         if s_curve and chip in ("PCL240K", "PCL240MK"):
             with pytest.raises(ArgumentError, match="linear ramps only"):
@@ -37,12 +37,12 @@ def test_the_formulas_registers_of_every_chip_are_those_that_tune_it_and_legal(c
 
 @pytest.mark.parametrize("chip", PULSING)
 def test_programs_of_moves_are_alike_whatever_their_registers(chip):
-    h = host(chip)
+    h = driver(chip)
     box = RegisterBox(h.chip.MAP, h.tuned_by(None))
 
     def move(row, pulses):
         program = Program()
-        h.move(program, box.named(row), pulses)
+        h.write_move(program, box.named(row), pulses)
         return np.array(program.ops)
 
     least, most = move(box.low, 1), move(box.high, 100_000)
@@ -52,24 +52,24 @@ def test_programs_of_moves_are_alike_whatever_their_registers(chip):
 @pytest.mark.parametrize("chip", PULSING)
 @pytest.mark.parametrize("axis", ["x", "z"])
 def test_programs_of_searches_keep_their_marks_whatever_is_chosen(chip, axis):
-    search = host(chip, axis).search(Config())
+    search = driver(chip, axis).search(Config())
     kept = dict(search.marks)
-    for row in (search.box.low, search.box.high):
+    for row in (search.choices.low, [most for _, most in search.choices.ranges.values()]):
         program = search.program(row)
         assert search.marks == kept
         assert max(kept.values()) < len(program)
 
 
-def test_the_host_of_a_servos_chip_stops_it_and_refuses_what_is_of_pulses():
-    h, p = host("HCTL1100"), Program()
-    h.rest(p)
+def test_the_driver_of_a_servos_chip_stops_it_and_refuses_what_is_of_pulses():
+    h, p = driver("HCTL1100"), Program()
+    h.write_stop(p)
     assert p.ops == [(WRITE, 0, 0x05, 0x01)]
     for asked in (
         lambda: h.tuned_by(None),
-        lambda: h.move(p, {}, 100),
+        lambda: h.write_move(p, {}, 100),
         lambda: h.formula(1000.0, 40_000.0, 0.2, 0.15, 16_000),
         lambda: h.search(Config()),
-        lambda: h.line([h], None),
+        lambda: h.lines([h], None),
     ):
         with pytest.raises(
             ArgumentError, match=r"chip HCTL1100 on axis x: .* makes no pulses\. Take ServoTuning, RegisterBus"
@@ -83,6 +83,10 @@ def test_the_tasks_of_pulses_refuse_a_servos_chip_when_they_are_made(name):
         gymnasium.make(f"stage/{name}-v0", chip="HCTL1100")
 
 
-def test_a_family_without_a_host_is_named():
-    with pytest.raises(ArgumentError, match="chip Z80: no host speaks to it yet"):
-        host_of(SimpleNamespace(chip=type("Z80", (), {})()))
+def test_a_family_without_a_driver_is_named():
+    chip = PCL240K()
+    chip.__class__ = type("Z80", (PCL240K,), {"DRIVER": ""})
+    with pytest.raises(ArgumentError, match="a Z80 has no driver: its class names one in DRIVER"):
+        driver_of(SimpleNamespace(chip=chip))
+    with pytest.raises(ArgumentError, match="no axis"):
+        driver_of(SimpleNamespace(chip="Z80"))

@@ -1,0 +1,42 @@
+"""What can be chosen of a chip by numbers: registers within their legal ranges, and what else a program leaves open."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+from stage.chips.register_map import RegisterMap
+from stage.errors import ArgumentError
+
+POINT_MOST = 0xFFFFF
+SPAN_MOST = 0xFFF
+"""Of R6 and of the spans in R14 and R15 of a PCL-240: no move here is longer."""
+
+
+class Choices(NamedTuple):
+    """Numbers by name, in order: (least, most). cubed: those of which small values matter most."""
+
+    ranges: dict[str, tuple[int, int]]
+    cubed: tuple[str, ...] = ()
+
+    def named(self, row: Sequence[int]) -> dict[str, int]:
+        """One row of numbers by name."""
+        return {name: int(value) for name, value in zip(self.ranges, row, strict=True)}
+
+    @property
+    def low(self) -> list[int]:
+        """The least of each."""
+        return [low for low, _ in self.ranges.values()]
+
+
+def choices(ranges: Mapping[str, tuple[int, int]], cubed: Sequence[str] = ()) -> Choices:
+    return Choices(dict(ranges), tuple(cubed))
+
+
+def limits(map_: RegisterMap, name: str) -> tuple[int, int]:
+    """The legal range of a register; of R14 and R15 their spans. Raises ArgumentError for one that has none."""
+    r = map_.register(name)
+    if r.legal is None and name not in ("R14", "R15"):
+        raise ArgumentError(f"{map_.chip} {name} has no legal range to choose from.")
+    low, high = r.legal or (0, SPAN_MOST)
+    return low, min(high, POINT_MOST) if name == "R6" else high

@@ -1,0 +1,191 @@
+"""`Driver`: how a host speaks to an axis, in one way for all families of chips.
+
+    driver = driver_of(stage.axes["x"])
+    print(driver.move(8000, Speeds()))                    bus cycles, now: a report
+    driver.write_move(program, registers, 8000)           the same as operations of a program, for fleets
+    driver.formula(1000, 16_000, 0.15, 0.15, 8000)        the data sheet's registers for rates and ramps
+
+Each family answers with a class of its own beside its other firmware; its chips name it, see `Chip.DRIVER`. The functions of
+`stage.firmware` (move, home, jog, stop, line), the command line and the environments speak to chips by drivers alone.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from stage.chips import Chip
+from stage.errors import ArgumentError, RunTimeout, StageError
+from stage.firmware.axis import Axis
+from stage.sim.program import Operations, Program
+
+if TYPE_CHECKING:
+    from stage.firmware.lines import Line
+    from stage.firmware.report import Report
+    from stage.firmware.search import Search
+    from stage.firmware.together import SynchronizedReport
+
+START, DRIVE, RAMP = 1_000.0, 16_000.0, 0.15
+SETTLE = 0.05  # s after a stop, before a report looks where the carriage came to rest
+
+
+class Speeds(NamedTuple):
+    """How fast: pulses (a servo's encoder counts) a second, seconds of the ramps between start and drive speed.
+
+    start: a servo has none. s_curve: ramps without corners, where the chip has them.
+    """
+
+    start: float = START
+    drive: float = DRIVE
+    up: float = RAMP
+    down: float = RAMP
+    s_curve: bool = False
+
+
+class Driver(ABC):
+    """Speaks to one axis of a chip.
+
+    Attributes: axis, chip; index: of the axis in programs, see `Program`.
+    """
+
+    def __init__(self, axis: Axis):
+        self.axis, self.chip = axis, axis.chip
+        self.index: int = getattr(axis, "index", 0)
+
+    # --- now, by bus cycles, with a report ---
+
+    @abstractmethod
+    def move(self, pulses: int, speeds: Speeds, timeout: float | None = None) -> Report:
+        """Go so many pulses (counts), the sign is the direction, and wait for the end. Raises ArgumentError, StageError where the
+        axis moves already, RunTimeout."""
+
+    @abstractmethod
+    def home(self, direction: int, speeds: Speeds, index: bool = False, timeout: float = 60.0) -> Report:
+        """Find ORG, which lies in `direction`, from wherever the axis is; `index`: and on to the encoder's index pulse."""
+
+    @abstractmethod
+    def run(self, direction: int, speeds: Speeds) -> None:
+        """Start to run, until `halt`."""
+
+    @abstractmethod
+    def halt(self, at_once: bool = False) -> None:
+        """Stop what runs, with a ramp or at once; returns when it stands."""
+
+    def stopped_by(self) -> str:
+        """Why it stands, where the host has not stopped it: "EL+", "EL-", or nothing that the chip tells."""
+        return ""
+
+    @classmethod
+    def line(
+        cls, drivers: Mapping[str, Driver], pulses: Mapping[str, int], speeds: Speeds, **how: Any
+    ) -> SynchronizedReport:
+        """Several axes, all of this class, on a straight line; speeds are those of the longest one. Raises ArgumentError where the
+        chips cannot."""
+        raise ArgumentError(f"a {next(iter(drivers.values())).chip.MAP.chip} draws no lines.")
+
+    # --- as programs ---
+
+    @abstractmethod
+    def tuned_by(self, s_curve: bool | None) -> tuple[str, ...]:
+        """The registers that make a move what it is. s_curve: ramps; None: S-curves where the chip is made for them.
+
+        Raises ArgumentError where the chip has no S-curves.
+        """
+
+    @abstractmethod
+    def formula(
+        self, fl: float, fh: float, up: float, down: float, pulses: int, s_curve: bool | None = None
+    ) -> dict[str, int]:
+        """The registers of `tuned_by` by the data sheet: rates in pps, ramps in s."""
+
+    @abstractmethod
+    def write_move(self, program: Operations, values: Mapping[str, int], pulses: int) -> None:
+        """From power-up to the start of a move of so many pulses, plus: bus cycles. values: of `tuned_by`, by name."""
+
+    @abstractmethod
+    def write_stop(self, program: Operations) -> None:
+        """What a host does when the move is over, or has taken too long."""
+
+    @abstractmethod
+    def search(self, settings: Any) -> Search:
+        """An origin return as a program, with the settings of OriginReturn. Raises ArgumentError for what the chip cannot do."""
+
+    def lines(self, drivers: Sequence[Driver], settings: Any) -> Line:
+        """Straight lines as programs, with the axes of `drivers`, whose chips are of this one's kind, with the settings of
+        SynchronizedMove. Raises ArgumentError where the chips cannot."""
+        raise ArgumentError(f"a {self.chip.MAP.chip} draws no lines by programs.")
+
+    def no_s_curves(self) -> ArgumentError:
+        return ArgumentError(f"s_curve=True: a {self.chip.MAP.chip} has linear ramps only.")
+
+    def moving(self) -> StageError:
+        return StageError(f"axis {self.axis.name} is moving: wait until it stops, or firmware.stop(axis).")
+
+
+def driver_of(axis: Axis) -> Driver:
+    """A driver of the axis. Raises ArgumentError for what is no axis, or a chip whose family has no driver."""
+    chip = getattr(axis, "chip", None)
+    if not isinstance(chip, Chip):
+        raise ArgumentError(f"{axis!r} is no axis with a chip: give stage.axes['x'], or Bench(x=PCL240K()).axes['x'].")
+    return _driver_class(type(chip))(axis)
+
+
+def _driver_class(chip: type[Chip]) -> type[Driver]:
+    if not chip.DRIVER:
+        raise ArgumentError(
+            f"a {chip.__name__} has no driver: its class names one in DRIVER, as 'package.module:Class'."
+        )
+    module, _, name = chip.DRIVER.partition(":")
+    return getattr(import_module(module), name)
+
+
+class AtOnce(Operations):
+    """Operations that are done as they are told, on axes that are there."""
+
+    def __init__(self, *axes: Axis):
+        self._axes = {getattr(axis, "index", 0): axis for axis in axes}
+        self._done = 0
+
+    def __len__(self) -> int:
+        return self._done
+
+    def write(self, axis: int, address: int, value: int) -> AtOnce:
+        self._axes[axis].chip.write(address, value)
+        self._done += 1
+        return self
+
+    def wait(self, seconds: float) -> AtOnce:
+        next(iter(self._axes.values())).wait(seconds)
+        self._done += 1
+        return self
+
+    def until_stopped(self, axes: Sequence[int], limit: float, poll: float = 1e-3) -> AtOnce:
+        """Raises RunTimeout after `limit` seconds."""
+        wait_until_stopped([self._axes[k] for k in axes], limit, poll)
+        self._done += 1
+        return self
+
+    def play(self, program: Program) -> None:
+        """Write what a program writes; it has nothing but writes."""
+        for _, axis, address, value in program.ops:
+            self.write(axis, address, value)
+
+
+def wait_until_stopped(
+    axes: Sequence[Axis], timeout: float, poll: float = 1e-3, look: Callable[[], None] | None = None
+) -> None:
+    """Poll the status of axes until none drives: every `poll` seconds at first, ever more slowly in a long run.
+    Raises RunTimeout."""
+    clock = axes[0]
+    begin = clock.time
+    while running := [a.name for a in axes if a.chip.busy(a.chip_axis)]:
+        passed = clock.time - begin
+        if passed >= timeout:
+            raise RunTimeout(
+                f"axis {', '.join(running)} still drives after {timeout:.3f} s: give it more time, or stop it."
+            )
+        if look is not None:
+            look()
+        clock.wait(min(max(poll, passed / 200), timeout - passed + 1e-6))

@@ -1,0 +1,208 @@
+"""The HCTL-1100's driver: a closed loop. A move is its trapezoidal profile, a line a profile of many axes sample by sample.
+
+Rates are counts of the encoder a second; a servo has no start speed. The filter and the sample timer are those of `Tuning`, loaded
+when the chip stands in Init/Idle, as after power-up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, NoReturn, cast
+
+import numpy as np
+
+from stage.chips.hctl1100.maps import NUMBERS
+from stage.errors import ArgumentError, RunTimeout
+from stage.firmware.driver import SETTLE, Driver, Speeds
+from stage.firmware.hctl1100.home import home, leave_limit
+from stage.firmware.hctl1100.moves import Tuning, acceleration_word, cruise, set_up, trapezoid, velocity_word
+from stage.firmware.hctl1100.port import INIT, LIMIT, Port
+from stage.firmware.hctl1100.profile import follow, synchronize
+from stage.firmware.report import Procedure, Report
+from stage.firmware.search import Search
+from stage.firmware.together import SynchronizedReport, Together
+from stage.sim.program import Operations
+
+END = "end of profile"
+DEADBAND = 10  # counts: a filter without an integral holds a weight by an error
+
+
+class Hctl1100Driver(Driver):
+    """Of the HCTL-1100. tuning: the filter, for the next time that the chip is set up."""
+
+    tuning = Tuning()
+
+    def __init__(self, axis: Any):
+        super().__init__(axis)
+        self.port = Port(axis)
+        self._direction = 1
+
+    def ready(self, *ways: int) -> Port:
+        """In position control: set up, where the chip stands in Init/Idle. T cannot be read back, and is loaded anew.
+
+        ways: directions in which it may leave a limit switch that it stands on, the likely one first.
+        """
+        if not self.port.status() & INIT:
+            self.port.load(timer=self.tuning.timer)
+            return self.port
+        for k, way in enumerate(ways):
+            self.port.idle()
+            if self.port.clear_status() & LIMIT:
+                break
+            try:
+                leave_limit(self.port, way)
+            except RunTimeout:
+                if k == len(ways) - 1:
+                    raise
+        self.port = set_up(self.axis, self.tuning)
+        return self.port
+
+    def move(self, pulses: int, speeds: Speeds, timeout: float | None = None) -> Report:
+        if not pulses or int(pulses) != pulses:
+            raise ArgumentError(f"pulses={pulses!r}: a whole number of counts, the sign is the direction.")
+        self._linear(speeds)
+        with Procedure(self.axis, "move") as p:
+            port = self.ready(1 if pulses > 0 else -1)
+            most = 1.5 * (abs(pulses) / speeds.drive + speeds.up + speeds.down) + 1
+            done = trapezoid(
+                port, int(pulses), velocity=speeds.drive, acceleration=speeds.drive / speeds.up, deadband=DEADBAND,
+                timeout=most if timeout is None else timeout,
+            )  # fmt: skip
+            self._direction = 1 if pulses > 0 else -1
+            return p.report(self.stopped_by() if done.limited else END, int(pulses))
+
+    def home(self, direction: int, speeds: Speeds, index: bool = False, timeout: float = 60.0) -> Report:
+        with Procedure(self.axis, "origin return") as p:
+            port = self.ready(-direction, direction)
+            turn = getattr(getattr(self.axis, "drive", None), "counts", 2000)
+            home(
+                port, direction, speed=speeds.drive, acceleration=speeds.drive / speeds.up, index=index, turn=turn,
+                timeout=timeout, deadband=DEADBAND,
+            )  # fmt: skip
+            self.axis.wait(SETTLE)
+            return p.report("EZ" if index else "ORG")
+
+    def run(self, direction: int, speeds: Speeds) -> None:
+        self._linear(speeds)
+        port = self.ready(direction)
+        word = velocity_word(port, direction * speeds.drive, "integral_velocity", 1)
+        port.clear_status()
+        port.load(acceleration=acceleration_word(port, speeds.drive / speeds.up), integral_velocity=0)
+        port.mode("integral velocity")
+        self._direction = direction
+        cruise(port, word)
+
+    def halt(self, at_once: bool = False) -> None:
+        if self.port.limited() or self.port.status() & INIT:
+            return
+        port = self.ready()
+        if not at_once:
+            cruise(port, 0)
+            before = port.commanded() - 1
+            while before != (now := port.commanded()):
+                before = now
+                self.axis.wait(3 * port.sample)
+            port.mode("position")
+        else:
+            port.hold()
+
+    def stopped_by(self) -> str:
+        if self.port.limited():
+            return "EL-" if self._direction < 0 else "EL+"
+        return ""
+
+    def _linear(self, speeds: Speeds) -> None:
+        if speeds.s_curve:
+            raise self.no_s_curves()
+
+    @classmethod
+    def line(
+        cls, drivers: Mapping[str, Driver], pulses: Mapping[str, int], speeds: Speeds, **how: Any
+    ) -> SynchronizedReport:
+        """A command position to each chip in each sample, all axes in step by their SYNC pins."""
+        how.pop("timeout", None)
+        if how:
+            raise ArgumentError(f"{', '.join(how)}: nothing that an HCTL-1100 takes for a line.")
+        mine = cast("dict[str, Hctl1100Driver]", {n: d for n, d in drivers.items() if pulses[n]})
+        if len(mine) < 2:
+            raise ArgumentError("a line is of two axes or more; use move for one.")
+        ports = []
+        for n, driver in mine.items():
+            driver._linear(speeds)
+            ports.append(driver.ready(1 if pulses[n] > 0 else -1))
+        rows = _rows([pulses[n] for n in mine], speeds, ports[0].sample)
+        each = {n: _Followed(d.axis, rows[:, k], ports[0].sample) for k, (n, d) in enumerate(mine.items())}
+        with Together(each, {n: pulses[n] for n in mine}) as line:
+            synchronize(ports)
+            line.began()
+            goals = [port.commanded() + d for port, d in zip(ports, rows[-1].tolist(), strict=True)]
+            follow(ports, rows, look=line.look)
+            ports[0].axis.wait(SETTLE)
+            line.look()
+            ended = {}
+            for (n, driver), port, goal in zip(mine.items(), ports, goals, strict=True):
+                driver._direction = 1 if pulses[n] > 0 else -1
+                ended[n] = driver.stopped_by() or END
+                if ended[n] == END and abs(goal - port.position()) > DEADBAND:
+                    raise RunTimeout(
+                        f"axis {n} is {goal - port.position()} counts from its end of the line: slower, or another filter."
+                    )
+            return line.report(ended)
+
+    # --- as programs: RegisterBus takes the chip as any; the tasks that write programs of pulses do not ---
+
+    def _no(self, what: str) -> NoReturn:
+        raise ArgumentError(
+            f"chip {self.chip.MAP.chip} on axis {self.axis.name}: {what}; it is a servo's and makes no pulses. "
+            "Take ServoTuning, RegisterBus or another chip."
+        )
+
+    def tuned_by(self, s_curve: bool | None) -> tuple[str, ...]:
+        self._no("RegisterTuning tunes ramps of pulse rates")
+
+    def write_move(self, program: Operations, values: Mapping[str, int], pulses: int) -> None:
+        self._no("a move by RegisterTuning's registers")
+
+    def formula(
+        self, fl: float, fh: float, up: float, down: float, pulses: int, s_curve: bool | None = None
+    ) -> dict[str, int]:
+        self._no("the formulas make registers of pulse rates")
+
+    def write_stop(self, program: Operations) -> None:
+        program.register(self.index, self.chip, "R05", 0x01)
+
+    def search(self, settings: Any) -> Search:
+        self._no("OriginReturn writes an origin return of pulses")
+
+    def lines(self, drivers: Any, settings: Any) -> NoReturn:
+        self._no("SynchronizedMove draws lines of pulses")
+
+
+class _Followed(Procedure):
+    """One axis of a line: the chip knows no rate, only a command position in each sample."""
+
+    def __init__(self, axis: Any, commands: np.ndarray, sample: float):
+        super().__init__(axis, "line")
+        self._commands, self._sample = commands, sample
+
+    def report(self, stopped_by: str, asked: int | None = None) -> Report:
+        fastest = float(np.abs(np.diff(self._commands, prepend=0)).max()) / self._sample
+        made = super().report(stopped_by, asked)
+        return replace(made, duration=len(self._commands) * self._sample, peak_rate=fastest)
+
+
+def _rows(distances: list[int], speeds: Speeds, sample: float) -> np.ndarray:
+    """Command positions relative to the start (samples, axes): a trapezoid along the line, its rates those of the longest axis."""
+    longest = max(abs(d) for d in distances)
+    most = NUMBERS["integral_velocity"].most / sample
+    if not 0 < speeds.drive <= most:
+        raise ArgumentError(f"drive speed {speeds.drive:g} counts/s: more than 0, up to {most:g} at this sample time.")
+    rate = min(speeds.drive, np.sqrt(2.0 * longest * speeds.drive / (speeds.up + speeds.down)))
+    up, down = (ramp * rate / speeds.drive for ramp in (speeds.up, speeds.down))
+    cruising = longest / rate - 0.5 * (up + down)
+    t = np.arange(1, int(np.ceil((up + cruising + down) / sample)) + 1) * sample
+    rest = np.maximum(up + cruising + down - t, 0.0)
+    way = np.where(t < up, 0.5 * rate * t**2 / up, rate * (t - 0.5 * up))
+    way = np.where(rest < down, longest - 0.5 * rate * rest**2 / down, way)
+    return np.rint(np.outer(np.minimum(way, longest) / longest, distances)).astype(np.int64)

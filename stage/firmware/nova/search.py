@@ -1,0 +1,69 @@
+"""The origin return of the NOVA chips as a program: their automatic home search."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from stage.errors import ArgumentError
+from stage.firmware.choices import choices, limits
+from stage.firmware.search import Found, Search
+from stage.sim.program import Program
+
+if TYPE_CHECKING:
+    from stage.firmware.nova.driver import NovaDriver
+
+
+class HomeSearch(Search):
+    """Leave by a fixed-pulse drive, then the chip's automatic home search, which leaves ORG, turns at end limits and approaches
+    by itself."""
+
+    def __init__(self, driver: NovaDriver, settings: Any):
+        self.driver, self.settings = driver, settings
+        if settings.ez not in (0, 1):
+            raise ArgumentError(
+                f"ez={settings.ez!r}: a {driver.map.chip} ends at the first index pulse after ORG, or at ORG."
+            )
+        speeds = {name: limits(driver.map, name) for name in (*driver.SPEEDS, "HV")}
+        self.choices = choices({**speeds, "leave": (0, settings.leave), **driver.choices()}, cubed=("leave",))
+        self.marks = {}
+        self._bits: dict[str, int] = {}
+        self.program(self.choices.low)
+
+    def program(self, row: np.ndarray) -> Program:
+        c, driver = self.settings, self.driver
+        chosen = self.choices.named(row)
+        p = driver.begin(Program())
+        for name in (*driver.SPEEDS, "HV"):
+            driver.set(p, name, chosen[name])
+        self._mark("leave time", driver.drive(p, chosen["leave"])).until_stopped([driver.index], c.limit)
+        driver.command(p, driver.STOP).wait(c.settle if chosen["leave"] else 0.0)
+        self._position(p, "left")
+        polls = driver.write_home(p, bool(chosen["step1"]), chosen.get("timer", 0), bool(c.ez), c.limit, c.settle)
+        self.marks |= {f"home time {k}": at for k, at in enumerate(polls)}
+        for name, (at, mask) in driver.look(p).items():
+            self.marks[name], self._bits[name] = at, mask
+        self._position(p, "ended")
+        return p
+
+    def _position(self, p: Program, name: str) -> None:
+        self.driver.command(p, "R-LP")
+        for address in (6, 7):
+            self._mark(f"{name} {address}", p).read(self.driver.index, address)
+
+    def found(self, results: np.ndarray, rows: np.ndarray) -> Found:
+        said = {name: results[:, at] for name, at in self.marks.items()}
+        late = np.any([said[name] < 0 for name in said if "time" in name], axis=0)
+        left, ended = (_signed(said[f"{name} 6"], said[f"{name} 7"]) for name in ("left", "ended"))
+        flag = {name: said[name] & mask != 0 for name, mask in self._bits.items()}
+        arrived = flag["stop2" if self.settings.ez else "stop1"]
+        released = ~flag["error"]
+        short = left != rows[:, list(self.choices.ranges).index("leave")]
+        end_limit = ~late & (short | ~arrived)
+        return Found(late, ~late & released & arrived, end_limit, released, left - ended, np.zeros(len(results)))
+
+
+def _signed(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Two words as a number of 32 bits with a sign."""
+    return (high << 16 | low) - (high >> 15 << 32)

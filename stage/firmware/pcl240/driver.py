@@ -1,0 +1,107 @@
+"""The PCL-240 family's driver: a chip an axis, registers of bytes; its moves are those of moves.py, home.py and synchronized.py."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, cast
+
+from stage.firmware.driver import Driver, Speeds
+from stage.firmware.pcl240 import bus, moves
+from stage.firmware.pcl240.bus import Port, stop_reason
+from stage.firmware.pcl240.home import origin_return
+from stage.firmware.pcl240.line import RatioLine
+from stage.firmware.pcl240.profile import Profile
+from stage.firmware.pcl240.search import FourRuns
+from stage.firmware.pcl240.synchronized import synchronized_move
+from stage.firmware.report import Report
+from stage.firmware.search import Search
+from stage.firmware.together import SynchronizedReport
+from stage.sim.program import Operations
+
+TUNED = ("R1", "R2", "R4", "R5", "R6", "R7")
+S_CURVES = ("R14", "R15")
+
+
+class Pcl240Driver(Driver):
+    """Of PCL-240K, PCL-240MK and PCL-240MS."""
+
+    chip: Any
+
+    def __init__(self, axis: Any):
+        super().__init__(axis)
+        self.port = Port(axis)
+        self._direction = 1
+
+    def profile(self, speeds: Speeds) -> Profile:
+        """The registers of these speeds."""
+        made = Profile.of(
+            speeds.start,
+            speeds.drive,
+            accel=speeds.up,
+            decel=speeds.down,
+            clock_hz=self.chip.clock_hz,
+            chip=type(self.chip),
+        )
+        return made.shaped(True) if speeds.s_curve else made
+
+    def move(self, pulses: int, speeds: Speeds, timeout: float | None = None) -> Report:
+        return moves.preset_move(self.axis, pulses, self.profile(speeds), timeout=timeout)
+
+    def home(self, direction: int, speeds: Speeds, index: bool = False, timeout: float = 60.0) -> Report:
+        return origin_return(self.axis, direction, self.profile(speeds), ez=1 if index else None, timeout=timeout)
+
+    def run(self, direction: int, speeds: Speeds) -> None:
+        moves.prepare(self.port, self.profile(speeds), bus.MINUS if direction < 0 else 0)
+        self._direction = direction
+        self.port.command(bus.RAMP["FH1"])
+
+    def halt(self, at_once: bool = False) -> None:
+        if self.port.status().operating:
+            self.port.command(bus.RESET if at_once else bus.SLOW_DOWN_FH1)
+        self.port.wait_until_stopped(60.0)
+        self.port.command(bus.RESET)
+
+    def stopped_by(self) -> str:
+        status = self.port.status()
+        return "" if status.operating else stop_reason(status, self._direction, preset=False)
+
+    @classmethod
+    def line(
+        cls, drivers: Mapping[str, Driver], pulses: Mapping[str, int], speeds: Speeds, **how: Any
+    ) -> SynchronizedReport:
+        axes = {name: driver.axis for name, driver in drivers.items()}
+        return synchronized_move(
+            dict(pulses), axes, rate=speeds.drive, fl=speeds.start, accel=speeds.up, decel=speeds.down,
+            s_curve=speeds.s_curve, **how,
+        )  # fmt: skip
+
+    def tuned_by(self, s_curve: bool | None) -> tuple[str, ...]:
+        if s_curve and not self.chip.S_CURVES:
+            raise self.no_s_curves()
+        return TUNED + (S_CURVES if self.chip.S_CURVES and s_curve is not False else ())
+
+    def write_move(self, program: Operations, values: Mapping[str, int], pulses: int) -> None:
+        a, chip = self.index, self.chip
+        program.command(a, bus.RESET)
+        if chip.S_CURVES and "R14" not in values:
+            values = {**values, "R14": chip.LINEAR_RAMPS}
+        for name, value in {**values, "R0": pulses}.items():
+            program.register(a, chip, name, value)
+        program.command(a, bus.OUTPUT).command(a, bus.CONTROL | bus.PRESET).command(a, bus.RAMP["FH1"])
+
+    def write_stop(self, program: Operations) -> None:
+        program.command(self.index, bus.RESET)
+
+    def formula(
+        self, fl: float, fh: float, up: float, down: float, pulses: int, s_curve: bool | None = None
+    ) -> dict[str, int]:
+        p = Profile.of(fl, fh, fh, accel=up, decel=down)
+        made = {**p.registers(), "R6": p.down_point(pulses)}
+        curved = [name for name in S_CURVES if name in self.tuned_by(s_curve)]
+        return {**made, **dict.fromkeys(curved, 0)}  # curved throughout
+
+    def search(self, settings: Any) -> Search:
+        return FourRuns(self, settings)
+
+    def lines(self, drivers: Sequence[Driver], settings: Any) -> RatioLine:
+        return RatioLine(cast(Any, drivers), settings)

@@ -1,0 +1,53 @@
+"""`Search`: an origin return written as a program, which cannot branch, and what its results say."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import NamedTuple
+
+import numpy as np
+
+from stage.firmware.choices import Choices
+from stage.sim.program import Program
+
+
+class Found(NamedTuple):
+    """What a host knows of origin returns when they are over; arrays with the stage as their index, pulses or bool."""
+
+    late: np.ndarray
+    """A run took longer than it may."""
+    home: np.ndarray
+    """It ended at the origin."""
+    end_limit: np.ndarray
+    """A run ended neither after its pulses nor at the origin, and in time."""
+    released: np.ndarray
+    """ORG let go before the last approach."""
+    searched: np.ndarray
+    """Pulses of the search, minus counts."""
+    overrun: np.ndarray
+    """Pulses by which the search went beyond ORG; 0 where the chip does not tell."""
+
+
+class Search(ABC):
+    """One way to write an origin return, minus to ORG, as a program that cannot branch.
+
+    Attributes:
+        choices: what a row chooses.
+        marks: where the results stand that `found` needs; the same for every program.
+    """
+
+    choices: Choices
+    marks: dict[str, int]
+
+    @abstractmethod
+    def program(self, row: np.ndarray) -> Program:
+        """A whole return with these choices, in the order of the choices."""
+
+    @abstractmethod
+    def found(self, results: np.ndarray, rows: np.ndarray) -> Found:
+        """What the results of programs of these rows say, (stages, operations)."""
+
+    def _mark(self, name: str, program: Program) -> Program:
+        """The next operation's result is `name`."""
+        self.marks[name] = len(program)
+        return program

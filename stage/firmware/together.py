@@ -1,0 +1,177 @@
+"""Several axes on one straight line: who watches them, and the report.
+
+with Together(axes, distances, "line") as line:
+    ...                                      write, start; line.began(name) after each start
+    line.look()                              while they move
+report = line.report(stopped_by)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from stage.errors import ArgumentError, unknown
+from stage.firmware.axis import Axis
+from stage.firmware.path import Deviation, path_deviation, pulses_of
+from stage.firmware.report import Procedure, Report
+
+if TYPE_CHECKING:
+    from os import PathLike
+
+    from stage.firmware.pcl240.plan import Plan
+
+
+@dataclass(frozen=True)
+class SynchronizedReport:
+    """What the axes did together.
+
+    Attributes:
+        axes: a Report for each axis that moved.
+        plan: the registers and what was expected of them; None where the chip keeps to the line by itself.
+        deviation: the largest distance from the straight line in pulses, with its time (s from the first start command) and
+            the counts then.
+        skew: seconds between the first start command and the last.
+        finish: seconds between the first axis' last pulse and the last axis'.
+        carriage_deviation: m, the largest distance of the carriages from the line while they moved, looked at every
+            millisecond; None without a stage. Motors lag behind their pulses, and not all alike.
+        paths: for each axis (times in s since the first start command, directions) of its pulses.
+    """
+
+    axes: dict[str, Report]
+    plan: Plan | None
+    deviation: Deviation
+    skew: float
+    finish: float
+    carriage_deviation: float | None
+    paths: dict[str, tuple[np.ndarray, np.ndarray]] = field(repr=False)
+
+    @property
+    def ok(self) -> bool:
+        """Every axis made its pulses, and lost none."""
+        return all(r.ok for r in self.axes.values())
+
+    @property
+    def ratio_error(self) -> float:
+        """The largest relative error of a planned rate against the longest axis'; 0 where the chip keeps the ratio itself."""
+        return self.plan.ratio_error if self.plan else 0.0
+
+    def __str__(self) -> str:
+        d, counts = self.deviation, dict(zip(self.paths, self.deviation.counts, strict=True))
+        where = ", ".join(f"{n} {c:+d}" for n, c in counts.items())
+        lines = [
+            f"synchronized move: {'done' if self.ok else 'NOT as asked'}, {d.pulses:.2f} pulses from the line at most "
+            f"(at {d.time:.4f} s, {where})",
+            f"  started within {self.skew * 1e6:.1f} us, finished within {self.finish * 1e3:.3f} ms, "
+            f"ratio error {self.ratio_error:.1e}",
+        ]
+        if self.carriage_deviation is not None:
+            lines.append(f"  carriages {self.carriage_deviation * 1e6:.1f} um from the line at most")
+        return "\n".join([*lines, *(str(r) for r in self.axes.values())])
+
+    def plot(self, path: str | PathLike | None = None, title: str | None = None, *, overwrite: bool = False) -> Any:
+        """Draw the path with its distance from the line magnified, and the rates over time; saves to `path` if given.
+
+        A file that exists stays, unless `overwrite`: FileError. Returns the figure. Needs matplotlib (extra `plot`).
+        """
+        from stage.firmware.plot_path import draw
+
+        return draw(self, path, title, overwrite)
+
+
+class Together:
+    """Watches axes that move together.
+
+    Args:
+        watch: by name, a Procedure for each axis, not yet entered. distances: of each, signed pulses.
+    """
+
+    def __init__(self, watch: Mapping[str, Procedure], distances: Mapping[str, int]):
+        self.watch, self.distances = dict(watch), {name: distances[name] for name in watch}
+        self._began: dict[str, float] = {}
+        self._books = ExitStack()
+
+    def __enter__(self) -> Together:
+        for p in self.watch.values():
+            self._books.enter_context(p)
+        self.carriages = Carriages({n: p.axis for n, p in self.watch.items()}, self.distances)
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        self._books.__exit__(*error)
+
+    def began(self, *names: str) -> None:
+        """The start commands of these axes have just been given; without names: of all."""
+        for n in names or self.watch:
+            self._began[n] = self.watch[n].axis.time
+
+    def look(self) -> None:
+        """Note how far the carriages are from the line."""
+        self.carriages.look()
+
+    def reports(self, stopped_by: Mapping[str, str]) -> dict[str, Report]:
+        """Close the books of each axis."""
+        return {n: p.report(stopped_by[n], self.distances[n]) for n, p in self.watch.items()}
+
+    def report(self, stopped_by: Mapping[str, str], plan: Plan | None = None) -> SynchronizedReport:
+        """Close all books."""
+        reports = self.reports(stopped_by)
+        first = min(self._began.values())
+        paths = {}
+        for n, p in self.watch.items():
+            pulses, origin = pulses_of(p.journal), first - p.began
+            paths[n] = pulses["clock"] / p.axis.chip.clock_hz - origin, pulses["direction"].copy()
+        ends = [t[-1] for t, _ in paths.values() if len(t)]
+        return SynchronizedReport(
+            reports, plan, path_deviation(list(paths.values()), list(self.distances.values())),
+            max(self._began.values()) - first, float(max(ends) - min(ends)) if ends else 0.0, self.carriages.worst, paths,
+        )  # fmt: skip
+
+
+class Carriages:
+    """The carriages' largest distance from their line, m; `worst` is None without a stage."""
+
+    def __init__(self, axes: dict[str, Axis], distances: dict[str, int]):
+        self._axes = list(axes.values())
+        self.worst: float | None = None
+        if any(a.position is None or getattr(a, "unit", "m") != "m" for a in self._axes):
+            self._axes = []
+            return
+        self.worst = 0.0
+        self._start = self._positions()
+        self._way = np.array(
+            [distances[n] * (a.meters_per_pulse or 0.0) * np.sign(getattr(a, "gear", 1.0)) for n, a in axes.items()]
+        )
+
+    def _positions(self) -> np.ndarray:
+        return np.array([a.position for a in self._axes])
+
+    def look(self) -> None:
+        if self._axes:
+            off = self._positions() - self._start
+            along = min(max(off @ self._way / (self._way @ self._way), 0.0), 1.0)
+            self.worst = max(self.worst or 0.0, float(np.linalg.norm(off - along * self._way)))
+
+
+def chosen_axes(distances: Mapping, axes: Any) -> dict[str, tuple[Axis, Any]]:
+    """Label -> (axis, distance); the label is the name used, or the axis' own. Raises ArgumentError."""
+    known = getattr(axes, "axes", axes)
+    chosen: dict[str, tuple[Axis, Any]] = {}
+    for key, d in distances.items():
+        label, axis = key, key
+        if isinstance(key, str):
+            if known is None:
+                raise ArgumentError(f"axis {key!r}: say where it is: give stage.axes after the distances.")
+            if key not in known:
+                raise unknown("axis", key, known)
+            axis = known[key]
+        else:
+            label = getattr(key, "name", repr(key))
+        if label in chosen or any(axis is other for other, _ in chosen.values()):
+            raise ArgumentError(f"axis {label!r} is given twice: one distance an axis.")
+        chosen[label] = (axis, d)
+    return chosen
