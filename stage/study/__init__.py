@@ -1,19 +1,16 @@
-"""Studies: many trials of register values, on processes, threads or a Ray cluster; scripts/sweep.py is the command.
+"""Studies: which register values do best? The objectives are ours; Optuna samples, prunes and keeps the trials.
 
-from stage.study import Definition, Processes, Study, read, run
+    from stage.study import PresetMoves, run
 
-definition = Definition("mine:objective", space={"R2": "400:3600", "R4": "10:600:log"}, trials=200)
-if __name__ == "__main__":
-    with Study.open("study", definition) as study, Processes(definition.objective) as executor:
-        run(study, executor)
-    print(read("study").sort_by("score"))
+    if __name__ == "__main__":
+        study = run(PresetMoves(), "study.log", trials=100, workers=2)
+        print(study.best_value, study.best_params)
+
+objectives.py measures trials, without Optuna if need be; runner.py begins studies, goes on with them and spreads them over
+processes; storage.py makes Optuna's storage and samplers fit for kills and for many workers. scripts/sweep.py is the command, docs/sweep.md the manual.
 """
 
-from stage.study.definition import Definition, Trial, Values, resolve
-from stage.study.run import Executor, Processes, Ray, Tally, Threads, run
-from stage.study.trials import Record, Study, read, read_definition
+from stage.study.objectives import SPACE, PresetMoves, seed_of, suggest
+from stage.study.runner import finished, open_study, read_study, run
 
-__all__ = [
-    "Definition", "Executor", "Processes", "Ray", "Record", "Study", "Tally", "Threads", "Trial", "Values", "read",
-    "read_definition", "resolve", "run",
-]  # fmt: skip
+__all__ = ["SPACE", "PresetMoves", "finished", "open_study", "read_study", "run", "seed_of", "suggest"]

@@ -1,60 +1,188 @@
-"""What a trial measures: an objective takes a `Trial` and returns numbers by name; "score" is what a study minimizes."""
+"""What a trial measures. An objective is a function of an Optuna trial; here is one that is made of preset moves.
+
+objective = PresetMoves(pulses=8000)
+objective.measure({"R1": 20, "R2": 640, "R4": 400, "R5": 400, "R7": 12}, seed=1)      without Optuna
+optuna.create_study().optimize(objective, n_trials=100)                               with
+"""
 
 from __future__ import annotations
 
 import threading
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from stage import Stage, chips, firmware
 from stage.errors import ArgumentError, unknown
 from stage.firmware import Profile
-from stage.study.definition import Trial
+
+if TYPE_CHECKING:
+    from optuna import Trial
 
 EVERY = 0.25e-3  # s between samples
 FAILED = 10.0  # s of score for a move that did not do as asked
 SPREAD = 1e-4  # m, by which the start is drawn
 CHIPS = {"pcl240k": chips.PCL240K, "pcl240mk": chips.PCL240MK, "pcl240ms": chips.PCL240MS}
-OPTIONS: dict[str, Any] = {
-    "model": "xyz", "axis": "x", "chips": "pcl240k", "pulses": 16_000, "start": -0.13, "band": 20e-6, "rest": 0.3,
-}  # fmt: skip
-"""Options of `preset_moves` and their defaults. pulses: of one move, or a list. start, band: m. rest: s of watching after a
-move; a camera on a mast needs 4."""
-SPACE = {"R1": "4:100:log", "R2": "400:2800", "R4": "60:800:log", "R5": "60:800:log", "R7": "12"}
+MEASURED = "score", "duration", "lost_steps", "reached", "vibration"
+
+
+Space = Mapping[str, str | int]
+"""What each register takes: 12 | "10,20,40" | "400:2800" | "60:800:log", a range looked for evenly on a log scale."""
+
+SPACE: Space = {"R1": "4:100:log", "R2": "400:2800", "R4": "60:800:log", "R5": "60:800:log", "R7": 12}
 """A space to search: 0.2 to 5 kpps of FL, 20 to 140 kpps of FH1, ramps of 5 ms to 0.45 s."""
 
 _local = threading.local()
 
 
-def preset_moves(trial: Trial) -> dict[str, float]:
-    """Preset moves of one axis with the trial's R1, R2, R4, R5, R7 (R3: R2; R14, R15: spans of S-curves), one after the other.
+class Range(NamedTuple):
+    """Every whole number from low to high."""
+
+    low: int
+    high: int
+    log: bool
+
+
+def values_of(name: str, text: str | int) -> Range | tuple[int, ...]:
+    """What a register takes, of its text in a space. Raises ArgumentError."""
+    try:
+        if ":" not in str(text):
+            values = tuple(int(v) for v in str(text).split(","))
+            if min(values) < 0:
+                raise ValueError
+            return values
+        low, high, *log = str(text).split(":")
+        span = Range(int(low), int(high), log == ["log"])
+        if log not in ([], ["log"]) or not 0 <= span.low <= span.high or (span.log and not span.low):
+            raise ValueError
+        return span
+    except ValueError:
+        raise ArgumentError(
+            f"{name}={text}: a register takes one value (12), some (10,20,40) or a range (400:2800, or 60:800:log evenly on a "
+            f"log scale, from 1 up)."
+        ) from None
+
+
+def suggest(trial: Trial, space: Space) -> dict[str, int]:
+    """Register values of a trial; the trial's `params` hold them all. Raises ArgumentError."""
+    registers = {}
+    for name, text in space.items():
+        values = values_of(name, text)
+        if isinstance(values, Range):
+            registers[name] = trial.suggest_int(name, values.low, values.high, log=values.log)
+        elif len(values) == 1:
+            registers[name] = trial.suggest_int(name, values[0], values[0])
+        else:
+            registers[name] = trial.suggest_categorical(name, values)
+    return registers
+
+
+def seed_of(trial: Trial, seed: int = 0) -> int:
+    """For whatever else a trial draws: follows from a seed and the trial's number, so that neither order nor place matters."""
+    made = np.random.SeedSequence(seed, spawn_key=(trial.number, 1)).generate_state(1, np.uint64)[0]
+    return int(made >> np.uint64(1))
+
+
+@dataclass(frozen=True)
+class PresetMoves:
+    """Preset moves of one axis with a trial's R1, R2, R4, R5, R7 (R3: R2; R14, R15: spans of S-curves), one after the other.
 
     The start is drawn within 0.1 mm, by the trial's seed, so that no luck of one rotor angle counts. R6 is by the data sheet.
-    Returns:
-        score: s from a move's start until the tool stays within `band` of its place, the mean of the moves; 10 s more for a move
-            after which it does not within `rest`, or that loses steps or ends elsewhere.
-        duration: s from the first pulse to the last, all moves. lost_steps: of all. reached: moves that ended as asked.
-        vibration: m, the largest half swing of the tool after a stop.
-    Raises ArgumentError: a register or an option that is not legal; SimulationError.
+    A trial's user attributes are its seed and all that `measure` returns.
+
+    Args:
+        space: what the registers take.
+        goals: which measures to minimize; with several, a study finds their Pareto front.
+        model, axis, chips: `xyz`, `x`, `pcl240k`; `pcl240mk`, `pcl240ms`, too.
+        pulses: of one move, or of some, one after the other; with more than one a pruner may end a trial in between.
+        start: m. band: m, the tool is quiet while within it of its place. rest: s of watching after a move; a camera on a mast
+            needs 4.
+        seed: of the seeds of the trials.
+    Raises ArgumentError: a register or an option that is not known.
     """
-    for name in trial.options:
-        if name not in OPTIONS:
-            raise unknown("option", name, OPTIONS)
-    o = OPTIONS | trial.options
-    if str(o["chips"]).lower() not in CHIPS:
-        raise unknown("chip", o["chips"], CHIPS)
-    chip = CHIPS[str(o["chips"]).lower()]
-    pulses = o["pulses"] if isinstance(o["pulses"], list) else [o["pulses"]]
-    profile = profile_of(trial.registers, chip)
-    stage, begin = _stage(str(o["model"]), chip)
-    if o["axis"] not in stage.axes:
-        raise unknown("axis", o["axis"], stage.axes)
-    stage.restore(begin)
-    start = o["start"] + np.random.default_rng(trial.seed).uniform(-SPREAD, SPREAD)
-    stage.place(**{o["axis"]: start})
-    stage.run(0.05)
-    moves = [_measure(stage, o["axis"], profile, count, o["band"], o["rest"]) for count in pulses]
+
+    space: Space = field(default_factory=lambda: SPACE)
+    goals: Sequence[str] = ("score",)
+    model: str = "xyz"
+    axis: str = "x"
+    chips: str = "pcl240k"
+    pulses: int | Sequence[int] = 16_000
+    start: float = -0.13
+    band: float = 20e-6
+    rest: float = 0.3
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for goal in self.goals:
+            if goal not in MEASURED:
+                raise unknown("goal", goal, MEASURED)
+        if not self.goals:
+            raise ArgumentError(f"goals=(): one at least of {', '.join(MEASURED)}.")
+        if str(self.chips).lower() not in CHIPS:
+            raise unknown("chip", self.chips, CHIPS)
+        check_registers(self.space, self._chip)
+        for name, text in self.space.items():
+            values_of(name, text)
+        stage, _ = _stage(self.model, self._chip)
+        if self.axis not in stage.axes:
+            raise unknown("axis", self.axis, stage.axes)
+
+    @property
+    def _chip(self) -> Any:
+        return CHIPS[str(self.chips).lower()]
+
+    def __call__(self, trial: Trial) -> float | tuple[float, ...]:
+        """Measure a trial of an Optuna study: its goals' values. Raises optuna.TrialPruned."""
+        registers, seed = suggest(trial, self.space), seed_of(trial, self.seed)
+        trial.set_user_attr("seed", seed)
+
+        def report(move: int, so_far: dict[str, float]) -> None:
+            trial.report(so_far[self.goals[0]], move)
+            if trial.should_prune():
+                from optuna import TrialPruned
+
+                raise TrialPruned(f"after {move + 1} moves")
+
+        alone = len(self.goals) == 1  # Optuna prunes by one goal only
+        measured = self.measure(registers, seed, report if alone else lambda move, so_far: None)
+        for name, value in measured.items():
+            trial.set_user_attr(name, value)
+        return measured[self.goals[0]] if alone else tuple(measured[goal] for goal in self.goals)
+
+    def measure(
+        self,
+        registers: Mapping[str, int],
+        seed: int,
+        report: Callable[[int, dict[str, float]], None] = lambda k, m: None,
+    ) -> dict[str, float]:
+        """Make the moves with these registers: the same arguments give the same bits, in whatever process or thread.
+
+        `report` is called after each move but the last, with its index from 0 on and the measures so far.
+        Returns:
+            score: s from a move's start until the tool stays within `band` of its place, the mean of the moves; 10 s more for a
+                move after which it does not within `rest`, or that loses steps or ends elsewhere.
+            duration: s from the first pulse to the last, all moves. lost_steps: of all. reached: moves that ended as asked.
+            vibration: m, the largest half swing of the tool after a stop.
+        Raises ArgumentError: a register value that is not legal; SimulationError.
+        """
+        profile = profile_of(registers, self._chip)
+        stage, begin = _stage(self.model, self._chip)
+        stage.restore(begin)
+        start = self.start + np.random.default_rng(seed).uniform(-SPREAD, SPREAD)
+        stage.place(**{self.axis: start})
+        stage.run(0.05)
+        pulses = [self.pulses] if isinstance(self.pulses, int) else self.pulses
+        moves: list[dict[str, float]] = []
+        for count in pulses:
+            if moves:
+                report(len(moves) - 1, _together(moves))
+            moves.append(_measure(stage, self.axis, profile, count, self.band, self.rest))
+        return _together(moves)
+
+
+def _together(moves: list[dict[str, float]]) -> dict[str, float]:
     columns = {name: [m[name] for m in moves] for name in moves[0]}
     return {
         "score": float(np.mean(columns["score"])),
@@ -65,16 +193,21 @@ def preset_moves(trial: Trial) -> dict[str, float]:
     }
 
 
-def profile_of(registers: dict[str, int], chip: Any) -> Profile:
-    """The speed registers as a Profile. Raises ArgumentError for one that is missing or unknown."""
+def check_registers(names: Mapping[str, object], chip: Any) -> None:
+    """Raises ArgumentError for a speed register that is missing or unknown."""
     known = {"R1", "R2", "R3", "R4", "R5", "R7"} | ({"R14", "R15"} if chip.S_CURVES else set())
-    for name in registers:
+    for name in names:
         if name not in known:
             raise unknown(f"{chip.MAP.chip} speed register", name, known)
-    if missing := sorted({"R1", "R2", "R4", "R5", "R7"} - set(registers)):
+    if missing := sorted({"R1", "R2", "R4", "R5", "R7"} - set(names)):
         raise ArgumentError(
             f"a preset move needs {', '.join(missing)}, too: give one value at least, for example R7=12."
         )
+
+
+def profile_of(registers: Mapping[str, int], chip: Any) -> Profile:
+    """The speed registers as a Profile. Raises ArgumentError for one that is missing or unknown."""
+    check_registers(registers, chip)
     plain = {k: v for k, v in registers.items() if k not in ("R14", "R15")}
     curved = "R14" in registers or "R15" in registers
     spans = (registers.get("R14", 0), registers.get("R15", 0)) if curved else None

@@ -1,0 +1,186 @@
+"""Run a study with Optuna: begin it or go on with it, in this process or in some."""
+
+from __future__ import annotations
+
+import dataclasses
+import multiprocessing
+import os
+import pickle
+import sys
+from collections.abc import Callable
+from importlib import metadata
+from typing import TYPE_CHECKING, Any
+
+from stage.errors import ArgumentError, StageError
+
+if TYPE_CHECKING:
+    import optuna
+
+Objective = Callable[["optuna.Trial"], Any]
+"""Measures a trial: returns a number, the less the better, or as many as its attribute `goals` has names."""
+
+NAME = "study"
+"""Of the one study that a storage holds."""
+
+
+def open_study(
+    objective: Objective,
+    storage: Any,
+    *,
+    sampler: Callable[..., optuna.samplers.BaseSampler] | None = None,
+    pruner: optuna.pruners.BasePruner | None = None,
+    seed: int = 0,
+) -> optuna.Study:
+    """The study in `storage`, begun or gone on with: an Optuna study, that minimizes.
+
+    Args:
+        storage: a file, which processes of one machine share; or a database's URL, for many machines.
+        sampler: makes a sampler of a seed, for example optuna.samplers.NSGAIISampler; TPE without.
+        pruner: none without.
+        seed: of the sampler.
+    Raises ArgumentError when the study there is one of another objective, with what differs; StageError: no storage, no Optuna.
+    """
+    from stage.study.storage import ByNumber, optuna, storage_at
+
+    if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
+        raise ArgumentError(f"seed={seed!r}: a whole number, 0 or more.")
+    study = optuna.create_study(
+        storage=storage_at(storage),
+        sampler=ByNumber(sampler or optuna.samplers.TPESampler, seed),
+        pruner=pruner or optuna.pruners.NopPruner(),
+        study_name=NAME,
+        directions=["minimize"] * len(goals_of(objective)),
+        load_if_exists=True,
+    )
+    wanted, was = definition(objective), study.user_attrs.get("definition")
+    if was is None:
+        study.set_user_attr("definition", wanted)
+    elif was != wanted:
+        differences = [
+            f"{name}: {was.get(name, 'not given')} before, {wanted.get(name, 'not given')} now"
+            for name in {**was, **wanted}
+            if was.get(name) != wanted.get(name)
+        ]
+        raise ArgumentError(
+            f"{storage} holds another study:\n  "
+            + "\n  ".join(differences)
+            + "\nChoose another place, or remove that study."
+        )
+    return study
+
+
+def read_study(storage: Any) -> optuna.Study:
+    """The study in `storage`, to look at it, also while it runs. Raises ArgumentError: there is none."""
+    from stage.study.storage import optuna, storage_at
+
+    if "://" in str(storage) or os.path.exists(storage):
+        held = storage_at(storage)
+        if optuna.get_all_study_names(held):
+            return optuna.load_study(study_name=NAME, storage=held)
+    raise ArgumentError(f"{storage} holds no study.")
+
+
+def run(
+    objective: Objective,
+    storage: Any,
+    trials: int,
+    *,
+    workers: int = 1,
+    sampler: Callable[..., optuna.samplers.BaseSampler] | None = None,
+    pruner: optuna.pruners.BasePruner | None = None,
+    seed: int = 0,
+) -> optuna.Study:
+    """Run the study in `storage` until `trials` are finished; those that are there count. Other arguments as of `open_study`.
+
+    A trial that raises a StageError is finished, too: it has failed, and its user attribute "error" says why. Any other error ends
+    the run. A trial whose process was killed does not count; another is run for it.
+
+    Args:
+        workers: processes; 1 runs trials in this one. Each may finish a trial after the last that was asked for. The objective
+            must then be importable, and a program that calls this must be guarded by `if __name__ == "__main__"`.
+    Raises StageError when workers ended and trials lack.
+    """
+    for name, value in (("trials", trials), ("workers", workers)):
+        if isinstance(value, bool) or not isinstance(value, int) or value < 1:
+            raise ArgumentError(f"{name}={value!r}: a whole number, 1 or more.")
+    how = {"sampler": sampler, "pruner": pruner, "seed": seed}
+    study = open_study(objective, storage, **how)  # type: ignore[arg-type]
+    if finished(study) >= trials:
+        return study
+    if workers == 1:
+        _optimize(study, objective, trials)
+        return study
+    try:
+        pickle.dumps((objective, how))
+    except (pickle.PicklingError, AttributeError, TypeError) as error:
+        raise ArgumentError(f"workers={workers}: processes must be able to import the objective: {error}.") from error
+    spawn = multiprocessing.get_context("spawn")  # MuJoCo's and our threads do not survive a fork
+    processes = [
+        spawn.Process(target=_work, args=(objective, storage, trials, how), daemon=True) for _ in range(workers)
+    ]
+    try:
+        for process in processes:
+            process.start()
+        for process in processes:
+            process.join()
+    finally:
+        for process in processes:
+            if process.pid is not None:
+                process.terminate()
+                process.join()
+    if (done := finished(study)) < trials:
+        codes = ", ".join(str(process.exitcode) for process in processes)
+        raise StageError(
+            f"{done} of {trials} trials are finished: workers ended with exit codes {codes}. Run it again to go on."
+        )
+    return study
+
+
+def finished(study: optuna.Study) -> int:
+    """How many trials of the study have ended by themselves: complete, pruned, or failed with an error that was recorded."""
+    return sum(
+        t.state.name in ("COMPLETE", "PRUNED") or "error" in t.user_attrs for t in study.get_trials(deepcopy=False)
+    )
+
+
+def goals_of(objective: Objective) -> tuple[str, ...]:
+    """What an objective minimizes, by name."""
+    return tuple(getattr(objective, "goals", ("score",)))
+
+
+def definition(objective: Objective) -> dict[str, str]:
+    """What the numbers of a study depend on, as far as can be known: a study keeps to it."""
+    named = objective if hasattr(objective, "__qualname__") else type(objective)
+    fields = dataclasses.fields(objective) if dataclasses.is_dataclass(objective) else ()
+    settings = {f.name: repr(getattr(objective, f.name)) for f in fields}
+    packages = {name: metadata.version(name) for name in ("pulsestage", "mujoco", "numpy")}
+    return {"objective": named.__qualname__, "goals": repr(goals_of(objective)), **settings, **packages}
+
+
+def _optimize(study: optuna.Study, objective: Objective, trials: int) -> None:
+    parent = multiprocessing.parent_process()
+
+    def noted(trial: optuna.Trial) -> Any:
+        try:
+            return objective(trial)
+        except StageError as error:
+            trial.set_user_attr("error", f"{type(error).__name__}: {error}")
+            raise
+
+    def stop(study: optuna.Study, _: object) -> None:
+        if finished(study) >= trials or (parent is not None and not parent.is_alive()):
+            study.stop()
+
+    if finished(study) < trials:
+        study.optimize(noted, catch=(StageError,), callbacks=[stop])
+
+
+def _work(objective: Objective, storage: Any, trials: int, how: dict[str, Any]) -> None:
+    """A worker process. It ends when its parent does, however that ends."""
+    try:
+        _optimize(open_study(objective, storage, **how), objective, trials)
+    except StageError as error:
+        print(f"worker {os.getpid()}: {error}", file=sys.stderr)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        sys.exit(130)

@@ -1,0 +1,125 @@
+"""Optuna's storage and samplers, made fit for processes that are killed at any instant and for many workers."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from stage.errors import StageError
+from stage.files import FileError
+
+try:
+    import optuna
+    from optuna.storages.journal import JournalFileBackend
+except ImportError as error:
+    raise StageError("a study needs Optuna: pip install 'pulsestage[tune]'.") from error
+
+FIRST = b'{"op_code":'
+"""How a journal begins."""
+
+
+def storage_at(place: str | os.PathLike) -> optuna.storages.BaseStorage:
+    """The storage at `place`: a file, made or gone on with, or a database's URL as SQLAlchemy takes it. Raises StageError."""
+    try:
+        if "://" in str(place):
+            return optuna.storages.RDBStorage(str(place))
+        return optuna.storages.JournalStorage(Journal(Path(place).absolute()))
+    except StageError:
+        raise
+    except Exception as error:  # of the file system, of JSON, of SQLAlchemy or of a database's driver
+        raise StageError(f"{place} cannot hold a study: {error}") from error
+
+
+class Journal(JournalFileBackend):
+    """Optuna's file of one JSON object a line, that survives kills and a full disk."""
+
+    def __init__(self, path: Path):
+        if path.exists():
+            with open(path, "rb") as file:
+                head = file.read(len(FIRST))
+            if not FIRST.startswith(head):
+                raise StageError(f"{path} is there and holds no study: choose another place.")
+        super().__init__(str(path), Lock(path))  # type: ignore[arg-type]
+
+    def append_logs(self, logs: list[dict[str, Any]]) -> None:
+        """Append to the file, durably. Raises FileError; what was recorded before stays."""
+        try:
+            super().append_logs(logs)
+        except OSError as error:
+            raise FileError(
+                f"{self._file_path} cannot be written: {error.strerror or error}. What was recorded before is safe: make room, "
+                "then start again, and the study goes on from there."
+            ) from error
+
+
+class Lock:
+    """Who holds it may append to the journal.
+
+    Optuna's own locks are files: after the death of a holder everybody waits for half a minute. This one the system takes back.
+    A line that a holder could not write to its end is cut off by the next one; without that, nobody could read the journal again.
+    """
+
+    def __init__(self, path: Path):
+        self._path = path
+        self._held: IO | None = None
+
+    def acquire(self) -> bool:
+        held = open(f"{self._path}.lock", "a")  # noqa: SIM115
+        try:
+            fcntl.flock(held, fcntl.LOCK_EX)
+            self._mend()
+        except BaseException:
+            held.close()
+            raise
+        self._held = held
+        return True
+
+    def _mend(self) -> None:
+        with open(self._path, "rb+") as journal:
+            end = journal.seek(0, os.SEEK_END)
+            if end and (journal.seek(-1, os.SEEK_END), journal.read(1))[1] != b"\n":
+                journal.seek(0)
+                journal.truncate(journal.read().rfind(b"\n") + 1)
+
+    def release(self) -> None:
+        held, self._held = self._held, None
+        if held is not None:
+            held.close()
+
+
+class ByNumber(optuna.samplers.BaseSampler):
+    """A sampler whose random numbers follow from a seed and the trial's number.
+
+    So a study that goes on does not draw its first trials again, no two workers draw the same trial, and one worker makes the same
+    study to the bit, stopped in between or not.
+
+    Args:
+        make: makes a sampler of a seed; one that keeps its state in the study, as Optuna's do.
+    """
+
+    def __init__(self, make: Callable[..., optuna.samplers.BaseSampler], seed: int):
+        self._make, self._seed = make, seed
+
+    def _sampler(self, trial: Any) -> Any:
+        key = (trial.number, 0, len(trial.params))
+        return self._make(seed=int(np.random.SeedSequence(self._seed, spawn_key=key).generate_state(1)[0]))
+
+    def before_trial(self, study: Any, trial: Any) -> None:
+        self._sampler(trial).before_trial(study, trial)
+
+    def infer_relative_search_space(self, study: Any, trial: Any) -> dict:
+        return self._sampler(trial).infer_relative_search_space(study, trial)
+
+    def sample_relative(self, study: Any, trial: Any, search_space: dict) -> dict:
+        return self._sampler(trial).sample_relative(study, trial, search_space)
+
+    def sample_independent(self, study: Any, trial: Any, param_name: str, param_distribution: Any) -> Any:
+        return self._sampler(trial).sample_independent(study, trial, param_name, param_distribution)
+
+    def after_trial(self, study: Any, trial: Any, state: Any, values: Any) -> None:
+        self._sampler(trial).after_trial(study, trial, state, values)

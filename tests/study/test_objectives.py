@@ -1,0 +1,111 @@
+"""stage.study.objectives: what a trial measures, the same bits wherever it is measured."""
+
+import optuna
+import pytest
+
+from stage.chips import PCL240K, PCL240MS
+from stage.errors import ArgumentError
+from stage.study import PresetMoves, open_study, run
+from stage.study.objectives import Range, profile_of, values_of
+
+GENTLE = {"R1": 20, "R2": 640, "R4": 400, "R5": 400, "R7": 12}
+MOVE = PresetMoves(model="xy", pulses=2000, rest=0.05)
+
+
+def test_a_trial_is_the_same_bits_in_any_thread_and_process(tmp_path):
+    """objective.measure(trial.params, trial.user_attrs["seed"])"""
+    study = run(MOVE, tmp_path / "study", 2, workers=2)
+    study.optimize(MOVE, n_trials=4, n_jobs=3)
+    assert len(study.trials) >= 6
+    for trial in study.trials:
+        measured = MOVE.measure(trial.params, trial.user_attrs["seed"])
+        assert measured == {name: trial.user_attrs[name] for name in measured}
+        assert trial.value == measured["score"]
+    assert len({trial.user_attrs["seed"] for trial in study.trials}) == len(study.trials)
+
+
+def test_a_preset_move_is_measured_as_its_report_says():
+    move = PresetMoves(pulses=8000)
+    good = move.measure(GENTLE, 1)
+    assert (good["lost_steps"], good["reached"]) == (0, 1)
+    assert good["duration"] == pytest.approx(8000 / 32_000 + 620 * 400 / 4_915_200, rel=0.02)
+    assert good["duration"] <= good["score"] < good["duration"] + 0.02
+    assert 0 < good["vibration"] < 20e-6
+    harsh = move.measure(GENTLE | {"R2": 2800, "R4": 10, "R5": 10}, 1)
+    assert harsh["lost_steps"] > 0
+    assert harsh["reached"] == 0
+    assert harsh["score"] > 10
+
+
+def test_a_camera_on_a_mast_rings_less_after_s_curves():
+    registers = {"R1": 4, "R2": 1280, "R4": 963, "R5": 963, "R7": 12}
+    move = PresetMoves(registers | {"R14": 0}, model="xy_mast", chips="pcl240ms", pulses=42_100, rest=0.5)
+    linear = move.measure(registers, 1)
+    curved = move.measure(registers | {"R14": 0, "R15": 0}, 1)
+    assert curved["vibration"] < linear["vibration"] / 2
+    assert linear["vibration"] == pytest.approx(0.62e-3, rel=0.2)  # README
+
+
+def test_a_pruner_ends_a_trial_between_its_moves(tmp_path):
+    there_and_back = PresetMoves(model="xy", pulses=[2000, -2000], rest=0.05)
+    study = open_study(there_and_back, tmp_path / "study", pruner=optuna.pruners.ThresholdPruner(upper=0.0))
+    study.optimize(there_and_back, n_trials=1)
+    trial = study.trials[0]
+    assert trial.state.name == "PRUNED"
+    first = PresetMoves(model="xy", pulses=2000, rest=0.05).measure(trial.params, trial.user_attrs["seed"])
+    assert trial.intermediate_values == {0: first["score"]}
+
+
+def test_several_goals_make_a_pareto_front(tmp_path):
+    objective = PresetMoves(goals=("score", "vibration"), model="xy", pulses=[2000, -2000], rest=0.05)
+    study = run(objective, tmp_path / "study", 6)
+    values = {trial.number: tuple(trial.values) for trial in study.trials}
+    assert values == {t.number: (t.user_attrs["score"], t.user_attrs["vibration"]) for t in study.trials}
+    front = {t.number for t in study.best_trials}
+    for number, (score, vibration) in values.items():
+        beaten = any(s <= score and v <= vibration and (s, v) != (score, vibration) for s, v in values.values())
+        assert (number in front) == (not beaten)
+
+
+def test_registers_of_a_trial_are_a_profile_and_what_lacks_or_is_unknown_is_named():
+    plain = {"R1": 25, "R2": 500, "R4": 90, "R5": 80, "R7": 12}
+    made = profile_of(plain, PCL240K)
+    assert made.registers() == plain | {"R3": 500}
+    assert (made.spans, made.chip) == (None, PCL240K)
+    assert profile_of(plain | {"R3": 7}, PCL240K).R3 == 7
+    for curved, spans in (({"R14": 5}, (5, 0)), ({"R15": 6}, (0, 6)), ({"R14": 5, "R15": 6}, (5, 6))):
+        assert profile_of(plain | curved, PCL240MS).spans == spans
+    with pytest.raises(ArgumentError, match="unknown PCL240K speed register 'R14'"):
+        profile_of(plain | {"R14": 5}, PCL240K)
+    for name in plain:
+        with pytest.raises(ArgumentError, match=f"a preset move needs {name}, too"):
+            profile_of({n: v for n, v in plain.items() if n != name}, PCL240K)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"chips": "mcx514"}, "unknown chip"),
+        ({"axis": "w"}, "axis 'w'"),
+        ({"goals": ("speed",)}, "unknown goal 'speed'"),
+        ({"goals": ()}, "one at least"),
+        ({"space": {"R2": "400:2800"}}, "needs R1, R4, R5, R7, too"),
+        ({"space": GENTLE | {"R2": "9:1"}}, "R2=9:1"),
+    ],
+)
+def test_an_objective_that_makes_no_sense_is_refused_before_its_first_trial(options, message):
+    with pytest.raises(ArgumentError, match=message):
+        PresetMoves(**{"model": "xy", **options})
+
+
+def test_values_of_a_register_are_one_some_or_a_range():
+    assert values_of("R7", 12) == values_of("R7", "12") == (12,)
+    assert values_of("R7", "12,24") == (12, 24)
+    assert values_of("R2", "400:2800") == Range(400, 2800, False)
+    assert values_of("R4", "60:800:log") == Range(60, 800, True)
+
+
+@pytest.mark.parametrize("text", ["", "a", "5:4", "0:9:log", "1:9:lin", "1:9/3", "1:2:log:3", "1.5", "-5:5", "-5", -5])
+def test_values_that_make_no_sense_are_refused(text):
+    with pytest.raises(ArgumentError, match="R2="):
+        values_of("R2", text)
