@@ -60,7 +60,7 @@ test-oldest:
 define OLDEST
 import re, tomllib
 project = tomllib.load(open("pyproject.toml", "rb"))["project"]
-needs = project["dependencies"] + [n for extra in ("plot", "cluster", "servo", "test") for n in project["optional-dependencies"][extra]]
+needs = project["dependencies"] + [n for extra in ("plot", "tune", "servo", "test") for n in project["optional-dependencies"][extra]]
 print(*(re.sub(r">=([\d.]+).*", r"==\1.*", need) for need in needs if ">=" in need))
 endef
 export OLDEST

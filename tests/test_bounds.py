@@ -21,7 +21,7 @@ from stage.sim import engine, faults
 from stage.sim.fleet import MOST, Fleet
 from stage.sim.program import Program
 from stage.sim.stage import LONGEST
-from stage.study.definition import Definition, Values
+from stage.study.objectives import values_of
 from stage.testing import assert_at
 
 BELOW_9 = math.nextafter(1e9, 0)
@@ -46,10 +46,6 @@ def check(given, *more):
         *{"rate": 100.0, "fl": 10.0, "accel": 1.0, "decel": 1.0, "bus_delay": 0.0, **given}.values(),
         *more,
     )
-
-
-def studied(**given):
-    return Definition("a:b", **{"space": {"R2": "1:2"}, "trials": 1, **given})
 
 
 PLAIN = {
@@ -89,11 +85,9 @@ PLAIN = {
     "axes of a circle": (lambda v: servo_profile.circle(9, seconds=0.4, sample=1e-2, axes=v), (2, 3), (1, 4)),
     "rate of a start": (lambda v: dynamometer.lost_in_start(Drive(), v, 1e-4), (1.0,), (0, 1.1e7)),
     "rpm": (dynamometer._speeds, (1e-9, 20_000), (0, 20_001)),
-    "id of a trial": (lambda v: studied(trials=3).trial(v), (0, 2), (-1, 3)),
-    "seed of a study": (lambda v: studied(seed=v), (0, 1), (-1, 0.5)),
-    "points of a range": (lambda v: Values.parse("R2", f"1:9/{v}"), (2, 9), (1, -2)),
-    "low of a log range": (lambda v: Values.parse("R2", f"{v}:9:log"), (1, 9), (0, 10)),
-    "low of a range": (lambda v: Values.parse("R2", f"{v}:9"), (0, 9), (-1, 10)),
+    "low of a log range": (lambda v: values_of("R2", f"{v}:9:log"), (1, 9), (0, 10)),
+    "low of a range": (lambda v: values_of("R2", f"{v}:9"), (0, 9), (-1, 10)),
+    "value of a register": (lambda v: values_of("R2", v), (0, 1), (-1, 0.5)),
 }  # fmt: skip
 ON_A_STAGE = {
     "timeout": (lambda s, v: s.run_until(lambda: True, timeout=v), (0, LONGEST), (-1e-9, LONGEST * 1.001)),

@@ -35,14 +35,12 @@ stage.recording.viewer
     web_server: port=9090
     serve_web: port=9090
     screenshot: size=(1920, 1080), at=None, timeout=120.0, overwrite=False
-stage.study.definition
-    Values: choices=(), low=0, high=0, log=False
-    Definition: method='random', trials=0, seed=0
-stage.study.run
-    run: batch=32, every=2.0
-stage.study.trials
-    Record: values=None, error=None, attempts=1
-    Study.open: force=False
+stage.study.objectives
+    PresetMoves: goals=('score',), model='xyz', axis='x', chips='pcl240k', pulses=16000, start=-0.13, band=2e-05, rest=0.3, seed=0
+    seed_of: seed=0
+stage.study.runner
+    open_study: sampler=None, pruner=None, seed=0
+    run: workers=1, sampler=None, pruner=None, seed=0
 stage.testing.assertions
     assert_at: within=2.5e-05
     assert_stopped: speed=0.01

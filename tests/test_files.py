@@ -253,20 +253,21 @@ def room(size):
 
 
 def test_a_study_on_a_full_disk_keeps_what_was_recorded_and_goes_on_later(tmp_path):
-    pytest.importorskip("pyarrow")
-    from stage.study import Definition, Record, Study, Trial, read
+    pytest.importorskip("optuna")
+    from stage.study import finished, read_study, run, suggest
 
-    wanted = Definition("stage.study.objectives:preset_moves", space={"R2": "400:3600"}, trials=3, seed=1)
-    one, two = (Record(Trial(id, {"R2": 500}, 1, {}), {"score": 1.0}) for id in (0, 1))
-    with Study.open(tmp_path / "study", wanted) as study:
-        study.append([one])
-        with pytest.raises(FileError, match=r"File too large.*What was recorded before is safe"), room(500):
-            study.append([two])
-        assert read(tmp_path / "study")["id"].to_pylist() == [0]
-        study.append([two])
-    with Study.open(tmp_path / "study", wanted) as study:
-        assert study.pending() == [2]
-    assert not list((tmp_path / "study").rglob("*.tmp"))
+    def objective(trial):
+        return suggest(trial, {"R2": "400:3600"})["R2"]
+
+    place = tmp_path / "study"
+    run(objective, place, 2)
+    for more in (1, 30, 100):  # in the middle of a line
+        before = finished(read_study(place))
+        full = pytest.raises(FileError, match=r"File too large.*What was recorded before is safe")
+        with full, room(place.stat().st_size + more):
+            run(objective, place, before + 1)
+        assert finished(read_study(place)) == before
+        assert finished(run(objective, place, before + 1)) == before + 1
 
 
 def test_file_errors_are_stage_errors():

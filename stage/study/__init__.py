@@ -7,7 +7,8 @@
         print(study.best_value, study.best_params)
 
 objectives.py measures trials, without Optuna if need be; runner.py begins studies, goes on with them and spreads them over
-processes; storage.py makes Optuna's storage and samplers fit for kills and for many workers. scripts/sweep.py is the command, docs/sweep.md the manual.
+processes; storage.py makes Optuna's storage and samplers fit for kills and for many workers. scripts/sweep.py is the command,
+docs/sweep.md the manual.
 """
 
 from stage.study.objectives import SPACE, PresetMoves, seed_of, suggest

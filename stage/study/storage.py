@@ -44,7 +44,8 @@ class Journal(JournalFileBackend):
                 head = file.read(len(FIRST))
             if not FIRST.startswith(head):
                 raise StageError(f"{path} is there and holds no study: choose another place.")
-        super().__init__(str(path), Lock(path))  # type: ignore[arg-type]
+        lock: Any = Lock(path)  # Optuna's base class is not public
+        super().__init__(str(path), lock)
 
     def append_logs(self, logs: list[dict[str, Any]]) -> None:
         """Append to the file, durably. Raises FileError; what was recorded before stays."""

@@ -1,7 +1,10 @@
 """stage.study.objectives: what a trial measures, the same bits wherever it is measured."""
 
-import optuna
 import pytest
+
+pytest.importorskip("optuna", reason="Optuna is not installed: pip install 'pulsestage[tune]'")
+
+import optuna
 
 from stage.chips import PCL240K, PCL240MS
 from stage.errors import ArgumentError

@@ -11,9 +11,12 @@ import sys
 import time
 from pathlib import Path
 
-import optuna
 import pytest
 from examples import SEED
+
+pytest.importorskip("optuna", reason="Optuna is not installed: pip install 'pulsestage[tune]'")
+
+import optuna
 
 from stage.errors import ArgumentError, StageError
 from stage.study import PresetMoves, finished, open_study, read_study, run, seed_of, suggest
