@@ -1,5 +1,8 @@
 """stage.study.objectives: what a trial measures, the same bits wherever it is measured."""
 
+import subprocess
+import sys
+
 import pytest
 
 pytest.importorskip("optuna", reason="Optuna is not installed: pip install 'pulsestage[tune]'")
@@ -15,16 +18,29 @@ GENTLE = {"R1": 20, "R2": 640, "R4": 400, "R5": 400, "R7": 12}
 MOVE = PresetMoves(model="xy", pulses=2000, rest=0.05)
 
 
-def test_a_trial_is_the_same_bits_in_any_thread_and_process(tmp_path):
-    """objective.measure(trial.params, trial.user_attrs["seed"])"""
-    study = run(MOVE, tmp_path / "study", 2, workers=2)
-    study.optimize(MOVE, n_trials=4, n_jobs=3)
-    assert len(study.trials) >= 6
+def test_a_trial_is_the_same_bits_in_any_thread(tmp_path):
+    """study.optimize(objective, n_jobs=3); objective.measure(trial.params, trial.user_attrs["seed"])"""
+    study = open_study(MOVE, tmp_path / "study")
+    study.optimize(MOVE, n_trials=6, n_jobs=3)
     for trial in study.trials:
         measured = MOVE.measure(trial.params, trial.user_attrs["seed"])
         assert measured == {name: trial.user_attrs[name] for name in measured}
         assert trial.value == measured["score"]
-    assert len({trial.user_attrs["seed"] for trial in study.trials}) == len(study.trials)
+    assert len({trial.user_attrs["seed"] for trial in study.trials}) == 6
+
+
+def test_another_process_measures_the_same_bits_without_optuna_and_a_study_says_what_to_install():
+    program = f"""
+import sys
+sys.modules["optuna"] = None
+from stage.study import PresetMoves, open_study
+move = {MOVE!r}
+print(move.measure({GENTLE}, 1))
+open_study(move, "study")
+"""
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert ended.stdout == f"{MOVE.measure(GENTLE, 1)}\n"
+    assert "StageError: a study needs Optuna: pip install 'pulsestage[tune]'" in ended.stderr
 
 
 def test_a_preset_move_is_measured_as_its_report_says():
