@@ -16,6 +16,7 @@ examples:
   stage demo                              home three axes, dual-rate move, a:b move; writes demo.rrd
   stage home x --plot home.png            origin return, drawn like the data sheet's operation patterns
   stage move x 8000 --fh1 20000           a preset move of 8000 pulses
+  stage move x 10mm --chips hctl1100      any chip: 10 mm by a servo
   stage move x 8000 --chips pcl240ms --s-curve --plot s.png
   stage sync x=20000 y=-7500              two axes along a straight line, in the ratio a:b
   stage run driver.c --chips pcl240mk     firmware in C drives the chips
@@ -87,7 +88,11 @@ def _command(commands: Any, name: str, run: str, help_: str, description: str) -
     return p
 
 
-def _bench(p: argparse.ArgumentParser, chips: Sequence[str] = ("PCL240K", "PCL240MK", "PCL240MS")) -> None:
+PCL240 = ("PCL240K", "PCL240MK", "PCL240MS")
+ALL = (*PCL240, "MCX514", "MCX304", "MCX302", "MCX312", "HCTL1100")
+
+
+def _bench(p: argparse.ArgumentParser, chips: Sequence[str] = ALL) -> None:
     g = p.add_argument_group("stage")
     g.add_argument("--model", default="xyz", help="a shipped model (xyz, xy) or an MJCF file (default: xyz)")
     known = f"chip on every axis: {', '.join(chips)} (default: {chips[0]})"
@@ -159,12 +164,14 @@ def _add_moves(commands: Any) -> None:
     _plot(p)
     _bench(p)
     p = _command(
-        commands, "move", "moves:move", "a preset move of a number of pulses",
-        "A preset move: R0 counts the pulses down, the ramp-down point R6 is set by the data sheet's formula, or found "
-        "by the chip itself where it can.",
+        commands, "move", "moves:move", "a move by pulses, or by a distance",
+        "Move by a number of pulses, or a distance, and stop on the last one. On a PCL-240 a preset move: R0 counts the pulses "
+        "down, the ramp-down point R6 is set by the data sheet's formula, or found by the chip itself where it can.",
     )  # fmt: skip
     p.add_argument("axis", metavar="AXIS")
-    p.add_argument("pulses", type=int, metavar="PULSES", help="signed: the sign is the direction")
+    p.add_argument(
+        "distance", metavar="DISTANCE", help="pulses (of a servo counts), or 10mm, 30deg; the sign is the direction"
+    )
     p.add_argument("--constant", action="store_true", help="constant speed, no ramps")
     _place(p)
     _speeds(p)
@@ -176,7 +183,7 @@ def _add_moves(commands: Any) -> None:
         "A dual-rate move: ramp to FH1, in motion on to FH2 (or down to it), then stop on the pulse.",
     )  # fmt: skip
     p.add_argument("axis", metavar="AXIS")
-    p.add_argument("pulses", type=int, metavar="PULSES")
+    p.add_argument("distance", metavar="DISTANCE", help="pulses, or 10mm, 30deg; the sign is the direction")
     _place(p)
     _speeds(p)
     _plot(p)
@@ -185,7 +192,9 @@ def _add_moves(commands: Any) -> None:
         commands, "sync", "moves:sync", "several axes along a straight line, in the ratio a:b",
         "A synchronized move: registers in the ratio of the distances, equal ramp times, one start after the other.",
     )  # fmt: skip
-    p.add_argument("distances", nargs="+", metavar="AXIS=PULSES", help="for example x=20000 y=-7500")
+    p.add_argument(
+        "distances", nargs="+", metavar="AXIS=DISTANCE", help="for example x=20000 y=-7500, or x=10mm y=-2mm"
+    )
     p.add_argument("--rate", type=float, help="pulse rate of the longest axis, pps")
     p.add_argument("--fl", type=float, help="start rate of the longest axis, pps")
     p.add_argument("--accel", type=float, help="seconds of ramp")
@@ -232,7 +241,7 @@ def _add_firmware(commands: Any) -> None:
         metavar="AXIS=MM",
         help="where a carriage starts, mm (mrad on a hinge), for example x=62",
     )
-    _bench(p, ("PCL240K", "PCL240MK", "PCL240MS", "MCX514", "MCX304", "MCX302", "MCX312", "HCTL1100"))
+    _bench(p)
     _command(
         commands, "include", "firmware:include", "where pulsestage.h is",
         'Print the folder of the one header that firmware needs: cc -shared -fPIC -I"$(stage include)" driver.c -o driver.so',

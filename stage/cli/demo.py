@@ -6,9 +6,11 @@ import argparse
 import time
 from typing import Any
 
-from stage.cli.setup import make_stage, note, recorded
+from stage.cli.setup import is_pcl240, make_stage, note, recorded
 
-WHERE = {"x": 0.062, "y": -0.031, "z": 0.017}  # where the carriages happen to stand
+WHERE = (0.207, -0.155, 0.2125)  # where the carriages happen to stand, from the middle of their travel, in travels
+LONG, SHORT, FIRST, SECOND = 0.417, 0.3125, 0.208, 0.117  # moves, in travels
+ROUND = 500  # pulses
 
 
 def run(args: argparse.Namespace) -> int:
@@ -18,7 +20,9 @@ def run(args: argparse.Namespace) -> int:
     begin = time.perf_counter()
     note("building the stage ...")
     stage = make_stage(args)
-    stage.place(**{n: q for n, q in WHERE.items() if n in stage.axes})
+    for k, axis in enumerate(stage.axes.values()):
+        low, high = axis.travel
+        stage.place(**{axis.name: 0.5 * (low + high) + WHERE[k % len(WHERE)] * (high - low)})
     if has_screen() and not args.no_view and not args.web:
         args.view = True
     rows: list[tuple] = []
@@ -32,7 +36,6 @@ def run(args: argparse.Namespace) -> int:
 
 def story(stage: Any, rows: list[tuple]) -> None:
     """The moves; fills `rows` for the table."""
-    from stage import firmware
 
     def add(report: Any) -> None:
         homed = report.stopped_by == "ORG"
@@ -46,24 +49,93 @@ def story(stage: Any, rows: list[tuple]) -> None:
             )
         )  # fmt: skip
 
-    fast = firmware.Profile.of(fl=1500, fh1=20_000, fh2=40_000, accel=0.2)
     for axis in reversed(stage.axes.values()):  # Z first: it clears the way
+        if "org" not in axis.switches.as_dict():
+            note(f"axis {axis.name} has no ORG: it stays where it is")
+            continue
         note(f"axis {axis.name}: origin return ...")
-        add(firmware.origin_return(axis, profile=fast))
-    names = list(stage.axes)
-    first, second = stage.axes[names[0]], stage.axes[names[min(1, len(names) - 1)]]
-    note("dual-rate move ...")
-    add(firmware.dual_rate_move(first, 40_000, fast, dwell=0.25))
-    if second is not first:
-        add(firmware.preset_move(second, 20_000, fast))
-        note("a:b move ...")
-        report = firmware.synchronized_move({first.name: 20_000, second.name: -7_500}, stage.axes, rate=20_000)
-        for r in report.axes.values():
-            add(r)
-        print(
-            f"a:b move {first.name}=+20000 {second.name}=-7500: {report.deviation.pulses:.2f} pulses from the straight "
-            f"line at most, started within {report.skew * 1e6:.1f} us of each other"
-        )
+        add(_home(axis))
+    first, second = (*stage.axes.values(), *stage.axes.values())[:2]
+    note("a long move ...")
+    add(_long_move(first, _way(first, LONG)))
+    if second is first:
+        return
+    add(_move(second, _way(second, SHORT)))
+    ways = {first: _way(first, FIRST), second: -_way(second, SECOND)}
+    if type(first.chip) is not type(second.chip):
+        print(f"axes {first.name} and {second.name} have different chips, which draw no line together")
+        return
+    note("a straight line ...")
+    report = _line(stage, ways)
+    for r in report.axes.values():
+        add(r)
+    what = "a:b move " + " ".join(f"{axis.name}={pulses:+d}" for axis, pulses in ways.items())
+    print(
+        f"{what}: {report.deviation.pulses:.2f} pulses from the straight line at most, started within "
+        f"{report.skew * 1e6:.1f} us of each other"
+    )
+
+
+def _way(axis: Any, share: float) -> int:
+    """Pulses of a share of the axis' travel, to the side where there is more room."""
+    low, high = axis.travel
+    side = 1 if high - axis.position >= axis.position - low else -1
+    pulses = share * (high - low) / axis.meters_per_pulse
+    rounded = max(round(pulses / ROUND) * ROUND, 1) if pulses > ROUND else max(int(pulses), 1)
+    return int(rounded * side * (1 if axis.gear > 0 else -1))
+
+
+def _fast() -> Any:
+    from stage import firmware
+
+    return firmware.Profile.of(fl=1500, fh1=20_000, fh2=40_000, accel=0.2)
+
+
+def _speeds(drive: float) -> Any:
+    from stage.firmware.driver import Speeds
+
+    return Speeds(1500, drive, 0.2, 0.2)
+
+
+def _home(axis: Any) -> Any:
+    from stage import firmware
+    from stage.firmware.driver import driver_of
+
+    return (
+        firmware.origin_return(axis, profile=_fast()) if is_pcl240(axis) else driver_of(axis).home(-1, _speeds(20_000))
+    )
+
+
+def _long_move(axis: Any, pulses: int) -> Any:
+    """Through two rates, where the chip has them; else at the higher one."""
+    from stage import firmware
+    from stage.firmware.driver import driver_of
+
+    if is_pcl240(axis):
+        return firmware.dual_rate_move(axis, pulses, _fast(), dwell=0.25)
+    return driver_of(axis).move(pulses, _speeds(40_000))
+
+
+def _move(axis: Any, pulses: int) -> Any:
+    from stage import firmware
+    from stage.firmware.driver import driver_of
+
+    return (
+        firmware.preset_move(axis, pulses, _fast())
+        if is_pcl240(axis)
+        else driver_of(axis).move(pulses, _speeds(20_000))
+    )
+
+
+def _line(stage: Any, ways: dict[Any, int]) -> Any:
+    from stage import firmware
+    from stage.firmware.driver import driver_of
+
+    first = next(iter(ways))
+    names = {axis.name: pulses for axis, pulses in ways.items()}
+    if is_pcl240(first):
+        return firmware.synchronized_move(names, stage.axes, rate=20_000)
+    return driver_of(first).line({axis.name: driver_of(axis) for axis in ways}, names, _speeds(20_000))
 
 
 def _table(rows: list[tuple]) -> str:

@@ -74,10 +74,18 @@ class Shown:
 
 def run(args: argparse.Namespace) -> int:
     """List the faults, or show one; exit code 0 if what was claimed happened."""
+    from stage.chips import FAMILIES, chip_class
+    from stage.chips.pcl240 import PCL240
+
     if args.name is None:
         width = max(map(len, DEMOS)) + 2
         print("\n".join(f"{name:{width}}{demo.claim}" for name, demo in DEMOS.items()))
         return 0
+    if not issubclass(chip_class(args.chips), PCL240):
+        raise StageError(
+            f"--chips {args.chips}: these demonstrations are programs of the PCL-240 family ({', '.join(FAMILIES['pcl240'])}). The "
+            "faults themselves are those of any stage: stage.faults, docs/faults.md."
+        )
     outputs(args)
     shown = show(args.name, partial(make_stage, args), partial(_kept, args), args.plot is not None)
     print(f"{shown.name}: {shown.demo.claim}\n\n{shown.table()}\n\nHow a host can tell: {shown.demo.notice}")
@@ -222,7 +230,7 @@ def _net(axis: Any) -> int:
 
 
 def _stuck_open(stage: Any, strike: Strike) -> Figures:
-    from stage.sim import faults
+    from stage import faults
 
     x = _first(stage)
     stage.place(**{x.name: _touch(x, "el_plus") - 0.010})
@@ -232,7 +240,7 @@ def _stuck_open(stage: Any, strike: Strike) -> Figures:
 
 
 def _stuck_closed(stage: Any, strike: Strike) -> Figures:
-    from stage.sim import faults
+    from stage import faults
 
     x = _first(stage)
     finish = _start(x, 32_000, fl=1000, fh1=20_000, accel=0.2)
@@ -243,9 +251,9 @@ def _stuck_closed(stage: Any, strike: Strike) -> Figures:
 
 
 def _bounce(stage: Any, strike: Strike) -> Figures:
+    from stage import faults
     from stage.firmware import Port, Profile, origin_return
     from stage.firmware.pcl240 import bus
-    from stage.sim import faults
 
     x = _first(stage)
     with strike(faults.bounce, x, "org", 3e-3):
@@ -271,8 +279,7 @@ def _bounce(stage: Any, strike: Strike) -> Figures:
 
 
 def _vane_missing(stage: Any, strike: Strike) -> Figures:
-    from stage import firmware
-    from stage.sim import faults
+    from stage import faults, firmware
 
     x = _first(stage)
     with strike(faults.vane_missing, x, "org"):
@@ -286,7 +293,7 @@ def _vane_missing(stage: Any, strike: Strike) -> Figures:
 
 
 def _payload(stage: Any, strike: Strike) -> Figures:
-    from stage.sim import faults
+    from stage import faults
 
     x = _first(stage)
     stage.set_payload(10.0)
@@ -296,7 +303,7 @@ def _payload(stage: Any, strike: Strike) -> Figures:
 
 
 def _voltage(stage: Any, strike: Strike) -> Figures:
-    from stage.sim import faults
+    from stage import faults
 
     x = _first(stage)
     finish = _start(x, 40_000, fl=1500, fh1=60_000, accel=0.2)
@@ -306,7 +313,7 @@ def _voltage(stage: Any, strike: Strike) -> Figures:
 
 
 def _jam(stage: Any, strike: Strike) -> Figures:
-    from stage.sim import faults
+    from stage import faults
 
     x = _first(stage)
     finish = _start(x, 32_000, fl=1000, fh1=20_000, accel=0.2)
@@ -318,7 +325,7 @@ def _jam(stage: Any, strike: Strike) -> Figures:
 
 
 def _phase_open(stage: Any, strike: Strike) -> Figures:
-    from stage.sim import faults
+    from stage import faults
 
     x = _first(stage)
     with strike(faults.phase_open, x, "a"):
@@ -331,8 +338,7 @@ def _phase_open(stage: Any, strike: Strike) -> Figures:
 
 
 def _start_skew(stage: Any, strike: Strike) -> Figures:
-    from stage import firmware
-    from stage.sim import faults
+    from stage import faults, firmware
 
     first, second = list(stage.axes.values())[:2]
     with strike(faults.start_skew, first, 5e-3):
@@ -347,7 +353,7 @@ def _start_skew(stage: Any, strike: Strike) -> Figures:
 
 
 def _lost_write(stage: Any, strike: Strike) -> Figures:
-    from stage.sim import faults
+    from stage import faults
 
     x = _first(stage)
     read_back = []

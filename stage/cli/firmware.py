@@ -22,7 +22,7 @@ def run(args: argparse.Namespace) -> int:
     from stage.files import written
 
     outputs(args)
-    stage = make_stage(args, any_chip=True)
+    stage = make_stage(args)
     placed = set()
     for item in args.place:
         name, _, text = item.partition("=")

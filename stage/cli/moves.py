@@ -5,13 +5,23 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from stage.cli.setup import find_axis, make_stage, note, place, plot, profile, recorded
+from stage.cli.setup import (
+    distance,
+    find_axis,
+    is_pcl240,
+    make_stage,
+    note,
+    only_pcl240,
+    place,
+    plot,
+    profile,
+    recorded,
+    speeds,
+)
 from stage.errors import ArgumentError
 
 
 def home(args: argparse.Namespace) -> int:
-    from stage import firmware
-
     stage = make_stage(args)
     axes = [find_axis(stage, name) for name in args.axes] or list(stage.axes.values())
     for axis in axes:
@@ -20,42 +30,66 @@ def home(args: argparse.Namespace) -> int:
     with recorded(args, stage):
         for axis in axes:
             note(f"axis {axis.name}: origin return ...")
-            reports.append(
-                firmware.origin_return(
-                    axis,
-                    +1 if args.plus else -1,
-                    profile(args, axis),
-                    high_speed=not args.constant,
-                    slow_approach=not args.fast_only,
-                    ez=args.ez,
-                )
-            )
+            reports.append(_home(args, axis))
             print(reports[-1])
         plot(args, reports[0].plot)
     return 0 if all(r.stopped_by in ("ORG", "EZ") and not r.lost_steps for r in reports) else 1
 
 
+def _home(args: argparse.Namespace, axis: Any) -> Any:
+    from stage import firmware
+    from stage.firmware.driver import driver_of
+
+    direction = +1 if args.plus else -1
+    if is_pcl240(axis):
+        how = {"high_speed": not args.constant, "slow_approach": not args.fast_only, "ez": args.ez}
+        return firmware.origin_return(axis, direction, profile(args, axis), **how)
+    only_pcl240(args, axis, "constant", "fast_only", "fh2")
+    if args.ez not in (None, 1):
+        raise ArgumentError(
+            f"--ez {args.ez}: a {axis.chip.MAP.chip} ends at the first index pulse after ORG, --ez 1, or at ORG."
+        )
+    return driver_of(axis).home(direction, speeds(args), index=args.ez == 1)
+
+
 def move(args: argparse.Namespace) -> int:
     from stage import firmware
+    from stage.firmware.driver import driver_of
 
-    how = {"high_speed": not args.constant, "s_curve": args.s_curve, "automatic": args.automatic}
-    return _single(args, lambda axis, p: firmware.preset_move(axis, args.pulses, p, **how))
+    def run(axis: Any) -> Any:
+        pulses = distance(axis, args.distance)
+        if is_pcl240(axis):
+            how = {"high_speed": not args.constant, "s_curve": args.s_curve, "automatic": args.automatic}
+            print(wanted := profile(args, axis))
+            return firmware.preset_move(axis, pulses, wanted, **how)
+        only_pcl240(args, axis, "constant", "automatic", "fh2")
+        if args.s_curve not in (None, True):
+            raise ArgumentError(f"--s-curve {args.s_curve:g}: a {axis.chip.MAP.chip} knows no shares; --s-curve alone.")
+        return driver_of(axis).move(pulses, speeds(args)._replace(s_curve=bool(args.s_curve)))
+
+    return _single(args, run)
 
 
 def dual_rate(args: argparse.Namespace) -> int:
     from stage import firmware
 
-    return _single(args, lambda axis, p: firmware.dual_rate_move(axis, args.pulses, p))
+    def run(axis: Any) -> Any:
+        if not is_pcl240(axis):
+            raise ArgumentError(
+                f"dual-rate: FH1 and FH2 are of the PCL-240 family; a {axis.chip.MAP.chip} has one drive speed."
+            )
+        print(wanted := profile(args, axis))
+        return firmware.dual_rate_move(axis, distance(axis, args.distance), wanted)
+
+    return _single(args, run)
 
 
 def _single(args: argparse.Namespace, run: Any) -> int:
     stage = make_stage(args)
     axis = find_axis(stage, args.axis)
     place(stage, axis, "--from", args.start)
-    speeds = profile(args, axis)
-    print(speeds)
     with recorded(args, stage):
-        report = run(axis, speeds)
+        report = run(axis)
         print(report)
         print(report.listing())
         plot(args, report.plot)
@@ -64,23 +98,30 @@ def _single(args: argparse.Namespace, run: Any) -> int:
 
 def sync(args: argparse.Namespace) -> int:
     from stage import firmware
+    from stage.firmware.driver import driver_of
 
     stage = make_stage(args)
     distances: dict[str, int] = {}
     for item in args.distances:
         name, _, pulses = item.partition("=")
-        try:
-            number = int(pulses)
-        except ValueError:
-            raise ArgumentError(f"{item!r}: write AXIS=PULSES, for example x=20000.") from None
-        if find_axis(stage, name).name in distances:
+        if not pulses:
+            raise ArgumentError(f"{item!r}: write AXIS=PULSES or AXIS=DISTANCE, for example x=20000 or x=10mm.")
+        number = distance(find_axis(stage, name), pulses)
+        if name in distances:
             raise ArgumentError(f"{item!r}: axis {name} has got {distances[name]} pulses already. Give an axis once.")
         distances[name] = number
-    keys = ("rate", "fl", "accel", "s_curve", "automatic")
-    given = {k: getattr(args, k) for k in keys if getattr(args, k) is not None}
+    drivers = {name: driver_of(stage.axes[name]) for name in distances}
+    first = stage.axes[next(iter(distances))]
     with recorded(args, stage):
-        report = firmware.synchronized_move(distances, stage.axes, **given)
-        print(report.plan)
+        if is_pcl240(first):
+            keys = ("rate", "fl", "accel", "s_curve", "automatic")
+            given = {k: getattr(args, k) for k in keys if getattr(args, k) is not None}
+            report = firmware.synchronized_move(distances, stage.axes, **given)
+            print(report.plan)
+        else:
+            only_pcl240(args, first, "automatic")
+            wanted = speeds(argparse.Namespace(**vars(args) | {"fh1": args.rate}))
+            report = drivers[first.name].line(drivers, distances, wanted._replace(s_curve=args.s_curve is not None))
         print(report)
         plot(args, report.plot)
     return 0 if report.ok else 1

@@ -10,28 +10,15 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from stage.errors import ArgumentError, StageError, unknown
+from stage.errors import ArgumentError, unknown
 
 
-def make_stage(args: argparse.Namespace, any_chip: bool = False) -> Any:
-    """The stage that the options describe. Raises StageError for a chip that is not of the PCL-240 family, the only one that the
-    moves of the command line speak to, unless `any_chip`."""
+def make_stage(args: argparse.Namespace) -> Any:
+    """The stage that the options describe."""
     from stage import Drive, Stage
-    from stage.chips import FAMILIES, chip_class
-    from stage.chips.pcl240 import PCL240
+    from stage.chips import chip_class
 
     chips = chip_class(args.chips)
-    if not any_chip and not issubclass(chips, PCL240):
-        what = "closes a loop and makes no pulses" if chips.SERVO else "has other registers"
-        how = (
-            "stage.firmware.hctl1100.moves, see docs/servo.md"
-            if chips.SERVO
-            else "stage.firmware.nova.mcx300, see docs/nova.md"
-        )
-        raise StageError(
-            f"--chips {args.chips}: an {chips.MAP.chip} {what}; this command's moves are those of the PCL-240 family: "
-            f"{', '.join(FAMILIES['pcl240'])}. Programs move it by {how}."
-        )
     if chips.SERVO:
         return Stage(args.model, chips=chips, drives=args.motor, bus_cycle=args.bus_cycle)
     motor = {} if args.motor is None else {"motor": args.motor}
@@ -39,12 +26,65 @@ def make_stage(args: argparse.Namespace, any_chip: bool = False) -> Any:
     return Stage(args.model, chips=chips, drives=drive, bus_cycle=args.bus_cycle)
 
 
+SPEEDS = {"fl": "start", "fh1": "drive", "accel": "up", "decel": "down"}
+"""Options, and what of `Speeds` they are."""
+
+
+def speeds(args: argparse.Namespace) -> Any:
+    """The speeds that the options give, for any chip."""
+    from stage.firmware.driver import Speeds
+
+    given = {name: getattr(args, option) for option, name in SPEEDS.items() if getattr(args, option, None) is not None}
+    if "up" in given:
+        given.setdefault("down", given["up"])
+    for option, name in SPEEDS.items():
+        if not 0 < given.get(name, 1) < float("inf"):
+            raise ArgumentError(f"--{option} {given[name]:g}: more than 0.")
+    made = Speeds(**given)
+    return made._replace(start=min(made.start, made.drive)) if "start" not in given else made
+
+
+def is_pcl240(axis: Any) -> bool:
+    """Its moves have options that only this family has."""
+    from stage.chips.pcl240 import PCL240
+
+    return isinstance(axis.chip, PCL240)
+
+
+def only_pcl240(args: argparse.Namespace, axis: Any, *options: str) -> None:
+    """Refuse options that only the PCL-240 family has. Raises ArgumentError."""
+    for option in options:
+        if getattr(args, option, None) not in (None, False):
+            shown = "--" + option.replace("_", "-")
+            raise ArgumentError(f"{shown}: a {axis.chip.MAP.chip} has no such thing; it is of the PCL-240 family.")
+
+
 def profile(args: argparse.Namespace, axis: Any) -> Any:
-    """The speeds that the options give."""
+    """The speeds that the options give, in the registers of a PCL-240."""
     from stage.firmware import Profile
 
     given = {k: getattr(args, k) for k in ("fl", "fh1", "fh2", "accel", "decel") if getattr(args, k, None) is not None}
     return Profile.of(clock_hz=axis.chip.clock_hz, chip=type(axis.chip), **given)
+
+
+METRES = {"nm": 1e-9, "um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0}
+RADIANS = {"urad": 1e-6, "mrad": 1e-3, "rad": 1.0, "deg": 0.017453292519943295}
+
+
+def distance(axis: Any, text: str) -> int:
+    """Pulses of a distance as it is typed: 8000 (pulses), 10mm, -0.5deg. Raises ArgumentError."""
+    from stage.firmware.procedures import pulses_of
+
+    units = METRES if axis.unit == "m" else RADIANS
+    unit = next((u for u in sorted(units, key=len, reverse=True) if text.endswith(u)), "")
+    try:
+        number = float(text.removesuffix(unit)) if unit else int(text, 0)
+    except ValueError:
+        raise ArgumentError(
+            f"{text!r}: axis {axis.name} goes a whole number of pulses, or a distance in {', '.join(units)}: 8000, or "
+            f"10{next(iter(units), '')}."
+        ) from None
+    return pulses_of(axis, number * units[unit], None) if unit else pulses_of(axis, None, int(number))
 
 
 def find_axis(stage: Any, name: str) -> Any:

@@ -44,7 +44,7 @@ def move(
     """
     driver = driver_of(axis)
     return driver.move(
-        _pulses(axis, distance, pulses), speeds(axis, speed, start_speed, accel, decel, s_curve), timeout
+        pulses_of(axis, distance, pulses), speeds(axis, speed, start_speed, accel, decel, s_curve), timeout
     )
 
 
@@ -122,7 +122,9 @@ def line(
     kinds = sorted({type(d).__name__: d.chip.MAP.chip for d in drivers.values()}.values())
     if len(kinds) > 1:
         raise ArgumentError(f"{' and '.join(kinds)} draw no line together: give the axes one kind of chip.")
-    counts = {name: _pulses(axis, None, d) if pulses else _pulses(axis, d, None) for name, (axis, d) in chosen.items()}
+    counts = {
+        name: pulses_of(axis, None, d) if pulses else pulses_of(axis, d, None) for name, (axis, d) in chosen.items()
+    }
     longest = chosen[max(counts, key=lambda n: abs(counts[n]))][0]
     how = {} if timeout is None else {"timeout": timeout}
     first = next(iter(drivers.values()))
@@ -141,7 +143,7 @@ def speeds(
     return Speeds(start, drive, accel, accel if decel is None else decel, s_curve)
 
 
-def _pulses(axis: Axis, distance: float | None, pulses: int | None) -> int:
+def pulses_of(axis: Axis, distance: float | None, pulses: int | None) -> int:
     """Pulses, the sign as the chip counts. Raises ArgumentError."""
     if (distance is None) == (pulses is None):
         raise ArgumentError(f"distance={distance!r}, pulses={pulses!r}: give one of the two.")

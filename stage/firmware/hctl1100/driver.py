@@ -63,13 +63,16 @@ class Hctl1100Driver(Driver):
             raise ArgumentError(f"pulses={pulses!r}: a whole number of counts, the sign is the direction.")
         self._linear(speeds)
         with Procedure(self.axis, "move") as p:
-            port = self.ready(1 if pulses > 0 else -1)
+            self._direction = 1 if pulses > 0 else -1
+            try:
+                port = self.ready(self._direction)
+            except RunTimeout:  # it stands on the end limit that lies there
+                return p.report(self.stopped_by(), int(pulses))
             most = 1.5 * (abs(pulses) / speeds.drive + speeds.up + speeds.down) + 1
             done = trapezoid(
                 port, int(pulses), velocity=speeds.drive, acceleration=speeds.drive / speeds.up, deadband=DEADBAND,
                 timeout=most if timeout is None else timeout,
             )  # fmt: skip
-            self._direction = 1 if pulses > 0 else -1
             return p.report(self.stopped_by() if done.limited else END, int(pulses))
 
     def home(self, direction: int, speeds: Speeds, index: bool = False, timeout: float = 60.0) -> Report:
