@@ -76,6 +76,10 @@ def edges_of(journal, pin):
 def test_what_was_claimed_of_a_fault_happens(name):
     shown = demos.show(name, lambda: Stage("xyz", chips=PCL240K, visuals=False))
     assert shown.as_claimed, shown.table()
+    healthy, faulty = shown.figures
+    happened = shown.demo.happened
+    assert not happened(healthy, healthy), "a fault that did nothing"
+    assert not happened(faulty, faulty), "the healthy run fails as the faulty one"
 
 
 # --- all of them ---

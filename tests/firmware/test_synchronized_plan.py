@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from stage import ArgumentError
 from stage.chips import PCL240K
 from stage.firmware import Bench, plan, synchronized_move
-from stage.firmware.pcl240.closed_form import count, course
+from stage.firmware.pcl240 import fit
+from stage.firmware.pcl240.closed_form import count, course, first_pulse, ramp_ticks
 from stage.firmware.pcl240.emulated import run
 
 
@@ -38,6 +39,51 @@ def test_the_closed_form_is_the_chip_to_the_clock():
         before = [int(count(r, c, float(t - 1))) for t in pulses]
         assert at == list(range(1, len(pulses) + 1)), r
         assert before == list(range(len(pulses))), r
+
+
+def farthest(leader, own, lead, corners=False, hz=4_915_200):
+    """The largest distance from the line as fit.py defines it, in pulses of the follower: of 2000 times of the move, or of the
+    ends of all ramps."""
+    c, o = np.zeros(4, np.int64), np.zeros(4, np.int64)
+    course(leader, c), course(own, o)
+    rho, lo, hi = own[0] / leader[0], 1.0, 0.0
+    end = min(c[3] / hz, o[3] / hz - lead)
+    ends = [
+        t / hz - x
+        for r, k, x in ((leader, c, 0), (own, o, lead))
+        for t in (ramp_ticks(r, r[4]), k[0], k[0] + ramp_ticks(r, r[5]))
+    ]
+    for t in [t for t in (*ends, end) if 0 <= t <= end] if corners else np.linspace(0, end, 2000):
+        n = count(own, o, (t + lead) * hz)
+        e = n - rho * count(leader, c, t * hz)
+        lo, hi = min(lo, e if n >= 1 else lo), max(hi, e)
+    return max(1 - lo, hi + rho)
+
+
+@pytest.mark.parametrize("bent", [False, True])
+def test_an_estimate_is_what_a_look_at_every_moment_finds(bent):
+    """Of followers that fit badly, too: then the farthest moment is at an end of a ramp of theirs."""
+    print("seed", SEED)
+    rng, work, short = random.Random(SEED), np.zeros(1, fit.WORK), []
+    for _ in range(scaled(16)):
+        d, fl, gain, up, down = (
+            rng.randint(3000, 9000),
+            rng.randint(40, 200),
+            rng.randint(200, 900),
+            *rng.choices(range(40, 200), k=2),
+        )
+        curve = [rng.choice((0, gain // 4))] * 2 if bent else []
+        leader = np.array([d, fl, fl + gain, 0, up, down, rng.randint(200, 900), 40, *curve])
+        off = [rng.uniform(0.8, 1.25) for _ in range(5)]
+        own = leader.copy()
+        own[:7] = np.maximum(leader[:7] * [0.5, off[0], 1 + 0.2 * (off[1] - 1), 0, off[2], off[3], 0.5 * off[4]], 2)
+        own[7] = 80
+        lead = rng.choice((0.0, 1e-4))
+        far = fit.estimate(leader, 4_915_200, own, 4_915_200, lead, work)
+        short.append(far / farthest(leader, own, lead))
+        assert far > farthest(leader, own, lead, corners=True) - 1e-6
+    assert min(short) > 0.97, short
+    assert max(short) < 1.15, short
 
 
 @settings(max_examples=scaled(20), deadline=None, suppress_health_check=[HealthCheck.too_slow])
