@@ -16,3 +16,10 @@ SEED = int(os.environ.get("PULSESTAGE_SEED", 240 if FIXED else random.SystemRand
 def scaled(daily: int) -> int:
     """As many examples as the everyday suite takes, times what PULSESTAGE_EXAMPLES asks for."""
     return max(daily * EXAMPLES // DAILY, 1)
+
+
+def assert_axes_are_named(figure):
+    """Each panel of a path's picture says what is drawn upwards, the lowest what is drawn to the right, and in which unit."""
+    lowest = min(figure.axes, key=lambda ax: ax.get_position().y0)
+    for said in (lowest.get_xlabel(), *(ax.get_ylabel() for ax in figure.axes)):
+        assert "(" in said or "," in said, f"{said!r} says no unit"

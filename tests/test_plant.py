@@ -490,3 +490,19 @@ def test_a_model_that_was_changed_is_measured_again():
     assert [s.touch for s in after[1].switches] == [s.touch for s in before[1].switches]
     org, moved = (next(s.touch for s in axes[0].switches if s.pin == "org") for axes in (before, after))
     assert abs(moved - org + 0.01) < 1e-6
+
+
+@pytest.mark.parametrize("model", ["xyz", "xyz_servo"])
+def test_actuators_may_stand_in_any_order(model, tmp_path):
+    for file in (ROOT / "models").glob("*.xml"):
+        text = file.read_text()
+        if file.stem == model:
+            begin, actuators, end = re.split(r"(?<=<actuator>)(.*)(?=</actuator>)", text, flags=re.DOTALL)
+            text = begin + "\n".join(reversed(actuators.splitlines())) + end
+        (tmp_path / file.name).write_text(text)
+    stage = Stage(tmp_path / f"{model}.xml", visuals=False)
+    assert [stage.model.actuator(k).name for k in range(3)] == ["z", "y", "x"]
+    for axis in stage.axes.values():
+        assert stage.model.actuator(axis._plant.actuator).name == stage.model.joint(axis._plant.joint).name == axis.name
+    stage.data.qpos[:] = 0.001, 0.002, 0.003
+    assert {n: round(a.position, 6) for n, a in stage.axes.items()} == {"z": 0.003, "y": 0.002, "x": 0.001}

@@ -201,7 +201,7 @@ class Board:
         latches: dict[int, int] = {}
         reached = {self._first + n: tuple(p) for n, p in enumerate(self._ports.tolist())}
 
-        def tell(port: int, value: int, writes: bool) -> str:
+        def tell(port: int, value: int, writes: bool, wide: bool) -> str:
             kind, chip, address, mask, _ = reached.get(port, (bus.NOTHING, 0, 0, 0, 0))
             if kind == bus.NOTHING:
                 return "nothing is here"
@@ -215,7 +215,9 @@ class Board:
             if kind == bus.LATCHED:
                 address = latches.get(port - 1, 0)
             if kind == bus.HALF:
-                value = value << 8 | 0xFF
+                value = value << 8 | (0xFF if writes else 0)
+            elif kind == bus.WORD and writes and not wide:
+                value |= 0xFF00
             listener = listeners[chip]
             return name + (listener.write(address, value) if writes else listener.read(address, value))
 

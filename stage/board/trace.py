@@ -41,7 +41,8 @@ class Cycle(NamedTuple):
         return f"{self.seconds:17.9f}  {self.port:03X}h {self.way} {value:5}  {self.meaning:56}  {again}".rstrip()
 
 
-Meaning = Callable[[int, int, bool], str]
+Meaning = Callable[[int, int, bool, bool], str]
+"""(port, value, whether it is written, whether with 16 bits) -> what it means."""
 
 
 class BusTrace:
@@ -87,7 +88,7 @@ class BusTrace:
                     yield Cycle(at * 1e-9, at * 1e-9, 1, "Ii"[kind - bus.CALLED], None, 0, 0, False, text)
                 continue
             writes, wide = kind in (bus.OUT, bus.OUT_WIDE), kind in (bus.IN_WIDE, bus.OUT_WIDE)
-            meaning = "lost on the way: it does not reach the chip" if lost else tell(port, value, writes)
+            meaning = "lost on the way: it does not reach the chip" if lost else tell(port, value, writes, wide)
             if k >= first:
                 yield Cycle(
                     at * 1e-9,

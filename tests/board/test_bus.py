@@ -34,7 +34,11 @@ def pcl240_traffic(rng: random.Random, n: int) -> list[tuple[int, int, int]]:
         elif kind < 0.7:
             program.append((OUT8, port | 1, rng.randrange(256)))
         elif kind < 0.75:
-            program.append((IN8, rng.choice((0x2FF, 0x30C, 0x1000)), 0))
+            program.append((rng.choice((IN8, IN16)), rng.choice((0x2FF, 0x30C, 0x1000)), 0))
+        elif kind < 0.8:
+            program.append((IN16, port, 0))
+        elif kind < 0.82:
+            program.append((OUT16, port & ~3 | 1, rng.randrange(1 << 16)))
         else:
             program.append((DELAY, rng.choice((0, 1, 3, 40, 250, 251, 4000)), 0))
     return program
@@ -43,17 +47,28 @@ def pcl240_traffic(rng: random.Random, n: int) -> list[tuple[int, int, int]]:
 def by_hand(stage: Stage, program: list[tuple[int, int, int]]) -> list[int]:
     """The same on the chips themselves."""
     chips, answers = [axis.chip for axis in stage.axes.values()], []
+
+    def reach(port: int, value: int | None = None) -> int:
+        k, address = divmod(port - 0x300, 4)
+        if not 0 <= k < 3:
+            stage.cycle()
+            return 0xFF
+        return chips[k].read(address) if value is None else chips[k].write(address, value) or 0
+
     for what, a, b in program:
-        k, address = divmod(a - 0x300, 4)
         if what == DELAY:
             stage.run(a * 1e-6)
-        elif 0 <= k < 3 and what == IN8:
-            answers.append(chips[k].read(address))
-        elif 0 <= k < 3:
-            chips[k].write(address, b)
+        elif what == IN8:
+            answers.append(reach(a))
+        elif what == OUT8:
+            reach(a, b)
+        elif what == OUT16:
+            reach(a, b & 0xFF), reach(a + 1, b >> 8)
+        elif 0x300 <= a < 0x30C:
+            answers.append(reach(a) | reach(a + 1) << 8)
         else:
-            stage.cycle()
-            answers += [0xFF] * (what == IN8)
+            stage.cycle()  # the bus makes one of it: nobody says that he has 8 bits only
+            answers.append(0xFFFF)
     return answers
 
 
@@ -74,7 +89,7 @@ def test_a_host_in_c_a_host_in_python_and_the_chips_themselves_go_the_same_way_t
         with python.record() as recording:
             board = Board(python)
             asked = [board._ask(*request) for request in program]
-        assert [v for v, (what, _, _) in zip(asked, program, strict=True) if what == IN8] == answers
+        assert [v for v, (what, _, _) in zip(asked, program, strict=True) if what in (IN8, IN16)] == answers
         assert everything(python) == everything(plain)
         (tmp_path / "program").write_text("".join(f"{what} {a} {b}\n" for what, a, b in program))
         monkeypatch.setenv("PLAYER_PROGRAM", str(tmp_path / "program"))
@@ -174,6 +189,16 @@ def test_half_a_register_of_a_16_bit_chip_is_noted():
     board.out8(0x30C, 0x21)
     assert [c.port for c in board.strays] == [0x30C]
     assert int(stage.chips[0]._record["low"]) == 0xFF21, "the other half of the bus floats"
+    board.out8(0x30D, 0x43)
+    assert int(stage.chips[0]._record["low"]) == 0x43FF
+    assert (board.in8(0x308), board.in8(0x309)) == (0xFF, 0xF7)
+    board.out16(0x30C, 0x4321)
+    low, high, *levels, whole = [c.meaning for c in board.trace]
+    assert [low, high, whole] == [f"xyz: data 15..0 = {word}h" for word in ("FF21", "43FF", "4321")], (
+        "as the chip has it"
+    )
+    assert "Y-" not in levels[0]
+    assert "X-" not in levels[1], "what was not read is not said"
 
 
 def test_mixed_chips_stand_one_behind_the_other():

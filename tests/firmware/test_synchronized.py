@@ -4,7 +4,7 @@ import random
 
 import numpy as np
 import pytest
-from examples import SEED, scaled
+from examples import SEED, assert_axes_are_named, scaled
 
 from stage import ArgumentError, RunTimeout, Stage
 from stage.chips import PCL240K
@@ -171,7 +171,8 @@ def test_it_draws_itself(tmp_path):
     pytest.importorskip("matplotlib")
     for names, distances in (("x", (90,)), ("xy", (900, -400)), ("xyz", (4000, 300, -2000))):
         report = synchronized_move(dict(zip(names, distances, strict=True)), bench(names))
-        report.plot(tmp_path / f"{names}.png", title="a line")
+        figure = report.plot(tmp_path / f"{names}.png", title="a line")
+        assert_axes_are_named(figure)
         assert (tmp_path / f"{names}.png").stat().st_size > 20_000
 
 

@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 import pytest
-from examples import SEED, scaled
+from examples import SEED, assert_axes_are_named, scaled
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -334,7 +334,7 @@ def test_a_plan_prints_what_its_chips_have():
 def test_it_draws_itself(tmp_path):
     pytest.importorskip("matplotlib")
     report = synchronized_move({"x": 4000, "y": -1500}, bench(PCL240MS), s_curve=True)
-    report.plot(tmp_path / "s.png")
+    assert_axes_are_named(report.plot(tmp_path / "s.png"))
     assert (tmp_path / "s.png").stat().st_size > 20_000
 
 

@@ -232,6 +232,7 @@ def test_a_full_temporary_file_warns_and_the_run_goes_on_where_asked(tmp_path, m
     with pytest.warns(RecordingWarning, match="No space left.*TMPDIR"):
         stage.run(ROWS * 1e-3 + 0.5)
     recording._file = file
+    assert len(recording) == len(recording.columns["time"]) == 0, "what was lost is not counted"
     assert stage.time == pytest.approx(ROWS * 1e-3 + 0.5)
 
 
