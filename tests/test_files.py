@@ -5,6 +5,7 @@ import fcntl
 import os
 import resource
 import stat
+import sys
 from contextlib import contextmanager
 
 import numpy as np
@@ -244,12 +245,14 @@ def test_a_disk_is_no_place_for_a_file(tmp_path):
 @contextmanager
 def room(size):
     """A disk with room for files of so many bytes."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    before, wrote = resource.getrlimit(resource.RLIMIT_FSIZE), sys.dont_write_bytecode
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    sys.dont_write_bytecode = True  # of bytecode that does not fit Python keeps half
     try:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        sys.dont_write_bytecode = wrote
 
 
 def test_a_study_on_a_full_disk_keeps_what_was_recorded_and_goes_on_later(tmp_path):

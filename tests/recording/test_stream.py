@@ -38,6 +38,7 @@ from stage.recording import RecordingError
 stage = Stage("xy", visuals=False)
 def limit(size):  # as a disk with room for so many bytes
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
+    sys.dont_write_bytecode = True  # of bytecode that does not fit Python keeps half
 """
 
 
