@@ -219,7 +219,9 @@ def test_on_the_8_bit_bus_a_byte_says_what_its_word_is_then():
     chip = MCX514()
     listeners = [chip.listener()]
     said = []
-    for at, value in ((1, 0x01), (0, 0x50), (12, 0x0F), (13, 0x10), (4, 0x02), (5, 0x20), (1, 0x02), (0, 0x25)):
+    for at, value in (
+        (1, 0x01), (0, 0x50), (12, 0x0F), (13, 0x10), (4, 0x02), (5, 0x20), (1, 0x02), (0, 0x25), (5, 0x20),
+    ):  # fmt: skip
         chip.write_byte(at, value)
         (told,) = {listener.write(16 + at, value) for listener in listeners}
         listeners.append(chip.listener())
@@ -233,6 +235,7 @@ def test_on_the_8_bit_bus_a_byte_says_what_its_word_is_then():
         "X: WR2 (input signals): software limits stop the drive, STOP0 stops the drive",
         "WR0 bits 15..8 = 02h: waits for bits 7..0",
         "Y: set input signal filters FLM = 100Fh: time constant of FE6 = 1, FE3, FE2, filter of LMT+, LMT-, filter of EMG",
+        "Y: WR2 (input signals): software limits stop the drive",
     ]
     assert listeners[0].read(16, 0x01) == "RR0 bits 7..0: X is driving"
     assert listeners[0].read(17, 0x08) == "RR0 bits 15..8: the next segment can be written"

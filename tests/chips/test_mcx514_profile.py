@@ -385,6 +385,8 @@ def assert_shows(chip, drive, clock, note):
     assert abs(get(chip, 0x33) - abs(drive.acceleration(clock))) <= 1, note
     command(chip, 0x7B)
     assert chip.read(3) & (ASND | CNST | DSND) == PHASES[drive.phase(clock)], note
+    pins = chip.axes[0].pins
+    assert [pins.asnd, pins.cnst, pins.dsnd] == [bit == PHASES[drive.phase(clock)] for bit in (ASND, CNST, DSND)], note
 
 
 def test_looking_changes_nothing():

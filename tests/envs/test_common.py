@@ -175,6 +175,18 @@ def test_a_vector_is_as_many_environments_to_the_bit(any_, mode, threads):
         over = (terminated | truncated) & (mode != AutoresetMode.SAME_STEP)
 
 
+def test_each_environment_of_a_vector_may_be_given_a_seed_of_its_own():
+    vector, one = make_vec("stage/OriginReturn-v0", 2), make("stage/OriginReturn-v0")
+    seen, _ = vector.reset(seed=[5, 3])
+    for row, seed in zip(seen, (5, 3), strict=True):
+        assert same(row, one.reset(seed=seed)[0])
+    for seeds in ([5], [1, 2, 3]):
+        with pytest.raises(
+            ArgumentError, match=f"{len(seeds)} seeds for 2 environments: one each, one for all, or None"
+        ):
+            vector.reset(seed=seeds)
+
+
 def test_an_episode_begins_with_its_own_info_beside_others_that_go_on(id_):
     longer = {"moves": 3} if id_ == "stage/SynchronizedMove-v0" else {}
     vector = make_vec(id_, 2, **longer)
