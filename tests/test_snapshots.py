@@ -11,6 +11,7 @@ from examples import SEED
 from stage import ArgumentError, Drive, Stage
 from stage.chips import PCL240K, PCL240MS
 from stage.sim import plant
+from stage.snapshots import layout
 
 
 @pytest.fixture(scope="module")
@@ -73,6 +74,23 @@ def test_what_is_only_looked_at_payloads_and_copies_make_no_other_stage(xy):
         for snapshot in (begin, xy.snapshot(), seen.snapshot(), pickle.loads(pickle.dumps(begin)), copy.copy(begin)):
             stage.restore(snapshot)
     xy.set_payload(0)
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        [("b", "i4"), ("a", "i4", 2)],
+        [("a", "i4"), ("b", "u4", 2)],
+        [("a", "i4", 2), ("b", "i4")],
+        "V12",
+        [("a", "i4", 3)],
+    ],
+)
+def test_records_that_lie_otherwise_in_the_same_room_have_another_layout(other):
+    kind = np.dtype([("a", "i4"), ("b", "i4", 2)])
+    assert np.dtype(other).itemsize == kind.itemsize
+    assert layout(np.dtype(other)) != layout(kind) == layout(np.dtype(kind.descr))
+    assert layout(np.dtype([("in", other)])) != layout(np.dtype([("in", kind)])), "however deep it lies"
 
 
 @pytest.mark.parametrize("given", ["x", None, 7, b"\0" * 9000])

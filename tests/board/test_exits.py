@@ -30,8 +30,8 @@ def board():
 @pytest.mark.parametrize(
     ("call", "said"),
     [
+        ("exit(-1);", r"exit\(-1\)"),  # first of all: were it to come through, pytest would not end with 0
         ("exit(0);", r"exit\(0\)"),
-        ("exit(-1);", r"exit\(-1\)"),
         ("_exit(0);", r"_exit\(0\)"),
         ("_Exit(3);", r"_exit\(3\)|_Exit\(3\)"),
         ("quick_exit(0);", r"quick_exit\(0\)"),
