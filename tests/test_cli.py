@@ -114,20 +114,26 @@ def test_view_without_a_screen_says_what_to_do(here, capsys):
         (["move", "x", "100", "--model", "xyzz"], "Did you mean"),
         (["move", "x", "100", "--model", "nowhere.xml"], "no MJCF file"),
         (["move", "x", "100", "--chips", "PCL241"], "Did you mean"),
-        (["move", "x", "100", "--chips", "hctl1100"], "HCTL1100 closes a loop and makes no pulses"),
-        (["demo", "--no-view", "--chips", "HCTL-1100"], "HCTL1100 closes a loop"),
+        (["move", "x", "100", "--chips", "hctl1100", "--s-curve"], "a HCTL1100 has linear ramps only"),
+        (["move", "x", "100", "--chips", "HCTL-1100", "--constant"], "--constant: .* of the PCL-240 family"),
+        (["move", "x", "10kg"], r"'10kg': .* pulses, or a distance in nm, um, mm, cm, m"),
+        (["move", "x", "1.5"], r"'1\.5': .* a whole number of pulses"),
+        (["home", "x", "--chips", "mcx304", "--ez", "3"], "--ez 3: .* the first index pulse"),
+        (["dual-rate", "x", "100", "--chips", "mcx514"], "MCX514 has one drive speed"),
+        (["sync", "x=100", "y=0", "--chips", "mcx302"], "two axes or more"),
+        (["sync", "x=100", "y=10", "--chips", "mcx302", "--fl", "0"], "--fl 0: more than 0"),
+        (["move", "x", "100", "--chips", "mcx304", "--fh1", "1e6"], "MCX304 makes 20 to 160000 pps"),
         (["move", "x", "100", "--motor", "17HS4410"], "Did you mean '17HS4401'"),
         (["move", "x", "100", "--fh1", "1e9"], "at most|makes up to"),
         (["sync", "x:3"], "unknown axis|AXIS=PULSES"),
-        (["sync", "x=abc"], "AXIS=PULSES"),
+        (["sync", "x"], "AXIS=PULSES"),
+        (["sync", "x=abc"], "a whole number of pulses, or a distance"),
         (["registers", "pcl"], "Known: .*PCL240K"),
         (["move", "x", "100", "--record", "no/such/folder.rrd"], "no folder"),
         (["move", "x", "100", "--plot", "a.foo"], r"a\.foo: a figure is no 'foo'\. .*\.png"),
         (["move", "x", "100", "--picture", "q.jpg"], r"q\.jpg: .*\.png"),
         (["pullout", "--plot", "a.foo"], "a figure is no 'foo'"),
-        (["move", "x", "100", "--chips", "mcx514"], r"an MCX514 has other registers; .* PCL240K, PCL240MK, PCL240MS\."),
-        (["demo", "--no-view", "--chips", "mcx304"], "an MCX304 has other registers"),
-        (["fault", "jam", "--chips", "mcx302"], "an MCX302 has other registers"),
+        (["fault", "jam", "--chips", "mcx302"], r"of the PCL-240 family .* stage\.faults"),
         (["move", "x", "100", "--fh1", "-5"], r"^stage: fh1=-5\.0 pps"),
         (["move", "x", "100", "--from", "1000"], r"--from 1000: axis x travels from -158 to 158 mm"),
         (["home", "y", "--from", "nan"], r"--from nan: axis y travels from .* mm"),
@@ -274,3 +280,18 @@ def test_what_cannot_be_printed_is_said_and_the_files_are_written(here, shell):
 
 def test_without_a_command_the_help_is_shown(capsys):
     assert "usage: stage" in out(capsys, code=2).out
+
+
+@pytest.mark.parametrize(
+    "chip", ["pcl240k", "pcl240mk", "pcl240ms", "mcx514", "mcx304", "mcx302", "mcx312", "hctl1100"]
+)
+def test_the_command_line_does_the_same_with_every_chip(here, capsys, chip):
+    """stage move x 10mm --chips hctl1100; stage home; stage sync"""
+    given = ["--chips", chip, "--model", "xy"]
+    text = out(capsys, "move", "x", "2mm", *given).out
+    assert "x: done, stopped by" in text
+    assert float(re.search(r"to (\S+) mm", text)[1]) == pytest.approx(2, abs=0.02)
+    assert "x: done, stopped by ORG" in out(capsys, "home", "x", "--from", "-117", *given).out
+    text = out(capsys, "sync", "x=2mm", "y=-1mm", *given).out
+    assert "synchronized move: done" in text
+    assert re.search(r"on y: done", text)

@@ -57,7 +57,7 @@ def test_what_the_commands_do_without_options():
     assert not any(
         asked[k] for k in ("constant", "force", "view", "web", "automatic", "s_curve", "motor", "fl", "start")
     )
-    assert (asked["axis"], asked["pulses"]) == ("x", 100)
+    assert (asked["axis"], asked["distance"]) == ("x", "100")
     assert p.parse_args(["run", "a.c"]).timeout == 60
     assert p.parse_args(["run", "a.c"]).keep == 1_000_000
     assert p.parse_args(["demo"]).default_record == "demo.rrd"
@@ -194,7 +194,7 @@ def test_a_firmware_that_loses_steps_ends_with_1(monkeypatch, lost, code):
     done = SimpleNamespace(code=0, seconds=0.0, cycles=0)
     host = SimpleNamespace(path=SimpleNamespace(name="a"), run=lambda timeout: asked.append(timeout) or done)
     stage = SimpleNamespace(axes={"x": SimpleNamespace(lost_steps=lost)})
-    monkeypatch.setattr("stage.cli.firmware.make_stage", lambda args, any_chip: stage)
+    monkeypatch.setattr("stage.cli.firmware.make_stage", lambda args: stage)
     monkeypatch.setattr("stage.cli.firmware._report", lambda *_: None)
     monkeypatch.setattr("stage.board.Board", lambda *_, **__: SimpleNamespace(log=[], stage=stage))
     monkeypatch.setattr("stage.board.NativeHost", lambda *_, **__: host)

@@ -253,9 +253,14 @@ class Chip:
         raise NotImplementedError(f"{cls.__name__} does not say how its registers are written.")
 
     @classmethod
+    def rates(cls, edges: np.ndarray) -> np.ndarray:
+        """How fast the axis of a course goes, from each of its edges on: pulses a clock, without a sign."""
+        return np.abs(edges["rate"])
+
+    @classmethod
     def running(cls, edges: np.ndarray) -> np.ndarray:
         """Whether the axis of a course drives, from each of its edges on (bool)."""
-        return edges["rate"] != 0
+        return cls.rates(edges) != 0
 
     def options(self) -> dict[str, Any]:
         """What the chip was made with: type(chip)(**chip.options()) is another of its kind."""

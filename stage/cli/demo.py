@@ -8,8 +8,8 @@ from typing import Any
 
 from stage.cli.setup import is_pcl240, make_stage, note, recorded
 
-WHERE = (0.207, -0.155, 0.2125)  # where the carriages happen to stand, from the middle of their travel, in travels
-LONG, SHORT, FIRST, SECOND = 0.417, 0.3125, 0.208, 0.117  # moves, in travels
+WHERE = (0.1962, -0.1435, 0.177)  # where the carriages happen to stand, from the middle of their travel, in travels
+LONG, SHORT, FIRST, SECOND = 0.3956, 0.2894, 0.1978, -0.1085  # moves, in travels
 ROUND = 500  # pulses
 
 
@@ -22,7 +22,7 @@ def run(args: argparse.Namespace) -> int:
     stage = make_stage(args)
     for k, axis in enumerate(stage.axes.values()):
         low, high = axis.travel
-        stage.place(**{axis.name: 0.5 * (low + high) + WHERE[k % len(WHERE)] * (high - low)})
+        stage.place(**{axis.name: round(0.5 * (low + high) + WHERE[k % len(WHERE)] * (high - low), 3)})
     if has_screen() and not args.no_view and not args.web:
         args.view = True
     rows: list[tuple] = []
@@ -61,7 +61,7 @@ def story(stage: Any, rows: list[tuple]) -> None:
     if second is first:
         return
     add(_move(second, _way(second, SHORT)))
-    ways = {first: _way(first, FIRST), second: -_way(second, SECOND)}
+    ways = {first: _way(first, FIRST), second: _way(second, SECOND)}
     if type(first.chip) is not type(second.chip):
         print(f"axes {first.name} and {second.name} have different chips, which draw no line together")
         return
@@ -77,10 +77,13 @@ def story(stage: Any, rows: list[tuple]) -> None:
 
 
 def _way(axis: Any, share: float) -> int:
-    """Pulses of a share of the axis' travel, to the side where there is more room."""
+    """Pulses of a share of the axis' travel, signed; the other way where there is no room for it."""
     low, high = axis.travel
-    side = 1 if high - axis.position >= axis.position - low else -1
-    pulses = share * (high - low) / axis.meters_per_pulse
+    way = share * (high - low)
+    side = 1 if way > 0 else -1
+    if not low < axis.position + 1.1 * way < high:
+        side = -side
+    pulses = abs(way) / axis.meters_per_pulse
     rounded = max(round(pulses / ROUND) * ROUND, 1) if pulses > ROUND else max(int(pulses), 1)
     return int(rounded * side * (1 if axis.gear > 0 else -1))
 

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from stage.chips import Chip
 from stage.errors import ArgumentError, RunTimeout, StageError
 from stage.firmware.axis import Axis
+from stage.firmware.pattern import Pattern
 from stage.sim.program import Operations, Program
 
 if TYPE_CHECKING:
@@ -72,6 +73,11 @@ class Driver(ABC):
     @abstractmethod
     def halt(self, at_once: bool = False) -> None:
         """Stop what runs, with a ramp or at once; returns when it stands."""
+
+    @classmethod
+    def pattern(cls, report: Report) -> Pattern:
+        """What a drawing of a report about this family's chips shows."""
+        return Pattern(report)
 
     def stopped_by(self) -> str:
         """Why it stands, where the host has not stopped it: "EL+", "EL-", or nothing that the chip tells."""
@@ -129,10 +135,11 @@ def driver_of(axis: Axis) -> Driver:
     chip = getattr(axis, "chip", None)
     if not isinstance(chip, Chip):
         raise ArgumentError(f"{axis!r} is no axis with a chip: give stage.axes['x'], or Bench(x=PCL240K()).axes['x'].")
-    return _driver_class(type(chip))(axis)
+    return driver_class(type(chip))(axis)
 
 
-def _driver_class(chip: type[Chip]) -> type[Driver]:
+def driver_class(chip: type[Chip]) -> type[Driver]:
+    """Who speaks to chips of this class. Raises ArgumentError where nobody does."""
     if not chip.DRIVER:
         raise ArgumentError(
             f"a {chip.__name__} has no driver: its class names one in DRIVER, as 'package.module:Class'."

@@ -127,7 +127,7 @@ def perfect_deviation(distances: Sequence[int]) -> float:
 
 
 def pulses_of(journal: Journal) -> np.ndarray:
-    """Every pulse that the journal's axis made while it noted, as `chip.trace` would have returned them; `clock` counts from the
+    """Every pulse that a chip made while `journal` noted, as `chip.trace` would have returned them; `clock` counts from the
     journal's beginning. Of a servo, each count of its command."""
     core = journal._chip.CORE
     if journal._chip.SERVO:
@@ -149,7 +149,7 @@ def pulses_of(journal: Journal) -> np.ndarray:
     go(journal.until)
     pulses = np.concatenate(parts)
     pulses["clock"] -= begin
-    return pulses[pulses["axis"] == journal.axis]
+    return pulses
 
 
 def _counts_of(journal: Journal) -> np.ndarray:

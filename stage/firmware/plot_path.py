@@ -27,7 +27,7 @@ def draw(report: SynchronizedReport, path: Any = None, title: str | None = None,
     except ImportError as error:
         raise StageError("drawing needs matplotlib: pip install 'pulsestage[plot]'.") from error
 
-    line = np.array(list(report.plan.distances.values()), float)
+    line = np.array(list(report.distances.values()), float)
     times, counts = path_points(list(report.paths.values()))
     flat = len(line) == 2
     figure = Figure(figsize=(10.5, 4.6) if flat else (8, 5.2), layout="constrained")
@@ -38,7 +38,7 @@ def draw(report: SynchronizedReport, path: Any = None, title: str | None = None,
         off, rates = figure.subplots(2, 1)
     _distance(off, report, times, counts, line)
     _rates(rates, report)
-    way = ", ".join(f"{n} {d:+,}" for n, d in report.plan.distances.items())
+    way = ", ".join(f"{n} {d:+,}" for n, d in report.distances.items())
     figure.suptitle(title or f"a:b move, {way} pulses", x=0.01, ha="left", color=INK, fontsize=11, weight="bold")
     if path is not None:
         save_figure(figure, path, 150, overwrite)
@@ -108,7 +108,7 @@ def _distance(ax: Any, report: SynchronizedReport, times: np.ndarray, counts: np
         f"at most {d.pulses:.2f} pulses from the line, after {d.time * 1e3:,.4g} ms",
         loc="right", color=MUTED, fontsize=9,
     )  # fmt: skip
-    ax.set_xlim(0, report.plan.seconds * scale * 1.01)
+    ax.set_xlim(0, report.seconds * scale * 1.01)
     ax.tick_params(labelbottom=False)
     _bare(ax)
 
@@ -120,10 +120,10 @@ def _rates(ax: Any, report: SynchronizedReport) -> None:
     for k, (name, r) in enumerate(report.axes.items()):
         ax.step(
             (r.course.seconds - first) * scale, r.rates, where="post", color=COLOURS[k % len(COLOURS)], linewidth=1.4,
-            label=f"{name}  R7 = {report.plan.axes[name].registers['R7']}, FH {report.plan.axes[name].fh:,.1f} pps",
+            label=f"{name}  {report.written(name)}",
         )  # fmt: skip
         peak = max(peak, r.peak_rate)
-    ax.set_xlim(0, report.plan.seconds * scale * 1.01)
+    ax.set_xlim(0, report.seconds * scale * 1.01)
     ax.set_ylim(0, 1.08 * (peak or 1.0))
     ax.set_xlabel(f"time from the first start command ({unit_name})", color=INK)
     ax.set_ylabel("pulse rate (pps)", color=INK)
@@ -135,4 +135,4 @@ def _rates(ax: Any, report: SynchronizedReport) -> None:
 
 
 def _scale(report: SynchronizedReport) -> tuple[float, str]:
-    return (1e3, "ms") if report.plan.seconds < 2 else (1.0, "s")
+    return (1e3, "ms") if report.seconds < 2 else (1.0, "s")

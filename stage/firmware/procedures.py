@@ -115,7 +115,7 @@ def line(
     ranges in that ratio, an HCTL-1100 by command positions in each sample. Raises ArgumentError where the chips cannot, with the
     reason; RunTimeout.
     """
-    chosen = chosen_axes(distances, axes)
+    chosen = chosen_axes(distances, axes, "line")
     drivers = {name: driver_of(axis) for name, (axis, _) in chosen.items()}
     if not drivers:
         raise ArgumentError("no distances: a line is of two axes or more.")

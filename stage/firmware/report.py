@@ -116,7 +116,7 @@ class Report:
 
 def rates(course: Course) -> np.ndarray:
     """Pulse rate from each edge on, pps; without a sign."""
-    return np.abs(course.edges["rate"]) * course.clock_hz
+    return course.chip.rates(course.edges) * course.clock_hz
 
 
 class Procedure:

@@ -56,6 +56,23 @@ class SynchronizedReport:
         return all(r.ok for r in self.axes.values())
 
     @property
+    def distances(self) -> dict[str, int]:
+        """Signed pulses asked of each axis."""
+        return self.plan.distances if self.plan else {n: r.asked or 0 for n, r in self.axes.items()}
+
+    @property
+    def seconds(self) -> float:
+        """How long the motion takes, by the plan, or by the clock."""
+        return self.plan.seconds if self.plan else max(r.duration for r in self.axes.values())
+
+    def written(self, axis: str) -> str:
+        """The rate of an axis in words."""
+        if self.plan is None:
+            return f"up to {self.axes[axis].peak_rate:,.1f} pps"
+        planned = self.plan.axes[axis]
+        return f"R7 = {planned.registers['R7']}, FH {planned.fh:,.1f} pps"
+
+    @property
     def ratio_error(self) -> float:
         """The largest relative error of a planned rate against the longest axis'; 0 where the chip keeps the ratio itself."""
         return self.plan.ratio_error if self.plan else 0.0
@@ -91,7 +108,7 @@ class Together:
     """
 
     def __init__(self, watch: Mapping[str, Procedure], distances: Mapping[str, int]):
-        self.watch, self.distances = dict(watch), {name: distances[name] for name in watch}
+        self.watch, self.distances = dict(watch), {n: d for n, d in distances.items() if n in watch}
         self._began: dict[str, float] = {}
         self._books = ExitStack()
 
@@ -115,15 +132,17 @@ class Together:
 
     def reports(self, stopped_by: Mapping[str, str]) -> dict[str, Report]:
         """Close the books of each axis."""
-        return {n: p.report(stopped_by[n], self.distances[n]) for n, p in self.watch.items()}
+        return {n: self.watch[n].report(stopped_by[n], d) for n, d in self.distances.items()}
 
     def report(self, stopped_by: Mapping[str, str], plan: Plan | None = None) -> SynchronizedReport:
         """Close all books."""
         reports = self.reports(stopped_by)
         first = min(self._began.values())
         paths = {}
-        for n, p in self.watch.items():
+        for n in self.distances:
+            p = self.watch[n]
             pulses, origin = pulses_of(p.journal), first - p.began
+            pulses = pulses[pulses["axis"] == p.axis.chip_axis]
             paths[n] = pulses["clock"] / p.axis.chip.clock_hz - origin, pulses["direction"].copy()
         ends = [t[-1] for t, _ in paths.values() if len(t)]
         return SynchronizedReport(
@@ -157,7 +176,7 @@ class Carriages:
             self.worst = max(self.worst or 0.0, float(np.linalg.norm(off - along * self._way)))
 
 
-def chosen_axes(distances: Mapping, axes: Any) -> dict[str, tuple[Axis, Any]]:
+def chosen_axes(distances: Mapping, axes: Any, procedure: str) -> dict[str, tuple[Axis, Any]]:
     """Label -> (axis, distance); the label is the name used, or the axis' own. Raises ArgumentError."""
     known = getattr(axes, "axes", axes)
     chosen: dict[str, tuple[Axis, Any]] = {}
@@ -165,7 +184,7 @@ def chosen_axes(distances: Mapping, axes: Any) -> dict[str, tuple[Axis, Any]]:
         label, axis = key, key
         if isinstance(key, str):
             if known is None:
-                raise ArgumentError(f"axis {key!r}: say where it is: give stage.axes after the distances.")
+                raise ArgumentError(f"axis {key!r}: say where it is: {procedure}({{{key!r}: ...}}, stage.axes).")
             if key not in known:
                 raise unknown("axis", key, known)
             axis = known[key]

@@ -117,11 +117,13 @@ def test_a_picture_is_drawn_into_a_file_or_into_axes_of_ones_own(reports, tmp_pa
 def test_notes_never_overlap(reports, monkeypatch):
     """The rows of the notes: no text meets another, nor the line of a later one."""
     from stage.firmware import plot
+    from stage.firmware.driver import driver_class
 
     monkeypatch.setattr(plot, "_width", cache(plot._width))  # the same words stand in many
     for report in reports.values():
         t = report.course.seconds - report.began
-        notes, limits, width = plot._notes(report, t), plot._window(report, t), 500.0
+        notes = driver_class(report.course.chip).pattern(report).notes(t)
+        limits, width = plot._window(report, t), 500.0
         rows = plot._rows(notes, limits, width)
         at = [(n.time - limits[0]) / (limits[1] - limits[0]) * width for n in notes]
         for k, note in enumerate(notes):

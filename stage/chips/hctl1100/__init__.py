@@ -13,6 +13,8 @@ from __future__ import annotations
 import math
 from typing import Any, ClassVar
 
+import numpy as np
+
 from stage.chips.chip import Chip
 from stage.chips.hctl1100 import core, lint
 from stage.chips.hctl1100.decode import Decoder
@@ -53,6 +55,17 @@ class HCTL1100(Chip):
             addresses = NUMBERS[name].addresses
             return [(a, value >> 8 * (len(addresses) - 1 - k) & 0xFF) for k, a in enumerate(addresses)]
         return [(cls.MAP.register(name).number, value)]
+
+    @classmethod
+    def rates(cls, edges: np.ndarray) -> np.ndarray:
+        """Those of the profile generator; where a host writes command positions, those from one to the next."""
+        rates = np.abs(edges["rate"])
+        moved = np.flatnonzero(np.diff(edges["net"]))
+        if rates.any() or len(moved) < 2:
+            return rates
+        steps, clocks = np.abs(np.diff(edges["net"]))[moved], edges["clock"][moved + 1]
+        rates[moved[0] + 1 : moved[-1] + 1] = np.repeat(steps[1:] / np.maximum(np.diff(clocks), 1), np.diff(moved))
+        return rates
 
     @property
     def motor_command(self) -> int:

@@ -7,7 +7,6 @@ when the chip stands in Init/Idle, as after power-up.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any, NoReturn, cast
 
 import numpy as np
@@ -17,6 +16,7 @@ from stage.errors import ArgumentError, RunTimeout
 from stage.firmware.driver import SETTLE, Driver, Speeds
 from stage.firmware.hctl1100.home import home, leave_limit
 from stage.firmware.hctl1100.moves import Tuning, acceleration_word, cruise, set_up, trapezoid, velocity_word
+from stage.firmware.hctl1100.pattern import Pattern
 from stage.firmware.hctl1100.port import INIT, LIMIT, Port
 from stage.firmware.hctl1100.profile import follow, synchronize
 from stage.firmware.report import Procedure, Report
@@ -62,12 +62,13 @@ class Hctl1100Driver(Driver):
         if not pulses or int(pulses) != pulses:
             raise ArgumentError(f"pulses={pulses!r}: a whole number of counts, the sign is the direction.")
         self._linear(speeds)
-        with Procedure(self.axis, "move") as p:
-            self._direction = 1 if pulses > 0 else -1
-            try:
-                port = self.ready(self._direction)
-            except RunTimeout:  # it stands on the end limit that lies there
+        self._direction = 1 if pulses > 0 else -1
+        try:
+            port = self.ready(self._direction)
+        except RunTimeout:  # it stands on the end limit that lies there
+            with Procedure(self.axis, "move") as p:
                 return p.report(self.stopped_by(), int(pulses))
+        with Procedure(self.axis, "move") as p:
             most = 1.5 * (abs(pulses) / speeds.drive + speeds.up + speeds.down) + 1
             done = trapezoid(
                 port, int(pulses), velocity=speeds.drive, acceleration=speeds.drive / speeds.up, deadband=DEADBAND,
@@ -110,6 +111,10 @@ class Hctl1100Driver(Driver):
         else:
             port.hold()
 
+    @classmethod
+    def pattern(cls, report: Report) -> Pattern:
+        return Pattern(report)
+
     def stopped_by(self) -> str:
         if self.port.limited():
             return "EL-" if self._direction < 0 else "EL+"
@@ -135,8 +140,7 @@ class Hctl1100Driver(Driver):
             driver._linear(speeds)
             ports.append(driver.ready(1 if pulses[n] > 0 else -1))
         rows = _rows([pulses[n] for n in mine], speeds, ports[0].sample)
-        each = {n: _Followed(d.axis, rows[:, k], ports[0].sample) for k, (n, d) in enumerate(mine.items())}
-        with Together(each, {n: pulses[n] for n in mine}) as line:
+        with Together({n: Procedure(d.axis, "line") for n, d in mine.items()}, {n: pulses[n] for n in mine}) as line:
             synchronize(ports)
             line.began()
             goals = [port.commanded() + d for port, d in zip(ports, rows[-1].tolist(), strict=True)]
@@ -180,19 +184,6 @@ class Hctl1100Driver(Driver):
 
     def lines(self, drivers: Any, settings: Any) -> NoReturn:
         self._no("SynchronizedMove draws lines of pulses")
-
-
-class _Followed(Procedure):
-    """One axis of a line: the chip knows no rate, only a command position in each sample."""
-
-    def __init__(self, axis: Any, commands: np.ndarray, sample: float):
-        super().__init__(axis, "line")
-        self._commands, self._sample = commands, sample
-
-    def report(self, stopped_by: str, asked: int | None = None) -> Report:
-        fastest = float(np.abs(np.diff(self._commands, prepend=0)).max()) / self._sample
-        made = super().report(stopped_by, asked)
-        return replace(made, duration=len(self._commands) * self._sample, peak_rate=fastest)
 
 
 def _rows(distances: list[int], speeds: Speeds, sample: float) -> np.ndarray:

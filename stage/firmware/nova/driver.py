@@ -15,6 +15,7 @@ from stage.firmware.driver import SETTLE, AtOnce, Driver, Speeds, wait_until_sto
 from stage.firmware.lines import Asked, Line, LineSettings, line_of
 from stage.firmware.nova.home import home_search
 from stage.firmware.nova.line import InRatio, Interpolated
+from stage.firmware.nova.pattern import Pattern
 from stage.firmware.nova.port import Port
 from stage.firmware.nova.search import HomeSearch
 from stage.firmware.report import Procedure, Report
@@ -80,6 +81,10 @@ class NovaDriver(Driver):
         if self.port.driving():
             self.port.command(self.STOP if at_once else self.SLOW_DOWN)
         wait_until_stopped([self.axis], PATIENCE)
+
+    @classmethod
+    def pattern(cls, report: Report) -> Pattern:
+        return Pattern(report)
 
     def stopped_by(self) -> str:
         word = self.port.word(int(self.ENDED[2]))

@@ -10,6 +10,7 @@ from stage.firmware.pcl240 import bus, moves
 from stage.firmware.pcl240.bus import Port, stop_reason
 from stage.firmware.pcl240.home import origin_return
 from stage.firmware.pcl240.line import RatioLine
+from stage.firmware.pcl240.pattern import Pattern
 from stage.firmware.pcl240.profile import Profile
 from stage.firmware.pcl240.search import FourRuns
 from stage.firmware.pcl240.synchronized import synchronized_move
@@ -60,6 +61,10 @@ class Pcl240Driver(Driver):
             self.port.command(bus.RESET if at_once else bus.SLOW_DOWN_FH1)
         self.port.wait_until_stopped(60.0)
         self.port.command(bus.RESET)
+
+    @classmethod
+    def pattern(cls, report: Report) -> Pattern:
+        return Pattern(report)
 
     def stopped_by(self) -> str:
         status = self.port.status()

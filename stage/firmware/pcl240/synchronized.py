@@ -135,7 +135,7 @@ def _wait(watch: dict[str, Procedure], made: Plan, patience: float, line: Togeth
 
 
 def _chosen(distances: Mapping, axes: Any) -> dict[str, tuple[Axis, int]]:
-    chosen = chosen_axes(distances, axes)
+    chosen = chosen_axes(distances, axes, "synchronized_move")
     for axis, _ in chosen.values():
         check(axis)
     return chosen

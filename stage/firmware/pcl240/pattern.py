@@ -1,0 +1,117 @@
+"""The data sheet's operation patterns: what the PCL-240 family's signals and commands mean in a drawing."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stage.chips.pcl240 import OPERATING_MODE
+from stage.firmware import pattern
+from stage.firmware.pattern import AMBER, BLUE, GREEN, GREY, RED, VIOLET, Note
+
+LANES = (
+    ("fup", "FUP", BLUE),
+    ("fkeep", "FKEEP", BLUE),
+    ("fdown", "FDOWN", BLUE),
+    ("hold", "HOLD", GREY),
+    ("pdir", "PDIR \N{MINUS SIGN}", VIOLET),
+    ("sd_plus", "SD+", AMBER),
+    ("sd_minus", "SD-", AMBER),
+    ("org", "ORG", GREEN),
+    ("el_plus", "EL+", RED),
+    ("el_minus", "EL-", RED),
+    ("extp", "EXTP", VIOLET),
+    ("irq", "INT", RED),
+)
+START, STOP, RAMP, SPEED = (
+    next(f for f in OPERATING_MODE.fields if f.name == n) for n in ("start", "stop", "ramp", "speed")
+)
+SPEEDS = ("FL", "FH1", "FL", "FH2")
+
+
+class Pattern(pattern.Pattern):
+    """Of a report about a PCL-240."""
+
+    LANES = LANES
+    ALWAYS = ("fup", "fkeep", "fdown", "hold")
+
+    def plays(self, pin: str) -> bool:
+        if pin == "pdir":
+            return len(set(self.minus()[self.course.running].tolist())) > 1
+        return pin in self.ALWAYS or bool(self.course.pin(pin).any())
+
+    def minus(self) -> np.ndarray:
+        return self.course.pin("pdir")
+
+    def levels(self) -> dict[str, float]:
+        """FL, FH1, FH2 in pps, of those that commands select and whose register was written once."""
+        values: dict[str, set[int]] = {}
+        used = set()
+        for s in self.report.said:
+            if s.kind == "register":
+                name, value = s.meaning.split(" ")[0], int(s.meaning.split(" ")[2])
+                values.setdefault(name, set()).add(value)
+            elif s.kind == "command" and START.of(int(s.code, 16)) and int(s.code, 16) < 0x40:
+                used.add(SPEEDS[SPEED.of(int(s.code, 16))])
+                used |= {"FL"} if RAMP.of(int(s.code, 16)) else set()
+        step = self.course.clock_hz / (8192.0 * max(next(iter(values.get("R7", {1}))), 1))
+        names = {"FL": "R1", "FH1": "R2", "FH2": "R3"}
+        once = {n: values[r] for n, r in names.items() if n in used and len(values.get(r, ())) == 1}
+        return {n: next(iter(v)) * step for n, v in once.items()}
+
+    def notes(self, t: np.ndarray) -> list[Note]:
+        """What the host wrote to start, to change or to stop a run, each ramp-down point, and why it stopped.
+
+        Bytes that only prepare a start (reset command, control mode) or a change of speed (a register) stand in front of it.
+        """
+        report, course = self.report, self.course
+        hold, clocks = course.pin("hold"), course.edges["clock"]
+        notes: list[Note] = []
+        ahead: list[str] = []
+        for (when, code, _), s in zip(report.writes(), report.said, strict=True):
+            halted = bool(hold[max(int(np.searchsorted(clocks, s.clock)) - 1, 0)])
+            if s.kind == "register":
+                if not halted:
+                    ahead.append(s.meaning.split(" (")[0].replace("<-", "\N{LEFTWARDS ARROW}"))
+                continue
+            if s.kind == "lost":
+                notes.append(Note(when, f"{code}h", "lost on the bus", False))
+                continue
+            byte = int(code, 16)
+            words = _words(byte, halted)
+            if (
+                byte & 0x1F == 0x14
+                and not halted
+                and not course.pin("fdown")[np.searchsorted(clocks, s.clock, "right") - 1]
+            ):
+                words = "ramps on"
+            if words:
+                notes.append(Note(when, " ".join([*ahead, f"{code}h"]), words, False))
+            if words or s.kind == "reset" or byte == 0x08:
+                ahead.clear()
+            if not words and (byte == 0x08 or byte >> 6 == 1 or (byte >> 6 == 3 and byte & 0x3F)):
+                ahead = [a for a in ahead if a[0] != code[0]] + [f"{code}h"]  # the latest of a group counts
+        falls = course.pin("fdown") & course.pin("lt") & ~hold
+        for k in np.flatnonzero(falls[1:] & ~course.pin("lt")[:-1]) + 1:
+            notes.append(Note(float(t[k]), "", f"R0 < R6 = {course.edges['counter'][k] + 1:,d}", True))
+        return sorted([*notes, *self.ended()], key=lambda n: n.time)
+
+    def ended(self) -> list[Note]:
+        return [n._replace(words="stop at FL") if n.words == "stop" else n for n in super().ended()]
+
+
+def _words(byte: int, halted: bool) -> str:
+    """What an operating-mode command does there and then, in few words."""
+    if byte >> 6:
+        return ""
+    irq = ", /INT at stop" if byte & 0x20 else ""
+    start, stop = START.of(byte), STOP.of(byte)
+    if stop and not start:
+        return "" if halted else "reset command"
+    if stop:
+        return ("decelerating stop" if RAMP.of(byte) else "stop") + irq
+    if not start:
+        return ""
+    speed = SPEEDS[SPEED.of(byte)]
+    if halted:
+        return (f"start, ramp to {speed}" if RAMP.of(byte) and speed != "FL" else f"start, constant {speed}") + irq
+    return (f"ramp to {speed}" if RAMP.of(byte) else f"at once {speed}") + irq
