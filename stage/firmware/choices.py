@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
+import numpy as np
+
 from stage.chips.register_map import RegisterMap
 from stage.errors import ArgumentError
 
@@ -19,7 +21,7 @@ class Choices(NamedTuple):
     ranges: dict[str, tuple[int, int]]
     cubed: tuple[str, ...] = ()
 
-    def named(self, row: Sequence[int]) -> dict[str, int]:
+    def named(self, row: Sequence[int] | np.ndarray) -> dict[str, int]:
         """One row of numbers by name."""
         return {name: int(value) for name, value in zip(self.ranges, row, strict=True)}
 

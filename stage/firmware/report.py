@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
@@ -128,7 +128,7 @@ class Procedure:
     def __init__(self, axis: Axis, name: str):
         self.axis, self.name = axis, name
 
-    def __enter__(self) -> Procedure:
+    def __enter__(self) -> Self:
         self.journal = self.axis.chip.journal(self.axis.chip_axis)
         self.began = self.axis.time
         self._position, self._lost = self.axis.position, self.axis.lost_steps

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -40,7 +41,7 @@ class Search(ABC):
     marks: dict[str, int]
 
     @abstractmethod
-    def program(self, row: np.ndarray) -> Program:
+    def program(self, row: Sequence[int] | np.ndarray) -> Program:
         """A whole return with these choices, in the order of the choices."""
 
     @abstractmethod

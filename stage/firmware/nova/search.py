@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -31,7 +32,7 @@ class HomeSearch(Search):
         self._bits: dict[str, int] = {}
         self.program(self.choices.low)
 
-    def program(self, row: np.ndarray) -> Program:
+    def program(self, row: Sequence[int] | np.ndarray) -> Program:
         c, driver = self.settings, self.driver
         chosen = self.choices.named(row)
         p = driver.begin(Program())

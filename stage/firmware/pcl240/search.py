@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -35,7 +36,7 @@ class FourRuns(Search):
         self.marks = {}
         self.program(self.choices.low)
 
-    def program(self, row: np.ndarray) -> Program:
+    def program(self, row: Sequence[int] | np.ndarray) -> Program:
         c, a, chip = self.settings, self.driver.index, self.driver.chip
         fl, fh, rate, approach, leave, back_off, sd = np.asarray(row).tolist()
         p = Program().command(a, bus.RESET)
