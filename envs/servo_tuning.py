@@ -26,8 +26,7 @@ from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
-from stage.chips import HCTL1100, Chip
-from stage.chips.hctl1100.maps import MINIMUM_T, NUMBERS
+from stage.chips import Chip, chip_class
 from stage.envs.base import StageEnv, StageVectorEnv
 from stage.envs.registers import RegisterBox
 from stage.envs.settings import (
@@ -47,7 +46,7 @@ from stage.envs.settings import (
 )
 from stage.envs.tuning import Tuning
 from stage.errors import ArgumentError
-from stage.firmware.hctl1100.port import CONTROL, FLAGS, SET
+from stage.firmware.driver import driver_of
 from stage.sim.fleet import Played
 from stage.sim.program import Program
 
@@ -61,6 +60,7 @@ class Config(Settings):
     """Settings of ServoTuning."""
 
     model: str = "xyz_servo"
+    chip: str | type[Chip] = "HCTL1100"
     axis: AxisName = "x"
     motion: Annotated[str, Word(MOTIONS)] = "step"  # or "trapezoid"
     actions: Actions = "box"  # or "registers"
@@ -93,11 +93,11 @@ class ServoTuning(Tuning[Config]):
     UNIT = "counts"
 
     def chip(self) -> type[Chip]:
-        return HCTL1100
+        return chip_class(self.config.chip)
 
     def tuned(self) -> RegisterBox:
-        least = MINIMUM_T["trapezoid" if self.config.motion == "trapezoid" else "position"]
-        return RegisterBox.of({"R22": (1, 0xFF), "R20": (0, 0xFF), "R21": (0, 0xFF), "R0F": (least, 0xFF)})
+        self.driver = driver_of(self.axis)
+        return RegisterBox.of(self.driver.filter_choices(self.config.motion == "trapezoid").ranges)
 
     def prepare(self) -> None:
         c = self.config
@@ -111,24 +111,9 @@ class ServoTuning(Tuning[Config]):
 
     def program(self, row: np.ndarray, distance: int) -> Program:
         """The host's bus cycles for one move, and looks at the carriage."""
-        c, p, values = self.config, Program(), self.registers.named(row)
-        for name, value in values.items():
-            p.write(self.axis.index, int(name[1:], 16), value)
-        p.write(self.axis.index, 0x13, 0)  # the actual position is 0
-        if c.motion == "step":
-            words = {"command_position": distance}
-        else:
-            sample = 16 * (values["R0F"] + 1) / self.axis.chip.clock_hz
-            words = {
-                "command_position": 0,
-                "final_position": distance,
-                "maximum_velocity": _held("maximum_velocity", c.velocity * sample),
-                "acceleration": _held("acceleration", c.acceleration * sample**2 * 256),
-            }
-            p.write(self.axis.index, 0x00, SET | FLAGS["trapezoid"])
-        for name, value in words.items():
-            p.register(self.axis.index, self.axis.chip, name, value)
-        p.write(self.axis.index, 0x05, CONTROL)
+        c, p = self.config, Program()
+        rates = (c.velocity, c.acceleration) if c.motion == "trapezoid" else None
+        self.driver.write_servo_move(p, self.registers.named(row), distance, rates)
         self.first = len(p)  # of the pairs of a wait and a look
         for _ in range(self.looks):
             p.wait(LOOK).look(self.axis.index)
@@ -156,11 +141,6 @@ class ServoTuning(Tuning[Config]):
         }  # fmt: skip
         shares = overshoot / (overshoot + SMALL), unrest / (unrest + SMALL)
         self.tell(parts, info, np.stack([settled / c.limit, *shares, finished * 1.0], axis=1))
-
-
-def _held(name: str, value: float) -> int:
-    """What a register of rates holds of it, 1 at least."""
-    return int(np.clip(round(value), 1, NUMBERS[name].most))
 
 
 class ServoTuningEnv(StageEnv):

@@ -72,9 +72,6 @@ stage.chips.journal
     Journal.course: every_pulse=False
     Journal.pieces: every_pulse=False, size=65536
     Replay.pieces: every_pulse=False, size=65536
-stage.chips.hctl20xx
-    HCTL2022: count_mode=(1, 0)
-    HCTL2032: count_mode=(1, 0)
 stage.firmware.bench
     Bench: bus_cycle=1e-06
     Bench.rail: at=0

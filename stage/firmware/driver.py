@@ -23,6 +23,7 @@ from stage.firmware.pattern import Pattern
 from stage.sim.program import Operations, Program
 
 if TYPE_CHECKING:
+    from stage.firmware.choices import Choices
     from stage.firmware.lines import Line
     from stage.firmware.report import Report
     from stage.firmware.search import Search
@@ -122,6 +123,20 @@ class Driver(ABC):
         """Straight lines as programs, with the axes of `drivers`, whose chips are of this one's kind, with the settings of
         SynchronizedMove. Raises ArgumentError where the chips cannot."""
         raise ArgumentError(f"a {self.chip.MAP.chip} draws no lines by programs.")
+
+    def filter_choices(self, trapezoid: bool) -> Choices:
+        """What can be chosen of a servo's filter and sample time, for steps or for trapezoids. Raises ArgumentError for a chip that
+        closes no loop."""
+        raise ArgumentError(
+            f"a {self.chip.MAP.chip} on axis {self.axis.name} closes no loop: it has no filter to tune."
+        )
+
+    def write_servo_move(
+        self, program: Operations, values: Mapping[str, int], counts: int, rates: tuple[float, float] | None
+    ) -> None:
+        """From power-up to the start of a servo's move, with a filter: bus cycles. values: of `filter_choices`, by name; rates:
+        counts/s and counts/s2 of a trapezoid; None: a position step."""
+        raise ArgumentError(f"a {self.chip.MAP.chip} on axis {self.axis.name} closes no loop.")
 
     def no_s_curves(self) -> ArgumentError:
         return ArgumentError(f"s_curve=True: a {self.chip.MAP.chip} has linear ramps only.")

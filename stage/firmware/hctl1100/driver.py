@@ -11,13 +11,14 @@ from typing import Any, NoReturn, cast
 
 import numpy as np
 
-from stage.chips.hctl1100.maps import NUMBERS
+from stage.chips.hctl1100.maps import MINIMUM_T, NUMBERS
 from stage.errors import ArgumentError, RunTimeout
+from stage.firmware.choices import Choices, choices
 from stage.firmware.driver import SETTLE, Driver, Speeds
 from stage.firmware.hctl1100.home import home, leave_limit
 from stage.firmware.hctl1100.moves import Tuning, acceleration_word, cruise, set_up, trapezoid, velocity_word
 from stage.firmware.hctl1100.pattern import Pattern
-from stage.firmware.hctl1100.port import INIT, LIMIT, Port
+from stage.firmware.hctl1100.port import CONTROL, FLAGS, IDLE, INIT, LIMIT, SET, Port
 from stage.firmware.hctl1100.profile import follow, synchronize
 from stage.firmware.report import Procedure, Report
 from stage.firmware.search import Search
@@ -177,7 +178,33 @@ class Hctl1100Driver(Driver):
         self._no("the formulas make registers of pulse rates")
 
     def write_stop(self, program: Operations) -> None:
-        program.register(self.index, self.chip, "R05", 0x01)
+        program.register(self.index, self.chip, "R05", IDLE)
+
+    def filter_choices(self, trapezoid: bool) -> Choices:
+        least = MINIMUM_T["trapezoid" if trapezoid else "position"]
+        return choices({"R22": (1, 0xFF), "R20": (0, 0xFF), "R21": (0, 0xFF), "R0F": (least, 0xFF)})
+
+    def write_servo_move(
+        self, program: Operations, values: Mapping[str, int], counts: int, rates: tuple[float, float] | None
+    ) -> None:
+        """In Init/Idle, so that no command falls into the unsafe part of a sample. Rates are rounded to counts a sample."""
+
+        def put(name: str, value: int) -> None:
+            program.register(self.index, self.chip, name, value)
+
+        for name, value in values.items():
+            put(name, value)
+        put("R13", 0)  # the actual position is 0
+        if rates is None:
+            put("command_position", counts)
+        else:
+            sample = 16 * (values["R0F"] + 1) / self.chip.clock_hz
+            put("R00", SET | FLAGS["trapezoid"])
+            put("command_position", 0)
+            put("final_position", counts)
+            for name, rate in (("maximum_velocity", rates[0] * sample), ("acceleration", rates[1] * sample**2 * 256)):
+                put(name, int(np.clip(round(rate), 1, NUMBERS[name].most)))
+        put("R05", CONTROL)
 
     def search(self, settings: Any) -> Search:
         self._no("OriginReturn writes an origin return of pulses")
