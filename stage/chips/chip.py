@@ -19,9 +19,8 @@ from zlib import crc32
 import numpy as np
 
 from stage import snapshots
-from stage.chips.decode import Decoder
+from stage.chips.describe import Decoder, Listener
 from stage.chips.journal import Journal
-from stage.chips.listener import Listener
 from stage.chips.register_map import RegisterMap, dump
 from stage.errors import ArgumentError, StageError, unknown
 from stage.native import plain
@@ -139,6 +138,12 @@ class Chip:
     AXES: ClassVar[int] = 1
     WIRING: ClassVar[dict[str, str]] = {}
     """Which pin a switch of a stage is wired to, where it has another name than the switch; see `wired`."""
+    WIRES: ClassVar[dict[str, tuple[str, int]]] = {}
+    """Pin -> (name on the wire, level while asserted). As HDL people write it, `_n` marks a signal that is active low. A pin that
+    is not there shows under its own name in capitals, 1 = asserted."""
+    PHASES: ClassVar[dict[str, str]] = {}
+    """Output pin -> phase of the chip: hold, up, keep, down; idle, profile, control of a servo. The first that is asserted counts;
+    hold if none is, or control of a servo."""
     SERVO: ClassVar[bool] = False
     """Drives a DC motor with an encoder, not a stepper."""
     IN_POSITION: ClassVar[float] = 4.0
@@ -261,6 +266,11 @@ class Chip:
     def running(cls, edges: np.ndarray) -> np.ndarray:
         """Whether the axis of a course drives, from each of its edges on (bool)."""
         return cls.rates(edges) != 0
+
+    @classmethod
+    def turns(cls, address: int, value: int) -> bool | None:
+        """Whether this bus write makes minus the direction of the drives to come; None if it says nothing of a direction."""
+        return None
 
     def options(self) -> dict[str, Any]:
         """What the chip was made with: type(chip)(**chip.options()) is another of its kind."""

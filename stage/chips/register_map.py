@@ -2,12 +2,14 @@
 
 A map says for every bit what it means and on what evidence: S data sheet, H vendor header, D another page of the
 manual, C working drivers agree, M memory of the manual, I inferred, ? in doubt. A core takes its masks, bit numbers and
-command codes from here when it is imported: `MAP.mask("WR3", "SACC")`, `MAP.command("DV").code`.
+command codes from here when it is imported: `MAP.mask("WR3", "SACC")`, `MAP.command("DV").code`. What a value of a field
+means is data, too: `Field.values`. Dumps, traces, diagnostics and whoever offers a choice read it there.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TypeVar
 
@@ -26,7 +28,17 @@ COMMAND_KINDS = ("data write", "mode write", "data read", "drive", "interpolatio
 
 @dataclass(frozen=True)
 class Field:
-    """Bits `high`..`low` of a register, command or status word. `legal`: its range, where not every value means something."""
+    """Bits `high`..`low` of a register, command or status word. `legal`: its range, where not every value means something.
+
+    meaning: what the bits are about; of a field without `values` what it says when it is not 0. May be empty where the values say
+        it all.
+    values: what each value says, of a field that chooses; `between` meaning and value in a sentence. A value that the sources do
+        not explain is not there. listed: a dump lists them.
+    note: what a dump says further.
+    silent: the value that says nothing new, so that a trace leaves it out; None: each is worth a word.
+    pins: of a status bit, the pin that it shows, with `/` before it where the bit is 0 while the pin is asserted; two where the
+        direction says which: that of plus, that of minus.
+    """
 
     name: str
     high: int
@@ -35,6 +47,12 @@ class Field:
     evidence: str = "S"
     access: str = "RW"
     legal: tuple[int, int] | None = None
+    values: Mapping[int, str] = field(default_factory=dict, hash=False)
+    note: str = ""
+    silent: int | None = 0
+    pins: tuple[str, ...] = ()
+    between: str = ": "
+    listed: bool = True
 
     @property
     def mask(self) -> int:
@@ -48,12 +66,32 @@ class Field:
         """The field's value in `word`."""
         return (word & self.mask) >> self.low
 
+    def code(self, says: str) -> int:
+        """The bits, in place, of the value that says this. Raises ArgumentError with near misses."""
+        return _found({text: v for v, text in self.values.items()}, says, f"value of {self.name}") << self.low
+
+    def says(self, value: int) -> str:
+        """What this value of the field says, in words; "" where the map has no words for it."""
+        if self.values:
+            text = self.values.get(value, "")
+            return f"{self.meaning}{self.between}{text}" if text and self.meaning else text
+        return self.meaning if value and self.high == self.low else ""
+
+    @property
+    def text(self) -> str:
+        """All that a dump says of it: the meaning, the values, the note."""
+        listed = [f"{v} {text}" for v, text in self.values.items()] if self.listed else []
+        values = ("; " if any("," in text for text in listed) else ", ").join(listed)
+        said = ": ".join(part for part in (self.meaning, values) if part)
+        return "; ".join(part for part in (said, self.note) if part)
+
 
 @dataclass(frozen=True)
 class Register:
     """One register: `number` is how the chip selects it, `bits` its width, `legal` the data sheet's range.
 
-    `signed`: two's complement. `also`: legal values outside the range. `reset`: what it holds after reset, if known.
+    `signed`: two's complement. `also`: legal values outside the range. `reset`: what it holds after reset, if known. `title` is
+    what one calls it, `note` what there is to know besides.
     """
 
     name: str
@@ -68,6 +106,12 @@ class Register:
     signed: bool = False
     also: tuple[int, ...] = ()
     reset: int | None = None
+    note: str = ""
+
+    @property
+    def text(self) -> str:
+        """Title and note."""
+        return _text(self.title, self.note)
 
     @property
     def mask(self) -> int:
@@ -101,12 +145,18 @@ class Register:
 
 @dataclass(frozen=True)
 class Word:
-    """A command or status word: what selects it, its bits, and how many it has."""
+    """A command or status word: what one calls it, what there is to know besides, its bits, and how many it has."""
 
     name: str
     title: str
     fields: tuple[Field, ...]
     bits: int = 8
+    note: str = ""
+
+    @property
+    def text(self) -> str:
+        """Title and note."""
+        return ", ".join(part for part in (self.title, self.note) if part)
 
     @cached_property
     def used(self) -> int:
@@ -118,8 +168,9 @@ class Word:
 class Command:
     """A command code. `bytes`: of data that it takes or returns, in the range `legal`. `kind`: one of COMMAND_KINDS.
 
-    `choice`: bits of the code that choose what it acts on; at least one is set. `axes`: it is sent to axes.
-    `starts`: it begins a drive.
+    `choice`: bits of the code that choose what it acts on, by the names `chooses`, the lowest first; at least one is set. `axes`:
+    it is sent to axes. `starts`: it begins a drive. `together`: so many axes take part, of a command that moves several;
+    `points`: it leads them to finish points.
     """
 
     code: int
@@ -133,6 +184,10 @@ class Command:
     choice: int = 0
     axes: bool = True
     starts: bool = False
+    note: str = ""
+    chooses: tuple[str, ...] = ()
+    together: tuple[int, ...] = ()
+    points: bool = False
 
     @property
     def codes(self) -> tuple[int, ...]:
@@ -141,8 +196,9 @@ class Command:
 
     @property
     def what(self) -> str:
-        """Title and unit."""
-        return self.title + (f" ({self.unit})" if self.unit else "")
+        """Title, note and unit."""
+        chosen = f" {self.chooses[0]} to {self.chooses[-1]}" if self.chooses else ""
+        return _text(self.title + chosen, self.note) + (f" ({self.unit})" if self.unit else "")
 
     @property
     def hex(self) -> str:
@@ -152,7 +208,7 @@ class Command:
 
 def writes(r: Register, kind: str = "data write", axes: bool = True) -> Command:
     """The command that writes `r`, where a register's number is this command's code."""
-    return Command(r.number, r.name, r.title, kind, r.bits // 8, r.legal, r.evidence, r.unit, axes=axes)
+    return Command(r.number, r.name, r.title, kind, r.bits // 8, r.legal, r.evidence, r.unit, axes=axes, note=r.note)
 
 
 def reads(r: Register, code: int | None = None, evidence: str = "", axes: bool = True) -> Command:
@@ -210,6 +266,10 @@ class RegisterMap:
         """The number of a field's lowest bit."""
         return self.field(where, name).low
 
+    def masks(self, where: str, *names: str) -> tuple[int, ...]:
+        """The bits of several fields of one register or word, each in place."""
+        return tuple(self.mask(where, name) for name in names)
+
     @cached_property
     def _registers(self) -> dict[str, Register]:
         return {r.name: r for r in self.registers}
@@ -263,7 +323,7 @@ def dump(map_: RegisterMap, values: dict[str, int] | None = None) -> str:
             lines.append(_field(f, values.get(r.name) if values else None) + fixed)
     for w in map_.words:
         now = f" = {values[w.name]:0{w.bits // 4}X}h" if values and w.name in values else ""
-        lines += ["", f"{w.name}: {w.title}{now}"]
+        lines += ["", f"{w.name}: {w.text}{now}"]
         lines += [_field(f, values.get(w.name) if values else None) for f in w.fields]
     if map_.commands:
         wide = max(len(c.symbol) for c in map_.commands) + 2
@@ -276,17 +336,21 @@ def dump(map_: RegisterMap, values: dict[str, int] | None = None) -> str:
     return "\n".join(lines)
 
 
+def _text(title: str, note: str) -> str:
+    return f"{title}: {note}" if note else title
+
+
 def _legal(r: Register) -> str:
     return " or ".join([f"{r.legal[0]}..{r.legal[1]}", *map(str, r.also)]) if r.legal else "any"
 
 
 def _title(r: Register) -> str:
-    return r.title + (f"; {r.reset} after reset" if r.reset else "")
+    return r.text + (f"; {r.reset} after reset" if r.reset else "")
 
 
 def _field(f: Field, word: int | None) -> str:
     now = "" if word is None else f" = {f.of(word)}"
-    return f"  b{f.bits:<7}{f.name:14}{f.evidence:3}{f.meaning}{now}"
+    return f"  b{f.bits:<7}{f.name:14}{f.evidence:3}{f.text}{now}"
 
 
 def _tags(map_: RegisterMap) -> set[str]:

@@ -7,12 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from stage.chips.pcl240.state import SPAN
 from stage.chips.register_map import RegisterMap
 from stage.errors import ArgumentError
 
 POINT_MOST = 0xFFFFF
-SPAN_MOST = 0xFFF
-"""Of R6 and of the spans in R14 and R15 of a PCL-240: no move here is longer."""
+"""Of R6 of a PCL-240: no move here is longer."""
 
 
 class Choices(NamedTuple):
@@ -40,5 +40,5 @@ def limits(map_: RegisterMap, name: str) -> tuple[int, int]:
     r = map_.register(name)
     if r.legal is None and name not in ("R14", "R15"):
         raise ArgumentError(f"{map_.chip} {name} has no legal range to choose from.")
-    low, high = r.legal or (0, SPAN_MOST)
+    low, high = r.legal or (0, SPAN)
     return low, min(high, POINT_MOST) if name == "R6" else high

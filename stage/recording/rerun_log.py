@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import mujoco
 import numpy as np
 
-from stage.chips.decode import Said
+from stage.chips.describe import Said
 from stage.chips.journal import Replay
 from stage.recording import scene, signals
 from stage.recording.sink import Sink

@@ -1,7 +1,4 @@
-"""Pins as the bench sees them: names and polarity on the wire, chip phases, status bits. One table for all families.
-
-A pin that is in no table shows under its own name in capitals, 1 = asserted.
-"""
+"""Pins as the bench sees them: names and polarity on the wire, chip phases, status bits; each family says what its own are."""
 
 from __future__ import annotations
 
@@ -14,16 +11,6 @@ import numpy as np
 from stage.chips.entries import RESET, WRITE
 from stage.chips.journal import Journal, Replay
 
-WIRES = {
-    "el_plus": ("EL_PLUS_n", 0), "el_minus": ("EL_MINUS_n", 0), "sd_plus": ("SD_PLUS_n", 0), "sd_minus": ("SD_MINUS_n", 0),
-    "org": ("ORG_n", 0), "extp": ("EXTP_n", 0), "ez": ("EZ_n", 0), "ins": ("INS", 1), "pout": ("POUT_n", 0), "pdir": ("PDIR", 0),
-    "irq": ("INT_n", 0), "ots": ("OTS", 1), "hold": ("HOLD", 1), "fdown": ("FDOWN", 1), "fkeep": ("FKEEP", 1),
-    "fup": ("FUP", 1), "lt": ("LT", 1), "zero": ("ZERO", 1),
-    "limit": ("LIMIT_n", 0), "stop": ("STOP_n", 0), "index": ("INDEX_n", 0), "sync": ("SYNC_n", 0),
-}  # fmt: skip
-"""Pin -> (name on the wire, level while asserted). As HDL people write it, `_n` marks a signal that is active low.
-PDIR is a level: 0 minus, 1 plus (data sheet section 2)."""
-
 SWITCHES = {
     "el_minus": ("EL-", "el"), "org": ("ORG", "org"), "sd_minus": ("SD-", "sd"), "sd_plus": ("SD+", "sd"),
     "el_plus": ("EL+", "el"),
@@ -31,17 +18,6 @@ SWITCHES = {
 """Switch pin -> (label, kind), in the order along an axis."""
 
 HOLD, CONTROL = "hold", "control"
-PHASES = {
-    "hold": HOLD, "fup": "up", "asnd": "up", "fkeep": "keep", "cnst": "keep", "fdown": "down", "dsnd": "down",
-    "init": "idle", "prof": "profile",
-}  # fmt: skip
-"""Output pin -> phase of the chip; the first that is asserted counts, hold if none is, or control where the chip is a servo's."""
-
-STATUS = {
-    "no_int": ("irq", 0), "operating": ("hold", 0), "fkeep": ("fkeep", 1), "lt": ("lt", 1), "zero": ("zero", 1),
-    "org": ("org", 1), "ins": ("ins", 1),
-}  # fmt: skip
-"""Status bit -> (pin, what the bit is while the pin is asserted). `sd` is missing: it is that of the direction."""
 
 
 def plain(name: str) -> str:
@@ -49,9 +25,9 @@ def plain(name: str) -> str:
     return re.sub(r"\W+", "_", name, flags=re.ASCII) or "_"
 
 
-def wire(pin: str) -> tuple[str, int]:
-    """(name, level while asserted) of a pin."""
-    return WIRES.get(pin, (pin.upper(), 1))
+def wire(chip: Any, pin: str) -> tuple[str, int]:
+    """(name, level while asserted) of a chip's pin."""
+    return chip.WIRES.get(pin, (pin.upper(), 1))
 
 
 def settled(pieces: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
@@ -95,13 +71,14 @@ def asserted(chip: Any, edges: np.ndarray, pin: str) -> np.ndarray:
 def phases_of(chip: Any) -> list[str]:
     """The phases that a chip can have, the one without a pin last."""
     rest = CONTROL if chip.SERVO else HOLD
-    return [*dict.fromkeys(PHASES[p] for p in PHASES if p in chip.OUTPUTS and PHASES[p] != rest), rest]
+    return [*dict.fromkeys(phase for phase in chip.PHASES.values() if phase != rest), rest]
 
 
 def phases(chip: Any, edges: np.ndarray) -> np.ndarray:
     """The chip's phase from each edge on: up, keep, down, hold; of a servo's idle, profile, control."""
-    known = [p for p in PHASES if p in chip.OUTPUTS]
-    return np.select([asserted(chip, edges, p) for p in known], [PHASES[p] for p in known], phases_of(chip)[-1])
+    rest = np.full(len(edges), phases_of(chip)[-1])
+    found = [asserted(chip, edges, pin) for pin in chip.PHASES]
+    return np.select(found, list(chip.PHASES.values()), rest) if found else rest
 
 
 def seen_switches(axis: Any) -> Iterator[tuple[str, str, str]]:
@@ -128,32 +105,24 @@ def status(chip: Any, edges: np.ndarray, minus: np.ndarray) -> dict[str, np.ndar
         return {}
     out = {}
     for field in word.fields:
-        if field.name == "sd":
-            out["sd"] = np.where(minus, asserted(chip, edges, "sd_minus"), asserted(chip, edges, "sd_plus"))
-        elif field.name in STATUS:
-            pin, level = STATUS[field.name]
-            out[field.name] = asserted(chip, edges, pin) == bool(level)
+        shown = [asserted(chip, edges, pin.removeprefix("/")) != pin.startswith("/") for pin in field.pins]
+        if shown:
+            out[field.name] = np.where(minus, shown[-1], shown[0])
     return out
 
 
-def directions(journal: Journal) -> tuple[np.ndarray, np.ndarray]:
-    """(clocks, minus): the direction that the control mode says, from each clock on; the first clock is the start's."""
+def directions(chip: Any, journal: Journal) -> tuple[np.ndarray, np.ndarray]:
+    """(clocks, minus): the direction that bus writes say, from each clock on; the first clock is the start's."""
     start = journal.start
     if "minus" not in (start.dtype.names or ()):
         return np.array([int(start["clock"])]), np.array([False])
     clocks, minus = [int(start["clock"])], [bool(start["minus"])]
-    for clock, value in _modes(journal):
-        clocks.append(clock)
-        minus.append(value)
-    return np.array(clocks, np.int64), np.array(minus)
-
-
-def _modes(journal: Journal) -> Iterator[tuple[int, bool]]:
     for e in journal.entries:
-        if e.kind == RESET:
-            yield e.clock, False
-        elif e.kind == WRITE and e.a == 0 and e.b >> 6 == 1:
-            yield e.clock, bool(e.b & 0x08)
+        way = False if e.kind == RESET else chip.turns(e.a, e.b) if e.kind == WRITE else None
+        if way is not None:
+            clocks.append(e.clock)
+            minus.append(way)
+    return np.array(clocks, np.int64), np.array(minus)
 
 
 def rates(edges: np.ndarray, clock_hz: int) -> np.ndarray:

@@ -65,7 +65,7 @@ def _hz(recording: Recording, axis: str) -> int:
 def _pins(recording: Recording, axis: str, writer: Any) -> Iterator[Change]:
     """Register the pins, counter, rate and status of an axis now; their changes are the iterator."""
     chip, journal = recording.axes[axis].chip, recording.journals[axis]
-    clocks, minus = signals.directions(journal)
+    clocks, minus = signals.directions(chip, journal)
 
     def levels(edges: np.ndarray) -> dict[str, tuple[str, int, np.ndarray]]:
         way = minus[np.searchsorted(clocks, edges["clock"], side="right") - 1]
@@ -99,7 +99,7 @@ def _levels(chip: Any, edges: np.ndarray, minus: np.ndarray) -> dict[str, tuple[
     """Signal name -> (kind, bits, value from each edge on)."""
     out: dict[str, tuple[str, int, np.ndarray]] = {}
     for pin in (*chip.OUTPUTS, *chip.INPUTS):
-        name, level = signals.wire(pin)
+        name, level = signals.wire(chip, pin)
         out[name] = ("wire", 1, (signals.asserted(chip, edges, pin) == bool(level)).astype(np.int64))
     counter, bits = chip.COUNTER
     out[counter] = ("reg", bits, edges["counter"])

@@ -29,6 +29,8 @@ import mujoco
 
 from stage.chips import Chip
 from stage.chips.pcl240 import PCL240
+from stage.chips.pcl240.maps import OPERATE
+from stage.chips.pcl240.state import GROUP, START, STOP
 from stage.drives import stepper
 from stage.errors import ArgumentError, unknown
 from stage.sim.engine import MAX_TOGGLES
@@ -250,7 +252,7 @@ def start_skew(axis: Axis, seconds: float) -> Fault:
         raise ArgumentError(f"seconds={seconds!r}: the CPU comes back after 0 s or more.")
 
     def glitch(address: int, value: int) -> bool:
-        if address == 0 and value & 0xD8 == 0x10:  # operating command, start and not stop
+        if address == 0 and value & (GROUP | START | STOP) == OPERATE | START:
             fault.mend()
             axis._stage.run(seconds)
         return False

@@ -14,7 +14,7 @@ import pytest
 
 import stage as package
 from stage.board.bus import STRAY
-from stage.chips.decode import decode
+from stage.chips.describe import decode
 from stage.errors import StageError
 from stage.sim import plant
 from stage.testing.assertions import distance, pulse_rate

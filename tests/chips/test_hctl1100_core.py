@@ -7,7 +7,7 @@ from hctl1100_bench import SAMPLE, bench, moving, position, trapezoid
 from hctl1100_programs import COMMAND, begin, velocity, word
 
 from stage.chips import HCTL1100
-from stage.chips.decode import decode
+from stage.chips.describe import decode
 from stage.chips.hctl1100 import core
 
 

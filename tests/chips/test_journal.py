@@ -7,7 +7,7 @@ import pytest
 
 from stage import faults
 from stage.chips import CHIPS, MCX304, MCX514, PCL240MK
-from stage.chips.decode import decode
+from stage.chips.describe import decode
 from stage.chips.entries import INPUT, PACKED, READ, WRITE, Entries, Entry
 
 

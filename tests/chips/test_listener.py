@@ -7,7 +7,7 @@ import pytest
 from examples import FIXED
 
 from stage.chips import CHIPS, HCTL1100, MCX302, MCX304, MCX312, MCX514, PCL240K, PCL240MK, PCL240MS
-from stage.chips.listener import LONGEST
+from stage.chips.describe import LONGEST
 
 NOVA = (MCX514, MCX304, MCX302, MCX312)
 PCL = (PCL240K, PCL240MK, PCL240MS)
@@ -234,7 +234,7 @@ def test_on_the_8_bit_bus_a_byte_says_what_its_word_is_then():
         "X: WR2 (input signals): STOP0 stops the drive",
         "X: WR2 (input signals): software limits stop the drive, STOP0 stops the drive",
         "WR0 bits 15..8 = 02h: waits for bits 7..0",
-        "Y: set input signal filters FLM = 100Fh: time constant of FE6 = 1, FE3, FE2, filter of LMT+, LMT-, filter of EMG",
+        "Y: set input signal filters FLM = 100Fh: time of FE6, FE7: 1 us, FE3, FE2, filter of LMT+, LMT-, filter of EMG",
         "Y: WR2 (input signals): software limits stop the drive",
     ]
     assert listeners[0].read(16, 0x01) == "RR0 bits 7..0: X is driving"

@@ -122,7 +122,7 @@ def test_wr2_to_wr5_take_anything_while_they_are_bp_registers():
 @every_chip
 def test_every_command_with_legal_data_to_one_resting_axis_passes(chip):
     for c in chip.commands:
-        held = {"interpolated": {1: 1, 3: 7, 4: 15}.get(lint.INTERPOLATION_AXES.get(c.symbol, (2,))[0], 3)}
+        held = {"interpolated": {1: 1, 3: 7, 4: 15}.get((c.together or (2,))[0], 3)}
         if c.kind in ("data write", "mode write"):
             r = chip.register(c.symbol)
             lows = sum(f.legal[0] << f.low for f in r.fields if f.legal)

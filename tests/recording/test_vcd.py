@@ -71,7 +71,7 @@ def test_pulses_pins_status_and_counter_are_those_of_the_chip_to_the_clock(tmp_p
         ns = nanoseconds(now, HZ)
         assert vcd.at("x.R0", ns) == r0
         for pin, on in pins.items():
-            name, asserted = signals.wire(pin)
+            name, asserted = signals.wire(bench.chip, pin)
             assert vcd.at(f"x.{name}", ns) == (asserted if on else 1 - asserted), (seed, now, pin)
         for field in PCL240K.MAP.word("status").fields:
             assert vcd.at(f"x.status.{field.name}", ns) == field.of(status), (seed, now, field.name)

@@ -17,10 +17,8 @@ import numpy as np
 
 from stage.chips.chip import Chip
 from stage.chips.hctl1100 import core, lint
-from stage.chips.hctl1100.decode import Decoder
-from stage.chips.hctl1100.listen import Listener
-from stage.chips.hctl1100.maps import MAP, NUMBERS
-from stage.chips.hctl1100.state import ADDRESSES
+from stage.chips.hctl1100.describe import Decoder, Listener
+from stage.chips.hctl1100.maps import ACTUAL_LOW, ADDRESSES, MAP, NUMBERS, STATUS
 from stage.errors import ArgumentError
 
 __all__ = ["HCTL1100"]
@@ -37,12 +35,14 @@ class HCTL1100(Chip):
     INPUTS: ClassVar = core.INPUTS
     OUTPUTS: ClassVar = core.OUTPUTS
     WIRING: ClassVar = {"el_plus": "limit", "el_minus": "limit", "org": "stop", "ez": "index"}
+    WIRES: ClassVar = {name: (f"{name.upper()}_n", 0) for name in core.INPUTS}
+    PHASES: ClassVar = {"init": "idle", "prof": "profile"}
     SERVO: ClassVar = True
     IN_POSITION: ClassVar = 10.0  # counts: a filter without an integral holds a weight by an error
-    READING_ACTS: ClassVar = frozenset({0x14})
+    READING_ACTS: ClassVar = frozenset({ACTUAL_LOW})
     DEFAULT_CLOCK_HZ: ClassVar = 2_000_000
     ADDRESSES: ClassVar = ADDRESSES
-    BUSY: ClassVar = (0x07, MAP.mask("R07", "profile"))
+    BUSY: ClassVar = (STATUS, MAP.mask("R07", "profile"))
     COUNTER: ClassVar = ("R14", 24)
     DRIVER: ClassVar = "stage.firmware.hctl1100.driver:Hctl1100Driver"
     TRACED: ClassVar = {"R0E": ("command", 24), "MC": ("motor", 8)}

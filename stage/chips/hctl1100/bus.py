@@ -4,10 +4,38 @@ from __future__ import annotations
 
 from stage.chips.hctl1100 import commutator, encoder, motor
 from stage.chips.hctl1100 import filter as law
-from stage.chips.hctl1100.maps import FLAG_WRITE, MAP
-from stage.chips.hctl1100.profile import COMMAND_VELOCITY
-from stage.chips.hctl1100.state import (
+from stage.chips.hctl1100.maps import (
+    ACTUAL_HIGH,
+    ACTUAL_LOW,
+    ACTUAL_MIDDLE,
     ADDRESSES,
+    CLEAR,
+    COMMAND_HIGH,
+    COMMAND_LOW,
+    COMMAND_MIDDLE,
+    FLAG,
+    FLAG_WRITE,
+    GAIN,
+    INTEGRAL_VELOCITY,
+    MAP,
+    MODE,
+    MODE_WRITE,
+    POLE,
+    PORT,
+    PRESET_HIGH,
+    PRESET_LOW,
+    PRESET_MIDDLE,
+    PROPORTIONAL_HIGH,
+    PROPORTIONAL_LOW,
+    PWM,
+    STATUS,
+    TIMER,
+    VELOCITY_HIGH,
+    VELOCITY_LOW,
+    ZERO,
+    after_reset,
+)
+from stage.chips.hctl1100.state import (
     CONTROL,
     F0,
     F1,
@@ -22,15 +50,19 @@ from stage.chips.hctl1100.state import (
     control_mode,
     signed,
 )
-from stage.chips.hctl1100.timer import T, obey_sync, running_count, start
+from stage.chips.hctl1100.timer import obey_sync, running_count, start
 from stage.native import hot
 
 ALL_FLAGS = sum(f.mask for f in MAP.register("R00").fields)
-SET = next(f.mask for f in FLAG_WRITE.fields if f.name == "set")
+SET, NUMBER = (f.mask for f in FLAG_WRITE.fields)
+TO_RESET, TO_IDLE, TO_ALIGN, TO_CONTROL = (
+    MODE_WRITE.fields[0].code(name) for name in ("reset", "Init/Idle", "Align", "control")
+)
 NOT_LIMIT, NOT_STOP, INIT_BIT, PROFILE_BIT = (MAP.mask("R07", name) for name in ("limit", "stop", "init", "profile"))
 KEPT_STATUS = MAP.register("R07").writable
-RESET_AT = (0x0F, 0x20, 0x21, 0x22)
-RESET_TO = tuple(MAP.register(f"R{k:02X}").reset or 0 for k in RESET_AT)
+PORT_ZERO = MAP.register("R08").reset or 0
+RESET_AT = (TIMER, ZERO, POLE, GAIN)
+RESET_TO = tuple(after_reset(name) for name in ("timer", "zero", "pole", "gain"))
 UNREADABLE = tuple(1 if any(r.number == k and r.access == "W" for r in MAP.registers) else 0 for k in range(ADDRESSES))
 
 
@@ -90,7 +122,7 @@ def set_pins(c, word):
 @hot
 def _flag(c, value):
     """A write to R00."""
-    bit = 1 << (value & 7) & ALL_FLAGS & ~F1
+    bit = 1 << (value & NUMBER) & ALL_FLAGS & ~F1
     before = control_mode(c.flag)
     if bit == F4 and bool(value & SET) != bool(c.flag & F4):
         if value & SET:
@@ -108,12 +140,12 @@ def _flag(c, value):
 @hot
 def _go(c, value):
     """A write to R05."""
-    if value == 0:
+    if value == TO_RESET:
         soft_reset(c)
-    elif value == 1:
+    elif value == TO_IDLE:
         idle(c)
-    elif c.mode == IDLE and not c.limited and value <= 3:
-        if value == 2:
+    elif c.mode == IDLE and not c.limited and value in (TO_ALIGN, TO_CONTROL):
+        if value == TO_ALIGN:
             commutator.align(c)
         else:
             c.mode = CONTROL
@@ -142,41 +174,41 @@ def _latch_command(c, low):
 @hot
 def write_byte(c, address, value):
     """One bus write cycle."""
-    if address == 0x00:
+    if address == FLAG:
         _flag(c, value)
-    elif address == 0x05:
+    elif address == MODE:
         _go(c, value)
-    elif address == 0x07:
+    elif address == STATUS:
         _clear_status(c, value)
-    elif address == 0x0C:
+    elif address == COMMAND_HIGH:
         c.high = value
-    elif address == 0x0D:
+    elif address == COMMAND_MIDDLE:
         c.middle = value
-    elif address == 0x0E:
+    elif address == COMMAND_LOW:
         _latch_command(c, value)
-    elif address == 0x13:
+    elif address == CLEAR:
         c.zero = encoder.raw(c)
-    elif address == 0x08 or address == 0x09 or 0x15 <= address <= 0x17:
+    elif address in (PORT, PWM) or PRESET_HIGH <= address <= PRESET_LOW:
         if c.mode == IDLE:
             _write_idle(c, address, value)
     else:
         c.reg[address] = value & STORED[address]
-        if address == 0x23 or address == 0x24:
+        if address in (PROPORTIONAL_LOW, PROPORTIONAL_HIGH):
             law.tear_velocity(c, PROPORTIONAL)
-        elif address == COMMAND_VELOCITY:
+        elif address == INTEGRAL_VELOCITY:
             law.tear_velocity(c, INTEGRAL)
 
 
 @hot
 def _write_idle(c, address, value):
     """What can be written in Init/Idle only."""
-    if address == 0x08:
-        motor.to_port(c, value - 0x80)
-    elif address == 0x09:
+    if address == PORT:
+        motor.to_port(c, value - PORT_ZERO)
+    elif address == PWM:
         motor.to_pwm(c, signed(value, 8))
-    elif address == 0x15:
+    elif address == PRESET_HIGH:
         c.preset_high = value
-    elif address == 0x16:
+    elif address == PRESET_MIDDLE:
         c.preset_middle = value
     else:
         c.zero = encoder.raw(c) - (c.preset_high << 16 | c.preset_middle << 8 | value)
@@ -192,27 +224,27 @@ def status_byte(c):
 @hot
 def peek_byte(c, address):
     """What a read returns, without what it does."""
-    if address == 0x00:
+    if address == FLAG:
         return c.flag | (F1 if c.mode == IDLE else 0)
-    if address == 0x07:
+    if address == STATUS:
         return status_byte(c)
-    if address == 0x08:
-        return c.port + 0x80
-    if address == 0x09:
+    if address == PORT:
+        return c.port + PORT_ZERO
+    if address == PWM:
         return c.pwm & 0xFF
-    if 0x0C <= address <= 0x0E:
-        return c.command >> 8 * (0x0E - address) & 0xFF
-    if address == T:
+    if COMMAND_HIGH <= address <= COMMAND_LOW:
+        return c.command >> 8 * (COMMAND_LOW - address) & 0xFF
+    if address == TIMER:
         return running_count(c)
-    if address == 0x12:
+    if address == ACTUAL_HIGH:
         return c.latch >> 16 & 0xFF
-    if address == 0x13:
+    if address == ACTUAL_MIDDLE:
         return c.latch >> 8 & 0xFF
-    if address == 0x14:
+    if address == ACTUAL_LOW:
         return encoder.actual(c) & 0xFF
-    if address == 0x34:
+    if address == VELOCITY_LOW:
         return c.speed & 0xFF
-    if address == 0x35:
+    if address == VELOCITY_HIGH:
         return c.speed >> 8 & 0xFF
     return 0 if UNREADABLE[address] else c.reg[address]
 
@@ -220,6 +252,6 @@ def peek_byte(c, address):
 @hot
 def read_byte(c, address):
     """One bus read cycle."""
-    if address == 0x14:
+    if address == ACTUAL_LOW:
         c.latch = encoder.actual(c) & 0xFFFFFF
     return peek_byte(c, address)

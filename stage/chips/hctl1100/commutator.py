@@ -12,10 +12,10 @@ from __future__ import annotations
 from stage.chips.hctl1100 import filter as law
 from stage.chips.hctl1100 import motor
 from stage.chips.hctl1100.encoder import heard, raw
+from stage.chips.hctl1100.maps import MOST_ADVANCE, OFFSET, PHASE_TIMER, RING, X, Y
 from stage.chips.hctl1100.state import ALIGN, CONTROL, F4, FOUR, FULL, PHA, signed
 from stage.native import greatest, hot, least
 
-RING, TIMER, X, Y, OFFSET, MOST_ADVANCE = 0x18, 0x19, 0x1A, 0x1B, 0x1C, 0x1F
 ALIGN_SAMPLES = 2048  # of each of two phases
 ALIGN_COMMAND = 127
 
@@ -59,7 +59,7 @@ def release(c):
 @hot
 def advance(c):
     """Counts of the ring that the shaft turns in the time of R19, at most R1F."""
-    turned = heard(c) * (16.0 * (c.reg[TIMER] + 1)) / _counts(c)
+    turned = heard(c) * (16.0 * (c.reg[PHASE_TIMER] + 1)) / _counts(c)
     most = float(c.reg[MOST_ADVANCE])
     return int(least(greatest(turned, -most), most))
 

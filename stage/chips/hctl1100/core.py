@@ -11,6 +11,7 @@ import numpy as np
 from stage.chips.cores import through
 from stage.chips.hctl1100 import bus, commutator, encoder, motor, timer
 from stage.chips.hctl1100 import filter as law
+from stage.chips.hctl1100.maps import ADDRESSES, PROPORTIONAL_HIGH, PROPORTIONAL_LOW, RING
 from stage.chips.hctl1100.state import (
     CONTROL,
     EDGE,
@@ -132,7 +133,7 @@ def pulse_rate(c, j, hz):
         return 0.0
     mode, sample = control_mode(c.flag), 16.0 * (c.period + 1)
     if mode == PROPORTIONAL:
-        return signed(c.reg[0x24] << 8 | c.reg[0x23], 16) * hz / (16.0 * sample)
+        return signed(c.reg[PROPORTIONAL_HIGH] << 8 | c.reg[PROPORTIONAL_LOW], 16) * hz / (16.0 * sample)
     return c.velocity * hz / (256.0 * sample) if mode in (TRAPEZOID, INTEGRAL) else 0.0
 
 
@@ -162,13 +163,13 @@ def power_up(c):
 @exported(None, STATE, "i8", "i8")
 def write(c, address, value):
     """One bus write cycle, between two clocks."""
-    bus.write_byte(c, address & 0x3F, value & 0xFF)
+    bus.write_byte(c, address & (ADDRESSES - 1), value & 0xFF)
 
 
 @exported("i8", STATE, "i8")
 def read(c, address):
     """One bus read cycle; that of R14 latches."""
-    return bus.read_byte(c, address & 0x3F)
+    return bus.read_byte(c, address & (ADDRESSES - 1))
 
 
 @exported("i8", STATE, "i8")
@@ -223,7 +224,7 @@ def _next_change(c, until):
     stop = until if c.mode == IDLE else least(until, c.next)
     if c.clock < c.dead:
         stop = least(stop, c.dead)
-    if c.reg[commutator.RING]:
+    if c.reg[RING]:
         stop = least(stop, encoder.next_count(c, stop))
     return stop
 

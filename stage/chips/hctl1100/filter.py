@@ -9,11 +9,10 @@ from __future__ import annotations
 
 from stage.chips.hctl1100 import motor, profile
 from stage.chips.hctl1100.encoder import raw
+from stage.chips.hctl1100.maps import GAIN, INTEGRAL_VELOCITY, POLE, PROPORTIONAL_HIGH, PROPORTIONAL_LOW, ZERO
 from stage.chips.hctl1100.state import CONTROL, INTEGRAL, LEAST_T, PROPORTIONAL, TRAPEZOID, control_mode, signed
 from stage.chips.hctl1100.timer import STEP
 from stage.native import hot
-
-A, B, K = 0x20, 0x21, 0x22
 
 
 @hot
@@ -26,15 +25,15 @@ def enter(c):
 @hot
 def _law(c, x):
     """MC(n) for X(n) = x."""
-    k = c.reg[K]
-    return motor.clipped(c, (256 * k * x - c.reg[A] * k * c.error - 4 * c.reg[B] * c.output) >> 10)
+    k = c.reg[GAIN]
+    return motor.clipped(c, (256 * k * x - c.reg[ZERO] * k * c.error - 4 * c.reg[POLE] * c.output) >> 10)
 
 
 @hot
 def _velocity_law(c):
     """MC(n) of proportional velocity: the command is 12.4, so the velocity counts in 16ths, too."""
-    y = signed(c.reg[0x24] << 8 | c.reg[0x23], 16) - 16 * c.speed
-    return motor.clipped(c, (c.reg[K] * y) >> 6)
+    y = signed(c.reg[PROPORTIONAL_HIGH] << 8 | c.reg[PROPORTIONAL_LOW], 16) - 16 * c.speed
+    return motor.clipped(c, (c.reg[GAIN] * y) >> 6)
 
 
 @hot
@@ -86,5 +85,5 @@ def tear_velocity(c, mode):
     if mode == PROPORTIONAL:
         motor.command(c, _velocity_law(c))
     else:
-        jump = ((signed(c.reg[profile.COMMAND_VELOCITY], 8) << 8) - c.velocity) >> 8
+        jump = ((signed(c.reg[INTEGRAL_VELOCITY], 8) << 8) - c.velocity) >> 8
         motor.command(c, _law(c, signed(c.error + jump, 24)))

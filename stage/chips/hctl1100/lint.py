@@ -8,7 +8,31 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from stage.chips.hctl1100.maps import MAP
+from stage.chips.hctl1100.maps import (
+    ACCELERATION,
+    COMMAND_LOW,
+    COMMAND_POSITION,
+    FINAL_POSITION,
+    FLAG,
+    FLAG_WRITE,
+    FRACTION,
+    INTEGRAL_VELOCITY,
+    MAP,
+    MODE,
+    MODE_WRITE,
+    MOST_ADVANCE,
+    MOST_VELOCITY,
+    OFFSET,
+    PORT,
+    PRESET_POSITION,
+    PROPORTIONAL_VELOCITY,
+    PWM,
+    RING,
+    TIMER,
+    WHOLE,
+    X,
+    Y,
+)
 from stage.chips.hctl1100.state import (
     CONTROL,
     CONTROL_MODES,
@@ -30,9 +54,15 @@ from stage.chips.hctl1100.state import (
 Note = tuple[str, str]
 REGISTERS = {r.number: r for r in MAP.registers}
 MODE_FLAGS = F0 | F3 | F5
-COMMANDS = {POSITION: (0x0E,), TRAPEZOID: (0x0E,), INTEGRAL: (0x0E, 0x3C), PROPORTIONAL: (0x23, 0x24)}
-PROFILE_DATA = (0x0C, 0x0D, 0x0E, 0x26, 0x27, 0x28, 0x29, 0x2A, 0x2B)
-IDLE_ONLY = (0x08, 0x09, 0x15, 0x16, 0x17)
+COMMANDS = {
+    POSITION: (COMMAND_LOW,), TRAPEZOID: (COMMAND_LOW,), INTEGRAL: (COMMAND_LOW, INTEGRAL_VELOCITY),
+    PROPORTIONAL: PROPORTIONAL_VELOCITY.addresses,
+}  # fmt: skip
+PROFILE_DATA = (*COMMAND_POSITION.addresses, *ACCELERATION.addresses, MOST_VELOCITY, *FINAL_POSITION.addresses)
+IDLE_ONLY = (PORT, PWM, *PRESET_POSITION.addresses)
+MODES = MODE_WRITE.fields[0]
+RESET, INIT, ALIGN = (MODES.code(name) for name in ("reset", "Init/Idle", "Align"))
+SET, NUMBER = FLAG_WRITE.fields
 _TIMER = "page 24"
 
 
@@ -45,11 +75,11 @@ def write(c: Any, encoder: Callable[[], int], address: int, value: int) -> Note 
         return f"{r.name} can only be read: the write does nothing", "register table"
     if address in IDLE_ONLY and c["mode"] != IDLE:
         return f"{r.name} is written outside of Init/Idle: ignored", r.name
-    if address == 0x00:
+    if address == FLAG:
         return _flag(c, value)
-    if address == 0x05:
+    if address == MODE:
         return _mode(c, encoder, value)
-    if address == 0x0F:
+    if address == TIMER:
         return _period(c, value)
     if r.legal and not r.allows(r.value(value)):
         return f"{r.name} = {r.value(value)}: {r.title} takes {r.legal[0]} to {r.legal[1]}", r.name
@@ -57,11 +87,12 @@ def write(c: Any, encoder: Callable[[], int], address: int, value: int) -> Note 
 
 
 def _flag(c: Any, value: int) -> Note | None:
-    bit, on = 1 << (value & 7), value & 8
+    number = NUMBER.of(value)
+    bit, on = 1 << number, SET.of(value)
     if bit == F1:
         return "F1 is set and cleared by the chip alone: write R05", "flags"
     if bit > F5:
-        return f"{value:02X}h: there is no flag {value & 7}", "flags"
+        return f"{value:02X}h: there is no flag {number}", "flags"
     others = int(c["flag"]) & MODE_FLAGS & ~bit
     if on and bit & MODE_FLAGS and others:
         names = " and ".join(f"F{k}" for k in range(6) if (others | bit) >> k & 1)
@@ -72,16 +103,17 @@ def _flag(c: Any, value: int) -> Note | None:
 
 
 def _mode(c: Any, encoder: Callable[[], int], value: int) -> Note | None:
-    if value > 3:
-        return f"R05 = {value:02X}h is no mode: 00h reset, 01h Init/Idle, 02h Align, 03h control", "R05"
-    if value < 2:
+    if value not in MODES.values:
+        known = ", ".join(f"{v:02X}h {mode}" for v, mode in MODES.values.items())
+        return f"R05 = {value:02X}h is no mode: {known}", "R05"
+    if value in (RESET, INIT):
         return None
     if c["mode"] != IDLE:
         return f"R05 = {value:02X}h outside of Init/Idle: ignored", "R05"
     if c["limited"]:
         return f"R05 = {value:02X}h while LIMIT has triggered: release the pin and write R07 first", "status"
-    if value == 2:
-        if not c["reg"][0x18]:
+    if value == ALIGN:
+        if not c["reg"][RING]:
             return "Align turns the motor by the commutator, whose ring R18 is 0", "Align"
         if c["flag"] & MODE_FLAGS or c["command"] or signed(encoder() - int(c["zero"]), 24):
             return "Align begins with F0, F3, F5 clear and both positions 0", "Align"
@@ -92,11 +124,11 @@ def _mode(c: Any, encoder: Callable[[], int], value: int) -> Note | None:
 def _begin(c: Any, flags: int) -> Note | None:
     """A control mode begins."""
     reg = c["reg"]
-    if flags & F0 and not (reg[0x26] or reg[0x27]):
+    if flags & F0 and not (reg[FRACTION] or reg[WHOLE]):
         return "a trapezoid with acceleration 0 (R27, R26) does not move and never ends", "trapezoid"
-    if flags & F0 and not reg[0x28]:
+    if flags & F0 and not reg[MOST_VELOCITY]:
         return "a trapezoid with maximum velocity 0 (R28) does not move and never ends", "trapezoid"
-    return _short(int(reg[0x0F]), control_mode(flags))
+    return _short(int(reg[TIMER]), control_mode(flags))
 
 
 def _short(t: int, mode: int) -> Note | None:
@@ -114,10 +146,10 @@ def _period(c: Any, value: int) -> Note | None:
 
 def _commutator(c: Any) -> Note | None:
     reg = c["reg"]
-    ring, offset, most = int(reg[0x18]), signed(int(reg[0x1C]), 8), int(reg[0x1F])
+    ring, offset, most = int(reg[RING]), signed(int(reg[OFFSET]), 8), int(reg[MOST_ADVANCE])
     phases = 4 if c["status"] & FOUR else 3
-    if ring and phases * (int(reg[0x1A]) + int(reg[0x1B])) != ring:
-        return f"the ring R18 = {ring} is not {phases} (X + Y) = {phases} ({reg[0x1A]} + {reg[0x1B]})", "commutator"
+    if ring and phases * (int(reg[X]) + int(reg[Y])) != ring:
+        return f"the ring R18 = {ring} is not {phases} (X + Y) = {phases} ({reg[X]} + {reg[Y]})", "commutator"
     if ring and not -128 <= 1.5 * ring + offset - most <= 1.5 * ring + offset + most <= 127:
         return (
             f"1.5 ring + offset +- maximum advance = {1.5 * ring + offset:g} +- {most} leaves -128 to 127",
@@ -138,7 +170,7 @@ def _moment(c: Any, address: int, value: int) -> Note | None:
             f"R{address:02X} is written while the sample is computed: wait until R0F has counted down by {LEAST_T[mode]}",
             _TIMER,
         )
-    if address == 0x3C and mode == INTEGRAL:
+    if address == INTEGRAL_VELOCITY and mode == INTEGRAL:
         if c["stopped"]:
             return "R3C is written while STOP has triggered: it stays 0. Release the pin and write R07 first", "status"
         step = signed(value, 8) - signed(int(c["reg"][address]), 8)

@@ -6,44 +6,125 @@ Sources: the data sheet's page on the sample timer (S), other pages of the manua
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
 
 from stage.chips.register_map import Field, Register, RegisterMap, Word
 
+# Addresses. All others take them from here.
+FLAG, MODE, STATUS, PORT, PWM = 0x00, 0x05, 0x07, 0x08, 0x09
+COMMAND_HIGH, COMMAND_MIDDLE, COMMAND_LOW, TIMER = 0x0C, 0x0D, 0x0E, 0x0F
+ACTUAL_HIGH, ACTUAL_MIDDLE, ACTUAL_LOW = 0x12, 0x13, 0x14
+PRESET_HIGH, PRESET_MIDDLE, PRESET_LOW = 0x15, 0x16, 0x17
+RING, PHASE_TIMER, X, Y, OFFSET, MOST_ADVANCE = 0x18, 0x19, 0x1A, 0x1B, 0x1C, 0x1F
+ZERO, POLE, GAIN = 0x20, 0x21, 0x22
+PROPORTIONAL_LOW, PROPORTIONAL_HIGH = 0x23, 0x24
+FRACTION, WHOLE, MOST_VELOCITY = 0x26, 0x27, 0x28
+FINAL_LOW, FINAL_MIDDLE, FINAL_HIGH = 0x29, 0x2A, 0x2B
+VELOCITY_LOW, VELOCITY_HIGH, INTEGRAL_VELOCITY = 0x34, 0x35, 0x3C
+ADDRESSES = 64
+CLEAR = ACTUAL_MIDDLE
+"""Any write there clears the actual position."""
 SEVEN_BITS = (0, 0x7F)
 
 
-def _bit(name: str, number: int, meaning: str, evidence: str = "D", access: str = "R") -> Field:
-    return Field(name, number, number, meaning, evidence, access)
+@dataclass(frozen=True)
+class Quantity:
+    """A number of two or three registers, the high one first. One `unit` is `scale` of it.
+
+    waits: a write of the low byte takes the others along; latched: a read of it keeps the others.
+    """
+
+    title: str
+    addresses: tuple[int, ...]
+    unit: str
+    scale: int = 1
+    signed: bool = True
+    waits: bool = False
+    latched: bool = False
+
+    @property
+    def low(self) -> int:
+        """The address of the low byte."""
+        return self.addresses[-1]
+
+    def shift(self, address: int) -> int:
+        """Where a register's byte stands in the number."""
+        return 8 * (len(self.addresses) - 1 - self.addresses.index(address))
+
+    def of(self, bytes_: dict[int, int]) -> str:
+        """The number that the bytes, by address, make."""
+        word = sum(bytes_[a] << self.shift(a) for a in self.addresses)
+        top = 1 << 8 * len(self.addresses)
+        number = word - top if self.signed and word >= top // 2 else word
+        return f"{self.title} = {number / self.scale:.10g} {self.unit}"
 
 
-FLAGS = (
+COMMAND_POSITION = Quantity("command position", (COMMAND_HIGH, COMMAND_MIDDLE, COMMAND_LOW), "counts", waits=True)
+ACTUAL_POSITION = Quantity("actual position", (ACTUAL_HIGH, ACTUAL_MIDDLE, ACTUAL_LOW), "counts", latched=True)
+PRESET_POSITION = Quantity(
+    "preset of the actual position", (PRESET_HIGH, PRESET_MIDDLE, PRESET_LOW), "counts", waits=True
+)
+PROPORTIONAL_VELOCITY = Quantity(
+    "proportional command velocity", (PROPORTIONAL_HIGH, PROPORTIONAL_LOW), "counts/sample", scale=16
+)
+ACCELERATION = Quantity("acceleration", (WHOLE, FRACTION), "counts/sample2", scale=256, signed=False)
+FINAL_POSITION = Quantity("final position", (FINAL_HIGH, FINAL_MIDDLE, FINAL_LOW), "counts")
+ACTUAL_VELOCITY = Quantity("actual velocity", (VELOCITY_HIGH, VELOCITY_LOW), "counts/sample")
+QUANTITIES = {
+    a: q
+    for q in (
+        COMMAND_POSITION, ACTUAL_POSITION, PRESET_POSITION, PROPORTIONAL_VELOCITY, ACCELERATION, FINAL_POSITION,
+        ACTUAL_VELOCITY,
+    )
+    for a in q.addresses
+}  # fmt: skip
+"""By the address of each part."""
+
+
+def _bit(name: str, number: int, meaning: str, evidence: str = "D", access: str = "R", **more: object) -> Field:
+    return Field(name, number, number, meaning, evidence, access, **more)  # type: ignore[arg-type]
+
+
+_TRIGGERED = "a write here clears it once the pin is released"
+_FLAGS = (
     _bit("f5", 5, "integral velocity mode", "M"),
     _bit("f4", 4, "hold commutator", "M"),
     _bit("f3", 3, "proportional velocity mode", "M"),
     _bit("f2", 2, "unipolar motor command", "M"),
-    _bit("f1", 1, "init/idle mode; the INIT pin", "M"),
-    _bit("f0", 0, "trapezoid mode; cleared when the commanded profile ends; the PROF pin", "M"),
+    _bit("f1", 1, "init/idle mode", "M", note="the INIT pin", pins=("init",)),
+    _bit("f0", 0, "trapezoid mode", "M", note="cleared when the commanded profile ends; the PROF pin", pins=("prof",)),
 )
-STATUS = (
-    _bit("limit", 7, "0 = LIMIT has triggered; a write here clears it once the pin is released"),
-    _bit("stop", 6, "0 = STOP has triggered; a write here clears it once the pin is released"),
-    _bit("init", 5, "init/idle mode"),
-    _bit("profile", 4, "the profile flag F0"),
+_STATUS = (
+    _bit("limit", 7, "", values={0: "LIMIT has triggered", 1: "LIMIT has not triggered"}, silent=1, note=_TRIGGERED),
+    _bit("stop", 6, "", values={0: "STOP has triggered", 1: "STOP has not triggered"}, silent=1, note=_TRIGGERED),
+    _bit("init", 5, "init/idle mode", pins=("init",)),
+    _bit("profile", 4, "the profile flag F0", pins=("prof",)),
     _bit("zero", 3, "always 0"),
-    _bit("full", 2, "the commutator counts 0 quadrature counts, 1 full counts", access="RW"),
-    _bit("four", 1, "0 three phases, 1 four phases", access="RW"),
+    _bit(
+        "full",
+        2,
+        "",
+        access="RW",
+        values={0: "the commutator counts quadrature counts", 1: "the commutator counts full counts"},
+    ),
+    _bit("four", 1, "", access="RW", values={0: "three phases", 1: "four phases"}),
     _bit("inhibit", 0, "PULSE stays off for one PWM period after a reversal of SIGN", "M", "RW"),
 )
 FLAG_WRITE = Word(
     "flag",
     "what is written to R00: one flag set or cleared",
-    (_bit("set", 3, "1 = set, 0 = clear", "M", "W"), Field("number", 2, 0, "flag number 0, 2, 3, 4, 5", "M", "W")),
+    (
+        _bit("set", 3, "", "M", "W", values={0: "clear", 1: "set"}),
+        Field("number", 2, 0, "flag number", "M", "W", values={k: f"F{k}" for k in (0, 2, 3, 4, 5)}),
+    ),
 )
 MODE_WRITE = Word(
     "mode",
     "what is written to R05",
-    (Field("mode", 7, 0, "00h reset, 01h init/idle, 02h align, 03h control; 02h, 03h only from init/idle", "D", "W", (0, 3)),),
+    (
+        Field("mode", 7, 0, "", "D", "W", (0, 3), {0: "reset", 1: "Init/Idle", 2: "Align", 3: "control"},
+              "Align and control only from init/idle"),
+    ),
 )  # fmt: skip
 
 
@@ -51,49 +132,54 @@ def _register(number: int, access: str, title: str, **more: object) -> Register:
     return Register(f"R{number:02X}", number, 8, access, title, **{"evidence": "D", **more})  # type: ignore[arg-type]
 
 
+def _part(number: int, access: str, part: str, **more: object) -> Register:
+    """A register that is a part of a number."""
+    q = QUANTITIES[number]
+    return _register(number, access, f"{q.title}, {part}", unit=q.unit, **more)
+
+
 MAP = RegisterMap(
     "HCTL1100",
     "Agilent HCTL-1100 motion controller with digital filter and profile generator, one axis, 8-bit bus",
     "data sheet HCTL-1100, page 24; other pages of the manual; working drivers",
     (
-        _register(0x00, "RW", "flags", fields=FLAGS, evidence="M"),
-        _register(0x05, "W", "program counter: mode"),
-        _register(0x07, "RW", "status", fields=STATUS),
-        _register(0x08, "RW", "motor command port, 80h is 0; written in init/idle only", reset=0x80),
-        _register(0x09, "RW", "PWM motor command; written in init/idle only", signed=True, legal=(-100, 100), unit="%",
+        _register(FLAG, "RW", "flags", fields=_FLAGS, evidence="M"),
+        _register(MODE, "W", "program counter", note="mode"),
+        _register(STATUS, "RW", "status", fields=_STATUS),
+        _register(PORT, "RW", "motor command port, 80h is 0; written in init/idle only", reset=0x80),
+        _register(PWM, "RW", "PWM motor command; written in init/idle only", signed=True, legal=(-100, 100), unit="%",
                   evidence="M"),
-        _register(0x0C, "RW", "command position, high byte; waits for R0E", unit="counts"),
-        _register(0x0D, "RW", "command position, middle byte; waits for R0E", unit="counts"),
-        _register(0x0E, "RW", "command position, low byte; its write latches all three", unit="counts"),
-        _register(0x0F, "RW", "sample timer: written T, read the running count; a sample is 16 (T + 1) clocks", evidence="S",
+        _part(COMMAND_HIGH, "RW", "high byte; waits for R0E"),
+        _part(COMMAND_MIDDLE, "RW", "middle byte; waits for R0E"),
+        _part(COMMAND_LOW, "RW", "low byte; its write latches all three"),
+        _register(TIMER, "RW", "sample timer: written T, read the running count; a sample is 16 (T + 1) clocks", evidence="S",
                   reset=0x40),
-        _register(0x12, "R", "actual position, high byte, as latched", unit="counts"),
-        _register(0x13, "RW", "actual position, middle byte, as latched; any write clears the position", unit="counts"),
-        _register(0x14, "R", "actual position, low byte; its read latches the other two", unit="counts"),
-        _register(0x15, "W", "preset of the actual position, high byte; init/idle only", unit="counts"),
-        _register(0x16, "W", "preset of the actual position, middle byte; init/idle only", unit="counts"),
-        _register(0x17, "W", "preset of the actual position, low byte; its write loads all three", unit="counts"),
-        _register(0x18, "RW", "commutator: ring", legal=SEVEN_BITS, unit="counts"),
-        _register(0x19, "W", "commutator: velocity timer of the phase advance, 16 (R19 + 1) clocks"),
-        _register(0x1A, "RW", "commutator: X, one phase alone", legal=SEVEN_BITS, unit="counts"),
-        _register(0x1B, "RW", "commutator: Y, two phases together", legal=SEVEN_BITS, unit="counts"),
-        _register(0x1C, "RW", "commutator: offset", signed=True, unit="counts"),
-        _register(0x1F, "RW", "commutator: maximum phase advance", legal=SEVEN_BITS, unit="counts"),
-        _register(0x20, "RW", "filter: zero A, in 1/256", reset=0xE5),
-        _register(0x21, "RW", "filter: pole B, in 1/256", reset=0x40),
-        _register(0x22, "RW", "filter: gain K, in 1/4", reset=0x40),
-        _register(0x23, "RW", "proportional command velocity, low byte: 12.4, fraction in b3..0; acts at once",
-                  unit="counts/sample"),
-        _register(0x24, "RW", "proportional command velocity, high byte; acts at once", signed=True, unit="counts/sample"),
-        _register(0x26, "RW", "acceleration, fraction /256", unit="counts/sample2"),
-        _register(0x27, "RW", "acceleration, whole", legal=SEVEN_BITS, unit="counts/sample2"),
-        _register(0x28, "RW", "maximum velocity", legal=SEVEN_BITS, unit="counts/sample"),
-        _register(0x29, "RW", "final position, low byte", unit="counts"),
-        _register(0x2A, "RW", "final position, middle byte", unit="counts"),
-        _register(0x2B, "RW", "final position, high byte", unit="counts"),
-        _register(0x34, "R", "actual velocity, low byte; in proportional velocity mode only", unit="counts/sample"),
-        _register(0x35, "R", "actual velocity, high byte", unit="counts/sample"),
-        _register(0x3C, "RW", "integral command velocity", signed=True, unit="counts/sample"),
+        _part(ACTUAL_HIGH, "R", "high byte, as latched"),
+        _part(ACTUAL_MIDDLE, "RW", "middle byte, as latched; any write clears the position"),
+        _part(ACTUAL_LOW, "R", "low byte; its read latches the other two"),
+        _part(PRESET_HIGH, "W", "high byte; init/idle only"),
+        _part(PRESET_MIDDLE, "W", "middle byte; init/idle only"),
+        _part(PRESET_LOW, "W", "low byte; its write loads all three"),
+        _register(RING, "RW", "commutator: ring", legal=SEVEN_BITS, unit="counts"),
+        _register(PHASE_TIMER, "W", "commutator: velocity timer of the phase advance, 16 (R19 + 1) clocks"),
+        _register(X, "RW", "commutator: X, one phase alone", legal=SEVEN_BITS, unit="counts"),
+        _register(Y, "RW", "commutator: Y, two phases together", legal=SEVEN_BITS, unit="counts"),
+        _register(OFFSET, "RW", "commutator: offset", signed=True, unit="counts"),
+        _register(MOST_ADVANCE, "RW", "commutator: maximum phase advance", legal=SEVEN_BITS, unit="counts"),
+        _register(ZERO, "RW", "filter: zero A, in 1/256", reset=0xE5),
+        _register(POLE, "RW", "filter: pole B, in 1/256", reset=0x40),
+        _register(GAIN, "RW", "filter: gain K, in 1/4", reset=0x40),
+        _part(PROPORTIONAL_LOW, "RW", "low byte: 12.4, fraction in b3..0; acts at once"),
+        _part(PROPORTIONAL_HIGH, "RW", "high byte; acts at once", signed=True),
+        _part(FRACTION, "RW", "fraction /256"),
+        _part(WHOLE, "RW", "whole", legal=SEVEN_BITS),
+        _register(MOST_VELOCITY, "RW", "maximum velocity", legal=SEVEN_BITS, unit="counts/sample"),
+        _part(FINAL_LOW, "RW", "low byte"),
+        _part(FINAL_MIDDLE, "RW", "middle byte"),
+        _part(FINAL_HIGH, "RW", "high byte"),
+        _part(VELOCITY_LOW, "R", "low byte; in proportional velocity mode only"),
+        _part(VELOCITY_HIGH, "R", "high byte"),
+        _register(INTEGRAL_VELOCITY, "RW", "integral command velocity", signed=True, unit="counts/sample"),
     ),
     (FLAG_WRITE, MODE_WRITE),
 )  # fmt: skip
@@ -104,7 +190,8 @@ MINIMUM_T = {"position": 0x07, "proportional velocity": 0x07, "trapezoid": 0x0F,
 TOP = 1 << 23  # counts; positions are -TOP to TOP - 1
 
 
-class Number(NamedTuple):
+@dataclass(frozen=True)
+class Number:
     """Bus addresses of a number's bytes in the order in which they are written, the high one first; least and most."""
 
     addresses: tuple[int, ...]
@@ -113,18 +200,24 @@ class Number(NamedTuple):
 
 
 NUMBERS = {
-    "timer": Number((0x0F,), 0, 0xFF),
-    "zero": Number((0x20,), 0, 0xFF),
-    "pole": Number((0x21,), 0, 0xFF),
-    "gain": Number((0x22,), 0, 0xFF),
-    "command_position": Number((0x0C, 0x0D, 0x0E), -TOP, TOP - 1),
-    "preset_position": Number((0x15, 0x16, 0x17), -TOP, TOP - 1),
-    "final_position": Number((0x2B, 0x2A, 0x29), -TOP, TOP - 1),
-    "acceleration": Number((0x27, 0x26), 0, 0x7FFF),
-    "maximum_velocity": Number((0x28,), 0, 0x7F),
-    "proportional_velocity": Number((0x24, 0x23), -0x8000, 0x7FFF),
-    "integral_velocity": Number((0x3C,), -0x80, 0x7F),
-    "motor_command": Number((0x09,), -100, 100),
+    "timer": Number((TIMER,), 0, 0xFF),
+    "zero": Number((ZERO,), 0, 0xFF),
+    "pole": Number((POLE,), 0, 0xFF),
+    "gain": Number((GAIN,), 0, 0xFF),
+    "command_position": Number(COMMAND_POSITION.addresses, -TOP, TOP - 1),
+    "preset_position": Number(PRESET_POSITION.addresses, -TOP, TOP - 1),
+    "final_position": Number(FINAL_POSITION.addresses, -TOP, TOP - 1),
+    "acceleration": Number(ACCELERATION.addresses, 0, 0x7FFF),
+    "maximum_velocity": Number((MOST_VELOCITY,), 0, 0x7F),
+    "proportional_velocity": Number(PROPORTIONAL_VELOCITY.addresses, -0x8000, 0x7FFF),
+    "integral_velocity": Number((INTEGRAL_VELOCITY,), -0x80, 0x7F),
+    "motor_command": Number((PWM,), -100, 100),
 }
 """What a host writes as one: acceleration in 256ths of counts per sample2, proportional velocity in 16ths of counts per sample, the
 other velocities in counts per sample; motor_command in hundredths of full drive, in Init/Idle only."""
+
+
+def after_reset(name: str) -> int:
+    """What a number of one byte, by its name in NUMBERS, is after a reset."""
+    (address,) = NUMBERS[name].addresses
+    return next(r.reset for r in MAP.registers if r.number == address) or 0

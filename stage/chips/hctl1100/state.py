@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from stage.chips.hctl1100.maps import MAP, MINIMUM_T
+from stage.chips.hctl1100.maps import ADDRESSES, MAP, MINIMUM_T
 from stage.native import hot, record
 
-ADDRESSES = 64
 NEVER = 1 << 62
 IDLE, ALIGN, CONTROL = range(3)
 POSITION, PROPORTIONAL, TRAPEZOID, INTEGRAL = range(4)

@@ -7,10 +7,10 @@ Each count lasts 16 clocks; the bar is the reload, at which the chip samples.
 
 from __future__ import annotations
 
+from stage.chips.hctl1100.maps import TIMER as T
 from stage.chips.hctl1100.state import IDLE, NEVER, SYNC
 from stage.native import hot
 
-T = 0x0F
 STEP = 16  # clocks
 
 

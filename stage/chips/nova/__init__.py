@@ -6,9 +6,8 @@ from typing import Any, ClassVar
 
 from stage.chips.chip import Chip, Pins
 from stage.chips.nova import core, lint, state
-from stage.chips.nova.decode import Decoder
+from stage.chips.nova.describe import Decoder, Listener
 from stage.chips.nova.interpolation import run as interpolation
-from stage.chips.nova.listen import Listener
 from stage.chips.nova.registers.mcx300 import MCX302_MAP, MCX304_MAP, MCX312_MAP
 from stage.chips.nova.registers.mcx514 import MCX514_MAP
 
@@ -25,6 +24,7 @@ class Nova(Chip):
     INPUTS: ClassVar = state.INPUTS
     OUTPUTS: ClassVar = state.OUTPUTS
     WIRING: ClassVar = {"el_plus": "lmt_plus", "el_minus": "lmt_minus", "org": "stop1", "ez": "stop2"}
+    PHASES: ClassVar = {"asnd": "up", "cnst": "keep", "dsnd": "down"}
     DEFAULT_CLOCK_HZ: ClassVar = 16_000_000
     ADDRESSES: ClassVar = 8
     DATA_MASK: ClassVar = 0xFFFF

@@ -15,11 +15,6 @@ from stage.chips.register_map import Command, Register, RegisterMap, Word
 
 Note = tuple[str, str]
 CODE, AXIS = MCX514_MAP.field("WR0", "CODE"), MCX514_MAP.field("WR0", "AXIS")
-INTERPOLATION_AXES = {
-    "LHK1": (1,), "LHK2": (2,), "LHK3": (3,), "LHK4": (4,), "CHKCW": (2,), "CHKCCW": (2,), "BHK2": (2,), "BHK3": (3,),
-    "BHK4": (4,), "HLCW": (3, 4), "HLCCW": (3, 4), "IP_2ST": (2,), "IP_CW": (2,), "IP_CCW": (2,), "IP_2BP": (2,),
-}  # fmt: skip
-"""With how many axes an interpolation works."""
 _SECTIONS = {"TP": "7.2.7", "DP": "7.2.8"}
 
 
@@ -81,7 +76,7 @@ def command(map_: RegisterMap, held: Held, value: int) -> Note | None:
         return f"{name} takes no data: what was written to WR6, WR7 is not used", "data reading commands"
     if c.starts and c.kind == "drive" and (moving := axes & held.driving):
         return f"{name} while {_names(moving)} is driving (n-DRV = 1)", "driving commands"
-    return _interpolation(held, c, name) if c.symbol in INTERPOLATION_AXES else None
+    return _interpolation(held, c, name) if c.together else None
 
 
 def _axes(map_: RegisterMap, c: Command, name: str, axes: int) -> str:
@@ -120,7 +115,7 @@ def _turned(held: Held, axes: int, value: int) -> int:
 
 def _interpolation(held: Held, c: Command, name: str) -> Note | None:
     axes, where = held.interpolated, "interpolation commands"
-    if (count := axes.bit_count()) not in INTERPOLATION_AXES[c.symbol]:
+    if (count := axes.bit_count()) not in c.together:
         return f"{name} with {count} axes chosen{': ' if axes else ''}{_names(axes)}", where
     if not held.interpolating and (moving := axes & held.driving):
         return f"{name} while {_names(moving)} is driving (n-DRV = 1)", where
@@ -130,7 +125,7 @@ def _interpolation(held: Held, c: Command, name: str) -> Note | None:
     if held.interpolating and speed > CONTINUOUS_SPEED:
         return f"{name} in continuous interpolation with DV = {speed}: {CONTINUOUS_SPEED} is the most", where
     for k, tp in enumerate(held.finish):
-        if axes >> k & 1 and "bit pattern" not in c.title and not POINT[0] <= tp <= POINT[1]:
+        if axes >> k & 1 and c.points and not POINT[0] <= tp <= POINT[1]:
             return f"{name} with TP = {tp} of {AXES[k]}: a finish point takes {POINT[0]} to {POINT[1]}", _SECTIONS["TP"]
     return None
 
@@ -143,7 +138,7 @@ def _main(held: Held) -> int:
 def _fields(place: Register | Word, word: int, where: str) -> Note | None:
     for f in place.fields:
         if f.legal and not f.legal[0] <= f.of(word) <= f.legal[1]:
-            return f"{place.name} = {word:04X}h: {f.name} = {f.of(word)} ({f.meaning})", where
+            return f"{place.name} = {word:04X}h: {f.name} = {f.of(word)} ({f.text})", where
     return None
 
 

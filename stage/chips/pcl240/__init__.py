@@ -9,9 +9,18 @@ import numpy as np
 
 from stage.chips.chip import Chip
 from stage.chips.pcl240 import core, lint, state
-from stage.chips.pcl240.decode import Decoder
-from stage.chips.pcl240.listen import Listener
-from stage.chips.pcl240.maps import OPERATING_MODE, PCL240K_MAP, PCL240MK_MAP, PCL240MS_MAP, SELECT, STATUS
+from stage.chips.pcl240.describe import Decoder, Listener
+from stage.chips.pcl240.maps import (
+    CONTROL,
+    OPERATING_MODE,
+    PCL240K_MAP,
+    PCL240MK_MAP,
+    PCL240MS_MAP,
+    PHASES,
+    SELECT,
+    STATUS,
+    WIRES,
+)
 
 __all__ = ["OPERATING_MODE", "STATUS", "PCL240", "PCL240K", "PCL240MK", "PCL240MS"]
 
@@ -26,10 +35,12 @@ class PCL240(Chip):
     CORE: ClassVar = core
     INPUTS: ClassVar = core.INPUTS
     OUTPUTS: ClassVar = core.OUTPUTS
+    WIRES: ClassVar = WIRES
+    PHASES: ClassVar = PHASES
     IRQ: ClassVar = (0, core.OUTPUTS["irq"])
     DRIVER: ClassVar = "stage.firmware.pcl240.driver:Pcl240Driver"
     DEFAULT_CLOCK_HZ: ClassVar = 4_915_200
-    BUSY: ClassVar = (0, 0x40)
+    BUSY: ClassVar = (0, state.S_OPERATING)
     COUNTER: ClassVar = ("R0", 24)
     READING_ACTS: ClassVar = frozenset({3})  # latches the register in collective mode
     EXTENDED: ClassVar[bool] = True
@@ -54,6 +65,11 @@ class PCL240(Chip):
     @classmethod
     def running(cls, edges: np.ndarray) -> np.ndarray:
         return (edges["outputs"] & cls.OUTPUTS["hold"]) == 0
+
+    @classmethod
+    def turns(cls, address: int, value: int) -> bool | None:
+        """A control mode has the direction in it."""
+        return bool(value & state.MINUS) if address == 0 and value & state.GROUP == CONTROL else None
 
     def decoder(self, axis: int = 0) -> Decoder:
         return Decoder(self.MAP)

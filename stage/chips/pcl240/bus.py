@@ -2,33 +2,60 @@
 
 from __future__ import annotations
 
+from stage.chips.pcl240.maps import CONTROL, OPERATE, SELECT
 from stage.chips.pcl240.ramp import correct_top, goal_speed, selected_speed
 from stage.chips.pcl240.state import (
+    AUTOMATIC,
+    COLLECTIVE,
     EL_MINUS,
     EL_PLUS,
     EXTENSION,
     EZ,
     EZ_COUNT,
+    EZ_MOST,
     EZ_SIGNAL,
     FDOWN,
     FKEEP,
     FUP,
+    GROUP,
     HOLD,
     INDEPENDENT,
     INS,
+    INT_AT_STOP,
     IRQ,
     LT,
+    MINUS,
     ORG,
+    ORIGIN,
     OTS,
     OTS_LEVEL,
+    OUTPUT_BITS,
     PDIR,
+    POSITION,
     POUT,
+    PRESET,
+    R10,
     R13,
     R14,
     R15,
     R17,
+    RAMP,
+    REGISTER,
+    S_FKEEP,
+    S_INS,
+    S_LT,
+    S_NO_INT,
+    S_OPERATING,
+    S_ORG,
+    S_SD,
+    S_ZERO,
+    SD,
     SD_MINUS,
     SD_PLUS,
+    SECOND_EIGHT,
+    SPEED,
+    START,
+    STOP,
     ZERO,
     begin,
     stop,
@@ -45,10 +72,10 @@ def blocked(c):
 @hot
 def _operate(c, value):
     """A command of group 00: start, stop, speed change."""
-    c.int_at_stop = value >> 5 & 1
+    c.int_at_stop = 1 if value & INT_AT_STOP else 0
     if not c.int_at_stop:
         c.irq = 0
-    starts, stops = value & 0x10, value & 0x08
+    starts, stops, ramps = value & START, value & STOP, 1 if value & RAMP else 0
     if stops and not starts:
         if c.running:
             stop(c)
@@ -56,7 +83,7 @@ def _operate(c, value):
         if c.extended:
             c.reg[6] = 0
     elif stops and c.running:
-        if not value & 0x04 and not c.ramps:
+        if not ramps and not c.ramps:
             stop(c)
         else:
             c.ramps = c.decel = 1
@@ -64,9 +91,9 @@ def _operate(c, value):
                 stop(c)
     elif starts and not stops:
         if c.running:
-            c.ramps, c.select, c.decel = value >> 2 & 1, value & 3, 0
+            c.ramps, c.select, c.decel = ramps, value & SPEED, 0
         elif c.armed and not c.finishing and not blocked(c) and not (c.preset and c.reg[0] == 0):
-            c.ramps, c.select, c.decel = value >> 2 & 1, value & 3, 0
+            c.ramps, c.select, c.decel = ramps, value & SPEED, 0
             begin(c)
             correct_top(c)
             c.speed = c.reg[1] if c.ramps else selected_speed(c)
@@ -106,27 +133,28 @@ def write_byte(c, address, value):
     if address:
         _write_data(c, address, value)
         return
-    group = value >> 6
-    if group == 0:
+    group = value & GROUP
+    if group == OPERATE:
         _operate(c, value)
-    elif group == 1:
-        c.origin, c.sd_enable, c.preset, c.minus = value & 1, value >> 1 & 1, value >> 2 & 1, value >> 3 & 1
+    elif group == CONTROL:
+        c.origin, c.sd_enable = 1 if value & ORIGIN else 0, 1 if value & SD else 0
+        c.preset, c.minus = 1 if value & PRESET else 0, 1 if value & MINUS else 0
         if c.extended:
-            c.automatic, c.position = value >> 4 & 1, value >> 5 & 1
-    elif group == 2:
-        c.selected = value & 7
+            c.automatic, c.position = 1 if value & AUTOMATIC else 0, 1 if value & POSITION else 0
+    elif group == SELECT:
+        c.selected = value & REGISTER
         if c.extended:
-            c.selected |= value >> 1 & 8
-            c.collective = value >> 5 & 1
+            c.selected += R10 if value & SECOND_EIGHT else 0
+            c.collective = 1 if value & COLLECTIVE else 0
     else:
-        c.output = value & 0x3F
+        c.output = value & OUTPUT_BITS
 
 
 @hot
 def register(c, k):
     """What register `k` reads as."""
     if k == R17 and c.extended:
-        count = c.ez_left if c.ez_running else c.reg[R13] >> EZ_COUNT & 15
+        count = c.ez_left if c.ez_running else c.reg[R13] >> EZ_COUNT & EZ_MOST
         return c.reg[R17] | count << EZ_COUNT | (EZ_SIGNAL if c.inputs & EZ else 0)
     return c.reg[k]
 
@@ -161,21 +189,21 @@ def outputs(c):
 @hot
 def _status(c):
     word = outputs(c)
-    status = 0 if word & IRQ else 0x80
+    status = 0 if word & IRQ else S_NO_INT
     if not word & HOLD:
-        status |= 0x40
+        status |= S_OPERATING
     if word & FKEEP:
-        status |= 0x20
+        status |= S_FKEEP
     if word & LT:
-        status |= 0x10
+        status |= S_LT
     if word & ZERO:
-        status |= 0x08
+        status |= S_ZERO
     if c.inputs & (SD_MINUS if c.minus else SD_PLUS):
-        status |= 0x04
+        status |= S_SD
     if c.inputs & ORG:
-        status |= 0x02
+        status |= S_ORG
     if c.inputs & INS:
-        status |= 0x01
+        status |= S_INS
     return status
 
 

@@ -25,6 +25,7 @@ from stage.chips.pcl240.state import (
     EZ,
     EZ_COUNT,
     EZ_FROM_FL,
+    EZ_MOST,
     EZ_RETURN,
     INDEPENDENT,
     INPUTS,
@@ -35,6 +36,7 @@ from stage.chips.pcl240.state import (
     PULSE,
     R10,
     R13,
+    S_OPERATING,
     STATE,
     end,
     reset,
@@ -43,7 +45,6 @@ from stage.chips.pcl240.state import (
 from stage.native import array_of, exported, greatest, hot, least
 
 FOREVER = 1 << 62
-OPERATING = 0x40  # of the status byte
 
 __all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE", "advance", "busy", "counter", "inputs", "mark", "mean_count", "net",
            "outputs", "peek", "pins", "power_up", "pulse_rate", "read", "run", "scan", "see",
@@ -98,7 +99,7 @@ def peek(c, address):
 @exported("i8", STATE, "i8")
 def busy(c, j):
     """Status b6: in operation."""
-    return read_byte(c, 0) & OPERATING
+    return read_byte(c, 0) & S_OPERATING
 
 
 @exported("i8", STATE, "i8")
@@ -161,7 +162,7 @@ def _obey_switches(c, struck):
         c.counting = 1
     if c.counting and struck & EZ:
         if not c.ez_running:
-            c.ez_running, c.ez_left = 1, c.reg[R13] >> EZ_COUNT & 15
+            c.ez_running, c.ez_left = 1, c.reg[R13] >> EZ_COUNT & EZ_MOST
         if c.ez_left == 0:
             stop(c)
         else:

@@ -9,24 +9,36 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from stage.chips.pcl240.maps import WRITTEN
 from stage.chips.pcl240.state import (
     EL_MINUS,
     EL_PLUS,
     EZ_COUNT,
     EZ_FROM_FL,
+    EZ_MOST,
     EZ_RETURN,
+    FH1,
+    FH2,
+    GROUP,
     LINEAR,
+    MAP,
     ORG,
     R13,
     R14,
     R15,
+    RAMP,
     SPAN,
+    SPEED,
+    START,
+    STOP,
 )
 from stage.chips.register_map import RegisterMap
 
 Note = tuple[str, str]
-_WORDS = {1: ("control", "section 3 b"), 2: ("select", "section 3 c"), 3: ("output", "section 3 d")}
-_FH = {1: 2, 3: 3}
+_SECTIONS = {"control": "section 3 b", "select": "section 3 c", "output": "section 3 d"}
+_SPEEDS = MAP.field("operate", "speed").values
+_FH = {FH1: 2, FH2: 3}
+"""The register of a speed select; R1 of any other."""
 _RAMPING = ("R1", "R4", "R5", "R14", "R15")
 
 
@@ -65,15 +77,15 @@ def data(map_: RegisterMap, c: Any, address: int, value: int) -> Note | None:
 
 def command(map_: RegisterMap, c: Any, moves: Callable[[int], bool], value: int) -> Note | None:
     """A byte to address 0."""
-    if group := value >> 6:
-        name, where = _WORDS[group]
-        empty = value & ~sum(f.mask for f in map_.word(name).fields)
+    name = WRITTEN[value & GROUP]
+    if where := _SECTIONS.get(name):
+        empty = value & ~map_.word(name).used
         bits = " and ".join(str(k) for k in range(7, -1, -1) if empty >> k & 1)
         return (f"{name} mode {value:02X}h: bit {bits} means nothing on this chip", where) if empty else None
-    if not value & 0x10 or value & 0x08:
+    if not value & START or value & STOP:
         return None
-    if value & 3 == 2:
-        return f"speed select 10 in {value:02X}h is in no table; it acts as FL", "section 3 a"
+    if value & SPEED not in _SPEEDS:
+        return f"speed select {value & SPEED:02b} in {value:02X}h is in no table; it acts as FL", "section 3 a"
     return None if c["running"] else _start(c, moves, value)
 
 
@@ -93,18 +105,18 @@ def _start(c: Any, moves: Callable[[int], bool], value: int) -> Note | None:
         return f"start with R7 = {r[7]}: no pulse comes; the multiplier does not operate unless it is set", "Q & A"
     if standing := _standing(r, value, moves):
         return standing
-    if value & 4 and min(r[4], r[5]) < 2:
+    if value & RAMP and min(r[4], r[5]) < 2:
         return f"high-speed start with R4 = {r[4]}, R5 = {r[5]}: rates below 2 hold the speed", "section 4 R4"
     if not c["extended"]:
         return None
-    if c["origin"] and not r[R13] & EZ_RETURN and r[R13] & (15 << EZ_COUNT | EZ_FROM_FL):
+    if c["origin"] and not r[R13] & EZ_RETURN and r[R13] & (EZ_MOST << EZ_COUNT | EZ_FROM_FL):
         return "R13 counts EZ, but its bit 21 is 0: the origin return ends at ORG", "MS section 2-4"
-    return _ramps(c, r, value & 3) if value & 4 else None
+    return _ramps(c, r, value & SPEED) if value & RAMP else None
 
 
 def _standing(r: list[int], value: int, moves: Callable[[int], bool]) -> Note | None:
     """Speed registers of the run that are 0. Ramps start from FL, and a decelerating stop ends there, whatever is selected."""
-    zero = [k for k in sorted({1, _FH.get(value & 3, 1)}) if r[k] == 0]
+    zero = [k for k in sorted({1, _FH.get(value & SPEED, 1)}) if r[k] == 0]
     if not zero:
         return None
     what = f"start with {' and '.join(f'R{k} = 0' for k in zero)}: "

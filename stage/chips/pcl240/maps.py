@@ -11,62 +11,98 @@ from dataclasses import replace
 
 from stage.chips.register_map import Field, Register, RegisterMap, Word
 
-CONTROL, SELECT, OUTPUT = 0x40, 0x80, 0xC0
-"""What a byte to address 0 begins with, in its two high bits (section 3); 00 begins a command."""
+OPERATE, CONTROL, SELECT, OUTPUT = 0x00, 0x40, 0x80, 0xC0
+"""What a byte to address 0 begins with, in its two high bits (section 3)."""
+WRITTEN = {OPERATE: "operate", CONTROL: "control", SELECT: "select", OUTPUT: "output"}
+"""Which word such a byte is."""
+COUNTERS = ("R0", "R10")
+"""Registers that count by themselves."""
+WIRES = {
+    "el_plus": ("EL_PLUS_n", 0), "el_minus": ("EL_MINUS_n", 0), "sd_plus": ("SD_PLUS_n", 0), "sd_minus": ("SD_MINUS_n", 0),
+    "org": ("ORG_n", 0), "extp": ("EXTP_n", 0), "ez": ("EZ_n", 0), "ins": ("INS", 1), "pout": ("POUT_n", 0), "pdir": ("PDIR", 0),
+    "irq": ("INT_n", 0), "ots": ("OTS", 1), "hold": ("HOLD", 1), "fdown": ("FDOWN", 1), "fkeep": ("FKEEP", 1),
+    "fup": ("FUP", 1), "lt": ("LT", 1), "zero": ("ZERO", 1),
+}  # fmt: skip
+"""Pin -> (name on the wire, level while asserted), see `Chip.WIRES`. PDIR is a level: 0 minus, 1 plus (section 2)."""
+PHASES = {"hold": "hold", "fup": "up", "fkeep": "keep", "fdown": "down"}
+"""Output pin -> phase of a run, see `Chip.PHASES`."""
 
-OPERATING_MODE = Word(
-    "operate",
-    "operating mode selection, 00xx xxxx at address 0",
-    (
-        Field("group", 7, 6, "00", access="W"),
-        Field("int_at_stop", 5, 5, "1 = /INT at stop; 0 also clears a pending /INT", "S", "W"),
-        Field("start", 4, 4, "start, or a speed change while running", "S", "W"),
-        Field("stop", 3, 3, "alone (08h): reset command; with start (1Dh, 1Fh): decelerating stop", "S", "W"),
-        Field("ramp", 2, 2, "1 = high speed (with ramps), 0 = constant speed", "S", "W"),
-        Field("speed", 1, 0, "00 FL, 01 FH1, 11 FH2; 10 acts as FL [I]", "S", "W"),
-    ),
-)
+
+def _group(code: int) -> Field:
+    """The bits that tell the four bytes of address 0 apart."""
+    return Field("group", 7, 6, f"{code >> 6:02b}", access="W", legal=(code >> 6, code >> 6))
+
+
+def _operating_mode(clears: str) -> Word:
+    """clears: what the reset command does besides."""
+    return Word(
+        "operate",
+        "operating mode selection, 00xx xxxx at address 0",
+        (
+            _group(OPERATE),
+            Field("int_at_stop", 5, 5, "/INT at stop", "S", "W", note="0 also clears a pending /INT"),
+            Field("start", 4, 4, "start, or a speed change while running", "S", "W"),
+            Field("stop", 3, 3, f"alone: reset command{clears}; with start: stop, with ramp a decelerating one", "S", "W"),
+            Field("ramp", 2, 2, "", "S", "W", values={0: "constant speed", 1: "high speed (with ramps)"}),
+            Field(
+                "speed", 1, 0, "", "S", "W", values={0: "FL", 1: "FH1", 3: "FH2"},
+                note="2 is in no table and acts as FL [I]",
+            ),
+        ),
+    )  # fmt: skip
+
+
+OPERATING_MODE = _operating_mode("")
+EXTENDED_OPERATING_MODE = _operating_mode(", clears R6")
 CONTROL_MODE = Word(
     "control",
     "control mode selection, 01xx xxxx at address 0",
     (
-        Field("group", 7, 6, "01", access="W"),
-        Field("minus", 3, 3, "direction: 0 plus, 1 minus", "S", "W"),
+        _group(CONTROL),
+        Field("minus", 3, 3, "direction", "S", "W", values={0: "plus", 1: "minus"}),
         Field("preset", 2, 2, "stop when R0 reaches 0", "S", "W"),
         Field("sd", 1, 1, "SD+ and SD- slow a high-speed run", "I", "W"),
-        Field("origin", 0, 0, "origin return: stop at ORG", "S", "W"),
+        Field("origin", 0, 0, "origin return", "S", "W", note="stop at ORG"),
     ),
 )
 REGISTER_SELECT = Word(
     "select",
     "register selection, 10xx xxxx at address 0",
-    (Field("group", 7, 6, "10", access="W"), Field("register", 2, 0, "R0 to R7", "S", "W")),
+    (_group(SELECT), Field("register", 2, 0, "register", "S", "W", values={k: f"R{k}" for k in range(8)})),
 )
 OUTPUT_MODE = Word(
     "output",
     "output pulse mode selection, 11xx xxxx at address 0",
     (
-        Field("group", 7, 6, "11", access="W"),
-        Field("ots", 5, 5, "level of the OTS output", "I", "W"),
-        Field("external", 4, 4, "R0 counts: 0 output pulses, 1 rising edges of EXTP", "I", "W"),
+        _group(OUTPUT),
+        Field("ots", 5, 5, "level of the OTS output", "I", "W", values={0: "low", 1: "high"}),
+        Field("external", 4, 4, "R0 counts", "I", "W", values={0: "output pulses", 1: "rising edges of EXTP"}),
         Field("stored", 2, 1, "stored, no effect", "I", "W"),
-        Field("independent", 0, 0, "0 common (POUT and PDIR), 1 independent (+ on POUT, - on PDIR)", "I", "W"),
+        Field(
+            "independent", 0, 0, "output pulses", "I", "W",
+            values={0: "common (POUT and PDIR)", 1: "independent (+ on POUT, - on PDIR)"},
+        ),
     ),
-)
+)  # fmt: skip
 STATUS = Word(
     "status",
     "status byte, read at address 0",
     (
-        Field("no_int", 7, 7, "1 = no /INT pending", "H", "R"),
-        Field("operating", 6, 6, "1 until the pulse in progress is complete", "S", "R"),
-        Field("fkeep", 5, 5, "neither ramping up nor down", "I", "R"),
-        Field("lt", 4, 4, "R0 < R6", "I", "R"),
-        Field("zero", 3, 3, "R0 = 0", "H", "R"),
-        Field("sd", 2, 2, "SD of the current direction asserted", "I", "R"),
-        Field("org", 1, 1, "ORG asserted", "I", "R"),
-        Field("ins", 0, 0, "INS asserted", "I", "R"),
+        Field(
+            "no_int", 7, 7, "", "H", "R", values={0: "/INT pending", 1: "no /INT pending"}, silent=1, pins=("/irq",)
+        ),
+        Field(
+            "operating", 6, 6, "", "S", "R", values={0: "not operating", 1: "operating"},
+            note="until the pulse in progress is complete", silent=None, pins=("/hold",),
+        ),
+        Field("fkeep", 5, 5, "neither ramping up nor down", "I", "R", pins=("fkeep",)),
+        Field("lt", 4, 4, "R0 < R6", "I", "R", pins=("lt",)),
+        Field("zero", 3, 3, "R0 = 0", "H", "R", pins=("zero",)),
+        Field("sd", 2, 2, "SD of the current direction asserted", "I", "R", pins=("sd_plus", "sd_minus")),
+        Field("org", 1, 1, "ORG asserted", "I", "R", pins=("org",)),
+        Field("ins", 0, 0, "INS asserted", "I", "R", pins=("ins",)),
     ),
-)
+)  # fmt: skip
 
 
 def _with(word: Word, *more: Field) -> Word:
@@ -74,48 +110,43 @@ def _with(word: Word, *more: Field) -> Word:
     return replace(word, fields=tuple(sorted((*word.fields, *more), key=lambda f: -f.high)))
 
 
-EXTENDED_OPERATING_MODE = replace(
-    OPERATING_MODE,
-    fields=tuple(
-        replace(f, meaning=f.meaning.replace("reset command", "reset command, clears R6")) if f.name == "stop" else f
-        for f in OPERATING_MODE.fields
-    ),
-)
 EXTENDED_CONTROL_MODE = _with(
     CONTROL_MODE,
     Field("position", 5, 5, "R10 counts output pulses", "H", "W"),
-    Field("automatic", 4, 4, "automatic ramp-down point, R6 its offset; preset, with ramps", "S", "W"),
+    Field("automatic", 4, 4, "automatic ramp-down point, R6 its offset", "S", "W", note="of preset runs with ramps"),
 )
 EXTENDED_SELECT = Word(
     "select",
     "register selection, 10xx xxxx at address 0",
     (
-        Field("group", 7, 6, "10", access="W"),
+        _group(SELECT),
         Field(
-            "collective", 5, 5, "the low byte's write transfers all bytes; the high byte's read latches all", "H", "W"
+            "collective", 5, 5, "collective transfers", "H", "W",
+            note="the low byte's write transfers all bytes; the high byte's read latches all",
         ),
-        Field("extension", 4, 4, "1 = the group R10 to R17", "H", "W"),
-        Field("register", 2, 0, "R0 to R7, or R10 to R17", "S", "W"),
+        Field("extension", 4, 4, "group", "H", "W", values={0: "R0 to R7", 1: "R10 to R17"}),
+        Field("register", 2, 0, "register", "S", "W", values={k: f"R{k} or R1{k}" for k in range(8)}),
     ),
-)
+)  # fmt: skip
 EXTENDED_OUTPUT_MODE = _with(
-    OUTPUT_MODE, Field("extension", 3, 3, "extension mode: reads return the selected register, else R0", "H", "W")
+    OUTPUT_MODE,
+    Field("extension", 3, 3, "extension mode: reads return", "H", "W", values={0: "R0", 1: "the selected register"}),
 )
 
 
 def _registers(rate_bits: int, point_bits: int, extended: bool) -> tuple[Register, ...]:
     speed, rate = (1, 8191), (2, (1 << rate_bits) - 1)
     point, access = (0, (1 << point_bits) - 1), "RW" if extended else "W"
-    offset = f"; with the automatic point its offset, sign in b{point_bits - 1}" if extended else ""
+    offset = f"with the automatic point its offset, sign in b{point_bits - 1}" if extended else ""
     return (
-        Register("R0", 0, 24, "RW", "down counter: pulses left", (0, 16777215), unit="pulses"),
+        Register("R0", 0, 24, "RW", "down counter", (0, 16777215), unit="pulses", note="pulses left"),
         Register("R1", 1, 13, access, "FL speed", speed, unit="speed steps"),
         Register("R2", 2, 13, access, "FH1 speed", speed, unit="speed steps"),
         Register("R3", 3, 13, access, "FH2 speed", speed, unit="speed steps"),
         Register("R4", 4, rate_bits, access, "acceleration rate", rate, unit="clocks per speed step"),
         Register("R5", 5, rate_bits, access, "deceleration rate", rate, unit="clocks per speed step"),
-        Register("R6", 6, point_bits, access, "ramping-down point" + offset, point, unit="pulses"),
-        Register("R7", 7, 10, access, "multiplier: one speed step is clock / (8192 R7)", (2, 1023)),
+        Register("R6", 6, point_bits, access, "ramping-down point", point, unit="pulses", note=offset),
+        Register("R7", 7, 10, access, "multiplier", (2, 1023), note="one speed step is clock / (8192 R7)"),
     )
 
 
@@ -126,9 +157,12 @@ def _stored(high: int, low: int) -> Field:
 def _extension(s_curves: bool) -> tuple[Register, ...]:
     """R10 to R17. On the MK the registers that only the MS has store what is written."""
     seen = "S" if s_curves else "I"
-    span = "speed steps of each curved end, 1 to 4095; 0 or above half the ramp: half"
+    span = Field(
+        "span", 11, 0, "speed steps of each curved end", "S", note="1 to 4095; 0 or above half the ramp: half the ramp"
+    )
+    logic, unused = {0: "negative", 1: "positive"}, "stored, pins are set as asserted"
     org = (
-        Field("org_logic", 23, 23, "ORG logic: 0 negative, 1 positive; stored, pins are set as asserted", "S")
+        Field("org_logic", 23, 23, "ORG logic", "S", values=logic, note=unused)
         if s_curves
         else Field("fixed", 23, 23, "always 0", "S", "R")
     )
@@ -136,23 +170,24 @@ def _extension(s_curves: bool) -> tuple[Register, ...]:
     down: tuple[Field, ...] = (_stored(11, 0),)
     if s_curves:
         up = (
-            Field("uncorrected", 15, 15, "1 = FH correction off: a short preset move is a triangle", "S"),
+            Field(
+                "uncorrected", 15, 15, "FH correction", "S", values={0: "on", 1: "off"},
+                note="off: a short preset move is a triangle",
+            ),
             Field("stored", 14, 13, "stored, no effect", "I"),
-            Field("linear", 12, 12, "1 = linear ramps, 0 = S-curves", "I"),
-            Field("span", 11, 0, span, "S"),
-        )
-        down = (Field("span", 11, 0, span, "S"),)
-    title = (
-        "S-curve" if s_curves else "no S-curve on this chip; a write in motion ends the automatic point all the same"
-    )
+            Field("linear", 12, 12, "", "I", values={0: "S-curves", 1: "linear ramps"}),
+            span,
+        )  # fmt: skip
+        down = (span,)
+    note = "S-curve" if s_curves else "no S-curve on this chip; a write in motion ends the automatic point all the same"
     return (
-        Register("R10", 0x10, 24, "RW", "position counter, two's complement", evidence="H", unit="pulses"),
+        Register("R10", 0x10, 24, "RW", "position counter", evidence="H", unit="pulses", note="two's complement"),
         Register("R11", 0x11, 24, "RW", "stored, no effect", evidence="I"),
         Register(
             "R12", 0x12, 24, "RW", "input logic", None,
             (
                 _stored(23, 13),
-                Field("ez_logic", 12, 12, "EZ logic; stored, pins are set as asserted", "S"),
+                Field("ez_logic", 12, 12, "EZ logic", "S", values=logic, note=unused),
                 _stored(11, 0),
             ),
         ),
@@ -161,21 +196,21 @@ def _extension(s_curves: bool) -> tuple[Register, ...]:
             (
                 org,
                 _stored(22, 22),
-                Field("ez_return", 21, 21, "1 = origin return ends at EZ, not at ORG", "I"),
-                Field("ez_from_fl", 20, 20, "EZ counts from: 0 ORG on, 1 FL reached after ORG", "I"),
-                Field("ez_count", 19, 16, "EZ edges to let pass: the return ends at the next one", "S"),
+                Field("ez_return", 21, 21, "origin return ends at", "I", values={0: "ORG", 1: "EZ"}),
+                Field("ez_from_fl", 20, 20, "EZ counts from", "I", values={0: "ORG on", 1: "FL reached after ORG"}),
+                Field("ez_count", 19, 16, "EZ edges to let pass", "S", note="the return ends at the next one"),
                 _stored(15, 0),
             ),
         ),
-        Register("R14", 0x14, 16, "RW", f"acceleration: {title}", None, up, seen),
-        Register("R15", 0x15, 12, "RW", f"deceleration: {title}", None, down, seen),
+        Register("R14", 0x14, 16, "RW", "acceleration", None, up, seen, note=note),
+        Register("R15", 0x15, 12, "RW", "deceleration", None, down, seen, note=note),
         Register("R16", 0x16, 24, "RW", "stored, no effect", evidence="I"),
         Register(
             "R17", 0x17, 24, "RW", "EZ monitor", None,
             (
                 _stored(23, 21),
                 Field("ez", 20, 20, "EZ asserted", seen, "R"),
-                Field("ez_counter", 19, 16, "EZ edges to come; at rest R13's count", seen, "R"),
+                Field("ez_counter", 19, 16, "EZ edges to come", seen, "R", note="at rest R13's count"),
                 _stored(15, 0),
             ),
             seen,

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 
-from stage.chips.pcl240.state import LINEAR, R14, R15, SD_MINUS, SD_PLUS, SPAN, UNCORRECTED, stop
+from stage.chips.pcl240.state import FH1, FH2, LINEAR, R14, R15, SD_MINUS, SD_PLUS, SPAN, UNCORRECTED, stop
 from stage.native import greatest, hot
 
 NEVER = 1 << 40
@@ -25,9 +25,9 @@ def selected_speed(c):
     """The speed register that the operating mode selects, or the corrected FH in its place."""
     if c.select == c.top_select and c.select:
         return c.top
-    if c.select == 1:
+    if c.select == FH1:
         return c.reg[2]
-    if c.select == 3:
+    if c.select == FH2:
         return c.reg[3]
     return c.reg[1]
 
@@ -84,7 +84,7 @@ def correct_top(c):
         revised R2                   sqrt(8192 R0 R7 / R4 + R1^2)    or  (-s + sqrt((s - 2 R1)^2 + 65536 R0 R7 / R4)) / 2
     """
     low, high, rate = c.reg[1], selected_speed(c), c.reg[4]
-    if not (c.s_curves and watching(c) and c.select & 1 and rate) or c.reg[R14] & UNCORRECTED:
+    if not (c.s_curves and watching(c) and (c.select == FH1 or c.select == FH2) and rate) or c.reg[R14] & UNCORRECTED:
         return
     way = c.reg[0] * c.reg[7]
     a, b = c.reg[R14] & SPAN, c.reg[R15] & SPAN

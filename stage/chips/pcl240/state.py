@@ -4,13 +4,33 @@ from __future__ import annotations
 
 import numpy as np
 
+from stage.chips.pcl240.maps import PCL240MS_MAP as MAP
 from stage.native import hot, record
 
-REGISTERS = 16
-R10, R13, R14, R15, R17 = 8, 11, 12, 13, 15
+REGISTERS = len(MAP.registers)
+_PLACES = {r.name: k for k, r in enumerate(MAP.registers)}
+R10, R13, R14, R15, R17 = (_PLACES[name] for name in ("R10", "R13", "R14", "R15", "R17"))
 """Places in `reg`: R0 to R7, then R10 to R17 (octal numbers). R0 to R7 are at home under their own number."""
+COUNTER_MASK = MAP.register("R0").mask
 
-COUNTER_MASK = 0xFFFFFF
+# The bits of the bytes of address 0, of the status byte and of registers. The MS has all that the others have.
+GROUP = MAP.mask("operate", "group")
+INT_AT_STOP, START, STOP, RAMP, SPEED = MAP.masks("operate", "int_at_stop", "start", "stop", "ramp", "speed")
+FL, FH1, FH2 = (MAP.field("operate", "speed").code(name) for name in ("FL", "FH1", "FH2"))
+MINUS, PRESET, SD, ORIGIN, AUTOMATIC, POSITION = MAP.masks(
+    "control", "minus", "preset", "sd", "origin", "automatic", "position"
+)
+REGISTER, SECOND_EIGHT, COLLECTIVE = MAP.masks("select", "register", "extension", "collective")
+INDEPENDENT, EXTENSION, EXTERNAL, OTS_LEVEL = MAP.masks("output", "independent", "extension", "external", "ots")
+OUTPUT_BITS = MAP.word("output").used & ~GROUP
+S_NO_INT, S_OPERATING, S_FKEEP, S_LT, S_ZERO, S_SD, S_ORG, S_INS = MAP.masks(
+    "status", "no_int", "operating", "fkeep", "lt", "zero", "sd", "org", "ins"
+)
+LINEAR, UNCORRECTED, SPAN = MAP.masks("R14", "linear", "uncorrected", "span")  # SPAN of R15, too
+EZ_RETURN, EZ_FROM_FL = MAP.masks("R13", "ez_return", "ez_from_fl")
+EZ_COUNT = MAP.bit("R13", "ez_count")  # of R17, too
+EZ_MOST = MAP.mask("R13", "ez_count") >> EZ_COUNT
+EZ_SIGNAL = MAP.mask("R17", "ez")
 
 STATE = record(
     [
@@ -65,11 +85,6 @@ OUTPUTS = {
     "zero": ZERO,
     "irq": IRQ,
 }
-INDEPENDENT, EXTENSION, EXTERNAL, OTS_LEVEL = 0x01, 0x08, 0x10, 0x20  # bits of the output-mode command
-LINEAR, UNCORRECTED, SPAN = 0x1000, 0x8000, 0xFFF  # bits of R14; SPAN of R15, too
-EZ_COUNT, EZ_FROM_FL, EZ_RETURN = 16, 1 << 20, 1 << 21  # R13: shift of the count, timing, origin return uses EZ
-EZ_SIGNAL = 1 << 20  # R17
-
 PULSE = np.dtype((np.record, np.dtype([("clock", "i8"), ("axis", "i1"), ("direction", "i1")], align=True)))
 EDGE = record([(name, "i8") for name in "clock inputs outputs speed counter net".split()] + [("rate", "f8")])
 

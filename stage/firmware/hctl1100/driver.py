@@ -11,7 +11,7 @@ from typing import Any, NoReturn, cast
 
 import numpy as np
 
-from stage.chips.hctl1100.maps import MINIMUM_T, NUMBERS
+from stage.chips.hctl1100.maps import CLEAR, FLAG, MINIMUM_T, MODE, NUMBERS
 from stage.errors import ArgumentError, RunTimeout
 from stage.firmware.choices import Choices, choices
 from stage.firmware.driver import SETTLE, Driver, Speeds
@@ -178,7 +178,7 @@ class Hctl1100Driver(Driver):
         self._no("the formulas make registers of pulse rates")
 
     def write_stop(self, program: Operations) -> None:
-        program.register(self.index, self.chip, "R05", IDLE)
+        program.write(self.index, MODE, IDLE)
 
     def filter_choices(self, trapezoid: bool) -> Choices:
         least = MINIMUM_T["trapezoid" if trapezoid else "position"]
@@ -194,17 +194,17 @@ class Hctl1100Driver(Driver):
 
         for name, value in values.items():
             put(name, value)
-        put("R13", 0)  # the actual position is 0
+        program.write(self.index, CLEAR, 0)
         if rates is None:
             put("command_position", counts)
         else:
             sample = 16 * (values["R0F"] + 1) / self.chip.clock_hz
-            put("R00", SET | FLAGS["trapezoid"])
+            program.write(self.index, FLAG, SET | FLAGS["trapezoid"])
             put("command_position", 0)
             put("final_position", counts)
             for name, rate in (("maximum_velocity", rates[0] * sample), ("acceleration", rates[1] * sample**2 * 256)):
                 put(name, int(np.clip(round(rate), 1, NUMBERS[name].most)))
-        put("R05", CONTROL)
+        program.write(self.index, MODE, CONTROL)
 
     def search(self, settings: Any) -> Search:
         self._no("OriginReturn writes an origin return of pulses")

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from stage.chips.hctl1100.maps import MODE
 from stage.errors import ArgumentError, RunTimeout
 from stage.firmware.hctl1100.moves import acceleration_word, cruise, trapezoid, velocity_word
 from stage.firmware.hctl1100.port import CONTROL, LIMIT, STOP, Port
@@ -164,4 +165,4 @@ def _preset(port: Port, origin: int) -> None:
     port.idle()
     port.load(preset_position=port.position() - origin)
     port.load(command_position=port.position())
-    port.chip.write(0x05, CONTROL)
+    port.chip.write(MODE, CONTROL)

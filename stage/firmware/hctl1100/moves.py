@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from stage.chips.hctl1100.maps import NUMBERS
+from stage.chips.hctl1100.maps import NUMBERS, after_reset
 from stage.errors import ArgumentError
 from stage.firmware.axis import Axis
 from stage.firmware.hctl1100.port import LIMIT, PROFILE, STOP, Port
@@ -28,10 +28,10 @@ LONGEST = 16 * 256  # clocks of a sample
 class Tuning:
     """The filter D(z) = K/4 (z - A/256) / (z + B/256) and the sample timer T; as after a reset."""
 
-    gain: int = 0x40
-    zero: int = 0xE5
-    pole: int = 0x40
-    timer: int = 0x40
+    gain: int = after_reset("gain")
+    zero: int = after_reset("zero")
+    pole: int = after_reset("pole")
+    timer: int = after_reset("timer")
 
 
 @dataclass(frozen=True)

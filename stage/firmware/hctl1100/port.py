@@ -11,15 +11,34 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from stage.chips import HCTL1100
-from stage.chips.hctl1100.maps import MAP, MINIMUM_T, NUMBERS
+from stage.chips.hctl1100.maps import (
+    ACTUAL_POSITION,
+    ACTUAL_VELOCITY,
+    COMMAND_POSITION,
+    FLAG,
+    FLAG_WRITE,
+    MAP,
+    MINIMUM_T,
+    MODE,
+    MODE_WRITE,
+    NUMBERS,
+    STATUS,
+    TIMER,
+    Quantity,
+    after_reset,
+)
 from stage.chips.hctl1100.state import signed
 from stage.errors import ArgumentError, RunTimeout, unknown
 from stage.firmware.axis import Axis
 
 POLL = 1e-3  # s between two looks
-RESET, IDLE, ALIGN, CONTROL = range(4)  # R05
-SET = 8  # R00: set the flag, not clear it
-FLAGS = {"trapezoid": 0, "proportional velocity": 3, "integral velocity": 5}
+RESET, IDLE, ALIGN, CONTROL = (MODE_WRITE.fields[0].code(mode) for mode in ("reset", "Init/Idle", "Align", "control"))
+SET = FLAG_WRITE.fields[0].code("set")
+FLAGS = {
+    mode: MAP.bit("R00", flag)
+    for mode, flag in (("trapezoid", "f0"), ("proportional velocity", "f3"), ("integral velocity", "f5"))
+}
+"""The flag of each control mode but position control."""
 LIMIT, STOP, INIT, PROFILE = (MAP.mask("R07", name) for name in ("limit", "stop", "init", "profile"))
 MARGIN = 3  # counts of the timer: so long before the sample's end no command is begun
 LOOKS = 8  # at the timer, one after the other; two or three are enough
@@ -34,7 +53,7 @@ class Port:
     def __init__(self, axis: Axis):
         if not isinstance(getattr(axis, "chip", None), HCTL1100):
             raise ArgumentError(f"{axis!r} has no HCTL1100: make the stage with chips=HCTL1100.")
-        self.axis, self.chip, self.t = axis, axis.chip, 0x40
+        self.axis, self.chip, self.t = axis, axis.chip, after_reset("timer")
 
     @property
     def count(self) -> float:
@@ -59,35 +78,35 @@ class Port:
                 self.chip.write(*cycle)
         self.t = values.get("timer", self.t)
 
-    def _read(self, *addresses: int) -> int:
-        """Bytes as a signed number, the low one first."""
-        value = sum(self.chip.read(address) << 8 * k for k, address in enumerate(addresses))
-        return signed(value, 8 * len(addresses))
+    def _read(self, number: Quantity) -> int:
+        """A signed number, its low byte first."""
+        value = sum(self.chip.read(a) << number.shift(a) for a in reversed(number.addresses))
+        return signed(value, 8 * len(number.addresses))
 
     def position(self) -> int:
         """The actual position, counts."""
-        return self._read(0x14, 0x13, 0x12)
+        return self._read(ACTUAL_POSITION)
 
     def commanded(self) -> int:
         """The command position, counts. Its bytes have no latch: at rest, or slowly, only."""
-        return self._read(0x0E, 0x0D, 0x0C)
+        return self._read(COMMAND_POSITION)
 
     def velocity(self) -> int:
         """The actual velocity, counts per sample; the chip knows it in proportional velocity mode only."""
-        return self._read(0x34, 0x35)
+        return self._read(ACTUAL_VELOCITY)
 
     def status(self) -> int:
         """R07, see LIMIT, STOP, INIT, PROFILE."""
-        return self.chip.read(0x07)
+        return self.chip.read(STATUS)
 
     def clear_status(self) -> int:
         """Clear what has triggered and is released again; R07 then."""
-        self.chip.write(0x07, self.chip.read(0x07) & 0x0F)
+        self.chip.write(STATUS, self.chip.read(STATUS) & MAP.register("R07").writable)
         return self.status()
 
     def idle(self) -> None:
         """Init/Idle: no motor command."""
-        self.chip.write(0x05, IDLE)
+        self.chip.write(MODE, IDLE)
 
     def mode(self, name: str) -> None:
         """Choose a control mode by its flag, "position" by none, and let the sample in progress end: with a profile it takes longer
@@ -100,16 +119,16 @@ class Port:
     def _set_flags(self, name: str) -> None:
         for flag in FLAGS.values():
             if flag != FLAGS.get(name):
-                self.chip.write(0x00, flag)
+                self.chip.write(FLAG, flag)
         if name != "position":
-            self.chip.write(0x00, SET | FLAGS[name])
+            self.chip.write(FLAG, SET | FLAGS[name])
 
     def hold(self) -> None:
         """Position control where the shaft stands, from any mode. While LIMIT has triggered the chip refuses, see `limited`."""
         self.idle()
         self._set_flags("position")
         self.load(command_position=self.position())
-        self.chip.write(0x05, CONTROL)
+        self.chip.write(MODE, CONTROL)
 
     def limited(self) -> bool:
         """LIMIT has triggered, and the chip is in Init/Idle."""
@@ -125,7 +144,7 @@ class Port:
                 f"{least + MARGIN} or more."
             )
         for _ in range(LOOKS):
-            left = self.chip.read(0x0F)
+            left = self.chip.read(TIMER)
             if self.t - left < least:
                 self.axis.wait((least - self.t + left) * self.count)
             elif left < MARGIN:

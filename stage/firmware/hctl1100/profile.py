@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stage.chips.hctl1100.maps import TIMER
 from stage.errors import ArgumentError
 from stage.firmware.hctl1100.port import MARGIN, Port
 
@@ -81,7 +82,7 @@ def follow(
 
 def _next_sample(port: Port) -> None:
     """Wait for the safe part of the next sample, as a timer interrupt and a look at R0F would."""
-    port.axis.wait((port.chip.read(0x0F) + MARGIN) * port.count)
+    port.axis.wait((port.chip.read(TIMER) + MARGIN) * port.count)
     port.wait_for_the_safe_part()
 
 

@@ -14,21 +14,40 @@ from typing import Any, NamedTuple
 
 from stage.chips import Chip
 from stage.chips.pcl240 import PCL240, STATUS
+from stage.chips.pcl240 import state as bits
 from stage.chips.pcl240.maps import CONTROL, OUTPUT, SELECT
+from stage.chips.pcl240.state import (
+    AUTOMATIC,
+    COLLECTIVE,
+    EXTENSION,
+    EXTERNAL,
+    EZ_COUNT,
+    EZ_FROM_FL,
+    EZ_RETURN,
+    EZ_SIGNAL,
+    MINUS,
+    ORIGIN,
+    POSITION,
+    PRESET,
+    SD,
+    UNCORRECTED,
+)
 from stage.errors import ArgumentError, RunTimeout, StageError
 from stage.firmware.axis import Axis
 
-RESET, STOP, SLOW_DOWN_FH1, SLOW_DOWN_FH2 = 0x08, 0x18, 0x1D, 0x1F
-INTERRUPT = 0x20
-START = {"FL": 0x10, "FH1": 0x11, "FH2": 0x13}  # constant speed
-RAMP = {"FL": 0x14, "FH1": 0x15, "FH2": 0x17}
-ORIGIN, SD, PRESET, MINUS = 0x01, 0x02, 0x04, 0x08  # of the control mode
-AUTOMATIC, POSITION = 0x10, 0x20  # of the control mode, MK and MS
-COLLECTIVE = 0x20  # of the register select, MK and MS
-EXTENSION, EXTERNAL = 0x08, 0x10  # of the output mode
-EZ_RETURN, EZ_FROM_FL = 1 << 21, 1 << 20  # of R13
-UNCORRECTED = 0x8000  # of R14
-EZ_SIGNAL = 1 << 20  # of R17
+START = {"FL": bits.START | bits.FL, "FH1": bits.START | bits.FH1, "FH2": bits.START | bits.FH2}  # constant speed
+RAMP = {name: start | bits.RAMP for name, start in START.items()}
+RESET, STOP, SLOW_DOWN_FH1, SLOW_DOWN_FH2 = (
+    bits.STOP,
+    bits.STOP | START["FL"],
+    bits.STOP | RAMP["FH1"],
+    bits.STOP | RAMP["FH2"],
+)
+INTERRUPT = bits.INT_AT_STOP
+
+__all__ = ["AUTOMATIC", "COLLECTIVE", "CONTROL", "EXTENSION", "EXTERNAL", "EZ_COUNT", "EZ_FROM_FL", "EZ_RETURN", "EZ_SIGNAL",
+           "INTERRUPT", "MINUS", "ORIGIN", "OUTPUT", "POSITION", "PRESET", "RAMP", "RESET", "SD", "SELECT", "SLOW_DOWN_FH1",
+           "SLOW_DOWN_FH2", "START", "STOP", "UNCORRECTED", "Port", "Status", "stop_reason"]  # fmt: skip
 
 POLL = 1e-3  # s between two looks at the status byte of a run that takes long
 QUICK = 2e-4  # s, where a command follows at once
@@ -99,7 +118,7 @@ class Port:
 
     def command(self, value: int) -> None:
         """Write the command buffer."""
-        if value >> 6 == 3:
+        if value & bits.GROUP == OUTPUT:
             self._output = value
         self._chip.write(0, value)
 

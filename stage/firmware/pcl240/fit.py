@@ -18,7 +18,8 @@ from __future__ import annotations
 import numpy as np
 
 from stage.chips.pcl240 import core
-from stage.chips.pcl240.state import R14, R15
+from stage.chips.pcl240.maps import CONTROL
+from stage.chips.pcl240.state import AUTOMATIC, FH1, PRESET, R14, R15, RAMP, START
 from stage.firmware.pcl240.closed_form import (
     NEVER,
     bend,
@@ -298,8 +299,8 @@ def start(chip, r, automatic, r6):
     if len(r) > 8:
         chip.reg[R14], chip.reg[R15] = r[8], r[9]
     chip.reg[6] = r6 & chip.mask[6] if automatic else r6
-    core.write(chip, 0, 0x54 if automatic else 0x44)
-    core.write(chip, 0, 0x15 if r[2] > r[1] else 0x11)
+    core.write(chip, 0, CONTROL | PRESET | (AUTOMATIC if automatic else 0))
+    core.write(chip, 0, START | FH1 | (RAMP if r[2] > r[1] else 0))
 
 
 @exported("i8", core.STATE, ROW, "i8", "i8", array_of(core.PULSE))

@@ -90,7 +90,7 @@ def _approach(port: Port, direction: int, high_speed: bool, timeout: float, ez: 
     A carriage that rings can let go of ORG for a moment: look twice.
     """
     if port.extended:
-        port.write_register("R13", bus.EZ_RETURN | bus.EZ_FROM_FL | (ez - 1) << 16 if ez else 0)
+        port.write_register("R13", bus.EZ_RETURN | bus.EZ_FROM_FL | (ez - 1) << bus.EZ_COUNT if ez else 0)
     port.control(bus.ORIGIN | (bus.SD if high_speed else 0) | _minus(direction))
     port.command(bus.RAMP["FH1"] if high_speed else bus.START["FL"])
     status = port.wait_until_stopped(timeout)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
+from stage.chips.pcl240.state import COUNTER_MASK
 from stage.errors import ArgumentError, StageError
 from stage.firmware.axis import Axis
 from stage.firmware.pcl240 import bus
@@ -254,7 +255,7 @@ def _count(pulses: int) -> int:
         not isinstance(pulses, int | float)
         or pulses != pulses
         or int(pulses) != pulses
-        or not 1 <= abs(pulses) <= 0xFFFFFF
+        or not 1 <= abs(pulses) <= COUNTER_MASK
     ):
         raise ArgumentError(f"pulses={pulses!r}: R0 counts 1 to 16777215 pulses; the sign is the direction.")
     return abs(int(pulses))

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from stage.chips.pcl240 import OPERATING_MODE
+from stage.chips.pcl240.describe import speed_name
+from stage.chips.pcl240.maps import CONTROL, OPERATE, OUTPUT
+from stage.chips.pcl240.state import FL, GROUP, INT_AT_STOP, OUTPUT_BITS, RAMP, SPEED, START, STOP
 from stage.firmware import pattern
 from stage.firmware.pattern import AMBER, BLUE, GREEN, GREY, RED, VIOLET, Note
 
@@ -22,10 +24,6 @@ LANES = (
     ("extp", "EXTP", VIOLET),
     ("irq", "INT", RED),
 )
-START, STOP, RAMP, SPEED = (
-    next(f for f in OPERATING_MODE.fields if f.name == n) for n in ("start", "stop", "ramp", "speed")
-)
-SPEEDS = ("FL", "FH1", "FL", "FH2")
 
 
 class Pattern(pattern.Pattern):
@@ -50,9 +48,9 @@ class Pattern(pattern.Pattern):
             if s.kind == "register":
                 name, value = s.meaning.split(" ")[0], int(s.meaning.split(" ")[2])
                 values.setdefault(name, set()).add(value)
-            elif s.kind == "command" and START.of(int(s.code, 16)) and int(s.code, 16) < 0x40:
-                used.add(SPEEDS[SPEED.of(int(s.code, 16))])
-                used |= {"FL"} if RAMP.of(int(s.code, 16)) else set()
+            elif s.kind == "command" and (byte := int(s.code, 16)) & START and byte & GROUP == OPERATE:
+                used.add(speed_name(byte))
+                used |= {"FL"} if byte & RAMP else set()
         step = self.course.clock_hz / (8192.0 * max(next(iter(values.get("R7", {1}))), 1))
         names = {"FL": "R1", "FH1": "R2", "FH2": "R3"}
         once = {n: values[r] for n, r in names.items() if n in used and len(values.get(r, ())) == 1}
@@ -79,16 +77,17 @@ class Pattern(pattern.Pattern):
             byte = int(code, 16)
             words = _words(byte, halted)
             if (
-                byte & 0x1F == 0x14
+                byte & (START | STOP | RAMP | SPEED) == START | RAMP | FL
                 and not halted
                 and not course.pin("fdown")[np.searchsorted(clocks, s.clock, "right") - 1]
             ):
                 words = "ramps on"
             if words:
                 notes.append(Note(when, " ".join([*ahead, f"{code}h"]), words, False))
-            if words or s.kind == "reset" or byte == 0x08:
+            if words or s.kind == "reset" or byte == STOP:
                 ahead.clear()
-            if not words and (byte == 0x08 or byte >> 6 == 1 or (byte >> 6 == 3 and byte & 0x3F)):
+            group = byte & GROUP
+            if not words and (byte == STOP or group == CONTROL or (group == OUTPUT and byte & OUTPUT_BITS)):
                 ahead = [a for a in ahead if a[0] != code[0]] + [f"{code}h"]  # the latest of a group counts
         falls = course.pin("fdown") & course.pin("lt") & ~hold
         for k in np.flatnonzero(falls[1:] & ~course.pin("lt")[:-1]) + 1:
@@ -101,17 +100,17 @@ class Pattern(pattern.Pattern):
 
 def _words(byte: int, halted: bool) -> str:
     """What an operating-mode command does there and then, in few words."""
-    if byte >> 6:
+    if byte & GROUP != OPERATE:
         return ""
-    irq = ", /INT at stop" if byte & 0x20 else ""
-    start, stop = START.of(byte), STOP.of(byte)
+    irq = ", /INT at stop" if byte & INT_AT_STOP else ""
+    start, stop = byte & START, byte & STOP
     if stop and not start:
         return "" if halted else "reset command"
     if stop:
-        return ("decelerating stop" if RAMP.of(byte) else "stop") + irq
+        return ("decelerating stop" if byte & RAMP else "stop") + irq
     if not start:
         return ""
-    speed = SPEEDS[SPEED.of(byte)]
+    speed = speed_name(byte)
     if halted:
-        return (f"start, ramp to {speed}" if RAMP.of(byte) and speed != "FL" else f"start, constant {speed}") + irq
-    return (f"ramp to {speed}" if RAMP.of(byte) else f"at once {speed}") + irq
+        return (f"start, ramp to {speed}" if byte & RAMP and speed != "FL" else f"start, constant {speed}") + irq
+    return (f"ramp to {speed}" if byte & RAMP else f"at once {speed}") + irq

@@ -15,6 +15,7 @@ import numpy as np
 
 from stage.chips import PCL240K
 from stage.chips.pcl240 import PCL240
+from stage.chips.pcl240.state import SPAN
 from stage.errors import ArgumentError
 
 _MAP = PCL240K.MAP
@@ -127,7 +128,7 @@ class Profile:
         if self.spans is not None and not self.chip.S_CURVES:
             raise ArgumentError(f"{self.chip.MAP.chip} has linear ramps only; S-curves need a PCL240MS.")
         for name, span in zip(("R14", "R15"), self.spans or (), strict=False):
-            if not 0 <= span <= 0xFFF:
+            if not 0 <= span <= SPAN:
                 raise ArgumentError(f"{name} span {span!r}: an S-curve's end takes 0 to 4095 speed steps.")
         for name, value in self.registers().items():
             self.chip.MAP.checked(name, value)

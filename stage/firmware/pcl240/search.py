@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from stage.chips.pcl240.state import COUNTER_MASK, S_ORG, S_ZERO
 from stage.errors import ArgumentError
 from stage.firmware.choices import choices, limits
 from stage.firmware.pcl240 import bus
@@ -16,8 +17,6 @@ from stage.sim.program import Program
 if TYPE_CHECKING:
     from stage.firmware.pcl240.driver import Pcl240Driver
 
-COUNTER = 0xFFFFFF
-ORG, ZERO = 0x02, 0x08  # of the status byte
 RUNS = ("leave", "search", "back off", "approach")
 
 
@@ -53,7 +52,7 @@ class FourRuns(Search):
         self._run(p, "back off", bus.PRESET, bus.START["FL"], back_off, c.settle)
         p.register(a, chip, "R1", approach)
         if c.ez:
-            p.register(a, chip, "R13", bus.EZ_RETURN | bus.EZ_FROM_FL | (c.ez - 1) << 16)
+            p.register(a, chip, "R13", bus.EZ_RETURN | bus.EZ_FROM_FL | (c.ez - 1) << bus.EZ_COUNT)
         self._run(p, "approach", bus.ORIGIN | bus.MINUS, bus.START["FL"], 0, c.settle)
         if c.ez:  # the index pulse, as R17 shows it: bit 20, in the high byte
             p.command(a, bus.OUTPUT | bus.EXTENSION)
@@ -72,14 +71,14 @@ class FourRuns(Search):
         said = {name: results[:, at] for name, at in self.marks.items()}
         status = {name: said[f"{name} 0"] for name in RUNS}
         made = {
-            name: -(said[f"{name} 3"] << 16 | said[f"{name} 2"] << 8 | said[f"{name} 1"]) & COUNTER
+            name: -(said[f"{name} 3"] << 16 | said[f"{name} 2"] << 8 | said[f"{name} 1"]) & COUNTER_MASK
             for name in ("search", "approach")
         }
         late = np.any([said[f"{name} time"] < 0 for name in RUNS], axis=0)
-        on_org = {name: s & ORG != 0 for name, s in status.items()}
+        on_org = {name: s & S_ORG != 0 for name, s in status.items()}
         arrived = said["index"] & bus.EZ_SIGNAL >> 16 != 0 if self.settings.ez else on_org["approach"]
         released = ~on_org["back off"]
-        short = (status["leave"] & ZERO == 0) | (status["back off"] & ZERO == 0)
+        short = (status["leave"] & S_ZERO == 0) | (status["back off"] & S_ZERO == 0)
         end_limit = ~late & (short | ~on_org["search"] | (released & ~arrived))
         overrun = made["approach"] - rows[:, list(self.choices.ranges).index("back_off")]
         return Found(late, ~late & released & arrived, end_limit, released, made["search"], overrun)

@@ -12,6 +12,7 @@ from stage.chips.nova.motion import drive
 from stage.chips.nova.motion.drive import rate_reading
 from stage.chips.nova.registers.mcx300 import MCX312_MAP as MAP
 from stage.chips.nova.registers.mcx300 import RESET
+from stage.chips.nova.registers.words300 import DELAYS
 from stage.chips.nova.state import (
     ALARM,
     AXES,
@@ -73,7 +74,6 @@ MANLD, DSNDE, SACC, AVTRI = (_of("WR3", n) for n in ("MANLD", "DSNDE", "SACC", "
 EPINV = _of("WR1", "EPINV")
 FE0 = MAP.bit("WR3", "FE0")
 _FILTERS = (LMT_PLUS | LMT_MINUS | STOP0 | STOP1, STOP2, INPOS | ALARM)
-_DELAYS = (2, 256, 512, 1024, 2048, 4096, 8192, 16384)  # us; FL = 2 is known to be 512
 
 
 @hot
@@ -108,7 +108,7 @@ def configure(x):
     for k in range(3):
         if w >> FE0 + k & 1:
             x.filtered |= _FILTERS[k]
-    x.delay = x.slow_delay = 16 * _DELAYS[w >> FL & 7]
+    x.delay = x.slow_delay = 16 * DELAYS[w >> FL & 7]
 
 
 @hot

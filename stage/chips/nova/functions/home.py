@@ -16,6 +16,7 @@ from stage.chips.nova.functions import io as ports
 from stage.chips.nova.motion import drive
 from stage.chips.nova.registers.mcx300 import MCX304_MAP
 from stage.chips.nova.registers.mcx514 import MCX514_MAP
+from stage.chips.nova.registers.words514 import HOME_TIMES
 from stage.chips.nova.state import (
     ALARM,
     D_END,
@@ -73,7 +74,6 @@ AFTER_2, AFTER_3 = (_h1("S2DC"), _h1("S2RC"), _h1("S2LC")), (_h1("S3DC"), _h1("S
 """DCC, clear RP, clear LP."""
 SAND, LCLR, RCLR, HTME = _h2("SAND"), _h2("LCLR"), _h2("RCLR"), _h2("HTME")
 HTM = MCX514_MAP.bit("H2M", "HTM")
-TIMES = (1, 2, 10, 20, 100, 200, 500, 1000)  # ms
 MS = 16_000  # clocks
 LIMIT_304, SAND_304, PCLR, DCC_E = _hm("LIMIT"), _hm("SAND"), _hm("PCLR"), _hm("DCC-E")
 
@@ -327,7 +327,7 @@ def _pause(c, x, state, clocks):
     x.home, x.seeks, x.creeps = state, 0, 0
     mode = x.mode[H2M]
     if c.variant == MCX514_TYPE and mode & HTME and _more(c, x, _next(x) - 1):
-        clocks += MS * TIMES[mode >> HTM & 7]
+        clocks += MS * HOME_TIMES[mode >> HTM & 7]
     x.pause = c.clock + clocks
     if clocks == 0:
         _begin(c, x, _next(x))

@@ -7,6 +7,7 @@ of PIO0 to PIO7 [M]: DRIVE, ERROR, ASND, CNST, DSND, AASND, ACNST, ADSND. A sync
 from __future__ import annotations
 
 from stage.chips.nova.bus.status import busy, phase_bits
+from stage.chips.nova.registers.common import DCC_WIDTHS
 from stage.chips.nova.registers.mcx300 import MCX304_MAP
 from stage.chips.nova.registers.mcx514 import MCX514_MAP
 from stage.chips.nova.state import MCX514_TYPE, NEVER, PIO, SYNC_SETS
@@ -18,7 +19,6 @@ PINS = 8
 SYNC_PULSE = 2
 US = 16  # clocks
 DCP, DCCW = MCX514_MAP.bit("H2M", "DCP"), MCX304_MAP.bit("HM", "DCCW")
-_WIDTHS = (10, 20, 100, 200, 1000, 2000, 10_000, 20_000)  # us
 
 
 @hot
@@ -79,7 +79,7 @@ def sync_pulse(c, x, m):
 def clear_deviation(c, x):
     """A pulse on DCC. Returns how many clocks it lasts."""
     code = x.mode[H2M] >> DCP if c.variant == MCX514_TYPE else x.mode[HM] >> DCCW
-    clocks = US * _WIDTHS[code & 7]
+    clocks = US * DCC_WIDTHS[code & 7]
     x.dcc = c.clock + clocks
     c.stale = 1
     return clocks

@@ -2,30 +2,60 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
 from stage.chips.register_map import Field, Word
 
 AXES = "XYZU"
+LEVELS = ("low", "high")
+DCC_WIDTHS = (10, 20, 100, 200, 1000, 2000, 10_000, 20_000)
+"""Of the deviation counter clear output, us, by its code."""
 Range = tuple[int, int] | None
+Values = tuple[str, ...] | Mapping[int, str]
+"""What the values of a field say: from 0 on, or by value."""
 
 
-def bit(name: str, number: int, meaning: str, evidence: str = "C") -> Field:
+def times(us: Iterable[int]) -> tuple[str, ...]:
+    """Microseconds in words."""
+    return tuple(f"{t // 1000} ms" if t >= 1000 and t % 1000 == 0 else f"{t} us" for t in us)
+
+
+def axis_names(axes: int) -> str:
+    """Axes of a chip, bit 0 for X, by name."""
+    return " ".join(a for k, a in enumerate(AXES) if axes >> k & 1)
+
+
+def bit(name: str, number: int, meaning: str, evidence: str = "C", values: Values = (), note: str = "") -> Field:
     """A field of one bit."""
-    return Field(name, number, number, meaning, evidence)
+    return bits(name, number, number, meaning, evidence, values=values, note=note)
 
 
-def bits(name: str, high: int, low: int, meaning: str, evidence: str = "C", legal: Range = None) -> Field:
+def bits(
+    name: str, high: int, low: int, meaning: str, evidence: str = "C", legal: Range = None, values: Values = (), note: str = "",
+    listed: bool = True,
+) -> Field:  # fmt: skip
     """A field of several bits."""
-    return Field(name, high, low, meaning, evidence, legal=legal)
+    by_value = values if isinstance(values, Mapping) else dict(enumerate(values))
+    between = " " if values == LEVELS else ": "  # level of STOP0 high
+    return Field(
+        name, high, low, meaning, evidence, legal=legal, values=by_value, note=note, between=between, listed=listed
+    )
 
 
-def word(name: str, title: str, *fields: Field | Iterable[Field], access: str = "") -> Word:
+def axis_bits(name: str, low: int, axes: int, says: str, evidence: str = "C") -> Field:
+    """A field with a bit for each of so many axes, X first. says: of axes whose bits are 1, after their names."""
+    values = {v: (axis_names(v) or "no axis") + says for v in range(1 << axes)}
+    note = f"{', '.join(AXES[:axes])}{says}"
+    return bits(name, low + axes - 1, low, "", evidence, values=values, note=note, listed=False)
+
+
+def word(name: str, title: str, *fields: Field | Iterable[Field], access: str = "", note: str = "") -> Word:
     """A word of 16 bits; `fields` in any order. RRn can be read, WRn be written, unless `access` says more."""
     found = [f for some in fields for f in ([some] if isinstance(some, Field) else some)]
     access = access or ("R" if name.startswith("RR") else "W")
-    return Word(name, title, tuple(replace(f, access=access) for f in sorted(found, key=lambda f: -f.high)), 16)
+    ordered = tuple(replace(f, access=access) for f in sorted(found, key=lambda f: -f.high))
+    return Word(name, title, ordered, 16, note)
 
 
 DATA_WRITTEN = (

@@ -6,6 +6,8 @@ What none of them says is marked I; so are all values after reset but AO's [C]. 
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from stage.chips.nova.registers.words300 import HM, words
 from stage.chips.register_map import Command, Register, RegisterMap, reads, writes
 
@@ -18,40 +20,40 @@ CHIPS = ("MCX304", "MCX302", "MCX312")
 INTERPOLATING = ("MCX312",)
 
 
-def _speed(code: int, name: str, title: str, legal: tuple[int, int] = SPEED) -> Register:
-    return Register(name, code, 16, "W", title, legal, evidence="C", reset=1)
+def _speed(code: int, name: str, title: str, note: str, legal: tuple[int, int] = SPEED) -> Register:
+    return Register(name, code, 16, "W", title, legal, evidence="C", reset=1, note=note)
 
 
 def _position(
-    code: int, name: str, title: str, access: str = "W", evidence: str = "C", signed: bool = True
+    code: int, name: str, title: str, note: str = "", access: str = "W", evidence: str = "C", signed: bool = True
 ) -> Register:
-    return Register(name, code, 32, access, title, evidence=evidence, unit="pulses", signed=signed, reset=0)
+    return Register(name, code, 32, access, title, evidence=evidence, unit="pulses", signed=signed, reset=0, note=note)
 
 
 PARAMETERS = (
-    Register("R", 0x00, 32, "W", "range: m = 8000000 / R", (16_000, RANGE), evidence="C", reset=RANGE),
-    _speed(0x01, "K", "jerk: 62500000 m / K pps/s2", CURVE),
-    _speed(0x02, "A", "acceleration: 125 m A pps/s"),
-    _speed(0x03, "D", "deceleration: 125 m D pps/s, used with DSNDE"),
-    _speed(0x04, "SV", "initial speed: m SV pps"),
-    _speed(0x05, "V", "drive speed: m V pps; can be changed while driving"),
-    _position(0x06, "P", "output pulses; in interpolation the finish point, signed", evidence="M", signed=False),
-    _position(0x07, "DP", "manual deceleration point, used with MANLD", signed=False),
-    _position(0x08, "C", "circular centre, relative", evidence="M"),
-    _position(0x09, "LP", "logical position counter", "RW"),
-    _position(0x0A, "EP", "real position counter", "RW"),
-    _position(0x0B, "CP", "COMP+: compared with the counter, software limit +"),
-    _position(0x0C, "CM", "COMP-: compared with the counter, software limit -"),
+    Register("R", 0x00, 32, "W", "range", (16_000, RANGE), evidence="C", reset=RANGE, note=f"m = {RANGE} / R"),
+    _speed(0x01, "K", "jerk", "62500000 m / K pps/s2", CURVE),
+    _speed(0x02, "A", "acceleration", "125 m A pps/s"),
+    _speed(0x03, "D", "deceleration", "125 m D pps/s, used with DSNDE"),
+    _speed(0x04, "SV", "initial speed", "m SV pps"),
+    _speed(0x05, "V", "drive speed", "m V pps; can be changed while driving"),
+    _position(0x06, "P", "output pulses", "in interpolation the finish point, signed", evidence="M", signed=False),
+    _position(0x07, "DP", "manual deceleration point", "used with MANLD", signed=False),
+    _position(0x08, "C", "circular centre", "relative", evidence="M"),
+    _position(0x09, "LP", "logical position counter", access="RW"),
+    _position(0x0A, "EP", "real position counter", access="RW"),
+    _position(0x0B, "CP", "COMP+", "compared with the counter, software limit +"),
+    _position(0x0C, "CM", "COMP-", "compared with the counter, software limit -"),
     Register(
         "AO", 0x0D, 16, "W", "acceleration counter offset", (-32768, 32767), (), "C", "pulses", signed=True, reset=8
     ),
-    _speed(0x0E, "L", "deceleration increasing rate: 62500000 m / L pps/s2, used with DSNDE", CURVE),
+    _speed(0x0E, "L", "deceleration increasing rate", "62500000 m / L pps/s2, used with DSNDE", CURVE),
     HM,
-    _speed(0x61, "HV", "home search speed: m HV pps"),
+    _speed(0x61, "HV", "home search speed", "m HV pps"),
 )
 PRESENT = (
-    Register("CV", 0x12, 16, "R", "current speed: m CV pps", evidence="C"),
-    Register("CA", 0x13, 16, "R", "current acceleration / deceleration: 125 m CA pps/s", evidence="C"),
+    Register("CV", 0x12, 16, "R", "current speed", evidence="C", note="m CV pps"),
+    Register("CA", 0x13, 16, "R", "current acceleration / deceleration", evidence="C", note="125 m CA pps/s"),
 )
 """What can only be read."""
 INTERPOLATION_REGISTERS = ("C", "L")
@@ -62,8 +64,13 @@ def _drive(code: int, symbol: str, title: str, starts: bool = False) -> Command:
     return Command(code, symbol, title, "drive", evidence="C", starts=starts)
 
 
-def _interpolation(code: int, symbol: str, title: str, starts: bool = False) -> Command:
-    return Command(code, symbol, title, "interpolation", evidence="C", axes=False, starts=starts)
+def _interpolation(code: int, symbol: str, title: str, note: str = "") -> Command:
+    return Command(code, symbol, title, "interpolation", evidence="C", axes=False, note=note)
+
+
+def _segment(code: int, symbol: str, title: str, points: bool = True) -> Command:
+    """A segment, of the two axes that WR5 chooses."""
+    return replace(_interpolation(code, symbol, title), starts=True, together=(2,), points=points)
 
 
 _BY_NAME = {r.name: r for r in PARAMETERS}
@@ -81,11 +88,11 @@ COMMANDS = (
     _drive(0x25, "START_FREE", "drive start hold release, and end status clear"),
     _drive(0x26, "STOP_DEC", "decelerating stop"),
     _drive(0x27, "STOP_SUDDEN", "sudden stop"),
-    _interpolation(0x30, "IP_2ST", "2-axis linear interpolation", True),
-    _interpolation(0x32, "IP_CW", "CW circular interpolation", True),
-    _interpolation(0x33, "IP_CCW", "CCW circular interpolation", True),
-    _interpolation(0x34, "IP_2BP", "2-axis bit pattern interpolation", True),
-    _interpolation(0x36, "BP_ENABLED", "BP register write enable: WR2 to WR5 are BP1P to BP2M"),
+    _segment(0x30, "IP_2ST", "2-axis linear interpolation"),
+    _segment(0x32, "IP_CW", "CW circular interpolation"),
+    _segment(0x33, "IP_CCW", "CCW circular interpolation"),
+    _segment(0x34, "IP_2BP", "2-axis bit pattern interpolation", points=False),
+    _interpolation(0x36, "BP_ENABLED", "BP register write enable", "WR2 to WR5 are BP1P to BP2M"),
     _interpolation(0x37, "BP_DISABLED", "BP register write disable"),
     _interpolation(0x38, "BP_STACK", "BP data stack"),
     _interpolation(0x39, "BP_CLR", "BP data clear"),

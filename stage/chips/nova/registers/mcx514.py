@@ -6,6 +6,8 @@ chosen as its reader would expect and marked I; so are all values after reset.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from stage.chips.nova.registers.words514 import MODES, WORDS
 from stage.chips.register_map import Command, Field, Register, RegisterMap, reads, writes
 
@@ -28,39 +30,42 @@ NO_AXIS = ("TX", "HLN", "HLV", "CHLN", "IPM", "UI")
 def _parameter(
     code: int, name: str, title: str, legal: tuple[int, int] | None = None, unit: str = "", reset: int = 0, bits: int = 32,
     evidence: str = "C", signed: bool = False, also: tuple[int, ...] = (), fields: tuple[Field, ...] = (),
+    note: str = "",
 ) -> Register:  # fmt: skip
     access = "RW" if name in READ_CODES else "W"
-    return Register(name, code, bits, access, title, legal, fields, evidence, unit, signed, also, reset)
+    return Register(name, code, bits, access, title, legal, fields, evidence, unit, signed, also, reset, note)
 
 
 _SPLIT = (
-    Field("WIDTH", 31, 16, "pulse width, 1 to 65534 drive pulses", "C", legal=(1, 65534)),
-    Field("CYCLE", 15, 0, "cycle length, 2 to 65535 drive pulses", "C", legal=(2, 65535)),
+    Field("WIDTH", 31, 16, "pulse width", "C", legal=(1, 65534), note="1 to 65534 drive pulses"),
+    Field("CYCLE", 15, 0, "cycle length", "C", legal=(2, 65535), note="2 to 65535 drive pulses"),
 )
 PARAMETERS = (
     _parameter(0x00, "JK", "jerk", JERK, "pps/s2", 1),
-    _parameter(0x01, "DJ", "deceleration increasing rate, used with DSNDE", JERK, "pps/s2", 1),
+    _parameter(0x01, "DJ", "deceleration increasing rate", JERK, "pps/s2", 1, note="used with DSNDE"),
     _parameter(0x02, "AC", "acceleration", RATE, "pps/s", 1),
-    _parameter(0x03, "DC", "deceleration, used with DSNDE", RATE, "pps/s", 1),
+    _parameter(0x03, "DC", "deceleration", RATE, "pps/s", 1, note="used with DSNDE"),
     _parameter(0x04, "SV", "initial speed", SPEED, "pps", 1),
-    _parameter(0x05, "DV", "drive speed; can be changed while driving", SPEED, "pps", 1),
-    _parameter(0x06, "TP", f"drive pulse number, or finish point (interpolation: {POINT[0]} to {POINT[1]})",
-               (-2_147_483_646, 2_147_483_646), "pulses", evidence="S", signed=True),
-    _parameter(0x07, "DP", "manual deceleration point, used with MANLD", (0, 4_294_967_292), "pulses", evidence="S"),
-    _parameter(0x08, "CP", "circular centre, relative", POINT, "pulses", signed=True),
+    _parameter(0x05, "DV", "drive speed", SPEED, "pps", 1, note="can be changed while driving"),
+    _parameter(0x06, "TP", "drive pulse number", (-2_147_483_646, 2_147_483_646), "pulses", evidence="S", signed=True,
+               note=f"or finish point (interpolation: {POINT[0]} to {POINT[1]})"),
+    _parameter(0x07, "DP", "manual deceleration point", (0, 4_294_967_292), "pulses", evidence="S", note="used with MANLD"),
+    _parameter(0x08, "CP", "circular centre", POINT, "pulses", signed=True, note="relative"),
     _parameter(0x09, "LP", "logical position counter", None, "pulses", signed=True),
     _parameter(0x0A, "RP", "real position counter", None, "pulses", signed=True),
     _parameter(0x0B, "SP", "software limit +", None, "pulses", signed=True),
     _parameter(0x0C, "SM", "software limit -", None, "pulses", signed=True),
     _parameter(0x0D, "AO", "acceleration counter offset", (-32768, 32767), "pulses", bits=16, signed=True),
-    _parameter(0x0E, "LX", "LP maximum of the ring; FFFFFFFFh: no ring", (1, 2_147_483_647), "pulses", OFF, also=(OFF,)),
-    _parameter(0x0F, "RX", "RP maximum of the ring; FFFFFFFFh: no ring", (1, 2_147_483_647), "pulses", OFF, also=(OFF,)),
+    _parameter(0x0E, "LX", "LP maximum of the ring", (1, 2_147_483_647), "pulses", OFF, also=(OFF,),
+               note="FFFFFFFFh: no ring"),
+    _parameter(0x0F, "RX", "RP maximum of the ring", (1, 2_147_483_647), "pulses", OFF, also=(OFF,),
+               note="FFFFFFFFh: no ring"),
     *(_parameter(0x10 + m, f"MR{m}", f"multi-purpose register {m}", signed=True) for m in range(4)),
     _parameter(0x14, "HV", "home search speed", SPEED, "pps", 1),
     _parameter(0x15, "IV", "speed increasing / decreasing value", (1, 1_000_000), "pps", 1),
-    _parameter(0x16, "TM", "timer value, at 16 MHz", (1, 2_147_483_647), "us", 1),
+    _parameter(0x16, "TM", "timer value", (1, 2_147_483_647), "us", 1, note="at 16 MHz"),
     _parameter(0x17, "SP1", "split pulse cycle and width", None, "pulses", 0x0001_0002, fields=_SPLIT),
-    _parameter(0x18, "SP2", "split pulse count, 0: endless", (0, 65535), bits=16),
+    _parameter(0x18, "SP2", "split pulse count", (0, 65535), bits=16, note="0: endless"),
     _parameter(0x19, "TX", "maximum finish point of interpolation", (1, 1_073_741_823), "pulses", 1, evidence="D"),
     _parameter(0x1A, "HLN", "helical rotation number", (0, 65535), bits=16),
     _parameter(0x1B, "HLV", "helical calculation value", (1, 2_147_483_646), reset=1),
@@ -68,9 +73,11 @@ PARAMETERS = (
 PRESENT = (
     Register("CV", 0x32, 32, "R", "current speed", evidence="S", unit="pps"),
     Register("CA", 0x33, 32, "R", "current acceleration / deceleration", evidence="C", unit="pps/s"),
-    Register("CT", 0x38, 32, "R", "current timer value, 0 while it is stopped", evidence="D", unit="us"),
+    Register("CT", 0x38, 32, "R", "current timer value", evidence="D", unit="us", note="0 while it is stopped"),
     Register("CHLN", 0x3A, 16, "R", "current helical rotation number", evidence="C"),
-    Register("UI", 0x48, 32, "R", "general inputs: RR7 the PIN pins, RR6 the data bus pins in I2C mode", evidence="C"),
+    Register(
+        "UI", 0x48, 32, "R", "general inputs", evidence="C", note="RR7 the PIN pins, RR6 the data bus pins in I2C mode"
+    ),
 )
 """What can only be read."""
 _PAGES = {"DV": "S", "TX": "D"}
@@ -87,12 +94,17 @@ def _reading() -> tuple[Command, ...]:
     return tuple(sorted(found, key=lambda c: c.code))
 
 
-def _drive(code: int, symbol: str, title: str, starts: bool = False) -> Command:
-    return Command(code, symbol, title, "drive", evidence="C", starts=starts)
+def _drive(code: int, symbol: str, title: str, starts: bool = False, note: str = "") -> Command:
+    return Command(code, symbol, title, "drive", evidence="C", starts=starts, note=note)
 
 
-def _interpolation(code: int, symbol: str, title: str, starts: bool = True) -> Command:
-    return Command(code, symbol, title, "interpolation", evidence="C", axes=False, starts=starts)
+def _interpolation(code: int, symbol: str, title: str) -> Command:
+    return Command(code, symbol, title, "interpolation", evidence="C", axes=False)
+
+
+def _segment(code: int, symbol: str, title: str, *axes: int, points: bool = True) -> Command:
+    """A segment, of so many of the axes that IPM chooses."""
+    return replace(_interpolation(code, symbol, title), starts=True, together=axes, points=points)
 
 
 def _other(code: int, symbol: str, title: str, axes: bool = True) -> Command:
@@ -100,7 +112,8 @@ def _other(code: int, symbol: str, title: str, axes: bool = True) -> Command:
 
 
 def _sync(code: int, symbol: str, verb: str) -> Command:
-    return Command(code, symbol, f"{verb} SYNC0 to SYNC3: bits 0 to 3 of the code", "sync", evidence="C", choice=0x0F)
+    note, chooses = "bits 0 to 3 of the code", tuple(f"SYNC{m}" for m in range(4))
+    return Command(code, symbol, verb, "sync", evidence="C", choice=0x0F, note=note, chooses=chooses)
 
 
 COMMANDS = (
@@ -109,7 +122,7 @@ COMMANDS = (
     *(writes(r, "mode write", axes=r.name not in NO_AXIS) for r in MODES),
     *_reading(),
     _drive(0x50, "DRVRL", "relative position drive", True),
-    _drive(0x51, "DRVNR", "counter relative position drive: the sign of TP inverted", True),
+    _drive(0x51, "DRVNR", "counter relative position drive", True, "the sign of TP inverted"),
     _drive(0x52, "DRVVP", "+ direction continuous drive", True),
     _drive(0x53, "DRVVM", "- direction continuous drive", True),
     _drive(0x54, "DRVAB", "absolute position drive", True),
@@ -118,22 +131,22 @@ COMMANDS = (
     _drive(0x58, "DIRCP", "direction signal + (pulse and direction)"),
     _drive(0x59, "DIRCM", "direction signal - (pulse and direction)"),
     _drive(0x5A, "HMSRC", "automatic home search", True),
-    _interpolation(0x60, "LHK1", "1-axis linear interpolation (multichip)"),
-    _interpolation(0x61, "LHK2", "2-axis linear interpolation"),
-    _interpolation(0x62, "LHK3", "3-axis linear interpolation"),
-    _interpolation(0x63, "LHK4", "4-axis linear interpolation"),
-    _interpolation(0x64, "CHKCW", "CW circular interpolation"),
-    _interpolation(0x65, "CHKCCW", "CCW circular interpolation"),
-    _interpolation(0x66, "BHK2", "2-axis bit pattern interpolation"),
-    _interpolation(0x67, "BHK3", "3-axis bit pattern interpolation"),
-    _interpolation(0x68, "BHK4", "4-axis bit pattern interpolation"),
-    _interpolation(0x69, "HLCW", "CW helical interpolation"),
-    _interpolation(0x6A, "HLCCW", "CCW helical interpolation"),
-    _interpolation(0x6B, "HLPCW", "CW helical calculation", False),
-    _interpolation(0x6C, "HLPCCW", "CCW helical calculation", False),
-    _interpolation(0x6D, "DECEN", "deceleration enable", False),
-    _interpolation(0x6E, "DECDIS", "deceleration disable", False),
-    _interpolation(0x6F, "CLRSTEP", "interpolation interrupt clear, or single step", False),
+    _segment(0x60, "LHK1", "1-axis linear interpolation (multichip)", 1),
+    _segment(0x61, "LHK2", "2-axis linear interpolation", 2),
+    _segment(0x62, "LHK3", "3-axis linear interpolation", 3),
+    _segment(0x63, "LHK4", "4-axis linear interpolation", 4),
+    _segment(0x64, "CHKCW", "CW circular interpolation", 2),
+    _segment(0x65, "CHKCCW", "CCW circular interpolation", 2),
+    _segment(0x66, "BHK2", "2-axis bit pattern interpolation", 2, points=False),
+    _segment(0x67, "BHK3", "3-axis bit pattern interpolation", 3, points=False),
+    _segment(0x68, "BHK4", "4-axis bit pattern interpolation", 4, points=False),
+    _segment(0x69, "HLCW", "CW helical interpolation", 3, 4),
+    _segment(0x6A, "HLCCW", "CCW helical interpolation", 3, 4),
+    _interpolation(0x6B, "HLPCW", "CW helical calculation"),
+    _interpolation(0x6C, "HLPCCW", "CCW helical calculation"),
+    _interpolation(0x6D, "DECEN", "deceleration enable"),
+    _interpolation(0x6E, "DECDIS", "deceleration disable"),
+    _interpolation(0x6F, "CLRSTEP", "interpolation interrupt clear, or single step"),
     _other(0x70, "VINC", "speed increase by IV"),
     _other(0x71, "VDEC", "speed decrease by IV"),
     _other(0x72, "DCC", "deviation counter clear output"),

@@ -6,7 +6,18 @@ from working drivers [C], some of them for the MCX314 only: then it is inferred 
 
 from __future__ import annotations
 
-from stage.chips.nova.registers.common import AXES, DATA_READ, DATA_WRITTEN, bit, bits, word
+from stage.chips.nova.registers.common import (
+    AXES,
+    DATA_READ,
+    DATA_WRITTEN,
+    DCC_WIDTHS,
+    LEVELS,
+    axis_bits,
+    bit,
+    bits,
+    times,
+    word,
+)
 from stage.chips.register_map import Field, Register, Word
 
 HOME_STATES = {
@@ -16,25 +27,28 @@ HOME_STATES = {
 }  # fmt: skip
 """HMST of RR2."""
 
+DELAYS = (2, 256, 512, 1024, 2048, 4096, 8192, 16384)
+"""Of the input filters, us, by FL of WR3."""
+
 HM = Register(
-    "HM", 0x60, 16, "W", "automatic home search; the layout is that of WR7 for command 60h of the MCX314As", None,
+    "HM", 0x60, 16, "W", "automatic home search", None,
     (
-        bits("DCCW", 15, 13, "DCC width: 10, 20, 100, 200 us, 1, 2, 10, 20 ms", "I"),
-        bit("DCC-L", 12, "DCC pulse: 0 high, 1 low", "I"),
+        bits("DCCW", 15, 13, "DCC width", "I", values=times(DCC_WIDTHS)),
+        bit("DCC-L", 12, "DCC pulse", "I", values=("high", "low")),
         bit("DCC-E", 11, "DCC output at the end of the search", "I"),
         bit("LIMIT", 10, "steps 1 and 2 search the limit of their direction", "I"),
         bit("SAND", 9, "step 3 stops only while STOP1 is active", "I"),
         bit("PCLR", 8, "LP and EP are cleared at the end", "I"),
-        bit("ST4-D", 7, "direction of step 4: 0 +, 1 -", "I"),
+        bit("ST4-D", 7, "direction of step 4", "I", values=("+", "-")),
         bit("ST4-E", 6, "step 4 (offset of P pulses, V) is executed", "I"),
-        bit("ST3-D", 5, "direction of step 3: 0 +, 1 -", "I"),
+        bit("ST3-D", 5, "direction of step 3", "I", values=("+", "-")),
         bit("ST3-E", 4, "step 3 (low-speed search of STOP2, HV) is executed", "I"),
-        bit("ST2-D", 3, "direction of step 2: 0 +, 1 -", "I"),
+        bit("ST2-D", 3, "direction of step 2", "I", values=("+", "-")),
         bit("ST2-E", 2, "step 2 (low-speed search of STOP1, HV) is executed", "I"),
-        bit("ST1-D", 1, "direction of step 1: 0 +, 1 -", "I"),
+        bit("ST1-D", 1, "direction of step 1", "I", values=("+", "-")),
         bit("ST1-E", 0, "step 1 (high-speed search of STOP0, V) is executed", "I"),
     ),
-    "I", reset=0,
+    "I", reset=0, note="the layout is that of WR7 for command 60h of the MCX314As",
 )  # fmt: skip
 
 
@@ -57,50 +71,52 @@ _WRITTEN = (
         "WR0", "command register",
         bit("RESET", 15, "1 resets the chip: WR0 = 8000h"),
         bits("zero", 14, 12, "must be 0", legal=(0, 0)),
-        bits("AXIS", 11, 8, "axes X, Y, Z, U; 0 keeps the selection [I]"),
+        bits("AXIS", 11, 8, "axes X, Y, Z, U", note="0 keeps the selection [I]"),
         bits("CODE", 7, 0, "command code"),
     ),
     word(
-        "WR1", "stop inputs and interrupt enable, of the selected axes",
-        *(bit(f"SP{k}-L", 2 * k, f"active level of STOP{k}: 0 low, 1 high") for k in range(3)),
+        "WR1", "stop inputs and interrupt enable",
+        *(bit(f"SP{k}-L", 2 * k, f"active level of STOP{k}", values=LEVELS) for k in range(3)),
         *(bit(f"SP{k}-E", 2 * k + 1, f"STOP{k} stops the drive", "S") for k in range(3)),
         bit("EPCLR", 6, "STOP2 clears EP", "M"),
         bit("EPINV", 7, "EP counts the other way round", "M"),
-        _comparisons(8),
+        _comparisons(8), note="of the selected axes",
     ),
     word(
-        "WR2", "limits and pulse signals, of the selected axes",
+        "WR2", "limits and pulse signals",
         bit("SLMT+", 0, "software limit CP stops the drive", "S"),
         bit("SLMT-", 1, "software limit CM stops the drive", "S"),
-        bit("LMTMD", 2, "hardware limits: 0 sudden stop, 1 decelerating", "S"),
-        bit("HLMT+", 3, "active level of LMT+: 0 low, 1 high"),
-        bit("HLMT-", 4, "active level of LMT-: 0 low, 1 high"),
-        bit("CMPSL", 5, "CP and CM are compared with: 0 LP, 1 EP"),
-        bit("PLSMD", 6, "0 independent 2-pulse, 1 pulse and direction"),
-        bit("PLS-L", 7, "drive pulses: 0 positive logic, 1 negative"),
-        bit("DIR-L", 8, "direction: 0 + is low, 1 + is high"),
-        bit("PINMD", 9, "encoder input: 0 AB, 1 up / down"),
-        bits("PIND", 11, 10, "division of the AB input: 0 1/1, 1 1/2, 2 1/4", legal=(0, 2)),
-        bit("ALM-L", 12, "active level of ALARM"),
+        bit("LMTMD", 2, "hardware limits", "S", values=("sudden stop", "decelerating")),
+        bit("HLMT+", 3, "active level of LMT+", values=LEVELS),
+        bit("HLMT-", 4, "active level of LMT-", values=LEVELS),
+        bit("CMPSL", 5, "CP and CM are compared with", values=("LP", "EP")),
+        bit("PLSMD", 6, "", values=("independent 2-pulse", "pulse and direction")),
+        bit("PLS-L", 7, "drive pulses", values=("positive logic", "negative")),
+        bit("DIR-L", 8, "direction", values=("+ is low", "+ is high")),
+        bit("PINMD", 9, "encoder input", values=("AB", "up / down")),
+        bits("PIND", 11, 10, "division of the AB input", legal=(0, 2), values=("1/1", "1/2", "1/4")),
+        bit("ALM-L", 12, "active level of ALARM", values=LEVELS),
         bit("ALM-E", 13, "ALARM stops the drive"),
-        bit("INP-L", 14, "active level of INPOS"),
+        bit("INP-L", 14, "active level of INPOS", values=LEVELS),
         bit("INP-E", 15, "the drive ends only when INPOS is active"),
+        note="of the selected axes",
     ),
     word(
-        "WR3", "drive mode and filters, of the selected axes",
-        bit("MANLD", 0, "deceleration begins at: 0 the automatic point, 1 DP"),
-        bit("DSNDE", 1, "deceleration at: 0 A, K; 1 D, and L where the chip has it"),
-        bit("SACC", 2, "0 linear ramps, 1 S-curves", "S"),
-        bits("EXOP", 4, 3, "drive by EXP+, EXP-: 0 off, 1 continuous, 2 fixed, 3 manual pulser"),
-        bit("AVTRI", 5, "triangle prevention of linear ramps; 1 = on [I]", "M"),
+        "WR3", "drive mode and filters",
+        bit("MANLD", 0, "deceleration begins at", values=("the automatic point", "DP")),
+        bit("DSNDE", 1, "deceleration at", values=("A, K", "D, and L where the chip has it")),
+        bit("SACC", 2, "", "S", values=("linear ramps", "S-curves")),
+        bits("EXOP", 4, 3, "drive by EXP+, EXP-", values=("off", "continuous", "fixed", "manual pulser")),
+        bit("AVTRI", 5, "triangle prevention of linear ramps", "M", values=("off", "on"), note="which is which [I]"),
         bit("POINV", 6, "the two output pins are exchanged", "M"),
-        bit("OUTSL", 7, "the output pins show: 0 the general outputs, 1 the drive status", "M"),
+        bit("OUTSL", 7, "the output pins show", "M", values=("the general outputs", "the drive status")),
         bit("FE0", 8, "filter of EMG, LMT+, LMT-, STOP0, STOP1"),
         bit("FE1", 9, "filter of STOP2"),
         bit("FE2", 10, "filter of INPOS, ALARM"),
-        bit("FE3", 11, "filter of EXP+, EXP-; which inputs: [M]"),
-        bit("FE4", 12, "filter of the other inputs; which inputs: [M]"),
-        bits("FL", 15, 13, "delay of the filters; 2 is 512 us"),
+        bit("FE3", 11, "filter of EXP+, EXP-", note="which inputs [M]"),
+        bit("FE4", 12, "filter of the other inputs", note="which inputs [M]"),
+        bits("FL", 15, 13, "delay of the filters", values=tuple(f"{us} us" for us in DELAYS), note="2 is 512 us, the others [I]"),
+        note="of the selected axes",
     ),
 )  # fmt: skip
 _SHOWN = (
@@ -129,7 +145,7 @@ _SHOWN = (
         bit("ALARM", 4, "ALARM"),
         bit("EMG", 5, "emergency stop, while the level is active"),
         bit("HOME", 7, "home search"),
-        bits("HMST", 12, 8, "state of the home search: see HOME_STATES"),
+        bits("HMST", 12, 8, "state of the home search", values=HOME_STATES, note="see HOME_STATES", listed=False),
     ),
     word(
         "RR3", "interrupt factors of the selected axis; reading clears them [M]",
@@ -138,9 +154,9 @@ _SHOWN = (
 )  # fmt: skip
 _INTERPOLATION = word(
     "WR5", "interpolation mode",
-    bits("AX1", 1, 0, "main axis: 0 X, 1 Y", "I", legal=(0, 1)),
-    bits("AX2", 3, 2, "second axis: 0 X, 1 Y", "I", legal=(0, 1)),
-    bits("LSPD", 9, 8, "constant vector speed: 0 off, 1 two axes", "I", legal=(0, 1)),
+    bits("AX1", 1, 0, "main axis", "I", legal=(0, 1), values=("X", "Y")),
+    bits("AX2", 3, 2, "second axis", "I", legal=(0, 1), values=("X", "Y")),
+    bits("LSPD", 9, 8, "constant vector speed", "I", legal=(0, 1), values=("off", "two axes")),
     bit("EXPLS", 11, "an outside pulse makes the step", "I"),
     bit("CMPLS", 12, "command 3Ah makes the step", "I"),
     bit("CIINT", 14, "interrupt when the next segment can be written", "I"),
@@ -148,18 +164,17 @@ _INTERPOLATION = word(
 )  # fmt: skip
 _NOT_USED = word("WR5", "not used on this chip")
 BIT_PATTERN = tuple(
-    word(f"BP{k // 2 + 1}{'PM'[k % 2]}", f"steps of axis {k // 2 + 1} in {'+-'[k % 2]} direction: WR{k + 2} after 36h",
-         bits("BP", 15, 0, "16 steps, bit 0 first"), access="W")
+    word(f"BP{k // 2 + 1}{'PM'[k % 2]}", f"steps of axis {k // 2 + 1} in {'+-'[k % 2]} direction",
+         bits("BP", 15, 0, "16 steps, bit 0 first"), access="W", note=f"WR{k + 2} after 36h")
     for k in range(4)
 )  # fmt: skip
 """What WR2 to WR5 are while BP writing is enabled."""
 
 
 def _main_status(axes: int, interpolates: bool) -> Word:
-    names = ", ".join(AXES[:axes])
     fields = [
-        bits("n-DRV", axes - 1, 0, f"{names} is driving"),
-        bits("n-ERR", axes + 3, 4, f"{names}: an error bit of RR1 or RR2 is set"),
+        axis_bits("n-DRV", 0, axes, " is driving"),
+        axis_bits("n-ERR", 4, axes, ": an error bit of RR1 or RR2 is set"),
     ]
     if interpolates:
         fields += [
@@ -169,25 +184,25 @@ def _main_status(axes: int, interpolates: bool) -> Word:
             bits("BPSC", 14, 13, "bit pattern sets loaded, 0 to 3"),
         ]
     else:
-        fields.append(bits("n-HOM", axes + 7, 8, f"{names} searches home", "C" if axes == 4 else "I"))
+        fields.append(axis_bits("n-HOM", 8, axes, " searches home", "C" if axes == 4 else "I"))
     return word("RR0", "main status", fields)
 
 
 def _two_inputs(name: str, low: str, high: str) -> Word:
     """A word with the inputs of two axes."""
-    fields = [bit("EMG", 3, "level of EMG", "M")] if low == "X" else []
+    fields = [bit("EMG", 3, "level of EMG", "M", values=LEVELS)] if low == "X" else []
     for a, shift in ((low, 0), (high, 8)):
-        fields += [bit(f"{a}-STOP{k}", shift + k, f"level of STOP{k} of {a}", "M") for k in range(3)]
+        fields += [bit(f"{a}-STOP{k}", shift + k, f"level of STOP{k} of {a}", "M", values=LEVELS) for k in range(3)]
         signals = "EXP+ EXP- INPOS ALARM".split()
-        fields += [bit(f"{a}-{n}", shift + k, f"level of {n} of {a}") for k, n in enumerate(signals, 4)]
+        fields += [bit(f"{a}-{n}", shift + k, f"level of {n} of {a}", values=LEVELS) for k, n in enumerate(signals, 4)]
     return word(name, f"input levels of {low} and {high}", fields)
 
 
 def _one_input(name: str, a: str) -> Word:
     """A word with the inputs of one axis."""
     signals = {"STOP0": 0, "STOP1": 1, "STOP2": 2, "EXP+": 4, "EXP-": 5, "INPOS": 6, "ALARM": 7, "LMT+": 14, "LMT-": 15}
-    fields = [bit(f"{a}-{n}", k, f"level of {n} of {a}", "?") for n, k in signals.items()]
-    fields += [bit("EMG", 3, "level of EMG", "?")] if a == "X" else []
+    fields = [bit(f"{a}-{n}", k, f"level of {n} of {a}", "?", values=LEVELS) for n, k in signals.items()]
+    fields += [bit("EMG", 3, "level of EMG", "?", values=LEVELS)] if a == "X" else []
     return word(name, f"input levels of {a}", fields, bits(f"{a}-IN", 13, 8, f"levels of IN5 to IN0 of {a}"))
 
 

@@ -5,7 +5,18 @@ Names of mode bits are those of the manual, from memory [M]; where the bits are 
 
 from __future__ import annotations
 
-from stage.chips.nova.registers.common import AXES, DATA_READ, DATA_WRITTEN, bit, bits, word
+from stage.chips.nova.registers.common import (
+    AXES,
+    DATA_READ,
+    DATA_WRITTEN,
+    DCC_WIDTHS,
+    LEVELS,
+    axis_bits,
+    bit,
+    bits,
+    times,
+    word,
+)
 from stage.chips.register_map import Field, Register, Word
 
 
@@ -16,18 +27,19 @@ def _mode(code: int, name: str, title: str, *fields: Field, access: str = "W", e
 
 def _pio(i: int) -> Field:
     third = "sync pulse" if i < 4 else f"MR{i - 4} comparison"
-    return bits(f"P{i}M", 2 * i + 1, 2 * i, f"PIO{i}: 0 input, 1 output, 2 drive status, 3 {third}")
+    return bits(f"P{i}M", 2 * i + 1, 2 * i, f"PIO{i}", values=("input", "output", "drive status", third))
 
 
 def _sync(n: int) -> Register:
-    own = f"4 is MR{n} -> {('LP', 'RP', 'SV', 'AC')[n]}, 8 is {('CV -> MR0', 'CA -> MR1', 'none', 'none')[n]}"
+    own = {4: f"MR{n} -> {('LP', 'RP', 'SV', 'AC')[n]}", 8: ("CV -> MR0", "CA -> MR1", "none", "none")[n]}
     return _mode(
         0x26 + n, f"S{n}M", f"synchronous action set {n}",
-        bits("PREV", 3, 0, "factor: see FACTORS"),
-        bits("ACT", 8, 4, f"action: see ACTIONS; {own}", legal=(0, 24)),
+        bits("PREV", 3, 0, "factor", values=FACTORS, note="see FACTORS", listed=False),
+        bits("ACT", 8, 4, "action", legal=(0, 24), values=dict(enumerate(ACTIONS)) | own,
+             note=f"see ACTIONS; 4 is {own[4]}, 8 is {own[8]}", listed=False),
         *(bit(f"SNC+{k}", 8 + k, f"also SYNC{(n + k) % 4} of this axis") for k in (1, 2, 3)),
         *(bit(f"AXIS{k}", 11 + k, f"also SYNC0 of axis +{k}") for k in (1, 2, 3)),
-        bit("REP", 15, "0 once, 1 repeatedly"),
+        bit("REP", 15, "", values=("once", "repeatedly")),
     )  # fmt: skip
 
 
@@ -54,31 +66,36 @@ HOME_STATES = {
 }  # fmt: skip
 """HSST of RR3 page 0."""
 
+HOME_TIMES = (1, 2, 10, 20, 100, 200, 500, 1000)
+"""Of the timer between the steps of a home search, ms, by HTM of H2M."""
+FILTERS = tuple(f"{0.5 * 2**n:g} us" for n in range(16))
+
 MODES = (
     _mode(
         0x20, "MRM", "multi-purpose register mode",
-        *(bits(f"M{m}T", 4 * m + 1, 4 * m, f"MR{m} is compared with: 0 LP, 1 RP, 2 CV, 3 CT") for m in range(4)),
-        *(bits(f"M{m}C", 4 * m + 3, 4 * m + 2, f"true if: 0 object >= MR{m}, 1 >, 2 =, 3 <") for m in range(4)),
+        *(bits(f"M{m}T", 4 * m + 1, 4 * m, f"MR{m} is compared with", values=("LP", "RP", "CV", "CT")) for m in range(4)),
+        *(bits(f"M{m}C", 4 * m + 3, 4 * m + 2, "true if", values=tuple(f"object {sign} MR{m}" for sign in (">=", ">", "=", "<")))
+          for m in range(4)),
         access="RW",
     ),
     _mode(0x21, "P1M", "PIO signal setting 1", *(_pio(i) for i in range(8)), access="RW"),
     _mode(
         0x22, "P2M", "PIO signal setting 2, other settings",
-        bits("stored", 15, 0, "layout not found; stored, read back, no effect", "I"), access="RW",
+        bits("stored", 15, 0, "layout not found", "I", note="stored, read back, no effect"), access="RW",
     ),
     _mode(
         0x23, "H1M", "automatic home search 1",
         bit("S1EN", 0, "step 1 (high-speed search, DV) is executed"),
-        bit("S1DR", 1, "direction of step 1: 0 +, 1 -"),
-        bits("S1G", 3, 2, "signal of step 1: 0 STOP0, 1 STOP1, 2 limit", legal=(0, 2)),
+        bit("S1DR", 1, "direction of step 1", values=("+", "-")),
+        bits("S1G", 3, 2, "signal of step 1", legal=(0, 2), values=("STOP0", "STOP1", "limit")),
         bit("S2EN", 4, "step 2 (low-speed search, HV) is executed"),
-        bit("S2DR", 5, "direction of step 2: 0 +, 1 -"),
-        bit("S2SG", 6, "signal of step 2: 0 STOP1, 1 limit"),
+        bit("S2DR", 5, "direction of step 2", values=("+", "-")),
+        bit("S2SG", 6, "signal of step 2", values=("STOP1", "limit")),
         bit("S2DC", 7, "DCC output after step 2"),
         bit("S2RC", 8, "RP is cleared after step 2"),
         bit("S2LC", 9, "LP is cleared after step 2"),
         bit("S3EN", 10, "step 3 (low-speed search of STOP2, HV) is executed"),
-        bit("S3DR", 11, "direction of step 3: 0 +, 1 -"),
+        bit("S3DR", 11, "direction of step 3", values=("+", "-")),
         bit("S3DC", 12, "DCC output after step 3"),
         bit("S3RC", 13, "RP is cleared after step 3"),
         bit("S3LC", 14, "LP is cleared after step 3"),
@@ -89,29 +106,31 @@ MODES = (
         bit("SAND", 0, "step 3 stops only while STOP1 is active"),
         bit("RCLR", 1, "RP is cleared at the end"),
         bit("LCLR", 2, "LP is cleared at the end"),
-        bit("DCPL", 3, "DCC pulse: 0 high, 1 low", "?"),
-        bits("DCP", 6, 4, "DCC width: 10, 20, 100, 200 us, 1, 2, 10, 20 ms"),
+        bit("DCPL", 3, "DCC pulse", "?", values=("high", "low")),
+        bits("DCP", 6, 4, "DCC width", values=times(DCC_WIDTHS)),
         bit("HTME", 7, "timer between steps"),
-        bits("HTM", 10, 8, "timer: 1, 2, 10, 20, 100, 200, 500, 1000 ms"),
+        bits("HTM", 10, 8, "timer", values=tuple(f"{ms} ms" for ms in HOME_TIMES)),
     ),
     _mode(
         0x25, "FLM", "input signal filters",
+        bit("FE0", 0, "filter of EMG", note="valid on X only"),
         *(bit(f"FE{k}", k, f"filter of {what}") for k, what in enumerate((
-            "EMG; valid on X only", "LMT+, LMT-", "STOP0, STOP1", "INPOS, ALARM", "PIO0 to PIO3", "PIO4 to PIO7", "STOP2",
-            "ECA, ECB"))),
-        bits("FL0", 11, 8, "time constant of FE0 to FE5: 500 ns * 2^n at 16 MHz"),
-        bits("FL1", 15, 12, "time constant of FE6, FE7: 500 ns * 2^n at 16 MHz"),
+            "LMT+, LMT-", "STOP0, STOP1", "INPOS, ALARM", "PIO0 to PIO3", "PIO4 to PIO7", "STOP2",
+            "ECA, ECB"), 1)),
+        bits("FL0", 11, 8, "time of FE0 to FE5", values=FILTERS, note="time constant, 500 ns * 2^n at 16 MHz", listed=False),
+        bits("FL1", 15, 12, "time of FE6, FE7", values=FILTERS, note="time constant, 500 ns * 2^n at 16 MHz", listed=False),
     ),
     *(_sync(n) for n in range(4)),
     _mode(
         0x2A, "IPM", "interpolation mode",
-        *(bit(f"{a}-EN", k, f"{a} takes part; the lowest is the main axis") for k, a in enumerate(AXES)),
+        *(bit(f"{a}-EN", k, f"{a} takes part", note="the lowest is the main axis") for k, a in enumerate(AXES)),
         bit("CXIV", 4, "the two axes of circular interpolation are exchanged"),
-        bits("SPD", 7, 6, "constant vector speed: 0 off, 1 two axes simple, 2 three axes simple, 3 two axes high accuracy"),
+        bits("SPD", 7, 6, "constant vector speed",
+             values=("off", "two axes simple", "three axes simple", "two axes high accuracy")),
         bit("LMDF", 8, "short-axis pulse equalization"),
         bit("STEP", 9, "single step"),
-        bits("MLT", 11, 10, "multichip: 0 single chip, 1 master, 2 slave", legal=(0, 2)),
-        bit("MAXM", 12, "maximum finish point: 0 automatic, 1 TX"),
+        bits("MLT", 11, 10, "multichip", legal=(0, 2), values=("single chip", "master", "slave")),
+        bit("MAXM", 12, "maximum finish point", values=("automatic", "TX")),
         bit("INTA", 14, "interrupt when SC goes from 4 to 3"),
         bit("INTB", 15, "interrupt when SC goes from 8 to 7"),
     ),
@@ -143,50 +162,50 @@ WORDS = (
     word(
         "WR0", "command register; on the 8-bit bus the low byte, written last, triggers",
         bits("zero", 15, 12, "must be 0", legal=(0, 0)),
-        bits("AXIS", 11, 8, "axes X, Y, Z, U; 0 keeps the selection [I]"),
+        bits("AXIS", 11, 8, "axes X, Y, Z, U", note="0 keeps the selection [I]"),
         bits("CODE", 7, 0, "command code"),
     ),
-    word("WR1", "interrupt enable, of the selected axes", _events(), access="RW"),
+    word("WR1", "interrupt enable", _events(), access="RW", note="of the selected axes"),
     word(
-        "WR2", "input signals, of the selected axes",
-        *(bit(f"SP{m}-L", 2 * m, f"active level of STOP{m}: 0 low, 1 high") for m in range(3)),
+        "WR2", "input signals",
+        *(bit(f"SP{m}-L", 2 * m, f"active level of STOP{m}", values=LEVELS) for m in range(3)),
         *(bit(f"SP{m}-E", 2 * m + 1, f"STOP{m} stops the drive") for m in range(3)),
-        bit("INP-L", 6, "active level of INPOS"),
+        bit("INP-L", 6, "active level of INPOS", values=LEVELS),
         bit("INP-E", 7, "the drive ends only when INPOS is active"),
-        bit("ALM-L", 8, "active level of ALARM"),
+        bit("ALM-L", 8, "active level of ALARM", values=LEVELS),
         bit("ALM-E", 9, "ALARM stops the drive"),
-        bit("HLM-L", 10, "active level of LMT+ and LMT-"),
+        bit("HLM-L", 10, "active level of LMT+ and LMT-", values=LEVELS),
         bit("HLM-E", 11, "LMT+ and LMT- stop the drive"),
-        bit("HLM-M", 12, "hardware limits: 0 instant stop, 1 decelerating"),
+        bit("HLM-M", 12, "hardware limits", values=("instant stop", "decelerating")),
         bit("SLM-E", 13, "software limits stop the drive"),
-        bit("SLM-O", 14, "software limits look at: 0 LP, 1 RP"),
-        bit("SLM-M", 15, "software limits: 0 decelerating stop, 1 instant"),
-        access="RW",
+        bit("SLM-O", 14, "software limits look at", values=("LP", "RP")),
+        bit("SLM-M", 15, "software limits", values=("decelerating stop", "instant")),
+        access="RW", note="of the selected axes",
     ),
     word(
-        "WR3", "drive mode and pulse signals, of the selected axes",
-        bit("MANLD", 0, "deceleration begins at: 0 the automatic point, 1 DP", "S"),
-        bit("DSNDE", 1, "deceleration at: 0 AC, JK; 1 DC, DJ"),
-        bit("SACC", 2, "0 linear ramps, 1 S-curves"),
-        bits("DPMD", 4, 3, "0 independent 2-pulse, 1 pulse and direction, 2 quadrature x4, 3 quadrature x2"),
-        bit("DP-L", 5, "drive pulses: 0 positive logic, 1 negative"),
-        bit("DIR-L", 6, "direction: 0 + is low, 1 + is high"),
+        "WR3", "drive mode and pulse signals",
+        bit("MANLD", 0, "deceleration begins at", "S", values=("the automatic point", "DP")),
+        bit("DSNDE", 1, "deceleration at", values=("AC, JK", "DC, DJ")),
+        bit("SACC", 2, "", values=("linear ramps", "S-curves")),
+        bits("DPMD", 4, 3, "", values=("independent 2-pulse", "pulse and direction", "quadrature x4", "quadrature x2")),
+        bit("DP-L", 5, "drive pulses", values=("positive logic", "negative")),
+        bit("DIR-L", 6, "direction", values=("+ is low", "+ is high")),
         bit("DPINV", 7, "the two output pins are exchanged"),
-        bits("PIMD", 9, 8, "encoder input: 0 AB x4, 1 AB x2, 2 AB x1, 3 up / down"),
-        bit("PI-L", 10, "encoder input: 0 positive logic, 1 negative"),
+        bits("PIMD", 9, 8, "encoder input", values=("AB x4", "AB x2", "AB x1", "up / down")),
+        bit("PI-L", 10, "encoder input", values=("positive logic", "negative")),
         bit("PIINV", 11, "ECA and ECB are exchanged"),
         bit("LMINV", 12, "LMT+ and LMT- are exchanged"),
-        bit("AVTRI", 13, "triangle prevention of linear ramps: 0 on, 1 off"),
-        bit("TMMD", 14, "timer: 0 once, 1 repeatedly"),
-        access="RW",
+        bit("AVTRI", 13, "triangle prevention of linear ramps", values=("on", "off")),
+        bit("TMMD", 14, "timer", values=("once", "repeatedly")),
+        access="RW", note="of the selected axes",
     ),
     _ports("WR4", "general outputs of X and Y", "X", "Y"),
     _ports("WR5", "general outputs of Z and U", "Z", "U"),
     *DATA_WRITTEN,
     word(
         "RR0", "main status",
-        bits("n-DRV", 3, 0, "X, Y, Z, U is driving"),
-        bits("n-ERR", 7, 4, "X, Y, Z, U: an error bit of RR2 is set [M]"),
+        axis_bits("n-DRV", 0, 4, " is driving"),
+        axis_bits("n-ERR", 4, 4, ": an error bit of RR2 is set", "M"),
         bits("ZONE", 10, 8, "octant of circular interpolation"),
         bit("CNEXT", 11, "the next segment can be written"),
         bits("SC", 15, 12, "segments in the pre-buffer, 0 to 8"),
@@ -204,13 +223,14 @@ WORDS = (
         bit("CERR", 7, "continuous interpolation"),
         bit("SYNC", 8, "ended by a synchronous action"),
         *(bit(n, k, f"ended by {n}") for k, n in enumerate("STOP0 STOP1 STOP2 LMT+ LMT-".split(), 9)),
-        bit("END-ALARM", 14, "ended by ALARM; the manual prints ALARM"),
-        bit("END-EMG", 15, "ended by emergency stop; the manual prints EMG"),
+        bit("END-ALARM", 14, "ended by ALARM", note="the manual prints ALARM"),
+        bit("END-EMG", 15, "ended by emergency stop", note="the manual prints EMG"),
     ),
     word(
         "RR3-0", "RR3 page 0 (7Ah): levels of the pins of the selected axis as they are, and home search",
-        *(bit(n, k, f"level of {n}") for k, n in enumerate("STOP0 STOP1 STOP2 ECA ECB INPOS ALARM LMTP LMTM".split())),
-        bits("HSST", 14, 9, "state of the home search: see HOME_STATES"),
+        *(bit(n, k, f"level of {n}", values=LEVELS)
+          for k, n in enumerate("STOP0 STOP1 STOP2 ECA ECB INPOS ALARM LMTP LMTM".split())),
+        bits("HSST", 14, 9, "state of the home search", values=HOME_STATES, note="see HOME_STATES", listed=False),
     ),
     word(
         "RR3-1", "RR3 page 1 (7Bh): drive status of the selected axis",

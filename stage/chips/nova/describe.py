@@ -1,27 +1,78 @@
-"""Bus cycles of the NOVA chips in words: `X: set drive speed V = 4000`, `X: logical position counter LP = -20 pulses`."""
+"""Bus cycles of the NOVA chips in words: `X: set drive speed V = 4000`, `X: logical position counter LP = -20 pulses`; their
+journals: `X Y DV <- 8000 (drive speed)`, `X relative position drive`."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable
-from types import ModuleType
 from typing import Any
 
-from stage.chips.listener import Fields, Sayings, bits, line, short
-from stage.chips.nova.decode import BYTES, axis_names, resets
-from stage.chips.nova.registers import words300 as words304
-from stage.chips.nova.registers import words514
-from stage.chips.nova.registers.common import AXES
-from stage.chips.register_map import Command, Field, Register, RegisterMap, Word
+from stage.chips import describe
+from stage.chips.describe import Fields, Said, bits, line
+from stage.chips.nova.registers.common import AXES, axis_names
+from stage.chips.nova.registers.mcx300 import RESET
+from stage.chips.nova.registers.words300 import BIT_PATTERN
+from stage.chips.register_map import Command, Register, RegisterMap, Word
 
-_NAMES = re.compile(rf"{AXES[0]}(, [{AXES[1:]}])*")
-_TABLE = re.compile(r"(.*): see ([A-Z_]+)")
+BYTES = 16  # byte addresses of the 8-bit bus begin here
 _PATTERN = {"BP_ENABLED": True, "BP_DISABLED": False}
 _PAGE = {"RR3P0": False, "RR3P1": True}
+_WRITING = ("data write", "mode write")
+
+
+def resets(map_: RegisterMap, value: int) -> bool:
+    """Whether a word to WR0 is the reset of a chip that has no command for it."""
+    return value == RESET and not any(c.symbol == "RST" for c in map_.commands)
+
+
+class Decoder(describe.Decoder):
+    """What reaches one axis of a chip: its commands, with the data that they take, and its words WR1 to WR5."""
+
+    def __init__(self, map_: RegisterMap, axis: int = 0):
+        self._map, self._bit = map_, 1 << axis
+        self._reset()
+
+    def _reset(self) -> None:
+        self._selected, self._words = 1, [0] * 8
+
+    def _lost(self, address: int, value: int) -> tuple[str, str]:
+        return f"{value:04X}", f"data to WR{address & 7}"
+
+    def _wrote(self, clock: int, address: int, value: int) -> list[Said]:
+        n = address
+        if address >= BYTES:
+            n, high = (address - BYTES) >> 1, address & 1
+            old = self._words[n]
+            value = old & 0xFF | value << 8 if high else old & 0xFF00 | value
+            if n == 0 and high:
+                self._words[0] = value
+                return []
+        self._words[n] = value
+        if n == 0:
+            return self._command(clock, value)
+        if n >= 6 or (n <= 3 and not self._selected & self._bit):
+            return []
+        return [Said(clock, "register", f"{value:04X}", f"WR{n} <- {value:04X}h")]
+
+    def _command(self, clock: int, value: int) -> list[Said]:
+        axes, command = value >> 8 & 15, self._map.by_code.get(value & 0xFF)
+        self._selected = axes or self._selected
+        if axes and not axes & self._bit:
+            return []
+        kind = "register" if command is not None and command.kind in _WRITING else "command"
+        return [Said(clock, kind, f"{value:04X}", f"{axis_names(axes)} {self._meaning(command, value)}".strip())]
+
+    def _meaning(self, command: Command | None, value: int) -> str:
+        if resets(self._map, value):
+            return "reset"
+        if command is None:
+            return "no command"
+        if command.kind in _WRITING:
+            r = self._map.register(command.symbol)
+            return f"{r.name} <- {r.value(self._words[7] << 16 | self._words[6])} ({r.text})"
+        return _verb(command, value)
 
 
 class Listener:
-    """See `stage.chips.listener.Listener`; addresses 16 to 31 are bytes of WR0 to WR7 and RR0 to RR7, as on the 8-bit bus. What
+    """See `stage.chips.describe.Listener`; addresses 16 to 31 are bytes of WR0 to WR7 and RR0 to RR7, as on the 8-bit bus. What
     filled RR6 and RR7 is told if the command was heard; a chip does not hold it.
 
     record: the chip's state."""
@@ -35,9 +86,8 @@ class Listener:
         self._common = [0, 0, 0, 0, *(int(record[name]) for name in ("outputs4", "outputs5", "low", "high"))]
         self._reading: tuple[str, Register | Word, int] | None = None  # axis, what, its bytes
         self._bytes: dict[int, int] = {}  # of RR6 and RR7, as read
-        special = _special(words514 if map_.by_code.get(0xFF) else words304)
-        self._topics = {n: short(map_.word(f"WR{n}").title) for n in (1, 2, 3)}
-        self._fields = {p.name: Fields(p, special) for p in map_.places if p.fields}
+        self._titles = {n: map_.word(f"WR{n}").title for n in (1, 2, 3)}
+        self._fields = {p.name: Fields(p) for p in map_.places if p.fields}
 
     def write(self, address: int, value: int) -> str:
         """One write cycle to WRn, n = `address`."""
@@ -47,13 +97,13 @@ class Listener:
         if n == 0:
             return line(self._command(value))
         if self._pattern and 2 <= n <= 5:
-            word = words304.BIT_PATTERN[n - 2]
-            return f"{word.name} = {value:04X}h: {short(word.title)}"
+            word = BIT_PATTERN[n - 2]
+            return f"{word.name} = {value:04X}h: {word.title}"
         if n <= 3:
             for k, words in enumerate(self._by_axis):
                 if self._selected >> k & 1:
                     words[n] = value
-            return self._fields[f"WR{n}"].tell(f"{axis_names(self._selected)}: WR{n} ({self._topics[n]})", value)
+            return self._fields[f"WR{n}"].tell(f"{axis_names(self._selected)}: WR{n} ({self._titles[n]})", value)
         self._common[n] = value
         if n >= 6:
             return f"data {'31..16' if n == 7 else '15..0'} = {value:04X}h"
@@ -93,17 +143,14 @@ class Listener:
         return self._obeyed(c, value, axes, head)
 
     def _obeyed(self, c: Command, value: int, axes: int, head: str) -> str:
-        if c.kind in ("data write", "mode write"):
+        if c.kind in _WRITING:
             r = self._map.register(c.symbol)
-            return self._told(f"{head}set {short(r.title)} {r.name}", r, self._common[7] << 16 | self._common[6])
-        if c.choice:
-            sets = " ".join(f"SYNC{m}" for m in range(4) if value & c.choice & 1 << m)
-            return f"{head}{c.title.split(' ', 1)[0]} {sets}"
+            return self._told(f"{head}set {r.title} {r.name}", r, self._common[7] << 16 | self._common[6])
         if c.symbol in _PATTERN:
             self._pattern = _PATTERN[c.symbol]
         elif c.symbol in _PAGE:
             self._pages = self._pages | axes if _PAGE[c.symbol] else self._pages & ~axes
-        return f"{head}{c.title}"
+        return head + _verb(c, value)
 
     def _answer(self, c: Command) -> str:
         """A reading command: RR6 and RR7 hold its answer."""
@@ -111,7 +158,7 @@ class Listener:
         place = self._map.word(name) if name.startswith("WR") else self._map.register(name)
         axis = f"{AXES[self._lowest]}: " if c.axes else ""
         self._reading, self._bytes = (axis, place, c.bytes), {}
-        return f"{axis}read {short(place.title)} {name}"
+        return f"{axis}read {place.title} {name}"
 
     def _reset(self) -> None:
         self._selected, self._pages, self._pattern, self._reading = 1, 0, False, None
@@ -144,9 +191,7 @@ class Listener:
         axis, place, size = self._reading
         if at >= size or any(k not in self._bytes for k in range(size)):
             return f"{axis}{place.name} bits {part}"
-        return self._told(
-            f"{axis}{short(place.title)} {place.name}", place, sum(self._bytes[k] << 8 * k for k in range(size))
-        )
+        return self._told(f"{axis}{place.title} {place.name}", place, sum(self._bytes[k] << 8 * k for k in range(size)))
 
     @property
     def _lowest(self) -> int:
@@ -161,18 +206,7 @@ class Listener:
         return line(f"{head} = {place.value(word)} {place.unit}".rstrip())
 
 
-def _special(tables: ModuleType) -> Callable[[Field], Sayings | None]:
-    """Sayings of fields that have a bit for every axis, or a table of their values in `tables`."""
-
-    def sayings(f: Field) -> Sayings | None:
-        if f.name.startswith("n-"):
-            return {
-                v: _NAMES.sub(axis_names(v), f.meaning.split(" [")[0], count=1) for v in range(1, (f.mask >> f.low) + 1)
-            }
-        if found := _TABLE.match(f.meaning):
-            table = getattr(tables, found[2])
-            items = table.items() if isinstance(table, dict) else enumerate(table)
-            return {v: f"{found[1]}: {text}" for v, text in items if v}
-        return None
-
-    return sayings
+def _verb(c: Command, value: int) -> str:
+    """What a command does, and on what it chooses."""
+    chosen = [name for k, name in enumerate(c.chooses) if value & c.choice & 1 << k]
+    return " ".join([c.title, *chosen])

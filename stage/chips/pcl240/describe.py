@@ -1,0 +1,202 @@
+"""Bus cycles of the PCL-240 family in words: `select R0: down counter`, `R0 bits 7..0 = 00h: R0 = 1200h (4608)`; its journals:
+`start, ramp to FH1`, `R2 <- 8000 (FH1 speed)`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from stage.chips import describe
+from stage.chips.describe import Fields, Said, bits, line
+from stage.chips.pcl240.maps import CONTROL, COUNTERS, OPERATE, OPERATING_MODE, OUTPUT, SELECT, WRITTEN
+from stage.chips.pcl240.state import GROUP, INT_AT_STOP, RAMP, REGISTER, START, STOP
+from stage.chips.register_map import Register, RegisterMap
+
+SPEED = next(f for f in OPERATING_MODE.fields if f.name == "speed")
+_NONE = {CONTROL: "manual, plus", OUTPUT: "common pulses"}
+"""What a mode is whose bits are all 0."""
+
+
+def command_meaning(map_: RegisterMap, value: int) -> str:
+    """What a command byte (address 0) of the PCL-240 family says."""
+    group = value & GROUP
+    if group == OPERATE:
+        return _operating(value)
+    if group == SELECT:
+        return f"select {selected(map_, value).name}{', collective' if collective(map_, value) else ''}"
+    word = map_.word(WRITTEN[group])
+    on = [f.name for f in word.fields if f.name != "group" and f.of(value)]
+    return f"{word.name} mode: {', '.join(on) or _NONE[group]}"
+
+
+def selected(map_: RegisterMap, value: int) -> Register:
+    """The register that a select byte names; bits that the chip does not have do not count."""
+    number = value & (_mask(map_, "select", "extension") | REGISTER)
+    return next(r for r in map_.registers if r.number == number)
+
+
+def collective(map_: RegisterMap, value: int) -> bool:
+    """Whether a select byte asks for collective transfers."""
+    return bool(value & _mask(map_, "select", "collective"))
+
+
+def speed_name(value: int) -> str:
+    """The speed that a start selects: FL, FH1 or FH2."""
+    return SPEED.values.get(SPEED.of(value), SPEED.values[0])
+
+
+def _operating(value: int) -> str:
+    start, stop, ramp = value & START, value & STOP, value & RAMP
+    irq = ", /INT at stop" if value & INT_AT_STOP else ""
+    if stop and not start:
+        return "reset command" + irq
+    if stop:
+        return ("decelerating stop" if ramp else "stop") + irq
+    if start:
+        return f"start, {'ramp to' if ramp else 'constant'} {speed_name(value)}{irq}"
+    return "no operation" + (irq or ", clear /INT")
+
+
+def _mask(map_: RegisterMap, word: str, name: str) -> int:
+    """The mask of a field; 0 where the chip has no such field."""
+    return sum(f.mask for f in map_.word(word).fields if f.name == name)
+
+
+class Decoder(describe.Decoder):
+    """Register selects are folded into the writes; a register's last bytes may wait for what comes next."""
+
+    def __init__(self, map_: RegisterMap):
+        self._map = map_
+        self._select, self._clock = SELECT, 0
+        self._bytes: dict[int, int] = {}
+        self._held: dict[int, int] = {}
+
+    def _wrote(self, clock: int, address: int, value: int) -> list[Said]:
+        said: list[Said] = []
+        if address:
+            if address in self._bytes:
+                said = self.rest()
+            self._bytes[address] = value
+            self._clock = clock
+            return said
+        said = self.rest()
+        if value & GROUP == SELECT:
+            self._select = value
+        else:
+            said.append(Said(clock, "command", f"{value:02X}", command_meaning(self._map, value)))
+        return said
+
+    def _lost(self, address: int, value: int) -> tuple[str, str]:
+        return f"{value:02X}", f"data to address {address}" if address else command_meaning(self._map, value)
+
+    def _reset(self) -> None:
+        self._held.clear()
+        self._select = SELECT
+
+    def rest(self) -> list[Said]:
+        """The register whose bytes are there, if any."""
+        if not self._bytes:
+            return []
+        r, whole, parts = selected(self._map, self._select), self._bytes, self._bytes
+        self._bytes = {}
+        if collective(self._map, self._select):  # the upper bytes wait for the lowest, and stay for the next
+            self._held.update(parts)
+            whole = self._held
+            if 1 not in parts:
+                return []
+        value = sum(b << 8 * (a - 1) for a, b in whole.items()) & r.mask
+        raw = " ".join(f"{b:02X}" for _, b in sorted(parts.items(), reverse=True))
+        return [Said(self._clock, "register", f"{self._select:02X} {raw}", f"{r.name} <- {value} ({r.text})")]
+
+
+class Listener:
+    """See `stage.chips.describe.Listener`. A register is told whole with its lowest byte, or with its highest where the bytes
+    come from low to high; a counter whose other bytes may have counted on meanwhile is not.
+
+    record: the chip's state."""
+
+    def __init__(self, map_: RegisterMap, record: Any):
+        self._map = map_
+        self._held = {r.name: int(record["reg"][k]) for k, r in enumerate(map_.registers)}
+        self._register = map_.registers[int(record["selected"])]
+        self._collective = bool(record["collective"])
+        self._waiting = {3: int(record["high"]), 2: int(record["middle"])}
+        self._latched = {a: int(record["latch"]) >> 8 * (a - 1) & 0xFF for a in (2, 3)}
+        self._returned = map_.register("R0")
+        self._last = 0  # address of the data write just before
+        self._aged: dict[str, set[int]] = {name: set() for name in COUNTERS}
+        self._extension, self._external = (_mask(map_, "output", name) for name in ("extension", "external"))
+        self._output = int(record["output"])
+        self._status = Fields(map_.word("status"))
+        self._fields = {r.name: Fields(r) for r in map_.registers if r.fields}
+
+    def write(self, address: int, value: int) -> str:
+        """One write cycle, address 0 to 3."""
+        address, value = address & 3, value & 0xFF
+        if address:
+            text = self._data(address, value)
+            self._last = address
+            return text
+        self._last = 0
+        group = value & GROUP
+        if group == OUTPUT:
+            self._output = value
+        starts = group == OPERATE and value & START
+        if starts or self._output & self._external:  # the counters count on by themselves
+            for old in self._aged.values():
+                old.update((1, 2, 3))
+        if self._extension and group == OPERATE and value & STOP and not starts:
+            self._held["R6"] = 0
+        meaning = command_meaning(self._map, value)
+        if group == SELECT:
+            self._register, self._collective = selected(self._map, value), collective(self._map, value)
+            meaning += f": {self._register.title}"
+        return line(meaning)
+
+    def _data(self, address: int, value: int) -> str:
+        r = self._register
+        said = bits(r.name, address - 1, value)
+        if 8 * (address - 1) >= r.bits and not self._collective:
+            return f"{said}: {r.name} has {r.bits} bits"
+        if self._collective and address > 1:
+            self._waiting[address] = value
+            return f"{said}: waits for bits 7..0"
+        return self._whole(r, said) if self._store(r, address, value) else said
+
+    def _store(self, r: Register, address: int, value: int) -> bool:
+        """Keep the byte; is it time to tell the whole?"""
+        aged = self._aged.get(r.name, set())
+        held = self._held[r.name]
+        if self._collective:
+            word = self._waiting[3] << 16 | self._waiting[2] << 8 | value
+            aged.clear()
+        else:
+            shift = 8 * (address - 1)
+            word = held & ~(0xFF << shift) | value << shift
+            aged.discard(address)
+        self._held[r.name] = held & ~r.writable | word & r.writable
+        climbs = address == (r.bits + 7) // 8 and self._last == address - 1
+        return (address == 1 or climbs) and not aged and r.writable == r.mask
+
+    def _whole(self, r: Register, said: str) -> str:
+        value = self._held[r.name]
+        said = f"{said}: {r.name} = {value:X}h ({r.value(value)})"
+        return self._fields[r.name].tell(said, value) if r.fields else said
+
+    def read(self, address: int, value: int) -> str:
+        """One read cycle, address 0 to 3."""
+        address, value = address & 3, value & 0xFF
+        if not address:
+            return self._status.tell("status", value)
+        r = self._register if self._output & self._extension else self._returned
+        said = bits(r.name, address - 1, value)
+        if not self._collective:
+            return said
+        if address > 1:
+            if address == 3:
+                self._latched.clear()
+            self._latched[address] = value
+            return f"{said}, latched" if address == 3 else said
+        if len(self._latched) < 2:
+            return said
+        word = self._latched[3] << 16 | self._latched[2] << 8 | value
+        return f"{said}: {r.name} = {word:X}h ({r.value(word)}), as latched"
