@@ -315,3 +315,12 @@ def test_on_the_stage_every_kind_of_move_comes_home_without_a_lost_step(xyz):
     assert all(r.ok for r in done), [str(r) for r in done]
     x.wait(0.1)
     assert x.position == pytest.approx(begin, abs=2e-5)
+
+
+@pytest.mark.parametrize(("way", "limit"), [(1, "EL+"), (-1, "EL-")])
+def test_what_ended_a_move_is_not_org_though_the_axis_stands_on_it(way, limit):
+    x = Bench(x=PCL240K()).axes["x"]
+    x.chip.pins.org = True
+    assert firmware.preset_move(x, way * 300).stopped_by == "R0 = 0"
+    setattr(x.chip.pins, "el_plus" if way > 0 else "el_minus", True)
+    assert firmware.preset_move(x, way * 300).stopped_by == limit

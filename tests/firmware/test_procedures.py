@@ -96,6 +96,22 @@ def test_stop_ends_what_a_driver_has_started(stage):
         assert firmware.move(x, -2e-3).ok, "and can be moved again"
 
 
+@pytest.mark.parametrize("name", STEPPING)
+def test_a_stop_at_once_makes_no_more_pulses_and_one_with_a_ramp_does(name):
+    """firmware.stop(axis, at_once=True)"""
+    for way in (1, -1):
+        more = []
+        for at_once in (True, False):
+            x = Bench(x=CHIPS[name]()).axes["x"]
+            driver_of(x).run(way, Speeds(500, 4000, 0.05, 0.05))
+            x.wait(0.1)
+            before = x.chip.net(x.chip_axis)
+            firmware.stop(x, at_once)
+            more.append(way * (x.chip.net(x.chip_axis) - before))
+        assert more[0] <= 1
+        assert 50 < more[1] < 200
+
+
 @each
 def test_a_line_stays_near_the_straight_line(stage):
     """firmware.line({"x": 20e-3, "y": -7.5e-3}, stage.axes)"""
