@@ -122,14 +122,14 @@ class OriginReturn(MoveTask[Config]):
         self.axis = first.axes[c.axis]
         self.carrier = carrier(first, c.axis, c.payload_on)
         self.search = driver_of(self.axis).search(c)
-        self.switch = {s.pin: s for s in self.axis._plant.switches}
+        self.switch = {s.pin: s for s in self.axis.plant.switches}
         for pin in ("org", "el_minus", "el_plus"):
             if pin not in self.switch:
                 raise ArgumentError(f"axis {c.axis} has no {pin}: an origin return needs ORG and both end limits.")
         self.low, self.high = self.switch["el_minus"].touch, self.switch["el_plus"].touch
         self.per_pulse = self.axis.meters_per_pulse
         self.origin = self._origin()
-        self.dof = self.axis._plant.dof
+        self.dof = self.axis.plant.dof
         self.friction0 = float(first.model.dof_frictionloss[self.dof]), float(first.model.dof_damping[self.dof])
         self._find_beam(first)
         self.strategy = RegisterBox.of(self.search.choices.ranges, self.search.choices.cubed)
@@ -150,7 +150,7 @@ class OriginReturn(MoveTask[Config]):
         if not ez:
             return touch
         turn = 2 * np.pi / self.axis.gear
-        first, turn = self.axis._plant.index * turn + 0.5 * INDEX * abs(turn), abs(turn)
+        first, turn = self.axis.plant.index * turn + 0.5 * INDEX * abs(turn), abs(turn)
         return float(first + (np.floor((touch - first) / turn) - (ez - 1)) * turn)
 
     def _find_beam(self, stage: Stage) -> None:

@@ -200,7 +200,7 @@ class RegisterBus(Task[Config]):
 
     @staticmethod
     def _touch(axis: Any, pin: str) -> float:
-        return next((s.touch for s in axis._plant.switches if s.pin == pin), np.nan)
+        return next((s.touch for s in axis.plant.switches if s.pin == pin), np.nan)
 
     def _limits(self, axis: Any) -> tuple[float, float]:
         """Where the end limits trip, or the travel ends."""

@@ -86,7 +86,7 @@ class RegisterTuning(Tuning[Config]):
         finished = (took > 0) & (t["pulses"] == self.distance)
         duration = np.abs(took)
         lost = (t["lost_steps"] != 0) | (np.abs(t["commanded"] - t["position"]) > ALLOWED)
-        low, high = (played.extremes[:, self.axis._plant.qpos, side] for side in (0, 1))
+        low, high = (played.extremes[:, self.axis.plant.qpos, side] for side in (0, 1))
         vibration = np.where(high >= low, high - low, 0.0)
         parts = {
             "time": -duration,

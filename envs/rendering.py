@@ -76,9 +76,11 @@ class Film:
     """Where the joints were during a step, at `every` s of its time and at its end. The stage moves as without it, to the bit."""
 
     def __init__(self, stage: Stage, every: float):
-        self._stage, recorded = stage, stage._recording
-        self._own = stage.record(every) if recorded is None else None
-        self._recording: Recording = recorded or stage._recording  # type: ignore[assignment]
+        self._stage, recording = stage, stage.recording
+        self._own: Recording | None = None
+        if recording is None:
+            recording = self._own = stage.record(every)
+        self._recording: Recording = recording
         self._begin, self._stride = len(self._recording), max(1, round(every / self._recording.every))
 
     def end(self) -> np.ndarray:

@@ -78,7 +78,7 @@ def run() -> Run:
         away = CORNER[0] + 6 * MM - 18 * MM, CORNER[1] + round(TURN * MM), -PITCH * TURNS * MM
         part("to the contour", Line(*away), axes=(x, y, z), speed=FAST)
         part("contour", *rounded(70 * MM, 34 * MM, 6 * MM))
-    edges = {n: next(s.touch for s in a._plant.switches if s.pin == "org") for n, a in stage.axes.items()}
+    edges = {n: next(s.touch for s in a.plant.switches if s.pin == "org") for n, a in stage.axes.items()}
     return Run(stage, homes, parts, recording.columns, edges, recording)
 
 

@@ -20,7 +20,7 @@ WAYS = {"ORG": None, "EZ, 2nd pulse": 2}
 def places(stage, name, ez, drift, returns, rng):
     """Final positions in pulses."""
     axis, beam = stage.axes[name], stage.model.geom(f"{name}_org_switch").pos
-    low, high = (next(s.touch for s in axis._plant.switches if s.pin == pin) for pin in ("el_minus", "el_plus"))
+    low, high = (next(s.touch for s in axis.plant.switches if s.pin == pin) for pin in ("el_minus", "el_plus"))
     home, ends, way = beam.copy(), [], "xyz".index(name)
     for _ in range(returns):
         stage.reset()

@@ -152,7 +152,7 @@ class Soak:
         self.position = [0] * len(self.axes)  # R10 of MK and MS
         self.homes, self.rooms = {}, []
         for axis in self.axes:
-            touch = {s.pin: s.touch for s in axis._plant.switches}
+            touch = {s.pin: s.touch for s in axis.plant.switches}
             ends = (touch["el_minus"] + MARGIN) * 1e6, (touch["el_plus"] - MARGIN) * 1e6
             self.rooms.append([int(e / (axis.meters_per_pulse * 1e6)) for e in ends])
         self.memory = []  # simulated hours, MiB

@@ -145,7 +145,7 @@ def test_a_range_of_a_stage_has_its_ends_and_what_is_refused_changes_nothing(sta
         with pytest.raises(ArgumentError):
             call(stage, value)
     assert stage.snapshot().state.tobytes() == before
-    assert (stage.faults, stage._recording, stage.payload()) == ((), None, 0)
+    assert (stage.faults, stage.recording, stage.payload()) == ((), None, 0)
     for value in inside:
         call(stage, value)
 
@@ -167,18 +167,18 @@ def test_a_port_is_1_to_65535(tmp_path):
 def test_a_condition_has_until_the_end_of_its_time(stage):
     """It is looked at once more when the time is over, and not at all after it holds."""
     looked = []
-    assert stage.run_until(lambda: looked.append(stage._now) or stage._now >= 10, timeout=1e-8, poll=4e-9) == 1e-8
+    assert stage.run_until(lambda: looked.append(stage.now) or stage.now >= 10, timeout=1e-8, poll=4e-9) == 1e-8
     assert looked == [0, 4, 8, 10]
     looked.clear()
     with pytest.raises(StageError, match="did not come true"):
-        stage.run_until(lambda: looked.append(stage._now), timeout=0)
+        stage.run_until(lambda: looked.append(stage.now), timeout=0)
     assert looked == [10]
 
 
 def test_time_of_a_stage_is_rounded_to_a_nanosecond(stage):
     stage.run(1.6e-9)
-    assert stage._now == 2
+    assert stage.now == 2
     stage.step(1)
-    assert stage._now == round(stage.model.opt.timestep * engine.SECOND), (
+    assert stage.now == round(stage.model.opt.timestep * engine.SECOND), (
         "a step goes to the end of the one that has begun"
     )

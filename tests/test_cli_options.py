@@ -72,7 +72,7 @@ def test_the_bench_options_make_the_stage():
     stage = setup.make_stage(build_parser().parse_args(["move", "x", "1", *options.split()]))
     x = stage.axes["x"]
     assert list(stage.axes) == ["x", "y"]
-    assert (type(x.chip).__name__, stage._bus_ns) == ("PCL240MK", 2000)
+    assert (type(x.chip).__name__, stage.state.bus) == ("PCL240MK", 2000)
     assert (x.drive.motor.name, x.drive.microsteps, x.drive.bus_voltage) == ("17HS15-1504S", 8, 36)
 
 

@@ -212,7 +212,7 @@ def test_a_journal_that_loses_writes_is_a_finding(monkeypatch):
 class Odd(PCL240K):
     """Stands for chips to come: several axes, words on the bus, more addresses."""
 
-    AXES, DATA_MASK, _ADDRESS_MASK = 3, 0xFFFF, 7
+    AXES, DATA_MASK, ADDRESS_MASK = 3, 0xFFFF, 7
 
 
 def test_a_chip_of_no_known_family_is_driven_by_raw_words_at_all_addresses_and_all_its_pins():

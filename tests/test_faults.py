@@ -50,12 +50,12 @@ def bits(stage):
 
 
 def touch(axis, pin):
-    return next(s.touch for s in axis._plant.switches if s.pin == pin)
+    return next(s.touch for s in axis.plant.switches if s.pin == pin)
 
 
 def run_into(axis, pin, ahead=5e-5):
     """At 400 pps, which rings no carriage, towards a switch in plus that is `ahead` m away."""
-    axis._stage.place(**{axis.name: touch(axis, pin) - ahead})
+    axis.stage.place(**{axis.name: touch(axis, pin) - ahead})
     load_registers(axis.chip, R0=100_000, R1=20, R2=20, R4=300, R5=300, R6=0, R7=30)
     for command in (0x44, 0x10):
         axis.chip.write(0, command)
@@ -156,12 +156,12 @@ def test_copies_have_the_machines_faults_and_keep_them(xyz, name, twin_of):
 def test_faults_add_up_and_are_mended_in_any_order_that_nests(xyz):
     x = xyz.axes["x"]
     with faults.bus_voltage(xyz, 20.0), faults.bus_voltage(x, 12.0), faults.phase_open(x, "a"):
-        assert [a._voltage for a in xyz.axes.values()] == [12.0, 20.0, 20.0]
+        assert [a.supply for a in xyz.axes.values()] == [12.0, 20.0, 20.0]
         with faults.phase_open(x, "b"):
-            assert x._open == stepper.A + stepper.B
-        assert x._open == stepper.A
+            assert x.open_phases == stepper.A + stepper.B
+        assert x.open_phases == stepper.A
         assert len(xyz.faults) == 3
-    assert [a._voltage for a in xyz.axes.values()] == [24.0] * 3
+    assert [a.supply for a in xyz.axes.values()] == [24.0] * 3
 
 
 # --- switches ---
@@ -186,12 +186,12 @@ def test_a_switch_that_sticks_in_a_move_stops_the_chip_within_the_pulse(xyz):
     start_preset(x.chip, 20_000)
     xyz.run(0.3001234)
     before = x.chip.clock
-    pulses = x._electrics()[1]
+    pulses = x.electrics()[1]
     with faults.switch_stuck(x, "el_plus", True):
         assert x.chip.clock == before
         xyz.run(0.1)
         assert x.chip.pins.hold
-        assert x._electrics()[1] - pulses <= 1
+        assert x.electrics()[1] - pulses <= 1
 
 
 def test_mending_a_switch_inside_a_step_finds_the_edge_in_the_rest_of_it(xyz):
@@ -296,7 +296,7 @@ def test_every_contact_of_the_machine_may_bounce_as_fast_as_it_can(xyz):
         fault.mend()
     recording.check_time()
     for name, journal in recording.journals.items():
-        assert journal.course().edges["inputs"][-1] == xyz.axes[name].chip._input_word(0)
+        assert journal.course().edges["inputs"][-1] == xyz.axes[name].chip.input_word(0)
         assert len(edges_of(journal, "org")[0]) <= 9 * 4
 
 
@@ -410,7 +410,7 @@ def test_a_jammed_axis_holds_against_its_motor_in_both_directions(xyz):
             xyz.run(0.5)
             assert abs(x.position) < 20e-6
             xyz.run_until(lambda: x.chip.pins.hold, timeout=5)
-            assert x._electrics()[1] == (0 if minus else 20_000), "the chip makes all its pulses"
+            assert x.electrics()[1] == (0 if minus else 20_000), "the chip makes all its pulses"
     assert firmware.preset_move(xyz.axes["y"], 1000).ok
 
 
@@ -505,7 +505,7 @@ def test_a_fleet_loses_the_write_as_the_stage_alone_would():
     with faults.lost_write(stages[1].axes["x"], 0, 0x15):
         fleet = Fleet(stages)
         fleet.play([program, program])
-    assert [s.axes["x"]._electrics()[1] for s in stages] == [900, 0]
+    assert [s.axes["x"].electrics()[1] for s in stages] == [900, 0]
 
 
 # --- recordings, command line, errors ---
@@ -590,18 +590,18 @@ def test_edges_of_a_window_have_room():
 
 def test_where_there_is_no_room_for_edges_none_is_written(xyz):
     """`EDGES_A_WINDOW = 49` guarded an unchecked write."""
-    x, room = xyz.axes["x"], len(xyz._edges)
+    x, room = xyz.axes["x"], len(xyz.state.edges)
     journal = x.chip.journal()
     run_into(x, "org")
-    xyz._edges["clock"] = -1
-    xyz._handle["edge_room"] = 3
+    xyz.state.edges["clock"] = -1
+    xyz.state.handle["edge_room"] = 3
     try:
         with faults.bounce(x, "org", 1e-6, 8):
             xyz.run(0.1)
-        assert (xyz._edges["clock"][:3] > 0).all()
-        assert (xyz._edges["clock"][3:] == -1).all()
+        assert (xyz.state.edges["clock"][:3] > 0).all()
+        assert (xyz.state.edges["clock"][3:] == -1).all()
     finally:
-        xyz._handle["edge_room"] = room
+        xyz.state.handle["edge_room"] = room
         journal.close()
 
 

@@ -162,7 +162,7 @@ def test_a_stage_is_in_a_fleet_once(first):
 
 def test_a_stage_that_another_thread_runs_is_not_played(first):
     fleet = Fleet(stages(first, 2), 1)
-    with fleet.stages[1]._alone(), pytest.raises(StageError, match=r"stage 1 of the fleet.*in use"):
+    with fleet.stages[1].loop.alone(), pytest.raises(StageError, match=r"stage 1 of the fleet.*in use"):
         fleet.play([program(first, 0)] * 2)
     fleet.play([program(first, 0)] * 2)
 
@@ -245,7 +245,7 @@ def test_a_look_is_the_place_in_pm_and_extremes_are_of_what_was_measured_alone(f
     extremes = fleet.play([Program().measure(1.1e-3), Program().measure(0)]).extremes
     assert fleet.stages[0].time == pytest.approx(at + 1.1e-3, abs=1e-12)
     assert (extremes[0, :, 0] <= extremes[0, :, 1]).all()
-    assert extremes[0, x._plant.qpos] == pytest.approx([0.0123] * 2, abs=1e-5)
+    assert extremes[0, x.plant.qpos] == pytest.approx([0.0123] * 2, abs=1e-5)
     assert (extremes[1] == [np.inf, -np.inf]).all()
 
 

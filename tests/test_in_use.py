@@ -51,7 +51,7 @@ WAYS = {
 def test_a_stage_in_use_says_so_and_stays_as_it_was(xy, way):
     start_preset(xy.axes["x"].chip, 1000)
     before = bits(xy)
-    with xy._alone(), pytest.raises(StageError, match="in use"):
+    with xy.loop.alone(), pytest.raises(StageError, match="in use"):
         WAYS[way](xy)
     assert bits(xy) == before
     xy.run(1e-3)
@@ -60,7 +60,7 @@ def test_a_stage_in_use_says_so_and_stays_as_it_was(xy, way):
 @pytest.mark.skipif(not COMPILED, reason="uncompiled, threads take turns by themselves")
 def test_without_bus_time_a_cycle_is_refused_as_well():
     stage = Stage("xy", chips=PCL240K, bus_cycle=0, visuals=False)
-    with stage._alone(), pytest.raises(StageError, match="in use"):
+    with stage.loop.alone(), pytest.raises(StageError, match="in use"):
         stage.axes["x"].chip.read(0)
     stage.axes["x"].chip.read(0)
 
@@ -157,7 +157,7 @@ def test_a_callback_that_raises_is_a_simulation_error_and_the_stage_as_before_th
     assert caught.value.time == xy.time
     with twin.record():
         twin.run(xy.time - twin.time)
-    assert 9 <= xy._world[0].steps <= 10
+    assert 9 <= xy.state.world[0].steps <= 10
     assert bits(xy) == bits(twin)
     xy.run(0.1)
     twin.run(0.1)

@@ -146,7 +146,7 @@ def test_every_axis_of_every_model_homes():
     for name in plant.names():
         stage = Stage(name, visuals=False)
         for axis in stage.axes.values():
-            org = next(s.touch for s in axis._plant.switches if s.pin == "org")
+            org = next(s.touch for s in axis.plant.switches if s.pin == "org")
             stage.place(**{axis.name: org + 0.01})
             report = firmware.origin_return(axis)
             assert report.stopped_by == "ORG"

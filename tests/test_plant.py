@@ -388,7 +388,7 @@ def test_a_step_near_the_longest_loses_no_steps():
 
     for step in (0.00088, 0.0005):
         x = Stage(with_step(step), visuals=False).axes["x"]
-        x._stage.place(x=-0.03)
+        x.stage.place(x=-0.03)
         firmware.preset_move(x, 16_000)
         assert x.lost_steps == 0
         assert x.position == pytest.approx(x.commanded, abs=4 * x.meters_per_pulse)
@@ -505,6 +505,6 @@ def test_actuators_may_stand_in_any_order(model, tmp_path):
     stage = Stage(tmp_path / f"{model}.xml", chips=HCTL1100 if model == "xyz_servo" else PCL240K, visuals=False)
     assert [stage.model.actuator(k).name for k in range(3)] == ["y", "z", "x"]
     for axis in stage.axes.values():
-        assert stage.model.actuator(axis._plant.actuator).name == stage.model.joint(axis._plant.joint).name == axis.name
+        assert stage.model.actuator(axis.plant.actuator).name == stage.model.joint(axis.plant.joint).name == axis.name
     stage.data.qpos[:] = 0.001, 0.002, 0.003
     assert {n: round(a.position, 6) for n, a in stage.axes.items()} == {"y": 0.002, "z": 0.003, "x": 0.001}

@@ -42,7 +42,7 @@ def bits(stage):
 
 
 def touch(axis, switch):
-    return next(s.touch for s in axis._plant.switches if s.pin == switch)
+    return next(s.touch for s in axis.plant.switches if s.pin == switch)
 
 
 def moving(stage):
@@ -77,10 +77,10 @@ def test_the_loop_stands_firm_against_a_push_and_goes_back(xyz):
     x = xyz.axes["x"]
     servo.control(x.chip)
     xyz.run(0.05)
-    xyz.data.qfrc_applied[x._plant.dof] = 50.0
+    xyz.data.qfrc_applied[x.plant.dof] = 50.0
     xyz.run(0.2)
     pushed = off(x)
-    xyz.data.qfrc_applied[x._plant.dof] = 0.0
+    xyz.data.qfrc_applied[x.plant.dof] = 0.0
     xyz.run(0.2)
     assert 5 < pushed < 200
     assert off(x) < pushed
@@ -125,7 +125,7 @@ def test_full_drive_turns_the_motor_as_fast_as_its_back_emf_lets_it(xyz):
     x = xyz.axes["x"]
     x.chip.write(0x09, 100)
     xyz.run(0.25)
-    omega = xyz.data.qvel[x._plant.dof] * x.gear
+    omega = xyz.data.qvel[x.plant.dof] * x.gear
     no_load = 24.0 / x.drive.motor.torque_constant
     assert 0.5 * no_load < omega < no_load
 
@@ -195,12 +195,12 @@ def test_stop_at_org_ends_integral_velocity(xyz):
     servo.run_on(x.chip, -4)
     xyz.run_until(lambda: x.pins.stop, timeout=1)
     xyz.run(0.3)
-    assert abs(xyz.data.qvel[x._plant.dof]) < 1e-3
+    assert abs(xyz.data.qvel[x.plant.dof]) < 1e-3
     assert touch(x, "org") - 3e-3 < x.position < touch(x, "org")
 
 
 def test_the_index_pulse_of_the_encoder_is_index(xyz):
-    t = xyz._table[xyz.axes["y"].index]
+    t = xyz.state.axis_table[xyz.axes["y"].index]
     turn = 2 * math.pi / t.gear
     for turns, on in ((0.0, True), (0.3, False), (1.0, True)):
         xyz.place(y=(t.index_at + turns) * turn)
@@ -221,13 +221,13 @@ def test_the_order_of_axes_means_nothing():
     assert one.data.qpos.tobytes() == other.data.qpos.tobytes()
     for name in names:
         a, b = one.axes[name].chip, other.axes[name].chip
-        assert a._rows[a._i].tobytes() == b._rows[b._i].tobytes()
+        assert a.state.tobytes() == b.state.tobytes()
 
 
 def test_a_stage_placed_on_an_index_mark_shows_its_chip_the_shaft_first(xyz):
     """So does the journal: the commutator's ring is 0 where the mark is."""
     y = xyz.axes["y"]
-    t = xyz._table[y.index]
+    t = xyz.state.axis_table[y.index]
     journal = y.chip.journal()
     xyz.place(y=0.01)
     xyz.place(y=(t.index_at + 1) * 2 * math.pi / t.gear)
@@ -237,7 +237,7 @@ def test_a_stage_placed_on_an_index_mark_shows_its_chip_the_shaft_first(xyz):
     lone._rows[0] = journal.start
     for e in journal.entries:
         e.apply(lone.CORE, lone._rows)
-    assert int(lone._record["home"]) == int(y.chip._record["home"]) == y.chip.encoder
+    assert int(lone.state["home"]) == int(y.chip.state["home"]) == y.chip.encoder
 
 
 def test_what_reached_a_chip_of_a_stage_brings_one_on_the_bench_to_the_same_state(xyz):
@@ -256,8 +256,8 @@ def test_what_reached_a_chip_of_a_stage_brings_one_on_the_bench_to_the_same_stat
         e.apply(lone.CORE, lone._rows)
     lone.advance(journal.until - lone.clock)
     apart = {"moment"}
-    for field in lone._record.dtype.names:
-        assert field in apart or np.array_equal(lone._record[field], x.chip._record[field]), field
+    for field in lone.state.dtype.names:
+        assert field in apart or np.array_equal(lone.state[field], x.chip.state[field]), field
     shafts = [number(e.a) for e in journal.entries if e.kind == SEE]
     assert len(shafts) > 400, "one a physics step"
     assert abs(shafts[-1] - shafts[0]) > 1000
@@ -336,7 +336,7 @@ def test_the_armature_holds_the_rotor_of_the_motor_that_is_fitted():
     for drives in (None, "9233S013", Servo(DC_MOTORS["14204S004"])):
         stage = Stage("xyz", chips=HCTL1100, drives=drives, visuals=False)
         for axis in stage.axes.values():
-            dof = axis._plant.dof
+            dof = axis.plant.dof
             rotor = stage.model.dof_armature[dof] - own.dof_armature[dof] + 54e-7 * axis.gear**2
             assert rotor == pytest.approx(axis.drive.motor.rotor_inertia * axis.gear**2)
 
@@ -359,7 +359,7 @@ def test_steppers_and_servos_share_a_stage():
     stage.run(0.8)
     assert off(x) < 30
     assert z.position == pytest.approx(1600 * z.meters_per_pulse, abs=2 * z.meters_per_pulse)
-    gain = stage.model.actuator_gaintype[[a._plant.actuator for a in (x, z)]]
+    gain = stage.model.actuator_gaintype[[a.plant.actuator for a in (x, z)]]
     assert gain.tolist() == [mujoco.mjtGain.mjGAIN_DCMOTOR, mujoco.mjtGain.mjGAIN_FIXED]
 
 
@@ -418,7 +418,7 @@ def test_a_motor_of_ones_own_is_what_turns(fresh):
     stage = Stage("xyz", chips=HCTL1100, drives=Servo(mine, bus_voltage=12, counts=4096), visuals=False)
     x = stage.axes["x"]
     assert x.meters_per_pulse == pytest.approx(0.01 / 4096)
-    k = x._plant.actuator
+    k = x.plant.actuator
     assert stage.model.actuator_gainprm[k][:2].tolist() == [1.5, 0.04]
     x.chip.write(0x09, 100)
     with stage.record(every=2.5e-4) as recorded:

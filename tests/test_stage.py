@@ -127,16 +127,14 @@ def test_a_bus_cycle_takes_bus_time(fresh):
 
 
 def test_a_stage_costs_less_than_64_kib_beside_its_mjdata(fresh):
-    own = sum(
-        a.nbytes
-        for a in (fresh._table, fresh._switch_table, fresh._clockwork, fresh._edges, fresh._counts, fresh._state)
-    )
+    s = fresh.state
+    own = sum(a.nbytes for a in (s.axis_table, s.switch_table, s.chip_table, s.clockwork, s.edges, s.counts, s.saved))
     assert own + fresh.data.userdata.nbytes < 64 * 1024
 
 
 def test_pushing_into_el_plus_stops_within_the_pulse_and_allows_only_the_way_back(xyz):
     x = xyz.axes["x"]
-    touch = next(s.touch for s in x._plant.switches if s.pin == "el_plus")
+    touch = next(s.touch for s in x.plant.switches if s.pin == "el_plus")
     xyz.place(x=touch - 0.005)
     load_registers(x.chip, R0=100_000, R1=75, R2=75, R4=300, R5=300, R6=0, R7=30)
     for command in (0x44, 0x10):
@@ -161,7 +159,7 @@ def test_pushing_into_el_plus_stops_within_the_pulse_and_allows_only_the_way_bac
 
 def test_with_the_switch_stuck_open_the_hard_stop_holds_and_the_motor_slips_whole_electrical_turns(xyz):
     x = xyz.axes["x"]
-    touch = next(s.touch for s in x._plant.switches if s.pin == "el_plus")
+    touch = next(s.touch for s in x.plant.switches if s.pin == "el_plus")
     x.switches.stick("el_plus", False)
     xyz.place(x=touch - 0.005)
     start_preset(x.chip, 16_000)
@@ -179,7 +177,7 @@ def test_with_the_switch_stuck_open_the_hard_stop_holds_and_the_motor_slips_whol
 def test_switch_edges_reach_the_chip_inside_the_physics_step(xyz):
     """The clock of the edge varies finely with the start: it is not the grid of physics steps."""
     x = xyz.axes["x"]
-    touch = next(s.touch for s in x._plant.switches if s.pin == "el_plus")
+    touch = next(s.touch for s in x.plant.switches if s.pin == "el_plus")
     clocks = set()
     for k in range(12):
         xyz.reset()
@@ -209,9 +207,9 @@ def test_what_is_placed_stands_still_whatever_it_did_before(xyz):
     moving(xyz, 16_000).run(0.3)
     going = abs(xyz.data.qvel.copy())
     xyz.place(x=0.05)
-    assert min(going[x._plant.dof], going[y._plant.dof]) > 0.01
-    assert xyz.data.qvel[x._plant.dof] == 0
-    assert abs(xyz.data.qvel[y._plant.dof]) == going[y._plant.dof]
+    assert min(going[x.plant.dof], going[y.plant.dof]) > 0.01
+    assert xyz.data.qvel[x.plant.dof] == 0
+    assert abs(xyz.data.qvel[y.plant.dof]) == going[y.plant.dof]
 
 
 @pytest.mark.usefixtures("elsewhere")
@@ -243,9 +241,9 @@ def test_a_speed_that_is_no_number_has_diverged(xyz):
 def test_the_torque_of_a_step_is_that_of_the_rotor_in_the_middle_of_each_slice(xyz):
     # planted: the rotor's angle half a slice late
     x = xyz.axes["x"]
-    t, w = xyz._table[x.index], xyz._clockwork[0]
+    t, w = xyz.state.axis_table[x.index], xyz.state.clockwork[0]
     xyz.data.qvel[t.dof] = v = 0.05
-    d, q, count = xyz._drives[x.index].copy(), xyz.data.qpos[t.qpos], float(x.chip.net())
+    d, q, count = xyz.state.drives[x.index].copy(), xyz.data.qpos[t.qpos], float(x.chip.net())
     middles = [
         (k + 0.5) * w.h - w.half for k in range(engine.SLICES)
     ]  # s, from the moment at which the joint stands at q

@@ -42,7 +42,7 @@ def bits(stage):
 
 
 def touch(axis, switch):
-    return next(s.touch for s in axis._plant.switches if s.pin == switch)
+    return next(s.touch for s in axis.plant.switches if s.pin == switch)
 
 
 def stopped(stage, *names):
@@ -181,7 +181,7 @@ def test_the_index_pulse_of_the_encoder_is_stop2(made):
     for axis, pin in ((y, "stop2"), (z, "ez")):
         wired = axis.chip.wired("ez")
         assert wired == axis.chip.INPUTS.get(pin, 0)
-    t = stage._table[y.index]
+    t = stage.state.axis_table[y.index]
     turn = 2 * np.pi / t.gear
     for turns, on in ((0.0, True), (0.3, False), (1.0, True)):
         stage.place(y=(t.index_at + turns) * turn)

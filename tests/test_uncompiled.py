@@ -47,7 +47,7 @@ def over_a_switch():
     """X runs over its SD switch and back; the edges and samples of its recording."""
     stage = make_stage()
     x = stage.axes["x"]
-    sd = next(s.touch for s in x._plant.switches if s.pin == "sd_plus")
+    sd = next(s.touch for s in x.plant.switches if s.pin == "sd_plus")
     stage.place(x=sd - 5e-5)
     with stage.record(every=5e-4) as recorded:
         go(x.chip, 40)
@@ -63,10 +63,10 @@ def over_an_index_mark():
     """X turns over the index pulse of its encoder, forth and back; when the chip saw it."""
     stage = make_stage()
     x = stage.axes["x"]
-    turn = 2 * np.pi / stage._table["gear"][0]
+    turn = 2 * np.pi / stage.state.axis_table["gear"][0]
     seen = []
     for minus in (False, True):
-        stage.place(x=(stage._table["index_at"][0] + (0.007 if minus else -0.007)) * turn)
+        stage.place(x=(stage.state.axis_table["index_at"][0] + (0.007 if minus else -0.007)) * turn)
         go(x.chip, 60, minus)
         for on in (True, False):
             stage.run_until(lambda on=on: x.chip.pins.ez == on, timeout=0.05, poll=1e-4)
@@ -198,7 +198,7 @@ def moves_of_several_axes():
             yield np.concatenate(list(journal.pieces(every_pulse, size=100))).tobytes()
     stage = Stage("xyz", chips={"x": MCX514, "y": MCX514, "z": PCL240K}, visuals=False)
     x, chip = stage.axes["x"], stage.axes["x"].chip
-    stage.place(x=next(s.touch for s in x._plant.switches if s.pin == "el_plus") - 3e-5)
+    stage.place(x=next(s.touch for s in x.plant.switches if s.pin == "el_plus") - 3e-5)
     nova.load(chip, 3, SV=4000, DV=4000)
     chip.write(2, 0x0800)
     nova.command(chip, "DRVVP", 3)
@@ -211,7 +211,7 @@ def a_closed_loop():
     """A servo holds, moves, runs into its limit; a stepper beside it; journals and a program on a fleet."""
     stage = Stage("xyz_servo", chips={"x": HCTL1100, "y": PCL240K}, visuals=False)
     x = stage.axes["x"]
-    stage.place(x=next(s.touch for s in x._plant.switches if s.pin == "el_plus") - 3e-4)
+    stage.place(x=next(s.touch for s in x.plant.switches if s.pin == "el_plus") - 3e-4)
     fleet = Fleet([copy.copy(stage)], threads=1)
     with stage.record(every=5e-4) as recorded:
         x.chip.write(0x13, 0)

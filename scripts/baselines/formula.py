@@ -54,7 +54,7 @@ class Load:
     @classmethod
     def of(cls, axis: Axis) -> Load:
         """From the machine's drawings: the model."""
-        model = axis._stage.model
+        model = axis.stage.model
         body, dof = int(model.jnt_bodyid[axis.joint]), int(model.jnt_dofadr[axis.joint])
         mass = float(model.body_subtreemass[body] + model.dof_armature[dof])
         friction, damping = float(model.dof_frictionloss[dof]), float(model.dof_damping[dof])

@@ -109,7 +109,7 @@ class Run:
 
     def read(self, low: int) -> None:
         """Addresses of more than 30 are in a byte of their own."""
-        address = low if self.chip._ADDRESS_MASK < 31 else self.take(1)
+        address = low if self.chip.ADDRESS_MASK < 31 else self.take(1)
         self.counts["bus cycles"] += 1
         words = [self.family.read(chip, address) for chip in self.chips]
         demand(0 <= words[0] <= self.chip.DATA_MASK, f"{words[0]} read at {address}")

@@ -70,12 +70,12 @@ class Family:
 
     def state(self, chip: Chip) -> list:
         """All words of the state but those that are FREE, whatever holds them."""
-        row, names = chip._rows[chip._i], self.chip.CORE.STATE.names
+        row, names = chip.state, self.chip.CORE.STATE.names
         return [listed(row[name]) for name in names if name not in self.FREE]
 
     def bits(self, chip: Chip) -> bytes:
         """The same of a compiled chip, fast."""
-        row = bytearray(chip._rows[chip._i].tobytes())
+        row = bytearray(chip.state.tobytes())
         for place in self.free:
             row[place] = bytes(place.stop - place.start)
         return bytes(row)
@@ -116,12 +116,12 @@ class Family:
         wide = [name for name, mask in self.limits if values.get(name, 0) & ~mask]
         if wide:
             raise Finding(f"{wide[0]} = {values[wide[0]]} is wider than the register")
-        row: Any = chip._rows[chip._i]
+        row: Any = chip.state
         if isinstance(row, Row) and not row.fits():
             raise Finding(f"a word of the state has more than 64 bits: {vars(row)}")
         for name in self.floats:
-            if not np.isfinite(chip._record[name]).all():
-                raise Finding(f"{name} is {chip._record[name]}")
+            if not np.isfinite(chip.state[name]).all():
+                raise Finding(f"{name} is {chip.state[name]}")
 
     def clocks(self, chip: Chip, clocks: int) -> int:
         """How far an advance goes that was to be of so many clocks."""

@@ -87,7 +87,7 @@ class HctlFamily(Family):
         return True
 
     def clocks(self, chip: Chip, clocks: int) -> int:
-        c = chip._record
+        c = chip.state
         idle = c["mode"] == state.IDLE
         if c["rate"] and c["reg"][RING]:
             clocks = min(clocks, FEW)  # each count is an edge of the course, the phases'
@@ -98,7 +98,7 @@ class HctlFamily(Family):
 
     def check(self, chip: Any, values: Values) -> None:
         super().check(chip, values)
-        c, pins = chip._record, chip._output_word(0)
+        c, pins = chip.state, chip.output_word(0)
         held = (bool(pins & state.PROF), bool(pins & state.INIT))
         if held != (bool(values["R07"] & 0x10), bool(values["R07"] & 0x20)):
             raise Finding(f"R07 {values['R07']:02X}h, but the pins {pins:02X}h")
@@ -114,7 +114,7 @@ class HctlFamily(Family):
 
     def advanced(self, chip: Any, before: Any, after: Values, clocks: int, pulses: int) -> None:
         demand(after["R00"] in (before["R00"], before["R00"] & ~state.F0), "clocks clear F0 and no other flag")
-        if clocks >= LONGEST and after["R00"] & state.F2 and chip._record["mode"] == state.CONTROL:
+        if clocks >= LONGEST and after["R00"] & state.F2 and chip.state["mode"] == state.CONTROL:
             demand(chip.motor_command >= 0, f"a unipolar motor command of {chip.motor_command} after a sample")
         if before["R00"] & state.F1:
             changed = {name for name in before if before[name] != after[name]} - {"R0F", "R14"}
@@ -130,8 +130,8 @@ class HctlFamily(Family):
             chip.net(),
             chip.command_position,
             chip.motor_command,
-            chip._output_word(0),
-            chip._input_word(0),
+            chip.output_word(0),
+            chip.input_word(0),
         )
         ends_at = tuple(int(last[name]) for name in ("clock", "net", "command", "motor", "outputs", "inputs"))
         demand(ends_at == is_at, f"a course that ends with {ends_at}, a chip with {is_at}")

@@ -153,7 +153,7 @@ class NovaFamily(Family):
     # --- what must hold ---
 
     def said(self, chip: Chip, values: Values, address: int) -> int | None:
-        c, n = chip._record, address & 7
+        c, n = chip.state, address & 7
         if self.new and address & BYTES:
             return None
         lowest = next((j for j in range(chip.AXES) if c["selected"] >> j & 1), 0)
@@ -161,15 +161,15 @@ class NovaFamily(Family):
 
     def silent(self, chip: Chip) -> bool:
         """Nothing drives, and nothing can begin a drive by itself; or the emergency stop is there."""
-        c = chip._record
+        c = chip.state
         axes = [c["ax"][j] for j in range(chip.AXES)]
         return bool(c["emg"]) or not (values_of(axes, "driving home interpolates sync triggered go"))
 
     def check(self, chip: Chip, values: Values) -> None:
         super().check(chip, values)
-        c, status = chip._record, values["RR0"]
+        c, status = chip.state, values["RR0"]
         for j in range(chip.AXES):
-            x, word = c["ax"][j], chip._output_word(j)
+            x, word = c["ax"][j], chip.output_word(j)
             if bool(status >> j & 1) != bool(word & core.DRIVE):
                 raise Finding(f"RR0 {status:04X}h, but axis {j} has the pins {word:04X}h")
             phases = [bool(word & bit) for bit in (core.ASND, core.CNST, core.DSND)]
@@ -198,10 +198,10 @@ class NovaFamily(Family):
 
     def _forbidden(self, chip: Chip, j: int) -> set[int]:
         """The ways that limits forbid to an axis: those that are asserted, enabled, stop at once and are not filtered."""
-        x = chip._record["ax"][j]
+        x = chip.state["ax"][j]
         w2, w3 = int(x["wr"][2]), int(x["wr"][3])
         on = w2 & 0x0800 and not w2 & 0x1000 and not x["mode"][5] & 2 if self.new else not (w2 & 4 or w3 & 0x100)
-        inputs = chip._input_word(j)
+        inputs = chip.input_word(j)
         ways = {1: inputs & state.LMT_PLUS, -1: inputs & state.LMT_MINUS}
         if self.new and w3 & 0x1000:
             ways = {1: ways[-1], -1: ways[1]}
@@ -209,19 +209,19 @@ class NovaFamily(Family):
 
     def clocks(self, chip: Chip, clocks: int) -> int:
         """Ticks of an interpolation, timings and turns of a ring are work, one by one."""
-        c = chip._record
+        c = chip.state
         busy = "timer sync split home"
         rings = self.new and any(c["ax"][j]["reg"][state.LX] != OFF for j in range(chip.AXES))
         works = rings or c["interpolating"] or values_of([c["ax"][j] for j in range(chip.AXES)], busy)
         return min(clocks, LONG) if works else clocks
 
     def advanced(self, chip: Chip, before: Any, after: Values, clocks: int, pulses: int) -> None:
-        acts = bool(values_of([chip._record["ax"][j] for j in range(chip.AXES)], "home sync")) or any(
+        acts = bool(values_of([chip.state["ax"][j] for j in range(chip.AXES)], "home sync")) or any(
             b.acts for b in before
         )
         way = 0
         for j, b in enumerate(before):
-            x = chip._record["ax"][j]
+            x = chip.state["ax"][j]
             moved, total = chip.net(j) - b.net, int(x["total"]) - b.total
             way += total
             demand(
@@ -252,9 +252,9 @@ class NovaFamily(Family):
         is_at = (
             chip.clock,
             chip.net(0),
-            int(chip._record["ax"][0]["reg"][state.LP]),
-            chip._output_word(0),
-            chip._input_word(0),
+            int(chip.state["ax"][0]["reg"][state.LP]),
+            chip.output_word(0),
+            chip.input_word(0),
         )
         ends_at = tuple(int(last[name]) for name in ("clock", "net", "counter", "outputs", "inputs"))
         ends_at = (*ends_at[:3], ends_at[3] & ~state.PLS, ends_at[4])
@@ -263,7 +263,7 @@ class NovaFamily(Family):
     def most_work(self, chip: Chip, pulses: int) -> int:
         """Rounds of events. What may cause one is an event that is noted, a segment of a speed profile, a tick of an
         interpolation, a turn of a ring counter with the comparisons on it, an input's filter; never clocks, nor pulses as such."""
-        rings = [int(chip._record["ax"][j]["reg"][state.LX]) for j in range(chip.AXES)] if self.new else [OFF]
+        rings = [int(chip.state["ax"][j]["reg"][state.LX]) for j in range(chip.AXES)] if self.new else [OFF]
         turns = sum(pulses // (ring + 1) for ring in rings if ring >= 0)
         return 3 * self.work.steps + 10 * turns + 64  # type: ignore[union-attr]
 
@@ -272,9 +272,9 @@ class Before:
     """What is remembered of an axis before an advance."""
 
     def __init__(self, chip: Chip, j: int, forbidden: set[int]):
-        x = chip._record["ax"][j]
+        x = chip.state["ax"][j]
         self.net, self.total, self.forbidden = chip.net(j), int(x["total"]), forbidden
-        self.lp, self.ring = int(x["reg"][state.LP]), int(x["reg"][state.LX]) if chip._record["variant"] else OFF
+        self.lp, self.ring = int(x["reg"][state.LP]), int(x["reg"][state.LX]) if chip.state["variant"] else OFF
         self.driving, self.slow, self.acts = bool(x["driving"]), bool(x["slow"]), bool(x["home"] or x["sync"])
         self.fixed, self.output = bool(x["driving"] and x["fixed"]), int(x["output"])
         self.left = self.output - int(x["done"])

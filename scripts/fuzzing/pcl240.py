@@ -73,7 +73,7 @@ class Pcl240(Family):
 
     def said(self, chip: Chip, values: Values, address: int) -> int | None:
         """A byte of the status or of a register; what a collective read has latched is not in view."""
-        c, byte = chip._record, address & 3
+        c, byte = chip.state, address & 3
         if not byte:
             return values["status"]
         name = self.limits[int(c["selected"])][0] if c["extended"] and c["output"] & EXTENSION else "R0"
@@ -81,12 +81,12 @@ class Pcl240(Family):
 
     def silent(self, chip: Chip) -> bool:
         """A chip at rest, or at a limit of its direction."""
-        return chip.pins.hold or (chip.pins.el_minus if chip._record["minus"] else chip.pins.el_plus)
+        return chip.pins.hold or (chip.pins.el_minus if chip.state["minus"] else chip.pins.el_plus)
 
     def check(self, chip: Chip, values: Values) -> None:
         super().check(chip, values)
-        c, status = chip._record, values["status"]
-        pins = chip._input_word(0) | chip._output_word(0) << 8
+        c, status = chip.state, values["status"]
+        pins = chip.input_word(0) | chip.output_word(0) << 8
         right = sum(bit for bit, pin in STATUS.items() if pins & PIN[pin]) ^ LOW
         right |= SD if pins & PIN["sd_minus" if c["minus"] else "sd_plus"] else 0
         if status != right:
@@ -100,15 +100,15 @@ class Pcl240(Family):
         changed = {name for name in before if before[name] != after[name]} - self.LIVE
         demand(not changed, f"clocks changed {changed}")
         demand(2 * (pulses - 1) < clocks, f"{pulses} pulses in {clocks} clocks: no multiplier is that small")
-        if not chip._record["output"] & EXTERNAL:
+        if not chip.state["output"] & EXTERNAL:
             counted = (before["R0"] - after["R0"]) % WRAP
             demand(counted == pulses % WRAP, f"{pulses} pulses, but R0 counted {counted}")
 
     def course(self, chip: Chip, journal: Journal, pulses: int) -> None:
         edges = np.concatenate(list(journal.pieces(every_pulse=pulses <= FEW, size=1024)))
         demand(bool((edges["clock"][1:] >= edges["clock"][:-1]).all()), "a course that runs back")
-        c, last = chip._record, edges[-1]
-        is_at = (int(c["clock"]), int(c["net"]), int(c["reg"][0]), chip._output_word(0), int(c["inputs"]))
+        c, last = chip.state, edges[-1]
+        is_at = (int(c["clock"]), int(c["net"]), int(c["reg"][0]), chip.output_word(0), int(c["inputs"]))
         ends_at = tuple(int(last[name]) for name in ("clock", "net", "counter", "outputs", "inputs"))
         demand(ends_at == is_at, f"a course that ends with {ends_at}, a chip with {is_at}")
 

@@ -83,8 +83,8 @@ class Board:
         self._hook: Callable[[], None] | None = None
         self._call, self._call_hook = UPCALL(self._called), HOOK(self._hooked)
         for chip in stage.chips:
-            if self.LINTS and chip._late is None:
-                chip._late = LateLint(chip)
+            if self.LINTS and chip.late_lint is None:
+                chip.late_lint = LateLint(chip)
         self._request = bus.request.pointer
         self._lay_out()
 
@@ -115,13 +115,13 @@ class Board:
     @property
     def micros(self) -> int:
         """Microseconds since power-up."""
-        return self.stage._now // 1000
+        return self.stage.now // 1000
 
     @property
     def interrupt(self) -> bool:
         """Whether a chip pulls the interrupt line."""
         irqs = zip(self.stage.chips, self._irqs.tolist(), strict=True)
-        return any(chip._output_word(axis) & bits for chip, (axis, bits) in irqs if bits)
+        return any(chip.output_word(axis) & bits for chip, (axis, bits) in irqs if bits)
 
     def on_interrupt(self, hook: Callable[[], None] | None) -> None:
         """Call `hook` while the interrupt line is asserted: after a bus cycle, or within a delay at the very ns; again and
@@ -166,26 +166,26 @@ class Board:
     def _lay_out(self) -> None:
         """The HOST record, and the arrays that it points to."""
         stage = self.stage
-        if len(stage._edges) < NOTED:
-            stage._note_in(np.zeros(NOTED, engine.EDGE))
+        if len(stage.state.edges) < NOTED:
+            stage.state.note_in(np.zeros(NOTED, engine.EDGE))
         self._take(np.zeros(1, bus.HOST))
         h = self._host
-        handle.fill(self._rows, 0, stage)
+        handle.fill(self._rows, 0, stage.state)
         self._irqs = np.zeros(len(stage.chips), bus.IRQ)
         self._acts = np.zeros(len(stage.chips), np.int64)
         for k, chip in enumerate(stage.chips):
             axis, bits = chip.IRQ
             self._irqs[k] = (axis % (chip.AXES + 1), bits)
             self._acts[k] = np.uint64(sum(1 << a for a in chip.READING_ACTS)).astype(np.int64)
-        words = stage.data.userdata[stage._offset :]
+        words = stage.state.userdata
         self._before = np.zeros(len(words))
         for name, array in (
-            ("edges", stage._edges), ("ports", self._ports),
+            ("edges", stage.state.edges), ("ports", self._ports),
             ("lines", self.trace._lines), ("irqs", self._irqs), ("acts", self._acts), ("userdata", words),
             ("before", self._before),
         ):  # fmt: skip
             h[name] = array.ctypes.data
-        h["edge_room"], h["n_ports"], h["first"] = len(stage._edges), len(self._ports), self._first
+        h["edge_room"], h["n_ports"], h["first"] = len(stage.state.edges), len(self._ports), self._first
         h["line_room"], h["words"] = self.trace.room, len(words)
         h["until"] = h["most_cycles"] = MOST
         h["journals"] = 1
@@ -226,24 +226,24 @@ class Board:
     def _begin(self) -> None:
         """Before compiled code runs: what it may have to write to, and whom it has to ask."""
         stage, h = self.stage, self._host
-        stage._awake()
+        stage.look()
         asks = 0
         for k, chip in enumerate(stage.chips):
-            if chip._glitches:
+            if chip.glitches:
                 asks |= 1 << k
-        h["asks"], h["reached"] = asks, stage._now
-        handle.log_to(h, stage._recording)
+        h["asks"], h["reached"] = asks, stage.now
+        handle.log_to(h, stage.recording)
 
     def _end(self) -> None:
         """After compiled code has run: what it noted goes to journals and recording."""
         stage, h = self.stage, self._host
         if n := int(h["noted"]):
             h["noted"] = 0
-            stage._note_edges(n)
+            stage.loop.note_edges(n)
             for chip in stage.chips:
-                if chip._late is not None:
-                    chip._late.tidy()
-        if (recording := stage._recording) is not None:
+                if chip.late_lint is not None:
+                    chip.late_lint.tidy()
+        if (recording := stage.recording) is not None:
             recording.take(int(h["filled"]))
             h["filled"] = recording.filled
 
@@ -283,9 +283,9 @@ class Board:
             elif reason == bus.ASKED_WRITE:
                 h = self._host
                 chip = self.stage.chips[int(h["asked_chip"])]
-                h["asked"] = chip._loses(int(h["asked_address"]), int(h["asked"]))
+                h["asked"] = chip.loses(int(h["asked_address"]), int(h["asked"]))
             elif reason == bus.BY_HAND:
-                self.stage._run_until(int(self._host["asked"]))
+                self.stage.run_to(int(self._host["asked"]))
             self._begin()
         except BaseException as error:
             self._fail(error)
@@ -294,7 +294,7 @@ class Board:
             self._stand_still()
 
     def _diverged(self) -> None:
-        error = self.stage._undo_divergence(self._at)
+        error = self.stage.loop.undo_divergence(self._at)
         self._end()
         raise error
 

@@ -33,21 +33,21 @@ class TellingBoard(Board):
         super().__init__(stage, **options)
         shared = Shared(begin.shared, self.trace.room)
         shared.host[:] = self._rows
-        self.stage._note_in(shared.edges)
+        self.stage.state.note_in(shared.edges)
         self.trace._lines, self._shared = shared.trace, shared
         shared.host["edges"], shared.host["lines"] = shared.edges.ctypes.data, shared.trace.ctypes.data
         shared.host["edge_room"] = len(shared.edges)
         self._take(shared.host)
 
     def _end(self) -> None:
-        edges = self.stage._edges[: int(self._host["noted"])]
+        edges = self.stage.state.edges[: int(self._host["noted"])]
         changes = edges[np.isin(edges["kind"], SENT)]
         if len(changes):
             self._pipe.send(Cycles(changes))
         super()._end()
 
     def note(self, text: str) -> None:
-        self._pipe.send(Line(self.stage._now, text))
+        self._pipe.send(Line(self.stage.now, text))
 
     def adopt(self, stage: Any) -> None:
         """The parent's stage was changed: ours becomes like it."""
@@ -58,9 +58,9 @@ class TellingBoard(Board):
                 np.copyto(getattr(mine, name), value)
             elif value != getattr(mine, name):
                 setattr(mine, name, value)
-        ours._switch_table[:] = stage._switch_table
-        for axis, like in zip(ours._axes_by_index, stage._axes_by_index, strict=True):
-            axis._voltage, axis._open = like._voltage, like._open
+        ours.state.switch_table[:] = stage.state.switch_table
+        for axis, like in zip(ours.axes.values(), stage.axes.values(), strict=True):
+            axis.supply, axis.open_phases = like.supply, like.open_phases
         ours.restore(stage.snapshot())
 
 
@@ -104,7 +104,7 @@ def main(fileno: int) -> None:
             code = runner.go_on(go.until, go.most_cycles)
         except Exception as error:
             failure = (type(error).__name__, str(error))
-        pipe.send(Stands(board.stage._now, board._ports, code, failure))
+        pipe.send(Stands(board.stage.now, board._ports, code, failure))
         if failure is not None:
             os._exit(1)
 

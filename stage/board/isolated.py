@@ -122,7 +122,7 @@ class Isolated:
 
     def go_on(self, until: int, most_cycles: int) -> int | None:
         board = self._board
-        if any(chip._glitches for chip in board.stage.chips):
+        if any(chip.glitches for chip in board.stage.chips):
             raise StageError(
                 "a fault of the bus asks this process about each write: run the firmware with isolated=False."
             )
@@ -195,26 +195,27 @@ class Isolated:
     def _live_through(self, edges: np.ndarray) -> None:
         """Our stage makes the cycles that the child's has made."""
         stage = self._board.stage
+        axes = list(stage.axes.values())
         for now, axis, kind, a, b in zip(*(edges[n].tolist() for n in ("now", "axis", "kind", "a", "b")), strict=True):
-            stage._run_until(now)
-            chip: Any = stage._axes_by_index[axis].chip
+            stage.run_to(now)
+            chip: Any = axes[axis].chip
             if kind == LOST:
-                chip._journal.note_lost(chip.clock, a, b)
+                chip.open_journal.note_lost(chip.clock, a, b)
             elif kind == READ:
-                read = chip.CORE.read.c(chip._at, a)
+                read = chip.CORE.read.c(chip.pointer, a)
                 if read != b:
                     raise HostError(
                         f"the stage of the firmware's process read {b:X}h where this one reads {read:X}h: report this."
                     )
-                chip._journal.note_read(chip.clock, a, b)
+                chip.open_journal.note_read(chip.clock, a, b)
             else:
-                chip.CORE.write.c(chip._at, a, b)
-                chip._journal.note_write(chip.clock, a, b)
+                chip.CORE.write.c(chip.pointer, a, b)
+                chip.open_journal.note_write(chip.clock, a, b)
 
     def _catch_up(self, now: int) -> None:
         """To `now`, and what the child's board knows."""
         board = self._board
-        board.stage._run_until(max(now, board.stage._now))
+        board.stage.run_to(max(now, board.stage.now))
         self._shared.copy(board, back=True)
 
     def _crashed(self) -> HostError:

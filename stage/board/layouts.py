@@ -124,7 +124,7 @@ def table(found: list[Place]) -> tuple[int, np.ndarray]:
 
     for place in found:
         for n, (kind, address) in enumerate(place.layout.ports):
-            put(place.first + n, kind, place.index, address, place.chip._ADDRESS_MASK)
+            put(place.first + n, kind, place.index, address, place.chip.ADDRESS_MASK)
     if found and (own := found[0].layout).own:
         for n, (kind, address) in enumerate(own.own):
             put(found[0].first + own.stride * own.chips + n, kind, 0, address, 0)

@@ -135,15 +135,15 @@ class NativeHost:
         Raises RunTimeout when `timeout` was not enough or the firmware has returned before, and as `run`.
         """
         stage = self.board.stage
-        begin, name = stage._now, getattr(condition, "__name__", repr(condition))
+        begin, name = stage.now, getattr(condition, "__name__", repr(condition))
         end = begin + _nanoseconds(timeout, "timeout")
         while not condition():
-            if stage._now >= end:
+            if stage.now >= end:
                 raise RunTimeout(f"condition {name} did not come true in {timeout:g} s (now {stage.time:.6f} s).")
-            done = self.run_for(min(poll, (end - stage._now) * 1e-9))
+            done = self.run_for(min(poll, (end - stage.now) * 1e-9))
             if done is not None and not condition():
                 raise RunTimeout(f"{self.path.name} returned at {stage.time:.6f} s, and condition {name} is not true.")
-        return (stage._now - begin) * 1e-9
+        return (stage.now - begin) * 1e-9
 
     def close(self) -> None:
         """Give up firmware that stands still; a process of its own ends. A thread cannot be ended: it waits for ever, and what
@@ -169,11 +169,11 @@ class NativeHost:
                     f"{board._driver.path.name} drives this board and has not returned: a bus has one host. "
                     "Run it on, or close() it."
                 )
-            board._driver, self._begun = self, (stage._now, board.cycles)
+            board._driver, self._begun = self, (stage.now, board.cycles)
         self._most = min(board.cycles + int(max_cycles), MOST)
-        code = self._runner.go_on(stage._now + ns, self._most)
+        code = self._runner.go_on(stage.now + ns, self._most)
         now, cycles = self._begun
-        return None if code is None else Result(code, (stage._now - now) * 1e-9, board.cycles - cycles)
+        return None if code is None else Result(code, (stage.now - now) * 1e-9, board.cycles - cycles)
 
     def _timeout(self, what: str) -> HostTimeout:
         board = self.board

@@ -133,7 +133,7 @@ class Threaded:
         while not self._stands.acquire(timeout=0.2):
             if self._left:
                 return
-            now = (int(h["cycles"]), board.stage._now, board.calls)
+            now = (int(h["cycles"]), board.stage.now, board.calls)
             if now != seen or board.calls % 2:  # a call may have much to do
                 seen, since = now, time.monotonic()
             elif time.monotonic() - since > self._patience:

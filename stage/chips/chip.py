@@ -83,9 +83,9 @@ class Pins:
             raise AttributeError(name)
         chip = self._chip
         if name in self._inputs:
-            return bool(chip._input_word(self._axis) & self._inputs[name])
+            return bool(chip.input_word(self._axis) & self._inputs[name])
         if name in self._outputs:
-            return bool(chip._output_word(self._axis) & self._outputs[name])
+            return bool(chip.output_word(self._axis) & self._outputs[name])
         raise _NoPin(unknown(f"{type(chip).__name__} pin", name, dir(self)))
 
     def __setattr__(self, name: str, value: bool) -> None:
@@ -93,14 +93,14 @@ class Pins:
         if name not in self._inputs:
             kind = "is an output and cannot be driven" if name in self._outputs else "is not a pin"
             raise _NoPin(f"{type(chip).__name__} {name!r} {kind}. Inputs: {', '.join(self._inputs)}.")
-        word = chip._input_word(self._axis)
+        word = chip.input_word(self._axis)
         bit = self._inputs[name]
         new = word | bit if value else word & ~bit
         if new != word:
             chip._change()
-            chip._set_input_word(self._axis, new)
-            if chip._journal is not None:
-                chip._journal.note_input(chip.clock, self._axis, new)
+            chip.set_input_word(self._axis, new)
+            if chip.open_journal is not None:
+                chip.open_journal.note_input(chip.clock, self._axis, new)
 
     def __dir__(self) -> list[str]:
         return [*self._inputs, *self._outputs]
@@ -151,6 +151,8 @@ class Chip:
     DEFAULT_CLOCK_HZ: ClassVar[int]
     ADDRESSES: ClassVar[int] = 4
     """Bus addresses: 0 up to ADDRESSES - 1."""
+    ADDRESS_MASK: ClassVar[int] = 3
+    """The address lines that the chip looks at."""
     DATA_MASK: ClassVar[int] = 0xFF
     READING_ACTS: ClassVar[frozenset[int]] = frozenset()
     """Bus addresses at which a read cycle changes something, in some mode at least: journals note these cycles."""
@@ -170,9 +172,13 @@ class Chip:
         self._diagnostics: list[Diagnostic] = []
         self.axes = tuple(ChipAxis(self, k) for k in range(self.AXES))
         self._bus: Bus | None = None
-        self._journal: Journal | None = None
-        self._late: LateLint | None = None
-        self._glitches: tuple[Callable[[int, int], bool], ...] = ()  # told of each write first; True loses it
+        self._alone: tuple[np.ndarray, int] | None = None  # where its state was before `attach` moved it
+        self.open_journal: Journal | None = None
+        """The journal that is told of what acts on the chip, the newest where there are several; see `journal`."""
+        self.late_lint: LateLint | None = None
+        """Who looks for mistakes where compiled code makes the bus cycles."""
+        self.glitches: tuple[Callable[[int, int], bool], ...] = ()
+        """Faults of the bus: each is told (address, value) of every write before it is made, and loses it by True."""
         self._hold(np.zeros(1, self.CORE.STATE), 0)
         self._configure(self._plain)
         self.CORE.power_up.held(self._here)
@@ -180,34 +186,42 @@ class Chip:
     @property
     def diagnostics(self) -> list[Diagnostic]:
         """The writes that a data-sheet reader would call mistakes, oldest first; the last MAX_DIAGNOSTICS of them."""
-        if self._late is not None:
-            self._late.settle()
+        if self.late_lint is not None:
+            self.late_lint.settle()
         return self._diagnostics
 
     def _configure(self, record: Any) -> None:
         """Fill the fields that tell variants of a family apart."""
 
-    def _lint(self, address: int, value: int) -> tuple[str, str] | None:
+    def mistake(self, address: int, value: int) -> tuple[str, str] | None:
         """What a data-sheet reader would say to this write, and where it is written; None if nothing."""
         return None
 
-    def twin(self) -> Chip:
-        """A chip like this one, in the same state, on no stage and without diagnostics."""
+    def twin(self, state: bytes | None = None) -> Chip:
+        """A chip like this one, on no stage and without diagnostics; in the same state, or in that of the bytes given."""
         twin = type(self)(**self.options())
-        _ = self._record
-        twin._hold(self._rows[self._i : self._i + 1].copy(), 0)
+        twin._hold(np.frombuffer(bytearray(self.state.tobytes() if state is None else state), self.CORE.STATE), 0)
         return twin
 
-    def _attach(self, bus: Bus, rows: np.ndarray, i: int) -> None:
-        """Become a chip of a stage: the state moves into `rows[i]`."""
-        rows[i] = self._rows[self._i]
+    def attach(self, bus: Bus, rows: np.ndarray | None = None) -> None:
+        """Become a chip of a stage or bench, whose time `bus` keeps; the state moves into `rows`, one record of CORE.STATE."""
         self._bus = bus
-        self._hold(rows, i)
+        if rows is not None:
+            rows[0] = self._rows[self._i]
+            self._alone = self._rows, self._i
+            self._hold(rows, 0)
 
-    def _detach(self, rows: np.ndarray, i: int) -> None:
-        """Be on no stage again; the state is what it was before `_attach`, which left it in `rows[i]`."""
+    def detach(self) -> None:
+        """Be on no stage again; the state is what it was before `attach`."""
         self._bus = None
-        self._hold(rows, i)
+        if self._alone is not None:
+            self._hold(*self._alone)
+            self._alone = None
+
+    @property
+    def attached(self) -> bool:
+        """It belongs to a stage or a bench."""
+        return self._bus is not None
 
     def _hold(self, rows: np.ndarray, i: int) -> None:
         self._rows, self._i = rows, i
@@ -215,15 +229,15 @@ class Chip:
         self._plain = rows.view(plain(rows.dtype))[i]
 
     @property
-    def _at(self) -> int:
-        """Where its state lies, for whoever looks at it now; `_here` is for bus cycles, which begin with a look."""
+    def pointer(self) -> int:
+        """The address of its state, for compiled code that looks at it now; `_here` is for bus cycles, which begin with a look."""
         if self._bus is not None:
             self._bus.look()
         return self._here
 
     @property
-    def _record(self) -> Any:
-        """Its state, as `_at`; `_plain` is for bus cycles."""
+    def state(self) -> Any:
+        """Its state, a record of CORE.STATE, in place. For tests and debuggers; `_plain` is for bus cycles, as `_here`."""
         if self._bus is not None:
             self._bus.look()
         return self._plain
@@ -246,7 +260,7 @@ class Chip:
 
     def net(self, axis: int = 0) -> int:
         """Pulses begun since power-up, plus minus minus: what a drive has been given. Not readable on the bus."""
-        return int(self._record["net"])
+        return int(self.state["net"])
 
     @classmethod
     def register_cycles(cls, name: str, value: int, axis: int = 0) -> list[tuple[int, int]]:
@@ -281,7 +295,7 @@ class Chip:
         return (type(self).__name__, *self.options().values())
 
     @cached_property
-    def _header(self) -> snapshots.Header:
+    def header(self) -> snapshots.Header:
         """What its snapshots were taken of."""
         name, hz, *also = self.kind()
         options = "".join(f", {option}" for option in also)
@@ -292,43 +306,42 @@ class Chip:
     @property
     def clock(self) -> int:
         """Reference clocks since power-up."""
-        return int(self._record["clock"])
+        return int(self.state["clock"])
 
     def write(self, address: int, value: int) -> None:
         """One bus write cycle. Never raises: address and value are masked, mistakes go to `diagnostics`."""
-        address, value = int(address) & self._ADDRESS_MASK, int(value) & self.DATA_MASK
-        lost = self._loses(address, value)
+        address, value = int(address) & self.ADDRESS_MASK, int(value) & self.DATA_MASK
+        lost = self.loses(address, value)
         if self._bus is not None:
             self._bus.cycle()
         if lost:
-            if self._journal is not None:
-                self._journal.note_lost(self.clock, address, value)
+            if self.open_journal is not None:
+                self.open_journal.note_lost(self.clock, address, value)
             return
-        if self._late is None and (said := self._lint(address, value)):
-            self._say(self.clock, address, value, *said)
+        if self.late_lint is None and (said := self.mistake(address, value)):
+            self.diagnose(self.clock, address, value, *said)
         self.CORE.write.held(self._here, address, value)
-        if self._journal is not None:
-            self._journal.note_write(self.clock, address, value)
+        if self.open_journal is not None:
+            self.open_journal.note_write(self.clock, address, value)
 
-    def _loses(self, address: int, value: int) -> bool:
+    def loses(self, address: int, value: int) -> bool:
         """Before a write: does a fault of the bus keep it from the chip? Every fault is told of it."""
-        return any([glitch(address, value) for glitch in self._glitches]) if self._glitches else False
+        return any([glitch(address, value) for glitch in self.glitches]) if self.glitches else False
 
-    def _say(self, clock: int, address: int, value: int, message: str, source: str) -> None:
+    def diagnose(self, clock: int, address: int, value: int, message: str, source: str) -> None:
+        """Add to `diagnostics`."""
         if len(self._diagnostics) >= MAX_DIAGNOSTICS:
             del self._diagnostics[0]
         self._diagnostics.append(Diagnostic(clock, address, value, message, source))
-
-    _ADDRESS_MASK: ClassVar[int] = 3
 
     def read(self, address: int) -> int:
         """One bus read cycle; the byte (or word) on the data bus."""
         if self._bus is not None:
             self._bus.cycle()
-        address = int(address) & self._ADDRESS_MASK
+        address = int(address) & self.ADDRESS_MASK
         value: int = self.CORE.read.held(self._here, address)
-        if self._journal is not None and address in self.READING_ACTS:
-            self._journal.note_read(self.clock, address, value)
+        if self.open_journal is not None and address in self.READING_ACTS:
+            self.open_journal.note_read(self.clock, address, value)
         return value
 
     def busy(self, axis: int = 0) -> bool:
@@ -338,7 +351,7 @@ class Chip:
 
     def advance(self, clocks: int) -> int:
         """Let the reference clock run for `clocks` ticks. Returns the pulses begun, all axes."""
-        return int(self.CORE.advance.c(self._at, self._until(clocks)))
+        return int(self.CORE.advance.c(self.pointer, self._until(clocks)))
 
     def trace(self, clocks: int) -> np.ndarray:
         """As advance, but returns the pulses: a structured array of `clock` (tick since power-up at which the pulse
@@ -346,7 +359,7 @@ class Chip:
         until = self._until(clocks)
         probe = self._rows[self._i : self._i + 1].copy()
         out = np.zeros(self.CORE.advance(probe, until), self.CORE.PULSE)
-        self.CORE.trace.c(self._at, until, out.ctypes.data, len(out))
+        self.CORE.trace.c(self.pointer, until, out.ctypes.data, len(out))
         return out
 
     def _until(self, clocks: int) -> int:
@@ -360,20 +373,19 @@ class Chip:
         """The /RESET pin. Registers and modes clear; the clock, the inputs and the diagnostics stay."""
         self._change()
         self.CORE.power_up.held(self._here)
-        if self._journal is not None:
-            self._journal.note_reset(self.clock)
+        if self.open_journal is not None:
+            self.open_journal.note_reset(self.clock)
 
     def snapshot(self) -> Snapshot:
         """All state, to be restored into a chip of the same class."""
-        _ = self._record
-        state = self._rows[self._i].tobytes()
-        return Snapshot(self._header, state, tuple(self.diagnostics), crc32(state, self._header.checksum))
+        state = self.state.tobytes()
+        return Snapshot(self.header, state, tuple(self.diagnostics), crc32(state, self.header.checksum))
 
     def restore(self, snapshot: Snapshot) -> None:
         """Continue from `snapshot`. Raises ArgumentError when it is another chip's, or damaged."""
         if self._bus is not None:
             raise StageError("this chip belongs to a stage: restore the stage, so that all its parts agree.")
-        snapshots.check(snapshot, Snapshot, self._header)
+        snapshots.check(snapshot, Snapshot, self.header)
         self._rows[self._i] = np.frombuffer(snapshot.record, self.CORE.STATE)[0]
         self.diagnostics[:] = snapshot.diagnostics
 
@@ -386,14 +398,17 @@ class Chip:
     def __deepcopy__(self, memo: dict) -> Chip:
         return _revived(type(self), self.options(), self.snapshot())
 
-    def _input_word(self, axis: int) -> int:
-        return int(self._record["inputs"])
+    def input_word(self, axis: int) -> int:
+        """The input pins of an axis, bits of INPUTS."""
+        return int(self.state["inputs"])
 
-    def _set_input_word(self, axis: int, word: int) -> None:
+    def set_input_word(self, axis: int, word: int) -> None:
+        """Drive the input pins of an axis; nobody is told."""
         self.CORE.set_input.held(self._here, axis, word)
 
-    def _output_word(self, axis: int) -> int:
-        return int(self.CORE.pins.held(self._at, axis))
+    def output_word(self, axis: int) -> int:
+        """The output pins of an axis, bits of OUTPUTS."""
+        return int(self.CORE.pins.held(self.pointer, axis))
 
     def journal(self, axis: int = 0) -> Journal:
         """Start to note what acts on the chip, so that the course of an axis can be replayed exactly: bus writes, input changes,
@@ -403,9 +418,8 @@ class Chip:
         Raises ArgumentError for an axis that the chip does not have.
         """
         self._check_axis(axis)
-        _ = self._record
-        self._journal = Journal(self, self._journal, axis)
-        return self._journal
+        self.open_journal = Journal(self, self.open_journal, axis)
+        return self.open_journal
 
     def _check_axis(self, axis: int) -> None:
         if isinstance(axis, bool) or not isinstance(axis, int | np.integer) or not 0 <= axis < self.AXES:

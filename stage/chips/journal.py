@@ -51,8 +51,8 @@ class Journal:
     """Notes events of one chip from its creation to `close()`; its course is that of one axis of the chip."""
 
     def __init__(self, chip: Chip, previous: Journal | None = None, axis: int = 0):
-        self._chip, self._previous, self.axis = chip, previous, axis
-        self._start = chip._rows[chip._i].tobytes()
+        self.chip, self._previous, self.axis = chip, previous, axis
+        self._start = chip.state.tobytes()
         self._end: int | None = None
         self.entries = Entries()
 
@@ -91,29 +91,29 @@ class Journal:
         """Stop noting; the course ends here."""
         if self._end is not None:
             return
-        self._end = self._chip.clock
-        now = self._chip._journal
+        self._end = self.chip.clock
+        now = self.chip.open_journal
         while now is not None and now._end is not None:
             now = now._previous
-        self._chip._journal = now
+        self.chip.open_journal = now
 
     def restart(self) -> None:
         """Forget what was noted; begin again here."""
-        self._start, self.entries = self._chip._rows[self._chip._i].tobytes(), Entries()
+        self._start, self.entries = self.chip.state.tobytes(), Entries()
 
     @property
     def start(self) -> np.record:
         """The chip's state when the journal began, a record of its core's STATE."""
-        return np.frombuffer(self._start, self._chip.CORE.STATE)[0]
+        return np.frombuffer(self._start, self.chip.CORE.STATE)[0]
 
     @property
     def until(self) -> int:
         """The clock at which the course ends: that of `close()`, or the chip's now."""
-        return self._chip.clock if self._end is None else self._end
+        return self.chip.clock if self._end is None else self._end
 
     def course(self, every_pulse: bool = False) -> Course:
         """Replay. With `every_pulse` the edges of the pulse output are in it too."""
-        chip = self._chip
+        chip = self.chip
         return Course(type(chip), chip.clock_hz, np.concatenate(list(self.pieces(every_pulse))), self.entries[:])
 
     def pieces(self, every_pulse: bool = False, size: int = CHUNK) -> Iterator[np.ndarray]:
@@ -126,12 +126,12 @@ class Replay:
 
     def __init__(self, journal: Journal):
         self._journal = journal
-        self._rows = np.frombuffer(bytearray(journal._start), journal._chip.CORE.STATE)
+        self._rows = np.frombuffer(bytearray(journal._start), journal.chip.CORE.STATE)
         self._applied = 0
 
     def pieces(self, every_pulse: bool = False, size: int = CHUNK) -> Iterator[np.ndarray]:
         """As `Journal.pieces`, from where the last call ended; the first edge is the chip as it was there."""
-        core, rows, axis = self._journal._chip.CORE, self._rows, self._journal.axis
+        core, rows, axis = self._journal.chip.CORE, self._rows, self._journal.axis
         chip = rows.ctypes.data
         out = np.zeros(size, core.EDGE)
         end, entries = self._journal.until, self._journal.entries[self._applied :]

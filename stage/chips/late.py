@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from stage.chips.entries import WRITE
 
 if TYPE_CHECKING:
@@ -33,13 +31,12 @@ class LateLint:
         if not len(entries) and journal.until == chip.clock == int(journal.start["clock"]):
             return
         if (entries.packed()["kind"] == WRITE).any():
-            twin = type(chip)(**chip.options())
-            twin._hold(np.frombuffer(bytearray(journal._start), chip.CORE.STATE), 0)
+            twin = chip.twin(journal.start.tobytes())
             for entry in entries:
-                chip.CORE.advance.c(twin._at, entry.clock)
+                chip.CORE.advance.c(twin.pointer, entry.clock)
                 if entry.kind == WRITE:
-                    said = twin._lint(entry.a, entry.b)
+                    said = twin.mistake(entry.a, entry.b)
                     if said:
-                        chip._say(entry.clock, entry.a, entry.b, *said)
-                entry.apply(chip.CORE, twin._at)
+                        chip.diagnose(entry.clock, entry.a, entry.b, *said)
+                entry.apply(chip.CORE, twin.pointer)
         journal.restart()

@@ -192,7 +192,7 @@ def _first(stage: Any) -> Any:
 
 def _touch(axis: Any, pin: str) -> float:
     """Where on its way the axis trips a switch, m."""
-    return next(s.touch for s in axis._plant.switches if s.pin == pin)
+    return next(s.touch for s in axis.plant.switches if s.pin == pin)
 
 
 def _start(axis: Any, pulses: int, armed: Callable[[Any], None] = lambda port: None, **speeds: Any) -> Callable:
@@ -226,7 +226,7 @@ def _start(axis: Any, pulses: int, armed: Callable[[Any], None] = lambda port: N
 
 
 def _net(axis: Any) -> int:
-    return int(axis._electrics()[1])
+    return int(axis.electrics()[1])
 
 
 def _stuck_open(stage: Any, strike: Strike) -> Figures:

@@ -73,12 +73,12 @@ class BenchAxis:
 
     def _twin(self) -> np.ndarray:
         """A copy of the chip's record, to look ahead with."""
-        return np.frombuffer(bytearray(self.chip._rows[self.chip._i].tobytes()), self.chip.CORE.STATE)
+        return np.frombuffer(bytearray(self.chip.state.tobytes()), self.chip.CORE.STATE)
 
     def _run(self, clock: int) -> None:
         """Let the chip run up to `clock`, and stop at each pulse that takes the carriage into a span or out of it."""
         chip = self.chip
-        core, c = chip.CORE, chip._at
+        core, c = chip.CORE, chip.pointer
         while self._spans and chip.clock < clock:
             n, place = core.advance(self._twin(), clock), self.place
             if n == 0 or n < min((abs(bound - place) for bound in self._bounds), default=0):
@@ -124,14 +124,14 @@ class Bench(Bus):
         for name, chip in all_.items():
             if not isinstance(chip, Chip):
                 raise ArgumentError(f"{name}={chip!r} is no chip; for example Bench(PCL240K()).")
-            if chip._bus is not None or sum(chip is other for other in all_.values()) > 1:
+            if chip.attached or sum(chip is other for other in all_.values()) > 1:
                 raise ArgumentError(f"chip {name} already has a bus: a chip sits on one stage or bench, once.")
         self._now, self._bus_ns = 0, round(bus_cycle * 1e9)
         self._events: list[tuple[int, int, Callable[[], Any]]] = []
         self._order = count()
         self._start = {name: chip.clock for name, chip in all_.items()}
         for chip in all_.values():
-            chip._bus = self
+            chip.attach(self)
         self.axes: Mapping[str, BenchAxis] = MappingProxyType({n: BenchAxis(self, n, c) for n, c in all_.items()})
 
     @property

@@ -129,10 +129,10 @@ def perfect_deviation(distances: Sequence[int]) -> float:
 def pulses_of(journal: Journal) -> np.ndarray:
     """Every pulse that a chip made while `journal` noted, as `chip.trace` would have returned them; `clock` counts from the
     journal's beginning. Of a servo, each count of its command."""
-    core = journal._chip.CORE
-    if journal._chip.SERVO:
+    core = journal.chip.CORE
+    if journal.chip.SERVO:
         return _counts_of(journal)
-    rows = np.frombuffer(bytearray(journal._start), core.STATE)
+    rows = np.frombuffer(bytearray(journal.start.tobytes()), core.STATE)
     begin = int(rows[0].clock)
     parts = [np.empty(0, core.PULSE)]
 
@@ -156,7 +156,7 @@ def _counts_of(journal: Journal) -> np.ndarray:
     edges = journal.course().edges
     steps = np.diff(edges["net"])
     at = np.repeat(np.arange(1, len(edges)), np.abs(steps))
-    counts = np.zeros(len(at), journal._chip.CORE.PULSE)
+    counts = np.zeros(len(at), journal.chip.CORE.PULSE)
     counts["clock"] = edges["clock"][at] - edges["clock"][0]
     counts["axis"], counts["direction"] = journal.axis, np.sign(steps[at - 1])
     return counts

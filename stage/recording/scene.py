@@ -108,8 +108,8 @@ class Scene:
             return np.ones(len(edges), bool)
         axis = self._recording.axes[name]
         time, q = (np.concatenate([part[k] for part in self._track]) for k in (0, 1))
-        at = np.interp(self._recording.seconds(name, edges["clock"]), time, q[:, axis._plant.qpos])
-        away = {s.pin: np.abs(at - s.touch) for s in axis._plant.switches}
+        at = np.interp(self._recording.seconds(name, edges["clock"]), time, q[:, axis.plant.qpos])
+        away = {s.pin: np.abs(at - s.touch) for s in axis.plant.switches}
         return np.all([away[pin] <= away[rival] for rival in rivals], axis=0)
 
     def end(self, out: Any) -> None:

@@ -116,7 +116,7 @@ def _bus(recording: Recording, axis: str, writer: Any) -> Iterator[Change]:
     chip, journal, scope = recording.axes[axis].chip, recording.journals[axis], f"{signals.plain(axis)}.bus"
     wr, reset = (writer.register_var(scope, name, "event", size=1) for name in ("WR", "RESET"))
     lost, rd = (_event_if_any(journal, kind, writer, scope, name) for kind, name in ((LOST, "LOST"), (READ, "RD")))
-    address = writer.register_var(scope, "A", "reg", size=chip._ADDRESS_MASK.bit_length(), init="x")
+    address = writer.register_var(scope, "A", "reg", size=chip.ADDRESS_MASK.bit_length(), init="x")
     data = writer.register_var(scope, "D", "reg", size=chip.DATA_MASK.bit_length(), init="x")
 
     def changes() -> Iterator[Change]:

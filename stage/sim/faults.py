@@ -33,8 +33,9 @@ from stage.chips.pcl240.maps import OPERATE
 from stage.chips.pcl240.state import GROUP, START, STOP
 from stage.drives import stepper
 from stage.errors import ArgumentError, unknown
+from stage.sim.axis import Axis
 from stage.sim.engine import MAX_TOGGLES
-from stage.sim.stage import Axis, Stage
+from stage.sim.stage import Stage
 
 PHASES = {"a": stepper.A, "b": stepper.B}
 JAM = 10.0  # times what the motor can push at its most
@@ -48,7 +49,7 @@ class Fault:
         self.text, self.in_force = text, True
         self._stage, self._mend = stage, mend
         if stage is not None:
-            stage._note_fault(text, True)
+            stage.note_fault(text, True)
 
     def mend(self) -> None:
         """End it, now. Safe to call twice; what it has done stays done."""
@@ -56,7 +57,7 @@ class Fault:
             self.in_force = False
             self._mend()
             if self._stage is not None:
-                self._stage._note_fault(self.text, False)
+                self._stage.note_fault(self.text, False)
 
     def __enter__(self) -> Fault:
         return self
@@ -77,7 +78,7 @@ def switch_stuck(axis: Axis, pin: str, closed: bool) -> Fault:
     pin: el_plus, el_minus, sd_plus, sd_minus or org. Raises ArgumentError for a switch that is not fitted.
     """
     _check(axis)
-    row = axis.switches._find(pin)
+    row = axis.switches.row(pin)
     return _switches(axis, f"{pin} stuck {'closed' if closed else 'open'}", {row: {"forced": int(bool(closed))}})
 
 
@@ -87,11 +88,11 @@ def vane_missing(axis: Axis, pin: str) -> Fault:
     The beam that nothing breaks is all that is modelled, not the vane that lies in the machine.
     """
     _check(axis)
-    axis.switches._find(pin)
-    fitted = axis._plant.switches
+    axis.switches.row(pin)
+    fitted = axis.plant.switches
     vane = next(_vane(axis, s.sensor) for s in fitted if s.pin == pin)
     served = [s.pin for s in fitted if s.pin == pin or (vane is not None and _vane(axis, s.sensor) == vane)]
-    rows = {axis.switches._find(p): {"forced": 0} for p in served}
+    rows = {axis.switches.row(p): {"forced": 0} for p in served}
     return _switches(axis, f"vane of {' and '.join(served)} missing", rows)
 
 
@@ -105,7 +106,7 @@ def bounce(axis: Axis, pin: str, seconds: float = 2e-3, toggles: int = 6) -> Fau
     seconds: above 0, up to 1; toggles: 2, 4, 6 or 8. Raises ArgumentError.
     """
     _check(axis)
-    row = axis.switches._find(pin)
+    row = axis.switches.row(pin)
     if not 0 < seconds <= 1:
         raise ArgumentError(f"seconds={seconds!r}: a contact bounces for more than 0 and up to 1 s; 2e-3 is usual.")
     if toggles not in range(2, MAX_TOGGLES + 1, 2):
@@ -115,14 +116,16 @@ def bounce(axis: Axis, pin: str, seconds: float = 2e-3, toggles: int = 6) -> Fau
 
 
 def _switches(axis: Axis, what: str, rows: dict[int, dict[str, int]]) -> Fault:
-    stage = axis._stage
-    before = {row: {field: int(stage._switch_table[row][field]) for field in change} for row, change in rows.items()}
+    stage = axis.stage
+    before = {
+        row: {field: int(stage.state.switch_table[row][field]) for field in change} for row, change in rows.items()
+    }
 
     def put(values: dict[int, dict[str, int]]) -> None:
         for row, change in values.items():
             for field, value in change.items():
-                stage._switch_table[row][field] = value
-        stage._look_again(axis.index)
+                stage.state.switch_table[row][field] = value
+        stage.look_again(axis)
 
     put(rows)
     return Fault(stage, f"axis {axis.name}: {what}", lambda: put(before))
@@ -130,7 +133,7 @@ def _switches(axis: Axis, what: str, rows: dict[int, dict[str, int]]) -> Fault:
 
 def _vane(axis: Axis, sensor: int) -> int | None:
     """The geom of a switch's sensor that the axis carries, by its id."""
-    m = axis._stage.model
+    m = axis.stage.model
     ends = ((m.sensor_objtype[sensor], m.sensor_objid[sensor]), (m.sensor_reftype[sensor], m.sensor_refid[sensor]))
     geoms = [int(k) for kind, k in ends if kind == mujoco.mjtObj.mjOBJ_GEOM]
     return next((g for g in geoms if _carries(m, int(m.jnt_bodyid[axis.joint]), int(m.geom_bodyid[g]))), None)
@@ -174,7 +177,7 @@ def jam(axis: Axis, force: float | None = None) -> Fault:
         raise ArgumentError(
             f"force={force!r}: friction is above 0 N (N m on a hinge); None for more than the motor can."
         )
-    model, dof = axis._stage.model, axis._plant.dof
+    model, dof = axis.stage.model, axis.plant.dof
     fields = (model.dof_frictionloss, model.dof_solref, model.dof_solimp)
     before = [field[dof].copy() for field in fields]
 
@@ -183,7 +186,7 @@ def jam(axis: Axis, force: float | None = None) -> Fault:
             field[dof] = value
 
     put((before[0] + more, (2 * model.opt.timestep, 1), STIFF))
-    return Fault(axis._stage, f"axis {axis.name}: jammed", lambda: put(before))
+    return Fault(axis.stage, f"axis {axis.name}: jammed", lambda: put(before))
 
 
 # --- drives ---
@@ -200,13 +203,13 @@ def bus_voltage(where: Axis | Stage, volts: float) -> Fault:
         raise ArgumentError(
             f"volts={volts!r}: a supply has above 0 and up to 400 V; with phase_open there is none at all."
         )
-    stage, axes = (where, list(where.axes.values())) if isinstance(where, Stage) else (where._stage, [where])
-    before = [a._voltage for a in axes]
+    stage, axes = (where, list(where.axes.values())) if isinstance(where, Stage) else (where.stage, [where])
+    before = [a.supply for a in axes]
 
     def put(values: list[float]) -> None:
         for axis, value in zip(axes, values, strict=True):
-            axis._voltage = float(value)
-        stage._equip()
+            axis.supply = float(value)
+        stage.equip()
 
     put([volts] * len(axes))
     who = "all axes" if isinstance(where, Stage) else f"axis {where.name}"
@@ -225,14 +228,14 @@ def phase_open(axis: Axis, phase: str = "a") -> Fault:
         )
     if phase not in PHASES:
         raise unknown(f"phase of axis {axis.name}", phase, PHASES)
-    before = axis._open
+    before = axis.open_phases
 
     def put(value: int) -> None:
-        axis._open = value
-        axis._stage._equip()
+        axis.open_phases = value
+        axis.stage.equip()
 
     put(before | PHASES[phase])
-    return Fault(axis._stage, f"axis {axis.name}: phase {phase} open", lambda: put(before))
+    return Fault(axis.stage, f"axis {axis.name}: phase {phase} open", lambda: put(before))
 
 
 # --- the host's board ---
@@ -254,7 +257,7 @@ def start_skew(axis: Axis, seconds: float) -> Fault:
     def glitch(address: int, value: int) -> bool:
         if address == 0 and value & (GROUP | START | STOP) == OPERATE | START:
             fault.mend()
-            axis._stage.run(seconds)
+            axis.stage.run(seconds)
         return False
 
     fault = _on_bus(axis, f"start command {seconds * 1e3:g} ms late", glitch)
@@ -289,12 +292,12 @@ def lost_write(where: Axis | Chip, address: int | None = None, value: int | None
 
 
 def _on_bus(where: Axis | Chip, what: str, glitch: Callable[[int, int], bool]) -> Fault:
-    chip, stage = (where, None) if isinstance(where, Chip) else (where.chip, where._stage)
+    chip, stage = (where, None) if isinstance(where, Chip) else (where.chip, where.stage)
     name = type(where).__name__ if isinstance(where, Chip) else f"axis {where.name}"
-    chip._glitches += (glitch,)
+    chip.glitches += (glitch,)
 
     def mend() -> None:
-        chip._glitches = tuple(g for g in chip._glitches if g is not glitch)
+        chip.glitches = tuple(g for g in chip.glitches if g is not glitch)
 
     return Fault(stage, f"{name}: {what}", mend)
 

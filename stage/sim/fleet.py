@@ -20,8 +20,9 @@ import numpy as np
 
 from stage.errors import ArgumentError, StageError
 from stage.sim import engine, handle, play
+from stage.sim.loop import IN_USE
 from stage.sim.program import END, LOOK, MEASURE, NAMES, READ, STOP, WAIT, WRITE, Program
-from stage.sim.stage import IN_USE, Stage
+from stage.sim.stage import Stage
 
 MOST = engine.SECOND * 10**9  # ns
 CHUNKS = 4  # a thread's share, so that a slow stage does not hold up the rest
@@ -62,7 +63,7 @@ class Fleet:
         self._truth = np.zeros((len(self.stages), self._axes), play.TRUTH)
         self._pool: ThreadPoolExecutor | None = None
         for k, stage in enumerate(self.stages):
-            handle.fill(self.handles, k, stage)
+            handle.fill(self.handles, k, stage.state)
         self.handles["state"] = 0  # nobody takes a step back
         self._first = self.handles.ctypes.data
 
@@ -101,11 +102,11 @@ class Fleet:
         all_of_them = handle.called_back.held(self._first)
         for k, stage in enumerate(self.stages):
             stage.look()
-            if all_of_them or stage._recording is not None:
+            if all_of_them or stage.recording is not None:
                 found.append(k)
                 continue
             for chip in stage.chips:
-                if chip._journal is not None or chip._glitches:
+                if chip.open_journal is not None or chip.glitches:
                     found.append(k)
                     break
         return found
@@ -121,7 +122,7 @@ class Fleet:
     def truth(self) -> np.ndarray:
         """Every axis of every stage now: a new array (stages, axes) of play.TRUTH."""
         for stage in self.stages:
-            stage._awake()
+            stage.look()
         play.look(self.handles, 0, len(self), self._truth)
         return self._truth.copy()
 

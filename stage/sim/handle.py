@@ -1,13 +1,13 @@
 """A stage for compiled code: a HANDLE says where its arrays lie. And what the engine does for whoever has one.
 
 handles = np.zeros(1, HANDLE)
-fill(handles, 0, stage)
+fill(handles, 0, stage.state)
 advance(handles[0], until)       the stage's time passes, in hot functions and in Python
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,6 +15,9 @@ from stage.drives import drive
 from stage.native import at, exported, hot, record
 from stage.sim import engine
 from stage.sim.in_use import ENGINE, claim, release
+
+if TYPE_CHECKING:
+    from stage.sim.state import State
 
 _ARRAYS = "world axes drives switches table switch_table chips clockwork qpos qvel ctrl sensordata inertia".split()
 _LENGTHS = "n_axes n_switches n_chips nq nv nu ns".split()
@@ -118,22 +121,22 @@ def look_again(h, axis):
     )  # fmt: skip
 
 
-def fill(handles: np.ndarray, k: int, stage: Any) -> None:
-    """Write the HANDLE of `stage`, which must outlive it, into handles[k], whose record has these fields first."""
+def fill(handles: np.ndarray, k: int, state: State) -> None:
+    """Write the HANDLE of a stage's `state`, which must outlive it, into handles[k], whose record has these fields first."""
     h = handles[k]
-    model, data = stage.model, stage.data
+    model, data = state.model, state.data
     h["mj_model"], h["mj_data"] = model._address, data._address
     held = (
-        stage._world, stage._axis_state, stage._drives, stage._switches, stage._table, stage._switch_table, stage._chip_table,
-        stage._clockwork, data.qpos, data.qvel, data.ctrl, data.sensordata, model.dof_M0,
+        state.world, state.axes, state.drives, state.switches, state.axis_table, state.switch_table, state.chip_table,
+        state.clockwork, data.qpos, data.qvel, data.ctrl, data.sensordata, model.dof_M0,
     )  # fmt: skip
     for name, array in zip(_ARRAYS, held, strict=True):
         h[name] = array.ctypes.data
-    h["n_axes"], h["n_switches"], h["n_chips"] = len(stage._table), len(stage._switches), len(stage._chip_table)
+    h["n_axes"], h["n_switches"], h["n_chips"] = len(state.axis_table), len(state.switch_table), len(state.chip_table)
     h["nq"], h["nv"], h["nu"], h["ns"] = model.nq, model.nv, model.nu, model.nsensordata
-    h["bus"] = stage._bus_ns
-    h["samples"] = h["positions"] = h["edges"] = stage._state.ctypes.data  # somewhere: no room
-    h["counts"], h["state"] = stage._counts.ctypes.data, stage._state.ctypes.data
+    h["bus"] = state.bus
+    h["samples"] = h["positions"] = h["edges"] = state.saved.ctypes.data  # some address: their rooms are 0
+    h["counts"], h["state"] = state.counts.ctypes.data, state.saved.ctypes.data
     h["own"] = handles.ctypes.data + k * handles.itemsize
 
 
@@ -143,5 +146,5 @@ def log_to(h: Any, recording: Any) -> None:
         h["samples"], h["positions"] = recording.samples.ctypes.data, recording.positions.ctypes.data
         h["room"], h["filled"] = len(recording.samples), recording.filled
     elif h["room"]:
-        h["samples"] = h["positions"] = h["own"]  # somewhere
+        h["samples"] = h["positions"] = h["own"]  # some address: their room is 0
         h["room"] = h["filled"] = 0

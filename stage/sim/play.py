@@ -150,19 +150,19 @@ def by_hand(stage: Any, ops: np.ndarray, results: np.ndarray, extremes: np.ndarr
     axes = list(stage.axes.values())
 
     def until_stopped(mask: int, poll: int, limit: int) -> int:
-        begin, left = stage._now, {k for k in range(len(axes)) if mask >> k & 1}
+        begin, left = stage.now, {k for k in range(len(axes)) if mask >> k & 1}
         while True:
             left = {k for k in sorted(left) if axes[k].chip.busy(axes[k].chip_axis)}
             if not left:
-                return int(stage._now - begin)
-            if stage._now - begin >= limit:
-                return int(begin - stage._now)
-            stage._run_until(stage._now + poll)
+                return int(stage.now - begin)
+            if stage.now - begin >= limit:
+                return int(begin - stage.now)
+            stage.run_to(stage.now + poll)
 
     def measure(ns: int) -> None:
-        end = stage._now + ns
-        while stage._now < end:
-            stage._run_until(min(end, stage._words.item(1) + stage._dt))
+        end = stage.now + ns
+        while stage.now < end:
+            stage.run_to(min(end, stage.state.start + stage.state.dt))
             np.minimum(extremes[:, 0], stage.data.qpos, out=extremes[:, 0])
             np.maximum(extremes[:, 1], stage.data.qpos, out=extremes[:, 1])
 
@@ -175,11 +175,11 @@ def by_hand(stage: Any, ops: np.ndarray, results: np.ndarray, extremes: np.ndarr
             elif kind == READ:
                 results[j] = axes[a].chip.read(b)
             elif kind == WAIT:
-                stage._run_until(stage._now + a)
+                stage.run_to(stage.now + a)
             elif kind == STOP:
                 results[j] = until_stopped(a, b, c)
             elif kind == LOOK:
-                results[j] = math.floor(stage._joint_position(a) * 1e12)
+                results[j] = math.floor(axes[a].position * 1e12)
             else:
                 measure(a)
     except SimulationError as error:

@@ -166,12 +166,12 @@ def axes_of(what: Any) -> list[Axis]:
 def pulse_rate(axis: Axis) -> float:
     """Pulses a second now (counts of a servo), signed."""
     chip = axis.chip
-    return float(chip.CORE.pulse_rate.c(chip._at, axis.chip_axis, float(chip.clock_hz)))
+    return float(chip.CORE.pulse_rate.c(chip.pointer, axis.chip_axis, float(chip.clock_hz)))
 
 
 def velocity_of(axis: Axis) -> float:
     """m/s, rad/s on a hinge."""
-    return float(axis._stage.data.qvel[axis._plant.dof])
+    return float(axis.stage.data.qvel[axis.plant.dof])
 
 
 def distance(value: float, unit: str) -> str:

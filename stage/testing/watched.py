@@ -32,11 +32,11 @@ class WatchedStage(Stage):
     def unwatch(self) -> None:
         """The end; whoever still records this stage is stopped as well."""
         self._watched = False
-        if self._recording is not None:
-            self._recording.close()
+        if self.recording is not None:
+            self.recording.close()
 
     def _go_on(self) -> None:
-        if self._watched and self._recording is None:
+        if self._watched and self.recording is None:
             self._own = super().record()
             self._own.on_error = "warn"  # a full disk is not the test's fault
             self._kept.append(self._own)

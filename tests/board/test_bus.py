@@ -163,7 +163,7 @@ def test_each_layout_reaches_its_chip():
     twin = MCX304()
     twin.write(6, 4321)
     twin.write(0, 0x0105)
-    assert twin._record["ax"][0]["reg"].tolist() == stage.chips[0]._record["ax"][0]["reg"].tolist()
+    assert twin.state["ax"][0]["reg"].tolist() == stage.chips[0].state["ax"][0]["reg"].tolist()
     assert board.in8(0x400) | board.in8(0x401) << 8 == board.in16(0x400)
 
     stage, twin = Stage("xyz", chips=MCX514, visuals=False), MCX514()
@@ -171,8 +171,8 @@ def test_each_layout_reaches_its_chip():
     for byte, value in ((12, 0x34), (13, 0x12), (1, 1), (0, 5)):  # WR6 = 1234h; WR0: the low byte acts
         board.out8(0x300 + byte, value)
         twin.write_byte(byte, value)
-    assert stage.chips[0]._record["ax"][0]["reg"].tolist() == twin._record["ax"][0]["reg"].tolist()
-    assert 0x1234 in twin._record["ax"][0]["reg"]
+    assert stage.chips[0].state["ax"][0]["reg"].tolist() == twin.state["ax"][0]["reg"].tolist()
+    assert 0x1234 in twin.state["ax"][0]["reg"]
 
     stage = Stage("xyz_servo", chips=HCTL1100, visuals=False)
     board = Board(stage)
@@ -188,9 +188,9 @@ def test_half_a_register_of_a_16_bit_chip_is_noted():
     board = Board(stage)
     board.out8(0x30C, 0x21)
     assert [c.port for c in board.strays] == [0x30C]
-    assert int(stage.chips[0]._record["low"]) == 0xFF21, "the other half of the bus floats"
+    assert int(stage.chips[0].state["low"]) == 0xFF21, "the other half of the bus floats"
     board.out8(0x30D, 0x43)
-    assert int(stage.chips[0]._record["low"]) == 0x43FF
+    assert int(stage.chips[0].state["low"]) == 0x43FF
     assert (board.in8(0x308), board.in8(0x309)) == (0xFF, 0xF7)
     board.out16(0x30C, 0x4321)
     low, high, *levels, whole = [c.meaning for c in board.trace]
@@ -296,19 +296,19 @@ def test_an_interrupt_comes_within_a_delay_at_the_very_nanosecond():
     chip, seen = stage.axes["x"].chip, []
 
     def hook():
-        seen.append((stage._now, chip.pins.irq))
+        seen.append((stage.now, chip.pins.irq))
         board.out8(0x300, 0x00)
 
     board.on_interrupt(hook)
-    begin = stage._now
+    begin = stage.now
     board.delay_us(2_000_000)
-    assert stage._now == begin + 2_000_000_000, "the hook's time is part of the delay"
+    assert stage.now == begin + 2_000_000_000, "the hook's time is part of the delay"
     assert [on for _, on in seen] == [True]
     twin = Stage("xyz", visuals=False)
     moving(twin)
-    twin._run_until(seen[0][0] - 1)
+    twin.run_to(seen[0][0] - 1)
     assert not twin.axes["x"].chip.pins.irq
-    twin._run_until(seen[0][0])
+    twin.run_to(seen[0][0])
     assert twin.axes["x"].chip.pins.irq
     assert [c.way for c in board.trace if c.port is None] == ["I", "i"]
 

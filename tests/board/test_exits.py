@@ -44,7 +44,7 @@ def board():
 )
 def test_firmware_that_ends_the_process_is_an_error_that_says_so_and_the_board_goes_on(board, call, said):
     # stage run driver.c, with PULSESTAGE_MAIN { ... exit(0); }
-    begin, before = board.stage._now, board.cycles
+    begin, before = board.stage.now, board.cycles
     h = NativeHost(
         firmware(f"{HEADERS}PULSESTAGE_MAIN {{ ps_delay_us(1500); ps_in8(0x304); {call} return 0; }}"), board
     )
@@ -53,7 +53,7 @@ def test_firmware_that_ends_the_process_is_an_error_that_says_so_and_the_board_g
         pytest.raises(HostError, match=rf"(?s){said} at .*isolated=True.*304h R"),
     ):
         h.run()
-    assert board.stage._now == begin + 1_500_000 + 1000 * (board.cycles - before)
+    assert board.stage.now == begin + 1_500_000 + 1000 * (board.cycles - before)
     assert recording.columns["time"][-1] > board.stage.time - 1.1e-3
     assert not h.running
     assert NativeHost(firmware("PULSESTAGE_MAIN { return ps_in8(0x300); }"), board).run().code == 0xA8

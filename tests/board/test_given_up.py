@@ -79,7 +79,7 @@ def test_what_firmware_did_before_it_computed_for_long_is_on_the_stage_and_in_th
     )
     with h.board.stage.record() as recording, pytest.raises(HostError, match="without a bus cycle"):
         h.run()
-    assert h.board.stage._now == 4_002_000
+    assert h.board.stage.now == 4_002_000
     assert len(recording) == 4
     assert [d.value for d in h.board.stage.axes["x"].chip.diagnostics] == [0x15]
     assert h.board.cycles == 2
@@ -102,9 +102,9 @@ def test_ctrl_c_makes_firmware_stand_still_at_once_even_in_a_delay_of_an_hour(bo
     with pytest.raises(KeyboardInterrupt):
         h.run(timeout=1e6)
     assert h.running, "it was not given up"
-    now = h.board.stage._now
+    now = h.board.stage.now
     assert h.run_for(0.001) is None
-    assert h.board.stage._now == now + 1_000_000
+    assert h.board.stage.now == now + 1_000_000
     h.close()
 
 
@@ -112,10 +112,10 @@ def test_a_crash_after_a_delay_leaves_the_stage_at_the_end_of_the_delay():
     h = run_on(board(), "PULSESTAGE_MAIN { ps_in8(0x300); ps_delay_us(2500); *(volatile int *)0 = 1; return 0; }", True)
     with pytest.raises(HostError, match="SIGSEGV"):
         h.run()
-    assert h.board.stage._now == 2_501_000
+    assert h.board.stage.now == 2_501_000
     with pytest.raises(HostError, match="after 2 bus cycles"):
         h.run()
-    assert h.board.stage._now == 5_002_000
+    assert h.board.stage.now == 5_002_000
 
 
 def test_a_library_that_crashes_while_it_is_loaded_says_so():
@@ -178,7 +178,7 @@ def test_writes_leave_the_engine_room_for_what_it_notes_within_a_step():
     room = 3 * engine.EDGES_A_WINDOW + 20
     b._host["edge_room"] = room  # of an array that is longer: what lies behind would be overwritten
     run_on(b, "PULSESTAGE_MAIN { for (int k = 0; k < 5000; k++) ps_out8(0x300 + k % 6, 5); return 0; }").run()
-    used = np.flatnonzero(b.stage._edges["clock"])[-1]
+    used = np.flatnonzero(b.stage.state.edges["clock"])[-1]
     assert used < room - engine.EDGES_A_WINDOW, f"{room} records, {used + 1} used"
 
 

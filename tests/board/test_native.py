@@ -102,10 +102,10 @@ def test_firmware_in_a_process_of_its_own_is_recorded_all_the_same():
 def test_firmware_stands_still_at_the_very_nanosecond_and_goes_on():
     h = host("PULSESTAGE_MAIN { ps_delay_us(1000); return 3; }")
     assert h.run_for(0.000123456) is None
-    assert (h.board.stage._now, h.running) == (123_456, True)
+    assert (h.board.stage.now, h.running) == (123_456, True)
     h.board.stage.run(0.5)
     result = h.run()
-    assert h.board.stage._now == 501_000_000, (
+    assert h.board.stage.now == 501_000_000, (
         "what was left of the delay is left after a time in which the firmware stood still"
     )
     assert (result.code, h.running) == (3, False)
@@ -116,7 +116,7 @@ def test_firmware_that_never_returns_is_stopped_by_time_or_by_cycles_and_shows_t
     h = host(FOR_EVER, isolated=isolated)
     with pytest.raises(HostTimeout, match=r"0.25 s of simulated time.*\n(.*\n)*.*300h R"):
         h.run(timeout=0.25)
-    assert h.board.stage._now == 250_000_000
+    assert h.board.stage.now == 250_000_000
     with pytest.raises(HostTimeout, match="100 bus cycles"):
         h.run(max_cycles=100)
     with pytest.raises(HostTimeout, match=r"100 bus cycles in less than 0\.5 s"):
@@ -140,7 +140,7 @@ def test_firmware_that_computes_for_ever_is_left_alone_and_in_its_own_process_en
     with pytest.raises(HostError, match="without a bus cycle"):
         h.run()
     assert h._runner._child is None
-    assert h.board.stage._now == 1000
+    assert h.board.stage.now == 1000
 
 
 def test_a_firmware_given_up_never_reaches_the_board_again():
@@ -166,7 +166,7 @@ def test_a_crash_is_an_error_that_shows_the_last_cycles_and_the_recording_arrive
     with h.board.stage.record() as recording, pytest.raises(HostError, match=rf"(?s){signal}.*304h R"):
         h.run()
     assert h.board.log[0][1] == "falling"
-    assert h.board.stage._now == 100_000_000 + h.board.cycles * 1000
+    assert h.board.stage.now == 100_000_000 + h.board.cycles * 1000
     assert h.board.stage.axes["x"].position > 1e-4
     assert len(recording) == 100
     assert not h.running

@@ -37,7 +37,7 @@ def test_a_state_begins_with_its_clock(name):
 
 def tell(chip):
     rows, out = np.zeros(1, cores.CHIP), np.zeros(5, np.int64)
-    cores.fill(rows[0], chip.CORE, chip._at)
+    cores.fill(rows[0], chip.CORE, chip.pointer)
     told(rows, 0, out)
     return tuple(out.tolist())
 
@@ -92,7 +92,7 @@ def go_on(chip, rng, acts):
             said.append(chip.read(rng.integers(0, cls.ADDRESSES)))
         else:
             setattr(chip.axes[rng.integers(0, cls.AXES)].pins, rng.choice(list(cls.INPUTS)), bool(rng.integers(0, 2)))
-        said.append([chip._output_word(axis) for axis in range(cls.AXES)])
+        said.append([chip.output_word(axis) for axis in range(cls.AXES)])
     return [*said, chip.values()], np.array([chip.net(k) for k in range(cls.AXES)])
 
 
@@ -114,7 +114,7 @@ def test_after_a_reset_a_chip_goes_on_as_one_that_was_just_switched_on_whatever_
         go_on(used, np.random.default_rng(seed), 40)
         other.advance(used.clock)
         for k in range(make.AXES):
-            other._set_input_word(k, used._input_word(k))
+            other.set_input_word(k, used.input_word(k))
         if make.SERVO:
             other.encoder = used.encoder
         net, noted = used.net(), list(used.diagnostics)

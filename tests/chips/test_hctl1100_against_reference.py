@@ -238,7 +238,7 @@ def test_integral_velocity_agrees_on_its_ramps_and_on_its_stop(velocities, a, n,
         pair.pin("stop")
         pair.advance(1040 * (1 + 256 * 128 // a))
         pair.agree()
-        assert pair.chip._record["velocity"] == 0
+        assert pair.chip.state["velocity"] == 0
         assert pair.chip.read(0x3C) == 0
 
 

@@ -112,6 +112,6 @@ def test_bus_writes_are_said_in_words():
 def test_a_lost_write_is_said_to_be_lost():
     chip = HCTL1100()
     journal = chip.journal()
-    chip._glitches = (lambda address, value: True,)
+    chip.glitches = (lambda address, value: True,)
     chip.write(0x05, 0)
     assert [s.meaning for s in decode(chip.decoder(), journal.entries)] == ["LOST: reset"]

@@ -73,7 +73,7 @@ def test_the_interrupt_pin_in_a_replay_agrees_at_every_read_and_at_the_end(make)
 def test_reads_that_change_something_are_noted_with_what_they_gave_and_no_others(make, addresses):
     chip = make()
     journal, values = chip.journal(), {}
-    for address in range(chip._ADDRESS_MASK + 1):
+    for address in range(chip.ADDRESS_MASK + 1):
         read = chip.read_byte if make is MCX514 and address >= 16 else chip.read
         values[address] = read(address)
         if not address:
@@ -99,9 +99,9 @@ def test_a_collective_read_latches_in_a_replay_too():
     chip = PCL240MK()
     for address, value in ((0, 0xC0 | 0x20), (0, 0x80), (3, 1), (2, 2), (1, 3), (0, 0xA0)):
         chip.write(address, value)
-    journal, latched = chip.journal(), int(chip._record["latch"])
+    journal, latched = chip.journal(), int(chip.state["latch"])
     chip.read(3)
-    assert chip._record["latch"] != latched
+    assert chip.state["latch"] != latched
     twin, _ = replayed(chip, journal)
     assert twin.snapshot().record == chip.snapshot().record
 
@@ -136,7 +136,7 @@ def test_a_course_ends_where_its_journal_was_closed_and_a_younger_one_hears_what
     again.close()
     younger.close()
     older.close()
-    assert (older.until, x.chip._journal) == (closed, None)
+    assert (older.until, x.chip.open_journal) == (closed, None)
 
 
 def test_after_the_reset_pin_words_go_to_x_and_data_are_0_in_the_decoded_writes_too():
@@ -155,7 +155,7 @@ def test_after_the_reset_pin_words_go_to_x_and_data_are_0_in_the_decoded_writes_
 @pytest.mark.parametrize("name", CHIPS)
 def test_a_chip_says_at_which_of_its_addresses_reading_acts(name):
     acting = CHIPS[name].READING_ACTS
-    assert acting.issubset(range(CHIPS[name]._ADDRESS_MASK + 1))
+    assert acting.issubset(range(CHIPS[name].ADDRESS_MASK + 1))
 
 
 def test_entries_are_a_sequence_of_32_bytes_each():

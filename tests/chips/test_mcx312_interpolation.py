@@ -118,11 +118,11 @@ def test_the_interrupt_asks_when_the_next_segment_can_be_written():
     put(chip, (20, 5), LINE)
     put(chip, (20, 5), LINE)
     chip.advance(20 * PERIOD - 1)
-    assert chip._output_word(chip.AXES) == 0
+    assert chip.output_word(chip.AXES) == 0
     chip.advance(1)
-    assert chip._output_word(chip.AXES) == 1
+    assert chip.output_word(chip.AXES) == 1
     command(chip, NO_INTERRUPT, 0)
-    assert chip._output_word(chip.AXES) == 0
+    assert chip.output_word(chip.AXES) == 0
 
 
 @covers("MCX312", "IP_2ST")
@@ -198,9 +198,9 @@ def test_sets_are_refilled_while_it_runs_and_the_interrupt_asks_for_them():
     command(chip, PATTERN, 0)
     assert sets(chip) == 2
     first = steps_of(chip, 16 * PERIOD - 1)[1]
-    assert (sets(chip), chip._output_word(chip.AXES)) == (2, 0)
+    assert (sets(chip), chip.output_word(chip.AXES)) == (2, 0)
     first += steps_of(chip, 1)[1]
-    assert (sets(chip), chip._output_word(chip.AXES)) == (1, 1)
+    assert (sets(chip), chip.output_word(chip.AXES)) == (1, 1)
     command(chip, NO_INTERRUPT, 0)
     for words in WORDS[2:]:
         bits(chip, *words)

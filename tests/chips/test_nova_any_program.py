@@ -42,7 +42,7 @@ def play(chip, program, cut):
             command(chip, 0x1F if isinstance(chip, MCX514) else 0x0F, b, 0)
             chip.write(a, value)
         elif what == "pins":
-            chip._set_input_word(a, b & 1 if a == chip.AXES else b)
+            chip.set_input_word(a, b & 1 if a == chip.AXES else b)
         elif cut:
             chip.advance(a)
             twin = type(chip)(**chip.options())

@@ -489,7 +489,7 @@ def test_every_byte_of_every_word_passes_the_8_bit_bus_as_the_word_does_whicheve
             low, high = octets.read_byte(2 * n), octets.read_byte(2 * n + 1)
             assert words.read(n) == low | high << 8, (k, n)
         assert words.values() == octets.values()
-        assert [words._output_word(a) for a in range(4)] == [octets._output_word(a) for a in range(4)]
+        assert [words.output_word(a) for a in range(4)] == [octets.output_word(a) for a in range(4)]
 
 
 @pytest.mark.parametrize("high_first", [False, True])

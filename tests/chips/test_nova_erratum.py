@@ -376,7 +376,7 @@ def test_c_end_asks_for_an_interrupt_where_wr1_enables_it():
         chip = COURSE.begin(MCX304(), "d", wr1=wr1)
         chip.read(3)
         command(chip, STOP)
-        assert chip._output_word(chip.AXES) & 1 == asks
+        assert chip.output_word(chip.AXES) & 1 == asks
 
 
 # How it ends
@@ -392,7 +392,7 @@ def test_a_sudden_stop_ends_it(cls):
 
 
 CAUSES = {
-    "EMG": lambda chip: chip._set_input_word(chip.AXES, 1),
+    "EMG": lambda chip: chip.set_input_word(chip.AXES, 1),
     "ALARM": lambda chip: setattr(chip.axes[0].pins, "alarm", True),
     "a reset": lambda chip: chip.write(0, 0x8000),
     "a limit, sudden": lambda chip: (chip.write(2, 0), limit(chip, 1)),

@@ -327,7 +327,7 @@ def test_a_stop_ends_the_search_in_any_step(where, cause):
         go_on(chip, table)
     assert chip.read(0) & 1
     if cause == "EMG":
-        chip._set_input_word(chip.AXES, 1)
+        chip.set_input_word(chip.AXES, 1)
         chip.advance(1)
     else:
         command(chip, int(cause[:2], 16))

@@ -124,7 +124,7 @@ def test_emergency_stop_ends_the_axes_that_take_part():
     chip = prepared(X | Z)
     line(chip, (1000, 500), X | Z)
     chip.advance(100 * PERIOD)
-    chip._set_input_word(chip.AXES, 1)
+    chip.set_input_word(chip.AXES, 1)
     assert_over(chip, 0xF)
     assert [status(chip, 2, a) & 0xFFFF for a in (X, Y, Z)] == [E_EMG | ENDED_EMG, 0, E_EMG | ENDED_EMG]
 
@@ -304,14 +304,14 @@ def test_int1_asks_when_segments_leave_the_pre_buffer_until_it_is_cleared(bit, w
     chip = prepared(ipm=bit)
     for _ in range(9):
         line(chip, (10, 1))
-    while not chip._output_word(chip.AXES) & 2:
+    while not chip.output_word(chip.AXES) & 2:
         chip.advance(PERIOD)
         assert driving(chip)
     assert chip.read(0) >> 12 == waiting
     command(chip, SINGLE_STEP, 0)
-    assert not chip._output_word(chip.AXES) & 2
+    assert not chip.output_word(chip.AXES) & 2
     chip.advance(ENOUGH)
-    assert not chip._output_word(chip.AXES) & 2
+    assert not chip.output_word(chip.AXES) & 2
 
 
 def test_segments_without_a_tick_pass_at_once():

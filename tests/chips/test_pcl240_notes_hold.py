@@ -69,7 +69,7 @@ def test_a_start_that_is_noted_as_ignored_changes_nothing_and_one_without_a_note
         chip.advance(rng.randrange(3000))
         commands(chip, rng.choice([0x08, 0x1F, 0x3F]))
         chip.advance(rng.choice([0, 1, 3000]))
-        if chip._record["running"] or start & 3 == 2:
+        if chip.state["running"] or start & 3 == 2:
             continue
         chip.diagnostics.clear()
         before = chip.values(), chip.twin()
@@ -79,7 +79,7 @@ def test_a_start_that_is_noted_as_ignored_changes_nothing_and_one_without_a_note
             ran = chip.trace(20_000), before[1].trace(20_000)
             assert np.array_equal(*ran), f"{before[0]} {start:02X}h: {said!r}"
         elif not said:
-            assert chip._record["running"], f"{before[0]} {start:02X}h"
+            assert chip.state["running"], f"{before[0]} {start:02X}h"
 
 
 @ALL

@@ -43,7 +43,7 @@ def axis():
 @pytest.mark.parametrize("distance", [1600, 5000, DISTANCE])
 @pytest.mark.parametrize("payload", PAYLOADS.values(), ids=PAYLOADS)
 def test_the_formula_loses_no_step_whatever_the_place_and_the_payloads_tolerance(payload, distance, axis):
-    axis._stage.set_payload(payload)
+    axis.stage.set_payload(payload)
     r = formula.registers(axis, distance)
     which, log = prove([[r[n] for n in ("R1", "R2", "R4", "R5", "R6", "R7")]], payload, distance, repeats=scaled(5))
     assert which == 0
@@ -80,7 +80,7 @@ def test_no_other_top_rate_makes_the_formulas_move_shorter(axis):
 def test_a_heavier_load_or_a_larger_safety_factor_makes_the_formulas_move_slower(axis):
     bare = formula.profile(formula.Load.of(axis), DISTANCE)
     careful = formula.profile(formula.Load.of(axis), DISTANCE, safety=2.0)
-    axis._stage.set_payload(10.0)
+    axis.stage.set_payload(10.0)
     heavy = formula.profile(formula.Load.of(axis), DISTANCE)
     for slower in (careful, heavy):
         assert slower.fh1 < bare.fh1
@@ -152,7 +152,7 @@ def test_a_seed_gives_the_same_search_again_and_another_seed_another(name):
 
 @pytest.mark.parametrize("name", ["cma_es"])
 def test_a_search_that_begins_with_the_formula_makes_its_move_first(name, axis):
-    axis._stage.set_payload(0.5)
+    axis.stage.set_payload(0.5)
     first = formula.registers(axis, 2000)
     assert found(name, seed=0).registers[0] == [first[n] for n in ("R1", "R2", "R4", "R5", "R6", "R7")]
 

@@ -260,7 +260,7 @@ def test_a_scripted_host_finds_home(start):
     _, _, terminated, truncated, info = host.steps[-1]
     assert (terminated, truncated, info["success"]) == (True, False, True)
     for axis in env.stage.axes.values():
-        touch = next(s.touch for s in axis._plant.switches if s.pin == "org")
+        touch = next(s.touch for s in axis.plant.switches if s.pin == "org")
         assert axis.position == pytest.approx(touch, abs=4 * axis.meters_per_pulse)
 
 
@@ -283,7 +283,7 @@ def test_steps_lost_on_the_way_home_are_mended_by_it():
     env = make(goal="home", axes=("x",))
     env.reset(seed=1, options={"start": {"x": -0.119}})
     axis = env.stage.axes["x"]
-    env.stage.data.qpos[axis._plant.qpos] += 64 * axis.meters_per_pulse  # a tooth of the motor
+    env.stage.data.qpos[axis.plant.qpos] += 64 * axis.meters_per_pulse  # a tooth of the motor
     host = Host(env)
     with pytest.raises(EpisodeOver):
         go_home(host)
@@ -351,7 +351,7 @@ def test_truth_shows_what_no_host_knows():
     assert first.shape == (24,)
     assert first[15:20] == pytest.approx([0.5, 0, 0, 0, -0.5], abs=1e-3)
     env.stage.place(x=0.079)
-    env.stage.data.qvel[env.stage.axes["x"]._plant.dof] = 0.1
+    env.stage.data.qvel[env.stage.axes["x"].plant.dof] = 0.1
     seen = env.step(np.array([rb.READ, 0, 0, 0]))[0]
     assert seen[16] == pytest.approx(0.5, abs=1e-3)
     assert seen[17] == pytest.approx(0.2, abs=1e-3)
@@ -412,7 +412,7 @@ def test_a_carriage_that_slipped_to_its_target_has_not_made_it():
     for address, byte in sequence(2000 - 64, PCL240K):
         host.act(rb.WRITE, 0, address, byte)
     for nudge, lost, error, part in ((0, 0, 64, 0), (tooth, 4, 0, -0.2), (-tooth, 0, 64, 0), (tooth, 4, 0, 0)):
-        env.stage.data.qpos[axis._plant.qpos] += nudge
+        env.stage.data.qpos[axis.plant.qpos] += nudge
         for _ in range(5):
             host.act(rb.WAIT + 3)
         assert host.info["lost_steps"] == lost
@@ -427,7 +427,7 @@ def test_a_carriage_held_at_its_target_while_its_field_stands_elsewhere_has_not_
     env.reset(seed=0, options={"target": {"x": 8}})
     host, axis = Host(env), env.stage.axes["x"]
     jam = faults.jam(axis)
-    env.stage.data.qpos[axis._plant.qpos] += 10 * axis.meters_per_pulse  # it yields a little
+    env.stage.data.qpos[axis.plant.qpos] += 10 * axis.meters_per_pulse  # it yields a little
     for error, wait in ((0, 2), (8, 3)):  # held, then let go
         for _ in range(3):
             host.act(rb.WAIT + wait)

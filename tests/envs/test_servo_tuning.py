@@ -38,7 +38,7 @@ def test_the_registers_chosen_are_those_in_the_chip():
     info = env.step(env._task.registers.to_action(values))[4]
     held = env.stage.axes["x"].chip.values()
     assert {n: held[n] for n in ("R22", "R20", "R21")} == {"R22": 77, "R20": 200, "R21": 31}
-    assert int(env.stage.axes["x"].chip._record["period"]) == 90
+    assert int(env.stage.axes["x"].chip.state["period"]) == 90
     assert list(info["registers"]) == list(values.values())
 
 

@@ -18,7 +18,7 @@ def a_stage(model="xy", **places):
 
 
 def edge_of(axis, pin="org"):
-    return next(s.touch for s in axis._plant.switches if s.pin == pin)
+    return next(s.touch for s in axis.plant.switches if s.pin == pin)
 
 
 @covers("MCX514", "H1M", "H2M", "HV", "HMSRC", "R2CLR", "RR3P0")

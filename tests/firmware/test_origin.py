@@ -24,7 +24,7 @@ def homed(stage, name, runs, **options):
     print("seed", SEED)
     rng = np.random.default_rng([SEED, ord(name)])
     axis, places = stage.axes[name], []
-    touch = {s.pin: s.touch for s in axis._plant.switches}
+    touch = {s.pin: s.touch for s in axis.plant.switches}
     low, high = touch["el_minus"], touch["el_plus"] if runs >= 100 else touch["org"] + 0.05
     for _ in range(runs):
         stage.reset()
@@ -114,9 +114,9 @@ FAST = {"approach": 1600.0, "profile": firmware.Profile.of(fl=1800)}  # to an in
 
 def index_places(axis):
     """Joint positions of the first index pulses below ORG: their rims nearer to plus, m."""
-    org = next(s.touch for s in axis._plant.switches if s.pin == "org")
+    org = next(s.touch for s in axis.plant.switches if s.pin == "org")
     lead = 2 * np.pi / axis.gear
-    first = org - (org / lead - axis._plant.index) % 1.0 * lead
+    first = org - (org / lead - axis.plant.index) % 1.0 * lead
     return [first - k * lead + 0.005 * lead for k in range(3)]
 
 

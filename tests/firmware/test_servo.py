@@ -21,7 +21,7 @@ def stage():
 
 
 def edge_of(axis, pin="org"):
-    return next(s.touch for s in axis._plant.switches if s.pin == pin)
+    return next(s.touch for s in axis.plant.switches if s.pin == pin)
 
 
 def test_a_port_is_for_hctl1100s_only():
@@ -267,7 +267,7 @@ def test_home_is_at_the_index_pulse_wherever_the_axis_begins(stage, name, sag, w
     port = Port(axis)
     stage.run(0.1)
     assert abs(port.position()) <= sag
-    turns = axis.position * axis.gear / (2 * np.pi) - axis._plant.index
+    turns = axis.position * axis.gear / (2 * np.pi) - axis.plant.index
     assert abs(turns - round(turns)) * 2000 == pytest.approx(10, abs=sag), "the rim of a pulse of 20 counts"
     assert -1.2 * 2000 < report.index - report.switch < 0
     assert not [d for d in port.chip.diagnostics if "computed" in d.message]

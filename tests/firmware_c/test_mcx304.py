@@ -32,7 +32,7 @@ def ready(library, errata=True):
     """The X axis begins where its target is 5 mm before EL+."""
     stage = Stage("xy", chips=lambda: MCX304(errata=errata), visuals=False)
     x = stage.axes["x"]
-    end = next(s.touch for s in x._plant.switches if s.pin == "el_plus")
+    end = next(s.touch for s in x.plant.switches if s.pin == "el_plus")
     stage.place(x=end - SHORT - PULSES * x.meters_per_pulse)
     board = Board(stage)
     return Ready(stage, board, NativeHost(library, board), end)

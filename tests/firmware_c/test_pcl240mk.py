@@ -60,7 +60,7 @@ def run(library, isolated=False, **places):
 
 
 def org(axis):
-    return next(s.touch for s in axis._plant.switches if s.pin == "org")
+    return next(s.touch for s in axis.plant.switches if s.pin == "org")
 
 
 @pytest.fixture(scope="module")

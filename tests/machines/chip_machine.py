@@ -23,7 +23,7 @@ class Course:
 
     def __init__(self, host, chip, clocks):
         self.host, self.clocks, self.clock = host, clocks, chip.clock
-        words = [chip._input_word(j) for j in range(chip.AXES)]
+        words = [chip.input_word(j) for j in range(chip.AXES)]
         self.inputs = [{name: bool(word & bit) for name, bit in chip.INPUTS.items()} for word in words]
         self.seen = host.seen(chip)
         self._net = _net(chip)

@@ -48,18 +48,18 @@ def bits(stage) -> dict[str, object]:
     """All state by name, and what snapshots leave alone, whatever the order of the axes."""
     physics = np.zeros(mujoco.mj_stateSize(stage.model, PHYSICS))
     mujoco.mj_getState(stage.model, stage.data, physics, PHYSICS)
-    state = {"physics": physics.tobytes(), "world": stage._world.tobytes(), "payload": stage.payload()}
+    state = {"physics": physics.tobytes(), "world": stage.state.world.tobytes(), "payload": stage.payload()}
     for name, axis in stage.axes.items():
-        t = stage._table[axis.index]
+        t = stage.state.axis_table[axis.index]
         parts = {
-            "chip": axis.chip._rows[axis.chip._i],
-            "axis": stage._axis_state[axis.index],
-            "drive": stage._drives[axis.index],
+            "chip": axis.chip.state,
+            "axis": stage.state.axes[axis.index],
+            "drive": stage.state.drives[axis.index],
         }
         state |= {f"{name} {part}": record.tobytes() for part, record in parts.items()}
         fitted = slice(t.first_switch, t.end_switch)
-        state[f"{name} switches"] = stage._switches[fitted].tobytes()
-        state[f"{name} stuck"] = stage._switch_table["forced"][fitted].tolist()
+        state[f"{name} switches"] = stage.state.switches[fitted].tobytes()
+        state[f"{name} stuck"] = stage.state.switch_table["forced"][fitted].tolist()
         state[f"{name} diagnostics"] = list(axis.chip.diagnostics)
     return state
 
@@ -155,7 +155,7 @@ class StageMachine(RuleBasedStateMachine):
     def move_over_switches(self, data, seconds, cuts):
         """Every axis at a speed that the motors follow, from just before one of its switches or just behind."""
         for name, axis in self.stage.axes.items():
-            touch = data.draw(st.sampled_from([s.touch for s in axis._plant.switches]))
+            touch = data.draw(st.sampled_from([s.touch for s in axis.plant.switches]))
             plus, before = data.draw(st.booleans()), data.draw(st.floats(-1e-4, 2e-4))
             way = (1 if plus else -1) * np.sign(axis.gear)
             q = float(np.clip(touch - way * before, *axis.travel))
@@ -222,8 +222,8 @@ class StageMachine(RuleBasedStateMachine):
             if kind == "wait":
                 program.wait(a * 1e-6)
                 continue
-            chip = self.stage._axes_by_index[a].chip
-            b, c = b & chip._ADDRESS_MASK, c & chip.DATA_MASK
+            chip = list(self.stage.axes.values())[a].chip
+            b, c = b & chip.ADDRESS_MASK, c & chip.DATA_MASK
             program.write(a, b, c) if kind == "write" else program.read(a, b)
         made = []
         for threads in (1, 3):

@@ -33,7 +33,7 @@ def test_after_a_reset_nothing_tells_what_was_before(name):
 
     def drive(chip, pins):
         for axis, word in enumerate(pins):
-            chip._set_input_word(axis, word & sum(cls.INPUTS.values()))
+            chip.set_input_word(axis, word & sum(cls.INPUTS.values()))
 
     @settings(max_examples=scaled(2), deadline=None, suppress_health_check=list(HealthCheck), print_blob=True)
     @given(

@@ -20,7 +20,7 @@ ONE_AXIS = """
 def drive(stage):
     """X runs into EL-, back off, then X and Y together; about a second."""
     x, y = stage.axes["x"], stage.axes["y"]
-    touch = next(s.touch for s in x._plant.switches if s.pin == "el_minus")
+    touch = next(s.touch for s in x.plant.switches if s.pin == "el_minus")
     stage.place(x=touch + 0.002)
     load_registers(x.chip, R0=100_000, R1=75, R2=300, R4=300, R5=300, R6=0, R7=30)
     for command in (0x4C, 0x15):

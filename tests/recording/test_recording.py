@@ -131,7 +131,7 @@ def test_close_twice_is_close_once_and_the_stage_can_be_recorded_again():
         stage.run(0.01)
     assert len(second) == 10
     assert second.column("time")[0] == pytest.approx(0.021)
-    assert stage.axes["x"].chip._journal is None
+    assert stage.axes["x"].chip.open_journal is None
 
 
 def test_an_error_inside_the_block_closes_the_recording():

@@ -481,7 +481,7 @@ def test_ctrl_c_closes_the_recording_and_the_firmware_stands_still(session, driv
             raise KeyboardInterrupt
         """
     pytester.makeconftest(
-        "def pytest_unconfigure():\n    print('LEFT', stage._recording, [r._on_close for r in stage.recordings])\n"
+        "def pytest_unconfigure():\n    print('LEFT', stage.recording, [r._on_close for r in stage.recordings])\n"
     )
     result, said = session(source, "-s", no_reraise_ctrlc=True)
     assert result.ret == pytest.ExitCode.INTERRUPTED

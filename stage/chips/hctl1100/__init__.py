@@ -46,7 +46,7 @@ class HCTL1100(Chip):
     COUNTER: ClassVar = ("R14", 24)
     DRIVER: ClassVar = "stage.firmware.hctl1100.driver:Hctl1100Driver"
     TRACED: ClassVar = {"R0E": ("command", 24), "MC": ("motor", 8)}
-    _ADDRESS_MASK: ClassVar = ADDRESSES - 1
+    ADDRESS_MASK: ClassVar = ADDRESSES - 1
 
     @classmethod
     def register_cycles(cls, name: str, value: int, axis: int = 0) -> list[tuple[int, int]]:
@@ -70,23 +70,23 @@ class HCTL1100(Chip):
     @property
     def motor_command(self) -> int:
         """What drives the motor, -128 to 127: the command given last, by a control law or by a write to R08 or R09."""
-        return int(self._record["drive"])
+        return int(self.state["drive"])
 
     @property
     def encoder(self) -> int:
         """The encoder's raw count. Set, the shaft is there and stands still."""
-        return core.encoder_count.held(self._at)
+        return core.encoder_count.held(self.pointer)
 
     @encoder.setter
     def encoder(self, count: int) -> None:
-        lost = core.lost.held(self._at)
+        lost = core.lost.held(self.pointer)
         self.see(count + lost + 0.5 if lost else count)  # between two counts, where rounding does not matter
 
     @property
     def missed(self) -> float:
         """Counts that came faster than one in three clocks, plus minus minus: the encoder's input filter lets none of them
         through, and the shaft is so far ahead of the count."""
-        return core.lost.held(self._at)
+        return core.lost.held(self.pointer)
 
     def see(self, count: float, rate: float = 0.0) -> None:
         """From now on the shaft is at `count + rate * (clock - now)`: encoder counts (a position between two counts shows the lower
@@ -94,42 +94,42 @@ class HCTL1100(Chip):
         if not (math.isfinite(count) and math.isfinite(rate)):
             raise ArgumentError(f"see({count!r}, {rate!r}): a shaft is at a finite count and has a finite rate.")
         self._change()
-        core.see.held(self._at, 0, float(count), float(rate))
-        if self._journal is not None:
-            self._journal.note_seen(self.clock, count, rate)
+        core.see.held(self.pointer, 0, float(count), float(rate))
+        if self.open_journal is not None:
+            self.open_journal.note_seen(self.clock, count, rate)
 
     @property
     def shaft(self) -> tuple[float, float]:
         """What the chip was told last: count and rate, see `see`."""
-        return float(self._record["count"]), float(self._record["rate"])
+        return float(self.state["count"]), float(self.state["rate"])
 
     @property
     def command_position(self) -> int:
         """R0C to R0E, sign extended: what the loop is given, counts of the actual position."""
-        return int(self._record["command"])
+        return int(self.state["command"])
 
     def net(self, axis: int = 0) -> int:
         """The command position as a raw count of the encoder: there `encoder` is when the actual position is the command position.
         The chip makes no pulses."""
-        return core.net.held(self._at, 0)
+        return core.net.held(self.pointer, 0)
 
     def write(self, address: int, value: int) -> None:
         """One bus write cycle. Never raises: the address acts modulo 64, the value modulo 256, mistakes go to `diagnostics`."""
         super().write(address, value)
-        at = int(address) & self._ADDRESS_MASK
+        at = int(address) & self.ADDRESS_MASK
         if at != address:
             said = f"address {int(address):02X}h acts as {at:02X}h: six bits"
-            self._say(self.clock, at, int(value) & self.DATA_MASK, said, "bus")
+            self.diagnose(self.clock, at, int(value) & self.DATA_MASK, said, "bus")
 
     def values(self) -> dict[str, int]:
-        return {r.name: core.value.held(self._at, r.number) for r in self.MAP.registers}
+        return {r.name: core.value.held(self.pointer, r.number) for r in self.MAP.registers}
 
     def decoder(self, axis: int = 0) -> Decoder:
         return Decoder(self.MAP)
 
     def listener(self) -> Listener:
-        return Listener(self.MAP, self._record)
+        return Listener(self.MAP, self.state)
 
-    def _lint(self, address: int, value: int) -> lint.Note | None:
+    def mistake(self, address: int, value: int) -> lint.Note | None:
         c: Any = self._plain
         return lint.write(c, lambda: self.encoder, address, value)

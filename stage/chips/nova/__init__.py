@@ -34,7 +34,7 @@ class Nova(Chip):
     IRQ: ClassVar = (-1, sum(state.COMMON_OUTPUTS.values()))
     DRIVER: ClassVar = "stage.firmware.nova.driver:FirstGenerationDriver"
     VARIANT: ClassVar[int] = state.FIRST_GENERATION
-    _ADDRESS_MASK: ClassVar = 31
+    ADDRESS_MASK: ClassVar = 31
 
     def _configure(self, record: Any) -> None:
         record["variant"], record["axes"] = self.VARIANT, self.AXES
@@ -52,9 +52,9 @@ class Nova(Chip):
 
     def net(self, axis: int = 0) -> int:
         self._check_axis(axis)
-        return int(self._record["ax"][axis]["net"])
+        return int(self.state["ax"][axis]["net"])
 
-    def _lint(self, address: int, value: int) -> lint.Note | None:
+    def mistake(self, address: int, value: int) -> lint.Note | None:
         if address >= BYTES:  # of the 8-bit bus only the low byte of WR0 acts
             if address != BYTES:
                 return None
@@ -102,14 +102,14 @@ class Nova(Chip):
         return Decoder(self.MAP, axis)
 
     def listener(self) -> Listener:
-        return Listener(self.MAP, self._record)
+        return Listener(self.MAP, self.state)
 
     def values(self) -> dict[str, int]:
         words = (w.name for w in self.MAP.words if w.name.startswith("RR"))
-        return {name: core.value.held(self._at, int(name[2]), name == "RR3-1") for name in words}
+        return {name: core.value.held(self.pointer, int(name[2]), name == "RR3-1") for name in words}
 
-    def _input_word(self, axis: int) -> int:
-        return int(self._record["emg"] if axis == self.AXES else self._record["ax"][axis]["inputs"])
+    def input_word(self, axis: int) -> int:
+        return int(self.state["emg"] if axis == self.AXES else self.state["ax"][axis]["inputs"])
 
 
 class MCX514(Nova):

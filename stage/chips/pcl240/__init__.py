@@ -75,14 +75,14 @@ class PCL240(Chip):
         return Decoder(self.MAP)
 
     def listener(self) -> Listener:
-        return Listener(self.MAP, self._record)
+        return Listener(self.MAP, self.state)
 
     def values(self) -> dict[str, int]:
-        return {r.name: core.value.held(self._at, k) for k, r in enumerate(self.MAP.registers)} | {
-            "status": core.read.held(self._at, 0)
+        return {r.name: core.value.held(self.pointer, k) for k, r in enumerate(self.MAP.registers)} | {
+            "status": core.read.held(self.pointer, 0)
         }
 
-    def _lint(self, address: int, value: int) -> lint.Note | None:
+    def mistake(self, address: int, value: int) -> lint.Note | None:
         c = self._plain
         return lint.data(self.MAP, c, address, value) if address else lint.command(self.MAP, c, self._moves, value)
 

@@ -38,7 +38,7 @@ class Loop:
     @classmethod
     def of(cls, axis: Any, tuning: Tuning) -> Loop:
         """From the machine's drawings, the model of a stage's axis: masses with what they carry now, friction, motor, encoder."""
-        model, drive = axis._stage.model, axis.drive
+        model, drive = axis.stage.model, axis.drive
         dof = int(model.jnt_dofadr[axis.joint])
         body = int(model.jnt_bodyid[axis.joint])
         mass = float(model.body_subtreemass[body] + model.dof_armature[dof])

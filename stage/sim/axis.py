@@ -1,0 +1,156 @@
+"""`Axis`: what a user sees of one axis of a stage, and its `Switches`."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from stage.drives import drive as any_drive
+from stage.errors import ArgumentError, StageError, UnknownKey, unknown
+
+if TYPE_CHECKING:
+    from stage.chips import ChipAxis
+    from stage.chips.chip import Pins
+    from stage.drives.dc_motors import Servo
+    from stage.drives.motors import Drive
+    from stage.sim.plant import PlantAxis
+    from stage.sim.stage import Stage
+
+
+class Switches:
+    """The limit switches of an axis by name; True = asserted. `stick` forces one, for fault tests."""
+
+    _axis: Axis
+
+    def __init__(self, axis: Axis):
+        object.__setattr__(self, "_axis", axis)
+
+    def row(self, name: str) -> int:
+        """Where switch `name` stands in the tables of the stage's state. Raises ArgumentError for one that is not fitted."""
+        axis = self._axis
+        for k, s in enumerate(axis.plant.switches):
+            if s.pin == name:
+                return int(axis.stage.state.axis_table[axis.index].first_switch) + k
+        raise unknown(f"switch of axis {axis.name}", name, (s.pin for s in axis.plant.switches))
+
+    def __getattr__(self, name: str) -> bool:
+        if name.startswith("_"):
+            raise AttributeError(name)
+        stage = self._axis.stage
+        stage.look()
+        return bool(stage.state.switches[self.row(name)].on)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        raise StageError(f"a switch follows its vane; to force {name!r} use switches.stick({name!r}, True or False).")
+
+    def stick(self, name: str, asserted: bool | None) -> None:
+        """Hold switch `name` asserted (True) or released (False) from now on; None mends it. Raises ArgumentError."""
+        if asserted is not None and (not isinstance(asserted, int | np.bool_) or asserted not in (0, 1)):
+            raise ArgumentError(f"asserted={asserted!r}: True holds {name} asserted, False released, None mends it.")
+        stage = self._axis.stage
+        stage.change()
+        stage.state.switch_table[self.row(name)].forced = -1 if asserted is None else int(asserted)
+        stage.look_again(self._axis)
+
+    def __dir__(self) -> list[str]:
+        return [s.pin for s in self._axis.plant.switches]
+
+    def as_dict(self) -> dict[str, bool]:
+        """Every switch fitted."""
+        return {s.pin: getattr(self, s.pin) for s in self._axis.plant.switches}
+
+    def __repr__(self) -> str:
+        return f"Switches({', '.join(name for name, on in self.as_dict().items() if on) or 'none asserted'})"
+
+
+class Axis:
+    """One axis: chip, drive, motor, joint, switches.
+
+    Attributes:
+        name, chip, drive: as given; `chip_axis`: the number of its axis of the chip.
+        index: its column in recordings; `joint`: id in the model.
+        gear: rotor radians per joint unit; meters_per_pulse: joint units per pulse (rad on a hinge).
+        unit: "m", or "rad" on a hinge.
+        stage: the Stage that it belongs to; plant: what the model says of it, a `stage.sim.plant.PlantAxis`.
+        supply, open_phases: the voltage (V) that its drive has, and the phases (bits of stage.drives.stepper.A and B) whose wire is
+            broken; faults change them, see `Stage.equip`.
+    """
+
+    def __init__(self, stage: Stage, index: int, plant: PlantAxis, chip_axis: ChipAxis, drive: Drive | Servo):
+        self.stage, self.plant = stage, plant
+        self.index, self.name, self.drive = index, plant.name, drive
+        self.chip, self.chip_axis = chip_axis.chip, chip_axis.index
+        self.joint, self.gear, self.travel = plant.joint, plant.gear, plant.travel
+        self.unit = "rad" if plant.hinge else "m"
+        self.meters_per_pulse = 2 * np.pi / drive.pulses_per_turn / abs(self.gear)
+        self.switches = Switches(self)
+        self.supply, self.open_phases = drive.bus_voltage, 0
+
+    @property
+    def pins(self) -> Pins:
+        """The pins of its axis of the chip."""
+        return self.chip.axes[self.chip_axis].pins
+
+    @property
+    def time(self) -> float:
+        """Simulated time of the stage, s."""
+        return self.stage.time
+
+    def wait(self, seconds: float) -> None:
+        """Let simulated time pass, for the whole stage."""
+        self.stage.run(seconds)
+
+    @property
+    def position(self) -> float:
+        """Where the carriage is, m (rad on a hinge)."""
+        stage, p = self.stage, self.plant
+        stage.look()
+        state = stage.state
+        tau = (state.now - state.start - 0.5 * state.dt) * 1e-9
+        return float(state.data.qpos[p.qpos] + state.data.qvel[p.dof] * tau)
+
+    @property
+    def commanded(self) -> float:
+        """Where the pulses say that the carriage is, m; it differs from `position` by following error and lost steps."""
+        q = self.position
+        d, net = self.electrics()
+        return float(q + any_drive.behind(d, net, q * self.gear) / self.gear)
+
+    @property
+    def lost_steps(self) -> int:
+        """Full steps by which the rotor is behind the pulses, a multiple of four; from the rotor's angle. 0 for a servo."""
+        d, net = self.electrics()
+        return int(any_drive.lost_steps(d, net, self.position * self.gear))
+
+    @property
+    def load_angle(self) -> float:
+        """Commanded minus rotor angle, electrical radians; plain radians for a servo."""
+        d, net = self.electrics()
+        return float(any_drive.load_angle(d, net, self.position * self.gear))
+
+    def electrics(self) -> tuple[Any, float]:
+        """Its drive's record (stage.drives.stepper.DRIVE, currents among it), and the pulses that the drive has been given, net."""
+        chip = self.chip
+        return self.stage.state.drives[self.index], float(chip.CORE.net.held(chip.pointer, self.chip_axis))
+
+    def __reduce__(self) -> tuple:
+        """A copy is the same axis of a copy of its stage: by itself it would be a chip that nothing drives."""
+        return _axis_of, (self.stage, self.name)
+
+    def __repr__(self) -> str:
+        return (
+            f"<Axis {self.name} {type(self.chip).__name__} position={self.position * 1e3:.4f} m{self.unit} "
+            f"lost_steps={self.lost_steps} {self.switches!r}>"
+        )
+
+
+def _axis_of(stage: Stage, name: str) -> Axis:
+    return stage.axes[name]
+
+
+class Axes(dict[str, Axis]):
+    """Axes by name, in the order of their indices; for a wrong one the near misses."""
+
+    def __missing__(self, name: Any) -> Axis:
+        raise UnknownKey(str(unknown("axis", name, self)))

@@ -1,0 +1,228 @@
+"""`Loop`: lets a stage's time pass. It calls the engine again and again, and takes what the engine has noted.
+
+A long run goes in pieces of some hundredths of a second of real time, so that Ctrl-C is seen to. What reached the chips goes to
+their journals and samples go to the recording after each piece; a step that diverged, or in which a callback failed, is undone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from time import perf_counter
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+
+from stage.chips import Chip
+from stage.chips.entries import PACKED, SEE
+from stage.errors import SimulationError, StageError
+from stage.sim import callbacks, engine, handle
+from stage.sim.in_use import token
+from stage.sim.state import POWERED, SAVED, START, State
+
+if TYPE_CHECKING:
+    from stage.recording import Recording
+
+SHORT, LONG = 0.025, 0.1  # s of real time, a piece of a long run takes between them
+FIRST_PIECE = 16  # physics steps
+IN_USE = (
+    "this stage is in use, by another thread or by the run that has called MuJoCo's callback: one thread at a time runs a stage "
+    "or changes it. Give each thread a stage of its own, copy.deepcopy(stage); stage.sim.fleet.Fleet plays many on threads."
+)
+
+
+class Loop:
+    """Lets the time of a stage pass, and is the bus of its chips, see `stage.chips.chip.Bus`.
+
+    Attributes:
+        state: the stage's records.
+        chips: of the stage.
+        recording: that of the stage which goes on, or None.
+    """
+
+    def __init__(self, state: State, chips: Sequence[Chip], power_up: Callable[[], None]):
+        """power_up: called where the stage's state was cleared, to bring it to that after power-up."""
+        self.state, self.chips = state, chips
+        self.recording: Recording | None = None
+        self._words, self._pointer, self._advance = state.words, state.pointer, handle.advance.c
+        self._power_up, self._dt, self._bus = power_up, state.dt, state.bus
+        self._piece = FIRST_PIECE * state.dt
+        self._failure: BaseException | None = None
+
+    # --- the bus of the chips ---
+
+    def cycle(self) -> None:
+        """Let the time of one bus cycle pass; chips call it before each read and write."""
+        if self._bus:
+            self.run_to(self._words.item(0) + self._bus)
+        else:
+            self.change()
+
+    def look(self) -> None:
+        """Whoever looks at the stage sees a machine under power, also after mj_resetData, mj_resetDataKeyframe and the like: they
+        clear userdata, where chips and drives live. Not in a recording, whose time would run backwards."""
+        if not self._words.item(POWERED) and self.recording is None:
+            self._power_up()
+
+    def change(self) -> None:
+        """Somebody is about to change the stage's state. Raises StageError while another thread runs the stage."""
+        if self.state.clockwork["busy"].item(0):
+            raise StageError(IN_USE)
+        self.look()
+
+    @contextmanager
+    def alone(self) -> Iterator[None]:
+        """In here nobody else runs the stage. Raises StageError if somebody does."""
+        mine = token()
+        try:
+            if not handle.take.held(self._pointer, mine):
+                raise StageError(IN_USE)
+            yield
+        finally:
+            handle.give.held(self._pointer, mine)
+
+    # --- time ---
+
+    def run_to(self, until: int) -> None:
+        """Let time pass up to `until`, ns since power-up. Raises SimulationError, see `Stage.run`; StageError."""
+        recording, piece = self.recording, self._piece
+        while True:
+            goal = until
+            if long := until - self._words.item(START) > piece:
+                goal, begin = self._words.item(START) + piece, perf_counter()
+            if recording is not None:
+                self.state.handle["filled"] = recording.filled
+            try:
+                status = self._advance(self._pointer, goal)
+            except BaseException:  # Ctrl-C while compiled code ran: it has come to its end
+                self._account(int(self.state.handle["status"]), 0)
+                raise
+            if status or recording is not None or self.state.handle["noted"]:
+                self._account(status, until)
+            if long:
+                if status == engine.REACHED:
+                    self._piece = piece = self._next_piece(perf_counter() - begin)
+            elif status == engine.REACHED:
+                return
+
+    def _next_piece(self, took: float) -> int:
+        """ns of simulated time for the next piece of a long run, when the last took so many seconds."""
+        if took < SHORT:
+            return min(2 * self._piece, 1 << 60)
+        return max(self._piece // 2, self._dt) if took > LONG else self._piece
+
+    def _account(self, status: int, until: int) -> None:
+        """The engine has returned on its way to `until`: what it noted is taken, what stopped it is seen to, or raised."""
+        h, recording = self.state.handle, self.recording
+        error: BaseException | None = None
+        if status == engine.DIVERGED:
+            error = self.undo_divergence(self._pointer)
+        elif status == engine.FAILED:
+            error = self._undo_failure()
+        elif status == engine.IN_USE:
+            raise StageError(IN_USE)
+        if h["noted"]:
+            self.note_edges(int(h["noted"]))
+            h["noted"] = 0
+        if recording is not None:
+            recording.take(int(h["filled"]))
+        if error is not None:
+            raise error
+        if status == engine.WIPED:
+            if recording is not None:
+                raise StageError(
+                    "the stage's state was cleared (mj_resetData?) in the middle of a recording, whose time runs forward only: "
+                    "close the recording; the stage is at power-up then."
+                )
+            self._power_up()
+        elif status == engine.UNGUARDED:
+            self._run_guarded(until)
+
+    def _run_guarded(self, until: int) -> None:
+        """As `run_to` where MuJoCo calls somebody back: a physics step at a time, to go back to the one before."""
+        clockwork = self.state.clockwork[0]
+
+        def failed(error: BaseException | None) -> bool:
+            if error is not None:
+                self._failure, clockwork.failed = error, 1
+            return bool(clockwork.failed)
+
+        try:
+            with callbacks.guarded(failed):
+                clockwork.guarded = 1
+                while self.state.now < until:
+                    self.run_to(min(until, self.state.start + self._dt))
+        finally:
+            clockwork.guarded = clockwork.failed = 0
+
+    # --- what the engine has noted ---
+
+    def note_edges(self, n: int) -> None:
+        """The first `n` of `state.edges` go to the journals of the chips that they reached."""
+        edges = self.state.edges[:n]
+        chip_of = self.state.axis_table["chip"][edges["axis"]]
+        for k, chip in enumerate(self.chips):
+            if chip.open_journal is None:
+                continue
+            own = np.flatnonzero(chip_of == k)
+            if not len(own):
+                continue
+            packed = np.empty(len(own), PACKED)
+            for name in PACKED.names or ():
+                packed[name] = edges[name][own]
+            seen = np.flatnonzero(packed["kind"] == SEE)
+            if len(seen):
+                packed["a"][seen] = edges["count"][own[seen]].view(np.int64)
+                packed["b"][seen] = edges["rate"][own[seen]].view(np.int64)
+            chip.open_journal.extend(packed)
+
+    def look_again(self, axis: int) -> None:
+        """The table of switches has changed: what it means for the axis of this index, from now on."""
+        self.look()
+        with self.alone():
+            handle.look_again.held(self._pointer, axis)
+        if n := int(self.state.handle["noted"]):
+            self.note_edges(n)
+            self.state.handle["noted"] = 0
+
+    # --- steps that are undone ---
+
+    def _undo_failure(self) -> BaseException:
+        """Go back to before the step in which a callback failed."""
+        state = self.state
+        mujoco.mj_setState(state.model, state.data, state.saved, SAVED)
+        state.clockwork[0].failed = 0
+        failure, self._failure = self._failure, None
+        if not isinstance(failure, Exception):  # Ctrl-C while it ran
+            return failure or KeyboardInterrupt()
+        seconds = state.now * 1e-9
+        error = SimulationError(
+            f"a callback that MuJoCo calls raised {type(failure).__name__}: {failure} (at {seconds:.6f} s). The stage holds the "
+            "state before that physics step.",
+            seconds,
+            "",
+        )
+        error.__cause__ = failure
+        return error
+
+    def undo_divergence(self, pointer: int) -> SimulationError:
+        """Go back to where the last run of the engine began, and run it again up to the step before the one that diverged.
+
+        pointer: the address of the handle that it ran with.
+        """
+        state, model = self.state, self.state.model
+        speeds = np.abs(state.data.qvel)
+        bad = int(np.argmax(np.where(np.isfinite(speeds), speeds, np.inf)))
+        joint = model.joint(int(model.dof_jntid[bad])).name or f"degree of freedom {bad}"
+        good = state.start - self._dt
+        mujoco.mj_setState(model, state.data, state.saved, SAVED)
+        self._advance(pointer, good)
+        seconds = state.now * 1e-9
+        return SimulationError(
+            f"the simulation diverged at {seconds:.6f} s on axis {joint!r}: its speed left +-{engine.MAX_SPEED:g} per "
+            f"second. The stage holds the state before that step. Usual causes: a timestep too long for the motor's "
+            f"stiffness (now {model.opt.timestep} s), a mass near zero, or an external force that is not finite.",
+            seconds,
+            joint,
+        )

@@ -1,0 +1,48 @@
+"""`Payloads`: masses that a user puts on the bodies of a model."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+
+from stage.errors import ArgumentError, unknown
+
+HEAVIEST = 1e6  # kg
+
+
+class Payloads:
+    """The masses put on bodies: `kg` by the body's id, and of each of these bodies its own mass."""
+
+    def __init__(self) -> None:
+        self.kg: dict[int, float] = {}
+        self.own: dict[int, float] = {}
+
+    def put(self, model: Any, mass: float, body: str | None) -> None:
+        """`mass` kg on a body, in place of what was put on it before; see `Stage.set_payload`. Raises ArgumentError."""
+        k = _carrier(model, body)
+        if not 0 <= mass < HEAVIEST:
+            raise ArgumentError(f"mass={mass!r} kg: a payload weighs 0 kg or more, and less than {HEAVIEST:g} kg.")
+        if mass == self.kg.get(k, 0.0):
+            return
+        own = self.own.setdefault(k, float(model.body_mass[k]))
+        self.kg[k] = float(mass)
+        model.body_mass[k] = own + mass
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+
+    def on(self, model: Any, body: str | None) -> float:
+        """kg that were put on a body. Raises ArgumentError."""
+        return self.kg.get(_carrier(model, body), 0.0)
+
+
+def _carrier(model: Any, body: str | None) -> int:
+    """The id of the body that a payload goes on."""
+    if body is None:
+        site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, "work")
+        if site < 0:
+            raise ArgumentError("the model has no site 'work' to put a payload on: name the body.")
+        return int(model.site_bodyid[site])
+    k = int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, body))
+    if k < 0:
+        raise unknown("body", body, (model.body(i).name for i in range(1, model.nbody)))
+    return k

@@ -1,0 +1,47 @@
+"""Snapshots of stages, and what they say of the stage that they are of."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from stage import snapshots
+from stage.drives.stepper import DRIVE
+from stage.sim import engine
+
+if TYPE_CHECKING:
+    from stage.sim.axis import Axis
+    from stage.sim.state import State
+
+
+class Snapshot(snapshots.Snapshot):
+    """All state of a stage; restores into any stage made alike. state: MuJoCo's, float64; diagnostics: of each chip."""
+
+    of: ClassVar = "a stage"
+
+
+def header(state: State, axes: Iterable[Axis], mechanics: str) -> snapshots.Header:
+    """What the snapshots of a stage are taken of. Payloads and faults are no part of it."""
+    axes = list(axes)
+    parts = [("axes", ", ".join(a.name for a in axes))]
+    for a in axes:
+        chip = dict(a.chip.header.parts)["chip"]
+        parts.append((f"chip of axis {a.name}", f"{chip}, its axis {a.chip_axis}"))
+    for a in axes:
+        constants = np.zeros(1, DRIVE)
+        a.drive.fill(constants[0])
+        parts.append((f"drive of axis {a.name}", f"{a.drive.title} (constants {_digest(constants.tobytes())})"))
+    parts.append(("time step", f"{state.dt} ns"))
+    parts.append(("bus cycle", f"{state.bus} ns"))
+    parts.append(("mechanics of the model", mechanics))
+    records = (engine.WORLD, engine.AXIS, engine.SWITCH, DRIVE, *(rows.dtype for rows in state.chips))
+    layouts = " ".join(map(snapshots.layout, records))
+    parts.append(("layout of the state", f"{_digest(layouts.encode())} ({len(state.saved)} words)"))
+    return snapshots.Header(tuple(parts))
+
+
+def _digest(data: bytes) -> str:
+    return hashlib.blake2b(data, digest_size=6).hexdigest()

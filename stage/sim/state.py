@@ -1,0 +1,199 @@
+"""`State`: where the records of a stage lie. Inner memory, for compiled code, boards and tests; users of a stage need none of it.
+
+What changes while time passes lies in MjData.userdata, so that MuJoCo's own snapshots, copies and rollouts carry it: one WORLD, an
+AXIS an axis, the record of every chip, a DRIVE an axis, a SWITCH a switch, in this order. Tables of what does not change (but for
+faults) lie in arrays beside it. A HANDLE says to compiled code where all of them are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from stage.chips import Chip, ChipAxis, cores
+from stage.drives.dc_motors import Servo
+from stage.drives.motors import Drive
+from stage.drives.stepper import DRIVE
+from stage.native import address_of, plain
+from stage.sim import callbacks, engine, handle, libmujoco
+from stage.sim.plant import PlantAxis
+
+SAVED = mujoco.mjtState.mjSTATE_INTEGRATION  # all of it: physics, and in userdata chips, drives, switches
+HYSTERESIS = 25e-6  # m; a slotted optical switch lets go that much later than it trips (typical data sheets)
+EDGES = 640
+_FIELDS = engine.WORLD.names or ()
+START, POWERED = _FIELDS.index("start"), _FIELDS.index("powered")
+
+
+class State:
+    """The records of one stage.
+
+    Args:
+        model: compiled with room for the state in its userdata, see `words_needed`; offset: where that begins.
+        plant, chip_axes, drives: of each axis, in their order.
+        bus: ns that a bus cycle takes.
+    """
+
+    model: mujoco.MjModel
+    """What is simulated. MuJoCo does not reset it by itself any more: the chips would forget all."""
+    data: mujoco.MjData
+    """MuJoCo's state."""
+    offset: int
+    """Where in `data.userdata` the stage's state begins."""
+    userdata: np.ndarray
+    """The stage's part of `data.userdata`, float64."""
+    world: np.ndarray
+    """WORLD, one record: the time."""
+    words: np.ndarray
+    """`world` as int64, in the order of its fields: what Python reads quickly."""
+    axes: np.ndarray
+    """AXIS of each axis: counts of its pulses, edges to come."""
+    chips: list[np.ndarray]
+    """For each chip an array with one record of its core's STATE."""
+    drives: np.ndarray
+    """DRIVE of each axis: motor, currents."""
+    switches: np.ndarray
+    """SWITCH of each switch of all axes, axis after axis."""
+    axis_table: np.ndarray
+    """AXIS_TABLE: which axis of which chip moves which joint, and which switches are its own."""
+    switch_table: np.ndarray
+    """SWITCH_TABLE: pin bit, sensor, geometry; and what faults do to a switch."""
+    chip_table: np.ndarray
+    """CHIP_TABLE: which core runs each chip, and where its state lies."""
+    clockwork: np.ndarray
+    """CLOCKWORK, one record: time step, functions of MuJoCo, who runs the stage now."""
+    handle: Any
+    """HANDLE: where all these lie, for compiled code; what the engine has logged."""
+    pointer: int
+    """The address of `handle`."""
+    dt: int
+    """ns, a physics step."""
+    bus: int
+    """ns, a bus cycle."""
+    saved: np.ndarray
+    """float64: MuJoCo's state as it was before the last run of the engine moved it, to go back to."""
+    counts: np.ndarray
+    """int64, 2: how many samples and edges the engine has logged in its last run."""
+    edges: np.ndarray
+    """EDGE: what reached the chips, where the engine notes it; see `note_in`."""
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        offset: int,
+        plant: Sequence[PlantAxis],
+        chip_axes: Sequence[ChipAxis],
+        drives: Sequence[Drive | Servo],
+        bus: int,
+    ):
+        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+        self.model, self.data = model, mujoco.MjData(model)
+        self.offset, self.bus, self.dt = offset, bus, round(model.opt.timestep * 1e9)
+        chips = chips_of(chip_axes)
+        self._cut(len(plant), sum(len(p.switches) for p in plant), chips)
+        self._set_clockwork(sum(isinstance(drive, Servo) for drive in drives))
+        self._set_chip_table(chips)
+        self._set_axis_table(plant, chip_axes, drives, chips)
+        self.counts = np.zeros(2, np.int64)
+        self.saved = np.zeros(mujoco.mj_stateSize(model, SAVED))
+        rows = np.zeros(1, handle.HANDLE)
+        handle.fill(rows, 0, self)
+        self.pointer, self.handle = rows.ctypes.data, rows.view(plain(handle.HANDLE))[0]
+        self.note_in(np.zeros(EDGES + engine.EDGES_A_WINDOW * len(plant), engine.EDGE))
+
+    @property
+    def now(self) -> int:
+        """Simulated time since power-up, ns."""
+        return self.words.item(0)
+
+    @property
+    def start(self) -> int:
+        """When the present physics step began, ns."""
+        return self.words.item(START)
+
+    @property
+    def powered(self) -> int:
+        """0 where somebody has cleared userdata: nothing in it means anything then."""
+        return self.words.item(POWERED)
+
+    def note_in(self, edges: np.ndarray) -> None:
+        """From now on the engine notes what reaches the chips in `edges`, EDGE records."""
+        self.edges = edges
+        self.handle["edges"], self.handle["edge_room"] = edges.ctypes.data, len(edges)
+
+    def _cut(self, axes: int, switches: int, chips: Sequence[Chip]) -> None:
+        """Lay the records out in userdata, and make the tables."""
+        self.userdata = self.data.userdata[self.offset :]
+        left = self.userdata
+
+        def cut(dtype: np.dtype, n: int) -> np.ndarray:
+            nonlocal left
+            words = n * dtype.itemsize // 8
+            own, left = left[:words], left[words:]
+            return own.view(dtype)
+
+        self.world = cut(engine.WORLD, 1)
+        self.words = self.world.view(np.int64)
+        self.axes = cut(engine.AXIS, axes)
+        self.chips = [cut(chip.CORE.STATE, 1) for chip in chips]
+        self.drives = cut(DRIVE, axes)
+        self.switches = cut(engine.SWITCH, switches)
+        self.axis_table = np.zeros(axes, engine.AXIS_TABLE)
+        self.switch_table = np.zeros(switches, engine.SWITCH_TABLE)
+        self.chip_table = np.zeros(len(chips), engine.CHIP_TABLE)
+        self.clockwork = np.zeros(1, engine.CLOCKWORK)
+
+    def _set_clockwork(self, encoders: int) -> None:
+        w, dt = self.clockwork[0], self.dt
+        w.mj_step, w.mj_get_state = libmujoco.address("mj_step"), libmujoco.address("mj_getState")
+        w.state_spec, w.encoders = int(SAVED), encoders
+        w.dt, w.slices, w.h, w.half, w.nv = dt, engine.SLICES, dt * 1e-9 / engine.SLICES, dt * 0.5e-9, self.model.nv
+        w.callbacks, w.native = callbacks.ADDRESSES, callbacks.NATIVE
+
+    def _set_chip_table(self, chips: Sequence[Chip]) -> None:
+        w = self.clockwork[0]
+        for chip, rows, c in zip(chips, self.chips, self.chip_table, strict=True):
+            cores.fill(c, chip.CORE, rows.ctypes.data)
+            c.hz, c.ticks = chip.clock_hz, w.h * chip.clock_hz
+            c.slices, c.clocks = w.slices, address_of(w["clocks"])
+
+    def _set_axis_table(
+        self,
+        plant: Sequence[PlantAxis],
+        chip_axes: Sequence[ChipAxis],
+        drives: Sequence[Drive | Servo],
+        chips: Sequence[Chip],
+    ) -> None:
+        """The table of axes, that of switches, and of chips what they have to know of their axes."""
+        first = 0
+        for k, (p, chip_axis, drive) in enumerate(zip(plant, chip_axes, drives, strict=True)):
+            chip, j, t = chip_axis.chip, chip_axis.index, self.axis_table[k]
+            t.chip, t.chip_axis = chips.index(chip), j
+            c = self.chip_table[t.chip]
+            c.axis[j] = k
+            c.axes += 1
+            c.means[j], c.nets[j] = address_of(self.axes[k]["counts"]), address_of(self.axes[k : k + 1]["count"])
+            t.qpos, t.dof, t.actuator, t.gear = p.qpos, p.dof, p.actuator, p.gear
+            t.index_bit, t.index_at = chip.wired("ez"), p.index
+            if isinstance(drive, Servo):
+                t.counts = drive.counts * p.gear / (2 * np.pi)
+            t.first_switch, t.end_switch = first, first + len(p.switches)
+            for row, s in zip(self.switch_table[first : t.end_switch], p.switches, strict=True):
+                row.bit, row.found, row.at, row.slope = chip.wired(s.pin), s.found, s.dist, s.slope
+                row.hysteresis, row.forced = HYSTERESIS * abs(s.slope), -1
+            first = int(t.end_switch)
+
+
+def chips_of(axes: Sequence[ChipAxis]) -> tuple[Chip, ...]:
+    """The chips of these axes, each once."""
+    return tuple(dict.fromkeys(axis.chip for axis in axes))
+
+
+def words_needed(axes: Sequence[ChipAxis], switches: int) -> int:
+    """float64 words of userdata that the state of a stage takes, with these axes of its chips and so many switches."""
+    per_axis = engine.AXIS.itemsize + DRIVE.itemsize
+    rows = sum(chip.CORE.STATE.itemsize for chip in chips_of(axes))
+    return (engine.WORLD.itemsize + len(axes) * per_axis + rows + switches * engine.SWITCH.itemsize) // 8

@@ -1,0 +1,120 @@
+"""From what a user gives as `chips=` and `drives=` to an axis of a chip and a drive for each axis of the stage."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from stage.chips import CHIPS, PCL240K, Chip, ChipAxis, chip_class
+from stage.drives.dc_motors import DC_MOTORS, DCMotor, Servo, dc_motor
+from stage.drives.motors import MOTORS, Drive, Motor, motor
+from stage.errors import ArgumentError, ModelError, unknown
+from stage.sim import plant
+
+ChipChoice = type[Chip] | str | Callable[[], Chip] | Mapping[str, Any]
+DriveChoice = Drive | Servo | Motor | DCMotor | str | Mapping[str, Any] | None
+
+
+def wire(
+    spec: Any, chips: ChipChoice | None, drives: DriveChoice
+) -> tuple[list[str], list[ChipAxis], list[Drive | Servo]]:
+    """Names of the axes, their chips' axes, their drives, as `Stage` takes chips and drives.
+
+    spec: of `plant.open_spec`; it gets the actuators that the drives need. Raises ArgumentError.
+    """
+    chips = _named(PCL240K if chips is None else chips)
+    known = plant.axis_names(spec)
+    names = list(chips) if isinstance(chips, Mapping) else known
+    for given in (chips, drives):
+        for name in given if isinstance(given, Mapping) else ():
+            if name not in known:
+                raise unknown("axis", name, known)
+    axes = _make_chips(chips, names)
+    return names, axes, [_choose_drive(drives, name, axis.chip, spec) for name, axis in zip(names, axes, strict=True)]
+
+
+def fit_rotors(
+    model: Any, axes: Sequence[plant.PlantAxis], chip_axes: Sequence[ChipAxis], drives: Sequence[Drive | Servo]
+) -> None:
+    """Give every joint's armature the rotor that its drive turns, in place of that of the motor which the model names.
+
+    Raises ModelError: an actuator of an MjModel that its chip cannot drive; an armature smaller than the rotor inside it.
+    """
+    for p, axis, d in zip(axes, chip_axes, drives, strict=True):
+        if p.servo != axis.chip.SERVO:
+            have, want = ("<dcmotor>", "<motor>") if p.servo else ("<motor>", "<dcmotor>")
+            raise ModelError(
+                f"axis {p.name}: {type(axis.chip).__name__} drives a {want}, and this MjModel, which cannot change, has a "
+                f"{have}: pass its path or MjSpec."
+            )
+        built_in = _motor_named(p.motor).rotor_inertia if p.motor else d.motor.rotor_inertia
+        given, inside = float(model.dof_armature[p.dof]), built_in * p.gear**2
+        model.dof_armature[p.dof] += (d.motor.rotor_inertia - built_in) * p.gear**2
+        if model.dof_armature[p.dof] < 0:
+            raise ModelError(
+                f"axis {p.name}: the model names motor {p.motor} inside an armature of {given:g}, but the rotor of that alone "
+                f'makes {inside:g}: write armature="{inside:g}" or more, or leave the text {p.name}_motor out.'
+            )
+
+
+def _named(chips: Any) -> Any:
+    """Chips that were given by their names, as classes."""
+    if isinstance(chips, Mapping):
+        return {axis: _named(chip) for axis, chip in chips.items()}
+    return chip_class(chips) if isinstance(chips, str) else chips
+
+
+def _make_chips(chips: Any, names: list[str]) -> list[ChipAxis]:
+    """A chip's axis for each axis named; axes that are given the same thing share its chips."""
+    free: dict[int, list[ChipAxis]] = {}
+    found: list[ChipAxis] = []
+    for name in names:
+        given = chips[name] if isinstance(chips, Mapping) else chips
+        left = free.setdefault(id(given), [])
+        if not left:
+            chip = given() if callable(given) else given
+            if not isinstance(chip, Chip):
+                raise ArgumentError(
+                    f"chips for axis {name}: {given!r} is no chip class, nor a name of one: {', '.join(CHIPS)}."
+                )
+            if chip.attached or any(chip is axis.chip for axis in found):
+                raise ArgumentError(f"chips for axis {name}: {given!r} has no axis left that is free.")
+            left += chip.axes
+        found.append(left.pop(0))
+    return found
+
+
+def _motor_named(name: str) -> Motor | DCMotor:
+    return DC_MOTORS[name] if name in DC_MOTORS else motor(name)
+
+
+def _choose_drive(drives: Any, axis: str, chip: Chip, spec: Any) -> Drive | Servo:
+    """The drive of an axis for its chip, as asked or as the model says; the spec gets the actuator that it needs."""
+    given, named = drives.get(axis) if isinstance(drives, Mapping) else drives, plant.motors(spec).get(axis)
+    kind, presets = ((Drive, Motor), MOTORS) if chip.SERVO else ((Servo, DCMotor), DC_MOTORS)
+    if isinstance(given, kind) or (isinstance(given, str) and given in presets):
+        what, want = (
+            ("a DC servo", "a Servo or a DC motor") if chip.SERVO else ("a stepper", "a Drive or a stepper motor")
+        )
+        shown = given.title if isinstance(given, Drive | Servo) else getattr(given, "name", repr(given))
+        raise ArgumentError(
+            f"drives for axis {axis}: {type(chip).__name__} drives {what}; {shown} is none: give {want}."
+        )
+    if not chip.SERVO:
+        plant.equip(spec, axis, None)
+        if isinstance(given, Drive):
+            return given
+        return Drive(motor(given if given is not None else named if named and named not in DC_MOTORS else "17HS4401"))
+    own = plant.dc_constants(spec, axis)
+    if isinstance(given, Servo):
+        chosen = given
+    elif given is not None:
+        chosen = Servo(dc_motor(given))
+    elif named in DC_MOTORS:
+        chosen = Servo(DC_MOTORS[named])
+    elif own is not None:
+        chosen = Servo(DCMotor(f"that of axis {axis}", own[1], own[0], 0.0, own[0]))
+    else:
+        chosen = Servo()
+    plant.equip(spec, axis, (chosen.motor.torque_constant, chosen.motor.resistance))
+    return chosen
