@@ -53,7 +53,7 @@ def test_a_move_in_metres_goes_there_and_says_so(stage):
 def test_home_ends_at_the_origin(stage):
     """firmware.home(axis)"""
     x = stage.axes["x"]
-    touch = next(s.touch for s in x._plant.switches if s.pin == "org")
+    touch = next(s.touch for s in x.plant.switches if s.pin == "org")
     stage.place(x=touch + 4e-3)
     report = firmware.home(x, speed=0.03)
     assert report.stopped_by == "ORG"
@@ -128,7 +128,7 @@ def test_a_line_stays_near_the_straight_line(stage):
 @each
 def test_an_end_limit_is_told_as_one(stage):
     x = stage.axes["x"]
-    touch = next(s.touch for s in x._plant.switches if s.pin == "el_plus")
+    touch = next(s.touch for s in x.plant.switches if s.pin == "el_plus")
     stage.place(x=touch - 3e-3)
     report = firmware.move(x, 6e-3, speed=0.02)
     assert report.stopped_by == "EL+"
