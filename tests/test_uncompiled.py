@@ -23,7 +23,7 @@ from stage.chips import HCTL1100, MCX302, MCX514, PCL240K, PCL240MK, PCL240MS
 from stage.native import COMPILED
 from stage.recording import recording
 from stage.sim import play
-from stage.sim import stage as machine
+from stage.sim import state as stage_state
 
 pytestmark = pytest.mark.usefixtures("elsewhere")
 
@@ -333,7 +333,7 @@ def test_room_for_few_samples_and_edges_loses_none(monkeypatch):
     """The loop returns when its room is full, and goes on."""
     whole = over_a_switch()
     monkeypatch.setattr(recording, "ROWS", 7)
-    monkeypatch.setattr(machine, "EDGES", 8 * 2)  # that is: full with the first edge
+    monkeypatch.setattr(stage_state, "EDGES", 8 * 2)  # that is: full with the first edge
     assert over_a_switch() == whole
 
 

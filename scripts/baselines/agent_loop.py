@@ -18,11 +18,11 @@ import numpy as np
 from common import DISTANCE, LIMIT, Log, Moves, arguments, told
 
 from stage import Stage
-from stage.envs.hosts.pcl240 import TUNED as REGISTERS
 from stage.envs.register_tuning import ALLOWED, TENTH, Config
 from stage.errors import RunTimeout, StageError
 from stage.firmware import Port
 from stage.firmware.pcl240 import bus
+from stage.firmware.pcl240.driver import TUNED as REGISTERS
 from stage.firmware.pcl240.profile import AT_FL, ramp_pulses
 
 NUMBER = re.compile(r"[0-9]{1,19}|0[xX][0-9a-fA-F]{1,16}|[0-9a-fA-F]{1,16}[hH]")
