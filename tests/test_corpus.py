@@ -195,7 +195,7 @@ def test_a_chip_whose_course_depends_on_how_its_time_is_cut_is_a_finding(monkeyp
     check, advance = Bus(), PCL240K.advance
 
     def forgetful(self, clocks):
-        self._record["total"] += clocks > 1 << 18
+        self.state["total"] += clocks > 1 << 18
         return advance(self, clocks)
 
     monkeypatch.setattr(PCL240K, "advance", forgetful)
