@@ -13,7 +13,10 @@ from stage.errors import ArgumentError
 from stage.firmware.pcl240 import bus
 
 FIELDS = {
-    f"{name} {place.name} {f.name}": f for name, chip in CHIPS.items() for place in chip.MAP.places for f in place.fields
+    f"{name} {place.name} {f.name}": f
+    for name, chip in CHIPS.items()
+    for place in chip.MAP.places
+    for f in place.fields
 }
 SHAPES = {0xFF, 0xFFFF, 0xFFFFFF, 0xFFFFFFFF}
 """Masks of whole bytes: no field's."""

@@ -145,6 +145,17 @@ SHAPES = """
 """
 
 
+def test_a_geom_has_the_mean_colour_of_its_own_texture():
+    flat = '<texture name="{0}" type="2d" builtin="flat" rgb1="{1}" width="{2}" height="4"/><material name="{0}" texture="{0}"/>'
+    texts = flat.format("red", "1 0 0", 4), flat.format("blue", "0 0 1", 8), flat.format("grey", ".4 .4 .4", 2)
+    body = "".join(f'<geom size=".1" material="{name}"/>' for name in ("grey", "red", "blue"))
+    model = mujoco.MjModel.from_xml_string(
+        f"<mujoco><asset>{''.join(texts)}</asset><worldbody>{body}</worldbody></mujoco>"
+    )
+    colours = [geoms.colour(model, g).tolist() for g in range(3)]
+    assert colours == [[102, 102, 102, 255], [255, 0, 0, 255], [0, 0, 255, 255]]
+
+
 def test_geoms_of_every_kind_have_their_shape_size_and_colour():
     model = mujoco.MjModel.from_xml_string(SHAPES)
     assert geoms.floor(model) == 0
