@@ -7,6 +7,7 @@ import gymnasium
 import numpy as np
 import pytest
 
+import stage.envs  # noqa: F401
 from stage import ArgumentError, faults
 from stage.chips import MCX302, MCX304, MCX514, PCL240K, PCL240MS
 
@@ -123,3 +124,14 @@ def test_a_carriage_that_its_motor_does_not_bring_along_costs_a_lost_step():
         assert (info["finished"], info["lost_steps"]) == (True, 0)
         parts[jammed] = info["reward_parts"]["lost"]
     assert parts == {False: 0.0, True: -env._task.config.lost_weight}
+
+
+def test_an_observation_begins_with_where_distance_and_payload_lie_in_their_ranges():
+    env = make()
+    for distance, payload, seen in (
+        (1600, 0.0, (-1, -1)),
+        (8000, 1.0, (1, 1)),
+        ((1600 * 8000) ** 0.5, 0.25, (0, -0.5)),
+    ):
+        observation, _ = env.reset(seed=1, options={"distance": distance, "payload": payload})
+        assert observation[:2] == pytest.approx(seen, abs=1e-3)
