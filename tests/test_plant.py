@@ -11,6 +11,7 @@ import pytest
 from stage import ArgumentError, ModelError, Stage
 from stage.chips import HCTL1100, PCL240K
 from stage.sim import plant
+from stage.sim.fingerprint import fingerprint
 
 ROOT = Path(__file__).parent.parent
 
@@ -508,3 +509,24 @@ def test_actuators_may_stand_in_any_order(model, tmp_path):
         assert stage.model.actuator(axis.plant.actuator).name == stage.model.joint(axis.plant.joint).name == axis.name
     stage.data.qpos[:] = 0.001, 0.002, 0.003
     assert {n: round(a.position, 6) for n, a in stage.axes.items()} == {"y": 0.002, "z": 0.003, "x": 0.001}
+
+
+def test_every_number_of_a_model_is_in_its_fingerprint_and_no_colour_of_a_texture():
+    model = plant.open_spec("xy").compile()
+    seen = {fingerprint(model)}
+    for array in (
+        model.geom_pos,
+        model.geom_size,
+        model.jnt_range,
+        model.dof_damping,
+        model.actuator_gear,
+        model.opt.gravity,
+    ):
+        array.flat[array.size - 1] += 1e-6
+        seen.add(fingerprint(model))
+    model.opt.timestep *= 2
+    seen.add(fingerprint(model))
+    assert len(seen) == 8
+    if model.ntexdata:
+        model.tex_data[0] ^= 1
+    assert fingerprint(model) in seen

@@ -138,6 +138,15 @@ def test_integral_velocity_ramps_to_its_command_and_the_fractions_of_a_count_add
     assert at == [sum(min(64 * (k + 1), 512) for k in range(n)) // 256 for n in range(1, 13)]
 
 
+def test_a_jump_of_the_command_velocity_by_more_than_127_is_noted_and_of_no_other_register_and_mode():
+    for mode, noted in (("integral", 1), ("position", 0)):
+        chip = bench(acceleration(0x40), begin(mode))
+        for address, value in ((0x3C, 100), (0x3C, 0xE5), (0x3C, 100), (0x3C, 0xE4), (0x22, 0x7F), (0x22, 0x80)):
+            chip.advance(16 * 20)
+            chip.write(address, value)
+        assert [d.message.split(":")[0] for d in chip.diagnostics] == ["R3C changes by -128"] * noted
+
+
 def test_stop_brakes_at_the_acceleration_and_holds_until_it_is_cleared_and_told_anew():
     chip = moving(20, a=512)
     chip.advance(20 * SAMPLE)
