@@ -1,0 +1,181 @@
+"""The TOY, compiled: constant rate, no ramps; between two events pulses follow in closed form."""
+
+import numpy as np
+
+from stage.chips.cores import through
+from stage.native import array_of, exported, hot, least, record
+
+INPUTS = {"el_plus": 1, "el_minus": 2, "org": 4}
+OUTPUTS = {"runs": 1}
+EL_PLUS, EL_MINUS = INPUTS["el_plus"], INPUTS["el_minus"]
+STOP, PLUS, MINUS = range(3)
+RATE, COUNT = 1, 2
+STATE = record(
+    [
+        ("clock", "i8"),  # ticks since power-up
+        ("hz", "i8"),  # of the reference clock
+        ("inputs", "i8"),  # pins
+        ("rate", "i8"),  # RATE, pps
+        ("left", "i8"),  # COUNT, pulses
+        ("way", "i8"),  # 1, -1; 0 at rest
+        ("due", "i8"),  # clock of the next pulse
+        ("net", "i8"),  # pulses ever, plus minus minus
+    ]
+)
+PULSE = np.dtype((np.record, np.dtype([("clock", "i8"), ("axis", "i1"), ("direction", "i1")], align=True)))
+EDGE = record([(name, "i8") for name in "clock inputs outputs counter net".split()] + [("rate", "f8")])
+
+
+@hot
+def _period(c):
+    return c.hz // c.rate
+
+
+@exported(None, STATE)
+def power_up(c):
+    c.rate = c.left = c.way = c.due = 0
+
+
+@exported(None, STATE, "i8")
+def run(c, until):
+    if c.way and c.due <= until:
+        n = least(c.left, 1 + (until - c.due) // _period(c))
+        c.left -= n
+        c.net += n * c.way
+        c.due += n * _period(c)
+        if c.left == 0:
+            c.way = 0
+    c.clock = until
+
+
+@exported(None, STATE, "i8", "i8")
+def window(c, row, k):
+    through(c, row, k, run, net, mean_count)
+
+
+@exported(None, STATE, "i8", "f8", "f8")
+def see(c, j, count, rate):
+    """It has no encoder."""
+
+
+@exported("i8", STATE, "i8")
+def net(c, j):
+    return c.net
+
+
+@exported("f8", STATE, "i8", "i8", "f8")
+def mean_count(c, j, before, ticks):
+    return 0.5 * (before + c.net)
+
+
+@exported("f8", STATE, "i8", "f8")
+def pulse_rate(c, j, hz):
+    return 1.0 * c.rate if c.way else 0.0
+
+
+@exported("i8", STATE, "i8")
+def counter(c, j):
+    return c.left
+
+
+@exported("i8", STATE, "i8")
+def inputs(c, j):
+    return c.inputs
+
+
+@hot
+def _blocked(c, way):
+    return c.inputs & (EL_PLUS if way > 0 else EL_MINUS)
+
+
+@exported(None, STATE, "i8", "i8")
+def set_input(c, j, word):
+    c.inputs = word
+    if c.way and _blocked(c, c.way):
+        c.way = 0
+
+
+@exported("i8", STATE, "i8")
+def outputs(c, j):
+    return 1 if c.way else 0
+
+
+@exported("i8", STATE, "i8")
+def pins(c, axis):
+    return 1 if c.way else 0
+
+
+@exported("i8", STATE, "i8")
+def status(c, j):
+    return 1 if c.way else 0
+
+
+@exported("i8", STATE, "i8")
+def busy(c, j):
+    return 1 if c.way else 0
+
+
+@exported("i8", STATE, "i8")
+def peek(c, address):
+    if address == RATE:
+        return c.rate
+    if address == COUNT:
+        return c.left
+    return 1 if c.way else 0
+
+
+@exported("i8", STATE, "i8")
+def read(c, address):
+    return peek(c, address)
+
+
+@exported(None, STATE, "i8", "i8")
+def write(c, address, value):
+    if address == RATE:
+        c.rate = value
+    elif address == COUNT:
+        c.left = value
+    elif address == 0:
+        c.way = 1 if value == PLUS else (-1 if value == MINUS else 0)
+        if c.left == 0 or c.rate == 0 or _blocked(c, c.way):
+            c.way = 0
+        if c.way:
+            c.due = c.clock + _period(c)
+
+
+@exported("i8", STATE, "i8")
+def advance(c, until):
+    before = c.net
+    run(c, until)
+    return abs(c.net - before)
+
+
+@exported("i8", STATE, "i8", array_of(PULSE))
+def trace(c, until, out):
+    k = 0
+    while c.way and c.due <= until:
+        out[k].clock, out[k].axis, out[k].direction = c.due, 0, c.way
+        k += 1
+        run(c, c.due)
+    c.clock = until
+    return k
+
+
+@exported(None, STATE, "i8", array_of(EDGE), "i8")
+def mark(c, axis, out, k):
+    e = out[k]
+    e.clock, e.inputs, e.outputs, e.counter, e.net = c.clock, c.inputs, outputs(c, 0), c.left, c.net
+    e.rate = c.rate / c.hz if c.way else 0.0
+
+
+@exported("i8", STATE, "i8", "i8", "i8", array_of(EDGE))
+def scan(c, until, every_pulse, axis, out):
+    k = 0
+    if c.way:
+        last = c.due + (c.left - 1) * _period(c)
+        if last <= until:
+            run(c, last)
+            mark(c, 0, out, 0)
+            k = 1
+    run(c, until)
+    return k

@@ -1,0 +1,56 @@
+"""Who speaks to a TOY."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NoReturn
+
+from stage.errors import ArgumentError
+from stage.firmware.driver import AtOnce, Driver, Speeds, wait_until_stopped
+from stage.firmware.report import Procedure, Report
+from stage.sim.program import Operations
+
+
+class ToyDriver(Driver):
+    def move(self, pulses: int, speeds: Speeds, timeout: float | None = None) -> Report:
+        self.chip.MAP.checked("COUNT", abs(pulses))
+        with Procedure(self.axis, "move") as p:
+            self.write_move(AtOnce(self.axis), {"RATE": round(speeds.start)}, pulses)
+            wait_until_stopped([self.axis], timeout or 2 * abs(pulses) / speeds.start + 1)
+            self.axis.wait(0.05)
+            return p.report(self.stopped_by() or "all pulses", pulses)
+
+    def home(self, direction: int, speeds: Speeds, index: bool = False, timeout: float = 60.0) -> NoReturn:
+        raise ArgumentError("a TOY has no origin return: move it, and look at ORG.")
+
+    def run(self, direction: int, speeds: Speeds) -> None:
+        self.write_move(AtOnce(self.axis), {"RATE": round(speeds.start)}, direction * 0xFFFF)
+
+    def halt(self, at_once: bool = False) -> None:
+        self.chip.write(0, self.chip.MAP.command("STOP").code)
+
+    def stopped_by(self) -> str:
+        if not self.chip.read(self.chip.MAP.register("COUNT").number):
+            return ""
+        return "EL+" if self.axis.pins.el_plus else "EL-"
+
+    def tuned_by(self, s_curve: bool | None) -> tuple[str, ...]:
+        if s_curve:
+            raise self.no_s_curves()
+        return ("RATE",)
+
+    def formula(
+        self, fl: float, fh: float, up: float, down: float, pulses: int, s_curve: bool | None = None
+    ) -> dict[str, int]:
+        return {"RATE": round(fl)}
+
+    def write_move(self, program: Operations, values: Mapping[str, int], pulses: int) -> None:
+        for name, value in {**values, "COUNT": abs(pulses)}.items():
+            program.register(self.index, self.chip, name, value)
+        program.command(self.index, self.chip.MAP.command("PLUS" if pulses > 0 else "MINUS").code)
+
+    def write_stop(self, program: Operations) -> None:
+        program.command(self.index, self.chip.MAP.command("STOP").code)
+
+    def search(self, settings: Any) -> NoReturn:
+        raise ArgumentError("a TOY has no origin return.")
