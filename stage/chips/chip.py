@@ -408,7 +408,7 @@ class Chip:
 
     def output_word(self, axis: int) -> int:
         """The output pins of an axis, bits of OUTPUTS."""
-        return int(self.CORE.pins.held(self.pointer, axis))
+        return int(self.CORE.outputs.held(self.pointer, axis))
 
     def journal(self, axis: int = 0) -> Journal:
         """Start to note what acts on the chip, so that the course of an axis can be replayed exactly: bus writes, input changes,

@@ -5,8 +5,8 @@ its package to FAMILIES of stage/chips, and every loop takes it, without being c
 where the state lies and where the core's answers are.
 
 A core has the functions below, over a state in place of a CHIP, `exported` as ANSWERS says. For `Chip` alone it
-has power_up(c), pins(c, axis), advance(c, until), trace, scan and mark, see stage/chips/pcl240/core.py; of a servo scan_seen as
-well, see stage/chips/hctl1100/core.py.
+has power_up(c), advance(c, until), trace, scan and mark, see stage/chips/pcl240/core.py; of a servo scan_seen as well, see
+stage/chips/hctl1100/core.py.
 """
 
 from __future__ import annotations
@@ -38,14 +38,23 @@ ANSWERS: dict[str, tuple[str | None, ...]] = {
 
 MOST_AXES = 4
 CHIP = record(
-    [(name, "i8") for name in ("at", *ANSWERS, "own")]
-    + [("hz", "i8"), ("axes", "i8"), ("axis", "i8", (MOST_AXES,)), ("ticks", "f8")]
-    + [("slices", "i8"), ("clocks", "i8"), ("means", "i8", (MOST_AXES,)), ("nets", "i8", (MOST_AXES,))]
+    [
+        ("at", "i8"),  # address of its state
+        *((name, "i8") for name in ANSWERS),  # addresses of its core's answers
+        ("own", "i8"),  # address of this record
+        # on a stage
+        ("hz", "i8"),  # its reference clock
+        ("axes", "i8"),  # how many of its axes are used
+        ("axis", "i8", (MOST_AXES,)),  # which axes of the stage they are, the first is its axis 0
+        ("ticks", "f8"),  # its clocks in a slice
+        # of a window
+        ("slices", "i8"),  # how many
+        ("clocks", "i8"),  # address of the clocks at their ends
+        ("means", "i8", (MOST_AXES,)),  # of each axis: address of the mean counts in them
+        ("nets", "i8", (MOST_AXES,)),  # of each axis: address of the count at the end of the last
+    ]
 )
-"""A chip for compiled code: the address of its state, those of its core's answers, its own. On a stage: its reference clock, how
-many of its axes are used and which axes of the stage they are (the first is its axis 0), its clocks in a slice; of a window, slices
-in it and addresses of the clocks at their ends and, of each axis, of the mean counts in them and of the count at the end of the
-last."""
+"""A chip for compiled code."""
 CLOCK = record([("clock", "i8")])
 WORD, REAL = np.dtype("i8"), np.dtype("f8")
 

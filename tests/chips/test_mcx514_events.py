@@ -37,7 +37,7 @@ def rr1(chip):
 
 def interrupts(chip):
     """INT0N, INT1N: the pins of the chip as a whole."""
-    return chip.CORE.pins(chip._rows[0], chip.AXES)
+    return chip.output_word(chip.AXES)
 
 
 def generator(n=0):

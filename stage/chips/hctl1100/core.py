@@ -35,7 +35,7 @@ ROOM = 8
 REAL, WHOLE = np.dtype("f8"), np.dtype("i8")
 
 __all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE", "advance", "busy", "counter", "inputs", "mark", "mean_count", "net",
-           "outputs", "peek", "pins", "power_up", "pulse_rate", "read", "run", "scan", "scan_seen", "see", "set_input",
+           "outputs", "peek", "power_up", "pulse_rate", "read", "run", "scan", "scan_seen", "see", "set_input",
            "status", "trace", "value", "write"]  # fmt: skip
 
 
@@ -188,12 +188,6 @@ def encoder_count(c):
 def lost(c):
     """Counts that came too fast for the encoder's filter, plus minus minus."""
     return encoder.lost(c)
-
-
-@exported("i8", STATE, "i8")
-def pins(c, axis):
-    """Output pins, see OUTPUTS."""
-    return outputs(c, axis)
 
 
 @exported("i8", STATE, "i8")

@@ -15,31 +15,53 @@ LEAST_T = tuple(MINIMUM_T[name] for name in CONTROL_MODES)
 
 STATE = record(
     [
-        (name, "i8")
-        for name in (
-            "clock inputs "
-            "mode flag status limited stopped "  # flag: R00 without F1; status: what can be written of R07
-            "period next held computing "  # sample timer
-            "command fraction velocity high middle "  # commanded position and how it moves
-            "zero latch preset_high preset_middle "  # actual position
-            "error output last speed "  # what the control law remembers
-            "port pwm drive dead moment "  # motor command
-            "aligning home ring "  # align, commutator
-            "seen "  # shaft
-        ).split()
+        ("clock", "i8"),  # reference clocks since power-up
+        ("inputs", "i8"),  # INPUTS
+        ("mode", "i8"),  # IDLE, ALIGN, CONTROL
+        ("flag", "i8"),  # R00 without F1
+        ("status", "i8"),  # what can be written of R07
+        ("limited", "i8"),  # LIMIT has triggered
+        ("stopped", "i8"),  # STOP has triggered
+        # sample timer
+        ("period", "i8"),  # T of the count in progress
+        ("next", "i8"),  # the clock at which it ends
+        ("held", "i8"),  # SYNC holds it
+        ("computing", "i8"),  # the clock up to which the law of this sample computes
+        # command position and how it moves
+        ("command", "i8"),  # counts, sign extended
+        ("fraction", "i8"),  # 256ths of counts
+        ("velocity", "i8"),  # 256ths of counts a sample
+        ("high", "i8"),  # R0C, waits for R0E
+        ("middle", "i8"),  # R0D, waits for R0E
+        # actual position
+        ("zero", "i8"),  # the raw count where it is 0
+        ("latch", "i8"),  # counts, as the read of R14 found them
+        ("preset_high", "i8"),  # R15, waits for R17
+        ("preset_middle", "i8"),  # R16, waits for R17
+        # what the control law remembers
+        ("error", "i8"),  # X(n - 1), counts
+        ("output", "i8"),  # MC(n - 1)
+        ("last", "i8"),  # the raw count at the last sample
+        ("speed", "i8"),  # counts of the sample before it
+        # motor command
+        ("port", "i8"),  # R08 - 80h
+        ("pwm", "i8"),  # R09
+        ("drive", "i8"),  # the one given last
+        ("dead", "i8"),  # the clock up to which PULSE is off after a reversal
+        ("moment", "i8"),  # hundredths of full drive times clocks, since a stage asked
+        # align, commutator
+        ("aligning", "i8"),  # samples of Align to come
+        ("home", "i8"),  # the raw count at which the ring is 0
+        ("ring", "i8"),  # where the ring is held
+        # shaft: at count + rate * (clock - seen)
+        ("seen", "i8"),  # clock
+        ("count", "f8"),  # counts of the encoder
+        ("rate", "f8"),  # counts a clock
+        ("lost", "f8"),  # counts that came too fast for the filter, plus minus minus
+        ("reg", "i8", (ADDRESSES,)),  # what is stored as it was written, by address
     ]
-    + [("count", "f8"), ("rate", "f8"), ("lost", "f8"), ("reg", "i8", (ADDRESSES,))]
 )
-"""One chip. reg: what is stored as it was written, by address.
-
-period, next: T of the count in progress, the clock at which it ends; held: SYNC holds the timer. computing: the clock up to which
-the law of the present sample computes. command: counts, sign extended, and 256ths in `fraction`; velocity: 256ths of counts a
-sample. high, middle: bytes of the command position that wait for the low one. zero: the raw count where the actual position is 0.
-error, output: X(n - 1), MC(n - 1); last, speed: the raw count at the last sample, counts of the one before it.
-port: R08 - 80h; pwm: R09; drive: the one given last; dead: the clock up to which PULSE is off after a reversal; moment: hundredths
-of full drive times clocks, since a stage asked. aligning: samples of Align to come. home: the raw count at which the commutator's
-ring is 0; ring: where it is held. The shaft is at `count + rate * (clock - seen)`; lost: counts of it that came too fast
-for the filter, plus minus minus."""
+"""One chip."""
 
 LIMIT, STOP, INDEX, SYNC = (1 << k for k in range(4))
 INPUTS = {"limit": LIMIT, "stop": STOP, "index": INDEX, "sync": SYNC}
@@ -57,7 +79,19 @@ STORED = tuple(
 """The bits that a write stores, by address."""
 
 PULSE = np.dtype((np.record, np.dtype([("clock", "i8"), ("axis", "i1"), ("direction", "i1")], align=True)))
-EDGE = record([(name, "i8") for name in "clock inputs outputs counter net command motor".split()] + [("rate", "f8")])
+EDGE = record(
+    [
+        ("clock", "i8"),  # from here on
+        ("inputs", "i8"),  # INPUTS
+        ("outputs", "i8"),  # OUTPUTS
+        ("counter", "i8"),  # actual position, counts
+        ("net", "i8"),  # the raw count that the command position stands for
+        ("command", "i8"),  # command position, counts
+        ("motor", "i8"),  # motor command, -128 to 127
+        ("rate", "f8"),  # commanded velocity, counts a clock
+    ]
+)
+"""A chip from one of its changes on, for recordings."""
 
 
 @hot

@@ -108,6 +108,10 @@ class Nova(Chip):
         words = (w.name for w in self.MAP.words if w.name.startswith("RR"))
         return {name: core.value.held(self.pointer, int(name[2]), name == "RR3-1") for name in words}
 
+    def output_word(self, axis: int) -> int:
+        core.settle.held(self.pointer)
+        return super().output_word(axis)
+
     def input_word(self, axis: int) -> int:
         return int(self.state["emg"] if axis == self.AXES else self.state["ax"][axis]["inputs"])
 

@@ -44,8 +44,8 @@ ROUNDS = 100  # of events that cause others at one clock
 HZ = 16_000_000
 
 __all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE", "advance", "busy", "counter", "inputs", "mark", "mean_count", "net",
-           "outputs", "peek", "pins", "power_up", "pulse_rate", "read", "run", "scan", "see",
-           "set_input", "status", "trace",
+           "outputs", "peek", "power_up", "pulse_rate", "read", "run", "scan", "see",
+           "set_input", "settle", "status", "trace",
            "value", "write"]  # fmt: skip
 
 
@@ -315,12 +315,11 @@ def power_up(c):
     _settle(c)
 
 
-@exported("i8", STATE, "i8")
-def pins(c, axis):
-    """Output pins of an axis, see `outputs`, whatever has just been written."""
+@exported(None, STATE)
+def settle(c):
+    """What has just been written shows at the output pins."""
     if c.stale:
         _settle(c)
-    return outputs(c, axis)
 
 
 @exported("i8", STATE, "i8")

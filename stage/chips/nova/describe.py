@@ -9,12 +9,14 @@ from stage.chips import describe
 from stage.chips.describe import Fields, Said, bits, line
 from stage.chips.nova.registers.common import AXES, axis_names
 from stage.chips.nova.registers.mcx300 import RESET
+from stage.chips.nova.registers.mcx514 import MCX514_MAP
 from stage.chips.nova.registers.words300 import BIT_PATTERN
 from stage.chips.register_map import Command, Register, RegisterMap, Word
 
 BYTES = 16  # byte addresses of the 8-bit bus begin here
 _PATTERN = {"BP_ENABLED": True, "BP_DISABLED": False}
 _PAGE = {"RR3P0": False, "RR3P1": True}
+CODE, AXIS = MCX514_MAP.field("WR0", "CODE"), MCX514_MAP.field("WR0", "AXIS")
 _WRITING = ("data write", "mode write")
 
 
@@ -53,7 +55,7 @@ class Decoder(describe.Decoder):
         return [Said(clock, "register", f"{value:04X}", f"WR{n} <- {value:04X}h")]
 
     def _command(self, clock: int, value: int) -> list[Said]:
-        axes, command = value >> 8 & 15, self._map.by_code.get(value & 0xFF)
+        axes, command = AXIS.of(value), self._map.by_code.get(CODE.of(value))
         self._selected = axes or self._selected
         if axes and not axes & self._bit:
             return []
@@ -122,7 +124,7 @@ class Listener:
 
     def _command(self, value: int) -> str:
         """A word to WR0."""
-        c, given = self._map.by_code.get(value & 0xFF), value >> 8 & 15
+        c, given = self._map.by_code.get(CODE.of(value)), AXIS.of(value)
         axes = given & self._there
         if resets(self._map, value) or (c is not None and c.symbol == "RST" and not given):
             self._reset()
@@ -133,7 +135,7 @@ class Listener:
             names += f" (no {axis_names(given & ~axes)} on the {self._map.chip})"
         head = f"{names}: " if names else ""
         if c is None:
-            return f"{head}{value & 0xFF:02X}h is no command of the {self._map.chip}"
+            return f"{head}{CODE.of(value):02X}h is no command of the {self._map.chip}"
         if c.kind == "data read":
             return self._answer(c)
         if c.axes and not axes:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from stage.chips.nova.functions import home, sync
 from stage.chips.nova.interpolation import run as interpolation
-from stage.chips.nova.state import AXES, CONSTANT
+from stage.chips.nova.state import AXES, NO_PHASE
 from stage.native import hot
 
 
@@ -23,7 +23,7 @@ def clear(c):
         x.driving = x.waiting = x.held = x.done = x.output = x.fixed = x.slow = 0
         x.factors = x.fired = x.finish = 0
         x.way = 1
-        x.phase = CONSTANT - 9
+        x.phase = NO_PHASE
         sync.reset(c, x)
         home.reset(x)
     interpolation.reset(c)

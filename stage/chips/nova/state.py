@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from stage.chips.nova.registers.mcx300 import MCX312_MAP
 from stage.chips.nova.registers.mcx514 import MCX514_MAP
+from stage.chips.register_map import RegisterMap
 from stage.native import record
 
 AXES = 4
@@ -16,108 +18,258 @@ SYNC_SETS = 4
 FIRST_GENERATION, MCX514_TYPE = 0, 1
 NEVER = 1 << 60
 
+
+def _places(map_: RegisterMap, names: str) -> tuple[int, ...]:
+    return tuple(map_.register(name).number for name in names.split())
+
+
 # places in `reg`: the code of the command that writes it, the same on all chips as far as they share it
-JK, DJ, AC, DC, SV, DV, TP, DP, CP, LP, RP, SP, SM, AO, LX, RX, MR0 = range(17)
-HV, IV, TM, SP1, SP2, TX, HLN, HLV = range(0x14, 0x1C)
-R, K, A, D, V, P, C, EP, COMP_PLUS, COMP_MINUS, L = JK, DJ, AC, DC, DV, TP, CP, RP, SP, SM, LX
+JK, DJ, AC, DC, SV, DV, TP, DP, CP, LP, RP, SP, SM, AO, LX, RX, MR0 = _places(
+    MCX514_MAP, "JK DJ AC DC SV DV TP DP CP LP RP SP SM AO LX RX MR0"
+)
+HV, IV, TM, SP1, SP2, TX, HLN, HLV = _places(MCX514_MAP, "HV IV TM SP1 SP2 TX HLN HLV")
+R, K, A, D, V, P, C, EP, COMP_PLUS, COMP_MINUS, L = _places(MCX312_MAP, "R K A D V P C EP CP CM L")
+MODES = 16
+MODE_FIRST = MCX514_MAP.register("MRM").number
+# places in `mode`: the same, counted from 20h
+MRM, P1M, H1M, H2M, FLM, S0M, IPM = (k - MODE_FIRST for k in _places(MCX514_MAP, "MRM P1M H1M H2M FLM S0M IPM"))
+HM = H1M  # of the older chips
 
 ACCELERATING, CONSTANT, DECELERATING, AREA_D, RUNAWAY = 1, 0, -1, 2, 3
 """What a segment of a speed profile is. AREA_D: the acceleration reads 0 at the end of an S-curve; RUNAWAY: after the erratum."""
+NO_PHASE = -9
+"""`phase` of an axis whose drive has no segment yet, or none any more."""
 
-_PROFILE = [
-    ("origin", "i8"), ("segments", "i8"), ("end", "i8"), ("brake", "i8"),
-    ("from_clock", "i8", (SEGMENTS,)), ("from_pulse", "i8", (SEGMENTS,)), ("kind", "i8", (SEGMENTS,)),
-    ("t", "f8", (SEGMENTS, 2)), ("p", "f8", (SEGMENTS, 2)), ("v", "f8", (SEGMENTS, 2)),
-    ("a2", "f8", (SEGMENTS, 2)), ("j6", "f8", (SEGMENTS, 2)),
-    ("cursor", "f8", (4, 2)), ("piece", "f8", (PIECES, 3, 2)), ("course", "f8", (PIECES, 3, 2)),
-    ("sv", "f8", (2,)), ("dv", "f8", (2,)), ("up", "f8", (2,)), ("down", "f8", (2,)), ("up_jerk", "f8", (2,)),
-    ("down_jerk", "f8", (2,)), ("finest", "f8", (2,)),
-    ("curved", "i8"),
-]  # fmt: skip
-"""The speed profile of a drive in progress: pieces of a cubic in the clocks since `origin`. All floats are double-doubles (see
-dd.py) in pulses and clocks. A segment: begins `t` clocks after the origin (whole: from_clock, the first clock at or after it), with
-from_pulse + p pulses done, at speed v, with half its acceleration a2 and a sixth of its jerk j6; the last one lasts for ever.
-end: clock after the origin at which the drive ends whatever its pulses; brake: the segment that begins the automatic deceleration.
-cursor: t, p, v, a where the next segment would begin; piece: durations, accelerations and jerks of a change of speed that is
-drafted, course: of one that is kept meanwhile. sv to down_jerk: the drive's speeds, accelerations and jerks; finest: the
-acceleration below which the chip shows none (erratum); curved: S-curve."""
+_PROFILE = [  # of the drive in progress: pieces of a cubic in the clocks since `origin`
+    ("origin", "i8"),  # clock
+    ("segments", "i8"),  # how many there are
+    ("end", "i8"),  # clocks after the origin at which the drive ends whatever its pulses
+    ("brake", "i8"),  # the segment that begins the automatic deceleration
+    # segments; the last one lasts for ever
+    ("from_clock", "i8", (SEGMENTS,)),  # the first whole clock at or after `t`
+    ("from_pulse", "i8", (SEGMENTS,)),  # pulses done where it begins, whole ones
+    ("kind", "i8", (SEGMENTS,)),  # ACCELERATING ...
+    ("t", "f8", (SEGMENTS, 2)),  # clocks after the origin at which it begins
+    ("p", "f8", (SEGMENTS, 2)),  # pulses done where it begins, beyond `from_pulse`
+    ("v", "f8", (SEGMENTS, 2)),  # speed there, pulses a clock
+    ("a2", "f8", (SEGMENTS, 2)),  # half its acceleration
+    ("j6", "f8", (SEGMENTS, 2)),  # a sixth of its jerk
+    # planner
+    ("cursor", "f8", (4, 2)),  # t, p, v, a where the next segment would begin
+    ("piece", "f8", (PIECES, 3, 2)),  # durations, accelerations, jerks of a change of speed that is drafted
+    ("course", "f8", (PIECES, 3, 2)),  # the same of one that is kept meanwhile
+    ("sv", "f8", (2,)),  # initial speed, pulses a clock
+    ("dv", "f8", (2,)),  # drive speed
+    ("up", "f8", (2,)),  # acceleration, pulses a clock2
+    ("down", "f8", (2,)),  # deceleration
+    ("up_jerk", "f8", (2,)),  # pulses a clock3
+    ("down_jerk", "f8", (2,)),
+    ("finest", "f8", (2,)),  # acceleration below which the chip shows none (erratum)
+    ("curved", "i8"),  # S-curve
+]
+"""All floats are double-doubles (see double_double.py) in pulses and clocks."""
 
 AXIS = record(
-    [(name, "i8") for name in (
-        "driving waiting held way sense fixed output done slow absolute "  # the drive in progress
-        "total net "  # pulses ever, plus minus minus
-        "moment shift since "  # of interpolated pulses since mean_count asked: sum of the clocks, net count, first clock
-        "inputs level "  # pins now, and after the filters
-        "phase factors fired finish "  # last phase seen; RR1 (MCX514), the same not yet seen by the sync actions; RR2 (MCX514)
-        "timer timer_from dcc "  # clocks: the timer is up (0: stopped), it began; DCC ends
-        "split split_on split_left split_rise split_fall "  # see split_pulse.py; rise, fall: at which `total`
-        "sync triggered acted ports "  # SYNC sets: enabled, due, done at this clock; PIO levels last seen
-        "home found pause seeks creeps go go_count "  # see home.py; go: direction of a drive that is asked for
-        "holds compared "  # which comparisons hold now; RR3 (MCX304)
-        "interpolates moves "  # 1: takes part in an interpolation, 2: as its main axis; its segment moves the axis
-        "high "  # until when the pulse output is, in a scan
-        "ahead due at "  # in a trace: pulses logged before they begin; when, and in which segment, the next one begins
-        "pps rest "  # the same: speed and place of that segment, where its pulses come evenly, see pulses.py
-        # the modes of WR1 to WR3 in plain terms
-        "stops limits limit_slow alarm_stops inpos_waits soft_plus soft_minus soft_rp soft_instant "
-        "manual asymmetric s_curve prevents swaps encoder exchanges filtered delay slow_delay"
-    ).split()]
-    + [("reg", "i8", (REGISTERS,)), ("mode", "i8", (16,)), ("wr", "i8", (4,)), ("pending", "i8", (INPUT_PINS,))]
-    + [("pulse_until", "i8", (SYNC_SETS,))]
-    + _PROFILE
-)  # fmt: skip
-"""One axis. done: pulses of this drive that have begun; output: how many it will make (fixed = 1). held: a drive command waits for
-78h. slow: it brakes for a stop; of an axis that interpolates: 1 asks for that, 2 for an instant stop. waiting: all pulses are
-out, INPOS is awaited. mode: registers 20h to 2Fh. pending: clocks at which filtered inputs follow; pulse_until: at which sync
-pulses on PIO end. seeks: the home search looks after the limits; creeps: its drive runs at HV."""
+    [
+        # the drive in progress
+        ("driving", "i8"),  # there is one
+        ("waiting", "i8"),  # all pulses are out, INPOS is awaited
+        ("held", "i8"),  # a drive command waits for DFREE, START_FREE
+        ("way", "i8"),  # direction, 1 or -1
+        ("sense", "i8"),  # -1: the sign of TP is inverted, else 1
+        ("fixed", "i8"),  # it makes `output` pulses; else it goes on
+        ("output", "i8"),  # pulses it will make
+        ("done", "i8"),  # pulses of it that have begun
+        ("slow", "i8"),  # it brakes for a stop; of an axis that interpolates: 1 asks for that, 2 for an instant stop
+        ("absolute", "i8"),  # to an absolute position
+        ("total", "i8"),  # pulses ever
+        ("net", "i8"),  # the same, plus minus minus
+        # interpolated pulses since mean_count asked
+        ("moment", "i8"),  # sum of their clocks, each with its sign
+        ("shift", "i8"),  # plus minus minus
+        ("since", "i8"),  # clock of the first
+        ("inputs", "i8"),  # INPUTS now
+        ("level", "i8"),  # INPUTS after the filters
+        ("phase", "i8"),  # kind of the segment seen last
+        ("factors", "i8"),  # RR1 of the MCX514, and SPLIT_START
+        ("fired", "i8"),  # those that the sync actions have not seen
+        ("finish", "i8"),  # RR2 of the MCX514
+        ("timer", "i8"),  # the clock at which it is up; 0: stopped
+        ("timer_from", "i8"),  # the clock at which it began
+        ("dcc", "i8"),  # the clock at which DCC ends
+        # split pulses, see split_pulse.py
+        ("split", "i8"),  # they run
+        ("split_on", "i8"),  # the output is on
+        ("split_left", "i8"),  # how many to come
+        ("split_rise", "i8"),  # `total` at which the next begins
+        ("split_fall", "i8"),  # `total` at which it ends
+        # SYNC sets, bit 0 for SYNC0
+        ("sync", "i8"),  # enabled
+        ("triggered", "i8"),  # due
+        ("acted", "i8"),  # done at this clock
+        ("ports", "i8"),  # PIO levels seen last
+        # home search, see home.py
+        ("home", "i8"),  # its state; 0: none
+        ("found", "i8"),  # what it met: LIMIT, SIGNAL of home.py
+        ("pause", "i8"),  # the clock at which the timer between steps is up
+        ("seeks", "i8"),  # it looks after the limits
+        ("creeps", "i8"),  # its drive runs at HV
+        ("go", "i8"),  # direction of a drive that is asked for
+        ("go_count", "i8"),  # pulses of it
+        # comparisons
+        ("holds", "i8"),  # which hold now
+        ("compared", "i8"),  # RR3 of the older chips
+        # interpolation
+        ("interpolates", "i8"),  # 1: takes part, 2: as the main axis
+        ("moves", "i8"),  # the segment moves the axis
+        # scan and trace
+        ("high", "i8"),  # until when the pulse output is, in a scan
+        ("ahead", "i8"),  # pulses logged before they begin
+        ("due", "i8"),  # the clock at which the next pulse begins
+        ("at", "i8"),  # the segment in which it does
+        ("pps", "i8"),  # speed of that segment where its pulses come evenly, see pulses.py
+        ("rest", "i8"),  # and the place in it
+        # WR1 to WR3 in plain terms
+        ("stops", "i8"),  # which of STOP0 to STOP2 stop, bit 0 for STOP0
+        ("limits", "i8"),  # LMT+, LMT- stop
+        ("limit_slow", "i8"),  # they decelerate
+        ("alarm_stops", "i8"),
+        ("inpos_waits", "i8"),
+        ("soft_plus", "i8"),  # the software limit + stops
+        ("soft_minus", "i8"),
+        ("soft_rp", "i8"),  # software limits look at RP, EP
+        ("soft_instant", "i8"),  # they stop at once
+        ("manual", "i8"),  # deceleration begins at DP
+        ("asymmetric", "i8"),  # deceleration has registers of its own
+        ("s_curve", "i8"),
+        ("prevents", "i8"),  # triangle prevention
+        ("swaps", "i8"),  # LMT+ and LMT- are exchanged
+        ("encoder", "i8"),  # 0 x4, 1 x2, 2 x1, 3 up / down
+        ("exchanges", "i8"),  # the encoder counts the other way round
+        ("filtered", "i8"),  # INPUTS that have a filter
+        ("delay", "i8"),  # clocks of the filters ...
+        ("slow_delay", "i8"),  # ... and of those of STOP2, ECA, ECB
+        ("reg", "i8", (REGISTERS,)),  # by place, see above
+        ("mode", "i8", (MODES,)),  # mode registers 20h to 2Fh
+        ("wr", "i8", (4,)),  # WR1 to WR3 under their own number
+        ("pending", "i8", (INPUT_PINS,)),  # clocks at which filtered inputs follow
+        ("pulse_until", "i8", (SYNC_SETS,)),  # clocks at which sync pulses on PIO end
+        *_PROFILE,
+    ]
+)
+"""One axis."""
 
 LINE, ARC, PATTERN, HELIX = range(1, 5)
 STAGES = 8  # of the pre-buffer; one more place holds the running segment
 
 SEGMENT = record(
-    [(name, "i8") for name in "kind axes vector fine slows longest turns mirror".split()]
-    + [("axis", "i8", (AXES,)), ("finish", "i8", (AXES,)), ("centre", "i8", (2,))]
-)  # fmt: skip
-"""One segment of an interpolation, as its command captured it. Its `axes` axes have places 0, 1, ...: `axis` says which they are.
-vector: how many of them constant vector speed looks at, 0: off; fine: 8 inner ticks a tick, where short-axis pulses are equalized,
-else 1; slows: deceleration was enabled; longest: ticks of a line, of a helix the ticks in which the other axes make their pulses;
-turns: of a helix, before the arc; mirror: -1 clockwise. finish: relative, of a bit pattern + in the low, - in the high 16 bits."""
+    [
+        ("kind", "i8"),  # LINE, ARC, PATTERN, HELIX
+        ("axes", "i8"),  # how many take part; they have places 0, 1 ...
+        ("vector", "i8"),  # how many of them constant vector speed looks at, 0: off
+        ("fine", "i8"),  # inner ticks a tick: 8 where short-axis pulses are equalized, else 1
+        ("slows", "i8"),  # deceleration was enabled
+        ("longest", "i8"),  # ticks of a line; of a helix those in which the other axes make their pulses
+        ("turns", "i8"),  # of a helix, before the arc
+        ("mirror", "i8"),  # -1 clockwise
+        ("axis", "i8", (AXES,)),  # which axis has a place
+        (
+            "finish",
+            "i8",
+            (AXES,),
+        ),  # relative finish point, pulses; of a bit pattern + in the low, - in the high 16 bits
+        ("centre", "i8", (2,)),  # relative, pulses
+    ]
+)
+"""One segment of an interpolation, as its command captured it."""
 
-ARC_STATE = record([(name, "i8") for name in "x y off octant passed target goal_x goal_y".split()])
-"""A circle in progress, counter-clockwise (a clockwise one is mirrored in y). x, y: about the centre; off: x^2 + y^2 - radius^2;
-octant: of the next tick; passed, target: octants entered, and how many it takes into the one of the finish point."""
+ARC_STATE = record(
+    [
+        ("x", "i8"),  # pulses from the centre
+        ("y", "i8"),
+        ("off", "i8"),  # x^2 + y^2 - radius^2
+        ("octant", "i8"),  # of the next tick
+        ("passed", "i8"),  # octants entered
+        ("target", "i8"),  # how many it takes into the one of the finish point
+        ("goal_x", "i8"),  # finish point, pulses from the centre
+        ("goal_y", "i8"),
+    ]
+)
+"""A circle in progress, counter-clockwise; a clockwise one is mirrored in y."""
 
 INTERPOLATION = record(
-    [(name, "i8") for name in (
-        "enabled interrupt "  # 6Dh, 3Bh; an interrupt asks
-        "main mask depth head waiting began continuous stepped speed slow ends "
-        "due watch piece last closing left rotations turns zone "
-        "writing stacked"  # bit patterns of the MCX312
-    ).split()]
-    + [(name, "i8", (AXES,)) for name in "step toward error inner loading".split()]
-    + [("arc", ARC_STATE), ("probe", ARC_STATE), ("stack", "i8", (3, 4))]
-    + [(name, "f8", (2,)) for name in "place begun finish".split()]
-)  # fmt: skip
-"""The interpolation in progress. main: its main axis, whose profile makes the ticks; mask: the axes that take part; head, waiting:
-the running segment in `queue`, and how many wait behind it, `depth` at most; began: clock of the start; continuous: there has been
-a second segment; stepped: ticks come by command; speed: DV of the present plan; slow: it brakes for a stop; ends: the plan ends at
-SV. The next tick is prepared: due: its clock; place: where in the profile it is; step: which places of the segment make a pulse,
-toward: in which direction, inner: their ways in inner ticks; last: the segment ends with it; closing: it has no pulses and ends it
-all. watch: ticks until somebody looks at a counter; piece: segment of the profile; left: ticks of the segment still to prepare;
-error: of the slower axes; turns: still to go; begun, finish: where in the profile the segment begins and ends (if it slows).
-writing: WR2 to WR5 load the pattern `loading`; stack: sets that wait for 34h."""
+    [
+        ("enabled", "i8"),  # deceleration at the end: 6Dh, 3Bh
+        ("interrupt", "i8"),  # it asks for attention
+        ("main", "i8"),  # its main axis, whose profile makes the ticks
+        ("mask", "i8"),  # axes that take part, bit 0 for X
+        ("depth", "i8"),  # segments that can wait
+        ("head", "i8"),  # the running segment in `queue`
+        ("waiting", "i8"),  # segments behind it
+        ("began", "i8"),  # clock of the start
+        ("continuous", "i8"),  # there has been a second segment
+        ("stepped", "i8"),  # ticks come by command
+        ("speed", "i8"),  # DV of the present plan
+        ("slow", "i8"),  # it brakes for a stop
+        ("ends", "i8"),  # the plan ends at SV
+        # the next tick, prepared
+        ("due", "i8"),  # its clock
+        ("watch", "i8"),  # ticks until somebody looks at a counter
+        ("piece", "i8"),  # segment of the profile
+        ("last", "i8"),  # the segment ends with it
+        ("closing", "i8"),  # it has no pulses and ends it all
+        ("left", "i8"),  # ticks of the segment still to prepare
+        ("rotations", "i8"),  # turns that a helix has made
+        ("turns", "i8"),  # turns still to go
+        ("zone", "i8"),  # octant, for RR0
+        # bit patterns of the MCX312
+        ("writing", "i8"),  # WR2 to WR5 load `loading`
+        ("stacked", "i8"),  # sets that wait for 34h
+        ("step", "i8", (AXES,)),  # which places of the segment make a pulse
+        ("toward", "i8", (AXES,)),  # in which direction, 1 or -1
+        ("error", "i8", (AXES,)),  # of the slower axes
+        ("inner", "i8", (AXES,)),  # ways in inner ticks
+        ("loading", "i8", (AXES,)),  # the bit pattern that is being written
+        ("arc", ARC_STATE),  # the running circle
+        ("probe", ARC_STATE),  # one that looks ahead
+        ("stack", "i8", (3, 4)),  # the sets that wait
+        ("place", "f8", (2,)),  # where in the profile the next tick is, pulses
+        ("begun", "f8", (2,)),  # where the segment begins
+        ("finish", "f8", (2,)),  # where it ends, if it slows
+    ]
+)
+"""The interpolation in progress."""
 
 STATE = record(
-    [(name, "i8") for name in (
-        "clock quiet stale variant axes errata has_l "
-        "selected low high read_low read_high pages outputs4 outputs5 emg emg_seen total interrupt "
-        "interpolating first unused"
-    ).split()]
-    + [("ip", INTERPOLATION), ("queue", SEGMENT, (STAGES + 1,)), ("ax", AXIS, (AXES,))]
-)  # fmt: skip
-"""One chip. quiet: the clock up to which nothing happens but pulses, if not stale: inputs or registers have changed since.
-selected: axis bits; low, high: WR6, WR7; read_low, read_high: RR6, RR7; pages: axes whose RR3 shows page 1.
-first: the high byte of WR0, waiting for the low one; unused: WR6 or WR7 was written after the last command."""
+    [
+        ("clock", "i8"),  # reference clocks since power-up
+        ("quiet", "i8"),  # the clock up to which nothing happens but pulses, if not stale
+        ("stale", "i8"),  # inputs or registers have changed since `quiet` was found
+        ("variant", "i8"),  # FIRST_GENERATION, MCX514_TYPE
+        ("axes", "i8"),  # how many it has
+        ("errata", "i8"),  # as sold, with the S-curve failure
+        ("has_l", "i8"),  # MCX312: register L, interpolation
+        ("selected", "i8"),  # axis bits, bit 0 for X
+        ("low", "i8"),  # WR6
+        ("high", "i8"),  # WR7
+        ("read_low", "i8"),  # RR6
+        ("read_high", "i8"),  # RR7
+        ("pages", "i8"),  # axes whose RR3 shows page 1
+        ("outputs4", "i8"),  # WR4
+        ("outputs5", "i8"),  # WR5
+        ("emg", "i8"),  # the pin EMG
+        ("emg_seen", "i8"),  # not used
+        ("total", "i8"),  # pulses ever, all axes
+        ("interrupt", "i8"),  # not used
+        ("interpolating", "i8"),  # an interpolation is on
+        ("first", "i8"),  # high byte of WR0, waits for the low one
+        ("unused", "i8"),  # WR6 or WR7 was written after the last command
+        ("ip", INTERPOLATION),
+        ("queue", SEGMENT, (STAGES + 1,)),  # the running segment and those that wait, in a ring
+        ("ax", AXIS, (AXES,)),
+    ]
+)
+"""One chip."""
 
 INPUTS = {
     name: 1 << k
@@ -154,8 +306,22 @@ COMMON_OUTPUTS = {"int0": 1, "int1": 2}
 D_STA, C_STA, C_END, D_END, H_END, TIMER, SPLTP, SPLTE = (MCX514_MAP.mask("RR1", name) for name in (
     "D-STA", "C-STA", "C-END", "D-END", "H-END", "TIMER", "SPLTP", "SPLTE"))  # fmt: skip
 SPLIT_START = 1 << 16  # not in RR1
-E_SLMT_PLUS, E_SLMT_MINUS, E_HLMT_PLUS, E_HLMT_MINUS, E_ALARM, E_EMG, E_HOME, E_CERR = (1 << k for k in range(8))
-F_SYNC, F_STOP0, F_STOP1, F_STOP2, F_LMT_PLUS, F_LMT_MINUS, F_ALARM, F_EMG = (1 << k for k in range(8, 16))
+E_SLMT_PLUS, E_SLMT_MINUS, E_HLMT_PLUS, E_HLMT_MINUS, E_ALARM, E_EMG, E_HOME, E_CERR = MCX514_MAP.masks(
+    "RR2", "SLMT+", "SLMT-", "HLMT+", "HLMT-", "ALARM", "EMG", "HOME", "CERR"
+)
+F_SYNC, F_STOP0, F_STOP1, F_STOP2, F_LMT_PLUS, F_LMT_MINUS, F_ALARM, F_EMG = MCX514_MAP.masks(
+    "RR2", "SYNC", "STOP0", "STOP1", "STOP2", "LMT+", "LMT-", "END-ALARM", "END-EMG"
+)
 
 PULSE = np.dtype((np.record, np.dtype([("clock", "i8"), ("axis", "i1"), ("direction", "i1")], align=True)))
-EDGE = record([(name, "i8") for name in "clock inputs outputs counter net".split()] + [("rate", "f8")])
+EDGE = record(
+    [
+        ("clock", "i8"),  # from here on
+        ("inputs", "i8"),  # INPUTS
+        ("outputs", "i8"),  # OUTPUTS
+        ("counter", "i8"),  # LP
+        ("net", "i8"),  # pulses ever, plus minus minus
+        ("rate", "f8"),  # pulses a clock
+    ]
+)
+"""An axis from one of its changes on, for recordings."""

@@ -47,7 +47,7 @@ from stage.native import array_of, exported, greatest, hot, least
 FOREVER = 1 << 62
 
 __all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE", "advance", "busy", "counter", "inputs", "mark", "mean_count", "net",
-           "outputs", "peek", "pins", "power_up", "pulse_rate", "read", "run", "scan", "see",
+           "outputs", "peek", "power_up", "pulse_rate", "read", "run", "scan", "see",
            "set_input", "status", "trace",
            "value", "write"]  # fmt: skip
 
@@ -450,12 +450,6 @@ def read(c, address):
 def value(c, k):
     """What the k-th register reads as, free of bus cycles."""
     return register(c, k)
-
-
-@exported("i8", STATE, "i8")
-def pins(c, axis):
-    """Output pins, see OUTPUTS."""
-    return output_word(c)
 
 
 @exported("i8", STATE, "i8")

@@ -34,32 +34,73 @@ EZ_SIGNAL = MAP.mask("R17", "ez")
 
 STATE = record(
     [
-        (name, "i8")
-        for name in (
-            "clock phase speed timer ramp running finishing armed low "  # low: POUT is low, a pulse is in progress
-            "ramps select decel int_at_stop irq "  # operating-mode command
-            "origin sd_enable preset minus automatic position "  # control-mode command
-            "selected output collective high middle latch "  # register select, output mode; collective bytes
-            "inputs sampled total net "  # pins now and at the last tick; pulses begun ever, and + minus -
-            "curved goal steps step twice_span rate next "  # the S-curve ramp in progress
-            "quiet "  # the clock up to which nothing happens but pulses
-            "rising risen manual down top top_select "  # automatic ramp-down and FH correction of this run
-            "homing counting ez_left ez_running "  # origin return with EZ of this run
-            "extended s_curves"  # what this variant has
-        ).split()
+        ("clock", "i8"),  # reference clocks since power-up
+        ("phase", "i8"),  # of the pulse period: grows by `speed` a clock up to 8192 R7, where the next pulse begins
+        ("speed", "i8"),  # speed steps
+        ("timer", "i8"),  # clocks since the last step of a linear ramp, since the start of an S-curve ramp
+        ("ramp", "i8"),  # 1 up, -1 down, 0 none
+        ("running", "i8"),  # a run is on
+        ("finishing", "i8"),  # the run is over, but for the pulse in progress
+        ("armed", "i8"),  # a start acts: 08h came after the last stop
+        ("low", "i8"),  # POUT is low: a pulse is in progress
+        # operating-mode command
+        ("ramps", "i8"),  # high speed, with ramps
+        ("select", "i8"),  # speed register: FL, FH1, FH2
+        ("decel", "i8"),  # a decelerating stop was asked for
+        ("int_at_stop", "i8"),  # /INT at stop
+        ("irq", "i8"),  # /INT is pending
+        # control-mode command
+        ("origin", "i8"),  # origin return
+        ("sd_enable", "i8"),  # SD slows a high-speed run
+        ("preset", "i8"),  # stop when R0 reaches 0
+        ("minus", "i8"),  # direction: 1 minus
+        ("automatic", "i8"),  # automatic ramp-down point
+        ("position", "i8"),  # R10 counts output pulses
+        # register select, output mode, bytes that wait
+        ("selected", "i8"),  # place in `reg`
+        ("output", "i8"),  # bits of the output mode
+        ("collective", "i8"),  # transfers of all bytes at once
+        ("high", "i8"),  # bits 23..16, wait for the lowest byte
+        ("middle", "i8"),  # bits 15..8, wait for the lowest byte
+        ("latch", "i8"),  # the register as the high byte's read found it
+        # pins, pulses
+        ("inputs", "i8"),  # INPUTS now
+        ("sampled", "i8"),  # INPUTS at the last clock
+        ("total", "i8"),  # pulses begun ever
+        ("net", "i8"),  # the same, plus minus minus
+        # the S-curve ramp in progress, as it started
+        ("curved", "i8"),  # there is one
+        ("goal", "i8"),  # speed steps
+        ("steps", "i8"),  # steps of it in all
+        ("step", "i8"),  # steps taken
+        ("twice_span", "i8"),  # 2 S of ramp.py, speed steps
+        ("rate", "i8"),  # clocks per speed step of its middle
+        ("next", "i8"),  # `timer` of its next step
+        (
+            "quiet",
+            "i8",
+        ),  # the clock up to which nothing happens but pulses, while inputs stay and nobody writes; 0: not known
+        # automatic ramp-down and FH correction of this run
+        ("rising", "i8"),  # step 3 of the last clock found goal > speed
+        ("risen", "i8"),  # pulses output while the speed rose
+        ("manual", "i8"),  # the automatic point is off for this run
+        ("down", "i8"),  # the automatic point has come
+        ("top", "i8"),  # corrected FH, speed steps ...
+        ("top_select", "i8"),  # ... in place of this speed register
+        # origin return with EZ of this run
+        ("homing", "i8"),  # ORG was seen
+        ("counting", "i8"),  # EZ edges count
+        ("ez_left", "i8"),  # EZ edges to let pass
+        ("ez_running", "i8"),  # the first EZ edge has come
+        # what this variant has beyond the 240K: variants differ by data alone
+        ("extended", "i8"),  # MK and MS
+        ("s_curves", "i8"),  # MS
+        ("reg", "i8", (REGISTERS,)),  # R0 to R7, R10 to R17
+        ("mask", "i8", (REGISTERS,)),  # what can be written to each
+        ("top_bit", "i8"),  # the sign of R6 as an offset
     ]
-    + [("reg", "i8", (REGISTERS,)), ("mask", "i8", (REGISTERS,)), ("top_bit", "i8")]
 )
-"""One chip. `mask` holds what can be written to each register, `extended` and `s_curves` what the chip has beyond the
-240K: variants differ by data alone.
-
-curved, goal, steps, twice_span, rate: of the S-curve ramp as it started; step: how many it has taken.
-quiet: holds while the inputs stay as they are and nobody writes; 0 where it is not known.
-timer: ticks since the last step of a linear ramp, since the start of an S-curve ramp. next: the `timer` of its next step.
-risen: pulses output while the speed rose; rising: step 3 of the last tick found goal > speed; down: the automatic point
-has come; manual: the automatic point is off for this run; top: corrected FH in place of register `top_select`.
-homing: ORG was seen in a return with EZ; counting: EZ edges count; ez_running: the first has, `ez_left` are to come.
-top_bit: the sign of R6 as an offset."""
+"""One chip."""
 
 EL_PLUS, EL_MINUS, SD_PLUS, SD_MINUS, ORG, INS, EXTP, EZ = (1 << k for k in range(8))
 INPUTS = {
@@ -86,7 +127,18 @@ OUTPUTS = {
     "irq": IRQ,
 }
 PULSE = np.dtype((np.record, np.dtype([("clock", "i8"), ("axis", "i1"), ("direction", "i1")], align=True)))
-EDGE = record([(name, "i8") for name in "clock inputs outputs speed counter net".split()] + [("rate", "f8")])
+EDGE = record(
+    [
+        ("clock", "i8"),  # from here on
+        ("inputs", "i8"),  # INPUTS
+        ("outputs", "i8"),  # OUTPUTS
+        ("speed", "i8"),  # speed steps; 0 at rest
+        ("counter", "i8"),  # R0
+        ("net", "i8"),  # pulses ever, plus minus minus
+        ("rate", "f8"),  # pulses a clock
+    ]
+)
+"""A chip from one of its changes on, for recordings."""
 
 
 @hot

@@ -10,8 +10,8 @@ from stage.chips.nova.functions import io as ports
 from stage.chips.nova.interpolation import mcx312 as interpolation312
 from stage.chips.nova.motion import drive
 from stage.chips.nova.motion.drive import rate_reading
+from stage.chips.nova.registers.mcx300 import MCX304_MAP, RESET
 from stage.chips.nova.registers.mcx300 import MCX312_MAP as MAP
-from stage.chips.nova.registers.mcx300 import RESET
 from stage.chips.nova.registers.words300 import DELAYS
 from stage.chips.nova.state import (
     ALARM,
@@ -30,7 +30,10 @@ from stage.chips.nova.state import (
     E_SLMT_MINUS,
     E_SLMT_PLUS,
     EP,
+    F_ALARM,
+    F_EMG,
     H_END,
+    HM,
     HV,
     INPOS,
     LMT_MINUS,
@@ -61,11 +64,30 @@ def _of(word: str, name: str) -> int:
     return MAP.mask(word, name)
 
 
-PLUS, MINUS, PLUS_ON, MINUS_ON, HOLD, FREE, DSTOP, SSTOP = range(0x20, 0x28)
-R_LP, R_EP, R_CV, R_CA = range(0x10, 0x14)
-INTERPOLATION_FIRST, INTERPOLATION_LAST = 0x30, 0x3D
-HM_CODE, HV_CODE, HOME, DCC = 0x60, 0x61, 0x62, 0x63
-HM, WR_OUT = 3, 0  # places in `mode`
+PLUS, MINUS, PLUS_ON, MINUS_ON, HOLD, FREE, DSTOP, SSTOP = (_code(n) for n in (
+    "F_DRV_P", "F_DRV_M", "C_DRV_P", "C_DRV_M", "START_HOLD", "START_FREE", "STOP_DEC", "STOP_SUDDEN"))  # fmt: skip
+R_LP, R_EP, R_CV, R_CA = (_code(n) for n in ("R-LP", "R-EP", "CV", "CA"))
+_INTERPOLATING = [c.code for c in MAP.commands if c.kind == "interpolation"]
+INTERPOLATION_FIRST, INTERPOLATION_LAST = min(_INTERPOLATING), max(_INTERPOLATING)
+HM_CODE, HV_CODE, HOME, DCC = (_code(n) for n in ("HM", "HV", "HOME_EXEC", "DEVCTR_CLR"))
+CODE, AXIS_BITS, FIRST_AXIS = _of("WR0", "CODE"), _of("WR0", "AXIS"), MAP.bit("WR0", "AXIS")
+DRIVES, FAILS, HOMES = (1 << MCX304_MAP.bit("RR0", n) for n in ("n-DRV", "n-ERR", "n-HOM"))  # of X
+CMP_PLUS, CMP_MINUS = MAP.masks("RR1", "CMP+", "CMP-")
+FIRST_PHASE = MAP.bit("RR1", "ASND")
+BY_STOPS, BY_REST = (
+    sum(MAP.masks("RR1", "STOP0", "STOP1", "STOP2")),
+    sum(MAP.masks("RR1", "LMT+", "LMT-", "ALARM", "EMG")),
+)
+"""Causes of the last stop; of the MCX514, whose bits `finish` holds, those of STOP0 to STOP2 are one bit higher."""
+HOME_ERROR, HMST = _of("RR2", "HOME"), MAP.bit("RR2", "HMST")
+CONSTANT_END, CONSTANT_START, DRIVE_END, HOME_END = MAP.masks("RR3", "C-END", "C-STA", "D-END", "HMEND")
+FIRST_INTERRUPT = MAP.bit("WR1", "PULSE")
+INTERRUPTS = sum(f.mask for f in MAP.word("WR1").fields if f.low >= FIRST_INTERRUPT) >> FIRST_INTERRUPT
+IN_EMG, IN_EXP, IN_INPOS, IN_ALARM, IN_IN, IN_LMT_PLUS, IN_LMT_MINUS = (
+    _of("RR4", "EMG"), sum(MAP.masks("RR4", "X-EXP+", "X-EXP-")),
+    *MAP.masks("RR4", "X-INPOS", "X-ALARM", "X-IN", "X-LMT+", "X-LMT-"),
+)  # fmt: skip
+"""Input levels of X; those of another axis lie alike in its half or word."""
 SP0_E, SP1_E, SP2_E = (_of("WR1", f"SP{k}-E") for k in range(3))
 SLMT_PLUS, SLMT_MINUS, LMTMD, HLMT_PLUS, HLMT_MINUS, CMPSL, PINMD, ALM_E, INP_E, ALM_L, INP_L = (_of("WR2", n) for n in (
     "SLMT+", "SLMT-", "LMTMD", "HLMT+", "HLMT-", "CMPSL", "PINMD", "ALM-E", "INP-E", "ALM-L", "INP-L"))  # fmt: skip
@@ -116,9 +138,9 @@ def _set(c, x, code, value):
     """Write parameter `code` of an axis."""
     if SHORT >> code & 1:
         value &= 0xFFFF
-        if SIGNED >> code & 1 and value & 0x8000:
-            value -= 0x10000
-    elif SIGNED >> code & 1 and value & 0x80000000:
+        if SIGNED >> code & 1 and value & 1 << 15:
+            value -= 1 << 16
+    elif SIGNED >> code & 1 and value & 1 << 31:
         value -= 1 << 32
     if code == DV:
         drive.change_speed(c, x, value)
@@ -162,7 +184,7 @@ def command(c, value):
     if value == RESET:
         reset(c)
         return
-    code, axes = value & 0xFF, value >> 8 & 0xF & ((1 << c.axes) - 1)
+    code, axes = value & CODE, (value & AXIS_BITS) >> FIRST_AXIS & ((1 << c.axes) - 1)
     if axes:
         c.selected = axes
     c.stale = 1
@@ -212,16 +234,16 @@ def write(c, address, value):
 def _compared(x):
     """CMP+ and CMP-."""
     counter = drive.limited(x)
-    return (1 if counter >= x.reg[COMP_PLUS] else 0) | (2 if counter < x.reg[COMP_MINUS] else 0)
+    return (CMP_PLUS if counter >= x.reg[COMP_PLUS] else 0) | (CMP_MINUS if counter < x.reg[COMP_MINUS] else 0)
 
 
 @hot
 def errors(c, x):
     """RR2: soft limits while they are passed, hardware limits, ALARM and EMG while their levels are there."""
     word = 0
-    if x.soft_plus and _compared(x) & 1:
+    if x.soft_plus and _compared(x) & CMP_PLUS:
         word |= E_SLMT_PLUS
-    if x.soft_minus and _compared(x) & 2:
+    if x.soft_minus and _compared(x) & CMP_MINUS:
         word |= E_SLMT_MINUS
     if x.level & LMT_PLUS:
         word |= E_HLMT_PLUS
@@ -232,7 +254,7 @@ def errors(c, x):
     if c.emg:
         word |= E_EMG
     if x.finish & E_HOME:
-        word |= 0x80
+        word |= HOME_ERROR
     return word
 
 
@@ -242,9 +264,9 @@ def status(c):
     word = 0
     for j in range(c.axes):
         x = c.ax[j]
-        word |= (1 << j if busy(x) else 0) | (16 << j if errors(c, x) or x.finish & 0xC000 else 0)
+        word |= (DRIVES << j if busy(x) else 0) | (FAILS << j if errors(c, x) or x.finish & (F_ALARM | F_EMG) else 0)
         if not c.has_l and x.home:
-            word |= 256 << j
+            word |= HOMES << j
     return word | (interpolation312.status_bits(c) if c.has_l else 0)
 
 
@@ -256,14 +278,14 @@ def _levels(c, x, j):
         high_active = x.wr[1] >> 2 * k & 1
         word |= (1 if (x.inputs & STOP0 << k != 0) == (high_active != 0) else 0) << k
     if j == 0:
-        word |= 0 if c.emg else 8
-    word |= 0x30
-    word |= 0x40 if (x.inputs & INPOS != 0) == (x.wr[2] & INP_L != 0) else 0
-    word |= 0x80 if (x.inputs & ALARM != 0) == (x.wr[2] & ALM_L != 0) else 0
+        word |= 0 if c.emg else IN_EMG
+    word |= IN_EXP
+    word |= IN_INPOS if (x.inputs & INPOS != 0) == (x.wr[2] & INP_L != 0) else 0
+    word |= IN_ALARM if (x.inputs & ALARM != 0) == (x.wr[2] & ALM_L != 0) else 0
     if c.axes == 2:
-        word |= 0x3F00
-        word |= 0x4000 if (x.inputs & LMT_PLUS != 0) == (x.wr[2] & HLMT_PLUS != 0) else 0
-        word |= 0x8000 if (x.inputs & LMT_MINUS != 0) == (x.wr[2] & HLMT_MINUS != 0) else 0
+        word |= IN_IN
+        word |= IN_LMT_PLUS if (x.inputs & LMT_PLUS != 0) == (x.wr[2] & HLMT_PLUS != 0) else 0
+        word |= IN_LMT_MINUS if (x.inputs & LMT_MINUS != 0) == (x.wr[2] & HLMT_MINUS != 0) else 0
     return word
 
 
@@ -271,8 +293,8 @@ def _levels(c, x, j):
 def factors(x):
     """RR3."""
     word = x.compared  # PULSE and the comparisons, see compare.py
-    word |= (0x20 if x.factors & C_END else 0) | (0x40 if x.factors & C_STA else 0) | (0x80 if x.factors & D_END else 0)
-    return word | (0x100 if x.factors & H_END else 0)
+    word |= (CONSTANT_END if x.factors & C_END else 0) | (CONSTANT_START if x.factors & C_STA else 0)
+    return word | (DRIVE_END if x.factors & D_END else 0) | (HOME_END if x.factors & H_END else 0)
 
 
 @hot
@@ -283,9 +305,9 @@ def read(c, address):
         return status(c)
     if address == 1:
         bits = phase_bits(c, x)
-        return _compared(x) | bits << 2 | (x.finish >> 1 & 0x700) | (x.finish & 0xF000)
+        return _compared(x) | bits << FIRST_PHASE | (x.finish >> 1 & BY_STOPS) | (x.finish & BY_REST)
     if address == 2:
-        return errors(c, x) | home.state304(x) << 8
+        return errors(c, x) | home.state304(x) << HMST
     if address == 3:
         word = factors(x)
         x.factors = x.compared = 0
@@ -305,7 +327,6 @@ def interrupts(c):
         return 1
     for j in range(c.axes):
         x = c.ax[j]
-        enabled = x.wr[1] >> 8
-        if factors(x) & (enabled & 0x1F | (enabled & 0x20) | (enabled & 0x40) | (enabled & 0x80)):
+        if factors(x) & x.wr[1] >> FIRST_INTERRUPT & INTERRUPTS:
             return 1
     return 0

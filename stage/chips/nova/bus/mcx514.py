@@ -16,9 +16,12 @@ from stage.chips.nova.state import (
     DV,
     ECA,
     ECB,
+    FLM,
     INPOS,
+    IPM,
     LMT_MINUS,
     LMT_PLUS,
+    MODE_FIRST,
     PIO,
     REGISTERS,
     STATE,
@@ -45,32 +48,38 @@ def _of(word: str, name: str) -> int:
     return MAP.mask(word, name)
 
 
-NOP, RST = _code("NOP"), _code("RST")
-MODE_FIRST, MODE_LAST, IPM = 0x20, 0x2A, 0x2A
-FLM = 5  # place in `mode`
+RST = _code("RST")
+CODE, AXIS_BITS, FIRST_AXIS = _of("WR0", "CODE"), _of("WR0", "AXIS"), MAP.bit("WR0", "AXIS")
+_WRITTEN = [c.code for c in MAP.commands if c.kind == "mode write"]
+MODE_LAST = max(_WRITTEN)
 READS = {c.symbol: c.code for c in MAP.commands if c.kind == "data read"}
 R_CV, R_CA, R_CT, R_CHLN, R_TX = (READS[n] for n in ("CV", "CA", "CT", "CHLN", "R-TX"))
-_PLACES = [-1] * 256
-for _symbol, _at in READS.items():
-    if _symbol.startswith("R-") and not _symbol.startswith("R-WR"):
-        _place = MAP.register(_symbol[2:]).number
-        _PLACES[_at] = _place if _place < REGISTERS else 1000 + _place - MODE_FIRST
-PLACES = tuple(_PLACES)
-"""Of a reading command: the place in `reg` that it reads, 1000 + the place in `mode`, or -1."""
-R_WR1 = READS["R-WR1"]
+_READ = {READS[f"R-{r.name}"]: r.number for r in MAP.registers if f"R-{r.name}" in READS}
+PLACES = tuple(k if (k := _READ.get(code, -1)) < REGISTERS else -1 for code in range(256))
+"""Of a reading command: the place in `reg` that it reads, or -1."""
+MODE_PLACES = tuple(k - MODE_FIRST if (k := _READ.get(code, -1)) >= MODE_FIRST else -1 for code in range(256))
+"""The place in `mode` that it reads, or -1."""
+READ_FIRST, READ_LAST = min(READS.values()), max(READS.values()) | 15
+"""Reading commands; the others among them read as 0."""
+R_WR1, R_WR3 = READS["R-WR1"], READS["R-WR3"]
 DRVRL, DRVNR, DRVVP, DRVVM, DRVAB, DRVSBRK, DRVFBRK, DIRCP, DIRCM, HMSRC = (_code(n) for n in (
     "DRVRL", "DRVNR", "DRVVP", "DRVVM", "DRVAB", "DRVSBRK", "DRVFBRK", "DIRCP", "DIRCM", "HMSRC"))  # fmt: skip
 VINC, VDEC, DHOLD, DFREE, R2CLR, RR3P0, RR3P1 = (_code(n) for n in (
     "VINC", "VDEC", "DHOLD", "DFREE", "R2CLR", "RR3P0", "RR3P1"))  # fmt: skip
-INTERPOLATION_FIRST, INTERPOLATION_LAST, MFPC = 0x60, 0x6F, _code("MFPC")
+MFPC = _code("MFPC")
+_INTERPOLATING = [c.code for c in MAP.commands if c.kind == "interpolation"]
+INTERPOLATION_FIRST, INTERPOLATION_LAST = min(_INTERPOLATING), max(_INTERPOLATING)
 
 SP0_E, SP1_E, SP2_E, INP_E, ALM_E, HLM_E, HLM_M, SLM_E, SLM_O, SLM_M = (_of("WR2", n) for n in (
     "SP0-E", "SP1-E", "SP2-E", "INP-E", "ALM-E", "HLM-E", "HLM-M", "SLM-E", "SLM-O", "SLM-M"))  # fmt: skip
 SP0_L, SP1_L, SP2_L, INP_L, ALM_L, HLM_L = (_of("WR2", f"{n}-L") for n in ("SP0", "SP1", "SP2", "INP", "ALM", "HLM"))
 MANLD, DSNDE, SACC, PIINV, LMINV, AVTRI = (_of("WR3", n) for n in ("MANLD", "DSNDE", "SACC", "PIINV", "LMINV", "AVTRI"))
 PIMD = MAP.bit("WR3", "PIMD")
+DRIVES, FAILS = 1 << MAP.bit("RR0", "n-DRV"), 1 << MAP.bit("RR0", "n-ERR")  # of X
+ERRORS = sum(MAP.masks("RR2", "SLMT+", "SLMT-", "HLMT+", "HLMT-", "ALARM", "EMG", "HOME", "CERR"))
+HSST, FIRST_PHASE = MAP.bit("RR3-0", "HSST"), MAP.bit("RR3-1", "ASND")
 FL0, FL1 = MAP.bit("FLM", "FL0"), MAP.bit("FLM", "FL1")
-_FILTERS = (0, LMT_PLUS | LMT_MINUS, STOP0 | STOP1, INPOS | ALARM, 0xF << PIO, 0xF0 << PIO, STOP2, ECA | ECB)
+_FILTERS = (0, LMT_PLUS | LMT_MINUS, STOP0 | STOP1, INPOS | ALARM, 15 << PIO, 15 << PIO + 4, STOP2, ECA | ECB)
 
 
 @hot
@@ -115,9 +124,9 @@ def _meant(code, value):
     """The number that 32 bits of data mean for the parameter `code`."""
     if SHORT >> code & 1:
         value &= 0xFFFF
-        if SIGNED >> code & 1 and value & 0x8000:
-            value -= 0x10000
-    elif SIGNED >> code & 1 and value & 0x80000000:
+        if SIGNED >> code & 1 and value & 1 << 15:
+            value -= 1 << 16
+    elif SIGNED >> code & 1 and value & 1 << 31:
         value -= 1 << 32
     return value
 
@@ -153,8 +162,8 @@ def _read_data(c, code):
         value = prebuffer.longest(c)
     elif 0 <= place < REGISTERS:
         value = c.ax[0].reg[place] if ALONE >> place & 1 else x.reg[place]
-    elif place >= 1000:
-        value = x.mode[place - 1000]
+    elif MODE_PLACES[code] >= 0:
+        value = x.mode[MODE_PLACES[code]]
     elif code == R_CV:
         value = drive.speed_reading(c, x)
     elif code == R_CA:
@@ -163,7 +172,7 @@ def _read_data(c, code):
         value = timer.reading(c, x)
     elif code == R_CHLN:
         value = prebuffer.rotations(c)
-    elif R_WR1 <= code < R_WR1 + 3:
+    elif R_WR1 <= code <= R_WR3:
         value = x.wr[code - R_WR1 + 1]
     else:
         value = 0
@@ -211,7 +220,7 @@ def _axis_command(c, x, j, code):
 def command(c, value):
     """A write to WR0."""
     c.unused = 0
-    code, axes = value & 0xFF, value >> 8 & 0xF
+    code, axes = value & CODE, (value & AXIS_BITS) >> FIRST_AXIS
     if axes:
         c.selected = axes
     elif code == RST:
@@ -226,14 +235,14 @@ def command(c, value):
             if axes >> j & 1:
                 _set(c, c.ax[j], code, _data(c))
     elif MODE_FIRST <= code <= MODE_LAST:
-        if code == IPM:
-            c.ax[0].mode[IPM - MODE_FIRST] = c.low
+        if code == MODE_FIRST + IPM:
+            c.ax[0].mode[IPM] = c.low
             return
         for j in range(AXES):
             if axes >> j & 1:
                 c.ax[j].mode[code - MODE_FIRST] = c.low
                 configure(c.ax[j])
-    elif 0x30 <= code < 0x50:
+    elif READ_FIRST <= code <= READ_LAST:
         _read_data(c, code)
     elif INTERPOLATION_FIRST <= code <= INTERPOLATION_LAST or code == MFPC:
         prebuffer.command(c, code)
@@ -287,7 +296,7 @@ def _pins_page(c, x):
     return (
         _raw(x, STOP0, w & SP0_L) | _raw(x, STOP1, w & SP1_L) << 1 | _raw(x, STOP2, w & SP2_L) << 2
         | _raw(x, ECA, 1) << 3 | _raw(x, ECB, 1) << 4 | _raw(x, INPOS, w & INP_L) << 5 | _raw(x, ALARM, w & ALM_L) << 6
-        | _raw(x, LMT_PLUS, limit) << 7 | _raw(x, LMT_MINUS, limit) << 8 | x.home << 9
+        | _raw(x, LMT_PLUS, limit) << 7 | _raw(x, LMT_MINUS, limit) << 8 | x.home << HSST
     )  # fmt: skip
 
 
@@ -297,7 +306,7 @@ def status(c):
     word = 0
     for j in range(AXES):
         x = c.ax[j]
-        word |= (1 << j if busy(x) else 0) | (16 << j if x.finish & 0xFF else 0)
+        word |= (DRIVES << j if busy(x) else 0) | (FAILS << j if x.finish & ERRORS else 0)
     return word | prebuffer.status_bits(c)
 
 
@@ -316,7 +325,7 @@ def read(c, address):
         return x.finish & 0xFFFF
     if address == 3:
         if c.pages >> j & 1:
-            return sync.status_bits(x) | phase_bits(c, x) << 4
+            return sync.status_bits(x) | phase_bits(c, x) << FIRST_PHASE
         return _pins_page(c, x)
     if address == 4:
         return ports.word(c, 0)

@@ -8,16 +8,16 @@ from __future__ import annotations
 from stage.chips.nova.functions import timer
 from stage.chips.nova.motion import drive
 from stage.chips.nova.motion.profile import speed_passes
+from stage.chips.nova.registers.mcx300 import MCX304_MAP
 from stage.chips.nova.registers.mcx514 import MCX514_MAP
-from stage.chips.nova.state import COMP_MINUS, COMP_PLUS, LP, MCX514_TYPE, MR0, NEVER, RP
+from stage.chips.nova.state import COMP_MINUS, COMP_PLUS, LP, MCX514_TYPE, MR0, MRM, NEVER, RP
 from stage.native import hot, least
 
-MRM = 0  # place in `mode`
 AT_LP, AT_RP, AT_CV, AT_CT = range(4)
 AT_LEAST, ABOVE, EQUAL, BELOW = range(4)
 CMR = MCX514_MAP.bit("RR1", "CMR0")
 MRS = 4
-PULSE, GE_MINUS, LT_MINUS, LT_PLUS, GE_PLUS = (1 << k for k in range(5))  # RR3 of the older chips
+PULSE, GE_MINUS, LT_MINUS, LT_PLUS, GE_PLUS = MCX304_MAP.masks("RR3", "PULSE", "P>=C-", "P<C-", "P<C+", "P>=C+")
 
 
 @hot

@@ -31,7 +31,10 @@ from stage.chips.nova.state import (
     F_STOP0,
     F_STOP1,
     F_STOP2,
+    H1M,
+    H2M,
     H_END,
+    HM,
     LP,
     MCX514_TYPE,
     NEVER,
@@ -40,7 +43,7 @@ from stage.chips.nova.state import (
     STOP1,
     STOP2,
     TP,
-)  # fmt: skip
+)
 from stage.native import hot
 
 IDLE, SEEK, PAUSE_1, OVER, OUT_OF, PAUSE_BACK, SEARCH, PAUSE_2, Z, PAUSE_3, OFFSET = (
@@ -49,7 +52,6 @@ IDLE, SEEK, PAUSE_1, OVER, OUT_OF, PAUSE_BACK, SEARCH, PAUSE_2, Z, PAUSE_3, OFFS
 STATES_304 = (0, 3, 15, 8, 12, 15, 15, 20, 20, 25, 25)
 STATES = (IDLE, SEEK, PAUSE_1, OVER, OUT_OF, PAUSE_BACK, SEARCH, PAUSE_2, Z, PAUSE_3, OFFSET)
 SIGNAL, LIMIT = 1, 2  # what has been found
-H1M, H2M, HM = 3, 4, 3  # places in `mode`
 
 
 def _h1(name: str) -> int:

@@ -10,10 +10,9 @@ from stage.chips.nova.bus.status import busy, phase_bits
 from stage.chips.nova.registers.common import DCC_WIDTHS
 from stage.chips.nova.registers.mcx300 import MCX304_MAP
 from stage.chips.nova.registers.mcx514 import MCX514_MAP
-from stage.chips.nova.state import MCX514_TYPE, NEVER, PIO, SYNC_SETS
+from stage.chips.nova.state import H2M, HM, MCX514_TYPE, NEVER, P1M, PIO, SYNC_SETS
 from stage.native import hot, least
 
-P1M, H2M, HM = 1, 4, 3  # places in `mode`
 INPUT, OUTPUT, STATUS, OTHER = range(4)
 PINS = 8
 SYNC_PULSE = 2
@@ -43,7 +42,7 @@ def levels(c, j):
     x = c.ax[j]
     given = (c.outputs4 if j < 2 else c.outputs5) >> (8 if j & 1 else 0)
     told = (1 if busy(x) else 0) | (2 if x.finish & 0xFF else 0) | phase_bits(c, x) << 2
-    other = (x.holds & 0xF) << 4
+    other = (x.holds & 15) << 4
     for m in range(SYNC_SETS):
         if c.clock < x.pulse_until[m]:
             other |= 1 << m

@@ -12,6 +12,7 @@ from stage.chips.nova.functions import home, split_pulse, timer
 from stage.chips.nova.functions import io as ports
 from stage.chips.nova.motion import drive
 from stage.chips.nova.registers.mcx514 import MCX514_MAP
+from stage.chips.nova.registers.words514 import ACTIONS
 from stage.chips.nova.state import (
     AC,
     AXES,
@@ -25,6 +26,7 @@ from stage.chips.nova.state import (
     MR0,
     PIO,
     RP,
+    S0M,
     SP1,
     SPLIT_START,
     SPLTE,
@@ -38,7 +40,6 @@ from stage.native import hot, least
 DCC, TMSTA, TMSTP, SPSTA, SPSTP = (MCX514_MAP.command(n).code for n in ("DCC", "TMSTA", "TMSTP", "SPSTA", "SPSTP"))
 ENABLE, DISABLE, ACTIVATE = (MCX514_MAP.command(n).code for n in ("SYNCEN", "SYNCDIS", "SYNCACT"))
 ALL = (1 << SYNC_SETS) - 1
-S0M = 6  # place in `mode`
 ACT, SNC, AXIS = (MCX514_MAP.bit("S0M", n) for n in ("ACT", "SNC+1", "AXIS1"))
 REP = MCX514_MAP.mask("S0M", "REP")
 SYNC0 = MCX514_MAP.mask("RR1", "SYNC0")
@@ -50,7 +51,8 @@ EVENTS = (0, 0, TIMER, D_STA, C_STA, C_END, D_END, SPLIT_START, SPLTE, SPLTP)
 """The event of a factor, from 2 (timer up) to 9 (split pulse output)."""
 
 (TO_DV, TO_TP, TO_SP1, TO_OWN, FROM_LP, FROM_RP, FROM_CT, FROM_OWN, PULSE, DRIVE, COUNTER_DRIVE, ABSOLUTE_DRIVE, PLUS, MINUS,
- DRIVE_BY, DRIVE_TO, SLOW_STOP, STOP, FASTER, SLOWER, TIMER_START, TIMER_STOP, SPLIT_ON, SPLIT_OFF) = range(1, 25)  # fmt: skip
+ DRIVE_BY, DRIVE_TO, SLOW_STOP, STOP, FASTER, SLOWER, TIMER_START, TIMER_STOP, SPLIT_ON, SPLIT_OFF
+ ) = range(1, len(ACTIONS))  # fmt: skip
 OWN = (LP, RP, SV, AC)
 """Where action 4 of SYNC0 to SYNC3 puts its MR."""
 
@@ -66,7 +68,7 @@ def reset(c, x):
 @hot
 def command(c, x, code):
     """DCC, timer, split pulse, SYNC sets; others are not known."""
-    family, sets = code & 0xF0, code & ALL
+    family, sets = code & ~ALL, code & ALL
     if code == DCC:
         ports.clear_deviation(c, x)
     elif code == TMSTA:

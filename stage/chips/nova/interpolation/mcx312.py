@@ -20,6 +20,8 @@ LINE_2, CIRCLE_CW, CIRCLE_CCW, PATTERN_2, BP_ON, BP_OFF, BP_STACK, BP_CLEAR, ONE
 )  # fmt: skip
 AX1, AX2 = MAP.bit("WR5", "AX1"), MAP.bit("WR5", "AX2")
 LSPD, EXPLS, CMPLS = (MAP.mask("WR5", n) for n in ("LSPD", "EXPLS", "CMPLS"))
+I_DRV, CNEXT = MAP.masks("RR0", "I-DRV", "CNEXT")
+ZONE, BPSC = MAP.bit("RR0", "ZONE"), MAP.bit("RR0", "BPSC")
 SETS = 3
 
 
@@ -148,7 +150,7 @@ def takes_pattern(c):
 def status_bits(c):
     """RR0: I-DRV, CNEXT, ZONE, BPSC."""
     ip = c.ip
-    word = _sets(c) << 13
+    word = _sets(c) << BPSC
     if c.interpolating:
-        word |= 0x100 | (0x200 if ip.waiting < ip.depth else 0) | ip.zone << 10
+        word |= I_DRV | (CNEXT if ip.waiting < ip.depth else 0) | ip.zone << ZONE
     return word

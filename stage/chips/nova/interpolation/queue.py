@@ -19,6 +19,8 @@ LINES, CIRCLE_CW, CIRCLE_CCW, PATTERNS, HELIX_CW, HELIX_CCW, COUNT_CW, COUNT_CCW
 DECEN, DECDIS, CLRSTEP, MFPC = (_code(n) for n in ("DECEN", "DECDIS", "CLRSTEP", "MFPC"))
 CXIV, LMDF, STEP, MAXM = (MAP.mask("IPM", n) for n in ("CXIV", "LMDF", "STEP", "MAXM"))
 SPD = MAP.bit("IPM", "SPD")
+CNEXT = MAP.mask("RR0", "CNEXT")
+ZONE, SC = MAP.bit("RR0", "ZONE"), MAP.bit("RR0", "SC")
 ENABLES = (1 << AXES) - 1
 VECTOR = (0, 2, 3, 2)
 """How many axes constant vector speed looks at, by SPD."""
@@ -163,7 +165,7 @@ def status_bits(c):
     ip = c.ip
     if not c.interpolating:
         return 0
-    return ip.zone << 8 | (0x800 if ip.waiting < ip.depth else 0) | ip.waiting << 12
+    return ip.zone << ZONE | (CNEXT if ip.waiting < ip.depth else 0) | ip.waiting << SC
 
 
 @hot

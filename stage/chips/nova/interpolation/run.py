@@ -17,20 +17,20 @@ from stage.chips.nova.registers.mcx300 import MCX312_MAP
 from stage.chips.nova.registers.mcx514 import MCX514_MAP
 from stage.chips.nova.state import (
     AXES,
-    CONSTANT,
     D_END,
     D_STA,
     E_CERR,
+    IPM,
     LINE,
     MCX514_TYPE,
     NEVER,
+    NO_PHASE,
     PATTERN,
     STAGES,
     STATE,
 )
 from stage.native import exported, greatest, hot, least
 
-IPM = MCX514_MAP.register("IPM").number - 0x20  # place in `mode`
 INTA, INTB = MCX514_MAP.mask("IPM", "INTA"), MCX514_MAP.mask("IPM", "INTB")
 CIINT, BPINT = MCX312_MAP.mask("WR5", "CIINT"), MCX312_MAP.mask("WR5", "BPINT")
 
@@ -120,7 +120,7 @@ def _start(c):
             c.ax[j].interpolates = drive.MAIN if j == ip.main else 1
             drive.note(c.ax[j], D_STA)
     c.interpolating = 1
-    x.phase = CONSTANT - 9
+    x.phase = NO_PHASE
     drive.take_rates(c, x)
     segment.replan(c, x)
 

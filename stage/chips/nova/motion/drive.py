@@ -57,6 +57,7 @@ from stage.chips.nova.state import (
     MCX514_TYPE,
     MR0,
     NEVER,
+    NO_PHASE,
     RP,
     RX,
     SM,
@@ -68,7 +69,7 @@ from stage.chips.nova.state import (
     K,
     L,
     R,
-)  # fmt: skip
+)
 from stage.native import exported, greatest, hot, least
 
 RANGE = 8_000_000
@@ -287,7 +288,7 @@ def launch(c, x, way, output):
     if blocked(c, x, way):
         return
     note_drive(x, D_STA)
-    x.driving, x.phase = 1, CONSTANT - 9
+    x.driving, x.phase = 1, NO_PHASE
     take_rates(c, x)
     take_speed(c, x, x.reg[DV])
     begin(x, c.clock, dd.ZERO, dd.ZERO, dd.least(pair(x.sv), pair(x.dv)), dd.ZERO)
@@ -404,7 +405,7 @@ def finish(c, x, cause):
     if x.phase == CONSTANT and c.variant != MCX514_TYPE:
         note(x, C_END)
     x.driving = x.slow = x.interpolates = 0
-    x.phase = CONSTANT - 9
+    x.phase = NO_PHASE
     c.stale = 1
     if x.inpos_waits and not x.level & INPOS:
         x.waiting = 1
