@@ -333,7 +333,7 @@ def chip_with_a_command(monkeypatch):
     class Commanded(PCL240K):
         MAP = RegisterMap("COMMANDED", "", "", (), PCL240K_MAP.words, (Command(0x15, "START", "start", "drive"),))
 
-        def _lint(self, address, value):
+        def mistake(self, address, value):
             return None
 
         def _configure(self, record):
