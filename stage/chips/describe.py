@@ -55,13 +55,13 @@ class Decoder:
         said: list[Said] = []
         for e in entries:
             if e.kind == WRITE:
-                said += self._wrote(e.clock, e.a, e.b)
+                said += self.wrote(e.clock, e.a, e.b)
             elif e.kind == RESET:
                 said += self.rest()
-                self._reset()
+                self.reset()
                 said.append(Said(e.clock, "reset", "/RESET", "reset pin"))
             elif e.kind == LOST:
-                code, meaning = self._lost(e.a, e.b)
+                code, meaning = self.lost(e.a, e.b)
                 said.append(Said(e.clock, "lost", code, f"LOST: {meaning}"))
         return said
 
@@ -69,15 +69,15 @@ class Decoder:
         """What nothing followed, if anything."""
         return []
 
-    def _wrote(self, clock: int, address: int, value: int) -> list[Said]:
+    def wrote(self, clock: int, address: int, value: int) -> list[Said]:
         """What a write says, and what waited for it."""
         raise NotImplementedError
 
-    def _lost(self, address: int, value: int) -> tuple[str, str]:
+    def lost(self, address: int, value: int) -> tuple[str, str]:
         """Code and meaning of a write that did not arrive."""
         raise NotImplementedError
 
-    def _reset(self) -> None:
+    def reset(self) -> None:
         """The reset pin: forget."""
 
 

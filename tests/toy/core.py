@@ -101,11 +101,6 @@ def outputs(c, j):
 
 
 @exported("i8", STATE, "i8")
-def pins(c, axis):
-    return 1 if c.way else 0
-
-
-@exported("i8", STATE, "i8")
 def status(c, j):
     return 1 if c.way else 0
 

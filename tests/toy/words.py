@@ -15,13 +15,13 @@ def meaning(address: int, value: int) -> str:
 
 
 class Decoder(describe.Decoder):
-    def _wrote(self, clock: int, address: int, value: int) -> list[Said]:
+    def wrote(self, clock: int, address: int, value: int) -> list[Said]:
         return [Said(clock, "register" if address else "command", f"{address} {value:04X}", meaning(address, value))]
 
-    def _lost(self, address: int, value: int) -> tuple[str, str]:
+    def lost(self, address: int, value: int) -> tuple[str, str]:
         return f"{address} {value:04X}", meaning(address, value)
 
-    def _reset(self) -> None:
+    def reset(self) -> None:
         """It keeps nothing."""
 
 

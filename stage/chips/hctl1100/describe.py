@@ -35,11 +35,11 @@ class Decoder(describe.Decoder):
     def __init__(self, map_: RegisterMap):
         self._registers = {r.number: r for r in map_.registers}
 
-    def _wrote(self, clock: int, address: int, value: int) -> list[Said]:
+    def wrote(self, clock: int, address: int, value: int) -> list[Said]:
         kind = "command" if address in (FLAG, MODE) else "register"
         return [Said(clock, kind, f"{address:02X} {value:02X}", self._meaning(address, value))]
 
-    def _lost(self, address: int, value: int) -> tuple[str, str]:
+    def lost(self, address: int, value: int) -> tuple[str, str]:
         return f"{address:02X} {value:02X}", self._meaning(address, value)
 
     def _meaning(self, address: int, value: int) -> str:

@@ -30,15 +30,15 @@ class Decoder(describe.Decoder):
 
     def __init__(self, map_: RegisterMap, axis: int = 0):
         self._map, self._bit = map_, 1 << axis
-        self._reset()
+        self.reset()
 
-    def _reset(self) -> None:
+    def reset(self) -> None:
         self._selected, self._words = 1, [0] * 8
 
-    def _lost(self, address: int, value: int) -> tuple[str, str]:
+    def lost(self, address: int, value: int) -> tuple[str, str]:
         return f"{value:04X}", f"data to WR{address & 7}"
 
-    def _wrote(self, clock: int, address: int, value: int) -> list[Said]:
+    def wrote(self, clock: int, address: int, value: int) -> list[Said]:
         n = address
         if address >= BYTES:
             n, high = (address - BYTES) >> 1, address & 1

@@ -70,7 +70,7 @@ class Decoder(describe.Decoder):
         self._bytes: dict[int, int] = {}
         self._held: dict[int, int] = {}
 
-    def _wrote(self, clock: int, address: int, value: int) -> list[Said]:
+    def wrote(self, clock: int, address: int, value: int) -> list[Said]:
         said: list[Said] = []
         if address:
             if address in self._bytes:
@@ -85,10 +85,10 @@ class Decoder(describe.Decoder):
             said.append(Said(clock, "command", f"{value:02X}", command_meaning(self._map, value)))
         return said
 
-    def _lost(self, address: int, value: int) -> tuple[str, str]:
+    def lost(self, address: int, value: int) -> tuple[str, str]:
         return f"{value:02X}", f"data to address {address}" if address else command_meaning(self._map, value)
 
-    def _reset(self) -> None:
+    def reset(self) -> None:
         self._held.clear()
         self._select = SELECT
 
