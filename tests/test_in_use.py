@@ -92,13 +92,13 @@ def test_two_threads_on_one_stage_do_no_harm(xy):
 
 def test_a_board_has_one_host_at_a_time(xy):
     board = Board(Stage("xy", chips=PCL240K, visuals=False))
-    board._host["inside"] = 1
+    board.link.record["inside"] = 1
     if COMPILED:
         with pytest.raises(StageError, match="one host"):
             board.in8(0x300)
-    board._host["inside"] = 0
+    board.link.record["inside"] = 0
     board.in8(0x300)
-    assert board._host["inside"] == 0
+    assert board.link.record["inside"] == 0
 
 
 def test_a_hook_may_run_the_stage():

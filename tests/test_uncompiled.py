@@ -239,7 +239,7 @@ def on_a_board():
     for lazy in (False, True):
         stage = Stage("xyz", chips={"x": PCL240K, "y": PCL240MS}, visuals=False)
         board, seen = Board(stage), []
-        board._host["lazy"] = lazy
+        board.link.record["lazy"] = lazy
         with stage.record(every=5e-4) as recorded:
             for port in (0x300, 0x304):
                 for number, value in {"0": 5, "1": 500, "7": 5}.items():
@@ -250,7 +250,7 @@ def on_a_board():
                 board.out8(port, 0x30)
             while board.in8(0x304) & 0x40 and stage.time < 1e-3:
                 seen.append(board.in16(0x301) + board.in8(0x2FF))
-            board._ask(bus.SETTLE, 0, 0)
+            board.link.ask(bus.SETTLE, 0, 0)
             faults.lost_write(stage.axes["y"], address=0)
             board.on_interrupt(
                 lambda board=board, seen=seen: (seen.append(board.micros), board.out8(0x300, 0), board.out8(0x304, 0))

@@ -32,19 +32,18 @@ class TellingBoard(Board):
         stage, options = _unpickled(begin.board)
         super().__init__(stage, **options)
         shared = Shared(begin.shared, self.trace.room)
-        shared.host[:] = self._rows
+        self.link.move_to(shared.host)
         self.stage.state.note_in(shared.edges)
-        self.trace._lines, self._shared = shared.trace, shared
+        self.trace.kept, self._shared = shared.trace, shared
         shared.host["edges"], shared.host["lines"] = shared.edges.ctypes.data, shared.trace.ctypes.data
         shared.host["edge_room"] = len(shared.edges)
-        self._take(shared.host)
+        self.link.tell = self._send
 
-    def _end(self) -> None:
-        edges = self.stage.state.edges[: int(self._host["noted"])]
+    def _send(self, edges: np.ndarray) -> None:
+        """To the parent: what its stage has to go through as well."""
         changes = edges[np.isin(edges["kind"], SENT)]
         if len(changes):
             self._pipe.send(Cycles(changes))
-        super()._end()
 
     def note(self, text: str) -> None:
         self._pipe.send(Line(self.stage.now, text))
@@ -98,13 +97,13 @@ def main(fileno: int) -> None:
         go: Go = pipe.recv()
         if go.stage is not None:
             board.adopt(pickle.loads(go.stage))
-        board._ports[:] = go.ports
+        board.port_table[:] = go.ports
         code, failure = None, None
         try:
             code = runner.go_on(go.until, go.most_cycles)
         except Exception as error:
             failure = (type(error).__name__, str(error))
-        pipe.send(Stands(board.stage.now, board._ports, code, failure))
+        pipe.send(Stands(board.stage.now, board.port_table, code, failure))
         if failure is not None:
             os._exit(1)
 

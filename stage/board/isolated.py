@@ -22,7 +22,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from stage.board import bus
-from stage.board.board import NOTED, Board
+from stage.board.board import Board
+from stage.board.link import NOTED
 from stage.board.threaded import HostError
 from stage.chips.entries import LOST, READ, WRITE
 from stage.errors import StageError
@@ -88,14 +89,14 @@ class Shared:
 
     def copy(self, board: Board, back: bool = False) -> None:
         """A board's cycles, counted and traced, for the child's board to go on from; or back."""
-        pairs = [(board._host[name], self.host[0][name]) for name in COUNTS]
+        pairs = [(board.link.record[name], self.host[0][name]) for name in COUNTS]
         if all(ours == theirs for ours, theirs in pairs):
             return
-        target, source = (board._host, self.host[0]) if back else (self.host[0], board._host)
+        target, source = (board.link.record, self.host[0]) if back else (self.host[0], board.link.record)
         begin = int(min(target["changed"], source["changed"]))  # lines before are as they were
         for name in COUNTS:
             target[name] = source[name]
-        ours, theirs = board.trace._lines, self.trace
+        ours, theirs = board.trace.kept, self.trace
         lines = np.arange(max(begin, int(target["traced"]) - len(ours)), target["traced"]) % len(ours)
         if back:
             ours[lines] = theirs[lines]
@@ -126,7 +127,7 @@ class Isolated:
             raise StageError(
                 "a fault of the bus asks this process about each write: run the firmware with isolated=False."
             )
-        if board._host["hook"]:
+        if board.link.record["hook"]:
             raise StageError(
                 "an interrupt hook in Python is called in this process only: run the firmware with isolated=False, or take the "
                 "hook away: board.on_interrupt(None)."
@@ -137,7 +138,7 @@ class Isolated:
         changed = _pickled(board.stage) if _fingerprint(board.stage) != self._seen else None
         self._shared.copy(board)
         try:
-            self._pipe.send(Go(until, most_cycles, board._ports, changed))
+            self._pipe.send(Go(until, most_cycles, board.port_table, changed))
             while not isinstance(message := self._pipe.recv(), Stands):
                 self._take(message)
         except (EOFError, OSError):
@@ -148,7 +149,7 @@ class Isolated:
         if message.error is not None:
             self._end()
         self._catch_up(message.now)
-        board._ports[:] = message.ports
+        board.port_table[:] = message.ports
         if message.error is not None:
             raise _revived(*message.error)
         self._running = message.code is None
@@ -161,7 +162,7 @@ class Isolated:
     def _start(self) -> None:
         """A child with a copy of the stage; raises what is wrong with the library."""
         board = self._board
-        given = _pickled((board.stage, board._options))
+        given = _pickled((board.stage, board.options))
         file, shared = tempfile.mkstemp(prefix="pulsestage-")
         os.close(file)
         ours, theirs = Pipe()

@@ -178,8 +178,9 @@ class Library:
                 raise LibraryError(
                     f"{path} cannot be loaded: {said}. Link what it needs into it; it is built so: {how_to_build(path)}"
                 ) from None
+        self._handle = self._library._handle  # ctypes shows it nowhere else
         if not may_exit:
-            exits.interpose(self._library._handle)
+            exits.interpose(self._handle)
         abi = self._find(ctypes.c_uint32, "pulsestage_abi").value
         if abi != ABI:
             raise LibraryError(
@@ -209,4 +210,4 @@ class Library:
         if platform.system() != "Windows":
             import _ctypes
 
-            _ctypes.dlclose(self._library._handle)
+            _ctypes.dlclose(self._handle)

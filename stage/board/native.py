@@ -19,7 +19,8 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from stage.board import library
-from stage.board.board import MOST, Board
+from stage.board.board import Board
+from stage.board.link import MOST
 from stage.board.threaded import PATIENCE, Threaded
 from stage.errors import ArgumentError, RunTimeout, StageError
 
@@ -164,12 +165,12 @@ class NativeHost:
         if int(max_cycles) != max_cycles or max_cycles < 1:
             raise ArgumentError(f"max_cycles={max_cycles!r}: a whole number of bus cycles, 1 or more.")
         if not self.running:
-            if board._driver is not None and board._driver.running:
+            if board.driver is not None and board.driver.running:
                 raise StageError(
-                    f"{board._driver.path.name} drives this board and has not returned: a bus has one host. "
+                    f"{board.driver.path.name} drives this board and has not returned: a bus has one host. "
                     "Run it on, or close() it."
                 )
-            board._driver, self._begun = self, (stage.now, board.cycles)
+            board.driver, self._begun = self, (stage.now, board.cycles)
         self._most = min(board.cycles + int(max_cycles), MOST)
         code = self._runner.go_on(stage.now + ns, self._most)
         now, cycles = self._begun

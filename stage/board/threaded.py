@@ -12,7 +12,8 @@ import time
 from pathlib import Path
 
 from stage.board import bus, exits, library
-from stage.board.board import MOST, Board
+from stage.board.board import Board
+from stage.board.link import MOST
 from stage.errors import StageError
 
 PATIENCE = 20.0  # s of real time
@@ -41,10 +42,10 @@ class Threaded:
         board = self._board
         if self._thread is None:
             self._start()
-        board._host["lazy"], board._host["quiet"] = 1, 0
-        board._host["until"], board._host["most_cycles"] = until, most_cycles
-        board._stand_still = self._stand_still
-        board._begin()
+        board.link.record["lazy"], board.link.record["quiet"] = 1, 0
+        board.link.record["until"], board.link.record["most_cycles"] = until, most_cycles
+        board.link.stand_still = self._stand_still
+        board.link.begin()
         self._go.release()
         try:
             self._wait()
@@ -52,15 +53,15 @@ class Threaded:
             self._interrupt()
             raise
         finally:
-            board._stand_still = None
-            board._host["until"] = board._host["most_cycles"] = MOST
-            board._host["lazy"] = 0
-        if board._error is not None:
+            board.link.stand_still = None
+            board.link.record["until"] = board.link.record["most_cycles"] = MOST
+            board.link.record["lazy"] = 0
+        if board.link.error is not None:
             self._abandon()
-        board._raise()
+        board.link.raise_error()
         if self._left:
             self._abandon()
-            board._settle()
+            board.link.settle()
             raise HostError(
                 f"{self._path.name}: {self._left} at {board.stage.time:.6f} s, after {board.cycles:,} bus cycles, would have ended "
                 "the process. Return from PULSESTAGE_MAIN instead; or run it with isolated=True, in a process of its own. Its last "
@@ -75,7 +76,7 @@ class Threaded:
         """A copy of the library, with a bus of its own: firmware that was given up keeps its own."""
         size, board = ctypes.sizeof(library.BusStruct), self._board
         return library.Library(
-            self._path, library.BusStruct(library.ABI, size, board._at, board._request), self._may_exit
+            self._path, library.BusStruct(library.ABI, size, board.link.pointer, board.link.request), self._may_exit
         )
 
     def _start(self) -> None:
@@ -97,14 +98,14 @@ class Threaded:
         exits.told[me] = self._leave
         code, board = int(loaded.main()), self._board
         del exits.told[me]
-        if threading.current_thread() in board._abandoned:
+        if threading.current_thread() in board.link.abandoned:
             return
-        board._host["hook"], board._host["lazy"] = board._own_hook(), 0
+        board.link.record["hook"], board.link.record["lazy"] = board.link.own_hook(), 0
         try:
-            board._request(board._at, bus.SETTLE, 0, 0)
-            board._end()
+            board.link.request(board.link.pointer, bus.SETTLE, 0, 0)
+            board.link.end()
         except BaseException as error:
-            board._fail(error)
+            board.link.fail(error)
         self._thread = None
         loaded.close()
         self._code = code
@@ -113,12 +114,12 @@ class Threaded:
     def _leave(self, call: str) -> None:
         """In the firmware's thread: it is not to go on, and cannot be ended."""
         me = threading.current_thread()
-        if me not in self._board._abandoned:
+        if me not in self._board.link.abandoned:
             self._left = call
             if me is self._thread:
                 self._stands.release()
             else:  # one that the firmware has started: the firmware stands still at its next request
-                self._board._host["until"] = 0
+                self._board.link.record["until"] = 0
         threading.Event().wait()
 
     def _stand_still(self) -> None:
@@ -129,12 +130,12 @@ class Threaded:
     def _wait(self) -> None:
         """Wait for the firmware to stand still."""
         board = self._board
-        h, seen, since = board._host, None, time.monotonic()
+        h, seen, since = board.link.record, None, time.monotonic()
         while not self._stands.acquire(timeout=0.2):
             if self._left:
                 return
-            now = (int(h["cycles"]), board.stage.now, board.calls)
-            if now != seen or board.calls % 2:  # a call may have much to do
+            now = (int(h["cycles"]), board.stage.now, board.link.calls)
+            if now != seen or board.link.calls % 2:  # a call may have much to do
                 seen, since = now, time.monotonic()
             elif time.monotonic() - since > self._patience:
                 raise HostError(
@@ -145,13 +146,13 @@ class Threaded:
 
     def _interrupt(self) -> None:
         """Somebody has pressed Ctrl-C, or lost patience: the firmware stands still at its next request, or is left alone."""
-        self._board._host["until"] = 0
+        self._board.link.record["until"] = 0
         if not self._stands.acquire(timeout=0.5):
             self._abandon()
-            self._board._settle()
+            self._board.link.settle()
 
     def _abandon(self) -> None:
         """Whatever the firmware still does, it does not reach the board."""
         if self._thread is not None:
-            self._board._abandon(self._thread)
+            self._board.link.abandon(self._thread)
         self._thread = None

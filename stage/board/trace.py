@@ -48,28 +48,28 @@ Meaning = Callable[[int, int, bool, bool], str]
 class BusTrace:
     """The last cycles of a board, oldest first; iterate for `Cycle`s, print for text.
 
-    room: how many lines are kept. dropped: lines before these. What cycles mean is told from the lines that are kept; where some
-    were dropped, the first of the rest may be taken for another register's.
+    kept: the lines, CYCLE records, as a ring; room: how many of them. dropped: lines before these. What cycles mean is told from
+    the lines that are kept; where some were dropped, the first of the rest may be taken for another register's.
     """
 
     def __init__(self, board: Board, room: int):
         self._board = board
-        self._lines = np.zeros(room, bus.CYCLE)
+        self.kept = np.zeros(room, bus.CYCLE)
         self.room = room
 
     def lines(self) -> np.ndarray:
         """The lines kept, as CYCLE records."""
-        n = self._board._traced
+        n = self._board.link.traced
         if n <= self.room:
-            return self._lines[:n].copy()
-        return np.roll(self._lines, -(n % self.room))
+            return self.kept[:n].copy()
+        return np.roll(self.kept, -(n % self.room))
 
     @property
     def dropped(self) -> int:
-        return max(0, self._board._traced - self.room)
+        return max(0, self._board.link.traced - self.room)
 
     def __len__(self) -> int:
-        return min(self._board._traced, self.room)
+        return min(self._board.link.traced, self.room)
 
     def __iter__(self) -> Iterator[Cycle]:
         return self.last(len(self))
@@ -78,7 +78,7 @@ class BusTrace:
         """The last `n` lines. What they mean is told from all that are kept."""
         lines = self.lines()
         first = len(lines) - n
-        tell = self._board._teller()
+        tell = self._board.teller()
         for k, line in enumerate(lines.tolist()):
             at, until, count, kind, port, value = line
             stray, lost, kind = bool(kind & bus.STRAY), bool(kind & bus.LOST_ON_THE_WAY), kind & 7

@@ -94,7 +94,7 @@ def _report(stage: Any, board: Any) -> None:
         said = chip.diagnostics
         if said:
             print(
-                f"chip of {board._name(k)}: {len(said)} writes that a reader of the data sheet would call mistakes, the first of "
+                f"chip of {board.name_of(k)}: {len(said)} writes that a reader of the data sheet would call mistakes, the first of "
                 "each kind:"
             )
             firsts = {d.message: d for d in reversed(said)}

@@ -88,7 +88,7 @@ def test_a_host_in_c_a_host_in_python_and_the_chips_themselves_go_the_same_way_t
             answers = by_hand(plain, program)
         with python.record() as recording:
             board = Board(python)
-            asked = [board._ask(*request) for request in program]
+            asked = [board.link.ask(*request) for request in program]
         assert [v for v, (what, _, _) in zip(asked, program, strict=True) if what in (IN8, IN16)] == answers
         assert everything(python) == everything(plain)
         (tmp_path / "program").write_text("".join(f"{what} {a} {b}\n" for what, a, b in program))

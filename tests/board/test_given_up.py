@@ -176,7 +176,7 @@ def test_a_hook_in_python_is_not_forgotten_in_silence_by_firmware_in_a_process_o
 def test_writes_leave_the_engine_room_for_what_it_notes_within_a_step():
     b = board("xyz_servo", HCTL1100)
     room = 3 * engine.EDGES_A_WINDOW + 20
-    b._host["edge_room"] = room  # of an array that is longer: what lies behind would be overwritten
+    b.link.record["edge_room"] = room  # of an array that is longer: what lies behind would be overwritten
     run_on(b, "PULSESTAGE_MAIN { for (int k = 0; k < 5000; k++) ps_out8(0x300 + k % 6, 5); return 0; }").run()
     used = np.flatnonzero(b.stage.state.edges["clock"])[-1]
     assert used < room - engine.EDGES_A_WINDOW, f"{room} records, {used + 1} used"

@@ -1,0 +1,215 @@
+"""`Link`: a board's end of compiled code: the HOST record, what is done before and after each run, what it asks Python.
+
+For runners of firmware (threaded.py, isolated.py, child.py); who drives a board from Python needs none of it.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import threading
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from stage.board import bus
+from stage.errors import StageError
+from stage.native import plain
+from stage.sim import engine, handle
+
+if TYPE_CHECKING:
+    from stage.board.board import Board
+
+NOTED = 1 << 14  # edges and writes between two calls of Python
+MOST = 1 << 62
+UPCALL = ctypes.CFUNCTYPE(None, ctypes.c_int64)
+HOOK = ctypes.CFUNCTYPE(None, ctypes.c_void_p)
+
+
+class StormError(StageError):
+    """An interrupt hook does not clear the interrupt that calls it."""
+
+
+class Link:
+    """Of one board.
+
+    Attributes:
+        record: its HOST record; pointer: where that lies, for compiled code.
+        request: the function of compiled code that does what a host asks for: (pointer, what, a, b) -> answer.
+        error: what went wrong below compiled code, until `raise_error`.
+        hook: whom the interrupt line calls, or None.
+        stand_still: how a host in a thread of its own waits, while one runs.
+        abandoned: threads of firmware that was given up.
+        calls: of Python by compiled code, begun and ended: odd in one.
+        tell: is given what was noted, EDGE records, before it goes to journals; or None.
+    """
+
+    def __init__(self, board: Board):
+        self.board, self.stage = board, board.stage
+        self.calls = 0
+        self.error: BaseException | None = None
+        self.hook: Callable[[], None] | None = None
+        self.stand_still: Callable[[], None] | None = None
+        self.abandoned: set[threading.Thread] = set()
+        self.tell: Callable[[np.ndarray], None] | None = None
+        self._left: list[np.ndarray] = []
+        self._call, self._call_hook = UPCALL(self._called), HOOK(self._hooked)
+        self.request: Any = bus.request.pointer
+        self._lay_out()
+
+    @property
+    def traced(self) -> int:
+        """Lines that went into the bus trace so far."""
+        return int(self.record["traced"])
+
+    def _lay_out(self) -> None:
+        """The HOST record, and the arrays that it points to."""
+        stage = self.stage
+        if len(stage.state.edges) < NOTED:
+            stage.state.note_in(np.zeros(NOTED, engine.EDGE))
+        self._rows = np.zeros(1, bus.HOST)
+        self.move_to(self._rows)
+        h = self.record
+        handle.fill(self._rows, 0, stage.state)
+        self.irqs = np.zeros(len(stage.chips), bus.IRQ)
+        self._acts = np.zeros(len(stage.chips), np.int64)
+        for k, chip in enumerate(stage.chips):
+            axis, bits = chip.IRQ
+            self.irqs[k] = (axis % (chip.AXES + 1), bits)
+            self._acts[k] = np.uint64(sum(1 << a for a in chip.READING_ACTS)).astype(np.int64)
+        words = stage.state.userdata
+        self._before = np.zeros(len(words))
+        for name, array in (
+            ("edges", stage.state.edges), ("ports", self.board.port_table),
+            ("lines", self.board.trace.kept), ("irqs", self.irqs), ("acts", self._acts), ("userdata", words),
+            ("before", self._before),
+        ):  # fmt: skip
+            h[name] = array.ctypes.data
+        h["edge_room"], h["n_ports"], h["first"] = len(stage.state.edges), len(self.board.port_table), self.board.first
+        h["line_room"], h["words"] = self.board.trace.room, len(words)
+        h["until"] = h["most_cycles"] = MOST
+        h["journals"] = 1
+        h["call"] = ctypes.cast(self._call, ctypes.c_void_p).value
+
+    def begin(self) -> None:
+        """Before compiled code runs: what it may have to write to, and whom it has to ask."""
+        stage, h = self.stage, self.record
+        stage.look()
+        asks = 0
+        for k, chip in enumerate(stage.chips):
+            if chip.glitches:
+                asks |= 1 << k
+        h["asks"], h["reached"] = asks, stage.now
+        handle.log_to(h, stage.recording)
+
+    def end(self) -> None:
+        """After compiled code has run: what it noted goes to journals and recording."""
+        stage, h = self.stage, self.record
+        if n := int(h["noted"]):
+            if self.tell is not None:
+                self.tell(stage.state.edges[:n])
+            h["noted"] = 0
+            stage.loop.note_edges(n)
+            for chip in stage.chips:
+                if chip.late_lint is not None:
+                    chip.late_lint.tidy()
+        if (recording := stage.recording) is not None:
+            recording.take(int(h["filled"]))
+            h["filled"] = recording.filled
+
+    def ask(self, what: int, a: int, b: int) -> int:
+        """One request of a host in Python."""
+        self.begin()
+        answer = int(self.request(self.pointer, what, int(a), int(b)))
+        if answer == bus.TWO_AT_ONCE:
+            raise StageError("this board is in use by another thread: a bus has one host at a time.")
+        self.end()
+        self.raise_error()
+        return answer
+
+    def raise_error(self) -> None:
+        """Raise what went wrong below compiled code."""
+        if self.error is not None:
+            error, self.error = self.error, None
+            self.record["stopped"] = 0
+            raise error
+
+    def _called(self, reason: int) -> None:
+        """Compiled code calls, see stage.board.bus."""
+        if threading.current_thread() in self.abandoned:
+            threading.Event().wait()
+        self.calls += 1
+        try:
+            self.end()
+            if reason == bus.DIVERGED:
+                self._diverged()
+            elif reason == bus.STORM:
+                raise StormError(
+                    f"the interrupt hook was called {bus.STORM_CALLS:,} times in a row at {self.stage.time:.6f} s and the line is "
+                    f"still asserted: the hook has to clear the interrupt at its chip.\n{self.board.trace.text(8)}"
+                )
+            elif reason == bus.LINE_OF_LOG:
+                self.board.note(ctypes.string_at(int(self.record["asked"])).decode(errors="replace"))
+            elif reason == bus.ASKED_WRITE:
+                h = self.record
+                chip = self.stage.chips[int(h["asked_chip"])]
+                h["asked"] = chip.loses(int(h["asked_address"]), int(h["asked"]))
+            elif reason == bus.BY_HAND:
+                self.stage.run_to(int(self.record["asked"]))
+            self.begin()
+        except BaseException as error:
+            self.fail(error)
+        self.calls += 1
+        if self.stand_still is not None and (reason == bus.PAUSE or self.record["stopped"]):
+            self.stand_still()
+
+    def _diverged(self) -> None:
+        error = self.stage.loop.undo_divergence(self.pointer)
+        self.end()
+        raise error
+
+    def fail(self, error: BaseException) -> None:
+        """Nothing more happens on this bus until somebody was told."""
+        self.record["stopped"] = 1
+        if self.error is None:
+            self.error = error
+
+    def abandon(self, thread: threading.Thread) -> None:
+        """A firmware's thread, which may still run, never reaches this board again: it has a HOST record that is stopped, and
+        the board goes on with a copy."""
+        self.abandoned.add(thread)
+        self.record["stopped"] = 1
+        self._left.append(self._rows)
+        self.move_to(self._rows.copy())
+        self.record["stopped"] = self.record["serving"] = self.record["inside"] = 0
+        self.record["hook"] = self.own_hook()
+        self.stand_still = None
+
+    def settle(self) -> None:
+        """After firmware that computed was given up: what its cycles noted is taken, and the stage stands where it stood."""
+        self.end()
+        self.begin()
+        self.request(self.pointer, bus.SETTLE, 0, 0)
+        self.end()
+
+    def move_to(self, rows: np.ndarray) -> None:
+        """From now on the HOST record is that in `rows`, of one."""
+        rows[:] = self._rows
+        self._rows, self.pointer = rows, rows.ctypes.data
+        rows["own"] = self.pointer
+        self.record = rows.view(plain(bus.HOST))[0]
+
+    def own_hook(self) -> int:
+        """What calls the hook of `on_interrupt`: its address, or 0."""
+        return (ctypes.cast(self._call_hook, ctypes.c_void_p).value or 0) if self.hook else 0
+
+    def _hooked(self, _: Any) -> None:
+        try:
+            self.end()  # the hook may write to a chip itself: journals want what was before it first
+            try:
+                if self.hook is not None:
+                    self.hook()
+            finally:
+                self.begin()
+        except BaseException as error:
+            self.fail(error)
