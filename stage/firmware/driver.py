@@ -80,6 +80,10 @@ class Driver(ABC):
         """What a drawing of a report about this family's chips shows."""
         return Pattern(report)
 
+    def runs(self) -> bool:
+        """What `run` has started still runs."""
+        return self.chip.busy(self.axis.chip_axis)
+
     def stopped_by(self) -> str:
         """Why it stands, where the host has not stopped it: "EL+", "EL-", or nothing that the chip tells."""
         return ""

@@ -15,7 +15,7 @@ from typing import Any
 
 from stage.errors import ArgumentError
 from stage.firmware.axis import Axis
-from stage.firmware.driver import DRIVE, RAMP, START, Driver, Speeds, driver_of
+from stage.firmware.driver import DRIVE, RAMP, START, Speeds, driver_of
 from stage.firmware.report import Procedure, Report
 from stage.firmware.together import SynchronizedReport, chosen_axes
 
@@ -80,13 +80,9 @@ def jog(
     with Procedure(axis, "jog") as p:
         driver.run(direction, wanted)
         axis.wait(seconds)
-        met = "" if _runs(driver) else driver.stopped_by()
+        met = "" if driver.runs() else driver.stopped_by()
         driver.halt()
         return p.report(met or "decelerating stop")
-
-
-def _runs(driver: Driver) -> bool:
-    return driver.chip.SERVO or driver.chip.busy(driver.axis.chip_axis)
 
 
 def stop(axis: Axis, at_once: bool = False) -> None:

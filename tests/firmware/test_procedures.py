@@ -88,6 +88,10 @@ def test_stop_ends_what_a_driver_has_started(stage):
                 firmware.move(x, 1e-3)
         begun = x.position
         firmware.stop(x, at_once)
+        if stage.chips[0].SERVO:
+            stood = x.position
+            stage.run(0.02)
+            assert x.position == pytest.approx(stood, abs=60e-6), "a servo has come to rest when stop returns"
         assert x.position - begun < 0.004
         stage.run(0.3)
         rest = x.position
@@ -135,6 +139,22 @@ def test_an_end_limit_is_told_as_one(stage):
     assert not report.ok
     assert "NOT as asked, stopped by EL+" in str(report)
     assert firmware.move(x, -5e-3, speed=0.02).ok, "the way back is free"
+
+
+@each
+def test_a_jog_onto_an_end_limit_says_so(stage):
+    x = stage.axes["x"]
+    stage.place(x=next(s.touch for s in x.plant.switches if s.pin == "el_plus") - 2e-3)
+    assert firmware.jog(x, 0.5, 0.02).stopped_by == "EL+"
+
+
+def test_a_servo_told_to_jog_on_the_home_switch_says_that_it_obeys_it():
+    stage = Stage("xy", chips=HCTL1100, visuals=False)
+    x = stage.axes["x"]
+    stage.place(x=next(s.touch for s in x.plant.switches if s.pin == "org") - 2e-3)
+    report = firmware.jog(x, 0.2, -0.02)
+    assert (report.stopped_by, report.pulses) == ("ORG", 0)
+    assert firmware.move(x, -2e-3).ok, "other modes do not mind STOP"
 
 
 @each

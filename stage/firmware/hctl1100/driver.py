@@ -16,9 +16,9 @@ from stage.errors import ArgumentError, RunTimeout
 from stage.firmware.choices import Choices, choices
 from stage.firmware.driver import SETTLE, Driver, Speeds
 from stage.firmware.hctl1100.home import home, leave_limit
-from stage.firmware.hctl1100.moves import Tuning, acceleration_word, cruise, set_up, trapezoid, velocity_word
+from stage.firmware.hctl1100.moves import DWELL, Tuning, acceleration_word, cruise, set_up, trapezoid, velocity_word
 from stage.firmware.hctl1100.pattern import Pattern
-from stage.firmware.hctl1100.port import CONTROL, FLAGS, IDLE, INIT, LIMIT, SET, Port
+from stage.firmware.hctl1100.port import CONTROL, FLAG, FLAGS, IDLE, INIT, LIMIT, SET, STOP, Port
 from stage.firmware.hctl1100.profile import follow, synchronize
 from stage.firmware.report import Procedure, Report
 from stage.firmware.search import Search
@@ -26,6 +26,7 @@ from stage.firmware.together import SynchronizedReport, Together
 from stage.sim.program import Operations
 
 END = "end of profile"
+PATIENCE = 5.0  # s, to come to rest
 DEADBAND = 10  # counts: a filter without an integral holds a weight by an error
 
 
@@ -98,19 +99,31 @@ class Hctl1100Driver(Driver):
         self._direction = direction
         cruise(port, word)
 
+    def runs(self) -> bool:
+        return not self.stopped_by()
+
     def halt(self, at_once: bool = False) -> None:
         if self.port.limited() or self.port.status() & INIT:
             return
         port = self.ready()
-        if not at_once:
+        if at_once:
+            port.hold()
+        else:
             cruise(port, 0)
             before = port.commanded() - 1
             while before != (now := port.commanded()):
                 before = now
                 self.axis.wait(3 * port.sample)
             port.mode("position")
-        else:
-            port.hold()
+        since = self.axis.time
+
+        def stands() -> bool:
+            nonlocal since
+            if abs(port.commanded() - port.position()) > DEADBAND:
+                since = self.axis.time
+            return port.limited() or self.axis.time - since >= DWELL
+
+        port.wait_until(stands, PATIENCE, "rest")
 
     @classmethod
     def pattern(cls, report: Report) -> Pattern:
@@ -119,7 +132,8 @@ class Hctl1100Driver(Driver):
     def stopped_by(self) -> str:
         if self.port.limited():
             return "EL-" if self._direction < 0 else "EL+"
-        return ""
+        cruises = self.chip.read(FLAG) >> FLAGS["integral velocity"] & 1  # the one mode that obeys STOP
+        return "ORG" if cruises and not self.port.status() & STOP else ""
 
     def _linear(self, speeds: Speeds) -> None:
         if speeds.s_curve:
