@@ -67,6 +67,10 @@ class Driver(ABC):
     def home(self, direction: int, speeds: Speeds, index: bool = False, timeout: float = 60.0) -> Report:
         """Find ORG, which lies in `direction`, from wherever the axis is; `index`: and on to the encoder's index pulse."""
 
+    def ready(self, *ways: int) -> Any:
+        """Before a drive: whatever the chip needs once. ways: directions in which the axis may leave a limit switch that it stands
+        on, the likely one first."""
+
     @abstractmethod
     def run(self, direction: int, speeds: Speeds) -> None:
         """Start to run, until `halt`."""

@@ -77,6 +77,7 @@ def jog(
         raise ArgumentError(f"seconds={seconds!r}: time runs forward, by 0 to 1e9 s.")
     driver, direction = driver_of(axis), -1 if speed is not None and speed < 0 else 1
     wanted = speeds(axis, None if speed is None else abs(speed), start_speed, accel, None, False)
+    driver.ready(direction)
     with Procedure(axis, "jog") as p:
         driver.run(direction, wanted)
         axis.wait(seconds)

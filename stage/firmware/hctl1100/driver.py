@@ -18,7 +18,7 @@ from stage.firmware.driver import SETTLE, Driver, Speeds
 from stage.firmware.hctl1100.home import home, leave_limit
 from stage.firmware.hctl1100.moves import DWELL, Tuning, acceleration_word, cruise, set_up, trapezoid, velocity_word
 from stage.firmware.hctl1100.pattern import Pattern
-from stage.firmware.hctl1100.port import CONTROL, FLAG, FLAGS, IDLE, INIT, LIMIT, SET, STOP, Port
+from stage.firmware.hctl1100.port import CONTROL, FLAGS, IDLE, INIT, LIMIT, SET, STOP, Port
 from stage.firmware.hctl1100.profile import follow, synchronize
 from stage.firmware.report import Procedure, Report
 from stage.firmware.search import Search
@@ -79,8 +79,8 @@ class Hctl1100Driver(Driver):
             return p.report(self.stopped_by() if done.limited else END, int(pulses))
 
     def home(self, direction: int, speeds: Speeds, index: bool = False, timeout: float = 60.0) -> Report:
+        port = self.ready(-direction, direction)
         with Procedure(self.axis, "origin return") as p:
-            port = self.ready(-direction, direction)
             turn = getattr(getattr(self.axis, "drive", None), "counts", 2000)
             home(
                 port, direction, speed=speeds.drive, acceleration=speeds.drive / speeds.up, index=index, turn=turn,
