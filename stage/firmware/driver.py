@@ -70,6 +70,7 @@ class Driver(ABC):
     def ready(self, *ways: int) -> Any:
         """Before a drive: whatever the chip needs once. ways: directions in which the axis may leave a limit switch that it stands
         on, the likely one first."""
+        return None
 
     @abstractmethod
     def run(self, direction: int, speeds: Speeds) -> None:
