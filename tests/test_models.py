@@ -1,6 +1,7 @@
 """The shipped models: loadable anywhere, true to their sizes, switches seen and never felt."""
 
 import copy
+from importlib import resources
 
 import mujoco
 import numpy as np
@@ -16,7 +17,7 @@ TRAVEL = {"x": 0.300, "y": 0.200, "z": 0.080}
 
 @pytest.fixture(scope="module", params=plant.names())
 def model(request):
-    return mujoco.MjModel.from_xml_path(str(plant.resources.files("stage.models") / f"{request.param}.xml"))
+    return mujoco.MjModel.from_xml_path(str(resources.files("stage.models") / f"{request.param}.xml"))
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,39 @@
+"""The MJCF naming contract: which joints, actuators and sensors make an axis; checks a model, says what lacks.
+
+Axis NAME is
+    a joint NAME (slide or hinge) with a range,
+    an actuator NAME on it: a <motor> for a stepper, whose ctrl is rotor torque in N m, or a <dcmotor> for a servo, whose ctrl is
+        terminal voltage; gear is rotor radians per joint unit,
+    five contact sensors NAME_el_plus, NAME_el_minus, NAME_sd_plus, NAME_sd_minus, NAME_org between a vane and a switch,
+        each with data="found dist" and a force-free <pair margin="-0.03" gap="0.04">,
+    or <custom><text name="NAME_unfitted" data="sd_plus sd_minus"/></custom> for the switches that it does without.
+<text name="NAME_motor" data="17HS4401"/> names the motor whose rotor inertia is in the joint's armature.
+A stage fits the actuator that its chip drives, see `equip`: any model takes any chip.
+<numeric name="NAME_index" data="0.5"/> says where in the rotor's turn the encoder's index pulse (EZ) stands, in turns from the
+rotor's place at joint position 0; without it, half a turn from where ORG trips, as one mounts it.
+
+    spec = open_spec("xyz")                         a name, a path, an MjSpec or an MjModel
+    model, offset = compile_spec(spec, words)       with room for `words` float64 of state in userdata
+    for axis in bind(model): ...                    ModelError says everything that lacks, at once
+
+docs/models.md explains the contract and holds a complete small model.
+"""
+
+from stage.sim.pins import PINS
+from stage.sim.plant.contract import PlantAxis, bind, describe
+from stage.sim.plant.spec import (
+    axis_names,
+    compile_spec,
+    dc_constants,
+    discard_visuals,
+    equip,
+    motors,
+    names,
+    open_spec,
+)  # fmt: skip
+from stage.sim.plant.switches import Switch
+
+__all__ = [
+    "PINS", "PlantAxis", "Switch", "axis_names", "bind", "compile_spec", "dc_constants", "describe", "discard_visuals", "equip",
+    "motors", "names", "open_spec",
+]  # fmt: skip

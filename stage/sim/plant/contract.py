@@ -1,0 +1,188 @@
+"""The naming contract: finds and checks the axes of a model."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from stage.errors import ModelError
+from stage.sim.fingerprint import fingerprint
+from stage.sim.pins import PINS
+from stage.sim.plant.problems import Problems, actuator_line, joint_line, similar, slip
+from stage.sim.plant.spec import axis_names, texts
+from stage.sim.plant.switches import Switch, SwitchFinder
+
+KEPT_PLANTS = 64
+
+
+@dataclass(frozen=True)
+class PlantAxis:
+    """What the engine needs to know of an axis.
+
+    Attributes:
+        joint, actuator: ids in the model; qpos, dof: addresses. gear: rotor radians per joint unit, signed.
+        travel: the joint's range, m (rad if `hinge`). motor: name of the motor inside the armature, or None. servo: the actuator is
+            a DC motor.
+        index: where in the rotor's turn the index pulse stands, in turns from its place at joint position 0.
+        switches: those fitted, in the order of PINS.
+    """
+
+    name: str
+    joint: int
+    qpos: int
+    dof: int
+    actuator: int
+    gear: float
+    travel: tuple[float, float]
+    hinge: bool
+    motor: str | None
+    servo: bool
+    index: float
+    switches: tuple[Switch, ...]
+
+
+def bind(model: mujoco.MjModel, axes: Sequence[str] | None = None) -> tuple[PlantAxis, ...]:
+    """Find and check the axes of a model; `axes` chooses some. Raises one ModelError that lists everything that is wrong."""
+    try:
+        chosen = tuple(axes if axes is not None else axis_names(model))
+        key = fingerprint(model), chosen
+        if key not in _bound:
+            if len(_bound) >= KEPT_PLANTS:
+                _bound.clear()
+            _bound[key] = _Binder(model, list(chosen)).bind()
+        return _bound[key]
+    except UnicodeDecodeError as error:
+        raise ModelError(f"a name in the model is not UTF-8: {error}. Save the MJCF as UTF-8.") from error
+
+
+_bound: dict[tuple, tuple[PlantAxis, ...]] = {}  # by model and axes: the same model is measured once
+
+
+def describe(model: mujoco.MjModel) -> str:
+    """The axes of a model as a text table."""
+    lines = [f"{'axis':6}{'kind':7}{'travel':>22}{'per turn':>12}  {'motor':16}switches trip at"]
+    for a in bind(model):
+        unit, k = ("rad", 1.0) if a.hinge else ("mm", 1e3)
+        travel = f"{a.travel[0] * k:.1f} .. {a.travel[1] * k:.1f} {unit}"
+        trips = ", ".join(f"{s.pin} {s.touch * k:.2f}" for s in a.switches) or "none fitted"
+        per_turn = f"{2 * np.pi / abs(a.gear) * k:.3f} {unit}"
+        lines.append(
+            f"{a.name:6}{'hinge' if a.hinge else 'slide':7}{travel:>22}{per_turn:>12}  {a.motor or '-':16}{trips}"
+        )
+    return "\n".join(lines)
+
+
+class _Binder:
+    """Checks axes one by one and collects what is wrong."""
+
+    def __init__(self, model: mujoco.MjModel, axes: list[str]):
+        self.model, self.axes = model, axes
+        self.problems = Problems()
+        self.texts = texts(model)
+        self.switches = SwitchFinder(model, self.problems, axes)
+
+    def bind(self) -> tuple[PlantAxis, ...]:
+        off = mujoco.mjtDisableBit
+        if self.model.opt.disableflags & (off.mjDSBL_CONTACT | off.mjDSBL_CONSTRAINT | off.mjDSBL_SENSOR):
+            raise ModelError("switches are contact sensors, and the model's <option><flag/> disables contact, constraint "
+                             'or sensor. Remove contact="disable", constraint="disable" and sensor="disable".')  # fmt: skip
+        bound = [self._axis(name) for name in self.axes]
+        self.problems.check()
+        return tuple(a for a in bound if a is not None)
+
+    def _id(self, kind: Any, name: str) -> int:
+        return int(mujoco.mj_name2id(self.model, kind, name))
+
+    # --- joint and actuator ---
+
+    def _axis(self, name: str) -> PlantAxis | None:
+        m, obj = self.model, mujoco.mjtObj
+        joint, actuator = self._id(obj.mjOBJ_JOINT, name), self._id(obj.mjOBJ_ACTUATOR, name)
+        if joint < 0:
+            self.problems.add(
+                name, f"no joint {name!r}{slip(m, obj.mjOBJ_JOINT, m.njnt, name, self.axes)}", joint_line(name)
+            )
+        if actuator < 0:
+            near = slip(m, obj.mjOBJ_ACTUATOR, m.nu, name, self.axes)
+            self.problems.add(name, f"no actuator {name!r}{near}", actuator_line(name))
+        if joint < 0 or actuator < 0:
+            return None
+        slide, hinge = int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE)
+        if int(m.jnt_type[joint]) not in (slide, hinge):
+            self.problems.add(name, f"joint {name!r} is neither slide nor hinge", joint_line(name))
+            return None
+        low, high = (float(v) for v in m.jnt_range[joint])
+        if not low < high:
+            self.problems.add(
+                name, f"joint {name!r} has no range, so its switches cannot be looked for", joint_line(name)
+            )
+        armature = float(m.dof_armature[m.jnt_dofadr[joint]])
+        if not 0 <= armature <= 1e9:
+            self.problems.add(
+                name,
+                f"joint {name!r} has an armature of {armature:g}; inertia is 0 to 1e9, in kg (kg m2 on a hinge): that of the "
+                "rotor times the gear squared, or 0",
+            )
+        gear = float(m.actuator_gear[actuator][0])
+        servo = bool(m.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_DCMOTOR)
+        fits = self._is_dc_motor(joint, actuator) if servo else self._is_motor(joint, actuator)
+        if not fits or not 1e-6 <= abs(gear) <= 1e9:
+            self.problems.add(
+                name,
+                f"actuator {name!r} is not a <motor> on joint {name!r}, nor a <dcmotor> with voltage input only, with a gear of "
+                f"1e-6 to 1e9 (rotor radians per joint unit); if {name!r} is no axis of a chip, name those that are: "
+                "chips={axis: chip}",
+                actuator_line(name),
+            )
+        unfitted = self.texts.get(f"{name}_unfitted", "").split()
+        for pin in unfitted:
+            if pin not in PINS:
+                near = "".join(f" (meant {p!r}?)" for p in similar(pin, PINS))
+                self.problems.add(name, f"the text {name}_unfitted names {pin!r}{near}; switches are {', '.join(PINS)}")
+        if not low < high:
+            return None
+        scanned = self.switches.scanned(name, joint, low, high)
+        found = [self.switches.find(name, pin, joint, low, high, scanned) for pin in PINS if pin not in unfitted]
+        switches = tuple(s for s in found if s is not None)
+        self.switches.check_order(name, switches)
+        return PlantAxis(
+            name, joint, int(m.jnt_qposadr[joint]), int(m.jnt_dofadr[joint]), actuator, gear, (low, high),
+            bool(m.jnt_type[joint] == hinge), self.texts.get(f"{name}_motor"), servo, self._index(name, gear, switches),
+            switches,
+        )  # fmt: skip
+
+    def _index(self, name: str, gear: float, switches: Iterable[Switch]) -> float:
+        m = self.model
+        k = self._id(mujoco.mjtObj.mjOBJ_NUMERIC, f"{name}_index")
+        if k >= 0:
+            index = float(m.numeric_data[m.numeric_adr[k]])
+            if not abs(index) <= 1e6:
+                self.problems.add(name, f"the numeric {name}_index is {index}: give turns, mostly 0 to 1")
+            return index
+        return next(((s.touch * gear / (2 * np.pi) + 0.5) % 1.0 for s in switches if s.pin == "org"), 0.0)
+
+    def _is_on(self, joint: int, actuator: int) -> bool:
+        m = self.model
+        return bool(
+            m.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT and m.actuator_trnid[actuator][0] == joint
+        )
+
+    def _is_dc_motor(self, joint: int, actuator: int) -> bool:
+        """Without states of its own, one control: the voltage."""
+        m = self.model
+        resistance, constant = m.actuator_gainprm[actuator][:2]
+        plain = m.actuator_actnum[actuator] == 0 and not m.actuator_biasprm[actuator].any()
+        return self._is_on(joint, actuator) and bool(plain and resistance > 0 and constant > 0)
+
+    def _is_motor(self, joint: int, actuator: int) -> bool:
+        m = self.model
+        return self._is_on(joint, actuator) and bool(
+            m.actuator_dyntype[actuator] == mujoco.mjtDyn.mjDYN_NONE
+            and m.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_FIXED
+            and m.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_NONE
+            and m.actuator_gainprm[actuator][0] == 1
+        )

@@ -1,0 +1,68 @@
+"""What is wrong with a model, collected; and the MJCF lines that mend it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import mujoco
+
+from stage.errors import ModelError, near_names
+
+MARGIN, GAP = -0.03, 0.04  # of the pairs that the errors propose
+
+
+class Problems:
+    """Everything that breaks the naming contract in one model: texts, and the lines to add or change."""
+
+    def __init__(self) -> None:
+        self.texts: list[str] = []
+        self.lines: list[str] = []
+
+    def add(self, axis: str, text: str, line: str | None = None) -> None:
+        """Of an axis: what is wrong, in words, and the line that would mend it."""
+        self.texts.append(f"axis {axis}: {text}")
+        if line and line not in self.lines:
+            self.lines.append(line)
+
+    def check(self) -> None:
+        """Raise one ModelError that lists all of them, if there are any."""
+        if not self.texts:
+            return
+        lines = "".join(f"\n    {line}" for line in self.lines)
+        raise ModelError(
+            "the model does not keep the naming contract (docs/models.md):\n  - "
+            + "\n  - ".join(self.texts)
+            + (f"\n  lines to add or change:{lines}" if lines else ""),
+            self.lines,
+        )
+
+
+def similar(name: str, known: Iterable[str]) -> list[str]:
+    """The names nearest to `name`, whatever the case."""
+    folded = {k.casefold(): k for k in known if k}
+    return [folded[k] for k in near_names(name.casefold(), folded, 0.6)[:1]]
+
+
+def slip(model: Any, kind: Any, count: int, name: str, axes: Sequence[str]) -> str:
+    """For a name that is missing: that of its kind which is nearest and no axis, in words; "" if there is none."""
+    known = (mujoco.mj_id2name(model, kind, k) or "" for k in range(count))
+    near = similar(name, (k for k in known if k not in axes))
+    return f" (there is {near[0]!r}: a slip?)" if near else ""
+
+
+def actuator_line(name: str) -> str:
+    return f'<motor name="{name}" joint="{name}" gear="628.3185307"/>'
+
+
+def joint_line(name: str) -> str:
+    return f'<joint name="{name}" type="slide" axis="1 0 0" range="-0.15 0.15" limited="false"/>'
+
+
+def sensor_line(axis: str, pin: str, vane: str = "", switch: str = "") -> str:
+    vane, switch = vane or f"{axis}_{pin}_vane", switch or f"{axis}_{pin}_switch"
+    return f'<contact name="{axis}_{pin}" geom1="{vane}" geom2="{switch}" num="1" reduce="mindist" data="found dist"/>'
+
+
+def pair_line(geom1: str, geom2: str) -> str:
+    return f'<pair geom1="{geom1}" geom2="{geom2}" margin="{MARGIN}" gap="{GAP}"/>'

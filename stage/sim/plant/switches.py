@@ -1,0 +1,247 @@
+"""Finding the switches of an axis: where each trips, how far its sensor sees its vane, and whether it does what it is for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from stage.sim import libmujoco, scan
+from stage.sim.pins import PINS
+from stage.sim.plant.problems import Problems, pair_line, sensor_line, slip
+
+LOOK_AHEAD = 0.5e-3  # m; a switch must be seen this far before the touch, so that the edge is found inside a step
+SCAN = 401  # joint positions tried over the range
+_DATA_DIMS = (("FOUND", 1), ("FORCE", 3), ("TORQUE", 3), ("DIST", 1), ("POS", 3), ("NORMAL", 3), ("TANGENT", 3))
+
+
+@dataclass(frozen=True)
+class Switch:
+    """A limit switch and its vane.
+
+    Attributes:
+        pin: el_plus, el_minus, sd_plus, sd_minus or org. sensor: id in the model.
+        found, dist: addresses in sensordata.
+        touch: joint position at which the vane, coming from the middle of travel (to ORG: from plus), trips the switch.
+        slope: d dist / d q there; -1 or 1 for flat faces on a slide, m/rad on a hinge.
+        lookahead: joint travel before the touch over which `dist` is seen.
+    """
+
+    pin: str
+    sensor: int
+    found: int
+    dist: int
+    touch: float
+    slope: float
+    lookahead: float
+
+
+class SwitchFinder:
+    """Moves the axes of a model along and measures. What is wrong goes to `problems`."""
+
+    def __init__(self, model: mujoco.MjModel, problems: Problems, axes: Sequence[str]):
+        self.model, self.data, self.problems, self.axes = model, mujoco.MjData(model), problems, axes
+
+    def _sensor(self, name: str) -> int:
+        return int(mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_SENSOR, name))
+
+    def find(
+        self, axis: str, pin: str, joint: int, low: float, high: float, scanned: dict[tuple[int, int], np.ndarray]
+    ) -> Switch | None:
+        m, obj = self.model, mujoco.mjtObj
+        name = f"{axis}_{pin}"
+        sensor = self._sensor(name)
+        if sensor < 0:
+            near = slip(m, obj.mjOBJ_SENSOR, m.nsensor, name, self.axes)
+            text = f'no contact sensor {name!r}{near}; a switch not fitted is named in <text name="{axis}_unfitted" data="{pin}"/>'
+            self.problems.add(axis, text, sensor_line(axis, pin))
+            return None
+        if m.sensor_type[sensor] != mujoco.mjtSensor.mjSENS_CONTACT:
+            self.problems.add(axis, f"sensor {name!r} is not a <contact> sensor", sensor_line(axis, pin))
+            return None
+        if m.sensor_objtype[sensor] != obj.mjOBJ_GEOM or m.sensor_reftype[sensor] != obj.mjOBJ_GEOM:
+            self.problems.add(
+                axis, f"sensor {name!r} must name geom1 (vane) and geom2 (switch)", sensor_line(axis, pin)
+            )
+            return None
+        vane, switch = int(m.sensor_objid[sensor]), int(m.sensor_refid[sensor])
+        vane_name, switch_name = m.geom(vane).name, m.geom(switch).name
+        pair, line = pair_line(vane_name, switch_name), sensor_line(axis, pin, vane_name, switch_name)
+        at = self._addresses(sensor)
+        if "FOUND" not in at or "DIST" not in at:
+            self.problems.add(axis, f'sensor {name!r} needs data="found dist"', line)
+            return None
+        edge = self._edge(joint, vane, switch, low, high, pin, scanned[vane, switch])
+        if isinstance(edge, str):
+            self.problems.add(axis, f"switch {pin}: the vane {edge}")
+            return None
+        q, slope = edge
+        found, dist = at["FOUND"], at["DIST"]
+        here = q + LOOK_AHEAD / slope
+        self._forward(joint, here)
+        seen, gap = self.data.sensordata[found] > 0, self._distance(joint, here, vane, switch)
+        if not seen:
+            text = f"sensor {name!r} does not see its vane {LOOK_AHEAD * 1e3} mm before the touch: "
+            text += "no pair, or its margin + gap is too small"
+            self.problems.add(axis, text, pair)
+            return None
+        if abs(self.data.sensordata[dist] - gap) > 0.1 * LOOK_AHEAD:
+            read = self.data.sensordata[dist]
+            text = f"sensor {name!r} reads {read * 1e3:.3f} mm where vane and switch are {gap * 1e3:.3f} mm apart"
+            self.problems.add(axis, text, line)
+            return None
+        for end in (q, low, high):
+            self._forward(joint, end)
+            if {vane, switch} in self._pushing():
+                self.problems.add(
+                    axis, f"switch {pin} pushes its vane: the margin must be negative, the gap larger", pair
+                )
+                return None
+        if pin.startswith("el"):
+            self._holds_to_the_stop(axis, pin, joint, found, dist, q, high if pin == "el_plus" else low)
+        return Switch(pin, sensor, found, dist, q, slope, self._look_ahead(joint, found, q, slope, low, high))
+
+    def _addresses(self, sensor: int) -> dict[str, int]:
+        """Field -> address in sensordata."""
+        fields, offset, at = int(self.model.sensor_intprm[sensor][0]), int(self.model.sensor_adr[sensor]), {}
+        for field, dim in _DATA_DIMS:
+            if fields >> int(getattr(mujoco.mjtConDataField, f"mjCONDATA_{field}")) & 1:
+                at[field] = offset
+                offset += dim
+        return at
+
+    def _at(self, joint: int, q: float) -> None:
+        self.data.qpos[:] = self.model.qpos0
+        self.data.qpos[self.model.jnt_qposadr[joint]] = q
+
+    def _forward(self, joint: int, q: float) -> None:
+        """All that MuJoCo computes with this joint at q and the others at qpos0."""
+        self._at(joint, q)
+        mujoco.mj_forward(self.model, self.data)
+
+    def _distance(self, joint: int, q: float, vane: int, switch: int) -> float:
+        self._at(joint, q)
+        mujoco.mj_kinematics(self.model, self.data)
+        return mujoco.mj_geomDistance(self.model, self.data, vane, switch, scan.FAR, None)
+
+    def _far(self, joint: int, positions: np.ndarray, pairs: list[tuple[int, int]]) -> np.ndarray:
+        """(positions, pairs), m: how far pairs of geoms are apart with this joint at `positions` and the others at qpos0."""
+        out = np.empty((len(positions), len(pairs)))
+        both = np.array(pairs, np.int32).reshape(-1, 2)
+        self.data.qpos[:] = self.model.qpos0
+        scan.distances(
+            libmujoco.address("mj_kinematics"), libmujoco.address("mj_geomDistance"), self.model._address,
+            self.data._address, self.data.qpos, int(self.model.jnt_qposadr[joint]), positions, both, out,
+        )  # fmt: skip
+        return out
+
+    def scanned(self, axis: str, joint: int, low: float, high: float) -> dict[tuple[int, int], np.ndarray]:
+        """Vane and switch -> their distance at SCAN positions over the range; of all the axis' sensors that name two geoms."""
+        m, geom = self.model, mujoco.mjtObj.mjOBJ_GEOM
+        sensors = [self._sensor(f"{axis}_{pin}") for pin in PINS]
+        pairs = [
+            (int(m.sensor_objid[s]), int(m.sensor_refid[s]))
+            for s in sensors
+            if s >= 0 and m.sensor_objtype[s] == geom and m.sensor_reftype[s] == geom
+        ]
+        for vane, switch in pairs:  # MuJoCo's errors are exceptions in Python only
+            mujoco.mj_geomDistance(m, self.data, vane, switch, scan.FAR, None)
+        return dict(zip(pairs, self._far(joint, np.linspace(low, high, SCAN), pairs).T, strict=True))
+
+    def _pushing(self) -> list[set[int]]:
+        contact, count = self.data.contact, self.data.ncon
+        if not count:
+            return []
+        return [set(pair) for pair in contact.geom[contact.efc_address >= 0].tolist()]
+
+    def _edge(
+        self, joint: int, vane: int, switch: int, low: float, high: float, pin: str, scanned: np.ndarray
+    ) -> tuple[float, float] | str:
+        """(joint position where the vane trips the switch, d dist / d q there), or what is wrong."""
+
+        def distance(q: float) -> float:
+            return self._distance(joint, q, vane, switch)
+
+        grid, dist = np.linspace(low, high, SCAN).tolist(), scanned.tolist()
+        for k in range(SCAN - 2, 0, -1):  # a narrow vane may pass between two positions tried
+            if 0 < dist[k] <= min(dist[k - 1], dist[k + 1]) and 2 * dist[k] <= max(dist[k - 1], dist[k + 1]):
+                finer = np.linspace(grid[k - 1], grid[k + 1], 65)[1:-1]
+                grid[k : k + 1], dist[k : k + 1] = (
+                    finer.tolist(),
+                    self._far(joint, finer, [(vane, switch)])[:, 0].tolist(),
+                )
+        on = np.array(dist) <= 0
+        if on.all():
+            return f"trips it over the whole range {low:g} to {high:g}"
+        trips, leaves = np.flatnonzero(~on[:-1] & on[1:]), np.flatnonzero(on[:-1] & ~on[1:])
+        if not len(trips) and not len(leaves):
+            k = int(np.argmin(dist))
+            return f"cannot reach it: nearest at {grid[k]:g}, {dist[k] * 1e3:.3g} mm away (joint range {low:g} to {high:g})"
+        k = trips[0] if len(trips) and (pin.endswith("plus") or not len(leaves)) else leaves[-1]
+        a, b = grid[k], grid[k + 1]
+        while a < (q := 0.5 * (a + b)) < b:
+            a, b = (q, b) if (distance(q) <= 0) == on[k] else (a, q)
+        e = 1e-6 * (high - low)
+        slope = (distance(q + e) - distance(q - e)) / (2 * e)
+        return (float(q), slope) if slope else "grazes it: the distance does not change with the joint"
+
+    def _look_ahead(self, joint: int, found: int, q: float, slope: float, low: float, high: float) -> float:
+        """Joint travel before the touch over which the sensor finds the vane."""
+        sign, near, far = (1.0 if slope > 0 else -1.0), LOOK_AHEAD / abs(slope), 0.0
+        room = high - q if slope > 0 else q - low
+        for _ in range(24):
+            x = 0.5 * (near + far) if far else min(2 * near, room)
+            self._forward(joint, q + sign * x)
+            if not self.data.sensordata[found] > 0:
+                far = x
+            elif not far and x >= room:
+                return room
+            else:
+                near = x
+        return near
+
+    def _holds_to_the_stop(
+        self, axis: str, pin: str, joint: int, found: int, dist: int, touch: float, end: float
+    ) -> None:
+        """EL comes before the hard stop, and stays asserted up to it (or to the end of the range)."""
+        m = self.model
+        roots = m.body_jntadr[m.body_rootid[m.geom_bodyid]]  # the first joint of what a geom belongs to; -1: none
+        loose = (roots >= 0) & (m.jnt_type[roots] == mujoco.mjtJoint.mjJNT_FREE)  # lies about; no stop of this axis
+        self._forward(joint, float(m.qpos0[m.jnt_qposadr[joint]]))
+        always = self._pushing()
+        for q in np.linspace(touch, end, 25):
+            self._forward(joint, q)
+            stop = [sorted(p) for p in self._pushing() if p not in always and not any(loose[g] for g in p)]
+            if stop and q == touch:
+                geoms = " and ".join(repr(m.geom(g).name) for g in stop[0])
+                self.problems.add(axis, f"the hard stop ({geoms} touch) comes before {pin}, which trips at {touch:g}")
+            if stop:
+                return
+            if q != touch and not (self.data.sensordata[found] > 0 and self.data.sensordata[dist] <= 0):
+                text = f"switch {pin} trips at {touch:g} but lets go again before {q:g}: lengthen its vane up to the hard stop"
+                self.problems.add(axis, text)
+                return
+
+    def check_order(self, axis: str, switches: tuple[Switch, ...]) -> None:
+        by = {s.pin: s for s in switches}
+        wrong = False
+        for pin, sign in (("el_plus", -1), ("el_minus", 1), ("sd_plus", -1), ("sd_minus", 1)):
+            if pin in by and by[pin].slope * sign < 0:
+                side, wrong = "plus" if pin.endswith("plus") else "minus", True
+                self.problems.add(
+                    axis, f"switch {pin} trips when the joint moves away from {side}: is it at the wrong end?"
+                )
+        if wrong:
+            return
+        for low, high, meaning in (
+            ("el_minus", "el_plus", "no travel is left between them"),
+            ("sd_plus", "el_plus", "it can slow nothing down"),
+            ("el_minus", "sd_minus", "it can slow nothing down"),
+            ("el_minus", "org", "the origin is never reached"),
+            ("org", "el_plus", "the origin is never reached"),
+        ):
+            if low in by and high in by and by[low].touch > by[high].touch:
+                a, b = f"{low} trips at {by[low].touch:g}", f"{high} at {by[high].touch:g}"
+                self.problems.add(axis, f"{a}, {b}: in this order {meaning}")
