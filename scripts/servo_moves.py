@@ -16,9 +16,10 @@ import numpy as np
 
 from stage import Stage
 from stage.chips import HCTL1100
+from stage.chips.hctl1100 import maps
 from stage.firmware.hctl1100.model import Loop
 from stage.firmware.hctl1100.moves import MoveReport, Tuning, set_up, trapezoid
-from stage.firmware.hctl1100.port import Port
+from stage.firmware.hctl1100.port import CONTROL, FLAGS, RESET, SET, Port
 from stage.firmware.hctl1100.profile import circle, follow, off_circle, synchronize
 
 TUNING = Tuning()
@@ -56,15 +57,14 @@ def a_stage(**places: float) -> Stage:
 def commands(port: Port, begin: int, samples: int) -> np.ndarray:
     """What the profile generator commands with this chip's registers, sample by sample from `begin` on, by a chip on the bench."""
     chip, values = HCTL1100(port.chip.clock_hz), port.chip.values()
-    chip.write(0x0F, port.t)
-    for address in (0x26, 0x27, 0x28, 0x29, 0x2A, 0x2B):
+    for address in (*maps.ACCELERATION.addresses, maps.MOST_VELOCITY, *maps.FINAL_POSITION.addresses):
         chip.write(address, values[f"R{address:02X}"])
-    for k, address in enumerate((0x0C, 0x0D, 0x0E)):
-        chip.write(address, begin >> 8 * (2 - k) & 0xFF)
+    for cycle in (*chip.register_cycles("timer", port.t), *chip.register_cycles("command_position", begin)):
+        chip.write(*cycle)
     clocks = 16 * (port.t + 1)
-    chip.advance(16 * 0x41)  # the sample of the reset ends
-    chip.write(0x00, 0x08)
-    chip.write(0x05, 0x03)
+    chip.advance(16 * (maps.after_reset("timer") + 1))  # the sample of the reset ends
+    chip.write(maps.FLAG, SET | FLAGS["trapezoid"])
+    chip.write(maps.MODE, CONTROL)
     out = [chip.command_position]
     for _ in range(samples):
         chip.advance(clocks)
@@ -80,9 +80,9 @@ def run_trapezoid(tuning: Tuning = TUNING, counts: int = COUNTS, name: str = "x"
     stage.run(0.1)
     at, zero = port.commanded(), round(axis.commanded / axis.meters_per_pulse)
     with stage.record(every=STEP) as recording:
-        while port.chip.read(0x0F) < port.t // 2:  # the profile begins with the next sample
+        while port.chip.read(maps.TIMER) < port.t // 2:  # the profile begins with the next sample
             stage.run(port.count)
-        first = stage.time + (port.chip.read(0x0F) + 0.5) * port.count
+        first = stage.time + (port.chip.read(maps.TIMER) + 0.5) * port.count
         report = trapezoid(port, counts, velocity=VELOCITY, acceleration=ACCELERATION)
         stage.run(0.1)
     columns = recording.columns
@@ -102,7 +102,7 @@ def run_line(early: bool) -> tuple[np.ndarray, np.ndarray]:
     at = port.commanded()
     with stage.record(every=STEP) as recording:
         for k in range(1, LINE + 1):
-            stage.run((port.chip.read(0x0F) + 2) * port.count)  # the next sample has begun
+            stage.run((port.chip.read(maps.TIMER) + 2) * port.count)  # the next sample has begun
             if not early:
                 port.wait_for_the_safe_part()
             port.load(command_position=at + SLOW * k)
@@ -117,7 +117,7 @@ def run_circle(sync: bool, leader_only: bool, tuning: Tuning = TUNING) -> tuple[
     stage = a_stage(x=0.0, y=-0.03, z=-0.03)
     for name, counts in PHASES.items():
         stage.run(counts * 16 / stage.axes[name].chip.clock_hz)
-        stage.axes[name].chip.write(0x05, 0x00)  # a reset: its sample begins now
+        stage.axes[name].chip.write(maps.MODE, RESET)  # a reset: its sample begins now
     ports = [set_up(stage.axes[name], tuning) for name in "xyz"]
     if sync:
         synchronize(ports)
