@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 from stage.chips.chip import Chip, Pins
 from stage.chips.nova import core, lint, state
 from stage.chips.nova.describe import Decoder, Listener
+from stage.chips.nova.held import Held, HeldOfMcx312
 from stage.chips.nova.interpolation import run as interpolation
 from stage.chips.nova.registers.mcx300 import MCX302_MAP, MCX304_MAP, MCX312_MAP
 from stage.chips.nova.registers.mcx514 import MCX514_MAP
@@ -61,29 +62,9 @@ class Nova(Chip):
             address, value = 0, int(self._plain["first"]) & 0xFF00 | value
         return None if address >= 6 else lint.write(self.MAP, self._held(), address, value)
 
-    def _held(self) -> lint.Held:
+    def _held(self) -> Held:
         """What the lint looks at."""
-        c = self._plain
-        driving = relative = absolute = 0
-        for k, x in enumerate(c["ax"][: self.AXES]):
-            if x["driving"] or x["interpolates"]:
-                driving |= 1 << k
-                if x["fixed"]:
-                    absolute, relative = absolute | x["absolute"] << k, relative | (1 - x["absolute"]) << k
-        return lint.Held(
-            wr6=int(c["low"]),
-            wr7=int(c["high"]),
-            unused=bool(c["unused"]),
-            driving=driving,
-            relative=int(relative),
-            absolute=int(absolute),
-            interpolating=bool(c["interpolating"]),
-            full=bool(c["interpolating"] and c["ip"]["waiting"] >= c["ip"]["depth"]),
-            bit_pattern=bool(c["ip"]["writing"]),
-            interpolated=self._interpolated(),
-            drive_speed=tuple(int(x["reg"][state.DV]) for x in c["ax"]),
-            finish=tuple(int(x["reg"][state.TP]) for x in c["ax"]),
-        )
+        return Held(self._plain, self.AXES, self._interpolated)
 
     def _interpolated(self) -> int:
         """The axes that take part in interpolation, as bits."""
@@ -176,14 +157,9 @@ class MCX312(_Erratum):
         chosen = int(self._plain["outputs5"])
         return 1 << AX1.of(chosen) | 1 << AX2.of(chosen)
 
-    def _held(self) -> lint.Held:
-        finish = tuple(_signed(p) for p in super()._held().finish)
-        return super()._held()._replace(drive_speed=(), finish=finish)
+    def _held(self) -> Held:
+        return HeldOfMcx312(self._plain, self.AXES, self._interpolated)
 
     def _configure(self, record: Any) -> None:
         super()._configure(record)
         record["has_l"] = 1
-
-
-def _signed(p: int) -> int:
-    return p - (p >> 31 << 32)

@@ -6,7 +6,7 @@ from the map, so that all chips of the family share them.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from stage.chips.nova.registers.common import AXES
 from stage.chips.nova.registers.mcx300 import RESET
@@ -19,7 +19,8 @@ _SECTIONS = {"TP": "7.2.7", "DP": "7.2.8"}
 
 
 class Held(NamedTuple):
-    """What a chip holds before a write. Masks have bit 0 for X; tuples an entry for every axis."""
+    """What a chip holds before a write; see held.py for that of a chip that is there. Masks have bit 0 for X; tuples an entry for
+    every axis."""
 
     wr6: int = 0
     wr7: int = 0
@@ -44,7 +45,7 @@ class Held(NamedTuple):
     """TP of the MCX514."""
 
 
-def write(map_: RegisterMap, held: Held, address: int, value: int) -> Note | None:
+def write(map_: RegisterMap, held: Any, address: int, value: int) -> Note | None:
     """A word to WRn, n = `address`."""
     if address == 0:
         return command(map_, held, value)
@@ -56,7 +57,7 @@ def write(map_: RegisterMap, held: Held, address: int, value: int) -> Note | Non
     return _fields(w, value, w.name)
 
 
-def command(map_: RegisterMap, held: Held, value: int) -> Note | None:
+def command(map_: RegisterMap, held: Any, value: int) -> Note | None:
     """A word to WR0."""
     if reserved := value & map_.mask("WR0", "zero"):
         return f"WR0 = {value:04X}h: {_bits(reserved)} must be 0", "WR0"
@@ -91,7 +92,7 @@ def _axes(map_: RegisterMap, c: Command, name: str, axes: int) -> str:
     return ""
 
 
-def _data(r: Register, held: Held, c: Command, axes: int) -> Note | None:
+def _data(r: Register, held: Any, c: Command, axes: int) -> Note | None:
     where = _SECTIONS.get(r.name, f"{c.kind[:4]} writing commands")
     word = (held.wr6 | held.wr7 << 16) & r.mask
     value = r.value(word)
@@ -108,12 +109,12 @@ def _data(r: Register, held: Held, c: Command, axes: int) -> Note | None:
     return _fields(r, word, where)
 
 
-def _turned(held: Held, axes: int, value: int) -> int:
+def _turned(held: Any, axes: int, value: int) -> int:
     """Which of `axes` have a finish point of the other sign."""
     return sum(1 << k for k, old in enumerate(held.finish) if axes >> k & 1 and old * value < 0)
 
 
-def _interpolation(held: Held, c: Command, name: str) -> Note | None:
+def _interpolation(held: Any, c: Command, name: str) -> Note | None:
     axes, where = held.interpolated, "interpolation commands"
     if (count := axes.bit_count()) not in c.together:
         return f"{name} with {count} axes chosen{': ' if axes else ''}{_names(axes)}", where
@@ -130,7 +131,7 @@ def _interpolation(held: Held, c: Command, name: str) -> Note | None:
     return None
 
 
-def _main(held: Held) -> int:
+def _main(held: Any) -> int:
     """The main axis of the MCX514's interpolation, the lowest, as a bit."""
     return held.interpolated & -held.interpolated
 

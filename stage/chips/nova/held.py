@@ -1,0 +1,86 @@
+"""What a NOVA chip holds now, for its lint: each answer is worked out when it is asked for, as most writes ask for little."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cached_property
+from typing import Any
+
+from stage.chips.nova import state
+
+
+class Held:
+    """As `lint.Held`, of a record that is there."""
+
+    def __init__(self, record: Any, axes: int, interpolated: Callable[[], int]):
+        self._record, self._count, self._interpolated = record, axes, interpolated
+
+    @cached_property
+    def _axes(self) -> list[Any]:
+        return list(self._record["ax"][: self._count])
+
+    @property
+    def wr6(self) -> int:
+        return int(self._record["low"])
+
+    @property
+    def wr7(self) -> int:
+        return int(self._record["high"])
+
+    @property
+    def unused(self) -> bool:
+        return bool(self._record["unused"])
+
+    @cached_property
+    def driving(self) -> int:
+        return sum(1 << k for k, x in enumerate(self._axes) if x["driving"] or x["interpolates"])
+
+    def _fixed(self, absolute: int) -> int:
+        """Axes in fixed-pulse driving, to an absolute position or not."""
+        axes = enumerate(self._axes)
+        return sum(1 << k for k, x in axes if self.driving >> k & 1 and x["fixed"] and x["absolute"] == absolute)
+
+    @property
+    def relative(self) -> int:
+        return self._fixed(0)
+
+    @property
+    def absolute(self) -> int:
+        return self._fixed(1)
+
+    @property
+    def interpolating(self) -> bool:
+        return bool(self._record["interpolating"])
+
+    @property
+    def full(self) -> bool:
+        queue = self._record["ip"]
+        return self.interpolating and bool(queue["waiting"] >= queue["depth"])
+
+    @property
+    def bit_pattern(self) -> bool:
+        return bool(self._record["ip"]["writing"])
+
+    @property
+    def interpolated(self) -> int:
+        return self._interpolated()
+
+    @property
+    def drive_speed(self) -> tuple[int, ...]:
+        return tuple(int(x["reg"][state.DV]) for x in self._record["ax"])
+
+    @property
+    def finish(self) -> tuple[int, ...]:
+        return tuple(int(x["reg"][state.TP]) for x in self._record["ax"])
+
+
+class HeldOfMcx312(Held):
+    """Its finish points have a sign, and its speeds no common unit."""
+
+    @property
+    def drive_speed(self) -> tuple[int, ...]:
+        return ()
+
+    @property
+    def finish(self) -> tuple[int, ...]:
+        return tuple(p - (p >> 31 << 32) for p in super().finish)
