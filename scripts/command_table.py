@@ -5,7 +5,7 @@ python scripts/command_table.py --check   says whether they are up to date
 
 A marker `<!-- commands: MCX304 MCX302 -->` asks for one table of these chips, up to `<!-- end -->`. A command counts as implemented
 unless its chip class names it in NOT_IMPLEMENTED (symbol: reason). Tested by: the test files with tests that are decorated
-`@covers(chip, symbol, ...)` (tests/covers.py makes such a test fail if it does not write the command).
+`@covers(chip, symbol, ...)` (tests/support/covers.py makes such a test fail if it does not write the command).
 """
 
 from __future__ import annotations

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT / "tests" / "chips"))
-from pcl240ms_bench import excuse, made, random_move, span_of  # noqa: E402
+sys.path.insert(0, str(ROOT / "tests"))
+from support.pcl240ms_bench import excuse, made, random_move, span_of  # noqa: E402
 
 SHAPES = "linear", "S, no linear part", "S with linear part", "S, R15 shorter", "S, R15 longer"
 TOPS = "trapezoid", "FH corrected", "triangle"

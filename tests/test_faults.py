@@ -5,8 +5,8 @@ import pickle
 
 import numpy as np
 import pytest
-from examples import SEED
-from programs import load_registers, start_preset
+from support.examples import SEED
+from support.programs import load_registers, start_preset
 
 from stage import ArgumentError, Drive, Fleet, Program, RunTimeout, Stage, firmware
 from stage.chips import PCL240K

@@ -8,7 +8,7 @@ import time
 import mujoco
 import numpy as np
 import pytest
-from programs import start_preset
+from support.programs import start_preset
 
 from stage import Fleet, Program, SimulationError, Stage, StageError
 from stage.board import Board

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from examples import FIXED
+from support.examples import FIXED
 
 from stage import Stage
 

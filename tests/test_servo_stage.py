@@ -7,10 +7,10 @@ import pickle
 import mujoco
 import numpy as np
 import pytest
-import servo_programs as servo
-from programs import start_preset
-from recording.recording_bench import read_rrd, rerun_cli
-from recording.vcd_parser import parse
+from support import servo_programs as servo
+from support.programs import start_preset
+from support.recording_bench import read_rrd, rerun_cli
+from support.vcd_parser import parse
 
 from stage import ArgumentError, ModelError, Stage, StageError, faults
 from stage.chips import HCTL1100, PCL240K

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from examples import SEED
+from support.examples import SEED
 
 from stage import ArgumentError, Drive, Stage
 from stage.chips import PCL240K, PCL240MS

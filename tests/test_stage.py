@@ -5,8 +5,8 @@ import pickle
 
 import numpy as np
 import pytest
-from examples import SEED
-from programs import load_registers, start_preset
+from support.examples import SEED
+from support.programs import load_registers, start_preset
 
 import stage.sim.engine as engine
 from stage import ArgumentError, RunTimeout, SimulationError, Stage, StageError

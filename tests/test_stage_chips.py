@@ -5,12 +5,12 @@ import pickle
 
 import numpy as np
 import pytest
-import servo_programs as servo
-from examples import SEED
-from nova_programs import command, load, move, run_on
-from programs import start_preset
-from recording.recording_bench import read_rrd
-from recording.vcd_parser import parse
+from support import servo_programs as servo
+from support.examples import SEED
+from support.nova_programs import command, load, move, run_on
+from support.programs import start_preset
+from support.recording_bench import read_rrd
+from support.vcd_parser import parse
 
 from stage import ArgumentError, Fleet, Program, Stage, StageError
 from stage.chips import HCTL1100, MCX302, MCX304, MCX312, MCX514, PCL240K

@@ -10,12 +10,12 @@ import subprocess
 import sys
 from pathlib import Path
 
-import nova_programs as nova
 import numpy as np
 import pytest
-import servo_programs as servo
-from examples import FIXED
-from programs import start_preset
+from support import nova_programs as nova
+from support import servo_programs as servo
+from support.examples import FIXED
+from support.programs import start_preset
 
 from stage import Fleet, Program, SimulationError, Stage, faults
 from stage.board import Board, bus

@@ -7,7 +7,7 @@ import gymnasium
 import mujoco
 import numpy as np
 import pytest
-from programs import start_preset
+from support.programs import start_preset
 
 from stage import Fleet, Program, Stage, StageError, faults, firmware
 from stage.board import Board

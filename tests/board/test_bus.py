@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 
 import pytest
-from compiled_firmware import PLAYER, firmware
+from support.compiled_firmware import PLAYER, firmware
 
 from stage import Stage, faults
 from stage.board import LAYOUTS, Board, NativeHost, StormError

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 import pytest
-from compiled_firmware import firmware
+from support.compiled_firmware import firmware
 
 from stage.board import include
 from stage.cli import main

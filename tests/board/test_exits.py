@@ -11,7 +11,7 @@ import textwrap
 import time
 
 import pytest
-from compiled_firmware import firmware
+from support.compiled_firmware import firmware
 
 from stage import Stage
 from stage.board import Board, HostError, NativeHost, exits

@@ -10,7 +10,7 @@ import time
 
 import numpy as np
 import pytest
-from compiled_firmware import firmware
+from support.compiled_firmware import firmware
 
 from stage import Stage
 from stage.board import Board, HostError, NativeHost

@@ -6,7 +6,7 @@ import shutil
 import subprocess
 
 import pytest
-from compiled_firmware import firmware
+from support.compiled_firmware import firmware
 
 from stage import Stage
 from stage.board import Board, CompileError, LibraryError, NativeHost, NoCompilerError, build, include

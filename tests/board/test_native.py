@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 
 import pytest
-from compiled_firmware import firmware
+from support.compiled_firmware import firmware
 
 from stage import Stage, faults
 from stage.board import Board, HostError, HostTimeout, NativeHost, StormError

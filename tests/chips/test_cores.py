@@ -3,13 +3,11 @@
 import subprocess
 import sys
 
-import nova_programs
 import numpy as np
-import programs
 import pytest
-import servo_programs
-from examples import SEED
 from loops.rows import told
+from support import nova_programs, programs, servo_programs
+from support.examples import SEED
 
 from stage.chips import CHIPS, FAMILIES, cores
 from stage.native import Exported

@@ -5,13 +5,13 @@ PULSESTAGE_EXAMPLES scales the number of programs.
 
 from fractions import Fraction
 
-import hctl1100_programs as traffic
 import pytest
-from examples import EXAMPLES
-from hctl1100_programs import CONTROL, MODE_FLAGS, acceleration, begin, gains, velocity, word
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from reference.hctl1100 import ReferenceHCTL1100
+from support import hctl1100_programs as traffic
+from support.examples import EXAMPLES
+from support.hctl1100_programs import CONTROL, MODE_FLAGS, acceleration, begin, gains, velocity, word
 
 from stage.chips import HCTL1100
 

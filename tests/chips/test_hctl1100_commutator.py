@@ -4,8 +4,8 @@ import re
 
 import numpy as np
 import pytest
-from hctl1100_bench import SAMPLE, bench, position, tell
-from hctl1100_programs import ALIGN, COMMAND, IDLE, begin, clear_flags, word
+from support.hctl1100_bench import SAMPLE, bench, position, tell
+from support.hctl1100_programs import ALIGN, COMMAND, IDLE, begin, clear_flags, word
 
 FOUR, FULL = 0x02, 0x04
 

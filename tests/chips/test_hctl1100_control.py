@@ -2,9 +2,20 @@
 
 import numpy as np
 import pytest
-from examples import SEED
-from hctl1100_bench import SAMPLE, bench, moving, tell, trapezoid
-from hctl1100_programs import COMMAND, CONTROL, FINAL, IDLE, MODE_FLAGS, acceleration, begin, gains, velocity, word
+from support.examples import SEED
+from support.hctl1100_bench import SAMPLE, bench, moving, tell, trapezoid
+from support.hctl1100_programs import (
+    COMMAND,
+    CONTROL,
+    FINAL,
+    IDLE,
+    MODE_FLAGS,
+    acceleration,
+    begin,
+    gains,
+    velocity,
+    word,
+)
 
 from stage.chips import HCTL1100
 from stage.chips.hctl1100 import core

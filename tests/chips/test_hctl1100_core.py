@@ -3,8 +3,8 @@
 import time
 
 import pytest
-from hctl1100_bench import SAMPLE, bench, moving, position, trapezoid
-from hctl1100_programs import COMMAND, begin, velocity, word
+from support.hctl1100_bench import SAMPLE, bench, moving, position, trapezoid
+from support.hctl1100_programs import COMMAND, begin, velocity, word
 
 from stage.chips import HCTL1100
 from stage.chips.describe import decode

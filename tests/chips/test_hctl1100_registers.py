@@ -1,8 +1,8 @@
 """HCTL-1100: bus, flags, status, resets and the positions."""
 
 import pytest
-from hctl1100_bench import SAMPLE, bench, commanded, position, tell, trapezoid
-from hctl1100_programs import ALIGN, COMMAND, CONTROL, IDLE, PRESET, RESET, begin, word
+from support.hctl1100_bench import SAMPLE, bench, commanded, position, tell, trapezoid
+from support.hctl1100_programs import ALIGN, COMMAND, CONTROL, IDLE, PRESET, RESET, begin, word
 
 from stage import ArgumentError
 from stage.chips import HCTL1100, chip_class

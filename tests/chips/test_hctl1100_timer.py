@@ -1,8 +1,8 @@
 """HCTL-1100: the sample timer and SYNC, as the data sheet's page 24 has them."""
 
 import pytest
-from hctl1100_bench import SAMPLE, bench, moving, to_sample
-from hctl1100_programs import COMMAND, acceleration, begin, velocity, word
+from support.hctl1100_bench import SAMPLE, bench, moving, to_sample
+from support.hctl1100_programs import COMMAND, acceleration, begin, velocity, word
 
 from stage.chips import HCTL1100
 from stage.chips.hctl1100.maps import MINIMUM_T

@@ -4,7 +4,7 @@ import random
 import re
 
 import pytest
-from examples import FIXED
+from support.examples import FIXED
 
 from stage.chips import CHIPS, HCTL1100, MCX302, MCX304, MCX312, MCX514, PCL240K, PCL240MK, PCL240MS
 from stage.chips.describe import LONGEST

@@ -3,9 +3,9 @@
 import random
 
 import pytest
-from covers import covers
-from nova_bench import SEED, command, get_signed, put
-from nova_hands import MS, US, load, passes, pulses, set_word
+from support.covers import covers
+from support.nova_bench import SEED, command, get_signed, put
+from support.nova_hands import MS, US, load, passes, pulses, set_word
 
 from stage.chips import MCX302, MCX304, MCX312
 

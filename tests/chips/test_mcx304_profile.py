@@ -7,8 +7,9 @@ from fractions import Fraction
 from typing import NamedTuple
 
 import pytest
-from covers import covers
-from nova_bench import (
+from reference.nova_profile import SECOND, Drive, mp
+from support.covers import covers
+from support.nova_bench import (
     AVTRI_304,
     NOP_304,
     SEED,
@@ -28,7 +29,6 @@ from nova_bench import (
     set_wr3,
     somewhere,
 )
-from reference.nova_profile import SECOND, Drive, mp
 
 from stage.chips import MCX302, MCX304, MCX312
 

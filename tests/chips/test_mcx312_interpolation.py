@@ -3,9 +3,9 @@
 import math
 
 import pytest
-from covers import covers
-from nova_bench import X, Y, command, get_signed, load_304
 from reference.nova_paths import bit_pattern_ticks, circle_errors, line_errors, points
+from support.covers import covers
+from support.nova_bench import X, Y, command, get_signed, load_304
 
 from stage.chips import MCX312
 

@@ -3,9 +3,9 @@
 import random
 
 import pytest
-from covers import covers
-from nova_bench import SEED, X, Y, command, get, get_signed, put
-from nova_hands import (
+from support.covers import covers
+from support.nova_bench import SEED, X, Y, command, get, get_signed, put
+from support.nova_hands import (
     CMR0,
     MS,
     READ,

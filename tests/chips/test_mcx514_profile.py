@@ -6,8 +6,9 @@ PULSESTAGE_EXAMPLES scales the number of random drives, PULSESTAGE_SEED repeats 
 from itertools import pairwise, product
 
 import pytest
-from covers import covers
-from nova_bench import (
+from reference.nova_profile import SECOND, mp
+from support.covers import covers
+from support.nova_bench import (
     DSNDE,
     SEED,
     Move,
@@ -31,7 +32,6 @@ from nova_bench import (
     somewhere,
     start,
 )
-from reference.nova_profile import SECOND, mp
 
 from stage.chips import MCX514
 

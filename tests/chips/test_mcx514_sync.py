@@ -4,9 +4,9 @@ import copy
 import random
 
 import pytest
-from covers import covers
-from nova_bench import SEED, U, X, Y, Z, command, get, get_signed
-from nova_hands import (
+from support.covers import covers
+from support.nova_bench import SEED, U, X, Y, Z, command, get, get_signed
+from support.nova_hands import (
     C_END,
     C_STA,
     CMR0,

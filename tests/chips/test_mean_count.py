@@ -1,9 +1,9 @@
 """What the drive is told of a slice: the mean of the pulse count over it, from the phase at its end alone."""
 
 import numpy as np
-from examples import SEED
-from nova_programs import command, load
-from programs import load_registers
+from support.examples import SEED
+from support.nova_programs import command, load
+from support.programs import load_registers
 
 from stage.chips import MCX302, MCX514, PCL240K
 

@@ -3,10 +3,10 @@
 import copy
 
 import pytest
-from covers import covers
-from examples import scaled
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from support.covers import covers
+from support.examples import scaled
 
 from stage.chips import MCX302, MCX304, MCX312, MCX514
 

@@ -5,8 +5,19 @@ from fractions import Fraction
 from itertools import pairwise, product
 
 import pytest
-from covers import covers
-from nova_bench import (
+from reference.nova_paths import (
+    END,
+    angles,
+    arc_angle,
+    bit_pattern_ticks,
+    circle_errors,
+    helix_errors,
+    line_errors,
+    points,
+)
+from reference.nova_profile import SECOND
+from support.covers import covers
+from support.nova_bench import (
     SEED,
     Move,
     U,
@@ -21,7 +32,7 @@ from nova_bench import (
     load,
     log_uniform,
 )
-from nova_interpolation_bench import (
+from support.nova_interpolation_bench import (
     BIT_PATTERN,
     COUNT_CCW,
     COUNT_CW,
@@ -40,17 +51,6 @@ from nova_interpolation_bench import (
     rotations,
     ticks,
 )
-from reference.nova_paths import (
-    END,
-    angles,
-    arc_angle,
-    bit_pattern_ticks,
-    circle_errors,
-    helix_errors,
-    line_errors,
-    points,
-)
-from reference.nova_profile import SECOND
 
 # Bit pattern
 

@@ -4,9 +4,23 @@ import itertools
 
 import numpy as np
 import pytest
-from covers import covers
-from examples import SEED
-from nova_bench import NOP_304, NOP_514, X, Y, Z, command, driving, get, get_signed, load, load_304, put, set_wr3
+from support.covers import covers
+from support.examples import SEED
+from support.nova_bench import (
+    NOP_304,
+    NOP_514,
+    X,
+    Y,
+    Z,
+    command,
+    driving,
+    get,
+    get_signed,
+    load,
+    load_304,
+    put,
+    set_wr3,
+)
 
 from stage import StageError
 from stage.chips import MCX302, MCX304, MCX514

@@ -11,8 +11,9 @@ import pickle
 from typing import NamedTuple
 
 import pytest
-from covers import covers
-from nova_bench import (
+from reference.nova_profile import Drive, ceil_clock
+from support.covers import covers
+from support.nova_bench import (
     DSNDE,
     NOP_304,
     SACC,
@@ -31,7 +32,6 @@ from nova_bench import (
     put,
     set_wr3,
 )
-from reference.nova_profile import Drive, ceil_clock
 
 from stage import ArgumentError
 from stage.chips import MCX302, MCX304, MCX312, MCX514

@@ -8,9 +8,9 @@ import copy
 import random
 
 import pytest
-from covers import covers
-from nova_bench import SEED, command, get, get_signed
-from nova_hands import D_END, D_STA, H_END, MS, READ, US, home_state, load, page1, passes, set_word, word
+from support.covers import covers
+from support.nova_bench import SEED, command, get, get_signed
+from support.nova_hands import D_END, D_STA, H_END, MS, READ, US, home_state, load, page1, passes, set_word, word
 
 from stage.chips import MCX302, MCX304, MCX312, MCX514
 

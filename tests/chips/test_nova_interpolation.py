@@ -4,8 +4,15 @@ import math
 from fractions import Fraction
 
 import pytest
-from covers import covers
-from nova_bench import (
+from reference.nova_paths import (
+    angles,
+    line_errors,
+    octant_ahead,
+    points,
+)
+from reference.nova_profile import SECOND, ceil_clock, mp
+from support.covers import covers
+from support.nova_bench import (
     DSNDE,
     SEED,
     Move,
@@ -22,7 +29,7 @@ from nova_bench import (
     log_uniform,
     prepare,
 )
-from nova_interpolation_bench import (
+from support.nova_interpolation_bench import (
     AXES,
     DECELERATE,
     ENOUGH,
@@ -38,13 +45,6 @@ from nova_interpolation_bench import (
     rotations,
     ticks,
 )
-from reference.nova_paths import (
-    angles,
-    line_errors,
-    octant_ahead,
-    points,
-)
-from reference.nova_profile import SECOND, ceil_clock, mp
 
 # Lines
 

@@ -4,11 +4,11 @@ import math
 from itertools import pairwise
 
 import pytest
-from covers import covers
-from nova_bench import U, X, Y, Z, command, driving, get, get_signed, load
-from nova_interpolation_bench import DECELERATE, ENOUGH, PERIOD, STEADY, arc, line, prepared, ticks
 from reference.nova_paths import circle_errors, line_errors, points
 from reference.nova_profile import SECOND
+from support.covers import covers
+from support.nova_bench import U, X, Y, Z, command, driving, get, get_signed, load
+from support.nova_interpolation_bench import DECELERATE, ENOUGH, PERIOD, STEADY, arc, line, prepared, ticks
 
 from stage.chips import MCX514
 from stage.chips.nova import core

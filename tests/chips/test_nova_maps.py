@@ -7,7 +7,7 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
-from covers import covers
+from support.covers import covers
 
 from stage.chips import CHIPS, PCL240K, Chip
 from stage.chips.nova.registers.mcx300 import MCX302_MAP, MCX304_MAP, MCX312_MAP

@@ -6,7 +6,6 @@ from fractions import Fraction
 from itertools import pairwise
 
 import pytest
-from examples import SEED, scaled
 from reference.nova_paths import (
     END,
     angles,
@@ -22,6 +21,7 @@ from reference.nova_paths import (
     points,
 )
 from reference.nova_profile import SECOND, Drive, mp
+from support.examples import SEED, scaled
 
 MS = SECOND // 1000
 RAMP = {"SV": 1000, "AC": 1_000_000}  # 1000, 3000, 5000, 7000 pps after 0, 4, 12, 24 pulses and 0, 2, 4, 6 ms

@@ -5,7 +5,7 @@ import random
 import numpy as np
 import pytest
 from loops.nova import one_by_one
-from nova_bench import NOP_304, command, examples, load, load_304, set_wr3
+from support.nova_bench import NOP_304, command, examples, load, load_304, set_wr3
 
 from stage.chips import MCX304, MCX514
 from stage.chips.nova.motion import trace as pulses

@@ -1,9 +1,9 @@
 """PCL-240 family: two things meet at one clock, or nothing lies between them. Against the tick-by-tick reference."""
 
 import pytest
-from pcl240k_programs import Pair, flatten, register
 from reference.pcl240 import ReferencePCL240K
 from reference.pcl240ms import ReferencePCL240MK, ReferencePCL240MS
+from support.pcl240k_programs import Pair, flatten, register
 
 from stage.chips import PCL240K, PCL240MK, PCL240MS
 from stage.errors import ArgumentError

@@ -4,9 +4,9 @@ import random
 
 import numpy as np
 import pytest
-from examples import EXAMPLES, SEED
-from pcl240k_bench import commands
-from pcl240ms_bench import LINEAR, load
+from support.examples import EXAMPLES, SEED
+from support.pcl240k_bench import commands
+from support.pcl240ms_bench import LINEAR, load
 
 from stage.chips import PCL240K, PCL240MK, PCL240MS
 

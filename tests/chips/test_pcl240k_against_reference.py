@@ -8,11 +8,12 @@ from collections import Counter
 
 import numpy as np
 import pytest
-from examples import EXAMPLES, SEED, scaled
 from hypothesis import HealthCheck, Phase, example, given, seed, settings
 from hypothesis import strategies as st
-from pcl240k_bench import commands
-from pcl240k_programs import (
+from reference.pcl240 import INPUTS, ReferencePCL240K
+from support.examples import EXAMPLES, SEED, scaled
+from support.pcl240k_bench import commands
+from support.pcl240k_programs import (
     OPERATING,
     Pair,
     chaotic_programs,
@@ -22,8 +23,7 @@ from pcl240k_programs import (
     register,
     wide_programs,
 )
-from programs import load_registers
-from reference.pcl240 import INPUTS, ReferencePCL240K
+from support.programs import load_registers
 
 from stage.chips import PCL240K
 

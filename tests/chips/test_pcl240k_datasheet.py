@@ -5,8 +5,17 @@ import time
 
 import numpy as np
 import pytest
-from pcl240k_bench import FOREVER, clocks_while, commands, counter, operating, pins_clock_by_clock, speeds, started
-from programs import load_registers
+from support.pcl240k_bench import (
+    FOREVER,
+    clocks_while,
+    commands,
+    counter,
+    operating,
+    pins_clock_by_clock,
+    speeds,
+    started,
+)
+from support.programs import load_registers
 
 
 def exact_ramp_pulses(fl, fh, rate, mult):

@@ -1,8 +1,8 @@
 """What the PCL-240K data sheet says of starts, stops, interrupts and registers, sentence by sentence."""
 
 import pytest
-from pcl240k_bench import FOREVER, clocks_while, commands, counter, operating, pins_clock_by_clock, started
-from programs import load_registers
+from support.pcl240k_bench import FOREVER, clocks_while, commands, counter, operating, pins_clock_by_clock, started
+from support.programs import load_registers
 
 from stage.chips import PCL240K
 

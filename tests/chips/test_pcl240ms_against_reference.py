@@ -10,9 +10,10 @@ from collections import Counter
 
 import numpy as np
 import pytest
-from examples import EXAMPLES, SEED
-from pcl240k_programs import flatten
-from pcl240ms_programs import (
+from reference.pcl240ms import R10, R14, R15, SCurve
+from support.examples import EXAMPLES, SEED
+from support.pcl240k_programs import flatten
+from support.pcl240ms_programs import (
     ANY_REAL_PROGRAM,
     CHAOTIC_PROGRAM,
     LARGE_CORRECTION,
@@ -24,7 +25,6 @@ from pcl240ms_programs import (
     play,
     register,
 )
-from reference.pcl240ms import R10, R14, R15, SCurve
 
 both_chips = pytest.mark.parametrize("name", PAIRS)
 

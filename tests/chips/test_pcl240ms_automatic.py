@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from pcl240k_bench import FOREVER, clocks_while, commands, counter, operating
-from pcl240ms_bench import AUTOMATIC, LINEAR, NO_CORRECTION, load
-from pcl240ms_hands import (
+from support.pcl240k_bench import FOREVER, clocks_while, commands, counter, operating
+from support.pcl240ms_bench import AUTOMATIC, LINEAR, NO_CORRECTION, load
+from support.pcl240ms_hands import (
     AT_FH,
     AT_FL,
     BITS,

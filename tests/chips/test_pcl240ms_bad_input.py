@@ -5,9 +5,9 @@ The notes are tested by the names that they must mention, never by their words. 
 
 import numpy as np
 import pytest
-from pcl240k_bench import FOREVER, RNG, SEED, clocks_while, commands, counter, operating
-from pcl240ms_bench import AUTOMATIC, LINEAR, NO_CORRECTION, load
-from pcl240ms_hands import BITS, NAMES, SWITCH_OFF, begun, kept, last_gaps, select
+from support.pcl240k_bench import FOREVER, RNG, SEED, clocks_while, commands, counter, operating
+from support.pcl240ms_bench import AUTOMATIC, LINEAR, NO_CORRECTION, load
+from support.pcl240ms_hands import BITS, NAMES, SWITCH_OFF, begun, kept, last_gaps, select
 
 from stage.chips import PCL240K, PCL240MK, PCL240MS
 

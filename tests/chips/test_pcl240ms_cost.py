@@ -2,7 +2,7 @@
 
 import time
 
-from programs import load_registers
+from support.programs import load_registers
 
 from stage import Stage
 from stage.chips import PCL240MS

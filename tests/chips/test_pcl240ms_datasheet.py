@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 import pytest
-from pcl240k_bench import SEED, clocks_while
-from pcl240ms_bench import (
+from support.pcl240k_bench import SEED, clocks_while
+from support.pcl240ms_bench import (
     LINEAR,
     NO_CORRECTION,
     Course,

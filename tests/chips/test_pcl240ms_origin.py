@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from pcl240k_bench import FOREVER, clocks_while, commands, operating
-from pcl240ms_bench import LINEAR, load
-from pcl240ms_hands import begun, read_back, wait_for
+from support.pcl240k_bench import FOREVER, clocks_while, commands, operating
+from support.pcl240ms_bench import LINEAR, load
+from support.pcl240ms_hands import begun, read_back, wait_for
 
 from stage.chips import PCL240MK, PCL240MS
 

@@ -11,9 +11,9 @@ ramp-down at the last pulse:
 
 import numpy as np
 import pytest
-from examples import scaled
-from pcl240k_bench import SEED
-from pcl240ms_bench import LINEAR, NO_CORRECTION, Move, Registers, excuse, made, random_move, span_of
+from support.examples import scaled
+from support.pcl240k_bench import SEED
+from support.pcl240ms_bench import LINEAR, NO_CORRECTION, Move, Registers, excuse, made, random_move, span_of
 
 from stage.chips import PCL240MK, PCL240MS
 

@@ -1,12 +1,12 @@
 """PCL-240MK and MS: /RESET, and what software written for an older chip does on a newer one."""
 
 import pytest
-from examples import scaled
 from hypothesis import HealthCheck, given, settings
-from pcl240k_bench import FOREVER, clocks_while, commands, counter
-from pcl240k_programs import real_programs, register
-from pcl240ms_bench import AUTOMATIC, LINEAR, NO_CORRECTION, load
-from pcl240ms_hands import AT_FL, BOTH, K_BITS, NAMES, begun, last_gaps
+from support.examples import scaled
+from support.pcl240k_bench import FOREVER, clocks_while, commands, counter
+from support.pcl240k_programs import real_programs, register
+from support.pcl240ms_bench import AUTOMATIC, LINEAR, NO_CORRECTION, load
+from support.pcl240ms_hands import AT_FL, BOTH, K_BITS, NAMES, begun, last_gaps
 
 from stage.chips import PCL240K, PCL240MK, PCL240MS
 

@@ -5,9 +5,9 @@ Sentence by sentence from "Differences between PCL-240MK and PCL-240MS" and spec
 
 import numpy as np
 import pytest
-from pcl240k_bench import FOREVER, RNG, SEED, clocks_while, commands, counter, operating
-from pcl240ms_bench import AUTOMATIC, LINEAR, load
-from pcl240ms_hands import (
+from support.pcl240k_bench import FOREVER, RNG, SEED, clocks_while, commands, counter, operating
+from support.pcl240ms_bench import AUTOMATIC, LINEAR, load
+from support.pcl240ms_hands import (
     ALL,
     AT_FH,
     AT_FL,

@@ -7,11 +7,11 @@ are cut at every single clock: a first clock, the rest up to the cut, the rest o
 import copy
 
 import pytest
-from hctl1100_bench import bench
-from hctl1100_programs import COMMAND, FINAL, acceleration, begin, gains, velocity, word
-from nova_programs import command, load
-from pcl240k_bench import commands
-from pcl240ms_bench import load as load_registers
+from support.hctl1100_bench import bench
+from support.hctl1100_programs import COMMAND, FINAL, acceleration, begin, gains, velocity, word
+from support.nova_programs import command, load
+from support.pcl240k_bench import commands
+from support.pcl240ms_bench import load as load_registers
 
 from stage.chips import CHIPS, HCTL1100, MCX302, MCX304, MCX312, MCX514, PCL240K, PCL240MK, PCL240MS
 

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from examples import FIXED, SEED
+from support.examples import FIXED, SEED
 
 from stage.drives.dynamometer import (
     H,

@@ -9,9 +9,9 @@ import sys
 
 import numpy as np
 import pytest
-from examples import scaled
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.examples import scaled
 
 from stage.drives import stepper
 from stage.drives.dynamometer import follow, pulses

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from examples import scaled
+from support.examples import scaled
 
 from stage import Stage
 from stage.errors import ArgumentError

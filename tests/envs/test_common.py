@@ -8,9 +8,9 @@ from itertools import cycle, product
 import gymnasium
 import numpy as np
 import pytest
-from examples import FIXED
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
+from support.examples import FIXED
 
 import stage.envs
 from stage import ArgumentError

@@ -5,7 +5,7 @@ import pickle
 import gymnasium
 import numpy as np
 import pytest
-from examples import SEED
+from support.examples import SEED
 
 from stage import ArgumentError
 from stage.chips import MCX302, MCX304, MCX514, PCL240K, PCL240MK, PCL240MS

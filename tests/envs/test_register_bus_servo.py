@@ -3,7 +3,7 @@
 import gymnasium
 import numpy as np
 import pytest
-import servo_programs as servo
+from support import servo_programs as servo
 
 from stage import ArgumentError
 from stage.envs import register_bus as rb

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from covers import covers
+from support.covers import covers
 
 from stage import ArgumentError, RunTimeout, Stage
 from stage.chips import MCX304, MCX514

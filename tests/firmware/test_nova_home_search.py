@@ -1,7 +1,7 @@
 """The automatic home search of an MCX514 with the switches of the stage."""
 
 import pytest
-from covers import covers
+from support.covers import covers
 
 from stage import ArgumentError, RunTimeout, Stage
 from stage.chips import MCX304, MCX514

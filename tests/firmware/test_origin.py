@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from examples import SEED
+from support.examples import SEED
 
 from stage import ArgumentError, Stage, firmware
 from stage.chips import PCL240K, PCL240MK, PCL240MS

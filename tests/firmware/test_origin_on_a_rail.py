@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from examples import SEED, scaled
+from support.examples import SEED, scaled
 
 from stage import ArgumentError, RunTimeout, firmware
 from stage.chips import PCL240K

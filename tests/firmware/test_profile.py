@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from examples import SEED
+from support.examples import SEED
 
 from stage import ArgumentError, firmware
 from stage.chips import PCL240K

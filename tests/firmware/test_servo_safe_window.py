@@ -6,8 +6,8 @@ is worked out beside the chip, in this file, from the numbers that were written.
 
 import numpy as np
 import pytest
-from examples import SEED
 from loops.hctl1100 import A, B, K, T, play
+from support.examples import SEED
 
 from stage.chips import HCTL1100
 from stage.chips.hctl1100.maps import MINIMUM_T

@@ -4,7 +4,7 @@ import random
 
 import numpy as np
 import pytest
-from examples import SEED, assert_axes_are_named, scaled
+from support.examples import SEED, assert_axes_are_named, scaled
 
 from stage import ArgumentError, RunTimeout, Stage
 from stage.chips import PCL240K

@@ -6,8 +6,8 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from examples import SEED
-from programs import start_preset
+from support.examples import SEED
+from support.programs import start_preset
 
 from stage import ArgumentError
 from stage.chips import PCL240K

@@ -6,9 +6,9 @@ import time
 
 import numpy as np
 import pytest
-from examples import SEED, scaled
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from support.examples import SEED, scaled
 
 from stage import ArgumentError
 from stage.chips import PCL240K

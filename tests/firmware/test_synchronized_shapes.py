@@ -6,9 +6,9 @@ import time
 
 import numpy as np
 import pytest
-from examples import SEED, assert_axes_are_named, scaled
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from support.examples import SEED, assert_axes_are_named, scaled
 
 from stage import ArgumentError, Stage
 from stage.chips import PCL240K, PCL240MK, PCL240MS

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from examples import SEED
+from support.examples import SEED
 
 from stage import Stage
 from stage.board import Board, NativeHost

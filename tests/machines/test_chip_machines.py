@@ -1,10 +1,10 @@
 """Whatever a host does to a chip, the named invariants of chip_machine.py and of its family hold."""
 
 import pytest
-from chip_machine import machine_of
-from examples import scaled
 from hypothesis.stateful import run_state_machine_as_test
-from machine_profile import everyday, long
+from support.examples import scaled
+from support.machines.chip_machine import machine_of
+from support.machines.machine_profile import everyday, long
 
 from stage.chips import CHIPS
 

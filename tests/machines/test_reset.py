@@ -1,10 +1,10 @@
 """The reset pin: whatever a chip was told before, from then on it does what a chip does that was just switched on."""
 
 import pytest
-from examples import scaled
-from families import bus_of, host_of
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from support.examples import scaled
+from support.machines.families import bus_of, host_of
 
 from stage.chips import CHIPS
 

@@ -1,10 +1,10 @@
 """Whatever happens to a stage, whichever chips move it, the named invariants of stage_machine.py hold."""
 
 import pytest
-from examples import scaled
 from hypothesis.stateful import run_state_machine_as_test
-from machine_profile import everyday, long
-from stage_machine import ARRANGEMENTS, stage_machine_of
+from support.examples import scaled
+from support.machines.machine_profile import everyday, long
+from support.machines.stage_machine import ARRANGEMENTS, stage_machine_of
 
 
 @pytest.mark.parametrize("arrangement", ARRANGEMENTS)

@@ -3,7 +3,7 @@
 from types import SimpleNamespace
 
 import pytest
-from recording_bench import drive, make_bench
+from support.recording_bench import drive, make_bench
 
 from stage import Stage
 from stage.chips import PCL240K

@@ -6,7 +6,7 @@ import sys
 
 import numpy as np
 import pytest
-from recording_bench import Full, drive, feed, make_bench, read_rrd
+from support.recording_bench import Full, drive, feed, make_bench, read_rrd
 
 from stage import ArgumentError, Stage, StageError
 from stage.chips import PCL240K
@@ -256,7 +256,7 @@ def test_rows_come_back_as_they_were_across_buffers(bench):
 MEMORY = """
 import resource, sys
 sys.path[:0] = {path!r}
-from recording_bench import feed, make_bench
+from support.recording_bench import feed, make_bench
 def peak(): return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 short = make_bench(3).recording
 feed(short, 5000)

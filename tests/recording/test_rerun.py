@@ -5,11 +5,11 @@ from types import SimpleNamespace
 import mujoco
 import numpy as np
 import pytest
-from examples import scaled
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from programs import load_registers
-from recording_bench import feed, make_bench, read_rrd, rerun_cli
+from support.examples import scaled
+from support.programs import load_registers
+from support.recording_bench import feed, make_bench, read_rrd, rerun_cli
 
 from stage.chips import PCL240K
 from stage.chips.entries import INPUT

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recording_bench import Full, drive, read_rrd, rerun_cli
+from support.recording_bench import Full, drive, read_rrd, rerun_cli
 
 from stage import ArgumentError, Stage
 from stage.chips import PCL240K

@@ -5,9 +5,9 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from programs import load_registers
-from recording_bench import drive, make_bench
-from vcd_parser import parse
+from support.programs import load_registers
+from support.recording_bench import drive, make_bench
+from support.vcd_parser import parse
 
 from stage import Stage, faults
 from stage.chips import MCX514, PCL240K

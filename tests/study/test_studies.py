@@ -12,7 +12,7 @@ import time
 from pathlib import Path
 
 import pytest
-from examples import SEED
+from support.examples import SEED
 
 pytest.importorskip("optuna", reason="Optuna is not installed: pip install 'pulsestage[tune]'")
 

@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from examples import SEED
+from support.examples import SEED
 
 from stage import ArgumentError, Stage, faults, firmware
 from stage.board import Board

@@ -14,13 +14,10 @@ host is a value with
     FOR_A_STAGE                       fields of the state that only a stage's questions leave as they are, where there are any
 """
 
-import hctl1100_bus
-import nova_bus
-import pcl240_bus
-
 from stage.chips.hctl1100 import HCTL1100
 from stage.chips.nova import Nova
 from stage.chips.pcl240 import PCL240
+from support.machines import hctl1100_bus, nova_bus, pcl240_bus
 
 FAMILIES = {PCL240: pcl240_bus, Nova: nova_bus, HCTL1100: hctl1100_bus}
 

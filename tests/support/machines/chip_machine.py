@@ -11,8 +11,9 @@ import pickle
 
 import hypothesis.strategies as st
 import numpy as np
-from families import bus_of, host_of
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
+
+from support.machines.families import bus_of, host_of
 
 
 class Course:

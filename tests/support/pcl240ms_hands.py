@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from pcl240k_bench import FOREVER, commands, counter, operating
-from pcl240ms_bench import load
 
 from stage.chips import PCL240K, PCL240MK, PCL240MS
+from support.pcl240k_bench import FOREVER, commands, counter, operating
+from support.pcl240ms_bench import load
 
 BOTH = pytest.mark.parametrize("make", [PCL240MK, PCL240MS])
 ALL = pytest.mark.parametrize("make", [PCL240K, PCL240MK, PCL240MS])

@@ -8,8 +8,9 @@ from fractions import Fraction
 from functools import lru_cache
 from typing import NamedTuple
 
-from examples import EXAMPLES, SEED
 from reference.nova_profile import SECOND, Drive, ceil_clock
+
+from support.examples import EXAMPLES, SEED
 
 MOST = 100_000  # pulses, or twice as many: a slow S-curve to a high speed would make millions
 ROUNDING = 1e-9  # clocks; a pulse due this near to a whole clock may be rounded to the clock beside

@@ -4,11 +4,11 @@ import math
 from itertools import groupby
 
 import pytest
-from nova_bench import Move, U, X, Y, Z, command, load, prepare
 from reference.nova_paths import OCTANTS, angles, arc_angle, circle_errors, octant_ahead, octant_behind, points
 from reference.nova_profile import SECOND
 
 from stage.chips import MCX514
+from support.nova_bench import Move, U, X, Y, Z, command, load, prepare
 
 AXES = (X, Y, Z, U)
 LINEAR, BIT_PATTERN = {1: 0x60, 2: 0x61, 3: 0x62, 4: 0x63}, {2: 0x66, 3: 0x67, 4: 0x68}

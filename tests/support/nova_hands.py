@@ -5,9 +5,8 @@ Codes and bits are typed from shared/spec/nova_mcx514.md and nova_mcx304.md, not
 
 import copy
 
-from nova_bench import SECOND, X, command, put
-
 from stage.chips import MCX514
+from support.nova_bench import SECOND, X, command, put
 
 US, MS = SECOND // 1_000_000, SECOND // 1000
 DATA = dict(

@@ -15,12 +15,12 @@ from itertools import permutations
 import hypothesis.strategies as st
 import mujoco
 import numpy as np
-from bench_twin import BenchTwin
-from families import bus_of, host_of
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 from stage import Fleet, Program, Stage
 from stage.chips import HCTL1100, MCX514, PCL240K, PCL240MK, PCL240MS
+from support.machines.bench_twin import BenchTwin
+from support.machines.families import bus_of, host_of
 
 ARRANGEMENTS = {
     "three PCL-240": {"x": PCL240K, "y": PCL240MK, "z": PCL240MS},

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from hctl1100_programs import FINAL, acceleration, begin, word
-
 from stage.chips import HCTL1100
+from support.hctl1100_programs import FINAL, acceleration, begin, word
 
 SAMPLE = 16 * 0x41  # clocks, after reset
 LEAST = 0x0F  # counts of the timer after which commands may be written in any control mode

@@ -5,10 +5,10 @@ PULSESTAGE_SEED repeats a run. The test ids do not tell the random values, so th
 
 import numpy as np
 import pytest
-from examples import SEED
-from programs import load_registers
 
 from stage.chips import PCL240K
+from support.examples import SEED
+from support.programs import load_registers
 
 FOREVER = 1 << 42
 RNG = np.random.default_rng(SEED)

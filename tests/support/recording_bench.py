@@ -5,11 +5,11 @@ from types import SimpleNamespace
 
 import mujoco
 import numpy as np
-from programs import load_registers, start_preset
 
 from stage.chips import PCL240K
 from stage.recording import Recording
 from stage.recording.viewer import executable
+from support.programs import load_registers, start_preset
 
 ONE_AXIS = """
 <mujoco model="bench"><worldbody><body name="x"><joint name="x" type="slide" axis="1 0 0"/>

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from chip_machine import Course, differences
-
 from stage.chips.entries import RESET, WRITE
+from support.machines.chip_machine import Course, differences
 
 
 class BenchTwin:

@@ -10,10 +10,10 @@ most of its examples near the lower ends and on variations of the last one.
 A part of a program is an operation list, a command byte, or a function of `rng` that returns either.
 """
 
-from pcl240k_programs import Pair, flatten
 from reference.pcl240ms import R10, R13, R14, R15, R17, ReferencePCL240MK, ReferencePCL240MS
 
 from stage.chips import PCL240MK, PCL240MS
+from support.pcl240k_programs import Pair, flatten
 
 PAIRS = {"MK": (PCL240MK, ReferencePCL240MK), "MS": (PCL240MS, ReferencePCL240MS)}
 

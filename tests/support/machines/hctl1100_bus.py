@@ -8,8 +8,9 @@ import math
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-import hctl1100_programs as traffic
 from hypothesis import strategies as st
+
+from support import hctl1100_programs as traffic
 
 Writes = traffic.Writes
 F0, F1, F3, F5 = 0x01, 0x02, 0x08, 0x20
