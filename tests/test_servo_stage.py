@@ -17,7 +17,7 @@ from stage.chips import HCTL1100, PCL240K
 from stage.chips.entries import SEE, number
 from stage.drives.dc_motors import DC_MOTORS, DCMotor, Servo
 from stage.drives.motors import MOTORS, Drive
-from stage.recording.rerun_log import heading, series_of
+from stage.recording.series import heading, series_of
 from stage.sim.plant import open_spec
 
 MIXED = {"x": HCTL1100, "z": PCL240K}

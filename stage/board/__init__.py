@@ -1,11 +1,10 @@
 """The host's side: chips behind the ports of a bus, and firmware in C that drives them."""
 
 from stage.board.board import Board
+from stage.board.errors import CompileError, HostError, HostTimeout, LibraryError, NoCompilerError, StormError
 from stage.board.layouts import LAYOUTS, Layout
-from stage.board.library import CompileError, LibraryError, NoCompilerError, build, include
-from stage.board.link import StormError
-from stage.board.native import HostTimeout, NativeHost, Result
-from stage.board.threaded import HostError
+from stage.board.library import build, include
+from stage.board.native import NativeHost, Result
 from stage.board.trace import BusTrace, Cycle
 
 __all__ = [

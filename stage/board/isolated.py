@@ -21,10 +21,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from stage.board import bus
+from stage import errors as general
+from stage.board import bus, errors
 from stage.board.board import Board
+from stage.board.errors import HostError
 from stage.board.link import NOTED
-from stage.board.threaded import HostError
 from stage.chips.entries import LOST, READ, WRITE
 from stage.errors import StageError
 from stage.sim.engine import EDGE
@@ -274,7 +275,5 @@ def _signal(number: int) -> str:
 
 def _revived(name: str, text: str) -> Exception:
     """An error of the child's, as ours."""
-    from stage import board, errors
-
-    kind = getattr(board, name, None) or getattr(errors, name, None)
+    kind = getattr(errors, name, None) or getattr(general, name, None)
     return kind(text) if isinstance(kind, type) and issubclass(kind, StageError) else HostError(f"{name}: {text}")

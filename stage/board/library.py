@@ -15,7 +15,8 @@ from typing import Any
 
 from stage.board import exits
 from stage.board.bus import REQUEST
-from stage.errors import ArgumentError, StageError
+from stage.board.errors import CompileError, LibraryError, NoCompilerError
+from stage.errors import ArgumentError
 from stage.files import FileError
 
 ABI = 1
@@ -37,22 +38,6 @@ class BusStruct(ctypes.Structure):
     """struct pulsestage_bus of pulsestage.h."""
 
     _fields_ = (("abi", ctypes.c_uint32), ("size", ctypes.c_uint32), ("host", ctypes.c_void_p), ("request", REQUEST))
-
-
-class LibraryError(StageError):
-    """A firmware library that cannot be loaded, or is none."""
-
-
-class CompileError(StageError):
-    """The compiler refused the firmware. `output`: what it said."""
-
-    def __init__(self, message: str, output: str = ""):
-        super().__init__(message)
-        self.output = output
-
-
-class NoCompilerError(StageError):
-    """There is no C compiler."""
 
 
 def include() -> Path:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stage.board import bus
+from stage.board.errors import StormError
 from stage.errors import StageError
 from stage.native import plain
 from stage.sim import engine, handle
@@ -24,10 +25,6 @@ NOTED = 1 << 14  # edges and writes between two calls of Python
 MOST = 1 << 62
 UPCALL = ctypes.CFUNCTYPE(None, ctypes.c_int64)
 HOOK = ctypes.CFUNCTYPE(None, ctypes.c_void_p)
-
-
-class StormError(StageError):
-    """An interrupt hook does not clear the interrupt that calls it."""
 
 
 class Link:

@@ -20,16 +20,13 @@ from typing import Protocol
 
 from stage.board import library
 from stage.board.board import Board
+from stage.board.errors import HostTimeout
 from stage.board.link import MOST
 from stage.board.threaded import PATIENCE, Threaded
 from stage.errors import ArgumentError, RunTimeout, StageError
 
 MOST_CYCLES = 1_000_000_000
 SHOWN = 12  # lines of the trace in messages
-
-
-class HostTimeout(RunTimeout):
-    """Firmware that did not return in the simulated time, or the bus cycles, that it was given."""
 
 
 @dataclass(frozen=True)

@@ -13,15 +13,11 @@ from pathlib import Path
 
 from stage.board import bus, exits, library
 from stage.board.board import Board
+from stage.board.errors import HostError
 from stage.board.link import MOST
-from stage.errors import StageError
 
 PATIENCE = 20.0  # s of real time
 STACK = 64 << 20  # bytes
-
-
-class HostError(StageError):
-    """Firmware that could not go on."""
 
 
 class Threaded:

@@ -10,6 +10,7 @@ import numpy as np
 
 from stage.recording import geoms
 from stage.recording.scene import axis_path
+from stage.recording.series import axes_with, heading
 
 if TYPE_CHECKING:
     from stage.recording.recording import Recording
@@ -25,8 +26,6 @@ GRID = (96, 104, 118, 110)
 def dashboard(recording: Recording) -> Any:
     """A rerun blueprint for `recording`."""
     import rerun.blueprint as rrb
-
-    from stage.recording.rerun_log import axes_with, heading
 
     position, target = eye(recording.model)
     view = rrb.Spatial3DView(

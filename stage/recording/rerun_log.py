@@ -16,10 +16,8 @@ between those pass within the tolerance in SERIES of every sample. The columns o
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
@@ -27,6 +25,7 @@ import numpy as np
 from stage.chips.describe import Said
 from stage.chips.journal import Replay
 from stage.recording import scene, signals
+from stage.recording.series import series_of
 from stage.recording.sink import Sink
 from stage.recording.thin import thin
 
@@ -40,64 +39,6 @@ STATES = {
     "fault": (206, 52, 46), "el": (206, 52, 46), "sd": (204, 146, 22), "org": (44, 158, 88), "off": (52, 57, 66),
 }  # fmt: skip
 LEVELS = {"register": "INFO", "command": "DEBUG", "reset": "WARN", "lost": "ERROR"}
-
-
-class Series(NamedTuple):
-    """A plot: `value` of the samples of an axis times `scale`, within `tolerance`; (slide, hinge) where they differ.
-
-    only: "stepper" or "servo" where the other kind of axis has none. servo: title and unit of a servo, where they differ."""
-
-    title: str
-    units: tuple[str, str]
-    scales: tuple[float, float]
-    tolerance: float
-    value: Callable[[np.ndarray], np.ndarray]
-    only: str = ""
-    servo: tuple[str, str] | None = None
-
-
-_DEGREES = math.degrees(1)
-SERIES = {
-    "rate": Series(
-        "Pulse rate", ("pps", "pps"), (1, 1), 0.5, lambda s: s["rate"], servo=("Commanded velocity", "counts/s")
-    ),
-    "position": Series("Position", ("mm", "deg"), (1e3, _DEGREES), 2e-4, lambda s: s["position"]),
-    "commanded": Series("Commanded position", ("mm", "deg"), (1e3, _DEGREES), 2e-4, lambda s: s["commanded"]),
-    "following_error": Series(
-        "Following error", ("um", "0.001 deg"), (1e6, 1e3 * _DEGREES), 0.02, lambda s: s["commanded"] - s["position"]
-    ),
-    "voltage": Series("Motor voltage", ("V", "V"), (1, 1), 0.02, lambda s: s["voltage"], "servo"),
-    "current": Series("Motor current", ("A", "A"), (1, 1), 0.005, lambda s: s["current_a"], "servo"),
-    "load_angle": Series(
-        "Load angle", ("electrical deg",) * 2, (_DEGREES,) * 2, 0.1, lambda s: s["load_angle"], "stepper"
-    ),
-    "lost_steps": Series("Lost steps", ("full steps",) * 2, (1, 1), 0, lambda s: s["lost_steps"], "stepper"),
-    "counter": Series(
-        "Counter", ("pulses",) * 2, (1, 1), 0.5, lambda s: s["counter"], servo=("Actual position", "counts")
-    ),
-}
-
-
-def series_of(axis: Any) -> dict[str, Series]:
-    """The series that an axis has."""
-    return {key: s for key, s in SERIES.items() if s.only in ("", "servo" if axis.chip.SERVO else "stepper")}
-
-
-def axes_with(recording: Recording, series: str) -> list[str]:
-    """The names of the axes that have a series."""
-    return [name for name, axis in recording.axes.items() if series in series_of(axis)]
-
-
-def heading(recording: Recording, series: str) -> str:
-    """What a plot of a series over all axes that have it is called, with its units."""
-    spec, axes = SERIES[series], [recording.axes[name] for name in axes_with(recording, series)]
-    title, units = spec.title, {spec.units[a.unit != "m"] for a in axes if not (a.chip.SERVO and spec.servo)}
-    if series == "counter":
-        title = " ".join([title, *dict.fromkeys(a.chip.COUNTER[0] for a in axes if not a.chip.SERVO)])
-    if spec.servo and any(a.chip.SERVO for a in axes):
-        title = title if units else spec.servo[0]
-        units = {*units, spec.servo[1]}
-    return f"{title} ({' | '.join(sorted(units, reverse=True))})"
 
 
 def write(recording: Recording, path: Path) -> None:

@@ -18,7 +18,7 @@ from stage.chips.describe import decode
 from stage.errors import StageError
 from stage.sim import plant
 from stage.testing.assertions import distance, pulse_rate
-from stage.testing.plugin import setting
+from stage.testing.settings import setting
 from stage.testing.watched import WatchedStage, has_something
 
 if TYPE_CHECKING:

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from stage.testing.settings import OPTIONS, setting
+
 if TYPE_CHECKING:
     from stage.board import Board, NativeHost
     from stage.sim.stage import Stage
@@ -23,11 +25,6 @@ MARKERS = (
     "board(layout=None, base=None, stride=None, keep_cycles=100000): how the chips lie on the host's bus",
     "firmware(*sources, flags=(), isolated=False, patience=20.0): C or C++ sources, or a library, for the fixture `host`",
 )
-OPTIONS = {
-    "output": (None, "folder for what failed tests leave: recording, waveforms, bus trace (default: .pulsestage)"),
-    "record": (("on", "off"), "record every test with a stage while it runs (default: on)"),
-    "keep": (("failed", "all"), "whose recordings are kept (default: failed)"),
-}
 WATCH: pytest.StashKey[Any] = pytest.StashKey()
 """The evidence.Watch of a test."""
 
@@ -45,11 +42,6 @@ def pytest_configure(config: pytest.Config) -> None:
     for name, (choices, _) in OPTIONS.items():
         if choices and (given := config.getini(f"pulsestage_{name}")) and given not in choices:
             raise pytest.UsageError(f"pulsestage_{name} = {given}: known are {', '.join(choices)}.")
-
-
-def setting(config: pytest.Config, name: str) -> str:
-    """What the command line says, else the ini file; "" if neither."""
-    return config.getoption(f"pulsestage_{name}") or config.getini(f"pulsestage_{name}") or ""
 
 
 @pytest.fixture

@@ -13,7 +13,8 @@ from support.recording_bench import feed, make_bench, read_rrd, rerun_cli
 
 from stage.chips import PCL240K
 from stage.chips.entries import INPUT
-from stage.recording import Recording, geoms, rerun_log, signals
+from stage.recording import Recording, geoms, signals
+from stage.recording.series import SERIES, series_of
 from stage.recording.thin import thin
 
 PCL = SimpleNamespace(chip=PCL240K)
@@ -34,14 +35,14 @@ def test_every_axis_has_its_series_lanes_and_bus(read):
     for axis in "xyz":
         have = {e.removeprefix(f"/axes/{axis}/") for e in read if e.startswith(f"/axes/{axis}/")}
         lanes = {"phase", "switches", *(f"switches/{pin}" for pin in signals.SWITCHES)}
-        assert have >= {*rerun_log.series_of(PCL), *lanes}
+        assert have >= {*series_of(PCL), *lanes}
         assert ("bus" in have) == (axis != "z"), "nothing was written to Z"
     assert "PulseStage xyz" in read["/about"]["TextDocument:text"][1][0][0]
 
 
-@pytest.mark.parametrize("series", rerun_log.series_of(PCL))
+@pytest.mark.parametrize("series", series_of(PCL))
 def test_lines_pass_within_the_tolerance_of_every_sample(run, read, series):
-    spec = rerun_log.SERIES[series]
+    spec = SERIES[series]
     columns = run.recording.columns
     for axis in "xyz":
         times, values = read[f"/axes/{axis}/{series}"]["Scalars:scalars"]

@@ -1,0 +1,70 @@
+"""The series that a recording shows of an axis: what each is called, in which units, and how exactly it is drawn."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from stage.recording.recording import Recording
+
+
+class Series(NamedTuple):
+    """A plot: `value` of the samples of an axis times `scale`, within `tolerance`; (slide, hinge) where they differ.
+
+    only: "stepper" or "servo" where the other kind of axis has none. servo: title and unit of a servo, where they differ."""
+
+    title: str
+    units: tuple[str, str]
+    scales: tuple[float, float]
+    tolerance: float
+    value: Callable[[np.ndarray], np.ndarray]
+    only: str = ""
+    servo: tuple[str, str] | None = None
+
+
+_DEGREES = math.degrees(1)
+SERIES = {
+    "rate": Series(
+        "Pulse rate", ("pps", "pps"), (1, 1), 0.5, lambda s: s["rate"], servo=("Commanded velocity", "counts/s")
+    ),
+    "position": Series("Position", ("mm", "deg"), (1e3, _DEGREES), 2e-4, lambda s: s["position"]),
+    "commanded": Series("Commanded position", ("mm", "deg"), (1e3, _DEGREES), 2e-4, lambda s: s["commanded"]),
+    "following_error": Series(
+        "Following error", ("um", "0.001 deg"), (1e6, 1e3 * _DEGREES), 0.02, lambda s: s["commanded"] - s["position"]
+    ),
+    "voltage": Series("Motor voltage", ("V", "V"), (1, 1), 0.02, lambda s: s["voltage"], "servo"),
+    "current": Series("Motor current", ("A", "A"), (1, 1), 0.005, lambda s: s["current_a"], "servo"),
+    "load_angle": Series(
+        "Load angle", ("electrical deg",) * 2, (_DEGREES,) * 2, 0.1, lambda s: s["load_angle"], "stepper"
+    ),
+    "lost_steps": Series("Lost steps", ("full steps",) * 2, (1, 1), 0, lambda s: s["lost_steps"], "stepper"),
+    "counter": Series(
+        "Counter", ("pulses",) * 2, (1, 1), 0.5, lambda s: s["counter"], servo=("Actual position", "counts")
+    ),
+}
+
+
+def series_of(axis: Any) -> dict[str, Series]:
+    """The series that an axis has."""
+    return {key: s for key, s in SERIES.items() if s.only in ("", "servo" if axis.chip.SERVO else "stepper")}
+
+
+def axes_with(recording: Recording, series: str) -> list[str]:
+    """The names of the axes that have a series."""
+    return [name for name, axis in recording.axes.items() if series in series_of(axis)]
+
+
+def heading(recording: Recording, series: str) -> str:
+    """What a plot of a series over all axes that have it is called, with its units."""
+    spec, axes = SERIES[series], [recording.axes[name] for name in axes_with(recording, series)]
+    title, units = spec.title, {spec.units[a.unit != "m"] for a in axes if not (a.chip.SERVO and spec.servo)}
+    if series == "counter":
+        title = " ".join([title, *dict.fromkeys(a.chip.COUNTER[0] for a in axes if not a.chip.SERVO)])
+    if spec.servo and any(a.chip.SERVO for a in axes):
+        title = title if units else spec.servo[0]
+        units = {*units, spec.servo[1]}
+    return f"{title} ({' | '.join(sorted(units, reverse=True))})"
