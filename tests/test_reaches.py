@@ -1,0 +1,52 @@
+"""A name with an underscore is its module's own: what others need of it has a name without one, and a docstring."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+SOURCES = sorted(path for folder in ("stage", "envs") for path in (ROOT / folder).rglob("*.py"))
+
+OF_OTHERS = {
+    "_replace", "_make", "_asdict", "_fields", "_fields_",  # of named tuples and of ctypes' structures
+    "_address",  # of MuJoCo's models and data: where they lie
+    "_exit",  # of os
+}  # fmt: skip
+"""Names that the libraries which have them show to everybody."""
+
+INSIDE_NUMBA = {"stage/native/emit.py", "stage/native/typed.py"}
+"""Objects for a baseline processor are nothing that numba offers."""
+
+
+def reaches(source: str) -> list[str]:
+    """Attributes with an underscore, of another object than `self`, that nothing in this source has itself."""
+    tree = ast.parse(source)
+    own = {node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef | ast.ClassDef)}
+    own |= {
+        node.attr
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store) and ast.unparse(node.value) == "self"
+    }
+    return [
+        f"line {node.lineno}: {ast.unparse(node)}"
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Attribute)
+        and node.attr.startswith("_")
+        and not node.attr.startswith("__")
+        and node.attr not in own | OF_OTHERS
+        and ast.unparse(node.value) not in ("self", "cls", "super()")
+    ]
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_no_module_reaches_into_what_is_another_ones_own(path):
+    if str(path.relative_to(ROOT)) not in INSIDE_NUMBA:
+        assert reaches(path.read_text()) == []
+
+
+def test_reaches_are_found():
+    found = reaches(
+        "class A:\n    def f(self, a, stage):\n        self._b = 1\n        return a._b + stage._now + stage.x._y"
+    )
+    assert sorted(found) == ["line 4: stage._now", "line 4: stage.x._y"]
