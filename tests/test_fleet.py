@@ -40,6 +40,7 @@ def program(first, k):
     p.command(0, 0x15).wait(3.3e-4 * k).command(1, 0x15)
     for _ in range(20):
         p.wait(7.77e-4).read(0, 1).read(1, 0)
+    p.until_stopped([k % 2], 2.0)  # one of two that move
     return p.until_stopped([0, 1], 2.0).measure(0.003).read(0, 0)
 
 

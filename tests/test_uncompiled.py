@@ -285,6 +285,17 @@ def bits():
     return said
 
 
+def test_one_switch_says_whether_hot_functions_are_compiled():
+    said = "from stage.native import COMPILED; print(COMPILED)"
+    for value, expected in ((None, "True"), ("0", "True"), ("", "True"), ("1", "False")):
+        environment = {k: v for k, v in os.environ.items() if k != "NUMBA_DISABLE_JIT"}
+        environment |= {} if value is None else {"NUMBA_DISABLE_JIT": value}
+        asked = subprocess.run(
+            [sys.executable, "-c", said], env=environment, capture_output=True, text=True, check=True
+        )
+        assert asked.stdout.strip() == expected
+
+
 def test_compiled_and_uncompiled_make_the_same_bits():
     other = subprocess.run(
         [sys.executable, "-c", "import json, test_uncompiled as t; print(json.dumps([t.COMPILED, t.bits()]))"],
