@@ -133,7 +133,8 @@ def test_view_without_a_screen_says_what_to_do(here, capsys):
         (["move", "x", "100", "--plot", "a.foo"], r"a\.foo: a figure is no 'foo'\. .*\.png"),
         (["move", "x", "100", "--picture", "q.jpg"], r"q\.jpg: .*\.png"),
         (["pullout", "--plot", "a.foo"], "a figure is no 'foo'"),
-        (["fault", "jam", "--chips", "mcx302"], r"of the PCL-240 family .* stage\.faults"),
+        (["fault", "lost-write", "--chips", "mcx302"], r"of the PCL-240 family .* stage\.faults"),
+        (["fault", "jam", "--chips", "hctl1100"], r"of steppers.* stage\.faults"),
         (["move", "x", "100", "--fh1", "-5"], r"^stage: fh1=-5\.0 pps"),
         (["move", "x", "100", "--from", "1000"], r"--from 1000: axis x travels from -158 to 158 mm"),
         (["home", "y", "--from", "nan"], r"--from nan: axis y travels from .* mm"),
@@ -295,3 +296,9 @@ def test_the_command_line_does_the_same_with_every_chip(here, capsys, chip):
     text = out(capsys, "sync", "x=2mm", "y=-1mm", *given).out
     assert "synchronized move: done" in text
     assert re.search(r"on y: done", text)
+
+
+@pytest.mark.parametrize("name", ["stuck-closed", "jam"])
+def test_faults_are_shown_with_other_steppers_too(here, capsys, name):
+    """stage fault jam --chips mcx304"""
+    assert "happened as claimed" in out(capsys, "fault", name, "--chips", "mcx304", "--model", "xy").out

@@ -14,9 +14,11 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
-from stage.cli.setup import make_stage, note, outputs, plot, recorded
+from stage.cli.setup import is_pcl240, make_stage, note, outputs, plot, recorded
 from stage.errors import StageError, unknown
 
+DONE = ("R0 = 0", "all pulses")
+"""What ends a move that nothing else ends: of a PCL-240, of a NOVA chip."""
 EVERY = 2.5e-4  # s between the samples of a picture
 Figures = dict[str, Any]
 Strike = Callable[..., AbstractContextManager]
@@ -30,6 +32,7 @@ class Demo:
     claim: what happens, in a sentence. notice: how a host can tell. program(stage, strike): runs, and returns its figures;
     strike(fault, *args) makes the fault on the faulty stage, nothing on the healthy one. happened(healthy, faulty): the
     claim, in figures. draws: two columns of the first axis' recording for the picture; close_up: from when to when, s.
+    pcl240_only: its program, or the figures of its claim, are those of the PCL-240.
     """
 
     claim: str
@@ -38,6 +41,7 @@ class Demo:
     happened: Callable[[Figures, Figures], bool]
     draws: tuple[str, str] = ("position", "lost_steps")
     close_up: tuple[float, float] | None = None
+    pcl240_only: bool = False
 
 
 @dataclass(frozen=True)
@@ -81,10 +85,12 @@ def run(args: argparse.Namespace) -> int:
         width = max(map(len, DEMOS)) + 2
         print("\n".join(f"{name:{width}}{demo.claim}" for name, demo in DEMOS.items()))
         return 0
-    if not issubclass(chip_class(args.chips), PCL240):
+    demo, chips = _demo(args.name), chip_class(args.chips)
+    if chips.SERVO or (demo.pcl240_only and not issubclass(chips, PCL240)):
+        which = "of steppers" if chips.SERVO else f"of the PCL-240 family ({', '.join(FAMILIES['pcl240'])})"
         raise StageError(
-            f"--chips {args.chips}: these demonstrations are programs of the PCL-240 family ({', '.join(FAMILIES['pcl240'])}). The "
-            "faults themselves are those of any stage: stage.faults, docs/faults.md."
+            f"--chips {args.chips}: the demonstration of {args.name} is {which}. The faults themselves are those of any stage: "
+            "stage.faults, docs/faults.md."
         )
     outputs(args)
     shown = show(args.name, partial(make_stage, args), partial(_kept, args), args.plot is not None)
@@ -105,16 +111,20 @@ def _kept(args: argparse.Namespace, stage: Any) -> Any:
             yield recording
 
 
+def _demo(name: str) -> Demo:
+    key = name.lower().replace("_", "-")
+    if key not in DEMOS:
+        raise unknown("fault", name, DEMOS)
+    return DEMOS[key]
+
+
 def show(name: str, make: Callable[[], Any], record: Record | None = None, record_both: bool = False) -> Shown:
     """Run a demonstration on two stages that `make()` makes, the healthy one first.
 
     record(stage): context manager of the faulty run's recording, or None; record_both: the healthy run's is kept as well.
     Raises ArgumentError for an unknown name, with the near misses.
     """
-    key = name.lower().replace("_", "-")
-    if key not in DEMOS:
-        raise unknown("fault", name, DEMOS)
-    demo = DEMOS[key]
+    demo, key = _demo(name), name.lower().replace("_", "-")
     stage = make()
     note(f"{key}: the healthy run ...")
     with stage.record(EVERY) if record_both else nullcontext() as healthy_record:
@@ -201,32 +211,38 @@ def _start(axis: Any, pulses: int, armed: Callable[[Any], None] = lambda port: N
     armed(port) is called when everything but the start command is written.
     """
     from stage.firmware import Port, Profile
+    from stage.firmware.driver import Speeds, driver_of, wait_until_stopped
     from stage.firmware.pcl240 import bus
 
-    count, start, lost = abs(pulses), axis.position, axis.lost_steps
+    count, start, lost, net = abs(pulses), axis.position, axis.lost_steps, axis.chip.net(axis.chip_axis)
+
+    def moved(reason: str) -> Figures:
+        axis.wait(0.3)
+        return {
+            "stopped by": reason,
+            "pulses made": axis.chip.net(axis.chip_axis) - net,
+            "carriage moved, mm": (axis.position - start) * 1e3,
+            "lost steps": axis.lost_steps - lost,
+        }
+
+    if not is_pcl240(axis):
+        driver = driver_of(axis)
+        driver.start(pulses, Speeds(speeds["fl"], speeds["fh1"], speeds["accel"], speeds["accel"]))
+
+        def finish() -> Figures:
+            wait_until_stopped([axis], 60.0)
+            return moved(driver.stopped_by() or DONE[1])
+
+        return finish
     profile = Profile.of(clock_hz=axis.chip.clock_hz, chip=type(axis.chip), **speeds).within(count)
-    port, net = Port(axis), _net(axis)
+    port = Port(axis)
     port.command(bus.RESET)
     port.write_registers(**profile.registers(), R0=count, R6=profile.down_point(count))
     port.control(bus.PRESET | (bus.MINUS if pulses < 0 else 0))
     armed(port)
     port.command(bus.RAMP["FH1"])
-
-    def finish() -> Figures:
-        status = port.wait_until_stopped(1.5 * profile.seconds(count) + 1)
-        axis.wait(0.3)
-        return {
-            "stopped by": bus.stop_reason(status, pulses),
-            "pulses made": _net(axis) - net,
-            "carriage moved, mm": (axis.position - start) * 1e3,
-            "lost steps": axis.lost_steps - lost,
-        }
-
-    return finish
-
-
-def _net(axis: Any) -> int:
-    return int(axis.electrics()[1])
+    patience = 1.5 * profile.seconds(count) + 1
+    return lambda: moved(bus.stop_reason(port.wait_until_stopped(patience), pulses))
 
 
 def _stuck_open(stage: Any, strike: Strike) -> Figures:
@@ -368,13 +384,13 @@ DEMOS = {
         "not at all in the move: R0 runs out as it should. The next origin return needs more pulses or fewer than it should.",
         _stuck_open,
         lambda h, f: h["stopped by"] == "EL+" and h["lost steps"] == 0
-        and f["stopped by"] == "R0 = 0" and f["lost steps"] > 0 and f["lost steps"] % 4 == 0,
+        and f["stopped by"] in DONE and f["lost steps"] > 0 and f["lost steps"] % 4 == 0,
     ),
     "stuck-closed": Demo(
         "EL+ sticks closed in a move: the chip stops at once, without a ramp; the carriage runs on, out of step.",
         "at once: halted with R0 not 0, where no end limit is; towards plus nothing moves, the way back is free.",
         _stuck_closed,
-        lambda h, f: h["stopped by"] == "R0 = 0" and f["stopped by"] == "EL+" and f["before EL+, mm"] > 10
+        lambda h, f: h["stopped by"] in DONE and f["stopped by"] == "EL+" and f["before EL+, mm"] > 10
         and f["lost steps"] < 0,
         ("position", "rate"),
     ),
@@ -386,6 +402,7 @@ DEMOS = {
         and f["looks in 4 ms that saw no ORG"] > 0 and f["origin return stopped by"] == "ORG"
         and abs(f["origin, um"] - h["origin, um"]) < 3.2,
         ("rate", "org"), (0.6385, 0.6485),
+        pcl240_only=True,
     ),
     "vane-missing": Demo(
         "The vane of ORG has come off: the origin return passes the origin and ends at EL-.",
@@ -393,18 +410,20 @@ DEMOS = {
         _vane_missing,
         lambda h, f: h["stopped by"] == "ORG" and f["stopped by"] == "EL-" and f["past ORG, mm"] > 1,
         ("position", "org"),
+        pcl240_only=True,
     ),
     "payload-doubled": Demo(
         "The payload weighs 20 kg in place of 10: a ramp that 10 kg follow pulls the rotor out of step.",
         "not at all in the move: the chip counts pulses. An origin return afterwards shows it.",
         _payload,
-        lambda h, f: h["lost steps"] == 0 and f["lost steps"] > 0 and f["stopped by"] == "R0 = 0",
+        lambda h, f: h["lost steps"] == 0 and f["lost steps"] > 0 and f["stopped by"] in DONE,
+        pcl240_only=True,
     ),
     "bus-voltage": Demo(
         "The supply falls from 24 V to 8 V at speed, below the back-EMF: the current is too little, and the motor stalls.",
         "not at all in the move: the chip counts pulses. An origin return afterwards shows it.",
         _voltage,
-        lambda h, f: h["lost steps"] == 0 and f["lost steps"] > 0 and f["stopped by"] == "R0 = 0",
+        lambda h, f: h["lost steps"] == 0 and f["lost steps"] > 0 and f["stopped by"] in DONE,
     ),
     "jam": Demo(
         "The axis jams in a move: the carriage stops, the chip sends the remaining pulses into a motor that stands.",
@@ -420,6 +439,7 @@ DEMOS = {
         lambda h, f: h["lost steps"] == 0 and f["lost steps"] > 100
         and f["opened at 20,000 pps: lost steps"] < 0.1 * f["lost steps"],
         ("position", "lost_steps"), (-0.05, 1.98),
+        pcl240_only=True,
     ),
     "start-skew": Demo(
         "The CPU is away for 5 ms between two start commands of an a:b move: both axes arrive, and leave the line on the way.",
@@ -428,14 +448,16 @@ DEMOS = {
         lambda h, f: h["done"] == f["done"] == "yes" and abs(f["started within, ms"] - 5) < 0.1
         and f["off the line, pulses"] > 10 * h["off the line, pulses"],
         ("position", "rate"),
+        pcl240_only=True,
     ),
     "lost-write": Demo(
         "The middle byte of R0 does not arrive: the chip runs the move that it was told, 128 pulses in place of 16,000.",
         "by reading R0 back before the start; afterwards the status byte says R0 = 0, as after every good move.",
         _lost_write,
-        lambda h, f: h["pulses made"] == 16_000 and f["pulses made"] == 16_000 & 0xFF and f["stopped by"] == "R0 = 0"
+        lambda h, f: h["pulses made"] == 16_000 and f["pulses made"] == 16_000 & 0xFF and f["stopped by"] in DONE
         and f["diagnostics"] == h["diagnostics"],
         ("position", "counter"),
+        pcl240_only=True,
     ),
 }  # fmt: skip
 """Every fault by name."""

@@ -63,6 +63,10 @@ class Driver(ABC):
         """Go so many pulses (counts), the sign is the direction, and wait for the end. Raises ArgumentError, StageError where the
         axis moves already, RunTimeout."""
 
+    def start(self, pulses: int, speeds: Speeds) -> None:
+        """Begin a move, and do not wait. Raises as `move`."""
+        raise ArgumentError(f"a {self.chip.MAP.chip} waits for the end of its moves here: use move.")
+
     @abstractmethod
     def home(self, direction: int, speeds: Speeds, index: bool = False, timeout: float = 60.0) -> Report:
         """Find ORG, which lies in `direction`, from wherever the axis is; `index`: and on to the encoder's index pulse."""

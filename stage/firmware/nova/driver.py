@@ -59,14 +59,16 @@ class NovaDriver(Driver):
 
     # --- now ---
 
-    def move(self, pulses: int, speeds: Speeds, timeout: float | None = None) -> Report:
+    def start(self, pulses: int, speeds: Speeds) -> None:
         if not pulses:
             raise ArgumentError("pulses=0: a drive has at least one; its sign is the direction.")
         self.map.checked(self.FINISH, pulses if self.SIGNED else abs(pulses))
-        registers = self._registers(speeds, abs(pulses))
+        self._prepare(self._registers(speeds, abs(pulses)))
+        self.drive(AtOnce(self.axis), pulses)
+
+    def move(self, pulses: int, speeds: Speeds, timeout: float | None = None) -> Report:
         with Procedure(self.axis, "move") as p:
-            self._prepare(registers)
-            self.drive(AtOnce(self.axis), pulses)
+            self.start(pulses, speeds)
             slowest = min(speeds.start, speeds.drive)
             longest = 1.5 * abs(pulses) / slowest + 3 * (speeds.up + speeds.down) + 1
             wait_until_stopped([self.axis], longest if timeout is None else timeout)
