@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 
 PHYSICS := tests/test_models.py tests/test_plant.py tests/test_stage.py tests/test_fleet.py tests/recording tests/envs tests/test_docs.py
-UNCOMPILED := tests/test_uncompiled.py tests/chips/test_pcl240k_statements.py tests/chips/test_pcl240ms_statements.py tests/chips/test_mean_count.py tests/drives/test_stepper.py
+UNCOMPILED := tests/test_uncompiled.py tests/chips/test_pcl240k_statements.py tests/chips/test_pcl240ms_statements.py tests/chips/test_drive_input.py tests/drives/test_stepper.py
 TYPES := build/types/stage
 
 .PHONY: ci demo test test-slow test-oldest test-mujoco soak fuzz coverage memory lint bench results pictures clean help

@@ -12,7 +12,7 @@ import numpy as np
 
 from stage.chips import cores
 from stage.envs.results import result
-from stage.native import array_of, at, exported, greatest, hot, least, record
+from stage.native import array_at, array_of, exported, greatest, hot, least, record
 from stage.sim import handle, program
 from stage.sim import play as player
 
@@ -70,15 +70,15 @@ HANDLE, TRUTHS = handle.HANDLE, player.TRUTH
 @exported(None, FRAME, "i8", "i8")
 def play(f, begin, end):
     """Turn the actions of the active stages begin..end-1 into operations of a host, and play them where Python does not."""
-    handles = at(f.handles, f.stages, HANDLE)
-    waits = at(f.waits, f.n_waits, INTEGER)
-    active = at(f.active, f.stages, FLAG)
-    by_hand = at(f.by_hand, f.stages, FLAG)
-    actions = at(f.actions, (f.stages, 4), INTEGER)
-    ops = at(f.ops, (f.stages, 1, 4), INTEGER)
-    values = at(f.values, (f.stages, 1), INTEGER)
-    status = at(f.status, f.stages, INTEGER)
-    first = at(f.first, f.n_chips, INTEGER)
+    handles = array_at(f.handles, f.stages, HANDLE)
+    waits = array_at(f.waits, f.n_waits, INTEGER)
+    active = array_at(f.active, f.stages, FLAG)
+    by_hand = array_at(f.by_hand, f.stages, FLAG)
+    actions = array_at(f.actions, (f.stages, 4), INTEGER)
+    ops = array_at(f.ops, (f.stages, 1, 4), INTEGER)
+    values = array_at(f.values, (f.stages, 1), INTEGER)
+    status = array_at(f.status, f.stages, INTEGER)
+    first = array_at(f.first, f.n_chips, INTEGER)
     for k in range(begin, end):
         if not active[k]:
             continue
@@ -89,7 +89,7 @@ def play(f, begin, end):
             op[0] = program.WRITE if action[0] == WRITE else program.READ
             op[1], op[2], op[3] = first[action[1]], action[2], action[3] if action[0] == WRITE else 0
         if not by_hand[k]:
-            extremes = at(f.ops, (0, 2), REAL)
+            extremes = array_at(f.ops, (0, 2), REAL)
             status[k] = player.play_one(handles[k], ops[k], values[k], extremes)
 
 
@@ -203,20 +203,20 @@ def conclude(f, begin, end, fresh, results):
 
     fresh: an episode begins on these stages in place of a step; goals and words read are set. results: (stages,) RESULT.
     """
-    handles = at(f.handles, f.stages, HANDLE)
-    r = at(f.rules, 1, RULES)[0]
-    rules = at(f.axis_rules, f.n_axes, AXIS_RULES)
-    active = at(f.active, f.stages, FLAG)
-    actions = at(f.actions, (f.stages, 4), INTEGER)
-    values = at(f.values, (f.stages, 1), INTEGER)
-    status = at(f.status, f.stages, INTEGER)
-    steps = at(f.steps, f.stages, INTEGER)
-    episodes = at(f.episodes, f.stages, EPISODE)
-    axes = at(f.axes, (f.stages, f.n_axes), AXIS)
-    words = at(f.words, (f.stages, f.n_chips, f.n_addresses), WORD)
-    first = at(f.first, f.n_chips, INTEGER)
-    truth = at(f.truth, (f.stages, f.n_axes), TRUTHS)
-    observations = at(f.observations, (f.stages, f.width), SMALL)
+    handles = array_at(f.handles, f.stages, HANDLE)
+    r = array_at(f.rules, 1, RULES)[0]
+    rules = array_at(f.axis_rules, f.n_axes, AXIS_RULES)
+    active = array_at(f.active, f.stages, FLAG)
+    actions = array_at(f.actions, (f.stages, 4), INTEGER)
+    values = array_at(f.values, (f.stages, 1), INTEGER)
+    status = array_at(f.status, f.stages, INTEGER)
+    steps = array_at(f.steps, f.stages, INTEGER)
+    episodes = array_at(f.episodes, f.stages, EPISODE)
+    axes = array_at(f.axes, (f.stages, f.n_axes), AXIS)
+    words = array_at(f.words, (f.stages, f.n_chips, f.n_addresses), WORD)
+    first = array_at(f.first, f.n_chips, INTEGER)
+    truth = array_at(f.truth, (f.stages, f.n_axes), TRUTHS)
+    observations = array_at(f.observations, (f.stages, f.width), SMALL)
     for k in range(begin, end):
         if not (fresh or active[k]):
             continue

@@ -145,7 +145,7 @@ stage.chips.nova
     MCX302: clock_hz=None, errata=True
     MCX312: clock_hz=None, errata=True
 stage.chips.hctl1100
-    HCTL1100.see: rate=0.0
+    HCTL1100.set_shaft: rate=0.0
 stage.envs.base
     StageEnv: render_mode=None, camera='overview', record=None
     StageVectorEnv: num_envs=1, threads=None, render_mode=None

@@ -14,7 +14,7 @@ from support.vcd_parser import parse
 
 from stage import ArgumentError, ModelError, Stage, StageError, faults
 from stage.chips import HCTL1100, PCL240K
-from stage.chips.entries import SEE, number
+from stage.chips.entries import SHAFT, number
 from stage.drives.dc_motors import DC_MOTORS, DCMotor, Servo
 from stage.drives.motors import MOTORS, Drive
 from stage.recording.series import heading, series_of
@@ -258,7 +258,7 @@ def test_what_reached_a_chip_of_a_stage_brings_one_on_the_bench_to_the_same_stat
     apart = {"moment"}
     for field in lone.state.dtype.names:
         assert field in apart or np.array_equal(lone.state[field], x.chip.state[field]), field
-    shafts = [number(e.a) for e in journal.entries if e.kind == SEE]
+    shafts = [number(e.a) for e in journal.entries if e.kind == SHAFT]
     assert len(shafts) > 400, "one a physics step"
     assert abs(shafts[-1] - shafts[0]) > 1000
 
@@ -280,7 +280,7 @@ def test_a_course_is_that_of_a_chip_that_is_shown_the_shaft_step_by_step(xyz, ev
         k += core.scan(rows, journal.until if e is None else e.clock, every_pulse, 0, out[k:])
         if e is not None:
             e.apply(core, rows)
-        if e is None or e.kind != SEE:
+        if e is None or e.kind != SHAFT:
             core.mark(rows, 0, out, k)
             k += 1
     assert k > (400 if every_pulse else 30)

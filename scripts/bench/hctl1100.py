@@ -42,7 +42,7 @@ def measure(run: Run) -> Iterator[Figure]:
     yield Figure.of("hctl1100.rate", "  of HCTL1100, physics steps", "1/s", STEPS / t["servo"])
     chip = HCTL1100()
     tell(chip, *LOOP)
-    chip.see(0, 1 / SAMPLE)  # a shaft that runs away: the command changes at each sample
+    chip.set_shaft(0, 1 / SAMPLE)  # a shaft that runs away: the command changes at each sample
     start, clocks = chip.snapshot(), round(SECONDS * chip.clock_hz)
     t = race({"loop": (lambda: chip.restore(start), lambda: chip.advance(clocks))}, run.rounds, run.pick(15, 5))
     yield Figure.of("hctl1100.samples", "samples of the chip alone", "1/s", clocks / SAMPLE / t["loop"])

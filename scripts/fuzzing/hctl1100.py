@@ -52,9 +52,9 @@ class HctlFamily(Family):
         if low < 8:
             super().edge(chip, low)
         elif low < 24:
-            chip.see(chip.encoder + (low >> 4 & 1) * (1 << 12), RATES[low & 7])
+            chip.set_shaft(chip.encoder + (low >> 4 & 1) * (1 << 12), RATES[low & 7])
         else:
-            chip.see((low - 28) * (1 << 21) + 0.5)
+            chip.set_shaft((low - 28) * (1 << 21) + 0.5)
 
     def writes(self, kind: int, low: int, take: Callable[[int], int]) -> list[tuple[int, int]]:
         """A raw write to the lower or the upper half of the addresses, a position of three bytes, or a mode with all its data."""

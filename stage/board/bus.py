@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from stage.chips import cores
 from stage.chips.entries import LOST, READ, WRITE
-from stage.native import at, called, exported, greatest, hot, least, record
+from stage.native import array_at, called, exported, greatest, hot, least, record
 from stage.sim import engine, handle
 from stage.sim.handle import AXIS, WHOLE, chips, clockwork, world
 from stage.sim.in_use import ENGINE, claim, release
@@ -76,7 +76,7 @@ _call = called(None, "i8")
 @hot
 def stage_of(h):
     """The HANDLE that a HOST record begins with."""
-    return at(h.own, 1, handle.HANDLE)[0]
+    return array_at(h.own, 1, handle.HANDLE)[0]
 
 
 @hot
@@ -132,7 +132,7 @@ def _catch_up(h):
 @hot
 def _foresee(h):
     """Up to when nothing but the chips themselves moves: no edge, no end of a slice."""
-    w, axes, dt = world(stage_of(h)), at(h.axes, h.n_axes, AXIS), clockwork(stage_of(h)).dt
+    w, axes, dt = world(stage_of(h)), array_at(h.axes, h.n_axes, AXIS), clockwork(stage_of(h)).dt
     h.quiet = least(h.until, w.start + (w.slice + 1) * dt // engine.SLICES)
     for a in range(len(axes)):
         h.quiet = least(h.quiet, axes[a].next_edge)
@@ -190,7 +190,7 @@ def _pass(h, ns):
 def _line(h):
     """The chips that pull the interrupt line, a bit each."""
     _catch_up(h)
-    irqs, pulling = at(h.irqs, h.n_chips, IRQ), 0
+    irqs, pulling = array_at(h.irqs, h.n_chips, IRQ), 0
     for k in range(h.n_chips):
         irq = irqs[k]
         if irq.bits and cores.outputs(_chip(h, k), irq.axis) & irq.bits:
@@ -217,7 +217,7 @@ def _serve(h):
 
 @hot
 def _copy(source, target, words):
-    a, b = at(source, words, WHOLE), at(target, words, WHOLE)
+    a, b = array_at(source, words, WHOLE), array_at(target, words, WHOLE)
     for k in range(words):
         b[k] = a[k]
 
@@ -266,7 +266,7 @@ def _note(h, kind, port, value, seen):
     it all, or -1. Returns the line's number."""
     if h.stopped:
         return -1
-    now, lines = _now(h), at(h.lines, h.line_room, CYCLE)
+    now, lines = _now(h), array_at(h.lines, h.line_room, CYCLE)
     if seen >= h.changed and h.traced - seen <= h.line_room:
         line = lines[seen % h.line_room]
         if line.value == value and line.kind == kind and line.port == port:
@@ -285,7 +285,7 @@ def _journal(h, kind, chip, address, value):
     """What a cycle did to a chip, for its journal, in the order of the switches' edges."""
     if h.noted >= h.edge_room - engine.EDGES_A_WINDOW * h.n_axes:  # the engine needs that much in any step
         _ask(h, FULL)
-    e = at(h.edges, h.edge_room, engine.EDGE)[h.noted]
+    e = array_at(h.edges, h.edge_room, engine.EDGE)[h.noted]
     c = _chip(h, chip)
     e.now, e.clock, e.axis = _now(h), cores.clock(c), c.axis[0]
     e.kind, e.a, e.b = kind, address, value
@@ -323,7 +323,7 @@ def _read(h, chip, address):
         return 0xFFFF
     _turn_to(h, chip)
     value = cores.read(_chip(h, chip), address)
-    if h.journals and at(h.acts, h.n_chips, WHOLE)[chip] >> address & 1:
+    if h.journals and array_at(h.acts, h.n_chips, WHOLE)[chip] >> address & 1:
         _journal(h, READ, chip, address, value)
     return value
 
@@ -342,13 +342,13 @@ def _cycle(h):
 @hot
 def _kind(h, port):
     p = port - h.first
-    return at(h.ports, h.n_ports, PORT)[p].kind if 0 <= p < h.n_ports else NOTHING
+    return array_at(h.ports, h.n_ports, PORT)[p].kind if 0 <= p < h.n_ports else NOTHING
 
 
 @hot
 def _in8(h, port):
     _cycle(h)
-    kind, value, ports = _kind(h, port), 0xFF, at(h.ports, h.n_ports, PORT)
+    kind, value, ports = _kind(h, port), 0xFF, array_at(h.ports, h.n_ports, PORT)
     if kind in (NOTHING, LATCH):
         _note(h, IN | STRAY, port, value, h.traced - 1)
     else:
@@ -368,7 +368,7 @@ def _in8(h, port):
 
 @hot
 def _out8(h, port, value):
-    kind, ports = _kind(h, port), at(h.ports, h.n_ports, PORT)
+    kind, ports = _kind(h, port), array_at(h.ports, h.n_ports, PORT)
     if kind in (NOTHING, LATCH, PULLS):
         _cycle(h)
         if kind == LATCH:
@@ -399,7 +399,7 @@ def _in16(h, port):
     _cycle(h)
     value = 0xFFFF
     if kind == WORD:
-        p = at(h.ports, h.n_ports, PORT)[port - h.first]
+        p = array_at(h.ports, h.n_ports, PORT)[port - h.first]
         value = _read(h, p.chip, p.address)
         p.seen = _note(h, IN_WIDE, port, value, p.seen - 1) + 1
     else:
@@ -416,7 +416,7 @@ def _out16(h, port, value):
         _out8(h, port + 1, value >> 8)
         return
     if kind == WORD:
-        p = at(h.ports, h.n_ports, PORT)[port - h.first]
+        p = array_at(h.ports, h.n_ports, PORT)[port - h.first]
         lost = _lost(h, p.chip, p.address, value)
         _cycle(h)
         _write(h, lost, p.chip, p.address, value)

@@ -5,7 +5,7 @@ its package to FAMILIES of stage/chips, and every loop takes it, without being c
 where the state lies and where the core's answers are.
 
 A core has the functions below, over a state in place of a CHIP, `exported` as ANSWERS says. For `Chip` alone it
-has power_up(c), advance(c, until), trace, scan and mark, see stage/chips/pcl240/core.py; of a servo scan_seen as well, see
+has power_up(c), advance(c, until), trace, scan and mark, see stage/chips/pcl240/core.py; of a servo scan_shaft as well, see
 stage/chips/hctl1100/core.py.
 """
 
@@ -15,14 +15,14 @@ from typing import Any
 
 import numpy as np
 
-from stage.native import address_of, at, called, hot, record
+from stage.native import address_of, array_at, called, hot, record
 
 ANSWERS: dict[str, tuple[str | None, ...]] = {
     "run": (None, "i8"),
     "window": (None, "i8", "i8"),
-    "see": (None, "i8", "f8", "f8"),
+    "set_shaft": (None, "i8", "f8", "f8"),
     "net": ("i8", "i8"),
-    "mean_count": ("f8", "i8", "i8", "f8"),
+    "drive_input": ("f8", "i8", "i8", "f8"),
     "pulse_rate": ("f8", "i8", "f8"),
     "counter": ("i8", "i8"),
     "inputs": ("i8", "i8"),
@@ -59,8 +59,8 @@ CLOCK = record([("clock", "i8")])
 WORD, REAL = np.dtype("i8"), np.dtype("f8")
 
 _TYPES = {types: called(types[0], "i8", *types[1:]) for types in set(ANSWERS.values())}
-_run, _see, _set, _window = (_TYPES[ANSWERS[name]] for name in ("run", "see", "set_input", "window"))
-_mean, _rate, _word = (_TYPES[ANSWERS[name]] for name in ("mean_count", "pulse_rate", "net"))
+_run, _set_shaft, _set, _window = (_TYPES[ANSWERS[name]] for name in ("run", "set_shaft", "set_input", "window"))
+_mean, _rate, _word = (_TYPES[ANSWERS[name]] for name in ("drive_input", "pulse_rate", "net"))
 
 
 def fill(row: Any, core: Any, at: int) -> None:
@@ -73,7 +73,7 @@ def fill(row: Any, core: Any, at: int) -> None:
 @hot
 def clock(c):
     """Ticks of its reference clock since power-up."""
-    return at(c.at, 1, CLOCK)[0].clock
+    return array_at(c.at, 1, CLOCK)[0].clock
 
 
 @hot
@@ -90,24 +90,24 @@ def window(c, k):
 
 
 @hot
-def through(state, row, k, run, net, mean_count):
-    """What a core answers to `window`; run, net, mean_count: its own."""
-    c = at(row, 1, CHIP)[0]
-    clocks = at(c.clocks, c.slices, WORD)
+def through(state, row, k, run, net, drive_input):
+    """What a core answers to `window`; run, net, drive_input: its own."""
+    c = array_at(row, 1, CHIP)[0]
+    clocks = array_at(c.clocks, c.slices, WORD)
     while k < c.slices:
         run(state, clocks[k])
         for j in range(c.axes):
-            before = at(c.nets[j], 1, WORD)
-            at(c.means[j], c.slices, REAL)[k] = mean_count(state, j, before[0], c.ticks)
+            before = array_at(c.nets[j], 1, WORD)
+            array_at(c.means[j], c.slices, REAL)[k] = drive_input(state, j, before[0], c.ticks)
             before[0] = net(state, j)
         k += 1
 
 
 @hot
-def see(c, j, count, rate):
+def set_shaft(c, j, count, rate):
     """From now on the shaft of axis `j` (0 up to AXES - 1) is at `count + rate * clocks`, in counts of its encoder; only where the
     axis has one."""
-    _see(c.see, (c.at, j, count, rate))
+    _set_shaft(c.set_shaft, (c.at, j, count, rate))
 
 
 @hot
@@ -117,10 +117,10 @@ def net(c, j):
 
 
 @hot
-def mean_count(c, j, before, ticks):
+def drive_input(c, j, before, ticks):
     """What the drive gets, its mean over the last `ticks`: `net`, which was `before` at their start; the motor command of a servo,
     -1 to 1."""
-    return _mean(c.mean_count, (c.at, j, before, ticks))
+    return _mean(c.drive_input, (c.at, j, before, ticks))
 
 
 @hot

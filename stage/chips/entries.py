@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, overload
 
 import numpy as np
 
-WRITE, INPUT, RESET, LOST, READ, SEE = range(6)
+WRITE, INPUT, RESET, LOST, READ, SHAFT = range(6)
 PACKED = np.dtype([(name, "i8") for name in ("clock", "kind", "a", "b")])
 
 
@@ -25,8 +25,8 @@ def number(bits: int) -> float:
 
 class Entry(NamedTuple):
     """One event between two ticks: WRITE (address, value), INPUT (axis, pin word), RESET, LOST, a write that never came,
-    READ (address, value), a read cycle that changes something, see `Chip.READING_ACTS`, or SEE (count, rate, both as `bits`): where
-    the shaft of axis 0 is from then on, in counts and counts a clock."""
+    READ (address, value), a read cycle that changes something, see `Chip.READING_ACTS`, or SHAFT (count, rate, both as `bits`):
+    where the shaft of axis 0 is from then on, in counts and counts a clock."""
 
     clock: int
     kind: int
@@ -40,7 +40,7 @@ class Entry(NamedTuple):
             INPUT: (core.set_input, (self.a, self.b)),
             RESET: (core.power_up, ()),
             READ: (core.read, (self.a,)),
-            SEE: (core.see, (0, number(self.a), number(self.b))),
+            SHAFT: (core.set_shaft, (0, number(self.a), number(self.b))),
         }.get(self.kind, (None, ()))
         if does is not None:
             (does.c if isinstance(c, int) else does)(c, *given)

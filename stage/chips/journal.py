@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from stage.chips.entries import INPUT, LOST, READ, RESET, SEE, WRITE, Entries, Entry, bits
+from stage.chips.entries import INPUT, LOST, READ, RESET, SHAFT, WRITE, Entries, Entry, bits
 
 if TYPE_CHECKING:
     from stage.chips.chip import Chip
@@ -71,8 +71,8 @@ class Journal:
     def note_reset(self, clock: int) -> None:
         self._note(clock, RESET, 0, 0)
 
-    def note_seen(self, clock: int, count: float, rate: float) -> None:
-        self._note(clock, SEE, bits(count), bits(rate))
+    def note_shaft(self, clock: int, count: float, rate: float) -> None:
+        self._note(clock, SHAFT, bits(count), bits(rate))
 
     def extend(self, packed: np.ndarray) -> None:
         """Note PACKED records, in the order of their clocks."""
@@ -147,7 +147,7 @@ class Replay:
                 given = chip, until, every_pulse, axis, out.ctypes.data + k * out.itemsize, size - k
                 if len(shafts[0]):
                     where = (word for array in shafts for word in (array.ctypes.data, len(array)))
-                    k += core.scan_seen.c(*given, *where, done.ctypes.data, 1)
+                    k += core.scan_shaft.c(*given, *where, done.ctypes.data, 1)
                 else:
                     k += core.scan.c(*given)
             if e is not None:
@@ -166,7 +166,7 @@ Shafts = tuple[np.ndarray, np.ndarray, np.ndarray]  # clocks, counts, rates
 def _between_shafts(entries: Entries) -> Iterator[tuple[Entry | None, Shafts]]:
     """Each entry but the SEEs, and after all None, with the SEEs since the one before: they come every physics step."""
     packed = entries.packed()
-    seen = packed["kind"] == SEE
+    seen = packed["kind"] == SHAFT
     clocks = np.ascontiguousarray(packed["clock"])
     counts, rates = (np.ascontiguousarray(packed[name]).view(np.float64) for name in ("a", "b"))
     begin = 0

@@ -17,9 +17,10 @@ A package outside this one is built by the same means: `python -m stage.native P
 from stage.native.arithmetic import floor, greatest, least
 from stage.native.functions import Exported, array_of, called, exchange, exported, hot
 from stage.native.mode import COMPILED
-from stage.native.records import address_of, at, plain, record, room
+from stage.native.records import address_of, array_at, plain, record, room
 
 __all__ = [
-    "COMPILED", "Exported", "address_of", "array_of", "at", "called", "exchange", "exported", "floor", "greatest", "hot", "least",
+    "COMPILED", "Exported", "address_of", "array_at", "array_of", "called", "exchange", "exported", "floor", "greatest", "hot",
+    "least",
     "plain", "record", "room",
 ]  # fmt: skip

@@ -156,11 +156,11 @@ class Exported:
         for kind in self.arguments:
             if isinstance(kind, Array):
                 address = next(left)
-                taken.append(records.at(address, tuple(next(left) for _ in range(kind.dimensions)), kind.dtype))
+                taken.append(records.array_at(address, tuple(next(left) for _ in range(kind.dimensions)), kind.dtype))
             else:
                 value = next(left)
                 record = isinstance(kind, np.dtype) and isinstance(value, int | np.integer)
-                taken.append(records.at(value, 1, kind)[0] if record else value)
+                taken.append(records.array_at(value, 1, kind)[0] if record else value)
         return self.function(*taken)
 
 

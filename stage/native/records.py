@@ -44,7 +44,7 @@ def _at(address: Any, shape: Any, dtype: Any) -> Any:
     return _seen(int(address), shape, dtype)
 
 
-at: Any = _at
+array_at: Any = _at
 
 
 def _room(rows: int, columns: int) -> np.ndarray:
@@ -57,4 +57,4 @@ room: Any = _room
 if EMITTING:
     from stage.native import typed
 
-    at, room = typed.at, typed.room
+    array_at, room = typed.array_at, typed.room

@@ -102,7 +102,7 @@ def hot(function: Callable) -> Any:
     return _Hot(function, targetoptions=dict(_OPTIONS), pipeline_class=_Pipeline)
 
 
-def array_at(context: Any, builder: Any, kind: Any, address: Any, shape: list[Any]) -> Any:
+def lowered_array(context: Any, builder: Any, kind: Any, address: Any, shape: list[Any]) -> Any:
     """LLVM's value of numba's array of this type that lies at an address; nobody owns it."""
     array = make_array(kind)(context, builder)
     item = context.get_data_type(kind.dtype)
@@ -124,12 +124,12 @@ def _at(_context: Any, address: Any, shape: Any, dtype: Any) -> Any:
         whole = [
             context.cast(builder, n, t, types.intp) for n, t in zip(lengths, shape if several else [shape], strict=True)
         ]
-        return array_at(context, builder, kind, context.cast(builder, given[0], address, types.intp), whole)
+        return lowered_array(context, builder, kind, context.cast(builder, given[0], address, types.intp), whole)
 
     return kind(address, shape, dtype), lower
 
 
-at: Any = intrinsic(_at)
+array_at: Any = intrinsic(_at)
 """See stage.native.records."""
 
 
@@ -141,7 +141,7 @@ def _room(_context: Any, rows: Any, columns: Any) -> Any:
         place = cgutils.alloca_once(builder, ir.ArrayType(ir.DoubleType(), words))
         address = builder.ptrtoint(place, context.get_value_type(types.intp))
         shape = [context.get_constant(types.intp, n.literal_value) for n in (rows, columns)]
-        return array_at(context, builder, kind, address, shape)
+        return lowered_array(context, builder, kind, address, shape)
 
     if not all(isinstance(n, types.IntegerLiteral) for n in (rows, columns)):
         raise TypingError("room() takes numbers that are known when it is compiled.")

@@ -22,9 +22,9 @@ import math
 import numpy as np
 
 from stage.chips import cores
-from stage.chips.entries import INPUT, SEE
+from stage.chips.entries import INPUT, SHAFT
 from stage.drives import drive, stepper
-from stage.native import at, called, floor, greatest, hot, least, record
+from stage.native import array_at, called, floor, greatest, hot, least, record
 from stage.sim.pins import PINS
 
 _step = called(None, "i8", "i8")
@@ -105,7 +105,7 @@ SAMPLE = record(
 )
 """One axis at one moment. SI units; load angle in electrical radians; voltage at a DC motor; rate in pps, counts a second."""
 EDGE = record([(name, "i8") for name in ("now", "clock", "axis", "kind", "a", "b")] + [("count", "f8"), ("rate", "f8")])
-"""What reached the chip of an axis: time (ns), the chip's clock, and an `Entry` for its journal: kind, a, b; of a SEE count and
+"""What reached the chip of an axis: time (ns), the chip's clock, and an `Entry` for its journal: kind, a, b; of a SHAFT count and
 rate in their place."""
 
 MAX_TOGGLES = 8
@@ -294,7 +294,7 @@ def _run_chips(chips, world, axes, table, switches, switch_table, stop, clockwor
             if now == bound:
                 for j in range(c.axes):
                     axis = axes[c.axis[j]]
-                    axis.counts[k] = cores.mean_count(c, j, axis.count, c.ticks)
+                    axis.counts[k] = cores.drive_input(c, j, axis.count, c.ticks)
                     axis.count = cores.net(c, j)
                 k += 1
     return k
@@ -309,7 +309,7 @@ def _shaft(world, t, clockwork, qpos, qvel):
 
 
 @hot
-def _see(chips, world, table, clockwork, qpos, qvel, edges, counts):
+def _show_shafts(chips, world, table, clockwork, qpos, qvel, edges, counts):
     """At a window's start: the shafts, for the chips that look at them. Returns the edges noted by now."""
     for i in range(len(chips)):
         c = chips[i]
@@ -318,10 +318,17 @@ def _see(chips, world, table, clockwork, qpos, qvel, edges, counts):
             if table[a].counts == 0.0:
                 continue
             count, speed = _shaft(world, table[a], clockwork, qpos, qvel)
-            cores.see(c, j, count, speed / c.hz)
+            cores.set_shaft(c, j, count, speed / c.hz)
             if counts[1] < len(edges):
                 e = edges[counts[1]]
-                e.now, e.clock, e.axis, e.kind, e.count, e.rate = world.now, cores.clock(c), a, SEE, count, speed / c.hz
+                e.now, e.clock, e.axis, e.kind, e.count, e.rate = (
+                    world.now,
+                    cores.clock(c),
+                    a,
+                    SHAFT,
+                    count,
+                    speed / c.hz,
+                )
                 counts[1] += 1
     return counts[1]
 
@@ -350,7 +357,7 @@ def unguarded(clockwork):
     """MuJoCo would call somebody whose exceptions nobody guards."""
     if not clockwork.guarded:
         for k in range(CALLBACKS):
-            if at(clockwork.callbacks[k], 1, ADDRESS)[0] != clockwork.native[k]:
+            if array_at(clockwork.callbacks[k], 1, ADDRESS)[0] != clockwork.native[k]:
                 return True
     return False
 
@@ -405,7 +412,7 @@ def run(
             break
         _foresee(world, axes, table, switches, switch_table, clockwork, sensordata, qpos, qvel, True)
         if clockwork.encoders:
-            counts[1] = _see(chips, world, table, clockwork, qpos, qvel, edges, counts)
+            counts[1] = _show_shafts(chips, world, table, clockwork, qpos, qvel, edges, counts)
         if clockwork.sample_every and n_samples < len(samples):
             world.to_sample -= 1
             if world.to_sample <= 0:
@@ -445,7 +452,7 @@ def look_again(world_, axes, switches, table, switch_table, chips, clockwork_, q
 def _settle_axis(c, world, axis, t, switches, switch_table, d, clockwork, qpos, qvel):
     if t.counts != 0.0:
         count, speed = _shaft(world, t, clockwork, qpos, qvel)
-        cores.see(c, t.chip_axis, count, speed / c.hz)
+        cores.set_shaft(c, t.chip_axis, count, speed / c.hz)
     axis.next_edge = NEVER
     axis.count = cores.net(c, t.chip_axis)
     for k in range(SLICES):

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stage.drives import drive
-from stage.native import at, exported, hot, record
+from stage.native import array_at, exported, hot, record
 from stage.sim import engine
 from stage.sim.in_use import ENGINE, claim, release
 
@@ -40,25 +40,25 @@ REAL, WHOLE = np.dtype("f8"), np.dtype("i8")
 @hot
 def world(h):
     """The stage's WORLD record."""
-    return at(h.world, 1, WORLD)[0]
+    return array_at(h.world, 1, WORLD)[0]
 
 
 @hot
 def clockwork(h):
     """The stage's CLOCKWORK record."""
-    return at(h.clockwork, 1, CLOCKWORK)[0]
+    return array_at(h.clockwork, 1, CLOCKWORK)[0]
 
 
 @hot
 def chips(h):
     """The stage's CHIP_TABLE."""
-    return at(h.chips, h.n_chips, CHIP_TABLE)
+    return array_at(h.chips, h.n_chips, CHIP_TABLE)
 
 
 @hot
 def table(h):
     """The stage's AXIS_TABLE."""
-    return at(h.table, h.n_axes, AXIS_TABLE)
+    return array_at(h.table, h.n_axes, AXIS_TABLE)
 
 
 @exported("i8", HANDLE, "i8")
@@ -66,15 +66,16 @@ def advance(h, until):
     """The stage's time passes up to `until` ns, unless the engine has to stop before; why it stopped, as `engine.run`."""
     if not claim(h.clockwork, ENGINE):
         return engine.IN_USE
-    counts = at(h.counts, 2, WHOLE)
-    samples = at(h.samples, (h.room, h.n_axes), engine.SAMPLE)
-    positions = at(h.positions, (h.room, h.nq), REAL)
+    counts = array_at(h.counts, 2, WHOLE)
+    samples = array_at(h.samples, (h.room, h.n_axes), engine.SAMPLE)
+    positions = array_at(h.positions, (h.room, h.nq), REAL)
     status = engine.run(
-        h.mj_model, h.mj_data, at(h.world, 1, WORLD), at(h.axes, h.n_axes, AXIS), at(h.drives, h.n_axes, DRIVE),
-        at(h.switches, h.n_switches, SWITCH), table(h), at(h.switch_table, h.n_switches, SWITCH_TABLE), chips(h),
-        at(h.clockwork, 1, CLOCKWORK), at(h.qpos, h.nq, REAL), at(h.qvel, h.nv, REAL), at(h.ctrl, h.nu, REAL),
-        at(h.sensordata, h.ns, REAL), at(h.inertia, h.nv, REAL), until, samples, positions, h.filled,
-        at(h.edges, h.edge_room, engine.EDGE), h.noted, counts, h.state,
+        h.mj_model, h.mj_data, array_at(h.world, 1, WORLD), array_at(h.axes, h.n_axes, AXIS), array_at(h.drives, h.n_axes, DRIVE),
+        array_at(h.switches, h.n_switches, SWITCH), table(h), array_at(h.switch_table, h.n_switches, SWITCH_TABLE), chips(h),
+        array_at(h.clockwork, 1, CLOCKWORK), array_at(h.qpos, h.nq, REAL), array_at(h.qvel, h.nv, REAL),
+        array_at(h.ctrl, h.nu, REAL),
+        array_at(h.sensordata, h.ns, REAL), array_at(h.inertia, h.nv, REAL), until, samples, positions, h.filled,
+        array_at(h.edges, h.edge_room, engine.EDGE), h.noted, counts, h.state,
     )  # fmt: skip
     if status != engine.DIVERGED and status != engine.FAILED:
         h.filled, h.noted = counts[0], counts[1]
@@ -105,9 +106,10 @@ def give(h, token):
 def settle(h):
     """See `engine.settle`."""
     engine.settle(
-        at(h.world, 1, WORLD), at(h.axes, h.n_axes, AXIS), at(h.drives, h.n_axes, DRIVE), at(h.switches, h.n_switches, SWITCH),
-        table(h), at(h.switch_table, h.n_switches, SWITCH_TABLE), chips(h), at(h.clockwork, 1, CLOCKWORK),
-        at(h.qpos, h.nq, REAL), at(h.qvel, h.nv, REAL), at(h.sensordata, h.ns, REAL),
+        array_at(h.world, 1, WORLD), array_at(h.axes, h.n_axes, AXIS), array_at(h.drives, h.n_axes, DRIVE),
+        array_at(h.switches, h.n_switches, SWITCH),
+        table(h), array_at(h.switch_table, h.n_switches, SWITCH_TABLE), chips(h), array_at(h.clockwork, 1, CLOCKWORK),
+        array_at(h.qpos, h.nq, REAL), array_at(h.qvel, h.nv, REAL), array_at(h.sensordata, h.ns, REAL),
     )  # fmt: skip
 
 
@@ -115,9 +117,10 @@ def settle(h):
 def look_again(h, axis):
     """See `engine.look_again`."""
     h.noted = engine.look_again(
-        at(h.world, 1, WORLD), at(h.axes, h.n_axes, AXIS), at(h.switches, h.n_switches, SWITCH), table(h),
-        at(h.switch_table, h.n_switches, SWITCH_TABLE), chips(h), at(h.clockwork, 1, CLOCKWORK), at(h.qvel, h.nv, REAL),
-        axis, at(h.edges, h.edge_room, engine.EDGE), h.noted,
+        array_at(h.world, 1, WORLD), array_at(h.axes, h.n_axes, AXIS), array_at(h.switches, h.n_switches, SWITCH), table(h),
+        array_at(h.switch_table, h.n_switches, SWITCH_TABLE), chips(h), array_at(h.clockwork, 1, CLOCKWORK),
+        array_at(h.qvel, h.nv, REAL),
+        axis, array_at(h.edges, h.edge_room, engine.EDGE), h.noted,
     )  # fmt: skip
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from stage.chips import cores
 from stage.drives import drive
-from stage.native import array_of, at, exported, greatest, hot, least, record
+from stage.native import array_at, array_of, exported, greatest, hot, least, record
 from stage.sim import engine
 from stage.sim.handle import DRIVE, HANDLE, REAL, advance, chips, clockwork, table, world
 from stage.sim.program import END, LOOK, MEASURE, READ, STOP, WAIT, WRITE
@@ -57,7 +57,7 @@ def _until_stopped(h, left, poll, limit):
 @hot
 def _measure(h, end, extremes):
     """Let time pass up to `end` a physics step at a time; as `_pass`."""
-    w, dt, qpos = world(h), clockwork(h).dt, at(h.qpos, h.nq, REAL)
+    w, dt, qpos = world(h), clockwork(h).dt, array_at(h.qpos, h.nq, REAL)
     while w.now < end:
         bad = _pass(h, least(end, w.start + dt))
         if bad:
@@ -85,7 +85,7 @@ def play_one(h, ops, results, extremes):
             bad = _pass(h, w.now + a)
         elif kind == LOOK:
             tau = (w.now - w.start - 0.5 * clockwork(h).dt) * 1e-9
-            q, v = at(h.qpos, h.nq, REAL)[axes[a].qpos], at(h.qvel, h.nv, REAL)[axes[a].dof]
+            q, v = array_at(h.qpos, h.nq, REAL)[axes[a].qpos], array_at(h.qvel, h.nv, REAL)[axes[a].dof]
             results[j] = math.floor((q + v * tau) * 1e12)
         else:
             bad = _pass(h, w.now + h.bus)
@@ -126,10 +126,10 @@ def look(handles, begin, end, truth):
     for k in range(begin, end):
         h = handles[k]
         drives, axes, qpos, qvel = (
-            at(h.drives, h.n_axes, DRIVE),
+            array_at(h.drives, h.n_axes, DRIVE),
             table(h),
-            at(h.qpos, h.nq, REAL),
-            at(h.qvel, h.nv, REAL),
+            array_at(h.qpos, h.nq, REAL),
+            array_at(h.qvel, h.nv, REAL),
         )
         for a in range(h.n_axes):
             _look_at(world(h), chips(h)[axes[a].chip], axes[a], drives[a], clockwork(h), qpos, qvel, truth[k, a])

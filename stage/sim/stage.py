@@ -279,7 +279,7 @@ class Stage:
             chip: Any = axis.chip
             if chip.open_journal is not None:
                 if chip.SERVO:
-                    chip.open_journal.note_seen(chip.clock, *chip.shaft)
+                    chip.open_journal.note_shaft(chip.clock, *chip.shaft)
                 chip.open_journal.note_input(chip.clock, axis.chip_axis, chip.input_word(axis.chip_axis))
 
     def snapshot(self) -> Snapshot:

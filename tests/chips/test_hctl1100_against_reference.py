@@ -27,7 +27,7 @@ shafts = st.builds(
 moments = st.one_of(st.integers(0, 40), st.integers(0, 3000), st.integers(0, 40_000))
 operations = st.one_of(
     traffic.programs().map(lambda w: ("write", w)),
-    shafts.map(lambda s: ("see", s)),
+    shafts.map(lambda s: ("set_shaft", s)),
     moments.map(lambda n: ("advance", n)),
     moments.map(lambda n: ("advance", n)),
     st.sampled_from(sorted(HCTL1100.INPUTS)).map(lambda name: ("pin", name)),
@@ -49,9 +49,9 @@ class Pair:
             self.chip.write(address, value)
             self.reference.write(address, value)
 
-    def see(self, count, rate=0):
-        self.chip.see(float(count), float(rate))
-        self.reference.see(count, rate)
+    def set_shaft(self, count, rate=0):
+        self.chip.set_shaft(float(count), float(rate))
+        self.reference.set_shaft(count, rate)
 
     def advance(self, clocks):
         self.chip.advance(clocks)
@@ -66,8 +66,8 @@ class Pair:
         for what, how in program:
             if what == "write":
                 self.write(how)
-            elif what == "see":
-                self.see(*how)
+            elif what == "set_shaft":
+                self.set_shaft(*how)
             elif what == "advance":
                 self.advance(how)
             elif what == "pin":
@@ -118,7 +118,7 @@ def test_a_control_mode_agrees_sample_by_sample_whatever_is_commanded_in_it(star
         if isinstance(what, list):
             pair.write(what)
         else:
-            pair.see(*what)
+            pair.set_shaft(*what)
         pair.agree()
 
 
@@ -137,7 +137,7 @@ def test_changing_the_mode_by_its_flags_agrees_sample_by_sample(start, course):
     for clocks, writes, shaft in course:
         pair.advance(clocks)
         pair.agree()
-        pair.see(pair.chip.encoder if shaft[1] else pair.chip.net(), shaft[1] / 64)
+        pair.set_shaft(pair.chip.encoder if shaft[1] else pair.chip.net(), shaft[1] / 64)
         pair.write(writes)
         pair.agree()
 
@@ -152,9 +152,9 @@ def test_time_can_be_cut_and_state_copied_anywhere(program, data):
             for chip in (whole, cut):
                 for address, value in how:
                     chip.write(address, value)
-        elif what == "see":
+        elif what == "set_shaft":
             for chip in (whole, cut):
-                chip.see(*map(float, how))
+                chip.set_shaft(*map(float, how))
         elif what == "pin":
             for chip in (whole, cut):
                 setattr(chip.pins, how, not getattr(chip.pins, how))
@@ -206,7 +206,7 @@ def test_a_trapezoid_or_triangle_agrees_sample_by_sample_and_ends_at_the_final_p
     pair.write(
         [(0x0F, t), *word(traffic.COMMAND, at), *word(traffic.FINAL, at + distance), *acceleration(a), (0x28, top)]
     )
-    pair.see(at)
+    pair.set_shaft(at)
     pair.write(begin("trapezoid"))
     pair.advance(1040)
     for _ in range(8 * abs(distance) + 1000):
@@ -230,7 +230,7 @@ def test_integral_velocity_agrees_on_its_ramps_and_on_its_stop(velocities, a, n,
     for v in velocities:
         pair.advance(900)
         pair.write([(0x3C, v & 0xFF)])
-        pair.see(pair.chip.net(), Fraction(v, 1024))
+        pair.set_shaft(pair.chip.net(), Fraction(v, 1024))
         for _ in range(n):
             pair.advance(1040)
             pair.agree()
@@ -250,7 +250,7 @@ def test_proportional_velocity_agrees_and_is_the_gain_alone(wanted, k, rates):
     pair = Pair()
     pair.write([(0x22, k), *velocity(wanted), *begin("proportional")])
     for rate in rates:
-        pair.see(pair.chip.encoder, Fraction(rate, 1 << 14))
+        pair.set_shaft(pair.chip.encoder, Fraction(rate, 1 << 14))
         before = pair.chip.encoder
         pair.advance(1040)
         moved = pair.chip.encoder - before

@@ -83,7 +83,7 @@ def test_index_resets_the_ring_when_it_becomes_asserted():
 def test_the_phase_advance_is_the_way_in_the_time_of_its_timer_and_no_more_than_the_maximum(rate, shift):
     """Time 16 (19 + 1) = 320 clocks."""
     chip = commutator(x=4, y=3, most=8, timer=19)
-    chip.see(0.5, rate)
+    chip.set_shaft(0.5, rate)
     plain = commutator(x=4, y=3)
     plain.encoder = shift
     assert phases(chip) == phases(plain)
@@ -123,7 +123,7 @@ def test_index_resets_a_ring_that_is_held_and_it_goes_on_from_there():
 
 def test_the_course_has_every_change_of_the_phases():
     chip = commutator(x=2, y=1)
-    chip.see(0.5, 0.01)
+    chip.set_shaft(0.5, 0.01)
     journal = chip.journal()
     chip.advance(2000)
     journal.close()
@@ -208,6 +208,6 @@ def test_a_shaft_that_turns_too_fast_advances_the_phase_by_r1f_and_no_more_both_
         for chip, offset in ((fast, 0), (still, way * most)):
             for address, value in ((0x18, 12), (0x1A, 1), (0x1B, 3), (0x19, 255), (0x1F, most), (0x1C, offset & 0xFF)):
                 chip.write(address, value)
-        fast.see(float(count), way / 4)
-        still.see(float(count), 0.0)
+        fast.set_shaft(float(count), way / 4)
+        still.set_shaft(float(count), 0.0)
         assert [getattr(fast.pins, f"ph{k}") for k in "abcd"] == [getattr(still.pins, f"ph{k}") for k in "abcd"]

@@ -309,7 +309,7 @@ def run_for(rows, i, clocks):
 
 
 def mean(rows, i, ticks):
-    return core.mean_count(rows[i], 0, 0, ticks)
+    return core.drive_input(rows[i], 0, 0, ticks)
 
 
 def mean_of(chip, clocks, writes=()):
@@ -332,7 +332,7 @@ def test_the_mean_over_a_slice_is_that_of_every_clock_samples_inside_or_not():
         k, t = int(rng.integers(0, 256)), int(rng.integers(0, 40))
         chip = bench([(0x0F, t), (0x07, int(rng.integers(2)))], gains(200, 100, k), word(COMMAND, 7), begin("position"))
         chip.advance(int(rng.integers(1000, 3000)))
-        chip.see(float(rng.integers(-20, 20)), float(rng.normal(0, 0.02)))
+        chip.set_shaft(float(rng.integers(-20, 20)), float(rng.normal(0, 0.02)))
         clocks = int(rng.integers(1, 2000))
         twin = HCTL1100()
         twin.restore(chip.snapshot())
@@ -358,9 +358,9 @@ def test_long_times_make_no_difference_where_nearly_nothing_happens(mode):
             bench(gains(100, 9, 7), acceleration(256), velocity(3), [(0x3C, 2)], begin(mode)) for _ in range(2)
         )
         for chip in (whole, cut):
-            chip.see(0.5, rate)
+            chip.set_shaft(0.5, rate)
             chip.advance(3 * SAMPLE + 300)
-            chip.see(1.5, rate)
+            chip.set_shaft(1.5, rate)
             chip.write(0x3C, 0xFE)
         whole.advance(3000 * SAMPLE)
         for _ in range(3000):
@@ -380,7 +380,7 @@ class Motor:
             self.velocity += (
                 self.speed * max(-100, min(100, self.chip.motor_command)) / 100 - self.velocity
             ) / self.lag
-            self.chip.see(self.at, self.velocity / SAMPLE)
+            self.chip.set_shaft(self.at, self.velocity / SAMPLE)
             self.at += self.velocity
             self.chip.advance(SAMPLE)
 

@@ -21,7 +21,7 @@ def asked(rows, i, hz):
 def driven(rows, i, count, rate, word):
     """As a stage does: the shaft, the pins, time."""
     c = rows[i]
-    core.see(c, 0, count, rate)
+    core.set_shaft(c, 0, count, rate)
     core.set_input(c, 0, word)
     core.run(c, c.clock + 100)
 
@@ -75,7 +75,7 @@ def test_the_commanded_velocity_is_that_of_the_profile_or_of_the_command():
 def test_a_stage_tells_shaft_and_pins_as_the_bench_does():
     one, other = bench(begin("position")), bench(begin("position"))
     driven(one._rows, one._i, 12.5, 0.01, HCTL1100.INPUTS["index"])
-    other.see(12.5, 0.01)
+    other.set_shaft(12.5, 0.01)
     other.pins.index = True
     other.advance(100)
     assert of(one) == of(other)

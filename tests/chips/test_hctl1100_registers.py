@@ -168,7 +168,7 @@ def test_reading_the_low_byte_latches_the_others():
 
 def test_a_turning_shaft_is_seen_at_the_clock_of_the_read():
     chip = HCTL1100()
-    chip.see(-10, 0.25)
+    chip.set_shaft(-10, 0.25)
     for _ in range(100):
         assert position(chip) == -10 + chip.clock // 4
         chip.advance(3)
@@ -211,16 +211,16 @@ def test_the_position_is_24_bits_round_and_the_loop_does_not_see_the_seam():
 
 def test_counts_faster_than_one_in_three_clocks_do_not_come_through_the_filter():
     chip = HCTL1100()
-    chip.see(0, 1 / 3)
+    chip.set_shaft(0, 1 / 3)
     chip.advance(3000)
     assert (chip.encoder, chip.missed) == (1000, 0)
-    chip.see(1000, 0.5)
+    chip.set_shaft(1000, 0.5)
     chip.advance(3000)
     assert (chip.encoder, chip.missed, position(chip)) == (1000, 1500, 1000)
-    chip.see(2500, -0.25)
+    chip.set_shaft(2500, -0.25)
     chip.advance(400)
     assert (chip.encoder, chip.missed) == (900, 1500), "slow enough again, from where it was heard last"
-    chip.see(2400, -0.5)
+    chip.set_shaft(2400, -0.5)
     chip.advance(400)
     assert (chip.encoder, chip.missed) == (900, 1300)
     chip.encoder = 70
@@ -232,8 +232,8 @@ def test_a_shaft_has_a_finite_place_and_rate(wrong):
     chip = HCTL1100()
     for given in ((wrong, 0.0), (0.0, wrong)):
         with pytest.raises(ArgumentError, match="finite"):
-            chip.see(*given)
-    chip.see(1e300, -1e290)
+            chip.set_shaft(*given)
+    chip.set_shaft(1e300, -1e290)
     chip.write(0x18, 9)
     chip.advance(1 << 40)
     assert 0 <= chip.read(0x14) < 256

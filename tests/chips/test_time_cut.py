@@ -190,7 +190,7 @@ def test_the_hctl1100_samples_at_the_clock_at_which_its_timer_ends(mode, t):
     settings = [[(0x0F, t), (0x28, 3), (0x3C, 2)], gains(0xE5, 0x40, 0x20), acceleration(128), velocity(40)]
     chip = bench(*settings, word(COMMAND, 3), word(FINAL, 12), begin(mode))
     assert not cut_everywhere(chip, 16 * (t + 1) * 6 + 20)
-    chip.see(0.0, 1 / 64)
+    chip.set_shaft(0.0, 1 / 64)
     cut_everywhere(chip, 16 * (t + 1) * 3 + 20)
 
 

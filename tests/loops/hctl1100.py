@@ -20,7 +20,7 @@ def play(c, moments, steps, noise):
     begin = c.next
     for n in range(len(moments)):
         shaft = command + noise[n]
-        core.see(c, 0, float(shaft), 0.0)
+        core.set_shaft(c, 0, float(shaft), 0.0)
         core.advance(c, begin)  # the sample of the command written before
         x = command - shaft
         output = _clipped((256 * K * x - A * K * before - 4 * B * output) >> 10)

@@ -1,7 +1,7 @@
 """Functions for tests of stage.native and of the table of chips."""
 
 from stage.chips import cores
-from stage.native import array_of, at, called, exported, hot, record, room
+from stage.native import array_at, array_of, called, exported, hot, record, room
 
 CELL = record([("a", "i8"), ("b", "f8")])
 
@@ -37,7 +37,7 @@ def by_name(rows):
 
 @exported("f8", "i8", "i8", "i8")
 def by_address(function, where, n):
-    return scale(function, (where, n)) + at(where, 1, CELL)[0].a
+    return scale(function, (where, n)) + array_at(where, 1, CELL)[0].a
 
 
 @exported("f8", array_of("f8", 2), array_of("i8"))

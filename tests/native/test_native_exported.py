@@ -10,7 +10,7 @@ from loops.rows import CELL, by_address, by_name, cleared, joined, on_the_stack,
 
 from stage import ArgumentError
 from stage.chips import PCL240K
-from stage.native import COMPILED, Exported, address_of, at, greatest, least
+from stage.native import COMPILED, Exported, address_of, array_at, greatest, least
 
 
 def cells(*b):
@@ -68,9 +68,9 @@ def test_no_two_of_them_have_the_same_symbol():
 
 def test_at_shows_the_memory_itself():
     rows = cells(1.0, 2.0)
-    at(rows.ctypes.data, 2, CELL)[1].b = 5.0
+    array_at(rows.ctypes.data, 2, CELL)[1].b = 5.0
     assert rows["b"].tolist() == [1.0, 5.0]
-    assert at(0, 0, CELL).shape == (0,)
+    assert array_at(0, 0, CELL).shape == (0,)
 
 
 @pytest.mark.parametrize(("a", "b"), [(1, 2), (2, 1), (-3, -3), (0.5, -0.5), (1, 0.5), (-0.0, 0.0)])

@@ -30,7 +30,7 @@ class ReferenceHCTL1100:
 
     # --- the shaft ---
 
-    def see(self, count, rate=0):
+    def set_shaft(self, count, rate=0):
         self.lost += (self.rate - self.heard) * (self.clock - self.turned)
         self.turned, self.count, self.rate = self.clock, Fraction(count), Fraction(rate)
 

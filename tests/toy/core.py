@@ -50,11 +50,11 @@ def run(c, until):
 
 @exported(None, STATE, "i8", "i8")
 def window(c, row, k):
-    through(c, row, k, run, net, mean_count)
+    through(c, row, k, run, net, drive_input)
 
 
 @exported(None, STATE, "i8", "f8", "f8")
-def see(c, j, count, rate):
+def set_shaft(c, j, count, rate):
     """It has no encoder."""
 
 
@@ -64,7 +64,7 @@ def net(c, j):
 
 
 @exported("f8", STATE, "i8", "i8", "f8")
-def mean_count(c, j, before, ticks):
+def drive_input(c, j, before, ticks):
     return 0.5 * (before + c.net)
 
 

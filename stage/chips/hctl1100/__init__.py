@@ -2,7 +2,7 @@
 
     chip = HCTL1100()
     chip.write(0x05, 0x03)            Init/Idle -> position control
-    chip.see(0, rate=0.01)            the shaft turns, in counts of the encoder a clock
+    chip.set_shaft(0, rate=0.01)            the shaft turns, in counts of the encoder a clock
     chip.advance(1040)                one sample
 
 `chip.motor_command` is what drives the motor then.
@@ -80,7 +80,7 @@ class HCTL1100(Chip):
     @encoder.setter
     def encoder(self, count: int) -> None:
         lost = core.lost.held(self.pointer)
-        self.see(count + lost + 0.5 if lost else count)  # between two counts, where rounding does not matter
+        self.set_shaft(count + lost + 0.5 if lost else count)  # between two counts, where rounding does not matter
 
     @property
     def missed(self) -> float:
@@ -88,15 +88,15 @@ class HCTL1100(Chip):
         through, and the shaft is so far ahead of the count."""
         return core.lost.held(self.pointer)
 
-    def see(self, count: float, rate: float = 0.0) -> None:
+    def set_shaft(self, count: float, rate: float = 0.0) -> None:
         """From now on the shaft is at `count + rate * (clock - now)`: encoder counts (a position between two counts shows the lower
         one), counts a clock. Raises ArgumentError for what is no finite number."""
         if not (math.isfinite(count) and math.isfinite(rate)):
-            raise ArgumentError(f"see({count!r}, {rate!r}): a shaft is at a finite count and has a finite rate.")
+            raise ArgumentError(f"set_shaft({count!r}, {rate!r}): a shaft is at a finite count and has a finite rate.")
         self._change()
-        core.see.held(self.pointer, 0, float(count), float(rate))
+        core.set_shaft.held(self.pointer, 0, float(count), float(rate))
         if self.open_journal is not None:
-            self.open_journal.note_seen(self.clock, count, rate)
+            self.open_journal.note_shaft(self.clock, count, rate)
 
     @property
     def shaft(self) -> tuple[float, float]:

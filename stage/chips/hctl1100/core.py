@@ -1,6 +1,6 @@
 """HCTL-1100, compiled: `run` jumps from sample to sample, and over those that change nothing. Between samples nothing changes.
 
-The chip makes no pulses: for a stage `net` is the count that the command position stands for, and the motor gets `mean_count`, a
+The chip makes no pulses: for a stage `net` is the count that the command position stands for, and the motor gets `drive_input`, a
 share of full drive.
 """
 
@@ -34,8 +34,8 @@ from stage.native import array_of, exported, hot, least
 ROOM = 8
 REAL, WHOLE = np.dtype("f8"), np.dtype("i8")
 
-__all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE", "advance", "busy", "counter", "inputs", "mark", "mean_count", "net",
-           "outputs", "peek", "power_up", "pulse_rate", "read", "run", "scan", "scan_seen", "see", "set_input",
+__all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE", "advance", "busy", "counter", "inputs", "mark", "drive_input", "net",
+           "outputs", "peek", "power_up", "pulse_rate", "read", "run", "scan", "scan_shaft", "set_shaft", "set_input",
            "status", "trace", "value", "write"]  # fmt: skip
 
 
@@ -71,9 +71,9 @@ def run(c, until):
 
 
 @exported(None, STATE, "i8", "f8", "f8")
-def see(c, j, count, rate):
+def set_shaft(c, j, count, rate):
     """From now on the shaft is at `count + rate * (clock - now)`, in counts of the encoder and counts a clock."""
-    encoder.see(c, count, rate)
+    encoder.set_shaft(c, count, rate)
 
 
 @exported("i8", STATE, "i8")
@@ -138,7 +138,7 @@ def pulse_rate(c, j, hz):
 
 
 @exported("f8", STATE, "i8", "i8", "f8")
-def mean_count(c, j, before, ticks):
+def drive_input(c, j, before, ticks):
     """Mean over the last `ticks`, since it was asked last, of the motor command as a share of full drive, -1 to 1."""
     mean = c.moment / (motor.FULL_DRIVE * ticks)
     c.moment = 0
@@ -151,7 +151,7 @@ def mean_count(c, j, before, ticks):
 @exported(None, STATE, "i8", "i8")
 def window(c, row, k):
     """Let the chip's clock run through the slices of a window, see stage/chips/cores.py."""
-    through(c, row, k, run, net, mean_count)
+    through(c, row, k, run, net, drive_input)
 
 
 @exported(None, STATE)
@@ -241,14 +241,14 @@ def scan(c, until, every_pulse, axis, out):
 
 
 @exported("i8", STATE, "i8", "i8", "i8", array_of(EDGE), array_of("i8"), array_of("f8"), array_of("f8"), array_of("i8"))
-def scan_seen(c, until, every_pulse, axis, out, clocks, counts, rates, done):
+def scan_shaft(c, until, every_pulse, axis, out, clocks, counts, rates, done):
     """As scan, while the shaft is seen anew at `clocks`, in order and up to `until`, with these counts and rates, from number
     done[0] on, which goes up. Stops early as scan does: call again until done[0] is all of them and the clock is there."""
     k = 0
     while k < len(out) - ROOM:
         n = done[0]
         while n < len(clocks) and clocks[n] <= c.clock:
-            encoder.see(c, counts[n], rates[n])
+            encoder.set_shaft(c, counts[n], rates[n])
             n += 1
         done[0] = n
         if c.clock >= until:

@@ -30,7 +30,7 @@ def heard(c):
 
 
 @hot
-def see(c, count, rate):
+def set_shaft(c, count, rate):
     """From now on the shaft is at `count + rate * (clock - now)`."""
     c.lost = lost(c)
     c.seen, c.count, c.rate = c.clock, count, rate

@@ -1,6 +1,6 @@
 """NOVA chips, compiled: `run` jumps from event to event, never clock by clock; in between, pulses follow in closed form.
 
-An event is the end of a drive or of a segment of its profile, a counter that reaches something, an input that comes through its
+An event is the end of a drive or of a piece of its profile, a counter that reaches something, an input that comes through its
 filter, a timer, or a bus write. See drive.py for one axis' drive, profile.py for when its pulses begin,
 pulses.py for a trace of them.
 """
@@ -43,8 +43,8 @@ from stage.native import array_of, exported, greatest, hot, least
 ROUNDS = 100  # of events that cause others at one clock
 HZ = 16_000_000
 
-__all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE", "advance", "busy", "counter", "inputs", "mark", "mean_count", "net",
-           "outputs", "peek", "power_up", "pulse_rate", "read", "run", "scan", "see",
+__all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE", "advance", "busy", "counter", "inputs", "mark", "drive_input", "net",
+           "outputs", "peek", "power_up", "pulse_rate", "read", "run", "scan", "set_shaft",
            "set_input", "settle", "status", "trace",
            "value", "write"]  # fmt: skip
 
@@ -126,7 +126,7 @@ def counter(c, j):
 
 
 @exported(None, STATE, "i8", "f8", "f8")
-def see(c, j, count, rate):
+def set_shaft(c, j, count, rate):
     """No encoder is connected: these chips make pulses, and nobody looks where the shaft goes."""
 
 
@@ -199,7 +199,7 @@ def pulse_rate(c, j, hz):
 
 
 @exported("f8", STATE, "i8", "i8", "f8")
-def mean_count(c, j, before, ticks):
+def drive_input(c, j, before, ticks):
     """Mean over the last `ticks` of the net pulse count, which was `before` at their start.
 
     Pulses of a drive came evenly; those of an interpolation have had their clocks summed in `moment`.
@@ -227,7 +227,7 @@ def _missing(c, x, rest, ticks):
         return 0.0
     if not x.driving:
         return 0.5 * rest
-    s = drive.segment_at(x, c.clock - x.origin)
+    s = drive.piece_at(x, c.clock - x.origin)
     t = (float(c.clock - x.origin) - x.t[s, 0]) - x.t[s, 1]
     r = x.p[s, 0] + t * (x.v[s, 0] + t * (x.a2[s, 0] + t * x.j6[s, 0])) + (x.from_pulse[s] - x.done)
     v = x.v[s, 0] + t * (2.0 * x.a2[s, 0] + 3.0 * t * x.j6[s, 0])
@@ -302,7 +302,7 @@ def value(c, k, page):
 @exported(None, STATE, "i8", "i8")
 def window(c, row, k):
     """Let the chip's clock run through the slices of a window, see stage/chips/cores.py."""
-    through(c, row, k, run, net, mean_count)
+    through(c, row, k, run, net, drive_input)
 
 
 @exported(None, STATE)

@@ -11,9 +11,9 @@ from stage.native import record
 
 AXES = 4
 REGISTERS = 32
-SEGMENTS = 12
+MOST_PIECES = 12
 INPUT_PINS = 17
-PIECES = 4
+DRAFTED = 4
 SYNC_SETS = 4
 FIRST_GENERATION, MCX514_TYPE = 0, 1
 NEVER = 1 << 60
@@ -36,28 +36,28 @@ MRM, P1M, H1M, H2M, FLM, S0M, IPM = (k - MODE_FIRST for k in _places(MCX514_MAP,
 HM = H1M  # of the older chips
 
 ACCELERATING, CONSTANT, DECELERATING, AREA_D, RUNAWAY = 1, 0, -1, 2, 3
-"""What a segment of a speed profile is. AREA_D: the acceleration reads 0 at the end of an S-curve; RUNAWAY: after the erratum."""
+"""What a piece of a speed profile is. AREA_D: the acceleration reads 0 at the end of an S-curve; RUNAWAY: after the erratum."""
 NO_PHASE = -9
-"""`phase` of an axis whose drive has no segment yet, or none any more."""
+"""`phase` of an axis whose drive has no piece yet, or none any more."""
 
 _PROFILE = [  # of the drive in progress: pieces of a cubic in the clocks since `origin`
     ("origin", "i8"),  # clock
-    ("segments", "i8"),  # how many there are
+    ("pieces", "i8"),  # how many there are
     ("end", "i8"),  # clocks after the origin at which the drive ends whatever its pulses
-    ("brake", "i8"),  # the segment that begins the automatic deceleration
-    # segments; the last one lasts for ever
-    ("from_clock", "i8", (SEGMENTS,)),  # the first whole clock at or after `t`
-    ("from_pulse", "i8", (SEGMENTS,)),  # pulses done where it begins, whole ones
-    ("kind", "i8", (SEGMENTS,)),  # ACCELERATING ...
-    ("t", "f8", (SEGMENTS, 2)),  # clocks after the origin at which it begins
-    ("p", "f8", (SEGMENTS, 2)),  # pulses done where it begins, beyond `from_pulse`
-    ("v", "f8", (SEGMENTS, 2)),  # speed there, pulses a clock
-    ("a2", "f8", (SEGMENTS, 2)),  # half its acceleration
-    ("j6", "f8", (SEGMENTS, 2)),  # a sixth of its jerk
+    ("brake", "i8"),  # the piece that begins the automatic deceleration
+    # pieces; the last one lasts for ever
+    ("from_clock", "i8", (MOST_PIECES,)),  # the first whole clock at or after `t`
+    ("from_pulse", "i8", (MOST_PIECES,)),  # pulses done where it begins, whole ones
+    ("kind", "i8", (MOST_PIECES,)),  # ACCELERATING ...
+    ("t", "f8", (MOST_PIECES, 2)),  # clocks after the origin at which it begins
+    ("p", "f8", (MOST_PIECES, 2)),  # pulses done where it begins, beyond `from_pulse`
+    ("v", "f8", (MOST_PIECES, 2)),  # speed there, pulses a clock
+    ("a2", "f8", (MOST_PIECES, 2)),  # half its acceleration
+    ("j6", "f8", (MOST_PIECES, 2)),  # a sixth of its jerk
     # planner
-    ("cursor", "f8", (4, 2)),  # t, p, v, a where the next segment would begin
-    ("piece", "f8", (PIECES, 3, 2)),  # durations, accelerations, jerks of a change of speed that is drafted
-    ("course", "f8", (PIECES, 3, 2)),  # the same of one that is kept meanwhile
+    ("cursor", "f8", (4, 2)),  # t, p, v, a where the next piece would begin
+    ("piece", "f8", (DRAFTED, 3, 2)),  # durations, accelerations, jerks of a change of speed that is drafted
+    ("course", "f8", (DRAFTED, 3, 2)),  # the same of one that is kept meanwhile
     ("sv", "f8", (2,)),  # initial speed, pulses a clock
     ("dv", "f8", (2,)),  # drive speed
     ("up", "f8", (2,)),  # acceleration, pulses a clock2
@@ -84,13 +84,13 @@ AXIS = record(
         ("absolute", "i8"),  # to an absolute position
         ("total", "i8"),  # pulses ever
         ("net", "i8"),  # the same, plus minus minus
-        # interpolated pulses since mean_count asked
+        # interpolated pulses since drive_input asked
         ("moment", "i8"),  # sum of their clocks, each with its sign
         ("shift", "i8"),  # plus minus minus
         ("since", "i8"),  # clock of the first
         ("inputs", "i8"),  # INPUTS now
         ("level", "i8"),  # INPUTS after the filters
-        ("phase", "i8"),  # kind of the segment seen last
+        ("phase", "i8"),  # kind of the piece seen last
         ("factors", "i8"),  # RR1 of the MCX514, and SPLIT_START
         ("fired", "i8"),  # those that the sync actions have not seen
         ("finish", "i8"),  # RR2 of the MCX514
@@ -126,8 +126,8 @@ AXIS = record(
         ("high", "i8"),  # until when the pulse output is, in a scan
         ("ahead", "i8"),  # pulses logged before they begin
         ("due", "i8"),  # the clock at which the next pulse begins
-        ("at", "i8"),  # the segment in which it does
-        ("pps", "i8"),  # speed of that segment where its pulses come evenly, see pulses.py
+        ("at", "i8"),  # the piece in which it does
+        ("pps", "i8"),  # speed of that piece where its pulses come evenly, see pulses.py
         ("rest", "i8"),  # and the place in it
         # WR1 to WR3 in plain terms
         ("stops", "i8"),  # which of STOP0 to STOP2 stop, bit 0 for STOP0
@@ -215,7 +215,7 @@ INTERPOLATION = record(
         # the next tick, prepared
         ("due", "i8"),  # its clock
         ("watch", "i8"),  # ticks until somebody looks at a counter
-        ("piece", "i8"),  # segment of the profile
+        ("piece", "i8"),  # piece of the profile
         ("last", "i8"),  # the segment ends with it
         ("closing", "i8"),  # it has no pulses and ends it all
         ("left", "i8"),  # ticks of the segment still to prepare

@@ -46,8 +46,8 @@ from stage.native import array_of, exported, greatest, hot, least
 
 FOREVER = 1 << 62
 
-__all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE", "advance", "busy", "counter", "inputs", "mark", "mean_count", "net",
-           "outputs", "peek", "power_up", "pulse_rate", "read", "run", "scan", "see",
+__all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE", "advance", "busy", "counter", "inputs", "mark", "drive_input", "net",
+           "outputs", "peek", "power_up", "pulse_rate", "read", "run", "scan", "set_shaft",
            "set_input", "status", "trace",
            "value", "write"]  # fmt: skip
 
@@ -68,7 +68,7 @@ def counter(c, j):
 
 
 @exported(None, STATE, "i8", "f8", "f8")
-def see(c, j, count, rate):
+def set_shaft(c, j, count, rate):
     """No encoder is connected: these chips make pulses, and nobody looks where the shaft goes."""
 
 
@@ -117,7 +117,7 @@ def pulse_rate(c, j, hz):
 
 
 @exported("f8", STATE, "i8", "i8", "f8")
-def mean_count(c, j, before, ticks):
+def drive_input(c, j, before, ticks):
     """Mean over the last `ticks` of the net pulse count, which was `before` at their start.
 
     The last pulse began phase / speed ticks ago, the ones before it a period apart each.
@@ -425,7 +425,7 @@ def scan(c, until, every_pulse, axis, out):
 @exported(None, STATE, "i8", "i8")
 def window(c, row, k):
     """Let the chip's clock run through the slices of a window, see stage/chips/cores.py."""
-    through(c, row, k, run, net, mean_count)
+    through(c, row, k, run, net, drive_input)
 
 
 @exported(None, STATE)

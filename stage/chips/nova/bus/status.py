@@ -27,7 +27,7 @@ def phase_bits(c, x):
     bits = 1 if phase == ACCELERATING else 4
     if not x.curved:
         return bits | 16
-    j6 = x.j6[drive.segment_at(x, n), 0]
+    j6 = x.j6[drive.piece_at(x, n), 0]
     if j6 == 0.0:
         return bits | 16
     return bits | (8 if (j6 > 0.0) == (phase == ACCELERATING) else 32)

@@ -12,7 +12,7 @@ from stage.chips.nova.interpolation import segment
 from stage.chips.nova.motion import double_double as dd
 from stage.chips.nova.motion import drive
 from stage.chips.nova.motion.planner import from_here, pair, put, slow_down
-from stage.chips.nova.motion.profile import segment_at, speed_at
+from stage.chips.nova.motion.profile import piece_at, speed_at
 from stage.chips.nova.registers.mcx300 import MCX312_MAP
 from stage.chips.nova.registers.mcx514 import MCX514_MAP
 from stage.chips.nova.state import (
@@ -248,7 +248,7 @@ def step(c):
     if stop == drive.AT_ONCE or n >= x.end or (stop and ip.stepped):
         end(c)
         return
-    s = segment_at(x, n)
+    s = piece_at(x, n)
     if stop and not ip.slow:
         ip.slow = 1
         if s < x.brake or not x.curved or c.variant == MCX514_TYPE:
@@ -272,9 +272,9 @@ def next_event(c):
         if y.interpolates:
             ip.watch = least(ip.watch, least(drive.pulses_ahead(c, y), sync.pulses_ahead(c, y)))
     n = c.clock - x.origin
-    s = segment_at(x, n)
+    s = piece_at(x, n)
     at = x.end
-    if s + 1 < x.segments:
+    if s + 1 < x.pieces:
         at = least(at, x.from_clock[s + 1])
     return x.origin + at if at < NEVER else NEVER
 

@@ -1,11 +1,11 @@
 """NOVA chips, compiled: the course of one axis as a list of changes, for waveforms, lanes and drawings.
 
-The pulse output is high for half a period from each pulse on (inferred); a ramp shows as steps of its rate, RAMP in a segment.
+The pulse output is high for half a period from each pulse on (inferred); a ramp shows as steps of its rate, RAMP in a piece.
 """
 
 from __future__ import annotations
 
-from stage.chips.nova.motion.profile import clock_of, segment_at
+from stage.chips.nova.motion.profile import clock_of, piece_at
 from stage.chips.nova.state import CONSTANT, LP, PLS
 from stage.native import greatest, hot, least
 
@@ -25,8 +25,8 @@ def log(c, j, out, k, word, rate):
 @hot
 def _step(x, n):
     """The clock after the origin at which the rate of a ramp takes its next step."""
-    s = segment_at(x, n)
-    if x.kind[s] == CONSTANT or s + 1 >= x.segments:
+    s = piece_at(x, n)
+    if x.kind[s] == CONSTANT or s + 1 >= x.pieces:
         return 1 << 60
     begin = x.from_clock[s]
     step = greatest(1, (x.from_clock[s + 1] - begin) // RAMP)

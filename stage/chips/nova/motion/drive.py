@@ -18,7 +18,7 @@ from stage.chips.nova.motion.planner import (
     slow_down,
     to_the_end,
 )  # fmt: skip
-from stage.chips.nova.motion.profile import HZ, acceleration_at, clock_of, phase_at, reached, segment_at, speed_at
+from stage.chips.nova.motion.profile import HZ, acceleration_at, clock_of, phase_at, piece_at, reached, speed_at
 from stage.chips.nova.state import (
     AC,
     ALARM,
@@ -367,7 +367,7 @@ def replan(c, x):
 def change_speed(c, x, value):
     """A new drive speed; after the automatic deceleration has begun it waits for the next drive."""
     x.reg[DV] = value
-    if x.driving and not x.slow and segment_at(x, c.clock - x.origin) < x.brake:
+    if x.driving and not x.slow and piece_at(x, c.clock - x.origin) < x.brake:
         replan(c, x)
     c.stale = 1
 
@@ -423,7 +423,7 @@ def request_stop(c, x, cause):
     if not x.driving or x.slow:
         return
     n = c.clock - x.origin
-    s = segment_at(x, n)
+    s = piece_at(x, n)
     if s >= x.brake and x.curved and c.variant != MCX514_TYPE and x.kind[s] == DECELERATING:
         return
     x.slow = 1
@@ -550,9 +550,9 @@ def pulses_ahead(c, x):
 def next_event(c, x, far):
     """The clock of the next event of a drive; `far`: pulses until others care."""
     n = c.clock - x.origin
-    s = segment_at(x, n)
+    s = piece_at(x, n)
     at = x.end
-    if s + 1 < x.segments:
+    if s + 1 < x.pieces:
         at = least(at, x.from_clock[s + 1])
     far = least(far, pulses_ahead(c, x))
     if far < NEVER:

@@ -9,8 +9,8 @@ the last of them.
 from __future__ import annotations
 
 from stage.chips.nova.motion import double_double as dd
-from stage.chips.nova.motion.profile import NEVER, _time_in, exactly, segment_at
-from stage.chips.nova.state import ACCELERATING, AREA_D, CONSTANT, DECELERATING, RUNAWAY, SEGMENTS
+from stage.chips.nova.motion.profile import NEVER, _time_in, exactly, piece_at
+from stage.chips.nova.state import ACCELERATING, AREA_D, CONSTANT, DECELERATING, MOST_PIECES, RUNAWAY
 from stage.native import hot
 
 T, PLACE, SPEED, RATE = range(4)  # rows of the cursor
@@ -115,13 +115,13 @@ def braking_distance(x, v, a):
     return far
 
 
-# --- writing segments ---
+# --- writing pieces ---
 
 
 @hot
 def begin(x, clock, t, place, v, a):
-    """An empty plan whose origin is `clock`, and whose first segment will begin t clocks later at `place` pulses of the drive."""
-    x.origin, x.segments, x.end, x.brake = clock, 0, NEVER, SEGMENTS
+    """An empty plan whose origin is `clock`, and whose first piece will begin t clocks later at `place` pulses of the drive."""
+    x.origin, x.pieces, x.end, x.brake = clock, 0, NEVER, MOST_PIECES
     put(x.cursor[T], t)
     put(x.cursor[PLACE], place)
     put(x.cursor[SPEED], v)
@@ -130,8 +130,8 @@ def begin(x, clock, t, place, v, a):
 
 @hot
 def _write(x, kind, a, jerk):
-    """A segment from the cursor on, without an end."""
-    s = x.segments
+    """A piece from the cursor on, without an end."""
+    s = x.pieces
     t, place, v = pair(x.cursor[T]), pair(x.cursor[PLACE]), pair(x.cursor[SPEED])
     put(x.t[s], t)
     x.from_clock[s] = -dd.floor(dd.add(dd.neg(t), (1e-15, 0.0)))
@@ -141,12 +141,12 @@ def _write(x, kind, a, jerk):
     put(x.a2[s], dd.times(a, 0.5))
     put(x.j6[s], dd.div(jerk, (6.0, 0.0)))
     x.kind[s] = kind
-    x.segments = s + 1
+    x.pieces = s + 1
 
 
 @hot
 def _go(x, kind, duration, a, jerk):
-    """A segment of this duration; the cursor moves to its end."""
+    """A piece of this duration; the cursor moves to its end."""
     if duration[0] <= 0.0:
         return
     _write(x, kind, a, jerk)
@@ -175,7 +175,7 @@ def change(x, goal):
 @hot
 def brake(x):
     """Append the automatic deceleration, and the initial speed for ever; it may have an area d."""
-    x.brake = x.segments
+    x.brake = x.pieces
     n = draft_brake(x, pair(x.cursor[SPEED]), pair(x.cursor[RATE]))
     for k in range(n):
         duration, a, jerk = pair(x.piece[k, DURATION]), pair(x.piece[k, FROM]), pair(x.piece[k, JERK])
@@ -208,7 +208,7 @@ def slow_down(x):
     if dd.less(pair(x.sv), pair(x.cursor[SPEED])) or x.cursor[RATE, 0] > 0.0:
         change(x, pair(x.sv))
     _on(x)
-    x.end = x.from_clock[x.segments - 1]
+    x.end = x.from_clock[x.pieces - 1]
 
 
 @hot
@@ -295,7 +295,7 @@ def for_ever(x, goal):
 @hot
 def brake_at(x, pulses):
     """Cut the plan where `pulses` of the drive are done, and brake to the initial speed from there (manual deceleration)."""
-    s = x.segments - 1
+    s = x.pieces - 1
     while s > 0 and x.from_pulse[s] + (1 if x.p[s, 0] > 0.0 else 0) > pulses:
         s -= 1
     far = dd.sub(dd.whole(pulses - x.from_pulse[s]), pair(x.p[s]))
@@ -308,7 +308,7 @@ def brake_at(x, pulses):
             t = dd.sub(t, dd.div(off, (slope, 0.0)))
     a = dd.add(dd.times(a2, 2.0), dd.mul(t, dd.mul(j6, (6.0, 0.0))))
     speed = dd.add(v, dd.mul(t, dd.add(dd.times(a2, 2.0), dd.mul(t, dd.mul(j6, (3.0, 0.0))))))
-    x.segments = s + 1 if t[0] > 0.0 else s
+    x.pieces = s + 1 if t[0] > 0.0 else s
     put(x.cursor[T], dd.add(pair(x.t[s]), t))
     put(x.cursor[PLACE], dd.whole(pulses))
     put(x.cursor[SPEED], speed)
@@ -319,7 +319,7 @@ def brake_at(x, pulses):
 @hot
 def from_here(x, n):
     """Begin a new plan `n` clocks after the origin, with the place, speed and acceleration that the drive has there."""
-    s = segment_at(x, n)
+    s = piece_at(x, n)
     t = dd.sub(dd.whole(n), pair(x.t[s]))
     place = dd.add(dd.whole(x.from_pulse[s]), exactly(x, s, n))
     a2, j6 = pair(x.a2[s]), pair(x.j6[s])

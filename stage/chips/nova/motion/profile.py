@@ -18,17 +18,17 @@ GUARD = 1e-6
 
 
 @hot
-def segment_at(x, n):
-    """The segment in force `n` clocks after the origin."""
+def piece_at(x, n):
+    """The piece in force `n` clocks after the origin."""
     s = 0
-    while s + 1 < x.segments and x.from_clock[s + 1] <= n:
+    while s + 1 < x.pieces and x.from_clock[s + 1] <= n:
         s += 1
     return s
 
 
 @hot
 def exactly(x, s, n):
-    """Pulses since the beginning of segment `s`, and the fraction it began with, at clock `n`: a double-double."""
+    """Pulses since the beginning of piece `s`, and the fraction it began with, at clock `n`: a double-double."""
     t = dd.sub(dd.whole(n), (x.t[s, 0], x.t[s, 1]))
     r = dd.add((x.a2[s, 0], x.a2[s, 1]), dd.mul(t, (x.j6[s, 0], x.j6[s, 1])))
     r = dd.add((x.v[s, 0], x.v[s, 1]), dd.mul(t, r))
@@ -37,7 +37,7 @@ def exactly(x, s, n):
 
 @hot
 def reached_in(x, s, n):
-    """Pulses of the drive that have begun `n` clocks after the origin, which is in segment `s`."""
+    """Pulses of the drive that have begun `n` clocks after the origin, which is in piece `s`."""
     t = (float(n) - x.t[s, 0]) - x.t[s, 1]
     r = x.p[s, 0] + t * (x.v[s, 0] + t * (x.a2[s, 0] + t * x.j6[s, 0]))
     k = math.floor(r)
@@ -51,13 +51,13 @@ def reached_in(x, s, n):
 @hot
 def reached(x, n):
     """Pulses of the drive that have begun `n` clocks after the origin."""
-    return reached_in(x, segment_at(x, n), n)
+    return reached_in(x, piece_at(x, n), n)
 
 
 @hot
 def speed_at(x, n):
     """Pulses per clock."""
-    s = segment_at(x, n)
+    s = piece_at(x, n)
     t = (float(n) - x.t[s, 0]) - x.t[s, 1]
     return greatest(x.v[s, 0] + t * (2.0 * x.a2[s, 0] + 3.0 * t * x.j6[s, 0]), 0.0)
 
@@ -65,7 +65,7 @@ def speed_at(x, n):
 @hot
 def acceleration_at(x, n):
     """Pulses per clock^2, with its sign."""
-    s = segment_at(x, n)
+    s = piece_at(x, n)
     t = (float(n) - x.t[s, 0]) - x.t[s, 1]
     return 2.0 * x.a2[s, 0] + 6.0 * t * x.j6[s, 0]
 
@@ -73,12 +73,12 @@ def acceleration_at(x, n):
 @hot
 def phase_at(x, n):
     """ACCELERATING, CONSTANT, DECELERATING, ..."""
-    return x.kind[segment_at(x, n)]
+    return x.kind[piece_at(x, n)]
 
 
 @hot
 def _time_in(x, s, far, longest):
-    """Clocks, a float, after the beginning of segment `s` until `far` more pulses are done, at most `longest`."""
+    """Clocks, a float, after the beginning of piece `s` until `far` more pulses are done, at most `longest`."""
     v, a2, j6 = x.v[s, 0], x.a2[s, 0], x.j6[s, 0]
     root = v * v + 4.0 * a2 * far
     t = 2.0 * far / (v + math.sqrt(root)) if root > 0.0 else longest
@@ -104,7 +104,7 @@ def _time_in(x, s, far, longest):
 
 @hot
 def _surely(x, s, far):
-    """The clock after the origin at which `far` pulses of segment `s` are done, if floats can tell it; else -1.
+    """The clock after the origin at which `far` pulses of piece `s` are done, if floats can tell it; else -1.
 
     Their error is below 1e-15 of the time, 1e-14 in a ramp; S-curves, and linear ramps close to standstill, are not looked at.
     """
@@ -124,15 +124,15 @@ def _surely(x, s, far):
     late = n - t
     if late < 1e-5 or late > 1.0 - 1e-5 or n < x.from_clock[s]:
         return -1
-    if s + 1 < x.segments and n > x.from_clock[s + 1]:
+    if s + 1 < x.pieces and n > x.from_clock[s + 1]:
         return -1
     return n
 
 
 @hot
-def segment_of(x, s, k):
-    """The segment, `s` or a later one, in which the k-th pulse of the drive begins."""
-    while s + 1 < x.segments and reached_in(x, s, x.from_clock[s + 1]) < k:
+def piece_of(x, s, k):
+    """The piece, `s` or a later one, in which the k-th pulse of the drive begins."""
+    while s + 1 < x.pieces and reached_in(x, s, x.from_clock[s + 1]) < k:
         s += 1
     return s
 
@@ -140,17 +140,17 @@ def segment_of(x, s, k):
 @hot
 def clock_of(x, k):
     """Clocks after the origin at which the k-th pulse of the drive begins, NEVER if that is centuries ahead."""
-    return clock_in(x, segment_of(x, 0, k), k)
+    return clock_in(x, piece_of(x, 0, k), k)
 
 
 @hot
 def clock_in(x, s, k):
-    """The same, where it is known that this is in segment `s`."""
+    """The same, where it is known that this is in piece `s`."""
     far = float(k - x.from_pulse[s]) - x.p[s, 0]
     n = _surely(x, s, far)
     if n >= 0:
         return n
-    last = s + 1 == x.segments
+    last = s + 1 == x.pieces
     longest = 1e17 if last else (x.t[s + 1, 0] - x.t[s, 0]) + (x.t[s + 1, 1] - x.t[s, 1])
     t = x.t[s, 0] + _time_in(x, s, greatest(far, 0.0), longest)
     if not t < 1e17:
@@ -177,10 +177,10 @@ def _fast(x, n, pps):
 def speed_passes(x, n, pps):
     """The first clock after `n` at which the speed is no longer below `pps`, or no longer at or above it. NEVER if none.
 
-    Both count from the origin. Within a segment the speed only rises or only falls.
+    Both count from the origin. Within a piece the speed only rises or only falls.
     """
     side = _fast(x, n, pps)
-    for s in range(segment_at(x, n) + 1, x.segments):
+    for s in range(piece_at(x, n) + 1, x.pieces):
         end = x.from_clock[s]
         if _fast(x, end - 1, pps) != side:
             low, high = n, end - 1

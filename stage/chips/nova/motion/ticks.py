@@ -15,7 +15,7 @@ FAR = 1e17  # clocks: centuries
 
 @hot
 def _reached(x, s, n, place):
-    """The profile, in its segment `s`, has come to `place` n clocks after its origin."""
+    """The profile, in its piece `s`, has come to `place` n clocks after its origin."""
     if x.a2[s, 0] == 0.0 and x.j6[s, 0] == 0.0:  # the same, sooner
         here = dd.add(pair(x.p[s]), dd.mul(dd.sub(dd.whole(n), pair(x.t[s])), pair(x.v[s])))
     else:
@@ -25,11 +25,11 @@ def _reached(x, s, n, place):
 
 @hot
 def clock_at(x, s, place):
-    """The first clock after the origin at which the profile has come to `place`, and in which segment that is, `s` or a later
+    """The first clock after the origin at which the profile has come to `place`, and in which piece that is, `s` or a later
     one; NEVER if that is centuries ahead. Double-doubles decide where the time is next to a whole clock."""
     while True:
         low = x.from_clock[s]
-        last = s + 1 == x.segments
+        last = s + 1 == x.pieces
         edge = NEVER if last else x.from_clock[s + 1]
         longest = FAR if last else (x.t[s + 1, 0] - x.t[s, 0]) + (x.t[s + 1, 1] - x.t[s, 1])
         far = greatest(dd.sub(dd.sub(place, dd.whole(x.from_pulse[s])), pair(x.p[s]))[0], 0.0)

@@ -8,7 +8,7 @@ become less than nothing, the pulse is a clock later. So it falls where profile.
 from __future__ import annotations
 
 from stage.chips.nova.motion import double_double as dd
-from stage.chips.nova.motion.profile import HZ, SNAP, clock_in, exactly, segment_of
+from stage.chips.nova.motion.profile import HZ, SNAP, clock_in, exactly, piece_of
 from stage.chips.nova.state import NEVER
 from stage.native import hot, least
 
@@ -62,7 +62,7 @@ def _look_back(x):
 def _train(x, a, until, out, k):
     """Log the pulses of axis `a` from the one that is due up to `until`, as far as they come evenly. Returns the next k."""
     due, rest, pps, way = x.due, x.rest, x.pps, x.way
-    last = x.origin + x.from_clock[x.at + 1] if x.at + 1 < x.segments else NEVER
+    last = x.origin + x.from_clock[x.at + 1] if x.at + 1 < x.pieces else NEVER
     n = 1 + (pps * least(least(until, last) - due, LONG) + rest) // HZ
     n = least(n, len(out) - k)
     if x.fixed:
@@ -93,8 +93,8 @@ def _foresee(x, n):
     if x.fixed and k > x.output:
         return
     s = x.at
-    if s + 1 < x.segments:
-        x.at = segment_of(x, s, k)
+    if s + 1 < x.pieces:
+        x.at = piece_of(x, s, k)
     clock = clock_in(x, x.at, k)
     x.due = x.origin + clock
     if x.at != s or x.pps != UNEVEN:
@@ -103,7 +103,7 @@ def _foresee(x, n):
 
 @hot
 def _even(x, s, k, clock):
-    """Set `pps` and `rest` if the pulses of segment `s` come evenly from the k-th on, which begins at this clock."""
+    """Set `pps` and `rest` if the pulses of piece `s` come evenly from the k-th on, which begins at this clock."""
     x.pps = UNEVEN
     if x.a2[s, 0] != 0.0 or x.j6[s, 0] != 0.0 or clock >= NEVER:
         return

@@ -8,8 +8,8 @@ from support.programs import load_registers
 from stage.chips import MCX302, MCX514, PCL240K
 
 
-def mean_count(chip, j, before, ticks):
-    return chip.CORE.mean_count(chip._rows[0], j, before, ticks)
+def drive_input(chip, j, before, ticks):
+    return chip.CORE.drive_input(chip._rows[0], j, before, ticks)
 
 
 def test_it_is_the_mean_over_every_tick_at_constant_speed():
@@ -27,24 +27,24 @@ def test_it_is_the_mean_over_every_tick_at_constant_speed():
         start = chip.clock
         pulses = chip.trace(ticks)
         counts = before + way * np.searchsorted(pulses["clock"], np.arange(start + 1, start + ticks + 1), side="right")
-        error = abs(mean_count(chip, 0, before, float(ticks)) - counts.mean())
+        error = abs(drive_input(chip, 0, before, float(ticks)) - counts.mean())
         assert error <= 0.03 * max(1, len(pulses)), "a tick is rounded away, no more"
 
 
 def test_a_halted_chip_stands_on_its_count():
     chip = PCL240K()
-    assert mean_count(chip, 0, 0, 154.0) == 0
+    assert drive_input(chip, 0, 0, 154.0) == 0
 
 
 def mean_over_every_clock(chip, axis, before, ticks):
-    """What `mean_count` is held against; the ticks pass. Returns (it, the mean, the pulses of the axis)."""
+    """What `drive_input` is held against; the ticks pass. Returns (it, the mean, the pulses of the axis)."""
     start = chip.clock
     pulses = chip.trace(ticks)
     own = pulses[pulses["axis"] == axis]
     steps = np.concatenate([[0], np.cumsum(own["direction"], dtype=np.int64)])
     clocks = np.arange(start + 1, start + ticks + 1)
     counts = before + steps[np.searchsorted(own["clock"], clocks, side="right")]
-    return mean_count(chip, axis, before, float(ticks)), counts.mean(), len(own)
+    return drive_input(chip, axis, before, float(ticks)), counts.mean(), len(own)
 
 
 def test_of_a_nova_chip_too_at_any_speed_of_any_axis():
@@ -82,4 +82,4 @@ def test_of_a_nova_chip_in_a_ramp_it_is_close():
 def test_a_nova_chip_at_rest_stands_on_its_count():
     for make in (MCX514, MCX302):
         chip = make()
-        assert [mean_count(chip, j, 0, 800.0) for j in range(chip.AXES)] == [0] * chip.AXES
+        assert [drive_input(chip, j, 0, 800.0) for j in range(chip.AXES)] == [0] * chip.AXES
