@@ -91,7 +91,7 @@ def _gather(library: Any, into: dict[int, Any]) -> None:
 
 def _entry(function: Any, context: Any) -> Iterator[Any]:
     """The libraries of an exported function: its C entry, and what numba made of the function."""
-    from stage.native.typed import array_at, type_of
+    from stage.native.typed import lowered_array, type_of
 
     returned, arguments = type_of(function.result), tuple(type_of(a) for a in function.arguments)
     function.hot.compile(arguments)
@@ -107,7 +107,7 @@ def _entry(function: Any, context: Any) -> Iterator[Any]:
     left, values = iter(entry.args), []
     for a in arguments:
         if isinstance(a, types.Array):
-            values.append(array_at(context, builder, a, next(left), [next(left) for _ in range(a.ndim)]))
+            values.append(lowered_array(context, builder, a, next(left), [next(left) for _ in range(a.ndim)]))
         else:
             values.append(next(left))
     inner = context.declare_function(module, made.fndesc)
