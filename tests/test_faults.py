@@ -402,6 +402,18 @@ def test_a_doubled_payload_is_a_stage_with_twice_the_payload(xyz):
     assert xyz.payload() == 1.0
 
 
+def test_a_payload_on_a_named_body_is_mended_there(xyz):
+    stage = copy.deepcopy(xyz)
+    body = next(
+        stage.model.body(k).name for k in range(1, stage.model.nbody) if stage.payload(stage.model.body(k).name) == 0
+    )
+    at_work = stage.payload()
+    stage.set_payload(3.0, body)
+    with faults.payload(stage, 2.0, body):
+        assert (stage.payload(body), stage.payload()) == (6.0, at_work)
+    assert (stage.payload(body), stage.payload()) == (3.0, at_work)
+
+
 def test_a_jammed_axis_holds_against_its_motor_in_both_directions(xyz):
     x = xyz.axes["x"]
     with faults.jam(x):

@@ -12,10 +12,11 @@ from support.programs import start_preset
 from support.recording_bench import read_rrd
 from support.vcd_parser import parse
 
-from stage import ArgumentError, Fleet, Program, Stage, StageError
-from stage.chips import HCTL1100, MCX302, MCX304, MCX312, MCX514, PCL240K
+from stage import ArgumentError, Fleet, Program, Stage, StageError, faults
+from stage.chips import HCTL1100, MCX302, MCX304, MCX312, MCX514, PCL240K, PCL240MK
 from stage.chips.entries import INPUT
 from stage.sim import play
+from stage.sim.engine import INDEX, INDEX_HYSTERESIS
 
 MIXED = {"x": MCX514, "y": MCX514, "z": PCL240K}
 ALL = {"z": PCL240K, "x": HCTL1100, "y": MCX304}
@@ -186,6 +187,26 @@ def test_the_index_pulse_of_the_encoder_is_stop2(made):
     for turns, on in ((0.0, True), (0.3, False), (1.0, True)):
         stage.place(y=(t.index_at + turns) * turn)
         assert y.pins.stop2 == on
+
+
+def test_an_index_pulse_within_one_step_has_its_whole_width():
+    """It lasts INDEX and the hysteresis at the speed of the rotor, which here runs free."""
+    stage = Stage("xy", chips=PCL240MK, visuals=False)
+    y = stage.axes["y"]
+    row = stage.state.axis_table[y.index]
+    turn = 2 * np.pi / row.gear
+    with faults.phase_open(y, "a"), faults.phase_open(y, "b"):
+        stage.place(y=(row.index_at - 0.2) * turn)
+        stage.data.qvel[row.dof] = 90 * turn
+        journal = y.chip.journal()
+        stage.run(4e-3)
+        speed = stage.data.qvel[row.dof] / turn
+    course = journal.course()
+    edges = np.flatnonzero(np.diff(course.pin("ez").astype(int))) + 1
+    begin, end = course.seconds[edges]
+    assert speed > 80
+    assert end - begin < stage.model.opt.timestep
+    assert (end - begin) * speed == pytest.approx(INDEX + INDEX_HYSTERESIS, rel=0.02)
 
 
 @pytest.mark.parametrize("cls", [MCX514, MCX304, MCX302])

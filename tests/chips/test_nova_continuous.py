@@ -30,6 +30,7 @@ from support.nova_bench import (
     examples,
     get,
     load,
+    put,
     log_uniform,
 )
 from support.nova_interpolation_bench import (
@@ -266,6 +267,16 @@ def test_chln_counts_the_turns_of_a_helix():
         for part in (0.1, 0.9):
             chip.advance(began + int((turns + part) * turn * PERIOD) - chip.clock)
             assert get(chip, 0x3A, 0) == turns
+
+
+@covers("MCX514", "R-TX")
+def test_tx_reads_0_while_something_other_than_a_line_runs():
+    chip = prepared(X | Y | Z)
+    put(chip, 0x19, 12_345, 0)
+    helix(chip, (-100, 0), (0, 0), False, 60, turns=3)
+    chip.advance(10 * PERIOD)
+    assert driving(chip)
+    assert get(chip, 0x39, 0) == 0
 
 
 # Time

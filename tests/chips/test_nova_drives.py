@@ -23,7 +23,7 @@ from support.nova_bench import (
 )
 
 from stage import StageError
-from stage.chips import MCX302, MCX304, MCX514
+from stage.chips import MCX302, MCX304, MCX312, MCX514
 
 SECOND = 16_000_000
 RR2 = {"SLMT+": 1, "SLMT-": 2, "HLMT+": 4, "HLMT-": 8, "ALARM": 16, "EMG": 32}
@@ -648,3 +648,18 @@ def test_nothing_is_connected_to_the_general_inputs(chip):
     load(chip, LP=-1)
     get(chip, 0x30)
     assert get(chip, 0x48, 0) == 0
+
+
+@pytest.mark.parametrize("cls", [MCX302, MCX312])
+@pytest.mark.parametrize(("plus_high", "minus_high"), [(False, False), (True, False), (False, True), (True, True)])
+def test_the_level_of_each_limit_reads_by_its_own_polarity(cls, plus_high, minus_high):
+    """RR4, RR5 of the two-axis chips, D14 and D15; WR2 HLMT+ and HLMT-: 1 is high active."""
+    chip = cls()
+    map_ = cls.MAP
+    chip.write(0, 0x10F)
+    chip.write(2, map_.mask("WR2", "HLMT+") * plus_high | map_.mask("WR2", "HLMT-") * minus_high)
+    for plus, minus in ((False, False), (True, False), (False, True), (True, True)):
+        chip.axes[0].pins.lmt_plus, chip.axes[0].pins.lmt_minus = plus, minus
+        word = chip.read(4)
+        assert bool(word & map_.mask("RR4", "X-LMT+")) == (plus == plus_high)
+        assert bool(word & map_.mask("RR4", "X-LMT-")) == (minus == minus_high)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from support.examples import SEED
 
-from stage import ArgumentError
+from stage import ArgumentError, Stage
 from stage.chips import MCX302, MCX304, MCX514, PCL240K, PCL240MK, PCL240MS
 from stage.envs import origin_return as returns
 from stage.envs.registers import RegisterBox
@@ -211,7 +211,7 @@ def test_index_pulses_make_up_for_a_switch_that_drifts():
 
 def test_payload_and_friction_are_drawn_told_and_felt():
     env = make(returns=1)
-    seen = set()
+    seen, damping = set(), Stage("xyz", visuals=False).model.dof_damping
     for seed in range(3):
         observation, info = env.reset(seed=seed)
         c = env._task.config
@@ -222,6 +222,7 @@ def test_payload_and_friction_are_drawn_told_and_felt():
         seen.add(tuple(info.values()))
         dof = env._task.dof
         assert env.stage.model.dof_frictionloss[dof] == pytest.approx(4.0 * info["friction"])
+        assert env.stage.model.dof_damping[dof] == pytest.approx(damping[dof] * info["friction"])
     assert len(seen) == 3
     ends = [one_return(env, BEFORE, payload=p, friction=f)[2]["error"] for p, f in ((0.0, 0.5), (10.0, 2.0))]
     assert ends[0] != ends[1]

@@ -9,6 +9,7 @@ from stage import ArgumentError, RunTimeout, Stage, StageError, firmware
 from stage.chips import CHIPS, HCTL1100, MCX304, MCX514, PCL240K
 from stage.firmware import Bench
 from stage.firmware.driver import Speeds, driver_class, driver_of
+from stage.firmware.report import NOT_AS_ASKED, Procedure
 
 EVERY = list(CHIPS)
 STEPPING = [name for name in EVERY if not CHIPS[name].SERVO]
@@ -155,6 +156,27 @@ def test_a_servo_told_to_jog_on_the_home_switch_says_that_it_obeys_it():
     report = firmware.jog(x, 0.2, -0.02)
     assert (report.stopped_by, report.pulses) == ("ORG", 0)
     assert firmware.move(x, -2e-3).ok, "other modes do not mind STOP"
+
+
+@pytest.mark.parametrize("met", NOT_AS_ASKED)
+def test_what_a_move_was_not_meant_to_end_by_is_told_as_such(met):
+    x = Bench(x=PCL240K()).axes["x"]
+    with Procedure(x, "run") as p:
+        report = p.report(met)
+    assert not report.ok
+    assert f"NOT as asked, stopped by {met}" in str(report)
+    assert {"EL+", "EL-", "ALARM", "EMG", "timeout"} <= set(NOT_AS_ASKED)
+
+
+def test_an_emergency_stop_is_not_as_asked():
+    x = Bench(x=MCX514()).axes["x"]
+    driver = driver_of(x)
+    driver.run(1, Speeds())
+    x.wait(0.05)
+    x.chip.pins.emg = True
+    x.wait(0.01)
+    assert not driver.runs()
+    assert driver.stopped_by() == "EMG"
 
 
 @each

@@ -93,6 +93,8 @@ BAD = {
     "too few": (lambda: (cells(1.0),), "1 arguments given, it takes 2"),
     "no whole number": (lambda: (cells(1.0), 1.5), "argument 2: 1.5; it takes a whole number"),
     "out of range": (lambda: (cells(1.0), 1 << 64), "argument 2"),
+    "one too many": (lambda: (cells(1.0), 1 << 63), "argument 2: 9223372036854775808; it takes a whole number of 64 bits"),
+    "one too few": (lambda: (cells(1.0), -(1 << 63) - 1), "argument 2: -9223372036854775809"),
 }  # fmt: skip
 
 
@@ -102,6 +104,13 @@ def test_what_compiled_code_could_not_take_is_refused_in_words(case):
     arguments, words = BAD[case]
     with pytest.raises(ArgumentError, match=words):
         scaled(*arguments())
+
+
+def test_the_ends_of_the_range_are_taken():
+    for n in ((1 << 63) - 1, -(1 << 63)):
+        rows = cells(1.0)
+        scaled(rows, n)
+        assert rows["a"][0] == n
 
 
 @pytest.mark.skipif(not COMPILED, reason="Python looks by itself")

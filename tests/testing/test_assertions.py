@@ -116,6 +116,15 @@ def test_an_axis_has_stopped_when_it_gets_no_pulses_and_does_not_move(stage):
     assert_stopped(x)
 
 
+@pytest.mark.parametrize("way", [1, -1])
+def test_an_axis_that_slides_without_pulses_has_not_stopped(stage, way):
+    x = stage.axes["x"]
+    stage.data.qvel[x.plant.dof] = 0.3 * way
+    assert f"x gets +0 pulses a second and moves at {300 * way:+.3f} mm/s" in says(assert_stopped, x)
+    stage.reset()
+    assert_stopped(x)
+
+
 def test_an_axis_that_creeps_has_not_stopped(stage):
     x = stage.axes["x"]
     firmware.Port(x).write_registers(R1=20, R7=30)
