@@ -30,8 +30,8 @@ from support.nova_bench import (
     examples,
     get,
     load,
-    put,
     log_uniform,
+    put,
 )
 from support.nova_interpolation_bench import (
     BIT_PATTERN,
