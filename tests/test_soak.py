@@ -15,11 +15,11 @@ sys.path.insert(0, str(SCRIPT.parent))
 
 import soak  # noqa: E402
 
-MINUTES = 2
+MINUTES = 1
 TIMELESS = ("simulated_hours", "rounds", "moves", "pulses", "homings", "worst_at_rest_pulses", "worst_home_pulses")
 
 
-def test_two_minutes_of_random_moves_lose_no_step_and_no_pulse(tmp_path, capsys):
+def test_a_minute_of_random_moves_lose_no_step_and_no_pulse(tmp_path, capsys):
     path = tmp_path / "soak.json"
     code = soak.main(["--hours", str(MINUTES / 60), "--json", str(path)])
     said = capsys.readouterr().out
@@ -27,7 +27,7 @@ def test_two_minutes_of_random_moves_lose_no_step_and_no_pulse(tmp_path, capsys)
     assert said.startswith("seed "), "a failure can be repeated"
     summary = json.loads(path.read_text())
     assert summary["moves"] > 10
-    assert summary["homings"] >= 3
+    assert summary["homings"] >= 2
     assert 0 < summary["worst_at_rest_pulses"] <= soak.AT_REST
 
 
