@@ -6,9 +6,11 @@ import subprocess
 import sys
 import time
 
+import numpy as np
 import pytest
 
-from stage.cli import main
+from stage import Stage
+from stage.cli import demo, main
 
 
 @pytest.fixture
@@ -302,3 +304,26 @@ def test_the_command_line_does_the_same_with_every_chip(here, capsys, chip):
 def test_faults_are_shown_with_other_steppers_too(here, capsys, name):
     """stage fault jam --chips mcx304"""
     assert "happened as claimed" in out(capsys, "fault", name, "--chips", "mcx304", "--model", "xy").out
+
+
+@pytest.mark.parametrize("chip", ["mcx304", "hctl1100"])
+def test_the_demo_is_any_chips(here, capsys, chip):
+    """stage demo --chips mcx514"""
+    text = out(capsys, "demo", "--no-view", "--model", "xy", "--chips", chip).out
+    rows = [line for line in text.splitlines() if line[:1] in "xy" and line[1:2] == " "]
+    assert len(rows) == 6
+    assert all(row.endswith("yes") for row in rows)
+    assert sum("origin return" in row for row in rows) == 2
+    assert sum("line" in row for row in rows) == 2
+    assert (here / "demo.rrd").stat().st_size > 100_000
+
+
+def test_a_demo_keeps_to_the_travel_of_each_axis():
+    stage = Stage("xyz", visuals=False)
+    for axis in stage.axes.values():
+        low, high = axis.travel
+        for at in (low, high):
+            stage.place(**{axis.name: at})
+            for share in (demo.LONG, demo.SHORT, demo.FIRST, demo.SECOND):
+                end = axis.position + demo._way(axis, share) * axis.meters_per_pulse * np.sign(axis.gear)
+                assert low < end < high

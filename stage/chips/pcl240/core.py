@@ -4,6 +4,11 @@ Between two events the speed is constant, so phase, pulses and R0 follow in clos
 
     phase(n) = phase + n speed        pulses = phase(n) // M        M = 8192 R7        POUT low while phase < M / 2
 
+    phase   0 ... M/2 ... M=0          M/2            M=0
+    POUT    |_________|-----------------|_________|-------      low is asserted; the pulse is counted where it begins
+    ramp    R1 R1+1 R1+2 ... R2 R2 R2 ... R2-1 ... R1 R1        speed: a step every R4 (up) or R5 (down) clocks
+            FUP              FKEEP        FDOWN    FKEEP
+
 An event is a speed step of a ramp, R0 reaching 0, falling below R6 or to the automatic ramp-down point, the end of a pulse
 that outlives its run, a changed input, or a bus write. The order inside a tick, and the names of the steps, are those of
 the normative model: 1 limit switches, 2 pulse, 3 speed.

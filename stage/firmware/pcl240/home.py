@@ -36,6 +36,12 @@ def origin_return(
 ) -> Report:
     """Return to the mechanical origin, from any place: before ORG, on it, beyond it, on an end limit.
 
+                ______ FH1
+               /      \\  SD                        towards ORG
+              /        \\______ FL
+        _____/                |___      __________  at `approach` pps, up to ORG
+                            ORG   |____|            away: out of ORG, `back_off` pulses more
+
     Args:
         direction: where ORG lies.
         high_speed: to FH1, slowed by SD; otherwise constant FL.

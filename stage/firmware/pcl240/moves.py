@@ -38,6 +38,12 @@ def preset_move(
 ) -> Report:
     """Move by `pulses` (signed: the sign is the direction) and stop on the last one (data sheet section 5 b, c).
 
+    high speed, 15h           ______ FH1          constant speed, 11h     ______ FH1
+                             /      \\                                    |      |
+                         FL /        \\ FL                                |      |
+                           |    R6 -> |\\ 0                         ______|      |______
+    R0 counts down, and the ramp-down begins where it falls below R6.
+
     Args:
         high_speed: with ramps, to FH1 or (fh2) FH2; otherwise constant speed FH1 or FH2.
         s_curve: True for S-curves throughout, a share (0 to 0.5) of FH - FL for curved ends with a linear part between, False
@@ -101,6 +107,11 @@ def continuous_move(
     interrupt: bool = False,
 ) -> Report:
     """Run for `seconds`, then stop (data sheet section 5 d, e).
+
+    15h           ______  1Dh                     15h           ______  08h
+                 /      \\                                      /      |
+             FL /        \\ FL                              FL /       |
+     __________|          |_______                 __________|        |_______
 
     A high-speed run is stopped decelerating (1Dh, 1Fh) or, `immediate`, by the reset command; a constant-speed run always
     by the reset command. The other arguments are those of `preset_move`. Raises ArgumentError.

@@ -37,6 +37,11 @@ def dual_rate_move(
 ) -> Report:
     """A move through several rates: FL, FH1 and FH2 in the order of `rates`, each for `dwell` seconds after its ramp.
 
+                     17h ____ 15h
+        15h  _______/ FH2    \\_______ FH1
+            / FH1                    \\
+        FL /                          \\ FL, R0 = 0
+
     A preset move of `pulses` (signed): the last rate lasts until the ramp-down point. With `seconds` in place of pulses a
     continuous one in `direction`: the last rate lasts so long, then a decelerating stop.
     A first rate "FL" starts at constant FL (10h), as the data sheet's dual rate pattern does, and 14h turns ramps on

@@ -1,5 +1,11 @@
 """NOVA chips, compiled: the automatic home search.
 
+         ____ DV
+        /    \\            step 1: to the signal, where it brakes
+       /      \\__    HV
+    SV/          |_  ____|  step 2: back out of it, then to its edge
+                   \\/       ____  steps 3, 4: on to STOP2, and an offset
+
 Step 1 at the drive speed to a signal, step 2 at HV to the next, step 3 at HV to STOP2, step 4 an offset at the drive speed.
 Step 1 is passed over where its signal, or the limit ahead, is there already; the limit also ends it [M]. In step 2 the axis
 backs out of a signal that is there already, or from a limit ahead over the signal, and then searches once more. Step 3 fails

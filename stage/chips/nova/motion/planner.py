@@ -4,6 +4,11 @@ A change of speed is jerk-limited: the acceleration goes at the jerk to the side
 there, and returns to 0 just when the speed is reached; one that would overshoot is brought to 0 first. Linear ramps jump.
 A drive of so many pulses brakes as late as it can, so that its speed is the initial speed, and its acceleration 0, exactly at
 the last of them.
+
+    linear                    S-curve                    a drive too short, AVTRI on
+        ______ DV                 ______ DV                   ____  no DV: a quarter of the pulses up,
+       /      \\                 (      )                    /    \\ a quarter down, the rest even
+    SV/        \\SV           SV_/      \\_SV             SV/      \\SV
 """
 
 from __future__ import annotations
