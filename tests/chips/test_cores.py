@@ -137,3 +137,16 @@ def test_the_cycles_that_write_a_register_keep_to_the_bus(name):
             assert cycles, register.name
             assert all(0 <= address < chip.ADDRESSES and datum <= chip.DATA_MASK for address, datum in cycles)
             assert cycles == CHIPS[name].register_cycles(register.name.lower(), register.range[1], axis)
+
+
+def test_a_restored_chip_has_the_diagnostics_of_its_snapshot():
+    chip = CHIPS["PCL240K"]()
+    chip.write(0, 0x15)  # a start without a rate
+    noted = list(chip.diagnostics)
+    assert noted
+    before = chip.snapshot()
+    chip.reset()
+    chip.write(0, 0x15)
+    assert len(chip.diagnostics) > len(noted)
+    chip.restore(before)
+    assert chip.diagnostics == noted
