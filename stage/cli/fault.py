@@ -85,7 +85,7 @@ def run(args: argparse.Namespace) -> int:
         width = max(map(len, DEMOS)) + 2
         print("\n".join(f"{name:{width}}{demo.claim}" for name, demo in DEMOS.items()))
         return 0
-    demo, chips = _demo(args.name), chip_class(args.chips)
+    demo, chips = DEMOS[_key(args.name)], chip_class(args.chips)
     if chips.SERVO or (demo.pcl240_only and not issubclass(chips, PCL240)):
         which = "of steppers" if chips.SERVO else f"of the PCL-240 family ({', '.join(FAMILIES['pcl240'])})"
         raise StageError(
@@ -111,11 +111,12 @@ def _kept(args: argparse.Namespace, stage: Any) -> Any:
             yield recording
 
 
-def _demo(name: str) -> Demo:
+def _key(name: str) -> str:
+    """The demonstration's name as DEMOS has it. Raises ArgumentError with near misses."""
     key = name.lower().replace("_", "-")
     if key not in DEMOS:
         raise unknown("fault", name, DEMOS)
-    return DEMOS[key]
+    return key
 
 
 def show(name: str, make: Callable[[], Any], record: Record | None = None, record_both: bool = False) -> Shown:
@@ -124,7 +125,8 @@ def show(name: str, make: Callable[[], Any], record: Record | None = None, recor
     record(stage): context manager of the faulty run's recording, or None; record_both: the healthy run's is kept as well.
     Raises ArgumentError for an unknown name, with the near misses.
     """
-    demo, key = _demo(name), name.lower().replace("_", "-")
+    key = _key(name)
+    demo = DEMOS[key]
     stage = make()
     note(f"{key}: the healthy run ...")
     with stage.record(EVERY) if record_both else nullcontext() as healthy_record:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -29,10 +29,6 @@ class Choices(NamedTuple):
     def low(self) -> list[int]:
         """The least of each."""
         return [low for low, _ in self.ranges.values()]
-
-
-def choices(ranges: Mapping[str, tuple[int, int]], cubed: Sequence[str] = ()) -> Choices:
-    return Choices(dict(ranges), tuple(cubed))
 
 
 def limits(map_: RegisterMap, name: str) -> tuple[int, int]:

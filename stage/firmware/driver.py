@@ -14,13 +14,13 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar
 
 from stage.chips import Chip
 from stage.errors import ArgumentError, RunTimeout, StageError
 from stage.firmware.axis import Axis
 from stage.firmware.pattern import Pattern
-from stage.sim.program import Operations, Program
+from stage.sim.program import Operations
 
 if TYPE_CHECKING:
     from stage.firmware.choices import Choices
@@ -51,6 +51,9 @@ class Driver(ABC):
 
     Attributes: axis, chip; index: of the axis in programs, see `Program`.
     """
+
+    PATTERN: ClassVar[type[Pattern]] = Pattern
+    """What a drawing of a report about this family's chips shows."""
 
     def __init__(self, axis: Axis):
         self.axis, self.chip = axis, axis.chip
@@ -84,11 +87,6 @@ class Driver(ABC):
     def halt(self, at_once: bool = False) -> None:
         """Stop what runs, with a ramp or at once; returns when it stands."""
 
-    @classmethod
-    def pattern(cls, report: Report) -> Pattern:
-        """What a drawing of a report about this family's chips shows."""
-        return Pattern(report)
-
     def runs(self) -> bool:
         """What `run` has started still runs."""
         return self.chip.busy(self.axis.chip_axis)
@@ -99,7 +97,7 @@ class Driver(ABC):
 
     @classmethod
     def line(
-        cls, drivers: Mapping[str, Driver], pulses: Mapping[str, int], speeds: Speeds, **how: Any
+        cls, drivers: Mapping[str, Driver], pulses: Mapping[str, int], speeds: Speeds, timeout: float | None = None
     ) -> SynchronizedReport:
         """Several axes, all of this class, on a straight line; speeds are those of the longest one. Raises ArgumentError where the
         chips cannot."""
@@ -158,6 +156,9 @@ class Driver(ABC):
         return StageError(f"axis {self.axis.name} is moving: wait until it stops, or firmware.stop(axis).")
 
 
+D = TypeVar("D", bound=Driver)
+
+
 def driver_of(axis: Axis) -> Driver:
     """A driver of the axis. Raises ArgumentError for what is no axis, or a chip whose family has no driver."""
     chip = getattr(axis, "chip", None)
@@ -174,6 +175,14 @@ def driver_class(chip: type[Chip]) -> type[Driver]:
         )
     module, _, name = chip.DRIVER.partition(":")
     return getattr(import_module(module), name)
+
+
+def that_move(drivers: Mapping[str, D], pulses: Mapping[str, int]) -> dict[str, D]:
+    """The drivers whose axes have pulses to make on a line. Raises ArgumentError for fewer than two."""
+    moving = {name: driver for name, driver in drivers.items() if pulses[name]}
+    if len(moving) < 2:
+        raise ArgumentError("a line is of two axes or more; use move for one.")
+    return moving
 
 
 class AtOnce(Operations):
@@ -201,11 +210,6 @@ class AtOnce(Operations):
         wait_until_stopped([self._axes[k] for k in axes], limit, poll)
         self._done += 1
         return self
-
-    def play(self, program: Program) -> None:
-        """Write what a program writes; it has nothing but writes."""
-        for _, axis, address, value in program.ops:
-            self.write(axis, address, value)
 
 
 def wait_until_stopped(

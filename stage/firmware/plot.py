@@ -33,7 +33,7 @@ def draw(report: Report, path: Any = None, title: str | None = None, ax: Any = N
     except ImportError as error:
         raise StageError("drawing needs matplotlib: pip install 'pulsestage[plot]'.") from error
 
-    pattern = driver_class(report.course.chip).pattern(report)
+    pattern = driver_class(report.course.chip).PATTERN(report)
     t = report.course.seconds - report.began
     begin, end = _window(report, t)
     t[0], t[-1] = min(t[0], begin), max(t[-1], end)  # nothing moves before and after

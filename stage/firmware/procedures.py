@@ -123,9 +123,8 @@ def line(
         name: pulses_of(axis, None, d) if pulses else pulses_of(axis, d, None) for name, (axis, d) in chosen.items()
     }
     longest = chosen[max(counts, key=lambda n: abs(counts[n]))][0]
-    how = {} if timeout is None else {"timeout": timeout}
     first = next(iter(drivers.values()))
-    return first.line(drivers, counts, speeds(longest, speed, start_speed, accel, None, s_curve), **how)
+    return first.line(drivers, counts, speeds(longest, speed, start_speed, accel, None, s_curve), timeout)
 
 
 def speeds(

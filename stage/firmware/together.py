@@ -1,9 +1,9 @@
 """Several axes on one straight line: who watches them, and the report.
 
-with Together(axes, distances, "line") as line:
+with Together({name: Procedure(axis, "line") ...}, distances) as line:
     ...                                      write, start; line.began(name) after each start
     line.look()                              while they move
-report = line.report(stopped_by)
+    report = line.report(stopped_by)
 """
 
 from __future__ import annotations

@@ -122,7 +122,7 @@ def test_notes_never_overlap(reports, monkeypatch):
     monkeypatch.setattr(plot, "_width", cache(plot._width))  # the same words stand in many
     for report in reports.values():
         t = report.course.seconds - report.began
-        notes = driver_class(report.course.chip).pattern(report).notes(t)
+        notes = driver_class(report.course.chip).PATTERN(report).notes(t)
         limits, width = plot._window(report, t), 500.0
         rows = plot._rows(notes, limits, width)
         at = [(n.time - limits[0]) / (limits[1] - limits[0]) * width for n in notes]

@@ -255,7 +255,7 @@ def test_reports_of_every_chip_are_drawn(stage, tmp_path):
     report = firmware.move(stage.axes["x"], 3e-3)
     assert report.plot(tmp_path / "a.png") is not None
     assert (tmp_path / "a.png").stat().st_size > 10_000
-    pattern = driver_class(type(stage.axes["x"].chip)).pattern(report)
+    pattern = driver_class(type(stage.axes["x"].chip)).PATTERN(report)
     t = report.course.seconds - report.began
     notes = pattern.notes(t)
     assert any(not n.event for n in notes), "the start command"

@@ -7,16 +7,16 @@ when the chip stands in Init/Idle, as after power-up.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NoReturn, cast
+from typing import Any, ClassVar, NoReturn, cast
 
 import numpy as np
 
 from stage.chips.hctl1100.maps import CLEAR, FLAG, MINIMUM_T, MODE, NUMBERS
 from stage.errors import ArgumentError, RunTimeout
-from stage.firmware.choices import Choices, choices
-from stage.firmware.driver import SETTLE, Driver, Speeds
-from stage.firmware.hctl1100.home import home, leave_limit
-from stage.firmware.hctl1100.moves import DWELL, Tuning, acceleration_word, cruise, set_up, trapezoid, velocity_word
+from stage.firmware.choices import Choices
+from stage.firmware.driver import SETTLE, Driver, Speeds, that_move
+from stage.firmware.hctl1100.home import home, leave_limit, stand
+from stage.firmware.hctl1100.moves import Tuning, cruise, set_up, settle, start_cruise, trapezoid
 from stage.firmware.hctl1100.pattern import Pattern
 from stage.firmware.hctl1100.port import CONTROL, FLAGS, IDLE, INIT, LIMIT, SET, STOP, Port
 from stage.firmware.hctl1100.profile import follow, synchronize
@@ -33,6 +33,7 @@ DEADBAND = 10  # counts: a filter without an integral holds a weight by an error
 class Hctl1100Driver(Driver):
     """Of the HCTL-1100. tuning: the filter, for the next time that the chip is set up."""
 
+    PATTERN: ClassVar = Pattern
     tuning = Tuning()
 
     def __init__(self, axis: Any):
@@ -92,12 +93,8 @@ class Hctl1100Driver(Driver):
     def run(self, direction: int, speeds: Speeds) -> None:
         self._linear(speeds)
         port = self.ready(direction)
-        word = velocity_word(port, direction * speeds.drive, "integral_velocity", 1)
-        port.clear_status()
-        port.load(acceleration=acceleration_word(port, speeds.drive / speeds.up), integral_velocity=0)
-        port.mode("integral velocity")
         self._direction = direction
-        cruise(port, word)
+        start_cruise(port, direction * speeds.drive, speeds.drive / speeds.up)
 
     def runs(self) -> bool:
         return not self.stopped_by()
@@ -110,24 +107,8 @@ class Hctl1100Driver(Driver):
             port.hold()
         else:
             cruise(port, 0)
-            before = port.commanded() - 1
-            while before != (now := port.commanded()):
-                before = now
-                self.axis.wait(3 * port.sample)
-            port.mode("position")
-        since = self.axis.time
-
-        def stands() -> bool:
-            nonlocal since
-            if abs(port.commanded() - port.position()) > DEADBAND:
-                since = self.axis.time
-            return port.limited() or self.axis.time - since >= DWELL
-
-        port.wait_until(stands, PATIENCE, "rest")
-
-    @classmethod
-    def pattern(cls, report: Report) -> Pattern:
-        return Pattern(report)
+            stand(port)
+        settle(port, self.axis.time, 0, DEADBAND, PATIENCE)
 
     def stopped_by(self) -> str:
         if self.port.limited():
@@ -141,15 +122,10 @@ class Hctl1100Driver(Driver):
 
     @classmethod
     def line(
-        cls, drivers: Mapping[str, Driver], pulses: Mapping[str, int], speeds: Speeds, **how: Any
+        cls, drivers: Mapping[str, Driver], pulses: Mapping[str, int], speeds: Speeds, timeout: float | None = None
     ) -> SynchronizedReport:
         """A command position to each chip in each sample, all axes in step by their SYNC pins."""
-        how.pop("timeout", None)
-        if how:
-            raise ArgumentError(f"{', '.join(how)}: nothing that an HCTL-1100 takes for a line.")
-        mine = cast("dict[str, Hctl1100Driver]", {n: d for n, d in drivers.items() if pulses[n]})
-        if len(mine) < 2:
-            raise ArgumentError("a line is of two axes or more; use move for one.")
+        mine = that_move(cast("dict[str, Hctl1100Driver]", drivers), pulses)
         ports = []
         for n, driver in mine.items():
             driver._linear(speeds)
@@ -196,7 +172,7 @@ class Hctl1100Driver(Driver):
 
     def filter_choices(self, trapezoid: bool) -> Choices:
         least = MINIMUM_T["trapezoid" if trapezoid else "position"]
-        return choices({"R22": (1, 0xFF), "R20": (0, 0xFF), "R21": (0, 0xFF), "R0F": (least, 0xFF)})
+        return Choices({"R22": (1, 0xFF), "R20": (0, 0xFF), "R21": (0, 0xFF), "R0F": (least, 0xFF)})
 
     def write_servo_move(
         self, program: Operations, values: Mapping[str, int], counts: int, rates: tuple[float, float] | None

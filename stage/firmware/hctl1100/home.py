@@ -104,11 +104,11 @@ def _to_switch(port: Port, velocity: int, timeout: float) -> int:
         cruise(port, velocity)
     port.wait_until(lambda: not port.status() & STOP, timeout, "the home switch", SOON)
     at = port.position()
-    _stand(port)
+    stand(port)
     return at
 
 
-def _stand(port: Port) -> None:
+def stand(port: Port) -> None:
     """Position control, as soon as the command position has come to rest."""
     before = port.commanded() - 1
     while before != (now := port.commanded()):

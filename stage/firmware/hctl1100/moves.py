@@ -108,7 +108,7 @@ def step(port: Port, counts: int, *, deadband: int = 3, timeout: float = 2.0) ->
     """Command a position `counts` away, at once. Raises RunTimeout when it does not settle."""
     begin = port.axis.time
     port.command(port.commanded() + counts)
-    return _settle(port, begin, counts, (0.0, 0.0, 0.0), deadband, timeout)
+    return settle(port, begin, counts, deadband, timeout)
 
 
 def trapezoid(
@@ -128,13 +128,20 @@ def trapezoid(
     begin = port.axis.time
     port.mode("trapezoid")
     port.wait_until(lambda: not port.status() & PROFILE or port.limited(), timeout, "the end of its profile")
-    return _settle(port, begin, counts, (*rates, port.axis.time - begin), deadband, timeout)
+    return settle(port, begin, counts, deadband, timeout, (*rates, port.axis.time - begin))
 
 
-def _settle(
-    port: Port, begin: float, counts: int, said: tuple[float, float, float], deadband: int, timeout: float
+def settle(
+    port: Port,
+    begin: float,
+    counts: int,
+    deadband: int,
+    timeout: float,
+    said: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> MoveReport:
-    """Wait until the axis has been within the deadband for DWELL, or LIMIT has ended all."""
+    """Wait until the axis has been within the deadband of its command for DWELL, or LIMIT has ended all. Raises RunTimeout.
+
+    begin, counts: of the move that it ends; said: its velocity, its acceleration and when its profile was over."""
     goal, since, error = port.commanded(), port.axis.time, 0
     limited = False
 
@@ -174,12 +181,7 @@ def proportional_velocity(port: Port, rate: float, seconds: float = 0.5) -> Velo
 
 def integral_velocity(port: Port, rate: float, seconds: float = 0.5, acceleration: float = 400_000) -> VelocityReport:
     """Turn at counts/s, ramped, by a command position that moves on with each sample, then stop."""
-    word, a = velocity_word(port, rate, "integral_velocity", 1), acceleration_word(port, acceleration)
-    port.clear_status()
-    port.load(acceleration=a, integral_velocity=0)
-    port.mode("integral velocity")
-    ramp = (abs(word) * 256 / a + 2) * port.sample
-    cruise(port, word)
+    word, ramp = start_cruise(port, rate, acceleration)
     port.axis.wait(ramp)
     measured = _measure(port, seconds)
     ended = "LIMIT" if port.limited() else "" if port.status() & STOP else "STOP"
@@ -188,6 +190,18 @@ def integral_velocity(port: Port, rate: float, seconds: float = 0.5, acceleratio
         port.axis.wait(ramp)
         port.mode("position")
     return VelocityReport(port.axis.name, "integral", word / port.sample, measured, ended)
+
+
+def start_cruise(port: Port, rate: float, acceleration: float) -> tuple[int, float]:
+    """Begin to turn at counts/s, ramped: counts per sample as the register holds them, and seconds until they are reached.
+
+    Raises ArgumentError for rates that the chip has not at this sample time."""
+    word, a = velocity_word(port, rate, "integral_velocity", 1), acceleration_word(port, acceleration)
+    port.clear_status()
+    port.load(acceleration=a, integral_velocity=0)
+    port.mode("integral velocity")
+    cruise(port, word)
+    return word, (abs(word) * 256 / a + 2) * port.sample
 
 
 def cruise(port: Port, velocity: int) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from stage.chips.nova.registers.mcx300 import RANGE
 from stage.errors import ArgumentError, RunTimeout
 from stage.firmware.choices import limits
-from stage.firmware.driver import SETTLE, AtOnce, Driver, Speeds, wait_until_stopped
+from stage.firmware.driver import SETTLE, AtOnce, Driver, Speeds, that_move, wait_until_stopped
 from stage.firmware.lines import Asked, Line, LineSettings, line_of
 from stage.firmware.nova.home import home_search
 from stage.firmware.nova.line import InRatio, Interpolated
@@ -39,6 +39,7 @@ ALL_PULSES = "all pulses"
 class NovaDriver(Driver):
     """What the family shares. The order of SPEEDS is initial speed, drive speed, acceleration, jerk."""
 
+    PATTERN: ClassVar = Pattern
     SPEEDS: ClassVar[tuple[str, str, str]]
     JERK: ClassVar[str]
     UNIT: ClassVar[int] = 1
@@ -84,10 +85,6 @@ class NovaDriver(Driver):
             self.port.command(self.STOP if at_once else self.SLOW_DOWN)
         wait_until_stopped([self.axis], PATIENCE)
 
-    @classmethod
-    def pattern(cls, report: Report) -> Pattern:
-        return Pattern(report)
-
     def stopped_by(self) -> str:
         word = self.port.word(int(self.ENDED[2]))
         return next((name for bit, name in CAUSES.items() if word & self._ended(bit)), "")
@@ -121,15 +118,10 @@ class NovaDriver(Driver):
 
     @classmethod
     def line(
-        cls, drivers: Mapping[str, Driver], pulses: Mapping[str, int], speeds: Speeds, **how: Any
+        cls, drivers: Mapping[str, Driver], pulses: Mapping[str, int], speeds: Speeds, timeout: float | None = None
     ) -> SynchronizedReport:
         """By the chip's linear interpolation where it has it, else by ranges in the ratio of the distances."""
-        timeout = how.pop("timeout", None)
-        if how:
-            raise ArgumentError(f"{', '.join(how)}: nothing that these chips take for a line.")
-        mine = cast("dict[str, NovaDriver]", {n: d for n, d in drivers.items() if pulses[n]})
-        if len(mine) < 2:
-            raise ArgumentError("a line is of two axes or more; use move for one.")
+        mine = that_move(cast("dict[str, NovaDriver]", drivers), pulses)
         for driver in mine.values():
             if driver.port.driving():
                 raise driver.moving()
@@ -147,11 +139,11 @@ class NovaDriver(Driver):
         ) as together:
             for d in mine.values():
                 d.forget(now)
-            starts = set(made.starts(distances[0]).tolist())
+            starts = made.starts(distances[0]).tolist()
             for j, (_, index, address, value) in enumerate(ops.tolist()):
                 now.write(index, address, value)
                 if j in starts:
-                    together.began(*(n for n, at in zip(mine, made.starts(distances[0]), strict=True) if at == j))
+                    together.began(*(n for n, at in zip(mine, starts, strict=True) if at == j))
             most = float(asked.longest[0])
             longest = 1.5 * most / min(speeds.start, speeds.drive) + 6 * settings.accel + 1
             try:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stage.errors import ArgumentError
-from stage.firmware.choices import choices, limits
+from stage.firmware.choices import Choices, limits
 from stage.firmware.search import Found, Search
 from stage.sim.program import Program
 
@@ -27,7 +27,7 @@ class HomeSearch(Search):
                 f"ez={settings.ez!r}: a {driver.map.chip} ends at the first index pulse after ORG, or at ORG."
             )
         speeds = {name: limits(driver.map, name) for name in (*driver.SPEEDS, "HV")}
-        self.choices = choices({**speeds, "leave": (0, settings.leave), **driver.choices()}, cubed=("leave",))
+        self.choices = Choices({**speeds, "leave": (0, settings.leave), **driver.choices()}, cubed=("leave",))
         self.marks = {}
         self._bits: dict[str, int] = {}
         self.program(self.choices.low)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, cast
+from typing import Any, ClassVar, cast
 
 from stage.firmware.driver import Driver, Speeds
 from stage.firmware.pcl240 import bus, moves
@@ -26,6 +26,7 @@ S_CURVES = ("R14", "R15")
 class Pcl240Driver(Driver):
     """Of PCL-240K, PCL-240MK and PCL-240MS."""
 
+    PATTERN: ClassVar = Pattern
     chip: Any
 
     def __init__(self, axis: Any):
@@ -62,22 +63,18 @@ class Pcl240Driver(Driver):
         self.port.wait_until_stopped(60.0)
         self.port.command(bus.RESET)
 
-    @classmethod
-    def pattern(cls, report: Report) -> Pattern:
-        return Pattern(report)
-
     def stopped_by(self) -> str:
         status = self.port.status()
         return "" if status.operating else stop_reason(status, self._direction, preset=False)
 
     @classmethod
     def line(
-        cls, drivers: Mapping[str, Driver], pulses: Mapping[str, int], speeds: Speeds, **how: Any
+        cls, drivers: Mapping[str, Driver], pulses: Mapping[str, int], speeds: Speeds, timeout: float | None = None
     ) -> SynchronizedReport:
         axes = {name: driver.axis for name, driver in drivers.items()}
         return synchronized_move(
             dict(pulses), axes, rate=speeds.drive, fl=speeds.start, accel=speeds.up, decel=speeds.down,
-            s_curve=speeds.s_curve, **how,
+            s_curve=speeds.s_curve, timeout=timeout,
         )  # fmt: skip
 
     def tuned_by(self, s_curve: bool | None) -> tuple[str, ...]:

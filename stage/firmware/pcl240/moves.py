@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from stage.chips.pcl240.state import COUNTER_MASK
 from stage.errors import ArgumentError, StageError
 from stage.firmware.axis import Axis
+from stage.firmware.driver import SETTLE
 from stage.firmware.pcl240 import bus
 from stage.firmware.pcl240.bus import Port, check, stop_reason
 from stage.firmware.pcl240.procedure import Procedure
@@ -18,7 +19,6 @@ from stage.firmware.pcl240.profile import Profile
 from stage.firmware.report import Report
 
 AUTOMATIC_OFFSET = 2  # pulses; the counts of ramp-up and ramp-down differ by one or two, and this way FL is reached
-SETTLE = 0.05  # s after a stop, before the report looks where the carriage came to rest
 
 
 def preset_move(

@@ -17,11 +17,12 @@ from stage.chips import PCL240K
 from stage.chips.pcl240 import PCL240
 from stage.chips.pcl240.state import SPAN
 from stage.errors import ArgumentError
+from stage.firmware.driver import DRIVE, RAMP, START
 
 _MAP = PCL240K.MAP
-FL, FH1, FH2 = 1_000.0, 16_000.0, 32_000.0
+FL, FH1, FH2 = START, DRIVE, 2 * DRIVE
 """Default rates, pps: 3.125, 50 and 100 mm/s on the default stage, where 17HS4401 at 24 V pulls out far above."""
-ACCEL = 0.15
+ACCEL = RAMP
 """Default ramp, seconds from FL to the highest rate."""
 RATE_TOLERANCE, TIME_TOLERANCE = 2e-4, 1e-2
 """Within these relative errors finer speed steps are worth more than exact values."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from stage.chips.pcl240.state import COUNTER_MASK, S_ORG, S_ZERO
 from stage.errors import ArgumentError
-from stage.firmware.choices import choices, limits
+from stage.firmware.choices import Choices, limits
 from stage.firmware.pcl240 import bus
 from stage.firmware.search import Found, Search
 from stage.sim.program import Program
@@ -31,7 +31,7 @@ class FourRuns(Search):
         chip.MAP.checked("R7", settings.multiplier)
         rates = {"R1": limits(chip.MAP, "R1"), "R2": limits(chip.MAP, "R2"), "R4": limits(chip.MAP, "R4")}
         ways = {"leave": (0, settings.leave), "back_off": (1, settings.back_off), "sd": (0, 1)}
-        self.choices = choices({**rates, "approach": limits(chip.MAP, "R1"), **ways}, cubed=("leave",))
+        self.choices = Choices({**rates, "approach": limits(chip.MAP, "R1"), **ways}, cubed=("leave",))
         self.marks = {}
         self.program(self.choices.low)
 
