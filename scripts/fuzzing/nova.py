@@ -175,8 +175,8 @@ class NovaFamily(Family):
             phases = [bool(word & bit) for bit in (core.ASND, core.CNST, core.DSND)]
             if sum(phases) > (1 if word & core.DRIVE else 0):
                 raise Finding(f"axis {j} has the pins {word:04X}h")
-            if self.new and bool(status >> 4 + j & 1) != bool(x["finish"] & 0xFF):
-                raise Finding(f"RR0 {status:04X}h, but the errors of axis {j} are {x['finish']:04X}h")
+            if self.new and bool(status >> 4 + j & 1) != bool(x["causes"] & 0xFF):
+                raise Finding(f"RR0 {status:04X}h, but the errors of axis {j} are {x['causes']:04X}h")
             if x["driving"] and x["interpolates"]:
                 raise Finding(f"axis {j} drives by itself and interpolates")
             if x["driving"] and x["fixed"] and x["done"] >= x["output"]:
@@ -238,7 +238,7 @@ class NovaFamily(Family):
                 demand(
                     lp == (b.lp + moved) % (most + 1), f"axis {j}: LP {b.lp} to {lp} of {most}, but it moved {moved}"
                 )
-            if b.fixed and not x["driving"] and not x["finish"] and not b.slow:
+            if b.fixed and not x["driving"] and not x["causes"] and not b.slow:
                 demand(int(x["done"]) == b.output, f"axis {j}: an end after {x['done']} of {b.output} pulses")
                 demand(total == b.left, f"axis {j}: {total} pulses, where {b.left} were left")
             if b.driving and x["driving"] and clocks > SECOND + 1:

@@ -19,8 +19,8 @@ import numpy as np
 
 HERE = sys.platform == "linux" and sys.maxsize > 1 << 32  # 64-bit ELF; elsewhere only isolated=True helps
 
-told: dict[int, Callable[[str], None]] = {}
-"""By the number of a thread that firmware runs in: who is told there of the call that would end it. It does not return."""
+leavers: dict[int, Callable[[str], None]] = {}
+"""By the number of a thread that firmware runs in: what to call there in place of the call that would end it. It does not return."""
 
 _CALL = ctypes.CFUNCTYPE(None, ctypes.c_int64, ctypes.c_int64, ctypes.c_int64, ctypes.c_int64)
 _RELOCATION = np.dtype([("offset", "u8"), ("info", "u8"), ("addend", "i8")])
@@ -69,8 +69,8 @@ def interpose(handle: int) -> None:
 
 def _taken(name: str) -> Any:
     def call(*given: int) -> None:
-        leave = told.get(get_ident()) or next(
-            reversed(list(told.values())), None
+        leave = leavers.get(get_ident()) or next(
+            reversed(list(leavers.values())), None
         )  # else it is a thread of the firmware's own
         if leave is not None:
             leave(_NAMED[name](*given))

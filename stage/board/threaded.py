@@ -91,9 +91,9 @@ class Threaded:
         """The firmware's thread."""
         self._go.acquire()
         me = threading.get_ident()
-        exits.told[me] = self._leave
+        exits.leavers[me] = self._leave
         code, board = int(loaded.main()), self._board
-        del exits.told[me]
+        del exits.leavers[me]
         if threading.current_thread() in board.link.abandoned:
             return
         board.link.record["hook"], board.link.record["lazy"] = board.link.own_hook(), 0

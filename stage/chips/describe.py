@@ -20,18 +20,20 @@ from stage.chips.register_map import Field, Register, Word
 LONGEST = 120
 """Characters of a sentence."""
 WIDE = 4
-"""Numbers of more bits are told in hexadecimal, too."""
+"""Numbers of more bits are given in hexadecimal, too."""
 _MANY = 4096
 
 
 class Said(NamedTuple):
     """One command, or one register written with all its words. `clock`: of the last write; `kind`: command, register, reset,
-    lost (a write that did not arrive)."""
+    lost (a write that did not arrive). `register`, `value`: which register and what, where a map has it by name."""
 
     clock: int
     kind: str
     code: str
     meaning: str
+    register: str = ""
+    value: int = 0
 
     def __str__(self) -> str:
         return f"{self.code}  {self.meaning}"
@@ -44,7 +46,7 @@ class Listener(Protocol):
         """What this write cycle says, given those before."""
 
     def read(self, address: int, value: int) -> str:
-        """What this read cycle, which returned `value`, told."""
+        """What this read cycle, which returned `value`, said."""
 
 
 class Decoder:
@@ -94,17 +96,17 @@ class Fields:
 
     def __init__(self, place: Register | Word, silent: bool = True):
         self._fields = [(f, f.low, f.mask >> f.low, _sayings(f, silent)) for f in place.fields if f.name != "group"]
-        self._told: dict[tuple[str, int, str], str] = {}
+        self._lines: dict[tuple[str, int, str], str] = {}
 
     def tell(self, head: str, value: int, tail: str = "") -> str:
         """`head`, the fields that say something, and `tail`; the longest fields by name where there is not room for all words."""
-        told = self._told.get((head, value, tail))
-        if told is None:
-            if len(self._told) >= _MANY:
-                self._told.clear()
+        known = self._lines.get((head, value, tail))
+        if known is None:
+            if len(self._lines) >= _MANY:
+                self._lines.clear()
             words = self._words(value, LONGEST - len(head) - len(tail) - 2)
-            told = self._told[head, value, tail] = line(f"{head}: {words}{tail}")
-        return told
+            known = self._lines[head, value, tail] = line(f"{head}: {words}{tail}")
+        return known
 
     def _words(self, value: int, room: int) -> str:
         words, names = [], []
@@ -136,8 +138,8 @@ def bits(name: str, byte: int, value: int) -> str:
 
 def _sayings(f: Field, silent: bool) -> dict[int, str]:
     """What the map says of the values of a field."""
-    told = f.values or {1: f.meaning}
-    return {v: f.says(v) for v in told if not (silent and v == f.silent)}
+    values = f.values or {1: f.meaning}
+    return {v: f.says(v) for v in values if not (silent and v == f.silent)}
 
 
 def _number(f: Field, v: int) -> str:

@@ -91,7 +91,7 @@ class Register:
     """One register: `number` is how the chip selects it, `bits` its width, `legal` the data sheet's range.
 
     `signed`: two's complement. `also`: legal values outside the range. `reset`: what it holds after reset, if known. `title` is
-    what one calls it, `note` what there is to know besides.
+    what one calls it, `note` what there is to know besides. `tuned`: the range that a search chooses from, where it is not `legal`.
     """
 
     name: str
@@ -107,6 +107,7 @@ class Register:
     also: tuple[int, ...] = ()
     reset: int | None = None
     note: str = ""
+    tuned: tuple[int, int] | None = None
 
     @property
     def text(self) -> str:

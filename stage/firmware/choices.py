@@ -7,12 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from stage.chips.pcl240.state import SPAN
 from stage.chips.register_map import RegisterMap
 from stage.errors import ArgumentError
-
-POINT_MOST = 0xFFFFF
-"""Of R6 of a PCL-240: no move here is longer."""
 
 
 class Choices(NamedTuple):
@@ -32,9 +28,8 @@ class Choices(NamedTuple):
 
 
 def limits(map_: RegisterMap, name: str) -> tuple[int, int]:
-    """The legal range of a register; of R14 and R15 their spans. Raises ArgumentError for one that has none."""
+    """The range of a register that numbers are chosen from. Raises ArgumentError for one that has none."""
     r = map_.register(name)
-    if r.legal is None and name not in ("R14", "R15"):
+    if not (least_and_most := r.tuned or r.legal):
         raise ArgumentError(f"{map_.chip} {name} has no legal range to choose from.")
-    low, high = r.legal or (0, SPAN)
-    return low, min(high, POINT_MOST) if name == "R6" else high
+    return least_and_most

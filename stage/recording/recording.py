@@ -52,7 +52,7 @@ COLUMNS = {
     "current_b": ("A", "phase B; 0 for a DC motor"),
     "voltage": ("V", "at a DC motor, mean of the physics step; 0 for a stepper"),
     "rate": ("pps", "pulse rate; the commanded velocity of a servo, counts a second"),
-    "pulses": ("pulses", "plus minus minus, since power-up; where a servo is told to be, counts"),
+    "pulses": ("pulses", "plus minus minus, since power-up; of a servo the commanded position, counts"),
     "counter": ("pulses", "what counts for the host: down counter R0, logical position LP, actual position R14"),
 }
 """Columns of each axis: unit (on a hinge rad for m; counts of the encoder for pulses where the axis is a servo's) and meaning.

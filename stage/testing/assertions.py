@@ -24,7 +24,7 @@ def assert_no_lost_steps(what: Stage | Axis | Iterable[Axis]) -> None:
         for axis in bad:
             lines.append(
                 f"  {axis.name} is {abs(axis.lost_steps)} full steps {'behind' if axis.lost_steps > 0 else 'ahead of'} its pulses: "
-                f"told {distance(axis.commanded, axis.unit)}, is at {distance(axis.position, axis.unit)}"
+                f"commanded {distance(axis.commanded, axis.unit)}, is at {distance(axis.position, axis.unit)}"
             )
         lines.append(
             "The motor could not follow, or a hard stop was in the way. Look where x/lost_steps leaves 0 in the recording, and at "
@@ -48,9 +48,9 @@ def assert_at(axis: Axis, position: float, within: float = 25e-6) -> None:
         side = "short of" if abs(at) < abs(position) else "beyond"
         lines = [
             f"{axis.name} is not where it was expected, at {axis.time:.6f} s:",
-            f"  expected {distance(position, unit)} +- {fine(within, unit)}",
-            f"  is at    {distance(at, unit)}: {fine(at - position, unit, sign=True)}, {side} it",
-            f"  told     {distance(axis.commanded, unit)} by its pulses, {axis.lost_steps} full steps lost",
+            f"  expected  {distance(position, unit)} +- {fine(within, unit)}",
+            f"  is at     {distance(at, unit)}: {fine(at - position, unit, sign=True)}, {side} it",
+            f"  commanded {distance(axis.commanded, unit)} by its pulses, {axis.lost_steps} full steps lost",
         ]
         if pulse_rate(axis):
             lines.append(

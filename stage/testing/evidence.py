@@ -101,7 +101,7 @@ class Watch:
             on = ", ".join(name for name, asserted in axis.switches.as_dict().items() if asserted)
             rate = pulse_rate(axis)
             lines.append(
-                f"  {axis.name} ({type(axis.chip).__name__}) at {distance(axis.position, axis.unit)}, told "
+                f"  {axis.name} ({type(axis.chip).__name__}) at {distance(axis.position, axis.unit)}, commanded "
                 f"{distance(axis.commanded, axis.unit)}, {axis.lost_steps} full steps lost, "
                 + (f"{rate:+,.0f} pulses/s" if rate else "no pulses")
                 + (f", asserted: {on}" if on else "")

@@ -56,7 +56,7 @@ def test_lost_steps_are_counted_and_told_axis_by_axis(stage):
     assert x.lost_steps
     assert_no_lost_steps(stage.axes["y"])
     message = says(assert_no_lost_steps, stage)
-    assert f"x is {x.lost_steps} full steps behind its pulses: told 62.5000 mm, is at " in message
+    assert f"x is {x.lost_steps} full steps behind its pulses: commanded 62.5000 mm, is at " in message
     assert f"at {stage.time:.6f} s" in message
     assert "x/lost_steps" in message
     assert "y is" not in message
@@ -74,9 +74,9 @@ def test_a_carriage_is_where_it_is_and_nowhere_else(stage):
     assert_at(x, 0.005)
     assert_at(x, x.position, within=0)
     message = says(assert_at, x, 0.0051, within=50e-6)
-    assert "expected 5.1000 mm +- 50.0 um" in message
-    assert re.search(r"is at    \d\.\d{4} mm: -\d+\.\d um, short of it", message)
-    assert "told     5.0000 mm by its pulses, 0 full steps lost" in message
+    assert "expected  5.1000 mm +- 50.0 um" in message
+    assert re.search(r"is at     \d\.\d{4} mm: -\d+\.\d um, short of it", message)
+    assert "commanded 5.0000 mm by its pulses, 0 full steps lost" in message
     assert "wrong number of them" in message
     assert "beyond it" in says(assert_at, x, 0.0049)
 

@@ -303,7 +303,7 @@ def test_a_failed_test_leaves_recording_waveforms_and_bus_trace_and_names_them(s
 def test_the_report_shows_the_stage_the_log_and_the_last_bus_cycles(session, driver):
     _, said = session(FAILS)
     report = said[said.index("- PulseStage -") :]
-    assert re.search(r"x \(PCL240K\) at 1\.2\d+ mm, told 1\.2500 mm, 0 full steps lost, no pulses", report)
+    assert re.search(r"x \(PCL240K\) at 1\.2\d+ mm, commanded 1\.2500 mm, 0 full steps lost, no pulses", report)
     assert re.search(r"log of the firmware:\n +0\.0000\d+  started", report)
     cycles = re.findall(r"^ +\d\.\d{9}  30\dh [RW] ..h ", report, re.M)
     assert len(cycles) == 20

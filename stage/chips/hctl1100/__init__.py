@@ -100,7 +100,7 @@ class HCTL1100(Chip):
 
     @property
     def shaft(self) -> tuple[float, float]:
-        """What the chip was told last: count and rate, see `see`."""
+        """What the chip was given last: count and rate, see `set_shaft`."""
         return float(self.state["count"]), float(self.state["rate"])
 
     @property

@@ -104,7 +104,7 @@ class Listener:
         """A write to a register that is a number, or part of one."""
         q = QUANTITIES.get(r.number)
         if q is None:
-            return self._told(r, value, value if r.signed else value & STORED[r.number])
+            return self._text_of(r, value, value if r.signed else value & STORED[r.number])
         preset = q is PRESET_POSITION
         if self._idle or not preset:
             self._bytes[r.number] = value & STORED[r.number] if not q.waits else value
@@ -125,7 +125,7 @@ class Listener:
             return self._flags.tell("flags", value) if address == FLAG else self._status.tell("status", value)
         q = QUANTITIES.get(address)
         if q is None:
-            return self._told(r, value, value)
+            return self._text_of(r, value, value)
         if not q.latched:
             return line(f"{r.name} = {value:02X}h: {r.text}")
         return self._position(r, q, value)
@@ -141,7 +141,7 @@ class Listener:
             return line(f"{r.name} = {value:02X}h: {q.of(self._bytes)}")
         return line(f"{r.name} = {value:02X}h: {r.text}")
 
-    def _told(self, r: Register, value: int, held: int) -> str:
+    def _text_of(self, r: Register, value: int, held: int) -> str:
         number = f"{r.value(held)} {r.unit}".strip()
         return line(f"{r.name} = {value:02X}h ({number}): {r.text}")
 

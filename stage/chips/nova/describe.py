@@ -52,7 +52,7 @@ class Decoder(describe.Decoder):
             return self._command(clock, value)
         if n >= 6 or (n <= 3 and not self._selected & self._bit):
             return []
-        return [Said(clock, "register", f"{value:04X}", f"WR{n} <- {value:04X}h")]
+        return [Said(clock, "register", f"{value:04X}", f"WR{n} <- {value:04X}h", f"WR{n}", value)]
 
     def _command(self, clock: int, value: int) -> list[Said]:
         axes, command = AXIS.of(value), self._map.by_code.get(CODE.of(value))
@@ -147,7 +147,7 @@ class Listener:
     def _obeyed(self, c: Command, value: int, axes: int, head: str) -> str:
         if c.kind in _WRITING:
             r = self._map.register(c.symbol)
-            return self._told(f"{head}set {r.title} {r.name}", r, self._common[7] << 16 | self._common[6])
+            return self._text_of(f"{head}set {r.title} {r.name}", r, self._common[7] << 16 | self._common[6])
         if c.symbol in _PATTERN:
             self._pattern = _PATTERN[c.symbol]
         elif c.symbol in _PAGE:
@@ -193,14 +193,14 @@ class Listener:
         axis, place, size = self._reading
         if at >= size or any(k not in self._bytes for k in range(size)):
             return f"{axis}{place.name} bits {part}"
-        return self._told(f"{axis}{place.title} {place.name}", place, sum(self._bytes[k] << 8 * k for k in range(size)))
+        return self._text_of(f"{axis}{place.title} {place.name}", place, sum(self._bytes[k] << 8 * k for k in range(size)))
 
     @property
     def _lowest(self) -> int:
         """The lowest selected axis: it answers."""
         return (self._selected & -self._selected).bit_length() - 1
 
-    def _told(self, head: str, place: Register | Word, word: int) -> str:
+    def _text_of(self, head: str, place: Register | Word, word: int) -> str:
         """What a register or word holds, field by field or as a number."""
         word &= (1 << place.bits) - 1
         if place.fields or isinstance(place, Word):

@@ -21,7 +21,7 @@ def clear(c):
         for k in range(len(x.mode)):
             x.mode[k] = 0
         x.driving = x.waiting = x.held = x.done = x.output = x.fixed = x.slow = 0
-        x.factors = x.fired = x.finish = 0
+        x.factors = x.fired = x.causes = 0
         x.way = 1
         x.phase = NO_PHASE
         sync.reset(c, x)

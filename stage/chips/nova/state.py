@@ -93,7 +93,7 @@ AXIS = record(
         ("phase", "i8"),  # kind of the piece seen last
         ("factors", "i8"),  # RR1 of the MCX514, and SPLIT_START
         ("fired", "i8"),  # those that the sync actions have not seen
-        ("finish", "i8"),  # RR2 of the MCX514
+        ("causes", "i8"),  # RR2 of the MCX514
         ("timer", "i8"),  # the clock at which it is up; 0: stopped
         ("timer_from", "i8"),  # the clock at which it began
         ("dcc", "i8"),  # the clock at which DCC ends
@@ -235,7 +235,7 @@ INTERPOLATION = record(
         ("stack", "i8", (3, 4)),  # the sets that wait
         ("place", "f8", (2,)),  # where in the profile the next tick is, pulses
         ("begun", "f8", (2,)),  # where the segment begins
-        ("finish", "f8", (2,)),  # where it ends, if it slows
+        ("ends_at", "f8", (2,)),  # where it ends, if it slows
     ]
 )
 """The interpolation in progress."""
@@ -258,9 +258,7 @@ STATE = record(
         ("outputs4", "i8"),  # WR4
         ("outputs5", "i8"),  # WR5
         ("emg", "i8"),  # the pin EMG
-        ("emg_seen", "i8"),  # not used
         ("total", "i8"),  # pulses ever, all axes
-        ("interrupt", "i8"),  # not used
         ("interpolating", "i8"),  # an interpolation is on
         ("first", "i8"),  # high byte of WR0, waits for the low one
         ("unused", "i8"),  # WR6 or WR7 was written after the last command

@@ -105,7 +105,8 @@ class Decoder(describe.Decoder):
                 return []
         value = sum(b << 8 * (a - 1) for a, b in whole.items()) & r.mask
         raw = " ".join(f"{b:02X}" for _, b in sorted(parts.items(), reverse=True))
-        return [Said(self._clock, "register", f"{self._select:02X} {raw}", f"{r.name} <- {value} ({r.text})")]
+        code = f"{self._select:02X} {raw}"
+        return [Said(self._clock, "register", code, f"{r.name} <- {value} ({r.text})", r.name, value)]
 
 
 class Listener:

@@ -145,7 +145,7 @@ def _registers(rate_bits: int, point_bits: int, extended: bool) -> tuple[Registe
         Register("R3", 3, 13, access, "FH2 speed", speed, unit="speed steps"),
         Register("R4", 4, rate_bits, access, "acceleration rate", rate, unit="clocks per speed step"),
         Register("R5", 5, rate_bits, access, "deceleration rate", rate, unit="clocks per speed step"),
-        Register("R6", 6, point_bits, access, "ramping-down point", point, unit="pulses", note=offset),
+        Register("R6", 6, point_bits, access, "ramping-down point", point, unit="pulses", note=offset, tuned=(0, 0xFFFFF)),
         Register("R7", 7, 10, access, "multiplier", (2, 1023), note="one speed step is clock / (8192 R7)"),
     )
 
@@ -179,6 +179,7 @@ def _extension(s_curves: bool) -> tuple[Register, ...]:
             span,
         )  # fmt: skip
         down = (span,)
+    spans = (0, span.mask)
     note = "S-curve" if s_curves else "no S-curve on this chip; a write in motion ends the automatic point all the same"
     return (
         Register("R10", 0x10, 24, "RW", "position counter", evidence="H", unit="pulses", note="two's complement"),
@@ -202,8 +203,8 @@ def _extension(s_curves: bool) -> tuple[Register, ...]:
                 _stored(15, 0),
             ),
         ),
-        Register("R14", 0x14, 16, "RW", "acceleration", None, up, seen, note=note),
-        Register("R15", 0x15, 12, "RW", "deceleration", None, down, seen, note=note),
+        Register("R14", 0x14, 16, "RW", "acceleration", None, up, seen, note=note, tuned=spans),
+        Register("R15", 0x15, 12, "RW", "deceleration", None, down, seen, note=note, tuned=spans),
         Register("R16", 0x16, 24, "RW", "stored, no effect", evidence="I"),
         Register(
             "R17", 0x17, 24, "RW", "EZ monitor", None,

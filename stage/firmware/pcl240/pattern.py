@@ -46,8 +46,7 @@ class Pattern(pattern.Pattern):
         used = set()
         for s in self.report.said:
             if s.kind == "register":
-                name, value = s.meaning.split(" ")[0], int(s.meaning.split(" ")[2])
-                values.setdefault(name, set()).add(value)
+                values.setdefault(s.register, set()).add(s.value)
             elif s.kind == "command" and (byte := int(s.code, 16)) & START and byte & GROUP == OPERATE:
                 used.add(speed_name(byte))
                 used |= {"FL"} if byte & RAMP else set()
@@ -69,7 +68,7 @@ class Pattern(pattern.Pattern):
             halted = bool(hold[max(int(np.searchsorted(clocks, s.clock)) - 1, 0)])
             if s.kind == "register":
                 if not halted:
-                    ahead.append(s.meaning.split(" (")[0].replace("<-", "\N{LEFTWARDS ARROW}"))
+                    ahead.append(f"{s.register} \N{LEFTWARDS ARROW} {s.value}")
                 continue
             if s.kind == "lost":
                 notes.append(Note(when, f"{code}h", "lost on the bus", False))

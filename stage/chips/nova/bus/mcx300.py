@@ -78,7 +78,7 @@ BY_STOPS, BY_REST = (
     sum(MAP.masks("RR1", "STOP0", "STOP1", "STOP2")),
     sum(MAP.masks("RR1", "LMT+", "LMT-", "ALARM", "EMG")),
 )
-"""Causes of the last stop; of the MCX514, whose bits `finish` holds, those of STOP0 to STOP2 are one bit higher."""
+"""Causes of the last stop; of the MCX514, whose bits `causes` holds, those of STOP0 to STOP2 are one bit higher."""
 HOME_ERROR, HMST = _of("RR2", "HOME"), MAP.bit("RR2", "HMST")
 CONSTANT_END, CONSTANT_START, DRIVE_END, HOME_END = MAP.masks("RR3", "C-END", "C-STA", "D-END", "HMEND")
 FIRST_INTERRUPT = MAP.bit("WR1", "PULSE")
@@ -159,7 +159,7 @@ def _axis_command(c, x, j, code):
         drive.start(c, x, kind)
     elif code in (HOLD, FREE):
         if code == FREE:
-            x.finish = 0
+            x.causes = 0
         drive.hold(c, x, code == HOLD)
     elif code == DSTOP:
         home.end(c, x)
@@ -253,7 +253,7 @@ def errors(c, x):
         word |= E_ALARM
     if c.emg:
         word |= E_EMG
-    if x.finish & E_HOME:
+    if x.causes & E_HOME:
         word |= HOME_ERROR
     return word
 
@@ -264,7 +264,7 @@ def status(c):
     word = 0
     for j in range(c.axes):
         x = c.ax[j]
-        word |= (DRIVES << j if busy(x) else 0) | (FAILS << j if errors(c, x) or x.finish & (F_ALARM | F_EMG) else 0)
+        word |= (DRIVES << j if busy(x) else 0) | (FAILS << j if errors(c, x) or x.causes & (F_ALARM | F_EMG) else 0)
         if not c.has_l and x.home:
             word |= HOMES << j
     return word | (interpolation312.status_bits(c) if c.has_l else 0)
@@ -305,7 +305,7 @@ def read(c, address):
         return status(c)
     if address == 1:
         bits = phase_bits(c, x)
-        return _compared(x) | bits << FIRST_PHASE | (x.finish >> 1 & BY_STOPS) | (x.finish & BY_REST)
+        return _compared(x) | bits << FIRST_PHASE | (x.causes >> 1 & BY_STOPS) | (x.causes & BY_REST)
     if address == 2:
         return errors(c, x) | home.state304(x) << HMST
     if address == 3:

@@ -207,7 +207,7 @@ def _axis_command(c, x, j, code):
     elif code in (DHOLD, DFREE):
         drive.hold(c, x, code == DHOLD)
     elif code == R2CLR:
-        x.finish = 0
+        x.causes = 0
     elif code == RR3P0:
         c.pages &= ~(1 << j)
     elif code == RR3P1:
@@ -306,7 +306,7 @@ def status(c):
     word = 0
     for j in range(AXES):
         x = c.ax[j]
-        word |= (DRIVES << j if busy(x) else 0) | (FAILS << j if x.finish & ERRORS else 0)
+        word |= (DRIVES << j if busy(x) else 0) | (FAILS << j if x.causes & ERRORS else 0)
     return word | prebuffer.status_bits(c)
 
 
@@ -322,7 +322,7 @@ def read(c, address):
         x.factors = 0
         return word
     if address == 2:
-        return x.finish & 0xFFFF
+        return x.causes & 0xFFFF
     if address == 3:
         if c.pages >> j & 1:
             return sync.status_bits(x) | phase_bits(c, x) << FIRST_PHASE

@@ -237,7 +237,7 @@ def _begin(c, x, k):
     elif k <= 3 and mode & asked[2]:
         x.home = Z
         if x.level & STOP2:
-            x.finish |= E_HOME
+            x.causes |= E_HOME
             end(c, x)
         else:
             _go(x, Z, _way(c, x, 3), 1)
@@ -258,27 +258,27 @@ def _watch(c, x):
             if x.limit_slow:
                 drive.request_stop(c, x, _limit_cause(c, x, 1))
             else:
-                drive.finish(c, x, _limit_cause(c, x, 1))
+                drive.end(c, x, _limit_cause(c, x, 1))
         elif not x.found and _there(c, x, 1):
             x.found = SIGNAL
             drive.request_stop(c, x, _cause(c, x, 1))
     elif x.home == SEARCH:
         if _there(c, x, 2):
             x.found = SIGNAL
-            drive.finish(c, x, _cause(c, x, 2))
+            drive.end(c, x, _cause(c, x, 2))
         elif _blocked(c, x, 2):
             x.found = LIMIT
-            drive.finish(c, x, _limit_cause(c, x, 2))
+            drive.end(c, x, _limit_cause(c, x, 2))
     elif x.home == OVER:
         if _there(c, x, 2):
             x.home = OUT_OF
     elif x.home == OUT_OF:
         if not _there(c, x, 2):
             x.found = SIGNAL
-            drive.finish(c, x, 0)
+            drive.end(c, x, 0)
     elif x.level & STOP2 and (x.level & STOP1 or not _only_with_stop1(c, x)) and x.home == Z:
         x.found = SIGNAL
-        drive.finish(c, x, F_STOP2)
+        drive.end(c, x, F_STOP2)
 
 
 @hot
@@ -351,7 +351,7 @@ def step(c, x):
         return
     if x.pause:
         if c.emg or (x.alarm_stops and x.level & ALARM):
-            x.finish |= (E_EMG | F_EMG) if c.emg else (E_ALARM | F_ALARM)
+            x.causes |= (E_EMG | F_EMG) if c.emg else (E_ALARM | F_ALARM)
             end(c, x)
         elif c.clock >= x.pause:
             _begin(c, x, _next(x))

@@ -41,7 +41,7 @@ def levels(c, j):
     """The pins of an axis, bit i for PIO i."""
     x = c.ax[j]
     given = (c.outputs4 if j < 2 else c.outputs5) >> (8 if j & 1 else 0)
-    told = (1 if busy(x) else 0) | (2 if x.finish & 0xFF else 0) | phase_bits(c, x) << 2
+    status = (1 if busy(x) else 0) | (2 if x.causes & 0xFF else 0) | phase_bits(c, x) << 2
     other = (x.holds & 15) << 4
     for m in range(SYNC_SETS):
         if c.clock < x.pulse_until[m]:
@@ -49,7 +49,7 @@ def levels(c, j):
     word = 0
     for i in range(PINS):
         what = kind(x, i)
-        source = x.inputs >> PIO if what == INPUT else given if what == OUTPUT else told if what == STATUS else other
+        source = x.inputs >> PIO if what == INPUT else given if what == OUTPUT else status if what == STATUS else other
         word |= source & 1 << i
     return word
 

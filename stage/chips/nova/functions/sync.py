@@ -162,7 +162,7 @@ def _act(c, x, m, action):
         if x.driving and action == SLOW_STOP:
             drive.request_stop(c, x, F_SYNC)
         elif x.driving:
-            drive.finish(c, x, F_SYNC)
+            drive.end(c, x, F_SYNC)
     elif action in (FASTER, SLOWER):
         drive.step_speed(c, x, 1 if action == FASTER else -1)
     elif action == TIMER_START:

@@ -58,7 +58,7 @@ def place_for(c):
 def refuse(c):
     """A segment that cannot be taken: an error of continuous interpolation, if there is one."""
     if c.interpolating and c.variant == MCX514_TYPE:
-        c.ax[c.ip.main].finish |= E_CERR
+        c.ax[c.ip.main].causes |= E_CERR
 
 
 @hot
@@ -99,10 +99,10 @@ def _start(c):
     for j in range(c.axes):
         if ip.mask >> j & 1:
             y = c.ax[j]
-            y.finish &= 0xFF
+            y.causes &= 0xFF
             y.done = y.slow = y.fixed = y.output = 0
     put(ip.begun, dd.ZERO)
-    segment.find_finish(c)
+    segment.find_end(c)
     if not segment.load(c):
         for j in range(c.axes):
             if ip.mask >> j & 1:
@@ -133,7 +133,7 @@ def end(c):
     ip.due = NEVER
     for j in range(c.axes):
         if c.ax[j].interpolates:
-            drive.finish(c, c.ax[j], 0)
+            drive.end(c, c.ax[j], 0)
     c.stale = 1
 
 
@@ -151,7 +151,7 @@ def _after_the_last(c):
         ip.head = (ip.head + 1) % (STAGES + 1)
         _ask(c)
         put(ip.begun, pair(ip.place))
-        segment.find_finish(c)
+        segment.find_end(c)
         if segment.load(c):
             break
     segment.prepare(c)

@@ -100,13 +100,13 @@ def _plan(c, x):
     if not g.slows:
         for_ever(x, pair(x.dv))
         return
-    goal = drive.goal_of(x, dd.floor(dd.sub(pair(ip.finish), pair(ip.begun))))
+    goal = drive.goal_of(x, dd.floor(dd.sub(pair(ip.ends_at), pair(ip.begun))))
     point = dd.floor(pair(ip.begun)) + x.reg[DP]
     if not x.manual:
-        to_the_end(x, dd.sub(pair(ip.finish), dd.whole(x.reg[AO])), goal)
+        to_the_end(x, dd.sub(pair(ip.ends_at), dd.whole(x.reg[AO])), goal)
     elif dd.less(pair(x.cursor[PLACE]), dd.whole(point)):
         for_ever(x, goal)
-        if dd.less(dd.whole(point), pair(ip.finish)):
+        if dd.less(dd.whole(point), pair(ip.ends_at)):
             brake_at(x, point)
     else:
         brake(x)
@@ -149,19 +149,19 @@ def sets_follow(c):
 
 
 @hot
-def find_finish(c):
+def find_end(c):
     """Where in the profile the running segment ends, if it slows there."""
     ip = c.ip
     if c.queue[ip.head].slows:
         far = pair(ip.begun)
         for k in range(1 + (ip.waiting if sets_follow(c) else 0)):
             far = dd.add(far, _way(c, k))
-        put(ip.finish, far)
+        put(ip.ends_at, far)
 
 
 @hot
 def extend(c):
     """MCX312: the number of sets that follow has changed."""
     if c.interpolating:
-        find_finish(c)
+        find_end(c)
         c.ip.speed = -1  # plan anew

@@ -277,7 +277,7 @@ def plan(c, x):
 @exported(None, STATE, AXIS, "i8", "i8")
 def launch(c, x, way, output):
     """Begin a drive of `output` pulses, or without an end where it is negative, at the present clock."""
-    x.finish &= 0xFF
+    x.causes &= 0xFF
     x.done = x.slow = 0
     x.way, x.fixed, x.output = way, 1 if output >= 0 else 0, output
     x.interpolates = 0
@@ -308,10 +308,10 @@ def blocked(c, x, way):
     elif c.emg:
         cause = E_EMG | F_EMG
     elif (
-        x.finish & (E_HLMT_PLUS | E_SLMT_PLUS if way > 0 else E_HLMT_MINUS | E_SLMT_MINUS) and c.variant == MCX514_TYPE
+        x.causes & (E_HLMT_PLUS | E_SLMT_PLUS if way > 0 else E_HLMT_MINUS | E_SLMT_MINUS) and c.variant == MCX514_TYPE
     ):
-        cause = x.finish & 0xFF
-    x.finish |= cause
+        cause = x.causes & 0xFF
+    x.causes |= cause
     return cause
 
 
@@ -389,7 +389,7 @@ def change_output(c, x, value):
         output = abs(value) if (value >= 0) == (x.way * x.sense > 0) else 0
     c.stale = 1
     if output <= x.done:
-        finish(c, x, 0)
+        end(c, x, 0)
         return
     x.output = output
     replan(c, x)
@@ -399,9 +399,9 @@ def change_output(c, x, value):
 
 
 @hot
-def finish(c, x, cause):
+def end(c, x, cause):
     """The drive ends now. Cause: bits of RR2. Before the MCX514 constant speed ends with it (C-END): the failure notice says so."""
-    x.finish |= cause
+    x.causes |= cause
     if x.phase == CONSTANT and c.variant != MCX514_TYPE:
         note(x, C_END)
     x.driving = x.slow = x.interpolates = 0
@@ -417,7 +417,7 @@ def finish(c, x, cause):
 def request_stop(c, x, cause):
     """A decelerating stop: 56h, 26h, a STOP signal, a limit in that mode. The chips of the erratum take no notice while they
     brake on an S-curve anyway, and in its area d they run away. An axis that interpolates asks the interpolation to stop."""
-    x.finish |= cause
+    x.causes |= cause
     if x.interpolates and not x.slow:
         x.slow = c.stale = 1
     if not x.driving or x.slow:
@@ -442,9 +442,9 @@ def request_stop(c, x, cause):
 def stop(c, x, cause):
     """An instant stop: 57h, 27h, ALARM, EMG, a limit. Cause: bits of RR2."""
     if x.driving:
-        finish(c, x, cause)
+        end(c, x, cause)
     elif x.interpolates:
-        x.finish |= cause
+        x.causes |= cause
         x.slow, c.stale = AT_ONCE, 1
 
 
@@ -508,7 +508,7 @@ def look(c, x):
         return
     n = c.clock - x.origin
     if (x.fixed and x.done >= x.output) or n >= x.end:
-        finish(c, x, 0)
+        end(c, x, 0)
         return
     watch_phase(x, n)
 
