@@ -20,19 +20,13 @@ import numpy as np
 HERE = sys.platform == "linux" and sys.maxsize > 1 << 32  # 64-bit ELF; elsewhere only isolated=True helps
 
 leavers: dict[int, Callable[[str], None]] = {}
-"""By the number of a thread that firmware runs in: what to call there in place of the call that would end it. It does not return."""
+"""By the number of a thread that firmware runs in: what is called there in place of the call that would end it, and does not return."""
 
 _CALL = ctypes.CFUNCTYPE(None, ctypes.c_int64, ctypes.c_int64, ctypes.c_int64, ctypes.c_int64)
 _RELOCATION = np.dtype([("offset", "u8"), ("info", "u8"), ("addend", "i8")])
 _SYMBOL_SIZE = 24
-_CALLS_SIZE, _NAMES, _SYMBOLS, _RELOCATIONS, _RELOCATIONS_SIZE, _CALLS = (
-    2,
-    5,
-    6,
-    7,
-    8,
-    23,
-)  # in a dynamic section; 0 ends it
+_CALLS_SIZE, _NAMES, _SYMBOLS, _RELOCATIONS, _RELOCATIONS_SIZE, _CALLS = 2, 5, 6, 7, 8, 23
+"""Entries of a dynamic section; 0 ends it."""
 
 
 class _Loaded(ctypes.Structure):

@@ -10,6 +10,7 @@ from __future__ import annotations
 from stage.chips.cores import through
 from stage.chips.nova.bus import mcx300 as bus304
 from stage.chips.nova.bus import mcx514 as bus514
+from stage.chips.nova.bus.parameters import lowest
 from stage.chips.nova.bus.status import busy as driving
 from stage.chips.nova.bus.status import phase_bits
 from stage.chips.nova.functions import home, sync
@@ -155,7 +156,7 @@ def status(c, j):
 @exported("i8", STATE, "i8")
 def peek(c, address):
     """RR0 to RR7 as they read, without what reading does."""
-    x = c.ax[bus514.lowest(c)]
+    x = c.ax[lowest(c)]
     factors, compared = x.factors, x.compared
     word = read_word(c, address)
     x.factors, x.compared = factors, compared

@@ -193,7 +193,9 @@ class Listener:
         axis, place, size = self._reading
         if at >= size or any(k not in self._bytes for k in range(size)):
             return f"{axis}{place.name} bits {part}"
-        return self._text_of(f"{axis}{place.title} {place.name}", place, sum(self._bytes[k] << 8 * k for k in range(size)))
+        return self._text_of(
+            f"{axis}{place.title} {place.name}", place, sum(self._bytes[k] << 8 * k for k in range(size))
+        )
 
     @property
     def _lowest(self) -> int:

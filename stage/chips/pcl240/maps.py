@@ -145,7 +145,9 @@ def _registers(rate_bits: int, point_bits: int, extended: bool) -> tuple[Registe
         Register("R3", 3, 13, access, "FH2 speed", speed, unit="speed steps"),
         Register("R4", 4, rate_bits, access, "acceleration rate", rate, unit="clocks per speed step"),
         Register("R5", 5, rate_bits, access, "deceleration rate", rate, unit="clocks per speed step"),
-        Register("R6", 6, point_bits, access, "ramping-down point", point, unit="pulses", note=offset, tuned=(0, 0xFFFFF)),
+        Register(
+            "R6", 6, point_bits, access, "ramping-down point", point, unit="pulses", note=offset, tuned=(0, 0xFFFFF)
+        ),
         Register("R7", 7, 10, access, "multiplier", (2, 1023), note="one speed step is clock / (8192 R7)"),
     )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from stage.chips.nova import power
-from stage.chips.nova.bus.mcx514 import lowest
+from stage.chips.nova.bus.parameters import lowest, meant, parameters
 from stage.chips.nova.bus.status import busy, phase_bits
 from stage.chips.nova.functions import home
 from stage.chips.nova.functions import io as ports
@@ -49,11 +49,7 @@ from stage.chips.nova.state import (
 )  # fmt: skip
 from stage.native import exported, hot, least
 
-SIGNED = sum(1 << r.number for r in MAP.registers if r.signed and r.number < REGISTERS)
-SHORT = sum(1 << r.number for r in MAP.registers if r.bits == 16 and r.number < REGISTERS)
-WRITES = sum(1 << c.code for c in MAP.commands if c.kind == "data write" and c.code < REGISTERS)
-_RESETS = tuple((r.number, r.reset) for r in MAP.registers if r.number < REGISTERS and r.reset)
-RESET_PLACES, RESET_VALUES = tuple(k for k, _ in _RESETS), tuple(v for _, v in _RESETS)
+WRITES, SIGNED, SHORT, RESET_PLACES, RESET_VALUES = parameters(MAP)
 
 
 def _code(symbol: str) -> int:
@@ -136,12 +132,7 @@ def configure(x):
 @hot
 def _set(c, x, code, value):
     """Write parameter `code` of an axis."""
-    if SHORT >> code & 1:
-        value &= 0xFFFF
-        if SIGNED >> code & 1 and value & 1 << 15:
-            value -= 1 << 16
-    elif SIGNED >> code & 1 and value & 1 << 31:
-        value -= 1 << 32
+    value = meant(value, SIGNED >> code & 1, SHORT >> code & 1)
     if code == DV:
         drive.change_speed(c, x, value)
     elif code == TP:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from stage.chips.nova import power
+from stage.chips.nova.bus.parameters import lowest, meant, parameters
 from stage.chips.nova.bus.status import busy, phase_bits
 from stage.chips.nova.functions import home, sync, timer
 from stage.chips.nova.functions import io as ports
@@ -32,12 +33,8 @@ from stage.chips.nova.state import (
 )  # fmt: skip
 from stage.native import exported, hot
 
-SIGNED = sum(1 << r.number for r in MAP.registers if r.signed and r.number < REGISTERS)
-SHORT = sum(1 << r.number for r in MAP.registers if r.bits == 16 and r.number < REGISTERS)
-WRITES = sum(1 << c.code for c in MAP.commands if c.kind == "data write")
+WRITES, SIGNED, SHORT, RESET_PLACES, RESET_VALUES = parameters(MAP)
 ALONE = sum(1 << c.code for c in MAP.commands if c.kind == "data write" and not c.axes)
-_RESETS = tuple((r.number, r.reset) for r in MAP.registers if r.number < REGISTERS and r.reset)
-RESET_PLACES, RESET_VALUES = tuple(k for k, _ in _RESETS), tuple(v for _, v in _RESETS)
 
 
 def _code(symbol: str) -> int:
@@ -120,21 +117,9 @@ def _data(c):
 
 
 @hot
-def _meant(code, value):
-    """The number that 32 bits of data mean for the parameter `code`."""
-    if SHORT >> code & 1:
-        value &= 0xFFFF
-        if SIGNED >> code & 1 and value & 1 << 15:
-            value -= 1 << 16
-    elif SIGNED >> code & 1 and value & 1 << 31:
-        value -= 1 << 32
-    return value
-
-
-@hot
 def _set(c, x, code, value):
     """Write parameter `code` of an axis."""
-    value = _meant(code, value)
+    value = meant(value, SIGNED >> code & 1, SHORT >> code & 1)
     if code == DV:
         drive.change_speed(c, x, value)
     elif code == TP:
@@ -142,15 +127,6 @@ def _set(c, x, code, value):
     else:
         x.reg[code] = value
     c.stale = 1
-
-
-@hot
-def lowest(c):
-    """The lowest selected axis: it answers."""
-    for j in range(AXES):
-        if c.selected >> j & 1:
-            return j
-    return 0
 
 
 @hot
