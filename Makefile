@@ -6,7 +6,7 @@ PHYSICS := tests/test_models.py tests/test_plant.py tests/test_stage.py tests/te
 UNCOMPILED := tests/test_uncompiled.py tests/chips/test_pcl240k_statements.py tests/chips/test_pcl240ms_statements.py tests/chips/test_drive_input.py tests/drives/test_stepper.py
 TYPES := build/types/stage
 
-.PHONY: ci demo test test-slow test-oldest test-mujoco soak fuzz coverage memory lint bench results pictures clean help
+.PHONY: ci demo test record test-slow test-oldest test-mujoco soak fuzz coverage memory lint bench results pictures clean help
 
 help:
 	@echo "make demo       origin return, dual-rate and a:b moves; writes demo.rrd"
@@ -15,6 +15,7 @@ help:
 	@echo "make soak       24 simulated hours of random moves, checked after each (less than an hour)"
 	@echo "make test-oldest                the everyday suite with the oldest of every dependency, in build/oldest"
 	@echo "make test-mujoco VERSION=3.17.0 what touches physics, with another MuJoCo"
+	@echo "make record     write the recorded behaviour of tests/recorded anew: for a change that is meant"
 	@echo "make coverage   lines that the fast tests run, with the compiled code uncompiled"
 	@echo "make fuzz       fuzz the bus and the MJCF contract, SECONDS=60 each (extra fuzz)"
 	@echo "make memory     the native library under valgrind (Debian: valgrind), a few minutes"
@@ -72,6 +73,10 @@ test-mujoco: .venv/.dev
 	$(BIN)/python -m pip freeze --exclude-editable | grep -iv mujoco > build/others.txt
 	$(BIN)/python -m pip install -q --target build/mujoco -c build/others.txt mujoco==$(VERSION)
 	PYTHONPATH=build/mujoco $(BIN)/python -m pytest -n 2 --dist worksteal $(PHYSICS)
+
+record: .venv/.dev
+	$(BIN)/python scripts/record_behaviour.py
+	git --no-pager diff --stat tests/recorded/data
 
 coverage: .venv/.dev
 	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -n 2 --dist worksteal --cov --cov-report=term-missing $(UNCOMPILED)

@@ -64,6 +64,12 @@ def test_a_move_lists_its_bytes_and_draws_itself(here, capsys):
     assert (here / "move.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_a_distance_towards_minus_is_typed_as_it_is(here, capsys):
+    """stage move y -0.5mm"""
+    assert "-160 of -160" in out(capsys, "move", "y", "-0.5mm").out
+    assert "'-2furlongs'" in out(capsys, "move", "y", "-2furlongs", code=2).err
+
+
 def test_home_starts_where_it_is_told(here, capsys):
     said = out(capsys, "home", "y", "--from", "-60").out
     assert "stopped by ORG" in said

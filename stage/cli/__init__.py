@@ -7,6 +7,7 @@ says what to do; 130 interrupted.
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 from collections.abc import Sequence
 from typing import Any
@@ -40,7 +41,7 @@ def _main(argv: Sequence[str] | None) -> int:
     from stage.errors import StageError
 
     parser = build_parser()
-    args = parser.parse_args(argv)
+    args = parser.parse_args([_distance(text) for text in (sys.argv[1:] if argv is None else argv)])
     if args.run is None:
         parser.print_help()
         return 2
@@ -51,6 +52,11 @@ def _main(argv: Sequence[str] | None) -> int:
         return 2
     except KeyboardInterrupt:
         return 130
+
+
+def _distance(text: str) -> str:
+    """argparse takes -2000 for a number, and -2mm for an option unless there is a blank in it."""
+    return f" {text}" if re.match(r"-\.?\d.*[a-z]$", text) else text
 
 
 def build_parser() -> argparse.ArgumentParser:

@@ -75,6 +75,7 @@ def distance(axis: Any, text: str) -> int:
     """Pulses of a distance as it is typed: 8000 (pulses), 10mm, -0.5deg. Raises ArgumentError."""
     from stage.firmware.procedures import pulses_of
 
+    text = text.strip()
     units = METRES if axis.unit == "m" else RADIANS
     unit = next((u for u in sorted(units, key=len, reverse=True) if text.endswith(u)), "")
     try:

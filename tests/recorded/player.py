@@ -1,0 +1,120 @@
+"""Plays a random program on a chip, and condenses what can be seen of it to a few hexadecimal digits at each checkpoint.
+
+A program is a list of operations, tuples that print as what they do:
+    ("write", address, value)     ("read", address)     ("write_byte", address, value)     ("read_byte", address)
+    ("pin", axis, name, level)    ("shaft", count, rate)    ("advance" or "trace", clocks)    ("reset",)
+    ("check",)                    a checkpoint
+A digest tells of everything since the program began: what was read, pulses, outputs, the whole state, diagnostics, and what a
+listener, a decoder and a replayed journal say. It is of whole numbers, texts and sums of doubles that every machine rounds alike.
+"""
+
+import random
+from hashlib import blake2b
+
+from stage.chips.chip import Pins
+from stage.chips.describe import decode
+from stage.chips.nova import state as nova
+
+DIGITS = 2  # bytes of a digest
+
+
+class Draw:
+    """Random numbers that are the same with every Python: of them only `random()` promises that."""
+
+    def __init__(self, seed):
+        self.random = random.Random(seed).random
+
+    def of(self, *choices):
+        """One of them; called, where it can be."""
+        chosen = choices[int(self.random() * len(choices))]
+        return chosen() if callable(chosen) else chosen
+
+    def between(self, low, high):
+        return low + int(self.random() * (high - low + 1))
+
+    def size(self, low, high):
+        """As often small as large."""
+        return min(int(low * ((high + 1) / low) ** self.random()), high)
+
+    def chance(self, share):
+        return self.random() < share
+
+    def bits(self, share, width=16):
+        """A word whose bits are set with this chance."""
+        return sum(self.chance(share) << k for k in range(width))
+
+
+class Player:
+    def __init__(self, chip, axis=0):
+        """axis: the one whose course is looked at in the end."""
+        self.chip, self.said, self.checks = chip, blake2b(digest_size=DIGITS), []
+        self.journal = chip.journal(axis)
+        self.listener = chip.listener()
+        self.common = (
+            Pins(chip, chip.AXES, nova.COMMON_INPUTS, nova.COMMON_OUTPUTS) if chip.ADDRESS_MASK == 31 else None
+        )
+
+    def play(self, program):
+        """The digests of the checkpoints and of the end."""
+        for operation in program:
+            self.do(*operation)
+        self.end()
+        return self.checks
+
+    def note(self, *what):
+        self.said.update(repr(what).encode())
+
+    def do(self, kind, *rest):
+        chip = self.chip
+        if kind == "check":
+            self.check()
+        elif kind == "write":
+            self.note(self.listener.write(*rest))
+            chip.write(*rest)
+        elif kind == "read":
+            value = chip.read(*rest)
+            self.note(value, self.listener.read(*rest, value))
+        elif kind == "pin":
+            axis, name, level = rest
+            setattr(self.common if axis == chip.AXES and self.common else chip.axes[axis].pins, name, level)
+        elif kind == "shaft":
+            chip.set_shaft(*rest)
+        elif kind == "trace":
+            self.note(chip.trace(*rest).tolist())
+        else:  # advance, reset, bytes
+            self.note(getattr(chip, kind)(*rest))
+            if kind == "reset":
+                self.listener = chip.listener()
+
+    def seen(self):
+        """What a debugger sees now."""
+        chip = self.chip
+        outputs = [chip.output_word(j) for j in range(chip.AXES + (self.common is not None))]
+        return {**chip.values(), "outputs": outputs, "net": [chip.net(j) for j in range(chip.AXES)]}
+
+    def check(self):
+        chip = self.chip
+        self.note(self.seen(), [(d.clock, d.message, d.source) for d in chip.diagnostics[-20:]], chip.clock)
+        self.said.update(chip.state.tobytes())
+        self.checks.append(self.said.copy().hexdigest())
+
+    def end(self):
+        """What was noted of it all: the commands in words, the changes of the pins."""
+        journal = self.journal
+        journal.close()
+        self.note([tuple(s) for s in decode(self.chip.decoder(journal.axis), journal.entries)])
+        course = journal.course(every_pulse=self.chip.clock < 20_000)
+        self.said.update(course.edges.tobytes())
+        self.check()
+
+
+def say(operation):
+    kind, *rest = operation
+    if kind.startswith("write"):
+        return f"{kind} {rest[0]:02X}h {rest[1]:04X}h"
+    return " ".join([kind, *map(str, rest)])
+
+
+def with_checks(program, every):
+    """A checkpoint after each so many operations."""
+    return [p for k, op in enumerate(program, 1) for p in ((op, ("check",)) if k % every == 0 else (op,))]
