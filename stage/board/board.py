@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
-from stage.board import bus, layouts
+from stage.board import host, layouts
 from stage.board.link import Link
 from stage.board.trace import BusTrace, Cycle, Meaning
 from stage.chips.late import LateLint
@@ -76,25 +76,25 @@ class Board:
 
     def out8(self, port: int, value: int) -> None:
         """One write cycle of 8 bits. Of a chip with a bus of 16 bits it sets half a register; the other half floats."""
-        self.link.ask(bus.OUT8, port, value)
+        self.link.ask(host.OUT8, port, value)
 
     def in8(self, port: int) -> int:
         """One read cycle of 8 bits; FFh where there is nothing."""
-        return self.link.ask(bus.IN8, port, 0)
+        return self.link.ask(host.IN8, port, 0)
 
     def out16(self, port: int, value: int) -> None:
         """One write cycle of 16 bits; two of 8, the low byte first, at chips with a bus of 8 bits."""
-        self.link.ask(bus.OUT16, port, value)
+        self.link.ask(host.OUT16, port, value)
 
     def in16(self, port: int) -> int:
         """One read cycle of 16 bits; two of 8, the low byte first, at chips with a bus of 8 bits."""
-        return self.link.ask(bus.IN16, port, 0)
+        return self.link.ask(host.IN16, port, 0)
 
     def delay_us(self, us: int) -> None:
         """Microseconds pass. Raises ArgumentError below 0, and beyond 1e15 (1e9 s)."""
         if not 0 <= us <= LONGEST * 1_000_000:
             raise ArgumentError(f"us={us!r}: a delay takes 0 to 1e15 us (1e9 s).")
-        self.link.ask(bus.DELAY, us, 0)
+        self.link.ask(host.DELAY, us, 0)
 
     @property
     def micros(self) -> int:
@@ -112,7 +112,7 @@ class Board:
         again until it is released, and not from within itself. It may make bus cycles. None: nobody is called. Firmware's own
         hook comes in its place, until the firmware returns."""
         self.link.hook = hook
-        self.link.ask(bus.HOOK, self.link.own_hook(), 0)
+        self.link.ask(host.HOOK, self.link.own_hook(), 0)
 
     # --- what one looks at ---
 
@@ -154,21 +154,21 @@ class Board:
         reached = {self.first + n: tuple(p) for n, p in enumerate(self.port_table.tolist())}
 
         def tell(port: int, value: int, writes: bool, wide: bool) -> str:
-            kind, chip, address, mask, _ = reached.get(port, (bus.NOTHING, 0, 0, 0, 0))
-            if kind == bus.NOTHING:
+            kind, chip, address, mask, _ = reached.get(port, (host.NOTHING, 0, 0, 0, 0))
+            if kind == host.NOTHING:
                 return "nothing is here"
-            if kind == bus.PULLS:
+            if kind == host.PULLS:
                 on = [self.name_of(k) for k in range(len(self.stage.chips)) if value >> k & 1]
                 return f"interrupts: {', '.join(on) or 'none'}"
             name = f"{self.name_of(chip)}: "
-            if kind == bus.LATCH:
+            if kind == host.LATCH:
                 latches[port] = value & mask
                 return name + (f"address latch = {value:02X}h" if writes else "the address latch cannot be read")
-            if kind == bus.LATCHED:
+            if kind == host.LATCHED:
                 address = latches.get(port - 1, 0)
-            if kind == bus.HALF:
+            if kind == host.HALF:
                 value = value << 8 | (0xFF if writes else 0)
-            elif kind == bus.WORD and writes and not wide:
+            elif kind == host.WORD and writes and not wide:
                 value |= 0xFF00
             listener = listeners[chip]
             return name + (listener.write(address, value) if writes else listener.read(address, value))

@@ -32,11 +32,11 @@ class TellingBoard(Board):
         stage, options = _unpickled(begin.board)
         super().__init__(stage, **options)
         shared = Shared(begin.shared, self.trace.room)
-        self.link.move_to(shared.host)
+        self.link.move_to(shared.record)
         self.stage.state.note_in(shared.edges)
         self.trace.kept, self._shared = shared.trace, shared
-        shared.host["edges"], shared.host["lines"] = shared.edges.ctypes.data, shared.trace.ctypes.data
-        shared.host["edge_room"] = len(shared.edges)
+        shared.record["edges"], shared.host["lines"] = shared.edges.ctypes.data, shared.trace.ctypes.data
+        shared.record["edge_room"] = len(shared.edges)
         self.link.tell = self._send
 
     def _send(self, edges: np.ndarray) -> None:

@@ -20,7 +20,7 @@ import numpy as np
 HERE = sys.platform == "linux" and sys.maxsize > 1 << 32  # 64-bit ELF; elsewhere only isolated=True helps
 
 leavers: dict[int, Callable[[str], None]] = {}
-"""By the number of a thread that firmware runs in: what is called there in place of the call that would end it, and does not return."""
+"""By the thread that firmware runs in: what is called there in place of a call that would end the process; it does not return."""
 
 _CALL = ctypes.CFUNCTYPE(None, ctypes.c_int64, ctypes.c_int64, ctypes.c_int64, ctypes.c_int64)
 _RELOCATION = np.dtype([("offset", "u8"), ("info", "u8"), ("addend", "i8")])

@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from stage import errors as general
-from stage.board import bus, errors
+from stage.board import errors, host
 from stage.board.board import Board
 from stage.board.errors import HostError
 from stage.board.link import NOTED
@@ -79,21 +79,21 @@ class Shared:
     """What parent and child both see: a file in memory."""
 
     def __init__(self, path: str | Path, room: int, create: bool = False):
-        sizes = [(bus.HOST, 1), (EDGE, NOTED), (bus.CYCLE, room)]
+        sizes = [(host.HOST, 1), (EDGE, NOTED), (host.CYCLE, room)]
         total = sum(dtype.itemsize * n for dtype, n in sizes)
         self._map = np.memmap(path, np.uint8, "w+" if create else "r+", shape=(total,))
         parts, at = [], 0
         for dtype, n in sizes:
             parts.append(np.asarray(self._map[at : at + dtype.itemsize * n]).view(dtype))
             at += dtype.itemsize * n
-        self.host, self.edges, self.trace = parts
+        self.record, self.edges, self.trace = parts
 
     def copy(self, board: Board, back: bool = False) -> None:
         """A board's cycles, counted and traced, for the child's board to go on from; or back."""
-        pairs = [(board.link.record[name], self.host[0][name]) for name in COUNTS]
+        pairs = [(board.link.record[name], self.record[0][name]) for name in COUNTS]
         if all(ours == theirs for ours, theirs in pairs):
             return
-        target, source = (board.link.record, self.host[0]) if back else (self.host[0], board.link.record)
+        target, source = (board.link.record, self.record[0]) if back else (self.record[0], board.link.record)
         begin = int(min(target["changed"], source["changed"]))  # lines before are as they were
         for name in COUNTS:
             target[name] = source[name]
@@ -222,7 +222,7 @@ class Isolated:
 
     def _crashed(self) -> HostError:
         """The child is gone. What it did last is in the memory that we share."""
-        how, board, theirs = self._ended_how(), self._board, self._shared.host[0]
+        how, board, theirs = self._ended_how(), self._board, self._shared.record[0]
         edges = self._shared.edges[: int(theirs["noted"])]
         self._live_through(edges[np.isin(edges["kind"], SENT)])
         self._catch_up(int(theirs["reached"] + theirs["ahead"]))

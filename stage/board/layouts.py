@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stage.board.bus import BYTE, HALF, LATCH, LATCHED, PORT, PULLS, WORD
+from stage.board.host import BYTE, HALF, LATCH, LATCHED, PORT, PULLS, WORD
 from stage.chips import Chip
 from stage.chips.hctl1100 import HCTL1100
 from stage.chips.nova import BYTES, MCX514, Nova
@@ -24,7 +24,7 @@ MOST_PORTS = 1 << 16
 class Layout:
     """How one kind of chip lies on the bus.
 
-    ports: of each port of a chip, what it reaches: (kind, address), see stage.board.bus. stride: ports from one chip to the next.
+    ports: of each port of a chip, what it reaches: (kind, address), see stage.board.host. stride: ports from one chip to the next.
     own: ports of the card itself, behind room for `chips` chips. evidence: S data sheet, I inferred (a card's choice).
     """
 

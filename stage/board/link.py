@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stage.board import bus
+from stage.board import bus, host
 from stage.board.errors import StormError
 from stage.errors import StageError
 from stage.native import plain
@@ -64,11 +64,11 @@ class Link:
         stage = self.stage
         if len(stage.state.edges) < NOTED:
             stage.state.note_in(np.zeros(NOTED, engine.EDGE))
-        self._rows = np.zeros(1, bus.HOST)
+        self._rows = np.zeros(1, host.HOST)
         self.move_to(self._rows)
         h = self.record
         handle.fill(self._rows, 0, stage.state)
-        self.irqs = np.zeros(len(stage.chips), bus.IRQ)
+        self.irqs = np.zeros(len(stage.chips), host.IRQ)
         self._acts = np.zeros(len(stage.chips), np.int64)
         for k, chip in enumerate(stage.chips):
             axis, bits = chip.IRQ
@@ -118,7 +118,7 @@ class Link:
         """One request of a host in Python."""
         self.begin()
         answer = int(self.request(self.pointer, what, int(a), int(b)))
-        if answer == bus.TWO_AT_ONCE:
+        if answer == host.TWO_AT_ONCE:
             raise StageError("this board is in use by another thread: a bus has one host at a time.")
         self.end()
         self.raise_error()
@@ -132,32 +132,32 @@ class Link:
             raise error
 
     def _called(self, reason: int) -> None:
-        """Compiled code calls, see stage.board.bus."""
+        """Compiled code calls, see stage.board.host."""
         if threading.current_thread() in self.abandoned:
             threading.Event().wait()
         self.calls += 1
         try:
             self.end()
-            if reason == bus.DIVERGED:
+            if reason == host.DIVERGED:
                 self._diverged()
-            elif reason == bus.STORM:
+            elif reason == host.STORM:
                 raise StormError(
-                    f"the interrupt hook was called {bus.STORM_CALLS:,} times in a row at {self.stage.time:.6f} s and the line is "
+                    f"the interrupt hook was called {host.STORM_CALLS:,} times in a row at {self.stage.time:.6f} s and the line is "
                     f"still asserted: the hook has to clear the interrupt at its chip.\n{self.board.trace.text(8)}"
                 )
-            elif reason == bus.LINE_OF_LOG:
+            elif reason == host.LINE_OF_LOG:
                 self.board.note(ctypes.string_at(int(self.record["asked"])).decode(errors="replace"))
-            elif reason == bus.ASKED_WRITE:
+            elif reason == host.ASKED_WRITE:
                 h = self.record
                 chip = self.stage.chips[int(h["asked_chip"])]
                 h["asked"] = chip.loses(int(h["asked_address"]), int(h["asked"]))
-            elif reason == bus.BY_HAND:
+            elif reason == host.BY_HAND:
                 self.stage.run_to(int(self.record["asked"]))
             self.begin()
         except BaseException as error:
             self.fail(error)
         self.calls += 1
-        if self.stand_still is not None and (reason == bus.PAUSE or self.record["stopped"]):
+        if self.stand_still is not None and (reason == host.PAUSE or self.record["stopped"]):
             self.stand_still()
 
     def _diverged(self) -> None:
@@ -186,7 +186,7 @@ class Link:
         """After firmware that computed was given up: what its cycles noted is taken, and the stage stands where it stood."""
         self.end()
         self.begin()
-        self.request(self.pointer, bus.SETTLE, 0, 0)
+        self.request(self.pointer, host.SETTLE, 0, 0)
         self.end()
 
     def move_to(self, rows: np.ndarray) -> None:
@@ -194,7 +194,7 @@ class Link:
         rows[:] = self._rows
         self._rows, self.pointer = rows, rows.ctypes.data
         rows["own"] = self.pointer
-        self.record = rows.view(plain(bus.HOST))[0]
+        self.record = rows.view(plain(host.HOST))[0]
 
     def own_hook(self) -> int:
         """What calls the hook of `on_interrupt`: its address, or 0."""

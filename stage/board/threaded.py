@@ -11,7 +11,7 @@ import threading
 import time
 from pathlib import Path
 
-from stage.board import bus, exits, library
+from stage.board import exits, host, library
 from stage.board.board import Board
 from stage.board.errors import HostError
 from stage.board.link import MOST
@@ -98,7 +98,7 @@ class Threaded:
             return
         board.link.record["hook"], board.link.record["lazy"] = board.link.own_hook(), 0
         try:
-            board.link.request(board.link.pointer, bus.SETTLE, 0, 0)
+            board.link.request(board.link.pointer, host.SETTLE, 0, 0)
             board.link.end()
         except BaseException as error:
             board.link.fail(error)

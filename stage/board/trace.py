@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from stage.board import bus
+from stage.board import host
 
 if TYPE_CHECKING:
     from stage.board.board import Board
@@ -54,7 +54,7 @@ class BusTrace:
 
     def __init__(self, board: Board, room: int):
         self._board = board
-        self.kept = np.zeros(room, bus.CYCLE)
+        self.kept = np.zeros(room, host.CYCLE)
         self.room = room
 
     def lines(self) -> np.ndarray:
@@ -81,13 +81,13 @@ class BusTrace:
         tell = self._board.teller()
         for k, line in enumerate(lines.tolist()):
             at, until, count, kind, port, value = line
-            stray, lost, kind = bool(kind & bus.STRAY), bool(kind & bus.LOST_ON_THE_WAY), kind & 7
-            if kind in (bus.CALLED, bus.RETURNED):
+            stray, lost, kind = bool(kind & host.STRAY), bool(kind & host.LOST_ON_THE_WAY), kind & 7
+            if kind in (host.CALLED, host.RETURNED):
                 if k >= first:
-                    text = "interrupt: the hook is called" if kind == bus.CALLED else "interrupt: the hook returns"
-                    yield Cycle(at * 1e-9, at * 1e-9, 1, "Ii"[kind - bus.CALLED], None, 0, 0, False, text)
+                    text = "interrupt: the hook is called" if kind == host.CALLED else "interrupt: the hook returns"
+                    yield Cycle(at * 1e-9, at * 1e-9, 1, "Ii"[kind - host.CALLED], None, 0, 0, False, text)
                 continue
-            writes, wide = kind in (bus.OUT, bus.OUT_WIDE), kind in (bus.IN_WIDE, bus.OUT_WIDE)
+            writes, wide = kind in (host.OUT, host.OUT_WIDE), kind in (host.IN_WIDE, host.OUT_WIDE)
             meaning = "lost on the way: it does not reach the chip" if lost else tell(port, value, writes, wide)
             if k >= first:
                 yield Cycle(

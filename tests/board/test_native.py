@@ -256,10 +256,10 @@ def test_bounds_that_make_no_sense_are_refused(asked):
 
 
 def test_the_header_and_python_agree_on_the_requests():
-    from stage.board import bus, library
+    from stage.board import host, library
 
     text = (library.include() / "pulsestage.h").read_text()
     names = text[text.index("enum {") + 6 : text.index("};", text.index("enum {"))].replace(" ", "").split(",")
-    ours = [bus.IN8, bus.OUT8, bus.IN16, bus.OUT16, bus.DELAY, bus.MICROS, bus.LOG, bus.HOOK, bus.LINE]
+    ours = [host.IN8, host.OUT8, host.IN16, host.OUT16, host.DELAY, host.MICROS, host.LOG, host.HOOK, host.LINE]
     assert ours == list(range(len(names)))
     assert ctypes.sizeof(library.BusStruct) == 24

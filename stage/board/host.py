@@ -1,0 +1,113 @@
+"""`HOST`: the record of a host on the board's bus, and what is common to all that it asks. Compiled.
+
+Where compiled code cannot go on by itself (a buffer is full, the firmware is to stand still), it calls back, with one of the
+reasons below, and Python sees to it.
+"""
+
+from __future__ import annotations
+
+from stage.native import array_at, called, hot, record
+from stage.sim import handle
+from stage.sim.handle import chips, world
+from stage.sim.in_use import ENGINE, claim, release
+
+IN8, OUT8, IN16, OUT16, DELAY, MICROS, LOG, HOOK, LINE, SETTLE = range(10)
+"""What a host asks: port cycles (a: port, b: value), a delay (a: us), the time (us), to note a line (a: its address), to call a
+function (a: its address) with an argument (b) while the interrupt line is asserted, whether it is, that the stage catches up."""
+FULL, DIVERGED, PAUSE, STORM, LINE_OF_LOG, ASKED_WRITE, BY_HAND = range(1, 8)
+"""Why Python is called: buffers are full; the physics has diverged; time or cycles are up; an interrupt that nothing clears; a
+line to note; a write that Python makes, since a fault of the bus looks at each; the stage's time is to pass and compiled code alone
+may not let it."""
+TWO_AT_ONCE = -(1 << 62)
+"""The answer to a host that asks while another asks in another thread."""
+LONGEST_DELAY = 10**15
+"""us: with more, ns would no longer fit 63 bits."""
+STORM_CALLS = 1000
+AT_ONCE = 10_000_000
+"""ns that pass between two looks at whether the firmware is to stand still: Ctrl-C in a long delay."""
+
+NOTHING, BYTE, WORD, HALF, LATCH, LATCHED, PULLS = range(7)
+PORT = record([(name, "i8") for name in "kind chip address mask seen".split()])
+"""What a port reaches. BYTE, WORD: an address of a chip of 8, 16 bits; HALF: the upper byte of the WORD one below; LATCH: takes
+the address for LATCHED, as much of it (`mask`) as the chip does; PULLS: which chips pull the interrupt line, a bit each. `seen`:
+number of the trace's line about its last read, plus one."""
+
+IN, OUT, IN_WIDE, OUT_WIDE, CALLED, RETURNED = range(6)
+STRAY, LOST_ON_THE_WAY = 8, 16
+CYCLE = record([(name, "i8") for name in "first last count kind port value".split()])
+"""A line of the trace: when (ns) the cycle ended; the last of `count` that were alike, with no write between; kind, | STRAY if it
+hit nothing, or only half of what is there, | LOST_ON_THE_WAY if a fault of the bus kept it from its chip."""
+
+HOST = record(
+    handle.HANDLE_FIELDS
+    + [("inside", "i8")]
+    + [(name, "i8") for name in "ports first n_ports lines line_room traced changed".split()]
+    + [(name, "i8") for name in "until lazy ahead quiet cycles most_cycles stopped call hook argument serving".split()]
+    + [
+        (name, "i8")
+        for name in "irqs acts before userdata words journals asks asked_chip asked_address asked reached".split()
+    ]
+)
+"""A stage's handle, and
+    inside                     whether a request is being answered, see stage.sim.in_use; not while Python or a hook is called
+    ports, first, n_ports      the table of ports, and which is its first
+    lines, line_room, traced, changed   the trace, a ring; lines so far, and how many there were after the last write
+    until, most_cycles         when (ns), and after how many cycles, to call Python; cycles: so far
+    lazy, ahead, quiet         whether the stage may stay behind the host, by how much (ns) it does, and up to when it may
+    stopped, call              nothing more happens; how to call Python
+    hook, argument, serving    the interrupt hook, and whether it is being called
+    irqs, acts                 of each chip: its IRQ, and the addresses (bits) at which a read changes it
+    before, userdata, words    room for a copy of the state in userdata; where that is, and how long
+    reached                    the stage's time (ns), for whoever sees nothing but this record
+    journals, asks, asked ...  whether journals are kept; chips (bits) whose writes Python looks at; what Python is called about
+"""
+
+IRQ = record([("axis", "i8"), ("bits", "i8")])
+"""Of each chip: the outputs that pull the interrupt line (0: none), and as which axis' they are asked for."""
+
+
+INSIDE = int(dict(HOST.fields or {})["inside"][1])
+_call = called(None, "i8")
+
+
+@hot
+def stage_of(h):
+    """The HANDLE that a HOST record begins with."""
+    return array_at(h.own, 1, handle.HANDLE)[0]
+
+
+@hot
+def chip_of(h, chip):
+    return chips(stage_of(h))[chip]
+
+
+@hot
+def now_of(h):
+    """The host's time, ns."""
+    return world(stage_of(h)).now + h.ahead
+
+
+@hot
+def enter(h):
+    """True if no other request is being answered, which none will be then until `leave`."""
+    return claim(h.own + INSIDE, ENGINE)
+
+
+@hot
+def leave(h):
+    release(h.own + INSIDE, ENGINE)
+
+
+@hot
+def call_out(h, function, argument):
+    """Call a function that may make requests."""
+    leave(h)
+    _call(function, (argument,))
+    while not enter(h):  # another thread is inside, and soon out
+        pass
+
+
+@hot
+def ask(h, reason):
+    """Call Python about `reason`."""
+    call_out(h, h.call, reason)
