@@ -65,9 +65,9 @@ from stage.envs.settings import (
 from stage.envs.task import MoveTask, carrier
 from stage.errors import ArgumentError, unknown
 from stage.firmware.driver import driver_of
-from stage.sim.engine import INDEX
 from stage.sim.fleet import Played
 from stage.sim.program import Program
+from stage.sim.records import INDEX
 
 FROM_LIMIT = 5e-4  # m; no return starts nearer to an end limit
 CAP = 64.0  # pulses, of an error: an electrical period of a motor at 1/16 step

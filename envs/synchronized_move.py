@@ -68,9 +68,9 @@ from stage.errors import ArgumentError, unknown
 from stage.firmware.driver import driver_of
 from stage.firmware.lines import Asked, line_of
 from stage.firmware.path import path_deviation
-from stage.sim.engine import clock_at
 from stage.sim.fleet import Played
 from stage.sim.program import LOOK, WAIT
+from stage.sim.records import clock_at
 
 ACTIONS = ("corrections", "box", "registers")
 TENTH = 1e-4  # m

@@ -17,7 +17,7 @@ from stage.firmware.hctl1100 import profile as servo_profile
 from stage.firmware.pcl240.moves import _offset, _seconds
 from stage.firmware.pcl240.plan import R0_MOST, _check, _share, _whole
 from stage.recording.viewer import web_server
-from stage.sim import engine, faults
+from stage.sim import faults, records
 from stage.sim.fleet import MOST, Fleet
 from stage.sim.program import Program
 from stage.sim.stage import LONGEST
@@ -179,6 +179,6 @@ def test_time_of_a_stage_is_rounded_to_a_nanosecond(stage):
     stage.run(1.6e-9)
     assert stage.now == 2
     stage.step(1)
-    assert stage.now == round(stage.model.opt.timestep * engine.SECOND), (
+    assert stage.now == round(stage.model.opt.timestep * records.SECOND), (
         "a step goes to the end of the one that has begun"
     )

@@ -14,7 +14,7 @@ from stage.chips.entries import LOST, WRITE
 from stage.cli import fault as demos
 from stage.cli import main
 from stage.drives import stepper
-from stage.sim import engine, faults
+from stage.sim import faults, records
 
 EVERY = {
     "stuck open": lambda s: faults.switch_stuck(s.axes["x"], "el_plus", False),
@@ -597,7 +597,7 @@ def test_errors_say_what_is_allowed_and_break_nothing(xyz, make, message):
 
 
 def test_edges_of_a_window_have_room():
-    assert engine.EDGES_A_WINDOW >= 5 * (1 + engine.MAX_TOGGLES) + 3
+    assert records.EDGES_A_WINDOW >= 5 * (1 + records.MAX_TOGGLES) + 3
 
 
 def test_where_there_is_no_room_for_edges_none_is_written(xyz):

@@ -8,11 +8,10 @@ import pytest
 from support.examples import SEED
 from support.programs import load_registers, start_preset
 
-import stage.sim.engine as engine
 from stage import ArgumentError, RunTimeout, SimulationError, Stage, StageError
 from stage.chips import PCL240K
 from stage.drives import stepper
-from stage.sim import plant
+from stage.sim import plant, records
 
 
 @pytest.fixture(scope="module")
@@ -224,7 +223,7 @@ def test_a_diverging_simulation_names_time_and_axis_and_keeps_the_state_before(x
     assert np.isfinite(xyz.data.qpos).all()
     xyz.data.qfrc_applied[:] = 0
     steps = round((xyz.time - twin.time) * 1e9)
-    assert steps >= -engine.SECOND
+    assert steps >= -records.SECOND
     assert abs(xyz.axes["x"].position - twin.axes["x"].position) < 1e-3
 
 
@@ -245,7 +244,7 @@ def test_the_torque_of_a_step_is_that_of_the_rotor_in_the_middle_of_each_slice(x
     xyz.data.qvel[t.dof] = v = 0.05
     d, q, count = xyz.state.drives[x.index].copy(), xyz.data.qpos[t.qpos], float(x.chip.net())
     middles = [
-        (k + 0.5) * w.h - w.half for k in range(engine.SLICES)
+        (k + 0.5) * w.h - w.half for k in range(records.SLICES)
     ]  # s, from the moment at which the joint stands at q
     torques = [stepper.torque(d, count, (q + v * tau) * t.gear, v * t.gear, w.h) for tau in middles]
     xyz.step()

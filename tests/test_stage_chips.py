@@ -16,7 +16,7 @@ from stage import ArgumentError, Fleet, Program, Stage, StageError, faults
 from stage.chips import HCTL1100, MCX302, MCX304, MCX312, MCX514, PCL240K, PCL240MK
 from stage.chips.entries import INPUT
 from stage.sim import play
-from stage.sim.engine import INDEX, INDEX_HYSTERESIS
+from stage.sim.records import INDEX, INDEX_HYSTERESIS
 
 MIXED = {"x": MCX514, "y": MCX514, "z": PCL240K}
 ALL = {"z": PCL240K, "x": HCTL1100, "y": MCX304}

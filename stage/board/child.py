@@ -35,7 +35,7 @@ class TellingBoard(Board):
         self.link.move_to(shared.record)
         self.stage.state.note_in(shared.edges)
         self.trace.kept, self._shared = shared.trace, shared
-        shared.record["edges"], shared.host["lines"] = shared.edges.ctypes.data, shared.trace.ctypes.data
+        shared.record["edges"], shared.record["lines"] = shared.edges.ctypes.data, shared.trace.ctypes.data
         shared.record["edge_room"] = len(shared.edges)
         self.link.tell = self._send
 

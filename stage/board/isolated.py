@@ -28,8 +28,8 @@ from stage.board.errors import HostError
 from stage.board.link import NOTED
 from stage.chips.entries import LOST, READ, WRITE
 from stage.errors import StageError
-from stage.sim.engine import EDGE
 from stage.sim.fingerprint import fingerprint
+from stage.sim.records import EDGE
 
 SENT = (WRITE, READ, LOST)
 COUNTS = ("cycles", "traced", "changed")  # of HOST

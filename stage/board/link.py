@@ -16,7 +16,7 @@ from stage.board import bus, host
 from stage.board.errors import StormError
 from stage.errors import StageError
 from stage.native import plain
-from stage.sim import engine, handle
+from stage.sim import handle, records
 
 if TYPE_CHECKING:
     from stage.board.board import Board
@@ -63,7 +63,7 @@ class Link:
         """The HOST record, and the arrays that it points to."""
         stage = self.stage
         if len(stage.state.edges) < NOTED:
-            stage.state.note_in(np.zeros(NOTED, engine.EDGE))
+            stage.state.note_in(np.zeros(NOTED, records.EDGE))
         self._rows = np.zeros(1, host.HOST)
         self.move_to(self._rows)
         h = self.record

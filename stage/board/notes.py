@@ -5,7 +5,7 @@ from __future__ import annotations
 from stage.board.host import CYCLE, FULL, IN, IN_WIDE, STRAY, ask, chip_of, now_of
 from stage.chips import cores
 from stage.native import array_at, hot
-from stage.sim import engine
+from stage.sim import records
 
 
 @hot
@@ -31,9 +31,9 @@ def note(h, kind, port, value, seen):
 @hot
 def journal(h, kind, chip, address, value):
     """What a cycle did to a chip, for its journal, in the order of the switches' edges."""
-    if h.noted >= h.edge_room - engine.EDGES_A_WINDOW * h.n_axes:  # the engine needs that much in any step
+    if h.noted >= h.edge_room - records.EDGES_A_WINDOW * h.n_axes:  # the engine needs that much in any step
         ask(h, FULL)
-    e = array_at(h.edges, h.edge_room, engine.EDGE)[h.noted]
+    e = array_at(h.edges, h.edge_room, records.EDGE)[h.noted]
     c = chip_of(h, chip)
     e.now, e.clock, e.axis = now_of(h), cores.clock(c), c.axis[0]
     e.kind, e.a, e.b = kind, address, value

@@ -22,7 +22,7 @@ from stage.board.host import (
 from stage.board.notes import note
 from stage.chips import cores
 from stage.native import array_at, hot, least
-from stage.sim import engine, handle
+from stage.sim import handle, records
 from stage.sim.handle import AXIS, WHOLE, clockwork, world
 
 
@@ -32,11 +32,11 @@ def _run(h, until):
     w = world(stage_of(h))
     while w.now < until and not h.stopped:
         status = handle.advance(stage_of(h), until)
-        if status == engine.DIVERGED:
+        if status == records.DIVERGED:
             ask(h, DIVERGED)
-        elif status == engine.SAMPLES_FULL or status == engine.EDGES_FULL:
+        elif status == records.SAMPLES_FULL or status == records.EDGES_FULL:
             ask(h, FULL)
-        elif status != engine.REACHED:
+        elif status != records.REACHED:
             h.asked = until
             ask(h, BY_HAND)
     h.reached = w.now
@@ -54,7 +54,7 @@ def catch_up(h):
 def _foresee(h):
     """Up to when nothing but the chips themselves moves: no edge, no end of a slice."""
     w, axes, dt = world(stage_of(h)), array_at(h.axes, h.n_axes, AXIS), clockwork(stage_of(h)).dt
-    h.quiet = least(h.until, w.start + (w.slice + 1) * dt // engine.SLICES)
+    h.quiet = least(h.until, w.start + (w.slice + 1) * dt // records.SLICES)
     for a in range(len(axes)):
         h.quiet = least(h.quiet, axes[a].next_edge)
 
@@ -93,7 +93,7 @@ def turn_to(h, chip):
     """The chip stands where the host does."""
     if h.ahead:
         c = chip_of(h, chip)
-        cores.run(c, engine.clock_at(now_of(h), c.hz))
+        cores.run(c, records.clock_at(now_of(h), c.hz))
 
 
 @hot

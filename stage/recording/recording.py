@@ -9,7 +9,7 @@
     with stage.record(path="long.rrd"):          written as it goes: what was flushed survives a kill
         ...
 
-The engine fills a buffer of samples (engine.SAMPLE, one an axis) and joint positions; full buffers go to a temporary file, so
+The engine fills a buffer of samples (records.SAMPLE, one an axis) and joint positions; full buffers go to a temporary file, so
 that hours do not fill memory. Pins are not only sampled: the chips' journals hold the bus writes and switch edges, and
 replaying these gives every pulse and pin to the clock. Everything works while the run goes on, too, on what is there so far.
 """
@@ -31,7 +31,7 @@ import numpy as np
 from stage.chips.journal import Journal
 from stage.errors import ArgumentError, unknown
 from stage.files import FileError, is_stream, writable, written
-from stage.sim.engine import SAMPLE
+from stage.sim.records import SAMPLE
 
 if TYPE_CHECKING:
     from stage.recording.rerun_log import Log

@@ -34,7 +34,7 @@ from stage.chips.pcl240.state import GROUP, START, STOP
 from stage.drives import stepper
 from stage.errors import ArgumentError, unknown
 from stage.sim.axis import Axis
-from stage.sim.engine import MAX_TOGGLES
+from stage.sim.records import MAX_TOGGLES
 from stage.sim.stage import Stage
 
 PHASES = {"a": stepper.A, "b": stepper.B}

@@ -19,12 +19,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from stage.errors import ArgumentError, StageError
-from stage.sim import engine, handle, play
+from stage.sim import handle, play, records
 from stage.sim.loop import IN_USE
 from stage.sim.program import END, LOOK, MEASURE, NAMES, READ, STOP, WAIT, WRITE, Program
 from stage.sim.stage import Stage
 
-MOST = engine.SECOND * 10**9  # ns
+MOST = records.SECOND * 10**9  # ns
 CHUNKS = 4  # a thread's share, so that a slow stage does not hold up the rest
 
 

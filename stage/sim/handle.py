@@ -13,7 +13,7 @@ import numpy as np
 
 from stage.drives import drive
 from stage.native import array_at, exported, hot, record
-from stage.sim import engine
+from stage.sim import engine, records
 from stage.sim.in_use import ENGINE, claim, release
 
 if TYPE_CHECKING:
@@ -30,9 +30,9 @@ HANDLE = record(HANDLE_FIELDS)
 takes it; without rooms it logs nothing. state: where the stage's state goes before the physics moves it, or 0; status: what
 `advance` answered last; own: the address of the handle itself."""
 
-WORLD, AXIS, DRIVE, SWITCH = engine.WORLD, engine.AXIS, drive.DRIVE, engine.SWITCH
+WORLD, AXIS, DRIVE, SWITCH = records.WORLD, records.AXIS, drive.DRIVE, records.SWITCH
 AXIS_TABLE, SWITCH_TABLE, CHIP_TABLE, CLOCKWORK = (
-    engine.AXIS_TABLE, engine.SWITCH_TABLE, engine.CHIP_TABLE, engine.CLOCKWORK,
+    records.AXIS_TABLE, records.SWITCH_TABLE, records.CHIP_TABLE, records.CLOCKWORK,
 )  # fmt: skip
 REAL, WHOLE = np.dtype("f8"), np.dtype("i8")
 
@@ -65,9 +65,9 @@ def table(h):
 def advance(h, until):
     """The stage's time passes up to `until` ns, unless the engine has to stop before; why it stopped, as `engine.run`."""
     if not claim(h.clockwork, ENGINE):
-        return engine.IN_USE
+        return records.IN_USE
     counts = array_at(h.counts, 2, WHOLE)
-    samples = array_at(h.samples, (h.room, h.n_axes), engine.SAMPLE)
+    samples = array_at(h.samples, (h.room, h.n_axes), records.SAMPLE)
     positions = array_at(h.positions, (h.room, h.nq), REAL)
     status = engine.run(
         h.mj_model, h.mj_data, array_at(h.world, 1, WORLD), array_at(h.axes, h.n_axes, AXIS), array_at(h.drives, h.n_axes, DRIVE),
@@ -75,9 +75,9 @@ def advance(h, until):
         array_at(h.clockwork, 1, CLOCKWORK), array_at(h.qpos, h.nq, REAL), array_at(h.qvel, h.nv, REAL),
         array_at(h.ctrl, h.nu, REAL),
         array_at(h.sensordata, h.ns, REAL), array_at(h.inertia, h.nv, REAL), until, samples, positions, h.filled,
-        array_at(h.edges, h.edge_room, engine.EDGE), h.noted, counts, h.state,
+        array_at(h.edges, h.edge_room, records.EDGE), h.noted, counts, h.state,
     )  # fmt: skip
-    if status != engine.DIVERGED and status != engine.FAILED:
+    if status != records.DIVERGED and status != records.FAILED:
         h.filled, h.noted = counts[0], counts[1]
     h.status = status
     release(h.clockwork, ENGINE)
@@ -120,7 +120,7 @@ def look_again(h, axis):
         array_at(h.world, 1, WORLD), array_at(h.axes, h.n_axes, AXIS), array_at(h.switches, h.n_switches, SWITCH), table(h),
         array_at(h.switch_table, h.n_switches, SWITCH_TABLE), chips(h), array_at(h.clockwork, 1, CLOCKWORK),
         array_at(h.qvel, h.nv, REAL),
-        axis, array_at(h.edges, h.edge_room, engine.EDGE), h.noted,
+        axis, array_at(h.edges, h.edge_room, records.EDGE), h.noted,
     )  # fmt: skip
 
 

@@ -14,8 +14,8 @@ import numpy as np
 from stage.drives.dc_motors import Servo
 from stage.drives.motors import Drive
 from stage.errors import ArgumentError, ModelError
-from stage.sim.engine import SECOND, SLICES
 from stage.sim.plant import PlantAxis
+from stage.sim.records import SECOND, SLICES
 
 LEAPFROGS = {
     mujoco.mjtIntegrator.mjINT_EULER, mujoco.mjtIntegrator.mjINT_IMPLICIT, mujoco.mjtIntegrator.mjINT_IMPLICITFAST

@@ -17,7 +17,7 @@ import numpy as np
 from stage.chips import Chip
 from stage.chips.entries import PACKED, SHAFT
 from stage.errors import SimulationError, StageError
-from stage.sim import callbacks, engine, handle
+from stage.sim import callbacks, handle, records
 from stage.sim.in_use import token
 from stage.sim.state import POWERED, SAVED, START, State
 
@@ -101,9 +101,9 @@ class Loop:
             if status or recording is not None or self.state.handle["noted"]:
                 self._account(status, until)
             if long:
-                if status == engine.REACHED:
+                if status == records.REACHED:
                     self._piece = piece = self._next_piece(perf_counter() - begin)
-            elif status == engine.REACHED:
+            elif status == records.REACHED:
                 return
 
     def _next_piece(self, took: float) -> int:
@@ -116,11 +116,11 @@ class Loop:
         """The engine has returned on its way to `until`: what it noted is taken, what stopped it is seen to, or raised."""
         h, recording = self.state.handle, self.recording
         error: BaseException | None = None
-        if status == engine.DIVERGED:
+        if status == records.DIVERGED:
             error = self.undo_divergence(self._pointer)
-        elif status == engine.FAILED:
+        elif status == records.FAILED:
             error = self._undo_failure()
-        elif status == engine.IN_USE:
+        elif status == records.IN_USE:
             raise StageError(IN_USE)
         if h["noted"]:
             self.note_edges(int(h["noted"]))
@@ -129,14 +129,14 @@ class Loop:
             recording.take(int(h["filled"]))
         if error is not None:
             raise error
-        if status == engine.WIPED:
+        if status == records.WIPED:
             if recording is not None:
                 raise StageError(
                     "the stage's state was cleared (mj_resetData?) in the middle of a recording, whose time runs forward only: "
                     "close the recording; the stage is at power-up then."
                 )
             self._power_up()
-        elif status == engine.UNGUARDED:
+        elif status == records.UNGUARDED:
             self._run_guarded(until)
 
     def _run_guarded(self, until: int) -> None:
@@ -220,7 +220,7 @@ class Loop:
         self._advance(pointer, good)
         seconds = state.now * 1e-9
         return SimulationError(
-            f"the simulation diverged at {seconds:.6f} s on axis {joint!r}: its speed left +-{engine.MAX_SPEED:g} per "
+            f"the simulation diverged at {seconds:.6f} s on axis {joint!r}: its speed left +-{records.MAX_SPEED:g} per "
             f"second. The stage holds the state before that step. Usual causes: a timestep too long for the motor's "
             f"stiffness (now {model.opt.timestep} s), a mass near zero, or an external force that is not finite.",
             seconds,

@@ -13,12 +13,12 @@ import numpy as np
 from stage.chips import cores
 from stage.drives import drive
 from stage.native import array_at, array_of, exported, greatest, hot, least, record
-from stage.sim import engine
+from stage.sim import records
 from stage.sim.handle import DRIVE, HANDLE, REAL, advance, chips, clockwork, table, world
 from stage.sim.program import END, LOOK, MEASURE, READ, STOP, WAIT, WRITE
 
-PLAYED, DIVERGED = engine.REACHED, engine.DIVERGED
-"""How a program ended: as it says, or where the stage diverged. Or why it did not: engine.IN_USE and the like."""
+PLAYED, DIVERGED = records.REACHED, records.DIVERGED
+"""How a program ended: as it says, or where the stage diverged. Or why it did not: records.IN_USE and the like."""
 
 TRUTH = record(
     [(name, "f8") for name in "position velocity commanded".split()]

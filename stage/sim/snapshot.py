@@ -10,7 +10,7 @@ import numpy as np
 
 from stage import snapshots
 from stage.drives.stepper import DRIVE
-from stage.sim import engine
+from stage.sim import records
 
 if TYPE_CHECKING:
     from stage.sim.axis import Axis
@@ -37,8 +37,8 @@ def header(state: State, axes: Iterable[Axis], mechanics: str) -> snapshots.Head
     parts.append(("time step", f"{state.dt} ns"))
     parts.append(("bus cycle", f"{state.bus} ns"))
     parts.append(("mechanics of the model", mechanics))
-    records = (engine.WORLD, engine.AXIS, engine.SWITCH, DRIVE, *(rows.dtype for rows in state.chips))
-    layouts = " ".join(map(snapshots.layout, records))
+    kinds = (records.WORLD, records.AXIS, records.SWITCH, DRIVE, *(rows.dtype for rows in state.chips))
+    layouts = " ".join(map(snapshots.layout, kinds))
     parts.append(("layout of the state", f"{_digest(layouts.encode())} ({len(state.saved)} words)"))
     return snapshots.Header(tuple(parts))
 

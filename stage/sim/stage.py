@@ -28,7 +28,7 @@ from stage.chips import ChipAxis
 from stage.drives.dc_motors import Servo
 from stage.drives.motors import Drive
 from stage.errors import ArgumentError, RunTimeout, StageError, unknown
-from stage.sim import engine, handle, integration, plant
+from stage.sim import handle, integration, plant, records
 from stage.sim.axis import Axes, Axis
 from stage.sim.fingerprint import mechanics
 from stage.sim.loop import Loop
@@ -167,7 +167,7 @@ class Stage:
     def step(self, n: int = 1) -> None:
         """Advance to the end of the current physics step, and n - 1 more."""
         dt = self.state.dt
-        most = LONGEST * engine.SECOND // dt
+        most = LONGEST * records.SECOND // dt
         if not 0 <= n <= most or int(n) != n:
             raise ArgumentError(
                 f"n={n!r}: a stage advances by a whole number of physics steps, 0 to {most} ({LONGEST:g} s)."

@@ -18,13 +18,13 @@ from stage.drives.dc_motors import Servo
 from stage.drives.motors import Drive
 from stage.drives.stepper import DRIVE
 from stage.native import address_of, plain
-from stage.sim import callbacks, engine, handle, libmujoco
+from stage.sim import callbacks, handle, libmujoco, records
 from stage.sim.plant import PlantAxis
 
 SAVED = mujoco.mjtState.mjSTATE_INTEGRATION  # all of it: physics, and in userdata chips, drives, switches
 HYSTERESIS = 25e-6  # m; a slotted optical switch lets go that much later than it trips (typical data sheets)
 EDGES = 640
-_FIELDS = engine.WORLD.names or ()
+_FIELDS = records.WORLD.names or ()
 START, POWERED = _FIELDS.index("start"), _FIELDS.index("powered")
 
 
@@ -102,7 +102,7 @@ class State:
         rows = np.zeros(1, handle.HANDLE)
         handle.fill(rows, 0, self)
         self.pointer, self.handle = rows.ctypes.data, rows.view(plain(handle.HANDLE))[0]
-        self.note_in(np.zeros(EDGES + engine.EDGES_A_WINDOW * len(plant), engine.EDGE))
+        self.note_in(np.zeros(EDGES + records.EDGES_A_WINDOW * len(plant), records.EDGE))
 
     @property
     def now(self) -> int:
@@ -135,22 +135,22 @@ class State:
             own, left = left[:words], left[words:]
             return own.view(dtype)
 
-        self.world = cut(engine.WORLD, 1)
+        self.world = cut(records.WORLD, 1)
         self.words = self.world.view(np.int64)
-        self.axes = cut(engine.AXIS, axes)
+        self.axes = cut(records.AXIS, axes)
         self.chips = [cut(chip.CORE.STATE, 1) for chip in chips]
         self.drives = cut(DRIVE, axes)
-        self.switches = cut(engine.SWITCH, switches)
-        self.axis_table = np.zeros(axes, engine.AXIS_TABLE)
-        self.switch_table = np.zeros(switches, engine.SWITCH_TABLE)
-        self.chip_table = np.zeros(len(chips), engine.CHIP_TABLE)
-        self.clockwork = np.zeros(1, engine.CLOCKWORK)
+        self.switches = cut(records.SWITCH, switches)
+        self.axis_table = np.zeros(axes, records.AXIS_TABLE)
+        self.switch_table = np.zeros(switches, records.SWITCH_TABLE)
+        self.chip_table = np.zeros(len(chips), records.CHIP_TABLE)
+        self.clockwork = np.zeros(1, records.CLOCKWORK)
 
     def _set_clockwork(self, encoders: int) -> None:
         w, dt = self.clockwork[0], self.dt
         w.mj_step, w.mj_get_state = libmujoco.address("mj_step"), libmujoco.address("mj_getState")
         w.state_spec, w.encoders = int(SAVED), encoders
-        w.dt, w.slices, w.h, w.half, w.nv = dt, engine.SLICES, dt * 1e-9 / engine.SLICES, dt * 0.5e-9, self.model.nv
+        w.dt, w.slices, w.h, w.half, w.nv = dt, records.SLICES, dt * 1e-9 / records.SLICES, dt * 0.5e-9, self.model.nv
         w.callbacks, w.native = callbacks.ADDRESSES, callbacks.NATIVE
 
     def _set_chip_table(self, chips: Sequence[Chip]) -> None:
@@ -194,6 +194,6 @@ def chips_of(axes: Sequence[ChipAxis]) -> tuple[Chip, ...]:
 
 def words_needed(axes: Sequence[ChipAxis], switches: int) -> int:
     """float64 words of userdata that the state of a stage takes, with these axes of its chips and so many switches."""
-    per_axis = engine.AXIS.itemsize + DRIVE.itemsize
+    per_axis = records.AXIS.itemsize + DRIVE.itemsize
     rows = sum(chip.CORE.STATE.itemsize for chip in chips_of(axes))
-    return (engine.WORLD.itemsize + len(axes) * per_axis + rows + switches * engine.SWITCH.itemsize) // 8
+    return (records.WORLD.itemsize + len(axes) * per_axis + rows + switches * records.SWITCH.itemsize) // 8

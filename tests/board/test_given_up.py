@@ -16,7 +16,7 @@ from stage import Stage
 from stage.board import Board, HostError, NativeHost
 from stage.chips import HCTL1100, PCL240K
 from stage.errors import StageError
-from stage.sim import engine
+from stage.sim import records
 
 SLEEPS = "#include <unistd.h>\n#include <stdlib.h>\n"
 CLOCK = "#include <time.h>\n#include <unistd.h>\n"
@@ -175,11 +175,11 @@ def test_a_hook_in_python_is_not_forgotten_in_silence_by_firmware_in_a_process_o
 
 def test_writes_leave_the_engine_room_for_what_it_notes_within_a_step():
     b = board("xyz_servo", HCTL1100)
-    room = 3 * engine.EDGES_A_WINDOW + 20
+    room = 3 * records.EDGES_A_WINDOW + 20
     b.link.record["edge_room"] = room  # of an array that is longer: what lies behind would be overwritten
     run_on(b, "PULSESTAGE_MAIN { for (int k = 0; k < 5000; k++) ps_out8(0x300 + k % 6, 5); return 0; }").run()
     used = np.flatnonzero(b.stage.state.edges["clock"])[-1]
-    assert used < room - engine.EDGES_A_WINDOW, f"{room} records, {used + 1} used"
+    assert used < room - records.EDGES_A_WINDOW, f"{room} records, {used + 1} used"
 
 
 def test_what_a_host_built_goes_with_it(tmp_path):

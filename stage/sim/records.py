@@ -1,0 +1,104 @@
+"""The engine's records: state of a stage in userdata, tables of constants beside it, what it notes; and its clock."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from stage.chips import cores
+from stage.drives import stepper
+from stage.native import hot, record
+from stage.sim.pins import PINS
+
+ADDRESS = np.dtype("i8")
+NEVER = 1 << 62
+FAR = 1.0  # distance of a vane that no sensor sees
+TURN = 2.0 * math.pi
+INDEX, INDEX_HYSTERESIS = 0.01, 5e-4  # turns: width of the encoder's index pulse, and by how much it lets go later
+SECOND = 1_000_000_000
+SLICES = stepper.SLICES
+
+# --- state, in userdata ---
+WORLD = record([(name, "i8") for name in "now start slice steps to_sample powered".split()])
+"""`now`, `start` of the window (ns); slices and steps done; steps until the next sample; 1 under power: where it is 0, somebody has
+cleared userdata (mj_resetData does), and nothing in it means anything."""
+AXIS = record(
+    [("counts", "f8", (SLICES,))] + [(name, "i8") for name in "count next_edge index_on index_edge index_end".split()]
+)
+"""Mean pulse counts of the window's slices so far, the count at the last slice's end, time of the next input edge (ns); the
+encoder's index pulse: asserted, its next edge in this window, and the one after (ns)."""
+SWITCH = record([("dist", "f8"), ("edge", "i8"), ("on", "i8"), ("toggles", "i8"), ("until", "i8")])
+"""Distance vane to switch at `qpos`, time of its next edge (ns), asserted; of a contact that bounces, how often it will still
+toggle and when it will have come to rest (ns)."""
+
+# --- constants ---
+CALLBACKS = 8  # that MuJoCo has
+CLOCKWORK = record(
+    [
+        ("busy", "i8"),
+        ("dt", "i8"),
+        ("slices", "i8"),
+        ("h", "f8"),
+        ("half", "f8"),
+        ("nv", "i8"),
+        ("sample_every", "i8"),
+        ("encoders", "i8"),
+        ("guarded", "i8"),
+        ("failed", "i8"),
+        ("mj_step", "i8"),
+        ("mj_get_state", "i8"),
+        ("state_spec", "i8"),
+        ("clocks", "i8", (SLICES,)),
+        ("callbacks", "i8", (CALLBACKS,)),
+        ("native", "i8", (CALLBACKS,)),
+    ]
+)
+"""Who runs the stage, see stage.sim.in_use; window (ns), slices in it, a slice and half a window (s), degrees of freedom, steps
+per sample (0: none), axes whose chips see an encoder; of MuJoCo's callbacks, see stage.sim.callbacks: whether they are
+guarded, whether one has failed, where their addresses lie and what these are while nobody in Python is called; addresses of
+MuJoCo's functions, and which parts of its state a snapshot has; the clocks of a chip at the ends of the window's slices."""
+CHIP_TABLE = cores.CHIP
+AXIS_TABLE = record(
+    [(name, "i8") for name in "chip chip_axis qpos dof actuator first_switch end_switch index_bit".split()]
+    + [("gear", "f8"), ("index_at", "f8"), ("counts", "f8")]
+)
+"""Which axis of which chip (a row of CHIP_TABLE) and which drive row (= the axis' own index) move which joint; rotor radians
+per joint unit; the pin bit of the index pulse (0: not connected) and where in the rotor's turn it stands, in turns; counts of the
+encoder that the chip sees per joint unit (0: none)."""
+SWITCH_TABLE = record(
+    [(name, "i8") for name in "bit found at forced bounce toggles".split()] + [("slope", "f8"), ("hysteresis", "f8")]
+)
+"""Pin bit, addresses in sensordata, d dist / d q; `forced`: -1 works, 0 stuck open, 1 stuck closed; how long a contact bounces
+after an edge (ns, 0: not at all), and how often it toggles in that time (even)."""
+
+SAMPLE = record(
+    [
+        ("time", "f8"),
+        ("position", "f8"),
+        ("velocity", "f8"),
+        ("commanded", "f8"),
+        ("load_angle", "f8"),
+        ("torque", "f8"),
+    ]
+    + [("current_a", "f8"), ("current_b", "f8"), ("voltage", "f8"), ("rate", "f8")]
+    + [(name, "i8") for name in "pulses lost_steps counter inputs outputs".split()]
+)
+"""One axis at one moment. SI units; load angle in electrical radians; voltage at a DC motor; rate in pps, counts a second."""
+EDGE = record([(name, "i8") for name in ("now", "clock", "axis", "kind", "a", "b")] + [("count", "f8"), ("rate", "f8")])
+"""What reached the chip of an axis: time (ns), the chip's clock, and an `Entry` for its journal: kind, a, b; of a SHAFT count and
+rate in their place."""
+
+MAX_TOGGLES = 8
+EDGES_A_WINDOW = len(PINS) * (1 + MAX_TOGGLES) + 2 + 1
+"""Of an axis at most: each switch an edge and its toggles; the index pulse begins and ends; the shaft."""
+REACHED, SAMPLES_FULL, EDGES_FULL, DIVERGED, FAILED, UNGUARDED, IN_USE, WIPED = range(8)
+"""Why it returned: time is up; no room to log in; the physics diverged; a callback failed. And why it did nothing: there are
+callbacks, and nobody guards them; another runs the stage; it is not under power."""
+MAX_SPEED = 1e6  # of any joint, per second; beyond it, or NaN, the simulation has diverged
+
+
+@hot
+def clock_at(now, hz):
+    """Ticks of a reference clock at `now` ns, exact for centuries."""
+    return now // SECOND * hz + now % SECOND * hz // SECOND
