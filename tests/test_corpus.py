@@ -77,21 +77,21 @@ def test_every_bus_input_of_the_corpus_keeps_the_promises_compiled_or_not_to_the
 PLANTED = """
 import test_corpus as t
 from fuzzing.pcl240 import COMPILED, counted_core
-from stage.chips.pcl240 import core
+from stage.chips.pcl240 import motion
 assert not COMPILED
-cruise, span, pulses = core._cruise, core._span, core._pulses_to_event
+cruise, span, pulses = motion._cruise, motion.span, motion._pulses_to_event
 for name, defect in (
     ("_cruise", lambda c, until: cruise(c, min(until, c.clock + 1000))),
-    ("_span", lambda c, n: span(c, min(n, 64))),
+    ("span", lambda c, n: span(c, min(n, 64))),
     ("_pulses_to_event", lambda c, own: min(1, pulses(c, own))),
 ):
-    setattr(core, name, defect)
+    setattr(motion, name, defect)
     counted_core.cache_clear()
     try:
         t.replayed("bus")
     except t.Finding as finding:
         print("FOUND", finding)
-    core._cruise, core._span, core._pulses_to_event = cruise, span, pulses
+    motion._cruise, motion.span, motion._pulses_to_event = cruise, span, pulses
 """
 
 

@@ -12,7 +12,7 @@ from fuzzing.family import Family, Values, Work
 from fuzzing.promises import Finding, demand
 from stage.chips import Chip
 from stage.chips.journal import Journal
-from stage.chips.pcl240 import core
+from stage.chips.pcl240 import core, motion
 from stage.chips.pcl240.state import EXTENSION, EXTERNAL
 from stage.native import COMPILED
 
@@ -29,7 +29,7 @@ RAMPING = sum(RAMPS)
 def counted_core() -> Work:
     """The core's functions between two events, wrapped once to be counted."""
     work = Work()
-    span, cruise, climb, next_step = core._span, core._cruise, core._climb, core.next_step
+    span, cruise, climb, next_step = motion.span, motion._cruise, motion._climb, motion.next_step
 
     def counting_span(c, n):
         work.spend()
@@ -51,8 +51,8 @@ def counted_core() -> Work:
         work.spend()  # a climb's step is due; what counts is that one call takes many
         next_step(c)
 
-    core._span, core._cruise = counting_span, counting_cruise
-    core._climb, core.next_step = counting_climb, counting_next_step
+    motion.span, core.span, motion._cruise = counting_span, counting_span, counting_cruise
+    motion._climb, motion.next_step = counting_climb, counting_next_step
     return work
 
 

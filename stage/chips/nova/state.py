@@ -17,6 +17,7 @@ DRAFTED = 4
 SYNC_SETS = 4
 FIRST_GENERATION, MCX514_TYPE = 0, 1
 NEVER = 1 << 60
+MAIN = 2  # of `interpolates`: the main axis
 
 
 def _places(map_: RegisterMap, names: str) -> tuple[int, ...]:

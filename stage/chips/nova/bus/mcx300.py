@@ -8,8 +8,7 @@ from stage.chips.nova.bus.status import busy, phase_bits
 from stage.chips.nova.functions import home
 from stage.chips.nova.functions import io as ports
 from stage.chips.nova.interpolation import mcx312 as interpolation312
-from stage.chips.nova.motion import drive
-from stage.chips.nova.motion.drive import rate_reading
+from stage.chips.nova.motion import counters, drive, rates
 from stage.chips.nova.registers.mcx300 import MCX304_MAP, RESET
 from stage.chips.nova.registers.mcx300 import MCX312_MAP as MAP
 from stage.chips.nova.registers.words300 import DELAYS
@@ -188,7 +187,7 @@ def command(c, value):
         if code in (R_LP, R_EP):
             data = x.reg[LP] if code == R_LP else x.reg[EP]
         else:
-            data = drive.speed_reading(c, x) if code == R_CV else rate_reading(c, x)
+            data = rates.speed_reading(c, x) if code == R_CV else rates.rate_reading(c, x)
         c.read_low, c.read_high = data & 0xFFFF, data >> 16 & 0xFFFF
     elif INTERPOLATION_FIRST <= code <= INTERPOLATION_LAST:
         if c.has_l:
@@ -224,7 +223,7 @@ def write(c, address, value):
 @hot
 def _compared(x):
     """CMP+ and CMP-."""
-    counter = drive.limited(x)
+    counter = counters.limited(x)
     return (CMP_PLUS if counter >= x.reg[COMP_PLUS] else 0) | (CMP_MINUS if counter < x.reg[COMP_MINUS] else 0)
 
 

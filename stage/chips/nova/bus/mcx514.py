@@ -8,8 +8,7 @@ from stage.chips.nova.bus.status import busy, phase_bits
 from stage.chips.nova.functions import home, sync, timer
 from stage.chips.nova.functions import io as ports
 from stage.chips.nova.interpolation import queue as prebuffer
-from stage.chips.nova.motion import drive
-from stage.chips.nova.motion.drive import rate_reading
+from stage.chips.nova.motion import drive, rates
 from stage.chips.nova.registers.mcx514 import MCX514_MAP as MAP
 from stage.chips.nova.state import (
     ALARM,
@@ -141,9 +140,9 @@ def _read_data(c, code):
     elif MODE_PLACES[code] >= 0:
         value = x.mode[MODE_PLACES[code]]
     elif code == R_CV:
-        value = drive.speed_reading(c, x)
+        value = rates.speed_reading(c, x)
     elif code == R_CA:
-        value = rate_reading(c, x)
+        value = rates.rate_reading(c, x)
     elif code == R_CT:
         value = timer.reading(c, x)
     elif code == R_CHLN:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from stage.chips.nova.motion import drive
+from stage.chips.nova.motion import drive, rates
 from stage.chips.nova.state import ACCELERATING, AREA_D, CONSTANT, DECELERATING
 from stage.native import hot
 
@@ -16,7 +16,7 @@ def busy(x):
 @hot
 def phase_bits(c, x):
     """ASND, CNST, DSND, AASND, ACNST, ADSND as bits 0 to 5."""
-    if not drive.runs(x):
+    if not rates.runs(x):
         return 0
     n = c.clock - x.origin
     phase = drive.phase_at(x, n)

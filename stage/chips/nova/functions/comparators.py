@@ -6,7 +6,7 @@ What counts is that a comparison becomes true, by whatever cause: a pulse, an ed
 from __future__ import annotations
 
 from stage.chips.nova.functions import timer
-from stage.chips.nova.motion import drive
+from stage.chips.nova.motion import counters, drive, rates
 from stage.chips.nova.motion.profile import speed_passes
 from stage.chips.nova.registers.mcx300 import MCX304_MAP
 from stage.chips.nova.registers.mcx514 import MCX514_MAP
@@ -34,7 +34,7 @@ def _true(c, x, m):
     elif kind == AT_RP:
         value = x.reg[RP]
     elif kind == AT_CV:
-        value = drive.speed_reading(c, x)
+        value = rates.speed_reading(c, x)
     else:
         value = timer.reading(c, x)
     if condition == AT_LEAST:
@@ -53,7 +53,7 @@ def _now(c, x):
             if _true(c, x, m):
                 word |= 1 << m
         return word
-    counter = drive.limited(x)
+    counter = counters.limited(x)
     word |= GE_MINUS if counter >= x.reg[COMP_MINUS] else LT_MINUS
     return word | (GE_PLUS if counter >= x.reg[COMP_PLUS] else LT_PLUS)
 

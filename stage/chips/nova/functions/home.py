@@ -19,7 +19,7 @@ first, then the timer, which runs only where a step follows. D-STA and D-END com
 from __future__ import annotations
 
 from stage.chips.nova.functions import io as ports
-from stage.chips.nova.motion import drive
+from stage.chips.nova.motion import counters, drive
 from stage.chips.nova.registers.mcx300 import MCX304_MAP
 from stage.chips.nova.registers.mcx514 import MCX514_MAP
 from stage.chips.nova.registers.words514 import HOME_TIMES
@@ -132,13 +132,13 @@ def _stop_of(c, x, k):
 def _there(c, x, k):
     """The signal of step 1 or 2 is active."""
     stop = _stop_of(c, x, k)
-    return x.level & stop if stop else drive.hardware_limit(x, _way(c, x, k))
+    return x.level & stop if stop else counters.hardware_limit(x, _way(c, x, k))
 
 
 @hot
 def _blocked(c, x, k):
     """The limit of the step's direction is there, and not what the step searches."""
-    return x.limits and _stop_of(c, x, k) and drive.hardware_limit(x, _way(c, x, k))
+    return x.limits and _stop_of(c, x, k) and counters.hardware_limit(x, _way(c, x, k))
 
 
 @hot

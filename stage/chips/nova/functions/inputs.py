@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from stage.chips.nova.motion.drive import count_encoder
+from stage.chips.nova.motion.counters import count_encoder
 from stage.chips.nova.state import ECA, ECB, INPUT_PINS, NEVER, STOP2
 from stage.native import greatest, hot, least
 

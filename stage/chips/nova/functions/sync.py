@@ -10,7 +10,7 @@ from __future__ import annotations
 from stage.chips.nova.functions import comparators as compare
 from stage.chips.nova.functions import home, split_pulse, timer
 from stage.chips.nova.functions import io as ports
-from stage.chips.nova.motion import drive
+from stage.chips.nova.motion import drive, rates
 from stage.chips.nova.registers.mcx514 import MCX514_MAP
 from stage.chips.nova.registers.words514 import ACTIONS
 from stage.chips.nova.state import (
@@ -152,7 +152,7 @@ def _act(c, x, m, action):
         x.reg[mr] = timer.reading(c, x)
     elif action == FROM_OWN:
         if m < 2:
-            x.reg[mr] = drive.rate_reading(c, x) if m else drive.speed_reading(c, x)
+            x.reg[mr] = rates.rate_reading(c, x) if m else rates.speed_reading(c, x)
     elif action == PULSE:
         ports.sync_pulse(c, x, m)
     elif DRIVE <= action <= DRIVE_TO:

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from stage.chips.nova.functions import sync
 from stage.chips.nova.interpolation import segment
+from stage.chips.nova.motion import counters, drive, rates
 from stage.chips.nova.motion import double_double as dd
-from stage.chips.nova.motion import drive
 from stage.chips.nova.motion.planner import from_here, pair, put, slow_down
 from stage.chips.nova.motion.profile import piece_at, speed_at
 from stage.chips.nova.registers.mcx300 import MCX312_MAP
@@ -22,6 +22,7 @@ from stage.chips.nova.state import (
     E_CERR,
     IPM,
     LINE,
+    MAIN,
     MCX514_TYPE,
     NEVER,
     NO_PHASE,
@@ -117,11 +118,11 @@ def _start(c):
         return
     for j in range(c.axes):
         if ip.mask >> j & 1:
-            c.ax[j].interpolates = drive.MAIN if j == ip.main else 1
+            c.ax[j].interpolates = MAIN if j == ip.main else 1
             drive.note(c.ax[j], D_STA)
     c.interpolating = 1
     x.phase = NO_PHASE
-    drive.take_rates(c, x)
+    rates.take_rates(c, x)
     segment.replan(c, x)
 
 
@@ -189,7 +190,7 @@ def tick(c):
     for k in range(g.axes):
         if ip.step[k]:
             x = c.ax[g.axis[k]]
-            drive.count(c, x, 1)
+            counters.count(c, x, 1)
             x.moment += x.way * c.clock
             x.shift += x.way
             if x.since == 0:

@@ -6,7 +6,7 @@ from stage.chips.nova.interpolation import helix as helical
 from stage.chips.nova.interpolation import line as linear
 from stage.chips.nova.interpolation import pattern
 from stage.chips.nova.motion import double_double as dd
-from stage.chips.nova.motion import drive
+from stage.chips.nova.motion import drive, rates
 from stage.chips.nova.motion.planner import PLACE, begin, brake, brake_at, for_ever, from_here, pair, put, to_the_end
 from stage.chips.nova.motion.ticks import clock_at
 from stage.chips.nova.registers.mcx514 import CONTINUOUS_SPEED, MCX514_MAP
@@ -96,7 +96,7 @@ def _plan(c, x):
     ip, g = c.ip, c.queue[c.ip.head]
     ip.speed = limited(c, x)
     ip.ends = g.slows
-    drive.take_speed(c, x, ip.speed)
+    rates.take_speed(c, x, ip.speed)
     if not g.slows:
         for_ever(x, pair(x.dv))
         return
@@ -117,7 +117,7 @@ def replan(c, x):
     """The speed, or what is to come, has changed."""
     ip = c.ip
     if c.clock == ip.began:  # nothing has moved yet
-        drive.take_speed(c, x, limited(c, x))
+        rates.take_speed(c, x, limited(c, x))
         begin(x, c.clock, dd.ZERO, dd.ZERO, dd.least(pair(x.sv), pair(x.dv)), dd.ZERO)
     else:
         from_here(x, c.clock - x.origin)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from stage.chips.nova.motion import double_double as dd
+from stage.chips.nova.motion.counters import OFF, beyond, count, hardware_limit
 from stage.chips.nova.motion.planner import (
     RATE,
     SPEED,
@@ -18,9 +19,9 @@ from stage.chips.nova.motion.planner import (
     slow_down,
     to_the_end,
 )  # fmt: skip
-from stage.chips.nova.motion.profile import HZ, acceleration_at, clock_of, phase_at, piece_at, reached, speed_at
+from stage.chips.nova.motion.profile import clock_of, phase_at, piece_at, reached
+from stage.chips.nova.motion.rates import RANGE, take_rates, take_speed
 from stage.chips.nova.state import (
-    AC,
     ALARM,
     AO,
     AREA_D,
@@ -30,9 +31,7 @@ from stage.chips.nova.state import (
     CONSTANT,
     D_END,
     D_STA,
-    DC,
     DECELERATING,
-    DJ,
     DP,
     DV,
     E_ALARM,
@@ -46,45 +45,26 @@ from stage.chips.nova.state import (
     F_LMT_MINUS,
     F_LMT_PLUS,
     F_STOP0,
-    HV,
     INPOS,
     IV,
-    JK,
-    LMT_MINUS,
-    LMT_PLUS,
     LP,
     LX,
     MCX514_TYPE,
     MR0,
     NEVER,
     NO_PHASE,
-    RP,
-    RX,
     SM,
     SP,
     STATE,
     STOP0,
-    SV,
     TP,
-    K,
-    L,
-    R,
 )
 from stage.native import exported, greatest, hot, least
 
-RANGE = 8_000_000
-OFF = 0xFFFFFFFF
 RELATIVE, COUNTER_RELATIVE, ABSOLUTE, FORWARD, BACKWARD = range(5)
 FIXED_PLUS, FIXED_MINUS = 5, 6
 RELATIVE_BY, ABSOLUTE_TO = 7, 11  # + m: by MRm, to MRm
-PULSE = 1  # RR3 of the older chips
-MAIN, AT_ONCE = 2, 2  # of `interpolates`; of `slow`
-
-
-@hot
-def runs(x):
-    """The profile of the axis is in force: it drives, or is the main axis of an interpolation."""
-    return x.driving or x.interpolates == MAIN
+AT_ONCE = 2  # of `slow`
 
 
 @hot
@@ -109,138 +89,6 @@ def keep_data(c, address, value):
         c.low = value
     else:
         c.high = value
-
-
-# --- parameters ---
-
-
-@hot
-def _ratio(a, b):
-    return dd.div(dd.whole(a), dd.whole(b))
-
-
-@hot
-def speed(c, x, value):
-    """A speed parameter in pulses per clock. What is out of range counts as the range's end: two pulses never begin at once."""
-    if c.variant == MCX514_TYPE:
-        return _ratio(least(greatest(value, 1), RANGE), HZ)
-    fastest = RANGE // 1000
-    return dd.div(dd.whole(least(greatest(value, 1), fastest) * RANGE), dd.whole(HZ * _range(x)))
-
-
-@hot
-def _range(x):
-    """R in its range: multiples 1 to 500."""
-    return least(greatest(x.reg[R], RANGE // 500), RANGE)
-
-
-@hot
-def _rate(c, x, value):
-    """An acceleration parameter in pulses per clock^2."""
-    if c.variant == MCX514_TYPE:
-        return dd.div(_ratio(greatest(value, 1), HZ), dd.whole(HZ))
-    return dd.div(dd.div(dd.whole(125 * greatest(value, 1) * RANGE), dd.whole(HZ * _range(x))), dd.whole(HZ))
-
-
-@hot
-def _jerk(c, x, value):
-    """A jerk parameter in pulses per clock^3."""
-    if c.variant == MCX514_TYPE:
-        return dd.div(dd.div(_ratio(greatest(value, 1), HZ), dd.whole(HZ)), dd.whole(HZ))
-    up = dd.div(dd.whole(62_500_000 * RANGE), dd.whole(greatest(value, 1) * _range(x)))
-    return dd.div(dd.div(dd.div(up, dd.whole(HZ)), dd.whole(HZ)), dd.whole(HZ))
-
-
-@hot
-def speed_reading(c, x):
-    """CV: the current speed in the unit of the speed parameters."""
-    if not runs(x):
-        return 0
-    v = speed_at(x, c.clock - x.origin) * HZ
-    if c.variant != MCX514_TYPE:
-        v *= _range(x) / RANGE
-    return int(v + 1e-6)
-
-
-@hot
-def rate_reading(c, x):
-    """CA: the current acceleration or deceleration in the unit of its parameter; without a sign."""
-    if not runs(x):
-        return 0
-    a = abs(acceleration_at(x, c.clock - x.origin)) * HZ * HZ
-    if c.variant != MCX514_TYPE:
-        a *= _range(x) / RANGE / 125.0
-    return int(a + 1e-6)
-
-
-@hot
-def take_speed(c, x, value):
-    """The drive speed as it is now; HV in the slow steps of a home search."""
-    put(x.dv, speed(c, x, x.reg[HV] if x.creeps else value))
-
-
-@hot
-def take_rates(c, x):
-    """Initial speed, accelerations and jerks, at the start of a drive."""
-    put(x.sv, speed(c, x, x.reg[SV]))
-    put(x.up, _rate(c, x, x.reg[AC]))
-    put(x.down, _rate(c, x, x.reg[DC] if x.asymmetric else x.reg[AC]))
-    own = x.reg[JK] if c.variant == MCX514_TYPE else x.reg[K]
-    other = x.reg[DJ] if c.variant == MCX514_TYPE else x.reg[L] if c.has_l else own
-    put(x.up_jerk, _jerk(c, x, own))
-    put(x.down_jerk, _jerk(c, x, other if x.asymmetric else own))
-    x.curved = x.s_curve
-    put(x.finest, _rate(c, x, 1) if c.errata and x.fixed else dd.ZERO)
-
-
-# --- counters ---
-
-
-@hot
-def _ring(value, most):
-    """A counter that counts up to `most` and then from 0 on; 32 bits with a sign where there is no ring."""
-    if most != OFF:
-        return value % (most + 1)
-    return (value + (1 << 31) & 0xFFFFFFFF) - (1 << 31)
-
-
-@hot
-def count(c, x, n):
-    """`n` pulses have begun."""
-    x.done += n
-    x.total += n
-    c.total += n
-    x.net += x.way * n
-    x.compared |= PULSE
-    x.reg[LP] = _ring(x.reg[LP] + x.way * n, x.reg[LX] if c.variant == MCX514_TYPE else OFF)
-
-
-@hot
-def count_encoder(c, x, n):
-    """The encoder has moved by `n` counts."""
-    x.reg[RP] = _ring(x.reg[RP] + n, x.reg[RX] if c.variant == MCX514_TYPE else OFF)
-
-
-@hot
-def limited(x):
-    """The counter that the software limits look at."""
-    return x.reg[RP] if x.soft_rp else x.reg[LP]
-
-
-@hot
-def beyond(c, x, way):
-    """The software limit of a direction is enabled and passed: MCX514 LP > SP, LP < SM; before it LP >= C+, LP < C-."""
-    if way > 0:
-        return x.soft_plus and (limited(x) > x.reg[SP] if c.variant == MCX514_TYPE else limited(x) >= x.reg[SP])
-    return x.soft_minus and limited(x) < x.reg[SM]
-
-
-@hot
-def hardware_limit(x, way):
-    """The limit switch of a direction is asserted."""
-    plus = LMT_MINUS if x.swaps else LMT_PLUS
-    minus = LMT_PLUS if x.swaps else LMT_MINUS
-    return x.level & (plus if way > 0 else minus)
 
 
 # --- start and plan ---

@@ -1,0 +1,66 @@
+"""NOVA chips, compiled: the counters of an axis, and the limits that look at them."""
+
+from __future__ import annotations
+
+from stage.chips.nova.state import (
+    LMT_MINUS,
+    LMT_PLUS,
+    LP,
+    LX,
+    MCX514_TYPE,
+    RP,
+    RX,
+    SM,
+    SP,
+)
+from stage.native import hot
+
+OFF = 0xFFFFFFFF
+PULSE = 1  # RR3 of the older chips
+
+
+@hot
+def _ring(value, most):
+    """A counter that counts up to `most` and then from 0 on; 32 bits with a sign where there is no ring."""
+    if most != OFF:
+        return value % (most + 1)
+    return (value + (1 << 31) & 0xFFFFFFFF) - (1 << 31)
+
+
+@hot
+def count(c, x, n):
+    """`n` pulses have begun."""
+    x.done += n
+    x.total += n
+    c.total += n
+    x.net += x.way * n
+    x.compared |= PULSE
+    x.reg[LP] = _ring(x.reg[LP] + x.way * n, x.reg[LX] if c.variant == MCX514_TYPE else OFF)
+
+
+@hot
+def count_encoder(c, x, n):
+    """The encoder has moved by `n` counts."""
+    x.reg[RP] = _ring(x.reg[RP] + n, x.reg[RX] if c.variant == MCX514_TYPE else OFF)
+
+
+@hot
+def limited(x):
+    """The counter that the software limits look at."""
+    return x.reg[RP] if x.soft_rp else x.reg[LP]
+
+
+@hot
+def beyond(c, x, way):
+    """The software limit of a direction is enabled and passed: MCX514 LP > SP, LP < SM; before it LP >= C+, LP < C-."""
+    if way > 0:
+        return x.soft_plus and (limited(x) > x.reg[SP] if c.variant == MCX514_TYPE else limited(x) >= x.reg[SP])
+    return x.soft_minus and limited(x) < x.reg[SM]
+
+
+@hot
+def hardware_limit(x, way):
+    """The limit switch of a direction is asserted."""
+    plus = LMT_MINUS if x.swaps else LMT_PLUS
+    minus = LMT_PLUS if x.swaps else LMT_MINUS
+    return x.level & (plus if way > 0 else minus)

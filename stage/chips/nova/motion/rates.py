@@ -1,0 +1,108 @@
+"""NOVA chips, compiled: speeds, accelerations and jerks, from registers and back."""
+
+from __future__ import annotations
+
+from stage.chips.nova.motion import double_double as dd
+from stage.chips.nova.motion.planner import put
+from stage.chips.nova.motion.profile import HZ, acceleration_at, speed_at
+from stage.chips.nova.state import (
+    AC,
+    DC,
+    DJ,
+    HV,
+    JK,
+    MAIN,
+    MCX514_TYPE,
+    SV,
+    K,
+    L,
+    R,
+)
+from stage.native import greatest, hot, least
+
+RANGE = 8_000_000
+
+
+@hot
+def runs(x):
+    """The profile of the axis is in force: it drives, or is the main axis of an interpolation."""
+    return x.driving or x.interpolates == MAIN
+
+
+@hot
+def _ratio(a, b):
+    return dd.div(dd.whole(a), dd.whole(b))
+
+
+@hot
+def speed(c, x, value):
+    """A speed parameter in pulses per clock. What is out of range counts as the range's end: two pulses never begin at once."""
+    if c.variant == MCX514_TYPE:
+        return _ratio(least(greatest(value, 1), RANGE), HZ)
+    fastest = RANGE // 1000
+    return dd.div(dd.whole(least(greatest(value, 1), fastest) * RANGE), dd.whole(HZ * _range(x)))
+
+
+@hot
+def _range(x):
+    """R in its range: multiples 1 to 500."""
+    return least(greatest(x.reg[R], RANGE // 500), RANGE)
+
+
+@hot
+def _rate(c, x, value):
+    """An acceleration parameter in pulses per clock^2."""
+    if c.variant == MCX514_TYPE:
+        return dd.div(_ratio(greatest(value, 1), HZ), dd.whole(HZ))
+    return dd.div(dd.div(dd.whole(125 * greatest(value, 1) * RANGE), dd.whole(HZ * _range(x))), dd.whole(HZ))
+
+
+@hot
+def _jerk(c, x, value):
+    """A jerk parameter in pulses per clock^3."""
+    if c.variant == MCX514_TYPE:
+        return dd.div(dd.div(_ratio(greatest(value, 1), HZ), dd.whole(HZ)), dd.whole(HZ))
+    up = dd.div(dd.whole(62_500_000 * RANGE), dd.whole(greatest(value, 1) * _range(x)))
+    return dd.div(dd.div(dd.div(up, dd.whole(HZ)), dd.whole(HZ)), dd.whole(HZ))
+
+
+@hot
+def speed_reading(c, x):
+    """CV: the current speed in the unit of the speed parameters."""
+    if not runs(x):
+        return 0
+    v = speed_at(x, c.clock - x.origin) * HZ
+    if c.variant != MCX514_TYPE:
+        v *= _range(x) / RANGE
+    return int(v + 1e-6)
+
+
+@hot
+def rate_reading(c, x):
+    """CA: the current acceleration or deceleration in the unit of its parameter; without a sign."""
+    if not runs(x):
+        return 0
+    a = abs(acceleration_at(x, c.clock - x.origin)) * HZ * HZ
+    if c.variant != MCX514_TYPE:
+        a *= _range(x) / RANGE / 125.0
+    return int(a + 1e-6)
+
+
+@hot
+def take_speed(c, x, value):
+    """The drive speed as it is now; HV in the slow steps of a home search."""
+    put(x.dv, speed(c, x, x.reg[HV] if x.creeps else value))
+
+
+@hot
+def take_rates(c, x):
+    """Initial speed, accelerations and jerks, at the start of a drive."""
+    put(x.sv, speed(c, x, x.reg[SV]))
+    put(x.up, _rate(c, x, x.reg[AC]))
+    put(x.down, _rate(c, x, x.reg[DC] if x.asymmetric else x.reg[AC]))
+    own = x.reg[JK] if c.variant == MCX514_TYPE else x.reg[K]
+    other = x.reg[DJ] if c.variant == MCX514_TYPE else x.reg[L] if c.has_l else own
+    put(x.up_jerk, _jerk(c, x, own))
+    put(x.down_jerk, _jerk(c, x, other if x.asymmetric else own))
+    x.curved = x.s_curve
+    put(x.finest, _rate(c, x, 1) if c.errata and x.fixed else dd.ZERO)

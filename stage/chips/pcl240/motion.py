@@ -1,0 +1,258 @@
+"""PCL-240 family, compiled: the pulses of a run. `run` jumps from event to event, never clock by clock.
+
+Between two events the speed is constant, so phase, pulses and R0 follow in closed form from exact integers:
+
+    phase(n) = phase + n speed        pulses = phase(n) // M        M = 8192 R7        POUT low while phase < M / 2
+
+    phase   0 ... M/2 ... M=0          M/2            M=0
+    POUT    |_________|-----------------|_________|-------      low is asserted; the pulse is counted where it begins
+    ramp    R1 R1+1 R1+2 ... R2 R2 R2 ... R2-1 ... R1 R1        speed: a step every R4 (up) or R5 (down) clocks
+            FUP              FKEEP        FDOWN    FKEEP
+
+An event is a speed step of a ramp, R0 reaching 0, falling below R6 or to the automatic ramp-down point, the end of a pulse
+that outlives its run, a changed input, or a bus write. The order inside a tick, and the names of the steps, are those of
+the normative model: 1 limit switches, 2 pulse, 3 speed.
+"""
+
+from __future__ import annotations
+
+from stage.chips.pcl240.bus import blocked
+from stage.chips.pcl240.ramp import NEVER, goal_speed, linear_rate, margin, next_step, step_speed, until_step, watching
+from stage.chips.pcl240.state import (
+    COUNTER_MASK,
+    EL_MINUS,
+    EL_PLUS,
+    EXTERNAL,
+    EXTP,
+    EZ,
+    EZ_COUNT,
+    EZ_FROM_FL,
+    EZ_MOST,
+    EZ_RETURN,
+    ORG,
+    R10,
+    R13,
+    STATE,
+    end,
+    stop,
+)
+from stage.native import exported, greatest, hot, least
+
+FOREVER = 1 << 62
+
+
+@hot
+def _sample(c):
+    """What a changed input does at the tick that first sees it: EXTP counts on its rising edge. Returns the pins that
+    have become asserted."""
+    struck = c.inputs & ~c.sampled
+    if c.sampled & EXTP and not c.inputs & EXTP and c.output & EXTERNAL:
+        c.reg[0] = (c.reg[0] - 1) & COUNTER_MASK
+        if c.running and c.preset and c.reg[0] == 0:
+            stop(c)
+    c.sampled = c.inputs
+    return struck
+
+
+@hot
+def _obey_switches(c, struck):
+    """Step 1 where it has something to do: a limit, or ORG, and with an EZ return what comes after ORG."""
+    if c.inputs & (EL_MINUS if c.minus else EL_PLUS):
+        stop(c)
+        return
+    if c.origin and c.inputs & ORG:
+        if not (c.extended and c.reg[R13] & EZ_RETURN):
+            stop(c)
+            return
+        c.homing = 1
+    if c.homing and not c.counting and (not c.reg[R13] & EZ_FROM_FL or not c.ramps or c.speed <= c.reg[1]):
+        c.counting = 1
+    if c.counting and struck & EZ:
+        if not c.ez_running:
+            c.ez_running, c.ez_left = 1, c.reg[R13] >> EZ_COUNT & EZ_MOST
+        if c.ez_left == 0:
+            stop(c)
+        else:
+            c.ez_left -= 1
+
+
+@hot
+def _finish(c, n):
+    """Ticks of a chip that is not running: complete the last pulse, or idle."""
+    s = n
+    if c.finishing and c.speed > 0 and c.reg[7] >= 2:
+        half = 4096 * c.reg[7]
+        s = greatest(1, -((c.phase - half) // c.speed))
+        if s > n:
+            s = n
+        c.phase += s * c.speed
+        if c.phase >= half:
+            c.low = 0
+            end(c)
+    c.clock += s
+    return s
+
+
+@hot
+def span(c, n):
+    """Run at least one and at most `n` ticks, up to the next event; returns the ticks run."""
+    ran, c.quiet = c.running, 0
+    struck = _sample(c) if c.inputs != c.sampled else 0
+    if c.running and (c.homing or blocked(c)):
+        _obey_switches(c, struck)
+    if not c.running:  # a stop has its own tick, so that `scan` sees the edge of HOLD there and not after the idle ones
+        return _finish(c, 1 if ran else n)
+    goal = goal_speed(c)
+    s = until_step(c, goal)
+    own = not c.output & EXTERNAL
+    if s == NEVER and not c.homing and (not c.ramps or c.speed == goal):
+        c.quiet = _next_event(c, own)
+    s = least(n, s)
+    pulses = 0
+    if c.reg[7] >= 2 and c.speed > 0:
+        m = 8192 * c.reg[7]
+        ahead = c.phase + s * c.speed
+        pulses = ahead // m
+        if pulses:
+            far = _pulses_to_event(c, own)
+            if pulses >= far:
+                pulses = far
+                s = -((c.phase - far * m) // c.speed)
+                ahead = c.phase + s * c.speed
+        c.phase = ahead - pulses * m
+        if pulses or c.low:
+            c.low = 1 if 2 * c.phase < m else 0
+    if s > 1 and c.ramps:  # step 3 of the ticks before the last
+        if c.speed == goal:
+            c.ramp = 0
+        else:
+            c.timer += s - 1
+    c.clock += s
+    if c.quiet < c.clock:
+        c.quiet = 0  # over: what is left of it must not tell how time was cut
+    if pulses:
+        _count(c, pulses, own)
+        if c.preset and c.reg[0] == 0:
+            stop(c)
+            return s
+    step_speed(c)
+    return s
+
+
+@hot
+def _pulses_to_event(c, own):
+    """Pulses until R0 or the counter of the ramp means something else: 0, below R6, wrapped, the automatic point."""
+    r0 = c.reg[0]
+    far = NEVER
+    if own or (c.preset and r0 == 0):
+        far = r0 if r0 else 1
+        if 0 < c.reg[6] <= r0:
+            far = r0 - c.reg[6] + 1
+    if not c.down and watching(c):
+        closer = (1 if own else 0) + c.rising
+        if closer:
+            far = least(far, greatest(1, -(-margin(c) // closer)))
+    return far
+
+
+@hot
+def _next_event(c, own):
+    """At constant speed: the clock before that of the next pulse that is an event."""
+    far = _pulses_to_event(c, own)
+    if far == NEVER or c.speed == 0 or c.reg[7] < 2:
+        return FOREVER
+    return c.clock + (far * 8192 * c.reg[7] - c.phase - 1) // c.speed
+
+
+@hot
+def _cruise(c, until):
+    """Run up to `until`, while all is quiet: what `_span` would do, without its questions."""
+    ahead = c.phase + (until - c.clock) * c.speed
+    c.clock = until
+    if c.reg[7] < 2 or c.speed == 0:  # a pulse in progress never ends
+        return
+    m = 8192 * c.reg[7]
+    pulses = 0
+    if ahead >= m:
+        pulses = 1 if ahead < 2 * m else ahead // m
+        ahead -= pulses * m
+    c.phase = ahead
+    if pulses or c.low:
+        c.low = 1 if 2 * ahead < m else 0
+    if pulses:
+        _count(c, pulses, not c.output & EXTERNAL)
+
+
+@hot
+def _climb(c, until):
+    """Take the steps of a ramp, but not its last, that come up to `until` and before anything else happens."""
+    goal, way = goal_speed(c), c.ramp
+    rate, last = linear_rate(c, way), goal - way
+    if c.rising != (1 if way > 0 else 0) or (last - c.speed) * way <= 0 or rate < 2 or c.reg[7] < 2:
+        return
+    if blocked(c) or c.homing or (c.decel and c.speed <= c.reg[1]) or (not c.down and watching(c)):
+        return
+    if c.curved and c.goal != goal:
+        return
+    own = not c.output & EXTERNAL
+    m, far, begun = 8192 * c.reg[7], _pulses_to_event(c, own), 0
+    clock, phase, speed = c.clock, c.phase, c.speed
+    wait = (c.next if c.curved else rate) - c.timer
+    while speed != last and 0 < wait <= until - clock:
+        ahead = phase + wait * speed
+        pulses = 0
+        if ahead >= m:
+            pulses = 1 if ahead < 2 * m else ahead // m
+            if begun + pulses >= far:
+                break
+            begun += pulses
+        phase = ahead - pulses * m
+        clock += wait
+        speed += way
+        if c.curved:
+            c.timer = c.next
+            c.step += 1
+            next_step(c)
+            wait = c.next - c.timer
+        else:
+            c.timer = 0
+            wait = rate
+    if clock == c.clock:
+        return
+    moved = phase != c.phase  # a step from speed 0 comes before any
+    c.clock, c.phase, c.speed = clock, phase, speed
+    if begun or (c.low and moved):
+        c.low = 1 if 2 * phase < m else 0
+    if begun:
+        _count(c, begun, own)
+
+
+@hot
+def _count(c, pulses, own):
+    """`pulses` have begun."""
+    way = -pulses if c.minus else pulses
+    c.total += pulses
+    c.net += way
+    if c.rising:
+        c.risen += pulses
+    if own:
+        c.reg[0] = (c.reg[0] - pulses) & COUNTER_MASK
+    if c.position:
+        c.reg[R10] = (c.reg[R10] + way) & COUNTER_MASK
+
+
+@exported(None, STATE, "i8")
+def run(c, until):
+    """Let the chip's clock run up to `until`."""
+    while c.clock < until:
+        if c.inputs != c.sampled:
+            span(c, until - c.clock)
+        elif c.quiet >= until:
+            _cruise(c, until)
+        elif not (c.running or c.finishing):
+            c.clock = until
+        else:
+            if c.ramp and c.ramps and c.running:
+                _climb(c, until)
+            if c.clock < until:
+                span(c, until - c.clock)
