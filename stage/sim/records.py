@@ -99,6 +99,6 @@ MAX_SPEED = 1e6  # of any joint, per second; beyond it, or NaN, the simulation h
 
 
 @hot
-def clock_at(now, hz):
+def clock_at(now: int, hz: int) -> int:
     """Ticks of a reference clock at `now` ns, exact for centuries."""
     return now // SECOND * hz + now % SECOND * hz // SECOND

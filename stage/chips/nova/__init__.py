@@ -33,7 +33,7 @@ class Nova(Chip):
     COUNTER: ClassVar = ("LP", 32)
     AXES: ClassVar = 4
     IRQ: ClassVar = (-1, sum(state.COMMON_OUTPUTS.values()))
-    DRIVER: ClassVar = "stage.firmware.nova.driver:FirstGenerationDriver"
+    DRIVER: ClassVar = "stage.firmware.nova.mcx300:FirstGenerationDriver"
     VARIANT: ClassVar[int] = state.FIRST_GENERATION
     ADDRESS_MASK: ClassVar = 31
 
@@ -102,7 +102,7 @@ class MCX514(Nova):
 
     MAP: ClassVar = MCX514_MAP
     VARIANT: ClassVar = state.MCX514_TYPE
-    DRIVER: ClassVar = "stage.firmware.nova.driver:Mcx514Driver"
+    DRIVER: ClassVar = "stage.firmware.nova.mcx514:Mcx514Driver"
     READING_ACTS: ClassVar = frozenset({1, BYTES | 2, BYTES | 3})  # RR1, the interrupt factors
 
     def _interpolated(self) -> int:

@@ -8,12 +8,10 @@ from typing import Any, ClassVar, TypeVar, cast
 
 import numpy as np
 
-from stage.chips.nova.registers.mcx300 import RANGE
 from stage.errors import ArgumentError, RunTimeout
 from stage.firmware.choices import limits
 from stage.firmware.driver import SETTLE, AtOnce, Driver, Speeds, that_move, wait_until_stopped
 from stage.firmware.lines import Asked, Line, LineSettings, line_of
-from stage.firmware.nova.home import home_search
 from stage.firmware.nova.line import InRatio, Interpolated
 from stage.firmware.nova.pattern import Pattern
 from stage.firmware.nova.port import Port
@@ -25,10 +23,7 @@ from stage.sim.program import Operations, Program
 
 Ops = TypeVar("Ops", bound=Operations)
 
-MULTIPLE = 20
-"""Of the first generation: R = 8,000,000 / 20, so that a unit of SV and V is 20 pps."""
 SEARCHES = 3  # runs that an automatic search stands for: so many times `limit` it may take
-TIMERS = 8  # HTM of the MCX514
 HOME_SPEED = 400.0  # pps; slow, so that the motor does not ring when the switch trips
 PATIENCE = 60.0  # s for a stop
 CAUSES = {"LMT+": "EL+", "LMT-": "EL-", "STOP1": "ORG", "STOP2": "EZ", "STOP0": "STOP0", "EMG": "EMG", "ALARM": "ALARM"}
@@ -246,180 +241,3 @@ class NovaDriver(Driver):
     @abstractmethod
     def choices(self) -> dict[str, tuple[int, int]]:
         """What can be chosen of a search beside the speeds and `leave`."""
-
-
-class Mcx514Driver(NovaDriver):
-    SPEEDS: ClassVar = ("SV", "DV", "AC")
-    JERK: ClassVar = "JK"
-    FINISH: ClassVar = "TP"
-    SIGNED: ClassVar = True
-    STOP: ClassVar = "DRVFBRK"
-    SLOW_DOWN: ClassVar = "DRVSBRK"
-    RUN: ClassVar = ("DRVVP", "DRVVM")
-    ENDED: ClassVar = "RR2"
-
-    def home(self, direction: int, speeds: Speeds, index: bool = False, timeout: float = 60.0) -> Report:
-        registers = self._registers(speeds._replace(s_curve=False), 1)
-        with Procedure(self.axis, "origin return") as p:
-            found = home_search(
-                self.axis, direction=direction, speed=registers["DV"], home_speed=round(HOME_SPEED),
-                initial_speed=registers["SV"], acceleration=registers["AC"], index=index, timeout=timeout,
-            )[self.axis.name]  # fmt: skip
-            self.axis.wait(SETTLE)
-            errors = [CAUSES.get(name.removeprefix("H"), name) for name in found.errors]
-            return p.report(next(iter(errors), "EZ" if index else "ORG"))
-
-    def forget(self, p: Ops) -> Ops:
-        return self.command(p, "R2CLR")
-
-    def begin(self, p: Ops, s_curve: bool = False) -> Ops:
-        inputs = self.mask("WR2", "HLM-E", "SP1-L", "SP2-L")
-        return self.words(p, WR2=inputs, WR3=self.mask("WR3", "SACC") if s_curve else 0)
-
-    def drive(self, p: Ops, pulses: int) -> Ops:
-        return self.command(self.set(p, "TP", pulses), "DRVRL")
-
-    def formula(
-        self, fl: float, fh: float, up: float, down: float, pulses: int, s_curve: bool | None = None
-    ) -> dict[str, int]:
-        """Appendix A-1, AC = (DV - SV) / ta, A-2, JK = 4 (DV - SV) / ta^2; one ramp for both ways, the longer one."""
-        seconds = max(up, down)
-        values = {"SV": fl, "DV": fh, "AC": (fh - fl) / seconds}
-        if s_curve:
-            values |= {"AC": limits(self.map, "AC")[1], "JK": 4 * (fh - fl) / seconds**2}
-        return {name: self.legal(name, value) for name, value in values.items()}
-
-    def interpolates(self, drivers: Sequence[NovaDriver]) -> bool:
-        if len({id(h.chip) for h in drivers}) > 1:
-            names = ", ".join(h.axis.name for h in drivers)
-            raise ArgumentError(
-                f"axes {names} are on several MCX514, and one interpolates its own: choose axes of one chip."
-            )
-        return True
-
-    def interpolate(self, p: Ops, drivers: Sequence[NovaDriver]) -> Ops:
-        self.set(p, "IPM", sum(h.bit for h in drivers))
-        return self.command(self.command(p, "DECEN"), f"LHK{len(drivers)}")
-
-    def choices(self) -> dict[str, tuple[int, int]]:
-        return {"step1": (0, 1), "timer": (0, TIMERS)}
-
-    def write_home(
-        self, p: Operations, fast: bool, timer: int, index: bool, limit: float, rest: float, direction: int = -1
-    ) -> list[int]:
-        steps = [f"S{k}" for k in (1, 2, 3) if k == 2 or (fast, index)[k == 3]]
-        steps = [f"{step}EN" for step in steps] + [f"{step}DR" for step in steps if direction < 0]
-        stop1 = 1 << self.map.bit("H1M", "S1G")
-        self.set(p, "H1M", self.mask("H1M", *steps) | stop1)
-        length = (timer - 1) << self.map.bit("H2M", "HTM") if timer else 0
-        self.set(p, "H2M", length | (self.mask("H2M", "HTME") if timer else 0))
-        self.command(p, "HMSRC").until_stopped([self.index], SEARCHES * limit)
-        at = len(p) - 1
-        self.command(p, self.STOP).wait(rest)
-        return [at]
-
-    def look(self, p: Program) -> dict[str, tuple[int, int]]:
-        self.command(p, self.NOP)
-        at = len(p)
-        p.read(self.index, 2).read(self.index, 3)
-        levels = {f"stop{k}": (at + 1, self.mask("RR3-0", f"STOP{k}")) for k in (1, 2)}
-        return {"error": (at, self.mask("RR2", "HOME")), **levels}
-
-
-class FirstGenerationDriver(NovaDriver):
-    """MCX304, MCX302, MCX312: speeds are multiples of 8,000,000 / R pps, and the home search's fast step has no ORG: a continuous
-    drive that STOP1 ends takes its place."""
-
-    SPEEDS: ClassVar = ("SV", "V", "A")
-    JERK: ClassVar = "K"
-    UNIT: ClassVar = MULTIPLE
-    FINISH: ClassVar = "P"
-    SIGNED: ClassVar = False
-    STOP: ClassVar = "STOP_SUDDEN"
-    SLOW_DOWN: ClassVar = "STOP_DEC"
-    RUN: ClassVar = ("C_DRV_P", "C_DRV_M")
-    ENDED: ClassVar = "RR1"
-
-    def home(self, direction: int, speeds: Speeds, index: bool = False, timeout: float = 60.0) -> Report:
-        registers = self._registers(speeds._replace(s_curve=False), 1)
-        with Procedure(self.axis, "origin return") as p:
-            self._prepare(registers)
-            now = AtOnce(self.axis)
-            self.set(now, "HV", self.legal("HV", HOME_SPEED / self.UNIT))
-            self.write_home(now, True, 0, index, timeout / SEARCHES, SETTLE, direction)
-            self.axis.wait(SETTLE)
-            word, place = self.port.word(2), "EZ" if index else "ORG"
-            if not word & self.mask("RR2", "HOME"):
-                return p.report(place)
-            limit = next((name for name in ("HLMT+", "HLMT-") if word & self.mask("RR2", name)), "HOME")
-            return p.report(CAUSES.get(limit.removeprefix("H"), limit))
-
-    def forget(self, p: Ops) -> Ops:
-        """A drive's end stands until the next drive begins."""
-        return p
-
-    def begin(self, p: Ops, s_curve: bool = False) -> Ops:
-        self.words(p, WR1=self._inputs(), WR3=self.mask("WR3", "SACC") if s_curve else 0)
-        return self.set(self.set(p, "R", RANGE // MULTIPLE), "AO", 0)
-
-    def _inputs(self, *more: str) -> int:
-        return self.mask("WR1", "SP1-L", "SP2-L", *more)
-
-    def drive(self, p: Ops, pulses: int) -> Ops:
-        return self.command(self.set(p, "P", abs(pulses)), "F_DRV_P" if pulses >= 0 else "F_DRV_M")
-
-    def formula(
-        self, fl: float, fh: float, up: float, down: float, pulses: int, s_curve: bool | None = None
-    ) -> dict[str, int]:
-        """A = (V - SV) / (125 m ta), K by the jerk 4 (V - SV) / ta^2; one ramp for both ways, the longer one."""
-        seconds = max(up, down)
-        values = {"SV": fl / MULTIPLE, "V": fh / MULTIPLE, "A": (fh - fl) / seconds / (125 * MULTIPLE)}
-        if s_curve:
-            values |= {"A": limits(self.map, "A")[1], "K": 62_500_000 * MULTIPLE * seconds**2 / (4 * (fh - fl))}
-        return {name: self.legal(name, value) for name, value in values.items()}
-
-    def interpolates(self, drivers: Sequence[NovaDriver]) -> bool:
-        has_it = any(c.symbol == "IP_2ST" for c in self.map.commands)
-        return has_it and len(drivers) == 2 and drivers[0].chip is drivers[1].chip
-
-    def interpolate(self, p: Ops, drivers: Sequence[NovaDriver]) -> Ops:
-        places = (
-            h.axis.chip_axis << self.map.bit("WR5", name) for h, name in zip(drivers, ("AX1", "AX2"), strict=True)
-        )
-        p.write(self.index, 5, sum(places))
-        return self.command(self.command(p, "IP_DEC_VALID"), "IP_2ST")
-
-    def choices(self) -> dict[str, tuple[int, int]]:
-        return {"step1": (0, 1)}
-
-    def write_home(
-        self, p: Operations, fast: bool, timer: int, index: bool, limit: float, rest: float, direction: int = -1
-    ) -> list[int]:
-        found = []
-        if fast:
-            self.command(self.words(p, WR1=self._inputs("SP1-E")), self.RUN[direction < 0])
-        else:
-            self.command(p, self.NOP)  # programs are alike: three operations
-            p.wait(0).wait(0)
-        found.append(len(p))
-        p.until_stopped([self.index], SEARCHES * limit)
-        self.command(p, self.STOP).wait(rest)
-        self.words(p, WR1=self._inputs())
-        steps = ["ST2", "ST3"][: 1 + index]
-        bits = [f"{step}-E" for step in steps] + [f"{step}-D" for step in steps if direction < 0]
-        self.set(p, "HM", self.mask("HM", *bits))
-        self.command(p, "HOME_EXEC")
-        found.append(len(p))
-        p.until_stopped([self.index], SEARCHES * limit)
-        self.command(p, self.STOP).wait(rest)
-        return found
-
-    def look(self, p: Program) -> dict[str, tuple[int, int]]:
-        self.command(p, self.NOP)
-        two = self.chip.AXES == 2
-        name = "XYZU"[self.axis.chip_axis]
-        word = f"RR{4 + self.axis.chip_axis // (1 if two else 2)}"
-        at = len(p)
-        p.read(self.index, 2).read(self.index, int(word[2:]))
-        levels = {f"stop{k}": (at + 1, self.mask(word, f"{name}-STOP{k}")) for k in (1, 2)}
-        return {"error": (at, self.mask("RR2", "HOME")), **levels}

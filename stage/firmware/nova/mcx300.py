@@ -1,0 +1,117 @@
+"""The driver of the MCX304, MCX302 and MCX312, NOVA's first generation: speeds in multiples of a range."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar, TypeVar
+
+from stage.chips.nova.registers.mcx300 import RANGE
+from stage.firmware.choices import limits
+from stage.firmware.driver import SETTLE, AtOnce, Speeds
+from stage.firmware.nova.driver import CAUSES, HOME_SPEED, SEARCHES, NovaDriver
+from stage.firmware.report import Procedure, Report
+from stage.sim.program import Operations, Program
+
+Ops = TypeVar("Ops", bound=Operations)
+
+MULTIPLE = 20
+"""Of the first generation: R = 8,000,000 / 20, so that a unit of SV and V is 20 pps."""
+
+
+class FirstGenerationDriver(NovaDriver):
+    """MCX304, MCX302, MCX312: speeds are multiples of 8,000,000 / R pps, and the home search's fast step has no ORG: a continuous
+    drive that STOP1 ends takes its place."""
+
+    SPEEDS: ClassVar = ("SV", "V", "A")
+    JERK: ClassVar = "K"
+    UNIT: ClassVar = MULTIPLE
+    FINISH: ClassVar = "P"
+    SIGNED: ClassVar = False
+    STOP: ClassVar = "STOP_SUDDEN"
+    SLOW_DOWN: ClassVar = "STOP_DEC"
+    RUN: ClassVar = ("C_DRV_P", "C_DRV_M")
+    ENDED: ClassVar = "RR1"
+
+    def home(self, direction: int, speeds: Speeds, index: bool = False, timeout: float = 60.0) -> Report:
+        registers = self._registers(speeds._replace(s_curve=False), 1)
+        with Procedure(self.axis, "origin return") as p:
+            self._prepare(registers)
+            now = AtOnce(self.axis)
+            self.set(now, "HV", self.legal("HV", HOME_SPEED / self.UNIT))
+            self.write_home(now, True, 0, index, timeout / SEARCHES, SETTLE, direction)
+            self.axis.wait(SETTLE)
+            word, place = self.port.word(2), "EZ" if index else "ORG"
+            if not word & self.mask("RR2", "HOME"):
+                return p.report(place)
+            limit = next((name for name in ("HLMT+", "HLMT-") if word & self.mask("RR2", name)), "HOME")
+            return p.report(CAUSES.get(limit.removeprefix("H"), limit))
+
+    def forget(self, p: Ops) -> Ops:
+        """A drive's end stands until the next drive begins."""
+        return p
+
+    def begin(self, p: Ops, s_curve: bool = False) -> Ops:
+        self.words(p, WR1=self._inputs(), WR3=self.mask("WR3", "SACC") if s_curve else 0)
+        return self.set(self.set(p, "R", RANGE // MULTIPLE), "AO", 0)
+
+    def _inputs(self, *more: str) -> int:
+        return self.mask("WR1", "SP1-L", "SP2-L", *more)
+
+    def drive(self, p: Ops, pulses: int) -> Ops:
+        return self.command(self.set(p, "P", abs(pulses)), "F_DRV_P" if pulses >= 0 else "F_DRV_M")
+
+    def formula(
+        self, fl: float, fh: float, up: float, down: float, pulses: int, s_curve: bool | None = None
+    ) -> dict[str, int]:
+        """A = (V - SV) / (125 m ta), K by the jerk 4 (V - SV) / ta^2; one ramp for both ways, the longer one."""
+        seconds = max(up, down)
+        values = {"SV": fl / MULTIPLE, "V": fh / MULTIPLE, "A": (fh - fl) / seconds / (125 * MULTIPLE)}
+        if s_curve:
+            values |= {"A": limits(self.map, "A")[1], "K": 62_500_000 * MULTIPLE * seconds**2 / (4 * (fh - fl))}
+        return {name: self.legal(name, value) for name, value in values.items()}
+
+    def interpolates(self, drivers: Sequence[NovaDriver]) -> bool:
+        has_it = any(c.symbol == "IP_2ST" for c in self.map.commands)
+        return has_it and len(drivers) == 2 and drivers[0].chip is drivers[1].chip
+
+    def interpolate(self, p: Ops, drivers: Sequence[NovaDriver]) -> Ops:
+        places = (
+            h.axis.chip_axis << self.map.bit("WR5", name) for h, name in zip(drivers, ("AX1", "AX2"), strict=True)
+        )
+        p.write(self.index, 5, sum(places))
+        return self.command(self.command(p, "IP_DEC_VALID"), "IP_2ST")
+
+    def choices(self) -> dict[str, tuple[int, int]]:
+        return {"step1": (0, 1)}
+
+    def write_home(
+        self, p: Operations, fast: bool, timer: int, index: bool, limit: float, rest: float, direction: int = -1
+    ) -> list[int]:
+        found = []
+        if fast:
+            self.command(self.words(p, WR1=self._inputs("SP1-E")), self.RUN[direction < 0])
+        else:
+            self.command(p, self.NOP)  # programs are alike: three operations
+            p.wait(0).wait(0)
+        found.append(len(p))
+        p.until_stopped([self.index], SEARCHES * limit)
+        self.command(p, self.STOP).wait(rest)
+        self.words(p, WR1=self._inputs())
+        steps = ["ST2", "ST3"][: 1 + index]
+        bits = [f"{step}-E" for step in steps] + [f"{step}-D" for step in steps if direction < 0]
+        self.set(p, "HM", self.mask("HM", *bits))
+        self.command(p, "HOME_EXEC")
+        found.append(len(p))
+        p.until_stopped([self.index], SEARCHES * limit)
+        self.command(p, self.STOP).wait(rest)
+        return found
+
+    def look(self, p: Program) -> dict[str, tuple[int, int]]:
+        self.command(p, self.NOP)
+        two = self.chip.AXES == 2
+        name = "XYZU"[self.axis.chip_axis]
+        word = f"RR{4 + self.axis.chip_axis // (1 if two else 2)}"
+        at = len(p)
+        p.read(self.index, 2).read(self.index, int(word[2:]))
+        levels = {f"stop{k}": (at + 1, self.mask(word, f"{name}-STOP{k}")) for k in (1, 2)}
+        return {"error": (at, self.mask("RR2", "HOME")), **levels}

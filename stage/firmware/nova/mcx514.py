@@ -1,0 +1,96 @@
+"""The MCX514's driver: registers of 32 bits in pps, a home search in four steps with timers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar, TypeVar
+
+from stage.errors import ArgumentError
+from stage.firmware.choices import limits
+from stage.firmware.driver import SETTLE, Speeds
+from stage.firmware.nova.driver import CAUSES, HOME_SPEED, SEARCHES, NovaDriver
+from stage.firmware.nova.home import home_search
+from stage.firmware.report import Procedure, Report
+from stage.sim.program import Operations, Program
+
+Ops = TypeVar("Ops", bound=Operations)
+
+TIMERS = 8  # HTM
+
+
+class Mcx514Driver(NovaDriver):
+    SPEEDS: ClassVar = ("SV", "DV", "AC")
+    JERK: ClassVar = "JK"
+    FINISH: ClassVar = "TP"
+    SIGNED: ClassVar = True
+    STOP: ClassVar = "DRVFBRK"
+    SLOW_DOWN: ClassVar = "DRVSBRK"
+    RUN: ClassVar = ("DRVVP", "DRVVM")
+    ENDED: ClassVar = "RR2"
+
+    def home(self, direction: int, speeds: Speeds, index: bool = False, timeout: float = 60.0) -> Report:
+        registers = self._registers(speeds._replace(s_curve=False), 1)
+        with Procedure(self.axis, "origin return") as p:
+            found = home_search(
+                self.axis, direction=direction, speed=registers["DV"], home_speed=round(HOME_SPEED),
+                initial_speed=registers["SV"], acceleration=registers["AC"], index=index, timeout=timeout,
+            )[self.axis.name]  # fmt: skip
+            self.axis.wait(SETTLE)
+            errors = [CAUSES.get(name.removeprefix("H"), name) for name in found.errors]
+            return p.report(next(iter(errors), "EZ" if index else "ORG"))
+
+    def forget(self, p: Ops) -> Ops:
+        return self.command(p, "R2CLR")
+
+    def begin(self, p: Ops, s_curve: bool = False) -> Ops:
+        inputs = self.mask("WR2", "HLM-E", "SP1-L", "SP2-L")
+        return self.words(p, WR2=inputs, WR3=self.mask("WR3", "SACC") if s_curve else 0)
+
+    def drive(self, p: Ops, pulses: int) -> Ops:
+        return self.command(self.set(p, "TP", pulses), "DRVRL")
+
+    def formula(
+        self, fl: float, fh: float, up: float, down: float, pulses: int, s_curve: bool | None = None
+    ) -> dict[str, int]:
+        """Appendix A-1, AC = (DV - SV) / ta, A-2, JK = 4 (DV - SV) / ta^2; one ramp for both ways, the longer one."""
+        seconds = max(up, down)
+        values = {"SV": fl, "DV": fh, "AC": (fh - fl) / seconds}
+        if s_curve:
+            values |= {"AC": limits(self.map, "AC")[1], "JK": 4 * (fh - fl) / seconds**2}
+        return {name: self.legal(name, value) for name, value in values.items()}
+
+    def interpolates(self, drivers: Sequence[NovaDriver]) -> bool:
+        if len({id(h.chip) for h in drivers}) > 1:
+            names = ", ".join(h.axis.name for h in drivers)
+            raise ArgumentError(
+                f"axes {names} are on several MCX514, and one interpolates its own: choose axes of one chip."
+            )
+        return True
+
+    def interpolate(self, p: Ops, drivers: Sequence[NovaDriver]) -> Ops:
+        self.set(p, "IPM", sum(h.bit for h in drivers))
+        return self.command(self.command(p, "DECEN"), f"LHK{len(drivers)}")
+
+    def choices(self) -> dict[str, tuple[int, int]]:
+        return {"step1": (0, 1), "timer": (0, TIMERS)}
+
+    def write_home(
+        self, p: Operations, fast: bool, timer: int, index: bool, limit: float, rest: float, direction: int = -1
+    ) -> list[int]:
+        steps = [f"S{k}" for k in (1, 2, 3) if k == 2 or (fast, index)[k == 3]]
+        steps = [f"{step}EN" for step in steps] + [f"{step}DR" for step in steps if direction < 0]
+        stop1 = 1 << self.map.bit("H1M", "S1G")
+        self.set(p, "H1M", self.mask("H1M", *steps) | stop1)
+        length = (timer - 1) << self.map.bit("H2M", "HTM") if timer else 0
+        self.set(p, "H2M", length | (self.mask("H2M", "HTME") if timer else 0))
+        self.command(p, "HMSRC").until_stopped([self.index], SEARCHES * limit)
+        at = len(p) - 1
+        self.command(p, self.STOP).wait(rest)
+        return [at]
+
+    def look(self, p: Program) -> dict[str, tuple[int, int]]:
+        self.command(p, self.NOP)
+        at = len(p)
+        p.read(self.index, 2).read(self.index, 3)
+        levels = {f"stop{k}": (at + 1, self.mask("RR3-0", f"STOP{k}")) for k in (1, 2)}
+        return {"error": (at, self.mask("RR2", "HOME")), **levels}
