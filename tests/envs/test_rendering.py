@@ -149,6 +149,9 @@ def test_a_picture_larger_than_the_models_buffer_is_refused_in_words():
     model = mujoco.MjModel.from_xml_string('<mujoco><visual><global offwidth="64" offheight="48"/></visual></mujoco>')
     with pytest.raises(StageError, match=r'larger than .* 64 x 48: <visual><global offwidth="640" offheight="480"/>'):
         renderer(model, 480, 640)
+    for height, width in ((48, 65), (49, 64)):
+        with pytest.raises(StageError, match=f"a picture of {width} x {height} pixels is larger"):
+            renderer(model, height, width)
 
 
 @pytest.mark.skipif(not {"MUJOCO_GL", "DISPLAY"} & set(os.environ), reason="no GL on this machine")

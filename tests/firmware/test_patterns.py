@@ -129,3 +129,14 @@ def test_notes_never_overlap(reports, monkeypatch):
         for k, note in enumerate(notes):
             end = at[k] + plot._width(note.code, True) + plot._width(note.words)
             assert all(rows[k] > rows[j] for j in range(k + 1, len(notes)) if at[j] < end)
+
+
+def test_a_run_that_the_reset_command_ends_says_so_once(reports):
+    """The host's byte is a note already; what it did is none beside it."""
+    from stage.firmware.driver import driver_class
+
+    report = reports["immediate_stop"]
+    assert report.stopped_by == "reset command"
+    notes = driver_class(report.course.chip).PATTERN(report).notes(report.course.seconds - report.began)
+    assert [n.words for n in notes].count("reset command") == 1
+    assert not any(n.event for n in notes)

@@ -276,3 +276,24 @@ def test_an_axis_too_slow_to_ramp_along_does_its_best_and_says_so():
 def test_an_fl_that_is_not_its_share_is_said():
     p = plan({"x": 40_000, "y": 4_000})
     assert any(n.startswith("axis y: FL") for n in p.notes)
+
+
+def test_a_choice_does_not_depend_on_what_was_chosen_before():
+    """The room that is handed on holds another follower's times: R5, R6 and scores are those of fresh room."""
+    leader = np.array([6400, 100, 1600, 1600, 600, 600, 700, 24])
+    hz, work = 4_915_200, np.zeros(1, fit.WORK)
+
+    def rises(d, room):
+        scores, kept = np.empty(fit.KEPT), np.zeros((fit.KEPT, len(leader)), np.int64)
+        fit.accelerations(leader, hz, d, hz, 0.0, 0.0, 16_383, scores, kept, room)
+        return kept
+
+    def falls(kept, room):
+        scores, best = np.empty(fit.BEST), np.zeros((fit.BEST, len(leader)), np.int64)
+        fit.decelerations(leader, hz, hz, 0.0, False, 16_383, 65_535, kept, scores, best, room)
+        return scores.tolist(), best.tolist()
+
+    kept = rises(3000, work)
+    fresh = falls(kept, work)
+    rises(500, work)
+    assert falls(kept, work) == fresh

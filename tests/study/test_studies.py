@@ -160,6 +160,13 @@ def test_one_worker_makes_the_same_study_stopped_in_between_or_not(sampler, tmp_
     assert made(run(two, tmp_path / "other", 2, sampler=how["sampler"], seed=4)) != made(straight)[:2]
 
 
+def test_a_study_that_has_its_trials_starts_no_worker(tmp_path, monkeypatch):
+    """run(objective, storage, 2, workers=2), the second time."""
+    run(valley, tmp_path / "study", 3)
+    monkeypatch.setattr("multiprocessing.get_context", lambda kind: pytest.fail("a worker was asked for"))
+    assert len(run(valley, tmp_path / "study", 2, workers=2).trials) == 3
+
+
 def test_two_workers_with_one_seed_draw_different_trials(tmp_path):
     studies = [open_study(valley, tmp_path / "study", seed=1) for _ in range(2)]
     drawn = [suggest(study.ask(), {"R2": "1:1000000", "R4": "1:1000000"}) for study in studies]
