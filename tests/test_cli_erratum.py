@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from stage.cli import erratum, main
+from stage.chips.entries import WRITE
+from stage.cli import erratum, erratum_plot, main
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "erratum.md"
 
@@ -97,8 +98,16 @@ def test_mended_chips_end_on_target_either_way(here, once, capsys):
 @pytest.mark.parametrize("vcd", [(), pytest.param(("--vcd", "e.vcd"), marks=pytest.mark.slow)], ids=["", "vcd"])
 def test_it_draws_itself_and_records_both_runs(here, capsys, monkeypatch, vcd):
     monkeypatch.setattr(erratum, "LOOK", 1.0)
+    drawn = []
+    draw = erratum_plot.draw
+    monkeypatch.setattr(erratum_plot, "draw", lambda shown, *where: drawn.append((shown, draw(shown, *where))) or drawn[0][1])
     said = out(capsys, "--plot", "e.png", "--record", "e.rrd", *vcd).out
     assert (here / "e.png").read_bytes().startswith(b"\x89PNG")
+    ((shown, figure),) = drawn
+    failed = shown.recordings[0]
+    stop = next(e.clock for e in failed.journals["x"].entries if e.kind == WRITE and e.a == 0 and e.b & 0xFF == 0x26)
+    shaded = figure.axes[1].patches[0]  # area d, which 26h ends in the failed run
+    assert shaded.get_x() + shaded.get_width() == pytest.approx(failed.seconds("x", stop), abs=1e-4)
     for name in ("e.rrd", "e-work-around.rrd"):
         assert (here / name).read_bytes()[:3] == b"RRF"
         assert f"{name}: " in said

@@ -663,3 +663,20 @@ def test_the_level_of_each_limit_reads_by_its_own_polarity(cls, plus_high, minus
         word = chip.read(4)
         assert bool(word & map_.mask("RR4", "X-LMT+")) == (plus == plus_high)
         assert bool(word & map_.mask("RR4", "X-LMT-")) == (minus == minus_high)
+
+
+@pytest.mark.parametrize("cls", [MCX304, MCX514], ids=lambda cls: cls.__name__)
+def test_a_speed_of_0_counts_as_the_smallest(cls):
+    """An axis that was told to drive makes its pulses, each second one at the least."""
+    clocks = []
+    for speed in (0, 1):
+        chip = cls()
+        if cls is MCX514:
+            load(chip, AC=1_000_000, SV=speed, DV=speed, TP=3)
+            command(chip, REL)
+        else:
+            load_304(chip, R=16_000, A=100, SV=speed, V=speed, P=3)
+            command(chip, 0x20)
+        chip.advance(4 * SECOND)
+        clocks.append(chip.net(0))
+    assert clocks == [3, 3]

@@ -232,3 +232,24 @@ def test_many_slices_at_once_are_the_same_slices_one_by_one(mode):
         mean = stepper.mean_torque(many, counts, stepper.SLICES, theta, speed, H)
         assert mean == pytest.approx(np.mean(torques), rel=1e-12)
         assert (many.current_a, many.current_b) == pytest.approx((one.current_a, one.current_b), rel=1e-12)
+
+
+def test_a_faster_path_has_the_middle_of_the_first_try():
+    """Both phases open, so that detent alone acts: the second try is the torque of a path of the new speed whose middle is where
+    the old one's was."""
+    gain, n, theta, omega = 4000.0, stepper.SLICES, 0.004, 20.0
+    d = record(Drive(detent=0.03))
+    d.open, d.current_a, d.current_b = stepper.A | stepper.B, 0.0, 0.0
+    counts, at = np.zeros(n), np.arange(n) - (n - 1) / 2
+
+    def mean(pace):
+        bare = record(Drive(detent=0.03))
+        bare.current = bare.current_a = bare.current_b = 0.0
+        middle = theta + omega * H * (n - 1) / 2
+        return np.mean([stepper.torque(bare, 0.0, middle + k * pace * H, 0.0, H) for k in at])
+
+    first = stepper.mean_torque(d, counts, n, theta, omega, H)
+    assert first == pytest.approx(mean(omega), rel=1e-9)
+    second = stepper.mean_torque(d, counts, n, theta, omega, H, gain)
+    assert second == pytest.approx(mean(omega + gain * first), rel=1e-9)
+    assert abs(second - first) > 1e-4 * abs(first)

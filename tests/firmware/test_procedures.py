@@ -117,6 +117,29 @@ def test_a_stop_at_once_makes_no_more_pulses_and_one_with_a_ramp_does(name):
         assert 50 < more[1] < 200
 
 
+def test_a_servo_stopped_at_once_holds_where_it_is_and_one_with_a_ramp_slows_down():
+    """firmware.stop(axis, at_once=True)"""
+    way = []
+    for at_once in (True, False):
+        x = Stage("xyz_servo", chips="hctl1100", visuals=False).axes["x"]
+        driver_of(x).run(1, Speeds(500, 20_000, 0.05, 0.05))
+        x.wait(0.1)
+        before = x.position
+        firmware.stop(x, at_once)
+        way.append(x.position - before)
+    assert abs(way[0]) < 0.2e-3
+    assert way[1] > 1e-3
+
+
+@pytest.mark.parametrize("name", [name for name in STEPPING if name.startswith("mcx")])
+def test_the_drawing_of_a_run_has_the_command_that_stopped_it(name):
+    """firmware.jog(axis, 0.1, 0.02).plot()"""
+    x = Stage("xy", chips=name, visuals=False).axes["x"]
+    report = firmware.jog(x, 0.05, 0.02, accel=0.2)
+    notes = driver_of(x).PATTERN(report).notes(report.course.seconds - report.began)
+    assert [note.words for note in notes if "decelerating stop" in note.words] == ["X decelerating stop"]
+
+
 @each
 def test_a_line_stays_near_the_straight_line(stage):
     """firmware.line({"x": 20e-3, "y": -7.5e-3}, stage.axes)"""

@@ -16,7 +16,7 @@ pytestmark = pytest.mark.skipif(not COMPILED, reason="asks of the compiled libra
 
 CORE = """
 from stage.native import exported, hot
-from toy.constants import STEP
+from .constants import STEP
 
 @hot
 def more(n):
@@ -192,3 +192,22 @@ def test_the_builder_says_where_the_library_is(toy):
 def test_a_package_that_is_not_there_is_named():
     with pytest.raises(NativeError, match="'no_such_package' cannot be found"):
         load.folders("no_such_package")
+
+
+def test_a_library_is_linked_by_the_first_compiler_there_is(tmp_path, monkeypatch):
+    """On a machine that has gcc and no cc; then on one that has neither."""
+    from importlib import util
+
+    from stage.native import build
+
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.setattr(build, "COMPILERS", ("cc", "clang", "gcc"))
+    there = [True]
+    monkeypatch.setattr(build, "find_spec", lambda name: there and util.find_spec("sys"))
+    assert build.linker() == [sys.executable, "-m", "ziglang", "cc"]
+    (tmp_path / "gcc").touch(0o755)
+    assert build.linker() == ["gcc"]
+    (tmp_path / "gcc").unlink()
+    there.clear()
+    with pytest.raises(NativeError, match="install a C compiler, or pip install ziglang"):
+        build.linker()

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.examples import scaled
 from support.programs import load_registers
-from support.recording_bench import feed, make_bench, read_rrd, rerun_cli
+from support.recording_bench import ONE_AXIS, feed, make_bench, read_rrd, rerun_cli
 
 from stage.chips import PCL240K
 from stage.chips.entries import INPUT
@@ -74,6 +74,19 @@ def test_what_senses_or_is_hidden_is_not_drawn(read):
     assert not any("planes" in e for e in drawn), "the floor is a grid"
     assert any("path" in e for e in drawn)
     assert len(read["/stage/directions"]["Arrows3D:vectors"][1][0]) == 3
+
+
+def test_a_body_of_the_frame_stands_where_the_model_has_it(tmp_path):
+    """<body name="post" pos="0.1 0.2 0.3" euler="0 0 90">: it has no joint, and is placed once."""
+    post = '<body name="post" pos=".1 .2 .3" euler="0 0 90"><geom type="box" size=".1 .1 .1"/></body></worldbody>'
+    bench = make_bench(mjcf=ONE_AXIS.replace("</worldbody>", post))
+    feed(bench.recording, 2)
+    bench.recording.close()
+    pose = read_rrd(bench.recording.save(tmp_path / "post.rrd"))["/stage/post"]
+    times, values = pose["Transform3D:translation"]
+    assert times is None
+    assert values[0][0] == pytest.approx([0.1, 0.2, 0.3])
+    assert np.abs(pose["Transform3D:quaternion"][1][0][0]) == pytest.approx([0, 0, 0.5**0.5, 0.5**0.5])
 
 
 def test_lanes_change_at_the_instants_of_the_edges(run, read):

@@ -32,8 +32,8 @@ def drive(stage):
     stage.run(0.05)
 
 
-def make_bench(axes=1):
-    model = mujoco.MjModel.from_xml_string(ONE_AXIS)
+def make_bench(axes=1, mjcf=ONE_AXIS):
+    model = mujoco.MjModel.from_xml_string(mjcf)
     table = {
         name: SimpleNamespace(
             name=name, chip=PCL240K(), index=k, joint=0, gear=628.3, meters_per_pulse=3.125e-6, unit="m",
