@@ -100,7 +100,9 @@ def test_it_draws_itself_and_records_both_runs(here, capsys, monkeypatch, vcd):
     monkeypatch.setattr(erratum, "LOOK", 1.0)
     drawn = []
     draw = erratum_plot.draw
-    monkeypatch.setattr(erratum_plot, "draw", lambda shown, *where: drawn.append((shown, draw(shown, *where))) or drawn[0][1])
+    monkeypatch.setattr(
+        erratum_plot, "draw", lambda shown, *where: drawn.append((shown, draw(shown, *where))) or drawn[0][1]
+    )
     said = out(capsys, "--plot", "e.png", "--record", "e.rrd", *vcd).out
     assert (here / "e.png").read_bytes().startswith(b"\x89PNG")
     ((shown, figure),) = drawn

@@ -260,7 +260,35 @@ def test_single_steps_come_by_command_only():
     assert sum(y for _, y in steps) == 2
 
 
+@pytest.mark.parametrize("axis", [X, Y], ids=["main", "other"])
+def test_a_decelerating_stop_between_single_steps_ends_the_path_at_once(axis):
+    """There is no speed to come down from."""
+    chip = prepared(main=RAMP, ipm=0x200)
+    line(chip, (40, 20))
+    for _ in range(3):
+        chip.advance(SECOND // 20)
+        command(chip, SINGLE_STEP, 0)
+    command(chip, STOP_SLOW, axis)
+    assert_over(chip)
+    assert chip.net(0) == 3
+    command(chip, SINGLE_STEP, 0)
+    assert chip.net(0) == 3
+
+
 # The pre-buffer
+
+
+def test_a_segment_for_too_few_axes_is_an_error_of_the_pre_buffer_only_while_a_path_is_drawn():
+    chip = prepared()
+    load(chip, IPM=X)
+    command(chip, 0x61, 0)
+    assert status(chip, 2, X) == 0
+    assert not driving(chip)
+    load(chip, IPM=X | Y)
+    line(chip, (10, 5))
+    load(chip, IPM=X)
+    command(chip, 0x61, 0)
+    assert status(chip, 2, X) == CERR
 
 
 def test_a_ninth_segment_is_lost_and_an_error():

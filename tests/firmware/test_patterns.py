@@ -41,6 +41,12 @@ def phases(report):
     return " ".join(seen)
 
 
+def notes(report):
+    from stage.firmware.driver import driver_class
+
+    return driver_class(report.course.chip).PATTERN(report).notes(report.course.seconds - report.began)
+
+
 def test_the_page_is_what_the_code_does_now(reports):
     """Titles, words, code, bytes and times. If it fails: python scripts/draw_patterns.py"""
     assert (ROOT / "docs" / "patterns.md").read_text() == patterns.page(reports)
@@ -133,10 +139,27 @@ def test_notes_never_overlap(reports, monkeypatch):
 
 def test_a_run_that_the_reset_command_ends_says_so_once(reports):
     """The host's byte is a note already; what it did is none beside it."""
-    from stage.firmware.driver import driver_class
-
     report = reports["immediate_stop"]
     assert report.stopped_by == "reset command"
-    notes = driver_class(report.course.chip).PATTERN(report).notes(report.course.seconds - report.began)
-    assert [n.words for n in notes].count("reset command") == 1
-    assert not any(n.event for n in notes)
+    assert [n.words for n in notes(report)].count("reset command") == 1
+    assert not any(n.event for n in notes(report))
+
+
+def test_bytes_that_prepare_a_start_stand_before_it(reports):
+    """Reset command and control mode make no note of their own."""
+    assert [n.code for n in notes(reports["high_speed_preset"]) if not n.event] == ["08h 44h 15h"]
+    assert [n.code for n in notes(reports["decelerating_stop"]) if not n.event] == ["08h 40h 37h", "3Fh"]
+
+
+def test_the_ramp_down_point_is_noted_as_r6(reports):
+    for name in ("high_speed_preset", "triangular", "down_point_too_early", "down_point_too_late"):
+        written = [meaning for _, _, meaning in reports[name].writes() if meaning.startswith("R6 <- ")]
+        point = int(written[-1].split()[2])
+        assert [n.words for n in notes(reports[name]) if n.words.startswith("R0 <")] == [f"R0 < R6 = {point:,d}"]
+
+
+def test_an_arrow_points_from_each_note_of_the_host_to_the_curve(reports):
+    drawn = [a for ax in reports["high_speed_continuous"].plot().axes for a in ax.texts if hasattr(a, "arrow_patch")]
+    told = {a.xy[0] for a in drawn if a.get_text().endswith("h")}
+    assert len(told) >= 2
+    assert told <= {a.xy[0] for a in drawn if a.arrow_patch}

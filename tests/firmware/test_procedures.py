@@ -131,7 +131,7 @@ def test_a_servo_stopped_at_once_holds_where_it_is_and_one_with_a_ramp_slows_dow
     assert way[1] > 1e-3
 
 
-@pytest.mark.parametrize("name", [name for name in STEPPING if name.startswith("mcx")])
+@pytest.mark.parametrize("name", [name for name in STEPPING if CHIPS[name].__name__.startswith("MCX")])
 def test_the_drawing_of_a_run_has_the_command_that_stopped_it(name):
     """firmware.jog(axis, 0.1, 0.02).plot()"""
     x = Stage("xy", chips=name, visuals=False).axes["x"]
@@ -163,6 +163,17 @@ def test_an_end_limit_is_told_as_one(stage):
     assert not report.ok
     assert "NOT as asked, stopped by EL+" in str(report)
     assert firmware.move(x, -5e-3, speed=0.02).ok, "the way back is free"
+
+
+def test_a_line_of_servos_that_a_limit_ends_says_so():
+    """firmware.line({"x": 6e-3, "y": 2e-3}, stage.axes), 2 mm before the end limit of x"""
+    stage = Stage("xyz_servo", chips="hctl1100", visuals=False)
+    touch = next(s.touch for s in stage.axes["x"].plant.switches if s.pin == "el_plus")
+    stage.place(x=touch - 2e-3)
+    report = firmware.line({"x": 6e-3, "y": 2e-3}, stage.axes, speed=0.04)
+    assert not report.ok
+    assert report.axes["x"].stopped_by == "EL+"
+    assert report.axes["y"].stopped_by != "EL+"
 
 
 @each

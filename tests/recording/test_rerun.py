@@ -82,11 +82,15 @@ def test_a_body_of_the_frame_stands_where_the_model_has_it(tmp_path):
     bench = make_bench(mjcf=ONE_AXIS.replace("</worldbody>", post))
     feed(bench.recording, 2)
     bench.recording.close()
-    pose = read_rrd(bench.recording.save(tmp_path / "post.rrd"))["/stage/post"]
+    read = read_rrd(bench.recording.save(tmp_path / "post.rrd"))
+    pose = read["/stage/post"]
     times, values = pose["Transform3D:translation"]
     assert times is None
     assert values[0][0] == pytest.approx([0.1, 0.2, 0.3])
     assert np.abs(pose["Transform3D:quaternion"][1][0][0]) == pytest.approx([0, 0, 0.5**0.5, 0.5**0.5])
+    (corner,) = read["/stage/directions"]["Arrows3D:origins"][1][0]
+    beside = 0.01 * bench.model.stat.extent
+    assert corner == pytest.approx([beside, 0.1 + beside, 0.2]), "the front corner of the post, not of what moves"
 
 
 def test_lanes_change_at_the_instants_of_the_edges(run, read):

@@ -8,6 +8,8 @@ import socket
 import subprocess
 import sys
 import threading
+import time
+from types import SimpleNamespace
 from urllib.parse import parse_qsl, urlsplit
 
 import numpy as np
@@ -232,3 +234,15 @@ def test_a_picture_shows_the_whole_dashboard(rrd, tmp_path):
     assert len(np.unique(scene, axis=0)) > 1000
     for axis, colour in zip("xyz", PALETTE, strict=False):
         assert np.abs(plots - colour).sum(axis=1).min() < 40, axis
+
+
+def test_nobody_waits_for_ever_for_a_viewer_that_never_listens():
+    """rerun lives and its port stays closed: the wait ends with its time."""
+    asked = []
+
+    def poll():
+        asked.append(1)
+        return None if len(asked) < 50 else 1
+
+    viewer._wait_for(viewer.free_port(), SimpleNamespace(poll=poll, stderr=None, returncode=1), time.monotonic() + 0.15)
+    assert 1 <= len(asked) < 10
