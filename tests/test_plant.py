@@ -12,6 +12,7 @@ from stage import ArgumentError, ModelError, Stage
 from stage.chips import HCTL1100, PCL240K
 from stage.sim import plant
 from stage.sim.fingerprint import fingerprint
+from stage.sim.plant.problems import Problems
 
 ROOT = Path(__file__).parent.parent
 
@@ -530,3 +531,12 @@ def test_every_number_of_a_model_is_in_its_fingerprint_and_no_colour_of_a_textur
     if model.ntexdata:
         model.tex_data[0] ^= 1
     assert fingerprint(model) in seen
+
+
+def test_a_line_that_mends_two_axes_is_proposed_once():
+    problems = Problems()
+    for axis in "xy":
+        problems.add(axis, "site 'work' is missing", '<site name="work"/>')
+    with pytest.raises(ModelError, match=r"axis x: .*\n.*axis y: ") as caught:
+        problems.check()
+    assert caught.value.missing == ('<site name="work"/>',)

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from stage.chips import chip_class
 from stage.errors import ArgumentError, unknown
 from stage.files import FileError
 
@@ -28,8 +27,6 @@ def stage_arguments(node: pytest.Item) -> dict[str, Any]:
             found |= _bound(mark, ("model",), exactly=True)
         else:
             found["chips"] = _chips(mark)
-    if "chips" in found:
-        found["chips"] = _by_name(found["chips"])
     model = found.get("model")
     if isinstance(model, str | Path) and Path(model).suffix:  # a file; the shipped models have none
         found["model"] = find(node, model, "model")
@@ -102,10 +99,3 @@ def _chips(mark: pytest.Mark) -> Any:
             '@pytest.mark.chips(x="PCL240MS", y="PCL240K").'
         )
     return mark.args[0] if mark.args else mark.kwargs
-
-
-def _by_name(chips: Any) -> Any:
-    """Chips as Stage takes them: classes for names. Axes of one name share a chip as far as it has axes."""
-    if isinstance(chips, Mapping):
-        return {axis: _by_name(chip) for axis, chip in chips.items()}
-    return chip_class(chips) if isinstance(chips, str) else chips

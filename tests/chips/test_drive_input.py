@@ -83,3 +83,16 @@ def test_a_nova_chip_at_rest_stands_on_its_count():
     for make in (MCX514, MCX302):
         chip = make()
         assert [drive_input(chip, j, 0, 800.0) for j in range(chip.AXES)] == [0] * chip.AXES
+
+
+def test_of_pulses_whose_times_are_past_telling_it_is_the_middle():
+    """A chip that was stopped in a slice has no phase that says when its pulses came."""
+    chip = PCL240K()
+    load_registers(chip, R0=100, R1=1000, R2=1000, R3=1000, R4=2, R5=2, R6=0, R7=20)
+    chip.write(0, 0x40)
+    chip.write(0, 0x10)
+    made = chip.advance(100_000)
+    chip.write(0, 0x08)
+    chip.advance(10_000)
+    assert made > 20
+    assert drive_input(chip, 0, made - 10, 100_000.0) == made - 5

@@ -5,9 +5,10 @@ import random
 import numpy as np
 import pytest
 from loops.nova import one_by_one
-from support.nova_bench import NOP_304, command, examples, load, load_304, set_wr3
+from support.nova_bench import NOP_304, NOP_514, command, examples, load, load_304, set_wr3
 
 from stage.chips import MCX304, MCX514
+from stage.chips.describe import decode
 from stage.chips.nova.motion import trace as pulses
 
 PARTS = (1, 2, 3, 7, 11, 64, 625, 999, 4096, 15_625)
@@ -114,3 +115,15 @@ def test_a_long_drive_is_where_the_reciprocal_of_its_speed_puts_it_after_a_hundr
     clocks = chip.trace(1000)["clock"]
     assert clocks.tolist() == [-(-(done + k) * 16_000_000 // pps) for k in range(1, len(clocks) + 1)]
     assert len(clocks) in (124, 125)
+
+
+@pytest.mark.parametrize("cls", [MCX304, MCX514], ids=lambda cls: cls.__name__)
+def test_mode_words_are_told_of_the_axis_that_they_are_for(cls):
+    """WR1 to WR3 belong to the axes that were selected last."""
+    chip = cls()
+    journal = chip.journal()
+    command(chip, NOP_304 if cls is MCX304 else NOP_514, 2)
+    for n in (1, 2, 3):
+        chip.write(n, 0x0010 + n)
+    said = [[s.meaning for s in decode(chip.decoder(axis), journal.entries) if "<-" in s.meaning] for axis in (0, 1)]
+    assert said == [[], ["WR1 <- 0011h", "WR2 <- 0012h", "WR3 <- 0013h"]]

@@ -5,13 +5,15 @@ import os
 import re
 import subprocess
 import sys
+import warnings
+from types import SimpleNamespace
 
 import gymnasium
 import numpy as np
 import pytest
 
 import stage.envs  # noqa: F401
-from stage import StageError
+from stage import StageError, opengl
 from stage.envs import rendering
 
 MOVES = {
@@ -213,3 +215,30 @@ def test_a_bus_cycle_is_a_frame_and_a_recording_has_frames_beside_it(watched, tm
     both.close()
     assert len(both.render()) == pytest.approx(len(alone.render()), abs=2)
     assert (tmp_path / "1.rrd").exists(), "the second step's"
+
+
+def test_why_no_window_opens_is_said_each_time_whatever_warnings_are_shown(monkeypatch):
+    """python -W ignore"""
+    glfw = SimpleNamespace(init=lambda: warnings.warn("DISPLAY is missing", stacklevel=1))
+    monkeypatch.setitem(sys.modules, "glfw", glfw)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        assert [opengl._glfw() for _ in range(2)] == ["DISPLAY is missing"] * 2
+
+
+@pytest.mark.parametrize(
+    ("system", "variables", "there"),
+    [
+        ("darwin", {}, True),
+        ("linux", {}, False),
+        ("linux", {"DISPLAY": ":0"}, True),
+        ("linux", {"WAYLAND_DISPLAY": "w"}, True),
+    ],
+)
+def test_where_there_is_a_screen(system, variables, there, monkeypatch):
+    monkeypatch.setattr(sys, "platform", system)
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in variables.items():
+        monkeypatch.setenv(name, value)
+    assert opengl.has_screen() is there

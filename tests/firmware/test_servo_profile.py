@@ -43,6 +43,9 @@ def test_a_circle_lies_on_a_circle_from_rest_to_rest(axes):
     for radius, number in ((RADIUS, 4), (float("nan"), 2)):
         with pytest.raises(ArgumentError, match="a finite radius, 2 or 3 axes"):
             circle(radius, seconds=SECONDS, sample=520e-6, axes=number)
+    for sample in (0.0, -1e-3, float("nan")):
+        with pytest.raises(ArgumentError, match=f"sample={sample}: .*a sample time above 0"):
+            circle(RADIUS, seconds=SECONDS, sample=sample)
 
 
 def test_sync_lets_the_samples_of_all_axes_begin_at_one_clock(stage):

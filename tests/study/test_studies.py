@@ -334,3 +334,9 @@ def test_the_page_s_program_for_ray_runs(tmp_path):
     ended = subprocess.run([sys.executable, "on_ray.py"], cwd=tmp_path, capture_output=True, text=True, timeout=300)
     assert ended.returncode == 0, ended.stderr
     assert finished(read_study(tmp_path / "moves.log")) == 40
+
+
+def test_no_trial_is_pruned_unless_asked_for(tmp_path):
+    assert isinstance(open_study(valley, tmp_path / "study").pruner, optuna.pruners.NopPruner)
+    median = optuna.pruners.MedianPruner()
+    assert open_study(valley, tmp_path / "other", pruner=median).pruner is median

@@ -98,8 +98,8 @@ def circle(
     """
     if axes not in PLANES or not np.isfinite(radius) or not 0 < ramp <= 0.5 * seconds or not sample > 0:
         raise ArgumentError(
-            f"radius={radius}, axes={axes}, ramp={ramp}, seconds={seconds}: a finite radius, 2 or 3 axes, and a ramp of half the "
-            "time at most."
+            f"radius={radius}, axes={axes}, ramp={ramp}, seconds={seconds}, sample={sample}: a finite radius, 2 or 3 axes, a ramp "
+            "of half the time at most, and a sample time above 0."
         )
     t = np.minimum(np.arange(1, int(np.ceil(seconds / sample)) + 1) * sample, seconds)
     up, left = np.minimum(t, ramp), np.minimum(seconds - t, ramp)
