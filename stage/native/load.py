@@ -64,8 +64,11 @@ def unfit(package: str, path: Path) -> str:
         return f"{path} needs a processor with {', '.join(lacking)}, which this one has not"
     places = {root: folders(root) for root in {module.partition(".")[0] for module in manifest["sources"]}}
     for module, digest in manifest["sources"].items():
-        source = source_of(module, places[module.partition(".")[0]])
-        if source is None or digest_of(source) != digest:
+        try:
+            same = digest_of(source_of(module, places[module.partition(".")[0]])) == digest
+        except OSError:
+            same = False
+        if not same:
             return f"{path} was built from other sources: {module} has changed"
     own = places.get(package) or folders(package)
     if _project(own[package]).is_file():  # a checkout, where modules come and go
@@ -165,15 +168,13 @@ def folders(package: str) -> dict[str, Path]:
     return found
 
 
-def source_of(module: str, places: dict[str, Path]) -> Path | None:
-    """The file of a module of a package whose folders are these; None if there is none."""
-    for name in sorted(places, key=len, reverse=True):
-        if module.startswith(f"{name}."):
-            path = places[name].joinpath(*module[len(name) + 1 :].split(".")).with_suffix(".py")
-            return path if path.is_file() else None
-    return None
+def source_of(module: str, places: dict[str, Path]) -> str:
+    """Where the file of a module of a package is, if it is there at all; the package's folders are these."""
+    name = max((name for name in places if module.startswith(f"{name}.")), key=len)
+    return f"{places[name]}/{module[len(name) + 1 :].replace('.', '/')}.py"
 
 
-def digest_of(source: Path) -> str:
-    """Of a source file."""
-    return hashlib.sha256(source.read_bytes()).hexdigest()[:16]
+def digest_of(source: str | Path) -> str:
+    """Of a source file. Raises OSError. Asked for each module at each start of a process: pathlib would take half of the time."""
+    with open(source, "rb") as file:
+        return hashlib.sha256(file.read()).hexdigest()[:16]

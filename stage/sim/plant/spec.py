@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import copy
 import os
-from functools import lru_cache
-from importlib import resources
+from functools import cache, lru_cache
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from stage.sim.plant.problems import actuator_line, similar
 
 def names() -> list[str]:
     """The models that ship with PulseStage."""
-    files = (f.name for f in resources.files("stage.models").iterdir())
+    files = (f.name for f in _models().iterdir())
     return sorted(f[:-4] for f in files if f.endswith(".xml") and not f.startswith("_"))
 
 
@@ -46,8 +46,10 @@ def open_spec(source: Any) -> Any:
         raise ModelError(f"{path} is no MJCF that MuJoCo reads: {error}") from error
 
 
+@cache
 def _models() -> Path:
-    return Path(str(resources.files("stage.models")))
+    """Where the shipped models lie; in a checkout beside the package."""
+    return Path(import_module("stage.models").__path__[0])
 
 
 def _state_of_models() -> tuple[int, ...]:

@@ -165,13 +165,12 @@ class SwitchFinder:
             return self._distance(joint, q, vane, switch)
 
         grid, dist = np.linspace(low, high, SCAN).tolist(), scanned.tolist()
-        for k in range(SCAN - 2, 0, -1):  # a narrow vane may pass between two positions tried
-            if 0 < dist[k] <= min(dist[k - 1], dist[k + 1]) and 2 * dist[k] <= max(dist[k - 1], dist[k + 1]):
-                finer = np.linspace(grid[k - 1], grid[k + 1], 65)[1:-1]
-                grid[k : k + 1], dist[k : k + 1] = (
-                    finer.tolist(),
-                    self._far(joint, finer, [(vane, switch)])[:, 0].tolist(),
-                )
+        here, sides = scanned[1:-1], (scanned[:-2], scanned[2:])
+        narrow = (here > 0) & (here <= np.minimum(*sides)) & (2 * here <= np.maximum(*sides))
+        for k in reversed((np.flatnonzero(narrow) + 1).tolist()):  # a narrow vane may pass between two positions tried
+            finer = np.linspace(grid[k - 1], grid[k + 1], 65)[1:-1]
+            grid[k : k + 1] = finer.tolist()
+            dist[k : k + 1] = self._far(joint, finer, [(vane, switch)])[:, 0].tolist()
         on = np.array(dist) <= 0
         if on.all():
             return f"trips it over the whole range {low:g} to {high:g}"
