@@ -141,8 +141,8 @@ def test_view_without_a_screen_says_what_to_do(here, capsys):
         (["move", "x", "100", "--plot", "a.foo"], r"a\.foo: a figure is no 'foo'\. .*\.png"),
         (["move", "x", "100", "--picture", "q.jpg"], r"q\.jpg: .*\.png"),
         (["pullout", "--plot", "a.foo"], "a figure is no 'foo'"),
-        (["fault", "lost-write", "--chips", "mcx302"], r"of the PCL-240 family .* stage\.faults"),
-        (["fault", "jam", "--chips", "hctl1100"], r"of steppers.* stage\.faults"),
+        (["fault", "start-skew", "--chips", "mcx302", "--model", "xy"], r"one command starts all axes .* one MCX302's"),
+        (["fault", "phase-open", "--chips", "hctl1100", "--model", "xy"], r"a DC motor, 14201S003, without phases"),
         (["move", "x", "100", "--fh1", "-5"], r"^stage: fh1=-5\.0 pps"),
         (["move", "x", "100", "--from", "1000"], r"--from 1000: axis x travels from -158 to 158 mm"),
         (["home", "y", "--from", "nan"], r"--from nan: axis y travels from .* mm"),
@@ -306,10 +306,12 @@ def test_the_command_line_does_the_same_with_every_chip(here, capsys, chip):
     assert re.search(r"on y: done", text)
 
 
-@pytest.mark.parametrize("name", ["stuck-closed", "jam"])
-def test_faults_are_shown_with_other_steppers_too(here, capsys, name):
-    """stage fault jam --chips mcx304"""
-    assert "happened as claimed" in out(capsys, "fault", name, "--chips", "mcx304", "--model", "xy").out
+@pytest.mark.parametrize("chip", ["mcx304", "hctl1100"])
+def test_faults_are_shown_with_other_chips_too(here, capsys, chip):
+    """stage fault bounce --chips mcx304 --plot f.png"""
+    text = out(capsys, "fault", "bounce", "--chips", chip, "--model", "xy", "--plot", "f.png").out
+    assert "happened as claimed" in text
+    assert (here / "f.png").stat().st_size > 10_000
 
 
 @pytest.mark.parametrize("chip", ["mcx304", "hctl1100"])

@@ -8,8 +8,8 @@ import pytest
 from support.examples import SEED
 from support.programs import load_registers, start_preset
 
-from stage import ArgumentError, Drive, Fleet, Program, RunTimeout, Stage, firmware
-from stage.chips import PCL240K
+from stage import ArgumentError, Drive, Fleet, Program, RunTimeout, Stage, StageError, firmware
+from stage.chips import HCTL1100, MCX302, MCX304, MCX514, PCL240K, chip_class
 from stage.chips.entries import LOST, WRITE
 from stage.cli import fault as demos
 from stage.cli import main
@@ -80,6 +80,56 @@ def test_what_was_claimed_of_a_fault_happens(name):
     happened = shown.demo.happened
     assert not happened(healthy, healthy), "a fault that did nothing"
     assert not happened(faulty, faulty), "the healthy run fails as the faulty one"
+
+
+EVERY_DAY = ["mcx514", "mcx304", "hctl1100"]
+SELDOM = ["pcl240mk", "pcl240ms", "mcx302", "mcx312"]
+REFUSED = {
+    ("phase-open", "hctl1100"): "a DC motor, 14201S003, without phases",
+    ("start-skew", "hctl1100"): "no command starts the axes of a line with HCTL1100s: the host leads each",
+    **{
+        ("start-skew", chip): f"one command starts all axes of a line, which are one {chip.upper()}'s"
+        for chip in ("mcx514", "mcx304", "mcx302", "mcx312")
+    },
+}
+
+
+@pytest.mark.parametrize("chip", [*EVERY_DAY, *(pytest.param(chip, marks=pytest.mark.slow) for chip in SELDOM)])
+@pytest.mark.parametrize("name", demos.DEMOS)
+def test_what_was_claimed_happens_with_every_chip_or_is_refused_with_its_reason(name, chip):
+    """stage fault lost-write --chips mcx302; stage fault jam --chips hctl1100"""
+
+    def make():
+        stage = Stage("xy", chips=chip_class(chip), visuals=False)
+        if name == "vane-missing":
+            stage.place(x=-0.1)  # near ORG: it need not look for long
+        return stage
+
+    def show():
+        return demos.show(name, make)
+
+    if why := REFUSED.get((name, chip)):
+        with pytest.raises(StageError, match=why):
+            show()
+        return
+    shown = show()
+    assert shown.as_claimed, shown.table()
+    (healthy, faulty), happened = shown.figures, shown.demo.happened
+    assert not happened(healthy, healthy), "a fault that did nothing"
+    assert not happened(faulty, faulty), "the healthy run fails as the faulty one"
+    if name == "bounce":
+        off = abs(faulty["origin, um"] - healthy["origin, um"])
+        assert off == pytest.approx(25, abs=3.2) if chip in FIRST_GENERATION else off < 3.2, off
+
+
+FIRST_GENERATION = ("mcx304", "mcx302", "mcx312")
+"""They look for ORG anew as soon as it has let go, and take a contact that bounces then for ORG."""
+
+
+def test_axes_on_two_chips_are_started_by_two_commands():
+    """stage fault start-skew --chips mcx302"""
+    shown = demos.show("start-skew", lambda: Stage("xyz", chips=MCX302, visuals=False))
+    assert shown.as_claimed, shown.table()
 
 
 # --- all of them ---
@@ -438,6 +488,39 @@ def test_only_the_next_start_command_is_late_and_by_its_time(xyz):
     again = firmware.synchronized_move({"x": 4000, "y": -1500}, xyz.axes)
     assert again.skew == pytest.approx(xyz.bus_cycle, abs=1e-9)
     assert x.lost_steps == y.lost_steps == 0
+
+
+@pytest.mark.parametrize("chip", [PCL240K, MCX514, MCX304, HCTL1100])
+def test_the_write_that_makes_an_axis_drive_is_late_on_any_chip(chip):
+    """faults.start_skew(stage.axes["x"], 5e-3) on a stage with chips=MCX304"""
+    stage = Stage("xy", chips=chip, visuals=False)
+    x = stage.axes["x"]
+    took = []
+    for late in (False, True):
+        fault = faults.start_skew(x, 5e-3)
+        if not late:
+            fault.mend()
+        report = firmware.move(x, pulses=800)
+        assert report.ok
+        assert not fault.in_force
+        took.append((report.began, report.duration))
+    assert took[1][0] - took[0][0] == pytest.approx(5e-3, abs=1e-3)
+    assert took[1][1] == pytest.approx(took[0][1], rel=0.05)
+
+
+def test_a_start_that_is_held_is_not_late_and_its_release_is():
+    """24h, 20h, 25h: START_HOLD, F_DRV_P, START_FREE"""
+    chip = MCX304()
+    for name, value in (("R", 400_000), ("SV", 50), ("V", 100), ("P", 100)):
+        for cycle in chip.register_cycles(name, value):
+            chip.write(*cycle)
+    starts = []
+    for symbol in ("START_HOLD", "F_DRV_P", "START_FREE"):
+        word = 1 << 8 | chip.MAP.command(symbol).code
+        starts.append((chip.starts(0, word), chip.starts(0, word, 1)))
+        chip.write(0, word)
+    assert starts == [(False, False), (False, False), (True, False)]
+    assert not chip.starts(0, 1 << 8 | chip.MAP.command("F_DRV_P").code), "it drives already"
 
 
 def test_a_lost_write_takes_its_cycle_and_nothing_else_happens(xyz):

@@ -453,12 +453,10 @@ def test_a_jam_holds_what_the_motor_can_push(xyz):
     assert x.position > 1e-3
 
 
-def test_a_dc_motor_has_no_phase_to_open_and_no_start_command_to_be_late(xyz):
+def test_a_dc_motor_has_no_phase_to_open(xyz):
     x, before = xyz.axes["x"], bits(xyz)
     with pytest.raises(ArgumentError, match="axis x has a DC motor, 14201S003, without phases: bus_voltage"):
         faults.phase_open(x, "a")
-    with pytest.raises(ArgumentError, match="HCTL1100: start commands are known of the PCL-240 family"):
-        faults.start_skew(x, 1e-3)
     assert not xyz.faults
     assert bits(xyz) == before
 

@@ -286,6 +286,14 @@ class Chip:
         """Whether this bus write makes minus the direction of the drives to come; None if it says nothing of a direction."""
         return None
 
+    def starts(self, address: int, value: int, axis: int = 0) -> bool:
+        """Whether this bus write, now, would make a standing axis drive: tried on a twin."""
+        twin = self.twin()
+        if twin.busy(axis):
+            return False
+        Chip.write(twin, address, value)  # as it comes over the bus
+        return twin.busy(axis)
+
     def options(self) -> dict[str, Any]:
         """What the chip was made with: type(chip)(**chip.options()) is another of its kind."""
         return {"clock_hz": self.clock_hz}

@@ -6,11 +6,12 @@ import argparse
 import time
 from typing import Any
 
-from stage.cli.setup import is_pcl240, make_stage, note, recorded
+from stage.cli.setup import make_stage, note, recorded
 
 WHERE = (0.1962, -0.1435, 0.177)  # where the carriages happen to stand, from the middle of their travel, in travels
 LONG, SHORT, FIRST, SECOND = 0.3956, 0.2894, 0.1978, -0.1085  # moves, in travels
 ROUND = 500  # pulses
+RATE, FAST, DWELL = 20_000, 40_000, 0.25  # pps, pps, s
 
 
 def run(args: argparse.Namespace) -> int:
@@ -36,6 +37,9 @@ def run(args: argparse.Namespace) -> int:
 
 def story(stage: Any, rows: list[tuple]) -> None:
     """The moves; fills `rows` for the table."""
+    from stage.firmware.driver import Speeds, driver_of
+
+    speeds = Speeds(1500, RATE, 0.1, 0.1)
 
     def add(report: Any) -> None:
         homed = report.stopped_by == "ORG"
@@ -54,19 +58,20 @@ def story(stage: Any, rows: list[tuple]) -> None:
             note(f"axis {axis.name} has no ORG: it stays where it is")
             continue
         note(f"axis {axis.name}: origin return ...")
-        add(_home(axis))
+        add(driver_of(axis).home(-1, speeds))
     first, second = (*stage.axes.values(), *stage.axes.values())[:2]
     note("a long move ...")
-    add(_long_move(first, _way(first, LONG)))
+    add(driver_of(first).two_rates(_way(first, LONG), speeds, FAST, DWELL))
     if second is first:
         return
-    add(_move(second, _way(second, SHORT)))
+    add(driver_of(second).move(_way(second, SHORT), speeds))
     ways = {first: _way(first, FIRST), second: _way(second, SECOND)}
     if type(first.chip) is not type(second.chip):
         print(f"axes {first.name} and {second.name} have different chips, which draw no line together")
         return
     note("a straight line ...")
-    report = _line(stage, ways)
+    drivers = {axis.name: driver_of(axis) for axis in ways}
+    report = drivers[first.name].line(drivers, {axis.name: pulses for axis, pulses in ways.items()}, Speeds(drive=RATE))
     for r in report.axes.values():
         add(r)
     what = "a:b move " + " ".join(f"{axis.name}={pulses:+d}" for axis, pulses in ways.items())
@@ -86,59 +91,6 @@ def _way(axis: Any, share: float) -> int:
     pulses = abs(way) / axis.meters_per_pulse
     rounded = max(round(pulses / ROUND) * ROUND, 1) if pulses > ROUND else max(int(pulses), 1)
     return int(rounded * side * (1 if axis.gear > 0 else -1))
-
-
-def _fast() -> Any:
-    from stage import firmware
-
-    return firmware.Profile.of(fl=1500, fh1=20_000, fh2=40_000, accel=0.2)
-
-
-def _speeds(drive: float) -> Any:
-    from stage.firmware.driver import Speeds
-
-    return Speeds(1500, drive, 0.2, 0.2)
-
-
-def _home(axis: Any) -> Any:
-    from stage import firmware
-    from stage.firmware.driver import driver_of
-
-    return (
-        firmware.origin_return(axis, profile=_fast()) if is_pcl240(axis) else driver_of(axis).home(-1, _speeds(20_000))
-    )
-
-
-def _long_move(axis: Any, pulses: int) -> Any:
-    """Through two rates, where the chip has them; else at the higher one."""
-    from stage import firmware
-    from stage.firmware.driver import driver_of
-
-    if is_pcl240(axis):
-        return firmware.dual_rate_move(axis, pulses, _fast(), dwell=0.25)
-    return driver_of(axis).move(pulses, _speeds(40_000))
-
-
-def _move(axis: Any, pulses: int) -> Any:
-    from stage import firmware
-    from stage.firmware.driver import driver_of
-
-    return (
-        firmware.preset_move(axis, pulses, _fast())
-        if is_pcl240(axis)
-        else driver_of(axis).move(pulses, _speeds(20_000))
-    )
-
-
-def _line(stage: Any, ways: dict[Any, int]) -> Any:
-    from stage import firmware
-    from stage.firmware.driver import driver_of
-
-    first = next(iter(ways))
-    names = {axis.name: pulses for axis, pulses in ways.items()}
-    if is_pcl240(first):
-        return firmware.synchronized_move(names, stage.axes, rate=20_000)
-    return driver_of(first).line({axis.name: driver_of(axis) for axis in ways}, names, _speeds(20_000))
 
 
 def _table(rows: list[tuple]) -> str:

@@ -14,7 +14,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from stage.cli.fault import EVERY, Figures, Record, _first, _text, _touch, named
+from stage.cli.fault import EVERY, Figures, Record
+from stage.cli.fault.demo import table
+from stage.cli.fault.programs import first_axis, touch
 from stage.cli.setup import note, outputs, plot, recorded
 from stage.errors import StageError
 
@@ -49,13 +51,7 @@ class Shown:
 
     def table(self) -> str:
         """The figures of both runs, a line each."""
-        bare, guarded = self.figures
-        rows = [
-            ("", "26h", "stop_by_speed"),
-            *((named(k, self.unit), _text(v), _text(guarded[k])) for k, v in bare.items()),
-        ]
-        widths = [max(len(r[k]) for r in rows) for k in range(3)]
-        return "\n".join("  ".join(v.ljust(w) for v, w in zip(r, widths, strict=True)).rstrip() for r in rows)
+        return table(("", "26h", "stop_by_speed"), self.figures, self.unit)
 
     def plot(self, path: str | None = None, overwrite: bool = False) -> Any:
         """Both runs over time, and the areas of the notice. Saves to `path` if given; returns the figure. Needs recordings, and
@@ -127,7 +123,7 @@ def show(make: Callable[[], Any], records: tuple[Record | None, Record | None] =
         with context as recording:
             figures.append(_move(stage, program))
         kept.append(recording)
-    x = _first(stage)
+    x = first_axis(stage)
     return Shown(type(x.chip).__name__, not x.chip.errata, (figures[1], figures[0]), (kept[1], kept[0]), x.unit)
 
 
@@ -148,8 +144,8 @@ def _move(stage: Any, stop: Callable[[Any], bool]) -> Figures:
     """An S-curve drive up to 5 mm before EL+, by bus cycles; once RR1 shows area d, stop(port). Its figures."""
     from stage.firmware.nova import erratum
 
-    x = _first(stage)
-    end = _touch(x, "el_plus")
+    x = first_axis(stage)
+    end = touch(x, "el_plus")
     stage.place(**{x.name: end - SHORT - PULSES * x.meters_per_pulse})
     port = erratum.port_of(x)
     port.load(**MOVE)

@@ -45,6 +45,11 @@ class Speeds(NamedTuple):
     down: float = RAMP
     s_curve: bool = False
 
+    def on_to(self, drive: float) -> Speeds:
+        """As these, with ramps as steep, to another drive speed."""
+        longer = drive / self.drive
+        return self._replace(drive=drive, up=self.up * longer, down=self.down * longer)
+
 
 class Driver(ABC):
     """Speaks to one axis of a chip.
@@ -54,6 +59,10 @@ class Driver(ABC):
 
     PATTERN: ClassVar[type[Pattern]] = Pattern
     """What a drawing of a report about this family's chips shows."""
+    DONE: ClassVar[str] = "all pulses"
+    """What a report says has ended a move that nothing else ended."""
+    FINISH: ClassVar[str] = ""
+    """The register that says how far a move goes."""
 
     def __init__(self, axis: Axis):
         self.axis, self.chip = axis, axis.chip
@@ -69,6 +78,19 @@ class Driver(ABC):
     def start(self, pulses: int, speeds: Speeds) -> None:
         """Begin a move, and do not wait. Raises as `move`."""
         raise ArgumentError(f"a {self.chip.MAP.chip} waits for the end of its moves here: use move.")
+
+    def wait(self, timeout: float, look: Callable[[], None] | None = None) -> str:
+        """Wait for the end of what `start` has begun: why it ended, as `Report.stopped_by`. look: called at each poll.
+
+        Of a servo the end of its profile: where the carriage is then, nobody has looked. Raises RunTimeout after `timeout` s.
+        """
+        wait_until_stopped([self.axis], timeout, look=look)
+        return self.stopped_by() or self.DONE
+
+    def two_rates(self, pulses: int, speeds: Speeds, fast: float, dwell: float) -> Report:
+        """A move through two drive speeds, each for `dwell` seconds and more: up to `speeds.drive`, on to `fast` (pps), and back. A
+        chip with one drive speed moves at `fast`. Raises as `move`."""
+        return self.move(pulses, speeds.on_to(fast))
 
     @abstractmethod
     def home(self, direction: int, speeds: Speeds, index: bool = False, timeout: float = 60.0) -> Report:

@@ -28,9 +28,6 @@ from typing import Any
 import mujoco
 
 from stage.chips import Chip
-from stage.chips.pcl240 import PCL240
-from stage.chips.pcl240.maps import OPERATE
-from stage.chips.pcl240.state import GROUP, START, STOP
 from stage.drives import stepper
 from stage.errors import ArgumentError, unknown
 from stage.sim.axis import Axis
@@ -242,20 +239,17 @@ def phase_open(axis: Axis, phase: str = "a") -> Fault:
 
 
 def start_skew(axis: Axis, seconds: float) -> Fault:
-    """The CPU is called away for `seconds` just before it writes the next start command to this axis' chip.
+    """The CPU is called away for `seconds` just before the next bus write that makes this axis drive, a start command.
 
-    Raises ArgumentError; also for a chip that is not of the PCL-240 family.
+    A command that starts several axes of a chip is late for all of them. A servo that is led by command positions knows no such
+    write. Raises ArgumentError.
     """
     _check(axis)
-    if not isinstance(axis.chip, PCL240):
-        raise ArgumentError(
-            f"axis {axis.name} has a {axis.chip.MAP.chip}: start commands are known of the PCL-240 family."
-        )
     if not 0 <= seconds < 1e9:
         raise ArgumentError(f"seconds={seconds!r}: the CPU comes back after 0 s or more.")
 
     def glitch(address: int, value: int) -> bool:
-        if address == 0 and value & (GROUP | START | STOP) == OPERATE | START:
+        if axis.chip.starts(address, value, axis.chip_axis):
             fault.mend()
             axis.stage.run(seconds)
         return False

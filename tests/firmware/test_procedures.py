@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from stage import ArgumentError, RunTimeout, Stage, StageError, firmware
+from stage import ArgumentError, RunTimeout, Stage, StageError, faults, firmware
 from stage.chips import CHIPS, HCTL1100, MCX304, MCX514, PCL240K
 from stage.firmware import Bench
 from stage.firmware.driver import Speeds, driver_class, driver_of
@@ -63,6 +63,69 @@ def test_home_ends_at_the_origin(stage):
     stage.place(x=touch - 2e-3)  # beyond it
     assert firmware.home(x, speed=0.03).stopped_by == "ORG"
     assert x.position == pytest.approx(touch, abs=60e-6)
+
+
+@each
+def test_a_home_that_meets_the_end_limit_in_place_of_org_says_so(stage):
+    """with faults.vane_missing(x, "org"): firmware.home(x)"""
+    x = stage.axes["x"]
+    touch = {s.pin: s.touch for s in x.plant.switches}
+    stage.place(x=touch["org"] + 4e-3)
+    with faults.vane_missing(x, "org"):
+        report = firmware.home(x, speed=0.05)
+    assert report.stopped_by == "EL-"
+    assert not report.ok
+    assert x.position == pytest.approx(touch["el_minus"], abs=1e-3)
+    assert x.time < 15, "long before it gives up, after 60 s"
+
+
+@pytest.mark.parametrize("stage", ["MCX304"], indirect=True)
+def test_home_begins_on_an_end_limit_as_well(stage):
+    """stage.place(x=-0.1505); firmware.home(x)"""
+    x = stage.axes["x"]
+    touch = {s.pin: s.touch for s in x.plant.switches}
+    stage.place(x=touch["el_minus"] - 5e-4)
+    assert firmware.home(x, speed=0.05).stopped_by == "ORG"
+    assert x.position == pytest.approx(touch["org"], abs=60e-6)
+
+
+@each
+def test_a_move_can_be_begun_and_waited_for(stage):
+    """driver.start(6400, Speeds()); driver.wait(5.0)"""
+    x, looks = stage.axes["x"], []
+    driver = driver_of(x)
+    driver.start(6400, Speeds(drive=20_000))
+    x.wait(0.02)
+    assert x.chip.busy(x.chip_axis)
+    assert driver.wait(5.0, lambda: looks.append(x.time)) == driver.DONE
+    assert len(looks) > 10
+    assert not x.chip.busy(x.chip_axis)
+    x.wait(0.1)
+    assert x.position == pytest.approx(6400 * x.meters_per_pulse, abs=NEAR)
+    driver.start(6400, Speeds(drive=20_000))
+    x.wait(0.1)
+    with faults.switch_stuck(x, "el_plus", True):
+        assert driver.wait(5.0) == "EL+"
+
+
+@pytest.mark.parametrize("stage", STEPPING, indirect=True)
+def test_ramps_last_as_long_as_they_are_asked_to(stage):
+    """firmware.move(x, pulses=8000, accel=0.2)"""
+    x = stage.axes["x"]
+    report = firmware.move(x, pulses=8000, accel=0.2)
+    assert report.ok
+    began, top = (np.flatnonzero(report.rates > share * report.rates.max())[0] for share in (0, 0.999))
+    assert report.course.seconds[top] - report.course.seconds[began] == pytest.approx(0.2, rel=0.03)
+
+
+@each
+def test_two_rates_are_two_where_the_chip_has_them_and_else_the_higher_one(stage):
+    x = stage.axes["x"]
+    report = driver_of(x).two_rates(16_000, Speeds(drive=10_000, up=0.05, down=0.05), 20_000, 0.1)
+    assert report.ok
+    assert report.peak_rate == pytest.approx(20_000, rel=0.05)
+    at_first = np.diff(report.course.seconds)[np.abs(report.rates[:-1] - 10_000) < 50].sum()
+    assert at_first > 0.1 if x.chip.MAP.chip.startswith("PCL240") else at_first < 0.01
 
 
 @each

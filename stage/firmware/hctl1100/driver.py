@@ -6,7 +6,7 @@ when the chip stands in Init/Idle, as after power-up.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, NoReturn, cast
 
 import numpy as np
@@ -16,7 +16,16 @@ from stage.errors import ArgumentError, RunTimeout
 from stage.firmware.choices import Choices
 from stage.firmware.driver import SETTLE, Driver, Speeds, that_move
 from stage.firmware.hctl1100.home import home, leave_limit, stand
-from stage.firmware.hctl1100.moves import Tuning, cruise, set_up, settle, start_cruise, trapezoid
+from stage.firmware.hctl1100.moves import (
+    Tuning,
+    cruise,
+    profile_end,
+    set_up,
+    settle,
+    start_cruise,
+    start_trapezoid,
+    trapezoid,
+)
 from stage.firmware.hctl1100.pattern import Pattern
 from stage.firmware.hctl1100.port import CONTROL, FLAGS, IDLE, INIT, LIMIT, SET, STOP, Port
 from stage.firmware.hctl1100.profile import follow, synchronize
@@ -25,7 +34,6 @@ from stage.firmware.search import Search
 from stage.firmware.together import SynchronizedReport, Together
 from stage.sim.program import Operations
 
-END = "end of profile"
 PATIENCE = 5.0  # s, to come to rest
 DEADBAND = 10  # counts: a filter without an integral holds a weight by an error
 
@@ -34,6 +42,8 @@ class Hctl1100Driver(Driver):
     """Of the HCTL-1100. tuning: the filter, for the next time that the chip is set up."""
 
     PATTERN: ClassVar = Pattern
+    DONE: ClassVar = "end of profile"
+    FINISH: ClassVar = "final_position"
     tuning = Tuning()
 
     def __init__(self, axis: Any):
@@ -61,11 +71,22 @@ class Hctl1100Driver(Driver):
         self.port = set_up(self.axis, self.tuning)
         return self.port
 
-    def move(self, pulses: int, speeds: Speeds, timeout: float | None = None) -> Report:
+    def start(self, pulses: int, speeds: Speeds) -> None:
+        self._check(pulses, speeds)
+        start_trapezoid(self.ready(self._direction), int(pulses), speeds.drive, speeds.drive / speeds.up)
+
+    def wait(self, timeout: float, look: Callable[[], None] | None = None) -> str:
+        profile_end(self.port, timeout, look)
+        return self.stopped_by() or self.DONE
+
+    def _check(self, pulses: int, speeds: Speeds) -> None:
         if not pulses or int(pulses) != pulses:
             raise ArgumentError(f"pulses={pulses!r}: a whole number of counts, the sign is the direction.")
         self._linear(speeds)
         self._direction = 1 if pulses > 0 else -1
+
+    def move(self, pulses: int, speeds: Speeds, timeout: float | None = None) -> Report:
+        self._check(pulses, speeds)
         try:
             port = self.ready(self._direction)
         except RunTimeout:  # it stands on the end limit that lies there
@@ -77,16 +98,22 @@ class Hctl1100Driver(Driver):
                 port, int(pulses), velocity=speeds.drive, acceleration=speeds.drive / speeds.up, deadband=DEADBAND,
                 timeout=most if timeout is None else timeout,
             )  # fmt: skip
-            return p.report(self.stopped_by() if done.limited else END, int(pulses))
+            return p.report(self.stopped_by() if done.limited else self.DONE, int(pulses))
 
     def home(self, direction: int, speeds: Speeds, index: bool = False, timeout: float = 60.0) -> Report:
         port = self.ready(-direction, direction)
         with Procedure(self.axis, "origin return") as p:
             turn = getattr(getattr(self.axis, "drive", None), "counts", 2000)
-            home(
-                port, direction, speed=speeds.drive, acceleration=speeds.drive / speeds.up, index=index, turn=turn,
-                timeout=timeout, deadband=DEADBAND,
-            )  # fmt: skip
+            self._direction = direction
+            try:
+                home(
+                    port, direction, speed=speeds.drive, acceleration=speeds.drive / speeds.up, index=index, turn=turn,
+                    timeout=timeout, deadband=DEADBAND,
+                )  # fmt: skip
+            except RunTimeout:  # where an end limit has ended it
+                if not self.port.limited():
+                    raise
+                return p.report(self.stopped_by())
             self.axis.wait(SETTLE)
             return p.report("EZ" if index else "ORG")
 
@@ -141,8 +168,8 @@ class Hctl1100Driver(Driver):
             ended = {}
             for (n, driver), port, goal in zip(mine.items(), ports, goals, strict=True):
                 driver._direction = 1 if pulses[n] > 0 else -1
-                ended[n] = driver.stopped_by() or END
-                if ended[n] == END and abs(goal - port.position()) > DEADBAND:
+                ended[n] = driver.stopped_by() or cls.DONE
+                if ended[n] == cls.DONE and abs(goal - port.position()) > DEADBAND:
                     raise RunTimeout(
                         f"axis {n} is {goal - port.position()} counts from its end of the line: slower, or another filter."
                     )

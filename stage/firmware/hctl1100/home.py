@@ -69,7 +69,7 @@ def home(
         speed, acceleration: counts/s and counts/s2 of steps 1 and 2; the axis needs room to brake beyond the switch.
         index: go on to the index pulse. turn: counts of the encoder.
         deadband: counts, in which it settles in the end. timeout: s of each step.
-    Raises ArgumentError; RunTimeout where a step has no end, LIMIT included: the axis is then in Init/Idle.
+    Raises ArgumentError; RunTimeout where a step has no end, or LIMIT has ended it: the axis is then in Init/Idle.
     """
     if direction not in (-1, 1):
         raise ArgumentError(f"direction={direction!r}: -1 or 1, where the home switch lies.")
@@ -102,7 +102,11 @@ def _to_switch(port: Port, velocity: int, timeout: float) -> int:
     port.mode("integral velocity")
     if port.status() & STOP:
         cruise(port, velocity)
-    port.wait_until(lambda: not port.status() & STOP, timeout, "the home switch", SOON)
+    port.wait_until(lambda: not port.status() & STOP or port.limited(), timeout, "the home switch", SOON)
+    if port.limited():
+        raise RunTimeout(
+            f"axis {port.axis.name}: LIMIT before the home switch, at {port.position()} counts; it is in Init/Idle now."
+        )
     at = port.position()
     stand(port)
     return at

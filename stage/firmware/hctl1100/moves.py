@@ -13,6 +13,7 @@ Init/Idle. See servo_home.py for home, servo_profile.py for motion commanded sam
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from stage.chips.hctl1100.maps import NUMBERS, after_reset
@@ -122,13 +123,29 @@ def trapezoid(
 ) -> MoveReport:
     """A trapezoidal profile of `counts`, at counts/s and counts/s2. Raises ArgumentError for rates that the chip has not at this
     sample time; RunTimeout."""
+    begin, v, a = start_trapezoid(port, counts, velocity, acceleration)
+    profile_end(port, timeout)
+    return settle(port, begin, counts, deadband, timeout, (v, a, port.axis.time - begin))
+
+
+def start_trapezoid(port: Port, counts: int, velocity: float, acceleration: float) -> tuple[float, float, float]:
+    """Begin one, and do not wait: (when, s; counts/s and counts/s2 as the registers hold them). Raises ArgumentError."""
     v, a = velocity_word(port, velocity, "maximum_velocity", 1), acceleration_word(port, acceleration)
     port.load(final_position=port.commanded() + counts, acceleration=a, maximum_velocity=v)
-    rates = v / port.sample, a / 256 / port.sample**2
     begin = port.axis.time
     port.mode("trapezoid")
-    port.wait_until(lambda: not port.status() & PROFILE or port.limited(), timeout, "the end of its profile")
-    return settle(port, begin, counts, deadband, timeout, (*rates, port.axis.time - begin))
+    return begin, v / port.sample, a / 256 / port.sample**2
+
+
+def profile_end(port: Port, timeout: float, look: Callable[[], None] | None = None) -> None:
+    """Wait until the profile is over, or LIMIT has ended it. look: called at each poll. Raises RunTimeout."""
+
+    def over() -> bool:
+        if look is not None:
+            look()
+        return not port.status() & PROFILE or port.limited()
+
+    port.wait_until(over, timeout, "the end of its profile")
 
 
 def settle(

@@ -28,7 +28,6 @@ HOME_SPEED = 400.0  # pps; slow, so that the motor does not ring when the switch
 PATIENCE = 60.0  # s for a stop
 CAUSES = {"LMT+": "EL+", "LMT-": "EL-", "STOP1": "ORG", "STOP2": "EZ", "STOP0": "STOP0", "EMG": "EMG", "ALARM": "ALARM"}
 """Bits that tell what has ended a drive, and a report's words for them."""
-ALL_PULSES = "all pulses"
 
 
 class NovaDriver(Driver):
@@ -67,9 +66,9 @@ class NovaDriver(Driver):
             self.start(pulses, speeds)
             slowest = min(speeds.start, speeds.drive)
             longest = 1.5 * abs(pulses) / slowest + 3 * (speeds.up + speeds.down) + 1
-            wait_until_stopped([self.axis], longest if timeout is None else timeout)
+            ended = self.wait(longest if timeout is None else timeout)
             self.axis.wait(SETTLE)
-            return p.report(self.stopped_by() or ALL_PULSES, pulses)
+            return p.report(ended, pulses)
 
     def run(self, direction: int, speeds: Speeds) -> None:
         self._prepare(self._registers(speeds._replace(s_curve=False), 1))
@@ -147,7 +146,7 @@ class NovaDriver(Driver):
                 error.reports = together.reports(dict.fromkeys(mine, "timeout"))  # type: ignore[attr-defined]
                 raise
             axes[0].wait(SETTLE)
-            return together.report({n: d.stopped_by() or ALL_PULSES for n, d in mine.items()})
+            return together.report({n: d.stopped_by() or cls.DONE for n, d in mine.items()})
 
     # --- as operations ---
 
@@ -200,10 +199,8 @@ class NovaDriver(Driver):
 
     # --- lines ---
 
-    FINISH: ClassVar[str]
-    """The register of the finish point."""
     SIGNED: ClassVar[bool]
-    """It has a sign, which is the direction."""
+    """FINISH, the register of the finish point, has a sign, which is the direction."""
 
     def lines(self, drivers: Sequence[Driver], settings: Any) -> Line:
         """By the chip's interpolation where all axes are on one chip that has it; else by the ratio of speeds and accelerations."""

@@ -13,6 +13,7 @@ The chip does this alone, an axis that stands on ORG or on an end limit included
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from stage.chips.nova.registers.words514 import HOME_STATES
@@ -21,6 +22,8 @@ from stage.firmware.axis import Axis
 from stage.firmware.nova.port import MAP, POLL, Port, mask, same_chip, stop
 
 HSST = MAP.field("RR3-0", "HSST")
+BACK = HSST.code("step 2 irregular: waits for the signal in the other direction")
+"""The end limit has come before the signal, and the chip looks for it on the way back."""
 TIMERS = (1e-3, 2e-3, 10e-3, 20e-3, 0.1, 0.2, 0.5, 1.0)  # s, HTM
 
 
@@ -64,6 +67,7 @@ def home_search(
     offset: int = 0,
     timer: float = 0.1,
     timeout: float = 60.0,
+    back: bool = True,
 ) -> dict[str, HomeReport]:
     """Search home on axes of one MCX514, all at once.
 
@@ -75,6 +79,8 @@ def home_search(
         offset: pulses to go from there in the end, signed.
         timer: s of rest between steps, one of TIMERS: a motor rings when a switch stops it.
         timeout: s for all of it.
+        back: where an end limit comes before ORG, search it on the way back, as the chip does; False: stop there, with the limit
+            among the errors. Where ORG stays asserted up to the limit, there is none behind it.
     Returns a report for each axis by name. Raises ArgumentError; RunTimeout when the time is over, and stops the axes.
     """
     ports = same_chip(axes)
@@ -96,23 +102,35 @@ def home_search(
     begin = ports[0].axis.time
     together = sum(port.bit for port in ports)
     ports[0].chip.write(0, together << 8 | MAP.command("HMSRC").code)
-    seen = _watch(ports, begin, timeout)
-    return {
-        port.axis.name: HomeReport(
-            port.axis.name, states, states[-1][0], port.errors(), port.axis.position, getattr(port.axis, "unit", "m")
+    met: dict[str, tuple[str, ...]] = {}
+    seen = _watch(ports, begin, timeout, None if back else lambda p: met.update({p.axis.name: _limit(p, direction)}))
+    reports = {}
+    for port, states in zip(ports, seen, strict=True):
+        axis, errors = port.axis, met.get(port.axis.name) or port.errors()
+        reports[axis.name] = HomeReport(
+            axis.name, states, states[-1][0], errors, axis.position, getattr(axis, "unit", "m")
         )
-        for port, states in zip(ports, seen, strict=True)
-    }
+    return reports
 
 
-def _watch(ports: list[Port], begin: float, timeout: float) -> list[tuple[tuple[float, int], ...]]:
-    """Look at HSST until it is 0 on all axes; what was seen."""
+def _limit(port: Port, direction: int) -> tuple[str, ...]:
+    """Stop at the end limit, and name it."""
+    stop([port])
+    return ("HLMT-" if direction < 0 else "HLMT+",)
+
+
+def _watch(
+    ports: list[Port], begin: float, timeout: float, at_limit: Callable[[Port], None] | None
+) -> list[tuple[tuple[float, int], ...]]:
+    """Look at HSST until it is 0 on all axes; what was seen. at_limit: what to do with an axis that goes back from a limit."""
     seen: list[list[tuple[float, int]]] = [[] for _ in ports]
     while not all(states and states[-1][1] == 0 for states in seen):
         for port, states in zip(ports, seen, strict=True):
             state = HSST.of(port.word(3))
             if not states or states[-1][1] != state:
                 states.append((port.axis.time - begin, state))
+                if at_limit is not None and state == HSST.of(BACK):
+                    at_limit(port)
         if ports[0].axis.time - begin > timeout:
             stop(ports)
             raise RunTimeout(

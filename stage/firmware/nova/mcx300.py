@@ -38,7 +38,11 @@ class FirstGenerationDriver(NovaDriver):
             self._prepare(registers)
             now = AtOnce(self.axis)
             self.set(now, "HV", self.legal("HV", HOME_SPEED / self.UNIT))
-            self.write_home(now, True, 0, index, timeout / SEARCHES, SETTLE, direction)
+            self._to_signal(now, direction, timeout, SETTLE)
+            address, stop1 = self._level(1)
+            if (met := self.stopped_by()) in ("EL+", "EL-") and not self.chip.read(address) & stop1:
+                return p.report(met)
+            self._search(now, index, timeout, SETTLE, direction)
             self.axis.wait(SETTLE)
             word, place = self.port.word(2), "EZ" if index else "ORG"
             if not word & self.mask("RR2", "HOME"):
@@ -87,31 +91,43 @@ class FirstGenerationDriver(NovaDriver):
     def write_home(
         self, p: Operations, fast: bool, timer: int, index: bool, limit: float, rest: float, direction: int = -1
     ) -> list[int]:
-        found = []
         if fast:
-            self.command(self.words(p, WR1=self._inputs("SP1-E")), self.RUN[direction < 0])
+            found = [self._to_signal(p, direction, SEARCHES * limit, rest)]
         else:
             self.command(p, self.NOP)  # programs are alike: three operations
             p.wait(0).wait(0)
-        found.append(len(p))
-        p.until_stopped([self.index], SEARCHES * limit)
-        self.command(p, self.STOP).wait(rest)
+            found = [self._stopped(p, SEARCHES * limit, rest)]
+        return [*found, self._search(p, index, SEARCHES * limit, rest, direction)]
+
+    def _to_signal(self, p: Operations, direction: int, limit: float, rest: float) -> int:
+        """Drive until STOP1, or a limit, ends it; the place of the poll for the stop."""
+        self.command(self.words(p, WR1=self._inputs("SP1-E")), self.RUN[direction < 0])
+        return self._stopped(p, limit, rest)
+
+    def _search(self, p: Operations, index: bool, limit: float, rest: float, direction: int) -> int:
+        """The automatic home search, without its first step; the place of the poll for the stop."""
         self.words(p, WR1=self._inputs())
         steps = ["ST2", "ST3"][: 1 + index]
         bits = [f"{step}-E" for step in steps] + [f"{step}-D" for step in steps if direction < 0]
         self.set(p, "HM", self.mask("HM", *bits))
         self.command(p, "HOME_EXEC")
-        found.append(len(p))
-        p.until_stopped([self.index], SEARCHES * limit)
+        return self._stopped(p, limit, rest)
+
+    def _stopped(self, p: Operations, limit: float, rest: float) -> int:
+        at = len(p)
+        p.until_stopped([self.index], limit)
         self.command(p, self.STOP).wait(rest)
-        return found
+        return at
 
     def look(self, p: Program) -> dict[str, tuple[int, int]]:
         self.command(p, self.NOP)
-        two = self.chip.AXES == 2
-        name = "XYZU"[self.axis.chip_axis]
-        word = f"RR{4 + self.axis.chip_axis // (1 if two else 2)}"
         at = len(p)
-        p.read(self.index, 2).read(self.index, int(word[2:]))
-        levels = {f"stop{k}": (at + 1, self.mask(word, f"{name}-STOP{k}")) for k in (1, 2)}
+        p.read(self.index, 2).read(self.index, self._level(1)[0])
+        levels = {f"stop{k}": (at + 1, self._level(k)[1]) for k in (1, 2)}
         return {"error": (at, self.mask("RR2", "HOME")), **levels}
+
+    def _level(self, k: int) -> tuple[int, int]:
+        """Where STOPk of this axis is read: address and mask."""
+        axis = self.axis.chip_axis
+        word = f"RR{4 + axis // (1 if self.chip.AXES == 2 else 2)}"
+        return int(word[2:]), self.mask(word, f"{'XYZU'[axis]}-STOP{k}")

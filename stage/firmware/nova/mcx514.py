@@ -34,6 +34,7 @@ class Mcx514Driver(NovaDriver):
             found = home_search(
                 self.axis, direction=direction, speed=registers["DV"], home_speed=round(HOME_SPEED),
                 initial_speed=registers["SV"], acceleration=registers["AC"], index=index, timeout=timeout,
+                back=False,
             )[self.axis.name]  # fmt: skip
             self.axis.wait(SETTLE)
             errors = [CAUSES.get(name.removeprefix("H"), name) for name in found.errors]

@@ -12,6 +12,7 @@ from stage.firmware.pcl240.home import origin_return
 from stage.firmware.pcl240.line import RatioLine
 from stage.firmware.pcl240.pattern import Pattern
 from stage.firmware.pcl240.profile import Profile
+from stage.firmware.pcl240.rates import dual_rate_move
 from stage.firmware.pcl240.search import FourRuns
 from stage.firmware.pcl240.synchronized import synchronized_move
 from stage.firmware.report import Report
@@ -27,17 +28,20 @@ class Pcl240Driver(Driver):
     """Of PCL-240K, PCL-240MK and PCL-240MS."""
 
     PATTERN: ClassVar = Pattern
+    DONE: ClassVar = "R0 = 0"
+    FINISH: ClassVar = "R0"
     chip: Any
 
     def __init__(self, axis: Any):
         super().__init__(axis)
         self.port = Port(axis)
-        self._direction = 1
+        self._direction, self._preset = 1, False
 
-    def profile(self, speeds: Speeds) -> Profile:
-        """The registers of these speeds."""
+    def profile(self, speeds: Speeds, slow: float | None = None) -> Profile:
+        """The registers of these speeds, FH2 the drive speed; slow: FH1, default the same, pps."""
         made = Profile.of(
             speeds.start,
+            speeds.drive if slow is None else slow,
             speeds.drive,
             accel=speeds.up,
             decel=speeds.down,
@@ -49,12 +53,19 @@ class Pcl240Driver(Driver):
     def move(self, pulses: int, speeds: Speeds, timeout: float | None = None) -> Report:
         return moves.preset_move(self.axis, pulses, self.profile(speeds), timeout=timeout)
 
+    def start(self, pulses: int, speeds: Speeds) -> None:
+        moves.start_preset(self.port, self.profile(speeds), pulses)
+        self._direction, self._preset = pulses, True
+
+    def two_rates(self, pulses: int, speeds: Speeds, fast: float, dwell: float) -> Report:
+        return dual_rate_move(self.axis, pulses, self.profile(speeds.on_to(fast), speeds.drive), dwell=dwell)
+
     def home(self, direction: int, speeds: Speeds, index: bool = False, timeout: float = 60.0) -> Report:
         return origin_return(self.axis, direction, self.profile(speeds), ez=1 if index else None, timeout=timeout)
 
     def run(self, direction: int, speeds: Speeds) -> None:
         moves.prepare(self.port, self.profile(speeds), bus.MINUS if direction < 0 else 0)
-        self._direction = direction
+        self._direction, self._preset = direction, False
         self.port.command(bus.RAMP["FH1"])
 
     def halt(self, at_once: bool = False) -> None:
@@ -65,7 +76,7 @@ class Pcl240Driver(Driver):
 
     def stopped_by(self) -> str:
         status = self.port.status()
-        return "" if status.operating else stop_reason(status, self._direction, preset=False)
+        return "" if status.operating else stop_reason(status, self._direction, preset=self._preset)
 
     @classmethod
     def line(

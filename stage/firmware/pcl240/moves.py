@@ -84,6 +84,15 @@ def preset_move(
         return p.report(stop_reason(status, pulses), pulses)
 
 
+def start_preset(port: Port, profile: Profile, pulses: int) -> None:
+    """Begin a high-speed preset move with FH1 and the data sheet's ramp-down point, and do not wait. Raises ArgumentError."""
+    count = _count(pulses)
+    profile = profile.within(count)
+    prepare(port, profile, bus.PRESET | _minus(pulses))
+    port.write_registers(R0=count, R6=profile.down_point(count))
+    port.command(_start(True, False))
+
+
 def _offset(profile: Profile, offset: int) -> int:
     """R6 as the signed offset of the automatic ramp-down point."""
     half = (profile.chip.MAP.register("R6").mask + 1) // 2

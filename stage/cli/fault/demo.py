@@ -1,0 +1,91 @@
+"""What a demonstration is, and what came of one: its figures, its table, its picture."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+Figures = dict[str, Any]
+Strike = Callable[..., AbstractContextManager]
+Record = Callable[[Any], AbstractContextManager]
+
+
+@dataclass(frozen=True)
+class Claim:
+    """What happens with a servo, where it is something else than with a stepper; see `Demo`."""
+
+    claim: str
+    notice: str
+    happened: Callable[[Figures, Figures], bool]
+    draws: tuple[str, str] = ("position", "following_error")
+
+
+@dataclass(frozen=True)
+class Demo:
+    """A fault shown.
+
+    claim: what happens, in a sentence. notice: how a host can tell. program(stage, strike): runs, and returns its figures;
+    strike(fault, *args) makes the fault on the faulty stage, nothing on the healthy one. happened(healthy, faulty): the
+    claim, in figures. draws: two columns of the first axis' recording for the picture; close_up: seconds before and after the
+    moment that it shows, that in which the fault begins, or the first edge of a switch among `draws`. servo: the claim of servos;
+    None: the same.
+    """
+
+    claim: str
+    notice: str
+    program: Callable[[Any, Strike], Figures]
+    happened: Callable[[Figures, Figures], bool]
+    draws: tuple[str, str] = ("position", "lost_steps")
+    close_up: tuple[float, float] | None = None
+    servo: Claim | None = None
+
+    def of(self, servo: bool) -> Demo:
+        """What is claimed of a servo, or of a stepper."""
+        return replace(self, **vars(self.servo)) if servo and self.servo else self
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What came of it: figures and recordings (None where none was kept) of the healthy run and of the faulty one.
+
+    unit: "m", or "rad" where the first axis is a hinge; figures whose names end in mm and um are then mrad and urad.
+    """
+
+    name: str
+    demo: Demo
+    figures: tuple[Figures, Figures]
+    recordings: tuple[Any, Any] = field(repr=False)
+    unit: str = "m"
+
+    @property
+    def as_claimed(self) -> bool:
+        return self.demo.happened(*self.figures)
+
+    def table(self) -> str:
+        """The figures of both runs, a line each."""
+        return table(("", "healthy", "faulty"), self.figures, self.unit)
+
+    def plot(self, path: str | None = None, overwrite: bool = False) -> Any:
+        """Both runs over time. Saves to `path` if given; returns the figure. Needs recordings, and matplotlib."""
+        from stage.cli.fault.plot import draw
+
+        return draw(self, path, overwrite)
+
+
+def table(head: tuple[str, str, str], figures: tuple[Figures, Figures], unit: str) -> str:
+    """Figures of two runs, a line each; in their names mm and um are thousandths and millionths of `unit`."""
+    first, second = figures
+    rows = [head, *((_named(k, unit), _text(v), _text(second[k])) for k, v in first.items())]
+    widths = [max(len(r[k]) for r in rows) for k in range(3)]
+    return "\n".join("  ".join(v.ljust(w) for v, w in zip(r, widths, strict=True)).rstrip() for r in rows)
+
+
+def _named(figure: str, unit: str) -> str:
+    what, comma, scale = figure.rpartition(", ")
+    return f"{what}{comma}{scale[0]}{unit}" if comma and scale in ("mm", "um") else figure
+
+
+def _text(value: Any) -> str:
+    return f"{value:.4f}" if isinstance(value, float) else str(value)
