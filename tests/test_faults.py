@@ -84,6 +84,8 @@ def test_what_was_claimed_of_a_fault_happens(name):
 
 EVERY_DAY = ["mcx514", "mcx304", "hctl1100"]
 SELDOM = ["pcl240mk", "pcl240ms", "mcx302", "mcx312"]
+FIRST_GENERATION = ("mcx304", "mcx302", "mcx312")
+"""They look for ORG anew as soon as it has let go, and take a contact that bounces then for ORG."""
 REFUSED = {
     ("phase-open", "hctl1100"): "a DC motor, 14201S003, without phases",
     ("start-skew", "hctl1100"): "no command starts the axes of a line with HCTL1100s: the host leads each",
@@ -122,8 +124,26 @@ def test_what_was_claimed_happens_with_every_chip_or_is_refused_with_its_reason(
         assert off == pytest.approx(25, abs=3.2) if chip in FIRST_GENERATION else off < 3.2, off
 
 
-FIRST_GENERATION = ("mcx304", "mcx302", "mcx312")
-"""They look for ORG anew as soon as it has let go, and take a contact that bounces then for ORG."""
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [("start-skew", "a line is of two axes, and the model has one"), ("stuck-open", "axis x has no switch el_plus")],
+)
+def test_a_demonstration_says_what_the_model_lacks(tmp_path, name, message):
+    """stage fault stuck-open --model hinge.xml"""
+    (tmp_path / "hinge.xml").write_text(ONE_AXIS)
+    with pytest.raises(StageError, match=message):
+        demos.show(name, lambda: Stage(str(tmp_path / "hinge.xml"), visuals=False))
+
+
+ONE_AXIS = """
+<mujoco>
+  <custom><text name="x_unfitted" data="el_plus el_minus sd_plus sd_minus org"/></custom>
+  <option timestep="0.0001"/>
+  <worldbody><body><joint name="x" type="hinge" axis="0 0 1" range="-200 200" armature="1e-5"/>
+    <geom type="cylinder" size="0.02 0.005" mass="0.05"/></body></worldbody>
+  <actuator><motor name="x" joint="x" gear="1"/></actuator>
+</mujoco>
+"""
 
 
 def test_axes_on_two_chips_are_started_by_two_commands():

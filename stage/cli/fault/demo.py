@@ -69,7 +69,7 @@ class Shown:
 
     def plot(self, path: str | None = None, overwrite: bool = False) -> Any:
         """Both runs over time. Saves to `path` if given; returns the figure. Needs recordings, and matplotlib."""
-        from stage.cli.fault.plot import draw
+        from stage.cli.fault.picture import draw
 
         return draw(self, path, overwrite)
 

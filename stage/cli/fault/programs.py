@@ -6,6 +6,7 @@ with 16 microsteps, 10,000 counts of a servo's encoder.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -26,8 +27,13 @@ def first_axis(stage: Any) -> Any:
 
 
 def touch(axis: Any, pin: str) -> float:
-    """Where on its way the axis trips a switch, m."""
-    return next(s.touch for s in axis.plant.switches if s.pin == pin)
+    """Where on its way the axis trips a switch, m. Raises StageError where it has none."""
+    for switch in axis.plant.switches:
+        if switch.pin == pin:
+            return switch.touch
+    raise StageError(
+        f"axis {axis.name} has no switch {pin}, which is to fail: take a model that has it, for example xyz."
+    )
 
 
 def pulses(axis: Any, turns: float) -> int:
@@ -198,7 +204,10 @@ def _started_apart(stage: Any, axis: Any) -> Any:
             f"start-skew: no command starts the axes of a line with {chip}s: the host leads each by command positions, sample by "
             "sample. Show it with chips that make pulses."
         )
-    for other in stage.axes.values():
+    others = [other for other in stage.axes.values() if other is not axis]
+    if not others:
+        raise StageError("start-skew: a line is of two axes, and the model has one. Take another, for example xyz.")
+    for other in others:
         if other.chip is not axis.chip:
             return other
     raise StageError(
@@ -212,10 +221,9 @@ def lost_write(stage: Any, strike: Strike) -> Figures:
     from stage.firmware.driver import driver_of
 
     x = first_axis(stage)
-    asked = pulses(x, 5)
-    written, small = (
-        x.chip.register_cycles(driver_of(x).FINISH, distance, x.chip_axis) for distance in (asked, asked & 0xFF)
-    )
-    address, value = next(cycle for cycle, other in zip(written, small, strict=True) if cycle != other)
+    turns = min(5, 0.9 * (x.travel[1] - x.position) * abs(x.gear) / (2 * math.pi))
+    asked, register = pulses(x, turns), driver_of(x).FINISH
+    written, nothing = (x.chip.register_cycles(register, distance, x.chip_axis) for distance in (asked, 0))
+    address, value = next(cycle for cycle, other in zip(written, nothing, strict=True) if cycle != other)
     with strike(faults.lost_write, x, address, value):
-        return {"asked": asked} | begin(x, 5, 3.125, 0.1)() | {"diagnostics": len(x.chip.diagnostics)}
+        return {"asked": asked} | begin(x, turns, 3.125, 0.1)() | {"diagnostics": len(x.chip.diagnostics)}
