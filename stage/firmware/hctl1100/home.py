@@ -102,7 +102,7 @@ def _to_switch(port: Port, velocity: int, timeout: float) -> int:
     port.mode("integral velocity")
     if port.status() & STOP:
         cruise(port, velocity)
-    port.wait_until(lambda: not port.status() & STOP or port.limited(), timeout, "the home switch", SOON)
+    port.wait_until(lambda: port.status() & (STOP | LIMIT) != STOP | LIMIT, timeout, "the home switch", SOON)
     if port.limited():
         raise RunTimeout(
             f"axis {port.axis.name}: LIMIT before the home switch, at {port.position()} counts; it is in Init/Idle now."

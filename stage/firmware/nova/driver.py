@@ -66,9 +66,9 @@ class NovaDriver(Driver):
             self.start(pulses, speeds)
             slowest = min(speeds.start, speeds.drive)
             longest = 1.5 * abs(pulses) / slowest + 3 * (speeds.up + speeds.down) + 1
-            ended = self.wait(longest if timeout is None else timeout)
+            wait_until_stopped([self.axis], longest if timeout is None else timeout)
             self.axis.wait(SETTLE)
-            return p.report(ended, pulses)
+            return p.report(self.stopped_by() or self.DONE, pulses)
 
     def run(self, direction: int, speeds: Speeds) -> None:
         self._prepare(self._registers(speeds._replace(s_curve=False), 1))
