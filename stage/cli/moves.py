@@ -5,19 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from stage.cli.setup import (
-    distance,
-    find_axis,
-    is_pcl240,
-    make_stage,
-    note,
-    only_pcl240,
-    place,
-    plot,
-    profile,
-    recorded,
-    speeds,
-)
+from stage.cli.setup import distance, find_axis, make_stage, note, place, plot, profile, recorded, speeds
 from stage.errors import ArgumentError
 
 
@@ -41,10 +29,10 @@ def _home(args: argparse.Namespace, axis: Any) -> Any:
     from stage.firmware.driver import driver_of
 
     direction = +1 if args.plus else -1
-    if is_pcl240(axis):
+    if _is_pcl240(axis):
         how = {"high_speed": not args.constant, "slow_approach": not args.fast_only, "ez": args.ez}
         return firmware.origin_return(axis, direction, profile(args, axis), **how)
-    only_pcl240(args, axis, "constant", "fast_only", "fh2")
+    _only_pcl240(args, axis, "constant", "fast_only", "fh2")
     if args.ez not in (None, 1):
         raise ArgumentError(
             f"--ez {args.ez}: a {axis.chip.MAP.chip} ends at the first index pulse after ORG, --ez 1, or at ORG."
@@ -58,11 +46,11 @@ def move(args: argparse.Namespace) -> int:
 
     def run(axis: Any) -> Any:
         pulses = distance(axis, args.distance)
-        if is_pcl240(axis):
+        if _is_pcl240(axis):
             how = {"high_speed": not args.constant, "s_curve": args.s_curve, "automatic": args.automatic}
             print(wanted := profile(args, axis))
             return firmware.preset_move(axis, pulses, wanted, **how)
-        only_pcl240(args, axis, "constant", "automatic", "fh2")
+        _only_pcl240(args, axis, "constant", "automatic", "fh2")
         if args.s_curve not in (None, True):
             raise ArgumentError(f"--s-curve {args.s_curve:g}: a {axis.chip.MAP.chip} knows no shares; --s-curve alone.")
         return driver_of(axis).move(pulses, speeds(args)._replace(s_curve=bool(args.s_curve)))
@@ -74,7 +62,7 @@ def dual_rate(args: argparse.Namespace) -> int:
     from stage import firmware
 
     def run(axis: Any) -> Any:
-        if not is_pcl240(axis):
+        if not _is_pcl240(axis):
             raise ArgumentError(
                 f"dual-rate: FH1 and FH2 are of the PCL-240 family; a {axis.chip.MAP.chip} has one drive speed."
             )
@@ -113,15 +101,33 @@ def sync(args: argparse.Namespace) -> int:
     drivers = {name: driver_of(stage.axes[name]) for name in distances}
     first = stage.axes[next(iter(distances))]
     with recorded(args, stage):
-        if is_pcl240(first):
+        if _is_pcl240(first):
             keys = ("rate", "fl", "accel", "s_curve", "automatic")
             given = {k: getattr(args, k) for k in keys if getattr(args, k) is not None}
             report = firmware.synchronized_move(distances, stage.axes, **given)
             print(report.plan)
         else:
-            only_pcl240(args, first, "automatic")
+            _only_pcl240(args, first, "automatic")
             wanted = speeds(argparse.Namespace(**vars(args) | {"fh1": args.rate}))
             report = drivers[first.name].line(drivers, distances, wanted._replace(s_curve=args.s_curve is not None))
         print(report)
         plot(args, report.plot)
     return 0 if report.ok else 1
+
+
+# --- options of one family ---
+
+
+def _is_pcl240(axis: Any) -> bool:
+    """Its moves have options that only this family has."""
+    from stage.chips.pcl240 import PCL240
+
+    return isinstance(axis.chip, PCL240)
+
+
+def _only_pcl240(args: argparse.Namespace, axis: Any, *options: str) -> None:
+    """Refuse options that only the PCL-240 family has. Raises ArgumentError."""
+    for option in options:
+        if getattr(args, option, None) not in (None, False):
+            shown = "--" + option.replace("_", "-")
+            raise ArgumentError(f"{shown}: a {axis.chip.MAP.chip} has no such thing; it is of the PCL-240 family.")

@@ -44,21 +44,6 @@ def speeds(args: argparse.Namespace) -> Any:
     return made._replace(start=min(made.start, made.drive)) if "start" not in given else made
 
 
-def is_pcl240(axis: Any) -> bool:
-    """Its moves have options that only this family has."""
-    from stage.chips.pcl240 import PCL240
-
-    return isinstance(axis.chip, PCL240)
-
-
-def only_pcl240(args: argparse.Namespace, axis: Any, *options: str) -> None:
-    """Refuse options that only the PCL-240 family has. Raises ArgumentError."""
-    for option in options:
-        if getattr(args, option, None) not in (None, False):
-            shown = "--" + option.replace("_", "-")
-            raise ArgumentError(f"{shown}: a {axis.chip.MAP.chip} has no such thing; it is of the PCL-240 family.")
-
-
 def profile(args: argparse.Namespace, axis: Any) -> Any:
     """The speeds that the options give, in the registers of a PCL-240."""
     from stage.firmware import Profile
