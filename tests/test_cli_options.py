@@ -1,6 +1,7 @@
 """Each option of the command line arrives where it is meant for; defaults and exit codes are those that the help tells."""
 
 import argparse
+import math
 import re
 import sys
 from types import SimpleNamespace
@@ -315,3 +316,17 @@ def test_there_is_a_screen_where_x_or_wayland_is(monkeypatch, display, wayland, 
     if screen:
         with pytest.raises(StageError, match="cannot open a window here: broken"):
             opengl.check_window("")
+
+
+@pytest.mark.parametrize(
+    ("unit", "texts"),
+    [
+        ("m", ("0.02m", "2cm", "20mm", "20000um", "20000000nm", "20000", "0x4e20")),
+        ("rad", ("0.02rad", "20mrad", "20000urad", f"{math.degrees(0.02)}deg", "20000")),
+    ],
+)
+def test_a_distance_may_be_typed_in_any_unit_of_its_axis(unit, texts):
+    """stage move x 2cm; stage move q 20mrad"""
+    axis = SimpleNamespace(name="x", unit=unit, meters_per_pulse=1e-6)
+    assert [setup.distance(axis, text) for text in texts] == [20_000] * len(texts)
+    assert setup.distance(axis, "-" + texts[1]) == -20_000

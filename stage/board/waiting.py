@@ -117,6 +117,7 @@ def serve(h):
     while line_of(h) and h.hook and not h.stopped:
         if calls == STORM_CALLS:
             ask(h, STORM)
+            return
         calls += 1
         note(h, CALLED, 0, 0, -1)
         h.serving = 1

@@ -7,6 +7,7 @@ import os
 import signal
 import threading
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -250,3 +251,10 @@ def test_a_hook_in_python_that_takes_itself_away_is_called_once_and_one_that_sta
     b.out8(0x304, 0x30)
     b.delay_us(200_000)
     assert calls == ["once", "stays"]
+
+
+def test_the_patience_of_a_host_is_the_documented_one():
+    from stage.board.threaded import PATIENCE
+
+    page = (Path(__file__).resolve().parents[2] / "docs" / "firmware_in_the_loop.md").read_text()
+    assert f"after {PATIENCE:g} s of real time without a cycle" in page

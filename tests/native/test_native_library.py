@@ -211,3 +211,23 @@ def test_a_library_is_linked_by_the_first_compiler_there_is(tmp_path, monkeypatc
     there.clear()
     with pytest.raises(NativeError, match="install a C compiler, or pip install ziglang"):
         build.linker()
+
+
+def test_where_a_package_cannot_be_written_its_library_is_this_process_s_own(tmp_path, monkeypatch):
+    """A package of root's, used by somebody else: a private folder, gone with the process."""
+    from stage.native import build
+
+    write(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(build.os, "access", lambda folder, how: False)
+    monkeypatch.setattr(build, "_emit", lambda parts, *_: None)
+    monkeypatch.setattr(build, "_link", lambda objects, manifest, path: path.write_text(load.NO_DIGEST))
+    at_exit = []
+    monkeypatch.setattr(build.atexit, "register", lambda *call, **how: at_exit.append((call, how)))
+    folder = build.build("toy").parent
+    assert folder != tmp_path / "toy"
+    assert folder.stat().st_mode & 0o777 == 0o700
+    assert [path.name for path in (tmp_path / "toy").iterdir() if path.suffix == ".so"] == []
+    (((function, *arguments), how),) = [(call, how) for call, how in at_exit if folder in call]
+    function(*arguments, **how)
+    assert not folder.exists()
