@@ -159,3 +159,15 @@ def test_a_recording_is_not_run_backwards(xy):
     assert recording.columns["time"][-1] == pytest.approx(0.01)
     xy.run(0.01)
     assert xy.time == pytest.approx(0.01)
+
+
+def test_a_carriage_put_elsewhere_by_hand_leaves_its_switch(xy):
+    """stage.place(x=-0.13); stage.data.qpos[x.plant.qpos] = 0.0; stage.run(2e-3)"""
+    x = xy.axes["x"]
+    xy.place(x=-0.13)
+    assert x.switches.org
+    xy.data.qpos[x.plant.qpos] = 0.0
+    xy.run(2e-3)
+    assert x.position == pytest.approx(0.0, abs=1e-3)
+    assert not x.switches.org
+    assert not x.chip.pins.org

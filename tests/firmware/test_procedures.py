@@ -180,11 +180,13 @@ def test_a_stop_at_once_makes_no_more_pulses_and_one_with_a_ramp_does(name):
         assert 50 < more[1] < 200
 
 
-def test_a_servo_stopped_at_once_holds_where_it_is_and_one_with_a_ramp_slows_down():
+@pytest.mark.parametrize("stage", ["HCTL1100"], indirect=True)
+def test_a_servo_stopped_at_once_holds_where_it_is_and_one_with_a_ramp_slows_down(stage):
     """firmware.stop(axis, at_once=True)"""
     way = []
     for at_once in (True, False):
-        x = Stage("xyz_servo", chips="hctl1100", visuals=False).axes["x"]
+        stage.reset()
+        x = stage.axes["x"]
         driver_of(x).run(1, Speeds(500, 20_000, 0.05, 0.05))
         x.wait(0.1)
         before = x.position
@@ -194,10 +196,10 @@ def test_a_servo_stopped_at_once_holds_where_it_is_and_one_with_a_ramp_slows_dow
     assert way[1] > 1e-3
 
 
-@pytest.mark.parametrize("name", [name for name in STEPPING if CHIPS[name].__name__.startswith("MCX")])
-def test_the_drawing_of_a_run_has_the_command_that_stopped_it(name):
+@pytest.mark.parametrize("stage", [name for name in STEPPING if name.startswith("MCX")], indirect=True)
+def test_the_drawing_of_a_run_has_the_command_that_stopped_it(stage):
     """firmware.jog(axis, 0.1, 0.02).plot()"""
-    x = Stage("xy", chips=name, visuals=False).axes["x"]
+    x = stage.axes["x"]
     report = firmware.jog(x, 0.05, 0.02, accel=0.2)
     notes = driver_of(x).PATTERN(report).notes(report.course.seconds - report.began)
     assert [note.words for note in notes if "decelerating stop" in note.words] == ["X decelerating stop"]
@@ -228,9 +230,9 @@ def test_an_end_limit_is_told_as_one(stage):
     assert firmware.move(x, -5e-3, speed=0.02).ok, "the way back is free"
 
 
-def test_a_line_of_servos_that_a_limit_ends_says_so():
+@pytest.mark.parametrize("stage", ["HCTL1100"], indirect=True)
+def test_a_line_of_servos_that_a_limit_ends_says_so(stage):
     """firmware.line({"x": 6e-3, "y": 2e-3}, stage.axes), 2 mm before the end limit of x"""
-    stage = Stage("xyz_servo", chips="hctl1100", visuals=False)
     touch = next(s.touch for s in stage.axes["x"].plant.switches if s.pin == "el_plus")
     stage.place(x=touch - 2e-3)
     report = firmware.line({"x": 6e-3, "y": 2e-3}, stage.axes, speed=0.04)
