@@ -335,3 +335,14 @@ def test_a_runaway_ends_in_a_timeout_that_shows_rr1():
     setup, _ = asked(bare, IN_D[1])
     with pytest.raises(RunTimeout, match="still drives after 1 s: RR1 = 000"):
         setup.driver.wait_until_stopped(1)
+
+
+@every_chip
+def test_error_bits_are_told_by_the_names_that_the_chip_has(cls):
+    """erratum.port_of(axis).errors()"""
+    setup = Setup(cls)
+    assert setup.driver.errors() == ()
+    setup.pins.lmt_plus = True
+    setup.start()
+    setup.bench.wait(1e-3)
+    assert "HLMT+" in setup.driver.errors()

@@ -4,8 +4,9 @@ A program is a list of operations, tuples that print as what they do:
     ("write", address, value)     ("read", address)     ("write_byte", address, value)     ("read_byte", address)
     ("pin", axis, name, level)    ("shaft", count, rate)    ("advance" or "trace", clocks)    ("reset",)
     ("check",)                    a checkpoint
-A digest tells of everything since the program began: what was read, pulses, outputs, the whole state, diagnostics, and what a
-listener, a decoder and a replayed journal say. It is of whole numbers, texts and sums of doubles that every machine rounds alike.
+A digest tells of everything since the program began: what was read, pulses, outputs, the whole state, what was a mistake, and in
+the end the replayed journal. The last one is of words alone: what a listener, a decoder and the diagnostics said. All is of whole
+numbers, texts and sums of doubles that every machine rounds alike.
 """
 
 import random
@@ -47,7 +48,8 @@ class Draw:
 class Player:
     def __init__(self, chip, axis=0):
         """axis: the one whose course is looked at in the end."""
-        self.chip, self.said, self.checks = chip, blake2b(digest_size=DIGITS), []
+        self.chip, self.checks = chip, []
+        self.done, self.words = blake2b(digest_size=DIGITS), blake2b(digest_size=DIGITS)
         self.journal = chip.journal(axis)
         self.listener = chip.listener()
         self.common = (
@@ -62,18 +64,22 @@ class Player:
         return self.checks
 
     def note(self, *what):
-        self.said.update(repr(what).encode())
+        self.done.update(repr(what).encode())
+
+    def tell(self, *words):
+        self.words.update(repr(words).encode())
 
     def do(self, kind, *rest):
         chip = self.chip
         if kind == "check":
             self.check()
         elif kind == "write":
-            self.note(self.listener.write(*rest))
+            self.tell(self.listener.write(*rest))
             chip.write(*rest)
         elif kind == "read":
             value = chip.read(*rest)
-            self.note(value, self.listener.read(*rest, value))
+            self.note(value)
+            self.tell(self.listener.read(*rest, value))
         elif kind == "pin":
             axis, name, level = rest
             setattr(self.common if axis == chip.AXES and self.common else chip.axes[axis].pins, name, level)
@@ -94,18 +100,23 @@ class Player:
 
     def check(self):
         chip = self.chip
-        self.note(self.seen(), [(d.clock, d.message, d.source) for d in chip.diagnostics[-20:]], chip.clock)
-        self.said.update(chip.state.tobytes())
-        self.checks.append(self.said.copy().hexdigest())
+        said = chip.diagnostics
+        self.note(self.seen(), [(d.clock, d.address, d.value) for d in said[-20:]], chip.clock)
+        self.tell([d.message + d.source for d in said[-20:]])
+        self.done.update(chip.state.tobytes())
+        self.checks.append(self.done.copy().hexdigest())
 
     def end(self):
-        """What was noted of it all: the commands in words, the changes of the pins."""
+        """What was noted of it all: the commands in words, the changes of the pins. The last digest is that of all words."""
         journal = self.journal
         journal.close()
-        self.note([tuple(s) for s in decode(self.chip.decoder(journal.axis), journal.entries)])
+        decoded = decode(self.chip.decoder(journal.axis), journal.entries)
+        self.note([(s.clock, s.kind, s.code) for s in decoded])
+        self.tell([s.meaning for s in decoded])
         course = journal.course(every_pulse=self.chip.clock < 20_000)
-        self.said.update(course.edges.tobytes())
+        self.done.update(course.edges.tobytes())
         self.check()
+        self.checks.append(self.words.hexdigest())
 
 
 def say(operation):

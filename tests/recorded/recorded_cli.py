@@ -15,11 +15,9 @@ home x --from 3
 home y --from 85 --plus --fast-only
 home x --constant --fl 2000 --from 1
 home x --fast-only --from 5
-home x --ez 2 --chips pcl240mk --from 2 --fl 2000
 home x --chips pcl240ms --from 2 --ez 1 --fl 2000 --fh1 4000 --accel 0.1
 home x --from -60 --fh1 60000 --fh2 60000 --accel 0.15 --fast-only
 home x --chips mcx514 --from 2
-home x --chips mcx514 --from 2 --ez 1
 home x --chips mcx304 --from 2 --fh1 8000
 home x --chips hctl1100 --from 1
 home x --chips hctl1100 --from 1 --ez 1

@@ -52,7 +52,7 @@ def plain(value: Any) -> Any:
     if isinstance(value, list | tuple | set | frozenset):
         return [plain(v) for v in (sorted(value) if isinstance(value, set | frozenset) else value)]
     if isinstance(value, float):
-        return float(f"{value:.10g}") if math.isfinite(value) else str(value)
+        return float(f"{value:.9g}") if math.isfinite(value) else str(value)
     if isinstance(value, bytes):
         return digits(value, 4)
     if isinstance(value, str) and "\n" in value:

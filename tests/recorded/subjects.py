@@ -1,7 +1,9 @@
 """All files of recorded behaviour and their scenes."""
 
-from recorded import recorded_chips, recorded_cli
+from recorded import recorded_chips, recorded_cli, recorded_envs, recorded_firmware, recorded_stage, recorded_texts
 
-PHYSICS = {**recorded_cli.FILES}
+PHYSICS = {
+    **recorded_cli.FILES, **recorded_texts.FILES, **recorded_stage.FILES, **recorded_firmware.FILES, **recorded_envs.FILES,
+}  # fmt: skip
 """What depends on MuJoCo's version."""
 FILES = {**recorded_chips.FILES, **PHYSICS}

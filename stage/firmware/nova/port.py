@@ -21,7 +21,7 @@ from stage.firmware.axis import Axis
 
 POLL = 1e-3  # s between two looks
 ERRORS = ("SLMT+", "SLMT-", "HLMT+", "HLMT-", "ALARM", "EMG", "HOME", "CERR")
-"""Error bits of RR2."""
+"""Error bits of RR2; the first generation has no CERR."""
 
 
 class Port:
@@ -86,8 +86,8 @@ class Port:
 
     def errors(self) -> tuple[str, ...]:
         """The error bits of RR2 that are set, by name."""
-        word = self.word(2)
-        return tuple(name for name in ERRORS if word & self.map.mask("RR2", name))
+        word, bits = self.word(2), {f.name: f.mask for f in self.map.word("RR2").fields}
+        return tuple(name for name in ERRORS if word & bits.get(name, 0))
 
     def start(self, pulses: int) -> None:
         """Start a drive of so many pulses; the sign is the direction. Raises ArgumentError for 0."""
