@@ -105,3 +105,18 @@ def test_every_field_of_a_drive_is_checked():
     for name, value in bad.items():
         with pytest.raises(ArgumentError):
             Drive(**{name: value})
+
+
+def test_every_field_of_a_motor_is_checked():
+    good = motor("17HS4401")
+    most = {
+        "rated_current": 100, "resistance": 1000, "inductance": 1, "holding_torque": 1000,
+        "detent_torque": good.holding_torque, "rotor_inertia": 1, "steps_per_turn": 4000,
+    }  # fmt: skip
+    assert set(most) == {f.name for f in fields(good)} - {"name", "evidence"}
+    for name, value in most.items():
+        assert getattr(replace(good, **{name: value}), name) == value
+        for bad in (-1, 0, math.nan, "1", value * 1.5):
+            if not (name == "detent_torque" and bad == 0):
+                with pytest.raises(ArgumentError, match=f"17HS4401: {name}="):
+                    replace(good, **{name: bad})
