@@ -56,7 +56,8 @@ class WatchedStage(Stage):
             recording = super().record(*args, **kwargs)
         finally:
             self._go_on()
-        self._kept.append(recording)
+        if self._watched:
+            self._kept.append(recording)
         return recording
 
     def restore(self, snapshot: Snapshot) -> None:

@@ -1,5 +1,6 @@
 """The assertions of stage.testing: what passes, what does not, and what a failure says."""
 
+import copy
 import re
 from itertools import pairwise
 
@@ -20,6 +21,7 @@ from stage.testing import (
     assert_stopped,
 )
 from stage.testing.evidence import Watch
+from stage.testing.watched import WatchedStage
 
 SLOW = firmware.Profile.of(fh1=8000, accel=0.05)
 TOO_FAST = firmware.Profile.of(fh1=200_000, accel=0.01)
@@ -279,3 +281,19 @@ def test_the_log_of_a_firmware_is_shown_from_its_end_and_its_stray_cycles_are_co
     assert "3 bus cycles reached no chip" in state
     assert "fault in force: axis x: org stuck closed" in state
     assert "asserted: org" in state
+
+
+def test_a_copy_of_a_watched_stage_is_not_watched():
+    """copy.deepcopy(stage).record(), of the fixture `stage`: "'WatchedStage' object has no attribute '_kept'" """
+    watched = WatchedStage("xy", visuals=False)
+    watched.watch()
+    copied = copy.deepcopy(watched)
+    assert copied.recording is None
+    copied.place(x=0.01)
+    with copied.record() as recording:
+        copied.run(1e-3)
+    assert len(recording) > 0
+    assert copied.recording is None
+    assert watched.recording is not None
+    watched.unwatch()
+    assert watched.recording is None
