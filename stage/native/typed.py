@@ -11,16 +11,11 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.core.compiler import CompilerBase
-from numba.core.compiler_machinery import PassManager, _pass_registry
+from numba.core.compiler_machinery import PassManager, _pass_registry, register_pass
 from numba.core.errors import TypingError
+from numba.core.lowering import Lower
 from numba.core.registry import CPUDispatcher, cpu_target
-from numba.core.typed_passes import (
-    IRLegalization,
-    NativeLowering,
-    NoPythonBackend,
-    NopythonTypeInference,
-    PreLowerStripPhis,
-)
+from numba.core.typed_passes import NativeLowering, NoPythonBackend, NopythonTypeInference, PreLowerStripPhis
 from numba.core.typing import Context
 from numba.core.untyped_passes import (
     DeadBranchPrune,
@@ -73,15 +68,35 @@ class _Passes(PassManager):
             one.run_finalizer(state)
 
 
+class _Lower(Lower):
+    """Every array here is borrowed: nobody counts who holds it."""
+
+    def incref(self, typ: Any, val: Any) -> None:
+        """Nothing."""
+
+    def decref(self, typ: Any, val: Any) -> None:
+        """Nothing."""
+
+
+@register_pass(mutates_CFG=True, analysis_only=False)
+class _Lowering(NativeLowering):
+    """numba's, by `_Lower`."""
+
+    @property
+    def lowering_class(self) -> type[Lower]:
+        """See there."""
+        return _Lower
+
+
 class _Pipeline(CompilerBase):
     """Of numba's passes those that hot functions need: no closures, generators, literals to unroll, inlined overloads, array
-    expressions, annotations."""
+    expressions, annotations; nothing that says where a variable ends, since nobody counts."""
 
     def define_pipelines(self) -> list[Any]:
         passes = _Passes("hot")
         for each in (
             TranslateByteCode, FixupArgs, IRProcessing, RewriteSemanticConstants, DeadBranchPrune, GenericRewrites, ReconstructSSA,
-            NopythonTypeInference, PreLowerStripPhis, IRLegalization, NativeLowering, NoPythonBackend,
+            NopythonTypeInference, PreLowerStripPhis, _Lowering, NoPythonBackend,
         ):  # fmt: skip
             passes.add_pass(each, each.__name__)
         passes.finalize()
