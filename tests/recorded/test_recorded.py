@@ -11,7 +11,7 @@ SCENES = [(file, scene) for file, scenes in FILES.items() for scene in scenes]
 MOST = 12
 
 
-@pytest.mark.parametrize(("file", "scene"), SCENES, ids="/".join)
+@pytest.mark.parametrize(("file", "scene"), SCENES, ids=[f"{file}/{scene}" for file, scene in SCENES])
 def test_as_recorded(file, scene, tmp_path, monkeypatch):
     kept = store.load(file)
     assert scene in kept, f"{file}.json has no {scene!r}: is it a new scene? Then `make record`."
