@@ -60,6 +60,13 @@ class Stories(NovaDraw):
                     f"S{m}M",
                     d.between(0, 15) | d.between(0, 24 if d.chance(0.95) else 31) << 4 | links | d.chance(0.6) << 15,
                 )
+        if d.chance(0.25):  # sets that ask each other in a ring, and SYNC0 of the next axis
+            for m in range(4):
+                self.load(
+                    f"S{m}M",
+                    d.between(0, 15) | d.of(5, 9, 19, 21, 23) << 4 | d.of(0x200, 0x600, 0x1200) | 0x8000,
+                    self.all,
+                )
         self.command("SYNCEN", more=d.between(1, 15), axes=d.of(self.axes, self.all))
         for _ in range(d.between(3, 8)):
             d.of(self.timer, self.split, self.start, self.start, self.pulses, self.stop, self.encoder, self.counters,
