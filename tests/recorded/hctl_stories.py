@@ -129,6 +129,11 @@ class HctlDraw:
             self.advance(10, 5000)
             if d.chance(0.4):
                 self.happening("commutator")
+            if d.chance(0.3):  # F4 holds the ring while the shaft turns, and lets go
+                self.write(0x00, 0x0C)
+                self.shaft()
+                self.advance(10, 3000)
+                self.write(0x00, 0x04)
             if d.chance(0.3):
                 self.pins()
             self.look()

@@ -14,6 +14,7 @@ from support.programs import start_preset
 
 from stage import Drive, Fleet, Program, Stage, faults
 from stage.chips import HCTL1100, MCX302, MCX304, MCX312, MCX514, PCL240K, PCL240MK, PCL240MS
+from stage.chips.entries import SHAFT
 from stage.chips.nova import Nova
 from stage.drives.dc_motors import DC_MOTORS, Servo
 from stage.drives.motors import MOTORS
@@ -280,6 +281,23 @@ def index_pulses():
     return found
 
 
+def thrown():
+    """Index pulses of a free rotor so fast that they come and go within a physics step, both ways."""
+    found = {}
+    for speed, cls in itertools.product((1.1, 0.6, -0.9), (PCL240MS, MCX514, HCTL1100)):
+        stage = make("xy", {"x": cls})
+        x = stage.axes["x"]
+        if cls is not HCTL1100:
+            faults.phase_open(x, "a")
+            faults.phase_open(x, "b")
+        journal = x.chip.journal()
+        stage.data.qvel[x.plant.dof] = speed
+        stage.run(0.03)
+        entries = [tuple(e)[:4] for e in journal.entries if e.kind != SHAFT]
+        found[f"{cls.__name__} {speed}"] = [len(entries), digits(repr(entries), 3), brief(stage)[1:]]
+    return found
+
+
 def columns(recording):
     """Sums of a recording's columns, whole numbers as digits."""
     found = {}
@@ -395,7 +413,7 @@ FILES = {
         **{f"{model}": partial(moves, model, PCL240MK) for model in MODELS if model != "xyz_servo"},
         "xyz_servo": partial(moves, "xyz_servo", HCTL1100),
         "mixed": partial(moves, "xyz", {"x": MCX312, "y": PCL240MS, "z": MCX514}),
-        "drives": drives, "index": index_pulses,
+        "drives": drives, "index": index_pulses, "thrown": thrown,
     },
     "stage_switches": {cls.__name__: partial(over_switches, cls) for cls in (PCL240K, PCL240MS, MCX514, MCX302, HCTL1100)},
     "stage_programs": {cls.__name__: partial(programs, cls) for cls in CHIPS},
