@@ -118,7 +118,7 @@ class NovaDraw:
 
     def pulses(self):
         d = self.d
-        n = d.of(d.between(1, 12), d.between(1, 300), d.between(100, 4000))
+        n = 0 if d.chance(0.04) else d.of(d.between(1, 12), d.between(1, 300), d.between(100, 4000))
         self.load("TP" if self.new else "P", d.of(n, n, -n) if self.new else n)
         return n
 

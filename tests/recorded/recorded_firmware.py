@@ -296,6 +296,8 @@ def searches():
         stage.reset()
         stage.place(x=0.4e-3, y=0.2e-3)
         found[str(options)] = tried(home_search, x, y, **{"home_speed": 1500, "timer": 0.01, "timeout": 8.0} | options)
+        stage.run(0.02)
+        found[f"{options} then"] = [x.position, y.position, [x.chip.busy(axis.chip_axis) for axis in (x, y)]]
     return found
 
 

@@ -135,7 +135,7 @@ FAULTS = {
     "bounce": lambda s, a: faults.bounce(a, "sd_plus", 3e-3, 8),
     "bounce of el": lambda s, a: faults.bounce(a, "el_plus", 2e-3, 2),
     "payload": lambda s, a: faults.payload(s, 3.0),
-    "payload of y": lambda s, a: faults.payload(s, 2.0, "y"),
+    "payload of x": lambda s, a: faults.payload(s, 2.0, "x"),
     "jam": lambda s, a: faults.jam(a),
     "jam lightly": lambda s, a: faults.jam(a, 15.0),
     "volts": lambda s, a: faults.bus_voltage(a, 9.0),
@@ -161,7 +161,7 @@ def broken(chips, pin, name):
     stage = make("xy", chips)
     x = stage.axes["x"]
     stage.set_payload(2.0)
-    stage.set_payload(0.5, "y")
+    stage.set_payload(0.5, "x")
     touch = next(s.touch for s in x.plant.switches if s.pin == pin)
     stage.place(x=touch - 1e-3)
     try:
@@ -175,7 +175,7 @@ def broken(chips, pin, name):
     stage.run(0.0911)
     found.append(seen(stage))
     fault.mend()
-    found += [list(stage.faults), repr(fault), stage.payload(), stage.payload("y"), stage.model.body_mass]
+    found += [list(stage.faults), repr(fault), stage.payload(), stage.payload("x"), stage.model.body_mass]
     stage.run(0.02)
     found.append(brief(stage))
     run_on(twin.axes["x"])
@@ -321,6 +321,8 @@ def recordings(chips, folder):
         with faults.switch_stuck(stage.axes["y"], "org", True):
             go(stage.axes["y"], 200, minus=True)
             stage.run(0.05)
+        go(x, 20, minus=True)
+        stage.run(0.004)
         x.chip.reset()
         stage.run(0.003)
         go(x, 100, minus=True)

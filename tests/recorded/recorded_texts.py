@@ -128,12 +128,10 @@ def shapes():
         said = {}
         for body in range(model.nbody):
             for what, shape in geoms.shapes(model, body):
-                parts = [
-                    str(getattr(shape, k))
-                    for k in dir(shape)
-                    if not k.startswith("_") and not callable(getattr(shape, k))
-                ]
-                said[f"{body} {what}"] = digits("".join(p for p in parts if " object at " not in p), 3)
+                parts = [part.as_arrow_array().to_pylist() for part in shape.as_component_batches()]
+                said[f"{body} {what}"] = digits(
+                    repr([np.round(np.ravel(p), 6) if p and isinstance(p[0], list) else p for p in parts]), 3
+                )
         said["poses"] = (
             [np.asarray(p) for p in geoms.poses(model, np.array([model.qpos0, model.qpos0 + 0.01]))]
             if name == "all"
