@@ -107,7 +107,8 @@ class Player:
         self.tell([d.message + d.source for d in said[-20:]])
         words = chip.state.tobytes()
         kept = np.frombuffer(words[: len(words) // 8 * 8], np.int64)
-        self.done.update(np.sort(kept[kept != 0]).tobytes())  # whatever the order of the fields, and with new ones at rest
+        # whatever the order of the fields, and with new ones at rest
+        self.done.update(np.sort(kept[kept != 0]).tobytes())
         self.checks.append(self.done.copy().hexdigest())
 
     def end(self):
