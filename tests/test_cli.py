@@ -50,6 +50,7 @@ def test_a_second_start_takes_less_than_two_seconds(here):
 def test_the_demo_homes_moves_and_writes_a_recording(here, capsys):
     """stage demo"""
     said = out(capsys, "demo").out
+    assert re.search(r"\d s of simulated time in [\d.]+ s of wall time", said)
     assert said.count("ORG") >= 3
     assert "NO" not in said.split()
     assert (here / "demo.rrd").stat().st_size > 100_000

@@ -445,3 +445,9 @@ def test_the_pins_of_a_chip_of_several_axes_are_those_of_its_axes(made):
     with pytest.raises(StageError, match="emg"):
         _ = chip.pins.lmt_plus
     assert not chip.pins.emg
+
+
+def test_each_axis_may_be_given_its_chip_by_name():
+    """Stage("xy", chips={"x": "pcl240k", "y": "mcx304"})"""
+    stage = Stage("xy", chips={"x": "pcl240k", "y": "mcx304"}, visuals=False)
+    assert [type(axis.chip).__name__ for axis in stage.axes.values()] == ["PCL240K", "MCX304"]

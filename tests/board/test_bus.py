@@ -217,6 +217,7 @@ def test_a_card_tells_which_of_its_chips_pull_the_interrupt_line():
     stage = Stage("xyz", chips=PCL240K, visuals=False)
     board = Board(stage, layout="pcl240-card")
     assert board.in8(0x34C) == 0
+    assert "interrupts: none" in str(board.trace)
     start(board, 0x344, 3)
     start(board, 0x348, 1)
     board.delay_us(100_000)

@@ -124,3 +124,9 @@ def test_drivers_find_the_port_macros_that_they_use(board, macro, body):
 def test_the_header_is_where_include_says_and_the_hint_names_it():
     assert (include() / "pulsestage.h").is_file()
     assert how_to_build("x/driver.so").endswith("driver.c -o driver.so")
+
+
+def test_what_is_no_board_is_refused_before_anything_is_built():
+    """NativeHost("driver.c", stage)"""
+    with pytest.raises(ArgumentError, match=r"is no Board: NativeHost\('driver.c', Board\(stage\)\)"):
+        NativeHost("missing.c", object())

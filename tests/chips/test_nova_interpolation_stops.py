@@ -7,7 +7,7 @@ import pytest
 from reference.nova_paths import circle_errors, line_errors, points
 from reference.nova_profile import SECOND
 from support.covers import covers
-from support.nova_bench import U, X, Y, Z, command, driving, get, get_signed, load
+from support.nova_bench import U, X, Y, Z, command, driving, get, get_signed, load, put
 from support.nova_interpolation_bench import DECELERATE, ENOUGH, PERIOD, STEADY, arc, line, prepared, ticks
 
 from stage.chips import MCX514
@@ -380,6 +380,16 @@ def test_equalized_pulses_of_the_short_axis_come_evenly(finish):
         assert len(clocks) == pulses
         gaps = [b - a for a, b in pairwise(clocks)]
         assert max(abs(gap - PERIOD * long / pulses) for gap in gaps) <= PERIOD / 8 + 1
+
+
+@covers("MCX514", "TX", "R-TX", "IPM")
+def test_a_maximum_finish_point_of_the_hosts_own_reads_back_whatever_is_drawn():
+    chip = prepared(ipm=0x1000)
+    load(chip, X, TP=300)
+    put(chip, 0x19, 5000, 0)
+    assert get(chip, 0x39, 0) == 5000
+    line(chip, (300, 200))
+    assert get(chip, 0x39, 0) == 5000
 
 
 def test_an_equalized_circle_stays_within_one_lsb_and_closes():

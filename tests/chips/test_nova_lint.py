@@ -5,6 +5,7 @@ import re
 
 import pytest
 
+from stage.chips import MCX514
 from stage.chips.nova import lint
 from stage.chips.nova.lint import Held
 from stage.chips.nova.registers.mcx300 import MCX302_MAP, MCX304_MAP, MCX312_MAP
@@ -162,3 +163,13 @@ def test_every_parameter_takes_the_ends_of_its_range_and_nothing_beyond(chip):
             if r.value(value & r.mask) == value:  # it fits the register
                 assert said(chip, word, **data(value)).startswith(name), (r.name, value)
     assert looked >= 8
+
+
+def test_reading_a_parameter_is_no_mistake_unless_data_was_written_for_it():
+    """R-LP, a data reading command, takes nothing from WR6 and WR7."""
+    chip = MCX514()
+    chip.write(0, 0x0130)
+    assert list(chip.diagnostics) == []
+    chip.write(6, 1234)
+    chip.write(0, 0x0130)
+    assert len(chip.diagnostics) == 1

@@ -43,7 +43,11 @@ def test_the_picture_shows_the_measured_curve_and_names_motor_voltage_and_micros
 def test_several_motors_share_one_picture(table, tmp_path):
     other = Drive("SS2422-5041")
     figure = plot_motors([(Drive(), table), (other, pull_out_table(other, RPM))], str(tmp_path / "m.png"))
-    assert len(figure.axes[0].lines) == 2
+    (ax,) = figure.axes
+    assert len(ax.lines) == 2
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("speed (rpm)", "pull-out torque (N m)")
+    assert ax.get_xlim() == (0, RPM[-1])
+    assert "1/16" in ax.child_axes[0].get_xlabel()
     assert (tmp_path / "m.png").exists()
 
 

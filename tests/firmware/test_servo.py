@@ -1,5 +1,7 @@
 """Servo procedures on the stage: set-up, steps, trapezoids, velocity modes, home."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -146,6 +148,15 @@ def test_a_trapezoid_shows_the_profile_flag_and_ends_within_its_deadband(stage, 
     expected = 2 * ramp + max(abs(counts) / v - v / a, 0)
     assert report.profile == pytest.approx(expected, abs=5e-3)
     assert not port.chip.diagnostics
+
+
+def test_a_move_that_ends_beside_its_deadband_is_not_ok(stage):
+    report = step(set_up(stage.axes["x"]), 200, deadband=DEADBAND)
+    assert report.ok
+    for error in (DEADBAND, -DEADBAND):
+        assert replace(report, error=error).ok
+        assert not replace(report, error=2 * error).ok
+    assert not replace(report, limited=True).ok
 
 
 def test_rates_that_the_chip_has_not_at_this_sample_time_are_refused(stage):

@@ -84,6 +84,8 @@ def test_all_axes_start_a_bus_cycle_apart_and_end_together():
     report = synchronized_move({"x": 12_000, "y": 5_000, "z": 800}, bench("xyz", bus_cycle=4e-6))
     assert report.plan.bus_delay == pytest.approx(4e-6)
     assert report.skew == pytest.approx(8e-6)
+    last = [clocks[-1] for clocks, _ in report.paths.values()]
+    assert 0 < report.finish == pytest.approx(max(last) - min(last))
     assert report.finish < 2.1 / report.plan.axes["z"].fl
     text = str(report)
     assert "started within 8.0 us" in text

@@ -287,6 +287,7 @@ def test_a_copy_of_a_watched_stage_is_not_watched():
     """copy.deepcopy(stage).record(), of the fixture `stage`: "'WatchedStage' object has no attribute '_kept'" """
     watched = WatchedStage("xy", visuals=False)
     watched.watch()
+    assert watched.recording.on_error == "warn", "a full disk is not the test's fault"
     copied = copy.deepcopy(watched)
     assert copied.recording is None
     copied.place(x=0.01)
