@@ -9,6 +9,7 @@ the end the replayed journal. The last one is of words alone: what a listener, a
 numbers, texts and sums of doubles that every machine rounds alike.
 """
 
+import json
 import random
 from hashlib import blake2b
 
@@ -66,7 +67,7 @@ class Player:
         return self.checks
 
     def note(self, *what):
-        self.done.update(repr(what).encode())
+        self.done.update(json.dumps(what, default=lambda v: v.item()).encode())  # uncompiled, numbers are NumPy's
 
     def tell(self, *words):
         self.words.update(repr(words).encode())
