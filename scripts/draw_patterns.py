@@ -57,22 +57,23 @@ def axis():
 
 @pattern("High speed preset mode", "section 5 b")
 def high_speed_preset() -> Report:
-    """R0 holds the number of pulses, R6 the ramp-down point. The chip starts at FL, ramps up to FH1, compares R0 with R6 after
-    each pulse, ramps down once R0 < R6, and stops at R0 = 0: five pulses after it has reached FL again, or a few more."""
+    """R0 holds the number of pulses, R6 the ramp-down point. The chip starts at FL, ramps up to FH1, compares R0 with R6
+    after each pulse, ramps down once R0 < R6, and stops at R0 = 0: five pulses after it has reached FL again, or a few
+    more."""
     return firmware.preset_move(axis(), 3000, P)
 
 
 @pattern("Constant speed preset mode", "section 5 c")
 def constant_speed_preset() -> Report:
-    """Bit 2 of the start command is 0: no ramps. From the first pulse on the rate is that of the register selected, and R6
-    means nothing."""
+    """Bit 2 of the start command is 0: no ramps. From the first pulse on, the rate is that of the selected register; R6 has
+    no effect."""
     return firmware.preset_move(axis(), 2000, P, high_speed=False)
 
 
 @pattern("High speed continuous mode", "section 5 d")
 def high_speed_continuous() -> Report:
-    """Manual mode (40h): the chip runs until it is told to stop. 1Dh (from FH1; 1Fh from FH2) ramps down to FL and stops there. R0
-    counts down from where it is, and wraps."""
+    """Manual mode (40h): the chip runs until a stop command. 1Dh (from FH1; 1Fh from FH2) ramps down to FL and stops there.
+    R0 counts down from its present value, and wraps."""
     return firmware.continuous_move(axis(), 0.4, +1, P)
 
 
@@ -84,8 +85,8 @@ def constant_speed_continuous() -> Report:
 
 @pattern("High speed origin return mode", "section 5 f")
 def high_speed_origin_return() -> Report:
-    """Control mode 4Bh: origin return, SD enabled, minus. The SD switch lies before the origin: it slows the axis to FL, so
-    that ORG stops it from a rate at which a motor can stop."""
+    """Control mode 4Bh: origin return, SD enabled, minus. The SD switch lies before the origin: it slows the axis to FL, a
+    rate from which the motor can stop at ORG without a ramp."""
     bench = Bench(PCL240K())
     bench.rail("x", at=4000, sd_minus=(None, 700), org=(None, 0))
     return firmware.origin_return(bench.axes["x"], -1, P, slow_approach=False)
@@ -101,8 +102,8 @@ def constant_speed_origin_return() -> Report:
 
 @pattern("Origin return with a slow approach", "section 5 f; what firmware makes of it")
 def origin_return_slow_approach() -> Report:
-    """What `origin_return` does by default. After the fast return it leaves ORG at a crawl (R1 rewritten), goes 100 pulses
-    further, and comes again at that rate: the motor does not ring when the switch trips, and the place is the same within
+    """The default of `origin_return`. After the fast return it leaves ORG at a very low rate (R1 rewritten), goes 100 pulses
+    further, and approaches again at that rate: the motor does not ring when the switch trips, and the position repeats within
     a pulse."""
     bench = Bench(PCL240K())
     bench.rail("x", at=4000, sd_minus=(None, 700), org=(None, 0))
@@ -111,21 +112,21 @@ def origin_return_slow_approach() -> Report:
 
 @pattern("Speed change during operation", "section 5 h")
 def speed_change() -> Report:
-    """A start command while running changes the rate: 15h, 17h and 14h ramp to FH1, FH2 and FL. The register that is not selected
-    may be rewritten meanwhile without influence, then selected, so that there are as many rates as one likes."""
+    """A start command while running changes the rate: 15h, 17h and 14h ramp to FH1, FH2 and FL. The register that is not
+    selected may be rewritten during the run without effect and then selected, so any number of rates is possible."""
     return firmware.speed_change_move(axis(), 6000, [4000, 9000, 6000, 12_000, 3000], P, dwell=0.08)
 
 
 @pattern("Dual rate mode (1), ramping up", "section 6")
 def dual_rate_up() -> Report:
-    """Started at constant FL (10h), later ramped up. Section 5 h asks to set bit 2 before the rate is changed, hence 14h
+    """Started at constant FL (10h), later ramped up. Section 5 h says to set bit 2 before the rate is changed, hence 14h
     before 15h."""
     return firmware.dual_rate_move(axis(), 2500, P, rates=("FL", "FH1"), dwell=0.15)
 
 
 @pattern("Dual rate mode (2), ramping down", "section 6")
 def dual_rate_down() -> Report:
-    """Started to FH1, later ramped down to FL by 14h, and ended there: with R6 = 5 there is nothing left to ramp down."""
+    """Started to FH1, later ramped down to FL by 14h, and ended at FL: with R6 = 5 there is no second ramp-down."""
     return firmware.dual_rate_move(axis(), 2400, P, rates=("FH1", "FL"), dwell=0.15)
 
 
@@ -137,8 +138,8 @@ def dual_rate_up_and_down() -> Report:
 
 @pattern("Ramping up/down and interrupting mode", "section 6; section 4, R0")
 def ramping_and_interrupting() -> Report:
-    """3Dh is the decelerating stop with /INT at the stop. R0 keeps the residual pulses. The reset command takes /INT back
-    and re-arms the start; the next start makes the rest."""
+    """3Dh is the decelerating stop with /INT at the stop. R0 keeps the residual pulses. The reset command clears /INT and
+    allows the next start, which makes the remaining pulses."""
     return firmware.interrupted_move(axis(), 4500, P, after=0.25, pause=0.15)
 
 
@@ -156,26 +157,28 @@ def decelerating_stop() -> Report:
 
 @pattern("Immediate stop", "section 3 a; Q & A")
 def immediate_stop() -> Report:
-    """The reset command 08h stops a high-speed run without a ramp. A chip does so in half a pulse; a motor may not."""
+    """The reset command 08h stops a high-speed run without a ramp. A chip can stop within half a pulse; a motor may lose
+    steps."""
     return firmware.continuous_move(axis(), 0.35, +1, P, immediate=True)
 
 
 @pattern("Triangular drive", "Q & A")
 def triangular() -> Report:
     """A move too short to reach FH1: R6 = R0 R5 / (R4 + R5). `preset_move` adds 2: rounding down takes up to one pulse, and
-    R0 < R6 is met one pulse after R0 = R6; as printed, the chip is still a little above FL when R0 reaches 0."""
+    R0 < R6 is true one pulse after R0 = R6. With the printed formula the chip is still a little above FL when R0 reaches
+    0."""
     return firmware.preset_move(axis(), 500, P)
 
 
 @pattern("Ramp-down point too late", "section 4, R6, Fig. A")
 def down_point_too_late() -> Report:
-    """R6 less than the pulses of the ramp-down: the output ends halfway down."""
+    """R6 is less than the pulses of the ramp-down: the output ends in the middle of the ramp-down."""
     return firmware.preset_move(axis(), 3000, P, down_point=200)
 
 
 @pattern("Ramp-down point too early", "section 4, R6, Fig. C")
 def down_point_too_early() -> Report:
-    """R6 more than the pulses of the ramp-down: the rest is made at FL, and takes its time."""
+    """R6 is more than the pulses of the ramp-down: the remaining pulses are made at FL, which takes long."""
     return firmware.preset_move(axis(), 3000, P, down_point=700)
 
 
@@ -189,15 +192,15 @@ def curved_ramp() -> Report:
 
 @pattern("Speed changed several times while ramping up", "Q & A")
 def steps_while_ramping_up() -> Report:
-    """The other answer of the Q & A: one acceleration rate, the speed register rewritten again and again, a stretch of constant
-    rate between the ramps."""
+    """The other answer of the Q & A: one acceleration rate, the speed register rewritten several times, and constant rate
+    between the ramps."""
     return firmware.speed_change_move(axis(), 7000, [4000, 8000, 12_000, 16_000], P, dwell=0.05)
 
 
 @pattern("Slow-down switch", "section 2, SD+ and SD-")
 def slow_down() -> Report:
-    """Control mode 42h enables SD. While the switch of the direction is asserted, the axis ramps down to FL and stays there; when
-    it lets go, it ramps up again."""
+    """Control mode 42h enables SD. While the switch of the direction is asserted, the axis ramps down to FL and stays there;
+    when the switch is released, it ramps up again."""
     bench = Bench(PCL240K())
     bench.rail("x", sd_plus=(2000, 2700))
     return firmware.continuous_move(bench.axes["x"], 0.9, +1, P, slow_down=True)
@@ -205,8 +208,8 @@ def slow_down() -> Report:
 
 @pattern("End limit", "section 2, EL+ and EL-")
 def end_limit() -> Report:
-    """The EL switch of the direction stops the output at once, whatever the mode; a start in that direction is refused while it is
-    asserted, the way back is free."""
+    """The EL switch of the direction stops the output at once, whatever the mode; while it is asserted, a start in that
+    direction is refused, and a start in the other direction is allowed."""
     bench = Bench(PCL240K())
     bench.rail("x", el_plus=(2000, None))
     return firmware.preset_move(bench.axes["x"], 5000, P)
@@ -224,17 +227,17 @@ HEAD = """\
 
 The figures of the PCL-240K data sheet's sections 5 and 6 are lost. Here the emulated chip draws them again: each picture
 is a move that firmware made by bus cycles, replayed to the clock. `scripts/draw_patterns.py` makes this page and its
-pictures from one list; a test compares the bytes below with what the code writes now.
+pictures from one list; a test compares the bytes below with those that the code writes now.
 
 **How to read a picture.** Pulse rate over time; dashed, the rates FL, FH1, FH2. Above, with arrows, the bytes that start,
-change or stop a run; with dots, what happened by itself: the ramp-down point R0 < R6, and why it stopped. Below, the
+change or stop a run; with dots, events in the chip: the ramp-down point R0 < R6, and the reason of the stop. Below, the
 pins, filled while asserted (FUP, FKEEP, FDOWN, HOLD high; SD, ORG, EL, EXTP and INT low). FKEEP is asserted at rest, too.
 
-**How to read the bytes.** The first byte of a row goes to address 0; further ones are a register's, to the addresses 3, 2,
-1, the last of them to 1. Times are ms from the first start.
+**How to read the bytes.** The first byte of a row goes to address 0; any others are a register's bytes, for the addresses 3,
+2, 1, the last of them for address 1. Times are ms from the first start.
 
-**How to make them.** The code of every pattern goes on from here. `axis()` is a fresh chip; `stage.axes["x"]` does as well, and
-moves a carriage. `report.plot("move.png")` draws what `report = firmware.preset_move(...)` did.
+**How to make them.** The code of every pattern continues this code. `axis()` is a new chip; `stage.axes["x"]` can be used
+instead and moves a carriage. `report.plot("move.png")` draws the move of `report = firmware.preset_move(...)`.
 
 ```python
 from stage import firmware

@@ -248,9 +248,9 @@ Made by `python scripts/baselines/results.py --budget {budget} --seeds {seeds}` 
 proofs, {minutes:.0f} minutes on two cores. Do not edit.
 
 The task is `stage/RegisterTuning-v0` on the X axis of `xyz`: one preset move of {distance} pulses ({mm:g} mm) with a PCL-240K,
-with {payloads} on the table, at most {limit:g} s. As on a bench, each move begins at another place within
-an electrical turn, and the payload is up to {tolerance:.0%} more or less. The reward is - duration - 1 ms a um of vibration (peak
-to peak, in the 0.1 s after the stop) - 5 for a lost step or pulses not made.
+with {payloads} on the table, at most {limit:g} s. As on a bench, each move begins at another rotor angle within
+an electrical turn, and the payload is up to {tolerance:.0%} more or less. The reward is - duration - 1 ms for each um of vibration
+(peak to peak, in the 0.1 s after the stop) - 5 for a lost step or pulses not made.
 
 A method's answer is the move with the highest reward of its budget that then loses no step in {repeats} more moves. **lucky**
 counts the moves with a higher reward that failed this proof (up to {candidates} are tried). Medians over the seeds (least to most).
@@ -260,30 +260,32 @@ counts the moves with a higher reward that failed this proof (up to {candidates}
 {tables}
 ### Does it beat the formula, by more than the spread?
 
-ms that the median seed gains on the formula; in brackets the spread, from the worst seed to the best, and the worst seed's gain:
+Time in ms by which the median seed is faster than the formula; in brackets the spread, from the worst seed to the best, and the
+worst seed's gain:
 
 {verdicts}
 
 ## How to read it
 
 - **formula** is an engineer's answer without a trial: pull-out torque, reflected inertia, friction, safety factor {safety}, and
-  the best top rate for the distance ([formula.py](../scripts/baselines/formula.py)). **boldest** is the same formula with a machine
-  to try it on: safety factors from 2 down to 1, the best kept. This, not the textbook's factor, is what a search has to beat.
+  the best top rate for the distance ([formula.py](../scripts/baselines/formula.py)). **boldest** is the same formula after trials
+  on the machine: safety factors from 2 down to 1, the best is kept. A search must beat this, not the textbook's factor.
 - **random, CMA-ES, PPO, SAC** choose five factors on the formula's answer: FL, FH, acceleration, deceleration, ramp-down point.
-  They begin with what the formula knows (random aside). **Raw registers** begin with nothing: R1, R2, R4, R5, R6, R7 over their
+  All but random begin at the formula's answer. **Raw registers** begin without it: R1, R2, R4, R5, R6, R7 over their
   whole legal ranges, where nearly every move loses steps or takes too long.
 - The learning curves show the duration of the move with the highest reward so far; it may rise where vibration falls by more.
-- PPO and SAC learn a policy, here of one situation only; what counts is the best of the moves that they made while learning.
+- PPO and SAC learn a policy, here for one situation only; their result is the best of the moves that they made while learning.
 - **agent loop** is a scripted stand-in for a model, which reads text and writes commands: it changes one register at a time.
 - **spare** is the payload that may be added, in steps of {step:g} kg up to {most:g} kg, before the same registers lose steps for
-  the first time. The reward has no weight on it, and a fast move spends it: the formula's safety factor is not waste. Losing steps
-  is not monotonic: ramps pass resonances, and a faster or heavier move may keep step where a slower or lighter one does not.
-- **What was looked at beforehand.** The safety factor is the textbook's. The formula's FL (an eighth of pull-in) and shortest ramp
-  (four periods) were chosen after trials on these very stages; so were the ranges of the knobs, narrowed twice, CMA-ES's 8 moves
-  a generation (the rest are Optuna's defaults) and, mostly on the light payload, the settings of PPO and SAC. These trials had
-  seed 0, which is one of the seeds here, and are in no budget.
-- **Steps lost are 0 by selection**: an answer that loses one is not an answer. {repeats} moves without a loss still leave room for
-  one in 16 (95 % confidence), and more where several candidates were tried; the last two columns tell how often moves lose some.
+  the first time. The reward does not include it, and a fast move has little of it: the formula's safety factor is of use. Losing
+  steps is not monotonic: ramps pass resonances, and a faster or heavier move may keep step where a slower or lighter one does not.
+- **What was tuned beforehand.** The safety factor is the textbook's. The formula's FL (an eighth of pull-in) and shortest ramp
+  (four periods) were chosen after trials on these same stages; so were the ranges of the five factors, narrowed twice, CMA-ES's
+  8 moves a generation (the rest are Optuna's defaults) and, mostly on the light payload, the settings of PPO and SAC. These trials
+  had seed 0, which is one of the seeds here, and are not in any budget.
+- **Steps lost are 0 by selection**: an answer that loses a step is refused. After {repeats} moves without a loss, up to one move in
+  16 may still lose steps (95 % confidence), and more where several candidates were tried; the last two columns show how often
+  moves lose some.
 
 Budgets: {budget} moves a seed, {seeds} seeds (raw registers: a quarter of that). {versions}.
 """
