@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from stage.board.board import Board
-from stage.board.isolated import SENT, Begin, Cycles, Go, Line, Shared, Stands
+from stage.board.link import NOTED, Link
+from stage.board.shared import Asked, Begin, Go, Noted, Shared, Stands
 from stage.board.threaded import Threaded
 from stage.errors import StageError
 from stage.sim.fingerprint import settings
@@ -22,33 +23,103 @@ from stage.sim.fingerprint import settings
 LOOK_MS = 500  # hanging up is seen at once, unless a process that the parent has forked holds the pipe as well
 
 
-class TellingBoard(Board):
-    """A board that says over the pipe what happens on it, and keeps its state where the parent sees it."""
+class Samples:
+    """Where the engine samples for the parent's recording; the stage takes it for one of its own."""
+
+    def __init__(self, shared: Shared):
+        self.samples, self.positions, self.filled = shared.samples, shared.positions, 0
+
+    def take(self, filled: int) -> None:
+        """The engine has filled so many."""
+        self.filled = filled
+
+
+class ChildLink(Link):
+    """Notes in shared memory, and says so to the parent when there is no room for more; has the parent call Python."""
+
+    def __init__(self, board: Board, pipe: Connection, shared_path: str):
+        super().__init__(board)
+        self._pipe = pipe
+        self.shared = shared = Shared(shared_path, board)
+        self.samples = Samples(shared)
+        self.asks = 0
+        self.move_to(shared.record)
+        self.stage.state.note_in(shared.edges)
+        board.trace.kept = shared.cycles
+        h = self.record
+        h["edges"], h["lines"], h["edge_room"] = shared.edges.ctypes.data, shared.cycles.ctypes.data, len(shared.edges)
+
+    def begin(self) -> None:
+        super().begin()
+        self.record["asks"] = self.asks
+
+    def end(self) -> None:
+        h = self.record
+        self.samples.filled = int(h["filled"])
+        if h["noted"] > NOTED // 2 or self.samples.filled == len(self.samples.samples):
+            self.flush()
+
+    def noted(self) -> Noted:
+        """All that was noted, and the state, are in shared memory; the next notes begin anew when the parent has seen that."""
+        h = self.record
+        found = Noted(int(h["noted"]), int(h["filled"]))
+        self.shared.keep(self.stage)
+        h["noted"] = h["filled"] = self.samples.filled = 0
+        return found
+
+    def flush(self) -> None:
+        """The parent takes what was noted."""
+        self._pipe.send(self.noted())
+        self._pipe.recv()
+
+    def loses(self, chip: int, address: int, value: int) -> bool:
+        return bool(self._parent_calls(chip, address, value))
+
+    def hooked_in_parent(self) -> None:
+        """The interrupt line calls a function in Python."""
+        self._parent_calls(-1, 0, 0)
+
+    def _parent_calls(self, chip: int, address: int, value: int) -> int:
+        self._pipe.send(Asked(self.noted(), chip, address, value))
+        answer, well = self._pipe.recv()
+        self.stage.loop.put(self.shared.state)
+        if not well:
+            raise StageError("Python has raised in the parent")
+        return int(answer)
+
+
+class ChildBoard(Board):
+    """A copy of the parent's board."""
 
     LINTS = False  # the parent does
+    link: ChildLink
 
     def __init__(self, pipe: Connection, begin: Begin):
-        self._pipe = pipe
         stage, options = _unpickled(begin.board)
         super().__init__(stage, **options)
-        shared = Shared(begin.shared, self.trace.room)
-        self.link.move_to(shared.record)
-        self.stage.state.note_in(shared.edges)
-        self.trace.kept, self._shared = shared.trace, shared
-        shared.record["edges"], shared.record["lines"] = shared.edges.ctypes.data, shared.trace.ctypes.data
-        shared.record["edge_room"] = len(shared.edges)
-        self.link.tell = self._send
-
-    def _send(self, edges: np.ndarray) -> None:
-        """To the parent: what its stage has to go through as well."""
-        changes = edges[np.isin(edges["kind"], SENT)]
-        if len(changes):
-            self._pipe.send(Cycles(changes))
+        self.link = ChildLink(self, pipe, begin.shared)
 
     def note(self, text: str) -> None:
-        self._pipe.send(Line(self.stage.now, text))
+        if not self.link.shared.note(self.stage.now, text):
+            self.link.flush()
+            self.link.shared.note(self.stage.now, text)
 
-    def adopt(self, stage: Any) -> None:
+    def go(self, go: Go) -> None:
+        """Before the firmware goes on: everything is as it is in the parent."""
+        link, stage = self.link, self.stage
+        if go.machine is not None:
+            self._adopt(pickle.loads(go.machine))
+        stage.loop.put(link.shared.state)
+        self.port_table[:] = go.ports
+        stage.state.clockwork[0].sample_every = go.sample_every
+        stage.loop.recording = link.samples if go.sample_every else None  # type: ignore[assignment]
+        link.asks = go.asks
+        before, new = link.own_hook(), go.hook and link.hook is None
+        link.hook = link.hooked_in_parent if go.hook else None
+        if new or link.record["hook"] == before:  # else the firmware has set one of its own
+            link.record["hook"] = link.own_hook()
+
+    def _adopt(self, stage: Any) -> None:
         """The parent's stage was changed: ours becomes like it."""
         ours = self.stage
         for part, name, value in settings(stage.model):
@@ -60,7 +131,7 @@ class TellingBoard(Board):
         ours.state.switch_table[:] = stage.state.switch_table
         for axis, like in zip(ours.axes.values(), stage.axes.values(), strict=True):
             axis.supply, axis.open_phases = like.supply, like.open_phases
-        ours.restore(stage.snapshot())
+        ours.equip()
 
 
 def _unpickled(board: bytes) -> tuple[Any, dict[str, Any]]:
@@ -76,7 +147,7 @@ def _unpickled(board: bytes) -> tuple[Any, dict[str, Any]]:
 def _ends_with(parent: int, fileno: int) -> None:
     """This process ends when its parent does, however: firmware that computes, or whose end is far, looks at no pipe."""
     pipe = select.poll()
-    pipe.register(fileno, 0)  # hanging up is told unasked
+    pipe.register(fileno, 0)  # hanging up comes unasked
     while os.getppid() == parent and not pipe.poll(LOOK_MS):
         pass
     os._exit(0)
@@ -87,7 +158,7 @@ def main(fileno: int) -> None:
     pipe = Connection(fileno)
     begin = pipe.recv()
     try:
-        board = TellingBoard(pipe, begin)
+        board = ChildBoard(pipe, begin)
         runner = Threaded(Path(begin.library), board, begin.patience, may_exit=True)
     except StageError as error:
         pipe.send((type(error).__name__, str(error)))
@@ -95,15 +166,13 @@ def main(fileno: int) -> None:
     pipe.send(None)
     while True:
         go: Go = pipe.recv()
-        if go.stage is not None:
-            board.adopt(pickle.loads(go.stage))
-        board.port_table[:] = go.ports
+        board.go(go)
         code, failure = None, None
         try:
             code = runner.go_on(go.until, go.most_cycles)
         except Exception as error:
             failure = (type(error).__name__, str(error))
-        pipe.send(Stands(board.stage.now, board.port_table, code, failure))
+        pipe.send(Stands(board.link.noted(), board.port_table, code, failure))
         if failure is not None:
             os._exit(1)
 

@@ -1,8 +1,8 @@
 """Firmware in a process of its own: its crash is an error here, and a loop that never ends is ended.
 
-The child has a stage like ours, a copy, and the firmware drives that. The bus cycles that changed something come over, and our
-stage lives through them: since a stage is the same to the bit whenever it is treated alike, it ends where the child's did,
-recording, waveforms and diagnostics included. What the firmware did last before a crash lies in memory that both share.
+The child has a stage like ours, a copy, and the firmware drives that, at full speed. Its state comes over, and what it has noted on
+the way: edges, bus cycles, samples, lines of the log. So our stage stands where the child's does, to the bit, recording, waveforms
+and diagnostics included. After a crash it repeats the last bus cycles, from the last state that came over.
 """
 
 from __future__ import annotations
@@ -17,92 +17,19 @@ import tempfile
 import weakref
 from multiprocessing import Pipe
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from stage import errors as general
-from stage.board import errors, host
+from stage.board import errors
 from stage.board.board import Board
 from stage.board.errors import HostError
-from stage.board.link import NOTED
+from stage.board.shared import Asked, Begin, Go, Noted, Shared, Stands
 from stage.chips.entries import LOST, READ, WRITE
 from stage.errors import StageError
+from stage.sim import handle
 from stage.sim.fingerprint import fingerprint
-from stage.sim.records import EDGE
-
-SENT = (WRITE, READ, LOST)
-COUNTS = ("cycles", "traced", "changed")  # of HOST
-
-
-class Begin(NamedTuple):
-    """The first message to the child. board: the stage and what else a Board takes, pickled."""
-
-    library: str
-    shared: str
-    board: bytes
-    patience: float
-
-
-class Go(NamedTuple):
-    """Run up to there; `stage`, pickled, if ours was changed since."""
-
-    until: int
-    most_cycles: int
-    ports: np.ndarray
-    stage: bytes | None
-
-
-class Cycles(NamedTuple):
-    """Bus cycles that changed something, EDGE records."""
-
-    edges: np.ndarray
-
-
-class Line(NamedTuple):
-    """A line for the log."""
-
-    now: int
-    text: str
-
-
-class Stands(NamedTuple):
-    """The firmware stands still or has returned, at `now`; or `error` ended it."""
-
-    now: int
-    ports: np.ndarray
-    code: int | None
-    error: tuple[str, str] | None
-
-
-class Shared:
-    """What parent and child both see: a file in memory."""
-
-    def __init__(self, path: str | Path, room: int, create: bool = False):
-        sizes = [(host.HOST, 1), (EDGE, NOTED), (host.CYCLE, room)]
-        total = sum(dtype.itemsize * n for dtype, n in sizes)
-        self._map = np.memmap(path, np.uint8, "w+" if create else "r+", shape=(total,))
-        parts, at = [], 0
-        for dtype, n in sizes:
-            parts.append(np.asarray(self._map[at : at + dtype.itemsize * n]).view(dtype))
-            at += dtype.itemsize * n
-        self.record, self.edges, self.trace = parts
-
-    def copy(self, board: Board, back: bool = False) -> None:
-        """A board's cycles, counted and traced, for the child's board to go on from; or back."""
-        pairs = [(board.link.record[name], self.record[0][name]) for name in COUNTS]
-        if all(ours == theirs for ours, theirs in pairs):
-            return
-        target, source = (board.link.record, self.record[0]) if back else (self.record[0], board.link.record)
-        begin = int(min(target["changed"], source["changed"]))  # lines before are as they were
-        for name in COUNTS:
-            target[name] = source[name]
-        ours, theirs = board.trace.kept, self.trace
-        lines = np.arange(max(begin, int(target["traced"]) - len(ours)), target["traced"]) % len(ours)
-        if back:
-            ours[lines] = theirs[lines]
-        else:
-            theirs[lines] = ours[lines]
 
 
 class Isolated:
@@ -116,6 +43,7 @@ class Isolated:
         self._pipe: Any = None
         self._running = False
         self._seen = b""
+        self._error: BaseException | None = None
         self._start()
 
     @property
@@ -123,25 +51,29 @@ class Isolated:
         return self._running
 
     def go_on(self, until: int, most_cycles: int) -> int | None:
-        board = self._board
-        if any(chip.glitches for chip in board.stage.chips):
+        board, stage = self._board, self._board.stage
+        if handle.called_back.held(stage.state.pointer):
             raise StageError(
-                "a fault of the bus asks this process about each write: run the firmware with isolated=False."
-            )
-        if board.link.record["hook"]:
-            raise StageError(
-                "an interrupt hook in Python is called in this process only: run the firmware with isolated=False, or take the "
-                "hook away: board.on_interrupt(None)."
+                "MuJoCo calls a function in Python back, which the process of the firmware does not have: run the firmware with "
+                "isolated=False."
             )
         if self._child is None:
             self._start()
-        self._running = True
-        changed = _pickled(board.stage) if _fingerprint(board.stage) != self._seen else None
+        self._running, self._error = True, None
+        machine = _pickled(stage) if _machine(stage) != self._seen else None
+        asks = sum(1 << k for k, chip in enumerate(stage.chips) if chip.glitches)
+        every = int(stage.state.clockwork[0].sample_every) if stage.recording is not None else 0
+        self._shared.keep(stage)
         self._shared.copy(board)
         try:
-            self._pipe.send(Go(until, most_cycles, board.port_table, changed))
+            hook = bool(board.link.record["hook"])
+            self._pipe.send(Go(until, most_cycles, board.port_table, machine, every, asks, hook))
             while not isinstance(message := self._pipe.recv(), Stands):
-                self._take(message)
+                if isinstance(message, Asked):
+                    self._pipe.send(self._answer(message))
+                else:
+                    self._take(message)
+                    self._pipe.send(None)
         except (EOFError, OSError):
             raise self._crashed() from None
         except BaseException:
@@ -149,12 +81,12 @@ class Isolated:
             raise
         if message.error is not None:
             self._end()
-        self._catch_up(message.now)
+        self._take(message.noted)
         board.port_table[:] = message.ports
         if message.error is not None:
-            raise _revived(*message.error)
+            raise self._error or _revived(*message.error)
         self._running = message.code is None
-        self._seen = _fingerprint(board.stage)
+        self._seen = _machine(stage)
         return message.code
 
     def close(self) -> None:
@@ -168,7 +100,7 @@ class Isolated:
         os.close(file)
         ours, theirs = Pipe()
         try:
-            self._shared = Shared(shared, board.trace.room, create=True)
+            self._shared = Shared(shared, board, create=True)
             command = [sys.executable, "-m", "stage.board.child", str(theirs.fileno())]
             self._child = subprocess.Popen(
                 command, pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL, process_group=0,
@@ -178,7 +110,7 @@ class Isolated:
             self._pipe = ours
             weakref.finalize(self, _ended, self._child)
             ours.send(Begin(str(self._path), shared, given, self._patience))
-            self._seen = _fingerprint(board.stage)
+            self._seen = _machine(board.stage)
             answer = ours.recv()
         except (EOFError, ConnectionError):
             raise HostError(f"{self._path.name} {self._ended_how()} while it was loaded.") from None
@@ -188,11 +120,56 @@ class Isolated:
             self._end()
             raise _revived(*answer)
 
-    def _take(self, message: Cycles | Line) -> None:
-        if isinstance(message, Line):
-            self._board.log.append((message.now * 1e-9, message.text))
-        else:
-            self._live_through(message.edges)
+    # --- what comes over ---
+
+    def _take(self, noted: Noted) -> None:
+        """The child's state, and what it has noted since the last time."""
+        board, shared, stage = self._board, self._shared, self._board.stage
+        stage.loop.put(shared.state)
+        shared.copy(board, back=True)
+        stage.state.edges[: noted.edges] = shared.edges[: noted.edges]
+        board.link.take_edges(noted.edges)
+        recording, at = stage.recording, 0
+        while recording is not None and at < noted.samples:
+            begin = recording.filled
+            end = min(begin + noted.samples - at, len(recording.samples))
+            recording.samples[begin:end] = shared.samples[at : at + end - begin]
+            recording.positions[begin:end] = shared.positions[at : at + end - begin]
+            at += end - begin
+            recording.take(end)
+        board.log += shared.lines()
+
+    def _answer(self, asked: Asked) -> tuple[int, bool]:
+        """Python is called here, where its objects are, and the child goes on from what it has left."""
+        board, shared = self._board, self._shared
+        self._take(asked.noted)
+        record, answer = board.link.record, 0
+        try:
+            if asked.chip >= 0:
+                answer = int(board.link.loses(asked.chip, asked.address, asked.value))
+            elif board.link.hook is not None:
+                record["serving"] = 1
+                board.link.hook()
+        except BaseException as error:
+            self._error = error
+        finally:
+            record["serving"] = 0
+        shared.keep(board.stage)
+        shared.copy(board)
+        return answer, self._error is None
+
+    def _crashed(self) -> HostError:
+        """The child is gone. What it did last is in the memory that we share."""
+        how, board, theirs = self._ended_how(), self._board, self._shared.record[0]
+        edges = self._shared.edges[: int(theirs["noted"])]
+        self._live_through(edges[np.isin(edges["kind"], (WRITE, READ, LOST))])
+        board.stage.run_to(max(int(theirs["reached"] + theirs["ahead"]), board.stage.now))
+        self._shared.copy(board, back=True)
+        board.log += self._shared.lines()
+        return HostError(
+            f"{self._path.name} {how} at {board.stage.time:.6f} s, after {board.cycles:,} bus cycles. The stage stands where it "
+            f"stood then. Its last bus cycles:\n{board.trace.text(12)}"
+        )
 
     def _live_through(self, edges: np.ndarray) -> None:
         """Our stage makes the cycles that the child's has made."""
@@ -204,32 +181,13 @@ class Isolated:
             if kind == LOST:
                 chip.open_journal.note_lost(chip.clock, a, b)
             elif kind == READ:
-                read = chip.CORE.read.c(chip.pointer, a)
-                if read != b:
-                    raise HostError(
-                        f"the stage of the firmware's process read {b:X}h where this one reads {read:X}h: report this."
-                    )
+                chip.CORE.read.c(chip.pointer, a)
                 chip.open_journal.note_read(chip.clock, a, b)
             else:
                 chip.CORE.write.c(chip.pointer, a, b)
                 chip.open_journal.note_write(chip.clock, a, b)
 
-    def _catch_up(self, now: int) -> None:
-        """To `now`, and what the child's board knows."""
-        board = self._board
-        board.stage.run_to(max(now, board.stage.now))
-        self._shared.copy(board, back=True)
-
-    def _crashed(self) -> HostError:
-        """The child is gone. What it did last is in the memory that we share."""
-        how, board, theirs = self._ended_how(), self._board, self._shared.record[0]
-        edges = self._shared.edges[: int(theirs["noted"])]
-        self._live_through(edges[np.isin(edges["kind"], SENT)])
-        self._catch_up(int(theirs["reached"] + theirs["ahead"]))
-        return HostError(
-            f"{self._path.name} {how} at {board.stage.time:.6f} s, after {board.cycles:,} bus cycles. The stage stands where it "
-            f"stood then. Its last bus cycles:\n{board.trace.text(12)}"
-        )
+    # --- the process ---
 
     def _ended_how(self) -> str:
         """How the child ended by itself."""
@@ -250,9 +208,9 @@ def _ended(child: subprocess.Popen) -> None:
     child.wait()
 
 
-def _fingerprint(stage: Any) -> bytes:
-    """Of all in which the child's stage must be like this one."""
-    parts = stage.__getstate__()
+def _machine(stage: Any) -> bytes:
+    """Of all in which the child's stage must be like this one, but for the state."""
+    parts = stage.machine()
     return fingerprint(parts.pop("model")) + hashlib.blake2b(_pickled(parts)).digest()
 
 

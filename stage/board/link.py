@@ -38,7 +38,6 @@ class Link:
         stand_still: how a host in a thread of its own waits, while one runs.
         abandoned: threads of firmware that was given up.
         calls: of Python by compiled code, begun and ended: odd in one.
-        tell: is given what was noted, EDGE records, before it goes to journals; or None.
     """
 
     def __init__(self, board: Board):
@@ -48,7 +47,6 @@ class Link:
         self.hook: Callable[[], None] | None = None
         self.stand_still: Callable[[], None] | None = None
         self.abandoned: set[threading.Thread] = set()
-        self.tell: Callable[[np.ndarray], None] | None = None
         self._left: list[np.ndarray] = []
         self._call, self._call_hook = UPCALL(self._called), HOOK(self._hooked)
         self.request: Any = bus.request.pointer
@@ -103,16 +101,22 @@ class Link:
         """After compiled code has run: what it noted goes to journals and recording."""
         stage, h = self.stage, self.record
         if n := int(h["noted"]):
-            if self.tell is not None:
-                self.tell(stage.state.edges[:n])
             h["noted"] = 0
-            stage.loop.note_edges(n)
-            for chip in stage.chips:
-                if chip.late_lint is not None:
-                    chip.late_lint.tidy()
+            self.take_edges(n)
         if (recording := stage.recording) is not None:
             recording.take(int(h["filled"]))
             h["filled"] = recording.filled
+
+    def take_edges(self, n: int) -> None:
+        """The first `n` of what was noted go to journals, and a lint looks at the writes."""
+        self.stage.loop.note_edges(n)
+        for chip in self.stage.chips:
+            if chip.late_lint is not None:
+                chip.late_lint.tidy()
+
+    def loses(self, chip: int, address: int, value: int) -> bool:
+        """Whether a fault of the bus keeps this write from its chip."""
+        return self.stage.chips[chip].loses(address, value)
 
     def ask(self, what: int, a: int, b: int) -> int:
         """One request of a host in Python."""
@@ -149,8 +153,7 @@ class Link:
                 self.board.note(ctypes.string_at(int(self.record["asked"])).decode(errors="replace"))
             elif reason == host.ASKED_WRITE:
                 h = self.record
-                chip = self.stage.chips[int(h["asked_chip"])]
-                h["asked"] = chip.loses(int(h["asked_address"]), int(h["asked"]))
+                h["asked"] = self.loses(int(h["asked_chip"]), int(h["asked_address"]), int(h["asked"]))
             elif reason == host.BY_HAND:
                 self.stage.run_to(int(self.record["asked"]))
             self.begin()

@@ -156,6 +156,14 @@ class Loop:
         finally:
             clockwork.guarded = clockwork.failed = 0
 
+    def put(self, saved: np.ndarray) -> None:
+        """The stage is in this state, `State.saved` of another moment or of a stage alike."""
+        state = self.state
+        with self.alone():
+            mujoco.mj_setState(state.model, state.data, saved, SAVED)
+            mujoco.mj_forward(state.model, state.data)
+            mujoco.mj_setState(state.model, state.data, saved, SAVED)
+
     # --- what the engine has noted ---
 
     def note_edges(self, n: int) -> None:

@@ -300,10 +300,7 @@ class Stage:
         snapshots.check(snapshot, Snapshot, self._header)
         if self.recording is not None:
             raise StageError("time in a recording runs forward only: close the recording before restoring a snapshot.")
-        with self.loop.alone():
-            mujoco.mj_setState(self.model, self.data, snapshot.state, SAVED)
-            mujoco.mj_forward(self.model, self.data)
-            mujoco.mj_setState(self.model, self.data, snapshot.state, SAVED)
+        self.loop.put(snapshot.state)
         for chip, said in zip(self.chips, snapshot.diagnostics, strict=True):
             chip.diagnostics[:] = said
         self.equip()
@@ -365,7 +362,8 @@ class Stage:
 
     # --- copies ---
 
-    def __getstate__(self) -> dict[str, Any]:
+    def machine(self) -> dict[str, Any]:
+        """What the stage is made of, faults and payloads included: all but its state."""
         return {
             "model": self.model,
             "plant": self._plant,
@@ -379,9 +377,10 @@ class Stage:
             "drive_faults": [(a.supply, a.open_phases) for a in self._axes],
             "faults": list(self._faults),
             "payloads": (dict(self._payloads.kg), dict(self._payloads.own)),
-            "initial": self._initial,
-            "now": self.snapshot(),
         }
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.machine(), "initial": self._initial, "now": self.snapshot()}
 
     def __setstate__(self, s: dict[str, Any]) -> None:
         self.model = s["model"]

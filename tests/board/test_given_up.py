@@ -164,16 +164,6 @@ def test_a_stage_that_the_process_cannot_take_over_says_why():
         del __main__.Elsewhere
 
 
-def test_a_hook_in_python_is_not_forgotten_in_silence_by_firmware_in_a_process_of_its_own():
-    b = board()
-    b.on_interrupt(lambda: None)
-    h = run_on(b, "PULSESTAGE_MAIN { return 3; }", True)
-    with pytest.raises(StageError, match=r"on_interrupt\(None\)"):
-        h.run()
-    b.on_interrupt(None)
-    assert h.run().code == 3
-
-
 def test_writes_leave_the_engine_room_for_what_it_notes_within_a_step():
     b = board("xyz_servo", HCTL1100)
     room = 3 * records.EDGES_A_WINDOW + 20

@@ -1,0 +1,150 @@
+"""What a board and the process of its firmware both see: a file in memory, and the messages about it.
+
+The child writes what it notes into the file: bus cycles and edges (EDGE), samples of a recording, lines of the log, the trace; and
+from time to time the whole state of its stage. A message says how much there is. After a crash the file is still there.
+"""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+
+from stage.board import host
+from stage.board.board import Board
+from stage.board.link import NOTED
+from stage.sim.records import EDGE, SAMPLE
+from stage.sim.state import SAVED
+
+ROWS = 512  # samples
+TEXT = 1 << 16  # bytes of lines
+COUNTS = ("cycles", "traced", "changed")  # of HOST
+_ALIGNED = 64
+_LINE = struct.Struct("qq")  # time, length
+
+
+class Begin(NamedTuple):
+    """The first message to the child. board: the stage and what else a Board takes, pickled."""
+
+    library: str
+    shared: str
+    board: bytes
+    patience: float
+
+
+class Go(NamedTuple):
+    """Run up to there, from the state in the file.
+
+    machine: the stage, pickled, if it was changed in what is no state. sample_every: physics steps between samples, 0 for none.
+    asks: chips, a bit each, whose writes a fault of the bus looks at. hook: whether the interrupt line calls Python.
+    """
+
+    until: int
+    most_cycles: int
+    ports: np.ndarray
+    machine: bytes | None
+    sample_every: int
+    asks: int
+    hook: bool
+
+
+class Noted(NamedTuple):
+    """So many EDGE records and samples are in the file, and the state."""
+
+    edges: int
+    samples: int
+
+
+class Asked(NamedTuple):
+    """Python is to be called, in the parent: about a write, or by the interrupt line (chip -1).
+
+    The answer: (what Python said, whether it went well).
+    """
+
+    noted: Noted
+    chip: int
+    address: int
+    value: int
+
+
+class Stands(NamedTuple):
+    """The firmware stands still or has returned; or `error` ended it."""
+
+    noted: Noted
+    ports: np.ndarray
+    code: int | None
+    error: tuple[str, str] | None
+
+
+class Shared:
+    """The file. Both sides make it of boards that are alike.
+
+    Attributes: record: the HOST record of the child; edges: EDGE; cycles: the lines of its trace; state: float64, MuJoCo's, with
+    the whole stage in it; samples, positions: as those of a Recording.
+    """
+
+    def __init__(self, path: str | Path, board: Board, create: bool = False):
+        state = board.stage.state
+        axes, nq = len(board.stage.axes), state.model.nq
+        sizes: list[tuple[Any, tuple[int, ...]]] = [
+            (host.HOST, (1,)), (EDGE, (NOTED,)), (host.CYCLE, (board.trace.room,)), (np.float64, state.saved.shape),
+            (SAMPLE, (ROWS, axes)), (np.float64, (ROWS, nq)), (np.int64, (1,)), (np.uint8, (TEXT,)),
+        ]  # fmt: skip
+        lengths = [int(np.dtype(dtype).itemsize * np.prod(shape)) for dtype, shape in sizes]
+        places = np.cumsum([0, *(-(-n // _ALIGNED) * _ALIGNED for n in lengths)]).tolist()
+        self._map = np.memmap(path, np.uint8, "w+" if create else "r+", shape=(places[-1],))
+        self.record, self.edges, self.cycles, self.state, self.samples, self.positions, used, text = (
+            np.asarray(self._map[at : at + n]).view(dtype).reshape(shape)
+            for at, n, (dtype, shape) in zip(places, lengths, sizes, strict=False)
+        )
+        self._used, self._text = used.data, text.data
+
+    # --- the state of a stage ---
+
+    def keep(self, stage: Any) -> None:
+        """The state of this stage goes into the file."""
+        mujoco.mj_getState(stage.model, stage.data, self.state, SAVED)
+
+    # --- lines of the log ---
+
+    def note(self, now: int, text: str) -> bool:
+        """One more line; False if there is no room for it."""
+        content, begin = text.encode()[: TEXT // 2], self._used[0]
+        end = begin + _LINE.size + len(content)
+        if end > TEXT:
+            return False
+        _LINE.pack_into(self._text, begin, now, len(content))
+        self._text[begin + _LINE.size : end] = content
+        self._used[0] = end
+        return True
+
+    def lines(self) -> list[tuple[float, str]]:
+        """The lines noted since the last time: seconds, text."""
+        content, at, found = self._text[: self._used[0]].tobytes(), 0, []
+        while at < len(content):
+            now, length = _LINE.unpack_from(content, at)
+            at += _LINE.size + length
+            found.append((now * 1e-9, content[at - length : at].decode(errors="replace")))
+        self._used[0] = 0
+        return found
+
+    # --- the trace ---
+
+    def copy(self, board: Board, back: bool = False) -> None:
+        """A board's cycles, counted and traced, for the child's board to go on from; or back."""
+        pairs = [(board.link.record[name], self.record[0][name]) for name in COUNTS]
+        if all(ours == theirs for ours, theirs in pairs):
+            return
+        target, source = (board.link.record, self.record[0]) if back else (self.record[0], board.link.record)
+        begin = int(min(target["changed"], source["changed"]))  # lines before are as they were
+        for name in COUNTS:
+            target[name] = source[name]
+        ours, theirs = board.trace.kept, self.cycles
+        lines = np.arange(max(begin, int(target["traced"]) - len(ours)), target["traced"]) % len(ours)
+        if back:
+            ours[lines] = theirs[lines]
+        else:
+            theirs[lines] = ours[lines]

@@ -1,0 +1,191 @@
+"""Firmware in a process of its own leaves what it leaves in this one, to the bit: whatever calls Python on the way, however much it
+writes, and where it crashes."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+from board.test_native import MOVE, THREE, host, left_behind
+from support.compiled_firmware import firmware
+
+from stage import Stage, faults
+from stage.board import Board, HostError, NativeHost
+from stage.chips import HCTL1100
+from stage.errors import StageError
+
+WAYS = pytest.mark.parametrize("isolated", [False, True], ids=["thread", "process"])
+STOP_INTERRUPT = (
+    MOVE
+    + """
+PULSESTAGE_MAIN
+{
+    for (int k = 0; k < 3; k++) {
+        ps_out8(0x300, 0x08); /* reset command: or the next start is none */
+        start(0x300, 50, 0x35);
+        ps_delay_us(300000);
+        ps_logf("%d", k);
+    }
+    return ps_interrupt_line();
+}
+"""
+)
+
+
+def both(run):
+    """What `run(isolated)` leaves, in this process and in another."""
+    ours, theirs = run(False), run(True)
+    assert left_behind(ours) == left_behind(theirs)
+    return ours, theirs
+
+
+def test_a_hook_in_python_is_called_at_the_same_nanosecond_and_drives_the_same_board():
+    calls: dict[bool, list] = {}
+
+    def run(isolated):
+        h = host(STOP_INTERRUPT, isolated=isolated)
+        seen = calls[isolated] = []
+
+        def hook():
+            b = h.board
+            seen.append((b.stage.now, b.stage.axes["x"].position, b.cycles, b.in8(0x300), len(b.log)))
+            b.out8(0x300, 0x08)  # clears the interrupt
+            b.delay_us(250)
+
+        h.board.on_interrupt(hook)
+        assert h.run().code == 0
+        return h
+
+    both(run)
+    assert calls[False] == calls[True]
+    assert len(calls[True]) == 3
+
+
+def test_an_error_of_a_hook_in_python_comes_out_as_it_was_raised_and_ends_the_run():
+    h = host(STOP_INTERRUPT, isolated=True)
+
+    def hook():
+        raise KeyError("my own")
+
+    h.board.on_interrupt(hook)
+    with pytest.raises(KeyError, match="my own"):
+        h.run()
+    assert not h.running
+    h.board.on_interrupt(None)
+    assert host("PULSESTAGE_MAIN { return 3; }", isolated=True).run().code == 3
+
+
+def test_a_hook_taken_away_between_two_pieces_is_called_no_more():
+    h = host(STOP_INTERRUPT, isolated=True)
+    calls = []
+    h.board.on_interrupt(lambda: (calls.append(h.board.stage.now), h.board.out8(0x300, 8)))
+    assert h.run_for(0.4) is None
+    h.board.on_interrupt(None)
+    assert h.run().code == 1, "the line stays asserted"
+    assert len(calls) == 1
+
+
+def test_a_write_that_gets_lost_is_lost_in_a_process_of_its_own():
+    def run(isolated):
+        h = host(THREE, isolated=isolated)
+        faults.lost_write(h.board.stage.axes["x"], address=0, value=0x15)
+        h.run()
+        assert "lost on the way" in str(h.board.trace)
+        assert h.board.stage.faults == ()
+        return h
+
+    ours, _ = both(run)
+    assert ours.board.stage.axes["y"].position > 1e-3 > abs(ours.board.stage.axes["x"].position)
+
+
+def test_a_cpu_that_is_away_before_a_start_is_away_in_a_process_of_its_own():
+    def run(isolated):
+        h = host(THREE, isolated=isolated)
+        faults.start_skew(h.board.stage.axes["y"], 5e-3)
+        h.run()
+        return h
+
+    both(run)
+
+
+def test_a_hundred_thousand_writes_and_lines_arrive_all_of_them_in_order():
+    body = """
+    PULSESTAGE_MAIN
+    {
+        for (int k = 0; k < 100000; k++)
+            ps_out8(0x303, (uint8_t)(k * 7));
+        for (int k = 0; k < 5000; k++)
+            ps_logf("%d: a line of some length, so that the room for lines is full before the end", k);
+        return 0;
+    }
+    """
+
+    def run(isolated):
+        h = host(body, isolated=isolated)
+        journal = h.board.stage.axes["x"].chip.journal()
+        h.run()
+        assert len(journal.entries) == 100_000
+        assert [e.b for e in journal.entries] == [k * 7 & 0xFF for k in range(100_000)]
+        return h
+
+    ours, _ = both(run)
+    assert [text.split(":")[0] for _, text in ours.board.log] == [str(k) for k in range(5000)]
+
+
+def test_a_line_longer_than_there_is_room_for_is_cut():
+    body = """
+    static char text[100000];
+    PULSESTAGE_MAIN { for (int k = 0; k < 99999; k++) text[k] = 'x'; ps_log("before"); ps_log(text); ps_log("after"); return 0; }
+    """
+    h = host(body, isolated=True)
+    h.run()
+    lines = [text for _, text in h.board.log]
+    assert (lines[0], lines[2]) == ("before", "after")
+    assert set(lines[1]) == {"x"}
+    assert len(lines[1]) > 30_000
+
+
+@WAYS
+def test_a_recording_longer_than_the_room_for_samples_is_whole(isolated):
+    h = host("PULSESTAGE_MAIN { ps_delay_us(1500000); return 0; }", isolated=isolated)
+    with h.board.stage.record(1e-3) as recording:
+        h.run()
+    assert recording.columns["time"] == pytest.approx(1e-3 * np.arange(1, 1501), abs=1e-9)
+
+
+def test_what_a_servos_chip_sees_of_its_shaft_is_recorded_the_same(tmp_path):
+    body = """
+    static void put(int r, int v) { ps_out8(0x300 + 0, (uint8_t)r); ps_out8(0x300 + 1, (uint8_t)v); }
+    PULSESTAGE_MAIN { for (int k = 0; k < 400; k++) { put(k % 40, k); ps_delay_us(500); } return 0; }
+    """
+    texts = []
+    for isolated in (False, True):
+        board = Board(Stage("xyz_servo", chips=HCTL1100, visuals=False))
+        h = NativeHost(firmware(body), board, isolated=isolated)
+        board.stage.axes["x"].chip.write(5, 3)  # control mode, so that the loop is closed
+        with board.stage.record() as recording:
+            h.run()
+        recording.to_vcd(tmp_path / f"{isolated}.vcd")
+        texts.append((left_behind(h), (tmp_path / f"{isolated}.vcd").read_text().split("$timescale")[1]))
+    assert texts[0] == texts[1]
+
+
+def test_a_crash_after_many_writes_leaves_the_stage_where_firmware_that_stopped_there_leaves_it():
+    writes = "PULSESTAGE_MAIN { start(0x300, 3000, 0x15); for (int k = 0; k < 40000; k++) ps_out8(0x305, k);"
+    crashed = host(f"#include <signal.h>\n{MOVE}{writes} raise(SIGSEGV); return 0; }}", isolated=True)
+    stopped = host(f"{MOVE}{writes} return 0; }}")
+    with pytest.raises(HostError, match="SIGSEGV"):
+        crashed.run()
+    stopped.run()
+    assert left_behind(crashed) == left_behind(stopped)
+
+
+def test_a_callback_of_mujoco_in_python_is_not_forgotten_in_silence():
+    h = host("PULSESTAGE_MAIN { return 3; }", isolated=True)
+    mujoco.set_mjcb_control(lambda model, data: None)
+    try:
+        with pytest.raises(StageError, match=r"calls a function in Python back.*isolated=False"):
+            h.run()
+    finally:
+        mujoco.set_mjcb_control(None)
+    assert h.run().code == 3
