@@ -1,11 +1,10 @@
-"""The process that isolated firmware runs in, see stage.board.isolated: python -m stage.board.child FILENO."""
+"""The process that isolated firmware runs in, see stage.board.isolated; stage.board.starter begins it."""
 
 from __future__ import annotations
 
 import os
 import pickle
 import select
-import sys
 import threading
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -154,6 +153,7 @@ def _ends_with(parent: int, fileno: int) -> None:
 
 
 def main(fileno: int) -> None:
+    """Run the firmware that comes over this end of a pipe, until the parent is gone."""
     threading.Thread(target=_ends_with, args=(os.getppid(), fileno), name="parent", daemon=True).start()
     pipe = Connection(fileno)
     begin = pipe.recv()
@@ -175,10 +175,3 @@ def main(fileno: int) -> None:
         pipe.send(Stands(board.link.noted(), board.port_table, code, failure))
         if failure is not None:
             os._exit(1)
-
-
-if __name__ == "__main__":
-    try:
-        main(int(sys.argv[1]))
-    except (EOFError, BrokenPipeError):
-        os._exit(0)  # the parent is gone

@@ -11,8 +11,6 @@ import hashlib
 import os
 import pickle
 import signal
-import subprocess
-import sys
 import tempfile
 import weakref
 from multiprocessing import Pipe
@@ -22,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from stage import errors as general
-from stage.board import errors
+from stage.board import errors, starter
 from stage.board.board import Board
 from stage.board.errors import HostError
 from stage.board.shared import Asked, Begin, Go, Noted, Shared, Stands
@@ -39,7 +37,7 @@ class Isolated:
         if os.name != "posix":
             raise StageError("isolated=True needs a POSIX system; run the firmware in this process.")
         self._path, self._board, self._patience = path, board, patience
-        self._child: subprocess.Popen | None = None
+        self._child: starter.Process | None = None
         self._pipe: Any = None
         self._running = False
         self._seen = b""
@@ -101,12 +99,8 @@ class Isolated:
         ours, theirs = Pipe()
         try:
             self._shared = Shared(shared, board, create=True)
-            command = [sys.executable, "-m", "stage.board.child", str(theirs.fileno())]
-            self._child = subprocess.Popen(
-                command, pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL, process_group=0,
-                env=os.environ | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)},
-            )  # fmt: skip
-            theirs.close()
+            with theirs:
+                self._child = starter.start(theirs.fileno())
             self._pipe = ours
             weakref.finalize(self, _ended, self._child)
             ours.send(Begin(str(self._path), shared, given, self._patience))
@@ -203,7 +197,7 @@ class Isolated:
         self._child, self._running, self._seen = None, False, b""
 
 
-def _ended(child: subprocess.Popen) -> None:
+def _ended(child: starter.Process) -> None:
     child.kill()
     child.wait()
 

@@ -228,8 +228,11 @@ def _add_firmware(commands: Any) -> None:
         "--timeout", type=float, default=60.0, help="simulated seconds after which it has to return (default: 60)"
     )
     g.add_argument(
-        "--isolated", action="store_true", help="in a process of its own: a crash ends that, and files are written"
+        "--in-process",
+        action="store_true",
+        help="run it in this process, for debuggers (default: in a process of its own; a crash ends only that)",
     )
+    g.add_argument("--isolated", action="store_true", help=argparse.SUPPRESS)  # what is the default now
     g.add_argument(
         "--layout",
         help="which ports reach the chips: pcl240, pcl240-card, nova, nova-8bit, hctl1100 (default: the chip's)",

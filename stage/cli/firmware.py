@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import shlex
 import sys
 import time
@@ -39,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
     except ValueError as failed:
         raise ArgumentError(f"--cflags {args.cflags!r}: {failed}.") from None
     board = Board(stage, args.layout, args.base, args.stride, keep_cycles=args.keep)
-    host = NativeHost(args.firmware, board, isolated=args.isolated, flags=flags)
+    host = NativeHost(args.firmware, board, isolated=os.name == "posix" and not args.in_process, flags=flags)
     error: StageError | None = None
     result = None
     begin = time.perf_counter()

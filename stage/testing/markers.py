@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 from collections.abc import Iterable
 from pathlib import Path
@@ -11,6 +12,7 @@ import pytest
 
 from stage.errors import ArgumentError, unknown
 from stage.files import FileError
+from stage.testing.settings import setting
 
 STAGE = ("model", "chips", "drives", "bus_cycle", "visuals", "record")
 BOARD = ("layout", "base", "stride", "keep_cycles")
@@ -54,8 +56,7 @@ def firmware_arguments(node: pytest.Item) -> dict[str, Any]:
             "file is."
         )
     found["sources"] = [find(node, source, "firmware") for source in found["sources"]]
-    if not found.get("isolated"):
-        found.pop("isolated", None)
+    found.setdefault("isolated", os.name == "posix" and setting(node.config, "firmware") != "in-process")
     flags = found.get("flags", ())
     found["flags"] = tuple(shlex.split(flags) if isinstance(flags, str) else flags)
     return found

@@ -23,7 +23,7 @@ MARKERS = (
     "model(name): the model of its stage, as stage(model=name)",
     "chips(name) or chips(x=name, y=name): the chips of its stage, as stage(chips=...)",
     "board(layout=None, base=None, stride=None, keep_cycles=100000): how the chips lie on the host's bus",
-    "firmware(*sources, flags=(), isolated=False, patience=20.0): C or C++ sources, or a library, for the fixture `host`",
+    "firmware(*sources, flags=(), isolated=True, patience=20.0): C or C++ sources, or a library, for the fixture `host`",
 )
 WATCH: pytest.StashKey[Any] = pytest.StashKey()
 """The evidence.Watch of a test."""

@@ -10,6 +10,10 @@ if TYPE_CHECKING:
 OPTIONS = {
     "output": (None, "folder for what failed tests leave: recording, waveforms, bus trace (default: .pulsestage)"),
     "record": (("on", "off"), "record every test with a stage while it runs (default: on)"),
+    "firmware": (
+        ("isolated", "in-process"),
+        "firmware in a process of its own, or here, for debuggers (default: isolated)",
+    ),
     "keep": (("failed", "all"), "whose recordings are kept (default: failed)"),
 }
 

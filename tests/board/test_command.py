@@ -50,7 +50,9 @@ def test_a_run_prints_what_the_firmware_notes_and_where_the_axes_end_and_writes_
     assert "--force" in capsys.readouterr().err or "exists" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("isolated", [[], ["--isolated"]], ids=["thread", "process"])
+@pytest.mark.parametrize(
+    "isolated", [["--in-process"], [], ["--isolated"]], ids=["thread", "process", "as it was typed before"]
+)
 def test_the_exit_code_says_whether_it_went_as_asked(isolated, capsys, tmp_path):
     assert main(["run", built(5), *isolated]) == 1
     assert main(["run", built(), "--timeout", "0.01", "--record", str(tmp_path / "late.rrd"), *isolated]) == 1

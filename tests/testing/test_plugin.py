@@ -1,5 +1,6 @@
 """What docs/testing.md promises of the pytest plugin, each in a small session of its own."""
 
+import os
 import re
 import shutil
 import sys
@@ -513,21 +514,47 @@ def test_workers_of_xdist_share_builds_and_never_a_folder(pytester, driver, monk
     assert len(list((pytester.path / "temporary" / "pulsestage-firmware").glob("*/driver.so"))) == 1
 
 
+ENDS = {
+    "exits": ("exit(0);", "driver.so ended its process with exit code 0 at *"),
+    "aborts": ("abort();", "driver.so was ended by SIGABRT*"),
+    "falls": ("raise(SIGSEGV);", "driver.so was ended by SIGSEGV*"),
+}
+TESTS = """
+import pytest
+@pytest.mark.model("xy")
+@pytest.mark.firmware("driver.c")
+def test_it_ends(host): host.run(timeout=5)
+def test_after_it(): assert 0
+"""
+
+
+def ending(driver, call):
+    head = "#include <signal.h>\n#include <stdlib.h>\n#include"
+    driver.write_text(DRIVER.replace("return 7;", call).replace("#include", head, 1))
+
+
 @needs_cc
-@pytest.mark.skipif(not exits.HERE, reason="elsewhere firmware that exits needs isolated=True")
-def test_firmware_that_exits_fails_its_test_and_the_tests_after_it_run(pytester, driver):
+@pytest.mark.skipif(os.name != "posix", reason="elsewhere firmware has no process of its own")
+@pytest.mark.parametrize("how", ENDS)
+def test_firmware_that_ends_its_process_fails_its_test_and_the_tests_after_it_run(how, pytester, driver):
     # pytest, with PULSESTAGE_MAIN { ... exit(0); } in driver.c
-    driver.write_text(DRIVER.replace("return 7;", "exit(0);").replace("#include", "#include <stdlib.h>\n#include", 1))
-    pytester.makepyfile(
-        """
-        import pytest
-        @pytest.mark.model("xy")
-        @pytest.mark.firmware("driver.c")
-        def test_it_exits(host): host.run(timeout=5)
-        def test_after_it(): assert 0
-        """
-    )
+    call, said = ENDS[how]
+    ending(driver, call)
+    pytester.makepyfile(TESTS)
     result = pytester.runpytest_subprocess(*PLUGIN, *FEW)
+    result.assert_outcomes(failed=2)
+    assert result.ret == pytest.ExitCode.TESTS_FAILED
+    result.stdout.fnmatch_lines(f"*HostError: {said}")
+
+
+@needs_cc
+@pytest.mark.skipif(not exits.HERE, reason="elsewhere firmware that exits ends the process that it is in")
+@pytest.mark.parametrize("way", ["--pulsestage-firmware=in-process", "marker"])
+def test_firmware_that_exits_in_the_process_of_pytest_fails_its_test_and_the_tests_after_it_run(way, pytester, driver):
+    # pytest --pulsestage-firmware in-process
+    ending(driver, "exit(0);")
+    pytester.makepyfile(TESTS.replace('"driver.c"', '"driver.c", isolated=False') if way == "marker" else TESTS)
+    result = pytester.runpytest_subprocess(*PLUGIN, *FEW, *([] if way == "marker" else [way]))
     result.assert_outcomes(failed=2)
     assert result.ret == pytest.ExitCode.TESTS_FAILED
     result.stdout.fnmatch_lines("*HostError: driver.so: exit(0) at *would have ended the process.*")

@@ -1,0 +1,218 @@
+"""Starts processes for firmware in milliseconds: one process has imported all that they need, and forks each of them.
+
+    process = start(pipe)          the process runs stage.board.child, with this end of a pipe
+    process.kill()
+    process.wait()                 its exit code; minus the number of the signal that ended it
+
+The starter begins with the first of them and ends with this process. A child has the standard output, environment, folder and
+sys.path that this process has at its start.
+"""
+
+from __future__ import annotations
+
+import gc
+import os
+import pickle
+import selectors
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any, NamedTuple
+
+_HEAD = struct.Struct("q")
+_STATUS = struct.Struct("i")
+_FILES = 4  # that go with a start: pipe, status, standard output, standard error
+_lock = threading.Lock()
+_starters: dict[int, Starter] = {}  # by process: a fork has its own
+
+
+class World(NamedTuple):
+    """What a child finds around it."""
+
+    environment: dict[str, str]
+    folder: str
+    path: list[str]
+
+
+class Process:
+    """A child of the starter. pid: its number."""
+
+    def __init__(self, starter: Starter, status: socket.socket):
+        self._starter, self._status = starter, status
+        self.pid: int = _HEAD.unpack(_read(status, _HEAD.size))[0]
+        self._code: int | None = None
+
+    def kill(self) -> None:
+        """End it, if it has not ended."""
+        if self._code is None:
+            self._starter.kill(self.pid)
+
+    def wait(self) -> int:
+        """Wait for its end. Returns the exit code, minus the signal's number if one ended it."""
+        if self._code is None:
+            try:
+                status = _STATUS.unpack(_read(self._status, _STATUS.size))[0]
+                self._code = os.waitstatus_to_exitcode(status)
+            except EOFError:  # the starter is gone, and its children with it
+                self._code = -signal.SIGKILL
+            self._status.close()
+        return self._code
+
+
+class Starter:
+    """The end in this process."""
+
+    def __init__(self) -> None:
+        self._control, theirs = socket.socketpair()
+        environment = os.environ | {
+            "PYTHONPATH": os.pathsep.join(p for p in sys.path if p),
+            "OPENBLAS_NUM_THREADS": "1",  # a process that forks has one thread
+        }
+        with theirs:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "stage.board.starter", str(theirs.fileno())], pass_fds=[theirs.fileno()],
+                stdin=subprocess.DEVNULL, process_group=0, env=environment,
+            )  # fmt: skip
+
+    def alive(self) -> bool:
+        """It can be asked."""
+        return self._process.poll() is None
+
+    def start(self, pipe: int) -> Process:
+        """A child with this end of a pipe."""
+        world = World(dict(os.environ), _folder(), list(sys.path))
+        ours, theirs = socket.socketpair()
+        with theirs:
+            files = [pipe, theirs.fileno(), 1, 2]
+            with _lock:
+                self._send(("start", world), files)
+        return Process(self, ours)
+
+    def kill(self, pid: int) -> None:
+        """End a child."""
+        with _lock, suppress(OSError):  # it is gone, and so are its children
+            self._send(("kill", pid), [])
+
+    def _send(self, message: Any, files: list[int]) -> None:
+        content = pickle.dumps(message)
+        socket.send_fds(self._control, [_HEAD.pack(len(content))], files)
+        self._control.sendall(content)
+
+
+def start(pipe: int) -> Process:
+    """A process that runs `stage.board.child` with this end of a pipe. Raises OSError, EOFError where none can be had."""
+    with _lock:
+        starter = _starters.get(os.getpid())
+        if starter is None or not starter.alive():
+            starter = _starters[os.getpid()] = Starter()
+    return starter.start(pipe)
+
+
+def _folder() -> str:
+    try:
+        return os.getcwd()
+    except OSError:
+        return "/"
+
+
+def _read(source: socket.socket, size: int) -> bytes:
+    content = b""
+    while len(content) < size:
+        more = source.recv(size - len(content))
+        if not more:
+            raise EOFError
+        content += more
+    return content
+
+
+# --- the starter itself ---
+
+
+def _serve(control: socket.socket, run: Callable[[int], None]) -> None:
+    """Fork and kill as asked, and tell who has ended, until the other end is closed."""
+    wake, woken = socket.socketpair()
+    wake.setblocking(False)
+    woken.setblocking(False)
+    signal.set_wakeup_fd(woken.fileno(), warn_on_full_buffer=False)
+    signal.signal(signal.SIGCHLD, lambda *_: None)
+    children: dict[int, socket.socket] = {}
+    with selectors.DefaultSelector() as selector:
+        selector.register(control, selectors.EVENT_READ)
+        selector.register(wake, selectors.EVENT_READ)
+        while True:
+            for key, _ in selector.select():
+                if key.fileobj is wake:
+                    wake.recv(4096)
+                    _bury(children)
+                    continue
+                head, files, _, _ = socket.recv_fds(control, _HEAD.size, _FILES)
+                if not head:
+                    return
+                what, given = pickle.loads(_read(control, _HEAD.unpack(head)[0]))
+                if what == "kill":
+                    if given in children:
+                        os.kill(given, signal.SIGKILL)
+                    continue
+                pid = os.fork()
+                if not pid:
+                    for other in (control, wake, woken, *children.values()):
+                        other.close()
+                    _become(given, files, run)
+                pipe, status, *streams = files
+                for file in (pipe, *streams):
+                    os.close(file)
+                children[pid] = socket.socket(fileno=status)
+                children[pid].send(_HEAD.pack(pid))
+
+
+def _bury(children: dict[int, socket.socket]) -> None:
+    while children:
+        pid, status = os.waitpid(-1, os.WNOHANG)
+        if not pid:
+            return
+        with children.pop(pid) as waits, suppress(OSError):  # nobody waits any more
+            waits.send(_STATUS.pack(status))
+
+
+def _become(world: World, files: list[int], run: Callable[[int], None]) -> None:
+    """In the fork: a child. Does not return."""
+    code = 1
+    try:
+        signal.set_wakeup_fd(-1)
+        signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+        os.setpgid(0, 0)
+        pipe, status, *streams = files
+        os.close(status)
+        for file, number in zip(streams, (1, 2), strict=True):
+            os.dup2(file, number)
+            os.close(file)
+        os.environ.clear()
+        os.environ.update(world.environment)
+        os.chdir(world.folder)
+        sys.path[:] = world.path
+        run(pipe)
+        code = 0
+    except (EOFError, BrokenPipeError):
+        code = 0  # the parent is gone
+    except BaseException:
+        sys.excepthook(*sys.exc_info())
+    finally:
+        sys.stdout.flush()
+        os._exit(code)
+
+
+def main(fileno: int) -> None:
+    from stage.board import child
+
+    gc.freeze()
+    with socket.socket(fileno=fileno) as control:
+        _serve(control, child.main)
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]))
