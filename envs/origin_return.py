@@ -1,13 +1,13 @@
-"""`stage/OriginReturn-v0`: find the origin from an unknown place, fast and repeatably.
+"""`stage/OriginReturn-v0`: find the origin from an unknown position, fast and repeatably.
 
 A step is one whole origin return of an axis that was powered up anywhere between its end limits, before ORG, on it or beyond:
 
-    leave      plus by a preset distance (0: not at all): a search that starts on ORG is refused by the chip
+    leave      plus by a preset distance (0: not at all): the chip refuses an origin return that starts on ORG
     search     minus, fast, until ORG; with SD enabled at FL from the SD switch on
     back off   plus by a preset distance, at FL
     approach   minus, at another FL, until ORG, or (ez = N) until the N-th index pulse after it
 
-with a rest of `settle` after each. What the chip says meanwhile is read, and no decision is taken on it.
+with a rest of `settle` after each. The chip's status is read during the runs, but no decision depends on it.
 
 action        Box [-1, 1]^7, see registers.py; with actions="registers" the integers themselves, MultiDiscrete:
               R1 FL and R2 FH1 of leaving, search and backing off, R4 their rate (R5 as well), approach (R1 of the approach),
@@ -16,14 +16,14 @@ action        Box [-1, 1]^7, see registers.py; with actions="registers" the inte
               DV, AC, HV of the approach, leave, step1 (1: the fast search to ORG comes first), timer (between steps: 0 none, 1 to 8
               of H2M). MCX304, MCX302, MCX312, Box [-1, 1]^6: SV, V, A, HV in units of 20 pps, leave, step1 (a continuous drive
               to ORG). Their search runs on from an end limit, and may take three times `limit`.
-observation   float32: 0 ORG asserted now    1 SD+ asserted now    2 returns to go / returns
+observation   float32: 0 ORG asserted now    1 SD+ asserted now    2 returns left / returns
               3 payload, 4 friction, -1 to 1 over their ranges (friction by its logarithm)
               and of the last return, as a host knows it (0 before the first)
               5 there was one    6 ended at the origin    7 ran into an end limit    8 a run took longer than `limit`
-              9 ORG let go after backing off (NOVA: no error of the home search)    10 duration / 4 limits
+              9 ORG released after backing off (NOVA: no error of the home search)    10 duration / 4 limits
               11 pulses of the search / those from EL to EL
               12 pulses of the approach beyond those of backing off / 64: how far the search overran (NOVA: 0)
-              Where the carriage stands is hidden.
+              The position of the carriage is not in it.
 reward        the sum of
               time     - time_weight x s
               error    - error_weight x pulses between the carriage and the place where ORG trips (or the N-th index

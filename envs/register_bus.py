@@ -1,33 +1,33 @@
-"""`stage/RegisterBus-v0`: be the host. An action is one bus cycle, or a wait; everything else is up to the chips.
+"""`stage/RegisterBus-v0`: the agent is the host. An action is one bus cycle, or a wait; the chips do the rest.
 
 action        MultiDiscrete [kind, chip, address, value]
               kind 0 writes `value` to `address` of a chip, kind 1 reads that address, kind 2 + k waits for waits[k].
-              What a kind does not need does not matter. Addresses and values are those of the chip's bus: 0..3 and a byte on
+              Entries that a kind does not use are ignored. Addresses and values are those of the chip's bus: 0..3 and a byte on
               a PCL-240, one an axis; 0..7 and a word of 16 bits on a NOVA chip, one for several axes; 0..63 and a byte on an
               HCTL-1100, one an axis.
 observation   float32 in [-1, 1]; for every chip in turn
               status bits b0.. as last read (PCL-240 8, NOVA 16: RR0, HCTL-1100 8: R07)
               what was last read at the other addresses (3: bytes of a PCL-240's counter; 7: RR1..RR7), / the largest datum
-              freshness of all addresses (4; 8; 64): 0 never read, else 1 / (1 + age / 1 ms)
+              age of the values of all addresses (4; 8; 64): 0 never read, else 1 / (1 + age / 1 ms)
               and then for each of its axes
               target / distances[1], pulses from the start; 0 with goal "home"
               and with truth=True, what no host knows: the carriage's
               place in its travel    velocity / 0.5 m/s    lost full steps / 64    error / its scale
               then for all
               value of the last read / the largest    1 if the last action was a read    time / time_limit    actions / cycles
-              With live=True the addresses always show what is there now (PCL-240: status and R0; NOVA: RR0 to RR7), freshness
-              is 1, and nobody pays for the bus.
+              With live=True the addresses always show the present values (PCL-240: status and R0; NOVA: RR0 to RR7), the
+              entries of age are 1, and no bus cycle is needed.
 reward        the sum of
               progress   progress_weight x (discount x potential now - potential before); the potential is - the mean of the
                          axes' errors beyond the tolerance / scale (distances[1], or with "home" the way from EL to EL),
-                         0 at success: it shows the way and does not change what is best (discount: the learner's own)
+                         0 at success: it guides the agent and does not change the best policy (discount: the learner's own)
               time       - time_weight x s
               success    success_weight, once
               lost       - lost_weight for every full step lost
 episode       terminated at success: every axis has stopped, stands within `tolerance` of its goal, and (with "position") has
               lost no step. Truncated after `time_limit` s or `cycles` actions.
-goal          "position": targets drawn evenly by their logarithm, either way, from where the stage is at power-up.
-              "home": each carriage stands anywhere between its end limits, and is to stand where ORG trips.
+goal          "position": random targets, uniform on a log scale, in either direction from the position at power-up.
+              "home": each carriage begins anywhere between its end limits, and must end where ORG trips.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""What `register_bus` compiles: a step of many stages, from actions to observations, without the GIL.
+"""The compiled part of `register_bus`: a step of many stages, from actions to observations, without the GIL.
 
-All that it works on lies in arrays of the task, whose addresses a FRAME holds: a call takes a few numbers. A `step` has two
+All its data are in arrays of the task, whose addresses a FRAME holds, so a call takes only a few numbers. A `step` has two
 halves, `play` and `conclude`, so that a recorded stage can be played by Python in between.
 """
 

@@ -1,12 +1,13 @@
 """`stage/RegisterTuning-v0`: choose a chip's registers for one move after the other.
 
-A step is one whole move of a drawn distance with a drawn payload on the table: registers, start, and then physics decides. Each
-move starts at rest from the same place, so steps are independent of each other. How a chip is spoken to: stage/firmware/driver.py.
+A step is one whole move of a random distance with a random payload on the table: registers, start, and then physics decides. Each
+move starts at rest from the same position, so steps are independent of each other. The chip is driven by its driver, see
+stage/firmware/driver.py.
 
 action        Box [-1, 1]^n, see registers.py; with actions="registers" the integers themselves, MultiDiscrete.
               PCL-240: R1 FL, R2 FH1, R4, R5 rates, R6 ramp-down point, R7 multiplier; with S-curves R14 and R15, their spans
               MCX514: SV, DV, AC; with S-curves JK        MCX304, MCX302, MCX312: SV, V, A; with S-curves K; R is 400,000
-observation   float32, what is asked for and how the last move went:
+observation   float32, the task and the result of the last move:
               0 distance, -1 to 1 over its range    1 payload, -1 to 1    2 last duration / limit
               3 last move: steps lost (0 or 1)      4 last vibration / (last + 0.1 mm)    5 last move made all its pulses
 reward        the sum of

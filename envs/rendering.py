@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 class Pose:
-    """The stage, or its picture with its joints elsewhere: the stage itself stays where it is."""
+    """The stage, or a copy of it for drawing with its joints elsewhere: the stage itself does not move."""
 
     def __init__(self, stage: Stage):
         self._stage, self.data = stage, mujoco.MjData(stage.model)
@@ -49,7 +49,7 @@ class OffScreen:
 
 
 class OnScreen:
-    """MuJoCo's own viewer, which shows what it is told to."""
+    """MuJoCo's own viewer."""
 
     def __init__(self, stage: Stage):
         check_window("Use render_mode='rgb_array', or record.")
@@ -73,7 +73,7 @@ class OnScreen:
 
 
 class Film:
-    """Where the joints were during a step, at `every` s of its time and at its end. The stage moves as without it, to the bit."""
+    """Joint positions during a step, every `every` s of its time and at its end. The stage moves exactly as without it."""
 
     def __init__(self, stage: Stage, every: float):
         self._stage, recording = stage, stage.recording

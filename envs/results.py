@@ -1,4 +1,4 @@
-"""What a step says: one record a stage. The scalar environment reads a row of them, the vector environment columns."""
+"""The results of a step: one record a stage. The scalar environment reads a row of them, the vector environment columns."""
 
 from __future__ import annotations
 

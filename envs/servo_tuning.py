@@ -1,15 +1,15 @@
 """`stage/ServoTuning-v0`: choose an HCTL-1100's digital filter and sample time for one move of a servo axis after the other.
 
-A step is one whole move of a drawn distance with a drawn payload on the table: registers, a position step or a trapezoid, and then
-physics decides. Each move starts at rest from power-up at the same place, so steps are independent of each other.
+A step is one whole move of a random distance with a random payload on the table: registers, a position step or a trapezoid, and
+then physics decides. Each move starts at rest from power-up at the same position, so steps are independent of each other.
 
 action        Box [-1, 1]^4: R22 gain, R20 zero, R21 pole, R0F T, see registers.py; with actions="registers" the integers
               themselves, MultiDiscrete. Gain and T are spread by their logarithm.
-observation   float32, what is asked for and how the last move went:
+observation   float32, the task and the result of the last move:
               0 distance, -1 to 1 over its range    1 payload, -1 to 1    2 last settling time / limit
               3 last overshoot / (last + 10 counts)    4 last unrest / (last + 10 counts)    5 last move settled
 reward        the sum of
-              time       - settling time / 1 s: from the start to when the carriage came to stay within the deadband
+              time       - settling time / 1 s: from the start until the carriage stays within the deadband
               overshoot  - overshoot_weight x the farthest beyond the goal / distance, 1 at most
               unrest     - unrest_weight x peak-to-peak travel in the last `rest` seconds / 100 counts, 10 at most
               limit      - limit_weight if it did not settle by `limit`

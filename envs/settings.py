@@ -1,4 +1,4 @@
-"""Settings of the environments: the kinds that there are, and the one place where they are checked.
+"""Settings of the environments: their kinds, and the one place where they are checked.
 
     @dataclass(frozen=True)
     class Config(Settings):
@@ -6,8 +6,8 @@
         limit: Seconds = 4.0                                 more than 0, up to 1e6 s
         payloads: Annotated[Pair, Range(0.0)] = (0.0, 10.0)  (least, most), from 0 up
 
-Whoever makes a Config with a number out of its range, with one that is no number (nan), or with a word that is not known
-gets an ArgumentError that names the setting. What a kind cannot tell, as which axes a model has, is checked where it is used.
+A Config with a number out of its range, with nan, or with an unknown word raises an ArgumentError that names the setting. What a
+kind cannot know, for example which axes a model has, is checked where the setting is used.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class Number:
 
 @dataclass(frozen=True)
 class Range(Number):
-    """(least, most), each such a number. more: what else is asked of it, in words."""
+    """(least, most), each such a number. more: further conditions, in words."""
 
     more: str = ""
 

@@ -1,9 +1,9 @@
 """`stage/SynchronizedMove-v0`: choose the registers that bring two or three axes along a straight line together.
 
-A step is one whole move of drawn signed distances, from rest to rest, its middle in the middle of the travel. What keeps the axes
-on the line is the family's: its `Line` in stage/firmware writes the registers and starts the axes.
+A step is one whole move of random signed distances, from rest to rest, its middle in the middle of the travel. How the axes are
+kept on the line depends on the family: its `Line` in stage/firmware writes the registers and starts the axes.
     PCL-240           the a:b scheme. Nothing couples the chips but their registers, R0 and R1 to R7 of each, and their start
-                      commands, a bus cycle apart, the longest axis last: what strays from the line is what they round differently.
+                      commands, a bus cycle apart, the longest axis last: they deviate from the line by their different rounding.
     MCX514, MCX312    linear interpolation by the chip, where it has all axes; it takes speeds of one axis and finish points of all.
     MCX304, MCX302    the a:b scheme by ranges: R in inverse ratio to the distances. The axes of a chip start at one clock. An
                       MCX312 with axes on two chips does the same.
@@ -25,9 +25,9 @@ observation   float32, -1 to 1. 0: rate on a log scale over its range (0 if it i
               duration / `limit`, 1 if it was finished.
 reward        the sum of
               path       - path_weight x largest distance of the pulse counts from the line, pulses, at most `far`;
-                         `far` where the move was not finished. It is found by running twins of the chips.
+                         `far` where the move was not finished. It is found by running copies of the chips.
               carriages  - carriage_weight x largest distance of the carriages from the line / 0.1 mm, at most 10 of them,
-                         looked at `looks` times from the first start to `settle` after the last pulse
+                         sampled `looks` times from the first start to `settle` after the last pulse
               time       - time_weight x seconds from the first start command to the last pulse, at most `limit`
               lost       - lost_weight if an axis lost a full step
               limit      - limit_weight if the move was not finished: an end limit, or the time limit

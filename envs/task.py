@@ -21,7 +21,7 @@ ConfigT = TypeVar("ConfigT")
 
 
 class Task(ABC, Generic[ConfigT]):
-    """What the scalar and the vector environment are the faces of.
+    """The rules behind the scalar and the vector environment.
 
     A subclass sets `Config` (a frozen dataclass of its settings), makes the two spaces and `result` (the dtype of a step's
     record), and writes `stage`, `begin`, `act` and `observe`. Arrays have the stage as their first index and stay where

@@ -1,7 +1,7 @@
-"""`Tuning`: what RegisterTuning and ServoTuning have in common. An action chooses the registers of one move of one axis; the
-distance and the payload are drawn for each move.
+"""`Tuning`: the common part of RegisterTuning and ServoTuning. An action chooses the registers of one move of one axis; the
+distance and the payload are random for each move.
 
-A subclass says its chip, its registers, the bus cycles of a move and how a move is judged.
+A subclass defines its chip, its registers, the bus cycles of a move and the reward of a move.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ class ArgumentError(StageError, ValueError):
 
 
 class UnknownKey(ArgumentError, KeyError):
-    """Nothing has this name, in a mapping: a KeyError as well, whose text is read as it is."""
+    """A mapping has no such key: a KeyError as well, but printed as plain text."""
 
     def __str__(self) -> str:
         return str(self.args[0])
@@ -24,7 +24,7 @@ class ModelError(StageError, ValueError):
     """An MJCF model does not keep the naming contract; `missing` holds the lines to add.
 
     Attributes:
-        missing: tuple of MJCF lines that would mend the model (may be empty).
+        missing: tuple of MJCF lines that would repair the model (may be empty).
     """
 
     def __init__(self, message: str, missing: Iterable[str] = ()):
@@ -50,7 +50,7 @@ class SimulationError(StageError, RuntimeError):
 
 
 class RunTimeout(StageError, TimeoutError):
-    """A condition did not come true within the simulated time allowed."""
+    """A condition did not become true within the simulated time allowed."""
 
 
 class LoadError(StageError, ImportError):

@@ -1,7 +1,7 @@
-"""Files that are written whole or not at all, and never over another one unasked.
+"""Files that are written completely or not at all, and that replace another file only on request.
 
-A symbolic link is followed to the file that it names. A device or a pipe loses nothing by being written into: it takes the bytes
-and stays what it is, whatever `overwrite` says. Only regular files are replaced.
+A symbolic link is followed to the file that it names. A device or a pipe is written into, whatever `overwrite` says, as no data are
+lost. Only regular files are replaced.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""OpenGL for MuJoCo's pictures and windows: chosen for this machine, and refused in words where there is none.
+"""OpenGL for MuJoCo's pictures and windows: chosen for this machine, with an error that says what is missing if there is none.
 
-MuJoCo's own choice without MUJOCO_GL is GLFW, which needs a screen: without one its viewer ends the process, and so does the
-second renderer after a first one that failed. So EGL is taken where there is no screen, GLFW is asked before MuJoCo uses it, and
-what has failed once is not tried again.
+Without MUJOCO_GL, MuJoCo chooses GLFW, which needs a screen. Without one its viewer ends the process, and so does the second
+renderer after a first one that failed. So EGL is used where there is no screen, GLFW is tested before MuJoCo uses it, and a library
+that has failed once is not tried again.
 """
 
 from __future__ import annotations

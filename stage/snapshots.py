@@ -1,8 +1,8 @@
-"""What a snapshot says of itself: whose it is, and that it is whole.
+"""The header of a snapshot, which says what it was taken of, and its checksum.
 
-Compiled code trusts the state that it is given: a flipped bit may be an index. So a snapshot has a header, which says what it was
-taken of, and a checksum of header and state; both are compared before anything is restored. A pickled one has a checksum of all its
-bytes, and is refused when it is loaded.
+Compiled code trusts the state that it gets: a flipped bit may be an index. So a snapshot has a header, which says what it was
+taken of, and a checksum of header and state; both are compared before anything is restored. A pickled snapshot also has a checksum
+of all its bytes; a damaged one is refused when it is loaded.
 """
 
 from __future__ import annotations

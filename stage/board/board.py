@@ -6,7 +6,7 @@
     board.delay_us(500)
     print(board.trace)
 
-A port that reaches nothing reads as FFh, and is noted: `board.strays`. Firmware in C runs on the same board, see NativeHost.
+A port without a chip reads as FFh and is noted in `board.strays`. Firmware in C runs on the same board, see NativeHost.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ class Board:
         stride: ports from one chip to the next; default: the layout's.
         keep_cycles: lines of the bus trace that are kept.
     Attributes:
-        options: the arguments but the stage, by name; places: the chips and their layouts.
+        options: the arguments except the stage, by name; places: the chips and their layouts.
         port_table: PORT records, what every port reaches, the first of them that of port `first`.
         trace: the BusTrace; log: lines that the firmware noted, (seconds, text).
         driver: the firmware, a NativeHost, that has begun and not returned, or None.
-        link: its end of compiled code, for runners of firmware.
+        link: its connection to compiled code, for runners of firmware.
     Raises:
         ArgumentError: a layout that does not fit the chips, ports that overlap or do not exist.
     """

@@ -1,6 +1,6 @@
-"""One bus cycle of a host, compiled: time passes, the chip answers, the trace notes it, the interrupt line is looked at.
+"""One bus cycle of a host, compiled: time passes, the chip is written or read, the trace notes it, the interrupt line is checked.
 
-A host, in C or in Python, says everything through one function, `request(host, what, a, b)`; it lies behind a pointer that C calls.
+A host, in C or in Python, makes all its requests by one function, `request(host, what, a, b)`, which C calls through a pointer.
 `host` is the address of a HOST record, see host.py.
 """
 

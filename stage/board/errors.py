@@ -1,4 +1,4 @@
-"""What goes wrong with boards and the firmware on them."""
+"""Errors of boards and of the firmware on them."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from stage.errors import RunTimeout, StageError
 
 
 class LibraryError(StageError):
-    """A firmware library that cannot be loaded, or is none."""
+    """A file that cannot be loaded as a firmware library."""
 
 
 class CompileError(StageError):
@@ -26,7 +26,7 @@ class StormError(StageError):
 
 
 class HostError(StageError):
-    """Firmware that could not go on."""
+    """Firmware that could not continue."""
 
 
 class HostTimeout(RunTimeout):

@@ -1,9 +1,9 @@
-"""Firmware that would end the process it runs in: its calls of exit, abort and the like come to us instead.
+"""Firmware that calls exit, abort and the like: these calls become an error instead of the end of the process.
 
-In a process of its own such a call ends that process, and is an error here. In this one it would end the tests that are still to
-come, or the recording, and exit(0) would even say that all went well. So the slots through which a loaded library calls these
-functions get ours: the library's own, and those of libraries that came with it. It needs nothing of how the library was built.
-Not seen are a call that goes round libc (a system call), one of a library that was there before, and one while it is loaded.
+In a process of its own such a call ends that process only, and is an error here. In this process it would end the tests that
+follow, or the recording, and exit(0) would even look like success. So the slots through which a loaded library calls these
+functions are set to our functions: those of the library itself, and of the libraries that were loaded with it. The library may be
+built in any way. Not caught are a system call without libc, a call by a library that was loaded before, and a call during loading.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""`HOST`: the record of a host on the board's bus, and what is common to all that it asks. Compiled.
+"""`HOST`: the record of a host on the board's bus, and the common part of all its requests. Compiled.
 
-Where compiled code cannot go on by itself (a buffer is full, the firmware is to stand still), it calls back, with one of the
-reasons below, and Python sees to it.
+Where compiled code cannot continue by itself (a buffer is full, the firmware must be paused), it calls Python, with one of the
+reasons below.
 """
 
 from __future__ import annotations

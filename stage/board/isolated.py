@@ -1,8 +1,8 @@
 """Firmware in a process of its own: its crash is an error here, and a loop that never ends is ended.
 
-The child has a stage like ours, a copy, and the firmware drives that, at full speed. Its state comes over, and what it has noted on
-the way: edges, bus cycles, samples, lines of the log. So our stage stands where the child's does, to the bit, recording, waveforms
-and diagnostics included. After a crash it repeats the last bus cycles, from the last state that came over.
+The child process has a copy of our stage, and the firmware drives the copy at full speed. The child sends the state of its stage and
+what it has noted: edges, bus cycles, samples, lines of the log. So our stage has the same state as the child's, to the bit, with
+recording, waveforms and diagnostics. After a crash our stage repeats the last bus cycles, from the last state that it received.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""`Link`: a board's end of compiled code: the HOST record, what is done before and after each run, what it asks Python.
+"""`Link`: connects a board to compiled code: the HOST record, the work before and after each run, the calls back into Python.
 
-For runners of firmware (threaded.py, isolated.py, child.py); who drives a board from Python needs none of it.
+For runners of firmware (threaded.py, isolated.py, child.py); a program that drives a board from Python does not need it.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ class Link:
     """Of one board.
 
     Attributes:
-        record: its HOST record; pointer: where that lies, for compiled code.
-        request: the function of compiled code that does what a host asks for: (pointer, what, a, b) -> answer.
-        error: what went wrong below compiled code, until `raise_error`.
-        hook: whom the interrupt line calls, or None.
-        stand_still: how a host in a thread of its own waits, while one runs.
+        record: its HOST record; pointer: the address of the record, for compiled code.
+        request: the compiled function for all requests of a host: (pointer, what, a, b) -> answer.
+        error: the exception of a call from compiled code, until `raise_error`.
+        hook: the function that the interrupt line calls, or None.
+        stand_still: the function by which firmware in a thread of its own waits, while it runs.
         abandoned: threads of firmware that was given up.
-        calls: of Python by compiled code, begun and ended: odd in one.
+        calls: counts the calls from compiled code into Python, at their begin and at their end: odd within a call.
     """
 
     def __init__(self, board: Board):

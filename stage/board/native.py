@@ -2,10 +2,10 @@
 
     host = NativeHost("driver.c", board)       built with cc first; or a shared library
     result = host.run(timeout=10)              until the firmware returns: result.code, .seconds, .cycles
-    host.run_for(0.5)                          or for so long: it then stands still in its bus cycle or delay
+    host.run_for(0.5)                          or for so long: it is then paused in its bus cycle or delay
 
-Time passes in the firmware's bus cycles and delays only, so a run is the same to the bit every time. Each run from the entry uses
-a fresh copy of the library: variables are as compiled.
+Time passes in the firmware's bus cycles and delays only, so every run gives the same bits. Each run from the entry uses a fresh
+copy of the library: variables have their initial values.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ SHOWN = 12  # lines of the trace in messages
 
 @dataclass(frozen=True)
 class Result:
-    """What a run came to. code: what the firmware returned; seconds, cycles: simulated time and bus cycles that it took."""
+    """The result of a run. code: what the firmware returned; seconds, cycles: simulated time and bus cycles that it took."""
 
     code: int
     seconds: float

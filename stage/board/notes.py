@@ -1,4 +1,4 @@
-"""What a bus cycle leaves behind, compiled: a line of the trace, an entry of a chip's journal."""
+"""The notes of a bus cycle, compiled: a line of the trace, an entry of a chip's journal."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Firmware in a thread of this process. It stands still where it is told to: its thread waits, deep in a bus cycle.
+"""Firmware in a thread of this process. To pause it, its thread waits within a bus cycle.
 
-A thread cannot be ended from outside. Firmware that is not to go on (after an error, or since it loops for ever without a bus
-cycle) is left to itself with a bus that does nothing more.
+A thread cannot be ended from outside. Firmware that must not continue (after an error, or because it loops for ever without a bus
+cycle) is abandoned, with a bus that has no effect any more.
 """
 
 from __future__ import annotations

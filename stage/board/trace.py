@@ -3,7 +3,7 @@
         0.001204000  304h W 11h    y: start, constant FH1
         0.001205000  300h R 40h    x: operating                          31,204 times until 0.412377000
 
-Reads that give again what the last read of that port gave, with no write in between, are one line with a count.
+Reads of a port that give the same value as the last one, with no write in between, are one line with a count.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ Meaning = Callable[[int, int, bool, bool], str]
 class BusTrace:
     """The last cycles of a board, oldest first; iterate for `Cycle`s, print for text.
 
-    kept: the lines, CYCLE records, as a ring; room: how many of them. dropped: lines before these. What cycles mean is told from
-    the lines that are kept; where some were dropped, the first of the rest may be taken for another register's.
+    kept: the lines, CYCLE records, as a ring; room: how many of them. dropped: lines before these. The meaning of cycles is found
+    from the lines that are kept; where lines were dropped, the first of the rest may be attributed to another register.
     """
 
     def __init__(self, board: Board, room: int):

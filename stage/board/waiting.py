@@ -1,4 +1,4 @@
-"""Time passes for a host, compiled: in a bus cycle, in a delay; and the interrupt line is looked at."""
+"""Advances time for a host, compiled: in a bus cycle, in a delay; and checks the interrupt line."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ MAX_CLOCKS = 1 << 45  # a speed of 13 bits times this still fits 63 bits
 
 
 class Diagnostic(NamedTuple):
-    """A bus write that a data-sheet reader would call a mistake. `clock` in ticks since power-up."""
+    """A bus write that is a mistake by the data sheet. `clock` in ticks since power-up."""
 
     clock: int
     address: int

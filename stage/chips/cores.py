@@ -1,8 +1,8 @@
-"""What a stage asks of a chip, whatever its family.
+"""The functions that every chip family gives to a stage.
 
 A family is a module of compiled functions, its *core*, over a record of its own, `STATE`, that begins with the chip's clock. Add
-its package to FAMILIES of stage/chips, and every loop takes it, without being compiled anew: for a loop a chip is a CHIP record:
-where the state lies and where the core's answers are.
+its package to FAMILIES of stage/chips, and every loop accepts it without a new compilation: for a loop a chip is a CHIP record,
+with the addresses of the state and of the core's functions.
 
 A core has the functions below, over a state in place of a CHIP, `exported` as ANSWERS says. For `Chip` alone it
 has power_up(c), advance(c, until), trace, scan and mark, see stage/chips/pcl240/core.py; of a servo scan_shaft as well, see

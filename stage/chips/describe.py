@@ -1,12 +1,12 @@
-"""What bus cycles say, in words of the register map. Each family brings two ways to tell it, in its describe.py.
+"""The meaning of bus cycles, in words of the register map. Each family has two classes for it, in its describe.py.
 
-    listener = chip.listener()     knows what the chip holds now: the last column of a bus trace
+    listener = chip.listener()     begins with the chip's present state: the last column of a bus trace
     listener.write(0, 0x85)        'select R5: deceleration rate'
     listener.read(0, 0xE8)         'status: operating, neither ramping up nor down, R0 = 0'
     decode(chip.decoder(), journal.entries)      a journal as commands and whole register values
 
-A listener tells each bus cycle, given those before it; it hears nothing else: after a reset pin, or a write that got lost, ask the
-chip for a new one. A decoder tells what a host meant: a register's bytes are one `Said`.
+A listener describes each bus cycle, given those before it. It sees bus cycles only: after a reset pin or a lost write, get a new
+one from the chip. A decoder gives the commands and register values as a whole: all bytes of a register are one `Said`.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Said(NamedTuple):
 
 
 class Listener(Protocol):
-    """What bus cycles say, as one line of ASCII of at most LONGEST characters each. Never raises."""
+    """The meaning of each bus cycle, as one line of ASCII of at most LONGEST characters. Never raises."""
 
     def write(self, address: int, value: int) -> str:
         """What this write cycle says, given those before."""
@@ -50,7 +50,7 @@ class Listener(Protocol):
 
 
 class Decoder:
-    """Journal entries as commands and whole register values, in parts. A family says what a write, a lost one and a reset mean."""
+    """Journal entries as commands and whole register values, in parts. A family defines the meaning of its writes and resets."""
 
     def take(self, entries: Iterable[Entry]) -> list[Said]:
         """What `entries` say, after those before; the last writes may wait for what comes next, see `rest`."""
@@ -89,9 +89,9 @@ def decode(decoder: Decoder, entries: Iterable[Entry]) -> list[Said]:
 
 
 class Fields:
-    """Tells what a register or word holds, field by field.
+    """Describes the contents of a register or word, field by field.
 
-    silent: values that say nothing new are left out, see `Field.silent`.
+    silent: values without information are left out, see `Field.silent`.
     """
 
     def __init__(self, place: Register | Word, silent: bool = True):

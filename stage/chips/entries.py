@@ -1,4 +1,4 @@
-"""What a journal has noted, packed: 32 bytes an event, so that millions of them are no burden."""
+"""The entries of a journal, packed: 32 bytes an event, so that millions of them need little memory."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def number(bits: int) -> float:
 
 
 class Entry(NamedTuple):
-    """One event between two ticks: WRITE (address, value), INPUT (axis, pin word), RESET, LOST, a write that never came,
+    """One event between two ticks: WRITE (address, value), INPUT (axis, pin word), RESET, LOST, a write that did not arrive,
     READ (address, value), a read cycle that changes something, see `Chip.READING_ACTS`, or SHAFT (count, rate, both as `bits`):
     where the shaft of axis 0 is from then on, in counts and counts a clock."""
 
@@ -47,7 +47,7 @@ class Entry(NamedTuple):
 
 
 class Entries(Sequence[Entry]):
-    """A sequence of `Entry` that holds none: they are made as one looks at them."""
+    """A sequence that makes each `Entry` from the packed bytes when it is read."""
 
     def __init__(self) -> None:
         self._words = array("q")

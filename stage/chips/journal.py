@@ -1,8 +1,8 @@
-"""A chip's course, replayed: note the bus cycles and input changes that act on it, and everything else follows.
+"""A journal notes the bus cycles and input changes of a chip; a replay gives the chip's course, all that it did, to the clock.
 
-A chip is deterministic, so its state at the start and what reached its pins say all it did. `Journal` keeps just that,
-a few bytes an event however many pulses there are; `Journal.course()` runs a twin through it and returns each change
-of speed and of every pin, to the clock. Waveforms and the drawings of operation patterns are made of it.
+A chip is deterministic, so all that it did follows from its state at the start and from its inputs. `Journal` keeps only these,
+a few bytes an event, for any number of pulses. `Journal.course()` replays them on a second chip and returns each change
+of speed and of every pin, to the clock. Waveforms and the drawings of operation patterns are made from it.
 """
 
 from __future__ import annotations

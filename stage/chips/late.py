@@ -1,4 +1,4 @@
-"""The lint of a chip whose bus cycles compiled code makes: its journal is read when somebody looks at the diagnostics."""
+"""The lint of a chip whose bus cycles are made by compiled code: it reads the chip's journal when the diagnostics are read."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ MOST_ENTRIES = 1 << 21  # 64 MB
 
 
 class LateLint:
-    """Notes all that acts on `chip` from now on. `settle` says what a data-sheet reader would have said at each write."""
+    """Notes all inputs of `chip` from now on. `settle` finds the writes among them that are mistakes by the data sheet."""
 
     def __init__(self, chip: Chip):
         self._chip = chip

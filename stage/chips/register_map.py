@@ -30,12 +30,12 @@ COMMAND_KINDS = ("data write", "mode write", "data read", "drive", "interpolatio
 class Field:
     """Bits `high`..`low` of a register, command or status word. `legal`: its range, where not every value means something.
 
-    meaning: what the bits are about; of a field without `values` what it says when it is not 0. May be empty where the values say
-        it all.
-    values: what each value says, of a field that chooses; `between` meaning and value in a sentence. A value that the sources do
-        not explain is not there. listed: a dump lists them.
-    note: what a dump says further.
-    silent: the value that says nothing new, so that a trace leaves it out; None: each is worth a word.
+    meaning: the subject of the bits; of a field without `values` its meaning when it is not 0. May be empty where the values are
+        enough.
+    values: the meaning of each value, of a field that selects; `between` stands between meaning and value in a sentence. A value
+        that the sources do not explain is left out. listed: a dump lists them.
+    note: further text of a dump.
+    silent: the value without information, which a trace leaves out; None: a trace shows each.
     pins: of a status bit, the pin that it shows, with `/` before it where the bit is 0 while the pin is asserted; two where the
         direction says which: that of plus, that of minus.
     """
@@ -90,8 +90,8 @@ class Field:
 class Register:
     """One register: `number` is how the chip selects it, `bits` its width, `legal` the data sheet's range.
 
-    `signed`: two's complement. `also`: legal values outside the range. `reset`: what it holds after reset, if known. `title` is
-    what one calls it, `note` what there is to know besides. `tuned`: the range that a search chooses from, where it is not `legal`.
+    `signed`: two's complement. `also`: legal values outside the range. `reset`: its value after reset, if known. `title` is its
+    name in words, `note` further text. `tuned`: the range that a search chooses from, where it is not `legal`.
     """
 
     name: str
@@ -146,7 +146,7 @@ class Register:
 
 @dataclass(frozen=True)
 class Word:
-    """A command or status word: what one calls it, what there is to know besides, its bits, and how many it has."""
+    """A command or status word: its name in words, further text, its bits, and their number."""
 
     name: str
     title: str
@@ -170,8 +170,8 @@ class Command:
     """A command code. `bytes`: of data that it takes or returns, in the range `legal`. `kind`: one of COMMAND_KINDS.
 
     `choice`: bits of the code that choose what it acts on, by the names `chooses`, the lowest first; at least one is set. `axes`:
-    it is sent to axes. `starts`: it begins a drive. `together`: so many axes take part, of a command that moves several;
-    `points`: it leads them to finish points.
+    it is sent to axes. `starts`: it begins a drive. `together`: how many axes take part, of a command that moves several;
+    `points`: it moves them to finish points.
     """
 
     code: int

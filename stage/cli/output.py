@@ -1,4 +1,4 @@
-"""Standard output that breaks while a command runs, as in `stage demo | head -1`: the command goes on and writes its files."""
+"""Standard output that is closed while a command runs, as in `stage demo | head -1`: the command continues and writes its files."""
 
 from __future__ import annotations
 

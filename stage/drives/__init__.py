@@ -1,1 +1,1 @@
-"""Drives: from pulses to torque. They know neither chips nor MuJoCo."""
+"""Drives: from pulses to torque. They depend neither on chips nor on MuJoCo."""

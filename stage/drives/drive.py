@@ -1,4 +1,5 @@
-"""What the engine asks of a drive, whatever it is: a DRIVE record says by its `mode` whether a stepper drive or a servo amplifier.
+"""The functions that every drive gives to the engine: the `mode` of a DRIVE record says whether it is a stepper drive or a servo
+amplifier.
 
 A stepper's chip commands pulses, a servo's the counts of its encoder: both are angles of the rotor. What goes to the actuator, the
 drive's *effort*, is the torque of a stepper and the terminal voltage of a DC motor.

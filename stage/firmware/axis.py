@@ -1,4 +1,4 @@
-"""What firmware needs of an axis. A `Stage`'s axes are such, and so are those of a `Bench`."""
+"""The part of an axis that firmware needs. The axes of a `Stage` and of a `Bench` have it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from stage.chips import Chip
 
 
 class Axis(Protocol):
-    """An axis as firmware sees it: a chip on a bus, and time. The rest is truth, for reports only."""
+    """An axis as firmware sees it: a chip on a bus, and time. The rest is the true state of the machine, for reports only."""
 
     @property
     def name(self) -> str:

@@ -5,8 +5,8 @@
     print(origin_return(bench.axes["x"]))
     bench.at(bench.time + 0.2, lambda: ...)                      an input edge, say
 
-A rail is a carriage that never slips: it stands where the pulses say, and asserts input pins while it is within given
-spans of pulses. The pin changes at the very pulse, between two clocks, as the switches of a stage do.
+A rail is a carriage that never slips: its position follows the pulses exactly, and it asserts input pins while it is within given
+spans of pulses. A pin changes exactly at its pulse, between two clocks, as with the switches of a stage.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What can be chosen of a chip by numbers: registers within their legal ranges, and what else a program leaves open."""
+"""The numbers that can be chosen for a chip: registers within their legal ranges, and the other parameters of a program."""
 
 from __future__ import annotations
 

@@ -1,12 +1,12 @@
-"""`Driver`: how a host speaks to an axis, in one way for all families of chips.
+"""`Driver`: how a host controls an axis, in the same way for all chip families.
 
     driver = driver_of(stage.axes["x"])
     print(driver.move(8000, Speeds()))                    bus cycles, now: a report
     driver.write_move(program, registers, 8000)           the same as operations of a program, for fleets
     driver.formula(1000, 16_000, 0.15, 0.15, 8000)        the data sheet's registers for rates and ramps
 
-Each family answers with a class of its own beside its other firmware; its chips name it, see `Chip.DRIVER`. The functions of
-`stage.firmware` (move, home, jog, stop, line), the command line and the environments speak to chips by drivers alone.
+Each family has a driver class of its own beside its other firmware; its chips name it, see `Chip.DRIVER`. The functions of
+`stage.firmware` (move, home, jog, stop, line), the command line and the environments use chips through drivers only.
 """
 
 from __future__ import annotations
@@ -208,7 +208,7 @@ def that_move(drivers: Mapping[str, D], pulses: Mapping[str, int]) -> dict[str, 
 
 
 class AtOnce(Operations):
-    """Operations that are done as they are told, on axes that are there."""
+    """Operations that are done at once, on axes that exist, in place of being added to a program."""
 
     def __init__(self, *axes: Axis):
         self._axes = {getattr(axis, "index", 0): axis for axis in axes}

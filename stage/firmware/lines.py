@@ -1,11 +1,11 @@
 """`Line`: how the drivers of several axes draw straight lines together, as programs.
 
     line = line_of(drivers, settings)       drivers of axes whose chips are of one kind
-    line.names, line.shape                  what can be chosen: registers, and how their numbers lie
-    line.data_sheet(asked)                  the engineer's answer to moves that are asked for
+    line.names, line.shape                  what can be chosen: registers, and the shape of their array
+    line.data_sheet(asked)                  the engineer's registers for given moves
     line.corrected(asked, corrections)      the same with corrections from -1 to 1
     ops = line.programs(registers, asked)   bus cycles up to the last start command, as arrays
-    line.pulses(ops[k], distances)          when the pulses come, by twins of the chips
+    line.pulses(ops[k], distances)          the times of the pulses, by copies of the chips
 
 Arrays have the stage as their first index.
 """
@@ -70,7 +70,7 @@ class Line(ABC):
 
     Attributes:
         names: registers of a row. shape: (rows, names): a row an axis, or one row for all.
-        fastest: pps that the longest axis can be asked for.
+        fastest: highest rate of the longest axis, pps.
     """
 
     names: tuple[str, ...]

@@ -1,4 +1,4 @@
-"""`Pattern`: what a drawing of a move shows of a family's signals and commands. Any chip has one; a family may know more."""
+"""`Pattern`: the signals and commands of a family that a drawing of a move shows. Any chip has one; a family may add to it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Note(NamedTuple):
 
 
 class Pattern:
-    """Of a report. Of a family that says nothing: its outputs that change, and every command with the map's words for it.
+    """Of a report. By default: the outputs that change, and every command with the map's words for it.
 
     LANES: pins in the order of their lanes, from above. ALWAYS: those that are shown even where they never change.
     """

@@ -1,4 +1,4 @@
-"""Operation patterns: a move drawn the way motion-chip data sheets draw it, from the chip's own course.
+"""Operation patterns: a move drawn as data sheets of motion chips draw it, from what the chip did.
 
 Pulse rate over time with the levels FL, FH1, FH2; above it what the host wrote (arrows) and what happened (dots), below it a
 lane for each signal that plays a role, filled while it is asserted.

@@ -1,4 +1,4 @@
-"""Moves with every chip, in physical units: move, home, line, jog, stop. Each speaks to the chip by its family's driver.
+"""Moves with every chip, in physical units: move, home, line, jog, stop. Each uses the driver of the chip's family.
 
     firmware.move(x, 10e-3)                               10 mm; on a hinge rad
     firmware.move(x, pulses=3200, speed=0.05)             50 mm/s

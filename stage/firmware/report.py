@@ -26,11 +26,11 @@ class Report:
 
     Attributes:
         procedure, axis: names.
-        pulses: pulses made, + minus - (signed); of a servo counts of the command. asked: pulses asked for, None where a procedure
-            asks for none.
+        pulses: net pulses made (signed); of a servo counts of the command. asked: pulses commanded, None where a procedure
+            has no such number.
         duration: seconds from the first start to the last stop. peak_rate, average_rate: pps.
         start, position: m, where the carriage was before and is after (None without a stage); rad on a hinge.
-        lost_steps: full steps lost meanwhile, a multiple of four (None without a motor).
+        lost_steps: full steps lost in the procedure, a multiple of four (None without a motor).
         stopped_by: why it stopped: "R0 = 0" (of a NOVA chip "all pulses", of a servo "end of profile"), "ORG", "EZ", "EL+", "EL-",
             "decelerating stop", "reset command", "timeout", or the name of another input.
         residual: R0 at the end; None of a chip that has none. course: every change of the chip's pins and speed, by the clock.
@@ -122,7 +122,7 @@ def rates(course: Course) -> np.ndarray:
 class Procedure:
     """Watches an axis: `with Procedure(axis, "preset move") as p: ...; return p.report(...)`.
 
-    A RunTimeout that leaves it carries the report so far, as `error.report`.
+    A RunTimeout that is raised within it has the report so far, as `error.report`.
     """
 
     def __init__(self, axis: Axis, name: str):

@@ -1,4 +1,4 @@
-"""`Search`: an origin return written as a program, which cannot branch, and what its results say."""
+"""`Search`: an origin return written as a program, which has no branches, and the meaning of its results."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from stage.sim.program import Program
 
 
 class Found(NamedTuple):
-    """What a host knows of origin returns when they are over; arrays with the stage as their index, pulses or bool."""
+    """What a host knows of origin returns after their end; arrays with the stage as their index, pulses or bool."""
 
     late: np.ndarray
     """A run took longer than it may."""
@@ -34,7 +34,7 @@ class Search(ABC):
 
     Attributes:
         choices: what a row chooses.
-        marks: where the results stand that `found` needs; the same for every program.
+        marks: the places of the results that `found` needs; the same for every program.
     """
 
     choices: Choices

@@ -1,4 +1,4 @@
-"""Several axes on one straight line: who watches them, and the report.
+"""Several axes on one straight line: an observer of all of them, and the report.
 
 with Together({name: Procedure(axis, "line") ...}, distances) as line:
     ...                                      write, start; line.began(name) after each start
@@ -32,13 +32,13 @@ class SynchronizedReport:
 
     Attributes:
         axes: a Report for each axis that moved.
-        plan: the registers and what was expected of them; None where the chip keeps to the line by itself.
+        plan: the registers and the deviation expected with them; None where the chip keeps to the line by itself.
         deviation: the largest distance from the straight line in pulses, with its time (s from the first start command) and
             the counts then.
         skew: seconds between the first start command and the last.
         finish: seconds between the first axis' last pulse and the last axis'.
         carriage_deviation: m, the largest distance of the carriages from the line while they moved, looked at every
-            millisecond; None without a stage. Motors lag behind their pulses, and not all alike.
+            millisecond; None without a stage. Motors lag behind their pulses by different amounts.
         paths: for each axis (times in s since the first start command, directions) of its pulses.
     """
 

@@ -1,7 +1,7 @@
 """The build backend of this project (PEP 517): setuptools, after the native library has been brought up to date.
 
-What it takes to build is asked for only where the library is not there already: numba and, where no C compiler is found, the
-linker of the package ziglang. A family of chips from outside has one like it: see docs/native.md.
+The build requirements are demanded only where the library does not exist yet: numba and, where no C compiler is found, the
+linker of the package ziglang. A chip family in another package has a backend like this: see docs/native.md.
 """
 
 from __future__ import annotations

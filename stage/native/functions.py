@@ -1,4 +1,4 @@
-"""`hot` and `exported`: how a function says that it is compiled, and what calls it.
+"""`hot` and `exported`: the decorators of compiled functions.
 
 A result or an argument of an exported function is a plain C type ("i4", "i8", "f8"; None is no result), the dtype of a record,
 of which C has the address, or `array_of` a dtype: an address and a length for each dimension.
@@ -51,8 +51,8 @@ def exported(result: str | None, *arguments: Any) -> Callable[[Callable], Export
 class Exported:
     """A function of the native library.
 
-    Calling it checks what it is given. `c` takes what C takes (addresses and lengths in place of records and arrays) and checks
-    nothing: for callers that hold the memory themselves.
+    A call checks its arguments. `c` takes C arguments (addresses and lengths in place of records and arrays) and checks nothing:
+    its callers must keep the memory alive.
     """
 
     every: ClassVar[list[Exported]] = []

@@ -1,4 +1,4 @@
-"""Find a package's native library, see that it fits, load it."""
+"""Find a package's native library, check that it fits, load it."""
 
 from __future__ import annotations
 

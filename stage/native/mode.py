@@ -1,4 +1,4 @@
-"""In which of three ways this process takes hot functions."""
+"""In which of three ways this process runs hot functions."""
 
 import os
 

@@ -1,4 +1,4 @@
-"""The MJCF geoms of a model as rerun archetypes, grouped by body: static shapes that ride on moving transforms."""
+"""The MJCF geoms of a model as rerun archetypes, grouped by body: static shapes under moving transforms."""
 
 from __future__ import annotations
 

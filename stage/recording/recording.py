@@ -11,7 +11,7 @@
 
 The engine fills a buffer of samples (records.SAMPLE, one an axis) and joint positions; full buffers go to a temporary file, so
 that hours do not fill memory. Pins are not only sampled: the chips' journals hold the bus writes and switch edges, and
-replaying these gives every pulse and pin to the clock. Everything works while the run goes on, too, on what is there so far.
+replaying these gives every pulse and pin to the clock. All methods also work during the run, on the part recorded so far.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ Every pin has a bool column of its name as well."""
 
 
 class Note(NamedTuple):
-    """A fault came or went at `time` (s): in words, and the faults in force from then on, see stage.faults."""
+    """A fault began or ended at `time` (s): in words, and the faults in force from then on, see stage.faults."""
 
     time: float
     text: str
@@ -68,11 +68,11 @@ class Note(NamedTuple):
 
 
 class RecordingError(FileError):
-    """A recording cannot be kept, or not be written where it was asked to be."""
+    """A recording cannot be kept, or cannot be written to the given path."""
 
 
 class RecordingWarning(UserWarning):
-    """A recording could not go on, and the simulation went on without, as was asked (on_error="warn")."""
+    """A recording could not continue, and the simulation continued without it (on_error="warn")."""
 
 
 def _unwritten(path: Path, error: OSError) -> RecordingError:
@@ -82,7 +82,7 @@ def _unwritten(path: Path, error: OSError) -> RecordingError:
 class Recording:
     """Samples and journals of a run. Made by `Stage.record`; a context manager, usable after its end.
 
-    on_error: what a full disk does while it records: "raise" a RecordingError out of the run, which can then go on without,
+    on_error: what a full disk does while it records: "raise" a RecordingError in the run, which can then continue without it,
     or "warn" (RecordingWarning) and go on.
 
     Attributes:

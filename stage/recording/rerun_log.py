@@ -7,7 +7,7 @@
     axes/x/switches/el_plus ...     state lane of one switch
     axes/x/bus                      register writes, commands and resets, in words; bytes that were lost
     faults                          if there were any: state lane of the faults in force (stage.faults)
-    faults/log                      and when they came and went, in words
+    faults/log                      and when they began and ended, in words
     about                           model, chips, motors
 
 All of it is on the timeline `time`, the stage's seconds since power-up. Series keep the samples that their plot needs: lines
@@ -54,7 +54,7 @@ def write(recording: Recording, path: Path) -> None:
 class Log:
     """The rerun file of a recording, written on while it grows. Raises OSError where the file cannot be written.
 
-    Everything up to the last `take` is in the file, and readable there, whatever becomes of this process.
+    Everything up to the last `take` is in the file and can be read there, even if this process is killed.
     """
 
     def __init__(self, recording: Recording, path: Path, overwrite: bool = False):

@@ -1,4 +1,4 @@
-"""Pins as the bench sees them: names and polarity on the wire, chip phases, status bits; each family says what its own are."""
+"""Pins as an oscilloscope shows them: names and polarity on the wire, chip phases, status bits; each family defines its own."""
 
 from __future__ import annotations
 

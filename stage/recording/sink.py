@@ -1,6 +1,6 @@
-"""A rerun file, written by way of a pipe: rerun makes the bytes, this process writes them and sees what goes wrong.
+"""A rerun file, written through a pipe: rerun makes the bytes, this process writes them and gets the system's errors.
 
-rerun's own file sink (0.41) says nothing to its caller when the disk is full, and waits for ever in the next flush.
+rerun's own file sink (0.41) does not report a full disk to its caller, and waits for ever in the next flush.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ PATIENCE = 60.0  # s that a flush may take
 class Sink:
     """The file `path` for the RecordingStream `out`. Raises OSError, and so do `flush` and `close`.
 
-    Each flush is one write of whole messages, and after an OSError the file ends with the last flush that went well.
+    Each flush is one write of whole messages, and after an OSError the file ends with the last flush that succeeded.
     """
 
     def __init__(self, out: Any, path: Path, blueprint: Any, overwrite: bool):

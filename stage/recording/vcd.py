@@ -8,8 +8,8 @@
       bus               WR: a write cycle (event), with A, its address, and D, its data; RESET: the /RESET pin (event); if there
                           were any, LOST: a write cycle that did not reach the chip; RD: a read cycle that changed something
 
-Time is that of the stage, in nanoseconds. A tick n of a clock of f Hz stands at n / f, rounded to the nanosecond, each
-by itself: no error adds up, and n comes back as round(ns f / 1e9).
+Time is that of the stage, in nanoseconds. Tick n of a clock of f Hz is at n / f, each rounded to the nanosecond
+separately: no error adds up, and n is round(ns f / 1e9).
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Look at a recording: in rerun's viewer, in a browser, or as a picture without a screen.
 
-rerun's servers listen on every address of the machine unless told otherwise; those started here listen on 127.0.0.1 only,
+rerun's servers listen on every address of the machine by default; those started here listen on 127.0.0.1 only,
 send no usage data (PULSESTAGE_RERUN_ANALYTICS=1 leaves that to rerun's own settings), and end with the process that waits for them.
-Browsers are served by stage.recording.web: rerun's servers answer to any name.
+Browsers are served by stage.recording.web, because rerun's servers accept any host name.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Serve one recording to browsers of this machine: rerun's page and the file, by a server of this process.
 
-A browser takes 127.0.0.1 for a part of any web site whose name is made to point there (DNS rebinding), so listening on
-127.0.0.1 keeps other machines out, but not their pages; and rerun's own servers answer to any name. This one answers to 127.0.0.1
-and localhost only, and below a path that nobody can guess, which keeps out the machine's other users, too.
+A web site can make its name point at 127.0.0.1 (DNS rebinding), and a browser then lets its pages read from there. So listening on
+127.0.0.1 keeps out other machines, but not their pages, and rerun's own servers accept any host name. This server accepts 127.0.0.1
+and localhost only, and only a path that nobody can guess, which also keeps out other users of the machine.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """MuJoCo's callbacks (`mujoco.set_mjcb_control` and the like) while compiled code steps the physics.
 
-MuJoCo calls them in the middle of a step. An exception that leaves one has nobody to go to there, and MuJoCo ends the process. So
-they run guarded: the exception is kept, the step goes to its end without calling any of them again, and whoever wanted the step is
-told.
+MuJoCo calls them in the middle of a step. It cannot pass on an exception from a callback and would end the process. So they run
+guarded: the exception is kept, the step is completed without further callbacks, and then the exception is raised in the caller of
+the step.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""When a switch trips or the encoder's index passes, compiled: foreseen at a window's start, met by the chip at its very clock."""
+"""Edges of switches and of the encoder's index, compiled: predicted at a window's start, given to the chip at their exact clock."""
 
 from __future__ import annotations
 

@@ -5,12 +5,11 @@ slices. Every chip runs through the window (an input edge or a bus cycle may fal
 in each slice is kept. At the window's end every drive turns its counts into torque, slice by slice; the mean goes to
 `ctrl`, and mj_step moves the stage.
 
-MuJoCo's integrator is a leapfrog: positions live at times t, velocities half a step before. The force that it wants at a
-position is the mean over the window centred there, so a window's centre, not its start, is the time of the position held in
-`qpos`: at a chip time tau after the window's start a joint stands at q + v (tau - dt / 2). With that the coupling adds no
-damping of its own (a stepper on its detent would ring falsely dead), and a switch's edge is extrapolated by half
-a step only. The velocity of that centre is not known before the force is; what a drive needs of it, it finds by trying twice
-(`stepper.mean_torque`), or the coupling would feed energy in.
+MuJoCo's integrator is a leapfrog: positions belong to times t, velocities to half a step before. The force that it needs at a
+position is the mean over the window centred there. So the position in `qpos` is that of a window's centre, not of its start: at a
+chip time tau after the window's start a joint is at q + v (tau - dt / 2). With this the coupling adds no false damping (the ringing
+of a stepper would die out too fast), and a switch's edge is extrapolated by half a step only. The velocity at the centre is not
+known before the force is: a drive that needs it computes twice (`stepper.mean_torque`), or the coupling would add energy.
 
 All state is in records inside MjData.userdata, all tables of constants in arrays beside it; nothing here allocates.
 """

@@ -1,4 +1,4 @@
-"""Faults of a stage: what breaks in real machines, brought about where it would happen, for tests of firmware.
+"""Faults of a stage: failures of real machines, made where they happen, for tests of firmware.
 
     from stage import Stage, firmware
     from stage.sim import faults
@@ -13,11 +13,11 @@ Faults of switches and of the bus begin on the nanosecond, also inside a physics
 the whole physics step (0.25 ms) in which they begin. Several may be in force; `stage.faults` names them, and so does a
 recording, at their moments.
 
-A fault is the machine's, as a payload is: snapshots, `restore` and `reset` leave it alone, copies and pickles of a stage have
-it too (for good: only the stage that a fault was made on is mended). What it has done is state: a contact that is bouncing, a
+A fault belongs to the machine, as a payload does: snapshots, `restore` and `reset` do not change it, copies and pickles of a stage
+have it too (permanently: `mend` acts on the stage where the fault was made). Its effects are state: a contact that is bouncing, a
 rotor that has slipped, a current. `start_skew` and `lost_write` are faults of the host's board: copies do not have them.
 
-docs/faults.md measures what each does, and how a host can notice; `stage fault` shows it.
+docs/faults.md has the measured effect of each, and how a host can detect it; `stage fault` shows it.
 """
 
 from __future__ import annotations

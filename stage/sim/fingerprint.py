@@ -1,4 +1,4 @@
-"""What a model is made of, and whether two are alike in all but the pictures on their surfaces."""
+"""A fingerprint of a model, and whether two models are equal in all but the textures of their surfaces."""
 
 from __future__ import annotations
 

@@ -4,9 +4,9 @@
     program = Program().command(0, 0x08).register(0, PCL240K, "R0", 2000) ...
     played = fleet.play([program] * 64)
 
-The stages go on as if a Python driver had done the same bus cycles on each of them alone: the same bits, on any number of
-threads. Stages that are being recorded, or whose chips keep a journal, are played by Python itself. A program's writes are
-not looked through for mistakes (`chip.diagnostics`), except there.
+The result is the same as if a Python driver had done the same bus cycles on each stage alone: the same bits, on any number of
+threads. Stages that are being recorded, or whose chips keep a journal, are played by Python itself. Only there are a program's
+writes checked for mistakes (`chip.diagnostics`).
 """
 
 from __future__ import annotations

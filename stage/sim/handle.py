@@ -1,4 +1,4 @@
-"""A stage for compiled code: a HANDLE says where its arrays lie. And what the engine does for whoever has one.
+"""A stage for compiled code: a HANDLE has the addresses of its arrays. And the functions of the engine that take a HANDLE.
 
 handles = np.zeros(1, HANDLE)
 fill(handles, 0, stage.state)

@@ -1,4 +1,4 @@
-"""Whose turn it is: a word in memory that at most one thread has, also where compiled code runs without the GIL.
+"""A lock: a word in memory that at most one thread has, also where compiled code runs without the GIL.
 
     if claim(address, token):        0 becomes `token`, in one step that no other thread gets into
         ...

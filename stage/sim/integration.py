@@ -1,4 +1,4 @@
-"""What a stage asks of MuJoCo's integration: an integrator that is a leapfrog, and a step that is short for its motors.
+"""What a stage needs of MuJoCo's integration: an integrator that is a leapfrog, and a time step that is short for its motors.
 
 docs/models.md, "The time step", has the measurements behind the bounds.
 """

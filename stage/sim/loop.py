@@ -1,7 +1,7 @@
-"""`Loop`: lets a stage's time pass. It calls the engine again and again, and takes what the engine has noted.
+"""`Loop`: advances a stage's time. It calls the engine again and again, and takes what the engine has noted.
 
-A long run goes in pieces of some hundredths of a second of real time, so that Ctrl-C is seen to. What reached the chips goes to
-their journals and samples go to the recording after each piece; a step that diverged, or in which a callback failed, is undone.
+A long run is made in pieces of some hundredths of a second of real time, so that Ctrl-C works. After each piece the inputs of the
+chips go to their journals and the samples to the recording; a step that diverged, or in which a callback failed, is undone.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ IN_USE = (
 
 
 class Loop:
-    """Lets the time of a stage pass, and is the bus of its chips, see `stage.chips.chip.Bus`.
+    """Advances the time of a stage, and is the bus of its chips, see `stage.chips.chip.Bus`.
 
     Attributes:
         state: the stage's records.
         chips: of the stage.
-        recording: that of the stage which goes on, or None.
+        recording: the stage's recording in progress, or None.
     """
 
     def __init__(self, state: State, chips: Sequence[Chip], power_up: Callable[[], None]):

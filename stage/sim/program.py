@@ -1,17 +1,17 @@
-"""`Program`: what a host does, written down before it is done: bus cycles and waiting, without branches.
+"""`Program`: the actions of a host, listed before they are done: bus cycles and waiting, without branches.
 
 A program is an array of operations, (kind, a, b, c) of int64 each:
 
     WRITE    axis, address, value     one bus write cycle; its time passes first
     READ     axis, address, -         one bus read cycle; its value is the operation's result
     WAIT     ns, -, -
-    STOP     mask, poll ns, limit ns  poll the status of the axes in `mask` until none operates;
+    STOP     mask, poll ns, limit ns  poll the status of the axes in `mask` until none is in motion;
                                       the result is the ns it took, negative where `limit` came first
     MEASURE  ns, -, -                 pass the time a physics step at a time and keep each coordinate's extremes
     LOOK     axis, -, -               the axis' position is the operation's result, in pm (prad on a hinge)
     END      -, -, -
 
-See play.py for who plays one.
+play.py plays programs.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The engine's records: state of a stage in userdata, tables of constants beside it, what it notes; and its clock."""
+"""The engine's records: state of a stage in userdata, tables of constants beside it, its notes; and its clock."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Snapshots of stages, and what they say of the stage that they are of."""
+"""Snapshots of stages, and their description of the stage that they were taken of."""
 
 from __future__ import annotations
 

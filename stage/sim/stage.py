@@ -3,13 +3,13 @@
     stage = Stage("xyz", chips=PCL240K)
     stage.axes["x"].chip.write(0, 0x10)          a bus cycle; takes `bus_cycle` seconds of simulated time
     stage.run(0.5)
-    stage.axes["x"].position                     metres, true; .commanded is where the pulses say it should be
+    stage.axes["x"].position                     the true position in metres; .commanded is the position by the pulses
 
 Promises, each with a test: the same stage, program and seed give the same bits; a run of n steps then m is a run of n + m;
 snapshot, restore, copy and pickle continue bit for bit; an error leaves the state as it was.
 
-This is the user's face of it. plant.py reads the model, wiring.py the chips and drives; the records lie in a `State`; a `Loop` lets
-time pass.
+This is the user's interface. stage.sim.plant reads the model, wiring.py the chips and drives; the records are in a `State`; a
+`Loop` advances time.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class Stage:
         drives: a Drive, for a chip of servos a Servo, a motor or its name, or a mapping axis -> either; default: the motor that
             the model names, 1/16 microsteps or an encoder of 2000 counts, 24 V.
         bus_cycle: seconds of simulated time that one bus cycle of a host takes.
-        visuals: False leaves out what is only looked at, for runs that nobody sees: the same bits, a third faster.
+        visuals: False leaves out what is only for display, for runs without pictures: the same bits, a third faster.
     Raises:
         ArgumentError: unknown model, axis, chip or motor. ModelError: the model breaks the naming contract, or its integrator or
             time step cannot be right.
@@ -65,7 +65,7 @@ class Stage:
     Attributes:
         model, data: the MjModel and the MjData.
         axes: each `Axis` by its name, in the order of their indices; chips: each once.
-        state: where its records lie; loop: lets its time pass. For compiled code, boards and tests; users need neither.
+        state: the places of its records; loop: advances its time. For compiled code, boards and tests; users need neither.
     """
 
     def __init__(

@@ -6,8 +6,8 @@
         study = run(PresetMoves(), "study.log", trials=100, workers=2)
         print(study.best_value, study.best_params)
 
-objectives.py measures trials, without Optuna if need be; runner.py begins studies, goes on with them and spreads them over
-processes; storage.py makes Optuna's storage and samplers fit for kills and for many workers. scripts/sweep.py is the command,
+objectives.py measures trials, also without Optuna; runner.py begins and continues studies and runs them in several
+processes; storage.py makes Optuna's storage and samplers safe against kills and for many workers. scripts/sweep.py is the command,
 docs/sweep.md the manual.
 """
 

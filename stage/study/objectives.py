@@ -89,7 +89,7 @@ def seed_of(trial: Trial, seed: int = 0) -> int:
 class PresetMoves:
     """Preset moves of one axis with a trial's R1, R2, R4, R5, R7 (R3: R2; R14, R15: spans of S-curves), one after the other.
 
-    The start is drawn within 0.1 mm, by the trial's seed, so that no luck of one rotor angle counts. R6 is by the data sheet.
+    The start is random within 0.1 mm, by the trial's seed: the result does not depend on one rotor angle. R6 is by the data sheet.
     A trial's user attributes are its seed and all that `measure` returns.
 
     Args:
@@ -97,7 +97,7 @@ class PresetMoves:
         goals: which measures to minimize; with several, a study finds their Pareto front.
         model, axis, chips: `xyz`, `x`, `pcl240k`; `pcl240mk`, `pcl240ms`, too.
         pulses: of one move, or of some, one after the other; with more than one a pruner may end a trial in between.
-        start: m. band: m, the tool is quiet while within it of its place. rest: s of watching after a move; a camera on a mast
+        start: m. band: m, the tool is quiet while within it of its place. rest: s of observation after a move; a camera on a mast
             needs 4.
         seed: of the seeds of the trials.
     Raises ArgumentError: a register or an option that is not known.

@@ -1,4 +1,4 @@
-"""Run a study with Optuna: begin it or go on with it, in this process or in some."""
+"""Run a study with Optuna: begin or continue it, in this process or in several."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Optuna's storage and samplers, made fit for processes that are killed at any instant and for many workers."""
+"""Optuna's storage and samplers, made safe for processes that are killed at any instant and for many workers."""
 
 from __future__ import annotations
 
@@ -61,8 +61,8 @@ class Journal(JournalFileBackend):
 class Lock:
     """Who holds it may append to the journal.
 
-    Optuna's own locks are files: after the death of a holder everybody waits for half a minute. This one the system takes back.
-    A line that a holder could not write to its end is cut off by the next one; without that, nobody could read the journal again.
+    Optuna's own locks are files: if their holder is killed, all others wait for half a minute. This lock is released by the system.
+    The next holder removes a line that was not written to its end; otherwise the journal could not be read any more.
     """
 
     def __init__(self, path: Path):
@@ -96,8 +96,8 @@ class Lock:
 class ByNumber(optuna.samplers.BaseSampler):
     """A sampler whose random numbers follow from a seed and the trial's number.
 
-    So a study that goes on does not draw its first trials again, no two workers draw the same trial, and one worker makes the same
-    study to the bit, stopped in between or not.
+    So a continued study does not repeat its first trials, no two workers draw the same trial, and one worker makes the same
+    study to the bit, whether stopped in between or not.
 
     Args:
         make: makes a sampler of a seed; one that keeps its state in the study, as Optuna's do.

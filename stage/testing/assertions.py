@@ -1,4 +1,5 @@
-"""What a test of firmware asserts of a stage, an axis, a board. A message says what was expected, what is, where to look next."""
+"""Assertions about a stage, an axis or a board, for tests of firmware. A message gives the expected and the actual value and where
+to look next."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a failed test leaves: recording, waveforms and bus trace in a folder of its own, and a word about them in the report."""
+"""The files that a failed test saves, recording, waveforms and bus trace in a folder of its own, and their names in its report."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Is a path, as recorded, that polyline?"""
+"""Compares a recorded path with a polyline."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""The pytest plugin: fixtures `stage`, `board` and `host`, their markers, and what a failed test leaves. See docs/testing.md.
+"""The pytest plugin: fixtures `stage`, `board` and `host`, their markers, and the files of a failed test. See docs/testing.md.
 
-pytest loads this module in every session of an environment that has PulseStage. Whatever takes time to import waits for a fixture,
-and nothing happens to a test that asks for none of them. It asserts nothing: PYTEST_DONT_REWRITE.
+pytest loads this module in every session of an environment that has PulseStage. Slow imports are made by the fixtures, so a test
+without these fixtures is not affected. It has no assert statements: PYTEST_DONT_REWRITE.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Firmware libraries of a test session: built once from sources and flags that are the same, for all its worker processes."""
+"""Firmware libraries of a test session: equal sources with equal flags are built once, for all its worker processes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A stage that is recorded all along, in memory, without a test's noticing."""
+"""A stage that is recorded all the time, without an effect on the test."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ KEPT = 3
 
 
 class WatchedStage(Stage):
-    """A Stage that records itself from `watch` to `unwatch`. Its own recording gives way when somebody else records or restores
-    it, and a new one goes on afterwards.
+    """A Stage that records itself from `watch` to `unwatch`. Its own recording ends when the test records or restores
+    it, and a new one begins afterwards.
 
     recordings: the last ones, in order. Copies of the stage are not watched.
     """

@@ -1,4 +1,4 @@
-"""HCTL-1100, compiled: the shaft as the encoder shows it, and the actual position."""
+"""HCTL-1100, compiled: the shaft as the encoder sees it, and the actual position."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""What a reader of the HCTL-1100's manual would say to a bus write: (message, where it is written), or None.
+"""Mistakes in bus writes by the HCTL-1100's manual: (message, section of the manual), or None.
 
-`c` is the chip's record before the write, with access by name; `encoder` tells the raw count.
+`c` is the chip's record before the write, with access by name; `encoder` gives the raw count.
 """
 
 from __future__ import annotations

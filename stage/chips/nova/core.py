@@ -2,7 +2,7 @@
 
 An event is the end of a drive or of a piece of its profile, a counter that reaches something, an input that comes through its
 filter, a timer, or a bus write. See drive.py for one axis' drive, profile.py for when its pulses begin,
-pulses.py for a trace of them.
+trace.py for a trace of them.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a NOVA chip holds now, for its lint: each answer is worked out when it is asked for, as most writes ask for little."""
+"""The present contents of a NOVA chip, for its lint. Each value is computed when it is read, as most writes need few."""
 
 from __future__ import annotations
 

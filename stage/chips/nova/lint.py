@@ -1,4 +1,4 @@
-"""What a reader of the NOVA manuals would say to a bus write: (message, where it is written), or None.
+"""Mistakes in bus writes by the NOVA manuals: (message, section of the manual), or None.
 
 Pure functions of the register map, what the chip holds before the write, and the write. They read ranges, axes and bits
 from the map, so that all chips of the family share them.

@@ -128,7 +128,7 @@ AXIS = record(
         ("ahead", "i8"),  # pulses logged before they begin
         ("due", "i8"),  # the clock at which the next pulse begins
         ("at", "i8"),  # the piece in which it does
-        ("pps", "i8"),  # speed of that piece where its pulses come evenly, see pulses.py
+        ("pps", "i8"),  # speed of that piece where its pulses come evenly, see trace.py
         ("rest", "i8"),  # and the place in it
         # WR1 to WR3 in plain terms
         ("stops", "i8"),  # which of STOP0 to STOP2 stop, bit 0 for STOP0

@@ -1,4 +1,4 @@
-"""PCL-240 family, compiled: what bus cycles do and say, and the output pins. All between two ticks."""
+"""PCL-240 family, compiled: the effect of bus writes, the values of bus reads, and the output pins. All between two ticks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""PCL-240 family, compiled: what it answers a stage, a host and a journal, see stage/chips/cores.py. Its pulses: motion.py."""
+"""PCL-240 family, compiled: its functions for a stage, a host and a journal, see stage/chips/cores.py. Its pulses: motion.py."""
 
 from __future__ import annotations
 

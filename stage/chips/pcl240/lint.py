@@ -1,7 +1,7 @@
-"""What a reader of the PCL-240 data sheets would say to a bus write: (message, where it is written), or None.
+"""Mistakes in bus writes by the PCL-240 data sheets: (message, section of the data sheet), or None.
 
-`map_` is the chip's register map, `c` its record before the write, with access by name; `moves` tells whether pulses come of a
-command if nobody interferes.
+`map_` is the chip's register map, `c` its record before the write, with access by name; `moves` is whether the command, without
+further writes, leads to pulses.
 """
 
 from __future__ import annotations

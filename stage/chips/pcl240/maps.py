@@ -1,7 +1,7 @@
-"""Register maps of the PCL-240 family as data. What a variant has more is a row more.
+"""Register maps of the PCL-240 family as data. A variant with more registers or bits has more rows.
 
 Sources: PCL-240K data sheet (sections 3 and 4), "Differences between PCL-240MK and PCL-240MS" (its sections 2 and 3), a
-vendor header for the 240MK; the normative model for what their lost figures would say. PDIR as a pin is asserted
+vendor header for the 240MK; in place of their lost figures the normative model. PDIR as a pin is asserted
 while low (minus) [I].
 """
 

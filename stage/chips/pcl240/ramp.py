@@ -1,4 +1,4 @@
-"""PCL-240 family, compiled: step 3 of a tick. Where the speed is to go, and at which tick it takes its next step.
+"""PCL-240 family, compiled: step 3 of a tick. The speed to be reached, and the tick of the next speed step.
 
 A linear ramp takes a step every R4 or R5 clocks. An S-curve ramp of K steps with curved ends of S steps each takes its
 k-th step at t(k) clocks after its start:

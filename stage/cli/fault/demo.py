@@ -1,4 +1,4 @@
-"""What a demonstration is, and what came of one: its figures, its table, its picture."""
+"""A demonstration of a fault, and its result: figures, table, picture."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Record = Callable[[Any], AbstractContextManager]
 
 @dataclass(frozen=True)
 class Claim:
-    """What happens with a servo, where it is something else than with a stepper; see `Demo`."""
+    """What happens with a servo, where this differs from a stepper; see `Demo`."""
 
     claim: str
     notice: str

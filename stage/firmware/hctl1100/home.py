@@ -2,15 +2,15 @@
 
     print(home(set_up(stage.axes["x"])))
 
-A stage wires both end limits to LIMIT, ORG to STOP and the index pulse to INDEX. The chip obeys STOP in integral velocity mode
-only: it brakes and stands. It obeys LIMIT always, by Init/Idle: out of there the host has to drive the motor itself. INDEX goes to
-the commutator and cannot be read on the bus: the host looks at that line by an input of its own, as it does here.
+A stage wires both end limits to LIMIT, ORG to STOP and the index pulse to INDEX. STOP acts in integral velocity mode only: the chip
+brakes and stands. LIMIT acts always and leads to Init/Idle: from there the host must drive the motor out of the limit itself. INDEX
+goes to the commutator and cannot be read on the bus: the host reads that line by an input of its own, as here.
 
     step 1   at the search speed until STOP has triggered
     step 2   back, until STOP is released
     step 3   to STOP again, as slowly as the chip can: one count a sample
-    step 4   on, to where the index pulse begins; back before it, and towards it count by count
-    step 5   there the actual position is preset to 0, and the axis goes to it
+    step 4   on, to the begin of the index pulse; back out of it, and towards it again count by count
+    step 5   the actual position is preset to 0 there, and the axis moves to 0
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ TURNS = 1.2  # of the motor, within which an index pulse must come
 
 @dataclass(frozen=True)
 class HomeReport:
-    """What a search found. Counts are those from before the search.
+    """The result of a home search. Counts are those from before the search.
 
     Attributes:
         switch: where STOP triggered when it was approached slowly. index: where the index pulse began, None without it.
-        seconds: of it all. position: where the carriage is, m; None without one. unit: "m", or "rad" on a hinge.
+        seconds: of the whole search. position: where the carriage is, m; None without one. unit: "m", or "rad" on a hinge.
     """
 
     axis: str

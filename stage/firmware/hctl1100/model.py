@@ -1,4 +1,4 @@
-"""A servo axis with an HCTL-1100 as a linear sampled system: what the engineer knows of it before it moves.
+"""A servo axis with an HCTL-1100 as a linear sampled system, from the data of the machine alone, without a measurement.
 
     loop = Loop.of(port.axis, tuning)
     error = loop.following_error(command)       counts, sample by sample; command: counts

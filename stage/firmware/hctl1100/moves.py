@@ -5,9 +5,9 @@
     print(trapezoid(x, 20_000, velocity=40_000, acceleration=400_000))
     print(integral_velocity(x, 20_000, seconds=0.5))
 
-Positions are counts of the encoder, rates counts/s. The chip knows rates in counts per sample: they are rounded to what its
-registers hold, and the reports say to what. After each procedure the axis is in position control, or, where LIMIT has ended it, in
-Init/Idle. See servo_home.py for home, servo_profile.py for motion commanded sample by sample.
+Positions are counts of the encoder, rates counts/s. The chip has rates in counts per sample: they are rounded to what its
+registers hold, and the reports give the rounded rates. After each procedure the axis is in position control, or, if LIMIT has
+ended the procedure, in Init/Idle. See home.py for home, profile.py for motion commanded sample by sample.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ class Tuning:
 
 @dataclass(frozen=True)
 class MoveReport:
-    """What became of a step or a trapezoid. Counts, counts/s, seconds.
+    """The result of a step or a trapezoid. Counts, counts/s, seconds.
 
     Attributes:
         asked: counts. velocity, acceleration: as the registers hold them; 0 of a step.
-        profile: when the profile flag was seen cleared; 0 of a step. settled: when the axis came to stay in the deadband.
+        profile: when the profile flag was read as cleared; 0 for a step. settled: from when on the axis stayed in the deadband.
         error: command position minus actual position at the end.
         limited: LIMIT has triggered, and ended it.
     """
@@ -71,7 +71,7 @@ class MoveReport:
 
 @dataclass(frozen=True)
 class VelocityReport:
-    """What became of a run at a velocity.
+    """The result of a run at a velocity.
 
     asked: counts/s as the register holds it; measured: mean over its second half. ended: "LIMIT", which leaves the axis in
     Init/Idle, "STOP", which the chip obeys in integral velocity mode, or "".

@@ -1,4 +1,4 @@
-"""`Port`: an axis of an HCTL-1100 as its driver's author sees it. Nothing here but bus cycles and waiting.
+"""`Port`: the registers of one axis' HCTL-1100, by name. It uses bus cycles and waiting only.
 
 port = Port(stage.axes["x"])
 port.load(gain=0x40, zero=0xE5, pole=0x40, timer=0x40)
@@ -45,7 +45,7 @@ LOOKS = 8  # at the timer, one after the other; two or three are enough
 
 
 class Port:
-    """The bus of one axis, and what a driver has to remember: T, which cannot be read back.
+    """The bus of one axis, and the value that a driver must remember: T, which cannot be read back.
 
     Raises ArgumentError when the axis' chip is no HCTL-1100.
     """

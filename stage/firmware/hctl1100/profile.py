@@ -23,7 +23,7 @@ from stage.firmware.hctl1100.port import MARGIN, Port
 
 @dataclass(frozen=True)
 class FollowReport:
-    """What became of a profile: commands written to each axis, samples that passed without a new one, seconds."""
+    """The result of a profile: commands written to each axis, samples that passed without a new one, seconds."""
 
     commands: int
     missed: int

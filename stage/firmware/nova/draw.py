@@ -6,7 +6,7 @@
     draw([Line(8000, 0), Arc(centre=(0, 4000), finish=(4000, 4000)), Line(0, 8000)], x, y)
 
 Coordinates are pulses from where a segment begins, a number for each axis in the order of the chip's. The pre-buffer holds eight
-segments beside the one that runs; the host fills it as it empties. The last segment brakes: it should be long enough for that, or
+segments beside the one that runs; the host fills it as it empties. The ramp-down is made in the last segment: if that is too short,
 the path ends above the initial speed.
 """
 
@@ -60,7 +60,7 @@ class Arc:
 
 @dataclass(frozen=True)
 class Helix:
-    """Turns of the first two axes about a centre, on which the other axes go along.
+    """Turns of the first two axes about a centre, while the other axes move in proportion.
 
     rotations: whole turns, then an arc to `finish` where that is not (0, 0); with 0 the arc alone. along: pulses of each of the
     other axes a rotation; of the whole arc where there is none.
@@ -78,11 +78,11 @@ Segment = Line | Arc | Helix
 
 @dataclass(frozen=True)
 class Drawn:
-    """What a path came to.
+    """The result of a path.
 
     Attributes:
-        seconds: from the first segment's command to the end. pulses: of each axis by name, plus minus minus.
-        errors: by axis, names of the bits of RR2 that are set. segments: how many were asked for.
+        seconds: from the first segment's command to the end. pulses: net pulses of each axis by name (signed).
+        errors: by axis, names of the bits of RR2 that are set. segments: how many were given.
     """
 
     seconds: float

@@ -1,9 +1,9 @@
 """The work-arounds for the S-curve failure of MCX302, MCX304 and MCX312, as NOVA's notice of 21 November 2006 gives them.
 
 In area d, the end of an S-curve drive with fixed pulses, RR1 shows CNST = 1, as in area b at the drive speed. A decelerating stop
-that is asked for there makes pulses for ever: ASND = CNST = DSND = 0, n-DRV = 1 (area e). Case 1 of the notice is the
-command 26h, 2 a hardware limit in decelerating mode, 3 a software limit, 4 STOP0 to STOP2. Cases 1 and 3 can be kept from
-happening; 2 and 4 only be ended by 27h, soon: call the routine often.
+that is given there leads to endless pulses: ASND = CNST = DSND = 0, n-DRV = 1 (area e). Case 1 of the notice is the
+command 26h, 2 a hardware limit in decelerating mode, 3 a software limit, 4 STOP0 to STOP2. Cases 1 and 3 can be
+avoided; cases 2 and 4 can only be ended, by 27h: call the routine often.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@
     step 3   `index`: on at HV to the index pulse
     step 4   `offset`: so many pulses away at the drive speed; at the end the position counters are 0
 
-The chip does this alone, an axis that stands on ORG or on an end limit included; the host looks at its state (RR3, HSST).
+The chip does all this by itself, also for an axis that begins on ORG or on an end limit; the host reads its state (RR3, HSST).
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ TIMERS = (1e-3, 2e-3, 10e-3, 20e-3, 0.1, 0.2, 0.5, 1.0)  # s, HTM
 
 @dataclass(frozen=True)
 class HomeReport:
-    """What became of an axis' home search.
+    """The result of an axis' home search.
 
     Attributes:
-        states: (seconds since the start, HSST) whenever it was seen to change; HOME_STATES says what each is.
+        states: (seconds since the start, HSST) at each change that the host read; HOME_STATES has their meaning.
         seconds: from the command to the end. errors: names of the bits of RR2 that are set.
         position: where the carriage is, m; None without one. unit: "m", or "rad" on a hinge.
     """

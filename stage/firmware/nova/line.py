@@ -30,7 +30,7 @@ class Course(NamedTuple):
 
 
 class NovaLine(Line):
-    """What both share."""
+    """The common part of both ways."""
 
     def _set(self, program: Program, h: NovaDriver, name: str, column: int) -> None:
         """A register whose value is a column."""
@@ -44,8 +44,8 @@ class NovaLine(Line):
 class Interpolated(NovaLine):
     """One row: the speeds of the main axis, which are those of the longest one.
 
-    The chip keeps all axes on the line, so that what is left to choose is how fast the carriages can follow. Finish points are
-    the distances that are asked for.
+    The chip keeps all axes on the line, so only the speeds are to be chosen, at which the carriages can follow. Finish points are
+    the given distances.
     """
 
     def __init__(self, drivers: Sequence[NovaDriver], settings: Any):

@@ -1,4 +1,4 @@
-"""`Port`: an axis of a NOVA chip as its driver's author sees it. Nothing here but bus cycles and waiting.
+"""`Port`: the registers of one axis of a NOVA chip, by name. It uses bus cycles and waiting only.
 
     port = Port(axis)                        the axis of a Stage or a Bench
     port.load(SV=400, DV=8000, AC=80_000)    parameters and modes, by their names on this chip

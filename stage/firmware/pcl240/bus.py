@@ -1,4 +1,4 @@
-"""`Port`: a chip of the PCL-240 family as a driver's author sees it. Nothing here but bus cycles and waiting.
+"""`Port`: the registers and commands of a chip of the PCL-240 family. It uses bus cycles and waiting only.
 
 port = Port(axis)                          the axis of a Stage or a Bench
 port.write_registers(R0=2000, R6=300)

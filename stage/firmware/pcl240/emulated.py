@@ -1,4 +1,4 @@
-"""What an emulated chip makes of a row of registers (fit.py): its pulses, and the offset of its automatic ramp-down point."""
+"""A row of registers (fit.py) on an emulated chip: its pulses, and the offset of its automatic ramp-down point."""
 
 from __future__ import annotations
 

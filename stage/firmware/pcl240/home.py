@@ -1,10 +1,10 @@
-"""Origin return: find ORG, from wherever the axis is (data sheet section 5 f, g).
+"""Origin return: find ORG from any position of the axis (data sheet section 5 f, g).
 
     fast:  SD enabled, ORG enabled, high speed. The SD switch lies before ORG and slows the axis to FL; ORG stops it.
-    slow:  leave ORG, a little more, and approach it again at a crawl.
+    slow:  leave ORG, move a little further, and approach it again at a very low rate.
     ez:    with an MK or MS the last approach goes on, past ORG, to an index pulse of the motor's encoder (EC-Z counting).
 
-ORG is asserted at the origin and on from it to the end of travel, so that firmware can tell on which side it is.
+ORG is asserted from the origin on to the end of travel, so that firmware knows on which side of the origin the carriage is.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The longest axis of an a:b move, which the others follow: its registers, and the search for a good set of all.
 
-Any R7 and FH that make the rate asked for will do, so those are tried first whose share the followers' registers make best.
+Several R7 and FH give the rate of the leader; those for which the followers' registers come closest to their share are tried first.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Widths(NamedTuple):
 
 
 class Ask(NamedTuple):
-    """What the longest axis shall do: pulses, rates in pps, ramp times in s; and all axes' ramps: `share` of the speed steps
+    """The move of the longest axis: pulses, rates in pps, ramp times in s; and all axes' ramps: `share` of the speed steps
     in each curved end (0 linear, 0.5 curved throughout), and whether the chips find the ramp-down point."""
 
     length: int

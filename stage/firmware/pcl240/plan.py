@@ -1,8 +1,8 @@
 """Registers for an a:b move: every axis at a rate in the ratio of the distances, ramps together, stops together.
 
-The data sheet's scheme (Q & A): FL and FH in the ratio a:b, equal ramp times. The longest axis leads: its registers come from
-the rates and times asked for (leader.py). Every other axis follows: its R7 is free, which gives it a thousand grids to choose
-from (follow.py). The followers that promise most are run on emulated chips, and the one closest to the line is taken.
+The data sheet's scheme (Q & A): FL and FH in the ratio a:b, equal ramp times. The longest axis is the leader: its registers come
+from the given rates and times (leader.py). Every other axis is a follower: its R7 is free, so it can choose from a thousand grids
+of rates (fit.py). The best registers of each follower are run on emulated chips, and those closest to the line are used.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ class AxisPlan:
 
     @property
     def row(self) -> np.ndarray:
-        """The registers as follow.py takes them."""
+        """The registers as fit.py takes them."""
         return np.array([*(self.registers | {"R6": self.down_point}).values()], np.int64)
 
 
@@ -112,13 +112,13 @@ class Plan:
     Attributes:
         axes: an AxisPlan each.
         order: names in the order of the start commands, the longest axis last: an axis that is ahead by less than the
-            staircase does no harm, and one that lags does.
-        bus_delay: seconds between two start commands that the plan reckons with.
+            staircase does not increase the deviation, and one that lags does.
+        bus_delay: seconds between two start commands that the plan assumes.
         ratio_error: largest relative error of an FH against the longest axis'.
         deviation: predicted largest distance from the line in pulses, found by running emulated chips. exact: False for
             moves of more than 2,000,000 pulses in all, for which it is the closed form's estimate.
         seconds: from the first start command to the last pulse.
-        notes: where the plan departs from what was asked for, and why.
+        notes: where the plan differs from the given rates and times, and why.
     """
 
     axes: dict[str, AxisPlan]

@@ -1,4 +1,4 @@
-"""`Procedure` of the PCL-240 family: with a port, and what R0 says at the end."""
+"""`Procedure` of the PCL-240 family: with a port, and with R0 at the end."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Moves that change their pulse rate: dual rate, any number of rates, ramps in pieces (data sheet section 5 h, 6, Q & A).
 
-A chip has FL and two high rates. The register that is not selected can be rewritten in motion without influence, then
-selected: so there are as many rates as one likes. R0 and R6 stay untouched in motion, as the Q & A asks: the
+A chip has FL and two high rates. The register that is not selected can be rewritten in motion without effect and then be
+selected, so any number of rates is possible. R0 and R6 are not written in motion, as the Q & A demands: the
 ramp-down point is that of the last rate, and a move too short to reach it is refused.
 """
 

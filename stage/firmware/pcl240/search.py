@@ -1,4 +1,4 @@
-"""The origin return of the PCL-240 family as a program: four runs that nothing decides between."""
+"""The origin return of the PCL-240 family as a program: four runs without a branch between them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ RUNS = ("leave", "search", "back off", "approach")
 
 
 class FourRuns(Search):
-    """Leave, search, back off, approach; what the chip says meanwhile is read, and no decision is taken on it."""
+    """Leave, search, back off, approach; the chip's status is read during the runs, but no decision depends on it."""
 
     def __init__(self, driver: Pcl240Driver, settings: Any):
         self.driver, self.settings = driver, settings

@@ -3,7 +3,7 @@
     stage = Stage("xyz")
     report = synchronized_move({"x": 20_000, "y": -7_500}, stage)
 
-It is planned, written to the chips, and started by one start command after the other, the longest axis last.
+The move is planned, written to the chips, and started by one start command after the other, the longest axis last.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The MJCF naming contract: which joints, actuators and sensors make an axis; checks a model, says what lacks.
+"""The MJCF naming contract: which joints, actuators and sensors make an axis; checks a model, says what is missing.
 
 Axis NAME is
     a joint NAME (slide or hinge) with a range,
@@ -6,15 +6,15 @@ Axis NAME is
         terminal voltage; gear is rotor radians per joint unit,
     five contact sensors NAME_el_plus, NAME_el_minus, NAME_sd_plus, NAME_sd_minus, NAME_org between a vane and a switch,
         each with data="found dist" and a force-free <pair margin="-0.03" gap="0.04">,
-    or <custom><text name="NAME_unfitted" data="sd_plus sd_minus"/></custom> for the switches that it does without.
+    or <custom><text name="NAME_unfitted" data="sd_plus sd_minus"/></custom> for the switches that it does not have.
 <text name="NAME_motor" data="17HS4401"/> names the motor whose rotor inertia is in the joint's armature.
-A stage fits the actuator that its chip drives, see `equip`: any model takes any chip.
-<numeric name="NAME_index" data="0.5"/> says where in the rotor's turn the encoder's index pulse (EZ) stands, in turns from the
-rotor's place at joint position 0; without it, half a turn from where ORG trips, as one mounts it.
+A stage exchanges the actuator for the kind that the axis' chip drives, see `equip`: any model takes any chip.
+<numeric name="NAME_index" data="0.5"/> is the rotor angle of the encoder's index pulse (EZ), in turns from the rotor
+angle at joint position 0; by default half a turn from where ORG trips, as an encoder is usually mounted.
 
     spec = open_spec("xyz")                         a name, a path, an MjSpec or an MjModel
     model, offset = compile_spec(spec, words)       with room for `words` float64 of state in userdata
-    for axis in bind(model): ...                    ModelError says everything that lacks, at once
+    for axis in bind(model): ...                    ModelError lists everything that is missing
 
 docs/models.md explains the contract and holds a complete small model.
 """

@@ -27,7 +27,7 @@ class PlantAxis:
         joint, actuator: ids in the model; qpos, dof: addresses. gear: rotor radians per joint unit, signed.
         travel: the joint's range, m (rad if `hinge`). motor: name of the motor inside the armature, or None. servo: the actuator is
             a DC motor.
-        index: where in the rotor's turn the index pulse stands, in turns from its place at joint position 0.
+        index: rotor angle of the index pulse, in turns from the rotor angle at joint position 0.
         switches: those fitted, in the order of PINS.
     """
 

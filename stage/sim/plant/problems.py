@@ -1,4 +1,4 @@
-"""What is wrong with a model, collected; and the MJCF lines that mend it."""
+"""The errors of a model, collected, and the MJCF lines that repair it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Finding the switches of an axis: where each trips, how far its sensor sees its vane, and whether it does what it is for."""
+"""Finds the switches of an axis: where each trips, from which distance its sensor sees its vane, and whether it works."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Switch:
 
 
 class SwitchFinder:
-    """Moves the axes of a model along and measures. What is wrong goes to `problems`."""
+    """Moves the axes of a model through their travel and measures. Errors go to `problems`."""
 
     def __init__(self, model: mujoco.MjModel, problems: Problems, axes: Sequence[str]):
         self.model, self.data, self.problems, self.axes = model, mujoco.MjData(model), problems, axes

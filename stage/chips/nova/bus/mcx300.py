@@ -282,7 +282,7 @@ def _levels(c, x, j):
 @hot
 def factors(x):
     """RR3."""
-    word = x.compared  # PULSE and the comparisons, see compare.py
+    word = x.compared  # PULSE and the comparisons, see comparators.py
     word |= (CONSTANT_END if x.factors & C_END else 0) | (CONSTANT_START if x.factors & C_STA else 0)
     return word | (DRIVE_END if x.factors & D_END else 0) | (HOME_END if x.factors & H_END else 0)
 

@@ -1,4 +1,4 @@
-"""NOVA chips, compiled: what a drive is doing, as status bits and outputs tell it."""
+"""NOVA chips, compiled: the state of a drive as status bits and outputs."""
 
 from __future__ import annotations
 

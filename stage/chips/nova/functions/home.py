@@ -7,9 +7,9 @@
                    \\/       ____  steps 3, 4: on to STOP2, and an offset
 
 Step 1 at the drive speed to a signal, step 2 at HV to the next, step 3 at HV to STOP2, step 4 an offset at the drive speed.
-Step 1 is passed over where its signal, or the limit ahead, is there already; the limit also ends it [M]. In step 2 the axis
-backs out of a signal that is there already, or from a limit ahead over the signal, and then searches once more. Step 3 fails
-where STOP2 is there already; any other stop ends the search, with its own error bit. `x.home` is HSST of the MCX514.
+Step 1 is skipped if its signal, or the limit ahead, is already asserted; the limit also ends it [M]. In step 2 the axis backs out
+of a signal that is already asserted, or from a limit ahead over the signal, and then searches once more. Step 3 fails if STOP2 is
+already asserted; any other stop ends the search, with its own error bit. `x.home` is HSST of the MCX514.
 
 Inferred: a step at HV is an ordinary drive at that speed, constant where HV <= SV. STOP inputs end the step that waits for them
 and no other, whatever their enable bits. Limits count where they are enabled, a limit that is the signal always. DCC comes

@@ -1,8 +1,9 @@
 """NOVA MCX514, compiled: the synchronous actions, and what can be their factor: comparisons, timer, split pulse, PIO edges.
 
-A set that is enabled acts at the clock of its factor, or of A0h + m, and takes others along: sets of its axis, SYNC0 of other axes.
-Inferred: only enabled sets act, whoever asks; a set without repeat is disabled by acting; it acts once at a clock, however many
-ask, so that no two can chase each other; PIO edges count on general inputs; stops by a set end a home search as 56h, 57h do.
+A set that is enabled acts at the clock of its factor, or of A0h + m, and activates others: sets of its axis, SYNC0 of other axes.
+Inferred: only enabled sets act, whatever activates them; a set without repeat is disabled when it acts; a set acts once at a clock,
+however often it is activated, so that two sets cannot activate each other for ever; PIO edges count on general inputs; a stop by a
+set ends a home search as 56h and 57h do.
 """
 
 from __future__ import annotations

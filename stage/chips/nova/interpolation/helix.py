@@ -70,7 +70,7 @@ def _count(a, g, turn):
 
 @hot
 def ticks(a, g):
-    """As in linear.py; `a` is scratch."""
+    """As in line.py; `a` is scratch."""
     count = both = 0
     if g.turns > 0:
         count, both = _count(a, g, True)

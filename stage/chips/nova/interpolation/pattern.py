@@ -32,7 +32,7 @@ def step(ip, g):
 
 @hot
 def ticks(g):
-    """As in linear.py."""
+    """As in line.py."""
     one = two = three = 0
     for bit in range(STEPS):
         moved = 0

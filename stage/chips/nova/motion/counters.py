@@ -1,4 +1,4 @@
-"""NOVA chips, compiled: the counters of an axis, and the limits that look at them."""
+"""NOVA chips, compiled: the counters of an axis, and the software limits that compare them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""NOVA chips, compiled: what the speed profile of a drive says at a clock, and when its k-th pulse begins.
+"""NOVA chips, compiled: position and speed of a drive's profile at a clock, and when its k-th pulse begins.
 
 The k-th pulse begins at the first whole clock at which the ideal position p has reached k. Floats find out as long as p is not
 next to a whole number; there, double-doubles decide. A profile that comes to k within SNAP below it has reached it.

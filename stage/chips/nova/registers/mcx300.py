@@ -1,6 +1,6 @@
 """Register maps of the NOVA MCX304, MCX302 and MCX312 as data: one table, with the chips that have each row.
 
-Sources: NOVA's failure notice of 2006 (data sheet), working drivers, the manuals from memory; words304.py has the bits.
+Sources: NOVA's failure notice of 2006 (data sheet), working drivers, the manuals from memory; words300.py has the bits.
 What none of them says is marked I; so are all values after reset but AO's [C]. m is the multiple, 8,000,000 / R.
 """
 
