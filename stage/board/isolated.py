@@ -1,7 +1,7 @@
 """Firmware in a process of its own: its crash is an error here, and a loop that never ends is ended.
 
-The child process has a copy of our stage, and the firmware drives the copy at full speed. The child sends the state of its stage and
-what it has noted: edges, bus cycles, samples, lines of the log. So our stage has the same state as the child's, to the bit, with
+The child process has a copy of our stage, and the firmware drives the copy at full speed. The child sends the state of its stage
+and its notes: edges, bus cycles, samples, lines of the log. So our stage has the same state as the child's, to the bit, with
 recording, waveforms and diagnostics. After a crash our stage repeats the last bus cycles, from the last state that it received.
 """
 
