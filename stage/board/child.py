@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from stage.board import crash
 from stage.board.board import Board
 from stage.board.link import NOTED, Link
 from stage.board.shared import Asked, Begin, Go, Noted, Shared, Stands
@@ -163,6 +164,7 @@ def main(fileno: int) -> None:
     except StageError as error:
         pipe.send((type(error).__name__, str(error)))
         return
+    crash.watch(board.link.shared.note_crash)
     pipe.send(None)
     while True:
         go: Go = pipe.recv()

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from stage import errors as general
-from stage.board import errors, starter
+from stage.board import crash, errors, starter
 from stage.board.board import Board
 from stage.board.errors import HostError
 from stage.board.shared import Asked, Begin, Go, Noted, Shared, Stands
@@ -161,8 +161,8 @@ class Isolated:
         self._shared.copy(board, back=True)
         board.log += self._shared.lines()
         return HostError(
-            f"{self._path.name} {how} at {board.stage.time:.6f} s, after {board.cycles:,} bus cycles. The stage stands where it "
-            f"stood then. Its last bus cycles:\n{board.trace.text(12)}"
+            f"{self._path.name} {how}{crash.told(self._shared.crash, self._path)}; at {board.stage.time:.6f} s, after "
+            f"{board.cycles:,} bus cycles. The stage stands where it stood then. Its last bus cycles:\n{board.trace.text(12)}"
         )
 
     def _live_through(self, edges: np.ndarray) -> None:

@@ -21,6 +21,7 @@ from stage.sim.state import SAVED
 
 ROWS = 512  # samples
 TEXT = 1 << 16  # bytes of lines
+CRASH = 1 << 14  # bytes about a crash
 COUNTS = ("cycles", "traced", "changed")  # of HOST
 _ALIGNED = 64
 _LINE = struct.Struct("qq")  # time, length
@@ -91,22 +92,33 @@ class Shared:
         axes, nq = len(board.stage.axes), state.model.nq
         sizes: list[tuple[Any, tuple[int, ...]]] = [
             (host.HOST, (1,)), (EDGE, (NOTED,)), (host.CYCLE, (board.trace.room,)), (np.float64, state.saved.shape),
-            (SAMPLE, (ROWS, axes)), (np.float64, (ROWS, nq)), (np.int64, (1,)), (np.uint8, (TEXT,)),
+            (SAMPLE, (ROWS, axes)), (np.float64, (ROWS, nq)), (np.int64, (1,)), (np.uint8, (TEXT,)), (np.uint8, (CRASH,)),
         ]  # fmt: skip
         lengths = [int(np.dtype(dtype).itemsize * np.prod(shape)) for dtype, shape in sizes]
         places = np.cumsum([0, *(-(-n // _ALIGNED) * _ALIGNED for n in lengths)]).tolist()
         self._map = np.memmap(path, np.uint8, "w+" if create else "r+", shape=(places[-1],))
-        self.record, self.edges, self.cycles, self.state, self.samples, self.positions, used, text = (
+        self.record, self.edges, self.cycles, self.state, self.samples, self.positions, used, text, crash = (
             np.asarray(self._map[at : at + n]).view(dtype).reshape(shape)
             for at, n, (dtype, shape) in zip(places, lengths, sizes, strict=False)
         )
-        self._used, self._text = used.data, text.data
+        self._used, self._text, self._crash = used.data, text.data, crash.data
 
     # --- the state of a stage ---
 
     def keep(self, stage: Any) -> None:
         """The state of this stage goes into the file."""
         mujoco.mj_getState(stage.model, stage.data, self.state, SAVED)
+
+    # --- a crash ---
+
+    def note_crash(self, noted: bytes) -> None:
+        """What `crash.told` reads."""
+        self._crash[: min(len(noted), CRASH)] = noted[:CRASH]
+
+    @property
+    def crash(self) -> bytes:
+        """What was noted of it; empty if nothing was."""
+        return self._crash.tobytes().rstrip(b"\0")
 
     # --- lines of the log ---
 

@@ -11,7 +11,7 @@ import threading
 import time
 from pathlib import Path
 
-from stage.board import exits, host, library
+from stage.board import crash, exits, host, library
 from stage.board.board import Board
 from stage.board.errors import HostError
 from stage.board.link import MOST
@@ -90,6 +90,8 @@ class Threaded:
     def _main(self, loaded: library.Library) -> None:
         """The firmware's thread."""
         self._go.acquire()
+        if self._may_exit:
+            crash.own_stack()
         me = threading.get_ident()
         exits.leavers[me] = self._leave
         code, board = int(loaded.main()), self._board

@@ -93,17 +93,24 @@ def test_an_exit_in_an_interrupt_hook_in_a_thread_or_in_a_library_beside_it_is_o
             NativeHost(made, board).run()
 
 
+WAYS = {
+    "--in-process": "driver.so: exit(0) at 0.000001 s, after 1 bus cycles, would have ended the process",
+    "--isolated": "driver.so ended its process with exit code 0; at 0.000001 s, after 1 bus cycles",
+}
+
+
 @here_only
 @pytest.mark.skipif(not shutil.which("cc"), reason="no C compiler: cc is not on the PATH")
-def test_stage_run_of_firmware_that_exits_fails_in_words(tmp_path):
+@pytest.mark.parametrize("way", WAYS)
+def test_stage_run_of_firmware_that_exits_fails_in_words(way, tmp_path):
     # stage run driver.c
     (tmp_path / "driver.c").write_text(
         f"#include <pulsestage.h>\n{HEADERS}PULSESTAGE_MAIN {{ ps_in8(0x300); exit(0); }}\n"
     )
-    command = [sys.executable, "-m", "stage", "run", "driver.c", "--model", "xy", "--record", "run.rrd"]
+    command = [sys.executable, "-m", "stage", "run", "driver.c", "--model", "xy", "--record", "run.rrd", way]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 1
-    assert "driver.so: exit(0) at 0.000001 s, after 1 bus cycles, would have ended the process" in done.stderr
+    assert WAYS[way] in done.stderr
     assert (tmp_path / "run.rrd").stat().st_size > 1000
 
 

@@ -1,0 +1,198 @@
+"""Where firmware has crashed: noted by the process that it crashes, told by its parent.
+
+In the child `watch` has a signal handler write into shared memory what was touched and by which calls; then the signal ends the
+process as it would have done. In the parent `told` makes a sentence of that, with files and lines where addr2line finds them.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import os
+import platform
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from itertools import groupby
+from pathlib import Path
+from typing import Any, NamedTuple
+
+HERE = sys.platform == "linux" and sys.maxsize > 1 << 32
+"""Where the handler knows what a signal brings."""
+SIGNALS = (signal.SIGSEGV, signal.SIGBUS, signal.SIGILL, signal.SIGFPE, signal.SIGABRT)
+TOUCHES = (signal.SIGSEGV, signal.SIGBUS)
+STACK = 1 << 20  # bytes, of the handler: that of the firmware may be full
+DEEPEST = 100  # calls
+SHOWN = 6  # of them in a message
+ENTRY = "pulsestage_main"
+ADDRESS = 16  # in siginfo_t
+PLACES = {"x86_64": {"pc": 168, "sp": 160, "error": 192}, "aarch64": {"pc": 440, "sp": 432}}
+"""In ucontext_t: program counter, stack pointer; the processor's error code, whose bit 1 says that it wrote."""
+NULL = 1 << 16
+BUS_SPACE = 1 << 32  # addresses of microcontrollers
+RUST_ITSELF = "(/rustc/"  # where the files of its own library are
+
+
+class Crash(NamedTuple):
+    """What the handler saw. frames: (library, symbol, offset in the library) of each call, the innermost first."""
+
+    signal: int
+    address: int
+    wrote: bool | None
+    stack: bool
+    frames: list[tuple[str, str, int]]
+
+
+# --- in the child ---
+
+
+class _SignalAction(ctypes.Structure):
+    """struct sigaction of glibc and musl."""
+
+    _fields_ = (
+        ("handler", ctypes.c_void_p),
+        ("mask", ctypes.c_ulong * 16),
+        ("flags", ctypes.c_int),
+        ("restorer", ctypes.c_void_p),
+    )
+
+
+class _Stack(ctypes.Structure):
+    """stack_t."""
+
+    _fields_ = (("begin", ctypes.c_void_p), ("flags", ctypes.c_int), ("size", ctypes.c_size_t))
+
+
+class _Symbol(ctypes.Structure):
+    """Dl_info."""
+
+    _fields_ = (
+        ("file", ctypes.c_char_p),
+        ("base", ctypes.c_void_p),
+        ("name", ctypes.c_char_p),
+        ("begin", ctypes.c_void_p),
+    )
+
+
+_HANDLER = ctypes.CFUNCTYPE(None, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p)
+_WITH_INFO, _ON_STACK = 4, 0x08000000
+_kept: list[Any] = []  # for as long as the process lives
+
+
+def watch(note: Callable[[bytes], None]) -> None:
+    """From now on a crash of this process is noted: `note` is given a Crash as JSON, in the middle of the signal."""
+    libc = ctypes.CDLL(None)
+    if not HERE or not hasattr(libc, "backtrace"):
+        return
+    calls = (ctypes.c_void_p * DEEPEST)()
+    libc.backtrace(calls, DEEPEST)  # the first call loads a library
+
+    def crashed(number: int, info: int, context: int) -> None:
+        libc.signal(number, None)
+        try:
+            note(json.dumps(_seen(libc, calls, number, info, context)).encode())
+        finally:
+            os.kill(os.getpid(), number)
+
+    handler = _HANDLER(crashed)
+    action = _SignalAction(ctypes.cast(handler, ctypes.c_void_p), flags=_WITH_INFO | _ON_STACK)
+    _kept.extend((handler, action))
+    for number in SIGNALS:
+        libc.sigaction(int(number), ctypes.byref(action), None)
+
+
+def own_stack() -> None:
+    """For the thread that calls: the handler has a stack of its own."""
+    if HERE:
+        room = ctypes.create_string_buffer(STACK)
+        _kept.append(room)
+        ctypes.CDLL(None).sigaltstack(ctypes.byref(_Stack(ctypes.addressof(room), 0, STACK)), None)
+
+
+def _seen(libc: Any, calls: Any, number: int, info: int, context: int) -> Crash:
+    def word(at: int) -> int:
+        return int(ctypes.c_uint64.from_address(at).value)
+
+    places = PLACES.get(platform.machine(), {})
+    address = word(info + ADDRESS) if number in TOUCHES and ctypes.c_int.from_address(info + 8).value > 0 else -1
+    found = [calls[k] or 0 for k in range(libc.backtrace(calls, DEEPEST))]
+    if "pc" in places and (pc := word(context + places["pc"])) in found:
+        found = found[found.index(pc) :]
+    wrote = bool(word(context + places["error"]) & 2) if "error" in places else None
+    near = address >= 0 and "sp" in places and abs(address - word(context + places["sp"])) < NULL
+    return Crash(number, address, wrote, near, [_frame(libc, a - (k > 0)) for k, a in enumerate(found) if a])
+
+
+def _frame(libc: Any, address: int) -> tuple[str, str, int]:
+    symbol = _Symbol()
+    if not libc.dladdr(ctypes.c_void_p(address), ctypes.byref(symbol)):
+        return "", "", address
+    return (symbol.file or b"").decode(), (symbol.name or b"").decode(), address - (symbol.base or 0)
+
+
+# --- in the parent ---
+
+
+def told(noted: bytes, library: Path) -> str:
+    """What happened and where, in words; "" if nothing was noted."""
+    if not noted:
+        return ""
+    crash = Crash(*json.loads(noted))
+    names = [symbol for _, symbol, _ in crash.frames]
+    inner = crash.frames[: names.index(ENTRY) + 1] if ENTRY in names else crash.frames
+    places = _places(inner, library)
+    calls = [(place, len(list(same))) for place, same in groupby(places) if place and RUST_ITSELF not in place]
+    where = [f"{place}{f', {n} times' if n > 1 else ''}" for place, n in calls[:SHOWN]]
+    what = _what(crash, {*names, *places})
+    said = [part for part in (what, f"in {', called from '.join(where)}" if where else "") if part]
+    return f": {', '.join(said)}" if said else ""
+
+
+def _what(crash: Crash, names: set[str]) -> str:
+    """names: of the functions that were called."""
+    if crash.stack:
+        return "its stack is full (endless recursion?)"
+    if crash.signal in TOUCHES and crash.address >= 0:
+        verb = {True: "it wrote to", False: "it read from", None: "an access to"}[crash.wrote]
+        hint = ""
+        if crash.address < NULL:
+            hint = ", a null pointer?"
+        elif crash.address < BUS_SPACE:
+            hint = " (memory-mapped I/O? Bus cycles are ps_in8, ps_out8 and the like)"
+        return f"{verb} address {crash.address:X}h{hint}"
+    if crash.signal == signal.SIGFPE:
+        return "an integer was divided by 0"
+    if any("rust_panic" in name or "std::panicking" in name for name in names):
+        return "a panic in Rust"
+    if any(name.startswith(("__cxa_throw", "_ZSt9terminatev", "_ZN10__cxxabiv1")) for name in names):
+        return "a C++ exception that nobody caught"
+    return ""
+
+
+def _places(frames: list[tuple[str, str, int]], library: Path) -> list[str]:
+    """Each call as `function (file:line)`; "" for one of a system's library."""
+    own = {offset for file, _, offset in frames if Path(file).name == library.name}
+    found = _by_addr2line(library, sorted(own))
+    return [
+        (found.get(offset) or symbol or f"offset {offset:X}h")
+        if offset in own and Path(file).name == library.name
+        else ""
+        for file, symbol, offset in frames
+    ]
+
+
+def _by_addr2line(library: Path, offsets: list[int]) -> dict[int, str]:
+    """Function, file and line of places in a library, as far as they are known."""
+    tool = shutil.which("addr2line") or shutil.which("llvm-addr2line")
+    if tool is None or not offsets:
+        return {}
+    command = [tool, "-f", "-C", "-e", str(library), *(f"{offset:#x}" for offset in offsets)]
+    lines = subprocess.run(command, capture_output=True, text=True, check=False).stdout.splitlines()
+    found = {}
+    for offset, function, line in zip(offsets, lines[::2], lines[1::2], strict=False):
+        line = line.split(" (")[0]
+        if function not in ("", "??"):
+            found[offset] = function + (f" ({line})" if line and not line.startswith("??") else "")
+    return found
