@@ -65,7 +65,7 @@ class StageEnv(gymnasium.Env[np.ndarray, Any]):
 
     @property
     def stage(self) -> Stage:
-        """The stage itself, for whoever wants to look."""
+        """The stage itself, for inspection."""
         return self._task.stages[0]
 
     def reset(
@@ -268,7 +268,7 @@ class StageVectorEnv(VectorEnv[np.ndarray, Any, np.ndarray]):
         return observations, rewards, ends[0], ends[1], infos
 
     def _same_step(self, infos: dict[str, Any], observations: np.ndarray) -> dict[str, Any]:
-        """Reset what is over, and move its last observation and info aside, as Gymnasium asks."""
+        """Reset finished stages, and keep their last observation and info, as Gymnasium demands."""
         last = infos
         kept: dict[str, Any] = {}
         for k in range(self.num_envs):

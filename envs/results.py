@@ -62,7 +62,7 @@ class Results:
         return reward, terminated, truncated, info
 
     def columns(self, active: np.ndarray) -> dict[str, Any]:
-        """`info` of all stages as Gymnasium wants it: arrays, each with a mask of whose it is; 0 or None elsewhere."""
+        """`info` of all stages in Gymnasium's form: arrays, each with a mask of the stages that have it; 0 or None elsewhere."""
         rows = self.rows.copy()
         rows[~active] = np.zeros((), rows.dtype)
         bad = rows["cause"] != 0

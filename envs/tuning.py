@@ -50,7 +50,7 @@ class Tuning(MoveTask[ConfigT]):
         """The bus cycles of a move with these registers, and what is measured. All programs are alike in length."""
 
     def placed(self, k: int) -> None:
-        """Stage k stands where its next move begins."""
+        """Stage k is where its next move begins."""
 
     def stage(self, visuals: bool) -> Stage:
         c: Any = self.config

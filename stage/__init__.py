@@ -52,7 +52,7 @@ def __getattr__(name: str) -> Any:
 
 
 def _loaded(module: str) -> Any:
-    """The module. An AttributeError on the way would be told as "cannot import name", and its cause nowhere: LoadError."""
+    """The module. Python reports an AttributeError during its import as "cannot import name", without the cause: so LoadError."""
     try:
         return import_module(module)
     except StageError:

@@ -62,7 +62,7 @@ class NativeError(LoadError):
 
 
 def near_names(given: object, names: Iterable[str], cutoff: float = 0.5) -> list[str]:
-    """Those of `names` that somebody who wrote `given` may have meant, the nearest first; three at most."""
+    """Those of `names` that are similar to `given`, the most similar first; three at most."""
     from difflib import get_close_matches  # 2 ms of a start that mostly has no error
 
     return get_close_matches(str(given), list(names), n=3, cutoff=cutoff)

@@ -107,7 +107,7 @@ def figure_format(path: str | os.PathLike) -> str:
 
 
 def _kind(path: Path, error: type[FileError]) -> int | None:
-    """What stands at `path`, as the mode of stat; None if nothing does."""
+    """The mode (of stat) of what exists at `path`; None if nothing does."""
     try:
         return path.stat().st_mode
     except (FileNotFoundError, NotADirectoryError):

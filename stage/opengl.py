@@ -76,7 +76,7 @@ def _close() -> None:
 
 @contextmanager
 def _chosen(cls: type) -> Iterator[None]:
-    """Inside, MuJoCo's renderer makes its context by EGL where there is no screen and MUJOCO_GL asks for nothing else. Raises
+    """Within it, MuJoCo's renderer makes its context by EGL if there is no screen and MUJOCO_GL does not say otherwise. Raises
     where GLFW would be used and does not work."""
     asked = os.environ.get("MUJOCO_GL", "").lower().strip()
     module: Any = getattr(sys.modules[cls.__module__], "gl_context", None)

@@ -81,7 +81,7 @@ def _damaged(cls: type[Snapshot]) -> ArgumentError:
 
 
 def check(snapshot: Any, cls: type[Snapshot], header: Header) -> None:
-    """Raise ArgumentError unless `snapshot` is a whole one of this class that was taken where `header` stands."""
+    """Raise ArgumentError unless `snapshot` is an undamaged one of this class with an equal `header`."""
     if not isinstance(snapshot, cls):
         what = f"a snapshot of {snapshot.of}" if isinstance(snapshot, Snapshot) else reprlib.repr(snapshot)
         raise ArgumentError(f"{what} cannot be restored into {cls.of}: give what its own snapshot() returned.")

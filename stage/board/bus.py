@@ -183,7 +183,7 @@ def _look(h):
 
 @hot
 def _answer(h, what, a, b):
-    """What a host asks, see IN8."""
+    """A request of a host, see IN8."""
     if h.stopped:
         ask(h, PAUSE)
         return -1

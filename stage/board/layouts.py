@@ -58,7 +58,7 @@ LAYOUTS: dict[str, Layout] = {
 
 
 def usual(chip: Chip) -> Layout:
-    """The layout that a chip has where none is asked for; a chip of nobody's here has each bus address at a port of its own."""
+    """The default layout of a chip; a chip of an unknown class has each bus address at a port of its own."""
     for layout in LAYOUTS.values():
         if isinstance(chip, layout.kind):
             return layout

@@ -186,7 +186,7 @@ class Link:
         self.stand_still = None
 
     def settle(self) -> None:
-        """After firmware that computed was given up: what its cycles noted is taken, and the stage stands where it stood."""
+        """After firmware without bus cycles was given up: takes the notes of its last cycles; the stage keeps its state."""
         self.end()
         self.begin()
         self.request(self.pointer, host.SETTLE, 0, 0)

@@ -72,7 +72,7 @@ class Asked(NamedTuple):
 
 
 class Stands(NamedTuple):
-    """The firmware stands still or has returned; or `error` ended it."""
+    """The firmware is paused or has returned; or `error` ended it."""
 
     noted: Noted
     ports: np.ndarray

@@ -143,7 +143,7 @@ class Threaded:
                 )
 
     def _interrupt(self) -> None:
-        """Somebody has pressed Ctrl-C, or lost patience: the firmware stands still at its next request, or is left alone."""
+        """After Ctrl-C, or when the patience is over: the firmware is paused at its next request, or is abandoned."""
         self._board.link.record["until"] = 0
         if not self._stands.acquire(timeout=0.5):
             self._abandon()

@@ -75,7 +75,7 @@ class BusTrace:
         return self.last(len(self))
 
     def last(self, n: int) -> Iterator[Cycle]:
-        """The last `n` lines. What they mean is told from all that are kept."""
+        """The last `n` lines. Their meaning is found from all lines that are kept."""
         lines = self.lines()
         first = len(lines) - n
         tell = self._board.teller()

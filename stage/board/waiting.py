@@ -44,7 +44,7 @@ def _run(h, until):
 
 @hot
 def catch_up(h):
-    """The whole stage stands where the host does."""
+    """Advances the whole stage to the host's time."""
     if h.ahead:
         ahead, h.ahead = h.ahead, 0
         _run(h, world(stage_of(h)).now + ahead)
@@ -90,7 +90,7 @@ def _pass_cycle(h):
 
 @hot
 def turn_to(h, chip):
-    """The chip stands where the host does."""
+    """Advances the chip to the host's time."""
     if h.ahead:
         c = chip_of(h, chip)
         cores.run(c, records.clock_at(now_of(h), c.hz))

@@ -147,7 +147,7 @@ class Chip:
     SERVO: ClassVar[bool] = False
     """Drives a DC motor with an encoder, not a stepper."""
     IN_POSITION: ClassVar[float] = 4.0
-    """Pulses: so near its goal an axis has arrived, where nobody says otherwise."""
+    """Default tolerance, pulses: an axis so close to its goal has arrived."""
     DEFAULT_CLOCK_HZ: ClassVar[int]
     ADDRESSES: ClassVar[int] = 4
     """Bus addresses: 0 up to ADDRESSES - 1."""
@@ -174,11 +174,11 @@ class Chip:
         self._bus: Bus | None = None
         self._alone: tuple[np.ndarray, int] | None = None  # where its state was before `attach` moved it
         self.open_journal: Journal | None = None
-        """The journal that is told of what acts on the chip, the newest where there are several; see `journal`."""
+        """The journal that notes the inputs of the chip, the newest where there are several; see `journal`."""
         self.late_lint: LateLint | None = None
         """Who looks for mistakes where compiled code makes the bus cycles."""
         self.glitches: tuple[Callable[[int, int], bool], ...] = ()
-        """Faults of the bus: each is told (address, value) of every write before it is made, and loses it by True."""
+        """Faults of the bus: each is called with (address, value) before every write; if it returns True, the write is lost."""
         self._hold(np.zeros(1, self.CORE.STATE), 0)
         self._configure(self._plain)
         self.CORE.power_up.held(self._here)
@@ -333,7 +333,7 @@ class Chip:
             self.open_journal.note_write(self.clock, address, value)
 
     def loses(self, address: int, value: int) -> bool:
-        """Before a write: does a fault of the bus keep it from the chip? Every fault is told of it."""
+        """Before a write: whether a fault of the bus loses it. Calls every fault."""
         return any([glitch(address, value) for glitch in self.glitches]) if self.glitches else False
 
     def diagnose(self, clock: int, address: int, value: int, message: str, source: str) -> None:
@@ -411,7 +411,7 @@ class Chip:
         return int(self.state["inputs"])
 
     def set_input_word(self, axis: int, word: int) -> None:
-        """Drive the input pins of an axis; nobody is told."""
+        """Drive the input pins of an axis, without a note in a journal."""
         self.CORE.set_input.held(self._here, axis, word)
 
     def output_word(self, axis: int) -> int:

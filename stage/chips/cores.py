@@ -112,7 +112,7 @@ def set_shaft(c, j, count, rate):
 
 @hot
 def net(c, j):
-    """Where it wants the axis: pulses ever, plus minus minus; the encoder's count of a servo."""
+    """The commanded position: net pulses since power-up; of a servo the encoder count of its command position."""
     return _word(c.net, (c.at, j))
 
 

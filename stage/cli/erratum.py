@@ -29,7 +29,7 @@ LOOK = 2.0  # s after the stop was asked for
 
 @dataclass(frozen=True)
 class Shown:
-    """What came of it: figures and recordings (None where none was kept) with the bare 26h and with the work-around.
+    """The result: figures and recordings (None where none was kept) with the bare 26h and with the work-around.
 
     unit: as of stage.cli.fault.Shown.
     """
@@ -76,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _beside(args: argparse.Namespace) -> argparse.Namespace:
-    """The options for the run with the work-around: its files have names of their own, and nobody watches it."""
+    """The options for the run with the work-around: its files have names of their own, and no viewer is opened."""
     named = {}
     for what in ("record", "vcd", "picture"):
         path = getattr(args, what)

@@ -153,13 +153,13 @@ def _free(usual: str, force: bool) -> str:
 
 
 def note(text: str) -> None:
-    """Progress, where somebody watches."""
+    """Progress, shown on a terminal only."""
     if sys.stderr.isatty():
         print(text, file=sys.stderr, flush=True)
 
 
 def progress(what: str, done: float) -> None:
-    """A line that counts up to 100 %, where somebody watches."""
+    """A line that counts up to 100 %, shown on a terminal only."""
     if sys.stderr.isatty():
         print(f"\r{what} {done:4.0%}", end="\n" if done >= 1 else "", file=sys.stderr, flush=True)
 

@@ -58,7 +58,7 @@ class BenchAxis:
 
     @property
     def place(self) -> int:
-        """Where a rail's carriage stands, pulses."""
+        """Position of a rail's carriage, pulses."""
         return self._offset + self.chip.net(self.chip_axis)
 
     def _lay(self, at: int, spans: dict[str, Span]) -> None:

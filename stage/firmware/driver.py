@@ -107,14 +107,14 @@ class Driver(ABC):
 
     @abstractmethod
     def halt(self, at_once: bool = False) -> None:
-        """Stop what runs, with a ramp or at once; returns when it stands."""
+        """Stop the axis, with a ramp or at once; returns when it is at rest."""
 
     def runs(self) -> bool:
         """What `run` has started still runs."""
         return self.chip.busy(self.axis.chip_axis)
 
     def stopped_by(self) -> str:
-        """Why it stands, where the host has not stopped it: "EL+", "EL-", or nothing that the chip tells."""
+        """Why the axis stopped, if the host has not stopped it: "EL+", "EL-", or "" where the chip does not show a reason."""
         return ""
 
     @classmethod
@@ -190,7 +190,7 @@ def driver_of(axis: Axis) -> Driver:
 
 
 def driver_class(chip: type[Chip]) -> type[Driver]:
-    """Who speaks to chips of this class. Raises ArgumentError where nobody does."""
+    """The driver class for chips of this class. Raises ArgumentError if there is none."""
     if not chip.DRIVER:
         raise ArgumentError(
             f"a {chip.__name__} has no driver: its class names one in DRIVER, as 'package.module:Class'."

@@ -87,7 +87,7 @@ def jog(
 
 
 def stop(axis: Axis, at_once: bool = False) -> None:
-    """Stop what the axis does, with a ramp or at once, and wait until it stands."""
+    """Stop the axis, with a ramp or at once, and wait until it is at rest."""
     driver_of(axis).halt(at_once)
 
 

@@ -22,7 +22,7 @@ class Found(NamedTuple):
     end_limit: np.ndarray
     """A run ended neither after its pulses nor at the origin, and in time."""
     released: np.ndarray
-    """ORG let go before the last approach."""
+    """ORG was released before the last approach."""
     searched: np.ndarray
     """Pulses of the search, minus counts."""
     overrun: np.ndarray

@@ -67,7 +67,7 @@ def shapes(model: mujoco.MjModel, body: int) -> Iterator[tuple[str, Any]]:
 
 
 def _placed(model: mujoco.MjModel, geoms: list[int]) -> dict[str, Any]:
-    quats = np.roll(model.geom_quat[geoms], -1, axis=1)  # rerun wants x y z w
+    quats = np.roll(model.geom_quat[geoms], -1, axis=1)  # rerun's order is x y z w
     return {"quaternions": quats, "colors": np.array([colour(model, g) for g in geoms])}
 
 

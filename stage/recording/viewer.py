@@ -100,7 +100,7 @@ def serve_web(rrd: str | os.PathLike, port: int = 9090) -> None:
 
 
 def _page() -> dict[str, bytes]:
-    """The files of rerun's page, from its own server, which is told of no recording and ends here."""
+    """The files of rerun's page, from its own server, which gets no recording and ends here."""
     port = free_port()
     command = [executable(), f"http://{HOST}/{RECORDING}", "--serve-web", "--bind", HOST]
     command += ["--web-viewer-port", str(port)]
@@ -224,7 +224,7 @@ def _alive(process: subprocess.Popen) -> None:
 
 
 def environment() -> dict[str, str]:
-    """For rerun's program: usage data off, unless PULSESTAGE_RERUN_ANALYTICS asks for rerun's own settings."""
+    """For rerun's program: usage data off, unless PULSESTAGE_RERUN_ANALYTICS selects rerun's own settings."""
     return {**os.environ, **({} if _analytics() else {"XDG_CONFIG_HOME": str(SETTINGS)})}
 
 

@@ -27,7 +27,7 @@ class Switches:
         object.__setattr__(self, "_axis", axis)
 
     def row(self, name: str) -> int:
-        """Where switch `name` stands in the tables of the stage's state. Raises ArgumentError for one that is not fitted."""
+        """Index of switch `name` in the tables of the stage's state. Raises ArgumentError for one that is not fitted."""
         axis = self._axis
         for k, s in enumerate(axis.plant.switches):
             if s.pin == name:

@@ -131,7 +131,7 @@ def _sample(world, t, c, d, clockwork, qpos, qvel, effort, out):
 
 @hot
 def unguarded(clockwork):
-    """MuJoCo would call somebody whose exceptions nobody guards."""
+    """MuJoCo would call a Python callback whose exceptions are not guarded."""
     if not clockwork.guarded:
         for k in range(CALLBACKS):
             if array_at(clockwork.callbacks[k], 1, ADDRESS)[0] != clockwork.native[k]:
@@ -249,7 +249,7 @@ def _settle_axis(c, world, axis, t, switches, switch_table, d, clockwork, qpos, 
 
 @hot
 def settle(world_, axes, drives, switches, table, switch_table, chips, clockwork_, qpos, qvel, sensordata):
-    """Before the first window, or after the carriages were placed by hand: switch levels and pending edges anew."""
+    """Before the first window, or after the carriages were placed: finds switch levels and pending edges again."""
     world, clockwork = world_[0], clockwork_[0]
     world.powered = 1
     for k in range(len(switches)):

@@ -86,13 +86,13 @@ def advance(h, until):
 
 @exported("i8", HANDLE)
 def called_back(h):
-    """1 if MuJoCo calls somebody in Python, whose exceptions nobody guards now."""
+    """1 if MuJoCo has a Python callback whose exceptions are not guarded now."""
     return 1 if engine.unguarded(clockwork(h)) else 0
 
 
 @exported("i8", HANDLE, "i8")
 def take(h, token):
-    """1 if nobody runs the stage: nobody will, until `give` with this token."""
+    """1 if the stage was free: no other thread can run it until `give` with this token."""
     return 1 if claim(h.clockwork, token) else 0
 
 
@@ -144,7 +144,7 @@ def fill(handles: np.ndarray, k: int, state: State) -> None:
 
 
 def log_to(h: Any, recording: Any) -> None:
-    """From now on the engine samples for `recording`; None: for nobody."""
+    """From now on the engine samples for `recording`; None: no samples."""
     if recording is not None:
         h["samples"], h["positions"] = recording.samples.ctypes.data, recording.positions.ctypes.data
         h["room"], h["filled"] = len(recording.samples), recording.filled

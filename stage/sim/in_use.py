@@ -20,7 +20,7 @@ _tokens = count(ENGINE + 1)
 
 
 def token() -> int:
-    """A number that nobody else claims with."""
+    """A number that is used for one claim only."""
     return next(_tokens)
 
 

@@ -67,7 +67,7 @@ def check_step(
 
 
 def _longest(axis: PlantAxis, drive: Drive | Servo, mobility: float) -> tuple[float, str]:
-    """The longest step, s, for this axis, and what asks for it. mobility: acceleration of the joint a force."""
+    """The longest step, s, for this axis, and the reason for it. mobility: acceleration of the joint a force."""
     m = drive.motor
     if not 0 < mobility < math.inf:
         return math.inf, ""

@@ -73,7 +73,7 @@ class Loop:
 
     @contextmanager
     def alone(self) -> Iterator[None]:
-        """In here nobody else runs the stage. Raises StageError if somebody does."""
+        """Within this context no other thread runs the stage. Raises StageError if another thread runs it now."""
         mine = token()
         try:
             if not handle.take.held(self._pointer, mine):
@@ -113,7 +113,7 @@ class Loop:
         return max(self._piece // 2, self._dt) if took > LONG else self._piece
 
     def _account(self, status: int, until: int) -> None:
-        """The engine has returned on its way to `until`: what it noted is taken, what stopped it is seen to, or raised."""
+        """After the engine has returned before `until`: takes its notes, and handles or raises what stopped it."""
         h, recording = self.state.handle, self.recording
         error: BaseException | None = None
         if status == records.DIVERGED:
@@ -140,7 +140,7 @@ class Loop:
             self._run_guarded(until)
 
     def _run_guarded(self, until: int) -> None:
-        """As `run_to` where MuJoCo calls somebody back: a physics step at a time, to go back to the one before."""
+        """As `run_to`, if MuJoCo has callbacks: one physics step at a time, so that a failed step can be undone."""
         clockwork = self.state.clockwork[0]
 
         def failed(error: BaseException | None) -> bool:

@@ -254,7 +254,7 @@ class Stage:
     # --- state ---
 
     def place(self, **positions: float) -> None:
-        """Put carriages somewhere, at rest, as by hand with the motors off: `stage.place(x=0.05)`, metres (rad).
+        """Place carriages, at rest, as if moved by hand with the motors off: `stage.place(x=0.05)`, metres (rad).
 
         The drives take hold at the nearest microstep: no jump, no lost step.
         """
@@ -271,7 +271,7 @@ class Stage:
         self._settle()
 
     def _settle(self) -> None:
-        """The carriages stand where somebody has put them: see `engine.settle`."""
+        """After the carriages were placed: see `engine.settle`."""
         with self.loop.alone():
             mujoco.mj_forward(self.model, self.data)
             handle.settle.held(self.state.pointer)

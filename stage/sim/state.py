@@ -116,7 +116,7 @@ class State:
 
     @property
     def powered(self) -> int:
-        """0 where somebody has cleared userdata: nothing in it means anything then."""
+        """0 after userdata was cleared: then its contents are not valid."""
         return self.words.item(POWERED)
 
     def note_in(self, edges: np.ndarray) -> None:

@@ -80,7 +80,7 @@ class Watch:
                 last.tb_next = None
 
     def keep(self) -> str:
-        """Save all there is; returns what the report says. "" if nothing has happened yet, or it is saved already."""
+        """Save all files; returns the text for the report. "" if nothing has happened yet, or all is saved already."""
         if self._kept or not (self.stage.time or (self.board and self.board.cycles)):
             return ""
         self._kept = True
@@ -173,7 +173,7 @@ class Watch:
         return f"  {what}: {opener} {self._shown(path)}"
 
     def _picture(self, recording: Recording, path: Path) -> None:
-        """The stage was made without what is only looked at; now somebody looks."""
+        """Save the recording with the full model for display; the test's stage was made without visuals."""
         model, _ = plant.compile_spec(plant.open_spec(self._model), 0)
         if model.nq == recording.model.nq:
             recording.model = model

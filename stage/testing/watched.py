@@ -30,7 +30,7 @@ class WatchedStage(Stage):
         self._go_on()
 
     def unwatch(self) -> None:
-        """The end; whoever still records this stage is stopped as well."""
+        """The end; a recording that the test still makes is closed as well."""
         self._watched = False
         if self.recording is not None:
             self.recording.close()

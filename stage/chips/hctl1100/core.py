@@ -67,7 +67,7 @@ def run(c, until):
             _sample(c, until)
 
 
-# --- what a stage asks, see stage/chips/cores.py; the only axis is 0 ---
+# --- the functions for a stage, see stage/chips/cores.py; the only axis is 0 ---
 
 
 @exported(None, STATE, "i8", "f8", "f8")

@@ -48,7 +48,7 @@ STATE = record(
         ("pwm", "i8"),  # R09
         ("drive", "i8"),  # the one given last
         ("dead", "i8"),  # the clock up to which PULSE is off after a reversal
-        ("moment", "i8"),  # hundredths of full drive times clocks, since a stage asked
+        ("moment", "i8"),  # hundredths of full drive times clocks, since the last drive_input
         # align, commutator
         ("aligning", "i8"),  # samples of Align to come
         ("home", "i8"),  # the raw count at which the ring is 0

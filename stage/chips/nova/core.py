@@ -111,7 +111,7 @@ def run(c, until):
             _settle(c)
 
 
-# --- what a stage asks, see stage/chips/cores.py ---
+# --- the functions for a stage, see stage/chips/cores.py ---
 
 
 @exported("i8", STATE, "i8")

@@ -81,11 +81,11 @@ AXIS = record(
         ("fixed", "i8"),  # it makes `output` pulses; else it goes on
         ("output", "i8"),  # pulses it will make
         ("done", "i8"),  # pulses of it that have begun
-        ("slow", "i8"),  # it brakes for a stop; of an axis that interpolates: 1 asks for that, 2 for an instant stop
+        ("slow", "i8"),  # it brakes for a stop; of an axis that interpolates: 1 decelerating stop, 2 instant stop
         ("absolute", "i8"),  # to an absolute position
         ("total", "i8"),  # pulses ever
         ("net", "i8"),  # the same, plus minus minus
-        # interpolated pulses since drive_input asked
+        # interpolated pulses since the last drive_input
         ("moment", "i8"),  # sum of their clocks, each with its sign
         ("shift", "i8"),  # plus minus minus
         ("since", "i8"),  # clock of the first
@@ -115,7 +115,7 @@ AXIS = record(
         ("pause", "i8"),  # the clock at which the timer between steps is up
         ("seeks", "i8"),  # it looks after the limits
         ("creeps", "i8"),  # its drive runs at HV
-        ("go", "i8"),  # direction of a drive that is asked for
+        ("go", "i8"),  # direction of the commanded drive
         ("go_count", "i8"),  # pulses of it
         # comparisons
         ("holds", "i8"),  # which hold now
@@ -201,7 +201,7 @@ ARC_STATE = record(
 INTERPOLATION = record(
     [
         ("enabled", "i8"),  # deceleration at the end: 6Dh, 3Bh
-        ("interrupt", "i8"),  # it asks for attention
+        ("interrupt", "i8"),  # it asserts the interrupt
         ("main", "i8"),  # its main axis, whose profile makes the ticks
         ("mask", "i8"),  # axes that take part, bit 0 for X
         ("depth", "i8"),  # segments that can wait
@@ -215,7 +215,7 @@ INTERPOLATION = record(
         ("ends", "i8"),  # the plan ends at SV
         # the next tick, prepared
         ("due", "i8"),  # its clock
-        ("watch", "i8"),  # ticks until somebody looks at a counter
+        ("watch", "i8"),  # ticks until a counter is compared
         ("piece", "i8"),  # piece of the profile
         ("last", "i8"),  # the segment ends with it
         ("closing", "i8"),  # it has no pulses and ends it all

@@ -28,7 +28,7 @@ __all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE", "advance", "busy", "co
            "value", "write"]  # fmt: skip
 
 
-# --- what a stage asks, see stage/chips/cores.py; the only axis is 0 ---
+# --- the functions for a stage, see stage/chips/cores.py; the only axis is 0 ---
 
 
 @exported("i8", STATE, "i8")

@@ -46,7 +46,7 @@ STATE = record(
         # operating-mode command
         ("ramps", "i8"),  # high speed, with ramps
         ("select", "i8"),  # speed register: FL, FH1, FH2
-        ("decel", "i8"),  # a decelerating stop was asked for
+        ("decel", "i8"),  # a decelerating stop was commanded
         ("int_at_stop", "i8"),  # /INT at stop
         ("irq", "i8"),  # /INT is pending
         # control-mode command

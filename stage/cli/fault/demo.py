@@ -48,7 +48,7 @@ class Demo:
 
 @dataclass(frozen=True)
 class Shown:
-    """What came of it: figures and recordings (None where none was kept) of the healthy run and of the faulty one.
+    """The result: figures and recordings (None where none was kept) of the healthy run and of the faulty one.
 
     unit: "m", or "rad" where the first axis is a hinge; figures whose names end in mm and um are then mrad and urad.
     """

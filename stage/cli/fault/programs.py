@@ -27,7 +27,7 @@ def first_axis(stage: Any) -> Any:
 
 
 def touch(axis: Any, pin: str) -> float:
-    """Where on its way the axis trips a switch, m. Raises StageError where it has none."""
+    """The position at which the axis trips a switch, m. Raises StageError where it has none."""
     for switch in axis.plant.switches:
         if switch.pin == pin:
             return switch.touch

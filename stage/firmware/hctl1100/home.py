@@ -62,7 +62,7 @@ def home(
     deadband: int = 3,
     timeout: float = 20.0,
 ) -> HomeReport:
-    """Search home; the axis stands there in position control, at position 0.
+    """Home search; the axis is then in position control at position 0.
 
     Args:
         direction: where the home switch lies, -1 or 1.
@@ -97,7 +97,7 @@ def leave_limit(port: Port, direction: int, *, push: int = PUSH, timeout: float 
 
 
 def _to_switch(port: Port, velocity: int, timeout: float) -> int:
-    """In integral velocity until STOP has triggered and the axis stands; where it triggered."""
+    """Integral velocity mode until STOP has triggered and the axis is at rest; returns the position where STOP triggered."""
     port.load(integral_velocity=0)
     port.mode("integral velocity")
     if port.status() & STOP:

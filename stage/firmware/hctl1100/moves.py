@@ -89,7 +89,7 @@ class VelocityReport:
 
 
 def set_up(axis: Axis, tuning: Tuning | None = None) -> Port:
-    """Load filter and sample time; the axis is then in position control where it stands.
+    """Load filter and sample time; the axis is then in position control at its present position.
 
     Raises ArgumentError for an axis without an HCTL-1100, for values that its registers do not hold, and where LIMIT is asserted.
     """

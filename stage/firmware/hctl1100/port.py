@@ -124,7 +124,7 @@ class Port:
             self.chip.write(FLAG, SET | FLAGS[name])
 
     def hold(self) -> None:
-        """Position control where the shaft stands, from any mode. While LIMIT has triggered the chip refuses, see `limited`."""
+        """Position control at the present position, from any mode. While LIMIT has triggered the chip refuses, see `limited`."""
         self.idle()
         self._set_flags("position")
         self.load(command_position=self.position())

@@ -118,7 +118,7 @@ def draw(segments: Sequence[Segment], *axes: Axis, speed: Speed, timeout: float 
     begin = main.axis.time
 
     def wait_while(bits: int, value: int) -> int:
-        """Poll RR0 while it drives and has this value; what it says then."""
+        """Poll RR0 while the chip drives and RR0 has this value; returns its next value."""
         while (status := main.chip.read(0)) & DRIVING and status & bits == value:
             if main.axis.time - begin > timeout:
                 stop(ports)

@@ -51,7 +51,7 @@ class FirstGenerationDriver(NovaDriver):
             return p.report(CAUSES.get(limit.removeprefix("H"), limit))
 
     def forget(self, p: Ops) -> Ops:
-        """A drive's end stands until the next drive begins."""
+        """The end status of a drive stays until the next drive begins."""
         return p
 
     def begin(self, p: Ops, s_curve: bool = False) -> Ops:

@@ -109,7 +109,7 @@ def _approach(port: Port, direction: int, high_speed: bool, timeout: float, ez: 
 
 
 def _leave(port: Port, direction: int, back_off: int, high_speed: bool, timeout: float) -> Status:
-    """Run in `direction` until ORG lets go, stop, and go `back_off` pulses further, at FL."""
+    """Run in `direction` until ORG is released, stop, and go `back_off` pulses further, at FL."""
     port.control(_minus(direction))
     port.command(bus.RAMP["FH1"] if high_speed else bus.START["FL"])
     port.wait_until(lambda s: not s.org or not s.operating, timeout, what="ORG to let go")
@@ -127,5 +127,5 @@ def _leave(port: Port, direction: int, back_off: int, high_speed: bool, timeout:
 
 
 def _behind(status: Status, direction: int) -> str:
-    """The end limit that the axis has run onto while it left an ORG that did not let go; else nothing."""
+    """The end limit that the axis has reached while leaving an ORG that was not released; else nothing."""
     return ("EL+" if direction < 0 else "EL-") if status.org else ""

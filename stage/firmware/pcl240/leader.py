@@ -18,7 +18,7 @@ from stage.firmware.pcl240.closed_form import bend, stretch
 
 LONG = 500_000  # pulses
 LEADERS, LEADERS_LONG = 6, 60  # tried; more for a long move, in which small errors of the ratio add up
-SHIFTS, SHIFTS_LONG = 4, 12  # speed steps around the rate asked for
+SHIFTS, SHIFTS_LONG = 4, 12  # speed steps around the given rate
 RATE_ERROR = 2e-3
 MATCH = 1e-6  # pulses of drift over the move: an exact ratio
 DRIFT = 0.05  # pulses that the ratio may cost a follower before another leader is preferred

@@ -156,7 +156,7 @@ def _same_chips(made: Plan, chosen: dict[str, tuple[Axis, int]]) -> None:
 
 
 def _bus_delay(chosen: dict[str, tuple[Axis, int]], names: Any) -> float:
-    """Read each axis' status, to see that it stands still and what a bus cycle takes."""
+    """Read each axis' status, to check that it is at rest and to measure the time of a bus cycle."""
     delay = 0.0
     for n in names:
         axis = chosen[n][0]
