@@ -46,7 +46,7 @@ from stage.board.notes import journal, note
 from stage.board.waiting import catch_up, cycle, line_of, serve, turn_to, wait
 from stage.chips import cores
 from stage.chips.entries import LOST, READ, WRITE
-from stage.native import array_at, exported, greatest, hot, least
+from stage.native import array_at, exported, float_mode_as_before, greatest, hot, least, usual_float_mode
 from stage.sim.handle import WHOLE
 
 
@@ -221,9 +221,23 @@ def request(h, what, a, b):
     """int64_t request(void *host, int32_t what, int64_t a, int64_t b): what hosts call."""
     if not enter(h):
         return TWO_AT_ONCE
+    mode = usual_float_mode()  # whatever the firmware has made of it, the stage has the same bits
     answer = _answer(h, what, a, b)
+    float_mode_as_before(mode)
     leave(h)
     return answer
+
+
+@exported("i8")
+def compute_as_usual():
+    """From now on this thread computes in the usual mode; the mode of before."""
+    return usual_float_mode()
+
+
+@exported(None, "i8")
+def compute_as_before(mode):
+    """This thread computes in this mode again."""
+    float_mode_as_before(mode)
 
 
 REQUEST = request.kind

@@ -5,16 +5,18 @@ from __future__ import annotations
 import ctypes
 import os
 import platform
+import re
 import shutil
 import struct
 import subprocess
+import sys
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from stage.board import exits
-from stage.board.bus import REQUEST
+from stage.board.bus import REQUEST, compute_as_before, compute_as_usual
 from stage.board.errors import CompileError, LibraryError, NoCompilerError
 from stage.errors import ArgumentError
 from stage.files import FileError
@@ -22,6 +24,8 @@ from stage.files import FileError
 ABI = 1
 SOURCES = (".c", ".cc", ".cpp", ".cxx")
 ENTRY = "pulsestage_main"
+OWN_FIRST = ("-Wl,-Bsymbolic",) if sys.platform == "linux" else ()
+"""Calls within the firmware go to its own functions, whatever their names."""
 _MACHINES = {
     3: "x86 (32 bit)",
     8: "MIPS",
@@ -71,7 +75,8 @@ def build(
 ) -> Path:
     """Build a firmware library from C or C++ sources; returns its path.
 
-    output: default a file in a folder for temporary files. flags: for the compiler, after -O2 -g.
+    output: default a file in a folder for temporary files. flags: for the compiler, after -O2 -g and the
+    sources, so that libraries can be among them.
     Raises FileError, NoCompilerError, CompileError with what the compiler said.
     """
     files = [Path(s) for s in ([sources] if isinstance(sources, str | os.PathLike) else sources)]
@@ -84,17 +89,8 @@ def build(
     name = compiler(plus[0] if plus else files[0])
     made = Path(output) if output else Path(tempfile.mkdtemp(prefix="pulsestage-")) / f"{files[0].stem}.so"
     command = [
-        *name.split(),
-        "-shared",
-        "-fPIC",
-        "-O2",
-        "-g",
-        f"-I{include()}",
-        *flags,
-        *map(str, files),
-        "-o",
-        str(made),
-    ]
+        *name.split(), "-shared", "-fPIC", "-O2", "-g", f"-I{include()}", *OWN_FIRST, *map(str, files), *flags, "-o", str(made),
+    ]  # fmt: skip
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
         said = (done.stderr + done.stdout).strip()
@@ -146,6 +142,13 @@ def check(path: str | os.PathLike) -> Path:
     return file
 
 
+def _mode() -> int:
+    """How a library is loaded: its own symbols win, so that a `wait` or `pause` of the firmware is not the system's. A sanitizer's
+    run-time library, which has to come first, does not allow that."""
+    own = 0 if re.search("[at]san", os.environ.get("LD_PRELOAD", "")) else getattr(os, "RTLD_DEEPBIND", 0)
+    return own | getattr(os, "RTLD_NOW", 0) | getattr(os, "RTLD_LOCAL", 0)
+
+
 class Library:
     """A copy of a library of its own, so that its variables begin as they were compiled, in each run.
 
@@ -156,13 +159,16 @@ class Library:
         self.path = path
         with tempfile.TemporaryDirectory(prefix="pulsestage-") as folder:
             own = Path(shutil.copy(path, Path(folder) / path.name))
+            mode = compute_as_usual.c()
             try:
-                self._library = ctypes.CDLL(str(own), mode=getattr(os, "RTLD_NOW", 0) | getattr(os, "RTLD_LOCAL", 0))
+                self._library = ctypes.CDLL(str(own), mode=_mode())
             except OSError as error:
                 said = str(error).replace(str(own), str(path))
                 raise LibraryError(
                     f"{path} cannot be loaded: {said}. Link what it needs into it; it is built so: {how_to_build(path)}"
                 ) from None
+            finally:
+                compute_as_before.c(mode)  # one that was built with -ffast-math changes it as it is loaded
         self._handle = self._library._handle  # ctypes shows it nowhere else
         if not may_exit:
             exits.interpose(self._handle)

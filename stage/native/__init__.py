@@ -15,12 +15,20 @@ A package outside this one is built by the same means: `python -m stage.native P
 """
 
 from stage.native.arithmetic import floor, greatest, least
-from stage.native.functions import Exported, array_of, called, exchange, exported, hot
+from stage.native.functions import (
+    Exported,
+    array_of,
+    called,
+    exchange,
+    exported,
+    float_mode_as_before,
+    hot,
+    usual_float_mode,
+)
 from stage.native.mode import COMPILED
 from stage.native.records import address_of, array_at, plain, record, room
 
 __all__ = [
-    "COMPILED", "Exported", "address_of", "array_at", "array_of", "called", "exchange", "exported", "floor", "greatest", "hot",
-    "least",
-    "plain", "record", "room",
+    "COMPILED", "Exported", "address_of", "array_at", "array_of", "called", "exchange", "exported", "float_mode_as_before", "floor",
+    "greatest", "hot", "least", "plain", "record", "room", "usual_float_mode",
 ]  # fmt: skip

@@ -184,6 +184,12 @@ def exchange(old: int | None, new: int | None) -> Any:
     return typed.exchange(old, new) if EMITTING else lambda address, word: True
 
 
+usual_float_mode: Callable[[], int] = typed.usual_float_mode if EMITTING else lambda: 0
+"""From now on this thread computes as usual: rounding to nearest, no traps, small numbers kept. Returns the mode of before."""
+float_mode_as_before: Callable[[int], None] = typed.float_mode_as_before if EMITTING else lambda mode: None
+"""This thread computes in this mode again."""
+
+
 def _c_kind(result: str | None, arguments: tuple, function: Any = ctypes.CFUNCTYPE) -> Any:
     words: list[Any] = []
     for a in arguments:

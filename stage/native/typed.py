@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import platform
 from collections.abc import Callable
 from typing import Any
 
@@ -165,6 +166,61 @@ def _room(_context: Any, rows: Any, columns: Any) -> Any:
 
 room: Any = intrinsic(prefer_literal=True)(_room)
 """See stage.native.records."""
+
+
+_FLOAT_MODES = {"x86_64": 0x1F80, "AMD64": 0x1F80, "aarch64": 0, "arm64": 0}
+"""The usual mode of arithmetic, in the processor's own bits: rounding to nearest, no traps, small numbers kept."""
+
+
+def _usual(_context: Any) -> Any:
+    def lower(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+        usual, before = _FLOAT_MODES.get(platform.machine()), ir.Constant(ir.IntType(64), 0)
+        if usual is not None:
+            before = _get_float_mode(builder)
+            _set_float_mode(builder, ir.Constant(ir.IntType(64), usual))
+        return before
+
+    return types.int64(), lower
+
+
+def _as_before(_context: Any, mode: Any) -> Any:
+    def lower(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+        if platform.machine() in _FLOAT_MODES:
+            _set_float_mode(builder, context.cast(builder, given[0], mode, types.int64))
+        return context.get_dummy_value()
+
+    return types.void(mode), lower
+
+
+def _get_float_mode(builder: Any) -> Any:
+    word, half = ir.IntType(64), ir.IntType(32)
+    if platform.machine() in ("aarch64", "arm64"):
+        return builder.call(
+            cgutils.get_or_insert_function(builder.module, ir.FunctionType(word, []), "llvm.aarch64.get.fpcr"), []
+        )
+    place = cgutils.alloca_once(builder, half)
+    kind = ir.FunctionType(ir.VoidType(), [cgutils.voidptr_t])
+    store = cgutils.get_or_insert_function(builder.module, kind, "llvm.x86.sse.stmxcsr")
+    builder.call(store, [builder.bitcast(place, cgutils.voidptr_t)])
+    return builder.zext(builder.load(place), word)
+
+
+def _set_float_mode(builder: Any, mode: Any) -> None:
+    word, half = ir.IntType(64), ir.IntType(32)
+    if platform.machine() in ("aarch64", "arm64"):
+        kind = ir.FunctionType(ir.VoidType(), [word])
+        builder.call(cgutils.get_or_insert_function(builder.module, kind, "llvm.aarch64.set.fpcr"), [mode])
+        return
+    place = cgutils.alloca_once(builder, half)
+    builder.store(builder.trunc(mode, half), place)
+    kind = ir.FunctionType(ir.VoidType(), [cgutils.voidptr_t])
+    load = cgutils.get_or_insert_function(builder.module, kind, "llvm.x86.sse.ldmxcsr")
+    builder.call(load, [builder.bitcast(place, cgutils.voidptr_t)])
+
+
+usual_float_mode: Any = intrinsic(_usual)
+float_mode_as_before: Any = intrinsic(_as_before)
+"""See stage.native.functions."""
 
 
 def type_of(kind: Any) -> Any:

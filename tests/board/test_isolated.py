@@ -3,6 +3,8 @@ writes, and where it crashes."""
 
 from __future__ import annotations
 
+import platform
+
 import mujoco
 import numpy as np
 import pytest
@@ -189,3 +191,28 @@ def test_a_callback_of_mujoco_in_python_is_not_forgotten_in_silence():
     finally:
         mujoco.set_mjcb_control(None)
     assert h.run().code == 3
+
+
+MODES = {
+    "rounding up": ("#include <fenv.h>", "fesetround(FE_UPWARD);", ["-lm"]),
+    "small numbers dropped": ("", "", ["-ffast-math"]),
+    "a small number, a mode of its own": ("#include <xmmintrin.h>", "_mm_setcsr(_mm_getcsr() | 0x8040);", []),
+}
+
+
+@WAYS
+@pytest.mark.parametrize("what", MODES)
+def test_whatever_firmware_makes_of_the_floating_point_mode_the_stage_has_the_same_bits(what, isolated):
+    head, call, flags = MODES[what]
+    if "xmmintrin" in head and platform.machine() != "x86_64":
+        pytest.skip("a header of x86")
+    usual = host(THREE)
+    usual.run()
+    body = THREE.replace("PULSESTAGE_MAIN\n{", f"PULSESTAGE_MAIN\n{{ {call}")
+    board = Board(Stage("xyz", visuals=False))
+    other = NativeHost(firmware(f"{head}\n{body}", *flags), board, isolated=isolated)
+    other.run()
+    assert left_behind(other) == left_behind(usual)
+    after = host(THREE)
+    after.run()
+    assert left_behind(after) == left_behind(usual), "the mode stays with the firmware"

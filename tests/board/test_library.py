@@ -130,3 +130,37 @@ def test_what_is_no_board_is_refused_before_anything_is_built():
     """NativeHost("driver.c", stage)"""
     with pytest.raises(ArgumentError, match=r"is no Board: NativeHost\('driver.c', Board\(stage\)\)"):
         NativeHost("missing.c", object())
+
+
+WAYS = pytest.mark.parametrize("isolated", [False, True], ids=["thread", "process"])
+
+
+@WAYS
+def test_functions_of_the_firmware_win_over_the_systems_of_the_same_name(isolated, tmp_path):
+    # stage run driver.c, with `int wait(int ms)` and `pause()` in it
+    source = tmp_path / "driver.c"
+    source.write_text(
+        """
+        #include <pulsestage.h>
+        int wait(int ms) { ps_delay_us((uint32_t)ms * 1000u); return ms; }
+        int pause(void) { return 5; }
+        int getpid(void) { return -3; }
+        PULSESTAGE_MAIN { return wait(10) + pause() + getpid(); }
+        """
+    )
+    host = NativeHost(source, Board(Stage("xy", visuals=False)), isolated=isolated)
+    assert (host.run().code, host.board.stage.time) == (12, pytest.approx(0.01))
+    by_hand = tmp_path / "by_hand.so"
+    subprocess.run(["cc", "-shared", "-fPIC", f"-I{include()}", str(source), "-o", str(by_hand)], check=True)
+    assert NativeHost(by_hand, Board(Stage("xy", visuals=False)), isolated=isolated).run().code == 12
+
+
+def test_libraries_among_the_flags_come_after_the_sources(tmp_path):
+    # stage run driver.c --cflags=-lm
+    (tmp_path / "part.c").write_text("int part(void) { return 42; }\n")
+    subprocess.run(["cc", "-c", "-fPIC", "part.c", "-o", "part.o"], cwd=tmp_path, check=True)
+    subprocess.run(["ar", "rcs", "libpart.a", "part.o"], cwd=tmp_path, check=True)
+    source = tmp_path / "driver.c"
+    source.write_text("#include <pulsestage.h>\nint part(void);\nPULSESTAGE_MAIN { return part(); }\n")
+    library = build(source, flags=[f"-L{tmp_path}", "-lpart"])
+    assert NativeHost(library, Board(Stage("xy", visuals=False))).run().code == 42

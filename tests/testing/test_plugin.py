@@ -515,7 +515,7 @@ def test_workers_of_xdist_share_builds_and_never_a_folder(pytester, driver, monk
 
 
 ENDS = {
-    "exits": ("exit(0);", "driver.so ended its process with exit code 0 at *"),
+    "exits": ("exit(0);", "driver.so ended its process with exit code 0; at *"),
     "aborts": ("abort();", "driver.so was ended by SIGABRT*"),
     "falls": ("raise(SIGSEGV);", "driver.so was ended by SIGSEGV*"),
 }
