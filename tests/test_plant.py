@@ -297,6 +297,15 @@ def test_every_fault_is_told_with_what_where_and_the_line(changes, message, line
     assert all(text in str(error) for text in error.missing)
 
 
+def test_of_a_joint_of_another_kind_nothing_else_is_said():
+    """It has no range, no switches and no such motor: consequences, all of them."""
+    ball = ('type="slide" axis="1 0 0" range="-0.057 0.057" limited="false" damping="60" frictionloss="4" armature="3.711"',
+            'type="ball"')  # fmt: skip
+    error = complaint(edited(ball, (MOTOR, '<motor name="x" joint="x" gear="1 0 0"/>')))
+    assert str(error).count("axis x: ") == 1
+    assert "no range" not in str(error)
+
+
 @pytest.mark.parametrize("flag", ["contact", "constraint", "sensor"])
 def test_switches_need_contacts_and_sensors(flag):
     error = complaint(edited(("<option ", f'<option><flag {flag}="disable"/></option><option ')))

@@ -205,6 +205,15 @@ def test_frames_of_a_whole_move_show_the_way_and_change_nothing(id_, mode, watch
     assert np.count_nonzero(np.array(moved) > 1e-5) > len(seconds), "more than the ends"
 
 
+def test_a_window_shows_a_move_at_the_pace_at_which_it_was_made(watched, monkeypatch):
+    """gymnasium.make("stage/OriginReturn-v0", render_mode="human"): a pause between two frames, none before the first."""
+    env, order = make("stage/OriginReturn-v0", "human"), []
+    monkeypatch.setattr("time.sleep", order.append)
+    monkeypatch.setattr(Watcher, "frame", lambda self, qpos=None: order.append("frame"))
+    env._show(np.zeros((3, env.stage.model.nq)), None)
+    assert order == ["frame", 1 / 30, "frame", 1 / 30, "frame"]
+
+
 def test_a_bus_cycle_is_a_frame_and_a_recording_has_frames_beside_it(watched, tmp_path):
     env = make("stage/RegisterBus-v0", "rgb_array_list")
     env.reset(seed=1)

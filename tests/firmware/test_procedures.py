@@ -361,3 +361,12 @@ def test_reports_of_every_chip_are_drawn(stage, tmp_path):
     assert any(not n.event for n in notes), "the start command"
     assert notes[-1].event, "why it stopped"
     assert pattern.lanes()
+
+
+def test_the_drawing_of_a_line_names_its_interpolation_and_leaves_out_what_was_only_written():
+    """firmware.line({"x": 3e-3, "y": 1e-3}, stage.axes).axes["x"].plot()"""
+    axes = Stage("xy", chips=MCX514, visuals=False).axes
+    report = firmware.line({"x": 3e-3, "y": 1e-3}, axes).axes["x"]
+    words = [n.words for n in driver_of(axes["x"]).PATTERN(report).notes(report.course.seconds - report.began)]
+    assert "2-axis linear interpolation" in words
+    assert not [w for w in words if "write" in w]

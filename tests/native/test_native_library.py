@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from stage import NativeError
-from stage.native import COMPILED, load
+from stage.native import COMPILED, build, load
 
 pytestmark = pytest.mark.skipif(not COMPILED, reason="asks of the compiled library")
 
@@ -75,6 +75,17 @@ def test_a_change_of_a_constant_in_a_module_that_a_hot_one_imports_is_built_anew
     assert done.stdout == "45\n"
     assert done.stderr.startswith("PulseStage: building the native library of toy: 1 of 1 parts ...")
     assert run(toy).stderr == ""
+
+
+def test_what_a_hot_module_imports_belongs_to_its_sources_however_it_is_imported(tmp_path):
+    """`import toy.constants`, `import os, toy.more as m`, `from . import constants`, `from .constants import STEP`"""
+    lines = {"import toy.constants": {"toy.constants"}, "import os, toy.more as m": {"toy.more"},
+             "from . import constants": {"toy", "toy.constants"}, "from .constants import STEP": {"toy.constants"},
+             "import os": set()}  # fmt: skip
+    known = {name: tmp_path / "core.py" for name in ("toy", "toy.core", "toy.constants", "toy.more")}
+    for line, found in lines.items():
+        (tmp_path / "core.py").write_text(line)
+        assert set(build._imports("toy.core", known)) == found, line
 
 
 def test_old_code_never_runs_where_nothing_can_be_built(toy):
