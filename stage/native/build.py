@@ -46,20 +46,20 @@ def made(package: str, why: str) -> Path:
     return build(package)
 
 
-def build(package: str, say: Any = None) -> Path:
-    """Bring the library of `package` up to date. say: gets progress, a line at a time; default: standard error."""
+def build(package: str) -> Path:
+    """Bring the library of `package` up to date. Progress goes to standard error."""
     places = load.folders(package)
     folder = places[package]
     try:
         with _alone(folder):
-            return _build(package, places, folder, say or _Progress())
+            return _build(package, places, folder)
     except PermissionError:
         folder = Path(tempfile.mkdtemp(prefix="pulsestage-"))  # 0700; for this process
         atexit.register(shutil.rmtree, folder, ignore_errors=True)
-        return _build(package, places, folder, say or _Progress())
+        return _build(package, places, folder)
 
 
-def _build(package: str, places: dict[str, Path], folder: Path, say: Any) -> Path:
+def _build(package: str, places: dict[str, Path], folder: Path) -> Path:
     path = folder / load.NAME
     if not load.unfit(package, path):
         return path  # somebody else has built it meanwhile
@@ -87,7 +87,7 @@ def _build(package: str, places: dict[str, Path], folder: Path, say: Any) -> Pat
             for old in kept.glob(f"{name}-*.o*"):
                 old.unlink(missing_ok=True)
             missing.append((sum(known[m].stat().st_size for m in closure), [str(target), *modules]))
-    say(f"PulseStage: building the native library of {package}", len(missing), len(parts))
+    say = _Progress(f"PulseStage: building the native library of {package}", len(missing), len(parts))
     _emit([part for _, part in sorted(missing, reverse=True)], roots, processor, say)
     manifest = {
         "digest": load.NO_DIGEST,
@@ -145,7 +145,7 @@ def _imports(module: str, known: dict[str, Path]) -> Iterator[str]:
             yield from (name for alias in node.names if (name := f"{origin}.{alias.name}") in known)
 
 
-def _emit(parts: list[list[str]], roots: dict[str, Path], processor: str, say: Any) -> None:
+def _emit(parts: list[list[str]], roots: dict[str, Path], processor: str, say: _Progress) -> None:
     """Have objects made, by a process for each processor."""
     if not parts:
         return
@@ -242,11 +242,8 @@ def _alone(folder: Path) -> Iterator[None]:
 class _Progress:
     """One line on standard error that says how far a build is."""
 
-    def __init__(self) -> None:
-        self._what, self._done, self._all, self._lock = "", 0, 0, threading.Lock()
-
-    def __call__(self, what: str, stale: int, parts: int) -> None:
-        self._what, self._all = what, stale
+    def __init__(self, what: str, stale: int, parts: int) -> None:
+        self._what, self._done, self._all, self._lock = what, 0, stale, threading.Lock()
         self._print(f"{what}: {stale} of {parts} parts ...", "")
 
     def one(self) -> None:

@@ -216,3 +216,14 @@ def test_a_torque_far_below_the_rated_one_is_measured_as_well():
 def test_the_bench_says_what_it_cannot_measure(make, message):
     with pytest.raises(ArgumentError, match=message):
         make()
+
+
+def test_of_a_motor_that_starts_at_every_rate_the_highest_that_was_tried_is_told(monkeypatch):
+    monkeypatch.setattr("stage.drives.dynamometer.lost_in_start", lambda *_: 0)
+    assert 19_000 * DRIVE.microsteps < pull_in(DRIVE, ROTOR) <= 20_000 * DRIVE.microsteps
+
+
+@pytest.mark.parametrize("given", [{"load": -0.1}, {"viscous": -1e-4}, {"damper": -1e-4}])
+def test_friction_that_would_give_power_is_refused(given):
+    with pytest.raises(ArgumentError, match="friction takes power: give 0 or more"):
+        follow(DRIVE, np.zeros(4), ROTOR, **given)

@@ -80,6 +80,14 @@ def test_an_unknown_camera_is_named():
         env.render()
 
 
+def test_a_stage_has_what_only_a_picture_needs_where_there_is_one(tmp_path):
+    """gymnasium.make("stage/RegisterBus-v0", render_mode="rgb_array"), or record="run/{}.rrd": parts that only look, materials"""
+    seen = {None: make("stage/RegisterBus-v0"), "pictures": make("stage/RegisterBus-v0", "rgb_array"),
+            "recording": make("stage/RegisterBus-v0", record=str(tmp_path / "{}.rrd"))}  # fmt: skip
+    materials = {name: env.stage.model.nmat > 0 for name, env in seen.items()}
+    assert materials == {None: False, "pictures": True, "recording": True}
+
+
 def test_without_a_render_mode_there_is_nothing_to_render():
     env = gymnasium.make("stage/RegisterTuning-v0").unwrapped
     env.reset(seed=1)

@@ -64,6 +64,14 @@ def test_every_pattern_makes_its_pulses_without_a_mistake(reports, name):
     assert report.duration < 2
 
 
+def test_the_heading_of_a_drawing_says_what_it_was_and_how_it_ended(reports):
+    """firmware.preset_move(axis, 8000).plot()"""
+    report = reports["constant_speed_preset"]
+    said = [text.get_text() for text in report.plot().texts]
+    assert said[0] == f"Constant-speed preset move, axis {report.axis}"
+    assert said[1] == f"+{report.pulses:,} pulses, {report.duration:.3f} s, stopped by {report.stopped_by}"
+
+
 @pytest.mark.parametrize(
     ("name", "expected"),
     [

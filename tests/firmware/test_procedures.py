@@ -370,3 +370,12 @@ def test_the_drawing_of_a_line_names_its_interpolation_and_leaves_out_what_was_o
     words = [n.words for n in driver_of(axes["x"]).PATTERN(report).notes(report.course.seconds - report.began)]
     assert "2-axis linear interpolation" in words
     assert not [w for w in words if "write" in w]
+
+
+def test_a_servo_on_its_end_limit_is_told_that_it_stands_there_and_moves_out_of_it():
+    """firmware.move(axis, 3e-3), standing on EL+"""
+    x = Stage("xy", chips=HCTL1100, visuals=False).axes["x"]
+    firmware.move(x, 0.2, speed=0.3)
+    report = firmware.move(x, 3e-3)
+    assert (report.ok, report.stopped_by, report.pulses, report.asked) == (False, "EL+", 0, 600)
+    assert firmware.move(x, -3e-3).ok

@@ -313,3 +313,13 @@ def test_a_search_that_comes_to_a_limit_ends_in_a_timeout(stage):
     assert port.status() & INIT
     with pytest.raises(ArgumentError, match="-1 or 1"):
         home(port, direction=0)
+
+
+def test_a_home_search_without_an_index_pulse_ends_in_words_with_the_motor_off(stage):
+    """home(port, turn=400): an encoder of fewer counts than that of the stage, whose index pulse is farther away"""
+    port = set_up(stage.axes["x"])
+    with pytest.raises(
+        RunTimeout, match="x: no index pulse within 480 counts of the home switch; it is in Init/Idle now"
+    ):
+        home(port, turn=400)
+    assert port.status() & INIT

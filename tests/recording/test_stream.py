@@ -16,6 +16,7 @@ from stage import ArgumentError, Stage
 from stage.chips import PCL240K
 from stage.recording import RecordingError, RecordingWarning
 from stage.recording.recording import ROWS
+from stage.recording.sink import Sink
 
 KILLED = """
 import json, os, signal, sys
@@ -261,3 +262,31 @@ def test_no_warning_and_no_thread_is_left_when_all_goes_well(tmp_path):
             stage.run(0.1)
             assert "rerun file" in {t.name for t in threading.enumerate()}
     assert "rerun file" not in {t.name for t in threading.enumerate()}
+
+
+class Pipe:
+    """rerun's stream, as far as a Sink knows it."""
+
+    def save(self, path, default_blueprint):
+        self.end = open(path, "wb", buffering=0)  # noqa: SIM115
+
+    def flush(self, timeout_sec):
+        pass
+
+    def disconnect(self):
+        self.end.close()
+
+
+@pytest.mark.parametrize(("let_go", "kept"), [(Sink.close, b"early, late"), (Sink.abandon, b"early")])
+def test_a_file_that_is_let_go_is_closed_and_nobody_collects_for_it_any_more(tmp_path, let_go, kept):
+    """recording.close(), and a recording whose disk is full: neither keeps a file or a thread"""
+    out = Pipe()
+    sink = Sink(out, tmp_path / "a.rrd", None, False)
+    out.end.write(b"early")
+    sink.flush()
+    out.end.write(b", late")
+    for _ in range(2):
+        let_go(sink)
+        assert not sink._thread.is_alive()
+        assert sink._file.closed
+    assert (tmp_path / "a.rrd").read_bytes() == kept

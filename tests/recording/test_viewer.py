@@ -246,3 +246,56 @@ def test_nobody_waits_for_ever_for_a_viewer_that_never_listens():
 
     viewer._wait_for(viewer.free_port(), SimpleNamespace(poll=poll, stderr=None, returncode=1), time.monotonic() + 0.15)
     assert 1 <= len(asked) < 10
+
+
+def test_a_page_that_cannot_be_had_leaves_the_port_free(rrd, monkeypatch):
+    port = viewer.free_port()
+    monkeypatch.setattr(viewer, "_page", lambda: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        viewer.web_server(rrd, port)
+    assert viewer._free(port)
+
+
+def test_a_picture_waits_until_the_viewer_is_there_has_loaded_all_and_stands_still(rrd, tmp_path, monkeypatch):
+    """stage demo --picture x.png: a viewer that is not up at once, goes on loading, and shows a second picture after the first"""
+    loaded = SimpleNamespace(
+        loading=False, recordings=[SimpleNamespace(timelines=[SimpleNamespace(name="time", end=2e9)])]
+    )
+    states = [
+        loaded,
+        SimpleNamespace(loading=False, recordings=[]),
+        SimpleNamespace(loading=True, recordings=loaded.recordings),
+    ]
+    shots, done, running = [b"a", b"b", b"b"], [], SimpleNamespace(poll=lambda: None)
+
+    class Client:
+        def get_state(self):
+            return states.pop() if len(states) > 1 else states[0]
+
+        def set_time(self, *given, **named):
+            done.append((len(states), given, named))
+
+        def save_screenshot(self, path):
+            with open(path, "wb") as file:
+                file.write(shots.pop(0))
+
+    def connect(url):
+        if done[-1:] != [0.2]:
+            raise ConnectionError
+        return Client()
+
+    def begun(command, **_):
+        done.append(command[2:5])
+        return contextlib.nullcontext(running)
+
+    monkeypatch.setattr("rerun.experimental.ViewerClient", SimpleNamespace(connect=connect))
+    monkeypatch.setattr(viewer, "_running", begun)
+    monkeypatch.setattr(viewer, "_wait_for", lambda *_: None)
+    monkeypatch.setattr(viewer, "_cut_frame", lambda *given: done.append(given))
+    monkeypatch.setattr("time.sleep", done.append)
+    png = tmp_path / "x.png"
+    viewer._render(rrd, png, (640, 480), None, 20)
+    size = ["--headless", "--window-size", f"640x{480 + viewer.FRAME}"]
+    held = (1, ("time",), {"duration": 2.0, "play_state": "paused"})
+    assert done == [size, 0.2, 0.2, 0.2, held, 0.5, 0.5, (png, (640, 480))]
+    assert not shots

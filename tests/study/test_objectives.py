@@ -9,10 +9,11 @@ pytest.importorskip("optuna", reason="Optuna is not installed: pip install 'puls
 
 import optuna
 
+from stage import Stage
 from stage.chips import PCL240K, PCL240MS
 from stage.errors import ArgumentError
 from stage.study import PresetMoves, open_study, run
-from stage.study.objectives import Range, profile_of, values_of
+from stage.study.objectives import FAILED, Range, _measure, profile_of, values_of
 
 GENTLE = {"R1": 20, "R2": 640, "R4": 400, "R5": 400, "R7": 12}
 MOVE = PresetMoves(model="xy", pulses=2000, rest=0.05)
@@ -54,6 +55,15 @@ def test_a_preset_move_is_measured_as_its_report_says():
     assert harsh["lost_steps"] > 0
     assert harsh["reached"] == 0
     assert harsh["score"] > 10
+
+
+def test_a_move_that_an_end_limit_stopped_has_failed_however_wide_the_band_is():
+    """PresetMoves(band=1.0)"""
+    stage = Stage("xy", visuals=False)
+    stage.axes["x"].switches.stick("el_plus", True)
+    said = _measure(stage, "x", profile_of(GENTLE, PCL240K), 2000, band=1.0, rest=0.01)
+    assert (said["reached"], said["lost_steps"]) == (0, 0)
+    assert said["score"] >= FAILED
 
 
 def test_a_camera_on_a_mast_rings_less_after_s_curves():
