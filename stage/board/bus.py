@@ -9,6 +9,7 @@ from __future__ import annotations
 from stage.board.host import (
     ASKED_WRITE,
     DELAY,
+    FROM_PYTHON,
     HALF,
     HOOK,
     HOST,
@@ -34,6 +35,7 @@ from stage.board.host import (
     PULLS,
     SETTLE,
     STRAY,
+    TWICE,
     TWO_AT_ONCE,
     WORD,
     ask,
@@ -184,6 +186,9 @@ def _look(h):
 @hot
 def _answer(h, what, a, b):
     """A request of a host, see IN8."""
+    if h.twice:
+        h.twice = 0
+        ask(h, TWICE)
     if h.stopped:
         ask(h, PAUSE)
         return -1
@@ -220,9 +225,11 @@ def _answer(h, what, a, b):
 def request(h, what, a, b):
     """int64_t request(void *host, int32_t what, int64_t a, int64_t b): what hosts call."""
     if not enter(h):
+        if what < FROM_PYTHON:
+            h.twice = 1
         return TWO_AT_ONCE
     mode = usual_float_mode()  # whatever the firmware has made of it, the stage has the same bits
-    answer = _answer(h, what, a, b)
+    answer = _answer(h, what & (FROM_PYTHON - 1), a, b)
     float_mode_as_before(mode)
     leave(h)
     return answer

@@ -14,10 +14,12 @@ from stage.sim.in_use import ENGINE, claim, release
 IN8, OUT8, IN16, OUT16, DELAY, MICROS, LOG, HOOK, LINE, SETTLE = range(10)
 """What a host asks: port cycles (a: port, b: value), a delay (a: us), the time (us), to note a line (a: its address), to call a
 function (a: its address) with an argument (b) while the interrupt line is asserted, whether it is, that the stage catches up."""
-FULL, DIVERGED, PAUSE, STORM, LINE_OF_LOG, ASKED_WRITE, BY_HAND = range(1, 8)
+FULL, DIVERGED, PAUSE, STORM, LINE_OF_LOG, ASKED_WRITE, BY_HAND, TWICE = range(1, 9)
 """Why Python is called: buffers are full; the physics has diverged; time or cycles are up; an interrupt that nothing clears; a
 line to note; a write that Python makes, since a fault of the bus looks at each; the stage's time is to pass and compiled code alone
-may not let it."""
+may not let it; two threads of the firmware made requests at once."""
+FROM_PYTHON = 64
+"""Added to what a host in Python requests: it is told at once that another thread is in."""
 TWO_AT_ONCE = -(1 << 62)
 """The answer to a host that asks while another asks in another thread."""
 LONGEST_DELAY = 10**15
@@ -42,7 +44,10 @@ HOST = record(
     handle.HANDLE_FIELDS
     + [("inside", "i8")]
     + [(name, "i8") for name in "ports first n_ports lines line_room traced changed".split()]
-    + [(name, "i8") for name in "until lazy ahead quiet cycles most_cycles stopped call hook argument serving".split()]
+    + [
+        (name, "i8")
+        for name in "until lazy ahead quiet cycles most_cycles stopped twice call hook argument serving".split()
+    ]
     + [
         (name, "i8")
         for name in "irqs acts before userdata words journals asks asked_chip asked_address asked reached".split()
@@ -54,7 +59,7 @@ HOST = record(
     lines, line_room, traced, changed   the trace, a ring; lines so far, and how many there were after the last write
     until, most_cycles         when (ns), and after how many cycles, to call Python; cycles: so far
     lazy, ahead, quiet         whether the stage may stay behind the host, by how much (ns) it does, and up to when it may
-    stopped, call              nothing more happens; how to call Python
+    stopped, twice, call       nothing more happens; two threads were in at once; how to call Python
     hook, argument, serving    the interrupt hook, and whether it is being called
     irqs, acts                 of each chip: its IRQ, and the addresses (bits) at which a read changes it
     before, userdata, words    room for a copy of the state in userdata; where that is, and how long

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stage.board import bus, host
-from stage.board.errors import StormError
+from stage.board.errors import HostError, StormError
 from stage.errors import StageError
 from stage.native import plain
 from stage.sim import handle, records
@@ -121,7 +121,7 @@ class Link:
     def ask(self, what: int, a: int, b: int) -> int:
         """One request of a host in Python."""
         self.begin()
-        answer = int(self.request(self.pointer, what, int(a), int(b)))
+        answer = int(self.request(self.pointer, what | host.FROM_PYTHON, int(a), int(b)))
         if answer == host.TWO_AT_ONCE:
             raise StageError("this board is in use by another thread: a bus has one host at a time.")
         self.end()
@@ -149,6 +149,13 @@ class Link:
                     f"the interrupt hook was called {host.STORM_CALLS:,} times in a row at {self.stage.time:.6f} s and the line is "
                     f"still asserted: the hook has to clear the interrupt at its chip.\n{self.board.trace.text(8)}"
                 )
+            elif reason == host.TWICE:
+                raise HostError(
+                    f"two threads of the firmware made bus cycles at the same time, at {self.stage.time:.6f} s: a bus has one host "
+                    "at a time. Guard the bus cycles by a mutex."
+                )
+            elif reason == host.LINE_OF_LOG and not self.record["asked"]:
+                raise HostError(f"ps_log(0), at {self.stage.time:.6f} s: a null pointer is no text.")
             elif reason == host.LINE_OF_LOG:
                 self.board.note(ctypes.string_at(int(self.record["asked"])).decode(errors="replace"))
             elif reason == host.ASKED_WRITE:

@@ -248,3 +248,31 @@ def test_the_patience_of_a_host_is_the_documented_one():
 
     page = (Path(__file__).resolve().parents[2] / "docs" / "firmware_in_the_loop.md").read_text()
     assert f"after {PATIENCE:g} s of real time without a cycle" in page
+
+
+@pytest.mark.parametrize("isolated", [False, True], ids=["thread", "process"])
+def test_a_log_without_a_text_is_an_error_in_words(isolated):
+    h = run_on(board(), "PULSESTAGE_MAIN { ps_in8(0x300); ps_log(0); return 0; }", isolated)
+    with pytest.raises(HostError, match=r"ps_log\(0\), at 0\.000001 s: a null pointer is no text"):
+        h.run()
+
+
+def test_two_threads_of_a_firmware_at_once_on_the_bus_are_an_error_in_words():
+    body = """
+    #include <pthread.h>
+    static void *other(void *stop) { while (!*(volatile int *)stop) ps_in8(0x304); return 0; }
+    PULSESTAGE_MAIN
+    {
+        volatile int stop = 0;
+        pthread_t thread;
+        pthread_create(&thread, 0, other, (void *)&stop);
+        for (int k = 0; k < 20000000; k++)
+            ps_in8(0x300);
+        stop = 1;
+        pthread_join(thread, 0);
+        return 0;
+    }
+    """
+    h = run_on(board(), body, True)  # in this process the second thread could not be ended
+    with pytest.raises(HostError, match=r"two threads of the firmware made bus cycles at the same time.*mutex"):
+        h.run()
