@@ -163,8 +163,9 @@ def test_a_crash_is_an_error_that_shows_the_last_cycles_and_the_recording_arrive
     )
     reads = "ps_in8(0x304); " * 5  # the host is ahead of its stage then
     h = host(body + f' ps_log("falling"); {reads} runs = 1; {crash} return 0; }}', isolated=True)
-    with h.board.stage.record() as recording, pytest.raises(HostError, match=rf"(?s){signal}.*304h R"):
+    with h.board.stage.record() as recording, pytest.raises(HostError, match=rf"(?s){signal}.*304h R") as told:
         h.run()
+    assert str(told.value).partition("Its last bus cycles:\n")[2] == h.board.trace.text(12)
     assert h.board.log[0][1] == "falling"
     assert h.board.stage.now == 100_000_000 + h.board.cycles * 1000
     assert h.board.stage.axes["x"].position > 1e-4

@@ -346,3 +346,21 @@ def test_error_bits_are_told_by_the_names_that_the_chip_has(cls):
     setup.start()
     setup.bench.wait(1e-3)
     assert "HLMT+" in setup.driver.errors()
+
+
+def test_a_routine_leaves_alone_what_another_cause_made_run_away():
+    """The flow charts of case 2 and 4 begin with their own cause: an interrupt for C-END, a limit, a stop signal."""
+    limited = with_limit("interrupt", WHOLE - AREA_D / 2, routine=False)[0]
+    assert limited.runs_away()
+    limited.driver.word(3)  # C-END is told once
+    assert not erratum.limit_interrupt(limited.driver)
+    assert not erratum.stop_signal_poll(limited.driver)
+    assert limited.runs_away()
+    assert erratum.limit_poll(limited.driver)
+    told = Setup().start()
+    told.run_to(WHOLE - AREA_D / 2)
+    assert bare(told)
+    assert told.runs_away()
+    assert not erratum.limit_poll(told.driver)
+    assert not erratum.stop_signal_poll(told.driver)
+    assert told.runs_away()

@@ -128,6 +128,16 @@ def test_a_picture_is_drawn_into_a_file_or_into_axes_of_ones_own(reports, tmp_pa
     assert any("15h" in t for t in said)
 
 
+def test_no_rate_is_named_while_it_stands(reports):
+    """firmware.interrupted_move(axis, 20_000).plot(): the pause is no stretch of constant rate"""
+    from stage.firmware import plot
+
+    for name in ("ramping_and_interrupting", "end_limit"):
+        report = reports[name]
+        t = report.course.seconds - report.began
+        assert all(rate > 0 for _, rate in plot._plateaus(report, {}, t, plot._window(report, t))), name
+
+
 def test_notes_never_overlap(reports, monkeypatch):
     """The rows of the notes: no text meets another, nor the line of a later one."""
     from stage.firmware import plot

@@ -379,3 +379,11 @@ def test_a_servo_on_its_end_limit_is_told_that_it_stands_there_and_moves_out_of_
     report = firmware.move(x, 3e-3)
     assert (report.ok, report.stopped_by, report.pulses, report.asked) == (False, "EL+", 0, 600)
     assert firmware.move(x, -3e-3).ok
+
+
+@each
+def test_a_part_of_a_pulse_is_refused(stage):
+    """firmware.move(axis, pulses=100.5)"""
+    with pytest.raises(ArgumentError, match="pulses=100.5"):
+        firmware.move(stage.axes["x"], pulses=100.5)
+    assert stage.axes["x"].position == 0

@@ -175,6 +175,8 @@ def test_it_draws_itself(tmp_path):
         report = synchronized_move(dict(zip(names, distances, strict=True)), bench(names))
         figure = report.plot(tmp_path / f"{names}.png", title="a line")
         assert_axes_are_named(figure)
+        far, told = report.deviation, [ax.get_title(loc="right") for ax in figure.axes]
+        assert f"at most {far.pulses:.2f} pulses from the line, after {far.time * 1000:,.4g} ms" in told
         assert (tmp_path / f"{names}.png").stat().st_size > 20_000
 
 

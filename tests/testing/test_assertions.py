@@ -1,7 +1,9 @@
 """The assertions of stage.testing: what passes, what does not, and what a failure says."""
 
 import copy
+import json
 import re
+import traceback
 from itertools import pairwise
 
 import numpy as np
@@ -298,3 +300,22 @@ def test_a_copy_of_a_watched_stage_is_not_watched():
     assert watched.recording is not None
     watched.unwatch()
     assert watched.recording is None
+
+
+def test_the_traceback_of_an_error_of_the_package_ends_in_the_test_and_that_of_another_stays_whole():
+    def ends_in(call):
+        try:
+            call()
+        except Exception as error:
+            Watch.shorten(object.__new__(Watch), error)
+            return [frame.name for frame in traceback.extract_tb(error.__traceback__)]
+
+    def helper():
+        Stage("nothing", visuals=False)
+
+    def other():
+        json.loads("{")
+
+    assert ends_in(helper) == ["ends_in", "helper"]
+    assert ends_in(other)[:2] == ["ends_in", "other"]
+    assert len(ends_in(other)) > 2
