@@ -480,7 +480,7 @@ def test_an_index_pulse_that_stands_nowhere_is_refused(index):
 def test_text_that_is_not_utf_8_is_an_unknown_motor(tmp_path):
     for part in (Path(__file__).parent.parent / "models").glob("*.xml"):
         (tmp_path / part.name).write_bytes(part.read_bytes().replace(b'data="17HS4401"', b'data="17HS\xe44401"'))
-    with pytest.raises(ArgumentError, match="unknown motor .17HS\N{REPLACEMENT CHARACTER}4401"):
+    with pytest.raises(ArgumentError, match="unknown motor '17HS\N{REPLACEMENT CHARACTER}4401"):
         Stage(tmp_path / "xy.xml")
 
 
