@@ -6,7 +6,7 @@ from support.covers import covers
 
 from stage import ArgumentError, RunTimeout, Stage
 from stage.chips import MCX304, MCX514
-from stage.firmware.nova.draw import Arc, Helix, Line, Speed, draw
+from stage.firmware.nova.draw import Arc, Helix, Line, Speed, _words, draw
 
 RADIUS = 1600  # pulses
 SPEED = Speed(8_000)
@@ -166,3 +166,12 @@ def test_a_path_that_takes_too_long_is_stopped_and_told(stage):
     with pytest.raises(RunTimeout, match=r"0\.1 s"):
         draw([Line(8000, 8000)], stage.axes["x"], stage.axes["y"], speed=Speed(1000), timeout=0.1)
     assert not stage.chips[0].busy(0)
+
+
+def test_a_line_of_two_to_four_axes_is_one_command():
+    """draw([Line(100, -200, 50, 9)], x, y, z, u, speed=...)"""
+    for finish in ((100, -200), (100, -200, 50), (100, -200, 50, 9)):
+        assert _words(Line(*finish), len(finish)) == (f"LHK{len(finish)}", {}, [{"TP": v} for v in finish])
+    for axes in (1, 5):
+        with pytest.raises(ArgumentError, match=f"{axes} axes: an MCX514 interpolates 2 to 4"):
+            _words(Line(*[100] * axes), axes)

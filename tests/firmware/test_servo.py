@@ -8,6 +8,8 @@ import pytest
 from stage import ArgumentError, RunTimeout, Stage
 from stage.chips import HCTL1100
 from stage.chips.hctl1100.maps import NUMBERS
+from stage.firmware.driver import Speeds
+from stage.firmware.hctl1100.driver import _rows
 from stage.firmware.hctl1100.home import home, leave_limit
 from stage.firmware.hctl1100.model import Loop
 from stage.firmware.hctl1100.moves import Tuning, integral_velocity, proportional_velocity, set_up, step, trapezoid
@@ -323,3 +325,12 @@ def test_a_home_search_without_an_index_pulse_ends_in_words_with_the_motor_off(s
     ):
         home(port, turn=400)
     assert port.status() & INIT
+
+
+def test_a_line_may_be_as_fast_as_the_chip_counts_and_not_faster():
+    """firmware.line({"x": 2e-3, "y": 1e-3}, stage.axes, speed=...), 127 counts a sample"""
+    sample = 1 / 1024
+    rows = _rows([2000, 1000], Speeds(0, 127 / sample, 0.05, 0.05), sample)
+    assert rows[-1].tolist() == [2000, 1000]
+    with pytest.raises(ArgumentError, match="more than 0, up to 130048 at this sample time"):
+        _rows([2000, 1000], Speeds(0, 128 / sample, 0.05, 0.05), sample)

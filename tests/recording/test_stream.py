@@ -290,3 +290,15 @@ def test_a_file_that_is_let_go_is_closed_and_nobody_collects_for_it_any_more(tmp
         assert not sink._thread.is_alive()
         assert sink._file.closed
     assert (tmp_path / "a.rrd").read_bytes() == kept
+
+
+def test_a_stream_is_written_once_in_so_many_seconds_and_not_at_each_step(tmp_path, monkeypatch):
+    """stage.record(path="a.rrd", seconds=0.5): what is written counts, as each time costs a pass through rerun"""
+    stage = Stage("xy", visuals=False)
+    recording = stage.record(every=0.01).stream(tmp_path / "a.rrd", seconds=0.5)
+    written, flush = [], recording.flush
+    monkeypatch.setattr(recording, "flush", lambda: written.append(len(recording)) or flush())
+    for _ in range(30):
+        stage.run(0.05)
+    assert len(written) == 3
+    recording.close()
