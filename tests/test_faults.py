@@ -745,3 +745,16 @@ def test_a_switch_lets_go_25_um_behind_where_it_trips(xyz):
         xyz.run_until(lambda: x.chip.pins.hold, timeout=1, poll=1e-2)
     assert at[True] == pytest.approx(touch(x, "el_plus"), abs=4e-6)
     assert at[True] - at[False] == pytest.approx(25e-6, abs=4e-6)
+
+
+@pytest.mark.parametrize("pin", ["org", "el_plus", "el_minus"])
+def test_a_stuck_switch_that_is_mended_while_the_axis_stands_says_the_truth_at_once(pin):
+    """faults.switch_stuck(axis, "el_plus", True).mend(), at rest"""
+    stage = Stage("xy", visuals=False)
+    x = stage.axes["x"]
+    stage.run(0.001)
+    with faults.switch_stuck(x, pin, True):
+        stage.run_to(stage.now + 1000)
+        assert getattr(x.pins, pin)
+    stage.run_to(stage.now + 1000)
+    assert not getattr(x.pins, pin)

@@ -421,6 +421,20 @@ def test_a_carriage_that_slipped_to_its_target_has_not_made_it():
         assert sum(s[4]["reward_parts"]["lost"] for s in host.steps[-5:]) == pytest.approx(part)
 
 
+def test_a_carriage_that_friction_holds_off_its_target_by_more_than_the_tolerance_has_not_made_it():
+    """make(tolerance=0.001): all its pulses are out, and it stands a few hundredths of a pulse beside"""
+    env = make(axes=("x",), tolerance=0.001)
+    env.reset(seed=0, options={"target": {"x": 2000}})
+    host = Host(env)
+    for address, byte in sequence(2000, PCL240K):
+        host.act(rb.WRITE, 0, address, byte)
+    for _ in range(3):
+        host.act(rb.WAIT + 3)
+    assert env.stage.axes["x"].chip.net(0) == 2000
+    assert (host.info["lost_steps"], host.info["success"]) == (0, False)
+    assert 0.001 < host.info["error"] < 1
+
+
 def test_a_carriage_held_at_its_target_while_its_field_stands_elsewhere_has_not_made_it():
     """`_arrived` without `abs(rest - goal) <= rule.near`: success for a carriage that its motor will pull away."""
     env = make(axes=("x",))

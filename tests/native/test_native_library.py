@@ -1,5 +1,6 @@
 """Promises of a package's native library: it is that of these sources and of this machine, or nothing runs."""
 
+import io
 import json
 import os
 import shutil
@@ -86,6 +87,19 @@ def test_what_a_hot_module_imports_belongs_to_its_sources_however_it_is_imported
     for line, found in lines.items():
         (tmp_path / "core.py").write_text(line)
         assert set(build._imports("toy.core", known)) == found, line
+
+
+def test_a_terminal_is_told_how_far_a_build_is(monkeypatch):
+    """python -m stage.native stage"""
+    terminal = io.StringIO()
+    terminal.isatty = lambda: True
+    monkeypatch.setattr(sys, "stderr", terminal)
+    say = build._Progress("building toy", 2, 3)
+    say.one()
+    say.one()
+    say.done()
+    lines = [f"building toy: {n} of {of} parts ..." for n, of in ((2, 3), (1, 2), (2, 2))]
+    assert terminal.getvalue() == "\r".join(lines) + " done\n"
 
 
 def test_old_code_never_runs_where_nothing_can_be_built(toy):

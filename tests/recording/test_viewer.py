@@ -251,9 +251,9 @@ def test_nobody_waits_for_ever_for_a_viewer_that_never_listens():
 def test_a_page_that_cannot_be_had_leaves_the_port_free(rrd, monkeypatch):
     port = viewer.free_port()
     monkeypatch.setattr(viewer, "_page", lambda: 1 / 0)
-    with pytest.raises(ZeroDivisionError):
+    with pytest.raises(ZeroDivisionError) as told:
         viewer.web_server(rrd, port)
-    assert viewer._free(port)
+    assert viewer._free(port), told
 
 
 def test_a_picture_waits_until_the_viewer_is_there_has_loaded_all_and_stands_still(rrd, tmp_path, monkeypatch):
