@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -17,7 +17,7 @@ from typing import Any
 from stage.cli.fault import EVERY, Figures, Record
 from stage.cli.fault.demo import table
 from stage.cli.fault.programs import first_axis, touch
-from stage.cli.setup import note, outputs, plot, recorded
+from stage.cli.setup import kept, note, outputs, plot
 from stage.errors import StageError
 
 MULTIPLE = 10
@@ -66,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
     beside = _beside(args)
     outputs(args)
     outputs(beside)
-    shown = show(partial(_make, args), (partial(_kept, args), partial(_kept, beside)))
+    shown = show(partial(_make, args), (partial(kept, args, every=EVERY), partial(kept, beside, every=EVERY)))
     print(
         f"{shown.chip}{', mended' if shown.mended else ''}: a decelerating stop is asked for in area d\n\n{shown.table()}"
     )
@@ -84,17 +84,6 @@ def _beside(args: argparse.Namespace) -> argparse.Namespace:
     if named["picture"] and not named["record"]:
         named["default_record"] = "stage-work-around.rrd"
     return argparse.Namespace(**vars(args) | named | {"view": False, "web": False})
-
-
-@contextmanager
-def _kept(args: argparse.Namespace, stage: Any) -> Any:
-    """The recording of a run: what the options ask for, and in any case what a picture is made of."""
-    with recorded(args, stage) as recording:
-        if recording is None and args.plot:
-            with stage.record(EVERY) as recording:
-                yield recording
-        else:
-            yield recording
 
 
 def _make(args: argparse.Namespace) -> Any:

@@ -146,6 +146,17 @@ def recorded(args: argparse.Namespace, stage: Any) -> Iterator[Any]:
         open_viewer(rrd)
 
 
+@contextmanager
+def kept(args: argparse.Namespace, stage: Any, every: float) -> Iterator[Any]:
+    """As `recorded`; and for --plot a recording with `every` s between samples, if the options ask for none."""
+    with recorded(args, stage) as recording:
+        if recording is None and args.plot:
+            with stage.record(every) as recording:
+                yield recording
+        else:
+            yield recording
+
+
 def _free(usual: str, force: bool) -> str:
     """The usual name, or with a number where that one is taken: demo.rrd, demo-2.rrd, ... With --force always the usual one."""
     names = (usual, *(f"{Path(usual).stem}-{n}{Path(usual).suffix}" for n in range(2, 10_000)))

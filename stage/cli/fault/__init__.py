@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
-from contextlib import contextmanager, nullcontext
+from contextlib import nullcontext
 from functools import partial
 from typing import Any
 
 from stage.cli.fault.demo import Claim, Demo, Figures, Record, Shown, Strike
 from stage.cli.fault.demos import DEMOS
 from stage.cli.fault.programs import first_axis
-from stage.cli.setup import make_stage, note, outputs, plot, recorded
+from stage.cli.setup import kept, make_stage, note, outputs, plot
 from stage.errors import unknown
 
 __all__ = ["DEMOS", "EVERY", "Claim", "Demo", "Figures", "Record", "Shown", "Strike", "run", "show"]
@@ -31,22 +31,11 @@ def run(args: argparse.Namespace) -> int:
         return 0
     _key(args.name)
     outputs(args)
-    shown = show(args.name, partial(make_stage, args), partial(_kept, args), args.plot is not None)
+    shown = show(args.name, partial(make_stage, args), partial(kept, args, every=EVERY), args.plot is not None)
     print(f"{shown.name}: {shown.demo.claim}\n\n{shown.table()}\n\nHow a host can tell: {shown.demo.notice}")
     plot(args, shown.plot)
     print("happened as claimed" if shown.as_claimed else "did NOT happen as claimed")
     return 0 if shown.as_claimed else 1
-
-
-@contextmanager
-def _kept(args: argparse.Namespace, stage: Any) -> Any:
-    """The recording of the faulty run: what the options ask for, and in any case what a picture is made of."""
-    with recorded(args, stage) as recording:
-        if recording is None and args.plot:
-            with stage.record(EVERY) as recording:
-                yield recording
-        else:
-            yield recording
 
 
 def _key(name: str) -> str:
