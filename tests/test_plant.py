@@ -549,3 +549,14 @@ def test_a_line_that_mends_two_axes_is_proposed_once():
     with pytest.raises(ModelError, match=r"axis x: .*\n.*axis y: ") as caught:
         problems.check()
     assert caught.value.missing == ('<site name="work"/>',)
+
+
+@pytest.mark.parametrize("turns", [0.0, 0.3, -2.75])
+def test_the_index_pulse_is_where_the_model_says_else_half_a_turn_from_the_origin_switch(turns):
+    """<custom><numeric name="x_index" data="0.3"/></custom>"""
+    numeric = f'<numeric name="x_index" data="{turns}"/><text name="x_motor"'
+    (given,) = plant.bind(mujoco.MjModel.from_xml_string(edited(('<text name="x_motor"', numeric))))[:1]
+    assert given.index == turns
+    (axis,) = plant.bind(mujoco.MjModel.from_xml_string(documented()))[:1]
+    touch = next(s.touch for s in axis.switches if s.pin == "org")
+    assert axis.index == pytest.approx((touch * axis.gear / (2 * np.pi) + 0.5) % 1.0)

@@ -207,6 +207,18 @@ def test_the_index_pulse_of_the_encoder_is_index(xyz):
         assert xyz.axes["y"].pins.index == on
 
 
+def test_an_index_mark_elsewhere_is_met_where_the_model_has_it():
+    """<numeric name="y_index" data="0.3"/>: at 0.3 turns, and neither at -0.3 nor at 0.5"""
+    spec = open_spec("xyz_servo")
+    spec.add_numeric(name="y_index", data=[0.3], size=1)
+    stage = Stage(spec, chips=HCTL1100, visuals=False)
+    y = stage.axes["y"]
+    turn = 2 * math.pi / stage.state.axis_table[y.index].gear
+    for turns in (0.3, -0.3, 0.5, 2.3, -1.7):
+        stage.place(y=turns * turn)
+        assert y.pins.index == (turns not in (-0.3, 0.5)), turns
+
+
 # --- determinism: what test_stage_chips.py does not show for every chip ---
 
 

@@ -7,6 +7,7 @@ import sys
 from importlib.metadata import entry_points
 from pathlib import Path
 from textwrap import dedent
+from types import SimpleNamespace
 
 import pytest
 from _pytest.pytester import SysModulesSnapshot
@@ -14,6 +15,7 @@ from rerun.chunk import RrdReader
 
 import stage.models
 from stage.board import build, exits
+from stage.testing.markers import firmware_arguments
 
 pytest_plugins = ["pytester"]
 needs_cc = pytest.mark.skipif(not shutil.which("cc"), reason="no C compiler: cc is not on the PATH")
@@ -578,3 +580,13 @@ def test_the_example_of_the_page_passes_and_its_broken_twin_is_found(pytester):
     for block in re.findall(r"says:\n\n((?: {4}.*\n)+)|and\n\n((?: {4}.*\n)+)", page, re.M):
         for line in "".join(block).splitlines():
             assert NUMBER.sub("#", line.strip()) in NUMBER.sub("#", said)
+
+
+@pytest.mark.parametrize("given", [{"isolated": True}, {"isolated": False}])
+def test_a_marker_says_whether_firmware_has_a_process_of_its_own(given, request):
+    """@pytest.mark.firmware("driver.c", isolated=True)"""
+    marks = [pytest.Mark("firmware", (__file__,), given, _ispytest=True)]
+    node = SimpleNamespace(path=Path(__file__), config=request.config, iter_markers=lambda: iter(marks))
+    found = firmware_arguments(node)
+    assert found["sources"] == [Path(__file__)]
+    assert found.get("isolated", False) == given["isolated"]
