@@ -7,6 +7,7 @@ from support.examples import SEED
 from stage import ArgumentError, StageError, firmware
 from stage.chips import PCL240K, PCL240MK, PCL240MS
 from stage.firmware import Bench, Port, Profile
+from stage.firmware.pcl240.closed_form import twice_span
 
 SHAPES = [False, True, 0.2]
 
@@ -146,3 +147,9 @@ def test_listings_name_extension_registers():
     report = firmware.preset_move(axis(PCL240MS), 3000, s_curve=0.2)
     assert any(m.startswith("R14 <- ") for _, _, m in report.writes())
     assert "automatic" in report.listing()
+
+
+@pytest.mark.parametrize(("span", "twice"), [(0, 400), (100, 200), (199, 398), (200, 400), (201, 400), (300, 400)])
+def test_a_span_of_more_than_half_of_a_ramp_leaves_no_linear_part(span, twice):
+    """R14 = 300 for a ramp of 400 speed steps: as R14 = 0"""
+    assert twice_span(span, 400) == twice
