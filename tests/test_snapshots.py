@@ -4,6 +4,7 @@ import copy
 import pickle
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 from support.examples import SEED
@@ -172,3 +173,19 @@ def test_a_snapshot_of_another_version_says_that_it_is_one(xy):
         rebuild(cls, version + 1, *rest)
     with pytest.raises(ArgumentError, match="from before snapshots had a header"):
         cls.__new__(cls).__setstate__({"kind": (), "state": None, "diagnostics": ()})
+
+
+def test_a_callback_that_changes_the_state_changes_nothing_of_a_restored_one(xy):
+    """mujoco.set_mjcb_control(control), control adds to data.qfrc_applied; stage.restore(snapshot)"""
+
+    def control(_, data):
+        data.qfrc_applied[0] += 1.0
+
+    snapshot = xy.snapshot()
+    mujoco.set_mjcb_control(control)
+    try:
+        xy.restore(snapshot)
+    finally:
+        mujoco.set_mjcb_control(None)
+    assert xy.data.qfrc_applied[0] == 0.0
+    assert np.array_equal(xy.snapshot().state, snapshot.state)

@@ -116,6 +116,15 @@ def test_the_reset_command_clears_r6_where_the_chip_does():
     assert after(PCL240MS(), *point).endswith("R6 = 7h (7)")
 
 
+@pytest.mark.parametrize("code", [0x18, 0x1D], ids=hex)
+def test_a_command_with_start_and_stop_leaves_r6_as_it_is_told(code):
+    """A stop command of the extension mode clears R6; 18h and 1Dh are starts as well."""
+    chip = PCL240MK()
+    point = [(W, 0, 0x86), (W, 3, 0), (W, 2, 1), (W, 1, 0), (W, 0, code), (W, 0, 0x86), (W, 1, 5)]
+    assert after(chip, *point).endswith("R6 = 105h (261)")
+    assert chip.values()["R6"] == 0x105
+
+
 def test_a_counter_is_not_told_whole_where_its_other_bytes_may_have_counted_on():
     chip = PCL240K()
     listener = chip.listener()

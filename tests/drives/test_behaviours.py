@@ -164,6 +164,12 @@ def test_a_start_at_high_fl_fails_where_a_ramp_succeeds():
     assert lost_in_start(DRIVE, rate, inertia, accel=100_000) == 0
 
 
+def test_a_ramp_is_judged_to_its_end_however_long_it_is():
+    """A ramp of 1 s to above pull-out: up to 0.4 s, where the motor still follows, no step is lost."""
+    assert lost_in_start(DRIVE, 100_000, 5e-5, accel=100_000, load=0.1) > 0
+    assert lost_in_start(DRIVE, 40_000, 5e-5, accel=100_000, load=0.1) == 0
+
+
 def test_missed_steps_never_repair_themselves():
     """Forth and jammed for 8 ms, then slowly back, then a long rest: the pulses return to 0 and the rotor does not."""
     time = np.arange(slices(2.0)) * H

@@ -295,6 +295,22 @@ def test_a_stage_that_diverges_ends_its_own_episode_alone(any_):
     assert np.isfinite(again).all(), "it starts anew"
 
 
+@pytest.mark.usefixtures("elsewhere")
+def test_after_an_episode_that_diverged_a_reset_observes_the_new_one(any_):
+    env, fresh = make(any_), make(any_)
+    env.reset(seed=1)
+    env.stage.data.qfrc_applied[:] = 1e30
+    env.action_space.seed(1)
+    action = env.action_space.sample()
+    for _ in range(3):
+        *_, truncated, info = env.step(action)
+        if truncated:
+            break
+    assert info["cause"] == "diverged"
+    env.stage.data.qfrc_applied[:] = 0.0
+    assert same(env.reset(seed=2), fresh.reset(seed=2))
+
+
 def test_the_named_parts_of_the_reward_are_its_sum(any_):
     env = make(any_)
     for step in episode(env, 21)[1:]:

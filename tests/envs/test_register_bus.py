@@ -387,8 +387,8 @@ def test_progress_telescopes_so_that_the_way_does_not_matter():
     assert total == pytest.approx(-start - 0.1 * host.info["elapsed"] + rb.Config.success_weight)
 
 
-def test_lost_steps_cost_and_bar_success():
-    env = make(axes=("x",), cycles=10_000)
+def too_fast(env):
+    """An episode in which the motor does not follow."""
     env.reset(seed=0, options={"target": {"x": 2000}})
     host = Host(env)
     for address, byte in [(0, 0x80), (3, 0), (2, 2000 >> 8), (1, 2000 & 0xFF)]:
@@ -397,6 +397,18 @@ def test_lost_steps_cost_and_bar_success():
         host.act(rb.WRITE, 0, address, byte)  # FH1 = 8191, 819 kpps at once
     for _ in range(5):
         host.act(rb.WAIT + 3)
+    return host
+
+
+def test_steps_lost_in_one_episode_cost_as_much_in_the_next():
+    env = make(axes=("x",), cycles=10_000)
+    first, second = ([step[1] for step in too_fast(env).steps] for _ in range(2))
+    assert first == second
+
+
+def test_lost_steps_cost_and_bar_success():
+    env = make(axes=("x",), cycles=10_000)
+    host = too_fast(env)
     assert env.stage.axes["x"].lost_steps > 0
     assert not host.info["success"]
     parts = [step[4]["reward_parts"]["lost"] for step in host.steps]

@@ -207,6 +207,18 @@ def test_the_routines_leave_a_drive_alone_that_ends_by_itself(name, when):
 
 
 @limit_routine
+def test_the_routines_leave_a_drive_alone_that_a_limit_ends_at_once(name):
+    """At constant speed, V = SV, there is no deceleration to be seen: when the routine is called, the drive has ended."""
+    watch, wr1 = LIMIT_ROUTINES[name]
+    setup = Setup(wr1=wr1, wr2=erratum.LIMITS_DECELERATE, V=SV)
+    setup.driver.word(3)
+    setup.start()
+    setup.bench.at(setup.began + 0.1, lambda: setattr(setup.pins, "lmt_plus", True))
+    assert not setup.driver.wait_until_stopped(3, lambda: watch(setup.driver))
+    assert 0 < setup.driver.position() < PULSES
+
+
+@limit_routine
 def test_a_mended_chip_needs_no_routine(name):
     for when in IN_D:
         setup, _, stopped = with_limit(name, when, errata=False, begins=0.0 if when == IN_D[0] else WHOLE - SHORTLY)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from stage import ArgumentError, RunTimeout, Stage, StageError, faults, firmware
+from stage import ArgumentError, Drive, RunTimeout, Stage, StageError, faults, firmware
 from stage.chips import CHIPS, HCTL1100, MCX304, MCX514, PCL240K
 from stage.firmware import Bench
 from stage.firmware.driver import Speeds, driver_class, driver_of
@@ -216,6 +216,13 @@ def test_a_line_stays_near_the_straight_line(stage):
     assert report.carriage_deviation < 60e-6
     assert {n: r.pulses for n, r in report.axes.items()} == report.distances
     assert math.isclose(report.distances["y"] / report.distances["x"], -0.375, abs_tol=1e-3)
+
+
+def test_a_lines_speed_is_that_of_the_axis_with_the_most_pulses_also_backwards():
+    """firmware.line({"x": -6e-3, "y": 3e-3}, stage, speed=0.02), x with 16 microsteps, y with 8"""
+    stage = Stage("xy", drives={"x": Drive(microsteps=16), "y": Drive(microsteps=8)}, visuals=False)
+    report = firmware.line({"x": -6e-3, "y": 3e-3}, stage, speed=0.02)
+    assert report.axes["x"].peak_rate * stage.axes["x"].meters_per_pulse == pytest.approx(0.02, rel=0.01)
 
 
 @each

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from stage import ArgumentError, firmware
-from stage.chips import PCL240K
+from stage.chips import PCL240K, PCL240MS
 from stage.firmware import Bench, Profile
 
 P = Profile.of(fl=1000, fh1=8000, fh2=16_000, accel=0.1)
@@ -85,6 +85,16 @@ def test_a_curved_ramp_passes_its_rates_at_its_times(x):
         begin = reached
     down = report.course.pin("fdown")
     assert np.diff(np.flatnonzero(down)).max() == 1, "one line down"
+
+
+def test_the_pieces_of_a_curved_ramp_are_linear_though_the_profile_has_s_curves():
+    """firmware.curved_ramp_move(axis, 20_000, pieces, profile.shaped(True)) with a PCL240MS"""
+    profile = Profile.of(fl=1000, fh1=8000, accel=0.1, chip=PCL240MS).shaped(True)
+    report = firmware.curved_ramp_move(Bench(PCL240MS()).axes["x"], 8000, [(4000, 0.1), (12_000, 0.15)], profile)
+    assert report.ok
+    seconds = report.course.seconds - report.began
+    for when, rate in [(0.025, 1750), (0.05, 2500), (0.075, 3250)]:
+        assert report.rates[np.searchsorted(seconds, when, "right") - 1] == pytest.approx(rate, rel=0.03)
 
 
 @pytest.mark.parametrize(

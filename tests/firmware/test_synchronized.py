@@ -161,6 +161,17 @@ def test_an_end_limit_stops_the_other_axes_too():
     assert "NOT as asked" in str(report)
 
 
+def test_an_axis_that_made_its_pulses_while_another_met_a_limit_says_so():
+    """x meets its limit in its last pulses, when y has as good as ended: y is given a decelerating stop or is not, by chance."""
+    for limit in range(19_985, 20_000, 2):
+        chips = bench()
+        chips.rail("x", el_plus=(limit, None))
+        report = synchronized_move({"x": 20_000, "y": 400}, chips)
+        assert report.axes["x"].stopped_by == "EL+"
+        y = report.axes["y"]
+        assert (y.pulses == 400) == (y.stopped_by == "R0 = 0"), limit
+
+
 def test_a_move_that_takes_too_long_says_what_is_left():
     with pytest.raises(
         RunTimeout, match=r"after 0.100 s axes still operate; pulses left: \{'y': \d+, 'x': \d+\}"

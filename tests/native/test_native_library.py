@@ -256,3 +256,18 @@ def test_where_a_package_cannot_be_written_its_library_is_this_process_s_own(tmp
     (((function, *arguments), how),) = [(call, how) for call, how in at_exit if folder in call]
     function(*arguments, **how)
     assert not folder.exists()
+
+
+def test_numbas_own_settings_do_not_reach_the_processes_that_compile(tmp_path, monkeypatch):
+    """NUMBA_OPT=0 NUMBA_BOUNDSCHECK=1 python -m stage.native"""
+    told = tmp_path / "told"
+    compiler = tmp_path / "compiler"
+    compiler.write_text(f"#!/bin/sh\nenv > '{told}'\ncat > /dev/null\n")
+    compiler.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(compiler))
+    for name, value in (("NUMBA_OPT", "0"), ("NUMBA_BOUNDSCHECK", "1"), ("NUMBA_DISABLE_JIT", "1")):
+        monkeypatch.setenv(name, value)
+    build._emit([[str(tmp_path / "core.o"), "toy.core"]], {"toy": tmp_path / "toy"}, "", None)
+    said = told.read_text().splitlines()
+    assert "PULSESTAGE_EMIT=1" in said
+    assert [line for line in said if line.startswith("NUMBA_")] == []

@@ -253,6 +253,14 @@ def test_rows_come_back_as_they_were_across_buffers(bench):
     assert [len(p) for p in bench.recording.pieces(rows=5000)] == [5000, 2 * ROWS - 5000, 123]
 
 
+@pytest.mark.parametrize("begin", [0, 2 * ROWS - 100, 2 * ROWS, 2 * ROWS + 23, 2 * ROWS + 123])
+def test_pieces_from_a_sample_on_leave_none_out_whether_it_is_on_disk_or_in_memory(bench, begin):
+    """recording.pieces(begin=n), n shortly before the last sample that has gone to the temporary file"""
+    feed(bench.recording, 2 * ROWS + 123)
+    rows = [row for piece in bench.recording.pieces(begin=begin) for row in piece["axes"]["time"][:, 0]]
+    assert np.array_equal(rows, bench.recording.column("time")[begin:])
+
+
 MEMORY = """
 import resource, sys
 sys.path[:0] = {path!r}

@@ -13,7 +13,7 @@ from stage import Stage
 from stage.chips import PCL240K, PCL240MS
 from stage.errors import ArgumentError
 from stage.study import PresetMoves, open_study, run
-from stage.study.objectives import FAILED, Range, _measure, profile_of, values_of
+from stage.study.objectives import FAILED, Range, _measure, _together, profile_of, values_of
 
 GENTLE = {"R1": 20, "R2": 640, "R4": 400, "R5": 400, "R7": 12}
 MOVE = PresetMoves(model="xy", pulses=2000, rest=0.05)
@@ -64,6 +64,13 @@ def test_a_move_that_an_end_limit_stopped_has_failed_however_wide_the_band_is():
     said = _measure(stage, "x", profile_of(GENTLE, PCL240K), 2000, band=1.0, rest=0.01)
     assert (said["reached"], said["lost_steps"]) == (0, 0)
     assert said["score"] >= FAILED
+
+
+def test_steps_lost_one_way_do_not_make_up_for_those_lost_the_other_way():
+    """PresetMoves(pulses=(2000, -2000)): a move reports the steps that it loses with the sign of their direction"""
+    move = {"score": 1.0, "duration": 1.0, "reached": 0, "vibration": 0.0}
+    assert _together([move | {"lost_steps": 4}, move | {"lost_steps": -4}])["lost_steps"] == 8
+    assert _together([move | {"lost_steps": -8}, move | {"lost_steps": 0}])["lost_steps"] == 8
 
 
 def test_a_camera_on_a_mast_rings_less_after_s_curves():

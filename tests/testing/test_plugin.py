@@ -342,6 +342,14 @@ def test_the_folder_goes_when_the_test_passes_again(session, pytester):
     assert not (pytester.path / FOLDER).exists()
 
 
+def test_the_folder_goes_with_its_bus_trace_when_the_test_passes_again(session, pytester):
+    source = "def test_it_fails(stage):\n    stage.axes['x'].chip.write(0, 0x08)\n    stage.run(0.01)\n    assert 0"
+    session(source)
+    assert (pytester.path / FOLDER / "bus.txt").is_file()
+    session(source.replace("assert 0", "assert 1"))
+    assert not (pytester.path / FOLDER).exists()
+
+
 def test_keep_all_keeps_those_of_passed_tests(session, pytester):
     result, _ = session(TURNS.replace("assert 0", "assert 1"), "--pulsestage-keep=all")
     result.assert_outcomes(passed=1)
