@@ -8,10 +8,21 @@ from recorded.subjects import FILES, PHYSICS
 from stage.native import COMPILED
 
 SCENES = [(file, scene) for file, scenes in FILES.items() for scene in scenes]
+LONG = {
+    *(("firmware_all", f"{chip} home") for chip in ("PCL240MK", "PCL240MS", "MCX302", "MCX312")),
+    *((file, scene) for file, scene in SCENES if file == "cli_moves" and scene.endswith(": home") and scene[0] in "12"),
+    ("firmware_pcl240", "PCL240MK"),
+}
+"""Scenes of a second and more, of which others of the same kind are played every day."""
 MOST = 12
 
 
-@pytest.mark.parametrize(("file", "scene"), SCENES, ids=[f"{file}/{scene}" for file, scene in SCENES])
+def marked(file, scene):
+    long = any((file, scene[: len(name)]) == (of, name) for of, name in LONG)
+    return pytest.param(file, scene, id=f"{file}/{scene}", marks=pytest.mark.slow if long else ())
+
+
+@pytest.mark.parametrize(("file", "scene"), [marked(*both) for both in SCENES])
 def test_as_recorded(file, scene, tmp_path, monkeypatch):
     kept = store.load(file)
     assert scene in kept, f"{file}.json has no {scene!r}: is it a new scene? Then `make record`."

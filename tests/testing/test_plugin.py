@@ -545,7 +545,7 @@ def ending(driver, call):
 
 @needs_cc
 @pytest.mark.skipif(os.name != "posix", reason="elsewhere firmware has no process of its own")
-@pytest.mark.parametrize("how", ENDS)
+@pytest.mark.parametrize("how", ["exits", *(pytest.param(how, marks=pytest.mark.slow) for how in ("aborts", "falls"))])
 def test_firmware_that_ends_its_process_fails_its_test_and_the_tests_after_it_run(how, pytester, driver):
     # pytest, with PULSESTAGE_MAIN { ... exit(0); } in driver.c
     call, said = ENDS[how]
@@ -559,7 +559,7 @@ def test_firmware_that_ends_its_process_fails_its_test_and_the_tests_after_it_ru
 
 @needs_cc
 @pytest.mark.skipif(not exits.HERE, reason="elsewhere firmware that exits ends the process that it is in")
-@pytest.mark.parametrize("way", ["--pulsestage-firmware=in-process", "marker"])
+@pytest.mark.parametrize("way", ["--pulsestage-firmware=in-process", pytest.param("marker", marks=pytest.mark.slow)])
 def test_firmware_that_exits_in_the_process_of_pytest_fails_its_test_and_the_tests_after_it_run(way, pytester, driver):
     # pytest --pulsestage-firmware in-process
     ending(driver, "exit(0);")
