@@ -148,6 +148,7 @@ def test_the_page_tells_what_is_measured():
         assert float(quiet) == pytest.approx(r.quiet, abs=0.11), "within one swing"
 
 
+@pytest.mark.slow
 def test_the_picture_is_drawn(monkeypatch, tmp_path):
     monkeypatch.setattr(s, "RAMPS", np.array([0.1, 0.25]))
     monkeypatch.setattr(s, "LIMITS", (0.08,))

@@ -9,8 +9,12 @@ from stage.native import COMPILED
 
 SCENES = [(file, scene) for file, scenes in FILES.items() for scene in scenes]
 LONG = {
-    *(("firmware_all", f"{chip} home") for chip in ("PCL240MK", "PCL240MS", "MCX302", "MCX312")),
-    *((file, scene) for file, scene in SCENES if file == "cli_moves" and scene.endswith(": home") and scene[0] in "12"),
+    *(("firmware_all", f"{chip} home") for chip in ("PCL240MK", "PCL240MS", "MCX302", "MCX312", "MCX514", "HCTL1100")),
+    *(
+        (file, scene)
+        for file, scene in SCENES
+        if file == "cli_moves" and scene.endswith(": home") and scene[0] in "123"
+    ),
     ("firmware_pcl240", "PCL240MK"),
 }
 """Scenes of a second and more, of which others of the same kind are played every day."""

@@ -278,6 +278,7 @@ print(kept - before, peak() - before)
 """
 
 
+@pytest.mark.slow
 def test_a_quarter_of_an_hour_of_three_axes_costs_little_memory_to_keep_and_to_save(tmp_path):
     here = os.path.dirname(__file__)
     code = MEMORY.format(path=[here, os.path.dirname(here)], folder=str(tmp_path), rows=900_000)
