@@ -19,6 +19,7 @@ from stage.board.shared import Asked, Begin, Go, Noted, Shared, Stands
 from stage.board.threaded import Threaded
 from stage.errors import StageError
 from stage.sim.fingerprint import settings
+from stage.sim.stage import Stage
 
 LOOK_MS = 500  # hanging up is seen at once, unless a process that the parent has forked holds the pipe as well
 
@@ -81,7 +82,9 @@ class ChildLink(Link):
 
     def _parent_calls(self, chip: int, address: int, value: int) -> int:
         self._pipe.send(Asked(self.noted(), chip, address, value))
-        answer, well = self._pipe.recv()
+        answer, well, machine = self._pipe.recv()
+        if machine is not None:
+            adopt(self.stage, pickle.loads(machine))
         self.stage.loop.put(self.shared.state)
         if not well:
             raise StageError("Python has raised in the parent")
@@ -108,7 +111,7 @@ class ChildBoard(Board):
         """Before the firmware goes on: everything is as it is in the parent."""
         link, stage = self.link, self.stage
         if go.machine is not None:
-            self._adopt(pickle.loads(go.machine))
+            adopt(stage, pickle.loads(go.machine))
         stage.loop.put(link.shared.state)
         self.port_table[:] = go.ports
         stage.state.clockwork[0].sample_every = go.sample_every
@@ -119,19 +122,16 @@ class ChildBoard(Board):
         if new or link.record["hook"] == before:  # else the firmware has set one of its own
             link.record["hook"] = link.own_hook()
 
-    def _adopt(self, stage: Any) -> None:
-        """The parent's stage was changed: ours becomes like it."""
-        ours = self.stage
-        for part, name, value in settings(stage.model):
-            mine = ours.model if part is stage.model else ours.model.opt
-            if isinstance(value, np.ndarray):
-                np.copyto(getattr(mine, name), value)
-            elif value != getattr(mine, name):
-                setattr(mine, name, value)
-        ours.state.switch_table[:] = stage.state.switch_table
-        for axis, like in zip(ours.axes.values(), stage.axes.values(), strict=True):
-            axis.supply, axis.open_phases = like.supply, like.open_phases
-        ours.equip()
+
+def adopt(ours: Stage, stage: Stage) -> None:
+    """The parent's stage was changed: ours becomes like it. What drives have of it is state, and comes over as such."""
+    for part, name, value in settings(stage.model):
+        mine = ours.model if part is stage.model else ours.model.opt
+        if isinstance(value, np.ndarray):
+            np.copyto(getattr(mine, name), value)
+        elif value != getattr(mine, name):
+            setattr(mine, name, value)
+    ours.state.switch_table[:] = stage.state.switch_table
 
 
 def _unpickled(board: bytes) -> tuple[Any, dict[str, Any]]:

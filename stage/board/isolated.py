@@ -58,7 +58,7 @@ class Isolated:
         if self._child is None:
             self._start()
         self._running, self._error = True, None
-        machine = _pickled(stage) if _machine(stage) != self._seen else None
+        machine = self._changed()
         asks = sum(1 << k for k, chip in enumerate(stage.chips) if chip.glitches)
         every = int(stage.state.clockwork[0].sample_every) if stage.recording is not None else 0
         self._shared.keep(stage)
@@ -84,7 +84,6 @@ class Isolated:
         if message.error is not None:
             raise self._error or _revived(*message.error)
         self._running = message.code is None
-        self._seen = _machine(stage)
         return message.code
 
     def close(self) -> None:
@@ -114,6 +113,12 @@ class Isolated:
             self._end()
             raise _revived(*answer)
 
+    def _changed(self) -> bytes | None:
+        """The stage, pickled, if the child's is no longer like it in what is no state."""
+        stage, before = self._board.stage, self._seen
+        self._seen = _machine(stage)
+        return _pickled(stage) if self._seen != before else None
+
     # --- what comes over ---
 
     def _take(self, noted: Noted) -> None:
@@ -133,24 +138,25 @@ class Isolated:
             recording.take(end)
         board.log += shared.lines()
 
-    def _answer(self, asked: Asked) -> tuple[int, bool]:
+    def _answer(self, asked: Asked) -> tuple[int, bool, bytes | None]:
         """Python is called here, where its objects are, and the child goes on from what it has left."""
         board, shared = self._board, self._shared
         self._take(asked.noted)
-        record, answer = board.link.record, 0
+        record, answer, machine = board.link.record, 0, None
         try:
             if asked.chip >= 0:
                 answer = int(board.link.loses(asked.chip, asked.address, asked.value))
             elif board.link.hook is not None:
                 record["serving"] = 1
                 board.link.hook()
+                machine = self._changed()
         except BaseException as error:
             self._error = error
         finally:
             record["serving"] = 0
         shared.keep(board.stage)
         shared.copy(board)
-        return answer, self._error is None
+        return answer, self._error is None, machine
 
     def _crashed(self) -> HostError:
         """The child is gone. What it did last is in the memory that we share."""

@@ -62,7 +62,7 @@ class Noted(NamedTuple):
 class Asked(NamedTuple):
     """Python is to be called, in the parent: about a write, or by the interrupt line (chip -1).
 
-    The answer: (what Python said, whether it went well).
+    The answer: (what Python said, whether it went well, the stage as in `Go.machine`).
     """
 
     noted: Noted

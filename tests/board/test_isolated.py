@@ -63,6 +63,27 @@ def test_a_hook_in_python_is_called_at_the_same_nanosecond_and_drives_the_same_b
     assert len(calls[True]) == 3
 
 
+def test_what_a_hook_in_python_changes_of_the_machine_acts_from_that_nanosecond_on():
+    def run(isolated):
+        h = host(STOP_INTERRUPT, isolated=isolated)
+        stage = h.board.stage
+        axis = stage.axes["x"]
+
+        def hook():
+            stage.set_payload(0.1 + stage.payload())
+            faults.switch_stuck(axis, "sd_plus", True)
+            faults.bus_voltage(axis, 20.0)
+            h.board.out8(0x300, 0x08)
+
+        h.board.on_interrupt(hook)
+        h.run()
+        assert stage.payload() == pytest.approx(0.3)
+        assert axis.switches.sd_plus
+        return h
+
+    both(run)
+
+
 def test_an_error_of_a_hook_in_python_comes_out_as_it_was_raised_and_ends_the_run():
     h = host(STOP_INTERRUPT, isolated=True)
 
