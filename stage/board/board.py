@@ -90,6 +90,15 @@ class Board:
         """One read cycle of 16 bits; two of 8, the low byte first, at chips with a bus of 8 bits."""
         return self.link.ask(host.IN16, port, 0)
 
+    def out32(self, port: int, value: int) -> None:
+        """Two write cycles of 16 bits, at `port` the low half, then at `port + 2` the high one; four of 8 at chips with a bus of
+        8 bits."""
+        self.link.ask(host.OUT32, port, value)
+
+    def in32(self, port: int) -> int:
+        """Two read cycles of 16 bits, in the same order."""
+        return self.link.ask(host.IN32, port, 0)
+
     def delay_us(self, us: int) -> None:
         """Microseconds pass. Raises ArgumentError below 0, and beyond 1e15 (1e9 s)."""
         if not 0 <= us <= LONGEST * 1_000_000:

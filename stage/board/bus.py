@@ -16,6 +16,7 @@ from stage.board.host import (
     IN,
     IN8,
     IN16,
+    IN32,
     IN_WIDE,
     LATCH,
     LATCHED,
@@ -29,6 +30,7 @@ from stage.board.host import (
     OUT,
     OUT8,
     OUT16,
+    OUT32,
     OUT_WIDE,
     PAUSE,
     PORT,
@@ -200,6 +202,12 @@ def _answer(h, what, a, b):
         return _in16(h, a & 0xFFFFFFFF)
     elif what == OUT16:
         _out16(h, a & 0xFFFFFFFF, b & 0xFFFF)
+    elif what == IN32:
+        low = _in16(h, a & 0xFFFFFFFF)
+        return _in16(h, (a & 0xFFFFFFFF) + 2) << 16 | low
+    elif what == OUT32:
+        _out16(h, a & 0xFFFFFFFF, b & 0xFFFF)
+        _out16(h, (a & 0xFFFFFFFF) + 2, b >> 16 & 0xFFFF)
     elif what == DELAY:
         wait(h, least(greatest(a, 0), LONGEST_DELAY) * 1000)
     elif what == MICROS:

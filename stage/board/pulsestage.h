@@ -46,7 +46,7 @@ struct pulsestage_bus {
     int64_t (*request)(void *host, int32_t what, int64_t a, int64_t b);
 };
 
-enum { PS_IN8, PS_OUT8, PS_IN16, PS_OUT16, PS_DELAY, PS_MICROS, PS_LOG, PS_HOOK, PS_LINE };
+enum { PS_IN8, PS_OUT8, PS_IN16, PS_OUT16, PS_DELAY, PS_MICROS, PS_LOG, PS_HOOK, PS_LINE, PS_IN32 = 13, PS_OUT32 };
 
 #if defined(_MSC_VER)
 #define PULSESTAGE_SHARED __declspec(selectany) __declspec(dllexport)
@@ -76,6 +76,9 @@ static inline uint8_t ps_in8(uint32_t port) { return (uint8_t)ps_request(PS_IN8,
 static inline void ps_out8(uint32_t port, uint8_t value) { ps_request(PS_OUT8, port, value); }
 static inline uint16_t ps_in16(uint32_t port) { return (uint16_t)ps_request(PS_IN16, port, 0); }
 static inline void ps_out16(uint32_t port, uint16_t value) { ps_request(PS_OUT16, port, value); }
+/* two cycles of 16 bits, the low half first */
+static inline uint32_t ps_in32(uint32_t port) { return (uint32_t)ps_request(PS_IN32, port, 0); }
+static inline void ps_out32(uint32_t port, uint32_t value) { ps_request(PS_OUT32, port, value); }
 
 /* time */
 static inline void ps_delay_us(uint32_t us) { ps_request(PS_DELAY, us, 0); }

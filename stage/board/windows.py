@@ -1,0 +1,84 @@
+"""Windows: ports of a board at addresses, for firmware whose chips are memory-mapped.
+
+    --map 0x40021000=0x300+0x40            40h ports, from 300h on, at 40021000h and up
+    Window(0x40021000, 0x300, 0x40)        the same in Python
+
+An access of 8, 16 or 32 bits at `address + n` is a bus cycle at `port + n`.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+from stage.board.layouts import MOST_PORTS
+from stage.errors import ArgumentError
+
+FORM = "ADDRESS=PORT+LENGTH, for example 0x40021000=0x300+0x40"
+MOST_ADDRESS = 1 << 47
+_NUMBER = r"(0[xX][0-9a-fA-F]+|[0-9]+)"
+_TEXT = re.compile(rf"\s*{_NUMBER}\s*=\s*{_NUMBER}\s*\+\s*{_NUMBER}\s*")
+
+
+class Window(NamedTuple):
+    """`length` ports from `port` on, a byte each, at `address`."""
+
+    address: int
+    port: int
+    length: int
+
+    @property
+    def end(self) -> int:
+        """The first address behind it."""
+        return self.address + self.length
+
+    def __str__(self) -> str:
+        return f"{self.address:#x}={self.port:#x}+{self.length:#x}"
+
+
+Given = str | tuple[int, int, int] | Iterable[str | tuple[int, int, int]]
+
+
+def parse(text: str) -> Window:
+    """A window in the form `ADDRESS=PORT+LENGTH`, decimal or hexadecimal with 0x. Raises ArgumentError."""
+    found = _TEXT.fullmatch(text)
+    if found is None:
+        raise ArgumentError(f"--map {text!r}: write {FORM}.")
+    return _checked(Window(*(int(n, 16) if n[:2] in ("0x", "0X") else int(n) for n in found.groups())))
+
+
+def windows(given: Given = ()) -> tuple[Window, ...]:
+    """Windows as they are given: one, or several, each a Window, (address, port, length) or text as above; sorted by address.
+
+    Raises ArgumentError for another form, ports that do not exist, and windows that overlap.
+    """
+    if isinstance(given, str) or (isinstance(given, tuple) and len(given) == 3 and isinstance(given[0], int)):
+        given = (given,)
+    try:
+        found = sorted(parse(one) if isinstance(one, str) else _checked(Window(*_numbers(one))) for one in given)
+    except TypeError:
+        raise ArgumentError(f"map={given!r}: a window is a Window(address, port, length), or text: {FORM}.") from None
+    for one, other in pairwise(found):
+        if other.address < one.end:
+            raise ArgumentError(f"windows {one} and {other} overlap: an address can lead to one port only.")
+    return tuple(found)
+
+
+def _numbers(one: Any) -> tuple[int, int, int]:
+    if isinstance(one, bool) or len(one) != 3 or not all(type(n) is int for n in one):
+        raise TypeError
+    return one
+
+
+def _checked(window: Window) -> Window:
+    if window.length < 1:
+        raise ArgumentError(f"window {window}: its length is 1 port or more.")
+    if window.port < 0 or window.port + window.length > MOST_PORTS:
+        raise ArgumentError(
+            f"window {window}: its ports end at {window.port + window.length - 1:X}h, and ports are 0 to {MOST_PORTS - 1:X}h."
+        )
+    if window.address < 0 or window.end > MOST_ADDRESS:
+        raise ArgumentError(f"window {window}: addresses are 0 to {MOST_ADDRESS - 1:X}h.")
+    return window
