@@ -11,10 +11,11 @@ A port without a chip reads as FFh and is noted in `board.strays`. Firmware in C
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
-from stage.board import host, layouts
+from stage.board import host, layout_files, layouts
 from stage.board.link import Link
 from stage.board.trace import BusTrace, Cycle, Meaning
 from stage.chips.late import LateLint
@@ -29,7 +30,7 @@ class Board:
 
     Args:
         stage: a Stage.
-        layout: a name of stage.board.LAYOUTS or a Layout; default: what is usual for each chip.
+        layout: a name of stage.board.LAYOUTS, a file (see layout_files) or a Layout; default: what is usual for each chip.
         base: the first port of the first chip, or a mapping axis -> first port of its chip; default: the layout's.
         stride: ports from one chip to the next; default: the layout's.
         keep_cycles: lines of the bus trace that are kept.
@@ -40,7 +41,7 @@ class Board:
         driver: the firmware, a NativeHost, that has begun and not returned, or None.
         link: its connection to compiled code, for runners of firmware.
     Raises:
-        ArgumentError: a layout that does not fit the chips, ports that overlap or do not exist.
+        ArgumentError: a layout that does not fit the chips, ports that overlap or do not exist. FileError: no such file.
     """
 
     LINTS: ClassVar = True
@@ -48,7 +49,7 @@ class Board:
     def __init__(
         self,
         stage: Stage,
-        layout: str | layouts.Layout | None = None,
+        layout: str | os.PathLike | layouts.Layout | None = None,
         base: int | Mapping[str, int] | None = None,
         stride: int | None = None,
         *,
@@ -58,10 +59,11 @@ class Board:
             raise ArgumentError(f"{stage!r} is no Stage: Board(Stage('xyz', chips=PCL240K)).")
         if int(keep_cycles) != keep_cycles or not 1 <= keep_cycles <= 1 << 28:
             raise ArgumentError(f"keep_cycles={keep_cycles!r}: a trace keeps 1 to {1 << 28} lines.")
+        chosen = layout_files.chosen(layout)
         self.stage = stage
-        self.options = {"layout": layout, "base": base, "stride": stride, "keep_cycles": keep_cycles}
+        self.options = {"layout": chosen, "base": base, "stride": stride, "keep_cycles": keep_cycles}
         chips = {stage.chips.index(axis.chip): axis.chip for axis in stage.axes.values()}
-        self.places = layouts.places(chips, layout, _by_chip(stage, base), stride)
+        self.places = layouts.places(chips, chosen, _by_chip(stage, base), stride)
         self.first, self.port_table = layouts.table(self.places)
         self._at_first = [place.chip.twin() for place in self.places]
         self.trace = BusTrace(self, int(keep_cycles))

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stage.board.host import BYTE, HALF, LATCH, LATCHED, PORT, PULLS, WORD
+from stage.board.host import BYTE, HALF, LATCH, LATCHED, NOTHING, PORT, PULLS, WORD
 from stage.chips import Chip
 from stage.chips.hctl1100 import HCTL1100
 from stage.chips.nova import BYTES, MCX514, Nova
@@ -116,6 +116,8 @@ def table(found: list[Place]) -> tuple[int, np.ndarray]:
     lines: dict[int, tuple[int, int, int, int]] = {}
 
     def put(port: int, kind: int, chip: int, address: int, mask: int) -> None:
+        if kind == NOTHING:
+            return
         if port in lines:
             raise ArgumentError(
                 f"port {port:03X}h would reach two things: choose another base or a stride of more ports."

@@ -63,6 +63,7 @@ class NativeHost:
         flags: for the compiler.
         patience: seconds of real time that the firmware may compute without a bus cycle.
     Raises:
+        ArgumentError: a patience that is none.
         LibraryError: not a library, for another machine, without the entry point, or not built with pulsestage.h.
         CompileError, NoCompilerError: see `build`.
     """
@@ -78,6 +79,8 @@ class NativeHost:
     ):
         if not isinstance(board, Board):
             raise ArgumentError(f"{board!r} is no Board: NativeHost('driver.c', Board(stage)).")
+        if not (isinstance(patience, int | float) and patience > 0):
+            raise ArgumentError(f"patience={patience!r}: seconds of real time, more than 0.")
         self.path = library.ready(firmware, flags)
         if library.are_sources(firmware):  # built into a folder of its own, which goes with the host
             weakref.finalize(self, shutil.rmtree, self.path.parent, ignore_errors=True)

@@ -228,6 +228,13 @@ def _add_firmware(commands: Any) -> None:
         "--timeout", type=float, default=60.0, help="simulated seconds after which it has to return (default: 60)"
     )
     g.add_argument(
+        "--patience",
+        type=float,
+        default=20.0,
+        metavar="S",
+        help="seconds of real time that it may compute without a bus cycle (default: 20)",
+    )
+    g.add_argument(
         "--in-process",
         action="store_true",
         help="run it in this process, for debuggers (default: in a process of its own; a crash ends only that)",
@@ -235,12 +242,16 @@ def _add_firmware(commands: Any) -> None:
     g.add_argument("--isolated", action="store_true", help=argparse.SUPPRESS)  # what is the default now
     g.add_argument(
         "--layout",
-        help="which ports reach the chips: pcl240, pcl240-card, nova, nova-8bit, hctl1100 (default: the chip's)",
+        help="which ports reach the chips: pcl240, pcl240-card, nova, nova-8bit, hctl1100, or a file of your own, card.toml "
+        "(default: the chip's); docs/layouts.md",
     )
     g.add_argument(
         "--base", type=_number, help="first port of the first chip, for example 0x300 (default: the layout's)"
     )
     g.add_argument("--stride", type=_number, help="ports from one chip to the next (default: the layout's)")
+    g.add_argument(
+        "--clock", type=_number, metavar="HZ", help="reference clock of the chips, Hz (default: the data sheet's)"
+    )
     g.add_argument("--trace", metavar="FILE.txt", help="write the bus cycles in words")
     g.add_argument("--keep", type=int, default=1_000_000, help="lines of bus cycles that are kept (default: 1,000,000)")
     g.add_argument(

@@ -40,7 +40,9 @@ def run(args: argparse.Namespace) -> int:
     except ValueError as failed:
         raise ArgumentError(f"--cflags {args.cflags!r}: {failed}.") from None
     board = Board(stage, args.layout, args.base, args.stride, keep_cycles=args.keep)
-    host = NativeHost(args.firmware, board, isolated=os.name == "posix" and not args.in_process, flags=flags)
+    host = NativeHost(
+        args.firmware, board, isolated=os.name == "posix" and not args.in_process, flags=flags, patience=args.patience
+    )
     error: StageError | None = None
     result = None
     begin = time.perf_counter()

@@ -18,12 +18,12 @@ def make_stage(args: argparse.Namespace) -> Any:
     from stage import Drive, Stage
     from stage.chips import chip_class
 
-    chips = chip_class(args.chips)
+    chips, common = chip_class(args.chips), {"bus_cycle": args.bus_cycle, "clock": getattr(args, "clock", None)}
     if chips.SERVO:
-        return Stage(args.model, chips=chips, drives=args.motor, bus_cycle=args.bus_cycle)
+        return Stage(args.model, chips=chips, drives=args.motor, **common)
     motor = {} if args.motor is None else {"motor": args.motor}
     drive = Drive(microsteps=args.microsteps, bus_voltage=args.bus_voltage, **motor)
-    return Stage(args.model, chips=chips, drives=drive, bus_cycle=args.bus_cycle)
+    return Stage(args.model, chips=chips, drives=drive, **common)
 
 
 SPEEDS = {"fl": "start", "fh1": "drive", "accel": "up", "decel": "down"}

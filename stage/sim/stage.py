@@ -57,6 +57,7 @@ class Stage:
         drives: a Drive, for a chip of servos a Servo, a motor or its name, or a mapping axis -> either; default: the motor that
             the model names, 1/16 microsteps or an encoder of 2000 counts, 24 V.
         bus_cycle: seconds of simulated time that one bus cycle of a host takes.
+        clock: Hz, the reference clock of chips that are given by class or name; default: that of each chip's data sheet.
         visuals: False leaves out what is only for display, for runs without pictures: the same bits, a third faster.
     Raises:
         ArgumentError: unknown model, axis, chip or motor. ModelError: the model breaks the naming contract, or its integrator or
@@ -75,6 +76,7 @@ class Stage:
         drives: DriveChoice = None,
         *,
         bus_cycle: float = 1e-6,
+        clock: int | None = None,
         visuals: bool = True,
     ):
         if not 0 <= bus_cycle <= 1:
@@ -84,7 +86,7 @@ class Stage:
         spec = plant.open_spec(model)
         if not visuals:
             plant.discard_visuals(spec)
-        names, chip_axes, chosen = wire(spec, chips, drives)
+        names, chip_axes, chosen = wire(spec, chips, drives, clock)
         self.model, offset = plant.compile_spec(spec, words_needed(chip_axes, 5 * len(names)))
         integration.check_options(self.model)
         try:

@@ -16,9 +16,9 @@ DriveChoice = Drive | Servo | Motor | DCMotor | str | Mapping[str, Any] | None
 
 
 def wire(
-    spec: Any, chips: ChipChoice | None, drives: DriveChoice
+    spec: Any, chips: ChipChoice | None, drives: DriveChoice, clock: int | None = None
 ) -> tuple[list[str], list[ChipAxis], list[Drive | Servo]]:
-    """Names of the axes, their chips' axes, their drives, as `Stage` takes chips and drives.
+    """Names of the axes, their chips' axes, their drives, as `Stage` takes chips, drives and clock.
 
     spec: of `plant.open_spec`; it gets the actuators that the drives need. Raises ArgumentError.
     """
@@ -29,7 +29,7 @@ def wire(
         for name in given if isinstance(given, Mapping) else ():
             if name not in known:
                 raise unknown("axis", name, known)
-    axes = _make_chips(chips, names)
+    axes = _make_chips(chips, names, clock)
     return names, axes, [_choose_drive(drives, name, axis.chip, spec) for name, axis in zip(names, axes, strict=True)]
 
 
@@ -64,7 +64,7 @@ def _named(chips: Any) -> Any:
     return chip_class(chips) if isinstance(chips, str) else chips
 
 
-def _make_chips(chips: Any, names: list[str]) -> list[ChipAxis]:
+def _make_chips(chips: Any, names: list[str], clock: int | None) -> list[ChipAxis]:
     """A chip's axis for each axis named; axes that are given the same thing share its chips."""
     free: dict[int, list[ChipAxis]] = {}
     found: list[ChipAxis] = []
@@ -72,7 +72,7 @@ def _make_chips(chips: Any, names: list[str]) -> list[ChipAxis]:
         given = chips[name] if isinstance(chips, Mapping) else chips
         left = free.setdefault(id(given), [])
         if not left:
-            chip = given() if callable(given) else given
+            chip = _made(given, clock) if callable(given) else given
             if not isinstance(chip, Chip):
                 raise ArgumentError(
                     f"chips for axis {name}: {given!r} is no chip class, nor a name of one: {', '.join(CHIPS)}."
@@ -82,6 +82,10 @@ def _make_chips(chips: Any, names: list[str]) -> list[ChipAxis]:
             left += chip.axes
         found.append(left.pop(0))
     return found
+
+
+def _made(given: Any, clock: int | None) -> Any:
+    return given() if clock is None or not isinstance(given, type) else given(clock_hz=clock)
 
 
 def _motor_named(name: str) -> Motor | DCMotor:

@@ -14,7 +14,7 @@ from stage.errors import ArgumentError, unknown
 from stage.files import FileError
 from stage.testing.settings import setting
 
-STAGE = ("model", "chips", "drives", "bus_cycle", "visuals", "record")
+STAGE = ("model", "chips", "drives", "bus_cycle", "clock", "visuals", "record")
 BOARD = ("layout", "base", "stride", "keep_cycles")
 FIRMWARE = ("flags", "isolated", "patience")
 
@@ -36,10 +36,14 @@ def stage_arguments(node: pytest.Item) -> dict[str, Any]:
 
 
 def board_arguments(node: pytest.Item) -> dict[str, Any]:
-    """For Board. Raises ArgumentError."""
+    """For Board. Raises ArgumentError, FileError."""
+    from stage.board import layout_files
+
     found: dict[str, Any] = {}
     for mark in _farthest_first(node, "board"):
         found |= _bound(mark, BOARD)
+    if layout_files.is_file(found.get("layout")):
+        found["layout"] = find(node, found["layout"], "layout")
     return found
 
 
