@@ -36,7 +36,7 @@ class Board:
         keep_cycles: lines of the bus trace that are kept.
     Attributes:
         options: the arguments except the stage, by name; places: the chips and their layouts.
-        port_table: PORT records, what every port reaches, the first of them that of port `first`.
+        regions, port_table: REGION and PORT records, what every port reaches.
         trace: the BusTrace; log: lines that the firmware noted, (seconds, text).
         driver: the firmware, a NativeHost, that has begun and not returned, or None.
         link: its connection to compiled code, for runners of firmware.
@@ -64,7 +64,7 @@ class Board:
         self.options = {"layout": chosen, "base": base, "stride": stride, "keep_cycles": keep_cycles}
         chips = {stage.chips.index(axis.chip): axis.chip for axis in stage.axes.values()}
         self.places = layouts.places(chips, chosen, _by_chip(stage, base), stride)
-        self.first, self.port_table = layouts.table(self.places)
+        self.regions, self.port_table = layouts.table(self.places)
         self._at_first = [place.chip.twin() for place in self.places]
         self.trace = BusTrace(self, int(keep_cycles))
         self.log: list[tuple[float, str]] = []
@@ -143,9 +143,8 @@ class Board:
         names = {place.index: self.name_of(place.index) for place in self.places}
         kinds = ("", "address {}", "address {}", "upper byte of address {}", "address latch", "data", "interrupts")
         return {
-            self.first + n: f"{names[int(p['chip'])]} {kinds[int(p['kind'])].format(int(p['address']))}"
-            for n, p in enumerate(self.port_table)
-            if p["kind"]
+            port: f"{names[int(p['chip'])]} {kinds[int(p['kind'])].format(int(p['address']))}"
+            for port, p in self._by_port()
         }
 
     def __repr__(self) -> str:
@@ -162,7 +161,7 @@ class Board:
         """Tells what a bus cycle means, those before it given, from the first on."""
         listeners = {place.index: twin.listener() for place, twin in zip(self.places, self._at_first, strict=True)}
         latches: dict[int, int] = {}
-        reached = {self.first + n: tuple(p) for n, p in enumerate(self.port_table.tolist())}
+        reached = {port: tuple(p) for port, p in self._by_port()}
 
         def tell(port: int, value: int, writes: bool, wide: bool) -> str:
             kind, chip, address, mask, _ = reached.get(port, (host.NOTHING, 0, 0, 0, 0))
@@ -185,6 +184,11 @@ class Board:
             return name + (listener.write(address, value) if writes else listener.read(address, value))
 
         return tell
+
+    def _by_port(self) -> list[tuple[int, Any]]:
+        """The ports that reach something, with their PORT records."""
+        pairs = zip(layouts.numbers(self.regions).tolist(), self.port_table, strict=True)
+        return [(port, p) for port, p in pairs if p["kind"]]
 
     def note(self, text: str) -> None:
         """A line for the log, now."""

@@ -18,6 +18,7 @@ from stage.board.host import (
     IN16,
     IN32,
     IN_WIDE,
+    LAST_PORT,
     LATCH,
     LATCHED,
     LINE,
@@ -35,6 +36,7 @@ from stage.board.host import (
     PAUSE,
     PORT,
     PULLS,
+    REGION,
     SETTLE,
     STRAY,
     TWICE,
@@ -91,19 +93,25 @@ def _read(h, chip, address):
 
 
 @hot
-def _kind(h, port):
-    p = port - h.first
-    return array_at(h.ports, h.n_ports, PORT)[p].kind if 0 <= p < h.n_ports else NOTHING
+def _place(h, port):
+    """Where a port is in the table."""
+    regions = array_at(h.regions, h.n_regions, REGION)
+    for k in range(h.n_regions):
+        n = port - regions[k].first
+        if 0 <= n < regions[k].n:
+            return regions[k].at + n
+    return 0
 
 
 @hot
 def _in8(h, port):
     cycle(h)
-    kind, value, ports = _kind(h, port), 0xFF, array_at(h.ports, h.n_ports, PORT)
+    ports, value = array_at(h.ports, h.n_ports, PORT), 0xFF
+    p = ports[_place(h, port)]
+    kind = p.kind
     if kind in (NOTHING, LATCH):
         note(h, IN | STRAY, port, value, h.traced - 1)
     else:
-        p = ports[port - h.first]
         if kind == LATCHED:
             value = _read(h, p.chip, ports[p.address].address)
         elif kind == PULLS:
@@ -119,14 +127,15 @@ def _in8(h, port):
 
 @hot
 def _out8(h, port, value):
-    kind, ports = _kind(h, port), array_at(h.ports, h.n_ports, PORT)
+    ports = array_at(h.ports, h.n_ports, PORT)
+    p = ports[_place(h, port)]
+    kind = p.kind
     if kind in (NOTHING, LATCH, PULLS):
         cycle(h)
         if kind == LATCH:
-            ports[port - h.first].address = value & ports[port - h.first].mask
+            p.address = value & p.mask
         note(h, OUT if kind == LATCH else OUT | STRAY, port, value, -1)
     else:
-        p = ports[port - h.first]
         address, word = p.address, value
         if kind == LATCHED:
             address = ports[address].address
@@ -143,14 +152,14 @@ def _out8(h, port, value):
 
 @hot
 def _in16(h, port):
-    kind = _kind(h, port)
+    p = array_at(h.ports, h.n_ports, PORT)[_place(h, port)]
+    kind = p.kind
     if kind not in (NOTHING, WORD):  # the bus makes two cycles of it
         low = _in8(h, port)
-        return _in8(h, port + 1) << 8 | low
+        return _in8(h, port + 1 & LAST_PORT) << 8 | low
     cycle(h)
     value = 0xFFFF
     if kind == WORD:
-        p = array_at(h.ports, h.n_ports, PORT)[port - h.first]
         value = _read(h, p.chip, p.address)
         p.seen = note(h, IN_WIDE, port, value, p.seen - 1) + 1
     else:
@@ -161,13 +170,13 @@ def _in16(h, port):
 
 @hot
 def _out16(h, port, value):
-    kind = _kind(h, port)
+    p = array_at(h.ports, h.n_ports, PORT)[_place(h, port)]
+    kind = p.kind
     if kind not in (NOTHING, WORD):
         _out8(h, port, value & 0xFF)
-        _out8(h, port + 1, value >> 8)
+        _out8(h, port + 1 & LAST_PORT, value >> 8)
         return
     if kind == WORD:
-        p = array_at(h.ports, h.n_ports, PORT)[port - h.first]
         lost = _lost(h, p.chip, p.address, value)
         cycle(h)
         _write(h, lost, p.chip, p.address, value)
@@ -195,19 +204,19 @@ def _answer(h, what, a, b):
         ask(h, PAUSE)
         return -1
     if what == IN8:
-        return _in8(h, a & 0xFFFFFFFF)
+        return _in8(h, a & LAST_PORT)
     if what == OUT8:
-        _out8(h, a & 0xFFFFFFFF, b & 0xFF)
+        _out8(h, a & LAST_PORT, b & 0xFF)
     elif what == IN16:
-        return _in16(h, a & 0xFFFFFFFF)
+        return _in16(h, a & LAST_PORT)
     elif what == OUT16:
-        _out16(h, a & 0xFFFFFFFF, b & 0xFFFF)
+        _out16(h, a & LAST_PORT, b & 0xFFFF)
     elif what == IN32:
-        low = _in16(h, a & 0xFFFFFFFF)
-        return _in16(h, (a & 0xFFFFFFFF) + 2) << 16 | low
+        low = _in16(h, a & LAST_PORT)
+        return _in16(h, a + 2 & LAST_PORT) << 16 | low
     elif what == OUT32:
-        _out16(h, a & 0xFFFFFFFF, b & 0xFFFF)
-        _out16(h, (a & 0xFFFFFFFF) + 2, b >> 16 & 0xFFFF)
+        _out16(h, a & LAST_PORT, b & 0xFFFF)
+        _out16(h, a + 2 & LAST_PORT, b >> 16 & 0xFFFF)
     elif what == DELAY:
         wait(h, least(greatest(a, 0), LONGEST_DELAY) * 1000)
     elif what == MICROS:

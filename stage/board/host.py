@@ -30,11 +30,14 @@ STORM_CALLS = 1000
 AT_ONCE = 10_000_000
 """ns that pass between two looks at whether the firmware is to stand still: Ctrl-C in a long delay."""
 
+LAST_PORT = 0xFFFFFFFF
 NOTHING, BYTE, WORD, HALF, LATCH, LATCHED, PULLS = range(7)
+REGION = record([(name, "i8") for name in "first n at".split()])
+"""`n` ports from port `first` on: where the first of them is in the table of ports."""
 PORT = record([(name, "i8") for name in "kind chip address mask seen".split()])
-"""What a port reaches. BYTE, WORD: an address of a chip of 8, 16 bits; HALF: the upper byte of the WORD one below; LATCH: takes
-the address for LATCHED, as much of it (`mask`) as the chip does; PULLS: which chips pull the interrupt line, a bit each. `seen`:
-number of the trace's line about its last read, plus one."""
+"""What a port reaches; the first of a table is what all ports in no region reach: nothing. BYTE, WORD: an address of a chip of 8,
+16 bits; HALF: the upper byte of the WORD one below; LATCH: takes the address for LATCHED, as much of it (`mask`) as the chip does;
+PULLS: which chips pull the interrupt line, a bit each. `seen`: number of the trace's line about its last read, plus one."""
 
 IN, OUT, IN_WIDE, OUT_WIDE, CALLED, RETURNED = range(6)
 STRAY, LOST_ON_THE_WAY = 8, 16
@@ -45,7 +48,7 @@ hit nothing, or only half of what is there, | LOST_ON_THE_WAY if a fault of the 
 HOST = record(
     handle.HANDLE_FIELDS
     + [("inside", "i8")]
-    + [(name, "i8") for name in "ports first n_ports lines line_room traced changed".split()]
+    + [(name, "i8") for name in "regions n_regions ports n_ports lines line_room traced changed".split()]
     + [
         (name, "i8")
         for name in "until lazy ahead quiet cycles most_cycles stopped twice call hook argument serving".split()
@@ -57,7 +60,7 @@ HOST = record(
 )
 """A stage's handle, and
     inside                     whether a request is being answered, see stage.sim.in_use; not while Python or a hook is called
-    ports, first, n_ports      the table of ports, and which is its first
+    regions, ports             the table of ports, and what of the bus it is about
     lines, line_room, traced, changed   the trace, a ring; lines so far, and how many there were after the last write
     until, most_cycles         when (ns), and after how many cycles, to call Python; cycles: so far
     lazy, ahead, quiet         whether the stage may stay behind the host, by how much (ns) it does, and up to when it may

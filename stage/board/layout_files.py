@@ -22,8 +22,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from stage.board.host import BYTE, HALF, LATCH, LATCHED, NOTHING, PULLS, WORD
-from stage.board.layouts import LAYOUTS, MOST_PORTS, Layout
+from stage.board.host import BYTE, HALF, LAST_PORT, LATCH, LATCHED, NOTHING, PULLS, WORD
+from stage.board.layouts import LAYOUTS, Layout
 from stage.chips import CHIPS, Chip, chip_class
 from stage.errors import ArgumentError, near_names, unknown
 from stage.files import FileError
@@ -90,8 +90,8 @@ def _layout(name: str, given: Mapping[str, Any]) -> Layout:
     return replace(
         start,
         name=name, title=str(given.get("title", start.title)), ports=ports, own=own, chips=chips,
-        base=_whole(given, "base", start.base, 0, MOST_PORTS - 1),
-        stride=_whole(given, "stride", start.stride if "ports" not in given else len(ports), 1, MOST_PORTS),
+        base=_whole(given, "base", start.base, 0, LAST_PORT),
+        stride=_whole(given, "stride", start.stride if "ports" not in given else len(ports), 1, LAST_PORT),
     )  # fmt: skip
 
 

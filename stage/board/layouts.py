@@ -10,14 +10,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stage.board.host import BYTE, HALF, LATCH, LATCHED, NOTHING, PORT, PULLS, WORD
+from stage.board.host import BYTE, HALF, LAST_PORT, LATCH, LATCHED, NOTHING, PORT, PULLS, REGION, WORD
 from stage.chips import Chip
 from stage.chips.hctl1100 import HCTL1100
 from stage.chips.nova import BYTES, MCX514, Nova
 from stage.chips.pcl240 import PCL240
 from stage.errors import ArgumentError, unknown
 
-MOST_PORTS = 1 << 16
+MOST_PORTS = LAST_PORT + 1
+GAP = 64
+"""Ports with nothing there: more of them in a row begin another region of the table."""
 
 
 @dataclass(frozen=True)
@@ -104,20 +106,24 @@ def places(
                 f"layout {own.name}: it has room for {own.chips} chips, and this stage has {len(chips)}."
             )
         first = base[chip] if isinstance(base, Mapping) else own.base if at is None else at
-        if not 0 <= first <= MOST_PORTS - len(own.ports):
-            raise ArgumentError(f"base={first!r}: ports are 0 to {MOST_PORTS - 1:X}h.")
+        if not isinstance(first, int | np.integer) or not 0 <= first <= MOST_PORTS - len(own.ports):
+            raise ArgumentError(
+                f"base={first!r}: ports are whole numbers from 0 to {LAST_PORT:X}h, and the chip takes {len(own.ports)}."
+            )
         found.append(Place(chip, k, own, int(first)))
-        at = first + (own.stride if stride is None else stride)
+        at = int(first) + (own.stride if stride is None else stride)
     return found
 
 
-def table(found: list[Place]) -> tuple[int, np.ndarray]:
-    """The first port of a bus, and PORT records from there on. Raises ArgumentError where two things share a port."""
+def table(found: list[Place]) -> tuple[np.ndarray, np.ndarray]:
+    """The REGION records of a bus, and its PORT records. Raises ArgumentError where two things share a port."""
     lines: dict[int, tuple[int, int, int, int]] = {}
 
     def put(port: int, kind: int, chip: int, address: int, mask: int) -> None:
         if kind == NOTHING:
             return
+        if port > LAST_PORT:
+            raise ArgumentError(f"port {port:X}h: ports are 0 to {LAST_PORT:X}h, choose a lower base.")
         if port in lines:
             raise ArgumentError(
                 f"port {port:03X}h would reach two things: choose another base or a stride of more ports."
@@ -130,10 +136,23 @@ def table(found: list[Place]) -> tuple[int, np.ndarray]:
     if found and (own := found[0].layout).own:
         for n, (kind, address) in enumerate(own.own):
             put(found[0].first + own.stride * own.chips + n, kind, 0, address, 0)
-    first = min(lines)
-    ports = np.zeros(max(lines) - first + 1, PORT)
-    for port, line in lines.items():
-        ports[port - first] = (*line, 0)
+    if not lines:
+        return np.zeros(0, REGION), np.zeros(1, PORT)
+    taken = np.array(sorted(lines), np.int64)
+    ends = np.flatnonzero(np.diff(taken, append=1 << 62) > GAP)
+    firsts = taken[np.concatenate([[0], ends[:-1] + 1])]
+    regions = np.zeros(len(firsts), REGION)
+    regions["first"], regions["n"] = firsts, taken[ends] - firsts + 1
+    regions["at"] = 1 + np.cumsum(regions["n"]) - regions["n"]
+    ports = np.zeros(1 + int(regions["n"].sum()), PORT)
+    ports[1:][taken - np.repeat(regions["first"] - regions["at"] + 1, np.diff(ends, prepend=-1))] = [
+        (*lines[port], 0) for port in taken.tolist()
+    ]
     for k in np.flatnonzero(ports["kind"] == LATCHED):  # the latch is the port before
         ports[k].address = k - 1
-    return first, ports
+    return regions, ports
+
+
+def numbers(regions: np.ndarray) -> np.ndarray:
+    """Of each PORT record of a table, which port it is about; -1 for the first."""
+    return np.concatenate([[-1], *(np.arange(first, first + n) for first, n, _ in regions.tolist())])

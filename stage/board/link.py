@@ -75,12 +75,13 @@ class Link:
         words = stage.state.userdata
         self._before = np.zeros(len(words))
         for name, array in (
-            ("edges", stage.state.edges), ("ports", self.board.port_table),
+            ("edges", stage.state.edges), ("regions", self.board.regions), ("ports", self.board.port_table),
             ("lines", self.board.trace.kept), ("irqs", self.irqs), ("acts", self._acts), ("userdata", words),
             ("before", self._before),
         ):  # fmt: skip
             h[name] = array.ctypes.data
-        h["edge_room"], h["n_ports"], h["first"] = len(stage.state.edges), len(self.board.port_table), self.board.first
+        h["edge_room"], h["n_ports"] = len(stage.state.edges), len(self.board.port_table)
+        h["n_regions"] = len(self.board.regions)
         h["line_room"], h["words"] = self.board.trace.room, len(words)
         h["until"] = h["most_cycles"] = MOST
         h["journals"] = 1

@@ -108,6 +108,32 @@ def test_a_host_in_c_a_host_in_python_and_the_chips_themselves_go_the_same_way_t
         assert any(chip.diagnostics for chip in plain.chips), "the program is meant to have mistakes in it"
 
 
+def test_chips_may_lie_far_apart_and_at_the_last_ports():
+    """Board(base={x: 300h, y: F0000000h, z: FFFFFFFCh}): ports far beyond 16 bits, with memory for a dozen of them"""
+    stage = Stage("xyz", visuals=False)
+    board = Board(stage, base={"x": 0x300, "y": 0xF0000000, "z": 0xFFFFFFFC})
+    assert board.port_table.nbytes < 1000
+    for port, axis in ((0x300, "x"), (0xF0000000, "y"), (0xFFFFFFFC, "z")):
+        board.out8(port, 0x80)  # register 0
+        board.out8(port + 1, ord(axis))
+        assert board.in8(port + 1) == ord(axis)
+        assert stage.axes[axis].chip.values()["R0"] == ord(axis)
+        assert board.ports[port] == f"{axis} address 0"
+        assert [board.in8(p) for p in (port - 1, port + 4 & 0xFFFFFFFF)] == [0xFF, 0xFF]
+    assert "FFFFFFFDh R 7Ah    z: R0 bits 7..0 = 7Ah" in str(board.trace)
+    assert len(board.strays) == 6
+    apart = Board(Stage("xyz", visuals=False), base=0x40000000, stride=0x10000)
+    apart.out8(0x40020000, 0x80)
+    apart.out8(0x40020001, 0x55)
+    assert apart.in8(0x40020001) == 0x55
+    assert [f"{port:X}" for port in apart.ports][::4] == ["40000000", "40010000", "40020000"]
+    near = Board(Stage("xyz", visuals=False), stride=8)  # with holes between chips
+    near.out8(0x310, 0x80)
+    near.out8(0x311, 0x55)
+    assert (near.in8(0x311), near.in8(0x314), near.in8(0x308)) == (0x55, 0xFF, near.in8(0x300))
+    assert [c.port for c in near.strays] == [0x314]
+
+
 def test_a_port_that_reaches_nothing_reads_as_ffh_takes_a_cycle_and_is_noted():
     stage = Stage("xyz", visuals=False)
     board = Board(stage)
@@ -234,7 +260,9 @@ def test_a_card_tells_which_of_its_chips_pull_the_interrupt_line():
         ({"layout": "nova"}, "PCL240K"),
         ({"layout": "pcl420"}, "pcl240"),
         ({"base": -4}, "ports are"),
-        ({"base": 0xFFFF}, "ports are"),
+        ({"base": 0xFFFFFFFD}, "FFFFFFFFh, and the chip takes 4"),
+        ({"base": 768.0}, "whole numbers"),
+        ({"base": 0xFFFFFFF8}, "port 100000000h|base=4294967296"),
         ({"stride": 2}, "two things"),
         ({"base": {"x": 0x300}}, "axis y"),
         ({"base": {"q": 0x300}}, "q"),

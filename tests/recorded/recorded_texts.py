@@ -103,7 +103,7 @@ BOARDS = [
     (PCL240K, None, {}), (PCL240MS, "pcl240-card", {}), (PCL240MK, "pcl240", {"base": 0x344, "stride": 8}), (MCX514, None, {}),
     (MCX514, "nova-8bit", {}), (MCX304, "nova", {"keep_cycles": 20}), (HCTL1100, None, {}), (HCTL1100, "hctl1100", {"base": 0x310}),
     ({"x": PCL240K, "y": MCX514}, None, {}), (PCL240K, "nova", {}), (PCL240K, "isa", {}), (PCL240K, None, {"stride": 3}),
-    (PCL240K, None, {"base": -1}), (PCL240K, None, {"base": 0x10000}), (PCL240K, None, {"keep_cycles": 0}),
+    (PCL240K, None, {"base": -1}), (PCL240K, None, {"base": 1 << 32}), (PCL240K, None, {"keep_cycles": 0}),
 ]  # fmt: skip
 
 
