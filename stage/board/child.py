@@ -7,7 +7,6 @@ import pickle
 import select
 import threading
 from multiprocessing.connection import Connection
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -160,7 +159,7 @@ def main(fileno: int) -> None:
     begin = pipe.recv()
     try:
         board = ChildBoard(pipe, begin)
-        runner = Threaded(Path(begin.library), board, begin.patience, may_exit=True)
+        runner = Threaded(begin.program, board, begin.patience, may_exit=True)
     except StageError as error:
         pipe.send((type(error).__name__, str(error)))
         return

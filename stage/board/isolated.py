@@ -14,7 +14,6 @@ import signal
 import tempfile
 import weakref
 from multiprocessing import Pipe
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,6 +22,7 @@ from stage import errors as general
 from stage.board import crash, errors, starter
 from stage.board.board import Board
 from stage.board.errors import HostError
+from stage.board.program import Program
 from stage.board.shared import Asked, Begin, Go, Noted, Shared, Stands
 from stage.chips.entries import LOST, READ, WRITE
 from stage.errors import StageError
@@ -33,10 +33,10 @@ from stage.sim.fingerprint import fingerprint
 class Isolated:
     """See `Runner`."""
 
-    def __init__(self, path: Path, board: Board, patience: float):
+    def __init__(self, program: Program, board: Board, patience: float):
         if os.name != "posix":
             raise StageError("isolated=True needs a POSIX system; run the firmware in this process.")
-        self._path, self._board, self._patience = path, board, patience
+        self._program, self._path, self._board, self._patience = program, program.path, board, patience
         self._child: starter.Process | None = None
         self._pipe: Any = None
         self._running = False
@@ -102,7 +102,7 @@ class Isolated:
                 self._child = starter.start(theirs.fileno())
             self._pipe = ours
             weakref.finalize(self, _ended, self._child)
-            ours.send(Begin(str(self._path), shared, given, self._patience))
+            ours.send(Begin(self._program, shared, given, self._patience))
             self._seen = _machine(board.stage)
             answer = ours.recv()
         except (EOFError, ConnectionError):

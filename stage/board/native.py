@@ -16,12 +16,13 @@ import shutil
 import weakref
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, Self
 
 from stage.board import library
 from stage.board.board import Board
 from stage.board.errors import HostTimeout
 from stage.board.link import MOST
+from stage.board.program import NativeProgram, Program
 from stage.board.threaded import PATIENCE, Threaded
 from stage.errors import ArgumentError, RunTimeout, StageError
 
@@ -53,46 +54,29 @@ class Runner(Protocol):
     def close(self) -> None: ...
 
 
-class NativeHost:
-    """Firmware on a board.
+class Host:
+    """Firmware on a board: what is the same for all its kinds. See NativeHost and stage.targets.TargetHost.
 
-    Args:
-        firmware: a shared library, or C or C++ sources (one, or a sequence), which are built first.
-        board: a Board; one firmware at a time drives it.
-        isolated: run it in a process of its own, whose crash is an error here; see stage.board.isolated.
-        flags: for the compiler.
-        patience: seconds of real time that the firmware may compute without a bus cycle.
-    Raises:
-        ArgumentError: a patience that is none.
-        LibraryError: not a library, for another machine, without the entry point, or not built with pulsestage.h.
-        CompileError, NoCompilerError: see `build`.
+    Attributes: path: its file; board: the Board that it drives.
     """
 
-    def __init__(
-        self,
-        firmware: str | os.PathLike | Sequence[str | os.PathLike],
-        board: Board,
-        *,
-        isolated: bool = False,
-        flags: tuple[str, ...] = (),
-        patience: float = PATIENCE,
-    ):
-        if not isinstance(board, Board):
-            raise ArgumentError(f"{board!r} is no Board: NativeHost('driver.c', Board(stage)).")
-        if not (isinstance(patience, int | float) and patience > 0):
-            raise ArgumentError(f"patience={patience!r}: seconds of real time, more than 0.")
-        self.path = library.ready(firmware, flags)
-        if library.are_sources(firmware):  # built into a folder of its own, which goes with the host
-            weakref.finalize(self, shutil.rmtree, self.path.parent, ignore_errors=True)
-        self.board = board
+    def __init__(self, program: Program, board: Board, isolated: bool, patience: float):
+        self.path, self.board = program.path, board
         self._runner: Runner
         if isolated:
             from stage.board.isolated import Isolated
 
-            self._runner = Isolated(self.path, board, patience)
+            self._runner = Isolated(program, board, patience)
         else:
-            self._runner = Threaded(self.path, board, patience)
+            self._runner = Threaded(program, board, patience)
         self._begun = (0, 0)
+
+    @classmethod
+    def _check(cls, board: Board, patience: float, example: str) -> None:
+        if not isinstance(board, Board):
+            raise ArgumentError(f"{board!r} is no Board: {cls.__name__}({example}, Board(stage)).")
+        if not (isinstance(patience, int | float) and patience > 0):
+            raise ArgumentError(f"patience={patience!r}: seconds of real time, more than 0.")
 
     @property
     def running(self) -> bool:
@@ -151,14 +135,14 @@ class NativeHost:
         it stands in stays in memory."""
         self._runner.close()
 
-    def __enter__(self) -> NativeHost:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
 
     def __repr__(self) -> str:
-        return f"<NativeHost {self.path.name}, {'in the middle' if self.running else 'not running'}; {self.board!r}>"
+        return f"<{type(self).__name__} {self.path.name}, {'in the middle' if self.running else 'not running'}; {self.board!r}>"
 
     def _go_on(self, ns: int, max_cycles: int) -> Result | None:
         board, stage = self.board, self.board.stage
@@ -181,6 +165,37 @@ class NativeHost:
         return HostTimeout(
             f"{self.path.name} {what} (now {board.stage.time:.6f} s). Its last bus cycles:\n{board.trace.text(SHOWN)}"
         )
+
+
+class NativeHost(Host):
+    """Firmware as a library of this machine.
+
+    Args:
+        firmware: a shared library, or C or C++ sources (one, or a sequence), which are built first.
+        board: a Board; one firmware at a time drives it.
+        isolated: run it in a process of its own, whose crash is an error here; see stage.board.isolated.
+        flags: for the compiler.
+        patience: seconds of real time that the firmware may compute without a bus cycle.
+    Raises:
+        ArgumentError: a patience that is none.
+        LibraryError: not a library, for another machine, without the entry point, or not built with pulsestage.h.
+        CompileError, NoCompilerError: see `build`.
+    """
+
+    def __init__(
+        self,
+        firmware: str | os.PathLike | Sequence[str | os.PathLike],
+        board: Board,
+        *,
+        isolated: bool = False,
+        flags: tuple[str, ...] = (),
+        patience: float = PATIENCE,
+    ):
+        self._check(board, patience, "'driver.c'")
+        path = library.ready(firmware, flags)
+        if library.are_sources(firmware):  # built into a folder of its own, which goes with the host
+            weakref.finalize(self, shutil.rmtree, path.parent, ignore_errors=True)
+        super().__init__(NativeProgram(path), board, isolated, patience)
 
 
 def _nanoseconds(seconds: float, name: str) -> int:

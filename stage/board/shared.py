@@ -16,6 +16,7 @@ import numpy as np
 from stage.board import host
 from stage.board.board import Board
 from stage.board.link import NOTED
+from stage.board.program import Program
 from stage.sim.records import EDGE, SAMPLE
 from stage.sim.state import SAVED
 
@@ -30,7 +31,7 @@ _LINE = struct.Struct("qq")  # time, length
 class Begin(NamedTuple):
     """The first message to the child. board: the stage and what else a Board takes, pickled."""
 
-    library: str
+    program: Program
     shared: str
     board: bytes
     patience: float

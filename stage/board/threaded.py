@@ -6,25 +6,26 @@ cycle) is abandoned, with a bus that has no effect any more.
 
 from __future__ import annotations
 
-import ctypes
 import threading
 import time
-from pathlib import Path
 
-from stage.board import crash, exits, host, library
+from stage.board import crash, exits, host
 from stage.board.board import Board
 from stage.board.errors import HostError
 from stage.board.link import MOST
+from stage.board.program import Loaded, Program
 
 PATIENCE = 20.0  # s of real time
 STACK = 64 << 20  # bytes
 
 
 class Threaded:
-    """See `Runner`. may_exit: firmware that calls exit ends this process, which is its own. Raises LibraryError when it is made."""
+    """See `Runner`. may_exit: firmware that calls exit ends this process, which is its own. Raises what is wrong with the program
+    when it is made."""
 
-    def __init__(self, path: Path, board: Board, patience: float, may_exit: bool = False):
-        self._path, self._board, self._patience, self._may_exit = path, board, patience, may_exit
+    def __init__(self, program: Program, board: Board, patience: float, may_exit: bool = False):
+        self._program, self._board, self._patience, self._may_exit = program, board, patience, may_exit
+        self._path = program.path
         self._load().close()  # says what is wrong before anything runs
         self._thread: threading.Thread | None = None
         self._code: int | None = None
@@ -68,12 +69,9 @@ class Threaded:
     def close(self) -> None:
         self._abandon()
 
-    def _load(self) -> library.Library:
-        """A copy of the library, with a bus of its own: firmware that was given up keeps its own."""
-        size, board = ctypes.sizeof(library.BusStruct), self._board
-        return library.Library(
-            self._path, library.BusStruct(library.ABI, size, board.link.pointer, board.link.request), self._may_exit
-        )
+    def _load(self) -> Loaded:
+        """A copy of the firmware, with a bus of its own: firmware that was given up keeps its own."""
+        return self._program.load(self._board, self._may_exit)
 
     def _start(self) -> None:
         loaded = self._load()
@@ -87,14 +85,18 @@ class Threaded:
         finally:
             threading.stack_size(before)
 
-    def _main(self, loaded: library.Library) -> None:
+    def _main(self, loaded: Loaded) -> None:
         """The firmware's thread."""
         self._go.acquire()
         if self._may_exit:
             crash.own_stack()
         me = threading.get_ident()
         exits.leavers[me] = self._leave
-        code, board = int(loaded.main()), self._board
+        code, failed, board = 0, None, self._board
+        try:
+            code = int(loaded.main())
+        except Exception as error:
+            failed = error
         del exits.leavers[me]
         if threading.current_thread() in board.link.abandoned:
             return
@@ -104,6 +106,8 @@ class Threaded:
             board.link.end()
         except BaseException as error:
             board.link.fail(error)
+        if failed is not None:
+            board.link.fail(failed)
         self._thread = None
         loaded.close()
         self._code = code
