@@ -100,7 +100,7 @@ def test_every_shipped_layout_can_be_written_as_a_file(name, tmp_path):
         ('chip = "MCX304"\nports = ["word 1", "upper 2"]', r'the entry before it has to be "word 2"'),
         ('chip = "HCTL1100"\nports = ["data", "latch"]', r'entry 1, "data": the entry before it has to be "latch"'),
         ('chip = "HCTL1100"\nports = ["latch 1"]', r'no address follows. Write "latch"'),
-        ('like = "pcl240"\nbase = 70000', r"base = 70000: a whole number from 0 to \d+"),
+        ('like = "pcl240"\nbase = 4294967296', r"base = 4294967296: a whole number from 0 to \d+"),
         ('like = "pcl240"\nstride = "four"', r"stride = 'four': a whole number"),
         ('like = "pcl240"\nstride = true', r"stride = True: a whole number"),
         ('like = "pcl240"\nown = ["interrupts"]', r"nothing says how many. Add for example: chips = 4"),
