@@ -41,6 +41,7 @@ from stage.board.host import (
     STRAY,
     TWICE,
     TWO_AT_ONCE,
+    UNTIL,
     WORD,
     ask,
     chip_of,
@@ -49,7 +50,7 @@ from stage.board.host import (
     now_of,
 )
 from stage.board.notes import journal, note
-from stage.board.waiting import catch_up, cycle, line_of, serve, turn_to, wait
+from stage.board.waiting import catch_up, cycle, line_of, reach, serve, turn_to, wait
 from stage.chips import cores
 from stage.chips.entries import LOST, READ, WRITE
 from stage.native import array_at, exported, float_mode_as_before, greatest, hot, least, usual_float_mode
@@ -235,6 +236,9 @@ def _answer(h, what, a, b):
         return 1 if line_of(h) else 0
     elif what == SETTLE:
         catch_up(h)
+    elif what == UNTIL:
+        reach(h, a)
+        return 1 if b and line_of(h) else 0
     return 0
 
 

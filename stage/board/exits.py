@@ -11,7 +11,7 @@ from __future__ import annotations
 import ctypes
 import mmap
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Container, Iterator, Mapping
 from threading import get_ident
 from typing import Any
 
@@ -56,9 +56,16 @@ def interpose(handle: int) -> None:
     if HERE:
         library = ctypes.cast(handle, ctypes.POINTER(_Loaded))
         while library:
-            for slot, name in _slots(library.contents):
+            for slot, name in _slots(library.contents, _NAMED):
                 _set(slot, _address(name))
             library = library.contents.next
+
+
+def replace_calls(handle: int, functions: Mapping[str, int]) -> None:
+    """The calls of these functions by the library of that handle go to the addresses given; they have to live as long as it."""
+    if HERE:
+        for slot, name in _slots(ctypes.cast(handle, ctypes.POINTER(_Loaded)).contents, functions):
+            _set(slot, functions[name])
 
 
 def _taken(name: str) -> Any:
@@ -83,8 +90,8 @@ def _address(name: str) -> int:
     return ctypes.cast(_OURS[name], ctypes.c_void_p).value or 0
 
 
-def _slots(library: _Loaded) -> Iterator[tuple[int, str]]:
-    """Where the addresses of these functions lie that the library calls."""
+def _slots(library: _Loaded, wanted: Container[str]) -> Iterator[tuple[int, str]]:
+    """Where the addresses of those wanted lie that the library calls."""
     base, tags, at = library.base, {}, library.dynamic
     while tag := ctypes.c_int64.from_address(at).value:
         tags[tag] = ctypes.c_uint64.from_address(at + 8).value
@@ -100,7 +107,7 @@ def _slots(library: _Loaded) -> Iterator[tuple[int, str]]:
             name = ctypes.string_at(
                 names + ctypes.c_uint32.from_address(symbols + _SYMBOL_SIZE * number).value
             ).decode()
-            if name in _NAMED:
+            if name in wanted:
                 for offset in found["offset"][numbers == number].tolist():
                     yield base + offset, name
 

@@ -16,6 +16,8 @@ IN8, OUT8, IN16, OUT16, DELAY, MICROS, LOG, HOOK, LINE, SETTLE = range(10)
 function (a: its address) with an argument (b) while the interrupt line is asserted, whether it is, that the stage catches up."""
 IN32, OUT32 = 13, 14
 """Two cycles of 16 bits, the low half first."""
+UNTIL = 20
+"""An emulated processor: its time (a: ns of the stage) is the board's; if `b`, whether the interrupt line then is asserted."""
 FULL, DIVERGED, PAUSE, STORM, LINE_OF_LOG, ASKED_WRITE, BY_HAND, TWICE = range(1, 9)
 """Why Python is called: buffers are full; the physics has diverged; time or cycles are up; an interrupt that nothing clears; a
 line to note; a write that Python makes, since a fault of the bus looks at each; the stage's time is to pass and compiled code alone

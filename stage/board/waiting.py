@@ -172,6 +172,21 @@ def wait(h, ns):
 
 
 @hot
+def reach(h, until):
+    """The host's time gets to `until` ns, if it is not there."""
+    ns = until - now_of(h)
+    if ns <= 0:
+        return
+    if h.lazy and h.hook == 0 and until < h.quiet:
+        h.ahead += ns
+        return
+    catch_up(h)
+    _pass(h, ns)
+    serve(h)
+    _foresee(h)
+
+
+@hot
 def cycle(h):
     """The time of one bus cycle."""
     if h.cycles >= h.most_cycles:

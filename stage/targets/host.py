@@ -1,0 +1,76 @@
+"""`TargetHost`: a program for another processor drives a board, on an emulator of that processor.
+
+    host = TargetHost("firmware.elf", board, mcu="atmega2560", map="data=A,address=C:0-1,cs=B0,wr=G0,rd=G1")
+    result = host.run(timeout=10)
+
+All else is as with NativeHost, except that time passes in its instructions, too.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from stage.board.board import Board
+from stage.board.native import Host
+from stage.board.program import Program
+from stage.board.threaded import PATIENCE
+from stage.errors import ArgumentError
+from stage.targets import mcus
+
+FOR_EVER = 1e9  # s of patience with a person at a debugger
+
+
+class TargetHost(Host):
+    """Firmware as a program of another processor.
+
+    Args:
+        firmware: an ELF program; for mcu 8086 a .COM or .EXE.
+        board: a Board; one firmware at a time drives it.
+        mcu: the processor, for example atmega2560, cortex-m3, 8086.
+        map: how the board is wired to it, text or several: an AVR's pins, see stage.targets.pins; of a Cortex-M windows, see
+            stage.board.windows; an 8086 has ports of its own.
+        clock: Hz of its clock; default: what is usual for it, see docs/targets.md.
+        gdb: TCP port, on 127.0.0.1, at which the processor waits for a GDB; AVRs have it.
+        isolated: run it in a process of its own, see stage.board.isolated.
+        patience: seconds of real time that it may run without simulated time passing.
+    Raises:
+        ArgumentError: an unknown mcu, a map of another form, a clock or a patience that is none.
+        NoEmulatorError: the emulator is not installed.
+        LibraryError, FileError: no program of this processor.
+    """
+
+    def __init__(
+        self,
+        firmware: str | os.PathLike,
+        board: Board,
+        *,
+        mcu: str,
+        map: str | Sequence[str] = (),
+        clock: float | None = None,
+        gdb: int | None = None,
+        isolated: bool = os.name == "posix",
+        patience: float = PATIENCE,
+    ):
+        self._check(board, patience, "'firmware.elf'")
+        if clock is not None and not (isinstance(clock, int | float) and 1e3 <= clock <= 1e9 and math.isfinite(clock)):
+            raise ArgumentError(f"clock={clock!r}: Hz of the processor's clock, 1e3 to 1e9.")
+        if gdb is not None and not (isinstance(gdb, int) and 1024 <= gdb < 65536):
+            raise ArgumentError(f"gdb={gdb!r}: a TCP port, 1024 to 65535.")
+        self.mcu = mcus.checked(mcu)
+        maps = [map] if isinstance(map, str) else list(map)
+        program = program_of(Path(firmware), self.mcu, maps, None if clock is None else round(clock), gdb)
+        super().__init__(program, board, isolated, FOR_EVER if gdb else patience)
+
+
+def program_of(path: Path, mcu: str, maps: list[str], hz: int | None, gdb: int | None) -> Program:
+    """The file as a program of that processor. Raises as `TargetHost`."""
+    if mcu in mcus.AVRS:
+        from stage.targets.pins import pins
+        from stage.targets.simavr import AvrProgram
+
+        mcus.simavr()
+        return AvrProgram(path, mcu, pins(maps), hz, gdb)
+    raise ArgumentError(f"{mcu}: not yet.")

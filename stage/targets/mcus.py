@@ -1,0 +1,73 @@
+"""The processors that can be emulated: which emulator has each, and what it needs."""
+
+from __future__ import annotations
+
+import ctypes
+import ctypes.util
+import importlib.util
+from difflib import get_close_matches
+from functools import cache
+
+from stage.errors import ArgumentError, StageError
+
+AVRS = (
+    "at90usb162 atmega128 atmega1280 atmega1281 atmega1284 atmega1284p atmega128rfa1 atmega128rfr2 atmega16 atmega164 atmega164p "
+    "atmega164pa atmega168 atmega168p atmega168pa atmega16m1 atmega2560 atmega32 atmega324 atmega324a atmega324p atmega324pa "
+    "atmega328 atmega328p atmega32u4 atmega48 atmega48p atmega48pa atmega644 atmega644p atmega8 atmega88 atmega88p atmega88pa "
+    "atmega8l attiny13 attiny13a attiny2313 attiny2313a attiny24 attiny25 attiny4313 attiny44 attiny45 attiny84 attiny85"
+).split()
+"""As simavr names them."""
+CORTEX = ("cortex-m0", "cortex-m3", "cortex-m4")
+X86 = ("8086",)
+SIMAVR = "simavr (Debian: apt install libsimavr2)"
+UNICORN = "Unicorn (pip install 'pulsestage[targets]')"
+_NAMES = ("libsimavr.so.2", "libsimavr.so.1", "libsimavr.so", "libsimavr.dylib")
+
+
+class NoEmulatorError(StageError):
+    """An emulator that is not installed."""
+
+
+@cache
+def simavr() -> ctypes.CDLL:
+    """simavr's library. Raises NoEmulatorError."""
+    for name in (*_NAMES, ctypes.util.find_library("simavr")):
+        if name:
+            try:
+                return ctypes.CDLL(name)
+            except OSError:
+                continue
+    raise NoEmulatorError(f"there is no {SIMAVR}: install it.")
+
+
+def has_simavr() -> bool:
+    """Whether simavr can be loaded."""
+    try:
+        return bool(simavr())
+    except NoEmulatorError:
+        return False
+
+
+def has_unicorn() -> bool:
+    """Whether Unicorn is installed."""
+    return importlib.util.find_spec("unicorn") is not None
+
+
+def need_unicorn() -> None:
+    """Raises NoEmulatorError."""
+    if not has_unicorn():
+        raise NoEmulatorError(f"there is no {UNICORN}: install it.")
+
+
+def checked(mcu: str) -> str:
+    """The name of a processor as it is known here. Raises ArgumentError with those that are."""
+    name = str(mcu).lower()
+    if name in AVRS or name in CORTEX or name in X86:
+        return name
+    near = get_close_matches(name, [*AVRS, *CORTEX, *X86], 1)
+    rows = [
+        f"by {SIMAVR}{'' if has_simavr() else ', which is not here'}: {', '.join(AVRS)}",
+        f"by {UNICORN}{'' if has_unicorn() else ', which is not here'}: {', '.join((*CORTEX, *X86))}",
+    ]
+    hint = f" Is it {near[0]}?" if near else ""
+    raise ArgumentError(f"mcu {mcu!r} is not known.{hint} Known are\n  {rows[0]}\n  {rows[1]}")

@@ -1,0 +1,293 @@
+"""AVR programs on simavr, whose library is opened at run time: it is under the GPL, no part of this package, and not linked to it.
+
+simavr's functions are used, not its structures, which change between versions. Three numbers have none: clock, state and program
+counter; they are found next to the addresses of functions that simavr puts beside them.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import re
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stage.board import bus, exits
+from stage.board.board import Board
+from stage.board.errors import HostError, LibraryError
+from stage.errors import StageError
+from stage.native import address_of, array_at
+from stage.targets import avr as hot
+from stage.targets.elf import AVR, Elf
+from stage.targets.mcus import simavr
+from stage.targets.pins import Pins
+
+HOW = "avr-gcc -mmcu={mcu} -Os -g firmware.c -o firmware.elf"
+USUAL_HZ = 16_000_000
+QUANTUM, LATENCY = 50e-6, 2e-6
+"""s between two looks at the clock; with an interrupt line, between two looks at that."""
+EEPROM, MEMORY = 0x810000, 0x800000
+TEXT = 256  # bytes of a line over UART
+PIN_ALL, DIRECTION_ALL = 8, 9
+UART_OUTPUT = 1
+STOPPED, DONE, CRASHED = 1, 6, 7
+_BEGIN_HZ = 1_000_000  # what simavr begins with
+_LOOKED_AT = 512  # bytes at the begin of an avr_t
+_PC_BEHIND_SLEEP = 36
+_ERROR = 2
+_CLOCK_TAG = 2
+_COLOUR = re.compile(r"\x1b\[[0-9;]*m")
+_PC = re.compile(r"PC=([0-9a-f]{4,})|\*\*\* ([0-9a-f]{4,}):")
+_LOGGER = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int, ctypes.c_char_p, ctypes.c_void_p)
+_USLEEP = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_uint32)
+_BIND = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_int, ctypes.c_void_p, ctypes.c_uint32)
+
+
+class _Eeprom(ctypes.Structure):
+    """avr_eeprom_desc_t."""
+
+    _fields_ = (("content", ctypes.c_char_p), ("offset", ctypes.c_uint16), ("size", ctypes.c_uint32))
+
+
+def _ioctl(text: str) -> int:
+    return int.from_bytes(text.encode(), "big")
+
+
+@dataclass(frozen=True)
+class AvrProgram:
+    """An ELF program for an AVR. hz: its clock, or None: what its .mmcu section says, or 16 MHz. gdb: TCP port of a GDB server."""
+
+    path: Path
+    mcu: str
+    pins: Pins
+    hz: int | None
+    gdb: int | None
+
+    def load(self, board: Board, may_exit: bool) -> LoadedAvr:
+        """See stage.board.program. Raises NoEmulatorError, LibraryError, FileError."""
+        return LoadedAvr(self, board)
+
+
+class _Library:
+    """simavr, with its messages and its sleep coming to us."""
+
+    one: _Library | None = None
+
+    def __init__(self) -> None:
+        self.c = simavr()
+        self.said: list[tuple[int, str]] = []
+        self.gdb_port = 0
+        libc = ctypes.CDLL(None)
+        room = ctypes.create_string_buffer(1024)
+
+        def logged(_avr: int, level: int, text: bytes, arguments: int) -> None:
+            libc.vsnprintf(room, len(room), text, ctypes.c_void_p(arguments))
+            self.said.append((level, _COLOUR.sub("", room.value.decode(errors="replace")).strip()))
+
+        def bind(socket: int, address: int, size: int) -> int:
+            """simavr's server listens on all interfaces, and its port is in a structure."""
+            family = ctypes.string_at(address, 2)
+            given = family + struct.pack("!H", self.gdb_port) + bytes((127, 0, 0, 1)) + bytes(8)
+            return int(libc.bind(socket, given, size))
+
+        self._kept = (_LOGGER(logged), _USLEEP(lambda _: 0), _BIND(bind))
+        addresses = [ctypes.cast(f, ctypes.c_void_p).value or 0 for f in self._kept]
+        exits.replace_calls(self.c._handle, {"usleep": addresses[1], "bind": addresses[2]})
+        self.c["avr_global_logger_set"](self._kept[0])
+        self.make, self.getirq = self.c["avr_make_mcu_by_name"], self.c["avr_io_getirq"]
+        self.make.restype = self.getirq.restype = ctypes.c_void_p
+
+    def address(self, name: str) -> int:
+        return ctypes.cast(self.c[name], ctypes.c_void_p).value or 0
+
+
+def _library() -> _Library:
+    if _Library.one is None:
+        _Library.one = _Library()
+    return _Library.one
+
+
+class LoadedAvr:
+    """See stage.board.program."""
+
+    def __init__(self, program: AvrProgram, board: Board):
+        self.path, self._board, self._gdb = program.path, board, program.gdb
+        self._elf = Elf(program.path, AVR, program.mcu, HOW.format(mcu=program.mcu))
+        self._simavr = _library()
+        self._simavr.said.clear()
+        self._avr = self._simavr.make(program.mcu.encode())
+        if not self._avr:
+            raise StageError(f"this version of simavr does not know the {program.mcu}.")
+        self._c("avr_init")
+        hz = program.hz or self._clock_of_elf() or USUAL_HZ
+        self._pc = self._find(hz)
+        self._load_content()
+        self._c("avr_reset")
+        self._connect(program.pins, hz)
+
+    def _c(self, name: str, *given: Any) -> Any:
+        return self._simavr.c[name](ctypes.c_void_p(self._avr), *given)
+
+    def _clock_of_elf(self) -> int:
+        """What AVR_MCU(...) of simavr's header has put into the section .mmcu."""
+        for segment in self._elf.segments:
+            if 0x910000 <= segment.used_at < 0x920000:
+                content, at = segment.content, 0
+                while at + 2 <= len(content) and content[at]:
+                    tag, length = content[at], content[at + 1]
+                    if tag == _CLOCK_TAG and length >= 4:
+                        return int.from_bytes(content[at + 2 : at + 6], "little")
+                    at += 2 + length
+        return 0
+
+    def _find(self, hz: int) -> int:
+        """Set the clock; where the program counter lies, or 0."""
+        head: Any = array_at(self._avr, _LOOKED_AT, np.dtype("u1"))
+        words, pointers = head.view("<u4"), head.view("<u8")
+        clock = [k for k in range(8, 40) if words[k] == _BEGIN_HZ]
+        sleep = [k for k in range(len(pointers)) if pointers[k] == self._simavr.address("avr_callback_sleep_raw")]
+        if len(clock) != 1 or len(sleep) != 1:
+            raise StageError(
+                "this version of simavr is not known (its avr_t is laid out in another way): 1.6 and 1.7 are."
+            )
+        words[clock[0]] = hz
+        self._state = words[clock[0] - 1 : clock[0]]
+        return int(self._avr) + sleep[0] * 8 + _PC_BEHIND_SLEEP
+
+    def _load_content(self) -> None:
+        room = _flash_of(self._avr)
+        for segment in self._elf.segments:
+            if segment.used_at >= EEPROM + 0x10000:
+                continue  # fuses, and what is said to simavr
+            content = segment.content
+            if segment.used_at >= EEPROM:
+                given = _Eeprom(content, segment.used_at - EEPROM, len(content))
+                self._c("avr_ioctl", _ioctl("eesp"), ctypes.byref(given))
+            elif segment.at + len(content) > room:
+                raise LibraryError(
+                    f"{self.path} has code up to {segment.at + len(content):X}h, and the flash ends at {room:X}h: it was linked "
+                    "for another AVR?"
+                )
+            else:
+                self._c("avr_loadcode", content, len(content), segment.at)
+
+    def _connect(self, pins: Pins, hz: int) -> None:
+        """The pins are the board's bus."""
+        link, library = self._board.link, self._simavr
+        ports = len(hot.PORTS)
+        self._levels, self._outputs = np.zeros(ports, "i8"), np.zeros(ports, "i8")
+        self._pins = np.array([p or (hot.NO_PIN, 0) for p in (pins.cs, pins.wr, pins.rd, *pins.address)], hot.PIN)
+        self._data = np.array([self._irq(pins.data, bit) for bit in range(8)], "i8")
+        self._fight = ctypes.create_string_buffer(
+            f"port {hot.PORTS[pins.data]} has output pins while /RD is low: AVR and board both drive the data lines".encode()
+        )
+        self._row = np.zeros(1, hot.AVR)
+        t = self.record = self._row[0]
+        t.own, t.avr, t.host, t.request = self._row.ctypes.data, self._avr, link.pointer, bus.request.address
+        for name in ("run", "raise_irq"):
+            t[name] = library.address(f"avr_{name}")
+        t.status, t.look = library.address("avr_cycle_timer_status"), library.address("avr_core_watch_read")
+        t.hz, t.watched, t.pc = hz, pins.irq is not None, self._pc
+        t.quantum = max(1, round((LATENCY if pins.irq else QUANTUM) * hz))
+        t.stop = self._elf.symbols.get("__stop_program", self._elf.symbols.get("_exit", -1))
+        t.line_irq = self._irq(*pins.irq) if pins.irq else 0
+        t.select, t.write, t.read, t.addresses = (self._pins.ctypes.data + k * hot.PIN.itemsize for k in range(4))
+        t.n_addresses, t.data, t.data_irqs = len(pins.address), pins.data, self._data.ctypes.data
+        t.first = min(place.first for place in self._board.places) if pins.base is None else pins.base
+        t.levels, t.outputs, t.fight = (
+            self._levels.ctypes.data,
+            self._outputs.ctypes.data,
+            ctypes.addressof(self._fight),
+        )
+        t.was_write = 1
+        self._functions = [hot.levels_changed.pointer, hot.outputs_changed.pointer, hot.tick.pointer, hot.sent.pointer]
+        t.timer = ctypes.cast(self._functions[2], ctypes.c_void_p).value
+        used = sorted({pins.data, *(p[0] for p in (pins.cs, pins.wr, pins.rd, *pins.address) if p)})
+        self._ports = np.array([(t.own, port) for port in used], hot.PORT)
+        for k, port in enumerate(used):
+            for number, function in ((PIN_ALL, self._functions[0]), (DIRECTION_ALL, self._functions[1])):
+                self._notify(self._irq(port, number), function, self._ports[k : k + 1])
+        if pins.irq:
+            library.c["avr_raise_irq"](ctypes.c_void_p(int(t.line_irq)), 1)
+        self._hear()
+
+    def _irq(self, port: int, number: int) -> int:
+        found = self._simavr.getirq(ctypes.c_void_p(self._avr), _ioctl("iog" + hot.PORTS[port]), number)
+        if not found:
+            raise StageError(f"--map: this AVR has no port {hot.PORTS[port]}.")
+        return int(found)
+
+    def _notify(self, irq: int, function: Any, row: np.ndarray) -> None:
+        self._simavr.c["avr_irq_register_notify"](
+            ctypes.c_void_p(irq), ctypes.cast(function, ctypes.c_void_p), ctypes.c_void_p(address_of(row))
+        )
+
+    def _hear(self) -> None:
+        """What the program sends over its serial lines is the log."""
+        self._texts, self._serials = [], []
+        for name in "0123":
+            irq = self._simavr.getirq(ctypes.c_void_p(self._avr), _ioctl("uar" + name), UART_OUTPUT)
+            if irq:
+                flags = ctypes.c_uint32(0)
+                self._c("avr_ioctl", _ioctl("uas" + name), ctypes.byref(flags))
+                text = ctypes.create_string_buffer(TEXT)
+                row = np.array([(self.record.own, ctypes.addressof(text), TEXT, 0)], hot.SERIAL)
+                self._texts.append(text)
+                self._serials.append(row)
+                self._notify(irq, self._functions[3], row)
+
+    # --- it runs ---
+
+    def main(self) -> int:
+        """See stage.board.program."""
+        t = self.record
+        t.begin = self._board.stage.now
+        t.when = t.quantum
+        self._c(
+            "avr_cycle_timer_register", ctypes.c_uint64(int(t.quantum)), self._functions[2], ctypes.c_void_p(int(t.own))
+        )
+        if self._gdb:
+            self._simavr.gdb_port = self._gdb
+            self._state[0] = STOPPED
+            self._c("avr_gdb_init")
+        hot.run.c(t.own)
+        if t.ended:
+            return int(np.int64(t.code).astype(np.int16))
+        raise HostError(self._what())
+
+    def _what(self) -> str:
+        """What has ended it."""
+        board = self._board
+        errors = [text for level, text in self._simavr.said if level <= _ERROR or "simavr: sleep" in text]
+        said = errors[-1] if errors else "simavr has stopped it"
+        pc = int(array_at(self._pc, 1, np.dtype("u4"))[0])
+        for text in errors:
+            if found := _PC.search(text):
+                pc, said = int(found[1] or found[2], 16), text
+                break
+        for key, words in (
+            ("Invalid Opcode", "an instruction that this AVR does not have"),
+            ("Invalid write", "a wild write"),
+            ("Invalid read", "a wild read"),
+            ("interrupts off", "it sleeps for ever, with interrupts off"),
+        ):
+            if key in said:
+                said = f"{words} ({said})"
+        return (
+            f"{self.path.name}: {said}, at {self._elf.where(pc)}; at {board.stage.time:.6f} s, after {board.cycles:,} bus cycles. "
+            f"Its last bus cycles:\n{board.trace.text(12)}"
+        )
+
+    def close(self) -> None:
+        """See stage.board.program."""
+        if self._avr:
+            self._c("avr_terminate")
+            self._avr = 0
+
+
+def _flash_of(avr: int) -> int:
+    """Bytes of flash."""
+    return int(array_at(avr + 12, 1, np.dtype("u4"))[0]) + 1
