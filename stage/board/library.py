@@ -32,6 +32,7 @@ _MACHINES = {
     20: "PowerPC",
     40: "ARM (32 bit)",
     62: "x86-64",
+    83: "AVR",
     183: "aarch64",
     243: "RISC-V",
 }
@@ -130,7 +131,7 @@ def check(path: str | os.PathLike) -> Path:
         theirs = _MACHINES.get(machine, f"machine {machine}")
         if platform.system() == "Linux" and theirs != ours:
             raise LibraryError(
-                f"{file} was built for {theirs}, and this is {ours}. Build it here: {how_to_build(file)}"
+                f"{file} was built for {theirs}, and this is {ours}. Build it here: {how_to_build(file)}{_emulated(machine)}"
             )
         if kind != 3:
             what = {1: "an object file", 2: "a program", 4: "a core dump"}.get(kind, "no library")
@@ -140,6 +141,12 @@ def check(path: str | os.PathLike) -> Path:
             f"{file} is no shared library of this machine ({ours}, ELF). Build it so: {how_to_build(file)}"
         )
     return file
+
+
+def _emulated(machine: int) -> str:
+    """What to do with a program of another machine that can be emulated."""
+    mcu = {83: "atmega2560", 40: "cortex-m3"}.get(machine)
+    return f" Or run it as it is, on an emulated processor: --mcu {mcu} (docs/targets.md)." if mcu else ""
 
 
 def _mode() -> int:

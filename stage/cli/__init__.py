@@ -222,6 +222,7 @@ def _add_firmware(commands: Any) -> None:
     p.add_argument(
         "firmware", nargs="+", metavar="FIRMWARE", help="driver.so, or C or C++ sources; docs/firmware_in_the_loop.md"
     )
+    _add_target(p)
     g = p.add_argument_group("firmware")
     g.add_argument("--cflags", default="", help='for the compiler, for example --cflags="-Ihal -DSLOW"')
     g.add_argument(
@@ -266,6 +267,20 @@ def _add_firmware(commands: Any) -> None:
         commands, "include", "firmware:include", "where pulsestage.h is",
         'Print the folder of the one header that firmware needs: cc -shared -fPIC -I"$(stage include)" driver.c -o driver.so',
     )  # fmt: skip
+
+
+def _add_target(p: argparse.ArgumentParser) -> None:
+    g = p.add_argument_group("programs of another processor (docs/targets.md)")
+    g.add_argument("--mcu", help="the processor: atmega2560 and other AVRs, cortex-m3, 8086")
+    g.add_argument(
+        "--map",
+        action="append",
+        default=[],
+        help="how the board is wired to it: an AVR's pins, data=A,address=C:0-1,cs=B0,wr=G0,rd=G1,irq=D0; windows, "
+        "0x40021000=0x300+0x40",
+    )
+    g.add_argument("--mcu-clock", type=float, metavar="HZ", help="its clock, for example 16e6 (default: what is usual)")
+    g.add_argument("--gdb", type=_number, metavar="PORT", help="wait for GDB on 127.0.0.1 (AVRs)")
 
 
 def _number(text: str) -> int:

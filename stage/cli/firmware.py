@@ -18,7 +18,7 @@ SHOWN = 10
 
 def run(args: argparse.Namespace) -> int:
     """Run firmware; print what it noted and where the axes are."""
-    from stage.board import Board, HostError, HostTimeout, NativeHost, StormError
+    from stage.board import Board, HostError, HostTimeout, StormError
     from stage.errors import SimulationError
     from stage.files import written
 
@@ -40,9 +40,7 @@ def run(args: argparse.Namespace) -> int:
     except ValueError as failed:
         raise ArgumentError(f"--cflags {args.cflags!r}: {failed}.") from None
     board = Board(stage, args.layout, args.base, args.stride, keep_cycles=args.keep)
-    host = NativeHost(
-        args.firmware, board, isolated=os.name == "posix" and not args.in_process, flags=flags, patience=args.patience
-    )
+    host = _host(args, board, flags)
     error: StageError | None = None
     result = None
     begin = time.perf_counter()
@@ -74,6 +72,26 @@ def run(args: argparse.Namespace) -> int:
         print(f"stage: {error}", file=sys.stderr)
         return 1
     return 0 if result is not None and result.code == 0 and not any(a.lost_steps for a in stage.axes.values()) else 1
+
+
+def _host(args: argparse.Namespace, board: Any, flags: tuple[str, ...]) -> Any:
+    """The firmware as a library of this machine, or with --mcu as a program of another."""
+    isolated = os.name == "posix" and not args.in_process
+    if args.mcu is None:
+        from stage.board import NativeHost
+
+        for name, given in (("--mcu-clock", args.mcu_clock), ("--gdb", args.gdb), ("--map", args.map)):
+            if given:
+                raise ArgumentError(f"{name}: it is for programs of other processors; --mcu says of which.")
+        return NativeHost(args.firmware, board, isolated=isolated, flags=flags, patience=args.patience)
+    from stage.targets import TargetHost
+
+    if len(args.firmware) > 1 or flags:
+        raise ArgumentError("--mcu: give one program that is built, and no --cflags.")
+    return TargetHost(
+        args.firmware[0], board, mcu=args.mcu, map=args.map, mcu_clock=args.mcu_clock, gdb=args.gdb, isolated=isolated,
+        patience=args.patience,
+    )  # fmt: skip
 
 
 def include(_args: argparse.Namespace) -> int:

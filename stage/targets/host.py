@@ -32,7 +32,7 @@ class TargetHost(Host):
         mcu: the processor, for example atmega2560, cortex-m3, 8086.
         map: how the board is wired to it, text or several: an AVR's pins, see stage.targets.pins; of a Cortex-M windows, see
             stage.board.windows; an 8086 has ports of its own.
-        clock: Hz of its clock; default: what is usual for it, see docs/targets.md.
+        mcu_clock: Hz of its clock; default: what is usual for it, see docs/targets.md.
         gdb: TCP port, on 127.0.0.1, at which the processor waits for a GDB; AVRs have it.
         isolated: run it in a process of its own, see stage.board.isolated.
         patience: seconds of real time that it may run without simulated time passing.
@@ -49,19 +49,21 @@ class TargetHost(Host):
         *,
         mcu: str,
         map: str | Sequence[str] = (),
-        clock: float | None = None,
+        mcu_clock: float | None = None,
         gdb: int | None = None,
         isolated: bool = os.name == "posix",
         patience: float = PATIENCE,
     ):
         self._check(board, patience, "'firmware.elf'")
-        if clock is not None and not (isinstance(clock, int | float) and 1e3 <= clock <= 1e9 and math.isfinite(clock)):
-            raise ArgumentError(f"clock={clock!r}: Hz of the processor's clock, 1e3 to 1e9.")
+        if mcu_clock is not None and not (
+            isinstance(mcu_clock, int | float) and 1e3 <= mcu_clock <= 1e9 and math.isfinite(mcu_clock)
+        ):
+            raise ArgumentError(f"mcu_clock={mcu_clock!r}: Hz of the processor's clock, 1e3 to 1e9.")
         if gdb is not None and not (isinstance(gdb, int) and 1024 <= gdb < 65536):
             raise ArgumentError(f"gdb={gdb!r}: a TCP port, 1024 to 65535.")
         self.mcu = mcus.checked(mcu)
         maps = [map] if isinstance(map, str) else list(map)
-        program = program_of(Path(firmware), self.mcu, maps, None if clock is None else round(clock), gdb)
+        program = program_of(Path(firmware), self.mcu, maps, None if mcu_clock is None else round(mcu_clock), gdb)
         super().__init__(program, board, isolated, FOR_EVER if gdb else patience)
 
 

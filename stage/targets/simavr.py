@@ -9,6 +9,7 @@ from __future__ import annotations
 import ctypes
 import re
 import struct
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -39,10 +40,20 @@ _LOOKED_AT = 512  # bytes at the begin of an avr_t
 _PC_BEHIND_SLEEP = 36
 _ERROR = 2
 _CLOCK_TAG = 2
+_ENDS = ("Invalid Opcode", "WATCHDOG: timer fired", "Resetting")
+"""Messages after which simavr goes on, and a run does not."""
+_WORDS = (
+    ("Invalid Opcode", "an instruction that this AVR does not have"),
+    ("Invalid write", "a wild write"),
+    ("Invalid read", "a wild read"),
+    ("interrupts off", "it sleeps for ever, with interrupts off"),
+    ("WATCHDOG: timer fired", "the watchdog has come: nobody reset it in time"),
+    ("sadly_crashed", "the program counter has left the code"),
+)
 _COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 _PC = re.compile(r"PC=([0-9a-f]{4,})|\*\*\* ([0-9a-f]{4,}):")
 _LOGGER = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int, ctypes.c_char_p, ctypes.c_void_p)
-_USLEEP = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_uint32)
+_NOTHING = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_uint32)
 _BIND = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_int, ctypes.c_void_p, ctypes.c_uint32)
 
 
@@ -79,13 +90,17 @@ class _Library:
     def __init__(self) -> None:
         self.c = simavr()
         self.said: list[tuple[int, str]] = []
+        self.runs: Any = None  # the AVR record of what runs
         self.gdb_port = 0
         libc = ctypes.CDLL(None)
         room = ctypes.create_string_buffer(1024)
 
         def logged(_avr: int, level: int, text: bytes, arguments: int) -> None:
             libc.vsnprintf(room, len(room), text, ctypes.c_void_p(arguments))
-            self.said.append((level, _COLOUR.sub("", room.value.decode(errors="replace")).strip()))
+            said = _COLOUR.sub("", room.value.decode(errors="replace")).strip()
+            self.said.append((level, said))
+            if self.runs is not None and any(key in said for key in _ENDS):
+                self.runs.ended = 1
 
         def bind(socket: int, address: int, size: int) -> int:
             """simavr's server listens on all interfaces, and its port is in a structure."""
@@ -93,9 +108,10 @@ class _Library:
             given = family + struct.pack("!H", self.gdb_port) + bytes((127, 0, 0, 1)) + bytes(8)
             return int(libc.bind(socket, given, size))
 
-        self._kept = (_LOGGER(logged), _USLEEP(lambda _: 0), _BIND(bind))
+        self._kept = (_LOGGER(logged), _NOTHING(lambda _: 0), _BIND(bind))
         addresses = [ctypes.cast(f, ctypes.c_void_p).value or 0 for f in self._kept]
-        exits.replace_calls(self.c._handle, {"usleep": addresses[1], "bind": addresses[2]})
+        nothing = dict.fromkeys(("usleep", "printf", "__printf_chk", "puts", "putchar"), addresses[1])
+        exits.replace_calls(self.c._handle, nothing | {"bind": addresses[2]})
         self.c["avr_global_logger_set"](self._kept[0])
         self.make, self.getirq = self.c["avr_make_mcu_by_name"], self.c["avr_io_getirq"]
         self.make.restype = self.getirq.restype = ctypes.c_void_p
@@ -252,28 +268,26 @@ class LoadedAvr:
         if self._gdb:
             self._simavr.gdb_port = self._gdb
             self._state[0] = STOPPED
+            print(f"GDB: target remote 127.0.0.1:{self._gdb}", file=sys.stderr, flush=True)
             self._c("avr_gdb_init")
+        self._simavr.runs = t
         hot.run.c(t.own)
-        if t.ended:
+        self._simavr.runs = None
+        if t.ended and not any(key in text for _, text in self._simavr.said for key in _ENDS):
             return int(np.int64(t.code).astype(np.int16))
         raise HostError(self._what())
 
     def _what(self) -> str:
         """What has ended it."""
         board = self._board
-        errors = [text for level, text in self._simavr.said if level <= _ERROR or "simavr: sleep" in text]
+        errors = [text for level, text in self._simavr.said if level <= _ERROR or any(key in text for key, _ in _WORDS)]
         said = errors[-1] if errors else "simavr has stopped it"
         pc = int(array_at(self._pc, 1, np.dtype("u4"))[0])
         for text in errors:
             if found := _PC.search(text):
                 pc, said = int(found[1] or found[2], 16), text
                 break
-        for key, words in (
-            ("Invalid Opcode", "an instruction that this AVR does not have"),
-            ("Invalid write", "a wild write"),
-            ("Invalid read", "a wild read"),
-            ("interrupts off", "it sleeps for ever, with interrupts off"),
-        ):
+        for key, words in _WORDS:
             if key in said:
                 said = f"{words} ({said})"
         return (

@@ -15,7 +15,8 @@ import pytest
 from stage.testing.settings import OPTIONS, setting
 
 if TYPE_CHECKING:
-    from stage.board import Board, NativeHost
+    from stage.board import Board
+    from stage.board.native import Host
     from stage.sim.stage import Stage
 
 MARKERS = (
@@ -23,7 +24,8 @@ MARKERS = (
     "model(name): the model of its stage, as stage(model=name)",
     "chips(name) or chips(x=name, y=name): the chips of its stage, as stage(chips=...)",
     "board(layout=None, base=None, stride=None, keep_cycles=100000): how the chips lie on the host's bus",
-    "firmware(*sources, flags=(), isolated=True, patience=20.0): C or C++ sources, or a library, for the fixture `host`",
+    "firmware(*sources, flags=(), isolated=True, patience=20.0, mcu=None, map=(), mcu_clock=None): C or C++ sources, a library, or "
+    "a program of another processor, for the fixture `host`",
 )
 WATCH: pytest.StashKey[Any] = pytest.StashKey()
 """The evidence.Watch of a test."""
@@ -77,29 +79,36 @@ def board(request: pytest.FixtureRequest, stage: Stage) -> Board:
 
 
 @pytest.fixture
-def host(request: pytest.FixtureRequest, board: Board) -> Iterator[NativeHost]:
+def host(request: pytest.FixtureRequest, board: Board) -> Iterator[Host]:
     """The firmware of @pytest.mark.firmware("driver.c"), ready to run on `board`. Built once a session, with cc."""
     with _plainly():
         from stage.board import NativeHost
         from stage.testing import markers, sources
 
         arguments = markers.firmware_arguments(request.node)
-        made = NativeHost(sources.library_of(request, arguments), board, **arguments)
+        path = sources.library_of(request, arguments)
+        if arguments.get("mcu"):
+            from stage.targets import TargetHost
+
+            made: Host = TargetHost(path, board, **arguments)
+        else:
+            made = NativeHost(path, board, **arguments)
     with made:
         yield made
 
 
 @contextmanager
 def _plainly() -> Iterator[None]:
-    """What a user has to mend is said without the traceback of this package; without a compiler the test is skipped."""
+    """What a user has to mend is said without the traceback of this package; without a compiler, or an emulator, a test is skipped."""
     from stage.errors import StageError
 
     try:
         yield
     except StageError as error:
         from stage.board import NoCompilerError
+        from stage.targets import NoEmulatorError
 
-        if isinstance(error, NoCompilerError):
+        if isinstance(error, NoCompilerError | NoEmulatorError):
             raise pytest.skip.Exception(str(error)) from None
         raise pytest.fail.Exception(f"{type(error).__name__}: {error}", pytrace=False) from None
 
