@@ -1,4 +1,4 @@
-/* What a program for an AVR can do wrong: which of it stands at port 0 of the board (a write of the test's). The bus is that of
+/* What a program for an AVR can do wrong: which of it stands in the upper byte of R0 of the chip. The bus is that of
  * scripts/firmware/hal/hal_atmega2560.c. */
 #include <avr/interrupt.h>
 #include <avr/io.h>
@@ -34,10 +34,10 @@ static void out8(uint8_t port, uint8_t value)
     DDRA = 0;
 }
 
-void no_instruction(void) { __asm__ volatile(".word 0x0007"); }
-void wild_write(void) { *(volatile uint8_t *)0x4000 = 3; }
-void sleeps_for_ever(void) { cli(); sleep_enable(); sleep_cpu(); }
-void watchdog(void) { wdt_enable(WDTO_15MS); for (;;) ; }
+__attribute__((noinline)) void no_instruction(void) { __asm__ volatile(".word 0x0007"); }
+__attribute__((noinline)) void wild_write(void) { *(volatile uint8_t *)0x4000 = 3; }
+__attribute__((noinline)) void sleeps_for_ever(void) { cli(); sleep_enable(); sleep_cpu(); }
+__attribute__((noinline)) void watchdog(void) { wdt_enable(WDTO_15MS); for (;;) ; }
 
 int main(void)
 {
@@ -64,8 +64,12 @@ int main(void)
         TCCR1B = 1 << CS11;
         EICRA = 1 << ISC01;
         EIMSK = 1;
-        out8(0, 0x60 | 4); /* preset */
-        out8(0, 0x11 | 0x20);
+        out8(0, 0x80); /* R0 = 30 pulses */
+        out8(3, 0);
+        out8(2, 0);
+        out8(1, 30);
+        out8(0, 0x44); /* preset */
+        out8(0, 0x30); /* start, with /INT at the end */
         TCNT1 = 0;
         sei();
         while (!interrupts)
