@@ -196,8 +196,8 @@ def _look(h):
 
 
 @hot
-def _answer(h, what, a, b):
-    """A request of a host, see IN8."""
+def answer(h, what, a, b):
+    """The answer to a request of a host, see IN8."""
     if h.twice:
         h.twice = 0
         ask(h, TWICE)
@@ -250,10 +250,10 @@ def request(h, what, a, b):
             h.twice = 1
         return TWO_AT_ONCE
     mode = usual_float_mode()  # whatever the firmware has made of it, the stage has the same bits
-    answer = _answer(h, what & (FROM_PYTHON - 1), a, b)
+    value = answer(h, what & (FROM_PYTHON - 1), a, b)
     float_mode_as_before(mode)
     leave(h)
-    return answer
+    return value
 
 
 @exported("i8")

@@ -25,6 +25,14 @@
 #include <stdarg.h>
 #include <stdint.h>
 #include <stdio.h>
+#if defined(PULSESTAGE_REMOTE)
+#include <arpa/inet.h>
+#include <netinet/in.h>
+#include <netinet/tcp.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/socket.h>
+#endif
 #if defined(PULSESTAGE_LINUX_IO) && defined(__has_include) /* before the names below, which would meet their prototypes */
 #if __has_include(<sys/io.h>)
 #include <sys/io.h>
@@ -63,6 +71,13 @@ PULSESTAGE_SHARED struct pulsestage_bus *pulsestage_bus = 0;
 PULSESTAGE_SHARED uint32_t pulsestage_abi = PULSESTAGE_ABI;
 
 /* where the firmware begins; what it returns is the run's result */
+#if defined(PULSESTAGE_REMOTE) /* a program of its own, for a stage that `stage serve` serves */
+#include "pulsestage_remote.h"
+#define PULSESTAGE_MAIN \
+    static int pulsestage_main(void); \
+    int main(int count, char **given) { return ps_run_remote(count, given, pulsestage_main); } \
+    static int pulsestage_main(void)
+#else
 PULSESTAGE_EXPORT int pulsestage_main(void);
 #define PULSESTAGE_MAIN int pulsestage_main(void)
 
@@ -70,6 +85,7 @@ static inline int64_t ps_request(int32_t what, int64_t a, int64_t b)
 {
     return pulsestage_bus->request(pulsestage_bus->host, what, a, b);
 }
+#endif
 
 /* port cycles; what reaches nothing reads as all ones */
 static inline uint8_t ps_in8(uint32_t port) { return (uint8_t)ps_request(PS_IN8, port, 0); }
@@ -79,6 +95,30 @@ static inline void ps_out16(uint32_t port, uint16_t value) { ps_request(PS_OUT16
 /* two cycles of 16 bits, the low half first */
 static inline uint32_t ps_in32(uint32_t port) { return (uint32_t)ps_request(PS_IN32, port, 0); }
 static inline void ps_out32(uint32_t port, uint32_t value) { ps_request(PS_OUT32, port, value); }
+
+/* reads until (what was read & mask) == value, `times` times at most, every_us apart; the last that was read */
+static inline uint16_t ps_until(int wide, uint32_t port, uint16_t mask, uint16_t value, uint32_t times, uint32_t every_us)
+{
+#if defined(PULSESTAGE_REMOTE)
+    return (uint16_t)ps_entry(wide ? PS_UNTIL16 : PS_UNTIL8, times, every_us, mask, port, value);
+#else
+    uint16_t now = wide ? ps_in16(port) : ps_in8(port);
+    while ((now & mask) != value && --times) {
+        if (every_us)
+            ps_request(PS_DELAY, every_us, 0);
+        now = wide ? ps_in16(port) : ps_in8(port);
+    }
+    return now;
+#endif
+}
+static inline uint8_t ps_until8(uint32_t port, uint8_t mask, uint8_t value, uint32_t times, uint32_t every_us)
+{
+    return (uint8_t)ps_until(0, port, mask, value, times, every_us);
+}
+static inline uint16_t ps_until16(uint32_t port, uint16_t mask, uint16_t value, uint32_t times, uint32_t every_us)
+{
+    return ps_until(1, port, mask, value, times, every_us);
+}
 
 /* time */
 static inline void ps_delay_us(uint32_t us) { ps_request(PS_DELAY, us, 0); }

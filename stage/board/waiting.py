@@ -134,11 +134,39 @@ def _copy(source, target, words):
 
 
 @hot
+def _to_line(h, end):
+    """Advances to `end`, but no further than the end of the physics step; or to the ns at which the line is asserted, if that
+    comes before. The line is off now, or its hook was called."""
+    w, dt = world(stage_of(h)), clockwork(stage_of(h)).dt
+    stop = least(end, w.start + dt)
+    inside = stop - 1 if stop == w.start + dt else stop  # where no physics has come between, time can be taken back
+    begin, noted = w.now, h.noted
+    _copy(h.userdata, h.before, h.words)
+    _run(h, inside)
+    if not line_of(h):
+        _run(h, stop)
+        return
+    low, high = begin, inside  # off at `low`, asserted at `high`
+    while high - low > 1:
+        middle = (low + high) // 2
+        _copy(h.before, h.userdata, h.words)
+        h.noted = noted
+        _run(h, middle)
+        if line_of(h):
+            high = middle
+        else:
+            low = middle
+    _copy(h.before, h.userdata, h.words)
+    h.noted = noted
+    _run(h, high)
+
+
+@hot
 def wait(h, ns):
     """`ns` pass in a delay; an interrupt comes at the ns at which the line is asserted. What its hook takes is part of the
     delay."""
     catch_up(h)
-    w, dt = world(stage_of(h)), clockwork(stage_of(h)).dt
+    w = world(stage_of(h))
     end = w.now + ns
     while w.now < end and not h.stopped:
         if h.hook == 0 or h.serving:
@@ -147,27 +175,7 @@ def wait(h, ns):
         if w.now >= h.until:
             ask(h, PAUSE)
             continue
-        stop = least(least(end, h.until), w.start + dt)
-        inside = stop - 1 if stop == w.start + dt else stop  # where no physics has come between, time can be taken back
-        begin, noted = w.now, h.noted
-        _copy(h.userdata, h.before, h.words)
-        _run(h, inside)
-        if line_of(h):
-            low, high = begin, inside  # off at `low`, asserted at `high`
-            while high - low > 1:
-                middle = (low + high) // 2
-                _copy(h.before, h.userdata, h.words)
-                h.noted = noted
-                _run(h, middle)
-                if line_of(h):
-                    high = middle
-                else:
-                    low = middle
-            _copy(h.before, h.userdata, h.words)
-            h.noted = noted
-            _run(h, high)
-        else:
-            _run(h, stop)
+        _to_line(h, least(end, h.until))
         serve(h)
 
 
@@ -184,6 +192,20 @@ def reach(h, until):
     _pass(h, ns)
     serve(h)
     _foresee(h)
+
+
+@hot
+def wait_for_line(h, ns):
+    """Time passes until the line is asserted, `ns` at most. Returns 1 if it is, else 0."""
+    asserted, w = line_of(h), world(stage_of(h))
+    end = w.now + ns
+    while not asserted and w.now < end and not h.stopped:
+        if w.now >= h.until:
+            ask(h, PAUSE)
+            continue
+        _to_line(h, least(end, h.until))
+        asserted = line_of(h)
+    return 1 if asserted else 0
 
 
 @hot

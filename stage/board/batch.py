@@ -1,0 +1,97 @@
+"""Many requests of a host in one compiled call: `run_batch` takes an array of ENTRY records and gives an answer for each.
+
+For hosts that are far away, see stage.serve: a batch may contain "read this port until (value & mask) == x", so that waiting for a
+chip takes no way there and back.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stage.board.bus import answer
+from stage.board.host import DELAY, HOST, IN8, IN16, LINE, LONGEST_DELAY, MICROS, OUT8, OUT16, enter, leave
+from stage.board.waiting import catch_up, cycle, serve, wait, wait_for_line
+from stage.native import array_of, exported, float_mode_as_before, hot, record, usual_float_mode
+
+UNTIL8, UNTIL16, UNTIL_LINE = range(100, 103)
+"""What a batch knows beside the requests of stage.board.host: read a port until (value & mask) == b, `times` times at most and
+`every` us apart; wait until the interrupt line is asserted, `a` us at most."""
+ENTRY = record([*((name, "i4") for name in ("what", "times", "every", "mask")), ("a", "i8"), ("b", "i8")])
+"""what: IN8 ... or UNTIL8 ...; a: a port, or us; b: the value that is written, or waited for; times, every, mask: of UNTIL8 and UNTIL16
+only, the mask as 32 bits without a sign."""
+
+
+@hot
+def _wrong(e):
+    """Whether an entry asks for what there is not, or gives a number that does not fit."""
+    what = e.what
+    if what == MICROS or what == LINE:
+        return False
+    if what == DELAY or what == UNTIL_LINE:
+        return e.a < 0 or e.a > LONGEST_DELAY
+    if e.a < 0 or e.a > 0xFFFFFFFF:
+        return True
+    if what == IN8 or what == IN16:
+        return False
+    if what == OUT8 or what == OUT16:
+        return e.b < 0 or e.b > (0xFF if what == OUT8 else 0xFFFF)
+    if what == UNTIL8 or what == UNTIL16:
+        return e.times < 1 or e.every < 0
+    return True
+
+
+@exported("i8", array_of(ENTRY))
+def first_wrong(entries):
+    """The index of the first entry that cannot be done, or their number."""
+    for k in range(len(entries)):
+        if _wrong(entries[k]):
+            return k
+    return len(entries)
+
+
+@hot
+def _until(h, e):
+    """The last value that was read."""
+    what, mask, value = IN8 if e.what == UNTIL8 else IN16, e.mask & 0xFFFFFFFF, 0
+    for k in range(e.times):
+        value = answer(h, what, e.a, 0)
+        if h.stopped or (value ^ e.b) & mask == 0:
+            break
+        if e.every and k < e.times - 1:
+            wait(h, e.every * 1000)
+    return value
+
+
+@hot
+def _until_line(h, us):
+    """1 if the line is asserted. Looking at it takes a bus cycle, as LINE does."""
+    cycle(h)
+    asserted = wait_for_line(h, us * 1000)
+    serve(h)
+    return asserted
+
+
+@exported("i8", HOST, array_of(ENTRY), array_of(np.int64))
+def run_batch(h, entries, answers):
+    """Do the entries, one after the other, on a board that is not stopped. Returns how many were done to the end: fewer than given
+    if the board was stopped on the way; -1 if another thread is in."""
+    if not enter(h):
+        return -1
+    mode, done = usual_float_mode(), 0
+    while done < len(entries):
+        e = entries[done]
+        if e.what == UNTIL8 or e.what == UNTIL16:
+            answers[done] = _until(h, e)
+        elif e.what == UNTIL_LINE:
+            answers[done] = _until_line(h, e.a)
+        else:
+            answers[done] = answer(h, e.what, e.a, e.b)
+        if h.stopped:
+            break
+        done += 1
+    catch_up(h)
+    if h.stopped and done == len(entries):
+        done -= 1
+    float_mode_as_before(mode)
+    leave(h)
+    return done

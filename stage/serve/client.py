@@ -1,0 +1,294 @@
+"""A host in Python of a stage that `stage serve` serves. This one file needs nothing but Python: copy it to the host's machine.
+
+    from stage.serve.client import connect
+
+    with connect("127.0.0.1:7240") as board:
+        board.out8(0x300, 0x11)                          one bus cycle, there and back
+        status = board.in8(0x300)
+        answers = board.batch().out8(0x300, 0x15).until8(0x300, mask=0x40, value=0, times=1_000_000).micros().run()
+
+`batch()` gathers requests, which then go in one frame and are done at full speed; `run()` gives the answers of those that read, in
+order. The bytes on the wire are those of docs/serve.md.
+"""
+
+from __future__ import annotations
+
+import json
+import socket
+import struct
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+VERSION, PORT, MAGIC = 1, 7240, b"PULSESTG"
+HEAD = struct.Struct("<III")
+"""Of each frame: bytes that follow the head; kind; a number of the host's, which the reply has, too."""
+MOST_BODY = 1 << 20
+HELLO, BATCH, LOG, HOOK, RETURN, RESET, SNAPSHOT, RESTORE, STATUS, POSITIONS, PIN, STICK = range(1, 13)
+INTERRUPT, ERROR = 254, 255
+"""Kinds of frames. A reply has the kind of its request, or is an ERROR."""
+GREETING = struct.Struct("<8sII")
+"""HELLO: MAGIC, VERSION, role."""
+DRIVE, LOOK = 0, 1
+ENTRY = struct.Struct("<iiiIqq")
+"""A request of a BATCH: what, times, every (us), mask, a (port, us), b (value)."""
+IN8, OUT8, IN16, OUT16, DELAY, MICROS, LINE = 0, 1, 2, 3, 4, 5, 8
+UNTIL8, UNTIL16, UNTIL_LINE = 100, 101, 102
+READS = frozenset((IN8, IN16, MICROS, LINE, UNTIL8, UNTIL16, UNTIL_LINE))
+STANDING = struct.Struct("<qqq")
+"""Reply to STATUS: time (ns), bus cycles, whether the interrupt line is asserted."""
+PLACE = struct.Struct("<ddq")
+"""Reply to POSITIONS, of each axis: position and commanded position, m (rad), and full steps lost."""
+ANSWER, WORD = struct.Struct("<q"), struct.Struct("<I")
+RELEASED, ASSERTED, MENDED = 0, 1, 2
+"""STICK: what becomes of the switch."""
+
+
+class ServerError(RuntimeError):
+    """What the server said in words. `answers`: of the requests of the batch that were done before."""
+
+    def __init__(self, text: str, answers: tuple[int, ...] = ()):
+        super().__init__(text)
+        self.answers = answers
+
+
+class Status(NamedTuple):
+    """Simulated seconds since power-up, bus cycles, the interrupt line."""
+
+    seconds: float
+    cycles: int
+    interrupt: bool
+
+
+class Place(NamedTuple):
+    """An axis: m (rad), full steps."""
+
+    position: float
+    commanded: float
+    lost_steps: int
+
+
+def connect(address: str = "", *, look: bool = False, timeout: float | None = 10.0) -> Client:
+    """A connection to a server: "HOST:PORT", "HOST" or ":PORT"; 127.0.0.1 and 7240 where nothing is said.
+
+    look: read status, positions and pins only; any number may look, one drives. timeout: s of real time to connect and be greeted.
+    Raises OSError when nobody is there; ServerError when the server refuses, for example since another host drives.
+    """
+    host, _, port = address.rpartition(":") if ":" in address else (address, "", "")
+    wire = socket.create_connection((host or "127.0.0.1", int(port or PORT)), timeout)
+    try:
+        client = Client(wire, look)
+        wire.settimeout(None)
+    except BaseException:
+        wire.close()
+        raise
+    return client
+
+
+class Batch:
+    """Requests that go together. The methods give the batch itself, so that they can be chained."""
+
+    def __init__(self, client: Client | None = None):
+        self._client, self._entries, self._reads = client, bytearray(), [0]
+        self._reads.clear()
+
+    def add(self, what: int, a: int = 0, b: int = 0, times: int = 0, every: int = 0, mask: int = 0) -> Batch:
+        """Any request; ValueError for a number that does not fit its field."""
+        try:
+            entry = ENTRY.pack(what, times, every, mask, a, b)
+        except struct.error:
+            raise ValueError(f"a={a!r} b={b!r} times={times!r} every={every!r} mask={mask!r}: no such request.") from None
+        if what in READS:
+            self._reads.append(len(self))
+        self._entries += entry
+        return self
+
+    def out8(self, port: int, value: int) -> Batch:
+        return self.add(OUT8, port, value)
+
+    def in8(self, port: int) -> Batch:
+        return self.add(IN8, port)
+
+    def out16(self, port: int, value: int) -> Batch:
+        return self.add(OUT16, port, value)
+
+    def in16(self, port: int) -> Batch:
+        return self.add(IN16, port)
+
+    def delay_us(self, us: int) -> Batch:
+        return self.add(DELAY, us)
+
+    def micros(self) -> Batch:
+        """The time, us; the look takes a bus cycle."""
+        return self.add(MICROS)
+
+    def line(self) -> Batch:
+        """1 if the interrupt line is asserted; the look takes a bus cycle."""
+        return self.add(LINE)
+
+    def until8(self, port: int, mask: int, value: int, times: int, every_us: int = 0) -> Batch:
+        """Read until (what was read & mask) == value, `times` times at most. The answer is what was read last."""
+        return self.add(UNTIL8, port, value, times, every_us, mask)
+
+    def until16(self, port: int, mask: int, value: int, times: int, every_us: int = 0) -> Batch:
+        """As until8, of 16 bits."""
+        return self.add(UNTIL16, port, value, times, every_us, mask)
+
+    def until_line(self, us: int) -> Batch:
+        """Wait until the interrupt line is asserted, `us` at most. The answer is 1 if it is, else 0."""
+        return self.add(UNTIL_LINE, us)
+
+    def __len__(self) -> int:
+        return len(self._entries) // ENTRY.size
+
+    def run(self) -> list[int]:
+        """Do them; the answers of those that read, in order. The batch is empty then. Raises ServerError."""
+        entries, reads = bytes(self._entries), list(self._reads)
+        self._entries.clear()
+        self._reads.clear()
+        if self._client is None:
+            raise ValueError("this batch belongs to no connection: client.batch() makes one that does.")
+        most, answers = MOST_BODY // ENTRY.size * ENTRY.size, b""
+        for k in range(0, len(entries), most):
+            answers += self._client.ask(BATCH, entries[k : k + most])
+        every = struct.unpack(f"<{len(answers) // ANSWER.size}q", answers)
+        return [every[k] for k in reads]
+
+
+class Client:
+    """A connection; use `connect`. `about`: what the server says of its board, a dict."""
+
+    def __init__(self, wire: socket.socket, look: bool = False):
+        self._wire, self._number = wire, 0
+        self._hook: Callable[[], None] | None = None
+        self._failed: BaseException | None = None
+        wire.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        reply = self.ask(HELLO, GREETING.pack(MAGIC, VERSION, LOOK if look else DRIVE))
+        self.about: dict[str, Any] = json.loads(reply[WORD.size :])
+
+    # --- bus and time ---
+
+    def batch(self) -> Batch:
+        """Requests for one frame."""
+        return Batch(self)
+
+    def out8(self, port: int, value: int) -> None:
+        self.batch().out8(port, value).run()
+
+    def in8(self, port: int) -> int:
+        return self.batch().in8(port).run()[0]
+
+    def out16(self, port: int, value: int) -> None:
+        self.batch().out16(port, value).run()
+
+    def in16(self, port: int) -> int:
+        return self.batch().in16(port).run()[0]
+
+    def delay_us(self, us: int) -> None:
+        self.batch().delay_us(us).run()
+
+    def micros(self) -> int:
+        """Microseconds since power-up; the look takes a bus cycle."""
+        return self.batch().micros().run()[0]
+
+    def line(self) -> bool:
+        """Whether the interrupt line is asserted; the look takes a bus cycle."""
+        return bool(self.batch().line().run()[0])
+
+    def until8(self, port: int, mask: int, value: int, times: int, every_us: int = 0) -> int:
+        return self.batch().until8(port, mask, value, times, every_us).run()[0]
+
+    def until16(self, port: int, mask: int, value: int, times: int, every_us: int = 0) -> int:
+        return self.batch().until16(port, mask, value, times, every_us).run()[0]
+
+    def until_line(self, us: int) -> bool:
+        return bool(self.batch().until_line(us).run()[0])
+
+    def on_interrupt(self, hook: Callable[[], None] | None) -> None:
+        """Call `hook` while the interrupt line is asserted: after a bus cycle, or within a delay at that ns. None: nobody."""
+        self._hook = hook
+        self.ask(HOOK, WORD.pack(hook is not None))
+
+    def log(self, text: str) -> None:
+        """A line for the server's log."""
+        self.ask(LOG, text.encode())
+
+    # --- the machine; no time passes ---
+
+    def reset(self) -> None:
+        """A pulse on the reset pin of every chip."""
+        self.ask(RESET)
+
+    def snapshot(self, name: str) -> None:
+        """Keep the state under this name, on the server."""
+        self.ask(SNAPSHOT, name.encode())
+
+    def restore(self, name: str = "start") -> None:
+        """Go on from the state that has this name; "start" is that with which the server began."""
+        self.ask(RESTORE, name.encode())
+
+    def status(self) -> Status:
+        now, cycles, line = STANDING.unpack(self.ask(STATUS))
+        return Status(now * 1e-9, cycles, bool(line))
+
+    def positions(self) -> dict[str, Place]:
+        """Of each axis by its name."""
+        places = PLACE.iter_unpack(self.ask(POSITIONS))
+        return {axis: Place(*place) for axis, place in zip(self.about["axes"], places, strict=True)}
+
+    def pin(self, name: str) -> bool:
+        """A pin of a chip ("x.irq"), or a switch ("x.switches.org"): whether it is asserted."""
+        return bool(ANSWER.unpack(self.ask(PIN, name.encode()))[0])
+
+    def stick(self, name: str, asserted: bool | None) -> None:
+        """Hold a switch ("x.el_plus") asserted (True) or released (False) from now on; None mends it."""
+        self.ask(STICK, WORD.pack(MENDED if asserted is None else int(asserted)) + name.encode())
+
+    # --- the wire ---
+
+    def ask(self, kind: int, body: bytes = b"") -> bytes:
+        """One frame, and the body of its reply. Raises ServerError; ConnectionError when the server is gone."""
+        self._number = number = (self._number + 1) & 0xFFFFFFFF
+        self._wire.sendall(HEAD.pack(len(body), kind, number) + body)
+        while True:
+            length, said, _ = HEAD.unpack(self._read(HEAD.size))
+            reply = self._read(length)
+            if said == INTERRUPT:
+                self._interrupted()
+            elif said == ERROR:
+                failed, self._failed = self._failed, None
+                if failed is not None:
+                    raise failed
+                done = WORD.unpack_from(reply)[0]
+                answers = struct.unpack_from(f"<{done}q", reply, WORD.size)
+                raise ServerError(reply[WORD.size + 8 * done :].decode(errors="replace"), answers)
+            else:
+                return reply
+
+    def _interrupted(self) -> None:
+        said = b""
+        try:
+            if self._hook is not None:
+                self._hook()
+        except ConnectionError:
+            raise
+        except BaseException as error:  # goes on where the interrupted request was made
+            self._failed, said = error, f"{type(error).__name__}: {error}".encode()
+        self._wire.sendall(HEAD.pack(len(said), RETURN, 0) + said)
+
+    def _read(self, size: int) -> bytes:
+        content = bytearray()
+        while len(content) < size:
+            more = self._wire.recv(size - len(content))
+            if not more:
+                raise ConnectionError("the server has closed the connection.")
+            content += more
+        return bytes(content)
+
+    def close(self) -> None:
+        self._wire.close()
+
+    def __enter__(self) -> Client:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()

@@ -1,0 +1,72 @@
+"""The table of frames, for the page and for whoever writes a client: `python -m stage.serve.frames` prints it.
+
+The numbers and the sizes stand in client.py.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from stage.serve import client
+
+
+class Frame(NamedTuple):
+    """kind: its number; asks, answers: the bodies of request and reply; looks: a connection that only looks may send it."""
+
+    kind: int
+    name: str
+    asks: str
+    answers: str
+    does: str
+    looks: bool = False
+
+
+FRAMES = (
+    Frame(client.HELLO, "HELLO", "`PULSESTG`, u32 version, u32 role (0 drive, 1 look)", "u32 version, JSON text",
+          "first of each connection; the text tells of axes, chips and ports", True),
+    Frame(client.BATCH, "BATCH", "entries of 32 bytes, see below", "i64 of each entry", "bus cycles and time, in order"),
+    Frame(client.LOG, "LOG", "text", "", "a line for the log"),
+    Frame(client.HOOK, "HOOK", "u32", "", "1: INTERRUPT frames come while the interrupt line is asserted; 0: no more"),
+    Frame(client.RETURN, "RETURN", "text, empty if all is well", "none at all", "the hook that an INTERRUPT called has returned"),
+    Frame(client.RESET, "RESET", "", "", "the reset pin of every chip"),
+    Frame(client.SNAPSHOT, "SNAPSHOT", "name", "", "keeps the state under a name"),
+    Frame(client.RESTORE, "RESTORE", "name", "", "goes on from such a state; `start` is that with which the server began"),
+    Frame(client.STATUS, "STATUS", "", "i64 time (ns), i64 bus cycles, i64 interrupt line", "takes no time", True),
+    Frame(client.POSITIONS, "POSITIONS", "", "of each axis f64 position, f64 commanded (m or rad), i64 lost steps",
+          "where the carriages are; takes no time", True),
+    Frame(client.PIN, "PIN", "name: `x.pout`, `x.switches.org`", "i64", "a chip's pin or a switch, 1 asserted; takes no time", True),
+    Frame(client.STICK, "STICK", "u32 (0 released, 1 asserted, 2 mended), name: `x.org`", "", "a switch that sticks"),
+    Frame(client.INTERRUPT, "INTERRUPT", "", "", "from the server, in the middle of a request: call the hook, then send RETURN"),
+    Frame(client.ERROR, "ERROR", "", "u32 n, n times i64, text", "from the server: what is wrong, in words; of a BATCH the answers "
+          "of the n entries that were done"),
+)  # fmt: skip
+
+ENTRIES = (
+    (client.IN8, "IN8", "port", "", "read 8 bits"),
+    (client.OUT8, "OUT8", "port", "value", "write 8 bits"),
+    (client.IN16, "IN16", "port", "", "read 16 bits"),
+    (client.OUT16, "OUT16", "port", "value", "write 16 bits"),
+    (client.DELAY, "DELAY", "us", "", "a delay"),
+    (client.MICROS, "MICROS", "", "", "the time, us"),
+    (client.LINE, "LINE", "", "", "whether the interrupt line is asserted"),
+    (client.UNTIL8, "UNTIL8", "port", "value", "read until (what was read & `mask`) == value, `times` times at most, `every` us apart; "
+     "the answer is what was read last"),
+    (client.UNTIL16, "UNTIL16", "port", "value", "as UNTIL8, of 16 bits"),
+    (client.UNTIL_LINE, "UNTIL_LINE", "us", "", "until the interrupt line is asserted, `us` at most; the answer is 1 if it is, else 0"),
+)  # fmt: skip
+"""Of a BATCH: (what, name, a, b, what it does)."""
+
+
+def table() -> str:
+    """Both tables, as docs/serve.md has them."""
+    lines = ["| kind | name | body of the request | body of the reply | |", "|---|---|---|---|---|"]
+    for f in FRAMES:
+        does = f.does + (" (also for who looks)" if f.looks else "")
+        lines.append(f"| {f.kind} | {f.name} | {f.asks} | {f.answers} | {does} |")
+    lines += ["", "| what | name | a | b | |", "|---|---|---|---|---|"]
+    lines += [f"| {what} | {name} | {a} | {b} | {does} |" for what, name, a, b, does in ENTRIES]
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    print(table(), end="")

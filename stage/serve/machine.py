@@ -1,0 +1,253 @@
+"""What the frames of a host do to a board. Knows no sockets."""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from stage import __version__
+from stage.board import Board, HostError
+from stage.board.batch import ENTRY, first_wrong, run_batch
+from stage.board.link import MOST
+from stage.errors import ArgumentError, StageError, unknown
+from stage.serve import client
+from stage.serve.frames import ENTRIES
+
+START = "start"
+MOST_SNAPSHOTS, LONGEST_NAME, LONGEST_LINE = 100, 100, 1 << 16
+MOST_ENTRIES = client.MOST_BODY // client.ENTRY.size
+SLICE_NS, SLICE_CYCLES = 50_000_000, 100_000
+"""After so much of a batch somebody looks at whether it is to go on."""
+
+
+class BatchError(StageError):
+    """A batch that could not be done to the end. `answers`: of the entries that were, i64 each."""
+
+    def __init__(self, text: str, answers: bytes):
+        super().__init__(text)
+        self.answers = answers
+
+
+class Machine:
+    """A board and the states of it that have names.
+
+    keep: lines of the log that are kept. pause: called now and then within a long batch; what it raises ends the batch. hook:
+    called while the interrupt line is asserted, if the host wants it. told: gets each line that the host logs.
+    """
+
+    def __init__(
+        self,
+        board: Board,
+        *,
+        keep: int = 1_000_000,
+        pause: Callable[[], None] = lambda: None,
+        hook: Callable[[], None] = lambda: None,
+        told: Callable[[float, str], None] = lambda seconds, text: None,
+    ):
+        self.board, self._keep, self._pause, self._hook, self._told = board, keep, pause, hook, told
+        self._entries = np.zeros(MOST_ENTRIES, ENTRY)
+        self._bytes = self._entries.view(np.uint8)
+        self._answers = np.zeros(MOST_ENTRIES, np.int64)
+        self._states: dict[str, tuple[Any, np.ndarray]] = {}
+        self._keep_state(START)
+        self.does: dict[int, Callable[[bytes], bytes]] = {
+            client.BATCH: self._batch, client.LOG: self._log, client.HOOK: self._hook_on, client.RESET: self._reset,
+            client.SNAPSHOT: self._snapshot, client.RESTORE: self._restore, client.STATUS: self._status,
+            client.POSITIONS: self._positions, client.PIN: self._pin, client.STICK: self._stick,
+        }  # fmt: skip
+
+    def about(self) -> bytes:
+        """What a host is told of the board, JSON."""
+        board = self.board
+        chips = [
+            {"chip": type(p.chip).__name__, "axes": board.name_of(p.index), "port": p.first, "layout": p.layout.name}
+            for p in board.places
+        ]
+        axes = {name: axis.unit for name, axis in board.stage.axes.items()}
+        about = {"pulsestage": __version__, "axes": axes, "chips": chips, "bus_cycle": board.stage.bus_cycle}
+        return json.dumps(about).encode()
+
+    def fresh(self) -> None:
+        """Back to the state of the start."""
+        self._restore(START.encode())
+
+    def let_go(self) -> None:
+        """The host is gone: nobody is called by the interrupt line."""
+        self.board.on_interrupt(None)
+
+    # --- frames: body -> body of the reply ---
+
+    def _batch(self, body: bytes) -> bytes:
+        n, rest = divmod(len(body), client.ENTRY.size)
+        if rest:
+            raise ArgumentError(f"BATCH: {len(body)} bytes; an entry has {client.ENTRY.size}.")
+        nested = bool(self.board.link.record["serving"])
+        entries = np.frombuffer(bytearray(body), ENTRY) if nested else self._entries[:n]  # the outer batch is not done yet
+        answers = np.zeros(n, np.int64) if nested else self._answers[:n]
+        if not nested:
+            self._bytes[: len(body)] = np.frombuffer(body, np.uint8)
+        wrong = int(first_wrong.held(entries.ctypes.data, n))
+        if wrong < n:
+            raise ArgumentError(f"BATCH, entry {wrong}: {_in_words(entries[wrong])}. Nothing of this batch was done.")
+        link = self.board.link
+        h, calls = link.record, link.stand_still
+        h["lazy"], h["quiet"] = 1, 0
+        link.stand_still = self._stand_still
+        self._bound()
+        link.begin()
+        done = int(run_batch.c(link.pointer, entries.ctypes.data, n, answers.ctypes.data, n))
+        link.end()
+        link.stand_still = calls
+        if nested:
+            self._bound()
+        else:
+            h["lazy"], h["until"], h["most_cycles"] = 0, MOST, MOST
+        try:
+            link.raise_error()
+        except Exception as error:
+            raise BatchError(said(error), answers[: max(done, 0)].tobytes()) from error
+        if done < n:
+            raise StageError("this board is in use by another thread: a bus has one host at a time.")
+        return answers.tobytes()
+
+    def _bound(self) -> None:
+        h = self.board.link.record
+        h["until"], h["most_cycles"] = self.board.stage.now + SLICE_NS, h["cycles"] + SLICE_CYCLES
+
+    def _stand_still(self) -> None:
+        """Called by compiled code."""
+        link = self.board.link
+        if not link.record["stopped"]:
+            try:
+                self._pause()
+            except BaseException as error:
+                link.fail(error)
+        self._bound()
+
+    def _log(self, body: bytes) -> bytes:
+        if len(body) > LONGEST_LINE:
+            raise ArgumentError(f"LOG: {len(body):,} bytes; a line has up to {LONGEST_LINE:,}.")
+        log = self.board.log
+        self.board.note(body.decode(errors="replace"))
+        self._told(*log[-1])
+        if len(log) > self._keep + self._keep // 4:
+            del log[: len(log) - self._keep]
+        return b""
+
+    def _hook_on(self, body: bytes) -> bytes:
+        on = _word("HOOK", body, (0, 1))
+        self.board.on_interrupt(self._hook if on else None)
+        return b""
+
+    def _reset(self, body: bytes) -> bytes:
+        _empty("RESET", body)
+        for chip in self.board.stage.chips:
+            chip.reset()
+        return b""
+
+    def _snapshot(self, body: bytes) -> bytes:
+        name = _text("SNAPSHOT", body)
+        if name == START:
+            raise ArgumentError(f"SNAPSHOT: {START!r} is the state with which the server began; choose another name.")
+        if name not in self._states and len(self._states) > MOST_SNAPSHOTS:
+            raise ArgumentError(f"SNAPSHOT: {MOST_SNAPSHOTS} are kept; use one of these names again.")
+        self._keep_state(name)
+        return b""
+
+    def _keep_state(self, name: str) -> None:
+        self._states[name] = self.board.stage.snapshot(), self.board.port_table.copy()
+
+    def _restore(self, body: bytes) -> bytes:
+        name, board = _text("RESTORE", body), self.board
+        if name not in self._states:
+            raise unknown("snapshot", name, self._states)
+        if board.link.record["serving"]:
+            raise StageError("RESTORE: not from within an interrupt hook.")
+        state, ports = self._states[name]
+        board.stage.restore(state)
+        board.port_table[:] = ports
+        board.port_table["seen"] = 0  # a read from now on is a line of its own in the trace
+        return b""
+
+    def _status(self, body: bytes) -> bytes:
+        _empty("STATUS", body)
+        board = self.board
+        return client.STANDING.pack(board.stage.now, board.cycles, board.interrupt)
+
+    def _positions(self, body: bytes) -> bytes:
+        _empty("POSITIONS", body)
+        axes = self.board.stage.axes.values()
+        return b"".join(client.PLACE.pack(a.position, a.commanded, a.lost_steps) for a in axes)
+
+    def _pin(self, body: bytes) -> bytes:
+        text = _text("PIN", body)
+        axis, _, name = text.partition(".")
+        pins: Any = self._axis(axis).pins
+        if name.startswith("switches."):
+            found = self._axis(axis).switches
+            name = name.removeprefix("switches.")
+            found.row(name)  # says which there are
+            return client.ANSWER.pack(getattr(found, name))
+        both = {**getattr(self._axis(axis).chip, "pins", pins).as_dict(), **pins.as_dict()}
+        if name not in both:
+            raise unknown(f"pin of axis {axis}", name, (*both, *(f"switches.{s}" for s in self._axis(axis).switches.as_dict())))
+        return client.ANSWER.pack(both[name])
+
+    def _stick(self, body: bytes) -> bytes:
+        how = _word("STICK", body[: client.WORD.size], (client.RELEASED, client.ASSERTED, client.MENDED))
+        axis, _, name = _text("STICK", body[client.WORD.size :]).partition(".")
+        switches = self._axis(axis).switches
+        switches.stick(name.removeprefix("switches."), None if how == client.MENDED else how == client.ASSERTED)
+        return b""
+
+    def _axis(self, name: str) -> Any:
+        axes = self.board.stage.axes
+        if name not in axes:
+            raise unknown("axis", name, axes)
+        return axes[name]
+
+
+def said(error: BaseException) -> str:
+    """An error in words for a host."""
+    return str(error) if isinstance(error, StageError | HostError) else f"{type(error).__name__}: {error}"
+
+
+def _in_words(entry: Any) -> str:
+    what = int(entry["what"])
+    names = {number: name for number, name, *_ in ENTRIES}
+    if what not in names:
+        return f"{what} is no request; those of a batch are {', '.join(f'{n} {name}' for n, name in names.items())}"
+    mask = int(entry["mask"]) & 0xFFFFFFFF
+    return (
+        f"{names[what]} a={int(entry['a'])} b={int(entry['b'])} times={int(entry['times'])} every={int(entry['every'])} "
+        f"mask={mask}: ports are 0 to FFFFFFFFh, values as wide as the cycle, delays 0 to 1e15 us, times 1 or more, every 0 or more"
+    )
+
+
+def _word(frame: str, body: bytes, known: tuple[int, ...]) -> int:
+    try:
+        value = client.WORD.unpack(body)[0]
+    except struct.error:
+        value = None
+    if value not in known:
+        given = "no u32" if value is None else value
+        raise ArgumentError(f"{frame}: {given}; it takes one of {', '.join(map(str, known))}.")
+    return value
+
+
+def _text(frame: str, body: bytes) -> str:
+    if not 0 < len(body) <= LONGEST_NAME:
+        raise ArgumentError(f"{frame}: a name of {len(body):,} bytes; it has 1 to {LONGEST_NAME}.")
+    try:
+        return body.decode()
+    except UnicodeDecodeError:
+        raise ArgumentError(f"{frame}: a name that is no UTF-8.") from None
+
+
+def _empty(frame: str, body: bytes) -> None:
+    if body:
+        raise ArgumentError(f"{frame}: {len(body):,} bytes; it has no body.")
