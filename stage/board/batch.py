@@ -9,7 +9,21 @@ from __future__ import annotations
 import numpy as np
 
 from stage.board.bus import answer
-from stage.board.host import DELAY, HOST, IN8, IN16, LINE, LONGEST_DELAY, MICROS, OUT8, OUT16, enter, leave
+from stage.board.host import (
+    DELAY,
+    HOST,
+    IN8,
+    IN16,
+    IN32,
+    LINE,
+    LONGEST_DELAY,
+    MICROS,
+    OUT8,
+    OUT16,
+    OUT32,
+    enter,
+    leave,
+)
 from stage.board.waiting import catch_up, cycle, serve, wait, wait_for_line
 from stage.native import array_of, exported, float_mode_as_before, hot, record, usual_float_mode
 
@@ -17,25 +31,25 @@ UNTIL8, UNTIL16, UNTIL_LINE = range(100, 103)
 """What a batch knows beside the requests of stage.board.host: read a port until (value & mask) == b, `times` times at most and
 `every` us apart; wait until the interrupt line is asserted, `a` us at most."""
 ENTRY = record([*((name, "i4") for name in ("what", "times", "every", "mask")), ("a", "i8"), ("b", "i8")])
-"""what: IN8 ... or UNTIL8 ...; a: a port, or us; b: the value that is written, or waited for; times, every, mask: of UNTIL8 and UNTIL16
-only, the mask as 32 bits without a sign."""
+"""what: IN8 ... or UNTIL8 ...; a: a port, or us; b: the value that is written, or waited for; times, every, mask: of UNTIL8 and
+UNTIL16 only, the mask as 32 bits without a sign."""
 
 
 @hot
 def _wrong(e):
     """Whether an entry asks for what there is not, or gives a number that does not fit."""
     what = e.what
-    if what == MICROS or what == LINE:
+    if what in (MICROS, LINE):
         return False
-    if what == DELAY or what == UNTIL_LINE:
+    if what in (DELAY, UNTIL_LINE):
         return e.a < 0 or e.a > LONGEST_DELAY
     if e.a < 0 or e.a > 0xFFFFFFFF:
         return True
-    if what == IN8 or what == IN16:
+    if what in (IN8, IN16, IN32):
         return False
-    if what == OUT8 or what == OUT16:
-        return e.b < 0 or e.b > (0xFF if what == OUT8 else 0xFFFF)
-    if what == UNTIL8 or what == UNTIL16:
+    if what in (OUT8, OUT16, OUT32):
+        return e.b < 0 or e.b > (0xFF if what == OUT8 else 0xFFFF if what == OUT16 else 0xFFFFFFFF)
+    if what in (UNTIL8, UNTIL16):
         return e.times < 1 or e.every < 0
     return True
 

@@ -241,6 +241,39 @@ def _add_firmware(commands: Any) -> None:
         help="run it in this process, for debuggers (default: in a process of its own; a crash ends only that)",
     )
     g.add_argument("--isolated", action="store_true", help=argparse.SUPPRESS)  # what is the default now
+    _board(p)
+    _bench(p)
+    _command(
+        commands, "include", "firmware:include", "where pulsestage.h is",
+        'Print the folder of the one header that firmware needs: cc -shared -fPIC -I"$(stage include)" driver.c -o driver.so',
+    )  # fmt: skip
+    p = _command(
+        commands, "serve", "serve:run", "the chips behind a TCP port, for a host elsewhere",
+        "Serve the bus, time and pins of a stage over TCP: a driver in another language, in a virtual machine or an emulator makes "
+        "its bus cycles here; clients in Python and C come along, docs/serve.md. One host drives, others may look. Ctrl-C or "
+        "SIGTERM ends it, and what --record, --vcd and --trace ask for is written.",
+    )  # fmt: skip
+    g = p.add_argument_group("server")
+    g.add_argument(
+        "--bind",
+        default="127.0.0.1",
+        metavar="ADDRESS",
+        help="where it listens (default: 127.0.0.1, this machine only)",
+    )
+    g.add_argument(
+        "--listen", type=_number, default=7240, metavar="PORT", help="TCP port; 0: one that is free (default: 7240)"
+    )
+    g.add_argument(
+        "--fresh",
+        action="store_true",
+        help="each host begins at the start (default: where the one before has left the stage)",
+    )
+    _board(p)
+    _bench(p)
+
+
+def _board(p: argparse.ArgumentParser) -> None:
+    g = p.add_argument_group("board")
     g.add_argument(
         "--layout",
         help="which ports reach the chips: pcl240, pcl240-card, nova, nova-8bit, hctl1100, or a file of your own, card.toml "
@@ -262,11 +295,6 @@ def _add_firmware(commands: Any) -> None:
         metavar="AXIS=MM",
         help="where a carriage starts, mm (mrad on a hinge), for example x=62",
     )
-    _bench(p)
-    _command(
-        commands, "include", "firmware:include", "where pulsestage.h is",
-        'Print the folder of the one header that firmware needs: cc -shared -fPIC -I"$(stage include)" driver.c -o driver.so',
-    )  # fmt: skip
 
 
 def _add_target(p: argparse.ArgumentParser) -> None:

@@ -10,7 +10,7 @@ import time
 from collections import Counter
 from typing import Any
 
-from stage.cli.setup import find_axis, make_stage, note, outputs, place, recorded
+from stage.cli.setup import make_board, note, outputs, recorded
 from stage.errors import ArgumentError, StageError
 
 SHOWN = 10
@@ -18,28 +18,16 @@ SHOWN = 10
 
 def run(args: argparse.Namespace) -> int:
     """Run firmware; print what it noted and where the axes are."""
-    from stage.board import Board, HostError, HostTimeout, StormError
+    from stage.board import HostError, HostTimeout, StormError
     from stage.errors import SimulationError
-    from stage.files import written
 
     outputs(args)
-    stage = make_stage(args)
-    placed = set()
-    for item in args.place:
-        name, _, text = item.partition("=")
-        try:
-            millimetres = float(text)
-        except ValueError:
-            raise ArgumentError(f"--place {item!r}: write AXIS=MM, for example x=62.") from None
-        if name in placed:
-            raise ArgumentError(f"--place {item!r}: axis {name} has got a place already. Give an axis once.")
-        place(stage, find_axis(stage, name), f"--place {name}", millimetres)
-        placed.add(name)
+    board = make_board(args)
+    stage = board.stage
     try:
         flags = tuple(shlex.split(args.cflags))
     except ValueError as failed:
         raise ArgumentError(f"--cflags {args.cflags!r}: {failed}.") from None
-    board = Board(stage, args.layout, args.base, args.stride, keep_cycles=args.keep)
     host = _host(args, board, flags)
     error: StageError | None = None
     result = None
@@ -63,11 +51,8 @@ def run(args: argparse.Namespace) -> int:
                 f"{host.path.name} returned {result.code} after {result.seconds:.6f} s of simulated time and {result.cycles:,} bus "
                 f"cycles, in {wall:.2f} s of wall time"
             )
-        _report(stage, board)
-    if args.trace:
-        with written(args.trace, args.force) as part:
-            part.write_text(board.trace.text() + "\n")
-        print(f"{args.trace}: {len(board.trace):,} lines of bus cycles")
+        report(board)
+    write_trace(args, board)
     if error is not None:
         print(f"stage: {error}", file=sys.stderr)
         return 1
@@ -102,7 +87,19 @@ def include(_args: argparse.Namespace) -> int:
     return 0
 
 
-def _report(stage: Any, board: Any) -> None:
+def write_trace(args: argparse.Namespace, board: Any) -> None:
+    """The file of --trace."""
+    from stage.files import written
+
+    if args.trace:
+        with written(args.trace, args.force) as part:
+            part.write_text(board.trace.text() + "\n")
+        print(f"{args.trace}: {len(board.trace):,} lines of bus cycles")
+
+
+def report(board: Any) -> None:
+    """Print where the axes are, mistakes of the host, and cycles that reached nothing."""
+    stage = board.stage
     units = [f"m{unit}" for unit in dict.fromkeys(axis.unit for axis in stage.axes.values())]
     unit, mixed = "|".join(units), len(units) > 1
     print(f"{'axis':6}{f'position {unit}':>18}{f'commanded {unit}':>19}{'lost':>6}  switches")

@@ -26,6 +26,25 @@ def make_stage(args: argparse.Namespace) -> Any:
     return Stage(args.model, chips=chips, drives=drive, **common)
 
 
+def make_board(args: argparse.Namespace) -> Any:
+    """The board that the options describe, with its carriages where --place says."""
+    from stage.board import Board
+
+    stage = make_stage(args)
+    placed = set()
+    for item in args.place:
+        name, _, text = item.partition("=")
+        try:
+            millimetres = float(text)
+        except ValueError:
+            raise ArgumentError(f"--place {item!r}: write AXIS=MM, for example x=62.") from None
+        if name in placed:
+            raise ArgumentError(f"--place {item!r}: axis {name} has got a place already. Give an axis once.")
+        place(stage, find_axis(stage, name), f"--place {name}", millimetres)
+        placed.add(name)
+    return Board(stage, args.layout, args.base, args.stride, keep_cycles=args.keep)
+
+
 SPEEDS = {"fl": "start", "fh1": "drive", "accel": "up", "decel": "down"}
 """Options, and what of `Speeds` they are."""
 

@@ -31,9 +31,9 @@ GREETING = struct.Struct("<8sII")
 DRIVE, LOOK = 0, 1
 ENTRY = struct.Struct("<iiiIqq")
 """A request of a BATCH: what, times, every (us), mask, a (port, us), b (value)."""
-IN8, OUT8, IN16, OUT16, DELAY, MICROS, LINE = 0, 1, 2, 3, 4, 5, 8
+IN8, OUT8, IN16, OUT16, DELAY, MICROS, LINE, IN32, OUT32 = 0, 1, 2, 3, 4, 5, 8, 13, 14
 UNTIL8, UNTIL16, UNTIL_LINE = 100, 101, 102
-READS = frozenset((IN8, IN16, MICROS, LINE, UNTIL8, UNTIL16, UNTIL_LINE))
+READS = frozenset((IN8, IN16, IN32, MICROS, LINE, UNTIL8, UNTIL16, UNTIL_LINE))
 STANDING = struct.Struct("<qqq")
 """Reply to STATUS: time (ns), bus cycles, whether the interrupt line is asserted."""
 PLACE = struct.Struct("<ddq")
@@ -96,7 +96,9 @@ class Batch:
         try:
             entry = ENTRY.pack(what, times, every, mask, a, b)
         except struct.error:
-            raise ValueError(f"a={a!r} b={b!r} times={times!r} every={every!r} mask={mask!r}: no such request.") from None
+            raise ValueError(
+                f"a={a!r} b={b!r} times={times!r} every={every!r} mask={mask!r}: no such request."
+            ) from None
         if what in READS:
             self._reads.append(len(self))
         self._entries += entry
@@ -113,6 +115,12 @@ class Batch:
 
     def in16(self, port: int) -> Batch:
         return self.add(IN16, port)
+
+    def out32(self, port: int, value: int) -> Batch:
+        return self.add(OUT32, port, value)
+
+    def in32(self, port: int) -> Batch:
+        return self.add(IN32, port)
 
     def delay_us(self, us: int) -> Batch:
         return self.add(DELAY, us)
@@ -182,6 +190,12 @@ class Client:
 
     def in16(self, port: int) -> int:
         return self.batch().in16(port).run()[0]
+
+    def out32(self, port: int, value: int) -> None:
+        self.batch().out32(port, value).run()
+
+    def in32(self, port: int) -> int:
+        return self.batch().in32(port).run()[0]
 
     def delay_us(self, us: int) -> None:
         self.batch().delay_us(us).run()

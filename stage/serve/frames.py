@@ -34,7 +34,8 @@ FRAMES = (
     Frame(client.STATUS, "STATUS", "", "i64 time (ns), i64 bus cycles, i64 interrupt line", "takes no time", True),
     Frame(client.POSITIONS, "POSITIONS", "", "of each axis f64 position, f64 commanded (m or rad), i64 lost steps",
           "where the carriages are; takes no time", True),
-    Frame(client.PIN, "PIN", "name: `x.pout`, `x.switches.org`", "i64", "a chip's pin or a switch, 1 asserted; takes no time", True),
+    Frame(client.PIN, "PIN", "name: `x.pout`, `x.switches.org`", "i64", "a chip's pin or a switch, 1 asserted; takes no time",
+          True),
     Frame(client.STICK, "STICK", "u32 (0 released, 1 asserted, 2 mended), name: `x.org`", "", "a switch that sticks"),
     Frame(client.INTERRUPT, "INTERRUPT", "", "", "from the server, in the middle of a request: call the hook, then send RETURN"),
     Frame(client.ERROR, "ERROR", "", "u32 n, n times i64, text", "from the server: what is wrong, in words; of a BATCH the answers "
@@ -49,10 +50,13 @@ ENTRIES = (
     (client.DELAY, "DELAY", "us", "", "a delay"),
     (client.MICROS, "MICROS", "", "", "the time, us"),
     (client.LINE, "LINE", "", "", "whether the interrupt line is asserted"),
-    (client.UNTIL8, "UNTIL8", "port", "value", "read until (what was read & `mask`) == value, `times` times at most, `every` us apart; "
-     "the answer is what was read last"),
+    (client.IN32, "IN32", "port", "", "read 32 bits, in two cycles of 16, the low half first"),
+    (client.OUT32, "OUT32", "port", "value", "write 32 bits, likewise"),
+    (client.UNTIL8, "UNTIL8", "port", "value", "read until (what was read & `mask`) == value, `times` times at most, `every` us "
+     "apart; the answer is what was read last"),
     (client.UNTIL16, "UNTIL16", "port", "value", "as UNTIL8, of 16 bits"),
-    (client.UNTIL_LINE, "UNTIL_LINE", "us", "", "until the interrupt line is asserted, `us` at most; the answer is 1 if it is, else 0"),
+    (client.UNTIL_LINE, "UNTIL_LINE", "us", "", "until the interrupt line is asserted, `us` at most; the answer is 1 if it is, "
+     "else 0"),
 )  # fmt: skip
 """Of a BATCH: (what, name, a, b, what it does)."""
 

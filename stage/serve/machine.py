@@ -86,7 +86,9 @@ class Machine:
         if rest:
             raise ArgumentError(f"BATCH: {len(body)} bytes; an entry has {client.ENTRY.size}.")
         nested = bool(self.board.link.record["serving"])
-        entries = np.frombuffer(bytearray(body), ENTRY) if nested else self._entries[:n]  # the outer batch is not done yet
+        entries = (
+            np.frombuffer(bytearray(body), ENTRY) if nested else self._entries[:n]
+        )  # the outer batch is not done yet
         answers = np.zeros(n, np.int64) if nested else self._answers[:n]
         if not nested:
             self._bytes[: len(body)] = np.frombuffer(body, np.uint8)
@@ -194,7 +196,9 @@ class Machine:
             return client.ANSWER.pack(getattr(found, name))
         both = {**getattr(self._axis(axis).chip, "pins", pins).as_dict(), **pins.as_dict()}
         if name not in both:
-            raise unknown(f"pin of axis {axis}", name, (*both, *(f"switches.{s}" for s in self._axis(axis).switches.as_dict())))
+            raise unknown(
+                f"pin of axis {axis}", name, (*both, *(f"switches.{s}" for s in self._axis(axis).switches.as_dict()))
+            )
         return client.ANSWER.pack(both[name])
 
     def _stick(self, body: bytes) -> bytes:

@@ -4,8 +4,8 @@
     print(server.address)
     server.run()                          until server.stop(), from another thread or a signal handler
 
-One host drives, others may look. A host that is gone leaves the stage as it stands. Whatever bytes come: those that are no frame end
-their connection, and nothing else.
+One host drives, others may look. A host that is gone leaves the stage as it stands. Whatever bytes come: those that are no frame
+end their connection, and nothing else.
 """
 
 from __future__ import annotations
@@ -37,7 +37,8 @@ class _Gone(StageError):
 
 
 class _Connection:
-    """role: DRIVE or LOOK, None before HELLO. since: from when a frame is waited for, or None. closing: after what is to be sent."""
+    """role: DRIVE or LOOK, None before HELLO. since: from when a frame is waited for, or None. closing: after what is to be
+    sent."""
 
     def __init__(self, wire: socket.socket, name: str):
         self.wire, self.name = wire, name
@@ -65,7 +66,7 @@ class _Connection:
 
     def waits(self) -> bool:
         """Part of a frame has come, or no hello."""
-        return self.role is None or 0 < len(self.came)
+        return self.role is None or len(self.came) > 0
 
 
 class Server:
@@ -93,7 +94,11 @@ class Server:
     ):
         self._fresh, self._told = fresh, told
         self.machine = Machine(
-            board, keep=keep, pause=self._pause, hook=self._hook, told=lambda seconds, text: told(f"{seconds:12.6f}  {text}")
+            board,
+            keep=keep,
+            pause=self._pause,
+            hook=self._hook,
+            told=lambda seconds, text: told(f"{seconds:12.6f}  {text}"),
         )
         self._driver: _Connection | None = None
         self._busy = self._called = self._returned = False
@@ -164,7 +169,9 @@ class Server:
 
     def _may(self, connection: _Connection) -> bool:
         """Whether a frame of this connection may be handled now."""
-        return len(connection.goes) < MOST_WAITING and not (self._busy and not self._called and connection is self._driver)
+        return len(connection.goes) < MOST_WAITING and not (
+            self._busy and not self._called and connection is self._driver
+        )
 
     def _patience(self) -> float | None:
         """s until something is to be done even if nothing comes."""
@@ -271,7 +278,9 @@ class Server:
         try:
             if kind not in self.machine.does:
                 known = ", ".join(f"{k} {_NAMES[k]}" for k in self.machine.does)
-                raise ArgumentError(f"{_NAMES.get(kind, 'there is no frame')} {kind}: a host that was greeted sends {known}.")
+                raise ArgumentError(
+                    f"{_NAMES.get(kind, 'there is no frame')} {kind}: a host that was greeted sends {known}."
+                )
             if connection.role != client.DRIVE and kind not in _LOOKS:
                 raise StageError(f"{_NAMES[kind]}: this connection only looks; connect with role 0 to drive.")
             reply = self._do(connection, kind, body)
@@ -302,13 +311,17 @@ class Server:
         _, version, role = client.GREETING.unpack(body)
         if version != client.VERSION:
             self._refuse(
-                connection, f"the host speaks version {version} of the frames, and this server version {client.VERSION}.", number
+                connection,
+                f"the host speaks version {version} of the frames, and this server version {client.VERSION}.",
+                number,
             )
         elif role not in (client.DRIVE, client.LOOK):
             self._refuse(connection, f"role {role}: 0 drives, 1 looks.", number)
         elif role == client.DRIVE and self._driver is not None:
             self._refuse(
-                connection, f"{self._driver.name} drives this stage, one host at a time. Wait until it is gone, or look.", number
+                connection,
+                f"{self._driver.name} drives this stage, one host at a time. Wait until it is gone, or look.",
+                number,
             )
         else:
             self._admit(connection, role, number)
