@@ -195,8 +195,8 @@ def test_a_firmware_that_loses_steps_ends_with_1(monkeypatch, lost, code):
     done = SimpleNamespace(code=0, seconds=0.0, cycles=0)
     host = SimpleNamespace(path=SimpleNamespace(name="a"), run=lambda timeout: asked.append(timeout) or done)
     stage = SimpleNamespace(axes={"x": SimpleNamespace(lost_steps=lost)})
-    monkeypatch.setattr("stage.cli.firmware.make_stage", lambda args: stage)
-    monkeypatch.setattr("stage.cli.firmware._report", lambda *_: None)
+    monkeypatch.setattr("stage.cli.setup.make_stage", lambda args: stage)
+    monkeypatch.setattr("stage.cli.firmware.report", lambda *_: None)
     monkeypatch.setattr("stage.board.Board", lambda *_, **__: SimpleNamespace(log=[], stage=stage))
     monkeypatch.setattr("stage.board.NativeHost", lambda *_, **__: host)
     assert main(["run", "a.c", "--timeout", "1.5"]) == code

@@ -22,7 +22,8 @@ from stage.serve import client
 from stage.serve.frames import FRAMES
 from stage.serve.machine import BatchError, Machine, said
 
-MOST_CONNECTIONS = 16
+MOST_HOSTS, MOST_CONNECTIONS = 16, 64
+"""That were greeted; that are open."""
 PATIENCE = 10.0
 """s of real time in which a connection has to say hello, and a frame that has begun to arrive has to be whole."""
 AT_A_TIME = 1 << 18
@@ -192,9 +193,6 @@ class Server:
             wire.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
             connection = _Connection(wire, f"{address[0]}:{address[1]}")
             if sum(1 for _ in self._connections()) >= MOST_CONNECTIONS:
-                self._refuse(connection, f"{MOST_CONNECTIONS} hosts are connected, and no more can be.")
-                with suppress(OSError):
-                    wire.send(connection.goes)
                 wire.close()
                 return
             self._selector.register(wire, selectors.EVENT_READ, connection)
@@ -317,6 +315,8 @@ class Server:
             )
         elif role not in (client.DRIVE, client.LOOK):
             self._refuse(connection, f"role {role}: 0 drives, 1 looks.", number)
+        elif sum(1 for other in self._connections() if other.role is not None) >= MOST_HOSTS:
+            self._refuse(connection, f"{MOST_HOSTS} hosts are connected, and no more can be.", number)
         elif role == client.DRIVE and self._driver is not None:
             self._refuse(
                 connection,

@@ -1,0 +1,147 @@
+"""A host over TCP is the same host on the board itself: the same bits, the same trace, the same time."""
+
+from __future__ import annotations
+
+import random
+import subprocess
+from pathlib import Path
+
+import pytest
+from support.served import serving
+
+from stage import Stage
+from stage.board import Board, NativeHost, NoCompilerError, build, include
+from stage.board.library import compiler
+from stage.chips import MCX304, PCL240MK
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "scripts" / "firmware"
+STRICT = ("-std=c99", "-O2", "-Wall", "-Wextra", "-pedantic", "-Werror")
+PORT = 0x300
+
+
+def traffic(rng: random.Random, n: int) -> list[tuple]:
+    """(method, arguments): what a board and a client both have."""
+    made: list[tuple] = []
+    for base in (PORT, PORT + 4):
+        for register, value in ((0, 900), (1, 60), (2, 700), (4, 200), (5, 200), (7, 300), (6, 300)):
+            made.append(("out8", base, 0x80 | register))
+            made += [("out8", base + 1 + byte, value >> 8 * byte & 0xFF) for byte in (2, 1, 0)]
+        made += [("out8", base, 0x44 | rng.choice((0, 8))), ("out8", base, 0x35)]
+    for _ in range(n):
+        port, kind = PORT + rng.randrange(10), rng.randrange(8)
+        if kind < 3:
+            made.append((rng.choice(("in8", "in16", "in32")), port))
+        elif kind < 5:
+            made.append((rng.choice(("out8", "out16", "out32")), port, rng.randrange(256)))
+        else:
+            made.append(("delay_us", rng.choice((0, 1, 40, 251, 4000))))
+    return made
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_requests_one_by_one_and_in_batches_do_what_they_do_on_the_board(served, seed):
+    print("seed", seed)
+    program = traffic(random.Random(seed), 120)
+    own = Board(Stage("xy", chips=PCL240MK, visuals=False))
+    expected = [getattr(own, what)(*given) for what, *given in program]
+    rng = random.Random(seed)
+    with served.host() as host:
+        answers, left = [], list(program)
+        while left:
+            n = rng.choice((1, 1, 5, 60))
+            some, left = left[:n], left[n:]
+            if n == 1:
+                answers += [getattr(host, what)(*given) for what, *given in some]
+            else:
+                batch = host.batch()
+                for what, *given in some:
+                    getattr(batch, what)(*given)
+                reads = iter(batch.run())
+                answers += [next(reads) if what.startswith("in") else None for what, *_ in some]
+    assert answers == expected
+    stage = own.stage
+    assert served.state() == (
+        stage.snapshot().state.tobytes(),
+        str(own.trace),
+        [],
+        [c.diagnostics for c in stage.chips],
+    )
+
+
+def sources(example: str) -> list[str]:
+    return [str(p) for p in (*sorted((EXAMPLES / example).glob("*.c")), EXAMPLES / "hal" / "hal_pulsestage.c")]
+
+
+def program(folder: Path, *arguments: str) -> Path:
+    """A C program that runs against a server."""
+    try:
+        name = compiler()
+    except NoCompilerError as error:
+        pytest.skip(str(error))
+    made = folder / "program"
+    subprocess.run(
+        [*name.split(), *STRICT, "-DPULSESTAGE_REMOTE", f"-I{include()}", *arguments, "-o", str(made)], check=True
+    )
+    return made
+
+
+SHIPPED = {
+    "by interrupt": ("mcx304", MCX304, ("-DWORK_AROUND=1",)),
+    "by speed": ("mcx304", MCX304, ("-DWORK_AROUND=2",)),
+    "polls": ("pcl240mk", PCL240MK, ()),
+}
+
+
+@pytest.mark.parametrize(
+    "name", ["by interrupt", *(pytest.param(n, marks=pytest.mark.slow) for n in ("by speed", "polls"))]
+)
+def test_a_shipped_driver_gives_the_same_bits_as_in_process(name, tmp_path):
+    example, chip, flags = SHIPPED[name]
+    own, far = (Board(Stage("xyz", chips=chip, visuals=False, bus_cycle=1e-5)) for _ in range(2))
+    remote = program(tmp_path, *sources(example), f"-I{EXAMPLES / 'hal'}", *flags)
+    library = build(sources(example), tmp_path / "driver.so", (*STRICT, f"-I{EXAMPLES / 'hal'}", *flags))
+    result = NativeHost(library, own).run()
+    with serving(far) as served:
+        done = subprocess.run([str(remote), served.address], capture_output=True, text=True, timeout=300, check=False)
+        assert (done.returncode, done.stderr) == (result.code, "")
+    assert far.log == own.log
+    assert far.cycles == own.cycles
+    assert str(far.trace) == str(own.trace)
+    assert far.stage.snapshot().state.tobytes() == own.stage.snapshot().state.tobytes()
+
+
+POLLS = """
+#include <pulsestage.h>
+PULSESTAGE_MAIN
+{
+    unsigned k;
+    for (k = 0; k < 3000; k++) /* more than go together */
+        ps_out8(0x301, (uint8_t)k);
+    ps_out16(0x302, 0x1234);
+    ps_logf("%u %u", (unsigned)ps_until8(0x300, 0xFF, 0xEE, 7, 0), (unsigned)ps_until16(0x300, 0xFF, 0xEE, 3, 20));
+    ps_logf("%lu %d %u", (unsigned long)ps_micros(), ps_interrupt_line(), ps_in16(0x300));
+    ps_delay_us(12345);
+    return 7;
+}
+"""
+
+
+def test_polls_and_what_is_left_at_the_end_are_the_same_too(served, tmp_path):
+    (tmp_path / "polls.c").write_text(POLLS)
+    own = Board(Stage("xy", chips=PCL240MK, visuals=False))
+    remote = program(tmp_path, str(tmp_path / "polls.c"))
+    result = NativeHost(tmp_path / "polls.c", own).run()
+    done = subprocess.run([str(remote), served.address], capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stderr) == (result.code, "") == (7, "")
+    assert own.log == served.board.log
+    assert str(own.trace) == str(served.board.trace)
+    assert own.stage.now == served.board.stage.now > 12_345_000
+
+
+def test_a_program_whose_server_is_not_there_says_so(tmp_path):
+    (tmp_path / "polls.c").write_text(POLLS)
+    remote = program(tmp_path, str(tmp_path / "polls.c"))
+    for address in ("127.0.0.1:1", "nowhere:7240"):
+        done = subprocess.run([str(remote), address], capture_output=True, text=True, timeout=60, check=False)
+        assert done.returncode == 2
+        assert f"no server at {address}. Start one: stage serve" in done.stderr

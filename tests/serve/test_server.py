@@ -1,0 +1,333 @@
+"""One host drives, others look; whoever comes, goes or fails, the stage stands where it stood."""
+
+from __future__ import annotations
+
+import shutil
+import socket
+import subprocess
+import sys
+import threading
+import time
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+from support.served import serving
+
+from stage import StageError
+from stage.serve import client, server
+from stage.serve.client import ServerError
+
+PORT = 0x300
+
+
+def start_a_move(host, pulses=100, interrupt=False):
+    """X moves at 1000 pps."""
+    batch = host.batch().out8(PORT, 0x08)
+    for register, value in ((0, pulses), (1, 400), (7, 30)):
+        batch.out8(PORT, 0x80 | register)
+        for byte in (2, 1, 0):
+            batch.out8(PORT + 1 + byte, value >> 8 * byte & 0xFF)
+    batch.out8(PORT, 0x44).out8(PORT, 0x30 if interrupt else 0x10).run()
+
+
+def test_what_a_host_is_told_of_the_board(served):
+    with served.host() as host:
+        assert host.about["axes"] == {"x": "m", "y": "m"}
+        assert host.about["chips"][1] == {"chip": "PCL240MK", "axes": "y", "port": 0x304, "layout": "pcl240"}
+        assert host.about["bus_cycle"] == pytest.approx(1e-6)
+
+
+def test_one_host_drives_and_others_look(served):
+    with served.host() as host:
+        with pytest.raises(ServerError, match=r"127\.0\.0\.1:\d+ drives this stage, one host at a time"):
+            served.host()
+        with served.host(look=True) as watcher:
+            start_a_move(host)
+            host.delay_us(1_000_000)
+            assert watcher.positions()["x"].commanded == pytest.approx(100 * 3.125e-6)
+            assert watcher.positions()["x"].lost_steps == 0
+            assert watcher.status() == (served.board.stage.time, served.board.cycles, False)
+            assert watcher.pin("x.switches.org") is watcher.pin("x.org") is False
+            before = served.state()
+            for drives in (
+                lambda: watcher.in8(PORT),
+                watcher.reset,
+                lambda: watcher.restore("start"),
+                lambda: watcher.log("!"),
+            ):
+                with pytest.raises(ServerError, match="this connection only looks"):
+                    drives()
+            with pytest.raises(ServerError, match="only looks"):
+                watcher.stick("x.org", True)
+            assert served.state() == before
+    again(served).close()
+    assert [line.split(" ", 1)[1].split(",")[0] for line in served.said[:3]] == ["drives", "drives no more", "drives"]
+
+
+def test_a_host_that_goes_leaves_the_stage_as_it_stands_and_the_next_goes_on(board):
+    with serving(board) as served:
+        with served.host() as host:
+            start_a_move(host)
+            host.on_interrupt(lambda: None)
+            now = host.status().seconds
+        with again(served) as host:
+            assert host.status().seconds == now
+            assert host.in8(PORT) & 0x40, "the axis is moving still"
+            assert not board.link.record["hook"], "nobody is called for a host that is gone"
+
+
+def test_with_fresh_each_host_begins_at_the_start(board):
+    with serving(board, fresh=True) as served:
+        begin = board.stage.snapshot().state.tobytes()
+        with served.host() as host:
+            start_a_move(host)
+        with again(served):
+            assert board.stage.snapshot().state.tobytes() == begin
+
+
+def again(served):
+    """The next host, when the server has seen that the last one is gone."""
+    for _ in range(100):
+        try:
+            return served.host()
+        except ServerError:
+            time.sleep(0.01)
+    raise AssertionError("the host before has not been let go")
+
+
+@pytest.mark.parametrize("what", ["the host goes", "the server stops"])
+def test_a_delay_of_years_ends_when_nobody_waits_for_it(board, what):
+    with serving(board) as served:
+        host, watcher = served.host(), served.host(look=True)
+
+        def wait():
+            with suppress(ServerError, OSError):
+                host.delay_us(10**15)
+
+        waits = threading.Thread(target=wait)
+        waits.start()
+        while watcher.status().seconds == 0:  # who looks is answered meanwhile
+            pass
+        if what == "the host goes":
+            host._wire.shutdown(2)
+            waits.join()
+            again(served).close()
+        else:
+            served.server.stop()
+            waits.join()
+        watcher.close()
+        host.close()
+    assert 0 < board.stage.time < 1000
+
+
+def test_pins_switches_and_reset(served):
+    with served.host() as host:
+        host.stick("x.el_plus", True)
+        assert host.pin("x.el_plus")
+        assert host.pin("x.switches.el_plus")
+        host.stick("x.el_plus", None)
+        assert not host.pin("x.el_plus")
+        start_a_move(host)
+        assert host.in8(PORT) & 0x40
+        host.reset()
+        assert not host.in8(PORT) & 0x40
+        for wrong, said in (
+            ("q.org", "unknown axis 'q'"),
+            ("x.orgg", "Did you mean 'org'"),
+            ("x.switches.no", "unknown switch"),
+        ):
+            with pytest.raises(ServerError, match=said):
+                host.pin(wrong)
+        with pytest.raises(ServerError, match="unknown switch of axis x 'alarm'"):
+            host.stick("x.alarm", True)
+
+
+def test_states_have_names(served):
+    with served.host() as host:
+        start_a_move(host)
+        host.snapshot("moving")
+        first = host.batch().until8(PORT, 0x40, 0, 100_000).micros().run()
+        state = served.state()[0]
+        host.restore("moving")
+        assert host.batch().until8(PORT, 0x40, 0, 100_000).micros().run() == first
+        assert served.state()[0] == state
+        host.restore()
+        assert host.status().seconds == 0
+        with pytest.raises(ServerError, match=r"unknown snapshot 'mowing'\. Did you mean 'moving'"):
+            host.restore("mowing")
+        with pytest.raises(ServerError, match="choose another name"):
+            host.snapshot("start")
+        for k in range(99):
+            host.snapshot(str(k))
+        with pytest.raises(ServerError, match="100 are kept"):
+            host.snapshot("one more")
+        host.snapshot("moving")
+        with served.board.stage.record(), pytest.raises(ServerError, match="runs forward only"):
+            host.restore()
+
+
+def test_lines_of_the_log_are_told_and_so_many_kept(board):
+    with serving(board, keep=8) as served, served.host() as host:
+        for k in range(30):
+            host.log(f"line {k}")
+        with pytest.raises(ServerError, match="a line has up to 65,536"):
+            host.log("x" * 65537)
+        assert served.said[-1].split() == ["0.000000", "line", "29"]
+        assert board.log[-1] == (0.0, "line 29")
+        assert 8 <= len(board.log) <= 10
+
+
+def test_an_interrupt_calls_the_host_s_hook_in_the_middle_of_its_batch(served):
+    seen = []
+    with served.host() as host:
+
+        def hook():
+            seen.append((host.in8(PORT + 2), host.micros()))
+            host.out8(PORT, 0x08)
+
+        host.on_interrupt(hook)
+        start_a_move(host, 10, interrupt=True)
+        begin, end = host.batch().micros().delay_us(100_000).micros().run()
+        assert len(seen) == 1
+        assert begin < seen[0][1] < end
+        assert end == begin + 100_000 + 1, "the hook is part of the delay"
+        assert "the hook is called" in str(served.board.trace)
+        host.on_interrupt(None)
+
+
+def test_a_hook_that_fails_or_does_not_clear_is_told(served):
+    with served.host() as host:
+        host.on_interrupt(lambda: 1 / 0)
+        start_a_move(host, 10, interrupt=True)
+        with pytest.raises(ZeroDivisionError):
+            host.delay_us(100_000)
+        with pytest.raises(ServerError, match="1,000 times in a row") as failed:
+            host.on_interrupt(lambda: None)
+        assert failed.value.answers == ()
+        host.on_interrupt(None)
+        assert host.line()
+
+
+def test_the_answers_before_a_failure_come_with_it(served, monkeypatch):
+    with served.host() as host:
+        host.on_interrupt(lambda: 1 / 0)
+        start_a_move(host, 10, interrupt=True)
+        monkeypatch.setattr(host, "_failed", None)
+        monkeypatch.setattr(host, "_hook", None)  # clears nothing
+        with pytest.raises(ServerError, match="1,000 times") as failed:
+            host.batch().micros().in8(PORT + 0x100).delay_us(100_000).micros().run()
+        assert len(failed.value.answers) == 2
+        assert failed.value.answers[1] == 0xFF
+
+
+def test_a_batch_with_a_mistake_is_refused_as_a_whole(served):
+    with served.host() as host:
+        before = served.state()
+        for wrong, said in (
+            (host.batch().out8(PORT, 256), "entry 1: OUT8 a=768 b=256"),
+            (host.batch().delay_us(-1), "entry 1: DELAY a=-1"),
+            (host.batch().add(77), "entry 1: 77 is no request; those of a batch are 0 IN8, 1 OUT8"),
+            (host.batch().until8(PORT, 1, 1, 0), "entry 1: UNTIL8"),
+        ):
+            batch = host.batch().in8(PORT)
+            batch._entries += wrong._entries
+            with pytest.raises(ServerError, match=said):
+                batch.run()
+        with pytest.raises(ServerError, match="an entry has 32"):
+            host.ask(client.BATCH, b"12345")
+        assert served.state() == before
+        with pytest.raises(ValueError, match="no such request"):
+            host.batch().until8(PORT, 1, 1, 1 << 31)
+        assert host.batch().run() == []
+
+
+def test_a_batch_of_more_than_a_frame_is_sent_in_several(served):
+    with served.host() as host:
+        batch = host.batch()
+        for _ in range(40_000):
+            batch.in8(0x500)
+        assert batch.run() == [0xFF] * 40_000
+        assert host.status().cycles == served.board.cycles == 40_000
+
+
+def test_batches_make_100_000_cycles_a_second_and_more(served):
+    with served.host() as host:
+        best = 0.0
+        for _ in range(5):
+            batch = host.batch()
+            for _ in range(20_000):
+                batch.in8(PORT)
+            begin = time.perf_counter()
+            batch.run()
+            best = max(best, 20_000 / (time.perf_counter() - begin))
+    assert best >= 100_000
+
+
+def test_a_host_of_another_version_or_role_is_refused_in_words(served):
+    with pytest.raises(ServerError, match="the host speaks version 3 of the frames, and this server version 1"):
+        _greets(served, 3)
+    with pytest.raises(ServerError, match="role 2: 0 drives, 1 looks"):
+        _greets(served, 1, role=2)
+
+
+def _greets(served, version, role=0):
+    class Other(client.Client):
+        def ask(self, kind, body=b""):
+            return super().ask(kind, client.GREETING.pack(client.MAGIC, version, role))
+
+    with socket.create_connection(served.server.address) as wire:
+        Other(wire)
+
+
+def test_no_more_than_so_many_hosts_are_connected(served):
+    hosts = [served.host(look=True) for _ in range(server.MOST_HOSTS)]
+    with pytest.raises(ServerError, match="16 hosts are connected, and no more can be"):
+        served.host(look=True)
+    for host in hosts:
+        assert host.status().cycles == 0
+        host.close()
+
+
+def test_two_servers_do_not_listen_on_one_port(served):
+    with pytest.raises(StageError, match=r"nothing can listen on 127\.0\.0\.1, port \d+: .* Choose another"):
+        server.Server(served.board, port=served.server.address[1])
+    with pytest.raises(StageError, match="65535"):
+        server.Server(served.board, port=70_000)
+
+
+def test_the_client_is_one_file_that_needs_python_only(served, tmp_path):
+    shutil.copy(client.__file__, tmp_path / "client.py")
+    program = (
+        "import sys, client\n"
+        f"with client.connect({served.address!r}) as host:\n"
+        "    print(host.in8(0x300), host.positions()['y'].lost_steps, len({'mujoco', 'numpy', 'stage'} & set(sys.modules)))\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-S", "-c", program],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+        env={"PATH": ""},
+    )
+    assert (done.stdout.split(), done.stderr) == (["168", "0", "0"], "")
+
+
+def test_the_client_s_numbers_are_those_of_the_board():
+    from stage.board import batch, host
+
+    for name in ("IN8", "OUT8", "IN16", "OUT16", "IN32", "OUT32", "DELAY", "MICROS", "LINE"):
+        assert getattr(client, name) == getattr(host, name)
+    for name in ("UNTIL8", "UNTIL16", "UNTIL_LINE"):
+        assert getattr(client, name) == getattr(batch, name)
+    assert client.ENTRY.size == batch.ENTRY.itemsize
+    header = (Path(host.__file__).parent / "pulsestage_remote.h").read_text()
+    assert (
+        "PS_F_HELLO = 1, PS_F_BATCH, PS_F_LOG, PS_F_HOOK, PS_F_RETURN, PS_F_INTERRUPT = 254, PS_F_ERROR = 255" in header
+    )
+    assert (client.HELLO, client.BATCH, client.LOG, client.HOOK, client.RETURN) == (1, 2, 3, 4, 5)
+    assert (client.INTERRUPT, client.ERROR) == (254, 255)
+    assert "PS_UNTIL8 = 100, PS_UNTIL16, PS_UNTIL_LINE, PS_F_VERSION = 1, PS_F_HEAD = 12, PS_F_ENTRY = 32" in header
+    assert (client.VERSION, client.HEAD.size, client.ENTRY.size, client.PORT) == (1, 12, 32, 7240)
+    assert ": 7240" in header
