@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import functools
 import os
 import platform
 import re
@@ -15,14 +16,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from stage.board import exits
+from stage.board import exits, platforms
 from stage.board.bus import REQUEST, compute_as_before, compute_as_usual
 from stage.board.errors import CompileError, LibraryError, NoCompilerError
 from stage.errors import ArgumentError
 from stage.files import FileError
 
 ABI = 1
-SOURCES = (".c", ".cc", ".cpp", ".cxx")
+SOURCES = (".c", ".cc", ".cpp", ".cxx", ".ino")
 ENTRY = "pulsestage_main"
 OWN_FIRST = ("-Wl,-Bsymbolic",) if sys.platform == "linux" else ()
 """Calls within the firmware go to its own functions, whatever their names."""
@@ -73,12 +74,13 @@ def build(
     sources: str | os.PathLike | Sequence[str | os.PathLike],
     output: str | os.PathLike | None = None,
     flags: Sequence[str] = (),
+    platform: str | None = None,
 ) -> Path:
     """Build a firmware library from C or C++ sources; returns its path.
 
     output: default a file in a folder for temporary files. flags: for the compiler, after -O2 -g and the
-    sources, so that libraries can be among them.
-    Raises FileError, NoCompilerError, CompileError with what the compiler said.
+    sources, so that libraries can be among them. platform: what the sources were written for, see stage.board.platforms.
+    Raises FileError, NoCompilerError, CompileError with what the compiler said, ArgumentError.
     """
     files = [Path(s) for s in ([sources] if isinstance(sources, str | os.PathLike) else sources)]
     if not files:
@@ -86,17 +88,29 @@ def build(
     for file in files:
         if not file.is_file():
             raise FileError(f"{file}: there is no such source.")
-    plus = [file for file in files if file.suffix != ".c"]
-    name = compiler(plus[0] if plus else files[0])
+    of = platforms.platform_of(platform, files)
+    files = platforms.whole(files)
     made = Path(output) if output else Path(tempfile.mkdtemp(prefix="pulsestage-")) / f"{files[0].stem}.so"
-    command = [
-        *name.split(), "-shared", "-fPIC", "-O2", "-g", f"-I{include()}", *OWN_FIRST, *map(str, files), *flags, "-o", str(made),
-    ]  # fmt: skip
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    with tempfile.TemporaryDirectory(prefix="pulsestage-") as folder:
+        recipe = platforms.recipe(of, files, Path(folder))
+        name = compiler(files[0] if not recipe.cplusplus else "x.cpp")
+        command = [
+            *name.split(), "-shared", "-fPIC", "-O2", "-g", *recipe.flags, f"-I{include()}", *OWN_FIRST,
+            *(_own_statics(name) if recipe.cplusplus else ()), *recipe.files, *flags, "-o", str(made),
+        ]  # fmt: skip
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
         said = (done.stderr + done.stdout).strip()
         raise CompileError(f"{files[0]} does not compile ({name}):\n{said}", said)
     return made
+
+
+@functools.cache
+def _own_statics(compiler: str) -> tuple[str, ...]:
+    """GCC makes static variables of inline functions and templates one for all copies of a library in a process, even of different
+    runs. Other compilers do not, and do not know the flag."""
+    said = subprocess.run([*compiler.split(), "--version"], capture_output=True, text=True, check=False).stdout
+    return ("-fno-gnu-unique",) if "Free Software Foundation" in said else ()
 
 
 def _listed(firmware: str | os.PathLike | Sequence[str | os.PathLike]) -> list[str | os.PathLike]:
@@ -108,11 +122,15 @@ def are_sources(firmware: str | os.PathLike | Sequence[str | os.PathLike]) -> bo
     return all(str(file).endswith(SOURCES) for file in _listed(firmware))
 
 
-def ready(firmware: str | os.PathLike | Sequence[str | os.PathLike], flags: Sequence[str] = ()) -> Path:
+def ready(
+    firmware: str | os.PathLike | Sequence[str | os.PathLike], flags: Sequence[str] = (), platform: str | None = None
+) -> Path:
     """The library that `firmware` is, or that is built from it. Raises as `build` and `check`."""
     given = _listed(firmware)
     if are_sources(given):
-        return check(build(given, flags=flags))
+        return check(build(given, flags=flags, platform=platform))
+    if platform is not None:
+        raise ArgumentError(f"platform={platform!r}: it says how sources are built, and {given[0]} is built already.")
     if len(given) > 1:
         raise ArgumentError(f"{', '.join(map(str, given))}: give one library, or sources only ({', '.join(SOURCES)}).")
     return check(given[0])

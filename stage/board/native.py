@@ -175,6 +175,7 @@ class NativeHost(Host):
         board: a Board; one firmware at a time drives it.
         isolated: run it in a process of its own, whose crash is an error here; see stage.board.isolated.
         flags: for the compiler.
+        platform: what the sources were written for (arduino, avr, vxworks, dos), see stage.board.platforms.
         patience: seconds of real time that the firmware may compute without a bus cycle.
     Raises:
         ArgumentError: a patience that is none.
@@ -189,10 +190,11 @@ class NativeHost(Host):
         *,
         isolated: bool = False,
         flags: tuple[str, ...] = (),
+        platform: str | None = None,
         patience: float = PATIENCE,
     ):
         self._check(board, patience, "'driver.c'")
-        path = library.ready(firmware, flags)
+        path = library.ready(firmware, flags, platform)
         if library.are_sources(firmware):  # built into a folder of its own, which goes with the host
             weakref.finalize(self, shutil.rmtree, path.parent, ignore_errors=True)
         super().__init__(NativeProgram(path), board, isolated, patience)

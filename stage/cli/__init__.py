@@ -220,11 +220,18 @@ def _add_firmware(commands: Any) -> None:
         "the axes end, and what a reader of the data sheet would say to its writes. Exit code 0 if it returns 0 and loses no step.",
     )  # fmt: skip
     p.add_argument(
-        "firmware", nargs="+", metavar="FIRMWARE", help="driver.so, or C or C++ sources; docs/firmware_in_the_loop.md"
+        "firmware",
+        nargs="+",
+        metavar="FIRMWARE",
+        help="driver.so, or C or C++ sources, or a sketch (.ino); docs/firmware_in_the_loop.md",
     )
     _add_target(p)
     g = p.add_argument_group("firmware")
     g.add_argument("--cflags", default="", help='for the compiler, for example --cflags="-Ihal -DSLOW"')
+    g.add_argument(
+        "--platform",
+        help="what the sources were written for: arduino (a .ino always is), avr, vxworks, dos; docs/porting.md",
+    )
     g.add_argument(
         "--timeout", type=float, default=60.0, help="simulated seconds after which it has to return (default: 60)"
     )
@@ -234,6 +241,13 @@ def _add_firmware(commands: Any) -> None:
         default=20.0,
         metavar="S",
         help="seconds of real time that it may compute without a bus cycle (default: 20)",
+    )
+    g.add_argument(
+        "--for",
+        dest="seconds",
+        type=float,
+        metavar="SECONDS",
+        help="run it for so many simulated seconds: firmware that never returns, as a sketch",
     )
     g.add_argument(
         "--in-process",

@@ -35,7 +35,7 @@ def run(args: argparse.Namespace) -> int:
     with recorded(args, stage):
         note(f"{host.path.name} runs ...")
         try:
-            result = host.run(timeout=args.timeout)
+            result = host.run(timeout=args.timeout) if args.seconds is None else host.run_for(args.seconds)
         except (
             HostTimeout,
             HostError,
@@ -51,12 +51,19 @@ def run(args: argparse.Namespace) -> int:
                 f"{host.path.name} returned {result.code} after {result.seconds:.6f} s of simulated time and {result.cycles:,} bus "
                 f"cycles, in {wall:.2f} s of wall time"
             )
+        elif error is None:
+            print(
+                f"{host.path.name} has run for {args.seconds:g} s, and {board.cycles:,} bus cycles, in {wall:.2f} s of wall time"
+            )
         report(board)
+    if result is None:
+        host.close()
     write_trace(args, board)
     if error is not None:
         print(f"stage: {error}", file=sys.stderr)
         return 1
-    return 0 if result is not None and result.code == 0 and not any(a.lost_steps for a in stage.axes.values()) else 1
+    done = result.code == 0 if result is not None else args.seconds is not None
+    return 0 if done and not any(a.lost_steps for a in stage.axes.values()) else 1
 
 
 def _host(args: argparse.Namespace, board: Any, flags: tuple[str, ...]) -> Any:
@@ -68,11 +75,13 @@ def _host(args: argparse.Namespace, board: Any, flags: tuple[str, ...]) -> Any:
         for name, given in (("--mcu-clock", args.mcu_clock), ("--gdb", args.gdb), ("--map", args.map)):
             if given:
                 raise ArgumentError(f"{name}: it is for programs of other processors; --mcu says of which.")
-        return NativeHost(args.firmware, board, isolated=isolated, flags=flags, patience=args.patience)
+        return NativeHost(
+            args.firmware, board, isolated=isolated, flags=flags, platform=args.platform, patience=args.patience
+        )
     from stage.targets import TargetHost
 
-    if len(args.firmware) > 1 or flags:
-        raise ArgumentError("--mcu: give one program that is built, and no --cflags.")
+    if len(args.firmware) > 1 or flags or args.platform:
+        raise ArgumentError("--mcu: give one program that is built, and no --cflags or --platform.")
     return TargetHost(
         args.firmware[0], board, mcu=args.mcu, map=args.map, mcu_clock=args.mcu_clock, gdb=args.gdb, isolated=isolated,
         patience=args.patience,

@@ -16,7 +16,7 @@ from stage.testing.settings import setting
 
 STAGE = ("model", "chips", "drives", "bus_cycle", "clock", "visuals", "record")
 BOARD = ("layout", "base", "stride", "keep_cycles")
-FIRMWARE = ("flags", "isolated", "patience", "mcu", "map", "mcu_clock")
+FIRMWARE = ("flags", "platform", "isolated", "patience", "mcu", "map", "mcu_clock")
 
 
 def stage_arguments(node: pytest.Item) -> dict[str, Any]:
@@ -48,7 +48,7 @@ def board_arguments(node: pytest.Item) -> dict[str, Any]:
 
 
 def firmware_arguments(node: pytest.Item) -> dict[str, Any]:
-    """`sources` (paths), `flags` (a tuple), and what NativeHost takes. Raises ArgumentError, FileError."""
+    """`sources` (paths), `flags` (a tuple), `platform`, and what NativeHost takes. Raises ArgumentError, FileError."""
     found: dict[str, Any] = {}
     for mark in _farthest_first(node, "firmware"):
         if mark.args:
@@ -61,6 +61,7 @@ def firmware_arguments(node: pytest.Item) -> dict[str, Any]:
         )
     found["sources"] = [find(node, source, "firmware") for source in found["sources"]]
     found.setdefault("isolated", os.name == "posix" and setting(node.config, "firmware") != "in-process")
+    found.setdefault("platform", None)
     flags = found.get("flags", ())
     found["flags"] = tuple(shlex.split(flags) if isinstance(flags, str) else flags)
     return found

@@ -9,19 +9,19 @@ from typing import Any
 
 import pytest
 
-from stage.board import build
+from stage.board import build, platforms
 from stage.board.library import SOURCES, compiler
 from stage.errors import ArgumentError
 
 
 def library_of(request: pytest.FixtureRequest, arguments: dict[str, Any]) -> Path:
-    """The library of what @pytest.mark.firmware names; takes `sources` and `flags` out of the arguments.
+    """The library of what @pytest.mark.firmware names; takes `sources`, `flags`, `platform` out of the arguments.
 
     Raises NoCompilerError, CompileError, ArgumentError.
     """
-    sources, flags = arguments.pop("sources"), arguments.pop("flags")
+    sources, flags, platform = (arguments.pop(name) for name in ("sources", "flags", "platform"))
     if not any(source.suffix in SOURCES for source in sources):
-        if len(sources) > 1 or flags:
+        if len(sources) > 1 or flags or platform:
             raise ArgumentError(
                 f"firmware {', '.join(s.name for s in sources)}: one library without flags, or sources ({' '.join(SOURCES)})."
             )
@@ -29,20 +29,20 @@ def library_of(request: pytest.FixtureRequest, arguments: dict[str, Any]) -> Pat
     base = request.getfixturevalue("tmp_path_factory").getbasetemp()
     if hasattr(request.config, "workerinput"):  # pytest-xdist: the folder that all workers share
         base = base.parent
-    return _built(base / "pulsestage-firmware", sources, flags)
+    return _built(base / "pulsestage-firmware", sources, flags, platform)
 
 
-def _built(folder: Path, sources: list[Path], flags: tuple[str, ...]) -> Path:
-    said = [*(compiler(source) for source in sources), *flags, *map(str, sources)]
+def _built(folder: Path, sources: list[Path], flags: tuple[str, ...], platform: str | None) -> Path:
+    said = [*(compiler(source) for source in sources), *flags, *map(str, sources), f"for {platform}"]
     key = hashlib.sha256("\0".join(said).encode())
-    for source in sources:
+    for source in platforms.whole(sources):
         key.update(source.read_bytes())
     made = folder / key.hexdigest()[:16] / f"{sources[0].stem}.so"
     if not made.exists():
         made.parent.mkdir(parents=True, exist_ok=True)
         part = made.with_suffix(f".{os.getpid()}.part")
         try:
-            os.replace(build(sources, part, flags), made)
+            os.replace(build(sources, part, flags, platform), made)
         finally:
             part.unlink(missing_ok=True)
     return made

@@ -1,0 +1,136 @@
+"""Platforms that a driver was written for: headers under the platform's own names, and where its program begins.
+
+With `platform="vxworks"` the folder of that platform stands before all others in the include path, so that the driver's own
+`#include <vxWorks.h>` finds ours; port functions become cycles of the board, delays and ticks its time, the platform's interrupt
+functions its interrupt line. A program is given its entry, see `entry.c` there, unless it has PULSESTAGE_MAIN itself.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from stage.board.platforms.sketch import SKETCH, folder_of, translated
+from stage.errors import ArgumentError, unknown
+
+HERE = Path(__file__).parent
+
+
+@dataclass(frozen=True)
+class Platform:
+    """One kind of driver.
+
+    begins: the functions that a program begins with. folders: of headers, the first in front. entry: the source that calls the
+    program. cplusplus: C sources are compiled as C++. flags: for the compiler.
+    """
+
+    name: str
+    title: str
+    begins: tuple[str, ...]
+    entry: str
+    folders: tuple[str, ...]
+    cplusplus: bool = False
+    flags: tuple[str, ...] = ()
+
+
+PLATFORMS: dict[str, Platform] = {
+    p.name: p
+    for p in (
+        Platform(
+            "arduino",
+            "an Arduino sketch: setup and loop, pins, Serial",
+            ("setup", "loop"),
+            "arduino/entry.cpp",
+            ("arduino", "avr"),
+            True,
+            ("-fpermissive", "-DPULSESTAGE_ARDUINO"),
+        ),
+        Platform(
+            "avr",
+            "a program for an AVR: avr/io.h, avr/interrupt.h, util/delay.h",
+            ("main",),
+            "avr/entry.cpp",
+            ("avr",),
+            True,
+            ("-fpermissive",),
+        ),
+        Platform(
+            "vxworks",
+            "a VxWorks driver: sysLib, taskLib, semLib, intLib, logLib",
+            ("usrAppInit",),
+            "vxworks/entry.c",
+            ("vxworks",),
+        ),
+        Platform(
+            "dos",
+            "a DOS program of Borland, Microsoft or Watcom C: dos.h, conio.h",
+            ("main",),
+            "dos/entry.c",
+            ("dos",),
+            flags=("-include", "pulsestage_dos.h"),
+        ),
+    )
+}
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """How sources are compiled. files: what goes to the compiler in place of the sources; flags: before them; cplusplus: C++ is
+    among them."""
+
+    files: tuple[str, ...]
+    flags: tuple[str, ...] = ()
+    cplusplus: bool = False
+
+
+def platform_of(name: str | None, sources: Sequence[Path]) -> Platform | None:
+    """The platform of that name; a sketch is of Arduino without saying so. Raises ArgumentError."""
+    sketches = [source for source in sources if source.suffix == SKETCH]
+    if name is None:
+        return PLATFORMS["arduino"] if sketches else None
+    if name not in PLATFORMS:
+        raise unknown("platform", name, PLATFORMS)
+    if sketches and name != "arduino":
+        raise ArgumentError(f"{sketches[0].name}: a sketch is of the platform arduino, not {name}.")
+    return PLATFORMS[name]
+
+
+def whole(sources: Sequence[Path]) -> list[Path]:
+    """The sources, and of a sketch in a folder of its own the other sources of that folder, as the Arduino tools take them."""
+    found: list[Path] = []
+    for source in sources:
+        found += [file for file in folder_of(source) if file not in found]
+    return found
+
+
+def recipe(platform: Platform | None, sources: Sequence[Path], folder: Path) -> Recipe:
+    """How these sources of a platform are compiled. folder: where translated sketches are written. Raises ArgumentError where the
+    function is missing that the program begins with."""
+    if platform is None:
+        return Recipe(tuple(map(str, sources)), (), any(s.suffix != ".c" for s in sources))
+    texts = {source: source.read_text(errors="replace") for source in sources}
+    sketches = [source for source in sources if source.suffix == SKETCH]
+    files = [source for source in sources if source.suffix != SKETCH]
+    flags = [f"-I{HERE / name}" for name in platform.folders]
+    if sketches:
+        made = folder / f"{sketches[0].stem}.ino.cpp"
+        made.write_text(translated({source: texts[source] for source in sketches}))
+        files.insert(0, made)
+        flags.append(f"-I{sketches[0].parent}")
+    if not any("PULSESTAGE_MAIN" in text or "pulsestage_main" in text for text in texts.values()):
+        files.append(HERE / platform.entry)
+        for name in platform.begins:
+            if not any(re.search(rf"\b{name}\s*\(", text) for text in texts.values()):
+                raise ArgumentError(
+                    f"{', '.join(s.name for s in sources)}: no function {name}, and there a program of the platform "
+                    f"{platform.name} begins. Add the source that has it, or one of yours with PULSESTAGE_MAIN {{ ... }}."
+                )
+        if any(re.search(r"^[^\S\n]*void[^\S\n]+(?:main|usrAppInit)[^\S\n]*\(", text, re.M) for text in texts.values()):
+            flags.append("-DPULSESTAGE_VOID_MAIN")
+    cplusplus = platform.cplusplus or any(file.suffix != ".c" for file in files)
+    languages = ("-x", "c++") if platform.cplusplus else ()
+    return Recipe(
+        (*languages, *map(str, files), *(("-x", "none") if languages else ())), (*platform.flags, *flags), cplusplus
+    )

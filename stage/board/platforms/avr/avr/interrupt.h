@@ -1,0 +1,21 @@
+/* avr/interrupt.h on an emulated board: the external interrupts INT0 to INT7 are the board's interrupt line. The lowest one that is
+ * enabled (EIMSK) and has a routine is called, by level or by edge as EICRA and EICRB say. Other vectors compile, and never come. */
+#ifndef PULSESTAGE_AVR_INTERRUPT_H
+#define PULSESTAGE_AVR_INTERRUPT_H
+
+#include <avr/io.h>
+
+#define PULSESTAGE_VECTOR(vector) extern "C" void vector(void) __attribute__((used))
+#define ISR(vector, ...)                                                                                               \
+    PULSESTAGE_VECTOR(vector);                                                                                         \
+    void vector(void)
+#define SIGNAL(vector) ISR(vector)
+#define ISR_NOBLOCK
+#define ISR_BLOCK
+#define EMPTY_INTERRUPT(vector) ISR(vector) {}
+
+static inline void sei(void) { SREG |= 0x80; }
+static inline void cli(void) { SREG &= 0x7F; }
+static inline void reti(void) {}
+
+#endif

@@ -1,0 +1,158 @@
+/* avr/io.h on an emulated board: the ports of an AVR as pins (pinbus.h), interrupt enables and the serial port. C++11, so that a register
+ * is an object whose assignment is seen: C programs are compiled as C++.
+ *
+ * Timers, converters, EEPROM are not here: a name that does not compile is not emulated. */
+#ifndef PULSESTAGE_AVR_IO_H
+#define PULSESTAGE_AVR_IO_H
+
+#ifndef __cplusplus
+#error "avr/io.h is C++ here: build with --platform avr, or with c++ -x c++ -fpermissive"
+#endif
+
+#include <interruptline.h>
+#include <pinbus.h>
+#include <stdint.h>
+
+#define _BV(bit) (1 << (bit))
+#define bit_is_set(sfr, bit) ((sfr) & _BV(bit))
+#define bit_is_clear(sfr, bit) (!((sfr) & _BV(bit)))
+#define loop_until_bit_is_set(sfr, bit) do { } while (bit_is_clear(sfr, bit))
+#define loop_until_bit_is_clear(sfr, bit) do { } while (bit_is_set(sfr, bit))
+#define sbi(sfr, bit) ((sfr) |= _BV(bit))
+#define cbi(sfr, bit) ((sfr) &= uint8_t(~_BV(bit)))
+#ifndef F_CPU
+#define F_CPU 16000000UL
+#endif
+
+namespace pulsestage
+{
+/* A register of 8 bits: `read` and `write` of Kind say what it is. Reads and writes are those of a volatile uint8_t. */
+template <typename Kind> struct Register {
+    operator uint8_t() const { return Kind::read(); }
+    const Register &operator=(uint8_t v) const { return Kind::write(v), *this; }
+    const Register &operator=(const Register &other) const { return *this = uint8_t(other); }
+    template <typename Other> const Register &operator=(const Register<Other> &other) const { return *this = uint8_t(other); }
+    const Register &operator|=(int v) const { return *this = uint8_t(Kind::read() | v); }
+    const Register &operator&=(int v) const { return *this = uint8_t(Kind::read() & v); }
+    const Register &operator^=(int v) const { return *this = uint8_t(Kind::read() ^ v); }
+    const Register &operator+=(int v) const { return *this = uint8_t(Kind::read() + v); }
+    const Register &operator-=(int v) const { return *this = uint8_t(Kind::read() - v); }
+    const Register &operator<<=(int n) const { return *this = uint8_t(Kind::read() << n); }
+    const Register &operator>>=(int n) const { return *this = uint8_t(Kind::read() >> n); }
+    const Register &operator++() const { return *this += 1; }
+    const Register &operator--() const { return *this -= 1; }
+    uint8_t operator++(int) const { uint8_t was = *this; *this = uint8_t(was + 1); return was; }
+    uint8_t operator--(int) const { uint8_t was = *this; *this = uint8_t(was - 1); return was; }
+};
+
+template <int at> struct PortOf {
+    static uint8_t read() { return pins().port[at]; }
+    static void write(uint8_t v) { change(pins().port[at], at, v); }
+};
+template <int at> struct DdrOf {
+    static uint8_t read() { return pins().ddr[at]; }
+    static void write(uint8_t v) { change(pins().ddr[at], at, v); }
+};
+template <int at> struct PinOf {
+    static uint8_t read() { return look(at); }
+    static void write(uint8_t v) { change(pins().port[at], at, uint8_t(pins().port[at] ^ v)); } /* toggles */
+};
+
+struct Core {
+    uint8_t sreg, eimsk, eicra, eicrb, mcucr;
+    bool vector; /* the line's routine is one of the vectors below */
+};
+inline __attribute__((visibility("hidden"))) Core &core()
+{
+    static Core one;
+    return one;
+}
+inline void enabled();
+inline void nothing_changed() {}
+
+#define PULSESTAGE_HELD(name, field, then)                                                                             \
+    struct name {                                                                                                      \
+        static uint8_t read() { return core().field; }                                                                 \
+        static void write(uint8_t v) { core().field = v, then(); }                                                     \
+    }
+PULSESTAGE_HELD(SregOf, sreg, enabled);
+PULSESTAGE_HELD(EimskOf, eimsk, enabled);
+PULSESTAGE_HELD(EicraOf, eicra, enabled);
+PULSESTAGE_HELD(EicrbOf, eicrb, enabled);
+PULSESTAGE_HELD(McucrOf, mcucr, nothing_changed);
+#undef PULSESTAGE_HELD
+} // namespace pulsestage
+
+#define PULSESTAGE_INT(n)                                                                                              \
+    extern "C" void pulsestage_INT##n##_vect(void) __attribute__((weak))
+PULSESTAGE_INT(0);
+PULSESTAGE_INT(1);
+PULSESTAGE_INT(2);
+PULSESTAGE_INT(3);
+PULSESTAGE_INT(4);
+PULSESTAGE_INT(5);
+PULSESTAGE_INT(6);
+PULSESTAGE_INT(7);
+#undef PULSESTAGE_INT
+#define INT0_vect pulsestage_INT0_vect
+#define INT1_vect pulsestage_INT1_vect
+#define INT2_vect pulsestage_INT2_vect
+#define INT3_vect pulsestage_INT3_vect
+#define INT4_vect pulsestage_INT4_vect
+#define INT5_vect pulsestage_INT5_vect
+#define INT6_vect pulsestage_INT6_vect
+#define INT7_vect pulsestage_INT7_vect
+
+namespace pulsestage
+{
+/* Enables, or what they depend on, have changed. */
+inline void enabled()
+{
+    void (*const routines[])(void) = {INT0_vect, INT1_vect, INT2_vect, INT3_vect,
+                                      INT4_vect, INT5_vect, INT6_vect, INT7_vect};
+    const int senses = core().eicra | core().eicrb << 8;
+    InterruptLine &line = interrupt_line();
+    int n = 0;
+    while (n < 8 && !(core().eimsk >> n & 1 && routines[n]))
+        n++;
+    const bool edge = n < 8 && (senses >> 2 * n & 3);
+    if (n < 8 && (line.routine != routines[n] || line.edge != edge))
+        line.attach(routines[n], edge);
+    else if (n == 8 && core().vector)
+        line.attach(nullptr, false);
+    core().vector = n < 8;
+    line.enable(core().sreg >> 7 & 1);
+}
+} // namespace pulsestage
+
+#define PULSESTAGE_PORT(letter)                                                                                        \
+    static const pulsestage::Register<pulsestage::PortOf<#letter[0] - 'A'>> PORT##letter __attribute__((unused)) = {}; \
+    static const pulsestage::Register<pulsestage::DdrOf<#letter[0] - 'A'>> DDR##letter __attribute__((unused)) = {};   \
+    static const pulsestage::Register<pulsestage::PinOf<#letter[0] - 'A'>> PIN##letter __attribute__((unused)) = {};   \
+    enum { P##letter##0, P##letter##1, P##letter##2, P##letter##3, P##letter##4, P##letter##5, P##letter##6, P##letter##7 }
+PULSESTAGE_PORT(A);
+PULSESTAGE_PORT(B);
+PULSESTAGE_PORT(C);
+PULSESTAGE_PORT(D);
+PULSESTAGE_PORT(E);
+PULSESTAGE_PORT(F);
+PULSESTAGE_PORT(G);
+PULSESTAGE_PORT(H);
+PULSESTAGE_PORT(J);
+PULSESTAGE_PORT(K);
+PULSESTAGE_PORT(L);
+#undef PULSESTAGE_PORT
+
+static const pulsestage::Register<pulsestage::SregOf> SREG __attribute__((unused)) = {};
+static const pulsestage::Register<pulsestage::EimskOf> EIMSK __attribute__((unused)) = {};
+static const pulsestage::Register<pulsestage::EicraOf> EICRA __attribute__((unused)) = {};
+static const pulsestage::Register<pulsestage::EicrbOf> EICRB __attribute__((unused)) = {};
+static const pulsestage::Register<pulsestage::McucrOf> MCUCR __attribute__((unused)) = {};
+enum { SREG_I = 7 };
+enum { INT0, INT1, INT2, INT3, INT4, INT5, INT6, INT7 };
+enum { ISC00, ISC01, ISC10, ISC11, ISC20, ISC21, ISC30, ISC31 };
+enum { ISC40, ISC41, ISC50, ISC51, ISC60, ISC61, ISC70, ISC71 };
+
+#include <avr/uart_.h>
+
+#endif

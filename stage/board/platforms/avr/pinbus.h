@@ -1,0 +1,277 @@
+/* pinbus.h: the pins of a microcontroller, and the chips whose buses hang on them.
+ *
+ * A pin is a bit of a port A to P: PIN_OF('B', 3). A `PinBus` says which pins are which signals of a chip's bus; from then on a change
+ * of these pins makes bus cycles of the board (pulsestage.h), and a pin that the chip drives reads as the chip drives it.
+ *
+ *     #include <pinbus.h>
+ *     static PinBus card = PinBus(0x300).data_port('A').address(PIN_OF('C', 0), PIN_OF('C', 1))
+ *                              .cs(PIN_OF('G', 2)).wr(PIN_OF('G', 0)).rd(PIN_OF('G', 1));
+ *
+ * A write cycle is made when WR (or R/W with CS) ends; the data are those of just before. A read cycle is made when RD (or OE) begins,
+ * and the chip drives the data pins until it ends. All strobes are asserted while low. Of a chip with ALE, the address goes to the base
+ * port when ALE ends, and data are at the port behind. A pin that is an input is pulled up. C++11.
+ */
+#ifndef PULSESTAGE_PINBUS_H
+#define PULSESTAGE_PINBUS_H
+
+#include <interruptline.h>
+#include <pulsestage.h>
+#include <stdint.h>
+#if defined(PULSESTAGE_ARDUINO)
+#include <pins_arduino.h> /* numbers of pins on the board, as a sketch has them */
+#endif
+
+#define PIN_OF(letter, bit) (((letter) - 'A') * 8 + (bit))
+
+class PinBus;
+
+namespace pulsestage
+{
+enum { PORTS = 16, NO_PIN = -1 };
+
+struct Pins {
+    uint8_t port[PORTS], ddr[PORTS]; /* as the program wrote them */
+    uint8_t driven[PORTS], level[PORTS]; /* which pins a chip drives, and how */
+    uint8_t strobes[PORTS], special[PORTS]; /* pins whose change makes cycles; pins of the interrupt line */
+    PinBus *first;
+};
+
+inline __attribute__((visibility("hidden"))) Pins &pins()
+{
+    static Pins all; /* zero from the beginning: before any constructor */
+    return all;
+}
+
+inline bool level_of(int pin)
+{
+    const Pins &p = pins();
+    int at = pin >> 3, bit = pin & 7;
+    if (p.ddr[at] >> bit & 1)
+        return p.port[at] >> bit & 1;
+    return p.driven[at] >> bit & 1 ? p.level[at] >> bit & 1 : true;
+}
+
+inline void change(uint8_t &which, int at, uint8_t value);
+} // namespace pulsestage
+
+/* One chip's bus on the pins of a microcontroller; another chip on the same wires is another PinBus with its own CS. */
+class PinBus
+{
+  public:
+    /* base: the board's port of address 0 */
+    explicit PinBus(uint32_t base) : base_(base) { enter(); }
+    PinBus(const PinBus &other)
+    {
+        *this = other;
+        enter();
+    }
+    PinBus &operator=(const PinBus &other) = default;
+    ~PinBus()
+    {
+        for (PinBus **at = &pulsestage::pins().first; *at; at = &(*at)->next_)
+            if (*at == this) {
+                *at = next_;
+                break;
+            }
+    }
+
+    /* data pins, the lowest bit first: 8 of them, or 16 */
+    template <typename... Pin> PinBus &data(Pin... pin)
+    {
+        static_assert(sizeof...(pin) == 8 || sizeof...(pin) == 16, "a data bus of 8 or 16 pins");
+        const int given[] = {int(pin)...};
+        for (n_data_ = 0; n_data_ < int(sizeof...(pin)); n_data_++)
+            data_[n_data_] = number(given[n_data_]);
+        whole_ = n_data_ == 8 && data_[0] % 8 == 0;
+        for (int k = 1; whole_ && k < 8; k++)
+            whole_ = data_[k] == data_[0] + k;
+        return *this;
+    }
+    PinBus &data_port(char letter)
+    {
+        const int a = PIN_OF(letter, 0);
+        raw_ = true;
+        data(a, a + 1, a + 2, a + 3, a + 4, a + 5, a + 6, a + 7);
+        raw_ = false;
+        return *this;
+    }
+    /* address pins, the lowest bit first */
+    template <typename... Pin> PinBus &address(Pin... pin)
+    {
+        const int given[] = {int(pin)...};
+        for (n_address_ = 0; n_address_ < int(sizeof...(pin)) && n_address_ < MOST; n_address_++)
+            address_[n_address_] = number(given[n_address_]);
+        return *this;
+    }
+    PinBus &cs(int pin) { return strobe(cs_, pin); }   /* left out: always selected */
+    PinBus &wr(int pin) { return strobe(wr_, pin); }
+    PinBus &rd(int pin) { return strobe(rd_, pin); }
+    PinBus &ale(int pin) { return strobe(ale_, pin); } /* address and data share the data pins */
+    PinBus &rw(int pin) { return strobe(rw_, pin); }   /* R/W in place of WR: low while the chip is written */
+    PinBus &oe(int pin) { return strobe(oe_, pin); }   /* with R/W: low while the chip drives the data pins */
+    PinBus &irq(int pin)                               /* the board's interrupt line, low while it is asserted */
+    {
+        irq_ = number(pin);
+        pulsestage::pins().special[irq_ >> 3] |= uint8_t(1 << (irq_ & 7));
+        return *this;
+    }
+
+    void before() /* strobes are about to change */
+    {
+        if (writing_ || latching_)
+            held_ = read_data();
+    }
+
+    void after()
+    {
+        const bool selected = low(cs_, true);
+        const bool write = selected && (rw_ < 0 ? low(wr_, false) : low(rw_, false) && cs_ >= 0);
+        const bool latch = low(ale_, false);
+        const bool read = oe_ < 0 ? selected && (rw_ < 0 ? low(rd_, false) : !low(rw_, false)) : low(oe_, false);
+        if (rw_ >= 0 && oe_ >= 0 && selected && !low(rw_, false))
+            wanted_ = true; /* the chip fetches; OE shows it */
+        const bool latched = latching_ && !latch, written = writing_ && !write;
+        const bool begins = read && !reading_, ends = !read && reading_;
+        latching_ = latch; /* before the cycles, in which an interrupt may come */
+        writing_ = write;
+        reading_ = read;
+        if (latched) {
+            told_if_input("an address");
+            ps_out8(base_, uint8_t(held_));
+        }
+        if (written) {
+            told_if_input("data");
+            n_data_ == 16 ? ps_out16(where(), uint16_t(held_)) : ps_out8(where(), uint8_t(held_));
+        }
+        if (begins) {
+            if (oe_ < 0 || rw_ < 0 || wanted_)
+                fetched_ = n_data_ == 16 ? ps_in16(where()) : ps_in8(where());
+            wanted_ = false;
+            drive(fetched_, true);
+        } else if (ends)
+            drive(0, false);
+        if (latched || written || begins)
+            pulsestage::interrupt_line().look();
+    }
+
+    PinBus *next() const { return next_; }
+
+  private:
+    enum { MOST = 16 };
+
+    void enter() { next_ = pulsestage::pins().first, pulsestage::pins().first = this; }
+
+    int number(int pin) const
+    {
+#if defined(PULSESTAGE_ARDUINO)
+        if (!raw_)
+            return pulsestage::core_pin(pin);
+#endif
+        return pin;
+    }
+
+    PinBus &strobe(int &which, int pin)
+    {
+        which = number(pin);
+        pulsestage::pins().strobes[which >> 3] |= uint8_t(1 << (which & 7));
+        return *this;
+    }
+
+    static bool low(int pin, bool none) { return pin < 0 ? none : !pulsestage::level_of(pin); }
+
+    uint32_t where() const
+    {
+        if (ale_ >= 0)
+            return base_ + 1;
+        uint32_t address = 0;
+        for (int k = 0; k < n_address_; k++)
+            address |= uint32_t(pulsestage::level_of(address_[k])) << k;
+        return base_ + (n_data_ == 16 ? 2 * address : address);
+    }
+
+    unsigned read_data() const
+    {
+        const pulsestage::Pins &p = pulsestage::pins();
+        if (whole_ && p.ddr[data_[0] >> 3] == 0xFF)
+            return p.port[data_[0] >> 3];
+        unsigned value = 0;
+        for (int k = 0; k < n_data_; k++)
+            value |= unsigned(pulsestage::level_of(data_[k])) << k;
+        return value;
+    }
+
+    int inputs() const
+    {
+        int n = 0;
+        for (int k = 0; k < n_data_; k++)
+            n += !(pulsestage::pins().ddr[data_[k] >> 3] >> (data_[k] & 7) & 1);
+        return n;
+    }
+
+    void told_if_input(const char *what)
+    {
+        if (inputs() && !told_) {
+            told_ = true;
+            ps_logf("pins: %s of the bus at %lXh is written while %d of its %d data pins are inputs; these are 1", what,
+                    (unsigned long)base_, inputs(), n_data_);
+        }
+    }
+
+    void drive(unsigned value, bool on)
+    {
+        pulsestage::Pins &p = pulsestage::pins();
+        if (on && inputs() < n_data_ && !fought_) {
+            fought_ = true;
+            ps_logf("pins: the bus at %lXh is read while %d of its %d data pins are outputs: two drive one wire",
+                    (unsigned long)base_, n_data_ - inputs(), n_data_);
+        }
+        for (int k = 0; k < n_data_; k++) {
+            const int at = data_[k] >> 3;
+            const uint8_t bit = uint8_t(1 << (data_[k] & 7));
+            p.driven[at] = uint8_t(on ? p.driven[at] | bit : p.driven[at] & ~bit);
+            p.level[at] = uint8_t(value >> k & 1 ? p.level[at] | bit : p.level[at] & ~bit);
+        }
+    }
+
+    uint32_t base_ = 0;
+    int data_[MOST] = {}, address_[MOST] = {}, n_data_ = 0, n_address_ = 0;
+    int cs_ = -1, wr_ = -1, rd_ = -1, ale_ = -1, rw_ = -1, oe_ = -1, irq_ = -1;
+    unsigned held_ = 0, fetched_ = 0;
+    bool whole_ = false, raw_ = false, writing_ = false, reading_ = false, latching_ = false, wanted_ = false;
+    bool told_ = false, fought_ = false;
+    PinBus *next_ = nullptr;
+};
+
+namespace pulsestage
+{
+/* The program writes a port, or a direction; strobes may have changed. */
+inline void change(uint8_t &which, int at, uint8_t value)
+{
+    Pins &p = pins();
+    if (!((which ^ value) & p.strobes[at])) {
+        which = value;
+        return;
+    }
+    for (PinBus *bus = p.first; bus; bus = bus->next())
+        bus->before();
+    which = value;
+    for (PinBus *bus = p.first; bus; bus = bus->next())
+        bus->after();
+}
+
+/* What the program reads of a port, these bits of it. A pin that no bus drives costs a look at the clock, so that a loop which waits
+ * for it goes on. */
+inline uint8_t look(int at, uint8_t mask = 0xFF)
+{
+    const Pins &p = pins();
+    uint8_t value = uint8_t((p.port[at] & p.ddr[at]) | (~p.ddr[at] & (p.level[at] | ~p.driven[at])));
+    if (p.special[at] & mask) {
+        const bool asserted = ps_interrupt_line() != 0;
+        value = uint8_t(asserted ? value & ~p.special[at] : value | p.special[at]);
+    } else if (!(p.driven[at] & mask))
+        ps_micros();
+    return value & mask;
+}
+} // namespace pulsestage
+
+#endif

@@ -1,0 +1,59 @@
+/* The serial port of an AVR: what is sent goes to the log of the run, line by line; what is received is a string,
+ * -DPULSESTAGE_SERIAL_INPUT='"G1 X10\n"'. It takes no time. Included by avr/io.h and Arduino.h. */
+#ifndef PULSESTAGE_AVR_SERIAL_H
+#define PULSESTAGE_AVR_SERIAL_H
+
+#include <pulsestage.h>
+#include <stdint.h>
+
+#if !defined(PULSESTAGE_SERIAL_INPUT)
+#define PULSESTAGE_SERIAL_INPUT ""
+#endif
+
+namespace pulsestage
+{
+struct SerialLine {
+    enum { MOST = 1000 };
+    char line[MOST + 1];
+    int used;
+    const char *input; /* what is left of it; 0: nothing has been read yet */
+
+    void send(char c)
+    {
+        if (c == '\r')
+            return;
+        if (c != '\n')
+            line[used++] = c;
+        if (c == '\n' || used == MOST)
+            flush();
+    }
+    void flush()
+    {
+        line[used] = 0;
+        used = 0;
+        ps_log(line);
+    }
+    const char *left()
+    {
+        if (!input)
+            input = PULSESTAGE_SERIAL_INPUT;
+        return input;
+    }
+    int take() { return *left() ? uint8_t(*input++) : -1; }
+};
+
+inline __attribute__((visibility("hidden"))) SerialLine &serial_line()
+{
+    static SerialLine one;
+    return one;
+}
+
+/* At the end of the run: a line that has begun is noted, too. */
+inline void end_of_serial()
+{
+    if (serial_line().used)
+        serial_line().flush();
+}
+} // namespace pulsestage
+
+#endif

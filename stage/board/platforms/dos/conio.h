@@ -1,0 +1,2 @@
+/* conio.h of DOS compilers, on an emulated board. */
+#include <dosfunctions.h>

@@ -1,0 +1,2 @@
+/* i86.h of DOS compilers, on an emulated board. */
+#include <dosfunctions.h>

@@ -1,0 +1,2 @@
+/* errnoLib.h of VxWorks, on an emulated board. */
+#include <vxWorks.h>

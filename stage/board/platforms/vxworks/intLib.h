@@ -1,0 +1,2 @@
+/* intLib.h of VxWorks, on an emulated board. */
+#include <vxWorks.h>

@@ -1,0 +1,2 @@
+/* iv.h of VxWorks, on an emulated board. */
+#include <vxWorks.h>

@@ -1,0 +1,2 @@
+/* kernelLib.h of VxWorks, on an emulated board. */
+#include <vxWorks.h>

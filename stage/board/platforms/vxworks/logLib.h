@@ -1,0 +1,2 @@
+/* logLib.h of VxWorks, on an emulated board. */
+#include <vxWorks.h>

@@ -1,0 +1,2 @@
+/* msgQLib.h of VxWorks, on an emulated board. */
+#include <vxWorks.h>

@@ -1,0 +1,2 @@
+/* semLib.h of VxWorks, on an emulated board. */
+#include <vxWorks.h>

@@ -1,0 +1,2 @@
+/* sysLib.h of VxWorks, on an emulated board. */
+#include <vxWorks.h>

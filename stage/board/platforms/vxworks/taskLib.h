@@ -1,0 +1,2 @@
+/* taskLib.h of VxWorks, on an emulated board. */
+#include <vxWorks.h>

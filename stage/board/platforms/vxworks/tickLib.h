@@ -1,0 +1,2 @@
+/* tickLib.h of VxWorks, on an emulated board. */
+#include <vxWorks.h>

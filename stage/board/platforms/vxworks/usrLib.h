@@ -1,0 +1,2 @@
+/* usrLib.h of VxWorks, on an emulated board. */
+#include <vxWorks.h>

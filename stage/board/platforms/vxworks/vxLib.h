@@ -1,0 +1,2 @@
+/* vxLib.h of VxWorks, on an emulated board. */
+#include <vxWorks.h>
