@@ -16,6 +16,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
 from stage.board import host, layout_files, layouts
+from stage.board.errors import HostError
 from stage.board.link import Link
 from stage.board.trace import BusTrace, Cycle, Meaning
 from stage.chips.late import LateLint
@@ -23,6 +24,7 @@ from stage.errors import ArgumentError, unknown
 from stage.sim.stage import LONGEST, Stage
 
 KEPT_CYCLES = 100_000
+MOST_LINES = 1_000_000
 
 
 class Board:
@@ -191,8 +193,17 @@ class Board:
         return [(port, p) for port, p in pairs if p["kind"]]
 
     def note(self, text: str) -> None:
-        """A line for the log, now."""
+        """A line for the log, now. Raises HostError for more of them than a log keeps."""
+        self.check_lines(len(self.log))
         self.log.append((self.stage.time, text))
+
+    def check_lines(self, lines: int) -> None:
+        """Raises HostError if a log has so many lines that there is room for no more."""
+        if lines >= MOST_LINES:
+            raise HostError(
+                f"{MOST_LINES:,} lines were noted by ps_log, and a log keeps no more (now {self.stage.time:.6f} s): a loop without "
+                "end? Note less, or clear host.log between two pieces of a run."
+            )
 
 
 def _by_chip(stage: Stage, base: int | Mapping[str, int] | None) -> Any:

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import pickle
 import select
+import shutil
 import threading
+import time
+from contextlib import suppress
 from multiprocessing.connection import Connection
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from stage.board import crash
+from stage.board import crash, scratch
 from stage.board.board import Board
 from stage.board.link import NOTED, Link
 from stage.board.shared import Asked, Begin, Go, Noted, Shared, Stands
@@ -20,6 +25,8 @@ from stage.errors import StageError
 from stage.sim.fingerprint import settings
 from stage.sim.stage import Stage
 
+HIGH = 200  # file descriptors: what firmware closes or writes by mistake is mostly below
+CLOSED = "it closed a file descriptor that it had not opened: that was the connection of its process with the stage"
 LOOK_MS = 500  # hanging up is seen at once, unless a process that the parent has forked holds the pipe as well
 
 
@@ -99,16 +106,20 @@ class ChildBoard(Board):
     def __init__(self, pipe: Connection, begin: Begin):
         stage, options = _unpickled(begin.board)
         super().__init__(stage, **options)
+        self._lines = 0
         self.link = ChildLink(self, pipe, begin.shared)
+        self.link.shared.not_for_forks()
 
     def note(self, text: str) -> None:
+        self.check_lines(self._lines)
+        self._lines += 1
         if not self.link.shared.note(self.stage.now, text):
             self.link.flush()
             self.link.shared.note(self.stage.now, text)
 
     def go(self, go: Go) -> None:
         """Before the firmware goes on: everything is as it is in the parent."""
-        link, stage = self.link, self.stage
+        link, stage, self._lines = self.link, self.stage, go.lines
         if go.machine is not None:
             adopt(stage, pickle.loads(go.machine))
         stage.loop.put(link.shared.state)
@@ -143,27 +154,71 @@ def _unpickled(board: bytes) -> tuple[Any, dict[str, Any]]:
         ) from None
 
 
-def _ends_with(parent: int, fileno: int) -> None:
+def _ends_with(parent: int, fileno: int, begun: list[Begin]) -> None:
     """This process ends when its parent does, however: firmware that computes, or whose end is far, looks at no pipe."""
     pipe = select.poll()
     pipe.register(fileno, 0)  # hanging up comes unasked
-    while os.getppid() == parent and not pipe.poll(LOOK_MS):
-        pass
+    while os.getppid() == parent:
+        if pipe.poll(LOOK_MS):
+            if _is_open(fileno):
+                break
+            time.sleep(LOOK_MS * 1e-3)  # the firmware has closed it: whoever sends next says so
+    for begin in begun:
+        shutil.rmtree(Path(begin.shared).parent, ignore_errors=True)  # the parent may not have been able to
     os._exit(0)
+
+
+def _is_open(fileno: int) -> bool:
+    try:
+        os.fstat(fileno)
+    except OSError:
+        return False
+    return True
+
+
+def _out_of_the_way(fileno: int) -> int:
+    """The pipe under a number that firmware hits less easily, and that programs which it starts do not have."""
+    try:
+        high = fcntl.fcntl(fileno, fcntl.F_DUPFD_CLOEXEC, HIGH)
+    except OSError:  # not that many are allowed
+        os.set_inheritable(fileno, False)
+        return fileno
+    os.close(fileno)
+    return high
+
+
+def _first_to_go() -> None:
+    """Where memory is short, the system ends this process rather than one that has more to lose."""
+    with suppress(OSError), open("/proc/self/oom_score_adj", "w") as file:
+        file.write("1000")
 
 
 def main(fileno: int) -> None:
     """Run the firmware that comes over this end of a pipe, until the parent is gone."""
-    threading.Thread(target=_ends_with, args=(os.getppid(), fileno), name="parent", daemon=True).start()
+    fileno = _out_of_the_way(fileno)
+    begun: list[Begin] = []
+    threading.Thread(target=_ends_with, args=(os.getppid(), fileno, begun), name="parent", daemon=True).start()
+    _first_to_go()
     pipe = Connection(fileno)
-    begin = pipe.recv()
+    begin: Begin = pipe.recv()
+    begun.append(begin)
+    scratch.all_within(Path(begin.shared).parent)
     try:
         board = ChildBoard(pipe, begin)
+        crash.watch(board.link.shared.note_crash)
         runner = Threaded(begin.program, board, begin.patience, may_exit=True)
     except StageError as error:
         pipe.send((type(error).__name__, str(error)))
         return
-    crash.watch(board.link.shared.note_crash)
+    try:
+        _serve(pipe, board, runner)
+    except OSError:
+        board.link.shared.note_crash(crash.in_words(CLOSED))
+        os._exit(1)
+
+
+def _serve(pipe: Connection, board: ChildBoard, runner: Threaded) -> None:
+    """Let the firmware go on as the parent says."""
     pipe.send(None)
     while True:
         go: Go = pipe.recv()

@@ -35,6 +35,9 @@ BUS_SPACE = 1 << 32  # addresses of microcontrollers
 RUST_ITSELF = "(/rustc/"  # where the files of its own library are
 
 
+FORKED = b'"a process that it had forked crashed (it has no bus: only the firmware itself has)"'
+
+
 class Crash(NamedTuple):
     """What the handler saw. frames: (library, symbol, offset in the library) of each call, the innermost first."""
 
@@ -86,13 +89,18 @@ def watch(note: Callable[[bytes], None]) -> None:
     libc = ctypes.CDLL(None)
     if not HERE or not hasattr(libc, "backtrace"):
         return
-    calls = (ctypes.c_void_p * DEEPEST)()
+    calls, owner = (ctypes.c_void_p * DEEPEST)(), os.getpid()
     libc.backtrace(calls, DEEPEST)  # the first call loads a library
 
     def crashed(number: int, info: int, context: int) -> None:
         libc.signal(number, None)
+        if os.getpid() != owner:
+            os.kill(owner, signal.SIGABRT)  # the run is to fail
+            os._exit(1)
         try:
-            note(json.dumps(_seen(libc, calls, number, info, context)).encode())
+            note(
+                FORKED if _from_a_fork(number, info) else json.dumps(_seen(libc, calls, number, info, context)).encode()
+            )
         finally:
             os.kill(os.getpid(), number)
 
@@ -125,11 +133,22 @@ def _seen(libc: Any, calls: Any, number: int, info: int, context: int) -> Crash:
     return Crash(number, address, wrote, near, [_frame(libc, a - (k > 0)) for k, a in enumerate(found) if a])
 
 
+def _from_a_fork(number: int, info: int) -> bool:
+    """Whether another process has sent the signal, see `watch`."""
+    sent, sender = ctypes.c_int.from_address(info + 8).value, ctypes.c_int.from_address(info + 16).value
+    return number == signal.SIGABRT and sent == 0 and sender != os.getpid()
+
+
 def _frame(libc: Any, address: int) -> tuple[str, str, int]:
     symbol = _Symbol()
     if not libc.dladdr(ctypes.c_void_p(address), ctypes.byref(symbol)):
         return "", "", address
     return (symbol.file or b"").decode(), (symbol.name or b"").decode(), address - (symbol.base or 0)
+
+
+def in_words(text: str) -> bytes:
+    """What is noted where no signal tells it."""
+    return json.dumps(text).encode()
 
 
 # --- in the parent ---
@@ -139,7 +158,10 @@ def told(noted: bytes, library: Path) -> str:
     """What happened and where, in words; "" if nothing was noted."""
     if not noted:
         return ""
-    crash = Crash(*json.loads(noted))
+    found = json.loads(noted)
+    if isinstance(found, str):
+        return f": {found}"
+    crash = Crash(*found)
     names = [symbol for _, symbol, _ in crash.frames]
     inner = crash.frames[: names.index(ENTRY) + 1] if ENTRY in names else crash.frames
     places = _places(inner, library)

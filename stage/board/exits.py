@@ -51,12 +51,17 @@ _NAMED: dict[str, Callable[..., str]] = {
 """What the call is in words, by its arguments."""
 
 
-def interpose(handle: int) -> None:
-    """Take the calls of the library of that handle, just loaded, and of those that came with it."""
+ALL = frozenset(_NAMED)
+OF_THREADS = frozenset({"pthread_exit", "thrd_exit"})
+"""What ends the thread of the caller and not its process."""
+
+
+def interpose(handle: int, taken: frozenset[str] = ALL) -> None:
+    """Take these calls of the library of that handle, just loaded, and of those that came with it."""
     if HERE:
         library = ctypes.cast(handle, ctypes.POINTER(_Loaded))
         while library:
-            for slot, name in _slots(library.contents, _NAMED):
+            for slot, name in _slots(library.contents, taken):
                 _set(slot, _address(name))
             library = library.contents.next
 

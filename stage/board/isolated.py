@@ -11,7 +11,7 @@ import hashlib
 import os
 import pickle
 import signal
-import tempfile
+import time
 import weakref
 from multiprocessing import Pipe
 from typing import Any
@@ -20,14 +20,23 @@ import numpy as np
 
 from stage import errors as general
 from stage.board import crash, errors, starter
+from stage.board.answers import Answers, GarbledError
 from stage.board.board import Board
 from stage.board.errors import HostError
 from stage.board.program import Program
+from stage.board.scratch import Scratch
 from stage.board.shared import Asked, Begin, Go, Noted, Shared, Stands
+from stage.board.threaded import debugged
 from stage.chips.entries import LOST, READ, WRITE
 from stage.errors import StageError
 from stage.sim import handle
 from stage.sim.fingerprint import fingerprint
+
+GRACE = 5.0  # s of real time beyond its patience, in which the child gives its firmware up itself
+
+
+class _SilentError(Exception):
+    """The child has not got on for too long."""
 
 
 class Isolated:
@@ -65,15 +74,18 @@ class Isolated:
         self._shared.copy(board)
         try:
             hook = bool(board.link.record["hook"])
-            self._pipe.send(Go(until, most_cycles, board.port_table, machine, every, asks, hook))
-            while not isinstance(message := self._pipe.recv(), Stands):
+            self._pipe.send(Go(until, most_cycles, board.port_table, machine, every, asks, hook, len(board.log)))
+            while not isinstance(message := self._next(), Stands):
                 if isinstance(message, Asked):
                     self._pipe.send(self._answer(message))
                 else:
                     self._take(message)
                     self._pipe.send(None)
         except (EOFError, OSError):
-            raise self._crashed() from None
+            raise self._crashed(self._ended_how()) from None
+        except (GarbledError, _SilentError) as error:
+            self._end()
+            raise self._crashed(self._given_up(error)) from None
         except BaseException:
             self._end()
             raise
@@ -93,22 +105,28 @@ class Isolated:
         """A child with a copy of the stage; raises what is wrong with the library."""
         board = self._board
         given = _pickled((board.stage, board.options))
-        file, shared = tempfile.mkstemp(prefix="pulsestage-")
-        os.close(file)
+        self._scratch = Scratch()
+        shared = self._scratch.path / "shared"
         ours, theirs = Pipe()
         try:
             self._shared = Shared(shared, board, create=True)
             with theirs:
                 self._child = starter.start(theirs.fileno())
-            self._pipe = ours
+            self._pipe, self._answers = ours, Answers(ours)
             weakref.finalize(self, _ended, self._child)
-            ours.send(Begin(self._program, shared, given, self._patience))
+            ours.send(Begin(self._program, str(shared), given, self._patience))
             self._seen = _machine(board.stage)
-            answer = ours.recv()
+            answer = self._next()
         except (EOFError, ConnectionError):
-            raise HostError(f"{self._path.name} {self._ended_how()} while it was loaded.") from None
+            raise self._not_loaded(self._ended_how()) from None
+        except (GarbledError, _SilentError) as error:
+            self._end()
+            raise self._not_loaded(self._given_up(error)) from None
+        except BaseException:
+            self._end()
+            raise
         finally:
-            os.unlink(shared)
+            shared.unlink(missing_ok=True)
         if answer is not None:
             self._end()
             raise _revived(*answer)
@@ -158,9 +176,40 @@ class Isolated:
         shared.copy(board)
         return answer, self._error is None, machine
 
-    def _crashed(self) -> HostError:
+    def _next(self) -> Any:
+        """The next message of the child."""
+        begin: tuple[float, Any] = time.monotonic(), None
+
+        def waits() -> None:
+            nonlocal begin
+            theirs = self._shared.record[0]
+            now = tuple(int(theirs[name]) for name in ("cycles", "reached"))
+            since, seen = begin
+            if now != seen:
+                begin = time.monotonic(), now
+            elif time.monotonic() - since > self._patience + GRACE:
+                if self._child is not None and debugged(self._child.pid):
+                    begin = time.monotonic(), now
+                else:
+                    raise _SilentError
+
+        return self._answers.next(waits)
+
+    def _given_up(self, error: Exception) -> str:
+        if isinstance(error, GarbledError):
+            return (
+                "wrote into a file descriptor that it had not opened: that was the connection of its process with the stage, and "
+                "it was ended"
+            )
+        return f"has not got on for {self._patience:g} s of real time, and was ended"
+
+    def _not_loaded(self, how: str) -> HostError:
+        what = crash.told(self._shared.crash, self._path)
+        return HostError(f"{self._path.name} {how} while it was loaded, before PULSESTAGE_MAIN was called{what}.")
+
+    def _crashed(self, how: str) -> HostError:
         """The child is gone. What it did last is in the memory that we share."""
-        how, board, theirs = self._ended_how(), self._board, self._shared.record[0]
+        board, theirs = self._board, self._shared.record[0]
         edges = self._shared.edges[: int(theirs["noted"])]
         self._live_through(edges[np.isin(edges["kind"], (WRITE, READ, LOST))])
         board.stage.run_to(max(int(theirs["reached"] + theirs["ahead"]), board.stage.now))
@@ -192,7 +241,12 @@ class Isolated:
     def _ended_how(self) -> str:
         """How the child ended by itself."""
         code = self._child.wait() if self._child is not None else 0
+        stopped = self._child.stopped if self._child is not None else 0
         self._end()
+        if stopped:
+            return f"was stopped by {_signal(stopped)}, and ended"
+        if code == -signal.SIGKILL:
+            return f"was ended by {_signal(-code)} (by somebody, or for want of memory)"
         return f"was ended by {_signal(-code)}" if code < 0 else f"ended its process with exit code {code}"
 
     def _end(self) -> None:
@@ -200,6 +254,7 @@ class Isolated:
         if self._child is not None:
             _ended(self._child)
             self._pipe.close()
+            self._scratch.close()
         self._child, self._running, self._seen = None, False, b""
 
 

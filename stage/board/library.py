@@ -19,6 +19,7 @@ from typing import Any
 from stage.board import exits, platforms
 from stage.board.bus import REQUEST, compute_as_before, compute_as_usual
 from stage.board.errors import CompileError, LibraryError, NoCompilerError
+from stage.board.scratch import Scratch
 from stage.errors import ArgumentError
 from stage.files import FileError
 
@@ -123,12 +124,15 @@ def are_sources(firmware: str | os.PathLike | Sequence[str | os.PathLike]) -> bo
 
 
 def ready(
-    firmware: str | os.PathLike | Sequence[str | os.PathLike], flags: Sequence[str] = (), platform: str | None = None
+    firmware: str | os.PathLike | Sequence[str | os.PathLike],
+    flags: Sequence[str] = (),
+    platform: str | None = None,
+    folder: Path | None = None,
 ) -> Path:
-    """The library that `firmware` is, or that is built from it. Raises as `build` and `check`."""
+    """The library that `firmware` is, or that is built from it, in `folder`. Raises as `build` and `check`."""
     given = _listed(firmware)
     if are_sources(given):
-        return check(build(given, flags=flags, platform=platform))
+        return check(build(given, folder / f"{Path(given[0]).stem}.so" if folder else None, flags, platform=platform))
     if platform is not None:
         raise ArgumentError(f"platform={platform!r}: it says how sources are built, and {given[0]} is built already.")
     if len(given) > 1:
@@ -175,28 +179,29 @@ def _mode() -> int:
 
 
 class Library:
-    """A copy of a library of its own, so that its variables begin as they were compiled, in each run.
+    """A copy of a library of its own, so that its variables begin as they were compiled, in each run. The file of the copy stays
+    until `close`: debuggers look for symbols there.
 
     may_exit: its calls of exit and the like end the process; otherwise they come to us, see stage.board.exits.
     """
 
     def __init__(self, path: Path, bus: BusStruct, may_exit: bool = False):
         self.path = path
-        with tempfile.TemporaryDirectory(prefix="pulsestage-") as folder:
-            own = Path(shutil.copy(path, Path(folder) / path.name))
-            mode = compute_as_usual.c()
-            try:
-                self._library = ctypes.CDLL(str(own), mode=_mode())
-            except OSError as error:
-                said = str(error).replace(str(own), str(path))
-                raise LibraryError(
-                    f"{path} cannot be loaded: {said}. Link what it needs into it; it is built so: {how_to_build(path)}"
-                ) from None
-            finally:
-                compute_as_before.c(mode)  # one that was built with -ffast-math changes it as it is loaded
+        self._scratch = Scratch()
+        own = Path(shutil.copy(path, self._scratch.path / path.name))
+        mode = compute_as_usual.c()
+        try:
+            self._library = ctypes.CDLL(str(own), mode=_mode())
+        except OSError as error:
+            self._scratch.close()
+            said = str(error).replace(str(own), str(path))
+            raise LibraryError(
+                f"{path} cannot be loaded: {said}. Link what it needs into it; it is built so: {how_to_build(path)}"
+            ) from None
+        finally:
+            compute_as_before.c(mode)  # one that was built with -ffast-math changes it as it is loaded
         self._handle = self._library._handle  # ctypes shows it nowhere else
-        if not may_exit:
-            exits.interpose(self._handle)
+        exits.interpose(self._handle, exits.OF_THREADS if may_exit else exits.ALL)
         abi = self._find(ctypes.c_uint32, "pulsestage_abi").value
         if abi != ABI:
             raise LibraryError(
@@ -227,3 +232,4 @@ class Library:
             import _ctypes
 
             _ctypes.dlclose(self._handle)
+        self._scratch.close()

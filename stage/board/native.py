@@ -12,8 +12,6 @@ from __future__ import annotations
 
 import math
 import os
-import shutil
-import weakref
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol, Self
@@ -23,6 +21,7 @@ from stage.board.board import Board
 from stage.board.errors import HostTimeout
 from stage.board.link import MOST
 from stage.board.program import NativeProgram, Program
+from stage.board.scratch import Scratch
 from stage.board.threaded import PATIENCE, Threaded
 from stage.errors import ArgumentError, RunTimeout, StageError
 
@@ -194,9 +193,8 @@ class NativeHost(Host):
         patience: float = PATIENCE,
     ):
         self._check(board, patience, "'driver.c'")
-        path = library.ready(firmware, flags, platform)
-        if library.are_sources(firmware):  # built into a folder of its own, which goes with the host
-            weakref.finalize(self, shutil.rmtree, path.parent, ignore_errors=True)
+        self._scratch = Scratch() if library.are_sources(firmware) else None  # what is built goes with the host
+        path = library.ready(firmware, flags, platform, self._scratch.path if self._scratch else None)
         super().__init__(NativeProgram(path), board, isolated, patience)
 
 

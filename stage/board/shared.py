@@ -6,6 +6,7 @@ from time to time the whole state of its stage. A message says how much there is
 
 from __future__ import annotations
 
+import mmap
 import struct
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -42,6 +43,7 @@ class Go(NamedTuple):
 
     machine: the stage, pickled, if it was changed in what is no state. sample_every: physics steps between samples, 0 for none.
     asks: chips, a bit each, whose writes a fault of the bus looks at. hook: whether the interrupt line calls Python.
+    lines: of the log so far.
     """
 
     until: int
@@ -51,6 +53,7 @@ class Go(NamedTuple):
     sample_every: int
     asks: int
     hook: bool
+    lines: int
 
 
 class Noted(NamedTuple):
@@ -109,6 +112,11 @@ class Shared:
     def keep(self, stage: Any) -> None:
         """The state of this stage goes into the file."""
         mujoco.mj_getState(stage.model, stage.data, self.state, SAVED)
+
+    def not_for_forks(self) -> None:
+        """A process that this one forks does not have the memory: it would change what it shares with nobody's knowledge."""
+        if hasattr(mmap, "MADV_DONTFORK"):
+            self._map._mmap.madvise(mmap.MADV_DONTFORK)  # type: ignore[attr-defined]
 
     # --- a crash ---
 

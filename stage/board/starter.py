@@ -40,12 +40,13 @@ class World(NamedTuple):
 
 
 class Process:
-    """A child of the starter. pid: its number."""
+    """A child of the starter. pid: its number; stopped: the signal that stopped it, so that it was ended, or 0."""
 
     def __init__(self, starter: Starter, status: socket.socket):
         self._starter, self._status = starter, status
         self.pid: int = _HEAD.unpack(_read(status, _HEAD.size))[0]
         self._code: int | None = None
+        self.stopped = 0
 
     def kill(self) -> None:
         """End it, if it has not ended."""
@@ -57,6 +58,9 @@ class Process:
         if self._code is None:
             try:
                 status = _STATUS.unpack(_read(self._status, _STATUS.size))[0]
+                if os.WIFSTOPPED(status):
+                    self.stopped = os.WSTOPSIG(status)
+                    status = _STATUS.unpack(_read(self._status, _STATUS.size))[0]
                 self._code = os.waitstatus_to_exitcode(status)
             except EOFError:  # the starter is gone, and its children with it
                 self._code = -signal.SIGKILL
@@ -156,7 +160,7 @@ def _serve(control: socket.socket, run: Callable[[int], None]) -> None:
                 what, given = pickle.loads(_read(control, _HEAD.unpack(head)[0]))
                 if what == "kill":
                     if given in children:
-                        os.kill(given, signal.SIGKILL)
+                        _end(given)
                     continue
                 pid = os.fork()
                 if not pid:
@@ -172,11 +176,23 @@ def _serve(control: socket.socket, run: Callable[[int], None]) -> None:
 
 def _bury(children: dict[int, socket.socket]) -> None:
     while children:
-        pid, status = os.waitpid(-1, os.WNOHANG)
+        pid, status = os.waitpid(-1, os.WNOHANG | os.WUNTRACED)
         if not pid:
             return
-        with children.pop(pid) as waits, suppress(OSError):  # nobody waits any more
-            waits.send(_STATUS.pack(status))
+        with suppress(OSError):
+            os.killpg(pid, signal.SIGKILL)  # one that was stopped, and what the firmware has started
+        with suppress(OSError):  # nobody waits any more
+            children[pid].send(_STATUS.pack(status))
+        if not os.WIFSTOPPED(status):
+            children.pop(pid).close()
+
+
+def _end(pid: int) -> None:
+    """No child of this number any more, nor a process that it has started."""
+    with suppress(OSError):
+        os.killpg(pid, signal.SIGKILL)
+    with suppress(OSError):
+        os.kill(pid, signal.SIGKILL)
 
 
 def _become(world: World, files: list[int], run: Callable[[int], None]) -> None:

@@ -17,6 +17,16 @@ from stage.board.program import Loaded, Program
 
 PATIENCE = 20.0  # s of real time
 STACK = 64 << 20  # bytes
+GOES_ON = " (Its thread goes on until the process ends; isolated=True ends such a loop.)"
+
+
+def debugged(process: int | str = "self") -> bool:
+    """Whether a debugger holds a process: it may stand still for as long as somebody looks."""
+    try:
+        with open(f"/proc/{process}/status") as status:
+            return any(line.startswith("TracerPid:") and line.split()[1] != "0" for line in status)
+    except OSError:
+        return False
 
 
 class Threaded:
@@ -59,10 +69,12 @@ class Threaded:
         if self._left:
             self._abandon()
             board.link.settle()
+            would = "the process. Return from PULSESTAGE_MAIN instead; or run it with isolated=True, in a process of its own."
+            if self._may_exit:
+                would = "the thread that runs PULSESTAGE_MAIN. Return from there instead."
             raise HostError(
                 f"{self._path.name}: {self._left} at {board.stage.time:.6f} s, after {board.cycles:,} bus cycles, would have ended "
-                "the process. Return from PULSESTAGE_MAIN instead; or run it with isolated=True, in a process of its own. Its last "
-                f"bus cycles:\n{board.trace.text(12)}"
+                f"{would} Its last bus cycles:\n{board.trace.text(12)}"
             )
         return self._code
 
@@ -139,11 +151,13 @@ class Threaded:
             now = (int(h["cycles"]), board.stage.now, board.link.calls)
             if now != seen or board.link.calls % 2:  # a call may have much to do
                 seen, since = now, time.monotonic()
+            elif time.monotonic() - since > self._patience and debugged():
+                since = time.monotonic()
             elif time.monotonic() - since > self._patience:
                 raise HostError(
                     f"{self._path.name} has computed for {self._patience:g} s of real time without a bus cycle or a delay (at "
-                    f"{board.stage.time:.6f} s): a loop that waits for nothing? (isolated=True ends such a loop; else "
-                    f"its thread goes on until the process ends.) Its last bus cycles:\n{board.trace.text(12)}"
+                    f"{board.stage.time:.6f} s): a loop that waits for nothing?{'' if self._may_exit else GOES_ON} Its last bus "
+                    f"cycles:\n{board.trace.text(12)}"
                 )
 
     def _interrupt(self) -> None:

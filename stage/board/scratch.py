@@ -1,0 +1,69 @@
+"""Folders for files that live as long as somebody uses them: copies of libraries, where debuggers find their symbols.
+
+A folder goes when it is closed, when its owner is collected, and when the process ends. After a kill that leaves no time for that,
+the next process to make a folder removes it: nobody holds its lock any more.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+import weakref
+from contextlib import suppress
+from pathlib import Path
+
+try:
+    import fcntl
+except ImportError:  # no POSIX system: nobody sweeps there
+    fcntl = None  # type: ignore[assignment]
+
+PREFIX = "pulsestage-run-"
+LOCK = ".lock"
+_within: Path | None = None
+_swept = False
+
+
+class Scratch:
+    """A folder of its own, for as long as it is open. path: where it is."""
+
+    def __init__(self) -> None:
+        _sweep()
+        self.path = Path(tempfile.mkdtemp(prefix=PREFIX, dir=_within))
+        lock = os.open(self.path / LOCK, os.O_CREAT | os.O_RDWR | getattr(os, "O_CLOEXEC", 0), 0o600)
+        if fcntl is not None:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        self._finalizer = weakref.finalize(self, _remove, self.path, lock, os.getpid())
+
+    def close(self) -> None:
+        """It is not needed any more."""
+        self._finalizer()
+
+
+def all_within(folder: Path) -> None:
+    """From now on folders of this process are in this one, which another process owns and removes."""
+    global _within
+    _within = folder
+
+
+def _remove(path: Path, lock: int, owner: int) -> None:
+    if os.getpid() == owner:  # a fork has it too, and is not to take it away
+        shutil.rmtree(path, ignore_errors=True)
+    with suppress(OSError):
+        os.close(lock)
+
+
+def _sweep() -> None:
+    """Remove what processes have left that were killed; once a process."""
+    global _swept
+    if _swept or fcntl is None or _within is not None:
+        return
+    _swept = True
+    for path in Path(tempfile.gettempdir()).glob(f"{PREFIX}*"):
+        with suppress(OSError):  # of another user, or gone already
+            lock = os.open(path / LOCK, os.O_RDWR)
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                shutil.rmtree(path, ignore_errors=True)
+            finally:
+                os.close(lock)
