@@ -32,7 +32,8 @@ from stage.errors import StageError
 from stage.sim import handle
 from stage.sim.fingerprint import fingerprint
 
-GRACE = 5.0  # s of real time beyond its patience, in which the child gives its firmware up itself
+GRACE = 10.0  # s of real time beyond its patience, in which the child gives its firmware up itself
+STARTS = 30.0  # s beyond it that a process may take to begin
 
 
 class _SilentError(Exception):
@@ -116,7 +117,7 @@ class Isolated:
             weakref.finalize(self, _ended, self._child)
             ours.send(Begin(self._program, str(shared), given, self._patience))
             self._seen = _machine(board.stage)
-            answer = self._next()
+            answer = self._next(STARTS)
         except (EOFError, ConnectionError):
             raise self._not_loaded(self._ended_how()) from None
         except (GarbledError, _SilentError) as error:
@@ -176,7 +177,7 @@ class Isolated:
         shared.copy(board)
         return answer, self._error is None, machine
 
-    def _next(self) -> Any:
+    def _next(self, grace: float = GRACE) -> Any:
         """The next message of the child."""
         begin: tuple[float, Any] = time.monotonic(), None
 
@@ -187,7 +188,7 @@ class Isolated:
             since, seen = begin
             if now != seen:
                 begin = time.monotonic(), now
-            elif time.monotonic() - since > self._patience + GRACE:
+            elif time.monotonic() - since > self._patience + grace:
                 if self._child is not None and debugged(self._child.pid):
                     begin = time.monotonic(), now
                 else:
