@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from os import PathLike
 
 
-NOT_AS_ASKED = ("EL+", "EL-", "STOP0", "ALARM", "EMG", "timeout")
+NOT_AS_ASKED = ("EL+", "EL-", "STOP0", "ALARM", "EMG", "HOME", "timeout")  # HOME: a chip's home search failed
 
 
 @dataclass(frozen=True)

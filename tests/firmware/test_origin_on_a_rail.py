@@ -5,7 +5,7 @@ import pytest
 from support.examples import SEED, scaled
 
 from stage import ArgumentError, RunTimeout, firmware
-from stage.chips import PCL240K
+from stage.chips import PCL240K, PCL240MS
 from stage.firmware import Bench, Port, Profile
 
 P = Profile.of(fl=1000, fh1=16_000, accel=0.1)
@@ -19,8 +19,8 @@ SWITCHES = {
 }
 
 
-def at(place, **switches):
-    bench = Bench(PCL240K())
+def at(place, chip=PCL240K, **switches):
+    bench = Bench(chip())
     bench.rail("x", at=place, **(SWITCHES | switches))
     return bench.axes["x"]
 
@@ -57,6 +57,26 @@ def test_towards_plus_it_is_the_mirror_image():
         bench.rail("x", at=place, **mirrored)
         report = firmware.origin_return(bench.axes["x"], +1, P)
         assert (report.stopped_by, bench.axes["x"].place) == ("ORG", 0)
+    bench.rail("x", at=0, **mirrored | {"org": (None, None)})
+    report = firmware.origin_return(bench.axes["x"], +1, P)
+    assert (report.stopped_by, bench.axes["x"].place, report.ok) == ("EL-", -20_000, False)
+
+
+@pytest.mark.parametrize("ez", [1, 16])
+def test_an_end_limit_before_the_index_pulse_is_no_origin(ez):
+    """firmware.origin_return(axis, -1, ez=1) of an encoder without index pulses"""
+    x = at(3000, chip=PCL240MS)
+    report = firmware.origin_return(x, -1, P, ez=ez)
+    assert (report.stopped_by, x.place, report.ok) == ("EL-", LOW, False)
+
+
+def test_the_approach_is_never_faster_than_fl_and_takes_the_least_speed_there_is():
+    """firmware.origin_return(axis, -1, P, approach=1e4)"""
+    for approach, r1 in [(0.4 * P.step, 1), (500, round(500 / P.step)), (1e4, P.R1), (P.step * 8191, P.R1)]:
+        x = at(30)
+        report = firmware.origin_return(x, -1, P, approach=approach, back_off=3)
+        assert (report.stopped_by, x.place) == ("ORG", 0)
+        assert report.course.edges["speed"][report.course.running][-1] == r1
 
 
 def test_sd_takes_it_to_fl_before_org():

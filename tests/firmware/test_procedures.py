@@ -108,6 +108,23 @@ def test_a_move_can_be_begun_and_waited_for(stage):
         assert driver.wait(5.0) == "EL+"
 
 
+@pytest.mark.parametrize("name", STEPPING)
+def test_a_driver_tells_what_ended_its_latest_run_and_nothing_while_it_runs(name):
+    """driver.start(-300, Speeds()); driver.wait(5.0); driver.run(1, Speeds()); driver.stopped_by()"""
+    x = Bench(x=CHIPS[name]()).axes["x"]
+    driver = driver_of(x)
+    driver.start(-300, Speeds())
+    assert driver.stopped_by() == ""
+    assert driver.wait(5.0) == driver.DONE
+    assert x.chip.net(0) == -300
+    driver.run(1, Speeds())
+    x.wait(0.05)
+    assert (driver.runs(), driver.stopped_by()) == (True, "")
+    driver.halt()
+    assert not driver.runs()
+    assert driver.stopped_by() != driver.DONE
+
+
 @pytest.mark.parametrize("stage", STEPPING, indirect=True)
 def test_ramps_last_as_long_as_they_are_asked_to(stage):
     """firmware.move(x, pulses=8000, accel=0.2)"""
@@ -138,6 +155,55 @@ def test_jog_runs_as_long_as_it_is_told_and_stops_with_a_ramp(stage):
     before = x.position
     stage.run(0.05)
     assert x.position == pytest.approx(before, abs=NEAR), "it stands"
+
+
+@pytest.mark.parametrize("name", STEPPING)
+def test_a_jog_without_a_speed_runs_towards_plus_and_one_of_no_time_stands(name):
+    """firmware.jog(axis, 0.05)"""
+    x = Bench(x=CHIPS[name]()).axes["x"]
+    assert 300 < firmware.jog(x, 0.05).pulses < 400
+    report = firmware.jog(x, 0)
+    assert (report.stopped_by, report.asked, report.ok) == ("decelerating stop", None, True)
+    assert report.pulses <= 1
+
+
+@pytest.mark.parametrize(("name", "least", "most"), [("MCX304", 20, 160_000), ("MCX514", 1, 8_000_000)])
+def test_a_nova_chip_moves_at_every_speed_that_it_says_it_makes_and_no_other(name, least, most):
+    """firmware.move(axis, pulses=3, speed=..., start_speed=...) at the bounds"""
+    driver = driver_of(Bench(x=CHIPS[name]()).axes["x"])
+    for start, drive in [(least, least), (least, 1000), (1000, 1000), (1000, most)]:
+        assert driver.move(3, Speeds(start, drive)).ok
+    for start, drive, said in [
+        (least * 0.99, 1000, f"start speed {least * 0.99:g} pps: .* makes {least:g} to {most:g} pps"),
+        (1000, most * 1.01, f"drive speed {most * 1.01:g} pps"),
+        (1001, 1000, "start speed 1001 pps is above the drive speed 1000"),
+    ]:
+        with pytest.raises(ArgumentError, match=said.replace("+", r"\+")):
+            driver.move(3, Speeds(start, drive))
+
+
+@pytest.mark.parametrize("stage", ["MCX304", "MCX514"], indirect=True)
+def test_a_line_of_nova_axes_tells_what_it_cannot_draw_and_what_ended_it(stage):
+    """firmware.line({"x": 6e-3, "y": 2e-3}, stage) of axes that move, too fast, without time, onto a limit"""
+    x, y = stage.axes["x"], stage.axes["y"]
+    driver_of(y).run(1, Speeds())
+    stage.run(0.01)
+    with pytest.raises(StageError, match="axis y is moving"):
+        firmware.line({"x": 1e-3, "y": 1e-3}, stage)
+    firmware.stop(y)
+    with pytest.raises(ArgumentError, match=r"drive speed .* pps: up to .* here"):
+        firmware.line({"x": 1e-3, "y": 1e-3}, stage, speed=60)
+    begun = {a.name: a.chip.net(a.chip_axis) for a in (x, y)}
+    with pytest.raises(RunTimeout) as caught:
+        firmware.line({x: 6e-3, y: 2e-3}, timeout=0.05)
+    reports = caught.value.reports
+    assert {n: r.stopped_by for n, r in reports.items()} == {"x": "timeout", "y": "timeout"}
+    assert all(0 < stage.axes[n].chip.net(stage.axes[n].chip_axis) - begun[n] < r.asked for n, r in reports.items())
+    stage.reset()
+    with faults.switch_stuck(x, "el_plus", True):
+        report = firmware.line({"x": 6e-3, "y": 2e-3}, stage)
+    assert not report.ok
+    assert report.axes["x"].stopped_by == "EL+"
 
 
 @each
@@ -270,6 +336,7 @@ def test_what_a_move_was_not_meant_to_end_by_is_told_as_such(met):
     with Procedure(x, "run") as p:
         report = p.report(met)
     assert not report.ok
+    assert (report.began, report.average_rate, report.peak_rate) == (0, 0, 0), "nothing ran"
     assert f"NOT as asked, stopped by {met}" in str(report)
     assert {"EL+", "EL-", "ALARM", "EMG", "timeout"} <= set(NOT_AS_ASKED)
 
@@ -293,6 +360,8 @@ def test_what_cannot_be_is_refused_before_the_first_bus_cycle(stage):
         ({}, "give one of the two"),
         ({"distance": math.nan}, "metres"),
         ({"pulses": 1.5}, "whole number"),
+        ({"pulses": math.inf}, "whole number"),
+        ({"pulses": 100, "speed": math.inf}, "speed=inf"),
         ({"pulses": 100, "speed": 0}, "speed=0"),
         ({"pulses": 100, "accel": -1}, "accel=-1"),
         ({"pulses": 0}, "pulses=0"),
@@ -301,12 +370,15 @@ def test_what_cannot_be_is_refused_before_the_first_bus_cycle(stage):
             firmware.move(x, **how)
     with pytest.raises(ArgumentError, match="direction=0"):
         firmware.home(x, 0)
-    with pytest.raises(ArgumentError, match="seconds=-1"):
-        firmware.jog(x, -1)
+    for seconds in (-1, 1e9, math.nan):
+        with pytest.raises(ArgumentError, match=f"seconds={seconds}"):
+            firmware.jog(x, seconds)
     with pytest.raises(ArgumentError, match="two axes or more"):
         firmware.line({}, stage)
     with pytest.raises(ArgumentError, match="unknown axis"):
         firmware.line({"q": 1e-3}, stage)
+    with pytest.raises(ArgumentError, match="x.*(twice|once)"):
+        firmware.line({"x": 1e-3, x: 1e-3}, stage)
     assert stage.time == now
 
 

@@ -59,6 +59,55 @@ def test_an_end_limit_ends_the_sequence_without_further_starts(x):
     assert x.chip.diagnostics == []
 
 
+@pytest.mark.parametrize(
+    ("limit", "sent"), [(-30, ["17"]), (-1200, ["17"]), (-2600, ["17", "15"]), (-4200, ["17", "15", "17"])]
+)
+@pytest.mark.parametrize("asked", [-20_000, None])
+def test_an_end_limit_in_any_part_of_a_run_of_several_rates_is_what_ended_it(x, limit, sent, asked):
+    """firmware.dual_rate_move(axis, None, rates=(...), seconds=1.0, direction=-1) onto EL-: at once, without the dwells"""
+    x._bench.rail("x", el_minus=(None, limit))
+    kind = {"seconds": 1.0, "direction": -1} if asked is None else {}
+    report = firmware.dual_rate_move(x, asked, P, rates=("FH2", "FH1", "FH2"), dwell=0.1, **kind)
+    assert (report.stopped_by, report.pulses, report.asked) == ("EL-", limit, asked)
+    assert commands(report) == sent
+    assert x.time < (2.0 if asked is None and len(sent) == 3 else 0.7)
+
+
+@pytest.mark.parametrize("limit", [30, 300, 1500, 3000])
+def test_an_end_limit_ends_changes_of_speed_and_bent_ramps_too(x, limit):
+    """firmware.speed_change_move(axis, 12_000, [...]) onto EL+"""
+    for run in (
+        lambda a: firmware.speed_change_move(a, 12_000, [3000, 9000, 5000, 15_000], P, dwell=0.2),
+        lambda a: firmware.curved_ramp_move(a, 12_000, [(2000, 0.2), (6000, 0.3), (12_000, 0.4)], P),
+    ):
+        begun, bench = x.time, x._bench
+        bench.rail("x", at=0, el_plus=(limit, None))
+        report = run(x)
+        assert (report.stopped_by, report.pulses, report.ok) == ("EL+", limit, False)
+        assert x.time - begun < 1.4
+        assert report.writes()[-1][1] in ("15", "17"), "no start after the stop"
+        bench.rail("x", at=0)
+
+
+def test_one_rate_is_a_move_of_any_length_in_both_directions(x):
+    """firmware.speed_change_move(axis, -3, [8000])"""
+    for pulses in (3, -3, -9000):
+        for report in (
+            firmware.speed_change_move(x, pulses, [8000], P),
+            firmware.dual_rate_move(x, pulses, P, rates=["FH1"]),
+        ):
+            assert (report.pulses, report.stopped_by, report.ok) == (pulses, "R0 = 0", True)
+
+
+def test_rates_from_fl_to_the_highest_of_the_multiplier_are_made(x):
+    """firmware.speed_change_move(axis, 12_000, [P.fl, P.step * 8191], P); a thousandth below FL is FL"""
+    assert firmware.speed_change_move(x, 200_000, [8191 * P.step, P.fl], P, dwell=0.01).peak_rate == pytest.approx(
+        8191 * P.step
+    )
+    slow = firmware.speed_change_move(x, 300, [0.9991 * P.fl], P)
+    assert set(slow.course.edges["speed"][slow.course.running]) == {P.R1}
+
+
 def test_the_register_in_use_is_never_rewritten(x):
     """Section 5 h: only the register which is not selected may change without influence."""
     rates = [3000, 9000, 5000, 15_000, 2000, 4000]

@@ -8,7 +8,7 @@ from typing import ClassVar, TypeVar
 from stage.chips.nova.registers.mcx300 import RANGE
 from stage.firmware.choices import limits
 from stage.firmware.driver import SETTLE, AtOnce, Speeds
-from stage.firmware.nova.driver import CAUSES, HOME_SPEED, SEARCHES, NovaDriver
+from stage.firmware.nova.driver import HOME_SPEED, SEARCHES, NovaDriver
 from stage.firmware.report import Procedure, Report
 from stage.sim.program import Operations, Program
 
@@ -44,11 +44,9 @@ class FirstGenerationDriver(NovaDriver):
                 return p.report(met)
             self._search(now, index, timeout, SETTLE, direction)
             self.axis.wait(SETTLE)
-            word, place = self.port.word(2), "EZ" if index else "ORG"
-            if not word & self.mask("RR2", "HOME"):
-                return p.report(place)
-            limit = next((name for name in ("HLMT+", "HLMT-") if word & self.mask("RR2", name)), "HOME")
-            return p.report(CAUSES.get(limit.removeprefix("H"), limit))
+            if self.port.word(2) & self.mask("RR2", "HOME"):
+                return p.report("HOME")
+            return p.report(self.stopped_by() or "HOME")  # what ended its last drive: a limit, where ORG is stuck
 
     def forget(self, p: Ops) -> Ops:
         """The end status of a drive stays until the next drive begins."""
@@ -124,7 +122,7 @@ class FirstGenerationDriver(NovaDriver):
         at = len(p)
         p.read(self.index, 2).read(self.index, self._level(1)[0])
         levels = {f"stop{k}": (at + 1, self._level(k)[1]) for k in (1, 2)}
-        return {"error": (at, self.mask("RR2", "HOME")), **levels}
+        return {"error": (at, self.mask("RR2", "HOME", "HLMT+")), **levels}  # on its way out of an ORG that is stuck
 
     def _level(self, k: int) -> tuple[int, int]:
         """Where STOPk of this axis is read: address and mask."""
