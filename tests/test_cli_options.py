@@ -1,6 +1,8 @@
 """Each option of the command line arrives where it is meant for; defaults and exit codes are those that the help tells."""
 
 import argparse
+import contextlib
+import io
 import math
 import re
 import sys
@@ -9,7 +11,8 @@ from types import SimpleNamespace
 import pytest
 
 from stage import ArgumentError, Stage, StageError, firmware, opengl
-from stage.cli import build_parser, fault, main, moves, setup
+from stage.cli import build_parser, demo, fault, main, moves, setup
+from stage.cli.erratum import Shown
 from stage.recording import viewer
 
 
@@ -264,6 +267,108 @@ def test_the_demo_opens_the_viewer_where_there_is_a_screen(bench, monkeypatch, o
     monkeypatch.setattr("stage.cli.demo.recorded", recorded)
     assert main(["demo", *options.split()]) == 2
     assert seen == [(viewed, [0.062, -0.031])], "where the carriages happen to stand"
+
+
+@pytest.mark.parametrize(("ends", "code"), [("yes yes", 0), ("yes NO", 1), ("NO yes", 1)])
+def test_a_demo_of_which_one_move_fails_ends_with_1(bench, monkeypatch, capsys, ends, code):
+    def story(stage, rows):
+        rows += [("x", "move", "+1", "+1", "0.1", "1", "0 mm", "0", "R0 = 0", end) for end in ends.split()]
+
+    monkeypatch.setattr("stage.cli.demo.make_stage", lambda args: bench)
+    monkeypatch.setattr("stage.cli.demo.recorded", lambda args, stage: contextlib.nullcontext())
+    monkeypatch.setattr("stage.cli.demo.story", story)
+    assert main(["demo", "--no-view"]) == code
+
+
+class Made:
+    """What drivers answer: a move of one axis or a line, with the end that is asked for."""
+
+    stopped_by, ok, lost_steps = "ORG", True, 0
+
+    def __init__(self, axis):
+        self.axis, self.name = axis, axis.name
+
+    def report(self, procedure, asked):
+        return argparse.Namespace(
+            axis=self.name, procedure=procedure, asked=asked, pulses=asked or -5, duration=0.1, peak_rate=1e3, position=1e-3,
+            unit=self.axis.unit, lost_steps=0, ok=self.ok, stopped_by=self.stopped_by if asked is None else "R0 = 0",
+        )  # fmt: skip
+
+    def home(self, direction, speeds):
+        return self.report("origin return", None)
+
+    def two_rates(self, pulses, *speeds):
+        return self.report("move", pulses)
+
+    def move(self, pulses, speeds):
+        return self.report("move", pulses)
+
+    def line(self, drivers, pulses, speeds):
+        axes = {n: drivers[n].report("line", p) for n, p in pulses.items()}
+        return argparse.Namespace(axes=axes, deviation=argparse.Namespace(pulses=0.82), skew=1.25e-6)
+
+
+@pytest.mark.parametrize(
+    ("ok", "stopped_by", "good"),
+    [(True, "ORG", "yes yes yes yes yes yes"), (True, "EL-", "NO NO yes yes yes yes"), (False, "ORG", "NO NO NO NO NO NO")],
+)  # fmt: skip
+def test_the_table_of_the_demo_says_which_moves_did_not_do_as_asked(bench, monkeypatch, capsys, ok, stopped_by, good):
+    """A home that an end limit ended is no home, though nothing was lost"""
+    monkeypatch.setattr("stage.firmware.driver.driver_of", Made)
+    monkeypatch.setattr(Made, "ok", ok)
+    monkeypatch.setattr(Made, "stopped_by", stopped_by)
+    rows = []
+    demo.story(bench, rows)
+    assert [row[-1] for row in rows] == good.split()
+    assert [(row[0], row[2]) for row in rows[:2]] == [("y", "to ORG"), ("x", "to ORG")], "the last axis first"
+    assert "0.82 pulses from the straight line at most, started within 1.2 us of each other" in capsys.readouterr().out
+
+
+def test_a_demo_of_axes_that_draw_no_line_together_says_so(monkeypatch, capsys):
+    stage = Stage("xy", chips={"x": "PCL240K", "y": "MCX304"}, visuals=False)
+    monkeypatch.setattr("stage.firmware.driver.driver_of", Made)
+    rows = []
+    demo.story(stage, rows)
+    assert [row[1] for row in rows] == ["origin return"] * 2 + ["move"] * 2
+    assert "axes x and y have different chips, which draw no line together" in capsys.readouterr().out
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+def test_progress_is_told_on_a_terminal_and_in_no_pipe(monkeypatch):
+    """stage pullout on a terminal: one line that counts up"""
+    for screen, told in (
+        (Terminal(), "writing ...\n\rpull-out   0%\rpull-out  50%\rpull-out 100%\n"),
+        (io.StringIO(), ""),
+    ):
+        monkeypatch.setattr("sys.stderr", screen)
+        setup.note("writing ...")
+        for done in (0, 0.5, 1.0):
+            setup.progress("pull-out", done)
+        assert screen.getvalue() == told
+
+
+MOVED = {"n-DRV 2 s later": 0, "pulses past the target": 0, "lost steps": 0}
+RAN_AWAY = {"n-DRV 2 s later": 1, "pulses past the target": 9000, "lost steps": 4}
+
+
+@pytest.mark.parametrize(
+    ("mended", "bare", "guarded", "claimed"),
+    [
+        (False, RAN_AWAY, MOVED, True),
+        (True, MOVED, MOVED, True),
+        (True, RAN_AWAY, MOVED, False),
+        (False, MOVED, MOVED, False),
+        *((False, RAN_AWAY | change, MOVED, False) for change in ({"n-DRV 2 s later": 0}, {"lost steps": 0})),
+        *((False, RAN_AWAY, MOVED | {name: RAN_AWAY[name]}, False) for name in MOVED),
+        *((True, MOVED | {name: RAN_AWAY[name]}, MOVED, False) for name in MOVED),
+    ],
+)
+def test_the_erratum_is_as_claimed_where_all_its_figures_are(mended, bare, guarded, claimed):
+    assert Shown("MCX304", mended, (bare, guarded), (None, None)).as_claimed == claimed
 
 
 def test_pullout_measures_the_drive_that_was_asked_for(monkeypatch, capsys, tmp_path):

@@ -115,6 +115,8 @@ def test_the_ends_of_a_setting_are_in_it(id_):
         ("stage/OriginReturn-v0", {"frictions": (1e-3, 1e-3)}, {"frictions": (9e-4, 1)}),
         ("stage/OriginReturn-v0", {"payloads": (0, 0), "bus_cycle": 1}, {"payloads": (-1e-9, 0), "bus_cycle": 1.01}),
         ("stage/OriginReturn-v0", {"limit": 1e6, "returns": 1, "bus_cycle": 0}, {"limit": 1.1e6, "returns": 0}),
+        ("stage/RegisterBus-v0", {"waits": (0.1, 30.0), "distances": (5, 5)}, {"waits": (0.1, 30.1), "distances": (4, 5)}),
+        ("stage/SynchronizedMove-v0", {"fl": 8000.0, "rate": 8000.0}, {"fl": 8001.0}),
         ("stage/RegisterTuning-v0", {"distances": (1, 1), "moves": 1}, {"distances": (0, 1), "moves": 0, "settle": 0}),
     ],
 )  # fmt: skip

@@ -232,7 +232,10 @@ def test_a_database_holds_a_study_too(tmp_path):
     assert finished(read_study(url)) == 2
 
 
-@pytest.mark.parametrize("wrong", [{"trials": 0}, {"trials": 1.5}, {"workers": 0}, {"seed": -1}, {"seed": 0.5}])
+@pytest.mark.parametrize(
+    "wrong",
+    [{"trials": 0}, {"trials": 1.5}, {"workers": 0}, {"seed": -1}, {"seed": 0.5}, {"seed": True}, {"trials": True}],
+)
 def test_numbers_out_of_range_are_refused(wrong, tmp_path):
     name, value = next(iter(wrong.items()))
     with pytest.raises(ArgumentError, match=f"{name}={value}: a whole number"):

@@ -22,6 +22,7 @@ from stage.testing import (
     assert_pins,
     assert_stopped,
 )
+from stage.testing.assertions import ranges
 from stage.testing.evidence import Watch
 from stage.testing.watched import WatchedStage
 
@@ -83,6 +84,9 @@ def test_a_carriage_is_where_it_is_and_nowhere_else(stage):
     assert "commanded 5.0000 mm by its pulses, 0 full steps lost" in message
     assert "wrong number of them" in message
     assert "beyond it" in says(assert_at, x, 0.0049)
+    firmware.preset_move(x, -3200, SLOW)
+    for where, said in [(-0.0051, "short of it"), (-0.0049, "beyond it")]:
+        assert said in says(assert_at, x, where)
 
 
 def test_a_carriage_that_still_moves_lost_steps_or_swings_is_said_to(stage):
@@ -176,9 +180,9 @@ def test_long_lists_are_cut(stage):
     board = Board(stage)
     for port in range(30):
         board.out8(0x100 + port, port)
-    message = says(assert_no_strays, board)
-    assert message.count("nothing is here") == 20
-    assert "... and 10 more" in message
+        said = says(assert_no_strays, board)
+        assert said.count("nothing is here") == min(port + 1, 20)
+        assert (f"... and {port - 19} more" in said) == (port >= 20)
 
 
 def test_cycles_that_reach_no_chip_are_told_with_where_the_chips_are(stage):
@@ -190,6 +194,7 @@ def test_cycles_that_reach_no_chip_are_told_with_where_the_chips_are(stage):
     assert message.startswith("1 bus cycle reached no chip")
     assert "310h R FFh" in message
     assert "Chips are at 300h to 303h, 320h to 323h" in message
+    assert ranges([0x2F8, 0x300, 0x301, 0x303]) == ["2F8h", "300h to 301h", "303h"]
 
 
 @pytest.fixture(scope="module")
@@ -283,6 +288,35 @@ def test_the_log_of_a_firmware_is_shown_from_its_end_and_its_stray_cycles_are_co
     assert "3 bus cycles reached no chip" in state
     assert "fault in force: axis x: org stuck closed" in state
     assert "asserted: org" in state
+
+
+def test_a_watched_stage_keeps_what_came_before_a_recording_of_the_test_that_recording_and_what_came_after():
+    """stage.record() and stage.restore(snapshot) in a test that has the fixture `stage`"""
+    watched = WatchedStage("xy", visuals=False)
+    watched.watch()
+    first = watched.recording
+    with watched.record() as mine:
+        assert watched.recording is mine
+        watched.run(0.01)
+    assert list(watched.recordings) == [mine, watched.recording], "in the first one nothing happened"
+    assert watched.recording not in (first, mine)
+    before, snapshot = watched.recording, watched.snapshot()
+    watched.run(0.02)
+    watched.restore(snapshot)
+    assert list(watched.recordings) == [mine, before, watched.recording]
+    watched.axes["x"].chip.write(0, 0x08)  # a bus cycle is something
+    last = watched.recording
+    with watched.record() as another:
+        watched.run(0.01)
+    assert list(watched.recordings) == [last, another, watched.recording], "the last three"
+    assert [len(r) > 0 for r in (mine, before, another)] == [True] * 3
+    with pytest.raises(ArgumentError):
+        watched.record(every=-1)
+    assert watched.recording is not None, "it goes on"
+    theirs = watched.record()
+    watched.unwatch()
+    assert watched.recording is None
+    assert "closed" in repr(theirs)
 
 
 def test_a_copy_of_a_watched_stage_is_not_watched():
