@@ -10,7 +10,7 @@ import numpy as np
 
 from stage.board.host import IN8, LOG, OUT8
 from stage.native import array_at, called, exported, hot, record
-from stage.targets.core import BASE, bus_cycle, reach, request
+from stage.targets.core import BASE, WHOLE, bus_cycle, reach, request
 
 NO_PIN = -1
 PORTS = "ABCDEFGHJKL"
@@ -36,7 +36,7 @@ PORT = record([("avr", "i8"), ("port", "i8")])
 """Which port of which AVR a call is about."""
 SERIAL = record([(name, "i8") for name in "avr text room length".split()])
 """A serial line: what came since the last line end."""
-WHOLE, BYTE = np.dtype("i8"), np.dtype("u1")
+BYTE = np.dtype("u1")
 DONE = 6
 """cpu_Done, and above: crashed."""
 _run, _raise = called("i4", "i8"), called(None, "i8", "i4")

@@ -6,6 +6,8 @@ after a quantum, when the interrupt line is looked at. Where the board's bus cyc
 
 from __future__ import annotations
 
+import numpy as np
+
 from stage.board.host import HOST, UNTIL, now_of
 from stage.native import array_at, called, greatest, hot
 
@@ -13,9 +15,11 @@ BASE = [(name, "i8") for name in "host request hz begin waits watched line ended
 """Fields that the record of every processor begins with:
     host, request    the HOST record, and the function for its requests
     hz, begin, waits the clock; the board's time (ns) at cycle 0; ns that the processor stood still for the bus
-    watched, line    whether the interrupt line leads to the processor; its level at the last look
+    watched, line    whether the interrupt line leads to the processor; its level at the last look (of an AVR), or whether it may
+                     interrupt (of others)
     ended, code      the program has ended, with this code
 """
+WHOLE = np.dtype("i8")
 SECOND = 1_000_000_000
 _request = called("i8", "i8", "i4", "i8", "i8")
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -75,4 +76,21 @@ def program_of(path: Path, mcu: str, maps: list[str], hz: int | None, gdb: int |
 
         mcus.simavr()
         return AvrProgram(path, mcu, pins(maps), hz, gdb)
-    raise ArgumentError(f"{mcu}: not yet.")
+    mcus.need_unicorn()
+    if gdb:
+        raise ArgumentError(f"gdb={gdb}: there is a GDB server for AVRs only.")
+    from stage.targets.pc import PcProgram
+
+    return PcProgram(path, hz, _irq(maps))
+
+
+def _irq(maps: list[str]) -> int | None:
+    """--map irq=5: the interrupt of a PC that the board's line is wired to."""
+    if not maps:
+        return None
+    match = re.fullmatch(r"\s*irq\s*=\s*([2-7])\s*", maps[0]) if len(maps) == 1 else None
+    if match is None:
+        raise ArgumentError(
+            f"--map {' '.join(maps)!r}: an 8086 reaches the board by IN and OUT; of it only irq=2 to irq=7 can be said."
+        )
+    return int(match[1])

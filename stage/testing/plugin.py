@@ -99,7 +99,7 @@ def host(request: pytest.FixtureRequest, board: Board) -> Iterator[Host]:
 
 @contextmanager
 def _plainly() -> Iterator[None]:
-    """What a user has to mend is said without the traceback of this package; without a compiler, or an emulator, a test is skipped."""
+    """What a user has to mend is said without the traceback of this package; without compiler or emulator it is skipped."""
     from stage.errors import StageError
 
     try:

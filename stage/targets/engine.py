@@ -1,0 +1,174 @@
+"""A processor on Unicorn: opened, run until it ends, its errors in words. The rest of each is in cortex.py and pc.py."""
+
+from __future__ import annotations
+
+import ctypes
+from typing import Any
+
+import numpy as np
+
+from stage.board import bus, host
+from stage.board.board import Board
+from stage.board.errors import HostError
+from stage.native import address_of
+from stage.targets import machine
+
+_CODE, _INTR, _INSN = 4, 1, 2
+_IN, _OUT = 218, 500  # of x86, as Unicorn numbers them
+_TEXT = 1000
+NEVER = 1 << 62
+LATENCY = 2e-6
+INVALID = {
+    6: "it reads memory that is not there", 7: "it writes memory that is not there", 8: "it runs where there is no memory",
+    10: "an instruction that this processor does not have", 11: "it writes memory that cannot be written",
+    12: "it reads memory that cannot be read", 13: "it writes memory that cannot be written", 14: "it runs where no code may be",
+    21: "an exception that nobody handles",
+}  # fmt: skip
+"""uc_err, as far as a program is at fault."""
+
+
+class Engine:
+    """Attributes: uc: Unicorn's object; record: the MACHINE record; ended: set when the program has ended, with `code`."""
+
+    name = ""
+    seen_from = 0  # what is added to an address before it is looked up
+
+    def __init__(self, path: Any, board: Board, arch: int, mode: int, hz: int, latency: float = LATENCY):
+        import unicorn
+        from unicorn.unicorn_py3.unicorn import uclib
+
+        self.path, self._board = path, board
+        self.uc: Any = unicorn.Uc(arch, mode)
+        self._lib = uclib
+        self._row = np.zeros(1, machine.MACHINE)
+        self._flags = np.zeros(1, "i8")
+        t = self.record = self._row[0]
+        link = board.link
+        t.own, t.uc, t.host, t.request = self._row.ctypes.data, self.handle.value, link.pointer, bus.request.address
+        t.stop, t.reg_read = (self._address(self._lib[name]) for name in ("uc_emu_stop", "uc_reg_read"))
+        t.flags_at, t.hz, t.alarm = self._flags.ctypes.data, hz, NEVER
+        t.quantum = max(1, round(latency * hz))
+        self.ended, self.code = False, 0
+        self.fault = ""
+        self._kept: list[Any] = []
+        self._line = ""
+        self.hook(_CODE, machine.instruction.pointer)
+
+    @property
+    def handle(self) -> Any:
+        """Unicorn's, for C."""
+        return self.uc._uch
+
+    @staticmethod
+    def _address(function: Any) -> int:
+        return ctypes.cast(function, ctypes.c_void_p).value or 0
+
+    def hook(self, kind: int, function: Any, instruction: int = 0) -> None:
+        """Unicorn calls a compiled function, with the MACHINE record."""
+        number = ctypes.c_size_t()
+        self._kept.append(function)
+        failed = self._lib.uc_hook_add(
+            self.handle, ctypes.byref(number), kind, ctypes.cast(function, ctypes.c_void_p), ctypes.c_void_p(int(self.record.own)),
+            ctypes.c_uint64(1), ctypes.c_uint64(0), ctypes.c_int(instruction),
+        )  # fmt: skip
+        if failed:
+            raise HostError(f"Unicorn refuses a hook ({failed}).")
+
+    def ports(self, rare: Any, below: int) -> None:
+        """IN and OUT reach the board; for ports below that number a function of ctypes is called."""
+        self._kept.append(rare)
+        self.record.rare, self.record.rare_ports = self._address(rare), below
+        self.hook(_INSN, machine.port_in.pointer, _IN)
+        self.hook(_INSN, machine.port_out.pointer, _OUT)
+
+    def map_windows(self, windows: Any) -> None:
+        """Memory in which the board's windows lie, in whole pages."""
+        self._windows = np.array([tuple(w) for w in windows] or [(0, 0, 0)], machine.WINDOW)
+        self.record.windows, self.record.n_windows = self._windows.ctypes.data, len(windows)
+        self._pages = np.zeros(0, machine.PAGE)
+        pages = sorted({page for w in windows for page in range(w.address & ~0xFFF, w.end, 0x1000)})
+        self._pages = np.array([(self.record.own, page) for page in pages], machine.PAGE)
+        read, write = machine.window_read.pointer, machine.window_written.pointer
+        for k, page in enumerate(pages):
+            user = ctypes.c_void_p(address_of(self._pages[k : k + 1]))
+            failed = self._lib.uc_mmio_map(
+                self.handle, ctypes.c_uint64(page), ctypes.c_size_t(0x1000), ctypes.cast(read, ctypes.c_void_p), user,
+                ctypes.cast(write, ctypes.c_void_p), user,
+            )  # fmt: skip
+            if failed:
+                raise HostError(f"Unicorn cannot map the window at {page:X}h ({failed}).")
+
+    # --- the log ---
+
+    def say(self, text: str) -> None:
+        """The program prints."""
+        *lines, self._line = (self._line + text.replace("\r", "")).split("\n")
+        for line in lines:
+            self._note(line)
+        if len(self._line) > _TEXT:
+            self.flush()
+
+    def flush(self) -> None:
+        """What has been printed and no line end followed."""
+        if self._line:
+            self._note(self._line)
+        self._line = ""
+
+    def _note(self, line: str) -> None:
+        text = ctypes.create_string_buffer(line.encode())
+        machine.looked.c(self.record.own)
+        self._board.link.request(self._board.link.pointer, host.LOG, ctypes.addressof(text), 0)
+
+    # --- it runs ---
+
+    def main(self) -> int:
+        """See stage.board.program."""
+        import unicorn
+
+        self.record.begin = self._board.stage.now
+        self.ended = False
+        while not self.ended:
+            try:
+                self.uc.emu_start(self.where_to_go_on(), 0xFFFFFFFF)
+            except unicorn.UcError as error:
+                if not self.ended and not self.fault:
+                    raise self.wrong(INVALID.get(error.errno, f"Unicorn says {error}")) from None
+            if self.record.outside:
+                raise self.wrong(f"it touches address {int(self.record.outside) - 1:X}h, which no window has")
+            if self.fault:
+                raise self.wrong(self.fault)
+            if not self.ended:
+                self.stopped()
+        self.flush()
+        machine.looked.c(self.record.own)
+        return self.code
+
+    def where_to_go_on(self) -> int:
+        """The address for uc_emu_start."""
+        raise NotImplementedError
+
+    def stopped(self) -> None:
+        """Unicorn has stopped: an interrupt, an alarm, or a wait for one."""
+        raise NotImplementedError
+
+    def place(self) -> str:
+        """The program counter in words."""
+        raise NotImplementedError
+
+    def end(self, code: int) -> None:
+        """The program has ended."""
+        self.ended, self.code = True, code
+        self.uc.emu_stop()
+
+    def wrong(self, what: str) -> HostError:
+        """The error of a program that cannot go on."""
+        board = self._board
+        self.flush()
+        machine.looked.c(self.record.own)
+        return HostError(
+            f"{self.path.name}: {what}, at {self.place()}; at {board.stage.time:.6f} s, after {board.cycles:,} bus cycles. Its "
+            f"last bus cycles:\n{board.trace.text(12)}"
+        )
+
+    def close(self) -> None:
+        """See stage.board.program."""

@@ -1,0 +1,144 @@
+"""What processors on Unicorn have in common, compiled: the clock, the look at the interrupt line, ports and windows.
+
+Unicorn does not know how long an instruction takes. Here each takes a number of cycles, and some for each of its bytes: an
+approximation, which is stated for each processor.
+"""
+
+from __future__ import annotations
+
+from stage.board.host import IN8, IN16, IN32, OUT8, OUT16, OUT32
+from stage.native import array_at, called, exported, hot, least, record
+from stage.targets.core import BASE, WHOLE, bus_cycle, reach
+
+MACHINE = record(
+    BASE
+    + [(name, "i8") for name in "own uc stop reg_read flags flags_at mask on".split()]
+    + [(name, "i8") for name in "cycles each byte quantum due alarm edge raised wanted before".split()]
+    + [(name, "i8") for name in "windows n_windows outside rare rare_ports".split()]
+)
+"""own, uc               its own address; Unicorn's handle
+    stop, reg_read        addresses of uc_emu_stop, uc_reg_read
+    flags, flags_at       the register that says whether interrupts come, and where it is read to
+    mask, on              they do if its bits `mask` are `on`
+    cycles, each, byte    cycles so far; of each instruction, and of each of its bytes
+    quantum, due, alarm   cycles between two looks at the line; when the next is; when Python is wanted
+    edge, before, raised  whether an edge of the line counts, not its level; the level before; it has been asserted
+    wanted                an interrupt of the processor's own devices waits
+    windows, n_windows    WINDOWs of the board
+    outside               an address that no window has, plus one
+    rare, rare_ports      what is called for ports below that number: (t, port, size, value or -1) -> value
+"""
+WINDOW = record([(name, "i8") for name in "address port length".split()])
+PAGE = record([("machine", "i8"), ("address", "i8")])
+"""Memory that holds windows begins at this address."""
+_stop, _reg_read = called("i4", "i8"), called("i4", "i8", "i4", "i8")
+_rare = called("i8", "i8", "i8", "i8", "i8")
+
+
+@hot
+def _interrupts_on(t):
+    _reg_read(t.reg_read, (t.uc, t.flags, t.flags_at))
+    return array_at(t.flags_at, 1, WHOLE)[0] & t.mask == t.on
+
+
+@hot
+def look(t):
+    """The board's time gets to the processor's, the interrupt line is looked at, Unicorn stops where Python has to do something."""
+    line = reach(t, t.cycles)
+    if line and not (t.edge and t.before):
+        t.raised = 1
+    elif not t.edge:
+        t.raised = 0
+    t.before = line
+    t.due = least(t.cycles + t.quantum, t.alarm)
+    if t.cycles >= t.alarm:
+        t.due = t.cycles + t.quantum
+        return 1
+    return 1 if ((t.raised and t.line) or t.wanted) and _interrupts_on(t) else 0
+
+
+@exported("i8", MACHINE)
+def looked(t):
+    """See `look`, for Python."""
+    return look(t)
+
+
+@exported(None, MACHINE)
+def wait(t):
+    """Time passes without instructions, until Python has something to do."""
+    while not look(t):
+        t.cycles = t.due
+
+
+@exported(None, "i8", "i8", "i4", MACHINE)
+def instruction(_uc, _address, size, t):
+    """Before each instruction."""
+    t.cycles += t.each + t.byte * size
+    if t.cycles >= t.due and look(t):
+        _stop(t.stop, (t.uc,))
+
+
+@hot
+def _in(t, size, port):
+    what = IN8 if size == 1 else IN16 if size == 2 else IN32
+    return bus_cycle(t, t.cycles, what, port, 0)
+
+
+@hot
+def _out(t, size, port, value):
+    what = OUT8 if size == 1 else OUT16 if size == 2 else OUT32
+    bus_cycle(t, t.cycles, what, port, value)
+
+
+@exported("i4", "i8", "i4", "i4", MACHINE)
+def port_in(_uc, port, size, t):
+    """IN."""
+    if port < t.rare_ports:
+        return _rare(t.rare, (t.own, port, size, -1))
+    value = _in(t, size, port)
+    t.due = t.cycles  # the line may have changed
+    return value
+
+
+@exported(None, "i8", "i4", "i4", "i4", MACHINE)
+def port_out(_uc, port, size, value, t):
+    """OUT."""
+    if port < t.rare_ports:
+        _rare(t.rare, (t.own, port, size, value & (0xFF if size == 1 else 0xFFFF)))
+        return
+    _out(t, size, port, value & 0xFFFFFFFF)
+    t.due = t.cycles
+
+
+@hot
+def _port_of(t, address, size):
+    windows = array_at(t.windows, t.n_windows, WINDOW)
+    for k in range(t.n_windows):
+        n = address - windows[k].address
+        if n >= 0 and n + size <= windows[k].length:
+            return windows[k].port + n
+    t.outside = address + 1
+    _stop(t.stop, (t.uc,))
+    return -1
+
+
+@exported("i8", "i8", "i8", "i4", PAGE)
+def window_read(_uc, offset, size, p):
+    """A load from memory that holds windows."""
+    t = array_at(p.machine, 1, MACHINE)[0]
+    port = _port_of(t, p.address + offset, size)
+    if port < 0:
+        return 0
+    value = _in(t, size, port)
+    t.due = t.cycles
+    return value
+
+
+@exported(None, "i8", "i8", "i4", "i8", PAGE)
+def window_written(_uc, offset, size, value, p):
+    """A store there."""
+    t = array_at(p.machine, 1, MACHINE)[0]
+    port = _port_of(t, p.address + offset, size)
+    if port >= 0:
+        _out(t, size, port, value & 0xFFFFFFFF)
+        t.due = t.cycles

@@ -1,0 +1,95 @@
+"""The timer of a PC (8253): three channels of 1.19318 MHz, in closed form; channel 2 with its gate at port 61h."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+HZ = 1_193_182
+FULL = 0x10000
+_LATCHES = 0
+_SQUARE = 3
+
+
+@dataclass
+class Channel:
+    """reload: 1 to 65536; begun: when (clocks of the timer) it was loaded; half: the byte that comes next of two."""
+
+    mode: int = _SQUARE
+    access: int = 3
+    reload: int = FULL
+    begun: int = 0
+    low: int = 0
+    latched: int = -1
+    half: int = 0
+
+    def count(self, now: int) -> int:
+        """What is read at that time."""
+        passed = now - self.begun
+        if self.mode in (2, 6):
+            return (self.reload - passed % self.reload) & 0xFFFF
+        if self.mode in (3, 7):
+            return (self.reload - 2 * passed % self.reload) & 0xFFFE
+        return (self.reload - passed) & 0xFFFF
+
+    def output(self, now: int) -> bool:
+        """Its pin."""
+        passed = now - self.begun
+        if self.mode in (3, 7):
+            return passed % self.reload < (self.reload + 1) // 2
+        return passed % self.reload != self.reload - 1 if self.mode in (2, 6) else passed >= self.reload
+
+
+class Timers:
+    """now: clocks of the timer that have passed."""
+
+    def __init__(self, now: Callable[[], int]):
+        self._now = now
+        self.channels = [Channel(), Channel(), Channel()]
+        self._gate = 0
+
+    def next_tick(self) -> int:
+        """When, in clocks of the timer, channel 0 runs down next."""
+        c = self.channels[0]
+        return c.begun + ((self._now() - c.begun) // c.reload + 1) * c.reload
+
+    def read(self, port: int) -> int:
+        """A byte of a counter; port 61h: bit 5 is channel 2's output, bit 4 toggles with the refresh."""
+        now = self._now()
+        if port == 0x61:
+            return self._gate | self.channels[2].output(now) << 5 | (now // 18 & 1) << 4
+        if port == 0x43:
+            return 0xFF
+        c = self.channels[port - 0x40]
+        value = c.latched if c.latched >= 0 else c.count(now)
+        if c.access == 3:
+            c.half ^= 1
+            if c.half:
+                return value & 0xFF
+            c.latched = -1
+            return value >> 8
+        c.latched = -1
+        return value & 0xFF if c.access == 1 else value >> 8
+
+    def write(self, port: int, value: int) -> int:
+        """A byte of a counter, or what to do."""
+        now = self._now()
+        if port == 0x61:
+            if value & 1 and not self._gate & 1:
+                self.channels[2].begun = now
+            self._gate = value & 3
+        elif port == 0x43:
+            if value >> 6 < 3:
+                c = self.channels[value >> 6]
+                if value >> 4 & 3 == _LATCHES:
+                    c.latched = c.count(now)
+                else:
+                    c.access, c.mode, c.half, c.latched = value >> 4 & 3, value >> 1 & 7, 0, -1
+        else:
+            c = self.channels[port - 0x40]
+            if c.access == 3 and not c.half:
+                c.low, c.half = value, 1
+                return 0
+            whole = {1: value, 2: value << 8, 3: value << 8 | c.low}[c.access]
+            c.reload, c.begun, c.half = whole or FULL, now, 0
+        return 0
