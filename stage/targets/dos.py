@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 import struct
-from typing import TYPE_CHECKING
+from typing import Any
 
 from stage.targets.timer import FULL
 from stage.targets.timer import HZ as TIMER_HZ
-
-if TYPE_CHECKING:
-    from stage.targets.pc import Pc
 
 _CARRY = 1
 _NO_KEY = "it waits for a key, and nobody is at the keyboard"
 
 
 class Dos:
-    """The services of a PC, by interrupt and function."""
+    """The services of a PC, by interrupt and function. pc: see stage.targets.pc."""
 
-    def __init__(self, pc: Pc):
+    def __init__(self, pc: Any):
         self._pc = pc
 
     def serve(self, number: int) -> None:
@@ -82,9 +79,7 @@ class Dos:
         elif ah in (0x49, 0x4A, 0x3E, 0x33, 0x0E, 0x1A):
             pc.set(eflags=pc.get("eflags") & ~_CARRY)
         elif ah in (0x51, 0x62):
-            from stage.targets.pc import LOAD
-
-            pc.set(bx=LOAD)
+            pc.set(bx=pc.prefix)
         elif ah in (0x3C, 0x3D, 0x43, 0x4E):
             self._refuse(2)  # there are no files
         else:

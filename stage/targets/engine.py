@@ -30,9 +30,6 @@ INVALID = {
 class Engine:
     """Attributes: uc: Unicorn's object; record: the MACHINE record; ended: set when the program has ended, with `code`."""
 
-    name = ""
-    seen_from = 0  # what is added to an address before it is looked up
-
     def __init__(self, path: Any, board: Board, arch: int, mode: int, hz: int, latency: float = LATENCY):
         import unicorn
         from unicorn.unicorn_py3.unicorn import uclib

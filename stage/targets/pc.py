@@ -54,7 +54,7 @@ class PcProgram:
 class Pc(Engine):
     """See stage.board.program."""
 
-    name = "8086"
+    prefix = LOAD
 
     def __init__(self, program: PcProgram, board: Board):
         import unicorn
