@@ -22,7 +22,7 @@ stage.sim.program
 stage.board.board
     Board: layout=None, base=None, stride=None, keep_cycles=100000
 stage.board.native
-    NativeHost: isolated=False, flags=(), patience=20.0
+    NativeHost: isolated=False, flags=(), patience=20.0, map=()
     NativeHost.run: timeout=60.0, max_cycles=1000000000
     NativeHost.run_for: max_cycles=1000000000
     NativeHost.run_until: poll=0.001

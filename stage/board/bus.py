@@ -7,7 +7,9 @@ A host, in C or in Python, makes all its requests by one function, `request(host
 from __future__ import annotations
 
 from stage.board.host import (
+    ABOUT_WINDOW,
     ASKED_WRITE,
+    BEYOND_WINDOW,
     DELAY,
     FROM_PYTHON,
     HALF,
@@ -42,6 +44,7 @@ from stage.board.host import (
     TWICE,
     TWO_AT_ONCE,
     UNTIL,
+    WINDOW,
     WORD,
     ask,
     chip_of,
@@ -218,6 +221,11 @@ def answer(h, what, a, b):
     elif what == OUT32:
         _out16(h, a & LAST_PORT, b & 0xFFFF)
         _out16(h, a + 2 & LAST_PORT, b >> 16 & 0xFFFF)
+    elif WINDOW <= what <= BEYOND_WINDOW:
+        catch_up(h)
+        h.asked_chip, h.asked, h.asked_address = what, a, b
+        ask(h, ABOUT_WINDOW)
+        return h.asked
     elif what == DELAY:
         wait(h, least(greatest(a, 0), LONGEST_DELAY) * 1000)
     elif what == MICROS:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import json
+import mmap
 import os
 import platform
 import shutil
@@ -23,7 +24,7 @@ HERE = sys.platform == "linux" and sys.maxsize > 1 << 32
 """Where the handler knows what a signal brings."""
 SIGNALS = (signal.SIGSEGV, signal.SIGBUS, signal.SIGILL, signal.SIGFPE, signal.SIGABRT)
 TOUCHES = (signal.SIGSEGV, signal.SIGBUS)
-STACK = 1 << 20  # bytes, of the handler: that of the firmware may be full
+STACK = 16 << 20  # bytes, of the handler: that of the firmware may be full
 DEEPEST = 100  # calls
 SHOWN = 6  # of them in a message
 ENTRY = "pulsestage_main"
@@ -51,7 +52,7 @@ class Crash(NamedTuple):
 # --- in the child ---
 
 
-class _SignalAction(ctypes.Structure):
+class SignalAction(ctypes.Structure):
     """struct sigaction of glibc and musl."""
 
     _fields_ = (
@@ -105,18 +106,26 @@ def watch(note: Callable[[bytes], None]) -> None:
             os.kill(os.getpid(), number)
 
     handler = _HANDLER(crashed)
-    action = _SignalAction(ctypes.cast(handler, ctypes.c_void_p), flags=_WITH_INFO | _ON_STACK)
+    action = SignalAction(ctypes.cast(handler, ctypes.c_void_p), flags=_WITH_INFO | _ON_STACK)
     _kept.extend((handler, action))
     for number in SIGNALS:
         libc.sigaction(int(number), ctypes.byref(action), None)
 
 
-def own_stack() -> None:
-    """For the thread that calls: the handler has a stack of its own."""
-    if HERE:
-        room = ctypes.create_string_buffer(STACK)
-        _kept.append(room)
-        ctypes.CDLL(None).sigaltstack(ctypes.byref(_Stack(ctypes.addressof(room), 0, STACK)), None)
+class OwnStack:
+    """For the thread that makes it, until it calls `close`: handlers of signals have a stack of their own."""
+
+    def __init__(self) -> None:
+        self._before = _Stack()
+        self._room = mmap.mmap(-1, STACK)
+        _kept.append(self._room)
+        begin = ctypes.addressof(ctypes.c_char.from_buffer(self._room))
+        ctypes.CDLL(None).sigaltstack(ctypes.byref(_Stack(begin, 0, STACK)), ctypes.byref(self._before))
+
+    def close(self) -> None:
+        """The thread's is again what it was before."""
+        ctypes.CDLL(None).sigaltstack(ctypes.byref(self._before), None)
+        _kept.remove(self._room)
 
 
 def _seen(libc: Any, calls: Any, number: int, info: int, context: int) -> Crash:
@@ -182,7 +191,7 @@ def _what(crash: Crash, names: set[str]) -> str:
         if crash.address < NULL:
             hint = ", a null pointer?"
         elif crash.address < BUS_SPACE:
-            hint = " (memory-mapped I/O? Bus cycles are ps_in8, ps_out8 and the like)"
+            hint = " (memory-mapped I/O? --map makes bus cycles of it: docs/memory_mapped.md)"
         return f"{verb} address {crash.address:X}h{hint}"
     if crash.signal == signal.SIGFPE:
         return "an integer was divided by 0"
@@ -191,6 +200,18 @@ def _what(crash: Crash, names: set[str]) -> str:
     if any(name.startswith(("__cxa_throw", "_ZSt9terminatev", "_ZN10__cxxabiv1")) for name in names):
         return "a C++ exception that nobody caught"
     return ""
+
+
+def place(address: int, library: Path, top: int) -> str:
+    """Where code of this process is: `function (file:line)` of the library; else what is known of it, and who of the library has
+    called it, if the word on top of the stack says so."""
+    libc = ctypes.CDLL(None)
+    file, symbol, offset = frame = _frame(libc, address)
+    if found := _places([frame], library)[0]:
+        return found
+    found = f"{symbol or f'offset {offset:X}h'} of {Path(file).name or 'unknown code'}"
+    caller = _places([_frame(libc, top - 1)], library)[0]
+    return f"{found}, called from {caller}" if caller else found
 
 
 def _places(frames: list[tuple[str, str, int]], library: Path) -> list[str]:

@@ -29,12 +29,12 @@ _CALLS_SIZE, _NAMES, _SYMBOLS, _RELOCATIONS, _RELOCATIONS_SIZE, _CALLS = 2, 5, 6
 """Entries of a dynamic section; 0 ends it."""
 
 
-class _Loaded(ctypes.Structure):
+class Loaded(ctypes.Structure):
     """struct link_map: a library in memory."""
 
 
-_Loaded._fields_ = [
-    ("base", ctypes.c_uint64), ("name", ctypes.c_char_p), ("dynamic", ctypes.c_uint64), ("next", ctypes.POINTER(_Loaded)),
+Loaded._fields_ = [
+    ("base", ctypes.c_uint64), ("name", ctypes.c_char_p), ("dynamic", ctypes.c_uint64), ("next", ctypes.POINTER(Loaded)),
 ]  # fmt: skip
 
 
@@ -59,7 +59,7 @@ OF_THREADS = frozenset({"pthread_exit", "thrd_exit"})
 def interpose(handle: int, taken: frozenset[str] = ALL) -> None:
     """Take these calls of the library of that handle, just loaded, and of those that came with it."""
     if HERE:
-        library = ctypes.cast(handle, ctypes.POINTER(_Loaded))
+        library = ctypes.cast(handle, ctypes.POINTER(Loaded))
         while library:
             for slot, name in _slots(library.contents, taken):
                 _set(slot, _address(name))
@@ -69,7 +69,7 @@ def interpose(handle: int, taken: frozenset[str] = ALL) -> None:
 def replace_calls(handle: int, functions: Mapping[str, int]) -> None:
     """The calls of these functions by the library of that handle go to the addresses given; they have to live as long as it."""
     if HERE:
-        for slot, name in _slots(ctypes.cast(handle, ctypes.POINTER(_Loaded)).contents, functions):
+        for slot, name in _slots(ctypes.cast(handle, ctypes.POINTER(Loaded)).contents, functions):
             _set(slot, functions[name])
 
 
@@ -95,7 +95,7 @@ def _address(name: str) -> int:
     return ctypes.cast(_OURS[name], ctypes.c_void_p).value or 0
 
 
-def _slots(library: _Loaded, wanted: Container[str]) -> Iterator[tuple[int, str]]:
+def _slots(library: Loaded, wanted: Container[str]) -> Iterator[tuple[int, str]]:
     """Where the addresses of those wanted lie that the library calls."""
     base, tags, at = library.base, {}, library.dynamic
     while tag := ctypes.c_int64.from_address(at).value:

@@ -14,14 +14,17 @@ from stage.sim.in_use import ENGINE, claim, release
 IN8, OUT8, IN16, OUT16, DELAY, MICROS, LOG, HOOK, LINE, SETTLE = range(10)
 """What a host asks: port cycles (a: port, b: value), a delay (a: us), the time (us), to note a line (a: its address), to call a
 function (a: its address) with an argument (b) while the interrupt line is asserted, whether it is, that the stage catches up."""
-IN32, OUT32 = 13, 14
-"""Two cycles of 16 bits, the low half first."""
+IN32, OUT32, WINDOW, NO_CYCLE, BEYOND_WINDOW = range(13, 18)
+"""Two cycles of 16 bits, the low half first; the address of a new window (a: its first port, b: how many). And, from the handler of
+faults: that an instruction (a: its STEP) touches a window (b: where), but is no bus cycle, or goes beyond the window."""
 UNTIL = 20
 """An emulated processor: its time (a: ns of the stage) is the board's; if `b`, whether the interrupt line then is asserted."""
 FULL, DIVERGED, PAUSE, STORM, LINE_OF_LOG, ASKED_WRITE, BY_HAND, TWICE = range(1, 9)
 """Why Python is called: buffers are full; the physics has diverged; time or cycles are up; an interrupt that nothing clears; a
 line to note; a write that Python makes, since a fault of the bus looks at each; the stage's time is to pass and compiled code alone
 may not let it; two threads of the firmware made requests at once."""
+ABOUT_WINDOW = 20
+"""Another: a request about a window."""
 FROM_PYTHON = 64
 """Added to what a host in Python requests: it is told at once that another thread is in."""
 TWO_AT_ONCE = -(1 << 62)

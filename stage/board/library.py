@@ -217,6 +217,11 @@ class Library:
             )
         self.main.restype = ctypes.c_int
 
+    @property
+    def loaded(self) -> Any:
+        """The loader's list, from this library on: a pointer to `exits.Loaded`."""
+        return ctypes.cast(self._handle, ctypes.POINTER(exits.Loaded))
+
     def _find(self, kind: Any, name: str) -> Any:
         try:
             return kind.in_dll(self._library, name)

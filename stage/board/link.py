@@ -20,6 +20,7 @@ from stage.sim import handle, records
 
 if TYPE_CHECKING:
     from stage.board.board import Board
+    from stage.board.mapping import Mapped
 
 NOTED = 1 << 14  # edges and writes between two calls of Python
 MOST = 1 << 62
@@ -35,6 +36,7 @@ class Link:
         request: the compiled function for all requests of a host: (pointer, what, a, b) -> answer.
         error: the exception of a call from compiled code, until `raise_error`.
         hook: the function that the interrupt line calls, or None.
+        windows: those of the firmware that runs.
         stand_still: the function by which firmware in a thread of its own waits, while it runs.
         abandoned: threads of firmware that was given up.
         calls: counts the calls from compiled code into Python, at their begin and at their end: odd within a call.
@@ -45,6 +47,7 @@ class Link:
         self.calls = 0
         self.error: BaseException | None = None
         self.hook: Callable[[], None] | None = None
+        self.windows: Mapped | None = None
         self.stand_still: Callable[[], None] | None = None
         self.abandoned: set[threading.Thread] = set()
         self._left: list[np.ndarray] = []
@@ -162,6 +165,8 @@ class Link:
             elif reason == host.ASKED_WRITE:
                 h = self.record
                 h["asked"] = self.loses(int(h["asked_chip"]), int(h["asked_address"]), int(h["asked"]))
+            elif reason == host.ABOUT_WINDOW:
+                self._about_window()
             elif reason == host.BY_HAND:
                 self.stage.run_to(int(self.record["asked"]))
             self.begin()
@@ -170,6 +175,15 @@ class Link:
         self.calls += 1
         if self.stand_still is not None and (reason == host.PAUSE or self.record["stopped"]):
             self.stand_still()
+
+    def _about_window(self) -> None:
+        """The firmware wants a window, or touches one in a way that is no bus cycle."""
+        h = self.record
+        what, a, b = (int(h[name]) for name in ("asked_chip", "asked", "asked_address"))
+        assert self.windows is not None
+        if what != host.WINDOW:
+            raise self.windows.refusal(what, a, b)
+        h["asked"] = self.windows.choose(a, b)
 
     def _diverged(self) -> None:
         error = self.stage.loop.undo_divergence(self.pointer)
@@ -182,9 +196,11 @@ class Link:
         if self.error is None:
             self.error = error
 
-    def abandon(self, thread: threading.Thread) -> None:
-        """A firmware's thread, which may still run, never reaches this board again: it has a HOST record that is stopped, and
-        the board goes on with a copy."""
+    def abandon(self, thread: threading.Thread, stands: bool) -> None:
+        """A firmware's thread, which may still run unless it `stands` still, never reaches this board again: it has a HOST record
+        that is stopped, and the board goes on with a copy."""
+        if stands and self.windows is not None:
+            self.windows.end()
         self.abandoned.add(thread)
         self.record["stopped"] = 1
         self._left.append(self._rows)

@@ -16,7 +16,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol, Self
 
-from stage.board import library
+from stage.board import library, windows
 from stage.board.board import Board
 from stage.board.errors import HostTimeout
 from stage.board.link import MOST
@@ -176,8 +176,9 @@ class NativeHost(Host):
         flags: for the compiler.
         platform: what the sources were written for (arduino, avr, vxworks, dos), see stage.board.platforms.
         patience: seconds of real time that the firmware may compute without a bus cycle.
+        map: windows of memory-mapped registers, see stage.board.windows: one, or a sequence.
     Raises:
-        ArgumentError: a patience that is none.
+        ArgumentError: a patience that is none, a window that cannot be.
         LibraryError: not a library, for another machine, without the entry point, or not built with pulsestage.h.
         CompileError, NoCompilerError: see `build`.
     """
@@ -191,11 +192,13 @@ class NativeHost(Host):
         flags: tuple[str, ...] = (),
         platform: str | None = None,
         patience: float = PATIENCE,
+        map: windows.Given = (),
     ):
         self._check(board, patience, "'driver.c'")
+        mapped = windows.windows(map)
         self._scratch = Scratch() if library.are_sources(firmware) else None  # what is built goes with the host
         path = library.ready(firmware, flags, platform, self._scratch.path if self._scratch else None)
-        super().__init__(NativeProgram(path), board, isolated, patience)
+        super().__init__(NativeProgram(path, mapped), board, isolated, patience)
 
 
 def _nanoseconds(seconds: float, name: str) -> int:

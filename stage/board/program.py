@@ -12,6 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from stage.board import library
+from stage.board.mapping import Mapped
+from stage.board.windows import Window
 
 if TYPE_CHECKING:
     from stage.board.board import Board
@@ -48,9 +50,10 @@ class NativeProgram:
     """A library of this machine."""
 
     path: Path
+    windows: tuple[Window, ...] = ()
 
     def load(self, board: Board, may_exit: bool) -> Loaded:
-        """See `Program`. Raises LibraryError."""
+        """See `Program`. Raises LibraryError, ArgumentError for a window that cannot be."""
         size = ctypes.sizeof(library.BusStruct)
         bus = library.BusStruct(library.ABI, size, board.link.pointer, board.link.request)
-        return library.Library(self.path, bus, may_exit)
+        return Mapped(library.Library(self.path, bus, may_exit), self.windows, board.link)

@@ -54,7 +54,7 @@ struct pulsestage_bus {
     int64_t (*request)(void *host, int32_t what, int64_t a, int64_t b);
 };
 
-enum { PS_IN8, PS_OUT8, PS_IN16, PS_OUT16, PS_DELAY, PS_MICROS, PS_LOG, PS_HOOK, PS_LINE, PS_IN32 = 13, PS_OUT32 };
+enum { PS_IN8, PS_OUT8, PS_IN16, PS_OUT16, PS_DELAY, PS_MICROS, PS_LOG, PS_HOOK, PS_LINE, PS_IN32 = 13, PS_OUT32, PS_WINDOW };
 
 #if defined(_MSC_VER)
 #define PULSESTAGE_SHARED __declspec(selectany) __declspec(dllexport)
@@ -143,6 +143,12 @@ static inline void ps_on_interrupt(void (*hook)(void *argument), void *argument)
     ps_request(PS_HOOK, (int64_t)(intptr_t)hook, (int64_t)(intptr_t)argument);
 }
 static inline int ps_interrupt_line(void) { return (int)ps_request(PS_LINE, 0, 0); }
+
+/* A pointer to `length` ports from `port` on, for a driver that dereferences `volatile` pointers (docs/memory_mapped.md). */
+static inline volatile void *ps_window(uint32_t port, uint32_t length)
+{
+    return (volatile void *)(intptr_t)ps_request(PS_WINDOW, port, length);
+}
 
 #if defined(PULSESTAGE_DOS_IO)
 #define inp(port) ps_in8(port)

@@ -100,8 +100,8 @@ class Threaded:
     def _main(self, loaded: Loaded) -> None:
         """The firmware's thread."""
         self._go.acquire()
-        if self._may_exit:
-            crash.own_stack()
+        if self._may_exit and crash.HERE:
+            crash.OwnStack()
         me = threading.get_ident()
         exits.leavers[me] = self._leave
         code, failed, board = 0, None, self._board
@@ -164,11 +164,11 @@ class Threaded:
         """After Ctrl-C, or when the patience is over: the firmware is paused at its next request, or is abandoned."""
         self._board.link.record["until"] = 0
         if not self._stands.acquire(timeout=0.5):
-            self._abandon()
+            self._abandon(stands=False)
             self._board.link.settle()
 
-    def _abandon(self) -> None:
-        """Whatever the firmware still does, it does not reach the board."""
+    def _abandon(self, stands: bool = True) -> None:
+        """Whatever the firmware still does, it does not reach the board. stands: it waits in a bus cycle, for ever."""
         if self._thread is not None:
-            self._board.link.abandon(self._thread)
+            self._board.link.abandon(self._thread, stands)
         self._thread = None

@@ -318,8 +318,8 @@ def _add_target(p: argparse.ArgumentParser) -> None:
         "--map",
         action="append",
         default=[],
-        help="how the board is wired to it: an AVR's pins, data=A,address=C:0-1,cs=B0,wr=G0,rd=G1,irq=D0; windows, "
-        "0x40021000=0x300+0x40",
+        help="memory-mapped registers, with or without --mcu: 0x40021000=0x300+0x40 has 40h ports, from 300h on, at 40021000h "
+        "(docs/memory_mapped.md); of an AVR its pins: data=A,address=C:0-1,cs=B0,wr=G0,rd=G1,irq=D0",
     )
     g.add_argument("--mcu-clock", type=float, metavar="HZ", help="its clock, for example 16e6 (default: what is usual)")
     g.add_argument("--gdb", type=_number, metavar="PORT", help="wait for GDB on 127.0.0.1 (AVRs)")

@@ -72,11 +72,17 @@ def _host(args: argparse.Namespace, board: Any, flags: tuple[str, ...]) -> Any:
     if args.mcu is None:
         from stage.board import NativeHost
 
-        for name, given in (("--mcu-clock", args.mcu_clock), ("--gdb", args.gdb), ("--map", args.map)):
+        for name, given in (("--mcu-clock", args.mcu_clock), ("--gdb", args.gdb)):
             if given:
                 raise ArgumentError(f"{name}: it is for programs of other processors; --mcu says of which.")
         return NativeHost(
-            args.firmware, board, isolated=isolated, flags=flags, platform=args.platform, patience=args.patience
+            args.firmware,
+            board,
+            isolated=isolated,
+            flags=flags,
+            platform=args.platform,
+            patience=args.patience,
+            map=args.map,
         )
     from stage.targets import TargetHost
 

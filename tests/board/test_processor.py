@@ -1,0 +1,146 @@
+"""Instructions behind an access to a window do to registers, memory and flags what the processor does to them."""
+
+from __future__ import annotations
+
+import pytest
+from support.compiled_firmware import firmware
+
+from stage import Stage
+from stage.board import Board, NativeHost, mapping
+
+pytestmark = pytest.mark.skipif(not mapping.HERE, reason="windows need Linux on x86-64")
+
+NAMES = {8: "rax rbx rcx rdx", 4: "eax ebx ecx edx", 2: "ax bx cx dx", 1: "al bl cl dl"}
+LETTERS = {8: "q", 4: "l", 2: "w", 1: "b"}
+CF, PF, AF, ZF, SF, OF = 1, 4, 16, 64, 128, 2048
+ALL = CF | PF | AF | ZF | SF | OF
+
+
+def instructions() -> list[tuple[str, int]]:
+    """Each with the flags that it defines. (%rsi) is memory; -8(%rsi) and 8(%rsi) as well."""
+    found: list[tuple[str, int]] = []
+    for size, letter in LETTERS.items():
+        a, b, _, d = (f"%{name}" for name in NAMES[size].split())
+        for name in "add or adc sbb and sub xor cmp".split():
+            found += [
+                (f"{name}{letter} {text}", ALL)
+                for text in (f"{b}, {a}", f"{b}, (%rsi)", f"(%rsi), {d}", f"$-7, {a}", "$0x5a, (%rsi)")
+            ]
+        found.append((f"add{letter} ${0x12 if size == 1 else 0x1234}, {a}", ALL))
+        for name in "inc dec neg".split():
+            found += [(f"{name}{letter} {where}", ALL) for where in (a, "(%rsi)")]
+        found += [(f"not{letter} {where}", ALL) for where in (b, "(%rsi)")]
+        found += [(f"test{letter} {text}", ALL) for text in (f"{b}, {a}", f"$0x41, {d}", f"$0x41, {a}", f"{b}, (%rsi)")]
+        for name in "shl shr sar".split():
+            found += [(f"{name}{letter} {where}", ALL & ~AF) for where in (a, "(%rsi)")]
+            found.append((f"{name}{letter} $5, {d}", ALL & ~AF & ~OF))
+            if size > 2:  # of shorter ones flags are undefined where all is shifted out
+                found.append((f"{name}{letter} %cl, {a}", ALL & ~AF & ~OF))
+        if size < 8:
+            found += [(f"{name}{letter} {where}", ALL & ~AF) for name in ("rol", "ror") for where in (a, "(%rsi)")]
+            found += [(f"{name}{letter} $3, {a}", ALL & ~AF & ~OF) for name in ("rol", "ror")]
+        found += [(f"xchg{letter} {b}, {where}", ALL) for where in (a, "(%rsi)")]
+        found += [
+            (f"mov{letter} {text}", ALL) for text in (f"{b}, 8(%rsi)", f"-8(%rsi), {a}", "$-3, (%rsi)", f"$0x31, {d}")
+        ]
+        if size > 1:
+            found += [
+                (f"{name}{letter} {text}", CF)
+                for name in ("bt", "bts", "btr", "btc")
+                for text in (f"$9, {a}", "$3, (%rsi)")
+            ]
+            found += [(f"{name}{letter} {b}, {a}", CF) for name in ("bt", "bts", "btr", "btc")]
+            found += [
+                (f"cmov{condition} (%rsi), {a}", ALL) for condition in "o no b ae e ne be a s ns p np l ge le g".split()
+            ]
+            found += [(f"lea{letter} -5(%rsi,%rcx,4), {d}", ALL)]
+            if size < 8:
+                found += [
+                    (f"imul{letter} {text}", CF | OF) for text in (f"(%rsi), {a}", f"$-300, {b}, {d}", f"$7, {b}, {d}")
+                ]
+    for condition in "o no b ae e ne be a s ns p np l ge le g".split():
+        found += [(f"set{condition} %dl", ALL), (f"j{condition} 1f\n movl $77, %eax\n1:", ALL)]
+    for text in "movzbl %ah,%ebx|movzwl (%rsi),%edx|movzbq (%rsi),%rdx|movsbw (%rsi),%dx|movswl %bx,%eax|movslq (%rsi),%rax".split(
+        "|"
+    ):
+        found.append((text, ALL))
+    for text in (
+        "movb %ch, %al", "movb %bl, %dh", "addb %ah, %bh", "cbtw", "cwtl", "cltq", "cwtd", "cltd", "cqto", "nop", "nopw 8(%rax)",
+        "push %rbx\n pop %rdx", "push $-5\n pop %rbx", "push (%rsi)\n pop %rax", "call 1f\n jmp 2f\n1: incq %rax\n ret\n2:",
+        "movabs $0x123456789abcdef, %rdx", "movl $9, %r8d\n addq %r8, %rax\n movq %r8, %rbx", "xchg %rax, %rdx", "pause", "endbr64",
+        "lea 1f(%rip), %rdx\n jmp *%rdx\n ud2\n1: xor %edx, %edx",
+    ):  # fmt: skip
+        found.append((text, ALL))
+    return found
+
+
+CHECK = r"""
+#define L (unsigned long long)
+struct all { uint64_t r[4], flags; };
+static uint64_t memory[3], plain;
+static uint64_t word(void)
+{
+    static uint64_t x = 88172645463325252u;
+    static const uint64_t edges[] = {0, 1, 0x7f, 0x80, 0xff, 0x7fff, 0x8000, 0x7fffffff, 0x80000000, ~0ull, 1ull << 63, 0xffffffff};
+    x ^= x << 13, x ^= x >> 7, x ^= x << 17;
+    return x % 3 ? x : edges[x / 3 % 12];
+}
+#define BOTH(text) static void NAME(struct all *s, volatile void *w) { __asm__ volatile( \
+    "pushq %5\n popfq\n movzwl (%6), %%r15d\n" text "\n movzwl (%6), %%r15d\n pushfq\n popq %5\n" \
+    : "+a"(s->r[0]), "+b"(s->r[1]), "+c"(s->r[2]), "+d"(s->r[3]), "+m"(memory), "+r"(s->flags) \
+    : "r"(w), "S"(&memory[1]) : "r15", "r8", "cc"); }
+"""
+
+
+def program(texts: list[str]) -> str:
+    """Does each instruction with random registers, flags, memory, by the processor and behind a window; logs what differs."""
+    lines = [CHECK]
+    for k, text in enumerate(texts):
+        code = " ".join(f'"{line}\\n"' for line in text.replace("%", "%%").split("\n"))
+        lines += [f"#define NAME f{k}", f"BOTH({code})", "#undef NAME"]
+    names, shown = (", ".join(each) for each in zip(*((f"f{k}", f'"{t}"') for k, t in enumerate(texts)), strict=True))
+    lines.append(f"static void (*const each[])(struct all *, volatile void *) = {{{names}}};")
+    lines.append(f"static const char *const texts[] = {{{shown}}};".replace("\n", " ; "))
+    lines.append(
+        r"""
+    #include <string.h>
+    PULSESTAGE_MAIN
+    {
+        volatile void *window = ps_window(0x300, 16);
+        int wrong = 0;
+        for (unsigned k = 0; k < sizeof each / sizeof *each; k++)
+            for (int n = 0; n < 16; n++) {
+                struct all s = {{word(), word(), word(), word()}, 0x202 | (word() & 0x8d5)}, t = s;
+                uint64_t m[3] = {word(), word(), word()}, after[3];
+                memcpy(memory, m, sizeof m);
+                each[k](&s, &plain);
+                memcpy(after, memory, sizeof m);
+                memcpy(memory, m, sizeof m);
+                each[k](&t, window);
+                s.flags &= masks[k], t.flags &= masks[k];
+                if (memcmp(&s, &t, sizeof s) || memcmp(after, memory, sizeof m)) {
+                    ps_logf("%s: rax %llx, rdx %llx, flags %llx; by the window %llx, %llx, %llx", texts[k],
+                        L s.r[0], L s.r[3], L s.flags, L t.r[0], L t.r[3], L t.flags);
+                    wrong++;
+                    break;
+                }
+            }
+        return wrong;
+    }"""
+    )
+    return "\n".join(lines)
+
+
+def test_instructions_behind_an_access_do_what_the_processor_does():
+    table = instructions()
+    masks = ", ".join(str(mask) for _, mask in table)
+    library = firmware(
+        f"static const uint64_t masks[] = {{{masks}}};\n" + program([t for t, _ in table]), "-mno-red-zone", "-O1"
+    )
+    board = Board(Stage("xy", visuals=False))
+    before = mapping.faults()
+    done = NativeHost(library, board).run()
+    assert board.log == []
+    assert done.code == 0
+    assert mapping.faults() - before == 16 * len(table), "one for each, since what is between two accesses needs none"
+    assert board.cycles == 4 * 16 * len(table), "a word of a bus of 8 bits is two cycles"
