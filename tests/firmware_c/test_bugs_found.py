@@ -1,0 +1,52 @@
+"""docs/bugs_found.md: its programs print what stands there, and its code is theirs."""
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+from test_docs import agree
+
+from stage.cli import main
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGE = (ROOT / "docs" / "bugs_found.md").read_text()
+STORIES = re.findall(r"```sh\nstage (.*?)\n```\n\n```text\n(.*?)```", PAGE, re.S)
+
+
+@pytest.mark.parametrize(
+    ("command", "shown"),
+    [pytest.param(*story, marks=pytest.mark.slow) if "MENDED" in story[0] else story for story in STORIES],
+    ids=lambda value: re.sub(r".*/(\w+)\.c.*?(MENDED)?$", r"\1\2", value) if "/" in value else "",
+)
+def test_a_story_prints_what_stands_there(command, shown, firmware, tmp_path, monkeypatch, capsys):
+    words = [str(ROOT / word) if word.startswith("scripts/") else word for word in shlex.split(command)]
+    monkeypatch.chdir(tmp_path)
+    mended = "MENDED" in command
+    flags = "-std=c99 -Wall -Wextra -pedantic -Werror" + (" -DMENDED" if mended else "")
+    words = [word for word in words if not word.startswith("--cflags")]
+    code = main([*words, "--in-process", f"--cflags={flags}"])
+    said = capsys.readouterr()
+    printed = re.sub(r", in \S+ s of wall time", "", said.out) + said.err + Path("out.txt").read_text()
+    for line in shown.splitlines():
+        assert any(agree(other, line) for other in printed.splitlines()), f"{line}\nis not in\n{printed}"
+    failed = {
+        "rate_too_wide": mended,
+        "speed_never_set": not mended,
+        "wrong_command": not mended,
+        "no_axis_bits": False,
+    }
+    assert code == failed[Path(words[1]).stem]
+    kind = "mistakes" in printed
+    assert kind is not mended
+
+
+def test_there_are_four_and_the_code_of_the_page_is_theirs():
+    assert len(STORIES) == 8
+    programs = [
+        re.sub(r"\s+", " ", path.read_text()) for path in (ROOT / "scripts" / "firmware" / "stories").glob("*.c")
+    ]
+    blocks = re.findall(r"```c\n(.*?)```", PAGE, re.S)
+    assert len(blocks) == 5
+    for block in blocks:
+        assert any(all(re.sub(r"\s+", " ", line) in text for line in block.splitlines()) for text in programs), block
