@@ -23,10 +23,13 @@ from stage.board.host import (
     OUT32,
     enter,
     leave,
+    now_of,
 )
 from stage.board.waiting import catch_up, cycle, serve, wait, wait_for_line
 from stage.native import array_of, exported, float_mode_as_before, hot, record, usual_float_mode
 
+SLICE_NS, SLICE_CYCLES = 50_000_000, 100_000
+"""After so much of a batch Python is asked whether it is to go on."""
 UNTIL8, UNTIL16, UNTIL_LINE = range(100, 103)
 """What a batch knows beside the requests of stage.board.host: read a port until (value & mask) == b, `times` times at most and
 `every` us apart; wait until the interrupt line is asserted, `a` us at most."""
@@ -85,13 +88,22 @@ def _until_line(h, us):
     return asserted
 
 
+@hot
+def bound(h):
+    """From now on it goes on for so long until Python is asked whether it is to."""
+    h.until, h.most_cycles = now_of(h) + SLICE_NS, h.cycles + SLICE_CYCLES
+
+
 @exported("i8", HOST, array_of(ENTRY), array_of(np.int64))
 def run_batch(h, entries, answers):
     """Do the entries, one after the other, on a board that is not stopped. Returns how many were done to the end: fewer than given
-    if the board was stopped on the way; -1 if another thread is in."""
+    if the board was stopped on the way; -1 if another thread is in. Now and then it asks Python (PAUSE), which calls `go_on`."""
     if not enter(h):
         return -1
     mode, done = usual_float_mode(), 0
+    lazy, until, most_cycles = h.lazy, h.until, h.most_cycles
+    h.lazy, h.quiet = 1, 0
+    bound(h)
     while done < len(entries):
         e = entries[done]
         if e.what == UNTIL8 or e.what == UNTIL16:
@@ -106,6 +118,13 @@ def run_batch(h, entries, answers):
     catch_up(h)
     if h.stopped and done == len(entries):
         done -= 1
+    h.lazy, h.until, h.most_cycles = lazy, until, most_cycles
     float_mode_as_before(mode)
     leave(h)
     return done
+
+
+@exported(None, HOST)
+def go_on(h):
+    """A batch that stands still goes on, until Python is asked again."""
+    bound(h)

@@ -11,8 +11,7 @@ import numpy as np
 
 from stage import __version__
 from stage.board import Board, HostError
-from stage.board.batch import ENTRY, first_wrong, run_batch
-from stage.board.link import MOST
+from stage.board.batch import ENTRY, first_wrong, go_on, run_batch
 from stage.errors import ArgumentError, StageError, unknown
 from stage.serve import client
 from stage.serve.frames import ENTRIES
@@ -20,8 +19,6 @@ from stage.serve.frames import ENTRIES
 START = "start"
 MOST_SNAPSHOTS, LONGEST_NAME, LONGEST_LINE = 100, 100, 1 << 16
 MOST_ENTRIES = client.MOST_BODY // client.ENTRY.size
-SLICE_NS, SLICE_CYCLES = 50_000_000, 100_000
-"""After so much of a batch somebody looks at whether it is to go on."""
 
 
 class BatchError(StageError):
@@ -30,6 +27,15 @@ class BatchError(StageError):
     def __init__(self, text: str, answers: bytes):
         super().__init__(text)
         self.answers = answers
+
+
+class _Room:
+    """For the entries and answers of a batch of up to `n`. bytes: the entries as they come; asked, answered: addresses."""
+
+    def __init__(self, n: int):
+        self.entries, self.answers = np.zeros(n, ENTRY), np.zeros(n, np.int64)
+        self.bytes = self.entries.view(np.uint8).data
+        self.asked, self.answered = self.entries.ctypes.data, self.answers.ctypes.data
 
 
 class Machine:
@@ -49,9 +55,7 @@ class Machine:
         told: Callable[[float, str], None] = lambda seconds, text: None,
     ):
         self.board, self._keep, self._pause, self._hook, self._told = board, keep, pause, hook, told
-        self._entries = np.zeros(MOST_ENTRIES, ENTRY)
-        self._bytes = self._entries.view(np.uint8)
-        self._answers = np.zeros(MOST_ENTRIES, np.int64)
+        self._room, self._in_batch = _Room(MOST_ENTRIES), False
         self._states: dict[str, tuple[Any, np.ndarray]] = {}
         self._keep_state(START)
         self.does: dict[int, Callable[[bytes], bytes]] = {
@@ -85,40 +89,28 @@ class Machine:
         n, rest = divmod(len(body), client.ENTRY.size)
         if rest:
             raise ArgumentError(f"BATCH: {len(body)} bytes; an entry has {client.ENTRY.size}.")
-        nested = bool(self.board.link.record["serving"])
-        entries = (
-            np.frombuffer(bytearray(body), ENTRY) if nested else self._entries[:n]
-        )  # the outer batch is not done yet
-        answers = np.zeros(n, np.int64) if nested else self._answers[:n]
-        if not nested:
-            self._bytes[: len(body)] = np.frombuffer(body, np.uint8)
-        wrong = int(first_wrong.held(entries.ctypes.data, n))
+        room = _Room(n) if self._in_batch else self._room  # the outer batch is not done yet
+        room.bytes[: len(body)] = body
+        wrong = first_wrong.held(room.asked, n)
         if wrong < n:
-            raise ArgumentError(f"BATCH, entry {wrong}: {_in_words(entries[wrong])}. Nothing of this batch was done.")
-        link = self.board.link
-        h, calls = link.record, link.stand_still
-        h["lazy"], h["quiet"] = 1, 0
-        link.stand_still = self._stand_still
-        self._bound()
-        link.begin()
-        done = int(run_batch.c(link.pointer, entries.ctypes.data, n, answers.ctypes.data, n))
-        link.end()
-        link.stand_still = calls
-        if nested:
-            self._bound()
-        else:
-            h["lazy"], h["until"], h["most_cycles"] = 0, MOST, MOST
+            raise ArgumentError(
+                f"BATCH, entry {wrong}: {_in_words(room.entries[wrong])}. Nothing of this batch was done."
+            )
+        link, before = self.board.link, (self._in_batch, self.board.link.stand_still)
+        self._in_batch, link.stand_still = True, self._stand_still
+        try:
+            link.begin()
+            done = run_batch.c(link.pointer, room.asked, n, room.answered, n)
+            link.end()
+        finally:
+            self._in_batch, link.stand_still = before
         try:
             link.raise_error()
         except Exception as error:
-            raise BatchError(said(error), answers[: max(done, 0)].tobytes()) from error
+            raise BatchError(said(error), room.answers[: max(done, 0)].tobytes()) from error
         if done < n:
             raise StageError("this board is in use by another thread: a bus has one host at a time.")
-        return answers.tobytes()
-
-    def _bound(self) -> None:
-        h = self.board.link.record
-        h["until"], h["most_cycles"] = self.board.stage.now + SLICE_NS, h["cycles"] + SLICE_CYCLES
+        return room.answers[:n].tobytes()
 
     def _stand_still(self) -> None:
         """Called by compiled code."""
@@ -128,7 +120,7 @@ class Machine:
                 self._pause()
             except BaseException as error:
                 link.fail(error)
-        self._bound()
+        go_on.c(link.pointer)
 
     def _log(self, body: bytes) -> bytes:
         if len(body) > LONGEST_LINE:

@@ -30,9 +30,7 @@ def together(board: Board, rows: list[tuple[int, ...]]) -> list[int]:
     asked, answers = entries(*rows), np.zeros(len(rows), np.int64)
     assert first_wrong(asked) == len(rows)
     board.link.begin()
-    board.link.record["lazy"], board.link.record["quiet"] = 1, 0
     done = run_batch.c(board.link.pointer, asked.ctypes.data, len(rows), answers.ctypes.data, len(rows))
-    board.link.record["lazy"] = 0
     board.link.end()
     assert done == len(rows)
     return answers.tolist()

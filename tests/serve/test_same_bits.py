@@ -68,8 +68,14 @@ def test_requests_one_by_one_and_in_batches_do_what_they_do_on_the_board(served,
     )
 
 
+FILES = {"mcx304": ("mcx304", "s_curve_stop", "safe_stop"), "pcl240mk": ("pcl240", "line", "home_and_line")}
+
+
 def sources(example: str) -> list[str]:
-    return [str(p) for p in (*sorted((EXAMPLES / example).glob("*.c")), EXAMPLES / "hal" / "hal_pulsestage.c")]
+    return [
+        *(str(EXAMPLES / example / f"{name}.c") for name in FILES[example]),
+        str(EXAMPLES / "hal" / "hal_pulsestage.c"),
+    ]
 
 
 def program(folder: Path, *arguments: str) -> Path:
