@@ -24,7 +24,7 @@ PORT = 0x300
 def start_a_move(host, pulses=100, interrupt=False):
     """X moves at 1000 pps."""
     batch = host.batch().out8(PORT, 0x08)
-    for register, value in ((0, pulses), (1, 400), (7, 30)):
+    for register, value in ((0, pulses), (1, 50), (7, 30)):
         batch.out8(PORT, 0x80 | register)
         for byte in (2, 1, 0):
             batch.out8(PORT + 1 + byte, value >> 8 * byte & 0xFF)
