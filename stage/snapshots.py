@@ -88,8 +88,10 @@ def check(snapshot: Any, cls: type[Snapshot], header: Header) -> None:
     snapshot.checked()
     if snapshot.header is header or snapshot.header.parts == header.parts:
         return
-    pairs = zip(snapshot.header.parts, header.parts, strict=False)
-    what, theirs, ours = next((what, theirs, ours) for (what, theirs), (_, ours) in pairs if theirs != ours)
+    there, here = dict(snapshot.header.parts), dict(header.parts)
+    different = (what for what in {**there, **here} if there.get(what) != here.get(what))
+    what = next(different, "order")
+    theirs, ours = there.get(what, "none"), here.get(what, "none")
     raise ArgumentError(
         f"this snapshot of {cls.of} cannot be restored here, for it is another's: {what}: {theirs} there, {ours} here. Restore it "
         f"into {cls.of} made like the one that it was taken of."

@@ -12,19 +12,27 @@ A port without a chip reads as FFh and is noted in `board.strays`. Firmware in C
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
-from typing import Any, ClassVar
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, ClassVar, TypeVar
 
-from stage.board import host, layout_files, layouts
+import numpy as np
+
+from stage.board import bus, host, layout_files, layouts
+from stage.board.devices import known
+from stage.board.devices.device import Device, Encoder
+from stage.board.devices.own import CDevice, PythonDevice, Tell
 from stage.board.errors import HostError
 from stage.board.link import Link
 from stage.board.trace import BusTrace, Cycle, Meaning
 from stage.chips.late import LateLint
-from stage.errors import ArgumentError, unknown
+from stage.errors import ArgumentError, StageError, unknown
 from stage.sim.stage import LONGEST, Stage
 
 KEPT_CYCLES = 100_000
 MOST_LINES = 1_000_000
+MOST_PORTS = 1 << 16  # of a device
+MOST_SOURCES = 62  # of interrupts: bits of a word
+_D = TypeVar("_D", bound=Device)
 
 
 class Board:
@@ -36,8 +44,11 @@ class Board:
         base: the first port of the first chip, or a mapping axis -> first port of its chip; default: the layout's.
         stride: ports from one chip to the next; default: the layout's.
         keep_cycles: lines of the bus trace that are kept.
+        devices: what else is on the bus, as text: "hctl2016:0x320:x", see stage.board.devices.known; or later, by `put` and
+            `device`.
     Attributes:
-        options: the arguments except the stage, by name; places: the chips and their layouts.
+        options: the arguments except stage and devices, by name; places: the chips and their layouts.
+        devices: in the order in which they were put on the bus.
         regions, port_table: REGION and PORT records, what every port reaches.
         trace: the BusTrace; log: lines that the firmware noted, (seconds, text).
         driver: the firmware, a NativeHost, that has begun and not returned, or None.
@@ -56,6 +67,7 @@ class Board:
         stride: int | None = None,
         *,
         keep_cycles: int = KEPT_CYCLES,
+        devices: Iterable[str] = (),
     ):
         if not isinstance(stage, Stage):
             raise ArgumentError(f"{stage!r} is no Stage: Board(Stage('xyz', chips=PCL240K)).")
@@ -71,10 +83,13 @@ class Board:
         self.trace = BusTrace(self, int(keep_cycles))
         self.log: list[tuple[float, str]] = []
         self.driver: Any = None
+        self.devices: list[Device] = []
         for chip in stage.chips:
             if self.LINTS and chip.late_lint is None:
                 chip.late_lint = LateLint(chip)
         self.link = Link(self)
+        for text in (devices,) if isinstance(devices, str) else devices:
+            known.put(self, text)
 
     # --- what a host does ---
 
@@ -116,9 +131,13 @@ class Board:
 
     @property
     def interrupt(self) -> bool:
-        """Whether a chip pulls the interrupt line."""
-        irqs = zip(self.stage.chips, self.link.irqs.tolist(), strict=True)
-        return any(chip.output_word(axis) & bits for chip, (axis, bits) in irqs if bits)
+        """Whether a chip or a device pulls the interrupt line."""
+        return bool(self.pulling())
+
+    def pulling(self) -> int:
+        """Who pulls the interrupt line, a bit each: the stage's chips, and behind them the devices. No bus cycle."""
+        self.stage.look()
+        return int(bus.pulling.c(self.link.pointer))
 
     def on_interrupt(self, hook: Callable[[], None] | None) -> None:
         """Call `hook` while the interrupt line is asserted: after a bus cycle, or within a delay at the very ns; again and
@@ -126,6 +145,94 @@ class Board:
         hook comes in its place, until the firmware returns."""
         self.link.hook = hook
         self.link.ask(host.HOOK, self.link.own_hook(), 0)
+
+    # --- devices ---
+
+    def device(
+        self,
+        ports: int | Iterable[int],
+        read: Callable[[int], int] | None = None,
+        write: Callable[[int, int], Any] | None = None,
+        *,
+        source: str | os.PathLike | Sequence[str | os.PathLike] | None = None,
+        flags: Sequence[str] = (),
+        state: np.ndarray | bytearray | None = None,
+        tell: Tell | None = None,
+        name: str | None = None,
+        encoders: Sequence[Encoder] = (),
+        width: int = 8,
+    ) -> Device:
+        """A device of your own on the bus, see docs/devices.md.
+
+        Args:
+            ports: a port, a range or a list.
+            read, write: functions in Python, `read(port) -> value` and `write(port, value)`, which are called at the host's time,
+                with the stage as it is then. Without one, reads give all ones and writes are lost.
+            source, flags: in their place a device in C: sources, which are built with these flags, or a library, with
+                pulsestage_device.h.
+            state: of a device in Python, an array that it changes in place: snapshots of the stage carry it.
+            tell: `tell(port, value, writes)` -> what a cycle means, for the trace.
+            name: what messages call it; encoders: `Encoder`s that it counts, see `Device.counts`.
+            width: bits of its bus, 8 or 16. With 16 each register takes two ports, as in the layout "nova".
+        Returns the device; its `pull(...)` pulls the interrupt line.
+        Raises ArgumentError: ports that do not exist or are taken; StageError while firmware runs; of a device in C as CDevice.
+        """
+        if source is None:
+            own: Device = PythonDevice(read, write, state=state, tell=tell, name=name, encoders=encoders, width=width)
+        elif read is not None or write is not None or state is not None:
+            raise ArgumentError(
+                f"source={source!r}: the device has its functions and its state in C; read, write and state are Python's."
+            )
+        else:
+            own = CDevice(source, flags=flags, tell=tell, name=name, encoders=encoders, width=width)
+        return self.put(own, ports)
+
+    def put(self, device: _D, ports: int | Iterable[int]) -> _D:
+        """Put a device on the bus, at these ports; of a shipped one the first is enough. Returns the device. Raises as `device`."""
+        if not isinstance(device, Device):
+            raise ArgumentError(f"{device!r} is no device: stage.board.devices has them, for example UART().")
+        if device.board is not None:
+            raise ArgumentError(f"{device.name} is on a board already. Make another one.")
+        if (self.driver is not None and self.driver.running) or self.link.answering or self.link.calls % 2:
+            raise StageError(f"{device.name}: firmware drives this board. Put devices on it before it runs.")
+        taken = _ports(device, ports)
+        if len(self.stage.chips) + len(self.devices) == MOST_SOURCES:
+            raise ArgumentError(f"a bus has at most {MOST_SOURCES} chips and devices.")
+        for port in taken:
+            if (there := self.ports.get(port)) is not None:
+                raise ArgumentError(
+                    f"{device.name}: port {port:03X}h is taken: {there}. Choose ports from {self._free(len(taken)):03X}h on, "
+                    "for example."
+                )
+        device.join(self, taken)
+        self.devices.append(device)
+        self._lay_ports()
+        self.changed()
+        self.stage.attach(device.name, device.kept())
+        return device
+
+    def changed(self) -> None:
+        """A device has other functions now, or there is another device."""
+        self.link.lay_devices()
+
+    def _lay_ports(self) -> None:
+        """Make the table of ports again; address latches have what they had."""
+        lines = {}
+        for k, device in enumerate(self.devices):
+            for n, port in enumerate(device.ports):
+                wide = device.width == 16
+                mask = host.EIGHT if not wide else host.UPPER if n % 2 else host.WIDE
+                lines[port] = (host.DEVICE, k, n // 2 if wide else n, mask)
+        latches = {port: int(p["address"]) for port, p in self._by_port() if p["kind"] == host.LATCH}
+        self.regions, self.port_table = layouts.table(self.places, lines)
+        for port, p in self._by_port():
+            if port in latches:
+                p["address"] = latches[port]
+        self.link.lay_ports()
+
+    def _free(self, n: int) -> int:
+        """A port from which on so many are free."""
+        return (max(self.ports) + 16) & ~15 if max(self.ports) + n + 16 <= host.LAST_PORT else 0
 
     # --- what one looks at ---
 
@@ -146,11 +253,14 @@ class Board:
         kinds = ("", "address {}", "address {}", "upper byte of address {}", "address latch", "data", "interrupts")
         return {
             port: f"{names[int(p['chip'])]} {kinds[int(p['kind'])].format(int(p['address']))}"
+            if p["kind"] != host.DEVICE
+            else f"{self.devices[int(p['chip'])].name}, {self.devices[int(p['chip'])].port_name(int(p['address']))}"
             for port, p in self._by_port()
         }
 
     def __repr__(self) -> str:
         lie = ", ".join(f"{self.name_of(p.index)} at {p.first:03X}h ({p.layout.name})" for p in self.places)
+        lie += "".join(f", {device.name}" for device in self.devices)
         return f"<Board {lie}; {self.cycles:,} cycles>"
 
     # --- inside ---
@@ -164,6 +274,7 @@ class Board:
         listeners = {place.index: twin.listener() for place, twin in zip(self.places, self._at_first, strict=True)}
         latches: dict[int, int] = {}
         reached = {port: tuple(p) for port, p in self._by_port()}
+        told = [device.listener() for device in self.devices]
 
         def tell(port: int, value: int, writes: bool, wide: bool) -> str:
             kind, chip, address, mask, _ = reached.get(port, (host.NOTHING, 0, 0, 0, 0))
@@ -172,6 +283,12 @@ class Board:
             if kind == host.PULLS:
                 on = [self.name_of(k) for k in range(len(self.stage.chips)) if value >> k & 1]
                 return f"interrupts: {', '.join(on) or 'none'}"
+            if kind == host.DEVICE:
+                if mask == host.UPPER:
+                    value = value << 8 | (0xFF if writes else 0)
+                elif mask == host.WIDE and writes and not wide:
+                    value |= 0xFF00
+                return f"{self.devices[chip].name}: {told[chip](address, value, writes, mask != host.EIGHT)}"
             name = f"{self.name_of(chip)}: "
             if kind == host.LATCH:
                 latches[port] = value & mask
@@ -217,3 +334,25 @@ def _by_chip(stage: Stage, base: int | Mapping[str, int] | None) -> Any:
         if axis.chip not in found:
             raise ArgumentError(f"base={dict(base)!r}: the chip of axis {axis.name} has no first port.")
     return found
+
+
+def _ports(device: Device, ports: Any) -> list[int]:
+    """The ports that a device gets. Raises ArgumentError."""
+    one = isinstance(ports, int | np.integer)
+    taken = [int(ports)] if one else list(ports) if isinstance(ports, Iterable) else []
+    if one and device.PORTS:
+        taken = list(range(taken[0], taken[0] + device.PORTS))
+    if not taken or any(not isinstance(p, int | np.integer) or not 0 <= p <= host.LAST_PORT for p in taken):
+        raise ArgumentError(
+            f"{device.name}, ports={ports!r}: ports are whole numbers from 0 to {host.LAST_PORT:X}h, one at least."
+        )
+    if len(set(taken)) != len(taken) or len(taken) > MOST_PORTS:
+        raise ArgumentError(f"{device.name}, ports={ports!r}: each port once, and at most {MOST_PORTS:,} of them.")
+    if device.PORTS and len(taken) != device.PORTS:
+        raise ArgumentError(f"{device.name}: it has {device.PORTS} ports, and {len(taken)} are given.")
+    if device.width == 16 and (len(taken) % 2 or any(b != a + 1 for a, b in zip(taken[::2], taken[1::2], strict=True))):
+        raise ArgumentError(
+            f"{device.name}: with width=16 each register takes two ports, one behind the other: range(0x320, 0x328) for four "
+            "registers."
+        )
+    return [int(p) for p in taken]

@@ -11,6 +11,8 @@ from stage.board.host import (
     ASKED_WRITE,
     BEYOND_WINDOW,
     DELAY,
+    DEVICE,
+    EIGHT,
     FROM_PYTHON,
     HALF,
     HOOK,
@@ -44,6 +46,8 @@ from stage.board.host import (
     TWICE,
     TWO_AT_ONCE,
     UNTIL,
+    UPPER,
+    WIDE,
     WINDOW,
     WORD,
     ask,
@@ -53,6 +57,7 @@ from stage.board.host import (
     now_of,
 )
 from stage.board.notes import journal, note
+from stage.board.reaching import at_device, device_of
 from stage.board.waiting import catch_up, cycle, line_of, reach, serve, turn_to, wait
 from stage.chips import cores
 from stage.chips.entries import LOST, READ, WRITE
@@ -108,6 +113,14 @@ def _place(h, port):
 
 
 @hot
+def _device(h, p, way, value):
+    """A cycle reaches a device."""
+    if device_of(h, p.chip).access == 0:
+        catch_up(h)
+    return at_device(h, p.chip, p.address, way, value)
+
+
+@hot
 def _in8(h, port):
     cycle(h)
     ports, value = array_at(h.ports, h.n_ports, PORT), 0xFF
@@ -119,7 +132,9 @@ def _in8(h, port):
         if kind == LATCHED:
             value = _read(h, p.chip, ports[p.address].address)
         elif kind == PULLS:
-            value = line_of(h)
+            value = line_of(h) & (1 << least(h.n_chips, 8)) - 1
+        elif kind == DEVICE:
+            value = _device(h, p, IN8 if p.mask == EIGHT else IN16, 0) >> (8 if p.mask == UPPER else 0) & 0xFF
         elif kind == HALF:
             value = _read(h, p.chip, p.address) >> 8
         else:
@@ -139,6 +154,11 @@ def _out8(h, port, value):
         if kind == LATCH:
             p.address = value & p.mask
         note(h, OUT if kind == LATCH else OUT | STRAY, port, value, -1)
+    elif kind == DEVICE:
+        cycle(h)
+        word = value << 8 | 0xFF if p.mask == UPPER else value | 0xFF00  # the other half of the bus floats
+        _device(h, p, OUT8 if p.mask == EIGHT else OUT16, value if p.mask == EIGHT else word)
+        note(h, OUT | (0 if p.mask == EIGHT else STRAY), port, value, -1)
     else:
         address, word = p.address, value
         if kind == LATCHED:
@@ -158,16 +178,17 @@ def _out8(h, port, value):
 def _in16(h, port):
     p = array_at(h.ports, h.n_ports, PORT)[_place(h, port)]
     kind = p.kind
-    if kind not in (NOTHING, WORD):  # the bus makes two cycles of it
+    wide = kind == DEVICE and p.mask == WIDE
+    if not wide and kind not in (NOTHING, WORD):  # the bus makes two cycles of it
         low = _in8(h, port)
         return _in8(h, port + 1 & LAST_PORT) << 8 | low
     cycle(h)
     value = 0xFFFF
-    if kind == WORD:
-        value = _read(h, p.chip, p.address)
-        p.seen = note(h, IN_WIDE, port, value, p.seen - 1) + 1
-    else:
+    if kind == NOTHING:
         note(h, IN_WIDE | STRAY, port, value, h.traced - 1)
+    else:
+        value = _device(h, p, IN16, 0) & 0xFFFF if wide else _read(h, p.chip, p.address)
+        p.seen = note(h, IN_WIDE, port, value, p.seen - 1) + 1
     serve(h)
     return value
 
@@ -176,7 +197,8 @@ def _in16(h, port):
 def _out16(h, port, value):
     p = array_at(h.ports, h.n_ports, PORT)[_place(h, port)]
     kind = p.kind
-    if kind not in (NOTHING, WORD):
+    wide = kind == DEVICE and p.mask == WIDE
+    if not wide and kind not in (NOTHING, WORD):
         _out8(h, port, value & 0xFF)
         _out8(h, port + 1 & LAST_PORT, value >> 8)
         return
@@ -185,6 +207,10 @@ def _out16(h, port, value):
         cycle(h)
         _write(h, lost, p.chip, p.address, value)
         note(h, OUT_WIDE | lost * LOST_ON_THE_WAY, port, value, -1)
+    elif wide:
+        cycle(h)
+        _device(h, p, OUT16, value)
+        note(h, OUT_WIDE, port, value, -1)
     else:
         cycle(h)
         note(h, OUT_WIDE | STRAY, port, value, -1)
@@ -262,6 +288,12 @@ def request(h, what, a, b):
     float_mode_as_before(mode)
     leave(h)
     return value
+
+
+@exported("i8", HOST)
+def pulling(h):
+    """The chips and devices that pull the interrupt line, a bit each: no bus cycle."""
+    return line_of(h)
 
 
 @exported("i8")

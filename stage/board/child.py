@@ -79,6 +79,9 @@ class ChildLink(Link):
         self._pipe.send(self.noted())
         self._pipe.recv()
 
+    def call_device(self, k: int, n: int, way: int, value: int) -> int:
+        return self._parent_calls(k, n, value, way)
+
     def loses(self, chip: int, address: int, value: int) -> bool:
         return bool(self._parent_calls(chip, address, value))
 
@@ -86,12 +89,12 @@ class ChildLink(Link):
         """The interrupt line calls a function in Python."""
         self._parent_calls(-1, 0, 0)
 
-    def _parent_calls(self, chip: int, address: int, value: int) -> int:
-        self._pipe.send(Asked(self.noted(), chip, address, value))
+    def _parent_calls(self, chip: int, address: int, value: int, way: int = -1) -> int:
+        self._pipe.send(Asked(self.noted(), chip, address, value, way))
         answer, well, machine = self._pipe.recv()
         if machine is not None:
             adopt(self.stage, pickle.loads(machine))
-        self.stage.loop.put(self.shared.state)
+        self.stage.put(self.shared.state)
         if not well:
             raise StageError("Python has raised in the parent")
         return int(answer)
@@ -104,9 +107,11 @@ class ChildBoard(Board):
     link: ChildLink
 
     def __init__(self, pipe: Connection, begin: Begin):
-        stage, options = _unpickled(begin.board)
+        stage, options, devices = _unpickled(begin.board)
         super().__init__(stage, **options)
         self._lines = 0
+        for (make, *arguments), ports in devices:
+            self.put(make(*arguments), ports)
         self.link = ChildLink(self, pipe, begin.shared)
         self.link.shared.not_for_forks()
 
@@ -122,7 +127,7 @@ class ChildBoard(Board):
         link, stage, self._lines = self.link, self.stage, go.lines
         if go.machine is not None:
             adopt(stage, pickle.loads(go.machine))
-        stage.loop.put(link.shared.state)
+        stage.put(link.shared.state)
         self.port_table[:] = go.ports
         stage.state.clockwork[0].sample_every = go.sample_every
         stage.loop.recording = link.samples if go.sample_every else None  # type: ignore[assignment]
@@ -144,7 +149,7 @@ def adopt(ours: Stage, stage: Stage) -> None:
     ours.state.switch_table[:] = stage.state.switch_table
 
 
-def _unpickled(board: bytes) -> tuple[Any, dict[str, Any]]:
+def _unpickled(board: bytes) -> tuple[Any, dict[str, Any], list[Any]]:
     try:
         return pickle.loads(board)
     except Exception as error:

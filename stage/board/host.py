@@ -19,10 +19,10 @@ IN32, OUT32, WINDOW, NO_CYCLE, BEYOND_WINDOW = range(13, 18)
 faults: that an instruction (a: its STEP) touches a window (b: where), but is no bus cycle, or goes beyond the window."""
 UNTIL = 20
 """An emulated processor: its time (a: ns of the stage) is the board's; if `b`, whether the interrupt line then is asserted."""
-FULL, DIVERGED, PAUSE, STORM, LINE_OF_LOG, ASKED_WRITE, BY_HAND, TWICE = range(1, 9)
+FULL, DIVERGED, PAUSE, STORM, LINE_OF_LOG, ASKED_WRITE, BY_HAND, TWICE, DEVICE_CALLED = range(1, 10)
 """Why Python is called: buffers are full; the physics has diverged; time or cycles are up; an interrupt that nothing clears; a
 line to note; a write that Python makes, since a fault of the bus looks at each; the stage's time is to pass and compiled code alone
-may not let it; two threads of the firmware made requests at once."""
+may not let it; two threads of the firmware made requests at once; a cycle reaches a device that is written in Python."""
 ABOUT_WINDOW = 20
 """Another: a request about a window."""
 FROM_PYTHON = 64
@@ -36,13 +36,16 @@ AT_ONCE = 10_000_000
 """ns that pass between two looks at whether the firmware is to stand still: Ctrl-C in a long delay."""
 
 LAST_PORT = 0xFFFFFFFF
-NOTHING, BYTE, WORD, HALF, LATCH, LATCHED, PULLS = range(7)
+NOTHING, BYTE, WORD, HALF, LATCH, LATCHED, PULLS, DEVICE = range(8)
+EIGHT, WIDE, UPPER = range(3)
 REGION = record([(name, "i8") for name in "first n at".split()])
 """`n` ports from port `first` on: where the first of them is in the table of ports."""
 PORT = record([(name, "i8") for name in "kind chip address mask seen".split()])
 """What a port reaches; the first of a table is what all ports in no region reach: nothing. BYTE, WORD: an address of a chip of 8,
 16 bits; HALF: the upper byte of the WORD one below; LATCH: takes the address for LATCHED, as much of it (`mask`) as the chip does;
-PULLS: which chips pull the interrupt line, a bit each. `seen`: number of the trace's line about its last read, plus one."""
+PULLS: which chips pull the interrupt line, a bit each; DEVICE: the port `address` of the device `chip`, and `mask` says what of it:
+EIGHT bits, a WIDE word of 16, the UPPER byte of the word one below. `seen`: number of the trace's line about its last read, plus
+one."""
 
 IN, OUT, IN_WIDE, OUT_WIDE, CALLED, RETURNED = range(6)
 STRAY, LOST_ON_THE_WAY = 8, 16
@@ -60,8 +63,9 @@ HOST = record(
     ]
     + [
         (name, "i8")
-        for name in "irqs acts before userdata words journals asks asked_chip asked_address asked reached".split()
+        for name in "irqs acts before userdata words journals asks asked_chip asked_address asked_way asked reached".split()
     ]
+    + [(name, "i8") for name in "devices n_devices".split()]
 )
 """A stage's handle, and
     inside                     whether a request is being answered, see stage.sim.in_use; not while Python or a hook is called
@@ -74,8 +78,15 @@ HOST = record(
     irqs, acts                 of each chip: its IRQ, and the addresses (bits) at which a read changes it
     before, userdata, words    room for a copy of the state in userdata; where that is, and how long
     reached                    the stage's time (ns), for whoever sees nothing but this record
+    devices, n_devices         DEVICE_TABLE
     journals, asks, asked ...  whether journals are kept; chips (bits) whose writes Python looks at; what Python is called about
 """
+
+DEVICE_TABLE = record([(name, "i8") for name in "state access pulls line counts encoders n_encoders".split()])
+"""A device on the bus: addresses of its state, of its functions (0: it has none, and Python is called for its cycles), of the time
+(ns) from which it pulls the interrupt line, of the counts of its encoders, and of the ENCODER records of these."""
+ENCODER = record([("axis", "i8"), ("counts", "f8"), ("zero", "f8")])
+"""On which axis an encoder is; counts per joint unit; at which position it counts 0."""
 
 IRQ = record([("axis", "i8"), ("bits", "i8")])
 """Of each chip: the outputs that pull the interrupt line (0: none), and as which axis' they are asked for."""

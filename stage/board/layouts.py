@@ -115,9 +115,12 @@ def places(
     return found
 
 
-def table(found: list[Place]) -> tuple[np.ndarray, np.ndarray]:
-    """The REGION records of a bus, and its PORT records. Raises ArgumentError where two things share a port."""
-    lines: dict[int, tuple[int, int, int, int]] = {}
+def table(
+    found: list[Place], others: Mapping[int, tuple[int, int, int, int]] | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """The REGION records of a bus, and its PORT records. others: ports of devices, which no chip takes. Raises ArgumentError where
+    two things share a port."""
+    lines: dict[int, tuple[int, int, int, int]] = dict(others or {})
 
     def put(port: int, kind: int, chip: int, address: int, mask: int) -> None:
         if kind == NOTHING:

@@ -37,6 +37,7 @@ class Link:
         error: the exception of a call from compiled code, until `raise_error`.
         hook: the function that the interrupt line calls, or None.
         windows: those of the firmware that runs.
+        answering: the device in Python that answers a bus cycle now, or None.
         stand_still: the function by which firmware in a thread of its own waits, while it runs.
         abandoned: threads of firmware that was given up.
         calls: counts the calls from compiled code into Python, at their begin and at their end: odd within a call.
@@ -48,6 +49,7 @@ class Link:
         self.error: BaseException | None = None
         self.hook: Callable[[], None] | None = None
         self.windows: Mapped | None = None
+        self.answering: Any = None
         self.stand_still: Callable[[], None] | None = None
         self.abandoned: set[threading.Thread] = set()
         self._left: list[np.ndarray] = []
@@ -78,17 +80,30 @@ class Link:
         words = stage.state.userdata
         self._before = np.zeros(len(words))
         for name, array in (
-            ("edges", stage.state.edges), ("regions", self.board.regions), ("ports", self.board.port_table),
+            ("edges", stage.state.edges),
             ("lines", self.board.trace.kept), ("irqs", self.irqs), ("acts", self._acts), ("userdata", words),
             ("before", self._before),
         ):  # fmt: skip
             h[name] = array.ctypes.data
-        h["edge_room"], h["n_ports"] = len(stage.state.edges), len(self.board.port_table)
-        h["n_regions"] = len(self.board.regions)
+        self.lay_ports()
+        h["edge_room"] = len(stage.state.edges)
         h["line_room"], h["words"] = self.board.trace.room, len(words)
         h["until"] = h["most_cycles"] = MOST
         h["journals"] = 1
+        self.lay_devices()
         h["call"] = ctypes.cast(self._call, ctypes.c_void_p).value
+
+    def lay_ports(self) -> None:
+        """The ports reach something else from now on."""
+        board, h = self.board, self.record
+        h["regions"], h["ports"] = board.regions.ctypes.data, board.port_table.ctypes.data
+        h["n_regions"], h["n_ports"] = len(board.regions), len(board.port_table)
+
+    def lay_devices(self) -> None:
+        """The devices of the board, for compiled code."""
+        rows = [device.row() for device in self.board.devices]
+        self._devices = np.array(rows, host.DEVICE_TABLE)
+        self.record["devices"], self.record["n_devices"] = self._devices.ctypes.data, len(rows)
 
     def begin(self) -> None:
         """Before compiled code runs: what it may have to write to, and whom it has to ask."""
@@ -122,8 +137,19 @@ class Link:
         """Whether a fault of the bus keeps this write from its chip."""
         return self.stage.chips[chip].loses(address, value)
 
+    def call_device(self, k: int, n: int, way: int, value: int) -> int:
+        """A cycle reaches port `n` of device `k`, which is written in Python."""
+        device = self.board.devices[k]
+        self.answering = device
+        try:
+            return device.call(n, way, value)
+        finally:
+            self.answering = None
+
     def ask(self, what: int, a: int, b: int) -> int:
         """One request of a host in Python."""
+        if self.answering is not None:
+            raise StageError(f"{self.answering.name} answers a bus cycle: it can make none itself, and no time passes.")
         self.begin()
         answer = int(self.request(self.pointer, what | host.FROM_PYTHON, int(a), int(b)))
         if answer == host.TWO_AT_ONCE:
@@ -167,6 +193,10 @@ class Link:
                 h["asked"] = self.loses(int(h["asked_chip"]), int(h["asked_address"]), int(h["asked"]))
             elif reason == host.ABOUT_WINDOW:
                 self._about_window()
+            elif reason == host.DEVICE_CALLED:
+                h = self.record
+                asked = (int(h[name]) for name in ("asked_chip", "asked_address", "asked_way", "asked"))
+                h["asked"] = self.call_device(*asked)
             elif reason == host.BY_HAND:
                 self.stage.run_to(int(self.record["asked"]))
             self.begin()

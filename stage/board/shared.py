@@ -11,7 +11,6 @@ import struct
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import mujoco
 import numpy as np
 
 from stage.board import host
@@ -19,7 +18,6 @@ from stage.board.board import Board
 from stage.board.link import NOTED
 from stage.board.program import Program
 from stage.sim.records import EDGE, SAMPLE
-from stage.sim.state import SAVED
 
 ROWS = 512  # samples
 TEXT = 1 << 16  # bytes of lines
@@ -30,7 +28,7 @@ _LINE = struct.Struct("qq")  # time, length
 
 
 class Begin(NamedTuple):
-    """The first message to the child. board: the stage and what else a Board takes, pickled."""
+    """The first message to the child. board: the stage, what else a Board takes, and its devices, pickled."""
 
     program: Program
     shared: str
@@ -64,7 +62,8 @@ class Noted(NamedTuple):
 
 
 class Asked(NamedTuple):
-    """Python is to be called, in the parent: about a write, or by the interrupt line (chip -1).
+    """Python is to be called, in the parent: about a write to a chip, by the interrupt line (chip -1), or as a device on the bus
+    (chip: which, way: as `Device.call` has it).
 
     The answer: (what Python said, whether it went well, the stage as in `Go.machine`).
     """
@@ -73,6 +72,7 @@ class Asked(NamedTuple):
     chip: int
     address: int
     value: int
+    way: int = -1
 
 
 class Stands(NamedTuple):
@@ -88,14 +88,14 @@ class Shared:
     """The file. Both sides make it of boards that are alike.
 
     Attributes: record: the HOST record of the child; edges: EDGE; cycles: the lines of its trace; state: float64, MuJoCo's, with
-    the whole stage in it; samples, positions: as those of a Recording.
+    the whole stage in it, and the state of the devices behind it; samples, positions: as those of a Recording.
     """
 
     def __init__(self, path: str | Path, board: Board, create: bool = False):
         state = board.stage.state
-        axes, nq = len(board.stage.axes), state.model.nq
+        axes, nq, words = len(board.stage.axes), state.model.nq, len(state.saved) + board.stage.beside.words
         sizes: list[tuple[Any, tuple[int, ...]]] = [
-            (host.HOST, (1,)), (EDGE, (NOTED,)), (host.CYCLE, (board.trace.room,)), (np.float64, state.saved.shape),
+            (host.HOST, (1,)), (EDGE, (NOTED,)), (host.CYCLE, (board.trace.room,)), (np.float64, (words,)),
             (SAMPLE, (ROWS, axes)), (np.float64, (ROWS, nq)), (np.int64, (1,)), (np.uint8, (TEXT,)), (np.uint8, (CRASH,)),
         ]  # fmt: skip
         lengths = [int(np.dtype(dtype).itemsize * np.prod(shape)) for dtype, shape in sizes]
@@ -111,7 +111,7 @@ class Shared:
 
     def keep(self, stage: Any) -> None:
         """The state of this stage goes into the file."""
-        mujoco.mj_getState(stage.model, stage.data, self.state, SAVED)
+        stage.keep(self.state)
 
     def not_for_forks(self) -> None:
         """A process that this one forks does not have the memory: it would change what it shares with nobody's knowledge."""

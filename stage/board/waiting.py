@@ -20,6 +20,7 @@ from stage.board.host import (
     stage_of,
 )
 from stage.board.notes import note
+from stage.board.reaching import pulling as devices_pulling
 from stage.chips import cores
 from stage.native import array_at, hot, least
 from stage.sim import handle, records
@@ -98,13 +99,15 @@ def turn_to(h, chip):
 
 @hot
 def line_of(h):
-    """The chips that pull the interrupt line, a bit each."""
+    """The chips that pull the interrupt line, a bit each, and behind them the devices."""
     catch_up(h)
     irqs, pulling = array_at(h.irqs, h.n_chips, IRQ), 0
     for k in range(h.n_chips):
         irq = irqs[k]
         if irq.bits and cores.outputs(chip_of(h, k), irq.axis) & irq.bits:
             pulling |= 1 << k
+    if h.n_devices:
+        pulling |= devices_pulling(h) << h.n_chips
     return pulling
 
 

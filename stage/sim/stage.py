@@ -15,7 +15,7 @@ This is the user's interface. stage.sim.plant reads the model, wiring.py the chi
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 from zlib import crc32
@@ -30,12 +30,14 @@ from stage.drives.motors import Drive
 from stage.errors import ArgumentError, RunTimeout, StageError, unknown
 from stage.sim import handle, integration, plant, records
 from stage.sim.axis import Axes, Axis
+from stage.sim.beside import Beside
 from stage.sim.fingerprint import mechanics
 from stage.sim.loop import Loop
 from stage.sim.payload import Payloads
 from stage.sim.snapshot import Snapshot, header
 from stage.sim.state import SAVED, State, chips_of, words_needed
 from stage.sim.wiring import ChipChoice, DriveChoice, fit_rotors, wire
+from stage.snapshots import Header
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -66,7 +68,8 @@ class Stage:
     Attributes:
         model, data: the MjModel and the MjData.
         axes: each `Axis` by its name, in the order of their indices; chips: each once.
-        state: the places of its records; loop: advances its time. For compiled code, boards and tests; users need neither.
+        state: the places of its records; loop: advances its time; beside: state outside MuJoCo's. For compiled code, boards and
+            tests; users need none of them.
     """
 
     def __init__(
@@ -123,7 +126,8 @@ class Stage:
         axes = zip(self._plant, chip_axes, drives, strict=True)
         self._axes = [Axis(self, k, p, chip_axis, drive) for k, (p, chip_axis, drive) in enumerate(axes)]
         self.axes: Mapping[str, Axis] = MappingProxyType(Axes((axis.name, axis) for axis in self._axes))
-        self._header = header(self.state, self._axes, self._mechanics)
+        self._header = self._bare = header(self.state, self._axes, self._mechanics)
+        self.beside = Beside()
 
     # --- time ---
 
@@ -287,11 +291,35 @@ class Stage:
     def snapshot(self) -> Snapshot:
         """All state: physics, chips, drives, switches, time."""
         self.change()
-        state = np.zeros_like(self.state.saved)
-        mujoco.mj_getState(self.model, self.data, state, SAVED)
-        state.flags.writeable = False
-        said = tuple(tuple(chip.diagnostics) for chip in self.chips)
-        return Snapshot(self._header, state, said, crc32(state.data, self._header.checksum))
+        state = np.zeros(len(self.state.saved) + self.beside.words)
+        self.keep(state)
+        return _sealed(self._header, state, tuple(tuple(chip.diagnostics) for chip in self.chips))
+
+    def keep(self, state: np.ndarray) -> None:
+        """Copy all state but the diagnostics into `state`, float64: MuJoCo's, and what is beside it."""
+        mujoco.mj_getState(self.model, self.data, state[: len(self.state.saved)], SAVED)
+        if self.beside.words:
+            self.beside.get(state[len(self.state.saved) :])
+
+    def put(self, state: np.ndarray) -> None:
+        """The stage is in this state, which `keep` has copied, here or of a stage alike."""
+        self.loop.put(state[: len(self.state.saved)])
+        if self.beside.words:
+            self.beside.put(state[len(self.state.saved) :])
+
+    def attach(self, name: str, arrays: Sequence[np.ndarray]) -> None:
+        """These arrays are part of the stage's state from now on, as they are now at power-up: a device on its bus."""
+        self.beside.add(name, arrays)
+        header = Header(self._bare.parts + self.beside.part)
+        state = np.zeros(len(self.state.saved) + self.beside.words)
+        self.keep(state)
+        before = self._initial
+        state[: len(before.state)] = before.state
+        self._header, self._initial = header, _sealed(header, state, before.diagnostics)
+
+    def _without_devices(self, snapshot: Snapshot) -> Snapshot:
+        """For a copy of the stage: the devices on its bus stay with its board."""
+        return _sealed(self._bare, snapshot.state[: len(self.state.saved)].copy(), snapshot.diagnostics)
 
     def restore(self, snapshot: Snapshot) -> None:
         """Continue from `snapshot`, bit for bit. Raises ArgumentError when it is of another kind of stage (axes, chips, drives, bus
@@ -302,7 +330,7 @@ class Stage:
         snapshots.check(snapshot, Snapshot, self._header)
         if self.recording is not None:
             raise StageError("time in a recording runs forward only: close the recording before restoring a snapshot.")
-        self.loop.put(snapshot.state)
+        self.put(snapshot.state)
         for chip, said in zip(self.chips, snapshot.diagnostics, strict=True):
             chip.diagnostics[:] = said
         self.equip()
@@ -382,7 +410,11 @@ class Stage:
         }
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.machine(), "initial": self._initial, "now": self.snapshot()}
+        return {
+            **self.machine(),
+            "initial": self._without_devices(self._initial),
+            "now": self._without_devices(self.snapshot()),
+        }
 
     def __setstate__(self, s: dict[str, Any]) -> None:
         self.model = s["model"]
@@ -409,3 +441,8 @@ class Stage:
 
     def __repr__(self) -> str:
         return f"<Stage {', '.join(repr(a) for a in self._axes)} time={self.time:.6f} s>"
+
+
+def _sealed(header: Header, state: np.ndarray, said: tuple) -> Snapshot:
+    state.flags.writeable = False
+    return Snapshot(header, state, said, crc32(state.data, header.checksum))

@@ -1,0 +1,31 @@
+"""HCTL-2000, HCTL-2016, HCTL-2020, compiled: a counter of quadrature edges behind a latch of two bytes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stage.native import array_at, exported, hot, record
+
+STATE = record([(name, "i8") for name in "bits zero latch inhibited".split()])
+"""Bits of the counter; the encoder's count at the last reset; the latch, and whether it keeps what it has."""
+COUNT = np.dtype("i8")
+
+
+@hot
+def _counter(s, counts):
+    return (array_at(counts, 1, COUNT)[0] - s.zero) & (1 << s.bits) - 1
+
+
+@exported("i8", STATE, "i8", "i8", "i8", "i8", "i8")
+def access(s, now, counts, n, way, value):
+    """Port 0: SEL low, the high byte; port 1: SEL high, the low byte. A write to either: /RST."""
+    if way & 1:
+        s.zero, s.latch, s.inhibited = array_at(counts, 1, COUNT)[0], 0, 0
+        return 0
+    if not s.inhibited:
+        s.latch = _counter(s, counts)
+    if n == 0:
+        s.inhibited = 1  # both bytes are of one moment
+        return s.latch >> 8
+    s.inhibited = 0
+    return s.latch & 0xFF

@@ -1,0 +1,75 @@
+"""Shipped devices by name, and devices written as text: KIND:PORT[:AXIS[:COUNTS]], or SOURCE.c:PORT[+PORTS].
+
+hctl2016:0x320:x              on axis x, an encoder of 2000 counts a turn of its motor
+ls7166:0x330:y:4000           4000 counts a turn
+uart:0x3F8   latch:0x378   adc.c:0x340+4
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from stage.board import library
+from stage.board.devices.device import Device, Encoder
+from stage.board.devices.hctl2016 import HCTL2000, HCTL2016, HCTL2020
+from stage.board.devices.latch import Latch
+from stage.board.devices.ls7166 import LS7166
+from stage.board.devices.own import CDevice
+from stage.board.devices.uart import UART
+from stage.errors import ArgumentError, near_names
+
+if TYPE_CHECKING:
+    from stage.board.board import Board
+
+PER_TURN = 2000
+ON_AN_AXIS: dict[str, type] = {d.KIND: d for d in (HCTL2000, HCTL2016, HCTL2020, LS7166)}
+ALONE: dict[str, type] = {d.KIND: d for d in (Latch, UART)}
+KNOWN = (*ON_AN_AXIS, *ALONE)
+FORM = f"KIND:PORT[:AXIS[:COUNTS]], of the kinds {', '.join(ON_AN_AXIS)} (with AXIS), {', '.join(ALONE)}; or SOURCE.c:PORT[+PORTS]"
+
+
+def made(text: str) -> tuple[Device, list[int]]:
+    """The device that `text` describes, and its ports. Raises ArgumentError; of sources as CDevice."""
+    if not isinstance(text, str) or ":" not in text:
+        raise ArgumentError(f"device {text!r}: write {FORM}. For example hctl2016:0x320:x")
+    kind, *rest = text.split(":")
+    if library.are_sources(kind) or kind.endswith((".so", ".dylib", ".dll")):
+        if len(rest) != 1:
+            raise ArgumentError(f"device {text!r}: write SOURCE.c:PORT[+PORTS], for example adc.c:0x340+4")
+        port, _, ports = rest[0].partition("+")
+        first, n = _number(text, port), _number(text, ports or "1")
+        return CDevice(kind), list(range(first, first + n))
+    if kind not in KNOWN:
+        near = near_names(kind, KNOWN)
+        hint = f" Did you mean {near[0]!r}?" if near else ""
+        raise ArgumentError(f"device {text!r}: unknown kind {kind!r}; known are {', '.join(KNOWN)}.{hint}")
+    first = _number(text, rest[0])
+    if kind in ALONE:
+        if len(rest) > 1:
+            raise ArgumentError(f"device {text!r}: a {kind} is on no axis. Write {kind}:{rest[0]}")
+        device: Device = ALONE[kind]()
+    else:
+        if not 2 <= len(rest) <= 3:
+            raise ArgumentError(f"device {text!r}: a {kind} counts an encoder on an axis. Write {kind}:{rest[0]}:x")
+        try:
+            counts = float(rest[2]) if len(rest) == 3 else PER_TURN
+        except ValueError:
+            raise ArgumentError(
+                f"device {text!r}: {rest[2]!r} is no number of counts a turn of the motor. Write for example "
+                f"{kind}:{rest[0]}:{rest[1]}:4000"
+            ) from None
+        device = ON_AN_AXIS[kind](Encoder(rest[1], per_turn=counts))
+    return device, list(range(first, first + device.PORTS))
+
+
+def put(board: Board, text: str) -> Device:
+    """Put the device that `text` describes on a board."""
+    device, ports = made(text)
+    return board.put(device, ports)
+
+
+def _number(text: str, number: str) -> int:
+    try:
+        return int(number, 0)
+    except ValueError:
+        raise ArgumentError(f"device {text!r}: {number!r} is no port, as 0x320 or 800.") from None

@@ -1,0 +1,51 @@
+"""An output port: a latch of 8 bits that reads back, as for enable lines, brakes, lamps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import ClassVar
+
+from stage.board.devices import latch_core
+from stage.board.devices.compiled import Compiled
+from stage.board.devices.device import Listener
+from stage.board.host import OUT8
+
+
+class Latch(Compiled):
+    """An 8-bit output port with read back, 0 at power-up.
+
+    changed: is called as changed(before, after) in the cycle that changes the outputs, with the stage at its time; every cycle of
+        the port is then a call of Python.
+    """
+
+    KIND = "latch"
+    PORTS = 1
+    CORE: ClassVar = latch_core
+
+    def __init__(self, changed: Callable[[int, int], object] | None = None, name: str | None = None):
+        super().__init__(name=name)
+        self._changed = changed
+        if changed is not None:
+            self.access = 0
+
+    @property
+    def value(self) -> int:
+        """The outputs."""
+        return int(self.registers["value"])
+
+    def call(self, n: int, way: int, value: int) -> int:
+        before = self.value
+        if way == OUT8 and value != before:
+            self.registers["value"] = value
+            if self._changed is not None:
+                self._changed(before, value)
+        return self.value
+
+    def twin(self) -> tuple:
+        return super().twin() if self._changed is None else super(Compiled, self).twin()
+
+    def port_name(self, n: int) -> str:
+        return "outputs"
+
+    def listener(self) -> Listener:
+        return lambda n, value, writes, wide: f"outputs {'<-' if writes else '='} {value:08b}"

@@ -1,0 +1,14 @@
+"""An 8-bit output latch with read back, compiled."""
+
+from __future__ import annotations
+
+from stage.native import exported, record
+
+STATE = record([("value", "i8")])
+
+
+@exported("i8", STATE, "i8", "i8", "i8", "i8", "i8")
+def access(s, now, counts, n, way, value):
+    if way & 1:
+        s.value = value
+    return s.value

@@ -1,0 +1,153 @@
+"""A user's own devices: `PythonDevice`, two functions; `CDevice`, a library with pulsestage_device.h."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stage.board import library
+from stage.board.devices.device import Device, Encoder, Listener
+from stage.board.errors import LibraryError
+from stage.board.host import IN8, OUT8, OUT16
+from stage.errors import ArgumentError
+from stage.files import FileError
+
+ABI = 1
+Tell = Callable[[int, int, bool], str]
+"""(port, value, whether it is written) -> what the cycle means."""
+MOST_STATE = 1 << 20
+
+
+class PythonDevice(Device):
+    """A device of two functions, see `Board.device`."""
+
+    def __init__(
+        self,
+        read: Callable[[int], int] | None = None,
+        write: Callable[[int, int], Any] | None = None,
+        *,
+        state: np.ndarray | bytearray | None = None,
+        tell: Tell | None = None,
+        name: str | None = None,
+        encoders: Sequence[Encoder] = (),
+        width: int = 8,
+    ):
+        super().__init__(name, encoders, width)
+        for what, function in (("read", read), ("write", write), ("tell", tell)):
+            if function is not None and not callable(function):
+                raise ArgumentError(f"{what}={function!r}: a function is wanted, or None.")
+        self.read, self.write, self.tell = read, write, tell
+        if state is not None:
+            self.state = [_words(state)]
+
+    def call(self, n: int, way: int, value: int) -> int:
+        port = self.port(n)
+        if way in (OUT8, OUT16):
+            if self.write is not None:
+                self.write(port, value)
+            return 0
+        most = 0xFF if way == IN8 else 0xFFFF
+        if self.read is None:
+            return most
+        answer = self.read(port)
+        try:
+            if 0 <= answer <= most and int(answer) == answer:
+                return int(answer)
+        except (TypeError, ValueError):
+            pass
+        raise ArgumentError(
+            f"{self.name}: its read({port:03X}h) returned {answer!r}; a whole number from 0 to {most:X}h is wanted."
+        )
+
+    def listener(self) -> Listener:
+        if self.tell is None:
+            return super().listener()
+        return lambda n, value, writes, wide: str(self.tell(self.port(n), value, writes))  # type: ignore[misc]
+
+
+class CDevice(Device):
+    """A device in C: a library, or C or C++ sources that are built first, with pulsestage_device.h.
+
+    Raises LibraryError, CompileError, NoCompilerError, FileError.
+    """
+
+    def __init__(
+        self,
+        source: str | os.PathLike | Sequence[str | os.PathLike],
+        *,
+        flags: Sequence[str] = (),
+        tell: Tell | None = None,
+        name: str | None = None,
+        encoders: Sequence[Encoder] = (),
+        width: int = 8,
+    ):
+        super().__init__(name, encoders, width)
+        self.tell = tell
+        self.path = library.build(source, None, flags) if library.are_sources(source) else Path(source)  # type: ignore[arg-type]
+        loaded = _loaded(self.path)
+        self._library = loaded
+        size = ctypes.c_uint32.in_dll(loaded, "pulsestage_device_size").value
+        if not size <= MOST_STATE:
+            raise LibraryError(f"{self.path}: a state of {size:,} bytes; a device has at most {MOST_STATE:,}.")
+        self.state = [np.zeros(-(-size // 8), np.int64)]
+        self.access, self.pulls = (_address(loaded, f"pulsestage_device_{name}") for name in ("access", "pulls"))
+
+    def listener(self) -> Listener:
+        if self.tell is None:
+            return super().listener()
+        return lambda n, value, writes, wide: str(self.tell(self.port(n), value, writes))  # type: ignore[misc]
+
+    def twin(self) -> tuple[Any, ...]:
+        return (_twin, str(self.path), self.name, self.encoders, self.width)
+
+
+def _twin(path: str, name: str, encoders: Sequence[Encoder], width: int) -> CDevice:
+    return CDevice(path, name=name, encoders=encoders, width=width)
+
+
+def _words(state: Any) -> np.ndarray:
+    """A user's array, as it is."""
+    if isinstance(state, bytearray):
+        return np.frombuffer(state, np.uint8)
+    if not isinstance(state, np.ndarray) or state.dtype.hasobject:
+        raise ArgumentError(
+            f"state={state!r}: an array of numbers that the device changes in place, np.zeros(4, np.int64), or a bytearray."
+        )
+    if not state.flags.c_contiguous or not state.flags.writeable or not 0 < state.nbytes <= MOST_STATE:
+        raise ArgumentError(f"state=...: a contiguous, writeable array of 1 to {MOST_STATE:,} bytes is wanted.")
+    return state
+
+
+def _loaded(path: Path) -> ctypes.CDLL:
+    """A copy of the library of its own."""
+    if not path.is_file():
+        raise FileError(f"{path}: there is no such library.")
+    with tempfile.TemporaryDirectory(prefix="pulsestage-") as folder:
+        own = shutil.copy(path, Path(folder) / path.name)
+        try:
+            loaded = ctypes.CDLL(str(own))
+        except OSError as error:
+            raise LibraryError(f"{path} cannot be loaded: {str(error).replace(str(own), str(path))}.") from None
+    try:
+        abi = ctypes.c_uint32.in_dll(loaded, "pulsestage_device_abi").value
+    except ValueError:
+        raise LibraryError(
+            f"{path} is no device: it has no pulsestage_device_abi. Write `#include <pulsestage_device.h>` and, behind its "
+            "functions, `PS_DEVICE(struct state, read, write, interrupt)`."
+        ) from None
+    if abi != ABI:
+        raise LibraryError(
+            f"{path} was built with pulsestage_device.h of version {abi}, and this is version {ABI}: build it again."
+        )
+    return loaded
+
+
+def _address(loaded: ctypes.CDLL, name: str) -> int:
+    return ctypes.cast(getattr(loaded, name), ctypes.c_void_p).value or 0

@@ -1,0 +1,141 @@
+"""16550 UART: a serial line whose other end is a test, or a terminal.
+
+Registers of the data sheet (National PC16550D): RBR, THR, IER, IIR, FCR, LCR, MCR, LSR, MSR, SCR, DLL, DLM at +0 to +7; FIFOs of 16
+bytes. Characters take their time on the line, by divisor and LCR. Without a divisor nothing is sent, and what the peer feeds waits.
+As in a PC the interrupt passes a driver that OUT2 of MCR enables. The peer is always ready (CTS, DSR, DCD), makes no errors of
+parity or framing and no breaks, and sends at the UART's own speed.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+from contextlib import suppress
+from typing import ClassVar
+
+from stage.board.devices import uart_core
+from stage.board.devices.compiled import Compiled
+from stage.board.devices.device import Listener
+from stage.errors import ArgumentError, StageError
+
+CLOCK_HZ = 1_843_200
+_READ = ("RBR", "IER", "IIR", "LCR", "MCR", "LSR", "MSR", "SCR")
+_WRITTEN = ("THR", "IER", "FCR", *_READ[3:])
+_LSR = ("data ready", "overrun", "parity", "framing", "break", "THR empty", "all sent", "FIFO error")
+_IIR = {1: "none", 6: "line status", 4: "data", 12: "time-out", 2: "THR empty", 0: "modem"}
+
+
+class UART(Compiled):
+    """A 16550 with a crystal of `clock` Hz.
+
+    registers: its state by name. Raises ArgumentError.
+    """
+
+    KIND = "uart"
+    PORTS = 8
+    CORE: ClassVar = uart_core
+    OPTIONS = ("clock",)
+
+    def __init__(self, clock: int = CLOCK_HZ, name: str | None = None):
+        super().__init__(name=name)
+        if not 1 <= clock <= 10**9 or int(clock) != clock:
+            raise ArgumentError(f"clock={clock!r}: the crystal of a UART has 1 to 1e9 Hz, for example 1_843_200.")
+        self.clock = int(clock)
+        self.registers["clock"] = self.clock
+        self._master = -1
+        self._seen = 0
+
+    def feed(self, data: bytes | str) -> None:
+        """The peer sends these bytes from now on, behind those that it is still sending. Raises ArgumentError if more than 4096
+        would wait."""
+        content, s = data.encode() if isinstance(data, str) else bytes(data), self.registers
+        self.CORE.access(self.state[0], self.stage.now, 0, 7, 0, 0)  # what has arrived by now has
+        waiting = int(s["fed"] - s["taken"])
+        if waiting + len(content) > uart_core.ROOM:
+            raise ArgumentError(
+                f"{self.name}: {waiting:,} bytes are still to arrive, and {len(content):,} more are too many: "
+                f"{uart_core.ROOM:,} at a time. Let time pass in between."
+            )
+        if not waiting:
+            s["due"] = self.stage.now + self._character
+        for byte in content:
+            s["incoming"][int(s["fed"]) % uart_core.ROOM] = byte
+            s["fed"] += 1
+
+    @property
+    def sent(self) -> bytes:
+        """What has left it so far; of much the last 4096 bytes and what was still in the transmitter then."""
+        s, now = self.registers, self.stage.now
+        c = self._character
+        end = int(s["written"]) - (-(-max(int(s["left"]) - now, 0) // c) if c else int(s["written"]))
+        return self._written(max(0, end - uart_core.ROOM + 32), end)
+
+    @property
+    def baud(self) -> float:
+        """Bits a second, by the divisor; 0 without one."""
+        divisor = int(self.registers["divisor"])
+        return self.clock / 16 / divisor if divisor else 0.0
+
+    def pty(self) -> str:
+        """Connect it to a pseudo-terminal; returns its path, for `screen PATH`, `cu -l PATH` or a terminal program.
+
+        Bytes come and go at the UART's own bus cycles, when the other side happens to send them: a run is not
+        deterministic then, and firmware has to poll. Raises StageError where there are no pseudo-terminals.
+        """
+        try:
+            import pty
+            import tty
+        except ImportError:
+            raise StageError("this system has no pseudo-terminals: feed() and sent are there all the same.") from None
+        self._master, slave = pty.openpty()
+        tty.setraw(slave)
+        os.set_blocking(self._master, False)
+        self._slave, self._seen, self.access = slave, int(self.registers["written"]), 0
+        if self.board is not None:
+            self.board.changed()
+        return os.ttyname(slave)
+
+    def call(self, n: int, way: int, value: int) -> int:
+        """With a pseudo-terminal only."""
+        while select.select([self._master], [], [], 0)[0] and self.registers["fed"] - self.registers["taken"] < 64:
+            self.feed(os.read(self._master, 64))
+        answer = self.CORE.access(self.state[0], self.stage.now, 0, n, way, value)
+        if (written := int(self.registers["written"])) > self._seen:
+            with suppress(BlockingIOError):  # nobody reads there: lost, as on a line
+                os.write(self._master, self._written(self._seen, written))
+            self._seen = written
+        return int(answer)
+
+    def twin(self) -> tuple:
+        return super().twin() if self._master < 0 else super(Compiled, self).twin()
+
+    def port_name(self, n: int) -> str:
+        return _READ[n] if _READ[n] == _WRITTEN[n] else f"{_READ[n]}, {_WRITTEN[n]}"
+
+    def listener(self) -> Listener:
+        lcr = 0
+
+        def tell(n: int, value: int, writes: bool, wide: bool) -> str:
+            nonlocal lcr
+            name = _WRITTEN[n] if writes else _READ[n]
+            if n == 3 and writes:
+                lcr = value
+            elif n < 2 and lcr & 0x80:
+                name = ("DLL", "DLM")[n]
+            elif n == 0:
+                return f"{name} {'<-' if writes else '='} {value:02X}h {chr(value)!r}"
+            elif not writes and n == 5:
+                return "LSR: " + (", ".join(t for k, t in enumerate(_LSR) if value >> k & 1) or "none")
+            elif not writes and n == 2:
+                return f"IIR: {_IIR.get(value & 15, 'none')}"
+            return f"{name} {'<-' if writes else '='} {value:02X}h"
+
+        return tell
+
+    def _written(self, begin: int, end: int) -> bytes:
+        ring = self.registers["sent"]
+        return bytes(int(ring[k % uart_core.ROOM]) for k in range(begin, end))
+
+    @property
+    def _character(self) -> int:
+        return int(uart_core.character(self.state[0].view(uart_core.STATE)[0]))

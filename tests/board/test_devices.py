@@ -1,0 +1,325 @@
+"""A device of one's own on the bus, in Python or in C, is part of the machine: at its ports, on the interrupt line, in the trace,
+in snapshots, and with isolated firmware, to the bit."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+
+import numpy as np
+import pytest
+from board.test_native import left_behind
+from support.compiled_firmware import firmware
+
+from stage import Stage
+from stage.board import Board, CompileError, LibraryError, NativeHost
+from stage.board.devices import Encoder, Latch
+from stage.chips import HCTL1100, PCL240K
+from stage.errors import ArgumentError, StageError
+from stage.files import FileError
+
+ADC = r"""
+#include <pulsestage_device.h>
+struct adc { int64_t done; int64_t cycles; uint8_t channel; };
+static uint32_t adc_read(struct adc *s, const struct ps_moment *at, uint32_t port, int bits)
+{
+    s->cycles++;
+    if (port == 0)
+        return at->now >= s->done ? 0x80 : 0;
+    s->done = 0;
+    return bits == 16 ? 0x1234 : 16u * s->channel + (uint32_t)(at->counts[0] & 15);
+}
+static void adc_write(struct adc *s, const struct ps_moment *at, uint32_t port, int bits, uint32_t value)
+{
+    (void)port, (void)bits;
+    s->channel = (uint8_t)value;
+    s->done = at->now + 123456; /* ns that a conversion takes */
+}
+static int adc_interrupt(const struct adc *s, const struct ps_moment *at) { return s->done && at->now >= s->done; }
+PS_DEVICE(struct adc, adc_read, adc_write, adc_interrupt)
+"""
+CONVERTS = r"""
+static void hook(void *argument)
+{
+    ps_logf("hook at %lu us", (unsigned long)ps_micros());
+    ps_logf("adc %02x", ps_in8(0x341));
+    (void)argument;
+}
+PULSESTAGE_MAIN
+{
+    ps_out8(0x300, 0x80), ps_out8(0x303, 1), ps_out8(0x302, 0), ps_out8(0x301, 0); /* R0 */
+    ps_out8(0x300, 0x81), ps_out8(0x302, 4), ps_out8(0x301, 0);
+    ps_out8(0x300, 0x87), ps_out8(0x302, 0), ps_out8(0x301, 30);
+    ps_out8(0x300, 0x10);
+    ps_on_interrupt(hook, 0);
+    for (int k = 0; k < 20; k++) {
+        ps_out8(0x340, (uint8_t)k);
+        ps_out8(0x500, ps_in8(0x500));
+        ps_delay_us(3000);
+        while (!(ps_in8(0x340) & 0x80))
+            ;
+        ps_logf("%04x %02x%02x", ps_in16(0x500), ps_in8(0x320), ps_in8(0x321));
+    }
+    return ps_in8(0x508);
+}
+"""
+
+
+@pytest.fixture(scope="module")
+def adc(tmp_path_factory):
+    """A library of ADC."""
+    firmware("PULSESTAGE_MAIN { return 0; }")  # skips without a compiler
+    source = tmp_path_factory.mktemp("adc") / "adc.c"
+    source.write_text(ADC)
+    board = Board(Stage("xy", visuals=False))
+    return board.device(
+        [0x340, 0x341], source=source, flags=("-Wall", "-Wextra", "-Werror"), encoders=[Encoder("x", 1e6)]
+    ).path
+
+
+def with_devices(adc) -> tuple[Board, np.ndarray, list]:
+    """A board with devices in C and in Python, and what the latter has seen."""
+    stage = Stage("xy", visuals=False)
+    board, seen, state = Board(stage, devices=["hctl2016:0x320:x"]), [], np.zeros(2, np.int64)
+    board.device(range(0x340, 0x342), source=adc, encoders=[Encoder("x", per_metre=1e6)])
+
+    def read(port):
+        seen.append((stage.now, port, stage.axes["x"].position))
+        return int(state[0]) & 0xFF
+
+    def write(port, value):
+        state[0] += value + 1
+        state[1] = stage.now
+        stage.axes["y"].switches.stick("el_plus", bool(value & 1))
+
+    board.device([0x500, 0x501, 0x508], read, write, state=state, name="mine")
+    return board, state, seen
+
+
+def test_firmware_in_a_process_of_its_own_meets_the_same_devices_to_the_bit(adc):
+    """CONVERTS in process and isolated: state, trace, log, and what a device in Python saw"""
+    library, left, saw = firmware(CONVERTS), [], []
+    for isolated in (False, True):
+        board, state, seen = with_devices(adc)
+        with NativeHost(library, board, isolated=isolated) as h:
+            assert h.run(timeout=1).code == int(state[0]) & 0xFF
+        left.append((*left_behind(h), state.tobytes(), board.devices[1].state[0].tobytes()))
+        saw.append(seen)
+    assert left[0] == left[1]
+    assert saw[0] == saw[1]
+    assert len({x for _, _, x in saw[0]}) > 10, "the carriage moves meanwhile"
+    log = [text for _, text in board.log]
+    assert len({text[-4:] for text in log if text[4] == " " and text[0] in "0123456789abcdef"}) > 10, (
+        "the encoder counts"
+    )
+    assert int(board.devices[1].state[0][1]) == sum(
+        c.times for c in board.trace if c.port in (0x340, 0x341) and c.way == "R"
+    )
+
+
+def test_an_interrupt_of_a_device_comes_at_its_nanosecond_within_a_delay(adc):
+    board, _, _ = with_devices(adc)
+    when = []
+
+    def hook():
+        when.append((board.stage.now, board.pulling(), board.devices[1].pulling))
+        board.in8(0x341)
+
+    board.on_interrupt(hook)
+    board.out8(0x340, 3)
+    begin = board.stage.now
+    board.delay_us(1000)
+    assert when == [(begin + 123456, 1 << len(board.stage.chips) + 1, True)]
+    assert board.stage.now == begin + 1_000_000 + 0
+    assert not board.interrupt
+
+
+def test_a_device_in_python_pulls_the_line_now_or_from_a_time_on_until_it_lets_go():
+    board = Board(Stage("xy", visuals=False))
+    device = board.device(
+        0x500, read=lambda port: device.pull(False) or 7, write=lambda port, value: device.pull(at=0.002)
+    )
+    board.out8(0x500, 1)
+    assert not board.interrupt
+    when = []
+    board.on_interrupt(lambda: when.append((board.stage.now, board.in8(0x500))))
+    board.delay_us(5000)
+    assert when == [(2_000_000, 7)]
+    device.pull()
+    assert (board.interrupt, device.pulling) == (True, True)
+    board.in8(0x200)
+    assert (len(when), board.interrupt) == (2, False)
+
+
+def test_snapshots_carry_the_state_of_devices_and_say_whose_they_are(adc):
+    board, state, _ = with_devices(adc)
+    stage, empty = board.stage, copy.deepcopy(board.stage).snapshot()
+    board.devices[0].registers["latch"] = 77
+    board.out8(0x500, 5), board.out8(0x340, 9)
+    whole = stage.snapshot()
+    before = state.copy(), board.devices[1].state[0].copy()
+    stage.run(0.01)
+    board.out8(0x500, 6), board.out8(0x340, 1), board.devices[1].pull()
+    stage.restore(pickle.loads(pickle.dumps(whole)))
+    assert (state.tolist(), board.devices[1].state[0].tolist()) == (before[0].tolist(), before[1].tolist())
+    assert not board.interrupt
+    assert board.devices[0].registers["latch"] == 77
+    with pytest.raises(ArgumentError, match=r"devices on its bus: none there, hctl2016 at 320h \(\d+ bytes.*mine"):
+        stage.restore(empty)
+    other = Board(Stage("xy", visuals=False))
+    other.device(0x500, state=np.zeros(2, np.int32), name="mine")
+    with pytest.raises(ArgumentError, match=r"devices on its bus: hctl2016 .* there, mine"):
+        other.stage.restore(whole)
+    stage.reset()
+    assert state.tolist() == [0, 0]
+    assert not board.devices[1].state[0].any()
+    twin = copy.deepcopy(stage)  # its bus is empty: devices stay with their board
+    assert twin.time == stage.time
+    assert twin.beside.words == 0
+    begin = Board(Stage("xy", visuals=False))
+    plain = begin.stage.snapshot()
+    begin.stage.restore(plain)
+
+
+def test_an_exception_of_a_device_comes_out_as_it_is(adc):
+    class Mine(Exception):
+        pass
+
+    library = firmware("PULSESTAGE_MAIN { for (;;) ps_in8(0x500); }")
+    for isolated in (False, True):
+        board, calls = Board(Stage("xy", visuals=False)), []
+
+        def read(port, calls=calls):
+            calls.append(port)
+            if len(calls) == 5:
+                raise Mine("broken")
+            return 1
+
+        board.device(0x500, read=read)
+        with NativeHost(library, board, isolated=isolated) as h, pytest.raises(Mine, match="broken"):
+            h.run(timeout=1)
+        assert (len(calls), board.cycles) == (5, 5)
+        assert board.in8(0x500) == 1, "the board goes on"
+
+
+@pytest.mark.parametrize("answer", [256, -1, None, "x", 1.5])
+def test_a_read_that_returns_no_byte_is_refused_in_words(answer):
+    board = Board(Stage("xy", visuals=False))
+    board.device(0x500, read=lambda port: answer, name="odd")
+    with pytest.raises(ArgumentError, match=rf"odd: its read\(500h\) returned {answer!r}; .* 0 to FFh"):
+        board.in8(0x500)
+
+
+def test_a_bus_of_16_bits_has_words_their_halves_float():
+    """board.device(range(0x340, 0x344), width=16)"""
+    board, written = Board(Stage("xy", visuals=False)), []
+    board.device(
+        range(0x340, 0x344), lambda port: 0xA000 | port, lambda port, value: written.append((port, value)), width=16
+    )
+    assert [board.in16(0x340), board.in16(0x342), board.in8(0x342), board.in8(0x343)] == [0xA340, 0xA342, 0x42, 0xA3]
+
+
+def test_cycles_of_8_and_16_bits_reach_a_device_and_the_trace_tells_them(adc):
+    board, written = Board(Stage("xy", visuals=False)), []
+    tell = lambda port, value, writes: f"{'set' if writes else 'is'} {value}"  # noqa: E731
+    board.device(
+        range(0x340, 0x344), lambda port: port & 0xFF, lambda *both: written.append(both), name="io", tell=tell
+    )
+    board.device(range(0x360, 0x364), source=adc, width=16, encoders=[Encoder("y", per_turn=4)], name="wide")
+    board.out16(0x342, 0xABCD)
+    assert written == [(0x342, 0xCD), (0x343, 0xAB)]
+    assert [board.in16(0x340), board.in16(0x362), board.in8(0x362), board.in8(0x363)] == [0x4140, 0x1234, 0x34, 0x12]
+    board.out8(0x363, 0x56)
+    text = board.trace.text()
+    assert "342h W CDh    io: set 205" in text
+    assert "341h R 41h    io: is 65" in text
+    assert "362h R 1234h  wide: port 1 = 1234h" in text
+    assert "363h R 12h    wide: port 1 = 1200h" in text
+    assert "363h W 56h    wide: port 1 <- 56FFh" in text
+    assert board.ports[0x362] == "wide, port 1"
+    assert [c.port for c in board.strays] == [0x363], "half a register"
+
+
+def test_devices_and_chips_share_no_port_and_say_who_has_it(adc):
+    board = Board(Stage("xy", visuals=False))
+    board.device(0x500, name="first")
+    table = board.port_table
+    for ports, said in (
+        (0x301, "port 301h is taken: x address 1"), ([0x4FF, 0x500], "port 500h is taken: first, port 0"), ([], "one at least"),
+        (-1, "whole numbers from 0 to FFFFFFFFh"), (1 << 32, "FFFFFFFFh"), ([5, 5], "each port once"), (1.5, "ports="),
+        ("x", "ports="),
+    ):  # fmt: skip
+        with pytest.raises(ArgumentError, match=said):
+            board.device(ports, name="second")
+    with pytest.raises(ArgumentError, match="each register takes two ports"):
+        board.device([0x600, 0x602], width=16)
+    with pytest.raises(ArgumentError, match="width=32"):
+        board.device(0x600, width=32)
+    with pytest.raises(ArgumentError, match="it has 1 ports, and 2"):
+        board.put(Latch(), [0x600, 0x601])
+    with pytest.raises(ArgumentError, match="is on a board already"):
+        board.put(board.devices[0], 0x600)
+    with pytest.raises(ArgumentError, match="unknown axis 'q'"):
+        board.device(0x600, encoders=[Encoder("q", per_turn=4)])
+    with pytest.raises(ArgumentError, match="either per_metre= or per_turn="):
+        Encoder("x", per_turn=4, per_metre=5)
+    with pytest.raises(ArgumentError, match="state="):
+        board.device(0x600, state=[1, 2])
+    with pytest.raises(ArgumentError, match="read=5"):
+        board.device(0x600, read=5)
+    assert board.port_table is table
+    assert len(board.devices) == 1
+    assert board.stage.beside.words == 1
+    board.device([0xF0000000, 0x4FF], read=lambda port: 3, name="far")
+    assert (board.in8(0xF0000000), board.in8(0x4FF), board.in8(0x500), board.in8(0x4FE)) == (3, 3, 0xFF, 0xFF)
+    assert board.port_table.nbytes < 2000
+
+
+def test_a_device_answers_cycles_and_makes_none():
+    board = Board(Stage("xy", visuals=False))
+    board.device(0x500, read=lambda port: board.in8(0x300), name="loop")
+    with pytest.raises(StageError, match="loop answers a bus cycle"):
+        board.in8(0x500)
+    board.device(0x501, read=lambda port: board.device(0x502) and 1, name="builder")
+    with pytest.raises(StageError, match="Put devices on it before"):
+        board.in8(0x501)
+    assert board.in8(0x502) == 0xFF
+
+
+def test_devices_come_before_firmware_runs_also_behind_an_isolated_host(adc):
+    library = firmware("PULSESTAGE_MAIN { ps_delay_us(1000); return ps_in8(0x500) + ps_in8(0x600); }")
+    board = Board(Stage("xy", visuals=False))
+    with NativeHost(library, board, isolated=True) as h:
+        board.device(0x500, read=lambda port: 3)
+        assert h.run_for(0.0005) is None
+        with pytest.raises(StageError, match="firmware drives this board"):
+            board.device(0x600)
+        assert h.run().code == 3 + 0xFF
+        board.device(0x600, read=lambda port: 4)
+        assert h.run().code == 7
+
+
+def test_address_latches_keep_what_they_have_when_a_device_comes():
+    stage = Stage("xyz_servo", chips=HCTL1100, visuals=False)
+    board = Board(stage)
+    board.out8(0x300, 0x22)
+    board.device(0x200)
+    board.out8(0x301, 0xA5)
+    assert board.in8(0x301) == stage.axes["x"].chip.read(0x22) == 0xA5
+
+
+def test_what_is_no_device_in_c_is_refused_with_what_to_write(adc, tmp_path):
+    board = Board(Stage("xy", chips=PCL240K, visuals=False))
+    with pytest.raises(LibraryError, match=r"no pulsestage_device_abi.*PS_DEVICE"):
+        board.device(0x500, source=firmware("PULSESTAGE_MAIN { return 0; }"))
+    (tmp_path / "bad.c").write_text("#include <pulsestage_device.h>\nthis is no C\n")
+    with pytest.raises(CompileError, match=r"bad\.c"):
+        board.device(0x500, source=tmp_path / "bad.c")
+    (tmp_path / "text.so").write_text("no library")
+    with pytest.raises(LibraryError, match=r"text\.so cannot be loaded"):
+        board.device(0x500, source=tmp_path / "text.so")
+    with pytest.raises(FileError, match=r"gone\.so"):
+        board.device(0x500, source=tmp_path / "gone.so")
+    with pytest.raises(ArgumentError, match="read, write and state are Python's"):
+        board.device(0x500, read=print, source=adc)
+    assert not board.devices
