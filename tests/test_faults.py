@@ -2,11 +2,13 @@
 
 import copy
 import pickle
+from itertools import chain
 
 import numpy as np
 import pytest
 from support.examples import SEED
 from support.programs import load_registers, start_preset
+from support.recording_bench import read_rrd
 
 from stage import ArgumentError, Drive, Fleet, Program, RunTimeout, Stage, StageError, firmware
 from stage.chips import HCTL1100, MCX302, MCX304, MCX514, PCL240K, chip_class
@@ -627,7 +629,7 @@ def test_a_fleet_loses_the_write_as_the_stage_alone_would():
 
 
 def test_a_recording_names_the_faults_at_their_moments(xyz, tmp_path):
-    from rerun.chunk import RrdReader
+    from stage.recording.rerun_log import STATES
 
     x = xyz.axes["x"]
     stuck = faults.switch_stuck(x, "org", True)
@@ -644,8 +646,19 @@ def test_a_recording_names_the_faults_at_their_moments(xyz, tmp_path):
         (0.0200001, "axis x: jammed: mended", both[:1]),
         (0.0200001, "axis x: org stuck closed: mended", ()),
     ]
-    entities = {c.entity_path for c in RrdReader(str(recording.save(tmp_path / "f.rrd"))).stream()}
-    assert {"/faults", "/faults/log"} <= entities
+    read = read_rrd(recording.save(tmp_path / "f.rrd"))
+    assert list(chain.from_iterable(read["/faults"]["StateChange:state"][1])) == [
+        "; ".join(force) or "none" for _, _, force in said
+    ]
+    style = [read["/faults"][f"StateConfiguration:{what}"][1][0] for what in ("values", "colors")]
+    assert dict(zip(*style, strict=True)) == {
+        state: int("{:02X}{:02X}{:02X}FF".format(*STATES["off" if state == "none" else "fault"]), 16)
+        for state in ("axis x: org stuck closed", "; ".join(both), "none")
+    }
+    assert list(chain.from_iterable(read["/faults/log"]["TextLog:text"][1])) == [
+        f"{t:11.6f}  FAULT  {text}" for t, text, _ in said
+    ]
+    assert list(chain.from_iterable(read["/faults/log"]["TextLog:level"][1])) == ["ERROR"] * 4
 
 
 def test_the_command_lists_every_fault_and_shows_one(tmp_path, monkeypatch, capsys):

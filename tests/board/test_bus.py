@@ -343,7 +343,8 @@ def test_an_interrupt_comes_within_a_delay_at_the_very_nanosecond():
     assert not twin.axes["x"].chip.pins.irq
     twin.run_to(seen[0][0])
     assert twin.axes["x"].chip.pins.irq
-    assert [c.way for c in board.trace if c.port is None] == ["I", "i"]
+    calls = [(c.way, c.meaning) for c in board.trace if c.port is None]
+    assert calls == [("I", "interrupt: the hook is called"), ("i", "interrupt: the hook returns")]
 
 
 def test_interrupts_change_nothing_but_what_their_hook_does():

@@ -1,13 +1,15 @@
 """Speeds in registers: the data sheet's formulas, and what a profile picks."""
 
 import math
+import random
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from support.examples import SEED
 
 from stage import ArgumentError, firmware
-from stage.chips import PCL240K
+from stage.chips import PCL240K, PCL240MS
 from stage.firmware import Bench, Profile
 from stage.firmware.pcl240.profile import (
     down_point,
@@ -15,6 +17,7 @@ from stage.firmware.pcl240.profile import (
     pulse_rate,
     ramp_pulses,
     ramp_seconds,
+    revised_high,
     triangular_down_point,
 )
 
@@ -99,6 +102,54 @@ def test_the_triangles_two_extra_pulses_are_what_it_takes():
     assert ends[0] > p.R1
     assert ends[2] == p.R1
     assert down_point(400, p.R1, p.R2, p.R4, p.R5, p.R7) == printed + 2
+
+
+def test_the_high_rate_that_a_short_move_just_reaches_is_the_highest_whose_ramps_fit_into_its_pulses():
+    """Data sheet MS, 3-4.1 and 3-4.2: "revised R2", with curved ends of each kind"""
+    rng = random.Random(SEED)
+    for k in range(200):
+        low, r4, r5, r7 = rng.randint(1, 300), rng.randint(10, 900), rng.randint(10, 900), rng.randint(2, 60)
+        high = low + rng.randint(2, 500)
+        span, other = (rng.randint(1, (high - low) // 2 + 20) for _ in "ab")
+        up, down = [(None, None), (0, 0), (span, span), (span, other)][k % 4]
+
+        def needed(rate, low=low, r4=r4, r5=r5, r7=r7, up=up, down=down):
+            return ramp_pulses(low, rate, r4, r7, up) + ramp_pulses(low, rate, r5, r7, down)
+
+        pulses = int(needed(high) * rng.uniform(0.01, 1.05)) + 1
+        made = revised_high(pulses, low, high, r4, r5, r7, up, down)
+        if (
+            up == down or 2 * max(up, down) < made - low
+        ):  # else without a linear part in one ramp, which the sheet leaves out
+            assert made == max(h for h in range(low, high + 1) if needed(h) <= pulses), (
+                low,
+                high,
+                r4,
+                r5,
+                r7,
+                up,
+                down,
+            )
+        assert low <= made <= high
+
+
+def test_a_profile_without_ramps_may_be_shaped_and_takes_any_ramp_time():
+    """Profile.of(fl=5000, fh1=5000, fh2=5000, accel=50).shaped(True)"""
+    flat = Profile.of(fl=5000, fh1=5000, fh2=5000, accel=50, chip=PCL240MS)
+    assert flat.fh1 == flat.fl == pytest.approx(5000, rel=1e-4)
+    shaped = flat.shaped(True)
+    assert (shaped.spans, shaped.R4, shaped.R5) == ((0, 0), flat.R4, flat.R5)
+    assert flat.within(100) is flat
+    assert shaped.within(3).R2 == shaped.R1
+
+
+@pytest.mark.parametrize("spans", [(0, 4095), (4095, 0)])
+def test_curved_ends_take_0_to_4095_speed_steps(spans):
+    whole = Profile.of(fl=1000, fh1=8000, chip=PCL240MS)
+    assert replace(whole, spans=spans).spans == spans
+    for wrong in (-1, 4096):
+        with pytest.raises(ArgumentError, match=f"span {wrong}: .* takes 0 to 4095 speed steps"):
+            replace(whole, spans=tuple(wrong if s else 0 for s in spans))
 
 
 @pytest.mark.parametrize(

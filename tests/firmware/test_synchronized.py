@@ -159,6 +159,9 @@ def test_an_end_limit_stops_the_other_axes_too():
     assert report.axes["x"].stopped_by == "decelerating stop"
     assert 0 < report.axes["x"].pulses < 20_000
     assert "NOT as asked" in str(report)
+    assert report.seconds == report.plan.seconds, "what was planned"
+    stops = {n: [s.code for s in r.said if s.kind == "command"].count("1D") for n, r in report.axes.items()}
+    assert stops == {"x": 1, "y": 0}, "told once, and only who still runs"
 
 
 def test_an_axis_that_made_its_pulses_while_another_met_a_limit_says_so():

@@ -151,14 +151,14 @@ def test_names_that_no_file_format_likes_become_plain_words(tmp_path):
 SHAPES = """
 <mujoco><asset>
 <mesh name="wedge" vertex="0 0 0  1 0 0  0 1 0  0 0 1"/>
-<material name="teal" rgba="0 .5 .5 1"/></asset>
+<material name="glass" rgba="1 1 1 0"/><material name="teal" rgba="0 .5 .5 1"/></asset>
 <worldbody>
 <geom name="floor" type="plane" size="0 0 1"/>
 <body name="b"><joint type="slide"/>
 <geom type="box" size=".1 .2 .3" pos="1 0 0" rgba="1 0 0 1"/><geom type="box" size=".1 .1 .1" group="3"/>
 <geom type="sphere" size=".1" material="teal"/><geom type="ellipsoid" size=".1 .2 .3"/>
 <geom type="cylinder" size=".1 .2"/><geom type="capsule" size=".1 .2" pos="0 0 1"/><geom type="mesh" mesh="wedge"/>
-<geom type="box" size="1 1 1" rgba="1 1 1 0"/>
+<geom type="box" size="1 1 1" rgba="1 1 1 0"/><geom type="box" size="1 1 1" material="glass"/>
 </body><body><geom type="plane" size=".5 0 .1" euler="90 0 0"/></body></worldbody></mujoco>
 """
 
