@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from stage import ArgumentError, RunTimeout, Stage, firmware
-from stage.chips import PCL240K
+from stage.chips import PCL240K, PCL240MS
 from stage.firmware import Bench, Profile
 
 
@@ -197,6 +197,7 @@ def test_a_continuous_move_onto_an_end_limit_tells_the_limit(x):
     report = firmware.continuous_move(x, 0.1, -1)
     assert (report.stopped_by, report.pulses) == ("EL-", 0)
     assert not report.ok
+    assert report.writes()[-1][1] == "15", "and is given no stop"
     assert firmware.continuous_move(x, 0.1, +1).ok
 
 
@@ -217,7 +218,22 @@ def test_an_interrupt_at_the_stop_when_asked_for(x, high_speed):
 
 
 def test_an_interruption_after_the_end_changes_nothing(x):
-    assert firmware.interrupted_move(x, 100, after=0.5).ok
+    report = firmware.interrupted_move(x, 100, after=0.5)
+    assert report.ok
+    assert [code for t, code, _ in report.writes() if t >= 0] == ["15"]
+
+
+@pytest.mark.parametrize(("fh2", "pulses"), [(False, -4200), (True, -8300)])
+def test_the_rest_of_an_interrupted_s_curve_that_is_short_ends_at_fl_by_a_whole_s_curve(fh2, pulses):
+    """firmware.interrupted_move(axis, 3000, profile.shaped(True)): too few pulses are left for FH1"""
+    profile = Profile.of(fl=500, fh1=8000, accel=0.2, chip=PCL240MS).shaped(True, fh2)
+    report = firmware.interrupted_move(Bench(x=PCL240MS()).axes["x"], pulses, profile, after=0.42, pause=0.05, fh2=fh2)
+    assert (report.pulses, report.stopped_by, report.ok) == (pulses, "R0 = 0", True)
+    speed = report.course.edges["speed"]
+    again = np.flatnonzero((speed[1:] > 0) & (speed[:-1] == 0)) + 1
+    first, rest = speed[again[0] : again[1]], speed[again[1] :]
+    assert profile.R1 < rest.max() < first.max() == profile.high(fh2)
+    assert rest[rest > 0][-1] == profile.R1
 
 
 def test_external_pulses_may_come_from_a_generator(x):

@@ -166,6 +166,13 @@ def test_rates_that_the_chip_has_not_at_this_sample_time_are_refused(stage):
     for rates in ({"velocity": 1e6}, {"velocity": 100}, {"acceleration": 1}, {"acceleration": 1e9}):
         with pytest.raises(ArgumentError, match="Choose another rate, or another T"):
             trapezoid(port, 100, **rates)
+    for rate in (127.4, -127.4):  # counts a sample; whole ones are held
+        assert integral_velocity(port, rate / port.sample, seconds=0.02).asked == pytest.approx(
+            rate / port.sample, rel=0.01
+        )
+        for beyond in (1.02 * rate, 0.001 * rate):
+            with pytest.raises(ArgumentError, match="in the register of integral_velocity .* 1 to 127"):
+                integral_velocity(port, beyond / port.sample)
 
 
 def test_a_mode_that_is_none_is_refused(stage):
@@ -241,6 +248,12 @@ def test_a_limit_ends_a_run_at_a_velocity(stage):
     port = set_up(stage.axes["x"])
     stage.axes["x"].switches.stick("el_plus", True)
     assert integral_velocity(port, 8_000, seconds=0.1).ended == "LIMIT"
+    assert port.status() & INIT, "and is left so"
+    stage.axes["x"].switches.stick("el_plus", None)
+    port = set_up(stage.axes["x"], Tuning(gain=0x80))
+    stage.axes["x"].switches.stick("el_plus", True)
+    report = proportional_velocity(port, 8_000, seconds=0.1)
+    assert (report.ended, abs(report.measured) < 100) == ("LIMIT", True)
     assert port.status() & INIT
 
 

@@ -43,6 +43,10 @@ def test_a_circle_lies_on_a_circle_from_rest_to_rest(axes):
     for radius, number in ((RADIUS, 4), (float("nan"), 2)):
         with pytest.raises(ArgumentError, match="a finite radius, 2 or 3 axes"):
             circle(radius, seconds=SECONDS, sample=520e-6, axes=number)
+    assert len(circle(RADIUS, seconds=0.4, sample=520e-6, ramp=0.2)) == 770, "half of the time is ramp"
+    for ramp in (0.0, -0.1, 0.201):
+        with pytest.raises(ArgumentError, match=f"ramp={ramp}"):
+            circle(RADIUS, seconds=0.4, sample=520e-6, ramp=ramp)
     for sample in (0.0, -1e-3, float("nan")):
         with pytest.raises(ArgumentError, match=f"sample={sample}: .*a sample time above 0"):
             circle(RADIUS, seconds=SECONDS, sample=sample)
@@ -91,8 +95,9 @@ def test_a_host_that_is_too_slow_misses_samples_and_says_so():
     synchronize(ports)
     profile = np.zeros((50, 3))
     assert follow(ports, profile).missed > 20
-    with pytest.raises(ArgumentError, match=r"\(samples, axes\)"):
-        follow(ports, np.zeros((5, 2)))
+    for given, where in [((5, 2), ports), ((5,), ports[:1]), ((5, 0), [])]:
+        with pytest.raises(ArgumentError, match=r"\(samples, axes\)"):
+            follow(where, np.zeros(given))
 
 
 def test_a_profile_of_fractions_is_rounded_to_the_nearest_count(stage):
