@@ -171,7 +171,7 @@ def test_rates_that_the_chip_has_not_at_this_sample_time_are_refused(stage):
             rate / port.sample, rel=0.01
         )
         for beyond in (1.02 * rate, 0.001 * rate):
-            with pytest.raises(ArgumentError, match="in the register of integral_velocity .* 1 to 127"):
+            with pytest.raises(ArgumentError, match=r"in the register of integral_velocity .* 1 to 127"):
                 integral_velocity(port, beyond / port.sample)
 
 
