@@ -481,6 +481,9 @@ def test_a_payload_on_a_named_body_is_mended_there(xyz):
     )
     at_work = stage.payload()
     stage.set_payload(3.0, body)
+    for factor in (0, -1, 1e6, float("nan")):
+        with pytest.raises(ArgumentError, match=f"factor={factor}.*3 kg"):
+            faults.payload(stage, factor, body)
     with faults.payload(stage, 2.0, body):
         assert (stage.payload(body), stage.payload()) == (6.0, at_work)
     assert (stage.payload(body), stage.payload()) == (3.0, at_work)
@@ -603,6 +606,8 @@ def test_the_journal_the_report_and_the_waveforms_show_what_got_lost(xyz, tmp_pa
     assert [(e.a, e.b) for e in entries if e.kind == LOST] == [(0, 0x15)]
     assert not any(e.kind == WRITE and e.a == 0 and e.b == 0x15 for e in entries)
     assert "LOST: start, ramp to FH1" in report.listing()
+    with faults.lost_write(x, 1, skip=3):
+        assert "LOST: data to address 1" in firmware.preset_move(x, 10).listing()
     assert report.pulses == 0
     assert not report.ok
     assert report.stopped_by == "EL+", "what is left when a halted chip has pulses left: it never started"

@@ -126,6 +126,13 @@ def test_what_a_fleet_cannot_be_is_refused(first):
         Fleet([first], threads=0)
     with pytest.raises(ArgumentError, match="one a stage"):
         Fleet([first]).play([Program(), Program()])
+    for shape in ((4,), (1, 4), (1, 2, 3), (2, 1, 4)):
+        with pytest.raises(ArgumentError, match="one a stage"):
+            Fleet([first]).play(np.zeros(shape, np.int64))
+    time = first.time
+    wait = np.array([[(WAIT, 1_000_000, 0, 0)]], np.float64)
+    Fleet([first]).play(np.repeat(wait, 2, axis=1)[:, ::2])  # of any kind of number, as it lies
+    assert first.time == pytest.approx(time + 1e-3)
 
 
 @pytest.mark.parametrize(

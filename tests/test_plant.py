@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from stage import ArgumentError, ModelError, Stage
+from stage import ArgumentError, ModelError, Stage, faults, firmware
 from stage.chips import HCTL1100, PCL240K
 from stage.sim import plant
 from stage.sim.fingerprint import fingerprint
@@ -201,6 +201,25 @@ def test_sensors_may_report_more_than_found_and_dist():
 def test_a_motor_may_turn_the_other_way_round():
     xml = edited(('gear="628.3185307"', 'gear="-628.3185307"'))
     assert plant.bind(mujoco.MjModel.from_xml_string(xml))[0].gear == pytest.approx(-2 * np.pi / 0.01)
+
+
+@pytest.mark.parametrize(("model", "chip"), [("xy", "PCL240K"), ("xyz_servo", "HCTL1100")])
+def test_an_axis_whose_screw_turns_the_other_way_goes_where_it_is_told_by_pulses_of_the_other_sign(model, chip):
+    """firmware.move(axis, 3e-3) on a model with gear="-628.3185307" """
+    spec = plant.open_spec(model)
+    next(a for a in spec.actuators if a.name == "x").gear[0] *= -1
+    stage = Stage(spec, chips=chip, visuals=False)
+    x = stage.axes["x"]
+    assert x.meters_per_pulse > 0
+    assert "10.000 mm" in plant.describe(stage.model).splitlines()[1]
+    report = firmware.move(x, 3e-3)
+    assert report.ok
+    assert report.pulses == -round(3e-3 / x.meters_per_pulse)
+    assert x.position == pytest.approx(3e-3, abs=25e-6)
+    if chip == "PCL240K":
+        with faults.jam(x):
+            assert firmware.move(x, 3e-3).lost_steps == -60
+            assert x.position == pytest.approx(3e-3, abs=50e-6)
 
 
 def test_the_origin_may_be_a_short_vane_narrower_than_the_scan():

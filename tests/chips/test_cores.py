@@ -9,6 +9,7 @@ from loops.rows import told
 from support import nova_programs, programs, servo_programs
 from support.examples import SEED
 
+from stage import StageError
 from stage.chips import CHIPS, FAMILIES, cores
 from stage.native import Exported
 
@@ -137,6 +138,13 @@ def test_the_cycles_that_write_a_register_keep_to_the_bus(name):
             assert cycles, register.name
             assert all(0 <= address < chip.ADDRESSES and datum <= chip.DATA_MASK for address, datum in cycles)
             assert cycles == CHIPS[name].register_cycles(register.name.lower(), register.range[1], axis)
+
+
+def test_a_chip_of_a_stage_is_restored_with_its_stage(xy):
+    """stage.chips[0].restore(snapshot): the machine and the other chips would be at another time"""
+    chip = xy.chips[0]
+    with pytest.raises(StageError, match="belongs to a stage: restore the stage"):
+        chip.restore(chip.snapshot())
 
 
 def test_a_restored_chip_has_the_diagnostics_of_its_snapshot():

@@ -9,7 +9,7 @@ from stage.chips import MCX514
 from stage.chips.nova import lint
 from stage.chips.nova.lint import Held
 from stage.chips.nova.registers.mcx300 import MCX302_MAP, MCX304_MAP, MCX312_MAP
-from stage.chips.nova.registers.mcx514 import MCX514_MAP
+from stage.chips.nova.registers.mcx514 import MCX514_MAP, POINT
 
 X, Y, Z, U = 0x100, 0x200, 0x400, 0x800
 MAPS = (MCX514_MAP, MCX304_MAP, MCX302_MAP, MCX312_MAP)
@@ -71,6 +71,9 @@ MISTAKES = [
      {"interpolated": 6, "interpolating": True, "drive_speed": (1, 4_000_001, 1, 1)}, "with DV = 4000001: 4000000 is", 0x61,
      {"interpolated": 6, "interpolating": True, "drive_speed": (5_000_000, 4_000_000, 5_000_000, 1)}),
     ("DV above 4 Mpps in a continuous interpolation", MCX514_MAP, X | 0x05,
+     {**data(4_000_001), "interpolated": 3, "interpolating": True}, "DV = 4000001 in continuous interpolation", X | 0x05,
+     {**data(4_000_000), "interpolated": 3, "interpolating": True}),
+    ("a speed beyond that of continuous interpolation, of another axis", MCX514_MAP, X | 0x05,
      {**data(4_000_001), "interpolated": 3, "interpolating": True}, "DV = 4000001 in continuous interpolation", Y | 0x05,
      {**data(4_000_001), "interpolated": 3, "interpolating": True}),
     ("an interpolation with too many axes", MCX514_MAP, 0x61, {"interpolated": 7}, "with 3 axes chosen: X, Y, Z", 0x62,
@@ -82,6 +85,10 @@ MISTAKES = [
      "pre-buffer is full", 0x61, {"interpolated": 3, "interpolating": True, "driving": 3}),
     ("a finish point of 32 bits", MCX514_MAP, 0x61, {"interpolated": 3, "finish": (0, 1_073_741_824, 0, 0)}, "TP = 1073741824 of Y",
      0x66, {"interpolated": 3, "finish": (0, 0x7FFF_FFFF, 0, 0)}),
+    ("a finish point of 32 bits, to plus", MCX514_MAP, 0x61, {"interpolated": 3, "finish": (1_073_741_824, 0, 0, 0)},
+     "TP = 1073741824 of X", 0x61, {"interpolated": 3, "finish": (POINT[1], POINT[0], POINT[0] - 1, 0)}),
+    ("a finish point of 32 bits, to minus", MCX514_MAP, 0x61, {"interpolated": 3, "finish": (POINT[0] - 1, 0, 0, 0)},
+     f"TP = {POINT[0] - 1} of X", 0x61, {"interpolated": 2 | 4, "finish": (POINT[1] + 1, POINT[0], POINT[1], 0)}),
 ]  # fmt: skip
 
 
