@@ -598,3 +598,25 @@ def test_a_marker_says_whether_firmware_has_a_process_of_its_own(given, request)
     found = firmware_arguments(node)
     assert found["sources"] == [Path(__file__)]
     assert found.get("isolated", False) == given["isolated"]
+
+
+@pytest.mark.slow
+def test_firmware_of_another_platform_is_built_for_it(session, pytester, driver):
+    pytester.makefile(".c", program="#include <dos.h>\nvoid main(void) { delay(5); exit(3); }\n")
+    pytester.makefile(".ino", sketch="void setup() { pulsestage::end(4); }\nvoid loop() {}\n")
+    result, _ = session("""
+        @pytest.mark.firmware("program.c", platform="dos")
+        def test_dos(host):
+            result = host.run(timeout=1)
+            assert (result.code, result.seconds) == (3, 0.005)
+
+        @pytest.mark.firmware("sketch.ino")
+        def test_sketch(host):
+            assert host.run(timeout=1).code == 4
+
+        @pytest.mark.firmware("program.c", platform="windows")
+        def test_none(host):
+            pass
+        """)
+    result.assert_outcomes(passed=2, errors=1)
+    assert "platform 'windows'" in result.stdout.str()

@@ -17,6 +17,7 @@
 #include <stdint.h>
 #include <stdlib.h>
 #include <string.h>
+#include <type_traits>
 
 #define ARDUINO 10819
 #define LOW 0x0
@@ -62,8 +63,8 @@ typedef uint16_t word;
 #define clockCyclesPerMicrosecond() (F_CPU / 1000000L)
 #define makeWord(high, low) ((word)((high) << 8 | (low)))
 
-template <typename A, typename B> static inline auto min(A a, B b) -> decltype(a < b ? a : b) { return a < b ? a : b; }
-template <typename A, typename B> static inline auto max(A a, B b) -> decltype(a > b ? a : b) { return a > b ? a : b; }
+template <typename A, typename B> static inline typename std::common_type<A, B>::type min(A a, B b) { return a < b ? a : b; }
+template <typename A, typename B> static inline typename std::common_type<A, B>::type max(A a, B b) { return a > b ? a : b; }
 
 static inline long map(long x, long from_low, long from_high, long to_low, long to_high)
 {

@@ -1,0 +1,284 @@
+"""What the headers of Arduino, VxWorks and DOS give a program: functions that are not ports."""
+
+import fnmatch
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from stage import Stage
+from stage.board import Board, HostTimeout, NativeHost, build
+from stage.board.library import include
+
+ROOT = Path(__file__).resolve().parents[2]
+CHECK = "#define CHECK(what) do { if (!(what)) return __LINE__; } while (0)\n"
+MOVE = """
+static void move(void (*out)(unsigned, unsigned), unsigned base)
+{
+    static const unsigned cycles[] = {0, 0x08, 0, 0x80, 1, 100, 0, 0x81, 1, 50, 0, 0x87, 1, 30, 0, 0x44, 0, 0x30};
+    for (unsigned k = 0; k < sizeof cycles / sizeof *cycles; k += 2)
+        out(base + cycles[k], cycles[k + 1]);
+}
+"""
+"""100 pulses at FL, 1000 pps, with /INT at their end: after 100 ms."""
+
+VXWORKS = (
+    """
+#include <vxWorks.h>
+#include <semLib.h>
+#include <msgQLib.h>
+#include <intLib.h>
+#include <taskLib.h>
+#include <logLib.h>
+#include <sysLib.h>
+"""
+    + CHECK
+    + MOVE
+    + """
+static SEM_ID done;
+static MSG_Q_ID queue;
+static int order[4], n;
+static void out(unsigned port, unsigned value) { sysOutByte(port, value); }
+static void isr(int port)
+{
+    int word = 7;
+    sysOutByte(port, 0x08);
+    msgQSend(queue, (char *)&word, sizeof word, NO_WAIT, MSG_PRI_NORMAL);
+    semGive(done);
+}
+static int task(int number) { order[n++] = number; return number == 3 ? 0 : OK; }
+static int checks(void)
+{
+    int word = 0, lock;
+    ULONG then;
+    SEM_ID mutex = semMCreate(SEM_Q_PRIORITY | SEM_INVERSION_SAFE), count = semCCreate(SEM_Q_FIFO, 2);
+    done = semBCreate(SEM_Q_FIFO, SEM_EMPTY);
+    queue = msgQCreate(2, sizeof word, MSG_Q_FIFO);
+    CHECK(sysClkRateGet() == 60 && sysClkRateSet(100) == OK && sysClkRateGet() == 100 && sysClkRateSet(0) == ERROR);
+    then = tickGet();
+    taskDelay(5);
+    CHECK(tickGet() - then == 5);
+    CHECK(semTake(mutex, WAIT_FOREVER) == OK && semTake(mutex, NO_WAIT) == OK && semGive(mutex) == OK);
+    CHECK(semTake(count, NO_WAIT) == OK && semTake(count, NO_WAIT) == OK && semTake(count, NO_WAIT) == ERROR);
+    CHECK(errnoGet() == S_objLib_OBJ_UNAVAILABLE);
+    then = tickGet();
+    CHECK(semTake(done, 10) == ERROR && errnoGet() == S_objLib_OBJ_TIMEOUT && tickGet() - then == 10);
+    CHECK(msgQReceive(queue, (char *)&word, sizeof word, NO_WAIT) == ERROR);
+    CHECK(intConnect(INUM_TO_IVEC(0x2A), isr, 0x300) == OK);
+    lock = intLock();
+    move(out, 0x300);
+    CHECK(semTake(done, 30) == ERROR);          /* interrupts are locked */
+    intUnlock(lock);
+    then = tickGet();
+    CHECK(semTake(done, 1) == OK && tickGet() - then <= 1);
+    CHECK(msgQNumMsgs(queue) == 1 && msgQReceive(queue, (char *)&word, sizeof word, NO_WAIT) == sizeof word && word == 7);
+    move(out, 0x300);
+    then = tickGet();
+    CHECK(semTake(done, WAIT_FOREVER) == OK && tickGet() - then >= 9 && tickGet() - then <= 12);
+    CHECK(intDisconnect(INUM_TO_IVEC(0x2A), 0, 0) == OK);
+    logMsg("%d and %s\\n", 5, (_Vx_usr_arg_t) "text", 0, 0, 0, 0);
+    taskSpawn("b", 120, 0, 2000, (FUNCPTR)task, 2, 0, 0, 0, 0, 0, 0, 0, 0, 0);
+    taskSpawn("a", 100, 0, 2000, (FUNCPTR)task, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0);
+    CHECK(n == 0);
+    return 0;
+}
+static int last(void) { return n == 2 && order[0] == 1 && order[1] == 2 ? 0 : 1000; }
+int usrAppInit(void)
+{
+    taskSpawn("last", 200, 0, 2000, (FUNCPTR)last, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0);
+    return checks();
+}
+"""
+)
+
+DOS = (
+    """
+#include <conio.h>
+#include <dos.h>
+#include <stdlib.h>
+#include <time.h>
+"""
+    + CHECK
+    + MOVE
+    + """
+static volatile int calls;
+static void out(unsigned port, unsigned value) { outp(port, value); }
+static void interrupt far isr(void) { calls++; outportb(0x300, 0x08); outportb(0x20, 0x20); }
+static int checks(void)
+{
+    clock_t then = clock();
+    time_t day = time(NULL);
+    delay(250);
+    CHECK(clock() - then == 250 && CLOCKS_PER_SEC == 1000);
+    sleep(1);
+    CHECK(time(NULL) - day == 1 && gmtime(&day)->tm_year == 90);
+    CHECK(kbhit() && getch() == 'a' && kbhit() && getch() == 'b' && !kbhit());
+    outportb(0x21, 0xFF);
+    CHECK(inportb(0x21) == 0xFF);
+    setvect(0x0D, isr);
+    CHECK(getvect(0x0D) == isr);
+    move(out, 0x300);
+    delay(200);
+    CHECK(calls == 0);                          /* masked */
+    _disable();
+    outportb(0x21, 0xDF);
+    delay(10);
+    CHECK(calls == 0);                          /* disabled */
+    _enable();
+    delay(1);
+    CHECK(calls == 1);
+    setvect(0x0D, 0);
+    move(out, 0x300);
+    delay(200);
+    CHECK(calls == 1);
+    outportb(0x300, 0x08);
+    CHECK(inportb(0x2F0) == 0xFF && inport(0x2F0) == 0xFFFF);
+    cprintf("x = %d\\r\\n", 5);
+    cputs("no end");
+    return 0;
+}
+int main(void) { exit(checks()); }
+"""
+)
+
+SKETCH = """
+#include <SPI.h>
+volatile int falls;
+int result = 0;
+#define CHECK(what) if (!(what) && !result) result = __LINE__
+void fell() { falls++; }
+void setup() {
+  Serial.begin(9600);
+  CHECK(Serial.parseInt() == -12 && Serial.read() == ',' && Serial.readStringUntil('\\n') == "mm" && !Serial.available());
+  Serial.feed("3.5 x");
+  CHECK(Serial.parseFloat() == 3.5f && Serial.available() == 2 && Serial.readString() == " x");
+  Serial.print(255, HEX); Serial.print(' '); Serial.print(1.0 / 3, 3); Serial.print(F(" deg ")); Serial.println(-5);
+  Serial.print("half a line");
+  String s = String("a") + 1 + ',' + 2.5;
+  CHECK(s == "a1,2.50" && s.indexOf(',') == 2 && s.substring(1, 2).toInt() == 1 && s.endsWith("0") && s.length() == 7);
+  s.trim(); s.toUpperCase(); s.replace("A", "bb");
+  CHECK(s.startsWith("bb1") && s.charAt(99) == 0 && String(-1, HEX) == "FFFFFFFF" && String(5, BIN) == "101");
+  CHECK(min(2, 3L) == 2 && max(2, 3) == 3 && constrain(9, 0, 5) == 5 && map(5, 0, 10, 0, 100) == 50 && bitRead(4, 2) == 1);
+  unsigned long then = micros();
+  delay(3); delayMicroseconds(7);
+  CHECK(micros() - then == 3008);
+  CHECK(millis() == micros() / 1000);
+  CHECK(SPI.transfer(0x55) == 0xFF && SPI.transfer16(1) == 0xFFFF);
+  SPI.device = [](uint8_t sent) -> uint8_t { return sent + 1; };
+  CHECK(SPI.transfer(4) == 5);
+  pinMode(13, OUTPUT); digitalWrite(13, HIGH);
+  CHECK(digitalRead(13) == HIGH && (PORTB & _BV(PB5)));
+  PORTB &= ~_BV(PB5);
+  CHECK(digitalRead(13) == LOW && digitalRead(7) == HIGH);
+  attachInterrupt(digitalPinToInterrupt(2), fell, FALLING);
+  begin();
+  delay(300);
+  CHECK(falls == 1 && ps_interrupt_line());
+  ps_out8(0x300, 0x08);
+  delay(1);
+  noInterrupts();
+  begin();
+  delay(300);
+  CHECK(falls == 1);
+  interrupts();
+  delay(1);
+  CHECK(falls == 2);
+  detachInterrupt(digitalPinToInterrupt(2));
+  pulsestage::end(result);
+}
+void loop() {}
+void begin() {
+  const uint8_t cycles[] = {0, 0x08, 0, 0x80, 1, 100, 0, 0x81, 1, 50, 0, 0x87, 1, 30, 0, 0x44, 0, 0x30};
+  for (unsigned k = 0; k < sizeof cycles; k += 2)
+    ps_out8(0x300 + cycles[k], cycles[k + 1]);
+}
+"""
+
+STATICS = """
+#include <pulsestage.h>
+inline int &calls() { static int n; return n; }
+template <typename T> struct Held { static T value; };
+template <typename T> T Held<T>::value = 0;
+PULSESTAGE_MAIN { return ++calls() * 10 + ++Held<int>::value; }
+"""
+
+
+@pytest.fixture(autouse=True)
+def compilers(firmware):
+    """Skips where there is none."""
+
+
+def run(tmp_path, name, text, platform=None, flags=("-Wall", "-Wextra", "-Werror")):
+    (tmp_path / name).write_text(text)
+    host = NativeHost(tmp_path / name, Board(Stage("xy", visuals=False)), platform=platform, flags=flags)
+    return host.run(timeout=20).code, [said for _, said in host.log]
+
+
+def test_vxworks_waits_in_ticks_and_interrupts_give_semaphores(tmp_path):
+    code, log = run(tmp_path, "vx.c", VXWORKS, "vxworks", ("-Wall", "-Wextra", "-Werror", "-Wno-cast-function-type"))
+    assert (code, log) == (0, ["5 and text"])
+
+
+def test_dos_has_time_keys_and_masked_interrupts(tmp_path):
+    code, log = run(tmp_path, "dos.c", DOS, "dos", ("-Wall", "-Wextra", "-Werror", '-DPULSESTAGE_KEYS="ab"'))
+    assert (code, log) == (0, ["x = 5", "no end"])
+
+
+@pytest.mark.slow
+def test_a_dos_program_may_be_c_plus_plus(tmp_path):
+    text = """
+    #include <dos.h>
+    void interrupt (*old)(...);
+    void interrupt isr(...) {}
+    int main() { old = getvect(0x0D); setvect(0x0D, isr); setvect(0x0D, old); return old ? 1 : 4; }
+    """
+    assert run(tmp_path, "plus.cpp", text, "dos")[0] == 4
+
+
+@pytest.mark.slow
+def test_a_sketch_has_serial_strings_spi_and_interrupts_by_edge(tmp_path):
+    code, log = run(
+        tmp_path, "a.ino", SKETCH, None, ("-Wall", "-Wextra", "-Werror", '-DPULSESTAGE_SERIAL_INPUT="x = -12,mm\\n"')
+    )
+    assert code == 0, SKETCH.splitlines()[code - 1]
+    assert log == [
+        "FF 0.333 deg -5",
+        "SPI.transfer: no device is at the SPI bus; it reads FFh. Set SPI.device to a function of yours",
+        "half a line",
+    ]
+
+
+@pytest.mark.slow
+def test_each_run_of_c_plus_plus_begins_with_fresh_statics(tmp_path):
+    (tmp_path / "statics.cpp").write_text(STATICS)
+    library = build(tmp_path / "statics.cpp")
+    for _ in range(3):
+        assert NativeHost(library, Board(Stage("xy", visuals=False))).run(timeout=1).code == 11
+
+
+@pytest.mark.slow
+def test_an_error_of_a_sketch_names_its_line(tmp_path):
+    (tmp_path / "a.ino").write_text("void setup() {}\n\nvoid loop() { nonsense(); }\n")
+    with pytest.raises(Exception, match=r"a\.ino:3:\d+: error: .*nonsense"):
+        build(tmp_path / "a.ino")
+
+
+@pytest.mark.slow
+def test_a_wait_that_nothing_ends_is_ended_by_the_time(tmp_path):
+    (tmp_path / "wait.c").write_text(
+        "#include <semLib.h>\nSTATUS usrAppInit(void) { return semTake(semBCreate(0, SEM_EMPTY), WAIT_FOREVER); }\n"
+    )
+    host = NativeHost(tmp_path / "wait.c", Board(Stage("xy", visuals=False)), platform="vxworks")
+    with pytest.raises(HostTimeout):
+        host.run(timeout=1)
+
+
+def test_headers_and_entries_are_in_the_wheel():
+    data = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["package-data"]
+    folder = include() / "platforms"
+    files = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.suffix in (".h", ".c", ".cpp")}
+    assert len(files) > 20
+    for file in files:
+        assert any(fnmatch.fnmatch(file, pattern.replace("**/", "*")) for pattern in data["stage.board.platforms"]), (
+            file
+        )
