@@ -18,7 +18,7 @@ MACHINES = {
     2: "SPARC", 3: "x86 (32 bit)", 4: "68000", 8: "MIPS", 20: "PowerPC", AVR: "AVR", ARM: "ARM (32 bit)", 42: "SuperH",
     62: "x86-64", 94: "Xtensa", 105: "MSP430", 183: "aarch64", 243: "RISC-V",
 }  # fmt: skip
-PROGRAM, LOAD, SYMBOLS, FUNCTION = 2, 1, 2, 2
+PROGRAM, LOAD, CONTENT, SYMBOLS, FUNCTION, ALLOCATED = 2, 1, 1, 2, 2, 2
 _HEAD = struct.Struct("<16sHHIIIIIHHHHHH")
 _SEGMENT = struct.Struct("<IIIIIIII")
 _SECTION = struct.Struct("<IIIIIIIIII")
@@ -51,6 +51,7 @@ class Elf:
 
     def __init__(self, path: Path, machine: int, mcu: str, how: str):
         self.path, self._content = path, _read(path)
+        self._state = 1 if machine == ARM else 0  # of Thumb, in the address of a function
         found, content = machine_of(path), self._content
         if not found:
             raise LibraryError(f"{path} is no ELF file: {mcu} runs what its linker makes, for example by {how}.")
@@ -65,23 +66,29 @@ class Elf:
             what = {1: "an object file", 3: "a shared library", 4: "a core dump"}.get(kind, "no program")
             raise LibraryError(f"{path} is {what}, not a program. Link it by {how}.")
         try:
-            self.segments = self._segments(n_segments)
-            self.symbols = self._symbols(n_sections)
+            tables = [_SECTION.unpack_from(content, self._sections_at + k * _SECTION.size) for k in range(n_sections)]
+            self.segments = self._segments(n_segments, tables)
+            self.symbols = self._symbols(tables)
         except (struct.error, IndexError, UnicodeDecodeError):
             raise LibraryError(f"{path} is cut off or damaged: its tables point behind its end.") from None
 
-    def _segments(self, n: int) -> list[Segment]:
-        found = []
+    def _segments(self, n: int, tables: list[tuple[int, ...]]) -> list[Segment]:
+        """What is loaded; without the file's head, which linkers put into the first where there is room."""
+        found, first = (
+            [],
+            min((at for _, kind, flags, _, at, *_ in tables if kind == CONTENT and flags & ALLOCATED), default=0),
+        )
         for k in range(n):
             kind, at, used_at, kept_at, size, *_ = _SEGMENT.unpack_from(
                 self._content, self._segments_at + k * _SEGMENT.size
             )
-            if kind == LOAD and size:
+            if at == 0 and first:
+                at, used_at, kept_at, size = first, used_at + first, kept_at + first, size - first
+            if kind == LOAD and size > 0:
                 found.append(Segment(kept_at, used_at, self._content[at : at + size]))
         return found
 
-    def _symbols(self, n: int) -> dict[str, int]:
-        tables = [_SECTION.unpack_from(self._content, self._sections_at + k * _SECTION.size) for k in range(n)]
+    def _symbols(self, tables: list[tuple[int, ...]]) -> dict[str, int]:
         found: dict[str, int] = {}
         self._functions: list[tuple[int, str]] = []
         for _, kind, _, _, at, size, link, *_ in tables:
@@ -96,7 +103,7 @@ class Elf:
                     continue
                 found[name] = value
                 if info & 15 in (0, FUNCTION) and 0 < section < 0xFF00 and name[0] != "$":
-                    self._functions.append((value, name))
+                    self._functions.append((value & ~self._state, name))
         self._functions.sort()
         return found
 

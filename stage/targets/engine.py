@@ -27,24 +27,53 @@ INVALID = {
 """uc_err, as far as a program is at fault."""
 
 
+class _Record(ctypes.Structure):
+    """A MACHINE record, as Python reads and writes it at once."""
+
+    _fields_ = tuple((name, ctypes.c_int64) for name in machine.MACHINE.names or ())
+
+
+class Registers:
+    """Several registers of a processor, read and written in one call."""
+
+    def __init__(self, lib: Any, handle: Any, numbers: list[int]):
+        n = len(numbers)
+        self._lib, self._handle, self._n = lib, handle, n
+        self._numbers, self._values = (ctypes.c_int * n)(*numbers), (ctypes.c_uint64 * n)()
+        begin = ctypes.addressof(self._values)
+        self._pointers = (ctypes.c_void_p * n)(*(begin + 8 * k for k in range(n)))
+
+    def get(self) -> list[int]:
+        """What is in them."""
+        self._lib.uc_reg_read_batch(self._handle, self._numbers, self._pointers, self._n)
+        return [value & 0xFFFFFFFF for value in self._values]
+
+    def set(self, *values: int) -> None:
+        """In their order."""
+        self._values[:] = list(values)
+        self._lib.uc_reg_write_batch(self._handle, self._numbers, self._pointers, self._n)
+
+
 class Engine:
     """Attributes: uc: Unicorn's object; record: the MACHINE record; ended: set when the program has ended, with `code`."""
 
-    def __init__(self, path: Any, board: Board, arch: int, mode: int, hz: int, latency: float = LATENCY):
+    def __init__(self, path: Any, board: Board, arch: int, mode: int, hz: int, model: int | None = None):
         import unicorn
         from unicorn.unicorn_py3.unicorn import uclib
 
         self.path, self._board = path, board
         self.uc: Any = unicorn.Uc(arch, mode)
         self._lib = uclib
+        if model is not None:  # before anything else
+            self.uc.ctl_set_cpu_model(model)
         self._row = np.zeros(1, machine.MACHINE)
         self._flags = np.zeros(1, "i8")
-        t = self.record = self._row[0]
+        t = self.record = _Record.from_buffer(self._row.data)
         link = board.link
         t.own, t.uc, t.host, t.request = self._row.ctypes.data, self.handle.value, link.pointer, bus.request.address
         t.stop, t.reg_read = (self._address(self._lib[name]) for name in ("uc_emu_stop", "uc_reg_read"))
         t.flags_at, t.hz, t.alarm = self._flags.ctypes.data, hz, NEVER
-        t.quantum = max(1, round(latency * hz))
+        t.quantum = max(1, round(LATENCY * hz))
         self.ended, self.code = False, 0
         self.fault = ""
         self._kept: list[Any] = []
@@ -65,7 +94,7 @@ class Engine:
         number = ctypes.c_size_t()
         self._kept.append(function)
         failed = self._lib.uc_hook_add(
-            self.handle, ctypes.byref(number), kind, ctypes.cast(function, ctypes.c_void_p), ctypes.c_void_p(int(self.record.own)),
+            self.handle, ctypes.byref(number), kind, ctypes.cast(function, ctypes.c_void_p), ctypes.c_void_p(self.record.own),
             ctypes.c_uint64(1), ctypes.c_uint64(0), ctypes.c_int(instruction),
         )  # fmt: skip
         if failed:

@@ -18,9 +18,12 @@ from stage.board.board import Board
 from stage.board.native import Host
 from stage.board.program import Program
 from stage.board.threaded import PATIENCE
+from stage.board.windows import Window, windows
 from stage.errors import ArgumentError
 from stage.targets import mcus
+from stage.targets.nvic import IRQS
 
+EXAMPLE = "0x40021000=0x300+0x40"
 FOR_EVER = 1e9  # s of patience with a person at a debugger
 
 
@@ -79,9 +82,28 @@ def program_of(path: Path, mcu: str, maps: list[str], hz: int | None, gdb: int |
     mcus.need_unicorn()
     if gdb:
         raise ArgumentError(f"gdb={gdb}: there is a GDB server for AVRs only.")
+    if mcu in mcus.CORTEX:
+        from stage.targets.cortex import CortexProgram
+
+        found, irq = _windows_and_irq(maps)
+        return CortexProgram(path, mcu, hz, found, irq)
     from stage.targets.pc import PcProgram
 
     return PcProgram(path, hz, _irq(maps))
+
+
+def _windows_and_irq(maps: list[str]) -> tuple[tuple[Window, ...], int | None]:
+    """--map 0x40021000=0x300+0x40, and irq=6: which of NVIC's interrupts the board's line is wired to."""
+    wires = [m for m in maps if m.strip().startswith("irq")]
+    found = windows([m for m in maps if m not in wires])
+    match = re.fullmatch(r"\s*irq\s*=\s*([0-9]+)\s*", wires[0]) if wires else None
+    if len(wires) > 1 or (wires and (match is None or int(match[1]) >= IRQS)):
+        raise ArgumentError(
+            f"--map {' '.join(wires)!r}: say once irq=0 to irq={IRQS - 1}, the interrupt that the line is."
+        )
+    if not found:
+        raise ArgumentError(f"--map: where in the memory of the processor are the chips? For example --map {EXAMPLE}.")
+    return found, int(match[1]) if match else None
 
 
 def _irq(maps: list[str]) -> int | None:

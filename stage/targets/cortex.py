@@ -1,0 +1,240 @@
+"""A Cortex-M on Unicorn: memory, exceptions with priorities, SysTick, NVIC, semihosting; the board lies in windows of its memory.
+
+Time: 1.5 cycles for an instruction of 16 bits and 2.5 for one of 32, an approximation of a Cortex-M3 whose flash has wait states.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from stage.board.board import Board
+from stage.board.errors import LibraryError
+from stage.board.windows import Window
+from stage.errors import ArgumentError
+from stage.targets.elf import ARM, Elf
+from stage.targets.engine import Engine, Registers
+from stage.targets.machine import wait
+from stage.targets.nvic import Nvic
+from stage.targets.semihosting import Semihosting
+
+USUAL_HZ = 72_000_000
+EACH, BYTE, UNITS = 1, 1, 2
+"""Units of time an instruction and a byte, and units a cycle."""
+REGIONS = {
+    0x00000000: 1 << 20, 0x08000000: 2 << 20, 0x10000000: 1 << 20, 0x1FFF0000: 1 << 16, 0x20000000: 1 << 20, 0x60000000: 1 << 20,
+}  # fmt: skip
+"""Memory that there is, where no window lies: of flash, RAM, external RAM."""
+PRIVATE, PAGE = 0xE0000000, 0x1000
+_FRAME = struct.Struct("<8I")
+_RETURN = 0xFFFFFFE0
+_THUMB = 0x01000000
+_UNDEFINED, _SVC, _BREAKPOINT, _EXIT = 1, 2, 7, 8
+_SEMIHOSTING, _WFI = b"\xab\xbe", (b"\x30\xbf", b"\x20\xbf")
+HOW = "arm-none-eabi-gcc -mcpu={mcu} -mthumb -T script.ld ..."
+MODELS = {"cortex-m0": 7, "cortex-m3": 8, "cortex-m4": 9}
+
+
+@dataclass(frozen=True)
+class CortexProgram:
+    """An ELF program. windows: of the board; irq: which of NVIC's the board's line is wired to, or None."""
+
+    path: Path
+    mcu: str
+    hz: int | None
+    windows: tuple[Window, ...]
+    irq: int | None
+
+    def load(self, board: Board, may_exit: bool) -> Cortex:
+        """See stage.board.program. Raises LibraryError, FileError."""
+        return Cortex(self, board)
+
+
+class Cortex(Engine):
+    """See stage.board.program."""
+
+    def __init__(self, program: CortexProgram, board: Board):
+        import unicorn
+        from unicorn import arm_const as a
+
+        self._elf = Elf(program.path, ARM, program.mcu, HOW.format(mcu=program.mcu))
+        hz = program.hz or USUAL_HZ
+        mode = unicorn.UC_MODE_THUMB | unicorn.UC_MODE_MCLASS
+        super().__init__(program.path, board, unicorn.UC_ARCH_ARM, mode, hz * UNITS, MODELS[program.mcu])
+        self.a = a
+        t = self.record
+        t.each, t.byte, t.flags, t.mask, t.on = EACH, BYTE, a.UC_ARM_REG_PRIMASK, 1, 0
+        t.watched = program.irq is not None
+        self._seen = self._registers("control sp xpsr r0 r1 r2 r3 r12 lr")
+        self._entry = self._registers("sp ipsr lr pc")
+        self._mode = self._registers("ipsr")
+        self._exit = self._registers("sp xpsr r0 r1 r2 r3 r12 lr pc")
+        self._masks = self._registers("primask basepri pc")
+        self._map(program.windows)
+        self.nvic = Nvic(lambda: int(t.cycles) // UNITS, program.irq)
+        self.nvic.vectors = self._load()
+        self.semihosting = Semihosting(self)
+        self.uc.hook_add(unicorn.UC_HOOK_INTR, self._exception)
+        self._raised = 0
+        self._update()
+
+    # --- registers and memory ---
+
+    def get(self, name: str) -> int:
+        """A register, for example "r0"."""
+        return int(self.uc.reg_read(getattr(self.a, f"UC_ARM_REG_{name.upper()}")))
+
+    def set(self, **values: int) -> None:
+        """Registers."""
+        for name, value in values.items():
+            self.uc.reg_write(getattr(self.a, f"UC_ARM_REG_{name.upper()}"), value)
+
+    def word(self, address: int) -> int:
+        """32 bits of memory."""
+        return int.from_bytes(self.uc.mem_read(address, 4), "little")
+
+    def _map(self, windows: tuple[Window, ...]) -> None:
+        taken = {page for w in windows for page in range(w.address & ~0xFFF, w.end, PAGE)}
+        for w in windows:
+            if w.end > 1 << 32 or PRIVATE <= w.address < PRIVATE + 0x100000:
+                raise ArgumentError(
+                    f"window {w}: a Cortex-M has no memory for it there; its devices are at 40000000h and up."
+                )
+            for begin, size in REGIONS.items():
+                if begin <= w.address < begin + size and begin < 0x60000000:
+                    raise ArgumentError(f"window {w}: real memory is there (of {begin:X}h to {begin + size - 1:X}h).")
+        for begin, size in REGIONS.items():
+            if not any(begin <= page < begin + size for page in taken):
+                self.uc.mem_map(begin, size)
+        self.map_windows(windows)
+        self.uc.mmio_map(PRIVATE, 0x100000, self._read_private, None, self._write_private, None)
+
+    def _load(self) -> int:
+        """Content to memory; where the vectors are. The first word of the flash is the stack, the second the entry."""
+        import unicorn
+
+        for segment in self._elf.segments:
+            try:
+                self.uc.mem_write(segment.at, segment.content)
+            except unicorn.UcError:
+                regions = ", ".join(f"{b:X}h to {b + n - 1:X}h" for b, n in REGIONS.items())
+                raise LibraryError(
+                    f"{self.path} has content for {segment.at:X}h, where this machine has no memory. Memory is {regions}."
+                ) from None
+        if not self._elf.segments:
+            raise LibraryError(f"{self.path} has nothing to load.")
+        names = ("__isr_vector", "__Vectors", "g_pfnVectors", "_vectors", "vectors", "vector_table", "__vectors")
+        found = [self._elf.symbols[n] for n in names if n in self._elf.symbols]
+        return found[0] if found else min(s.at for s in self._elf.segments)
+
+    # --- exceptions ---
+
+    def main(self) -> int:
+        """See stage.board.program."""
+        vectors = self.nvic.vectors
+        self.set(msp=self.word(vectors), sp=self.word(vectors), lr=0xFFFFFFFF, xpsr=_THUMB)
+        self._pc = self.word(vectors + 4)
+        self.set(pc=self._pc | 1)
+        return super().main()
+
+    def where_to_go_on(self) -> int:
+        return self._pc | 1
+
+    def place(self) -> str:
+        return self._elf.where(self.get("pc") & ~1)
+
+    def _exception(self, _uc: Any, number: int, _user: Any) -> None:
+        self._raised = number
+        self.uc.emu_stop()
+
+    def stopped(self) -> None:
+        number, self._raised = self._raised, 0
+        primask, basepri, pc = self._masks.get()
+        self._pc = pc & ~1
+        t = self.record
+        if number == _EXIT:
+            self._leave(self._pc)
+        elif number == _BREAKPOINT:
+            if bytes(self.uc.mem_read(self._pc, 2)) != _SEMIHOSTING:
+                raise self.wrong("a breakpoint")
+            self.semihosting.serve()
+            self._pc += 2
+        elif number == _SVC:
+            self._enter(11)
+        elif number:
+            self._fault(number)
+        elif t.cycles < t.alarm and not self.nvic.waiting() and bytes(self.uc.mem_read(self._pc - 2, 2)) in _WFI:
+            if not t.watched and not self.nvic.ticks():
+                raise self.wrong("it sleeps for ever: no interrupt is on that could wake it")
+            wait.c(t.own)
+        if t.cycles >= t.alarm:
+            self.nvic.tick()
+        self.nvic.level = bool(t.raised)
+        while (taken := self.nvic.next(primask, basepri)) is not None:
+            self._enter(taken)
+        self._update()
+
+    def _fault(self, number: int) -> None:
+        said = (
+            "an instruction that this processor does not have"
+            if number == _UNDEFINED
+            else f"exception {number} of Unicorn"
+        )
+        raise self.wrong(said)
+
+    def _enter(self, number: int) -> None:
+        """The frame goes to the stack, the routine begins."""
+        routine = self.word(self.nvic.vectors + 4 * number)
+        if not routine & 1:
+            raise self.wrong(f"exception {number} comes, and its vector is {routine:X}h, which is no routine")
+        handler = bool(self.nvic.before())
+        control, sp, xpsr, *words = self._seen.get()
+        process = not handler and control & 2
+        padded = sp & 4
+        begin = (sp - padded - _FRAME.size) & 0xFFFFFFFF
+        frame = _FRAME.pack(*words, self._pc, xpsr | _THUMB | (0x200 if padded else 0))
+        self.uc.mem_write(begin, frame)
+        back = _RETURN | (0x11 if handler else 0x1D if process else 0x19)
+        self._entry.set(begin, number, back, routine)
+        self._pc = routine & ~1
+        self.nvic.entered(number)
+
+    def _leave(self, value: int) -> None:
+        """A jump to EXC_RETURN."""
+        self.nvic.left(self.nvic.before())
+        self._mode.set(0 if value & 8 else self.nvic.before())
+        if value & 8:
+            control = self.get("control")
+            if bool(control & 2) != (value & 0xC == 0xC):
+                self.set(control=control ^ 2)
+        sp = self.get("sp")
+        *words, pc, xpsr = _FRAME.unpack(self.uc.mem_read(sp, _FRAME.size))
+        xpsr_now = xpsr & ~0x3FF | (0 if value & 8 else self.nvic.before())
+        self._pc = pc & ~1
+        self._exit.set(sp + _FRAME.size + (4 if xpsr & 0x200 else 0), xpsr_now, *words, self._pc | 1)
+
+    def _registers(self, names: str) -> Registers:
+        return Registers(self._lib, self.handle, [getattr(self.a, f"UC_ARM_REG_{n.upper()}") for n in names.split()])
+
+    # --- its own devices ---
+
+    def _update(self) -> None:
+        """What the compiled loop looks at."""
+        t = self.record
+        t.alarm = self.nvic.alarm() * UNITS
+        t.line, t.wanted = self.nvic.line_may_come(), self.nvic.waiting()
+        t.due = t.cycles
+
+    def _read_private(self, _uc: Any, offset: int, size: int, _user: Any) -> int:
+        value = self.nvic.read(offset & ~3) >> 8 * (offset & 3)
+        return value & (1 << 8 * size) - 1
+
+    def _write_private(self, _uc: Any, offset: int, size: int, value: int, _user: Any) -> None:
+        if offset < 0x80:  # ITM, the first stimulus port
+            self.say(value.to_bytes(size, "little").decode("latin1"))
+        elif self.nvic.write(offset & ~3, value << 8 * (offset & 3), size, offset & 3):
+            self.fault = "it has asked for a reset (AIRCR)"
+            self.uc.emu_stop()
+        self._update()

@@ -1,0 +1,177 @@
+"""Programs for a Cortex-M run untouched: the chips lie in windows of its memory."""
+
+from pathlib import Path
+
+import pytest
+
+from stage import Stage
+from stage.board import Board, HostError, HostTimeout, LibraryError
+from stage.chips import PCL240K, PCL240MK
+from stage.errors import ArgumentError
+from stage.targets import TargetHost, mcus
+from stage.targets.nvic import FIRST, PENDSV, SYSTICK, Nvic
+
+DATA = Path(__file__).parent / "data"
+WINDOW = "0x40021000=0x300+0x40"
+pytestmark = pytest.mark.skipif(not mcus.has_unicorn(), reason=f"there is no {mcus.UNICORN}")
+(NO_INSTRUCTION, WILD_WRITE, NO_WINDOW, SLEEPS, SVC, INTERRUPT, WAITS, FOR_EVER) = range(1, 9)
+WIDE = 10
+
+
+def faults(case: int, *more: str, isolated: bool = False, **options) -> TargetHost:
+    board = Board(Stage("xy", chips=PCL240K, visuals=False))
+    for register, value in ((1, 800), (7, 300), (0, case << 16)):
+        board.out8(0x300, 0x80 | register)
+        for byte in (2, 1, 0):
+            board.out8(0x301 + byte, value >> 8 * byte & 0xFF)
+    maps = [WINDOW, *more]
+    return TargetHost(DATA / "faults.m3.elf", board, mcu="cortex-m3", map=maps, isolated=isolated, **options)
+
+
+@pytest.mark.parametrize("isolated", [False, True])
+def test_what_the_program_says_at_its_end_is_the_code(isolated):
+    h = faults(9, isolated=isolated)
+    assert [h.run().code, h.run().code] == [9, 9], "the second from its entry again"
+
+
+@pytest.mark.parametrize(
+    ("case", "says"),
+    [
+        (NO_INSTRUCTION, r"an instruction that this processor does not have, at 80[0-9A-F]+h \(no_instruction"),
+        (WILD_WRITE, r"it writes memory that is not there, at 80[0-9A-F]+h \(wild_write"),
+        (NO_WINDOW, r"it touches address 40021080h, which no window has, at 80[0-9A-F]+h \(no_window"),
+        (SLEEPS, r"it sleeps for ever: no interrupt is on .* \(sleeps_for_ever"),
+        (SVC, r"exception 11 comes, and its vector is 0h"),
+    ],
+)
+def test_what_ends_a_program_is_said_with_its_place(case, says):
+    h = faults(case)
+    with pytest.raises(HostError, match=says) as error:
+        h.run(timeout=1)
+    assert f"303h R 0{case}h" in str(error.value), "after which bus cycle"
+
+
+def test_the_interrupt_line_comes_between_instructions():
+    h = faults(INTERRUPT, "irq=6")
+    assert h.run(timeout=1).code == 1
+    start, release = list(h.board.trace)[-2:]
+    assert (start.value, release.value) == (0x30, 0)
+    assert release.seconds - start.seconds == pytest.approx(30 / 1600, abs=1 / 1600)
+    twin = faults(INTERRUPT)  # without the wire
+    with pytest.raises(HostTimeout):
+        twin.run(timeout=0.03)
+    at = next(c for c in twin.board.trace if c.value == 0x30).seconds
+    assert at == start.seconds
+
+
+def test_systick_counts_the_processor_s_cycles():
+    """10 ms are 50 ticks of 200 us, and one that has begun."""
+    h = faults(WAITS)
+    seconds = h.run(timeout=1).seconds
+    assert 0.010 < seconds < 0.0104
+    assert [text for _, text in h.board.log] == ["waited"]
+    assert faults(WAITS, mcu_clock=36e6).run(timeout=1).seconds == pytest.approx(2 * seconds, rel=0.05)
+
+
+def test_wider_accesses_are_wider_cycles():
+    h = faults(WIDE)
+    assert h.run().code == -3
+    assert [(c.port, c.way, c.width) for c in list(h.board.trace)[-4:]] == [
+        (0x320, "R", 16), (0x320, "W", 16), (0x320, "R", 16), (0x322, "R", 16),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("isolated", [False, True])
+def test_a_loop_for_ever_is_paused(isolated):
+    with faults(FOR_EVER, isolated=isolated) as h:
+        with pytest.raises(HostTimeout, match=r"has not returned after 0\.01 s"):
+            h.run(timeout=0.01)
+        begin = h.board.stage.now
+        assert h.run_for(0.003) is None
+        assert h.board.stage.now == begin + 3_000_000
+
+
+@pytest.mark.slow
+def test_a_driver_that_nobody_changed_ends_at_the_same_pulse():
+    """scripts/firmware/pcl240mk/home_x.c, see test_avr.py."""
+    stage = Stage("xy", chips=PCL240MK, visuals=False)
+    stage.place(x=-0.119)
+    h = TargetHost(DATA / "home_x.m3.elf", Board(stage), mcu="cortex-m3", map=WINDOW, isolated=False)
+    assert h.run(timeout=20).code == 0
+    assert [text for _, text in h.board.log] == ["homed (0), int has 4 bytes", "moved (0), at 6000"]
+
+
+@pytest.mark.parametrize(
+    ("maps", "says"),
+    [
+        ((), r"where in the memory of the processor are the chips\?"),
+        (
+            ("0x20000000=0x300+0x40",),
+            r"window 0x20000000=0x300\+0x40: real memory is there \(of 20000000h to 200FFFFFh\)",
+        ),
+        (("0xE0001000=0x300+0x40",), "has no memory for it there"),
+        ((WINDOW, "irq=240"), "say once irq=0 to irq=239"),
+        (("irq",), "say once irq=0"),
+    ],
+)
+def test_a_map_that_is_none_is_refused(maps, says):
+    board = Board(Stage("xy", chips=PCL240K, visuals=False))
+    with pytest.raises(ArgumentError, match=says):
+        TargetHost(DATA / "faults.m3.elf", board, mcu="cortex-m3", map=maps, isolated=False)
+
+
+def test_a_program_of_another_machine_is_named():
+    board = Board(Stage("xy", chips=PCL240K, visuals=False))
+    with pytest.raises(LibraryError, match=r"was built for AVR, and cortex-m3 is an ARM \(32 bit\)"):
+        TargetHost(DATA / "faults.avr.elf", board, mcu="cortex-m3", map=WINDOW, isolated=False)
+
+
+def nvic(*enabled: int) -> Nvic:
+    made = Nvic(lambda: 0, 6)
+    made.write(0xE100, sum(1 << n for n in enabled), 4, 0)
+    return made
+
+
+def test_the_lowest_number_of_the_lowest_priority_comes_first():
+    n = nvic(3, 4, 5)
+    n.write(0xE400 + 4, 0x00004020, 2, 0)  # of 4 and 5
+    n.write(0xE400, 0x80 << 24, 1, 3)  # of 3
+    n.write(0xE200, 0b111000, 4, 0)
+    assert n.read(0xE200) == 0b111000
+    order = []
+    while (number := n.next(0, 0)) is not None:
+        n.entered(number)
+        n.left(number)
+        order.append(number - FIRST)
+    assert order == [4, 5, 3]
+
+
+def test_a_higher_priority_preempts_and_others_wait():
+    n = nvic(3, 4)
+    n.write(0xED20, 0xC0 << 16, 1, 2)  # PendSV
+    n.write(0xED04, 1 << 28, 4, 0)
+    assert n.next(1, 0) is None, "PRIMASK"
+    assert n.next(0, 0x40) is None, "BASEPRI"
+    assert n.next(0, 0) == PENDSV
+    n.entered(PENDSV)
+    assert n.read(0xED04) & 0x1FF == PENDSV
+    n.write(0xE200, 1 << 3, 4, 0)
+    assert n.next(0, 0) == FIRST + 3
+    n.entered(FIRST + 3)
+    n.write(0xE200, 1 << 4, 4, 0)
+    assert n.next(0, 0) is None, "of the same priority"
+    n.left(FIRST + 3)
+    assert n.before() == PENDSV
+
+
+def test_systick_in_closed_form():
+    now = [0]
+    n = Nvic(lambda: now[0], None)
+    n.write(0xE014, 99, 4, 0)
+    n.write(0xE010, 7, 4, 0)
+    assert n.alarm() == 100
+    now[0] = 130
+    assert (n.read(0xE018), n.alarm()) == (69, 200)
+    assert [n.read(0xE010) >> 16, n.read(0xE010) >> 16] == [1, 0], "COUNTFLAG is cleared by the read"
+    n.tick()
+    assert n.next(0, 0) == SYSTICK
