@@ -69,13 +69,13 @@ def first_wrong(entries):
 @hot
 def _until(h, e):
     """The last value that was read."""
-    what, mask, value = IN8 if e.what == UNTIL8 else IN16, e.mask & 0xFFFFFFFF, 0
+    what, mask, value = IN8 if e.what == UNTIL8 else IN16, int(e.mask) & 0xFFFFFFFF, 0
     for k in range(e.times):
         value = answer(h, what, e.a, 0)
         if h.stopped or (value ^ e.b) & mask == 0:
             break
         if e.every and k < e.times - 1:
-            wait(h, e.every * 1000)
+            wait(h, int(e.every) * 1000)
     return value
 
 

@@ -11,6 +11,12 @@
 enum { PS_F_HELLO = 1, PS_F_BATCH, PS_F_LOG, PS_F_HOOK, PS_F_RETURN, PS_F_INTERRUPT = 254, PS_F_ERROR = 255 };
 enum { PS_UNTIL8 = 100, PS_UNTIL16, PS_UNTIL_LINE, PS_F_VERSION = 1, PS_F_HEAD = 12, PS_F_ENTRY = 32, PS_F_MOST = 1000 };
 
+#if defined(MSG_NOSIGNAL) /* a server that is gone is told in words, and does not end the program by SIGPIPE */
+#define PS_F_NO_SIGNAL MSG_NOSIGNAL
+#else
+#define PS_F_NO_SIGNAL 0
+#endif
+
 struct ps_remote {
     int wire, open, posted; /* entries that have not been sent */
     uint32_t number;
@@ -45,7 +51,7 @@ static inline void ps_send(uint32_t kind, size_t body) /* what is in ps_remote.f
     unsigned char *from = ps_remote.frame, *end = from + PS_F_HEAD + body;
     ps_put(from, body, 4), ps_put(from + 4, kind, 4), ps_put(from + 8, ++ps_remote.number, 4);
     while (from < end) {
-        long sent = (long)send(ps_remote.wire, from, (size_t)(end - from), 0);
+        long sent = (long)send(ps_remote.wire, from, (size_t)(end - from), PS_F_NO_SIGNAL);
         if (sent <= 0)
             ps_fail("the server is gone.");
         from += sent;

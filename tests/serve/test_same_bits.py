@@ -148,6 +148,68 @@ def test_polls_and_what_is_left_at_the_end_are_the_same_too(served, tmp_path):
     assert own.stage.now == served.board.stage.now > 12_345_000
 
 
+FOR_EVER = """
+#include <pulsestage.h>
+PULSESTAGE_MAIN
+{
+    for (;;) {
+        for (int k = 0; k < 990; k++)
+            ps_out8(0x301, (uint8_t)k);
+        ps_delay_us(1000);
+        ps_in8(0x300);
+    }
+    return 0;
+}
+"""
+
+
+@pytest.mark.parametrize("change", ["the server ends", "a request is refused"])
+def test_a_program_whose_server_ends_or_refuses_says_so(board, change, tmp_path):
+    (tmp_path / "forever.c").write_text(
+        FOR_EVER.replace("ps_in8(0x300)", "ps_request(77, 0, 0)" if "refused" in change else "ps_in8(0)")
+    )
+    remote = program(tmp_path, str(tmp_path / "forever.c"))
+    with serving(board) as served:
+        running = subprocess.Popen([str(remote), served.address], stderr=subprocess.PIPE, text=True)
+        if change == "the server ends":
+            while board.cycles < 2000:
+                pass
+        else:
+            running.wait()
+    said = running.communicate(timeout=60)[1]
+    assert running.returncode == 2
+    expected = "entry 991: 77 is no request" if "refused" in change else "server"
+    assert said.startswith("pulsestage: ")
+    assert expected in said
+
+
+CPLUSPLUS = """
+#include <pulsestage.h>
+#include <string>
+int other();
+PULSESTAGE_MAIN
+{
+    ps_log(std::string("from C++").c_str());
+    return other();
+}
+"""
+
+
+@pytest.mark.slow
+def test_c_plus_plus_and_several_files_are_fine(served, tmp_path):
+    (tmp_path / "a.cpp").write_text(CPLUSPLUS)
+    (tmp_path / "b.cpp").write_text(
+        "#include <pulsestage.h>\nint other() { ps_out8(0x301, 3); return ps_in8(0x500) - 250; }\n"
+    )
+    made = tmp_path / "program"
+    flags = ["-std=c++17", "-Wall", "-Wextra", "-pedantic", "-Werror", "-DPULSESTAGE_REMOTE", f"-I{include()}"]
+    names = [str(tmp_path / name) for name in ("a.cpp", "b.cpp")]
+    subprocess.run([*compiler("a.cpp").split(), *flags, *names, "-o", str(made)], check=True)
+    assert subprocess.run([str(made), served.address], check=False).returncode == 5
+    assert served.board.log == [(0.0, "from C++")]
+    assert served.board.cycles == 2
+
+
 def test_a_program_whose_server_is_not_there_says_so(tmp_path):
     (tmp_path / "polls.c").write_text(POLLS)
     remote = program(tmp_path, str(tmp_path / "polls.c"))
