@@ -102,7 +102,7 @@ def build(
         done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
         said = (done.stderr + done.stdout).strip()
-        raise CompileError(f"{files[0]} does not compile ({name}):\n{said}", said)
+        raise CompileError(f"{files[0]} does not compile ({name}):\n{said}{platforms.hint(of, said)}", said)
     return made
 
 

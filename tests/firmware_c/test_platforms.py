@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from stage import ArgumentError, Stage
-from stage.board import Board, NativeHost, build
+from stage.board import Board, CompileError, NativeHost, build
 from stage.board.library import compiler, include
 from stage.board.platforms import PLATFORMS
 from stage.cli import main
@@ -17,7 +17,7 @@ from stage.testing import assert_at, assert_no_diagnostics, assert_no_lost_steps
 PORTS = Path(__file__).resolve().parents[2] / "scripts" / "firmware" / "ports"
 WARNINGS = ("-Wall", "-Wextra", "-Werror")
 PROGRAMS = {
-    "arduino": (["arduino/hctl1100_home/hctl1100_home.ino", "arduino/pins.cpp"], WARNINGS, "HCTL1100", None),
+    "arduino": (["arduino/hctl1100_home/hctl1100_home.ino", "arduino/pins.cpp"], (*WARNINGS, "-O0"), "HCTL1100", None),
     "avr": (["avr/main.c", "avr/pins.cpp"], WARNINGS, "PCL240K", None),
     "vxworks": (["vxworks/mcxDrv.c"], (*WARNINGS, "-std=c99"), "MCX304", None),
     "dos": (["dos/home240.c"], (*WARNINGS, "-std=c99", "-Wno-main"), "PCL240K", "pcl240-card"),
@@ -101,7 +101,7 @@ def driven(library, name, isolated=False):
     ("name", "moved", "last"),
     [
         ("arduino", 4000 * 5e-6, "at (3999|4000)"),
-        ("avr", 4000 * 3.125e-6, "done"),
+        pytest.param("avr", 4000 * 3.125e-6, "done", marks=pytest.mark.slow),
         ("vxworks", 4000 * 3.125e-6, "at 4000"),
         ("dos", 4000 * 3.125e-6, "done"),
     ],
@@ -128,7 +128,7 @@ def test_in_a_process_of_its_own_it_is_the_same_to_the_bit(name, built):
 def test_pins_make_cycles_and_registers_are_those_of_an_avr(tmp_path):
     (tmp_path / "pins.c").write_text(PINS)
     board = Board(Stage("xy", visuals=False))
-    library = build(tmp_path / "pins.c", flags=WARNINGS, platform="avr")
+    library = build(tmp_path / "pins.c", flags=(*WARNINGS, "-O0"), platform="avr")
     for _ in range(2):  # the second run begins with fresh pins
         assert NativeHost(library, board).run(timeout=1).code == 0
     shown = [(c.way, c.port, c.value) for c in itertools.islice(board.trace, 8)]
@@ -200,3 +200,17 @@ def test_a_platform_that_is_none_is_refused(tmp_path, capsys):
         NativeHost(library, Board(Stage("xy", visuals=False)), platform="dos")
     assert main(["run", str(sketch), "--platform", "dos"]) == 2
     assert "a sketch is of the platform arduino" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("header", "platform", "says"),
+    [
+        ("vxWorks.h", None, "vxWorks.h is of the platform vxworks: --platform vxworks on the command line"),
+        ("avr/io.h", None, "avr/io.h is of the platform arduino or avr: --platform avr"),
+        ("graphics.h", "dos", "graphics.h is not among what is emulated of the platform dos: docs/porting.md."),
+    ],
+)
+def test_a_header_that_is_missing_says_of_which_platform_it_is(header, platform, says, tmp_path):
+    (tmp_path / "a.c").write_text(f"#include <{header}>\nint main(void) {{ return 0; }}\n")
+    with pytest.raises(CompileError, match=re.escape(says)):
+        build(tmp_path / "a.c", platform=platform)

@@ -134,3 +134,18 @@ def recipe(platform: Platform | None, sources: Sequence[Path], folder: Path) -> 
     return Recipe(
         (*languages, *map(str, files), *(("-x", "none") if languages else ())), (*platform.flags, *flags), cplusplus
     )
+
+
+def hint(platform: Platform | None, said: str) -> str:
+    """What to do about a header that the compiler has not found; "" where there is nothing to say."""
+    missing = re.search(r"fatal error:? '?([\w/.]+)'?(?:: No such file| file not found)", said)
+    if missing is None:
+        return ""
+    header = missing[1]
+    if platform is not None:
+        return f"\n{header} is not among what is emulated of the platform {platform.name}: docs/porting.md."
+    theirs = [p.name for p in PLATFORMS.values() if any((HERE / folder / header).is_file() for folder in p.folders)]
+    if not theirs:
+        return ""
+    ways = " or ".join(theirs)
+    return f"\n{header} is of the platform {ways}: --platform {theirs[-1]} on the command line, platform={theirs[-1]!r} in Python."
