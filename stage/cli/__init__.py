@@ -303,6 +303,15 @@ def _board(p: argparse.ArgumentParser) -> None:
     g.add_argument("--trace", metavar="FILE.txt", help="write the bus cycles in words")
     g.add_argument("--keep", type=int, default=1_000_000, help="lines of bus cycles that are kept (default: 1,000,000)")
     g.add_argument(
+        "--device",
+        action="append",
+        default=[],
+        metavar="KIND:PORT",
+        help="another device on the bus: hctl2000, hctl2016, hctl2020, ls7166 with the axis that it counts, hctl2016:0x320:x, and "
+        "counts a turn of the motor if not 2000, ls7166:0x330:y:4000; uart:0x3F8; latch:0x378; one of your own in C, adc.c:0x340+2 "
+        "(2 ports)",
+    )
+    g.add_argument(
         "--place",
         action="append",
         default=[],

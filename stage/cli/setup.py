@@ -42,7 +42,7 @@ def make_board(args: argparse.Namespace) -> Any:
             raise ArgumentError(f"--place {item!r}: axis {name} has got a place already. Give an axis once.")
         place(stage, find_axis(stage, name), f"--place {name}", millimetres)
         placed.add(name)
-    return Board(stage, args.layout, args.base, args.stride, keep_cycles=args.keep)
+    return Board(stage, args.layout, args.base, args.stride, keep_cycles=args.keep, devices=args.device)
 
 
 SPEEDS = {"fl": "start", "fh1": "drive", "accel": "up", "decel": "down"}

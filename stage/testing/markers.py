@@ -15,7 +15,7 @@ from stage.files import FileError
 from stage.testing.settings import setting
 
 STAGE = ("model", "chips", "drives", "bus_cycle", "clock", "visuals", "record")
-BOARD = ("layout", "base", "stride", "keep_cycles")
+BOARD = ("layout", "base", "stride", "keep_cycles", "devices")
 FIRMWARE = ("flags", "platform", "isolated", "patience", "mcu", "map", "mcu_clock")
 
 

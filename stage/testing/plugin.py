@@ -23,7 +23,7 @@ MARKERS = (
     "stage(model='xyz', chips='PCL240K', drives=None, bus_cycle=1e-6, clock=None, visuals=False, record=True): the stage of a test",
     "model(name): the model of its stage, as stage(model=name)",
     "chips(name) or chips(x=name, y=name): the chips of its stage, as stage(chips=...)",
-    "board(layout=None, base=None, stride=None, keep_cycles=100000): how the chips lie on the host's bus",
+    "board(layout=None, base=None, stride=None, keep_cycles=100000, devices=()): the chips on the host's bus, and devices",
     "firmware(*sources, flags=(), platform=None, isolated=True, patience=20.0, mcu=None, map=(), mcu_clock=None): C or C++ "
     "sources, a library, or a program of another processor, for the fixture `host`",
 )
