@@ -187,9 +187,9 @@ def test_the_board_of_run_lies_where_the_options_say(monkeypatch):
         raise ArgumentError("enough")
 
     monkeypatch.setattr("stage.board.Board", board)
-    where = "--layout pcl240-card --base 0x2A0 --stride 16 --keep 77 --model xy"
+    where = "--layout pcl240-card --base 0x2A0 --stride 16 --keep 77 --model xy --device uart:0x3F8 --device latch:7"
     assert main(["run", "a.c", *where.split()]) == 2
-    assert asked == [(("pcl240-card", 0x2A0, 16), {"keep_cycles": 77})]
+    assert asked == [(("pcl240-card", 0x2A0, 16), {"keep_cycles": 77, "devices": ["uart:0x3F8", "latch:7"]})]
 
 
 @pytest.mark.parametrize(("lost", "code"), [(4, 1), (0, 0)])
