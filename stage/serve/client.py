@@ -71,10 +71,19 @@ def connect(address: str = "", *, look: bool = False, timeout: float | None = 10
     """A connection to a server: "HOST:PORT", "HOST" or ":PORT"; 127.0.0.1 and 7240 where nothing is said.
 
     look: read status, positions and pins only; any number may look, one drives. timeout: s of real time to connect and be greeted.
-    Raises OSError when nobody is there; ServerError when the server refuses, for example since another host drives.
+    Raises OSError when nobody is there; ValueError for what is no address; ServerError when
+    the server refuses, for example since another host drives.
     """
     host, _, port = address.rpartition(":") if ":" in address else (address, "", "")
-    wire = socket.create_connection((host or "127.0.0.1", int(port or PORT)), timeout)
+    if port and not port.isdecimal():
+        raise ValueError(f"{address!r}: an address is HOST:PORT, for example 127.0.0.1:{PORT}.")
+    host, number = host.strip("[]") or "127.0.0.1", int(port or PORT)
+    try:
+        wire = socket.create_connection((host, number), timeout)
+    except ConnectionRefusedError:
+        raise ConnectionRefusedError(
+            f"nobody listens at {host}, port {number}. Start a server there: stage serve."
+        ) from None
     try:
         client = Client(wire, look)
         wire.settimeout(None)

@@ -12,6 +12,7 @@ import numpy as np
 from stage import __version__
 from stage.board import Board, HostError
 from stage.board.batch import ENTRY, first_wrong, go_on, run_batch
+from stage.board.host import LAST_PORT
 from stage.errors import ArgumentError, StageError, unknown
 from stage.serve import client
 from stage.serve.frames import ENTRIES
@@ -72,7 +73,14 @@ class Machine:
             for p in board.places
         ]
         axes = {name: axis.unit for name, axis in board.stage.axes.items()}
-        about = {"pulsestage": __version__, "axes": axes, "chips": chips, "bus_cycle": board.stage.bus_cycle}
+        devices = [{"device": device.name, "ports": list(device.ports)} for device in board.devices]
+        about = {
+            "pulsestage": __version__,
+            "axes": axes,
+            "chips": chips,
+            "devices": devices,
+            "bus_cycle_ns": round(board.stage.bus_cycle * 1e9),
+        }
         return json.dumps(about).encode()
 
     def fresh(self) -> None:
@@ -203,7 +211,7 @@ class Machine:
     def _axis(self, name: str) -> Any:
         axes = self.board.stage.axes
         if name not in axes:
-            raise unknown("axis", name, axes)
+            raise ArgumentError(f"{unknown('axis', name, axes)} Write AXIS.PIN or AXIS.switches.SWITCH.")
         return axes[name]
 
 
@@ -217,11 +225,14 @@ def _in_words(entry: Any) -> str:
     names = {number: name for number, name, *_ in ENTRIES}
     if what not in names:
         return f"{what} is no request; those of a batch are {', '.join(f'{n} {name}' for n, name in names.items())}"
-    mask = int(entry["mask"]) & 0xFFFFFFFF
-    return (
-        f"{names[what]} a={int(entry['a'])} b={int(entry['b'])} times={int(entry['times'])} every={int(entry['every'])} "
-        f"mask={mask}: ports are 0 to FFFFFFFFh, values as wide as the cycle, delays 0 to 1e15 us, times 1 or more, every 0 or more"
-    )
+    a, b, name = int(entry["a"]), int(entry["b"]), names[what]
+    if what in (client.DELAY, client.UNTIL_LINE):
+        return f"{name} {a} us; there are 0 to 1e15 us"
+    if not 0 <= a <= LAST_PORT:
+        return f"{name} at port {a}; ports are 0 to {LAST_PORT:X}h"
+    if what in (client.UNTIL8, client.UNTIL16):
+        return f"{name} {int(entry['times'])} times, every {int(entry['every'])} us; it takes 1 time or more, every 0 us or more"
+    return f"{name} {a:03X}h <- {b}; the value does not fit the cycle"
 
 
 def _word(frame: str, body: bytes, known: tuple[int, ...]) -> int:

@@ -117,7 +117,7 @@ class Server:
             self._listener.close()
             raise StageError(
                 f"nothing can listen on {bind}, port {port}: {error.strerror or error}. Is another server running? Choose another "
-                "port, or 0 for one that is free."
+                "port (--listen), or 0 for one that is free."
             ) from None
         self.address: tuple[str, int] = self._listener.getsockname()[:2]
         self._wake, self._woken = socket.socketpair()

@@ -35,7 +35,8 @@ def test_what_a_host_is_told_of_the_board(served):
     with served.host() as host:
         assert host.about["axes"] == {"x": "m", "y": "m"}
         assert host.about["chips"][1] == {"chip": "PCL240MK", "axes": "y", "port": 0x304, "layout": "pcl240"}
-        assert host.about["bus_cycle"] == pytest.approx(1e-6)
+        assert host.about["bus_cycle_ns"] == 1000
+        assert host.about["devices"] == []
 
 
 def test_one_host_drives_and_others_look(served):
@@ -133,7 +134,7 @@ def test_pins_switches_and_reset(served):
         host.reset()
         assert not host.in8(PORT) & 0x40
         for wrong, said in (
-            ("q.org", "unknown axis 'q'"),
+            ("q.org", "unknown axis 'q'.*Write AXIS.PIN"),
             ("x.orgg", "Did you mean 'org'"),
             ("x.switches.no", "unknown switch"),
         ):
@@ -225,10 +226,11 @@ def test_a_batch_with_a_mistake_is_refused_as_a_whole(served):
     with served.host() as host:
         before = served.state()
         for wrong, said in (
-            (host.batch().out8(PORT, 256), "entry 1: OUT8 a=768 b=256"),
-            (host.batch().delay_us(-1), "entry 1: DELAY a=-1"),
+            (host.batch().out8(PORT, 256), "entry 1: OUT8 300h <- 256; the value does not fit"),
+            (host.batch().delay_us(-1), "entry 1: DELAY -1 us; there are 0 to 1e15 us"),
+            (host.batch().in8(-1), "entry 1: IN8 at port -1; ports are 0 to FFFFFFFFh"),
             (host.batch().add(77), "entry 1: 77 is no request; those of a batch are 0 IN8, 1 OUT8"),
-            (host.batch().until8(PORT, 1, 1, 0), "entry 1: UNTIL8"),
+            (host.batch().until8(PORT, 1, 1, 0), "entry 1: UNTIL8 0 times, every 0 us"),
         ):
             batch = host.batch().in8(PORT)
             batch._entries += wrong._entries
@@ -287,6 +289,13 @@ def test_no_more_than_so_many_hosts_are_connected(served):
     for host in hosts:
         assert host.status().cycles == 0
         host.close()
+
+
+def test_an_address_where_nobody_is_or_that_is_none_is_an_error_in_words(served):
+    with pytest.raises(ConnectionRefusedError, match=r"nobody listens at 127\.0\.0\.1, port 1\. Start a server there"):
+        client.connect(":1")
+    with pytest.raises(ValueError, match="'here:there': an address is HOST:PORT"):
+        client.connect("here:there")
 
 
 def test_two_servers_do_not_listen_on_one_port(served):
