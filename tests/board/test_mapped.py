@@ -28,13 +28,18 @@ WAYS = """
 #define READ(bits, n) ps_in##bits(0x300 + (n))
 #define WRITE(bits, n, v) ps_out##bits(0x300 + (n), (uint##bits##_t)(v))
 #define DO(bits, n, op, v) WRITE(bits, n, READ(bits, n) op (v))
+#elif defined(PROXIES)
+#include <pulsestage_mmio.hpp>
+#define READ(bits, n) ps::reg##bits(0x300 + (n))
+#define WRITE(bits, n, v) (READ(bits, n) = (uint##bits##_t)(v))
+#define DO(bits, n, op, v) (READ(bits, n) op##= (v))
 #else
 #define READ(bits, n) AT(uint##bits##_t, n)
 #define WRITE(bits, n, v) (AT(uint##bits##_t, n) = (uint##bits##_t)(v))
 #define DO(bits, n, op, v) (AT(uint##bits##_t, n) = (uint##bits##_t)(AT(uint##bits##_t, n) op (v)))
 #endif
 """
-"""The same accesses in two ways."""
+"""The same accesses in three ways."""
 
 
 def accesses(rng: random.Random, n: int) -> str:
@@ -109,6 +114,36 @@ def same_as_ports(body: str, *flags: str, chips=MCX304, isolated=(False, True)) 
 def test_random_accesses_of_every_width_are_the_port_cycles_that_they_say(level, chips):
     seed = 4711
     same_as_ports(accesses(random.Random(seed), 120), level, chips=chips)
+
+
+def test_registers_of_cpp_are_the_same_cycles_and_need_no_window():
+    body = HEAD + WAYS + accesses(random.Random(77), 60)
+    assert ran(firmware(body, "-DPROXIES", suffix=".cpp")) == ran(firmware(body, "-DPORTS"))
+    struct = """
+    #define PULSESTAGE_MMIO_ADDRESS 0x40021000
+    #define PULSESTAGE_MMIO_PORT 0x300
+    #include <pulsestage_mmio.hpp>
+    typedef ps::cell16 vu16;
+    struct chip { vu16 wr[8]; };
+    #define CHIP ((chip *)0x40021000)
+    PULSESTAGE_MAIN
+    {
+        chip *two = CHIP + 1;
+        CHIP->wr[1] = 5, CHIP->wr[2] = CHIP->wr[1], two->wr[0]++, --two->wr[1];
+        uint16_t before = two->wr[3]++, written = two->wr[4] = 9;
+        CHIP->wr[7] <<= 3;
+        return before + written + (CHIP->wr[3] == 7 ? 100 : 0);
+    }"""
+    ports = """
+    PULSESTAGE_MAIN
+    {
+        ps_out16(0x302, 5), ps_out16(0x304, ps_in16(0x302)), ps_out16(0x310, (uint16_t)(ps_in16(0x310) + 1));
+        ps_out16(0x312, (uint16_t)(ps_in16(0x312) - 1));
+        uint16_t before = ps_in16(0x316);
+        ps_out16(0x316, (uint16_t)(before + 1)), ps_out16(0x318, 9), ps_out16(0x30e, (uint16_t)(ps_in16(0x30e) << 3));
+        return before + 9 + (ps_in16(0x306) == 7 ? 100 : 0);
+    }"""
+    assert ran(firmware(struct, suffix=".cpp")) == ran(firmware(ports))
 
 
 @pytest.mark.slow
