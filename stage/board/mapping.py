@@ -22,7 +22,7 @@ from stage.board import crash
 from stage.board.errors import HostError
 from stage.board.host import BEYOND_WINDOW
 from stage.board.windows import Window, windows
-from stage.board.x86 import processor, table, trap
+from stage.board.x86 import records, table, trap
 from stage.errors import ArgumentError, StageError
 from stage.native import array_at
 
@@ -92,7 +92,7 @@ class Mapped:
     def _own_stack(self) -> None:
         """The handler runs on another stack than the firmware, in this thread: it then may go on with calls of functions."""
         if not self._stacks:
-            self._memory.append((*stack(), processor.READ | processor.WRITE | processor.STACK))
+            self._memory.append((*stack(), records.READ | records.WRITE | records.STACK))
             self._stacks.append((get_ident(), crash.OwnStack()))
             _publish()
 
@@ -149,14 +149,14 @@ class Mapped:
         """SPANs: windows, their pages, memory."""
         pages = _claims.get(self, [])
         return (
-            [(w.address, w.end, processor.WINDOW, w.port, self._host) for w in self._windows],
-            [(begin, end, processor.PAGE, 0, self._host) for begin, end in pages],
+            [(w.address, w.end, records.WINDOW, w.port, self._host) for w in self._windows],
+            [(begin, end, records.PAGE, 0, self._host) for begin, end in pages],
             [(*memory, 0, self._host) for memory in self._memory] if pages else [],
         )
 
     def refusal(self, what: int, step: int, address: int) -> HostError:
         """Why an instruction is no bus cycle. step: the address of its STEP."""
-        state: Any = array_at(step, 1, processor.STEP)[0]
+        state: Any = array_at(step, 1, records.STEP)[0]
         start, top = int(state.start), ctypes.c_uint64.from_address(int(state.stack)).value
         who = f"{self._library.path.name}: an access to address {address:X}h in {crash.place(start, self._library.path, top)}"
         near = next((w for w in self._windows if w.address <= address < w.end), None)
@@ -182,7 +182,7 @@ class Mapped:
 
 _claims: dict[Mapped, list[tuple[int, int]]] = {}
 """Pages: begin, end."""
-_space = np.zeros(1, processor.SPACE)
+_space = np.zeros(1, records.SPACE)
 _published: deque[np.ndarray] = deque(maxlen=64)
 """The last tables of SPANs: a handler in another thread may look at one before."""
 
@@ -192,9 +192,9 @@ def _publish() -> None:
     with _lock:
         kinds = zip(*(mapped.spans() for mapped in _claims), strict=True)
         rows = [row for kind in kinds for rows in kind for row in rows]
-        if len(rows) >= processor.SPANS:
-            raise StageError(f"{len(rows)} windows and pieces of memory: there is room for {processor.SPANS - 1}.")
-        spans = np.zeros(processor.SPANS, processor.SPAN)
+        if len(rows) >= records.SPANS:
+            raise StageError(f"{len(rows)} windows and pieces of memory: there is room for {records.SPANS - 1}.")
+        spans = np.zeros(records.SPANS, records.SPAN)
         for k, row in enumerate(rows):
             spans[k] = row
         _published.append(spans)
@@ -237,7 +237,7 @@ def _address(function: Any) -> int:
 def _thunk() -> int:
     """What the system calls, in machine code: it gives `on_fault` its two records, of which STEP is on the stack, and jumps on to
     the handler of before if that is asked for."""
-    size = -(-processor.STEP.itemsize // 16) * 16
+    size = -(-records.STEP.itemsize // 16) * 16
     code = b"".join(
         (
             b"\x57\x56\x52",  # push rdi, rsi, rdx
@@ -249,8 +249,7 @@ def _thunk() -> int:
             b"\x48\x81\xc4" + struct.pack("<i", size),  # add rsp, size
             b"\x5a\x5e\x5f",  # pop rdx, rsi, rdi
             b"\x85\xc0\x74\x01\xc3",  # return unless eax is 0
-            b"\x48\xb8"
-            + struct.pack("<Q", _space.ctypes.data + int(dict(processor.SPACE.fields or {})["previous"][1])),
+            b"\x48\xb8" + struct.pack("<Q", _space.ctypes.data + int(dict(records.SPACE.fields or {})["previous"][1])),
             b"\xff\x20",  # jmp [rax]
         )
     )
@@ -294,7 +293,7 @@ def memory_of(library: Library) -> list[tuple[int, int, int]]:
             rows = [struct.unpack_from("<IIQQQQQ", ctypes.string_at(base + first + k * size, size)) for k in range(n)]
             for kind in (_READ_ONLY, _LOAD):  # the first that fits is meant
                 found += [
-                    (base + start, base + start + length, processor.READ if kind == _READ_ONLY else _access(flags))
+                    (base + start, base + start + length, records.READ if kind == _READ_ONLY else _access(flags))
                     for what, flags, _, start, _, _, length in rows
                     if what == kind
                 ]
@@ -304,11 +303,7 @@ def memory_of(library: Library) -> list[tuple[int, int, int]]:
 
 def _access(flags: int) -> int:
     """From the flags of a program header: 4 read, 2 write, 1 execute."""
-    return (
-        (processor.READ if flags & 4 else 0)
-        | (processor.WRITE if flags & 2 else 0)
-        | (processor.CODE if flags & 1 else 0)
-    )
+    return (records.READ if flags & 4 else 0) | (records.WRITE if flags & 2 else 0) | (records.CODE if flags & 1 else 0)
 
 
 def stack() -> tuple[int, int]:

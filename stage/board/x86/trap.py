@@ -10,7 +10,8 @@ import numpy as np
 
 from stage.board.host import BEYOND_WINDOW, NO_CYCLE
 from stage.board.x86 import processor
-from stage.board.x86.processor import BEYOND, CODE, DONE, PAGE, REGISTERS, RIP, RSP, SPACE, SPAN, STEP, WINDOW
+from stage.board.x86.operands import span_of
+from stage.board.x86.records import BEYOND, CODE, DONE, PAGE, REGISTERS, RIP, RSP, SPACE, SPAN, STEP, WINDOW
 from stage.native import array_at, called, exported
 
 FAR = 200
@@ -29,7 +30,7 @@ def on_fault(number, info, context, space, s):
     """int32_t on_fault(int32_t signal, siginfo_t *, ucontext_t *, SPACE *, STEP *): what the thunk of mapping.py calls, with a STEP
     on the handler's stack. 0: none of our business."""
     address = int(array_at(info + ADDRESS, 1, _I8)[0])
-    at = processor.span_of(space, address)
+    at = span_of(space, address)
     if at == 0 or not array_at(at, 1, SPAN)[0].kind & (WINDOW | PAGE):
         if space.previous > 1:
             return 0
@@ -47,7 +48,7 @@ def on_fault(number, info, context, space, s):
         _request(space.request, (array_at(at, 1, SPAN)[0].host, what, s.own, address))
         return 1
     while s.since < FAR:
-        at = processor.span_of(space, int(regs[RIP]))
+        at = span_of(space, int(regs[RIP]))
         if at == 0 or not array_at(at, 1, SPAN)[0].kind & CODE:
             return 1
         s.since += 1
