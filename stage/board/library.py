@@ -207,7 +207,7 @@ class Library:
             raise LibraryError(
                 f"{path} was built with pulsestage.h of version {abi}, and this is version {ABI}: build it again."
             )
-        self._bus = bus  # the library points to it
+        self.bus = bus  # the library points to it
         self._find(ctypes.c_void_p, "pulsestage_bus").value = ctypes.addressof(bus)
         self.main: Any = getattr(self._library, ENTRY, None)
         if self.main is None:

@@ -282,8 +282,9 @@ def _in_use(begin: int, end: int) -> str:
 
 
 def memory_of(library: Library) -> list[tuple[int, int, int]]:
-    """Code and data of a library, and of those that were loaded with it: begin, end, kind."""
-    found: list[tuple[int, int, int]] = []
+    """Code and data of a library, of those that were loaded with it, and its bus: begin, end, kind."""
+    bus = ctypes.addressof(library.bus)
+    found = [(bus, bus + ctypes.sizeof(library.bus), records.READ)]
     at = library.loaded
     while at:
         base = at.contents.base

@@ -116,6 +116,16 @@ def test_random_accesses_of_every_width_are_the_port_cycles_that_they_say(level,
     same_as_ports(accesses(random.Random(seed), 120), level, chips=chips)
 
 
+def test_a_loop_with_delays_and_calls_takes_one_signal():
+    body = """
+    static __attribute__((noinline)) void wait_a_little(int k) { ps_delay_us(k & 3); WRITE(16, 4, ps_micros()); }
+    PULSESTAGE_MAIN { for (int k = 0; k < 50; k++) { DO(16, 6, |, k); wait_a_little(k); } return 0; }
+    """
+    before = mapping.faults()
+    same_as_ports(body, isolated=(False,))
+    assert mapping.faults() - before == 1
+
+
 def test_registers_of_cpp_are_the_same_cycles_and_need_no_window():
     body = HEAD + WAYS + accesses(random.Random(77), 60)
     assert ran(firmware(body, "-DPROXIES", suffix=".cpp")) == ran(firmware(body, "-DPORTS"))

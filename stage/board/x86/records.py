@@ -41,7 +41,7 @@ DONE, LEFT, BEYOND = range(3)
 """Status: done; not for us to do; it touches a page of a window, but beyond the window."""
 
 RIP, FLAGS, REGISTERS = 16, 17, 23
-RAX, RCX, RSP, RBP, RSI, RDI = 13, 14, 15, 10, 9, 8
+RAX, RCX, RDX, RSP, RBP, RSI, RDI = 13, 14, 12, 15, 10, 9, 8
 """Places in the saved registers (gregs of <sys/ucontext.h>)."""
 PLACES = 0x7654321089AFBCED
 """The place of each register by its number in instructions, 4 bits each."""

@@ -28,7 +28,8 @@ it, D RDX, R the register that the opcode names; what follows; 1; CL; the addres
 
 OPCODE = record([(name, "i8") for name in "what known modrm size source_size target source immediate".split()])
 """known: whether it is in the table. modrm: whether a byte with E and G follows. size: bytes of the operands, 0 where prefixes say
-it; source_size: of the source, 0 for the same. immediate: bytes that follow; FULL: as many as operands have, UP_TO_4: but 4 at most."""
+it; source_size: of the source, 0 for the same. immediate: bytes that follow; FULL: as many as operands have,
+UP_TO_4: but 4 at most."""
 FULL, UP_TO_4 = 16, 17
 GROUPS = 512
 

@@ -10,8 +10,25 @@ import numpy as np
 
 from stage.board.host import BEYOND_WINDOW, NO_CYCLE
 from stage.board.x86 import processor
-from stage.board.x86.operands import span_of
-from stage.board.x86.records import BEYOND, CODE, DONE, PAGE, REGISTERS, RIP, RSP, SPACE, SPAN, STEP, WINDOW
+from stage.board.x86.operands import access, span_of
+from stage.board.x86.records import (
+    BEYOND,
+    CODE,
+    DONE,
+    PAGE,
+    RAX,
+    RCX,
+    RDI,
+    RDX,
+    REGISTERS,
+    RIP,
+    RSI,
+    RSP,
+    SPACE,
+    SPAN,
+    STEP,
+    WINDOW,
+)  # fmt: skip
 from stage.native import array_at, called, exported
 
 FAR = 200
@@ -48,6 +65,13 @@ def on_fault(number, info, context, space, s):
         _request(space.request, (array_at(at, 1, SPAN)[0].host, what, s.own, address))
         return 1
     while s.since < FAR:
+        if regs[RIP] == space.request:  # as ps_delay_us does: no reason to return to the processor
+            back = access(s, space, int(regs[RSP]), 8, 0, False)
+            if s.status:
+                return 1
+            given = int(regs[RDI]), int(regs[RSI]), int(regs[RDX]), int(regs[RCX])
+            regs[RAX] = _request(space.request, given)
+            regs[RIP], regs[RSP], s.since = back, int(regs[RSP]) + 8, 0
         at = span_of(space, int(regs[RIP]))
         if at == 0 or not array_at(at, 1, SPAN)[0].kind & CODE:
             return 1
