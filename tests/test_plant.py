@@ -220,6 +220,7 @@ def test_an_axis_whose_screw_turns_the_other_way_goes_where_it_is_told_by_pulses
         with faults.jam(x):
             assert firmware.move(x, 3e-3).lost_steps == -60
             assert x.position == pytest.approx(3e-3, abs=50e-6)
+        assert firmware.move(x, 1e-3).lost_steps == 0, "those before are not its own"
 
 
 def test_the_origin_may_be_a_short_vane_narrower_than_the_scan():

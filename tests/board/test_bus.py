@@ -345,6 +345,9 @@ def test_an_interrupt_comes_within_a_delay_at_the_very_nanosecond():
     assert twin.axes["x"].chip.pins.irq
     calls = [(c.way, c.meaning) for c in board.trace if c.port is None]
     assert calls == [("I", "interrupt: the hook is called"), ("i", "interrupt: the hook returns")]
+    lines = list(board.trace)
+    for n in range(len(lines) + 1):
+        assert list(board.trace.last(n)) == lines[len(lines) - n :]
 
 
 def test_interrupts_change_nothing_but_what_their_hook_does():

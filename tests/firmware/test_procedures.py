@@ -317,8 +317,12 @@ def test_a_line_of_servos_that_a_limit_ends_says_so(stage):
 @each
 def test_a_jog_onto_an_end_limit_says_so(stage):
     x = stage.axes["x"]
-    stage.place(x=next(s.touch for s in x.plant.switches if s.pin == "el_plus") - 2e-3)
+    touch = {s.pin: s.touch for s in x.plant.switches}
+    stage.place(x=touch["el_plus"] - 2e-3)
     assert firmware.jog(x, 0.5, 0.02).stopped_by == "EL+"
+    stage.place(x=touch["el_minus"] + 2e-3)
+    with faults.vane_missing(x, "org"):
+        assert firmware.jog(x, 0.5, -0.02).stopped_by == "EL-"
 
 
 def test_a_servo_told_to_jog_on_the_home_switch_says_that_it_obeys_it():

@@ -210,6 +210,7 @@ def test_integral_velocity_turns_as_asked_and_stops_in_position_control(stage, r
     report = integral_velocity(port, rate, seconds=0.2)
     assert report.asked == pytest.approx(rate, rel=0.08), "whole counts a sample"
     assert report.measured == pytest.approx(report.asked, rel=0.01)
+    assert report.ended == ""
     stage.run(0.1)
     assert abs(port.commanded() - port.position()) <= DEADBAND
     assert not port.chip.diagnostics

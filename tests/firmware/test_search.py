@@ -1,0 +1,96 @@
+"""What the results of an origin return that was written as a program say: every way in which it can end."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from stage.chips import MCX304, MCX514, PCL240K, PCL240MK
+from stage.chips.pcl240.state import S_ORG, S_ZERO
+from stage.firmware import Bench
+from stage.firmware.driver import driver_of
+from stage.firmware.nova.search import HomeSearch
+from stage.firmware.pcl240.search import FourRuns
+
+MADE = {"leave": 0, "search": 7000, "back off": 500, "approach": 480}  # pulses
+
+
+def search(kind, chip, ez=0):
+    settings = SimpleNamespace(leave=1000, back_off=500, multiplier=60, settle=0.01, limit=2.0, ez=ez)
+    return kind(driver_of(Bench(chip()).axes["x"]), settings)
+
+
+def found(made, results, **chosen):
+    """What is found from {mark: value} each, of a row with these choices."""
+    kept = np.zeros((len(results), max(made.marks.values()) + 1), np.int64)
+    for row, said in zip(kept, results, strict=True):
+        for name, value in said.items():
+            row[made.marks[name]] = value
+    rows = np.array(
+        [list((dict(zip(made.choices.ranges, made.choices.low, strict=True)) | chosen).values())] * len(results)
+    )
+    return made.found(kept, rows)._asdict()
+
+
+def four_runs(ended=S_ORG, index=0xFF, made=MADE, **run):
+    """The results of four runs of which all did as they should but `run`: {name: its status byte, or -1 if it took too long}."""
+    status = {"leave": S_ZERO, "search": S_ORG, "back off": S_ZERO, "approach": ended} | {
+        name.replace("_", " "): s for name, s in run.items()
+    }
+    out = {}
+    for name, s in status.items():
+        count = -made[name] & 0xFFFFFF if name in ("search", "approach") else 0
+        out |= {f"{name} time": min(s, 0) if s < 0 else 1000, f"{name} 0": max(s, 0)}
+        out |= {f"{name} {k}": count >> 8 * (k - 1) & 0xFF for k in (1, 2, 3)}
+    return out, index
+
+
+WAYS = {  # late, home, end_limit, released
+    "as it should": (four_runs(), (0, 1, 0, 1)),
+    "with every other bit": (four_runs(leave=0xFF & ~S_ORG, search=0xFF, back_off=0xFF & ~S_ORG, ended=0xFF), (0, 1, 0, 1)),
+    "the leaving met a limit": (four_runs(leave=0), (0, 1, 1, 1)),
+    "no ORG ahead": (four_runs(search=0), (0, 1, 1, 1)),
+    "the backing off met a limit": (four_runs(back_off=0), (0, 1, 1, 1)),
+    "ORG not released": (four_runs(back_off=S_ZERO | S_ORG), (0, 0, 0, 0)),
+    "the approach met a limit": (four_runs(ended=0), (0, 0, 1, 1)),
+    **{f"too long: {run}": (four_runs(**{run: -1}), (1, 0, 0, None)) for run in ("leave", "search", "back_off")},
+    "too long: approach": (four_runs(ended=-1), (1, 0, 0, 1)),
+}  # fmt: skip
+
+
+def test_every_end_of_an_origin_return_of_four_runs_is_told():
+    told = found(search(FourRuns, PCL240K), [r for (r, _), _ in WAYS.values()], back_off=500)
+    for k, (name, (_, expected)) in enumerate(WAYS.items()):
+        seen = [int(told[what][k]) for what in ("late", "home", "end_limit", "released")]
+        assert all(e in (None, s) for s, e in zip(seen, expected, strict=True)), (name, seen)
+    assert set(told["searched"]) == {7000}
+    assert set(told["overrun"]) == {480 - 500}
+
+
+def test_of_an_origin_return_to_the_index_pulse_home_is_that_pulse():
+    made = search(FourRuns, PCL240MK, ez=2)
+    results = [four_runs()[0] | {"index": index} for index in (0x10, 0xEF)]
+    assert found(made, results)["home"].tolist() == [True, False], "bit 20 of R17"
+
+
+@pytest.mark.parametrize("chip", [MCX304, MCX514])
+@pytest.mark.parametrize("ez", [0, 1])
+def test_every_end_of_an_automatic_home_search_is_told(chip, ez):
+    made = search(HomeSearch, chip, ez)
+    on, error = (made._bits[name] for name in (f"stop{ez + 1}", "error"))
+    good = {name: 1000 for name in made.marks if "time" in name} | {
+        "left 6": 800, "ended 6": -6200 & 0xFFFF, "ended 7": -6200 >> 16 & 0xFFFF, f"stop{ez + 1}": on,
+    }  # fmt: skip
+    times = [name for name in made.marks if "time" in name]
+    results = [
+        good, good | {"error": 0xFFFF & ~error, f"stop{ez + 1}": 0xFFFF}, good | {"left 6": 799},
+        good | {f"stop{ez + 1}": 0xFFFF & ~on},
+        good | {"error": error}, *(good | {name: -1} for name in times), *(good | {name: 0} for name in times),
+    ]  # fmt: skip
+    told = found(made, results, leave=800)
+    n = len(times)
+    assert told["home"].tolist() == [True, True, True, False, False] + [False] * n + [True] * n
+    assert told["late"].tolist() == [False] * 5 + [True] * n + [False] * n
+    assert told["end_limit"].tolist() == [False, False, True, True, False] + [False] * 2 * n
+    assert told["released"].tolist() == [True] * 4 + [False] + [True] * 2 * n
+    assert told["searched"].tolist() == [7000] * 2 + [6999] + [7000] * (2 + 2 * n)
