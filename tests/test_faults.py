@@ -639,6 +639,7 @@ def test_a_recording_names_the_faults_at_their_moments(xyz, tmp_path):
     x = xyz.axes["x"]
     stuck = faults.switch_stuck(x, "org", True)
     with xyz.record() as recording:
+        recording.stream(tmp_path / "s.rrd", 0.005)
         xyz.run(0.01)
         with faults.jam(x):
             xyz.run(0.0100001)
@@ -664,6 +665,9 @@ def test_a_recording_names_the_faults_at_their_moments(xyz, tmp_path):
         f"{t:11.6f}  FAULT  {text}" for t, text, _ in said
     ]
     assert list(chain.from_iterable(read["/faults/log"]["TextLog:level"][1])) == ["ERROR"] * 4
+    streamed = read_rrd(tmp_path / "s.rrd")
+    for entity, what in (("/faults", "StateChange:state"), ("/faults/log", "TextLog:text")):
+        assert streamed[entity][what][1] == read[entity][what][1], "each once"
 
 
 def test_the_command_lists_every_fault_and_shows_one(tmp_path, monkeypatch, capsys):

@@ -122,7 +122,12 @@ def test_firmware_that_never_returns_is_stopped_by_time_or_by_cycles_and_shows_t
     with pytest.raises(HostTimeout, match=r"100 bus cycles in less than 0\.5 s"):
         h.run_for(0.5, max_cycles=100)
     assert h.running
-    assert h.run_until(lambda: h.board.stage.time > 0.3, timeout=1, poll=0.01) > 0.04
+    asked = []
+    begin = h.board.stage.time
+    assert (
+        h.run_until(lambda: asked.append(h.board.stage.time) or h.board.stage.time > 0.3, timeout=1, poll=0.01) > 0.04
+    )
+    assert len(asked) > (asked[-1] - begin) / 0.01 - 3, "asked at each poll"
     with pytest.raises(RunTimeout, match="did not come true"):
         h.run_until(lambda: False, timeout=0.002)
     with pytest.raises(StageError, match="one host"):

@@ -1,5 +1,6 @@
 """Custom profiles: a command a sample, in its safe part, to axes in step by SYNC; the error that a linear model predicts."""
 
+import math
 import sys
 from pathlib import Path
 
@@ -40,6 +41,8 @@ def test_a_circle_lies_on_a_circle_from_rest_to_rest(axes):
     assert max(steps[0], steps[-1]) < 0.02 * steps.max()
     away = points + [3.0, 4.0, 12.0][:axes]
     assert 0 < off_circle(away, RADIUS).max() <= 13.0
+    if axes == 3:  # beside its plane
+        assert off_circle(points + np.array([0.0, 3.0, -3.0]), RADIUS) == pytest.approx(3 * math.sqrt(2), abs=1e-6)
     for radius, number in ((RADIUS, 4), (float("nan"), 2)):
         with pytest.raises(ArgumentError, match="a finite radius, 2 or 3 axes"):
             circle(radius, seconds=SECONDS, sample=520e-6, axes=number)

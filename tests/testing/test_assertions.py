@@ -5,6 +5,7 @@ import json
 import re
 import traceback
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -23,7 +24,7 @@ from stage.testing import (
     assert_stopped,
 )
 from stage.testing.assertions import ranges
-from stage.testing.evidence import Watch
+from stage.testing.evidence import Watch, folder
 from stage.testing.watched import WatchedStage
 
 SLOW = firmware.Profile.of(fh1=8000, accel=0.05)
@@ -278,6 +279,7 @@ def test_the_log_of_a_firmware_is_shown_from_its_end_and_its_stray_cycles_are_co
     assert watch._log() == ""
     for k in range(12):
         watch.board.note(f"line {k}")
+        assert ("lines before" in watch._log()) == (k >= 10)
     shown = watch._log().splitlines()
     assert shown[:2] == ["log of the firmware:", "  ... 2 lines before"]
     assert [line.split("  ")[-1] for line in shown[2:]] == [f"line {k}" for k in range(2, 12)]
@@ -288,6 +290,42 @@ def test_the_log_of_a_firmware_is_shown_from_its_end_and_its_stray_cycles_are_co
     assert "3 bus cycles reached no chip" in state
     assert "fault in force: axis x: org stuck closed" in state
     assert "asserted: org" in state
+    assert "mistakes" not in state
+    firmware.preset_move(stage.axes["x"], 10, SLOW)
+    run_on(stage.axes["x"])
+    stage.axes["y"].chip.write(0, 0x15)  # a start without any rate
+    x, y, said = [line for line in watch._state().splitlines() if line.startswith("  ")][:3]
+    assert re.match(r"  x \(PCL240K\) at .* mm, commanded .* mm, 0 full steps lost, \+[\d,]+ pulses/s$", x)
+    assert y.endswith("no pulses")
+    assert re.match(r"  \d+ bus writes that a data-sheet reader would call mistakes: assert_no_diagnostics", said)
+
+
+def test_two_tests_never_share_a_folder_and_one_has_always_the_same(tmp_path):
+    """test_a[x y] and test_a[x_y]; ids longer than a folder's name"""
+
+    def named(nodeid, given=""):
+        options = {"pulsestage_output": given}
+        config = SimpleNamespace(
+            getoption=options.get,
+            getini=lambda name: "",
+            rootpath=tmp_path,
+            invocation_params=SimpleNamespace(dir=tmp_path / "here"),
+        )
+        return folder(config, nodeid)
+
+    plain = "tests/a/test_b.py::test_c"
+    assert named(plain) == named(plain) == tmp_path / ".pulsestage" / "tests.a.test_b.py.test_c"
+    assert named(plain, "out").parent == tmp_path / "here" / "out"
+    assert named("t::" + "a" * 117).name == "t." + "a" * 117, "120 characters, all of them"
+    many = [
+        plain,
+        f"{plain}[x y]",
+        f"{plain}[x_y]",
+        f"{plain}[x/y]",
+        *("t::" + "a" * 118 + end for end in ("", "b", "c")),
+    ]
+    assert len({named(n) for n in many}) == len(many)
+    assert max(len(named(n).name) for n in many) < 130
 
 
 def test_a_watched_stage_keeps_what_came_before_a_recording_of_the_test_that_recording_and_what_came_after():
