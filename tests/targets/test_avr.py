@@ -136,10 +136,10 @@ def test_a_driver_that_nobody_changed_ends_at_the_same_pulse():
             sources = [
                 FIRMWARE / "hal/hal_pulsestage.c",
                 FIRMWARE / "pcl240mk/pcl240.c",
-                FIRMWARE / "pcl240mk/home_x.c",
+                FIRMWARE / "targets/home_x.c",
             ]
             try:
-                h = NativeHost(sources, board, flags=(f"-I{FIRMWARE / 'hal'}",))
+                h = NativeHost(sources, board, flags=(f"-I{FIRMWARE / 'hal'}", f"-I{FIRMWARE / 'pcl240mk'}"))
             except NoCompilerError as error:
                 pytest.skip(str(error))
         assert h.run(timeout=20).code == 0

@@ -93,7 +93,7 @@ def test_a_loop_for_ever_is_paused(isolated):
 
 @pytest.mark.slow
 def test_a_driver_that_nobody_changed_ends_at_the_same_pulse():
-    """scripts/firmware/pcl240mk/home_x.c, see test_avr.py."""
+    """scripts/firmware/targets/home_x.c, see test_avr.py."""
     stage = Stage("xy", chips=PCL240MK, visuals=False)
     stage.place(x=-0.119)
     h = TargetHost(DATA / "home_x.m3.elf", Board(stage), mcu="cortex-m3", map=WINDOW, isolated=False)

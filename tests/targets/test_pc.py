@@ -108,7 +108,7 @@ def test_a_loop_for_ever_is_paused(isolated):
 @needs_unicorn
 @pytest.mark.slow
 def test_a_driver_that_nobody_changed_ends_at_the_same_pulse():
-    """scripts/firmware/pcl240mk/home_x.c, see test_avr.py."""
+    """scripts/firmware/targets/home_x.c, see test_avr.py."""
     stage = Stage("xy", chips=PCL240MK, visuals=False)
     stage.place(x=-0.119)
     h = TargetHost(DATA / "home_x.com", Board(stage), mcu="8086", isolated=False)

@@ -1,7 +1,7 @@
 /* hal_dos.c: a PC under DOS, the card in its slots: a .COM by a gcc for x86 (code of 16 bits for a 386 in real mode, int has 32).
  *
  *     gcc -m16 -march=i386 -Os -g -ffreestanding -fno-pic -fno-stack-protector -nostdlib -static -Wl,-T,hal/dos.ld,--build-id=none \
- *         -Ihal hal/hal_dos.c pcl240mk/pcl240.c pcl240mk/home_x.c -o home_x.com
+ *         -Ihal -Ipcl240mk hal/hal_dos.c pcl240mk/pcl240.c targets/home_x.c -o home_x.com
  */
 #include "hal.h"
 
