@@ -80,7 +80,7 @@ class Board:
         self.places = layouts.places(chips, chosen, _by_chip(stage, base), stride)
         self.regions, self.port_table = layouts.table(self.places)
         self._at_first = [place.chip.twin() for place in self.places]
-        self.trace = BusTrace(self, int(keep_cycles))
+        self.trace = stage.trace = BusTrace(self, int(keep_cycles))
         self.log: list[tuple[float, str]] = []
         self.driver: Any = None
         self.devices: list[Device] = []

@@ -65,6 +65,11 @@ class BusTrace:
         return np.roll(self.kept, -(n % self.room))
 
     @property
+    def noted(self) -> int:
+        """Lines so far, those that are kept no more among them."""
+        return self._board.link.traced
+
+    @property
     def dropped(self) -> int:
         return max(0, self._board.link.traced - self.room)
 

@@ -34,6 +34,7 @@ from stage.files import FileError, is_stream, writable, written
 from stage.sim.records import SAMPLE
 
 if TYPE_CHECKING:
+    from stage.recording.host_bus import HostBus
     from stage.recording.rerun_log import Log
 
 ROWS = 4096
@@ -87,7 +88,7 @@ class Recording:
 
     Attributes:
         model: the MjModel. axes: the stage's axes by name. every: seconds between samples.
-        notes: the faults that came and went, in order.
+        notes: the faults that came and went, in order. host: the bus cycles of a board, if the stage has one.
         samples, positions, filled: the engine's buffers, (ROWS, axes) SAMPLE and (ROWS, nq), and the rows that it filled.
     """
 
@@ -107,6 +108,7 @@ class Recording:
         self.filled = 0
         self._disorder = False
         self.notes: list[Note] = []
+        self.host: HostBus | None = None
         self.journals: dict[str, Journal] = {name: axis.chip.journal(axis.chip_axis) for name, axis in axes.items()}
 
     def _open(self) -> None:
@@ -234,6 +236,8 @@ class Recording:
             atexit.unregister(self._close_at_exit)
             for journal in self.journals.values():
                 journal.close()
+            if self.host is not None:
+                self.host.close()
             self.flush()
             if self._log is not None:
                 self._writing(self._log.finish)

@@ -1,0 +1,135 @@
+"""The bus of a host as waveforms: the cycles of a board's trace, as a logic analyzer on the slot would show them.
+
+        PORT    ==X 300h X 301h X==      changes an eighth after a cycle begins, and stays
+        DATA    ====X 81h X 2Ch X==      of a write likewise, of a read with its strobe
+        WR_n    ~~~~\\___/~\\___/~~~~      the second half of a cycle, which ends with the rising edge
+        RD_n    ~~~~~~~~~~~~~~~~~~~
+        POLLS   ___________________      1 between two reads that were repeated, each with the same answer
+        HOOK    ___________________      1 while the interrupt hook runs
+
+Equal reads are one line of the trace with a count; of these the first and the last are shown as cycles.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from stage.board.host import CALLED, IN, IN_WIDE, OUT_WIDE, RETURNED
+
+if TYPE_CHECKING:
+    from stage.board.trace import BusTrace
+
+SCOPE = "host"
+KIND = 7  # the bits of a line's kind that say which cycle it is
+AT_A_TIME = 16384  # cycles
+HOLD = 8  # of a cycle: for so long PORT and DATA of the one before stay
+
+
+class HostBus:
+    """Which lines of the trace of a stage's board belong to a recording: those from its making to `close`.
+
+    The board may come later than the recording does.
+    """
+
+    def __init__(self, stage: Any):
+        self._stage = stage
+        self._begin = self._noted()
+        self._end: int | None = None
+        self._until: int | None = None
+
+    def close(self) -> None:
+        """The recording is over."""
+        self._end, self._until = self._noted(), self._stage.now
+
+    @property
+    def trace(self) -> BusTrace | None:
+        return self._stage.trace
+
+    @property
+    def until(self) -> int:
+        """When the recording was closed, or now, ns."""
+        return self._stage.now if self._until is None else self._until
+
+    @property
+    def bus_ns(self) -> int:
+        """What a bus cycle takes."""
+        return round(self._stage.bus_cycle * 1e9)
+
+    def _noted(self) -> int:
+        return self.trace.noted if self.trace is not None else 0
+
+    def lines(self, begin: int, end: int) -> np.ndarray:
+        """CYCLE records of the cycles from `begin` to `end` ns; polling that had begun before is cut."""
+        if self.trace is None:
+            return np.zeros(0, np.int64)
+        lines = self.trace.lines()
+        first = self.trace.noted - len(lines)  # the number of the oldest line that is kept
+        last = self._noted() if self._end is None else self._end
+        number = np.arange(first, first + len(lines))
+        ours = (number < last) & ((number >= self._begin) | (lines["last"] > begin))
+        ours &= (lines["last"] >= begin) & (lines["first"] <= end)
+        found = lines[ours]
+        found["first"] = np.maximum(found["first"], begin)
+        found["last"] = np.minimum(found["last"], end)
+        return found
+
+
+def changes(host: HostBus, writer: Any, begin: int, end: int) -> list[Iterator[tuple[int, Any, Any]]]:
+    """Register the bus now if there were cycles; its changes are the iterators."""
+    lines = host.lines(begin, end)
+    if not len(lines):
+        return []
+    kind = lines["kind"] & KIND
+    hooks = (kind == CALLED) | (kind == RETURNED)
+    cycles, kinds = lines[~hooks], kind[~hooks]
+    wide = bool(np.isin(kinds, (IN_WIDE, OUT_WIDE)).any())
+    bits = max(16, int(cycles["port"].max()).bit_length() if len(cycles) else 16)
+    port = writer.register_var(SCOPE, "PORT", "reg", size=bits, init="x")
+    data = writer.register_var(SCOPE, "DATA", "reg", size=16 if wide else 8, init="x")
+    rd, wr = (writer.register_var(SCOPE, name, "wire", size=1, init=1) for name in ("RD_n", "WR_n"))
+    polls = writer.register_var(SCOPE, "POLLS", "wire", size=1, init=0)
+    streams = [
+        _cycles(cycles, np.isin(kinds, (IN, IN_WIDE)), (port, data, rd, wr), host.bus_ns, begin),
+        _polls(cycles, polls),
+    ]
+    if hooks.any():
+        hook = writer.register_var(SCOPE, "HOOK", "wire", size=1, init=0)
+        streams.append(
+            (t, hook, int(k == CALLED))
+            for t, k in zip(lines["first"][hooks].tolist(), kind[hooks].tolist(), strict=True)
+        )
+    return streams
+
+
+def _cycles(lines: np.ndarray, reads: np.ndarray, variables: tuple[Any, ...], bus_ns: int, begin: int) -> Iterator[Any]:
+    """Each line's first cycle, and its last if there were more."""
+    port, data, rd, wr = variables
+    more = np.flatnonzero(lines["last"] > lines["first"])
+    at = np.concatenate([lines["first"], lines["last"][more]])
+    which = np.concatenate([np.arange(len(lines)), more])
+    order = np.lexsort((which, at))
+    for piece in np.array_split(order, max(1, -(-len(order) // AT_A_TIME))):
+        k = which[piece]
+        columns = at[piece].tolist(), lines["port"][k].tolist(), lines["value"][k].tolist(), reads[k].tolist()
+        for end, number, value, is_read in zip(*columns, strict=True):
+            middle, start = max(begin, end - (bus_ns + 1) // 2), max(begin, end - bus_ns + bus_ns // HOLD)
+            strobe = rd if is_read else wr
+            yield start, port, number
+            yield (middle if is_read else start), data, value
+            yield middle, strobe, 0
+            yield end, strobe, 1
+
+
+def _polls(lines: np.ndarray, variable: Any) -> Iterator[Any]:
+    """1 while at least one port is read again and again."""
+    lines = lines[lines["count"] > 2]
+    steps = heapq.merge(((t, 1) for t in lines["first"].tolist()), ((t, -1) for t in np.sort(lines["last"]).tolist()))
+    depth = 0
+    for t, step in steps:
+        before, depth = depth, depth + step
+        if bool(before) != bool(depth):
+            yield t, variable, int(depth > 0)
