@@ -24,6 +24,7 @@ from stage.board.devices.own import CDevice, PythonDevice, Tell
 from stage.board.errors import HostError
 from stage.board.link import Link
 from stage.board.trace import BusTrace, Cycle, Meaning
+from stage.board.waveforms import HostWaveforms
 from stage.chips.late import LateLint
 from stage.errors import ArgumentError, StageError, unknown
 from stage.sim.stage import LONGEST, Stage
@@ -80,7 +81,8 @@ class Board:
         self.places = layouts.places(chips, chosen, _by_chip(stage, base), stride)
         self.regions, self.port_table = layouts.table(self.places)
         self._at_first = [place.chip.twin() for place in self.places]
-        self.trace = stage.trace = BusTrace(self, int(keep_cycles))
+        self.trace = BusTrace(self, int(keep_cycles))
+        stage.host = HostWaveforms(self)
         self.log: list[tuple[float, str]] = []
         self.driver: Any = None
         self.devices: list[Device] = []

@@ -31,10 +31,10 @@ import numpy as np
 from stage.chips.journal import Journal
 from stage.errors import ArgumentError, unknown
 from stage.files import FileError, is_stream, writable, written
+from stage.recording.host_part import HostPart
 from stage.sim.records import SAMPLE
 
 if TYPE_CHECKING:
-    from stage.recording.host_bus import HostBus
     from stage.recording.rerun_log import Log
 
 ROWS = 4096
@@ -108,8 +108,12 @@ class Recording:
         self.filled = 0
         self._disorder = False
         self.notes: list[Note] = []
-        self.host: HostBus | None = None
+        self.host: HostPart | None = None
         self.journals: dict[str, Journal] = {name: axis.chip.journal(axis.chip_axis) for name, axis in axes.items()}
+
+    def note_host(self, stage: Any) -> None:
+        """The bus cycles of the stage's board, from now to the end, are part of it."""
+        self.host = HostPart(stage)
 
     def _open(self) -> None:
         self._process = os.getpid()

@@ -7,7 +7,7 @@
       status            operating, lt, zero ...: the byte that a read at address 0 would give, bit by bit
       bus               WR: a write cycle (event), with A, its address, and D, its data; RESET: the /RESET pin (event); if there
                           were any, LOST: a write cycle that did not reach the chip; RD: a read cycle that changed something
-    host                  the bus cycles of a board, reads too, see stage.recording.host_bus
+    host                  the bus cycles of a board, reads too, see stage.board.waveforms
 
 Time is that of the stage, in nanoseconds. Tick n of a clock of f Hz is at n / f, each rounded to the nanosecond
 separately: no error adds up, and n is round(ns f / 1e9).
@@ -24,7 +24,6 @@ import numpy as np
 
 from stage.chips.entries import LOST, READ, RESET, WRITE
 from stage.recording import signals
-from stage.recording.host_bus import changes
 
 if TYPE_CHECKING:
     from stage.chips.journal import Journal
@@ -56,7 +55,7 @@ def write(recording: Recording, path: Path) -> Path:
             ]
             if recording.host is not None:
                 end = max(end, recording.host.until)
-                streams += changes(recording.host, writer, begin, end)
+                streams += recording.host.changes(writer, begin, end)
             for ns, variable, value in heapq.merge(*streams, key=lambda change: change[0]):
                 writer.change(variable, ns, value)
             writer.close(end)

@@ -42,7 +42,6 @@ from stage.snapshots import Header
 if TYPE_CHECKING:
     from os import PathLike
 
-    from stage.board.trace import BusTrace
     from stage.recording import Recording
 
 LONGEST = 1_000_000_000  # s that a stage runs at a time: with as much behind it, a time in ns still fits 63 bits
@@ -68,13 +67,13 @@ class Stage:
 
     Attributes:
         model, data: the MjModel and the MjData.
-        trace: the bus trace of its Board, if it has one.
+        host: for recordings, what its Board knows of the host's bus; None without a Board.
         axes: each `Axis` by its name, in the order of their indices; chips: each once.
         state: the places of its records; loop: advances its time; beside: state outside MuJoCo's. For compiled code, boards and
             tests; users need none of them.
     """
 
-    trace: BusTrace | None = None
+    host: Any = None
 
     def __init__(
         self,
@@ -366,7 +365,6 @@ class Stage:
         Raises ArgumentError; StageError while another recording goes on; RecordingError.
         """
         from stage.recording import Recording
-        from stage.recording.host_bus import HostBus
 
         if self.recording is not None:
             raise StageError("this stage is already being recorded; close that recording first.")
@@ -377,7 +375,7 @@ class Stage:
         steps = max(1, round(every * 1e9 / state.dt))
         dt = state.dt * 1e-9
         recording = self.loop.recording = Recording(self.model, self.axes, steps * dt, self._stop_recording)
-        recording.host = HostBus(self)
+        recording.note_host(self)
         handle.log_to(state.handle, recording)
         if self._faults:
             recording.note(self.time, "in force from the start", self.faults)

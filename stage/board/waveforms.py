@@ -14,73 +14,65 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from stage.board.host import CALLED, IN, IN_WIDE, OUT_WIDE, RETURNED
 
 if TYPE_CHECKING:
-    from stage.board.trace import BusTrace
+    from stage.board.board import Board
 
 SCOPE = "host"
 KIND = 7  # the bits of a line's kind that say which cycle it is
+NEWEST = 64  # lines that may go on where a recording begins: a read of each port that is polled
 AT_A_TIME = 16384  # cycles
 HOLD = 8  # of a cycle: for so long PORT and DATA of the one before stay
 
 
-class HostBus:
-    """Which lines of the trace of a stage's board belong to a recording: those from its making to `close`.
+class Mark(NamedTuple):
+    """How far the trace is. noted: lines so far; last: of the newest of them, when they ended."""
 
-    The board may come later than the recording does.
-    """
+    noted: int
+    last: np.ndarray
 
-    def __init__(self, stage: Any):
-        self._stage = stage
-        self._begin = self._noted()
-        self._end: int | None = None
-        self._until: int | None = None
 
-    def close(self) -> None:
-        """The recording is over."""
-        self._end, self._until = self._noted(), self._stage.now
+class HostWaveforms:
+    """The bus of a board, for recordings of its stage."""
 
-    @property
-    def trace(self) -> BusTrace | None:
-        return self._stage.trace
+    def __init__(self, board: Board):
+        self._board = board
 
-    @property
-    def until(self) -> int:
-        """When the recording was closed, or now, ns."""
-        return self._stage.now if self._until is None else self._until
+    def mark(self) -> Mark:
+        """Where a recording begins or ends."""
+        trace = self._board.trace
+        return Mark(trace.noted, trace.lines()["last"][-NEWEST:])
 
-    @property
-    def bus_ns(self) -> int:
-        """What a bus cycle takes."""
-        return round(self._stage.bus_cycle * 1e9)
+    def changes(
+        self, writer: Any, first: Mark | None, last: Mark | None, begin: int, end: int
+    ) -> list[Iterator[tuple[int, Any, Any]]]:
+        """Register the bus now if there were cycles between the marks; its changes are the iterators."""
+        return _changes(self._lines(first, last, begin, end), writer, round(self._board.stage.bus_cycle * 1e9), begin)
 
-    def _noted(self) -> int:
-        return self.trace.noted if self.trace is not None else 0
-
-    def lines(self, begin: int, end: int) -> np.ndarray:
-        """CYCLE records of the cycles from `begin` to `end` ns; polling that had begun before is cut."""
-        if self.trace is None:
-            return np.zeros(0, np.int64)
-        lines = self.trace.lines()
-        first = self.trace.noted - len(lines)  # the number of the oldest line that is kept
-        last = self._noted() if self._end is None else self._end
-        number = np.arange(first, first + len(lines))
-        ours = (number < last) & ((number >= self._begin) | (lines["last"] > begin))
-        ours &= (lines["last"] >= begin) & (lines["first"] <= end)
+    def _lines(self, first: Mark | None, last: Mark | None, begin: int, end: int) -> np.ndarray:
+        """CYCLE records of these cycles; polling that had begun before is cut."""
+        trace = self._board.trace
+        lines, until = trace.lines(), last.noted if last is not None else trace.noted
+        number = trace.noted - len(lines) + np.arange(len(lines))
+        ours = number < until
+        if first is not None:
+            new = number >= first.noted
+            before = first.noted - len(first.last)  # the number of the oldest whose end is known
+            known = np.flatnonzero(~new & (number >= before))
+            new[known] = lines["last"][known] != first.last[number[known] - before]
+            ours &= new
         found = lines[ours]
-        found["first"] = np.maximum(found["first"], begin)
         found["last"] = np.minimum(found["last"], end)
+        found["first"] = np.minimum(np.maximum(found["first"], begin), found["last"])
         return found
 
 
-def changes(host: HostBus, writer: Any, begin: int, end: int) -> list[Iterator[tuple[int, Any, Any]]]:
-    """Register the bus now if there were cycles; its changes are the iterators."""
-    lines = host.lines(begin, end)
+def _changes(lines: np.ndarray, writer: Any, bus_ns: int, begin: int) -> list[Iterator[tuple[int, Any, Any]]]:
     if not len(lines):
         return []
     kind = lines["kind"] & KIND
@@ -93,7 +85,7 @@ def changes(host: HostBus, writer: Any, begin: int, end: int) -> list[Iterator[t
     rd, wr = (writer.register_var(SCOPE, name, "wire", size=1, init=1) for name in ("RD_n", "WR_n"))
     polls = writer.register_var(SCOPE, "POLLS", "wire", size=1, init=0)
     streams = [
-        _cycles(cycles, np.isin(kinds, (IN, IN_WIDE)), (port, data, rd, wr), host.bus_ns, begin),
+        _cycles(cycles, np.isin(kinds, (IN, IN_WIDE)), (port, data, rd, wr), bus_ns, begin),
         _polls(cycles, polls),
     ]
     if hooks.any():
