@@ -15,7 +15,7 @@ from support.served import serving
 from stage.serve import client, server
 from stage.serve.client import HEAD, ServerError
 
-SEEDS = range(6)
+SEEDS = [*range(6), *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(6, 200))]
 GREETING = HEAD.pack(16, client.HELLO, 0) + client.GREETING.pack(client.MAGIC, client.VERSION, client.DRIVE)
 
 
@@ -101,6 +101,17 @@ def bad(rng: random.Random) -> bytes:
     return bytes(frame)
 
 
+def years(frame: bytes) -> bool:
+    """Whether what it asks for is no mistake, but takes longer than a test has."""
+    _, kind, _ = HEAD.unpack_from(frame)
+    if kind != client.BATCH or (len(frame) - HEAD.size) % client.ENTRY.size:
+        return False
+    return any(
+        (a if what in (client.DELAY, client.UNTIL_LINE) else times * (every + 1)) > 1_000_000
+        for what, times, every, _, a, _ in client.ENTRY.iter_unpack(frame[HEAD.size :])
+    )
+
+
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_frame_that_is_answered_by_an_error_has_changed_nothing(served, seed):
     print("seed", seed)
@@ -109,6 +120,8 @@ def test_a_frame_that_is_answered_by_an_error_has_changed_nothing(served, seed):
         for _ in range(60):
             opened.settimeout(10)
             frame, before = bad(rng), served.state()
+            if years(frame):
+                continue
             if HEAD.unpack_from(frame)[1] == client.RETURN:  # which is answered only if it is wrong, as it is here
                 frame = frame[:4] + struct.pack("<I", client.RETURN) + frame[8:]
             opened.sendall(frame)
