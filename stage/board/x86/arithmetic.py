@@ -18,7 +18,7 @@ def _flags(s, mask, carry, overflow, result):
     low = result & 0xFF
     low ^= low >> 4
     new = (CF if carry else 0) | (OF if overflow else 0) | (ZF if result == 0 else 0) | (SF if result < 0 else 0)
-    s.flags = new | (PF if 0x9669 >> (low & 15) & 1 else 0)
+    s.changes = new | (PF if 0x9669 >> (low & 15) & 1 else 0)
     s.mask = mask
 
 
@@ -40,7 +40,7 @@ def compute(s, what, left, right, size):
     """A sum, a difference, a bitwise operation."""
     carry = overflow = False
     adjust, mask = 0, CF | PF | AF | ZF | SF | OF
-    old = array_at(s.regs, REGISTERS, _I8)[FLAGS] & CF
+    old = int(array_at(s.regs, REGISTERS, _I8)[FLAGS]) & CF
     if what in (ADD, ADC, INC):
         result = fit(left + right + (old if what == ADC else 0), size)
         out = (left & right) | ((left | right) & ~result)
@@ -56,7 +56,7 @@ def compute(s, what, left, right, size):
         out = (~left & right) | ((~left | right) & result)
         carry, overflow, adjust = out < 0, (left ^ right) & (left ^ result) < 0, out
     _flags(s, mask & ~CF if what in (INC, DEC) else mask, carry, overflow, result)
-    s.flags |= (adjust >> 3 & 1) << 4
+    s.changes |= (adjust >> 3 & 1) << 4
     return result
 
 

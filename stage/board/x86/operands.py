@@ -186,13 +186,13 @@ def take(s, space, kind, size):
     if kind == G:
         return get(s, s.reg, size)
     if kind == IMM:
-        return s.immediate
+        return int(s.immediate)
     if kind == A:
         return get(s, 0, size)
     if kind == CL:
         return get(s, 1, 4) & 0xFF
     if kind == EA:
-        return s.ea
+        return int(s.ea)
     return 1 if kind == ONE else 0
 
 

@@ -134,8 +134,8 @@ def _move(s, space, op, what, size, source_size, value, condition):
         if size == 8:
             s.status = LEFT
             return 0
-        product = value * (get(s, s.reg, size) if what == IMUL else s.immediate)
-        s.mask, s.flags = CF | OF, 0 if fit(product, size) == product else CF | OF
+        product = value * (get(s, s.reg, size) if what == IMUL else int(s.immediate))
+        s.mask, s.changes = CF | OF, 0 if fit(product, size) == product else CF | OF
         return product
     return value
 
@@ -213,7 +213,7 @@ def step(s, space):
     s.rm = byte & 7 | (s.rex & 1) << 3
     table = array_at(space.opcodes, _ROWS, OPCODE)
     op = table[byte]
-    size = int(op.size) or (8 if s.rex & 8 else 2 if narrow else 4)
+    size = int(op.width) or (8 if s.rex & 8 else 2 if narrow else 4)
     if op.modrm:
         relative = modrm(s)
     member = op
@@ -221,7 +221,7 @@ def step(s, space):
         member = table[GROUPS + 8 * (op.what - GROUP) + (s.reg & 7)]
         if member.target or member.source:
             op = member
-            size = int(op.size) or size
+            size = int(op.width) or size
     what, n = int(member.what), int(op.immediate)
     if member.known == 0 or (byte == 0x90 and s.rex & 1):
         s.status = LEFT
@@ -239,11 +239,11 @@ def step(s, space):
         if at == 0 or not array_at(at, 1, SPAN)[0].kind & WINDOW:
             s.status = LEFT  # only the processor does it in one step
             return
-    source_size = int(op.source_size) or size
+    source_size = int(op.source_width) or size
     if byte == 0x98:
         source_size = size // 2
     _perform(s, space, op, what, size, source_size, byte)
     if s.status == DONE:
         if s.mask:
-            regs[FLAGS] = regs[FLAGS] & ~s.mask | s.flags & s.mask
+            regs[FLAGS] = regs[FLAGS] & ~s.mask | s.changes & s.mask
         regs[RIP] = s.at

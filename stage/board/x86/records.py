@@ -19,7 +19,7 @@ STEP = record(
     [
         (name, "i8")
         for name in (
-            "own regs start at rex memory ea rm reg immediate repeated status flags mask stack floor since"
+            "own regs start at rex memory ea rm reg immediate repeated status changes mask stack floor since"
         ).split()
     ]
 )
@@ -32,7 +32,7 @@ STEP = record(
     reg, immediate  G; the number in the instruction
     repeated        whether a prefix says so
     status          why it is not done
-    flags, mask     of the result; those that are to be set
+    changes, mask   flags of the result; those that are to be set
     stack, floor    rsp at the fault; below the floor the stack is not to be touched: the handler may be there
     since           instructions since the last cycle
 """

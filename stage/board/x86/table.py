@@ -26,9 +26,9 @@ NONE, E, G, A, D, R, IMM, ONE, CL, EA = range(10)
 """Operands: E is a register or memory, as the byte behind the opcode says, G a register that it names, A RAX or the lower part of
 it, D RDX, R the register that the opcode names; what follows; 1; CL; the address of E itself."""
 
-OPCODE = record([(name, "i8") for name in "what known modrm size source_size target source immediate".split()])
-"""known: whether it is in the table. modrm: whether a byte with E and G follows. size: bytes of the operands, 0 where prefixes say
-it; source_size: of the source, 0 for the same. immediate: bytes that follow; FULL: as many as operands have,
+OPCODE = record([(name, "i8") for name in "what known modrm width source_width target source immediate".split()])
+"""known: whether it is in the table. modrm: whether a byte with E and G follows. width: bytes of the operands, 0 where prefixes say
+it; source_width: of the source, 0 for the same. immediate: bytes that follow; FULL: as many as operands have,
 UP_TO_4: but 4 at most."""
 FULL, UP_TO_4 = 16, 17
 GROUPS = 512
