@@ -136,7 +136,7 @@ static inline int64_t ps_entry(int32_t what, uint32_t times, uint32_t every, uin
     ps_put(to, (uint32_t)what, 4), ps_put(to + 4, times, 4), ps_put(to + 8, every, 4), ps_put(to + 12, mask, 4);
     ps_put(to + 16, (uint64_t)a, 8), ps_put(to + 24, (uint64_t)b, 8);
     ps_remote.posted++;
-    if ((what == PS_OUT8 || what == PS_OUT16 || what == PS_DELAY) && !ps_remote.hook && ps_remote.posted < PS_F_MOST)
+    if ((what == PS_OUT8 || what == PS_OUT16 || what == PS_OUT32 || what == PS_DELAY) && !ps_remote.hook && ps_remote.posted < PS_F_MOST)
         return 0;
     return ps_flush();
 }
@@ -144,6 +144,8 @@ static inline int64_t ps_request(int32_t what, int64_t a, int64_t b)
 {
     const char *text = (const char *)(intptr_t)a;
     size_t most = sizeof ps_remote.frame - PS_F_HEAD, length;
+    if (what > PS_LINE && (what < 12 || what > PS_OUT32)) /* 12: computing takes time */
+        ps_fail("windows, timers and levels of interrupts are there in process only, not over TCP.");
     if (what != PS_LOG && what != PS_HOOK)
         return ps_entry(what, 0, 0, 0, a, b);
     if (!ps_remote.open)

@@ -166,7 +166,7 @@ PULSESTAGE_MAIN
 @pytest.mark.parametrize("change", ["the server ends", "a request is refused"])
 def test_a_program_whose_server_ends_or_refuses_says_so(board, change, tmp_path):
     (tmp_path / "forever.c").write_text(
-        FOR_EVER.replace("ps_in8(0x300)", "ps_request(77, 0, 0)" if "refused" in change else "ps_in8(0)")
+        FOR_EVER.replace("ps_in8(0x300)", "ps_until8(0x300, 0, 0, 0, 0)" if "refused" in change else "ps_in8(0)")
     )
     remote = program(tmp_path, str(tmp_path / "forever.c"))
     with serving(board) as served:
@@ -178,7 +178,7 @@ def test_a_program_whose_server_ends_or_refuses_says_so(board, change, tmp_path)
             running.wait()
     said = running.communicate(timeout=60)[1]
     assert running.returncode == 2
-    expected = "entry 991: 77 is no request" if "refused" in change else "server"
+    expected = "entry 991: UNTIL8 0 times" if "refused" in change else "server"
     assert said.startswith("pulsestage: ")
     assert expected in said
 
@@ -208,6 +208,15 @@ def test_c_plus_plus_and_several_files_are_fine(served, tmp_path):
     assert subprocess.run([str(made), served.address], check=False).returncode == 5
     assert served.board.log == [(0.0, "from C++")]
     assert served.board.cycles == 2
+
+
+def test_what_is_there_in_process_only_says_so(served, tmp_path):
+    (tmp_path / "window.c").write_text(
+        "#include <pulsestage.h>\nPULSESTAGE_MAIN { return ps_window(0x300, 4) == 0; }\n"
+    )
+    remote = program(tmp_path, str(tmp_path / "window.c"))
+    done = subprocess.run([str(remote), served.address], capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stderr[:20]) == (2, "pulsestage: windows,")
 
 
 def test_a_program_whose_server_is_not_there_says_so(tmp_path):
