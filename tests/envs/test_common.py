@@ -272,12 +272,13 @@ def test_unknown_settings_and_options_are_named(id_):
 @pytest.mark.usefixtures("elsewhere")
 def test_a_stage_that_diverges_ends_its_own_episode_alone(any_):
     vector, calm = make_vec(any_, 3), make_vec(any_, 3)
-    for v in (vector, calm):
-        v.reset(seed=5)
+    seen, _ = vector.reset(seed=5)
+    calm.reset(seed=5)
     vector.stages[1].data.qfrc_applied[:] = 1e30
     vector.action_space.seed(5)
     actions = vector.action_space.sample()
     for _ in range(3):
+        last = seen[1].copy()
         seen, rewards, _, truncated, infos = vector.step(actions)
         expected = calm.step(actions)
         if truncated[1]:
@@ -285,6 +286,7 @@ def test_a_stage_that_diverges_ends_its_own_episode_alone(any_):
     assert truncated[1]
     assert infos["cause"][1] == "diverged"
     assert infos["reward_parts"]["diverged"][1] == rewards[1] == stage.envs.base.DIVERGED
+    assert same(seen[1], last), "nothing of it is observed"
     assert np.isfinite(seen).all()
     for k in (0, 2):
         assert same(seen[k], expected[0][k])

@@ -79,14 +79,14 @@ def test_a_home_that_meets_the_end_limit_in_place_of_org_says_so(stage):
     assert x.time < 15, "long before it gives up, after 60 s"
 
 
-@pytest.mark.parametrize("stage", ["MCX304"], indirect=True)
-def test_home_begins_on_an_end_limit_as_well(stage):
+@pytest.mark.parametrize(("stage", "name"), [("MCX304", "x"), ("MCX302", "y")], indirect=["stage"])
+def test_home_begins_on_an_end_limit_as_well(stage, name):
     """stage.place(x=-0.1505); firmware.home(x)"""
-    x = stage.axes["x"]
-    touch = {s.pin: s.touch for s in x.plant.switches}
-    stage.place(x=touch["el_minus"] - 5e-4)
-    assert firmware.home(x, speed=0.05).stopped_by == "ORG"
-    assert x.position == pytest.approx(touch["org"], abs=60e-6)
+    axis = stage.axes[name]
+    touch = {s.pin: s.touch for s in axis.plant.switches}
+    stage.place(**{name: touch["el_minus"] - 5e-4})
+    assert firmware.home(axis, speed=0.1).stopped_by == "ORG"
+    assert axis.position == pytest.approx(touch["org"], abs=60e-6)
 
 
 @each
