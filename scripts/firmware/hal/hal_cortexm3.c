@@ -59,7 +59,7 @@ static char *put_number(char *at, uint32_t value, uint32_t base, int digits)
     return at;
 }
 
-/* %d %ld %X %c, which is what the applications use */
+/* %d %ld %X %c %s, which is what the applications use */
 void hal_log(const char *format, ...)
 {
     char line[120], *at = line;
@@ -76,6 +76,10 @@ void hal_log(const char *format, ...)
                 digits = *format - '0';
         if (*format == 'c') {
             *at++ = (char)va_arg(arguments, int);
+        } else if (*format == 's') {
+            const char *text = va_arg(arguments, const char *);
+            while (*text && at < line + 90)
+                *at++ = *text++;
         } else {
             int32_t value = va_arg(arguments, int32_t);
             if (*format == 'd' && value < 0) {

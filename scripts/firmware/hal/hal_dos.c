@@ -55,7 +55,7 @@ static void put_number(uint32_t value, uint32_t base, int digits)
         put(text[--n]);
 }
 
-/* %d %ld %X %c, which is what the applications use */
+/* %d %ld %X %c %s, which is what the applications use */
 void hal_log(const char *format, ...)
 {
     va_list arguments;
@@ -71,6 +71,10 @@ void hal_log(const char *format, ...)
                 digits = *format - '0';
         if (*format == 'c') {
             put((char)va_arg(arguments, int));
+        } else if (*format == 's') {
+            const char *text = va_arg(arguments, const char *);
+            while (*text)
+                put(*text++);
         } else {
             int32_t value = va_arg(arguments, int32_t);
             if (*format == 'd' && value < 0) {
@@ -89,8 +93,12 @@ void hal_log(const char *format, ...)
 uint64_t __udivdi3(uint64_t a, uint64_t b)
 {
     uint64_t rest = 0, found = 0;
-    int k;
-    for (k = 63; k >= 0; k--) {
+    int k = 63;
+    if (!(a >> 32) && !(b >> 32))
+        return (uint32_t)a / (uint32_t)b;
+    while (k > 0 && !(a >> k & 1))
+        k--;
+    for (; k >= 0; k--) {
         rest = rest << 1 | (a >> k & 1);
         if (rest >= b) {
             rest -= b;

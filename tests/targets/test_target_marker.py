@@ -1,0 +1,50 @@
+"""pytest's fixture `host` runs programs of other processors, too."""
+
+from pathlib import Path
+
+import pytest
+
+from stage.targets import mcus
+
+pytest_plugins = ["pytester"]
+DATA = Path(__file__).parent / "data"
+TESTS = """
+import pytest
+
+PINS = "data=A,address=C:0-3,cs=B0,wr=G0,rd=G1"
+pytestmark = pytest.mark.stage("xy", chips="PCL240K", record=False)
+
+@pytest.mark.firmware("faults.avr.elf", mcu="atmega2560", map=PINS)
+def test_it_runs(host, board):
+    assert host.run().code == 0
+    assert board.cycles == 1
+
+@pytest.mark.firmware("faults.avr.elf", mcu="atmega2561x", map=PINS)
+def test_it_is_unknown(host):
+    pass
+
+@pytest.mark.firmware("faults.avr.elf", mcu="atmega2560", map=PINS, patience=5.0, mcu_clock=8e6)
+def test_after_a_failure_others_run(host):
+    assert host.run().code == 0
+"""
+
+
+@pytest.mark.skipif(not mcus.has_simavr(), reason=f"there is no {mcus.SIMAVR}")
+def test_the_marker_names_the_processor(pytester):
+    (pytester.path / "faults.avr.elf").write_bytes((DATA / "faults.avr.elf").read_bytes())
+    pytester.makepyfile(TESTS)
+    result = pytester.runpytest_inprocess("-p", "no:cacheprovider", "-p", "no:xdist", "-o", "addopts=")
+    result.assert_outcomes(passed=2, errors=1)
+    result.stdout.fnmatch_lines(["*mcu 'atmega2561x' is not known. Is it atmega2560[?]*"])
+
+
+def test_without_the_emulator_it_is_skipped(pytester, monkeypatch):
+    mcus.simavr.cache_clear()
+    monkeypatch.setattr(mcus, "_NAMES", ())
+    monkeypatch.setattr("ctypes.util.find_library", lambda name: None)
+    (pytester.path / "faults.avr.elf").write_bytes(b"")
+    pytester.makepyfile(TESTS)
+    result = pytester.runpytest_inprocess("-p", "no:cacheprovider", "-p", "no:xdist", "-o", "addopts=", "-rs", "-k", "runs")
+    mcus.simavr.cache_clear()
+    result.assert_outcomes(skipped=1, deselected=2)
+    result.stdout.fnmatch_lines(["*there is no simavr (Debian: apt install libsimavr2)*"])
