@@ -44,7 +44,9 @@ def test_without_the_emulator_it_is_skipped(pytester, monkeypatch):
     monkeypatch.setattr("ctypes.util.find_library", lambda name: None)
     (pytester.path / "faults.avr.elf").write_bytes(b"")
     pytester.makepyfile(TESTS)
-    result = pytester.runpytest_inprocess("-p", "no:cacheprovider", "-p", "no:xdist", "-o", "addopts=", "-rs", "-k", "runs")
+    result = pytester.runpytest_inprocess(
+        "-p", "no:cacheprovider", "-p", "no:xdist", "-o", "addopts=", "-rs", "-k", "runs"
+    )
     mcus.simavr.cache_clear()
     result.assert_outcomes(skipped=1, deselected=2)
     result.stdout.fnmatch_lines(["*there is no simavr (Debian: apt install libsimavr2)*"])
