@@ -21,6 +21,7 @@ examples:
   stage move x 8000 --chips pcl240ms --s-curve --plot s.png
   stage sync x=20000 y=-7500              two axes along a straight line, in the ratio a:b
   stage run driver.c --chips pcl240mk     firmware in C drives the chips
+  stage serve --chips mcx304              the chips behind a TCP port, for a host elsewhere
   stage fault                             what can break; `stage fault jam --plot jam.png` breaks it
   stage erratum                           the S-curve failure of the MCX304: pulses for ever, and a work-around
   stage registers pcl240k                 the register map

@@ -33,7 +33,7 @@ def run(args: argparse.Namespace) -> int:
     with recorded(args, board.stage):
         host, port = server.address
         _say(f"{board!r}")
-        _say(f"listening on {host}:{port}; Ctrl-C ends it")
+        _say(f"listening on {f'[{host}]' if ':' in host else host}:{port}; Ctrl-C ends it")
         before = {number: signal.signal(number, lambda *_: server.stop()) for number in (signal.SIGINT, signal.SIGTERM)}
         try:
             server.run()

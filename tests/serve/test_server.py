@@ -210,6 +210,19 @@ def test_a_hook_that_fails_or_does_not_clear_is_told(served):
         assert host.line()
 
 
+def test_a_host_that_goes_in_its_hook_is_let_go(served):
+    host = served.host()
+    host.on_interrupt(host.close)
+    start_a_move(host, 10, interrupt=True)
+    with pytest.raises((OSError, ServerError)):
+        host.delay_us(10**15)
+    with again(served) as next_host:
+        assert next_host.status().seconds < 1
+        assert not served.board.link.record["serving"]
+        assert next_host.line(), "nobody has cleared it"
+        next_host.delay_us(1000)
+
+
 def test_the_answers_before_a_failure_come_with_it(served, monkeypatch):
     with served.host() as host:
         host.on_interrupt(lambda: 1 / 0)
