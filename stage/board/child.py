@@ -53,6 +53,11 @@ class ChildLink(Link):
         self.move_to(shared.record)
         self.stage.state.note_in(shared.edges)
         board.trace.kept = shared.cycles
+        places = self.stage.beside.move_to(shared.devices)
+        for device in board.devices:  # after a crash they are still there
+            own, places = places[: len(device.kept())], places[len(device.kept()) :]
+            device.move_to(own)
+        self.lay_devices()
         h = self.record
         h["edges"], h["lines"], h["edge_room"] = shared.edges.ctypes.data, shared.cycles.ctypes.data, len(shared.edges)
 

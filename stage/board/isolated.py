@@ -224,6 +224,7 @@ class Isolated:
         edges = self._shared.edges[: int(theirs["noted"])]
         self._live_through(edges[np.isin(edges["kind"], (WRITE, READ, LOST))])
         board.stage.run_to(max(int(theirs["reached"] + theirs["ahead"]), board.stage.now))
+        board.stage.beside.put(self._shared.devices)
         self._shared.copy(board, back=True)
         board.log += self._shared.lines()
         return HostError(

@@ -88,7 +88,8 @@ class Shared:
     """The file. Both sides make it of boards that are alike.
 
     Attributes: record: the HOST record of the child; edges: EDGE; cycles: the lines of its trace; state: float64, MuJoCo's, with
-    the whole stage in it, and the state of the devices behind it; samples, positions: as those of a Recording.
+    the whole stage in it, and the state of the devices behind it; samples, positions: as those of a Recording;
+    devices: float64, where the devices of the child have their state.
     """
 
     def __init__(self, path: str | Path, board: Board, create: bool = False):
@@ -97,11 +98,23 @@ class Shared:
         sizes: list[tuple[Any, tuple[int, ...]]] = [
             (host.HOST, (1,)), (EDGE, (NOTED,)), (host.CYCLE, (board.trace.room,)), (np.float64, (words,)),
             (SAMPLE, (ROWS, axes)), (np.float64, (ROWS, nq)), (np.int64, (1,)), (np.uint8, (TEXT,)), (np.uint8, (CRASH,)),
+            (np.float64, (board.stage.beside.words,)),
         ]  # fmt: skip
         lengths = [int(np.dtype(dtype).itemsize * np.prod(shape)) for dtype, shape in sizes]
         places = np.cumsum([0, *(-(-n // _ALIGNED) * _ALIGNED for n in lengths)]).tolist()
         self._map = np.memmap(path, np.uint8, "w+" if create else "r+", shape=(places[-1],))
-        self.record, self.edges, self.cycles, self.state, self.samples, self.positions, used, text, crash = (
+        (
+            self.record,
+            self.edges,
+            self.cycles,
+            self.state,
+            self.samples,
+            self.positions,
+            used,
+            text,
+            crash,
+            self.devices,
+        ) = (
             np.asarray(self._map[at : at + n]).view(dtype).reshape(shape)
             for at, n, (dtype, shape) in zip(places, lengths, sizes, strict=False)
         )

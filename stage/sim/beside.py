@@ -28,7 +28,7 @@ class Beside:
         self._bytes += [array.reshape(-1).view(np.uint8) for array in arrays]
         size, kinds = sum(array.nbytes for array in arrays), " ".join(layout(array.dtype) for array in arrays)
         self._names.append(f"{name} ({size} bytes of layout {kinds})")
-        self.words = -(-sum(map(len, self._bytes)) // 8)
+        self.words = sum(-(-len(own) // 8) for own in self._bytes)
 
     @property
     def part(self) -> tuple[tuple[str, str], ...]:
@@ -37,14 +37,24 @@ class Beside:
 
     def get(self, words: np.ndarray) -> None:
         """Copy all of them into `words`."""
-        into, at = words.view(np.uint8), 0
-        for array in self._bytes:
-            into[at : at + len(array)] = array
-            at += len(array)
+        for array, place in zip(self._bytes, self._places(words), strict=True):
+            place[:] = array
 
     def put(self, words: np.ndarray) -> None:
         """All of them are as `get` has found them."""
-        source, at = words.view(np.uint8), 0
+        for array, place in zip(self._bytes, self._places(words), strict=True):
+            array[:] = place
+
+    def move_to(self, words: np.ndarray) -> list[np.ndarray]:
+        """From now on they lie in `words`; returns where, as bytes."""
+        self.get(words)
+        self._bytes = self._places(words)
+        return self._bytes
+
+    def _places(self, words: np.ndarray) -> list[np.ndarray]:
+        """Each begins at a word of its own."""
+        found, at, all_bytes = [], 0, words.view(np.uint8)
         for array in self._bytes:
-            array[:] = source[at : at + len(array)]
-            at += len(array)
+            found.append(all_bytes[at : at + len(array)])
+            at += -(-len(array) // 8) * 8
+        return found

@@ -12,7 +12,7 @@ from board.test_native import left_behind
 from support.compiled_firmware import firmware
 
 from stage import Stage
-from stage.board import Board, CompileError, LibraryError, NativeHost
+from stage.board import Board, CompileError, HostError, LibraryError, NativeHost, build
 from stage.board.devices import Encoder, Latch
 from stage.chips import HCTL1100, PCL240K
 from stage.errors import ArgumentError, StageError
@@ -71,10 +71,7 @@ def adc(tmp_path_factory):
     firmware("PULSESTAGE_MAIN { return 0; }")  # skips without a compiler
     source = tmp_path_factory.mktemp("adc") / "adc.c"
     source.write_text(ADC)
-    board = Board(Stage("xy", visuals=False))
-    return board.device(
-        [0x340, 0x341], source=source, flags=("-Wall", "-Wextra", "-Werror"), encoders=[Encoder("x", 1e6)]
-    ).path
+    return build(source, source.with_suffix(".so"), ("-Wall", "-Wextra", "-Werror"))
 
 
 def with_devices(adc) -> tuple[Board, np.ndarray, list]:
@@ -200,6 +197,21 @@ def test_an_exception_of_a_device_comes_out_as_it_is(adc):
             h.run(timeout=1)
         assert (len(calls), board.cycles) == (5, 5)
         assert board.in8(0x500) == 1, "the board goes on"
+
+
+def test_after_a_crash_devices_stand_where_the_firmware_left_them(adc):
+    cycles = "for (uint8_t k = 0; k < 7; k++) ps_in8(0x340), ps_out8(0x378, k);"
+    library = firmware(
+        "PULSESTAGE_MAIN { " + cycles + " volatile uintptr_t no = 8; *(volatile int *)no = 1; return 0; }"
+    )
+    board = Board(Stage("xy", visuals=False), devices=["latch:0x378"])
+    board.device([0x340, 0x341], source=adc, encoders=[Encoder("x", per_turn=4)])
+    mine = np.zeros(3, np.uint8)
+    board.device(0x500, state=mine)
+    mine[1] = 5
+    with NativeHost(library, board, isolated=True) as h, pytest.raises(HostError, match="SIGSEGV"):
+        h.run()
+    assert (board.devices[0].value, int(board.devices[1].state[0][1]), mine.tolist()) == (6, 7, [0, 5, 0])
 
 
 @pytest.mark.parametrize("answer", [256, -1, None, "x", 1.5])

@@ -6,6 +6,7 @@ import ctypes
 import os
 import shutil
 import tempfile
+import weakref
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -90,8 +91,12 @@ class CDevice(Device):
     ):
         super().__init__(name, encoders, width)
         self.tell = tell
-        self.path = library.build(source, None, flags) if library.are_sources(source) else Path(source)  # type: ignore[arg-type]
-        loaded = _loaded(self.path)
+        if library.are_sources(source):  # built into a folder of its own, which goes with the device
+            self.path = library.build(source, None, flags)
+            weakref.finalize(self, shutil.rmtree, self.path.parent, ignore_errors=True)
+        else:
+            self.path = Path(source)  # type: ignore[arg-type]
+        loaded = _loaded(self.path, source)
         self._library = loaded
         size = ctypes.c_uint32.in_dll(loaded, "pulsestage_device_size").value
         if not size <= MOST_STATE:
@@ -125,8 +130,8 @@ def _words(state: Any) -> np.ndarray:
     return state
 
 
-def _loaded(path: Path) -> ctypes.CDLL:
-    """A copy of the library of its own."""
+def _loaded(path: Path, given: Any) -> ctypes.CDLL:
+    """A copy of the library of its own. given: what it was made of, for messages."""
     if not path.is_file():
         raise FileError(f"{path}: there is no such library.")
     with tempfile.TemporaryDirectory(prefix="pulsestage-") as folder:
@@ -134,17 +139,17 @@ def _loaded(path: Path) -> ctypes.CDLL:
         try:
             loaded = ctypes.CDLL(str(own))
         except OSError as error:
-            raise LibraryError(f"{path} cannot be loaded: {str(error).replace(str(own), str(path))}.") from None
+            raise LibraryError(f"{given} cannot be loaded: {str(error).replace(str(own), str(path))}.") from None
     try:
         abi = ctypes.c_uint32.in_dll(loaded, "pulsestage_device_abi").value
     except ValueError:
         raise LibraryError(
-            f"{path} is no device: it has no pulsestage_device_abi. Write `#include <pulsestage_device.h>` and, behind its "
+            f"{given} is no device: it has no pulsestage_device_abi. Write `#include <pulsestage_device.h>` and, behind its "
             "functions, `PS_DEVICE(struct state, read, write, interrupt)`."
         ) from None
     if abi != ABI:
         raise LibraryError(
-            f"{path} was built with pulsestage_device.h of version {abi}, and this is version {ABI}: build it again."
+            f"{given} was built with pulsestage_device.h of version {abi}, and this is version {ABI}: build it again."
         )
     return loaded
 
