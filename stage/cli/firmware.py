@@ -61,6 +61,8 @@ def run(args: argparse.Namespace) -> int:
     write_trace(args, board)
     if error is not None:
         print(f"stage: {error}", file=sys.stderr)
+        if isinstance(error, HostTimeout) and any(str(file).endswith(".ino") for file in args.firmware):
+            print("A sketch never returns: --for 2 runs it for 2 s.", file=sys.stderr)
         return 1
     done = result.code == 0 if result is not None else args.seconds is not None
     return 0 if done and not any(a.lost_steps for a in stage.axes.values()) else 1

@@ -103,3 +103,12 @@ def test_a_servo_chip_runs_too(capsys):
 def test_include_prints_the_folder_of_the_header(capsys):
     assert main(["include"]) == 0
     assert capsys.readouterr().out.strip() == str(include())
+
+
+def test_firmware_that_never_returns_is_run_for_so_long(capsys):
+    library = str(firmware("PULSESTAGE_MAIN { for (;;) ps_delay_us(1000); }"))
+    assert main(["run", library, "--model", "xy", "--for", "0.01"]) == 0
+    assert re.search(r"has run for 0\.01 s, and 0 bus cycles", capsys.readouterr().out)
+    assert main(["run", built(5), "--for", "5"]) == 1, "one that returns has its own result"
+    assert main(["run", library, "--for", "-1"]) == 2
+    assert "simulated time from 0 to 1e9 s" in capsys.readouterr().err

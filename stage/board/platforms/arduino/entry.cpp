@@ -22,6 +22,7 @@ void pulsestage::end(int code)
 PULSESTAGE_MAIN
 {
     if (!setjmp(pulsestage_out)) {
+        pulsestage::said_if_unwired();
         sei();
         setup();
         for (;;) {

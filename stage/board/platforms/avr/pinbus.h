@@ -259,6 +259,13 @@ inline void change(uint8_t &which, int at, uint8_t value)
         bus->after();
 }
 
+/* At the beginning of a program: nothing it does to its pins would reach a chip. */
+inline void said_if_unwired()
+{
+    if (!pins().first)
+        ps_log("pins: no PinBus says how a chip is wired to them, so no chip sees them; docs/porting.md");
+}
+
 /* What the program reads of a port, these bits of it. A pin that no bus drives costs a look at the clock, so that a loop which waits
  * for it goes on. */
 inline uint8_t look(int at, uint8_t mask = 0xFF)
