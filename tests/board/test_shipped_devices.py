@@ -165,6 +165,20 @@ def test_characters_of_a_uart_take_their_time_in_both_directions(line):
     assert uart.sent == b"XYA"
 
 
+def test_without_a_divisor_nothing_leaves_a_uart_and_what_is_fed_waits():
+    board = Board(Stage("xy", visuals=False), devices=["uart:0x3F8"])
+    uart = board.devices[0]
+    uart.feed("z")
+    board.out8(0x3F8, 65)
+    board.delay_us(5000)
+    assert (board.in8(0x3FD) & 1, uart.sent, uart.baud) == (0, b"", 0)
+    for register, value in BAUD:
+        board.out8(0x3F8 + register, value)
+    assert board.in8(0x3FD) & 1 == 0
+    board.delay_us(100)
+    assert (board.in8(0x3FD) & 1, board.in8(0x3F8), uart.sent) == (1, ord("z"), b"")
+
+
 def test_a_fifo_of_sixteen_overruns_and_without_one_the_last_byte_counts(line):
     board, uart = line
     uart.feed(bytes(range(20)))

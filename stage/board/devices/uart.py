@@ -1,9 +1,9 @@
 """16550 UART: a serial line whose other end is a test, or a terminal.
 
 Registers of the data sheet (National PC16550D): RBR, THR, IER, IIR, FCR, LCR, MCR, LSR, MSR, SCR, DLL, DLM at +0 to +7; FIFOs of 16
-bytes. Characters take their time on the line, by divisor and LCR. Without a divisor nothing is sent, and what the peer feeds waits.
-As in a PC the interrupt passes a driver that OUT2 of MCR enables. The peer is always ready (CTS, DSR, DCD), makes no errors of
-parity or framing and no breaks, and sends at the UART's own speed.
+bytes. Characters take their time on the line, by divisor and LCR. Without a divisor nothing is sent (what is written is lost), and
+what the peer feeds waits. As in a PC the interrupt passes a driver that OUT2 of MCR enables. The peer is always ready (CTS, DSR,
+DCD), makes no errors of parity or framing and no breaks, and sends at the UART's own speed.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class UART(Compiled):
         """What has left it so far; of much the last 4096 bytes and what was still in the transmitter then."""
         s, now = self.registers, self.stage.now
         c = self._character
-        end = int(s["written"]) - (-(-max(int(s["left"]) - now, 0) // c) if c else int(s["written"]))
+        end = int(s["written"]) - (-(-max(int(s["left"]) - now, 0) // c) if c else 0)
         return self._written(max(0, end - uart_core.ROOM + 32), end)
 
     @property

@@ -89,6 +89,8 @@ def pulls(s, now, counts):
 @hot
 def _transmit(s, now, value):
     n, room = unsent(s, now), FIFO + 1 if s.fcr & 1 else 2
+    if s.divisor == 0:  # no clock on the line
+        return
     if n >= room:  # no room: lost; without a FIFO the last byte is
         if room == 2:
             s.sent[(s.written - 1) % ROOM] = value
