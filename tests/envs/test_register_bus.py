@@ -355,6 +355,13 @@ def test_truth_shows_what_no_host_knows():
     seen = env.step(np.array([rb.READ, 0, 0, 0]))[0]
     assert seen[16] == pytest.approx(0.5, abs=1e-3)
     assert seen[17] == pytest.approx(0.2, abs=1e-3)
+    x = env.stage.axes["x"]
+    env.stage.place(x=0.0)
+    env.stage.data.qpos[x.plant.qpos] += 128 * x.meters_per_pulse  # two electrical periods, eight full steps
+    seen = env.step(np.array([rb.READ, 0, 0, 0]))[0]
+    assert abs(x.lost_steps) == 8
+    assert seen[18] == pytest.approx(x.lost_steps / 64)
+    assert seen[19] == pytest.approx((128 - 4000) / 8000, abs=1e-3)
 
 
 def test_a_wait_lasts_as_long_as_it_says_and_a_bus_cycle_as_long_as_one():
