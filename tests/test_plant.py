@@ -79,8 +79,10 @@ def test_what_breaks_the_contract_is_named_with_axis_and_line(old, new, message,
 
 def test_a_switch_at_the_wrong_end_is_noticed():
     swapped = own_xml().replace("x_el_plus", "x_tmp").replace("x_el_minus", "x_el_plus").replace("x_tmp", "x_el_minus")
-    with pytest.raises(ModelError, match="wrong end"):
+    with pytest.raises(ModelError, match="wrong end") as caught:
         bind(swapped)
+    for side in ("plus", "minus"):
+        assert f"el_{side} trips when the joint moves away from {side}: is it at the wrong end" in str(caught.value)
 
 
 def test_all_problems_are_told_at_once():
@@ -489,7 +491,7 @@ def test_an_armature_that_does_not_hold_the_motor_it_names_is_told_where_a_light
         Stage(spec, drives={"y": "SS2422-5041"})
 
 
-@pytest.mark.parametrize("index", ["inf", "nan", "1e300"])
+@pytest.mark.parametrize("index", ["inf", "nan", "1e300", "-1.01e6"])
 def test_an_index_pulse_that_stands_nowhere_is_refused(index):
     spec = plant.open_spec("xy")
     spec.add_numeric(name="x_index", data=[float(index)], size=1)

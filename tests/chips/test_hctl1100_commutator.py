@@ -194,9 +194,13 @@ def test_a_commutator_whose_offset_and_advance_leave_eight_bits_is_noted():
     chip = commutator(x=20, y=10, offset=0, most=0)
     tell(chip, begin("position"))
     assert "leaves -128 to 127" in chip.diagnostics[0].message
-    chip = commutator(x=20, y=10, offset=-20, most=10)
-    tell(chip, begin("position"))
-    assert not chip.diagnostics
+    for x, y, offset, most, good in [
+        (20, 10, -20, 10, True), (20, 10, -18, 10, True), (20, 10, -18, 11, False), (20, 10, -17, 10, False),
+        (1, 0, -128, 4, True), (1, 0, -128, 5, False), (1, 0, 127, 0, False), (2, 0, -128, 9, True), (2, 0, -128, 10, False),
+    ]:  # fmt: skip
+        chip = commutator(x=x, y=y, offset=offset, most=most)
+        tell(chip, begin("position"))
+        assert (not chip.diagnostics) == good, (x, y, offset, most)
 
 
 @pytest.mark.parametrize("way", [1, -1])

@@ -264,7 +264,7 @@ def test_after_a_reset_command_a_nova_chip_is_told_as_after_power_up(make, reset
     heard(chip, listener, (W, 0, 0x0200 | reading))
     heard(chip, listener, (W, 0, reset))
     new = make().listener()
-    for cycle in [(R, 3, 1), (W, 3, 4), (R, 6, 0), (W, 0, 0x0109)]:
+    for cycle in [(R, 3, 1), (W, 3, 4), (R, 6, 0), *((W, k, 0x0123) for k in range(1, 8)), (W, 0, 0x0109)]:
         assert says(listener, cycle) == says(new, cycle)
 
 
