@@ -288,3 +288,11 @@ def test_a_pseudo_terminal_is_the_other_end_of_a_uart(line):
 def test_a_text_that_is_no_device_says_what_to_write(text, said):
     with pytest.raises(Exception, match=said):
         made(text)
+
+
+@pytest.mark.board(devices=["latch:0x378", "hctl2016:0x320:x"])
+@pytest.mark.stage("xy", record=False)
+def test_a_marker_puts_devices_on_the_board_of_a_test(board):
+    board.out8(0x378, 9)
+    assert (board.in8(0x378), [device.KIND for device in board.devices]) == (9, ["latch", "hctl2016"])
+    assert board.ports[0x321] == "hctl2016 at 320h, low byte"
