@@ -26,6 +26,8 @@ stage.board.native
     NativeHost.run: timeout=60.0, max_cycles=1000000000
     NativeHost.run_for: max_cycles=1000000000
     NativeHost.run_until: poll=0.001
+stage.targets.host
+    TargetHost: map=(), mcu_clock=None, gdb=None, isolated=True, patience=20.0
 stage.recording.recording
     Recording.stream: seconds=1.0, overwrite=False, on_error='raise'
     Recording.pieces: rows=65536, begin=0

@@ -19,7 +19,7 @@ PIN = record([("port", "i8"), ("bit", "i8")])
 AVR = record(
     BASE
     + [(name, "i8") for name in "own avr run status raise_irq look timer when quantum pc stop line_irq".split()]
-    + [(name, "i8") for name in "select write read addresses n_addresses data data_irqs first levels outputs".split()]
+    + [(name, "i8") for name in "select write read addresses n_addresses data_port data_irqs first levels outputs".split()]
     + [(name, "i8") for name in "was_selected was_write reading fights fight".split()]
 )
 """own              its own address
@@ -27,7 +27,7 @@ AVR = record(
     when, quantum    the cycle of the next tick, cycles from one to the next
     pc, stop         where the program counter lies, and at which one the program has ended
     line_irq         the simavr IRQ of the pin of the interrupt line
-    select ... data  the bus: addresses of PINs, /CS /WR /RD; the address pins, the lowest first; the number of the data port
+    select ...       the bus: addresses of PINs, /CS /WR /RD; the address pins, the lowest first; the number of the data port
     data_irqs, first the simavr IRQs of its eight pins; the board's port at address 0
     levels, outputs  of each port: the levels that the program drives, and which pins are outputs
     fights, fight    how often the data port was an output in a read cycle; the text about the first
@@ -73,7 +73,7 @@ def _bus(t):
     """The pins have changed."""
     selected, write, read = _level(t, t.select) == 0, _level(t, t.write), _level(t, t.read)
     if write and not t.was_write and (selected or t.was_selected):
-        value = array_at(t.levels, len(PORTS), WHOLE)[t.data]
+        value = array_at(t.levels, len(PORTS), WHOLE)[t.data_port]
         bus_cycle(t, cycles_of(t), OUT8, _address(t), value & 0xFF)
     t.was_selected, t.was_write = selected, write
     if read or not selected:
@@ -81,7 +81,7 @@ def _bus(t):
     elif not t.reading:
         t.reading = 1
         value = bus_cycle(t, cycles_of(t), IN8, _address(t), 0)
-        if array_at(t.outputs, len(PORTS), WHOLE)[t.data]:
+        if array_at(t.outputs, len(PORTS), WHOLE)[t.data_port]:
             if t.fights == 0:
                 request(t, LOG, t.fight, 0)
             t.fights += 1

@@ -211,7 +211,7 @@ class LoadedAvr:
         t.stop = self._elf.symbols.get("__stop_program", self._elf.symbols.get("_exit", -1))
         t.line_irq = self._irq(*pins.irq) if pins.irq else 0
         t.select, t.write, t.read, t.addresses = (self._pins.ctypes.data + k * hot.PIN.itemsize for k in range(4))
-        t.n_addresses, t.data, t.data_irqs = len(pins.address), pins.data, self._data.ctypes.data
+        t.n_addresses, t.data_port, t.data_irqs = len(pins.address), pins.data, self._data.ctypes.data
         t.first = min(place.first for place in self._board.places) if pins.base is None else pins.base
         t.levels, t.outputs, t.fight = (
             self._levels.ctypes.data,

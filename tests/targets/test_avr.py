@@ -1,5 +1,9 @@
 """Programs for AVRs run untouched on simavr: their pins are the bus, their time is the board's."""
 
+import re
+import socket
+import threading
+import time
 from pathlib import Path
 
 import pytest
@@ -10,6 +14,7 @@ from stage.chips import PCL240K, PCL240MK
 from stage.cli import main
 from stage.errors import ArgumentError
 from stage.targets import TargetHost, mcus
+from stage.targets.elf import AVR, Elf
 
 DATA = Path(__file__).parent / "data"
 FIRMWARE = Path(__file__).parents[2] / "scripts" / "firmware"
@@ -223,3 +228,43 @@ def test_the_command_runs_it(capsys):
     assert "faults.avr.elf returned 0 after 0.00" in capsys.readouterr().out
     assert main(["run", "driver.c", "--mcu-clock", "8e6"]) == 2
     assert "--mcu-clock: it is for programs of other processors" in capsys.readouterr().err
+
+
+def command(gdb: socket.socket, text: str) -> bytes:
+    """A command of GDB's remote protocol, and the answer's packet."""
+    gdb.sendall(f"${text}#{sum(text.encode()) & 0xFF:02x}".encode())
+    answer = b""
+    while not re.search(rb"\$[^#]*#..$", answer):
+        answer += gdb.recv(1024)
+    gdb.sendall(b"+")
+    return answer
+
+
+@needs_simavr
+@pytest.mark.slow
+def test_a_debugger_finds_it_before_its_first_instruction():
+    """A breakpoint at main: the program halts there, time stands still, and it goes on."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    h = faults(9, gdb=port)
+    codes: list[int] = []
+    thread = threading.Thread(target=lambda: codes.append(h.run(timeout=1).code))
+    thread.start()
+    for _ in range(200):
+        try:
+            gdb = socket.create_connection(("127.0.0.1", port), timeout=10)
+            break
+        except ConnectionRefusedError:
+            time.sleep(0.05)
+    with gdb:
+        assert h.board.cycles == 12, "only those of the test"
+        main_at = Elf(DATA / "faults.avr.elf", AVR, "", "").symbols["main"]
+        assert b"OK" in command(gdb, f"Z0,{main_at:x},2")
+        assert re.search(rb"[TS]05", command(gdb, "c"))
+        begin = h.board.stage.now
+        assert b"OK" in command(gdb, f"z0,{main_at:x},2")
+        assert (h.board.cycles, h.board.stage.now) == (12, begin)
+        gdb.sendall(b"$c#63")
+        thread.join(20)
+    assert codes == [-9]
