@@ -113,7 +113,7 @@ def same_as_ports(body: str, *flags: str, chips=MCX304, isolated=(False, True)) 
 )  # fmt: skip
 def test_random_accesses_of_every_width_are_the_port_cycles_that_they_say(level, chips):
     seed = 4711
-    same_as_ports(accesses(random.Random(seed), 120), level, chips=chips)
+    same_as_ports(accesses(random.Random(seed), 84), level, chips=chips)
 
 
 def test_a_loop_with_delays_and_calls_takes_one_signal():
@@ -127,7 +127,7 @@ def test_a_loop_with_delays_and_calls_takes_one_signal():
 
 
 def test_registers_of_cpp_are_the_same_cycles_and_need_no_window():
-    body = HEAD + WAYS + accesses(random.Random(77), 60)
+    body = HEAD + WAYS + accesses(random.Random(77), 36)
     assert ran(firmware(body, "-DPROXIES", suffix=".cpp")) == ran(firmware(body, "-DPORTS"))
     struct = """
     #define PULSESTAGE_MMIO_ADDRESS 0x40021000

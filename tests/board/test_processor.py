@@ -14,7 +14,7 @@ pytestmark = pytest.mark.skipif(not mapping.HERE, reason="windows need Linux on 
 NAMES = {8: "rax rbx rcx rdx", 4: "eax ebx ecx edx", 2: "ax bx cx dx", 1: "al bl cl dl"}
 LETTERS = {8: "q", 4: "l", 2: "w", 1: "b"}
 CF, PF, AF, ZF, SF, OF = 1, 4, 16, 64, 128, 2048
-EACH = 16 if COMPILED else 2
+EACH = 8 if COMPILED else 2
 ALL = CF | PF | AF | ZF | SF | OF
 
 
