@@ -23,6 +23,7 @@ from stage.board import crash, errors, starter
 from stage.board.answers import Answers, GarbledError
 from stage.board.board import Board
 from stage.board.errors import HostError
+from stage.board.library import sanitizers
 from stage.board.program import Program
 from stage.board.scratch import Scratch
 from stage.board.shared import Asked, Begin, Go, Noted, Shared, Stands
@@ -115,7 +116,7 @@ class Isolated:
         try:
             self._shared = Shared(shared, board, create=True)
             with theirs:
-                self._child = starter.start(theirs.fileno())
+                self._child = starter.start(theirs.fileno(), " ".join(sanitizers(self._path)))
             self._pipe, self._answers = ours, Answers(ours)
             weakref.finalize(self, _ended, self._child)
             ours.send(Begin(self._program, str(shared), given, self._patience))

@@ -171,11 +171,30 @@ def _emulated(machine: int) -> str:
     return f" Or run it as it is, on an emulated processor: --mcu {mcu} (docs/targets.md)." if mcu else ""
 
 
-def _mode() -> int:
-    """How a library is loaded: its own symbols win, so that a `wait` or `pause` of the firmware is not the system's. A sanitizer's
-    run-time library, which has to come first, does not allow that."""
-    own = 0 if re.search("[at]san", os.environ.get("LD_PRELOAD", "")) else getattr(os, "RTLD_DEEPBIND", 0)
+def sanitizers(path: str | os.PathLike) -> list[str]:
+    """The run-time libraries of sanitizers that a library was built with: they have to be loaded before all others."""
+    try:
+        content = Path(path).read_bytes()
+    except OSError:
+        return []
+    return sorted({name.decode() for name in re.findall(rb"lib(?:a|t|ub)san\.so[.\d]*", content)})
+
+
+def _mode(path: Path) -> int:
+    """How a library is loaded: its own symbols win, so that a `wait` or `pause` of the firmware is not the system's. Sanitizers do
+    not allow that."""
+    own = 0 if sanitizers(path) else getattr(os, "RTLD_DEEPBIND", 0)
     return own | getattr(os, "RTLD_NOW", 0) | getattr(os, "RTLD_LOCAL", 0)
+
+
+def _check_sanitizers(path: Path) -> None:
+    """Raises LibraryError where a sanitizer would end this process, since it was not loaded first."""
+    first = [name for name in sanitizers(path) if not name.startswith("libubsan")]
+    if first and not any(hasattr(ctypes.CDLL(None), f"__{name[3:7]}_init") for name in first):
+        raise LibraryError(
+            f"{path} was built with a sanitizer, whose {first[0]} has to be loaded before all else: run it in a process of its own "
+            f"(isolated=True, as stage run does), or start this program with LD_PRELOAD={first[0]}."
+        )
 
 
 class Library:
@@ -187,11 +206,12 @@ class Library:
 
     def __init__(self, path: Path, bus: BusStruct, may_exit: bool = False):
         self.path = path
+        _check_sanitizers(path)
         self._scratch = Scratch()
         own = Path(shutil.copy(path, self._scratch.path / path.name))
         mode = compute_as_usual.c()
         try:
-            self._library = ctypes.CDLL(str(own), mode=_mode())
+            self._library = ctypes.CDLL(str(own), mode=_mode(path))
         except OSError as error:
             self._scratch.close()
             said = str(error).replace(str(own), str(path))

@@ -28,7 +28,12 @@ _HEAD = struct.Struct("q")
 _STATUS = struct.Struct("i")
 _FILES = 4  # that go with a start: pipe, status, standard output, standard error
 _lock = threading.Lock()
-_starters: dict[int, Starter] = {}  # by process: a fork has its own
+_starters: dict[tuple[int, str], Starter] = {}  # by process (a fork has its own), and what is loaded first
+SANITIZED = {
+    "ASAN_OPTIONS": "detect_leaks=0:abort_on_error=1",  # at its end the process does not tidy up, so all would be a leak
+    "UBSAN_OPTIONS": "halt_on_error=1:print_stacktrace=1:abort_on_error=1",
+    "TSAN_OPTIONS": "halt_on_error=1:abort_on_error=1",
+}
 
 
 class World(NamedTuple):
@@ -71,12 +76,14 @@ class Process:
 class Starter:
     """The end in this process."""
 
-    def __init__(self) -> None:
+    def __init__(self, preload: str = "") -> None:
         self._control, theirs = socket.socketpair()
         environment = os.environ | {
             "PYTHONPATH": os.pathsep.join(p for p in sys.path if p),
             "OPENBLAS_NUM_THREADS": "1",  # a process that forks has one thread
         }
+        if preload:
+            environment = SANITIZED | environment | {"LD_PRELOAD": preload}
         with theirs:
             self._process = subprocess.Popen(
                 [sys.executable, "-m", "stage.board.starter", str(theirs.fileno())], pass_fds=[theirs.fileno()],
@@ -108,12 +115,16 @@ class Starter:
         self._control.sendall(content)
 
 
-def start(pipe: int) -> Process:
-    """A process that runs `stage.board.child` with this end of a pipe. Raises OSError, EOFError where none can be had."""
+def start(pipe: int, preload: str = "") -> Process:
+    """A process that runs `stage.board.child` with this end of a pipe. preload: libraries that are loaded first.
+
+    Raises OSError, EOFError where none can be had.
+    """
     with _lock:
-        starter = _starters.get(os.getpid())
+        key = os.getpid(), preload
+        starter = _starters.get(key)
         if starter is None or not starter.alive():
-            starter = _starters[os.getpid()] = Starter()
+            starter = _starters[key] = Starter(preload)
     return starter.start(pipe)
 
 
