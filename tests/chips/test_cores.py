@@ -1,5 +1,6 @@
 """The contract between a stage and the cores of its chips, see stage/chips/cores.py."""
 
+import random
 import subprocess
 import sys
 
@@ -158,3 +159,21 @@ def test_a_restored_chip_has_the_diagnostics_of_its_snapshot():
     assert len(chip.diagnostics) > len(noted)
     chip.restore(before)
     assert chip.diagnostics == noted
+
+
+@pytest.mark.parametrize("name", CHIPS)
+def test_a_chip_sees_its_own_address_and_data_lines_only(name):
+    """chip.write(0x40, 0x108) of a PCL-240 is chip.write(0, 8)"""
+    near, far, draw = CHIPS[name](), CHIPS[name](), random.Random(1)
+    beyond, full = near.ADDRESS_MASK + 1, near.DATA_MASK + 1
+    for _ in range(150):
+        address, value = draw.randrange(beyond), draw.randrange(full)
+        near.write(address, value)
+        far.write(address + beyond * draw.randrange(3), value + full * draw.randrange(3))
+        assert near.read(address) == far.read(address + beyond)
+    assert near.state.tobytes() == far.state.tobytes()
+    said = [
+        [(d.address, d.value, d.message) for d in chip.diagnostics if "acts as" not in d.message]
+        for chip in (near, far)
+    ]
+    assert said[0] == said[1]

@@ -115,7 +115,8 @@ def test_the_ends_of_the_range_are_taken():
 
 @pytest.mark.skipif(not COMPILED, reason="Python looks by itself")
 def test_arrays_are_refused_likewise():
-    for table in (np.zeros(3), np.zeros((2, 3), np.float32), np.zeros((3, 2)).T):
+    unaligned = np.zeros(49, np.uint8)[1:].view(float).reshape(2, 3)
+    for table in (np.zeros(3), np.zeros((2, 3), np.float32), np.zeros((3, 2)).T, unaligned):
         with pytest.raises(ArgumentError, match="weighed, argument 1"):
             weighed(table, np.array([1, 2]))
 
