@@ -22,6 +22,8 @@ from stage.board.devices import known
 from stage.board.devices.device import Device, Encoder
 from stage.board.devices.own import CDevice, PythonDevice, Tell
 from stage.board.errors import HostError
+from stage.board.hooks import PYTHONS_TIMERS
+from stage.board.interrupts import ANY_LINE, HIGHEST
 from stage.board.link import Link
 from stage.board.trace import BusTrace, Cycle, Meaning
 from stage.board.waveforms import HostWaveforms
@@ -145,8 +147,28 @@ class Board:
         """Call `hook` while the interrupt line is asserted: after a bus cycle, or within a delay at the very ns; again and
         again until it is released, and not from within itself. It may make bus cycles. None: nobody is called. Firmware's own
         hook comes in its place, until the firmware returns."""
-        self.link.hook = hook
-        self.link.ask(host.HOOK, self.link.own_hook(), 0)
+        self.link.ask(host.SETTLE, 0, 0)
+        self.link.hooks.set(ANY_LINE, hook, lines=-1)
+        self.link.ask(host.LEVEL, -1, 0)  # the line may be asserted now
+
+    def on_timer(self, period_us: float, hook: Callable[[], None] | None, *, n: int = 0, level: int = 1) -> None:
+        """Call `hook` every `period_us`, for the first time that long from now: after a bus cycle, or within a delay at the ns.
+
+        A tick that comes while the one before it still waits is missed. The hook may make bus cycles; it is not interrupted. n:
+        which of 4 timers; level: 1 to 15, at which it interrupts hooks of the firmware, see docs/interrupts.md. hook=None or
+        period_us=0: the timer is off. Raises ArgumentError.
+        """
+        if not (isinstance(period_us, int | float) and (period_us == 0 or 1e-3 <= period_us <= LONGEST * 1_000_000)):
+            raise ArgumentError(
+                f"period_us={period_us!r}: a timer's period is 0.001 to 1e15 us (1 ns to 1e9 s), 0 for off."
+            )
+        if n not in range(len(PYTHONS_TIMERS)):
+            raise ArgumentError(f"n={n!r}: timers of a board in Python are 0 to {len(PYTHONS_TIMERS) - 1}.")
+        if level not in range(1, HIGHEST + 1):
+            raise ArgumentError(f"level={level!r}: levels of hooks are 1 to {HIGHEST}.")
+        period = round(period_us * 1000)
+        self.link.ask(host.SETTLE, 0, 0)
+        self.link.hooks.set(PYTHONS_TIMERS[n], hook if period else None, level=level, period=period)
 
     # --- devices ---
 

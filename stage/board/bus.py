@@ -25,6 +25,7 @@ from stage.board.host import (
     LAST_PORT,
     LATCH,
     LATCHED,
+    LEVEL,
     LINE,
     LINE_OF_LOG,
     LOG,
@@ -32,6 +33,7 @@ from stage.board.host import (
     LOST_ON_THE_WAY,
     MICROS,
     NOTHING,
+    ON_LINE,
     OUT,
     OUT8,
     OUT16,
@@ -40,9 +42,13 @@ from stage.board.host import (
     PAUSE,
     PORT,
     PULLS,
+    RAISE,
+    REFUSED,
     REGION,
     SETTLE,
+    SPEND,
     STRAY,
+    TIMER,
     TWICE,
     TWO_AT_ONCE,
     UNTIL,
@@ -56,12 +62,26 @@ from stage.board.host import (
     leave,
     now_of,
 )
+from stage.board.interrupts import (
+    ANY_LINE,
+    FIRST_LINE,
+    FIRST_SOFTWARE,
+    FIRST_TIMER,
+    HIGHEST,
+    SOFTWARE,
+    SOFTWARE_LINE,
+    TIMERS,
+    arm,
+    close_left,
+    set_level,
+    sources_of,
+)
 from stage.board.notes import journal, note
 from stage.board.reaching import at_device, device_of
-from stage.board.waiting import catch_up, cycle, line_of, reach, serve, turn_to, wait
+from stage.board.waiting import catch_up, cycle, line_of, reach, serve, set_source, spend, turn_to, wait
 from stage.chips import cores
 from stage.chips.entries import LOST, READ, WRITE
-from stage.native import array_at, exported, float_mode_as_before, greatest, hot, least, usual_float_mode
+from stage.native import array_at, exported, float_mode_as_before, frame_address, greatest, hot, least, usual_float_mode
 from stage.sim.handle import WHOLE
 
 
@@ -225,6 +245,63 @@ def _look(h):
 
 
 @hot
+def _refuse(h, what, a, b):
+    h.asked_chip, h.asked_address, h.asked = what, a, b
+    ask(h, REFUSED)
+
+
+@hot
+def _set_any_line(h, hook, argument):
+    """The hook of all lines as one."""
+    catch_up(h)
+    s = sources_of(h)[ANY_LINE]
+    s.level, s.hook, s.argument, s.lines = 1, hook, argument, -1
+    arm(h)
+    h.quiet = 0
+    serve(h)
+
+
+@hot
+def _set_source(h, what, given):
+    """A hook of a timer, a line or a software interrupt; given: see TIMER."""
+    which, level, source, lines = given[0], given[1], -1, 0
+    if what == TIMER:
+        if 0 <= which < TIMERS and 0 <= given[2] < LONGEST_DELAY * 1000:
+            source = FIRST_TIMER + which
+    elif 0 <= which < h.n_chips + h.n_devices:
+        source, lines = FIRST_LINE + which, 1 << which
+    elif 0 <= which - SOFTWARE_LINE < SOFTWARE:
+        source = FIRST_SOFTWARE + which - SOFTWARE_LINE
+    is_on = given[3] != 0 and (what != TIMER or given[2] != 0)
+    if source < 0 or (is_on and not 1 <= level <= HIGHEST):
+        _refuse(h, what, which, given[2] if source < 0 and what == TIMER else level)
+    else:
+        set_source(h, source, lines, given, is_on)
+
+
+@hot
+def _set_level(h, level):
+    before = h.level
+    if level > HIGHEST:
+        _refuse(h, LEVEL, level, 0)
+    elif level >= 0:
+        set_level(h, level)
+    serve(h)
+    return before
+
+
+@hot
+def _raise(h, which):
+    """The flag of a software interrupt is set."""
+    if not 0 <= which < SOFTWARE:
+        _refuse(h, RAISE, which, 0)
+        return
+    sources_of(h)[FIRST_SOFTWARE + which].pending = 1
+    arm(h)
+    serve(h)
+
+
+@hot
 def answer(h, what, a, b):
     """The answer to a request of a host, see IN8."""
     if h.twice:
@@ -233,6 +310,8 @@ def answer(h, what, a, b):
     if h.stopped:
         ask(h, PAUSE)
         return -1
+    if h.meter:
+        spend(h)
     if what == IN8:
         return _in8(h, a & LAST_PORT)
     if what == OUT8:
@@ -262,17 +341,25 @@ def answer(h, what, a, b):
         h.asked = a
         ask(h, LINE_OF_LOG)
     elif what == HOOK:
-        catch_up(h)
-        h.hook, h.argument, h.quiet = a, b, 0
-        serve(h)
+        _set_any_line(h, a, b)
     elif what == LINE:
         _look(h)
         return 1 if line_of(h) else 0
     elif what == SETTLE:
         catch_up(h)
+        arm(h)
+        h.quiet = 0
     elif what == UNTIL:
         reach(h, a)
         return 1 if b and line_of(h) else 0
+    elif what in (TIMER, ON_LINE):
+        _set_source(h, what, array_at(a, 5, WHOLE))
+    elif what == SPEND:
+        wait(h, least(greatest(a, 0), LONGEST_DELAY * 1000))
+    elif what == LEVEL:
+        return _set_level(h, a)
+    elif what == RAISE:
+        _raise(h, a)
     return 0
 
 
@@ -283,6 +370,8 @@ def request(h, what, a, b):
         if what < FROM_PYTHON:
             h.twice = 1
         return TWO_AT_ONCE
+    if h.serving:
+        close_left(h, frame_address())
     mode = usual_float_mode()  # whatever the firmware has made of it, the stage has the same bits
     value = answer(h, what & (FROM_PYTHON - 1), a, b)
     float_mode_as_before(mode)
@@ -294,6 +383,18 @@ def request(h, what, a, b):
 def pulling(h):
     """The chips and devices that pull the interrupt line, a bit each: no bus cycle."""
     return line_of(h)
+
+
+@exported(None, HOST)
+def look_at_sources(h):
+    """The table of interrupt sources was changed."""
+    arm(h)
+
+
+@exported("i8")
+def here():
+    """About where the caller's stack is."""
+    return frame_address()
 
 
 @exported("i8")

@@ -10,6 +10,7 @@ import shutil
 import threading
 import time
 from contextlib import suppress
+from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ import numpy as np
 
 from stage.board import crash, scratch
 from stage.board.board import Board
+from stage.board.interrupts import ANY_LINE
 from stage.board.link import NOTED, Link
 from stage.board.shared import Asked, Begin, Go, Noted, Shared, Stands
 from stage.board.threaded import Threaded
@@ -51,6 +53,7 @@ class ChildLink(Link):
         self.samples = Samples(shared)
         self.asks = 0
         self.move_to(shared.record)
+        self.hooks.move_to(shared.sources)
         self.stage.state.note_in(shared.edges)
         board.trace.kept = shared.cycles
         places = self.stage.beside.move_to(shared.devices)
@@ -90,16 +93,24 @@ class ChildLink(Link):
     def loses(self, chip: int, address: int, value: int) -> bool:
         return bool(self._parent_calls(chip, address, value))
 
-    def hooked_in_parent(self) -> None:
-        """The interrupt line calls a function in Python."""
-        self._parent_calls(-1, 0, 0)
+    def _hooked_in_parent(self, source: int) -> None:
+        self._parent_calls(-1 - source, 0, 0)
+
+    def hooked(self, sources: tuple[int, ...]) -> None:
+        """These interrupt sources call functions in Python, of the parent's."""
+        own, row = self.hooks, self.hooks.sources[ANY_LINE]
+        had = own.pointer if ANY_LINE in own.functions else 0
+        of_firmware = row["hook"] != had and not (ANY_LINE in sources and not had)
+        own.functions = {source: partial(self._hooked_in_parent, source) for source in sources}
+        own.adopt(sources, keep=of_firmware)
 
     def _parent_calls(self, chip: int, address: int, value: int, way: int = -1) -> int:
         self._pipe.send(Asked(self.noted(), chip, address, value, way))
-        answer, well, machine = self._pipe.recv()
+        answer, well, machine, hooks = self._pipe.recv()
         if machine is not None:
             adopt(self.stage, pickle.loads(machine))
         self.stage.put(self.shared.state)
+        self.hooked(hooks)
         if not well:
             raise StageError("Python has raised in the parent")
         return int(answer)
@@ -137,10 +148,7 @@ class ChildBoard(Board):
         stage.state.clockwork[0].sample_every = go.sample_every
         stage.loop.recording = link.samples if go.sample_every else None  # type: ignore[assignment]
         link.asks = go.asks
-        before, new = link.own_hook(), go.hook and link.hook is None
-        link.hook = link.hooked_in_parent if go.hook else None
-        if new or link.record["hook"] == before:  # else the firmware has set one of its own
-            link.record["hook"] = link.own_hook()
+        link.hooked(go.hooks)
 
 
 def adopt(ours: Stage, stage: Stage) -> None:

@@ -14,15 +14,21 @@ from stage.sim.in_use import ENGINE, claim, release
 IN8, OUT8, IN16, OUT16, DELAY, MICROS, LOG, HOOK, LINE, SETTLE = range(10)
 """What a host asks: port cycles (a: port, b: value), a delay (a: us), the time (us), to note a line (a: its address), to call a
 function (a: its address) with an argument (b) while the interrupt line is asserted, whether it is, that the stage catches up."""
+TIMER, ON_LINE, SPEND = 10, 11, 12
+"""A timer, a hook of one interrupt source (a: the address of five int64: which, its level, the period in ns, the hook, its
+argument); computing that has taken time (a: ns, beside what the meter has counted)."""
 IN32, OUT32, WINDOW, NO_CYCLE, BEYOND_WINDOW = range(13, 18)
 """Two cycles of 16 bits, the low half first; the address of a new window (a: its first port, b: how many). And, from the handler of
 faults: that an instruction (a: its STEP) touches a window (b: where), but is no bus cycle, or goes beyond the window."""
+LEVEL, RAISE = 18, 19
+"""The processor's level (a; -1: as it is), the answer is that of before; a software interrupt (a: which)."""
 UNTIL = 20
 """An emulated processor: its time (a: ns of the stage) is the board's; if `b`, whether the interrupt line then is asserted."""
-FULL, DIVERGED, PAUSE, STORM, LINE_OF_LOG, ASKED_WRITE, BY_HAND, TWICE, DEVICE_CALLED = range(1, 10)
+FULL, DIVERGED, PAUSE, STORM, LINE_OF_LOG, ASKED_WRITE, BY_HAND, TWICE, DEVICE_CALLED, REFUSED = range(1, 11)
 """Why Python is called: buffers are full; the physics has diverged; time or cycles are up; an interrupt that nothing clears; a
 line to note; a write that Python makes, since a fault of the bus looks at each; the stage's time is to pass and compiled code alone
-may not let it; two threads of the firmware made requests at once; a cycle reaches a device that is written in Python."""
+may not let it; two threads of the firmware made requests at once; a cycle reaches a device that is written in Python; a request
+that makes no sense."""
 ABOUT_WINDOW = 20
 """Another: a request about a window."""
 FROM_PYTHON = 64
@@ -57,10 +63,9 @@ HOST = record(
     handle.HANDLE_FIELDS
     + [("inside", "i8")]
     + [(name, "i8") for name in "regions n_regions ports n_ports lines line_room traced changed".split()]
-    + [
-        (name, "i8")
-        for name in "until lazy ahead quiet cycles most_cycles stopped twice call hook argument serving".split()
-    ]
+    + [(name, "i8") for name in "until lazy ahead quiet cycles most_cycles stopped twice call".split()]
+    + [(name, "i8") for name in "sources level looked on_lines raised watched due".split()]
+    + [(name, "i8") for name in "hooks serving called stack_low stack_high meter cost rest".split()]
     + [
         (name, "i8")
         for name in "irqs acts before userdata words journals asks asked_chip asked_address asked_way asked reached".split()
@@ -74,7 +79,13 @@ HOST = record(
     until, most_cycles         when (ns), and after how many cycles, to call Python; cycles: so far
     lazy, ahead, quiet         whether the stage may stay behind the host, by how much (ns) it does, and up to when it may
     stopped, twice, call       nothing more happens; two threads were in at once; how to call Python
-    hook, argument, serving    the interrupt hook, and whether it is being called
+    sources, level             the interrupt controller's table, see stage.board.interrupts, and the processor's level
+    looked, on_lines, raised, watched   lines (bits) with a hook, and the highest level of these; sources that are pending, and the
+                               highest level of all that may call
+    due                        when (ns) the next timer is
+    hooks, serving, called     the hooks that are being called, the last of them (plus one, 0: none); how many there were so far
+    stack_low, stack_high      where the stack of the firmware's own thread is
+    meter, cost, rest          where the firmware counts what it computes, or 0; ps for each; ps left over
     irqs, acts                 of each chip: its IRQ, and the addresses (bits) at which a read changes it
     before, userdata, words    room for a copy of the state in userdata; where that is, and how long
     reached                    the stage's time (ns), for whoever sees nothing but this record

@@ -77,8 +77,8 @@ class Isolated:
         self._shared.keep(stage)
         self._shared.copy(board)
         try:
-            hook = bool(board.link.record["hook"])
-            self._pipe.send(Go(until, most_cycles, board.port_table, machine, every, asks, hook, len(board.log)))
+            hooks = tuple(board.link.hooks.functions)
+            self._pipe.send(Go(until, most_cycles, board.port_table, machine, every, asks, hooks, len(board.log)))
             while not isinstance(message := self._next(), Stands):
                 if isinstance(message, Asked):
                     self._pipe.send(self._answer(message))
@@ -165,28 +165,25 @@ class Isolated:
             recording.take(end)
         board.log += shared.lines()
 
-    def _answer(self, asked: Asked) -> tuple[int, bool, bytes | None]:
+    def _answer(self, asked: Asked) -> tuple[int, bool, bytes | None, tuple[int, ...]]:
         """Python is called here, where its objects are, and the child goes on from what it has left."""
         board, shared = self._board, self._shared
         self._take(asked.noted)
-        record, answer, machine = board.link.record, 0, None
+        hooks, answer, machine = board.link.hooks, 0, None
         try:
             if asked.way >= 0:
                 answer = board.link.call_device(asked.chip, asked.address, asked.way, asked.value)
                 machine = self._changed_by_device()
             elif asked.chip >= 0:
                 answer = int(board.link.loses(asked.chip, asked.address, asked.value))
-            elif board.link.hook is not None:
-                record["serving"] = 1
-                board.link.hook()
+            else:
+                hooks.call(-1 - asked.chip)
                 machine = self._changed()
         except BaseException as error:
             self._error = error
-        finally:
-            record["serving"] = 0
         shared.keep(board.stage)
         shared.copy(board)
-        return answer, self._error is None, machine
+        return answer, self._error is None, machine, tuple(hooks.functions)
 
     def _next(self, grace: float = GRACE) -> Any:
         """The next message of the child."""

@@ -26,8 +26,11 @@ from stage.files import FileError
 ABI = 1
 SOURCES = (".c", ".cc", ".cpp", ".cxx", ".ino")
 ENTRY = "pulsestage_main"
+NEVER = (1 << 63) - 1  # of what a meter counts
 OWN_FIRST = ("-Wl,-Bsymbolic",) if sys.platform == "linux" else ()
 """Calls within the firmware go to its own functions, whatever their names."""
+METER = Path(__file__).parent / "meter.c"
+"""What counts the basic blocks of firmware whose computing takes time."""
 _MACHINES = {
     3: "x86 (32 bit)",
     8: "MIPS",
@@ -76,11 +79,13 @@ def build(
     output: str | os.PathLike | None = None,
     flags: Sequence[str] = (),
     platform: str | None = None,
+    metered: bool = False,
 ) -> Path:
     """Build a firmware library from C or C++ sources; returns its path.
 
     output: default a file in a folder for temporary files. flags: for the compiler, after -O2 -g and the
     sources, so that libraries can be among them. platform: what the sources were written for, see stage.board.platforms.
+    metered: the library counts its basic blocks, for NativeHost(cost=...).
     Raises FileError, NoCompilerError, CompileError with what the compiler said, ArgumentError.
     """
     files = [Path(s) for s in ([sources] if isinstance(sources, str | os.PathLike) else sources)]
@@ -93,17 +98,27 @@ def build(
     files = platforms.whole(files)
     made = Path(output) if output else Path(tempfile.mkdtemp(prefix="pulsestage-")) / f"{files[0].stem}.so"
     with tempfile.TemporaryDirectory(prefix="pulsestage-") as folder:
+        meter = Path(folder) / "meter.o"
+        if metered:
+            flags = ("-fsanitize-coverage=trace-pc", str(meter), *flags)
+            _compile(
+                METER, [*compiler(METER).split(), "-c", "-fPIC", "-O2", f"-I{include()}", str(METER), "-o", str(meter)]
+            )
         recipe = platforms.recipe(of, files, Path(folder))
         name = compiler(files[0] if not recipe.cplusplus else "x.cpp")
         command = [
             *name.split(), "-shared", "-fPIC", "-O2", "-g", *recipe.flags, f"-I{include()}", *OWN_FIRST,
             *(_own_statics(name) if recipe.cplusplus else ()), *recipe.files, *flags, "-o", str(made),
         ]  # fmt: skip
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        _compile(files[0], command, of)
+    return made
+
+
+def _compile(source: Path, command: list[str], platform: platforms.Platform | None = None) -> None:
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
         said = (done.stderr + done.stdout).strip()
-        raise CompileError(f"{files[0]} does not compile ({name}):\n{said}{platforms.hint(of, said)}", said)
-    return made
+        raise CompileError(f"{source} does not compile ({command[0]}):\n{said}{platforms.hint(platform, said)}", said)
 
 
 @functools.cache
@@ -128,11 +143,13 @@ def ready(
     flags: Sequence[str] = (),
     platform: str | None = None,
     folder: Path | None = None,
+    metered: bool = False,
 ) -> Path:
     """The library that `firmware` is, or that is built from it, in `folder`. Raises as `build` and `check`."""
     given = _listed(firmware)
     if are_sources(given):
-        return check(build(given, folder / f"{Path(given[0]).stem}.so" if folder else None, flags, platform=platform))
+        output = folder / f"{Path(given[0]).stem}.so" if folder else None
+        return check(build(given, output, flags, platform=platform, metered=metered))
     if platform is not None:
         raise ArgumentError(f"platform={platform!r}: it says how sources are built, and {given[0]} is built already.")
     if len(given) > 1:
@@ -241,6 +258,19 @@ class Library:
     def loaded(self) -> Any:
         """The loader's list, from this library on: a pointer to `exits.Loaded`."""
         return ctypes.cast(self._handle, ctypes.POINTER(exits.Loaded))
+
+    def metered(self, turn: int) -> int:
+        """From now on every `turn` basic blocks the firmware turns to the bus. Returns where it counts them."""
+        try:
+            words = (ctypes.c_int64 * 2).in_dll(self._library, "pulsestage_meter")
+        except ValueError:
+            raise LibraryError(
+                f"{self.path} does not count what it computes, so cost= (--cost) has nothing to go by: give the sources in place "
+                f"of the library, or build it with -fsanitize-coverage=trace-pc, and with an object of {METER} that is compiled "
+                "without."
+            ) from None
+        words[0], words[1] = 0, turn
+        return ctypes.addressof(words)
 
     def _find(self, kind: Any, name: str) -> Any:
         try:

@@ -14,6 +14,7 @@ import numpy as np
 
 from stage.board import bus, host
 from stage.board.errors import HostError, StormError
+from stage.board.hooks import Hooks
 from stage.errors import StageError
 from stage.native import plain
 from stage.sim import handle, records
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
 NOTED = 1 << 14  # edges and writes between two calls of Python
 MOST = 1 << 62
 UPCALL = ctypes.CFUNCTYPE(None, ctypes.c_int64)
-HOOK = ctypes.CFUNCTYPE(None, ctypes.c_void_p)
 
 
 class Link:
@@ -35,7 +35,7 @@ class Link:
         record: its HOST record; pointer: the address of the record, for compiled code.
         request: the compiled function for all requests of a host: (pointer, what, a, b) -> answer.
         error: the exception of a call from compiled code, until `raise_error`.
-        hook: the function that the interrupt line calls, or None.
+        hooks: Python's interrupt hooks, and the table of the interrupt controller.
         windows: those of the firmware that runs.
         answering: the device in Python that answers a bus cycle now, or None.
         stand_still: the function by which firmware in a thread of its own waits, while it runs.
@@ -47,15 +47,15 @@ class Link:
         self.board, self.stage = board, board.stage
         self.calls = 0
         self.error: BaseException | None = None
-        self.hook: Callable[[], None] | None = None
         self.windows: Mapped | None = None
         self.answering: Any = None
         self.stand_still: Callable[[], None] | None = None
         self.abandoned: set[threading.Thread] = set()
         self._left: list[np.ndarray] = []
-        self._call, self._call_hook = UPCALL(self._called), HOOK(self._hooked)
+        self._call = UPCALL(self._called)
         self.request: Any = bus.request.pointer
         self._lay_out()
+        self.hooks = Hooks(self)
 
     @property
     def traced(self) -> int:
@@ -175,10 +175,10 @@ class Link:
             if reason == host.DIVERGED:
                 self._diverged()
             elif reason == host.STORM:
-                raise StormError(
-                    f"the interrupt hook was called {host.STORM_CALLS:,} times in a row at {self.stage.time:.6f} s and the line is "
-                    f"still asserted: the hook has to clear the interrupt at its chip.\n{self.board.trace.text(8)}"
-                )
+                raise StormError(f"{self.hooks.storm(int(self.record['asked']))}\n{self.board.trace.text(8)}")
+            elif reason == host.REFUSED:
+                h = self.record
+                raise HostError(self.hooks.refused(int(h["asked_chip"]), int(h["asked_address"]), int(h["asked"])))
             elif reason == host.TWICE:
                 raise HostError(
                     f"two threads of the firmware made bus cycles at the same time, at {self.stage.time:.6f} s: a bus has one host "
@@ -235,8 +235,9 @@ class Link:
         self.record["stopped"] = 1
         self._left.append(self._rows)
         self.move_to(self._rows.copy())
-        self.record["stopped"] = self.record["serving"] = self.record["inside"] = 0
-        self.record["hook"] = self.own_hook()
+        self.record["stopped"] = self.record["inside"] = 0
+        self.hooks.move_to(self.hooks.sources.copy())
+        self.hooks.without_firmware()
         self.stand_still = None
 
     def settle(self) -> None:
@@ -252,18 +253,3 @@ class Link:
         self._rows, self.pointer = rows, rows.ctypes.data
         rows["own"] = self.pointer
         self.record = rows.view(plain(host.HOST))[0]
-
-    def own_hook(self) -> int:
-        """What calls the hook of `on_interrupt`: its address, or 0."""
-        return (ctypes.cast(self._call_hook, ctypes.c_void_p).value or 0) if self.hook else 0
-
-    def _hooked(self, _: Any) -> None:
-        try:
-            self.end()  # the hook may write to a chip itself: journals want what was before it first
-            try:
-                if self.hook is not None:
-                    self.hook()
-            finally:
-                self.begin()
-        except BaseException as error:
-            self.fail(error)

@@ -177,8 +177,10 @@ class NativeHost(Host):
         platform: what the sources were written for (arduino, avr, vxworks, dos), see stage.board.platforms.
         patience: seconds of real time that the firmware may compute without a bus cycle.
         map: windows of memory-mapped registers, see stage.board.windows: one, or a sequence.
+        cost: simulated seconds that each basic block of the firmware takes (default: none), see docs/interrupts.md; sources are
+            built so that they count them.
     Raises:
-        ArgumentError: a patience that is none, a window that cannot be.
+        ArgumentError: a patience that is none, a window that cannot be, a cost that is none.
         LibraryError: not a library, for another machine, without the entry point, or not built with pulsestage.h.
         CompileError, NoCompilerError: see `build`.
     """
@@ -193,12 +195,17 @@ class NativeHost(Host):
         platform: str | None = None,
         patience: float = PATIENCE,
         map: windows.Given = (),
+        cost: float = 0.0,
     ):
         self._check(board, patience, "'driver.c'")
+        if not (isinstance(cost, int | float) and (cost == 0 or 1e-12 <= cost <= 1)):
+            raise ArgumentError(
+                f"cost={cost!r}: simulated seconds a basic block, 1e-12 to 1, for example 50e-9; 0 for none."
+            )
         mapped = windows.windows(map)
         self._scratch = Scratch() if library.are_sources(firmware) else None  # what is built goes with the host
-        path = library.ready(firmware, flags, platform, self._scratch.path if self._scratch else None)
-        super().__init__(NativeProgram(path, mapped), board, isolated, patience)
+        path = library.ready(firmware, flags, platform, self._scratch.path if self._scratch else None, metered=cost > 0)
+        super().__init__(NativeProgram(path, mapped, round(cost * 1e12)), board, isolated, patience)
 
 
 def _nanoseconds(seconds: float, name: str) -> int:

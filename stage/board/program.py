@@ -47,13 +47,37 @@ class Program(Protocol):
 
 @dataclass(frozen=True)
 class NativeProgram:
-    """A library of this machine."""
+    """A library of this machine. cost: ps that each of its basic blocks takes; 0: it does not count them."""
 
     path: Path
     windows: tuple[Window, ...] = ()
+    cost: int = 0
 
     def load(self, board: Board, may_exit: bool) -> Loaded:
         """See `Program`. Raises LibraryError, ArgumentError for a window that cannot be."""
         size = ctypes.sizeof(library.BusStruct)
         bus = library.BusStruct(library.ABI, size, board.link.pointer, board.link.request)
-        return Mapped(library.Library(self.path, bus, may_exit), self.windows, board.link)
+        loaded = library.Library(self.path, bus, may_exit)
+        mapped = Mapped(loaded, self.windows, board.link)
+        return Metered(mapped, loaded, board, self.cost) if self.cost else mapped
+
+
+class Metered:
+    """A library whose computing takes time: cost, ps a basic block. Raises LibraryError when it is made."""
+
+    def __init__(self, mapped: Mapped, loaded: library.Library, board: Board, cost: int):
+        self._mapped, self._loaded, self._board, self._cost = mapped, loaded, board, cost
+        loaded.metered(library.NEVER)
+
+    def main(self) -> int:
+        """See `Loaded`. What it counts while it is loaded and unloaded takes no time."""
+        h = self._board.link.record
+        h["cost"], h["rest"] = self._cost, 0
+        h["meter"] = self._loaded.metered(max(int(h["bus"]) * 1000 // self._cost, 1))
+        code = self._mapped.main()
+        self._loaded.metered(library.NEVER)
+        return code
+
+    def close(self) -> None:
+        """See `Loaded`."""
+        self._mapped.close()

@@ -54,7 +54,8 @@ struct pulsestage_bus {
     int64_t (*request)(void *host, int32_t what, int64_t a, int64_t b);
 };
 
-enum { PS_IN8, PS_OUT8, PS_IN16, PS_OUT16, PS_DELAY, PS_MICROS, PS_LOG, PS_HOOK, PS_LINE, PS_IN32 = 13, PS_OUT32, PS_WINDOW };
+enum { PS_IN8, PS_OUT8, PS_IN16, PS_OUT16, PS_DELAY, PS_MICROS, PS_LOG, PS_HOOK, PS_LINE, PS_TIMER = 10, PS_ON_LINE, PS_SPEND,
+       PS_IN32, PS_OUT32, PS_WINDOW, PS_LEVEL = 18, PS_RAISE };
 
 #if defined(_MSC_VER)
 #define PULSESTAGE_SHARED __declspec(selectany) __declspec(dllexport)
@@ -149,6 +150,43 @@ static inline volatile void *ps_window(uint32_t port, uint32_t length)
 {
     return (volatile void *)(intptr_t)ps_request(PS_WINDOW, port, length);
 }
+
+/* Interrupts with levels, see docs/interrupts.md. A hook is called when its level (1 to 15) is above the processor's, which is 0 at
+ * first and the hook's own until that returns: after a port cycle, or in the middle of a delay at the very ns.
+ *   ps_timer     timer 0 to 7 calls every period_ns; 0: off. One flag a timer: a tick that comes while it is set is missed.
+ *   ps_on_timer  timer 0 at level 1.
+ *   ps_on_line   line n is that of chip n, in the order of the axes; or a software interrupt, PS_SOFTWARE(0) to (7). hook 0: none.
+ *   ps_raise     sets the flag of a software interrupt.
+ *   ps_level     sets the processor's level and returns the one before; none of that level or below is called. */
+#define PS_HIGHEST 15
+#define PS_SOFTWARE(n) (64 + (n))
+typedef void (*ps_hook)(void *argument);
+static inline void ps_source_(int32_t what, int n, int level, uint64_t period_ns, ps_hook hook, void *argument)
+{
+    int64_t given[5];
+    given[0] = n, given[1] = level, given[2] = (int64_t)period_ns;
+    given[3] = (int64_t)(intptr_t)hook, given[4] = (int64_t)(intptr_t)argument;
+    ps_request(what, (int64_t)(intptr_t)given, 0);
+}
+static inline void ps_timer(int n, int level, uint64_t period_ns, ps_hook hook, void *argument)
+{
+    ps_source_(PS_TIMER, n, level, period_ns, hook, argument);
+}
+static inline void ps_on_timer(uint32_t period_us, ps_hook hook, void *argument)
+{
+    ps_timer(0, 1, (uint64_t)period_us * 1000u, hook, argument);
+}
+static inline void ps_on_line(int line, int level, ps_hook hook, void *argument)
+{
+    ps_source_(PS_ON_LINE, line, level, 0, hook, argument);
+}
+static inline void ps_raise(int n) { ps_request(PS_RAISE, n, 0); }
+static inline int ps_level(int level) { return (int)ps_request(PS_LEVEL, level, 0); }
+static inline int ps_disable(void) { return ps_level(PS_HIGHEST); } /* a critical section: int before = ps_disable(); */
+static inline void ps_enable(int before) { ps_level(before); }      /* ...; ps_enable(before); they may be nested */
+
+/* computing that takes time: ns pass, as in a delay */
+static inline void ps_spend_ns(uint64_t ns) { ps_request(PS_SPEND, (int64_t)ns, 0); }
 
 #if defined(PULSESTAGE_DOS_IO)
 #define inp(port) ps_in8(port)

@@ -15,14 +15,18 @@ import numpy as np
 
 from stage.board import host
 from stage.board.board import Board
+from stage.board.hooks import PYTHONS_TIMERS
+from stage.board.interrupts import SOURCE, SOURCES
 from stage.board.link import NOTED
 from stage.board.program import Program
+from stage.native import plain
 from stage.sim.records import EDGE, SAMPLE
 
 ROWS = 512  # samples
 TEXT = 1 << 16  # bytes of lines
 CRASH = 1 << 14  # bytes about a crash
 COUNTS = ("cycles", "traced", "changed")  # of HOST
+PYTHONS_ROWS = slice(PYTHONS_TIMERS.start, PYTHONS_TIMERS.stop)
 _ALIGNED = 64
 _LINE = struct.Struct("qq")  # time, length
 
@@ -40,7 +44,7 @@ class Go(NamedTuple):
     """Run up to there, from the state in the file.
 
     machine: the stage, pickled, if it was changed in what is no state. sample_every: physics steps between samples, 0 for none.
-    asks: chips, a bit each, whose writes a fault of the bus looks at. hook: whether the interrupt line calls Python.
+    asks: chips, a bit each, whose writes a fault of the bus looks at. hooks: the interrupt sources that call Python.
     lines: of the log so far.
     """
 
@@ -50,7 +54,7 @@ class Go(NamedTuple):
     machine: bytes | None
     sample_every: int
     asks: int
-    hook: bool
+    hooks: tuple[int, ...]
     lines: int
 
 
@@ -62,10 +66,10 @@ class Noted(NamedTuple):
 
 
 class Asked(NamedTuple):
-    """Python is to be called, in the parent: about a write to a chip, by the interrupt line (chip -1), or as a device on the bus
-    (chip: which, way: as `Device.call` has it).
+    """Python is to be called, in the parent: about a write to a chip, by an interrupt source (chip -1 - its index), or as a device
+    on the bus (chip: which, way: as `Device.call` has it).
 
-    The answer: (what Python said, whether it went well, the stage as in `Go.machine`).
+    The answer: (what Python said, whether it went well, the stage as in `Go.machine`, `Go.hooks`).
     """
 
     noted: Noted
@@ -88,8 +92,8 @@ class Shared:
     """The file. Both sides make it of boards that are alike.
 
     Attributes: record: the HOST record of the child; edges: EDGE; cycles: the lines of its trace; state: float64, MuJoCo's, with
-    the whole stage in it, and the state of the devices behind it; samples, positions: as those of a Recording;
-    devices: float64, where the devices of the child have their state.
+    the whole stage in it, and the state of the devices behind it; samples, positions: as those of a Recording; sources: of the
+    child's interrupt controller; devices: float64, where the devices of the child have their state.
     """
 
     def __init__(self, path: str | Path, board: Board, create: bool = False):
@@ -97,8 +101,8 @@ class Shared:
         axes, nq, words = len(board.stage.axes), state.model.nq, len(state.saved) + board.stage.beside.words
         sizes: list[tuple[Any, tuple[int, ...]]] = [
             (host.HOST, (1,)), (EDGE, (NOTED,)), (host.CYCLE, (board.trace.room,)), (np.float64, (words,)),
-            (SAMPLE, (ROWS, axes)), (np.float64, (ROWS, nq)), (np.int64, (1,)), (np.uint8, (TEXT,)), (np.uint8, (CRASH,)),
-            (np.float64, (board.stage.beside.words,)),
+            (SAMPLE, (ROWS, axes)), (np.float64, (ROWS, nq)), (plain(SOURCE), (SOURCES,)), (np.int64, (1,)), (np.uint8, (TEXT,)),
+            (np.uint8, (CRASH,)), (np.float64, (board.stage.beside.words,)),
         ]  # fmt: skip
         lengths = [int(np.dtype(dtype).itemsize * np.prod(shape)) for dtype, shape in sizes]
         places = np.cumsum([0, *(-(-n // _ALIGNED) * _ALIGNED for n in lengths)]).tolist()
@@ -110,6 +114,7 @@ class Shared:
             self.state,
             self.samples,
             self.positions,
+            self.sources,
             used,
             text,
             crash,
@@ -168,7 +173,10 @@ class Shared:
     # --- the trace ---
 
     def copy(self, board: Board, back: bool = False) -> None:
-        """A board's cycles, counted and traced, for the child's board to go on from; or back."""
+        """A board's cycles, counted and traced, and timers, for the child's board to go on from; or back."""
+        timers, theirs_too = board.link.hooks.sources[PYTHONS_ROWS], self.sources[PYTHONS_ROWS]
+        for name in ("level", "period", "next", "pending", "missed"):
+            (timers if back else theirs_too)[name] = (theirs_too if back else timers)[name]
         pairs = [(board.link.record[name], self.record[0][name]) for name in COUNTS]
         if all(ours == theirs for ours, theirs in pairs):
             return

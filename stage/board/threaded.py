@@ -9,9 +9,10 @@ from __future__ import annotations
 import threading
 import time
 
-from stage.board import crash, exits, host
+from stage.board import bus, crash, exits, host
 from stage.board.board import Board
 from stage.board.errors import HostError
+from stage.board.interrupts import NEAR
 from stage.board.link import MOST
 from stage.board.program import Loaded, Program
 
@@ -105,6 +106,8 @@ class Threaded:
         me = threading.get_ident()
         exits.leavers[me] = self._leave
         code, failed, board = 0, None, self._board
+        top = bus.here.c()
+        board.link.record["stack_low"], board.link.record["stack_high"] = top - STACK, top + NEAR
         try:
             code = int(loaded.main())
         except Exception as error:
@@ -112,10 +115,12 @@ class Threaded:
         del exits.leavers[me]
         if threading.current_thread() in board.link.abandoned:
             return
-        board.link.record["hook"], board.link.record["lazy"] = board.link.own_hook(), 0
+        board.link.record["lazy"] = 0
         try:
             board.link.request(board.link.pointer, host.SETTLE, 0, 0)
             board.link.end()
+            board.link.hooks.check_returned()
+            board.link.hooks.without_firmware()
         except BaseException as error:
             board.link.fail(error)
         if failed is not None:
@@ -156,8 +161,9 @@ class Threaded:
             elif time.monotonic() - since > self._patience:
                 raise HostError(
                     f"{self._path.name} has computed for {self._patience:g} s of real time without a bus cycle or a delay (at "
-                    f"{board.stage.time:.6f} s): a loop that waits for nothing?{'' if self._may_exit else GOES_ON} Its last bus "
-                    f"cycles:\n{board.trace.text(12)}"
+                    f"{board.stage.time:.6f} s): a loop that waits for nothing? Computing takes no time, and no interrupt comes in "
+                    f"it, unless cost= (--cost) says what it takes: docs/interrupts.md.{'' if self._may_exit else GOES_ON} Its "
+                    f"last bus cycles:\n{board.trace.text(12)}"
                 )
 
     def _interrupt(self) -> None:

@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from stage.board import host
+from stage.board.hooks import named
+from stage.board.interrupts import BACK, JUMPED, LOWERED
 
 if TYPE_CHECKING:
     from stage.board.board import Board
@@ -43,6 +45,20 @@ class Cycle(NamedTuple):
 
 Meaning = Callable[[int, int, bool, bool], str]
 """(port, value, whether it is written, whether with 16 bits) -> what it means."""
+
+
+def _interrupt(kind: int, source: int, value: int) -> str:
+    """A call of a hook, before which so many ticks were missed; or its end."""
+    name = named(source) if source else "the hook"
+    if kind == host.CALLED:
+        missed = f" ({value:,} {'tick was' if value == 1 else 'ticks were'} missed)" if value else ""
+        return f"interrupt: {name} is called{missed}"
+    how = {
+        BACK: "returns",
+        JUMPED: "is over: a jump has left its hook",
+        LOWERED: "is over: its hook has lowered the level",
+    }
+    return f"interrupt: {name} {how[value]}"
 
 
 class BusTrace:
@@ -89,7 +105,7 @@ class BusTrace:
             stray, lost, kind = bool(kind & host.STRAY), bool(kind & host.LOST_ON_THE_WAY), kind & 7
             if kind in (host.CALLED, host.RETURNED):
                 if k >= first:
-                    text = "interrupt: the hook is called" if kind == host.CALLED else "interrupt: the hook returns"
+                    text = _interrupt(kind, port, value)
                     yield Cycle(at * 1e-9, at * 1e-9, 1, "Ii"[kind - host.CALLED], None, 0, 0, False, text)
                 continue
             writes, wide = kind in (host.OUT, host.OUT_WIDE), kind in (host.IN_WIDE, host.OUT_WIDE)

@@ -1,4 +1,4 @@
-"""Advances time for a host, compiled: in a bus cycle, in a delay; and checks the interrupt line."""
+"""Advances time for a host, compiled: in a bus cycle, in a delay, in computing; and calls the hooks of interrupts."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from stage.board.host import (
     FULL,
     IRQ,
     PAUSE,
-    RETURNED,
     STORM,
     STORM_CALLS,
     ask,
@@ -19,12 +18,26 @@ from stage.board.host import (
     now_of,
     stage_of,
 )
+from stage.board.interrupts import (
+    BACK,
+    MARK,
+    MARKED,
+    arm,
+    begin_hook,
+    choose,
+    end_hook,
+    sources_of,
+    tick,
+)
 from stage.board.notes import note
 from stage.board.reaching import pulling as devices_pulling
 from stage.chips import cores
-from stage.native import array_at, hot, least
+from stage.native import array_at, greatest, hot, least, stack_mark
 from stage.sim import handle, records
 from stage.sim.handle import AXIS, WHOLE, clockwork, world
+
+STACK_LEFT = 1 << 20
+"""Bytes of the firmware's stack that hooks which interrupt each other leave."""
 
 
 @hot
@@ -55,7 +68,7 @@ def catch_up(h):
 def _foresee(h):
     """Up to when nothing but the chips themselves moves: no edge, no end of a slice."""
     w, axes, dt = world(stage_of(h)), array_at(h.axes, h.n_axes, AXIS), clockwork(stage_of(h)).dt
-    h.quiet = least(h.until, w.start + (w.slice + 1) * dt // records.SLICES)
+    h.quiet = least(least(h.until, h.due), w.start + (w.slice + 1) * dt // records.SLICES)
     for a in range(len(axes)):
         h.quiet = least(h.quiet, axes[a].next_edge)
 
@@ -74,19 +87,23 @@ def _pass(h, ns):
 
 
 @hot
-def _pass_cycle(h):
-    """A bus cycle's time passes. While nothing but the chips moves, the stage follows later, and of the chips only the one
+def _pass_cycle(h, ns):
+    """The time of a bus cycle passes. While nothing but the chips moves, the stage follows later, and of the chips only the one
     that the host turns to is taken along: all of them for each cycle would cost as much as the physics."""
-    if h.lazy and h.hook == 0:
-        if now_of(h) + h.bus < h.quiet:
-            h.ahead += h.bus
+    if h.lazy and h.on_lines <= h.level:
+        if now_of(h) + ns < h.quiet:
+            h.ahead += ns
             return
         catch_up(h)
-        _pass(h, h.bus)
+        _pass(h, ns)
+        if now_of(h) >= h.due:
+            tick(h)
         _foresee(h)
     else:
         catch_up(h)
-        _pass(h, h.bus)
+        _pass(h, ns)
+        if now_of(h) >= h.due:
+            tick(h)
 
 
 @hot
@@ -113,20 +130,45 @@ def line_of(h):
 
 @hot
 def serve(h):
-    """The line is looked at: while it is asserted, the firmware's hook is called."""
-    if h.hook == 0 or h.serving:
-        return
+    """Sources above the processor's level call their hooks."""
+    if h.watched > h.level:
+        _serve(h)
+
+
+@hot
+def _serve(h):
+    """The highest source first, until none is left."""
     calls = 0
-    while line_of(h) and h.hook and not h.stopped:
+    while h.watched > h.level and not h.stopped:
+        asserted = line_of(h) & h.looked if h.on_lines > h.level else 0
+        if asserted == 0 and h.raised == 0:
+            return
+        source = choose(h, asserted)
+        if source < 0:
+            return
         if calls == STORM_CALLS:
+            h.asked = source
             ask(h, STORM)
             return
         calls += 1
-        note(h, CALLED, 0, 0, -1)
-        h.serving = 1
-        call_out(h, h.hook, h.argument)
-        h.serving = 0
-        note(h, RETURNED, 0, 0, -1)
+        _call_hook(h, source)
+
+
+@hot
+def _call_hook(h, source):
+    """A source calls its hook; the processor's level is as before when that has returned."""
+    catch_up(h)
+    s, level, outer, outer_number = sources_of(h)[source], h.level, h.serving, 0
+    mark, missed = stack_mark(MARK, MARKED), s.missed
+    place = -1 if 0 < mark - h.stack_low < STACK_LEFT else begin_hook(h, source, mark)
+    if place < 0:
+        h.asked = -1
+        ask(h, STORM)
+        return
+    number, s.missed = h.called, 0
+    note(h, CALLED, source, missed, -1)
+    call_out(h, s.hook, s.argument)
+    end_hook(h, place, number, level, outer, outer_number, BACK)
 
 
 @hot
@@ -137,16 +179,16 @@ def _copy(source, target, words):
 
 
 @hot
-def _to_line(h, end):
-    """Advances to `end`, but no further than the end of the physics step; or to the ns at which the line is asserted, if that
-    comes before. The line is off now, or its hook was called."""
+def _to_line(h, lines, end):
+    """Advances to `end`, but no further than the end of the physics step; or to the ns at which one of the lines (bits) is
+    asserted, if that comes before. They are off now, or their hooks were called."""
     w, dt = world(stage_of(h)), clockwork(stage_of(h)).dt
     stop = least(end, w.start + dt)
     inside = stop - 1 if stop == w.start + dt else stop  # where no physics has come between, time can be taken back
     begin, noted = w.now, h.noted
     _copy(h.userdata, h.before, h.words)
     _run(h, inside)
-    if not line_of(h):
+    if line_of(h) & lines == 0:
         _run(h, stop)
         return
     low, high = begin, inside  # off at `low`, asserted at `high`
@@ -155,7 +197,7 @@ def _to_line(h, end):
         _copy(h.before, h.userdata, h.words)
         h.noted = noted
         _run(h, middle)
-        if line_of(h):
+        if line_of(h) & lines:
             high = middle
         else:
             low = middle
@@ -166,19 +208,22 @@ def _to_line(h, end):
 
 @hot
 def wait(h, ns):
-    """`ns` pass in a delay; an interrupt comes at the ns at which the line is asserted. What its hook takes is part of the
-    delay."""
+    """`ns` pass in a delay; an interrupt comes at the ns of its timer, or at which its line is asserted. What its hook takes is
+    part of the delay."""
     catch_up(h)
     w = world(stage_of(h))
     end = w.now + ns
     while w.now < end and not h.stopped:
-        if h.hook == 0 or h.serving:
-            _pass(h, end - w.now)
-            return
-        if w.now >= h.until:
+        stop = least(end, greatest(h.due, w.now + 1))
+        if h.on_lines <= h.level:
+            _pass(h, stop - w.now)
+        elif w.now >= h.until:
             ask(h, PAUSE)
             continue
-        _to_line(h, least(end, h.until))
+        else:
+            _to_line(h, h.looked, least(stop, h.until))
+        if w.now >= h.due:
+            tick(h)
         serve(h)
 
 
@@ -186,15 +231,9 @@ def wait(h, ns):
 def reach(h, until):
     """The host's time gets to `until` ns, if it is not there."""
     ns = until - now_of(h)
-    if ns <= 0:
-        return
-    if h.lazy and h.hook == 0 and until < h.quiet:
-        h.ahead += ns
-        return
-    catch_up(h)
-    _pass(h, ns)
-    serve(h)
-    _foresee(h)
+    if ns > 0:
+        _pass_cycle(h, ns)
+        serve(h)
 
 
 @hot
@@ -206,9 +245,39 @@ def wait_for_line(h, ns):
         if w.now >= h.until:
             ask(h, PAUSE)
             continue
-        _to_line(h, least(end, h.until))
+        _to_line(h, -1, least(end, h.until))
         asserted = line_of(h)
+    if w.now >= h.due:
+        tick(h)
     return 1 if asserted else 0
+
+
+@hot
+def spend(h):
+    """What the firmware has computed since its last request takes its time now."""
+    counted = array_at(h.meter, 1, WHOLE)
+    ps = h.rest + counted[0] * h.cost
+    counted[0], h.rest = 0, ps % 1000
+    ns = ps // 1000
+    if ns > h.bus:
+        wait(h, ns)
+    elif ns > 0:
+        _pass_cycle(h, ns)
+        serve(h)
+
+
+@hot
+def set_source(h, source, lines, given, is_on):
+    """A source has another hook, or none. given: level, period, hook and argument, see SOURCE."""
+    catch_up(h)
+    s = sources_of(h)[source]
+    s.level, s.hook, s.argument, s.lines = given[1], given[3] if is_on else 0, given[4], lines
+    s.period, s.next, s.missed = given[2] if is_on else 0, now_of(h) + given[2], 0
+    if given[2]:
+        s.pending = 0
+    arm(h)
+    h.quiet = 0
+    serve(h)
 
 
 @hot
@@ -219,4 +288,4 @@ def cycle(h):
         ask(h, PAUSE)
         h.quiet = 0
     h.cycles += 1
-    _pass_cycle(h)
+    _pass_cycle(h, h.bus)

@@ -251,6 +251,14 @@ def _add_firmware(commands: Any) -> None:
         help="run it for so many simulated seconds: firmware that never returns, as a sketch",
     )
     g.add_argument(
+        "--cost",
+        type=float,
+        default=0.0,
+        metavar="S",
+        help="simulated seconds that each basic block of the firmware takes, for example 50e-9 (default: computing takes no time); "
+        "docs/interrupts.md",
+    )
+    g.add_argument(
         "--in-process",
         action="store_true",
         help="run it in this process, for debuggers (default: in a process of its own; a crash ends only that)",

@@ -85,11 +85,12 @@ def _host(args: argparse.Namespace, board: Any, flags: tuple[str, ...]) -> Any:
             platform=args.platform,
             patience=args.patience,
             map=args.map,
+            cost=args.cost,
         )
     from stage.targets import TargetHost
 
-    if len(args.firmware) > 1 or flags or args.platform:
-        raise ArgumentError("--mcu: give one program that is built, and no --cflags or --platform.")
+    if len(args.firmware) > 1 or flags or args.platform or args.cost:
+        raise ArgumentError("--mcu: give one program that is built, and no --cflags, --platform or --cost.")
     return TargetHost(
         args.firmware[0], board, mcu=args.mcu, map=args.map, mcu_clock=args.mcu_clock, gdb=args.gdb, isolated=isolated,
         patience=args.patience,

@@ -22,7 +22,9 @@ from stage.native.functions import (
     exchange,
     exported,
     float_mode_as_before,
+    frame_address,
     hot,
+    stack_mark,
     usual_float_mode,
 )
 from stage.native.mode import COMPILED
@@ -30,5 +32,5 @@ from stage.native.records import address_of, array_at, plain, record, room
 
 __all__ = [
     "COMPILED", "Exported", "address_of", "array_at", "array_of", "called", "exchange", "exported", "float_mode_as_before", "floor",
-    "greatest", "hot", "least", "plain", "record", "room", "usual_float_mode",
+    "frame_address", "greatest", "hot", "least", "plain", "record", "room", "stack_mark", "usual_float_mode",
 ]  # fmt: skip

@@ -188,6 +188,11 @@ usual_float_mode: Callable[[], int] = typed.usual_float_mode if EMITTING else la
 """From now on this thread computes as usual: rounding to nearest, no traps, small numbers kept. Returns the mode of before."""
 float_mode_as_before: Callable[[int], None] = typed.float_mode_as_before if EMITTING else lambda mode: None
 """This thread computes in this mode again."""
+frame_address: Callable[[], int] = typed.frame_address if EMITTING else lambda: 0
+"""About where on its stack the function that says this runs; uncompiled 0."""
+stack_mark: Callable[[int, int], int] = typed.stack_mark if EMITTING else lambda words, value: 0
+"""(words, value) -> the address of so many words, `value` and up, on the stack of the function that says this, for as long as it
+has not returned; uncompiled 0. `words` is written out."""
 
 
 def _c_kind(result: str | None, arguments: tuple, function: Any = ctypes.CFUNCTYPE) -> Any:

@@ -223,6 +223,35 @@ float_mode_as_before: Any = intrinsic(_as_before)
 """See stage.native.functions."""
 
 
+def _frame_address(_context: Any) -> Any:
+    def lower(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+        kind = ir.FunctionType(cgutils.voidptr_t, [ir.IntType(32)])
+        place = cgutils.get_or_insert_function(builder.module, kind, "llvm.frameaddress.p0")
+        return builder.ptrtoint(builder.call(place, [ir.Constant(ir.IntType(32), 0)]), ir.IntType(64))
+
+    return types.int64(), lower
+
+
+def _stack_mark(_context: Any, words: Any, value: Any) -> Any:
+    if not isinstance(words, types.IntegerLiteral):
+        raise TypingError("stack_mark() takes a number of words that is known when it is compiled.")
+
+    def lower(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+        word, count = ir.IntType(64), words.literal_value
+        block = cgutils.alloca_once(builder, word, size=ir.Constant(word, count))
+        content = context.cast(builder, given[1], value, types.int64)
+        for k in range(count):
+            builder.store(builder.add(content, ir.Constant(word, k)), builder.gep(block, [ir.Constant(word, k)]))
+        return builder.ptrtoint(block, word)
+
+    return types.int64(words, value), lower
+
+
+frame_address: Any = intrinsic(_frame_address)
+stack_mark: Any = intrinsic(prefer_literal=True)(_stack_mark)
+"""See stage.native.functions."""
+
+
 def type_of(kind: Any) -> Any:
     """numba's type of a result or an argument."""
     if kind is None:

@@ -16,7 +16,7 @@ from stage.testing.settings import setting
 
 STAGE = ("model", "chips", "drives", "bus_cycle", "clock", "visuals", "record")
 BOARD = ("layout", "base", "stride", "keep_cycles", "devices")
-FIRMWARE = ("flags", "platform", "isolated", "patience", "mcu", "map", "mcu_clock")
+FIRMWARE = ("flags", "platform", "isolated", "patience", "cost", "mcu", "map", "mcu_clock")
 
 
 def stage_arguments(node: pytest.Item) -> dict[str, Any]:

@@ -29,11 +29,11 @@ def library_of(request: pytest.FixtureRequest, arguments: dict[str, Any]) -> Pat
     base = request.getfixturevalue("tmp_path_factory").getbasetemp()
     if hasattr(request.config, "workerinput"):  # pytest-xdist: the folder that all workers share
         base = base.parent
-    return _built(base / "pulsestage-firmware", sources, flags, platform)
+    return _built(base / "pulsestage-firmware", sources, flags, platform, arguments.get("cost", 0) > 0)
 
 
-def _built(folder: Path, sources: list[Path], flags: tuple[str, ...], platform: str | None) -> Path:
-    said = [*(compiler(source) for source in sources), *flags, *map(str, sources), f"for {platform}"]
+def _built(folder: Path, sources: list[Path], flags: tuple[str, ...], platform: str | None, metered: bool) -> Path:
+    said = [*(compiler(source) for source in sources), *flags, *map(str, sources), f"for {platform}", str(metered)]
     key = hashlib.sha256("\0".join(said).encode())
     for source in platforms.whole(sources):
         key.update(source.read_bytes())
@@ -42,7 +42,7 @@ def _built(folder: Path, sources: list[Path], flags: tuple[str, ...], platform: 
         made.parent.mkdir(parents=True, exist_ok=True)
         part = made.with_suffix(f".{os.getpid()}.part")
         try:
-            os.replace(build(sources, part, flags, platform), made)
+            os.replace(build(sources, part, flags, platform, metered), made)
         finally:
             part.unlink(missing_ok=True)
     return made

@@ -261,12 +261,11 @@ def test_the_header_and_python_agree_on_the_requests():
     from stage.board import host, library
 
     text = (library.include() / "pulsestage.h").read_text()
-    names, number = (
-        text[text.index("enum {") + 6 : text.index("};", text.index("enum {"))].replace(" ", "").split(","),
-        -1,
-    )
-    for name, _, given in (name.partition("=") for name in names):
+    names = "".join(text[text.index("enum {") + 6 : text.index("};", text.index("enum {"))].split()).split(",")
+    number = -1
+    for name in names:
+        name, _, given = name.partition("=")
         number = int(given) if given else number + 1
         assert getattr(host, name.removeprefix("PS_")) == number, name
-    assert len(names) >= 11
+    assert len(names) > 10
     assert ctypes.sizeof(library.BusStruct) == 24

@@ -1,0 +1,199 @@
+"""`Hooks`: the table of the interrupt controller, see stage.board.interrupts, and the hooks in Python.
+
+A hook in Python is not interrupted: it runs at the highest level, whatever its source's.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable, Collection
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stage.board import bus
+from stage.board.errors import HostError
+from stage.board.host import LEVEL, ON_LINE, RAISE, STORM_CALLS, TIMER
+from stage.board.interrupts import (
+    ANY_LINE,
+    FIRST_LINE,
+    FIRST_PYTHON_TIMER,
+    FIRST_SOFTWARE,
+    FIRST_TIMER,
+    HIGHEST,
+    HOOK_CALLED,
+    HOOKS,
+    PYTHON_TIMERS,
+    SOFTWARE,
+    SOFTWARE_LINE,
+    SOURCE,
+    SOURCES,
+    TIMERS,
+)
+from stage.native import plain
+
+if TYPE_CHECKING:
+    from stage.board.link import Link
+
+HOOK = ctypes.CFUNCTYPE(None, ctypes.c_void_p)
+PYTHONS_TIMERS = range(FIRST_PYTHON_TIMER, FIRST_PYTHON_TIMER + PYTHON_TIMERS)
+
+
+class Hooks:
+    """Of one board.
+
+    Attributes:
+        sources: SOURCE records; functions: the hooks in Python, by the index of their source.
+        pointer: what compiled code calls for these; the hook's argument is the index.
+    """
+
+    def __init__(self, link: Link):
+        self._link = link
+        self.functions: dict[int, Callable[[], None]] = {}
+        self._trampoline = HOOK(self._called)
+        self.pointer = ctypes.cast(self._trampoline, ctypes.c_void_p).value or 0
+        self._left: list[np.ndarray] = []
+        self.sources = np.zeros(SOURCES, plain(SOURCE))
+        self.move_to(self.sources)
+
+    def move_to(self, sources: np.ndarray) -> None:
+        """From now on the table is that array; who goes on with the one of before does so without effect."""
+        sources[:] = self.sources
+        self.sources, self._hooks = sources, np.zeros(HOOKS, HOOK_CALLED)
+        self._left += [sources, self._hooks]
+        h = self._link.record
+        h["sources"], h["hooks"] = sources.ctypes.data, self._hooks.ctypes.data
+        h["serving"] = h["level"] = 0
+        self.look()
+
+    def look(self) -> None:
+        """After a change of the table: compiled code looks at it anew."""
+        self._link.record["quiet"] = 0
+        bus.look_at_sources.c(self._link.pointer)
+
+    def set(
+        self, source: int, function: Callable[[], None] | None, lines: int = 0, level: int = 1, period: int = 0
+    ) -> None:
+        """A hook in Python, or None. period: ns, of a timer."""
+        if function is None:
+            self.functions.pop(source, None)
+        else:
+            self.functions[source] = function
+        row = self.sources[source]
+        row["hook"], row["argument"] = self.pointer if function else 0, source
+        row["level"], row["lines"], row["period"] = level, lines, period if function else 0
+        row["pending"] = row["missed"] = 0
+        row["next"] = self._link.stage.now + period
+        self.look()
+
+    def without_firmware(self) -> None:
+        """The firmware has gone: its hooks are called no more, and those of Python in their place."""
+        self.sources[[k for k in range(SOURCES) if k not in self.functions]] = np.zeros((), self.sources.dtype)
+        self.adopt(self.functions)
+        h = self._link.record
+        h["serving"] = h["level"] = h["meter"] = h["stack_low"] = h["stack_high"] = 0
+        self.look()
+
+    def adopt(self, functions: Collection[int], keep: bool = False) -> None:
+        """The rows of the sources that Python has hooks for call these. keep: the line's hook stays as it is."""
+        for source in PYTHONS_TIMERS:
+            row = self.sources[source]
+            row["hook"], row["argument"] = self.pointer if source in functions else 0, source
+        if not keep:
+            row = self.sources[ANY_LINE]
+            row["hook"], row["argument"] = self.pointer if ANY_LINE in functions else 0, ANY_LINE
+            row["lines"], row["level"] = -1, 1
+        self.look()
+
+    def call(self, source: int) -> None:
+        """Call a hook in Python, uninterrupted."""
+        h = self._link.record
+        before = h["level"], h["lazy"]
+        h["level"], h["lazy"] = HIGHEST, 0
+        try:
+            if (function := self.functions.get(source)) is not None:
+                function()
+        finally:
+            h["level"], h["lazy"] = before
+            h["quiet"] = 0
+
+    def _called(self, source: int | None) -> None:
+        """Compiled code calls."""
+        link = self._link
+        try:
+            link.end()  # the hook may write to a chip itself: journals want what was before it first
+            try:
+                self.call(source or ANY_LINE)
+            finally:
+                link.begin()
+        except BaseException as error:
+            link.fail(error)
+
+    # --- what went wrong, in words ---
+
+    def storm(self, source: int) -> str:
+        """A source whose hook is called without end."""
+        at = f"at {self._link.stage.time:.6f} s"
+        if source < 0:
+            return (
+                f"hooks of interrupts interrupt each other without end, {at}: a hook that lowers the level (ps_level) clears its "
+                "interrupt before."
+            )
+        hook = "the interrupt hook" if source == ANY_LINE else f"the hook of {named(source)}"
+        again = f"{hook} was called {STORM_CALLS:,} times in a row {at} and"
+        if period := int(self.sources[source]["period"]):
+            return f"{again} is due again: it takes longer than its period of {period / 1e3:g} us, so that nothing else runs."
+        if source >= FIRST_SOFTWARE:
+            return f"{again} is raised again: it raises itself (ps_raise)."
+        return f"{again} the line is still asserted: the hook has to clear the interrupt at its chip."
+
+    def refused(self, what: int, a: int, b: int) -> str:
+        """A request that makes no sense."""
+        lines = len(self._link.stage.chips) + int(self._link.record["n_devices"])
+        bounds = {
+            TIMER: f"ps_timer({a}, ...), period {b} ns: timers are 0 to {TIMERS - 1}, a period 0 (off) to 1e18 ns",
+            ON_LINE: f"ps_on_line({a}, ...): this board has lines 0 to {lines - 1}, and software interrupts PS_SOFTWARE(0) to "
+            f"PS_SOFTWARE({SOFTWARE - 1})",
+            LEVEL: f"ps_level({a}): levels are 0 to {HIGHEST}",
+            RAISE: f"ps_raise({a}): software interrupts are 0 to {SOFTWARE - 1}",
+        }[what]
+        if (what == TIMER and 0 <= a < TIMERS and 0 <= b <= HIGHEST) or (
+            what == ON_LINE and (0 <= a < lines or 0 <= a - SOFTWARE_LINE < SOFTWARE)
+        ):
+            bounds = f"level {b} of {named_line(what, a)}: levels of hooks are 1 to {HIGHEST}"
+        return f"{bounds}; at {self._link.stage.time:.6f} s."
+
+    def check_returned(self) -> None:
+        """When the firmware returns: raise HostError if a hook that has never returned kept interrupts away in silence."""
+        h = self._link.record
+        if not h["serving"]:
+            return
+        source, rows = int(self._hooks[int(h["serving"]) - 1]["source"]), self.sources
+        kept = (rows["hook"] != 0) & (rows["level"] <= h["level"])
+        asked = bool(np.any(kept & (rows["pending"] != 0))) or (
+            bool(np.any(kept & (rows["lines"] != 0))) and self._link.board.interrupt
+        )
+        if asked:
+            raise HostError(
+                f"the firmware has returned, and the hook of {named(source)} has not: it was left by a jump to another stack, and "
+                f"since then interrupts of level {h['level']} and below were not called. Call ps_level(0) where the code goes on."
+            )
+
+
+def named(source: int) -> str:
+    """A source in words."""
+    if source == ANY_LINE:
+        return "the interrupt line"
+    for first, name, after in (
+        (FIRST_SOFTWARE, "software interrupt", ""), (FIRST_PYTHON_TIMER, "timer", " of Python"), (FIRST_TIMER, "timer", ""),
+    ):  # fmt: skip
+        if source >= first:
+            return f"{name} {source - first}{after}"
+    return f"line {source - FIRST_LINE}"
+
+
+def named_line(what: int, which: int) -> str:
+    """What ps_timer or ps_on_line was asked for."""
+    if what == TIMER:
+        return f"timer {which}"
+    return f"line {which}" if which < SOFTWARE_LINE else f"PS_SOFTWARE({which - SOFTWARE_LINE})"

@@ -1,0 +1,156 @@
+"""The interrupt controller of a board, compiled: sources with levels, timers, and the hooks that are being called.
+
+A source calls its hook when its level is above the processor's, which then has that level until the hook returns. A line asks for
+as long as it is asserted; a timer or a software interrupt has one flag, which the call clears: what comes while the flag is set is
+missed, and counted.
+
+A hook may also be left by a jump (longjmp): its frame is gone then, and the interrupt is at its end. `left` finds that out at the
+next request, by where on the stack that is made and by whether the mark below which the hook ran still stands.
+"""
+
+from __future__ import annotations
+
+from stage.board.host import RETURNED, now_of
+from stage.board.notes import note
+from stage.native import array_at, greatest, hot, least, record
+from stage.sim.handle import WHOLE
+
+LINES, TIMERS, PYTHON_TIMERS, SOFTWARE = 62, 8, 4, 8
+ANY_LINE, FIRST_LINE = 0, 1
+FIRST_TIMER = FIRST_LINE + LINES
+FIRST_PYTHON_TIMER = FIRST_TIMER + TIMERS
+FIRST_SOFTWARE = FIRST_PYTHON_TIMER + PYTHON_TIMERS
+SOURCES = FIRST_SOFTWARE + SOFTWARE
+HIGHEST = 15
+NEVER = 1 << 62
+SOFTWARE_LINE = 64
+"""The first software interrupt, among the numbers of lines."""
+
+SOURCE = record([(name, "i8") for name in "level hook argument lines period next pending missed".split()])
+"""A source: its level (1 to 15), its hook (0: none), the lines (bits) that assert it; of a timer the period (ns, 0: off) and
+when it is next; whether its flag is set, and how often it came again since."""
+HOOKS = 256
+HOOK_CALLED = record([(name, "i8") for name in "number source level outer outer_number mark".split()])
+"""A hook that is being called: the number of the call (0: free), its source; the processor's level before; the hook that it has
+interrupted (plus one, and that one's number); where the stack is marked."""
+BACK, JUMPED, LOWERED = range(3)
+"""How a hook came to its end: the value of the trace's line."""
+MARK, MARKED = 32, 0x5053_4D41_524B
+"""Words of a mark, and what is in them."""
+NEAR = 1 << 14
+"""Bytes within which two frames are on the same stack."""
+
+
+@hot
+def sources_of(h):
+    return array_at(h.sources, SOURCES, SOURCE)
+
+
+@hot
+def _hooks(h):
+    return array_at(h.hooks, HOOKS, HOOK_CALLED)
+
+
+@hot
+def arm(h):
+    """After a change of the table: what is to be looked at, and when."""
+    h.looked, h.on_lines, h.raised, h.watched, h.due = 0, 0, 0, 0, NEVER
+    sources = sources_of(h)
+    for k in range(SOURCES):
+        s = sources[k]
+        if s.hook:
+            if s.lines:
+                h.looked |= s.lines
+                h.on_lines = greatest(h.on_lines, s.level)
+            if s.pending:
+                h.raised += 1
+                h.watched = greatest(h.watched, s.level)
+            if s.period:
+                h.due = least(h.due, s.next)
+    h.watched = greatest(h.watched, h.on_lines)
+
+
+@hot
+def tick(h):
+    """Timers that are due set their flags."""
+    now, sources = now_of(h), sources_of(h)
+    for k in range(FIRST_TIMER, FIRST_SOFTWARE):
+        s = sources[k]
+        if s.period and s.next <= now:
+            ticks = (now - s.next) // s.period + 1
+            s.next += ticks * s.period
+            s.missed += ticks - 1 + s.pending
+            s.pending = 1
+    arm(h)
+
+
+@hot
+def choose(h, asserted):
+    """The source that calls next, of those above the processor's level, or -1. asserted: the lines (bits)."""
+    sources, best, level = sources_of(h), -1, h.level
+    for k in range(SOURCES):
+        s = sources[k]
+        if s.hook and s.level > level and (s.pending or s.lines & asserted):
+            best, level = k, s.level
+    return best
+
+
+@hot
+def begin_hook(h, source, mark):
+    """A hook is to be called. Returns its place among the hooks, or -1 if there is none."""
+    hooks, s = _hooks(h), sources_of(h)[source]
+    for k in range(HOOKS):
+        c = hooks[k]
+        if c.number == 0:
+            h.called += 1
+            c.number, c.source, c.level, c.mark = h.called, source, h.level, mark
+            c.outer, c.outer_number = h.serving, 0
+            if h.serving:
+                c.outer_number = hooks[h.serving - 1].number
+            h.level, h.serving, s.pending = s.level, k + 1, 0
+            arm(h)
+            return k
+    return -1
+
+
+@hot
+def end_hook(h, place, number, level, outer, outer_number, how):
+    """The hook of call `number` has returned (BACK), was left, or has lowered the level: the processor goes on at `level`."""
+    hooks = _hooks(h)
+    if hooks[place].number == number:
+        note(h, RETURNED, hooks[place].source, how, -1)
+        hooks[place].number = 0
+    h.level = level
+    h.serving = outer if outer and hooks[outer - 1].number == outer_number else 0
+
+
+@hot
+def close_left(h, here):
+    """Hooks that a jump has left are over. here: where the request's frame is."""
+    while h.serving:
+        c = _hooks(h)[h.serving - 1]
+        if c.mark == 0 or not _left(h, c.mark, here):
+            return
+        end_hook(h, h.serving - 1, c.number, c.level, c.outer, c.outer_number, JUMPED)
+
+
+@hot
+def _left(h, mark, here):
+    """Whether the hook below `mark` runs no more, since a request comes from `here`."""
+    if here > mark:
+        own = h.stack_low < mark and here < h.stack_high
+        return own or here - mark < NEAR
+    words = array_at(mark, MARK, WHOLE)
+    broken = 0
+    for k in range(MARK):
+        broken |= words[k] ^ (MARKED + k)
+    return broken != 0
+
+
+@hot
+def set_level(h, level):
+    """The processor's level is set: a hook whose level is above that is one no more."""
+    while h.serving and level < sources_of(h)[_hooks(h)[h.serving - 1].source].level:
+        c = _hooks(h)[h.serving - 1]
+        end_hook(h, h.serving - 1, c.number, level, c.outer, c.outer_number, LOWERED)
+    h.level = level
