@@ -33,6 +33,7 @@ from stage.board.host import (
     LOST_ON_THE_WAY,
     MICROS,
     NOTHING,
+    OF_LEVEL,
     ON_LINE,
     OUT,
     OUT8,
@@ -274,7 +275,7 @@ def _set_source(h, what, given):
         source = FIRST_SOFTWARE + which - SOFTWARE_LINE
     is_on = given[3] != 0 and (what != TIMER or given[2] != 0)
     if source < 0 or (is_on and not 1 <= level <= HIGHEST):
-        _refuse(h, what, which, given[2] if source < 0 and what == TIMER else level)
+        _refuse(h, what if source < 0 else what | OF_LEVEL, which, given[2] if source < 0 else level)
     else:
         set_source(h, source, lines, given, is_on)
 

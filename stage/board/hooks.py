@@ -13,7 +13,7 @@ import numpy as np
 
 from stage.board import bus
 from stage.board.errors import HostError
-from stage.board.host import LEVEL, ON_LINE, RAISE, STORM_CALLS, TIMER
+from stage.board.host import LEVEL, OF_LEVEL, ON_LINE, RAISE, STORM_CALLS, TIMER
 from stage.board.interrupts import (
     ANY_LINE,
     FIRST_LINE,
@@ -156,12 +156,9 @@ class Hooks:
             f"PS_SOFTWARE({SOFTWARE - 1})",
             LEVEL: f"ps_level({a}): levels are 0 to {HIGHEST}",
             RAISE: f"ps_raise({a}): software interrupts are 0 to {SOFTWARE - 1}",
-        }[what]
-        if (what == TIMER and 0 <= a < TIMERS and 0 <= b <= HIGHEST) or (
-            what == ON_LINE and (0 <= a < lines or 0 <= a - SOFTWARE_LINE < SOFTWARE)
-        ):
-            bounds = f"level {b} of {named_line(what, a)}: levels of hooks are 1 to {HIGHEST}"
-        return f"{bounds}; at {self._link.stage.time:.6f} s."
+        }
+        of_level = f"level {b} of {_asked_for(what, a)}: levels of hooks are 1 to {HIGHEST}"
+        return f"{bounds.get(what, of_level)}; at {self._link.stage.time:.6f} s."
 
     def check_returned(self) -> None:
         """When the firmware returns: raise HostError if a hook that has never returned kept interrupts away in silence."""
@@ -192,8 +189,8 @@ def named(source: int) -> str:
     return f"line {source - FIRST_LINE}"
 
 
-def named_line(what: int, which: int) -> str:
+def _asked_for(what: int, which: int) -> str:
     """What ps_timer or ps_on_line was asked for."""
-    if what == TIMER:
+    if what & ~OF_LEVEL == TIMER:
         return f"timer {which}"
     return f"line {which}" if which < SOFTWARE_LINE else f"PS_SOFTWARE({which - SOFTWARE_LINE})"

@@ -24,6 +24,8 @@ LEVEL, RAISE = 18, 19
 """The processor's level (a; -1: as it is), the answer is that of before; a software interrupt (a: which)."""
 UNTIL = 20
 """An emulated processor: its time (a: ns of the stage) is the board's; if `b`, whether the interrupt line then is asserted."""
+OF_LEVEL = 64
+"""Added to what is refused when its level is what makes no sense."""
 FULL, DIVERGED, PAUSE, STORM, LINE_OF_LOG, ASKED_WRITE, BY_HAND, TWICE, DEVICE_CALLED, REFUSED = range(1, 11)
 """Why Python is called: buffers are full; the physics has diverged; time or cycles are up; an interrupt that nothing clears; a
 line to note; a write that Python makes, since a fault of the bus looks at each; the stage's time is to pass and compiled code alone

@@ -120,9 +120,10 @@ class Threaded:
             board.link.request(board.link.pointer, host.SETTLE, 0, 0)
             board.link.end()
             board.link.hooks.check_returned()
-            board.link.hooks.without_firmware()
         except BaseException as error:
             board.link.fail(error)
+        finally:
+            board.link.hooks.without_firmware()
         if failed is not None:
             board.link.fail(failed)
         self._thread = None
