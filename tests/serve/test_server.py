@@ -75,7 +75,7 @@ def test_a_host_that_goes_leaves_the_stage_as_it_stands_and_the_next_goes_on(boa
         with again(served) as host:
             assert host.status().seconds == now
             assert host.in8(PORT) & 0x40, "the axis is moving still"
-            assert not board.link.record["hook"], "nobody is called for a host that is gone"
+            assert not board.link.hooks.functions, "nobody is called for a host that is gone"
 
 
 def test_with_fresh_each_host_begins_at_the_start(board):
