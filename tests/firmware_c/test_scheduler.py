@@ -1,0 +1,23 @@
+"""scripts/firmware/scheduler: a tick switches between a task that moves an axis and one that blinks."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from stage import Stage
+from stage.board import Board, NativeHost
+from stage.chips import PCL240MK
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "scripts" / "firmware"
+
+
+def test_two_tasks_take_turns(firmware):  # `firmware` skips where there is no compiler
+    sources = [*sorted((EXAMPLES / "scheduler").glob("*.c")), EXAMPLES / "pcl240mk" / "pcl240.c"]
+    stage = Stage("xy", chips=PCL240MK, visuals=False)
+    flags = (f"-I{EXAMPLES / 'hal'}", "-Wall", "-Wextra", "-Werror")
+    host = NativeHost([*sources, EXAMPLES / "hal" / "hal_pulsestage.c"], Board(stage), flags=flags)
+    assert host.run(timeout=5).code == 0
+    said = [text for _, text in host.log]
+    assert said[-1] == "move: done, result 0"
+    assert said.count("lamp on") >= 3
+    assert abs(stage.axes["x"].position - 2000 * stage.axes["x"].meters_per_pulse) < 1e-5
