@@ -181,9 +181,14 @@ def _ends_with(parent: int, fileno: int, begun: list[Begin]) -> None:
             if _is_open(fileno):
                 break
             time.sleep(LOOK_MS * 1e-3)  # the firmware has closed it: whoever sends next says so
-    for begin in begun:
-        shutil.rmtree(Path(begin.shared).parent, ignore_errors=True)  # the parent may not have been able to
+    _tidy(begun)
     os._exit(0)
+
+
+def _tidy(begun: list[Begin]) -> None:
+    """The parent is gone, and may not have been able to remove its folder."""
+    for begin in begun:
+        shutil.rmtree(Path(begin.shared).parent, ignore_errors=True)
 
 
 def _is_open(fileno: int) -> bool:
@@ -230,6 +235,9 @@ def main(fileno: int) -> None:
         return
     try:
         _serve(pipe, board, runner)
+    except EOFError:
+        _tidy(begun)
+        raise
     except OSError:
         board.link.shared.note_crash(crash.in_words(CLOSED))
         os._exit(1)
