@@ -293,8 +293,11 @@ def test_a_stage_that_diverges_ends_its_own_episode_alone(any_):
         assert rewards[k] == expected[1][k]
     assert infos["cause"][0] == ""
     vector.stages[1].data.qfrc_applied[:] = 0.0
-    again, *_ = vector.step(actions)
+    again, *_, infos = vector.step(actions)
     assert np.isfinite(again).all(), "it starts anew"
+    assert same(stage.envs.base._one(infos, 1), vector.unwrapped._task.describe(1))
+    assert vector.stages[1].time == 0, "and waits for its first action"
+    assert stage.envs.base._one(infos, 0)["cause"] == ""
 
 
 @pytest.mark.usefixtures("elsewhere")

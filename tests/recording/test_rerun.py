@@ -177,6 +177,10 @@ def test_a_geom_has_the_mean_colour_of_its_own_texture():
 def test_geoms_of_every_kind_have_their_shape_size_and_colour():
     model = mujoco.MjModel.from_xml_string(SHAPES)
     assert geoms.floor(model) == 0
+    plane = '<geom name="floor" type="plane" size="0 0 1"/>'
+    for other, found in [("", None), ('euler="0 5 0"', None), ('quat="-1 0 0 0"', 0), ('euler="0 0 90"', None)]:
+        xml = SHAPES.replace(plane, plane.replace("/>", f" {other}/>") if other else "")
+        assert geoms.floor(mujoco.MjModel.from_xml_string(xml)) == found, other
     assert dict(geoms.shapes(model, 0)) == {}
     shapes = dict(geoms.shapes(model, 1))
     kinds = {"boxes", "spheres", "ellipsoids", "cylinders", "capsules"}
