@@ -138,6 +138,7 @@ def test_a_limit_ends_the_path_and_what_waits_is_not_drawn(stage):
         (Line(1, 2, 3), "xy", "a finish point for each of 2 axes"),
         (Helix((0, 9), (9,)), "xy", "`along` for each"),
         (Helix((0, 9), ()), "xyz", "`along` for each"),
+        (Helix((0, 9), ()), "xy", "`along` for each of the axes but the first two; 2 axes"),
         (Line(1), "x", "interpolates 2 to 4"),
         (Arc((0, 2**31)), "xy", "CP"),
     ],

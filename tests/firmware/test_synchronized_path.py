@@ -122,5 +122,7 @@ def test_a_journal_gives_back_every_pulse_of_its_chip():
 def test_refusals_say_what_to_do():
     with pytest.raises(ArgumentError, match="out of order"):
         path_deviation([([2, 1], 1)], [2])
+    with pytest.raises(ArgumentError, match="0 axes of pulses and 0 distances"):
+        path_deviation([], [])
     with pytest.raises(ArgumentError, match="1 axes of pulses and 2 distances: give one distance an axis"):
         path_deviation([([1], 1)], [1, 1])
