@@ -19,12 +19,10 @@ from numba.core.registry import CPUDispatcher, cpu_target
 from numba.core.typed_passes import NativeLowering, NoPythonBackend, NopythonTypeInference, PreLowerStripPhis
 from numba.core.typing import Context
 from numba.core.untyped_passes import (
-    DeadBranchPrune,
     FixupArgs,
     GenericRewrites,
     IRProcessing,
     ReconstructSSA,
-    RewriteSemanticConstants,
     TranslateByteCode,
 )
 from numba.extending import intrinsic, typeof_impl
@@ -96,7 +94,7 @@ class _Pipeline(CompilerBase):
     def define_pipelines(self) -> list[Any]:
         passes = _Passes("hot")
         for each in (
-            TranslateByteCode, FixupArgs, IRProcessing, RewriteSemanticConstants, DeadBranchPrune, GenericRewrites, ReconstructSSA,
+            TranslateByteCode, FixupArgs, IRProcessing, GenericRewrites, ReconstructSSA,
             NopythonTypeInference, PreLowerStripPhis, _Lowering, NoPythonBackend,
         ):  # fmt: skip
             passes.add_pass(each, each.__name__)
