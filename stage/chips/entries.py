@@ -35,15 +35,21 @@ class Entry(NamedTuple):
 
     def apply(self, core: Any, c: Any) -> None:
         """Let it happen to the chip of state `c` (a record, an array of one, an address), whose core this is."""
-        does, given = {
-            WRITE: (core.write, (self.a, self.b)),
-            INPUT: (core.set_input, (self.a, self.b)),
-            RESET: (core.power_up, ()),
-            READ: (core.read, (self.a,)),
-            SHAFT: (core.set_shaft, (0, number(self.a), number(self.b))),
-        }.get(self.kind, (None, ()))
-        if does is not None:
-            (does.c if isinstance(c, int) else does)(c, *given)
+        given: tuple[float, ...] = ()
+        kind = self.kind
+        if kind == INPUT:
+            does, given = core.set_input, (self.a, self.b)
+        elif kind == WRITE:
+            does, given = core.write, (self.a, self.b)
+        elif kind == READ:
+            does, given = core.read, (self.a,)
+        elif kind == SHAFT:
+            does, given = core.set_shaft, (0, number(self.a), number(self.b))
+        elif kind == RESET:
+            does = core.power_up
+        else:
+            return
+        (does.c if isinstance(c, int) else does)(c, *given)
 
 
 class Entries(Sequence[Entry]):

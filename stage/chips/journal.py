@@ -131,23 +131,24 @@ class Replay:
 
     def pieces(self, every_pulse: bool = False, size: int = CHUNK) -> Iterator[np.ndarray]:
         """As `Journal.pieces`, from where the last call ended; the first edge is the chip as it was there."""
-        core, rows, axis = self._journal.chip.CORE, self._rows, self._journal.axis
-        chip = rows.ctypes.data
-        out = np.zeros(size, core.EDGE)
+        core, axis, clock = self._journal.chip.CORE, self._journal.axis, self._rows["clock"]
+        chip = self._rows.ctypes.data
+        out, done = np.zeros(size, core.EDGE), np.zeros(1, np.int64)
+        at, row, count = out.ctypes.data, out.itemsize, done.ctypes.data
         end, entries = self._journal.until, self._journal.entries[self._applied :]
         self._applied += len(entries)
-        core.mark.c(chip, axis, out.ctypes.data, size, 0)
+        core.mark.c(chip, axis, at, size, 0)
         k = 1
         for e, shafts in _between_shafts(entries):
-            until, done = end if e is None else e.clock, np.zeros(1, np.int64)
-            while rows[0].clock < until or done[0] < len(shafts[0]):
+            until, done[0] = end if e is None else e.clock, 0
+            while clock[0] < until or done[0] < len(shafts[0]):
                 if size - k < ROOM:
                     yield out[:k].copy()
                     k = 0
-                given = chip, until, every_pulse, axis, out.ctypes.data + k * out.itemsize, size - k
+                given = chip, until, every_pulse, axis, at + k * row, size - k
                 if len(shafts[0]):
                     where = (word for array in shafts for word in (array.ctypes.data, len(array)))
-                    k += core.scan_shaft.c(*given, *where, done.ctypes.data, 1)
+                    k += core.scan_shaft.c(*given, *where, count, 1)
                 else:
                     k += core.scan.c(*given)
             if e is not None:
@@ -155,7 +156,7 @@ class Replay:
             if k == size:
                 yield out.copy()
                 k = 0
-            core.mark.c(chip, axis, out.ctypes.data, size, k)
+            core.mark.c(chip, axis, at, size, k)
             k += 1
         yield out[:k].copy()
 
@@ -163,10 +164,17 @@ class Replay:
 Shafts = tuple[np.ndarray, np.ndarray, np.ndarray]  # clocks, counts, rates
 
 
+NO_SHAFT: Shafts = (np.zeros(0, np.int64), np.zeros(0), np.zeros(0))
+
+
 def _between_shafts(entries: Entries) -> Iterator[tuple[Entry | None, Shafts]]:
     """Each entry but the SEEs, and after all None, with the SEEs since the one before: they come every physics step."""
     packed = entries.packed()
     seen = packed["kind"] == SHAFT
+    if not seen.any():
+        yield from ((e, NO_SHAFT) for e in entries)
+        yield None, NO_SHAFT
+        return
     clocks = np.ascontiguousarray(packed["clock"])
     counts, rates = (np.ascontiguousarray(packed[name]).view(np.float64) for name in ("a", "b"))
     begin = 0

@@ -133,12 +133,13 @@ def pulses_of(journal: Journal) -> np.ndarray:
     if journal.chip.SERVO:
         return _counts_of(journal)
     rows = np.frombuffer(bytearray(journal.start.tobytes()), core.STATE)
-    begin = int(rows[0].clock)
+    clock = rows["clock"]
+    begin = int(clock[0])
     parts = [np.empty(0, core.PULSE)]
 
     def go(until: int) -> None:
-        while rows[0].clock < until:
-            to = min(until, int(rows[0].clock) + STRETCH)
+        while clock[0] < until:
+            to = min(until, int(clock[0]) + STRETCH)
             out = np.zeros(core.advance(rows.copy(), to), core.PULSE)
             core.trace.c(rows.ctypes.data, to, out.ctypes.data, len(out))
             parts.append(out)
