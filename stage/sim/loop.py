@@ -168,11 +168,12 @@ class Loop:
 
     def note_edges(self, n: int) -> None:
         """The first `n` of `state.edges` go to the journals of the chips that they reached."""
+        noting = [(k, j) for k, chip in enumerate(self.chips) if (j := chip.open_journal) is not None]
+        if not noting:
+            return
         edges = self.state.edges[:n]
         chip_of = self.state.axis_table["chip"][edges["axis"]]
-        for k, chip in enumerate(self.chips):
-            if chip.open_journal is None:
-                continue
+        for k, journal in noting:
             own = np.flatnonzero(chip_of == k)
             if not len(own):
                 continue
@@ -183,7 +184,7 @@ class Loop:
             if len(seen):
                 packed["a"][seen] = edges["count"][own[seen]].view(np.int64)
                 packed["b"][seen] = edges["rate"][own[seen]].view(np.int64)
-            chip.open_journal.extend(packed)
+            journal.extend(packed)
 
     def look_again(self, axis: int) -> None:
         """The table of switches has changed: what it means for the axis of this index, from now on."""

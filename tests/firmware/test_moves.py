@@ -28,10 +28,10 @@ def phases(report):
     """The order of chip phases of a move, for example ['fup', 'fkeep', 'fdown']."""
     seen = []
     course = report.course
-    names = ("fup", "fkeep", "fdown")
+    pins = {name: course.pin(name) for name in ("fup", "fkeep", "fdown")}
     running = ~course.pin("hold")
     for k in range(len(running)):
-        now = next(n for n in names if course.pin(n)[k]) if running[k] else None
+        now = next(name for name, pin in pins.items() if pin[k]) if running[k] else None
         if now and (not seen or seen[-1] != now):
             seen.append(now)
     return seen

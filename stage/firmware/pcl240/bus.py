@@ -94,6 +94,7 @@ class Status(NamedTuple):
 
 
 assert Status._fields == tuple(f.name for f in STATUS.fields)
+_READ = [Status(*(bool(word >> k & 1) for k in range(7, -1, -1))) for word in range(256)]  # firmware polls it
 
 
 def stop_reason(status: Status, direction: int, *, preset: bool = True, origin: bool = False) -> str:
@@ -140,8 +141,7 @@ class Port:
 
     def status(self) -> Status:
         """Read the status byte."""
-        word = self._chip.read(0)
-        return Status(*(bool(word >> k & 1) for k in range(7, -1, -1)))
+        return _READ[self._chip.read(0)]
 
     def counter(self) -> int:
         """R0, whole: high to low, then middle and high again, until they agree (data sheet Q & A).
