@@ -16,6 +16,7 @@ from stage.chips.entries import LOST, WRITE
 from stage.cli import fault as demos
 from stage.cli import main
 from stage.drives import stepper
+from stage.firmware.driver import driver_of
 from stage.sim import faults, records
 
 EVERY = {
@@ -615,6 +616,8 @@ def test_the_journal_the_report_and_the_waveforms_show_what_got_lost(xyz, tmp_pa
     assert course.pin("hold").all(), "its replay does not see the write either"
     assert course.edges["counter"][-1] == 1000
     assert " LOST " in recording.to_vcd(tmp_path / "x.vcd").read_text()
+    notes = driver_of(x).PATTERN(report).notes(report.course.seconds - report.began)
+    assert [n.words for n in notes if n.words == "lost on the bus"] == ["lost on the bus"]
     report.plot(tmp_path / "x.png")
 
 

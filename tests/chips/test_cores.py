@@ -166,8 +166,11 @@ def test_a_chip_sees_its_own_address_and_data_lines_only(name):
     """chip.write(0x40, 0x108) of a PCL-240 is chip.write(0, 8)"""
     near, far, draw = CHIPS[name](), CHIPS[name](), random.Random(1)
     beyond, full = near.ADDRESS_MASK + 1, near.DATA_MASK + 1
+    told, heard = near.listener(), far.listener()
     for _ in range(150):
         address, value = draw.randrange(beyond), draw.randrange(full)
+        assert told.write(address, value) == heard.write(address, value + full)
+        assert told.read(address, value) == heard.read(address, value + full)
         near.write(address, value)
         far.write(address + beyond * draw.randrange(3), value + full * draw.randrange(3))
         assert near.read(address) == far.read(address + beyond)

@@ -385,6 +385,8 @@ def test_what_cannot_be_is_refused_before_the_first_bus_cycle(stage):
         firmware.line({"x": 1e-3, x: 1e-3}, stage)
     with pytest.raises(ArgumentError, match=r"axis 'b' is given twice"):
         firmware.line({"a": 1e-3, "b": 1e-3}, {"a": x, "b": x})
+    with pytest.raises(ArgumentError, match=r"axis 'x' is given twice"):
+        firmware.line({x: 1e-3, Bench(PCL240K()).axes["x"]: 1e-3})
     assert stage.time == now
 
 
