@@ -388,7 +388,27 @@ def test_a_hook_may_write_to_a_chip_itself_and_the_recording_can_be_saved(tmp_pa
         recording.to_vcd(tmp_path / f"{hand}.vcd")
         columns.append({name: c.tobytes() for name, c in recording.columns.items()})
     assert columns[0] == columns[1]
-    assert (tmp_path / "True.vcd").read_text().splitlines()[3:] == (tmp_path / "False.vcd").read_text().splitlines()[3:]
+    assert of_chips(tmp_path / "True.vcd") == of_chips(tmp_path / "False.vcd") != []
+
+
+def of_chips(path):
+    """The changes in a VCD, (time, signal, value), but those of the host's bus, which does not see what is written by hand."""
+    names, scope, time, found = {}, [], 0, []
+    for line in path.read_text().splitlines():
+        word, *rest = line.split()
+        if word == "$scope":
+            scope.append(rest[1])
+        elif word == "$upscope":
+            scope.pop()
+        elif word == "$var":
+            names[rest[2]] = ".".join([*scope, rest[3]])
+        elif word.startswith("#"):
+            time = int(word[1:])
+        elif not word.startswith("$"):
+            value, name = (word, names[rest[0]]) if rest else (word[0], names[word[1:]])
+            if not name.startswith("host."):
+                found.append((time, name, value))
+    return found
 
 
 @pytest.mark.parametrize("us", [2**63 // 1000 + 1, -1, 10**16])
