@@ -19,7 +19,10 @@ PIN = record([("port", "i8"), ("bit", "i8")])
 AVR = record(
     BASE
     + [(name, "i8") for name in "own avr run status raise_irq look timer when quantum pc stop line_irq".split()]
-    + [(name, "i8") for name in "select write read addresses n_addresses data_port data_irqs first levels outputs".split()]
+    + [
+        (name, "i8")
+        for name in "select write read addresses n_addresses data_port data_irqs first levels outputs".split()
+    ]
     + [(name, "i8") for name in "was_selected was_write reading fights fight".split()]
 )
 """own              its own address
