@@ -12,7 +12,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+SETTINGS = tomllib.loads((ROOT / "pyproject.toml").read_text())
+PROJECT, PACKAGES = SETTINGS["project"], SETTINGS["tool"]["setuptools"]
 
 MOVE = """
 from stage import Stage, firmware
@@ -39,6 +40,16 @@ def test_a_workflow_takes_actions_by_their_commits_and_each_job_ends_some_time(w
     assert text.count("runs-on: ") == text.count("timeout-minutes: ") > 0
     assert "concurrency:" in text
     assert "permissions:\n  contents: read\n" in text
+
+
+def test_every_file_of_the_packages_goes_into_the_wheel():
+    # pip install pulsestage; stage run sketch.ino: Arduino.h was not there
+    folders = {name: ROOT / PACKAGES["package-dir"].get(name, name.replace(".", "/")) for name in PACKAGES["packages"]}
+    taken = {file for folder in folders.values() for file in folder.glob("*.py")}
+    taken |= {f for name, ways in PACKAGES["package-data"].items() for way in ways for f in folders[name].glob(way)}
+    there = {f for top in ("stage", "envs", "models") for f in (ROOT / top).rglob("*") if f.is_file()}
+    made = {f for f in there if "__pycache__" in f.parts or f.name.startswith("_native.so")}
+    assert {str(f.relative_to(ROOT)) for f in there - taken - made} == set()
 
 
 @pytest.mark.slow
