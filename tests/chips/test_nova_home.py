@@ -8,6 +8,7 @@ import copy
 import random
 
 import pytest
+from support import nova_interpolation_bench as interpolation
 from support.covers import covers
 from support.nova_bench import SEED, command, get, get_signed
 from support.nova_hands import D_END, D_STA, H_END, MS, READ, US, home_state, load, page1, passes, set_word, word
@@ -244,6 +245,21 @@ def test_the_timer_and_the_dcc_pulse_hold_the_next_step_back(code):
     stopped = chip.clock
     assert passes(chip, stopped + dcc, lambda c: pins.dcc) == (True, False)
     assert passes(chip, stopped + dcc + timer, home_state) == (23, 28)
+
+
+def test_no_interpolation_begins_while_an_axis_searches_home_also_in_a_pause_of_it():
+    chip = MCX514()
+    table = put_at(chip, 250, 1, H1M=S2 | S3, H2M=0x80 | 3 << 8)
+    interpolation.load(chip, IPM=3)
+    command(chip, 0x5A)
+    while home_state(chip) != 23:
+        interpolation.line(chip, (50, 30))
+        assert not chip.read(0) & 0x02, "Y rests"
+        go_on(chip, table)
+    made = chip.net(0)
+    interpolation.line(chip, (50, 30))
+    assert passes(chip, chip.clock + 20 * MS, home_state) == (23, 28)
+    assert (chip.net(0), chip.net(1)) == (made, 0)
 
 
 def test_dcc_after_step_3_holds_step_4_back():

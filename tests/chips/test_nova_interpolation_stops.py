@@ -219,6 +219,8 @@ def test_drives_and_parameters_do_not_disturb_an_interpolation():
         load(disturbed, axis, TP=77, CP=3)
         command(disturbed, 0x50, axis)
         command(disturbed, 0x52, axis)
+        put(disturbed, 0x23, 0x0C, axis)  # H1M: steps 2 and 3
+        command(disturbed, 0x5A, axis)  # a home search
     alone.advance(30 * PERIOD)
     assert ticks(alone) == ticks(disturbed)
 
