@@ -104,7 +104,7 @@ ON_A_STAGE = {
     "skip": (lambda s, v: faults.lost_write(s, skip=v), (), (-1, 0.5)),
     "skip of an axis": (lambda s, v: faults.lost_write(s.axes["x"], skip=v).mend(), (0, 3), (-1, 0.5)),
     "keep_cycles": (lambda s, v: Board(s, keep_cycles=v), (1, 2), (0, 1.5, (1 << 28) + 1)),
-    "base": (lambda s, v: Board(s, base=v, stride=-4), (4, 65532), (-1, 65533)),
+    "base": (lambda s, v: Board(s, base=v, stride=-4), (4, 0xFFFFFFFC), (-1, 0xFFFFFFFD)),
     "delay_us": (lambda s, v: Board(s).delay_us(v), (0, 1), (-1, 10**15 + 1)),
     "threads": (lambda s, v: Fleet([s], v), (1, 2), (0, 1.5)),
     "stages": (lambda s, v: Fleet([s] * v), (1,), (0, 2)),
