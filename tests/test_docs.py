@@ -63,7 +63,14 @@ def agree(said: str, expected: str) -> bool:
     ] == pytest.approx([float(n) for n in NUMBER.findall(expected)], rel=0.02, abs=0.02)
 
 
-@pytest.mark.parametrize("page", [p for p in PAGES if blocks(p)], ids=lambda page: page.stem)
+LONG = ("envs_sync", "sweep")  # pages whose programs take seconds
+
+
+@pytest.mark.parametrize(
+    "page",
+    [pytest.param(p, marks=pytest.mark.slow if p.stem in LONG else ()) for p in PAGES if blocks(p)],
+    ids=lambda page: page.stem,
+)
 def test_python_blocks_run_and_print_what_the_page_says(page, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     names: dict = {}

@@ -32,6 +32,7 @@ def test_a_minute_of_random_moves_lose_no_step_and_no_pulse(seed, tmp_path, caps
     assert 0 < summary["worst_at_rest_pulses"] <= soak.AT_REST
 
 
+@pytest.mark.slow
 def test_the_same_seed_is_the_same_day(monkeypatch):
     monkeypatch.setattr(soak, "LONGEST", 3.0)
     """The first origin returns and a move."""

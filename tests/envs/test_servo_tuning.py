@@ -103,7 +103,7 @@ def test_settings_that_make_no_sense_are_refused(settings, said):
 # --- the engineer ---
 
 
-@pytest.mark.parametrize("payload", [0.0, 10.0])
+@pytest.mark.parametrize("payload", [pytest.param(0.0, marks=pytest.mark.slow), 10.0])
 def test_the_engineers_design_has_its_margin_and_settles_sooner_than_after_a_reset(payload):
     pytest.importorskip("control", reason="extra servo is not installed")
     stage = make().stage

@@ -111,6 +111,7 @@ def test_a_profile_of_fractions_is_rounded_to_the_nearest_count(stage):
     assert written == [begin + count & 0xFF for count in (1, -1, 1, 3)]
 
 
+@pytest.mark.slow
 def test_a_circle_of_three_axes_is_rounder_with_sync_than_without():
     off, torn = {}, {}
     for name, (sync, one, _) in servo_moves.CIRCLES.items():

@@ -83,8 +83,8 @@ def test_three_axes_are_homed_within_a_pulse_of_orgs_edge(done):
 @pytest.mark.parametrize(
     "places",
     [
-        pytest.param({"x": 0.14, "y": 0.08, "z": 0.03}, id="far from ORG"),
-        pytest.param({"x": -0.119, "y": -0.0697, "z": -0.0138}, id="between SD and ORG"),
+        pytest.param({"x": 0.14, "y": 0.08, "z": 0.03}, id="far from ORG", marks=pytest.mark.slow),
+        pytest.param({"x": -0.119, "y": -0.0697, "z": -0.0138}, id="between SD and ORG", marks=pytest.mark.slow),
         pytest.param({"x": -0.1205, "y": -0.0705, "z": -0.0142}, id="on ORG"),
         pytest.param({"x": -0.1501, "y": -0.1001, "z": -0.0401}, id="on the end limit behind ORG"),
     ],

@@ -78,6 +78,7 @@ def wait_for(condition, seconds=60):
         time.sleep(0.01)
 
 
+@pytest.mark.slow
 def test_kills_take_the_trial_under_way_and_no_other_and_the_same_command_goes_on(tmp_path):
     """python scripts/sweep.py --out study.log --trials 60 --workers 2 --objective mine:slow, its processes killed one by one"""
     print(f"seed {SEED}")

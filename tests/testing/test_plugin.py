@@ -499,6 +499,7 @@ def test_ctrl_c_closes_the_recording_and_the_firmware_stands_still(session, driv
     assert "LEFT None [None]" in said
 
 
+@pytest.mark.slow
 @needs_cc
 def test_workers_of_xdist_share_builds_and_never_a_folder(pytester, driver, monkeypatch):
     monkeypatch.delenv("PYTEST_XDIST_WORKER", raising=False)
