@@ -92,6 +92,8 @@ class Board:
             if self.LINTS and chip.late_lint is None:
                 chip.late_lint = LateLint(chip)
         self.link = Link(self)
+        if not isinstance(devices, Iterable):
+            raise ArgumentError(f'devices={devices!r}: a list of texts, for example ["hctl2016:0x320:x"].')
         for text in (devices,) if isinstance(devices, str) else devices:
             known.put(self, text)
 

@@ -109,9 +109,13 @@ def place(stage: Any, axis: Any, option: str, where: float | None) -> None:
 
 
 def outputs(args: argparse.Namespace) -> None:
-    """Refuse what cannot be written, before the work and not after it. Raises FileError."""
+    """Refuse what cannot be written or served, before the work and not after it. Raises FileError, ArgumentError."""
     from stage.files import FileError, figure_format, writable
 
+    if getattr(args, "web", False):
+        from stage.recording.viewer import check_port
+
+        check_port(args.port)
     taken: dict[str, str] = {}
     for name in ("record", "vcd", "picture", "plot", "trace"):
         if path := getattr(args, name, None):

@@ -63,14 +63,19 @@ def open_viewer(rrd: str | os.PathLike) -> None:
     subprocess.Popen(command, env=environment(), stdout=nowhere, stderr=nowhere, start_new_session=True)
 
 
+def check_port(port: int) -> None:
+    """Raises ArgumentError for what is no TCP port."""
+    if int(port) != port or not 1 <= port <= 65535:
+        raise ArgumentError(f"port={port!r}: a port is a whole number of 1 to 65535.")
+
+
 def web_server(rrd: str | os.PathLike, port: int = 9090) -> Server:
     """What serves the dashboard to browsers of this machine, at its `address`, between `serve_forever()` and `server_close()`.
 
     Raises ArgumentError for what is no port; ViewerError where it cannot be had, or rerun gives no page.
     """
     rrd = _existing(rrd)
-    if int(port) != port or not 1 <= port <= 65535:
-        raise ArgumentError(f"port={port!r}: a port is a whole number of 1 to 65535.")
+    check_port(port)
     try:
         server = Server(rrd, int(port), outside=_analytics())
     except OSError as error:

@@ -158,7 +158,11 @@ class Batch:
         return len(self._entries) // ENTRY.size
 
     def run(self) -> list[int]:
-        """Do them; the answers of those that read, in order. The batch is empty then. Raises ServerError."""
+        """Do them; the answers of those that read, in order. The batch is empty then.
+
+        Those that are too many for a frame go in several, and a mistake is found when its frame has its turn.
+        Raises ServerError, ConnectionError.
+        """
         entries, reads = bytes(self._entries), list(self._reads)
         self._entries.clear()
         self._reads.clear()
@@ -166,9 +170,17 @@ class Batch:
             raise ValueError("this batch belongs to no connection: client.batch() makes one that does.")
         most, answers = MOST_BODY // ENTRY.size * ENTRY.size, b""
         for k in range(0, len(entries), most):
-            answers += self._client.ask(BATCH, entries[k : k + most])
-        every = struct.unpack(f"<{len(answers) // ANSWER.size}q", answers)
+            try:
+                answers += self._client.ask(BATCH, entries[k : k + most])
+            except ServerError as error:
+                error.answers = (*_answers(answers), *error.answers)
+                raise
+        every = _answers(answers)
         return [every[k] for k in reads]
+
+
+def _answers(content: bytes) -> tuple[int, ...]:
+    return struct.unpack(f"<{len(content) // ANSWER.size}q", content)
 
 
 class Client:
@@ -269,9 +281,15 @@ class Client:
     # --- the wire ---
 
     def ask(self, kind: int, body: bytes = b"") -> bytes:
-        """One frame, and the body of its reply. Raises ServerError; ConnectionError when the server is gone."""
+        """One frame, and the body of its reply.
+
+        Raises ServerError; ConnectionError when the server is gone, or this connection closed; ValueError for a body that no frame
+        holds.
+        """
+        if len(body) > MOST_BODY:
+            raise ValueError(f"a frame of {len(body):,} bytes; there are up to {MOST_BODY:,}.")
         self._number = number = (self._number + 1) & 0xFFFFFFFF
-        self._wire.sendall(HEAD.pack(len(body), kind, number) + body)
+        self._send(HEAD.pack(len(body), kind, number) + body)
         while True:
             length, said, _ = HEAD.unpack(self._read(HEAD.size))
             reply = self._read(length)
@@ -296,14 +314,31 @@ class Client:
             raise
         except BaseException as error:  # goes on where the interrupted request was made
             self._failed, said = error, f"{type(error).__name__}: {error}".encode()
-        self._wire.sendall(HEAD.pack(len(said), RETURN, 0) + said)
+        self._send(HEAD.pack(len(said), RETURN, 0) + said)
+
+    def _send(self, content: bytes) -> None:
+        try:
+            self._wire.sendall(content)
+        except TimeoutError:
+            raise
+        except OSError:
+            raise self._gone() from None
+
+    def _gone(self) -> ConnectionError:
+        who = "this connection is closed" if self._wire.fileno() < 0 else "the server has closed the connection"
+        return ConnectionError(f"{who}. Make another one: connect().")
 
     def _read(self, size: int) -> bytes:
         content = bytearray()
         while len(content) < size:
-            more = self._wire.recv(size - len(content))
+            try:
+                more = self._wire.recv(size - len(content))
+            except TimeoutError:
+                raise
+            except OSError:
+                more = b""
             if not more:
-                raise ConnectionError("the server has closed the connection.")
+                raise self._gone()
             content += more
         return bytes(content)
 

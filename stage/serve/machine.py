@@ -134,7 +134,7 @@ class Machine:
         if len(body) > LONGEST_LINE:
             raise ArgumentError(f"LOG: {len(body):,} bytes; a line has up to {LONGEST_LINE:,}.")
         log = self.board.log
-        self.board.note(body.decode(errors="replace"))
+        self.board.note(_printable(body.decode(errors="replace")))
         self._told(*log[-1])
         if len(log) > self._keep + self._keep // 4:
             del log[: len(log) - self._keep]
@@ -253,6 +253,11 @@ def _text(frame: str, body: bytes) -> str:
         return body.decode()
     except UnicodeDecodeError:
         raise ArgumentError(f"{frame}: a name that is no UTF-8.") from None
+
+
+def _printable(line: str) -> str:
+    """One line without what would control the terminal of whoever reads it; a tab stays."""
+    return "".join(c if c.isprintable() or c == "\t" else ascii(c)[1:-1] for c in line.rstrip("\r\n"))
 
 
 def _empty(frame: str, body: bytes) -> None:

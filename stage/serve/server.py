@@ -10,6 +10,7 @@ end their connection, and nothing else.
 
 from __future__ import annotations
 
+import errno
 import selectors
 import socket
 import time
@@ -115,10 +116,11 @@ class Server:
             self._listener.listen()
         except OSError as error:
             self._listener.close()
-            raise StageError(
-                f"nothing can listen on {bind}, port {port}: {error.strerror or error}. Is another server running? Choose another "
-                "port (--listen), or 0 for one that is free."
-            ) from None
+            if error.errno in (errno.EADDRINUSE, errno.EACCES):
+                hint = "Is another server running? Choose another port (--listen), or 0 for one that is free."
+            else:
+                hint = "--bind takes an address of this machine, for example 127.0.0.1, or 0.0.0.0 for all of them."
+            raise StageError(f"nothing can listen on {bind}, port {port}: {error.strerror or error}. {hint}") from None
         self.address: tuple[str, int] = self._listener.getsockname()[:2]
         self._wake, self._woken = socket.socketpair()
         for end in (self._wake, self._woken, self._listener):

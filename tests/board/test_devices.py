@@ -4,6 +4,8 @@ in snapshots, and with isolated firmware, to the bit."""
 from __future__ import annotations
 
 import copy
+import gc
+import math
 import pickle
 
 import numpy as np
@@ -12,8 +14,8 @@ from board.test_native import left_behind
 from support.compiled_firmware import firmware
 
 from stage import Stage
-from stage.board import Board, CompileError, HostError, LibraryError, NativeHost, build
-from stage.board.devices import Encoder, Latch
+from stage.board import Board, CompileError, HostError, LibraryError, NativeHost, build, scratch
+from stage.board.devices import CDevice, Device, Encoder, Latch
 from stage.chips import HCTL1100, PCL240K
 from stage.errors import ArgumentError, StageError
 from stage.files import FileError
@@ -335,3 +337,33 @@ def test_what_is_no_device_in_c_is_refused_with_what_to_write(adc, tmp_path):
     with pytest.raises(ArgumentError, match="read, write and state are Python's"):
         board.device(0x500, read=print, source=adc)
     assert not board.devices
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        (lambda: Encoder("x", per_turn="2000"), "give either per_metre= or per_turn="),
+        (lambda: Encoder("x", per_turn=2000, zero=math.nan), "zero= is the position"),
+        (lambda: Device(encoders=["x"]), "encoder 'x': write for example Encoder"),
+        (lambda: Device().pull(at=math.nan), r"pull\(at=nan\): a time of the stage"),
+        (lambda: Device().pull(at=1e30), "a time of the stage"),
+        (lambda: Device().pull(at="soon"), "a time of the stage"),
+        (lambda: Board(Stage("xy", visuals=False), devices=5), "devices=5: a list of texts"),
+        (lambda: Board(Stage("xy", visuals=False), devices=[Device()]), r"board\.put\(device, ports\)"),
+    ],
+)
+def test_what_a_device_cannot_be_is_refused_in_words(wrong, said):
+    """Encoder("x", per_turn="2000"), adc.pull(at=math.nan), Board(stage, devices=[UART()])"""
+    with pytest.raises(ArgumentError, match=said):
+        wrong()
+
+
+def test_a_device_in_c_lies_where_the_next_run_removes_what_a_kill_has_left(adc):
+    """board.device(0x340, source="adc.c")"""
+    device = CDevice(adc.with_suffix(".c"))
+    folder = device.path.parent
+    assert folder.name.startswith(scratch.PREFIX)
+    assert (folder / scratch.LOCK).exists()
+    del device
+    gc.collect()
+    assert not folder.exists()

@@ -259,6 +259,9 @@ def test_a_uart_in_the_loop_hears_itself_and_holds_its_registers(line):
     assert board.in8(0x3FD) & 1 == 0
     with pytest.raises(ArgumentError, match="are too many: 4,096 at a time"):
         uart.feed(bytes(5000))
+    for wrong in (5, None, [1, 2]):
+        with pytest.raises(ArgumentError, match=r"feed\(.*\): bytes or text are wanted"):
+            uart.feed(wrong)
 
 
 @pytest.mark.skipif(not hasattr(os, "ttyname"), reason="no pseudo-terminals")
@@ -273,6 +276,7 @@ def test_a_pseudo_terminal_is_the_other_end_of_a_uart(line):
     board.out8(0x3F8, ord("?"))
     board.delay_us(1000), board.in8(0x3FD)
     assert (got, os.read(terminal, 10)) == (b"hi", b"?")
+    assert uart.pty() == os.ttyname(terminal), "who asks again has the same one"
     os.close(terminal)
 
 

@@ -76,4 +76,8 @@ def test_wrong_options_are_errors_in_words(capsys):
     assert main(["serve", "--fresh", "--vcd", "x.vcd"]) == 2
     assert "--fresh" in capsys.readouterr().err
     assert main(["serve", "--model", "xy", "--listen", "0", "--bind", "300.1.1.1"]) == 2
-    assert "nothing can listen on 300.1.1.1" in capsys.readouterr().err
+    told = capsys.readouterr().err
+    assert "nothing can listen on 300.1.1.1" in told
+    assert "--bind takes an address of this machine" in told
+    assert main(["serve", "--model", "xy", "--listen", "0", "--web", "--port", "99999"]) == 2
+    assert "a port is a whole number of 1 to 65535" in capsys.readouterr().err, "before it serves"

@@ -34,3 +34,9 @@ def test_the_program_of_the_page_prints_what_the_page_says(served, capsys):
     exec(compile(program.replace("127.0.0.1:7240", served.address), "serve.md", "exec"), {})
     assert capsys.readouterr().out == prints
     assert served.board.log[-1][1] == "and that is all"
+
+
+def test_the_server_of_the_page_has_the_ports_of_the_programs_behind_it():
+    """stage serve --chips PCL240MK --trace cycles.txt: x at 300h, and snapshots can be restored"""
+    command = re.search(r"^stage serve .*", PAGE, re.M).group()
+    assert not re.search("--(layout|base|stride|record|vcd)", command)

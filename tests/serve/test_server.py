@@ -168,6 +168,42 @@ def test_states_have_names(served):
             host.restore()
 
 
+def test_a_mistake_in_a_later_frame_of_a_batch_comes_with_the_answers_before_it(served):
+    """batch.in8(0x500) 40,000 times, batch.out8(0x300, 999), batch.run()"""
+    with served.host() as host:
+        batch = host.batch()
+        for _ in range(40_000):
+            batch.in8(0x500)
+        with pytest.raises(ServerError, match="the value does not fit") as failed:
+            batch.out8(PORT, 999).run()
+        assert failed.value.answers == (0xFF,) * 32_768
+
+
+def test_a_connection_that_is_no_more_is_said_in_words(served):
+    """board.close(); board.in8(0x300)"""
+    host = served.host()
+    with pytest.raises(ValueError, match="a frame of 2,000,000 bytes; there are up to 1,048,576"):
+        host.log("x" * 2_000_000)
+    assert host.status().cycles == 0, "nothing was sent"
+    host.close()
+    with pytest.raises(ConnectionError, match=r"this connection is closed\. Make another one"):
+        host.in8(PORT)
+    host = served.host(look=True)
+    host._wire.shutdown(socket.SHUT_RDWR)
+    for _ in range(2):
+        with pytest.raises(ConnectionError, match=r"the server has closed the connection\. Make another one"):
+            host.status()
+    host.close()
+
+
+def test_what_a_host_logs_does_not_control_the_terminal(served):
+    """board.log("\\x1b[2J\\nforged")"""
+    with served.host() as host:
+        host.log("\x1b[2J\n  1.000000  forged\r\x9b\t\u00b5m\n")
+    assert served.board.log[-1][1] == r"\x1b[2J\n  1.000000  forged\r\x9b" + "\t\u00b5m"
+    assert served.said[1].endswith("\t\u00b5m"), "one line, and the same one"
+
+
 def test_lines_of_the_log_are_told_and_so_many_kept(board):
     with serving(board, keep=8) as served, served.host() as host:
         for k in range(30):

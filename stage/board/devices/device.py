@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from stage.board.board import Board
     from stage.sim.stage import Stage
 
+LATEST = 9e9
+"""s; all times of a stage are before."""
 Listener = Callable[[int, int, bool, bool], str]
 """(port of the device, value, whether it is written, whether with 16 bits) -> what the cycle means."""
 
@@ -41,11 +43,13 @@ class Encoder:
 
     def __post_init__(self) -> None:
         given = [n for n in (self.per_metre, self.per_turn) if n is not None]
-        if len(given) != 1 or not math.isfinite(given[0]) or given[0] == 0:
+        if len(given) != 1 or not _finite(given[0]) or given[0] == 0:
             raise ArgumentError(
                 f"{self!r}: give either per_metre= or per_turn=, counts a metre or a turn of the motor; below 0 it is mounted the "
                 "other way round."
             )
+        if self.zero is not None and not _finite(self.zero):
+            raise ArgumentError(f"{self!r}: zero= is the position at which it counts 0, m (rad on a hinge).")
 
     def row(self, stage: Stage) -> tuple[int, float, float]:
         """ENCODER, see stage.board.host."""
@@ -79,6 +83,9 @@ class Device:
         self.name = name or self.KIND
         self._named = name is not None
         self.encoders, self.width = tuple(encoders), width
+        for given in self.encoders:
+            if not isinstance(given, Encoder):
+                raise ArgumentError(f'{self.name}: encoder {given!r}: write for example Encoder("x", per_turn=2000).')
         self.ports: tuple[int, ...] = ()
         self.board: Board | None = None
         self.line = np.full(1, records.NEVER, np.int64)
@@ -88,7 +95,12 @@ class Device:
     # --- for users ---
 
     def pull(self, on: bool = True, at: float | None = None) -> None:
-        """Pull the interrupt line, or let go of it; at: from this time on (s since power-up; default: now)."""
+        """Pull the interrupt line, or let go of it; at: from this time on (s since power-up; default: now).
+
+        Raises ArgumentError for what is no time.
+        """
+        if at is not None and not (_finite(at) and abs(at) < LATEST):
+            raise ArgumentError(f"{self.name}: pull(at={at!r}): a time of the stage is wanted, s since power-up.")
         self.line[0] = records.NEVER if not on else self.stage.now if at is None else round(at * 1e9)
 
     @property
@@ -168,6 +180,13 @@ class Device:
         if self.board is None:
             raise StageError(f"{self.name} is on no board yet: board.put(device, ports) or board.device(ports, ...).")
         return self.board
+
+
+def _finite(value: Any) -> bool:
+    try:
+        return math.isfinite(value)
+    except TypeError:
+        return False
 
 
 class Absent(Device):

@@ -30,6 +30,10 @@ FORM = f"KIND:PORT[:AXIS[:COUNTS]], of the kinds {', '.join(ON_AN_AXIS)} (with A
 
 def made(text: str) -> tuple[Device, list[int]]:
     """The device that `text` describes, and its ports. Raises ArgumentError; of sources as CDevice."""
+    if isinstance(text, Device):
+        raise ArgumentError(
+            f"device {text!r}: texts name devices here; an object goes on the bus by board.put(device, ports)."
+        )
     if not isinstance(text, str) or ":" not in text:
         raise ArgumentError(f"device {text!r}: write {FORM}. For example hctl2016:0x320:x")
     kind, *rest = text.split(":")

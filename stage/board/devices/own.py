@@ -6,7 +6,6 @@ import ctypes
 import os
 import shutil
 import tempfile
-import weakref
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ from stage.board import library
 from stage.board.devices.device import Device, Encoder, Listener
 from stage.board.errors import LibraryError
 from stage.board.host import IN8, OUT8, OUT16
+from stage.board.scratch import Scratch
 from stage.errors import ArgumentError
 from stage.files import FileError
 
@@ -92,8 +92,9 @@ class CDevice(Device):
         super().__init__(name, encoders, width)
         self.tell = tell
         if library.are_sources(source):  # built into a folder of its own, which goes with the device
-            self.path = library.build(source, None, flags)
-            weakref.finalize(self, shutil.rmtree, self.path.parent, ignore_errors=True)
+            self._scratch = Scratch()
+            first = source if isinstance(source, str | os.PathLike) else source[0]
+            self.path = library.build(source, self._scratch.path / f"{Path(first).stem}.so", flags)
         else:
             self.path = Path(source)  # type: ignore[arg-type]
         loaded = _loaded(self.path, source)

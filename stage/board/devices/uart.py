@@ -42,12 +42,14 @@ class UART(Compiled):
             raise ArgumentError(f"clock={clock!r}: the crystal of a UART has 1 to 1e9 Hz, for example 1_843_200.")
         self.clock = int(clock)
         self.registers["clock"] = self.clock
-        self._master = -1
+        self._master = self._slave = -1
         self._seen = 0
 
     def feed(self, data: bytes | str) -> None:
         """The peer sends these bytes from now on, behind those that it is still sending. Raises ArgumentError if more than 4096
-        would wait."""
+        would wait, or for what is neither bytes nor text."""
+        if not isinstance(data, str | bytes | bytearray | memoryview):
+            raise ArgumentError(f"{self.name}: feed({data!r}): bytes or text are wanted, for example b'ok\\r\\n'.")
         content, s = data.encode() if isinstance(data, str) else bytes(data), self.registers
         self.CORE.access(self.state[0], self.stage.now, 0, 7, 0, 0)  # what has arrived by now has
         waiting = int(s["fed"] - s["taken"])
@@ -80,8 +82,11 @@ class UART(Compiled):
         """Connect it to a pseudo-terminal; returns its path, for `screen PATH`, `cu -l PATH` or a terminal program.
 
         Bytes come and go at the UART's own bus cycles, when the other side happens to send them: a run is not
-        deterministic then, and firmware has to poll. Raises StageError where there are no pseudo-terminals.
+        deterministic then, and firmware has to poll. Called again it returns the same path. Raises StageError where there are no
+        pseudo-terminals.
         """
+        if self._master >= 0:
+            return os.ttyname(self._slave)
         try:
             import pty
             import tty
