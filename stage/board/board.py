@@ -12,6 +12,7 @@ A port without a chip reads as FFh and is noted in `board.strays`. Firmware in C
 from __future__ import annotations
 
 import os
+import reprlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, ClassVar, TypeVar
 
@@ -364,16 +365,16 @@ def _by_chip(stage: Stage, base: int | Mapping[str, int] | None) -> Any:
 
 def _ports(device: Device, ports: Any) -> list[int]:
     """The ports that a device gets. Raises ArgumentError."""
-    one = isinstance(ports, int | np.integer)
+    one, shown = isinstance(ports, int | np.integer), reprlib.repr(ports)
     taken = [int(ports)] if one else list(ports) if isinstance(ports, Iterable) else []
     if one and device.PORTS:
         taken = list(range(taken[0], taken[0] + device.PORTS))
     if not taken or any(not isinstance(p, int | np.integer) or not 0 <= p <= host.LAST_PORT for p in taken):
         raise ArgumentError(
-            f"{device.name}, ports={ports!r}: ports are whole numbers from 0 to {host.LAST_PORT:X}h, one at least."
+            f"{device.name}, ports={shown}: ports are whole numbers from 0 to {host.LAST_PORT:X}h, one at least."
         )
     if len(set(taken)) != len(taken) or len(taken) > MOST_PORTS:
-        raise ArgumentError(f"{device.name}, ports={ports!r}: each port once, and at most {MOST_PORTS:,} of them.")
+        raise ArgumentError(f"{device.name}, ports={shown}: each port once, and at most {MOST_PORTS:,} of them.")
     if device.PORTS and len(taken) != device.PORTS:
         raise ArgumentError(f"{device.name}: it has {device.PORTS} ports, and {len(taken)} are given.")
     if device.width == 16 and (len(taken) % 2 or any(b != a + 1 for a, b in zip(taken[::2], taken[1::2], strict=True))):

@@ -231,9 +231,10 @@ class Library:
             self._library = ctypes.CDLL(str(own), mode=_mode(path))
         except OSError as error:
             self._scratch.close()
-            said = str(error).replace(str(own), str(path))
+            said = str(error).replace(str(own), str(path)).removeprefix(f"{path}: ")
             raise LibraryError(
-                f"{path} cannot be loaded: {said}. Link what it needs into it; it is built so: {how_to_build(path)}"
+                f"{path} cannot be loaded: {said}. Link what it needs into it, or add a source that has it (a function of a "
+                f"platform that is not emulated: docs/porting.md); it is built so: {how_to_build(path)}"
             ) from None
         finally:
             compute_as_before.c(mode)  # one that was built with -ffast-math changes it as it is loaded

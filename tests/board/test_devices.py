@@ -348,6 +348,10 @@ def test_what_is_no_device_in_c_is_refused_with_what_to_write(adc, tmp_path):
         (lambda: Device().pull(at=math.nan), r"pull\(at=nan\): a time of the stage"),
         (lambda: Device().pull(at=1e30), "a time of the stage"),
         (lambda: Device().pull(at="soon"), "a time of the stage"),
+        (
+            lambda: Board(Stage("xy", visuals=False)).put(Device(), list(range(99_999))),
+            r"ports=\[0, 1, 2, 3, 4, 5, \.\.\.\]: each",
+        ),
         (lambda: Board(Stage("xy", visuals=False), devices=5), "devices=5: a list of texts"),
         (lambda: Board(Stage("xy", visuals=False), devices=[Device()]), r"board\.put\(device, ports\)"),
     ],

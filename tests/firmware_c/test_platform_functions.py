@@ -65,6 +65,7 @@ static int checks(void)
     CHECK(semTake(done, 10) == ERROR && errnoGet() == S_objLib_OBJ_TIMEOUT && tickGet() - then == 10);
     CHECK(msgQReceive(queue, (char *)&word, sizeof word, NO_WAIT) == ERROR);
     CHECK(intConnect(INUM_TO_IVEC(0x2A), isr, 0x300) == OK);
+    CHECK(sysIntEnable(3) == OK && sysIntDisable(3) == OK);
     lock = intLock();
     move(out, 0x300);
     CHECK(semTake(done, 30) == ERROR);          /* interrupts are locked */

@@ -230,6 +230,8 @@ VX_FUNCTION void intUnlock(int was)
 }
 VX_FUNCTION STATUS intEnable(int level) { return (void)level, OK; }
 VX_FUNCTION STATUS intDisable(int level) { return (void)level, OK; }
+VX_FUNCTION STATUS sysIntEnable(int level) { return (void)level, OK; } /* of a VMEbus */
+VX_FUNCTION STATUS sysIntDisable(int level) { return (void)level, OK; }
 VX_FUNCTION STATUS sysIntEnablePIC(int irq) { return (void)irq, OK; }
 VX_FUNCTION STATUS sysIntDisablePIC(int irq) { return (void)irq, OK; }
 
