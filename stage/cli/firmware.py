@@ -5,9 +5,13 @@ from __future__ import annotations
 import argparse
 import os
 import shlex
+import signal
 import sys
+import threading
 import time
 from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 from stage.cli.setup import make_board, note, outputs, recorded
@@ -35,7 +39,8 @@ def run(args: argparse.Namespace) -> int:
     with recorded(args, stage):
         note(f"{host.path.name} runs ...")
         try:
-            result = host.run(timeout=args.timeout) if args.seconds is None else host.run_for(args.seconds)
+            with _told_of_the_end(board):
+                result = host.run(timeout=args.timeout) if args.seconds is None else host.run_for(args.seconds)
         except (
             HostTimeout,
             HostError,
@@ -66,6 +71,26 @@ def run(args: argparse.Namespace) -> int:
         return 1
     done = result.code == 0 if result is not None else args.seconds is not None
     return 0 if done and not any(a.lost_steps for a in stage.axes.values()) else 1
+
+
+@contextmanager
+def _told_of_the_end(board: Any) -> Iterator[None]:
+    """SIGTERM, with which a CI ends what takes too long, is an error of the run in this block: all that is asked for is written."""
+    from stage.board import HostError
+
+    def end(*_: Any) -> None:
+        raise HostError(
+            f"ended from outside by SIGTERM. What is known of it ends at {board.stage.time:.6f} s, after {board.cycles:,} bus "
+            f"cycles:\n{board.trace.text(12)}"
+        )
+
+    main = threading.current_thread() is threading.main_thread()  # others are told of no signal
+    before = signal.signal(signal.SIGTERM, end) if main else None
+    try:
+        yield
+    finally:
+        if main:
+            signal.signal(signal.SIGTERM, before)
 
 
 def _host(args: argparse.Namespace, board: Any, flags: tuple[str, ...]) -> Any:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import re
+import signal
 
 import pytest
 from support.compiled_firmware import firmware
@@ -112,3 +114,20 @@ def test_firmware_that_never_returns_is_run_for_so_long(capsys):
     assert main(["run", built(5), "--for", "5"]) == 1, "one that returns has its own result"
     assert main(["run", library, "--for", "-1"]) == 2
     assert "simulated time from 0 to 1e9 s" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("isolated", [["--in-process"], []], ids=["thread", "process"])
+def test_a_run_that_a_ci_ends_says_where_it_was_and_writes_what_is_asked(isolated, tmp_path, monkeypatch, capsys):
+    # timeout 60 stage run driver.c --record run.rrd; exit code 143 without a word, and no run.rrd
+    source = """#include <signal.h>
+    #include <stdlib.h>
+    PULSESTAGE_MAIN { ps_in8(0x300); kill(atoi(getenv("TOLD")), SIGTERM); for (;;) ps_in8(0x304); }"""
+    monkeypatch.setenv("TOLD", str(os.getpid()))
+    files = [str(tmp_path / name) for name in ("run.rrd", "run.txt")]
+    assert main(["run", str(firmware(source)), "--record", files[0], "--trace", files[1], *isolated]) == 1
+    said = capsys.readouterr()
+    assert "ended from outside by SIGTERM. What is known of it ends at 0." in said.err
+    assert not isolated or "304h R" in said.err
+    assert all(os.path.getsize(file) > 30 for file in files)
+    assert re.search(r"^x +0\.0000", said.out, re.M)
+    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
