@@ -167,10 +167,13 @@ def told(noted: bytes, library: Path) -> str:
     """What happened and where, in words; "" if nothing was noted."""
     if not noted:
         return ""
-    found = json.loads(noted)
-    if isinstance(found, str):
-        return f": {found}"
-    crash = Crash(*found)
+    try:
+        found = json.loads(noted)
+        if isinstance(found, str):
+            return f": {found}"
+        crash = Crash(*found)
+    except (ValueError, TypeError):  # firmware has written into it
+        return ""
     names = [symbol for _, symbol, _ in crash.frames]
     inner = crash.frames[: names.index(ENTRY) + 1] if ENTRY in names else crash.frames
     places = _places(inner, library)

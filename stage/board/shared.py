@@ -163,8 +163,10 @@ class Shared:
     def lines(self) -> list[tuple[float, str]]:
         """The lines noted since the last time: seconds, text."""
         content, at, found = self._text[: self._used[0]].tobytes(), 0, []
-        while at < len(content):
+        while at + _LINE.size <= len(content):
             now, length = _LINE.unpack_from(content, at)
+            if not 0 <= length <= len(content) - at - _LINE.size:  # firmware has written here
+                break
             at += _LINE.size + length
             found.append((now * 1e-9, content[at - length : at].decode(errors="replace")))
         self._used[0] = 0

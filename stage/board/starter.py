@@ -212,6 +212,7 @@ def _become(world: World, files: list[int], run: Callable[[int], None]) -> None:
     try:
         signal.set_wakeup_fd(-1)
         signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+        signal.signal(signal.SIGINT, signal.SIG_DFL)  # a terminal's Ctrl-C does not reach its group
         os.setpgid(0, 0)
         pipe, status, *streams = files
         os.close(status)

@@ -37,7 +37,7 @@ class Threaded:
     def __init__(self, program: Program, board: Board, patience: float, may_exit: bool = False):
         self._program, self._board, self._patience, self._may_exit = program, board, patience, may_exit
         self._path = program.path
-        self._load().close()  # says what is wrong before anything runs
+        self._check()
         self._thread: threading.Thread | None = None
         self._code: int | None = None
         self._left = ""  # the call by which the firmware would have ended the process
@@ -81,6 +81,15 @@ class Threaded:
 
     def close(self) -> None:
         self._abandon()
+
+    def _check(self) -> None:
+        """Say what is wrong with it before anything runs. What its destructors do as it is unloaded reaches no chip."""
+        loaded, record = self._load(), self._board.link.record
+        record["stopped"] = 1
+        try:
+            loaded.close()
+        finally:
+            record["stopped"] = 0
 
     def _load(self) -> Loaded:
         """A copy of the firmware, with a bus of its own: firmware that was given up keeps its own."""

@@ -25,6 +25,7 @@ INVALID = {
     21: "an exception that nobody handles",
 }  # fmt: skip
 """uc_err, as far as a program is at fault."""
+_OF_MEMORY = (6, 7, 8, 11, 12, 13, 14)
 
 
 class _Record(ctypes.Structure):
@@ -79,6 +80,8 @@ class Engine:
         self._kept: list[Any] = []
         self._line = ""
         self.hook(_CODE, machine.instruction.pointer)
+        self._touched: int | None = None
+        self.uc.hook_add(unicorn.UC_HOOK_MEM_INVALID, self._touches)
 
     @property
     def handle(self) -> Any:
@@ -158,16 +161,30 @@ class Engine:
                 self.uc.emu_start(self.where_to_go_on(), 0xFFFFFFFF)
             except unicorn.UcError as error:
                 if not self.ended and not self.fault:
-                    raise self.wrong(INVALID.get(error.errno, f"Unicorn says {error}")) from None
+                    raise self.wrong(self._fault_in_words(error)) from None
             if self.record.outside:
                 raise self.wrong(f"it touches address {int(self.record.outside) - 1:X}h, which no window has")
             if self.fault:
                 raise self.wrong(self.fault)
             if not self.ended:
-                self.stopped()
+                try:
+                    self.stopped()
+                except unicorn.UcError:  # an exception's frame, a text to print
+                    raise self.wrong("its stack, or what it asks for, lies where there is no memory") from None
         self.flush()
         machine.looked.c(self.record.own)
         return self.code
+
+    def _touches(self, uc: Any, access: int, address: int, size: int, value: int, data: Any) -> bool:
+        """Unicorn calls it at an access to memory that is not there; it then ends the run."""
+        self._touched = address
+        return False
+
+    def _fault_in_words(self, error: Any) -> str:
+        said = INVALID.get(error.errno, f"Unicorn says {error}")
+        return (
+            f"{said}, address {self._touched:X}h" if error.errno in _OF_MEMORY and self._touched is not None else said
+        )
 
     def where_to_go_on(self) -> int:
         """The address for uc_emu_start."""

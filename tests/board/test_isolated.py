@@ -12,7 +12,7 @@ from board.test_native import MOVE, THREE, host, left_behind
 from support.compiled_firmware import firmware
 
 from stage import Stage, faults
-from stage.board import Board, HostError, NativeHost
+from stage.board import Board, HostError, NativeHost, crash
 from stage.chips import HCTL1100
 from stage.errors import StageError
 
@@ -237,3 +237,31 @@ def test_whatever_firmware_makes_of_the_floating_point_mode_the_stage_has_the_sa
     after = host(THREE)
     after.run()
     assert left_behind(after) == left_behind(usual), "the mode stays with the firmware"
+
+
+def test_what_a_destructor_does_is_a_part_of_no_run_but_its_own():
+    """A library is loaded and unloaded once before it runs, to see what is wrong with it."""
+    late = "__attribute__((destructor)) static void late(void) { ps_out8(0x300, 0x08); }\n"
+
+    def run(isolated):
+        h = host(
+            f"#include <pulsestage.h>\n{late}PULSESTAGE_MAIN {{ return ps_in8(0x304) == 0; }}\n", isolated=isolated
+        )
+        assert h.run().code == 0
+        return h
+
+    for h in both(run):
+        assert next(iter(h.board.trace)).port == 0x304
+
+
+def test_firmware_that_interrupts_itself_is_ended_by_sigint_and_prints_nothing(capfd):
+    h = host(
+        "#include <pulsestage.h>\n#include <signal.h>\nPULSESTAGE_MAIN { raise(SIGINT); return 0; }\n", isolated=True
+    )
+    with pytest.raises(HostError, match="was ended by SIGINT"):
+        h.run()
+    assert "Traceback" not in capfd.readouterr().err
+
+
+def test_a_note_of_a_crash_that_firmware_has_overwritten_says_nothing(tmp_path):
+    assert crash.told(b"\xff" * 9, tmp_path) == crash.told(b"[1]", tmp_path) == ""

@@ -38,7 +38,7 @@ def test_what_the_program_says_at_its_end_is_the_code(isolated):
     ("case", "says"),
     [
         (NO_INSTRUCTION, r"an instruction that this processor does not have, at 80[0-9A-F]+h \(no_instruction"),
-        (WILD_WRITE, r"it writes memory that is not there, at 80[0-9A-F]+h \(wild_write"),
+        (WILD_WRITE, r"it writes memory that is not there, address [0-9A-F]+h, at 80[0-9A-F]+h \(wild_write"),
         (NO_WINDOW, r"it touches address 40021080h, which no window has, at 80[0-9A-F]+h \(no_window"),
         (SLEEPS, r"it sleeps for ever: no interrupt is on .* \(sleeps_for_ever"),
         (SVC, r"exception 11 comes, and its vector is 0h"),
