@@ -234,6 +234,26 @@ def a_closed_loop():
     yield played.results.tobytes() + fleet.truth().tobytes()
 
 
+def an_encoder_counts():
+    """RP of an MCX514 follows the carriage, by two; a comparator on it stops the drive; the journal."""
+    stage = Stage("xyz", chips=MCX514, encoders={"x": 320_000, "y": -5e5}, visuals=False)
+    x = stage.axes["x"]
+    journal = x.chip.journal()
+    nova.load(x.chip, 3, SV=6000, DV=6000, MR0=9, TP=100)
+    nova.load(x.chip, MRM=1, S0M=0x0150)
+    nova.command(x.chip, "DRVRL", 3)
+    seen = []
+    for _ in range(8):
+        stage.run(7e-4)
+        nova.command(x.chip, "R-RP", 2)
+        seen.append(int(x.chip.read(6)))
+    journal.close()
+    assert len(set(seen)) > 4
+    yield repr(seen)
+    yield stage.snapshot().state.tobytes()
+    yield np.concatenate(list(journal.pieces(every_pulse=True, size=100))).tobytes()
+
+
 def on_a_board():
     """A host behind ports: moves, polls, stray ports, interrupts, a write that gets lost; and one that may run ahead."""
     for lazy in (False, True):
@@ -273,6 +293,7 @@ SCENES = (
     every_operation,
     moves_of_several_axes,
     a_closed_loop,
+    an_encoder_counts,
 )
 
 

@@ -146,6 +146,8 @@ class Chip:
     hold if none is, or control of a servo."""
     SERVO: ClassVar[bool] = False
     """Drives a DC motor with an encoder, not a stepper."""
+    ENCODERS: ClassVar[bool] = False
+    """Its axes have inputs for an encoder, and the axes need not have one; see `Chip.set_shaft` of these."""
     IN_POSITION: ClassVar[float] = 4.0
     """Default tolerance, pulses: an axis so close to its goal has arrived."""
     DEFAULT_CLOCK_HZ: ClassVar[int]
@@ -261,6 +263,10 @@ class Chip:
     def net(self, axis: int = 0) -> int:
         """Pulses begun since power-up, plus minus minus: what a drive has been given. Not readable on the bus."""
         return int(self.state["net"])
+
+    def shaft_of(self, axis: int) -> tuple[float, float]:
+        """What a chip that looks at encoders was told last of an axis' shaft: count, and counts a clock."""
+        raise NotImplementedError(f"{type(self).__name__} looks at no encoder.")
 
     @classmethod
     def register_cycles(cls, name: str, value: int, axis: int = 0) -> list[tuple[int, int]]:

@@ -5,8 +5,8 @@ its package to FAMILIES of stage/chips, and every loop accepts it without a new 
 with the addresses of the state and of the core's functions.
 
 A core has the functions below, over a state in place of a CHIP, `exported` as ANSWERS says. For `Chip` alone it
-has power_up(c), advance(c, until), trace, scan and mark, see stage/chips/pcl240/core.py; of a servo scan_shaft as well, see
-stage/chips/hctl1100/core.py.
+has power_up(c), advance(c, until), trace, scan and mark, see stage/chips/pcl240/core.py; one that looks at
+encoders scan_shaft as well, see stage/chips/hctl1100/core.py.
 """
 
 from __future__ import annotations

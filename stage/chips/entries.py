@@ -25,8 +25,8 @@ def number(bits: int) -> float:
 
 class Entry(NamedTuple):
     """One event between two ticks: WRITE (address, value), INPUT (axis, pin word), RESET, LOST, a write that did not arrive,
-    READ (address, value), a read cycle that changes something, see `Chip.READING_ACTS`, or SHAFT (count, rate, both as `bits`):
-    where the shaft of axis 0 is from then on, in counts and counts a clock."""
+    READ (address, value), a read cycle that changes something, see `Chip.READING_ACTS`, or SHAFT + j (count, rate, both as `bits`):
+    where the shaft of axis `j` is from then on, in counts and counts a clock."""
 
     clock: int
     kind: int
@@ -43,8 +43,8 @@ class Entry(NamedTuple):
             does, given = core.write, (self.a, self.b)
         elif kind == READ:
             does, given = core.read, (self.a,)
-        elif kind == SHAFT:
-            does, given = core.set_shaft, (0, number(self.a), number(self.b))
+        elif kind >= SHAFT:
+            does, given = core.set_shaft, (kind - SHAFT, number(self.a), number(self.b))
         elif kind == RESET:
             does = core.power_up
         else:

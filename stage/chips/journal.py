@@ -71,8 +71,8 @@ class Journal:
     def note_reset(self, clock: int) -> None:
         self._note(clock, RESET, 0, 0)
 
-    def note_shaft(self, clock: int, count: float, rate: float) -> None:
-        self._note(clock, SHAFT, bits(count), bits(rate))
+    def note_shaft(self, clock: int, axis: int, count: float, rate: float) -> None:
+        self._note(clock, SHAFT + axis, bits(count), bits(rate))
 
     def extend(self, packed: np.ndarray) -> None:
         """Note PACKED records, in the order of their clocks."""
@@ -161,24 +161,24 @@ class Replay:
         yield out[:k].copy()
 
 
-Shafts = tuple[np.ndarray, np.ndarray, np.ndarray]  # clocks, counts, rates
+Shafts = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # clocks, axes, counts, rates
 
 
-NO_SHAFT: Shafts = (np.zeros(0, np.int64), np.zeros(0), np.zeros(0))
+NO_SHAFT: Shafts = (np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0), np.zeros(0))
 
 
 def _between_shafts(entries: Entries) -> Iterator[tuple[Entry | None, Shafts]]:
-    """Each entry but the SEEs, and after all None, with the SEEs since the one before: they come every physics step."""
+    """Each entry but those of shafts, and after all None, with those since the one before: they come every physics step."""
     packed = entries.packed()
-    seen = packed["kind"] == SHAFT
+    seen = packed["kind"] >= SHAFT
     if not seen.any():
         yield from ((e, NO_SHAFT) for e in entries)
         yield None, NO_SHAFT
         return
-    clocks = np.ascontiguousarray(packed["clock"])
+    clocks, axes = np.ascontiguousarray(packed["clock"]), packed["kind"] - SHAFT
     counts, rates = (np.ascontiguousarray(packed[name]).view(np.float64) for name in ("a", "b"))
     begin = 0
     for k in (*np.flatnonzero(~seen).tolist(), len(entries)):
         part = slice(begin, k)
-        yield entries[k] if k < len(entries) else None, (clocks[part], counts[part], rates[part])
+        yield entries[k] if k < len(entries) else None, (clocks[part], axes[part], counts[part], rates[part])
         begin = k + 1

@@ -321,6 +321,14 @@ def _board(p: argparse.ArgumentParser) -> None:
         "(2 ports)",
     )
     g.add_argument(
+        "--encoder",
+        action="append",
+        default=[],
+        metavar="AXIS=COUNTS",
+        help="an encoder that the chip's counter of the real position counts (RP, EP of NOVA's): counts a metre (rad on a hinge), "
+        "for example x=200000, or a turn of the motor, x=2000/turn",
+    )
+    g.add_argument(
         "--place",
         action="append",
         default=[],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import sys
 from collections.abc import Callable, Iterator
@@ -19,11 +20,29 @@ def make_stage(args: argparse.Namespace) -> Any:
     from stage.chips import chip_class
 
     chips, common = chip_class(args.chips), {"bus_cycle": args.bus_cycle, "clock": getattr(args, "clock", None)}
+    common["encoders"] = [_encoder(item) for item in getattr(args, "encoder", ())]
     if chips.SERVO:
         return Stage(args.model, chips=chips, drives=args.motor, **common)
     motor = {} if args.motor is None else {"motor": args.motor}
     drive = Drive(microsteps=args.microsteps, bus_voltage=args.bus_voltage, **motor)
     return Stage(args.model, chips=chips, drives=drive, **common)
+
+
+def _encoder(item: str) -> Any:
+    """The encoder that --encoder describes. Raises ArgumentError."""
+    from stage.sim.encoder import Encoder
+
+    axis, _, text = item.partition("=")
+    number, per, turn = text.partition("/")
+    try:
+        counts = float(number)
+    except ValueError:
+        counts = 0.0
+    if not axis or not counts or not math.isfinite(counts) or (per and turn != "turn"):
+        raise ArgumentError(
+            f"--encoder {item!r}: write AXIS=COUNTS, counts a metre and not 0, for example x=200000; or of the motor x=2000/turn."
+        )
+    return Encoder(axis, per_turn=counts) if per else Encoder(axis, per_metre=counts)
 
 
 def make_board(args: argparse.Namespace) -> Any:

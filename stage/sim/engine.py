@@ -102,7 +102,7 @@ def _show_shafts(chips, world, table, clockwork, qpos, qvel, edges, counts):
                     world.now,
                     cores.clock(c),
                     a,
-                    SHAFT,
+                    SHAFT + j,
                     count,
                     speed / c.hz,
                 )

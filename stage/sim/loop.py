@@ -180,7 +180,7 @@ class Loop:
             packed = np.empty(len(own), PACKED)
             for name in PACKED.names or ():
                 packed[name] = edges[name][own]
-            seen = np.flatnonzero(packed["kind"] == SHAFT)
+            seen = np.flatnonzero(packed["kind"] >= SHAFT)
             if len(seen):
                 packed["a"][seen] = edges["count"][own[seen]].view(np.int64)
                 packed["b"][seen] = edges["rate"][own[seen]].view(np.int64)

@@ -14,6 +14,7 @@ from stage.sim import records
 
 if TYPE_CHECKING:
     from stage.sim.axis import Axis
+    from stage.sim.encoder import Encoder
     from stage.sim.state import State
 
 
@@ -23,8 +24,8 @@ class Snapshot(snapshots.Snapshot):
     of: ClassVar = "a stage"
 
 
-def header(state: State, axes: Iterable[Axis], mechanics: str) -> snapshots.Header:
-    """What the snapshots of a stage are taken of. Payloads and faults are no part of it."""
+def header(state: State, axes: Iterable[Axis], mechanics: str, encoders: Iterable[Encoder] = ()) -> snapshots.Header:
+    """What the snapshots of a stage are taken of. encoders: those that its chips count. Payloads and faults are no part of it."""
     axes = list(axes)
     parts = [("axes", ", ".join(a.name for a in axes))]
     for a in axes:
@@ -34,6 +35,7 @@ def header(state: State, axes: Iterable[Axis], mechanics: str) -> snapshots.Head
         constants = np.zeros(1, DRIVE)
         a.drive.fill(constants[0])
         parts.append((f"drive of axis {a.name}", f"{a.drive.title} (constants {_digest(constants.tobytes())})"))
+    parts += [(f"encoder of axis {e.axis}", str(e)) for e in encoders]
     parts.append(("time step", f"{state.dt} ns"))
     parts.append(("bus cycle", f"{state.bus} ns"))
     parts.append(("mechanics of the model", mechanics))

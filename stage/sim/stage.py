@@ -28,9 +28,10 @@ from stage.chips import ChipAxis
 from stage.drives.dc_motors import Servo
 from stage.drives.motors import Drive
 from stage.errors import ArgumentError, RunTimeout, StageError, unknown
-from stage.sim import handle, integration, plant, records
+from stage.sim import encoder, handle, integration, plant, records
 from stage.sim.axis import Axes, Axis
 from stage.sim.beside import Beside
+from stage.sim.encoder import EncoderChoice
 from stage.sim.fingerprint import mechanics
 from stage.sim.loop import Loop
 from stage.sim.payload import Payloads
@@ -60,6 +61,8 @@ class Stage:
             the model names, 1/16 microsteps or an encoder of 2000 counts, 24 V.
         bus_cycle: seconds of simulated time that one bus cycle of a host takes.
         clock: Hz, the reference clock of chips that are given by class or name; default: that of each chip's data sheet.
+        encoders: what the chips' own counters of the real position count (RP, EP of NOVA's): a mapping axis -> counts a metre
+            (rad), all four edges of a line, or Encoders of stage.sim.encoder. Default: nothing; a Servo has its own.
         visuals: False leaves out what is only for display, for runs without pictures: the same bits, a third faster.
     Raises:
         ArgumentError: unknown model, axis, chip or motor. ModelError: the model breaks the naming contract, or its integrator or
@@ -84,6 +87,7 @@ class Stage:
         bus_cycle: float = 1e-6,
         clock: int | None = None,
         visuals: bool = True,
+        encoders: EncoderChoice = None,
     ):
         if not 0 <= bus_cycle <= 1:
             raise ArgumentError(
@@ -93,6 +97,7 @@ class Stage:
         if not visuals:
             plant.discard_visuals(spec)
         names, chip_axes, chosen = wire(spec, chips, drives, clock)
+        self._encoders = encoder.chosen(encoders, names, chip_axes)
         self.model, offset = plant.compile_spec(spec, words_needed(chip_axes, 5 * len(names)))
         integration.check_options(self.model)
         try:
@@ -121,7 +126,9 @@ class Stage:
         """Lay the state out in userdata; connect the axes of the chips, one an axis of the stage."""
         self._faults: list[str] = []
         self._payloads = Payloads()
-        self.state = State(self.model, offset, self._plant, chip_axes, drives, bus)
+        self.state = State(
+            self.model, offset, self._plant, chip_axes, drives, bus, encoder.per_unit(self._encoders, self._plant)
+        )
         self.data, self.chips = self.state.data, chips_of(chip_axes)
         self.loop = Loop(self.state, self.chips, self._power_up)
         for chip, rows in zip(self.chips, self.state.chips, strict=True):
@@ -129,7 +136,7 @@ class Stage:
         axes = zip(self._plant, chip_axes, drives, strict=True)
         self._axes = [Axis(self, k, p, chip_axis, drive) for k, (p, chip_axis, drive) in enumerate(axes)]
         self.axes: Mapping[str, Axis] = MappingProxyType(Axes((axis.name, axis) for axis in self._axes))
-        self._header = self._bare = header(self.state, self._axes, self._mechanics)
+        self._header = self._bare = header(self.state, self._axes, self._mechanics, self._encoders)
         self.beside = Beside()
 
     # --- time ---
@@ -287,8 +294,8 @@ class Stage:
         for axis in self._axes:
             chip: Any = axis.chip
             if chip.open_journal is not None:
-                if chip.SERVO:
-                    chip.open_journal.note_shaft(chip.clock, *chip.shaft)
+                if self.state.axis_table[axis.index].counts:
+                    chip.open_journal.note_shaft(chip.clock, axis.chip_axis, *chip.shaft_of(axis.chip_axis))
                 chip.open_journal.note_input(chip.clock, axis.chip_axis, chip.input_word(axis.chip_axis))
 
     def snapshot(self) -> Snapshot:
@@ -404,6 +411,7 @@ class Stage:
             "chips": [(type(chip), chip.options()) for chip in self.chips],
             "wired": [(self.chips.index(a.chip), a.chip_axis) for a in self._axes],
             "drives": [a.drive for a in self._axes],
+            "encoders": self._encoders,
             "bus_ns": self.state.bus,
             "offset": self.state.offset,
             "mechanics": self._mechanics,
@@ -422,7 +430,7 @@ class Stage:
 
     def __setstate__(self, s: dict[str, Any]) -> None:
         self.model = s["model"]
-        self._plant, self._mechanics = s["plant"], s["mechanics"]
+        self._plant, self._mechanics, self._encoders = s["plant"], s["mechanics"], s["encoders"]
         chips = [cls(**options) for cls, options in s["chips"]]
         self._wire([chips[k].axes[j] for k, j in s["wired"]], s["drives"], s["bus_ns"], s["offset"])
         for field in SWITCH_FAULTS:

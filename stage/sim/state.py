@@ -35,6 +35,7 @@ class State:
         model: compiled with room for the state in its userdata, see `words_needed`; offset: where that begins.
         plant, chip_axes, drives: of each axis, in their order.
         bus: ns that a bus cycle takes.
+        encoders: of each axis, counts per joint unit of an encoder that its chip counts, 0 for none; that of a Servo is its own.
     """
 
     model: mujoco.MjModel
@@ -88,15 +89,16 @@ class State:
         chip_axes: Sequence[ChipAxis],
         drives: Sequence[Drive | Servo],
         bus: int,
+        encoders: Sequence[float],
     ):
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         self.model, self.data = model, mujoco.MjData(model)
         self.offset, self.bus, self.dt = offset, bus, round(model.opt.timestep * 1e9)
         chips = chips_of(chip_axes)
         self._cut(len(plant), sum(len(p.switches) for p in plant), chips)
-        self._set_clockwork(sum(isinstance(drive, Servo) for drive in drives))
+        self._set_clockwork(sum(isinstance(drive, Servo) for drive in drives) + np.count_nonzero(encoders))
         self._set_chip_table(chips)
-        self._set_axis_table(plant, chip_axes, drives, chips)
+        self._set_axis_table(plant, chip_axes, drives, chips, encoders)
         self.counts = np.zeros(2, np.int64)
         self.saved = np.zeros(mujoco.mj_stateSize(model, SAVED))
         rows = np.zeros(1, handle.HANDLE)
@@ -166,6 +168,7 @@ class State:
         chip_axes: Sequence[ChipAxis],
         drives: Sequence[Drive | Servo],
         chips: Sequence[Chip],
+        encoders: Sequence[float],
     ) -> None:
         """The table of axes, that of switches, and of chips what they have to know of their axes."""
         first = 0
@@ -178,8 +181,7 @@ class State:
             c.means[j], c.nets[j] = address_of(self.axes[k]["counts"]), address_of(self.axes[k : k + 1]["count"])
             t.qpos, t.dof, t.actuator, t.gear = p.qpos, p.dof, p.actuator, p.gear
             t.index_bit, t.index_at = chip.wired("ez"), p.index
-            if isinstance(drive, Servo):
-                t.counts = drive.counts * p.gear / (2 * np.pi)
+            t.counts = drive.counts * p.gear / (2 * np.pi) if isinstance(drive, Servo) else encoders[k]
             t.first_switch, t.end_switch = first, first + len(p.switches)
             for row, s in zip(self.switch_table[first : t.end_switch], p.switches, strict=True):
                 row.bit, row.found, row.at, row.slope = chip.wired(s.pin), s.found, s.dist, s.slope

@@ -14,7 +14,7 @@ from stage.errors import ArgumentError, unknown
 from stage.files import FileError
 from stage.testing.settings import setting
 
-STAGE = ("model", "chips", "drives", "bus_cycle", "clock", "visuals", "record")
+STAGE = ("model", "chips", "drives", "bus_cycle", "clock", "visuals", "record", "encoders")
 BOARD = ("layout", "base", "stride", "keep_cycles", "devices")
 FIRMWARE = ("flags", "platform", "isolated", "patience", "cost", "mcu", "map", "mcu_clock")
 

@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     from stage.sim.stage import Stage
 
 MARKERS = (
-    "stage(model='xyz', chips='PCL240K', drives=None, bus_cycle=1e-6, clock=None, visuals=False, record=True): the stage of a test",
+    "stage(model='xyz', chips='PCL240K', drives=None, bus_cycle=1e-6, clock=None, visuals=False, record=True, encoders=None): the "
+    "stage of a test",
     "model(name): the model of its stage, as stage(model=name)",
     "chips(name) or chips(x=name, y=name): the chips of its stage, as stage(chips=...)",
     "board(layout=None, base=None, stride=None, keep_cycles=100000, devices=()): the chips on the host's bus, and devices",

@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from stage.board import host
-from stage.errors import ArgumentError, StageError, unknown
+from stage.errors import ArgumentError, StageError
 from stage.sim import records
+from stage.sim.encoder import Encoder
 
 if TYPE_CHECKING:
     from stage.board.board import Board
@@ -25,40 +26,6 @@ LATEST = 9e9
 """s; all times of a stage are before."""
 Listener = Callable[[int, int, bool, bool], str]
 """(port of the device, value, whether it is written, whether with 16 bits) -> what the cycle means."""
-
-
-@dataclass(frozen=True)
-class Encoder:
-    """An incremental encoder: Encoder("x", per_metre=200_000) on a carriage, or Encoder("x", per_turn=2000) on its motor.
-
-    Counts are those of all edges, four a line. per_metre: counts a metre (rad on a hinge); per_turn: counts a turn of the motor.
-    zero: the position (m, rad) at which it counts 0; default: where the axis is when the device comes on its board.
-    Raises ArgumentError.
-    """
-
-    axis: str
-    per_metre: float | None = None
-    per_turn: float | None = None
-    zero: float | None = None
-
-    def __post_init__(self) -> None:
-        given = [n for n in (self.per_metre, self.per_turn) if n is not None]
-        if len(given) != 1 or not _finite(given[0]) or given[0] == 0:
-            raise ArgumentError(
-                f"{self!r}: give either per_metre= or per_turn=, counts a metre or a turn of the motor; below 0 it is mounted the "
-                "other way round."
-            )
-        if self.zero is not None and not _finite(self.zero):
-            raise ArgumentError(f"{self!r}: zero= is the position at which it counts 0, m (rad on a hinge).")
-
-    def row(self, stage: Stage) -> tuple[int, float, float]:
-        """ENCODER, see stage.board.host."""
-        if self.axis not in stage.axes:
-            raise unknown("axis", self.axis, stage.axes)
-        axis = stage.axes[self.axis]
-        gear = float(stage.state.axis_table[axis.index].gear)
-        counts = self.per_metre if self.per_metre is not None else (self.per_turn or 0.0) * gear / (2 * math.pi)
-        return axis.index, counts, axis.position if self.zero is None else self.zero
 
 
 class Device:

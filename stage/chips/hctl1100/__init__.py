@@ -96,12 +96,15 @@ class HCTL1100(Chip):
         self._change()
         core.set_shaft.held(self.pointer, 0, float(count), float(rate))
         if self.open_journal is not None:
-            self.open_journal.note_shaft(self.clock, count, rate)
+            self.open_journal.note_shaft(self.clock, 0, count, rate)
 
     @property
     def shaft(self) -> tuple[float, float]:
         """What the chip was given last: count and rate, see `set_shaft`."""
         return float(self.state["count"]), float(self.state["rate"])
+
+    def shaft_of(self, axis: int) -> tuple[float, float]:
+        return self.shaft
 
     @property
     def command_position(self) -> int:

@@ -240,10 +240,13 @@ def scan(c, until, every_pulse, axis, out):
     return k
 
 
-@exported("i8", STATE, "i8", "i8", "i8", array_of(EDGE), array_of("i8"), array_of("f8"), array_of("f8"), array_of("i8"))
-def scan_shaft(c, until, every_pulse, axis, out, clocks, counts, rates, done):
-    """As scan, while the shaft is seen anew at `clocks`, in order and up to `until`, with these counts and rates, from number
-    done[0] on, which goes up. Stops early as scan does: call again until done[0] is all of them and the clock is there."""
+@exported(
+    "i8", STATE, "i8", "i8", "i8", array_of(EDGE),
+    array_of("i8"), array_of("i8"), array_of("f8"), array_of("f8"), array_of("i8"),
+)  # fmt: skip
+def scan_shaft(c, until, every_pulse, axis, out, clocks, axes, counts, rates, done):
+    """As scan, while the shafts of `axes` are seen anew at `clocks`, in order and up to `until`, with these counts and rates, from
+    number done[0] on, which goes up. Stops early as scan does: call again until done[0] is all of them and the clock is there."""
     k = 0
     while k < len(out) - ROOM:
         n = done[0]

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, ClassVar
 
 from stage.chips.chip import Chip, Pins
 from stage.chips.nova import core, lint, state
 from stage.chips.nova.describe import Decoder, Listener
+from stage.chips.nova.functions import encoder
 from stage.chips.nova.held import Held, HeldOfMcx312
 from stage.chips.nova.interpolation import run as interpolation
 from stage.chips.nova.registers.mcx300 import MCX302_MAP, MCX304_MAP, MCX312_MAP
 from stage.chips.nova.registers.mcx514 import MCX514_MAP
+from stage.errors import ArgumentError, StageError
 
 __all__ = ["MCX302", "MCX304", "MCX312", "MCX514", "Nova"]
 
@@ -32,6 +35,7 @@ class Nova(Chip):
     BUSY: ClassVar = (0, 1)
     COUNTER: ClassVar = ("LP", 32)
     AXES: ClassVar = 4
+    ENCODERS: ClassVar = True
     IRQ: ClassVar = (-1, sum(state.COMMON_OUTPUTS.values()))
     DRIVER: ClassVar = "stage.firmware.nova.mcx300:FirstGenerationDriver"
     VARIANT: ClassVar[int] = state.FIRST_GENERATION
@@ -54,6 +58,26 @@ class Nova(Chip):
     def net(self, axis: int = 0) -> int:
         self._check_axis(axis)
         return int(self.state["ax"][axis]["net"])
+
+    def set_shaft(self, count: float, rate: float = 0.0, axis: int = 0) -> None:
+        """An encoder is at ECA and ECB of an axis, and from now on at `count + rate * (clock - now)`: edges, edges a clock. RP, EP
+        follows as the mode says; the first call counts nothing. Raises ArgumentError for what is no finite number, or no axis."""
+        if not (math.isfinite(count) and math.isfinite(rate)):
+            raise ArgumentError(f"set_shaft({count!r}, {rate!r}): a shaft is at a finite count and has a finite rate.")
+        self._check_axis(axis)
+        self._change()
+        core.set_shaft.held(self.pointer, axis, float(count), float(rate))
+        if self.open_journal is not None:
+            self.open_journal.note_shaft(self.clock, axis, count, rate)
+
+    def shaft_of(self, axis: int) -> tuple[float, float]:
+        x = self.state["ax"][axis]
+        return float(x["shaft"]), float(x["shaft_rate"])
+
+    def set_input_word(self, axis: int, word: int) -> None:
+        if self._plain["fed"] >> axis & 1 and (word ^ self.input_word(axis)) & encoder.PINS:
+            raise StageError(f"ECA and ECB of axis {axis} are those of its encoder, and cannot be driven by hand.")
+        super().set_input_word(axis, word)
 
     def mistake(self, address: int, value: int) -> lint.Note | None:
         if address >= BYTES:  # of the 8-bit bus only the low byte of WR0 acts
@@ -94,7 +118,7 @@ class Nova(Chip):
         return super().output_word(axis)
 
     def input_word(self, axis: int) -> int:
-        return int(self.state["emg"] if axis == self.AXES else self.state["ax"][axis]["inputs"])
+        return core.inputs.held(self.pointer, axis)
 
 
 class MCX514(Nova):

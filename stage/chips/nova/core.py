@@ -13,7 +13,7 @@ from stage.chips.nova.bus import mcx514 as bus514
 from stage.chips.nova.bus.parameters import lowest
 from stage.chips.nova.bus.status import busy as driving
 from stage.chips.nova.bus.status import phase_bits
-from stage.chips.nova.functions import home, sync
+from stage.chips.nova.functions import comparators, encoder, home, sync
 from stage.chips.nova.functions import inputs as pins_in
 from stage.chips.nova.functions import io as ports
 from stage.chips.nova.interpolation import run as interpolation
@@ -45,7 +45,7 @@ ROUNDS = 100  # of events that cause others at one clock
 HZ = 16_000_000
 
 __all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE", "advance", "busy", "counter", "inputs", "mark", "drive_input", "net",
-           "outputs", "peek", "power_up", "pulse_rate", "read", "run", "scan", "set_shaft",
+           "outputs", "peek", "power_up", "pulse_rate", "read", "run", "scan", "scan_shaft", "set_shaft",
            "set_input", "settle", "status", "trace",
            "value", "write"]  # fmt: skip
 
@@ -53,6 +53,8 @@ __all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE", "advance", "busy", "co
 @exported(None, STATE)
 def _settle(c):
     """Everything that is due at the present clock; then when the next event is."""
+    if c.fed:
+        encoder.see(c)
     for j in range(c.axes):
         c.ax[j].acted = 0
     for _ in range(ROUNDS):
@@ -78,6 +80,8 @@ def _settle(c):
         at = least(at, sync.next_event(c, x))
         if x.driving:
             at = least(at, drive.next_event(c, x, sync.pulses_ahead(c, x)))
+        if encoder.fed(c, j) and comparators.looks_at_rp(c, x):
+            at = least(at, encoder.next_edge(c, x))
     if c.interpolating:
         at = least(at, interpolation.next_event(c))
     c.quiet = greatest(at, c.clock + 1)
@@ -128,21 +132,29 @@ def counter(c, j):
 
 @exported(None, STATE, "i8", "f8", "f8")
 def set_shaft(c, j, count, rate):
-    """No encoder is connected: these chips make pulses, and nobody looks where the shaft goes."""
+    """From now on axis `j` has an encoder, which is at `count + rate * (clock - now)`: edges of ECA and ECB, edges a clock."""
+    encoder.set_shaft(c, j, count, rate)
+    if comparators.looks_at_rp(c, c.ax[j]):
+        c.stale = 1
 
 
 @exported("i8", STATE, "i8")
 def inputs(c, j):
     """Input pins of axis `j`, see INPUTS; of the whole chip, see COMMON_INPUTS, where j is one more than its last."""
+    if c.fed:
+        encoder.see(c)
     return c.emg if j == c.axes else c.ax[j].inputs
 
 
 @exported(None, STATE, "i8", "i8")
 def set_input(c, j, word):
-    """Set the input pins, see `inputs`. They act at once, so that it does not matter who looks at the chip meanwhile."""
+    """Set the input pins, see `inputs`, but for those of an encoder. They act at once, so that it does not matter who looks at the
+    chip meanwhile."""
     if j == c.axes:
         c.emg = word
     else:
+        if encoder.fed(c, j):
+            word = word & ~encoder.PINS | c.ax[j].inputs & encoder.PINS
         c.ax[j].inputs = word
     _settle(c)
 
@@ -156,6 +168,8 @@ def status(c, j):
 @exported("i8", STATE, "i8")
 def peek(c, address):
     """RR0 to RR7 as they read, without what reading does."""
+    if c.fed:
+        encoder.see(c)
     x = c.ax[lowest(c)]
     factors, compared = x.factors, x.compared
     word = read_word(c, address)
@@ -267,6 +281,8 @@ def write(c, address, value):
     value &= 0xFFFF
     if c.stale:
         _settle(c)
+    if c.fed:
+        encoder.see(c)
     if address < 16:
         write_word(c, address & 7, value)
     else:
@@ -286,6 +302,8 @@ def read(c, address):
     """One bus read cycle: RR0 to RR7, or from 16 on a byte of them."""
     if c.stale:
         _settle(c)
+    if c.fed:
+        encoder.see(c)
     if address < 16:
         return read_word(c, address & 7)
     return read_word(c, address >> 1 & 7) >> (8 if address & 1 else 0) & 0xFF
@@ -309,6 +327,8 @@ def window(c, row, k):
 @exported(None, STATE)
 def power_up(c):
     """A cleared record becomes a chip that was just switched on."""
+    if c.fed:
+        encoder.see(c)
     if c.variant == MCX514_TYPE:
         bus514.reset(c)
     else:
@@ -353,31 +373,57 @@ def trace(c, until, out):
 @exported(None, STATE, "i8", array_of(EDGE), "i8")
 def mark(c, axis, out, k):
     """Write an axis as it stands to `out[k]` (an EDGE record)."""
+    if c.fed:
+        encoder.see(c)
     log(c, axis, out, k, shown(c, axis, outputs(c, axis)), pulse_rate(c, axis, 1.0))
 
 
 @exported("i8", STATE, "i8", "i8", "i8", array_of(EDGE))
 def scan(c, until, every_pulse, axis, out):
-    """As advance, and fills `out` (EDGE records) with every change of an axis' rate and output pins, the pulse output's only with
-    `every_pulse`. Returns how many; stops early when `out` is almost full: look at the clock and call again."""
+    """As advance, and fills `out` (EDGE records) with every change of an axis' rate and output pins, those of the pulse output and
+    of an encoder's pins only with `every_pulse`. Returns how many; stops early when `out` is almost full: look at the clock and
+    call again."""
     k = 0
     if c.stale:
         _settle(c)
     x = c.ax[axis]
     while c.clock < until and k < len(out) - ROOM:
-        before, net_before = shown(c, axis, outputs(c, axis)), x.net
+        before, net_before, pins_before = shown(c, axis, outputs(c, axis)), x.net, x.inputs
         rate = pulse_rate(c, axis, 1.0)
         stop = stop_at(c, axis, every_pulse, least(until, c.quiet))
         if every_pulse and c.interpolating:
             stop = least(stop, interpolation.next_tick(c))
+        if every_pulse and encoder.fed(c, axis):
+            stop = least(stop, encoder.next_edge(c, x))
         _pass(c, greatest(stop, c.clock + 1))
+        if c.fed:
+            encoder.see(c)
         if every_pulse and x.net != net_before:
             raise_pulse(c, axis, pulse_rate(c, axis, 1.0))
         if c.stale or c.clock >= c.quiet:
             _settle(c)
         word = shown(c, axis, outputs(c, axis))
         now = pulse_rate(c, axis, 1.0)
-        if word != before or now != rate or (every_pulse and x.net != net_before):
+        if word != before or now != rate or (every_pulse and (x.net != net_before or x.inputs != pins_before)):
             k = log(c, axis, out, k, word, now)
     _alone(c)
+    return k
+
+
+@exported(
+    "i8", STATE, "i8", "i8", "i8", array_of(EDGE),
+    array_of("i8"), array_of("i8"), array_of("f8"), array_of("f8"), array_of("i8"),
+)  # fmt: skip
+def scan_shaft(c, until, every_pulse, axis, out, clocks, axes, counts, rates, done):
+    """As scan, while the shafts of these axes are seen anew at `clocks`, see stage/chips/hctl1100/core.py."""
+    k = 0
+    while k < len(out) - ROOM:
+        n = done[0]
+        while n < len(clocks) and clocks[n] <= c.clock:
+            set_shaft(c, axes[n], counts[n], rates[n])
+            n += 1
+        done[0] = n
+        if c.clock >= until:
+            return k
+        k += scan(c, clocks[n] if n < len(clocks) else until, every_pulse, axis, out[k:])
     return k

@@ -147,6 +147,11 @@ AXIS = record(
         ("swaps", "i8"),  # LMT+ and LMT- are exchanged
         ("encoder", "i8"),  # 0 x4, 1 x2, 2 x1, 3 up / down
         ("exchanges", "i8"),  # the encoder counts the other way round
+        # the shaft of its encoder, see encoder.py: at shaft + shaft_rate * (clock - seen)
+        ("seen", "i8"),
+        ("edge", "i8"),  # the edge that it has passed last
+        ("shaft", "f8"),  # edges
+        ("shaft_rate", "f8"),  # edges a clock
         ("filtered", "i8"),  # INPUTS that have a filter
         ("delay", "i8"),  # clocks of the filters ...
         ("slow_delay", "i8"),  # ... and of those of STOP2, ECA, ECB
@@ -263,6 +268,7 @@ STATE = record(
         ("interpolating", "i8"),  # an interpolation is on
         ("first", "i8"),  # high byte of WR0, waits for the low one
         ("unused", "i8"),  # WR6 or WR7 was written after the last command
+        ("fed", "i8"),  # axes that have an encoder, bit 0 for X
         ("ip", INTERPOLATION),
         ("queue", SEGMENT, (STAGES + 1,)),  # the running segment and those that wait, in a ring
         ("ax", AXIS, (AXES,)),

@@ -79,6 +79,16 @@ def step(c, x):
 
 
 @hot
+def looks_at_rp(c, x):
+    """A comparison, or a software limit, looks at RP."""
+    if c.variant == MCX514_TYPE:
+        for m in range(MRS):
+            if _what(x, m) == AT_RP:
+                return True
+    return x.soft_rp != 0
+
+
+@hot
 def _until(counter, way, value):
     """Pulses until the counter comes to a value, leaves it, or turns over."""
     left = (1 << 31) - counter if way > 0 else counter + (1 << 31) + 1

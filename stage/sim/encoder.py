@@ -1,0 +1,129 @@
+"""`Encoder`: an incremental encoder on an axis, for a chip that counts it or for a device on the bus."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from stage.chips import CHIPS, ChipAxis
+from stage.errors import ArgumentError, unknown
+
+if TYPE_CHECKING:
+    from stage.sim.plant import PlantAxis
+    from stage.sim.stage import Stage
+
+
+@dataclass(frozen=True)
+class Encoder:
+    """An incremental encoder: Encoder("x", per_metre=200_000) on a carriage, or Encoder("x", per_turn=2000) on its motor.
+
+    Counts are those of all edges, four a line. per_metre: counts a metre (rad on a hinge); per_turn: counts a turn of the motor.
+    zero: the position (m, rad) at which it counts 0; default: where the axis is when the device comes on its board. A chip's own
+    counter has none: it is 0 after a reset.
+    Raises ArgumentError.
+    """
+
+    axis: str
+    per_metre: float | None = None
+    per_turn: float | None = None
+    zero: float | None = None
+
+    def __post_init__(self) -> None:
+        given = [n for n in (self.per_metre, self.per_turn) if n is not None]
+        if len(given) != 1 or not _is_rate(given[0]):
+            raise ArgumentError(
+                f"{self!r}: give either per_metre= or per_turn=, counts a metre or a turn of the motor; below 0 it is mounted the "
+                "other way round."
+            )
+        if self.zero is not None and not _is_finite(self.zero):
+            raise ArgumentError(f"{self!r}: zero= is the position at which it counts 0, m (rad on a hinge).")
+
+    def counts(self, gear: float) -> float:
+        """Counts per unit of the joint (m, rad), whose gear this is: radians of the rotor a unit."""
+        return self.per_metre if self.per_metre is not None else (self.per_turn or 0.0) * gear / (2 * math.pi)
+
+    def row(self, stage: Stage) -> tuple[int, float, float]:
+        """ENCODER, see stage.board.host."""
+        if self.axis not in stage.axes:
+            raise unknown("axis", self.axis, stage.axes)
+        axis = stage.axes[self.axis]
+        gear = float(stage.state.axis_table[axis.index].gear)
+        return axis.index, self.counts(gear), axis.position if self.zero is None else self.zero
+
+    def __str__(self) -> str:
+        per, unit = (self.per_metre, "metre") if self.per_metre is not None else (self.per_turn, "turn of the motor")
+        return f"{per:,.12g} counts a {unit}"
+
+
+EncoderChoice = Mapping[str, float] | Iterable[Encoder] | Encoder | None
+
+
+def chosen(given: EncoderChoice, names: Sequence[str], chip_axes: Sequence[ChipAxis]) -> tuple[Encoder, ...]:
+    """The encoders that chips of a stage count, as `Stage` takes them. Raises ArgumentError."""
+    found: dict[str, Encoder] = {}
+    for encoder in _listed(given):
+        if encoder.axis not in names:
+            raise unknown("axis", encoder.axis, names)
+        if encoder.axis in found:
+            raise ArgumentError(f"encoders: axis {encoder.axis} is given two; a chip counts one an axis.")
+        chip = type(chip_axes[names.index(encoder.axis)].chip)
+        if chip.SERVO:
+            raise ArgumentError(
+                f"encoders for axis {encoder.axis}: {chip.__name__} has one already, that of the Servo: "
+                f'drives={{"{encoder.axis}": Servo(counts=...)}}.'
+            )
+        if not chip.ENCODERS:
+            able = ", ".join(name for name, other in CHIPS.items() if other.ENCODERS)
+            raise ArgumentError(
+                f"encoders for axis {encoder.axis}: {chip.__name__} has no input for an encoder; {able} have. Or put a counter on "
+                "the bus: board.put(HCTL2016(encoder), port)."
+            )
+        if encoder.zero is not None:
+            raise ArgumentError(
+                f"{encoder!r}: zero= is for devices; the counter of a {chip.__name__} is 0 after a reset, and a host can set it."
+            )
+        found[encoder.axis] = encoder
+    return tuple(found[name] for name in names if name in found)
+
+
+def per_unit(encoders: Iterable[Encoder], plant: Sequence[PlantAxis]) -> list[float]:
+    """Of each axis: counts per unit of its joint; 0 where no chip counts any."""
+    of = {e.axis: e for e in encoders}
+    return [of[p.name].counts(p.gear) if p.name in of else 0.0 for p in plant]
+
+
+def _listed(given: EncoderChoice) -> list[Encoder]:
+    if given is None:
+        return []
+    if isinstance(given, Encoder):
+        return [given]
+    if isinstance(given, Mapping):
+        for axis, counts in given.items():
+            if not _is_rate(counts):
+                raise ArgumentError(
+                    f"encoders for axis {axis}: {counts!r}: a number of counts a metre is wanted, not 0, for example 200_000; "
+                    f'below 0 it is mounted the other way round. On the motor: encoders=[Encoder("{axis}", per_turn=2000)].'
+                )
+        return [Encoder(axis, per_metre=float(counts)) for axis, counts in given.items()]
+    listed = list(given) if isinstance(given, Iterable) and not isinstance(given, str) else [given]
+    for encoder in listed:
+        if not isinstance(encoder, Encoder):
+            raise ArgumentError(
+                f'encoders={given!r}: a mapping axis -> counts a metre, {{"x": 200_000}}, or Encoders, '
+                '[Encoder("x", per_turn=2000)].'
+            )
+    return listed
+
+
+def _is_rate(number: Any) -> bool:
+    """It is finite and not 0."""
+    return not isinstance(number, bool) and _is_finite(number) and number != 0
+
+
+def _is_finite(value: Any) -> bool:
+    try:
+        return math.isfinite(value)
+    except (TypeError, OverflowError):
+        return False
