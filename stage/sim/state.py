@@ -96,7 +96,7 @@ class State:
         self.offset, self.bus, self.dt = offset, bus, round(model.opt.timestep * 1e9)
         chips = chips_of(chip_axes)
         self._cut(len(plant), sum(len(p.switches) for p in plant), chips)
-        self._set_clockwork(sum(isinstance(drive, Servo) for drive in drives) + np.count_nonzero(encoders))
+        self._set_clockwork(sum(isinstance(drive, Servo) for drive in drives) + sum(map(bool, encoders)))
         self._set_chip_table(chips)
         self._set_axis_table(plant, chip_axes, drives, chips, encoders)
         self.counts = np.zeros(2, np.int64)
