@@ -293,6 +293,10 @@ WILD = {
         "PULSESTAGE_MAIN { return f(1); }",
         r"its stack is full \(endless recursion\?\), in f",
     ),
+    "a jump into the window": (
+        "PULSESTAGE_MAIN { AT(char, 4) = 1; ((void (*)(void))(uintptr_t)0x40021000u)(); return 0; }",
+        r"after 1 bus cycles",
+    ),
 }  # fmt: skip
 
 

@@ -47,15 +47,15 @@ def on_fault(number, info, context, space, s):
     """int32_t on_fault(int32_t signal, siginfo_t *, ucontext_t *, SPACE *, STEP *): what the thunk of mapping.py calls, with a STEP
     on the handler's stack. 0: none of our business."""
     address = int(array_at(info + ADDRESS, 1, _I8)[0])
-    at = span_of(space, address)
-    if at == 0 or not array_at(at, 1, SPAN)[0].kind & (WINDOW | PAGE):
+    at, regs = span_of(space, address), array_at(context + REGS, REGISTERS, _I8)
+    jumped = regs[RIP] == address  # registers are no instructions
+    if at == 0 or jumped or not array_at(at, 1, SPAN)[0].kind & (WINDOW | PAGE):
         if space.previous > 1:
             return 0
         _signal(space.signal, (number, 0))  # it happens again, and then ends the process
         return 1
     space.faults += 1
     s.regs, s.since = context + REGS, 0
-    regs = array_at(s.regs, REGISTERS, _I8)
     s.stack = regs[RSP]
     same = 0 < s.stack - s.own < SAME_STACK
     s.floor = s.stack - RED_ZONE if same else s.stack & ~0xFFF
