@@ -38,6 +38,12 @@ static void *reads(void *)
         ps_in8(0x300);
 }
 
+static void *computes(void *)
+{
+    for (;;)
+        zero = zero * 1;
+}
+
 static int does(const char *what)
 {
     auto is = [what](const char *name) { return !std::strcmp(what, name); };
@@ -85,6 +91,10 @@ static int does(const char *what)
         pthread_t other;
         pthread_create(&other, nullptr, reads, nullptr);
         reads(nullptr);
+    }
+    if (is("thread")) {
+        pthread_t other;
+        pthread_create(&other, nullptr, computes, nullptr);
     }
     if (is("leave"))
         pthread_exit(nullptr);

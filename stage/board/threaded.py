@@ -6,6 +6,7 @@ cycle) is abandoned, with a bus that has no effect any more.
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 
@@ -40,6 +41,7 @@ class Threaded:
         self._check()
         self._thread: threading.Thread | None = None
         self._code: int | None = None
+        self._unloadable: list[Loaded] = []
         self._left = ""  # the call by which the firmware would have ended the process
 
     @property
@@ -114,7 +116,7 @@ class Threaded:
             crash.OwnStack()
         me = threading.get_ident()
         exits.leavers[me] = self._leave
-        code, failed, board = 0, None, self._board
+        code, failed, board, others = 0, None, self._board, native_threads()
         top = bus.here.c()
         board.link.record["stack_low"], board.link.record["stack_high"] = top - STACK, top + NEAR
         try:
@@ -136,7 +138,18 @@ class Threaded:
         if failed is not None:
             board.link.fail(failed)
         self._thread = None
-        loaded.close()
+        if left := native_threads() - others:  # what they run has to stay where it is
+            self._unloadable.append(loaded)
+            if self._may_exit:  # else others than the firmware may have begun them
+                board.link.fail(
+                    HostError(
+                        f"{self._path.name} has returned {code} while {len(left)} of its threads still ran, at "
+                        f"{board.stage.time:.6f} s: whatever they do, or break, nobody would know. Join them before PULSESTAGE_MAIN "
+                        "returns."
+                    )
+                )
+        else:
+            loaded.close()
         self._code = code
         self._stands.release()
 
@@ -188,3 +201,12 @@ class Threaded:
         if self._thread is not None:
             self._board.link.abandon(self._thread, stands)
         self._thread = None
+
+
+def native_threads() -> set[int]:
+    """The threads of this process that are not Python's, where the system lists them."""
+    try:
+        listed = {int(name) for name in os.listdir("/proc/self/task")}
+    except OSError:
+        return set()
+    return listed - {thread.native_id for thread in threading.enumerate()}

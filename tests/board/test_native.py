@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import time
 
 import pytest
 from support.compiled_firmware import firmware
@@ -269,3 +270,16 @@ def test_the_header_and_python_agree_on_the_requests():
         assert getattr(host, name.removeprefix("PS_")) == number, name
     assert len(names) > 10
     assert ctypes.sizeof(library.BusStruct) == 24
+
+
+def test_firmware_that_returns_while_another_of_its_threads_computes_does_not_end_this_process():
+    # PULSESTAGE_MAIN { pthread_create(&t, 0, computes, 0); return 0; }: its code was unloaded beneath the thread, SIGSEGV
+    board = Board(Stage("xy", visuals=False))
+    source = """#include <pthread.h>
+    #include <unistd.h>
+    static volatile int on = 1;
+    static void *computes(void *p) { for (int k = 0; k < 200; k++) { on = on * 1; usleep(1000); } return p; }
+    PULSESTAGE_MAIN { pthread_t t; ps_in8(0x300); return pthread_create(&t, 0, computes, 0); }"""
+    assert NativeHost(firmware(source, "-pthread"), board).run().code == 0
+    time.sleep(0.3)
+    assert board.cycles == 1
