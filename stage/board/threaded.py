@@ -144,7 +144,7 @@ class Threaded:
                 board.link.fail(
                     HostError(
                         f"{self._path.name} has returned {code} while {len(left)} of its threads still ran, at "
-                        f"{board.stage.time:.6f} s: whatever they do, or break, nobody would know. Join them before PULSESTAGE_MAIN "
+                        f"{board.stage.time:.6f} s: whatever they do or break, nobody would know. Join them before PULSESTAGE_MAIN "
                         "returns."
                     )
                 )
