@@ -118,7 +118,7 @@ class Isolated:
             with theirs:
                 self._child = starter.start(theirs.fileno(), " ".join(sanitizers(self._path)))
             self._pipe, self._answers = ours, Answers(ours)
-            weakref.finalize(self, _ended, self._child)
+            weakref.finalize(self, self._child.kill)
             ours.send(Begin(self._program, str(shared), given, self._patience))
             self._seen, self._faults = _machine(board.stage), _faults(board.stage)
             answer = self._next(STARTS)

@@ -20,6 +20,7 @@ import struct
 import subprocess
 import sys
 import threading
+from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, NamedTuple
@@ -28,6 +29,7 @@ _HEAD = struct.Struct("q")
 _STATUS = struct.Struct("i")
 _FILES = 4  # that go with a start: pipe, status, standard output, standard error
 _lock = threading.Lock()
+_ending: deque[tuple[Starter, int]] = deque()
 _starters: dict[tuple[int, str], Starter] = {}  # by process (a fork has its own), and what is loaded first
 SANITIZED = {
     "ASAN_OPTIONS": "detect_leaks=0:abort_on_error=1",  # at its end the process does not tidy up, so all would be a leak
@@ -101,18 +103,32 @@ class Starter:
         with theirs:
             files = [pipe, theirs.fileno(), 1, 2]
             with _lock:
-                self._send(("start", world), files)
+                self.send(("start", world), files)
+            _end_children()
         return Process(self, ours)
 
     def kill(self, pid: int) -> None:
-        """End a child."""
-        with _lock, suppress(OSError):  # it is gone, and so are its children
-            self._send(("kill", pid), [])
+        """End a child. Whoever is collected as garbage may ask for it at any moment, also while this thread sends a message: then
+        it comes behind that."""
+        _ending.append((self, pid))
+        _end_children()
 
-    def _send(self, message: Any, files: list[int]) -> None:
+    def send(self, message: Any, files: list[int]) -> None:
         content = pickle.dumps(message)
         socket.send_fds(self._control, [_HEAD.pack(len(content))], files)
         self._control.sendall(content)
+
+
+def _end_children() -> None:
+    """Send what `kill` has asked for; while somebody holds the lock it is he who does that, when he has let go of it."""
+    while _ending and _lock.acquire(blocking=False):
+        try:
+            while _ending:
+                starter, pid = _ending.popleft()
+                with suppress(OSError):  # it is gone, and so are its children
+                    starter.send(("kill", pid), [])
+        finally:
+            _lock.release()
 
 
 def start(pipe: int, preload: str = "") -> Process:
@@ -125,6 +141,7 @@ def start(pipe: int, preload: str = "") -> Process:
         starter = _starters.get(key)
         if starter is None or not starter.alive():
             starter = _starters[key] = Starter(preload)
+    _end_children()
     return starter.start(pipe)
 
 

@@ -3,7 +3,11 @@ writes, and where it crashes."""
 
 from __future__ import annotations
 
+import gc
+import os
 import platform
+import threading
+import time
 
 import mujoco
 import numpy as np
@@ -12,7 +16,7 @@ from board.test_native import MOVE, THREE, host, left_behind
 from support.compiled_firmware import firmware
 
 from stage import Stage, faults
-from stage.board import Board, HostError, NativeHost, crash
+from stage.board import Board, HostError, NativeHost, crash, starter
 from stage.chips import HCTL1100
 from stage.errors import StageError
 
@@ -265,3 +269,27 @@ def test_firmware_that_interrupts_itself_is_ended_by_sigint_and_prints_nothing(c
 
 def test_a_note_of_a_crash_that_firmware_has_overwritten_says_nothing(tmp_path):
     assert crash.told(b"\xff" * 9, tmp_path) == crash.told(b"[1]", tmp_path) == ""
+
+
+def test_a_host_that_is_collected_as_garbage_while_another_begins_is_ended_behind_it(monkeypatch):
+    # NativeHost("driver.c", board, isolated=True), a hundred of them: one stood still for ever
+    body = "#include <pulsestage.h>\n#include <unistd.h>\nPULSESTAGE_MAIN { return ps_in8(0x300) ? getpid() : 0; }\n"
+    kept = [host(body, isolated=True)]
+    (old,) = [child.run(1).code for child in kept]
+    send, hosts = starter.Starter.send, []
+
+    def collect_first(self, message, files):
+        if message[0] == "start":
+            kept.clear()
+            gc.collect()
+        send(self, message, files)
+
+    monkeypatch.setattr(starter.Starter, "send", collect_first)
+    begins = threading.Thread(target=lambda: hosts.append(host(body, isolated=True)), daemon=True)
+    begins.start()
+    begins.join(20)
+    assert hosts[0].run().code not in (0, old)
+    until = time.monotonic() + 10
+    while os.path.exists(f"/proc/{old}") and time.monotonic() < until:
+        time.sleep(0.01)
+    assert not os.path.exists(f"/proc/{old}")
