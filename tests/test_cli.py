@@ -315,7 +315,7 @@ def test_faults_are_shown_with_other_chips_too(here, capsys, chip):
     assert (here / "f.png").stat().st_size > 10_000
 
 
-@pytest.mark.parametrize("chip", ["mcx304", "hctl1100"])
+@pytest.mark.parametrize("chip", ["mcx304", pytest.param("hctl1100", marks=pytest.mark.slow)])
 def test_the_demo_is_any_chips(here, capsys, chip):
     """stage demo --chips mcx514"""
     text = out(capsys, "demo", "--no-view", "--model", "xy", "--chips", chip).out
