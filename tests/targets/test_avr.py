@@ -7,10 +7,11 @@ import time
 from pathlib import Path
 
 import pytest
+from support.target_boards import board_of
 
 from stage import Stage
 from stage.board import Board, HostError, HostTimeout, LibraryError, NativeHost, NoCompilerError
-from stage.chips import PCL240K, PCL240MK
+from stage.chips import PCL240MK
 from stage.cli import main
 from stage.errors import ArgumentError
 from stage.targets import TargetHost, mcus
@@ -22,16 +23,6 @@ PINS = "data=A,address=C:0-3,cs=B0,wr=G0,rd=G1"
 NEAR_ORG = -0.119  # m
 needs_simavr = pytest.mark.skipif(not mcus.has_simavr(), reason=f"there is no {mcus.SIMAVR}")
 (NO_INSTRUCTION, WILD_WRITE, SLEEPS, WATCHDOG, FIGHT, INTERRUPT, FOR_EVER) = range(1, 8)
-
-
-def board_of(case: int = 0, chips=PCL240K) -> Board:
-    """A board whose chip has the case in the upper byte of R0, and a speed."""
-    board = Board(Stage("xy", chips=chips, visuals=False))
-    for register, value in ((1, 800), (7, 300), (0, case << 16)):
-        board.out8(0x300, 0x80 | register)
-        for byte in (2, 1, 0):
-            board.out8(0x301 + byte, value >> 8 * byte & 0xFF)
-    return board
 
 
 def faults(case: int, pins: str = PINS, isolated: bool = False, **options) -> TargetHost:

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+from support.target_boards import board_of
 
 from stage import Stage
 from stage.board import Board, HostError, HostTimeout, LibraryError
@@ -19,13 +20,8 @@ WIDE = 10
 
 
 def faults(case: int, *more: str, isolated: bool = False, **options) -> TargetHost:
-    board = Board(Stage("xy", chips=PCL240K, visuals=False))
-    for register, value in ((1, 800), (7, 300), (0, case << 16)):
-        board.out8(0x300, 0x80 | register)
-        for byte in (2, 1, 0):
-            board.out8(0x301 + byte, value >> 8 * byte & 0xFF)
     maps = [WINDOW, *more]
-    return TargetHost(DATA / "faults.m3.elf", board, mcu="cortex-m3", map=maps, isolated=isolated, **options)
+    return TargetHost(DATA / "faults.m3.elf", board_of(case), mcu="cortex-m3", map=maps, isolated=isolated, **options)
 
 
 @pytest.mark.parametrize("isolated", [False, True])

@@ -4,6 +4,7 @@ import struct
 from pathlib import Path
 
 import pytest
+from support.target_boards import board_of
 
 from stage import Stage
 from stage.board import Board, HostError, HostTimeout, LibraryError
@@ -17,16 +18,6 @@ DATA = Path(__file__).parent / "data"
 needs_unicorn = pytest.mark.skipif(not mcus.has_unicorn(), reason=f"there is no {mcus.UNICORN}")
 (NO_INSTRUCTION, DIVIDES, HALTS, KEY, FUNCTION, INTERRUPT, TICKS, FOR_EVER) = range(1, 9)
 EXIT = "B44C CD21"
-
-
-def board_of(case: int = 0, chips=PCL240K) -> Board:
-    """A board whose chip has the case in the upper byte of R0, and a speed."""
-    board = Board(Stage("xy", chips=chips, visuals=False))
-    for register, value in ((1, 800), (7, 300), (0, case << 16)):
-        board.out8(0x300, 0x80 | register)
-        for byte in (2, 1, 0):
-            board.out8(0x301 + byte, value >> 8 * byte & 0xFF)
-    return board
 
 
 def faults(case: int, isolated: bool = False, irq: str = "irq=5") -> TargetHost:
