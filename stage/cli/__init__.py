@@ -24,6 +24,7 @@ examples:
   stage serve --chips mcx304              the chips behind a TCP port, for a host elsewhere
   stage fault                             what can break; `stage fault jam --plot jam.png` breaks it
   stage erratum                           the S-curve failure of the MCX304: pulses for ever, and a work-around
+  stage chips                             the chips that there are, also those of other packages
   stage registers pcl240k                 the register map
   stage pullout --motor 17HS4401          the pull-out curve
 
@@ -102,7 +103,8 @@ ALL = (*PCL240, "MCX514", "MCX304", "MCX302", "MCX312", "HCTL1100")
 def _bench(p: argparse.ArgumentParser, chips: Sequence[str] = ALL) -> None:
     g = p.add_argument_group("stage")
     g.add_argument("--model", default="xyz", help="a shipped model (xyz, xy) or an MJCF file (default: xyz)")
-    known = f"chip on every axis: {', '.join(chips)} (default: {chips[0]})"
+    others = ", or one that another package brings, see `stage chips`; or x=CHIP,y=CHIP" if chips is ALL else ""
+    known = f"chip on every axis: {', '.join(chips)}{others} (default: {chips[0]})"
     g.add_argument("--chips", default=chips[0], help=known)
     g.add_argument("--motor", help="motor on every axis (default: 17HS4401)")
     g.add_argument("--microsteps", type=int, default=16, help="microsteps per full step (default: 16)")
@@ -382,6 +384,10 @@ def _add_erratum(commands: Any) -> None:
 
 
 def _add_tools(commands: Any) -> None:
+    _command(
+        commands, "chips", "tools:chips", "the chips that there are",
+        "List every chip: PulseStage's own, and those that installed packages bring (docs/your_own_chip.md).",
+    )  # fmt: skip
     p = _command(
         commands, "registers", "tools:registers", "the register map of a chip",
         "Print a chip's registers, commands and status bits with the evidence for each.",

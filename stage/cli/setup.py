@@ -19,13 +19,36 @@ def make_stage(args: argparse.Namespace) -> Any:
     from stage import Drive, Stage
     from stage.chips import chip_class
 
-    chips, common = chip_class(args.chips), {"bus_cycle": args.bus_cycle, "clock": getattr(args, "clock", None)}
+    common: dict[str, Any] = {"bus_cycle": args.bus_cycle, "clock": getattr(args, "clock", None)}
     common["encoders"] = [_encoder(item) for item in getattr(args, "encoder", ())]
-    if chips.SERVO:
-        return Stage(args.model, chips=chips, drives=args.motor, **common)
     motor = {} if args.motor is None else {"motor": args.motor}
-    drive = Drive(microsteps=args.microsteps, bus_voltage=args.bus_voltage, **motor)
-    return Stage(args.model, chips=chips, drives=drive, **common)
+
+    def drive(chip: Any) -> Any:
+        if chip.SERVO:
+            return args.motor
+        return Drive(microsteps=args.microsteps, bus_voltage=args.bus_voltage, **motor)
+
+    if "=" in args.chips:
+        chips = {axis: chip_class(name) for axis, name in _each(args.chips).items()}
+        drives = {axis: drive(chip) for axis, chip in chips.items()}
+        return Stage(args.model, chips=chips, drives=drives, **common)
+    chip = chip_class(args.chips)
+    return Stage(args.model, chips=chip, drives=drive(chip), **common)
+
+
+def _each(text: str) -> dict[str, str]:
+    """The chip of each axis, of --chips x=pcl240ms,y=mcx304. Raises ArgumentError."""
+    found: dict[str, str] = {}
+    for item in text.split(","):
+        axis, _, name = map(str.strip, item.partition("="))
+        if not axis or not name:
+            raise ArgumentError(
+                f"--chips {text}: write one chip for all axes, or AXIS=CHIP,AXIS=CHIP: x=pcl240ms,y=mcx304."
+            )
+        if axis in found:
+            raise ArgumentError(f"--chips {text}: axis {axis} is given two chips.")
+        found[axis] = name
+    return found
 
 
 def _encoder(item: str) -> Any:

@@ -1,10 +1,22 @@
-"""The commands registers, pullout and view."""
+"""The commands chips, registers, pullout and view."""
 
 from __future__ import annotations
 
 import argparse
 
 from stage.cli.setup import outputs, progress
+
+
+def chips(_args: argparse.Namespace) -> int:
+    """Print the chips that there are, and where they come from."""
+    from stage.chips import CHIPS
+
+    lines = CHIPS.listed()
+    wide, far = (max(len(getattr(line, what)) for line in lines) for what in ("name", "package"))
+    for line in lines:
+        said = line.chip.MAP.title if line.chip else f"NOT AVAILABLE: {line.problem}"
+        print(f"{line.name:{wide}}  {line.package:{far}}  {said}")
+    return 0
 
 
 def registers(args: argparse.Namespace) -> int:

@@ -1,0 +1,121 @@
+"""What a chip's class and its core must have, so that stages, boards, recordings and environments can use it.
+
+`check` is asked about a class once, when it is loaded by its name or when the first chip of it is made: before there is a stage.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from stage.chips.cores import ANSWERS
+from stage.chips.register_map import RegisterMap
+from stage.errors import ArgumentError
+from stage.native import Exported, array_of
+
+_CHECKED: set[type] = set()
+RECORDS = {
+    "STATE": ("the state of a chip, a record that begins with ('clock', 'i8')", ("clock",)),
+    "PULSE": ("a pulse of `trace`", ("clock", "axis", "direction")),
+    "EDGE": ("a change in a journal's course", ("clock", "inputs", "outputs", "counter", "net", "rate")),
+}
+"""The dtypes of a core: what each is of, and fields that it has at least."""
+ANSWERS_OF_CHIPS: dict[str, tuple[Any, ...]] = {
+    "power_up": (None,),
+    "advance": ("i8", "i8"),
+    "trace": ("i8", "i8", "PULSE"),
+    "mark": (None, "i8", "EDGE", "i8"),
+    "scan": ("i8", "i8", "i8", "i8", "EDGE"),
+}
+"""As ANSWERS, what `Chip` and journals call; PULSE, EDGE: an array of these."""
+METHODS = {
+    "register_cycles": "the bus write cycles that put a value into a register",
+    "decoder": "what a journal's writes say, for recordings",
+    "listener": "what bus cycles say, for traces",
+    "values": "what every register holds, for dumps",
+}
+"""Methods of `Chip` that each family has."""
+
+
+def check(chip: Any, base: type) -> None:
+    """Raises ArgumentError for a class that is not below `base`, Chip, or lacks what every chip has, with its name."""
+    if chip in _CHECKED:
+        return
+    if not isinstance(chip, type) or not issubclass(chip, base):
+        raise ArgumentError(f"{chip!r} is no class below stage.chips.Chip.")
+    problems = [*_of_class(chip), *_of_methods(chip, base), *_of_core(getattr(chip, "CORE", None))]
+    if problems:
+        more = f" (and {len(problems) - 1} more: {'; '.join(problems[1:4])})" if problems[1:] else ""
+        raise ArgumentError(f"{chip.__name__} breaks the contract of chips: {problems[0]}{more}. docs/your_own_chip.md")
+    _CHECKED.add(chip)
+
+
+def _of_class(chip: Any) -> list[str]:
+    found = []
+    for name, kind, what in (
+        ("MAP", RegisterMap, "its RegisterMap"),
+        ("CORE", object, "the module of its compiled functions"),
+        ("INPUTS", Mapping, "input pin -> bit"),
+        ("OUTPUTS", Mapping, "output pin -> bit"),
+        ("COUNTER", tuple, "the register that counts pulses, and its bits"),
+        ("BUSY", tuple, "address and bit of the status that says it drives"),
+        ("DEFAULT_CLOCK_HZ", int, "the data sheet's reference clock, Hz"),
+    ):
+        if not isinstance(getattr(chip, name, None), kind) or getattr(chip, name, None) is None:
+            found.append(f"the class has no {name}, {what}")
+    if found:
+        return found
+    pins = [*chip.INPUTS.items(), *chip.OUTPUTS.items()]
+    if twice := {name for name in chip.INPUTS if name in chip.OUTPUTS}:
+        found.append(f"pin {', '.join(sorted(twice))} is an input and an output")
+    if wrong := [name for name, bit in pins if not isinstance(bit, int | np.integer) or bit <= 0]:
+        found.append(f"pin {wrong[0]} has no bit: a number above 0")
+    if not isinstance(chip.AXES, int) or chip.AXES < 1:
+        found.append(f"AXES is {chip.AXES!r}: how many axes it has, 1 or more")
+    if chip.ADDRESSES < 1 or chip.ADDRESS_MASK < chip.ADDRESSES - 1:
+        found.append(f"ADDRESS_MASK {chip.ADDRESS_MASK:X}h does not reach all of its {chip.ADDRESSES} ADDRESSES")
+    if chip.DRIVER and not all(chip.DRIVER.partition(":")[::2]):
+        found.append(f"DRIVER is {chip.DRIVER!r}: write 'package.module:Class'")
+    return found
+
+
+def _of_methods(chip: Any, base: Any) -> list[str]:
+    return [
+        f"the class has no {name}(), {what}"
+        for name, what in METHODS.items()
+        if getattr(getattr(chip, name), "__func__", getattr(chip, name))
+        is getattr(getattr(base, name), "__func__", getattr(base, name))
+    ]
+
+
+def _of_core(core: Any) -> list[str]:
+    if core is None:
+        return []
+    found = []
+    for name, (what, fields) in RECORDS.items():
+        given = getattr(core, name, None)
+        if not isinstance(given, np.dtype) or not set(fields) <= set(given.names or ()):
+            found.append(f"its core {_name(core)} has no dtype {name}, {what}, with the fields {', '.join(fields)}")
+    if found:
+        return found
+    kind, offset = core.STATE.fields["clock"][:2]
+    if offset or kind != np.dtype("i8"):
+        found.append(f"STATE of {_name(core)} does not begin with ('clock', 'i8')")
+    if core.STATE.itemsize % 8:
+        found.append(f"STATE of {_name(core)} has {core.STATE.itemsize} bytes: a multiple of 8, use 'i8' and 'f8'")
+    arrays = {name: array_of(getattr(core, name)) for name in ("PULSE", "EDGE")}
+    for name, (result, *arguments) in (ANSWERS | ANSWERS_OF_CHIPS).items():
+        wanted = (core.STATE, *(arrays.get(a, a) for a in arguments))
+        given = getattr(core, name, None)
+        words = ", ".join([repr(result), "STATE", *(f"array_of({a})" if a in arrays else repr(a) for a in arguments)])
+        if given is None:
+            found.append(f"its core {_name(core)} has no answer {name}, @exported({words})")
+        elif not isinstance(given, Exported) or given.result != result or given.arguments != wanted:
+            found.append(f"the answer {name} of its core {_name(core)} is not declared @exported({words})")
+    return found
+
+
+def _name(core: Any) -> str:
+    return getattr(core, "__name__", repr(core))

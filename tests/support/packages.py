@@ -1,0 +1,15 @@
+"""Packages as if they were installed: a folder on sys.path with their metadata, as pip leaves it."""
+
+from pathlib import Path
+
+import pytest
+
+
+def installed(monkeypatch: pytest.MonkeyPatch, folder: Path, name: str, version: str = "1.0", **chips: str) -> None:
+    """`name` brings these chips, "module:Class" by the name of the entry point; its modules lie where Python finds them."""
+    info = folder / f"{name.replace('-', '_')}-{version}.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n")
+    lines = "".join(f"{chip} = {where}\n" for chip, where in chips.items())
+    (info / "entry_points.txt").write_text(f"[pulsestage.chips]\n{lines}")
+    monkeypatch.syspath_prepend(folder)
