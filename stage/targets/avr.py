@@ -24,6 +24,7 @@ AVR = record(
         for name in "select write read addresses n_addresses data_port data_irqs first levels outputs".split()
     ]
     + [(name, "i8") for name in "was_selected was_write reading fights fight".split()]
+    + [(name, "i8") for name in "state is_enabled vectors n_vectors asleep".split()]
 )
 """own              its own address
     avr, run ...     the avr_t, and the addresses of avr_run, avr_cycle_timer_status, avr_raise_irq, avr_core_watch_read, of `tick`
@@ -34,15 +35,20 @@ AVR = record(
     data_irqs, first the simavr IRQs of its eight pins; the board's port at address 0
     levels, outputs  of each port: the levels that the program drives, and which pins are outputs
     fights, fight    how often the data port was an output in a read cycle; the text about the first
+    state            where simavr's state lies
+    is_enabled       address of avr_is_interrupt_enabled; vectors: of the n_vectors addresses that it takes
+    asleep           it slept at the last tick; 2: and no interrupt is enabled that could wake it
 """
 PORT = record([("avr", "i8"), ("port", "i8")])
 """Which port of which AVR a call is about."""
 SERIAL = record([(name, "i8") for name in "avr text room length".split()])
 """A serial line: what came since the last line end."""
 BYTE = np.dtype("u1")
-DONE = 6
-"""cpu_Done, and above: crashed."""
+SLEEPING, DONE = 3, 6
+"""cpu_Sleeping, cpu_Done, and above: crashed."""
+NOTHING_WAKES = 2
 _run, _raise = called("i4", "i8"), called(None, "i8", "i4")
+_is_enabled = called("i4", "i8", "i8")
 _status, _look = called("i8", "i8", "i8", "i8"), called("i4", "i8", "i4")
 _END = 10
 
@@ -109,6 +115,16 @@ def outputs_changed(_irq, value, p):
     _bus(t)
 
 
+@hot
+def _sleeps(t):
+    """It sleeps since the last tick, and an interrupt has to wake it."""
+    vectors = array_at(t.vectors, t.n_vectors, WHOLE)
+    for k in range(t.n_vectors):
+        if _is_enabled(t.is_enabled, (t.avr, vectors[k])):
+            return 1
+    return NOTHING_WAKES if t.n_vectors else 1
+
+
 @exported("i8", "i8", "i8", AVR)
 def tick(_avr, when, t):
     """A quantum is over."""
@@ -120,6 +136,11 @@ def tick(_avr, when, t):
     if t.pc and array_at(t.pc, 1, np.dtype("u4"))[0] == t.stop:
         t.code = _look(t.look, (t.avr, 24)) & 0xFF | (_look(t.look, (t.avr, 25)) & 0xFF) << 8
         t.ended = 1
+    if array_at(t.state, 1, np.dtype("u4"))[0] != SLEEPING:
+        t.asleep = 0
+    elif t.asleep == 0:
+        t.asleep = _sleeps(t)
+        t.ended |= t.asleep >> 1
     return t.when
 
 

@@ -14,8 +14,9 @@ from stage.board.board import Board
 from stage.board.errors import LibraryError
 from stage.board.windows import Window
 from stage.errors import ArgumentError
+from stage.targets.built_for import check_arm
 from stage.targets.elf import ARM, Elf
-from stage.targets.engine import Engine, Registers
+from stage.targets.engine import INVALID_INSTRUCTION, Engine, Registers
 from stage.targets.machine import wait
 from stage.targets.nvic import Nvic
 from stage.targets.semihosting import Semihosting
@@ -27,11 +28,23 @@ REGIONS = {
     0x00000000: 1 << 20, 0x08000000: 2 << 20, 0x10000000: 1 << 20, 0x1FFF0000: 1 << 16, 0x20000000: 1 << 20, 0x60000000: 1 << 20,
 }  # fmt: skip
 """Memory that there is, where no window lies: of flash, RAM, external RAM."""
+FLASH = (0x00000000, 0x08000000)
+"""Memory that a program cannot write, unless its linker has put variables there."""
 PRIVATE, PAGE = 0xE0000000, 0x1000
 _FRAME = struct.Struct("<8I")
 _RETURN = 0xFFFFFFE0
 _THUMB = 0x01000000
-_UNDEFINED, _SVC, _BREAKPOINT, _EXIT = 1, 2, 7, 8
+_SVC, _BREAKPOINT, _EXIT = 2, 7, 8
+_UNDEFINED, _NO_CODE, _NO_THUMB = 1, 3, 18
+_EXCEPTIONS = {
+    _UNDEFINED: "an instruction that this processor does not have",
+    _NO_CODE: "it jumps to where there is no code",
+    4: "it touches memory that it may not touch",
+    17: "an instruction of a coprocessor that is off or not there (floating point: CPACR)",
+    _NO_THUMB: "it jumps to an even address: code of a Cortex-M is Thumb, and addresses of functions are odd",
+    22: "it touches a word at an address that this processor cannot",
+}
+"""Exceptions as Unicorn numbers them."""
 _SEMIHOSTING, _WFI = b"\xab\xbe", (b"\x30\xbf", b"\x20\xbf")
 HOW = "arm-none-eabi-gcc -mcpu={mcu} -mthumb -T script.ld ..."
 MODELS = {"cortex-m0": 7, "cortex-m3": 8, "cortex-m4": 9}
@@ -60,6 +73,7 @@ class Cortex(Engine):
         from unicorn import arm_const as a
 
         self._elf = Elf(program.path, ARM, program.mcu, HOW.format(mcu=program.mcu))
+        check_arm(self._elf, program.mcu, HOW)
         hz = program.hz or USUAL_HZ
         mode = unicorn.UC_MODE_THUMB | unicorn.UC_MODE_MCLASS
         super().__init__(program.path, board, unicorn.UC_ARCH_ARM, mode, hz * UNITS, MODELS[program.mcu])
@@ -96,6 +110,9 @@ class Cortex(Engine):
         return int.from_bytes(self.uc.mem_read(address, 4), "little")
 
     def _map(self, windows: tuple[Window, ...]) -> None:
+        import unicorn
+
+        self._windows_of_board = windows
         taken = {page for w in windows for page in range(w.address & ~0xFFF, w.end, PAGE)}
         for w in windows:
             if w.end > 1 << 32 or PRIVATE <= w.address < PRIVATE + 0x100000:
@@ -107,7 +124,10 @@ class Cortex(Engine):
                     raise ArgumentError(f"window {w}: real memory is there (of {begin:X}h to {begin + size - 1:X}h).")
         for begin, size in REGIONS.items():
             if not any(begin <= page < begin + size for page in taken):
-                self.uc.mem_map(begin, size)
+                fixed = begin in FLASH and not self._elf.writable(begin, size)
+                self.uc.mem_map(
+                    begin, size, unicorn.UC_PROT_READ | unicorn.UC_PROT_EXEC if fixed else unicorn.UC_PROT_ALL
+                )
         self.map_windows(windows)
         self.uc.mmio_map(PRIVATE, 0x100000, self._read_private, None, self._write_private, None)
 
@@ -177,12 +197,23 @@ class Cortex(Engine):
         self._update()
 
     def _fault(self, number: int) -> None:
-        said = (
-            "an instruction that this processor does not have"
-            if number == _UNDEFINED
-            else f"exception {number} of Unicorn"
-        )
-        raise self.wrong(said)
+        raise self.wrong(self._in_words(number))
+
+    def _fault_in_words(self, error: Any) -> str:
+        invalid = error.errno == INVALID_INSTRUCTION
+        return self._in_words(_UNDEFINED) if invalid else super()._fault_in_words(error)
+
+    def _in_words(self, number: int) -> str:
+        """An exception of Unicorn's."""
+        if number == _UNDEFINED and not self.get("xpsr") & _THUMB:
+            number = _NO_THUMB
+        said = _EXCEPTIONS.get(number, f"exception {number} of Unicorn")
+        window = next((w for w in self._windows_of_board if w.address <= self._pc < w.end), None)
+        if number == _NO_CODE and window is not None:
+            said = f"it jumps into the window {window}, where the chips are and no code"
+        if number in (_NO_CODE, _NO_THUMB):
+            said += f" (lr is {self._elf.where(self.get('lr') & ~1)})"
+        return said
 
     def _enter(self, number: int) -> None:
         """The frame goes to the stack, the routine begins."""

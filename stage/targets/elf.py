@@ -18,7 +18,8 @@ MACHINES = {
     2: "SPARC", 3: "x86 (32 bit)", 4: "68000", 8: "MIPS", 20: "PowerPC", AVR: "AVR", ARM: "ARM (32 bit)", 42: "SuperH",
     62: "x86-64", 94: "Xtensa", 105: "MSP430", 183: "aarch64", 243: "RISC-V",
 }  # fmt: skip
-PROGRAM, LOAD, CONTENT, SYMBOLS, FUNCTION, ALLOCATED = 2, 1, 1, 2, 2, 2
+PROGRAM, LOAD, CONTENT, SYMBOLS, FUNCTION, NOTHING = 2, 1, 1, 2, 2, 8
+WRITABLE, ALLOCATED = 1, 2
 _HEAD = struct.Struct("<16sHHIIIIIHHHHHH")
 _SEGMENT = struct.Struct("<IIIIIIII")
 _SECTION = struct.Struct("<IIIIIIIIII")
@@ -59,18 +60,47 @@ class Elf:
             raise LibraryError(f"{path} was built for {found}, and {mcu} is an {MACHINES[machine]}. Build it by {how}.")
         if len(content) < _HEAD.size:
             raise LibraryError(f"{path} is cut off: it has {len(content)} bytes.")
-        (_, kind, _, _, self.entry, self._segments_at, self._sections_at, *_, n_segments, _, n_sections, _) = (
-            _HEAD.unpack_from(content)
-        )
+        (
+            _,
+            kind,
+            _,
+            _,
+            self.entry,
+            self._segments_at,
+            self._sections_at,
+            self.flags,
+            _,
+            _,
+            n_segments,
+            _,
+            n_sections,
+            names,
+        ) = _HEAD.unpack_from(content)
         if kind != PROGRAM:
             what = {1: "an object file", 3: "a shared library", 4: "a core dump"}.get(kind, "no program")
             raise LibraryError(f"{path} is {what}, not a program. Link it by {how}.")
         try:
             tables = [_SECTION.unpack_from(content, self._sections_at + k * _SECTION.size) for k in range(n_sections)]
+            self._tables, self._names_at = tables, tables[names][4] if names < len(tables) else 0
             self.segments = self._segments(n_segments, tables)
             self.symbols = self._symbols(tables)
         except (struct.error, IndexError, UnicodeDecodeError):
             raise LibraryError(f"{path} is cut off or damaged: its tables point behind its end.") from None
+
+    def section(self, name: str) -> bytes:
+        """What is in the section of that name; b"" if there is none."""
+        for name_at, kind, _, _, at, size, *_ in self._tables:
+            begin = self._names_at + name_at
+            if kind != NOTHING and self._content[begin : begin + len(name) + 1] == name.encode() + b"\0":
+                return self._content[at : at + size]
+        return b""
+
+    def writable(self, begin: int, size: int) -> bool:
+        """The linker has put variables into that memory."""
+        return any(
+            flags & ALLOCATED and flags & WRITABLE and begin <= address < begin + size and length
+            for _, _, flags, address, _, length, *_ in self._tables
+        )
 
     def _segments(self, n: int, tables: list[tuple[int, ...]]) -> list[Segment]:
         """What is loaded; without the file's head, which linkers put into the first where there is room."""

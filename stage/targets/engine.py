@@ -18,14 +18,15 @@ _IN, _OUT = 218, 500  # of x86, as Unicorn numbers them
 _TEXT = 1000
 NEVER = 1 << 62
 LATENCY = 2e-6
+INVALID_INSTRUCTION = 10
 INVALID = {
     6: "it reads memory that is not there", 7: "it writes memory that is not there", 8: "it runs where there is no memory",
-    10: "an instruction that this processor does not have", 11: "it writes memory that cannot be written",
-    12: "it reads memory that cannot be read", 13: "it writes memory that cannot be written", 14: "it runs where no code may be",
+    INVALID_INSTRUCTION: "an instruction that this processor does not have", 12: "it writes to the flash",
+    13: "it reads memory that cannot be read", 14: "it runs where no code may be",
     21: "an exception that nobody handles",
 }  # fmt: skip
 """uc_err, as far as a program is at fault."""
-_OF_MEMORY = (6, 7, 8, 11, 12, 13, 14)
+_OF_MEMORY = (6, 7, 8, 12, 13, 14)
 
 
 class _Record(ctypes.Structure):

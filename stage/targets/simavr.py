@@ -22,6 +22,8 @@ from stage.board.errors import HostError, LibraryError
 from stage.errors import StageError
 from stage.native import address_of, array_at
 from stage.targets import avr as hot
+from stage.targets.avr_vectors import Vectors
+from stage.targets.built_for import check_avr, said_to_simavr
 from stage.targets.elf import AVR, Elf
 from stage.targets.mcus import simavr
 from stage.targets.pins import Pins
@@ -50,6 +52,7 @@ _WORDS = (
     ("WATCHDOG: timer fired", "the watchdog has come: nobody reset it in time"),
     ("sadly_crashed", "the program counter has left the code"),
 )
+NO_WAKE = "it sleeps for ever: no interrupt is enabled that could wake it"
 _COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 _PC = re.compile(r"PC=([0-9a-f]{4,})|\*\*\* ([0-9a-f]{4,}):")
 _LOGGER = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int, ctypes.c_char_p, ctypes.c_void_p)
@@ -131,7 +134,9 @@ class LoadedAvr:
 
     def __init__(self, program: AvrProgram, board: Board):
         self.path, self._board, self._gdb = program.path, board, program.gdb
-        self._elf = Elf(program.path, AVR, program.mcu, HOW.format(mcu=program.mcu))
+        how = HOW.format(mcu=program.mcu)
+        self._elf = Elf(program.path, AVR, program.mcu, how)
+        check_avr(self._elf, program.mcu, how)
         self._simavr = _library()
         self._simavr.said.clear()
         self._avr = self._simavr.make(program.mcu.encode())
@@ -140,6 +145,7 @@ class LoadedAvr:
         self._c("avr_init")
         hz = program.hz or self._clock_of_elf() or USUAL_HZ
         self._pc = self._find(hz)
+        self._vectors = Vectors(self._simavr.c, self._avr, _flash_of(self._avr))
         self._load_content()
         self._c("avr_reset")
         self._connect(program.pins, hz)
@@ -148,16 +154,8 @@ class LoadedAvr:
         return self._simavr.c[name](ctypes.c_void_p(self._avr), *given)
 
     def _clock_of_elf(self) -> int:
-        """What AVR_MCU(...) of simavr's header has put into the section .mmcu."""
-        for segment in self._elf.segments:
-            if 0x910000 <= segment.used_at < 0x920000:
-                content, at = segment.content, 0
-                while at + 2 <= len(content) and content[at]:
-                    tag, length = content[at], content[at + 1]
-                    if tag == _CLOCK_TAG and length >= 4:
-                        return int.from_bytes(content[at + 2 : at + 6], "little")
-                    at += 2 + length
-        return 0
+        """Hz by AVR_MCU(...) of simavr's header, or 0."""
+        return int.from_bytes(said_to_simavr(self._elf).get(_CLOCK_TAG, b"")[:4], "little")
 
     def _find(self, hz: int) -> int:
         """Set the clock; where the program counter lies, or 0."""
@@ -171,10 +169,11 @@ class LoadedAvr:
             )
         words[clock[0]] = hz
         self._state = words[clock[0] - 1 : clock[0]]
+        self._state_at = int(self._avr) + 4 * (clock[0] - 1)
         return int(self._avr) + sleep[0] * 8 + _PC_BEHIND_SLEEP
 
     def _load_content(self) -> None:
-        room = _flash_of(self._avr)
+        room, begin = _flash_of(self._avr), b""
         for segment in self._elf.segments:
             if segment.used_at >= EEPROM + 0x10000:
                 continue  # fuses, and what is said to simavr
@@ -189,6 +188,8 @@ class LoadedAvr:
                 )
             else:
                 self._c("avr_loadcode", content, len(content), segment.at)
+                begin = begin if segment.at else content
+        self._no_routine = self._vectors.guard(begin)
 
     def _connect(self, pins: Pins, hz: int) -> None:
         """The pins are the board's bus."""
@@ -218,7 +219,8 @@ class LoadedAvr:
             self._outputs.ctypes.data,
             ctypes.addressof(self._fight),
         )
-        t.was_write = 1
+        t.was_write, t.state, t.is_enabled = 1, self._state_at, library.address("avr_is_interrupt_enabled")
+        t.vectors, t.n_vectors = self._vectors.addresses.ctypes.data, len(self._vectors.addresses)
         self._functions = [hot.levels_changed.pointer, hot.outputs_changed.pointer, hot.tick.pointer, hot.sent.pointer]
         t.timer = ctypes.cast(self._functions[2], ctypes.c_void_p).value
         used = sorted({pins.data, *(p[0] for p in (pins.cs, pins.wr, pins.rd, *pins.address) if p)})
@@ -273,13 +275,14 @@ class LoadedAvr:
         self._simavr.runs = t
         hot.run.c(t.own)
         self._simavr.runs = None
-        if t.ended and not any(key in text for _, text in self._simavr.said for key in _ENDS):
+        if t.asleep == hot.NOTHING_WAKES:
+            self._simavr.said.append((_ERROR, NO_WAKE))
+        elif t.ended and not any(key in text for _, text in self._simavr.said for key in _ENDS):
             return int(np.int64(t.code).astype(np.int16))
         raise HostError(self._what())
 
     def _what(self) -> str:
         """What has ended it."""
-        board = self._board
         errors = [text for level, text in self._simavr.said if level <= _ERROR or any(key in text for key, _ in _WORDS)]
         said = errors[-1] if errors else "simavr has stopped it"
         pc = int(array_at(self._pc, 1, np.dtype("u4"))[0])
@@ -287,9 +290,16 @@ class LoadedAvr:
             if found := _PC.search(text):
                 pc, said = int(found[1] or found[2], 16), text
                 break
+        if pc == self._no_routine:
+            words = "no routine in the program: it would begin again with its memory as it is"
+            return self._error(f"{self._vectors.come()} has come and has {words}", self._vectors.interrupted())
         for key, words in _WORDS:
             if key in said:
                 said = f"{words} ({said})"
+        return self._error(said, pc)
+
+    def _error(self, said: str, pc: int) -> str:
+        board = self._board
         return (
             f"{self.path.name}: {said}, at {self._elf.where(pc)}; at {board.stage.time:.6f} s, after {board.cycles:,} bus cycles. "
             f"Its last bus cycles:\n{board.trace.text(12)}"

@@ -22,7 +22,8 @@ FIRMWARE = Path(__file__).parents[2] / "scripts" / "firmware"
 PINS = "data=A,address=C:0-3,cs=B0,wr=G0,rd=G1"
 NEAR_ORG = -0.119  # m
 needs_simavr = pytest.mark.skipif(not mcus.has_simavr(), reason=f"there is no {mcus.SIMAVR}")
-(NO_INSTRUCTION, WILD_WRITE, SLEEPS, WATCHDOG, FIGHT, INTERRUPT, FOR_EVER) = range(1, 8)
+(NO_INSTRUCTION, WILD_WRITE, SLEEPS, WATCHDOG, FIGHT, INTERRUPT, FOR_EVER, NOTHING_WAKES) = range(1, 9)
+NO_ROUTINE = 10
 
 
 def faults(case: int, pins: str = PINS, isolated: bool = False, **options) -> TargetHost:
@@ -47,6 +48,14 @@ def test_what_main_returns_is_the_code(isolated):
         (WILD_WRITE, r"a wild write .* at [0-9A-F]+h \(wild_write"),
         (SLEEPS, r"it sleeps for ever, with interrupts off .* \(sleeps_for_ever"),
         (WATCHDOG, r"the watchdog has come"),
+        (
+            NOTHING_WAKES,
+            r"it sleeps for ever: no interrupt is enabled that could wake it, at [0-9A-F]+h \(nothing_wakes",
+        ),
+        (
+            NO_ROUTINE,
+            r"interrupt 20 \(__vector_20\) has come and has no routine in the program: .* at [0-9A-F]+h \(no_routine\+",
+        ),
     ],
 )
 def test_what_ends_a_program_is_said_with_its_place(case, says):
@@ -166,9 +175,12 @@ def test_a_map_that_is_none_is_refused(pins, says):
 
 
 @needs_simavr
-def test_a_port_that_the_avr_does_not_have_is_named():
+def test_a_port_that_the_avr_does_not_have_is_named(tmp_path):
+    content = bytearray((DATA / "faults.avr.elf").read_bytes().replace(b"atmega2560\0", b"atmega328p\0"))
+    content[36] = 5  # its architecture
+    (tmp_path / "small.elf").write_bytes(content)
     with pytest.raises(Exception, match="this AVR has no port A"):
-        TargetHost(DATA / "faults.avr.elf", board_of(), mcu="atmega328p", map=PINS, isolated=False)
+        TargetHost(tmp_path / "small.elf", board_of(), mcu="atmega328p", map=PINS, isolated=False)
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ DATA = Path(__file__).parent / "data"
 WINDOW = "0x40021000=0x300+0x40"
 pytestmark = pytest.mark.skipif(not mcus.has_unicorn(), reason=f"there is no {mcus.UNICORN}")
 (NO_INSTRUCTION, WILD_WRITE, NO_WINDOW, SLEEPS, SVC, INTERRUPT, WAITS, FOR_EVER) = range(1, 9)
-WIDE = 10
+WIDE, WRITES_FLASH, INTO_WINDOW, EVEN = range(10, 14)
 
 
 def faults(case: int, *more: str, isolated: bool = False, **options) -> TargetHost:
@@ -38,13 +38,20 @@ def test_what_the_program_says_at_its_end_is_the_code(isolated):
         (NO_WINDOW, r"it touches address 40021080h, which no window has, at 80[0-9A-F]+h \(no_window"),
         (SLEEPS, r"it sleeps for ever: no interrupt is on .* \(sleeps_for_ever"),
         (SVC, r"exception 11 comes, and its vector is 0h"),
+        (WRITES_FLASH, r"it writes to the flash, address 8000100h, at 80[0-9A-F]+h \(writes_flash"),
+        (
+            INTO_WINDOW,
+            r"it jumps into the window 0x40021000=0x300\+0x40, where the chips are and no code "
+            r"\(lr is 80[0-9A-F]+h \(jumps_into_window\+[0-9A-F]+h\)\), at 40021000h",
+        ),
+        (EVEN, r"it jumps to an even address: .* \(lr is 80[0-9A-F]+h \(even_address\+[0-9A-F]+h\)\), at 8000100h"),
     ],
 )
 def test_what_ends_a_program_is_said_with_its_place(case, says):
     h = faults(case)
     with pytest.raises(HostError, match=says) as error:
         h.run(timeout=1)
-    assert f"303h R 0{case}h" in str(error.value), "after which bus cycle"
+    assert f"303h R {case:02X}h" in str(error.value), "after which bus cycle"
 
 
 def test_the_interrupt_line_comes_between_instructions():

@@ -38,6 +38,8 @@ __attribute__((noinline)) void no_instruction(void) { __asm__ volatile(".word 0x
 __attribute__((noinline)) void wild_write(void) { *(volatile uint8_t *)0x4000 = 3; }
 __attribute__((noinline)) void sleeps_for_ever(void) { cli(); sleep_enable(); sleep_cpu(); }
 __attribute__((noinline)) void watchdog(void) { wdt_enable(WDTO_15MS); for (;;) ; }
+__attribute__((noinline)) void nothing_wakes(void) { sei(); sleep_enable(); sleep_cpu(); }
+__attribute__((noinline)) void no_routine(void) { TCCR1B = 1 << CS10; TIMSK1 = 1 << TOIE1; sei(); for (;;) ; }
 
 int main(void)
 {
@@ -56,6 +58,10 @@ int main(void)
         sleeps_for_ever();
     if (what == 4)
         watchdog();
+    if (what == 8)
+        nothing_wakes();
+    if (what == 10)
+        no_routine();
     if (what == 5) { /* both drive the data lines */
         DDRA = 0xFF;
         in8(0);

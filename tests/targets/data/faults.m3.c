@@ -21,6 +21,10 @@ __attribute__((noinline)) void sleeps_for_ever(void)
     __asm__ volatile("wfi");
 }
 
+__attribute__((noinline)) void writes_flash(void) { *(volatile uint32_t *)0x08000100 = 3; }
+__attribute__((noinline)) void jumps_into_window(void) { ((void (*)(void))0x40021001)(); __asm__ volatile("nop"); }
+__attribute__((noinline)) void even_address(void) { ((void (*)(void))0x08000100)(); __asm__ volatile("nop"); }
+
 int application(void)
 {
     int what = hal_in8(0x303);
@@ -50,6 +54,12 @@ int application(void)
         hal_delay_us(10000);
         hal_log("waited");
     }
+    if (what == 11)
+        writes_flash();
+    if (what == 12)
+        jumps_into_window();
+    if (what == 13)
+        even_address();
     if (what == 10) { /* wider cycles, and a number that is negative */
         (void)hal_in16(0x320);
         hal_out16(0x320, 0x1234);

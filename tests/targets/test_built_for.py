@@ -1,0 +1,134 @@
+"""A program for another processor of the same family is refused, as far as its file tells."""
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+from support.target_boards import board_of
+
+from stage.board import LibraryError
+from stage.targets import TargetHost, mcus
+from stage.targets.built_for import arm_attributes, avr_architecture, avr_name, check_arm
+from stage.targets.elf import AVR, Elf
+
+DATA = Path(__file__).parent / "data"
+PINS = "data=A,address=C:0-3,cs=B0,wr=G0,rd=G1"
+WINDOW = "0x40021000=0x300+0x40"
+NAME, FLAGS_AT = b"atmega2560\0", 36
+M4F = bytes.fromhex(
+    "413300000061656162690001290000000537452d4d00060d074d09020a061204140115011703180119011a011b011c011e062201"
+)
+"""The attributes of a file of `arm-none-eabi-gcc -mcpu=cortex-m4 -mfloat-abi=hard -mfpu=fpv4-sp-d16`."""
+
+
+def changed_avr(tmp_path: Path, name: bytes, architecture: int) -> Path:
+    content = bytearray((DATA / "faults.avr.elf").read_bytes().replace(NAME, name.ljust(len(NAME), b"\0")))
+    content[FLAGS_AT] = architecture
+    path = tmp_path / "changed.elf"
+    path.write_bytes(content)
+    return path
+
+
+def avr(path: Path, mcu: str) -> TargetHost:
+    return TargetHost(path, board_of(), mcu=mcu, map=PINS, isolated=False)
+
+
+@pytest.mark.skipif(not mcus.has_simavr(), reason=f"there is no {mcus.SIMAVR}")
+@pytest.mark.parametrize(
+    ("name", "architecture", "mcu", "says"),
+    [
+        (b"atmega2560", 6, "atmega328p", r"for atmega2560 \(architecture avr6\), and atmega328p is an avr5. Run it with --mcu "
+         r"atmega2560, or build it by avr-gcc -mmcu=atmega328p"),
+        (b"", 6, "atmega328p", r"for an AVR of the architecture avr6, and atmega328p is an avr5. Build it by"),
+        (b"atmega328p", 5, "atmega2560", r"for atmega328p \(architecture avr5\), and atmega2560 is an avr6"),
+        (b"atmega644p", 5, "atmega328p", r"for atmega644p .*Run it with --mcu atmega644p"),
+        (b"atmega2561", 6, "atmega328p", r"for atmega2561 \(architecture avr6\).*\. Build it by"),
+    ],
+)  # fmt: skip
+def test_a_program_of_another_avr_is_refused(tmp_path, name, architecture, mcu, says):
+    with pytest.raises(LibraryError, match=says):
+        avr(changed_avr(tmp_path, name, architecture), mcu)
+
+
+@pytest.mark.skipif(not mcus.has_simavr(), reason=f"there is no {mcus.SIMAVR}")
+@pytest.mark.parametrize(("name", "architecture"), [(b"atmega2561", 6), (b"", 6), (b"", 2)])
+def test_what_is_not_told_or_close_enough_runs(tmp_path, name, architecture):
+    assert avr(changed_avr(tmp_path, name, architecture), "atmega2560").run().code == 0
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("avr-gcc") is None, reason="there is no avr-gcc")
+def test_architectures_and_names_are_those_of_the_compiler(tmp_path):
+    source, built = tmp_path / "e.c", tmp_path / "e.elf"
+    source.write_text("int main(void) { return 0; }\n")
+    known = 0
+    for mcu in mcus.AVRS:
+        command = ["avr-gcc", f"-mmcu={mcu}", str(source), "-o", str(built)]
+        if (
+            subprocess.run(command, capture_output=True, check=False).returncode == 0
+        ):  # a few the compiler does not have
+            elf = Elf(built, AVR, mcu, "")
+            assert (elf.flags & 0x7F, avr_name(elf)) == (avr_architecture(mcu), mcu)
+            known += 1
+    assert known > 40
+
+
+def changed_arm(tmp_path: Path, arch: int, profile: bytes = b"M") -> Path:
+    content = (DATA / "faults.m3.elf").read_bytes()
+    was = bytes((6, 10, 7)) + b"M"
+    assert content.count(was) == 1
+    path = tmp_path / "changed.elf"
+    path.write_bytes(content.replace(was, bytes((6, arch, 7)) + profile))
+    return path
+
+
+@pytest.mark.skipif(not mcus.has_unicorn(), reason=f"there is no {mcus.UNICORN}")
+@pytest.mark.parametrize(
+    ("arch", "profile", "mcu", "says"),
+    [
+        (10, b"M", "cortex-m0", r"for v7-M \(Cortex-M3\), and this is a cortex-m0. Run it with --mcu cortex-m3, or build it by "
+         r"arm-none-eabi-gcc -mcpu=cortex-m0"),
+        (13, b"M", "cortex-m3", r"for v7E-M \(Cortex-M4, M7\), and this is a cortex-m3. Run it with --mcu cortex-m4"),
+        (17, b"M", "cortex-m4", r"for v8-M \(Cortex-M33\), and this is a cortex-m4. Build it by"),
+        (10, b"A", "cortex-m4", r"for a Cortex-A, and this is a cortex-m4. Build it by"),
+    ],
+)  # fmt: skip
+def test_a_program_of_a_larger_cortex_is_refused(tmp_path, arch, profile, mcu, says):
+    with pytest.raises(LibraryError, match=says):
+        TargetHost(changed_arm(tmp_path, arch, profile), board_of(), mcu=mcu, map=WINDOW, isolated=False)
+
+
+@pytest.mark.skipif(not mcus.has_unicorn(), reason=f"there is no {mcus.UNICORN}")
+@pytest.mark.parametrize(("arch", "mcu"), [(10, "cortex-m4"), (11, "cortex-m3")])
+def test_a_program_of_a_smaller_cortex_runs(tmp_path, arch, mcu):
+    h = TargetHost(changed_arm(tmp_path, arch), board_of(9), mcu=mcu, map=WINDOW, isolated=False)
+    assert h.run().code == 9
+
+
+class Attributes:
+    """Of a file that has nothing else."""
+
+    path, content = Path("floats.elf"), M4F
+
+    def section(self, name):
+        return self.content
+
+
+@pytest.mark.parametrize(("cut", "said"), [(len(M4F), {6: 13, 7: ord("M"), 10: 6, 28: 1}), (20, {}), (3, {}), (0, {})])
+def test_attributes_are_read_and_damaged_ones_tell_nothing(cut, said):
+    elf = Attributes()
+    elf.content = M4F[:cut]
+    told = arm_attributes(elf)
+    assert {tag: told[tag] for tag in said} == said
+    assert bool(told) == bool(said)
+
+
+def test_floating_point_wants_a_unit():
+    check_arm(Attributes(), "cortex-m4", "")
+    small = Attributes()
+    small.content = M4F.replace(bytes((6, 13, 7)), bytes((6, 10, 7)))
+    with pytest.raises(
+        LibraryError, match=r"a floating-point unit, and this is a cortex-m3\. Run it with --mcu cortex-m4"
+    ):
+        check_arm(small, "cortex-m3", "arm-none-eabi-gcc -mcpu={mcu}")
