@@ -1,7 +1,7 @@
 """The interrupts of an AVR on simavr: which of them are enabled, and which come without a routine.
 
 avr-libc leads each vector without a routine to one place, __bad_interrupt, which jumps to 0: the program begins again with its
-memory as it is. Nobody means that. The word there is replaced by one that is no instruction, so that such an interrupt ends the run.
+memory as it is. Nobody means that. The word there is replaced by one that is no instruction, so that such an interrupt ends it.
 """
 
 from __future__ import annotations
