@@ -87,6 +87,8 @@ static int does(const char *what)
         pulsestage_bus = nullptr;
         ps_in8(0x300);
     }
+    if (is("garble"))
+        memset(pulsestage_bus->host, 0xFF, 4096);
     if (is("threads")) {
         pthread_t other;
         pthread_create(&other, nullptr, reads, nullptr);

@@ -21,6 +21,7 @@ from stage.board.host import (
     OUT8,
     OUT16,
     OUT32,
+    SPEND,
     enter,
     leave,
     now_of,
@@ -46,6 +47,8 @@ def _wrong(e):
         return False
     if what in (DELAY, UNTIL_LINE):
         return e.a < 0 or e.a > LONGEST_DELAY
+    if what == SPEND:
+        return e.a < 0 or e.a > LONGEST_DELAY * 1000
     if e.a < 0 or e.a > 0xFFFFFFFF:
         return True
     if what in (IN8, IN16, IN32):

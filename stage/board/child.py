@@ -21,7 +21,7 @@ from stage.board import crash, scratch
 from stage.board.board import Board
 from stage.board.interrupts import ANY_LINE
 from stage.board.link import NOTED, Link
-from stage.board.shared import Asked, Begin, Go, Noted, Shared, Stands
+from stage.board.shared import Asked, Begin, Go, Noted, Shared, SpoiltError, Stands
 from stage.board.threaded import Threaded
 from stage.errors import StageError
 from stage.sim.fingerprint import settings
@@ -130,6 +130,7 @@ class ChildBoard(Board):
             self.put(make(*arguments), ports)
         self.link = ChildLink(self, pipe, begin.shared)
         self.link.shared.not_for_forks()
+        self.link.shared.remember()
 
     def note(self, text: str) -> None:
         self.check_lines(self._lines)
@@ -241,6 +242,11 @@ def main(fileno: int) -> None:
     except OSError:
         board.link.shared.note_crash(crash.in_words(CLOSED))
         os._exit(1)
+    except Exception:
+        with suppress(SpoiltError):
+            board.link.shared.check()
+            raise
+        os._exit(1)  # what it failed with means nothing; the parent sees it, too
 
 
 def _serve(pipe: Connection, board: ChildBoard, runner: Threaded) -> None:

@@ -56,10 +56,11 @@ EIGHT bits, a WIDE word of 16, the UPPER byte of the word one below. `seen`: num
 one."""
 
 IN, OUT, IN_WIDE, OUT_WIDE, CALLED, RETURNED = range(6)
-STRAY, LOST_ON_THE_WAY = 8, 16
+STRAY, LOST_ON_THE_WAY, RAISED = 8, 16, 32
 CYCLE = record([(name, "i8") for name in "first last count kind port value".split()])
 """A line of the trace: when (ns) the cycle ended; the last of `count` that were alike, with no write between; kind, | STRAY if it
-hit nothing, or only half of what is there, | LOST_ON_THE_WAY if a fault of the bus kept it from its chip."""
+hit nothing, or only half of what is there, | LOST_ON_THE_WAY if a fault of the bus kept it from its chip, | RAISED if
+the device in Python that it reached raised an error."""
 
 HOST = record(
     handle.HANDLE_FIELDS
@@ -72,7 +73,7 @@ HOST = record(
         (name, "i8")
         for name in "irqs acts before userdata words journals asks asked_chip asked_address asked_way asked reached".split()
     ]
-    + [(name, "i8") for name in "devices n_devices".split()]
+    + [(name, "i8") for name in "devices n_devices answers".split()]
 )
 """A stage's handle, and
     inside                     whether a request is being answered, see stage.sim.in_use; not while Python or a hook is called
@@ -92,6 +93,7 @@ HOST = record(
     before, userdata, words    room for a copy of the state in userdata; where that is, and how long
     reached                    the stage's time (ns), for whoever sees nothing but this record
     devices, n_devices         DEVICE_TABLE
+    answers                    which device's own code runs (plus one, 0: none)
     journals, asks, asked ...  whether journals are kept; chips (bits) whose writes Python looks at; what Python is called about
 """
 

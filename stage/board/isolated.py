@@ -26,7 +26,7 @@ from stage.board.errors import HostError
 from stage.board.library import sanitizers
 from stage.board.program import Program
 from stage.board.scratch import Scratch
-from stage.board.shared import Asked, Begin, Go, Noted, Shared, Stands
+from stage.board.shared import Asked, Begin, Go, Noted, Shared, SpoiltError, Stands
 from stage.board.threaded import debugged
 from stage.chips.entries import LOST, READ, WRITE
 from stage.errors import StageError
@@ -70,7 +70,7 @@ class Isolated:
             self._end()  # its copy of the board has others
         if self._child is None:
             self._start()
-        self._running, self._error = True, None
+        self._running, self._error, self._until = True, None, until
         machine = self._changed()
         asks = sum(1 << k for k, chip in enumerate(stage.chips) if chip.glitches)
         every = int(stage.state.clockwork[0].sample_every) if stage.recording is not None else 0
@@ -85,17 +85,20 @@ class Isolated:
                 else:
                     self._take(message)
                     self._pipe.send(None)
+            if message.error is not None:
+                self._end()
+            self._take(message.noted)
         except (EOFError, OSError):
             raise self._crashed(self._ended_how()) from None
         except (GarbledError, _SilentError) as error:
             self._end()
             raise self._crashed(self._given_up(error)) from None
+        except SpoiltError:
+            self._end()
+            raise self._spoilt("was ended") from None
         except BaseException:
             self._end()
             raise
-        if message.error is not None:
-            self._end()
-        self._take(message.noted)
         board.port_table[:] = message.ports
         if message.error is not None:
             raise self._error or _revived(*message.error)
@@ -135,6 +138,7 @@ class Isolated:
         if answer is not None:
             self._end()
             raise _revived(*answer)
+        self._shared.remember()
 
     def _changed(self) -> bytes | None:
         """The stage, pickled, if the child's is no longer like it in what is no state."""
@@ -151,6 +155,7 @@ class Isolated:
     def _take(self, noted: Noted) -> None:
         """The child's state, and what it has noted since the last time."""
         board, shared, stage = self._board, self._shared, self._board.stage
+        shared.check_notes(board, noted.edges, noted.samples, self._until)
         stage.put(shared.state)
         shared.copy(board, back=True)
         stage.state.edges[: noted.edges] = shared.edges[: noted.edges]
@@ -219,6 +224,10 @@ class Isolated:
     def _crashed(self, how: str) -> HostError:
         """The child is gone. What it did last is in the memory that we share."""
         board, theirs = self._board, self._shared.record[0]
+        try:
+            self._shared.check_notes(board, int(theirs["noted"]), 0, self._until, ended=True)
+        except SpoiltError:
+            return self._spoilt(f"{how}{crash.told(self._shared.crash, self._path)}")
         edges = self._shared.edges[: int(theirs["noted"])]
         self._live_through(edges[np.isin(edges["kind"], (WRITE, READ, LOST))])
         board.stage.run_to(max(int(theirs["reached"] + theirs["ahead"]), board.stage.now))
@@ -228,6 +237,16 @@ class Isolated:
         return HostError(
             f"{self._path.name} {how}{crash.told(self._shared.crash, self._path)}; at {board.stage.time:.6f} s, after "
             f"{board.cycles:,} bus cycles. The stage stands where it stood then. Its last bus cycles:\n{board.trace.text(12)}"
+        )
+
+    def _spoilt(self, how: str) -> HostError:
+        """It has written over what the board notes of it."""
+        board = self._board
+        return HostError(
+            f"{self._path.name} has written over the memory by which its process tells what happens on the bus, and {how}. Does a "
+            "pointer run on, or a memset beyond its array? -fsanitize=address finds where (docs/debugging.md). What it did last is "
+            f"not known: the stage stands at {board.stage.time:.6f} s, after {board.cycles:,} bus cycles. The last that is "
+            f"known:\n{board.trace.text(12)}"
         )
 
     def _live_through(self, edges: np.ndarray) -> None:

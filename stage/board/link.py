@@ -140,11 +140,12 @@ class Link:
     def call_device(self, k: int, n: int, way: int, value: int) -> int:
         """A cycle reaches port `n` of device `k`, which is written in Python."""
         device = self.board.devices[k]
-        self.answering = device
+        self.answering, loop = device, self.stage.loop
+        loop.held = f"{device.name} answers a bus cycle: within it no time passes, and the stage stays in its state. Do it later."
         try:
             return device.call(n, way, value)
         finally:
-            self.answering = None
+            self.answering, loop.held = None, ""
 
     def ask(self, what: int, a: int, b: int) -> int:
         """One request of a host in Python."""
@@ -195,8 +196,12 @@ class Link:
                 self._about_window()
             elif reason == host.DEVICE_CALLED:
                 h = self.record
-                asked = (int(h[name]) for name in ("asked_chip", "asked_address", "asked_way", "asked"))
-                h["asked"] = self.call_device(*asked)
+                k, n, way, value = (int(h[name]) for name in ("asked_chip", "asked_address", "asked_way", "asked"))
+                try:
+                    h["asked"] = self.call_device(k, n, way, value)
+                except BaseException:
+                    self._note_raised(k, n, way, value)
+                    raise
             elif reason == host.BY_HAND:
                 self.stage.run_to(int(self.record["asked"]))
             self.begin()
@@ -205,6 +210,16 @@ class Link:
         self.calls += 1
         if self.stand_still is not None and (reason == host.PAUSE or self.record["stopped"]):
             self.stand_still()
+
+    def _note_raised(self, k: int, n: int, way: int, value: int) -> None:
+        """The cycle that a device in Python has failed in is a line of the trace, too: the last one."""
+        h, kept, reads = self.record, self.board.trace.kept, way in (host.IN8, host.IN16)
+        kind = {host.IN8: host.IN, host.OUT8: host.OUT, host.IN16: host.IN_WIDE, host.OUT16: host.OUT_WIDE}[way]
+        now = self.stage.now + int(h["ahead"])
+        seen = (0xFF if way == host.IN8 else 0xFFFF) if reads else value
+        kept[self.traced % len(kept)] = (now, now, 1, kind | host.RAISED, self.board.devices[k].port(n), seen)
+        h["traced"] += 1
+        h["changed"] = h["traced"]
 
     def _about_window(self) -> None:
         """The firmware wants a window, or touches one in a way that is no bus cycle."""

@@ -48,7 +48,10 @@ def at_device(h, k, n, way, value):
         return h.asked
     if d.n_encoders:
         _look_at_encoders(h, d)
-    return _access(d.access, (d.state, now_of(h), d.counts, n, way, value))
+    h.answers = k + 1
+    found = _access(d.access, (d.state, now_of(h), d.counts, n, way, value))
+    h.answers = 0
+    return found
 
 
 @hot
@@ -61,7 +64,9 @@ def pulling(h):
         if d.pulls and not on:
             if d.n_encoders:
                 _look_at_encoders(h, d)
+            h.answers = k + 1
             on = _pulls(d.pulls, (d.state, now_of(h), d.counts)) != 0
+            h.answers = 0
         if on:
             found |= 1 << k
     return found

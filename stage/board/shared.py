@@ -7,6 +7,7 @@ from time to time the whole state of its stage. A message says how much there is
 from __future__ import annotations
 
 import mmap
+import os
 import struct
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,11 +17,12 @@ import numpy as np
 from stage.board import host
 from stage.board.board import Board
 from stage.board.hooks import PYTHONS_TIMERS
-from stage.board.interrupts import SOURCE, SOURCES
+from stage.board.interrupts import BACK, HIGHEST, LOWERED, SOURCE, SOURCES
 from stage.board.link import NOTED
 from stage.board.program import Program
+from stage.chips.entries import LOST, READ, WRITE
 from stage.native import plain
-from stage.sim.records import EDGE, SAMPLE
+from stage.sim.records import EDGE, SAMPLE, SECOND
 
 ROWS = 512  # samples
 TEXT = 1 << 16  # bytes of lines
@@ -29,6 +31,17 @@ COUNTS = ("cycles", "traced", "changed")  # of HOST
 PYTHONS_ROWS = slice(PYTHONS_TIMERS.start, PYTHONS_TIMERS.stop)
 _ALIGNED = 64
 _LINE = struct.Struct("qq")  # time, length
+_GUARD = 64  # bytes of chance behind each array
+_FIXED = (
+    "mj_model mj_data world axes drives switches table switch_table chips clockwork qpos qvel ctrl sensordata inertia n_axes "
+    "n_switches n_chips nq nv nu ns bus own edges edge_room regions n_regions ports n_ports lines line_room call irqs acts before "
+    "userdata words journals devices n_devices"
+).split()
+"""What the child's HOST record has once for all."""
+
+
+class SpoiltError(Exception):
+    """Firmware has written over the file."""
 
 
 class Begin(NamedTuple):
@@ -88,6 +101,18 @@ class Stands(NamedTuple):
     error: tuple[str, str] | None
 
 
+_LINES = {
+    "kind": (0, 7 | host.STRAY | host.LOST_ON_THE_WAY | host.RAISED),
+    "count": (1, 1 << 62),
+    "port": (0, host.LAST_PORT),
+}
+
+
+def _within(rows: np.ndarray, **bounds: tuple[int, int]) -> bool:
+    """Whether the fields of all rows are in these bounds."""
+    return not len(rows) or all(low <= rows[n].min() and rows[n].max() <= high for n, (low, high) in bounds.items())
+
+
 class Shared:
     """The file. Both sides make it of boards that are alike.
 
@@ -105,7 +130,7 @@ class Shared:
             (np.uint8, (CRASH,)), (np.float64, (board.stage.beside.words,)),
         ]  # fmt: skip
         lengths = [int(np.dtype(dtype).itemsize * np.prod(shape)) for dtype, shape in sizes]
-        places = np.cumsum([0, *(-(-n // _ALIGNED) * _ALIGNED for n in lengths)]).tolist()
+        places = np.cumsum([0, *(-(-n // _ALIGNED) * _ALIGNED + _GUARD for n in lengths)]).tolist()
         self._map = np.memmap(path, np.uint8, "w+" if create else "r+", shape=(places[-1],))
         (
             self.record,
@@ -124,6 +149,12 @@ class Shared:
             for at, n, (dtype, shape) in zip(places, lengths, sizes, strict=False)
         )
         self._used, self._text, self._crash = used.data, text.data, crash.data
+        self._guards = [np.asarray(self._map[end - _GUARD : end]) for end in places[1:]]
+        if create:
+            for guard in self._guards:
+                guard[:] = np.frombuffer(os.urandom(_GUARD), np.uint8)
+        self._guarded = b"".join(map(bytes, self._guards))
+        self._fixed: tuple[int, ...] | None = None
 
     # --- the state of a stage ---
 
@@ -135,6 +166,46 @@ class Shared:
         """A process that this one forks does not have the memory: it would change what it shares with nobody's knowledge."""
         if hasattr(mmap, "MADV_DONTFORK"):
             self._map._mmap.madvise(mmap.MADV_DONTFORK)  # type: ignore[attr-defined]
+
+    # --- whether it is whole ---
+
+    def remember(self) -> None:
+        """The child's HOST record is complete: from now on `check` knows it."""
+        self._fixed = self.record[_FIXED].item()
+
+    def check(self) -> None:
+        """Raises SpoiltError if somebody has written where only the board writes."""
+        guarded = b"".join(map(bytes, self._guards))
+        if guarded != self._guarded or self._fixed not in (None, self.record[_FIXED].item()):
+            raise SpoiltError
+
+    def check_notes(self, board: Board, edges: int, samples: int, until: int, ended: bool = False) -> None:
+        """As `check`, for the parent, before it takes so many EDGE records and samples of a run up to `until` (ns). ended: the
+        cycles are to be made again, and the trace is to be read as it is."""
+        self.check()
+        h, ours = self.record[0], board.link.record
+        latest, timers = until + SECOND, self.sources[PYTHONS_ROWS]
+        whole = 0 <= edges <= len(self.edges) and 0 <= samples <= len(self.samples)
+        whole = (
+            whole
+            and h["cycles"] >= ours["cycles"]
+            and ours["traced"] <= h["traced"]
+            and 0 <= h["changed"] <= h["traced"]
+        )
+        whole = whole and bool(((timers["period"] >= 0) & (timers["level"] >= 0) & (timers["level"] <= HIGHEST)).all())
+        if not (whole and _within(self.edges[:edges], axis=(0, len(board.stage.axes) - 1), now=(0, latest))):
+            raise SpoiltError
+        if not ended:
+            return
+        lines = np.arange(max(int(ours["traced"]), int(h["traced"]) - len(self.cycles)), h["traced"]) % len(self.cycles)
+        cycles = self.edges[:edges][np.isin(self.edges[:edges]["kind"], (WRITE, READ, LOST))]
+        whole = (
+            0 <= h["reached"] <= latest and 0 <= h["ahead"] <= latest and _within(cycles, a=(0, 0xFF), b=(0, 0xFFFF))
+        )
+        lines = self.cycles[lines]
+        whole = whole and _within(lines, first=(0, latest), last=(0, latest), **_LINES)
+        if not (whole and _within(lines[lines["kind"] == host.RETURNED], value=(BACK, LOWERED))):
+            raise SpoiltError
 
     # --- a crash ---
 

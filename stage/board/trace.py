@@ -102,14 +102,20 @@ class BusTrace:
         tell = self._board.teller()
         for k, line in enumerate(lines.tolist()):
             at, until, count, kind, port, value = line
-            stray, lost, kind = bool(kind & host.STRAY), bool(kind & host.LOST_ON_THE_WAY), kind & 7
+            stray, lost, raised = (bool(kind & flag) for flag in (host.STRAY, host.LOST_ON_THE_WAY, host.RAISED))
+            kind &= 7
             if kind in (host.CALLED, host.RETURNED):
                 if k >= first:
                     text = _interrupt(kind, port, value)
                     yield Cycle(at * 1e-9, at * 1e-9, 1, "Ii"[kind - host.CALLED], None, 0, 0, False, text)
                 continue
             writes, wide = kind in (host.OUT, host.OUT_WIDE), kind in (host.IN_WIDE, host.OUT_WIDE)
-            meaning = "lost on the way: it does not reach the chip" if lost else tell(port, value, writes, wide)
+            if lost:
+                meaning = "lost on the way: it does not reach the chip"
+            elif raised:
+                meaning = "the device here, in Python, has raised an error"
+            else:
+                meaning = tell(port, value, writes, wide)
             if k >= first:
                 yield Cycle(
                     at * 1e-9,

@@ -311,7 +311,7 @@ def _board(p: argparse.ArgumentParser) -> None:
     g.add_argument(
         "--clock", type=_number, metavar="HZ", help="reference clock of the chips, Hz (default: the data sheet's)"
     )
-    g.add_argument("--trace", metavar="FILE.txt", help="write the bus cycles in words")
+    g.add_argument("--trace", metavar="FILE.txt", help="write the bus cycles in words; - prints them")
     g.add_argument("--keep", type=int, default=1_000_000, help="lines of bus cycles that are kept (default: 1,000,000)")
     g.add_argument(
         "--device",

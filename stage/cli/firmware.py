@@ -134,7 +134,9 @@ def write_trace(args: argparse.Namespace, board: Any) -> None:
     """The file of --trace."""
     from stage.files import written
 
-    if args.trace:
+    if args.trace == "-":
+        print(board.trace.text())
+    elif args.trace:
         with written(args.trace, args.force) as part:
             part.write_text(board.trace.text() + "\n")
         print(f"{args.trace}: {len(board.trace):,} lines of bus cycles")

@@ -161,6 +161,12 @@ def outputs(args: argparse.Namespace) -> None:
     taken: dict[str, str] = {}
     for name in ("record", "vcd", "picture", "plot", "trace"):
         if path := getattr(args, name, None):
+            if path == "-":
+                if name == "trace":
+                    continue
+                raise ArgumentError(
+                    f"--{name} -: standard output has what the command prints, and this would be in the middle of it. Name a file."
+                )
             writable(path, args.force, ask="give --force")
             if os.path.isfile(path) or not os.path.exists(path):  # a device takes all
                 other = taken.setdefault(os.path.realpath(path), name)

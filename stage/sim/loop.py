@@ -39,12 +39,14 @@ class Loop:
         state: the stage's records.
         chips: of the stage.
         recording: the stage's recording in progress, or None.
+        held: why neither time may pass now nor another state be put in the place of this one; "" where both may.
     """
 
     def __init__(self, state: State, chips: Sequence[Chip], power_up: Callable[[], None]):
         """power_up: called where the stage's state was cleared, to bring it to that after power-up."""
         self.state, self.chips = state, chips
         self.recording: Recording | None = None
+        self.held = ""
         self._words, self._pointer, self._advance = state.words, state.pointer, handle.advance.c
         self._power_up, self._dt, self._bus = power_up, state.dt, state.bus
         self._piece = FIRST_PIECE * state.dt
@@ -84,8 +86,15 @@ class Loop:
 
     # --- time ---
 
+    def check_held(self) -> None:
+        """Raises StageError while somebody has the stage stand still."""
+        if self.held:
+            raise StageError(self.held)
+
     def run_to(self, until: int) -> None:
         """Let time pass up to `until`, ns since power-up. Raises SimulationError, see `Stage.run`; StageError."""
+        if self.held:
+            raise StageError(self.held)
         recording, piece = self.recording, self._piece
         while True:
             goal = until
@@ -158,6 +167,7 @@ class Loop:
 
     def put(self, saved: np.ndarray) -> None:
         """The stage is in this state, `State.saved` of another moment or of a stage alike."""
+        self.check_held()
         state = self.state
         with self.alone():
             mujoco.mj_setState(state.model, state.data, saved, SAVED)

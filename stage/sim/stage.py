@@ -281,6 +281,7 @@ class Stage:
             if not low <= q <= high:
                 raise ArgumentError(f"{name}={q!r}: the joint travels from {low} to {high} {self.axes[name].unit}.")
         self.change()
+        self.loop.check_held()
         for name, q in positions.items():
             t = self.state.axis_table[self.axes[name].index]
             self.data.qpos[t.qpos], self.data.qvel[t.dof] = q, 0.0

@@ -52,6 +52,21 @@ def test_a_run_prints_what_the_firmware_notes_and_where_the_axes_end_and_writes_
     assert "--force" in capsys.readouterr().err or "exists" in capsys.readouterr().err
 
 
+def test_a_trace_of_the_name_minus_is_printed_and_other_files_of_that_name_are_refused(tmp_path, capsys, monkeypatch):
+    # stage run driver.so --trace -
+    monkeypatch.chdir(tmp_path)
+    assert main(["run", built(), "--model", "xy", "--timeout", "0.001", "--trace", "-"]) == 1
+    said = capsys.readouterr().out
+    assert said.rstrip().splitlines()[-1].startswith("      0.000")
+    assert "x: start, constant FL" in said
+    for option in ("--record", "--vcd", "--picture"):
+        assert main(["run", built(), "--model", "xy", option, "-"]) == 2
+        assert f"{option} -: standard output has what the command prints" in capsys.readouterr().err
+    assert main(["home", "x", "--plot", "-"]) == 2
+    assert "--plot -: standard output" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize(
     "isolated", [["--in-process"], [], ["--isolated"]], ids=["thread", "process", "as it was typed before"]
 )

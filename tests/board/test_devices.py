@@ -7,6 +7,7 @@ import copy
 import gc
 import math
 import pickle
+from functools import partial
 
 import numpy as np
 import pytest
@@ -298,6 +299,59 @@ def test_a_device_answers_cycles_and_makes_none():
     with pytest.raises(StageError, match="Put devices on it before"):
         board.in8(0x501)
     assert board.in8(0x502) == 0xFF
+
+
+@pytest.mark.parametrize("isolated", [False, True])
+def test_within_its_cycle_a_device_neither_lets_time_pass_nor_puts_another_state_in_its_place(isolated):
+    """board.device(0x500, read=lambda port: stage.restore(snapshot) or 1)"""
+    stage = Stage("xy", visuals=False)
+    board, asked, refused = Board(stage), [], []
+    acts = (
+        lambda: stage.restore(snapshot), stage.reset, lambda: stage.run(1e-3), stage.step, lambda: stage.run_to(10**9), stage.cycle,
+        lambda: stage.run_until(lambda: False, 1.0), lambda: stage.place(x=0.01), lambda: board.out8(0x300, 0x11),
+        lambda: board.delay_us(5), lambda: host.run(), lambda: host.run_for(1.0), lambda: host.close(),
+        lambda: stage.chips[0].write(0, 0x11),
+    )  # fmt: skip
+
+    def read(port):
+        asked.append(stage.now)
+        try:
+            acts[len(asked) - 1]()
+        except StageError as error:
+            refused.append(str(error))
+        return stage.now != asked[-1]
+
+    board.device(0x500, read=read, name="mine")
+    snapshot = stage.snapshot()
+    library = firmware(
+        f"PULSESTAGE_MAIN {{ int n = 0; for (int k = 0; k < {len(acts)}; k++) n += ps_in8(0x500); return n; }}"
+    )
+    with NativeHost(library, board, isolated=isolated) as host:
+        assert host.run().code == 0
+    assert (len(asked), board.cycles, stage.now) == (len(acts), len(acts), 1000 * len(acts))
+    assert len(refused) == len(acts)
+    assert {text.split(":")[0] for text in refused} == {"mine answers a bus cycle"}
+    stage.restore(snapshot)
+    assert stage.now == 0
+
+
+@pytest.mark.parametrize("isolated", [None, False, True])
+def test_the_cycle_that_a_device_in_python_fails_in_is_the_last_line_of_the_trace(isolated):
+    """board.device(range(0x500, 0x504), read=lambda port: 1 // 0, width=16)"""
+    board = Board(Stage("xy", visuals=False))
+    board.device(range(0x500, 0x504), read=lambda port: 1 // 0, write=lambda port, value: 1 // 0, width=16)
+    for cycle, way, value, width in (("in16(0x500)", "R", 0xFFFF, 16), ("out16(0x502, 0x1234)", "W", 0x1234, 16)):
+        run = partial(eval, f"board.{cycle}", {"board": board})
+        if isolated is not None:
+            run = NativeHost(firmware(f"PULSESTAGE_MAIN {{ ps_{cycle}; return 0; }}"), board, isolated=isolated).run
+        with pytest.raises(ZeroDivisionError):
+            run()
+        last = list(board.trace)[-1]
+        assert (last.way, last.value, last.width, last.times) == (way, value, width, 1)
+        assert last.port == (0x500 if way == "R" else 0x502)
+        assert last.meaning == "the device here, in Python, has raised an error"
+        assert round(last.seconds * 1e9) == board.stage.now == 1000 * board.cycles
+    assert len(board.trace) == board.cycles == 2
 
 
 def test_devices_come_before_firmware_runs_also_behind_an_isolated_host(adc):
