@@ -1,0 +1,170 @@
+"""Words and bounds of boards: latched addresses in the trace, layouts in files, timers, windows, waveforms of recordings."""
+
+from __future__ import annotations
+
+import re
+from types import SimpleNamespace
+
+import pytest
+from support.vcd_parser import parse
+
+from stage import Stage
+from stage.board import Board, layouts
+from stage.board.hooks import named
+from stage.board.interrupts import FIRST_LINE, FIRST_PYTHON_TIMER, FIRST_SOFTWARE, FIRST_TIMER, HIGHEST
+from stage.board.layout_files import read
+from stage.board.mapping import BEYOND_WINDOW, Mapped
+from stage.board.windows import MOST_ADDRESS, Window, windows
+from stage.chips import HCTL1100, MCX304
+from stage.errors import ArgumentError
+from stage.sim.encoder import chosen
+
+
+def test_the_trace_tells_which_address_a_latch_has_taken():
+    """out8(300h, 85h), out8(301h, 1), in8(301h); then another address, and a read of the latch"""
+    board = Board(Stage("xyz_servo", chips=HCTL1100, visuals=False))
+    for port, value in ((0x300, 0x85), (0x301, 1), (0x300, 0x07), (0x301, 5)):
+        board.out8(port, value)
+    board.in8(0x301), board.in8(0x300)
+    said = [cycle.meaning for cycle in board.trace]
+    chip = board.stage.axes["x"].chip.twin().listener()
+    assert said == [
+        "x: address latch = 85h", f"x: {chip.write(5, 1)}", "x: address latch = 07h", f"x: {chip.write(7, 5)}",
+        f"x: {chip.read(7, board.trace.lines()['value'][4])}", "x: the address latch cannot be read",
+    ]  # fmt: skip
+
+
+def test_a_trace_of_exactly_as_many_lines_as_it_keeps_is_whole():
+    board = Board(Stage("xy", visuals=False), keep_cycles=4)
+    for port in range(0x300, 0x304):
+        board.in8(port)
+    assert [c.port for c in board.trace] == [0x300, 0x301, 0x302, 0x303]
+    assert (len(board.trace), board.trace.dropped) == (4, 0)
+    assert "lines before" not in str(board.trace)
+    assert "1 lines before" in board.trace.text(3)
+
+
+def test_names_of_interrupts():
+    assert [named(n) for n in (0, FIRST_LINE, FIRST_LINE + 61, FIRST_SOFTWARE, FIRST_SOFTWARE + 1)] == [
+        "the interrupt line", "line 0", "line 61", "software interrupt 0", "software interrupt 1",
+    ]  # fmt: skip
+    assert [named(n) for n in (FIRST_TIMER, FIRST_TIMER + 1, FIRST_PYTHON_TIMER, FIRST_PYTHON_TIMER + 3)] == [
+        "timer 0", "timer 1", "timer 0 of Python", "timer 3 of Python",
+    ]  # fmt: skip
+
+
+def test_a_timer_of_a_board_is_switched_off_by_a_period_of_0_and_keeps_parts_of_a_us():
+    board, at = Board(Stage("xy", visuals=False)), []
+    board.on_timer(1.5006, lambda: at.append(board.stage.now), n=3, level=HIGHEST)
+    board.delay_us(5)
+    assert at == [1501, 3002, 4503]
+    assert "timer 3 of Python" in str(board.trace)
+    board.on_timer(0, lambda: at.append("never"), n=3)
+    board.delay_us(5)
+    assert len(at) == 3
+    board.on_timer(2, lambda: at.append(board.stage.now))
+    board.delay_us(1)
+    board.on_timer(2, lambda: at.append(board.stage.now))  # from now on
+    board.delay_us(2)
+    assert at[3:] == [13000]
+    for n, level in ((4, 1), (-1, 1), (0, 0), (0, HIGHEST + 1)):
+        with pytest.raises(ArgumentError, match=r"timers of a board|levels of hooks"):
+            board.on_timer(5, print, n=n, level=level)
+
+
+def test_a_layout_like_another_for_another_chip_and_the_last_address_of_one(tmp_path):
+    file = tmp_path / "card.toml"
+    file.write_text('like = "nova"\nchip = "MCX514"\nbase = "0xFFFFFF00"\nstride = 1\n')
+    assert (read(file).kind.__name__, read(file).base, read(file).stride) == ("MCX514", 0xFFFFFF00, 1)
+    file.write_text('like = "pcl240"\n')
+    assert read(file).kind.__name__ == "PCL240"
+    most = MCX304.ADDRESSES - 1
+    file.write_text(f'chip = "MCX304"\nports = ["word {most}", "upper {most}"]')
+    assert len(read(file).ports) == 2
+    for text, said in (
+        (f'chip = "MCX304"\nports = ["word {most + 1}"]', f"0 to {most}. Write"),
+        ('chip = "PCL240K"\nports = ["qqqqqq 0"]', r'"interrupts"\.$'),
+        ('chip = "PCL240K"\nports = ["byte 0"]\nstride = 0', "stride = 0: a whole number from 1 to"),
+        ('chip = "PCL240K"\nports = ["byte 0"]\nchips = 65', "chips = 65: a whole number from 0 to 64"),
+        ('chip = "PCL240K"\nports = ["byte 0"]\nbase = -1', "base = -1: a whole number from 0"),
+    ):
+        file.write_text(text)
+        with pytest.raises(ArgumentError, match=said):
+            read(file)
+    file.write_text('chip = "PCL240K"\nports = ["byte 0"]\nchips = 64\nbase = 4294967295')
+    assert (read(file).chips, read(file).base) == (64, layouts.LAST_PORT)
+
+
+def test_windows_end_with_the_ports_and_addresses_that_there_are():
+    assert windows((MOST_ADDRESS - 1, 0, 1)) == (Window(MOST_ADDRESS - 1, 0, 1),)
+    assert windows((0x10000, layouts.MOST_PORTS - 1, 1))[0].length == 1
+    for wrong in (((True, 1, 2),), ((1.0, 1, 2),), ((1, 2, 3, 4),), (True, 1, 2, 3)):
+        with pytest.raises(ArgumentError, match="a window is a Window"):
+            windows(wrong)
+    for wrong, said in (((MOST_ADDRESS, 0, 1), "addresses are 0 to"), ((0x1000, -1, 1), "ports are 0 to")):
+        with pytest.raises(ArgumentError, match=said):
+            windows(wrong)
+
+
+@pytest.mark.parametrize(
+    ("address", "nearest"), [(0xFFF, 0), (0x1040, 0), (0x1100, 0), (0x1F80, 1), (0x2041, 1), (0x9000, 2)]
+)
+def test_an_access_behind_or_before_a_window_is_told_of_the_nearest(address, nearest, monkeypatch):
+    given = windows([(0x1000, 0x300, 0x40), (0x2000, 0x340, 0x40), (0x5000, 0x380, 0x40)])
+    monkeypatch.setattr("stage.board.crash.place", lambda *_: "main")
+    state = SimpleNamespace(start=0, stack=id(given))
+    monkeypatch.setattr("stage.board.mapping.array_at", lambda *_: [state])
+    mapped = Mapped.__new__(Mapped)
+    mapped._windows, mapped._library = list(given), SimpleNamespace(path=SimpleNamespace(name="it.so"))
+    mapped._when = lambda: "now"
+    said = str(mapped.refusal(BEYOND_WINDOW, 0, address))
+    assert f"beyond the window {given[nearest]}, which ends at {given[nearest].end - 1:X}h" in said
+
+
+def dumped(recording, tmp_path, name):
+    vcd = parse(recording.to_vcd(tmp_path / name))
+    ends = sorted((t, way) for way, strobe in (("R", "RD_n"), ("W", "WR_n")) for t in vcd.edges(f"host.{strobe}", 1))
+    return vcd, [(t, way, vcd.at("host.PORT", t)) for t, way in ends]
+
+
+def test_recordings_one_after_the_other_have_their_own_part_of_a_poll(tmp_path):
+    """a poll that begins before the first and ends in the second, with a trace that has dropped lines"""
+    board = Board(Stage("xy", visuals=False), keep_cycles=16)
+    for k in range(40):
+        board.out8(0x300, k)
+    for _ in range(3):
+        board.in8(0x304)
+    with board.stage.record() as first:
+        for _ in range(4):
+            board.in8(0x304)
+    for _ in range(5):
+        board.in8(0x304)
+    with board.stage.record() as second:
+        for _ in range(6):
+            board.in8(0x304)
+        board.in8(0x305), board.in8(0x305)
+    vcd, cycles = dumped(first, tmp_path, "first.vcd")
+    assert cycles[-1] == (47_000, "R", 0x304)
+    assert all(t <= 47_000 for t, *_ in cycles)
+    assert max(t for t, _ in vcd.changes["host.POLLS"]) <= 47_000
+    vcd, cycles = dumped(second, tmp_path, "second.vcd")
+    assert [(t, port) for t, _, port in cycles if t > 52_000] == [(58_000, 0x304), (59_000, 0x305), (60_000, 0x305)]
+    assert 59_000 not in [t for t, _ in vcd.changes["host.POLLS"]], "two reads are no poll"
+    with board.stage.record() as silent:
+        board.delay_us(10)
+    assert not any(name.startswith("host.") for name in parse(silent.to_vcd(tmp_path / "silent.vcd")).changes)
+
+
+def test_encoders_that_are_none_are_refused_as_they_were_given():
+    """encoders="x", encoders={"x": True}; a chip without an input says which have one"""
+    for given, said in (
+        ("x", "encoders='x': a mapping"),
+        ({"x": True}, "a number of counts a metre"),
+        (5, "encoders=5"),
+    ):
+        with pytest.raises(ArgumentError, match=said):
+            chosen(given, "xy", [])
+    with pytest.raises(ArgumentError, match=re.escape("PCL240K has no input for an encoder")) as refused:
+        Stage("xy", encoders={"x": 1e5}, visuals=False)
+    assert "PCL240K, " not in str(refused.value).split("encoder; ")[1]
+    assert "MCX304" in str(refused.value)
