@@ -83,7 +83,7 @@ def test_a_layout_like_another_for_another_chip_and_the_last_address_of_one(tmp_
     assert len(read(file).ports) == 2
     for text, said in (
         (f'chip = "MCX304"\nports = ["word {most + 1}"]', f"0 to {most}. Write"),
-        ('chip = "PCL240K"\nports = ["qqqqqq 0"]', r'"interrupts"\.$'),
+        ('chip = "PCL240K"\nports = ["qqqqqq 0"]', r'"none"\.$'),
         ('chip = "PCL240K"\nports = ["byte 0"]\nstride = 0', "stride = 0: a whole number from 1 to"),
         ('chip = "PCL240K"\nports = ["byte 0"]\nchips = 65', "chips = 65: a whole number from 0 to 64"),
         ('chip = "PCL240K"\nports = ["byte 0"]\nbase = -1', "base = -1: a whole number from 0"),
