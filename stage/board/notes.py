@@ -35,6 +35,6 @@ def journal(h, kind, chip, address, value):
         ask(h, FULL)
     e = array_at(h.edges, h.edge_room, records.EDGE)[h.noted]
     c = chip_of(h, chip)
-    e.now, e.clock, e.axis = now_of(h), cores.clock(c), c.axis[0]
+    e.now, e.clock, e.axis = now_of(h), cores.clock(c), cores.axis_of(c, 0)
     e.kind, e.a, e.b = kind, address, value
     h.noted += 1

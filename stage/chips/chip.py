@@ -264,7 +264,8 @@ class Chip:
 
     def net(self, axis: int = 0) -> int:
         """Pulses begun since power-up, plus minus minus: what a drive has been given. Not readable on the bus."""
-        return int(self.state["net"])
+        self._check_axis(axis)
+        return int(self.CORE.net.held(self.pointer, axis))
 
     def shaft_of(self, axis: int) -> tuple[float, float]:
         """What a chip that looks at encoders was told last of an axis' shaft: count, and counts a clock."""
@@ -416,7 +417,7 @@ class Chip:
 
     def input_word(self, axis: int) -> int:
         """The input pins of an axis, bits of INPUTS."""
-        return int(self.state["inputs"])
+        return int(self.CORE.inputs.held(self.pointer, axis))
 
     def set_input_word(self, axis: int, word: int) -> None:
         """Drive the input pins of an axis, without a note in a journal."""

@@ -1,8 +1,8 @@
 """The functions that every chip family gives to a stage.
 
-A family is a module of compiled functions, its *core*, over a record of its own, `STATE`, that begins with the chip's clock. Add
-its package to FAMILIES of stage/chips, and every loop accepts it without a new compilation: for a loop a chip is a CHIP record,
-with the addresses of the state and of the core's functions.
+A family is a module of compiled functions, its *core*, over a record of its own, `STATE`, that begins with the chip's clock. Every
+loop accepts it without a new compilation: for a loop a chip is a CHIP record, with the addresses of the state, of the core's
+functions and of a table of its axes, of which it may have any number.
 
 A core has the functions below, over a state in place of a CHIP, `exported` as ANSWERS says. For `Chip` alone it
 has power_up(c), advance(c, until), trace, scan and mark, see stage/chips/pcl240/core.py; one that looks at
@@ -36,7 +36,14 @@ ANSWERS: dict[str, tuple[str | None, ...]] = {
 }
 """Name -> result and arguments after the chip."""
 
-MOST_AXES = 4
+CHIP_AXIS = record(
+    [
+        ("axis", "i8"),  # which axis of the stage it is
+        ("means", "i8"),  # of a window: address of the mean counts in its slices
+        ("net", "i8"),  # address of the count at the end of the last
+    ]
+)
+"""An axis of a chip on a stage."""
 CHIP = record(
     [
         ("at", "i8"),  # address of its state
@@ -45,13 +52,11 @@ CHIP = record(
         # on a stage
         ("hz", "i8"),  # its reference clock
         ("axes", "i8"),  # how many of its axes are used
-        ("axis", "i8", (MOST_AXES,)),  # which axes of the stage they are, the first is its axis 0
+        ("table", "i8"),  # address of their CHIP_AXIS records, the first is its axis 0
         ("ticks", "f8"),  # its clocks in a slice
         # of a window
         ("slices", "i8"),  # how many
         ("clocks", "i8"),  # address of the clocks at their ends
-        ("means", "i8", (MOST_AXES,)),  # of each axis: address of the mean counts in them
-        ("nets", "i8", (MOST_AXES,)),  # of each axis: address of the count at the end of the last
     ]
 )
 """A chip for compiled code."""
@@ -68,6 +73,12 @@ def fill(row: Any, core: Any, at: int) -> None:
     row["at"], row["own"] = at, address_of(row)
     for name in ANSWERS:
         row[name] = getattr(core, name).address
+
+
+@hot
+def axis_of(c, j):
+    """Which axis of the stage the chip's axis `j` is."""
+    return array_at(c.table, c.axes, CHIP_AXIS)[j].axis
 
 
 @hot
@@ -93,12 +104,12 @@ def window(c, k):
 def through(state, row, k, run, net, drive_input):
     """What a core answers to `window`; run, net, drive_input: its own."""
     c = array_at(row, 1, CHIP)[0]
-    clocks = array_at(c.clocks, c.slices, WORD)
+    clocks, axes = array_at(c.clocks, c.slices, WORD), array_at(c.table, c.axes, CHIP_AXIS)
     while k < c.slices:
         run(state, clocks[k])
         for j in range(c.axes):
-            before = array_at(c.nets[j], 1, WORD)
-            array_at(c.means[j], c.slices, REAL)[k] = drive_input(state, j, before[0], c.ticks)
+            before = array_at(axes[j].net, 1, WORD)
+            array_at(axes[j].means, c.slices, REAL)[k] = drive_input(state, j, before[0], c.ticks)
             before[0] = net(state, j)
         k += 1
 

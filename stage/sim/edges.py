@@ -127,9 +127,9 @@ def _meet_axis_edges(axis, t, c, j, switches, switch_table, now):
 @hot
 def next_edge(axes, c):
     """When the next input of a chip changes."""
-    edge = axes[c.axis[0]].next_edge
+    edge = axes[cores.axis_of(c, 0)].next_edge
     for j in range(1, c.axes):
-        edge = least(edge, axes[c.axis[j]].next_edge)
+        edge = least(edge, axes[cores.axis_of(c, j)].next_edge)
     return edge
 
 
@@ -140,7 +140,7 @@ def meet_edges(c, axes, table, switches, switch_table, until, edges, n_edges):
     while now <= until:
         cores.run(c, clock_at(now, c.hz))
         for j in range(c.axes):
-            a = c.axis[j]
+            a = cores.axis_of(c, j)
             if axes[a].next_edge > now:
                 continue
             _meet_axis_edges(axes[a], table[a], c, j, switches, switch_table, now)

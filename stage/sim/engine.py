@@ -70,7 +70,7 @@ def _run_chips(chips, world, axes, table, switches, switch_table, stop, clockwor
             cores.run(c, clock + (rest + (now - start) * hz) // SECOND)
             if now == bound:
                 for j in range(c.axes):
-                    axis = axes[c.axis[j]]
+                    axis = axes[cores.axis_of(c, j)]
                     axis.counts[k] = cores.drive_input(c, j, axis.count, c.ticks)
                     axis.count = cores.net(c, j)
                 k += 1
@@ -91,7 +91,7 @@ def _show_shafts(chips, world, table, clockwork, qpos, qvel, edges, counts):
     for i in range(len(chips)):
         c = chips[i]
         for j in range(c.axes):
-            a = c.axis[j]
+            a = cores.axis_of(c, j)
             if table[a].counts == 0.0:
                 continue
             count, speed = _shaft(world, table[a], clockwork, qpos, qvel)

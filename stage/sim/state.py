@@ -64,6 +64,8 @@ class State:
     """SWITCH_TABLE: pin bit, sensor, geometry; and what faults do to a switch."""
     chip_table: np.ndarray
     """CHIP_TABLE: which core runs each chip, and where its state lies."""
+    chip_axes: list[np.ndarray]
+    """For each chip its CHIP_AXIS records: which axes of the stage are its own."""
     clockwork: np.ndarray
     """CLOCKWORK, one record: time step, functions of MuJoCo, who runs the stage now."""
     handle: Any
@@ -157,8 +159,10 @@ class State:
 
     def _set_chip_table(self, chips: Sequence[Chip]) -> None:
         w = self.clockwork[0]
-        for chip, rows, c in zip(chips, self.chips, self.chip_table, strict=True):
+        self.chip_axes = [np.zeros(chip.AXES, cores.CHIP_AXIS) for chip in chips]
+        for chip, rows, axes, c in zip(chips, self.chips, self.chip_axes, self.chip_table, strict=True):
             cores.fill(c, chip.CORE, rows.ctypes.data)
+            c.table = axes.ctypes.data
             c.hz, c.ticks = chip.clock_hz, w.h * chip.clock_hz
             c.slices, c.clocks = w.slices, address_of(w["clocks"])
 
@@ -176,9 +180,10 @@ class State:
             chip, j, t = chip_axis.chip, chip_axis.index, self.axis_table[k]
             t.chip, t.chip_axis = chips.index(chip), j
             c = self.chip_table[t.chip]
-            c.axis[j] = k
             c.axes += 1
-            c.means[j], c.nets[j] = address_of(self.axes[k]["counts"]), address_of(self.axes[k : k + 1]["count"])
+            own = self.chip_axes[t.chip][j]
+            own.axis, own.means = k, address_of(self.axes[k]["counts"])
+            own.net = address_of(self.axes[k : k + 1]["count"])
             t.qpos, t.dof, t.actuator, t.gear = p.qpos, p.dof, p.actuator, p.gear
             t.index_bit, t.index_at = chip.wired("ez"), p.index
             t.counts = drive.counts * p.gear / (2 * np.pi) if isinstance(drive, Servo) else encoders[k]

@@ -1,4 +1,4 @@
-"""An exercise: a family of chips that PulseStage does not know. Two registers, three commands, one axis.
+"""An exercise: a family of chips that PulseStage does not know. Two registers and three commands an axis, of one axis or of eight.
 
 map, core, words and driver are all in this folder; `Stage(chips=TOY)` and the rest take the class as it is.
 """
@@ -8,8 +8,8 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 from stage.chips.chip import Chip
-from toy import core
-from toy.maps import MAP
+from toy import core, eight
+from toy.maps import AXES, MAP, MAP8
 from toy.words import Decoder, Listener
 
 
@@ -31,13 +31,24 @@ class TOY(Chip):
 
     @classmethod
     def register_cycles(cls, name: str, value: int, axis: int = 0) -> list[tuple[int, int]]:
-        return [(cls.MAP.register(name).number, value)]
+        own = name if cls.AXES == 1 or name[-1].isdigit() else f"{name}{axis}"
+        return [(cls.MAP.register(own).number, value)]
 
     def decoder(self, axis: int = 0) -> Decoder:
-        return Decoder()
+        return Decoder(self.MAP)
 
     def listener(self) -> Listener:
-        return Listener()
+        return Listener(self.MAP)
 
     def values(self) -> dict[str, int]:
-        return {r.name: core.peek.held(self.pointer, r.number) for r in MAP.registers}
+        return {r.name: self.CORE.peek.held(self.pointer, r.number) for r in self.MAP.registers}
+
+
+class TOY8(TOY):
+    """Eight of them on one chip."""
+
+    MAP: ClassVar = MAP8
+    CORE: ClassVar = eight
+    AXES: ClassVar = AXES
+    ADDRESSES: ClassVar = 32
+    ADDRESS_MASK: ClassVar = 31

@@ -17,3 +17,22 @@ MAP = RegisterMap(
         Command(2, "MINUS", "go minus", "drive", starts=True),
     ),
 )
+
+AXES = 8
+MAP8 = RegisterMap(
+    "TOY8",
+    "a chip of two registers an axis, eight axes",
+    "tests",
+    tuple(
+        Register(f"{r.name}{j}", r.number + 2 * j, r.bits, r.access, r.title, r.legal, evidence="I", unit=r.unit)
+        for j in range(AXES)
+        for r in MAP.registers
+    ),
+    (),
+    tuple(
+        Command(c.code | j << 4, f"{c.symbol}{j}", f"{c.title}, axis {j}", c.kind, starts=c.starts)
+        for j in range(AXES)
+        for c in MAP.commands
+    ),
+    AXES,
+)

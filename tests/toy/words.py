@@ -4,30 +4,43 @@ from __future__ import annotations
 
 from stage.chips import describe
 from stage.chips.describe import Said
-from toy.maps import MAP
+from stage.chips.register_map import RegisterMap
 
 
-def meaning(address: int, value: int) -> str:
+def meaning(map_: RegisterMap, address: int, value: int) -> str:
     if address == 0:
-        return MAP.by_code[value].title if value in MAP.by_code else "nothing"
-    name = next((r.name for r in MAP.registers if r.number == address), "nothing")
+        return map_.by_code[value].title if value in map_.by_code else "nothing"
+    name = next((r.name for r in map_.registers if r.number == address), "nothing")
     return f"{name} <- {value}"
 
 
 class Decoder(describe.Decoder):
+    def __init__(self, map_: RegisterMap):
+        self._map = map_
+
     def wrote(self, clock: int, address: int, value: int) -> list[Said]:
-        return [Said(clock, "register" if address else "command", f"{address} {value:04X}", meaning(address, value))]
+        return [
+            Said(
+                clock,
+                "register" if address else "command",
+                f"{address} {value:04X}",
+                meaning(self._map, address, value),
+            )
+        ]
 
     def lost(self, address: int, value: int) -> tuple[str, str]:
-        return f"{address} {value:04X}", meaning(address, value)
+        return f"{address} {value:04X}", meaning(self._map, address, value)
 
     def reset(self) -> None:
         """It keeps nothing."""
 
 
 class Listener:
+    def __init__(self, map_: RegisterMap):
+        self._map = map_
+
     def write(self, address: int, value: int) -> str:
-        return meaning(address, value)
+        return meaning(self._map, address, value)
 
     def read(self, address: int, value: int) -> str:
         return f"{address}: {value}"
