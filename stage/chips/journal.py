@@ -129,6 +129,11 @@ class Replay:
         self._rows = np.frombuffer(bytearray(journal._start), journal.chip.CORE.STATE)
         self._applied = 0
 
+    @property
+    def state(self) -> bytes:
+        """The chip's state as far as it has been read: in the end the chip's own."""
+        return self._rows.tobytes()
+
     def pieces(self, every_pulse: bool = False, size: int = CHUNK) -> Iterator[np.ndarray]:
         """As `Journal.pieces`, from where the last call ended; the first edge is the chip as it was there."""
         core, axis, clock = self._journal.chip.CORE, self._journal.axis, self._rows["clock"]

@@ -7,7 +7,8 @@
         assert_at(stage.axes["x"], -0.12, within=100e-6)
         assert_no_lost_steps(stage)
 
-pytest imports this package in every session, so it loads what it holds with the first use.
+`chip_conformance` is for tests of a chip itself. pytest imports this package in every session, so it loads what it holds with the
+first use.
 """
 
 from __future__ import annotations
@@ -24,17 +25,19 @@ if TYPE_CHECKING:
         assert_pins,
         assert_stopped,
     )
+    from stage.testing.conformance import chip_conformance
     from stage.testing.path import assert_path_within
 
 __all__ = [
     "assert_at", "assert_no_diagnostics", "assert_no_lost_steps", "assert_no_strays", "assert_path_within", "assert_pins",
-    "assert_stopped",
+    "assert_stopped", "chip_conformance",
 ]  # fmt: skip
+_WHERE = {"assert_path_within": "path", "chip_conformance": "conformance"}
 
 
 def __getattr__(name: str) -> Any:
     if name in __all__:
-        return getattr(import_module(f"stage.testing.{'path' if name == 'assert_path_within' else 'assertions'}"), name)
+        return getattr(import_module(f"stage.testing.{_WHERE.get(name, 'assertions')}"), name)
     raise AttributeError(f"module 'stage.testing' has no attribute {name!r}")
 
 

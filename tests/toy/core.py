@@ -166,11 +166,13 @@ def mark(c, axis, out, k):
 @exported("i8", STATE, "i8", "i8", "i8", array_of(EDGE))
 def scan(c, until, every_pulse, axis, out):
     k = 0
-    if c.way:
-        last = c.due + (c.left - 1) * _period(c)
-        if last <= until:
-            run(c, last)
-            mark(c, 0, out, 0)
-            k = 1
-    run(c, until)
+    while c.way and k < len(out) - 1:
+        following = c.due if every_pulse else c.due + (c.left - 1) * _period(c)
+        if following > until:
+            break
+        run(c, following)
+        mark(c, 0, out, k)
+        k += 1
+    if k < len(out) - 1:
+        run(c, until)
     return k

@@ -1,0 +1,110 @@
+"""`chip_conformance`: does a chip keep the promises that stages, boards, recordings and environments build on?
+
+    from stage.testing import chip_conformance
+
+    chip_conformance(ACME1000)                         raises NotConforming, with each promise that is broken
+    test_acme1000 = chip_conformance.tests(ACME1000)   a line in the chip's own tests: a test a promise
+
+Programs are random: a failure says its seed, and `chip_conformance(ACME1000, seed=...)` tries the same again.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Iterable
+from functools import partial
+from typing import Any
+
+from stage.chips import Chip, chip_class
+from stage.errors import StageError, unknown
+from stage.testing.promises import PROMISES, Broken, Trial
+
+PROGRAMS = 3
+
+
+class NotConforming(StageError, AssertionError):
+    """A chip breaks promises; `broken`: promise -> what it does in its place."""
+
+    def __init__(self, message: str, broken: dict[str, str]):
+        super().__init__(message)
+        self.broken = broken
+
+    def __reduce__(self) -> tuple[type, tuple]:
+        return type(self), (str(self), self.broken)
+
+
+class ChipConformance:
+    """See this module."""
+
+    promises = tuple(PROMISES)
+    """The names of all promises."""
+
+    def __call__(
+        self,
+        chip: type[Chip] | str,
+        *,
+        programs: int = PROGRAMS,
+        seed: int | None = None,
+        promises: Iterable[str] | None = None,
+        uncompiled: bool = False,
+        **options: Any,
+    ) -> None:
+        """Try every promise, or those named.
+
+        Args:
+            chip: a class, or a chip's name.
+            programs: random ones for each promise. 3 take a second or so, 300 find what is rare.
+            seed: of the random numbers; default: another each time. It is printed, and is in the error's text.
+            uncompiled: and the same programs as plain Python, in a process of its own, must give the same bits.
+            options: what the chip is made with, for example clock_hz.
+        Raises NotConforming, ArgumentError for a promise that is not known.
+        """
+        kind = chip_class(chip) if isinstance(chip, str) else chip
+        seed = random.SystemRandom().getrandbits(32) if seed is None else seed
+        print(f"chip_conformance({getattr(kind, '__name__', kind)}, seed={seed})")
+        trial = Trial(kind, partial(kind, **options), seed, programs)
+        broken: dict[str, str] = {}
+        for name in PROMISES if promises is None else promises:
+            if name not in PROMISES:
+                raise unknown("promise", name, PROMISES)
+            if said := _tried(PROMISES[name], trial):
+                broken[name] = said
+                if name == "has_what_every_chip_has":
+                    break
+        if uncompiled and not broken:
+            from stage.testing.uncompiled import compare
+
+            if said := compare(kind, options, seed, programs):
+                broken["compiled = uncompiled"] = said
+        if broken:
+            lines = "\n".join(
+                f"  {PROMISES[n].__doc__ if n in PROMISES else n}\n    but: {b}" for n, b in broken.items()
+            )
+            raise NotConforming(f"{kind.__name__} breaks {len(broken)} of its promises (seed={seed}):\n{lines}", broken)
+
+    def tests(self, chip: type[Chip] | str, **given: Any) -> Callable:
+        """A test function for pytest, with one test for each promise; arguments as those of a call."""
+        import pytest
+
+        @pytest.mark.parametrize("promise", given.pop("promises", self.promises))
+        def test_chip_conformance(promise: str) -> None:
+            self(chip, promises=[promise], **given)
+
+        return test_chip_conformance
+
+
+def _tried(promise: Callable[[Trial], None], trial: Trial) -> str:
+    """How it is broken, in words; "" if it is kept."""
+    try:
+        promise(trial)
+    except Broken as error:
+        return f"{error}."
+    except Exception as error:
+        import traceback
+
+        where = traceback.extract_tb(error.__traceback__)[-1]
+        return f"{type(error).__name__}: {error} ({where.filename}, line {where.lineno}, in {where.name})."
+    return ""
+
+
+chip_conformance = ChipConformance()

@@ -1,0 +1,58 @@
+"""The same programs compiled and as plain Python: `python -m stage.testing.uncompiled`, in a process of its own."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from importlib import import_module
+from typing import Any
+
+from stage.chips import Chip
+from stage.testing.hands import do
+from stage.testing.promises import Trial
+
+
+def compare(kind: type[Chip], options: dict[str, Any], seed: int, programs: int) -> str:
+    """Where the two differ, in words; "" if nowhere."""
+    here = courses(kind, options, seed, programs)
+    job = json.dumps([kind.__module__, kind.__qualname__, options, seed, programs, sys.path])
+    done = subprocess.run(
+        [sys.executable, "-m", "stage.testing.uncompiled"], input=job, text=True, capture_output=True,
+        env=os.environ | {"NUMBA_DISABLE_JIT": "1"},
+    )  # fmt: skip
+    if done.returncode:
+        return f"as plain Python it fails: {done.stderr.strip().splitlines()[-1] if done.stderr.strip() else 'no word'}"
+    for k, (one, other) in enumerate(zip(here, json.loads(done.stdout.splitlines()[-1]), strict=True)):
+        if one != other:
+            n = next((n for n in range(len(one)) if one[n] != other[n]), 0)
+            return f"in program {k}, act {n}, compiled code leaves {one[n]}, and plain Python {other[n]}"
+    return ""
+
+
+def courses(kind: type[Chip], options: dict[str, Any], seed: int, programs: int) -> list[list[str]]:
+    """What a chip says, and its state, after each act of these programs."""
+    trial = Trial(kind, lambda: kind(**options), seed, programs)
+    found = []
+    for rng in trial.draws():
+        chip, said = trial.make(), []
+        for act in trial.program(rng):
+            answer = do(chip, act)
+            said.append(f"{act.kind} {answer} {chip.state.tobytes().hex()}")
+        found.append(said)
+    return found
+
+
+def main() -> None:
+    """Read a job as `compare` writes it, print the courses."""
+    module, name, options, seed, programs, path = json.load(sys.stdin)
+    sys.path[:] = path
+    kind: Any = import_module(module)
+    for part in name.split("."):
+        kind = getattr(kind, part)
+    print(json.dumps(courses(kind, options, seed, programs)))
+
+
+if __name__ == "__main__":
+    main()

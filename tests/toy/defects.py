@@ -1,0 +1,87 @@
+"""A TOY with one defect each: what `chip_conformance` has to find."""
+
+from __future__ import annotations
+
+from itertools import count
+from types import SimpleNamespace
+from typing import Any, ClassVar
+
+from toy import TOY, answers, core, maps
+
+
+def a_core(**answers: Any) -> Any:
+    return SimpleNamespace(**{**vars(core), **answers})
+
+
+def with_core(**answers: Any) -> type:
+    return type("TOY", (TOY,), {"CORE": a_core(**answers)})
+
+
+class Remembers(TOY):  # outside its record
+    def __init__(self, **options: Any):
+        super().__init__(**options)
+        self.last = 0
+
+    def write(self, address: int, value: int) -> None:
+        self.last += 1
+        super().write(address, value)
+
+    def values(self) -> dict[str, int]:
+        return super().values() | {"RATE": self.last}
+
+
+class Raises(TOY):
+    def mistake(self, address: int, value: int) -> None:
+        if address & 3 == 0:
+            maps.MAP.by_code[value]
+
+
+class TakesAllLines(TOY):
+    CORE: ClassVar = a_core(write=answers.takes_all_lines)
+
+    def write(self, address: int, value: int) -> None:
+        self.CORE.write(self.state, int(address) & 3, int(value) & 0xFFFFF)
+
+
+class Shared(TOY):  # all chips of the class share it
+    numbers = count()
+
+    def read(self, address: int) -> int:
+        return super().read(address) ^ (next(self.numbers) & 1)
+
+
+class Silent(TOY):
+    def listener(self) -> Any:
+        return SimpleNamespace(write=lambda address, value: "", read=lambda address, value: "")
+
+
+class BeyondTheBus(TOY):
+    @classmethod
+    def register_cycles(cls, name: str, value: int, axis: int = 0) -> list[tuple[int, int]]:
+        return [(cls.MAP.register(name).number + 8, value)]
+
+
+FORGETS = {"run": answers.forgets_the_phase, "advance": answers.forgets_the_phase_too}
+DEFECTS: dict[str, tuple[type, str, str]] = {
+    "time cut": (with_core(**FORGETS), "cut_time", "the state differs in due|makes .* pulses, and"),
+    "cut at a pulse": (with_core(advance=answers.late_by_a_clock), "cut_time", "the state differs in due"),
+    "advance counts wrong": (with_core(advance=answers.one_at_most), "traced", "says 1 pulses, and net of axis 0 goes by"),
+    "trace's direction": (with_core(trace=answers.the_other_way), "traced", "net of axis 0 goes from"),
+    "the end for the mean": (with_core(drive_input=answers.the_end), "drive_inputs", "and the mean of the .* pulses"),
+    "a slice left out": (with_core(window=answers.without_the_first_slice), "windows", "window gives the means"),
+    "never busy": (with_core(busy=answers.never_busy), "courses", "its core says at rest"),
+    "the counter": (with_core(counter=answers.counts_twice), "courses", "counter has gone by"),
+    "a reset that keeps": (with_core(power_up=answers.keeps_the_rate), "resets", "RATE .*, and after power-up 0"),
+    "a read that clears": (with_core(read=answers.clears_what_it_reads), "reads", "changes left"),
+    "a course without end": (with_core(scan=answers.sees_no_end), "journals", "the course shows"),
+    "state beside the record": (Remembers, "snapshots", "restored, after .* acts it shows"),
+    "a lint that raises": (Raises, "diagnostics", "raises KeyError"),
+    "20 data lines": (TakesAllLines, "bus_lines", "a read of address 1h gives|reads"),
+    "shared by all": (Shared, "determinism", "beside another chip"),
+    "two pins, one bit": (
+        type("TOY", (TOY,), {"INPUTS": {**TOY.INPUTS, "sd": TOY.INPUTS["org"]}}), "pins_by_name", "leaves input"),
+    "no words": (Silent, "words", "says ''"),
+    "a cycle beside the bus": (BeyondTheBus, "register_cycles", "is not on the bus"),
+    "an answer missing": (with_core(drive_input=None), "has_what_every_chip_has", "has no answer drive_input"),
+}  # fmt: skip
+"""Defect -> (the class, the promise that it breaks, words of the message)."""
