@@ -47,7 +47,7 @@ def chip_class(chip: str | type[Chip]) -> type[Chip]:
     if not isinstance(chip, str):
         if not (isinstance(chip, type) and issubclass(chip, Chip)):
             raise ArgumentError(f"chip {chip!r}: give a chip class or its name: {', '.join(CHIPS)}.")
-        contract.check(chip, Chip)
+        contract.check(chip, Chip, methods=False)
         return chip
     if chip not in CHIPS:
         raise unknown("chip", chip.upper(), CHIPS)

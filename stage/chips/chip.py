@@ -168,7 +168,7 @@ class Chip:
 
     def __init__(self, clock_hz: int | None = None):
         """Power the chip up. `clock_hz`: reference clock, default the data sheet's."""
-        contract.check(type(self), Chip)
+        contract.check(type(self), Chip, methods=False)
         hz: Any = self.DEFAULT_CLOCK_HZ if clock_hz is None else clock_hz
         if not isinstance(hz, int | float | np.number) or not 1 <= hz <= 100_000_000 or int(hz) != hz:
             raise ArgumentError(f"clock_hz={clock_hz!r}: a reference clock is a whole number of 1 to 100,000,000 Hz.")

@@ -15,7 +15,7 @@ from stage.chips.register_map import RegisterMap
 from stage.errors import ArgumentError
 from stage.native import Exported, array_of
 
-_CHECKED: set[type] = set()
+_CHECKED: set[tuple[type, bool]] = set()
 RECORDS = {
     "STATE": ("the state of a chip, a record that begins with ('clock', 'i8')", ("clock",)),
     "PULSE": ("a pulse of `trace`", ("clock", "axis", "direction")),
@@ -39,17 +39,21 @@ METHODS = {
 """Methods of `Chip` that each family has."""
 
 
-def check(chip: Any, base: type) -> None:
-    """Raises ArgumentError for a class that is not below `base`, Chip, or lacks what every chip has, with its name."""
-    if chip in _CHECKED:
+def check(chip: Any, base: type, methods: bool = True) -> None:
+    """Raises ArgumentError for a class that is not below `base`, Chip, or lacks what every chip has, with its name.
+
+    methods: METHODS, too. A class that nobody knows by its name may do without them, as long as nobody asks for words.
+    """
+    if (chip, methods) in _CHECKED:
         return
     if not isinstance(chip, type) or not issubclass(chip, base):
         raise ArgumentError(f"{chip!r} is no class below stage.chips.Chip.")
-    problems = [*_of_class(chip), *_of_methods(chip, base), *_of_core(getattr(chip, "CORE", None))]
+    problems = [*_of_class(chip), *_of_core(getattr(chip, "CORE", None))]
+    problems += _of_methods(chip, base) if methods else []
     if problems:
         more = f" (and {len(problems) - 1} more: {'; '.join(problems[1:4])})" if problems[1:] else ""
         raise ArgumentError(f"{chip.__name__} breaks the contract of chips: {problems[0]}{more}. docs/your_own_chip.md")
-    _CHECKED.add(chip)
+    _CHECKED.add((chip, methods))
 
 
 def _of_class(chip: Any) -> list[str]:

@@ -6,6 +6,7 @@ An act is done to a chip by `do`, which returns what the chip says. Acts are pla
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -77,7 +78,8 @@ def wild(kind: type[Chip], rng: np.random.Generator, acts: int, resets: bool = T
     return found
 
 
-class _Alone(NamedTuple):
+@dataclass(frozen=True)
+class _Alone:
     """What a driver needs of an axis to write a move down."""
 
     chip: Chip
