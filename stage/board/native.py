@@ -176,7 +176,7 @@ class NativeHost(Host):
         board: a Board; one firmware at a time drives it.
         isolated: run it in a process of its own, whose crash is an error here; see stage.board.isolated.
         flags: for the compiler.
-        platform: what the sources were written for (arduino, avr, vxworks, dos), see stage.board.platforms.
+        platform: what the sources were written for (arduino, avr, vxworks, dos, freertos), see stage.board.platforms.
         patience: seconds of real time that the firmware may compute without a bus cycle.
         map: windows of memory-mapped registers, see stage.board.windows: one, or a sequence.
         cost: simulated seconds that each basic block of the firmware takes (default: none), see docs/interrupts.md; sources are

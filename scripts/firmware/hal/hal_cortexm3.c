@@ -3,6 +3,8 @@
  *
  *     arm-none-eabi-gcc -mcpu=cortex-m3 -mthumb -Os -g -ffreestanding -nostdlib -T hal/cortexm3.ld -Ihal hal/hal_cortexm3.c \
  *         pcl240mk/pcl240.c pcl240mk/line.c pcl240mk/home_and_line.c -lgcc -o home_and_line.elf
+ *
+ * With -DHAL_FREERTOS SysTick, PendSV and SVC are those of FreeRTOS' port for the Cortex-M3, and the line has the priority A0h.
  */
 #include "hal.h"
 
@@ -104,7 +106,17 @@ void hal_on_interrupt(void (*routine)(void *argument), void *argument)
         IRQ_ENABLE = 1u << LINE;
 }
 
+#if defined(HAL_FREERTOS)
+extern void vPortSVCHandler(void), xPortPendSVHandler(void), xPortSysTickHandler(void);
+#define SVC vPortSVCHandler
+#define PENDSV xPortPendSVHandler
+#define SYSTICK xPortSysTickHandler
+#else
 static void tick(void) { ticks++; }
+#define SVC 0
+#define PENDSV 0
+#define SYSTICK tick
+#endif
 
 static void line(void)
 {
@@ -112,19 +124,28 @@ static void line(void)
         routine_of_line(its_argument);
 }
 
+void hal_end(int code)
+{
+    uint32_t exit[2] = {0x20026 /* the application has ended */};
+    exit[1] = (uint32_t)code;
+    semihosting(EXIT_EXTENDED, exit);
+}
+
 void reset(void)
 {
-    uint32_t *from = &data_kept, *to, exit[2];
+    uint32_t *from = &data_kept, *to;
     for (to = &data_begin; to < &data_end;)
         *to++ = *from++;
     for (to = &bss_begin; to < &bss_end;)
         *to++ = 0;
+#if defined(HAL_FREERTOS)
+    *(volatile uint8_t *)(0xE000E400u + LINE) = 0xA0;
+#else
     SYSTICK_RELOAD = CLOCK_HZ / 1000000u * TICK_US - 1u;
     SYSTICK_VALUE = 0;
     SYSTICK_CONTROL = 7;
-    exit[0] = 0x20026; /* the application has ended */
-    exit[1] = (uint32_t)application();
-    semihosting(EXIT_EXTENDED, exit);
+#endif
+    hal_end(application());
     for (;;)
         ;
 }
@@ -138,6 +159,14 @@ void *memcpy(void *to, const void *from, __SIZE_TYPE__ n)
     return to;
 }
 
+void *memset(void *to, int value, __SIZE_TYPE__ n)
+{
+    char *a = to;
+    while (n--)
+        *a++ = (char)value;
+    return to;
+}
+
 static void fault(void)
 {
     for (;;)
@@ -145,5 +174,5 @@ static void fault(void)
 }
 
 __attribute__((section(".vectors"), used)) static void *const vectors[16 + LINE + 1] = {
-    &stack_top, reset, fault, fault, [15] = tick, [16 + LINE] = line,
+    &stack_top, reset, fault, fault, [11] = SVC, [14] = PENDSV, [15] = SYSTICK, [16 + LINE] = line,
 };

@@ -23,7 +23,8 @@ class Platform:
     """One kind of driver.
 
     begins: the functions that a program begins with. folders: of headers, the first in front. entry: the source that calls the
-    program. cplusplus: C sources are compiled as C++. flags: for the compiler.
+    program. cplusplus: C sources are compiled as C++. flags: for the compiler. sources: compiled with each program. defaults: a
+    folder of headers for programs that do not have them. given: a header of the system itself, and what to do where it is missing.
     """
 
     name: str
@@ -33,6 +34,9 @@ class Platform:
     folders: tuple[str, ...]
     cplusplus: bool = False
     flags: tuple[str, ...] = ()
+    sources: tuple[str, ...] = ()
+    defaults: str = ""
+    given: tuple[str, str] = ("", "")
 
 
 PLATFORMS: dict[str, Platform] = {
@@ -70,6 +74,20 @@ PLATFORMS: dict[str, Platform] = {
             "dos/entry.c",
             ("dos",),
             flags=("-include", "pulsestage_dos.h"),
+        ),
+        Platform(
+            "freertos",
+            "a program on FreeRTOS, whose sources are given with it",
+            ("main",),
+            "freertos/entry.c",
+            ("freertos",),
+            sources=("freertos/port.c",),
+            defaults="freertos/defaults",
+            given=(
+                "FreeRTOS.h",
+                "it is in FreeRTOS' own sources, which are not here: give them with the program, "
+                'F/tasks.c F/list.c F/queue.c --cflags="-IF/include" where F is the folder of FreeRTOS-Kernel',
+            ),
         ),
     )
 }
@@ -114,6 +132,7 @@ def recipe(platform: Platform | None, sources: Sequence[Path], folder: Path) -> 
     sketches = [source for source in sources if source.suffix == SKETCH]
     files = [source for source in sources if source.suffix != SKETCH]
     flags = [f"-I{HERE / name}" for name in platform.folders]
+    flags += ["-idirafter", str(HERE / platform.defaults)] if platform.defaults else []
     if sketches:
         made = folder / f"{sketches[0].stem}.ino.cpp"
         made.write_text(translated({source: texts[source] for source in sketches}))
@@ -129,6 +148,7 @@ def recipe(platform: Platform | None, sources: Sequence[Path], folder: Path) -> 
                 )
         if any(re.search(r"^[^\S\n]*void[^\S\n]+(?:main|usrAppInit)[^\S\n]*\(", text, re.M) for text in texts.values()):
             flags.append("-DPULSESTAGE_VOID_MAIN")
+    files += [HERE / name for name in platform.sources]
     cplusplus = platform.cplusplus or any(file.suffix != ".c" for file in files)
     languages = ("-x", "c++") if platform.cplusplus else ()
     return Recipe(
@@ -142,6 +162,8 @@ def hint(platform: Platform | None, said: str) -> str:
     if missing is None:
         return ""
     header = missing[1]
+    if platform is not None and header == platform.given[0]:
+        return f"\n{header}: {platform.given[1]}."
     if platform is not None:
         return f"\n{header} is not among what is emulated of the platform {platform.name}: docs/porting.md."
     theirs = [p.name for p in PLATFORMS.values() if any((HERE / folder / header).is_file() for folder in p.folders)]
