@@ -15,7 +15,7 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -163,8 +163,8 @@ def in_words(text: str) -> bytes:
 # --- in the parent ---
 
 
-def told(noted: bytes, library: Path) -> str:
-    """What happened and where, in words; "" if nothing was noted."""
+def told(noted: bytes, *libraries: Path) -> str:
+    """What happened and where, in words; "" if nothing was noted. libraries: the firmware, and devices in C."""
     if not noted:
         return ""
     try:
@@ -176,7 +176,7 @@ def told(noted: bytes, library: Path) -> str:
         return ""
     names = [symbol for _, symbol, _ in crash.frames]
     inner = crash.frames[: names.index(ENTRY) + 1] if ENTRY in names else crash.frames
-    places = _places(inner, library)
+    places = _places(inner, libraries)
     calls = [(place, len(list(same))) for place, same in groupby(places) if place and RUST_ITSELF not in place]
     where = [f"{place}{f', {n} times' if n > 1 else ''}" for place, n in calls[:SHOWN]]
     what = _what(crash, {*names, *places})
@@ -205,27 +205,29 @@ def _what(crash: Crash, names: set[str]) -> str:
     return ""
 
 
-def place(address: int, library: Path, top: int) -> str:
-    """Where code of this process is: `function (file:line)` of the library; else what is known of it, and who of the library has
+def place(address: int, top: int, *libraries: Path) -> str:
+    """Where code of this process is: `function (file:line)` of one of the libraries; else what is known of it, and who of them has
     called it, if the word on top of the stack says so."""
     libc = ctypes.CDLL(None)
     file, symbol, offset = frame = _frame(libc, address)
-    if found := _places([frame], library)[0]:
+    if found := _places([frame], libraries)[0]:
         return found
     found = f"{symbol or f'offset {offset:X}h'} of {Path(file).name or 'unknown code'}"
-    caller = _places([_frame(libc, top - 1)], library)[0]
+    caller = _places([_frame(libc, top - 1)], libraries)[0]
     return f"{found}, called from {caller}" if caller else found
 
 
-def _places(frames: list[tuple[str, str, int]], library: Path) -> list[str]:
+def _places(frames: list[tuple[str, str, int]], libraries: Sequence[Path]) -> list[str]:
     """Each call as `function (file:line)`; "" for one of a system's library."""
-    own = {offset for file, _, offset in frames if Path(file).name == library.name}
-    found = _by_addr2line(library, sorted(own))
+    own = {library.name: library for library in reversed(libraries)}
+    found = {
+        name: _by_addr2line(library, sorted({offset for file, _, offset in frames if Path(file).name == name}))
+        for name, library in own.items()
+    }
+    names = [Path(file).name for file, _, _ in frames]
     return [
-        (found.get(offset) or symbol or f"offset {offset:X}h")
-        if offset in own and Path(file).name == library.name
-        else ""
-        for file, symbol, offset in frames
+        (found[name].get(offset) or symbol or f"offset {offset:X}h") if name in own else ""
+        for name, (_, symbol, offset) in zip(names, frames, strict=True)
     ]
 
 

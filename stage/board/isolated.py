@@ -22,6 +22,7 @@ from stage import errors as general
 from stage.board import crash, errors, starter
 from stage.board.answers import Answers, GarbledError
 from stage.board.board import Board
+from stage.board.devices.own import CDevice
 from stage.board.errors import HostError
 from stage.board.library import sanitizers
 from stage.board.program import Program
@@ -218,7 +219,7 @@ class Isolated:
         return f"has not got on for {self._patience:g} s of real time, and was ended"
 
     def _not_loaded(self, how: str) -> HostError:
-        what = crash.told(self._shared.crash, self._path)
+        what = self._told()
         return HostError(f"{self._path.name} {how} while it was loaded, before PULSESTAGE_MAIN was called{what}.")
 
     def _crashed(self, how: str) -> HostError:
@@ -227,16 +228,24 @@ class Isolated:
         try:
             self._shared.check_notes(board, int(theirs["noted"]), 0, self._until, ended=True)
         except SpoiltError:
-            return self._spoilt(f"{how}{crash.told(self._shared.crash, self._path)}")
+            return self._spoilt(f"{how}{self._told()}")
         edges = self._shared.edges[: int(theirs["noted"])]
         self._live_through(edges[np.isin(edges["kind"], (WRITE, READ, LOST))])
         board.stage.run_to(max(int(theirs["reached"] + theirs["ahead"]), board.stage.now))
         board.stage.beside.put(self._shared.devices)
+        k = int(theirs["answers"]) - 1
+        who = f"in the code of {board.devices[k].label}, " if 0 <= k < len(board.devices) else ""
         self._shared.copy(board, back=True)
         board.log += self._shared.lines()
         return HostError(
-            f"{self._path.name} {how}{crash.told(self._shared.crash, self._path)}; at {board.stage.time:.6f} s, after "
+            f"{who}{self._path.name} {how}{self._told()}; at {board.stage.time:.6f} s, after "
             f"{board.cycles:,} bus cycles. The stage stands where it stood then. Its last bus cycles:\n{board.trace.text(12)}"
+        )
+
+    def _told(self) -> str:
+        """What was noted of a crash, in words."""
+        return crash.told(
+            self._shared.crash, self._path, *(d.loaded for d in self._board.devices if isinstance(d, CDevice))
         )
 
     def _spoilt(self, how: str) -> HostError:

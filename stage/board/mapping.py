@@ -21,6 +21,7 @@ import numpy as np
 from stage.board import crash
 from stage.board.errors import HostError
 from stage.board.host import BEYOND_WINDOW
+from stage.board.whereabouts import executable
 from stage.board.windows import Window, windows
 from stage.board.x86 import records, table, trap
 from stage.errors import ArgumentError, StageError
@@ -158,7 +159,7 @@ class Mapped:
         """Why an instruction is no bus cycle. step: the address of its STEP."""
         state: Any = array_at(step, 1, records.STEP)[0]
         start, top = int(state.start), ctypes.c_uint64.from_address(int(state.stack)).value
-        who = f"{self._library.path.name}: an access to address {address:X}h in {crash.place(start, self._library.path, top)}"
+        who = f"{self._library.path.name}: an access to address {address:X}h in {crash.place(start, top, self._library.path)}"
         near = next((w for w in self._windows if w.address <= address < w.end), None)
         if what == BEYOND_WINDOW:
             window = near or min(self._windows, key=lambda w: min(abs(address - w.address), abs(address - w.end)))
@@ -253,16 +254,10 @@ def _thunk() -> int:
             b"\xff\x20",  # jmp [rax]
         )
     )
-    pages = mmap.mmap(-1, mmap.PAGESIZE, prot=mmap.PROT_READ | mmap.PROT_WRITE)
-    pages.write(code)
-    at = ctypes.addressof(ctypes.c_char.from_buffer(pages))
-    _code.append(pages)
-    if _libc.mprotect(ctypes.c_void_p(at), mmap.PAGESIZE, mmap.PROT_READ | mmap.PROT_EXEC) != 0:
-        raise StageError(f"this system lets no program make code, which windows need: {PROXIES}.")
-    return at
-
-
-_code: list[Any] = []
+    try:
+        return executable(code)
+    except StageError as error:
+        raise StageError(f"{error} Windows need that: {PROXIES}.") from None
 
 
 # --- what is where in this process ---

@@ -9,9 +9,11 @@ from __future__ import annotations
 import os
 import threading
 import time
+from pathlib import Path
 
-from stage.board import bus, crash, exits, host
+from stage.board import bus, crash, exits, host, whereabouts
 from stage.board.board import Board
+from stage.board.devices.own import CDevice
 from stage.board.errors import HostError
 from stage.board.interrupts import NEAR
 from stage.board.link import MOST
@@ -182,12 +184,27 @@ class Threaded:
             elif time.monotonic() - since > self._patience and debugged():
                 since = time.monotonic()
             elif time.monotonic() - since > self._patience:
-                raise HostError(
-                    f"{self._path.name} has computed for {self._patience:g} s of real time without a bus cycle or a delay (at "
-                    f"{board.stage.time:.6f} s): a loop that waits for nothing? Computing takes no time, and no interrupt comes in "
-                    f"it, unless cost= (--cost) says what it takes: docs/interrupts.md.{'' if self._may_exit else GOES_ON} Its "
-                    f"last bus cycles:\n{board.trace.text(12)}"
-                )
+                raise HostError(self._computes(int(h["answers"])))
+
+    def _computes(self, answers: int) -> str:
+        """The patience with it is over; answers: see HOST."""
+        board, path = self._board, self._path
+        long, at = f"has computed for {self._patience:g} s of real time", f"at {board.stage.time:.6f} s"
+        end = f"{'' if self._may_exit else GOES_ON} Its last bus cycles:\n{board.trace.text(12)}"
+        if not answers:
+            return (
+                f"{path.name} {long} without a bus cycle or a delay ({at}): a loop that waits for nothing?{self._place(path)} "
+                "Computing takes no time, and no interrupt comes in it, unless cost= (--cost) says what it takes: "
+                f"docs/interrupts.md.{end}"
+            )
+        device = board.devices[answers - 1]
+        where = self._place(device.loaded, path) if isinstance(device, CDevice) else ""
+        return f"{device.label} {long} in one bus cycle of {path.name} ({at}): a loop without end?{where}{end}"
+
+    def _place(self, *libraries: Path) -> str:
+        """Where it computes: a sentence."""
+        pc, top = whereabouts.of(self._thread) if self._may_exit else (0, 0)  # signals are for whoever has this process
+        return f" It is in {crash.place(pc, top, *libraries)}." if pc else ""
 
     def _interrupt(self) -> None:
         """After Ctrl-C, or when the patience is over: the firmware is paused at its next request, or is abandoned."""

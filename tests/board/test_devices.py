@@ -7,6 +7,7 @@ import copy
 import gc
 import math
 import pickle
+import re
 from functools import partial
 
 import numpy as np
@@ -15,7 +16,7 @@ from board.test_native import left_behind
 from support.compiled_firmware import firmware
 
 from stage import Stage
-from stage.board import Board, CompileError, HostError, LibraryError, NativeHost, build, scratch
+from stage.board import Board, CompileError, HostError, LibraryError, NativeHost, build, scratch, whereabouts
 from stage.board.devices import CDevice, Device, Encoder, Latch
 from stage.chips import HCTL1100, PCL240K
 from stage.errors import ArgumentError, StageError
@@ -425,3 +426,38 @@ def test_a_device_in_c_lies_where_the_next_run_removes_what_a_kill_has_left(adc)
     del device
     gc.collect()
     assert not folder.exists()
+
+
+BREAKS = r"""
+#include <pulsestage_device.h>
+struct it { int64_t n; };
+static int follow(volatile int *at) { return *at; }
+static uint32_t it_read(struct it *s, const struct ps_moment *at, uint32_t port, int bits)
+{
+    (void)s, (void)at, (void)bits;
+    if (port == 0)
+        return (uint32_t)follow((int *)8);
+    for (volatile int k = 0;; k++)
+        ;
+}
+PS_DEVICE(struct it, it_read, 0, 0)
+"""
+
+
+def test_a_crash_and_a_loop_in_the_code_of_a_device_are_told_as_its_own(tmp_path):
+    """stage run driver.c --device breaks.c:0x340+2"""
+    (tmp_path / "breaks.c").write_text(BREAKS)
+    board = Board(Stage("xy", visuals=False))
+    board.device([0x340, 0x341], source=tmp_path / "breaks.c", name="mine")
+    body = "PULSESTAGE_MAIN { ps_in8(0x300); return ps_in8(0x340 + PORT); }"
+    crashes, loops = (firmware(body, f"-DPORT={n}") for n in (0, 1))
+    with NativeHost(crashes, board, isolated=True) as h, pytest.raises(HostError) as failed:
+        h.run()
+    assert re.search(
+        r"in the code of mine \(breaks\.so\), firmware\.so was ended by SIGSEGV .* address 8h.* in follow \(\S*breaks\.c:4\)",
+        str(failed.value),
+    )
+    with NativeHost(loops, board, isolated=True, patience=0.3) as h, pytest.raises(HostError) as failed:
+        h.run()
+    assert "mine (breaks.so) has computed for 0.3 s of real time in one bus cycle of firmware.so" in str(failed.value)
+    assert not whereabouts.HERE or re.search(r"It is in it_read \(\S*breaks\.c:1[01]\)", str(failed.value))

@@ -91,6 +91,11 @@ class Device:
             found.append(math.floor((stage.data.qpos[t.qpos] + stage.data.qvel[t.dof] * tau - zero) * counts + 0.5))
         return found
 
+    @property
+    def label(self) -> str:
+        """Its name, and the file that it is made of if there is one."""
+        return self.name
+
     def __repr__(self) -> str:
         return f"<{type(self).__name__} {self.name}>"
 

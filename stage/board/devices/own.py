@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 import os
 import shutil
-import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -97,7 +96,9 @@ class CDevice(Device):
             self.path = library.build(source, self._scratch.path / f"{Path(first).stem}.so", flags)
         else:
             self.path = Path(source)  # type: ignore[arg-type]
-        loaded = _loaded(self.path, source)
+        self._loaded_from = Scratch()  # a copy of its own, which debuggers and messages about crashes find there
+        self.loaded = self._loaded_from.path / f"device-{self.path.name}"
+        loaded = _loaded(self.path, self.loaded, source)
         self._library = loaded
         size = ctypes.c_uint32.in_dll(loaded, "pulsestage_device_size").value
         if not size <= MOST_STATE:
@@ -109,6 +110,10 @@ class CDevice(Device):
         if self.tell is None:
             return super().listener()
         return lambda n, value, writes, wide: str(self.tell(self.port(n), value, writes))  # type: ignore[misc]
+
+    @property
+    def label(self) -> str:
+        return f"{self.name} ({self.path.name})"
 
     def twin(self) -> tuple[Any, ...]:
         return (_twin, str(self.path), self.name, self.encoders, self.width)
@@ -131,16 +136,15 @@ def _words(state: Any) -> np.ndarray:
     return state
 
 
-def _loaded(path: Path, given: Any) -> ctypes.CDLL:
-    """A copy of the library of its own. given: what it was made of, for messages."""
+def _loaded(path: Path, own: Path, given: Any) -> ctypes.CDLL:
+    """A copy of the library, with static variables of its own. given: what it was made of, for messages."""
     if not path.is_file():
         raise FileError(f"{path}: there is no such library.")
-    with tempfile.TemporaryDirectory(prefix="pulsestage-") as folder:
-        own = shutil.copy(path, Path(folder) / path.name)
-        try:
-            loaded = ctypes.CDLL(str(own))
-        except OSError as error:
-            raise LibraryError(f"{given} cannot be loaded: {str(error).replace(str(own), str(path))}.") from None
+    shutil.copy(path, own)
+    try:
+        loaded = ctypes.CDLL(str(own))
+    except OSError as error:
+        raise LibraryError(f"{given} cannot be loaded: {str(error).replace(str(own), str(path))}.") from None
     try:
         abi = ctypes.c_uint32.in_dll(loaded, "pulsestage_device_abi").value
     except ValueError:
