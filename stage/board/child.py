@@ -21,7 +21,7 @@ from stage.board import crash, scratch
 from stage.board.board import Board
 from stage.board.interrupts import ANY_LINE
 from stage.board.link import NOTED, Link
-from stage.board.shared import Asked, Begin, Go, Noted, Shared, SpoiltError, Stands
+from stage.board.shared import LOADING, Asked, Begin, Go, Noted, Shared, SpoiltError, Stands
 from stage.board.threaded import Threaded
 from stage.errors import StageError
 from stage.sim.fingerprint import settings
@@ -230,6 +230,7 @@ def main(fileno: int) -> None:
     try:
         board = ChildBoard(pipe, begin)
         crash.watch(board.link.shared.note_crash)
+        pipe.send(LOADING)
         runner = Threaded(begin.program, board, begin.patience, may_exit=True)
     except StageError as error:
         pipe.send((type(error).__name__, str(error)))

@@ -155,6 +155,11 @@ def _frame(libc: Any, address: int) -> tuple[str, str, int]:
     return (symbol.file or b"").decode(), (symbol.name or b"").decode(), address - (symbol.base or 0)
 
 
+def file_of(address: int) -> str:
+    """The library that code of this process is in; "" if in none."""
+    return _frame(ctypes.CDLL(None), address)[0]
+
+
 def in_words(text: str) -> bytes:
     """What is noted where no signal tells it."""
     return json.dumps(text).encode()

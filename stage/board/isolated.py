@@ -27,7 +27,7 @@ from stage.board.errors import HostError
 from stage.board.library import sanitizers
 from stage.board.program import Program
 from stage.board.scratch import Scratch
-from stage.board.shared import Asked, Begin, Go, Noted, Shared, SpoiltError, Stands
+from stage.board.shared import LOADING, Asked, Begin, Go, Noted, Shared, SpoiltError, Stands
 from stage.board.threaded import debugged
 from stage.chips.entries import LOST, READ, WRITE
 from stage.errors import StageError
@@ -36,6 +36,7 @@ from stage.sim.fingerprint import fingerprint
 
 GRACE = 10.0  # s of real time beyond its patience, in which the child gives its firmware up itself
 STARTS = 30.0  # s beyond it that a process may take to begin
+LOADS = 2.0  # s beyond it that loading the firmware may take: constructors run then
 
 
 class _SilentError(Exception):
@@ -126,6 +127,8 @@ class Isolated:
             ours.send(Begin(self._program, str(shared), given, self._patience))
             self._seen, self._faults = _machine(board.stage), _faults(board.stage)
             answer = self._next(STARTS)
+            if answer == LOADING:
+                answer = self._next(LOADS)
         except (EOFError, ConnectionError):
             raise self._not_loaded(self._ended_how()) from None
         except (GarbledError, _SilentError) as error:
@@ -194,6 +197,7 @@ class Isolated:
     def _next(self, grace: float = GRACE) -> Any:
         """The next message of the child."""
         begin: tuple[float, Any] = time.monotonic(), None
+        self._waited = self._patience + grace
 
         def waits() -> None:
             nonlocal begin
@@ -216,7 +220,7 @@ class Isolated:
                 "wrote into a file descriptor that it had not opened: that was the connection of its process with the stage, and "
                 "it was ended"
             )
-        return f"has not got on for {self._patience:g} s of real time, and was ended"
+        return f"has not got on for {self._waited:g} s of real time, and was ended"
 
     def _not_loaded(self, how: str) -> HostError:
         what = self._told()

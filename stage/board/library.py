@@ -19,6 +19,7 @@ from typing import Any
 from stage.board import exits, platforms
 from stage.board.bus import REQUEST, compute_as_before, compute_as_usual
 from stage.board.errors import CompileError, LibraryError, NoCompilerError
+from stage.board.handlers import Handlers
 from stage.board.scratch import Scratch
 from stage.errors import ArgumentError
 from stage.files import FileError
@@ -225,7 +226,8 @@ class Library:
         self.path = path
         _check_sanitizers(path)
         self._scratch = Scratch()
-        own = Path(shutil.copy(path, self._scratch.path / path.name))
+        self._own, self._handlers = Path(shutil.copy(path, self._scratch.path / path.name)), Handlers()
+        own = self._own
         mode = compute_as_usual.c()
         try:
             self._library = ctypes.CDLL(str(own), mode=_mode(path))
@@ -287,5 +289,6 @@ class Library:
         if platform.system() != "Windows":
             import _ctypes
 
+            self._handlers.remove_those_of(str(self._own))
             _ctypes.dlclose(self._handle)
         self._scratch.close()

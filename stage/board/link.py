@@ -182,8 +182,9 @@ class Link:
                 raise HostError(self.hooks.refused(int(h["asked_chip"]), int(h["asked_address"]), int(h["asked"])))
             elif reason == host.TWICE:
                 raise HostError(
-                    f"two threads of the firmware made bus cycles at the same time, at {self.stage.time:.6f} s: a bus has one host "
-                    "at a time. Guard the bus cycles by a mutex."
+                    "two threads of the firmware made bus cycles at the same time, or a handler of signals (setitimer, alarm) made "
+                    f"one in the middle of another, at {self.stage.time:.6f} s: a bus has one host at a time. Guard the cycles of "
+                    "threads by a mutex; timers of the board are ps_timer and ps_on_timer (docs/interrupts.md)."
                 )
             elif reason == host.LINE_OF_LOG and not self.record["asked"]:
                 raise HostError(f"ps_log(0), at {self.stage.time:.6f} s: a null pointer is no text.")

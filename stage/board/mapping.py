@@ -111,6 +111,10 @@ class Mapped:
                 self._claim(Window(address, port, size))
             except ArgumentError:
                 continue
+            except StageError as error:
+                raise HostError(
+                    f"ps_window({port:#x}, {length:#x}): {error} Ask once for each window, and keep the pointer; {self._when()}"
+                ) from None
             self._own_stack()
             return address
         raise HostError(f"ps_window({port:#x}, {length:#x}): there is no room for a window of this size.")

