@@ -297,3 +297,29 @@ def test_settings_that_cannot_be_are_named(settings, message):
 def test_options_that_cannot_be_are_named(name, value):
     with pytest.raises(ArgumentError, match=f"option {name}="):
         make().reset(options={name: value})
+
+
+@pytest.mark.parametrize("chip", [MCX514, MCX304])
+@pytest.mark.parametrize("leave", [0, 3200])
+def test_an_origin_that_is_stuck_up_to_the_end_limit_is_no_home(chip, leave):
+    """stage.axes["x"].switches.stick("org", True), a return that begins 1 mm before EL+: "home" 270 mm from ORG"""
+    env = make(chip=chip)
+    env.reset(seed=0, options={"start": 0.149, "payload": 5.0, "friction": 1.0})
+    env._task.stages[0].axes["x"].switches.stick("org", True)
+    *_, info = env.step(env.strategy.to_action(NOVA[chip] | {"leave": leave}))
+    assert (info["home"], info["late"], info["end_limit"]) == (False, False, leave > 0)
+
+
+def test_payload_and_friction_are_seen_from_end_to_end_of_their_ranges():
+    """payloads 2 to 6 kg, frictions 0.5 to 2 (by their logarithm); of a range of one number -1"""
+    env = make(payloads=(2.0, 6.0), frictions=(0.5, 2.0))
+    for payload, friction, seen in (
+        (2.0, 0.5, (-1, -1)),
+        (6.0, 2.0, (1, 1)),
+        (3.0, 1.0, (-0.5, 0)),
+        (4.0, 2**0.5, (0, 0.5)),
+    ):
+        observation, _ = env.reset(seed=0, options={"payload": payload, "friction": friction})
+        assert observation[3:5] == pytest.approx(seen, abs=1e-6), (payload, friction)
+    env = make(payloads=(4.0, 4.0), frictions=(1.5, 1.5))
+    assert env.reset(seed=0)[0][3:5].tolist() == [-1, -1]

@@ -41,6 +41,7 @@ class HomeSearch(Search):
         self._mark("leave time", driver.drive(p, chosen["leave"])).until_stopped([driver.index], c.limit)
         driver.command(p, driver.STOP).wait(c.settle if chosen["leave"] else 0.0)
         self._position(p, "left")
+        driver.forget(p)  # a limit that the leaving has met
         polls = driver.write_home(p, bool(chosen["step1"]), chosen.get("timer", 0), bool(c.ez), c.limit, c.settle)
         self.marks |= {f"home time {k}": at for k, at in enumerate(polls)}
         for name, (at, mask) in driver.look(p).items():
