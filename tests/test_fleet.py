@@ -110,6 +110,20 @@ def test_a_stage_that_diverges_does_not_stop_the_others(first):
     assert (fleet.truth()["counter"][[0, 2, 3, 4]] == 0).all()
 
 
+@pytest.mark.parametrize(("bus_cycle", "poll"), [(1e-6, 2e-3), (1e-3, 1e-6)], ids=["in the rest", "in a look"])
+def test_a_stage_that_diverges_while_a_program_waits_for_a_stop_ends_it(bus_cycle, poll):
+    """Program().until_stopped([0], 5, poll) on a stage that diverges in the first ms, between two looks or in one"""
+    stage = Stage("xy", bus_cycle=bus_cycle, visuals=False)
+    chip = stage.axes["x"].chip
+    p = Program().register(0, chip, "R1", 500).register(0, chip, "R7", 100).command(0, 0x40).command(0, 0x10)
+    fleet = Fleet([stage], 1)
+    assert not fleet.play([p]).diverged.any()
+    stage.data.qfrc_applied[:] = 1e30
+    now = stage.now
+    assert fleet.play([Program().until_stopped([0], 5, poll)]).diverged.all()
+    assert stage.now - now < 1e8
+
+
 def test_a_fleet_is_pickled_with_its_stages(first):
     fleet = Fleet(stages(first, 2), 1)
     twin = pickle.loads(pickle.dumps(fleet))

@@ -506,6 +506,13 @@ def test_text_that_is_not_utf_8_is_an_unknown_motor(tmp_path):
         Stage(tmp_path / "xy.xml")
 
 
+def test_text_of_a_compiled_model_that_is_not_utf_8_is_an_unknown_motor_too(tmp_path):
+    file = tmp_path / "it.xml"
+    file.write_bytes(b'<mujoco><custom><text name="x_motor" data="17HS\xe44401"/></custom></mujoco>')
+    for source in (mujoco.MjModel.from_xml_path(str(file)), mujoco.MjSpec.from_file(str(file))):
+        assert plant.motors(source) == {"x": "17HS\N{REPLACEMENT CHARACTER}4401"}
+
+
 def test_a_spec_that_was_changed_is_nobody_elses():
     spec = plant.open_spec("xyz")
     spec.geom("x_org_vane").pos[0] += 0.01

@@ -376,3 +376,46 @@ def test_a_routine_leaves_alone_what_another_cause_made_run_away():
     assert not erratum.limit_poll(told.driver)
     assert not erratum.stop_signal_poll(told.driver)
     assert told.runs_away()
+
+
+class Said:
+    """A port that says what RR1 and RR3 hold; what it was told is in `told`."""
+
+    def __init__(self, factors, status, driving):
+        self._words, self._driving, self.told = {1: status, 3: factors}, driving, []
+
+    def word(self, number):
+        return self._words[number]
+
+    def driving(self):
+        return self._driving
+
+    def command(self, code):
+        self.told.append(code)
+
+
+RUNS_AWAY = (erratum.C_END, erratum.STOPPED_BY_LIMIT, True)
+"""What RR3 and RR1 say, and whether it drives."""
+
+
+@pytest.mark.parametrize(
+    ("said", "stops"),
+    [
+        (RUNS_AWAY, True),
+        ((erratum.C_END | 0xF, erratum.STOPPED_BY_LIMIT & -erratum.STOPPED_BY_LIMIT, True), True),
+        ((0xFFFF & ~erratum.C_END, erratum.STOPPED_BY_LIMIT, True), False),
+        ((erratum.C_END, erratum.STOPPED_BY_LIMIT | erratum.DSND, True), False),
+        ((erratum.C_END, erratum.STOPPED_BY_LIMIT, False), False),
+        ((erratum.C_END, 0, True), False),
+        *(
+            ((erratum.C_END, erratum.STOPPED_BY_LIMIT | 1 << k, True), False)
+            for k in range(16)
+            if erratum.PHASES >> k & 1
+        ),
+    ],
+)
+def test_each_branch_of_the_flow_chart_of_the_limit_interrupt_leaves_the_drive_alone(said, stops):
+    """C-END, DSND, n-DRV, the limit's bits, the phases: 27h only where all of them say that it runs away"""
+    port = Said(*said)
+    assert erratum.limit_interrupt(port) is stops
+    assert port.told == [erratum.SUDDEN_STOP] * stops

@@ -7,7 +7,7 @@ from support.examples import SEED
 from stage import ArgumentError, StageError, firmware
 from stage.chips import PCL240K, PCL240MK, PCL240MS
 from stage.firmware import Bench, Port, Profile
-from stage.firmware.pcl240.closed_form import twice_span
+from stage.firmware.pcl240.closed_form import _late, twice_span
 
 SHAPES = [False, True, 0.2]
 
@@ -153,3 +153,11 @@ def test_listings_name_extension_registers():
 def test_a_span_of_more_than_half_of_a_ramp_leaves_no_linear_part(span, twice):
     """R14 = 300 for a ramp of 400 speed steps: as R14 = 0"""
     assert twice_span(span, 400) == twice
+
+
+def test_the_linear_part_of_a_curve_is_late_by_what_its_first_two_steps_lack_to_a_whole_tick():
+    """The chip takes a step at the first whole tick; quarters of a tick, that alternate between a and a + 2 rate"""
+    for a in range(8):
+        for rate in range(1, 6):
+            lack = [next(k for k in range(4) if (at + k) % 4 == 0) / 4 for at in (a, a + 2 * rate)]
+            assert _late(a, rate) == sum(lack) / 2, (a, rate)

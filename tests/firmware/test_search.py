@@ -10,7 +10,9 @@ from stage.chips.pcl240.state import S_ORG, S_ZERO
 from stage.firmware import Bench
 from stage.firmware.driver import driver_of
 from stage.firmware.nova.search import HomeSearch
+from stage.firmware.pcl240 import bus, home
 from stage.firmware.pcl240.search import FourRuns
+from stage.sim.program import Program
 
 MADE = {"leave": 0, "search": 7000, "back off": 500, "approach": 480}  # pulses
 
@@ -94,3 +96,23 @@ def test_every_end_of_an_automatic_home_search_is_told(chip, ez):
     assert told["end_limit"].tolist() == [False, False, True, True, False] + [False] * 2 * n
     assert told["released"].tolist() == [True] * 4 + [False] + [True] * 2 * n
     assert told["searched"].tolist() == [7000] * 2 + [6999] + [7000] * (2 + 2 * n)
+
+
+@pytest.mark.parametrize("ez", [1, 2, 16])
+def test_an_origin_return_to_the_index_pulse_counts_from_fl_on(ez):
+    """R13: end at the ez-th EZ, counted from where the axis runs at FL; not from ORG on, at the speed of the search"""
+    made, chip = search(FourRuns, PCL240MK, ez), PCL240MK()
+    value = bus.EZ_RETURN | bus.EZ_FROM_FL | (ez - 1) << bus.EZ_COUNT
+    assert value == PCL240MK.MAP.register("R13").mask & value
+    wanted = Program().register(0, chip, "R13", value).ops
+    rows = made.program(made.choices.low).ops
+    assert any(rows[k : k + len(wanted)] == wanted for k in range(len(rows)))
+    written = {}
+    status = SimpleNamespace(org=False, _replace=lambda **_: status)
+    axis = SimpleNamespace(wait=lambda _: None)
+    port = SimpleNamespace(
+        extended=True, axis=axis, write_register=written.__setitem__, read_register=lambda _: bus.EZ_SIGNAL,
+        control=lambda _: None, command=lambda _: None, wait_until_stopped=lambda _: status, status=lambda: status,
+    )  # fmt: skip
+    assert home._approach(port, -1, False, 1.0, ez) == "EZ"
+    assert written == {"R13": value}
