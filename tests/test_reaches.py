@@ -14,7 +14,7 @@ OF_OTHERS = {
 }  # fmt: skip
 """Names that the libraries which have them show to everybody."""
 
-INSIDE_NUMBA = {"stage/native/emit.py", "stage/native/typed.py"}
+INSIDE_NUMBA = {"stage/native/emit.py", "stage/native/passes.py", "stage/native/typed.py"}
 """Objects for a baseline processor are nothing that numba offers."""
 
 

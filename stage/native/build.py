@@ -123,7 +123,7 @@ def _parts(package: str, places: dict[str, Path]) -> dict[str, list[str]]:
 
 def _closure(modules: list[str], known: dict[str, Path]) -> set[str]:
     """These modules and all that they import, of `known`."""
-    found = {f"stage.native.{name}" for name in ("arithmetic", "emit", "typed")}
+    found = {f"stage.native.{name}" for name in ("arithmetic", "emit", "passes", "typed")}
     left = list(modules)
     while left:
         module = left.pop()
@@ -149,39 +149,31 @@ def _emit(parts: list[list[str]], roots: dict[str, Path], processor: str, say: _
     """Have objects made, by a process for each processor."""
     if not parts:
         return
-    workers = max(1, min(len(parts), os.cpu_count() or 1))
-    jobs = [parts[k::workers] for k in range(workers)]
-    places = {name: str(folder) for name, folder in roots.items()}
     environment = {k: v for k, v in os.environ.items() if not k.startswith("NUMBA_")} | {"PULSESTAGE_EMIT": "1"}
     here = [str(folder.parent) for name, folder in roots.items() if "." not in name]
     inherited = filter(None, sys.path)  # pip builds in a place of its own
     environment["PYTHONPATH"] = os.pathsep.join(dict.fromkeys([*here, *inherited]))
-    failed: list[str] = []
-
-    def work(job: list[list[str]]) -> None:
-        process: Any = subprocess.Popen(
-            [sys.executable, "-m", "stage.native.emit"], env=environment, text=True,
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-        )  # fmt: skip
-        with process:
-            json.dump({"places": places, "processor": processor, "parts": job}, process.stdin)
-            process.stdin.close()
-            said: list[str] = []
-            reader = threading.Thread(target=lambda: said.append(process.stderr.read()))
-            reader.start()
-            for _ in process.stdout:
-                say.one()
-            reader.join()
-        if process.returncode:
-            failed.append(said[0].strip())
-
-    threads = [threading.Thread(target=work, args=(job,)) for job in jobs]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    if failed:
-        raise NativeError("the native library could not be built:\n" + "\n".join(failed))
+    job = {
+        "places": {name: str(folder) for name, folder in roots.items()},
+        "processor": processor,
+        "parts": parts,
+        "workers": min(len(parts), os.cpu_count() or 1),
+    }
+    process: Any = subprocess.Popen(
+        [sys.executable, "-m", "stage.native.emit"], env=environment, text=True,
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    )  # fmt: skip
+    with process:
+        json.dump(job, process.stdin)
+        process.stdin.close()
+        said: list[str] = []
+        reader = threading.Thread(target=lambda: said.append(process.stderr.read()))
+        reader.start()
+        for _ in process.stdout:
+            say.one()
+        reader.join()
+    if process.returncode:
+        raise NativeError(f"the native library could not be built:\n{said[0].strip()}")
 
 
 def _manifest_object(manifest: dict[str, Any], kept: Path) -> Path:

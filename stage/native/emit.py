@@ -14,6 +14,7 @@ import sys
 from collections.abc import Iterator
 from importlib import import_module
 from importlib.machinery import ModuleSpec
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -21,10 +22,14 @@ import llvmlite.binding as llvm
 from llvmlite import ir
 from numba.core import codegen, types
 from numba.core.compiler_lock import global_compiler_lock
-from numba.core.registry import cpu_target
+
+from stage.native.passes import cpu_target
 
 OUTSIDE = frozenset("exp log pow sin cos tan sqrt floor ceil rint round trunc fmod memset memcpy memmove".split())
 """What a library may ask of the system: C's mathematics and memory."""
+
+TOGETHER = 16
+"""Modules that are linked before they go into the whole: LLVM looks through all that is there each time that something is added."""
 
 BORROWED = """
 define void @NRT_incref(i8* %p) alwaysinline { ret void }
@@ -34,12 +39,15 @@ define void @NRT_decref(i8* %p) alwaysinline { ret void }
 
 
 class _Gathered(codegen.AOTCodeLibrary):
-    """What numba made of a function, as it was lowered."""
+    """What numba made of a function, as it was lowered: as text, since LLVM reads it once, into the whole."""
+
+    def __init__(self, generator: Any, name: str):
+        codegen.CodeLibrary.__init__(self, generator, name)
+        self._linking_libraries: list[Any] = []
+        self.texts: list[str] = []
 
     def add_ir_module(self, ir_module: Any) -> None:
-        module = llvm.parse_assembly(codegen.cgutils.normalize_ir_text(str(ir_module)))
-        module.data_layout = self._codegen._data_layout
-        self._final_module.link_in(module)
+        self.texts.append(codegen.cgutils.normalize_ir_text(str(ir_module)))
 
     def finalize(self) -> None:
         self._finalized = True
@@ -74,7 +82,7 @@ class BarePackages:
         return None
 
 
-def _context(processor: str) -> Any:
+def context_for(processor: str) -> Any:
     """numba's, that it makes everything in from now on, for that processor."""
     context: Any = cpu_target.target_context
     context.refresh()  # numba compiles some of its own, to be run
@@ -84,7 +92,7 @@ def _context(processor: str) -> Any:
 
 
 def _gather(library: Any, into: dict[int, Any]) -> None:
-    if id(library) not in into:
+    if id(library) not in into and isinstance(library, _Gathered):  # the others are numba's own, to be run
         into[id(library)] = library
         for other in library._linking_libraries:
             _gather(other, into)
@@ -122,13 +130,12 @@ def _entry(function: Any, context: Any) -> Iterator[Any]:
 
 
 @global_compiler_lock
-def emit(modules: list[str], processor: str) -> bytes:
-    """The object of the functions that these modules export."""
+def emit(modules: list[str], context: Any) -> bytes:
+    """The object of the functions that these modules export; context: of `context_for`."""
     for name in modules:
         import_module(name)
     from stage.native.functions import Exported
 
-    context = _context(processor)
     own = [f for f in Exported.every if f.module in modules]
     gathered: dict[int, Any] = {}
     for function in own:
@@ -137,9 +144,13 @@ def emit(modules: list[str], processor: str) -> bytes:
     generator = context.codegen()
     whole = llvm.parse_assembly(str(generator._create_empty_module(modules[0])))
     whole.link_in(llvm.parse_assembly(BORROWED))
-    for library in gathered.values():
-        if not any(f.name == "NRT_decref" and not f.is_declaration for f in library._final_module.functions):
-            whole.link_in(library._final_module, preserve=True)
+    texts = [text for library in gathered.values() for text in library.texts]
+    for k in range(0, len(texts), TOGETHER):
+        group, *others = map(llvm.parse_assembly, texts[k : k + TOGETHER])
+        for module in others:
+            group.link_in(module)
+        whole.link_in(group)
+    whole.data_layout = generator._data_layout
     symbols = {f.symbol for f in own}
     for made in (*whole.functions, *whole.global_variables):
         if not made.is_declaration and made.name not in symbols and made.linkage != llvm.Linkage.private:
@@ -161,18 +172,39 @@ def _refuse(whole: Any, exported: set[str], modules: list[str]) -> None:
             )
 
 
-def main() -> None:
-    """Read {"places": package -> folder, "processor": ..., "parts": [[object to write, module, ...], ...]} and do it."""
-    gc.disable()  # nearly all that is made is kept to the end: looking for the rest takes a sixth of the time
-    job = json.load(sys.stdin)
-    sys.meta_path.insert(0, BarePackages(job["places"]))
-    for path, *modules in job["parts"]:
-        made = emit(modules, job["processor"])
+def _emit_next(taken: Any, parts: list[list[str]], context: Any) -> None:
+    """Make one part after another, of those that no other process has taken."""
+    while True:
+        with taken:
+            number, taken.value = taken.value, taken.value + 1
+        if number >= len(parts):
+            return
+        path, *modules = parts[number]
+        made = emit(modules, context)
         temporary = Path(f"{path}.part")
         temporary.write_bytes(made)
         temporary.replace(path)
         print(path, flush=True)
 
 
+def main() -> int:
+    """Read {"places": package -> folder, "processor": ..., "workers": ..., "parts": [[object, module, ...], ...]} and do it.
+
+    Each worker is a copy of this process, with all that is imported; whichever is free takes the next part."""
+    gc.disable()  # nearly all that is made is kept to the end: looking for the rest takes a sixth of the time
+    sys.modules["scipy"] = None  # type: ignore[assignment]  # numba would look for a BLAS in it, and import most of it
+    job = json.load(sys.stdin)
+    sys.meta_path.insert(0, BarePackages(job["places"]))
+    context = context_for(job["processor"])
+    fork = get_context("fork")
+    taken = fork.Value("q")
+    workers = [fork.Process(target=_emit_next, args=(taken, job["parts"], context)) for _ in range(job["workers"])]
+    for worker in workers:
+        worker.start()
+    for worker in workers:
+        worker.join()
+    return int(any(worker.exitcode for worker in workers))
+
+
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

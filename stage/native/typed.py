@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Callable
 from typing import Any
 
 import numba
@@ -11,109 +10,9 @@ import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
-from numba.core.compiler import CompilerBase
-from numba.core.compiler_machinery import PassManager, _pass_registry, register_pass
 from numba.core.errors import TypingError
-from numba.core.lowering import Lower
-from numba.core.registry import CPUDispatcher, cpu_target
-from numba.core.typed_passes import NativeLowering, NoPythonBackend, NopythonTypeInference, PreLowerStripPhis
-from numba.core.typing import Context
-from numba.core.untyped_passes import (
-    FixupArgs,
-    GenericRewrites,
-    IRProcessing,
-    ReconstructSSA,
-    TranslateByteCode,
-)
 from numba.extending import intrinsic, typeof_impl
 from numba.np.arrayobj import make_array, populate_array
-
-_OPTIONS = {
-    "nopython": True, "nogil": True, "error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True,
-}  # fmt: skip
-
-
-class _Typing(Context):
-    """Remembers what operators and functions of numba's own give for which types: numba asks each of their forms each time."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._found: dict[Any, Any] = {}
-
-    def resolve_function_type(self, func: Any, args: Any, kws: Any) -> Any:
-        """numba's; see there."""
-        if kws or isinstance(func, (str, types.Dispatcher)):
-            return super().resolve_function_type(func, args, kws)
-        asked = func, tuple(args)
-        found = self._found.get(asked)
-        if found is None:
-            found = self._found[asked] = super().resolve_function_type(func, args, kws)
-        return found
-
-
-vars(cpu_target)["_toplevel_typing_context"] = _Typing()
-
-
-class _Passes(PassManager):
-    """Runs passes, and nothing beside: numba's own run tells listeners of each, and looks after each at what it left."""
-
-    def run(self, state: Any) -> None:
-        """numba's; see there."""
-        for each, _ in self.passes:
-            one = _pass_registry.get(each).pass_inst
-            one.analysis = self._analysis
-            one.run_initialization(state)
-            one.run_pass(state)
-            one.run_finalizer(state)
-
-
-class _Lower(Lower):
-    """Every array here is borrowed: nobody counts who holds it."""
-
-    def incref(self, typ: Any, val: Any) -> None:
-        """Nothing."""
-
-    def decref(self, typ: Any, val: Any) -> None:
-        """Nothing."""
-
-
-@register_pass(mutates_CFG=True, analysis_only=False)
-class _Lowering(NativeLowering):
-    """numba's, by `_Lower`."""
-
-    @property
-    def lowering_class(self) -> type[Lower]:
-        """See there."""
-        return _Lower
-
-
-class _Pipeline(CompilerBase):
-    """Of numba's passes those that hot functions need: no closures, generators, literals to unroll, inlined overloads, array
-    expressions, annotations; nothing that says where a variable ends, since nobody counts."""
-
-    def define_pipelines(self) -> list[Any]:
-        passes = _Passes("hot")
-        for each in (
-            TranslateByteCode, FixupArgs, IRProcessing, GenericRewrites, ReconstructSSA,
-            NopythonTypeInference, PreLowerStripPhis, _Lowering, NoPythonBackend,
-        ):  # fmt: skip
-            passes.add_pass(each, each.__name__)
-        passes.finalize()
-        return [passes]
-
-
-class _Hot(CPUDispatcher):
-    """Callers that say f(1) and f(2) share the code for a whole number: numba would make one for each."""
-
-    def get_call_template(self, args: Any, kws: Any) -> Any:
-        return super().get_call_template(
-            tuple(map(types.unliteral, args)), {k: types.unliteral(v) for k, v in kws.items()}
-        )
-
-
-def hot(function: Callable) -> Any:
-    """numba's form of a hot function. No fastmath: the same input gives the same bits."""
-    return _Hot(function, targetoptions=dict(_OPTIONS), pipeline_class=_Pipeline)
 
 
 def lowered_array(context: Any, builder: Any, kind: Any, address: Any, shape: list[Any]) -> Any:
