@@ -1,12 +1,14 @@
 """Lines and arcs of the MCX514: where each pulse is beside the ideal path, and when it comes."""
 
 import math
+import time
 from fractions import Fraction
 
 import pytest
 from reference.nova_paths import (
     angles,
     line_errors,
+    line_ticks,
     octant_ahead,
     points,
 )
@@ -45,6 +47,9 @@ from support.nova_interpolation_bench import (
     rotations,
     ticks,
 )
+
+from stage.chips import MCX514
+from stage.chips.nova.interpolation import line as linear
 
 # Lines
 
@@ -259,3 +264,43 @@ def assert_lengths(when, steps):
     counts = [[roots[: k + 1].count(n) for n in (1, 2, 3)] for k in range(len(roots))]
     due = [PERIOD * (one + two * mp.sqrt(2) + three * mp.sqrt(3)) for one, two, three in counts]
     assert when == [ceil_clock(t) for t in due]
+
+
+def counted(finish, looked, longest=0, fine=1):
+    """What the chip reckons of a line: its ticks that move one axis, two, three of those looked at."""
+    chip = MCX514()
+    queue, ip = chip.state["queue"][0], chip.state["ip"]
+    queue["axes"], queue["vector"], queue["fine"] = len(finish), looked, fine
+    queue["longest"] = max(longest, *map(abs, finish))
+    queue["finish"][: len(finish)] = finish
+    return linear.ticks(ip, queue)
+
+
+@pytest.mark.parametrize("count", [2, 3, 4])
+@pytest.mark.parametrize("looked", [2, 3])
+def test_the_length_of_a_line_of_constant_vector_speed_is_reckoned_as_its_ticks_are(count, looked):
+    for rng in examples(0.3):
+        finish = [rng.choice([-1, 1]) * log_uniform(rng, 1, 300) * (rng.random() < 0.9) for _ in range(count)]
+        finish[rng.randrange(count)] = rng.choice(finish)  # two alike
+        moved = [sum(map(abs, step[:looked])) for step in line_ticks(finish)]
+        one, two, three = counted(finish, min(looked, count))
+        assert (one, two, three) == (sum(m < 2 for m in moved), moved.count(2), moved.count(3)), (
+            f"{finish} PULSESTAGE_SEED={SEED}"
+        )
+
+
+def test_a_line_below_a_maximum_of_the_hosts_is_reckoned_as_its_ticks_are():
+    longer = line_ticks((30, 20, 7, 100))
+    moved = [sum(map(abs, step[:3])) for step in longer]
+    assert counted((30, 20, 7), 3, longest=100) == (sum(m < 2 for m in moved), moved.count(2), moved.count(3))
+    assert counted((30, 20), 2, longest=100, fine=8)[1] == 8 * sum(a and b for a, b, *_ in longer)
+
+
+def test_the_longest_line_of_three_axes_begins_at_once():
+    """A thousand million ticks, whose diagonals are not counted one by one: that took more than ten seconds."""
+    chip = prepared(X | Y | Z, Move(SV=4000, DV=8_000_000), ipm=0x80)
+    command(chip, DECELERATE, 0)
+    began = time.process_time()
+    line(chip, (2**30 - 1, 700_000_001, -123_456_789), X | Y | Z)
+    assert time.process_time() - began < 1
+    assert driving(chip, X | Y | Z)

@@ -20,10 +20,13 @@ class Stories(NovaDraw):
         self.start()
         for _ in range(d.between(2, 5)):
             self.advance(10, 20_000)
-            self.pin(f"pio{d.between(0, 7)}", d.chance(0.5))
+            self.pin(self.port(d.between(0, 7)), d.chance(0.5))
             self.look()
             self.command(d.of("RR3P1", "RR3P0"))
             self.look()
+
+    def port(self, k):
+        return f"pio{k}" if self.new else ("exp_plus", "exp_minus")[k & 1]
 
     def compare(self):
         """Comparisons of all kinds, near where they come true."""
@@ -72,7 +75,7 @@ class Stories(NovaDraw):
             d.of(self.timer, self.split, self.start, self.start, self.pulses, self.stop, self.encoder, self.counters,
                  lambda: self.command(d.of("SYNCACT", "SYNCACT", "SYNCDIS", "SYNCEN"), more=d.between(1, 15)))  # fmt: skip
             if d.chance(0.6):
-                self.pin(f"pio{d.between(0, 7)}", d.chance(0.6))
+                self.pin(self.port(d.between(0, 7)), d.chance(0.6))
             self.advance(1, 20_000)
             self.look()
             if d.chance(0.3):
@@ -124,7 +127,16 @@ class Stories(NovaDraw):
         self.start()
         for _ in range(d.between(4, 12)):
             name = d.of(
-                "lmt_plus", "lmt_minus", "stop0", "stop1", "stop2", "inpos", "alarm", "eca", "ecb", "pio0", "pio7"
+                "lmt_plus",
+                "lmt_minus",
+                "stop0",
+                "stop1",
+                "stop2",
+                "inpos",
+                "alarm",
+                "eca",
+                "ecb",
+                *(("pio0", "pio7") if self.new else ("exp_plus", "exp_minus")),
             )
             self.touch(name, 1, d.of(8, 64, 1000, 20_000))
             self.advance(1, d.of(16, 2000, 9000))

@@ -144,6 +144,7 @@ class MCX514(Nova):
 class _Erratum(Nova):
     """MCX304, MCX302, MCX312. errata: as sold, with the S-curve failure of NOVA's notice; False is the mended chip."""
 
+    INPUTS: ClassVar = state.INPUTS_300
     READING_ACTS: ClassVar = frozenset({3})  # RR3, the interrupt factors
 
     def __init__(self, clock_hz: int | None = None, errata: bool = True):

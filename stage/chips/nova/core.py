@@ -13,7 +13,7 @@ from stage.chips.nova.bus import mcx514 as bus514
 from stage.chips.nova.bus.parameters import lowest
 from stage.chips.nova.bus.status import busy as driving
 from stage.chips.nova.bus.status import phase_bits
-from stage.chips.nova.functions import comparators, encoder, home, sync
+from stage.chips.nova.functions import comparators, encoder, external, home, sync
 from stage.chips.nova.functions import inputs as pins_in
 from stage.chips.nova.functions import io as ports
 from stage.chips.nova.interpolation import run as interpolation
@@ -32,7 +32,6 @@ from stage.chips.nova.state import (
     INPUTS,
     LP,
     MCX514_TYPE,
-    NEVER,
     OUT,
     OUTPUTS,
     PULSE,
@@ -59,12 +58,13 @@ def _settle(c):
         c.ax[j].acted = 0
     for _ in range(ROUNDS):
         c.stale = 0
-        at = NEVER
+        at = pins_in.follow_emergency(c)
         for j in range(c.axes):
             x = c.ax[j]
             at = least(at, pins_in.follow(c, x))
             drive.look(c, x)
             drive.obey_inputs(c, x)
+            external.step(c, x)
             if x.go:
                 home.go(c, x)
             home.step(c, x)
@@ -192,7 +192,7 @@ def outputs(c, j):
     word = DIR if x.way < 0 else 0
     if driving(x):
         word |= DRIVE
-    bits = phase_bits(c, x)
+    bits = phase_bits(c, c.ax[c.ip.main] if x.interpolates else x)
     word |= (ASND if bits & 1 else 0) | (CNST if bits & 2 else 0) | (DSND if bits & 4 else 0)
     word |= (DCC if c.clock < x.dcc else 0) | (SPLIT if x.split_on else 0)
     return word | ports.driven(c, j) * OUT

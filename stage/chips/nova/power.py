@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from stage.chips.nova.functions import home, sync
+from stage.chips.nova.functions import external, home, sync
 from stage.chips.nova.interpolation import run as interpolation
 from stage.chips.nova.state import AXES, NO_PHASE
 from stage.native import hot
@@ -26,6 +26,7 @@ def clear(c):
         x.phase = NO_PHASE
         sync.reset(c, x)
         home.reset(x)
+        external.reset(x)
     interpolation.reset(c)
     c.selected = 1
     c.low = c.high = c.read_low = c.read_high = c.pages = c.outputs4 = c.outputs5 = 0

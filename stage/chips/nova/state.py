@@ -33,7 +33,9 @@ R, K, A, D, V, P, C, EP, COMP_PLUS, COMP_MINUS, L = _places(MCX312_MAP, "R K A D
 MODES = 16
 MODE_FIRST = MCX514_MAP.register("MRM").number
 # places in `mode`: the same, counted from 20h
-MRM, P1M, H1M, H2M, FLM, S0M, IPM = (k - MODE_FIRST for k in _places(MCX514_MAP, "MRM P1M H1M H2M FLM S0M IPM"))
+MRM, P1M, P2M, H1M, H2M, FLM, S0M, IPM = (
+    k - MODE_FIRST for k in _places(MCX514_MAP, "MRM P1M P2M H1M H2M FLM S0M IPM")
+)
 HM = H1M  # of the older chips
 
 ACCELERATING, CONSTANT, DECELERATING, AREA_D, RUNAWAY = 1, 0, -1, 2, 3
@@ -109,6 +111,8 @@ AXIS = record(
         ("triggered", "i8"),  # due
         ("acted", "i8"),  # done at this clock
         ("ports", "i8"),  # PIO levels seen last
+        ("exp", "i8"),  # levels of EXP+, EXP- seen last, see external.py
+        ("exp_drives", "i8"),  # which of them keeps a continuous drive on
         # home search, see home.py
         ("home", "i8"),  # its state; 0: none
         ("found", "i8"),  # what it met: LIMIT, SIGNAL of home.py
@@ -144,6 +148,7 @@ AXIS = record(
         ("asymmetric", "i8"),  # deceleration has registers of its own
         ("s_curve", "i8"),
         ("prevents", "i8"),  # triangle prevention
+        ("clears", "i8"),  # STOP2 clears EP
         ("swaps", "i8"),  # LMT+ and LMT- are exchanged
         ("encoder", "i8"),  # 0 x4, 1 x2, 2 x1, 3 up / down
         ("exchanges", "i8"),  # the encoder counts the other way round
@@ -264,6 +269,8 @@ STATE = record(
         ("outputs4", "i8"),  # WR4
         ("outputs5", "i8"),  # WR5
         ("emg", "i8"),  # the pin EMG
+        ("emergency", "i8"),  # the same after its filter
+        ("emg_pending", "i8"),  # the clock at which it follows the pin
         ("total", "i8"),  # pulses ever, all axes
         ("interpolating", "i8"),  # an interpolation is on
         ("first", "i8"),  # high byte of WR0, waits for the low one
@@ -276,25 +283,14 @@ STATE = record(
 )
 """One chip."""
 
-INPUTS = {
-    name: 1 << k
-    for k, name in enumerate(
-        [
-            "lmt_plus",
-            "lmt_minus",
-            "stop0",
-            "stop1",
-            "stop2",
-            "inpos",
-            "alarm",
-            "eca",
-            "ecb",
-            *(f"pio{i}" for i in range(8)),
-        ]
-    )
-}
+_SIGNALS = ("lmt_plus", "lmt_minus", "stop0", "stop1", "stop2", "inpos", "alarm", "eca", "ecb")
+INPUTS = {name: 1 << k for k, name in enumerate((*_SIGNALS, *(f"pio{i}" for i in range(8))))}
 LMT_PLUS, LMT_MINUS, STOP0, STOP1, STOP2, INPOS, ALARM, ECA, ECB = (1 << k for k in range(9))
 PIO = 9
+EXP = PIO + 4  # EXP+, then EXP-
+INPUTS_300 = {name: 1 << k for k, name in enumerate(_SIGNALS)} | {"exp_plus": 1 << EXP, "exp_minus": 2 << EXP}
+"""Of the chips before the MCX514."""
+EMG_FILTER = 1 << INPUT_PINS  # of `filtered`, of X
 EMG = 1
 COMMON_INPUTS = {"emg": EMG}
 OUTPUTS = {

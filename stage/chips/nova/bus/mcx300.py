@@ -28,7 +28,9 @@ from stage.chips.nova.state import (
     E_HOME,
     E_SLMT_MINUS,
     E_SLMT_PLUS,
+    EMG_FILTER,
     EP,
+    EXP,
     F_ALARM,
     F_EMG,
     H_END,
@@ -78,9 +80,8 @@ HOME_ERROR, HMST = _of("RR2", "HOME"), MAP.bit("RR2", "HMST")
 CONSTANT_END, CONSTANT_START, DRIVE_END, HOME_END = MAP.masks("RR3", "C-END", "C-STA", "D-END", "HMEND")
 FIRST_INTERRUPT = MAP.bit("WR1", "PULSE")
 INTERRUPTS = sum(f.mask for f in MAP.word("WR1").fields if f.low >= FIRST_INTERRUPT) >> FIRST_INTERRUPT
-IN_EMG, IN_EXP, IN_INPOS, IN_ALARM, IN_IN, IN_LMT_PLUS, IN_LMT_MINUS = (
-    _of("RR4", "EMG"), sum(MAP.masks("RR4", "X-EXP+", "X-EXP-")),
-    *MAP.masks("RR4", "X-INPOS", "X-ALARM", "X-IN", "X-LMT+", "X-LMT-"),
+IN_EMG, IN_EXP_PLUS, IN_EXP_MINUS, IN_INPOS, IN_ALARM, IN_IN, IN_LMT_PLUS, IN_LMT_MINUS = (
+    *MAP.masks("RR4", "EMG", "X-EXP+", "X-EXP-", "X-INPOS", "X-ALARM", "X-IN", "X-LMT+", "X-LMT-"),
 )  # fmt: skip
 """Input levels of X; those of another axis lie alike in its half or word."""
 SP0_E, SP1_E, SP2_E = (_of("WR1", f"SP{k}-E") for k in range(3))
@@ -88,9 +89,9 @@ SLMT_PLUS, SLMT_MINUS, LMTMD, HLMT_PLUS, HLMT_MINUS, CMPSL, PINMD, ALM_E, INP_E,
     "SLMT+", "SLMT-", "LMTMD", "HLMT+", "HLMT-", "CMPSL", "PINMD", "ALM-E", "INP-E", "ALM-L", "INP-L"))  # fmt: skip
 PIND, FL = MAP.bit("WR2", "PIND"), MAP.bit("WR3", "FL")
 MANLD, DSNDE, SACC, AVTRI = (_of("WR3", n) for n in ("MANLD", "DSNDE", "SACC", "AVTRI"))
-EPINV = _of("WR1", "EPINV")
+EPCLR, EPINV = MAP.masks("WR1", "EPCLR", "EPINV")
 FE0 = MAP.bit("WR3", "FE0")
-_FILTERS = (LMT_PLUS | LMT_MINUS | STOP0 | STOP1, STOP2, INPOS | ALARM)
+_FILTERS = (EMG_FILTER | LMT_PLUS | LMT_MINUS | STOP0 | STOP1, STOP2, INPOS | ALARM, 3 << EXP)
 
 
 @hot
@@ -111,7 +112,7 @@ def configure(x):
     """WR1 to WR3 in plain terms."""
     w = x.wr[1]
     x.stops = (1 if w & SP0_E else 0) | (2 if w & SP1_E else 0) | (4 if w & SP2_E else 0)
-    x.exchanges = w & EPINV
+    x.exchanges, x.clears = w & EPINV, w & EPCLR
     w = x.wr[2]
     x.limits, x.limit_slow = 1, w & LMTMD
     x.soft_plus, x.soft_minus, x.soft_rp, x.soft_instant = w & SLMT_PLUS, w & SLMT_MINUS, w & CMPSL, 0
@@ -122,7 +123,7 @@ def configure(x):
     x.s_curve, x.prevents = 1 if w & SACC else 0, 1 if w & AVTRI else 0
     x.swaps = 0
     x.filtered = 0
-    for k in range(3):
+    for k in range(len(_FILTERS)):
         if w >> FE0 + k & 1:
             x.filtered |= _FILTERS[k]
     x.delay = x.slow_delay = 16 * DELAYS[w >> FL & 7]
@@ -241,7 +242,7 @@ def errors(c, x):
         word |= E_HLMT_MINUS
     if x.alarm_stops and x.level & ALARM:
         word |= E_ALARM
-    if c.emg:
+    if c.emergency:
         word |= E_EMG
     if x.causes & E_HOME:
         word |= HOME_ERROR
@@ -269,7 +270,7 @@ def _levels(c, x, j):
         word |= (1 if (x.inputs & STOP0 << k != 0) == (high_active != 0) else 0) << k
     if j == 0:
         word |= 0 if c.emg else IN_EMG
-    word |= IN_EXP
+    word |= (0 if x.inputs >> EXP & 1 else IN_EXP_PLUS) | (0 if x.inputs >> EXP & 2 else IN_EXP_MINUS)
     word |= IN_INPOS if (x.inputs & INPOS != 0) == (x.wr[2] & INP_L != 0) else 0
     word |= IN_ALARM if (x.inputs & ALARM != 0) == (x.wr[2] & ALM_L != 0) else 0
     if c.axes == 2:

@@ -16,6 +16,7 @@ from stage.chips.nova.state import (
     DV,
     ECA,
     ECB,
+    EMG_FILTER,
     FLM,
     INPOS,
     IPM,
@@ -75,7 +76,7 @@ DRIVES, FAILS = 1 << MAP.bit("RR0", "n-DRV"), 1 << MAP.bit("RR0", "n-ERR")  # of
 ERRORS = sum(MAP.masks("RR2", "SLMT+", "SLMT-", "HLMT+", "HLMT-", "ALARM", "EMG", "HOME", "CERR"))
 HSST, FIRST_PHASE = MAP.bit("RR3-0", "HSST"), MAP.bit("RR3-1", "ASND")
 FL0, FL1 = MAP.bit("FLM", "FL0"), MAP.bit("FLM", "FL1")
-_FILTERS = (0, LMT_PLUS | LMT_MINUS, STOP0 | STOP1, INPOS | ALARM, 15 << PIO, 15 << PIO + 4, STOP2, ECA | ECB)
+_FILTERS = (EMG_FILTER, LMT_PLUS | LMT_MINUS, STOP0 | STOP1, INPOS | ALARM, 15 << PIO, 15 << PIO + 4, STOP2, ECA | ECB)
 
 
 @hot

@@ -350,8 +350,8 @@ def step(c, x):
     if not x.home:
         return
     if x.pause:
-        if c.emg or (x.alarm_stops and x.level & ALARM):
-            x.causes |= (E_EMG | F_EMG) if c.emg else (E_ALARM | F_ALARM)
+        if c.emergency or (x.alarm_stops and x.level & ALARM):
+            x.causes |= (E_EMG | F_EMG) if c.emergency else (E_ALARM | F_ALARM)
             end(c, x)
         elif c.clock >= x.pause:
             _begin(c, x, _next(x))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from stage.chips.nova.motion.counters import count_encoder
-from stage.chips.nova.state import ECA, ECB, INPUT_PINS, NEVER, STOP2
+from stage.chips.nova.state import ECA, ECB, EMG_FILTER, INPUT_PINS, NEVER, RP, STOP2
 from stage.native import greatest, hot, least
 
 UP_DOWN = 3  # PIMD
@@ -60,6 +60,26 @@ def follow(c, x):
         x.level ^= bit
     if (old ^ x.level) & (ECA | ECB):
         _encoder(c, x, old, x.level)
+    if x.clears and x.driving and x.level & ~old & STOP2 and (x.stops & 4 or x.home):
+        x.reg[RP] = 0
     if old != x.level:
         c.stale = 1
     return at
+
+
+@hot
+def follow_emergency(c):
+    """The same for EMG, whose filter is that of X."""
+    x = c.ax[0]
+    if c.emg == c.emergency:
+        c.emg_pending = 0
+        return NEVER
+    if x.filtered & EMG_FILTER:
+        if c.emg_pending == 0:
+            c.emg_pending = c.clock + x.delay
+        if c.clock < c.emg_pending:
+            return c.emg_pending
+    c.emg_pending = 0
+    c.emergency = c.emg
+    c.stale = 1
+    return NEVER

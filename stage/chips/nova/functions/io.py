@@ -1,23 +1,27 @@
 """NOVA chips, compiled: general inputs and outputs (PIO of the MCX514), pulses on them, and the deviation counter clear output.
 
 A pin is general input, general output, drive status, or sync pulse (PIO0 to PIO3) and comparison (PIO4 to PIO7). Drive status
-of PIO0 to PIO7 [M]: DRIVE, ERROR, ASND, CNST, DSND, AASND, ACNST, ADSND. A sync pulse lasts 2 clocks [I].
+of PIO0 to PIO7 [M]: DRIVE, ERROR, ASND, CNST, DSND, AASND, ACNST, ADSND. P2M says how long a sync pulse is, and its level.
+OUT0 to OUT3 of the older chips are those of WR4, or with OUTSL CMP+, CMP-, ASND, DSND [I].
 """
 
 from __future__ import annotations
 
 from stage.chips.nova.bus.status import busy, phase_bits
+from stage.chips.nova.motion import counters
 from stage.chips.nova.registers.common import DCC_WIDTHS
 from stage.chips.nova.registers.mcx300 import MCX304_MAP
 from stage.chips.nova.registers.mcx514 import MCX514_MAP
-from stage.chips.nova.state import H2M, HM, MCX514_TYPE, NEVER, P1M, PIO, SYNC_SETS
+from stage.chips.nova.registers.words514 import SYNC_CLOCKS
+from stage.chips.nova.state import COMP_MINUS, COMP_PLUS, H2M, HM, MCX514_TYPE, NEVER, P1M, P2M, PIO, SYNC_SETS
 from stage.native import hot, least
 
 INPUT, OUTPUT, STATUS, OTHER = range(4)
+FIRST = PIO
 PINS = 8
-SYNC_PULSE = 2
 US = 16  # clocks
 DCP, DCCW = MCX514_MAP.bit("H2M", "DCP"), MCX304_MAP.bit("HM", "DCCW")
+PW, OUTSL = MCX514_MAP.bit("P2M", "PW"), MCX304_MAP.mask("WR3", "OUTSL")
 
 
 @hot
@@ -46,6 +50,7 @@ def levels(c, j):
     for m in range(SYNC_SETS):
         if c.clock < x.pulse_until[m]:
             other |= 1 << m
+    other ^= x.mode[P2M] & 15
     word = 0
     for i in range(PINS):
         what = kind(x, i)
@@ -65,12 +70,17 @@ def driven(c, j):
     """What the chip itself puts on the pins of an axis: PIO that are outputs; OUT3 to OUT0 of the older chips."""
     if c.variant == MCX514_TYPE:
         return levels(c, j) & ~inputs(c.ax[j]) if c.ax[j].mode[P1M] else 0
+    x = c.ax[j]
+    if x.wr[3] & OUTSL:
+        bits, counter = phase_bits(c, x), counters.limited(x)
+        shown = (1 if counter >= x.reg[COMP_PLUS] else 0) | (2 if counter < x.reg[COMP_MINUS] else 0)
+        return shown | (4 if bits & 1 else 0) | (8 if bits & 4 else 0)
     return c.outputs4 >> 4 * j & 15
 
 
 @hot
 def sync_pulse(c, x, m):
-    x.pulse_until[m] = c.clock + SYNC_PULSE
+    x.pulse_until[m] = c.clock + SYNC_CLOCKS[x.mode[P2M] >> PW & 7]
     c.stale = 1
 
 

@@ -153,7 +153,7 @@ def blocked(c, x, way):
         cause = E_SLMT_PLUS if way > 0 else E_SLMT_MINUS
     elif x.alarm_stops and x.level & ALARM:
         cause = E_ALARM | F_ALARM
-    elif c.emg:
+    elif c.emergency:
         cause = E_EMG | F_EMG
     elif (
         x.causes & (E_HLMT_PLUS | E_SLMT_PLUS if way > 0 else E_HLMT_MINUS | E_SLMT_MINUS) and c.variant == MCX514_TYPE
@@ -304,7 +304,7 @@ def obey_inputs(c, x):
         note_drive(x, D_END)
     if not (x.driving or x.interpolates):
         return
-    if c.emg:
+    if c.emergency:
         stop(c, x, E_EMG | F_EMG)
         return
     if x.alarm_stops and x.level & ALARM:

@@ -68,6 +68,9 @@ HOME_STATES = {
 
 HOME_TIMES = (1, 2, 10, 20, 100, 200, 500, 1000)
 """Of the timer between the steps of a home search, ms, by HTM of H2M."""
+SYNC_CLOCKS = (2, 5, 16, 64, 256, 1024, 4096, 16_000)
+"""Of a sync pulse, by PW of P2M."""
+SYNC_WIDTHS = ("125 ns", "312 ns", *times(n // 16 for n in SYNC_CLOCKS[2:]))
 FILTERS = tuple(f"{0.5 * 2**n:g} us" for n in range(16))
 
 MODES = (
@@ -81,7 +84,10 @@ MODES = (
     _mode(0x21, "P1M", "PIO signal setting 1", *(_pio(i) for i in range(8)), access="RW"),
     _mode(
         0x22, "P2M", "PIO signal setting 2, other settings",
-        bits("stored", 15, 0, "layout not found", "I", note="stored, read back, no effect"), access="RW",
+        *(bit(f"P{m}L", m, f"sync pulse on PIO{m}", "M", values=("high", "low")) for m in range(4)),
+        bits("PW", 6, 4, "width of the sync pulses", "M", values=SYNC_WIDTHS),
+        bits("EXOP", 8, 7, "drive by EXP+, EXP- (PIO4, PIO5)", "M", values=("off", "continuous", "relative", "manual pulser")),
+        bits("stored", 15, 9, "others, not found", "I", note="stored, read back, no effect"), access="RW",
     ),
     _mode(
         0x23, "H1M", "automatic home search 1",
