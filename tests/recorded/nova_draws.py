@@ -1,7 +1,6 @@
 """Random programs for the NOVA chips. The bits of mode words and the codes of commands come from the register maps."""
 
 from stage.chips.nova import MCX312, MCX514
-from stage.chips.nova.state import INPUTS
 
 SPEEDS = (1, 40, 1000, 30_000, 200_000, 1_000_000, 8_000_000)
 
@@ -306,7 +305,7 @@ class NovaDraw:
             elif kind == 3:
                 self.word(d.between(1, 5), d.bits(0.3))
             elif kind == 4:
-                self.pin(d.of(*INPUTS), d.chance(0.5), d.between(0, self.chip.AXES - 1))
+                self.pin(d.of(*self.chip.INPUTS), d.chance(0.5), d.between(0, self.chip.AXES - 1))
             else:
                 self.happening()
             self.advance(1, 4000)

@@ -78,7 +78,7 @@ _WRITTEN = (
         "WR1", "stop inputs and interrupt enable",
         *(bit(f"SP{k}-L", 2 * k, f"active level of STOP{k}", values=LEVELS) for k in range(3)),
         *(bit(f"SP{k}-E", 2 * k + 1, f"STOP{k} stops the drive", "S") for k in range(3)),
-        bit("EPCLR", 6, "STOP2 clears EP where it stops a drive", "M"),
+        bit("EPCLR", 6, "STOP2 clears EP", "M", note="where it ends a drive"),
         bit("EPINV", 7, "EP counts the other way round", "M"),
         _comparisons(8), note="of the selected axes",
     ),
