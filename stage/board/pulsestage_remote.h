@@ -8,8 +8,8 @@
 #ifndef PULSESTAGE_REMOTE_H
 #define PULSESTAGE_REMOTE_H
 
-enum { PS_F_HELLO = 1, PS_F_BATCH, PS_F_LOG, PS_F_HOOK, PS_F_RETURN, PS_F_INTERRUPT = 254, PS_F_ERROR = 255 };
-enum { PS_UNTIL8 = 100, PS_UNTIL16, PS_UNTIL_LINE, PS_F_VERSION = 1, PS_F_HEAD = 12, PS_F_ENTRY = 32, PS_F_MOST = 1000 };
+enum { PS_F_HELLO = 1, PS_F_BATCH, PS_F_LOG, PS_F_HOOK, PS_F_RETURN, PS_F_TIMER = 13, PS_F_INTERRUPT = 254, PS_F_ERROR = 255 };
+enum { PS_UNTIL8 = 100, PS_UNTIL16, PS_UNTIL_LINE, PS_F_VERSION = 1, PS_F_HEAD = 12, PS_F_ENTRY = 32, PS_F_MOST = 1000, PS_F_TIMERS = 4 };
 
 #if defined(MSG_NOSIGNAL) /* a server that is gone is told in words, and does not end the program by SIGPIPE */
 #define PS_F_NO_SIGNAL MSG_NOSIGNAL
@@ -21,12 +21,14 @@ struct ps_remote {
     int wire, open, posted; /* entries that have not been sent */
     uint32_t number;
     const char *address;
-    void (*hook)(void *argument);
-    void *argument;
+    struct {
+        void (*hook)(void *argument);
+        void *argument;
+    } hooks[1 + PS_F_TIMERS]; /* of the interrupt line, and of each timer */
     unsigned char frame[PS_F_HEAD + PS_F_MOST * PS_F_ENTRY];
 };
 extern struct ps_remote ps_remote; /* one for all files of a program */
-PULSESTAGE_SHARED struct ps_remote ps_remote = {0, 0, 0, 0, 0, 0, 0, {0}};
+PULSESTAGE_SHARED struct ps_remote ps_remote = {0, 0, 0, 0, 0, {{0, 0}}, {0}};
 
 static inline void ps_fail(const char *text)
 {
@@ -87,8 +89,9 @@ static inline int64_t ps_ask(uint32_t kind, size_t body)
         }
         if (said != PS_F_INTERRUPT)
             return (int64_t)ps_get(last, 8);
-        if (ps_remote.hook)
-            ps_remote.hook(ps_remote.argument);
+        part = (size_t)ps_get(last, 4); /* whose */
+        if (part <= PS_F_TIMERS && ps_remote.hooks[part].hook)
+            ps_remote.hooks[part].hook(ps_remote.hooks[part].argument);
         ps_send(PS_F_RETURN, 0);
     }
 }
@@ -136,25 +139,42 @@ static inline int64_t ps_entry(int32_t what, uint32_t times, uint32_t every, uin
     ps_put(to, (uint32_t)what, 4), ps_put(to + 4, times, 4), ps_put(to + 8, every, 4), ps_put(to + 12, mask, 4);
     ps_put(to + 16, (uint64_t)a, 8), ps_put(to + 24, (uint64_t)b, 8);
     ps_remote.posted++;
-    if ((what == PS_OUT8 || what == PS_OUT16 || what == PS_OUT32 || what == PS_DELAY) && !ps_remote.hook && ps_remote.posted < PS_F_MOST)
+    for (int k = 0; k <= PS_F_TIMERS; k++)
+        if (ps_remote.hooks[k].hook)
+            return ps_flush();
+    if ((what == PS_OUT8 || what == PS_OUT16 || what == PS_OUT32 || what == PS_DELAY || what == PS_SPEND) && ps_remote.posted < PS_F_MOST)
         return 0;
     return ps_flush();
+}
+static inline void ps_hooked(int source, int64_t hook, int64_t argument)
+{
+    memcpy(&ps_remote.hooks[source].hook, &hook, sizeof ps_remote.hooks[source].hook);
+    ps_remote.hooks[source].argument = (void *)(intptr_t)argument;
 }
 static inline int64_t ps_request(int32_t what, int64_t a, int64_t b)
 {
     const char *text = (const char *)(intptr_t)a;
     size_t most = sizeof ps_remote.frame - PS_F_HEAD, length;
-    if (what > PS_LINE && (what < 12 || what > PS_OUT32)) /* 12: computing takes time */
-        ps_fail("windows, timers and levels of interrupts are there in process only, not over TCP.");
-    if (what != PS_LOG && what != PS_HOOK)
+    if (what > PS_LINE && what != PS_TIMER && (what < PS_SPEND || what > PS_OUT32))
+        ps_fail("windows, levels, lines of single chips and software interrupts are there in process only, not over TCP.");
+    if (what != PS_LOG && what != PS_HOOK && what != PS_TIMER)
         return ps_entry(what, 0, 0, 0, a, b);
     if (!ps_remote.open)
         ps_connect();
     ps_flush();
     if (what == PS_HOOK) {
-        memcpy(&ps_remote.hook, &a, sizeof ps_remote.hook), ps_remote.argument = (void *)(intptr_t)b;
+        ps_hooked(0, a, b);
         ps_put(ps_remote.frame + PS_F_HEAD, a != 0, 4);
         return ps_ask(PS_F_HOOK, 4);
+    }
+    if (what == PS_TIMER) {
+        const int64_t *given = (const int64_t *)(intptr_t)a; /* which, level, period, hook, argument */
+        if (given[0] < 0 || given[0] >= PS_F_TIMERS)
+            ps_fail("over TCP there are timers 0 to 3.");
+        ps_hooked(1 + (int)given[0], given[2] ? given[3] : 0, given[4]);
+        ps_put(ps_remote.frame + PS_F_HEAD, (uint64_t)given[0], 4), ps_put(ps_remote.frame + PS_F_HEAD + 4, (uint64_t)given[1], 4);
+        ps_put(ps_remote.frame + PS_F_HEAD + 8, given[3] ? (uint64_t)given[2] : 0, 8);
+        return ps_ask(PS_F_TIMER, 16);
     }
     if (!text)
         ps_fail("ps_log(0): a null pointer is no text.");

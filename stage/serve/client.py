@@ -23,7 +23,7 @@ VERSION, PORT, MAGIC = 1, 7240, b"PULSESTG"
 HEAD = struct.Struct("<III")
 """Of each frame: bytes that follow the head; kind; a number of the host's, which the reply has, too."""
 MOST_BODY = 1 << 20
-HELLO, BATCH, LOG, HOOK, RETURN, RESET, SNAPSHOT, RESTORE, STATUS, POSITIONS, PIN, STICK = range(1, 13)
+HELLO, BATCH, LOG, HOOK, RETURN, RESET, SNAPSHOT, RESTORE, STATUS, POSITIONS, PIN, STICK, TIMER = range(1, 14)
 INTERRUPT, ERROR = 254, 255
 """Kinds of frames. A reply has the kind of its request, or is an ERROR."""
 GREETING = struct.Struct("<8sII")
@@ -31,9 +31,13 @@ GREETING = struct.Struct("<8sII")
 DRIVE, LOOK = 0, 1
 ENTRY = struct.Struct("<iiiIqq")
 """A request of a BATCH: what, times, every (us), mask, a (port, us), b (value)."""
-IN8, OUT8, IN16, OUT16, DELAY, MICROS, LINE, IN32, OUT32 = 0, 1, 2, 3, 4, 5, 8, 13, 14
+IN8, OUT8, IN16, OUT16, DELAY, MICROS, LINE, SPEND, IN32, OUT32 = 0, 1, 2, 3, 4, 5, 8, 12, 13, 14
 UNTIL8, UNTIL16, UNTIL_LINE = 100, 101, 102
 READS = frozenset((IN8, IN16, IN32, MICROS, LINE, UNTIL8, UNTIL16, UNTIL_LINE))
+TIMING = struct.Struct("<IIq")
+"""TIMER: which, level, period (ns; 0: off)."""
+THE_LINE, FIRST_TIMER, TIMERS = 0, 1, 4
+"""INTERRUPT: whose hook is to be called."""
 STANDING = struct.Struct("<qqq")
 """Reply to STATUS: time (ns), bus cycles, whether the interrupt line is asserted."""
 PLACE = struct.Struct("<ddq")
@@ -134,6 +138,10 @@ class Batch:
     def delay_us(self, us: int) -> Batch:
         return self.add(DELAY, us)
 
+    def spend_ns(self, ns: int) -> Batch:
+        """Computing that takes time."""
+        return self.add(SPEND, ns)
+
     def micros(self) -> Batch:
         """The time, us; the look takes a bus cycle."""
         return self.add(MICROS)
@@ -188,7 +196,7 @@ class Client:
 
     def __init__(self, wire: socket.socket, look: bool = False):
         self._wire, self._number = wire, 0
-        self._hook: Callable[[], None] | None = None
+        self._hooks: dict[int, Callable[[], None] | None] = {}
         self._failed: BaseException | None = None
         wire.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         reply = self.ask(HELLO, GREETING.pack(MAGIC, VERSION, LOOK if look else DRIVE))
@@ -221,6 +229,9 @@ class Client:
     def delay_us(self, us: int) -> None:
         self.batch().delay_us(us).run()
 
+    def spend_ns(self, ns: int) -> None:
+        self.batch().spend_ns(ns).run()
+
     def micros(self) -> int:
         """Microseconds since power-up; the look takes a bus cycle."""
         return self.batch().micros().run()[0]
@@ -240,8 +251,17 @@ class Client:
 
     def on_interrupt(self, hook: Callable[[], None] | None) -> None:
         """Call `hook` while the interrupt line is asserted: after a bus cycle, or within a delay at that ns. None: nobody."""
-        self._hook = hook
+        self._hooks[THE_LINE] = hook
         self.ask(HOOK, WORD.pack(hook is not None))
+
+    def on_timer(self, period_us: float, hook: Callable[[], None] | None, *, n: int = 0, level: int = 1) -> None:
+        """Call `hook` every `period_us`, at that ns; n: which of 4 timers; None, or a period of 0: it is off."""
+        period = round(period_us * 1000) if hook is not None else 0
+        self._hooks[FIRST_TIMER + n] = hook
+        try:
+            self.ask(TIMER, TIMING.pack(n, level, period))
+        except struct.error:
+            raise ValueError(f"n={n!r} level={level!r} period_us={period_us!r}: no such timer.") from None
 
     def log(self, text: str) -> None:
         """A line for the server's log."""
@@ -294,7 +314,7 @@ class Client:
             length, said, _ = HEAD.unpack(self._read(HEAD.size))
             reply = self._read(length)
             if said == INTERRUPT:
-                self._interrupted()
+                self._interrupted(WORD.unpack(reply)[0])
             elif said == ERROR:
                 failed, self._failed = self._failed, None
                 if failed is not None:
@@ -305,11 +325,11 @@ class Client:
             else:
                 return reply
 
-    def _interrupted(self) -> None:
+    def _interrupted(self, source: int) -> None:
         said = b""
         try:
-            if self._hook is not None:
-                self._hook()
+            if (hook := self._hooks.get(source)) is not None:
+                hook()
         except ConnectionError:
             raise
         except BaseException as error:  # goes on where the interrupted request was made

@@ -37,7 +37,10 @@ FRAMES = (
     Frame(client.PIN, "PIN", "name: `x.pout`, `x.switches.org`", "i64", "a chip's pin or a switch, 1 asserted; takes no time",
           True),
     Frame(client.STICK, "STICK", "u32 (0 released, 1 asserted, 2 mended), name: `x.org`", "", "a switch that sticks"),
-    Frame(client.INTERRUPT, "INTERRUPT", "", "", "from the server, in the middle of a request: call the hook, then send RETURN"),
+    Frame(client.TIMER, "TIMER", "u32 which (0 to 3), u32 level (1 to 15), i64 period (ns)", "",
+          "INTERRUPT frames come every period, for the first time that long from now; 0: no more"),
+    Frame(client.INTERRUPT, "INTERRUPT", "u32 (0 the interrupt line, 1 to 4 timer 0 to 3)", "",
+          "from the server, in the middle of a request: call the hook, then send RETURN"),
     Frame(client.ERROR, "ERROR", "", "u32 n, n times i64, text", "from the server: what is wrong, in words; of a BATCH the answers "
           "of the n entries that were done"),
 )  # fmt: skip
@@ -50,6 +53,7 @@ ENTRIES = (
     (client.DELAY, "DELAY", "us", "", "a delay"),
     (client.MICROS, "MICROS", "", "", "the time, us"),
     (client.LINE, "LINE", "", "", "whether the interrupt line is asserted"),
+    (client.SPEND, "SPEND", "ns", "", "computing that takes time"),
     (client.IN32, "IN32", "port", "", "read 32 bits, in two cycles of 16, the low half first"),
     (client.OUT32, "OUT32", "port", "value", "write 32 bits, likewise"),
     (client.UNTIL8, "UNTIL8", "port", "value", "read until (what was read & `mask`) == value, `times` times at most, `every` us "

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import struct
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ import numpy as np
 from stage import __version__
 from stage.board import Board, HostError
 from stage.board.batch import ENTRY, first_wrong, go_on, run_batch
-from stage.board.host import LAST_PORT
+from stage.board.host import LAST_PORT, LONGEST_DELAY
 from stage.errors import ArgumentError, StageError, unknown
 from stage.serve import client
 from stage.serve.frames import ENTRIES
@@ -43,7 +44,8 @@ class Machine:
     """A board and the states of it that have names.
 
     keep: lines of the log that are kept. pause: called now and then within a long batch; what it raises ends the batch. hook:
-    called while the interrupt line is asserted, if the host wants it. told: gets each line that the host logs.
+    called while the interrupt line is asserted, and for timers, if the host wants it; with what INTERRUPT says. told: gets each line
+    that the host logs.
     """
 
     def __init__(
@@ -52,17 +54,19 @@ class Machine:
         *,
         keep: int = 1_000_000,
         pause: Callable[[], None] = lambda: None,
-        hook: Callable[[], None] = lambda: None,
+        hook: Callable[[int], None] = lambda source: None,
         told: Callable[[float, str], None] = lambda seconds, text: None,
     ):
         self.board, self._keep, self._pause, self._hook, self._told = board, keep, pause, hook, told
         self._room, self._in_batch = _Room(MOST_ENTRIES), False
+        self._timers: dict[int, bytes] = {}
         self._states: dict[str, tuple[Any, np.ndarray]] = {}
         self._keep_state(START)
         self.does: dict[int, Callable[[bytes], bytes]] = {
             client.BATCH: self._batch, client.LOG: self._log, client.HOOK: self._hook_on, client.RESET: self._reset,
             client.SNAPSHOT: self._snapshot, client.RESTORE: self._restore, client.STATUS: self._status,
             client.POSITIONS: self._positions, client.PIN: self._pin, client.STICK: self._stick,
+            client.TIMER: self._timer,
         }  # fmt: skip
 
     def about(self) -> bytes:
@@ -88,8 +92,11 @@ class Machine:
         self._restore(START.encode())
 
     def let_go(self) -> None:
-        """The host is gone: nobody is called by the interrupt line."""
+        """The host is gone: nobody is called by the interrupt line or a timer."""
         self.board.on_interrupt(None)
+        self._timers.clear()
+        for n in range(client.TIMERS):
+            self.board.on_timer(0, None, n=n)
 
     # --- frames: body -> body of the reply ---
 
@@ -142,7 +149,17 @@ class Machine:
 
     def _hook_on(self, body: bytes) -> bytes:
         on = _word("HOOK", body, (0, 1))
-        self.board.on_interrupt(self._hook if on else None)
+        self.board.on_interrupt(partial(self._hook, client.THE_LINE) if on else None)
+        return b""
+
+    def _timer(self, body: bytes) -> bytes:
+        if len(body) != client.TIMING.size:
+            raise ArgumentError(f"TIMER: {len(body):,} bytes; it has {client.TIMING.size}.")
+        n, level, period = client.TIMING.unpack(body)
+        if not 0 <= period <= LONGEST_DELAY * 1000:
+            raise ArgumentError(f"TIMER: a period of {period} ns; there are 1 to 1e18, and 0 for off.")
+        self.board.on_timer(period / 1000, partial(self._hook, client.FIRST_TIMER + n), n=n, level=level)
+        self._timers[n] = body
         return b""
 
     def _reset(self, body: bytes) -> bytes:
@@ -173,6 +190,8 @@ class Machine:
         board.stage.restore(state)
         board.port_table[:] = ports
         board.port_table["seen"] = 0  # a read from now on is a line of its own in the trace
+        for timer in list(self._timers.values()):  # they begin anew
+            self._timer(timer)
         return b""
 
     def _status(self, body: bytes) -> bytes:
@@ -228,6 +247,8 @@ def _in_words(entry: Any) -> str:
     a, b, name = int(entry["a"]), int(entry["b"]), names[what]
     if what in (client.DELAY, client.UNTIL_LINE):
         return f"{name} {a} us; there are 0 to 1e15 us"
+    if what == client.SPEND:
+        return f"{name} {a} ns; there are 0 to 1e18 ns"
     if not 0 <= a <= LAST_PORT:
         return f"{name} at port {a}; ports are 0 to {LAST_PORT:X}h"
     if what in (client.UNTIL8, client.UNTIL16):

@@ -362,12 +362,12 @@ class Server:
         if self._driver is None or self._driver.gone:
             raise _Gone("the host is gone.")
 
-    def _hook(self) -> None:
-        """The interrupt line is asserted: the host's hook is called, and makes bus cycles."""
+    def _hook(self, source: int) -> None:
+        """The interrupt line is asserted, or a timer is due: the host's hook is called, and makes bus cycles."""
         driver = self._driver
         if driver is None:
             return
-        self._put(driver, client.INTERRUPT, 0, b"")
+        self._put(driver, client.INTERRUPT, 0, client.WORD.pack(source))
         self._send(driver)
         self._called, self._returned, self._failed_hook = True, False, ""
         try:

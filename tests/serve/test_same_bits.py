@@ -13,6 +13,7 @@ from stage import Stage
 from stage.board import Board, NativeHost, NoCompilerError, build, include
 from stage.board.library import compiler
 from stage.chips import MCX304, PCL240MK
+from stage.serve import client
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "scripts" / "firmware"
 STRICT = ("-std=c99", "-O2", "-Wall", "-Wextra", "-pedantic", "-Werror")
@@ -226,3 +227,64 @@ def test_a_program_whose_server_is_not_there_says_so(tmp_path):
         done = subprocess.run([str(remote), address], capture_output=True, text=True, timeout=60, check=False)
         assert done.returncode == 2
         assert f"no server at {address}. Start one: stage serve" in done.stderr
+
+
+TICKS = r"""
+#include <pulsestage.h>
+static void tick(void *argument) { ps_logf("%s %lu %02x", (const char *)argument, (unsigned long)ps_micros(), ps_in8(0x300)); }
+PULSESTAGE_MAIN
+{
+    ps_on_timer(1000, tick, (void *)"slow");
+    ps_timer(3, 2, 400500, tick, (void *)"fast");
+    for (int k = 0; k < 20; k++)
+        ps_out8(0x300, 0x08), ps_spend_ns(123456), ps_in8(0x300);
+    ps_timer(3, 2, 0, 0, 0);
+    ps_delay_us(2500);
+    return 0;
+}
+"""
+
+
+def test_timers_tick_over_tcp_at_the_nanosecond_they_tick_at_in_process(served, tmp_path):
+    """cc -DPULSESTAGE_REMOTE driver.c, with ps_on_timer and ps_spend_ns in it"""
+    try:
+        command = compiler()
+    except NoCompilerError as error:
+        pytest.skip(str(error))
+    source, program = tmp_path / "ticks.c", tmp_path / "ticks"
+    source.write_text(TICKS)
+    own = Board(Stage("xy", chips=PCL240MK, visuals=False))
+    with NativeHost(build(source, tmp_path / "ticks.so"), own) as h:
+        assert h.run().code == 0
+    subprocess.run(
+        [command, *STRICT, "-DPULSESTAGE_REMOTE", f"-I{include()}", str(source), "-o", str(program)], check=True
+    )
+    assert subprocess.run([str(program), served.address], check=False).returncode == 0
+    assert len(own.log) > 10
+    assert [text for _, text in served.board.log] == [text for _, text in own.log]
+    assert served.board.stage.now == own.stage.now
+    with served.host() as host:
+        seen = []
+        host.on_timer(1000, lambda: seen.append(host.status().seconds), n=2)
+        begin = host.status().seconds
+        host.batch().delay_us(2500).spend_ns(1_000_001).run()
+        assert [round((t - begin) * 1e9) for t in seen] == [1_000_000, 2_000_000, 3_000_000]
+        host.restore()
+        host.delay_us(1500)
+        assert round(seen[-1] * 1e9) == 1_000_000
+        host.on_timer(0, None, n=2)
+        host.delay_us(5000)
+        assert len(seen) == 4
+        for wrong, said in (
+            ((5, 1, 1000), "timers of a board"),
+            ((0, 16, 1000), "levels of hooks are"),
+            ((0, 1, -1), "a period of -1 ns"),
+        ):
+            with pytest.raises(client.ServerError, match=said):
+                host.ask(client.TIMER, client.TIMING.pack(*wrong))
+        with pytest.raises(client.ServerError, match="SPEND -1 ns; there are 0 to 1e18 ns"):
+            host.spend_ns(-1)
+        host.on_timer(1000, lambda: seen.append(0), n=1)
+    with served.host() as host:
+        host.delay_us(5000)
+    assert len(seen) == 4, "they go with their host"

@@ -264,7 +264,7 @@ def test_the_answers_before_a_failure_come_with_it(served, monkeypatch):
         host.on_interrupt(lambda: 1 / 0)
         start_a_move(host, 10, interrupt=True)
         monkeypatch.setattr(host, "_failed", None)
-        monkeypatch.setattr(host, "_hook", None)  # clears nothing
+        monkeypatch.setattr(host, "_hooks", {})  # clears nothing
         with pytest.raises(ServerError, match="1,000 times") as failed:
             host.batch().micros().in8(PORT + 0x100).delay_us(100_000).micros().run()
         assert len(failed.value.answers) == 2
@@ -375,14 +375,15 @@ def test_the_client_is_one_file_that_needs_python_only(served, tmp_path):
 def test_the_client_s_numbers_are_those_of_the_board():
     from stage.board import batch, host
 
-    for name in ("IN8", "OUT8", "IN16", "OUT16", "IN32", "OUT32", "DELAY", "MICROS", "LINE"):
+    for name in ("IN8", "OUT8", "IN16", "OUT16", "IN32", "OUT32", "DELAY", "MICROS", "LINE", "SPEND"):
         assert getattr(client, name) == getattr(host, name)
     for name in ("UNTIL8", "UNTIL16", "UNTIL_LINE"):
         assert getattr(client, name) == getattr(batch, name)
     assert client.ENTRY.size == batch.ENTRY.itemsize
     header = (Path(host.__file__).parent / "pulsestage_remote.h").read_text()
     assert (
-        "PS_F_HELLO = 1, PS_F_BATCH, PS_F_LOG, PS_F_HOOK, PS_F_RETURN, PS_F_INTERRUPT = 254, PS_F_ERROR = 255" in header
+        "PS_F_HELLO = 1, PS_F_BATCH, PS_F_LOG, PS_F_HOOK, PS_F_RETURN, PS_F_TIMER = 13, PS_F_INTERRUPT = 254, PS_F_ERROR = 255"
+        in header
     )
     assert (client.HELLO, client.BATCH, client.LOG, client.HOOK, client.RETURN) == (1, 2, 3, 4, 5)
     assert (client.INTERRUPT, client.ERROR) == (254, 255)
