@@ -18,6 +18,13 @@ EACH = 8 if COMPILED else 2
 ALL = CF | PF | AF | ZF | SF | OF
 
 
+STRING = (
+    "movq %rsi, %r8\n push %rdi\n leaq 8(%rsi), %rdi\n {}\n movq %rdi, %rdx\n subq %r8, %rdx\n movq %rsi, %rbx\n"
+    " subq %r8, %rbx\n movq %r8, %rsi\n pop %rdi"
+)
+"""A string instruction from memory to the word behind it; how far it has gone is in %rbx and %rdx, how often in %rcx."""
+
+
 def instructions() -> list[tuple[str, int]]:
     """Each with the flags that it defines. (%rsi) is memory; -8(%rsi) and 8(%rsi) as well."""
     found: list[tuple[str, int]] = []
@@ -71,8 +78,19 @@ def instructions() -> list[tuple[str, int]]:
         "push %rbx\n pop %rdx", "push $-5\n pop %rbx", "push (%rsi)\n pop %rax", "call 1f\n jmp 2f\n1: incq %rax\n ret\n2:",
         "movabs $0x123456789abcdef, %rdx", "movl $9, %r8d\n addq %r8, %rax\n movq %r8, %rbx", "xchg %rax, %rdx", "pause", "endbr64",
         "lea 1f(%rip), %rdx\n jmp *%rdx\n ud2\n1: xor %edx, %edx",
+        "leal -5(%esi,%ecx,4), %edx", "movl $9, %r8d\n addb %r8b, %al\n movb %al, %r8b\n movb %r8b, %dl",
+        "movl $1, %r8d\n movzbl 3(%rsi,%r8,2), %edx", "movq %rsi, %r8\n movq (%r8), %rax\n movw %bx, -8(%r8)",
+        "push %rbp\n movq %rsp, %rbp\n push %rax\n leave", "shll $0, %eax", "shrb $0, (%rsi)", "sarq $0, %rdx",
     ):  # fmt: skip
         found.append((text, ALL))
+    for text in ("rolb $11, %al", "rorw $19, %ax", "rolw $21, (%rsi)", "rorb $9, %dl"):
+        found.append((text, CF | ZF))
+    found += [(text, 0) for text in ("shlb $8, %al", "shlb $9, %dl", "shrw $16, %ax", "shrb $12, %al")]
+    for name, letter in ((name, letter) for name in ("movs", "stos") for letter in LETTERS.values()):
+        for repeat in ("", "movl $2, %ecx\n rep ", "xorl %ecx, %ecx\n rep "):
+            if letter == "q" and "2" in repeat:
+                continue  # there is room for one
+            found.append((STRING.format(f"{repeat}{name}{letter}"), 0))
     return found
 
 
@@ -145,3 +163,37 @@ def test_instructions_behind_an_access_do_what_the_processor_does():
     assert done.code == 0
     assert mapping.faults() - before == EACH * len(table), "one for each, since what is between two accesses needs none"
     assert board.cycles == 4 * EACH * len(table), "a word of a bus of 8 bits is two cycles"
+
+
+def test_what_only_the_processor_can_do_is_left_to_it():
+    """lock add in memory, xchg with r8, rep movsb backwards: each is done by the processor, and the next access faults again"""
+    texts = [
+        "lock addq %rbx, (%rsi)", "xchg %rax, %r8\n xchg %r8, %rax", STRING.format("std\n movsb\n cld"), "rolq $5, %rax",
+        "cpuid\n xorl %eax, %eax\n xorl %ebx, %ebx\n xorl %ecx, %ecx\n xorl %edx, %edx",
+    ]  # fmt: skip
+    head = f"enum {{ EACH = 2 }};\nstatic const uint64_t masks[] = {{{', '.join('0' for _ in texts)}}};\n"
+    library = firmware(head + program(texts), "-mno-red-zone", "-O1")
+    board = Board(Stage("xy", visuals=False))
+    before = mapping.faults()
+    done = NativeHost(library, board).run()
+    assert (board.log, done.code) == ([], 0)
+    assert mapping.faults() - before == 2 * 2 * len(texts)
+
+
+def test_64_bits_are_two_accesses_of_32_the_low_half_first():
+    """*(volatile uint64_t *)window, written and read"""
+    body = """PULSESTAGE_MAIN
+    {
+        volatile uint64_t *w = ps_window(0x300, 16);
+        w[1] = 0x1122334455667788u;
+        ps_logf("%llx", (unsigned long long)w[1]);
+        return 0;
+    }"""
+    board = Board(Stage("xy", visuals=False))
+    board.device(range(0x308, 0x310), read=lambda port: port & 0xFF, width=16)
+    NativeHost(firmware(body), board).run()
+    assert [(c.way, c.port, c.value) for c in board.trace] == [
+        *(("W", 0x308 + k, 0x1122334455667788 >> 8 * k & 0xFFFF) for k in (0, 2, 4, 6)),
+        *(("R", port, port & 0xFF) for port in (0x308, 0x30A, 0x30C, 0x30E)),
+    ]
+    assert board.log[0][1] == "e000c000a0008"
