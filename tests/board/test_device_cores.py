@@ -1,0 +1,251 @@
+"""Compiled parts of shipped devices against their data sheets, by calls of their own: counts at the ends, trigger levels, lines."""
+
+from __future__ import annotations
+
+import random
+
+import numpy as np
+import pytest
+
+from stage import Stage
+from stage.board import Board
+from stage.board.devices import HCTL2016, LS7166, UART, Encoder, uart_core
+
+FULL = 1 << 24
+READ, WRITE = 0, 1
+
+
+class Bare:
+    """A device on no board; `at` is the time, ns, `counts` what its encoder has counted."""
+
+    def __init__(self, device):
+        self.device, self.registers, self.at, self.counts = device, device.registers, 0, np.zeros(1, np.int64)
+
+    def access(self, n, way, value=0):
+        d = self.device
+        return d.CORE.access(d.state[0], self.at, self.counts.ctypes.data, n, way, value)
+
+    def write(self, *pairs):
+        for n, value in pairs:
+            self.access(n, WRITE, value)
+        return self
+
+    def read(self, n):
+        return self.access(n, READ)
+
+
+def ls7166(pr, occr=0, qr=3):
+    """PR and the counter hold `pr`."""
+    b = Bare(LS7166(Encoder("x", per_metre=1e6)))
+    b.write(
+        (1, 0x20),
+        (1, 0x01),
+        *((0, pr >> k & 0xFF) for k in (0, 8, 16)),
+        (1, 0x08),
+        (1, 0x48),
+        (1, 0x80 | occr),
+        (1, 0xC0 | qr),
+    )
+    return b
+
+
+def stepped(counter, pr, steps, divides):
+    """The counter, BWT, CYT, SIGN and UP after so many steps, one by one."""
+    toggles, sign = [0, 0], 0
+    for _ in range(abs(steps)):
+        counter += 1 if steps > 0 else -1
+        if counter == FULL:
+            counter, sign = pr if divides else 0, 0
+            toggles[1] ^= 1
+        elif counter < 0:
+            counter, sign = pr if divides else FULL - 1, 1
+            toggles[0] ^= 1
+    return counter, toggles[0] | toggles[1] << 1 | sign << 3 | (steps > 0) << 4
+
+
+@pytest.mark.parametrize("divides", [0, 4])
+def test_an_ls7166_counts_over_both_ends_as_step_by_step(divides):
+    """PR 0 to 5 from the upper end, 0 to 5 from the lower; -40 to 40 counts at once; divide by N and not"""
+    for near in range(1, 7):
+        for pr, way in ((FULL - near, 1), (near - 1, -1)):
+            for n in range(1, 41):
+                b = ls7166(pr, divides)
+                b.counts[0] += way * n
+                status = b.read(1)
+                counter, expected = stepped(pr, pr, way * n, divides)
+                assert (int(b.registers["cntr"]), status & ~4) == (counter, expected), (pr, n)
+    b = ls7166(100)
+    b.read(1)
+    for n, compares in ((0, 0), (-1, 1), (1, 0), (-1, 1)):  # COMPT toggles where the counter comes to PR, or leaves it
+        b.counts[0] += n
+        assert b.read(1) >> 2 & 1 == compares, n
+
+
+def test_an_ls7166_is_told_by_its_control_words():
+    b = ls7166(FULL - 1, qr=0)
+    b.counts[0] += 8
+    b.read(1)
+    assert b.registers["cntr"] == FULL - 1, "no quadrature, no count"
+    b.write((1, 0x4A))
+    assert b.registers["cntr"] == 0, "one up from the end"
+    b.write((1, 0x4C))
+    assert b.registers["cntr"] == FULL - 1
+    b.write((1, 0x4E), (1, 0x4C))
+    assert b.registers["cntr"] == FULL - 2
+    assert b.registers["icr"] == 0x0C
+    for qr, units in ((1, 2), (2, 4), (3, 8)):
+        b = ls7166(10, qr=qr)
+        b.counts[0] += 8
+        b.read(1)
+        assert b.registers["cntr"] == 10 + units, qr
+        b.write((1, 0x40))  # A and B count no more
+        b.counts[0] += 8
+        b.read(1)
+        assert b.registers["cntr"] == 10 + units
+        b.write((1, 0x48))
+        b.counts[0] -= 8
+        assert b.read(1) >> 4 == 0
+        assert b.registers["cntr"] == 10, qr
+    b.write((1, 0xC0 | 0x3C | 2))
+    assert b.registers["qr"] == 2
+
+
+def test_a_reset_of_an_hctl2016_ends_the_inhibition_of_its_latch():
+    b = Bare(HCTL2016(Encoder("x", per_metre=1e6)))
+    b.counts[0] = 0x1234
+    assert b.read(0) == 0x12
+    b.write((0, 0))
+    b.counts[0] += 3
+    assert (b.read(1), b.read(0)) == (3, 0)
+    b.counts[0] += 5
+    assert (b.read(1), b.read(1)) == (3, 8), "of one moment, until the low byte was read"
+
+
+def uart(*more, lcr=3, fcr=1):
+    """1,843,200 Hz, divisor 1."""
+    return Bare(UART()).write((3, 0x80 | lcr), (0, 1), (1, 0), (3, lcr), (2, fcr), *more)
+
+
+def feed(b, n):
+    """The peer begins now to send so many bytes, 0, 1, 2 and so on."""
+    s = b.registers
+    s["due"] = b.at + character(b)
+    for _ in range(n):
+        s["incoming"][int(s["fed"]) % uart_core.ROOM] = int(s["fed"]) & 0xFF
+        s["fed"] += 1
+
+
+def character(b):
+    return int(uart_core.character(b.device.state[0].view(uart_core.STATE)[0]))
+
+
+def test_a_character_of_a_uart_has_as_many_bits_as_its_lcr_says():
+    """5 to 8 bits, parity, 1, 1.5 and 2 stop bits, at 115,200 baud; then divisors 0102h to 0304h"""
+    for lcr in range(32):
+        bits = 1 + 5 + (lcr & 3) + (lcr >> 3 & 1) + (1 if not lcr & 4 else 1.5 if not lcr & 3 else 2)
+        assert character(uart(lcr=lcr)) == int(bits * 16 * 1_000_000_000) // 1_843_200, lcr
+    b = uart()
+    for n, value, divisor in ((0, 2, 2), (1, 1, 0x102), (0, 4, 0x104), (1, 3, 0x304)):
+        b.write((3, 0x83), (n, value))
+        assert (int(b.registers["divisor"]), b.read(0), b.read(1)) == (divisor, divisor & 0xFF, divisor >> 8)
+        b.write((3, 3))
+
+
+@pytest.mark.parametrize(("code", "level"), [(0, 1), (1, 4), (2, 8), (3, 14)])
+def test_data_of_a_fifo_is_told_at_its_trigger_level_and_after_four_characters(code, level):
+    b = uart((1, 1), (4, 8), fcr=1 | code << 6)
+    pulls = lambda: uart_core.pulls(b.device.state[0], b.at, 0)  # noqa: E731
+    feed(b, level - 1 if level > 1 else 1)
+    c = character(b)
+    b.at += (level - 1 if level > 1 else 1) * c
+    assert (b.read(2), pulls()) == ((0xC1, 0) if level > 1 else (0xC4, 1))
+    b.at += 4 * c - 1
+    if level > 1:
+        assert (b.read(2), pulls()) == (0xC1, 0)
+        b.at += 1
+        assert (b.read(2), pulls()) == (0xCC, 1), "a time-out"
+        feed(b, 1)
+        b.at += c
+        assert (b.read(2), pulls()) == (0xC4, 1)
+    b.write((4, 0x17))
+    assert pulls() == 0, "OUT2 enables the line"
+
+
+def test_without_a_fifo_one_byte_is_told_and_the_next_overruns_it():
+    b = uart((1, 5), (4, 8), fcr=0)
+    c = character(b)
+    feed(b, 2)
+    b.at += c
+    assert b.read(2) == 4
+    assert uart_core.pulls(b.device.state[0], b.at + c, 0) == 1
+    b.at += c
+    assert b.read(2) == 6, "an overrun comes first"
+    b.write((1, 1))
+    assert b.read(2) == 4, "where it is enabled"
+    b.write((1, 4))
+    assert (b.read(2), b.read(5) & 3, b.read(2), b.read(5) & 3, b.read(0)) == (6, 3, 1, 1, 1)
+    b = uart((1, 4), fcr=1)
+    feed(b, 17)
+    b.at += 16 * character(b)
+    assert b.read(2) == 0xC1, "16 are no overrun"
+    b.at += character(b)
+    assert (b.read(2), b.read(5) & 2, b.read(2)) == (0xC6, 2, 0xC1)
+
+
+def test_the_transmitter_empties_by_characters_and_a_reset_of_its_fifo_keeps_the_one_on_the_line():
+    b = uart((1, 2))
+    c = character(b)
+    assert (b.read(2), b.read(2)) == (0xC2, 0xC1), "told once"
+    b.write((1, 2))
+    assert b.read(2) == 0xC1, "it was enabled before"
+    b.write((1, 0), (1, 2))
+    assert b.read(2) == 0xC2
+    b.write(*((0, 65 + k) for k in range(5)))
+    assert b.read(5) & 0x60 == 0
+    b.at += 3 * c
+    assert int(b.registers["written"]) == 5
+    b.write((2, 5))
+    assert (int(b.registers["written"]), b.read(5) & 0x60) == (4, 0x20)
+    b.at += c - 1
+    assert b.read(5) & 0x60 == 0x20
+    b.at += 1
+    assert b.read(5) & 0x60 == 0x60
+    b.write((0, 70), (2, 5))
+    assert int(b.registers["written"]) == 5, "the one on the line stays"
+    b.at += 9 * c
+    b.write((2, 5))
+    assert (int(b.registers["written"]), b.read(5) & 0x60) == (5, 0x60)
+
+
+def test_a_loop_gives_back_what_it_takes_in_order_a_character_each():
+    rng, b = random.Random(1), uart((4, 0x10))
+    c, said = character(b), []
+    for _ in range(4200):  # once round the ring
+        said.append(rng.randrange(256))
+        b.write((0, said[-1]))
+        b.at += c
+        assert b.read(5) & 1
+        assert b.read(0) == said[-1]
+    b.write((0, 1), (0, 2), (0, 3))
+    b.at += 2 * c
+    assert [b.read(0), b.read(0), b.read(5) & 1] == [1, 2, 0]
+    b.at += c
+    assert b.read(0) == 3
+    assert int(b.registers["written"]) == 0, "nothing has left it"
+
+
+def test_a_batch_refuses_numbers_just_beyond_their_bounds():
+    """host.delay_us(10**15 + 1) and -1, ports of 33 bits"""
+    from stage.board.batch import ENTRY, UNTIL_LINE, first_wrong
+    from stage.board.host import DELAY, IN8, LONGEST_DELAY, OUT8, OUT16, OUT32
+
+    Board(Stage("xy", visuals=False))
+    for what, a, b, wrong in (
+        (DELAY, 0, 0, 0), (DELAY, LONGEST_DELAY, 0, 0), (DELAY, LONGEST_DELAY + 1, 0, 1), (DELAY, -1, 0, 1),
+        (UNTIL_LINE, 0, 0, 0), (UNTIL_LINE, -1, 0, 1), (IN8, 0xFFFFFFFF, 0, 0), (IN8, 1 << 32, 0, 1), (IN8, -1, 0, 1),
+        (OUT8, 0, 255, 0), (OUT8, 0, 256, 1), (OUT16, 0, 65535, 0), (OUT16, 0, 65536, 1), (OUT32, 0, (1 << 32) - 1, 0),
+        (OUT32, 0, 1 << 32, 1), (OUT32, 0, -1, 1),
+    ):  # fmt: skip
+        entries = np.zeros(1, ENTRY)
+        entries["what"], entries["a"], entries["b"] = what, a, b
+        assert first_wrong(entries) == (0 if wrong else 1), (what, a, b)
