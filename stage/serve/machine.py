@@ -44,8 +44,8 @@ class Machine:
     """A board and the states of it that have names.
 
     keep: lines of the log that are kept. pause: called now and then within a long batch; what it raises ends the batch. hook:
-    called while the interrupt line is asserted, and for timers, if the host wants it; with what INTERRUPT says. told: gets each line
-    that the host logs.
+    called while the interrupt line is asserted, and for timers, if the host wants it; with what INTERRUPT says. told: gets each
+    line that the host logs.
     """
 
     def __init__(

@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import re
+import subprocess
 from pathlib import Path
 
+import pytest
+
+from stage.board import NoCompilerError
+from stage.board.library import compiler
 from stage.serve import frames
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "serve.md").read_text()
@@ -40,3 +45,64 @@ def test_the_server_of_the_page_has_the_ports_of_the_programs_behind_it():
     """stage serve --chips PCL240MK --trace cycles.txt: x at 300h, and snapshots can be restored"""
     command = re.search(r"^stage serve .*", PAGE, re.M).group()
     assert not re.search("--(layout|base|stride|record|vcd)", command)
+
+
+MINE = """
+board.on_interrupt(hook)
+board.out8(0x300, 0x08)
+for register, value in ((0, 30), (1, 500), (7, 300)):
+    board.out8(0x300, 0x80 | register)
+    for byte in (2, 1, 0):
+        board.out8(0x301 + byte, value >> 8 * byte & 0xFF)
+board.out8(0x300, 0x44), board.out8(0x300, 0x30)
+board.delay_us(200000)
+board.log(f"{len(called)} {board.in8(0x300):02x}")
+"""
+MINE_IN_C = """
+static int called;
+static void cleared(void) { called++, out8(0x300, 0x08); }
+int main(int count, char **given)
+{
+    static const int table[3][2] = {{0, 30}, {1, 500}, {7, 300}};
+    char text[32];
+    (void)count, open_board("127.0.0.1", (uint16_t)atoi(given[1]));
+    on_interrupt(cleared), out8(0x300, 0x08);
+    for (int k = 0; k < 3; k++) {
+        out8(0x300, (uint8_t)(0x80 | table[k][0]));
+        for (int byte = 2; byte >= 0; byte--)
+            out8((uint32_t)(0x301 + byte), (uint8_t)(table[k][1] >> 8 * byte));
+    }
+    out8(0x300, 0x44), out8(0x300, 0x30), delay_us(200000);
+    snprintf(text, sizeof text, "%d %02x", called, in8(0x300)), say(text);
+    return 0;
+}
+"""
+
+
+def client_of_the_page(language: str) -> str:
+    return re.search(rf"^```{language}\n(.*?)^```", PAGE.split("## A client of one's own")[1], re.M | re.S).group(1)
+
+
+@pytest.mark.parametrize("language", ["python", "c"])
+def test_the_whole_clients_of_the_page_have_a_hundred_lines_at_most_and_drive_a_server(language, served, tmp_path):
+    # cc minimal.c -o minimal && ./minimal 7240
+    source, port = client_of_the_page(language), served.address.rpartition(":")[2]
+    assert len(source.splitlines()) <= 100
+    if language == "python":
+        names: dict = {"called": []}
+        exec(source, names)
+        board = names["board"] = names["Board"](port=int(port))
+        names["hook"] = lambda: names["called"].append(board.out8(0x300, 0x08))
+        exec(MINE, names)
+        with pytest.raises(RuntimeError, match="entry 0: 99 is no request"):
+            board.batch((99, 0))
+        board.file.close(), board.wire.close()
+    else:
+        (tmp_path / "minimal.c").write_text(source + MINE_IN_C)
+        try:
+            command = [compiler(), "-std=c11", "-Wall", "-Wextra", "-Werror", "minimal.c", "-o", "minimal"]
+        except NoCompilerError as error:
+            pytest.skip(str(error))
+        subprocess.run(command, cwd=tmp_path, check=True)
+        subprocess.run([tmp_path / "minimal", port], check=True)
+    assert [text for _, text in served.board.log] == ["1 a8"]
