@@ -233,7 +233,7 @@ def _add_firmware(commands: Any) -> None:
     g.add_argument("--cflags", default="", help='for the compiler, for example --cflags="-Ihal -DSLOW"')
     g.add_argument(
         "--platform",
-        help="what the sources were written for: arduino (a .ino always is), avr, vxworks, dos; docs/porting.md",
+        help="what the sources were written for: arduino (a .ino always is), avr, vxworks, dos, freertos; docs/porting.md",
     )
     g.add_argument(
         "--timeout", type=float, default=60.0, help="simulated seconds after which it has to return (default: 60)"
@@ -350,7 +350,7 @@ def _add_target(p: argparse.ArgumentParser) -> None:
         "(docs/memory_mapped.md); of an AVR its pins: data=A,address=C:0-1,cs=B0,wr=G0,rd=G1,irq=D0",
     )
     g.add_argument("--mcu-clock", type=float, metavar="HZ", help="its clock, for example 16e6 (default: what is usual)")
-    g.add_argument("--gdb", type=_number, metavar="PORT", help="wait for GDB on 127.0.0.1 (AVRs)")
+    g.add_argument("--gdb", type=_number, metavar="PORT", help="wait for GDB on 127.0.0.1")
 
 
 def _number(text: str) -> int:

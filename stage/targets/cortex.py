@@ -17,6 +17,8 @@ from stage.errors import ArgumentError
 from stage.targets.built_for import check_arm
 from stage.targets.elf import ARM, Elf
 from stage.targets.engine import INVALID_INSTRUCTION, Engine, Registers
+from stage.targets.gdb import Server
+from stage.targets.gdb_registers import CortexRegisters
 from stage.targets.machine import wait
 from stage.targets.nvic import Nvic
 from stage.targets.semihosting import Semihosting
@@ -52,13 +54,15 @@ MODELS = {"cortex-m0": 7, "cortex-m3": 8, "cortex-m4": 9}
 
 @dataclass(frozen=True)
 class CortexProgram:
-    """An ELF program. windows: of the board; irq: which of NVIC's the board's line is wired to, or None."""
+    """An ELF program. windows: of the board; irq: which of NVIC's the board's line is wired to, or None. gdb: TCP port of a
+    GDB server."""
 
     path: Path
     mcu: str
     hz: int | None
     windows: tuple[Window, ...]
     irq: int | None
+    gdb: int | None = None
 
     def load(self, board: Board, may_exit: bool) -> Cortex:
         """See stage.board.program. Raises LibraryError, FileError."""
@@ -92,6 +96,8 @@ class Cortex(Engine):
         self.semihosting = Semihosting(self)
         self.uc.hook_add(unicorn.UC_HOOK_INTR, self._exception)
         self._raised = 0
+        if program.gdb:
+            self.gdb = Server(self, CortexRegisters(self), program.gdb)
         self._update()
 
     # --- registers and memory ---
@@ -155,12 +161,22 @@ class Cortex(Engine):
         """See stage.board.program."""
         vectors = self.nvic.vectors
         self.set(msp=self.word(vectors), sp=self.word(vectors), lr=0xFFFFFFFF, xpsr=_THUMB)
-        self._pc = self.word(vectors + 4)
+        self._pc = self.word(vectors + 4) & ~1
         self.set(pc=self._pc | 1)
         return super().main()
 
     def where_to_go_on(self) -> int:
         return self._pc | 1
+
+    def address(self) -> int:
+        return self._pc
+
+    def go_to(self, address: int) -> None:
+        """A debugger sets the program counter."""
+        self._pc = address & ~1
+
+    def halted(self) -> None:
+        self._pc = self.get("pc") & ~1
 
     def place(self) -> str:
         return self._elf.where(self.get("pc") & ~1)

@@ -12,6 +12,7 @@ from stage.board.board import Board
 from stage.board.errors import HostError
 from stage.native import address_of
 from stage.targets import machine
+from stage.targets.gdb import Server
 
 _CODE, _INTR, _INSN = 4, 1, 2
 _IN, _OUT = 218, 500  # of x86, as Unicorn numbers them
@@ -77,6 +78,9 @@ class Engine:
         t.flags_at, t.hz, t.alarm = self._flags.ctypes.data, hz, NEVER
         t.quantum = max(1, round(LATENCY * hz))
         self.ended, self.code = False, 0
+        self.error: type[Exception] = unicorn.UcError
+        self.gdb: Server | None = None
+        self.window_pages: list[int] = []
         self.fault = ""
         self._kept: list[Any] = []
         self._line = ""
@@ -116,7 +120,7 @@ class Engine:
         self._windows = np.array([tuple(w) for w in windows] or [(0, 0, 0)], machine.WINDOW)
         self.record.windows, self.record.n_windows = self._windows.ctypes.data, len(windows)
         self._pages = np.zeros(0, machine.PAGE)
-        pages = sorted({page for w in windows for page in range(w.address & ~0xFFF, w.end, 0x1000)})
+        pages = self.window_pages = sorted({page for w in windows for page in range(w.address & ~0xFFF, w.end, 0x1000)})
         self._pages = np.array([(self.record.own, page) for page in pages], machine.PAGE)
         read, write = machine.window_read.pointer, machine.window_written.pointer
         for k, page in enumerate(pages):
@@ -149,6 +153,27 @@ class Engine:
         machine.looked.c(self.record.own)
         self._board.link.request(self._board.link.pointer, host.LOG, ctypes.addressof(text), 0)
 
+    # --- for a debugger ---
+
+    def watch(self, address: int, function: Any) -> int:
+        """Unicorn calls the function before the instruction at an address. Returns a number for hook_del."""
+        return int(self.uc.hook_add(_CODE, function, begin=address, end=address))
+
+    def not_run(self, size: int) -> None:
+        """The instruction that has been counted is not run now."""
+        self.record.cycles -= self.record.each + self.record.byte * size
+
+    def in_window(self, at: int, size: int) -> bool:
+        """Some of these bytes lie in memory that holds the board's windows."""
+        return any(page < at + size and at < page + 0x1000 for page in self.window_pages)
+
+    def address(self) -> int:
+        """The program counter, as the memory's addresses are."""
+        return self.where_to_go_on()
+
+    def halted(self) -> None:
+        """A debugger has stopped it."""
+
     # --- it runs ---
 
     def main(self) -> int:
@@ -157,24 +182,42 @@ class Engine:
 
         self.record.begin = self._board.stage.now
         self.ended = False
-        while not self.ended:
+        try:
+            while not self.ended:
+                self._go_on(unicorn.UcError)
+        except HostError:
+            if self.gdb is not None:
+                self.gdb.failed()
+            raise
+        if self.gdb is not None:
+            self.gdb.ended(self.code)
+        self.flush()
+        machine.looked.c(self.record.own)
+        return self.code
+
+    def _go_on(self, wrong: type[Exception]) -> None:
+        """Up to the next instruction at which something is to be done."""
+        gdb = self.gdb
+        if gdb is not None:
+            gdb.before()
+        if not self.ended:
             try:
-                self.uc.emu_start(self.where_to_go_on(), 0xFFFFFFFF)
-            except unicorn.UcError as error:
+                self.uc.emu_start(self.where_to_go_on(), 0xFFFFFFFF, 0, 1 if gdb is not None and gdb.steps else 0)
+            except wrong as error:
                 if not self.ended and not self.fault:
                     raise self.wrong(self._fault_in_words(error)) from None
+            debugged = gdb is not None and gdb.after()
             if self.record.outside:
                 raise self.wrong(f"it touches address {int(self.record.outside) - 1:X}h, which no window has")
             if self.fault:
                 raise self.wrong(self.fault)
-            if not self.ended:
+            if debugged:
+                self.halted()
+            elif not self.ended:
                 try:
                     self.stopped()
-                except unicorn.UcError:  # an exception's frame, a text to print
+                except wrong:  # an exception's frame, a text to print
                     raise self.wrong("its stack, or what it asks for, lies where there is no memory") from None
-        self.flush()
-        machine.looked.c(self.record.own)
-        return self.code
 
     def _touches(self, uc: Any, access: int, address: int, size: int, value: int, data: Any) -> bool:
         """Unicorn calls it at an access to memory that is not there; it then ends the run."""

@@ -37,7 +37,7 @@ class TargetHost(Host):
         map: how the board is wired to it, text or several: an AVR's pins, see stage.targets.pins; of a Cortex-M windows, see
             stage.board.windows; an 8086 has ports of its own.
         mcu_clock: Hz of its clock; default: what is usual for it, see docs/targets.md.
-        gdb: TCP port, on 127.0.0.1, at which the processor waits for a GDB; AVRs have it.
+        gdb: TCP port, on 127.0.0.1, at which the processor waits for a GDB.
         isolated: run it in a process of its own, see stage.board.isolated.
         patience: seconds of real time that it may run without simulated time passing.
     Raises:
@@ -80,16 +80,14 @@ def program_of(path: Path, mcu: str, maps: list[str], hz: int | None, gdb: int |
         mcus.simavr()
         return AvrProgram(path, mcu, pins(maps), hz, gdb)
     mcus.need_unicorn()
-    if gdb:
-        raise ArgumentError(f"gdb={gdb}: there is a GDB server for AVRs only.")
     if mcu in mcus.CORTEX:
         from stage.targets.cortex import CortexProgram
 
         found, irq = _windows_and_irq(maps)
-        return CortexProgram(path, mcu, hz, found, irq)
+        return CortexProgram(path, mcu, hz, found, irq, gdb)
     from stage.targets.pc import PcProgram
 
-    return PcProgram(path, hz, _irq(maps))
+    return PcProgram(path, hz, _irq(maps), gdb)
 
 
 def _windows_and_irq(maps: list[str]) -> tuple[tuple[Window, ...], int | None]:

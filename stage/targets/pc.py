@@ -20,6 +20,8 @@ from stage.files import FileError
 from stage.targets import dos
 from stage.targets.elf import machine_of
 from stage.targets.engine import NEVER, Engine
+from stage.targets.gdb import Server
+from stage.targets.gdb_registers import PcRegisters
 from stage.targets.machine import looked, wait
 from stage.targets.timer import HZ as TIMER_HZ
 from stage.targets.timer import Timers
@@ -40,11 +42,12 @@ _IF = 0x200
 
 @dataclass(frozen=True)
 class PcProgram:
-    """A .COM or .EXE. irq: the PC's interrupt (2 to 7) that the board's line is wired to, or None."""
+    """A .COM or .EXE. irq: the PC's interrupt (2 to 7) that the board's line is wired to, or None. gdb: port of a GDB server."""
 
     path: Path
     hz: int | None
     irq: int | None
+    gdb: int | None = None
 
     def load(self, board: Board, may_exit: bool) -> Pc:
         """See stage.board.program. Raises LibraryError, FileError."""
@@ -75,6 +78,8 @@ class Pc(Engine):
         self.uc.hook_add(unicorn.UC_HOOK_INTR, self._interrupt)
         self.ports(_RARE(self._rare), RARE)
         self._call: int | None = None
+        if program.gdb:
+            self.gdb = Server(self, PcRegisters(self), program.gdb)
         self._set_line()
 
     # --- registers and memory ---
@@ -171,6 +176,10 @@ class Pc(Engine):
 
     def where_to_go_on(self) -> int:
         return (self.get("cs") << 4) + self.get("ip")
+
+    def go_to(self, address: int) -> None:
+        """A debugger sets the program counter."""
+        self.set(ip=address - (self.get("cs") << 4) & 0xFFFF)
 
     def place(self) -> str:
         cs, ip = self.get("cs"), self.get("ip")

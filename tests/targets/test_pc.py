@@ -156,11 +156,9 @@ def test_files_that_are_no_programs_are_refused(tmp_path):
 
 
 @needs_unicorn
-def test_a_map_or_a_debugger_that_a_pc_does_not_have_is_refused():
+def test_a_map_that_a_pc_does_not_have_is_refused():
     with pytest.raises(ArgumentError, match="reaches the board by IN and OUT; of it only irq=2 to irq=7"):
         faults(0, irq="irq=9")
-    with pytest.raises(ArgumentError, match="GDB server for AVRs only"):
-        TargetHost(DATA / "faults.com", board_of(), mcu="8086", gdb=1234)
 
 
 def test_without_unicorn_it_is_said_what_to_install(monkeypatch):
