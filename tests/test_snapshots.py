@@ -189,3 +189,19 @@ def test_a_callback_that_changes_the_state_changes_nothing_of_a_restored_one(xy)
         mujoco.set_mjcb_control(None)
     assert xy.data.qfrc_applied[0] == 0.0
     assert np.array_equal(xy.snapshot().state, snapshot.state)
+
+
+def test_a_layout_is_another_where_a_field_lies_elsewhere():
+    """two records of the same names and types, one with room between them"""
+    names, formats = ["a", "b"], ["i4", "i4"]
+    kinds = [
+        np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": 16})
+        for offsets in ([0, 4], [0, 8], [4, 0])
+    ]
+    kinds += [
+        np.dtype([("a", "i4"), ("c", "i4")]),
+        np.dtype([("a", "i4"), ("b", "u4")]),
+        np.dtype([("a", "i4"), ("b", "i4", 2)]),
+    ]
+    assert len({layout(kind) for kind in kinds}) == len(kinds)
+    assert layout(np.dtype([("a", "i4")])) == layout(np.dtype([("a", "<i4")]))

@@ -3,6 +3,7 @@
 import copy
 import math
 import pickle
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from stage.board.devices import HCTL2016, Encoder
 from stage.chips import HCTL1100, MCX304, MCX514, PCL240K
 from stage.chips.entries import SHAFT, number
 from stage.cli import main
+from stage.sim.encoder import per_unit
 
 PER_METRE = 320_000  # as the pulses of the default drive
 LIKE = {"chips": MCX514, "visuals": False}
@@ -245,3 +247,10 @@ def test_the_marker_of_a_test_takes_encoders(request):
     from stage.testing.markers import stage_arguments
 
     assert stage_arguments(request.node)["encoders"] == {"x": 1000}
+
+
+def test_counts_a_turn_have_the_sign_of_the_gear():
+    """Encoder("x", per_turn=2000) behind a gear of -100 rad/m, and one of counts a metre beside it"""
+    plant = [SimpleNamespace(name=name, gear=gear) for name, gear in (("x", -100.0), ("y", 50.0), ("z", -100.0))]
+    counts = per_unit([Encoder("x", per_turn=2000), Encoder("z", per_metre=7.0)], plant)
+    assert counts == [-2000 * 100 / (2 * math.pi), 0.0, 7.0]

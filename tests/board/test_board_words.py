@@ -10,8 +10,9 @@ from support.vcd_parser import parse
 
 from stage import Stage
 from stage.board import Board, layouts
+from stage.board.devices import HCTL2016, Encoder
 from stage.board.hooks import named
-from stage.board.interrupts import FIRST_LINE, FIRST_PYTHON_TIMER, FIRST_SOFTWARE, FIRST_TIMER, HIGHEST
+from stage.board.interrupts import ANY_LINE, FIRST_LINE, FIRST_PYTHON_TIMER, FIRST_SOFTWARE, FIRST_TIMER, HIGHEST
 from stage.board.layout_files import read
 from stage.board.mapping import BEYOND_WINDOW, Mapped
 from stage.board.windows import MOST_ADDRESS, Window, windows
@@ -168,3 +169,32 @@ def test_encoders_that_are_none_are_refused_as_they_were_given():
         Stage("xy", encoders={"x": 1e5}, visuals=False)
     assert "PCL240K, " not in str(refused.value).split("encoder; ")[1]
     assert "MCX304" in str(refused.value)
+
+
+def test_a_counter_without_a_zero_keeps_the_place_where_it_came_on_its_board():
+    """put(HCTL2016(Encoder("x", per_metre=1e6)), port) 2 mm from the start: its twin elsewhere counts from there, too"""
+    stage = Stage("xy", visuals=False)
+    stage.place(x=0.002)
+    board = Board(stage)
+    counter = board.put(HCTL2016(Encoder("x", per_metre=1e6)), 0x320)
+    given = board.put(HCTL2016(Encoder("x", per_metre=1e6, zero=0.001)), 0x330)
+    assert counter.encoders[0].zero == stage.axes["x"].position
+    assert given.encoders[0].zero == 0.001
+    make, *arguments = counter.twin()
+    assert make(*arguments).encoders == counter.encoders
+    assert (counter.count, given.count) == (0, round((stage.axes["x"].position - 0.001) * 1e6))
+
+
+def test_nothing_of_a_firmware_that_has_gone_is_left_in_the_table_of_interrupts():
+    board = Board(Stage("xy", visuals=False))
+    board.on_timer(5, print)
+    hooks, h = board.link.hooks, board.link.record
+    for name in ("serving", "level", "meter", "stack_low", "stack_high"):
+        h[name] = 1
+    hooks.sources["hook"][:] = hooks.sources["level"][:] = hooks.sources["lines"][:] = 3
+    hooks.without_firmware()
+    assert [int(h[name]) for name in ("serving", "level", "meter", "stack_low", "stack_high")] == [0] * 5
+    line, timer = hooks.sources[ANY_LINE], hooks.sources[FIRST_PYTHON_TIMER]
+    assert (line["hook"], line["level"], line["lines"], line["argument"]) == (0, 1, -1, ANY_LINE)
+    assert (timer["hook"], timer["argument"]) == (hooks.pointer, FIRST_PYTHON_TIMER)
+    assert not hooks.sources["hook"][[k for k in range(len(hooks.sources)) if k != FIRST_PYTHON_TIMER]].any()

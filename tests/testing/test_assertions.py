@@ -25,6 +25,7 @@ from stage.testing import (
 )
 from stage.testing.assertions import ranges
 from stage.testing.evidence import Watch, folder
+from stage.testing.path import _distances
 from stage.testing.watched import WatchedStage
 
 SLOW = firmware.Profile.of(fh1=8000, accel=0.05)
@@ -391,3 +392,16 @@ def test_the_traceback_of_an_error_of_the_package_ends_in_the_test_and_that_of_a
     assert ends_in(helper) == ["ends_in", "helper"]
     assert ends_in(other)[:2] == ["ends_in", "other"]
     assert len(ends_in(other)) > 2
+
+
+def test_distances_from_a_long_line_are_those_from_its_nearest_piece_whatever_the_order():
+    """1000 points, 1100 pieces: more than are looked at once"""
+    rng = np.random.default_rng(5)
+    points, line = rng.uniform(-1, 1, (1000, 2)), np.cumsum(rng.normal(0, 0.05, (1101, 2)), axis=0)
+    off, foot = _distances(points, line)
+    back, _ = _distances(points, line[::-1])
+    assert off == pytest.approx(back, abs=1e-12)
+    assert off == pytest.approx(np.hypot(*(points - foot).T), abs=1e-12)
+    ends = np.min(np.hypot(*(points[:50, None] - line[None]).transpose(2, 0, 1)), axis=1)
+    assert np.all(off[:50] <= ends + 1e-12)
+    assert np.all(off[:50] >= ends - np.hypot(*np.diff(line, axis=0).T).max())
