@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+from support.packages import acme
 
 from stage.cli import build_parser, main
 
@@ -26,6 +27,13 @@ NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]\d+)?")
 WATCHED = ("--web", "view")  # commands that somebody looks at, until he ends them
 ELSEWHERE = ("stage demo", "stage erratum", "stage fault ", "stage pullout")
 """Commands that run every day in test_cli.py, test_cli_erratum.py and test_faults.py."""
+
+
+@pytest.fixture(autouse=True)
+def acme_is_installed(tmp_path_factory, monkeypatch, request):
+    """For the page about chips of one's own."""
+    if "acme1000" in request.node.name or "your_own_chip" in request.node.name:
+        acme(monkeypatch, tmp_path_factory.mktemp("site"))
 
 
 class Block(NamedTuple):

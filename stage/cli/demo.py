@@ -7,6 +7,7 @@ import time
 from typing import Any
 
 from stage.cli.setup import make_stage, note, recorded
+from stage.errors import ArgumentError
 
 WHERE = (0.1962, -0.1435, 0.177)  # where the carriages happen to stand, from the middle of their travel, in travels
 LONG, SHORT, FIRST, SECOND = 0.3956, 0.2894, 0.1978, -0.1085  # moves, in travels
@@ -71,7 +72,13 @@ def story(stage: Any, rows: list[tuple]) -> None:
         return
     note("a straight line ...")
     drivers = {axis.name: driver_of(axis) for axis in ways}
-    report = drivers[first.name].line(drivers, {axis.name: pulses for axis, pulses in ways.items()}, Speeds(drive=RATE))
+    try:
+        report = drivers[first.name].line(
+            drivers, {axis.name: pulses for axis, pulses in ways.items()}, Speeds(drive=RATE)
+        )
+    except ArgumentError as error:
+        print(f"no straight line: {error}")
+        return
     for r in report.axes.values():
         add(r)
     what = "a:b move " + " ".join(f"{axis.name}={pulses:+d}" for axis, pulses in ways.items())

@@ -1,7 +1,7 @@
 """The build backend of this project (PEP 517): setuptools, after the native library has been brought up to date.
 
 The build requirements are demanded only where the library does not exist yet: numba and, where no C compiler is found, the
-linker of the package ziglang. A chip family in another package has a backend like this: see docs/native.md.
+linker of the package ziglang. A chip family in another package has packing.py.
 """
 
 from __future__ import annotations
@@ -54,15 +54,4 @@ def build_editable(wheel_directory: str, config_settings: Any = None, metadata_d
 
 
 if find_spec("setuptools.command.bdist_wheel"):
-    from setuptools.command.bdist_wheel import bdist_wheel
-
-    class Wheel(bdist_wheel):
-        """A wheel for any Python of one system and processor: its library is machine code, but none of Python's."""
-
-        def finalize_options(self) -> None:
-            self.distribution.has_ext_modules = lambda: True
-            super().finalize_options()
-
-        def get_tag(self) -> tuple[str, str, str]:
-            """py3-none-PLATFORM."""
-            return "py3", "none", super().get_tag()[2]
+    from stage.native.packing import Wheel  # noqa: F401

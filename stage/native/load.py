@@ -68,6 +68,8 @@ def unfit(package: str, path: Path) -> str:
             same = digest_of(source_of(module, places[module.partition(".")[0]])) == digest
         except OSError:
             same = False
+        if not same and package != "stage" and module.startswith("stage."):
+            return f"{path} was built with another version of PulseStage: {module} is not as it was there"
         if not same:
             return f"{path} was built from other sources: {module} has changed"
     own = places.get(package) or folders(package)

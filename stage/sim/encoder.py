@@ -75,7 +75,7 @@ def chosen(given: EncoderChoice, names: Sequence[str], chip_axes: Sequence[ChipA
                 f'drives={{"{encoder.axis}": Servo(counts=...)}}.'
             )
         if not chip.ENCODERS:
-            able = ", ".join(name for name, other in CHIPS.items() if other.ENCODERS)
+            able = ", ".join(line.name for line in CHIPS.listed() if line.chip and line.chip.ENCODERS)
             raise ArgumentError(
                 f"encoders for axis {encoder.axis}: {chip.__name__} has no input for an encoder; {able} have. Or put a counter on "
                 "the bus: board.put(HCTL2016(encoder), port)."

@@ -14,7 +14,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from stage import Stage, chips, firmware
+from stage import Stage, firmware
+from stage.chips import chip_class
+from stage.chips.pcl240 import PCL240
 from stage.errors import ArgumentError, unknown
 from stage.firmware import Profile
 
@@ -24,7 +26,6 @@ if TYPE_CHECKING:
 EVERY = 0.25e-3  # s between samples
 FAILED = 10.0  # s of score for a move that did not do as asked
 SPREAD = 1e-4  # m, by which the start is drawn
-CHIPS = {"pcl240k": chips.PCL240K, "pcl240mk": chips.PCL240MK, "pcl240ms": chips.PCL240MS}
 MEASURED = "score", "duration", "lost_steps", "reached", "vibration"
 
 
@@ -120,8 +121,11 @@ class PresetMoves:
                 raise unknown("goal", goal, MEASURED)
         if not self.goals:
             raise ArgumentError(f"goals=(): one at least of {', '.join(MEASURED)}.")
-        if str(self.chips).lower() not in CHIPS:
-            raise unknown("chip", self.chips, CHIPS)
+        if not issubclass(self._chip, PCL240):
+            raise ArgumentError(
+                f"chips={self.chips!r}: PresetMoves writes registers of the PCL-240 family: pcl240k, pcl240mk, pcl240ms. The "
+                "environment stage/RegisterTuning-v0 tunes moves of any chip that has a driver."
+            )
         check_registers(self.space, self._chip)
         for name, text in self.space.items():
             values_of(name, text)
@@ -131,7 +135,7 @@ class PresetMoves:
 
     @property
     def _chip(self) -> Any:
-        return CHIPS[str(self.chips).lower()]
+        return chip_class(str(self.chips))
 
     def __call__(self, trial: Trial) -> float | tuple[float, ...]:
         """Measure a trial of an Optuna study: its goals' values. Raises optuna.TrialPruned."""

@@ -1,11 +1,13 @@
 """Promises of a package's native library: it is that of these sources and of this machine, or nothing runs."""
 
+import importlib.util
 import io
 import json
 import os
 import shutil
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -271,3 +273,15 @@ def test_numbas_own_settings_do_not_reach_the_processes_that_compile(tmp_path, m
     said = told.read_text().splitlines()
     assert "PULSESTAGE_EMIT=1" in said
     assert [line for line in said if line.startswith("NUMBA_")] == []
+
+
+def test_a_library_that_was_built_with_another_pulsestage_is_refused_in_words(toy, monkeypatch):
+    monkeypatch.syspath_prepend(toy)
+    monkeypatch.setattr(load, "find_spec", lambda name: find_spec(name) if name != "toy" else here)
+    here = importlib.util.spec_from_file_location(
+        "toy", toy / "toy" / "__init__.py", submodule_search_locations=[str(toy / "toy")]
+    )
+    before = load.digest_of
+    monkeypatch.setattr(load, "digest_of", lambda source: "another" if "arithmetic" in str(source) else before(source))
+    said = load.unfit("toy", toy / "toy" / load.NAME)
+    assert said.endswith("was built with another version of PulseStage: stage.native.arithmetic is not as it was there")

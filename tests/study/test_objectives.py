@@ -121,7 +121,7 @@ def test_registers_of_a_trial_are_a_profile_and_what_lacks_or_is_unknown_is_name
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"chips": "mcx514"}, "unknown chip"),
+        ({"chips": "mcx514"}, "PCL-240 family"),
         ({"axis": "w"}, "axis 'w'"),
         ({"goals": ("speed",)}, "unknown goal 'speed'"),
         ({"goals": ()}, "one at least"),

@@ -13,3 +13,13 @@ def installed(monkeypatch: pytest.MonkeyPatch, folder: Path, name: str, version:
     lines = "".join(f"{chip} = {where}\n" for chip, where in chips.items())
     (info / "entry_points.txt").write_text(f"[pulsestage.chips]\n{lines}")
     monkeypatch.syspath_prepend(folder)
+
+
+ACME = Path(__file__).parents[2] / "scripts" / "acme_chip"
+"""The project of docs/your_own_chip.md."""
+
+
+def acme(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
+    """It, as if it were installed in a folder."""
+    monkeypatch.syspath_prepend(ACME)
+    installed(monkeypatch, folder, "acme-chips", "0.1.0", ACME1000="acme_chips:ACME1000")

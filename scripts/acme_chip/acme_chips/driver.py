@@ -1,0 +1,154 @@
+"""How a host drives an ACME1000: moves, origin return, and the same as programs for environments and fleets."""
+
+from typing import ClassVar
+
+import numpy as np
+
+from acme_chips.maps import MAP
+from stage.errors import ArgumentError
+from stage.firmware.choices import Choices, limits
+from stage.firmware.driver import SETTLE, AtOnce, Driver, Speeds, wait_until_stopped
+from stage.firmware.report import Procedure
+from stage.firmware.search import Found, Search
+from stage.sim.program import Program
+
+PLUS_LIMIT, MINUS_LIMIT, ORG = MAP.masks("status", "plus_limit", "minus_limit", "org")
+BACK = 400  # pulses, out of ORG before it is approached slowly
+
+
+class AcmeDriver(Driver):
+    """Speaks to one chip."""
+
+    DONE: ClassVar = "COUNT = 0"
+    FINISH: ClassVar = "COUNT"
+
+    def start(self, pulses, speeds):
+        if speeds.s_curve:
+            raise self.no_s_curves()
+        if not pulses:
+            raise ArgumentError("pulses=0: a move has at least one; its sign is the direction.")
+        MAP.checked("COUNT", abs(pulses))
+        self._prepare(speeds, abs(pulses))
+        self._send("MOVE+" if pulses > 0 else "MOVE-")
+
+    def move(self, pulses, speeds, timeout=None):
+        with Procedure(self.axis, "move") as p:
+            self.start(pulses, speeds)
+            longest = 1.5 * abs(pulses) / speeds.start + speeds.up + speeds.down + 1
+            ended = self.wait(longest if timeout is None else timeout)
+            self.axis.wait(SETTLE)
+            return p.report(ended, pulses)
+
+    def home(self, direction, speeds, index=False, timeout=60.0):
+        if index:
+            raise ArgumentError("index=True: an ACME1000 does not see an encoder's index pulse.")
+        with Procedure(self.axis, "home") as p:
+            self._prepare(speeds._replace(s_curve=False), BACK)
+            ended = ""
+            if not self.chip.read(0) & ORG:
+                ended = self._go("HOME+" if direction > 0 else "HOME-", timeout)
+            for _ in range(200):  # out of ORG again
+                if ended or not self.chip.read(0) & ORG:
+                    break
+                self.chip.write(MAP.register("COUNT").number, BACK)
+                ended = self._go("MOVE-" if direction > 0 else "MOVE+", timeout)
+            ended = ended or self._go("CREEP+" if direction > 0 else "CREEP-", timeout)
+            self.axis.wait(SETTLE)
+            return p.report("ORG" if self.chip.read(0) & ORG else ended or "EL")
+
+    def run(self, direction, speeds):
+        self._prepare(speeds, 1)
+        self._send("RUN+" if direction > 0 else "RUN-")
+
+    def halt(self, at_once=False):
+        self._send("STOP" if at_once else "SLOW")
+        wait_until_stopped([self.axis], 60.0)
+
+    def stopped_by(self):
+        status = self.chip.read(0)
+        way = "minus" if self.chip.state["control"] & MAP.mask("control", "minus") else "plus"
+        if status & (PLUS_LIMIT if way == "plus" else MINUS_LIMIT):
+            return "EL+" if way == "plus" else "EL-"
+        return ""
+
+    def tuned_by(self, s_curve):
+        if s_curve:
+            raise self.no_s_curves()
+        return "START", "DRIVE", "SLOPE"
+
+    def formula(self, fl, fh, up, down, pulses, s_curve=None):
+        values = {"START": fl, "DRIVE": fh, "SLOPE": (fh - fl) / (1e3 * up)}
+        return {name: int(np.clip(round(value), *limits(MAP, name))) for name, value in values.items()}
+
+    def write_move(self, program, values, pulses):
+        for name, value in {**values, "COUNT": pulses}.items():
+            program.register(self.index, self.chip, name, value)
+        program.command(self.index, MAP.command("MOVE+").code)
+
+    def write_stop(self, program):
+        program.command(self.index, MAP.command("STOP").code)
+
+    def search(self, settings):
+        return Return(self, settings)
+
+    def _prepare(self, speeds: Speeds, pulses):
+        if self.chip.busy():
+            raise self.moving()
+        for name, rate in (("START", speeds.start), ("DRIVE", speeds.drive)):
+            MAP.checked(name, round(rate))
+        if speeds.start > speeds.drive:
+            raise ArgumentError(f"start speed {speeds.start:g} pps is above the drive speed {speeds.drive:g}.")
+        now = AtOnce(self.axis)
+        values = self.formula(speeds.start, speeds.drive, speeds.up, speeds.down, pulses)
+        for name, value in {**values, "COUNT": pulses}.items():
+            now.register(self.index, self.chip, name, value)
+
+    def _send(self, symbol):
+        self.chip.write(0, MAP.command(symbol).code)
+
+    def _go(self, symbol, timeout):
+        self._send(symbol)
+        wait_until_stopped([self.axis], timeout)
+        ended = self.stopped_by()
+        self.axis.wait(SETTLE)
+        return ended
+
+
+class Return(Search):
+    """Leave ORG, search it, back off, approach it slowly: four drives, minus to ORG, without a branch."""
+
+    def __init__(self, driver, settings):
+        if settings.ez:
+            raise ArgumentError(f"ez={settings.ez!r}: an ACME1000 does not see an encoder's index pulse.")
+        self.driver, self.settings, self.marks = driver, settings, {}
+        rates = {name: limits(MAP, name) for name in ("START", "DRIVE", "SLOPE")}
+        ways = {"leave": (1, settings.leave), "back_off": (1, settings.back_off)}
+        self.choices = Choices({**rates, "approach": limits(MAP, "START"), **ways}, cubed=("leave",))
+        self.program(self.choices.low)
+
+    def program(self, row):
+        start, drive, slope, approach, leave, back = np.asarray(row).tolist()
+        p = Program()
+        for name, value in {"START": start, "DRIVE": max(start, drive), "SLOPE": slope}.items():
+            p.register(self.driver.index, self.driver.chip, name, value)
+        for name, symbol, pulses in (("leave", "MOVE+", leave), ("search", "HOME-", 0), ("back", "MOVE+", back)):
+            self._run(p, name, symbol, pulses)
+        p.register(self.driver.index, self.driver.chip, "START", approach)
+        self._run(p, "approach", "CREEP-", 0)
+        return p
+
+    def _run(self, p, name, symbol, pulses):
+        a = self.driver.index
+        p.register(a, self.driver.chip, "COUNT", pulses).command(a, MAP.command(symbol).code)
+        self._mark(f"{name} time", p).until_stopped([a], self.settings.limit)
+        p.command(a, MAP.command("STOP").code).wait(self.settings.settle)
+        self._mark(name, p).read(a, 0)
+
+    def found(self, results, rows):
+        said = {name: results[:, at] for name, at in self.marks.items()}
+        late = np.any([said[f"{name} time"] < 0 for name in ("leave", "search", "back", "approach")], axis=0)
+        at_org = {name: said[name] & ORG != 0 for name in ("search", "back", "approach")}
+        released = ~at_org["back"]
+        met = np.any([said[name] & (PLUS_LIMIT | MINUS_LIMIT) != 0 for name in ("leave", "search", "approach")], axis=0)
+        none = np.zeros(len(rows), np.int64)
+        return Found(late, ~late & released & at_org["approach"], ~late & met, released, none, none)

@@ -1,0 +1,49 @@
+"""The build backend (PEP 517) of packages with compiled functions of their own: setuptools, after their native library is made.
+
+    [build-system]
+    requires = ["setuptools>=80", "pulsestage[build]"]
+    build-backend = "stage.native.packing"
+
+    [tool.setuptools]
+    packages = ["acme_chips"]
+    package-data = {acme_chips = ["_native.so"]}
+    cmdclass = {bdist_wheel = "stage.native.packing.Wheel"}
+
+An editable installation makes no library: it is made, and made again, when it is needed.
+"""
+
+from __future__ import annotations
+
+import sys
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from setuptools import build_meta
+from setuptools.build_meta import *  # noqa: F403
+from setuptools.command.bdist_wheel import bdist_wheel
+
+
+def build_wheel(wheel_directory: str, config_settings: Any = None, metadata_directory: str | None = None) -> str:
+    """PEP 517: in the folder of the project."""
+    from stage.native import build, load
+
+    settings = tomllib.loads(Path("pyproject.toml").read_text(encoding="utf-8")).get("tool", {}).get("setuptools", {})
+    root = Path.cwd() / settings.get("package-dir", {}).get("", "")
+    sys.path.insert(0, str(root))  # the sources, not what may be installed
+    for package in dict.fromkeys(name.partition(".")[0] for name in settings.get("packages", [])):
+        if any(load.exporting({package: root / package})):
+            build.build(package)
+    return str(build_meta.build_wheel(wheel_directory, config_settings, metadata_directory))
+
+
+class Wheel(bdist_wheel):
+    """A wheel for any Python of one system and processor: its library is machine code, but none of Python's."""
+
+    def finalize_options(self) -> None:
+        self.distribution.has_ext_modules = lambda: True
+        super().finalize_options()
+
+    def get_tag(self) -> tuple[str, str, str]:
+        """py3-none-PLATFORM."""
+        return "py3", "none", super().get_tag()[2]

@@ -1,0 +1,134 @@
+"""scripts/acme_chip, the project of docs/your_own_chip.md: as if it were installed, and, slowly, installed by pip."""
+
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+import venv
+from pathlib import Path
+
+import gymnasium
+import pytest
+from support.examples import SEED
+from support.packages import ACME, acme, installed
+
+import stage.envs  # noqa: F401
+from stage import ArgumentError, Stage, firmware
+from stage.board import Board
+from stage.chips import chip_class
+from stage.cli import main
+from stage.testing import chip_conformance
+
+
+@pytest.fixture(autouse=True)
+def acme_is_there(monkeypatch, tmp_path):
+    acme(monkeypatch, tmp_path / "site")
+
+
+@pytest.fixture(scope="module")
+def stage_(tmp_path_factory):
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        acme(monkeypatch, tmp_path_factory.mktemp("site"))
+        return Stage("xy", chips={"x": "acme1000", "y": "acme1000"}, visuals=False)
+
+
+def test_it_keeps_every_promise_of_a_chip():
+    chip_conformance("acme1000", seed=SEED, programs=2)
+
+
+def test_it_moves_jogs_and_goes_home(stage_):
+    stage_.reset()
+    stage_.place(x=-0.115)
+    x = stage_.axes["x"]
+    assert firmware.move(x, 2e-3).stopped_by == "COUNT = 0"
+    assert firmware.jog(x, 0.1).ok
+    home = firmware.home(x)
+    assert (home.ok, home.stopped_by) == (True, "ORG")
+    assert x.position == pytest.approx(-0.12, abs=1e-4)
+    assert firmware.move(x, pulses=-12_000, speed=0.1).stopped_by == "EL-", "ORG stays asserted to the limit"
+    with pytest.raises(ArgumentError, match="draws no lines"):
+        firmware.line({"x": 1e-3, "y": 1e-3}, stage_)
+
+
+def test_board_trace_and_command_line_know_it(stage_, capsys, tmp_path):
+    stage_.reset()
+    board = Board(stage_)
+    board.out16(0x302, 1000)
+    board.out16(0x300, 0x15)
+    assert "x: START <- 1000" in board.trace.text()
+    assert stage_.chips[0].diagnostics[-1].message == "no pulse will come: COUNT is 0"
+    move = ["move", "x", "1mm", "--chips", "acme1000", "--model", "xy"]
+    assert main([*move, "--vcd", str(tmp_path / "x.vcd"), "--record", str(tmp_path / "x.rrd")]) == 0
+    assert "320 of 320" in capsys.readouterr().out
+    assert main(["sync", "x=100", "y=200", "--chips", "acme1000", "--model", "xy"]) == 2
+    assert "draws no lines" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("id_", ["RegisterTuning", "RegisterBus", "OriginReturn"])
+def test_environments_know_it(id_):
+    env = gymnasium.make(f"stage/{id_}-v0", chip="acme1000", model="xy")
+    env.reset(seed=1)
+    *_, info = env.step(env.action_space.sample())
+    assert info
+    env.close()
+
+
+@pytest.mark.parametrize("id_", ["SynchronizedMove", "ServoTuning"])
+def test_what_it_cannot_is_said_in_words(id_):
+    with pytest.raises(ArgumentError, match=r"a ACME1000 .*(draws no lines|closes no loop)"):
+        gymnasium.make(f"stage/{id_}-v0", chip="acme1000", model="xy")
+
+
+def test_a_chip_that_lacks_an_answer_is_refused_with_its_name(monkeypatch, tmp_path):
+    (tmp_path / "half_chips.py").write_text(
+        "from types import SimpleNamespace\nfrom acme_chips import ACME1000\n"
+        "class HALF(ACME1000):\n    CORE = SimpleNamespace(**{**vars(ACME1000.CORE), 'window': None})\n"
+        "class NAMED(ACME1000):\n    pass\nOTHER = NAMED\nNONE = 3\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    chips = {name: f"half_chips:{name}" for name in ("HALF", "OTHER", "NONE")}
+    installed(monkeypatch, tmp_path / "half", "half-chips", **chips)
+    said = r"chip HALF of package half-chips 1.0 .* is refused: HALF breaks the contract of chips: its core .* has no answer window"
+    with pytest.raises(ArgumentError, match=said):
+        Stage("xy", chips="half")
+    with pytest.raises(ArgumentError, match=r"OTHER .*the class is called NAMED"):
+        chip_class("other")
+    with pytest.raises(ArgumentError, match=r"NONE .*3 is no class below stage.chips.Chip"):
+        chip_class("none")
+
+
+@pytest.mark.slow
+def test_installed_from_a_wheel_and_editable_in_a_fresh_environment(tmp_path):
+    """pip install ./acme_chip; stage move x 10mm --chips acme1000"""
+    project = shutil.copytree(ACME, tmp_path / "acme_chip", ignore=shutil.ignore_patterns("__pycache__", "_native.so"))
+    venv.create(tmp_path / "venv")
+    site = Path(sysconfig.get_path("purelib", "venv", {"base": str(tmp_path / "venv")}))
+    (site / "others.pth").write_text(f"import site; site.addsitedir({sysconfig.get_path('purelib')!r})\n")
+    python = tmp_path / "venv" / ("Scripts/python.exe" if sys.platform == "win32" else "bin/python")
+    clean = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
+
+    def run(*command, **more):
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False, env=clean | more)
+        assert done.returncode == 0, done.stdout + done.stderr
+        return done
+
+    def pip(*what):
+        run(sys.executable, "-m", "pip", "-q", "--python", str(python), *what)
+
+    move = [str(python), "-m", "stage", "move", "x", "1mm", "--chips", "acme1000", "--model", "xy"]
+    pip("install", "setuptools>=80")  # as [build-system] says; isolated, pip would look for PulseStage in the index
+    pip("install", "--no-deps", "--no-build-isolation", str(project))
+    assert (site / "acme_chips" / "_native.so").is_file()
+    assert "ACME1000  acme-chips 0.1.0" in run(str(python), "-m", "stage", "chips").stdout
+    for environment in ({}, {"NUMBA_DISABLE_JIT": "1"}):
+        done = run(*move, **environment)
+        assert "pulses 320 of 320" in done.stdout
+        assert "building" not in done.stderr
+    run(str(python), "-m", "pytest", "-q", "-c", "/dev/null", "--rootdir", str(tmp_path), str(project / "tests"))
+    pip("uninstall", "-y", "acme-chips")
+    pip("install", "--no-deps", "--no-build-isolation", "-e", str(project))
+    assert "building" not in run(*move).stderr
+    maps = project / "acme_chips" / "maps.py"
+    maps.write_text(maps.read_text() + "\n# a change\n")
+    assert "building the native library of acme_chips" in run(*move).stderr, "of what the core imports"
