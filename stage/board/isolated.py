@@ -53,6 +53,7 @@ class Isolated:
         self._child: starter.Process | None = None
         self._pipe: Any = None
         self._running = False
+        self._owner = os.getpid()
         self._seen = b""
         self._error: BaseException | None = None
         self._start()
@@ -63,6 +64,8 @@ class Isolated:
 
     def go_on(self, until: int, most_cycles: int) -> int | None:
         board, stage = self._board, self._board.stage
+        if os.getpid() != self._owner:
+            self._leave_to_owner()
         if handle.called_back.held(stage.state.pointer):
             raise StageError(
                 "MuJoCo calls a function in Python back, which the process of the firmware does not have: run the firmware with "
@@ -108,7 +111,19 @@ class Isolated:
         return message.code
 
     def close(self) -> None:
+        if os.getpid() != self._owner:
+            self._leave_to_owner(may_run=True)
         self._end()
+
+    def _leave_to_owner(self, may_run: bool = False) -> None:
+        """This process is a fork: the process of the firmware, and the memory that is shared with it, belong to the other one."""
+        ran, self._owner = self._running, os.getpid()
+        self._child, self._running, self._seen = None, False, b""
+        if ran and not may_run:
+            raise StageError(
+                f"{self._path.name} stands in the middle of its run, and this process is a fork of the one that has begun it: only "
+                "that one can let it go on. A run that is begun here gets a process of its own."
+            )
 
     def _start(self) -> None:
         """A child with a copy of the stage; raises what is wrong with the library."""

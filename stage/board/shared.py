@@ -21,6 +21,7 @@ from stage.board.interrupts import BACK, HIGHEST, LOWERED, SOURCE, SOURCES
 from stage.board.link import NOTED
 from stage.board.program import Program
 from stage.chips.entries import LOST, READ, WRITE
+from stage.errors import StageError
 from stage.native import plain
 from stage.sim.records import EDGE, SAMPLE, SECOND
 
@@ -112,6 +113,22 @@ _LINES = {
 }
 
 
+def _make(path: Path, size: int) -> None:
+    """A file whose bytes the disk has: a write to one that it had not would end the process. Raises StageError."""
+    try:
+        with path.open("wb") as file:
+            if hasattr(os, "posix_fallocate"):
+                os.posix_fallocate(file.fileno(), 0, size)
+            else:
+                file.truncate(size)
+    except OSError as error:
+        raise StageError(
+            f"firmware in a process of its own needs {size / 1e6:.1f} MB in {path.parent.parent}, mostly for the trace, and they "
+            f"cannot be had: {error.strerror}. Make room, set TMPDIR to another folder, keep fewer cycles (--keep, keep_cycles=), or "
+            "run it in this process."
+        ) from None
+
+
 def _within(rows: np.ndarray, **bounds: tuple[int, int]) -> bool:
     """Whether the fields of all rows are in these bounds."""
     return not len(rows) or all(low <= rows[n].min() and rows[n].max() <= high for n, (low, high) in bounds.items())
@@ -135,7 +152,9 @@ class Shared:
         ]  # fmt: skip
         lengths = [int(np.dtype(dtype).itemsize * np.prod(shape)) for dtype, shape in sizes]
         places = np.cumsum([0, *(-(-n // _ALIGNED) * _ALIGNED + _GUARD for n in lengths)]).tolist()
-        self._map = np.memmap(path, np.uint8, "w+" if create else "r+", shape=(places[-1],))
+        if create:
+            _make(Path(path), places[-1])
+        self._map = np.memmap(path, np.uint8, "r+", shape=(places[-1],))
         (
             self.record,
             self.edges,

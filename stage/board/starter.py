@@ -79,6 +79,7 @@ class Starter:
     """The end in this process."""
 
     def __init__(self, preload: str = "") -> None:
+        self._owner = os.getpid()
         self._control, theirs = socket.socketpair()
         environment = os.environ | {
             "PYTHONPATH": os.pathsep.join(p for p in sys.path if p),
@@ -109,7 +110,9 @@ class Starter:
 
     def kill(self, pid: int) -> None:
         """End a child. Whoever is collected as garbage may ask for it at any moment, also while this thread sends a message: then
-        it comes behind that."""
+        it comes behind that. A fork of this process has nothing to end: these are children of the process that it comes from."""
+        if os.getpid() != self._owner:
+            return
         _ending.append((self, pid))
         _end_children()
 

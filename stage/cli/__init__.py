@@ -52,6 +52,13 @@ def _main(argv: Sequence[str] | None) -> int:
     except (StageError, FileNotFoundError, PermissionError) as error:
         print(f"stage: {error}", file=sys.stderr)
         return 2
+    except (OSError, MemoryError) as error:
+        what = getattr(error, "strerror", None) or str(error) or "no memory"
+        print(
+            f"stage: the system refuses it: {what}. `ulimit -a` shows what this process may have, `df` how full disks are.",
+            file=sys.stderr,
+        )
+        return 2
     except KeyboardInterrupt:
         return 130
 

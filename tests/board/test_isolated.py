@@ -3,9 +3,12 @@ writes, and where it crashes."""
 
 from __future__ import annotations
 
+import errno
 import gc
 import os
 import platform
+import re
+import tempfile
 import threading
 import time
 
@@ -18,6 +21,7 @@ from support.compiled_firmware import firmware
 from stage import Stage, faults
 from stage.board import Board, HostError, NativeHost, crash, starter
 from stage.chips import HCTL1100
+from stage.cli import main
 from stage.errors import StageError
 
 WAYS = pytest.mark.parametrize("isolated", [False, True], ids=["thread", "process"])
@@ -293,3 +297,56 @@ def test_a_host_that_is_collected_as_garbage_while_another_begins_is_ended_behin
     while os.path.exists(f"/proc/{old}") and time.monotonic() < until:
         time.sleep(0.01)
     assert not os.path.exists(f"/proc/{old}")
+
+
+def test_a_fork_of_a_process_leaves_firmware_to_the_process_that_has_begun_it():
+    # host.run_for(1e-5); if not os.fork(): host.run()
+    h = host("PULSESTAGE_MAIN { for (int k = 0; k < 100; k++) ps_in8(0x300); return 7; }", isolated=True)
+    assert h.run_for(1e-5) is None
+    said, says = os.pipe()
+    if not (child := os.fork()):
+        try:
+            try:
+                text = repr(h.run())
+            except StageError as error:
+                text = str(error)
+            code = h.run().code  # of its own
+            h.close()
+            os.write(says, f"{code} {text}".encode())
+        finally:
+            os._exit(0)
+    os.waitpid(child, 0)
+    assert os.read(said, 1000).startswith(b"7 firmware.so stands in the middle of its run, and this process is a fork")
+    if not (child := os.fork()):
+        try:
+            h.close()
+        finally:
+            os._exit(0)
+    os.waitpid(child, 0)
+    result = h.run()
+    assert (result.code, result.cycles, h.board.stage.now) == (7, 100, 100_000)
+    os.close(said), os.close(says)
+
+
+def test_no_room_for_the_shared_memory_is_said_before_anything_runs(monkeypatch, tmp_path, capfd):
+    # stage run driver.so, and the folder for temporary files is nearly full
+    library = firmware("PULSESTAGE_MAIN { return 0; }")
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "posix_fallocate", full)
+        assert main(["run", str(library), "--model", "xy"]) == 2
+    said = capfd.readouterr().err
+    assert re.search(
+        r"needs \d+\.\d MB in \S*, mostly for the trace, .*: No space left on device\. .* TMPDIR .*--keep", said
+    )
+    assert not list(tmp_path.glob("pulsestage-run-*/*"))
+    with monkeypatch.context() as patched:
+        patched.setattr(
+            starter, "start", lambda *_: (_ for _ in ()).throw(OSError(errno.EMFILE, os.strerror(errno.EMFILE)))
+        )
+        assert main(["run", str(library), "--model", "xy"]) == 2
+    assert capfd.readouterr().err.startswith("stage: the system refuses it: Too many open files. `ulimit -a` shows")
