@@ -131,3 +131,13 @@ def test_distances_and_payloads_are_drawn_within_their_ranges():
     assert all(60 <= d["distance"] <= 90 and 1.0 <= d["payload"] <= 2.0 for d in drawn)
     assert len({d["distance"] for d in drawn}) > 5
     assert np.isfinite([d["payload"] for d in drawn]).all()
+
+
+def test_a_screw_that_turns_the_other_way_makes_no_difference(tmp_path):
+    """gear="-628.3185307" of axis x: the goal is where the carriage goes"""
+    for part in (Path(__file__).parents[2] / "models").glob("*.xml"):
+        (tmp_path / part.name).write_text(part.read_text().replace('joint="x" gear="', 'joint="x" gear="-'))
+    env, _, info = one_move(GOOD, 1000, model=str(tmp_path / "xyz_servo.xml"), distances=(100, 4000))
+    assert env.stage.axes["x"].gear < 0
+    assert info["finished"]
+    assert abs(info["error"]) <= 3
