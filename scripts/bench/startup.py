@@ -42,7 +42,9 @@ def measure(run: Run) -> Iterator[Figure]:
 
 
 def start(code: str) -> None:
-    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
+    """Run this in a process, as an installed package is run: from bytecode, which the first process writes."""
+    environment = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
+    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, env=environment)
 
 
 def built() -> float:

@@ -68,7 +68,7 @@ def _build(package: str, places: dict[str, Path], folder: Path) -> Path:
             f"libraries are built with numba {NUMBA}, and {found} is installed: pip install numba=={NUMBA}."
         )
     roots = places | load.folders("stage")
-    known = dict(load.modules(roots))
+    known = {module: Path(source) for module, source in load.modules(roots)}
     parts = _parts(package, places)
     kept = folder / "__pycache__"
     kept.mkdir(exist_ok=True)
@@ -113,7 +113,7 @@ def _build(package: str, places: dict[str, Path], folder: Path) -> Path:
 def _parts(package: str, places: dict[str, Path]) -> dict[str, list[str]]:
     """Folder -> the modules in it and below that export something."""
     parts: dict[str, list[str]] = {}
-    for module, _ in load.exporting(places):
+    for module in load.exporting(places):
         folder = module.rpartition(".")[0]
         parts.setdefault(".".join(folder.split(".")[:DEPTH]), []).append(module)
     if not parts:

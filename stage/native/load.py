@@ -5,9 +5,10 @@ from __future__ import annotations
 import ctypes
 import hashlib
 import json
+import os
 import platform
 import sys
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -36,7 +37,7 @@ def _library(package: str) -> ctypes.CDLL:
         raise NativeError(
             "PulseStage has no native library for Windows: use WSL. (NUMBA_DISABLE_JIT=1 runs it slowly, as Python.)"
         )
-    path = folders(package)[package] / NAME
+    path = _root(package) / NAME
     if why := unfit(package, path):
         from stage.native import build
 
@@ -74,9 +75,8 @@ def unfit(package: str, path: Path) -> str:
             return f"{path} was built from other sources: {module} has changed"
     own = places.get(package) or folders(package)
     if package != "stage" or _project(own[package]).is_file():  # not of the wheel of many files, whose modules stay
-        for module, _ in exporting(own):
-            if module not in manifest["sources"]:
-                return f"{path} was built from other sources: {module} is new"
+        for module in exporting(own, manifest["sources"]):
+            return f"{path} was built from other sources: {module} is new"
     return ""
 
 
@@ -85,20 +85,31 @@ def _project(folder: Path) -> Path:
     return folder.parent / "pyproject.toml"
 
 
-def modules(places: dict[str, Path]) -> Iterator[tuple[str, Path]]:
-    """Every module of the packages in these folders, by its full name."""
+def modules(places: dict[str, Path]) -> Iterator[tuple[str, str]]:
+    """Every module of the packages in these folders: its full name, its file."""
     for name, folder in places.items():
-        for source in sorted(folder.rglob("*.py")):
-            inside = source.relative_to(folder).with_suffix("")
-            if inside.name != "__init__" and "__pycache__" not in inside.parts:
-                yield ".".join((name, *inside.parts)), source
+        skipped = len(str(folder))
+        for source in sorted(_sources(str(folder)), key=lambda path: path.split("/")):
+            yield name + source[skipped:-3].replace("/", "."), source
 
 
-def exporting(places: dict[str, Path]) -> Iterator[tuple[str, Path]]:
-    """Those of them that export something."""
+def _sources(folder: str) -> Iterator[str]:
+    """The files of modules in it and below. Asked at each start of a process in a checkout: pathlib takes ten times as long."""
+    with os.scandir(folder) as entries:
+        for entry in entries:
+            if entry.name.endswith(".py") and entry.name != "__init__.py":
+                yield f"{folder}/{entry.name}"
+            elif entry.is_dir(follow_symlinks=False) and entry.name != "__pycache__":
+                yield from _sources(f"{folder}/{entry.name}")
+
+
+def exporting(places: dict[str, Path], known: Container[str] = ()) -> Iterator[str]:
+    """Those of them that export something, but for those that are known."""
     for module, source in modules(places):
-        if b"\n@exported(" in source.read_bytes() and not module.startswith("stage.native."):
-            yield module, source
+        if module not in known and not module.startswith("stage.native."):
+            with open(source, "rb") as file:
+                if b"\n@exported(" in file.read():
+                    yield module
 
 
 def _manifest(content: bytes) -> dict[str, Any] | None:
@@ -153,12 +164,17 @@ BASELINES = {
 """Of a machine: the processor that LLVM makes code for, and what /proc/cpuinfo calls that; elsewhere the generic one."""
 
 
-def folders(package: str) -> dict[str, Path]:
-    """A package's name, and those of its subpackages that lie elsewhere in a checkout -> folder."""
+def _root(package: str) -> Path:
+    """The folder of a package. Raises NativeError where there is none."""
     spec = find_spec(package)
     if spec is None or not spec.submodule_search_locations:
         raise NativeError(f"package {package!r} cannot be found: compiled functions live in packages.")
-    root = Path(next(iter(spec.submodule_search_locations))).resolve()
+    return Path(next(iter(spec.submodule_search_locations))).resolve()
+
+
+def folders(package: str) -> dict[str, Path]:
+    """A package's name, and those of its subpackages that lie elsewhere in a checkout -> folder."""
+    root = _root(package)
     found, project = {package: root}, _project(root)
     if project.is_file():
         import tomllib  # for a checkout only
