@@ -31,11 +31,48 @@ VXWORKS = (
 #include <taskLib.h>
 #include <logLib.h>
 #include <sysLib.h>
+#include <wdLib.h>
 """
     + CHECK
     + MOVE
     + """
 static SEM_ID done;
+static int barks[2];
+static WDOG_ID again;
+static void bark(int which)
+{
+    barks[which]++;
+    semGive(done);
+    if (which == 1 && barks[1] < 3)
+        wdStart(again, 2, (FUNCPTR)bark, 1);    /* periodic, as they are made */
+}
+static int watchdogs(void)
+{
+    WDOG_ID w = wdCreate(), never = wdCreate();
+    ULONG then = tickGet();
+    int lock;
+    again = wdCreate();
+    CHECK(w && never && again && wdStart(0, 1, (FUNCPTR)bark, 0) == ERROR && wdCancel(0) == ERROR);
+    CHECK(wdStart(w, 5, (FUNCPTR)bark, 0) == OK && wdStart(never, 7, (FUNCPTR)bark, 0) == OK && wdCancel(never) == OK);
+    CHECK(semTake(done, 20) == OK && barks[0] == 1 && tickGet() - then >= 5 && tickGet() - then <= 6);
+    taskDelay(10);
+    CHECK(barks[0] == 1);                       /* once, and the cancelled one never */
+    CHECK(wdStart(w, 2, (FUNCPTR)bark, 0) == OK && wdStart(w, 6, (FUNCPTR)bark, 0) == OK);
+    taskDelay(4);
+    CHECK(barks[0] == 1);                       /* started again */
+    lock = intLock();
+    taskDelay(4);
+    CHECK(barks[0] == 1);
+    intUnlock(lock);
+    taskDelay(1);
+    CHECK(barks[0] == 2 && wdDelete(w) == OK);
+    wdStart(again, 2, (FUNCPTR)bark, 1);
+    taskDelay(10);
+    CHECK(barks[1] == 3);
+    while (semTake(done, NO_WAIT) == OK)
+        ;
+    return 0;
+}
 static MSG_Q_ID queue;
 static int order[4], n;
 static void out(unsigned port, unsigned value) { sysOutByte(port, value); }
@@ -76,6 +113,7 @@ static int checks(void)
     move(out, 0x300);
     then = tickGet();
     CHECK(semTake(done, WAIT_FOREVER) == OK && tickGet() - then >= 9 && tickGet() - then <= 12);
+    CHECK(watchdogs() == 0);
     CHECK(intDisconnect(INUM_TO_IVEC(0x2A), 0, 0) == OK);
     logMsg("%d and %s\\n", 5, (_Vx_usr_arg_t) "text", 0, 0, 0, 0);
     taskSpawn("b", 120, 0, 2000, (FUNCPTR)task, 2, 0, 0, 0, 0, 0, 0, 0, 0, 0);
@@ -105,6 +143,43 @@ DOS = (
 static volatile int calls;
 static void out(unsigned port, unsigned value) { outp(port, value); }
 static void interrupt far isr(void) { calls++; outportb(0x300, 0x08); outportb(0x20, 0x20); }
+static volatile int ticks, user_ticks;
+static void interrupt (*old_tick)(void);
+static void interrupt far tick(void) { ticks++; if (ticks % 2) old_tick(); else outportb(0x20, 0x20); }
+static void interrupt far user_tick(void) { user_ticks++; }
+static int timer(void)
+{
+    unsigned count, later;
+    outportb(0x21, inportb(0x21) & ~1);
+    setvect(0x1C, user_tick);
+    delay(1000);
+    CHECK(user_ticks == 18);
+    old_tick = getvect(8);
+    setvect(8, tick);
+    outportb(0x43, 0x36); outportb(0x40, 0xA9); outportb(0x40, 0x04); /* 1193: 1 ms */
+    delay(100);
+    CHECK(ticks == 100 && user_ticks == 18 + 50);
+    _disable();
+    delay(50);
+    CHECK(ticks == 100);
+    _enable();
+    CHECK(ticks == 101);                        /* one had waited */
+    outportb(0x21, inportb(0x21) | 1);
+    delay(50);
+    CHECK(ticks == 101);                        /* masked */
+    outportb(0x21, inportb(0x21) & ~1);
+    outportb(0x43, 0x34); outportb(0x40, 0); outportb(0x40, 0);
+    outportb(0x43, 0); count = inportb(0x40); count |= (unsigned)inportb(0x40) << 8;
+    delay(10);
+    outportb(0x43, 0); later = inportb(0x40); later |= (unsigned)inportb(0x40) << 8;
+    CHECK(count - later >= 11930 && count - later <= 11950);
+    setvect(8, old_tick);
+    setvect(0x1C, 0);
+    ticks = 0;
+    delay(200);
+    CHECK(ticks == 0);
+    return 0;
+}
 static int checks(void)
 {
     clock_t then = clock();
@@ -138,7 +213,7 @@ static int checks(void)
     cputs("no end");
     return 0;
 }
-int main(void) { exit(checks()); }
+int main(void) { int wrong = checks(); exit(wrong ? wrong : timer()); }
 """
 )
 
@@ -231,7 +306,7 @@ def test_a_dos_program_may_be_c_plus_plus(tmp_path):
     #include <dos.h>
     void interrupt (*old)(...);
     void interrupt isr(...) {}
-    int main() { old = getvect(0x0D); setvect(0x0D, isr); setvect(0x0D, old); return old ? 1 : 4; }
+    int main() { old = getvect(0x0D); setvect(0x0D, isr); setvect(0x0D, old); old(); return old ? 4 : 1; }
     """
     assert run(tmp_path, "plus.cpp", text, "dos")[0] == 4
 

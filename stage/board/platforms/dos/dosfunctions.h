@@ -13,6 +13,8 @@ PULSESTAGE_DOS_FUNCTION uint8_t pulsestage_dos_in8(unsigned port)
 {
     if (port == 0x21 || port == 0xA1)
         return pulsestage_dos_state.mask[port == 0xA1];
+    if (port == 0x40)
+        return pulsestage_dos_timer_in();
     return port == 0x20 || port == 0xA0 ? 0 : ps_in8(port);
 }
 PULSESTAGE_DOS_FUNCTION void pulsestage_dos_out8(unsigned port, unsigned value)
@@ -20,7 +22,9 @@ PULSESTAGE_DOS_FUNCTION void pulsestage_dos_out8(unsigned port, unsigned value)
     if (port == 0x21 || port == 0xA1) {
         pulsestage_dos_state.mask[port == 0xA1] = (uint8_t)value;
         pulsestage_dos_update();
-    } else if (port != 0x20 && port != 0xA0)
+    } else if (port == 0x40 || (port == 0x43 && value < 0x40))
+        pulsestage_dos_timer_out(port, value);
+    else if (port != 0x20 && port != 0xA0)
         ps_out8(port, (uint8_t)value);
 }
 PULSESTAGE_DOS_FUNCTION int inp(unsigned port) { return pulsestage_dos_in8(port); }
@@ -55,6 +59,18 @@ PULSESTAGE_DOS_FUNCTION void enable(void)
 #define _enable() enable()
 #define __disable__() disable()
 #define __enable__() enable()
+/* A vector, as a routine that may be called and put back: of one that nobody has set, what a PC has there. */
+PULSESTAGE_DOS_FUNCTION pulsestage_isr pulsestage_dos_at(int vector)
+{
+    const pulsestage_isr routine = pulsestage_dos_state.vector[vector & 0xFF];
+    return routine ? routine : (vector & 0xFF) == 8 ? pulsestage_dos_bios_tick : pulsestage_dos_nothing;
+}
+PULSESTAGE_DOS_FUNCTION void pulsestage_dos_put(int vector, pulsestage_isr routine)
+{
+    const int first = routine == pulsestage_dos_bios_tick || routine == pulsestage_dos_nothing;
+    pulsestage_dos_state.vector[vector & 0xFF] = first ? 0 : routine;
+    pulsestage_dos_update();
+}
 #if defined(__cplusplus)
 }
 struct pulsestage_vector { /* void (*)(...) in Borland C++, void (*)() elsewhere */
@@ -63,29 +79,23 @@ struct pulsestage_vector { /* void (*)(...) in Borland C++, void (*)() elsewhere
     typedef void (*any)(...);
     operator any() const { return reinterpret_cast<any>(routine); }
 };
-static inline pulsestage_vector getvect(int vector) { return pulsestage_vector{pulsestage_dos_state.vector[vector & 0xFF]}; }
+static inline pulsestage_vector getvect(int vector) { return pulsestage_vector{pulsestage_dos_at(vector)}; }
 static inline void setvect(int vector, void (*routine)(...))
 {
-    pulsestage_dos_state.vector[vector & 0xFF] = reinterpret_cast<pulsestage_isr>(routine);
-    pulsestage_dos_update();
+    pulsestage_dos_put(vector, reinterpret_cast<pulsestage_isr>(routine));
 }
 static inline void setvect(int vector, pulsestage_vector old)
 {
-    pulsestage_dos_state.vector[vector & 0xFF] = old.routine;
-    pulsestage_dos_update();
+    pulsestage_dos_put(vector, old.routine);
 }
 extern "C" {
 #else
-PULSESTAGE_DOS_FUNCTION pulsestage_isr getvect(int vector) { return pulsestage_dos_state.vector[vector & 0xFF]; }
+PULSESTAGE_DOS_FUNCTION pulsestage_isr getvect(int vector) { return pulsestage_dos_at(vector); }
 #endif
-PULSESTAGE_DOS_FUNCTION void setvect(int vector, pulsestage_isr routine)
-{
-    pulsestage_dos_state.vector[vector & 0xFF] = routine;
-    pulsestage_dos_update();
-}
+PULSESTAGE_DOS_FUNCTION void setvect(int vector, pulsestage_isr routine) { pulsestage_dos_put(vector, routine); }
 #define _dos_getvect(vector) getvect((int)(vector))
 #define _dos_setvect(vector, routine) setvect((int)(vector), (routine))
-#define _chain_intr(routine) ((void)(routine))
+#define _chain_intr(routine) (routine)()
 
 /* time */
 PULSESTAGE_DOS_FUNCTION void pulsestage_dos_delay(unsigned ms)

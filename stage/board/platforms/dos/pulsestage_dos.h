@@ -4,7 +4,7 @@
  *
  * Ports are the board's; 20h, 21h, A0h and A1h are the interrupt controllers, of which the masks are kept and the end of interrupt is
  * taken. A routine that setvect puts at a vector of IRQ 2 to 7, 9 to 15 is called while the board's interrupt line is asserted, its IRQ
- * is not masked and interrupts are enabled. Time is simulated: delay, clock, time, the BIOS' ticks. Keys come from the string
+ * is not masked and interrupts are enabled; vectors 8 and 1Ch are the PC's timer (40h, 43h). Time is simulated: delay, clock, time, the BIOS' ticks. Keys come from the string
  * PULSESTAGE_KEYS. exit(code) ends the program as a return from main does. C99, C++11. */
 #ifndef PULSESTAGE_DOS_H
 #define PULSESTAGE_DOS_H
@@ -40,6 +40,13 @@ struct pulsestage_dos {
     jmp_buf out;
     int code;
     char line[256];
+    struct {
+        int set, waits, inside; /* it runs; a tick waits for interrupts to be enabled */
+        unsigned reload;        /* 0: 65536 */
+        int access, half, low;
+        unsigned latched;       /* what is read, plus one; 0: nothing */
+        uint64_t begun; /* us */
+    } timer;
 };
 PULSESTAGE_SHARED struct pulsestage_dos pulsestage_dos_state;
 
@@ -69,10 +76,82 @@ PULSESTAGE_DOS_FUNCTION void pulsestage_dos_called(void *unused)
         routine();
 }
 
+/* The PC's timer: vectors 8 and 1Ch, 18.2 times a second or as counter 0 is loaded. */
+#define PULSESTAGE_DOS_TIMER 7
+#define PULSESTAGE_DOS_TIMER_HZ 1193182u
+PULSESTAGE_DOS_FUNCTION void pulsestage_dos_nothing(void) {}
+PULSESTAGE_DOS_FUNCTION void pulsestage_dos_bios_tick(void) /* what is at vector 8 at first */
+{
+    if (pulsestage_dos_state.vector[0x1C])
+        pulsestage_dos_state.vector[0x1C]();
+}
+PULSESTAGE_DOS_FUNCTION void pulsestage_dos_tick(void *unused)
+{
+    struct pulsestage_dos *dos = &pulsestage_dos_state;
+    (void)unused;
+    dos->timer.waits = dos->off || dos->mask[0] & 1 || dos->timer.inside;
+    if (dos->timer.waits)
+        return;
+    dos->timer.inside = 1;
+    dos->vector[8] ? dos->vector[8]() : pulsestage_dos_bios_tick();
+    dos->timer.inside = 0;
+}
+PULSESTAGE_DOS_FUNCTION void pulsestage_dos_set_timer(void)
+{
+    struct pulsestage_dos *dos = &pulsestage_dos_state;
+    const uint64_t reload = dos->timer.reload ? dos->timer.reload : 65536u;
+    dos->timer.set = dos->vector[8] || dos->vector[0x1C];
+    dos->timer.begun = ps_micros();
+    ps_timer(PULSESTAGE_DOS_TIMER, 1, dos->timer.set ? reload * 1000000000u / PULSESTAGE_DOS_TIMER_HZ : 0,
+             dos->timer.set ? pulsestage_dos_tick : 0, 0);
+}
+PULSESTAGE_DOS_FUNCTION void pulsestage_dos_latch(void)
+{
+    struct pulsestage_dos *dos = &pulsestage_dos_state;
+    const uint64_t reload = dos->timer.reload ? dos->timer.reload : 65536u;
+    const uint64_t passed = (ps_micros() - dos->timer.begun) * PULSESTAGE_DOS_TIMER_HZ / 1000000u;
+    dos->timer.latched = ((unsigned)(reload - passed % reload) & 0xFFFF) + 1;
+    dos->timer.half = 0;
+}
+PULSESTAGE_DOS_FUNCTION void pulsestage_dos_timer_out(unsigned port, unsigned value) /* 40h; 43h for counter 0 */
+{
+    struct pulsestage_dos *dos = &pulsestage_dos_state;
+    const unsigned access = value >> 4 & 3, byte = value & 0xFF;
+    if (port == 0x43 && !access) {
+        pulsestage_dos_latch();
+    } else if (port == 0x43) {
+        dos->timer.access = (int)access;
+        dos->timer.half = 0;
+        dos->timer.latched = 0;
+    } else if (dos->timer.access != 1 && dos->timer.access != 2 && !dos->timer.half) {
+        dos->timer.low = (int)byte;
+        dos->timer.half = 1;
+    } else {
+        dos->timer.reload = dos->timer.half ? byte << 8 | (unsigned)dos->timer.low : dos->timer.access == 2 ? byte << 8 : byte;
+        dos->timer.half = 0;
+        pulsestage_dos_set_timer();
+    }
+}
+PULSESTAGE_DOS_FUNCTION uint8_t pulsestage_dos_timer_in(void) /* 40h: the low byte, then the high one */
+{
+    struct pulsestage_dos *dos = &pulsestage_dos_state;
+    unsigned value;
+    if (!dos->timer.latched)
+        pulsestage_dos_latch();
+    value = dos->timer.latched - 1;
+    dos->timer.half = !dos->timer.half;
+    dos->timer.latched = dos->timer.half ? dos->timer.latched : 0;
+    return (uint8_t)(dos->timer.half ? value : value >> 8);
+}
+
 PULSESTAGE_DOS_FUNCTION void pulsestage_dos_update(void)
 {
     struct pulsestage_dos *dos = &pulsestage_dos_state;
     const int wanted = !dos->off && pulsestage_dos_routine() != 0;
+    if (dos->timer.set != (dos->vector[8] || dos->vector[0x1C]))
+        pulsestage_dos_set_timer();
+    if (dos->timer.waits && !dos->off && !(dos->mask[0] & 1) && !dos->timer.inside)
+        pulsestage_dos_tick(0);
     if (wanted != dos->hooked) {
         dos->hooked = wanted;
         ps_on_interrupt(wanted ? pulsestage_dos_called : 0, 0);

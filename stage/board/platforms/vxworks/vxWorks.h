@@ -1,5 +1,5 @@
 /* vxWorks.h on an emulated board: VxWorks as far as one thread goes. sysLib.h, taskLib.h, semLib.h, intLib.h, iv.h, logLib.h, msgQLib.h,
- * tickLib.h lead here.
+ * tickLib.h, wdLib.h lead here.
  *
  * Port functions are cycles of the board; a tick is 1/60 s of simulated time, or what sysClkRateSet says. A routine of intConnect is called
  * while the board's interrupt line is asserted, whatever its vector; it may give semaphores and send messages. Blocking functions let
@@ -88,7 +88,7 @@ struct pulsestage_vx_task {
 
 /* one for all sources */
 struct pulsestage_vx {
-    int rate, locked, hooked, self, n_tasks;
+    int rate, hooked, self, n_tasks;
     struct {
         int vector;
         void (*routine)(void);
@@ -97,6 +97,7 @@ struct pulsestage_vx {
     int n_connected;
     uint64_t tick_zero;
     struct pulsestage_vx_task tasks[32];
+    struct pulsestage_vx_watchdog *watchdogs;
 };
 PULSESTAGE_SHARED struct pulsestage_vx pulsestage_vx_state;
 
@@ -126,10 +127,15 @@ VX_FUNCTION STATUS sysClkRateSet(int rate)
     return OK;
 }
 VX_FUNCTION ULONG tickGet(void) { return (ULONG)(ps_micros() * (uint64_t)sysClkRateGet() / 1000000u); }
+VX_FUNCTION uint64_t pulsestage_vx_after(uint64_t now, uint64_t ticks) /* us: the tick after so many */
+{
+    const uint64_t rate = (uint64_t)sysClkRateGet();
+    return ((now * rate / 1000000u + ticks) * 1000000u + rate - 1) / rate;
+}
 VX_FUNCTION void pulsestage_vx_ticks(uint64_t ticks) /* up to the tick after so many */
 {
-    const uint64_t rate = (uint64_t)sysClkRateGet(), now = ps_micros();
-    uint64_t left = ((now * rate / 1000000u + ticks) * 1000000u + rate - 1) / rate;
+    const uint64_t now = ps_micros();
+    uint64_t left = pulsestage_vx_after(now, ticks);
     for (left = left > now ? left - now : 0; left; left -= left > 1000000000u ? 1000000000u : left)
         ps_delay_us((uint32_t)(left > 1000000000u ? 1000000000u : left));
 }
@@ -185,7 +191,7 @@ VX_FUNCTION void pulsestage_vx_called(void *unused)
 VX_FUNCTION void pulsestage_vx_update(void)
 {
     struct pulsestage_vx *vx = &pulsestage_vx_state;
-    const int wanted = vx->n_connected && !vx->locked;
+    const int wanted = vx->n_connected != 0;
     if (wanted != vx->hooked) {
         vx->hooked = wanted;
         ps_on_interrupt(wanted ? pulsestage_vx_called : 0, 0);
@@ -216,24 +222,76 @@ VX_FUNCTION STATUS intDisconnect(VOIDFUNCPTR *vector, VOIDFUNCPTR routine, intpt
     pulsestage_vx_update();
     return OK;
 }
-VX_FUNCTION int intLock(void)
-{
-    const int was = pulsestage_vx_state.locked;
-    pulsestage_vx_state.locked = 1;
-    pulsestage_vx_update();
-    return was;
-}
-VX_FUNCTION void intUnlock(int was)
-{
-    pulsestage_vx_state.locked = was;
-    pulsestage_vx_update();
-}
+VX_FUNCTION int intLock(void) { return ps_disable(); }
+VX_FUNCTION void intUnlock(int was) { ps_enable(was & PS_HIGHEST); }
 VX_FUNCTION STATUS intEnable(int level) { return (void)level, OK; }
 VX_FUNCTION STATUS intDisable(int level) { return (void)level, OK; }
 VX_FUNCTION STATUS sysIntEnable(int level) { return (void)level, OK; } /* of a VMEbus */
 VX_FUNCTION STATUS sysIntDisable(int level) { return (void)level, OK; }
 VX_FUNCTION STATUS sysIntEnablePIC(int irq) { return (void)irq, OK; }
 VX_FUNCTION STATUS sysIntDisablePIC(int irq) { return (void)irq, OK; }
+
+/* watchdogs: wdLib. One timer of the board is set to the next of them; its routine is called at interrupt level. */
+#define PULSESTAGE_VX_TIMER 7
+typedef struct pulsestage_vx_watchdog {
+    uint64_t due; /* us; 0: it is not started */
+    void (*routine)(void);
+    intptr_t argument;
+    struct pulsestage_vx_watchdog *next;
+} * WDOG_ID;
+VX_FUNCTION void pulsestage_vx_barked(void *unused);
+VX_FUNCTION void pulsestage_vx_arm(void)
+{
+    const struct pulsestage_vx_watchdog *w;
+    const uint64_t now = ps_micros();
+    uint64_t next = 0;
+    for (w = pulsestage_vx_state.watchdogs; w; w = w->next)
+        if (w->due && (!next || w->due < next))
+            next = w->due;
+    ps_timer(PULSESTAGE_VX_TIMER, 1, next ? (next > now ? (next - now) * 1000u : 1) : 0, next ? pulsestage_vx_barked : 0, 0);
+}
+VX_FUNCTION void pulsestage_vx_barked(void *unused)
+{
+    const uint64_t now = ps_micros();
+    struct pulsestage_vx_watchdog *w;
+    (void)unused;
+    for (w = pulsestage_vx_state.watchdogs; w; w = w->next)
+        if (w->due && w->due <= now) {
+            w->due = 0;
+            ((pulsestage_vx_call)w->routine)(w->argument);
+        }
+    pulsestage_vx_arm();
+}
+VX_FUNCTION WDOG_ID wdCreate(void)
+{
+    WDOG_ID made = (WDOG_ID)calloc(1, sizeof *made);
+    if (made) {
+        made->next = pulsestage_vx_state.watchdogs;
+        pulsestage_vx_state.watchdogs = made;
+    }
+    return made;
+}
+VX_FUNCTION STATUS pulsestage_vx_start(WDOG_ID w, int ticks, void (*routine)(void), intptr_t argument)
+{
+    if (!w || !routine)
+        return ERROR;
+    w->due = pulsestage_vx_after(ps_micros(), ticks > 0 ? (uint64_t)ticks : 1);
+    w->routine = routine;
+    w->argument = argument;
+    pulsestage_vx_arm();
+    return OK;
+}
+#define wdStart(watchdog, ticks, routine, argument)                                                                    \
+    pulsestage_vx_start((watchdog), (int)(ticks), (void (*)(void))(routine), (intptr_t)(argument))
+VX_FUNCTION STATUS wdCancel(WDOG_ID w)
+{
+    if (!w)
+        return ERROR;
+    w->due = 0;
+    pulsestage_vx_arm();
+    return OK;
+}
+VX_FUNCTION STATUS wdDelete(WDOG_ID w) { return wdCancel(w); }
 
 /* semaphores: semLib */
 typedef struct pulsestage_vx_semaphore {

@@ -1,0 +1,2 @@
+/* wdLib.h of VxWorks, on an emulated board. */
+#include <vxWorks.h>
