@@ -20,7 +20,7 @@ import numpy as np
 
 from stage.board import bus, host, layout_files, layouts
 from stage.board.devices import known
-from stage.board.devices.device import Device, Encoder
+from stage.board.devices.device import Device, Encoder, Listener
 from stage.board.devices.own import CDevice, PythonDevice, Tell
 from stage.board.errors import HostError
 from stage.board.hooks import PYTHONS_TIMERS
@@ -315,7 +315,9 @@ class Board:
                     value = value << 8 | (0xFF if writes else 0)
                 elif mask == host.WIDE and writes and not wide:
                     value |= 0xFF00
-                return f"{self.devices[chip].name}: {told[chip](address, value, writes, mask != host.EIGHT)}"
+                return (
+                    f"{self.devices[chip].name}: {self._told(told[chip], address, value, writes, mask != host.EIGHT)}"
+                )
             name = f"{self.name_of(chip)}: "
             if kind == host.LATCH:
                 latches[port] = value & mask
@@ -330,6 +332,17 @@ class Board:
             return name + (listener.write(address, value) if writes else listener.read(address, value))
 
         return tell
+
+    def _told(self, listener: Listener, n: int, value: int, writes: bool, wide: bool) -> str:
+        """What a cycle of a device means. A `tell` that fails does not hide what the trace is printed for."""
+        loop, before = self.stage.loop, self.stage.loop.held
+        loop.held = "a tell= says what cycles mean, and neither makes any nor lets time pass."
+        try:
+            return listener(n, value, writes, wide)
+        except Exception as error:
+            return f"its tell has raised {type(error).__name__}: {error}"
+        finally:
+            loop.held = before
 
     def _by_port(self) -> list[tuple[int, Any]]:
         """The ports that reach something, with their PORT records."""

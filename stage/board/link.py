@@ -151,6 +151,7 @@ class Link:
         """One request of a host in Python."""
         if self.answering is not None:
             raise StageError(f"{self.answering.name} answers a bus cycle: it can make none itself, and no time passes.")
+        self.stage.loop.check_held()
         self.begin()
         answer = int(self.request(self.pointer, what | host.FROM_PYTHON, int(a), int(b)))
         if answer == host.TWO_AT_ONCE:

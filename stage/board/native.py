@@ -132,7 +132,8 @@ class Host:
     def close(self) -> None:
         """Give up firmware that stands still; a process of its own ends. A thread cannot be ended: it waits for ever, and what
         it stands in stays in memory."""
-        self.board.stage.loop.check_held()
+        if self.running:
+            self.board.stage.loop.check_kept()
         self._runner.close()
 
     def __enter__(self) -> Self:
@@ -148,7 +149,7 @@ class Host:
         board, stage = self.board, self.board.stage
         if int(max_cycles) != max_cycles or max_cycles < 1:
             raise ArgumentError(f"max_cycles={max_cycles!r}: a whole number of bus cycles, 1 or more.")
-        stage.loop.check_held()
+        stage.loop.check_kept()
         if not self.running:
             if board.driver is not None and board.driver.running:
                 raise StageError(

@@ -124,8 +124,8 @@ def _make(path: Path, size: int) -> None:
     except OSError as error:
         raise StageError(
             f"firmware in a process of its own needs {size / 1e6:.1f} MB in {path.parent.parent}, mostly for the trace, and they "
-            f"cannot be had: {error.strerror}. Make room, set TMPDIR to another folder, keep fewer cycles (--keep, keep_cycles=), or "
-            "run it in this process."
+            f"cannot be had: {error.strerror}. Make room, set TMPDIR to another folder, keep fewer cycles (--keep, keep_cycles=), "
+            "or run it in this process."
         ) from None
 
 

@@ -40,13 +40,14 @@ class Loop:
         chips: of the stage.
         recording: the stage's recording in progress, or None.
         held: why neither time may pass now nor another state be put in the place of this one; "" where both may.
+        keeps: why no other state may be put there, though time may pass; "" where one may.
     """
 
     def __init__(self, state: State, chips: Sequence[Chip], power_up: Callable[[], None]):
         """power_up: called where the stage's state was cleared, to bring it to that after power-up."""
         self.state, self.chips = state, chips
         self.recording: Recording | None = None
-        self.held = ""
+        self.held = self.keeps = ""
         self._words, self._pointer, self._advance = state.words, state.pointer, handle.advance.c
         self._power_up, self._dt, self._bus = power_up, state.dt, state.bus
         self._piece = FIRST_PIECE * state.dt
@@ -90,6 +91,11 @@ class Loop:
         """Raises StageError while somebody has the stage stand still."""
         if self.held:
             raise StageError(self.held)
+
+    def check_kept(self) -> None:
+        """Raises StageError while nobody may put another state in the place of this one, or let firmware run."""
+        if self.held or self.keeps:
+            raise StageError(self.held or self.keeps)
 
     def run_to(self, until: int) -> None:
         """Let time pass up to `until`, ns since power-up. Raises SimulationError, see `Stage.run`; StageError."""

@@ -341,6 +341,7 @@ class Stage:
         snapshots.check(snapshot, Snapshot, self._header)
         if self.recording is not None:
             raise StageError("time in a recording runs forward only: close the recording before restoring a snapshot.")
+        self.loop.check_kept()
         self.put(snapshot.state)
         for chip, said in zip(self.chips, snapshot.diagnostics, strict=True):
             chip.diagnostics[:] = said

@@ -461,3 +461,44 @@ def test_a_crash_and_a_loop_in_the_code_of_a_device_are_told_as_its_own(tmp_path
         h.run()
     assert "mine (breaks.so) has computed for 0.3 s of real time in one bus cycle of firmware.so" in str(failed.value)
     assert not whereabouts.HERE or re.search(r"It is in it_read \(\S*breaks\.c:1[01]\)", str(failed.value))
+
+
+def test_a_tell_that_fails_or_makes_cycles_hides_nothing():
+    """board.device(0x500, tell=lambda port, value, writes: 1 // 0)"""
+    board = Board(Stage("xy", visuals=False))
+    board.device(0x500, read=lambda port: 1, tell=lambda port, value, writes: 1 // 0, name="fails")
+    board.device(0x501, read=lambda port: 1, tell=lambda port, value, writes: str(board.in8(0x300)), name="asks")
+    board.in8(0x500), board.in8(0x501)
+    said = str(board.trace)
+    assert "fails: its tell has raised ZeroDivisionError: integer division" in said
+    assert "asks: its tell has raised StageError: a tell= says what cycles mean, and neither makes any" in said
+    assert board.cycles == 2
+    assert board.in8(0x500) == 1
+
+
+@pytest.mark.parametrize("isolated", [None, False, True])
+def test_a_hook_in_python_lets_time_pass_and_neither_restores_a_state_nor_runs_firmware(isolated):
+    """board.on_timer(50, lambda: stage.restore(snapshot))"""
+    board, refused = Board(Stage("xy", visuals=False)), []
+    snapshot = board.stage.snapshot()
+
+    def hook():
+        with pytest.raises(StageError, match="timer 0 of Python runs, and what it interrupts goes on") as failed:
+            board.stage.restore(snapshot)
+        refused.append(str(failed.value))
+        if isolated is not None:
+            for act in (host.run, host.close):
+                with pytest.raises(StageError, match="timer 0 of Python runs"):
+                    act()
+        board.delay_us(1)
+
+    board.on_timer(50, hook)
+    if isolated is None:
+        board.delay_us(120)
+    else:
+        host = NativeHost(firmware("PULSESTAGE_MAIN { ps_delay_us(120); return 0; }"), board, isolated=isolated)
+        result = host.run()
+        assert result.seconds == 120e-6
+    assert (len(refused), board.stage.now) == (2, 120_000)
+    board.stage.restore(snapshot)
+    assert board.stage.now == 0
