@@ -290,6 +290,56 @@ def run(tmp_path, name, text, platform=None, flags=("-Wall", "-Wextra", "-Werror
     return host.run(timeout=20).code, [said for _, said in host.log]
 
 
+AVR_TIMERS = (
+    """
+#include <avr/interrupt.h>
+#include <avr/io.h>
+#include <util/delay.h>
+"""
+    + CHECK
+    + """
+static volatile int compares, overflows;
+ISR(TIMER1_COMPA_vect) { compares++; if (SREG & 0x80) compares += 100; }
+ISR(TIMER0_OVF_vect) { overflows++; }
+int main(void)
+{
+    TCCR1B = _BV(WGM12) | _BV(CS11);            /* CTC, 2 MHz */
+    OCR1A = 1999;                               /* 1 ms */
+    TIMSK1 |= _BV(OCIE1A);
+    _delay_ms(5.5);
+    CHECK(compares == 0 && TIFR1 & _BV(OCF1A));
+    sei();
+    CHECK(compares == 1);                       /* one had waited */
+    _delay_ms(10);
+    CHECK(compares == 11);
+    CHECK(TCNT1 > 900 && TCNT1 < 1100);
+    TIMSK1 = 0;
+    TCNT1 = 0;
+    TIFR1 = _BV(OCF1A);
+    CHECK(!(TIFR1 & _BV(OCF1A)));
+    _delay_us(1100);
+    CHECK(TIFR1 & _BV(OCF1A) && compares == 11);
+    TCCR0B = _BV(CS01) | _BV(CS00);             /* 250 kHz: 1.024 ms */
+    TIMSK0 = _BV(TOIE0);
+    _delay_ms(10.5);
+    CHECK(overflows == 10);
+    TCCR0B = 0;
+    _delay_ms(5);
+    CHECK(overflows == 10);
+    TCCR2B = _BV(CS22);                         /* 64: of timer 2 only */
+    _delay_us(400);
+    CHECK(TCNT2 >= 99 && TCNT2 <= 101);
+    return 0;
+}
+"""
+)
+
+
+def test_an_avr_has_timers(tmp_path):
+    code, _ = run(tmp_path, "timers.c", AVR_TIMERS, "avr", ("-Wall", "-Wextra", "-Werror"))
+    assert code == 0
+
+
 def test_vxworks_waits_in_ticks_and_interrupts_give_semaphores(tmp_path):
     code, log = run(tmp_path, "vx.c", VXWORKS, "vxworks", ("-Wall", "-Wextra", "-Werror", "-Wno-cast-function-type"))
     assert (code, log) == (0, ["5 and text"])

@@ -1,5 +1,6 @@
 /* avr/interrupt.h on an emulated board: the external interrupts INT0 to INT7 are the board's interrupt line. The lowest one that is
- * enabled (EIMSK) and has a routine is called, by level or by edge as EICRA and EICRB say. Other vectors compile, and never come. */
+ * enabled (EIMSK) and has a routine is called, by level or by edge as EICRA and EICRB say. Those of timers come, see timer_.h. Other
+ * vectors compile, and never come. */
 #ifndef PULSESTAGE_AVR_INTERRUPT_H
 #define PULSESTAGE_AVR_INTERRUPT_H
 

@@ -1,7 +1,7 @@
-/* avr/io.h on an emulated board: the ports of an AVR as pins (pinbus.h), interrupt enables and the serial port. C++11, so that a register
- * is an object whose assignment is seen: C programs are compiled as C++.
+/* avr/io.h on an emulated board: the ports of an AVR as pins (pinbus.h), interrupt enables, timers (timer_.h) and the serial port.
+ * C++11, so that a register is an object whose assignment is seen: C programs are compiled as C++.
  *
- * Timers, converters, EEPROM are not here: a name that does not compile is not emulated. */
+ * Converters, EEPROM are not here: a name that does not compile is not emulated. */
 #ifndef PULSESTAGE_AVR_IO_H
 #define PULSESTAGE_AVR_IO_H
 
@@ -68,6 +68,7 @@ inline __attribute__((visibility("hidden"))) Core &core()
     return one;
 }
 inline void enabled();
+inline void timers_enabled();
 inline void nothing_changed() {}
 
 #define PULSESTAGE_HELD(name, field, then)                                                                             \
@@ -122,6 +123,7 @@ inline void enabled()
         line.attach(nullptr, false);
     core().vector = n < 8;
     line.enable(core().sreg >> 7 & 1);
+    timers_enabled();
 }
 } // namespace pulsestage
 
@@ -153,6 +155,7 @@ enum { INT0, INT1, INT2, INT3, INT4, INT5, INT6, INT7 };
 enum { ISC00, ISC01, ISC10, ISC11, ISC20, ISC21, ISC30, ISC31 };
 enum { ISC40, ISC41, ISC50, ISC51, ISC60, ISC61, ISC70, ISC71 };
 
+#include <avr/timer_.h>
 #include <avr/uart_.h>
 
 #endif
