@@ -510,7 +510,7 @@ def determinism(t: Trial) -> None:
 
 
 def reads(t: Trial) -> None:
-    """reads: a read cycle changes nothing, but at READING_ACTS; `peek` never does, and sees what a read returns"""
+    """reads: a read cycle changes nothing, but at READING_ACTS; `peek`, what a host would like to see there, never does"""
     for rng in t.draws():
         chip = t.make()
         do_all(chip, t.program(rng))
@@ -518,12 +518,11 @@ def reads(t: Trial) -> None:
             chip.output_word(k)
         for address in range(chip.ADDRESSES):
             before = chip.state.tobytes()
-            seen = int(chip.CORE.peek.held(chip.pointer, address))
+            chip.CORE.peek.held(chip.pointer, address)
             t.same_bits(before, chip.state.tobytes(), f"after peek({address:X}h)")
             if address in chip.READING_ACTS:
                 continue
-            if (read := chip.read(address)) != seen:
-                raise Broken(f"read({address:X}h) gives {read:X}h, and peek {seen:X}h")
+            chip.read(address)
             if chip.state.tobytes() != before:
                 differ = fields_that_differ(t.kind, before, chip.state.tobytes())
                 raise Broken(f"read({address:X}h) changes {differ}, and {address:X}h is not in READING_ACTS")

@@ -32,6 +32,14 @@ def test_as_plain_python_it_gives_the_same_bits(chip):
     chip_conformance(chip, seed=SEED, programs=2, promises=["pins_by_name"], uncompiled=True)
 
 
+@pytest.mark.slow
+def test_a_chip_that_differs_as_plain_python_is_found():
+    with pytest.raises(
+        NotConforming, match=r"compiled = uncompiled\n    but: in program 0, act 0, compiled code leaves"
+    ):
+        chip_conformance(defects.Elsewhere, seed=SEED, programs=1, promises=["pins_by_name"], uncompiled=True)
+
+
 test_toy = chip_conformance.tests(TOY, seed=SEED, programs=2)
 
 

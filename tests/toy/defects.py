@@ -6,6 +6,7 @@ from itertools import count
 from types import SimpleNamespace
 from typing import Any, ClassVar
 
+from stage.native import COMPILED
 from toy import TOY, answers, core, maps
 
 
@@ -59,6 +60,13 @@ class BeyondTheBus(TOY):
     @classmethod
     def register_cycles(cls, name: str, value: int, axis: int = 0) -> list[tuple[int, int]]:
         return [(cls.MAP.register(name).number + 8, value)]
+
+
+class Elsewhere(TOY):
+    """As plain Python its clock is another one."""
+
+    def _configure(self, record: Any) -> None:
+        record["hz"] = self.clock_hz if COMPILED else self.clock_hz + 1
 
 
 FORGETS = {"run": answers.forgets_the_phase, "advance": answers.forgets_the_phase_too}
