@@ -29,6 +29,11 @@ def test_a_chip_of_an_installed_package_is_known_by_its_name(toy_package):
     assert type(Stage("xy", chips="toy", visuals=False).chips[0]).__name__ == "TOY"
 
 
+def test_an_entry_point_with_extras_is_read(monkeypatch, tmp_path):
+    installed(monkeypatch, tmp_path / "site", "toy-chips", **{"TOY8": "toy:TOY8 [fast]"})
+    assert chip_class("toy-8").AXES == 8
+
+
 def test_the_command_line_takes_it(toy_package, capsys):
     assert main(["move", "x", "320", "--fl", "1000", "--chips", "toy", "--model", "xy"]) == 0
     assert "pulses 320 of 320" in capsys.readouterr().out

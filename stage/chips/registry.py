@@ -133,7 +133,7 @@ def _brought() -> dict[str, list[Source]]:
 
 def _loaded(name: str, source: Source) -> type[Chip]:
     """The class that an entry point names. Raises LoadError, ArgumentError."""
-    module, _, attribute = source.where.partition(":")
+    module, _, attribute = source.where.partition("[")[0].partition(":")  # behind "[" are extras, which pip looks at
     try:
         found: Any = import_module(module.strip())
         for part in filter(None, attribute.strip().split(".")):
