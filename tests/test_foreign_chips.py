@@ -32,6 +32,7 @@ def test_a_chip_of_an_installed_package_is_known_by_its_name(toy_package):
 def test_an_entry_point_with_extras_is_read(monkeypatch, tmp_path):
     installed(monkeypatch, tmp_path / "site", "toy-chips", **{"TOY8": "toy:TOY8 [fast]"})
     assert chip_class("toy-8").AXES == 8
+    del CHIPS["TOY8"]  # loaded, it would stay known without its package
 
 
 def test_the_command_line_takes_it(toy_package, capsys):
