@@ -18,12 +18,12 @@ from pathlib import Path
 
 from stage.chips import CHIPS
 from stage.chips.nova.registers.mcx300 import MCX302_MAP, MCX304_MAP, MCX312_MAP
-from stage.chips.nova.registers.mcx514 import MCX514_MAP
+from stage.chips.nova.registers.mcx514 import MCX501_MAP, MCX512_MAP, MCX514_MAP
 from stage.chips.register_map import EVIDENCE, Command, RegisterMap
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "nova.md"
-MAPS = {m.chip: m for m in (MCX514_MAP, MCX304_MAP, MCX302_MAP, MCX312_MAP)}
+MAPS = {m.chip: m for m in (MCX514_MAP, MCX512_MAP, MCX501_MAP, MCX304_MAP, MCX302_MAP, MCX312_MAP)}
 BLOCK = re.compile(r"(<!-- commands: (?P<chips>[\w ]+) -->\n).*?(<!-- end -->)", re.S)
 Tests = dict[tuple[str, str], Counter[str]]
 

@@ -1,4 +1,5 @@
-"""NOVA MCX514, MCX304, MCX302, MCX312: one family, one core; variants differ by their register maps and their bus."""
+"""NOVA MCX514, MCX512, MCX501, MCX304, MCX302, MCX312: one family, one core. Variants differ by
+their register maps and their bus."""
 
 from __future__ import annotations
 
@@ -12,10 +13,10 @@ from stage.chips.nova.functions import encoder
 from stage.chips.nova.held import Held, HeldOfMcx312
 from stage.chips.nova.interpolation import run as interpolation
 from stage.chips.nova.registers.mcx300 import MCX302_MAP, MCX304_MAP, MCX312_MAP
-from stage.chips.nova.registers.mcx514 import MCX514_MAP
+from stage.chips.nova.registers.mcx514 import MCX501_MAP, MCX512_MAP, MCX514_MAP
 from stage.errors import ArgumentError, StageError
 
-__all__ = ["MCX302", "MCX304", "MCX312", "MCX514", "Nova"]
+__all__ = ["MCX302", "MCX304", "MCX312", "MCX501", "MCX512", "MCX514", "Nova"]
 
 BYTES = 16
 AX1, AX2 = MCX312_MAP.field("WR5", "AX1"), MCX312_MAP.field("WR5", "AX2")
@@ -139,6 +140,22 @@ class MCX514(Nova):
     def read_byte(self, address: int) -> int:
         """A read cycle of the 8-bit bus."""
         return Chip.read(self, BYTES | int(address) & 15)
+
+
+class MCX512(MCX514):
+    """NOVA MCX512: two axes of the MCX514's kind, interpolation without helices, PIO8 to PIO13."""
+
+    MAP: ClassVar = MCX512_MAP
+    AXES: ClassVar = 2
+    INPUTS: ClassVar = state.INPUTS_512
+    OUTPUTS: ClassVar = state.OUTPUTS_512
+
+
+class MCX501(MCX514):
+    """NOVA MCX501: one axis of the MCX514's kind, no interpolation. Its commands need no axis bits."""
+
+    MAP: ClassVar = MCX501_MAP
+    AXES: ClassVar = 1
 
 
 class _Erratum(Nova):

@@ -125,13 +125,13 @@ class Listener:
     def _command(self, value: int) -> str:
         """A word to WR0."""
         c, given = self._map.by_code.get(CODE.of(value)), AXIS.of(value)
-        axes = given & self._there
+        axes = given & self._there if self._map.axes > 1 else 1
         if resets(self._map, value) or (c is not None and c.symbol == "RST" and not given):
             self._reset()
             return "reset" if c is None or c.symbol != "RST" else c.title
         self._selected = axes or self._selected
         names = axis_names(axes)
-        if given != axes:
+        if given & ~axes:
             names += f" (no {axis_names(given & ~axes)} on the {self._map.chip})"
         head = f"{names}: " if names else ""
         if c is None:
@@ -181,7 +181,8 @@ class Listener:
         head += name.replace("-", " page ")
         if width == 1:
             head += f" bits {8 * high + 7}..{8 * high}"
-        return self._fields[name].tell(head, value << 8 * high)
+        fields = self._fields.get(name)
+        return fields.tell(head, value << 8 * high) if fields else f"{head} is not used on the {self._map.chip}"
 
     def _data(self, at: int, width: int, value: int) -> str:
         """Bytes of RR6 and RR7, from byte `at`: the whole as soon as all were read."""

@@ -83,7 +83,7 @@ def command(map_: RegisterMap, held: Any, value: int) -> Note | None:
 def _axes(map_: RegisterMap, c: Command, name: str, axes: int) -> str:
     if absent := axes >> map_.axes << map_.axes:
         return f"{name} to {_names(absent)}: the {map_.chip} has {map_.axes} axes"
-    if c.axes and not axes:
+    if c.axes and not axes and map_.axes > 1:
         return f"{name} needs axis bits and has none"
     if not c.axes and axes and c.kind != "data read":
         return f"{name} carries no axis bits: {_names(axes)} given"

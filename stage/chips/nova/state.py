@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from stage.chips.nova.registers.mcx300 import MCX312_MAP
-from stage.chips.nova.registers.mcx514 import MCX514_MAP
+from stage.chips.nova.registers.mcx514 import MCX512_MAP, MCX514_MAP
 from stage.chips.register_map import RegisterMap
 from stage.native import record
 
 AXES = 4
 REGISTERS = 32
 MOST_PIECES = 12
-INPUT_PINS = 17
+INPUT_PINS = 23
 DRAFTED = 4
 SYNC_SETS = 4
 FIRST_GENERATION, MCX514_TYPE = 0, 1
@@ -36,6 +36,7 @@ MODE_FIRST = MCX514_MAP.register("MRM").number
 MRM, P1M, P2M, H1M, H2M, FLM, S0M, IPM = (
     k - MODE_FIRST for k in _places(MCX514_MAP, "MRM P1M P2M H1M H2M FLM S0M IPM")
 )
+P3M = MCX512_MAP.register("P3M").number - MODE_FIRST
 HM = H1M  # of the older chips
 
 ACCELERATING, CONSTANT, DECELERATING, AREA_D, RUNAWAY = 1, 0, -1, 2, 3
@@ -290,6 +291,8 @@ PIO = 9
 EXP = PIO + 4  # EXP+, then EXP-
 INPUTS_300 = {name: 1 << k for k, name in enumerate(_SIGNALS)} | {"exp_plus": 1 << EXP, "exp_minus": 2 << EXP}
 """Of the chips before the MCX514."""
+MORE_PIO = PIO + 8  # PIO8 to PIO13 of the MCX512
+INPUTS_512 = INPUTS | {f"pio{i}": 1 << PIO + i for i in range(8, 14)}
 EMG_FILTER = 1 << INPUT_PINS  # of `filtered`, of X
 EMG = 1
 COMMON_INPUTS = {"emg": EMG}
@@ -300,6 +303,7 @@ OUTPUTS = {
     )
 }
 OUT = 1 << 8  # out0
+OUTPUTS_512 = OUTPUTS | {f"out{i}": OUT << i for i in range(8, 14)}
 PLS, DIR, DRIVE, ASND, CNST, DSND, DCC, SPLIT = (1 << k for k in range(8))
 COMMON_OUTPUTS = {"int0": 1, "int1": 2}
 

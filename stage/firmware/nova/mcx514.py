@@ -64,7 +64,7 @@ class Mcx514Driver(NovaDriver):
         if len({id(h.chip) for h in drivers}) > 1:
             names = ", ".join(h.axis.name for h in drivers)
             raise ArgumentError(
-                f"axes {names} are on several MCX514, and one interpolates its own: choose axes of one chip."
+                f"axes {names} are on several {self.map.chip}, and one interpolates its own: choose axes of one chip."
             )
         return True
 

@@ -9,6 +9,7 @@ from stage.chips.nova.functions import home, sync, timer
 from stage.chips.nova.functions import io as ports
 from stage.chips.nova.interpolation import queue as prebuffer
 from stage.chips.nova.motion import drive, rates
+from stage.chips.nova.registers.mcx514 import GENERATION
 from stage.chips.nova.registers.mcx514 import MCX514_MAP as MAP
 from stage.chips.nova.state import (
     ALARM,
@@ -47,11 +48,10 @@ def _of(word: str, name: str) -> int:
 
 RST = _code("RST")
 CODE, AXIS_BITS, FIRST_AXIS = _of("WR0", "CODE"), _of("WR0", "AXIS"), MAP.bit("WR0", "AXIS")
-_WRITTEN = [c.code for c in MAP.commands if c.kind == "mode write"]
-MODE_LAST = max(_WRITTEN)
-READS = {c.symbol: c.code for c in MAP.commands if c.kind == "data read"}
+MODE_LAST = max(c.code for m in GENERATION for c in m.commands if c.kind == "mode write")
+READS = {c.symbol: c.code for m in GENERATION for c in m.commands if c.kind == "data read"}
 R_CV, R_CA, R_CT, R_CHLN, R_TX = (READS[n] for n in ("CV", "CA", "CT", "CHLN", "R-TX"))
-_READ = {READS[f"R-{r.name}"]: r.number for r in MAP.registers if f"R-{r.name}" in READS}
+_READ = {READS[f"R-{r.name}"]: r.number for m in GENERATION for r in m.registers if f"R-{r.name}" in READS}
 PLACES = tuple(k if (k := _READ.get(code, -1)) < REGISTERS else -1 for code in range(256))
 """Of a reading command: the place in `reg` that it reads, or -1."""
 MODE_PLACES = tuple(k - MODE_FIRST if (k := _READ.get(code, -1)) >= MODE_FIRST else -1 for code in range(256))
@@ -64,6 +64,12 @@ DRVRL, DRVNR, DRVVP, DRVVM, DRVAB, DRVSBRK, DRVFBRK, DIRCP, DIRCM, HMSRC = (_cod
 VINC, VDEC, DHOLD, DFREE, R2CLR, RR3P0, RR3P1 = (_code(n) for n in (
     "VINC", "VDEC", "DHOLD", "DFREE", "R2CLR", "RR3P0", "RR3P1"))  # fmt: skip
 MFPC = _code("MFPC")
+_CODES = {m.axes: set(m.by_code) for m in GENERATION}
+LACKED = tuple(
+    sum(1 << axes for axes, its in _CODES.items() if code not in its) if code in set().union(*_CODES.values()) else 0
+    for code in range(256)
+)
+"""Of a command that a chip of the generation has: bit k is set if the one with k axes lacks it."""
 _INTERPOLATING = [c.code for c in MAP.commands if c.kind == "interpolation"]
 INTERPOLATION_FIRST, INTERPOLATION_LAST = min(_INTERPOLATING), max(_INTERPOLATING)
 
@@ -75,6 +81,7 @@ PIMD = MAP.bit("WR3", "PIMD")
 DRIVES, FAILS = 1 << MAP.bit("RR0", "n-DRV"), 1 << MAP.bit("RR0", "n-ERR")  # of X
 ERRORS = sum(MAP.masks("RR2", "SLMT+", "SLMT-", "HLMT+", "HLMT-", "ALARM", "EMG", "HOME", "CERR"))
 HSST, FIRST_PHASE = MAP.bit("RR3-0", "HSST"), MAP.bit("RR3-1", "ASND")
+MEMBERS = sum(MAP.masks("IPM", "X-EN", "Y-EN", "Z-EN", "U-EN"))
 FL0, FL1 = MAP.bit("FLM", "FL0"), MAP.bit("FLM", "FL1")
 _FILTERS = (EMG_FILTER, LMT_PLUS | LMT_MINUS, STOP0 | STOP1, INPOS | ALARM, 15 << PIO, 15 << PIO + 4, STOP2, ECA | ECB)
 
@@ -197,12 +204,17 @@ def command(c, value):
     """A write to WR0."""
     c.unused = 0
     code, axes = value & CODE, (value & AXIS_BITS) >> FIRST_AXIS
-    if axes:
-        c.selected = axes
-    elif code == RST:
+    if axes == 0 and code == RST:
         reset(c)
         return
+    axes = 1 if c.axes == 1 else axes & (1 << c.axes) - 1
+    if axes:
+        c.selected = axes
     c.stale = 1
+    if LACKED[code] >> c.axes & 1:
+        if READ_FIRST <= code <= READ_LAST:
+            c.read_low = c.read_high = 0
+        return
     if code < REGISTERS and WRITES >> code & 1:
         if ALONE >> code & 1:
             _set(c, c.ax[0], code, _data(c))
@@ -212,7 +224,7 @@ def command(c, value):
                 _set(c, c.ax[j], code, _data(c))
     elif MODE_FIRST <= code <= MODE_LAST:
         if code == MODE_FIRST + IPM:
-            c.ax[0].mode[IPM] = c.low
+            c.ax[0].mode[IPM] = c.low & ~(MEMBERS & ~0 << c.axes)
             return
         for j in range(AXES):
             if axes >> j & 1:

@@ -13,12 +13,12 @@ from stage.chips.nova.registers.common import DCC_WIDTHS
 from stage.chips.nova.registers.mcx300 import MCX304_MAP
 from stage.chips.nova.registers.mcx514 import MCX514_MAP
 from stage.chips.nova.registers.words514 import SYNC_CLOCKS
-from stage.chips.nova.state import COMP_MINUS, COMP_PLUS, H2M, HM, MCX514_TYPE, NEVER, P1M, P2M, PIO, SYNC_SETS
+from stage.chips.nova.state import COMP_MINUS, COMP_PLUS, H2M, HM, MCX514_TYPE, NEVER, P1M, P2M, P3M, PIO, SYNC_SETS
 from stage.native import hot, least
 
 INPUT, OUTPUT, STATUS, OTHER = range(4)
 FIRST = PIO
-PINS = 8
+PINS, MORE = 8, 63 << 8
 US = 16  # clocks
 DCP, DCCW = MCX514_MAP.bit("H2M", "DCP"), MCX304_MAP.bit("HM", "DCCW")
 PW, OUTSL = MCX514_MAP.bit("P2M", "PW"), MCX304_MAP.mask("WR3", "OUTSL")
@@ -32,7 +32,7 @@ def kind(x, i):
 
 @hot
 def inputs(x):
-    """PIO pins that are general inputs."""
+    """PIO0 to PIO7 that are general inputs."""
     word = 0
     for i in range(PINS):
         if kind(x, i) == INPUT:
@@ -44,7 +44,8 @@ def inputs(x):
 def levels(c, j):
     """The pins of an axis, bit i for PIO i."""
     x = c.ax[j]
-    given = (c.outputs4 if j < 2 else c.outputs5) >> (8 if j & 1 else 0)
+    given = c.outputs5 if (j and c.axes == 2) or j > 1 else c.outputs4
+    given >>= 8 if j & 1 and c.axes == 4 else 0
     status = (1 if busy(x) else 0) | (2 if x.causes & 0xFF else 0) | phase_bits(c, x) << 2
     other = (x.holds & 15) << 4
     for m in range(SYNC_SETS):
@@ -56,12 +57,21 @@ def levels(c, j):
         what = kind(x, i)
         source = x.inputs >> PIO if what == INPUT else given if what == OUTPUT else status if what == STATUS else other
         word |= source & 1 << i
-    return word
+    return word | _more(x, given) if c.axes == 2 else word
+
+
+@hot
+def _more(x, given):
+    """PIO8 to PIO13 of the MCX512: inputs or outputs."""
+    out = x.mode[P3M] << PINS & MORE
+    return given & out | x.inputs >> PIO & MORE & ~out
 
 
 @hot
 def word(c, first):
-    """RR4, RR5: the pins of axes `first` and `first` + 1."""
+    """RR4, RR5: the pins of axes `first` and `first` + 1; of the MCX512 those of one."""
+    if c.axes == 2:
+        return levels(c, first // 2)
     return levels(c, first) | levels(c, first + 1) << 8
 
 
@@ -69,7 +79,9 @@ def word(c, first):
 def driven(c, j):
     """What the chip itself puts on the pins of an axis: PIO that are outputs; OUT3 to OUT0 of the older chips."""
     if c.variant == MCX514_TYPE:
-        return levels(c, j) & ~inputs(c.ax[j]) if c.ax[j].mode[P1M] else 0
+        x = c.ax[j]
+        given = inputs(x) | ~(x.mode[P3M] << PINS) & MORE
+        return levels(c, j) & ~given if x.mode[P1M] or x.mode[P3M] else 0
     x = c.ax[j]
     if x.wr[3] & OUTSL:
         bits, counter = phase_bits(c, x), counters.limited(x)

@@ -16,7 +16,6 @@ from stage.chips.nova.registers.mcx514 import MCX514_MAP
 from stage.chips.nova.registers.words514 import ACTIONS
 from stage.chips.nova.state import (
     AC,
-    AXES,
     C_END,
     C_STA,
     D_END,
@@ -203,9 +202,9 @@ def _activate(c, j, m):
     for k in range(1, SYNC_SETS):
         if mode >> SNC + k - 1 & 1:
             x.triggered |= 1 << (m + k) % SYNC_SETS
-    for k in range(1, AXES):
+    for k in range(1, c.axes):
         if mode >> AXIS + k - 1 & 1:
-            c.ax[(j + k) % AXES].triggered |= 1
+            c.ax[(j + k) % c.axes].triggered |= 1
     c.stale = 1
     _act(c, x, m, mode >> ACT & 31)
 

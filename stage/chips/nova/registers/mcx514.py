@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from stage.chips.nova.registers.words514 import MODES, WORDS
+from stage.chips.nova.registers.words514 import modes, words
 from stage.chips.register_map import Command, Field, Register, RegisterMap, reads, writes
 
 JERK, RATE, SPEED = (1, 1_073_741_823), (1, 536_870_911), (1, 8_000_000)
@@ -20,7 +20,7 @@ OFF = 0xFFFF_FFFF
 """LX, RX: no ring."""
 READ_CODES = {
     "LP": 0x30, "RP": 0x31, "MR0": 0x34, "MR1": 0x35, "MR2": 0x36, "MR3": 0x37, "TX": 0x39, "HLV": 0x3B, "MRM": 0x40,
-    "P1M": 0x41, "P2M": 0x42, "AC": 0x43, "SV": 0x44, "DV": 0x45, "TP": 0x46, "SP1": 0x47,
+    "P1M": 0x41, "P2M": 0x42, "P3M": 0x49, "AC": 0x43, "SV": 0x44, "DV": 0x45, "TP": 0x46, "SP1": 0x47,
 }  # fmt: skip
 """Commands that read back what another wrote."""
 NO_AXIS = ("TX", "HLN", "HLV", "CHLN", "IPM", "UI")
@@ -83,12 +83,13 @@ PRESENT = (
 _PAGES = {"DV": "S", "TX": "D"}
 
 
-def _reading() -> tuple[Command, ...]:
-    """30h to 48h."""
-    back = [r for r in (*PARAMETERS, *MODES) if r.name in READ_CODES]
+def _reading(registers: tuple[Register, ...]) -> tuple[Command, ...]:
+    """30h to 49h."""
+    present = {r.name for r in PRESENT}
+    back = [r for r in registers if r.name in READ_CODES]
     found = [
         *(reads(r, READ_CODES[r.name], _PAGES.get(r.name, "C"), axes=r.name not in NO_AXIS) for r in back),
-        *(reads(r, axes=r.name not in NO_AXIS) for r in PRESENT),
+        *(reads(r, axes=r.name not in NO_AXIS) for r in registers if r.name in present),
         *(Command(0x3C + k, f"R-WR{k}", f"read WR{k}", "data read", 2, evidence="C") for k in (1, 2, 3)),
     ]
     return tuple(sorted(found, key=lambda c: c.code))
@@ -116,11 +117,7 @@ def _sync(code: int, symbol: str, verb: str) -> Command:
     return Command(code, symbol, verb, "sync", evidence="C", choice=0x0F, note=note, chooses=chooses)
 
 
-COMMANDS = (
-    *(writes(r, axes=r.name not in NO_AXIS) for r in PARAMETERS),
-    _other(0x1F, "NOP", "axis selection only"),
-    *(writes(r, "mode write", axes=r.name not in NO_AXIS) for r in MODES),
-    *_reading(),
+_ACTIONS = (
     _drive(0x50, "DRVRL", "relative position drive", True),
     _drive(0x51, "DRVNR", "counter relative position drive", True, "the sign of TP inverted"),
     _drive(0x52, "DRVVP", "+ direction continuous drive", True),
@@ -166,12 +163,42 @@ COMMANDS = (
     _other(0xFF, "RST", "command reset", axes=False),
 )
 
-MCX514_MAP = RegisterMap(
-    "MCX514",
-    "NOVA MCX514 pulse generator with interpolation, four axes, 16-bit bus",
-    "manual MCX514, 7.2.7 and 7.2.8 (data sheet) and other pages; working drivers; names of mode bits from memory",
-    (*PARAMETERS, *MODES, *PRESENT),
-    WORDS,
-    COMMANDS,
-    axes=4,
-)
+_INTERPOLATES = ("CP", "TX", "IPM", "MFPC")
+_TURNS = ("HLN", "HLV", "CHLN", "HLCW", "HLCCW", "HLPCW", "HLPCCW")
+"""Registers and commands of interpolation, and of helices."""
+
+
+def _map(chip: str, axes: int, title: str) -> RegisterMap:
+    lacks = {*(_TURNS if axes < 3 else ()), *(_INTERPOLATES if axes < 2 else ())}
+    registers = tuple(r for r in (*PARAMETERS, *modes(axes), *PRESENT) if r.name not in lacks)
+
+    def has(c: Command) -> bool:
+        if c.symbol in lacks or (c.kind == "interpolation" and axes < 2):
+            return False
+        return not c.together or min(c.together) <= axes
+
+    modes_of = {r.name for r in modes(axes)}
+    present = {r.name for r in PRESENT}
+    commands = (
+        *(writes(r, axes=r.name not in NO_AXIS) for r in registers if r.name not in modes_of | present),
+        _other(0x1F, "NOP", "axis selection only"),
+        *(writes(r, "mode write", axes=r.name not in NO_AXIS) for r in registers if r.name in modes_of),
+        *_reading(registers),
+        *(c for c in _ACTIONS if has(c)),
+    )
+    return RegisterMap(
+        chip,
+        f"NOVA {chip} pulse generator {title}, 16-bit bus",
+        "manual MCX514, 7.2.7 and 7.2.8 (data sheet) and other pages; working drivers; names of mode bits from memory",
+        registers,
+        words(axes),
+        commands,
+        axes=axes,
+    )
+
+
+MCX514_MAP = _map("MCX514", 4, "with interpolation, four axes")
+MCX512_MAP = _map("MCX512", 2, "with interpolation, two axes")
+MCX501_MAP = _map("MCX501", 1, "of one axis")
+GENERATION = (MCX514_MAP, MCX512_MAP, MCX501_MAP)
+"""What the two smaller ones lack, and P3M, are of working drivers [C]; that they are alike otherwise is inferred."""

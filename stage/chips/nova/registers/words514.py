@@ -30,7 +30,7 @@ def _pio(i: int) -> Field:
     return bits(f"P{i}M", 2 * i + 1, 2 * i, f"PIO{i}", values=("input", "output", "drive status", third))
 
 
-def _sync(n: int) -> Register:
+def _sync(n: int, axes: int = 4) -> Register:
     own = {4: f"MR{n} -> {('LP', 'RP', 'SV', 'AC')[n]}", 8: ("CV -> MR0", "CA -> MR1", "none", "none")[n]}
     return _mode(
         0x26 + n, f"S{n}M", f"synchronous action set {n}",
@@ -38,7 +38,7 @@ def _sync(n: int) -> Register:
         bits("ACT", 8, 4, "action", legal=(0, 24), values=dict(enumerate(ACTIONS)) | own,
              note=f"see ACTIONS; 4 is {own[4]}, 8 is {own[8]}", listed=False),
         *(bit(f"SNC+{k}", 8 + k, f"also SYNC{(n + k) % 4} of this axis") for k in (1, 2, 3)),
-        *(bit(f"AXIS{k}", 11 + k, f"also SYNC0 of axis +{k}") for k in (1, 2, 3)),
+        *(bit(f"AXIS{k}", 11 + k, f"also SYNC0 of axis +{k}") for k in range(1, axes)),
         bit("REP", 15, "", values=("once", "repeatedly")),
     )  # fmt: skip
 
@@ -72,6 +72,23 @@ SYNC_CLOCKS = (2, 5, 16, 64, 256, 1024, 4096, 16_000)
 """Of a sync pulse, by PW of P2M."""
 SYNC_WIDTHS = ("125 ns", "312 ns", *times(n // 16 for n in SYNC_CLOCKS[2:]))
 FILTERS = tuple(f"{0.5 * 2**n:g} us" for n in range(16))
+
+
+def _interpolation(axes: int) -> Register:
+    speeds = ("off", "two axes simple", "three axes simple", "two axes high accuracy")
+    return _mode(
+        0x2A, "IPM", "interpolation mode",
+        *(bit(f"{a}-EN", k, f"{a} takes part", note="the lowest is the main axis") for k, a in enumerate(AXES[:axes])),
+        bit("CXIV", 4, "the two axes of circular interpolation are exchanged"),
+        bits("SPD", 7, 6, "constant vector speed", values=speeds),
+        bit("LMDF", 8, "short-axis pulse equalization"),
+        bit("STEP", 9, "single step"),
+        bits("MLT", 11, 10, "multichip", legal=(0, 2), values=("single chip", "master", "slave")),
+        bit("MAXM", 12, "maximum finish point", values=("automatic", "TX")),
+        bit("INTA", 14, "interrupt when SC goes from 4 to 3"),
+        bit("INTB", 15, "interrupt when SC goes from 8 to 7"),
+    )  # fmt: skip
+
 
 MODES = (
     _mode(
@@ -127,20 +144,20 @@ MODES = (
         bits("FL1", 15, 12, "time of FE6, FE7", values=FILTERS, note="time constant, 500 ns * 2^n at 16 MHz", listed=False),
     ),
     *(_sync(n) for n in range(4)),
-    _mode(
-        0x2A, "IPM", "interpolation mode",
-        *(bit(f"{a}-EN", k, f"{a} takes part", note="the lowest is the main axis") for k, a in enumerate(AXES)),
-        bit("CXIV", 4, "the two axes of circular interpolation are exchanged"),
-        bits("SPD", 7, 6, "constant vector speed",
-             values=("off", "two axes simple", "three axes simple", "two axes high accuracy")),
-        bit("LMDF", 8, "short-axis pulse equalization"),
-        bit("STEP", 9, "single step"),
-        bits("MLT", 11, 10, "multichip", legal=(0, 2), values=("single chip", "master", "slave")),
-        bit("MAXM", 12, "maximum finish point", values=("automatic", "TX")),
-        bit("INTA", 14, "interrupt when SC goes from 4 to 3"),
-        bit("INTB", 15, "interrupt when SC goes from 8 to 7"),
-    ),
+    _interpolation(4),
 )  # fmt: skip
+
+
+def modes(axes: int) -> tuple[Register, ...]:
+    """Mode registers of a chip of this generation with so many axes: one does not interpolate, two have more PIO pins."""
+    if axes == 4:
+        return MODES
+    kept = [r for r in MODES if r.name not in ("IPM", *(f"S{m}M" for m in range(4)))]
+    more = [_sync(m, axes) for m in range(4)]
+    if axes == 2:
+        directions = (bit(f"P{i}D", i - 8, f"PIO{i}", values=("input", "output")) for i in range(8, 14))
+        more += [_interpolation(2), _mode(0x2B, "P3M", "PIO signal setting 3", *directions, access="RW")]
+    return (*kept, *more)
 
 
 def _events() -> tuple[Field, ...]:
@@ -164,7 +181,7 @@ def _ports(name: str, title: str, low: str, high: str) -> Word:
     return word(name, title, fields)
 
 
-WORDS = (
+_FOUR = (
     word(
         "WR0", "command register; on the 8-bit bus the low byte, written last, triggers",
         bits("zero", 15, 12, "must be 0", legal=(0, 0)),
@@ -205,17 +222,7 @@ WORDS = (
         bit("TMMD", 14, "timer", values=("once", "repeatedly")),
         access="RW", note="of the selected axes",
     ),
-    _ports("WR4", "general outputs of X and Y", "X", "Y"),
-    _ports("WR5", "general outputs of Z and U", "Z", "U"),
     *DATA_WRITTEN,
-    word(
-        "RR0", "main status",
-        axis_bits("n-DRV", 0, 4, " is driving"),
-        axis_bits("n-ERR", 4, 4, ": an error bit of RR2 is set", "M"),
-        bits("ZONE", 10, 8, "octant of circular interpolation"),
-        bit("CNEXT", 11, "the next segment can be written"),
-        bits("SC", 15, 12, "segments in the pre-buffer, 0 to 8"),
-    ),
     word("RR1", "interrupt factors of the selected axis; reading clears them", _events()),
     word(
         "RR2", "errors (bits 7 to 0) and finishing status of the selected axis; 79h clears them",
@@ -251,7 +258,48 @@ WORDS = (
         bit("SPLIT", 11, "split pulses run"),
         bit("MCERR", 12, "multichip interpolation error"),
     ),
-    _ports("RR4", "levels of the PIO pins of X and Y", "X", "Y"),
-    _ports("RR5", "levels of the PIO pins of Z and U", "Z", "U"),
     *DATA_READ,
 )  # fmt: skip
+"""The words that chips with one, two and four axes share."""
+
+
+def _status(axes: int) -> Word:
+    fields = [
+        axis_bits("n-DRV", 0, axes, " is driving", "C" if axes > 1 else "I"),
+        axis_bits("n-ERR", 4, axes, ": an error bit of RR2 is set", "M" if axes > 1 else "I"),
+    ]
+    if axes > 1:
+        fields += [
+            bits("ZONE", 10, 8, "octant of circular interpolation"),
+            bit("CNEXT", 11, "the next segment can be written"),
+            bits("SC", 15, 12, "segments in the pre-buffer, 0 to 8"),
+        ]
+    return word("RR0", "main status", fields)
+
+
+def _pios(axes: int) -> tuple[Word, ...]:
+    """WR4, WR5, RR4, RR5."""
+    out, levels = "general outputs of", "levels of the PIO pins of"
+    if axes == 4:
+        pairs = (("4", "X", "Y"), ("5", "Z", "U"))
+        return (
+            *(_ports(f"WR{n}", f"{out} {a} and {b}", a, b) for n, a, b in pairs),
+            *(_ports(f"RR{n}", f"{levels} {a} and {b}", a, b) for n, a, b in pairs),
+        )
+    if axes == 2:
+        alone = (("4", "X"), ("5", "Y"))
+        return (
+            *(word(f"WR{n}", f"{out} {a}", bits(f"{a}-PIO", 13, 0, f"PIO13 to PIO0 of {a}")) for n, a in alone),
+            *(word(f"RR{n}", f"{levels} {a}", bits(f"{a}-PIO", 13, 0, f"PIO13 to PIO0 of {a}")) for n, a in alone),
+        )
+    pins = bits("X-PIO", 7, 0, "PIO7 to PIO0")
+    return (
+        word("WR4", "general outputs", pins), word("WR5", "not used on this chip"),
+        word("RR4", "levels of the PIO pins", pins), word("RR5", "not used on this chip"),
+    )  # fmt: skip
+
+
+def words(axes: int) -> tuple[Word, ...]:
+    """WR0 to WR7 and RR0 to RR7 of a chip of this generation with so many axes."""
+    found = {w.name: w for w in (*_FOUR, _status(axes), *_pios(axes))}
+    return tuple(found[n] for n in sorted(found, key=lambda n: (n[0] != "W", n)))
