@@ -389,7 +389,7 @@ def programs(cls) -> st.SearchStrategy[Writes]:
     found = [starts(cls)] * 3 + [changes_on_the_fly(cls)] * 4 + [register_loads(cls), commands(cls), raw_words()]
     found.append(_home_searches(cls))
     if issubclass(cls, MCX514):
-        found += [_actions(cls), _interpolations(cls), raw_bytes()]
+        found += [_actions(cls), raw_bytes()] + [_interpolations(cls)] * (cls.AXES > 1)
     elif issubclass(cls, MCX312):
         found.append(_interpolations(cls))
     return st.one_of(found)
