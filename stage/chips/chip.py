@@ -43,6 +43,13 @@ class Diagnostic(NamedTuple):
     source: str
 
 
+class Limit(NamedTuple):
+    """What `Chip.mistake` says of a limit of the silicon: noted once. What comes before the message's colon tells which."""
+
+    message: str
+    source: str
+
+
 class Bus(Protocol):
     """Who a chip of a stage belongs to."""
 
@@ -152,6 +159,10 @@ class Chip:
     IN_POSITION: ClassVar[float] = 4.0
     """Default tolerance, pulses: an axis so close to its goal has arrived."""
     DEFAULT_CLOCK_HZ: ClassVar[int]
+    CLOCK_RANGE: ClassVar[tuple[int, int]] = (1, 100_000_000)
+    """The reference clocks, Hz, that its makers allow; with another one it works here and says so in `diagnostics`."""
+    CLOCK_SOURCE: ClassVar[str] = "clock"
+    """Where that is written."""
     ADDRESSES: ClassVar[int] = 4
     """Bus addresses: 0 up to ADDRESSES - 1."""
     ADDRESS_MASK: ClassVar[int] = 3
@@ -186,6 +197,10 @@ class Chip:
         self._hold(np.zeros(1, self.CORE.STATE), 0)
         self._configure(self._plain)
         self.CORE.power_up.held(self._here)
+        least, most = self.CLOCK_RANGE
+        if not least <= self.clock_hz <= most:
+            said = f"a reference clock of {self.clock_hz:,} Hz: the silicon is sold for {least:,} to {most:,} Hz"
+            self.diagnose(0, 0, 0, said, self.CLOCK_SOURCE)
 
     @property
     def diagnostics(self) -> list[Diagnostic]:
@@ -327,7 +342,10 @@ class Chip:
 
     def write(self, address: int, value: int) -> None:
         """One bus write cycle. Never raises: address and value are masked, mistakes go to `diagnostics`."""
-        address, value = int(address) & self.ADDRESS_MASK, int(value) & self.DATA_MASK
+        self._write(int(address) & self.ADDRESS_MASK, int(value) & self.DATA_MASK, (address, value))
+
+    def _write(self, address: int, value: int, given: tuple[int, int]) -> None:
+        """A bus write cycle of a host that meant what is `given`, address and value."""
         lost = self.loses(address, value)
         if self._bus is not None:
             self._bus.cycle()
@@ -335,8 +353,10 @@ class Chip:
             if self.open_journal is not None:
                 self.open_journal.note_lost(self.clock, address, value)
             return
+        if (address, value) != given:
+            self.diagnose(self.clock, address, value, masked(given, (address, value)), "bus")
         if self.late_lint is None and (said := self.mistake(address, value)):
-            self.diagnose(self.clock, address, value, *said)
+            self.diagnose(self.clock, address, value, *said, once=isinstance(said, Limit))
         self.CORE.write.held(self._here, address, value)
         if self.open_journal is not None:
             self.open_journal.note_write(self.clock, address, value)
@@ -345,8 +365,13 @@ class Chip:
         """Before a write: whether a fault of the bus loses it. Calls every fault."""
         return any([glitch(address, value) for glitch in self.glitches]) if self.glitches else False
 
-    def diagnose(self, clock: int, address: int, value: int, message: str, source: str) -> None:
-        """Add to `diagnostics`."""
+    def diagnose(
+        self, clock: int, address: int, value: int, message: str, source: str, once: bool = False
+    ) -> None:
+        """Add to `diagnostics`. once: not if it has been said, whatever follows the colon."""
+        kind = message.split(":")[0]
+        if once and any(d.source == source and d.message.startswith(kind) for d in self._diagnostics):
+            return
         if len(self._diagnostics) >= MAX_DIAGNOSTICS:
             del self._diagnostics[0]
         self._diagnostics.append(Diagnostic(clock, address, value, message, source))
@@ -462,6 +487,16 @@ class Chip:
     def __repr__(self) -> str:
         values = " ".join(f"{k}={v}" for k, v in self.values().items())
         return f"<{type(self).__name__} clock={self.clock} {values}>"
+
+
+def masked(given: tuple[int, int], acts: tuple[int, int]) -> str:
+    """What to say of a write whose address or value does not fit the bus."""
+    said = []
+    for what, wanted, got in zip(("address", "value"), given, acts, strict=True):
+        if wanted != got:
+            shown = f"{wanted:02X}h" if isinstance(wanted, int) and wanted >= 0 else repr(wanted)
+            said.append(f"{what} {shown} acts as {got:02X}h")
+    return f"{' and '.join(said)}: the bus is no wider"
 
 
 def _revived(cls: type[Chip], options: dict[str, Any], snapshot: Snapshot) -> Chip:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from stage.chips.chip import Limit
 from stage.chips.entries import WRITE
 
 if TYPE_CHECKING:
@@ -37,6 +38,6 @@ class LateLint:
                 if entry.kind == WRITE:
                     said = twin.mistake(entry.a, entry.b)
                     if said:
-                        chip.diagnose(entry.clock, entry.a, entry.b, *said)
+                        chip.diagnose(entry.clock, entry.a, entry.b, *said, once=isinstance(said, Limit))
                 entry.apply(chip.CORE, twin.pointer)
         journal.restart()

@@ -26,7 +26,7 @@ def test_addresses_act_modulo_64_and_that_is_noted():
     one.diagnostics.clear()
     one.write(0x62, 0x11)
     assert [(d.address, d.value, d.message) for d in one.diagnostics] == [
-        (0x22, 0x11, "address 62h acts as 22h: six bits")
+        (0x22, 0x11, "address 62h acts as 22h: the bus is no wider")
     ]
 
 

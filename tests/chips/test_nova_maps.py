@@ -355,7 +355,7 @@ def test_a_test_that_covers_a_command_fails_unless_it_writes_it(chip_with_a_comm
     for values in ((), (0x08,)):
         with pytest.raises(AssertionError, match="claims to cover"):
             test(*values)
-    assert Chip.write.__name__ == "write"
+    assert Chip._write.__name__ == "_write"
 
 
 def test_a_test_cannot_cover_what_does_not_exist(chip_with_a_command):

@@ -157,7 +157,7 @@ def test_speed_changes_between_fh1_and_fh2_in_motion_with_a_ramp():
     assert chip.advance(8192 * 2 * 10) == 9000
     chip.write(0, 0x15)
     assert chip.pins.fdown
-    assert clocks_while(chip, "fdown") == 499 * 30 + 1
+    assert clocks_while(chip, "fdown") == 500 * 30
     assert chip.advance(8192 * 2 * 10) == 4000
 
 

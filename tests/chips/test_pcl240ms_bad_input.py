@@ -3,6 +3,8 @@
 The notes are tested by the names that they must mention, never by their words. Each set-up has one contradiction.
 """
 
+import copy
+
 import numpy as np
 import pytest
 from support.pcl240k_bench import FOREVER, RNG, SEED, clocks_while, commands, counter, operating
@@ -31,7 +33,7 @@ def noted(chip, *names):
 
 def set_up(make, control, start, **registers):
     """A chip with a set-up that gives no cause for a note but by `registers`: FL 50, FH 800, ramps of 583 pulses."""
-    sound = {"R0": 5000, "R1": 50, "R2": 800, "R3": 900, "R4": 30, "R5": 30, "R7": 2}
+    sound = {"R0": 5000, "R1": 50, "R2": 800, "R3": 810, "R4": 30, "R5": 30, "R7": 2}
     if control & 0x14 == 0x04:
         sound["R6"] = 800
     return begun(make, control, start, **(sound | registers))
@@ -392,8 +394,8 @@ def test_sound_set_ups_are_not_noted(make):
     silent(make, 0x60, 0x10, R10=0x800000)
     silent(make, PRESET, 0x11, R6=0)
     silent(make, MANUAL, 0x15, R1=800)
-    silent(make, MANUAL, 0x14, R1=1000)
-    silent(make, MANUAL, 0x11, R1=1000)
+    silent(make, MANUAL, 0x14, R1=815)
+    silent(make, MANUAL, 0x11, R1=815)
     silent(make, PRESET, 0x15, R1=800, R6=0)
     silent(make, 0x41, 0x15, R13=0x200000)
     silent(make, 0x63, 0x15, R13=0x350000, R12=0x1000)
@@ -474,5 +476,69 @@ def test_a_start_with_the_least_that_a_register_takes_is_sound_and_with_one_less
 def test_fl_may_be_as_high_as_fh_and_no_higher(make):
     assert set_up(make, PRESET, 0x15, R1=800).diagnostics == []
     assert notes(set_up(make, PRESET, 0x15, R1=801), "R1", "R2")
-    assert set_up(make, PRESET, 0x17, R1=900).diagnostics == []
+    assert set_up(make, PRESET, 0x17, R1=810).diagnostics == []
     assert notes(set_up(make, PRESET, 0x17, R1=901), "R1", "R3")
+
+
+# What a bus or the silicon cannot take
+
+
+@ALL
+@pytest.mark.parametrize(
+    ("address", "value", "said"),
+    [
+        (0, 0x115, "value 115h acts as 15h"),
+        (9, 8, "address 09h acts as 01h"),
+        (1, 3.7, "value 3.7 acts as 03h"),
+        (5, -1, "address 05h acts as 01h and value -1 acts as FFh"),
+    ],
+)
+def test_a_write_that_the_bus_cuts_down_is_noted(make, address, value, said):
+    chip = make()
+    load(chip, R1=50, R2=800, R4=30, R5=30, R7=20)
+    chip.write(address, value)
+    assert [d.message.split(":")[0] for d in chip.diagnostics] == [said]
+    assert (chip.diagnostics[0].address, chip.diagnostics[0].value) == (address & 3, int(value) & 0xFF)
+
+
+@ALL
+def test_a_reference_clock_beyond_the_silicon_is_noted_once(make):
+    assert make(8_064_516).diagnostics == []
+    chip = make(8_064_517)
+    assert noted(chip, "8,064,517", "8,064,516")
+    chip.reset()
+    assert noted(copy.copy(chip), "reference clock")
+
+
+@ALL
+@pytest.mark.parametrize(("fl", "fh", "start", "said"), [(50, 8191, 0x15, 1), (8191, 50, 0x11, 0), (50, 8191, 0x10, 0)])
+def test_an_output_beyond_the_silicon_is_noted_once(make, fl, fh, start, said):
+    """30 pps a step: 245,730 pps. With R7 = 19 it is 258,663."""
+    for r7, count in ((20, 0), (19, said)):
+        chip = make()
+        load(chip, R0=5000, R1=fl, R2=fh, R4=30, R5=30, R6=5000, R7=r7)
+        for command in (0x40, start, start, 0x08, start):
+            commands(chip, command)
+        assert len(notes(chip, "245,730", "R7")) == len(chip.diagnostics) == count
+
+
+def test_a_speed_change_beyond_the_silicon_is_noted():
+    chip = set_up(PCL240MS, 0x40, 0x15, R7=10, R3=5000)
+    commands(chip, 0x17)
+    assert noted(chip, "245,730", "R3 = 5000", "300,000 pps")
+
+
+def test_an_s_curve_triangle_that_nobody_corrects_and_that_stops_above_fl_is_noted_with_its_speed():
+    """FL 100 pps, FH 50,000 pps. What the note says is what happens."""
+    sound = {"R1": 10, "R2": 5000, "R4": 1500, "R5": 1500, "R7": 60, "R0": 9000}
+    chip = set_up(PCL240MS, AUTOMATIC, 0x15, **sound, R14=0x8000 | 500, R15=500)
+    said = notes(chip, "FH correction", "R14 bit 15", "FL is 100 pps")
+    assert len(said) == len(chip.diagnostics) == 1
+    last = np.diff(chip.trace(FOREVER)["clock"][-2:])[0]
+    stops = float(said[0].split("stops at ")[1].split(" pps")[0].replace(",", ""))
+    assert stops > 1000
+    assert stops == pytest.approx(chip.clock_hz / last, rel=0.01)
+    for r14 in (500, 0x9000):
+        assert not notes(set_up(PCL240MS, AUTOMATIC, 0x15, **sound, R14=r14, R15=500), "triangle", "stops at")
+    assert notes(set_up(PCL240MS, PRESET, 0x15, **sound, R6=100, R14=500, R15=500), "without the automatic point")
+    assert set_up(PCL240MS, PRESET, 0x15, **sound | {"R0": 200_000}, R6=170_000, R14=500, R15=500).diagnostics == []

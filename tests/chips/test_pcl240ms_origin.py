@@ -11,6 +11,7 @@ from stage.chips import PCL240MK, PCL240MS
 BOTH = pytest.mark.parametrize("make", [PCL240MK, PCL240MS])
 STARTS = pytest.mark.parametrize("start", [0x10, 0x11, 0x15], ids=["FL", "FH", "ramp to FH"])
 USES_EZ, FROM_FL, ORG_POSITIVE = 1 << 21, 1 << 20, 1 << 23  # bits of R13
+EZ_POSITIVE = 1 << 12  # of R12
 FL_PERIOD, FH_PERIOD = 8192 * 2 / 50, 8192 * 2 / 800
 
 
@@ -151,7 +152,7 @@ def test_a_high_speed_run_ramps_down_to_fl_after_org_even_if_org_lets_go(make, c
         chip.pins.org = False
     wait_for(chip, "fdown")
     clocks_while(chip, "fdown")
-    assert chip.clock - begin == pytest.approx(749 * 30, abs=2)
+    assert chip.clock - begin == pytest.approx(750 * 30, abs=2)
     assert period(chip) == pytest.approx(FL_PERIOD, rel=0.01)
     chip.advance(1_000_000)
     assert period(chip) == pytest.approx(FL_PERIOD, rel=0.01), "for the whole run"
@@ -295,41 +296,61 @@ def test_r17_follows_r13_at_rest(make):
 
 
 @BOTH
-def test_r17_bit_20_shows_ez_asserted_whatever_the_polarity_of_r12_bit_12(make):
-    for polarity in (0, 0x1000):
+def test_r17_bit_20_shows_ez_as_r12_bit_12_reads_its_pin(make):
+    """The pin that nobody drives is high: with positive logic that is asserted."""
+    for polarity in (0, EZ_POSITIVE):
         chip = make()
         load(chip, R12=polarity)
         for level in (False, True, False):
             chip.pins.ez = level
-            assert bool(read_back(chip, "R17") & 1 << 20) == level
+            assert bool(read_back(chip, "R17") & 1 << 20) == (level != bool(polarity))
         assert read_back(chip, "R12") == polarity
 
 
 @BOTH
-@pytest.mark.parametrize("polarity", [0, 0x1000])
-def test_the_polarity_of_ez_does_not_change_which_edge_counts(make, polarity):
-    chip = returning(make, 0x10, 1, R12=polarity)
+@pytest.mark.parametrize("polarity", [0, EZ_POSITIVE])
+def test_the_polarity_of_ez_chooses_which_edge_of_its_pin_counts(make, polarity):
+    chip = make()
+    chip.pins.ez = bool(polarity)  # not asserted, as it is read
+    load(chip, R1=50, R2=800, R4=30, R5=30, R7=2, R13=USES_EZ | 1 << 16, R12=polarity)
+    commands(chip, 0x41, 0x10)
     chip.pins.org = True
-    chip.pins.ez = True
-    chip.advance(10)
-    assert count(chip) == 0
-    chip.pins.ez = False
-    chip.advance(1000)
-    assert operating(chip)
-    assert not edge(chip)
+    chip.advance(30_000)
+    for left in (0, None):
+        chip.pins.ez = not polarity
+        chip.advance(10)
+        chip.pins.ez = bool(polarity)
+        chip.advance(1000)
+        assert operating(chip) == (left is not None)
+        assert left is None or count(chip) == left
 
 
-def test_the_org_polarity_of_the_ms_is_stored_and_shown_and_the_pin_keeps_its_meaning():
-    traces = []
+def test_a_chip_that_reads_org_the_wrong_way_round_sees_it_all_the_way_and_starts_no_return():
+    chip = begun(PCL240MS, 0x41, 0x08, R13=ORG_POSITIVE)
+    assert chip.read(0) & 0x02, "nobody drives the pin"
+    commands(chip, 0x15)
+    assert chip.advance(100_000) == 0
+    assert "ORG" in chip.diagnostics[-1].message
+    chip.pins.org = True
+    assert not chip.read(0) & 0x02
+    commands(chip, 0x15)
+    assert chip.advance(20_000) > 0
+    chip.pins.org = False
+    chip.advance(1)
+    assert not chip.advance(10_000)
+    assert chip.pins.hold
+
+
+def test_with_the_logic_of_its_sensor_a_return_ends_at_the_same_clock():
+    ends = []
     for bits in (0, ORG_POSITIVE):
-        chip = returning(PCL240MS, 0x15, 0, bits)
-        assert read_back(chip, "R13") == bits
-        chip.pins.org = True
-        assert chip.read(0) & 0x02
-        chip.advance(100)
-        assert chip.pins.hold
-        traces.append(chip.values()["R0"])
-    assert traces[0] == traces[1]
+        chip = begun(PCL240MS, 0x41, 0x08, R13=bits)
+        chip.pins.org = bool(bits)
+        commands(chip, 0x15)
+        chip.advance(30_000)
+        chip.pins.org = not bits
+        ends.append((clocks_while(chip, operating), chip.values()["R0"]))
+    assert ends[0] == ends[1]
 
 
 def test_the_org_polarity_of_the_mk_is_fixed_as_0():

@@ -14,7 +14,7 @@ OUTPUTS = ("ots", "pout", "pdir", "hold", "fdown", "fkeep", "fup", "lt", "zero",
 
 
 class Pins:
-    """Input pins are attributes to set, output pins attributes to get; True = asserted, whatever the polarity."""
+    """Input pins are attributes to set, output pins attributes to get; True = at the level that the default logic takes as asserted."""
 
     def __init__(self, chip):
         vars(self).update(dict.fromkeys(chip.INPUTS, False), _chip=chip)
@@ -35,8 +35,10 @@ class ReferencePCL240K:
     INPUTS = INPUTS
     CONTROL_BITS, SELECT_BITS, OUTPUT_BITS = 0x0F, 0x07, 0x31  # the 240K ignores D4, D5 [2]
 
-    def __init__(self):
+    def __init__(self, leader=None):
+        """leader: the chip whose SYNO is connected to this one's SYNI [5 fine points]; tick it before this one."""
         self.clock = 0
+        self.leader = leader
         self.pins = Pins(self)
         self.extp_sample = False
         self.reset()
@@ -53,6 +55,7 @@ class ReferencePCL240K:
         self.int_at_stop = self.int_pending = False
         self.phase = self.speed = self.timer = self.speed_select = 0
         self.ramp = 0  # +1 or -1: the ramp that the last tick ran
+        self.fdown_tail = 0  # clocks that FDOWN stays up after the last step of a ramp down
         self.pout_low = False
 
     # Bus [1], [2]
@@ -80,7 +83,10 @@ class ReferencePCL240K:
         """At once, so torn writes are real."""
         self.registers[number] = word & ((1 << self.WIDTHS[number]) - 1)
         if number == 7:
-            self.phase = min(self.phase, max(self.modulus - 1, 0))  # [5 fine points]
+            self._clamp_phase()
+
+    def _clamp_phase(self):
+        self.phase = min(self.phase, max(self.modulus - 1, 0))  # [5 fine points]
 
     def read(self, address):
         return self.status() if address == 0 else self._read_byte(8 * (address - 1))
@@ -117,7 +123,7 @@ class ReferencePCL240K:
         if (
             (self.preset and self.registers[0] == 0)
             or self._limit_of_direction()
-            or (self.control & 1 and self.pins.org)
+            or (self.control & 1 and self.org)
         ):
             return  # stays halted and armed [5]
         self._choose_speed(value)
@@ -125,7 +131,7 @@ class ReferencePCL240K:
 
     def _run(self):
         self.running = True
-        self.phase = self.timer = self.ramp = 0
+        self.phase = self.timer = self.ramp = self.fdown_tail = 0
         self.speed = self.registers[1] if self.ramps else self.selected_speed
 
     def _decelerating_stop(self, value):
@@ -158,6 +164,8 @@ class ReferencePCL240K:
     def tick(self):
         """Returns the direction, +1 or -1, of the pulse that begins in this clock, or 0."""
         self.clock += 1
+        if self.leader:
+            self._clamp_phase()  # Choice: a follower finds its leader's new R7 at its next tick, before anything else
         rising, self.extp_sample = self.extp_sample and not self.pins.extp, self.pins.extp
         if rising and self.external:  # at the start of a tick, running or not [5 fine points]
             self._count()
@@ -168,14 +176,14 @@ class ReferencePCL240K:
             self._origin_return()
         begun = 0
         # R7 < 2 freezes the phase, and speed 0 or R7 < 2 never completes a pulse: step 2 is skipped as a whole
-        if (self.running or self.finishing) and self.registers[7] >= 2 and self.speed > 0:
+        if (self.running or self.finishing) and self.multiplier >= 2 and self.speed > 0:
             begun = self._pulse_output()  # 2
         if self.running:
             self._speed_control()  # 3
         return begun
 
     def _origin_return(self):
-        if self.control & 1 and self.pins.org:
+        if self.control & 1 and self.org:
             self._stop()
 
     def _pulse_output(self):
@@ -210,7 +218,7 @@ class ReferencePCL240K:
             self._ramp()
         else:
             self.speed = self.selected_speed  # hence a change acts from the next tick on
-            self.ramp = 0
+            self.ramp = self.fdown_tail = 0
         if self.stop_pending and self.speed <= self.registers[1]:
             self._stop()
 
@@ -219,8 +227,12 @@ class ReferencePCL240K:
         first = direction != self.ramp  # a ramp starts when none was running or its direction changes
         self.ramp = direction
         if direction == 0:
+            self.fdown_tail = max(self.fdown_tail - 1, 0)
             return
+        self.fdown_tail = 0  # a new ramp, or a changed goal, ends it sooner
         self._ramp_clock(direction, first)
+        if direction < 0 and self.ramp_direction() == 0:
+            self.fdown_tail = self.tail_of_the_ramp()
 
     def _ramp_clock(self, direction, first):
         self.timer = 1 if first else self.timer + 1
@@ -231,6 +243,10 @@ class ReferencePCL240K:
             self.speed += direction
             self.timer = 0
 
+    def tail_of_the_ramp(self):
+        """Clocks after the last step for which FDOWN stays up [5]. Choice: R5 as it is at that step."""
+        return self.rate(-1) - 1
+
     def advance(self, clocks):
         return len(self.trace(clocks))
 
@@ -240,7 +256,9 @@ class ReferencePCL240K:
 
     # What follows from the state
 
-    modulus = property(lambda self: 8192 * self.registers[7])
+    multiplier = property(lambda self: (self.leader or self).registers[7])
+    modulus = property(lambda self: 8192 * self.multiplier)
+    org = property(lambda self: self.pins.org)  # as the chip reads it
     direction = property(lambda self: -1 if self.control & 8 else 1)
     preset = property(lambda self: bool(self.control & 4))
     external = property(lambda self: bool(self.output_mode & 0x10))
@@ -270,6 +288,8 @@ class ReferencePCL240K:
 
     def outputs(self):
         ramping = self.ramp_direction() if self.running and self.ramps else 0  # live [5 fine points]
+        if self.running and self.ramps and ramping == 0 and self.fdown_tail > 0:
+            ramping = -1
         minus, independent = self.direction < 0, self.output_mode & 1
         return {
             "ots": bool(self.output_mode & 0x20),
@@ -288,7 +308,7 @@ class ReferencePCL240K:
         """b7 .. b0 [3]."""
         out = self.outputs()
         bits = (not out["irq"], not out["hold"], out["fkeep"], out["lt"], out["zero"])
-        bits += (self._slow_down_of_direction(), self.pins.org, self.pins.ins)
+        bits += (self._slow_down_of_direction(), self.org, self.pins.ins)
         return int("".join(str(int(bit)) for bit in bits), 2)
 
     def values(self):

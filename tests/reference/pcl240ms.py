@@ -7,7 +7,7 @@ from math import isqrt
 
 from reference.pcl240 import INPUTS, ReferencePCL240K
 
-R10, R13, R14, R15, R17 = 8, 11, 12, 13, 15
+R10, R12, R13, R14, R15, R17 = 8, 10, 11, 12, 13, 15
 WORD = 0xFFFFFF
 NAMES = (*(f"R{n}" for n in range(8)), *(f"R1{n}" for n in range(8)))
 EZ_MONITOR = 0x1F0000  # bits 20..16 of R17
@@ -20,9 +20,9 @@ class ReferencePCL240MK(ReferencePCL240K):
     INPUTS = (*INPUTS, "ez")
     CONTROL_BITS, SELECT_BITS, OUTPUT_BITS = 0x3F, 0x37, 0x39
 
-    def __init__(self):
+    def __init__(self, leader=None):
         self.ez_sample = False
-        super().__init__()
+        super().__init__(leader)
 
     def reset(self):
         """Choice: collective latches are cleared too; the last sample of EZ belongs to the pin, as that of EXTP."""
@@ -71,7 +71,11 @@ class ReferencePCL240MK(ReferencePCL240K):
             return self.registers[number]
         count = self.ez_preset if self.ez_count is None else self.ez_count
         # Choice: the EZ signal is the pin at the moment of the read, not its last sample
-        return self.registers[R17] | count << 16 | self.pins.ez << 20
+        return self.registers[R17] | count << 16 | self.ez << 20
+
+    # Polarity [5 fine points]. Choice: an edge is one of the pin as the chip reads it, so a new logic makes one, too
+    org = property(lambda self: self.pins.org != bool(self.registers[R13] >> 23 & 1))
+    ez = property(lambda self: self.pins.ez != bool(self.registers[R12] >> 12 & 1))
 
     def values(self):
         """All registers by name, and the status."""
@@ -92,13 +96,13 @@ class ReferencePCL240MK(ReferencePCL240K):
         self.ez_count = None  # Choice: any stop reloads the EZ counter
 
     def tick(self):
-        # Choice: an EZ edge is released to asserted, as `pins.ez` says it
-        self.ez_edge, self.ez_sample = self.pins.ez and not self.ez_sample, self.pins.ez
+        # Choice: an EZ edge is released to asserted
+        self.ez_edge, self.ez_sample = self.ez and not self.ez_sample, self.ez
         return super().tick()
 
     def _origin_return(self):
         """[8]. Choice: once ORG has been seen the return goes on whatever is written to control D0 and R13 b21."""
-        if self.control & 1 and self.pins.org:
+        if self.control & 1 and self.org:
             if not self.registers[R13] >> 21 & 1:
                 self._stop()
                 return
@@ -176,7 +180,7 @@ class ReferencePCL240MS(ReferencePCL240MK):
         if self.speed_register == 1:
             return  # FL selected: there is no FH register to correct
         r0, r1, fh, r4 = (self.registers[n] for n in (0, 1, self.speed_register, 4))
-        r7, r14, r15 = self.registers[7], self.registers[R14] & 0xFFF, self.registers[R15]
+        r7, r14, r15 = self.multiplier, self.registers[R14] & 0xFFF, self.registers[R15]
         rates = r4 + r4
         linear_ramps = self.registers[R14] >> 12 & 1
         no_linear_part = linear_ramps or 0 in (r14, r15) or 2 * max(r14, r15) >= fh - r1
@@ -203,26 +207,63 @@ class ReferencePCL240MS(ReferencePCL240MK):
         elif self.s_curve.tick():
             self.speed += direction
 
+    def tail_of_the_ramp(self):
+        return self.s_curve.clocks_left() if self.s_curve else super().tail_of_the_ramp()
+
 
 class SCurve:
-    """One S-curve ramp [7]: the k-th step happens when c >= t(k) upwards, when c - 1 >= t(k - 1) downwards."""
+    """One S-curve ramp [7]: the k-th step happens when c >= t(k) upwards, when c - 1 >= t(k - 1) downwards.
+
+    A register revised meanwhile acts from the next step on: at that step c becomes the count at which the ramp, had it run
+    with the new values all the time, takes this very step. So the steps to come keep their distances in that ramp.
+    Choice: which registers these are (R4 or R5, R14 or R15) and K are found at the start; a rate below 2 holds the speed
+    until the next ramp.
+    """
 
     def __init__(self, chip, goal, direction):
-        self.goal, self.up = goal, direction > 0
+        self.chip, self.goal, self.up = chip, goal, direction > 0
         self.steps = abs(goal - chip.speed)  # K
-        span = 2 * (chip.registers[R14] & 0xFFF if self.up else chip.registers[R15])
-        self.span2 = span if 0 < span <= self.steps else self.steps  # 2 S
-        self.rate = chip.rate(direction)  # Choice: a latched rate of 0 or 1 holds the speed until the next ramp
+        self.rate_register = 4 if self.up or chip.ramped_down else 5
         self.c, self.k = 0, 0  # clocks, steps done
+        self.rate, self.span2 = self.values()
+
+    def values(self):
+        """Rate and 2 S by the registers now."""
+        span = 2 * (self.chip.registers[R14 if self.up else R15] & 0xFFF)
+        return self.chip.registers[self.rate_register], span if 0 < span <= self.steps else self.steps
 
     def tick(self):
         """One clock; True: the speed makes its next step."""
         self.c += 1
         if self.rate < 2:
             return False
-        due = self.reached(self.c, self.k + 1) if self.up else self.reached(self.c - 1, self.k)
-        self.k += due
-        return due
+        if not self.due(self.c, self.k + 1):
+            return False
+        self.k += 1
+        if self.values() != (self.rate, self.span2):
+            self.rate, self.span2 = self.values()
+            self.c = self.first(lambda c: self.due(c, self.k))
+        return True
+
+    def clocks_left(self):
+        """Until T."""
+        return self.first(lambda c: 2 * c >= (self.steps + self.span2) * self.rate) - self.c
+
+    def due(self, c, k):
+        """The k-th step's clock has come."""
+        return self.reached(c, k) if self.up else self.reached(c - 1, k - 1)
+
+    @staticmethod
+    def first(holds):
+        """The least count for which it holds, which once it does it does for all greater ones."""
+        high = 1
+        while not holds(high):
+            high *= 2
+        low = 0
+        while high - low > 1:
+            middle = (low + high) // 2
+            low, high = (low, middle) if holds(middle) else (middle, high)
+        return high
 
     def reached(self, c, k):
         """c >= t(k), exactly: everything is doubled, and both sides squared where a root stands."""

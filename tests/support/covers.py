@@ -21,7 +21,7 @@ def covers(chips: str, *symbols: str) -> Callable:
         @functools.wraps(test)
         def watched(*args, **kwargs):
             seen: dict[type[Chip], set[int]] = defaultdict(set)
-            with mock.patch.object(Chip, "write", _spy(seen)):
+            with mock.patch.object(Chip, "_write", _spy(seen)):
                 test(*args, **kwargs)
             written = {cls: seen[cls] for cls in codes if cls in seen}
             assert written, f"this test claims to cover commands of {chips} and wrote none"
@@ -37,12 +37,12 @@ def covers(chips: str, *symbols: str) -> Callable:
 
 
 def _spy(seen: dict[type[Chip], set[int]]) -> Callable:
-    """`Chip.write`, but the codes of the commands written are noted: words at address 0, bytes at 16 of an 8-bit bus."""
-    write = Chip.write
+    """`Chip._write`, but the codes of the commands written are noted: words at address 0, bytes at 16 of an 8-bit bus."""
+    write = Chip._write
 
-    def spy(self, address, value):
+    def spy(self, address, value, given):
         if int(address) in (0, 16) and not int(value) & 0xF000:
             seen[type(self)].add(int(value) & 0xFF)
-        return write(self, address, value)
+        return write(self, address, value, given)
 
     return spy

@@ -41,6 +41,8 @@ class HCTL1100(Chip):
     IN_POSITION: ClassVar = 10.0  # counts: a filter without an integral holds a weight by an error
     READING_ACTS: ClassVar = frozenset({ACTUAL_LOW})
     DEFAULT_CLOCK_HZ: ClassVar = 2_000_000
+    CLOCK_RANGE: ClassVar = (100_000, 2_000_000)
+    CLOCK_SOURCE: ClassVar = "AC characteristics"
     ADDRESSES: ClassVar = ADDRESSES
     BUSY: ClassVar = (STATUS, MAP.mask("R07", "profile"))
     COUNTER: ClassVar = ("R14", 24)
@@ -115,14 +117,6 @@ class HCTL1100(Chip):
         """The command position as a raw count of the encoder: there `encoder` is when the actual position is the command position.
         The chip makes no pulses."""
         return core.net.held(self.pointer, 0)
-
-    def write(self, address: int, value: int) -> None:
-        """One bus write cycle. Never raises: the address acts modulo 64, the value modulo 256, mistakes go to `diagnostics`."""
-        super().write(address, value)
-        at = int(address) & self.ADDRESS_MASK
-        if at != address:
-            said = f"address {int(address):02X}h acts as {at:02X}h: six bits"
-            self.diagnose(self.clock, at, int(value) & self.DATA_MASK, said, "bus")
 
     def values(self) -> dict[str, int]:
         return {r.name: core.value.held(self.pointer, r.number) for r in self.MAP.registers}

@@ -31,6 +31,8 @@ class Nova(Chip):
     WIRING: ClassVar = {"el_plus": "lmt_plus", "el_minus": "lmt_minus", "org": "stop1", "ez": "stop2"}
     PHASES: ClassVar = {"asnd": "up", "cnst": "keep", "dsnd": "down"}
     DEFAULT_CLOCK_HZ: ClassVar = 16_000_000
+    CLOCK_RANGE: ClassVar = (1, 16_000_000)
+    CLOCK_SOURCE: ClassVar = "AC characteristics, CLK"
     ADDRESSES: ClassVar = 8
     DATA_MASK: ClassVar = 0xFFFF
     BUSY: ClassVar = (0, 1)
@@ -46,7 +48,7 @@ class Nova(Chip):
         record["variant"], record["axes"] = self.VARIANT, self.AXES
 
     def write(self, address: int, value: int) -> None:
-        super().write(int(address) & 7, value)
+        self._write(int(address) & 7, int(value) & self.DATA_MASK, (address, value))
 
     def read(self, address: int) -> int:
         return super().read(int(address) & 7)
@@ -126,6 +128,7 @@ class MCX514(Nova):
     """NOVA MCX514: four axes, interpolation, synchronous actions."""
 
     MAP: ClassVar = MCX514_MAP
+    CLOCK_RANGE: ClassVar = (1, 20_000_000)
     VARIANT: ClassVar = state.MCX514_TYPE
     DRIVER: ClassVar = "stage.firmware.nova.mcx514:Mcx514Driver"
     READING_ACTS: ClassVar = frozenset({1, BYTES | 2, BYTES | 3})  # RR1, the interrupt factors
@@ -135,7 +138,8 @@ class MCX514(Nova):
 
     def write_byte(self, address: int, value: int) -> None:
         """A write cycle of the 8-bit bus. Byte addresses: 0 low byte of WR0, 1 its high byte, to 15; the low byte of WR0 acts."""
-        Chip.write(self, BYTES | int(address) & 15, int(value) & 0xFF)
+        at, byte = int(address) & 15, int(value) & 0xFF
+        self._write(BYTES | at, byte, (BYTES | at if at == address else address, value))
 
     def read_byte(self, address: int) -> int:
         """A read cycle of the 8-bit bus."""

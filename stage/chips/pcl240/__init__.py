@@ -24,6 +24,7 @@ from stage.chips.pcl240.maps import (
 
 __all__ = ["OPERATING_MODE", "STATUS", "PCL240", "PCL240K", "PCL240MK", "PCL240MS"]
 
+LONGEST_MOVE = 1 << 42
 LONGEST_WAIT = 1 << 26
 """Clocks: a start waits no longer for its first pulse, be it a step of R4 = 65535 from speed 0 and 8192 R7 clocks at speed 1."""
 
@@ -40,6 +41,8 @@ class PCL240(Chip):
     IRQ: ClassVar = (0, core.OUTPUTS["irq"])
     DRIVER: ClassVar = "stage.firmware.pcl240.driver:Pcl240Driver"
     DEFAULT_CLOCK_HZ: ClassVar = 4_915_200
+    CLOCK_RANGE: ClassVar = (1, 8_064_516)
+    CLOCK_SOURCE: ClassVar = "section 1-5, clock cycle of 124 ns or more"
     BUSY: ClassVar = (0, state.S_OPERATING)
     COUNTER: ClassVar = ("R0", 24)
     READING_ACTS: ClassVar = frozenset({3})  # latches the register in collective mode
@@ -84,13 +87,24 @@ class PCL240(Chip):
 
     def mistake(self, address: int, value: int) -> lint.Note | None:
         c = self._plain
-        return lint.data(self.MAP, c, address, value) if address else lint.command(self.MAP, c, self._moves, value)
+        return lint.data(self.MAP, c, address, value) if address else lint.command(self.MAP, c, self._foresight, value)
+
+    @property
+    def _foresight(self) -> lint.Foresight:
+        return lint.Foresight(self._moves, self._last_speed, self.clock_hz)
 
     def _moves(self, command: int) -> bool:
         """Do pulses come of this command, if nobody interferes?"""
         twin = copy.deepcopy(self._rows[self._i : self._i + 1])
         core.write(twin, 0, command)
         return bool(core.advance(twin, self.clock + LONGEST_WAIT) > 0)
+
+    def _last_speed(self, command: int) -> int | None:
+        """Speed steps at the end of the run that this command begins, if nobody interferes; None if it goes on."""
+        twin = copy.deepcopy(self._rows[self._i : self._i + 1])
+        core.write(twin, 0, command)
+        core.advance(twin, self.clock + LONGEST_MOVE)
+        return None if core.busy(twin, 0) else int(twin[0]["speed"])
 
 
 class PCL240K(PCL240):

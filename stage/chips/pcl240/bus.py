@@ -35,6 +35,7 @@ from stage.chips.pcl240.state import (
     POUT,
     PRESET,
     R10,
+    R12,
     R13,
     R14,
     R15,
@@ -58,15 +59,16 @@ from stage.chips.pcl240.state import (
     STOP,
     ZERO,
     begin,
+    read_pins,
     stop,
 )
-from stage.native import greatest, hot, least
+from stage.native import hot
 
 
 @hot
 def blocked(c):
     """A limit switch of the direction, or ORG during origin return."""
-    return c.inputs & (EL_MINUS if c.minus else EL_PLUS) or (c.origin and c.inputs & ORG)
+    return c.seen & (EL_MINUS if c.minus else EL_PLUS) or (c.origin and c.seen & ORG)
 
 
 @hot
@@ -104,8 +106,8 @@ def _operate(c, value):
 def _store(c, k, value):
     """Register `k` takes a new value, masked."""
     c.reg[k] = c.reg[k] & ~c.mask[k] | value & c.mask[k]
-    if k == 7:
-        c.phase = least(c.phase, greatest(8192 * c.reg[7] - 1, 0))
+    if k in (7, R12, R13):
+        read_pins(c)
     if c.running and (k in (1, 4, 5, R14, R15)):
         c.manual = 1
 
@@ -155,7 +157,7 @@ def register(c, k):
     """What register `k` reads as."""
     if k == R17 and c.extended:
         count = c.ez_left if c.ez_running else c.reg[R13] >> EZ_COUNT & EZ_MOST
-        return c.reg[R17] | count << EZ_COUNT | (EZ_SIGNAL if c.inputs & EZ else 0)
+        return c.reg[R17] | count << EZ_COUNT | (EZ_SIGNAL if c.seen & EZ else 0)
     return c.reg[k]
 
 
@@ -164,8 +166,10 @@ def outputs(c):
     """The output pins, a bit mask of OUTPUTS; set = asserted (active-low pins: low)."""
     word = 0 if c.running or c.finishing else HOLD
     goal = goal_speed(c)
-    if not c.running or not c.ramps or c.speed == goal:
+    if not c.running or not c.ramps:
         word |= FKEEP
+    elif c.speed == goal:
+        word |= FDOWN if c.clock < c.fall else FKEEP
     elif c.speed < goal:
         word |= FUP
     else:
@@ -198,11 +202,11 @@ def _status(c):
         status |= S_LT
     if word & ZERO:
         status |= S_ZERO
-    if c.inputs & (SD_MINUS if c.minus else SD_PLUS):
+    if c.seen & (SD_MINUS if c.minus else SD_PLUS):
         status |= S_SD
-    if c.inputs & ORG:
+    if c.seen & ORG:
         status |= S_ORG
-    if c.inputs & INS:
+    if c.seen & INS:
         status |= S_INS
     return status
 

@@ -18,6 +18,8 @@ from stage.chips.pcl240.state import (
     PULSE,
     S_OPERATING,
     STATE,
+    SYNI,
+    read_pins,
     reset,
 )
 from stage.native import array_of, exported, greatest, hot, least
@@ -57,7 +59,11 @@ def inputs(c, j):
 @exported(None, STATE, "i8", "i8")
 def set_input(c, j, word):
     """Set the input pins, see INPUTS."""
+    multiplier = c.multiplier
     c.inputs = word
+    read_pins(c)
+    if c.multiplier != multiplier:
+        c.quiet = 0
 
 
 @exported("i8", STATE, "i8")
@@ -87,8 +93,8 @@ def outputs(c, j):
 @exported("f8", STATE, "i8", "f8")
 def pulse_rate(c, j, hz):
     """Output frequency now, pulses per second (data sheet section 4, R7)."""
-    if (c.running or c.finishing) and c.reg[7] >= 2:
-        return c.speed * hz / (8192.0 * c.reg[7])
+    if (c.running or c.finishing) and c.multiplier >= 2:
+        return c.speed * hz / (8192.0 * c.multiplier)
     return 0.0
 
 
@@ -103,7 +109,7 @@ def drive_input(c, j, before, ticks):
         return float(c.net)
     if not (c.running or c.finishing) or c.speed == 0:
         return 0.5 * (before + c.net)
-    ago = n * c.phase + 4096.0 * c.reg[7] * n * (n - 1)  # x speed
+    ago = n * c.phase + 4096.0 * c.multiplier * n * (n - 1)  # x speed
     missing = n - least(
         ago / (c.speed * ticks), float(n)
     )  # pulses x the part of the time in which they were still to come
@@ -121,14 +127,14 @@ def _log(c, out, k, clock, word, r0, net):
     e = out[k]
     e.clock, e.outputs, e.inputs, e.counter, e.net = clock, word, c.inputs, r0, net
     e.speed = c.speed if c.running or c.finishing else 0
-    e.rate = e.speed / (8192.0 * c.reg[7]) if c.reg[7] >= 2 else 0.0
+    e.rate = e.speed / (8192.0 * c.multiplier) if c.multiplier >= 2 else 0.0
     return k + 1
 
 
 @hot
 def _log_pulses(c, out, k, clock, phase, low, s, pulses, base, r0, net):
     """POUT's edges within a span of `s` ticks with `pulses` pulses that began at `clock` with `phase` and `low`."""
-    m = 8192 * c.reg[7]
+    m = 8192 * c.multiplier
     bit = _pulse_bit(c)
     way = -1 if c.minus else 1
     own = 0 if c.output & EXTERNAL else 1
@@ -158,13 +164,13 @@ def scan(c, until, every_pulse, axis, out):
     `every_pulse`. Returns how many; stops early when `out` is almost full: look at the clock and call again."""
     k = 0
     while c.clock < until and k < len(out) - 8:
-        if not (c.running or c.finishing) and c.inputs == c.sampled:
+        if not (c.running or c.finishing) and c.seen == c.sampled:
             c.clock = until
             break
         n = until - c.clock
-        pulsing = every_pulse and c.speed > 0 and c.reg[7] >= 2
+        pulsing = every_pulse and c.speed > 0 and c.multiplier >= 2
         if pulsing:
-            n = least(n, greatest(1, (len(out) - 8 - k) // 2 * 4096 * c.reg[7] // c.speed))
+            n = least(n, greatest(1, (len(out) - 8 - k) // 2 * 4096 * c.multiplier // c.speed))
         clock, phase, low, r0, net, total = c.clock, c.phase, c.low, c.reg[0], c.net, c.total
         speed, word, bit = c.speed, output_word(c), _pulse_bit(c)
         s = span(c, n)
@@ -224,7 +230,7 @@ def trace(c, until, out):
     """As advance, and fills `out` (PULSE records) with the pulses; `out` is long enough. Returns how many."""
     k = 0
     while c.clock < until:
-        if not (c.running or c.finishing) and c.inputs == c.sampled:
+        if not (c.running or c.finishing) and c.seen == c.sampled:
             c.clock = until
             break
         clock, phase, total, net = c.clock, c.phase, c.total, c.net
@@ -232,7 +238,7 @@ def trace(c, until, out):
         span(c, until - c.clock)
         n = c.total - total
         if n:
-            m = 8192 * c.reg[7]
+            m = 8192 * c.multiplier
             way = 1 if c.net > net else -1
             t = -((phase - m) // speed)
             rest = phase + t * speed - m  # phase just after the pulse began, < speed

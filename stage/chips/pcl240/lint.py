@@ -1,14 +1,14 @@
 """Mistakes in bus writes by the PCL-240 data sheets: (message, section of the data sheet), or None.
 
-`map_` is the chip's register map, `c` its record before the write, with access by name; `moves` is whether the command, without
-further writes, leads to pulses.
+`map_` is the chip's register map, `c` its record before the write, with access by name.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
+from stage.chips.chip import Limit
 from stage.chips.pcl240.maps import WRITTEN
 from stage.chips.pcl240.state import (
     EL_MINUS,
@@ -23,6 +23,7 @@ from stage.chips.pcl240.state import (
     LINEAR,
     MAP,
     ORG,
+    ORG_POSITIVE,
     R13,
     R14,
     R15,
@@ -31,15 +32,32 @@ from stage.chips.pcl240.state import (
     SPEED,
     START,
     STOP,
+    SYNI,
+    UNCORRECTED,
 )
 from stage.chips.register_map import RegisterMap
 
 Note = tuple[str, str]
+MOST_PPS = 245_730
+"""Of the output: 8191 steps of 30 pps, the greatest multiplier (sheet, sections 1 and 4)."""
+FAR_ABOVE = 0.1
+"""A run that stops above FL by more than this part of its whole ramp is noted."""
 _SECTIONS = {"control": "section 3 b", "select": "section 3 c", "output": "section 3 d"}
 _SPEEDS = MAP.field("operate", "speed").values
 _FH = {FH1: 2, FH2: 3}
 """The register of a speed select; R1 of any other."""
 _RAMPING = ("R1", "R4", "R5", "R14", "R15")
+
+
+class Foresight(NamedTuple):
+    """What a command leads to, if nobody interferes."""
+
+    moves: Callable[[int], bool]
+    """Do pulses come of it?"""
+    last_speed: Callable[[int], int | None]
+    """The speed steps of the run at its end; None if it does not end."""
+    hz: int
+    """The reference clock."""
 
 
 def data(map_: RegisterMap, c: Any, address: int, value: int) -> Note | None:
@@ -75,7 +93,7 @@ def data(map_: RegisterMap, c: Any, address: int, value: int) -> Note | None:
     return None
 
 
-def command(map_: RegisterMap, c: Any, moves: Callable[[int], bool], value: int) -> Note | None:
+def command(map_: RegisterMap, c: Any, foresight: Foresight, value: int) -> Note | None:
     """A byte to address 0."""
     name = WRITTEN[value & GROUP]
     if where := _SECTIONS.get(name):
@@ -86,10 +104,26 @@ def command(map_: RegisterMap, c: Any, moves: Callable[[int], bool], value: int)
         return None
     if value & SPEED not in _SPEEDS:
         return f"speed select {value & SPEED:02b} in {value:02X}h is in no table; it acts as FL", "section 3 a"
-    return None if c["running"] else _start(c, moves, value)
+    said = None if c["running"] else _start(c, foresight, value)
+    return said or _too_fast(c, foresight.hz, value)
 
 
-def _start(c: Any, moves: Callable[[int], bool], value: int) -> Note | None:
+def _too_fast(c: Any, hz: int, value: int) -> Note | None:
+    """The speed that a start or a speed change asks for, against what the silicon is sold for."""
+    multiplier = int(c["multiplier"])
+    k = max([1, _FH.get(value & SPEED, 1)] if value & RAMP else [_FH.get(value & SPEED, 1)], key=lambda k: c["reg"][k])
+    steps = int(c["reg"][k])
+    if multiplier < 2 or steps * hz <= MOST_PPS * 8192 * multiplier:
+        return None
+    pps, unit = steps * hz / (8192 * multiplier), hz / (8192 * multiplier)
+    return Limit(
+        f"output above {MOST_PPS:,} pps, the most of this chip: R{k} = {steps} asks for {pps:,.0f} pps with R7 = {multiplier}, "
+        f"a multiplier of {unit:g} (30 at most reaches every speed)",
+        "section 1",
+    )
+
+
+def _start(c: Any, foresight: Foresight, value: int) -> Note | None:
     if c["finishing"]:
         return "start while the last pulse is still being completed is ignored: poll status bit 6", "Q & A"
     if not c["armed"]:
@@ -97,13 +131,18 @@ def _start(c: Any, moves: Callable[[int], bool], value: int) -> Note | None:
     r = [int(v) for v in c["reg"]]
     if c["preset"] and r[0] == 0:
         return "start in preset mode with R0 = 0: no pulse, no /INT", "section 4 R0"
-    if c["inputs"] & (EL_MINUS if c["minus"] else EL_PLUS):
+    if c["seen"] & (EL_MINUS if c["minus"] else EL_PLUS):
         return "start towards an asserted limit switch: no pulse comes; drive the other way", "pins 23 and 24"
-    if c["origin"] and c["inputs"] & ORG:
-        return "origin return that starts on ORG: no pulse comes; leave ORG first", "section 5 f"
-    if r[7] < 2:
-        return f"start with R7 = {r[7]}: no pulse comes; the multiplier does not operate unless it is set", "Q & A"
-    if standing := _standing(r, value, moves):
+    if c["origin"] and c["seen"] & ORG:
+        turned = ", or clear R13 bit 23, which reads a high pin as ORG" if r[R13] & ORG_POSITIVE else ""
+        return f"origin return that starts on ORG: no pulse comes; leave ORG first{turned}", "section 5 f"
+    if c["multiplier"] < 2:
+        whose = " of the chip at SYNI" if c["inputs"] >> SYNI else ""
+        return (
+            f"start with R7{whose} = {c['multiplier']}: no pulse comes; the multiplier does not operate unless it is set",
+            "Q & A",
+        )
+    if standing := _standing(r, value, foresight.moves):
         return standing
     if value & RAMP and min(r[4], r[5]) < 2:
         return f"high-speed start with R4 = {r[4]}, R5 = {r[5]}: rates below 2 hold the speed", "section 4 R4"
@@ -111,7 +150,30 @@ def _start(c: Any, moves: Callable[[int], bool], value: int) -> Note | None:
         return None
     if c["origin"] and not r[R13] & EZ_RETURN and r[R13] & (EZ_MOST << EZ_COUNT | EZ_FROM_FL):
         return "R13 counts EZ, but its bit 21 is 0: the origin return ends at ORG", "MS section 2-4"
-    return _ramps(c, r, value & SPEED) if value & RAMP else None
+    if not value & RAMP:
+        return None
+    return _ramps(c, r, value & SPEED) or _triangle(c, r, value, foresight)
+
+
+def _triangle(c: Any, r: list[int], value: int, foresight: Foresight) -> Note | None:
+    """An S-curve move that is too short for its FH, which nobody corrects, and stops above FL."""
+    fh, corrected = _FH.get(value & SPEED), c["automatic"] and not r[R14] & UNCORRECTED
+    if not fh or not c["s_curves"] or r[R14] & LINEAR or not c["preset"] or corrected or r[fh] <= r[1]:
+        return None
+    height = r[fh] - r[1]
+    up, down = (s if 0 < 2 * s < height else height / 2 for s in (r[R14] & SPAN, r[R15] & SPAN))
+    ramps = (height + 2 * up) * r[4] + (height + 2 * down) * r[4 if c["automatic"] else 5]
+    if r[0] * 32768 * int(c["multiplier"]) > (r[1] + r[fh]) * ramps:
+        return None
+    last = foresight.last_speed(value)
+    if last is None or last - r[1] <= FAR_ABOVE * height:
+        return None
+    last_pps, fl_pps = (k * foresight.hz / (8192 * int(c["multiplier"])) for k in (last, r[1]))
+    why = "FH correction is off (R14 bit 15)" if c["automatic"] else "there is no FH correction without the automatic point"
+    return (
+        f"R0 = {r[0]} is too short for R{fh} = {r[fh]}, and {why}: it stops at {last_pps:,.0f} pps, FL is {fl_pps:,.0f} pps",
+        "MS section 3-4",
+    )
 
 
 def _standing(r: list[int], value: int, moves: Callable[[int], bool]) -> Note | None:
@@ -148,7 +210,7 @@ def _ramps(c: Any, r: list[int], select: int) -> Note | None:
             )
         return None
     offset = r[6] - 2 * int(c["top_bit"]) if r[6] & int(c["top_bit"]) else r[6]
-    rising = (r[1] + r[fh]) * (height + 2 * up if up else 2 * height) * r[4] // (32768 * r[7])
+    rising = (r[1] + r[fh]) * (height + 2 * up if up else 2 * height) * r[4] // (32768 * int(c["multiplier"]))
     if offset < 0 and -offset >= min(r[0], rising):
         return f"R6 = {offset} as offset: the move ends before the automatic ramp-down begins", "MS section 3-4"
     if not linear and (up or height / 2) < (down or height / 2):

@@ -2,7 +2,7 @@
 
 Between two events the speed is constant, so phase, pulses and R0 follow in closed form from exact integers:
 
-    phase(n) = phase + n speed        pulses = phase(n) // M        M = 8192 R7        POUT low while phase < M / 2
+    phase(n) = phase + n speed        pulses = phase(n) // M        M = 8192 R7, of the leader if SYNI is connected        POUT low while phase < M / 2
 
     phase   0 ... M/2 ... M=0          M/2            M=0
     POUT    |_________|-----------------|_________|-------      low is asserted; the pulse is counted where it begins
@@ -17,7 +17,7 @@ the normative model: 1 limit switches, 2 pulse, 3 speed.
 from __future__ import annotations
 
 from stage.chips.pcl240.bus import blocked
-from stage.chips.pcl240.ramp import NEVER, goal_speed, linear_rate, margin, next_step, step_speed, until_step, watching
+from stage.chips.pcl240.ramp import NEVER, goal_speed, linear_rate, margin, step_speed, took_step, until_step, watching
 from stage.chips.pcl240.state import (
     COUNTER_MASK,
     EL_MINUS,
@@ -45,22 +45,22 @@ FOREVER = 1 << 62
 def _sample(c):
     """What a changed input does at the tick that first sees it: EXTP counts on its rising edge. Returns the pins that
     have become asserted."""
-    struck = c.inputs & ~c.sampled
-    if c.sampled & EXTP and not c.inputs & EXTP and c.output & EXTERNAL:
+    struck = c.seen & ~c.sampled
+    if c.sampled & EXTP and not c.seen & EXTP and c.output & EXTERNAL:
         c.reg[0] = (c.reg[0] - 1) & COUNTER_MASK
         if c.running and c.preset and c.reg[0] == 0:
             stop(c)
-    c.sampled = c.inputs
+    c.sampled = c.seen
     return struck
 
 
 @hot
 def _obey_switches(c, struck):
     """Step 1 where it has something to do: a limit, or ORG, and with an EZ return what comes after ORG."""
-    if c.inputs & (EL_MINUS if c.minus else EL_PLUS):
+    if c.seen & (EL_MINUS if c.minus else EL_PLUS):
         stop(c)
         return
-    if c.origin and c.inputs & ORG:
+    if c.origin and c.seen & ORG:
         if not (c.extended and c.reg[R13] & EZ_RETURN):
             stop(c)
             return
@@ -80,8 +80,8 @@ def _obey_switches(c, struck):
 def _finish(c, n):
     """Ticks of a chip that is not running: complete the last pulse, or idle."""
     s = n
-    if c.finishing and c.speed > 0 and c.reg[7] >= 2:
-        half = 4096 * c.reg[7]
+    if c.finishing and c.speed > 0 and c.multiplier >= 2:
+        half = 4096 * c.multiplier
         s = greatest(1, -((c.phase - half) // c.speed))
         if s > n:
             s = n
@@ -97,7 +97,7 @@ def _finish(c, n):
 def span(c, n):
     """Run at least one and at most `n` ticks, up to the next event; returns the ticks run."""
     ran, c.quiet = c.running, 0
-    struck = _sample(c) if c.inputs != c.sampled else 0
+    struck = _sample(c) if c.seen != c.sampled else 0
     if c.running and (c.homing or blocked(c)):
         _obey_switches(c, struck)
     if not c.running:  # a stop has its own tick, so that `scan` sees the edge of HOLD there and not after the idle ones
@@ -109,8 +109,8 @@ def span(c, n):
         c.quiet = _next_event(c, own)
     s = least(n, s)
     pulses = 0
-    if c.reg[7] >= 2 and c.speed > 0:
-        m = 8192 * c.reg[7]
+    if c.multiplier >= 2 and c.speed > 0:
+        m = 8192 * c.multiplier
         ahead = c.phase + s * c.speed
         pulses = ahead // m
         if pulses:
@@ -159,9 +159,9 @@ def _pulses_to_event(c, own):
 def _next_event(c, own):
     """At constant speed: the clock before that of the next pulse that is an event."""
     far = _pulses_to_event(c, own)
-    if far == NEVER or c.speed == 0 or c.reg[7] < 2:
+    if far == NEVER or c.speed == 0 or c.multiplier < 2:
         return FOREVER
-    return c.clock + (far * 8192 * c.reg[7] - c.phase - 1) // c.speed
+    return c.clock + (far * 8192 * c.multiplier - c.phase - 1) // c.speed
 
 
 @hot
@@ -169,9 +169,9 @@ def _cruise(c, until):
     """Run up to `until`, while all is quiet: what `_span` would do, without its questions."""
     ahead = c.phase + (until - c.clock) * c.speed
     c.clock = until
-    if c.reg[7] < 2 or c.speed == 0:  # a pulse in progress never ends
+    if c.multiplier < 2 or c.speed == 0:  # a pulse in progress never ends
         return
-    m = 8192 * c.reg[7]
+    m = 8192 * c.multiplier
     pulses = 0
     if ahead >= m:
         pulses = 1 if ahead < 2 * m else ahead // m
@@ -188,14 +188,14 @@ def _climb(c, until):
     """Take the steps of a ramp, but not its last, that come up to `until` and before anything else happens."""
     goal, way = goal_speed(c), c.ramp
     rate, last = linear_rate(c, way), goal - way
-    if c.rising != (1 if way > 0 else 0) or (last - c.speed) * way <= 0 or rate < 2 or c.reg[7] < 2:
+    if c.rising != (1 if way > 0 else 0) or (last - c.speed) * way <= 0 or rate < 2 or c.multiplier < 2:
         return
     if blocked(c) or c.homing or (c.decel and c.speed <= c.reg[1]) or (not c.down and watching(c)):
         return
     if c.curved and c.goal != goal:
         return
     own = not c.output & EXTERNAL
-    m, far, begun = 8192 * c.reg[7], _pulses_to_event(c, own), 0
+    m, far, begun = 8192 * c.multiplier, _pulses_to_event(c, own), 0
     clock, phase, speed = c.clock, c.phase, c.speed
     wait = (c.next if c.curved else rate) - c.timer
     while speed != last and 0 < wait <= until - clock:
@@ -211,8 +211,7 @@ def _climb(c, until):
         speed += way
         if c.curved:
             c.timer = c.next
-            c.step += 1
-            next_step(c)
+            took_step(c)
             wait = c.next - c.timer
         else:
             c.timer = 0
@@ -245,7 +244,7 @@ def _count(c, pulses, own):
 def run(c, until):
     """Let the chip's clock run up to `until`."""
     while c.clock < until:
-        if c.inputs != c.sampled:
+        if c.seen != c.sampled:
             span(c, until - c.clock)
         elif c.quiet >= until:
             _cruise(c, until)

@@ -1,6 +1,6 @@
 """PCL-240 family, compiled: step 3 of a tick. The speed to be reached, and the tick of the next speed step.
 
-A linear ramp takes a step every R4 or R5 clocks. An S-curve ramp of K steps with curved ends of S steps each takes its
+A linear ramp takes a step every R4 or R5 clocks. A ramp down is over, and FDOWN falls, R5 - 1 clocks after its last step. An S-curve ramp of K steps with curved ends of S steps each takes its
 k-th step at t(k) clocks after its start:
 
     rate sqrt(k S)                    k <= S            from rest: the acceleration grows with time
@@ -35,7 +35,7 @@ def selected_speed(c):
 @hot
 def slowed(c):
     """SD enabled and the SD switch of the direction asserted."""
-    return c.sd_enable and c.inputs & (SD_MINUS if c.minus else SD_PLUS)
+    return c.sd_enable and c.seen & (SD_MINUS if c.minus else SD_PLUS)
 
 
 @hot
@@ -86,7 +86,7 @@ def correct_top(c):
     low, high, rate = c.reg[1], selected_speed(c), c.reg[4]
     if not (c.s_curves and watching(c) and (c.select == FH1 or c.select == FH2) and rate) or c.reg[R14] & UNCORRECTED:
         return
-    way = c.reg[0] * c.reg[7]
+    way = c.reg[0] * c.multiplier
     a, b = c.reg[R14] & SPAN, c.reg[R15] & SPAN
     s, m = a + b, greatest(a, b)
     whole = c.reg[R14] & LINEAR or a == 0 or b == 0 or 2 * m >= high - low
@@ -119,10 +119,16 @@ def _start_ramp(c, goal, way):
     if c.curved:
         c.steps = abs(goal - c.speed)
         c.step = 0
-        span = c.reg[R14 if way > 0 else R15] & SPAN
-        c.twice_span = c.steps if span == 0 or 2 * span > c.steps else 2 * span
-        c.rate = linear_rate(c, way)
+        c.rate_place = 4 if way > 0 or c.down else 5
+        c.rate, c.twice_span = c.reg[c.rate_place], _twice_span(c)
         next_step(c)
+
+
+@hot
+def _twice_span(c):
+    """2 S by R14, R15 as they are now."""
+    span = c.reg[R14 if c.ramp > 0 else R15] & SPAN
+    return c.steps if span == 0 or 2 * span > c.steps else 2 * span
 
 
 @hot
@@ -134,12 +140,36 @@ def linear_rate(c, way):
 @hot
 def next_step(c):
     """When the S-curve takes its next step: upwards the k-th at t(k), downwards a clock after t(k - 1)."""
-    if c.rate < 2:
-        c.next = NEVER
-    elif c.ramp > 0:
-        c.next = _curve_time(c, c.step + 1)
-    else:
-        c.next = 1 + (_curve_time(c, c.step) if c.step else 0)
+    c.next = NEVER if c.rate < 2 else _step_time(c, c.step + 1)
+
+
+@hot
+def _step_time(c, k):
+    if c.ramp > 0:
+        return _curve_time(c, k)
+    return 1 + (_curve_time(c, k - 1) if k > 1 else 0)
+
+
+@hot
+def took_step(c):
+    """The S-curve has made a step. Registers that were revised since the last act from here on: the count of the ramp's clocks
+    becomes the one at which the ramp, had it run with the new values all the time, makes this very step."""
+    c.step += 1
+    double = _twice_span(c)
+    if c.reg[c.rate_place] != c.rate or double != c.twice_span:
+        c.rate, c.twice_span = c.reg[c.rate_place], double
+        if c.rate:
+            c.timer = _step_time(c, c.step)
+    if c.step < c.steps:
+        next_step(c)
+
+
+@hot
+def _tail(c):
+    """Clocks for which FDOWN stays up after the last step of a ramp down, which ends as it would take another step: Tsd."""
+    if not c.curved:
+        return linear_rate(c, -1) - 1
+    return ((c.steps + c.twice_span) * c.rate + 1) // 2 - c.timer if c.rate else 0
 
 
 @hot
@@ -153,7 +183,7 @@ def until_step(c, goal):
     if not c.down and watching(c) and margin(c) <= 0:
         return 1
     if speed == goal:
-        return NEVER
+        return c.fall - c.clock if c.clock < c.fall else NEVER
     if c.ramp != (1 if speed < goal else -1):
         return 1
     if c.curved:
@@ -168,7 +198,7 @@ def step_speed(c):
     c.rising = 0
     if not c.ramps:
         c.speed = selected_speed(c)
-        c.ramp = 0
+        c.ramp = c.fall = 0
         return
     if not c.down and watching(c) and margin(c) <= 0:
         c.down = 1
@@ -178,6 +208,7 @@ def step_speed(c):
     else:
         way = 1 if c.speed < goal else -1
         c.rising = 1 if way > 0 else 0
+        c.fall = 0
         first = c.ramp != way or (c.curved and c.goal != goal)
         if first:
             _start_ramp(c, goal, way)
@@ -185,13 +216,13 @@ def step_speed(c):
         if c.curved:
             if c.timer >= c.next:
                 c.speed += way
-                c.step += 1
-                if c.step < c.steps:
-                    next_step(c)
+                took_step(c)
         else:
             rate = linear_rate(c, way)
             if rate >= 2 and (c.timer >= rate or (first and way < 0)):
                 c.speed += way
                 c.timer = 0
+        if way < 0 and c.speed == goal:
+            c.fall = c.clock + _tail(c)
     if c.decel and c.speed <= c.reg[1]:
         stop(c)

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from stage.chips.pcl240.maps import PCL240MS_MAP as MAP
-from stage.native import hot, record
+from stage.native import greatest, hot, least, record
 
 REGISTERS = len(MAP.registers)
 _PLACES = {r.name: k for k, r in enumerate(MAP.registers)}
-R10, R13, R14, R15, R17 = (_PLACES[name] for name in ("R10", "R13", "R14", "R15", "R17"))
+R10, R12, R13, R14, R15, R17 = (_PLACES[name] for name in ("R10", "R12", "R13", "R14", "R15", "R17"))
 """Places in `reg`: R0 to R7, then R10 to R17 (octal numbers). R0 to R7 are at home under their own number."""
 COUNTER_MASK = MAP.register("R0").mask
 
@@ -27,7 +27,8 @@ S_NO_INT, S_OPERATING, S_FKEEP, S_LT, S_ZERO, S_SD, S_ORG, S_INS = MAP.masks(
     "status", "no_int", "operating", "fkeep", "lt", "zero", "sd", "org", "ins"
 )
 LINEAR, UNCORRECTED, SPAN = MAP.masks("R14", "linear", "uncorrected", "span")  # SPAN of R15, too
-EZ_RETURN, EZ_FROM_FL = MAP.masks("R13", "ez_return", "ez_from_fl")
+EZ_RETURN, EZ_FROM_FL, ORG_POSITIVE = MAP.masks("R13", "ez_return", "ez_from_fl", "org_logic")
+EZ_POSITIVE = MAP.mask("R12", "ez_logic")
 EZ_COUNT = MAP.bit("R13", "ez_count")  # of R17, too
 EZ_MOST = MAP.mask("R13", "ez_count") >> EZ_COUNT
 EZ_SIGNAL = MAP.mask("R17", "ez")
@@ -64,8 +65,10 @@ STATE = record(
         ("middle", "i8"),  # bits 15..8, wait for the lowest byte
         ("latch", "i8"),  # the register as the high byte's read found it
         # pins, pulses
-        ("inputs", "i8"),  # INPUTS now
-        ("sampled", "i8"),  # INPUTS at the last clock
+        ("inputs", "i8"),  # INPUTS now, and what SYNI brings
+        ("seen", "i8"),  # INPUTS as the chip reads them: R12 and R13 turn EZ and ORG round
+        ("sampled", "i8"),  # the same at the last clock
+        ("multiplier", "i8"),  # R7, of the leader where SYNI is connected
         ("total", "i8"),  # pulses begun ever
         ("net", "i8"),  # the same, plus minus minus
         # the S-curve ramp in progress, as it started
@@ -75,6 +78,8 @@ STATE = record(
         ("step", "i8"),  # steps taken
         ("twice_span", "i8"),  # 2 S of ramp.py, speed steps
         ("rate", "i8"),  # clocks per speed step of its middle
+        ("rate_place", "i8"),  # place in `reg` of the rate, which may be revised
+        ("fall", "i8"),  # after a ramp down: the clock at which FDOWN falls; 0 once it cannot be up any more
         ("next", "i8"),  # `timer` of its next step
         (
             "quiet",
@@ -126,6 +131,9 @@ OUTPUTS = {
     "zero": ZERO,
     "irq": IRQ,
 }
+SYNI = 16
+"""Above this bit the word of inputs has what SYNI brings: R7 of the leader plus 1; 0 while it is not connected."""
+ALL_INPUTS = (1 << SYNI) - 1
 PULSE = np.dtype((np.record, np.dtype([("clock", "i8"), ("axis", "i1"), ("direction", "i1")], align=True)))
 EDGE = record(
     [
@@ -152,12 +160,22 @@ def reset(c):
     begin(c)
     for k in range(REGISTERS):
         c.reg[k] = 0
+    read_pins(c)
+
+
+@hot
+def read_pins(c):
+    """Pins, R7, or the bits that say how pins are read, may have changed: what the chip makes of them from now on."""
+    turned = (ORG if c.reg[R13] & ORG_POSITIVE else 0) | (EZ if c.reg[R12] & EZ_POSITIVE else 0)
+    c.seen = (c.inputs & ALL_INPUTS) ^ turned
+    c.multiplier = (c.inputs >> SYNI) - 1 if c.inputs >> SYNI else c.reg[7]
+    c.phase = least(c.phase, greatest(8192 * c.multiplier - 1, 0))
 
 
 @hot
 def begin(c):
     """What one run does not know of the last."""
-    c.phase = c.timer = c.ramp = c.curved = 0
+    c.phase = c.timer = c.ramp = c.curved = c.fall = 0
     c.rising = c.risen = c.manual = c.down = c.top = c.top_select = 0
     c.homing = c.counting = c.ez_left = c.ez_running = 0
 
