@@ -152,6 +152,8 @@ class Chip:
     PHASES: ClassVar[dict[str, str]] = {}
     """Output pin -> phase of the chip: hold, up, keep, down; idle, profile, control of a servo. The first that is asserted counts;
     hold if none is, or control of a servo."""
+    SYNCHRO: ClassVar[bool] = False
+    """Has SYNO and SYNI, by which chips share one's clock; see `syno`."""
     SERVO: ClassVar[bool] = False
     """Drives a DC motor with an encoder, not a stepper."""
     ENCODERS: ClassVar[bool] = False
@@ -276,6 +278,11 @@ class Chip:
     def wired(cls, switch: str) -> int:
         """The input bit that a stage's switch drives ("el_plus", "org", "ez" ...); 0 where nothing is wired to it."""
         return cls.INPUTS.get(cls.WIRING.get(switch, switch), 0)
+
+    @classmethod
+    def syno(cls, rows: np.ndarray) -> int:
+        """The address of the word that SYNO gives other chips; rows: the state of the chip, as an array of one."""
+        raise NotImplementedError(f"{cls.__name__} has no SYNO.")
 
     def net(self, axis: int = 0) -> int:
         """Pulses begun since power-up, plus minus minus: what a drive has been given. Not readable on the bus."""

@@ -51,6 +51,7 @@ CHIP = record(
         ("own", "i8"),  # address of this record
         # on a stage
         ("hz", "i8"),  # its reference clock
+        ("wire", "i8"),  # address of the word that another chip's output drives into its axis 0; 0: none does
         ("axes", "i8"),  # how many of its axes are used
         ("table", "i8"),  # address of their CHIP_AXIS records, the first is its axis 0
         ("ticks", "f8"),  # its clocks in a slice
@@ -61,6 +62,8 @@ CHIP = record(
 )
 """A chip for compiled code."""
 CLOCK = record([("clock", "i8")])
+WIRE_BIT = 16
+"""A word of inputs has above this bit what another chip's output drives there, plus 1; 0 where no chip does."""
 WORD, REAL = np.dtype("i8"), np.dtype("f8")
 
 _TYPES = {types: called(types[0], "i8", *types[1:]) for types in set(ANSWERS.values())}
@@ -162,6 +165,19 @@ def set_input(c, j, word):
 def outputs(c, j):
     """Output pins as a word."""
     return _word(c.outputs, (c.at, j))
+
+
+@hot
+def hear(c):
+    """What the other chip's output, if one is wired to this chip, drives now is at its input. Returns whether that has changed."""
+    if c.wire == 0:
+        return False
+    word = inputs(c, 0)
+    heard = word & ((1 << WIRE_BIT) - 1) | (array_at(c.wire, 1, WORD)[0] + 1) << WIRE_BIT
+    if heard == word:
+        return False
+    set_input(c, 0, heard)
+    return True
 
 
 @hot

@@ -7,6 +7,12 @@ from typing import Protocol
 from stage.chips import Chip
 
 
+def positive(axis: object, sensor: str) -> bool:
+    """Whether a switch of an axis ("org", "el_plus" ...), or its index ("ez"), is of positive logic: high while it is on. An axis
+    of a bench has no wiring: all is negative there."""
+    return sensor in getattr(axis, "wiring", {})
+
+
 class Axis(Protocol):
     """An axis as firmware sees it: a chip on a bus, and time. The rest is the true state of the machine, for reports only."""
 

@@ -198,7 +198,7 @@ class Lanes:
         together, kinds = np.full(len(edges), "", object), {}
         for pin, label, kind in signals.seen_switches(self._axis):
             kinds[label] = kind
-            on = signals.asserted(chip, edges, pin)
+            on = signals.on(self._axis, edges, pin)
             states = np.where(on, label, "off").astype(object)
             colours = {label: STATES[kind], "off": STATES["off"]}
             self._lane(out, f"switches/{pin}", edges, states, colours)

@@ -76,9 +76,9 @@ class Scene:
         """The lamps of an axis, from its chip's pin edges; unless `first`, the first of them is as it was before."""
         import rerun as rr
 
-        chip = self._recording.axes[name].chip
+        axis = self._recording.axes[name]
         for path, _, pin, kind, rivals in self._lamps[name]:
-            lit = signals.asserted(chip, edges, pin)
+            lit = signals.on(axis, edges, pin)
             if rivals:
                 lit &= self._nearest(name, edges, pin, rivals)
             clocks, on = signals.changes(edges, lit)

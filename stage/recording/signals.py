@@ -63,9 +63,15 @@ def changes(edges: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def asserted(chip: Any, edges: np.ndarray, pin: str) -> np.ndarray:
-    """The state of a pin, or of the switch wired to it, from each edge on (bool); `edges` of a chip's journal."""
+    """The state of a pin, by its name or that of the switch wired to it, from each edge on (bool); `edges` of a chip's journal."""
     bit = chip.wired(pin)
     return (edges["inputs"] & bit if bit else edges["outputs"] & chip.OUTPUTS[pin]) != 0
+
+
+def on(axis: Any, edges: np.ndarray, switch: str) -> np.ndarray:
+    """Whether a switch of an axis, or what shares its pin, is on, as its pin says, from each edge on (bool)."""
+    positive = any(axis.chip.wired(s) == axis.chip.wired(switch) for s in getattr(axis, "wiring", ()))
+    return asserted(axis.chip, edges, switch) != positive
 
 
 def phases_of(chip: Any) -> list[str]:
@@ -105,10 +111,18 @@ def status(chip: Any, edges: np.ndarray, minus: np.ndarray) -> dict[str, np.ndar
         return {}
     out = {}
     for field in word.fields:
-        shown = [asserted(chip, edges, pin.removeprefix("/")) != pin.startswith("/") for pin in field.pins]
+        shown = [_shown(chip, edges, pin) for pin in field.pins]
         if shown:
             out[field.name] = np.where(minus, shown[-1], shown[0])
     return out
+
+
+def _shown(chip: Any, edges: np.ndarray, pin: str) -> np.ndarray:
+    """What a status bit says of a pin, with / its opposite: as the chip reads it, where polarity bits turn it round."""
+    name = pin.removeprefix("/")
+    bit = chip.wired(name)
+    seen = bit and "seen" in (edges.dtype.names or ())
+    return (edges["seen"] & bit != 0 if seen else asserted(chip, edges, name)) != pin.startswith("/")
 
 
 def directions(chip: Any, journal: Journal) -> tuple[np.ndarray, np.ndarray]:

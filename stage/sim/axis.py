@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -72,13 +73,22 @@ class Axis:
         index: its column in recordings; `joint`: id in the model.
         gear: rotor radians per joint unit; meters_per_pulse: joint units per pulse (rad on a hinge).
         unit: "m", or "rad" on a hinge.
+        wiring: its sensors of positive logic, {"org": "positive"}; all others are negative.
         stage: the Stage that it belongs to; plant: what the model says of it, a `stage.sim.plant.PlantAxis`.
         supply, open_phases: the voltage (V) that its drive has, and the phases (bits of stage.drives.stepper.A and B) whose wire is
             broken; faults change them, see `Stage.equip`.
     """
 
-    def __init__(self, stage: Stage, index: int, plant: PlantAxis, chip_axis: ChipAxis, drive: Drive | Servo):
-        self.stage, self.plant = stage, plant
+    def __init__(
+        self,
+        stage: Stage,
+        index: int,
+        plant: PlantAxis,
+        chip_axis: ChipAxis,
+        drive: Drive | Servo,
+        wiring: Mapping[str, str],
+    ):
+        self.stage, self.plant, self.wiring = stage, plant, dict(wiring)
         self.index, self.name, self.drive = index, plant.name, drive
         self.chip, self.chip_axis = chip_axis.chip, chip_axis.index
         self.joint, self.gear, self.travel = plant.joint, plant.gear, plant.travel

@@ -94,12 +94,19 @@ def foresee(world, axes, table, switches, switch_table, clockwork, sensordata, q
 
 @hot
 def switched(t, switches, switch_table, word):
-    """The pin word of an axis with its switches as they are. Two that are wired to one pin assert it if either is on."""
+    """The pin word of an axis with its switches as they are. Two that are wired to one pin assert it if either is on. Of a sensor of
+    positive logic the pin is set, which is low, while it is off."""
     on = off = 0
     for k in range(t.first_switch, t.end_switch):
         bit = switch_table[k].bit
         on, off = (on | bit, off) if switches[k].on else (on, off | bit)
-    return word & ~off | on
+    return word & ~(on | off) | on ^ t.positive & (on | off)
+
+
+@hot
+def indexed(t, axis, word):
+    """The pin word of an axis with its index pulse as it is."""
+    return word | t.index_bit if axis.index_on != (t.positive & t.index_bit != 0) else word & ~t.index_bit
 
 
 @hot
@@ -119,7 +126,7 @@ def _meet_axis_edges(axis, t, c, j, switches, switch_table, now):
         if axis.index_edge <= now:
             axis.index_edge, axis.index_end = axis.index_end, NEVER
             axis.index_on = 1 - axis.index_on
-            word = word | t.index_bit if axis.index_on else word & ~t.index_bit
+            word = indexed(t, axis, word)
         axis.next_edge = least(axis.next_edge, axis.index_edge)
     cores.set_input(c, j, word)
 
@@ -134,6 +141,16 @@ def next_edge(axes, c):
 
 
 @hot
+def note_input(c, j, edges, n_edges, now):
+    """The inputs of chip axis `j` have changed: returns how many edges are noted by now."""
+    if n_edges < len(edges):
+        e = edges[n_edges]
+        e.now, e.clock, e.axis, e.kind, e.a, e.b = now, cores.clock(c), cores.axis_of(c, j), INPUT, j, cores.inputs(c, j)
+        n_edges += 1
+    return n_edges
+
+
+@hot
 def meet_edges(c, axes, table, switches, switch_table, until, edges, n_edges):
     """Take chip `c` through the edges of its switches up to `until` ns. Returns how many are noted by now."""
     now = next_edge(axes, c)
@@ -144,9 +161,6 @@ def meet_edges(c, axes, table, switches, switch_table, until, edges, n_edges):
             if axes[a].next_edge > now:
                 continue
             _meet_axis_edges(axes[a], table[a], c, j, switches, switch_table, now)
-            if n_edges < len(edges):
-                e = edges[n_edges]
-                e.now, e.clock, e.axis, e.kind, e.a, e.b = now, cores.clock(c), a, INPUT, j, cores.inputs(c, j)
-                n_edges += 1
+            n_edges = note_input(c, j, edges, n_edges, now)
         now = next_edge(axes, c)
     return n_edges

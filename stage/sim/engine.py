@@ -20,7 +20,7 @@ from stage.chips import cores
 from stage.chips.entries import SHAFT
 from stage.drives import drive, stepper
 from stage.native import array_at, called, hot, least
-from stage.sim.edges import foresee, foresee_switch, meet_edges, next_edge, off_index, switched
+from stage.sim.edges import foresee, foresee_switch, indexed, meet_edges, next_edge, note_input, off_index, switched
 from stage.sim.records import (
     ADDRESS,
     CALLBACKS,
@@ -52,6 +52,8 @@ def _run_chips(chips, world, axes, table, switches, switch_table, stop, clockwor
     k = world.slice
     for i in range(len(chips)):
         c = chips[i]
+        if cores.hear(c):
+            counts[1] = note_input(c, 0, edges, counts[1], world.now)
         if c.hz != hz:
             hz = c.hz
             clock, rest = clock_at(start, hz), start % SECOND * hz % SECOND
@@ -242,7 +244,7 @@ def _settle_axis(c, world, axis, t, switches, switch_table, d, clockwork, qpos, 
     if t.index_bit:
         axis.index_edge = axis.index_end = NEVER
         axis.index_on = 1 if abs(off_index(t, qpos[t.qpos])) <= 0.5 * INDEX else 0
-        word = word | t.index_bit if axis.index_on else word & ~t.index_bit
+        word = indexed(t, axis, word)
     cores.set_input(c, t.chip_axis, word)
     drive.align(d, float(axis.count), qpos[t.qpos] * t.gear)
 

@@ -60,11 +60,12 @@ guarded, whether one has failed, where their addresses lie and what these are wh
 MuJoCo's functions, and which parts of its state a snapshot has; the clocks of a chip at the ends of the window's slices."""
 CHIP_TABLE = cores.CHIP
 AXIS_TABLE = record(
-    [(name, "i8") for name in "chip chip_axis qpos dof actuator first_switch end_switch index_bit".split()]
+    [(name, "i8") for name in "chip chip_axis qpos dof actuator first_switch end_switch index_bit positive".split()]
     + [("gear", "f8"), ("index_at", "f8"), ("counts", "f8")]
 )
 """Which axis of which chip (a row of CHIP_TABLE) and which drive row (= the axis' own index) move which joint; rotor radians
-per joint unit; the pin bit of the index pulse (0: not connected) and where in the rotor's turn it stands, in turns; counts of the
+per joint unit; the pin bit of the index pulse (0: not connected) and where in the rotor's turn it stands, in turns; the pin bits whose sensors drive
+high while they are on; counts of the
 encoder that the chip sees per joint unit (0: none)."""
 SWITCH_TABLE = record(
     [(name, "i8") for name in "bit found at forced bounce toggles".split()] + [("slope", "f8"), ("hysteresis", "f8")]
@@ -90,8 +91,8 @@ EDGE = record([(name, "i8") for name in ("now", "clock", "axis", "kind", "a", "b
 rate in their place."""
 
 MAX_TOGGLES = 8
-EDGES_A_WINDOW = len(PINS) * (1 + MAX_TOGGLES) + 2 + 1
-"""Of an axis at most: each switch an edge and its toggles; the index pulse begins and ends; the shaft."""
+EDGES_A_WINDOW = len(PINS) * (1 + MAX_TOGGLES) + 2 + 1 + 1
+"""Of an axis at most: each switch an edge and its toggles; the index pulse begins and ends; the shaft; what another chip drives."""
 REACHED, SAMPLES_FULL, EDGES_FULL, DIVERGED, FAILED, UNGUARDED, IN_USE, WIPED = range(8)
 """Why it returned: time is up; no room to log in; the physics diverged; a callback failed. And why it did nothing: there are
 callbacks, and nobody guards them; another runs the stage; it is not under power."""

@@ -24,8 +24,15 @@ class Snapshot(snapshots.Snapshot):
     of: ClassVar = "a stage"
 
 
-def header(state: State, axes: Iterable[Axis], mechanics: str, encoders: Iterable[Encoder] = ()) -> snapshots.Header:
-    """What the snapshots of a stage are taken of. encoders: those that its chips count. Payloads and faults are no part of it."""
+def header(
+    state: State,
+    axes: Iterable[Axis],
+    mechanics: str,
+    encoders: Iterable[Encoder] = (),
+    followers: Iterable[tuple[str, str]] = (),
+) -> snapshots.Header:
+    """What the snapshots of a stage are taken of. encoders: those that its chips count; followers: (follower, leader) at SYNI.
+    Payloads and faults are no part of it."""
     axes = list(axes)
     parts = [("axes", ", ".join(a.name for a in axes))]
     for a in axes:
@@ -36,6 +43,9 @@ def header(state: State, axes: Iterable[Axis], mechanics: str, encoders: Iterabl
         a.drive.fill(constants[0])
         parts.append((f"drive of axis {a.name}", f"{a.drive.title} (constants {_digest(constants.tobytes())})"))
     parts += [(f"encoder of axis {e.axis}", str(e)) for e in encoders]
+    for a in axes:
+        parts += [(f"wiring of axis {a.name}", f"{sensor} {logic}") for sensor, logic in a.wiring.items()]
+    parts += [(f"SYNI of axis {follower}", leader) for follower, leader in followers]
     parts.append(("time step", f"{state.dt} ns"))
     parts.append(("bus cycle", f"{state.bus} ns"))
     parts.append(("mechanics of the model", mechanics))

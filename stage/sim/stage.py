@@ -37,6 +37,7 @@ from stage.sim.loop import Loop
 from stage.sim.payload import Payloads
 from stage.sim.snapshot import Snapshot, header
 from stage.sim.state import SAVED, State, chips_of, words_needed
+from stage.sim.wires import Wires, WiringChoice, chosen_wiring, leaders
 from stage.sim.wiring import ChipChoice, DriveChoice, fit_rotors, wire
 from stage.snapshots import Header
 
@@ -63,6 +64,9 @@ class Stage:
         clock: Hz, the reference clock of chips that are given by class or name; default: that of each chip's data sheet.
         encoders: what the chips' own counters of the real position count (RP, EP of NOVA's): a mapping axis -> counts a metre
             (rad), all four edges of a line, or Encoders of stage.sim.encoder. Default: nothing; a Servo has its own.
+        wiring: the logic of sensors: a mapping axis -> switch (or "ez", the index) -> "negative", low while it is on, the default, or
+            "positive". A chip that can reads it by its polarity bits; the drivers of stage.firmware set them.
+        syni: chips of the PCL-240 family that count another's clock: a mapping follower -> leader of axes, {"y": "x"}.
         visuals: False leaves out what is only for display, for runs without pictures: the same bits, a third faster.
     Raises:
         ArgumentError: unknown model, axis, chip or motor. ModelError: the model breaks the naming contract, or its integrator or
@@ -88,6 +92,8 @@ class Stage:
         clock: int | None = None,
         visuals: bool = True,
         encoders: EncoderChoice = None,
+        wiring: WiringChoice = None,
+        syni: Mapping[str, str] | None = None,
     ):
         if not 0 <= bus_cycle <= 1:
             raise ArgumentError(
@@ -98,19 +104,27 @@ class Stage:
             plant.discard_visuals(spec)
         names, chip_axes, chosen = wire(spec, chips, drives, clock)
         self._encoders = encoder.chosen(encoders, names, chip_axes)
+        self._followers = leaders(syni, names, chip_axes)
         self.model, offset = plant.compile_spec(spec, words_needed(chip_axes, 5 * len(names)))
         integration.check_options(self.model)
         try:
-            self._build(names, chip_axes, chosen, round(bus_cycle * 1e9), offset)
+            self._build(names, chip_axes, chosen, round(bus_cycle * 1e9), offset, wiring)
         except BaseException:
             for chip in chips_of(chip_axes):
                 chip.detach()
             raise
 
     def _build(
-        self, names: list[str], chip_axes: list[ChipAxis], drives: list[Drive | Servo], bus: int, offset: int
+        self,
+        names: list[str],
+        chip_axes: list[ChipAxis],
+        drives: list[Drive | Servo],
+        bus: int,
+        offset: int,
+        wiring: WiringChoice,
     ) -> None:
         self._plant = plant.bind(self.model, names)
+        self._positive = chosen_wiring(wiring, self._plant, chip_axes)
         fit_rotors(self.model, self._plant, chip_axes, drives)
         self._mechanics = mechanics(self.model)
         self._wire(chip_axes, drives, bus, offset)
@@ -126,17 +140,24 @@ class Stage:
         """Lay the state out in userdata; connect the axes of the chips, one an axis of the stage."""
         self._faults: list[str] = []
         self._payloads = Payloads()
-        self.state = State(
-            self.model, offset, self._plant, chip_axes, drives, bus, encoder.per_unit(self._encoders, self._plant)
-        )
+        chip_of = {p.name: axis.chip for p, axis in zip(self._plant, chip_axes, strict=True)}
+        wires = Wires(self._positive, {chip_of[follower]: chip_of[leader] for follower, leader in self._followers})
+        per_unit = encoder.per_unit(self._encoders, self._plant)
+        self.state = State(self.model, offset, self._plant, chip_axes, drives, bus, per_unit, wires)
+        for follower, leader in wires.leaders.items():
+            follower.syni = leader  # type: ignore[attr-defined]
         self.data, self.chips = self.state.data, chips_of(chip_axes)
         self.loop = Loop(self.state, self.chips, self._power_up)
         for chip, rows in zip(self.chips, self.state.chips, strict=True):
             chip.attach(self.loop, rows)
         axes = zip(self._plant, chip_axes, drives, strict=True)
-        self._axes = [Axis(self, k, p, chip_axis, drive) for k, (p, chip_axis, drive) in enumerate(axes)]
+        self._axes = [
+            Axis(self, k, p, chip_axis, drive, self._positive[k]) for k, (p, chip_axis, drive) in enumerate(axes)
+        ]
         self.axes: Mapping[str, Axis] = MappingProxyType(Axes((axis.name, axis) for axis in self._axes))
-        self._header = self._bare = header(self.state, self._axes, self._mechanics, self._encoders)
+        self._header = self._bare = header(
+            self.state, self._axes, self._mechanics, self._encoders, self._followers
+        )
         self.beside = Beside()
 
     # --- time ---
@@ -414,6 +435,8 @@ class Stage:
             "wired": [(self.chips.index(a.chip), a.chip_axis) for a in self._axes],
             "drives": [a.drive for a in self._axes],
             "encoders": self._encoders,
+            "positive": self._positive,
+            "followers": self._followers,
             "bus_ns": self.state.bus,
             "offset": self.state.offset,
             "mechanics": self._mechanics,
@@ -433,6 +456,7 @@ class Stage:
     def __setstate__(self, s: dict[str, Any]) -> None:
         self.model = s["model"]
         self._plant, self._mechanics, self._encoders = s["plant"], s["mechanics"], s["encoders"]
+        self._positive, self._followers = s["positive"], s["followers"]
         chips = [cls(**options) for cls, options in s["chips"]]
         self._wire([chips[k].axes[j] for k, j in s["wired"]], s["drives"], s["bus_ns"], s["offset"])
         for field in SWITCH_FAULTS:

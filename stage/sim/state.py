@@ -7,7 +7,7 @@ faults change them) are in arrays beside it. A HANDLE gives compiled code the ad
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import mujoco
@@ -20,6 +20,7 @@ from stage.drives.stepper import DRIVE
 from stage.native import address_of, plain
 from stage.sim import callbacks, handle, libmujoco, records
 from stage.sim.plant import PlantAxis
+from stage.sim.wires import Wires
 
 SAVED = mujoco.mjtState.mjSTATE_INTEGRATION  # all of it: physics, and in userdata chips, drives, switches
 HYSTERESIS = 25e-6  # m; a slotted optical switch lets go that much later than it trips (typical data sheets)
@@ -36,6 +37,7 @@ class State:
         plant, chip_axes, drives: of each axis, in their order.
         bus: ns that a bus cycle takes.
         encoders: of each axis, counts per joint unit of an encoder that its chip counts, 0 for none; that of a Servo is its own.
+        wires: the wires between sensors, chips and chips that are not as usual.
     """
 
     model: mujoco.MjModel
@@ -92,6 +94,7 @@ class State:
         drives: Sequence[Drive | Servo],
         bus: int,
         encoders: Sequence[float],
+        wires: Wires,
     ):
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         self.model, self.data = model, mujoco.MjData(model)
@@ -99,8 +102,8 @@ class State:
         chips = chips_of(chip_axes)
         self._cut(len(plant), sum(len(p.switches) for p in plant), chips)
         self._set_clockwork(sum(isinstance(drive, Servo) for drive in drives) + sum(map(bool, encoders)))
-        self._set_chip_table(chips)
-        self._set_axis_table(plant, chip_axes, drives, chips, encoders)
+        self._set_chip_table(chips, wires.leaders)
+        self._set_axis_table(plant, chip_axes, drives, chips, encoders, wires)
         self.counts = np.zeros(2, np.int64)
         self.saved = np.zeros(mujoco.mj_stateSize(model, SAVED))
         rows = np.zeros(1, handle.HANDLE)
@@ -157,14 +160,17 @@ class State:
         w.dt, w.slices, w.h, w.half, w.nv = dt, records.SLICES, dt * 1e-9 / records.SLICES, dt * 0.5e-9, self.model.nv
         w.callbacks, w.native = callbacks.ADDRESSES, callbacks.NATIVE
 
-    def _set_chip_table(self, chips: Sequence[Chip]) -> None:
+    def _set_chip_table(self, chips: Sequence[Chip], leaders: Mapping[Chip, Chip]) -> None:
         w = self.clockwork[0]
+        rows_of = dict(zip(chips, self.chips, strict=True))
         self.chip_axes = [np.zeros(chip.AXES, cores.CHIP_AXIS) for chip in chips]
         for chip, rows, axes, c in zip(chips, self.chips, self.chip_axes, self.chip_table, strict=True):
             cores.fill(c, chip.CORE, rows.ctypes.data)
             c.table = axes.ctypes.data
             c.hz, c.ticks = chip.clock_hz, w.h * chip.clock_hz
             c.slices, c.clocks = w.slices, address_of(w["clocks"])
+            if chip in leaders:
+                c.wire = leaders[chip].syno(rows_of[leaders[chip]])
 
     def _set_axis_table(
         self,
@@ -173,6 +179,7 @@ class State:
         drives: Sequence[Drive | Servo],
         chips: Sequence[Chip],
         encoders: Sequence[float],
+        wires: Wires,
     ) -> None:
         """The table of axes, that of switches, and of chips what they have to know of their axes."""
         first = 0
@@ -186,6 +193,7 @@ class State:
             own.net = address_of(self.axes[k : k + 1]["count"])
             t.qpos, t.dof, t.actuator, t.gear = p.qpos, p.dof, p.actuator, p.gear
             t.index_bit, t.index_at = chip.wired("ez"), p.index
+            t.positive = wires.positive_pins(k, chip)
             t.counts = drive.counts * p.gear / (2 * np.pi) if isinstance(drive, Servo) else encoders[k]
             t.first_switch, t.end_switch = first, first + len(p.switches)
             for row, s in zip(self.switch_table[first : t.end_switch], p.switches, strict=True):

@@ -440,13 +440,64 @@ def test_codes_for_reading_change_nothing_where_data_was_written(chip):
     assert chip.diagnostics
 
 
-def test_raw_levels_show_through_polarity_bits(chip):
+def test_raw_levels_are_those_of_the_wires_whatever_the_polarity_bits_say(chip):
     pins = chip.axes[0].pins
     assert rr(chip, 3) & 0x1FF == 0x1E7, "nothing asserted, all low active: high levels; ECA and ECB low"
     pins.stop1 = pins.lmt_minus = True
     assert rr(chip, 3) & 0x1FF == 0x1E7 & ~0x102
     wr(chip, 2, 1 << 2 | 1 << 10)
-    assert rr(chip, 3) & 0x182 == 0x102, "high active: STOP1 and LMTM asserted, LMTP not"
+    assert rr(chip, 3) & 0x1FF == 0x1E7 & ~0x102, "high active: what it makes of them is another matter"
+
+
+LEVELS = {  # signal: (its level bit, its enable bit) in WR1 or WR2
+    MCX304: {
+        "stop1": ("WR1", "SP1-L", "SP1-E"), "stop2": ("WR1", "SP2-L", "SP2-E"), "stop0": ("WR1", "SP0-L", "SP0-E"),
+        "lmt_plus": ("WR2", "HLMT+", None), "alarm": ("WR2", "ALM-L", "ALM-E"),
+    },
+    MCX514: {
+        "stop1": ("WR2", "SP1-L", "SP1-E"), "stop2": ("WR2", "SP2-L", "SP2-E"), "stop0": ("WR2", "SP0-L", "SP0-E"),
+        "lmt_plus": ("WR2", "HLM-L", "HLM-E"), "alarm": ("WR2", "ALM-L", "ALM-E"),
+    },
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("cls", "pin"), [(cls, pin) for cls, pins in LEVELS.items() for pin in pins])
+@pytest.mark.parametrize("high", [False, True], ids=["low active", "high active"])
+def test_a_level_bit_turns_its_signal_round(cls, pin, high):
+    """A pin that is set is low. A continuous drive goes on while the signal is not active, and ends when it becomes so."""
+    chip = cls()
+    word, level, enable = LEVELS[cls][pin]
+    setattr(chip.axes[0].pins, pin, high)
+    command(chip, 0x0F if cls is MCX304 else 0x1F)
+    chip.write(int(word[2]), chip.MAP.mask(word, level) * high | (chip.MAP.mask(word, enable) if enable else 0))
+    if cls is MCX514:
+        load(chip, AC=1_000_000, SV=1000, DV=1000)
+    else:
+        load_304(chip, R=8_000_000, A=100, SV=1000, V=1000)
+    command(chip, 0x22 if cls is MCX304 else 0x52)
+    assert chip.advance(SECOND // 10) == 100
+    setattr(chip.axes[0].pins, pin, not high)
+    chip.advance(10)
+    assert not chip.busy(), "it has ended"
+
+
+@pytest.mark.parametrize("cls", [MCX304, MCX514])
+@pytest.mark.parametrize("high", [False, True], ids=["low active", "high active"])
+def test_the_level_bit_of_inpos_says_which_level_ends_a_drive(cls, high):
+    chip = cls()
+    command(chip, 0x0F if cls is MCX304 else 0x1F)
+    chip.write(2, chip.MAP.mask("WR2", "INP-E") | chip.MAP.mask("WR2", "INP-L") * high)
+    chip.axes[0].pins.inpos = high
+    if cls is MCX514:
+        load(chip, AC=1_000_000, SV=1000, DV=1000, TP=3)
+    else:
+        load_304(chip, R=8_000_000, A=100, SV=1000, V=1000, P=3)
+    command(chip, 0x20 if cls is MCX304 else REL)
+    chip.advance(SECOND // 10)
+    assert chip.busy(), "all pulses are out, and it is not in position"
+    chip.axes[0].pins.inpos = not high
+    chip.advance(10)
+    assert not chip.busy()
 
 
 @covers("MCX514", "RR3P0", "RR3P1")
@@ -652,7 +703,7 @@ def test_nothing_is_connected_to_the_general_inputs(chip):
 
 @pytest.mark.parametrize("cls", [MCX302, MCX312])
 @pytest.mark.parametrize(("plus_high", "minus_high"), [(False, False), (True, False), (False, True), (True, True)])
-def test_the_level_of_each_limit_reads_by_its_own_polarity(cls, plus_high, minus_high):
+def test_the_level_of_each_limit_is_that_of_its_wire_and_rr2_reads_it_by_its_own_polarity(cls, plus_high, minus_high):
     """RR4, RR5 of the two-axis chips, D14 and D15; WR2 HLMT+ and HLMT-: 1 is high active."""
     chip = cls()
     map_ = cls.MAP
@@ -661,8 +712,12 @@ def test_the_level_of_each_limit_reads_by_its_own_polarity(cls, plus_high, minus
     for plus, minus in ((False, False), (True, False), (False, True), (True, True)):
         chip.axes[0].pins.lmt_plus, chip.axes[0].pins.lmt_minus = plus, minus
         word = chip.read(4)
-        assert bool(word & map_.mask("RR4", "X-LMT+")) == (plus == plus_high)
-        assert bool(word & map_.mask("RR4", "X-LMT-")) == (minus == minus_high)
+        assert bool(word & map_.mask("RR4", "X-LMT+")) == (not plus)
+        assert bool(word & map_.mask("RR4", "X-LMT-")) == (not minus)
+        chip.advance(1)
+        said = chip.read(2)
+        assert bool(said & map_.mask("RR2", "HLMT+")) == (plus != plus_high)
+        assert bool(said & map_.mask("RR2", "HLMT-")) == (minus != minus_high)
 
 
 @pytest.mark.parametrize("cls", [MCX304, MCX514], ids=lambda cls: cls.__name__)

@@ -79,14 +79,15 @@ def test_of_an_origin_return_to_the_index_pulse_home_is_that_pulse():
 @pytest.mark.parametrize("ez", [0, 1])
 def test_every_end_of_an_automatic_home_search_is_told(chip, ez):
     made = search(HomeSearch, chip, ez)
-    on, error = (made._bits[name] for name in (f"stop{ez + 1}", "error"))
+    (mask, high), (error, _) = (made._bits[name] for name in (f"stop{ez + 1}", "error"))
+    on, off = (mask, 0xFFFF & ~mask) if high else (0xFFFF & ~mask, mask)
     good = {name: 1000 for name in made.marks if "time" in name} | {
         "left 6": 800, "ended 6": -6200 & 0xFFFF, "ended 7": -6200 >> 16 & 0xFFFF, f"stop{ez + 1}": on,
     }  # fmt: skip
     times = [name for name in made.marks if "time" in name]
     results = [
-        good, good | {"error": 0xFFFF & ~error, f"stop{ez + 1}": 0xFFFF}, good | {"left 6": 799},
-        good | {f"stop{ez + 1}": 0xFFFF & ~on},
+        good, good | {"error": 0xFFFF & ~error, f"stop{ez + 1}": 0xFFFF & ~off}, good | {"left 6": 799},
+        good | {f"stop{ez + 1}": off},
         good | {"error": error}, *(good | {name: -1} for name in times), *(good | {name: 0} for name in times),
     ]  # fmt: skip
     told = found(made, results, leave=800)

@@ -94,6 +94,8 @@ AXIS = record(
         ("since", "i8"),  # clock of the first
         ("inputs", "i8"),  # INPUTS now
         ("level", "i8"),  # INPUTS after the filters
+        ("turned", "i8"),  # INPUTS that the chip reads as active high: the level bits of WR1, WR2
+        ("active", "i8"),  # INPUTS as the chip reads them: `level`, turned
         ("phase", "i8"),  # kind of the piece seen last
         ("factors", "i8"),  # RR1 of the MCX514, and SPLIT_START
         ("fired", "i8"),  # those that the sync actions have not seen

@@ -21,6 +21,7 @@ from stage.chips.pcl240.maps import (
     STATUS,
     WIRES,
 )
+from stage.errors import ArgumentError, StageError
 
 __all__ = ["OPERATING_MODE", "STATUS", "PCL240", "PCL240K", "PCL240MK", "PCL240MS"]
 
@@ -46,16 +47,58 @@ class PCL240(Chip):
     BUSY: ClassVar = (0, state.S_OPERATING)
     COUNTER: ClassVar = ("R0", 24)
     READING_ACTS: ClassVar = frozenset({3})  # latches the register in collective mode
+    SYNCHRO: ClassVar = True
     EXTENDED: ClassVar[bool] = True
     S_CURVES: ClassVar[bool] = False
     LINEAR_RAMPS: ClassVar = state.LINEAR
     """Bit of R14."""
+
+    _leader: PCL240 | None = None
 
     def _configure(self, record: Any) -> None:
         record["extended"], record["s_curves"] = self.EXTENDED, self.S_CURVES
         for k, r in enumerate(self.MAP.registers):
             record["mask"][k] = r.writable
         record["top_bit"] = (self.MAP.register("R6").mask + 1) // 2
+
+    @classmethod
+    def syno(cls, rows: np.ndarray) -> int:
+        """R7: the clock behind the multiplier is the reference clock over 8192 R7."""
+        at: int = rows["reg"][0, 7:8].ctypes.data
+        return at
+
+    @property
+    def syni(self) -> PCL240 | None:
+        """The chip whose SYNO is connected to SYNI, so that this one counts its clock; None: its own. Of a chip by itself it can be
+        set: from each `advance` on the leader's R7 is what it is then; copies are not connected, and keep the R7 that they heard
+        last. On a stage see `Stage(syni=...)`. Raises ArgumentError, StageError."""
+        return self._leader
+
+    @syni.setter
+    def syni(self, leader: PCL240 | None) -> None:
+        if self.attached:
+            raise StageError(f'a chip of a stage is connected where the stage is made: Stage(syni={{"y": "x"}}).')
+        if leader is not None:
+            if not isinstance(leader, PCL240) or leader is self or leader.clock_hz != self.clock_hz:
+                raise ArgumentError(f"syni={leader!r}: another chip of the PCL-240 family with a clock of {self.clock_hz:,} Hz, or None.")
+        self._leader = leader
+        self._hear()
+
+    def _hear(self) -> None:
+        """SYNI has the leader's R7 as it is now."""
+        word = self.input_word(0) & state.ALL_INPUTS
+        if self._leader is not None:
+            word |= int(self._leader.state["reg"][7]) + 1 << state.SYNI
+        if word != self.input_word(0):
+            self.set_input_word(0, word)
+            if self.open_journal is not None:
+                self.open_journal.note_input(self.clock, 0, word)
+
+    def _until(self, clocks: int) -> int:
+        until = super()._until(clocks)
+        if self._leader is not None:
+            self._hear()
+        return until
 
     @classmethod
     def register_cycles(cls, name: str, value: int, axis: int = 0) -> list[tuple[int, int]]:

@@ -126,6 +126,7 @@ def _pulse_bit(c):
 def _log(c, out, k, clock, word, r0, net):
     e = out[k]
     e.clock, e.outputs, e.inputs, e.counter, e.net = clock, word, c.inputs, r0, net
+    e.seen = c.seen
     e.speed = c.speed if c.running or c.finishing else 0
     e.rate = e.speed / (8192.0 * c.multiplier) if c.multiplier >= 2 else 0.0
     return k + 1

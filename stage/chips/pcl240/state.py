@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from stage.chips.cores import WIRE_BIT
 from stage.chips.pcl240.maps import PCL240MS_MAP as MAP
 from stage.native import greatest, hot, least, record
 
@@ -131,7 +132,7 @@ OUTPUTS = {
     "zero": ZERO,
     "irq": IRQ,
 }
-SYNI = 16
+SYNI = WIRE_BIT
 """Above this bit the word of inputs has what SYNI brings: R7 of the leader plus 1; 0 while it is not connected."""
 ALL_INPUTS = (1 << SYNI) - 1
 PULSE = np.dtype((np.record, np.dtype([("clock", "i8"), ("axis", "i1"), ("direction", "i1")], align=True)))
@@ -139,6 +140,7 @@ EDGE = record(
     [
         ("clock", "i8"),  # from here on
         ("inputs", "i8"),  # INPUTS
+        ("seen", "i8"),  # INPUTS as the chip reads them
         ("outputs", "i8"),  # OUTPUTS
         ("speed", "i8"),  # speed steps; 0 at rest
         ("counter", "i8"),  # R0

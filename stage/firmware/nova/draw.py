@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 from stage.errors import ArgumentError, RunTimeout
 from stage.firmware.axis import Axis
-from stage.firmware.nova.port import MAP, POLL, Port, mask, same_chip, stop
+from stage.firmware.nova.port import MAP, POLL, Port, inputs_514, mask, same_chip, stop
 
 CNEXT, DRIVING = MAP.mask("RR0", "CNEXT"), MAP.mask("RR0", "n-DRV")
 TWO_AXES, THREE_AXES = 1, 2  # SPD of IPM
@@ -149,7 +149,7 @@ def _prepare(ports: list[Port], speed: Speed) -> None:
     ports[0].load(SV=speed.initial, DV=speed.drive, AC=speed.acceleration, **({"JK": speed.jerk} if speed.jerk else {}))
     curves = mask("WR3", "SACC") if speed.jerk else 0
     for port in ports:
-        port.mode(WR2=mask("WR2", "HLM-E", "SP1-L", "SP2-L"), WR3=curves)
+        port.mode(WR2=inputs_514(port.axis), WR3=curves)
         port.command("R2CLR")
     even = (THREE_AXES if len(ports) > 2 else TWO_AXES) << MAP.bit("IPM", "SPD") if speed.even else 0
     ports[0].load(IPM=sum(port.bit for port in ports) | even)

@@ -9,6 +9,7 @@ from typing import Any, ClassVar, TypeVar, cast
 import numpy as np
 
 from stage.errors import ArgumentError, RunTimeout
+from stage.firmware.axis import positive
 from stage.firmware.choices import limits
 from stage.firmware.driver import SETTLE, AtOnce, Driver, Speeds, that_move, wait_until_stopped
 from stage.firmware.lines import Asked, Line, LineSettings, line_of
@@ -228,8 +229,12 @@ class NovaDriver(Driver):
         """
 
     @abstractmethod
-    def look(self, p: Program) -> dict[str, tuple[int, int]]:
-        """Read errors and levels: {"error": (place, mask), "stop1": ..., "stop2": ...}."""
+    def look(self, p: Program) -> dict[str, tuple[int, int, bool]]:
+        """Read errors and levels: {"error": (place, mask, which level is on), "stop1": ..., "stop2": ...}."""
+
+    def high(self, k: int) -> bool:
+        """STOP1 (ORG), STOP2 (EZ) is high while it is on."""
+        return positive(self.axis, ("org", "ez")[k - 1])
 
     @abstractmethod
     def forget(self, p: Ops) -> Ops:

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 from stage.chips.nova.registers.words514 import HOME_STATES
 from stage.errors import ArgumentError, RunTimeout
 from stage.firmware.axis import Axis
-from stage.firmware.nova.port import MAP, POLL, Port, mask, same_chip, stop
+from stage.firmware.nova.port import MAP, POLL, Port, inputs_514, mask, same_chip, stop
 
 HSST = MAP.field("RR3-0", "HSST")
 BACK = HSST.code("step 2 irregular: waits for the signal in the other direction")
@@ -97,7 +97,7 @@ def home_search(
     }  # fmt: skip
     for port in ports:
         port.load(**words)
-        port.mode(WR2=mask("WR2", "HLM-E", "SP1-L", "SP2-L"), WR3=0)
+        port.mode(WR2=inputs_514(port.axis), WR3=0)
         port.command("R2CLR")
     begin = ports[0].axis.time
     together = sum(port.bit for port in ports)

@@ -9,6 +9,7 @@ from stage.chips.nova.registers.mcx300 import RANGE
 from stage.firmware.choices import limits
 from stage.firmware.driver import SETTLE, AtOnce, Speeds
 from stage.firmware.nova.driver import HOME_SPEED, SEARCHES, NovaDriver
+from stage.firmware.nova.port import level_bits
 from stage.firmware.report import Procedure, Report
 from stage.sim.program import Operations, Program
 
@@ -40,7 +41,7 @@ class FirstGenerationDriver(NovaDriver):
             self.set(now, "HV", self.legal("HV", HOME_SPEED / self.UNIT))
             self._to_signal(now, direction, timeout, SETTLE)
             address, stop1 = self._level(1)
-            if (met := self.stopped_by()) in ("EL+", "EL-") and not self.chip.read(address) & stop1:
+            if (met := self.stopped_by()) in ("EL+", "EL-") and bool(self.chip.read(address) & stop1) != self.high(1):
                 return p.report(met)
             self._search(now, index, timeout, SETTLE, direction)
             self.axis.wait(SETTLE)
@@ -53,11 +54,12 @@ class FirstGenerationDriver(NovaDriver):
         return p
 
     def begin(self, p: Ops, s_curve: bool = False) -> Ops:
-        self.words(p, WR1=self._inputs(), WR3=self.mask("WR3", "SACC") if s_curve else 0)
+        limits_ = level_bits(self.axis, "WR2")
+        self.words(p, WR1=self._inputs(), **({"WR2": limits_} if limits_ else {}), WR3=self.mask("WR3", "SACC") if s_curve else 0)
         return self.set(self.set(p, "R", RANGE // MULTIPLE), "AO", 0)
 
     def _inputs(self, *more: str) -> int:
-        return self.mask("WR1", "SP1-L", "SP2-L", *more)
+        return self.mask("WR1", *more) | level_bits(self.axis, "WR1")
 
     def drive(self, p: Ops, pulses: int) -> Ops:
         return self.command(self.set(p, "P", abs(pulses)), "F_DRV_P" if pulses >= 0 else "F_DRV_M")
@@ -117,12 +119,12 @@ class FirstGenerationDriver(NovaDriver):
         self.command(p, self.STOP).wait(rest)
         return at
 
-    def look(self, p: Program) -> dict[str, tuple[int, int]]:
+    def look(self, p: Program) -> dict[str, tuple[int, int, bool]]:
         self.command(p, self.NOP)
         at = len(p)
         p.read(self.index, 2).read(self.index, self._level(1)[0])
-        levels = {f"stop{k}": (at + 1, self._level(k)[1]) for k in (1, 2)}
-        return {"error": (at, self.mask("RR2", "HOME", "HLMT+")), **levels}  # on its way out of an ORG that is stuck
+        levels = {f"stop{k}": (at + 1, self._level(k)[1], self.high(k)) for k in (1, 2)}
+        return {"error": (at, self.mask("RR2", "HOME", "HLMT+"), True), **levels}  # on its way out of an ORG that is stuck
 
     def _level(self, k: int) -> tuple[int, int]:
         """Where STOPk of this axis is read: address and mask."""

@@ -10,6 +10,7 @@ from stage.firmware.choices import limits
 from stage.firmware.driver import SETTLE, Speeds
 from stage.firmware.nova.driver import CAUSES, HOME_SPEED, SEARCHES, NovaDriver
 from stage.firmware.nova.home import home_search
+from stage.firmware.nova.port import inputs_514
 from stage.firmware.report import Procedure, Report
 from stage.sim.program import Operations, Program
 
@@ -44,8 +45,7 @@ class Mcx514Driver(NovaDriver):
         return self.command(p, "R2CLR")
 
     def begin(self, p: Ops, s_curve: bool = False) -> Ops:
-        inputs = self.mask("WR2", "HLM-E", "SP1-L", "SP2-L")
-        return self.words(p, WR2=inputs, WR3=self.mask("WR3", "SACC") if s_curve else 0)
+        return self.words(p, WR2=inputs_514(self.axis), WR3=self.mask("WR3", "SACC") if s_curve else 0)
 
     def drive(self, p: Ops, pulses: int) -> Ops:
         return self.command(self.set(p, "TP", pulses), "DRVRL")
@@ -89,9 +89,9 @@ class Mcx514Driver(NovaDriver):
         self.command(p, self.STOP).wait(rest)
         return [at]
 
-    def look(self, p: Program) -> dict[str, tuple[int, int]]:
+    def look(self, p: Program) -> dict[str, tuple[int, int, bool]]:
         self.command(p, self.NOP)
         at = len(p)
         p.read(self.index, 2).read(self.index, 3)
-        levels = {f"stop{k}": (at + 1, self.mask("RR3-0", f"STOP{k}")) for k in (1, 2)}
-        return {"error": (at, self.mask("RR2", "HOME", "HLMT+")), **levels}  # on its way out of an ORG that is stuck
+        levels = {f"stop{k}": (at + 1, self.mask("RR3-0", f"STOP{k}"), self.high(k)) for k in (1, 2)}
+        return {"error": (at, self.mask("RR2", "HOME", "HLMT+"), True), **levels}  # on its way out of an ORG that is stuck

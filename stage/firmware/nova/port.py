@@ -17,11 +17,36 @@ from stage.chips import MCX514
 from stage.chips.nova import Nova
 from stage.chips.nova.registers.mcx514 import MCX514_MAP as MAP
 from stage.errors import ArgumentError, RunTimeout
-from stage.firmware.axis import Axis
+from stage.firmware.axis import Axis, positive
 
 POLL = 1e-3  # s between two looks
+LEVELS_514 = {"org": ("WR2", "SP1-L"), "ez": ("WR2", "SP2-L"), "el_plus": ("WR2", "HLM-L"), "el_minus": ("WR2", "HLM-L")}
+LEVELS_300 = {"org": ("WR1", "SP1-L"), "ez": ("WR1", "SP2-L"), "el_plus": ("WR2", "HLMT+"), "el_minus": ("WR2", "HLMT-")}
+"""Sensor -> the bit that says that it is high while it is on."""
 ERRORS = ("SLMT+", "SLMT-", "HLMT+", "HLMT-", "ALARM", "EMG", "HOME", "CERR")
 """Error bits of RR2; the first generation has no CERR."""
+
+
+def level_bits(axis: Axis, word: str) -> int:
+    """The bits of WR1 or WR2 that suit the wiring of an axis. Raises ArgumentError where one bit stands for two sensors that differ."""
+    map_, bits = axis.chip.MAP, 0
+    levels = LEVELS_514 if isinstance(axis.chip, MCX514) else LEVELS_300
+    for sensor, (place, name) in levels.items():
+        if place != word or not positive(axis, sensor):
+            continue
+        others = [s for s, at in levels.items() if at == (place, name) and not positive(axis, s)]
+        if others:
+            raise ArgumentError(
+                f"axis {axis.name}: {sensor} is of positive logic and {others[0]} is not, and an {map_.chip} has one bit for both, "
+                f"{place} {name}: give both one logic."
+            )
+        bits |= map_.mask(place, name)
+    return bits
+
+
+def inputs_514(axis: Axis) -> int:
+    """WR2 of an MCX514: end limits stop, all sensors as they are wired."""
+    return MAP.mask("WR2", "HLM-E") | level_bits(axis, "WR2")
 
 
 class Port:

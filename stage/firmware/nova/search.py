@@ -29,7 +29,7 @@ class HomeSearch(Search):
         speeds = {name: limits(driver.map, name) for name in (*driver.SPEEDS, "HV")}
         self.choices = Choices({**speeds, "leave": (0, settings.leave), **driver.choices()}, cubed=("leave",))
         self.marks = {}
-        self._bits: dict[str, int] = {}
+        self._bits: dict[str, tuple[int, bool]] = {}
         self.program(self.choices.low)
 
     def program(self, row: Sequence[int] | np.ndarray) -> Program:
@@ -44,8 +44,8 @@ class HomeSearch(Search):
         driver.forget(p)  # a limit that the leaving has met
         polls = driver.write_home(p, bool(chosen["step1"]), chosen.get("timer", 0), bool(c.ez), c.limit, c.settle)
         self.marks |= {f"home time {k}": at for k, at in enumerate(polls)}
-        for name, (at, mask) in driver.look(p).items():
-            self.marks[name], self._bits[name] = at, mask
+        for name, (at, mask, high) in driver.look(p).items():
+            self.marks[name], self._bits[name] = at, (mask, high)
         self._position(p, "ended")
         return p
 
@@ -58,7 +58,7 @@ class HomeSearch(Search):
         said = {name: results[:, at] for name, at in self.marks.items()}
         late = np.any([said[name] < 0 for name in said if "time" in name], axis=0)
         left, ended = (_signed(said[f"{name} 6"], said[f"{name} 7"]) for name in ("left", "ended"))
-        flag = {name: said[name] & mask != 0 for name, mask in self._bits.items()}
+        flag = {name: (said[name] & mask != 0) == high for name, (mask, high) in self._bits.items()}
         arrived = flag["stop2" if self.settings.ez else "stop1"]
         released = ~flag["error"]
         short = left != rows[:, list(self.choices.ranges).index("leave")]

@@ -68,6 +68,10 @@ def check(axis: Any) -> type[PCL240]:
     return type(chip)
 
 
+POLARITY = {"org": ("R13", "org_logic"), "ez": ("R12", "ez_logic")}
+"""Sensor -> the field that says that it is high while it is on."""
+
+
 class Status(NamedTuple):
     """The status byte, bit by bit, high to low; named by the register map."""
 
@@ -107,6 +111,22 @@ def stop_reason(status: Status, direction: int, *, preset: bool = True, origin: 
     if preset and status.zero:
         return "R0 = 0"
     return "EL-" if direction < 0 else "EL+"
+
+
+def polarity(axis: Axis) -> dict[str, int]:
+    """The bits of R12 and R13 that suit the wiring of an axis. Raises ArgumentError for a sensor that its chip cannot read so."""
+    map_, bits = axis.chip.MAP, {}
+    for sensor in getattr(axis, "wiring", {}):
+        name, field = POLARITY.get(sensor, ("", ""))
+        there = next((r for r in map_.registers if r.name == name), None)
+        if there is None or field not in (f.name for f in there.fields):
+            able = {"org": "; a PCL240MS can", "ez": "; a PCL240MK or PCL240MS can"}.get(sensor, "")
+            raise ArgumentError(
+                f"axis {axis.name}: {sensor} is of positive logic, and a {map_.chip} cannot read it so{able}. Wire a sensor of negative "
+                "logic, or an inverter."
+            )
+        bits[name] = bits.get(name, 0) | map_.mask(name, field)
+    return bits
 
 
 class Port:

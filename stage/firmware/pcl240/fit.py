@@ -19,7 +19,7 @@ import numpy as np
 
 from stage.chips.pcl240 import core
 from stage.chips.pcl240.maps import CONTROL
-from stage.chips.pcl240.state import AUTOMATIC, FH1, PRESET, R14, R15, RAMP, START
+from stage.chips.pcl240.state import AUTOMATIC, FH1, PRESET, R14, R15, RAMP, START, read_pins
 from stage.firmware.pcl240.closed_form import (
     NEVER,
     bend,
@@ -299,6 +299,7 @@ def start(chip, r, automatic, r6):
     if len(r) > 8:
         chip.reg[R14], chip.reg[R15] = r[8], r[9]
     chip.reg[6] = r6 & chip.mask[6] if automatic else r6
+    read_pins(chip)
     core.write(chip, 0, CONTROL | PRESET | (AUTOMATIC if automatic else 0))
     core.write(chip, 0, START | FH1 | (RAMP if r[2] > r[1] else 0))
 

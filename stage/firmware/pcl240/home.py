@@ -53,7 +53,7 @@ def origin_return(
     On MK and MS the position counter R10 is 0 at the origin. Returns a report: `stopped_by` is "ORG", or "EZ", or what was
     met in its place: the end limit ahead (no ORG), the one behind (ORG never let go). Raises ArgumentError, RunTimeout.
     """
-    profile = _profile(axis, profile)
+    profile, logic = _profile(axis, profile), bus.polarity(axis)
     if ez is not None:
         _check_ez(axis, ez)
     direction, back_off = _direction(direction), _count(back_off)
@@ -64,6 +64,7 @@ def origin_return(
     with Procedure(axis, "origin return" if high_speed else "constant-speed origin return") as p:
         port = p.port
         prepare(port, profile, _minus(-direction))
+        port.write_registers(**logic)
         status = port.status()
         if status.org:
             status = _leave(port, -direction, back_off, high_speed, timeout)
@@ -96,7 +97,8 @@ def _approach(port: Port, direction: int, high_speed: bool, timeout: float, ez: 
     A carriage that rings can let go of ORG for a moment: look twice.
     """
     if port.extended:
-        port.write_register("R13", bus.EZ_RETURN | bus.EZ_FROM_FL | (ez - 1) << bus.EZ_COUNT if ez else 0)
+        logic = bus.polarity(port.axis).get("R13", 0)
+        port.write_register("R13", logic | (bus.EZ_RETURN | bus.EZ_FROM_FL | (ez - 1) << bus.EZ_COUNT if ez else 0))
     port.control(bus.ORIGIN | (bus.SD if high_speed else 0) | _minus(direction))
     port.command(bus.RAMP["FH1"] if high_speed else bus.START["FL"])
     status = port.wait_until_stopped(timeout)

@@ -39,7 +39,8 @@ class FourRuns(Search):
         c, a, chip = self.settings, self.driver.index, self.driver.chip
         fl, fh, rate, approach, leave, back_off, sd = np.asarray(row).tolist()
         p = Program().command(a, bus.RESET)
-        values = {"R1": fl, "R2": fh, "R4": rate, "R5": rate, "R7": c.multiplier}
+        logic = bus.polarity(self.driver.axis)
+        values = {"R1": fl, "R2": fh, "R4": rate, "R5": rate, "R7": c.multiplier, **logic}
         if chip.S_CURVES:
             values["R14"] = chip.LINEAR_RAMPS
         for name, value in values.items():
@@ -52,7 +53,7 @@ class FourRuns(Search):
         self._run(p, "back off", bus.PRESET, bus.START["FL"], back_off, c.settle)
         p.register(a, chip, "R1", approach)
         if c.ez:
-            p.register(a, chip, "R13", bus.EZ_RETURN | bus.EZ_FROM_FL | (c.ez - 1) << bus.EZ_COUNT)
+            p.register(a, chip, "R13", logic.get("R13", 0) | bus.EZ_RETURN | bus.EZ_FROM_FL | (c.ez - 1) << bus.EZ_COUNT)
         self._run(p, "approach", bus.ORIGIN | bus.MINUS, bus.START["FL"], 0, c.settle)
         if c.ez:  # the index pulse, as R17 shows it: bit 20, in the high byte
             p.command(a, bus.OUTPUT | bus.EXTENSION)

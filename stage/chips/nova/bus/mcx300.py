@@ -7,6 +7,7 @@ from stage.chips.nova.bus.parameters import lowest, meant, parameters
 from stage.chips.nova.bus.status import busy, phase_bits
 from stage.chips.nova.functions import home
 from stage.chips.nova.functions import io as ports
+from stage.chips.nova.functions.inputs import turn
 from stage.chips.nova.interpolation import mcx312 as interpolation312
 from stage.chips.nova.motion import counters, drive, rates
 from stage.chips.nova.registers.mcx300 import MCX304_MAP, RESET
@@ -85,6 +86,7 @@ IN_EMG, IN_EXP_PLUS, IN_EXP_MINUS, IN_INPOS, IN_ALARM, IN_IN, IN_LMT_PLUS, IN_LM
 )  # fmt: skip
 """Input levels of X; those of another axis lie alike in its half or word."""
 SP0_E, SP1_E, SP2_E = (_of("WR1", f"SP{k}-E") for k in range(3))
+SP0_L, SP1_L, SP2_L = (_of("WR1", f"SP{k}-L") for k in range(3))
 SLMT_PLUS, SLMT_MINUS, LMTMD, HLMT_PLUS, HLMT_MINUS, CMPSL, PINMD, ALM_E, INP_E, ALM_L, INP_L = (_of("WR2", n) for n in (
     "SLMT+", "SLMT-", "LMTMD", "HLMT+", "HLMT-", "CMPSL", "PINMD", "ALM-E", "INP-E", "ALM-L", "INP-L"))  # fmt: skip
 PIND, FL = MAP.bit("WR2", "PIND"), MAP.bit("WR3", "FL")
@@ -113,7 +115,10 @@ def configure(x):
     w = x.wr[1]
     x.stops = (1 if w & SP0_E else 0) | (2 if w & SP1_E else 0) | (4 if w & SP2_E else 0)
     x.exchanges, x.clears = w & EPINV, w & EPCLR
+    turned = (STOP0 if w & SP0_L else 0) | (STOP1 if w & SP1_L else 0) | (STOP2 if w & SP2_L else 0)
     w = x.wr[2]
+    turned |= (LMT_PLUS if w & HLMT_PLUS else 0) | (LMT_MINUS if w & HLMT_MINUS else 0)
+    turn(x, turned | (INPOS if w & INP_L else 0) | (ALARM if w & ALM_L else 0))
     x.limits, x.limit_slow = 1, w & LMTMD
     x.soft_plus, x.soft_minus, x.soft_rp, x.soft_instant = w & SLMT_PLUS, w & SLMT_MINUS, w & CMPSL, 0
     x.inpos_waits, x.alarm_stops = w & INP_E, w & ALM_E
@@ -236,11 +241,11 @@ def errors(c, x):
         word |= E_SLMT_PLUS
     if x.soft_minus and _compared(x) & CMP_MINUS:
         word |= E_SLMT_MINUS
-    if x.level & LMT_PLUS:
+    if x.active & LMT_PLUS:
         word |= E_HLMT_PLUS
-    if x.level & LMT_MINUS:
+    if x.active & LMT_MINUS:
         word |= E_HLMT_MINUS
-    if x.alarm_stops and x.level & ALARM:
+    if x.alarm_stops and x.active & ALARM:
         word |= E_ALARM
     if c.emergency:
         word |= E_EMG
@@ -263,20 +268,19 @@ def status(c):
 
 @hot
 def _levels(c, x, j):
-    """RR4, RR5: the electrical levels of an axis; STOP0, STOP1, STOP2, EMG, EX+, EX-, INPOS, ALARM."""
+    """RR4, RR5: the electrical levels of an axis; STOP0, STOP1, STOP2, EMG, EX+, EX-, INPOS, ALARM. A pin that is set is low."""
     word = 0
     for k in range(3):
-        high_active = x.wr[1] >> 2 * k & 1
-        word |= (1 if (x.inputs & STOP0 << k != 0) == (high_active != 0) else 0) << k
+        word |= (0 if x.inputs & STOP0 << k else 1) << k
     if j == 0:
         word |= 0 if c.emg else IN_EMG
     word |= (0 if x.inputs >> EXP & 1 else IN_EXP_PLUS) | (0 if x.inputs >> EXP & 2 else IN_EXP_MINUS)
-    word |= IN_INPOS if (x.inputs & INPOS != 0) == (x.wr[2] & INP_L != 0) else 0
-    word |= IN_ALARM if (x.inputs & ALARM != 0) == (x.wr[2] & ALM_L != 0) else 0
+    word |= 0 if x.inputs & INPOS else IN_INPOS
+    word |= 0 if x.inputs & ALARM else IN_ALARM
     if c.axes == 2:
         word |= IN_IN
-        word |= IN_LMT_PLUS if (x.inputs & LMT_PLUS != 0) == (x.wr[2] & HLMT_PLUS != 0) else 0
-        word |= IN_LMT_MINUS if (x.inputs & LMT_MINUS != 0) == (x.wr[2] & HLMT_MINUS != 0) else 0
+        word |= 0 if x.inputs & LMT_PLUS else IN_LMT_PLUS
+        word |= 0 if x.inputs & LMT_MINUS else IN_LMT_MINUS
     return word
 
 

@@ -7,6 +7,7 @@ from stage.chips.nova.bus.parameters import lowest, meant, parameters
 from stage.chips.nova.bus.status import busy, phase_bits
 from stage.chips.nova.functions import home, sync, timer
 from stage.chips.nova.functions import io as ports
+from stage.chips.nova.functions.inputs import turn
 from stage.chips.nova.interpolation import queue as prebuffer
 from stage.chips.nova.motion import drive, rates
 from stage.chips.nova.registers.mcx514 import GENERATION
@@ -106,6 +107,9 @@ def configure(x):
     x.limits, x.limit_slow = w & HLM_E, w & HLM_M
     x.soft_plus = x.soft_minus = w & SLM_E
     x.soft_rp, x.soft_instant = w & SLM_O, w & SLM_M
+    turned = (STOP0 if w & SP0_L else 0) | (STOP1 if w & SP1_L else 0) | (STOP2 if w & SP2_L else 0)
+    turned |= (INPOS if w & INP_L else 0) | (ALARM if w & ALM_L else 0)
+    turn(x, turned | (LMT_PLUS | LMT_MINUS if w & HLM_L else 0))
     w = x.wr[3]
     x.manual, x.asymmetric = w & MANLD, 1 if w & DSNDE else 0
     x.s_curve, x.prevents = 1 if w & SACC else 0, 0 if w & AVTRI else 1
@@ -272,19 +276,17 @@ def content(c, address):
 
 
 @hot
-def _raw(x, bit, high_active):
-    """The electrical level of an input."""
-    return 1 if (x.inputs & bit != 0) == (high_active != 0) else 0
+def _low(x, bit):
+    """The electrical level of an input that is low while its pin is set."""
+    return 0 if x.inputs & bit else 1
 
 
 @hot
 def _pins_page(c, x):
-    w = x.wr[2]
-    limit = w & HLM_L
     return (
-        _raw(x, STOP0, w & SP0_L) | _raw(x, STOP1, w & SP1_L) << 1 | _raw(x, STOP2, w & SP2_L) << 2
-        | _raw(x, ECA, 1) << 3 | _raw(x, ECB, 1) << 4 | _raw(x, INPOS, w & INP_L) << 5 | _raw(x, ALARM, w & ALM_L) << 6
-        | _raw(x, LMT_PLUS, limit) << 7 | _raw(x, LMT_MINUS, limit) << 8 | x.home << HSST
+        _low(x, STOP0) | _low(x, STOP1) << 1 | _low(x, STOP2) << 2
+        | (1 - _low(x, ECA)) << 3 | (1 - _low(x, ECB)) << 4 | _low(x, INPOS) << 5 | _low(x, ALARM) << 6
+        | _low(x, LMT_PLUS) << 7 | _low(x, LMT_MINUS) << 8 | x.home << HSST
     )  # fmt: skip
 
 

@@ -56,6 +56,7 @@ def _show(x, edge):
     pins = (ECA if edge + 1 & 2 else 0) | (ECB if edge & 2 else 0)
     x.inputs = x.inputs & ~PINS | pins
     x.level = x.level & ~PINS | pins
+    x.active = x.level ^ x.turned
 
 
 @hot

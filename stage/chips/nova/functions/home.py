@@ -132,7 +132,7 @@ def _stop_of(c, x, k):
 def _there(c, x, k):
     """The signal of step 1 or 2 is active."""
     stop = _stop_of(c, x, k)
-    return x.level & stop if stop else counters.hardware_limit(x, _way(c, x, k))
+    return x.active & stop if stop else counters.hardware_limit(x, _way(c, x, k))
 
 
 @hot
@@ -236,7 +236,7 @@ def _begin(c, x, k):
             _go(x, SEARCH, _way(c, x, 2), 1)
     elif k <= 3 and mode & asked[2]:
         x.home = Z
-        if x.level & STOP2:
+        if x.active & STOP2:
             x.causes |= E_HOME
             end(c, x)
         else:
@@ -276,7 +276,7 @@ def _watch(c, x):
         if not _there(c, x, 2):
             x.found = SIGNAL
             drive.end(c, x, 0)
-    elif x.level & STOP2 and (x.level & STOP1 or not _only_with_stop1(c, x)) and x.home == Z:
+    elif x.active & STOP2 and (x.active & STOP1 or not _only_with_stop1(c, x)) and x.home == Z:
         x.found = SIGNAL
         drive.end(c, x, F_STOP2)
 
@@ -350,7 +350,7 @@ def step(c, x):
     if not x.home:
         return
     if x.pause:
-        if c.emergency or (x.alarm_stops and x.level & ALARM):
+        if c.emergency or (x.alarm_stops and x.active & ALARM):
             x.causes |= (E_EMG | F_EMG) if c.emergency else (E_ALARM | F_ALARM)
             end(c, x)
         elif c.clock >= x.pause:

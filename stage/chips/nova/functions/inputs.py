@@ -1,4 +1,7 @@
-"""NOVA chips, compiled: from the pins through the filters to the levels that the chip works with; the encoder's counts."""
+"""NOVA chips, compiled: from the pins through the filters to the levels that the chip works with; the encoder's counts.
+
+A pin that is set (True) is low, which is active while its level bit in WR1 or WR2 is 0; a level bit of 1 turns it round.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,13 @@ from stage.chips.nova.state import ECA, ECB, EMG_FILTER, INPUT_PINS, NEVER, RP, 
 from stage.native import greatest, hot, least
 
 UP_DOWN = 3  # PIMD
+
+
+@hot
+def turn(x, word):
+    """These of the inputs are active high from now on."""
+    x.turned = word
+    x.active = x.level ^ word
 
 
 @hot
@@ -60,9 +70,10 @@ def follow(c, x):
         x.level ^= bit
     if (old ^ x.level) & (ECA | ECB):
         _encoder(c, x, old, x.level)
-    if x.clears and x.driving and x.level & ~old & STOP2 and (x.stops & 4 or x.home):
+    if x.clears and x.driving and (x.level ^ x.turned) & ~x.active & STOP2 and (x.stops & 4 or x.home):
         x.reg[RP] = 0
     if old != x.level:
+        x.active = x.level ^ x.turned
         c.stale = 1
     return at
 

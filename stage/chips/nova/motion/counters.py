@@ -63,4 +63,4 @@ def hardware_limit(x, way):
     """The limit switch of a direction is asserted."""
     plus = LMT_MINUS if x.swaps else LMT_PLUS
     minus = LMT_PLUS if x.swaps else LMT_MINUS
-    return x.level & (plus if way > 0 else minus)
+    return x.active & (plus if way > 0 else minus)

@@ -151,7 +151,7 @@ def blocked(c, x, way):
         cause = (E_HLMT_PLUS | F_LMT_PLUS) if way > 0 else (E_HLMT_MINUS | F_LMT_MINUS)
     elif beyond(c, x, way):
         cause = E_SLMT_PLUS if way > 0 else E_SLMT_MINUS
-    elif x.alarm_stops and x.level & ALARM:
+    elif x.alarm_stops and x.active & ALARM:
         cause = E_ALARM | F_ALARM
     elif c.emergency:
         cause = E_EMG | F_EMG
@@ -255,7 +255,7 @@ def end(c, x, cause):
     x.driving = x.slow = x.interpolates = 0
     x.phase = NO_PHASE
     c.stale = 1
-    if x.inpos_waits and not x.level & INPOS:
+    if x.inpos_waits and not x.active & INPOS:
         x.waiting = 1
     else:
         note_drive(x, D_END)
@@ -299,7 +299,7 @@ def stop(c, x, cause):
 @hot
 def obey_inputs(c, x):
     """What the present levels do to a drive, or to an interpolation in which the axis takes part; limits if that moves it."""
-    if x.waiting and (x.level & INPOS or not x.inpos_waits):
+    if x.waiting and (x.active & INPOS or not x.inpos_waits):
         x.waiting = 0
         note_drive(x, D_END)
     if not (x.driving or x.interpolates):
@@ -307,13 +307,13 @@ def obey_inputs(c, x):
     if c.emergency:
         stop(c, x, E_EMG | F_EMG)
         return
-    if x.alarm_stops and x.level & ALARM:
+    if x.alarm_stops and x.active & ALARM:
         stop(c, x, E_ALARM | F_ALARM)
         return
     if (x.driving or x.moves) and _obey_limits(c, x):
         return
     for k in range(3):
-        if x.stops >> k & 1 and x.level & STOP0 << k and not x.home:
+        if x.stops >> k & 1 and x.active & STOP0 << k and not x.home:
             request_stop(c, x, F_STOP0 << k)
 
 

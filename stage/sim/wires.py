@@ -1,0 +1,106 @@
+"""Wires that are not as usual: sensors of positive logic, and chips whose SYNI is connected to another chip's SYNO."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from stage.chips import Chip, ChipAxis
+from stage.errors import ArgumentError, unknown
+from stage.sim.plant import PlantAxis
+
+WiringChoice = Mapping[str, Mapping[str, str]] | None
+LOGIC = ("negative", "positive")
+"""Low while it is on, which is what every chip's default logic takes as asserted; high while it is on."""
+
+
+def chosen_wiring(
+    given: WiringChoice, plant: Sequence[PlantAxis], chip_axes: Sequence[ChipAxis]
+) -> tuple[Mapping[str, str], ...]:
+    """Of each axis: its sensors of positive logic, as `Stage` takes them. Raises ArgumentError."""
+    if given is not None and not isinstance(given, Mapping):
+        raise _no_wiring(given)
+    names = [p.name for p in plant]
+    for name, sensors in (given or {}).items():
+        if name not in names:
+            raise unknown("axis", name, names)
+        if not isinstance(sensors, Mapping):
+            raise _no_wiring(given)
+    return tuple(
+        _of_axis((given or {}).get(p.name, {}), p, type(axis.chip)) for p, axis in zip(plant, chip_axes, strict=True)
+    )
+
+
+def _no_wiring(given: Any) -> ArgumentError:
+    return ArgumentError(f'wiring={given!r}: a mapping axis -> sensor -> logic, {{"x": {{"org": "positive"}}}}.')
+
+
+def _of_axis(sensors: Mapping[str, str], plant: PlantAxis, chip: Any) -> Mapping[str, str]:
+    fitted = [s.pin for s in plant.switches] + ["ez"] * bool(chip.wired("ez"))
+    for sensor, logic in sensors.items():
+        if sensor not in fitted:
+            raise unknown(f"sensor of axis {plant.name}", sensor, fitted)
+        if logic not in LOGIC:
+            raise ArgumentError(
+                f"wiring of {sensor} of axis {plant.name}: {logic!r} is no logic; it is {LOGIC[0]!r} (low while the sensor is on, the "
+                f"default) or {LOGIC[1]!r} (high)."
+            )
+        if not chip.wired(sensor):
+            raise ArgumentError(
+                f"wiring of {sensor} of axis {plant.name}: no pin of a {chip.__name__} is wired to it; leave it out."
+            )
+    positive = {sensor: logic for sensor, logic in sensors.items() if logic == LOGIC[1]}
+    for sensor in positive:
+        others = [s for s in fitted if chip.wired(s) == chip.wired(sensor) and s not in positive]
+        if others:
+            raise ArgumentError(
+                f"wiring of {sensor} of axis {plant.name}: {', '.join(others)} is on the same pin of a {chip.__name__}; give all of "
+                "them one logic."
+            )
+    return positive
+
+
+def leaders(
+    given: Mapping[str, str] | None, names: Sequence[str], chip_axes: Sequence[ChipAxis]
+) -> tuple[tuple[str, str], ...]:
+    """(follower, leader) axes whose chips share the leader's clock, as `Stage` takes them in `syni`. Raises ArgumentError."""
+    if given is not None and not isinstance(given, Mapping):
+        raise ArgumentError(f'syni={given!r}: a mapping follower -> leader, {{"y": "x"}}.')
+    chip_of = {name: axis.chip for name, axis in zip(names, chip_axes, strict=True)}
+    for pair in (given or {}).items():
+        for name in pair:
+            if name not in chip_of:
+                raise unknown("axis", name, names)
+        if pair[1] in given:
+            raise ArgumentError(f"syni: axis {pair[1]} leads {pair[0]}, and follows {given[pair[1]]}: connect all to one leader.")
+        check_pair(chip_of[pair[0]], chip_of[pair[1]], f"syni of axis {pair[0]}")
+    return tuple((given or {}).items())
+
+
+def check_pair(follower: Chip, leader: Chip, what: str) -> None:
+    """Raises ArgumentError for chips that cannot share a clock by SYNO and SYNI."""
+    for chip in (follower, leader):
+        if not chip.SYNCHRO:
+            raise ArgumentError(f"{what}: a {type(chip).__name__} has no SYNI and SYNO; chips of the PCL-240 family have.")
+    if follower is leader:
+        raise ArgumentError(f"{what}: a chip does not follow itself.")
+    if follower.clock_hz != leader.clock_hz:
+        raise ArgumentError(
+            f"{what}: its reference clock is {follower.clock_hz:,} Hz, the leader's {leader.clock_hz:,} Hz; give both the same."
+        )
+
+
+@dataclass(frozen=True)
+class Wires:
+    """positive: of each axis its sensors of positive logic; leaders: of chips that follow one."""
+
+    positive: Sequence[Mapping[str, str]]
+    leaders: Mapping[Chip, Chip]
+
+    def positive_pins(self, axis: int, chip: Chip) -> int:
+        """The input bits of the chip that sensors of positive logic drive."""
+        word = 0
+        for sensor in self.positive[axis]:
+            word |= chip.wired(sensor)
+        return word
