@@ -1,4 +1,4 @@
-"""Sensors of positive logic: a chip reads them by its polarity bits, the drivers set these, and a host with a wrong one finds out."""
+"""Sensors of positive logic: chips read them by their polarity bits, drivers set these, a host with a wrong one finds out."""
 
 import copy
 import pickle
@@ -8,6 +8,7 @@ from support.pcl240ms_bench import load
 
 from stage import ArgumentError, RunTimeout, Stage, firmware
 from stage.chips import HCTL1100, MCX304, MCX514, PCL240K, PCL240MK, PCL240MS, cores
+from stage.cli.setup import _wiring
 from stage.firmware.hctl1100.port import Port
 from stage.sim.snapshot import Snapshot
 
@@ -73,7 +74,9 @@ def test_the_sensors_of_an_hctl1100_can_be_of_positive_logic_all_the_same():
 @pytest.mark.parametrize("chips", [PCL240K, PCL240MK])
 def test_a_chip_without_the_bit_is_not_sent_home_with_such_a_sensor(chips):
     _, x = made(chips, {"org": "positive"})
-    with pytest.raises(ArgumentError, match="org is of positive logic, and a PCL240M?K cannot read it so; a PCL240MS can"):
+    with pytest.raises(
+        ArgumentError, match=r"org is of positive logic, and a PCL240M?K cannot read it so; a PCL240MS can"
+    ):
         firmware.home(x)
 
 
@@ -145,7 +148,10 @@ def test_a_recording_shows_the_switch_and_the_wire(tmp_path):
         ({"syni": {"y": "x", "x": "y"}}, "one leader"),
         ({"syni": "yx"}, "a mapping follower -> leader"),
         ({"chips": HCTL1100, "syni": {"y": "x"}}, "has no SYNI"),
-        ({"chips": {"x": lambda: PCL240K(4_000_000), "y": PCL240K}, "syni": {"y": "x"}}, "4,915,200 Hz, the leader's 4,000,000"),
+        (
+            {"chips": {"x": lambda: PCL240K(4_000_000), "y": PCL240K}, "syni": {"y": "x"}},
+            "4,915,200 Hz, the leader's 4,000,000",
+        ),
     ],
 )
 def test_a_wiring_that_cannot_be_is_refused(given, said):
@@ -200,3 +206,10 @@ def test_a_recording_replays_a_follower():
 def test_the_bits_of_a_wire_between_chips_leave_room_for_all_pins():
     for chip in (PCL240K, PCL240MK, PCL240MS):
         assert max(chip.INPUTS.values()) < 1 << cores.WIRE_BIT
+
+
+@pytest.mark.parametrize(("item", "said"), [("x.org", "AXIS.SENSOR=LOGIC"), ("org=positive", "AXIS.SENSOR=LOGIC")])
+def test_the_commands_option_says_how_it_is_written(item, said):
+    with pytest.raises(ArgumentError, match=said):
+        _wiring([item])
+    assert _wiring(["x.org=positive", "x.ez=negative"]) == {"x": {"org": "positive", "ez": "negative"}}

@@ -372,9 +372,7 @@ class Chip:
         """Before a write: whether a fault of the bus loses it. Calls every fault."""
         return any([glitch(address, value) for glitch in self.glitches]) if self.glitches else False
 
-    def diagnose(
-        self, clock: int, address: int, value: int, message: str, source: str, once: bool = False
-    ) -> None:
+    def diagnose(self, clock: int, address: int, value: int, message: str, source: str, once: bool = False) -> None:
         """Add to `diagnostics`. once: not if it has been said, whatever follows the colon."""
         kind = message.split(":")[0]
         if once and any(d.source == source and d.message.startswith(kind) for d in self._diagnostics):

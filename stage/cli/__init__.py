@@ -338,6 +338,13 @@ def _board(p: argparse.ArgumentParser) -> None:
         "for example x=200000, or a turn of the motor, x=2000/turn",
     )
     g.add_argument(
+        "--wiring",
+        action="append",
+        default=[],
+        metavar="AXIS.SENSOR=LOGIC",
+        help="the logic of a sensor, where it is not negative: x.org=positive is high while it is on; ez is the encoder's index",
+    )
+    g.add_argument(
         "--place",
         action="append",
         default=[],

@@ -6,7 +6,7 @@ import argparse
 import math
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,7 @@ def make_stage(args: argparse.Namespace) -> Any:
 
     common: dict[str, Any] = {"bus_cycle": args.bus_cycle, "clock": getattr(args, "clock", None)}
     common["encoders"] = [_encoder(item) for item in getattr(args, "encoder", ())]
+    common["wiring"] = _wiring(getattr(args, "wiring", ()))
     motor = {} if args.motor is None else {"motor": args.motor}
 
     def drive(chip: Any) -> Any:
@@ -66,6 +67,18 @@ def _encoder(item: str) -> Any:
             f"--encoder {item!r}: write AXIS=COUNTS, counts a metre and not 0, for example x=200000; or of the motor x=2000/turn."
         )
     return Encoder(axis, per_turn=counts) if per else Encoder(axis, per_metre=counts)
+
+
+def _wiring(items: Iterable[str]) -> dict[str, dict[str, str]]:
+    """The wiring that --wiring describes. Raises ArgumentError."""
+    wiring: dict[str, dict[str, str]] = {}
+    for item in items:
+        axis, dot, rest = item.partition(".")
+        sensor, _, logic = rest.partition("=")
+        if not (axis and dot and sensor and logic):
+            raise ArgumentError(f"--wiring {item!r}: write AXIS.SENSOR=LOGIC, for example x.org=positive.")
+        wiring.setdefault(axis, {})[sensor] = logic
+    return wiring
 
 
 def make_board(args: argparse.Namespace) -> Any:

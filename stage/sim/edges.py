@@ -94,8 +94,8 @@ def foresee(world, axes, table, switches, switch_table, clockwork, sensordata, q
 
 @hot
 def switched(t, switches, switch_table, word):
-    """The pin word of an axis with its switches as they are. Two that are wired to one pin assert it if either is on. Of a sensor of
-    positive logic the pin is set, which is low, while it is off."""
+    """The pin word of an axis with its switches as they are. Two that are wired to one pin assert it if either is on. A sensor of
+    positive logic sets its pin, which is low then, while it is off."""
     on = off = 0
     for k in range(t.first_switch, t.end_switch):
         bit = switch_table[k].bit
@@ -145,7 +145,14 @@ def note_input(c, j, edges, n_edges, now):
     """The inputs of chip axis `j` have changed: returns how many edges are noted by now."""
     if n_edges < len(edges):
         e = edges[n_edges]
-        e.now, e.clock, e.axis, e.kind, e.a, e.b = now, cores.clock(c), cores.axis_of(c, j), INPUT, j, cores.inputs(c, j)
+        e.now, e.clock, e.axis, e.kind, e.a, e.b = (
+            now,
+            cores.clock(c),
+            cores.axis_of(c, j),
+            INPUT,
+            j,
+            cores.inputs(c, j),
+        )
         n_edges += 1
     return n_edges
 

@@ -64,9 +64,8 @@ AXIS_TABLE = record(
     + [("gear", "f8"), ("index_at", "f8"), ("counts", "f8")]
 )
 """Which axis of which chip (a row of CHIP_TABLE) and which drive row (= the axis' own index) move which joint; rotor radians
-per joint unit; the pin bit of the index pulse (0: not connected) and where in the rotor's turn it stands, in turns; the pin bits whose sensors drive
-high while they are on; counts of the
-encoder that the chip sees per joint unit (0: none)."""
+per joint unit; the pin bit of the index pulse (0: not connected) and where in the rotor's turn it stands, in turns; the pin bits
+whose sensors are high while they are on; counts of the encoder that the chip sees per joint unit (0: none)."""
 SWITCH_TABLE = record(
     [(name, "i8") for name in "bit found at forced bounce toggles".split()] + [("slope", "f8"), ("hysteresis", "f8")]
 )

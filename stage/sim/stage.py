@@ -64,7 +64,7 @@ class Stage:
         clock: Hz, the reference clock of chips that are given by class or name; default: that of each chip's data sheet.
         encoders: what the chips' own counters of the real position count (RP, EP of NOVA's): a mapping axis -> counts a metre
             (rad), all four edges of a line, or Encoders of stage.sim.encoder. Default: nothing; a Servo has its own.
-        wiring: the logic of sensors: a mapping axis -> switch (or "ez", the index) -> "negative", low while it is on, the default, or
+        wiring: the logic of sensors: a mapping axis -> switch (or "ez", the index) -> "negative", low while on (the default), or
             "positive". A chip that can reads it by its polarity bits; the drivers of stage.firmware set them.
         syni: chips of the PCL-240 family that count another's clock: a mapping follower -> leader of axes, {"y": "x"}.
         visuals: False leaves out what is only for display, for runs without pictures: the same bits, a third faster.
@@ -155,9 +155,7 @@ class Stage:
             Axis(self, k, p, chip_axis, drive, self._positive[k]) for k, (p, chip_axis, drive) in enumerate(axes)
         ]
         self.axes: Mapping[str, Axis] = MappingProxyType(Axes((axis.name, axis) for axis in self._axes))
-        self._header = self._bare = header(
-            self.state, self._axes, self._mechanics, self._encoders, self._followers
-        )
+        self._header = self._bare = header(self.state, self._axes, self._mechanics, self._encoders, self._followers)
         self.beside = Beside()
 
     # --- time ---

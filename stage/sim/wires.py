@@ -43,8 +43,8 @@ def _of_axis(sensors: Mapping[str, str], plant: PlantAxis, chip: Any) -> Mapping
             raise unknown(f"sensor of axis {plant.name}", sensor, fitted)
         if logic not in LOGIC:
             raise ArgumentError(
-                f"wiring of {sensor} of axis {plant.name}: {logic!r} is no logic; it is {LOGIC[0]!r} (low while the sensor is on, the "
-                f"default) or {LOGIC[1]!r} (high)."
+                f"wiring of {sensor} of axis {plant.name}: {logic!r} is no logic; it is {LOGIC[0]!r} (low while the sensor is "
+                f"on, the default) or {LOGIC[1]!r} (high)."
             )
         if not chip.wired(sensor):
             raise ArgumentError(
@@ -55,8 +55,8 @@ def _of_axis(sensors: Mapping[str, str], plant: PlantAxis, chip: Any) -> Mapping
         others = [s for s in fitted if chip.wired(s) == chip.wired(sensor) and s not in positive]
         if others:
             raise ArgumentError(
-                f"wiring of {sensor} of axis {plant.name}: {', '.join(others)} is on the same pin of a {chip.__name__}; give all of "
-                "them one logic."
+                f"wiring of {sensor} of axis {plant.name}: {', '.join(others)} is on the same pin of a {chip.__name__}; give all "
+                "of them one logic."
             )
     return positive
 
@@ -68,21 +68,26 @@ def leaders(
     if given is not None and not isinstance(given, Mapping):
         raise ArgumentError(f'syni={given!r}: a mapping follower -> leader, {{"y": "x"}}.')
     chip_of = {name: axis.chip for name, axis in zip(names, chip_axes, strict=True)}
-    for pair in (given or {}).items():
+    wanted = dict(given or {})
+    for pair in wanted.items():
         for name in pair:
             if name not in chip_of:
                 raise unknown("axis", name, names)
-        if pair[1] in given:
-            raise ArgumentError(f"syni: axis {pair[1]} leads {pair[0]}, and follows {given[pair[1]]}: connect all to one leader.")
+        if pair[1] in wanted:
+            raise ArgumentError(
+                f"syni: axis {pair[1]} leads {pair[0]}, and follows {wanted[pair[1]]}: connect all to one leader."
+            )
         check_pair(chip_of[pair[0]], chip_of[pair[1]], f"syni of axis {pair[0]}")
-    return tuple((given or {}).items())
+    return tuple(wanted.items())
 
 
 def check_pair(follower: Chip, leader: Chip, what: str) -> None:
     """Raises ArgumentError for chips that cannot share a clock by SYNO and SYNI."""
     for chip in (follower, leader):
         if not chip.SYNCHRO:
-            raise ArgumentError(f"{what}: a {type(chip).__name__} has no SYNI and SYNO; chips of the PCL-240 family have.")
+            raise ArgumentError(
+                f"{what}: a {type(chip).__name__} has no SYNI and SYNO; chips of the PCL-240 family have."
+            )
     if follower is leader:
         raise ArgumentError(f"{what}: a chip does not follow itself.")
     if follower.clock_hz != leader.clock_hz:

@@ -186,7 +186,9 @@ def test_fup_fkeep_and_fdown_are_high_one_at_a_time_and_bit_5_is_fkeep():
     levels = [tuple(pins_clock_by_clock(chip, 500, *names).sum(axis=0))]
     chip.write(0, 0x14)
     levels.append(tuple(pins_clock_by_clock(chip, 500, *names).sum(axis=0)))
-    assert levels == [(50 * 7 - 1, 500 - 50 * 7 + 1, 0), (0, 500 - 50 * 9 + 1, 50 * 9 - 1)], "each row one clock late: after it"
+    assert levels == [(50 * 7 - 1, 500 - 50 * 7 + 1, 0), (0, 500 - 50 * 9 + 1, 50 * 9 - 1)], (
+        "each row one clock late: after it"
+    )
     for command in (0x15, 0x14, 0x11):
         chip.write(0, command)
         for _ in range(300):

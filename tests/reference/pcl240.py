@@ -14,7 +14,7 @@ OUTPUTS = ("ots", "pout", "pdir", "hold", "fdown", "fkeep", "fup", "lt", "zero",
 
 
 class Pins:
-    """Input pins are attributes to set, output pins attributes to get; True = at the level that the default logic takes as asserted."""
+    """Input pins are attributes to set, output pins attributes to get; True = the level that default logic takes as asserted."""
 
     def __init__(self, chip):
         vars(self).update(dict.fromkeys(chip.INPUTS, False), _chip=chip)
@@ -120,11 +120,7 @@ class ReferencePCL240K:
     def _start(self, value):
         if not self.armed or self.finishing:
             return  # needs 08h first [2]; the last pulse is still being completed [5]
-        if (
-            (self.preset and self.registers[0] == 0)
-            or self._limit_of_direction()
-            or (self.control & 1 and self.org)
-        ):
+        if (self.preset and self.registers[0] == 0) or self._limit_of_direction() or (self.control & 1 and self.org):
             return  # stays halted and armed [5]
         self._choose_speed(value)
         self._run()

@@ -77,10 +77,12 @@ class PCL240(Chip):
     @syni.setter
     def syni(self, leader: PCL240 | None) -> None:
         if self.attached:
-            raise StageError(f'a chip of a stage is connected where the stage is made: Stage(syni={{"y": "x"}}).')
-        if leader is not None:
-            if not isinstance(leader, PCL240) or leader is self or leader.clock_hz != self.clock_hz:
-                raise ArgumentError(f"syni={leader!r}: another chip of the PCL-240 family with a clock of {self.clock_hz:,} Hz, or None.")
+            raise StageError('a chip of a stage is connected where the stage is made: Stage(syni={"y": "x"}).')
+        fits = isinstance(leader, PCL240) and leader is not self and leader.clock_hz == self.clock_hz
+        if leader is not None and not fits:
+            raise ArgumentError(
+                f"syni={leader!r}: another chip of the PCL-240 family with a clock of {self.clock_hz:,} Hz, or None."
+            )
         self._leader = leader
         self._hear()
 

@@ -18,7 +18,6 @@ from stage.chips.pcl240.state import (
     PULSE,
     S_OPERATING,
     STATE,
-    SYNI,
     read_pins,
     reset,
 )

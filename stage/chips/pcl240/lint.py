@@ -169,7 +169,11 @@ def _triangle(c: Any, r: list[int], value: int, foresight: Foresight) -> Note | 
     if last is None or last - r[1] <= FAR_ABOVE * height:
         return None
     last_pps, fl_pps = (k * foresight.hz / (8192 * int(c["multiplier"])) for k in (last, r[1]))
-    why = "FH correction is off (R14 bit 15)" if c["automatic"] else "there is no FH correction without the automatic point"
+    why = (
+        "FH correction is off (R14 bit 15)"
+        if c["automatic"]
+        else "there is no FH correction without the automatic point"
+    )
     return (
         f"R0 = {r[0]} is too short for R{fh} = {r[fh]}, and {why}: it stops at {last_pps:,.0f} pps, FL is {fl_pps:,.0f} pps",
         "MS section 3-4",

@@ -162,9 +162,10 @@ def _extension(s_curves: bool) -> tuple[Register, ...]:
     span = Field(
         "span", 11, 0, "speed steps of each curved end", "S", note="1 to 4095; 0 or above half the ramp: half the ramp"
     )
-    logic, unused = {0: "negative", 1: "positive"}, "stored, pins are set as asserted"
+    logic = {0: "negative", 1: "positive"}
+    turned = "1: asserted while the pin is high, as it is when nobody drives it"
     org = (
-        Field("org_logic", 23, 23, "ORG logic", "S", values=logic, note=unused)
+        Field("org_logic", 23, 23, "ORG logic", "S", values=logic, note=turned)
         if s_curves
         else Field("fixed", 23, 23, "always 0", "S", "R")
     )
@@ -190,7 +191,7 @@ def _extension(s_curves: bool) -> tuple[Register, ...]:
             "R12", 0x12, 24, "RW", "input logic", None,
             (
                 _stored(23, 13),
-                Field("ez_logic", 12, 12, "EZ logic", "S", values=logic, note=unused),
+                Field("ez_logic", 12, 12, "EZ logic", "S", values=logic, note=turned),
                 _stored(11, 0),
             ),
         ),

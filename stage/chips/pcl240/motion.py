@@ -2,7 +2,7 @@
 
 Between two events the speed is constant, so phase, pulses and R0 follow in closed form from exact integers:
 
-    phase(n) = phase + n speed        pulses = phase(n) // M        M = 8192 R7, of the leader if SYNI is connected        POUT low while phase < M / 2
+    phase(n) = phase + n speed        pulses = phase(n) // M        M = 8192 R7        POUT low while phase < M / 2
 
     phase   0 ... M/2 ... M=0          M/2            M=0
     POUT    |_________|-----------------|_________|-------      low is asserted; the pulse is counted where it begins

@@ -1,7 +1,7 @@
 """PCL-240 family, compiled: step 3 of a tick. The speed to be reached, and the tick of the next speed step.
 
-A linear ramp takes a step every R4 or R5 clocks. A ramp down is over, and FDOWN falls, R5 - 1 clocks after its last step. An S-curve ramp of K steps with curved ends of S steps each takes its
-k-th step at t(k) clocks after its start:
+A linear ramp takes a step every R4 or R5 clocks; one down is over, and FDOWN falls, R5 - 1 clocks after its last step. An S-curve
+ramp of K steps with curved ends of S steps each takes its k-th step at t(k) clocks after its start, and is over at T:
 
     rate sqrt(k S)                    k <= S            from rest: the acceleration grows with time
     rate (S + k) / 2                  S < k <= K - S    linear

@@ -55,7 +55,12 @@ class FirstGenerationDriver(NovaDriver):
 
     def begin(self, p: Ops, s_curve: bool = False) -> Ops:
         limits_ = level_bits(self.axis, "WR2")
-        self.words(p, WR1=self._inputs(), **({"WR2": limits_} if limits_ else {}), WR3=self.mask("WR3", "SACC") if s_curve else 0)
+        self.words(
+            p,
+            WR1=self._inputs(),
+            **({"WR2": limits_} if limits_ else {}),
+            WR3=self.mask("WR3", "SACC") if s_curve else 0,
+        )
         return self.set(self.set(p, "R", RANGE // MULTIPLE), "AO", 0)
 
     def _inputs(self, *more: str) -> int:
@@ -124,7 +129,10 @@ class FirstGenerationDriver(NovaDriver):
         at = len(p)
         p.read(self.index, 2).read(self.index, self._level(1)[0])
         levels = {f"stop{k}": (at + 1, self._level(k)[1], self.high(k)) for k in (1, 2)}
-        return {"error": (at, self.mask("RR2", "HOME", "HLMT+"), True), **levels}  # on its way out of an ORG that is stuck
+        return {
+            "error": (at, self.mask("RR2", "HOME", "HLMT+"), True),
+            **levels,
+        }  # on its way out of an ORG that is stuck
 
     def _level(self, k: int) -> tuple[int, int]:
         """Where STOPk of this axis is read: address and mask."""

@@ -94,4 +94,7 @@ class Mcx514Driver(NovaDriver):
         at = len(p)
         p.read(self.index, 2).read(self.index, 3)
         levels = {f"stop{k}": (at + 1, self.mask("RR3-0", f"STOP{k}"), self.high(k)) for k in (1, 2)}
-        return {"error": (at, self.mask("RR2", "HOME", "HLMT+"), True), **levels}  # on its way out of an ORG that is stuck
+        return {
+            "error": (at, self.mask("RR2", "HOME", "HLMT+"), True),
+            **levels,
+        }  # on its way out of an ORG that is stuck

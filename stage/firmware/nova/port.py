@@ -20,15 +20,25 @@ from stage.errors import ArgumentError, RunTimeout
 from stage.firmware.axis import Axis, positive
 
 POLL = 1e-3  # s between two looks
-LEVELS_514 = {"org": ("WR2", "SP1-L"), "ez": ("WR2", "SP2-L"), "el_plus": ("WR2", "HLM-L"), "el_minus": ("WR2", "HLM-L")}
-LEVELS_300 = {"org": ("WR1", "SP1-L"), "ez": ("WR1", "SP2-L"), "el_plus": ("WR2", "HLMT+"), "el_minus": ("WR2", "HLMT-")}
+LEVELS_514 = {
+    "org": ("WR2", "SP1-L"),
+    "ez": ("WR2", "SP2-L"),
+    "el_plus": ("WR2", "HLM-L"),
+    "el_minus": ("WR2", "HLM-L"),
+}
+LEVELS_300 = {
+    "org": ("WR1", "SP1-L"),
+    "ez": ("WR1", "SP2-L"),
+    "el_plus": ("WR2", "HLMT+"),
+    "el_minus": ("WR2", "HLMT-"),
+}
 """Sensor -> the bit that says that it is high while it is on."""
 ERRORS = ("SLMT+", "SLMT-", "HLMT+", "HLMT-", "ALARM", "EMG", "HOME", "CERR")
 """Error bits of RR2; the first generation has no CERR."""
 
 
 def level_bits(axis: Axis, word: str) -> int:
-    """The bits of WR1 or WR2 that suit the wiring of an axis. Raises ArgumentError where one bit stands for two sensors that differ."""
+    """The bits of WR1 or WR2 that suit the wiring of an axis. Raises ArgumentError where two sensors that differ have one bit."""
     map_, bits = axis.chip.MAP, 0
     levels = LEVELS_514 if isinstance(axis.chip, MCX514) else LEVELS_300
     for sensor, (place, name) in levels.items():

@@ -115,15 +115,16 @@ def stop_reason(status: Status, direction: int, *, preset: bool = True, origin: 
 
 def polarity(axis: Axis) -> dict[str, int]:
     """The bits of R12 and R13 that suit the wiring of an axis. Raises ArgumentError for a sensor that its chip cannot read so."""
-    map_, bits = axis.chip.MAP, {}
+    bits: dict[str, int] = {}
     for sensor in getattr(axis, "wiring", {}):
+        map_ = axis.chip.MAP
         name, field = POLARITY.get(sensor, ("", ""))
         there = next((r for r in map_.registers if r.name == name), None)
         if there is None or field not in (f.name for f in there.fields):
             able = {"org": "; a PCL240MS can", "ez": "; a PCL240MK or PCL240MS can"}.get(sensor, "")
             raise ArgumentError(
-                f"axis {axis.name}: {sensor} is of positive logic, and a {map_.chip} cannot read it so{able}. Wire a sensor of negative "
-                "logic, or an inverter."
+                f"axis {axis.name}: {sensor} is of positive logic, and a {map_.chip} cannot read it so{able}. "
+                "Wire a sensor of negative logic, or an inverter."
             )
         bits[name] = bits.get(name, 0) | map_.mask(name, field)
     return bits

@@ -53,7 +53,9 @@ class FourRuns(Search):
         self._run(p, "back off", bus.PRESET, bus.START["FL"], back_off, c.settle)
         p.register(a, chip, "R1", approach)
         if c.ez:
-            p.register(a, chip, "R13", logic.get("R13", 0) | bus.EZ_RETURN | bus.EZ_FROM_FL | (c.ez - 1) << bus.EZ_COUNT)
+            p.register(
+                a, chip, "R13", logic.get("R13", 0) | bus.EZ_RETURN | bus.EZ_FROM_FL | (c.ez - 1) << bus.EZ_COUNT
+            )
         self._run(p, "approach", bus.ORIGIN | bus.MINUS, bus.START["FL"], 0, c.settle)
         if c.ez:  # the index pulse, as R17 shows it: bit 20, in the high byte
             p.command(a, bus.OUTPUT | bus.EXTENSION)
