@@ -117,6 +117,13 @@ def _bench(p: argparse.ArgumentParser, chips: Sequence[str] = ALL) -> None:
     g.add_argument("--microsteps", type=int, default=16, help="microsteps per full step (default: 16)")
     g.add_argument("--bus-voltage", type=float, default=24.0, help="drive supply, V (default: 24)")
     g.add_argument("--bus-cycle", type=float, default=1e-6, help="seconds a host's bus cycle takes (default: 1e-6)")
+    g.add_argument(
+        "--wiring",
+        action="append",
+        default=[],
+        metavar="AXIS.SENSOR=LOGIC",
+        help="the logic of a sensor, where it is not negative: x.org=positive is high while it is on; ez is the encoder's index",
+    )
     g = p.add_argument_group("output")
     g.add_argument("--record", metavar="FILE.rrd", help="write a rerun recording")
     g.add_argument("--picture", metavar="FILE.png", help="render the recording's dashboard, no screen needed")
@@ -336,13 +343,6 @@ def _board(p: argparse.ArgumentParser) -> None:
         metavar="AXIS=COUNTS",
         help="an encoder that the chip's counter of the real position counts (RP, EP of NOVA's): counts a metre (rad on a hinge), "
         "for example x=200000, or a turn of the motor, x=2000/turn",
-    )
-    g.add_argument(
-        "--wiring",
-        action="append",
-        default=[],
-        metavar="AXIS.SENSOR=LOGIC",
-        help="the logic of a sensor, where it is not negative: x.org=positive is high while it is on; ez is the encoder's index",
     )
     g.add_argument(
         "--place",
