@@ -1,0 +1,31 @@
+"""Numbers of the data sheets beside what the emulated chips do.
+
+python scripts/worked_examples                                      prints them
+python scripts/worked_examples --markdown docs/worked_examples.md   writes them between the page's markers
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from worked_examples.page import between, rows, table
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--markdown", metavar="FILE", help="write the table into this page")
+    args = parser.parse_args()
+    found = rows()
+    print(table(found))
+    if args.markdown:
+        page = Path(args.markdown)
+        page.write_text(between(page.read_text(), table(found)))
+    return 0 if all(example.agrees(measured) for example, measured in found) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

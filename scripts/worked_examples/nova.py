@@ -1,0 +1,132 @@
+"""NOVA: page 193 of the MCX514's manual; the failure notice of MCX302, MCX304 and MCX312."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+from stage.chips import MCX304, MCX514
+from stage.chips.nova import Nova
+from stage.firmware import Bench
+from stage.firmware.nova.port import Port
+from worked_examples.table import example, write
+
+mcx514 = partial(example, "MCX514")
+notice = partial(example, "MCX302, 304, 312 notice")
+SPEEDS = {"SV": 1000, "DV": 10_000, "AC": 100_000, "TP": 0}
+
+
+def port(chip: type[Nova], **values: int) -> Port:
+    """A port whose chip knows its speeds."""
+    made = Port(Bench(chip()).axes["x"])
+    made.load(**values)
+    return made
+
+
+def drive(p: Port, command: str, seconds: float = 5) -> int:
+    """What LP has changed when a drive has ended."""
+    before = p.position()
+    p.command(command)
+    p.wait_until_stopped(seconds)
+    return p.position() - before
+
+
+MOVES = (
+    ("relative drive, TP = 500: LP changes by", 500, {"TP": 500}, "DRVRL"),
+    ("relative drive, TP = -500: LP changes by", -500, {"TP": -500}, "DRVRL"),
+    ("counter relative drive, TP = 500: LP changes by", -500, {"TP": 500}, "DRVNR"),
+    ("absolute drive to TP = 500 from LP = 2000: LP changes by", -1500, {"TP": 500, "LP": 2000}, "DRVAB"),
+)
+for says, pulses, values, command in MOVES:
+    mcx514("7.2.7", says, pulses, "pulses")(
+        lambda values=values, command=command: drive(port(MCX514, **SPEEDS | values), command)
+    )
+
+
+@mcx514("7.2.7", "relative drive of 5000, TP = 200 written after 300: pulses made after it", 0)
+def _passed() -> int:
+    p = port(MCX514, **SPEEDS | {"TP": 5000})
+    p.command("DRVRL")
+    while p.position() < 300:
+        p.axis.wait(1e-4)
+    made = p.position()
+    p.load(TP=200)
+    p.wait_until_stopped(5)
+    return p.position() - made
+
+
+@mcx514("7.2.7", "of TP = 2,147,483,646 and the next number: the largest without a diagnostic", 2_147_483_646)
+def _largest() -> int:
+    chip = MCX514()
+    for value in (2_147_483_646, 2_147_483_647):
+        write(chip, TP=value)
+        if chip.diagnostics:
+            return value - 1
+    return value
+
+
+@mcx514(
+    "7.2.8",
+    "manual deceleration, TP = 2000, DP = 1500: pulses when it begins",
+    1500,
+    "pulses",
+    1,
+    "the look after a pulse",
+)
+def _manual() -> int:
+    p = port(MCX514, **SPEEDS | {"TP": 2000, "DP": 1500})
+    p.mode(WR3=p.map.mask("WR3", "MANLD"))
+    p.command("DRVRL")
+    while not p.axis.pins.dsnd:
+        p.axis.wait(2e-5)
+    return p.position()
+
+
+FAST = {"R": 800_000, "K": 20_000, "A": 8000, "SV": 400, "V": 2000, "AO": 0}
+STOP0, LIMIT, SOFT, S_CURVE = (
+    MCX304.MAP.mask(word, name)
+    for word, name in (("WR1", "SP0-E"), ("WR2", "LMTMD"), ("WR2", "SLMT+"), ("WR3", "SACC"))
+)
+
+
+def drives_on(act: Callable[[Port], None], wr2: int = 0, wr3: int = S_CURVE, start: str = "F_DRV_P") -> int:
+    """n-DRV of an MCX304 two seconds after `act` at the end of a deceleration, in area d of the notice's figure 3."""
+    p = port(MCX304, **FAST, P=40_000, CP=1_000_000)
+    p.mode(WR1=STOP0, WR2=wr2, WR3=wr3)
+    p.command(start)
+    if start == "F_DRV_P":
+        for phase in (False, True):  # until it decelerates, and until it does so no more
+            while bool(p.word(1) & p.map.mask("RR1", "DSND")) is phase:
+                p.axis.wait(5e-4)
+        p.axis.wait(2e-6 * FAST["K"] / 2)  # area d lasts 2 K us
+    else:
+        p.axis.wait(2)
+    act(p)
+    p.axis.wait(2)
+    return int(p.driving())
+
+
+def pin(name: str) -> Callable[[Port], None]:
+    """Assert an input of the axis."""
+    return lambda p: setattr(p.axis.pins, name, True)
+
+
+def command(symbol: str) -> Callable[[Port], None]:
+    return lambda p: p.command(symbol)
+
+
+def soft_limit(p: Port) -> None:
+    """COMP+ where the axis is."""
+    p.load(CP=p.position() - 1)
+
+
+notice("case 1", "26h in area d of an S-curve with fixed pulses: n-DRV 2 s later", 1)(
+    lambda: drives_on(command("STOP_DEC"))
+)
+notice("case 2", "LMT+ in decelerating mode, there", 1)(lambda: drives_on(pin("lmt_plus"), wr2=LIMIT))
+notice("case 3", "the software limit, there", 1)(lambda: drives_on(soft_limit, wr2=SOFT))
+notice("case 4", "STOP0, there", 1)(lambda: drives_on(pin("stop0")))
+notice("symptom", "27h, there", 0)(lambda: drives_on(command("STOP_SUDDEN")))
+notice("symptom", "LMT+ in sudden mode, there", 0)(lambda: drives_on(pin("lmt_plus")))
+notice("symptom", "26h at the end of a linear ramp", 0)(lambda: drives_on(command("STOP_DEC"), wr3=0))
+notice("symptom", "26h in a continuous drive with S-curves", 0)(lambda: drives_on(command("STOP_DEC"), start="C_DRV_P"))

@@ -1,0 +1,47 @@
+"""The table of docs/worked_examples.md."""
+
+from __future__ import annotations
+
+from importlib import import_module
+
+from worked_examples.table import EXAMPLES, Example, Number
+
+SHEETS = ("pcl240k", "pcl240ms", "nova", "hctl1100")
+BEGIN, END = "<!-- measured: begin -->\n", "<!-- measured: end -->"
+
+
+def rows() -> list[tuple[Example, Number]]:
+    """Every example and its measured number."""
+    for name in SHEETS:
+        import_module(f"worked_examples.{name}")
+    return [(example, example.measure()) for example in EXAMPLES]
+
+
+def table(found: list[tuple[Example, Number]]) -> str:
+    """In Markdown, a table a sheet."""
+    lines: list[str] = []
+    sheet = ""
+    for example, measured in found:
+        if example.sheet != sheet:
+            sheet = example.sheet
+            lines += ["", f"## {sheet}", "", "| place | what | sheet | measured | |", "|---|---|---|---|---|"]
+        number, shown = (said(n, example.unit) for n in (example.number, measured))
+        differs = "" if number == shown else f"within {example.within:g}: {example.why}"
+        if not example.agrees(measured):
+            differs = f"**differs** by more than {example.within:g}"
+        lines.append(f"| {example.place} | {example.says} | {number} | {shown} | {differs} |")
+    return "\n".join(lines[1:]) + "\n"
+
+
+def said(number: Number, unit: str) -> str:
+    """A number as the page has it: whole numbers in full, times in ms or us, other numbers with six digits."""
+    if unit == "s":
+        number, unit = (number * 1e3, "ms") if number >= 0.01 else (number * 1e6, "us")
+    whole = float(number) == round(number)
+    return f"{round(number):,}" * whole + f"{number:,.6g}" * (not whole) + f" {unit}" * bool(unit)
+
+
+def between(page: str, text: str) -> str:
+    """A page with `text` between its markers."""
+    before, rest = page.split(BEGIN)
+    return before + BEGIN + "\n" + text + "\n" + END + rest.split(END)[1]
