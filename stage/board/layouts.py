@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib import import_module
 
 import numpy as np
 
@@ -60,10 +61,14 @@ LAYOUTS: dict[str, Layout] = {
 
 
 def usual(chip: Chip) -> Layout:
-    """The default layout of a chip; a chip of an unknown class has each bus address at a port of its own."""
+    """The default layout of a chip: that which its class names in LAYOUT; one that names none has each bus address at a port of its
+    own."""
     for layout in LAYOUTS.values():
         if isinstance(chip, layout.kind):
             return layout
+    if chip.LAYOUT:
+        module, _, name = chip.LAYOUT.partition(":")
+        return getattr(import_module(module), name)
     ports = [(BYTE, a) for a in range(chip.ADDRESSES)]
     if chip.DATA_MASK > 0xFF:
         ports = [(kind, a) for a in range(chip.ADDRESSES) for kind in (WORD, HALF)]

@@ -176,6 +176,11 @@ class Chip:
     """The outputs that ask a host for attention: of which axis' pins (-1: those of no axis), and their bits."""
     DRIVER: ClassVar[str] = ""
     """Who speaks to the chip as a host: "package.module:Class" of a `stage.firmware.driver.Driver`, loaded when it is needed."""
+    MICROSTEPS: ClassVar[int] = 0
+    """Pulses a full step, of a chip that drives its motor itself; 0: that is the business of the stage's Drive."""
+    LAYOUT: ClassVar[str] = ""
+    """How it lies on the bus of a host: "package.module:NAME" of a `stage.board.layouts.Layout`, loaded when it is needed. Default:
+    one address after the other."""
     BUSY: ClassVar[tuple[int, int]]
     """Where the bus tells that a drive is in progress: address, and the bit of axis 0."""
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from stage.chips.cores import ANSWERS
+from stage.chips.cores import ANSWERS, OPTIONAL
 from stage.chips.register_map import RegisterMap
 from stage.errors import ArgumentError
 from stage.native import Exported, array_of
@@ -80,6 +80,8 @@ def _of_class(chip: Any) -> list[str]:
         found.append(f"AXES is {chip.AXES!r}: how many axes it has, 1 or more")
     if chip.ADDRESSES < 1 or chip.ADDRESS_MASK < chip.ADDRESSES - 1:
         found.append(f"ADDRESS_MASK {chip.ADDRESS_MASK:X}h does not reach all of its {chip.ADDRESSES} ADDRESSES")
+    if chip.MICROSTEPS and (not isinstance(chip.MICROSTEPS, int) or not 1 <= chip.MICROSTEPS <= 256):
+        found.append(f"MICROSTEPS is {chip.MICROSTEPS!r}: 1 to 256 pulses of the chip a full step, or 0")
     if chip.DRIVER and not all(chip.DRIVER.partition(":")[::2]):
         found.append(f"DRIVER is {chip.DRIVER!r}: write 'package.module:Class'")
     return found
@@ -110,10 +112,12 @@ def _of_core(core: Any) -> list[str]:
     if core.STATE.itemsize % 8:
         found.append(f"STATE of {_name(core)} has {core.STATE.itemsize} bytes: a multiple of 8, use 'i8' and 'f8'")
     arrays = {name: array_of(getattr(core, name)) for name in ("PULSE", "EDGE")}
-    for name, (result, *arguments) in (ANSWERS | ANSWERS_OF_CHIPS).items():
+    for name, (result, *arguments) in (ANSWERS | ANSWERS_OF_CHIPS | OPTIONAL).items():
         wanted = (core.STATE, *(arrays.get(a, a) for a in arguments))
         given = getattr(core, name, None)
         words = ", ".join([repr(result), "STATE", *(f"array_of({a})" if a in arrays else repr(a) for a in arguments)])
+        if given is None and name in OPTIONAL:
+            continue
         if given is None:
             found.append(f"its core {_name(core)} has no answer {name}, @exported({words})")
         elif not isinstance(given, Exported) or given.result != result or given.arguments != wanted:

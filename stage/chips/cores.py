@@ -6,7 +6,8 @@ functions and of a table of its axes, of which it may have any number.
 
 A core has the functions below, over a state in place of a CHIP, `exported` as ANSWERS says. For `Chip` alone it
 has power_up(c), advance(c, until), trace, scan and mark, see stage/chips/pcl240/core.py; one that looks at
-encoders scan_shaft as well, see stage/chips/hctl1100/core.py.
+encoders scan_shaft as well, see stage/chips/hctl1100/core.py. A chip that is the driver of its motor, too, has those of OPTIONAL: with
+`current` it sets the current of the stage's motor, by `set_load` it sees the load.
 """
 
 from __future__ import annotations
@@ -35,6 +36,11 @@ ANSWERS: dict[str, tuple[str | None, ...]] = {
     "read": ("i8", "i8"),
 }
 """Name -> result and arguments after the chip."""
+OPTIONAL: dict[str, tuple[str | None, ...]] = {
+    "current": ("f8", "i8"),
+    "set_load": ("i8", "i8", "f8", "f8"),
+}
+"""As ANSWERS, of a chip that is the motor's driver as well; others do not have them, and a stage does not ask."""
 
 CHIP_AXIS = record(
     [
@@ -48,6 +54,7 @@ CHIP = record(
     [
         ("at", "i8"),  # address of its state
         *((name, "i8") for name in ANSWERS),  # addresses of its core's answers
+        *((name, "i8") for name in OPTIONAL),  # 0: it has none
         ("own", "i8"),  # address of this record
         # on a stage
         ("hz", "i8"),  # its reference clock
@@ -66,8 +73,9 @@ WIRE_BIT = 16
 """A word of inputs has above this bit what another chip's output drives there, plus 1; 0 where no chip does."""
 WORD, REAL = np.dtype("i8"), np.dtype("f8")
 
-_TYPES = {types: called(types[0], "i8", *types[1:]) for types in set(ANSWERS.values())}
+_TYPES = {types: called(types[0], "i8", *types[1:]) for types in {*ANSWERS.values(), *OPTIONAL.values()}}
 _run, _set_shaft, _set, _window = (_TYPES[ANSWERS[name]] for name in ("run", "set_shaft", "set_input", "window"))
+_current, _load = (_TYPES[types] for types in OPTIONAL.values())
 _mean, _rate, _word = (_TYPES[ANSWERS[name]] for name in ("drive_input", "pulse_rate", "net"))
 
 
@@ -76,6 +84,8 @@ def fill(row: Any, core: Any, at: int) -> None:
     row["at"], row["own"] = at, address_of(row)
     for name in ANSWERS:
         row[name] = getattr(core, name).address
+    for name in OPTIONAL:
+        row[name] = getattr(core, name).address if hasattr(core, name) else 0
 
 
 @hot
@@ -122,6 +132,20 @@ def set_shaft(c, j, count, rate):
     """From now on the shaft of axis `j` (0 up to AXES - 1) is at `count + rate * clocks`, in counts of its encoder; only where the
     axis has one."""
     _set_shaft(c.set_shaft, (c.at, j, count, rate))
+
+
+@hot
+def current(c, j):
+    """Amplitude of the phase currents that the chip gives its motor, A; only where `c.current` is not 0."""
+    return _current(c.current, (c.at, j))
+
+
+@hot
+def set_load(c, j, angle, emf):
+    """A sample of the motor's load, once a window: how far the field of axis `j` is ahead of its rotor (electrical radians, not
+    wrapped; below 0 behind), and the back EMF as a share of the supply. Returns whether the chip has taken it: only then a journal
+    needs it. Only where `c.set_load` is not 0."""
+    return _load(c.set_load, (c.at, j, angle, emf))
 
 
 @hot

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, overload
 import numpy as np
 
 WRITE, INPUT, RESET, LOST, READ, SHAFT = range(6)
+LOAD = -1
 PACKED = np.dtype([(name, "i8") for name in ("clock", "kind", "a", "b")])
 
 
@@ -26,7 +27,8 @@ def number(bits: int) -> float:
 class Entry(NamedTuple):
     """One event between two ticks: WRITE (address, value), INPUT (axis, pin word), RESET, LOST, a write that did not arrive,
     READ (address, value), a read cycle that changes something, see `Chip.READING_ACTS`, or SHAFT + j (count, rate, both as `bits`):
-    where the shaft of axis `j` is from then on, in counts and counts a clock."""
+    where the shaft of axis `j` is from then on, in counts and counts a clock. LOAD - j (angle,
+    share, both as `bits`): a sample of its motor's load, see `cores.set_load`."""
 
     clock: int
     kind: int
@@ -45,6 +47,8 @@ class Entry(NamedTuple):
             does, given = core.read, (self.a,)
         elif kind >= SHAFT:
             does, given = core.set_shaft, (kind - SHAFT, number(self.a), number(self.b))
+        elif kind <= LOAD:
+            does, given = core.set_load, (LOAD - kind, number(self.a), number(self.b))
         elif kind == RESET:
             does = core.power_up
         else:

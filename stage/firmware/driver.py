@@ -61,6 +61,8 @@ class Driver(ABC):
     """What a drawing of a report about this family's chips shows."""
     DONE: ClassVar[str] = "all pulses"
     """What a report says has ended a move that nothing else ended."""
+    HOMINGS: ClassVar[tuple[str, ...]] = ()
+    """What `home_by` can home by."""
     FINISH: ClassVar[str] = ""
     """The register that says how far a move goes."""
 
@@ -95,6 +97,10 @@ class Driver(ABC):
     @abstractmethod
     def home(self, direction: int, speeds: Speeds, index: bool = False, timeout: float = 60.0) -> Report:
         """Find ORG, which lies in `direction`, from wherever the axis is; `index`: and on to the encoder's index pulse."""
+
+    def home_by(self, what: str, direction: int, speeds: Speeds, timeout: float = 60.0) -> Report:
+        """As `home`, by something else than the chip's usual switch: one of HOMINGS."""
+        raise NotImplementedError
 
     def ready(self, *ways: int) -> Any:
         """Before a drive: whatever the chip needs once. ways: directions in which the axis may leave a limit switch that it stands

@@ -20,6 +20,9 @@ from stage.firmware.report import Procedure, Report
 from stage.firmware.together import SynchronizedReport, chosen_axes
 
 
+USUAL = 16  # microsteps, that the default rates are for
+
+
 def move(
     axis: Axis,
     distance: float | None = None,
@@ -37,7 +40,8 @@ def move(
     Args:
         axis: of a Stage or a Bench.
         distance: m (rad on a hinge), signed; the nearest whole pulse is made. Or pulses: so many, signed; of a servo counts.
-        speed, start_speed: m/s (rad/s); default 16,000 and 1,000 pulses a second. A servo has no start speed.
+        speed, start_speed: m/s (rad/s); default 16,000 and 1,000 pulses a second, of 1/16 full step where the chip itself says what
+            a pulse is. A servo has no start speed.
         accel, decel: s, of the ramps between them; decel defaults to accel.
         s_curve: ramps without corners. timeout: s; default half as much again as the move can take, and one.
     Raises ArgumentError for what the chip cannot do, in words; StageError for an axis that moves already; RunTimeout.
@@ -57,15 +61,24 @@ def home(
     start_speed: float | None = None,
     accel: float = RAMP,
     timeout: float = 60.0,
+    by: str | None = None,
 ) -> Report:
     """Return to the mechanical origin ORG, which lies in `direction`, from any place; `index`: and on to the encoder's index pulse.
+
+    by: of a chip that homes in several ways, which one ("switch", "stall" ...); default: its driver's own.
 
     The report's `stopped_by` is "ORG", or "EZ", or what was met in its place. The other arguments are those of `move`. Raises
     ArgumentError, StageError, RunTimeout.
     """
     if direction not in (1, -1):
         raise ArgumentError(f"direction={direction!r}: +1 or -1.")
-    return driver_of(axis).home(direction, speeds(axis, speed, start_speed, accel, None, False), index, timeout)
+    driver, wanted = driver_of(axis), speeds(axis, speed, start_speed, accel, None, False)
+    if by is None:
+        return driver.home(direction, wanted, index, timeout)
+    if by not in driver.HOMINGS:
+        known = f"one of {', '.join(driver.HOMINGS)}" if driver.HOMINGS else "leave by= out"
+        raise ArgumentError(f"by={by!r}: a {driver.chip.MAP.chip} cannot home so: {known}.")
+    return driver.home_by(by, direction, wanted, timeout)
 
 
 def jog(
@@ -134,8 +147,9 @@ def speeds(
     for name, value in (("speed", speed), ("start_speed", start_speed), ("accel", accel), ("decel", decel)):
         if value is not None and not 0 < value < math.inf:
             raise ArgumentError(f"{name}={value!r}: more than 0.")
-    drive = DRIVE if speed is None else speed / _unit(axis, "speed")
-    start = min(START, drive) if start_speed is None else start_speed / _unit(axis, "start_speed")
+    fine = (axis.chip.MICROSTEPS or USUAL) / USUAL
+    drive = DRIVE * fine if speed is None else speed / _unit(axis, "speed")
+    start = min(START * fine, drive) if start_speed is None else start_speed / _unit(axis, "start_speed")
     return Speeds(start, drive, accel, accel if decel is None else decel, s_curve)
 
 

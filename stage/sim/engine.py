@@ -17,7 +17,7 @@ All state is in records inside MjData.userdata, all tables of constants in array
 from __future__ import annotations
 
 from stage.chips import cores
-from stage.chips.entries import SHAFT
+from stage.chips.entries import LOAD, SHAFT
 from stage.drives import drive, stepper
 from stage.native import array_at, called, hot, least
 from stage.sim.edges import foresee, foresee_switch, indexed, meet_edges, next_edge, note_input, off_index, switched
@@ -113,6 +113,40 @@ def _show_shafts(chips, world, table, clockwork, qpos, qvel, edges, counts):
 
 
 @hot
+def _show_loads(chips, world, axes, drives, table, clockwork, qpos, qvel, edges, counts):
+    """At a window's start: the loads of the motors, for the chips that drive them. Returns the edges noted by now."""
+    for a in range(len(axes)):
+        t, d = table[a], drives[a]
+        c = chips[t.chip]
+        if c.set_load == 0:
+            continue
+        v = qvel[t.dof]
+        angle = drive.load_angle(d, cores.net(c, t.chip_axis), (qpos[t.qpos] - v * clockwork.half) * t.gear)
+        share = d.torque_constant * abs(v * t.gear) / d.voltage
+        if cores.set_load(c, t.chip_axis, angle, share) and counts[1] < len(edges):
+            e = edges[counts[1]]
+            e.now, e.clock, e.axis, e.kind, e.count, e.rate = (
+                world.now,
+                cores.clock(c),
+                a,
+                LOAD - t.chip_axis,
+                angle,
+                share,
+            )
+            counts[1] += 1
+    return counts[1]
+
+
+@hot
+def _set_currents(chips, drives, table):
+    """The currents of the motors whose chips drive them."""
+    for a in range(len(drives)):
+        c = chips[table[a].chip]
+        if c.current:
+            drives[a].current = cores.current(c, table[a].chip_axis)
+
+
+@hot
 def _sample(world, t, c, d, clockwork, qpos, qvel, effort, out):
     j = t.chip_axis
     net = cores.net(c, j)
@@ -169,6 +203,8 @@ def run(
         world.slice = k
         if stop < end:
             break
+        if clockwork.currents:
+            _set_currents(chips, drives, table)
         middle = 0.5 * clockwork.h - clockwork.half  # of the first slice
         for a in range(len(axes)):
             t = table[a]
@@ -192,6 +228,8 @@ def run(
         foresee(world, axes, table, switches, switch_table, clockwork, sensordata, qpos, qvel, True)
         if clockwork.encoders:
             counts[1] = _show_shafts(chips, world, table, clockwork, qpos, qvel, edges, counts)
+        if clockwork.loads:
+            counts[1] = _show_loads(chips, world, axes, drives, table, clockwork, qpos, qvel, edges, counts)
         if clockwork.sample_every and n_samples < len(samples):
             world.to_sample -= 1
             if world.to_sample <= 0:
@@ -246,6 +284,8 @@ def _settle_axis(c, world, axis, t, switches, switch_table, d, clockwork, qpos, 
         axis.index_on = 1 if abs(off_index(t, qpos[t.qpos])) <= 0.5 * INDEX else 0
         word = indexed(t, axis, word)
     cores.set_input(c, t.chip_axis, word)
+    if c.current:
+        d.current = cores.current(c, t.chip_axis)
     drive.align(d, float(axis.count), qpos[t.qpos] * t.gear)
 
 

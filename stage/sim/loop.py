@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 
 from stage.chips import Chip
-from stage.chips.entries import PACKED, SHAFT
+from stage.chips.entries import LOAD, PACKED, SHAFT
 from stage.errors import SimulationError, StageError
 from stage.sim import callbacks, handle, records
 from stage.sim.in_use import token
@@ -196,7 +196,7 @@ class Loop:
             packed = np.empty(len(own), PACKED)
             for name in PACKED.names or ():
                 packed[name] = edges[name][own]
-            seen = np.flatnonzero(packed["kind"] >= SHAFT)
+            seen = np.flatnonzero((packed["kind"] >= SHAFT) | (packed["kind"] <= LOAD))
             if len(seen):
                 packed["a"][seen] = edges["count"][own[seen]].view(np.int64)
                 packed["b"][seen] = edges["rate"][own[seen]].view(np.int64)

@@ -44,6 +44,8 @@ CLOCKWORK = record(
         ("nv", "i8"),
         ("sample_every", "i8"),
         ("encoders", "i8"),
+        ("currents", "i8"),
+        ("loads", "i8"),
         ("guarded", "i8"),
         ("failed", "i8"),
         ("mj_step", "i8"),
@@ -55,7 +57,7 @@ CLOCKWORK = record(
     ]
 )
 """Who runs the stage, see stage.sim.in_use; window (ns), slices in it, a slice and half a window (s), degrees of freedom, steps
-per sample (0: none), axes whose chips see an encoder; of MuJoCo's callbacks, see stage.sim.callbacks: whether they are
+per sample (0: none), axes whose chips see an encoder, set their motor's current, see its load; of MuJoCo's callbacks, see stage.sim.callbacks: whether they are
 guarded, whether one has failed, where their addresses lie and what these are while nobody in Python is called; addresses of
 MuJoCo's functions, and which parts of its state a snapshot has; the clocks of a chip at the ends of the window's slices."""
 CHIP_TABLE = cores.CHIP
@@ -87,11 +89,12 @@ SAMPLE = record(
 """One axis at one moment. SI units; load angle in electrical radians; voltage at a DC motor; rate in pps, counts a second."""
 EDGE = record([(name, "i8") for name in ("now", "clock", "axis", "kind", "a", "b")] + [("count", "f8"), ("rate", "f8")])
 """What reached the chip of an axis: time (ns), the chip's clock, and an `Entry` for its journal: kind, a, b; of a SHAFT count and
-rate in their place."""
+rate in their place, of a LOAD angle and share of the supply."""
 
 MAX_TOGGLES = 8
-EDGES_A_WINDOW = len(PINS) * (1 + MAX_TOGGLES) + 2 + 1 + 1
-"""Of an axis at most: each switch an edge and its toggles; the index pulse begins and ends; the shaft; what another chip drives."""
+EDGES_A_WINDOW = len(PINS) * (1 + MAX_TOGGLES) + 2 + 1 + 1 + 1
+"""Of an axis at most: each switch an edge and its toggles; the index pulse begins and ends; the shaft; what another chip drives; the
+load."""
 REACHED, SAMPLES_FULL, EDGES_FULL, DIVERGED, FAILED, UNGUARDED, IN_USE, WIPED = range(8)
 """Why it returned: time is up; no room to log in; the physics diverged; a callback failed. And why it did nothing: there are
 callbacks, and nobody guards them; another runs the stage; it is not under power."""

@@ -188,6 +188,8 @@ class State:
             t.chip, t.chip_axis = chips.index(chip), j
             c = self.chip_table[t.chip]
             c.axes += 1
+            self.clockwork["currents"] += c.current != 0
+            self.clockwork["loads"] += c.set_load != 0
             own = self.chip_axes[t.chip][j]
             own.axis, own.means = k, address_of(self.axes[k]["counts"])
             own.net = address_of(self.axes[k : k + 1]["count"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from stage.chips import CHIPS, PCL240K, Chip, ChipAxis, chip_class
@@ -106,9 +107,9 @@ def _choose_drive(drives: Any, axis: str, chip: Chip, spec: Any) -> Drive | Serv
         )
     if not chip.SERVO:
         plant.equip(spec, axis, None)
-        if isinstance(given, Drive):
-            return given
-        return Drive(motor(given if given is not None else named if named and named not in DC_MOTORS else "17HS4401"))
+        if not isinstance(given, Drive):
+            given = Drive(motor(given if given is not None else named if named and named not in DC_MOTORS else "17HS4401"))
+        return replace(given, microsteps=chip.MICROSTEPS) if chip.MICROSTEPS else given
     own = plant.dc_constants(spec, axis)
     if isinstance(given, Servo):
         chosen = given

@@ -177,6 +177,8 @@ def _stepped(c, k):
     power, at = mres(c), c.mscnt
     size = 1 << power
     half = size >> 1
+    if power == 0:
+        return at + k if _up(c) else at - k
     if _up(c):
         return (((at + half) >> power) << power) + half + (k - 1) * size
     return ((-((half - at) >> power) - 1) << power) + half - (k - 1) * size

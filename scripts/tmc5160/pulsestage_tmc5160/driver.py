@@ -1,0 +1,283 @@
+"""How a host controls an axis of a TMC5160: moves, homing by a switch or by StallGuard, register values for rates and ramps.
+
+    firmware.move(axis, 10e-3)                    m; the power stage is switched on where it is off
+    firmware.home(axis, by="stall")               against the end of travel, without a switch
+    current_registers(1.7, 0.1)                   GLOBALSCALER and IHOLD_IRUN for 1.7 A at 0.1 ohm
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar, NoReturn
+
+from pulsestage_tmc5160.maps import M32, NUMBER
+from pulsestage_tmc5160.motor import FULL_SCALE
+from pulsestage_tmc5160.state import (
+    EVENT_L,
+    EVENT_POS,
+    EVENT_R,
+    EVENT_SG,
+    HOLD,
+    LATCH_L_ON,
+    LATCH_R_ON,
+    MINUS,
+    PLUS,
+    POL_L,
+    POL_R,
+    POSITION,
+    SG_STOP,
+    SOFT_STOP,
+    STATUS_L,
+    STATUS_R,
+    STOP_L,
+    STOP_R,
+)
+from stage.errors import ArgumentError
+from stage.firmware.driver import SETTLE, AtOnce, Driver, Speeds, wait_until_stopped
+from stage.firmware.report import Procedure, Report
+from stage.sim.program import Operations
+
+CHOPCONF = 0x100100C3
+"""SpreadCycle as in the data sheet's example, with interpolation: TOFF 3, HSTRT 4, HEND 1, TBL 2, MRES 0."""
+SWITCHED_ON = 0.05  # s until the rotor rests where the field is
+IHOLDDELAY, TPOWERDOWN = 6, 10
+LEAST_VSTOP = 10  # recommended
+WINDOW = 1.2  # TCOOLTHRS over TSTEP
+STOPS = STOP_L | STOP_R
+
+
+def velocity(pps: float, hz: int) -> int:
+    """Steps a second as the ramp generator's unit, 1 at least."""
+    return max(round(pps * (1 << 24) / hz), 1)
+
+
+def acceleration(pps2: float, hz: int) -> int:
+    """Steps per s2 as the ramp generator's unit, 1 at least."""
+    return max(round(pps2 * (1 << 41) / hz**2), 1)
+
+
+def current_registers(amplitude: float, rsense: float, hold: float = 0.5) -> dict[str, int]:
+    """GLOBALSCALER, IHOLD_IRUN and TPOWERDOWN for a phase current of this amplitude, A; hold: of it, at standstill.
+
+    Raises ArgumentError for more than the sense resistors allow.
+    """
+    share = amplitude * rsense / FULL_SCALE
+    if not 0 < share <= 1.0:
+        raise ArgumentError(
+            f"a current of {amplitude:g} A: sense resistors of {rsense:g} ohm allow above 0 and up to {FULL_SCALE / rsense:.3g} A. "
+            "Take others, TMC5160(rsense=...), or Drive(current=...)."
+        )
+    cs = min(31, max(0, round(256 * share) * 32 // 32 - 1))  # 31 but for very small currents
+    scaler = min(256, max(32, round(256 * share * 32 / (cs + 1))))
+    irun = min(31, max(0, round(share * 32 * 256 / scaler) - 1))
+    ihold = max(0, round((irun + 1) * hold) - 1)
+    return {
+        "GLOBALSCALER": scaler & 0xFF,
+        "IHOLD_IRUN": IHOLDDELAY << 16 | irun << 8 | ihold,
+        "TPOWERDOWN": TPOWERDOWN,
+    }
+
+
+class Tmc5160Driver(Driver):
+    """Of the TMC5160. Speeds are those of 1/256 full steps: MRES stays 0."""
+
+    DONE: ClassVar = "position reached"
+    FINISH: ClassVar = "XTARGET"
+    HOMINGS: ClassVar = ("switch", "stall")
+    chip: Any
+
+    # --- registers ---
+
+    def put(self, name: str, value: int) -> None:
+        """Write a register."""
+        self.chip.write(NUMBER[name], value & M32)
+
+    def get(self, name: str) -> int:
+        """Read a register."""
+        return int(self.chip.MAP.register(name).value(self.chip.read(NUMBER[name])))
+
+    def currents(self) -> dict[str, int]:
+        """The registers that give the motor the current of its Drive; as much as the sense resistors allow where it asks for more."""
+        drive = getattr(self.axis, "drive", None)
+        most = FULL_SCALE / self.chip.rsense
+        return current_registers(min(drive.amplitude, most) if drive is not None else most, self.chip.rsense)
+
+    def ready(self, *ways: int) -> None:
+        """Switch the power stage on, where it is off: currents as the axis' Drive has them."""
+        if not self.get("CHOPCONF") & 15:
+            self._switch_on(AtOnce(self.axis))
+
+    def _switch_on(self, program: Operations) -> None:
+        for name, value in {**self.currents(), "CHOPCONF": CHOPCONF}.items():
+            program.register(self.index, self.chip, name, value)
+        program.wait(SWITCHED_ON)
+
+    def _speeds(self, speeds: Speeds) -> dict[str, int]:
+        if speeds.s_curve:
+            raise self.no_s_curves()
+        return self.formula(speeds.start, speeds.drive, speeds.up, speeds.down, 0)
+
+    def tuned_by(self, s_curve: bool | None) -> tuple[str, ...]:
+        if s_curve:
+            raise self.no_s_curves()
+        return ("VSTART", "AMAX", "VMAX", "DMAX", "VSTOP")
+
+    def formula(
+        self, fl: float, fh: float, up: float, down: float, pulses: int, s_curve: bool | None = None
+    ) -> dict[str, int]:
+        self.tuned_by(s_curve)
+        hz, rise = self.chip.clock_hz, max(fh - fl, 0.0)
+        start = velocity(fl, hz)
+        values = {
+            "VSTART": start,
+            "AMAX": acceleration(rise / up, hz),
+            "VMAX": velocity(max(fh, fl), hz),
+            "DMAX": acceleration(rise / down, hz),
+            "VSTOP": max(start, LEAST_VSTOP),
+        }
+        for name, value in values.items():
+            r = self.chip.MAP.register(name)
+            if not r.allows(value):
+                raise ArgumentError(
+                    f"{name} = {value}: a {self.chip.MAP.chip} takes {r.range[0]} to {r.range[1]}. At {hz:,} Hz a velocity of 1 is "
+                    f"{hz / (1 << 24):.4g} pulses/s, an acceleration of 1 {hz**2 / (1 << 41):.4g} pulses/s2."
+                )
+        return values
+
+    # --- moves ---
+
+    def move(self, pulses: int, speeds: Speeds, timeout: float | None = None) -> Report:
+        values = self._speeds(speeds)
+        self._check_still()
+        with Procedure(self.axis, "move") as p:
+            self.start_with(values, pulses)
+            longest = abs(pulses) / speeds.drive + speeds.up + speeds.down
+            wait_until_stopped([self.axis], 1.5 * longest + 1 if timeout is None else timeout)
+            met = self.stopped_by()
+            self._stay()
+            self.axis.wait(SETTLE)
+            return p.report(met or self.DONE, pulses)
+
+    def start(self, pulses: int, speeds: Speeds) -> None:
+        self._check_still()
+        self.start_with(self._speeds(speeds), pulses)
+
+    def start_with(self, values: Mapping[str, int], pulses: int) -> None:
+        """Begin a move with these registers."""
+        self.ready()
+        goal = self.get("XACTUAL") + pulses
+        self._stay()
+        for name, value in {**values, "V1": 0, "D1": values["DMAX"], "SW_MODE": STOPS, "RAMP_STAT": EVENT_POS}.items():
+            self.put(name, value)
+        self.put("RAMPMODE", POSITION)
+        self.put("XTARGET", goal)
+
+    def _check_still(self) -> None:
+        if self.runs():
+            raise self.moving()
+
+    def _stay(self) -> None:
+        """Nothing moves, whatever comes: the target is where the axis is."""
+        self.put("RAMPMODE", HOLD)
+        self.put("XTARGET", self.get("XACTUAL"))
+        self.put("RAMPMODE", POSITION)
+
+    def run(self, direction: int, speeds: Speeds) -> None:
+        values = self._speeds(speeds)
+        self._check_still()
+        self.ready()
+        self._run(direction, values, STOPS)
+
+    def _run(self, direction: int, values: Mapping[str, int], switches: int) -> None:
+        for name, value in {**values, "V1": 0, "D1": values["DMAX"], "SW_MODE": switches}.items():
+            self.put(name, value)
+        self.put("RAMPMODE", PLUS if direction > 0 else MINUS)
+
+    def halt(self, at_once: bool = False) -> None:
+        if at_once:  # as the data sheet has it, page 83: the polarity makes a switch
+            self.put("SW_MODE", STOPS | POL_L | POL_R)
+        self.put("VMAX", 0)
+        wait_until_stopped([self.axis], 60.0)
+        self._stay()
+        self.put("SW_MODE", STOPS)
+
+    def stopped_by(self) -> str:
+        events = self.get("RAMP_STAT")
+        if events & EVENT_SG:
+            return "stall"
+        return "EL-" if events & EVENT_L else "EL+" if events & EVENT_R else ""
+
+    # --- homing ---
+
+    def home(self, direction: int, speeds: Speeds, index: bool = False, timeout: float = 60.0) -> Report:
+        if index:
+            raise ArgumentError("index=True: this driver homes by the switch REFL or REFR, or by a stall, by='stall'.")
+        return self.home_by("switch", direction, speeds, timeout)
+
+    def home_by(self, what: str, direction: int, speeds: Speeds, timeout: float = 60.0) -> Report:
+        values = self._speeds(speeds)
+        self._check_still()
+        with Procedure(self.axis, "home") as p:
+            self.ready()
+            ended = (self._to_stall if what == "stall" else self._to_switch)(direction, values, timeout)
+            self.axis.wait(SETTLE)
+            return p.report(ended)
+
+    def _to_switch(self, direction: int, values: Mapping[str, int], timeout: float) -> str:
+        """Data sheet, pages 85 and 86: XACTUAL is 0 where the switch closes, and there the axis is in the end."""
+        left = direction < 0
+        closed, stop, latch = (STATUS_L, STOP_L, LATCH_L_ON) if left else (STATUS_R, STOP_R, LATCH_R_ON)
+        end = self.axis.time + timeout
+        if self.get("RAMP_STAT") & closed:  # off it first
+            self._run(-direction, values, STOPS)
+            while self.get("RAMP_STAT") & closed and self.axis.time < end and self.runs():
+                self.axis.wait(1e-3)
+            self.halt()
+        self._run(direction, values, stop | latch | SOFT_STOP)
+        wait_until_stopped([self.axis], end - self.axis.time)
+        if not self.get("RAMP_STAT") & closed:
+            self._stay()
+            return self.stopped_by() or "no switch"
+        self.put("RAMPMODE", HOLD)
+        beyond = self.get("XACTUAL") - self.get("XLATCH")
+        self.put("XACTUAL", beyond)
+        self.put("XTARGET", beyond)
+        self.put("SW_MODE", 0)
+        self.put("RAMPMODE", POSITION)
+        self.put("XTARGET", 0)
+        wait_until_stopped([self.axis], end - self.axis.time)
+        self.put("SW_MODE", STOPS)
+        return "REFL" if left else "REFR"
+
+    def _to_stall(self, direction: int, values: Mapping[str, int], timeout: float) -> str:
+        """Data sheet, pages 87 to 90: XACTUAL is 0 where the motor stalls."""
+        gconf, tstep = self.get("GCONF"), (1 << 24) // values["VMAX"]
+        settings = {"GCONF": gconf & ~4, "COOLCONF": 0, "TCOOLTHRS": min(round(WINDOW * tstep), 0xFFFFF), "RAMP_STAT": EVENT_SG}
+        for name, value in settings.items():
+            self.put(name, value)
+        self._run(direction, values, SG_STOP)
+        wait_until_stopped([self.axis], timeout)
+        ended = self.stopped_by()
+        self.put("RAMPMODE", HOLD)
+        self.put("XACTUAL", 0)
+        self.put("XTARGET", 0)
+        self.put("SW_MODE", STOPS)
+        self.put("RAMP_STAT", EVENT_SG | EVENT_POS)
+        self.put("TCOOLTHRS", 0)
+        self.put("GCONF", gconf)
+        self.put("RAMPMODE", POSITION)
+        return ended or "no stall"
+
+    # --- as programs ---
+
+    def write_move(self, program: Operations, values: Mapping[str, int], pulses: int) -> None:
+        self._switch_on(program)
+        more = {"D1": values.get("DMAX", 1), "SW_MODE": STOPS, "XTARGET": pulses}
+        for name, value in {**values, **more}.items():
+            program.register(self.index, self.chip, name, value)
+
+    def write_stop(self, program: Operations) -> None:
+        program.register(self.index, self.chip, "VMAX", 0)
+
+    def search(self, settings: Any) -> NoReturn:
+        raise ArgumentError(f"a {self.chip.MAP.chip} writes no origin return as a program: firmware.home homes it.")
