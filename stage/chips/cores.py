@@ -6,7 +6,7 @@ functions and of a table of its axes, of which it may have any number.
 
 A core has the functions below, over a state in place of a CHIP, `exported` as ANSWERS says. For `Chip` alone it
 has power_up(c), advance(c, until), trace, scan and mark, see stage/chips/pcl240/core.py; one that looks at
-encoders scan_shaft as well, see stage/chips/hctl1100/core.py. A chip that is the driver of its motor, too, has those of OPTIONAL: with
+encoders scan_shaft as well, see stage/chips/hctl1100/core.py. A chip that is the driver of its motor has those of OPTIONAL: with
 `current` it sets the current of the stage's motor, by `set_load` it sees the load.
 """
 

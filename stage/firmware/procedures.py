@@ -19,7 +19,6 @@ from stage.firmware.driver import DRIVE, RAMP, START, Speeds, driver_of
 from stage.firmware.report import Procedure, Report
 from stage.firmware.together import SynchronizedReport, chosen_axes
 
-
 USUAL = 16  # microsteps, that the default rates are for
 
 

@@ -57,7 +57,8 @@ CLOCKWORK = record(
     ]
 )
 """Who runs the stage, see stage.sim.in_use; window (ns), slices in it, a slice and half a window (s), degrees of freedom, steps
-per sample (0: none), axes whose chips see an encoder, set their motor's current, see its load; of MuJoCo's callbacks, see stage.sim.callbacks: whether they are
+per sample (0: none), axes whose chips see an encoder, set their motor's current,
+see its load; of MuJoCo's callbacks, see stage.sim.callbacks: whether they are
 guarded, whether one has failed, where their addresses lie and what these are while nobody in Python is called; addresses of
 MuJoCo's functions, and which parts of its state a snapshot has; the clocks of a chip at the ends of the window's slices."""
 CHIP_TABLE = cores.CHIP

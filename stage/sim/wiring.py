@@ -108,7 +108,9 @@ def _choose_drive(drives: Any, axis: str, chip: Chip, spec: Any) -> Drive | Serv
     if not chip.SERVO:
         plant.equip(spec, axis, None)
         if not isinstance(given, Drive):
-            given = Drive(motor(given if given is not None else named if named and named not in DC_MOTORS else "17HS4401"))
+            given = Drive(
+                motor(given if given is not None else named if named and named not in DC_MOTORS else "17HS4401")
+            )
         return replace(given, microsteps=chip.MICROSTEPS) if chip.MICROSTEPS else given
     own = plant.dc_constants(spec, axis)
     if isinstance(given, Servo):

@@ -4,6 +4,8 @@ from pathlib import Path
 
 import pytest
 
+from stage.chips import CHIPS
+
 
 def installed(monkeypatch: pytest.MonkeyPatch, folder: Path, name: str, version: str = "1.0", **chips: str) -> None:
     """`name` brings these chips, "module:Class" by the name of the entry point; its modules lie where Python finds them."""
@@ -13,6 +15,7 @@ def installed(monkeypatch: pytest.MonkeyPatch, folder: Path, name: str, version:
     lines = "".join(f"{chip} = {where}\n" for chip, where in chips.items())
     (info / "entry_points.txt").write_text(f"[pulsestage.chips]\n{lines}")
     monkeypatch.syspath_prepend(folder)
+    monkeypatch.setattr(CHIPS, "_loaded", dict(CHIPS._loaded))  # what is loaded meanwhile is unknown again afterwards
 
 
 ACME = Path(__file__).parents[2] / "scripts" / "acme_chip"
@@ -23,3 +26,13 @@ def acme(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
     """It, as if it were installed in a folder."""
     monkeypatch.syspath_prepend(ACME)
     installed(monkeypatch, folder, "acme-chips", "0.1.0", ACME1000="acme_chips:ACME1000")
+
+
+TMC5160 = Path(__file__).parents[2] / "scripts" / "tmc5160"
+"""The project of the TMC5160."""
+
+
+def tmc5160(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
+    """It, as if it were installed in a folder."""
+    monkeypatch.syspath_prepend(TMC5160)
+    installed(monkeypatch, folder, "pulsestage-tmc5160", "0.1.0", TMC5160="pulsestage_tmc5160:TMC5160")

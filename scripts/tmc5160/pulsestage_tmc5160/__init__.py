@@ -1,10 +1,10 @@
 """Trinamic TMC5160: six-point ramp generator and driver of one two-phase stepper, as a chip of PulseStage.
 
-    from stage import Stage
-    stage = Stage("xy", chips="tmc5160")              known by its entry point
-    chip = stage.axes["x"].chip
-    chip.transfer(bytes.fromhex("EC000100C3"))        a datagram of SPI; returns the answer
-    chip.write(0x2D, 51200)                           a register, for whoever has no SPI to play
+from stage import Stage
+stage = Stage("xy", chips="tmc5160")              known by its entry point
+chip = stage.axes["x"].chip
+chip.transfer(bytes.fromhex("EC000100C3"))        a datagram of SPI; returns the answer
+chip.write(0x2D, 51200)                           a register, for whoever has no SPI to play
 """
 
 from __future__ import annotations
@@ -48,7 +48,9 @@ class TMC5160(Chip):
     def __init__(self, clock_hz: int | None = None, rsense: float = 0.1):
         """Power the chip up. Raises ArgumentError."""
         if isinstance(rsense, bool) or not isinstance(rsense, int | float) or not 0.001 <= rsense <= 10:
-            raise ArgumentError(f"rsense={rsense!r}: sense resistors have 0.001 to 10 ohm; 0.1 makes 2.3 A RMS at most.")
+            raise ArgumentError(
+                f"rsense={rsense!r}: sense resistors have 0.001 to 10 ohm; 0.1 makes 2.3 A RMS at most."
+            )
         self.rsense = float(rsense)
         super().__init__(clock_hz)
 

@@ -7,13 +7,13 @@ from pulsestage_tmc5160 import bus, motor, ramp, switches
 from pulsestage_tmc5160.state import (
     EDGE,
     ENC_DEVIATION,
+    GCONF,
     INPUTS,
     OUTPUTS,
     POSITION,
     PULSE,
     RAMPMODE,
     SHAFT,
-    GCONF,
     STATE,
     STEP,
     X_COMPARE,
@@ -199,8 +199,8 @@ def current(c, j):
 
 @exported("i8", STATE, "i8", "f8", "f8")
 def set_load(c, j, angle, emf):
-    """A sample of the load: how far the field is ahead of the rotor (electrical radians), back EMF as a share of the supply. Returns
-    whether it can change anything."""
+    """A sample of the load: how far the field is ahead of the rotor (electrical radians), back EMF as a share of the supply.
+    Returns whether it can change anything."""
     sin, cos = sincos(angle)
     way = -c.dir if c.reg[GCONF] & SHAFT else c.dir
     sin *= way
@@ -340,13 +340,20 @@ def trace(c, until, out):
 def mark(c, axis, out, k):
     """Write the chip as it stands to `out[k]` (an EDGE record)."""
     e = out[k]
-    e.clock, e.inputs, e.outputs, e.counter, e.net, e.rate = c.clock, c.inputs, bus.outputs(c), c.x & M32, c.net, _rate(c)
+    e.clock, e.inputs, e.outputs, e.counter, e.net, e.rate = (
+        c.clock,
+        c.inputs,
+        bus.outputs(c),
+        c.x & M32,
+        c.net,
+        _rate(c),
+    )
 
 
 @exported("i8", STATE, "i8", "i8", "i8", array_of(EDGE))
 def scan(c, until, every_pulse, axis, out):
-    """As advance, and fills `out` (EDGE records) with the changes of speed and pins, with `every_pulse` with every step. Returns how
-    many; stops early when `out` is almost full: look at the clock and call again."""
+    """As advance, and fills `out` (EDGE records) with the changes of speed and pins, with `every_pulse` with every step. Returns
+    how many; stops early when `out` is almost full: look at the clock and call again."""
     k = 0
     while c.clock < until and k < len(out) - ROOM:
         word, rate, at = bus.outputs(c), _rate(c), c.x

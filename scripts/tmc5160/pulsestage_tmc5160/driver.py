@@ -1,8 +1,8 @@
 """How a host controls an axis of a TMC5160: moves, homing by a switch or by StallGuard, register values for rates and ramps.
 
-    firmware.move(axis, 10e-3)                    m; the power stage is switched on where it is off
-    firmware.home(axis, by="stall")               against the end of travel, without a switch
-    current_registers(1.7, 0.1)                   GLOBALSCALER and IHOLD_IRUN for 1.7 A at 0.1 ohm
+firmware.move(axis, 10e-3)                    m; the power stage is switched on where it is off
+firmware.home(axis, by="stall")               against the end of travel, without a switch
+current_registers(1.7, 0.1)                   GLOBALSCALER and IHOLD_IRUN for 1.7 A at 0.1 ohm
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ class Tmc5160Driver(Driver):
         return int(self.chip.MAP.register(name).value(self.chip.read(NUMBER[name])))
 
     def currents(self) -> dict[str, int]:
-        """The registers that give the motor the current of its Drive; as much as the sense resistors allow where it asks for more."""
+        """The registers that give the motor the current of its Drive; as much as the sense resistors allow at most."""
         drive = getattr(self.axis, "drive", None)
         most = FULL_SCALE / self.chip.rsense
         return current_registers(min(drive.amplitude, most) if drive is not None else most, self.chip.rsense)
@@ -252,7 +252,12 @@ class Tmc5160Driver(Driver):
     def _to_stall(self, direction: int, values: Mapping[str, int], timeout: float) -> str:
         """Data sheet, pages 87 to 90: XACTUAL is 0 where the motor stalls."""
         gconf, tstep = self.get("GCONF"), (1 << 24) // values["VMAX"]
-        settings = {"GCONF": gconf & ~4, "COOLCONF": 0, "TCOOLTHRS": min(round(WINDOW * tstep), 0xFFFFF), "RAMP_STAT": EVENT_SG}
+        settings = {
+            "GCONF": gconf & ~4,
+            "COOLCONF": 0,
+            "TCOOLTHRS": min(round(WINDOW * tstep), 0xFFFFF),
+            "RAMP_STAT": EVENT_SG,
+        }
         for name, value in settings.items():
             self.put(name, value)
         self._run(direction, values, SG_STOP)

@@ -65,7 +65,10 @@ def _datagram(c: Any, word: int) -> Note | None:
         return _register(c, address, word & M32)
     if address not in READ:
         name = WRITTEN[address].name if address in WRITTEN else f"{address:02X}h, where there is no register,"
-        return f"a read of {name}, which can only be written, gives 0" if address in WRITTEN else f"{name} reads 0", SHEET + "31"
+        return (
+            f"a read of {name}, which can only be written, gives 0" if address in WRITTEN else f"{name} reads 0",
+            SHEET + "31",
+        )
     return None
 
 
@@ -76,7 +79,7 @@ def _register(c: Any, address: int, value: int) -> Note | None:
             return f"{READ[address].name} can only be read: nothing changes", SHEET + "31"
         return f"no register at {address:02X}h: nothing changes", SHEET + "31"
     if r.name in NOT_MODELLED:
-        return NOT_MODELLED[r.name], "README.md of this package, section 10"
+        return NOT_MODELLED[r.name], "sheet.md of this package, section 10"
     if value > r.mask:
         if address == GLOBALSCALER and value == 256:
             return None
@@ -93,7 +96,8 @@ def _reg(c: Any, address: int) -> int:
 
 
 def _mode(c: Any, value: int) -> Note | None:
-    return _motion(c, value) if value != HOLD else None
+    rests = value == POSITION and int(c["x"]) == int(c["target"])
+    return None if value == HOLD or rests else _motion(c, value)
 
 
 def _target(c: Any, value: int) -> Note | None:
@@ -104,14 +108,12 @@ def _target(c: Any, value: int) -> Note | None:
 
 def _motion(c: Any, mode: int) -> Note | None:
     """A motion is asked for: will the motor move?"""
-    if mode == POSITION and int(c["x"]) == int(c["target"]) and _reg(c, VMAX) == 0:
-        return None
     if not _reg(c, CHOPCONF) & 15:
         return "a motion while TOFF = 0: XACTUAL will count, the motor has no current. Write CHOPCONF", SHEET + "51"
     if int(c["inputs"]) & DRV_ENN:
         return "a motion while DRV_ENN is high: XACTUAL will count, the motor has no current", SHEET + "13"
     if _reg(c, VMAX) == 0:
-        return "a motion with VMAX = 0: the motor does not move", SHEET + "42"
+        return ("a target with VMAX = 0: the motor does not move", SHEET + "42") if mode == POSITION else None
     if mode != POSITION:
         return ("a motion with AMAX = 0: the motor does not move", SHEET + "42") if _reg(c, AMAX) == 0 else None
     if _reg(c, VSTART) == 0 and (_reg(c, A1) == 0 if _reg(c, V1) else _reg(c, AMAX) == 0):
@@ -137,12 +139,14 @@ def _switches(c: Any, value: int) -> Note | None:
 def _gconf(c: Any, value: int) -> Note | None:
     for bit, name in ((16, "direct_mode"), (17, "test_mode")):
         if value >> bit & 1:
-            return f"{name} is not modelled: the bit is stored", "README.md of this package, section 10"
+            return f"{name} is not modelled: the bit is stored", "sheet.md of this package, section 10"
     return None
 
 
 def _dcstep(c: Any, value: int) -> Note | None:
-    return ("dcStep is not modelled: VDCMIN is stored", "README.md of this package, section 10") if value >= 256 else None
+    return (
+        ("dcStep is not modelled: VDCMIN is stored", "sheet.md of this package, section 10") if value >= 256 else None
+    )
 
 
 LOOKS: dict[int, Callable[[Any, int], Note | None]] = {

@@ -7,7 +7,7 @@ from typing import Any
 from stage.chips.register_map import Field, Register, RegisterMap, Word
 
 SPI_CS, SPI_BYTE, SPI_DATAGRAM, SPI_STATE, MOTION = 0x80, 0x81, 0x82, 0x83, 0x84
-"""Bus addresses beyond the registers: chip select, a byte of SPI, a whole datagram, SPI_STATUS, and whether a drive is in progress."""
+"""Bus addresses beyond the registers: chip select, a byte of SPI, a whole datagram, SPI_STATUS, whether a drive is in progress."""
 REGISTERS, ADDRESSES = 0x80, 0x85
 M32, M40 = (1 << 32) - 1, (1 << 40) - 1
 
@@ -21,7 +21,9 @@ def _bits(*names: str | tuple) -> tuple[Field, ...]:
     return tuple(found)
 
 
-def _r(number: int, name: str, access: str, bits: int, title: str, fields: tuple[Field, ...] = (), **more: Any) -> Register:
+def _r(
+    number: int, name: str, access: str, bits: int, title: str, fields: tuple[Field, ...] = (), **more: Any
+) -> Register:
     return Register(name, number, bits, access, title, fields=fields, **more)
 
 
@@ -34,6 +36,8 @@ _GCONF = _bits(
     (13, "diag1_poscomp_pushpull", "DIAG1 push-pull, high active"), (14, "small_hysteresis", "thresholds with 1/32"),
     (15, "stop_enable", "ENCA stops all steps"), (16, "direct_mode", "currents by XTARGET"), (17, "test_mode", "test mode"),
 )  # fmt: skip
+_MODES = {0: "positioning", 1: "velocity, plus", 2: "velocity, minus", 3: "hold"}
+_RAMPMODE = (Field("mode", 1, 0, "mode", values=_MODES, silent=None),)
 _GSTAT = _bits((0, "reset", "was reset"), (1, "drv_err", "driver error"), (2, "uv_cp", "charge pump undervoltage"))
 _IOIN = _bits(
     (0, "refl_step", "REFL"), (1, "refr_dir", "REFR"), (2, "encb", "ENCB"), (3, "enca", "ENCA"), (4, "drv_enn", "DRV_ENN"),
@@ -63,7 +67,8 @@ _CHOPCONF = _bits(
 )  # fmt: skip
 _COOLCONF = _bits(
     ("3..0", "semin", "CoolStep: lower threshold"), ("6..5", "seup", "current up"), ("11..8", "semax", "hysteresis"),
-    ("14..13", "sedn", "current down"), (15, "seimin", "least current a quarter"), ("22..16", "sgt", "StallGuard threshold, signed"),
+    ("14..13", "sedn", "current down"), (15, "seimin", "least current a quarter"),
+    ("22..16", "sgt", "StallGuard threshold, signed"),
     (24, "sfilt", "StallGuard filter"),
 )  # fmt: skip
 _DRV_STATUS = _bits(
@@ -76,7 +81,8 @@ _DRV_STATUS = _bits(
 _ENCMODE = _bits(
     (0, "pol_a", "A for an N event"), (1, "pol_b", "B for an N event"), (2, "pol_n", "N active high"), (3, "ignore_ab", "N alone"),
     (4, "clr_cont", "each N event"), (5, "clr_once", "next N event"), ("7..6", "edge", "level, rising, falling, both"),
-    (8, "clr_enc_x", "N event clears X_ENC"), (9, "latch_x_act", "N event latches XACTUAL"), (10, "enc_sel_decimal", "decimal fraction"),
+    (8, "clr_enc_x", "N event clears X_ENC"), (9, "latch_x_act", "N event latches XACTUAL"),
+    (10, "enc_sel_decimal", "decimal fraction"),
 )  # fmt: skip
 _PWMCONF = _bits(
     ("7..0", "pwm_ofs", "offset"), ("15..8", "pwm_grad", "gradient"), ("17..16", "pwm_freq", "frequency"),
@@ -87,7 +93,7 @@ _PWMCONF = _bits(
 MAP = RegisterMap(
     "TMC5160",
     "Trinamic motion controller and driver of one two-phase stepper: six-point ramp, StallGuard2, CoolStep; SPI of 40 bits",
-    "data sheet TMC5160/TMC5160A rev. 1.14; see README.md of this package",
+    "data sheet TMC5160/TMC5160A rev. 1.14; see sheet.md of this package",
     (
         _r(0x00, "GCONF", "RW", 18, "global configuration", _GCONF, reset=0x8),
         _r(0x01, "GSTAT", "RW", 3, "global status, a 1 written clears", _GSTAT, reset=1),
@@ -111,7 +117,7 @@ MAP = RegisterMap(
         _r(0x14, "TCOOLTHRS", "W", 20, "StallGuard, CoolStep above this speed", unit="clocks"),
         _r(0x15, "THIGH", "W", 20, "high speed", unit="clocks"),
         _r(0x20, "RAMPMODE", "RW", 2, "mode of the ramp generator",
-           (Field("mode", 1, 0, "mode", values={0: "positioning", 1: "velocity, plus", 2: "velocity, minus", 3: "hold"}, silent=None),)),
+           _RAMPMODE),
         _r(0x21, "XACTUAL", "RW", 32, "actual position", signed=True, unit="steps"),
         _r(0x22, "VACTUAL", "R", 24, "actual velocity", signed=True, unit="fCLK / 2^24 steps/s"),
         _r(0x23, "VSTART", "W", 18, "start velocity", unit="fCLK / 2^24 steps/s"),
@@ -154,7 +160,8 @@ MAP = RegisterMap(
     (
         Word("SPI_STATUS", "first byte of every answer", _bits(
             (7, "status_stop_r", "right switch"), (6, "status_stop_l", "left switch"), (5, "position_reached", "at XTARGET"),
-            (4, "velocity_reached", "at VMAX"), (3, "standstill", "standstill"), (2, "sg2", "stall"), (1, "driver_error", "driver error"),
+            (4, "velocity_reached", "at VMAX"), (3, "standstill", "standstill"), (2, "sg2", "stall"),
+            (1, "driver_error", "driver error"),
             (0, "reset_flag", "was reset"))),
     ),
 )  # fmt: skip

@@ -37,7 +37,7 @@ from pulsestage_tmc5160.state import (
 from stage.native import greatest, hot, least
 
 CANNOT, CALM, FALLING, SLOWING = range(4)
-"""What `plan` found: nothing but a clock at a time; no test; tests that turn true but once; tests that may turn true after a step."""
+"""What `plan` found: a clock at a time; no test; a test that turns true but once; one that may turn true after each step."""
 
 
 @hot
@@ -189,7 +189,7 @@ def speed(c):
         began = True
     if mode == POSITION:
         return _positioning(c, s, began)
-    if mode == PLUS or mode == MINUS:
+    if mode in (PLUS, MINUS):
         return _running(c, s, began)
     return True
 
@@ -251,7 +251,6 @@ def _positioning(c, s, began):
 
 
 # --- many clocks ---
-
 
 
 @hot

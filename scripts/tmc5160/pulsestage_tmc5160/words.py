@@ -4,7 +4,18 @@ from __future__ import annotations
 
 from typing import Any
 
-from pulsestage_tmc5160.maps import M32, MAP, MOTION, READ, REGISTERS, SPI_BYTE, SPI_CS, SPI_DATAGRAM, SPI_STATE, WRITTEN
+from pulsestage_tmc5160.maps import (
+    M32,
+    MAP,
+    MOTION,
+    READ,
+    REGISTERS,
+    SPI_BYTE,
+    SPI_CS,
+    SPI_DATAGRAM,
+    SPI_STATE,
+    WRITTEN,
+)
 from stage.chips import describe
 from stage.chips.describe import Fields, Said, line
 

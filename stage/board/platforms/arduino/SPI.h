@@ -1,4 +1,5 @@
-/* SPI.h on an emulated board: nothing is at the SPI bus, which a transfer says once, in the log; it then reads FFh. A device of yours:
+/* SPI.h on an emulated board: the chips at the SPI bus are those of PinBus(base).spi(chip select pin), see pinbus.h; the bytes go to the
+ * one whose pin is low. Where none is, a transfer says so once, in the log, and reads FFh. A device of yours:
  *
  *     SPI.device = [](uint8_t sent) -> uint8_t { return answer(sent); };
  */
@@ -35,7 +36,12 @@ struct SPIClass {
     {
         if (device)
             return device(sent);
-        pulsestage::missing(said, "SPI.transfer: no device is at the SPI bus; it reads FFh. Set SPI.device to a function of yours");
+        uint8_t answer = 0xFF;
+        for (PinBus *bus = pulsestage::pins().first; bus; bus = bus->next())
+            if (bus->exchange(sent, answer))
+                return answer;
+        pulsestage::missing(said, "SPI.transfer: no device is at the SPI bus, or none is selected; it reads FFh. Set SPI.device to a function of "
+                                  "yours, or name the chip's pin: PinBus(0x300).spi(10)");
         return 0xFF;
     }
     uint16_t transfer16(uint16_t sent)

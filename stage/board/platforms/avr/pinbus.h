@@ -10,6 +10,13 @@
  * A write cycle is made when WR (or R/W with CS) ends; the data are those of just before. A read cycle is made when RD (or OE) begins,
  * and the chip drives the data pins until it ends. All strobes are asserted while low. Of a chip with ALE, the address goes to the base
  * port when ALE ends, and data are at the port behind. A pin that is an input is pulled up. C++11.
+ *
+ * A chip on SPI has its chip select pin alone; the bytes are those of Arduino's SPI.transfer:
+ *
+ *     static PinBus driver = PinBus(0x300).spi(10);
+ *
+ * The board's port of its base is told of the pin (0 while it is low), and the port behind exchanges bytes: one written goes out, then
+ * one read is what came in.
  */
 #ifndef PULSESTAGE_PINBUS_H
 #define PULSESTAGE_PINBUS_H
@@ -109,6 +116,11 @@ class PinBus
     PinBus &ale(int pin) { return strobe(ale_, pin); } /* address and data share the data pins */
     PinBus &rw(int pin) { return strobe(rw_, pin); }   /* R/W in place of WR: low while the chip is written */
     PinBus &oe(int pin) { return strobe(oe_, pin); }   /* with R/W: low while the chip drives the data pins */
+    PinBus &spi(int pin)                               /* a chip on SPI, with this chip select pin */
+    {
+        serial_ = true;
+        return strobe(cs_, pin);
+    }
     PinBus &irq(int pin)                               /* the board's interrupt line, low while it is asserted */
     {
         irq_ = number(pin);
@@ -118,12 +130,21 @@ class PinBus
 
     void before() /* strobes are about to change */
     {
-        if (writing_ || latching_)
+        if (!serial_ && (writing_ || latching_))
             held_ = read_data();
     }
 
     void after()
     {
+        if (serial_) {
+            const bool selects = low(cs_, false);
+            if (selects != writing_) {
+                writing_ = selects;
+                ps_out8(base_, selects ? 0 : 1);
+                pulsestage::interrupt_line().look();
+            }
+            return;
+        }
         const bool selected = low(cs_, true);
         const bool write = selected && (rw_ < 0 ? low(wr_, false) : low(rw_, false) && cs_ >= 0);
         const bool latch = low(ale_, false);
@@ -152,6 +173,16 @@ class PinBus
             drive(0, false);
         if (latched || written || begins)
             pulsestage::interrupt_line().look();
+    }
+
+    /* A byte of SPI: what the selected chip answers; false where it is not selected, or not on SPI. */
+    bool exchange(uint8_t sent, uint8_t &answer)
+    {
+        if (!serial_ || !writing_)
+            return false;
+        ps_out8(base_ + 1, sent);
+        answer = ps_in8(base_ + 1);
+        return true;
     }
 
     PinBus *next() const { return next_; }
@@ -238,7 +269,7 @@ class PinBus
     int cs_ = -1, wr_ = -1, rd_ = -1, ale_ = -1, rw_ = -1, oe_ = -1, irq_ = -1;
     unsigned held_ = 0, fetched_ = 0;
     bool whole_ = false, raw_ = false, writing_ = false, reading_ = false, latching_ = false, wanted_ = false;
-    bool told_ = false, fought_ = false;
+    bool told_ = false, fought_ = false, serial_ = false;
     PinBus *next_ = nullptr;
 };
 

@@ -1,0 +1,179 @@
+"""scripts/tmc5160, a chip that is its motor's driver, too: the numbers of its sheet.md, and on a stage."""
+
+import numpy as np
+import pytest
+from support.examples import SEED
+from support.packages import tmc5160
+
+from stage import Stage, firmware
+from stage.chips import chip_class
+from stage.cli import main
+from stage.testing import chip_conformance
+
+HZ = 12_000_000
+
+
+@pytest.fixture(autouse=True)
+def tmc5160_is_there(monkeypatch, tmp_path):
+    tmc5160(monkeypatch, tmp_path / "site")
+
+
+@pytest.fixture(scope="module")
+def stage_(tmp_path_factory):
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        tmc5160(monkeypatch, tmp_path_factory.mktemp("site"))
+        return Stage("xy", chips={"x": "tmc5160"}, visuals=False)
+
+
+@pytest.fixture
+def chip():
+    return chip_class("tmc5160")()
+
+
+def put(chip, **registers):
+    for name, value in registers.items():
+        for cycle in chip.register_cycles(name, value):
+            chip.write(*cycle)
+
+
+TURN = "A4000003E8 A50000C350 A6000001F4 A700030D40 A8000002BC AA00000578 AB0000000A A000000000 ADFFFF3800"
+
+
+def test_it_keeps_every_promise_of_a_chip():
+    chip_conformance("tmc5160", seed=SEED, programs=2)
+
+
+def test_the_turn_of_the_data_sheet_takes_the_clocks_of_the_page(chip):
+    for datagram in TURN.split():
+        chip.transfer(bytes.fromhex(datagram))
+    begin = chip.clock
+    for clock, x, v in (
+        (6_553_600, -9765, -50_000),
+        (12_117_562, -29_867, -71_224),
+        (16_091_487, -44_223, -50_000),
+        (20_771_881, -51_199, -10),
+        (20_846_720, -51_199, -10),
+        (20_846_721, -51_200, 0),
+    ):
+        chip.advance(begin + clock - chip.clock)
+        values = chip.values()
+        assert (values["XACTUAL"], values["VACTUAL"]) == (x, v)
+    assert chip.net() == -51_200
+    assert values["MSCNT"] == 0
+
+
+def test_an_answer_comes_one_datagram_later_with_the_status_of_its_time(chip):
+    put(chip, XACTUAL=0x123456, XTARGET=0x123456)
+    sent = (0x2100000000, 0x2100000000, 0xA700ABCDEF, 0xA700123456, 0xFF00000000)
+    answers = [chip.transfer40(word) for word in sent]
+    assert [a & 0xFFFFFFFF for a in answers] == [0, 0x123456, 0x123456, 0x00ABCDEF, 0x00123456]
+    assert answers[0] >> 32 == 0x31
+
+
+def test_the_bytes_of_a_datagram_are_those_of_a_whole_one(chip):
+    def clocked(*sent):
+        chip.write(0x80, 0)
+        answer = []
+        for byte in sent:
+            chip.write(0x81, byte)
+            answer.append(chip.read(0x81))
+        chip.write(0x80, 1)
+        return bytes(answer)
+
+    assert clocked(0x90, 0, 0x06, 0x1F, 0x0A)[0] == 0x31
+    assert clocked(0x6F, 0, 0, 0, 0) == bytes.fromhex("3100061F0A")
+    assert chip.values()["IHOLD_IRUN"] == 0x61F0A
+    short = clocked(0x90, 1, 2, 3)
+    assert clocked(0x04, 0, 0, 0, 0)[:4] == short, "what was too short has changed nothing"
+    assert "a datagram of 32 bits" in chip.diagnostics[-1].message
+    chained = clocked(0xEE, 0x90, 0, 0, 0x1F, 0x10)
+    assert chained[5] == 0xEE, "what is shifted through comes out 40 clocks later"
+    assert chip.values()["IHOLD_IRUN"] == 0x1F10
+
+
+def test_by_its_name_it_moves_a_stage_and_sets_the_current_of_the_motor(stage_):
+    stage_.reset()
+    x = stage_.axes["x"]
+    drive = stage_.state.drives[x.index]
+    assert (drive.current, x.drive.microsteps) == (0, 256)
+    report = firmware.move(x, 5e-3)
+    assert report.ok, report
+    assert (report.pulses, report.stopped_by) == (25_600, "position reached")
+    assert x.position == pytest.approx(5e-3, abs=20e-6)
+    assert drive.current == pytest.approx(x.drive.amplitude, rel=0.02)
+    stage_.run(3.0)
+    assert drive.current == pytest.approx(0.5 * x.drive.amplitude, rel=0.03), "IHOLD"
+    x.chip.write(0x6C, 0)
+    stage_.step()
+    assert drive.current == 0
+
+
+def test_it_goes_home_to_a_switch_and_to_a_stall(stage_):
+    stage_.reset()
+    stage_.place(x=-0.14)
+    x = stage_.axes["x"]
+    home = firmware.home(x)
+    assert (home.ok, home.stopped_by) == (True, "REFL")
+    assert x.chip.values()["XACTUAL"] == 0
+    assert x.position == pytest.approx(-0.15, abs=1e-4)
+    firmware.home(x, by="stall", speed=0.02)
+    first = x.position
+    assert first == pytest.approx(-0.156, abs=5e-4)
+    assert x.chip.values()["XACTUAL"] == 0
+    firmware.move(x, 2e-3)
+    assert firmware.home(x, by="stall", speed=0.02).stopped_by == "stall"
+    full_step = 256 * x.meters_per_pulse
+    assert x.position == pytest.approx(first, abs=full_step)
+
+
+def test_the_command_line_takes_it(capsys):
+    assert main(["move", "x", "320", "--fl", "1000", "--chips", "tmc5160", "--model", "xy"]) == 0
+    assert "pulses 320 of 320" in capsys.readouterr().out
+    assert main(["registers", "tmc5160"]) == 0
+    assert "XTARGET" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_many_clocks_at_once_are_clock_by_clock(chip, seed):
+    """`leap` against `tick`, which is taken where an access is fresh."""
+    rng = np.random.default_rng(seed)
+    put(
+        chip,
+        CHOPCONF=0x100100C3 | int(rng.integers(0, 9)) << 24 * int(rng.integers(2)),
+        IHOLD_IRUN=0x61F0A,
+        SW_MODE=int(rng.integers(0, 4096)),
+    )
+    put(
+        chip,
+        VSTART=int(rng.integers(0, 1000)) * int(rng.integers(2)),
+        VSTOP=int(rng.integers(10, 100_000)),
+        D1=int(rng.integers(1, 65_536)),
+        A1=int(rng.integers(1, 65_536)),
+        V1=int(rng.integers(0, 1 << 20)) * int(rng.integers(2)),
+        AMAX=int(rng.integers(1, 65_536)),
+        DMAX=int(rng.integers(1, 65_536)),
+        TZEROWAIT=int(rng.integers(2)),
+        TCOOLTHRS=int(rng.integers(1, 2000)),
+        TPWMTHRS=int(rng.integers(0, 2000)),
+        GCONF=int(rng.integers(0, 32)) & 0x1C,
+        COOLCONF=int(rng.integers(0, 1 << 25)),
+    )
+    chip.set_load(int(rng.integers(0, 1025)))
+    twin = chip.twin()
+    for _ in range(12):
+        acts = [
+            ("VMAX", int(rng.integers(0, 1 << 22))),
+            ("XTARGET", int(rng.integers(-3000, 3000))),
+            ("RAMPMODE", int(rng.integers(0, 3)) * int(rng.integers(2))),
+        ]
+        name, value = acts[int(rng.integers(3))]
+        pins = int(rng.integers(0, 4)) if rng.integers(4) == 0 else 0
+        clocks = int(rng.integers(1, 2500))
+        for c in (chip, twin):
+            put(c, **{name: value, "RAMP_STAT": 0x40})
+            c.set_input_word(0, pins)
+        chip.advance(clocks)
+        for _ in range(clocks):
+            twin.state["fresh"] = 1
+            twin.advance(1)
+        assert chip.state.tobytes() == twin.state.tobytes()
