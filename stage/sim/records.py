@@ -94,8 +94,8 @@ rate in their place, of a LOAD angle and share of the supply."""
 
 MAX_TOGGLES = 8
 EDGES_A_WINDOW = len(PINS) * (1 + MAX_TOGGLES) + 2 + 1 + 1 + 1
-"""Of an axis at most: each switch an edge and its toggles; the index pulse begins and ends; the shaft; what another chip drives; the
-load."""
+"""Of an axis at most: each switch an edge and its toggles; the index pulse begins and ends; the shaft; what another chip drives;
+the load."""
 REACHED, SAMPLES_FULL, EDGES_FULL, DIVERGED, FAILED, UNGUARDED, IN_USE, WIPED = range(8)
 """Why it returned: time is up; no room to log in; the physics diverged; a callback failed. And why it did nothing: there are
 callbacks, and nobody guards them; another runs the stage; it is not under power."""

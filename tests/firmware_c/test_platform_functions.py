@@ -370,8 +370,8 @@ def test_a_sketch_has_serial_strings_spi_and_interrupts_by_edge(tmp_path):
     assert log == [
         "pins: no PinBus says how a chip is wired to them, so no chip sees them; docs/porting.md",
         "FF 0.333 deg -5",
-        "SPI.transfer: no device is at the SPI bus, or none is selected; it reads FFh. Set SPI.device to a function of yours, or name "
-        "the chip's pin: PinBus(0x300).spi(10)",
+        "SPI.transfer: no device is at the SPI bus, or none is selected; it reads FFh. Set SPI.device to a function of yours, "
+        "or name the chip's pin: PinBus(0x300).spi(10)",
         "half a line",
     ]
 
