@@ -1,0 +1,66 @@
+"""Registers of the reference TMC5160: address, name, access, width in bits, reset value (section 2 of its page)."""
+
+MSLUT = (0xAAAAB554, 0x4A9554AA, 0x24492929, 0x10104222, 0xFBFFFFFF, 0xB5BB777D, 0x49295556, 0x00404222)
+
+# "R" reads a value, "W" writes it and reads 0, "RW" both, "WC" reads flags that a written 1 clears
+TABLE = (
+    (0x00, "GCONF", "RW", 18, 0x8),
+    (0x01, "GSTAT", "WC", 3, 1),
+    (0x02, "IFCNT", "R", 8, 0),
+    (0x03, "SLAVECONF", "W", 12, 0),
+    (0x04, "IOIN", "R", 32, 0x30000000),  # writes to 04 go to OUTPUT, which has no effect
+    (0x05, "X_COMPARE", "W", 32, 0),
+    (0x06, "OTP_PROG", "W", 16, 0),
+    (0x07, "OTP_READ", "R", 8, 0x0E),
+    (0x08, "FACTORY_CONF", "RW", 5, 0x0E),
+    (0x09, "SHORT_CONF", "W", 19, 0x00010606),
+    (0x0A, "DRV_CONF", "W", 22, 0x00080400),
+    (0x0B, "GLOBALSCALER", "W", 8, 0),
+    (0x0C, "OFFSET_READ", "R", 16, 0),
+    (0x10, "IHOLD_IRUN", "W", 20, 0),
+    (0x11, "TPOWERDOWN", "W", 8, 10),
+    (0x12, "TSTEP", "R", 20, 0xFFFFF),
+    (0x13, "TPWMTHRS", "W", 20, 0),
+    (0x14, "TCOOLTHRS", "W", 20, 0),
+    (0x15, "THIGH", "W", 20, 0),
+    (0x20, "RAMPMODE", "RW", 2, 0),
+    (0x21, "XACTUAL", "RW", 32, 0),
+    (0x22, "VACTUAL", "R", 24, 0),
+    (0x23, "VSTART", "W", 18, 0),
+    (0x24, "A1", "W", 16, 0),
+    (0x25, "V1", "W", 20, 0),
+    (0x26, "AMAX", "W", 16, 0),
+    (0x27, "VMAX", "W", 23, 0),
+    (0x28, "DMAX", "W", 16, 0),
+    (0x2A, "D1", "W", 16, 0),
+    (0x2B, "VSTOP", "W", 18, 1),
+    (0x2C, "TZEROWAIT", "W", 16, 0),
+    (0x2D, "XTARGET", "RW", 32, 0),
+    (0x33, "VDCMIN", "W", 23, 0),
+    (0x34, "SW_MODE", "RW", 12, 0),
+    (0x35, "RAMP_STAT", "WC", 14, 0x780),
+    (0x36, "XLATCH", "R", 32, 0),
+    (0x38, "ENCMODE", "RW", 11, 0),
+    (0x39, "X_ENC", "RW", 32, 0),
+    (0x3A, "ENC_CONST", "W", 32, 0x10000),
+    (0x3B, "ENC_STATUS", "WC", 2, 0),
+    (0x3C, "ENC_LATCH", "R", 32, 0),
+    (0x3D, "ENC_DEVIATION", "W", 20, 0),
+    *((0x60 + k, f"MSLUT{k}", "W", 32, word) for k, word in enumerate(MSLUT)),
+    (0x68, "MSLUTSEL", "W", 32, 0xFFFF8056),
+    (0x69, "MSLUTSTART", "W", 24, 0x00F70000),
+    (0x6A, "MSCNT", "R", 10, 0),
+    (0x6B, "MSCURACT", "R", 25, 0x00F70000),
+    (0x6C, "CHOPCONF", "RW", 32, 0x10410150),
+    (0x6D, "COOLCONF", "W", 25, 0),
+    (0x6E, "DCCTRL", "W", 24, 0),
+    (0x6F, "DRV_STATUS", "R", 32, 0),
+    (0x70, "PWMCONF", "W", 32, 0xC40C001E),
+    (0x71, "PWM_SCALE", "R", 25, 0),
+    (0x72, "PWM_AUTO", "R", 24, 0x1E),
+    (0x73, "LOST_STEPS", "R", 20, 0),
+)
+BY_ADDRESS = {address: (name, access, (1 << width) - 1) for address, name, access, width, _ in TABLE}
+ADDRESS = {name: address for address, name, *_ in TABLE}
+RESET = {name: value for _, name, _, _, value in TABLE}
+CLEARABLE = {"GSTAT": 0x7, "RAMP_STAT": 0x10CC, "ENC_STATUS": 0x3}  # bits that a written 1 clears
