@@ -152,8 +152,9 @@ def test_integral_velocity_ramps_to_its_command_and_the_fractions_of_a_count_add
 def test_a_jump_of_the_command_velocity_by_more_than_127_is_noted_and_of_no_other_register_and_mode():
     for mode, noted in (("integral", 1), ("position", 0)):
         chip = bench(acceleration(0x40), begin(mode))
+        chip.advance(16 * 20)
         for address, value in ((0x3C, 100), (0x3C, 0xE5), (0x3C, 100), (0x3C, 0xE4), (0x22, 0x7F), (0x22, 0x80)):
-            chip.advance(16 * 20)
+            chip.advance(SAMPLE)
             chip.write(address, value)
         assert [d.message.split(":")[0] for d in chip.diagnostics] == ["R3C changes by -128"] * noted
 
@@ -203,8 +204,10 @@ def test_stop_acts_in_integral_velocity_only(mode):
 
 def test_successive_integral_velocities_may_differ_by_127():
     chip = moving(64)
+    chip.advance(SAMPLE)
     chip.write(0x3C, -63 & 0xFF)
     assert not chip.diagnostics
+    chip.advance(SAMPLE)
     chip.write(0x3C, 65)
     assert "changes by 128" in chip.diagnostics[0].message
 
@@ -297,10 +300,11 @@ def test_sign_reversal_inhibit_keeps_pulse_off_for_one_pwm_period(inhibit):
     chip.write(0x09, -50 & 0xFF)
     assert chip.pins.sign
     seen = []
-    for _ in range(120):
+    for _ in range(220):
         seen.append(chip.pins.pulse)
         chip.advance(1)
-    assert seen == [not inhibit] * 100 + [True] * 20
+    period = [True] * 50 + [False] * 50
+    assert seen == (([False] * 100 if inhibit else period) + period + period)[:220]
     assert mean_of(chip, 250, [(0, 0x09, 50)]) == pytest.approx(0.5 * (150 if inhibit else 250) / 250)
 
 
@@ -338,7 +342,7 @@ def test_the_mean_over_a_slice_is_that_of_every_clock_samples_inside_or_not():
         twin.restore(chip.snapshot())
         total = 0
         for _ in range(clocks):
-            total += max(-100, min(100, twin.motor_command)) if twin.pins.pulse else 0
+            total += max(-100, min(100, twin.motor_command)) if twin.clock >= twin.state["dead"] else 0
             twin.advance(1)
         assert mean_of(chip, clocks) == pytest.approx(total / (100 * clocks), abs=1e-12)
 
@@ -424,3 +428,52 @@ def test_a_mode_that_is_entered_from_proportional_velocity_remembers_nothing_of_
     for _ in range(3):
         chip.advance(SAMPLE)
         assert chip.motor_command == 0
+
+
+@pytest.mark.parametrize("command", [0, 1, 40, -40, 99, 100, 127, -128])
+def test_pulse_is_on_for_the_commands_share_of_each_period_of_100_clocks(command):
+    """PWM frequency clk / 100; D8h is 40 % negative."""
+    chip = bench([(0x09, command & 0xFF)])
+    chip.advance(137)
+    journal = chip.journal()
+    seen = []
+    for _ in range(300):
+        seen.append(chip.pins.pulse)
+        chip.advance(1)
+    assert sum(seen) == 3 * min(abs(command), 100)
+    assert chip.pins.sign == (command < 0)
+    course = journal.course(every_pulse=True)
+    level = np.repeat(course.pin("pulse"), np.diff(course.edges["clock"], append=chip.clock))
+    assert level[:300].tolist() == seen, "and so a waveform shows it"
+    assert len(journal.course().edges) <= 2, "which has no edges of it unless it is asked for pulses"
+
+
+@pytest.mark.parametrize(
+    ("mode", "first", "second"),
+    [
+        ("position", word(COMMAND, 5), word(COMMAND, 6)),
+        ("integral", [(0x3C, 3)], [(0x3C, 4)]),
+        ("proportional", [(0x24, 0), (0x23, 16)], [(0x24, 0), (0x23, 32)]),
+    ],
+)
+def test_two_commands_in_one_sample_are_noted_and_one_in_each_is_not(mode, first, second):
+    chip = bench([(0x0F, 0x3F)], begin(mode))
+    chip.advance(16 * 0x40 + 16 * 0x10)  # a sample has begun, and its law is done
+    chip.diagnostics.clear()
+    for address, value in first:
+        chip.write(address, value)
+    assert chip.diagnostics == []
+    for address, value in second:
+        chip.write(address, value)
+    assert {d.message.split(":")[0].split(" ", 1)[1] for d in chip.diagnostics} == {"is written twice in one sample"}
+    chip.diagnostics.clear()
+    chip.advance(16 * 0x40)
+    for address, value in first:
+        chip.write(address, value)
+    assert chip.diagnostics == []
+
+
+def test_a_reference_clock_beyond_the_silicon_is_noted():
+    assert HCTL1100(100_000).diagnostics == HCTL1100(2_000_000).diagnostics == []
+    for hz in (99_999, 2_000_001):
+        assert "100,000 to 2,000,000 Hz" in HCTL1100(hz).diagnostics[0].message

@@ -735,3 +735,50 @@ def test_a_speed_of_0_counts_as_the_smallest(cls):
         chip.advance(4 * SECOND)
         clocks.append(chip.net(0))
     assert clocks == [3, 3]
+
+
+@pytest.mark.parametrize("cls", [MCX304, MCX514])
+@pytest.mark.parametrize(
+    ("pin", "said"), [("lmt_plus", "LMT+ is active"), ("alarm", "ALARM is active"), ("emg", "EMG is active")]
+)
+def test_a_drive_command_that_a_signal_refuses_says_so_and_another_does_not(cls, pin, said):
+    chip = cls()
+    command(chip, NOP_304 if cls is MCX304 else NOP_514)
+    chip.write(2, chip.MAP.mask("WR2", "ALM-E") | (chip.MAP.mask("WR2", "HLM-E") if cls is MCX514 else 0))
+    if cls is MCX514:
+        load(chip, AC=1_000_000, SV=1000, DV=1000, TP=3)
+    else:
+        load_304(chip, R=8_000_000, A=100, SV=1000, V=1000, P=3)
+    chip.diagnostics.clear()
+    plus, minus = (0x22, 0x23) if cls is MCX304 else (PLUS, MINUS)
+    pins = chip.pins if pin == "emg" else chip.axes[0].pins
+    setattr(pins, pin, True)
+    chip.advance(10)
+    command(chip, plus)
+    assert chip.advance(SECOND // 100) == 0
+    assert [said in d.message for d in chip.diagnostics] == [True], chip.diagnostics
+    setattr(pins, pin, False)
+    chip.advance(10)
+    chip.diagnostics.clear()
+    command(chip, minus)
+    assert chip.advance(SECOND // 100) == 10
+    assert chip.diagnostics == []
+
+
+@pytest.mark.parametrize(
+    ("cls", "most"), [(MCX304, 16_000_000), (MCX302, 16_000_000), (MCX312, 16_000_000), (MCX514, 20_000_000)]
+)
+def test_a_clock_beyond_the_silicon_is_noted(cls, most):
+    assert cls(most).diagnostics == []
+    assert f"{most:,} Hz" in cls(most + 1).diagnostics[0].message
+
+
+@pytest.mark.parametrize("cls", [MCX304, MCX514])
+def test_a_write_that_the_bus_cuts_down_is_noted(cls):
+    chip = cls()
+    chip.write(9, 0)
+    chip.write(6, 0x12345)
+    assert [d.message.split(":")[0] for d in chip.diagnostics] == [
+        "address 09h acts as 01h",
+        "value 12345h acts as 2345h",
+    ]

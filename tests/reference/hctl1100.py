@@ -260,7 +260,8 @@ class ReferenceHCTL1100:
             "prof": self.flags[0],
             "init": self.mode == "idle",
             "sign": self.pwm < 0,
-            "pulse": self.pwm != 0 and self.clock >= self.blocked_until,
+            # Choice: periods of 100 clocks are counted from power-up, and PULSE is on at their beginning
+            "pulse": self.clock % 100 < min(abs(self.pwm), 100) and self.clock >= self.blocked_until,
             **{f"ph{k}": k in on for k in "abcd"},
         }
 

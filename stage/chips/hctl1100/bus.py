@@ -40,6 +40,7 @@ from stage.chips.hctl1100.state import (
     F0,
     F1,
     F4,
+    GIVERS,
     IDLE,
     INDEX,
     INTEGRAL,
@@ -93,7 +94,7 @@ def hard_reset(c):
     for k in range(ADDRESSES):
         c.reg[k] = 0
     c.flag = c.command = c.high = c.middle = c.latch = c.preset_high = c.preset_middle = 0
-    c.speed = c.ring = c.dead = c.drive = 0
+    c.speed = c.ring = c.dead = c.drive = c.given = c.gave = 0
     soft_reset(c)
     c.home = encoder.raw(c)
 
@@ -174,6 +175,11 @@ def _latch_command(c, low):
 @hot
 def write_byte(c, address, value):
     """One bus write cycle."""
+    if c.mode == CONTROL:
+        for k in range(len(GIVERS)):
+            if address == GIVERS[k]:
+                c.gave = (c.gave if c.given == c.next else 0) | 1 << k
+                c.given = c.next
     if address == FLAG:
         _flag(c, value)
     elif address == MODE:

@@ -24,6 +24,7 @@ from stage.chips.hctl1100.state import (
     PROF,
     PROPORTIONAL,
     PULSE,
+    PULSE_ON,
     STATE,
     TRAPEZOID,
     control_mode,
@@ -32,6 +33,7 @@ from stage.chips.hctl1100.state import (
 from stage.native import array_of, exported, hot, least
 
 ROOM = 8
+ALL_OUTPUTS = sum(OUTPUTS.values())
 REAL, WHOLE = np.dtype("f8"), np.dtype("i8")
 
 __all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE", "advance", "busy", "counter", "inputs", "mark", "drive_input", "net",
@@ -213,9 +215,11 @@ def mark(c, axis, out, k):
 
 
 @hot
-def _next_change(c, until):
-    """The clock, at most `until`, at which a pin may change."""
+def _next_change(c, until, every_pulse):
+    """The clock, at most `until`, at which a pin may change; PULSE only with `every_pulse`."""
     stop = until if c.mode == IDLE else least(until, c.next)
+    if every_pulse:
+        stop = least(stop, motor.next_edge(c))
     if c.clock < c.dead:
         stop = least(stop, c.dead)
     if c.reg[RING]:
@@ -225,14 +229,15 @@ def _next_change(c, until):
 
 @exported("i8", STATE, "i8", "i8", "i8", array_of(EDGE))
 def scan(c, until, every_pulse, axis, out):
-    """As advance, and fills `out` (EDGE records) with every change of the commanded velocity or of an output pin, with
-    `every_pulse` also of the command position and the motor command. Returns how many; stops early when `out` is almost full: look
-    at the clock and call again."""
+    """As advance, and fills `out` (EDGE records) with every change of the commanded velocity or of an output pin, PULSE only with
+    `every_pulse`, and with it also of the command position and the motor command. Returns how many; stops early when `out` is
+    almost full: look at the clock and call again."""
     k = 0
+    watched = ALL_OUTPUTS if every_pulse else ALL_OUTPUTS & ~PULSE_ON
     while c.clock < until and k < len(out) - ROOM:
         word, rate, command, drive = outputs(c, 0), pulse_rate(c, 0, 1.0), c.command, c.drive
-        run(c, _next_change(c, until))
-        changed = outputs(c, 0) != word or pulse_rate(c, 0, 1.0) != rate
+        run(c, _next_change(c, until, every_pulse))
+        changed = (outputs(c, 0) ^ word) & watched or pulse_rate(c, 0, 1.0) != rate
         if changed or (every_pulse and (c.command != command or c.drive != drive)):
             mark(c, axis, out, k)
             k += 1

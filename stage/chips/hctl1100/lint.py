@@ -41,6 +41,7 @@ from stage.chips.hctl1100.state import (
     F3,
     F5,
     FOUR,
+    GIVERS,
     IDLE,
     INTEGRAL,
     LEAST_T,
@@ -176,4 +177,9 @@ def _moment(c: Any, address: int, value: int) -> Note | None:
         step = signed(value, 8) - signed(int(c["reg"][address]), 8)
         if abs(step) > 127:
             return f"R3C changes by {step}: successive command velocities may differ by 127", "R3C"
+    if address in COMMANDS[mode] and c["given"] == c["next"] and int(c["gave"]) >> GIVERS.index(address) & 1:
+        return (
+            f"R{address:02X} is written twice in one sample: the later command counts, and the sheet allows one",
+            _TIMER,
+        )
     return None

@@ -1,7 +1,7 @@
 """The register map of the HCTL-1100 as data. Registers are called by their address, as the data sheet does: R0F is address 0Fh.
 
-Sources: the data sheet's page on the sample timer (S), other pages of the manual (D), working drivers (C), memory of the manual
-(M). What these leave open is inferred (I); docs/hctl1100.md says why.
+Sources: the data sheet's page on the sample timer (S), other pages of the manual (D; pages 14, 20, 23, 31, 32 and 35 are in
+public text), working drivers (C), memory of the manual (M). What these leave open is inferred (I); docs/hctl1100.md says why.
 """
 
 from __future__ import annotations
@@ -87,12 +87,14 @@ def _bit(name: str, number: int, meaning: str, evidence: str = "D", access: str 
 
 _TRIGGERED = "a write here clears it once the pin is released"
 _FLAGS = (
-    _bit("f5", 5, "integral velocity mode", "M"),
+    _bit("f5", 5, "integral velocity mode", note="pages 31, 32"),
     _bit("f4", 4, "hold commutator", "M"),
-    _bit("f3", 3, "proportional velocity mode", "M"),
+    _bit("f3", 3, "proportional velocity mode", note="page 31"),
     _bit("f2", 2, "unipolar motor command", "M"),
-    _bit("f1", 1, "init/idle mode", "M", note="the INIT pin", pins=("init",)),
-    _bit("f0", 0, "trapezoid mode", "M", note="cleared when the commanded profile ends; the PROF pin", pins=("prof",)),
+    _bit("f1", 1, "init/idle mode", note="the INIT pin; page 20", pins=("init",)),
+    _bit(
+        "f0", 0, "trapezoid mode", note="cleared when the commanded profile ends; the PROF pin; page 35", pins=("prof",)
+    ),
 )
 _STATUS = (
     _bit("limit", 7, "", values={0: "LIMIT has triggered", 1: "LIMIT has not triggered"}, silent=1, note=_TRIGGERED),
@@ -108,7 +110,7 @@ _STATUS = (
         values={0: "the commutator counts quadrature counts", 1: "the commutator counts full counts"},
     ),
     _bit("four", 1, "", access="RW", values={0: "three phases", 1: "four phases"}),
-    _bit("inhibit", 0, "PULSE stays off for one PWM period after a reversal of SIGN", "M", "RW"),
+    _bit("inhibit", 0, "PULSE stays off for one PWM period after a reversal of SIGN", access="RW", note="pages 20, 23"),
 )
 FLAG_WRITE = Word(
     "flag",
@@ -141,9 +143,9 @@ def _part(number: int, access: str, part: str, **more: object) -> Register:
 MAP = RegisterMap(
     "HCTL1100",
     "Agilent HCTL-1100 motion controller with digital filter and profile generator, one axis, 8-bit bus",
-    "data sheet HCTL-1100, page 24; other pages of the manual; working drivers",
+    "data sheet HCTL-1100, pages 14, 20, 23, 24, 31, 32 and 35; other pages of the manual; working drivers",
     (
-        _register(FLAG, "RW", "flags", fields=_FLAGS, evidence="M"),
+        _register(FLAG, "RW", "flags", fields=_FLAGS),
         _register(MODE, "W", "program counter", note="mode"),
         _register(STATUS, "RW", "status", fields=_STATUS),
         _register(PORT, "RW", "motor command port, 80h is 0; written in init/idle only", reset=0x80),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from stage.chips.hctl1100.state import F2, INHIBIT, PULSE_ON, SIGN
+from stage.chips.hctl1100.state import F2, INHIBIT, NEVER, PULSE_ON, SIGN
 from stage.native import greatest, hot, least
 
 FULL_DRIVE = 100
@@ -58,7 +58,22 @@ def spend(c, until):
 
 
 @hot
+def _on(c):
+    """Clocks of a PWM period for which PULSE is on."""
+    return abs(share(c.pwm))
+
+
+@hot
 def pins(c):
-    """SIGN and PULSE."""
+    """SIGN and PULSE: on for the command's share of every period of 100 clocks, from its start on, the first period at clock 0."""
     word = SIGN if c.pwm < 0 else 0
-    return word | (PULSE_ON if c.pwm != 0 and c.clock >= c.dead else 0)
+    return word | (PULSE_ON if c.clock % PWM_PERIOD < _on(c) and c.clock >= c.dead else 0)
+
+
+@hot
+def next_edge(c):
+    """The clock after now at which PULSE may turn on or off, were there no sample and no bus write."""
+    on, begun = _on(c), c.clock - c.clock % PWM_PERIOD
+    if on == 0 or (on == PWM_PERIOD and c.clock >= c.dead):
+        return NEVER
+    return begun + on if c.clock < begun + on else begun + PWM_PERIOD

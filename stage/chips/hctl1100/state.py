@@ -4,7 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from stage.chips.hctl1100.maps import ADDRESSES, MAP, MINIMUM_T
+from stage.chips.hctl1100.maps import (
+    ADDRESSES,
+    COMMAND_LOW,
+    INTEGRAL_VELOCITY,
+    MAP,
+    MINIMUM_T,
+    PROPORTIONAL_HIGH,
+    PROPORTIONAL_LOW,
+)
 from stage.native import hot, record
 
 NEVER = 1 << 62
@@ -27,6 +35,8 @@ STATE = record(
         ("next", "i8"),  # the clock at which it ends
         ("held", "i8"),  # SYNC holds it
         ("computing", "i8"),  # the clock up to which the law of this sample computes
+        ("given", "i8"),  # the clock at which the sample ends whose command was written last
+        ("gave", "i8"),  # and where, see GIVERS: bits
         # command position and how it moves
         ("command", "i8"),  # counts, sign extended
         ("fraction", "i8"),  # 256ths of counts
@@ -65,6 +75,8 @@ STATE = record(
 
 LIMIT, STOP, INDEX, SYNC = (1 << k for k in range(4))
 INPUTS = {"limit": LIMIT, "stop": STOP, "index": INDEX, "sync": SYNC}
+GIVERS = (COMMAND_LOW, PROPORTIONAL_LOW, PROPORTIONAL_HIGH, INTEGRAL_VELOCITY)
+"""Addresses whose write is a new command; a bit of `gave` each."""
 PROF, INIT, SIGN, PULSE_ON, PHA, PHB, PHC, PHD = (1 << k for k in range(8))
 OUTPUTS = {
     "prof": PROF, "init": INIT, "sign": SIGN, "pulse": PULSE_ON, "pha": PHA, "phb": PHB, "phc": PHC, "phd": PHD,

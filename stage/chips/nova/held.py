@@ -6,7 +6,20 @@ from collections.abc import Callable
 from functools import cached_property
 from typing import Any
 
-from stage.chips.nova import state
+import numpy as np
+
+from stage.chips.nova import core, state
+
+REFUSALS = {
+    state.E_HLMT_PLUS: "LMT+ is active, drive the other way",
+    state.E_HLMT_MINUS: "LMT- is active, drive the other way",
+    state.E_SLMT_PLUS: "beyond the software limit +",
+    state.E_SLMT_MINUS: "beyond the software limit -",
+    state.E_ALARM: "ALARM is active",
+    state.E_EMG: "EMG is active",
+}
+"""Error of RR2 -> why a drive does not begin."""
+REFUSING = sum(REFUSALS)
 
 
 class Held:
@@ -65,6 +78,25 @@ class Held:
     def interpolated(self) -> int:
         return self._interpolated()
 
+    def refused(self, value: int) -> dict[int, str]:
+        """Tried on a twin: the axes that do not begin to drive although they have pulses to make, with what RR2 says of it."""
+        rows = self._record_copy()
+        core.write(rows, 0, value)
+        found = {}
+        for k in range(self._count):
+            x, after = self._axes[k], rows[0]["ax"][k]
+            empty = after["fixed"] and after["output"] == 0
+            if value >> 8 + k & 1 and not (x["held"] & 1 or empty or core.busy(rows, k)):
+                bits = int(after["causes"]) & REFUSING
+                if bits:
+                    found[k] = ", ".join(text for bit, text in REFUSALS.items() if bits & bit)
+        return found
+
+    def _record_copy(self) -> np.ndarray:
+        rows = np.zeros(1, state.STATE)
+        rows[0] = self._record
+        return rows
+
     @property
     def drive_speed(self) -> tuple[int, ...]:
         return tuple(int(x["reg"][state.DV]) for x in self._record["ax"])
@@ -76,6 +108,25 @@ class Held:
 
 class HeldOfMcx312(Held):
     """Its finish points have a sign, and its speeds no common unit."""
+
+    def refused(self, value: int) -> dict[int, str]:
+        """Tried on a twin: the axes that do not begin to drive although they have pulses to make, with what RR2 says of it."""
+        rows = self._record_copy()
+        core.write(rows, 0, value)
+        found = {}
+        for k in range(self._count):
+            x, after = self._axes[k], rows[0]["ax"][k]
+            empty = after["fixed"] and after["output"] == 0
+            if value >> 8 + k & 1 and not (x["held"] & 1 or empty or core.busy(rows, k)):
+                bits = int(after["causes"]) & REFUSING
+                if bits:
+                    found[k] = ", ".join(text for bit, text in REFUSALS.items() if bits & bit)
+        return found
+
+    def _record_copy(self) -> np.ndarray:
+        rows = np.zeros(1, state.STATE)
+        rows[0] = self._record
+        return rows
 
     @property
     def drive_speed(self) -> tuple[int, ...]:

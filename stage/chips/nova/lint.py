@@ -44,6 +44,10 @@ class Held(NamedTuple):
     finish: tuple[int, ...] = ()
     """TP of the MCX514."""
 
+    def refused(self, value: int) -> dict[int, str]:
+        """Of a drive command: axes that it does not start, and why, in words."""
+        return {}
+
 
 def write(map_: RegisterMap, held: Any, address: int, value: int) -> Note | None:
     """A word to WRn, n = `address`."""
@@ -77,6 +81,9 @@ def command(map_: RegisterMap, held: Any, value: int) -> Note | None:
         return f"{name} takes no data: what was written to WR6, WR7 is not used", "data reading commands"
     if c.starts and c.kind == "drive" and (moving := axes & held.driving):
         return f"{name} while {_names(moving)} is driving (n-DRV = 1)", "driving commands"
+    if c.starts and c.kind == "drive" and (refused := held.refused(value)):
+        said = "; ".join(f"{_names(1 << k)}: {why}" for k, why in refused.items())
+        return f"{name} starts no drive: {said}", "driving commands"
     return _interpolation(held, c, name) if c.together else None
 
 
