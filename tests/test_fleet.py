@@ -31,7 +31,15 @@ def stages(first, n=N):
 def program(first, k):
     """Both axes move, each in its own way and until it stops, while the host reads."""
     p = Program()
-    registers = {"R1": 200 + k, "R2": 3000 + 100 * k, "R4": 90, "R5": 90, "R7": 120, "R0": 300 + 50 * k, "R6": 60}
+    registers = {
+        "R1": 200 + k,
+        "R2": 3000 + 100 * k,
+        "R4": 90,
+        "R5": 90,
+        "R7": 120,
+        "R0": 300 + 50 * k,
+        "R6": 200 + 25 * k,
+    }
     for axis in first.axes.values():
         p.command(axis.index, 0x08)
         for name, value in registers.items():
