@@ -104,7 +104,7 @@ def _command(commands: Any, name: str, run: str, help_: str, description: str) -
 
 
 PCL240 = ("PCL240K", "PCL240MK", "PCL240MS")
-ALL = (*PCL240, "MCX514", "MCX512", "MCX501", "MCX304", "MCX302", "MCX312", "HCTL1100")
+ALL = (*PCL240, "MCX514", "MCX512", "MCX501", "MCX314AS", "MCX304", "MCX302", "MCX312", "HCTL1100")
 
 
 def _bench(p: argparse.ArgumentParser, chips: Sequence[str] = ALL) -> None:

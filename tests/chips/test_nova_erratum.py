@@ -34,7 +34,7 @@ from support.nova_bench import (
 )
 
 from stage import ArgumentError
-from stage.chips import MCX302, MCX304, MCX312, MCX514
+from stage.chips import MCX302, MCX304, MCX312, MCX314AS, MCX501, MCX514
 
 CHIPS = (MCX304, MCX302, MCX312)
 every_chip = pytest.mark.parametrize("cls", CHIPS, ids=lambda cls: cls.__name__)
@@ -469,6 +469,14 @@ def test_a_mended_chip_ends_on_its_pulse(cls, name, area):
         assert ends(begun(cls, name, area, errata=False)) >= COURSE.P - 50
 
 
+@every_request
+@pytest.mark.parametrize("area", ["c", "c last", "d first", "d", "d last"])
+def test_an_mcx314as_which_the_notice_says_has_no_failure_ends_on_its_pulse(name, area):
+    """What makes an MCX304 run away, in each case of the notice."""
+    assert ends(begun(MCX314AS, name, area)) == ends(begun(MCX304, name, area, errata=False)) <= COURSE.P
+    assert area[0] != "d" or runs_away(begun(MCX304, name, area))
+
+
 OTHERS = {
     "linear": (0x20, 0, COURSE),
     "linear, D": (0x20, DSNDE, COURSE),
@@ -491,8 +499,9 @@ def test_other_drives_never_run_away(name):
     assert_never_runs_away(chip, STOP)
 
 
-def test_an_mcx514_never_runs_away():
-    chip = MCX514()
+@pytest.mark.parametrize("make", [MCX514, MCX501])
+def test_an_mcx514_or_mcx501_never_runs_away(make):
+    chip = make()
     load(chip, SV=1000, DV=10_000, AC=10_000_000, DC=10_000_000, JK=int(COURSE.jerk), TP=COURSE.P, AO=0)
     set_wr3(chip, SACC)
     command(chip, 0x50)

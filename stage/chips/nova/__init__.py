@@ -1,4 +1,4 @@
-"""NOVA MCX514, MCX512, MCX501, MCX304, MCX302, MCX312: one family, one core. Variants differ by
+"""NOVA MCX514, MCX512, MCX501, MCX314As, MCX304, MCX302, MCX312: one family, one core. Variants differ by
 their register maps and their bus."""
 
 from __future__ import annotations
@@ -12,14 +12,14 @@ from stage.chips.nova.describe import Decoder, Listener
 from stage.chips.nova.functions import encoder
 from stage.chips.nova.held import Held, HeldOfMcx312
 from stage.chips.nova.interpolation import run as interpolation
-from stage.chips.nova.registers.mcx300 import MCX302_MAP, MCX304_MAP, MCX312_MAP
+from stage.chips.nova.registers.mcx300 import MCX302_MAP, MCX304_MAP, MCX312_MAP, MCX314AS_MAP
 from stage.chips.nova.registers.mcx514 import MCX501_MAP, MCX512_MAP, MCX514_MAP
 from stage.errors import ArgumentError, StageError
 
-__all__ = ["MCX302", "MCX304", "MCX312", "MCX501", "MCX512", "MCX514", "Nova"]
+__all__ = ["MCX302", "MCX304", "MCX312", "MCX314AS", "MCX501", "MCX512", "MCX514", "Nova"]
 
 BYTES = 16
-AX1, AX2 = MCX312_MAP.field("WR5", "AX1"), MCX312_MAP.field("WR5", "AX2")
+AX1, AX2, AX3 = (MCX314AS_MAP.field("WR5", f"AX{k}") for k in (1, 2, 3))
 
 
 class Nova(Chip):
@@ -209,3 +209,25 @@ class MCX312(_Erratum):
     def _configure(self, record: Any) -> None:
         super()._configure(record)
         record["has_l"] = 1
+
+
+class MCX314AS(Nova):
+    """NOVA MCX314As: four axes of the first generation, interpolation of two and three, no S-curve failure."""
+
+    MAP: ClassVar = MCX314AS_MAP
+    INPUTS: ClassVar = state.INPUTS_314
+    READING_ACTS: ClassVar = frozenset({3})  # RR3, the interrupt factors
+    NOT_IMPLEMENTED: ClassVar = {
+        "SM": "taken: synchronous actions are not modelled", "SYNC_ACT": "no synchronous actions", "BR": "reads 0",
+    }  # fmt: skip
+
+    def _interpolated(self) -> int:
+        axes = [f.of(int(self._plain["outputs5"])) for f in (AX1, AX2, AX3)]
+        return sum(1 << j for j in {*axes[:2], *(axes[2:] if len({*axes}) == 3 else ())})
+
+    def _held(self) -> Held:
+        return HeldOfMcx312(self._plain, self.AXES, self._interpolated)
+
+    def _configure(self, record: Any) -> None:
+        super()._configure(record)
+        record["has_l"] = record["extended"] = 1

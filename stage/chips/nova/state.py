@@ -37,7 +37,7 @@ MRM, P1M, P2M, H1M, H2M, FLM, S0M, IPM = (
     k - MODE_FIRST for k in _places(MCX514_MAP, "MRM P1M P2M H1M H2M FLM S0M IPM")
 )
 P3M = MCX512_MAP.register("P3M").number - MODE_FIRST
-HM = H1M  # of the older chips
+HM, EM = H1M, MRM  # of the older chips; of EM the word in WR6, HM has that in WR7
 
 ACCELERATING, CONSTANT, DECELERATING, AREA_D, RUNAWAY = 1, 0, -1, 2, 3
 """What a piece of a speed profile is. AREA_D: the acceleration reads 0 at the end of an S-curve; RUNAWAY: after the erratum."""
@@ -243,10 +243,10 @@ INTERPOLATION = record(
         ("toward", "i8", (AXES,)),  # in which direction, 1 or -1
         ("error", "i8", (AXES,)),  # of the slower axes
         ("inner", "i8", (AXES,)),  # ways in inner ticks
-        ("loading", "i8", (AXES,)),  # the bit pattern that is being written
+        ("loading", "i8", (6,)),  # the bit pattern that is being written
         ("arc", ARC_STATE),  # the running circle
         ("probe", ARC_STATE),  # one that looks ahead
-        ("stack", "i8", (3, 4)),  # the sets that wait
+        ("stack", "i8", (3, 6)),  # the sets that wait
         ("place", "f8", (2,)),  # where in the profile the next tick is, pulses
         ("begun", "f8", (2,)),  # where the segment begins
         ("ends_at", "f8", (2,)),  # where it ends, if it slows
@@ -262,7 +262,8 @@ STATE = record(
         ("variant", "i8"),  # FIRST_GENERATION, MCX514_TYPE
         ("axes", "i8"),  # how many it has
         ("errata", "i8"),  # as sold, with the S-curve failure
-        ("has_l", "i8"),  # MCX312: register L, interpolation
+        ("has_l", "i8"),  # MCX312, MCX314As: register L, interpolation
+        ("extended", "i8"),  # MCX314As: EM, STOP3, lines of three axes
         ("selected", "i8"),  # axis bits, bit 0 for X
         ("low", "i8"),  # WR6
         ("high", "i8"),  # WR7
@@ -293,6 +294,8 @@ PIO = 9
 EXP = PIO + 4  # EXP+, then EXP-
 INPUTS_300 = {name: 1 << k for k, name in enumerate(_SIGNALS)} | {"exp_plus": 1 << EXP, "exp_minus": 2 << EXP}
 """Of the chips before the MCX514."""
+STOP3 = 1 << PIO
+INPUTS_314 = INPUTS_300 | {"stop3": STOP3}
 MORE_PIO = PIO + 8  # PIO8 to PIO13 of the MCX512
 INPUTS_512 = INPUTS | {f"pio{i}": 1 << PIO + i for i in range(8, 14)}
 EMG_FILTER = 1 << INPUT_PINS  # of `filtered`, of X
@@ -319,6 +322,7 @@ E_SLMT_PLUS, E_SLMT_MINUS, E_HLMT_PLUS, E_HLMT_MINUS, E_ALARM, E_EMG, E_HOME, E_
 F_SYNC, F_STOP0, F_STOP1, F_STOP2, F_LMT_PLUS, F_LMT_MINUS, F_ALARM, F_EMG = MCX514_MAP.masks(
     "RR2", "SYNC", "STOP0", "STOP1", "STOP2", "LMT+", "LMT-", "END-ALARM", "END-EMG"
 )
+F_STOP3 = F_SYNC  # of the MCX314As, which has no such cause
 
 PULSE = np.dtype((np.record, np.dtype([("clock", "i8"), ("axis", "i1"), ("direction", "i1")], align=True)))
 EDGE = record(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import ClassVar, TypeVar
 
+from stage.chips.nova import MCX314AS
 from stage.chips.nova.registers.mcx300 import RANGE
 from stage.firmware.choices import limits
 from stage.firmware.driver import SETTLE, AtOnce, Speeds
@@ -80,15 +81,15 @@ class FirstGenerationDriver(NovaDriver):
         return {name: self.legal(name, value) for name, value in values.items()}
 
     def interpolates(self, drivers: Sequence[NovaDriver]) -> bool:
-        has_it = any(c.symbol == "IP_2ST" for c in self.map.commands)
-        return has_it and len(drivers) == 2 and drivers[0].chip is drivers[1].chip
+        has_it = any(c.symbol == f"IP_{len(drivers)}ST" for c in self.map.commands)
+        return has_it and len({id(h.chip) for h in drivers}) == 1
 
     def interpolate(self, p: Ops, drivers: Sequence[NovaDriver]) -> Ops:
         places = (
-            h.axis.chip_axis << self.map.bit("WR5", name) for h, name in zip(drivers, ("AX1", "AX2"), strict=True)
+            h.axis.chip_axis << self.map.bit("WR5", f"AX{k}") for k, h in enumerate(drivers, 1)
         )
         p.write(self.index, 5, sum(places))
-        return self.command(self.command(p, "IP_DEC_VALID"), "IP_2ST")
+        return self.command(self.command(p, "IP_DEC_VALID"), f"IP_{len(drivers)}ST")
 
     def choices(self) -> dict[str, tuple[int, int]]:
         return {"step1": (0, 1)}
@@ -114,7 +115,8 @@ class FirstGenerationDriver(NovaDriver):
         self.words(p, WR1=self._inputs())
         steps = ["ST2", "ST3"][: 1 + index]
         bits = [f"{step}-E" for step in steps] + [f"{step}-D" for step in steps if direction < 0]
-        self.set(p, "HM", self.mask("HM", *bits))
+        mode = "EM" if isinstance(self.chip, MCX314AS) else "HM"
+        self.set(p, mode, self.mask(mode, *bits))
         self.command(p, "HOME_EXEC")
         return self._stopped(p, limit, rest)
 

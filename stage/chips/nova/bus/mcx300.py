@@ -10,7 +10,7 @@ from stage.chips.nova.functions import io as ports
 from stage.chips.nova.functions.inputs import turn
 from stage.chips.nova.interpolation import mcx312 as interpolation312
 from stage.chips.nova.motion import counters, drive, rates
-from stage.chips.nova.registers.mcx300 import MCX304_MAP, RESET
+from stage.chips.nova.registers.mcx300 import MCX304_MAP, MCX314AS_MAP, RESET
 from stage.chips.nova.registers.mcx300 import MCX312_MAP as MAP
 from stage.chips.nova.registers.words300 import DELAYS
 from stage.chips.nova.state import (
@@ -29,11 +29,13 @@ from stage.chips.nova.state import (
     E_HOME,
     E_SLMT_MINUS,
     E_SLMT_PLUS,
+    EM,
     EMG_FILTER,
     EP,
     EXP,
     F_ALARM,
     F_EMG,
+    F_STOP3,
     H_END,
     HM,
     HV,
@@ -47,6 +49,7 @@ from stage.chips.nova.state import (
     STOP0,
     STOP1,
     STOP2,
+    STOP3,
     TP,
 )  # fmt: skip
 from stage.native import exported, hot, least
@@ -65,6 +68,7 @@ def _of(word: str, name: str) -> int:
 PLUS, MINUS, PLUS_ON, MINUS_ON, HOLD, FREE, DSTOP, SSTOP = (_code(n) for n in (
     "F_DRV_P", "F_DRV_M", "C_DRV_P", "C_DRV_M", "START_HOLD", "START_FREE", "STOP_DEC", "STOP_SUDDEN"))  # fmt: skip
 R_LP, R_EP, R_CV, R_CA = (_code(n) for n in ("R-LP", "R-EP", "CV", "CA"))
+R_BR = MCX314AS_MAP.command("BR").code
 _INTERPOLATING = [c.code for c in MAP.commands if c.kind == "interpolation"]
 INTERPOLATION_FIRST, INTERPOLATION_LAST = min(_INTERPOLATING), max(_INTERPOLATING)
 HM_CODE, HV_CODE, HOME, DCC = (_code(n) for n in ("HM", "HV", "HOME_EXEC", "DEVCTR_CLR"))
@@ -93,7 +97,12 @@ PIND, FL = MAP.bit("WR2", "PIND"), MAP.bit("WR3", "FL")
 MANLD, DSNDE, SACC, AVTRI = (_of("WR3", n) for n in ("MANLD", "DSNDE", "SACC", "AVTRI"))
 EPCLR, EPINV = MAP.masks("WR1", "EPCLR", "EPINV")
 FE0 = MAP.bit("WR3", "FE0")
-_FILTERS = (EMG_FILTER | LMT_PLUS | LMT_MINUS | STOP0 | STOP1, STOP2, INPOS | ALARM, 3 << EXP)
+SP3_L, SP3_E = MCX314AS_MAP.masks("WR1", "SP3-L", "SP3-E")
+EM_EPCLR, EM_EPINV, EM_AVTRI = MCX314AS_MAP.masks("EM", "EPCLR", "EPINV", "AVTRI")
+EM_FE0, EM_FL = MCX314AS_MAP.bit("EM", "FE0"), MCX314AS_MAP.bit("EM", "FL")
+BY_STOP3, IN_STOP3 = MCX314AS_MAP.mask("RR1", "STOP3"), MCX314AS_MAP.mask("RR4", "X-STOP3")
+_FILTERS = (EMG_FILTER | LMT_PLUS | LMT_MINUS | STOP0 | STOP1, STOP2, INPOS | ALARM, 3 << EXP, STOP3)
+"""Of FE0 to FE4; the last one is the MCX314As's alone."""
 
 
 @hot
@@ -106,16 +115,22 @@ def reset(c):
             x.reg[RESET_PLACES[k]] = RESET_VALUES[k]
         x.reg[LX] = 1  # L; LX is the other chips'
         x.reg[HV] = 1
-        configure(x)
+        configure(c, x)
 
 
 @hot
-def configure(x):
+def configure(c, x):
     """WR1 to WR3 in plain terms."""
     w = x.wr[1]
     x.stops = (1 if w & SP0_E else 0) | (2 if w & SP1_E else 0) | (4 if w & SP2_E else 0)
-    x.exchanges, x.clears = w & EPINV, w & EPCLR
-    turned = (STOP0 if w & SP0_L else 0) | (STOP1 if w & SP1_L else 0) | (STOP2 if w & SP2_L else 0)
+    e = x.mode[EM]
+    if c.extended:
+        x.stops |= 8 if w & SP3_E else 0
+        x.exchanges, x.clears = e & EM_EPINV, e & EM_EPCLR
+    else:
+        x.exchanges, x.clears = w & EPINV, w & EPCLR
+    turned = STOP3 if c.extended and w & SP3_L else 0
+    turned |= (STOP0 if w & SP0_L else 0) | (STOP1 if w & SP1_L else 0) | (STOP2 if w & SP2_L else 0)
     w = x.wr[2]
     turned |= (LMT_PLUS if w & HLMT_PLUS else 0) | (LMT_MINUS if w & HLMT_MINUS else 0)
     turn(x, turned | (INPOS if w & INP_L else 0) | (ALARM if w & ALM_L else 0))
@@ -125,13 +140,15 @@ def configure(x):
     x.encoder = 3 if w & PINMD else least(w >> PIND & 3, 2)
     w = x.wr[3]
     x.manual, x.asymmetric = w & MANLD, 1 if w & DSNDE else 0
-    x.s_curve, x.prevents = 1 if w & SACC else 0, 1 if w & AVTRI else 0
+    x.s_curve = 1 if w & SACC else 0
+    x.prevents = (1 if e & EM_AVTRI else 0) if c.extended else (1 if w & AVTRI else 0)
     x.swaps = 0
     x.filtered = 0
+    filters = e >> EM_FE0 & 31 if c.extended else w >> FE0 & 15
     for k in range(len(_FILTERS)):
-        if w >> FE0 + k & 1:
+        if filters >> k & 1:
             x.filtered |= _FILTERS[k]
-    x.delay = x.slow_delay = 16 * DELAYS[w >> FL & 7]
+    x.delay = x.slow_delay = 16 * DELAYS[(e >> EM_FL if c.extended else w >> FL) & 7]
 
 
 @hot
@@ -164,7 +181,10 @@ def _axis_command(c, x, j, code):
         home.end(c, x)
         drive.stop(c, x, 0)
     elif code == HM_CODE:
-        x.mode[HM] = c.low
+        x.mode[HM] = c.high if c.extended else c.low
+        if c.extended:
+            x.mode[EM] = c.low
+            configure(c, x)
     elif code == HV_CODE:
         x.reg[HV] = c.low
     elif code == HOME:
@@ -188,6 +208,8 @@ def command(c, value):
         for j in range(c.axes):
             if axes >> j & 1:
                 _set(c, c.ax[j], code, c.high << 16 | c.low)
+    elif c.extended and code == R_BR:
+        c.read_low = c.read_high = 0
     elif R_LP <= code <= R_CA:
         x = c.ax[lowest(c)]
         if code in (R_LP, R_EP):
@@ -209,13 +231,13 @@ def write(c, address, value):
     """WR0 to WR7; on the MCX312 after 36h the bit pattern in place of WR2 to WR5."""
     if address == 0:
         command(c, value)
-    elif c.has_l and interpolation312.takes_pattern(c) and 2 <= address <= 5:
+    elif c.has_l and interpolation312.takes_pattern(c) and 2 <= address <= (7 if c.extended else 5):
         interpolation312.load_pattern(c, address - 2, value)
     elif address <= 3:
         for j in range(c.axes):
             if c.selected >> j & 1:
                 c.ax[j].wr[address] = value
-                configure(c.ax[j])
+                configure(c, c.ax[j])
         c.stale = 1
     elif address == 4:
         c.outputs4 = value
@@ -272,7 +294,9 @@ def _levels(c, x, j):
     word = 0
     for k in range(3):
         word |= (0 if x.inputs & STOP0 << k else 1) << k
-    if j == 0:
+    if c.extended:
+        word |= 0 if x.inputs & STOP3 else IN_STOP3
+    elif j == 0:
         word |= 0 if c.emg else IN_EMG
     word |= (0 if x.inputs >> EXP & 1 else IN_EXP_PLUS) | (0 if x.inputs >> EXP & 2 else IN_EXP_MINUS)
     word |= 0 if x.inputs & INPOS else IN_INPOS
@@ -300,7 +324,8 @@ def read(c, address):
         return status(c)
     if address == 1:
         bits = phase_bits(c, x)
-        return _compared(x) | bits << FIRST_PHASE | (x.causes >> 1 & BY_STOPS) | (x.causes & BY_REST)
+        more = BY_STOP3 if x.causes & F_STOP3 else 0
+        return _compared(x) | bits << FIRST_PHASE | (x.causes >> 1 & BY_STOPS) | (x.causes & BY_REST) | more
     if address == 2:
         return errors(c, x) | home.state304(x) << HMST
     if address == 3:

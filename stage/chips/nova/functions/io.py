@@ -10,7 +10,7 @@ from __future__ import annotations
 from stage.chips.nova.bus.status import busy, phase_bits
 from stage.chips.nova.motion import counters
 from stage.chips.nova.registers.common import DCC_WIDTHS
-from stage.chips.nova.registers.mcx300 import MCX304_MAP
+from stage.chips.nova.registers.mcx300 import MCX304_MAP, MCX314AS_MAP
 from stage.chips.nova.registers.mcx514 import MCX514_MAP
 from stage.chips.nova.registers.words514 import SYNC_CLOCKS
 from stage.chips.nova.state import COMP_MINUS, COMP_PLUS, H2M, HM, MCX514_TYPE, NEVER, P1M, P2M, P3M, PIO, SYNC_SETS
@@ -21,6 +21,7 @@ FIRST = PIO
 PINS, MORE = 8, 63 << 8
 US = 16  # clocks
 DCP, DCCW = MCX514_MAP.bit("H2M", "DCP"), MCX304_MAP.bit("HM", "DCCW")
+OUT4 = MCX314AS_MAP.bit("WR3", "OUT")
 PW, OUTSL = MCX514_MAP.bit("P2M", "PW"), MCX304_MAP.mask("WR3", "OUTSL")
 
 
@@ -82,12 +83,18 @@ def driven(c, j):
         x = c.ax[j]
         given = inputs(x) | ~(x.mode[P3M] << PINS) & MORE
         return levels(c, j) & ~given if x.mode[P1M] or x.mode[P3M] else 0
-    x = c.ax[j]
-    if x.wr[3] & OUTSL:
-        bits, counter = phase_bits(c, x), counters.limited(x)
-        shown = (1 if counter >= x.reg[COMP_PLUS] else 0) | (2 if counter < x.reg[COMP_MINUS] else 0)
-        return shown | (4 if bits & 1 else 0) | (8 if bits & 4 else 0)
-    return c.outputs4 >> 4 * j & 15
+    x, given = c.ax[j], c.outputs4 >> 4 * j & 15
+    if c.extended:
+        return given | (_shown(c, x) if x.wr[3] & OUTSL else x.wr[3] >> OUT4 & 15) << 4
+    return _shown(c, x) if x.wr[3] & OUTSL else given
+
+
+@hot
+def _shown(c, x):
+    """CMP+, CMP-, ASND, DSND."""
+    bits, counter = phase_bits(c, x), counters.limited(x)
+    word = (1 if counter >= x.reg[COMP_PLUS] else 0) | (2 if counter < x.reg[COMP_MINUS] else 0)
+    return word | (4 if bits & 1 else 0) | (8 if bits & 4 else 0)
 
 
 @hot

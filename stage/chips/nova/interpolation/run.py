@@ -43,7 +43,9 @@ def reset(c):
     ip.enabled = ip.interrupt = ip.waiting = ip.head = ip.rotations = ip.writing = ip.stacked = 0
     ip.due = NEVER
     for j in range(AXES):
-        c.ax[j].interpolates = c.ax[j].moves = ip.loading[j] = 0
+        c.ax[j].interpolates = c.ax[j].moves = 0
+    for k in range(len(ip.loading)):
+        ip.loading[k] = 0
 
 
 # --- start, segments, end ---

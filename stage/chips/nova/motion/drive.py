@@ -45,6 +45,7 @@ from stage.chips.nova.state import (
     F_LMT_MINUS,
     F_LMT_PLUS,
     F_STOP0,
+    F_STOP3,
     INPOS,
     IV,
     LP,
@@ -57,6 +58,7 @@ from stage.chips.nova.state import (
     SP,
     STATE,
     STOP0,
+    STOP3,
     TP,
 )
 from stage.native import exported, greatest, hot, least
@@ -315,6 +317,8 @@ def obey_inputs(c, x):
     for k in range(3):
         if x.stops >> k & 1 and x.active & STOP0 << k and not x.home:
             request_stop(c, x, F_STOP0 << k)
+    if x.stops >> 3 and x.active & STOP3 and not x.home:
+        request_stop(c, x, F_STOP3)
 
 
 @hot

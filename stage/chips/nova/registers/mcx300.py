@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from stage.chips.nova.registers.words300 import HM, words
+from stage.chips.nova.registers.words300 import EM, HM, extended_words, words
 from stage.chips.register_map import Command, Register, RegisterMap, reads, writes
 
 RANGE = 8_000_000
@@ -128,3 +128,30 @@ def _map(chip: str, axes: int) -> RegisterMap:
 
 
 MCX304_MAP, MCX302_MAP, MCX312_MAP = _map("MCX304", 4), _map("MCX302", 2), _map("MCX312", 2)
+
+
+def _extended() -> RegisterMap:
+    """The MCX314As: what an MCX312 has, for four axes and lines of three; EM in place of HM, synchronous actions."""
+    registers = tuple(EM if r.name == "HM" else r for r in (*PARAMETERS, *PRESENT))
+    sync = Register("SM", 0x64, 32, "W", "synchronous actions", None, (), "C", reset=0, note="taken, no effect")
+    buffer = Register("BR", 0x14, 32, "R", "synchronous action buffer", evidence="C", note="reads 0")
+    more = (
+        _segment(0x31, "IP_3ST", "3-axis linear interpolation"),
+        _segment(0x35, "IP_3BP", "3-axis bit pattern interpolation", points=False),
+        writes(EM, "mode write"), writes(sync, "mode write"), reads(buffer),
+        Command(0x65, "SYNC_ACT", "synchronous action activation", "other", evidence="C"),
+    )  # fmt: skip
+    three = {"IP_3ST", "IP_3BP"}
+    found = [*(c for c in COMMANDS if c.symbol != "HM"), *more]
+    return RegisterMap(
+        "MCX314AS",
+        "NOVA MCX314As pulse generator with interpolation, 4 axes, 16-bit bus",
+        "failure notice of 2006-11-21 (data sheet); working drivers; what it shares with the MCX312",
+        (*registers, sync, buffer),
+        extended_words(),
+        tuple(replace(c, together=(3,)) if c.symbol in three else c for c in sorted(found, key=lambda c: c.code)),
+        4,
+    )
+
+
+MCX314AS_MAP = _extended()

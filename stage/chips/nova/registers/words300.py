@@ -6,6 +6,8 @@ from working drivers [C], some of them for the MCX314 only: then it is inferred 
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from stage.chips.nova.registers.common import (
     AXES,
     DATA_READ,
@@ -30,25 +32,53 @@ HOME_STATES = {
 DELAYS = (2, 256, 512, 1024, 2048, 4096, 8192, 16384)
 """Of the input filters, us, by FL of WR3."""
 
-HM = Register(
-    "HM", 0x60, 16, "W", "automatic home search", None,
-    (
+
+def _home(shift: int = 0) -> tuple[Field, ...]:
+    """The home search: HM, or from bit 16 on the word in WR7 of EM."""
+    ways = ("+", "-")
+    said = (
         bits("DCCW", 15, 13, "DCC width", "I", values=times(DCC_WIDTHS)),
         bit("DCC-L", 12, "DCC pulse", "I", values=("high", "low")),
         bit("DCC-E", 11, "DCC output at the end of the search", "I"),
         bit("LIMIT", 10, "steps 1 and 2 search the limit of their direction", "I"),
         bit("SAND", 9, "step 3 stops only while STOP1 is active", "I"),
         bit("PCLR", 8, "LP and EP are cleared at the end", "I"),
-        bit("ST4-D", 7, "direction of step 4", "I", values=("+", "-")),
+        bit("ST4-D", 7, "direction of step 4", "I", values=ways),
         bit("ST4-E", 6, "step 4 (offset of P pulses, V) is executed", "I"),
-        bit("ST3-D", 5, "direction of step 3", "I", values=("+", "-")),
+        bit("ST3-D", 5, "direction of step 3", "I", values=ways),
         bit("ST3-E", 4, "step 3 (low-speed search of STOP2, HV) is executed", "I"),
-        bit("ST2-D", 3, "direction of step 2", "I", values=("+", "-")),
+        bit("ST2-D", 3, "direction of step 2", "I", values=ways),
         bit("ST2-E", 2, "step 2 (low-speed search of STOP1, HV) is executed", "I"),
-        bit("ST1-D", 1, "direction of step 1", "I", values=("+", "-")),
+        bit("ST1-D", 1, "direction of step 1", "I", values=ways),
         bit("ST1-E", 0, "step 1 (high-speed search of STOP0, V) is executed", "I"),
+    )
+    return tuple(replace(f, high=f.high + shift, low=f.low + shift) for f in said)
+
+
+HM = Register(
+    "HM", 0x60, 16, "W", "automatic home search", None, _home(), "I", reset=0,
+    note="the layout is that of WR7 for command 60h of the MCX314As",
+)  # fmt: skip
+_DELAYED = tuple(f"{us} us" for us in DELAYS)
+EM = Register(
+    "EM", 0x60, 32, "W", "extension mode", None,
+    (
+        *(replace(f, evidence="C") for f in _home(16)),
+        bits("FL", 15, 13, "delay of the filters", values=_DELAYED, note="2 is 512 us, the others [I]"),
+        bit("FE4", 12, "filter of STOP3", "M"),
+        bit("FE3", 11, "filter of EXP+, EXP-", "M"),
+        bit("FE2", 10, "filter of INPOS, ALARM"),
+        bit("FE1", 9, "filter of STOP2"),
+        bit("FE0", 8, "filter of EMG, LMT+, LMT-, STOP0, STOP1"),
+        bit("SMODE", 7, "stored, no effect", "C"),
+        bit("HMINT", 5, "interrupt at the end of the home search"),
+        bit("VRING", 4, "stored, no effect", "C"),
+        bit("AVTRI", 3, "triangle prevention of linear ramps", values=("off", "on"), note="which is which [I]"),
+        bit("POINV", 2, "the two output pins are exchanged"),
+        bit("EPINV", 1, "EP counts the other way round"),
+        bit("EPCLR", 0, "STOP2 clears EP", note="where it ends a drive"),
     ),
-    "I", reset=0, note="the layout is that of WR7 for command 60h of the MCX314As",
+    "C", reset=0, note="bits 31..16 in WR7, 15..0 in WR6",
 )  # fmt: skip
 
 
@@ -204,6 +234,51 @@ def _one_input(name: str, a: str) -> Word:
     fields = [bit(f"{a}-{n}", k, f"level of {n} of {a}", "?", values=LEVELS) for n, k in signals.items()]
     fields += [bit("EMG", 3, "level of EMG", "?", values=LEVELS)] if a == "X" else []
     return word(name, f"input levels of {a}", fields, bits(f"{a}-IN", 13, 8, f"levels of IN5 to IN0 of {a}"))
+
+
+def _extended() -> tuple[Word, ...]:
+    """WR1, WR3, WR5, RR1 and the inputs of the MCX314As, whose STOP inputs are IN0 to IN3 in its manual."""
+    written = {w.name: w for w in _WRITTEN}
+    shown = {w.name: w for w in _SHOWN}
+    wr1 = [f for f in written["WR1"].fields if f.name not in ("EPCLR", "EPINV")]
+    wr3 = [f for f in written["WR3"].fields if f.low < 5]
+    return (
+        word("WR1", "stop inputs and interrupt enable", wr1, bit("SP3-L", 6, "active level of STOP3", values=LEVELS),
+             bit("SP3-E", 7, "STOP3 stops the drive"), note="of the selected axes"),
+        word("WR3", "drive mode and outputs", wr3,
+             bit("OUTSL", 7, "OUT4 to OUT7 show", values=("bits 11..8", "CMP+, CMP-, ASND, DSND")),
+             bits("OUT", 11, 8, "OUT7 to OUT4"), note="of the selected axes"),
+        word(
+            "WR5", "interpolation mode",
+            *(bits(f"AX{k + 1}", 2 * k + 1, 2 * k, text, values=tuple(AXES))
+              for k, text in enumerate(("main axis", "second axis", "third axis"))),
+            bits("LSPD", 9, 8, "constant vector speed", legal=(0, 3), values={0: "off", 1: "two axes", 2: "none", 3: "three axes"}),
+            bit("EXPLS", 11, "an outside pulse makes the step"), bit("CMPLS", 12, "command 3Ah makes the step"),
+            bit("CIINT", 14, "interrupt when the next segment can be written"),
+            bit("BPINT", 15, "interrupt when BPSC goes from 2 to 1"),
+        ),
+        word("RR1", shown["RR1"].title, shown["RR1"].fields, bit("STOP3", 11, "ended by STOP3")),
+        *(
+            word(name, f"input levels of {low} and {high}", (
+                bit(f"{a}-{n}", shift + k, f"level of {n} of {a}", values=LEVELS)
+                for a, shift in ((low, 0), (high, 8))
+                for k, n in enumerate("STOP0 STOP1 STOP2 STOP3 EXP+ EXP- INPOS ALARM".split())
+            ))
+            for name, low, high in (("RR4", "X", "Y"), ("RR5", "Z", "U"))
+        ),
+        *(
+            word(f"BP3{'PM'[k]}", f"steps of axis 3 in {'+-'[k]} direction", bits("BP", 15, 0, "16 steps, bit 0 first"),
+                 access="W", note=f"WR{k + 6} after 36h")
+            for k in range(2)
+        ),
+    )  # fmt: skip
+
+
+def extended_words() -> tuple[Word, ...]:
+    """The words of the MCX314As."""
+    own = {w.name: w for w in _extended()}
+    shared = words(4, True)
+    return (*(own.pop(w.name, w) for w in shared), *own.values())
 
 
 def words(axes: int, interpolates: bool) -> tuple[Word, ...]:
