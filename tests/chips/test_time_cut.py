@@ -18,7 +18,7 @@ from stage.chips import CHIPS, HCTL1100, MCX302, MCX304, MCX312, MCX514, PCL240K
 LONG = 1 << 40
 """Clocks, days: what has not ended by then goes on for ever."""
 PCL240 = pytest.mark.parametrize("make", [PCL240K, PCL240MK, PCL240MS])
-OLDER = pytest.mark.parametrize("make", [MCX302, MCX304, MCX312])
+OLDER = pytest.mark.parametrize("make", [MCX302, MCX304, MCX312, CHIPS["MCX314AS"]])
 
 
 def cut_everywhere(chip, clocks):
@@ -204,7 +204,7 @@ def test_the_timer_of_the_hctl1100_ends_alike_in_idle_and_held_by_sync():
 
 
 def test_every_family_is_cut():
-    cut = {PCL240K, PCL240MK, PCL240MS, MCX302, MCX304, MCX312, MCX514, HCTL1100}
+    cut = {PCL240K, PCL240MK, PCL240MS, MCX302, MCX304, MCX312, MCX514, CHIPS["MCX314AS"], HCTL1100}
     assert all(cls in cut or issubclass(cls, MCX514) for cls in CHIPS.values()), (
         "smaller ones of a generation share its core"
     )

@@ -460,7 +460,9 @@ def test_corrections_of_interpolation_are_factors():
 def test_the_duration_of_the_formulas_registers_is_that_of_the_formula(chip):
     distances = {"x": 3000, "y": -2000}
     _, info, _ = one_move(
-        np.zeros(3 if chip in ("MCX514", "MCX312") else 8, np.float32), options={"distances": distances}, chip=chip
+        np.zeros(3 if chip in ("MCX514", "MCX312", "MCX314AS") else 8, np.float32),
+        options={"distances": distances},
+        chip=chip,
     )
     ramps = (16_000**2 - 1000**2) / (15_000 / 0.05)
     assert info["duration"] == pytest.approx(0.1 + (3000 - ramps) / 16_000, rel=0.01)

@@ -10,7 +10,6 @@ from stage.chips.describe import Fields, Said, bits, line
 from stage.chips.nova.registers.common import AXES, axis_names
 from stage.chips.nova.registers.mcx300 import RESET
 from stage.chips.nova.registers.mcx514 import MCX514_MAP
-from stage.chips.nova.registers.words300 import BIT_PATTERN
 from stage.chips.register_map import Command, Register, RegisterMap, Word
 
 BYTES = 16  # byte addresses of the 8-bit bus begin here
@@ -88,6 +87,7 @@ class Listener:
         self._common = [0, 0, 0, 0, *(int(record[name]) for name in ("outputs4", "outputs5", "low", "high"))]
         self._reading: tuple[str, Register | Word, int] | None = None  # axis, what, its bytes
         self._bytes: dict[int, int] = {}  # of RR6 and RR7, as read
+        self._sets = [w for w in map_.words if w.name.startswith("BP")]
         self._titles = {n: map_.word(f"WR{n}").title for n in (1, 2, 3)}
         self._fields = {p.name: Fields(p) for p in map_.places if p.fields}
 
@@ -98,8 +98,8 @@ class Listener:
         n, value = address & 7, value & 0xFFFF
         if n == 0:
             return line(self._command(value))
-        if self._pattern and 2 <= n <= 5:
-            word = BIT_PATTERN[n - 2]
+        if self._pattern and 2 <= n < 2 + len(self._sets):
+            word = self._sets[n - 2]
             return f"{word.name} = {value:04X}h: {word.title}"
         if n <= 3:
             for k, words in enumerate(self._by_axis):

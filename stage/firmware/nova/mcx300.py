@@ -85,9 +85,7 @@ class FirstGenerationDriver(NovaDriver):
         return has_it and len({id(h.chip) for h in drivers}) == 1
 
     def interpolate(self, p: Ops, drivers: Sequence[NovaDriver]) -> Ops:
-        places = (
-            h.axis.chip_axis << self.map.bit("WR5", f"AX{k}") for k, h in enumerate(drivers, 1)
-        )
+        places = (h.axis.chip_axis << self.map.bit("WR5", f"AX{k}") for k, h in enumerate(drivers, 1))
         p.write(self.index, 5, sum(places))
         return self.command(self.command(p, "IP_DEC_VALID"), f"IP_{len(drivers)}ST")
 

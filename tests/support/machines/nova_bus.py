@@ -10,7 +10,7 @@ from typing import ClassVar
 
 from hypothesis import strategies as st
 
-from stage.chips.nova import MCX312, MCX514
+from stage.chips.nova import MCX312, MCX314AS, MCX514
 
 Writes = list[tuple[int, int]]
 BYTES = 16  # from here on: byte addresses of the 8-bit bus of the MCX514
@@ -358,7 +358,12 @@ def _home_searches(draw, cls) -> Writes:
             "DV": draw(speeds),
         }
         return [*load(cls, axes, **named), (0, axes << 8 | 0x5A)]
-    named = {"HM": draw(st.integers(0, 0xFFFF)), "HV": draw(st.integers(1, 8000)), "R": 80_000}
+    home = "EM" if issubclass(cls, MCX314AS) else "HM"
+    named = {
+        home: draw(st.integers(0, 0xFFFF)) << (16 if home == "EM" else 0),
+        "HV": draw(st.integers(1, 8000)),
+        "R": 80_000,
+    }
     return [*load(cls, axes, **named), (0, axes << 8 | 0x62)]
 
 
@@ -390,7 +395,7 @@ def programs(cls) -> st.SearchStrategy[Writes]:
     found.append(_home_searches(cls))
     if issubclass(cls, MCX514):
         found += [_actions(cls), raw_bytes()] + [_interpolations(cls)] * (cls.AXES > 1)
-    elif issubclass(cls, MCX312):
+    elif issubclass(cls, (MCX312, MCX314AS)):
         found.append(_interpolations(cls))
     return st.one_of(found)
 
