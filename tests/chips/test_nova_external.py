@@ -2,6 +2,7 @@
 
 import pytest
 from reference.nova_external import External
+from support.covers import covers
 from support.examples import EXAMPLES, SEED
 from support.nova_bench import (
     Move,
@@ -223,6 +224,7 @@ def test_with_outsl_the_outputs_show_comparisons_and_ramps(make):
     assert outputs() == [True, False, False, True], "decelerating"
 
 
+@covers("MCX514", "P2M", "P1M", "S0M")
 @pytest.mark.parametrize(("code", "clocks"), list(enumerate((2, 5, 16, 64, 256, 1024, 4096, 16_000))))
 def test_p2m_says_how_long_a_sync_pulse_is_and_its_level(code, clocks):
     chip = MCX514()
