@@ -1,5 +1,7 @@
 """scripts/tmc5160, a chip that is its motor's driver, too: the numbers of its sheet.md, and on a stage."""
 
+import math
+
 import numpy as np
 import pytest
 from support.examples import SEED
@@ -133,7 +135,7 @@ def test_the_command_line_takes_it(capsys):
     assert "XTARGET" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(8))
 def test_many_clocks_at_once_are_clock_by_clock(chip, seed):
     """`leap` against `tick`, which is taken where an access is fresh."""
     rng = np.random.default_rng(seed)
@@ -177,3 +179,86 @@ def test_many_clocks_at_once_are_clock_by_clock(chip, seed):
             twin.state["fresh"] = 1
             twin.advance(1)
         assert chip.state.tobytes() == twin.state.tobytes()
+
+
+@pytest.mark.parametrize("seed", [*range(6), *(pytest.param(k, marks=pytest.mark.slow) for k in range(6, 300))])
+def test_ramp_times_and_step_counts_are_those_of_the_formulas(chip, seed):
+    """Page 84 of the data sheet, section 4.3 of sheet.md: steps exact to 1, times to a clock a phase."""
+    rng = np.random.default_rng(seed)
+    vstart = int(rng.integers(0, 2000))
+    v1 = int(rng.integers(20_000, 200_000))
+    vmax = int(rng.integers(v1 + 1000, 2_000_000))
+    vstop = int(rng.integers(max(10, vstart), 5000))
+    a1, amax, dmax, d1 = (int(rng.integers(2000, 65_536)) for _ in range(4))
+    ways = [(v1**2 - vstart**2) / (256 * a1), (vmax**2 - v1**2) / (256 * amax), 0.0]
+    ways += [(vmax**2 - v1**2) / (256 * dmax), (v1**2 - vstop**2) / (256 * d1)]
+    ways[2] = float(rng.integers(1000, 50_000))
+    target = math.ceil(sum(ways)) * (1 if seed % 2 else -1)
+    put(chip, VSTART=vstart, V1=v1, VMAX=vmax, VSTOP=vstop, A1=a1, AMAX=amax, DMAX=dmax, D1=d1)
+    put(chip, XTARGET=target & 0xFFFFFFFF)
+    clocks = [-(-(v1 - vstart) * 2**17 // a1), -(-(vmax - v1) * 2**17 // amax), 0, 0, 0]
+    clocks[3:] = [-(-(vmax - v1) * 2**17 // dmax), -(-(v1 - vstop) * 2**17 // d1)]
+    for k in (0, 1):
+        chip.advance(clocks[k])
+        values = chip.values()
+        assert abs(values["VACTUAL"]) == (v1, vmax)[k]
+        assert abs(values["XACTUAL"]) == pytest.approx(sum(ways[: k + 1]), abs=1.01)
+    edges = course(chip)
+    clock, rate, net = (edges[name] for name in ("clock", "rate", "net"))
+    fast, speed = clock > sum(clocks[:2]), np.abs(rate) * 2**24
+    brakes = int(clock[fast & (speed < vmax)][0])
+    slow = int(clock[(clock > brakes) & (speed <= vstop)][0])
+    end = int(clock[(clock > brakes) & (speed == 0)][0])
+    left = abs(target) - sum(ways[:2]) - (brakes - sum(clocks[:2])) * vmax / 2**24
+    assert left == pytest.approx(sum(ways[3:]), abs=2.5)
+    assert slow - brakes == pytest.approx(sum(clocks[3:]), abs=3)
+    assert net[-1] == target
+    assert 0 < (end - slow) * vstop / 2**24 <= 1.3
+
+
+def course(chip):
+    """Its edges up to the end of its drive."""
+    journal = chip.journal()
+    while chip.busy():
+        chip.advance(100_000)
+    journal.close()
+    return journal.course().edges
+
+
+def test_current_falls_in_the_clocks_of_the_data_sheet(chip):
+    """Page 75: 31 to 16 with IHOLDDELAY 4 takes 4 x 15 x 2^18 clocks after standstill and TPOWERDOWN."""
+    put(chip, CHOPCONF=0x100100C3, IHOLD_IRUN=4 << 16 | 31 << 8 | 16, TPOWERDOWN=3)
+    whole = 2**20 + (3 + 15 * 4) * 2**18
+    chip.advance(whole - 1)
+    assert chip.read(0x6F) >> 16 & 31 == 17
+    chip.advance(1)
+    assert chip.read(0x6F) >> 16 & 31 == 16
+    assert chip.amplitude == pytest.approx(17 / 32 * 0.325 / 0.1)
+    put(chip, VMAX=100_000, AMAX=1000, RAMPMODE=1)
+    chip.advance(100_000)
+    assert chip.read(0x6F) >> 16 & 31 == 31, "the first step is made with IRUN"
+
+
+@pytest.mark.parametrize(("lam", "sgt", "result"), [(0, 0, 511), (512, 0, 255), (1023, 0, 0), (1024, 10, 80)])
+def test_stallguard_has_the_numbers_of_the_page(chip, lam, sgt, result):
+    put(chip, CHOPCONF=0x100100C3, COOLCONF=sgt << 16, VMAX=71_583, AMAX=60_000, RAMPMODE=1)
+    chip.set_load(lam, 512)
+    chip.advance(400_000)
+    assert chip.read(0x6F) & 0x3FF == result
+    assert chip.read(0x12) == 234
+
+
+def test_mistakes_are_told(chip):
+    said = lambda **registers: (put(chip, **registers), chip.diagnostics[-1].message if chip.diagnostics else "")[1]  # noqa: E731
+    assert "TOFF = 0" in said(RAMPMODE=1)
+    put(chip, RAMPMODE=3, CHOPCONF=0x100100C3, VMAX=1000, RAMP_STAT=0x80)
+    assert "AMAX = 0" in said(RAMPMODE=2)
+    put(chip, RAMPMODE=0, AMAX=100)
+    assert "D1 = 0" in said(XTARGET=100)
+    assert "the data sheet allows 32 to 255" in said(GLOBALSCALER=7)
+    assert "do not use the soft stop" in said(SW_MODE=0xC00)
+    assert "not modelled" in said(MSLUT3=1)
+    chip.write(0x0F, 1)
+    assert "no register at 0Fh" in chip.diagnostics[-1].message
+    chip.transfer40(0x2700000000)
+    assert "can only be written, gives 0" in chip.diagnostics[-1].message

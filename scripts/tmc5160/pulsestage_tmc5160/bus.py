@@ -11,7 +11,7 @@ Addresses 0 to 7Fh are the registers, for whoever has no SPI to play. A host wit
 
 from __future__ import annotations
 
-from pulsestage_tmc5160 import motor, ramp
+from pulsestage_tmc5160 import motor, ramp, switches
 from pulsestage_tmc5160.maps import (
     M32,
     M40,
@@ -77,6 +77,7 @@ from stage.native import hot
 
 VERSION = 0x30 << 24
 DATUM = 0x7F  # address bits of a datagram
+FIRST = -1  # the answer to nothing: the status of its own time
 
 
 @hot
@@ -98,7 +99,8 @@ def power_up(c):
     for k in range(REGISTERS):
         c.reg[k] = RESET[k]
     c.clock, c.hz, c.rsense, c.inputs, c.net = clock, hz, rsense, inputs, net
-    c.answer = spi_status(c) << 32
+    switches.wake(c)
+    c.answer = FIRST
 
 
 # --- flags ---
@@ -230,13 +232,19 @@ def write_register(c, a, value):
             c.brk = 0
         elif a == IHOLD_IRUN:
             motor.currents_written(c)
-    if a == CHOPCONF:
-        motor.conditions(c)
+    if a == CHOPCONF and value & 15 == 0:
+        c.shorts = 0
     motor.settle(c)
     arrived(c)
 
 
 # --- SPI ---
+
+
+@hot
+def answer(c):
+    """What the next datagram gets."""
+    return spi_status(c) << 32 if c.answer == FIRST else c.answer
 
 
 @hot
@@ -263,7 +271,7 @@ def write(c, address, value):
         c.shift = (c.shift << 8 | value & 0xFF) & M40
         c.bits += 8
     elif address == SPI_DATAGRAM:
-        c.heard = c.answer
+        c.heard = answer(c)
         _act(c, value & M40)
 
 
@@ -271,7 +279,7 @@ def write(c, address, value):
 def select(c, level):
     """CSN."""
     if c.csn and not level:
-        c.shift, c.bits = c.answer, 0
+        c.shift, c.bits = answer(c), 0
     elif level and not c.csn and c.bits >= 40:
         _act(c, c.shift)
     c.csn = level

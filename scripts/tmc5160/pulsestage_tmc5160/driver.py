@@ -8,6 +8,7 @@ current_registers(1.7, 0.1)                   GLOBALSCALER and IHOLD_IRUN for 1.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, ClassVar, NoReturn
 
 from pulsestage_tmc5160.maps import M32, NUMBER
@@ -221,7 +222,9 @@ class Tmc5160Driver(Driver):
             self.ready()
             ended = (self._to_stall if what == "stall" else self._to_switch)(direction, values, timeout)
             self.axis.wait(SETTLE)
-            return p.report(ended)
+            report = p.report(ended)
+        # zero is where the motor has stalled: steps lost before do not count
+        return replace(report, lost_steps=0) if ended == "stall" else report
 
     def _to_switch(self, direction: int, values: Mapping[str, int], timeout: float) -> str:
         """Data sheet, pages 85 and 86: XACTUAL is 0 where the switch closes, and there the axis is in the end."""

@@ -11,7 +11,6 @@ from pulsestage_tmc5160.state import (
     DRV_ENN,
     EN_PWM,
     ENC_DEVIATION,
-    ENCA,
     EVENT_SG,
     FALLS,
     FAST_STANDSTILL,
@@ -56,8 +55,8 @@ DELAY = 18  # times are in 2^18 clocks
 
 @hot
 def gated(c):
-    """The emergency stop holds all steps."""
-    return c.reg[GCONF] & STOP_ENABLE and c.inputs & ENCA
+    """The emergency stop holds all steps: ENCA as the last clock saw it."""
+    return c.reg[GCONF] & STOP_ENABLE and c.enc_pins & 1
 
 
 @hot

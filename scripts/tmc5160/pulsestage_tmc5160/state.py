@@ -39,7 +39,7 @@ STATE = record(
         ("enc", "i8"),  # X_ENC
         ("part", "i8"),  # its fraction
         ("enc_pins", "i8"),  # levels of A and B as last seen
-        ("enc_met", "i8"),  # the condition of N, as last seen
+        ("enc_met", "i8"),  # the condition of N: 1 as last seen, 2 its event is over
         ("enc_latch", "i8"),
         ("enc_flags", "i8"),  # ENC_STATUS
         # sequencer and current

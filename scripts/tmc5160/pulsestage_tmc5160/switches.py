@@ -39,6 +39,13 @@ def levels(c):
 
 
 @hot
+def wake(c):
+    """At power-up: what the encoder shows is no edge."""
+    c.enc_pins = (1 if c.inputs & ENCA else 0) | (2 if c.inputs & ENCB else 0)
+    c.enc_met = met(c)
+
+
+@hot
 def _latch(c, flag):
     c.latched = c.x
     c.events |= flag
@@ -82,24 +89,27 @@ def _count(c):
 
 
 @hot
-def _index(c):
+def met(c):
+    """The condition of an N event."""
     mode = c.reg[ENCMODE]
     met = (c.inputs & ENCN != 0) == (mode & POL_N != 0)
     if not mode & IGNORE_AB:
         met = met and (c.inputs & ENCA != 0) == (mode & POL_A != 0) and (c.inputs & ENCB != 0) == (mode & POL_B != 0)
-    now = 1 if met else 0
-    was, c.enc_met = c.enc_met & 1, (c.enc_met & 2) | now
-    edge = mode >> 6 & 3
+    return 1 if met else 0
+
+
+@hot
+def _index(c):
+    mode, now = c.reg[ENCMODE], met(c)
+    was, done = c.enc_met & 1, c.enc_met & 2 if now else 0
+    c.enc_met = done | now
     if not mode & (CLR_CONT | CLR_ONCE):
-        c.enc_met = now
         return
-    if edge == 0:
-        happens = now and not c.enc_met & 2
-        c.enc_met = now | (now << 1)
-    else:
-        happens = (now != was) and (edge == 3 or (edge == 1) == (now == 1))
+    edge = mode >> 6 & 3
+    happens = (now and not done) if edge == 0 else (now != was) and (edge == 3 or (edge == 1) == (now == 1))
     if not happens:
         return
+    c.enc_met |= now << 1
     c.enc_latch = c.enc
     c.enc_flags |= 1
     if mode & CLR_ENC_X:

@@ -1,0 +1,291 @@
+"""The TMC5160 as the driver of a stage's motor: currents, load, stalls; boards, environments and programs for Arduino."""
+
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+import venv
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+from support.packages import TMC5160, tmc5160
+
+import stage.envs  # noqa: F401
+from stage import ArgumentError, Drive, Stage, firmware
+from stage.board import Board, NativeHost, build
+from stage.cli import main
+from stage.testing import chip_conformance
+
+SMOOTH = Drive("17HS4401", detent=0.0, mode="sine")
+
+
+@pytest.fixture(autouse=True)
+def tmc5160_is_there(monkeypatch, tmp_path):
+    tmc5160(monkeypatch, tmp_path / "site")
+
+
+@pytest.fixture(scope="module")
+def stage_(tmp_path_factory):
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        tmc5160(monkeypatch, tmp_path_factory.mktemp("site"))
+        return Stage("xy", chips={"x": "tmc5160"}, drives=SMOOTH, visuals=False)
+
+
+@pytest.fixture
+def x(stage_):
+    stage_.reset()
+    return stage_.axes["x"]
+
+
+def put(chip, **registers):
+    for name, value in registers.items():
+        for cycle in chip.register_cycles(name, value):
+            chip.write(*cycle)
+
+
+def pull_out(x, **registers):
+    """N m at which the motor loses its first step, at 4 turns a second: the load grows slowly."""
+    stage_, dof = x.stage, x.plant.dof
+    put(x.chip, CHOPCONF=0x100100C3, VMAX=286_331, AMAX=2000, **registers)
+    stage_.run(0.02)
+    put(x.chip, RAMPMODE=1)
+    stage_.run(0.4)
+    own = stage_.model.dof_frictionloss[dof] + stage_.model.dof_damping[dof] * stage_.data.qvel[dof]
+    load = own
+    while not x.lost_steps:
+        load *= 1.002
+        stage_.data.qfrc_applied[dof] = own - load
+        stage_.run(0.002)
+    stage_.data.qfrc_applied[dof] = 0.0
+    return load / abs(x.gear)
+
+
+@pytest.mark.parametrize(
+    ("scaler", "irun"),
+    [
+        (160, 23),
+        *(pytest.param(*two, marks=pytest.mark.slow) for two in ((0, 31), (200, 31), (0, 9), (60, 31), (255, 15))),
+    ],
+)
+def test_currents_by_registers_change_the_pull_out_torque_by_the_closed_form(x, scaler, irun):
+    current = (scaler or 256) / 256 * (irun + 1) / 32 * 0.325 / 0.1
+    measured = pull_out(x, GLOBALSCALER=scaler, IHOLD_IRUN=irun << 8)
+    assert x.chip.amplitude == pytest.approx(current)
+    assert measured == pytest.approx(x.drive.motor.torque_constant * current, rel=0.03)
+
+
+def test_a_motor_without_current_stands_while_the_position_counts(x):
+    put(x.chip, VMAX=100_000, AMAX=2000, RAMPMODE=1)
+    x.stage.run(0.1)
+    assert x.chip.values()["XACTUAL"] > 600
+    assert abs(x.position) < 2e-5
+    assert "TOFF = 0" in x.chip.diagnostics[-1].message
+
+
+def test_load_lowers_the_result_of_stallguard_and_a_stall_makes_it_0(x):
+    put(x.chip, CHOPCONF=0x100100C3, GLOBALSCALER=134, IHOLD_IRUN=31 << 8, VMAX=715_828, AMAX=30_000, RAMPMODE=1)
+    x.stage.run(0.5)
+    free = x.chip.read(0x6F) & 0x3FF
+    x.stage.data.qfrc_applied[x.plant.dof] = -0.5 * x.drive.motor.torque_constant * 1.7 * abs(x.gear)
+    x.stage.run(0.1)
+    loaded = x.chip.read(0x6F) & 0x3FF
+    x.stage.data.qfrc_applied[x.plant.dof] = 0.0
+    emf = x.drive.motor.torque_constant * 2 * np.pi * 10 / 24
+    assert free == pytest.approx(1023 * emf, rel=0.15)
+    assert 0 < loaded < 0.7 * free
+    put(x.chip, SW_MODE=0x400, TCOOLTHRS=40)
+    x.stage.data.qfrc_applied[x.plant.dof] = -2 * x.drive.motor.torque_constant * 1.7 * abs(x.gear)
+    x.stage.run(0.05)
+    x.stage.data.qfrc_applied[x.plant.dof] = 0.0
+    assert x.chip.read(0x35) & 0x440 == 0x440, "event_stop_sg, vzero"
+    assert x.chip.read(0x6F) >> 24 & 1
+
+
+def stalls(x, tries):
+    found = []
+    for k in range(tries):
+        x.stage.run(0.001 * k)
+        report = firmware.home(x, by="stall", speed=0.02)
+        assert report.ok
+        assert report.stopped_by == "stall"
+        found.append(x.position)
+        firmware.move(x, pulses=int(7_000 + 331 * k))
+    return np.array(found)
+
+
+def test_homing_by_stall_repeats(x):
+    x.stage.place(x=-0.150)
+    found = stalls(x, 3)
+    assert np.ptp(found) <= 256 * x.meters_per_pulse
+
+
+@pytest.mark.slow
+def test_homing_by_stall_repeats_within_a_full_step_in_50_tries(x):
+    x.stage.place(x=-0.150)
+    found = stalls(x, 50)
+    assert np.ptp(found) <= 256 * x.meters_per_pulse
+
+
+def test_a_short_turns_the_power_stage_off_until_it_is_switched_off(x):
+    put(x.chip, CHOPCONF=0x100100C3, IHOLD_IRUN=31 << 8 | 31)
+    x.stage.run(0.001)
+    drive = x.stage.state.drives[0]
+    assert drive.current == pytest.approx(3.25)
+    x.pins.s2ga = True
+    x.stage.run(0.001)
+    assert drive.current == 0
+    assert x.chip.read(0x01) & 2
+    assert x.chip.read(0x6F) >> 27 & 1
+    x.pins.s2ga = False
+    x.stage.run(0.001)
+    assert drive.current == 0
+    put(x.chip, CHOPCONF=0)
+    put(x.chip, CHOPCONF=0x100100C3, GSTAT=2)
+    x.stage.run(0.001)
+    assert drive.current == pytest.approx(3.25)
+    assert not x.chip.read(0x01) & 2
+
+
+def test_a_copy_of_a_stage_goes_on_alike(x):
+    put(x.chip, CHOPCONF=0x100100C3, IHOLD_IRUN=31 << 8, VMAX=300_000, AMAX=3000, RAMPMODE=1)
+    x.stage.run(0.1)
+    kept = x.stage.snapshot()
+    x.stage.run(0.1)
+    then = x.position, x.chip.state.tobytes()
+    x.stage.restore(kept)
+    x.stage.run(0.1)
+    assert (x.position, x.chip.state.tobytes()) == then
+
+
+def test_a_journal_replays_what_the_load_has_done(x):
+    """A stall stops the replay as it has stopped the axis: the samples of the load are in the journal."""
+    x.stage.place(x=-0.155)
+    firmware.move(x, pulses=2000)
+    journal = x.chip.journal()
+    begin = x.chip.net()
+    firmware.home(x, by="stall", speed=0.02)
+    journal.close()
+    edges = journal.course().edges
+    assert edges["net"][-1] == x.chip.net()
+    assert edges["net"][0] == begin
+
+
+def test_a_board_shows_it_as_spi(stage_):
+    stage_.reset()
+    board = Board(stage_)
+    answer = []
+    for _ in range(2):
+        board.out8(0x300, 0)
+        for byte in (0x04, 0, 0, 0, 0):
+            board.out8(0x301, byte)
+            answer.append(board.in8(0x301))
+        board.out8(0x300, 1)
+    assert answer == [0x31, 0, 0, 0, 0, 0x31, 0x30, 0, 0, 3 & stage_.chips[0].input_word(0)]
+    assert "SPI: read IOIN" in board.trace.text()
+
+
+@pytest.mark.parametrize("id_", ["RegisterTuning", "RegisterBus"])
+def test_environments_know_it(id_):
+    env = gymnasium.make(f"stage/{id_}-v0", chip="tmc5160", model="xy")
+    env.reset(seed=1)
+    *_, info = env.step(env.action_space.sample())
+    assert info
+    env.close()
+
+
+@pytest.mark.parametrize("id_", ["OriginReturn", "SynchronizedMove"])
+def test_what_it_cannot_is_said_in_words(id_):
+    with pytest.raises(ArgumentError, match=r"a TMC5160 .*(draws no lines|no origin return)"):
+        gymnasium.make(f"stage/{id_}-v0", chip="tmc5160", model="xy")
+
+
+def test_homing_by_what_a_chip_cannot_is_refused(stage_):
+    with pytest.raises(ArgumentError, match=r"by='smell': a TMC5160 cannot home so: one of switch, stall"):
+        firmware.home(stage_.axes["x"], by="smell")
+    with pytest.raises(ArgumentError, match=r"by='stall': a PCL-?240.* cannot home so: leave by= out"):
+        firmware.home(Stage("xy", visuals=False).axes["x"], by="stall")
+    with pytest.raises(ArgumentError, match="s_curve=True"):
+        firmware.move(stage_.axes["x"], 1e-3, s_curve=True)
+
+
+SKETCH = """
+#include <SPI.h>
+static uint32_t ask(uint8_t address, uint32_t data)
+{
+    digitalWrite(5, LOW);
+    SPI.transfer(address);
+    uint32_t answer = 0;
+    for (int k = 24; k >= 0; k -= 8)
+        answer = answer << 8 | SPI.transfer(uint8_t(data >> k));
+    digitalWrite(5, HIGH);
+    return answer;
+}
+void setup()
+{
+    pinMode(5, OUTPUT);
+    digitalWrite(5, HIGH);
+    SPI.begin();
+    const uint32_t to[][2] = {{0x6C, 0x100100C3},
+                              {0x10, 0x1F0A}, {0x26, 2000}, {0x28, 2000}, {0x2A, 2000}, {0x2B, 1000}, {0x27, 300000}};
+    for (auto &r : to)
+        ask(0x80 | r[0], r[1]);
+    ask(0xAD, 25600);
+    do
+        delay(1);
+    while (ask(0x35, 0), !(ask(0x35, 0) >> 9 & 1));
+    ask(0x21, 0);
+    pulsestage::end(ask(0x21, 0) == 25600 ? 7 : 8);
+}
+void loop() {}
+"""
+
+
+@pytest.mark.slow
+def test_an_arduino_reaches_it_by_spi(stage_, tmp_path):
+    stage_.reset()
+    (tmp_path / "a.ino").write_text(SKETCH)
+    (tmp_path / "pins.cpp").write_text("#include <pinbus.h>\nstatic PinBus driver = PinBus(0x300).spi(5);\n")
+    with NativeHost(build(tmp_path / "a.ino", tmp_path / "pins.cpp"), Board(stage_)) as host:
+        assert host.run(timeout=5) == 7
+    assert stage_.axes["x"].position == pytest.approx(5e-3, abs=2e-5)
+
+
+@pytest.mark.slow
+def test_it_keeps_every_promise_often_and_as_plain_python():
+    chip_conformance("tmc5160", seed=5, programs=100)
+    chip_conformance("tmc5160", seed=5, programs=2, uncompiled=True)
+
+
+@pytest.mark.slow
+def test_installed_by_pip_it_is_known(tmp_path):
+    """pip install ./tmc5160; stage move x 10mm --chips tmc5160"""
+    project = shutil.copytree(TMC5160, tmp_path / "tmc5160", ignore=shutil.ignore_patterns("__pycache__", "_native.so"))
+    venv.create(tmp_path / "venv")
+    site = Path(sysconfig.get_path("purelib", "venv", {"base": str(tmp_path / "venv")}))
+    (site / "others.pth").write_text(f"import site; site.addsitedir({sysconfig.get_path('purelib')!r})\n")
+    python = tmp_path / "venv" / "bin" / "python"
+    clean = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
+
+    def run(*command):
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False, env=clean)
+        assert done.returncode == 0, done.stdout + done.stderr
+        return done
+
+    pip = (sys.executable, "-m", "pip", "-q", "--python", str(python), "install")
+    run(*pip, "setuptools>=80")
+    run(*pip, "--no-deps", "--no-build-isolation", str(project))
+    assert "TMC5160  pulsestage-tmc5160 0.1.0" in run(str(python), "-m", "stage", "chips").stdout
+    done = run(str(python), "-m", "stage", "move", "x", "1mm", "--chips", "tmc5160", "--model", "xy")
+    assert "pulses 5120 of 5120" in done.stdout
+    assert "building" not in done.stderr
+    run(str(python), "-m", "pytest", "-q", "-c", "/dev/null", "--rootdir", str(tmp_path), str(project / "tests"))
+
+
+@pytest.mark.slow
+def test_waveforms_and_recordings_know_it(tmp_path, capsys):
+    move = ["move", "x", "1mm", "--chips", "tmc5160", "--model", "xy"]
+    assert main([*move, "--vcd", str(tmp_path / "x.vcd"), "--record", str(tmp_path / "x.rrd")]) == 0
+    assert "5120 of 5120" in capsys.readouterr().out
