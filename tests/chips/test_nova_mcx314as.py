@@ -33,7 +33,12 @@ def program(rng):
             yield "command", code, axes, data
         elif what < 0.85:
             word = rng.randint(1, 3)
-            yield "word", word, axes, rng.getrandbits(16) & (0, 0xFF3F, 0xFFFF, 0x0007)[word]
+            yield (
+                "word",
+                word,
+                axes,
+                rng.getrandbits(16) & (0, 0xFF3F, 0xFFFF, 0x0005)[word],
+            )  # no DSNDE: only one has L
         else:
             yield "time", rng.randint(1, 60_000), 0, 0
 
