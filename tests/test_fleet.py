@@ -80,6 +80,18 @@ def test_a_program_does_what_a_python_driver_does_to_the_bit(first):
         assert all(axis.chip.diagnostics == [] for axis in stage.axes.values())
 
 
+def test_a_wait_whose_limit_a_poll_meets_exactly_ends_there_compiled_and_by_hand(first):
+    """a bus cycle of 1 us and polls of 250 us: the fourth look is 754 us after the begin"""
+    p = Program().command(0, 0x08)
+    for name, value in {"R1": 1000, "R2": 1000, "R7": 12}.items():
+        p.register(0, first.axes["x"].chip, name, value)
+    p.command(0, 0x40).command(0, 0x10).until_stopped([0], 754e-6, 250e-6)
+    fleet, (driven,) = Fleet(stages(first, 1), 1), stages(first, 1)
+    results = np.zeros(len(p), np.int64)
+    assert play.by_hand(driven, np.array(p.ops), results, np.zeros((3, 2))) == play.PLAYED
+    assert fleet.play([p]).results[0][len(p) - 1] == results[-1] == -754_000
+
+
 def test_the_truth_is_what_the_stages_say(first):
     fleet = Fleet(stages(first), 1)
     fleet.play([program(first, k) for k in range(N)])

@@ -108,6 +108,13 @@ def test_an_ls7166_is_told_by_its_control_words():
         assert b.registers["cntr"] == 10, qr
     b.write((1, 0xC0 | 0x3C | 2))
     assert b.registers["qr"] == 2
+    b = ls7166(0)
+    b.counts[0] -= 1
+    assert b.read(1) & 0x0B == 9, "BWT and SIGN"
+    b.write((1, 0x04))
+    assert (b.registers["cntr"], b.read(1) & 0x0B) == (0, 0), (
+        "a reset of the counter is one of its toggles and its sign"
+    )
 
 
 def test_a_reset_of_an_hctl2016_ends_the_inhibition_of_its_latch():

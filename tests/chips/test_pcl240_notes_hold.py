@@ -27,6 +27,17 @@ def test_a_constant_speed_run_that_never_uses_fl_needs_no_r1():
     assert "R1 = 0" in said, "it must be set, says the sheet"
 
 
+@ALL
+@pytest.mark.parametrize(("up", "down"), [(2, 2), (30, 1), (1, 30), (0, 2), (2, 0), (1, 1)])
+def test_a_high_speed_start_is_noted_where_either_rate_is_below_2(make, up, down):
+    chip = make()
+    load(chip, R0=500, R1=50, R2=400, R4=up, R5=down, R6=20, R7=20)
+    commands(chip, 0x44, 0x15)
+    noted = [d.message for d in chip.diagnostics if "rates below 2 hold the speed" in d.message]
+    assert bool(noted) == (min(up, down) < 2)
+    assert all(f"R4 = {up}, R5 = {down}" in text for text in noted)
+
+
 def any_start(make, rng):
     """A chip whose speeds, rates and counter are often at their ends, with a start command that was not yet written."""
     chip = make()

@@ -444,6 +444,17 @@ def test_counts_of_the_ratio_move_an_axis_by_no_more_than_reach_pulses(s_curve):
                 assert (register, s_curve) == (3, True)
 
 
+def test_no_correction_takes_fl_above_fh():
+    made = task(4, rate=2000.0, fl=2000.0, accel=0.01, reach=20.0)
+    shape = (4, *made.line.shape)
+    corrections = np.zeros(shape)
+    corrections[:, :, 0], corrections[:, :, 1] = 1.0, -1.0
+    sheet, corrected = made.data_sheet(), made.line.corrected(made.asked, corrections)
+    assert (sheet[:, :, 0] <= sheet[:, :, 1]).all()
+    assert (corrected[:, :, 1] < sheet[:, :, 1]).any()
+    assert (corrected[:, :, 0] <= corrected[:, :, 1]).all()
+
+
 def test_corrections_of_interpolation_are_factors():
     rules = task(6, chip="MCX514")
     plain = rules.data_sheet()

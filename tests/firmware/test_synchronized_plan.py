@@ -219,6 +219,14 @@ def test_planning_takes_milliseconds():
     assert np.median(taken) < 0.05
 
 
+def test_a_ramp_down_may_begin_with_the_first_pulse():
+    """38 pulses, of which an R6 of 38 leaves none at FH: among the rows of R7 this is the closest to the line"""
+    p = plan({"x": 38, "y": 4}, rate=6074.492488691149, fl=4000, accel=0.002, decel=0.01)
+    x = p.axes["x"].registers
+    assert x["R6"] == x["R0"] == 38
+    assert p.deviation < 0.9
+
+
 def test_a_plan_comes_true():
     seed = SEED
     print("seed", seed)

@@ -57,6 +57,8 @@ static int watchdogs(void)
     CHECK(semTake(done, 20) == OK && barks[0] == 1 && tickGet() - then >= 5 && tickGet() - then <= 6);
     taskDelay(10);
     CHECK(barks[0] == 1);                       /* once, and the cancelled one never */
+    CHECK(wdStart(w, 3, (FUNCPTR)bark, 0) == OK && semTake(done, 3) == OK && barks[0] == 2);  /* in the last tick */
+    barks[0] = 1;
     CHECK(wdStart(w, 2, (FUNCPTR)bark, 0) == OK && wdStart(w, 6, (FUNCPTR)bark, 0) == OK);
     taskDelay(4);
     CHECK(barks[0] == 1);                       /* started again */
@@ -270,6 +272,16 @@ void begin() {
 }
 """
 
+NUMBERS = """
+#include <Arduino.h>
+void setup() {
+  Serial.feed("x-12-34");
+  const long first = Serial.parseInt(), second = Serial.parseInt();
+  pulsestage::end(first == -12 && second == -34 ? 7 : 1);
+}
+void loop() {}
+"""
+
 STATICS = """
 #include <pulsestage.h>
 inline int &calls() { static int n; return n; }
@@ -374,6 +386,11 @@ def test_a_sketch_has_serial_strings_spi_and_interrupts_by_edge(tmp_path):
         "or name the chip's pin: PinBus(0x300).spi(10)",
         "half a line",
     ]
+
+
+def test_a_minus_ends_a_number_and_begins_the_next(tmp_path):
+    """G-code without blanks, "X-12Y-34" or "3-4": Serial.parseInt"""
+    assert run(tmp_path, "numbers.cpp", NUMBERS, "arduino", ("-O0",))[0] == 7
 
 
 @pytest.mark.slow

@@ -11,6 +11,7 @@ from support.recording_bench import Full, drive, feed, make_bench, read_rrd
 from stage import ArgumentError, Stage, StageError
 from stage.chips import PCL240K
 from stage.recording.recording import COLUMNS, ROWS, RecordingError
+from stage.recording.series import SERIES
 
 
 def test_the_last_sample_is_the_state_of_the_stage(run):
@@ -31,6 +32,14 @@ def test_the_last_sample_is_the_state_of_the_stage(run):
         assert c[f"{name}/counter"][-1] == axis.chip.values()["R0"]
         for pin, level in axis.chip.pins.as_dict().items():
             assert c[f"{name}/{pin}"][-1] == level, pin
+
+
+def test_a_series_is_drawn_in_the_units_that_it_names():
+    """times the SI value: metres and radians, volts, full steps ..."""
+    degrees = 180 / np.pi
+    of = {"mm": 1e3, "um": 1e6, "deg": degrees, "0.001 deg": 1e3 * degrees, "electrical deg": degrees}
+    for name, s in SERIES.items():
+        assert s.scales == pytest.approx([of.get(unit, 1) for unit in s.units], rel=1e-12), name
 
 
 FORKED = """

@@ -197,6 +197,14 @@ def test_pieces_of_a_course_are_the_course(bench):
         assert np.array_equal(np.concatenate(parts), journal.course(every_pulse).edges)
 
 
+def test_the_waveforms_do_not_depend_on_how_many_edges_are_taken_at_a_time(tmp_path, bench, monkeypatch):
+    """many changes lie where one piece ends and the next begins"""
+    wild(bench, 3, steps=10)
+    whole = bench.recording.to_vcd(tmp_path / "whole.vcd").read_bytes()
+    monkeypatch.setattr("stage.recording.vcd.EDGES", 60)
+    assert bench.recording.to_vcd(tmp_path / "pieces.vcd").read_bytes() == whole
+
+
 def test_reads_that_change_something_are_events_and_others_are_not(tmp_path):
     stage = Stage("xyz", chips=MCX514, visuals=False)
     chip = stage.chips[0]
