@@ -61,6 +61,8 @@ class ReferencePCL240K:
     # Bus [1], [2]
 
     def write(self, address, value):
+        if self.leader:
+            self._clamp_phase()
         if address == 0:
             group = value >> 6
             if group == 0:
@@ -161,7 +163,7 @@ class ReferencePCL240K:
         """Returns the direction, +1 or -1, of the pulse that begins in this clock, or 0."""
         self.clock += 1
         if self.leader:
-            self._clamp_phase()  # Choice: a follower finds its leader's new R7 at its next tick, before anything else
+            self._clamp_phase()  # Choice: a follower finds its leader's new R7 at its next write or tick, before anything else
         rising, self.extp_sample = self.extp_sample and not self.pins.extp, self.pins.extp
         if rising and self.external:  # at the start of a tick, running or not [5 fine points]
             self._count()

@@ -69,9 +69,11 @@ class PCL240(Chip):
 
     @property
     def syni(self) -> PCL240 | None:
-        """The chip whose SYNO is connected to SYNI, so that this one counts its clock; None: its own. Of a chip by itself it can be
-        set: from each `advance` on the leader's R7 is what it is then; copies are not connected, and keep the R7 that they heard
-        last. On a stage see `Stage(syni=...)`. Raises ArgumentError, StageError."""
+        """The chip whose SYNO is connected to SYNI, so that this one counts its clock; None: its own.
+
+        Of a chip by itself it can be set: at each write and `advance` the leader's R7 is what it is then; copies are not connected,
+        and keep the R7 that they heard last. On a stage see `Stage(syni=...)`. Raises ArgumentError, StageError.
+        """
         return self._leader
 
     @syni.setter
@@ -95,6 +97,11 @@ class PCL240(Chip):
             self.set_input_word(0, word)
             if self.open_journal is not None:
                 self.open_journal.note_input(self.clock, 0, word)
+
+    def _write(self, address: int, value: int, given: tuple[int, int]) -> None:
+        if self._leader is not None and not self.attached:
+            self._hear()
+        super()._write(address, value, given)
 
     def _until(self, clocks: int) -> int:
         until = super()._until(clocks)
