@@ -1,5 +1,6 @@
 """scripts/acme_chip, the project of docs/your_own_chip.md: as if it were installed, and, slowly, installed by pip."""
 
+import importlib
 import os
 import shutil
 import subprocess
@@ -132,3 +133,13 @@ def test_installed_from_a_wheel_and_editable_in_a_fresh_environment(tmp_path):
     maps = project / "acme_chips" / "maps.py"
     maps.write_text(maps.read_text() + "\n# a change\n")
     assert "building the native library of acme_chips" in run(*move).stderr, "of what the core imports"
+
+
+def test_an_old_setuptools_is_told_with_what_to_install(monkeypatch):
+    """pip install --no-build-isolation ./scripts/acme_chip: No module named 'setuptools.command.bdist_wheel'"""
+    monkeypatch.delitem(sys.modules, "stage.native.packing", raising=False)
+    monkeypatch.setitem(sys.modules, "setuptools.command.bdist_wheel", None)
+    with pytest.raises(
+        ImportError, match=r"setuptools 80 or newer, and [\d.]+ is installed: pip install 'setuptools>=80'"
+    ):
+        importlib.import_module("stage.native.packing")

@@ -19,9 +19,15 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-from setuptools import build_meta
+from setuptools import __version__, build_meta
 from setuptools.build_meta import *  # noqa: F403
-from setuptools.command.bdist_wheel import bdist_wheel
+
+try:
+    from setuptools.command.bdist_wheel import bdist_wheel
+except ImportError:
+    raise ImportError(
+        f"a package with chips is built by setuptools 80 or newer, and {__version__} is installed: pip install 'setuptools>=80'"
+    ) from None
 
 
 def build_wheel(wheel_directory: str, config_settings: Any = None, metadata_directory: str | None = None) -> str:
