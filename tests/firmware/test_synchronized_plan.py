@@ -219,12 +219,13 @@ def test_planning_takes_milliseconds():
     assert np.median(taken) < 0.05
 
 
-def test_a_ramp_down_may_begin_with_the_first_pulse():
-    """38 pulses, of which an R6 of 38 leaves none at FH: among the rows of R7 this is the closest to the line"""
-    p = plan({"x": 38, "y": 4}, rate=6074.492488691149, fl=4000, accel=0.002, decel=0.01)
-    x = p.axes["x"].registers
-    assert x["R6"] == x["R0"] == 38
-    assert p.deviation < 0.9
+def test_a_short_move_reaches_the_peak_that_its_plan_tells():
+    """38 pulses: with 14 at FL after the ramp-down, R6 = 38, and the chip would ramp down from the first pulse on"""
+    bench = Bench(x=PCL240K(), y=PCL240K())
+    report = synchronized_move({"x": 38, "y": 4}, bench, rate=6074.492488691149, fl=4000, accel=0.002, decel=0.01)
+    x = report.plan.axes["x"]
+    assert report.axes["x"].peak_rate == pytest.approx(x.fh, rel=1e-6)
+    assert "peaks at 5068 pps" in str(report.plan)
 
 
 def test_a_plan_comes_true():

@@ -182,7 +182,9 @@ def _with_tails(leader: np.ndarray, hz: int, most: int) -> Iterator[np.ndarray]:
         yield leader
         return
     gain = int(leader[2] - leader[1])
-    fall = leader[5] * (leader[1] * gain + gain * (gain - 1) / 2) / (8192 * leader[7]) * stretch(leader)
+    rise, fall = (
+        leader[k] * (leader[1] * gain + gain * (gain - 1) / 2) / (8192 * leader[7]) * stretch(leader) for k in (4, 5)
+    )
     fl, fh = (leader[k] * hz / (8192 * leader[7]) for k in (1, 2))
     patience = max(TAIL_SECONDS, TAIL_SHARE * leader[0] / fh)
     for tail in TAILS:
@@ -193,7 +195,7 @@ def _with_tails(leader: np.ndarray, hz: int, most: int) -> Iterator[np.ndarray]:
             raise ArgumentError(
                 f"the ramp-down takes {fall:.0f} pulses, and R6 counts to {most}: shorten decel or lower the rate."
             )
-        if r6 <= leader[0]:
+        if r6 + (rise if tail > TAILS[0] else 0) <= leader[0]:  # a longer one must leave the ramp-up its pulses
             with_point = leader.copy()
             with_point[6] = r6
             yield with_point
