@@ -29,8 +29,9 @@ DEEPEST = 100  # calls
 SHOWN = 6  # of them in a message
 ENTRY = "pulsestage_main"
 ADDRESS = 16  # in siginfo_t
-PLACES = {"x86_64": {"pc": 168, "sp": 160, "error": 192}, "aarch64": {"pc": 440, "sp": 432}}
-"""In ucontext_t: program counter, stack pointer; the processor's error code, whose bit 1 says that it wrote."""
+PLACES = {"x86_64": {"pc": 168, "sp": 160, "error": 192}, "aarch64": {"pc": 440, "sp": 432, "lr": 424}}
+"""In ucontext_t: program counter, stack pointer, the register that has the return address; the processor's error code, whose bit
+1 says that it wrote."""
 NULL = 1 << 16
 BUS_SPACE = 1 << 32  # addresses of microcontrollers
 RUST_ITSELF = "(/rustc/"  # where the files of its own library are
@@ -40,13 +41,15 @@ FORKED = b'"a process that it had forked crashed (it has no bus: only the firmwa
 
 
 class Crash(NamedTuple):
-    """What the handler saw. frames: (library, symbol, offset in the library) of each call, the innermost first."""
+    """What the handler saw. frames: (library, symbol, offset in the library) of each call, the innermost first. jumped: to
+    the address, from the last place in frames."""
 
     signal: int
     address: int
     wrote: bool | None
     stack: bool
     frames: list[tuple[str, str, int]]
+    jumped: bool = False
 
 
 # --- in the child ---
@@ -134,12 +137,18 @@ def _seen(libc: Any, calls: Any, number: int, info: int, context: int) -> Crash:
 
     places = PLACES.get(platform.machine(), {})
     address = word(info + ADDRESS) if number in TOUCHES and ctypes.c_int.from_address(info + 8).value > 0 else -1
-    found = [calls[k] or 0 for k in range(libc.backtrace(calls, DEEPEST))]
-    if "pc" in places and (pc := word(context + places["pc"])) in found:
+    pc = word(context + places["pc"]) if "pc" in places else None
+    jumped = address >= 0 and pc == address
+    if jumped:  # nobody can unwind from there: to read the code at the address is the next fault
+        found = [address, word(context + places["lr"]) if "lr" in places else word(word(context + places["sp"]))]
+    else:
+        found = [calls[k] or 0 for k in range(libc.backtrace(calls, DEEPEST))]
+    if pc in found:
         found = found[found.index(pc) :]
     wrote = bool(word(context + places["error"]) & 2) if "error" in places else None
     near = address >= 0 and "sp" in places and abs(address - word(context + places["sp"])) < NULL
-    return Crash(number, address, wrote, near, [_frame(libc, a - (k > 0)) for k, a in enumerate(found) if a])
+    frames = [_frame(libc, a - (k > 0)) for k, a in enumerate(found) if a]
+    return Crash(number, address, wrote, near and not jumped, frames, jumped)
 
 
 def _from_a_fork(number: int, info: int) -> bool:
@@ -193,6 +202,9 @@ def _what(crash: Crash, names: set[str]) -> str:
     """names: of the functions that were called."""
     if crash.stack:
         return "its stack is full (endless recursion?)"
+    if crash.jumped:
+        hint = ": a pointer to a function that was never set?" if crash.address < NULL else ""
+        return f"it called address {crash.address:X}h, where no code is{hint}"
     if crash.signal in TOUCHES and crash.address >= 0:
         verb = {True: "it wrote to", False: "it read from", None: "an access to"}[crash.wrote]
         hint = ""

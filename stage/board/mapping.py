@@ -167,9 +167,10 @@ class Mapped:
         near = next((w for w in self._windows if w.address <= address < w.end), None)
         if what == BEYOND_WINDOW:
             window = near or min(self._windows, key=lambda w: min(abs(address - w.address), abs(address - w.end)))
+            goes = "goes on" if near else "is"
             return HostError(
-                f"{who} is beyond the window {window}, which ends at {window.end - 1:X}h. Give it more ports, or another window "
-                f"there (--map, map=); {self._when()}"
+                f"{who} {goes} beyond the window {window}, which ends at {window.end - 1:X}h. Give it more ports, or another "
+                f"window there (--map, map=); {self._when()}"
             )
         code = ctypes.string_at(start, 8).hex(" ")
         return HostError(

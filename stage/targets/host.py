@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 import os
 import re
+import socket
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -65,10 +66,24 @@ class TargetHost(Host):
             raise ArgumentError(f"mcu_clock={mcu_clock!r}: Hz of the processor's clock, 1e3 to 1e9.")
         if gdb is not None and not (isinstance(gdb, int) and 1024 <= gdb < 65536):
             raise ArgumentError(f"gdb={gdb!r}: a TCP port, 1024 to 65535.")
+        if gdb is not None:
+            _need_free(gdb)
         self.mcu = mcus.checked(mcu)
         maps = [map] if isinstance(map, str) else list(map)
         program = program_of(Path(firmware), self.mcu, maps, None if mcu_clock is None else round(mcu_clock), gdb)
         super().__init__(program, board, isolated, FOR_EVER if gdb else patience)
+
+
+def _need_free(port: int) -> None:
+    """The emulators find a port that is in use only while they run; simavr then waits for nobody, for ever."""
+    with socket.socket() as trial:
+        trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            trial.bind(("127.0.0.1", port))
+        except OSError as error:
+            raise ArgumentError(
+                f"gdb={port}: {error.strerror}. Choose another port, or end what listens there."
+            ) from None
 
 
 def program_of(path: Path, mcu: str, maps: list[str], hz: int | None, gdb: int | None) -> Program:

@@ -33,6 +33,8 @@ ROM, STUBS = 0xF000, 0x100  # segment; offset of the routine of interrupt 0, a b
 TICK = bytes.fromhex("50 CD 1C B0 20 E6 20 58 CF")
 """The timer's routine: int 1Ch, end of interrupt, iret."""
 TICK_AT = 0x10
+SOURCES = (".asm", ".c", ".cc", ".cpp", ".cxx", ".h", ".ino", ".rs", ".s")
+"""A .COM begins with its first instruction, so that any file could be one: its name has to tell."""
 LOAD = 0x1000  # segment of the program's prefix
 RARE = 0x100  # ports below are the PC's own
 NO_ONE = 0xFF
@@ -124,6 +126,11 @@ class Pc(Engine):
             raise FileError(f"{path}: there is no such file.")
         if machine := machine_of(path):
             raise LibraryError(f"{path} was built for {machine} (ELF), and an 8086 runs a .COM or an .EXE of DOS.")
+        if path.suffix.lower() in SOURCES:
+            raise LibraryError(
+                f"{path} is a source by its name: an 8086 runs a .COM or an .EXE of DOS. Build it first, for example "
+                f"nasm -f bin {path.stem}.asm -o {path.stem}.com."
+            )
         content = path.read_bytes()
         prefix = bytearray(256)
         prefix[:4] = struct.pack("<HH", 0x20CD, 0xA000)  # int 20h; the end of memory

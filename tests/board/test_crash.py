@@ -29,6 +29,14 @@ CRASHES = {
         "volatile int *p;\nPULSESTAGE_MAIN { ps_in8(0x304); return p[2]; }",
         r"SIGSEGV .*: it read from address 8h, a null pointer\?, in pulsestage_main \(.*it\.c:5\)",
     ),
+    "a pointer to a function that is null": (
+        "void (*f)(void);\nPULSESTAGE_MAIN { ps_in8(0x304);\nf(); return 0; }",
+        r"it called address 0h, where no code is: a pointer to a function that was never set\?, in pulsestage_main \(.*it\.c:6\)",
+    ),
+    "a pointer to a function that is wild": (
+        "void (*f)(void) = (void (*)(void))0x123456789000;\nPULSESTAGE_MAIN { ps_in8(0x304);\nf(); return 0; }",
+        r"it called address 123456789000h, where no code is, in pulsestage_main \(.*it\.c:6\)",
+    ),
     "an address far off": (
         "volatile int *p = (int *)0x123456789000;\nPULSESTAGE_MAIN { ps_in8(0x304); return *p; }",
         r"it read from address 123456789000h, in pulsestage_main",

@@ -15,6 +15,7 @@ import pytest
 from support.target_boards import board_of
 
 from stage.board import HostError
+from stage.errors import ArgumentError
 from stage.targets import TargetHost, mcus
 from stage.targets.elf import ARM, Elf
 
@@ -124,6 +125,13 @@ def test_steps_registers_and_memory():
         assert h.board.cycles == 12
         gdb.send("k")
     assert ends[0].code == 0
+
+
+def test_a_port_that_is_in_use_is_refused_before_anything_runs():
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        with pytest.raises(ArgumentError, match=rf"gdb={port}: Address already in use\. Choose another port"):
+            TargetHost(DATA / "faults.com", board_of(), mcu="8086", gdb=port)
 
 
 def test_a_loop_is_interrupted_and_a_fault_can_be_looked_at():

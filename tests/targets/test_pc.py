@@ -146,7 +146,9 @@ def test_an_exe_is_relocated(tmp_path):
 def test_files_that_are_no_programs_are_refused(tmp_path):
     (tmp_path / "empty.com").write_bytes(b"")
     (tmp_path / "it.elf").write_bytes(b"\x7fELF\x01\x01\x01" + bytes(9) + b"\x02\x00\x53\x00" + bytes(40))
+    (tmp_path / "it.c").write_text("int main(void) { return 0; }")
     for name, error, says in (
+        ("it.c", LibraryError, r"it\.c is a source by its name.*nasm -f bin it\.asm"),
         ("empty.com", LibraryError, "has 0 bytes: a .COM has 1 to 65,024"),
         ("it.elf", LibraryError, r"was built for AVR \(ELF\), and an 8086 runs a .COM or an .EXE"),
         ("none.com", FileError, "there is no such file"),
