@@ -118,12 +118,12 @@ def test_it_goes_home_to_a_switch_and_to_a_stall(stage_):
     assert (home.ok, home.stopped_by) == (True, "REFL")
     assert x.chip.values()["XACTUAL"] == 0
     assert x.position == pytest.approx(-0.15, abs=1e-4)
-    firmware.home(x, by="stall", speed=0.02)
+    firmware.home(x, by="stall", speed=0.03)
     first = x.position
     assert first == pytest.approx(-0.156, abs=5e-4)
     assert x.chip.values()["XACTUAL"] == 0
-    firmware.move(x, 2e-3)
-    assert firmware.home(x, by="stall", speed=0.02).stopped_by == "stall"
+    firmware.move(x, 5e-3)
+    assert firmware.home(x, by="stall", speed=0.03).stopped_by == "stall"
     full_step = 256 * x.meters_per_pulse
     assert x.position == pytest.approx(first, abs=full_step)
 

@@ -10,6 +10,8 @@ from stage.errors import ArgumentError
 
 
 def home(args: argparse.Namespace) -> int:
+    from stage.firmware.driver import driver_of
+
     stage = make_stage(args)
     axes = [find_axis(stage, name) for name in args.axes] or list(stage.axes.values())
     for axis in axes:
@@ -21,7 +23,8 @@ def home(args: argparse.Namespace) -> int:
             reports.append(_home(args, axis))
             print(reports[-1])
         plot(args, reports[0].plot)
-    return 0 if all(r.stopped_by in ("ORG", "EZ") and not r.lost_steps for r in reports) else 1
+    found = [r.stopped_by in driver_of(axis).FOUND for r, axis in zip(reports, axes, strict=True)]
+    return 0 if all(found) and not any(r.lost_steps for r in reports) else 1
 
 
 def _home(args: argparse.Namespace, axis: Any) -> Any:
@@ -37,7 +40,7 @@ def _home(args: argparse.Namespace, axis: Any) -> Any:
         raise ArgumentError(
             f"--ez {args.ez}: a {axis.chip.MAP.chip} ends at the first index pulse after ORG, --ez 1, or at ORG."
         )
-    return driver_of(axis).home(direction, speeds(args), index=args.ez == 1)
+    return driver_of(axis).home(direction, speeds(args, axis), index=args.ez == 1)
 
 
 def move(args: argparse.Namespace) -> int:
@@ -53,7 +56,7 @@ def move(args: argparse.Namespace) -> int:
         _only_pcl240(args, axis, "constant", "automatic", "fh2")
         if args.s_curve not in (None, True):
             raise ArgumentError(f"--s-curve {args.s_curve:g}: a {axis.chip.MAP.chip} knows no shares; --s-curve alone.")
-        return driver_of(axis).move(pulses, speeds(args)._replace(s_curve=bool(args.s_curve)))
+        return driver_of(axis).move(pulses, speeds(args, axis)._replace(s_curve=bool(args.s_curve)))
 
     return _single(args, run)
 

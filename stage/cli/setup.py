@@ -104,9 +104,9 @@ SPEEDS = {"fl": "start", "fh1": "drive", "accel": "up", "decel": "down"}
 """Options, and what of `Speeds` they are."""
 
 
-def speeds(args: argparse.Namespace) -> Any:
+def speeds(args: argparse.Namespace, axis: Any) -> Any:
     """The speeds that the options give, for any chip."""
-    from stage.firmware.driver import Speeds
+    from stage.firmware.driver import usual_speeds
 
     given = {name: getattr(args, option) for option, name in SPEEDS.items() if getattr(args, option, None) is not None}
     if "up" in given:
@@ -114,7 +114,7 @@ def speeds(args: argparse.Namespace) -> Any:
     for option, name in SPEEDS.items():
         if not 0 < given.get(name, 1) < float("inf"):
             raise ArgumentError(f"--{option} {given[name]:g}: more than 0.")
-    made = Speeds(**given)
+    made = usual_speeds(axis.chip)._replace(**given)
     return made._replace(start=min(made.start, made.drive)) if "start" not in given else made
 
 

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from stage.firmware.together import SynchronizedReport
 
 START, DRIVE, RAMP = 1_000.0, 16_000.0, 0.15
+USUAL = 16  # microsteps, that these rates are for
 SETTLE = 0.05  # s after a stop, before a report looks where the carriage came to rest
 
 
@@ -51,6 +52,12 @@ class Speeds(NamedTuple):
         return self._replace(drive=drive, up=self.up * longer, down=self.down * longer)
 
 
+def usual_speeds(chip: Chip) -> Speeds:
+    """What a move has that says nothing of its speeds: as far a second with chips that say themselves what a pulse is."""
+    fine = (chip.MICROSTEPS or USUAL) / USUAL
+    return Speeds(START * fine, DRIVE * fine)
+
+
 class Driver(ABC):
     """Speaks to one axis of a chip.
 
@@ -61,6 +68,8 @@ class Driver(ABC):
     """What a drawing of a report about this family's chips shows."""
     DONE: ClassVar[str] = "all pulses"
     """What a report says has ended a move that nothing else ended."""
+    FOUND: ClassVar[tuple[str, ...]] = ("ORG", "EZ")
+    """What a report says has ended a homing that found its place."""
     HOMINGS: ClassVar[tuple[str, ...]] = ()
     """What `home_by` can home by."""
     FINISH: ClassVar[str] = ""

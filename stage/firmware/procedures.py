@@ -15,11 +15,9 @@ from typing import Any
 
 from stage.errors import ArgumentError
 from stage.firmware.axis import Axis
-from stage.firmware.driver import DRIVE, RAMP, START, Speeds, driver_of
+from stage.firmware.driver import RAMP, Speeds, driver_of, usual_speeds
 from stage.firmware.report import Procedure, Report
 from stage.firmware.together import SynchronizedReport, chosen_axes
-
-USUAL = 16  # microsteps, that the default rates are for
 
 
 def move(
@@ -146,9 +144,9 @@ def speeds(
     for name, value in (("speed", speed), ("start_speed", start_speed), ("accel", accel), ("decel", decel)):
         if value is not None and not 0 < value < math.inf:
             raise ArgumentError(f"{name}={value!r}: more than 0.")
-    fine = (axis.chip.MICROSTEPS or USUAL) / USUAL
-    drive = DRIVE * fine if speed is None else speed / _unit(axis, "speed")
-    start = min(START * fine, drive) if start_speed is None else start_speed / _unit(axis, "start_speed")
+    usual = usual_speeds(axis.chip)
+    drive = usual.drive if speed is None else speed / _unit(axis, "speed")
+    start = min(usual.start, drive) if start_speed is None else start_speed / _unit(axis, "start_speed")
     return Speeds(start, drive, accel, accel if decel is None else decel, s_curve)
 
 

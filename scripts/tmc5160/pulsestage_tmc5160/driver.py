@@ -12,7 +12,7 @@ from dataclasses import replace
 from typing import Any, ClassVar, NoReturn
 
 from pulsestage_tmc5160.maps import M32, NUMBER
-from pulsestage_tmc5160.motor import FULL_SCALE
+from pulsestage_tmc5160.motor import FULL_SCALE, PER_SGT
 from pulsestage_tmc5160.state import (
     EVENT_L,
     EVENT_POS,
@@ -32,6 +32,7 @@ from pulsestage_tmc5160.state import (
     STATUS_R,
     STOP_L,
     STOP_R,
+    VELOCITY_REACHED,
 )
 from stage.errors import ArgumentError
 from stage.firmware.driver import SETTLE, AtOnce, Driver, Speeds, wait_until_stopped
@@ -43,6 +44,7 @@ CHOPCONF = 0x100100C3
 SWITCHED_ON = 0.05  # s until the rotor rests where the field is
 IHOLDDELAY, TPOWERDOWN = 6, 10
 LEAST_VSTOP = 10  # recommended
+TUNING, FULL_STEP = 8, 256  # full steps that are looked at; steps of each
 WINDOW = 1.2  # TCOOLTHRS over TSTEP
 STOPS = STOP_L | STOP_R
 
@@ -84,6 +86,7 @@ class Tmc5160Driver(Driver):
 
     DONE: ClassVar = "position reached"
     FINISH: ClassVar = "XTARGET"
+    FOUND: ClassVar = ("REFL", "REFR", "stall")
     HOMINGS: ClassVar = ("switch", "stall")
     chip: Any
 
@@ -253,7 +256,11 @@ class Tmc5160Driver(Driver):
         return "REFL" if left else "REFR"
 
     def _to_stall(self, direction: int, values: Mapping[str, int], timeout: float) -> str:
-        """Data sheet, pages 87 to 90: XACTUAL is 0 where the motor stalls."""
+        """Data sheet, pages 87 to 90: XACTUAL is 0 where the motor stalls.
+
+        SGT makes SG_RESULT 0 at half of what it is in free motion: so the motor stops before its field is half an electrical turn
+        ahead, where it would slip by four full steps or not, by chance.
+        """
         gconf, tstep = self.get("GCONF"), (1 << 24) // values["VMAX"]
         settings = {
             "GCONF": gconf & ~4,
@@ -263,8 +270,17 @@ class Tmc5160Driver(Driver):
         }
         for name, value in settings.items():
             self.put(name, value)
-        self._run(direction, values, SG_STOP)
-        wait_until_stopped([self.axis], timeout)
+        self._run(direction, values, 0)
+        end = self.axis.time + timeout
+        while not self.get("RAMP_STAT") & VELOCITY_REACHED and self.axis.time < end:
+            self.axis.wait(1e-3)
+        free = []
+        for _ in range(TUNING):
+            self.axis.wait(FULL_STEP * self.chip.clock_hz**-1 * tstep)
+            free.append(self.get("DRV_STATUS") & 0x3FF)
+        self.put("COOLCONF", (-round(min(free) / 2 / PER_SGT) & 0x7F) << 16)
+        self.put("SW_MODE", SG_STOP)
+        wait_until_stopped([self.axis], end - self.axis.time)
         ended = self.stopped_by()
         self.put("RAMPMODE", HOLD)
         self.put("XACTUAL", 0)

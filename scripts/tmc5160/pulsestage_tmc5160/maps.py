@@ -37,7 +37,7 @@ _GCONF = _bits(
     (15, "stop_enable", "ENCA stops all steps"), (16, "direct_mode", "currents by XTARGET"), (17, "test_mode", "test mode"),
 )  # fmt: skip
 _MODES = {0: "positioning", 1: "velocity, plus", 2: "velocity, minus", 3: "hold"}
-_RAMPMODE = (Field("mode", 1, 0, "mode", values=_MODES, silent=None),)
+_RAMPMODE = (Field("mode", 1, 0, "", values=_MODES, silent=None),)
 _GSTAT = _bits((0, "reset", "was reset"), (1, "drv_err", "driver error"), (2, "uv_cp", "charge pump undervoltage"))
 _IOIN = _bits(
     (0, "refl_step", "REFL"), (1, "refr_dir", "REFR"), (2, "encb", "ENCB"), (3, "enca", "ENCA"), (4, "drv_enn", "DRV_ENN"),

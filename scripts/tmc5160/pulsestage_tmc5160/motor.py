@@ -355,6 +355,8 @@ def conditions(c):
         c.gstat |= 2
     if c.inputs & UV_CP:
         c.gstat |= 4
+    if not measures(c):
+        c.sg = c.stall = 0
     most = c.reg[ENC_DEVIATION]
     if most and abs(c.enc - c.x) > most:
         c.enc_flags |= 2

@@ -20,6 +20,7 @@ from stage.chips import describe
 from stage.chips.describe import Fields, Said, line
 
 _FIELDS = {r.number: Fields(r) for r in MAP.registers if r.fields}
+CLEARED = [MAP.register(name).number for name in ("GSTAT", "RAMP_STAT", "ENC_STATUS")]
 _STATUS = Fields(MAP.word("SPI_STATUS"))
 
 
@@ -32,6 +33,9 @@ def register(address: int, value: int, writes: bool) -> str:
         if other is None:
             return f"no register at {address:02X}h: {'nothing changes' if writes else 'reads 0'}"
         return f"{other.name} can only be {'read' if writes else 'written'}"
+    if writes and address in CLEARED:
+        named = ", ".join(f.name for f in r.fields if f.mask & value)
+        return line(f"{r.name} <- {value & r.mask:X}h: clears {named or 'nothing'}")
     if r.fields:
         return _FIELDS[address].tell(f"{r.name} {arrow} {value & r.mask:X}h", value & r.mask)
     return line(f"{r.name} {arrow} {r.value(value)} ({r.title})")
