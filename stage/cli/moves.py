@@ -111,7 +111,7 @@ def sync(args: argparse.Namespace) -> int:
             print(report.plan)
         else:
             _only_pcl240(args, first, "automatic")
-            wanted = speeds(argparse.Namespace(**vars(args) | {"fh1": args.rate}))
+            wanted = speeds(argparse.Namespace(**vars(args) | {"fh1": args.rate}), first)
             report = drivers[first.name].line(drivers, distances, wanted._replace(s_curve=args.s_curve is not None))
         print(report)
         plot(args, report.plot)
