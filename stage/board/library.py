@@ -59,6 +59,10 @@ def include() -> Path:
 def how_to_build(path: Any = "driver.so") -> str:
     """The command that builds a library."""
     suffix = ".dylib" if platform.system() == "Darwin" else ".dll" if platform.system() == "Windows" else ".so"
+    if Path(path).suffix == ".rs":
+        return f"rustc --edition 2024 --crate-type cdylib {path} -o {Path(path).stem}{suffix}"
+    if Path(path).suffix == ".zig":
+        return f"zig build-lib -dynamic -O ReleaseSafe {path}"
     return f'cc -shared -fPIC -I"$(stage include)" {Path(path).stem}.c -o {Path(path).stem}{suffix}'
 
 
@@ -161,6 +165,8 @@ def ready(
 def check(path: str | os.PathLike) -> Path:
     """The path if there is a library for this machine. Raises LibraryError or FileError."""
     file = Path(path)
+    if file.is_dir():
+        raise FileError(f"{file} is a folder. Name a library, or the sources of one: {how_to_build()}")
     if not file.is_file():
         raise FileError(f"{file}: there is no such library. Build it: {how_to_build(file)}")
     with file.open("rb") as f:

@@ -10,7 +10,7 @@ from support.compiled_firmware import firmware
 
 from stage import Stage
 from stage.board import Board, CompileError, LibraryError, NativeHost, NoCompilerError, build, include
-from stage.board.library import how_to_build
+from stage.board.library import check, how_to_build
 from stage.errors import ArgumentError
 from stage.files import FileError
 
@@ -166,3 +166,10 @@ def test_libraries_among_the_flags_come_after_the_sources(tmp_path):
     source.write_text("#include <pulsestage.h>\nint part(void);\nPULSESTAGE_MAIN { return part(); }\n")
     library = build(source, flags=[f"-L{tmp_path}", "-lpart"])
     assert NativeHost(library, Board(Stage("xy", visuals=False))).run().code == 42
+
+
+def test_a_source_of_rust_or_zig_and_a_folder_are_told_what_to_build(tmp_path):
+    assert how_to_build("x/it.rs").startswith("rustc --edition 2024 --crate-type cdylib x/it.rs -o it.")
+    assert how_to_build("it.zig") == "zig build-lib -dynamic -O ReleaseSafe it.zig"
+    with pytest.raises(FileError, match=r"is a folder\. Name a library, or the sources of one: cc "):
+        check(tmp_path)
