@@ -36,6 +36,13 @@ __all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE", "advance", "busy", "co
 
 
 @hot
+def _halt(c):
+    """Behind the thresholds of this clock: those of the next see the speed 0."""
+    ramp.halt(c)
+    c.fresh = 1
+
+
+@hot
 def _tick(c):
     """One clock."""
     c.clock += 1
@@ -55,9 +62,9 @@ def _tick(c):
             c.ph -= STEP
             c.x = signed32(c.x + c.dir)
             if motor.step(c):
-                ramp.halt(c)
+                _halt(c)
         if c.dir and c.reg[RAMPMODE] == POSITION and c.x == c.target and c.q <= ramp.low(c):
-            ramp.halt(c)
+            _halt(c)
     bus.arrived(c)
     motor.timers(c)
     motor.conditions(c)
