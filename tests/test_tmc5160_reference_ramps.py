@@ -70,7 +70,7 @@ def test_every_move_ends_at_its_target(seed):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(100, 180))
+@pytest.mark.parametrize("seed", range(100, 124))
 def test_every_move_of_many_ends_at_its_target(seed):
     _arrives(seed, 40, 90)
 
@@ -142,16 +142,3 @@ def test_the_sheets_turn_to_the_left():
     ]  # fmt: skip
     assert peak == 71_224
     assert chip.mscnt == 0
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("ramp", "clocks"),
-    [
-        ((1, 25000, 250000, 5000, 1000, 5000, 50000, 10), 18_312_311),
-        ((950, 100, 0, 500, 1000, 500, 100, 970), 16_777_941),
-    ],
-)
-def test_moves_that_users_measured(ramp, clocks):
-    chip = ready(**dict(zip("VSTART A1 V1 AMAX VMAX DMAX D1 VSTOP".split(), ramp, strict=True)), XTARGET=1000)
-    assert until(chip, lambda: chip.dir == 0, 20_000_000) == clocks
