@@ -1,6 +1,6 @@
 """The bus target: bytes as a host's doings on any chip.
 
-The first byte is the chip, by its place in CHIPS; then come operations, `kind` in three bits of a byte, `low` in the lower five:
+The first byte is the chip, by its place in ORDER; then come operations, `kind` in three bits of a byte, `low` in the lower five:
 
     0 to 3    bus writes, as the family says           5    a bus read, or with low = 31 the /RESET pin
     4         an input pin turns, as the family says    6    2^low clocks    7    (256 + the next byte) 2^low / 256 clocks
@@ -24,6 +24,10 @@ from stage.chips.nova import Nova
 from stage.chips.pcl240 import PCL240
 from stage.native import COMPILED
 
+ORDER = (
+    "PCL240K", "PCL240MK", "PCL240MS", "MCX514", "MCX304", "MCX302", "MCX312", "HCTL1100", "MCX512", "MCX501", "MCX314AS",
+)  # fmt: skip
+"""Chips by the first byte of an input. A new one goes to the end: inputs that were found stay those of their chip."""
 FAMILIES: dict[type[Chip], type[Family]] = {PCL240: Pcl240, Nova: NovaFamily, HCTL1100: HctlFamily}
 SECONDS_PER_ADVANCE = 5.0  # compiled, however busy the machine; 2^32 clocks take milliseconds
 TRACED = 1 << 16  # clocks: the twin's longer advances are not traced pulse by pulse
@@ -39,7 +43,7 @@ class Bus:
 
     def __init__(self, counts: Counts | None = None, budget: int | None = None, only: str | None = None) -> None:
         """`budget`: events that the work of one input may have; it ends there. `only`: the chip whose inputs are checked."""
-        self.families = [family_of(chip) for chip in CHIPS.values()]
+        self.families = [family_of(CHIPS[name]) for name in ORDER]
         self.only = chip_class(only) if only else None
         self.counts = Counts() if counts is None else counts
         self.budget, self.digest = budget, hashlib.sha256()

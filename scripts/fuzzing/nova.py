@@ -10,11 +10,11 @@ import numpy as np
 
 from fuzzing.family import Family, Values, Work
 from fuzzing.promises import Finding, demand
-from fuzzing.rows import finite
+from fuzzing.rows import finite, record
 from stage.chips import Chip
 from stage.chips.chip import Pins
 from stage.chips.journal import Journal
-from stage.chips.nova import MCX312, MCX514, core, state
+from stage.chips.nova import MCX514, core, held, state
 from stage.chips.nova.functions import split_pulse, timer
 from stage.chips.nova.interpolation import circle as circular
 from stage.chips.nova.interpolation import line as linear
@@ -33,6 +33,14 @@ FEW = 2000  # pulses: the edges of more are not looked for one by one
 SHARED_PINS = ("lmt_plus", "lmt_minus", "stop0", "stop1", "stop2")
 OWN_PINS = (("inpos", "alarm", "pio0"), ("eca", "ecb", "pio4"), ("inpos", "alarm", "pio1"), ("alarm", "pio5", "pio2"))
 """Of each axis, so that five bits tell them all; EMG of the chip takes the place of the very last one."""
+FIRST_GENERATION = {
+    "pio0": "exp_plus",
+    "pio1": "exp_plus",
+    "pio2": "exp_plus",
+    "pio4": "exp_minus",
+    "pio5": "exp_minus",
+}
+"""Pins in place of those that it has not."""
 MODES_514 = ((2, (0, 0x0800, 0x1800, 0x2800, 0xA800, 0x0AAA, 0x0880, 0x0A0A)), (3, (0, 4, 6, 1, 0x2000, 2, 0x1000, 5)))
 MODES_304 = ((2, (0, 4, 1, 3, 0x2000, 0x8000, 0x0018, 0)), (3, (0, 4, 6, 1, 0x20, 2, 0x100, 5)))
 SPEEDS_514 = (1, 100, 4000, 20_000, 100_000, 1_000_000, 4_000_000, 8_000_000)
@@ -40,8 +48,7 @@ SPEEDS_304 = (1, 2, 50, 400, 1000, 3000, 5000, 8000)
 RATES = (1, 1000, 100_000, 1_000_000, 10_000_000, 100_000_000, 400_000_000, 536_870_911)
 RANGES = (8_000_000, 800_000, 80_000, 16_000)
 STARTS_514 = ("DRVRL", "DRVNR", "DRVVP", "DRVVM", "DRVAB", "HMSRC", "LHK2", "LHK3", "CHKCW", "CHKCCW", "BHK2", "HLCW")
-STARTS_304 = ("F_DRV_P", "F_DRV_M", "C_DRV_P", "C_DRV_M")
-STARTS_312 = (*STARTS_304, "IP_2ST", "IP_CW", "IP_CCW", "IP_2BP")
+STARTS_300 = ("F_DRV_P", "F_DRV_M", "C_DRV_P", "C_DRV_M", "IP_2ST", "IP_CW", "IP_CCW", "IP_2BP", "IP_3ST", "IP_3BP")
 INTERPOLATION_AXES = (0x03, 0x07, 0x0F, 0x05, 0x43, 0x87, 0x103, 0x203)  # IPM
 
 
@@ -49,6 +56,7 @@ INTERPOLATION_AXES = (0x03, 0x07, 0x0F, 0x05, 0x43, 0x87, 0x103, 0x203)  # IPM
 def counted_core() -> Work:
     """The core's functions between two events, wrapped once to be counted: `calls` of _settle; `steps`: what may cause one."""
     work = Work()
+    held.Held._record_copy = lambda self: record(self._record, state.STATE)  # type: ignore[method-assign]
 
     def counting(module: Any, name: str, calls: int = 0, steps: int = 0) -> None:
         function = getattr(module, name)
@@ -78,7 +86,8 @@ class NovaFamily(Family):
         self.new = issubclass(chip, MCX514)
         self.codes = sorted(chip.MAP.by_code)
         self.all = (1 << chip.AXES) - 1
-        self.starts = STARTS_514 if self.new else STARTS_312 if issubclass(chip, MCX312) else STARTS_304
+        self.symbols = {command.symbol for command in chip.MAP.commands}
+        self.starts = tuple(filter(self.symbols.__contains__, STARTS_514 if self.new else STARTS_300))
 
     # --- bytes as bus writes ---
 
@@ -123,10 +132,11 @@ class NovaFamily(Family):
             values = {
                 "SV": sv, "V": dv, "A": 1 + rate * 31, "D": 1 + speeds * 31, "K": 1 + rate * 15, "P": pulses & 0xFFFFF,
             }  # fmt: skip
-            if self.chip is MCX312:
+            if "C" in self.symbols:
                 values |= {"P": pulses, "C": centre}
         for name, value in (common | values).items():
-            writes += self._data(self._code(name), value, axes)
+            if name in self.symbols:
+                writes += self._data(self._code(name), value, axes)
         if "HK" in start or start.startswith("HL"):
             writes += self._data(self._code("IPM"), INTERPOLATION_AXES[order >> 5], 0)
             return [*writes, (0, self._code("DECEN" if order & 16 else "DECDIS")), (0, self._code(start))]
@@ -145,8 +155,12 @@ class NovaFamily(Family):
             return chip.read_byte(address)
         return chip.read(address)
 
+    def _pins(self, pins: Pins, k: int) -> list[str]:
+        names = (*SHARED_PINS, *OWN_PINS[k])
+        return [name if hasattr(pins, name) else FIRST_GENERATION[name] for name in names]
+
     def pins(self, chip: Chip) -> list[tuple[Pins, str]]:
-        found = [(axis.pins, name) for k, axis in enumerate(chip.axes) for name in (*SHARED_PINS, *OWN_PINS[k])]
+        found = [(axis.pins, name) for k, axis in enumerate(chip.axes) for name in self._pins(axis.pins, k)]
         found[-1] = (Pins(chip, chip.AXES, state.COMMON_INPUTS, state.COMMON_OUTPUTS), "emg")
         return found
 

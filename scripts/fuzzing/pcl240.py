@@ -29,7 +29,7 @@ RAMPING = sum(RAMPS)
 def counted_core() -> Work:
     """The core's functions between two events, wrapped once to be counted."""
     work = Work()
-    span, cruise, climb, next_step = motion.span, motion._cruise, motion._climb, motion.next_step
+    span, cruise, climb, took_step = motion.span, motion._cruise, motion._climb, motion.took_step
 
     def counting_span(c, n):
         work.spend()
@@ -47,12 +47,12 @@ def counted_core() -> Work:
         work.calls += 1
         climb(c, until)
 
-    def counting_next_step(c):
+    def counting_took_step(c):
         work.spend()  # a climb's step is due; what counts is that one call takes many
-        next_step(c)
+        took_step(c)
 
     motion.span, core.span, motion._cruise = counting_span, counting_span, counting_cruise
-    motion._climb, motion.next_step = counting_climb, counting_next_step
+    motion._climb, motion.took_step = counting_climb, counting_took_step
     return work
 
 

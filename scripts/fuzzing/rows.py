@@ -48,6 +48,25 @@ class Row:
         setattr(self, name, value)
 
 
+def record(row: Row, dtype: np.dtype) -> np.ndarray:
+    """An array of one, of the same content."""
+    rows = np.zeros(1, dtype)
+    _fill(rows[0], row)
+    return rows
+
+
+def _fill(to: Any, row: Row) -> None:
+    for name in to.dtype.names:
+        value = getattr(row, name)
+        if isinstance(value, Row):
+            _fill(to[name], value)
+        elif isinstance(value, list) and value and isinstance(value[0], Row):
+            for inner, own in zip(to[name], value, strict=True):
+                _fill(inner, own)
+        else:
+            to[name] = value
+
+
 def _own(value: Any) -> Any:
     if value.dtype.names:
         return Row(value) if value.ndim == 0 else [Row(inner) for inner in value]
