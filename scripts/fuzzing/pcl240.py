@@ -21,6 +21,7 @@ PIN = core.INPUTS | {name: bit << 8 for name, bit in core.OUTPUTS.items()}
 FEW = 5000  # pulses: the edges of more are not looked for one by one
 STATUS = {0x80: "irq", 0x40: "hold", 0x20: "fkeep", 0x10: "lt", 0x08: "zero", 0x02: "org", 0x01: "ins"}
 LOW, SD = 0xC0, 0x04  # bits that are 0 with the pin asserted; the bit of the SD switch ahead
+ORG, ORG_LOGIC = 0x02, 1 << 23  # of the status; the bit of an MS' R13 that turns it round
 RAMPS = {PIN["fup"], PIN["fkeep"], PIN["fdown"]}
 RAMPING = sum(RAMPS)
 
@@ -88,6 +89,8 @@ class Pcl240(Family):
         c, status = chip.state, values["status"]
         pins = chip.input_word(0) | chip.output_word(0) << 8
         right = sum(bit for bit, pin in STATUS.items() if pins & PIN[pin]) ^ LOW
+        if values.get("R13", 0) & ORG_LOGIC:
+            right ^= ORG
         right |= SD if pins & PIN["sd_minus" if c["minus"] else "sd_plus"] else 0
         if status != right:
             raise Finding(f"status {status:02X}h, but the pins say {right:02X}h")
