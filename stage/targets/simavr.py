@@ -58,6 +58,8 @@ _PC = re.compile(r"PC=([0-9a-f]{4,})|\*\*\* ([0-9a-f]{4,}):")
 _LOGGER = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int, ctypes.c_char_p, ctypes.c_void_p)
 _NOTHING = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_uint32)
 _BIND = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_int, ctypes.c_void_p, ctypes.c_uint32)
+_MALLOC = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_size_t)
+_ADDRESSES = 0x10000  # bytes that an AVR's data address reaches
 
 
 class _Eeprom(ctypes.Structure):
@@ -95,7 +97,9 @@ class _Library:
         self.said: list[tuple[int, str]] = []
         self.runs: Any = None  # the AVR record of what runs
         self.gdb_port = 0
+        self._reserve = 0
         libc = ctypes.CDLL(None)
+        libc.malloc.restype, libc.malloc.argtypes = ctypes.c_void_p, (ctypes.c_size_t,)
         room = ctypes.create_string_buffer(1024)
 
         def logged(_avr: int, level: int, text: bytes, arguments: int) -> None:
@@ -111,13 +115,25 @@ class _Library:
             given = family + struct.pack("!H", self.gdb_port) + bytes((127, 0, 0, 1)) + bytes(8)
             return int(libc.bind(socket, given, size))
 
-        self._kept = (_LOGGER(logged), _NOTHING(lambda _: 0), _BIND(bind))
+        def malloc(size: int) -> int | None:
+            return libc.malloc(size + self._reserve)
+
+        self._kept = (_LOGGER(logged), _NOTHING(lambda _: 0), _BIND(bind), _MALLOC(malloc))
         addresses = [ctypes.cast(f, ctypes.c_void_p).value or 0 for f in self._kept]
         nothing = dict.fromkeys(("usleep", "printf", "__printf_chk", "puts", "putchar"), addresses[1])
-        exits.replace_calls(self.c._handle, nothing | {"bind": addresses[2]})
+        exits.replace_calls(self.c._handle, nothing | {"bind": addresses[2], "malloc": addresses[3]})
         self.c["avr_global_logger_set"](self._kept[0])
         self.make, self.getirq = self.c["avr_make_mcu_by_name"], self.c["avr_io_getirq"]
         self.make.restype = self.getirq.restype = ctypes.c_void_p
+
+    def init(self, avr: int) -> None:
+        """avr_init, with room behind the RAM: simavr says that a write is wild, and then does it, to wherever that lies in this
+        process."""
+        self._reserve = _ADDRESSES
+        try:
+            self.c["avr_init"](ctypes.c_void_p(avr))
+        finally:
+            self._reserve = 0
 
     def address(self, name: str) -> int:
         return ctypes.cast(self.c[name], ctypes.c_void_p).value or 0
@@ -142,7 +158,7 @@ class LoadedAvr:
         self._avr = self._simavr.make(program.mcu.encode())
         if not self._avr:
             raise StageError(f"this version of simavr does not know the {program.mcu}.")
-        self._c("avr_init")
+        self._simavr.init(self._avr)
         hz = program.hz or self._clock_of_elf() or USUAL_HZ
         self._pc = self._find(hz)
         self._vectors = Vectors(self._simavr.c, self._avr, _flash_of(self._avr))

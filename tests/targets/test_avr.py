@@ -1,5 +1,6 @@
 """Programs for AVRs run untouched on simavr: their pins are the bus, their time is the board's."""
 
+import ctypes
 import re
 import socket
 import threading
@@ -16,6 +17,7 @@ from stage.cli import main
 from stage.errors import ArgumentError
 from stage.targets import TargetHost, mcus
 from stage.targets.elf import AVR, Elf
+from stage.targets.simavr import _library
 
 DATA = Path(__file__).parent / "data"
 FIRMWARE = Path(__file__).parents[2] / "scripts" / "firmware"
@@ -24,10 +26,10 @@ NEAR_ORG = -0.119  # m
 needs_simavr = pytest.mark.skipif(not mcus.has_simavr(), reason=f"there is no {mcus.SIMAVR}")
 (NO_INSTRUCTION, WILD_WRITE, SLEEPS, WATCHDOG, FIGHT, INTERRUPT, FOR_EVER, NOTHING_WAKES) = range(1, 9)
 NO_ROUTINE = 10
+ADDRESS_SPACE = 0x10000  # bytes that an address of an AVR reaches; its flash and RAM are 34 KiB
 
 
 def faults(case: int, pins: str = PINS, isolated: bool = False, **options) -> TargetHost:
-    isolated |= case == WILD_WRITE  # simavr 1.6 says so, and then writes behind its memory: that of this process
     return TargetHost(DATA / "faults.avr.elf", board_of(case), mcu="atmega2560", map=pins, isolated=isolated, **options)
 
 
@@ -65,6 +67,30 @@ def test_what_ends_a_program_is_said_with_its_place(case, says):
         h.run(timeout=1)
     assert "303h R 0" in str(error.value), "after which bus cycle"
     assert not h.running
+
+
+class Mallinfo(ctypes.Structure):
+    """mallinfo2 of glibc."""
+
+    _fields_ = tuple(
+        (name, ctypes.c_size_t)
+        for name in "arena ordblks smblks hblks hblkhd usmblks fsmblks uordblks fordblks keepcost".split()
+    )
+
+    def bytes_in_use(self) -> int:
+        return self.uordblks + self.hblkhd
+
+
+@needs_simavr
+def test_a_wild_write_stays_in_memory_of_simavrs_own():
+    mallinfo = ctypes.CDLL(None).mallinfo2
+    mallinfo.restype = Mallinfo
+    simavr = _library()
+    avr = simavr.make(b"atmega328p")
+    before = mallinfo().bytes_in_use()
+    simavr.init(avr)
+    assert mallinfo().bytes_in_use() - before > ADDRESS_SPACE
+    simavr.c["avr_terminate"](ctypes.c_void_p(avr))
 
 
 @needs_simavr
