@@ -59,7 +59,8 @@ _LOGGER = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int, ctypes.c_char_p,
 _NOTHING = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_uint32)
 _BIND = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_int, ctypes.c_void_p, ctypes.c_uint32)
 _MALLOC = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_size_t)
-_ADDRESSES = 0x10000  # bytes that an AVR's data address reaches
+_CALLOC = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_size_t, ctypes.c_size_t)
+_ADDRESSES = 1 << 24  # bytes that an address of an AVR reaches, with RAMPZ before Z
 
 
 class _Eeprom(ctypes.Structure):
@@ -97,9 +98,9 @@ class _Library:
         self.said: list[tuple[int, str]] = []
         self.runs: Any = None  # the AVR record of what runs
         self.gdb_port = 0
-        self._reserve = 0
+        self._reserves = {"malloc": 0, "calloc": 0}
         libc = ctypes.CDLL(None)
-        libc.malloc.restype, libc.malloc.argtypes = ctypes.c_void_p, (ctypes.c_size_t,)
+        libc.calloc.restype, libc.calloc.argtypes = ctypes.c_void_p, (ctypes.c_size_t, ctypes.c_size_t)
         room = ctypes.create_string_buffer(1024)
 
         def logged(_avr: int, level: int, text: bytes, arguments: int) -> None:
@@ -115,25 +116,28 @@ class _Library:
             given = family + struct.pack("!H", self.gdb_port) + bytes((127, 0, 0, 1)) + bytes(8)
             return int(libc.bind(socket, given, size))
 
-        def malloc(size: int) -> int | None:
-            return libc.malloc(size + self._reserve)
+        def reserved(name: str, size: int) -> int | None:
+            room, self._reserves[name] = self._reserves[name], 0
+            return libc.calloc(1, size + room)
 
-        self._kept = (_LOGGER(logged), _NOTHING(lambda _: 0), _BIND(bind), _MALLOC(malloc))
+        malloc = _MALLOC(lambda size: reserved("malloc", size))
+        calloc = _CALLOC(lambda count, size: reserved("calloc", count * size))
+        self._kept = (_LOGGER(logged), _NOTHING(lambda _: 0), _BIND(bind), malloc, calloc)
         addresses = [ctypes.cast(f, ctypes.c_void_p).value or 0 for f in self._kept]
         nothing = dict.fromkeys(("usleep", "printf", "__printf_chk", "puts", "putchar"), addresses[1])
-        exits.replace_calls(self.c._handle, nothing | {"bind": addresses[2], "malloc": addresses[3]})
+        exits.replace_calls(
+            self.c._handle, nothing | {"bind": addresses[2], "malloc": addresses[3], "calloc": addresses[4]}
+        )
         self.c["avr_global_logger_set"](self._kept[0])
         self.make, self.getirq = self.c["avr_make_mcu_by_name"], self.c["avr_io_getirq"]
         self.make.restype = self.getirq.restype = ctypes.c_void_p
 
     def init(self, avr: int) -> None:
-        """avr_init, with room behind the RAM: simavr says that a write is wild, and then does it, to wherever that lies in this
-        process."""
-        self._reserve = _ADDRESSES
-        try:
-            self.c["avr_init"](ctypes.c_void_p(avr))
-        finally:
-            self._reserve = 0
+        """avr_init, with room behind the flash and the RAM, which it allocates first: simavr says that a write is wild, and then
+        does it, to whatever lies there."""
+        self._reserves = dict.fromkeys(self._reserves, _ADDRESSES)
+        self.c["avr_init"](ctypes.c_void_p(avr))
+        self._reserves = dict.fromkeys(self._reserves, 0)
 
     def address(self, name: str) -> int:
         return ctypes.cast(self.c[name], ctypes.c_void_p).value or 0
