@@ -85,14 +85,19 @@ def test_a_chip_that_lacks_an_answer_is_refused_with_its_name(monkeypatch, tmp_p
     (tmp_path / "half_chips.py").write_text(
         "from types import SimpleNamespace\nfrom acme_chips import ACME1000\n"
         "class HALF(ACME1000):\n    CORE = SimpleNamespace(**{**vars(ACME1000.CORE), 'window': None})\n"
+        "class LOOKS(ACME1000):\n    ENCODERS = True\n"
         "class NAMED(ACME1000):\n    pass\nOTHER = NAMED\nNONE = 3\n"
     )
     monkeypatch.syspath_prepend(tmp_path)
-    chips = {name: f"half_chips:{name}" for name in ("HALF", "OTHER", "NONE")}
+    chips = {name: f"half_chips:{name}" for name in ("HALF", "LOOKS", "OTHER", "NONE")}
     installed(monkeypatch, tmp_path / "half", "half-chips", **chips)
     said = r"chip HALF of package half-chips 1.0 .* is refused: HALF breaks the contract of chips: its core .* has no answer window"
     with pytest.raises(ArgumentError, match=said):
         Stage("xy", chips="half")
+    with pytest.raises(
+        ArgumentError, match=r"no answer scan_shaft, @exported\('i8', STATE, .*array_of\(EDGE\), array_of\('i8'\)"
+    ):
+        chip_class("looks")
     with pytest.raises(ArgumentError, match=r"OTHER .*the class is called NAMED"):
         chip_class("other")
     with pytest.raises(ArgumentError, match=r"NONE .*3 is no class below stage.chips.Chip"):

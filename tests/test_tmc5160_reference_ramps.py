@@ -131,7 +131,7 @@ def test_the_sheets_turn_to_the_left():
         chip.transfer(datagram)
     marks, peak = [], 0
     for met in (
-        lambda: speed(chip) == 50000, lambda: chip.brk, lambda: chip.q <= 50000 << 17, lambda: chip.q == 10 << 17,
+        lambda: speed(chip) == 50000, lambda: chip.brk, lambda: speed(chip) <= 50000, lambda: chip.q == 10 << 17,
         lambda: chip.dir == 0,
     ):  # fmt: skip
         clock = until(chip, met, 10_000_000)

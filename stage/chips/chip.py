@@ -10,6 +10,7 @@ A chip of a stage shares the stage's clock: there a bus cycle takes bus time, an
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import cached_property
 from types import ModuleType
@@ -293,6 +294,20 @@ class Chip:
         """Pulses begun since power-up, plus minus minus: what a drive has been given. Not readable on the bus."""
         self._check_axis(axis)
         return int(self.CORE.net.held(self.pointer, axis))
+
+    def set_shaft(self, count: float, rate: float = 0.0, axis: int = 0) -> None:
+        """An encoder is on the axis, and from now on at `count + rate * (clock - now)`: edges (between two as the family
+        rounds), edges a clock. The axis' counter follows as its mode says; where the shaft is at first counts nothing. Raises
+        ArgumentError for what is no finite number, no axis, or a chip that looks at no encoder."""
+        if not (self.ENCODERS or self.SERVO):
+            raise ArgumentError(f"set_shaft: a {type(self).__name__} looks at no encoder.")
+        if not (math.isfinite(count) and math.isfinite(rate)):
+            raise ArgumentError(f"set_shaft({count!r}, {rate!r}): a shaft is at a finite count and has a finite rate.")
+        self._check_axis(axis)
+        self._change()
+        self.CORE.set_shaft.held(self.pointer, axis, float(count), float(rate))
+        if self.open_journal is not None:
+            self.open_journal.note_shaft(self.clock, axis, count, rate)
 
     def shaft_of(self, axis: int) -> tuple[float, float]:
         """What a chip that looks at encoders was told last of an axis' shaft: count, and counts a clock."""

@@ -30,6 +30,10 @@ ANSWERS_OF_CHIPS: dict[str, tuple[Any, ...]] = {
     "scan": ("i8", "i8", "i8", "i8", "EDGE"),
 }
 """As ANSWERS, what `Chip` and journals call; PULSE, EDGE: an array of these."""
+OF_ENCODERS: dict[str, tuple[Any, ...]] = {
+    "scan_shaft": ("i8", "i8", "i8", "i8", "EDGE", *(array_of(kind) for kind in ("i8", "i8", "f8", "f8", "i8"))),
+}
+"""As ANSWERS_OF_CHIPS, of a chip whose class says ENCODERS or SERVO."""
 METHODS = {
     "register_cycles": "the bus write cycles that put a value into a register",
     "decoder": "what a journal's writes say, for recordings",
@@ -48,7 +52,7 @@ def check(chip: Any, base: type, methods: bool = True) -> None:
         return
     if not isinstance(chip, type) or not issubclass(chip, base):
         raise ArgumentError(f"{chip!r} is no class below stage.chips.Chip.")
-    problems = [*_of_class(chip), *_of_core(getattr(chip, "CORE", None))]
+    problems = [*_of_class(chip), *_of_core(getattr(chip, "CORE", None), chip)]
     problems += _of_methods(chip, base) if methods else []
     if problems:
         more = f" (and {len(problems) - 1} more: {'; '.join(problems[1:4])})" if problems[1:] else ""
@@ -96,7 +100,7 @@ def _of_methods(chip: Any, base: Any) -> list[str]:
     ]
 
 
-def _of_core(core: Any) -> list[str]:
+def _of_core(core: Any, chip: Any) -> list[str]:
     if core is None:
         return []
     found = []
@@ -112,10 +116,11 @@ def _of_core(core: Any) -> list[str]:
     if core.STATE.itemsize % 8:
         found.append(f"STATE of {_name(core)} has {core.STATE.itemsize} bytes: a multiple of 8, use 'i8' and 'f8'")
     arrays = {name: array_of(getattr(core, name)) for name in ("PULSE", "EDGE")}
-    for name, (result, *arguments) in (ANSWERS | ANSWERS_OF_CHIPS | OPTIONAL).items():
+    looks = OF_ENCODERS if chip.ENCODERS or chip.SERVO else {}
+    for name, (result, *arguments) in (ANSWERS | ANSWERS_OF_CHIPS | OPTIONAL | looks).items():
         wanted = (core.STATE, *(arrays.get(a, a) for a in arguments))
         given = getattr(core, name, None)
-        words = ", ".join([repr(result), "STATE", *(f"array_of({a})" if a in arrays else repr(a) for a in arguments)])
+        words = ", ".join([repr(result), "STATE", *(_argument(a, arrays) for a in arguments)])
         if given is None and name in OPTIONAL:
             continue
         if given is None:
@@ -123,6 +128,10 @@ def _of_core(core: Any) -> list[str]:
         elif not isinstance(given, Exported) or given.result != result or given.arguments != wanted:
             found.append(f"the answer {name} of its core {_name(core)} is not declared @exported({words})")
     return found
+
+
+def _argument(a: Any, arrays: Mapping[str, Any]) -> str:
+    return f"array_of({a})" if a in arrays else repr(a) if isinstance(a, str) else f"array_of({a.dtype.str[1:]!r})"
 
 
 def _name(core: Any) -> str:

@@ -6,7 +6,9 @@ functions and of a table of its axes, of which it may have any number.
 
 A core has the functions below, over a state in place of a CHIP, `exported` as ANSWERS says. For `Chip` alone it
 has power_up(c), advance(c, until), trace, scan and mark, see stage/chips/pcl240/core.py; one that looks at
-encoders scan_shaft as well, see stage/chips/hctl1100/core.py. A chip that is the driver of its motor has those of OPTIONAL: with
+encoders scan_shaft as well: as scan, while the shafts of `axes` are seen anew at `clocks`, in order and up to `until`, with these
+counts and rates, from number done[0] on, which goes up. It stops early as scan does: call again until done[0] is all of them and
+the clock is there. A chip that is the driver of its motor has those of OPTIONAL: with
 `current` it sets the current of the stage's motor, by `set_load` it sees the load.
 """
 
@@ -72,6 +74,8 @@ CLOCK = record([("clock", "i8")])
 WIRE_BIT = 16
 """A word of inputs has above this bit what another chip's output drives there, plus 1; 0 where no chip does."""
 WORD, REAL = np.dtype("i8"), np.dtype("f8")
+SCAN_ROOM = 8
+"""So many edges are still free where a scan stops early."""
 
 _TYPES = {types: called(types[0], "i8", *types[1:]) for types in {*ANSWERS.values(), *OPTIONAL.values()}}
 _run, _set_shaft, _set, _window = (_TYPES[ANSWERS[name]] for name in ("run", "set_shaft", "set_input", "window"))
@@ -125,6 +129,22 @@ def through(state, row, k, run, net, drive_input):
             array_at(axes[j].means, c.slices, REAL)[k] = drive_input(state, j, before[0], c.ticks)
             before[0] = net(state, j)
         k += 1
+
+
+@hot
+def scan_shafts(c, until, every_pulse, axis, out, clocks, axes, counts, rates, done, scan, set_shaft):
+    """What a core answers to `scan_shaft`; scan, set_shaft: its own."""
+    k = 0
+    while k < len(out) - SCAN_ROOM:
+        n = done[0]
+        while n < len(clocks) and clocks[n] <= c.clock:
+            set_shaft(c, axes[n], counts[n], rates[n])
+            n += 1
+        done[0] = n
+        if c.clock >= until:
+            return k
+        k += scan(c, clocks[n] if n < len(clocks) else until, every_pulse, axis, out[k:])
+    return k
 
 
 @hot

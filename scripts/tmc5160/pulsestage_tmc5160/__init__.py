@@ -11,11 +11,11 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
-from pulsestage_tmc5160 import core, lint
+from pulsestage_tmc5160 import core, encoder, lint
 from pulsestage_tmc5160.maps import ADDRESSES, M32, M40, MAP, MOTION, SPI_DATAGRAM
 from pulsestage_tmc5160.words import Decoder, Listener
 from stage.chips.chip import Chip
-from stage.errors import ArgumentError
+from stage.errors import ArgumentError, StageError
 
 __all__ = ["TMC5160"]
 
@@ -31,7 +31,8 @@ class TMC5160(Chip):
     CORE: ClassVar = core
     INPUTS: ClassVar = core.INPUTS
     OUTPUTS: ClassVar = core.OUTPUTS
-    WIRING: ClassVar = {"el_plus": "refr", "el_minus": "refl"}
+    WIRING: ClassVar = {"el_plus": "refr", "el_minus": "refl", "ez": "encn"}
+    ENCODERS: ClassVar = True
     WIRES: ClassVar = {"diag0": ("DIAG0_n", 0), "diag1": ("DIAG1_n", 0), "drv_enn": ("DRV_ENN", 1)}
     MICROSTEPS: ClassVar = 256
     LAYOUT: ClassVar = "pulsestage_tmc5160.layout:SPI"
@@ -81,6 +82,14 @@ class TMC5160(Chip):
         if self.attached or not (0 <= lam <= 1024 and 0 <= emf <= 1024):
             raise ArgumentError(f"set_load({lam!r}, {emf!r}): 0 to 1024 each, of a chip on no stage.")
         core.load.held(self.pointer, int(lam), int(emf))
+
+    def set_input_word(self, axis: int, word: int) -> None:
+        if self._plain["fed"] and (word ^ self.input_word(axis)) & encoder.PINS:
+            raise StageError("ENCA and ENCB are those of the axis' encoder, and cannot be driven by hand.")
+        super().set_input_word(axis, word)
+
+    def shaft_of(self, axis: int) -> tuple[float, float]:
+        return float(self.state["shaft"]), float(self.state["shaft_rate"])
 
     @property
     def amplitude(self) -> float:

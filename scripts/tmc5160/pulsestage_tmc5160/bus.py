@@ -11,7 +11,7 @@ Addresses 0 to 7Fh are the registers, for whoever has no SPI to play. A host wit
 
 from __future__ import annotations
 
-from pulsestage_tmc5160 import motor, ramp, switches
+from pulsestage_tmc5160 import encoder, power, ramp, sequencer, speeds, stallguard
 from pulsestage_tmc5160.maps import (
     M32,
     M40,
@@ -42,11 +42,13 @@ from pulsestage_tmc5160.state import (
     EVENT_SG,
     GCONF,
     GSTAT,
+    HIGH,
     IHOLD_IRUN,
     IOIN,
     MSCNT,
     MSCURACT,
     NEVER,
+    OTPW,
     POSITION_REACHED,
     PWM_AUTO,
     PWMCONF,
@@ -63,6 +65,7 @@ from pulsestage_tmc5160.state import (
     UNIT,
     VACTUAL,
     VELOCITY_REACHED,
+    VHIGHFS,
     VMAX,
     VZERO,
     X_COMPARE,
@@ -99,7 +102,7 @@ def power_up(c):
     for k in range(REGISTERS):
         c.reg[k] = RESET[k]
     c.clock, c.hz, c.rsense, c.inputs, c.net = clock, hz, rsense, inputs, net
-    switches.wake(c)
+    encoder.wake(c)
     c.answer = FIRST
 
 
@@ -118,13 +121,25 @@ def ramp_stat(c):
     word |= (EVENT_L if _event(c, c.left, -1) else 0) | (EVENT_R if _event(c, c.right, 1) else 0)
     word |= VELOCITY_REACHED if c.q >> UNIT == c.reg[VMAX] else 0
     word |= (POSITION_REACHED if c.reached else 0) | (0 if c.q else VZERO) | (ZEROWAIT if c.zw else 0)
-    return word | (STATUS_SG if c.stall and motor.window(c) else 0)
+    return word | (STATUS_SG if c.stall and speeds.window(c) else 0)
+
+
+@hot
+def drv_status(c):
+    """DRV_STATUS."""
+    word = c.sg | c.cs << 16 | c.stall << 24
+    word |= 1 << 14 if speeds.stealth(c) else 0
+    word |= 1 << 15 if c.speeds & HIGH and c.reg[CHOPCONF] & VHIGHFS else 0
+    word |= (c.shorts >> 8 & 3) << 27 | (c.shorts >> 10 & 3) << 12
+    word |= (1 << 25 if c.hot else 0) | (1 << 26 if c.inputs & OTPW else 0)
+    word |= (c.inputs >> 14 & 3) << 29
+    return word | (1 << 31 if power.stands(c) else 0)
 
 
 @hot
 def spi_status(c):
     word = ramp_stat(c)
-    driver = motor.status(c)
+    driver = drv_status(c)
     return (
         (word & 1) << 6 | (word >> 1 & 1) << 7 | (word >> 9 & 1) << 5 | (word >> 8 & 1) << 4
         | (driver >> 31) << 3 | (driver >> 24 & 1) << 2 | (c.gstat >> 1 & 1) << 1 | c.gstat & 1
@@ -134,7 +149,7 @@ def spi_status(c):
 @hot
 def drives(c):
     """A drive is in progress, or begins at the next clock."""
-    return 1 if c.dir or (not motor.gated(c) and ramp.starts(c)) else 0
+    return 1 if c.dir or (not speeds.gated(c) and ramp.starts(c)) else 0
 
 
 @hot
@@ -170,7 +185,7 @@ def register(c, a):
     if a == IOIN:
         return VERSION | c.inputs & 0x3F
     if a == TSTEP:
-        return motor.tstep(c, c.q)
+        return speeds.tstep(c, c.q)
     if a == XACTUAL:
         return c.x & M32
     if a == XTARGET:
@@ -190,9 +205,9 @@ def register(c, a):
     if a == MSCNT:
         return c.mscnt
     if a == MSCURACT:
-        return motor.sine(c.mscnt) & 0x1FF | (motor.sine(c.mscnt + 256) & 0x1FF) << 16
+        return sequencer.sine(c.mscnt) & 0x1FF | (sequencer.sine(c.mscnt + 256) & 0x1FF) << 16
     if a == DRV_STATUS:
-        return motor.status(c)
+        return drv_status(c)
     if a == PWM_AUTO:
         return c.reg[PWMCONF] & 0xFF | (c.reg[PWMCONF] >> 8 & 0xFF) << 16
     return c.reg[a]
@@ -231,10 +246,10 @@ def write_register(c, a, value):
         if a == RAMPMODE:
             c.brk = 0
         elif a == IHOLD_IRUN:
-            motor.currents_written(c)
+            power.currents_written(c)
     if a == CHOPCONF and value & 15 == 0:
         c.shorts = 0
-    motor.settle(c)
+    stallguard.settle(c)
     arrived(c)
 
 

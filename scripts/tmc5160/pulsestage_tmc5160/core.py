@@ -3,7 +3,7 @@ in between but steps."""
 
 from __future__ import annotations
 
-from pulsestage_tmc5160 import bus, motor, ramp, switches
+from pulsestage_tmc5160 import bus, encoder, power, ramp, sequencer, speeds, stallguard, switches
 from pulsestage_tmc5160.state import (
     EDGE,
     ENC_DEVIATION,
@@ -16,11 +16,14 @@ from pulsestage_tmc5160.state import (
     SHAFT,
     STATE,
     STEP,
+    TCOOLTHRS,
+    THIGH,
+    TPWMTHRS,
     X_COMPARE,
     mres,
     signed32,
 )
-from stage.chips.cores import through
+from stage.chips.cores import scan_shafts, through
 from stage.drives.trig import sincos
 from stage.native import array_of, exported, hot, least
 
@@ -28,11 +31,11 @@ ROOM = 8
 M32 = (1 << 32) - 1
 LONGEST = 1 << 20  # clocks of a leap with changing speed: the way still fits 63 bits
 FINE = 1 << 13  # clocks of a ramp between two edges of a course
-WATCH, EACH = 1, 2  # a leap ends before a step to or from X_COMPARE; before every step
+WATCH, EACH, EDGES = 1, 2, 4  # a leap ends before a step to or from X_COMPARE; every step; every edge of the encoder
 
 __all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE", "advance", "busy", "counter", "current", "drive_input", "inputs", "mark",
            "net", "outputs", "peek", "power_up", "pulse_rate", "read", "register", "run", "scan", "set_input", "set_load",
-           "set_shaft", "status", "trace", "window", "write"]  # fmt: skip
+           "scan_shaft", "set_shaft", "status", "trace", "window", "write"]  # fmt: skip
 
 
 @hot
@@ -48,26 +51,30 @@ def _tick(c):
     c.clock += 1
     c.fresh = 0
     switches.look(c)
+    encoder.look(c)
     goes = False
-    if motor.gated(c):
+    if speeds.gated(c):
         pass
     elif c.zw > 0:
         c.zw -= 1
     else:
         goes = ramp.speed(c) and c.q > 0
-    motor.settle(c)
+    stallguard.settle(c)
     if goes:
         c.ph += c.q
         if c.ph >= STEP:
             c.ph -= STEP
             c.x = signed32(c.x + c.dir)
-            if motor.step(c):
+            if stallguard.step(c):
                 _halt(c)
         if c.dir and c.reg[RAMPMODE] == POSITION and c.x == c.target and c.q <= ramp.low(c):
             _halt(c)
     bus.arrived(c)
-    motor.timers(c)
-    motor.conditions(c)
+    power.timers(c)
+    power.faults(c)
+    stallguard.blind(c)
+    if encoder.deviates(c):
+        c.enc_flags |= encoder.DEVIATION
 
 
 @hot
@@ -81,7 +88,7 @@ def _even(c, test, delta, m, most_steps, thresholds):
     """Nothing happens within m clocks but steps."""
     if _steps(c, delta, m) >= most_steps:
         return False
-    if thresholds and delta and motor.speeds_at(c, c.q + delta * m) != c.speeds:
+    if thresholds and delta and speeds.speeds_at(c, c.q + delta * m) != c.speeds:
         return False
     return ramp.holds(c, test, delta, m, _steps(c, delta, m - 1) if test == ramp.FALLING or test == ramp.SLOWING else 0)
 
@@ -95,10 +102,10 @@ def _most_steps(c, watch):
         n = abs(ramp.away(c))
         if ramp.wanted(c) != c.dir:
             most = least(most, (1 << 31) - n)
-    if motor.measures(c):
-        most = least(most, motor.steps_to_full(c))
+    if stallguard.measures(c):
+        most = least(most, sequencer.steps_to_full(c))
     limit = c.reg[ENC_DEVIATION]
-    if limit and not c.enc_flags & 2:
+    if limit and not c.enc_flags & encoder.DEVIATION:
         most = least(most, limit - (c.x - c.enc) * c.dir + 1)
     if watch & EACH:
         return 1
@@ -113,8 +120,12 @@ def _leap(c, until, watch):
     """Many clocks at once, up to `until`. Returns how many; 0 where it takes `_tick`."""
     if c.fresh:
         return 0
-    m = least(until, motor.next_timer(c)) - c.clock
-    if motor.gated(c):
+    m = least(until, power.next_timer(c)) - c.clock
+    if encoder.watched(c) or (c.fed and watch & EDGES):
+        m = least(m, encoder.next_edge(c) - c.clock - 1)
+        if m == 0:
+            return 0
+    if speeds.gated(c):
         c.clock += m
         return m
     if c.zw > 0:
@@ -133,7 +144,7 @@ def _leap(c, until, watch):
     m = least(m, most)
     m = least(m, LONGEST) if delta or c.q == 0 else least(m, ((1 << 61) - c.ph) // c.q)
     most_steps = _most_steps(c, watch)
-    thresholds = c.reg[motor.TPWMTHRS] | c.reg[motor.TCOOLTHRS] | c.reg[motor.THIGH]
+    thresholds = c.reg[TPWMTHRS] | c.reg[TCOOLTHRS] | c.reg[THIGH]
     if not _even(c, test, delta, m, most_steps, thresholds):
         low = 0
         while m - low > 1:
@@ -162,7 +173,7 @@ def _go(c, delta, m):
                 low = middle
         c.x = signed32(c.x + c.dir * k)
         c.reached = 0
-        motor.steps(c, k, c.clock + high)
+        sequencer.steps(c, k, c.clock + high)
     c.ph = (c.ph + m * c.q + delta * (m * (m + 1) // 2)) & (STEP - 1)
     c.q += delta * m
     c.clock += m
@@ -172,7 +183,9 @@ def _go(c, delta, m):
 def _on(c, until, watch):
     """To the next event, `until` at the latest."""
     if _leap(c, until, watch):
-        motor.timers(c)
+        if c.fed:
+            encoder.catch_up(c)
+        power.timers(c)
     else:
         _tick(c)
 
@@ -195,13 +208,14 @@ def window(c, row, k):
 
 @exported(None, STATE, "i8", "f8", "f8")
 def set_shaft(c, j, count, rate):
-    """An encoder comes by the pins enca, encb and encn."""
+    """An encoder is at ENCA and ENCB, at `count` edges now and `rate` a clock."""
+    encoder.set_shaft(c, count, rate)
 
 
 @exported("f8", STATE, "i8")
 def current(c, j):
     """Amplitude of the phase currents, A."""
-    return motor.amplitude(c)
+    return power.amplitude(c)
 
 
 @exported("i8", STATE, "i8", "f8", "f8")
@@ -212,13 +226,13 @@ def set_load(c, j, angle, emf):
     way = -c.dir if c.reg[GCONF] & SHAFT else c.dir
     sin *= way
     lam = 1024 if cos <= 0.0 else int(1024.0 * sin + 0.5) if sin > 0.0 else 0
-    return motor.sample_load(c, lam, int(1024.0 * (emf if emf < 1.0 else 1.0) + 0.5))
+    return stallguard.sample_load(c, lam, int(1024.0 * (emf if emf < 1.0 else 1.0) + 0.5))
 
 
 @exported(None, STATE, "i8", "i8")
 def load(c, lam, emf):
     """The load, 0 to 1024 each, for a chip on no stage."""
-    motor.load(c, lam, emf)
+    stallguard.load(c, lam, emf)
 
 
 @exported("i8", STATE, "i8")
@@ -237,7 +251,7 @@ def drive_input(c, j, before, ticks):
 def _rate(c):
     """Of the field, 1/256 full steps a clock."""
     way = -c.dir if c.reg[GCONF] & SHAFT else c.dir
-    return 0.0 if motor.gated(c) else way * float(c.q) * (1 << mres(c)) / float(STEP)
+    return 0.0 if speeds.gated(c) else way * float(c.q) * (1 << mres(c)) / float(STEP)
 
 
 @exported("f8", STATE, "i8", "f8")
@@ -260,7 +274,9 @@ def inputs(c, j):
 
 @exported(None, STATE, "i8", "i8")
 def set_input(c, j, word):
-    """Set the pin levels. They act at the next clock; DRV_ENN at once."""
+    """Set the pin levels, but for A and B of an encoder whose shaft is known. They act at the next clock; DRV_ENN at once."""
+    if c.fed:
+        word = word & ~encoder.PINS | c.inputs & encoder.PINS
     if word != c.inputs:
         c.inputs, c.fresh = word, 1
 
@@ -359,13 +375,23 @@ def mark(c, axis, out, k):
 
 @exported("i8", STATE, "i8", "i8", "i8", array_of(EDGE))
 def scan(c, until, every_pulse, axis, out):
-    """As advance, and fills `out` (EDGE records) with the changes of speed and pins, with `every_pulse` with every step. Returns
-    how many; stops early when `out` is almost full: look at the clock and call again."""
+    """As advance, and fills `out` (EDGE records) with the changes of speed and pins, with `every_pulse` with every step and every
+    edge of an encoder whose shaft is known. Returns how many; stops early when `out` is almost full: look at the clock and call
+    again."""
     k = 0
     while c.clock < until and k < len(out) - ROOM:
-        word, rate, at = bus.outputs(c), _rate(c), c.x
-        _on(c, least(until, c.clock + FINE) if c.dir else until, EACH if every_pulse else WATCH)
-        if bus.outputs(c) != word or _rate(c) != rate or (every_pulse and c.x != at):
+        word, rate, at, pins = bus.outputs(c), _rate(c), c.x, c.inputs
+        _on(c, least(until, c.clock + FINE) if c.dir else until, EACH | EDGES if every_pulse else WATCH)
+        if bus.outputs(c) != word or _rate(c) != rate or (every_pulse and (c.x != at or c.inputs != pins)):
             mark(c, axis, out, k)
             k += 1
     return k
+
+
+@exported(
+    "i8", STATE, "i8", "i8", "i8", array_of(EDGE),
+    array_of("i8"), array_of("i8"), array_of("f8"), array_of("f8"), array_of("i8"),
+)  # fmt: skip
+def scan_shaft(c, until, every_pulse, axis, out, clocks, axes, counts, rates, done):
+    """As scan, while the shaft is seen anew at `clocks`, see stage/chips/cores.py."""
+    return scan_shafts(c, until, every_pulse, axis, out, clocks, axes, counts, rates, done, scan, set_shaft)

@@ -11,8 +11,10 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, ClassVar, NoReturn
 
+from pulsestage_tmc5160.encoder import DECIMAL
 from pulsestage_tmc5160.maps import M32, NUMBER
-from pulsestage_tmc5160.motor import FULL_SCALE, PER_SGT
+from pulsestage_tmc5160.power import FULL_SCALE
+from pulsestage_tmc5160.stallguard import PER_SGT
 from pulsestage_tmc5160.state import (
     EVENT_L,
     EVENT_POS,
@@ -79,6 +81,25 @@ def current_registers(amplitude: float, rsense: float, hold: float = 0.5) -> dic
         "IHOLD_IRUN": IHOLDDELAY << 16 | irun << 8 | ihold,
         "TPOWERDOWN": TPOWERDOWN,
     }
+
+
+def encoder_registers(edges_per_turn: float, full_steps: int = 200) -> dict[str, int]:
+    """ENC_CONST and ENCMODE by which X_ENC counts as XACTUAL does: steps of an encoder on the motor with so many edges a turn (four
+    a line; below 0 it turns the other way). The decimal fraction where only that is exact; else ENC_CONST is the nearest.
+
+    Raises ArgumentError for an encoder that no factor suits.
+    """
+    if isinstance(edges_per_turn, bool) or not isinstance(edges_per_turn, int | float) or not abs(edges_per_turn) >= 2:
+        raise ArgumentError(f"encoder_registers({edges_per_turn!r}): a number of edges a turn, four a line, 2 or more.")
+    factor = full_steps * 256 / edges_per_turn
+    if not 2**-16 <= abs(factor) < 2**15:
+        raise ArgumentError(
+            f"{edges_per_turn:g} edges a turn: {factor:g} steps an edge; ENC_CONST takes 0.000015 to 32,767, either sign."
+        )
+    parts = {DECIMAL: 10_000, 0: 65_536}
+    mode = min(parts, key=lambda mode: (abs(factor * parts[mode] - round(factor * parts[mode])) > 1e-9, mode))
+    whole, part = divmod(round(factor * parts[mode]), parts[mode])
+    return {"ENC_CONST": (whole & 0xFFFF) << 16 | part, "ENCMODE": mode}
 
 
 class Tmc5160Driver(Driver):

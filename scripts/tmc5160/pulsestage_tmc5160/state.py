@@ -42,6 +42,11 @@ STATE = record(
         ("enc_met", "i8"),  # the condition of N: 1 as last seen, 2 its event is over
         ("enc_latch", "i8"),
         ("enc_flags", "i8"),  # ENC_STATUS
+        ("fed", "i8"),  # somebody tells where the encoder's shaft is
+        ("edge", "i8"),  # the last that it has passed
+        ("seen", "i8"),  # clock at which it was at `shaft`
+        ("shaft", "f8"),  # edges
+        ("shaft_rate", "f8"),  # edges a clock
         # sequencer and current
         ("mscnt", "i8"),
         ("net", "i8"),  # field, 1/256 full steps since power-up

@@ -10,7 +10,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any, ClassVar
 
 import numpy as np
@@ -19,7 +18,6 @@ from stage.chips.chip import Chip
 from stage.chips.hctl1100 import core, lint
 from stage.chips.hctl1100.describe import Decoder, Listener
 from stage.chips.hctl1100.maps import ACTUAL_LOW, ADDRESSES, MAP, NUMBERS, STATUS
-from stage.errors import ArgumentError
 
 __all__ = ["HCTL1100"]
 
@@ -89,16 +87,6 @@ class HCTL1100(Chip):
         """Counts that came faster than one in three clocks, plus minus minus: the encoder's input filter lets none of them
         through, and the shaft is so far ahead of the count."""
         return core.lost.held(self.pointer)
-
-    def set_shaft(self, count: float, rate: float = 0.0) -> None:
-        """From now on the shaft is at `count + rate * (clock - now)`: encoder counts (a position between two counts shows the lower
-        one), counts a clock. Raises ArgumentError for what is no finite number."""
-        if not (math.isfinite(count) and math.isfinite(rate)):
-            raise ArgumentError(f"set_shaft({count!r}, {rate!r}): a shaft is at a finite count and has a finite rate.")
-        self._change()
-        core.set_shaft.held(self.pointer, 0, float(count), float(rate))
-        if self.open_journal is not None:
-            self.open_journal.note_shaft(self.clock, 0, count, rate)
 
     @property
     def shaft(self) -> tuple[float, float]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stage.chips.cores import through
+from stage.chips.cores import scan_shafts, through
 from stage.chips.hctl1100 import bus, commutator, encoder, motor, timer
 from stage.chips.hctl1100 import filter as law
 from stage.chips.hctl1100.maps import ADDRESSES, PROPORTIONAL_HIGH, PROPORTIONAL_LOW, RING
@@ -250,16 +250,5 @@ def scan(c, until, every_pulse, axis, out):
     array_of("i8"), array_of("i8"), array_of("f8"), array_of("f8"), array_of("i8"),
 )  # fmt: skip
 def scan_shaft(c, until, every_pulse, axis, out, clocks, axes, counts, rates, done):
-    """As scan, while the shafts of `axes` are seen anew at `clocks`, in order and up to `until`, with these counts and rates, from
-    number done[0] on, which goes up. Stops early as scan does: call again until done[0] is all of them and the clock is there."""
-    k = 0
-    while k < len(out) - ROOM:
-        n = done[0]
-        while n < len(clocks) and clocks[n] <= c.clock:
-            encoder.set_shaft(c, counts[n], rates[n])
-            n += 1
-        done[0] = n
-        if c.clock >= until:
-            return k
-        k += scan(c, clocks[n] if n < len(clocks) else until, every_pulse, axis, out[k:])
-    return k
+    """As scan, while the shafts of these axes are seen anew at `clocks`, see stage/chips/cores.py."""
+    return scan_shafts(c, until, every_pulse, axis, out, clocks, axes, counts, rates, done, scan, set_shaft)

@@ -3,7 +3,6 @@ their register maps and their bus."""
 
 from __future__ import annotations
 
-import math
 from typing import Any, ClassVar
 
 from stage.chips.chip import Chip, Pins
@@ -14,7 +13,7 @@ from stage.chips.nova.held import Held, HeldOfMcx312
 from stage.chips.nova.interpolation import run as interpolation
 from stage.chips.nova.registers.mcx300 import MCX302_MAP, MCX304_MAP, MCX312_MAP, MCX314AS_MAP
 from stage.chips.nova.registers.mcx514 import MCX501_MAP, MCX512_MAP, MCX514_MAP
-from stage.errors import ArgumentError, StageError
+from stage.errors import StageError
 
 __all__ = ["MCX302", "MCX304", "MCX312", "MCX314AS", "MCX501", "MCX512", "MCX514", "Nova"]
 
@@ -61,17 +60,6 @@ class Nova(Chip):
     def net(self, axis: int = 0) -> int:
         self._check_axis(axis)
         return int(self.state["ax"][axis]["net"])
-
-    def set_shaft(self, count: float, rate: float = 0.0, axis: int = 0) -> None:
-        """An encoder is at ECA and ECB of an axis, and from now on at `count + rate * (clock - now)`: edges, edges a clock. RP, EP
-        follows as the mode says; the first call counts nothing. Raises ArgumentError for what is no finite number, or no axis."""
-        if not (math.isfinite(count) and math.isfinite(rate)):
-            raise ArgumentError(f"set_shaft({count!r}, {rate!r}): a shaft is at a finite count and has a finite rate.")
-        self._check_axis(axis)
-        self._change()
-        core.set_shaft.held(self.pointer, axis, float(count), float(rate))
-        if self.open_journal is not None:
-            self.open_journal.note_shaft(self.clock, axis, count, rate)
 
     def shaft_of(self, axis: int) -> tuple[float, float]:
         x = self.state["ax"][axis]

@@ -7,7 +7,7 @@ trace.py for a trace of them.
 
 from __future__ import annotations
 
-from stage.chips.cores import through
+from stage.chips.cores import scan_shafts, through
 from stage.chips.nova.bus import mcx300 as bus304
 from stage.chips.nova.bus import mcx514 as bus514
 from stage.chips.nova.bus.parameters import lowest
@@ -415,15 +415,5 @@ def scan(c, until, every_pulse, axis, out):
     array_of("i8"), array_of("i8"), array_of("f8"), array_of("f8"), array_of("i8"),
 )  # fmt: skip
 def scan_shaft(c, until, every_pulse, axis, out, clocks, axes, counts, rates, done):
-    """As scan, while the shafts of these axes are seen anew at `clocks`, see stage/chips/hctl1100/core.py."""
-    k = 0
-    while k < len(out) - ROOM:
-        n = done[0]
-        while n < len(clocks) and clocks[n] <= c.clock:
-            set_shaft(c, axes[n], counts[n], rates[n])
-            n += 1
-        done[0] = n
-        if c.clock >= until:
-            return k
-        k += scan(c, clocks[n] if n < len(clocks) else until, every_pulse, axis, out[k:])
-    return k
+    """As scan, while the shafts of these axes are seen anew at `clocks`, see stage/chips/cores.py."""
+    return scan_shafts(c, until, every_pulse, axis, out, clocks, axes, counts, rates, done, scan, set_shaft)
