@@ -74,3 +74,14 @@ def unknown(kind: str, given: object, allowed: Iterable[str]) -> ArgumentError:
     near = near_names(given, names)
     hint = f" Did you mean {' or '.join(repr(n) for n in near)}?" if near else ""
     return ArgumentError(f"unknown {kind} {given!r}.{hint} Known: {', '.join(names) or 'none'}.")
+
+
+_SPOKEN_WITH_A_VOWEL = frozenset("8AEFHILMNORSX")
+"""What begins with a vowel where it is read letter by letter: an M, an S, an 8."""
+
+
+def a_or_an(name: str) -> str:
+    """With its article: "an MCX304", "a PCL240K", "an ACME1000". What has no vowel is read letter by letter."""
+    first, is_word = name[:1].upper(), any(letter in "AEIOU" for letter in name.upper())
+    vowel = first in "AEIOU8" if is_word else first in _SPOKEN_WITH_A_VOWEL
+    return f"{'an' if vowel else 'a'} {name}"

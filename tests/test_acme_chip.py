@@ -77,7 +77,7 @@ def test_environments_know_it(id_):
 
 @pytest.mark.parametrize("id_", ["SynchronizedMove", "ServoTuning"])
 def test_what_it_cannot_is_said_in_words(id_):
-    with pytest.raises(ArgumentError, match=r"a ACME1000 .*(draws no lines|closes no loop)"):
+    with pytest.raises(ArgumentError, match=r"an ACME1000 .*(draws no lines|closes no loop)"):
         gymnasium.make(f"stage/{id_}-v0", chip="acme1000", model="xy")
 
 

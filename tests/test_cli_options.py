@@ -96,6 +96,7 @@ def report(**more):
         ("x --constant", "x", {"high_speed": False}),
         ("x --fast-only", "x", {"slow_approach": False}),
         ("x --ez 3", "x", {"ez": 3}),
+        ("x --by switch", "x", {}),
     ],
 )
 def test_home_searches_as_the_options_say(bench, monkeypatch, options, axes, expected):

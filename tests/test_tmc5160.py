@@ -262,3 +262,19 @@ def test_mistakes_are_told(chip):
     assert "no register at 0Fh" in chip.diagnostics[-1].message
     chip.transfer40(0x2700000000)
     assert "can only be written, gives 0" in chip.diagnostics[-1].message
+
+
+def test_it_goes_home_to_the_index_pulse_from_anywhere(stage_, capsys):
+    """And by the command line to a stall"""
+    stage_.reset()
+    x, found = stage_.axes["x"], []
+    for place in (-0.147, -0.131):
+        stage_.place(x=place)
+        report = firmware.home(x, index=True)
+        assert (report.ok, report.stopped_by) == (True, "ENCN")
+        assert x.chip.values()["XACTUAL"] == 0
+        found.append(x.position)
+    assert found[0] == pytest.approx(found[1], abs=4 * x.meters_per_pulse + 1e-6)
+    assert -0.15 < found[0] < -0.15 + 51_200 * x.meters_per_pulse
+    assert main("home x --by stall --chips tmc5160 --model xy --from -149".split()) == 0
+    assert "stopped by stall" in capsys.readouterr().out

@@ -142,7 +142,7 @@ def test_a_recording_shows_the_switch_and_the_wire(tmp_path):
         ({"wiring": "x"}, "a mapping axis -> sensor -> logic"),
         ({"wiring": {"x": "org"}}, "a mapping axis -> sensor -> logic"),
         ({"chips": HCTL1100, "wiring": {"x": {"el_plus": "positive"}}}, "el_minus is on the same pin"),
-        ({"chips": MCX304, "wiring": {"x": {"sd_plus": "positive"}}}, "no pin of a MCX304"),
+        ({"chips": MCX304, "wiring": {"x": {"sd_plus": "positive"}}}, "no pin of an MCX304"),
         ({"syni": {"y": "y"}}, "follows"),
         ({"syni": {"y": "z"}}, "unknown axis 'z'"),
         ({"syni": {"y": "x", "x": "y"}}, "one leader"),

@@ -25,7 +25,7 @@ from typing import Any
 from stage.board.host import BYTE, HALF, LAST_PORT, LATCH, LATCHED, NOTHING, PULLS, WORD
 from stage.board.layouts import LAYOUTS, Layout
 from stage.chips import CHIPS, Chip, chip_class
-from stage.errors import ArgumentError, near_names, unknown
+from stage.errors import ArgumentError, a_or_an, near_names, unknown
 from stage.files import FileError
 
 WORDS = {
@@ -133,7 +133,7 @@ def _port(where: str, text: Any, chip: type[Chip]) -> tuple[int, int]:
         raise ArgumentError(f"{where}: a port reaches one of {_forms()}.{hint}")
     kind, addressed = WORDS[word]
     if kind in (WORD, HALF) and chip.DATA_MASK <= 0xFF:
-        raise ArgumentError(f'{where}: the bus of a {chip.__name__} has 8 bits. Write "byte" and the address.')
+        raise ArgumentError(f'{where}: the bus of {a_or_an(chip.__name__)} has 8 bits. Write "byte" and the address.')
     if not addressed:
         if number:
             raise ArgumentError(f'{where}: no address follows. Write "{word}".')
@@ -145,7 +145,7 @@ def _port(where: str, text: Any, chip: type[Chip]) -> tuple[int, int]:
         address = -1
     if not 0 <= address <= most:
         raise ArgumentError(
-            f'{where}: an address of a {chip.__name__} follows, 0 to {most}. Write for example "{word} 0".'
+            f'{where}: an address of {a_or_an(chip.__name__)} follows, 0 to {most}. Write for example "{word} 0".'
         )
     return kind, address
 

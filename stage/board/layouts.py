@@ -16,7 +16,7 @@ from stage.chips import Chip
 from stage.chips.hctl1100 import HCTL1100
 from stage.chips.nova import BYTES, MCX514, Nova
 from stage.chips.pcl240 import PCL240
-from stage.errors import ArgumentError, unknown
+from stage.errors import ArgumentError, a_or_an, unknown
 
 MOST_PORTS = LAST_PORT + 1
 GAP = 64
@@ -103,7 +103,8 @@ def places(
         if not isinstance(chip, own.kind):
             theirs = ", ".join(x.name for x in LAYOUTS.values() if isinstance(chip, x.kind))
             raise ArgumentError(
-                f"layout {own.name}: it is for a {own.kind.__name__}, and this stage has a {type(chip).__name__}. Layouts for "
+                f"layout {own.name}: it is for {a_or_an(own.kind.__name__)}, and this stage has "
+                f"{a_or_an(type(chip).__name__)}. Layouts for "
                 f"that: {theirs or 'the one that it has without layout=, or a Layout of yours'}."
             )
         if own.chips and len(chips) > own.chips:

@@ -24,7 +24,7 @@ from stage.chips import contract
 from stage.chips.describe import Decoder, Listener
 from stage.chips.journal import Journal
 from stage.chips.register_map import RegisterMap, dump
-from stage.errors import ArgumentError, StageError, unknown
+from stage.errors import ArgumentError, StageError, a_or_an, unknown
 from stage.native import plain
 
 if TYPE_CHECKING:
@@ -300,7 +300,7 @@ class Chip:
         rounds), edges a clock. The axis' counter follows as its mode says; where the shaft is at first counts nothing. Raises
         ArgumentError for what is no finite number, no axis, or a chip that looks at no encoder."""
         if not (self.ENCODERS or self.SERVO):
-            raise ArgumentError(f"set_shaft: a {type(self).__name__} looks at no encoder.")
+            raise ArgumentError(f"set_shaft: {a_or_an(type(self).__name__)} looks at no encoder.")
         if not (math.isfinite(count) and math.isfinite(rate)):
             raise ArgumentError(f"set_shaft({count!r}, {rate!r}): a shaft is at a finite count and has a finite rate.")
         self._check_axis(axis)
@@ -491,7 +491,7 @@ class Chip:
     def _check_axis(self, axis: int) -> None:
         if isinstance(axis, bool) or not isinstance(axis, int | np.integer) or not 0 <= axis < self.AXES:
             most = "one axis, 0" if self.AXES == 1 else f"axes 0 to {self.AXES - 1}"
-            raise ArgumentError(f"axis={axis!r}: a {type(self).__name__} has {most}.")
+            raise ArgumentError(f"axis={axis!r}: {a_or_an(type(self).__name__)} has {most}.")
 
     def decoder(self, axis: int = 0) -> Decoder:
         """Tells what a journal's bus writes say to an axis."""

@@ -181,6 +181,10 @@ def _add_moves(commands: Any) -> None:
     p.add_argument("--plus", action="store_true", help="search towards plus (default: minus)")
     p.add_argument("--constant", action="store_true", help="constant-speed return at FL")
     p.add_argument("--fast-only", action="store_true", help="without back-off and slow approach")
+    p.add_argument(
+        "--by", metavar="HOW",
+        help="what to home by: switch, index (the encoder's index pulse after it), or what else the chip has, as stall",
+    )  # fmt: skip
     p.add_argument("--ez", type=int, metavar="N", help="end at the N-th index pulse after ORG (PCL240MK, PCL240MS)")
     _place(p)
     _speeds(p)

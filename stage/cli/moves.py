@@ -6,7 +6,7 @@ import argparse
 from typing import Any
 
 from stage.cli.setup import distance, find_axis, make_stage, note, place, plot, profile, recorded, speeds
-from stage.errors import ArgumentError
+from stage.errors import ArgumentError, a_or_an
 
 
 def home(args: argparse.Namespace) -> int:
@@ -31,16 +31,21 @@ def _home(args: argparse.Namespace, axis: Any) -> Any:
     from stage import firmware
     from stage.firmware.driver import driver_of
 
-    direction = +1 if args.plus else -1
+    direction, by, driver = +1 if args.plus else -1, args.by, driver_of(axis)
+    if by is not None:
+        driver.check_homing(by, args.ez is not None)
     if _is_pcl240(axis):
-        how = {"high_speed": not args.constant, "slow_approach": not args.fast_only, "ez": args.ez}
+        ez = 1 if by == "index" and args.ez is None else args.ez
+        how: dict[str, Any] = {"high_speed": not args.constant, "slow_approach": not args.fast_only, "ez": ez}
         return firmware.origin_return(axis, direction, profile(args, axis), **how)
     _only_pcl240(args, axis, "constant", "fast_only", "fh2")
     if args.ez not in (None, 1):
         raise ArgumentError(
-            f"--ez {args.ez}: a {axis.chip.MAP.chip} ends at the first index pulse after ORG, --ez 1, or at ORG."
+            f"--ez {args.ez}: {a_or_an(axis.chip.MAP.chip)} ends at the first index pulse after ORG, --ez 1, or at ORG."
         )
-    return driver_of(axis).home(direction, speeds(args, axis), index=args.ez == 1)
+    if by is not None:
+        return driver.home_by(by, direction, speeds(args, axis))
+    return driver.home(direction, speeds(args, axis), index=args.ez == 1)
 
 
 def move(args: argparse.Namespace) -> int:
@@ -55,7 +60,9 @@ def move(args: argparse.Namespace) -> int:
             return firmware.preset_move(axis, pulses, wanted, **how)
         _only_pcl240(args, axis, "constant", "automatic", "fh2")
         if args.s_curve not in (None, True):
-            raise ArgumentError(f"--s-curve {args.s_curve:g}: a {axis.chip.MAP.chip} knows no shares; --s-curve alone.")
+            raise ArgumentError(
+                f"--s-curve {args.s_curve:g}: {a_or_an(axis.chip.MAP.chip)} knows no shares; --s-curve alone."
+            )
         return driver_of(axis).move(pulses, speeds(args, axis)._replace(s_curve=bool(args.s_curve)))
 
     return _single(args, run)
@@ -67,7 +74,7 @@ def dual_rate(args: argparse.Namespace) -> int:
     def run(axis: Any) -> Any:
         if not _is_pcl240(axis):
             raise ArgumentError(
-                f"dual-rate: FH1 and FH2 are of the PCL-240 family; a {axis.chip.MAP.chip} has one drive speed."
+                f"dual-rate: FH1 and FH2 are of the PCL-240 family; {a_or_an(axis.chip.MAP.chip)} has one drive speed."
             )
         print(wanted := profile(args, axis))
         return firmware.dual_rate_move(axis, distance(axis, args.distance), wanted)
@@ -133,4 +140,6 @@ def _only_pcl240(args: argparse.Namespace, axis: Any, *options: str) -> None:
     for option in options:
         if getattr(args, option, None) not in (None, False):
             shown = "--" + option.replace("_", "-")
-            raise ArgumentError(f"{shown}: a {axis.chip.MAP.chip} has no such thing; it is of the PCL-240 family.")
+            raise ArgumentError(
+                f"{shown}: {a_or_an(axis.chip.MAP.chip)} has no such thing; it is of the PCL-240 family."
+            )

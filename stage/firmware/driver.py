@@ -17,7 +17,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar
 
 from stage.chips import Chip
-from stage.errors import ArgumentError, RunTimeout, StageError
+from stage.errors import ArgumentError, RunTimeout, StageError, a_or_an
 from stage.firmware.axis import Axis
 from stage.firmware.pattern import Pattern
 from stage.sim.program import Operations
@@ -70,8 +70,8 @@ class Driver(ABC):
     """What a report says has ended a move that nothing else ended."""
     FOUND: ClassVar[tuple[str, ...]] = ("ORG", "EZ")
     """What a report says has ended a homing that found its place."""
-    HOMINGS: ClassVar[tuple[str, ...]] = ()
-    """What `home_by` can home by."""
+    HOMINGS: ClassVar[tuple[str, ...]] = ("switch", "index")
+    """What `home_by` can home by, the usual one first; an index pulse only where the chip has an input for it."""
     FINISH: ClassVar[str] = ""
     """The register that says how far a move goes."""
 
@@ -88,7 +88,7 @@ class Driver(ABC):
 
     def start(self, pulses: int, speeds: Speeds) -> None:
         """Begin a move, and do not wait. Raises as `move`."""
-        raise ArgumentError(f"a {self.chip.MAP.chip} waits for the end of its moves here: use move.")
+        raise ArgumentError(f"{a_or_an(self.chip.MAP.chip)} waits for the end of its moves here: use move.")
 
     def wait(self, timeout: float, look: Callable[[], None] | None = None) -> str:
         """Wait for the end of what `start` has begun: why it ended, as `Report.stopped_by`. look: called at each poll.
@@ -108,8 +108,20 @@ class Driver(ABC):
         """Find ORG, which lies in `direction`, from wherever the axis is; `index`: and on to the encoder's index pulse."""
 
     def home_by(self, what: str, direction: int, speeds: Speeds, timeout: float = 60.0) -> Report:
-        """As `home`, by something else than the chip's usual switch: one of HOMINGS."""
-        raise NotImplementedError
+        """As `home`, by one of `homings`: the chip's usual switch, the index pulse after it, or what else the driver has."""
+        return self.home(direction, speeds, what == "index", timeout)
+
+    def homings(self) -> tuple[str, ...]:
+        """HOMINGS, as far as the axis' chip can."""
+        return tuple(what for what in self.HOMINGS if what != "index" or self.chip.wired("ez"))
+
+    def check_homing(self, by: str, index: bool = False) -> None:
+        """Raises ArgumentError for what is none of `homings`. index: somebody has asked for the index pulse, too."""
+        known, chip = self.homings(), a_or_an(self.chip.MAP.chip)
+        if by not in known:
+            raise ArgumentError(f"home by {by!r}: {chip} cannot; it homes by {' or '.join(known)}.")
+        if index and by != "index":
+            raise ArgumentError(f"home by {by!r} and to an index pulse (index=True, --ez): give one of the two.")
 
     def ready(self, *ways: int) -> Any:
         """Before a drive: whatever the chip needs once. ways: directions in which the axis may leave a limit switch that it stands
@@ -138,7 +150,7 @@ class Driver(ABC):
     ) -> SynchronizedReport:
         """Several axes, all of this class, on a straight line; speeds are those of the longest one. Raises ArgumentError where the
         chips cannot."""
-        raise ArgumentError(f"a {next(iter(drivers.values())).chip.MAP.chip} draws no lines.")
+        raise ArgumentError(f"{a_or_an(next(iter(drivers.values())).chip.MAP.chip)} draws no lines.")
 
     # --- as programs ---
 
@@ -170,13 +182,13 @@ class Driver(ABC):
     def lines(self, drivers: Sequence[Driver], settings: Any) -> Line:
         """Straight lines as programs, with the axes of `drivers`, whose chips are of this one's kind, with the settings of
         SynchronizedMove. Raises ArgumentError where the chips cannot."""
-        raise ArgumentError(f"a {self.chip.MAP.chip} draws no lines by programs.")
+        raise ArgumentError(f"{a_or_an(self.chip.MAP.chip)} draws no lines by programs.")
 
     def filter_choices(self, trapezoid: bool) -> Choices:
         """What can be chosen of a servo's filter and sample time, for steps or for trapezoids. Raises ArgumentError for a chip that
         closes no loop."""
         raise ArgumentError(
-            f"a {self.chip.MAP.chip} on axis {self.axis.name} closes no loop: it has no filter to tune."
+            f"{a_or_an(self.chip.MAP.chip)} on axis {self.axis.name} closes no loop: it has no filter to tune."
         )
 
     def write_servo_move(
@@ -184,10 +196,10 @@ class Driver(ABC):
     ) -> None:
         """From power-up to the start of a servo's move, with a filter: bus cycles. values: of `filter_choices`, by name; rates:
         counts/s and counts/s2 of a trapezoid; None: a position step."""
-        raise ArgumentError(f"a {self.chip.MAP.chip} on axis {self.axis.name} closes no loop.")
+        raise ArgumentError(f"{a_or_an(self.chip.MAP.chip)} on axis {self.axis.name} closes no loop.")
 
     def no_s_curves(self) -> ArgumentError:
-        return ArgumentError(f"s_curve=True: a {self.chip.MAP.chip} has linear ramps only.")
+        return ArgumentError(f"s_curve=True: {a_or_an(self.chip.MAP.chip)} has linear ramps only.")
 
     def moving(self) -> StageError:
         return StageError(f"axis {self.axis.name} is moving: wait until it stops, or firmware.stop(axis).")
@@ -208,7 +220,7 @@ def driver_class(chip: type[Chip]) -> type[Driver]:
     """The driver class for chips of this class. Raises ArgumentError if there is none."""
     if not chip.DRIVER:
         raise ArgumentError(
-            f"a {chip.__name__} has no driver: its class names one in DRIVER, as 'package.module:Class'."
+            f"{a_or_an(chip.__name__)} has no driver: its class names one in DRIVER, as 'package.module:Class'."
         )
     module, _, name = chip.DRIVER.partition(":")
     return getattr(import_module(module), name)

@@ -62,7 +62,8 @@ def home(
 ) -> Report:
     """Return to the mechanical origin ORG, which lies in `direction`, from any place; `index`: and on to the encoder's index pulse.
 
-    by: of a chip that homes in several ways, which one ("switch", "stall" ...); default: its driver's own.
+    by: "switch"; "index", which is index=True; of other chips what their driver says in HOMINGS, for example "stall". Default:
+    the switch, or as `index` says.
 
     The report's `stopped_by` is "ORG", or "EZ", or what was met in its place. The other arguments are those of `move`. Raises
     ArgumentError, StageError, RunTimeout.
@@ -72,9 +73,7 @@ def home(
     driver, wanted = driver_of(axis), speeds(axis, speed, start_speed, accel, None, False)
     if by is None:
         return driver.home(direction, wanted, index, timeout)
-    if by not in driver.HOMINGS:
-        known = f"one of {', '.join(driver.HOMINGS)}" if driver.HOMINGS else "leave by= out"
-        raise ArgumentError(f"by={by!r}: a {driver.chip.MAP.chip} cannot home so: {known}.")
+    driver.check_homing(by, index)
     return driver.home_by(by, direction, wanted, timeout)
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from stage.chips import CHIPS, ChipAxis
-from stage.errors import ArgumentError, unknown
+from stage.errors import ArgumentError, a_or_an, unknown
 
 if TYPE_CHECKING:
     from stage.sim.plant import PlantAxis
@@ -82,7 +82,8 @@ def chosen(given: EncoderChoice, names: Sequence[str], chip_axes: Sequence[ChipA
             )
         if encoder.zero is not None:
             raise ArgumentError(
-                f"{encoder!r}: zero= is for devices; the counter of a {chip.__name__} is 0 after a reset, and a host can set it."
+                f"{encoder!r}: zero= is for devices; the counter of {a_or_an(chip.__name__)} is 0 after a reset, and "
+                "a host can set it."
             )
         found[encoder.axis] = encoder
     return tuple(found[name] for name in names if name in found)

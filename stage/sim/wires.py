@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from stage.chips import Chip, ChipAxis
-from stage.errors import ArgumentError, unknown
+from stage.errors import ArgumentError, a_or_an, unknown
 from stage.sim.plant import PlantAxis
 
 WiringChoice = Mapping[str, Mapping[str, str]] | None
@@ -48,14 +48,15 @@ def _of_axis(sensors: Mapping[str, str], plant: PlantAxis, chip: Any) -> Mapping
             )
         if not chip.wired(sensor):
             raise ArgumentError(
-                f"wiring of {sensor} of axis {plant.name}: no pin of a {chip.__name__} is wired to it; leave it out."
+                f"wiring of {sensor} of axis {plant.name}: no pin of {a_or_an(chip.__name__)} is wired to it; leave it out."
             )
     positive = {sensor: logic for sensor, logic in sensors.items() if logic == LOGIC[1]}
     for sensor in positive:
         others = [s for s in fitted if chip.wired(s) == chip.wired(sensor) and s not in positive]
         if others:
             raise ArgumentError(
-                f"wiring of {sensor} of axis {plant.name}: {', '.join(others)} is on the same pin of a {chip.__name__}; give all "
+                f"wiring of {sensor} of axis {plant.name}: {', '.join(others)} is on the same pin of "
+                f"{a_or_an(chip.__name__)}; give all "
                 "of them one logic."
             )
     return positive
@@ -86,7 +87,7 @@ def check_pair(follower: Chip, leader: Chip, what: str) -> None:
     for chip in (follower, leader):
         if not chip.SYNCHRO:
             raise ArgumentError(
-                f"{what}: a {type(chip).__name__} has no SYNI and SYNO; chips of the PCL-240 family have."
+                f"{what}: {a_or_an(type(chip).__name__)} has no SYNI and SYNO; chips of the PCL-240 family have."
             )
     if follower is leader:
         raise ArgumentError(f"{what}: a chip does not follow itself.")

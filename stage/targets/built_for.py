@@ -11,6 +11,7 @@ import struct
 from collections.abc import Iterator
 
 from stage.board.errors import LibraryError
+from stage.errors import a_or_an
 from stage.targets.elf import Elf
 from stage.targets.mcus import AVRS
 
@@ -110,7 +111,7 @@ def check_arm(elf: Elf, mcu: str, how: str) -> None:
         return
     runs = [name for name in _ARM_RUNS if arch in _ARM_RUNS[name] and (name == "cortex-m4" or not told.get(_FLOATS))]
     ways = f"Run it with --mcu {runs[0]}, or build it" if profile == "M" and runs else "Build it"
-    raise LibraryError(f"{elf.path} was built for {said}, and this is a {mcu}. {ways} by {how.format(mcu=mcu)}.")
+    raise LibraryError(f"{elf.path} was built for {said}, and this is {a_or_an(mcu)}. {ways} by {how.format(mcu=mcu)}.")
 
 
 def arm_attributes(elf: Elf) -> dict[int, int]:

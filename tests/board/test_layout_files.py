@@ -121,7 +121,7 @@ def test_a_file_that_is_none_or_does_not_fit_is_said(tmp_path, stage, card):
         Board(stage, layout=str(tmp_path / "none.toml"))
     with pytest.raises(ArgumentError, match=r"ends in .toml or .json"):
         Board(stage, layout="card.yaml")
-    with pytest.raises(ArgumentError, match=r"layout card: it is for a PCL240K, and this stage has a MCX304"):
+    with pytest.raises(ArgumentError, match=r"layout card: it is for a PCL240K, and this stage has an MCX304"):
         Board(Stage("xyz", chips=MCX304, visuals=False), layout=card)
     (tmp_path / "card.json").write_text("[1]")
     with pytest.raises(ArgumentError, match=r"keys with values are wanted"):

@@ -283,7 +283,7 @@ def test_a_pickled_environment_keeps_its_drifted_switch_and_friction():
         ({"frictions": (0.0, 1.0)}, "frictions="),
         ({"drift": 0.1}, "drift=0.1"),
         ({"multiplier": 1}, "R7"),
-        ({"ez": 2, "chip": "MCX514"}, "ez=2: a MCX514 ends at the first index pulse"),
+        ({"ez": 2, "chip": "MCX514"}, "ez=2: an MCX514 ends at the first index pulse"),
     ],
 )
 def test_settings_that_cannot_be_are_named(settings, message):

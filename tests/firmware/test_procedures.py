@@ -51,6 +51,24 @@ def test_a_move_in_metres_goes_there_and_says_so(stage):
 
 
 @each
+def test_homings_that_a_chip_has_are_by_the_switch_and_by_the_index(stage, monkeypatch):
+    """firmware.home(axis, by="index"); stage home x --by index"""
+    axis, asked = stage.axes["x"], []
+    driver = driver_of(axis)
+    monkeypatch.setattr(
+        type(driver), "home", lambda self, way, speeds, index, timeout: asked.append((way, index, timeout))
+    )
+    for by in driver.homings():
+        firmware.home(axis, 1, by=by, timeout=9.0)
+    assert asked == [(1, False, 9.0), (1, True, 9.0)][: 1 if type(axis.chip) is PCL240K else 2]
+    firmware.home(axis, 1, by=driver.homings()[-1], index=len(asked) == 2)
+    with pytest.raises(ArgumentError, match=r"home by 'nose': an? \w+ cannot; it homes by switch"):
+        firmware.home(axis, by="nose")
+    with pytest.raises(ArgumentError, match="give one of the two"):
+        firmware.home(axis, by="switch", index=True)
+
+
+@each
 def test_home_ends_at_the_origin(stage):
     """firmware.home(axis)"""
     x = stage.axes["x"]

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, ClassVar, NoReturn
 
-from pulsestage_tmc5160.encoder import DECIMAL
+from pulsestage_tmc5160.encoder import CLR_ONCE, DECIMAL, IGNORE_AB, LATCH_X, N_EVENT, POL_N
 from pulsestage_tmc5160.maps import M32, NUMBER
 from pulsestage_tmc5160.power import FULL_SCALE
 from pulsestage_tmc5160.stallguard import PER_SGT
@@ -36,7 +36,7 @@ from pulsestage_tmc5160.state import (
     STOP_R,
     VELOCITY_REACHED,
 )
-from stage.errors import ArgumentError
+from stage.errors import ArgumentError, a_or_an
 from stage.firmware.driver import SETTLE, AtOnce, Driver, Speeds, wait_until_stopped
 from stage.firmware.report import Procedure, Report
 from stage.sim.program import Operations
@@ -46,6 +46,9 @@ CHOPCONF = 0x100100C3
 SWITCHED_ON = 0.05  # s until the rotor rests where the field is
 IHOLDDELAY, TPOWERDOWN = 6, 10
 LEAST_VSTOP = 10  # recommended
+USUAL_STEPS = 200  # full steps a turn, of a motor that nobody knows
+SLOWLY = 10  # part of VMAX at which the index is sought
+RISING = 1 << 6  # ENCMODE: the event is the beginning of the pulse
 TUNING, FULL_STEP = 8, 256  # full steps that are looked at; steps of each
 WINDOW = 1.2  # TCOOLTHRS over TSTEP
 STOPS = STOP_L | STOP_R
@@ -107,8 +110,8 @@ class Tmc5160Driver(Driver):
 
     DONE: ClassVar = "position reached"
     FINISH: ClassVar = "XTARGET"
-    FOUND: ClassVar = ("REFL", "REFR", "stall")
-    HOMINGS: ClassVar = ("switch", "stall")
+    FOUND: ClassVar = ("REFL", "REFR", "ENCN", "stall")
+    HOMINGS: ClassVar = ("switch", "index", "stall")
     chip: Any
 
     # --- registers ---
@@ -164,7 +167,8 @@ class Tmc5160Driver(Driver):
             r = self.chip.MAP.register(name)
             if not r.allows(value):
                 raise ArgumentError(
-                    f"{name} = {value}: a {self.chip.MAP.chip} takes {r.range[0]} to {r.range[1]}. At {hz:,} Hz a velocity of 1 is "
+                    f"{name} = {value}: {a_or_an(self.chip.MAP.chip)} takes {r.range[0]} to {r.range[1]}. At {hz:,} "
+                    "Hz a velocity of 1 is "
                     f"{hz / (1 << 24):.4g} pulses/s, an acceleration of 1 {hz**2 / (1 << 41):.4g} pulses/s2."
                 )
         return values
@@ -235,16 +239,17 @@ class Tmc5160Driver(Driver):
     # --- homing ---
 
     def home(self, direction: int, speeds: Speeds, index: bool = False, timeout: float = 60.0) -> Report:
-        if index:
-            raise ArgumentError("index=True: this driver homes by the switch REFL or REFR, or by a stall, by='stall'.")
-        return self.home_by("switch", direction, speeds, timeout)
+        return self.home_by("index" if index else "switch", direction, speeds, timeout)
 
     def home_by(self, what: str, direction: int, speeds: Speeds, timeout: float = 60.0) -> Report:
         values = self._speeds(speeds)
         self._check_still()
         with Procedure(self.axis, "home") as p:
             self.ready()
-            ended = (self._to_stall if what == "stall" else self._to_switch)(direction, values, timeout)
+            ended = self._to_stall(direction, values, timeout) if what == "stall" else ""
+            ended = ended or self._to_switch(direction, values, timeout)
+            if what == "index" and ended in self.FOUND:
+                ended = self._to_index(-direction, values, timeout)
             self.axis.wait(SETTLE)
             report = p.report(ended)
         # zero is where the motor has stalled: steps lost before do not count
@@ -265,16 +270,47 @@ class Tmc5160Driver(Driver):
         if not self.get("RAMP_STAT") & closed:
             self._stay()
             return self.stopped_by() or "no switch"
+        self.put("SW_MODE", 0)
+        self._zero_at_latch()
+        wait_until_stopped([self.axis], end - self.axis.time)
+        self.put("SW_MODE", STOPS)
+        return "REFL" if left else "REFR"
+
+    def _to_index(self, direction: int, values: Mapping[str, int], timeout: float) -> str:
+        """Within a turn away from the switch, data sheet, page 46: XACTUAL is 0 where the N event was, and there the axis is in the
+        end. The pulse is passed slowly, always in this direction: it is some steps wide."""
+        motor = getattr(getattr(self.axis, "drive", None), "motor", None)
+        turn = FULL_STEP * getattr(motor, "steps_per_turn", USUAL_STEPS)
+        slow = {**values, "VMAX": max(values["VMAX"] // SLOWLY, LEAST_VSTOP)}
+        slow["VSTART"] = min(values["VSTART"], slow["VMAX"])
+        slow["VSTOP"] = max(slow["VSTART"], LEAST_VSTOP)
+        end = self.axis.time + timeout
+        self.put("ENC_STATUS", N_EVENT)
+        self.put("ENCMODE", self.get("ENCMODE") & DECIMAL | POL_N | IGNORE_AB | CLR_ONCE | LATCH_X | RISING)
+        self._run(direction, slow, STOPS)
+        begin = self.get("XACTUAL")
+        while not self.get("ENC_STATUS") & N_EVENT and self.runs() and self.axis.time < end:
+            if abs(self.get("XACTUAL") - begin) > turn + FULL_STEP:
+                break
+            self.axis.wait(1e-3)
+        met = self.stopped_by()
+        self.halt()
+        self.put("ENCMODE", self.get("ENCMODE") & DECIMAL)
+        if not self.get("ENC_STATUS") & N_EVENT:
+            return met or "no index"
+        self.put("VMAX", slow["VMAX"])
+        self._zero_at_latch()
+        wait_until_stopped([self.axis], end - self.axis.time)
+        return "ENCN"
+
+    def _zero_at_latch(self) -> None:
+        """XACTUAL becomes 0 where XLATCH was, and the axis goes there."""
         self.put("RAMPMODE", HOLD)
         beyond = self.get("XACTUAL") - self.get("XLATCH")
         self.put("XACTUAL", beyond)
         self.put("XTARGET", beyond)
-        self.put("SW_MODE", 0)
         self.put("RAMPMODE", POSITION)
         self.put("XTARGET", 0)
-        wait_until_stopped([self.axis], end - self.axis.time)
-        self.put("SW_MODE", STOPS)
-        return "REFL" if left else "REFR"
 
     def _to_stall(self, direction: int, values: Mapping[str, int], timeout: float) -> str:
         """Data sheet, pages 87 to 90: XACTUAL is 0 where the motor stalls.
@@ -325,4 +361,6 @@ class Tmc5160Driver(Driver):
         program.register(self.index, self.chip, "VMAX", 0)
 
     def search(self, settings: Any) -> NoReturn:
-        raise ArgumentError(f"a {self.chip.MAP.chip} writes no origin return as a program: firmware.home homes it.")
+        raise ArgumentError(
+            f"{a_or_an(self.chip.MAP.chip)} writes no origin return as a program: firmware.home homes it."
+        )

@@ -16,7 +16,7 @@ from stage.board.devices.latch import Latch
 from stage.board.devices.ls7166 import LS7166
 from stage.board.devices.own import CDevice
 from stage.board.devices.uart import UART
-from stage.errors import ArgumentError, near_names
+from stage.errors import ArgumentError, a_or_an, near_names
 
 if TYPE_CHECKING:
     from stage.board.board import Board
@@ -50,11 +50,13 @@ def made(text: str) -> tuple[Device, list[int]]:
     first = _number(text, rest[0])
     if kind in ALONE:
         if len(rest) > 1:
-            raise ArgumentError(f"device {text!r}: a {kind} is on no axis. Write {kind}:{rest[0]}")
+            raise ArgumentError(f"device {text!r}: {a_or_an(kind)} is on no axis. Write {kind}:{rest[0]}")
         device: Device = ALONE[kind]()
     else:
         if not 2 <= len(rest) <= 3:
-            raise ArgumentError(f"device {text!r}: a {kind} counts an encoder on an axis. Write {kind}:{rest[0]}:x")
+            raise ArgumentError(
+                f"device {text!r}: {a_or_an(kind)} counts an encoder on an axis. Write {kind}:{rest[0]}:x"
+            )
         try:
             counts = float(rest[2]) if len(rest) == 3 else PER_TURN
         except ValueError:

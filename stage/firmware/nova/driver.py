@@ -8,7 +8,7 @@ from typing import Any, ClassVar, TypeVar, cast
 
 import numpy as np
 
-from stage.errors import ArgumentError, RunTimeout
+from stage.errors import ArgumentError, RunTimeout, a_or_an
 from stage.firmware.axis import positive
 from stage.firmware.choices import limits
 from stage.firmware.driver import SETTLE, AtOnce, Driver, Speeds, that_move, wait_until_stopped
@@ -94,7 +94,9 @@ class NovaDriver(Driver):
         low, high = (limit * self.UNIT for limit in limits(self.map, self.SPEEDS[1]))
         for name, rate in (("start", speeds.start), ("drive", speeds.drive)):
             if not low <= rate <= high:
-                raise ArgumentError(f"{name} speed {rate:g} pps: a {self.map.chip} makes {low:g} to {high:g} pps here.")
+                raise ArgumentError(
+                    f"{name} speed {rate:g} pps: {a_or_an(self.map.chip)} makes {low:g} to {high:g} pps here."
+                )
         if speeds.start > speeds.drive:
             raise ArgumentError(
                 f"start speed {speeds.start:g} pps is above the drive speed {speeds.drive:g}: ramps lead up."

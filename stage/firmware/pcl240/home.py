@@ -9,7 +9,7 @@ ORG is asserted from the origin on to the end of travel, so that firmware knows 
 
 from __future__ import annotations
 
-from stage.errors import ArgumentError
+from stage.errors import ArgumentError, a_or_an
 from stage.firmware.axis import Axis
 from stage.firmware.pcl240 import bus
 from stage.firmware.pcl240.bus import Port, Status, stop_reason
@@ -86,7 +86,9 @@ def origin_return(
 
 def _check_ez(axis: Axis, ez: int) -> None:
     if not getattr(axis.chip, "EXTENDED", False):
-        raise ArgumentError(f"axis {axis.name}: a {axis.chip.MAP.chip} does not count EZ: a PCL240MK or PCL240MS does.")
+        raise ArgumentError(
+            f"axis {axis.name}: {a_or_an(axis.chip.MAP.chip)} does not count EZ: a PCL240MK or PCL240MS does."
+        )
     if ez not in range(1, 17):
         raise ArgumentError(f"ez={ez!r}: the origin return ends at the 1st to 16th index pulse after ORG.")
 

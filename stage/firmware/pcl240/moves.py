@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 from stage.chips.pcl240.state import COUNTER_MASK
-from stage.errors import ArgumentError, StageError
+from stage.errors import ArgumentError, StageError, a_or_an
 from stage.firmware.axis import Axis
 from stage.firmware.driver import SETTLE
 from stage.firmware.pcl240 import bus
@@ -97,7 +97,9 @@ def _offset(profile: Profile, offset: int) -> int:
     """R6 as the signed offset of the automatic ramp-down point."""
     half = (profile.chip.MAP.register("R6").mask + 1) // 2
     if not profile.chip.EXTENDED:
-        raise ArgumentError(f"a {profile.chip.MAP.chip} has no automatic ramp-down point: a PCL240MK or PCL240MS has.")
+        raise ArgumentError(
+            f"{a_or_an(profile.chip.MAP.chip)} has no automatic ramp-down point: a PCL240MK or PCL240MS has."
+        )
     if int(offset) != offset or not -half <= offset < half:
         raise ArgumentError(f"down_point={offset!r}: as an offset R6 takes whole pulses from {-half} to {half - 1}.")
     return int(offset) % (2 * half)

@@ -16,7 +16,7 @@ import numpy as np
 from stage.chips import PCL240K
 from stage.chips.pcl240 import PCL240
 from stage.chips.pcl240.state import LINEAR, SPAN
-from stage.errors import ArgumentError, unknown
+from stage.errors import ArgumentError, a_or_an, unknown
 from stage.firmware.path import path_deviation, perfect_deviation
 from stage.firmware.pcl240 import emulated as follow
 from stage.firmware.pcl240 import fit
@@ -261,12 +261,13 @@ def _offers(chips: dict, s_curve: bool, automatic: bool, accel: float, decel: fl
             raise ArgumentError(f"chips: axis {name} has {chip!r}; give a class, as PCL240K, PCL240MK or PCL240MS.")
         if s_curve and not chip.S_CURVES:
             raise ArgumentError(
-                f"axis {name} has a {chip.MAP.chip}, which has linear ramps only: for S-curves every axis that moves needs a "
+                f"axis {name} has {a_or_an(chip.MAP.chip)}, which has linear ramps only: for S-curves every axis that "
+                "moves needs a "
                 f"PCL240MS."
             )
         if automatic and not chip.EXTENDED:
             raise ArgumentError(
-                f"axis {name} has a {chip.MAP.chip}, which has no automatic ramp-down point: a PCL240MK or PCL240MS has."
+                f"axis {name} has {a_or_an(chip.MAP.chip)}, which has no automatic ramp-down point: a PCL240MK or PCL240MS has."
             )
     if automatic and decel != accel:
         raise ArgumentError(

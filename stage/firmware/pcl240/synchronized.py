@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from stage.errors import ArgumentError, RunTimeout
+from stage.errors import ArgumentError, RunTimeout, a_or_an
 from stage.firmware.axis import Axis
 from stage.firmware.pcl240 import bus
 from stage.firmware.pcl240.bus import check
@@ -145,7 +145,7 @@ def _same_chips(made: Plan, chosen: dict[str, tuple[Axis, int]]) -> None:
     for n, a in made.axes.items():
         if type(chosen[n][0].chip) is not a.chip:
             raise ArgumentError(
-                f"the plan is for a {a.chip.MAP.chip}, and axis {n} has a {chosen[n][0].chip.MAP.chip}: plan with "
+                f"the plan is for {a_or_an(a.chip.MAP.chip)}, and axis {n} has {a_or_an(chosen[n][0].chip.MAP.chip)}: plan with "
                 f"chips={{{n!r}: {type(chosen[n][0].chip).__name__}}}."
             )
         if chosen[n][0].chip.clock_hz != a.clock_hz:
