@@ -7,6 +7,7 @@ kept on the line depends on the family: its `Line` in stage/firmware writes the 
     MCX514, MCX312    linear interpolation by the chip, where it has all axes; it takes speeds of one axis and finish points of all.
     MCX304, MCX302    the a:b scheme by ranges: R in inverse ratio to the distances. The axes of a chip start at one clock. An
                       MCX312 with axes on two chips does the same.
+    others            as their driver's `lines` has it: a TMC5160 by velocities and accelerations in the ratio, XTARGET starts each.
 
 action        flat, the registers of the first axis, then of the next: PCL-240 R1 R2 R4 R5 R6 R7, MCX304 and MCX302 R SV V A, with
               S-curves K. Of a chip that interpolates one row for all: MCX514 SV DV AC, with S-curves JK, MCX312 SV V A, with K.

@@ -14,7 +14,7 @@ import pytest
 from support.packages import TMC5160, tmc5160
 
 import stage.envs  # noqa: F401
-from stage import ArgumentError, Drive, Stage, firmware
+from stage import ArgumentError, Drive, Stage, StageError, firmware
 from stage.board import Board, NativeHost, build
 from stage.cli import main
 from stage.testing import chip_conformance
@@ -188,7 +188,7 @@ def test_a_board_shows_it_as_spi(stage_):
     assert "SPI: read IOIN" in board.trace.text()
 
 
-@pytest.mark.parametrize("id_", ["RegisterTuning", "RegisterBus"])
+@pytest.mark.parametrize("id_", ["RegisterTuning", "RegisterBus", "SynchronizedMove"])
 def test_environments_know_it(id_):
     env = gymnasium.make(f"stage/{id_}-v0", chip="tmc5160", model="xy")
     env.reset(seed=1)
@@ -197,10 +197,49 @@ def test_environments_know_it(id_):
     env.close()
 
 
-@pytest.mark.parametrize("id_", ["OriginReturn", "SynchronizedMove"])
-def test_what_it_cannot_is_said_in_words(id_):
-    with pytest.raises(ArgumentError, match=r"a TMC5160 .*(draws no lines|no origin return)"):
+@pytest.mark.parametrize(
+    ("id_", "said"),
+    [("OriginReturn", "a TMC5160 has no ORG: .* the end limits"), ("ServoTuning", "a TMC5160 .* closes no loop")],
+)
+def test_what_it_cannot_is_said_in_words(id_, said):
+    with pytest.raises(ArgumentError, match=said):
         gymnasium.make(f"stage/{id_}-v0", chip="tmc5160", model="xy")
+
+
+@pytest.fixture(scope="module")
+def both(tmp_path_factory):
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        tmc5160(monkeypatch, tmp_path_factory.mktemp("site"))
+        return Stage("xy", chips="tmc5160", drives=SMOOTH, visuals=False)
+
+
+@pytest.mark.parametrize(("x", "y", "speed"), [(30_000, -10_950, 256_000), (-300, 20_000, 200_000)])
+def test_axes_on_a_line_keep_the_ratio_to_two_steps_of_256(both, x, y, speed):
+    """The chip does not interpolate: velocities and accelerations are in the ratio of the distances."""
+    both.reset()
+    unit = both.axes["x"].meters_per_pulse
+    report = firmware.line({"x": x, "y": y}, both, pulses=True, speed=speed * unit)
+    assert report.ok
+    assert report.distances == {"x": x, "y": y}
+    assert report.deviation.pulses <= 2.0
+    assert report.skew <= 3e-6
+    assert report.carriage_deviation <= 4e-5
+    assert [axis.chip.values()["XACTUAL"] for axis in both.axes.values()] == [x, y]
+    assert all(r.stopped_by == "position reached" for r in report.axes.values())
+
+
+def test_a_line_that_cannot_be_is_refused(both):
+    both.reset()
+    with pytest.raises(ArgumentError, match="drive speed 800000 pps: up to 75"):
+        firmware.line({"x": 1000, "y": 1000}, both, pulses=True, speed=800_000 * both.axes["x"].meters_per_pulse)
+    with pytest.raises(ArgumentError, match="s_curve=True: a TMC5160 has linear ramps only"):
+        firmware.line({"x": 1000, "y": 1000}, both, pulses=True, s_curve=True)
+    both.axes["y"].chip.write(0x20, 1)
+    for name, value in {"CHOPCONF": 0x100100C3, "AMAX": 1000, "VMAX": 1000}.items():
+        put(both.axes["y"].chip, **{name: value})
+    both.run(0.01)
+    with pytest.raises(StageError, match="axis y is moving"):
+        firmware.line({"x": 1000, "y": 1000}, both, pulses=True)
 
 
 def test_homing_by_what_a_chip_cannot_is_refused(stage_):

@@ -7,51 +7,41 @@ current_registers(1.7, 0.1)                   GLOBALSCALER and IHOLD_IRUN for 1.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, ClassVar, NoReturn
 
-from pulsestage_tmc5160.encoder import CLR_ONCE, DECIMAL, IGNORE_AB, LATCH_X, N_EVENT, POL_N
+import numpy as np
+
+from pulsestage_tmc5160 import homing
+from pulsestage_tmc5160.encoder import DECIMAL
+from pulsestage_tmc5160.homing import LEAST_VSTOP, STOPS
+from pulsestage_tmc5160.line import NAMES, InRatio
 from pulsestage_tmc5160.maps import M32, NUMBER
 from pulsestage_tmc5160.power import FULL_SCALE
-from pulsestage_tmc5160.stallguard import PER_SGT
 from pulsestage_tmc5160.state import (
     EVENT_L,
     EVENT_POS,
     EVENT_R,
     EVENT_SG,
     HOLD,
-    LATCH_L_ON,
-    LATCH_R_ON,
     MINUS,
     PLUS,
     POL_L,
     POL_R,
     POSITION,
-    SG_STOP,
-    SOFT_STOP,
-    STATUS_L,
-    STATUS_R,
-    STOP_L,
-    STOP_R,
-    VELOCITY_REACHED,
 )
-from stage.errors import ArgumentError, a_or_an
-from stage.firmware.driver import SETTLE, AtOnce, Driver, Speeds, wait_until_stopped
+from stage.errors import ArgumentError, RunTimeout, a_or_an
+from stage.firmware.driver import SETTLE, AtOnce, Driver, Speeds, that_move, wait_until_stopped
+from stage.firmware.lines import Asked, LineSettings
 from stage.firmware.report import Procedure, Report
+from stage.firmware.together import SynchronizedReport, Together
 from stage.sim.program import Operations
 
 CHOPCONF = 0x100100C3
 """SpreadCycle as in the data sheet's example, with interpolation: TOFF 3, HSTRT 4, HEND 1, TBL 2, MRES 0."""
 SWITCHED_ON = 0.05  # s until the rotor rests where the field is
 IHOLDDELAY, TPOWERDOWN = 6, 10
-LEAST_VSTOP = 10  # recommended
-USUAL_STEPS = 200  # full steps a turn, of a motor that nobody knows
-SLOWLY = 10  # part of VMAX at which the index is sought
-RISING = 1 << 6  # ENCMODE: the event is the beginning of the pulse
-TUNING, FULL_STEP = 8, 256  # full steps that are looked at; steps of each
-WINDOW = 1.2  # TCOOLTHRS over TSTEP
-STOPS = STOP_L | STOP_R
 
 
 def velocity(pps: float, hz: int) -> int:
@@ -135,8 +125,12 @@ class Tmc5160Driver(Driver):
         if not self.get("CHOPCONF") & 15:
             self._switch_on(AtOnce(self.axis))
 
+    def switched_on(self) -> dict[str, int]:
+        """The registers that switch the power stage on."""
+        return {**self.currents(), "CHOPCONF": CHOPCONF}
+
     def _switch_on(self, program: Operations) -> None:
-        for name, value in {**self.currents(), "CHOPCONF": CHOPCONF}.items():
+        for name, value in self.switched_on().items():
             program.register(self.index, self.chip, name, value)
         program.wait(SWITCHED_ON)
 
@@ -148,7 +142,7 @@ class Tmc5160Driver(Driver):
     def tuned_by(self, s_curve: bool | None) -> tuple[str, ...]:
         if s_curve:
             raise self.no_s_curves()
-        return ("VSTART", "AMAX", "VMAX", "DMAX", "VSTOP")
+        return NAMES
 
     def formula(
         self, fl: float, fh: float, up: float, down: float, pulses: int, s_curve: bool | None = None
@@ -167,9 +161,8 @@ class Tmc5160Driver(Driver):
             r = self.chip.MAP.register(name)
             if not r.allows(value):
                 raise ArgumentError(
-                    f"{name} = {value}: {a_or_an(self.chip.MAP.chip)} takes {r.range[0]} to {r.range[1]}. At {hz:,} "
-                    "Hz a velocity of 1 is "
-                    f"{hz / (1 << 24):.4g} pulses/s, an acceleration of 1 {hz**2 / (1 << 41):.4g} pulses/s2."
+                    f"{name} = {value}: {a_or_an(self.chip.MAP.chip)} takes {r.range[0]} to {r.range[1]}. At {hz:,} Hz a "
+                    f"velocity of 1 is {hz / (1 << 24):.4g} pulses/s, an acceleration of 1 {hz**2 / (1 << 41):.4g} pulses/s2."
                 )
         return values
 
@@ -177,35 +170,40 @@ class Tmc5160Driver(Driver):
 
     def move(self, pulses: int, speeds: Speeds, timeout: float | None = None) -> Report:
         values = self._speeds(speeds)
-        self._check_still()
+        self.check_still()
         with Procedure(self.axis, "move") as p:
             self.start_with(values, pulses)
             longest = abs(pulses) / speeds.drive + speeds.up + speeds.down
             wait_until_stopped([self.axis], 1.5 * longest + 1 if timeout is None else timeout)
             met = self.stopped_by()
-            self._stay()
+            self.stay()
             self.axis.wait(SETTLE)
             return p.report(met or self.DONE, pulses)
 
     def start(self, pulses: int, speeds: Speeds) -> None:
-        self._check_still()
+        self.check_still()
         self.start_with(self._speeds(speeds), pulses)
 
     def start_with(self, values: Mapping[str, int], pulses: int) -> None:
         """Begin a move with these registers."""
         self.ready()
+        self.put("XTARGET", self.aim(values, pulses))
+
+    def aim(self, values: Mapping[str, int], pulses: int) -> int:
+        """All but the start of a move with these registers: returns the XTARGET that starts it."""
         goal = self.get("XACTUAL") + pulses
-        self._stay()
+        self.stay()
         for name, value in {**values, "V1": 0, "D1": values["DMAX"], "SW_MODE": STOPS, "RAMP_STAT": EVENT_POS}.items():
             self.put(name, value)
         self.put("RAMPMODE", POSITION)
-        self.put("XTARGET", goal)
+        return goal
 
-    def _check_still(self) -> None:
+    def check_still(self) -> None:
+        """Raises StageError for an axis that moves."""
         if self.runs():
             raise self.moving()
 
-    def _stay(self) -> None:
+    def stay(self) -> None:
         """Nothing moves, whatever comes: the target is where the axis is."""
         self.put("RAMPMODE", HOLD)
         self.put("XTARGET", self.get("XACTUAL"))
@@ -213,11 +211,12 @@ class Tmc5160Driver(Driver):
 
     def run(self, direction: int, speeds: Speeds) -> None:
         values = self._speeds(speeds)
-        self._check_still()
+        self.check_still()
         self.ready()
-        self._run(direction, values, STOPS)
+        self.run_with(direction, values, STOPS)
 
-    def _run(self, direction: int, values: Mapping[str, int], switches: int) -> None:
+    def run_with(self, direction: int, values: Mapping[str, int], switches: int) -> None:
+        """Begin to run with these registers; switches: of SW_MODE, which stops act."""
         for name, value in {**values, "V1": 0, "D1": values["DMAX"], "SW_MODE": switches}.items():
             self.put(name, value)
         self.put("RAMPMODE", PLUS if direction > 0 else MINUS)
@@ -227,7 +226,7 @@ class Tmc5160Driver(Driver):
             self.put("SW_MODE", STOPS | POL_L | POL_R)
         self.put("VMAX", 0)
         wait_until_stopped([self.axis], 60.0)
-        self._stay()
+        self.stay()
         self.put("SW_MODE", STOPS)
 
     def stopped_by(self) -> str:
@@ -243,111 +242,17 @@ class Tmc5160Driver(Driver):
 
     def home_by(self, what: str, direction: int, speeds: Speeds, timeout: float = 60.0) -> Report:
         values = self._speeds(speeds)
-        self._check_still()
+        self.check_still()
         with Procedure(self.axis, "home") as p:
             self.ready()
-            ended = self._to_stall(direction, values, timeout) if what == "stall" else ""
-            ended = ended or self._to_switch(direction, values, timeout)
+            ended = homing.to_stall(self, direction, values, timeout) if what == "stall" else ""
+            ended = ended or homing.to_switch(self, direction, values, timeout)
             if what == "index" and ended in self.FOUND:
-                ended = self._to_index(-direction, values, timeout)
+                ended = homing.to_index(self, -direction, values, timeout)
             self.axis.wait(SETTLE)
             report = p.report(ended)
         # zero is where the motor has stalled: steps lost before do not count
         return replace(report, lost_steps=0) if ended == "stall" else report
-
-    def _to_switch(self, direction: int, values: Mapping[str, int], timeout: float) -> str:
-        """Data sheet, pages 85 and 86: XACTUAL is 0 where the switch closes, and there the axis is in the end."""
-        left = direction < 0
-        closed, stop, latch = (STATUS_L, STOP_L, LATCH_L_ON) if left else (STATUS_R, STOP_R, LATCH_R_ON)
-        end = self.axis.time + timeout
-        if self.get("RAMP_STAT") & closed:  # off it first
-            self._run(-direction, values, STOPS)
-            while self.get("RAMP_STAT") & closed and self.axis.time < end and self.runs():
-                self.axis.wait(1e-3)
-            self.halt()
-        self._run(direction, values, stop | latch | SOFT_STOP)
-        wait_until_stopped([self.axis], end - self.axis.time)
-        if not self.get("RAMP_STAT") & closed:
-            self._stay()
-            return self.stopped_by() or "no switch"
-        self.put("SW_MODE", 0)
-        self._zero_at_latch()
-        wait_until_stopped([self.axis], end - self.axis.time)
-        self.put("SW_MODE", STOPS)
-        return "REFL" if left else "REFR"
-
-    def _to_index(self, direction: int, values: Mapping[str, int], timeout: float) -> str:
-        """Within a turn away from the switch, data sheet, page 46: XACTUAL is 0 where the N event was, and there the axis is in the
-        end. The pulse is passed slowly, always in this direction: it is some steps wide."""
-        motor = getattr(getattr(self.axis, "drive", None), "motor", None)
-        turn = FULL_STEP * getattr(motor, "steps_per_turn", USUAL_STEPS)
-        slow = {**values, "VMAX": max(values["VMAX"] // SLOWLY, LEAST_VSTOP)}
-        slow["VSTART"] = min(values["VSTART"], slow["VMAX"])
-        slow["VSTOP"] = max(slow["VSTART"], LEAST_VSTOP)
-        end = self.axis.time + timeout
-        self.put("ENC_STATUS", N_EVENT)
-        self.put("ENCMODE", self.get("ENCMODE") & DECIMAL | POL_N | IGNORE_AB | CLR_ONCE | LATCH_X | RISING)
-        self._run(direction, slow, STOPS)
-        begin = self.get("XACTUAL")
-        while not self.get("ENC_STATUS") & N_EVENT and self.runs() and self.axis.time < end:
-            if abs(self.get("XACTUAL") - begin) > turn + FULL_STEP:
-                break
-            self.axis.wait(1e-3)
-        met = self.stopped_by()
-        self.halt()
-        self.put("ENCMODE", self.get("ENCMODE") & DECIMAL)
-        if not self.get("ENC_STATUS") & N_EVENT:
-            return met or "no index"
-        self.put("VMAX", slow["VMAX"])
-        self._zero_at_latch()
-        wait_until_stopped([self.axis], end - self.axis.time)
-        return "ENCN"
-
-    def _zero_at_latch(self) -> None:
-        """XACTUAL becomes 0 where XLATCH was, and the axis goes there."""
-        self.put("RAMPMODE", HOLD)
-        beyond = self.get("XACTUAL") - self.get("XLATCH")
-        self.put("XACTUAL", beyond)
-        self.put("XTARGET", beyond)
-        self.put("RAMPMODE", POSITION)
-        self.put("XTARGET", 0)
-
-    def _to_stall(self, direction: int, values: Mapping[str, int], timeout: float) -> str:
-        """Data sheet, pages 87 to 90: XACTUAL is 0 where the motor stalls.
-
-        SGT makes SG_RESULT 0 at half of what it is in free motion: so the motor stops before its field is half an electrical turn
-        ahead, where it would slip by four full steps or not, by chance.
-        """
-        gconf, tstep = self.get("GCONF"), (1 << 24) // values["VMAX"]
-        settings = {
-            "GCONF": gconf & ~4,
-            "COOLCONF": 0,
-            "TCOOLTHRS": min(round(WINDOW * tstep), 0xFFFFF),
-            "RAMP_STAT": EVENT_SG,
-        }
-        for name, value in settings.items():
-            self.put(name, value)
-        self._run(direction, values, 0)
-        end = self.axis.time + timeout
-        while not self.get("RAMP_STAT") & VELOCITY_REACHED and self.axis.time < end:
-            self.axis.wait(1e-3)
-        free = []
-        for _ in range(TUNING):
-            self.axis.wait(FULL_STEP * self.chip.clock_hz**-1 * tstep)
-            free.append(self.get("DRV_STATUS") & 0x3FF)
-        self.put("COOLCONF", (-round(min(free) / 2 / PER_SGT) & 0x7F) << 16)
-        self.put("SW_MODE", SG_STOP)
-        wait_until_stopped([self.axis], end - self.axis.time)
-        ended = self.stopped_by()
-        self.put("RAMPMODE", HOLD)
-        self.put("XACTUAL", 0)
-        self.put("XTARGET", 0)
-        self.put("SW_MODE", STOPS)
-        self.put("RAMP_STAT", EVENT_SG | EVENT_POS)
-        self.put("TCOOLTHRS", 0)
-        self.put("GCONF", gconf)
-        self.put("RAMPMODE", POSITION)
-        return ended or "no stall"
 
     # --- as programs ---
 
@@ -362,5 +267,50 @@ class Tmc5160Driver(Driver):
 
     def search(self, settings: Any) -> NoReturn:
         raise ArgumentError(
-            f"{a_or_an(self.chip.MAP.chip)} writes no origin return as a program: firmware.home homes it."
+            f"{a_or_an(self.chip.MAP.chip)} has no ORG: its two reference switches are the end limits, and an origin return is to "
+            "find ORG between them. firmware.home homes it by a switch, index or stall."
         )
+
+    # --- lines ---
+
+    def lines(self, drivers: Sequence[Driver], settings: Any) -> InRatio:
+        """By velocities and accelerations in the ratio of the distances."""
+        return InRatio(drivers, settings)
+
+    @classmethod
+    def line(
+        cls, drivers: Mapping[str, Driver], pulses: Mapping[str, int], speeds: Speeds, timeout: float | None = None
+    ) -> SynchronizedReport:
+        """As `lines`; ramps up and down are alike, the longer of both."""
+        mine: dict[str, Any] = that_move(dict(drivers), pulses)
+        for driver in mine.values():
+            driver.check_still()
+            driver.ready()
+        ramp = max(speeds.up, speeds.down)
+        made = InRatio(list(mine.values()), LineSettings(speeds.start, ramp, speeds.s_curve, axes=tuple(mine)))
+        if speeds.drive > made.fastest:
+            raise ArgumentError(f"drive speed {speeds.drive:g} pps: up to {made.fastest:g} here.")
+        asked = Asked(np.array([[pulses[n] for n in mine]]), np.array([speeds.drive]))
+        rows = made.data_sheet(asked)[0].tolist()
+        wanted = {n: pulses[n] for n in mine}
+        with Together({n: Procedure(d.axis, "line") for n, d in mine.items()}, wanted) as together:
+            goals = {
+                n: d.aim(dict(zip(made.names, row, strict=True)), wanted[n])
+                for (n, d), row in zip(mine.items(), rows, strict=True)
+            }
+            for name, goal in goals.items():
+                mine[name].put("XTARGET", goal)
+                together.began(name)
+            longest = 1.5 * float(asked.longest[0]) / speeds.drive + 6 * ramp + 1
+            try:
+                wait_until_stopped(
+                    [d.axis for d in mine.values()], longest if timeout is None else timeout, look=together.look
+                )
+            except RunTimeout as error:
+                error.reports = together.reports(dict.fromkeys(mine, "timeout"))  # type: ignore[attr-defined]
+                raise
+            ended = {n: d.stopped_by() or cls.DONE for n, d in mine.items()}
+            for driver in mine.values():
+                driver.stay()
+            next(iter(mine.values())).axis.wait(SETTLE)
+            return together.report(ended)
