@@ -1,5 +1,6 @@
 """The TMC5160 as the driver of a stage's motor: currents, load, stalls; boards, environments and programs for Arduino."""
 
+import copy
 import os
 import shutil
 import subprocess
@@ -16,6 +17,7 @@ from support.packages import TMC5160, tmc5160
 import stage.envs  # noqa: F401
 from stage import ArgumentError, Drive, Stage, StageError, firmware
 from stage.board import Board, NativeHost, build
+from stage.chips import chip_class
 from stage.cli import main
 from stage.testing import chip_conformance
 
@@ -186,6 +188,40 @@ def test_a_board_shows_it_as_spi(stage_):
         board.out8(0x300, 1)
     assert answer == [0x31, 0, 0, 0, 0, 0x31, 0x30, 0, 0, 3 & stage_.chips[0].input_word(0)]
     assert "SPI: read IOIN" in board.trace.text()
+
+
+def spi(board, datagrams, reads):
+    """SPI of a host that reads each answer, or only writes; 12 clocks a bus cycle of 1 us."""
+    for _ in range(datagrams):
+        board.out8(0x300, 0)
+        for byte in (0x6F, 0, 0, 0, 0):
+            board.out8(0x301, byte)
+            if reads:
+                board.in8(0x301)
+        board.out8(0x300, 1)
+    return [d.message for d in board.stage.chips[0].diagnostics]
+
+
+def test_spi_that_is_faster_than_the_silicon_is_told_once(stage_):
+    """Page 25: SCK low and high >= tCLK + 10 ns, CSN high >= 2 tCLK + 10 ns"""
+    stage_.reset()
+    assert spi(Board(copy.copy(stage_)), 3, reads=True) == []
+    (said,) = spi(Board(copy.copy(stage_)), 3, reads=False)
+    assert said.startswith("SCK is too fast: 8 bits in 12 clocks, 8.00 MHz; ")
+    assert "so 5.36 MHz at most" in said
+    quick = Stage("xy", chips={"x": "tmc5160"}, bus_cycle=1e-7, visuals=False)
+    quick.axes["x"].chip.write(0x81, 0)
+    said = spi(Board(quick), 2, reads=True)
+    assert "SDI 00h while CSN is high" in said[0]
+    assert [message.split(":")[0] for message in said[1:]] == [
+        "SCK is too fast",
+        "CSN is high too short between datagrams",
+    ]
+    lone = chip_class("tmc5160")()
+    for _ in range(2):
+        for address in (0x80, 0x81, 0x81):
+            lone.write(address, 0)
+    assert "too" not in " ".join(d.message for d in lone.diagnostics), "a chip on no bus has no times"
 
 
 @pytest.mark.parametrize("id_", ["RegisterTuning", "RegisterBus", "SynchronizedMove"])

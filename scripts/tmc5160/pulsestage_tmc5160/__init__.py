@@ -52,7 +52,7 @@ class TMC5160(Chip):
             raise ArgumentError(
                 f"rsense={rsense!r}: sense resistors have 0.001 to 10 ohm; 0.1 makes 2.3 A RMS at most."
             )
-        self.rsense = float(rsense)
+        self.rsense, self._timed = float(rsense), False
         super().__init__(clock_hz)
 
     def _configure(self, record: Any) -> None:
@@ -114,4 +114,14 @@ class TMC5160(Chip):
         return Listener(self.state)
 
     def mistake(self, address: int, value: int) -> tuple[str, str] | None:
-        return lint.write(self._plain, address, value)
+        said: tuple[str, str] | None = lint.write(self._plain, address, value)
+        if said is None and (self.attached or self._timed):
+            said = lint.timing(self._plain, address, value)
+        return said
+
+    def twin(self, state: bytes | None = None) -> TMC5160:
+        """As every chip's. What looks for the mistakes of a chip of a stage, whose bus takes time, sees them on twins."""
+        twin = super().twin(state)
+        assert isinstance(twin, TMC5160)
+        twin._timed = self.attached or self._timed
+        return twin

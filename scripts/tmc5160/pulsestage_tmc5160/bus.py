@@ -99,6 +99,7 @@ def power_up(c):
     c.load_of, c.load_n, c.load_sum, c.emf_sum = -1, 0, 0, 0
     c.gstat, c.shorts, c.hot = 1, 0, 0
     c.csn, c.shift, c.bits, c.out, c.heard = 1, 0, 0, 0, 0
+    c.risen = c.shifted = -NEVER
     for k in range(REGISTERS):
         c.reg[k] = RESET[k]
     c.clock, c.hz, c.rsense, c.inputs, c.net = clock, hz, rsense, inputs, net
@@ -285,6 +286,7 @@ def write(c, address, value):
         c.out = c.shift >> 32
         c.shift = (c.shift << 8 | value & 0xFF) & M40
         c.bits += 8
+        c.shifted = c.clock
     elif address == SPI_DATAGRAM:
         c.heard = answer(c)
         _act(c, value & M40)
@@ -295,8 +297,10 @@ def select(c, level):
     """CSN."""
     if c.csn and not level:
         c.shift, c.bits = answer(c), 0
-    elif level and not c.csn and c.bits >= 40:
-        _act(c, c.shift)
+    elif level and not c.csn:
+        c.risen = c.clock
+        if c.bits >= 40:
+            _act(c, c.shift)
     c.csn = level
 
 

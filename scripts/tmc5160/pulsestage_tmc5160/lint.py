@@ -27,8 +27,10 @@ from pulsestage_tmc5160.state import (
     VSTOP,
     XTARGET,
 )
+from stage.chips.chip import Limit
 
 Note = tuple[str, str]
+CLEAR = 10e-9  # s, beyond clocks, of each level of SCK and of CSN
 SHEET = "data sheet TMC5160 rev. 1.14, page "
 NOT_MODELLED = {
     "OTP_PROG": "OTP memory is not modelled: nothing is programmed",
@@ -53,6 +55,27 @@ def write(c: Any, address: int, value: int) -> Note | None:
         return (f"SDI {value & 0xFF:02X}h while CSN is high: nobody listens", SHEET + "24") if c["csn"] else None
     what = "reads the status" if address >= SPI_STATE and address <= SPI_STATE + 1 else "is nothing"
     return f"a write to {address:02X}h, where there {what}: nothing changes", "bus of this package"
+
+
+def timing(c: Any, address: int, value: int) -> Limit | None:
+    """What is too fast for the silicon in a write to the ports of SPI; clocks are whole, so only what is so for certain."""
+    clock, hz = int(c["clock"]), int(c["hz"])
+    if address == SPI_CS and not value & 1 and c["csn"]:
+        passed, least = clock - int(c["risen"]), 2 + CLEAR * hz
+        if passed + 1 <= least:
+            return Limit(
+                f"CSN is high too short between datagrams: {passed} clocks; 2 tCLK + 10 ns at least", SHEET + "25"
+            )
+    elif address in (SPI_BYTE, SPI_CS) and not c["csn"] and c["bits"]:
+        passed, least = clock - int(c["shifted"]), 8 * 2 * (1 + CLEAR * hz)
+        if passed + 1 <= least:
+            made, most = 8 * hz / max(passed, 1) / 1e6, hz / (2 * (1 + CLEAR * hz)) / 1e6
+            return Limit(
+                f"SCK is too fast: 8 bits in {passed} clocks, {made:.2f} MHz; its low and high take tCLK + 10 ns each, so "
+                f"{most:.2f} MHz at most. Let each byte take longer, or the bus (bus_cycle=)",
+                SHEET + "25",
+            )
+    return None
 
 
 def _short(bits: int) -> Note | None:

@@ -81,6 +81,8 @@ STATE = record(
         ("bits", "i8"),  # shifted since CSN fell
         ("answer", "i8"),  # what the next datagram gets
         ("out", "i8"),  # the last byte on SDO
+        ("risen", "i8"),  # clock at which CSN went high
+        ("shifted", "i8"),  # clock of the last byte
         ("heard", "i8"),  # the answer to the last whole datagram
         ("reg", "i8", (REGISTERS,)),  # what is stored as it was written
     ]
