@@ -70,6 +70,7 @@ def test_board_trace_and_command_line_know_it(stage_, capsys, tmp_path):
 def test_environments_know_it(id_):
     env = gymnasium.make(f"stage/{id_}-v0", chip="acme1000", model="xy")
     env.reset(seed=1)
+    env.action_space.seed(1)
     *_, info = env.step(env.action_space.sample())
     assert info
     env.close()

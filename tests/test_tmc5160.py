@@ -135,7 +135,7 @@ def test_the_command_line_takes_it(capsys):
     assert "XTARGET" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(k, marks=pytest.mark.slow) for k in range(2, 60))])
 def test_many_clocks_at_once_are_clock_by_clock(chip, seed):
     """`leap` against `tick`, which is taken where an access is fresh."""
     rng = np.random.default_rng(seed)
@@ -181,7 +181,7 @@ def test_many_clocks_at_once_are_clock_by_clock(chip, seed):
         assert chip.state.tobytes() == twin.state.tobytes()
 
 
-@pytest.mark.parametrize("seed", [*range(6), *(pytest.param(k, marks=pytest.mark.slow) for k in range(6, 300))])
+@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(k, marks=pytest.mark.slow) for k in range(2, 300))])
 def test_ramp_times_and_step_counts_are_those_of_the_formulas(chip, seed):
     """Page 84 of the data sheet, section 4.3 of sheet.md: steps exact to 1, times to a clock a phase."""
     rng = np.random.default_rng(seed)
@@ -268,7 +268,7 @@ def test_it_goes_home_to_the_index_pulse_from_anywhere(stage_, capsys):
     """And by the command line to a stall"""
     stage_.reset()
     x, found = stage_.axes["x"], []
-    for place in (-0.147, -0.131):
+    for place in (-0.1495, -0.1485):
         stage_.place(x=place)
         report = firmware.home(x, index=True)
         assert (report.ok, report.stopped_by) == (True, "ENCN")

@@ -57,7 +57,7 @@ def show(chip, edge):
     chip.pins.enca, chip.pins.encb = bool(edge + 1 & 2), bool(edge & 2)
 
 
-@pytest.mark.parametrize("seed", [*range(6), *(pytest.param(k, marks=pytest.mark.slow) for k in range(6, 400))])
+@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(k, marks=pytest.mark.slow) for k in range(2, 400))])
 def test_a_shaft_counts_as_its_edges_at_the_pins_do(chip, seed):
     """Every bit of the state is the same, but for what tells of the shaft; with N events, deviation and the emergency stop."""
     rng = np.random.default_rng(seed)

@@ -23,6 +23,7 @@ def test_velocity_mode_takes_the_time_and_steps_of_the_formula():
     assert get(chip, "VACTUAL") == 2**24 - 500
 
 
+@pytest.mark.slow
 def test_six_phases_of_a_position_ramp():
     chip = ready(VSTART=6000, A1=60000, V1=11000, AMAX=65535, VMAX=16000, DMAX=50000, D1=65000, VSTOP=8000, XTARGET=30)
     x = chip.r
@@ -51,6 +52,7 @@ def test_six_phases_of_a_position_ramp():
     assert get(chip, "RAMP_STAT") & 0x680 == 0x680
 
 
+@pytest.mark.slow
 def test_a_short_way_peaks_where_the_triangle_says():
     a1, amax, dmax, d1, v1, vstop, way = 60000, 40000, 65535, 50000, 5000, 4500, 12
     chip = ready(A1=a1, V1=v1, AMAX=amax, VMAX=100000, DMAX=dmax, D1=d1, VSTOP=vstop, XTARGET=-way)
@@ -64,7 +66,7 @@ def test_a_short_way_peaks_where_the_triangle_says():
     assert [direction for _, direction in chip.steps] == [-1] * way
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in range(1, 24))])
 def test_every_move_ends_at_its_target(seed):
     _arrives(seed, 6, 15)
 
