@@ -14,13 +14,17 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from stage import Stage
+from stage.envs import keeping
+from stage.envs.keeping import EnvSnapshot
 from stage.envs.results import DIVERGED as DIVERGED
+from stage.envs.settings import Number
 from stage.envs.task import MoveTask, Task, checked, configured
 from stage.errors import ArgumentError, unknown
 
 RENDER_MODES = ("rgb_array", "rgb_array_list", "human")
 FPS = 30  # of simulated time
 WIDTH, HEIGHT = 640, 480
+EVERY = Number(low=1e-4, high=1e3)  # s, between frames
 
 
 def _options(task: type[Task], options: Mapping[str, Any] | None) -> dict[str, Any]:
@@ -35,9 +39,11 @@ class StageEnv(gymnasium.Env[np.ndarray, Any]):
 
     Args:
         render_mode: what `render` gives (needs GL). "rgb_array": the stage at the end of the step, and not where the next move
-            will begin. "rgb_array_list": the frames since the last call or reset, 30 a second of simulated time where a step
+            will begin. "rgb_array_list": the frames since the last call or reset, `render_every` of simulated time where a step
             is a whole move, and the end of each step. "human": a viewer that shows the same in real time. None: nothing.
         camera: of the model.
+        render_every: s of simulated time from one frame to the next, 1/30 by default. Where a step is a bus cycle, each step is a
+            frame by default, and with render_every no frame comes earlier than so much after the last.
         record: a file name for rerun recordings, with {} for the number of the episode, or of the step where each begins at
             power-up: "run/{}.rrd".
         Other settings are those of the task's Config.
@@ -47,16 +53,25 @@ class StageEnv(gymnasium.Env[np.ndarray, Any]):
     metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": FPS}  # noqa: RUF012 (as in Gymnasium)
 
     def __init__(
-        self, render_mode: str | None = None, camera: str = "overview", record: str | None = None, **settings: Any
+        self,
+        render_mode: str | None = None,
+        camera: str = "overview",
+        record: str | None = None,
+        render_every: float | None = None,
+        **settings: Any,
     ):
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise unknown("render mode", render_mode, RENDER_MODES)
+        if render_every is not None:
+            EVERY.check("render_every", render_every)
         self.render_mode, self._camera, self._record = render_mode, camera, record
+        self._every, self._latest = render_every, 0.0
+        self.metadata = {**type(self).metadata, "render_fps": max(1, round(1 / (render_every or 1 / FPS)))}
         self._task = self.task(
             1, configured(self.task, settings), 1, visuals=render_mode is not None or record is not None
         )
         self.action_space, self.observation_space = self._task.action_space, self._task.observation_space
-        self._over = True
+        self._over, self._begun = True, False
         self._viewer: Any = None
         self._recording: Any = None
         self._episode = 0
@@ -76,9 +91,10 @@ class StageEnv(gymnasium.Env[np.ndarray, Any]):
         self._save_recording()
         self._task.rngs[0] = self.np_random
         self._task.restart(0, options)
-        self._over = False
+        self._over, self._begun = False, True
         self._start_recording()
         self._seen.clear()
+        self._latest = self.stage.time
         self._show(self.stage.data.qpos[None], None)
         self._task.observe()
         return self._task.observations[0].copy(), self._task.describe(0)
@@ -99,6 +115,19 @@ class StageEnv(gymnasium.Env[np.ndarray, Any]):
         self._over = terminated or truncated
         return task.observations[0].copy(), reward, terminated, truncated, info
 
+    def snapshot(self) -> EnvSnapshot:
+        """All that the episode is, for `restore`; see keeping.py. Raises ArgumentError before the first reset."""
+        keeping.begun([self._begun])
+        return keeping.taken(self._task, (self._over, self._np_random_seed, self._end))
+
+    def restore(self, snapshot: EnvSnapshot) -> None:
+        """Continue from `snapshot`, bit for bit, as often as wanted: the next step is the one that followed it.
+
+        Raises ArgumentError for a snapshot of an environment with other settings or a damaged one, StageError with record=.
+        """
+        self._over, self._np_random_seed, self._end = keeping.restored(self._task, snapshot)
+        self._np_random, self._begun = self._task.rngs[0], True
+
     def _play(self) -> None:
         """The step itself, and how it looks."""
         task = self._task
@@ -106,7 +135,9 @@ class StageEnv(gymnasium.Env[np.ndarray, Any]):
             task.act()
         elif not isinstance(task, MoveTask):
             task.act()
-            self._show(self.stage.data.qpos[None], None)
+            if self._every is None or self.stage.time >= self._latest + self._every - 1e-9:
+                self._latest = self.stage.time
+                self._show(self.stage.data.qpos[None], None)
         else:
             frames = self._filmed()
             self._show(frames, frames[-1].copy())
@@ -118,7 +149,7 @@ class StageEnv(gymnasium.Env[np.ndarray, Any]):
             return self.stage.data.qpos[None]
         from stage.envs.rendering import Film
 
-        begin, film = self.stage.data.qpos.copy(), Film(self.stage, 1 / FPS)
+        begin, film = self.stage.data.qpos.copy(), Film(self.stage, self._every or 1 / FPS)
         try:
             self._task.act()
         finally:
@@ -134,7 +165,7 @@ class StageEnv(gymnasium.Env[np.ndarray, Any]):
         elif self.render_mode == "human":
             for k, qpos in enumerate(frames):
                 if k:
-                    time.sleep(1 / FPS)
+                    time.sleep(self._every or 1 / FPS)
                 self._looking().frame(qpos)
 
     def _looking(self) -> Any:
@@ -237,6 +268,17 @@ class StageVectorEnv(VectorEnv[np.ndarray, Any, np.ndarray]):
         self._over[mask] = False
         self._task.observe()
         return self._task.observations.copy(), infos
+
+    def snapshot(self) -> EnvSnapshot:
+        """All that the episodes of all stages are, for `restore`; see keeping.py. Raises ArgumentError before the first reset."""
+        keeping.begun(self._seeded)
+        return keeping.taken(self._task, self._over)
+
+    def restore(self, snapshot: EnvSnapshot) -> None:
+        """Continue from `snapshot`, bit for bit, as often as wanted. Raises ArgumentError for a snapshot of a vector with other
+        settings or another number of stages, or a damaged one."""
+        self._over = keeping.restored(self._task, snapshot).copy()
+        self._seeded[:] = True
 
     def step(self, actions: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         mode = self.autoreset_mode

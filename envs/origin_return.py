@@ -108,6 +108,7 @@ class OriginReturn(MoveTask[Config]):
     Config = Config
     OPTIONS = ("start", "payload", "friction")
     """start: m, of the first return."""
+    STATE = ("payload", "friction", "place", "shift", "ends", "last")
     RESTARTS = True
 
     def stage(self, visuals: bool) -> Stage:
@@ -140,7 +141,7 @@ class OriginReturn(MoveTask[Config]):
             duration=float, error=float, spread=float, home=bool, end_limit=bool, late=bool,
             lost_steps=int, start=float, registers=(int, (len(self.strategy),)),
         )  # fmt: skip
-        self.payload, self.friction, self.place = np.zeros(n), np.ones(n), np.zeros(n)
+        self.payload, self.friction, self.place, self.shift = np.zeros(n), np.ones(n), np.zeros(n), np.zeros(n)
         self.ends = np.zeros((n, 2))
         self.last = np.zeros((n, 8))
 
@@ -161,12 +162,11 @@ class OriginReturn(MoveTask[Config]):
         self.beam0 = stage.model.geom_pos[self.beam].copy()
 
     def begin(self, k: int, options: Mapping[str, Any]) -> None:
-        c, rng, model = self.config, self.rngs[k], self.stages[k].model
+        c, rng = self.config, self.rngs[k]
         payload, friction = float(rng.uniform(*c.payloads)), float(np.exp(rng.uniform(*np.log(c.frictions))))
         self.payload[k] = self._given(options, "payload", payload, c.payloads)
         self.friction[k] = self._given(options, "friction", friction, c.frictions)
-        self.stages[k].set_payload(float(self.payload[k]), self.carrier)
-        model.dof_frictionloss[self.dof], model.dof_damping[self.dof] = np.array(self.friction0) * self.friction[k]
+        self._load(k)
         self.ends[k], self.last[k] = (np.inf, -np.inf), 0.0
         self._draw(k, options)
 
@@ -179,10 +179,23 @@ class OriginReturn(MoveTask[Config]):
         c, rng, stage = self.config, self.rngs[k], self.stages[k]
         drawn = float(rng.uniform(self.low + FROM_LIMIT, self.high - FROM_LIMIT))
         self.place[k] = self._given(options, "start", drawn, self.axis.travel)
-        if c.drift:
-            stage.model.geom_pos[self.beam] = self.beam0 + self.along * rng.uniform(-c.drift, c.drift)
+        self.shift[k] = rng.uniform(-c.drift, c.drift) if c.drift else 0.0
+        self._shift(k)
         stage.restore(self.start)
         stage.place(**{c.axis: float(self.place[k])})
+
+    def equip(self, k: int) -> None:
+        self._load(k)
+        self._shift(k)
+
+    def _load(self, k: int) -> None:
+        model = self.stages[k].model
+        self.stages[k].set_payload(float(self.payload[k]), self.carrier)
+        model.dof_frictionloss[self.dof], model.dof_damping[self.dof] = np.array(self.friction0) * self.friction[k]
+
+    def _shift(self, k: int) -> None:
+        if self.config.drift:
+            self.stages[k].model.geom_pos[self.beam] = self.beam0 + self.along * self.shift[k]
 
     @staticmethod
     def _given(options: Mapping[str, Any], name: str, drawn: float, ends: tuple[float, float]) -> float:

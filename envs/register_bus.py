@@ -23,7 +23,10 @@ reward        the sum of
                          0 at success: it guides the agent and does not change the best policy (discount: the learner's own)
               time       - time_weight x s
               success    success_weight, once
-              lost       - lost_weight for every full step lost
+              lost       - lost_weight for every full step lost, the first 64 of an episode
+              failed     - what is left of both at an end without success: time_weight x s up to the time limit, lost_weight x
+                         full steps up to 64. So every failure costs the same but for its progress: to be out of actions soon,
+                         or to wait, pays no better than a try that loses steps.
 episode       terminated at success: every axis has stopped, stands within `tolerance` of its goal, and (with "position") has
               lost no step. Truncated after `time_limit` s or `cycles` actions.
 goal          "position": random targets, uniform on a log scale, in either direction from the position at power-up.
@@ -107,6 +110,7 @@ class RegisterBus(Task[Config]):
     Config = Config
     OPTIONS = ("target", "start")
     """target: {axis: pulses, signed} instead of drawn ones; start: {axis: m}, where carriages stand at the beginning."""
+    STATE = ("episodes", "axis_states", "words")
 
     def stage(self, visuals: bool) -> Stage:
         c = self.config

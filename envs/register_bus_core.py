@@ -20,6 +20,7 @@ WRITE, READ, WAIT = range(3)  # kinds of action; WAIT + k
 AGE = 1e6  # ns, at which freshness is one half
 FAST, MANY = 0.5, 64.0  # m/s, full steps: what counts as 1 in an observation
 PER_AXIS, TRUTH, COMMON = 1, 4, 4
+DEAREST = 64  # full steps lost that cost something, an episode
 
 SETTINGS = {
     **dict.fromkeys("discount progress_weight time_weight success_weight lost_weight standing cycles".split(), "f8"),
@@ -38,8 +39,8 @@ the reward of a divergence; bits of the data bus, address of the status, the lar
 AXIS_RULES = record([(name, "f8") for name in "near per_pulse full_step scale low high".split()] + [("chip", "i8")])
 """Of an axis: tolerance, pulse, full step, error that counts as 1, ends of its travel, all in m; which chip it is on."""
 
-EPISODE = record([("began", "i8"), ("before", "i8"), ("potential", "f8"), ("value", "i8")])
-"""ns at its begin and at that of the step; the last potential; what was just read, or -1."""
+EPISODE = record([("began", "i8"), ("before", "i8"), ("potential", "f8"), ("value", "i8"), ("paid", "i8")])
+"""ns at its begin and at that of the step; the last potential; what was just read, or -1; full steps lost that have been paid."""
 
 AXIS = record([("goal", "f8"), ("target", "i8"), ("lost", "i8")])
 """Goal, m; target, pulses; most full steps lost so far."""
@@ -53,7 +54,7 @@ def width(addresses, bits):
     return bits + (addresses - 1) + addresses
 
 
-PARTS = ("progress", "time", "success", "lost")
+PARTS = ("progress", "time", "success", "lost", "failed")
 RESULT = result(PARTS, elapsed=float, value=int, success=bool, error=float, lost_steps=int)
 
 FRAME = record(
@@ -134,7 +135,7 @@ def _judge(r, rules, action, value, bad, steps, episode, axes, words, truth, out
     out.truncated = bad or (not success and (now - episode.began >= r.limit or steps >= r.cycles))
     parts, info = out.parts, out.info
     if bad:
-        parts.progress = parts.time = parts.success = parts.lost = 0.0
+        parts.progress = parts.time = parts.success = parts.lost = parts.failed = 0.0
         out.reward = r.diverged
     else:
         if action[0] == READ:
@@ -144,8 +145,14 @@ def _judge(r, rules, action, value, bad, steps, episode, axes, words, truth, out
         parts.progress = r.progress_weight * (r.discount * potential - episode.potential)
         parts.time = -r.time_weight * 1e-9 * (now - episode.before)
         parts.success = r.success_weight if success else 0.0
+        more = least(more, DEAREST - episode.paid)
+        episode.paid += more
         parts.lost = -r.lost_weight * more
-        out.reward = parts.progress + parts.time + parts.success + parts.lost
+        parts.failed = 0.0
+        if out.truncated:  # what waiting to the end would have cost, and whatever could have been lost
+            left = 1e-9 * (r.limit - (now - episode.began))
+            parts.failed = -(r.time_weight * left + r.lost_weight * (DEAREST - episode.paid))
+        out.reward = parts.progress + parts.time + parts.success + parts.lost + parts.failed
         episode.potential, episode.before = potential, now
         for a in range(len(axes)):
             axes[a].lost = greatest(axes[a].lost, abs(truth[a].lost_steps))
@@ -225,7 +232,7 @@ def conclude(f, begin, end, fresh, results):
         if fresh:
             e = episodes[k]
             e.began = e.before = truth[k, 0].now
-            e.potential, e.value = _potential(axes[k], rules, truth[k]), -1
+            e.potential, e.value, e.paid = _potential(axes[k], rules, truth[k]), -1, 0
         else:
             steps[k] += 1
             bad = status[k] == player.DIVERGED

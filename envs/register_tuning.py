@@ -13,9 +13,12 @@ observation   float32, the task and the result of the last move:
 reward        the sum of
               time       - duration / 1 s, from the start command to the stop (up to the limit)
               lost       - lost_weight if a full step was lost, or the carriage is not where the pulses say
-              vibration  - vibration_weight x the carriage's peak-to-peak travel in `settle` after the stop / 0.1 mm
+              vibration  - vibration_weight x the travel of the point at which moves are judged, in `settle` after the stop / 0.1 mm
               limit      - limit_weight if the move did not make its pulses: an end limit, or the time limit
 episode       `moves` moves, then truncated.
+judge_at      a site or body that the axis carries, where the process is: what counts is how far it still travels after the stop.
+              None: of the sites tool, camera and work the first that can swing (a camera on a mast), else the first that there is;
+              in a model that has none of them the axis itself.
 """
 
 from __future__ import annotations
@@ -29,6 +32,7 @@ from stage.chips import Chip, chip_class
 from stage.envs.base import StageEnv, StageVectorEnv
 from stage.envs.registers import RegisterBox
 from stage.envs.settings import Actions, AxisName, Count, Counts, Cycle, Flag, Payloads, Seconds, Settings, Weight
+from stage.envs.task import judged
 from stage.envs.tuning import Tuning
 from stage.firmware.driver import driver_of
 from stage.sim.fleet import Played
@@ -52,6 +56,7 @@ class Config(Settings):
     payload_on: AxisName | None = (
         None  # body or site that carries it; None: site "work", else the body that the axis moves
     )
+    judge_at: AxisName | None = None  # site or body at which vibration is measured; None: see above
     moves: Count = 8  # an episode
     limit: Seconds = 4.0  # s, a move may take
     settle: Seconds = 0.1  # s, in which vibration is measured
@@ -74,12 +79,17 @@ class RegisterTuning(Tuning[Config]):
         self.driver = driver_of(self.axis)
         return RegisterBox(self.axis.chip.MAP, self.driver.tuned_by(self.config.s_curve))
 
+    def prepare(self) -> None:
+        self.judged, self.point = judged(self.stages[0], self.config.axis, self.config.judge_at)
+        super().prepare()
+
     def program(self, row: np.ndarray, distance: int) -> Program:
         p, c = Program(), self.config
         self.driver.write_move(p, self.registers.named(row), distance)
         self.stop = len(p)  # the wait for the stop
         self.driver.write_stop(p.until_stopped([self.axis.index], c.limit))
-        return p.measure(c.settle)
+        self.rest = len(p)
+        return p.measure(c.settle, self.point)
 
     def judge(self, played: Played, truth: np.ndarray) -> None:
         c, t = self.config, truth[:, self.axis.index]
@@ -87,8 +97,10 @@ class RegisterTuning(Tuning[Config]):
         finished = (took > 0) & (t["pulses"] == self.distance)
         duration = np.abs(took)
         lost = (t["lost_steps"] != 0) | (np.abs(t["commanded"] - t["position"]) > ALLOWED)
-        low, high = (played.extremes[:, self.axis.plant.qpos, side] for side in (0, 1))
-        vibration = np.where(high >= low, high - low, 0.0)
+        vibration = played.results[:, self.rest] * 1e-12
+        if not self.point:
+            low, high = (played.extremes[:, self.axis.plant.qpos, side] for side in (0, 1))
+            vibration = np.where(high >= low, high - low, 0.0)
         parts = {
             "time": -duration,
             "lost": np.where(lost, -c.lost_weight, 0.0),

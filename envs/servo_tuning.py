@@ -12,7 +12,7 @@ reward        the sum of
               time       - settling time / 1 s: from the start until the carriage stays within the deadband
               overshoot  - overshoot_weight x the farthest beyond the goal / distance, 1 at most
               unrest     - unrest_weight x peak-to-peak travel in the last `rest` seconds / 100 counts, 10 at most
-              limit      - limit_weight if it did not settle by `limit`
+              limit      - limit_weight if it did not settle by `limit`: if it left the deadband in the last `rest` seconds
 episode       `moves` moves, then truncated.
 
 The motion is what the host can write in Init/Idle, so no command falls into the unsafe part of a sample. A trapezoid's rates are
@@ -88,6 +88,7 @@ class Config(Settings):
 
 class ServoTuning(Tuning[Config]):
     Config = Config
+    STATE = (*Tuning.STATE, "goal")
     PARTS = ("time", "overshoot", "unrest", "limit")
     INFO: ClassVar = {"settled": float, "overshoot": float, "unrest": float, "error": float, "finished": bool}
     UNIT = "counts"
@@ -115,8 +116,9 @@ class ServoTuning(Tuning[Config]):
         rates = (c.velocity, c.acceleration) if c.motion == "trapezoid" else None
         self.driver.write_servo_move(p, self.registers.named(row), distance, rates)
         self.first = len(p)  # of the pairs of a wait and a look
-        for _ in range(self.looks):
-            p.wait(LOOK).look(self.axis.index)
+        for k in range(self.looks):
+            (p.measure if k >= self.looks - self.tail else p.wait)(LOOK)
+            p.look(self.axis.index)
         return p
 
     def judge(self, played: Played, truth: np.ndarray) -> None:
@@ -124,12 +126,16 @@ class ServoTuning(Tuning[Config]):
         looks = played.results[:, self.first + 1 : self.first + 2 * self.looks : 2] * 1e-12
         way = np.sign(self.axis.gear)
         error = self.goal[:, None] - way * looks / self.axis.meters_per_pulse  # counts
+        ends = played.extremes[:, self.axis.plant.qpos] * (
+            way / self.axis.meters_per_pulse
+        )  # of the rest, every physics step
+        ends = np.where(np.isfinite(ends), self.goal[:, None] - ends, np.inf)
         outside = np.abs(error) > c.deadband
         late = self.looks - np.argmax(outside[:, ::-1], axis=1)  # looks up to the last one outside
-        settled = np.where(outside.any(axis=1), late, 0) * LOOK
-        finished = ~outside[:, -1]
+        finished = (np.abs(ends) <= c.deadband).all(axis=1) & ~outside[:, -1]
+        settled = np.where(finished, np.where(outside.any(axis=1), late, 0), self.looks) * LOOK
         overshoot = np.maximum(-error.min(axis=1), 0.0)
-        unrest = np.ptp(error[:, -self.tail :], axis=1)
+        unrest = np.abs(ends[:, 0] - ends[:, 1])
         parts = {
             "time": -settled,
             "overshoot": -c.overshoot_weight * np.minimum(overshoot / self.distance, 1.0),

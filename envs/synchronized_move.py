@@ -123,6 +123,7 @@ class Config(Settings):
 class SynchronizedMove(MoveTask[Config]):
     Config = Config
     OPTIONS = ("distances", "rate")
+    STATE = ("distances", "rate", "last")
 
     def stage(self, visuals: bool) -> Stage:
         c = self.config

@@ -16,6 +16,7 @@ from stage.envs.results import Results
 from stage.errors import ArgumentError, unknown
 from stage.sim.fleet import Fleet, Played
 from stage.sim.program import Program
+from stage.sim.snapshot import Snapshot
 
 ConfigT = TypeVar("ConfigT")
 
@@ -36,6 +37,8 @@ class Task(ABC, Generic[ConfigT]):
     Config: ClassVar[type]
     OPTIONS: ClassVar[tuple[str, ...]] = ()
     """What `reset(options=...)` takes."""
+    STATE: ClassVar[tuple[str, ...]] = ()
+    """The arrays of what is drawn and counted for each stage, beside steps, observations and results: snapshots have them."""
     RESTARTS: ClassVar[bool] = False
     """Every step begins at power-up, made ready by `renew`; a recording then holds one step."""
     action_space: gymnasium.Space
@@ -51,6 +54,7 @@ class Task(ABC, Generic[ConfigT]):
         self.rngs = [np.random.default_rng(0)] * n
         self.steps = np.zeros(n, np.int64)
         self.active = np.ones(n, bool)
+        self.header: Any = None  # of its snapshots, once there is one
         self.prepare()
         self.actions = np.zeros((n, *self.action_space.shape), self.action_space.dtype)  # type: ignore[misc]
         self.observations = np.zeros((n, *self.observation_space.shape), self.observation_space.dtype)  # type: ignore[misc]
@@ -80,6 +84,9 @@ class Task(ABC, Generic[ConfigT]):
     def act(self) -> None:
         """Play `actions` on the `active` stages, one at least, and judge: fills `results` and counts `steps`."""
 
+    def equip(self, k: int) -> None:
+        """The machine of stage k is the one that was drawn: the payload and the like, which a stage's snapshots leave alone."""
+
     def renew(self) -> None:
         """Make the stages that are `sound` ready for their next step, after the last has been judged."""
 
@@ -103,6 +110,31 @@ class Task(ABC, Generic[ConfigT]):
         self.steps[k] = 0
         self.results["cause"][k] = 0
         self.begin(k, options)
+
+    def keep(self, k: int) -> tuple:
+        """All that stage k's episode is."""
+        stage = self.stages[k].snapshot()
+        arrays = [getattr(self, name)[k].tobytes() for name in self._kept]
+        return (
+            (stage.state, stage.diagnostics, stage.checksum), arrays, self.results.rows[k].tobytes(),
+            self.rngs[k].bit_generator.state,
+        )  # fmt: skip
+
+    def put(self, k: int, kept: tuple) -> None:
+        """Stage k is as `keep` found one."""
+        stage, arrays, result, drawn = kept
+        for name, row in zip(self._kept, arrays, strict=True):
+            array = getattr(self, name)
+            array[k] = np.frombuffer(row, array.dtype).reshape(array.shape[1:])
+        self.results.rows[k] = np.frombuffer(result, self.results.rows.dtype)[0]
+        self.rngs[k] = np.random.Generator(np.random.PCG64())
+        self.rngs[k].bit_generator.state = drawn
+        self.equip(k)
+        self.stages[k].restore(Snapshot(self.start.header, *stage))
+
+    @property
+    def _kept(self) -> tuple[str, ...]:
+        return ("steps", "observations", *self.STATE)
 
     def take(self, k: int, action: Any) -> None:
         """Let `action` be the next of stage k. Raises ArgumentError if it is not in the space."""
@@ -163,6 +195,47 @@ def carrier(stage: Stage, axis: str, named: str | None) -> str:
     else:
         body = bodies.get(named, sites.get(named))
     return str(model.body(int(body)).name)
+
+
+JUDGED = ("tool", "camera", "work")
+"""Names of the sites at which a move is judged, where none is named."""
+
+
+def judged(stage: Stage, axis: str, named: str | None) -> tuple[str, int]:
+    """The point of a model at which a move of an axis is judged: its name, and its number for `Program.measure`.
+
+    named: a site or a body that the axis carries. None: of the sites JUDGED that it carries the first that can swing (a joint
+    without a motor is between the site and the axis), else the first; in a model with none of them ("", 0), the axis itself.
+    ArgumentError for any other name.
+    """
+    model, home = stage.model, int(stage.model.jnt_bodyid[stage.axes[axis].joint])
+    moved = {a.joint for a in stage.axes.values()}
+
+    def way(body: int) -> list[int] | None:
+        """The bodies from the axis' own to `body`; None: the axis does not carry it."""
+        found = [body]
+        while found[-1] and found[-1] != home:
+            found.append(int(model.body_parentid[found[-1]]))
+        return found if found[-1] == home else None
+
+    ways = {f"site {model.site(k).name}": (1 + k, way(int(model.site_bodyid[k]))) for k in range(model.nsite)}
+    ways |= {f"body {model.body(k).name}": (-k, way(k)) for k in range(1, model.nbody)}
+    carried = {
+        name: (point, bodies) for name, (point, bodies) in ways.items() if bodies is not None and name.split()[1:]
+    }
+    if named is not None:
+        for kind in ("site", "body"):
+            if f"{kind} {named}" in carried:
+                return named, carried[f"{kind} {named}"][0]
+        raise unknown(
+            f"site or body of judge_at that axis {axis} carries,", named, {name.split(" ", 1)[1] for name in carried}
+        )
+    found = {name: carried[f"site {name}"] for name in JUDGED if f"site {name}" in carried}
+    for name, (point, bodies) in found.items():
+        joints = [j for j in range(model.njnt) if int(model.jnt_bodyid[j]) in (bodies or [])]
+        if not moved.issuperset(joints):
+            return name, point
+    return next(((name, point) for name, (point, _) in found.items()), ("", 0))
 
 
 def configured(task: type[Task], settings: Mapping[str, Any]) -> Any:

@@ -1,5 +1,5 @@
 """`Tuning`: the common part of RegisterTuning and ServoTuning. An action chooses the registers of one move of one axis; the
-distance and the payload are random for each move.
+distance, the payload and the rotor's angle at the start are random for each move.
 
 A subclass defines its chip, its registers, the bus cycles of a move and the reward of a move.
 """
@@ -28,7 +28,9 @@ class Tuning(MoveTask[ConfigT]):
     """Base of the tuning tasks. Their settings have model, axis, actions ("box" or "registers"), distances and payloads (ends of
     what is drawn), payload_on, moves (an episode's), limit (s, for a move) and bus_cycle."""
 
-    OPTIONS = ("distance", "payload")
+    OPTIONS: ClassVar[tuple[str, ...]] = ("distance", "payload", "angle")
+    """angle: of the rotor at the start, in electrical turns of the motor from 0 to 1; of a servo in counts of its encoder."""
+    STATE: ClassVar[tuple[str, ...]] = ("distance", "payload", "angle", "last")
     RESTARTS = True
     PARTS: ClassVar[tuple[str, ...]]
     """What a reward is made of."""
@@ -65,14 +67,20 @@ class Tuning(MoveTask[ConfigT]):
         self.carrier = carrier(self.stages[0], c.axis, c.payload_on)
         self.registers = self.tuned()
         self.action_space = self.registers.box if c.actions == "box" else self.registers.discrete
-        room = 0.95 * (self.axis.travel[1] - self.axis.travel[0]) / self.axis.meters_per_pulse
+        self.middle = 0.5 * (self.axis.travel[0] + self.axis.travel[1])
+        self.turn = self.axis.meters_per_pulse  # m (rad), after which the rotor stands in its field as before
+        if not self.axis.chip.SERVO:
+            motor: Any = self.axis.drive.motor
+            self.turn = 2 * np.pi / (motor.rotor_teeth * abs(self.axis.gear))
+        travel = self.axis.travel[1] - self.axis.travel[0]
+        room = min(0.95 * travel, travel - 2 * self.turn) / self.axis.meters_per_pulse
         if c.distances[1] > room:
             raise ArgumentError(f"distances={c.distances!r}: axis {c.axis} has room for {int(room)} {self.UNIT}.")
         self.observation_space = gymnasium.spaces.Box(-1.0, 1.0, (6,), np.float32)
         self.result = result(
-            self.PARTS, **self.INFO, distance=int, payload=float, registers=(int, (len(self.registers),))
+            self.PARTS, **self.INFO, distance=int, payload=float, angle=float, registers=(int, (len(self.registers),))
         )
-        self.distance, self.payload = np.ones(self.n, np.int64), np.zeros(self.n)
+        self.distance, self.payload, self.angle = np.ones(self.n, np.int64), np.zeros(self.n), np.zeros(self.n)
         self.last = np.zeros((self.n, 4))
         self.program(self.registers.low, 1)
 
@@ -85,22 +93,26 @@ class Tuning(MoveTask[ConfigT]):
             self._draw(int(k), {})
 
     def describe(self, k: int) -> dict[str, Any]:
-        return {"distance": int(self.distance[k]), "payload": float(self.payload[k])}
+        return {"distance": int(self.distance[k]), "payload": float(self.payload[k]), "angle": float(self.angle[k])}
 
     def _draw(self, k: int, options: Mapping[str, Any]) -> None:
-        """The next move of stage k: distance and payload, and the carriage at its start."""
+        """The next move of stage k: distance, payload and the rotor's angle, and the carriage at its start."""
         c: Any = self.config
         rng, stage = self.rngs[k], self.stages[k]
         low, high = np.log(c.distances)
         distance, payload = int(np.rint(np.exp(rng.uniform(low, high)))), float(rng.uniform(*c.payloads))
         self.distance[k] = _given(options, "distance", distance, c.distances)
         self.payload[k] = _given(options, "payload", payload, c.payloads)
+        self.angle[k] = _given(options, "angle", float(rng.uniform()), (0.0, 1.0))
         stage.restore(self.start)
-        stage.set_payload(float(self.payload[k]), self.carrier)
-        middle = 0.5 * (self.axis.travel[0] + self.axis.travel[1])
+        self.equip(k)
         way = np.sign(self.axis.gear) * self.axis.meters_per_pulse
-        stage.place(**{c.axis: middle - 0.5 * way * float(self.distance[k])})
+        begin = self.middle - 0.5 * way * float(self.distance[k])
+        stage.place(**{c.axis: (np.floor(begin / self.turn) + self.angle[k]) * self.turn})
         self.placed(k)
+
+    def equip(self, k: int) -> None:
+        self.stages[k].set_payload(float(self.payload[k]), self.carrier)
 
     def chosen(self, actions: np.ndarray) -> np.ndarray:
         """Register values of actions."""
@@ -116,7 +128,12 @@ class Tuning(MoveTask[ConfigT]):
         c: Any = self.config
         good = self.sound
         self.last[good] = np.clip(np.nan_to_num(now), 0.0, 1.0)[good]
-        asked = {"distance": self.distance, "payload": self.payload, "registers": self.chosen(self.actions)}
+        asked = {
+            "distance": self.distance,
+            "payload": self.payload,
+            "angle": self.angle,
+            "registers": self.chosen(self.actions),
+        }
         self.fill(parts, {**info, **asked}, False, self.steps >= c.moves)
 
     def observed(self) -> np.ndarray:

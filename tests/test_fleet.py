@@ -173,7 +173,8 @@ def test_what_a_fleet_cannot_be_is_refused(first):
     "op",
     [
         (WRITE, 3, 0, 0x11), (READ, 2, 0, 0), (READ, -1, 0, 0), (LOOK, 2, 0, 0), (STOP, 4, 1, 1),
-        (STOP, -1, 1, 1), (STOP, 1, 0, 1), (WAIT, -1, 0, 0), (WAIT, 1 << 62, 0, 0), (MEASURE, -5, 0, 0),
+        (STOP, -1, 1, 1), (STOP, 1, 0, 1), (WAIT, -1, 0, 0), (WAIT, 1 << 62, 0, 0), (MEASURE, -5, 0, 0), (MEASURE, 5, 99, 0),
+        (MEASURE, 5, -99, 0),
         (7, 0, 0, 0), (-1, 0, 0, 0),
     ],
 )  # fmt: skip
@@ -289,6 +290,27 @@ def test_a_look_is_the_place_in_pm_and_extremes_are_of_what_was_measured_alone(f
     assert (extremes[0, :, 0] <= extremes[0, :, 1]).all()
     assert extremes[0, x.plant.qpos] == pytest.approx([0.0123] * 2, abs=1e-5)
     assert (extremes[1] == [np.inf, -np.inf]).all()
+
+
+def test_what_a_point_travels_is_the_diagonal_of_its_box_by_python_as_by_compiled_code(first):
+    """Program().measure(seconds, 1 + site), or - body"""
+    one, other = Fleet(stages(first, 1), 1), Fleet(stages(first, 1), 1)
+    model = one.stages[0].model
+    site, x = 1 + model.site("work").id, one.stages[0].axes["x"]
+    body = int(model.jnt_bodyid[x.joint])
+    p = Program().command(0, 0x08)
+    for name, value in {"R1": 500, "R2": 500, "R7": 30}.items():
+        p.register(0, PCL240K, name, value)
+    p.command(0, 0x40).command(0, 0x10).wait(0.01)
+    p.measure(0.02, site).measure(0.02, -body).measure(0.02).measure(0, site)
+    played = one.play([p])
+    other.stages[0].record()
+    assert other.watched() == [0], "Python plays it"
+    assert (other.play([p]).results == played.results).all()
+    by_site, by_body, nothing, still = played.results[0, -4:].tolist()
+    assert (nothing, still) == (0, 0)
+    way = 10_000 * abs(x.meters_per_pulse) * 0.02 * 1e12
+    assert [by_site, by_body] == pytest.approx([way, way], rel=0.05)
 
 
 def test_a_register_is_written_by_a_program_as_its_family_takes_it():

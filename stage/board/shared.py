@@ -34,9 +34,9 @@ _ALIGNED = 64
 _LINE = struct.Struct("qq")  # time, length
 _GUARD = 64  # bytes of chance behind each array
 _FIXED = (
-    "mj_model mj_data world axes drives switches table switch_table chips clockwork qpos qvel ctrl sensordata inertia n_axes "
-    "n_switches n_chips nq nv nu ns bus own edges edge_room regions n_regions ports n_ports lines line_room call irqs acts before "
-    "userdata words journals devices n_devices"
+    "mj_model mj_data world axes drives switches table switch_table chips clockwork qpos qvel ctrl sensordata inertia sites bodies "
+    "n_axes n_switches n_chips nq nv nu ns n_sites n_bodies bus own edges edge_room regions n_regions ports n_ports lines "
+    "line_room call irqs acts before userdata words journals devices n_devices"
 ).split()
 """What the child's HOST record has once for all."""
 

@@ -58,6 +58,7 @@ class Fleet:
         self.threads = min(threads or _processors(), len(self.stages))
         first = self.stages[0]
         self._nq, self._axes = first.model.nq, len(first.axes)
+        self._points = min(s.model.nsite for s in stages), min(s.model.nbody for s in stages)
         self._process = os.getpid()
         self.handles = np.zeros(len(self.stages), handle.HANDLE)
         self._truth = np.zeros((len(self.stages), self._axes), play.TRUTH)
@@ -83,7 +84,7 @@ class Fleet:
         extremes = np.empty((n, self._nq, 2))
         extremes[:, :, 0], extremes[:, :, 1] = np.inf, -np.inf
         ops = np.ascontiguousarray(ops, np.int64)
-        _check(ops, list(self.stages[0].axes))
+        _check(ops, list(self.stages[0].axes), *self._points)
         watched = self.watched()
         compiled = ops
         if watched:
@@ -169,7 +170,7 @@ OF_AN_AXIS = (WRITE, READ, LOOK)
 TIMED = {WAIT: (1,), MEASURE: (1,), STOP: (2, 3)}  # which of an operation's numbers are ns
 
 
-def _check(ops: np.ndarray, axes: list[str]) -> None:
+def _check(ops: np.ndarray, axes: list[str], sites: int, bodies: int) -> None:
     """Of programs, (stages, operations, 4): what compiled code believes. Raises ArgumentError."""
     kind, a = ops[:, :, 0], ops[:, :, 1]
     last = np.logical_or.accumulate(kind == END, axis=1)  # from here on nothing is played
@@ -179,14 +180,17 @@ def _check(ops: np.ndarray, axes: list[str]) -> None:
     for timed, numbers in TIMED.items():
         for n in numbers:
             bad |= (kind == timed) & ((ops[:, :, n] < 0) | (ops[:, :, n] > MOST))
+    bad |= (kind == MEASURE) & ((ops[:, :, 2] > sites) | (ops[:, :, 2] <= -bodies))
     bad &= ~last
     if bad.any():
         k, j = (int(n) for n in np.argwhere(bad)[0])
         op = ops[k, j].tolist()
         name = NAMES[op[0]] if 0 <= op[0] <= LOOK else "unknown operation"
+        point = f" A point is 1 + the index of a site, up to {sites}, or - that of a body, from {1 - bodies} on."
+        point = point if op[0] == MEASURE else ""
         raise ArgumentError(
             f"program {k}, operation {j}: {name} {tuple(op[1:])}. Axes are given by their index, 0 to {len(axes) - 1} "
-            f"({', '.join(axes)}), several as a mask of bits; times are 0 to 1e9 s, in ns, and a poll takes 1 ns or more."
+            f"({', '.join(axes)}), several as a mask of bits; times are 0 to 1e9 s, in ns, and a poll takes 1 ns or more.{point}"
         )
 
 

@@ -19,8 +19,8 @@ from stage.sim.in_use import ENGINE, claim, release
 if TYPE_CHECKING:
     from stage.sim.state import State
 
-_ARRAYS = "world axes drives switches table switch_table chips clockwork qpos qvel ctrl sensordata inertia".split()
-_LENGTHS = "n_axes n_switches n_chips nq nv nu ns".split()
+_ARRAYS = "world axes drives switches table switch_table chips clockwork qpos qvel ctrl sensordata inertia sites bodies".split()
+_LENGTHS = "n_axes n_switches n_chips nq nv nu ns n_sites n_bodies".split()
 _LOGS = "samples positions room filled edges edge_room noted counts".split()
 HANDLE_FIELDS: list = [
     (name, "i8") for name in ["mj_model", "mj_data", *_ARRAYS, *_LENGTHS, "bus", *_LOGS, "state", "status", "own"]
@@ -132,11 +132,13 @@ def fill(handles: np.ndarray, k: int, state: State) -> None:
     held = (
         state.world, state.axes, state.drives, state.switches, state.axis_table, state.switch_table, state.chip_table,
         state.clockwork, data.qpos, data.qvel, data.ctrl, data.sensordata, model.dof_M0,
+        data.site_xpos, data.xpos,
     )  # fmt: skip
     for name, array in zip(_ARRAYS, held, strict=True):
         h[name] = array.ctypes.data
     h["n_axes"], h["n_switches"], h["n_chips"] = len(state.axis_table), len(state.switch_table), len(state.chip_table)
     h["nq"], h["nv"], h["nu"], h["ns"] = model.nq, model.nv, model.nu, model.nsensordata
+    h["n_sites"], h["n_bodies"] = model.nsite, model.nbody
     h["bus"] = state.bus
     h["samples"] = h["positions"] = h["edges"] = state.saved.ctypes.data  # some address: their rooms are 0
     h["counts"], h["state"] = state.counts.ctypes.data, state.saved.ctypes.data

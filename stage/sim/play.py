@@ -55,17 +55,26 @@ def _until_stopped(h, left, poll, limit):
 
 
 @hot
-def _measure(h, end, extremes):
-    """Let time pass up to `end` a physics step at a time; as `_pass`."""
+def _measure(h, end, point, extremes):
+    """Let time pass up to `end` a physics step at a time. Returns (as `_pass`, pm that the point travelled)."""
     w, dt, qpos = world(h), clockwork(h).dt, array_at(h.qpos, h.nq, REAL)
+    sites, bodies = array_at(h.sites, (h.n_sites, 3), REAL), array_at(h.bodies, (h.n_bodies, 3), REAL)
+    x0 = y0 = z0 = math.inf
+    x1 = y1 = z1 = -math.inf
     while w.now < end:
         bad = _pass(h, least(end, w.start + dt))
         if bad:
-            return bad
+            return bad, 0
         for i in range(h.nq):
             extremes[i, 0] = least(extremes[i, 0], qpos[i])
             extremes[i, 1] = greatest(extremes[i, 1], qpos[i])
-    return 0
+        if point:
+            at = sites[point - 1] if point > 0 else bodies[-point]
+            x0, y0, z0 = least(x0, at[0]), least(y0, at[1]), least(z0, at[2])
+            x1, y1, z1 = greatest(x1, at[0]), greatest(y1, at[1]), greatest(z1, at[2])
+    if not x0 <= x1:
+        return 0, 0
+    return 0, int(math.sqrt((x1 - x0) ** 2 + (y1 - y0) ** 2 + (z1 - z0) ** 2) * 1e12)
 
 
 @hot
@@ -80,7 +89,7 @@ def play_one(h, ops, results, extremes):
         if kind == STOP:
             bad, results[j] = _until_stopped(h, a, b, c)
         elif kind == MEASURE:
-            bad = _measure(h, w.now + a, extremes)
+            bad, results[j] = _measure(h, w.now + a, b, extremes)
         elif kind == WAIT:
             bad = _pass(h, w.now + a)
         elif kind == LOOK:
@@ -159,12 +168,17 @@ def by_hand(stage: Any, ops: np.ndarray, results: np.ndarray, extremes: np.ndarr
                 return int(begin - stage.now)
             stage.run_to(stage.now + poll)
 
-    def measure(ns: int) -> None:
-        end = stage.now + ns
+    def measure(ns: int, point: int) -> int:
+        end, low, high = stage.now + ns, np.full(3, np.inf), np.full(3, -np.inf)
         while stage.now < end:
             stage.run_to(min(end, stage.state.start + stage.state.dt))
             np.minimum(extremes[:, 0], stage.data.qpos, out=extremes[:, 0])
             np.maximum(extremes[:, 1], stage.data.qpos, out=extremes[:, 1])
+            if point:
+                at = stage.data.site_xpos[point - 1] if point > 0 else stage.data.xpos[-point]
+                low, high = np.minimum(low, at), np.maximum(high, at)
+        x, y, z = (high - low).tolist()
+        return int(math.sqrt(x**2 + y**2 + z**2) * 1e12) if x >= 0 else 0
 
     try:
         for j, (kind, a, b, c) in enumerate(ops.tolist()):
@@ -181,7 +195,7 @@ def by_hand(stage: Any, ops: np.ndarray, results: np.ndarray, extremes: np.ndarr
             elif kind == LOOK:
                 results[j] = math.floor(axes[a].position * 1e12)
             else:
-                measure(a)
+                results[j] = measure(a, b)
     except SimulationError as error:
         if error.__cause__ is not None:  # a callback's own, which says more
             raise

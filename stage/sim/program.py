@@ -7,7 +7,9 @@ A program is an array of operations, (kind, a, b, c) of int64 each:
     WAIT     ns, -, -
     STOP     mask, poll ns, limit ns  poll the status of the axes in `mask` until none is in motion;
                                       the result is the ns it took, negative where `limit` came first
-    MEASURE  ns, -, -                 pass the time a physics step at a time and keep each coordinate's extremes
+    MEASURE  ns, point, -             pass the time a physics step at a time and keep each coordinate's extremes; with a point, 1 +
+                                      a site's index or - a body's, the result is how far it travelled: the diagonal of the box
+                                      that it kept to, in pm
     LOOK     axis, -, -               the axis' position is the operation's result, in pm (prad on a hinge)
     END      -, -, -
 
@@ -99,7 +101,8 @@ class Program(Operations):
         self.ops.append((LOOK, axis, 0, 0))
         return self
 
-    def measure(self, seconds: float) -> Self:
-        """Let time pass and keep every coordinate's extremes."""
-        self.ops.append((MEASURE, round(seconds * 1e9), 0, 0))
+    def measure(self, seconds: float, point: int = 0) -> Self:
+        """Let time pass and keep every coordinate's extremes; point: 1 + the index of a site, or - that of a body, whose travel
+        is then the result, see above. It is seen at each physics step's begin, as MuJoCo has it."""
+        self.ops.append((MEASURE, round(seconds * 1e9), point, 0))
         return self

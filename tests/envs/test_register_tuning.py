@@ -10,6 +10,7 @@ import pytest
 import stage.envs  # noqa: F401
 from stage import ArgumentError, faults
 from stage.chips import MCX302, MCX304, MCX514, PCL240K, PCL240MS
+from stage.sim import plant
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "scripts" / "baselines"))
 
@@ -135,3 +136,30 @@ def test_an_observation_begins_with_where_distance_and_payload_lie_in_their_rang
     ):
         observation, _ = env.reset(seed=1, options={"distance": distance, "payload": payload})
         assert observation[:2] == pytest.approx(seen, abs=1e-3)
+
+
+def test_a_move_is_judged_at_a_site_or_body_of_ones_choice_that_the_axis_carries():
+    """A model without a site work: judge_at names what there is, or the axis itself is judged."""
+    judged = {
+        (model, axis): make(model=model, axis=axis)._task.judged
+        for model, axis in (("xyz", "x"), ("xyz", "z"), ("xy_mast", "x"), ("xy", "y"))
+    }
+    assert judged == {("xyz", "x"): "work", ("xyz", "z"): "tool", ("xy_mast", "x"): "camera", ("xy", "y"): "tool"}
+    spec = plant.open_spec("xy")
+    for site in list(spec.sites):
+        spec.delete(site)
+    env = make(model=spec)
+    assert env._task.point == 0
+    body = make(model=spec, judge_at="y")
+    info = {}
+    for e in (env, body):
+        e.reset(seed=2, options={"distance": 1600})
+        info[e] = e.step(np.zeros(e.action_space.shape, np.float32))[4]
+    assert info[env]["vibration"] == pytest.approx(info[body]["vibration"], rel=0.2)
+    assert info[env] != info[body]
+    with pytest.raises(ArgumentError, match=r"judge_at that axis x carries, 'z'.* Known: x, y\."):
+        make(model=spec, judge_at="z")
+    with pytest.raises(ArgumentError, match=r"judge_at that axis x carries, 'tool'.* Known: work, x, y\."):
+        make(model="xyz", judge_at="tool")
+    with pytest.raises(ArgumentError, match="judge_at=3"):
+        make(judge_at=3)

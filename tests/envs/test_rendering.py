@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import stage.envs  # noqa: F401
-from stage import StageError, opengl
+from stage import ArgumentError, StageError, opengl
 from stage.envs import rendering
 
 MOVES = {
@@ -232,6 +232,26 @@ def test_a_bus_cycle_is_a_frame_and_a_recording_has_frames_beside_it(watched, tm
     both.close()
     assert len(both.render()) == pytest.approx(len(alone.render()), abs=2)
     assert (tmp_path / "1.rrd").exists(), "the second step's"
+
+
+def test_frames_come_as_often_as_render_every_says(watched):
+    """gymnasium.make(..., render_mode="rgb_array_list", render_every=0.01)"""
+    counts = {}
+    for every in (0.01, 0.02, None):
+        env = make("stage/RegisterTuning-v0", "rgb_array_list", render_every=every, moves=1)
+        assert env.metadata["render_fps"] == round(1 / (every or 1 / 30))
+        play(env)
+        counts[every] = len(env.render())
+    assert counts[0.01] == pytest.approx(2 * counts[0.02], abs=2)
+    assert counts[0.02] == pytest.approx(counts[None] * 5 / 3, abs=2)
+    host = make("stage/RegisterBus-v0", "rgb_array_list", render_every=0.05)
+    host.reset(seed=1)
+    for _ in range(10):
+        host.step(np.array([4, 0, 0, 0]))  # 10 ms
+    assert len(host.render()) == 3, "the begin, 50 ms, 100 ms"
+    for wrong in (0, -1, float("nan"), "often"):
+        with pytest.raises(ArgumentError, match="render_every="):
+            make("stage/RegisterBus-v0", render_every=wrong)
 
 
 def test_why_no_window_opens_is_said_each_time_whatever_warnings_are_shown(monkeypatch):

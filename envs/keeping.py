@@ -1,0 +1,81 @@
+"""Snapshots of environments, for planning: all that an episode is, and continued bit for bit.
+
+    kept = env.snapshot()
+    for action in candidates:            look ahead from the same moment, as often as you like
+        env.restore(kept)
+        env.step(action)
+
+A snapshot has the physics, chips, drives and switches; the payload, friction and place of a switch that the environment drew; the
+task's own numbers; the random generator; the last observation and result. It restores into any environment with the same settings,
+in this process or another (pickle). Not in it: what you did to the machine yourself (faults, forces), the generators of the spaces,
+the frames and recordings.
+"""
+
+from __future__ import annotations
+
+import pickle
+import zlib
+from collections.abc import Sequence
+from dataclasses import fields
+from typing import Any, ClassVar
+
+import numpy as np
+
+from stage import snapshots
+from stage.chips import chip_class
+from stage.envs.task import Task
+from stage.errors import ArgumentError, StageError
+
+
+class EnvSnapshot(snapshots.Snapshot):
+    """All state of an environment, or of a vector of them; see the module."""
+
+    of: ClassVar = "an environment"
+
+
+def header(task: Task) -> snapshots.Header:
+    """What snapshots of environments under this task are taken of."""
+    if task.header is None:
+        task.header = _made(task)
+    return task.header
+
+
+def _made(task: Task) -> snapshots.Header:
+    parts = [("environment", type(task).__name__), ("stages", str(task.n))]
+    for f in fields(task.config):
+        value = getattr(task.config, f.name)
+        if f.name == "chip":
+            value = chip_class(value).__name__
+        elif f.name == "model" and not isinstance(value, str):
+            continue  # its mechanics are in what follows
+        parts.append((f"setting {f.name}", repr(value)))
+    return snapshots.Header((*parts, *task.start.header.parts))
+
+
+def taken(task: Task, more: Any) -> EnvSnapshot:
+    """Of all stages of a task; more: of whoever asks, what can be pickled."""
+    kept = [task.keep(k) for k in range(task.n)]
+    state = pickle.dumps((kept, more), pickle.HIGHEST_PROTOCOL)
+    of = header(task)
+    return EnvSnapshot(of, state, (), zlib.crc32(state, of.checksum))
+
+
+def restored(task: Task, snapshot: Any) -> Any:
+    """The task is as it was; returns what `taken` was given more.
+
+    Raises ArgumentError for a snapshot of another environment, StageError while a stage is being recorded; nothing
+    has changed then.
+    """
+    snapshots.check(snapshot, EnvSnapshot, header(task))
+    if any(stage.recording is not None for stage in task.stages):
+        raise StageError("time in a recording runs forward only: restore in an environment without record=.")
+    kept, more = pickle.loads(snapshot.state)
+    for k, of_stage in enumerate(kept):
+        task.put(k, of_stage)
+    return more
+
+
+def begun(episodes: Sequence[bool] | np.ndarray) -> None:
+    """Raise ArgumentError where a snapshot would be of nothing."""
+    if not all(episodes):
+        raise ArgumentError("there is no episode to take a snapshot of: call reset() first.")

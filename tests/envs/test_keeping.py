@@ -1,0 +1,121 @@
+"""Snapshots of environments: an episode goes on from one to the bit, here or in another, as often as wanted."""
+
+import pickle
+
+import gymnasium
+import numpy as np
+import pytest
+
+import stage.envs
+from stage import ArgumentError, StageError
+
+SHORT = {
+    "stage/RegisterTuning-v0": {"model": "xy", "moves": 3, "distances": (300, 900), "limit": 0.3, "settle": 0.01},
+    "stage/RegisterBus-v0": {"model": "xy", "cycles": 8, "waits": (1e-3, 1e-2), "time_limit": 0.5, "truth": True},
+    "stage/OriginReturn-v0": {"model": "xy", "returns": 3, "limit": 0.1, "settle": 0.01, "drift": 2e-4},
+    "stage/SynchronizedMove-v0": {"model": "xy", "distances": (300, 900), "moves": 3, "limit": 0.3},
+    "stage/ServoTuning-v0": {"limit": 0.05, "rest": 0.01, "moves": 3},
+}
+
+
+def make(id_, **settings):
+    return gymnasium.make(id_, disable_env_checker=True, **SHORT[id_] | settings).unwrapped
+
+
+def vector(id_, n, **settings):
+    return gymnasium.make_vec(
+        id_, num_envs=n, vectorization_mode="vector_entry_point", **SHORT[id_] | settings
+    ).unwrapped
+
+
+def plain(said):
+    """All that an environment says, as what compares by ==."""
+    if isinstance(said, dict):
+        return {k: plain(v) for k, v in said.items()}
+    if isinstance(said, tuple | list):
+        return [plain(v) for v in said]
+    return (said.dtype.str, said.tolist()) if isinstance(said, np.ndarray) else said
+
+
+def course(env, actions):
+    """What so many steps say, over the end of an episode and the next one's draws."""
+    said = []
+    for action in actions:
+        if env._over:
+            said.append(plain(env.reset()))
+        said.append(plain(env.step(action)))
+    return said
+
+
+@pytest.mark.parametrize("id_", SHORT)
+def test_an_episode_goes_on_from_a_snapshot_to_the_bit(id_):
+    assert set(SHORT) == {id_ for id_ in stage.envs.IDS if id_.endswith("-v0")}
+    env, other = make(id_), make(id_)
+    env.reset(seed=5)
+    env.action_space.seed(5)
+    actions = [env.action_space.sample() for _ in range(4)]
+    env.step(actions[0])
+    kept = env.snapshot()
+    expected = course(env, actions[1:])
+    env.step(actions[0]) if not env._over else env.reset(seed=99)
+    env.restore(kept)
+    assert course(env, actions[1:]) == expected, "in the environment itself, which has gone elsewhere"
+    other.restore(pickle.loads(pickle.dumps(kept)))
+    assert course(other, actions[1:]) == expected, "in another, which was never reset"
+    assert other.np_random_seed == env.np_random_seed
+
+
+@pytest.mark.parametrize("id_", ["stage/RegisterBus-v0", "stage/RegisterTuning-v0"])
+def test_a_vector_goes_on_from_a_snapshot_to_the_bit(id_):
+    envs, other = vector(id_, 2), vector(id_, 2, threads=1)
+    envs.reset(seed=5)
+    envs.action_space.seed(5)
+    actions = [envs.action_space.sample() for _ in range(3)]
+    envs.step(actions[0])
+    kept = envs.snapshot()
+    expected = [plain(envs.step(a)) for a in actions[1:]]
+    other.restore(kept)
+    assert [plain(other.step(a)) for a in actions[1:]] == expected
+
+
+def test_a_search_looks_ahead_and_then_acts_as_if_it_had_not():
+    """The use on the page: each candidate from the same moment, then the best of them, with the reward that was foreseen."""
+    env, plainly = make("stage/RegisterTuning-v0"), make("stage/RegisterTuning-v0")
+    for e in (env, plainly):
+        e.reset(seed=8)
+    env.action_space.seed(8)
+    candidates, kept, foreseen = [env.action_space.sample() for _ in range(3)], env.snapshot(), []
+    for action in candidates:
+        env.restore(kept)
+        foreseen.append(env.step(action)[1])
+    env.restore(kept)
+    best = candidates[int(np.argmax(foreseen))]
+    assert plain(env.step(best)) == plain(plainly.step(best))
+    assert env.step(best)[1] != max(foreseen), "the next move is another"
+
+
+def test_a_snapshot_that_does_not_belong_here_is_refused_and_changes_nothing(tmp_path):
+    id_ = "stage/RegisterBus-v0"
+    env = make(id_)
+    with pytest.raises(ArgumentError, match=r"no episode .*call reset\(\) first"):
+        env.snapshot()
+    env.reset(seed=1)
+    kept = env.snapshot()
+    with pytest.raises(ArgumentError, match=r"another's: setting lost_weight: 0\.05 there, 0\.5 here"):
+        make(id_, lost_weight=0.5).restore(kept)
+    with pytest.raises(ArgumentError, match="another's: environment: RegisterBus there, RegisterTuning here"):
+        make("stage/RegisterTuning-v0").restore(kept)
+    with pytest.raises(ArgumentError, match="another's: stages: 1 there, 2 here"):
+        vector(id_, 2).restore(kept)
+    with pytest.raises(ArgumentError, match="snapshot of a stage cannot be restored into an environment"):
+        env.restore(env.stage.snapshot())
+    damaged = env.snapshot()
+    object.__setattr__(damaged, "state", damaged.state[:-1] + b"\x00")
+    with pytest.raises(ArgumentError, match="damaged"):
+        env.restore(damaged)
+    recorded = make(id_, record=str(tmp_path / "{}.rrd"))
+    recorded.reset(seed=1)
+    with pytest.raises(StageError, match="without record="):
+        recorded.restore(recorded.snapshot())
+    with pytest.raises(ArgumentError, match="call reset"):
+        vector(id_, 2).snapshot()
