@@ -71,6 +71,18 @@ def test_the_sensors_of_an_hctl1100_can_be_of_positive_logic_all_the_same():
     assert not Port(x).status() & 0x40
 
 
+@pytest.mark.parametrize("sensors", [{"org": "positive"}, LIMITS], ids=["org", "limits"])
+def test_an_hctl1100_is_not_driven_with_such_a_sensor(sensors):
+    """It took EL- for ORG, and a lost LIMIT for a drive that may go on: 5 mm ended behind EL+, and it said that all was well."""
+    _, x = made(HCTL1100, sensors)
+    for drive in (firmware.home, lambda axis: firmware.move(axis, 5e-3)):
+        with pytest.raises(ArgumentError, match="is of positive logic, and an HCTL1100 cannot read it so"):
+            drive(x)
+    _, x = made(HCTL1100, {"ez": "positive"})
+    with pytest.raises(ArgumentError, match="ez is of positive logic"):
+        firmware.home(x, index=True)
+
+
 @pytest.mark.parametrize("chips", [PCL240K, PCL240MK])
 def test_a_chip_without_the_bit_is_not_sent_home_with_such_a_sensor(chips):
     _, x = made(chips, {"org": "positive"})

@@ -7,12 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib import import_module
 
 import numpy as np
 
 from stage.board.host import BYTE, HALF, LAST_PORT, LATCH, LATCHED, NOTHING, PORT, PULLS, REGION, WORD
-from stage.chips import Chip
+from stage.chips import Chip, contract
 from stage.chips.hctl1100 import HCTL1100
 from stage.chips.nova import BYTES, MCX514, Nova
 from stage.chips.pcl240 import PCL240
@@ -67,8 +66,10 @@ def usual(chip: Chip) -> Layout:
         if isinstance(chip, layout.kind):
             return layout
     if chip.LAYOUT:
-        module, _, name = chip.LAYOUT.partition(":")
-        return getattr(import_module(module), name)
+        found = contract.loaded(type(chip), "LAYOUT", "its layout")
+        if not isinstance(found, Layout):
+            raise ArgumentError(f"{type(chip).__name__}: LAYOUT = {chip.LAYOUT!r} is no stage.board.layouts.Layout.")
+        return found
     ports = [(BYTE, a) for a in range(chip.ADDRESSES)]
     if chip.DATA_MASK > 0xFF:
         ports = [(kind, a) for a in range(chip.ADDRESSES) for kind in (WORD, HALF)]

@@ -6,12 +6,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from importlib import import_module
 from typing import Any
 
 import numpy as np
 
 from stage.chips.cores import ANSWERS, OPTIONAL
-from stage.chips.register_map import RegisterMap
+from stage.chips.register_map import Register, RegisterMap, Word
 from stage.errors import ArgumentError
 from stage.native import Exported, array_of
 
@@ -34,6 +35,8 @@ OF_ENCODERS: dict[str, tuple[Any, ...]] = {
     "scan_shaft": ("i8", "i8", "i8", "i8", "EDGE", *(array_of(kind) for kind in ("i8", "i8", "f8", "f8", "i8"))),
 }
 """As ANSWERS_OF_CHIPS, of a chip whose class says ENCODERS or SERVO."""
+CLOCKS = (1, 100_000_000)
+"""Reference clocks that are emulated, Hz."""
 METHODS = {
     "register_cycles": "the bus write cycles that put a value into a register",
     "decoder": "what a journal's writes say, for recordings",
@@ -75,20 +78,86 @@ def _of_class(chip: Any) -> list[str]:
             found.append(f"the class has no {name}, {what}")
     if found:
         return found
-    pins = [*chip.INPUTS.items(), *chip.OUTPUTS.items()]
-    if twice := {name for name in chip.INPUTS if name in chip.OUTPUTS}:
-        found.append(f"pin {', '.join(sorted(twice))} is an input and an output")
-    if wrong := [name for name, bit in pins if not isinstance(bit, int | np.integer) or bit <= 0]:
-        found.append(f"pin {wrong[0]} has no bit: a number above 0")
-    if not isinstance(chip.AXES, int) or chip.AXES < 1:
-        found.append(f"AXES is {chip.AXES!r}: how many axes it has, 1 or more")
-    if chip.ADDRESSES < 1 or chip.ADDRESS_MASK < chip.ADDRESSES - 1:
+    found += _of_pins(chip) + _of_map(chip.MAP)
+    numbers = {name: getattr(chip, name) for name in ("AXES", "ADDRESSES", "ADDRESS_MASK", "DATA_MASK")}
+    if wrong := [f"{name} is {n!r}: a whole number, 1 or more" for name, n in numbers.items() if not _counts(n)]:
+        return found + wrong
+    if chip.MAP.axes != chip.AXES:
+        found.append(f"AXES is {chip.AXES}, and its MAP is of {chip.MAP.axes}: RegisterMap(..., axes={chip.AXES})")
+    if chip.ADDRESS_MASK < chip.ADDRESSES - 1:
         found.append(f"ADDRESS_MASK {chip.ADDRESS_MASK:X}h does not reach all of its {chip.ADDRESSES} ADDRESSES")
+    if not _pair(chip.BUSY, int) or chip.BUSY[0] < 0 or chip.BUSY[1] < 1:
+        found.append(f"BUSY is {chip.BUSY!r}: address, and the bit of axis 0, two numbers")
+    if not _pair(chip.COUNTER, str) or chip.COUNTER[1] < 1:
+        found.append(f"COUNTER is {chip.COUNTER!r}: a register's name, and its bits")
+    low, high = CLOCKS
+    if not low <= chip.DEFAULT_CLOCK_HZ <= high:
+        found.append(f"DEFAULT_CLOCK_HZ is {chip.DEFAULT_CLOCK_HZ}: {low} to {high:,} Hz")
     if chip.MICROSTEPS and (not isinstance(chip.MICROSTEPS, int) or not 1 <= chip.MICROSTEPS <= 256):
         found.append(f"MICROSTEPS is {chip.MICROSTEPS!r}: 1 to 256 pulses of the chip a full step, or 0")
     if chip.DRIVER and not all(chip.DRIVER.partition(":")[::2]):
         found.append(f"DRIVER is {chip.DRIVER!r}: write 'package.module:Class'")
     return found
+
+
+def _counts(number: Any) -> bool:
+    return isinstance(number, int | np.integer) and not isinstance(number, bool) and int(number) >= 1
+
+
+def _pair(given: Any, first: type) -> bool:
+    return (
+        isinstance(given, tuple) and [isinstance(v, k) for v, k in zip(given, (first, int), strict=False)] == [True] * 2
+    )
+
+
+def _of_pins(chip: Any) -> list[str]:
+    found = []
+    if twice := {name for name in chip.INPUTS if name in chip.OUTPUTS}:
+        found.append(f"pin {', '.join(sorted(twice))} is an input and an output")
+    for what, pins in (("INPUTS", chip.INPUTS), ("OUTPUTS", chip.OUTPUTS)):
+        taken = 0
+        for name, bit in pins.items():
+            if not _counts(bit):
+                return [*found, f"pin {name} has no bit: a number above 0"]
+            if bit & taken:
+                found.append(f"pin {name} of {what} has a bit that another one has: {bit:X}h")
+            taken |= bit
+    if wrong := [pin for pin in chip.PHASES if pin not in chip.OUTPUTS]:
+        found.append(f"PHASES names {wrong[0]!r}, and OUTPUTS has no such pin")
+    return found
+
+
+def _of_map(map_: RegisterMap) -> list[str]:
+    found, names = [], [r.name for r in map_.registers]
+    found += [f"its MAP has two registers {name}" for name in dict.fromkeys(names) if names.count(name) > 1]
+    for r in map_.registers:
+        low, high = r.range
+        if not -((r.mask + 1) // 2) <= low <= high <= r.mask:
+            found.append(f"register {r.name} takes {low} to {high}, and {r.bits} bits do not hold that")
+    places: list[Register | Word] = [*map_.registers, *map_.words]
+    for place in places:
+        taken = 0
+        for field in place.fields:
+            if not 0 <= field.low <= field.high:
+                found.append(f"field {field.name} of {place.name} has bits {field.high}..{field.low}: the higher first")
+                break
+            if field.mask & taken:
+                found.append(f"field {field.name} of {place.name} has bits that another one has: {field.bits}")
+            taken |= field.mask
+    return found
+
+
+def loaded(chip: Any, attribute: str, what: str) -> Any:
+    """What a class names as "package.module:Name" in an attribute. Raises ArgumentError where there is no such thing; what: that it
+    should be."""
+    where = getattr(chip, attribute)
+    module, _, name = where.partition(":")
+    try:
+        return getattr(import_module(module), name)
+    except Exception as error:
+        raise ArgumentError(
+            f"{chip.__name__}: {attribute} = {where!r}, {what}, cannot be loaded: {type(error).__name__}: {error}."
+        ) from error
 
 
 def _of_methods(chip: Any, base: Any) -> list[str]:

@@ -13,10 +13,9 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from importlib import import_module
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar
 
-from stage.chips import Chip
+from stage.chips import Chip, contract
 from stage.errors import ArgumentError, RunTimeout, StageError, a_or_an
 from stage.firmware.axis import Axis
 from stage.firmware.pattern import Pattern
@@ -74,10 +73,23 @@ class Driver(ABC):
     """What `home_by` can home by, the usual one first; an index pulse only where the chip has an input for it."""
     FINISH: ClassVar[str] = ""
     """The register that says how far a move goes."""
+    POSITIVE: ClassVar[tuple[str, ...]] = ()
+    """Sensors that may be of positive logic: the driver tells the chip so, or refuses itself where it cannot."""
 
     def __init__(self, axis: Axis):
+        """Raises ArgumentError where a sensor is of positive logic and is none of POSITIVE."""
         self.axis, self.chip = axis, axis.chip
         self.index: int = getattr(axis, "index", 0)
+        for sensor in getattr(axis, "wiring", {}):
+            if sensor not in self.POSITIVE:
+                raise self.no_positive(sensor)
+
+    def no_positive(self, sensor: str) -> ArgumentError:
+        """For a sensor of positive logic that the chip, or its driver, reads the wrong way round."""
+        return ArgumentError(
+            f"axis {self.axis.name}: {sensor} is of positive logic, and {a_or_an(self.chip.MAP.chip)} cannot read it so. "
+            "Wire a sensor of negative logic, or an inverter."
+        )
 
     # --- now, by bus cycles, with a report ---
 
@@ -217,13 +229,22 @@ def driver_of(axis: Axis) -> Driver:
 
 
 def driver_class(chip: type[Chip]) -> type[Driver]:
-    """The driver class for chips of this class. Raises ArgumentError if there is none."""
+    """The driver class for chips of this class. Raises ArgumentError if there is none, or if it lacks a method."""
     if not chip.DRIVER:
         raise ArgumentError(
             f"{a_or_an(chip.__name__)} has no driver: its class names one in DRIVER, as 'package.module:Class'."
         )
-    module, _, name = chip.DRIVER.partition(":")
-    return getattr(import_module(module), name)
+    found = contract.loaded(chip, "DRIVER", "its driver")
+    if not isinstance(found, type) or not issubclass(found, Driver):
+        raise ArgumentError(
+            f"{chip.__name__}: DRIVER = {chip.DRIVER!r} is no class below stage.firmware.driver.Driver."
+        )
+    if missing := sorted(getattr(found, "__abstractmethods__", ())):
+        raise ArgumentError(
+            f"{chip.__name__}: its driver {found.__name__} has no {', '.join(f'{name}()' for name in missing)}; "
+            "stage.firmware.driver.Driver says what each does, and one that the chip cannot do raises ArgumentError."
+        )
+    return found
 
 
 def that_move(drivers: Mapping[str, D], pulses: Mapping[str, int]) -> dict[str, D]:

@@ -13,6 +13,7 @@ import numpy as np
 
 from stage.chips.hctl1100.maps import CLEAR, FLAG, MINIMUM_T, MODE, NUMBERS
 from stage.errors import ArgumentError, RunTimeout
+from stage.firmware.axis import positive
 from stage.firmware.choices import Choices
 from stage.firmware.driver import SETTLE, Driver, Speeds, that_move
 from stage.firmware.hctl1100.home import home, leave_limit, stand
@@ -44,6 +45,7 @@ class Hctl1100Driver(Driver):
     PATTERN: ClassVar = Pattern
     DONE: ClassVar = "end of profile"
     FINISH: ClassVar = "final_position"
+    POSITIVE: ClassVar = ("ez",)  # which only a homing to it looks at
     tuning = Tuning()
 
     def __init__(self, axis: Any):
@@ -101,6 +103,8 @@ class Hctl1100Driver(Driver):
             return p.report(self.stopped_by() if done.limited else self.DONE, int(pulses))
 
     def home(self, direction: int, speeds: Speeds, index: bool = False, timeout: float = 60.0) -> Report:
+        if index and positive(self.axis, "ez"):
+            raise self.no_positive("ez")
         port = self.ready(-direction, direction)
         with Procedure(self.axis, "origin return") as p:
             turn = getattr(getattr(self.axis, "drive", None), "counts", 2000)

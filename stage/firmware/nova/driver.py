@@ -35,6 +35,7 @@ class NovaDriver(Driver):
     """What the family shares. The order of SPEEDS is initial speed, drive speed, acceleration, jerk."""
 
     PATTERN: ClassVar = Pattern
+    POSITIVE: ClassVar = ("org", "ez", "el_plus", "el_minus")
     SPEEDS: ClassVar[tuple[str, str, str]]
     JERK: ClassVar[str]
     UNIT: ClassVar[int] = 1

@@ -30,6 +30,7 @@ class Pcl240Driver(Driver):
     PATTERN: ClassVar = Pattern
     DONE: ClassVar = "R0 = 0"
     FINISH: ClassVar = "R0"
+    POSITIVE: ClassVar = ("org", "ez", "el_plus", "el_minus", "sd_plus", "sd_minus")
     chip: Any
 
     def __init__(self, axis: Any):

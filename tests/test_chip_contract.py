@@ -1,0 +1,88 @@
+"""What a chip's class, and its driver, lack is told by its name, before anything is done with the chip."""
+
+import dataclasses
+from abc import abstractmethod
+
+import pytest
+
+from stage import ArgumentError, Stage, firmware
+from stage.board import layouts
+from stage.chips import PCL240K, Chip, contract
+from stage.chips.register_map import Field, Register, Word
+from stage.firmware.pcl240.driver import Pcl240Driver
+
+REGISTERS = PCL240K.MAP.registers
+
+
+def mapped(**change):
+    return {"MAP": dataclasses.replace(PCL240K.MAP, **change)}
+
+
+@pytest.mark.parametrize(
+    ("lacks", "said"),
+    [
+        ({"BUSY": ("status", "busy")}, "BUSY is .*address, and the bit of axis 0"),
+        ({"BUSY": (0,)}, "BUSY is"),
+        ({"COUNTER": ("COUNT",)}, "COUNTER is .*a register's name, and its bits"),
+        ({"ADDRESSES": "64"}, "ADDRESSES is '64'"),
+        ({"DATA_MASK": None}, "DATA_MASK is None"),
+        ({"AXES": True}, "AXES is True"),
+        ({"AXES": 2}, r"AXES is 2, and its MAP is of 1: RegisterMap\(..., axes=2\)"),
+        ({"DEFAULT_CLOCK_HZ": 0}, "DEFAULT_CLOCK_HZ is 0: 1 to 100,000,000 Hz"),
+        ({"INPUTS": {"el_plus": 1, "org": 1}}, "pin org of INPUTS has a bit that another one has: 1h"),
+        ({"PHASES": {"upp": "up"}}, "PHASES names 'upp', and OUTPUTS has no such pin"),
+        (mapped(registers=(*REGISTERS, REGISTERS[0])), "its MAP has two registers R0"),
+        (
+            mapped(registers=(*REGISTERS, Register("P", 5, 8, "RW", "p", (0, 256)))),
+            "P takes 0 to 256, and 8 bits do not",
+        ),
+        (mapped(words=(Word("w", "w", (Field("f", 1, 2, "f"),)),)), r"field f of w has bits 1..2: the higher first"),
+        (
+            mapped(words=(Word("w", "w", (Field("e", 3, 0, "e"), Field("f", 4, 3, "f"))),)),
+            "field f of w has bits that another one has: 4..3",
+        ),
+    ],
+)
+def test_what_a_class_has_wrong_is_named(lacks, said):
+    with pytest.raises(ArgumentError, match=f"BAD breaks the contract of chips: .*{said}"):
+        contract.check(type("BAD", (PCL240K,), lacks), Chip)
+
+
+class NoStop(Pcl240Driver):
+    @abstractmethod
+    def halt(self, at_once=False): ...
+
+    @abstractmethod
+    def write_stop(self, program): ...
+
+
+class Plain(Pcl240Driver):
+    POSITIVE = ()
+
+
+@pytest.mark.parametrize(
+    ("driver", "said"),
+    [
+        ("nowhere.driver:X", "DRIVER = 'nowhere.driver:X', its driver, cannot be loaded: ModuleNotFoundError"),
+        ("stage.firmware.pcl240.driver:X", "cannot be loaded: AttributeError: .*'X'"),
+        ("stage.board.layouts:LAYOUTS", "is no class below stage.firmware.driver.Driver"),
+        (f"{__name__}:NoStop", r"its driver NoStop has no halt\(\), write_stop\(\)"),
+    ],
+)
+def test_a_driver_that_is_none_is_told(driver, said):
+    bench = firmware.Bench(x=type("BAD", (PCL240K,), {"DRIVER": driver})())
+    with pytest.raises(ArgumentError, match=f"BAD: .*{said}"):
+        firmware.move(bench.axes["x"], pulses=10)
+
+
+def test_a_layout_that_is_none_is_told(monkeypatch):
+    monkeypatch.setattr(layouts, "LAYOUTS", {})  # a shipped family has its own
+    with pytest.raises(ArgumentError, match=r"LAYOUT = 'stage.board.layouts:BYTE' is no stage.board.layouts.Layout"):
+        layouts.usual(type("BAD", (PCL240K,), {"LAYOUT": "stage.board.layouts:BYTE"})())
+
+
+def test_a_driver_that_says_nothing_of_polarity_refuses_sensors_of_positive_logic():
+    plain = type("PLAIN", (PCL240K,), {"DRIVER": f"{__name__}:Plain"})
+    stage = Stage("xy", chips={"x": plain}, wiring={"x": {"org": "positive"}}, visuals=False)
+    with pytest.raises(ArgumentError, match=r"axis x: org is of positive logic, and a PCL240K cannot read it so. Wire"):
+        firmware.move(stage.axes["x"], pulses=10)
