@@ -14,6 +14,25 @@ if sys.platform == "linux" and "DISPLAY" not in os.environ and ctypes.util.find_
 
 from support.examples import FIXED
 
+SLOW = tuple(
+    line
+    for line in (Path(__file__).parent / "slow_tests.txt").read_text().splitlines()
+    if line and not line.startswith("#")
+)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config, items):
+    """Those of slow_tests.txt are slow. A line of which a whole file has no test is an error: it has another name now."""
+    for item in items:
+        if item.nodeid.startswith(SLOW):
+            item.add_marker("slow")
+    if not any("::" in arg for arg in config.args):
+        names, files = [item.nodeid for item in items], {item.nodeid.partition("::")[0] for item in items}
+        for line in SLOW:
+            if line.partition("::")[0] in files and not any(name.startswith(line) for name in names):
+                raise pytest.UsageError(f"tests/slow_tests.txt: there is no test {line}")
+
 
 def pytest_collection_finish():
     """What the session keeps to its end is no rubbish: a gc.collect() of a test then need not look at all of it."""
