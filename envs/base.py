@@ -15,6 +15,7 @@ from gymnasium.vector.utils import batch_space
 
 from stage import Stage
 from stage.envs import keeping
+from stage.envs.entries import Entry
 from stage.envs.keeping import EnvSnapshot
 from stage.envs.results import DIVERGED as DIVERGED
 from stage.envs.settings import Number
@@ -83,6 +84,11 @@ class StageEnv(gymnasium.Env[np.ndarray, Any]):
         """The stage itself, for inspection."""
         return self._task.stages[0]
 
+    @property
+    def entries(self) -> list[Entry]:
+        """What each number of an observation is, and whether a host could know it: see entries.py."""
+        return self._task.entries
+
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
@@ -97,7 +103,7 @@ class StageEnv(gymnasium.Env[np.ndarray, Any]):
         self._latest = self.stage.time
         self._show(self.stage.data.qpos[None], None)
         self._task.observe()
-        return self._task.observations[0].copy(), self._task.describe(0)
+        return self._task.observations[0].copy(), self._task.told(0)
 
     def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         if self._over:
@@ -264,7 +270,7 @@ class StageVectorEnv(VectorEnv[np.ndarray, Any, np.ndarray]):
                 self._task.rngs[k], _ = seeding.np_random(seed[k])
                 self._seeded[k] = True
             self._task.restart(k, options)
-            infos = self._add_info(infos, self._task.describe(k), k)
+            infos = self._add_info(infos, self._task.told(k), k)
         self._over[mask] = False
         self._task.observe()
         return self._task.observations.copy(), infos
@@ -291,7 +297,7 @@ class StageVectorEnv(VectorEnv[np.ndarray, Any, np.ndarray]):
         infos: dict[str, Any] = {}
         for k in np.flatnonzero(self._over).tolist():
             task.restart(k, {})
-            infos = self._add_info(infos, task.describe(k), k)
+            infos = self._add_info(infos, task.told(k), k)
         rewards, ends = np.zeros(self.num_envs), np.zeros((2, self.num_envs), bool)
         if active.any():
             task.act()
@@ -318,7 +324,7 @@ class StageVectorEnv(VectorEnv[np.ndarray, Any, np.ndarray]):
             if self._over[k]:
                 kept = self._add_info(kept, {"final_obs": observations[k].copy(), "final_info": info}, k)
                 self._task.restart(k, {})
-                info = self._task.describe(k)
+                info = self._task.told(k)
             kept = self._add_info(kept, info, k)
         return kept
 

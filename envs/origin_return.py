@@ -41,12 +41,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-import gymnasium
 import numpy as np
 
 from stage import Stage
 from stage.chips import Chip, chip_class
 from stage.envs.base import StageEnv, StageVectorEnv
+from stage.envs.entries import HOST, TRUTH, Entry
 from stage.envs.registers import RegisterBox
 from stage.envs.results import result
 from stage.envs.settings import (
@@ -60,6 +60,7 @@ from stage.envs.settings import (
     Range,
     Seconds,
     Settings,
+    Truths,
     Weight,
 )
 from stage.envs.task import MoveTask, carrier
@@ -102,6 +103,7 @@ class Config(Settings):
     limit_weight: Weight = 2.0
     lost_weight: Weight = 2.0
     bus_cycle: Cycle = 1e-6  # s
+    truth: Truths = True  # where what no host can see is shown: entries.py
 
 
 class OriginReturn(MoveTask[Config]):
@@ -110,6 +112,34 @@ class OriginReturn(MoveTask[Config]):
     """start: m, of the first return."""
     STATE = ("payload", "friction", "place", "shift", "ends", "last")
     RESTARTS = True
+    SEEN = (
+        Entry("org", HOST, "1 if ORG is asserted now"),
+        Entry("sd", HOST, "1 if SD+ is asserted now"),
+        Entry("left", HOST, "returns left / `returns`"),
+        Entry("payload", TRUTH, "from -1 to 1 over `payloads`"),
+        Entry("friction", TRUTH, "by its logarithm from -1 to 1 over `frictions`"),
+        Entry("last", HOST, "1 if there was a return; what follows is of it"),
+        Entry("last_home", HOST, "1 if it ended at the origin, by the chip"),
+        Entry("last_end_limit", HOST, "1 if it ran into an end limit"),
+        Entry("last_late", HOST, "1 if a run took longer than `limit`"),
+        Entry("last_released", HOST, "1 if ORG was released after backing off (NOVA: no error of the home search)"),
+        Entry("last_duration", HOST, "duration / 4 `limit`"),
+        Entry("last_searched", HOST, "pulses of the search / those from EL to EL"),
+        Entry("last_overrun", HOST, "pulses of the approach beyond those of backing off / 64 (NOVA: 0)"),
+    )
+    TOLD = (
+        Entry("payload", TRUTH, "kg, of the episode, told by a reset"),
+        Entry("friction", TRUTH, "times the nominal one, of the episode, told by a reset"),
+        Entry("duration", HOST, "s"),
+        Entry("error", TRUTH, "pulses between the carriage and the origin"),
+        Entry("spread", TRUTH, "pulses, the episode's largest minus smallest error"),
+        Entry("home", HOST, "the return ended at the origin, by the chip"),
+        Entry("end_limit", HOST, "a run ended at an end limit"),
+        Entry("late", HOST, "a run took longer than `limit`"),
+        Entry("lost_steps", TRUTH, "full steps"),
+        Entry("start", TRUTH, "m, where the return began"),
+        Entry("registers", HOST, "that were chosen"),
+    )
 
     def stage(self, visuals: bool) -> Stage:
         c = self.config
@@ -135,7 +165,7 @@ class OriginReturn(MoveTask[Config]):
         self._find_beam(first)
         self.strategy = RegisterBox.of(self.search.choices.ranges, self.search.choices.cubed)
         self.action_space = self.strategy.box if c.actions == "box" else self.strategy.discrete
-        self.observation_space = gymnasium.spaces.Box(-1.0, 1.0, (13,), np.float32)
+        self.observation_space = self.seen()
         self.result = result(
             ("time", "error", "spread", "missed", "limit", "lost"),
             duration=float, error=float, spread=float, home=bool, end_limit=bool, late=bool,

@@ -17,6 +17,7 @@ observation   float32 in [-1, 1]; for every chip in turn
               value of the last read / the largest    1 if the last action was a read    time / time_limit    actions / cycles
               With live=True the addresses always show the present values (PCL-240: status and R0; NOVA: RR0 to RR7), the
               entries of age are 1, and no bus cycle is needed.
+              With truth=False the info has no truth either, see entries.py.
 reward        the sum of
               progress   progress_weight x (discount x potential now - potential before); the potential is - the mean of the
                          axes' errors beyond the tolerance / scale (distances[1], or with "home" the way from EL to EL),
@@ -46,6 +47,7 @@ from stage import Stage
 from stage.chips import Chip, chip_class
 from stage.envs import register_bus_core as core
 from stage.envs.base import StageEnv, StageVectorEnv
+from stage.envs.entries import HOST, TRUTH, Entry
 from stage.envs.results import DIVERGED
 from stage.envs.settings import (
     LONGEST,
@@ -58,6 +60,7 @@ from stage.envs.settings import (
     Positive,
     Seconds,
     Settings,
+    Truths,
     Weight,
     Word,
 )
@@ -87,7 +90,7 @@ class Config(Settings):
     time_limit: Seconds = 30.0  # s
     cycles: Count = 2000  # actions
     live: Flag = False
-    truth: Flag = False
+    truth: Truths = "info"  # where what no host can see is shown: entries.py
     discount: Positive = 1.0
     progress_weight: Weight = 1.0
     time_weight: Weight = 0.1
@@ -111,6 +114,28 @@ class RegisterBus(Task[Config]):
     OPTIONS = ("target", "start")
     """target: {axis: pulses, signed} instead of drawn ones; start: {axis: m}, where carriages stand at the beginning."""
     STATE = ("episodes", "axis_states", "words")
+    SEEN = (
+        Entry("status", HOST, "bits of the status, from b0, as last read", "chip"),
+        Entry("words", HOST, "what was last read at the other addresses / the largest datum", "chip"),
+        Entry("ages", HOST, "of the values of all addresses: 0 never read, else 1 / (1 + age / 1 ms)", "chip"),
+        Entry("target", HOST, 'pulses from the start / `distances[1]`; 0 with goal "home"', "axis"),
+        Entry("place", TRUTH, "of the carriage in its travel, from -1 to 1", "axis"),
+        Entry("velocity", TRUTH, "/ 0.5 m/s", "axis"),
+        Entry("lost", TRUTH, "full steps / 64", "axis"),
+        Entry("error", TRUTH, "from the goal / its scale", "axis"),
+        Entry("value", HOST, "of the last read / the largest datum"),
+        Entry("was_read", HOST, "1 if the last action was a read"),
+        Entry("time", HOST, "/ `time_limit`"),
+        Entry("actions", HOST, "/ `cycles`"),
+    )
+    TOLD = (
+        Entry("target", HOST, "pulses of each axis, signed, told by a reset"),
+        Entry("elapsed", HOST, "s since the episode began"),
+        Entry("value", HOST, "that was just read, else -1"),
+        Entry("success", TRUTH, "every axis stands at its goal"),
+        Entry("error", TRUTH, "pulses, the largest of the axes' errors"),
+        Entry("lost_steps", TRUTH, "full steps, of all axes"),
+    )
 
     def stage(self, visuals: bool) -> Stage:
         c = self.config
@@ -150,7 +175,11 @@ class RegisterBus(Task[Config]):
         self._bus = {"bits": bits, "status": chip.BUSY[0], "most": chip.DATA_MASK}
         self._choices = [2 + len(c.waits), len(chips), chip.ADDRESSES, chip.DATA_MASK + 1]
         self.action_space = gymnasium.spaces.MultiDiscrete(self._choices)
-        size = len(chips) * core.width(chip.ADDRESSES, bits) + m * (core.PER_AXIS + core.TRUTH * c.truth) + core.COMMON
+        size = (
+            len(chips) * core.width(chip.ADDRESSES, bits)
+            + m * (core.PER_AXIS + core.TRUTH * (c.truth is True))
+            + core.COMMON
+        )
         self.observation_space = gymnasium.spaces.Box(-1.0, 1.0, (size,), np.float32)
         self.result = core.RESULT
         self.waits = np.array([round(w * 1e9) for w in c.waits], np.int64)  # ns
@@ -165,7 +194,7 @@ class RegisterBus(Task[Config]):
         """The settings as compiled code reads them."""
         c = self.config
         self.rules, self.axis_rules = np.zeros(1, core.RULES), np.zeros(len(self.axes), core.AXIS_RULES)
-        rules = {name: getattr(c, name) for name in core.SETTINGS}
+        rules = {name: getattr(c, name) for name in core.SETTINGS} | {"truth": c.truth is True}
         rules |= self._bus | {
             "distance": self.distances[1],
             "duration": c.time_limit * 1e9,
@@ -196,6 +225,16 @@ class RegisterBus(Task[Config]):
             self._frame[name] = value
         self._address = self._frame.ctypes.data
         self._rows = self.results.rows.ctypes.data, len(self.results.rows)
+
+    def layout(self) -> list[Entry]:
+        status, words, ages, target, *truth, value, was_read, time, actions = self.SEEN
+        addresses = self.axes[0].chip.ADDRESSES
+        found: list[Entry] = []
+        for a, i in enumerate(self.on_chip):
+            if a == 0 or i != self.on_chip[a - 1]:
+                found += [status] * self._bus["bits"] + [words] * (addresses - 1) + [ages] * addresses
+            found += [target, *truth]
+        return [*found, value, was_read, time, actions]
 
     @staticmethod
     def _full_step(axis: Any) -> float:

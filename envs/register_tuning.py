@@ -30,10 +30,23 @@ import numpy as np
 
 from stage.chips import Chip, chip_class
 from stage.envs.base import StageEnv, StageVectorEnv
+from stage.envs.entries import HOST, TRUTH, Entry
 from stage.envs.registers import RegisterBox
-from stage.envs.settings import Actions, AxisName, Count, Counts, Cycle, Flag, Payloads, Seconds, Settings, Weight
+from stage.envs.settings import (
+    Actions,
+    AxisName,
+    Count,
+    Counts,
+    Cycle,
+    Flag,
+    Payloads,
+    Seconds,
+    Settings,
+    Truths,
+    Weight,
+)
 from stage.envs.task import judged
-from stage.envs.tuning import Tuning
+from stage.envs.tuning import NEXT, Tuning, of_a_move
 from stage.firmware.driver import driver_of
 from stage.sim.fleet import Played
 from stage.sim.program import Program
@@ -64,6 +77,7 @@ class Config(Settings):
     vibration_weight: Weight = 0.1
     limit_weight: Weight = 5.0
     bus_cycle: Cycle = 1e-6  # s
+    truth: Truths = True  # where what no host can see is shown: entries.py
 
 
 class RegisterTuning(Tuning[Config]):
@@ -71,6 +85,20 @@ class RegisterTuning(Tuning[Config]):
     PARTS = ("time", "lost", "vibration", "limit")
     INFO: ClassVar = {"duration": float, "lost_steps": int, "vibration": float, "finished": bool}
     UNIT = "pulses"
+    SEEN = (
+        *NEXT,
+        Entry("last_duration", HOST, "duration / `limit`"),
+        Entry("last_lost", TRUTH, "1 if steps were lost"),
+        Entry("last_vibration", TRUTH, "vibration / (vibration + 0.1 mm)"),
+        Entry("last_finished", HOST, "1 if it made all its pulses, by the chip's counter"),
+    )
+    TOLD = (
+        *of_a_move("pulses", "electrical turn of the motor"),
+        Entry("duration", HOST, "s, from the start command to the stop"),
+        Entry("lost_steps", TRUTH, "full steps"),
+        Entry("vibration", TRUTH, "m, travel of the point at which moves are judged after the stop"),
+        Entry("finished", HOST, "the move made all its pulses"),
+    )
 
     def chip(self) -> type[Chip]:
         return chip_class(self.config.chip)

@@ -23,11 +23,11 @@ def result(parts: Sequence[str], **info: type | tuple[type, tuple[int, ...]]) ->
 class Results:
     """The records of n stages.
 
-    rows: (n,) of `result`'s dtype.
+    rows: (n,) of `result`'s dtype. hidden: names that an info leaves out.
     """
 
-    def __init__(self, n: int, dtype: np.dtype):
-        self.rows = np.zeros(n, dtype)
+    def __init__(self, n: int, dtype: np.dtype, hidden: frozenset[str] = frozenset()):
+        self.rows, self._hidden = np.zeros(n, dtype), hidden
         self._parts, self._info = dtype["parts"].names or (), dtype["info"].names or ()
         self._arrays = [name for name in self._info if dtype["info"][name].shape]
 
@@ -59,6 +59,8 @@ class Results:
         info["reward_parts"] = named = dict(zip(self._parts, parts))  # noqa: B905
         if cause:
             named["diverged"] = reward
+        for name in self._hidden:
+            info.pop(name, None)
         return reward, terminated, truncated, info
 
     def columns(self, active: np.ndarray) -> dict[str, Any]:
@@ -71,7 +73,8 @@ class Results:
         parts = {name: rows["parts"][name].copy() for name in self._parts}
         if bad.any():
             parts["diverged"] = np.where(bad, rows["reward"], 0.0)
-        return _masked({**info, "reward_parts": _masked(parts, active)}, active)
+        info["reward_parts"] = _masked(parts, active)
+        return _masked({name: value for name, value in info.items() if name not in self._hidden}, active)
 
 
 def _masked(values: dict[str, Any], active: np.ndarray) -> dict[str, Any]:

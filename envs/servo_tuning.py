@@ -28,6 +28,7 @@ import numpy as np
 
 from stage.chips import Chip, chip_class
 from stage.envs.base import StageEnv, StageVectorEnv
+from stage.envs.entries import HOST, Entry
 from stage.envs.registers import RegisterBox
 from stage.envs.settings import (
     LONGEST,
@@ -41,10 +42,11 @@ from stage.envs.settings import (
     Positive,
     Seconds,
     Settings,
+    Truths,
     Weight,
     Word,
 )
-from stage.envs.tuning import Tuning
+from stage.envs.tuning import NEXT, Tuning, of_a_move
 from stage.errors import ArgumentError
 from stage.firmware.driver import driver_of
 from stage.sim.fleet import Played
@@ -79,6 +81,7 @@ class Config(Settings):
     unrest_weight: Weight = 0.2
     limit_weight: Weight = 1.0
     bus_cycle: Cycle = 1e-6  # s
+    truth: Truths = True  # where what no host can see is shown: entries.py
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -92,6 +95,21 @@ class ServoTuning(Tuning[Config]):
     PARTS = ("time", "overshoot", "unrest", "limit")
     INFO: ClassVar = {"settled": float, "overshoot": float, "unrest": float, "error": float, "finished": bool}
     UNIT = "counts"
+    SEEN = (
+        *NEXT,
+        Entry("last_settled", HOST, "settling time / `limit`"),
+        Entry("last_overshoot", HOST, "overshoot / (overshoot + 10 counts)"),
+        Entry("last_unrest", HOST, "unrest / (unrest + 10 counts)"),
+        Entry("last_finished", HOST, "1 if it settled"),
+    )
+    TOLD = (
+        *of_a_move("counts", "count of the encoder"),
+        Entry("settled", HOST, "s, until it stays within the deadband"),
+        Entry("overshoot", HOST, "whole counts, the farthest beyond the goal"),
+        Entry("unrest", HOST, "whole counts, peak to peak in the last `rest` seconds"),
+        Entry("error", HOST, "whole counts, at the end"),
+        Entry("finished", HOST, "it settled"),
+    )
 
     def chip(self) -> type[Chip]:
         return chip_class(self.config.chip)
@@ -142,9 +160,10 @@ class ServoTuning(Tuning[Config]):
             "unrest": -c.unrest_weight * np.minimum(unrest / LARGE, 10.0),
             "limit": np.where(finished, 0.0, -c.limit_weight),
         }
-        info = {
-            "settled": settled, "overshoot": overshoot, "unrest": unrest, "error": error[:, -1], "finished": finished,
-        }  # fmt: skip
+        overshoot, unrest, last = (
+            np.rint(counts) for counts in (overshoot, unrest, error[:, -1])
+        )  # as an encoder has them
+        info = {"settled": settled, "overshoot": overshoot, "unrest": unrest, "error": last, "finished": finished}
         shares = overshoot / (overshoot + SMALL), unrest / (unrest + SMALL)
         self.tell(parts, info, np.stack([settled / c.limit, *shares, finished * 1.0], axis=1))
 

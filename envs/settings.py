@@ -20,6 +20,7 @@ from typing import Annotated, Any, get_args, get_type_hints
 
 import numpy as np
 
+from stage.envs.entries import Shown
 from stage.errors import ArgumentError, unknown
 
 MOST = 1e9  # of any number
@@ -147,6 +148,8 @@ Counts = Annotated[tuple[int, int], Range(1, whole=True)]
 Payloads = Annotated[Pair, Range()]
 """kg."""
 Flag = Annotated[bool, Truth()]
+Truths = Annotated[bool | str, Shown()]
+"""Where what no host can see is shown, see entries.py."""
 AxisName = Annotated[str, Name()]
 Actions = Annotated[str, Word(("box", "registers"))]
 

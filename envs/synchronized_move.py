@@ -41,12 +41,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-import gymnasium
 import numpy as np
 
 from stage import Stage
 from stage.chips import Chip, chip_class
 from stage.envs.base import StageEnv, StageVectorEnv
+from stage.envs.entries import HOST, TRUTH, Entry
 from stage.envs.registers import RegisterBox
 from stage.envs.results import result
 from stage.envs.settings import (
@@ -61,6 +61,7 @@ from stage.envs.settings import (
     Positive,
     Seconds,
     Settings,
+    Truths,
     Weight,
     Word,
 )
@@ -104,6 +105,7 @@ class Config(Settings):
     lost_weight: Weight = 10.0
     limit_weight: Weight = 10.0
     bus_cycle: Cycle = 1e-6  # s
+    truth: Truths = True  # where what no host can see is shown: entries.py
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -124,6 +126,28 @@ class SynchronizedMove(MoveTask[Config]):
     Config = Config
     OPTIONS = ("distances", "rate")
     STATE = ("distances", "rate", "last")
+    SEEN = (
+        Entry("rate", HOST, "by its logarithm from -1 to 1 over `rate`; 0 if it is fixed"),
+        Entry("distance", HOST, "signed distance / longest distance possible", "axis"),
+        Entry("ahead", HOST, "by the closed form, pulses / 2 `reach`: ahead of its share after the ramp-up", "axis"),
+        Entry("more_ahead", HOST, "likewise: more ahead at the ramp-down", "axis"),
+        Entry("earlier", HOST, "likewise: ramp-down earlier by", "axis"),
+        Entry("shorter", HOST, "likewise: shorter ramp-down by", "axis"),
+        Entry("last_deviation", HOST, "path deviation of the last move / `far`"),
+        Entry("last_carriages", TRUTH, "its carriage deviation / (carriage deviation + 0.1 mm)"),
+        Entry("last_duration", HOST, "its duration / `limit`"),
+        Entry("last_finished", HOST, "1 if it was finished"),
+    )
+    TOLD = (
+        Entry("distances", HOST, "pulses of each axis, of a reset the next move's"),
+        Entry("rate", HOST, "pps, likewise"),
+        Entry("deviation", HOST, "pulses off the line, which follow from the registers; infinite if not finished"),
+        Entry("carriage_deviation", TRUTH, "m off the line"),
+        Entry("duration", HOST, "s"),
+        Entry("lost_steps", TRUTH, "full steps of each axis"),
+        Entry("finished", HOST, "all axes made their pulses"),
+        Entry("registers", HOST, "that were chosen"),
+    )
 
     def stage(self, visuals: bool) -> Stage:
         c = self.config
@@ -151,7 +175,7 @@ class SynchronizedMove(MoveTask[Config]):
         self.registers = RegisterBox(self.line.chip.MAP, self.line.names * self.line.shape[0])
         self.action_space = self.registers.discrete if c.actions == "registers" else self.registers.box
         m = len(self.axes)
-        self.observation_space = gymnasium.spaces.Box(-1.0, 1.0, (5 + 5 * m,), np.float32)
+        self.observation_space = self.seen()
         self.result = result(
             ("path", "carriages", "time", "lost", "limit"),
             deviation=float, carriage_deviation=float, duration=float, lost_steps=(int, (m,)),
@@ -160,6 +184,11 @@ class SynchronizedMove(MoveTask[Config]):
         self.distances = np.ones((self.n, m), np.int64)
         self.rate, self.last = np.full(self.n, c.rates[0]), np.zeros((self.n, 4))
         self.path, self.seconds = np.zeros(self.n), np.zeros(self.n)
+
+    def layout(self) -> list[Entry]:
+        rate, *of_moves = self.SEEN
+        of_axes, of_the_last = of_moves[:5], of_moves[5:]
+        return [rate, *of_axes * len(self.axes), *of_the_last]
 
     def begin(self, k: int, options: Mapping[str, Any]) -> None:
         self.last[k] = 0.0

@@ -12,6 +12,7 @@ import gymnasium
 import numpy as np
 
 from stage import Stage
+from stage.envs.entries import Entry, hidden, observed
 from stage.envs.results import Results
 from stage.errors import ArgumentError, unknown
 from stage.sim.fleet import Fleet, Played
@@ -39,6 +40,10 @@ class Task(ABC, Generic[ConfigT]):
     """What `reset(options=...)` takes."""
     STATE: ClassVar[tuple[str, ...]] = ()
     """The arrays of what is drawn and counted for each stage, beside steps, observations and results: snapshots have them."""
+    SEEN: ClassVar[tuple[Entry, ...]]
+    """What an observation may have, in its order; see `layout`."""
+    TOLD: ClassVar[tuple[Entry, ...]]
+    """What an info may have, of a reset and of a step."""
     RESTARTS: ClassVar[bool] = False
     """Every step begins at power-up, made ready by `renew`; a recording then holds one step."""
     action_space: gymnasium.Space
@@ -58,7 +63,8 @@ class Task(ABC, Generic[ConfigT]):
         self.prepare()
         self.actions = np.zeros((n, *self.action_space.shape), self.action_space.dtype)  # type: ignore[misc]
         self.observations = np.zeros((n, *self.observation_space.shape), self.observation_space.dtype)  # type: ignore[misc]
-        self.results = Results(n, self.result)
+        self.hidden = hidden(self.TOLD, self.truth)
+        self.results = Results(n, self.result, self.hidden)
         self.wire()
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -95,10 +101,30 @@ class Task(ABC, Generic[ConfigT]):
         """Bring `observations` up to date."""
 
     def describe(self, k: int) -> dict[str, Any]:
-        """`info` of a reset of stage k."""
+        """`info` of a reset of stage k, whoever may know it."""
         return {}
 
+    def layout(self) -> list[Entry]:
+        """What each number of the whole observation is, truth included."""
+        return list(self.SEEN)
+
     # --- the rest is the same for all ---
+
+    @property
+    def truth(self) -> Any:
+        """The setting: where what no host can see is shown."""
+        config: Any = self.config
+        return config.truth
+
+    @property
+    def entries(self) -> list[Entry]:
+        """What each number of the observation is."""
+        every = self.layout()
+        return [e for e, shown in zip(every, observed(every, self.truth), strict=True) if shown]
+
+    def told(self, k: int) -> dict[str, Any]:
+        """`info` of a reset of stage k, as the setting `truth` has it."""
+        return {name: value for name, value in self.describe(k).items() if name not in self.hidden}
 
     @property
     def sound(self) -> np.ndarray:
@@ -154,7 +180,12 @@ class MoveTask(Task[ConfigT]):
 
     @abstractmethod
     def observed(self) -> np.ndarray:
-        """Every stage's observation, (n, ...)."""
+        """Every stage's observation, (n, ...), truth included."""
+
+    def seen(self) -> gymnasium.spaces.Box:
+        """The observation space, of what is shown."""
+        self.shown = np.array(observed(self.layout(), self.truth))
+        return gymnasium.spaces.Box(-1.0, 1.0, (int(self.shown.sum()),), np.float32)
 
     def act(self) -> None:
         active, programs = self.active, self.programs()
@@ -172,7 +203,7 @@ class MoveTask(Task[ConfigT]):
 
     def observe(self) -> None:
         fine = self.results["cause"] == 0
-        self.observations[fine] = self.observed()[fine]
+        self.observations[fine] = self.observed()[fine][:, self.shown]
 
     def fill(self, parts: Mapping[str, Any], info: Mapping[str, Any], terminated: Any, truncated: Any) -> None:
         """The results, by columns."""

@@ -10,11 +10,11 @@ from abc import abstractmethod
 from collections.abc import Mapping
 from typing import Any, ClassVar, TypeVar
 
-import gymnasium
 import numpy as np
 
 from stage import Stage
 from stage.chips import Chip
+from stage.envs.entries import HOST, TRUTH, Entry
 from stage.envs.registers import RegisterBox
 from stage.envs.results import result
 from stage.envs.task import MoveTask, carrier
@@ -22,6 +22,22 @@ from stage.errors import ArgumentError, unknown
 from stage.sim.program import Program
 
 ConfigT = TypeVar("ConfigT")
+
+NEXT = (
+    Entry("distance", HOST, "of the next move, by its logarithm from -1 to 1 over `distances`"),
+    Entry("payload", TRUTH, "of the next move, from -1 to 1 over `payloads`"),
+)
+"""What an observation has of the next move."""
+
+
+def of_a_move(unit: str, turn: str) -> tuple[Entry, ...]:
+    """What an info has of a move, of a reset the next one's. turn: what an angle of 1 is."""
+    return (
+        Entry("distance", HOST, f"{unit}, of a reset the next move's"),
+        Entry("payload", TRUTH, "kg, likewise"),
+        Entry("angle", TRUTH, f"of the rotor at the start, from 0 to 1 {turn}, likewise"),
+        Entry("registers", HOST, "that were chosen"),
+    )
 
 
 class Tuning(MoveTask[ConfigT]):
@@ -76,7 +92,7 @@ class Tuning(MoveTask[ConfigT]):
         room = min(0.95 * travel, travel - 2 * self.turn) / self.axis.meters_per_pulse
         if c.distances[1] > room:
             raise ArgumentError(f"distances={c.distances!r}: axis {c.axis} has room for {int(room)} {self.UNIT}.")
-        self.observation_space = gymnasium.spaces.Box(-1.0, 1.0, (6,), np.float32)
+        self.observation_space = self.seen()
         self.result = result(
             self.PARTS, **self.INFO, distance=int, payload=float, angle=float, registers=(int, (len(self.registers),))
         )

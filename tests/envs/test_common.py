@@ -200,7 +200,7 @@ def test_an_episode_begins_with_its_own_info_beside_others_that_go_on(id_):
         _, _, terminated, truncated, _ = vector.step(vector.action_space.sample())
         over = terminated | truncated
     infos = vector.step(vector.action_space.sample())[4]
-    assert same(stage.envs.base._one(infos, 1), vector.unwrapped._task.describe(1))
+    assert same(stage.envs.base._one(infos, 1), vector.unwrapped._task.told(1))
     assert "reward_parts" in stage.envs.base._one(infos, 0)
 
 
@@ -295,7 +295,7 @@ def test_a_stage_that_diverges_ends_its_own_episode_alone(any_):
     vector.stages[1].data.qfrc_applied[:] = 0.0
     again, *_, infos = vector.step(actions)
     assert np.isfinite(again).all(), "it starts anew"
-    assert same(stage.envs.base._one(infos, 1), vector.unwrapped._task.describe(1))
+    assert same(stage.envs.base._one(infos, 1), vector.unwrapped._task.told(1))
     assert vector.stages[1].time == 0, "and waits for its first action"
     assert stage.envs.base._one(infos, 0)["cause"] == ""
 

@@ -1,0 +1,118 @@
+"""Host or truth: every entry of an info and of an observation is declared, and what no host can see is left out on request."""
+
+from importlib import import_module
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+
+import stage.envs
+from stage import ArgumentError
+from stage.envs import entries
+from stage.envs.base import _one
+
+SHORT = {
+    "stage/RegisterTuning-v0": {"model": "xy", "moves": 1, "distances": (300, 900), "limit": 0.3, "settle": 0.01},
+    "stage/RegisterBus-v0": {"model": "xy", "cycles": 1, "chip": "MCX514"},
+    "stage/OriginReturn-v0": {"model": "xy", "returns": 1, "limit": 0.02, "settle": 0.01},
+    "stage/SynchronizedMove-v0": {"model": "xy", "distances": (300, 900), "limit": 0.3},
+    "stage/ServoTuning-v0": {"limit": 0.05, "rest": 0.01, "moves": 1},
+}
+EVERY = [id_ for id_ in stage.envs.IDS if id_ in SHORT]
+
+
+def make(id_, **settings):
+    return gymnasium.make(id_, disable_env_checker=True, **SHORT[id_] | settings).unwrapped
+
+
+def told(env):
+    """(observations, names of the infos) of a reset and a step."""
+    first, info = env.reset(seed=4)
+    env.action_space.seed(4)
+    then, *_, after = env.step(env.action_space.sample())
+    return np.array([first, then]), {*info, *after}
+
+
+def kinds(id_):
+    module, name = stage.envs.IDS[id_].split(":")
+    return getattr(import_module(f"stage.envs.{module}"), name)
+
+
+@pytest.mark.parametrize("id_", EVERY)
+def test_what_is_told_is_what_the_table_says_with_and_without_truth(id_):
+    task, seen, names = kinds(id_), {}, {}
+    for truth in (True, "info", False):
+        env = make(id_, truth=truth)
+        seen[truth], names[truth] = told(env)
+        assert len(env.entries) == env.observation_space.shape[0] == seen[truth].shape[1]
+    every = {e.name: e.who for e in (*task.TOLD, *entries.EVERYWHERE)}
+    assert names[True] == names["info"] == set(every)
+    assert names[False] == {name for name, who in every.items() if who == entries.HOST}
+    whole = make(id_, truth=True)
+    host = [e.who == entries.HOST for e in whole.entries]
+    assert not all(host)
+    assert not any(e.who == entries.TRUTH for e in make(id_, truth=False).entries)
+    assert np.array_equal(seen[True][:, host], seen[False])
+    assert np.array_equal(seen["info"], seen[False])
+
+
+@pytest.mark.parametrize("id_", EVERY)
+def test_a_vector_without_truth_says_what_one_environment_says(id_):
+    envs = gymnasium.make_vec(id_, num_envs=2, vectorization_mode="vector_entry_point", truth=False, **SHORT[id_])
+    env = make(id_, truth=False)
+    seen, infos = envs.reset(seed=4)
+    first, info = env.reset(seed=4)
+    assert np.array_equal(seen[0], first)
+    assert _one(infos, 0).keys() == info.keys()
+    envs.action_space.seed(4)
+    actions = envs.action_space.sample()
+    (*_, infos), (*_, info) = envs.step(actions), env.step(actions[0])
+    assert _one(infos, 0).keys() == info.keys()
+    assert "reward_parts" not in infos
+
+
+@pytest.mark.parametrize("id_", ["stage/RegisterTuning-v0", "stage/OriginReturn-v0"])
+def test_two_loads_that_a_host_cannot_tell_apart_are_told_alike(id_):
+    """A gentle move of 0 and of 8 kg: the chip makes the same pulses in the same time."""
+    said = {}
+    for truth in (True, False):
+        for payload in (0.0, 8.0):
+            settings = {"limit": 2.0, "distances": (800, 900)} if "Tuning" in id_ else {}
+            env = make(id_, truth=truth, **settings)
+            out = [env.reset(seed=1, options={"payload": payload})]
+            if "Tuning" in id_:
+                rates = {"R1": 50, "R2": 80, "R4": 900, "R5": 900, "R6": 50, "R7": 30}
+                out.append(env.step(env._task.registers.to_action(rates)))
+                assert out[-1][-1]["finished"]
+            said[truth, payload] = repr([(o[0].tolist(), o[-1]) for o in out])
+    assert said[False, 0.0] == said[False, 8.0]
+    assert said[True, 0.0] != said[True, 8.0]
+
+
+def test_a_host_with_an_encoder_knows_whole_counts():
+    env = make("stage/ServoTuning-v0", limit=0.2)
+    env.reset(seed=2)
+    info = env.step(env._task.registers.to_action({"R22": 64, "R20": 229, "R21": 64, "R0F": 64}))[4]
+    assert [info[name] % 1 for name in ("overshoot", "unrest", "error")] == [0, 0, 0]
+
+
+def test_each_chip_and_axis_has_its_entries_in_the_observation():
+    env = make("stage/RegisterBus-v0", model="xyz", chip="MCX302", truth=True)
+    names = [e.name for e in env.entries]
+    axis = ["target", "place", "velocity", "lost", "error"]
+    chip = ["status"] * 16 + ["words"] * 7 + ["ages"] * 8
+    assert names == [*chip, *axis, *axis, *chip, *axis, "value", "was_read", "time", "actions"]
+    line = [e.name for e in make("stage/SynchronizedMove-v0").entries]
+    assert line[:7] == ["rate", "distance", "ahead", "more_ahead", "earlier", "shorter", "distance"]
+
+
+def test_where_truth_is_shown_is_one_of_three():
+    for wrong in ("all", 1, None, [True]):
+        with pytest.raises(ArgumentError, match=r"truth=.*True .* 'info' .* or False"):
+            make("stage/RegisterTuning-v0", truth=wrong)
+
+
+def test_the_page_is_that_of_the_tables():
+    kept = (Path(__file__).parents[2] / "docs" / "envs_entries.md").read_text()
+    assert kept == entries.page(), "python -m stage.envs.entries > docs/envs_entries.md"
