@@ -250,7 +250,9 @@ def both(tmp_path_factory):
         return Stage("xy", chips="tmc5160", drives=SMOOTH, visuals=False)
 
 
-@pytest.mark.parametrize(("x", "y", "speed"), [(16_000, -5_840, 200_000), pytest.param(-300, 20_000, 200_000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("x", "y", "speed"), [(16_000, -5_840, 200_000), pytest.param(-300, 20_000, 200_000, marks=pytest.mark.slow)]
+)
 def test_axes_on_a_line_keep_the_ratio_to_two_steps_of_256(both, x, y, speed):
     """The chip does not interpolate: velocities and accelerations are in the ratio of the distances."""
     both.reset()

@@ -48,8 +48,13 @@ def do_all(chip: Chip, acts: Iterable[Act]) -> list[Any]:
     return [do(chip, act) for act in acts]
 
 
-def wild(kind: type[Chip], rng: np.random.Generator, acts: int, resets: bool = True) -> list[Act]:
-    """Random acts: registers with legal values and others, commands, garbage, pins, time."""
+def wild(
+    kind: type[Chip], rng: np.random.Generator, acts: int, resets: bool = True, begins: Sequence[Act] = ()
+) -> list[Act]:
+    """Random acts: registers with legal values and others, commands, garbage, pins, time.
+
+    begins: writes that begin a drive, see `beginnings`; commands go where these go, too.
+    """
     found: list[Act] = []
     registers = [r for r in kind.MAP.registers if "W" in r.access]
     codes = [code for c in kind.MAP.commands for code in c.codes]
@@ -61,8 +66,12 @@ def wild(kind: type[Chip], rng: np.random.Generator, acts: int, resets: bool = T
             value = (low, high, int(rng.integers(low, high, endpoint=True)))[min(int(rng.integers(6)), 2)]
             found += [Act("write", *cycle) for cycle in kind.register_cycles(r.name, value & r.mask, axis)]
         elif what < 8 and codes:
-            code = codes[rng.integers(len(codes))] | int(rng.integers(0, 16) << 8 if rng.integers(2) else 0)
-            found.append(Act("write", 0, code & kind.DATA_MASK))
+            code = codes[rng.integers(len(codes))]
+            if begins and rng.integers(2):
+                found.append(_with_code(kind, begins[int(rng.integers(len(begins)))], code))
+            else:
+                code |= int(rng.integers(0, 16) << 8 if rng.integers(2) else 0)
+                found.append(Act("write", 0, code & kind.DATA_MASK))
         elif what < 11:
             value = int(rng.integers(0, kind.DATA_MASK, endpoint=True)) >> int(rng.integers(0, 12))
             found.append(Act("write", int(rng.integers(kind.ADDRESSES)), value))
@@ -75,6 +84,33 @@ def wild(kind: type[Chip], rng: np.random.Generator, acts: int, resets: bool = T
             found.append(Act("reset"))
         else:
             found.append(Act("time", int(np.exp(rng.uniform(0, np.log(30_000))))))
+    return found
+
+
+def _with_code(kind: type[Chip], begin: Act, code: int) -> Act:
+    """The write of a command with another code: the bits above those of the codes, the axis, stay."""
+    bits = max(code for c in kind.MAP.commands for code in c.codes).bit_length()
+    return begin._replace(b=(begin.b >> bits << bits | code) & kind.DATA_MASK)
+
+
+def beginnings(chip: Chip) -> list[Act]:
+    """The write by which the driver begins a drive, of each axis; [] without a driver."""
+    found = []
+    for axis in range(chip.AXES):
+        acts, _ = driven(chip, axis, np.random.default_rng(axis))
+        found += [act for act in acts if act.kind == "write"][-1:]
+    return found
+
+
+def under_way(chip: Chip, rng: np.random.Generator, axes: int) -> list[Act]:
+    """Drives of so many axes as the driver begins them, or with another command in the last write: other ways, to a switch."""
+    codes = [c.code for c in chip.MAP.commands if (c.starts or c.kind == "drive") and not c.together]
+    found: list[Act] = []
+    for axis in rng.permutation(chip.AXES)[:axes].tolist():
+        acts, _ = driven(chip, axis, rng)
+        if codes and acts and acts[-1].kind == "write" and rng.integers(2):
+            acts[-1] = _with_code(type(chip), acts[-1], codes[int(rng.integers(len(codes)))])
+        found += [*acts, Act("time", int(rng.integers(1, 30_000)))]
     return found
 
 
@@ -136,8 +172,19 @@ def ended(chip: Chip, axis: int, seconds: float = 5.0) -> int:
 
 
 def pulse_clocks(chip: Chip, clocks: int) -> np.ndarray:
-    """When a chip makes pulses in the time to come, on a copy: reference clocks from now on."""
+    """When a chip makes pulses in the time to come, on a copy: reference clocks from now on. Raises StageError as `room_for`."""
+    room_for(chip, clocks)
     return chip.twin().trace(clocks)["clock"] - chip.clock
+
+
+def room_for(chip: Chip, clocks: int) -> None:
+    """Raises StageError where `advance` says fewer pulses than the axes' `net` go by: a trace would have no room for them."""
+    twin = chip.twin()
+    nets = [twin.net(k) for k in range(chip.AXES)]
+    made = twin.advance(clocks)
+    gone = sum(abs(twin.net(k) - nets[k]) for k in range(chip.AXES if not chip.SERVO else 0))
+    if gone > made:
+        raise StageError(f"advance({clocks}) says {made} pulses, and the axes' net go by {gone}")
 
 
 def fields_that_differ(kind: type[Chip], one: bytes, other: bytes) -> str:

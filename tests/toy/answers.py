@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from stage.chips.cores import through
 from stage.native import array_of, exported, least
-from toy import core
+from toy import core, eight
 from toy.core import EDGE, MINUS, PLUS, PULSE, STATE
 
 
@@ -106,3 +106,61 @@ def takes_all_lines(c, address, value):
         c.left = value
     else:
         core.write(c, address, PLUS if value == PLUS else MINUS if value == MINUS else 0)
+
+
+@exported("f8", STATE, "i8", "f8")
+def half_the_rate(c, j, hz):
+    return 0.5 * core.pulse_rate(c, j, hz)
+
+
+@exported(None, STATE)
+def clears_the_count(c):
+    core.power_up(c)
+    c.net = 0
+
+
+@exported("i8", STATE, "i8")
+def wider_than_the_bus(c, address):
+    return core.peek(c, address) | 0x10000 if c.way else core.peek(c, address)
+
+
+@exported(None, eight.STATE, "i8")
+def leaves_what_is_due_at_the_end(c, until):
+    for j in range(eight.AXES):
+        x = c.ax[j]
+        if x.way == 0 or x.due != until:
+            eight.run_axis(c, x, until)
+    c.clock = until
+
+
+@exported("i8", eight.STATE, "i8")
+def counts_plus_only(c, until):
+    made = 0
+    for j in range(eight.AXES):
+        before = c.ax[j].net
+        eight.run_axis(c, c.ax[j], until)
+        made += c.ax[j].net - before if c.ax[j].net > before else 0
+    c.clock = until
+    return made
+
+
+@exported(None, eight.STATE, "i8", "i8")
+def all_axes_at_once(c, j, word):
+    for k in range(eight.AXES):
+        eight.set_input(c, k, word)
+
+
+@exported("i8", eight.STATE, "i8")
+def looks_and_touches(c, address):
+    """The last axis loses its next pulse."""
+    if address == 2 * eight.AXES:
+        c.ax[eight.AXES - 1].due += 1
+    return eight.peek(c, address)
+
+
+@exported("i8", eight.STATE, "i8", "i8", "i8", array_of(eight.EDGE))
+def sees_pulses_and_no_ends(c, until, every_pulse, axis, out):
+    if every_pulse:
+        return eight.scan(c, until, every_pulse, axis, out)
+    eight.run(c, until)
+    return 0

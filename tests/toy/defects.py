@@ -7,7 +7,7 @@ from types import SimpleNamespace
 from typing import Any, ClassVar
 
 from stage.native import COMPILED
-from toy import TOY, answers, core, maps
+from toy import TOY, TOY8, answers, core, eight, maps
 
 
 def a_core(**answers: Any) -> Any:
@@ -16,6 +16,10 @@ def a_core(**answers: Any) -> Any:
 
 def with_core(**answers: Any) -> type:
     return type("TOY", (TOY,), {"CORE": a_core(**answers)})
+
+
+def with_eight(**answers: Any) -> type:
+    return type("TOY8", (TOY8,), {"CORE": SimpleNamespace(**{**vars(eight), **answers})})
 
 
 class Remembers(TOY):  # outside its record
@@ -73,7 +77,7 @@ FORGETS = {"run": answers.forgets_the_phase, "advance": answers.forgets_the_phas
 DEFECTS: dict[str, tuple[type, str, str]] = {
     "time cut": (with_core(**FORGETS), "cut_time", "the state differs in due|makes .* pulses, and"),
     "cut at a pulse": (with_core(advance=answers.late_by_a_clock), "cut_time", "the state differs in due"),
-    "advance counts wrong": (with_core(advance=answers.one_at_most), "traced", "says 1 pulses, and net of axis 0 goes by"),
+    "advance counts wrong": (with_core(advance=answers.one_at_most), "traced", "says 1 pulses, and the axes' net go by"),
     "trace's direction": (with_core(trace=answers.the_other_way), "traced", "net of axis 0 goes from"),
     "the end for the mean": (with_core(drive_input=answers.the_end), "drive_inputs", "and the mean of the .* pulses"),
     "a slice left out": (with_core(window=answers.without_the_first_slice), "windows", "window gives the means"),
@@ -87,9 +91,19 @@ DEFECTS: dict[str, tuple[type, str, str]] = {
     "20 data lines": (TakesAllLines, "bus_lines", "a read of address 1h gives|reads"),
     "shared by all": (Shared, "determinism", "beside another chip"),
     "two pins, one bit": (
-        type("TOY", (TOY,), {"INPUTS": {**TOY.INPUTS, "sd": TOY.INPUTS["org"]}}), "pins_by_name", "leaves input"),
+        type("TOY", (TOY,), {"INPUTS": {**TOY.INPUTS, "sd": TOY.INPUTS["org"]}}),
+        "has_what_every_chip_has", "pin sd of INPUTS has a bit that another one has"),
     "no words": (Silent, "words", "says ''"),
     "a cycle beside the bus": (BeyondTheBus, "register_cycles", "is not on the bus"),
+    "half the rate": (with_core(pulse_rate=answers.half_the_rate), "drive_inputs", "pulse_rate is .* a second, and"),
+    "a reset that counts anew": (with_core(power_up=answers.clears_the_count), "resets", "changes the count"),
+    "a read beyond the data lines": (
+        with_core(read=answers.wider_than_the_bus, peek=answers.wider_than_the_bus), "reads", r"read\(0h\) gives 65537"),
+    "what is due at the end": (with_eight(run=answers.leaves_what_is_due_at_the_end), "windows", "after run and advance"),
+    "minus not counted": (with_eight(advance=answers.counts_plus_only), "traced", "and the axes' net go by"),
+    "inputs of all axes": (with_eight(set_input=answers.all_axes_at_once), "pins_by_name", "inputs of another axis"),
+    "a look that acts": (with_eight(peek=answers.looks_and_touches), "reads", r"after peek\(10h\), the state differs in ax"),
+    "no end in a coarse course": (with_eight(scan=answers.sees_pulses_and_no_ends), "journals", "output runs at another"),
     "an answer missing": (with_core(drive_input=None), "has_what_every_chip_has", "has no answer drive_input"),
 }  # fmt: skip
 """Defect -> (the class, the promise that it breaks, words of the message)."""

@@ -24,7 +24,7 @@ def power_up(c):
 
 
 @hot
-def _run(c, x, until):
+def run_axis(c, x, until):
     if x.way and x.due <= until:
         n = least(x.left, 1 + (until - x.due) // _period(c, x))
         x.left -= n
@@ -37,7 +37,7 @@ def _run(c, x, until):
 @exported(None, STATE, "i8")
 def run(c, until):
     for j in range(AXES):
-        _run(c, c.ax[j], until)
+        run_axis(c, c.ax[j], until)
     c.clock = until
 
 
@@ -141,7 +141,7 @@ def advance(c, until):
     made = 0
     for j in range(AXES):
         before = c.ax[j].net
-        _run(c, c.ax[j], until)
+        run_axis(c, c.ax[j], until)
         made += abs(c.ax[j].net - before)
     c.clock = until
     return made
@@ -159,7 +159,7 @@ def trace(c, until, out):
             break
         out[k].clock, out[k].axis, out[k].direction = due, first, c.ax[first].way
         k += 1
-        _run(c, c.ax[first], due)
+        run_axis(c, c.ax[first], due)
     c.clock = until
     return k
 
