@@ -18,6 +18,13 @@ INSIDE_NUMBA = {"stage/native/emit.py", "stage/native/passes.py", "stage/native/
 """Objects for a baseline processor are nothing that numba offers."""
 
 
+def is_own(node: ast.expr, *names: str) -> bool:
+    """It is one of these names, or a call of it without arguments."""
+    if isinstance(node, ast.Call) and not node.args:
+        node = node.func
+    return isinstance(node, ast.Name) and node.id in names
+
+
 def reaches(source: str) -> list[str]:
     """Attributes with an underscore, of another object than `self`, that nothing in this source has itself."""
     tree = ast.parse(source)
@@ -25,7 +32,7 @@ def reaches(source: str) -> list[str]:
     own |= {
         node.attr
         for node in ast.walk(tree)
-        if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store) and ast.unparse(node.value) == "self"
+        if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store) and is_own(node.value, "self")
     }
     return [
         f"line {node.lineno}: {ast.unparse(node)}"
@@ -34,7 +41,7 @@ def reaches(source: str) -> list[str]:
         and node.attr.startswith("_")
         and not node.attr.startswith("__")
         and node.attr not in own | OF_OTHERS
-        and ast.unparse(node.value) not in ("self", "cls", "super()")
+        and not is_own(node.value, "self", "cls", "super")
     ]
 
 
