@@ -453,6 +453,26 @@ def test_base_and_stride_say_where_each_chip_lies_and_16_bits_are_two_cycles_the
     assert (board.cycles, board.micros) == (4, 4)
 
 
+def test_words_at_the_last_port_go_on_at_port_0():
+    """inpw(0xFFFFFFFF), outpw, and words of 32 bits at 0xFFFFFFFE: the address lines of a bus end there"""
+    board = Board(Stage("xy", visuals=False), base={"x": 0xFFFFFFFC, "y": 0})
+    board.in16(0xFFFFFFFF)
+    board.out16(0xFFFFFFFF, 0x8001)
+    board.in32(0xFFFFFFFE)
+    board.out32(0xFFFFFFFE, 0)
+    ends = [0xFFFFFFFF, 0, 0xFFFFFFFE, 0xFFFFFFFF, 0, 1]
+    assert [c.port for c in board.trace] == [*ends[:2], *ends[:2], *ends[2:], *ends[2:]]
+
+
+def test_a_word_that_is_lost_on_the_way_is_told():
+    stage = Stage("xyz", chips=MCX304, visuals=False)
+    board = Board(stage)
+    with faults.lost_write(stage.axes["x"]):
+        for _ in range(2):
+            board.out16(0x30C, 0x4321)
+    assert ["lost on the way" in c.meaning for c in board.trace] == [True, False]
+
+
 def test_each_chip_loses_its_own_writes():
     stage = Stage("xyz", visuals=False)
     board = Board(stage)

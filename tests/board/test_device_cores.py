@@ -244,11 +244,12 @@ def test_a_loop_gives_back_what_it_takes_in_order_a_character_each():
 def test_a_batch_refuses_numbers_just_beyond_their_bounds():
     """host.delay_us(10**15 + 1) and -1, ports of 33 bits"""
     from stage.board.batch import ENTRY, UNTIL_LINE, first_wrong
-    from stage.board.host import DELAY, IN8, LONGEST_DELAY, OUT8, OUT16, OUT32
+    from stage.board.host import DELAY, IN8, LONGEST_DELAY, OUT8, OUT16, OUT32, SPEND
 
     Board(Stage("xy", visuals=False))
     for what, a, b, wrong in (
         (DELAY, 0, 0, 0), (DELAY, LONGEST_DELAY, 0, 0), (DELAY, LONGEST_DELAY + 1, 0, 1), (DELAY, -1, 0, 1),
+        (SPEND, 0, 0, 0), (SPEND, LONGEST_DELAY * 1000, 0, 0), (SPEND, LONGEST_DELAY * 1000 + 1, 0, 1), (SPEND, -1, 0, 1),
         (UNTIL_LINE, 0, 0, 0), (UNTIL_LINE, -1, 0, 1), (IN8, 0xFFFFFFFF, 0, 0), (IN8, 1 << 32, 0, 1), (IN8, -1, 0, 1),
         (OUT8, 0, 255, 0), (OUT8, 0, 256, 1), (OUT16, 0, 65535, 0), (OUT16, 0, 65536, 1), (OUT32, 0, (1 << 32) - 1, 0),
         (OUT32, 0, 1 << 32, 1), (OUT32, 0, -1, 1),
@@ -256,3 +257,55 @@ def test_a_batch_refuses_numbers_just_beyond_their_bounds():
         entries = np.zeros(1, ENTRY)
         entries["what"], entries["a"], entries["b"] = what, a, b
         assert first_wrong(entries) == (0 if wrong else 1), (what, a, b)
+
+
+def test_a_read_by_a_bus_of_16_bits_is_no_write():
+    """inpw(port) of a device on one half of a bus of 16 bits: OUT16 is 3, IN16 is 2"""
+    from stage.board.devices import Latch
+    from stage.board.host import IN16, OUT16
+
+    latch, counter, axis, line = Bare(Latch()), ls7166(7), Bare(HCTL2016(Encoder("x", per_metre=1e6))), uart()
+    latch.write((0, 0x55))
+    assert (latch.access(0, IN16, 0xFF), latch.access(0, OUT16, 0x5A), latch.read(0)) == (0x55, 0x5A, 0x5A)
+    counter.access(1, IN16, 0x20)
+    counter.access(0, IN16, 0xFF)
+    assert (int(counter.registers["pr"]), int(counter.registers["occr"]), int(counter.registers["pointer"])) == (
+        7,
+        0,
+        1,
+    )
+    axis.counts[0] = 0x1234
+    assert (axis.access(0, IN16), axis.access(1, IN16)) == (0x12, 0x34)
+    line.access(7, IN16, 0x99)
+    assert line.read(7) == 0
+
+
+def test_bits_of_an_ls7166s_output_control_other_than_divide_by_n_leave_the_count_alone():
+    """outp(CMR, 0x80 | 0x3B): BCD, 24 hours and the outputs' kinds are not modelled; PR = 5, ten up from the upper end"""
+    for pr, steps in ((FULL - 2, 10), (5, -10)):
+        b = ls7166(pr, 0x3B)
+        b.counts[0] += steps
+        b.read(1)
+        assert int(b.registers["cntr"]) == (pr + steps) % FULL
+
+
+def test_the_divisor_of_a_uart_is_two_bytes_that_are_written_one_by_one():
+    b = uart()
+    b.write((3, 0x83), (1, 1), (0, 7), (1, 2), (0, 8))
+    assert (b.read(0), b.read(1), int(b.registers["divisor"])) == (8, 2, 0x208)
+    b = uart()
+    b.write((0, 65), (3, 0x83), (0, 0), (3, 3))
+    assert b.read(5) & 0x60 == 0x60, "without a clock nothing is on the line"
+
+
+def test_an_overrun_is_told_by_its_interrupt_before_anybody_looks():
+    """Without a FIFO the second byte overruns the first; with one the 17th: IER = 04h, and the line is asserted at that time"""
+    for fcr, most in ((0, 1), (1, 16)):
+        b = uart((1, 4), (4, 8), fcr=fcr)
+        feed(b, most + 1)
+        begin, c = b.at, character(b)
+        pulls = [uart_core.pulls(b.device.state[0], begin + n * c, 0) for n in (most, most + 1)]
+        assert pulls == [0, 1], fcr
+        b.at = begin + (most + 1) * c
+        b.read(0)
+        assert b.read(2) & 15 == 6, "and stays told until LSR was read"

@@ -74,6 +74,7 @@ def instructions() -> list[tuple[str, int]]:
     ):
         found.append((text, ALL))
     for text in (
+        "movb (%rsi), %ah", "movb %ah, -8(%rsi)", "movb %bh, %bl",
         "movb %ch, %al", "movb %bl, %dh", "addb %ah, %bh", "cbtw", "cwtl", "cltq", "cwtd", "cltd", "cqto", "nop", "nopw 8(%rax)",
         "push %rbx\n pop %rdx", "push $-5\n pop %rbx", "push (%rsi)\n pop %rax", "call 1f\n jmp 2f\n1: incq %rax\n ret\n2:",
         "movabs $0x123456789abcdef, %rdx", "movl $9, %r8d\n addq %r8, %rax\n movq %r8, %rbx", "xchg %rax, %rdx", "pause", "endbr64",
