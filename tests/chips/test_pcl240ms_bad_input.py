@@ -528,6 +528,14 @@ def test_a_speed_change_beyond_the_silicon_is_noted():
     assert noted(chip, "245,730", "R3 = 5000", "300,000 pps")
 
 
+def test_a_triangle_below_a_tenth_of_a_steep_ramp_is_noted_if_pulses_are_missing():
+    """FL 240 pps, FH 244 kpps: it stops at 24 kpps, dozens of pulses before FL. One that lacks a few is as good as can be."""
+    steep = {"R0": 1806, "R1": 8, "R2": 8131, "R4": 213, "R5": 207, "R7": 20, "R14": 1809, "R15": 1668}
+    at_half = 1806 * 207 // (213 + 207)
+    assert noted(set_up(PCL240MS, PRESET, 0x15, **steep, R6=at_half), "stops at 23,", "FL is 240 pps")
+    assert set_up(PCL240MS, PRESET, 0x15, **steep, R6=at_half + 100).diagnostics == []
+
+
 def test_an_s_curve_triangle_that_nobody_corrects_and_that_stops_above_fl_is_noted_with_its_speed():
     """FL 100 pps, FH 50,000 pps. What the note says is what happens."""
     sound = {"R1": 10, "R2": 5000, "R4": 1500, "R5": 1500, "R7": 60, "R0": 9000}

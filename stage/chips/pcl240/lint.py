@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -40,8 +41,9 @@ from stage.chips.register_map import RegisterMap
 Note = tuple[str, str]
 MOST_PPS = 245_730
 """Of the output: 8191 steps of 30 pps, the greatest multiplier (sheet, sections 1 and 4)."""
-FAR_ABOVE = 0.1
-"""A run that stops above FL by more than this part of its whole ramp is noted."""
+LAST_PULSES = 16
+"""A run is noted that stops at a speed at which so many pulses are left in a ramp that ends at FL, or at a tenth of the ramp: some
+pulses are always missing, see ramp_down.md."""
 _SECTIONS = {"control": "section 3 b", "select": "section 3 c", "output": "section 3 d"}
 _SPEEDS = MAP.field("operate", "speed").values
 _FH = {FH1: 2, FH2: 3}
@@ -166,7 +168,10 @@ def _triangle(c: Any, r: list[int], value: int, foresight: Foresight) -> Note | 
     if r[0] * 32768 * int(c["multiplier"]) > (r[1] + r[fh]) * ramps:
         return None
     last = foresight.last_speed(value)
-    if last is None or last - r[1] <= FAR_ABOVE * height:
+    rate = r[4 if c["automatic"] else 5]
+    if last is None or last - r[1] <= min(
+        _steps_of(LAST_PULSES * 8192 * int(c["multiplier"]), r[1], rate, down), height / 10
+    ):
         return None
     last_pps, fl_pps = (k * foresight.hz / (8192 * int(c["multiplier"])) for k in (last, r[1]))
     why = (
@@ -178,6 +183,16 @@ def _triangle(c: Any, r: list[int], value: int, foresight: Foresight) -> Note | 
         f"R0 = {r[0]} is too short for R{fh} = {r[fh]}, and {why}: it stops at {last_pps:,.0f} pps, FL is {fl_pps:,.0f} pps",
         "MS section 3-4",
     )
+
+
+def _steps_of(phase: float, fl: int, rate: int, span: float) -> float:
+    """The speed steps above FL at which an S-curve that ends at FL has so much phase left: rate sqrt(k span) clocks before its end,
+    at FL + k / 3 on average."""
+    low, high = 0.0, 8191.0
+    for _ in range(20):
+        k = (low + high) / 2
+        low, high = (k, high) if rate * math.sqrt(k * span) * (fl + k / 3) < phase else (low, k)
+    return high
 
 
 def _standing(r: list[int], value: int, moves: Callable[[int], bool]) -> Note | None:
