@@ -111,6 +111,7 @@ pictures: .venv/.dev
 	$(BIN)/stage home x --from -90 --force --plot docs/pictures/origin_return.png
 	$(BIN)/stage pullout --force --plot docs/pictures/pullout.png
 	$(BIN)/stage erratum --force --plot docs/pictures/erratum.png
+	$(BIN)/stage tune xy --payload 2 --distance 100mm --force -o build/tuned && cp build/tuned/tuned.png docs/pictures/tuned.png
 	for script in render_models stepper_behaviours draw_patterns synchronized_survey; do $(BIN)/python scripts/$$script.py || exit 1; done
 	$(BIN)/python scripts/ramp_down_survey.py
 	$(BIN)/python scripts/servo_moves.py --picture docs/pictures/servo.png

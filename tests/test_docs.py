@@ -25,8 +25,8 @@ PYTHON = re.compile(r"^(?:<!-- not run: (?P<why>.+) -->\n)?```python\n(?P<code>.
 TEXT = re.compile(r"\n(?:```text\n(?P<fenced>.*?)^```|(?P<indented>(?: {4}[^\n]*\n)+))", re.M | re.S)
 NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]\d+)?")
 WATCHED = ("--web", "view")  # commands that somebody looks at, until he ends them
-ELSEWHERE = ("stage demo", "stage erratum", "stage fault ", "stage pullout")
-"""Commands that run every day in test_cli.py, test_cli_erratum.py and test_faults.py."""
+ELSEWHERE = ("stage demo", "stage erratum", "stage fault ", "stage pullout", "stage tune")
+"""Commands that run every day in test_cli.py, test_cli_erratum.py, test_faults.py and tune/."""
 
 
 @pytest.fixture(autouse=True)

@@ -21,15 +21,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from stage.errors import StageError
-from stage.firmware.hctl1100.model import Loop
+from stage.firmware.hctl1100 import model
+from stage.firmware.hctl1100.model import MARGIN, POLE, RATTLE, Loop
 from stage.firmware.hctl1100.moves import Tuning
 
-MARGIN = 60.0  # degrees
-RATTLE = 48.0  # units of motor command for one count
-POLE, TIMER = 0x40, 0x40  # as after a reset; the pole is at -1/4
-SHARE = 0.9  # of the highest crossover, from which on a zero is as good
+TIMER = 0x40  # as after a reset
 WITHIN = 3.0  # degrees, that a rounded gain may take of the margin
-ZEROS = range(0x40, 0x100)
 
 
 def control() -> Any:
@@ -70,24 +67,8 @@ def judged(loop: Loop) -> Design:
 
 
 def design(loop: Loop, margin: float = MARGIN, rattle: float = RATTLE) -> Design:
-    """Gain and zero for this plant; pole and T stay. Raises StageError where no zero gives that margin."""
-    found = []
-    omega = np.geomspace(1.0, 0.9 * np.pi / loop.sample, 2000)
-    for zero in ZEROS:
-        unit = replace(loop, tuning=replace(loop.tuning, gain=4, zero=zero))  # K/4 = 1
-        response = open_loop(unit)(np.exp(1j * omega * loop.sample))
-        phase = np.degrees(np.unwrap(np.angle(response))) + 180
-        phase -= 360 * np.round(phase[0] / 360)
-        enough = np.flatnonzero((phase >= margin) & (1 / np.abs(response) <= rattle) & (4 / np.abs(response) <= 0xFF))
-        if len(enough):
-            k = enough[-1]
-            gain = max(round(4 / float(np.abs(response[k]))), 1)
-            found.append((omega[k], replace(loop.tuning, gain=gain, zero=zero)))
-    if not found:
-        raise StageError(f"no zero gives a phase margin of {margin:g} degrees with a gain that the chip holds.")
-    highest = max(crossover for crossover, _ in found)
-    stiff = next(tuning for crossover, tuning in found if crossover > SHARE * highest)
-    return judged(replace(loop, tuning=stiff))
+    """Gain and zero for this plant, `stage.firmware.hctl1100.model.design`, and its margins; pole and T stay. Raises StageError."""
+    return judged(replace(loop, tuning=model.design(loop, margin, rattle)))
 
 
 def registers(axis: Any, timer: int = TIMER) -> dict[str, int]:

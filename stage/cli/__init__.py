@@ -20,6 +20,7 @@ examples:
   stage move x 10mm --chips hctl1100      any chip: 10 mm by a servo
   stage move x 8000 --chips pcl240ms --s-curve --plot s.png
   stage sync x=20000 y=-7500              two axes along a straight line, in the ratio a:b
+  stage tune xy --payload 2 --distance 100mm     registers for an axis: formula, search, proof
   stage run driver.c --chips pcl240mk     firmware in C drives the chips
   stage serve --chips mcx304              the chips behind a TCP port, for a host elsewhere
   stage fault                             what can break; `stage fault jam --plot jam.png` breaks it
@@ -82,6 +83,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser.set_defaults(run=None)
     commands = parser.add_subparsers(title="commands", metavar="COMMAND")
     _add_moves(commands)
+    _add_tune(commands)
     _add_firmware(commands)
     _add_fault(commands)
     _add_erratum(commands)
@@ -110,6 +112,11 @@ ALL = (*PCL240, "MCX514", "MCX512", "MCX501", "MCX314AS", "MCX304", "MCX302", "M
 def _bench(p: argparse.ArgumentParser, chips: Sequence[str] = ALL) -> None:
     g = p.add_argument_group("stage")
     g.add_argument("--model", default="xyz", help="a shipped model (xyz, xy) or an MJCF file (default: xyz)")
+    _machine(g, chips)
+    _outputs(p)
+
+
+def _machine(g: Any, chips: Sequence[str] = ALL) -> None:
     others = ", or one that another package brings, see `stage chips`; or x=CHIP,y=CHIP" if chips is ALL else ""
     known = f"chip on every axis: {', '.join(chips)}{others} (default: {chips[0]})"
     g.add_argument("--chips", default=chips[0], help=known)
@@ -124,6 +131,9 @@ def _bench(p: argparse.ArgumentParser, chips: Sequence[str] = ALL) -> None:
         metavar="AXIS.SENSOR=LOGIC",
         help="the logic of a sensor, where it is not negative: x.org=positive is high while it is on; ez is the encoder's index",
     )
+
+
+def _outputs(p: argparse.ArgumentParser) -> None:
     g = p.add_argument_group("output")
     g.add_argument("--record", metavar="FILE.rrd", help="write a rerun recording")
     g.add_argument("--picture", metavar="FILE.png", help="render the recording's dashboard, no screen needed")
@@ -228,6 +238,60 @@ def _add_moves(commands: Any) -> None:
     _ramps(p)
     _plot(p)
     _bench(p)
+
+
+TUNE = """\
+examples:
+  stage tune xy --payload 2 --distance 100mm                   a PCL-240 on the X axis of xy: prints registers, bytes and C
+  stage tune xy --payload 2 --distance 100mm -o tuned          the same as files, with a picture
+  stage tune my.xml --axis z --chips mcx514 --motor 17HS4401 --payload 0.5 --spare 0.2 --distance 20mm
+  stage tune xy --distance 8000 --settle 20um 100ms --by formula      without Optuna
+
+docs/tuning.md says how it works, and what the proof proves.
+"""
+
+
+def _add_tune(commands: Any) -> None:
+    p = _command(
+        commands, "tune", "tune:run", "registers for an axis: formula, search, proof",
+        "Find the registers of one move of an axis: by the data sheet's formula, then by a search that keeps a margin, and prove "
+        "them by moves that the search has not seen. Prints registers, bus bytes and a C header.",
+    )  # fmt: skip
+    p.epilog, p.formatter_class = TUNE, argparse.RawDescriptionHelpFormatter
+    p.add_argument("model", nargs="?", default="xyz", help="a shipped model (xyz, xy) or an MJCF file (default: xyz)")
+    p.add_argument("--axis", help="the axis (default: the first of the model)")
+    p.add_argument("--distance", required=True, help="of the move: 100mm, 30deg, or pulses (of a servo counts)")
+    p.add_argument("--payload", type=float, default=0.0, metavar="KG", help="that it carries at most (default: 0)")
+    p.add_argument(
+        "--payload-on",
+        metavar="NAME",
+        help="body or site that carries it (default: site work, if it rides on the axis, else what the axis moves)",
+    )
+    p.add_argument(
+        "--spare",
+        default="30%",
+        metavar="KG|PERCENT",
+        help="margin: so much more payload, and still no step is lost; percent of the payload, or without one of what the axis "
+        "moves by itself (default: 30%%)",
+    )
+    p.add_argument(
+        "--settle",
+        nargs=2,
+        metavar=("WITHIN", "FOR"),
+        help="arrived is who stays within WITHIN of the goal for FOR: 50um 50ms (default: a full step, of a servo 10 counts; 50ms)",
+    )
+    p.add_argument("--overshoot", metavar="LENGTH", help="no move goes farther beyond its goal (default: twice WITHIN)")
+    g = p.add_argument_group("search")
+    g.add_argument("--by", choices=("search", "formula"), default="search", help="formula: no search, no Optuna needed")
+    g.add_argument("--trials", type=int, default=200, help="registers that are tried (default: 200)")
+    g.add_argument("--moves", type=int, default=48, help="moves of a proof (default: 48)")
+    g.add_argument("--seed", type=int, default=0, help="the same seed gives the same registers (default: 0)")
+    g.add_argument("--workers", type=int, help="threads; the result does not depend on them (default: one a processor)")
+    _machine(p.add_argument_group("stage"))
+    g = p.add_argument_group("output")
+    g.add_argument("-o", "--output", metavar="FOLDER", help="write tuned.h, tuned.txt, tuned.json and tuned.png there")
+    g.add_argument("--json", action="store_true", help="print JSON")
+    g.add_argument("--force", action="store_true", help="overwrite files that exist")
 
 
 def _plot(p: argparse.ArgumentParser) -> None:

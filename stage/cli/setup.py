@@ -14,12 +14,12 @@ from typing import Any
 from stage.errors import ArgumentError, unknown
 
 
-def make_stage(args: argparse.Namespace) -> Any:
-    """The stage that the options describe."""
+def make_stage(args: argparse.Namespace, visuals: bool = True) -> Any:
+    """The stage that the options describe; visuals: with what is only for display."""
     from stage import Drive, Stage
     from stage.chips import chip_class
 
-    common: dict[str, Any] = {"bus_cycle": args.bus_cycle, "clock": getattr(args, "clock", None)}
+    common: dict[str, Any] = {"bus_cycle": args.bus_cycle, "clock": getattr(args, "clock", None), "visuals": visuals}
     common["encoders"] = [_encoder(item) for item in getattr(args, "encoder", ())]
     common["wiring"] = _wiring(getattr(args, "wiring", ()))
     motor = {} if args.motor is None else {"motor": args.motor}

@@ -75,6 +75,8 @@ class Driver(ABC):
     """The register that says how far a move goes."""
     POSITIVE: ClassVar[tuple[str, ...]] = ()
     """Sensors that may be of positive logic: the driver tells the chip so, or refuses itself where it cannot."""
+    TRIMS: ClassVar[Mapping[str, float]] = {}
+    """Registers of `tuned_by` that a search may trim beside rates and ramps: by a factor of so much, at most."""
 
     def __init__(self, axis: Axis):
         """Raises ArgumentError where a sensor is of positive logic and is none of POSITIVE."""
@@ -181,7 +183,8 @@ class Driver(ABC):
 
     @abstractmethod
     def write_move(self, program: Operations, values: Mapping[str, int], pulses: int) -> None:
-        """From power-up to the start of a move of so many pulses, plus: bus cycles. values: of `tuned_by`, by name."""
+        """From power-up to the start of a move of so many pulses, the sign is the direction: bus cycles. values: of `tuned_by`, by
+        name."""
 
     @abstractmethod
     def write_stop(self, program: Operations) -> None:
@@ -202,6 +205,11 @@ class Driver(ABC):
         raise ArgumentError(
             f"{a_or_an(self.chip.MAP.chip)} on axis {self.axis.name} closes no loop: it has no filter to tune."
         )
+
+    def filter_formula(self) -> dict[str, int]:
+        """The numbers of `filter_choices` by an engineer's formula, for what the axis carries now. Raises ArgumentError for a chip
+        that closes no loop."""
+        raise ArgumentError(f"{a_or_an(self.chip.MAP.chip)} on axis {self.axis.name} closes no loop.")
 
     def write_servo_move(
         self, program: Operations, values: Mapping[str, int], counts: int, rates: tuple[float, float] | None

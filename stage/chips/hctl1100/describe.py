@@ -36,8 +36,10 @@ class Decoder(describe.Decoder):
         self._registers = {r.number: r for r in map_.registers}
 
     def wrote(self, clock: int, address: int, value: int) -> list[Said]:
+        r = self._registers.get(address)
         kind = "command" if address in (FLAG, MODE) else "register"
-        return [Said(clock, kind, f"{address:02X} {value:02X}", self._meaning(address, value))]
+        known = (r.name, r.value(value)) if r and kind == "register" else ("", 0)
+        return [Said(clock, kind, f"{address:02X} {value:02X}", self._meaning(address, value), *known)]
 
     def lost(self, address: int, value: int) -> tuple[str, str]:
         return f"{address:02X} {value:02X}", self._meaning(address, value)

@@ -58,8 +58,15 @@ class Decoder(describe.Decoder):
         self._selected = axes or self._selected
         if axes and not axes & self._bit:
             return []
-        kind = "register" if command is not None and command.kind in _WRITING else "command"
-        return [Said(clock, kind, f"{value:04X}", f"{axis_names(axes)} {self._meaning(command, value)}".strip())]
+        words = f"{axis_names(axes)} {self._meaning(command, value)}".strip()
+        if command is None or command.kind not in _WRITING:
+            return [Said(clock, "command", f"{value:04X}", words)]
+        r = self._map.register(command.symbol)
+        return [Said(clock, "register", f"{value:04X}", words, r.name, self._data(r))]
+
+    def _data(self, r: Register) -> int:
+        """What a command writes into a register."""
+        return r.value(self._words[7] << 16 | self._words[6])
 
     def _meaning(self, command: Command | None, value: int) -> str:
         if resets(self._map, value):
@@ -68,7 +75,7 @@ class Decoder(describe.Decoder):
             return "no command"
         if command.kind in _WRITING:
             r = self._map.register(command.symbol)
-            return f"{r.name} <- {r.value(self._words[7] << 16 | self._words[6])} ({r.text})"
+            return f"{r.name} <- {self._data(r)} ({r.text})"
         return _verb(command, value)
 
 

@@ -17,6 +17,7 @@ from stage.firmware.axis import positive
 from stage.firmware.choices import Choices
 from stage.firmware.driver import SETTLE, Driver, Speeds, that_move
 from stage.firmware.hctl1100.home import home, leave_limit, stand
+from stage.firmware.hctl1100.model import POLE, Loop, design
 from stage.firmware.hctl1100.moves import (
     Tuning,
     cruise,
@@ -204,6 +205,11 @@ class Hctl1100Driver(Driver):
     def filter_choices(self, trapezoid: bool) -> Choices:
         least = MINIMUM_T["trapezoid" if trapezoid else "position"]
         return Choices({"R22": (1, 0xFF), "R20": (0, 0xFF), "R21": (0, 0xFF), "R0F": (least, 0xFF)})
+
+    def filter_formula(self) -> dict[str, int]:
+        """By frequency response, see `model.design`; pole and T as after a reset."""
+        t = design(Loop.of(self.axis, Tuning(pole=POLE)))
+        return {"R22": t.gain, "R20": t.zero, "R21": t.pole, "R0F": t.timer}
 
     def write_servo_move(
         self, program: Operations, values: Mapping[str, int], counts: int, rates: tuple[float, float] | None

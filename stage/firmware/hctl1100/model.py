@@ -2,6 +2,7 @@
 
     loop = Loop.of(port.axis, tuning)
     error = loop.following_error(command)       counts, sample by sample; command: counts
+    tuning = design(loop)                       gain and zero by frequency response
 
 The plant is a DC motor with a mass on it, its voltage held for a sample:
 
@@ -14,7 +15,7 @@ constant force as long as an axis moves one way; there it is an input of the mod
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,12 @@ import numpy as np
 from stage.chips.hctl1100.motor import FULL_DRIVE
 from stage.errors import StageError
 from stage.firmware.hctl1100.moves import Tuning
+
+MARGIN = 60.0  # degrees
+RATTLE = 48.0  # units of motor command for one count
+POLE = 0x40  # as after a reset; the pole is at -1/4
+SHARE = 0.9  # of the highest crossover, from which on a zero is as good
+ZEROS = range(0x40, 0x100)
 
 
 @dataclass(frozen=True)
@@ -92,3 +99,30 @@ class Loop:
         b = np.concatenate([[0.0], b])  # as long as a: one sample late
         by_command = lfilter(np.convolve(a, d), closed, command - command[0])
         return by_command + lfilter(np.convolve(b, d), closed, self.friction * way)
+
+
+def design(loop: Loop, margin: float = MARGIN, rattle: float = RATTLE) -> Tuning:
+    """Gain and zero for this plant by frequency response; pole and T stay. Raises StageError where no zero gives that margin.
+
+    For every zero that the register holds, the highest crossover frequency at which the phase margin is `margin` degrees, and the
+    gain that puts it there; one count of the encoder must not be answered by more than `rattle` units of motor command: a coarse
+    encoder makes a fast filter rattle. Of the zeros whose crossover is about the highest the lowest: the stiffest at rest.
+    """
+    found = []
+    omega = np.geomspace(1.0, 0.9 * np.pi / loop.sample, 2000)
+    z = np.exp(1j * omega * loop.sample)
+    plant = np.polyval(loop.plant[0], z) / np.polyval(loop.plant[1], z)
+    for zero in ZEROS:
+        unit = replace(loop, tuning=replace(loop.tuning, gain=4, zero=zero))  # K/4 = 1
+        response = plant * np.polyval(unit.filter[0], z) / np.polyval(unit.filter[1], z)
+        phase = np.degrees(np.unwrap(np.angle(response))) + 180
+        phase -= 360 * np.round(phase[0] / 360)
+        enough = np.flatnonzero((phase >= margin) & (1 / np.abs(response) <= rattle) & (4 / np.abs(response) <= 0xFF))
+        if len(enough):
+            k = enough[-1]
+            gain = max(round(4 / float(np.abs(response[k]))), 1)
+            found.append((omega[k], replace(loop.tuning, gain=gain, zero=zero)))
+    if not found:
+        raise StageError(f"no zero gives a phase margin of {margin:g} degrees with a gain that the chip holds.")
+    highest = max(crossover for crossover, _ in found)
+    return next(tuning for crossover, tuning in found if crossover > SHARE * highest)

@@ -31,6 +31,7 @@ class Pcl240Driver(Driver):
     DONE: ClassVar = "R0 = 0"
     FINISH: ClassVar = "R0"
     POSITIVE: ClassVar = ("org", "ez", "el_plus", "el_minus", "sd_plus", "sd_minus")
+    TRIMS: ClassVar = {"R6": 1.06}  # the formula leaves pulses at FL
     chip: Any
 
     def __init__(self, axis: Any):
@@ -99,9 +100,10 @@ class Pcl240Driver(Driver):
         program.command(a, bus.RESET)
         if chip.S_CURVES and "R14" not in values:
             values = {**values, "R14": chip.LINEAR_RAMPS}
-        for name, value in {**values, "R0": pulses}.items():
+        for name, value in {**values, "R0": abs(pulses)}.items():
             program.register(a, chip, name, value)
-        program.command(a, bus.OUTPUT).command(a, bus.CONTROL | bus.PRESET).command(a, bus.RAMP["FH1"])
+        way = bus.MINUS if pulses < 0 else 0
+        program.command(a, bus.OUTPUT).command(a, bus.CONTROL | bus.PRESET | way).command(a, bus.RAMP["FH1"])
 
     def write_stop(self, program: Operations) -> None:
         program.command(self.index, bus.RESET)
@@ -109,7 +111,7 @@ class Pcl240Driver(Driver):
     def formula(
         self, fl: float, fh: float, up: float, down: float, pulses: int, s_curve: bool | None = None
     ) -> dict[str, int]:
-        p = Profile.of(fl, fh, fh, accel=up, decel=down)
+        p = Profile.of(fl, fh, fh, accel=up, decel=down, clock_hz=self.chip.clock_hz)
         made = {**p.registers(), "R6": p.down_point(pulses)}
         curved = [name for name in S_CURVES if name in self.tuned_by(s_curve)]
         return {**made, **dict.fromkeys(curved, 0)}  # curved throughout

@@ -1,0 +1,138 @@
+"""The command `stage tune`: registers for one's own axis."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+from stage.cli.setup import METRES, RADIANS, distance, find_axis, make_stage
+from stage.errors import ArgumentError, StageError
+
+TIMES = {"us": 1e-6, "ms": 1e-3, "s": 1.0}
+FILES = {"c": "tuned.h", "text": "tuned.txt", "json": "tuned.json", "picture": "tuned.png"}
+
+
+def run(args: argparse.Namespace) -> int:
+    from stage.files import written
+    from stage.tune import Task, tune
+    from stage.tune.search import optuna
+
+    folder = _folder(args)
+    if args.by == "search":
+        optuna()
+    if args.seed < 0:
+        raise ArgumentError(f"--seed {args.seed}: a whole number, 0 or more.")
+    stage = make_stage(args, visuals=False)
+    axis = find_axis(stage, args.axis) if args.axis else next(iter(stage.axes.values()))
+    within, hold = _settle(axis, args.settle)
+    task = Task(
+        stage, axis.name, distance(axis, args.distance), args.payload, _spare(args.spare, args.payload), within, hold,
+        None if args.overshoot is None else _length(axis, "--overshoot", args.overshoot), args.payload_on,
+    )  # fmt: skip
+    told = _Progress(args.trials)
+    result = tune(
+        task, by=args.by, trials=args.trials, seed=args.seed, workers=args.workers, moves=args.moves, told=told
+    )
+    told.end()
+    if args.json:
+        print(json.dumps(result.json(), indent=1))
+    else:
+        print(result)
+        if folder is None:
+            print(f"\n{result.c_source()}", end="")
+    if folder is not None:
+        folder.mkdir(exist_ok=True)
+        texts = {"c": result.c_source(), "text": f"{result}\n", "json": json.dumps(result.json(), indent=1) + "\n"}
+        for kind, text in texts.items():
+            with written(folder / FILES[kind], args.force) as part:
+                part.write_text(text, encoding="utf-8")
+        made = list(texts)
+        try:
+            result.plot(folder / FILES["picture"], args.force)
+            made.append("picture")
+        except StageError as error:
+            print(f"stage: no picture: {error}", file=sys.stderr)
+        if not args.json:
+            print(f"\n{folder}: {', '.join(FILES[kind] for kind in made)}")
+    return 130 if result.stopped else 0
+
+
+def _folder(args: argparse.Namespace) -> Path | None:
+    """Where the files go, if they can be written there. Raises FileError."""
+    from stage.files import FileError, writable
+
+    if args.output is None:
+        return None
+    folder = Path(args.output)
+    if folder.exists() and not folder.is_dir():
+        raise FileError(f"--output {folder}: a file is there. Name a folder.")
+    if not folder.exists():
+        writable(folder, False)
+        return folder
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise FileError(f"--output {folder}: no permission to write there. Choose another folder.")
+    for name in FILES.values():
+        writable(folder / name, args.force, ask="give --force")
+    return folder
+
+
+def _spare(text: str, payload: float) -> float | None:
+    """kg, of 30 % (of the payload; None where there is none: of what moves) or of 0.6. Raises ArgumentError."""
+    number, percent, rest = text.strip().partition("%")
+    try:
+        value = float(number)
+        if rest or not 0 <= value < float("inf"):
+            raise ValueError
+    except ValueError:
+        raise ArgumentError(f"--spare {text}: percent of the payload, 30%, or kg, 0.6.") from None
+    if not percent:
+        return value
+    return value / 100 * payload if payload else None
+
+
+def _settle(axis: Any, given: list[str] | None) -> tuple[float | None, float]:
+    """How near, m (rad) or None for the usual, and for how long, s. Raises ArgumentError."""
+    from stage.tune.task import HOLD
+
+    if given is None:
+        return None, HOLD
+    return _length(axis, "--settle", given[0]), _number("--settle", given[1], TIMES, "50ms")
+
+
+def _length(axis: Any, option: str, text: str) -> float:
+    """m, rad on a hinge. Raises ArgumentError."""
+    return _number(option, text, *((METRES, "50um") if axis.unit == "m" else (RADIANS, "1mrad")))
+
+
+def _number(option: str, text: str, units: dict[str, float], example: str) -> float:
+    unit = next((u for u in sorted(units, key=len, reverse=True) if text.endswith(u)), "")
+    try:
+        value = float(text.removesuffix(unit)) * units[unit]
+        if not 0 < value < float("inf"):
+            raise ValueError
+        return value
+    except (ValueError, KeyError):
+        raise ArgumentError(
+            f"{option}: {text!r} is not more than 0 in one of {', '.join(units)}; for example {example}."
+        ) from None
+
+
+class _Progress:
+    """A line on a terminal that says what is done."""
+
+    def __init__(self, trials: int):
+        self._on, self._trials = sys.stderr.isatty(), trials
+
+    def __call__(self, what: str, part: float, best: float | None) -> None:
+        if self._on:
+            how = f" {round(part * self._trials)} of {self._trials} trials" if what == "searching" else ""
+            so_far = f", best {best * 1e3:.1f} ms" if best is not None else ""
+            print(f"\r\033[K{what}{how}{so_far} ...", end="", file=sys.stderr, flush=True)
+
+    def end(self) -> None:
+        if self._on:
+            print("\r\033[K", end="", file=sys.stderr, flush=True)

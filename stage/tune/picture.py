@@ -1,0 +1,89 @@
+"""The picture of a result: rate, position and following error over time, of the formula's move and of the search's."""
+
+from __future__ import annotations
+
+from os import PathLike
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from stage.errors import StageError
+from stage.files import save_figure
+from stage.sim.fleet import Fleet
+from stage.sim.program import Program
+from stage.tune.plans import Plan
+from stage.tune.task import Case
+from stage.tune.tries import LOOK
+
+if TYPE_CHECKING:
+    from stage.tune.result import Result
+
+COLOURS = {"formula": "#7b8794", "search": "#1f5f9e"}
+BAND = "#dbe8f5"
+
+
+def draw(result: Result, path: str | PathLike, overwrite: bool = False) -> None:
+    """Write the picture. Raises FileError; StageError without matplotlib."""
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise StageError("drawing needs matplotlib: pip install 'pulsestage[plot]'.") from error
+    task = result.task
+    axis: Any = task.stage.axes[task.axis]
+    unit, scale = ("mm", 1e3) if axis.unit == "m" else ("mrad", 1e3)
+    figure = Figure(figsize=(9, 8.4), layout="constrained")
+    panels: Any = figure.subplots(4, 1, sharex=True)
+    tiny = "um" if axis.unit == "m" else "urad"
+    way = task.pulses * axis.meters_per_pulse
+    end = 1.15 * max(a.proof.worst for a in result.answers) + 0.01
+    for a in result.answers:
+        t, rate, position, behind = _measured(result, a.plan, end)
+        colour = COLOURS[a.name]
+        label = f"{a.name}: arrives after {a.proof.mean * 1e3:.0f} ms (mean), {a.proof.worst * 1e3:.0f} ms (worst)"
+        panels[0].plot(t * 1e3, rate * 1e-3, color=colour, lw=1.4, label=label, drawstyle="steps-post")
+        panels[1].plot(t * 1e3, position * scale, color=colour, lw=1.4)
+        panels[2].plot(t * 1e3, behind * 1e6, color=colour, lw=1.0)
+        panels[3].plot(t * 1e3, (position - way) * 1e6, color=colour, lw=1.2)
+        for panel in panels:
+            panel.axvline(a.proof.mean * 1e3, color=colour, lw=0.8, ls=(0, (5, 4)))
+    near = float(task.within or 0.0) * 1e6
+    panels[3].axhspan(-near, near, color=BAND, zorder=0, label="arrived")
+    panels[3].set_ylim(-4 * near, 4 * near)
+    panels[0].set(ylabel="rate, 1000 counts/s" if axis.chip.SERVO else "pulse rate, kpps")
+    panels[1].set(ylabel=f"position, {unit}")
+    panels[2].set(ylabel=f"commanded - position, {tiny}")
+    panels[3].set(ylabel=f"position - goal, {tiny}", xlabel="time from the start command, ms")
+    panels[0].legend(frameon=False, fontsize=9, loc="upper right")
+    panels[3].legend(frameon=False, fontsize=9, loc="upper right")
+    panels[0].set_ylim(top=1.3 * panels[0].get_ylim()[1])
+    panels[0].set_title(
+        f"axis {task.axis}, {axis.chip.MAP.chip}: {result.way()} with {task.payload:g} kg", loc="left", fontsize=11
+    )
+    for panel in panels:
+        panel.grid(color="#e3e7eb", lw=0.6)
+        panel.spines[["top", "right"]].set_visible(False)
+    save_figure(figure, path, 130, overwrite)
+
+
+def _measured(result: Result, plan: Plan, seconds: float) -> tuple[np.ndarray, ...]:
+    """Seconds, rate (pps), position and following error (m) of one move with the payload."""
+    task = result.task
+    stage = task.copy()
+    begin = task.begin(stage, Case(task.payload, 0.0, 1))
+    start = begin - np.sign(stage.axes[task.axis].gear) * task.pulses * stage.axes[task.axis].meters_per_pulse
+    before, after = Program(), Program()
+    result.plans.write(before, plan, task.pulses)
+    after.wait(seconds)
+    fleet = Fleet([stage], 1)
+    with stage.record(every=LOOK / 2) as recording:
+        fleet.play([before])
+        began = stage.time
+        fleet.play([after])
+    fleet.close()
+    t = recording.column("time") - began
+    shown = t >= -5e-3
+    rate, place, commanded = (
+        recording.column(f"{task.axis}/{name}")[shown] for name in ("rate", "position", "commanded")
+    )
+    sign = np.sign(stage.axes[task.axis].gear)
+    return t[shown], np.abs(rate), sign * (place - start), sign * (commanded - place)

@@ -1,0 +1,82 @@
+"""The proof of a plan: moves that no search has seen, and how much more it would carry."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from stage.tune.plans import Plan
+from stage.tune.task import Case
+from stage.tune.tries import LOOK, Tries
+
+MOVES = 48
+LADDER = 8  # payloads that are tried at once, six moves each
+ANGLES = 6
+FARTHEST = 4  # times the spare that was asked for: one of the payloads tried is just that
+
+
+@dataclass(frozen=True)
+class Proof:
+    """moves: how many; kept: how many of them made all pulses and lost no step, and if their payload was asked for arrived
+    without going too far. times:
+    s, of those with up to the payload, NaN where not arrived; in the same order for all plans. beyond: m too far at most."""
+
+    moves: int
+    kept: int
+    times: np.ndarray
+    beyond: float
+
+    @property
+    def holds(self) -> bool:
+        return self.kept == self.moves
+
+    @property
+    def mean(self) -> float:
+        return float(np.mean(self.times))
+
+    @property
+    def worst(self) -> float:
+        return float(np.max(self.times))
+
+
+def prove(tries: Tries, plans: Sequence[Plan], cases: Sequence[Case], limit: float) -> list[Proof]:
+    """The same moves with each plan."""
+    outcome = tries.make(plans, cases, limit)
+    asked = tries.task.asked(list(cases))
+    good, found = outcome.good(tries.task, asked), []
+    for k in range(len(plans)):
+        found.append(
+            Proof(len(cases), int(good[k].sum()), outcome.arrived[k][asked], float(outcome.beyond[k][asked].max()))
+        )
+    return found
+
+
+def spare(tries: Tries, plan: Plan, limit: float, rng: np.random.Generator) -> tuple[float, bool]:
+    """How many kg on top of the payload it carries before it loses a step for the first time; and whether it may be more.
+
+    Two rounds of payloads, each with moves at rotor angles all round, both ways.
+    """
+    task = tries.task
+    low, high = 0.0, FARTHEST * float(task.spare or 0.1 * (task.payload + task.moved))
+    for _ in range(2):
+        steps = low + (high - low) / LADDER * np.arange(1, LADDER + 1)
+        places = rng.uniform(-0.5, 0.5, (LADDER, ANGLES)) * task.turn
+        cases = [
+            Case(task.payload + float(kg), float(place), 1 - 2 * (j % 2))
+            for kg, row in zip(steps, places, strict=True)
+            for j, place in enumerate(row)
+        ]
+        kept = tries.make([plan], cases, limit).kept.reshape(LADDER, ANGLES).all(axis=1)
+        if kept.all():
+            return high, low == 0.0
+        first = int(np.argmin(kept))
+        low, high = (low if first == 0 else float(steps[first - 1])), float(steps[first])
+    return low, False
+
+
+def gain(formula: Proof, found: Proof) -> tuple[float, float]:
+    """By how much the second is faster, s, and twice the standard error of that, from the same moves with both."""
+    saved = formula.times - found.times
+    return float(np.mean(saved)), float(2 * np.std(saved, ddof=1) / np.sqrt(len(saved))) if len(saved) > 1 else LOOK

@@ -1,0 +1,205 @@
+"""`Result`: what `tune` has found, as text, JSON, C and a picture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from os import PathLike
+from typing import Any
+
+from stage.tune.c_source import c_source
+from stage.tune.plans import Plan, Plans
+from stage.tune.proof import Proof, gain
+from stage.tune.task import Task
+from stage.tune.tries import LOOK
+from stage.tune.written import Cycle, Row, cycles, program, rows, said
+
+
+@dataclass(frozen=True)
+class Answer:
+    """A plan and what was proved of it. name: formula or search; spare: kg on top of the payload without a lost step; more: nothing
+    heavier was tried; holds: all of the proof, and the spare that was asked for."""
+
+    name: str
+    plan: Plan
+    proof: Proof
+    spare: float
+    more: bool
+    holds: bool
+
+
+@dataclass(frozen=True)
+class Result:
+    """What was found. answers: that of the formula, and of the search if one passed the proof; won: the name of the one to take.
+
+    by: search or formula, as asked. safety: factor of the formula. trials: that were made; stopped: Ctrl-C ended them. failed:
+    answers of the search that did not pass moves that it had not seen. moves: that were made in all.
+    """
+
+    task: Task
+    plans: Plans
+    answers: tuple[Answer, ...]
+    won: str
+    safety: float
+    by: str
+    trials: int
+    stopped: bool
+    failed: int
+    seed: int
+    moves: int
+
+    @property
+    def answer(self) -> Answer:
+        """The one to take."""
+        return next(a for a in self.answers if a.name == self.won)
+
+    @cached_property
+    def cycles(self) -> list[Cycle]:
+        """Its bus cycles, in order, of a move towards plus."""
+        return cycles(self.task, program(self.plans, self.answer.plan, self.task.pulses))
+
+    @cached_property
+    def rows(self) -> list[Row]:
+        """Its registers."""
+        return rows(self.task, said(self.task, program(self.plans, self.answer.plan, self.task.pulses)))
+
+    def way(self) -> str:
+        """The distance in words."""
+        axis = self.task.stage.axes[self.task.axis]
+        way, unit = self.task.pulses * axis.meters_per_pulse, "mm"
+        if axis.unit == "rad":
+            return f"{way * 57.29577951308232:g} deg ({self.task.pulses} pulses)"
+        return f"{way * 1e3:g} {unit} ({self.task.pulses} {'counts' if axis.chip.SERVO else 'pulses'})"
+
+    def proved(self, a: Answer) -> str:
+        """What the proof says of an answer, in words."""
+        servo = self.task.stage.axes[self.task.axis].chip.SERVO
+        what = "arrive" if servo else "lose no step"
+        return f"{a.proof.kept} of {a.proof.moves} moves {what} with up to {self.task.most:.3g} kg"
+
+    def verdict(self) -> str:
+        """Which to take, and why."""
+        names = {a.name: a for a in self.answers}
+        if self.by == "formula":
+            return "The formula's registers; no search was asked for."
+        searched = f"{self.trials} trials" + (", ended by Ctrl-C" if self.stopped else "")
+        if "search" not in names:
+            return f"The search ({searched}) found nothing that passes the proof: these are the formula's registers."
+        saved, error = gain(names["formula"].proof, names["search"].proof)
+        by = f"{saved * 1e3:.1f} ms (+- {error * 1e3:.1f} ms)"
+        if self.won == "search":
+            if not names["formula"].holds:
+                return f"The search's registers ({searched}): the formula's lose steps in the proof."
+            return f"The search's registers ({searched}) are faster than the formula's by {by}."
+        return (
+            f"The search ({searched}) gains {by}, which the proof cannot tell from nothing (it sees {LOOK * 1e3:g} ms): these are "
+            "the formula's registers."
+        )
+
+    def __str__(self) -> str:
+        task, axis = self.task, self.task.stage.axes[self.task.axis]
+        chip = axis.chip.MAP.chip
+        arrived = f"within {task.length(float(task.within or 0))} for {task.hold * 1e3:g} ms"
+        lines = [
+            f"axis {task.axis}, {chip}: {self.way()} with up to {task.payload:g} kg, margin {task.spare:.3g} kg more; arrived is "
+            f"who stays {arrived}",
+            "",
+            f"{'':9}{'arrives, mean':>15}{'worst':>11}{'too far':>11}{'spare payload':>15}  proof",
+        ]
+        for a in self.answers:
+            p, unit = a.proof, " um" if axis.unit == "m" else " urad"
+            spare = f"{'>= ' if a.more else ''}{a.spare:.2f} kg"
+            far = f"{p.beyond * 1e6:.1f}{unit}"
+            lines.append(
+                f"{a.name:9}{p.mean * 1e3:>12.1f} ms{p.worst * 1e3:>8.1f} ms{far:>11}{spare:>15}  {self.proved(a)}"
+            )
+        if self.failed:
+            lines.append(
+                f"{self.failed} of the search's best registers failed in moves that it had not seen, and are out."
+            )
+        lines += ["", self.verdict(), self.rates(), "", self.table(), "", self.listing()]
+        return "\n".join(lines)
+
+    def rates(self) -> str:
+        """The rates and ramps that the registers are made for, in words."""
+        s = self.answer.plan.speeds
+        unit = "counts/s" if self.task.stage.axes[self.task.axis].chip.SERVO else "pps"
+        start = f"from {s.start:,.0f} " if s.start else ""
+        curved = ", S-curves" if s.s_curve else ""
+        return f"They ask for {start}up to {s.drive:,.0f} {unit}, ramps of {s.up * 1e3:.1f} and {s.down * 1e3:.1f} ms{curved}."
+
+    def table(self) -> str:
+        """The registers."""
+        wide = max((len(r.name) for r in self.rows), default=8)
+        head = f"{'register':{max(wide, 8)}}{'value':>13}{'hex':>11}  meaning"
+        out = [head, "-" * len(head)]
+        for r in self.rows:
+            mask = (1 << 4 * r.digits) - 1
+            number = f"{r.value & mask:0{r.digits}X}h"
+            out.append(f"{r.name:{max(wide, 8)}}{r.value:>13}{number:>11}  {r.words}")
+        return "\n".join(out)
+
+    def listing(self) -> str:
+        """The bus cycles of a move towards plus."""
+        mask = self.task.stage.axes[self.task.axis].chip.DATA_MASK
+        digits = (mask.bit_length() + 3) // 4
+        out = ["address  data  what it says", "----------------------------"]
+        for c in self.cycles:
+            data = "" if c.address is None else f"{c.value & mask:0{digits}X}h"
+            out.append(f"{'' if c.address is None else c.address:>7}  {data:>{digits + 1}}  {c.words}")
+        return "\n".join(out)
+
+    def c_source(self, name: str | None = None) -> str:
+        """A C header with the bytes of the move; name: of its function, <name>_move."""
+        task = self.task
+        chip = task.stage.axes[task.axis].chip
+        a = self.answer
+        notes = [
+            "",
+            f"{self.proved(a)}; arrives after {a.proof.mean * 1e3:.1f} ms, {a.proof.worst * 1e3:.1f} ms at most",
+            f"(by {'the data sheet formula' if a.name == 'formula' else 'search'}; stage tune, seed {self.seed})",
+        ]
+        title = f"axis {task.axis}, {chip.MAP.chip}: {self.way()} with up to {task.payload:g} kg"
+        return c_source(name or f"{task.axis}_tuned", title, notes, self.rows, self.cycles, chip.DATA_MASK)
+
+    def json(self) -> dict[str, Any]:
+        """All of it as numbers and texts: s, m, kg."""
+        task = self.task
+        return {
+            "axis": task.axis,
+            "chip": task.stage.axes[task.axis].chip.MAP.chip,
+            "pulses": task.pulses,
+            "payload": task.payload,
+            "spare": task.spare,
+            "within": task.within,
+            "hold": task.hold,
+            "overshoot": task.overshoot,
+            "seed": self.seed,
+            "trials": self.trials,
+            "moves": self.moves,
+            "stopped": self.stopped,
+            "won": self.won,
+            "verdict": self.verdict(),
+            "answers": {
+                a.name: {
+                    "registers": a.plan.registers,
+                    "speeds": a.plan.speeds._asdict(),
+                    "mean": a.proof.mean,
+                    "worst": a.proof.worst,
+                    "beyond": a.proof.beyond,
+                    "spare": a.spare,
+                    "spare_may_be_more": a.more,
+                    "kept": a.proof.kept,
+                    "proved": a.proof.moves,
+                }
+                for a in self.answers
+            },
+            "registers": [r._asdict() for r in self.rows],
+            "bytes": [c._asdict() for c in self.cycles],
+        }
+
+    def plot(self, path: str | PathLike, overwrite: bool = False) -> None:
+        """Draw rate, position and error over time, of all answers; see picture.py."""
+        from stage.tune.picture import draw
+
+        draw(self, path, overwrite)

@@ -1,0 +1,116 @@
+"""The search: Optuna chooses rates and ramps around the formula's; least time until arrived, no step lost with the margin.
+
+Trials are made in batches of a fixed size, and what a trial measures does not depend on who else runs: so a seed gives the same
+search, whatever the number of threads.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from stage.errors import ArgumentError, StageError
+from stage.tune.formula import SAFETY
+from stage.tune.plans import Plan, Plans
+from stage.tune.task import Case
+from stage.tune.tries import Tries
+
+BATCH = 8
+BOLDER = (0.9, 0.8, 0.7)  # of the formula's safety factor: tried first
+
+
+class Trial(NamedTuple):
+    """One that was made. worst: s, the longest of the moves with up to the payload; broken: moves that lost steps, did not
+    arrive or went too far, and more where the chip cannot make them at all."""
+
+    number: int
+    plan: Plan | None
+    worst: float
+    broken: int
+
+
+def optuna() -> Any:
+    """Optuna. Raises StageError that says how to get it."""
+    try:
+        import optuna
+    except ImportError as error:
+        raise StageError(
+            "the search needs Optuna: pip install 'pulsestage[tune]'; or leave it at the formula: --by formula."
+        ) from error
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    return optuna
+
+
+def search(
+    tries: Tries,
+    cases: Sequence[Case],
+    limit: float,
+    trials: int,
+    seed: int,
+    safety: float = SAFETY,
+    told: Callable[[int, Trial | None], None] = lambda done, best: None,
+) -> tuple[list[Trial], bool]:
+    """Make so many trials, of each the same cases. Returns the trials, the best first, and whether Ctrl-C has ended it early.
+
+    limit: s, how long a move is looked at; what takes longer has not arrived. told: called after each batch with the number of
+    trials and the best so far.
+    """
+    study = _study(seed)
+    plans: Plans = tries.plans
+    middle = plans.speeds(safety)
+    study.enqueue_trial({})
+    for shape in plans.shapes:
+        study.enqueue_trial(_named(plans, {}, shape))
+        for part in BOLDER:
+            study.enqueue_trial(_named(plans, plans.towards(middle, plans.speeds(safety * part)), shape))
+    made: list[Trial] = []
+    asked = tries.task.asked(list(cases))
+    stopped = False
+    try:
+        while len(made) < trials:
+            batch = [study.ask() for _ in range(min(BATCH, trials - len(made)))]
+            chosen = [_plan(plans, trial, middle) for trial in batch]
+            real = [plan for plan in chosen if plan is not None]
+            outcome = tries.make(real, cases, limit) if real else None
+            good = outcome.good(tries.task, asked) if outcome else np.zeros((0, 0))
+            k = 0
+            for trial, plan in zip(batch, chosen, strict=True):
+                worst, broken = 2 * limit, 1 + len(cases)
+                if plan is not None and outcome is not None:
+                    times = outcome.arrived[k][asked]
+                    worst = float(np.where(np.isnan(times), 1.5 * limit, times).max())
+                    broken = int(np.sum(~good[k]))
+                    k += 1
+                trial.set_constraint("broken", broken)
+                study.tell(trial, worst)
+                made.append(Trial(trial.number, plan, worst, broken))
+            told(len(made), _ranked(made)[0])
+    except KeyboardInterrupt:
+        stopped = True
+    return _ranked(made), stopped
+
+
+def _study(seed: int) -> Any:
+    library = optuna()
+    sampler = library.samplers.TPESampler(n_startup_trials=16, multivariate=True, seed=seed)
+    return library.create_study(sampler=sampler)
+
+
+def _named(plans: Plans, values: dict[str, float], shape: str) -> dict[str, Any]:
+    """Values as an Optuna trial has them: all of them, and the shape where there is a choice."""
+    return {name: values.get(name, 0.0) for name in plans.knobs} | ({"shape": shape} if len(plans.shapes) > 1 else {})
+
+
+def _plan(plans: Plans, trial: Any, middle: Any) -> Plan | None:
+    values = {name: trial.suggest_float(name, -1.0, 1.0) for name in plans.knobs}
+    shape = trial.suggest_categorical("shape", plans.shapes) if len(plans.shapes) > 1 else plans.shapes[0]
+    try:
+        return plans.plan(middle, values, shape)
+    except ArgumentError:
+        return None
+
+
+def _ranked(made: Sequence[Trial]) -> list[Trial]:
+    return sorted(made, key=lambda trial: (trial.broken, trial.worst, trial.number))

@@ -1,0 +1,174 @@
+"""`Task`: what is wanted of an axis: one distance, with up to a payload, and what counts as arrived."""
+
+from __future__ import annotations
+
+import copy
+import math
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from stage import Stage
+from stage.envs.task import carrier
+from stage.errors import ArgumentError, unknown
+
+SPARE = 0.3
+"""Default margin: payload to spare, in parts of the payload."""
+HOLD = 0.05  # s
+COUNTS = 10  # of a servo's encoder: within so many it has arrived
+TWICE = 2.0  # `within`: how far beyond its goal a move may go
+ROUNDING = 1e-9  # kg
+
+
+class Case(NamedTuple):
+    """One move to be tried: kg on the axis, where it begins (pulses beside the usual place), which way (+1, -1)."""
+
+    payload: float
+    beside: float
+    way: int
+
+
+@dataclass(frozen=True)
+class Task:
+    """A move of one axis of a stage, to be made again and again.
+
+    Attributes:
+        stage: the machine, at power-up; it is copied and never moved. axis: its name. pulses: of the move (of a servo counts).
+        payload: kg, the most that it carries; less counts, too, down to nothing. spare: kg on top of it with which no step may be
+            lost: the margin. None: 30 % of the payload; without a payload 30 % of what the axis itself moves.
+        within, hold: arrived is who stays within so many m (rad) of the goal for so many s. None: a full step, or 10 counts of an
+            encoder; 0.05 s.
+        overshoot: m (rad) beyond the goal, at most. None: twice `within`.
+        payload_on: body or site that carries; None: site "work", if it rides on the axis, else what the axis moves.
+        carrier: the body that carries. moved: kg that the axis moves by itself. middle: of the room between the limit switches, m;
+            moves lie around it.
+    Raises ArgumentError: no such axis; a distance that it has no room for; a payload that is none.
+    """
+
+    stage: Stage
+    axis: str
+    pulses: int
+    payload: float = 0.0
+    spare: float | None = None
+    within: float | None = None
+    hold: float = HOLD
+    overshoot: float | None = None
+    payload_on: str | None = None
+    carrier: str = field(init=False, default="")
+    moved: float = field(init=False, default=0.0)
+    middle: float = field(init=False, default=0.0)
+
+    def __post_init__(self) -> None:
+        if self.axis not in self.stage.axes:
+            raise unknown("axis", self.axis, self.stage.axes)
+        axis: Any = self.stage.axes[self.axis]
+
+        def put(name: str, value: Any) -> None:
+            object.__setattr__(self, name, value)
+
+        put("carrier", self._carrier(axis))
+        if not 0 <= self.payload < 1e6:
+            raise ArgumentError(f"payload={self.payload!r} kg: 0 or more, and less than 1,000,000.")
+        body = int(self.stage.model.jnt_bodyid[axis.joint])
+        put("moved", float(self.stage.model.body_subtreemass[body]))
+        if self.spare is None:
+            put("spare", SPARE * (self.payload or self.moved))
+        if not 0 <= float(self.spare or 0.0) < math.inf:
+            raise ArgumentError(f"spare={self.spare!r} kg: 0 or more.")
+        if self.within is None:
+            put("within", (COUNTS if axis.chip.SERVO else axis.drive.microsteps) * axis.meters_per_pulse)
+        if not (0 < float(self.within or 0.0) < math.inf and 0 < self.hold < math.inf):
+            raise ArgumentError(f"within={self.within!r}, hold={self.hold!r}: both more than 0.")
+        if self.overshoot is None:
+            put("overshoot", TWICE * float(self.within or 0.0))
+        if not float(self.overshoot or 0.0) > 0:
+            raise ArgumentError(f"overshoot={self.overshoot!r}: more than 0.")
+        put("pulses", abs(int(self.pulses)))
+        low, high = room(axis)
+        most = math.floor((high - low) / axis.meters_per_pulse) - self.turn
+        if not 0 < self.pulses <= most:
+            unit = "mm" if axis.unit == "m" else "mrad"
+            raise ArgumentError(
+                f"a distance of {self.pulses} pulses: axis {self.axis} has room for 1 to {most} pulses between its limit switches "
+                f"({most * axis.meters_per_pulse * 1e3:g} {unit})."
+            )
+        put("middle", 0.5 * (low + high))
+
+    @property
+    def turn(self) -> int:
+        """Pulses of an electrical turn: moves begin anywhere within one, so that no rotor angle is the lucky one."""
+        axis: Any = self.stage.axes[self.axis]
+        return 4 * (1 if axis.chip.SERVO else axis.drive.microsteps)
+
+    def _carrier(self, axis: Any) -> str:
+        """That of `payload_on`; of the usual ones the first that rides on the axis."""
+        named = carrier(self.stage, self.axis, self.payload_on)
+        if self.payload_on is not None or rides(self.stage.model, named, axis.joint):
+            return named
+        model = self.stage.model
+        return str(model.body(int(model.jnt_bodyid[axis.joint])).name)
+
+    def length(self, metres: float) -> str:
+        """A small length of the axis in words."""
+        return f"{metres * 1e6:g} u{'m' if self.stage.axes[self.axis].unit == 'm' else 'rad'}"
+
+    @property
+    def most(self) -> float:
+        """kg, payload and spare."""
+        return self.payload + float(self.spare or 0.0)
+
+    def begin(self, stage: Stage, case: Case) -> float:
+        """Bring a stage at power-up to where a move begins. Returns its goal, m."""
+        axis = stage.axes[self.axis]
+        stage.set_payload(case.payload, self.carrier)
+        step = axis.meters_per_pulse * np.sign(axis.gear)
+        way = step * self.pulses * case.way
+        stage.place(**{self.axis: self.middle - 0.5 * way + case.beside * axis.meters_per_pulse})
+        return float((axis.position if axis.chip.SERVO else axis.commanded) + way)
+
+    def copy(self) -> Stage:
+        """Another machine of the same kind."""
+        return copy.deepcopy(self.stage)
+
+    def corners(self, rng: np.random.Generator, angles: int) -> list[Case]:
+        """Nothing, the payload, the payload with the spare: each at some rotor angles, both ways."""
+        loads = sorted({0.0, self.payload, self.most})
+        first, n = rng.uniform(0, 1), angles * len(loads)
+        places = [(first + k / n) % 1.0 - 0.5 for k in range(n)]
+        return [
+            Case(load, self.turn * places[j * len(loads) + k], 1 - 2 * (j % 2))
+            for k, load in enumerate(loads)
+            for j in range(angles)
+        ]
+
+    def drawn(self, rng: np.random.Generator, moves: int) -> list[Case]:
+        """Moves of a proof: the corners' payloads and others in between, any rotor angle, both ways."""
+        fixed = (0.0, self.payload, self.most)
+        loads = [fixed[k % 4] if k % 4 < 3 else float(rng.uniform(0, self.most)) for k in range(moves)]
+        return [
+            Case(load, self.turn * float(rng.uniform(-0.5, 0.5)), 1 - 2 * (k // 4 % 2)) for k, load in enumerate(loads)
+        ]
+
+    def asked(self, cases: list[Case]) -> np.ndarray:
+        """Which cases have no more than the payload: theirs is the time that counts."""
+        return np.array([c.payload <= self.payload + ROUNDING for c in cases])
+
+
+def rides(model: Any, body: str, joint: int) -> bool:
+    """Whether a body is moved by a joint."""
+    k, moved = int(model.body(body).id), int(model.jnt_bodyid[joint])
+    while k not in (0, moved):
+        k = int(model.body_parentid[k])
+    return k == moved
+
+
+def room(axis: Any) -> tuple[float, float]:
+    """Between which places neither limit switch of an axis is on, m: its travel, less what the switches take."""
+    low, high = axis.travel
+    for s in axis.plant.switches:
+        if s.pin == "el_plus":
+            low, high = (low, min(high, s.touch)) if s.slope < 0 else (max(low, s.touch), high)
+        elif s.pin == "el_minus":
+            low, high = (max(low, s.touch), high) if s.slope > 0 else (low, min(high, s.touch))
+    return low, high

@@ -1,0 +1,230 @@
+"""`stage tune`: the formula, a search that keeps its margin, and a proof by moves that the search has not seen."""
+
+import json
+import re
+import sys
+
+import numpy as np
+import pytest
+
+from stage import Stage
+from stage.board import Board, NativeHost, NoCompilerError, build
+from stage.board.library import compiler
+from stage.chips import HCTL1100, MCX514, PCL240K, PCL240MS
+from stage.cli import main
+from stage.errors import ArgumentError, StageError
+from stage.firmware.driver import driver_of
+from stage.tune import Case, Task, tune
+from stage.tune.plans import plans_of
+from stage.tune.search import search
+from stage.tune.tries import Tries
+
+PULSES, PAYLOAD = 800, 2.0
+LIMIT = 0.12  # s
+
+
+def task_of(chip=PCL240K, **how):
+    return Task(
+        Stage("xy", chips=chip, visuals=False), "x", **{"pulses": PULSES, "payload": PAYLOAD, "hold": 0.02, **how}
+    )
+
+
+@pytest.fixture(scope="module")
+def task():
+    return task_of()
+
+
+@pytest.fixture(scope="module")
+def tries(task):
+    with Tries(task, plans_of(task), lanes=8) as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
+def result():
+    pytest.importorskip("optuna")
+    return tune(task_of(), trials=16, moves=12, seed=3)
+
+
+def test_the_answer_arrives_and_keeps_step_up_to_the_margin_in_moves_that_the_search_has_not_seen(result):
+    answer = result.answer
+    assert answer.holds
+    assert answer.proof.kept == answer.proof.moves == 12
+    assert answer.spare >= result.task.spare == pytest.approx(0.6)
+    assert f"12 of 12 moves lose no step with up to {2.6} kg" in str(result)
+    formula = result.answers[0]
+    assert formula.name == "formula"
+    if result.won == "search":
+        assert answer.proof.mean < formula.proof.mean - 5e-4
+        assert "faster than the formula's" in result.verdict()
+
+
+def test_the_printed_bytes_are_the_move_and_leave_the_registers_of_the_table(result):
+    stage = result.task.copy()
+    axis = stage.axes["x"]
+    for cycle in result.cycles:
+        axis.chip.write(cycle.address, cycle.value)
+    values = axis.chip.values()
+    assert not axis.chip.diagnostics
+    for name, value in result.answer.plan.registers.items():
+        assert values[name] == value
+        assert re.search(
+            rf"^{name} +{value} +{value:0{3}X}h".replace(f"{value:03X}", f"0*{value:X}"), result.table(), re.M
+        )
+    stage.run(0.5)
+    assert (axis.chip.net(), axis.lost_steps) == (PULSES, 0)
+
+
+def test_the_c_header_compiles_without_a_warning_and_makes_the_same_move(result, tmp_path):
+    try:
+        compiler()
+    except NoCompilerError as error:
+        pytest.skip(str(error))
+    (tmp_path / "tuned.h").write_text(result.c_source("x_axis"))
+    (tmp_path / "driver.c").write_text("""
+        #define _DEFAULT_SOURCE
+        #define PULSESTAGE_LINUX_IO
+        #include <pulsestage.h>
+        #include "tuned.h"
+        static void write_chip(unsigned address, unsigned long value) { ps_out8(0x300 + address, (unsigned char)value); }
+        static void wait_us(unsigned long us) { usleep((unsigned)us); }
+        PULSESTAGE_MAIN
+        {
+            x_axis_move(write_chip, wait_us);
+            while (inb(0x300) & 0x40)
+                ;
+            usleep(100000);
+            return X_AXIS_R2;
+        }
+        """)
+    flags = ("-std=c99", "-Wall", "-Wextra", "-pedantic", "-Werror", f"-I{tmp_path}")
+    board = Board(result.task.copy())
+    axis = board.stage.axes["x"]
+    ended = NativeHost(build(tmp_path / "driver.c", tmp_path / "driver.so", flags), board, isolated=False).run()
+    registers = result.answer.plan.registers
+    assert ended.code == registers["R2"]
+    values = axis.chip.values()
+    assert {name: values[name] for name in registers} == registers
+    assert (axis.chip.net(), axis.lost_steps) == (PULSES, 0)
+
+
+def test_a_trial_counts_lost_steps_and_moves_that_do_not_arrive(task, tries):
+    plans = tries.plans
+    wild = plans.plan(plans.speeds(1.5)._replace(drive=100_000, up=2e-3, down=2e-3), {}, "linear")
+    calm = plans.formula()
+    cases = [Case(PAYLOAD, 0.0, 1), Case(PAYLOAD, 7.0, -1)]
+    outcome = tries.make([wild, calm], cases, LIMIT)
+    assert outcome.kept.tolist() == [[False, False], [True, True]]
+    asked = task.asked(cases)
+    assert outcome.good(task, asked).tolist() == [[False, False], [True, True]]
+    short = tries.make([calm], cases, 0.05)
+    assert np.isnan(short.arrived).all()
+    assert not short.good(task, asked).any()
+
+
+def test_the_time_until_arrived_is_that_of_the_same_move_on_a_stage(task, tries):
+    plan = tries.plans.formula()
+    arrived = float(tries.make([plan], [Case(PAYLOAD, 0.0, 1)], LIMIT).arrived[0, 0])
+    stage = task.copy()
+    axis = stage.axes["x"]
+    goal = task.begin(stage, Case(PAYLOAD, 0.0, 1))
+    from stage.firmware.driver import AtOnce
+
+    driver_of(axis).write_move(AtOnce(axis), plan.registers, PULSES)
+    begin, last = stage.time, 0.0
+    while stage.time < begin + LIMIT:
+        stage.run(5e-4)
+        if abs(axis.position - goal) > task.within:
+            last = stage.time - begin
+    assert arrived == pytest.approx(last, abs=1e-6)
+
+
+def test_a_seed_gives_the_same_search_whatever_the_number_of_threads(task):
+    pytest.importorskip("optuna")
+    made = []
+    for workers in (1, 2):
+        with Tries(task, plans_of(task), workers, lanes=6 + workers) as tries:
+            cases = task.corners(np.random.default_rng(1), 1)
+            made.append([t[1:] for t in search(tries, cases, LIMIT, 17, seed=5)[0]])
+    assert made[0] == made[1]
+
+
+def test_ctrl_c_keeps_the_best_so_far(task, tries):
+    pytest.importorskip("optuna")
+
+    def told(done, best):
+        raise KeyboardInterrupt
+
+    ranked, stopped = search(tries, task.corners(np.random.default_rng(1), 1)[:2], LIMIT, 100, 0, told=told)
+    assert stopped
+    assert len(ranked) == 8
+
+
+@pytest.mark.parametrize(
+    ("how", "said"),
+    [
+        ({"axis": "w"}, "unknown axis 'w'. Known: x, y."),
+        ({"pulses": 200_000}, r"has room for 1 to 95935 pulses between its limit switches \(299.797 mm\)"),
+        ({"payload": -1.0}, "0 or more"),
+        ({"within": 0.0}, "both more than 0"),
+    ],
+)
+def test_what_cannot_be_is_told_before_any_move(how, said):
+    given = {"axis": "x", "pulses": PULSES, **how}
+    with pytest.raises(ArgumentError, match=said):
+        Task(Stage("xy", chips=PCL240K, visuals=False), **given)
+
+
+def test_a_payload_that_the_motor_does_not_lift_is_told_with_the_largest_that_it_does():
+    task = Task(Stage("xyz", chips=PCL240K, visuals=False), "z", pulses=1000, payload=80.0)
+    with pytest.raises(ArgumentError, match=r"80 kg on axis z: .* Up to [\d.]+ kg it works"):
+        plans_of(task).formula()
+
+
+def test_the_formula_of_an_upright_axis_has_its_weight():
+    stage = Stage("xyz", chips=PCL240K, visuals=False)
+    z, x = (plans_of(Task(stage, name, pulses=1000, payload=3.0)).load(3.0) for name in "zx")
+    assert z.slope == pytest.approx(9.81)
+    assert z.weight > 3.0 * 9.81
+    assert x.weight == x.slope == 0
+
+
+@pytest.mark.parametrize("chip", [MCX514, PCL240MS, HCTL1100])
+def test_chips_are_tuned_through_their_drivers_and_go_both_ways(chip):
+    task = task_of(chip)
+    plans = plans_of(task)
+    assert ("s_curve" in plans.shapes) == (chip is not HCTL1100)
+    with Tries(task, plans, lanes=2) as tries:
+        outcome = tries.make([plans.formula()], [Case(0.0, 5.0, 1), Case(PAYLOAD, 0.0, -1)], 0.4)
+    assert outcome.good(task, np.array([True, True])).all()
+
+
+def test_the_command_writes_its_files_and_refuses_before_the_run(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    short = ["tune", "xy", "--distance", "2mm", "--settle", "50um", "10ms", "--by", "formula", "--moves", "4"]
+    assert main([*short, "-o", "out", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == json.loads((tmp_path / "out/tuned.json").read_text())
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {"tuned.h", "tuned.txt", "tuned.json", "tuned.png"}
+    assert (tmp_path / "out/tuned.png").read_bytes().startswith(b"\x89PNG")
+    for wrong, said in (
+        ([*short, "-o", "out"], "give --force"),
+        ([*short, "-o", "no/where"], "no is no folder"),
+        ([*short, "--spare", "much"], "--spare much: percent of the payload, 30%, or kg, 0.6."),
+        ([*short, "--settle", "5kg", "1s"], "--settle: '5kg' is not more than 0 in one of nm, um, mm, cm, m"),
+        ([*short, "--axis", "q"], "unknown axis 'q'. Known: x, y."),
+    ):
+        assert main(wrong) == 2
+        assert said in capsys.readouterr().err
+
+
+def test_without_optuna_the_search_says_what_to_do(tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "optuna", None)
+    assert main(["tune", "xy", "--distance", "5mm"]) == 2
+    assert "pip install 'pulsestage[tune]'; or leave it at the formula: --by formula." in capsys.readouterr().err
+
+
+def test_numbers_out_of_range_are_refused(task):
+    for how in ({"by": "luck"}, {"trials": 0}, {"moves": 0}, {"trials": True}):
+        with pytest.raises(ArgumentError):
+            tune(task, **how)
+    assert issubclass(ArgumentError, StageError)
