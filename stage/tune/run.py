@@ -18,7 +18,10 @@ from stage.tune.tries import LOOK, Tries
 
 WAYS = ("search", "formula")
 CAREFUL = (1.0, 1.15, 1.3, 1.5, 2.0, 3.0)  # times the safety factor, until the formula keeps step
-CANDIDATES = 6  # of a search, that are tried once more before the proof
+CANDIDATES = 8  # of a search, that are tried at once with moves that it has not seen; so many, and again, and
+ROUNDS = 3  # again, until one passes all
+MORE = 18  # cases of a trial that leads, beside those of every trial
+GUARD = 1.25  # times the spare that was asked for is what the search keeps: the proof then finds less to object to
 ANGLES = 2  # rotor angles of each payload, in a trial
 PATIENCE = 1.3  # times as long as the formula's worst move: what takes longer is no candidate
 
@@ -53,32 +56,37 @@ def tune(
     if by == "search":
         optuna()
     plans = plans_of(task)
-    *streams, ladder = np.random.SeedSequence(seed).spawn(4)
-    searched, again, proved = (np.random.default_rng(s) for s in streams)
+    *streams, ladder = np.random.SeedSequence(seed).spawn(5)
+    searched, leading, again, proved = (np.random.default_rng(s) for s in streams)
     with Tries(task, plans, workers) as tries:
-        cases = task.corners(searched, ANGLES)
         told("the formula", 0.0, None)
-        safety, plan, limit = _formula(tries, plans, cases)
+        safety, plan, limit = _formula(tries, plans, task.corners(searched, ANGLES))
         ranked: list[Trial] = []
         stopped = False
         if by == "search":
             ranked, stopped = search(
-                tries, cases, limit, trials, seed, safety,
+                tries, task.corners(searched, ANGLES, GUARD), task.drawn(leading, MORE, GUARD), limit, trials, seed, safety,
                 lambda done, best: told(
                     "searching", min(done / trials, 1.0), best.worst if best is not None and not best.broken else None
                 ),
             )  # fmt: skip
         told("the proof", 0.0, None)
         proof = task.drawn(proved, moves)
-        candidates, lucky = _once_more(tries, ranked, task.drawn(again, max(moves // 2, 1)), limit)
         answers = [_answer(tries, "formula", plan, proof, limit, ladder)]
-        failed = lucky
-        for candidate in candidates:
-            tried = _answer(tries, "search", candidate, proof, limit, ladder)
-            if tried.holds:
-                answers.append(tried)
+        unseen = task.drawn(again, max(moves // 2, 1))
+        failed = 0
+        fine = [trial.plan for trial in ranked if trial.plan is not None and not trial.broken]
+        for k in range(0, min(len(fine), ROUNDS * CANDIDATES), CANDIDATES):
+            held, out = _once_more(tries, fine[k : k + CANDIDATES], unseen, limit)
+            failed += out
+            for candidate in held:
+                tried = _answer(tries, "search", candidate, proof, limit, ladder)
+                if tried.holds:
+                    answers.append(tried)
+                    break
+                failed += 1
+            if len(answers) > 1:
                 break
-            failed += 1
         by_formula = answers[0]
         if not by_formula.holds and len(answers) == 1:
             raise StageError(
@@ -130,12 +138,8 @@ def _carries(tries: Tries, plans: Plans, cases: Any) -> str:
     return f"Up to {loads[int(np.argmin(fine)) - 1]:.2g} kg in all they keep step: take less payload or spare."
 
 
-def _once_more(tries: Tries, ranked: list[Trial], cases: Any, limit: float) -> tuple[list[Plan], int]:
-    """The best of a search after moves that it has not seen, the best first: those that keep step in all of them. And how many
-    do not."""
-    plans = [trial.plan for trial in ranked[:CANDIDATES] if trial.plan is not None and not trial.broken]
-    if not plans:
-        return [], 0
+def _once_more(tries: Tries, plans: list[Plan], cases: Any, limit: float) -> tuple[list[Plan], int]:
+    """Those of a search's answers that keep step in moves that it has not seen, the fastest first; and how many do not."""
     tried = zip(plans, prove(tries, plans, cases, limit), strict=True)
     held = [plan for plan, proof in sorted(tried, key=lambda pair: pair[1].mean) if proof.holds]
     return held, len(plans) - len(held)

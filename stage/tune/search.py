@@ -46,6 +46,7 @@ def optuna() -> Any:
 def search(
     tries: Tries,
     cases: Sequence[Case],
+    more: Sequence[Case],
     limit: float,
     trials: int,
     seed: int,
@@ -54,6 +55,7 @@ def search(
 ) -> tuple[list[Trial], bool]:
     """Make so many trials, of each the same cases. Returns the trials, the best first, and whether Ctrl-C has ended it early.
 
+    more: further cases for those alone that would be the best so far: few cases let through what keeps step by luck.
     limit: s, how long a move is looked at; what takes longer has not arrived. told: called after each batch with the number of
     trials and the best so far.
     """
@@ -66,30 +68,39 @@ def search(
         for part in BOLDER:
             study.enqueue_trial(_named(plans, plans.towards(middle, plans.speeds(safety * part)), shape))
     made: list[Trial] = []
-    asked = tries.task.asked(list(cases))
+    best = np.inf
     stopped = False
     try:
         while len(made) < trials:
             batch = [study.ask() for _ in range(min(BATCH, trials - len(made)))]
-            chosen = [_plan(plans, trial, middle) for trial in batch]
-            real = [plan for plan in chosen if plan is not None]
-            outcome = tries.make(real, cases, limit) if real else None
-            good = outcome.good(tries.task, asked) if outcome else np.zeros((0, 0))
-            k = 0
-            for trial, plan in zip(batch, chosen, strict=True):
-                worst, broken = 2 * limit, 1 + len(cases)
-                if plan is not None and outcome is not None:
-                    times = outcome.arrived[k][asked]
-                    worst = float(np.where(np.isnan(times), 1.5 * limit, times).max())
-                    broken = int(np.sum(~good[k]))
-                    k += 1
-                trial.set_constraint("broken", broken)
-                study.tell(trial, worst)
-                made.append(Trial(trial.number, plan, worst, broken))
+            found = _measured(tries, [_plan(plans, trial, middle) for trial in batch], cases, limit)
+            leading = [k for k, trial in enumerate(found) if not trial.broken and trial.worst < best]
+            once_more = _measured(tries, [found[k].plan for k in leading] if more else [], more, limit)
+            for k, again in zip(leading, once_more, strict=False):
+                found[k] = again._replace(worst=max(found[k].worst, again.worst))
+            for trial, one in zip(batch, found, strict=True):
+                trial.set_constraint("broken", one.broken)
+                study.tell(trial, one.worst)
+                made.append(one._replace(number=trial.number))
+            best = min([best, *(one.worst for one in found if not one.broken)])
             told(len(made), _ranked(made)[0])
     except KeyboardInterrupt:
         stopped = True
     return _ranked(made), stopped
+
+
+def _measured(tries: Tries, plans: Sequence[Plan | None], cases: Sequence[Case], limit: float) -> list[Trial]:
+    """A trial of each plan; None is one that the chip cannot make."""
+    real = [plan for plan in plans if plan is not None]
+    asked = tries.task.asked(list(cases))
+    made: list[Trial] = []
+    if real:
+        outcome = tries.make(real, cases, limit)
+        broken = (~outcome.good(tries.task, asked)).sum(axis=1)
+        times = np.where(np.isnan(outcome.arrived), 1.5 * limit, outcome.arrived)[:, asked].max(axis=1)
+        made = [Trial(0, plan, float(t), int(b)) for plan, t, b in zip(real, times, broken, strict=True)]
+    left = iter(made)
+    return [Trial(0, None, 2 * limit, 1 + len(cases)) if plan is None else next(left) for plan in plans]
 
 
 def _study(seed: int) -> Any:

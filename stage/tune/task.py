@@ -131,9 +131,9 @@ class Task:
         """Another machine of the same kind."""
         return copy.deepcopy(self.stage)
 
-    def corners(self, rng: np.random.Generator, angles: int) -> list[Case]:
-        """Nothing, the payload, the payload with the spare: each at some rotor angles, both ways."""
-        loads = sorted({0.0, self.payload, self.most})
+    def corners(self, rng: np.random.Generator, angles: int, guard: float = 1.0) -> list[Case]:
+        """Nothing, the payload, the payload with `guard` times the spare: each at some rotor angles, both ways."""
+        loads = sorted({0.0, self.payload, self._loaded(guard)})
         first, n = rng.uniform(0, 1), angles * len(loads)
         places = [(first + k / n) % 1.0 - 0.5 for k in range(n)]
         return [
@@ -142,13 +142,16 @@ class Task:
             for j in range(angles)
         ]
 
-    def drawn(self, rng: np.random.Generator, moves: int) -> list[Case]:
+    def drawn(self, rng: np.random.Generator, moves: int, guard: float = 1.0) -> list[Case]:
         """Moves of a proof: the corners' payloads and others in between, any rotor angle, both ways."""
-        fixed = (0.0, self.payload, self.most)
-        loads = [fixed[k % 4] if k % 4 < 3 else float(rng.uniform(0, self.most)) for k in range(moves)]
+        fixed = (0.0, self.payload, self._loaded(guard))
+        loads = [fixed[k % 4] if k % 4 < 3 else float(rng.uniform(0, fixed[2])) for k in range(moves)]
         return [
             Case(load, self.turn * float(rng.uniform(-0.5, 0.5)), 1 - 2 * (k // 4 % 2)) for k, load in enumerate(loads)
         ]
+
+    def _loaded(self, guard: float) -> float:
+        return self.payload + guard * float(self.spare or 0.0)
 
     def asked(self, cases: list[Case]) -> np.ndarray:
         """Which cases have no more than the payload: theirs is the time that counts."""
