@@ -260,7 +260,7 @@ def _add_tune(commands: Any) -> None:
     p.epilog, p.formatter_class = TUNE, argparse.RawDescriptionHelpFormatter
     p.add_argument("model", nargs="?", default="xyz", help="a shipped model (xyz, xy) or an MJCF file (default: xyz)")
     p.add_argument("--axis", help="the axis (default: the first of the model)")
-    p.add_argument("--distance", required=True, help="of the move: 100mm, 30deg, or pulses (of a servo counts)")
+    p.add_argument("--distance", help="of the move: 100mm, 30deg, or pulses (of a servo counts)")
     p.add_argument("--payload", type=float, default=0.0, metavar="KG", help="that it carries at most (default: 0)")
     p.add_argument(
         "--payload-on",

@@ -21,6 +21,8 @@ def run(args: argparse.Namespace) -> int:
     from stage.tune import Task, tune
     from stage.tune.search import optuna
 
+    if args.distance is None:
+        raise ArgumentError("--distance: registers are for a distance; give one, for example --distance 100mm.")
     folder = _folder(args)
     if args.by == "search":
         optuna()

@@ -211,6 +211,7 @@ def test_the_command_writes_its_files_and_refuses_before_the_run(tmp_path, capsy
         ([*short, "-o", "no/where"], "no is no folder"),
         ([*short, "--spare", "much"], "--spare much: percent of the payload, 30%, or kg, 0.6."),
         ([*short, "--settle", "5kg", "1s"], "--settle: '5kg' is not more than 0 in one of nm, um, mm, cm, m"),
+        (["tune", "xy"], "--distance: registers are for a distance"),
         ([*short, "--axis", "q"], "unknown axis 'q'. Known: x, y."),
     ):
         assert main(wrong) == 2
