@@ -534,6 +534,17 @@ def test_the_write_that_makes_an_axis_drive_is_late_on_any_chip(chip):
     assert took[1][1] == pytest.approx(took[0][1], rel=0.05)
 
 
+@pytest.mark.parametrize("chip", [MCX304, MCX514])
+def test_of_a_chip_of_several_axes_only_the_start_of_the_axis_meant_is_late(chip):
+    """faults.start_skew(stage.axes["y"], 5e-3), and X starts first"""
+    stage = Stage("xy", chips=chip, visuals=False)
+    fault = faults.start_skew(stage.axes["y"], 5e-3)
+    firmware.move(stage.axes["x"], pulses=80)
+    assert fault.in_force
+    firmware.move(stage.axes["y"], pulses=80)
+    assert not fault.in_force
+
+
 def test_a_start_that_is_held_is_not_late_and_its_release_is():
     """24h, 20h, 25h: START_HOLD, F_DRV_P, START_FREE"""
     chip = MCX304()

@@ -18,7 +18,7 @@ from stage.board.devices import HCTL2016, Encoder
 from stage.chips import HCTL1100, MCX304, MCX514, PCL240K
 from stage.chips.entries import SHAFT, number
 from stage.cli import main
-from stage.sim.encoder import per_unit
+from stage.sim.encoder import chosen, per_unit
 
 PER_METRE = 320_000  # as the pulses of the default drive
 LIKE = {"chips": MCX514, "visuals": False}
@@ -254,3 +254,24 @@ def test_counts_a_turn_have_the_sign_of_the_gear():
     plant = [SimpleNamespace(name=name, gear=gear) for name, gear in (("x", -100.0), ("y", 50.0), ("z", -100.0))]
     counts = per_unit([Encoder("x", per_turn=2000), Encoder("z", per_metre=7.0)], plant)
     assert counts == [-2000 * 100 / (2 * math.pi), 0.0, 7.0]
+
+
+def test_an_encoder_of_a_device_counts_from_where_its_axis_stands_and_a_chips_are_in_the_order_of_the_axes(made, fed):
+    """board.put(HCTL2016(Encoder("x", per_metre=320_000)), 0x340) with the carriage 5 mm away; Encoder("x", zero=0.0)"""
+    fed.place(x=5e-3)
+    board = Board(fed)
+    for port, encoder in ((0x340, Encoder("x", PER_METRE)), (0x350, Encoder("x", PER_METRE, zero=0.0))):
+        board.put(HCTL2016(encoder), port)
+    counts = [board.in8(port) << 8 | board.in8(port + 1) for port in (0x340, 0x350)]
+    assert counts[0] in (0, 1, 0xFFFF)
+    assert counts[1] == pytest.approx(5e-3 * PER_METRE, abs=1)
+    axes = [a.chip.axes[a.chip_axis] for a in fed.axes.values()]
+    assert [e.axis for e in chosen({"y": 1000, "x": 2000}, ("x", "y"), axes)] == ["x", "y"]
+
+
+@pytest.mark.parametrize("rate", [True, 0, math.inf])
+def test_a_rate_of_an_encoder_is_a_number(rate):
+    with pytest.raises(ArgumentError, match="per_metre= or per_turn="):
+        Encoder("x", per_metre=rate)
+    with pytest.raises(ArgumentError, match="number of counts a metre"):
+        chosen({"x": rate}, ("x",), ())

@@ -124,6 +124,19 @@ def test_rates_with_a_simple_ratio_are_met_exactly(distances):
     assert p.deviation < 1.1
 
 
+def test_the_error_of_the_ratio_is_that_of_the_axis_farthest_off_too_fast_or_too_slow():
+    """plan({"x": 20_000, "y": 1_234}): y is 1.7e-6 slow; of 5 pulses it has no ramps, and there is no word about its FL"""
+    signs = []
+    for pulses in (7_919, 1_234, 5):
+        p = plan({"x": 20_000, "y": pulses})
+        x, y = p.axes["x"], p.axes["y"]
+        error = (y.fh / y.distance) / (x.fh / x.distance) - 1
+        signs.append(np.sign(error))
+        assert p.ratio_error == pytest.approx(abs(error), rel=1e-6)
+        assert y.ramps or not any("axis y: FL" in note for note in p.notes)
+    assert (signs, y.ramps) == ([1, -1, 1], False)
+
+
 def test_equal_distances_never_leave_the_line():
     assert plan({"x": 5000, "y": -5000, "z": 5000}).deviation == 0
 

@@ -75,6 +75,32 @@ static int watchdogs(void)
         ;
     return 0;
 }
+static int seconds;
+static void second(int unused) { (void)unused; seconds++; }
+static int others(void)
+{
+    char text[4] = "abc", got[8];
+    SEM_ID full = semBCreate(SEM_Q_FIFO, SEM_FULL);
+    MSG_Q_ID q = msgQCreate(2, 4, MSG_Q_PRIORITY);
+    UINT32 then;
+    CHECK(semGive(full) == OK && semTake(full, NO_WAIT) == OK && semTake(full, NO_WAIT) == ERROR);     /* binary */
+    CHECK(semGive(0) == ERROR && semTake(0, NO_WAIT) == ERROR);
+    CHECK(msgQSend(q, text, 5, NO_WAIT, MSG_PRI_NORMAL) == ERROR && msgQNumMsgs(q) == 0);              /* too long */
+    CHECK(msgQSend(q, text, 3, NO_WAIT, MSG_PRI_NORMAL) == OK && msgQSend(q, text + 1, 2, NO_WAIT, MSG_PRI_URGENT) == OK);
+    CHECK(msgQSend(q, text, 1, NO_WAIT, MSG_PRI_NORMAL) == ERROR && errnoGet() == S_objLib_OBJ_UNAVAILABLE);
+    CHECK(msgQNumMsgs(q) == 2 && msgQReceive(q, got, sizeof got, NO_WAIT) == 2 && got[0] == 'b');      /* urgent first */
+    got[2] = 'x';
+    CHECK(msgQReceive(q, got, 2, NO_WAIT) == 2 && got[0] == 'a' && got[1] == 'b' && got[2] == 'x');
+    CHECK(sysClkRateSet(100001) == ERROR && sysClkRateSet(100000) == OK && sysClkRateGet() == 100000 && sysClkRateSet(100) == OK);
+    sysOutLong(0x300, 0x03020180);                                                                     /* R0 = 030201h */
+    CHECK(sysInLong(0x300) >> 8 == 0x030201);
+    then = sysTimestamp();
+    sysUsDelay(250);
+    CHECK(sysTimestamp() - then >= 250 && sysTimestamp() - then <= 254 && sysTimestampFreq() == 1000000);
+    then = sysTimestamp();
+    CHECK(taskDelay(0) == OK && sysTimestamp() - then <= 10000);
+    return 0;
+}
 static MSG_Q_ID queue;
 static int order[4], n;
 static void out(unsigned port, unsigned value) { sysOutByte(port, value); }
@@ -104,6 +130,7 @@ static int checks(void)
     CHECK(semTake(done, 10) == ERROR && errnoGet() == S_objLib_OBJ_TIMEOUT && tickGet() - then == 10);
     CHECK(msgQReceive(queue, (char *)&word, sizeof word, NO_WAIT) == ERROR);
     CHECK(intConnect(INUM_TO_IVEC(0x2A), isr, 0x300) == OK);
+    CHECK(intConnect(INUM_TO_IVEC(0x2B), second, 0) == OK && intDisconnect(INUM_TO_IVEC(0x2B), 0, 0) == OK);
     CHECK(sysIntEnable(3) == OK && sysIntDisable(3) == OK);
     lock = intLock();
     move(out, 0x300);
@@ -116,6 +143,7 @@ static int checks(void)
     then = tickGet();
     CHECK(semTake(done, WAIT_FOREVER) == OK && tickGet() - then >= 9 && tickGet() - then <= 12);
     CHECK(watchdogs() == 0);
+    CHECK(seconds == 0 && others() == 0);       /* the other vector has been called alone */
     CHECK(intDisconnect(INUM_TO_IVEC(0x2A), 0, 0) == OK);
     logMsg("%d and %s\\n", 5, (_Vx_usr_arg_t) "text", 0, 0, 0, 0);
     taskSpawn("b", 120, 0, 2000, (FUNCPTR)task, 2, 0, 0, 0, 0, 0, 0, 0, 0, 0);
@@ -211,6 +239,29 @@ static int checks(void)
     CHECK(calls == 1);
     outportb(0x300, 0x08);
     CHECK(inportb(0x2F0) == 0xFF && inport(0x2F0) == 0xFFFF);
+    setvect(0x72, isr);
+    outportb(0xA1, 0xFF);
+    move(out, 0x300);
+    delay(200);
+    CHECK(calls == 1 && inportb(0xA1) == 0xFF);
+    outportb(0xA1, 0xFD);
+    delay(1);
+    CHECK(calls == 1);                          /* IRQ 9 */
+    outportb(0xA1, 0xFB);
+    delay(1);
+    CHECK(calls == 2);                          /* IRQ 10 */
+    setvect(0x72, 0);
+    outpw(0x300, 0x0080); outpw(0x302, 0x0302);
+    CHECK(inpw(0x302) == 0x0302 && inportb(0x301) == 0);
+    outportb(0x43, 0x14); outportb(0x40, 200);  /* the low byte alone, then the high one */
+    for (int k = 0; k < 4; k++) { int v = inportb(0x40); CHECK(v >= 1 && v <= 200); }
+    outportb(0x43, 0x24); outportb(0x40, 0x20);
+    for (int k = 0; k < 4; k++) CHECK(inportb(0x40) >= 0x1F && inportb(0x40) <= 0x20);
+    outportb(0x43, 0x34); outportb(0x40, 0); outportb(0x40, 0);
+    CHECK(time(0) == 631152000 + clock() / 1000);
+    then = biostime(0, 0L);
+    delay(2000);
+    CHECK(biostime(0, 0L) - then >= 36 && biostime(0, 0L) - then <= 37);
     cprintf("x = %d\\r\\n", 5);
     cputs("no end");
     return 0;
@@ -274,10 +325,50 @@ void begin() {
 
 NUMBERS = """
 #include <Arduino.h>
+#define CHECK(what) if (!(what)) pulsestage::end(__LINE__ + 100)
 void setup() {
   Serial.feed("x-12-34");
   const long first = Serial.parseInt(), second = Serial.parseInt();
-  pulsestage::end(first == -12 && second == -34 ? 7 : 1);
+  CHECK(first == -12 && second == -34);
+  char bytes[8] = "zzzzzzz";
+  Serial.feed("ab,cdefg");
+  CHECK(Serial.readBytesUntil(',', bytes, 7) == 2 && bytes[1] == 'b' && bytes[2] == 'z');
+  CHECK(Serial.readBytes(bytes, 3) == 3 && bytes[2] == 'e' && Serial.available() == 2);
+  CHECK(Serial.peek() == 'f' && Serial.read() == 'f');
+  CHECK(Serial.readBytes(bytes, 7) == 1 && Serial.read() == -1 && Serial.peek() == -1);
+  CHECK(String(5ul, 1) == "5" && String(5ul, 0) == "5" && String(35ul, 36) == "Z" && String(7, 37) == "7");
+  CHECK(String(1.005, -1) == "1" && String(2.5f, 3) == "2.500" && String((unsigned char)200) == "200" && String('c') == "c");
+  String s("one two one");
+  CHECK(s.lastIndexOf('o') == 8 && s.indexOf('o', 1) == 6 && s.indexOf("one", 1) == 8 && s.indexOf("six") == -1);
+  CHECK(s.lastIndexOf('x') == -1);
+  CHECK(s.substring(7, 4) == "two" && s.substring(8) == "one" && s.substring(11) == "");
+  CHECK(s.substring(20) == "" && s.charAt(11) == 0);
+  s.remove(3, 4);
+  CHECK(s == "one one" && s.compareTo("one") > 0 && s.compareTo("two") < 0 && s < "two" && s > "one" && s != "one");
+  s.replace("one", "oneone");
+  CHECK(s == "oneone oneone" && s.length() == 13);
+  s.remove(6);
+  s.setCharAt(0, 'O');
+  s.setCharAt(6, 'x');
+  CHECK(s == "Oneone" && s.equalsIgnoreCase("oNEone") && !s.equals("oneone") && s.startsWith("One") && !s.startsWith("Oneonee"));
+  CHECK(s.endsWith("one") && !s.endsWith("xOneone") && !s.endsWith("two") && !s.isEmpty() && String().isEmpty());
+  s.toCharArray(bytes, 4);
+  CHECK(!strcmp(bytes, "One") && String(" 12 x").toInt() == 12 && String("1.5e2").toFloat() == 150.0f);
+  CHECK(String("-0.25").toDouble() == -0.25);
+  String blank("  x y ");
+  blank.trim();
+  CHECK(blank == "x y" && blank.concat('z') && blank.concat("!") && blank == "x yz!");
+  CHECK(lowByte(0x1234) == 0x34 && highByte(0x1234) == 0x12 && makeWord(1, 2) == 0x102 && bit(3) == 8 && sq(-3) == 9);
+  uint8_t b = 0x81;
+  bitSet(b, 1), bitClear(b, 0), bitToggle(b, 7), bitWrite(b, 6, 1);
+  CHECK(b == 0x42 && constrain(-1, 0, 5) == 0 && constrain(3, 0, 5) == 3 && map(-5, -10, 10, 100, 0) == 75);
+  CHECK(fabs(degrees(PI) - 180) < 1e-9 && fabs(radians(90) - HALF_PI) < 1e-9);
+  randomSeed(7);
+  const long one = random(1000), two = random(1000);
+  randomSeed(7);
+  CHECK(random(1000) == one && random(1000) == two && one != two && random(0) == 0 && random(5, 5) == 5);
+  for (int k = 0; k < 200; k++) { const long r = random(3, 6); CHECK(r >= 3 && r < 6); }
+  pulsestage::end(7);
 }
 void loop() {}
 """

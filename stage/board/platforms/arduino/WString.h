@@ -14,6 +14,8 @@ namespace pulsestage
 {
 inline std::string digits(unsigned long long value, int base)
 {
+    if (base < 2 || base > 36)
+        base = 10;
     std::string text;
     do
         text.insert(text.begin(), "0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZ"[value % unsigned(base)]);

@@ -132,13 +132,17 @@ PULSESTAGE_DOS_FUNCTION void pulsestage_dos_timer_out(unsigned port, unsigned va
         pulsestage_dos_set_timer();
     }
 }
-PULSESTAGE_DOS_FUNCTION uint8_t pulsestage_dos_timer_in(void) /* 40h: the low byte, then the high one */
+PULSESTAGE_DOS_FUNCTION uint8_t pulsestage_dos_timer_in(void) /* 40h: the low byte, then the high one; or always the one of its access */
 {
     struct pulsestage_dos *dos = &pulsestage_dos_state;
     unsigned value;
     if (!dos->timer.latched)
         pulsestage_dos_latch();
     value = dos->timer.latched - 1;
+    if (dos->timer.access == 1 || dos->timer.access == 2) {
+        dos->timer.latched = 0;
+        return (uint8_t)(dos->timer.access == 1 ? value : value >> 8);
+    }
     dos->timer.half = !dos->timer.half;
     dos->timer.latched = dos->timer.half ? dos->timer.latched : 0;
     return (uint8_t)(dos->timer.half ? value : value >> 8);
