@@ -86,3 +86,22 @@ def test_a_driver_that_says_nothing_of_polarity_refuses_sensors_of_positive_logi
     stage = Stage("xy", chips={"x": plain}, wiring={"x": {"org": "positive"}}, visuals=False)
     with pytest.raises(ArgumentError, match=r"axis x: org is of positive logic, and a PCL240K cannot read it so. Wire"):
         firmware.move(stage.axes["x"], pulses=10)
+
+
+@pytest.mark.parametrize(
+    "cycle", [("write", 0, None), ("write", 0, float("nan")), ("write", "x", 0), ("read", None), ("read", float("inf"))]
+)
+def test_a_bus_cycle_with_what_is_no_number_is_refused(cycle):
+    chip = PCL240K()
+    with pytest.raises(ArgumentError, match=rf"{cycle[0]}\(.*whole number"):
+        getattr(chip, cycle[0])(*cycle[1:])
+
+
+def test_a_fraction_and_what_is_too_wide_are_told_apart():
+    chip = PCL240K()
+    chip.write(1, 3.7)
+    chip.write(5, 0)
+    assert [d.message for d in chip.diagnostics] == [
+        "value 3.7 acts as 03h: the bus has whole numbers",
+        "address 05h acts as 01h: the bus is no wider",
+    ]

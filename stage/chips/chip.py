@@ -368,8 +368,13 @@ class Chip:
         return int(self.state["clock"])
 
     def write(self, address: int, value: int) -> None:
-        """One bus write cycle. Never raises: address and value are masked, mistakes go to `diagnostics`."""
-        self._write(int(address) & self.ADDRESS_MASK, int(value) & self.DATA_MASK, (address, value))
+        """One bus write cycle. Any numbers do: address and value are masked, mistakes go to `diagnostics`. Raises ArgumentError for
+        what is no number."""
+        try:
+            on_the_bus = int(address) & self.ADDRESS_MASK, int(value) & self.DATA_MASK
+        except (TypeError, ValueError, OverflowError):
+            raise ArgumentError(f"write({address!r}, {value!r}): address and value are whole numbers.") from None
+        self._write(*on_the_bus, (address, value))
 
     def _write(self, address: int, value: int, given: tuple[int, int]) -> None:
         """A bus write cycle of a host that meant what is `given`, address and value."""
@@ -402,10 +407,13 @@ class Chip:
         self._diagnostics.append(Diagnostic(clock, address, value, message, source))
 
     def read(self, address: int) -> int:
-        """One bus read cycle; the byte (or word) on the data bus."""
+        """One bus read cycle; the byte (or word) on the data bus. Raises ArgumentError for what is no number."""
+        try:
+            address = int(address) & self.ADDRESS_MASK
+        except (TypeError, ValueError, OverflowError):
+            raise ArgumentError(f"read({address!r}): an address is a whole number.") from None
         if self._bus is not None:
             self._bus.cycle()
-        address = int(address) & self.ADDRESS_MASK
         value: int = self.CORE.read.held(self._here, address)
         if self.open_journal is not None and address in self.READING_ACTS:
             self.open_journal.note_read(self.clock, address, value)
@@ -521,7 +529,12 @@ def masked(given: tuple[int, int], acts: tuple[int, int]) -> str:
         if wanted != got:
             shown = f"{wanted:02X}h" if isinstance(wanted, int) and wanted >= 0 else repr(wanted)
             said.append(f"{what} {shown} acts as {got:02X}h")
-    return f"{' and '.join(said)}: the bus is no wider"
+    whole = all(
+        wanted == got or int(wanted) == wanted
+        for wanted, got in zip(given, acts, strict=True)
+        if not isinstance(wanted, str)
+    )
+    return f"{' and '.join(said)}: the bus {'is no wider' if whole else 'has whole numbers'}"
 
 
 def _revived(cls: type[Chip], options: dict[str, Any], snapshot: Snapshot) -> Chip:

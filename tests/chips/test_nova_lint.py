@@ -5,7 +5,7 @@ import re
 
 import pytest
 
-from stage.chips import MCX514
+from stage.chips import MCX304, MCX514
 from stage.chips.nova import lint
 from stage.chips.nova.lint import Held
 from stage.chips.nova.registers.mcx300 import MCX302_MAP, MCX304_MAP, MCX312_MAP
@@ -180,3 +180,15 @@ def test_reading_a_parameter_is_no_mistake_unless_data_was_written_for_it():
     chip.write(6, 1234)
     chip.write(0, 0x0130)
     assert len(chip.diagnostics) == 1
+
+
+@pytest.mark.parametrize(("make", "word", "enable", "drive"), [(MCX514, 2, 0x08, 0x52), (MCX304, 1, 0x08, 0x22)])
+def test_a_drive_that_an_active_stop_input_ends_at_once_is_told(make, word, enable, drive):
+    for active, enabled, notes in ((True, enable, 1), (True, 0, 0), (False, enable, 0)):
+        chip = make()
+        chip.axes[0].pins.stop1 = active
+        chip.write(0, X | 0x1F if make is MCX514 else X | 0x0F)
+        chip.write(word, enabled)
+        chip.write(0, X | drive)
+        assert len(chip.diagnostics) == notes
+        assert all("starts no drive: X: STOP1 is active and enabled" in d.message for d in chip.diagnostics)

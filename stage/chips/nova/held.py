@@ -17,8 +17,11 @@ REFUSALS = {
     state.E_SLMT_MINUS: "beyond the software limit -",
     state.E_ALARM: "ALARM is active",
     state.E_EMG: "EMG is active",
+    state.F_STOP0: "STOP0 is active and enabled",
+    state.F_STOP1: "STOP1 is active and enabled",
+    state.F_STOP2: "STOP2 is active and enabled",
 }
-"""Error of RR2 -> why a drive does not begin."""
+"""Error of RR2, or what has ended the drive -> why a drive does not begin."""
 REFUSING = sum(REFUSALS)
 
 
