@@ -2,14 +2,17 @@
 
 import importlib
 import os
+import re
 import shutil
 import subprocess
 import sys
 import sysconfig
 import venv
+from dataclasses import replace
 from pathlib import Path
 
 import gymnasium
+import numpy as np
 import pytest
 from support.examples import SEED
 from support.packages import ACME, acme, installed
@@ -20,6 +23,7 @@ from stage.board import Board
 from stage.chips import chip_class
 from stage.cli import main
 from stage.testing import chip_conformance
+from stage.testing.hands import driven
 
 
 @pytest.fixture(autouse=True)
@@ -36,6 +40,15 @@ def stage_(tmp_path_factory):
 
 def test_it_keeps_every_promise_of_a_chip():
     chip_conformance("acme1000", seed=SEED, programs=2)
+
+
+def test_a_chip_whose_starts_go_less_far_is_asked_for_no_more():
+    """By the range of its driver's FINISH; a move of 60 to 400 pulses else"""
+    kind = chip_class("acme1000")
+    few = tuple(replace(r, legal=(0, 50)) if r.name == "COUNT" else r for r in kind.MAP.registers)
+    short = type("SHORT", (kind,), {"MAP": replace(kind.MAP, registers=few)})
+    asked = [driven(chip(), 0, np.random.default_rng(1))[1] for chip in (kind, short)]
+    assert asked[0] > 50 == asked[1]
 
 
 def test_it_moves_jogs_and_goes_home(stage_):
@@ -63,7 +76,13 @@ def test_board_trace_and_command_line_know_it(stage_, capsys, tmp_path):
     assert main([*move, "--vcd", str(tmp_path / "x.vcd"), "--record", str(tmp_path / "x.rrd")]) == 0
     assert "320 of 320" in capsys.readouterr().out
     assert main(["sync", "x=100", "y=200", "--chips", "acme1000", "--model", "xy"]) == 2
-    assert "draws no lines" in capsys.readouterr().err
+    assert "an ACME1000 draws no lines" in capsys.readouterr().err
+    assert main(["fault", "lost-write", "--chips", "acme1000", "--model", "xy"]) == 0
+    said = capsys.readouterr().out
+    assert "happened as claimed" in said
+    assert re.search(r"^diagnostics +0 +1$", said, re.M), (
+        "its count is used up, and the lint sees that no pulse will come"
+    )
 
 
 @pytest.mark.parametrize("id_", ["RegisterTuning", "RegisterBus", "OriginReturn"])

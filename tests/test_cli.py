@@ -226,6 +226,9 @@ def test_a_fault_on_a_hinge_is_told_in_its_unit(here, capsys):
     (here / "hinge.xml").write_text(HINGE)
     said = out(capsys, "fault", "lost-write", "--model", "hinge.xml", "--plot", "f.png").out
     assert re.search(r"^carriage moved, mrad +3\d{3}\.\d{4} ", said, re.M)
+    assert re.search(r"^diagnostics +(\d+) +\1$", said, re.M), (
+        "a PCL-240 does not complain of a distance that it has from before"
+    )
     assert ", mm" not in said
 
 

@@ -82,7 +82,14 @@ def test_a_name_that_two_packages_bring_is_refused_and_one_of_ours_stays_ours(mo
     monkeypatch.delitem(CHIPS._loaded, "TOY", raising=False)
     with pytest.raises(ArgumentError, match=r"chip TOY: package (one 1\.0|other 2\.0) .* and package .*Uninstall one"):
         chip_class("toy")
-    assert chip_class("pcl240ms") is PCL240MS
+    monkeypatch.setattr(CHIPS, "_told", set())
+    assert chip_class("pcl240ms") is chip_class("PCL-240MS") is PCL240MS
+    assert chip_class("pcl240k").__name__ == "PCL240K"
+    told = capsys.readouterr().err.splitlines()
+    said = (
+        "PulseStage: PCL240MS is one of PulseStage's own chips, and stays it, though one 1.0 has one of this name: give"
+    )
+    assert [line.startswith(said) for line in told] == [True], "once, where the name is used"
     lines = {line.name: line for line in CHIPS.listed() if line.problem}
     assert lines.keys() == {"TOY", "PCL240MS"}
     assert "is one of PulseStage's own" in lines["PCL240MS"].problem

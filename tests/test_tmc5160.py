@@ -131,6 +131,8 @@ def test_it_goes_home_to_a_switch_and_to_a_stall(stage_):
 def test_the_command_line_takes_it(capsys):
     assert main(["move", "x", "320", "--fl", "1000", "--chips", "tmc5160", "--model", "xy"]) == 0
     assert "pulses 320 of 320" in capsys.readouterr().out
+    assert main(["fault", "vane-missing", "--chips", "tmc5160", "--model", "xy"]) == 2
+    assert "axis x: a TMC5160 has no pin for org, which is to fail" in capsys.readouterr().err
     assert main(["registers", "tmc5160"]) == 0
     assert "XTARGET" in capsys.readouterr().out
 

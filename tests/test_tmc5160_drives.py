@@ -281,6 +281,26 @@ def test_a_line_that_cannot_be_is_refused(both):
         firmware.line({"x": 1000, "y": 1000}, both, pulses=True)
 
 
+def test_sensors_of_negative_logic_are_told_by_the_polarity_bits_and_their_lack_is_found():
+    """pol_stop_l, pol_stop_r, pol_N; after a reset the inputs are high while they are active."""
+    sensors = {"el_minus": "negative", "el_plus": "negative", "ez": "negative"}
+    stage = Stage("xy", chips={"x": "tmc5160"}, wiring={"x": sensors}, visuals=False)
+    x = stage.axes["x"]
+    assert x.chip.pins.refl
+    assert x.chip.pins.encn
+    stage.place(x=-0.1495)
+    for by in ("switch", "index"):
+        report = firmware.home(x, by=by)
+        assert (report.ok, report.stopped_by) == (True, {"switch": "REFL", "index": "ENCN"}[by])
+    assert -0.15 < x.position < -0.144
+    assert firmware.move(x, 1e-3).ok
+    x.wiring = {}  # a driver that does not know
+    assert firmware.home(x).stopped_by != "REFL" or abs(x.position + 0.15) > 1e-3
+    usual = Stage("xy", chips={"x": "tmc5160"}, wiring={"x": dict.fromkeys(sensors, "positive")}, visuals=False)
+    assert usual.axes["x"].wiring == {}
+    assert not usual.axes["x"].chip.pins.refl
+
+
 def test_homing_by_what_a_chip_cannot_is_refused(stage_):
     with pytest.raises(ArgumentError, match="home by 'smell': a TMC5160 cannot; it homes by switch or index or stall"):
         firmware.home(stage_.axes["x"], by="smell")

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from stage import errors as general
+from stage import files
 from stage.board import crash, errors, starter
 from stage.board.answers import Answers, GarbledError
 from stage.board.board import Board
@@ -351,5 +352,5 @@ def _signal(number: int) -> str:
 
 def _revived(name: str, text: str) -> Exception:
     """An error of the child's, as ours."""
-    kind = getattr(errors, name, None) or getattr(general, name, None)
+    kind = next((found for at in (errors, general, files) if (found := getattr(at, name, None))), None)
     return kind(text) if isinstance(kind, type) and issubclass(kind, StageError) else HostError(f"{name}: {text}")

@@ -114,8 +114,9 @@ def places(
             )
         first = base[chip] if isinstance(base, Mapping) else own.base if at is None else at
         if not isinstance(first, int | np.integer) or not 0 <= first <= MOST_PORTS - len(own.ports):
+            shown = f"{first:#x}" if isinstance(first, int | np.integer) else repr(first)
             raise ArgumentError(
-                f"base={first!r}: ports are whole numbers from 0 to {LAST_PORT:X}h, and the chip takes {len(own.ports)}."
+                f"base={shown}: ports are whole numbers from 0 to {LAST_PORT:X}h, and the chip takes {len(own.ports)}."
             )
         found.append(Place(chip, k, own, int(first)))
         at = int(first) + (own.stride if stride is None else stride)

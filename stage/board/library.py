@@ -99,6 +99,11 @@ def build(
     for file in files:
         if not file.is_file():
             raise FileError(f"{file}: there is no such source.")
+    if output is not None and Path(output).suffix in (*SOURCES, ".h", ".hpp", ".o"):
+        raise ArgumentError(
+            f"output {os.fspath(output)}: a library is written there, and this is the name of a source. Several sources are one "
+            "list: build([a, b]); the output ends in .so."
+        )
     of = platforms.platform_of(platform, files)
     files = platforms.whole(files)
     made = Path(output) if output else Path(tempfile.mkdtemp(prefix="pulsestage-")) / f"{files[0].stem}.so"

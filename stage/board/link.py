@@ -106,8 +106,14 @@ class Link:
         self.record["devices"], self.record["n_devices"] = self._devices.ctypes.data, len(rows)
 
     def begin(self) -> None:
-        """Before compiled code runs: what it may have to write to, and whom it has to ask."""
+        """Before compiled code runs: what it may have to write to, and whom it has to ask. Raises StageError for a board in whose
+        place another has come: each would hold time and interrupts for its own."""
         stage, h = self.stage, self.record
+        if stage.host is None or stage.host.board is not self.board:
+            raise StageError(
+                "this board's stage has got another board since, and a stage has one: go on with that, or make the other on a "
+                "copy, Board(copy.copy(stage))."
+            )
         stage.look()
         asks = 0
         for k, chip in enumerate(stage.chips):

@@ -41,22 +41,22 @@ class HostWaveforms:
     """The bus of a board, for recordings of its stage."""
 
     def __init__(self, board: Board):
-        self._board = board
+        self.board = board
 
     def mark(self) -> Mark:
         """Where a recording begins or ends."""
-        trace = self._board.trace
+        trace = self.board.trace
         return Mark(trace.noted, trace.lines()["last"][-NEWEST:])
 
     def changes(
         self, writer: Any, first: Mark | None, last: Mark | None, begin: int, end: int
     ) -> list[Iterator[tuple[int, Any, Any]]]:
         """Register the bus now if there were cycles between the marks; its changes are the iterators."""
-        return _changes(self._lines(first, last, begin, end), writer, round(self._board.stage.bus_cycle * 1e9), begin)
+        return _changes(self._lines(first, last, begin, end), writer, round(self.board.stage.bus_cycle * 1e9), begin)
 
     def _lines(self, first: Mark | None, last: Mark | None, begin: int, end: int) -> np.ndarray:
         """CYCLE records of these cycles; polling that had begun before is cut."""
-        trace = self._board.trace
+        trace = self.board.trace
         lines, until = trace.lines(), last.noted if last is not None else trace.noted
         number = trace.noted - len(lines) + np.arange(len(lines))
         ours = number < until

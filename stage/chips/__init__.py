@@ -52,6 +52,7 @@ def chip_class(chip: str | type[Chip]) -> type[Chip]:
         return chip
     if chip not in CHIPS:
         raise unknown("chip", chip.upper(), CHIPS)
+    CHIPS.tell_of_claims(chip)
     return CHIPS[chip]
 
 

@@ -153,6 +153,8 @@ class Chip:
     PHASES: ClassVar[dict[str, str]] = {}
     """Output pin -> phase of the chip: hold, up, keep, down; idle, profile, control of a servo. The first that is asserted counts;
     hold if none is, or control of a servo."""
+    LOGIC: ClassVar[str] = "negative"
+    """The logic of sensors that it takes as asserted after a reset: low ("negative") or high ("positive") while they are on."""
     SYNCHRO: ClassVar[bool] = False
     """Has SYNO and SYNI, by which chips share one's clock; see `syno`."""
     SERVO: ClassVar[bool] = False

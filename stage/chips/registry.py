@@ -11,9 +11,12 @@ package is imported when that chip is asked for, and no sooner.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator, Mapping, MutableMapping
 from dataclasses import dataclass
+from glob import escape, glob
 from importlib import import_module
+from os.path import join
 from typing import Any
 
 from stage.chips import contract
@@ -61,6 +64,7 @@ class Registry(MutableMapping[str, type[Chip]]):
     def __init__(self, families: Mapping[str, tuple[str, ...]], home: str):
         self._own = {key(name): f"{home}.{family}:{name}" for family, names in families.items() for name in names}
         self._loaded: dict[str, type[Chip]] = {}
+        self._told: set[str] = set()
 
     def __getitem__(self, name: str) -> type[Chip]:
         """Raises KeyError for a name that nobody brings, LoadError for a package that cannot be imported, ArgumentError for a class
@@ -99,11 +103,23 @@ class Registry(MutableMapping[str, type[Chip]]):
             packages = ", ".join(source.package for source in sources)
             try:
                 if name in self._own:
-                    raise ArgumentError(f"{name} is one of PulseStage's own chips, and stays it: {_rename(sources)}")
+                    raise ArgumentError(_stays(name, sources))
                 lines.append(Listed(name, packages, self[name]))
             except StageError as error:
                 lines.append(Listed(name, packages, None, str(error)))
         return lines
+
+    def tell_of_claims(self, name: str) -> None:
+        """Where a package brings a chip of one of PulseStage's own names, say once, on stderr, whose the name is."""
+        name = key(name)
+        if name not in self._own or name in self._told:
+            return
+        self._told.add(name)
+        if not _somebody_brings():
+            return
+        sources = _brought().get(name)
+        if sources:
+            print(f"PulseStage: {_stays(name, sources)}", file=sys.stderr, flush=True)
 
     def _load(self, name: str) -> type[Chip]:
         if name in self._own:
@@ -129,6 +145,24 @@ def _brought() -> dict[str, list[Source]]:
         if source not in sources:
             sources.append(source)
     return found
+
+
+def _somebody_brings() -> bool:
+    """Whether any installed package has chips: a look at their files, some ms, where `_brought` takes 50."""
+    for folder in sys.path:
+        for info in (*glob(join(escape(folder), "*.dist-info")), *glob(join(escape(folder), "*.egg-info"))):
+            try:
+                with open(join(info, "entry_points.txt"), "rb") as file:
+                    if GROUP.encode() in file.read():
+                        return True
+            except OSError:
+                continue
+    return False
+
+
+def _stays(name: str, sources: list[Source]) -> str:
+    others = " and ".join(source.package for source in sources)
+    return f"{name} is one of PulseStage's own chips, and stays it, though {others} has one of this name: {_rename(sources)}"
 
 
 def _loaded(name: str, source: Source) -> type[Chip]:

@@ -7,10 +7,15 @@ from typing import Protocol
 from stage.chips import Chip
 
 
-def positive(axis: object, sensor: str) -> bool:
-    """Whether a switch of an axis ("org", "el_plus" ...), or its index ("ez"), is of positive logic: high while it is on. An axis
-    of a bench has no wiring: all is negative there."""
+def turned(axis: object, sensor: str) -> bool:
+    """Whether a switch of an axis ("org", "el_plus" ...), or its index ("ez"), is of the other logic than that of its chip after a
+    reset, see `Chip.LOGIC`. An axis of a bench has no wiring: nothing is turned there."""
     return sensor in getattr(axis, "wiring", {})
+
+
+def positive(axis: object, sensor: str) -> bool:
+    """As `turned`, of chips that take what is low as asserted: the sensor is of positive logic, high while it is on."""
+    return turned(axis, sensor)
 
 
 class Axis(Protocol):

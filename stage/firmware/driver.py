@@ -72,14 +72,15 @@ class Driver(ABC):
     HOMINGS: ClassVar[tuple[str, ...]] = ("switch", "index")
     """What `home_by` can home by, the usual one first; an index pulse only where the chip has an input for it."""
     FINISH: ClassVar[str] = ""
-    """The register that says how far a move goes."""
+    """The register that says how far a move goes, and by its range how far one start can."""
     POSITIVE: ClassVar[tuple[str, ...]] = ()
-    """Sensors that may be of positive logic: the driver tells the chip so, or refuses itself where it cannot."""
+    """Sensors that may be of the other logic than the chip's after a reset: the driver tells the chip so, or refuses itself where it
+    cannot."""
     TRIMS: ClassVar[Mapping[str, float]] = {}
     """Registers of `tuned_by` that a search may trim beside rates and ramps: by a factor of so much, at most."""
 
     def __init__(self, axis: Axis):
-        """Raises ArgumentError where a sensor is of positive logic and is none of POSITIVE."""
+        """Raises ArgumentError where a sensor is not of the chip's logic and is none of POSITIVE."""
         self.axis, self.chip = axis, axis.chip
         self.index: int = getattr(axis, "index", 0)
         for sensor in getattr(axis, "wiring", {}):
@@ -87,10 +88,11 @@ class Driver(ABC):
                 raise self.no_positive(sensor)
 
     def no_positive(self, sensor: str) -> ArgumentError:
-        """For a sensor of positive logic that the chip, or its driver, reads the wrong way round."""
+        """For a sensor that the chip, or its driver, reads the wrong way round."""
+        logic = getattr(self.axis, "wiring", {}).get(sensor, "positive")
         return ArgumentError(
-            f"axis {self.axis.name}: {sensor} is of positive logic, and {a_or_an(self.chip.MAP.chip)} cannot read it so. "
-            "Wire a sensor of negative logic, or an inverter."
+            f"axis {self.axis.name}: {sensor} is of {logic} logic, and {a_or_an(self.chip.MAP.chip)} cannot read it so. "
+            f"Wire a sensor of {self.chip.LOGIC} logic, or an inverter."
         )
 
     # --- now, by bus cycles, with a report ---

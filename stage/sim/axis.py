@@ -73,7 +73,7 @@ class Axis:
         index: its column in recordings; `joint`: id in the model.
         gear: rotor radians per joint unit; meters_per_pulse: joint units per pulse (rad on a hinge).
         unit: "m", or "rad" on a hinge.
-        wiring: its sensors of positive logic, {"org": "positive"}; all others are negative.
+        wiring: its sensors that are not of the logic of its chip after a reset, {"org": "positive"}.
         stage: the Stage that it belongs to; plant: what the model says of it, a `stage.sim.plant.PlantAxis`.
         supply, open_phases: the voltage (V) that its drive has, and the phases (bits of stage.drives.stepper.A and B) whose wire is
             broken; faults change them, see `Stage.equip`.

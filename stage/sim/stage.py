@@ -64,8 +64,9 @@ class Stage:
         clock: Hz, the reference clock of chips that are given by class or name; default: that of each chip's data sheet.
         encoders: what the chips' own counters of the real position count (RP, EP of NOVA's): a mapping axis -> counts a metre
             (rad), all four edges of a line, or Encoders of stage.sim.encoder. Default: nothing; a Servo has its own.
-        wiring: the logic of sensors: a mapping axis -> switch (or "ez", the index) -> "negative", low while on (the default), or
-            "positive". A chip that can reads it by its polarity bits; the drivers of stage.firmware set them.
+        wiring: the logic of sensors: a mapping axis -> switch (or "ez", the index) -> "negative", low while on, or "positive"; the
+            default is what its chip takes as asserted after a reset, negative for all of PulseStage's own. A chip that can reads it
+            by its polarity bits; the drivers of stage.firmware set them.
         syni: chips of the PCL-240 family that count another's clock: a mapping follower -> leader of axes, {"y": "x"}.
         visuals: False leaves out what is only for display, for runs without pictures: the same bits, a third faster.
     Raises:

@@ -195,7 +195,7 @@ class State:
             own.net = address_of(self.axes[k : k + 1]["count"])
             t.qpos, t.dof, t.actuator, t.gear = p.qpos, p.dof, p.actuator, p.gear
             t.index_bit, t.index_at = chip.wired("ez"), p.index
-            t.positive = wires.positive_pins(k, chip)
+            t.positive = wires.turned_pins(k, chip)
             t.counts = drive.counts * p.gear / (2 * np.pi) if isinstance(drive, Servo) else encoders[k]
             t.first_switch, t.end_switch = first, first + len(p.switches)
             for row, s in zip(self.switch_table[first : t.end_switch], p.switches, strict=True):

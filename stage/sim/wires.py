@@ -12,13 +12,13 @@ from stage.sim.plant import PlantAxis
 
 WiringChoice = Mapping[str, Mapping[str, str]] | None
 LOGIC = ("negative", "positive")
-"""Low while it is on, which is what every chip's default logic takes as asserted; high while it is on."""
+"""Low while it is on; high while it is on. The default is what the chip takes as asserted after a reset, see `Chip.LOGIC`."""
 
 
 def chosen_wiring(
     given: WiringChoice, plant: Sequence[PlantAxis], chip_axes: Sequence[ChipAxis]
 ) -> tuple[Mapping[str, str], ...]:
-    """Of each axis: its sensors of positive logic, as `Stage` takes them. Raises ArgumentError."""
+    """Of each axis: its sensors that are not of its chip's logic, as `Stage` takes them. Raises ArgumentError."""
     if given is not None and not isinstance(given, Mapping):
         raise _no_wiring(given)
     names = [p.name for p in plant]
@@ -44,22 +44,22 @@ def _of_axis(sensors: Mapping[str, str], plant: PlantAxis, chip: Any) -> Mapping
         if logic not in LOGIC:
             raise ArgumentError(
                 f"wiring of {sensor} of axis {plant.name}: {logic!r} is no logic; it is {LOGIC[0]!r} (low while the sensor is "
-                f"on, the default) or {LOGIC[1]!r} (high)."
+                f"on) or {LOGIC[1]!r} (high); the default is {chip.LOGIC!r}."
             )
         if not chip.wired(sensor):
             raise ArgumentError(
                 f"wiring of {sensor} of axis {plant.name}: no pin of {a_or_an(chip.__name__)} is wired to it; leave it out."
             )
-    positive = {sensor: logic for sensor, logic in sensors.items() if logic == LOGIC[1]}
-    for sensor in positive:
-        others = [s for s in fitted if chip.wired(s) == chip.wired(sensor) and s not in positive]
+    turned = {sensor: logic for sensor, logic in sensors.items() if logic != chip.LOGIC}
+    for sensor in turned:
+        others = [s for s in fitted if chip.wired(s) == chip.wired(sensor) and s not in turned]
         if others:
             raise ArgumentError(
                 f"wiring of {sensor} of axis {plant.name}: {', '.join(others)} is on the same pin of "
                 f"{a_or_an(chip.__name__)}; give all "
                 "of them one logic."
             )
-    return positive
+    return turned
 
 
 def leaders(
@@ -99,14 +99,14 @@ def check_pair(follower: Chip, leader: Chip, what: str) -> None:
 
 @dataclass(frozen=True)
 class Wires:
-    """positive: of each axis its sensors of positive logic; leaders: of chips that follow one."""
+    """turned: of each axis its sensors of the other logic than its chip's; leaders: of chips that follow one."""
 
-    positive: Sequence[Mapping[str, str]]
+    turned: Sequence[Mapping[str, str]]
     leaders: Mapping[Chip, Chip]
 
-    def positive_pins(self, axis: int, chip: Chip) -> int:
-        """The input bits of the chip that sensors of positive logic drive."""
+    def turned_pins(self, axis: int, chip: Chip) -> int:
+        """The input bits of the chip that these sensors drive."""
         word = 0
-        for sensor in self.positive[axis]:
+        for sensor in self.turned[axis]:
             word |= chip.wired(sensor)
         return word

@@ -127,7 +127,8 @@ class _Alone:
 
 
 def driven(chip: Chip, axis: int, rng: np.random.Generator, slow: bool = False) -> tuple[list[Act], int]:
-    """A move of an axis from power-up to its start, as the chip's driver writes it, and its pulses; ([], 0) without a driver.
+    """A move of an axis from power-up to its start, as the chip's driver writes it, and its pulses, no more than its FINISH
+    holds; ([], 0) without a driver.
 
     slow: at a constant rate, where the chip can.
     """
@@ -144,6 +145,8 @@ def driven(chip: Chip, axis: int, rng: np.random.Generator, slow: bool = False) 
     start, pulses = float(rng.uniform(500, 2000)), int(rng.integers(60, 400))
     if slow:
         start, pulses = float(rng.uniform(2000, 10_000)), 2000
+    if driver.FINISH and (legal := chip.MAP.register(driver.FINISH).range):
+        pulses = min(pulses, legal[1])
     drive, ramp = start * (1.0 if slow else float(rng.uniform(2, 12))), float(rng.uniform(0.01, 0.05))
     values = driver.formula(start, drive, ramp, ramp, pulses)
     driver.write_move(program, values, pulses)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import random
 
 import pytest
@@ -10,7 +11,7 @@ from support.compiled_firmware import PLAYER, firmware
 from stage import Stage, faults
 from stage.board import LAYOUTS, Board, NativeHost, StormError
 from stage.chips import HCTL1100, MCX304, MCX514, PCL240K, PCL240MK, PCL240MS, Chip
-from stage.errors import ArgumentError
+from stage.errors import ArgumentError, StageError
 
 IN8, OUT8, IN16, OUT16, DELAY = range(5)
 
@@ -262,7 +263,7 @@ def test_a_card_tells_which_of_its_chips_pull_the_interrupt_line():
         ({"base": -4}, "ports are"),
         ({"base": 0xFFFFFFFD}, "FFFFFFFFh, and the chip takes 4"),
         ({"base": 768.0}, "whole numbers"),
-        ({"base": 0xFFFFFFF8}, "port 100000000h|base=4294967296"),
+        ({"base": 0xFFFFFFF8}, "base=0x100000000"),
         ({"stride": 2}, "two things"),
         ({"base": {"x": 0x300}}, "axis y"),
         ({"base": {"q": 0x300}}, "q"),
@@ -272,6 +273,20 @@ def test_a_card_tells_which_of_its_chips_pull_the_interrupt_line():
 def test_a_board_that_cannot_be_says_why(settings, said):
     with pytest.raises(ArgumentError, match=said):
         Board(Stage("xyz", visuals=False), **settings)
+
+
+def test_a_board_in_whose_place_another_came_is_refused():
+    stage = Stage("xy", visuals=False)
+    first = Board(stage)
+    first.in8(0x300)
+    second = Board(stage)
+    for act in (lambda: first.in8(0x300), lambda: first.delay_us(1), lambda: NativeHost(firmware(PLAYER), first).run()):
+        with pytest.raises(
+            StageError, match=r"has got another board since, and a stage has one: .* Board\(copy\.copy\(stage\)\)"
+        ):
+            act()
+    assert second.in8(0x300) != 0xFF
+    assert Board(copy.copy(stage)).in8(0x300) == second.in8(0x300), "a copy is another stage"
 
 
 class Foreign(Chip):

@@ -173,3 +173,13 @@ def test_a_source_of_rust_or_zig_and_a_folder_are_told_what_to_build(tmp_path):
     assert how_to_build("it.zig") == "zig build-lib -dynamic -O ReleaseSafe it.zig"
     with pytest.raises(FileError, match=r"is a folder\. Name a library, or the sources of one: cc "):
         check(tmp_path)
+
+
+@pytest.mark.parametrize("output", ["b.c", "b.cpp", "b.ino", "b.h"])
+def test_a_source_as_the_output_stays_and_is_told(tmp_path, output):
+    """build(a, b): the second is the output"""
+    for name in ("a.c", output):
+        (tmp_path / name).write_text("int one;\n")
+    with pytest.raises(ArgumentError, match=rf"{output}: .* the name of a source\. Several .* build\(\[a, b\]\)"):
+        build(tmp_path / "a.c", tmp_path / output)
+    assert (tmp_path / output).read_text() == "int one;\n"

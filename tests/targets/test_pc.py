@@ -155,6 +155,8 @@ def test_files_that_are_no_programs_are_refused(tmp_path):
     ):
         with pytest.raises(error, match=says):
             TargetHost(tmp_path / name, board_of(), mcu="8086", isolated=False)
+    with pytest.raises(FileError, match=r"none\.com: there is no such file"):  # from the process of the program as well
+        TargetHost(tmp_path / "none.com", board_of(), mcu="8086").run()
 
 
 @needs_unicorn

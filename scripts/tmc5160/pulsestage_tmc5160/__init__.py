@@ -32,6 +32,7 @@ class TMC5160(Chip):
     INPUTS: ClassVar = core.INPUTS
     OUTPUTS: ClassVar = core.OUTPUTS
     WIRING: ClassVar = {"el_plus": "refr", "el_minus": "refl", "ez": "encn"}
+    LOGIC: ClassVar = "positive"
     ENCODERS: ClassVar = True
     WIRES: ClassVar = {"diag0": ("DIAG0_n", 0), "diag1": ("DIAG1_n", 0), "drv_enn": ("DRV_ENN", 1)}
     MICROSTEPS: ClassVar = 256

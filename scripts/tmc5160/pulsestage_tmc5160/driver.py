@@ -32,6 +32,7 @@ from pulsestage_tmc5160.state import (
     POSITION,
 )
 from stage.errors import ArgumentError, RunTimeout, a_or_an
+from stage.firmware.axis import turned
 from stage.firmware.driver import SETTLE, AtOnce, Driver, Speeds, that_move, wait_until_stopped
 from stage.firmware.lines import Asked, LineSettings
 from stage.firmware.report import Procedure, Report
@@ -102,6 +103,7 @@ class Tmc5160Driver(Driver):
     FINISH: ClassVar = "XTARGET"
     FOUND: ClassVar = ("REFL", "REFR", "ENCN", "stall")
     HOMINGS: ClassVar = ("switch", "index", "stall")
+    POSITIVE: ClassVar = ("el_minus", "el_plus", "ez")
     chip: Any
 
     # --- registers ---
@@ -113,6 +115,10 @@ class Tmc5160Driver(Driver):
     def get(self, name: str) -> int:
         """Read a register."""
         return int(self.chip.MAP.register(name).value(self.chip.read(NUMBER[name])))
+
+    def switches(self, bits: int) -> int:
+        """SW_MODE of these bits, with the polarity of the axis' sensors as they are wired."""
+        return bits | (POL_L if turned(self.axis, "el_minus") else 0) | (POL_R if turned(self.axis, "el_plus") else 0)
 
     def currents(self) -> dict[str, int]:
         """The registers that give the motor the current of its Drive; as much as the sense resistors allow at most."""
@@ -193,7 +199,13 @@ class Tmc5160Driver(Driver):
         """All but the start of a move with these registers: returns the XTARGET that starts it."""
         goal = self.get("XACTUAL") + pulses
         self.stay()
-        for name, value in {**values, "V1": 0, "D1": values["DMAX"], "SW_MODE": STOPS, "RAMP_STAT": EVENT_POS}.items():
+        for name, value in {
+            **values,
+            "V1": 0,
+            "D1": values["DMAX"],
+            "SW_MODE": self.switches(STOPS),
+            "RAMP_STAT": EVENT_POS,
+        }.items():
             self.put(name, value)
         self.put("RAMPMODE", POSITION)
         return goal
@@ -217,17 +229,17 @@ class Tmc5160Driver(Driver):
 
     def run_with(self, direction: int, values: Mapping[str, int], switches: int) -> None:
         """Begin to run with these registers; switches: of SW_MODE, which stops act."""
-        for name, value in {**values, "V1": 0, "D1": values["DMAX"], "SW_MODE": switches}.items():
+        for name, value in {**values, "V1": 0, "D1": values["DMAX"], "SW_MODE": self.switches(switches)}.items():
             self.put(name, value)
         self.put("RAMPMODE", PLUS if direction > 0 else MINUS)
 
     def halt(self, at_once: bool = False) -> None:
         if at_once:  # as the data sheet has it, page 83: the polarity makes a switch
-            self.put("SW_MODE", STOPS | POL_L | POL_R)
+            self.put("SW_MODE", self.switches(STOPS) ^ (POL_L | POL_R))
         self.put("VMAX", 0)
         wait_until_stopped([self.axis], 60.0)
         self.stay()
-        self.put("SW_MODE", STOPS)
+        self.put("SW_MODE", self.switches(STOPS))
 
     def stopped_by(self) -> str:
         events = self.get("RAMP_STAT")
@@ -258,7 +270,7 @@ class Tmc5160Driver(Driver):
 
     def write_move(self, program: Operations, values: Mapping[str, int], pulses: int) -> None:
         self._switch_on(program)
-        more = {"D1": values.get("DMAX", 1), "SW_MODE": STOPS, "XTARGET": pulses}
+        more = {"D1": values.get("DMAX", 1), "SW_MODE": self.switches(STOPS), "XTARGET": pulses}
         for name, value in {**values, **more}.items():
             program.register(self.index, self.chip, name, value)
 

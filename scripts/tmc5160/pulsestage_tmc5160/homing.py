@@ -23,6 +23,7 @@ from pulsestage_tmc5160.state import (
     STOP_R,
     VELOCITY_REACHED,
 )
+from stage.firmware.axis import turned
 from stage.firmware.driver import wait_until_stopped
 
 if TYPE_CHECKING:
@@ -52,10 +53,10 @@ def to_switch(d: Tmc5160Driver, direction: int, values: Mapping[str, int], timeo
     if not d.get("RAMP_STAT") & closed:
         d.stay()
         return d.stopped_by() or "no switch"
-    d.put("SW_MODE", 0)
+    d.put("SW_MODE", d.switches(0))
     _zero_at_latch(d)
     wait_until_stopped([d.axis], end - d.axis.time)
-    d.put("SW_MODE", STOPS)
+    d.put("SW_MODE", d.switches(STOPS))
     return "REFL" if left else "REFR"
 
 
@@ -67,9 +68,10 @@ def to_index(d: Tmc5160Driver, direction: int, values: Mapping[str, int], timeou
     slow = {**values, "VMAX": max(values["VMAX"] // SLOWLY, LEAST_VSTOP)}
     slow["VSTART"] = min(values["VSTART"], slow["VMAX"])
     slow["VSTOP"] = max(slow["VSTART"], LEAST_VSTOP)
+    level = 0 if turned(d.axis, "ez") else POL_N
     end = d.axis.time + timeout
     d.put("ENC_STATUS", N_EVENT)
-    d.put("ENCMODE", d.get("ENCMODE") & DECIMAL | POL_N | IGNORE_AB | CLR_ONCE | LATCH_X | RISING)
+    d.put("ENCMODE", d.get("ENCMODE") & DECIMAL | level | IGNORE_AB | CLR_ONCE | LATCH_X | RISING)
     d.run_with(direction, slow, STOPS)
     begin = d.get("XACTUAL")
     while not d.get("ENC_STATUS") & N_EVENT and d.runs() and d.axis.time < end:
@@ -121,13 +123,13 @@ def to_stall(d: Tmc5160Driver, direction: int, values: Mapping[str, int], timeou
         d.axis.wait(FULL_STEP * d.chip.clock_hz**-1 * tstep)
         free.append(d.get("DRV_STATUS") & 0x3FF)
     d.put("COOLCONF", (-round(min(free) / 2 / PER_SGT) & 0x7F) << 16)
-    d.put("SW_MODE", SG_STOP)
+    d.put("SW_MODE", d.switches(SG_STOP))
     wait_until_stopped([d.axis], end - d.axis.time)
     ended = d.stopped_by()
     d.put("RAMPMODE", HOLD)
     d.put("XACTUAL", 0)
     d.put("XTARGET", 0)
-    d.put("SW_MODE", STOPS)
+    d.put("SW_MODE", d.switches(STOPS))
     d.put("RAMP_STAT", EVENT_SG | EVENT_POS)
     d.put("TCOOLTHRS", 0)
     d.put("GCONF", gconf)

@@ -30,7 +30,7 @@ class InRatio(Line):
     def _write_template(self) -> None:
         p, count = Program(), len(self.drivers)
         for a, driver in enumerate(self.drivers):
-            for name, value in {**driver.switched_on(), "SW_MODE": STOP_L | STOP_R, "D1": 1}.items():
+            for name, value in {**driver.switched_on(), "SW_MODE": driver.switches(STOP_L | STOP_R), "D1": 1}.items():
                 p.register(driver.index, driver.chip, name, value)
             for column, name in enumerate(self.names):
                 p.register(driver.index, driver.chip, name, 0)

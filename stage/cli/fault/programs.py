@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from stage.cli.fault.demo import Figures, Strike
-from stage.errors import StageError
+from stage.errors import StageError, a_or_an
 
 if TYPE_CHECKING:
     from stage.firmware.driver import Speeds
@@ -27,7 +27,12 @@ def first_axis(stage: Any) -> Any:
 
 
 def touch(axis: Any, pin: str) -> float:
-    """The position at which the axis trips a switch, m. Raises StageError where it has none."""
+    """The position at which the axis trips a switch, m. Raises StageError where it has none, or its chip has no pin for it."""
+    if not axis.chip.wired(pin):
+        raise StageError(
+            f"axis {axis.name}: {a_or_an(type(axis.chip).__name__)} has no pin for {pin}, which is to fail: take a chip that "
+            "has one."
+        )
     for switch in axis.plant.switches:
         if switch.pin == pin:
             return switch.touch
