@@ -74,8 +74,8 @@ class Driver(ABC):
     FINISH: ClassVar[str] = ""
     """The register that says how far a move goes, and by its range how far one start can."""
     POSITIVE: ClassVar[tuple[str, ...]] = ()
-    """Sensors that may be of the other logic than the chip's after a reset: the driver tells the chip so, or refuses itself where it
-    cannot."""
+    """Sensors that may be of the other logic than the chip's after a reset: the driver tells the chip so, or refuses itself where
+    it cannot."""
     TRIMS: ClassVar[Mapping[str, float]] = {}
     """Registers of `tuned_by` that a search may trim beside rates and ramps: by a factor of so much, at most."""
 
