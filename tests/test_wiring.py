@@ -154,6 +154,7 @@ def test_a_recording_shows_the_switch_and_the_wire(tmp_path):
         ({"wiring": "x"}, "a mapping axis -> sensor -> logic"),
         ({"wiring": {"x": "org"}}, "a mapping axis -> sensor -> logic"),
         ({"chips": HCTL1100, "wiring": {"x": {"el_plus": "positive"}}}, "el_minus is on the same pin"),
+        ({"chips": PCL240K, "wiring": {"x": {"ez": "positive"}}}, "ez of axis x: no pin of a PCL240K is wired to it"),
         ({"chips": MCX304, "wiring": {"x": {"sd_plus": "positive"}}}, "no pin of an MCX304"),
         ({"syni": {"y": "y"}}, "follows"),
         ({"syni": {"y": "z"}}, "unknown axis 'z'"),

@@ -37,7 +37,7 @@ def _no_wiring(given: Any) -> ArgumentError:
 
 
 def _of_axis(sensors: Mapping[str, str], plant: PlantAxis, chip: Any) -> Mapping[str, str]:
-    fitted = [s.pin for s in plant.switches] + ["ez"] * bool(chip.wired("ez"))
+    fitted = [*(s.pin for s in plant.switches), "ez"]
     for sensor, logic in sensors.items():
         if sensor not in fitted:
             raise unknown(f"sensor of axis {plant.name}", sensor, fitted)
