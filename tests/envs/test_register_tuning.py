@@ -163,3 +163,26 @@ def test_a_move_is_judged_at_a_site_or_body_of_ones_choice_that_the_axis_carries
         make(model="xyz", judge_at="tool")
     with pytest.raises(ArgumentError, match="judge_at=3"):
         make(judge_at=3)
+
+
+@pytest.mark.parametrize("way", [1, -1])
+def test_a_move_begins_with_the_rotor_at_its_angle_and_half_the_distance_before_the_middle(way, tmp_path):
+    """reset(options={"distance": 4000, "angle": 0.25}), and the same with gear="-628.3185307" of axis x"""
+    for part in (Path(__file__).parents[2] / "models").glob("*.xml"):
+        sign = "" if way > 0 else "-"
+        (tmp_path / part.name).write_text(part.read_text().replace('joint="x" gear="', f'joint="x" gear="{sign}'))
+    env = make(model=str(tmp_path / "xy.xml"))
+    x = env.stage.axes["x"]
+    turn = 2 * np.pi / (x.drive.motor.rotor_teeth * abs(x.gear))
+    middle = 0.5 * (x.travel[0] + x.travel[1])
+    for angle in (0.0, 0.25, 0.9):
+        env.reset(seed=1, options={"distance": DISTANCE, "payload": 0.0, "angle": angle})
+        begin = x.position
+        assert np.sign(x.gear) == way
+        assert (begin / turn - angle + 0.5) % 1.0 == pytest.approx(0.5, abs=1e-6)
+        assert begin == pytest.approx(middle - 0.5 * way * DISTANCE * x.meters_per_pulse, abs=turn)
+    travel = x.travel[1] - x.travel[0]
+    room = int(min(0.95 * travel, travel - 2 * turn) / x.meters_per_pulse)
+    assert make(distances=(room, room))._task.config.distances == (room, room)
+    with pytest.raises(ArgumentError, match=f"has room for {room} pulses"):
+        make(distances=(room, room + 1))
