@@ -2,7 +2,9 @@
 
 import dataclasses
 from abc import abstractmethod
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from stage import ArgumentError, Stage, firmware
@@ -18,6 +20,11 @@ def mapped(**change):
     return {"MAP": dataclasses.replace(PCL240K.MAP, **change)}
 
 
+def core(**change):
+    """That of the PCL240K, with something else in it."""
+    return SimpleNamespace(**vars(PCL240K.CORE) | change)
+
+
 @pytest.mark.parametrize(
     ("lacks", "said"),
     [
@@ -30,6 +37,26 @@ def mapped(**change):
         ({"AXES": 2}, r"AXES is 2, and its MAP is of 1: RegisterMap\(..., axes=2\)"),
         ({"DEFAULT_CLOCK_HZ": 0}, "DEFAULT_CLOCK_HZ is 0: 1 to 100,000,000 Hz"),
         ({"INPUTS": {"el_plus": 1, "org": 1}}, "pin org of INPUTS has a bit that another one has: 1h"),
+        ({"INPUTS": {"el_plus": 3, "org": 2}}, "pin org of INPUTS has a bit that another one has: 2h"),
+        ({"INPUTS": {"up": 1}, "OUTPUTS": {"up": 1}}, "pin up is an input and an output"),
+        ({"INPUTS": {"org": 0}}, "pin org has no bit: a number above 0"),
+        ({"ADDRESSES": 8, "ADDRESS_MASK": 6}, "ADDRESS_MASK 6h does not reach all of its 8 ADDRESSES"),
+        ({"DATA_MASK": 0}, "DATA_MASK is 0"),
+        ({"BUSY": (-1, 1)}, "BUSY is"),
+        ({"BUSY": (0, 0)}, "BUSY is"),
+        ({"COUNTER": ("R0", 0)}, "COUNTER is"),
+        ({"DEFAULT_CLOCK_HZ": 100_000_001}, "DEFAULT_CLOCK_HZ is 100000001: 1 to 100,000,000 Hz"),
+        ({"MICROSTEPS": 257}, "MICROSTEPS is 257: 1 to 256 pulses of the chip a full step, or 0"),
+        ({"MICROSTEPS": 2.5}, "MICROSTEPS is 2.5"),
+        ({"DRIVER": "package.module"}, "DRIVER is 'package.module': write 'package.module:Class'"),
+        ({"ENCODERS": True}, "has no answer scan_shaft"),
+        ({"CORE": core(STATE=np.dtype([("clock", "i8"), ("x", "i4")]))}, "has 12 bytes: a multiple of 8"),
+        ({"CORE": core(STATE=np.dtype([("x", "i8"), ("clock", "i8")]))}, r"does not begin with \('clock', 'i8'\)"),
+        ({"CORE": core(STATE=np.dtype([("clock", "f8")]))}, r"does not begin with \('clock', 'i8'\)"),
+        (
+            mapped(registers=(*REGISTERS, Register("P", 5, 8, "RW", "p", (-129, 0)))),
+            "P takes -129 to 0, and 8 bits do not",
+        ),
         ({"PHASES": {"upp": "up"}}, "PHASES names 'upp', and OUTPUTS has no such pin"),
         (mapped(registers=(*REGISTERS, REGISTERS[0])), "its MAP has two registers R0"),
         (
@@ -46,6 +73,21 @@ def mapped(**change):
 def test_what_a_class_has_wrong_is_named(lacks, said):
     with pytest.raises(ArgumentError, match=f"BAD breaks the contract of chips: .*{said}"):
         contract.check(type("BAD", (PCL240K,), lacks), Chip)
+
+
+@pytest.mark.parametrize(
+    "has",
+    [
+        {"MICROSTEPS": 256},
+        {"DEFAULT_CLOCK_HZ": 1},
+        {"DEFAULT_CLOCK_HZ": 100_000_000},
+        {"ADDRESSES": 4, "ADDRESS_MASK": 3},
+        {"INPUTS": {"a": 1, "b": 2}},
+        mapped(registers=(*REGISTERS, Register("P", 5, 8, "RW", "p", (-128, 255)))),
+    ],
+)
+def test_what_just_fits_is_taken(has):
+    contract.check(type("GOOD", (PCL240K,), has), Chip)
 
 
 class NoStop(Pcl240Driver):

@@ -284,6 +284,7 @@ def test_distances_and_rate_may_be_given_at_reset():
     [
         ({"distances": {"x": 5_000}}, "whole pulses"),
         ({"distances": {"x": 5_000, "y": 100}}, "4000 to 20000"),
+        ({"distances": {"x": -20_001, "y": 5_000}}, "4000 to 20000"),
         ({"distances": {"x": 5_000, "y": 5000.5}}, "whole pulses"),
         ({"distances": 5_000}, "whole pulses"),
         ({"rate": 1e6}, "8000 to 32000"),
