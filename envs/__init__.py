@@ -19,6 +19,7 @@ IDS = {
     "stage/OriginReturn-v0": "origin_return:OriginReturn",
     "stage/SynchronizedMove-v0": "synchronized_move:SynchronizedMove",
     "stage/ServoTuning-v0": "servo_tuning:ServoTuning",
+    "stage/FewShotTuning-v1": "few_shot:FewShotTuning",
 }
 """Gymnasium id -> module and name; NAMEEnv is the scalar environment, NAMEVectorEnv the vector one."""
 

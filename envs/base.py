@@ -253,6 +253,11 @@ class StageVectorEnv(VectorEnv[np.ndarray, Any, np.ndarray]):
         """The stages themselves."""
         return self._task.stages
 
+    @property
+    def entries(self) -> list[Entry]:
+        """What each number of one environment's observation is, and whether a host could know it: see entries.py."""
+        return self._task.entries
+
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
@@ -338,7 +343,7 @@ class StageVectorEnv(VectorEnv[np.ndarray, Any, np.ndarray]):
             raise ArgumentError(f"reset_mask {mask!r}: a bool array of shape ({self.num_envs},), at least one True.")
 
     def close_extras(self, **kwargs: Any) -> None:
-        self._task.fleet.close()
+        self._task.close()
 
 
 def _plain(value: Any) -> Any:

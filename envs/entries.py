@@ -64,8 +64,8 @@ PAGE = """# Host or truth
 Made by `python -m stage.envs.entries`. Do not edit.
 
 A **host** reads the bus, has a clock, and can work out what follows from its own writes. All else is **truth**, which only a
-simulation knows: where the carriage is, steps lost, swing, payload, friction, the angle of the rotor, and what the reward is made of.
-The setting `truth` says where truth is shown:
+simulation knows: where the carriage is, steps lost, swing, payload, friction, the angle of the rotor, and what the reward is
+made of. The setting `truth` says where truth is shown:
 
 | `truth=` | observation | info |
 |---|---|---|

@@ -44,9 +44,9 @@ def _made(task: Task) -> snapshots.Header:
     parts = [("environment", type(task).__name__), ("stages", str(task.n))]
     for f in fields(task.config):
         value = getattr(task.config, f.name)
-        if f.name == "chip":
+        if f.name == "chip" and value is not None:
             value = chip_class(value).__name__
-        elif f.name == "model" and not isinstance(value, str):
+        elif f.name == "model" and not isinstance(value, str | None):
             continue  # its mechanics are in what follows
         parts.append((f"setting {f.name}", repr(value)))
     return snapshots.Header((*parts, *task.start.header.parts))

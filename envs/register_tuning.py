@@ -46,13 +46,10 @@ from stage.envs.settings import (
     Weight,
 )
 from stage.envs.task import judged
+from stage.envs.trial import TENTH, Trial
 from stage.envs.tuning import NEXT, Tuning, of_a_move
-from stage.firmware.driver import driver_of
 from stage.sim.fleet import Played
 from stage.sim.program import Program
-
-TENTH = 1e-4  # m
-ALLOWED = 50e-6  # m, between carriage and pulses at rest
 
 
 @dataclass(frozen=True)
@@ -104,31 +101,20 @@ class RegisterTuning(Tuning[Config]):
         return chip_class(self.config.chip)
 
     def tuned(self) -> RegisterBox:
-        self.driver = driver_of(self.axis)
-        return RegisterBox(self.axis.chip.MAP, self.driver.tuned_by(self.config.s_curve))
+        return RegisterBox(self.axis.chip.MAP, self.trial.driver.tuned_by(self.config.s_curve))
 
     def prepare(self) -> None:
-        self.judged, self.point = judged(self.stages[0], self.config.axis, self.config.judge_at)
+        c, first = self.config, self.stages[0]
+        self.judged, self.point = judged(first, c.axis, c.judge_at)
+        self.trial = Trial(first.axes[c.axis], self.point, c.settle)
         super().prepare()
 
     def program(self, row: np.ndarray, distance: int) -> Program:
-        p, c = Program(), self.config
-        self.driver.write_move(p, self.registers.named(row), distance)
-        self.stop = len(p)  # the wait for the stop
-        self.driver.write_stop(p.until_stopped([self.axis.index], c.limit))
-        self.rest = len(p)
-        return p.measure(c.settle, self.point)
+        return self.trial.program(self.registers.named(row), distance, self.config.limit)
 
     def judge(self, played: Played, truth: np.ndarray) -> None:
         c, t = self.config, truth[:, self.axis.index]
-        took = played.results[:, self.stop] * 1e-9
-        finished = (took > 0) & (t["pulses"] == self.distance)
-        duration = np.abs(took)
-        lost = (t["lost_steps"] != 0) | (np.abs(t["commanded"] - t["position"]) > ALLOWED)
-        vibration = played.results[:, self.rest] * 1e-12
-        if not self.point:
-            low, high = (played.extremes[:, self.axis.plant.qpos, side] for side in (0, 1))
-            vibration = np.where(high >= low, high - low, 0.0)
+        duration, finished, _, lost, vibration, *_ = self.trial.seen(played, t, self.distance)
         parts = {
             "time": -duration,
             "lost": np.where(lost, -c.lost_weight, 0.0),

@@ -108,6 +108,10 @@ class Task(ABC, Generic[ConfigT]):
         """What each number of the whole observation is, truth included."""
         return list(self.SEEN)
 
+    def close(self) -> None:
+        """End the threads."""
+        self.fleet.close()
+
     # --- the rest is the same for all ---
 
     @property

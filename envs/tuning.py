@@ -18,6 +18,7 @@ from stage.envs.entries import HOST, TRUTH, Entry
 from stage.envs.registers import RegisterBox
 from stage.envs.results import result
 from stage.envs.task import MoveTask, carrier
+from stage.envs.trial import Starts
 from stage.errors import ArgumentError, unknown
 from stage.sim.program import Program
 
@@ -83,15 +84,8 @@ class Tuning(MoveTask[ConfigT]):
         self.carrier = carrier(self.stages[0], c.axis, c.payload_on)
         self.registers = self.tuned()
         self.action_space = self.registers.box if c.actions == "box" else self.registers.discrete
-        self.middle = 0.5 * (self.axis.travel[0] + self.axis.travel[1])
-        self.turn = self.axis.meters_per_pulse  # m (rad), after which the rotor stands in its field as before
-        if not self.axis.chip.SERVO:
-            motor: Any = self.axis.drive.motor
-            self.turn = 2 * np.pi / (motor.rotor_teeth * abs(self.axis.gear))
-        travel = self.axis.travel[1] - self.axis.travel[0]
-        room = min(0.95 * travel, travel - 2 * self.turn) / self.axis.meters_per_pulse
-        if c.distances[1] > room:
-            raise ArgumentError(f"distances={c.distances!r}: axis {c.axis} has room for {int(room)} {self.UNIT}.")
+        self.starts = Starts(self.axis)
+        self.starts.check(c.distances, self.UNIT)
         self.observation_space = self.seen()
         self.result = result(
             self.PARTS, **self.INFO, distance=int, payload=float, angle=float, registers=(int, (len(self.registers),))
@@ -117,14 +111,12 @@ class Tuning(MoveTask[ConfigT]):
         rng, stage = self.rngs[k], self.stages[k]
         low, high = np.log(c.distances)
         distance, payload = int(np.rint(np.exp(rng.uniform(low, high)))), float(rng.uniform(*c.payloads))
-        self.distance[k] = _given(options, "distance", distance, c.distances)
-        self.payload[k] = _given(options, "payload", payload, c.payloads)
-        self.angle[k] = _given(options, "angle", float(rng.uniform()), (0.0, 1.0))
+        self.distance[k] = given(options, "distance", distance, c.distances)
+        self.payload[k] = given(options, "payload", payload, c.payloads)
+        self.angle[k] = given(options, "angle", float(rng.uniform()), (0.0, 1.0))
         stage.restore(self.start)
         self.equip(k)
-        way = np.sign(self.axis.gear) * self.axis.meters_per_pulse
-        begin = self.middle - 0.5 * way * float(self.distance[k])
-        stage.place(**{c.axis: (np.floor(begin / self.turn) + self.angle[k]) * self.turn})
+        stage.place(**{c.axis: self.starts.begin(float(self.distance[k]), float(self.angle[k]))})
         self.placed(k)
 
     def equip(self, k: int) -> None:
@@ -165,7 +157,8 @@ class Tuning(MoveTask[ConfigT]):
         return np.clip(np.concatenate([asked, self.last], axis=1), -1.0, 1.0).astype(np.float32)
 
 
-def _given(options: Mapping[str, Any], name: str, drawn: float, ends: tuple[float, float]) -> float | np.number:
+def given(options: Mapping[str, Any], name: str, drawn: float, ends: tuple[float, float]) -> float | np.number:
+    """A reset option, by default what was drawn; ArgumentError for one beyond its ends."""
     value = options.get(name, drawn)
     if not isinstance(value, int | float | np.number) or not ends[0] <= value <= ends[1]:
         raise ArgumentError(f"option {name}={value!r}: from {ends[0]} to {ends[1]}.")

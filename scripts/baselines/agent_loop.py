@@ -18,7 +18,8 @@ import numpy as np
 from common import DISTANCE, LIMIT, Log, Moves, arguments, told
 
 from stage import Stage
-from stage.envs.register_tuning import ALLOWED, TENTH, Config
+from stage.envs.register_tuning import Config
+from stage.envs.trial import ALLOWED, TENTH
 from stage.errors import RunTimeout, StageError
 from stage.firmware import Port
 from stage.firmware.pcl240 import bus

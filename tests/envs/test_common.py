@@ -28,6 +28,7 @@ SETTINGS = {
     "stage/RegisterBus-v0": {"cycles": 4, "bus_cycle": 1e-3, "waits": (1e-3, 1e-2)},
     "stage/OriginReturn-v0": {"returns": 2, "limit": 0.1, "settle": 0.01},
     "stage/SynchronizedMove-v0": {"distances": (1000, 2000)},
+    "stage/FewShotTuning-v1": {"distances": (400, 900), "tries": 2, "proofs": 2, "settle": 0.01},
 }
 """What makes an episode short."""
 

@@ -1,0 +1,107 @@
+"""Hidden contexts: what a machine is that the host does not know, drawn for each episode; and splits, named places to draw from.
+
+    SPLITS["train"]            settings by name; every other split is the same but for what it names
+    context = np.zeros((), CONTEXT)
+    draw(rng, ranges, context); equip(stage, axis, carrier, nominal, context)
+
+A context is the machine's: a stage's snapshots leave all of it alone but the motor's torque, which is the drive's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from stage import Stage
+from stage.envs.entries import TRUTH, Entry
+from stage.errors import ArgumentError
+from stage.native import record
+
+SPLITS: dict[str, dict[str, Any]] = {
+    "train": {
+        "model": "xyz", "chip": "PCL240K", "payloads": (0.0, 5.0), "frictions": (0.5, 2.0), "supplies": (0.7, 1.1),
+        "torques": (0.6, 1.0), "drifts": (0.0, 0.1),
+    },
+    "heavy": {"payloads": (5.0, 10.0)},
+    "worn": {"frictions": (2.0, 4.0)},
+    "weak": {"supplies": (0.5, 0.7), "torques": (0.4, 0.6)},
+    "loose": {"drifts": (0.1, 0.5)},
+    "ms": {"chip": "PCL240MS"},
+    "nova": {"chip": "MCX514"},
+    "mast": {"model": "xy_mast"},
+}  # fmt: skip
+"""Where contexts come from: of "train" a policy may learn, the others test it. All that a split does not name is as in train."""
+
+KINDS = {
+    "payload": ("payloads", "kg on the table"),
+    "friction": ("frictions", "times the friction and damping of the axis"),
+    "supply": ("supplies", "times the nominal voltage of the drive"),
+    "torque": ("torques", "times the motor's nominal torque constant"),
+    "switch": ("", "where ORG trips, hence each try begins, in electrical turns of the motor, from 0 to 1"),
+    "drift": ("drifts", "electrical turns by which ORG trips earlier or later from try to try, at most"),
+}
+"""Of a context: its setting, and what it is."""
+
+CONTEXT = record([(name, "f8") for name in KINDS])
+ENTRIES = tuple(Entry(name, TRUTH, f"{text}, of the episode") for name, (_, text) in KINDS.items())
+
+
+def setting(config: Any, name: str) -> Any:
+    """A setting of a Config that has a split: its own value, or where that is None the split's."""
+    own = getattr(config, name)
+    return SPLITS[config.split].get(name, SPLITS["train"][name]) if own is None else own
+
+
+def ranges(config: Any) -> dict[str, tuple[float, float]]:
+    """(least, most) of each number of a context."""
+    whole = (0.0, 1.0)
+    return {name: setting(config, kind) if kind else whole for name, (kind, _) in KINDS.items()}
+
+
+def draw(
+    rng: np.random.Generator, ends: Mapping[str, tuple[float, float]], context: Any, given: Mapping[str, Any]
+) -> None:
+    """Fill a CONTEXT: evenly, frictions by their logarithm; given: those that are not drawn. Raises ArgumentError for one beyond
+    its ends. All are drawn in any case, so that what is given changes no other."""
+    for name, (low, high) in ends.items():
+        drawn = np.exp(rng.uniform(*np.log((low, high)))) if name == "friction" else rng.uniform(low, high)
+        value = given.get(name, float(drawn))
+        if isinstance(value, bool) or not isinstance(value, int | float | np.number) or not low <= value <= high:
+            raise ArgumentError(f"option {name}={value!r}: from {low} to {high} here.")
+        context[name] = value
+
+
+@dataclass(frozen=True)
+class Machine:
+    """An axis of a stage as its model has it, before a context makes it another."""
+
+    axis: str
+    carrier: str
+    friction: float
+    damping: float
+    supply: float
+    torque: float
+
+    @classmethod
+    def of(cls, stage: Stage, axis: str, carrier: str) -> Machine:
+        """Of a stage that nobody has changed."""
+        a = stage.axes[axis]
+        dof = a.plant.dof
+        friction, damping = float(stage.model.dof_frictionloss[dof]), float(stage.model.dof_damping[dof])
+        return cls(
+            axis, carrier, friction, damping, float(a.supply), float(stage.state.drives[a.index].torque_constant)
+        )
+
+    def equip(self, stage: Stage, context: Any, more: float = 0.0) -> None:
+        """The stage is the machine of a CONTEXT; more: kg beyond its payload. After a stage was restored, for the torque."""
+        axis = stage.axes[self.axis]
+        dof, drive = axis.plant.dof, stage.state.drives[axis.index]
+        stage.set_payload(float(context["payload"]) + more, self.carrier)
+        stage.model.dof_frictionloss[dof] = self.friction * context["friction"]
+        stage.model.dof_damping[dof] = self.damping * context["friction"]
+        axis.supply = self.supply * float(context["supply"])
+        drive.torque_constant, drive.slice = self.torque * context["torque"], 0.0
+        stage.equip()

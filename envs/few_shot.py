@@ -1,0 +1,352 @@
+"""`stage/FewShotTuning-v1`: several tries at the same move on a machine that the host does not know; then a proof of the best.
+
+An episode is one machine and one distance. What the machine is (payload, friction, supply, torque of the motor, place and drift
+of ORG) is hidden, and stays the same for all tries: what a try has shown counts for the next, so memory pays. Each try is a whole
+move from power-up, from where ORG trips. After the last, the best try that kept step is made `proofs` times more with `margin` kg
+beyond the payload. If one of these moves fails, the next best is proved, and so on; what counts is the best that holds.
+
+action        Box [-1, 1]^4, the same for every chip: start rate, drive rate, seconds of ramp-up and ramp-down, each by its
+              logarithm over RATES; of ramps that do not fit into the move as much as does, as steep. The chip's formulas make
+              registers of them.
+observation   float32, -1 to 1, only what a host can know (truth=True adds the context at the end):
+              distance, by its logarithm; tries left / tries; time of the best try that kept step by the encoder / twice the usual
+              time, 1 before there is one; and then for each try (memory="all"), or for the last one (memory="last"), 0 before it
+              the four actions; 1; duration / twice the usual time; 1 if it made its pulses; 1 if it kept step by the encoder;
+              swing / (swing + 0.1 mm). Without encoder=True the last two are 0: the pulses are all that a host then knows.
+reward        the sum of
+              gain     log(best cost before / best cost now), where a try that kept step costs its seconds, and vibration_weight s
+                       for each 0.1 mm of vibration; before the first it is two usual times
+              damage   - damage_weight if a step was lost, or an end limit hit
+              proof    after the last try: what was gained by tries that do not hold in the proof is taken back
+              So without damage the sum is log(2 x usual time / cost of the best that holds), or 0.
+              The usual time is that of the driver's usual speeds (1000 to 16,000 pps in 0.15 s), which every machine here can do.
+episode       `tries` tries, then terminated.
+split         where machines come from, see contexts.py; a setting that is given comes before the split's.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import gymnasium
+import numpy as np
+
+from stage import Stage
+from stage.chips import Chip, chip_class
+from stage.envs import contexts
+from stage.envs.base import StageEnv, StageVectorEnv
+from stage.envs.entries import HOST, TRUTH, Entry
+from stage.envs.results import result
+from stage.envs.settings import (
+    AxisName,
+    Count,
+    Counts,
+    Cycle,
+    Flag,
+    Number,
+    Pair,
+    Payloads,
+    Range,
+    Seconds,
+    Settings,
+    Truths,
+    Weight,
+    Word,
+)
+from stage.envs.task import MoveTask, carrier, judged
+from stage.envs.trial import ALLOWED, TENTH, Trial
+from stage.envs.tuning import given
+from stage.errors import ArgumentError, unknown
+from stage.firmware.driver import Speeds, driver_of
+from stage.sim.fleet import Fleet, Played
+from stage.sim.program import Program
+
+RATES = {"start": (200.0, 6000.0), "drive": (2000.0, 60_000.0), "up": (0.01, 0.3), "down": (0.01, 0.3)}  # pps, s
+COUNT = 5e-6  # m, of the encoder
+SHORTEST = 2e-3  # s, of a ramp
+MEMORIES = ("all", "last")
+PER_TRY = 9  # numbers of an observation
+
+
+@dataclass(frozen=True)
+class Config(Settings):
+    """Settings of FewShotTuning. None: as the split has it."""
+
+    split: Annotated[str, Word(tuple(contexts.SPLITS))] = "train"
+    model: str | None = None
+    chip: str | type[Chip] | None = None
+    axis: AxisName = "x"
+    distances: Counts = (1600, 16_000)  # pulses, drawn evenly by their logarithm
+    payloads: Payloads | None = None  # kg
+    frictions: Annotated[Pair, Range(1e-3)] | None = None  # times the model's
+    supplies: Annotated[Pair, Range(0.1, high=2.0)] | None = None  # times the nominal voltage
+    torques: Annotated[Pair, Range(0.1, high=2.0)] | None = None  # times the nominal torque constant
+    drifts: Annotated[Pair, Range(0.0, high=0.5)] | None = None  # electrical turns
+    payload_on: AxisName | None = (
+        None  # body or site that carries it; None: site "work", else the body that the axis moves
+    )
+    judge_at: AxisName | None = None  # site or body at which vibration is measured, as in RegisterTuning
+    tries: Count = 8  # an episode
+    proofs: Annotated[int, Number(low=0, high=64, whole=True)] = 4  # moves
+    margin: Annotated[float, Number(high=1e3)] = 0.5  # kg that the proof has beyond the payload
+    encoder: Flag = True  # on the carriage, read by the host after each try
+    memory: Annotated[str, Word(MEMORIES)] = "all"  # or "last"
+    settle: Seconds = 0.1  # s, in which vibration and swing are measured
+    damage_weight: Weight = 0.05
+    vibration_weight: Weight = 0.02  # s for each 0.1 mm
+    bus_cycle: Cycle = 1e-6  # s
+    truth: Truths = "info"  # where what no host can see is shown: entries.py
+
+
+def action_of(start: float, drive: float, up: float, down: float) -> np.ndarray:
+    """The action that means these rates (pps) and ramps (s), (4,) float32; what is beyond RATES becomes its end."""
+    low, high = np.log(np.array(list(RATES.values()))).T
+    return np.clip(2 * (np.log((start, drive, up, down)) - low) / (high - low) - 1, -1, 1).astype(np.float32)
+
+
+class FewShotTuning(MoveTask[Config]):
+    Config = Config
+    OPTIONS = ("distance", *contexts.KINDS)
+    """The move and the machine, in place of drawn ones."""
+    STATE = ("distance", "context", "angle", "table", "best_seen", "cost", "rows")
+    RESTARTS = True
+    SEEN = (
+        Entry("distance", HOST, "of the move, by its logarithm from -1 to 1 over `distances`"),
+        Entry("left", HOST, "tries left / `tries`"),
+        Entry(
+            "best",
+            HOST,
+            "time of the best try that kept step by the encoder / twice the usual time; 1 before there is one",
+        ),
+        *(Entry(f"tried_{name}", HOST, "that was chosen, from -1 to 1", "try") for name in RATES),
+        Entry("tried", HOST, "1 if this try was made", "try"),
+        Entry("duration", HOST, "/ twice the usual time", "try"),
+        Entry("finished", HOST, "1 if it made its pulses", "try"),
+        Entry("kept", HOST, "1 if it kept step by the encoder; 0 without one", "try"),
+        Entry("swing", HOST, "by the encoder after the stop: swing / (swing + 0.1 mm); 0 without one", "try"),
+        *(Entry(name, TRUTH, f"{text}, from -1 to 1 over its range") for name, (_, text) in contexts.KINDS.items()),
+    )
+    TOLD = (
+        Entry("distance", HOST, "pulses"),
+        *contexts.ENTRIES,
+        Entry("registers", HOST, "that the chip's formulas made of the action"),
+        Entry("duration", HOST, "s"),
+        Entry("usual", HOST, "s, that the usual speeds take"),
+        Entry("finished", HOST, "the move made its pulses"),
+        Entry("error", HOST, "counts by which the encoder differs from the pulses after the stop; 0 without one"),
+        Entry("lost_steps", TRUTH, "full steps"),
+        Entry("vibration", TRUTH, "m, travel of the point at which moves are judged after the stop"),
+        Entry("kept", TRUTH, "made its pulses and lost no step"),
+        Entry(
+            "best", TRUTH, "s, of the best try that kept step so far, with its vibration; infinite before there is one"
+        ),
+        Entry(
+            "proved",
+            TRUTH,
+            "s, likewise of the best one that held in the proof after the last try; infinite where none did, and before",
+        ),
+    )
+
+    def stage(self, visuals: bool) -> Stage:
+        c = self.config
+        model, chip = (contexts.setting(c, name) for name in ("model", "chip"))
+        made = Stage(model, chips=chip_class(chip), bus_cycle=c.bus_cycle, visuals=visuals)
+        if c.axis not in made.axes:
+            raise unknown("axis", c.axis, made.axes)
+        if made.axes[c.axis].chip.SERVO or made.axes[c.axis].unit != "m":
+            raise ArgumentError(f"axis={c.axis!r}: a stepper's slide is to be tuned here, and this is none.")
+        return made
+
+    def prepare(self) -> None:
+        c, n, first = self.config, self.n, self.stages[0]
+        self.axis = first.axes[c.axis]
+        self.driver = driver_of(self.axis)
+        self.judged, point = judged(first, c.axis, c.judge_at)
+        self.trial = Trial(self.axis, point, c.settle, encoder=True)
+        self.machine = contexts.Machine.of(first, c.axis, carrier(first, c.axis, c.payload_on))
+        self.ranges = contexts.ranges(c)
+        self.trial.check(c.distances, "pulses")
+        self.names = self.driver.tuned_by(s_curve=False)
+        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (len(RATES),), np.float32)
+        self.observation_space = self.seen()
+        self.result = result(
+            ("gain", "damage", "proof"),
+            distance=int, **dict.fromkeys(contexts.KINDS, float), registers=(int, (len(self.names),)), duration=float, usual=float,
+            finished=bool, error=float, lost_steps=int, vibration=float, kept=bool, best=float, proved=float,
+        )  # fmt: skip
+        self.distance, self.context, self.angle = np.ones(n, np.int64), np.zeros(n, contexts.CONTEXT), np.zeros(n)
+        self.table = np.zeros((n, c.tries, PER_TRY))
+        self.best_seen, self.cost = np.full(n, np.inf), np.full((n, c.tries), np.inf)
+        self.rows = np.zeros((n, c.tries, len(self.names)), np.int64)
+        self.provers = Fleet([copy.deepcopy(first) for _ in range(n)], self.fleet.threads)
+
+    def layout(self) -> list[Entry]:
+        tries = self.config.tries if self.config.memory == "all" else 1
+        return [*self.SEEN[:3], *self.SEEN[3 : 3 + PER_TRY] * tries, *self.SEEN[3 + PER_TRY :]]
+
+    # --- machines ---
+
+    def begin(self, k: int, options: Mapping[str, Any]) -> None:
+        c, rng = self.config, self.rngs[k]
+        distance = int(np.rint(np.exp(rng.uniform(*np.log(c.distances)))))
+        self.distance[k] = given(options, "distance", distance, c.distances)
+        contexts.draw(rng, self.ranges, self.context[k], options)
+        self.table[k], self.best_seen[k], self.cost[k] = 0.0, np.inf, np.inf
+        self._ready(k)
+
+    def renew(self) -> None:
+        for k in np.flatnonzero(self.sound & ~self.results["terminated"]):
+            self._ready(int(k))
+
+    def _ready(self, k: int) -> None:
+        """The next try of stage k begins where ORG trips this time."""
+        self.angle[k] = self._angle(k)
+        self._place(self.stages[k], k, float(self.angle[k]))
+
+    def _angle(self, k: int) -> float:
+        return float((self.context[k]["switch"] + self.context[k]["drift"] * self.rngs[k].uniform(-1, 1)) % 1.0)
+
+    def _place(self, stage: Stage, k: int, angle: float, more: float = 0.0) -> None:
+        stage.restore(self.start)
+        self.machine.equip(stage, self.context[k], more)
+        stage.place(**{self.config.axis: self.trial.begin(float(self.distance[k]), angle)})
+
+    def equip(self, k: int) -> None:
+        self.machine.equip(self.stages[k], self.context[k])
+
+    def describe(self, k: int) -> dict[str, Any]:
+        return {"distance": int(self.distance[k]), **{name: float(self.context[k][name]) for name in contexts.KINDS}}
+
+    # --- tries ---
+
+    @property
+    def usual(self) -> np.ndarray:
+        """s, that each stage's move takes at the usual speeds, by the closed form."""
+        start, drive, up = Speeds().start, Speeds().drive, Speeds().up
+        steep = (drive - start) / up
+        top = np.minimum(np.sqrt(self.distance * steep + start**2), drive)
+        return 2 * (top - start) / steep + (self.distance - (top**2 - start**2) / steep) / top
+
+    def rates(self, action: np.ndarray, distance: int) -> tuple[float, float, float, float]:
+        """Start and drive rate, pps, and seconds of both ramps; where they do not fit into the move, as much of them as does."""
+        low, high = np.log(np.array(list(RATES.values()))).T
+        start, drive, up, down = np.exp(low + (high - low) * (np.asarray(action, np.float64) + 1) / 2).tolist()
+        drive = max(drive, 1.05 * start)
+        flat = (up + down) / (drive - start)  # s2 a pulse: both ramps are as steep as that, wherever they end
+        top = min(drive, float(np.sqrt(start**2 + 2 * distance / flat)))
+        shorter = (top - start) / (drive - start)
+        return start, top, max(up * shorter, SHORTEST), max(down * shorter, SHORTEST)
+
+    def chosen(self, actions: np.ndarray) -> np.ndarray:
+        """Registers of actions, (n, registers)."""
+        rows = []
+        for action, distance in zip(actions, self.distance.tolist(), strict=True):
+            made = self.driver.formula(*self.rates(action, distance), distance, s_curve=False)
+            rows.append([made[name] for name in self.names])
+        return np.array(rows, np.int64)
+
+    def _gain(self) -> np.ndarray:
+        """What the best tries are worth, (n,)."""
+        return self._worth(self.cost.min(axis=1))
+
+    def _worth(self, cost: np.ndarray) -> np.ndarray:
+        """log(two usual times / cost); 0 for what costs more."""
+        return np.maximum(np.log(2 * self.usual) - np.log(cost), 0.0)
+
+    def programs(self) -> list[Program]:
+        return self._programs(self.chosen(self.actions))
+
+    def _programs(self, rows: np.ndarray) -> list[Program]:
+        limits = (2 * self.usual).tolist()
+        columns = zip(rows.tolist(), self.distance.tolist(), limits, strict=True)
+        return [self.trial.program(dict(zip(self.names, row, strict=True)), d, limit) for row, d, limit in columns]
+
+    def judge(self, played: Played, truth: np.ndarray) -> None:
+        c, t, usual = self.config, truth[:, self.axis.index], self.usual
+        seen = self.trial.seen(played, t, self.distance, COUNT)
+        good = self.sound
+        cost = seen.duration + c.vibration_weight * seen.vibration / TENTH
+        rows, made = self.chosen(self.actions), np.flatnonzero(good)
+        before = self._gain()
+        self.cost[made, self.steps[made] - 1] = np.where(seen.kept, cost, np.inf)[made]
+        self.rows[made, self.steps[made] - 1] = rows[made]
+        gain, last = self._gain() - before, self.steps >= c.tries
+        proved = self._prove(good & last)
+        parts = {
+            "gain": gain,
+            "damage": np.where(seen.lost | seen.stopped, -c.damage_weight, 0.0),
+            "proof": np.where(good & last, self._worth(proved) - self._gain(), 0.0),
+        }
+        error = seen.error * c.encoder
+        by_encoder = seen.finished & (np.abs(error) * COUNT <= ALLOWED + COUNT) & c.encoder
+        row = [seen.duration / (2 * usual), seen.finished, by_encoder, c.encoder * seen.swing / (seen.swing + TENTH)]
+        tried = np.concatenate([self.actions, np.ones((self.n, 1)), np.stack(row, axis=1)], axis=1)
+        self.table[made, self.steps[made] - 1] = np.clip(np.nan_to_num(tried[made]), -1.0, 1.0)
+        faster = good & by_encoder & (seen.duration < self.best_seen)
+        self.best_seen[faster] = seen.duration[faster]
+        info = {
+            "distance": self.distance, **{name: self.context[name] for name in contexts.KINDS}, "registers": rows,
+            "duration": seen.duration, "usual": usual, "finished": seen.finished, "error": error,
+            "lost_steps": t["lost_steps"], "vibration": seen.vibration, "kept": seen.kept,
+            "best": self.cost.min(axis=1), "proved": proved,
+        }  # fmt: skip
+        self.fill(parts, info, last, False)
+
+    def _prove(self, which: np.ndarray) -> np.ndarray:
+        """Of the stages in `which` the best cost that holds in a proof, (n,); infinite where none does, and elsewhere."""
+        proved, left, every = np.full(self.n, np.inf), which.copy(), np.arange(self.n)
+        order = np.argsort(self.cost, axis=1, kind="stable")
+        for at in order.T:
+            cost = self.cost[every, at]
+            left &= np.isfinite(cost)
+            if not left.any():
+                break
+            held = self._hold(left, self.rows[every, at])
+            proved[held] = cost[held]
+            left &= ~held
+        return proved
+
+    def _hold(self, which: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        """On which of these stages' machines, `margin` heavier, the registers of a row each keep step in `proofs` moves."""
+        c, holds = self.config, which.copy()
+        programs = self._programs(np.where(which[:, None], rows, self.chosen(self.actions)))
+        for _ in range(c.proofs):
+            if not holds.any():
+                break
+            for k in np.flatnonzero(holds).tolist():
+                self._place(self.provers.stages[k], k, self._angle(k), c.margin)
+            played = self.provers.play([p if on else Program() for p, on in zip(programs, holds, strict=True)])
+            t = self.provers.truth()[:, self.axis.index]
+            holds &= self.trial.seen(played, t, self.distance, COUNT).kept & ~played.diverged
+        return holds
+
+    def observed(self) -> np.ndarray:
+        c, n = self.config, self.n
+        low, high = np.log(c.distances)
+        far = (np.log(self.distance) - low) / max(high - low, 1e-9) * 2.0 - 1.0
+        table = self.table
+        if c.memory == "last":
+            table = table[np.arange(n), np.maximum(self.steps - 1, 0)]
+        best = np.minimum(self.best_seen / (2 * self.usual), 1.0)
+        hidden = [(self.context[name] - a) / max(b - a, 1e-9) * 2.0 - 1.0 for name, (a, b) in self.ranges.items()]
+        columns = [
+            np.stack([far, 1.0 - self.steps / c.tries, best], axis=1),
+            table.reshape(n, -1),
+            np.stack(hidden, axis=1),
+        ]
+        return np.clip(np.concatenate(columns, axis=1), -1.0, 1.0).astype(np.float32)
+
+    def close(self) -> None:
+        super().close()
+        self.provers.close()
+
+
+class FewShotTuningEnv(StageEnv):
+    task = FewShotTuning
+
+
+class FewShotTuningVectorEnv(StageVectorEnv):
+    task = FewShotTuning

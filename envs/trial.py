@@ -1,0 +1,105 @@
+"""One move of one axis: where it begins, the bus cycles, and what came of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from stage.errors import ArgumentError
+from stage.firmware.driver import driver_of
+from stage.sim.fleet import Played
+from stage.sim.program import Program
+from stage.sim.stage import Axis
+
+TENTH = 1e-4  # m
+ALLOWED = 50e-6  # m, between carriage and pulses at rest
+
+
+class Starts:
+    """Where moves of an axis begin: so that their middle is the middle of the travel, the rotor at an angle that is asked for.
+
+    turn: m (rad), after which the rotor stands in its field as before, an electrical turn of the motor; of a servo a count.
+    """
+
+    def __init__(self, axis: Axis):
+        self.axis = axis
+        self.middle = 0.5 * (axis.travel[0] + axis.travel[1])
+        self.turn = axis.meters_per_pulse
+        if not axis.chip.SERVO:
+            motor: Any = axis.drive.motor
+            self.turn = 2 * np.pi / (motor.rotor_teeth * abs(axis.gear))
+
+    def check(self, distances: tuple[float, float], unit: str) -> None:
+        """Raise ArgumentError where the longest does not fit into the travel."""
+        travel = self.axis.travel[1] - self.axis.travel[0]
+        room = min(0.95 * travel, travel - 2 * self.turn) / self.axis.meters_per_pulse
+        if distances[1] > room:
+            raise ArgumentError(f"distances={distances!r}: axis {self.axis.name} has room for {int(room)} {unit}.")
+
+    def begin(self, distance: float, angle: float) -> float:
+        """Where a move plus of `distance` pulses begins, m (rad). angle: of the rotor in its field, 0 to 1."""
+        way = np.sign(self.axis.gear) * self.axis.meters_per_pulse
+        return float((np.floor((self.middle - 0.5 * way * distance) / self.turn) + angle) * self.turn)
+
+
+class Seen(NamedTuple):
+    """What came of a move on each stage, (n,). duration s; finished: it made its pulses; stopped: it ended without them; lost: a
+    step was lost, or the carriage is not where the pulses say; vibration m. Of an encoder: error, counts; swing, m."""
+
+    duration: np.ndarray
+    finished: np.ndarray
+    stopped: np.ndarray
+    lost: np.ndarray
+    vibration: np.ndarray
+    error: np.ndarray
+    swing: np.ndarray
+
+    @property
+    def kept(self) -> np.ndarray:
+        """The move is as it should be."""
+        return self.finished & ~self.lost
+
+
+class Trial(Starts):
+    """Moves of an axis from power-up, by its driver.
+
+    Args:
+        point: at which vibration is measured, see `Program.measure`; 0: the axis itself. settle: s after the stop in which it is.
+        encoder: the host reads one on the carriage before and after the move, and in the settling time.
+    """
+
+    def __init__(self, axis: Axis, point: int, settle: float, encoder: bool = False):
+        super().__init__(axis)
+        self.driver, self.point, self.settle, self.encoder = driver_of(axis), point, settle, encoder
+        self.stop = self.rest = 0
+
+    def program(self, values: Mapping[str, int], distance: int, limit: float) -> Program:
+        """The bus cycles of a move with these registers, `limit` s at most. All programs are alike in length."""
+        p = Program()
+        if self.encoder:
+            p.look(self.axis.index)
+        self.driver.write_move(p, values, distance)
+        self.stop = len(p)  # the wait for the stop
+        self.driver.write_stop(p.until_stopped([self.axis.index], limit))
+        self.rest = len(p)
+        p.measure(self.settle, self.point)
+        return p.look(self.axis.index) if self.encoder else p
+
+    def seen(self, played: Played, truth: np.ndarray, distance: np.ndarray, count: float = 1.0) -> Seen:
+        """What came of the programs. truth: of this axis, (n,); count: m, of the encoder."""
+        took = played.results[:, self.stop] * 1e-9
+        finished = (took > 0) & (truth["pulses"] == distance)
+        lost = (truth["lost_steps"] != 0) | (np.abs(truth["commanded"] - truth["position"]) > ALLOWED)
+        low, high = (played.extremes[:, self.axis.plant.qpos, side] for side in (0, 1))
+        vibration = played.results[:, self.rest] * 1e-12
+        if not self.point:
+            vibration = np.where(high >= low, high - low, 0.0)
+        error = swing = np.zeros(len(took))
+        if self.encoder:
+            counts = [np.floor(played.results[:, at] * 1e-12 / count) for at in (0, self.rest + 1)]
+            way = np.sign(self.axis.gear) * self.axis.meters_per_pulse
+            error = counts[1] - counts[0] - np.rint(way * distance / count)
+            swing = np.where(high >= low, np.floor(high / count) - np.floor(low / count), 0.0) * count
+        return Seen(np.abs(took), finished, (took > 0) & ~finished, lost, vibration, error, swing)

@@ -1,0 +1,202 @@
+"""FewShotTuning: a hidden machine an episode, whose tries count for the next, and a proof; splits name where machines come from."""
+
+import sys
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+
+import stage.envs  # noqa: F401
+from stage import ArgumentError
+from stage.envs import contexts
+from stage.envs.few_shot import Config, FewShotTuning, action_of
+from stage.firmware.choices import limits
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "scripts" / "baselines"))
+
+USUAL = action_of(1000, 16_000, 0.15, 0.15)
+BRISK = action_of(1000, 24_000, 0.08, 0.08)
+WILD = action_of(6000, 60_000, 0.01, 0.01)
+SHORT = {"distances": (800, 2000), "tries": 3, "proofs": 2, "settle": 0.02}
+
+
+def make(**settings):
+    return gymnasium.make("stage/FewShotTuning-v1", disable_env_checker=True, **SHORT | settings).unwrapped
+
+
+def episode(env, actions, **reset):
+    """(rewards, infos) of these tries."""
+    env.reset(**{"seed": 1} | reset)
+    out = [env.step(a) for a in actions]
+    assert [o[2] for o in out] == [False] * (len(out) - 1) + [True]
+    return np.array([o[1] for o in out]), [o[4] for o in out]
+
+
+@pytest.fixture(scope="module")
+def env():
+    return make()
+
+
+def test_what_was_gained_and_holds_is_the_logarithm_of_the_time_saved(env):
+    rewards, infos = episode(env, (USUAL, BRISK, USUAL))
+    assert infos[-1]["proved"] == infos[-1]["best"] == infos[1]["best"] < infos[0]["best"]
+    assert rewards.sum() == pytest.approx(np.log(2 * infos[0]["usual"] / infos[-1]["proved"]))
+    assert rewards[0] == pytest.approx(np.log(2), abs=0.1), "the usual speeds take the usual time"
+    assert infos[0]["duration"] == pytest.approx(infos[0]["usual"], rel=0.02)
+    assert rewards[2] == 0, "a try that is slower gains nothing, and costs nothing"
+
+
+def test_a_try_that_does_not_hold_in_the_proof_is_taken_back_and_the_next_best_is_proved(monkeypatch):
+    env = make()
+    hold, asked = FewShotTuning._hold, []
+
+    def only_the_second(task, which, rows):
+        asked.append(rows[0].tolist())
+        return hold(task, which, rows) & (len(asked) > 1)
+
+    monkeypatch.setattr(FewShotTuning, "_hold", only_the_second)
+    rewards, infos = episode(env, (USUAL, BRISK, WILD))
+    assert asked == [infos[1]["registers"].tolist(), infos[0]["registers"].tolist()]
+    assert not infos[2]["kept"]
+    assert infos[2]["reward_parts"]["damage"] == -0.05
+    assert infos[2]["reward_parts"]["proof"] < 0
+    assert infos[2]["proved"] == infos[0]["best"]
+    assert rewards.sum() == pytest.approx(np.log(2 * infos[0]["usual"] / infos[0]["best"]) - 0.05)
+    monkeypatch.setattr(FewShotTuning, "_hold", lambda task, which, rows: np.zeros_like(which))
+    rewards, infos = episode(env, (USUAL, BRISK, BRISK))
+    assert rewards.sum() == pytest.approx(0)
+    assert infos[-1]["proved"] == np.inf
+
+
+def test_a_move_without_margin_does_not_hold_in_the_proof():
+    """What is just kept with this payload fails with 300 kg more: the proof is made with the margin, on a machine of its own."""
+    rewards, infos = episode(make(margin=300.0), (BRISK, BRISK, BRISK), options={"torque": 0.7, "payload": 2.0})
+    assert infos[0]["kept"]
+    assert infos[-1]["proved"] == np.inf
+    assert rewards.sum() == pytest.approx(0)
+
+
+def test_the_machine_is_the_one_that_was_drawn_and_stays_so_for_all_tries(env):
+    given = {"payload": 3.0, "friction": 1.5, "supply": 0.95, "torque": 0.9, "switch": 0.25, "drift": 0.05}
+    plain = FewShotTuning(1, Config(**SHORT))
+    before = plain.machine
+    _, info = env.reset(seed=2, options=given)
+    assert {name: info[name] for name in given} == given
+    angles = set()
+    for k in range(3):
+        axis = env.stage.axes["x"]
+        assert env.stage.payload("y") == 3.0
+        dof = axis.plant.dof
+        assert env.stage.model.dof_frictionloss[dof] == pytest.approx(1.5 * before.friction)
+        assert env.stage.model.dof_damping[dof] == pytest.approx(1.5 * before.damping)
+        drive = env.stage.state.drives[axis.index]
+        assert drive.voltage == axis.supply == pytest.approx(0.95 * before.supply)
+        assert drive.torque_constant == pytest.approx(0.9 * before.torque)
+        angles.add(float(env._task.angle[0]))
+        if k < 2:
+            env.step(USUAL)
+    assert len(angles) == 3
+    assert all(0.2 <= angle <= 0.3 for angle in angles), "where ORG trips, more or less"
+
+
+def test_a_host_sees_its_tries_and_nothing_of_the_machine(env):
+    blind = make(truth=False)
+    said = []
+    for payload in (0.0, 5.0):
+        first, info = blind.reset(seed=3, options={"payload": payload})
+        assert info.keys() == {"distance"}
+        said.append(first.tolist())
+    assert said[0] == said[1]
+    *_, info = blind.step(USUAL)
+    assert info.keys() == {"distance", "registers", "duration", "usual", "finished", "error", "cause"}
+    seen, _ = env.reset(seed=3)
+    names = [e.name for e in env.entries]
+    assert len(names) == len(seen) == 3 + 3 * 9
+    assert not seen[3:].any()
+    seen, *_ = env.step(BRISK)
+    rows = seen[3:].reshape(3, 9)
+    assert rows[0, :4] == pytest.approx(BRISK)
+    assert rows[0, 4] == rows[0, 6] == rows[0, 7] == 1
+    assert not rows[1:].any()
+    best = names.index("best")
+    assert seen[best] == pytest.approx(rows[0, 5])
+    wild, *_ = env.step(WILD)
+    again = wild[3:].reshape(3, 9)
+    assert np.array_equal(again[0], rows[0]), "what was seen stays"
+    assert again[1, 7] == 0, "the encoder shows that steps were lost"
+    assert wild[best] == seen[best]
+
+
+def test_with_the_last_try_alone_a_policy_has_to_remember_and_without_an_encoder_nobody_knows(env):
+    last, none = make(memory="last"), make(encoder=False)
+    assert last.observation_space.shape == (12,)
+    for e in (env, last, none):
+        e.reset(seed=4)
+    for action in (BRISK, WILD):
+        whole, short, dark = (e.step(action)[0] for e in (env, last, none))
+    rows = whole[3:].reshape(3, 9)
+    assert np.array_equal(short[3:], rows[1])
+    assert not dark[3:].reshape(3, 9)[:, 7:].any()
+    assert dark[2] == 1, "no try is known to have kept step"
+
+
+def test_every_split_draws_where_it_says_and_a_setting_comes_before_it():
+    train = contexts.SPLITS["train"]
+    for name, differs in contexts.SPLITS.items():
+        config = Config(split=name)
+        assert set(differs) <= set(train)
+        for kind, ends in contexts.ranges(config).items():
+            of = contexts.KINDS[kind][0]
+            if name != "train" and of in differs:
+                inside = train[of]
+                assert ends == differs[of]
+                assert ends[0] >= inside[1] or ends[1] <= inside[0], "none of it is in train"
+            rng, made = np.random.default_rng(5), np.zeros((), contexts.CONTEXT)
+            contexts.draw(rng, contexts.ranges(config), made, {})
+            assert ends[0] <= made[kind] <= ends[1]
+        assert all(name == "train" or differs[key] != train[key] for key in differs)
+    assert contexts.ranges(Config(split="heavy", payloads=(7.0, 8.0)))["payload"] == (7.0, 8.0)
+    with pytest.raises(ArgumentError, match=r"split 'hevy'.*Did you mean 'heavy'"):
+        Config(split="hevy")
+    env = make(split="heavy")
+    with pytest.raises(ArgumentError, match=r"option payload=1: from 5\.0 to 10\.0 here"):
+        env.reset(options={"payload": 1})
+    with pytest.raises(ArgumentError, match="axis='x': a stepper's slide"):
+        make(chip="HCTL1100")
+
+
+@pytest.mark.parametrize(
+    ("split", "chip", "judged"), [("nova", "MCX514", "work"), ("ms", "PCL240MS", "work"), ("mast", "PCL240K", "camera")]
+)
+def test_the_same_action_is_the_same_move_with_a_chip_or_model_not_seen(split, chip, judged):
+    env = make(split=split, tries=1, proofs=0)
+    assert type(env.stage.axes["x"].chip).__name__ == chip
+    assert env._task.judged == judged
+    _, (info,) = episode(env, (USUAL,), options={"distance": 2000})
+    assert info["kept"]
+    assert info["duration"] == pytest.approx(info["usual"], rel=0.08)
+
+
+@pytest.mark.parametrize("chip", ["PCL240K", "PCL240MS", "MCX514", "MCX304"])
+def test_every_action_is_registers_of_every_chip(chip):
+    task = FewShotTuning(1, Config(chip=chip, model="xy"))
+    rng = np.random.default_rng(1)
+    corners = np.array(np.meshgrid(*[[-1, 1]] * 4)).reshape(4, -1).T
+    for action in np.concatenate([corners, rng.uniform(-1, 1, (60, 4))]):
+        for distance in (1600, 16_000):
+            task.distance[:] = distance
+            (row,) = task.chosen(action[None].astype(np.float32))
+            ranges = [limits(task.axis.chip.MAP, name) for name in task.names]
+            assert all(low <= value <= high for value, (low, high) in zip(row, ranges, strict=True)), (action, row)
+    assert task.rates(action_of(1000, 16_000, 0.15, 0.1), 9000) == pytest.approx((1000, 16_000, 0.15, 0.1), rel=1e-4)
+
+
+@pytest.mark.slow
+def test_on_machines_that_differ_a_host_that_remembers_is_better_than_one_that_does_not():
+    import few_shot
+
+    fixed, _ = few_shot.play(few_shot.fixed(4.0), "weak", 16, few_shot.TEST)
+    search, times = few_shot.play(few_shot.search(4.0), "weak", 16, few_shot.TEST)
+    assert few_shot.interval(search)[0] > few_shot.interval(fixed)[1]
+    assert np.isfinite(times).mean() > 0.9
