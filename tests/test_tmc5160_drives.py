@@ -121,8 +121,13 @@ def stalls(x, tries):
 
 def test_homing_by_stall_repeats(x):
     x.stage.place(x=-0.150)
+    put(x.chip, GCONF=4)
     found = stalls(x, 3)
     assert np.ptp(found) <= 256 * x.meters_per_pulse
+    held = {name: x.chip.values()[name] for name in ("GCONF", "TCOOLTHRS", "SW_MODE", "RAMPMODE")}
+    assert held == {"GCONF": 4, "TCOOLTHRS": 0, "SW_MODE": 3, "RAMPMODE": 0}, (
+        "StealthChop as before, and switches that stop"
+    )
 
 
 @pytest.mark.slow
@@ -304,6 +309,8 @@ def test_sensors_of_negative_logic_are_told_by_the_polarity_bits_and_their_lack_
 def test_homing_by_what_a_chip_cannot_is_refused(stage_):
     with pytest.raises(ArgumentError, match="home by 'smell': a TMC5160 cannot; it homes by switch or index or stall"):
         firmware.home(stage_.axes["x"], by="smell")
+    with pytest.raises(ArgumentError, match=r"home by 'stall' and to an index pulse .* give one of the two"):
+        firmware.home(stage_.axes["x"], by="stall", index=True)
     with pytest.raises(ArgumentError, match=r"home by 'stall': a PCL240K cannot; it homes by switch\."):
         firmware.home(Stage("xy", visuals=False).axes["x"], by="stall")
     with pytest.raises(ArgumentError, match="s_curve=True"):

@@ -1,6 +1,7 @@
 """One driver a family: move, home, line, jog and stop with every chip, in physical units, with the same report."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,7 +9,8 @@ import pytest
 from stage import ArgumentError, Drive, RunTimeout, Stage, StageError, faults, firmware
 from stage.chips import CHIPS, HCTL1100, MCX304, MCX501, MCX514, PCL240K
 from stage.firmware import Bench
-from stage.firmware.driver import Speeds, driver_class, driver_of
+from stage.firmware.driver import Speeds, driver_class, driver_of, usual_speeds, wait_until_stopped
+from stage.firmware.procedures import speeds
 from stage.firmware.report import NOT_AS_ASKED, Procedure
 
 EVERY = list(CHIPS)
@@ -496,3 +498,37 @@ def test_a_part_of_a_pulse_is_refused(stage):
     with pytest.raises(ArgumentError, match=r"pulses=100\.5"):
         firmware.move(stage.axes["x"], pulses=100.5)
     assert stage.axes["x"].position == 0
+
+
+def test_speeds_keep_their_slopes_and_what_is_not_said_is_usual():
+    """Speeds(1000, 16000, 0.1, 0.2).on_to(32000); firmware.move(x, speed=..., accel=0.1, decel=0.2) below the usual start"""
+    given = Speeds(1000.0, 16_000.0, 0.1, 0.2, True)
+    assert given.on_to(32_000.0) == Speeds(1000.0, 32_000.0, 0.2, 0.4, True)
+    assert usual_speeds(SimpleNamespace(MICROSTEPS=0)) == usual_speeds(SimpleNamespace(MICROSTEPS=16)) == Speeds()
+    assert usual_speeds(SimpleNamespace(MICROSTEPS=256)) == Speeds(16_000.0, 256_000.0)
+    axis = SimpleNamespace(chip=PCL240K(), meters_per_pulse=1e-3, name="x")
+    for asked, made in (
+        ((None, None, 0.1, 0.2, False), Speeds(1000.0, 16_000.0, 0.1, 0.2)),
+        ((0.5, None, 0.1, None, True), Speeds(500.0, 500.0, 0.1, 0.1, True)),
+        ((4.0, None, 0.1, 0.3, False), Speeds(1000.0, 4000.0, 0.1, 0.3)),
+        ((4.0, 0.25, 0.1, 0.3, False), Speeds(250.0, 4000.0, 0.1, 0.3)),
+    ):
+        assert speeds(axis, *asked) == pytest.approx(made)
+
+
+@pytest.mark.parametrize(("timeout", "polls"), [(0.0105, 11), (1.0, 522), (10.0, 985)])
+def test_a_wait_ends_at_its_time_and_polls_ever_more_slowly(timeout, polls):
+    """A thousandth of a second apart at first, and from 0.2 s on a 200th of what has passed"""
+
+    class Clock:
+        time, name, chip_axis, waits, chip = 0.0, "x", 0, 0, SimpleNamespace(busy=lambda k: True)
+
+        def wait(self, seconds):
+            self.time += seconds
+            self.waits += 1
+
+    clock = Clock()
+    with pytest.raises(RunTimeout, match=rf"axis x still drives after {timeout:.3f} s"):
+        wait_until_stopped([clock], timeout)
+    assert clock.time == pytest.approx(timeout, abs=2e-6)
+    assert clock.waits == pytest.approx(polls, abs=2)
