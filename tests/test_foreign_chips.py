@@ -21,7 +21,7 @@ def toy_package(monkeypatch, tmp_path):
 
 def test_a_chip_of_an_installed_package_is_known_by_its_name(toy_package):
     assert "TOY" in CHIPS
-    assert chip_class("toy") is chip_class("To-Y") is CHIPS["TOY"]
+    assert chip_class("toy") is chip_class("To-Y") is chip_class("t_o_y") is CHIPS["TOY"]
     stage_ = Stage("xy", chips={"x": "toy", "y": "pcl240ms"}, visuals=False)
     assert [type(chip).__name__ for chip in stage_.chips] == ["TOY", "PCL240MS"]
     assert firmware.move(stage_.axes["x"], pulses=100).ok
@@ -93,6 +93,18 @@ def test_a_name_that_two_packages_bring_is_refused_and_one_of_ours_stays_ours(mo
     lines = {line.name: line for line in CHIPS.listed() if line.problem}
     assert lines.keys() == {"TOY", "PCL240MS"}
     assert "is one of PulseStage's own" in lines["PCL240MS"].problem
+
+
+def test_a_package_that_is_found_twice_is_one_and_one_that_exits_is_told(monkeypatch, tmp_path):
+    """Installed in the system and once more in a virtual environment that sees it; and `raise SystemExit(0)` in a module"""
+    (tmp_path / "quitting_chips.py").write_text("raise SystemExit(0)\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(CHIPS._loaded, "TOY", raising=False)
+    for site in ("a", "b"):
+        installed(monkeypatch, tmp_path / site, "one", TOY="toy:TOY", QUITS="quitting_chips:QUITS")
+    assert chip_class("toy").__name__ == "TOY"
+    with pytest.raises(LoadError, match=r"chip QUITS of package one 1\.0 .* cannot be loaded: SystemExit: 0"):
+        chip_class("quits")
 
 
 def test_nothing_is_read_and_nothing_loaded_before_a_name_is_asked_for():

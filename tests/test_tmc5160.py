@@ -270,9 +270,11 @@ def test_it_goes_home_to_the_index_pulse_from_anywhere(stage_, capsys):
     """And by the command line to a stall"""
     stage_.reset()
     x, found = stage_.axes["x"], []
-    for place in (-0.1495, -0.1485):
+    for place, mode in ((-0.1495, 0), (-0.1485, 1 << 10)):
         stage_.place(x=place)
+        put(x.chip, ENCMODE=mode)
         report = firmware.home(x, index=True)
+        assert x.chip.values()["ENCMODE"] == mode, "decimal as before, and no event clears a counter"
         assert (report.ok, report.stopped_by) == (True, "ENCN")
         assert x.chip.values()["XACTUAL"] == 0
         found.append(x.position)

@@ -140,12 +140,14 @@ def test_a_negative_factor_counts_the_other_way_with_its_fraction(chip):
     assert chip.values()["X_ENC"] == -128
 
 
-@pytest.mark.parametrize("edges", [0, 0.5, math.nan, 10**10, "many"])
+@pytest.mark.parametrize("edges", [0, 0.5, 1.99, True, math.nan, 3_400_000_000, 10**10, "many"])
 def test_an_encoder_that_no_factor_suits_is_refused(edges):
     from pulsestage_tmc5160.driver import encoder_registers
 
     with pytest.raises(ArgumentError, match="edges a turn"):
         encoder_registers(edges)
+    assert encoder_registers(2)["ENC_CONST"] == 25_600 << 16
+    assert encoder_registers(3_300_000_000)["ENC_CONST"] == 1
 
 
 def test_on_a_stage_it_counts_where_the_carriage_is(x):
