@@ -25,14 +25,34 @@ from stage.errors import ArgumentError, unknown
 RENDER_MODES = ("rgb_array", "rgb_array_list", "human")
 FPS = 30  # of simulated time
 WIDTH, HEIGHT = 640, 480
+OF_ONE = ("render_mode", "camera", "record", "render_every")
+OF_VECTOR = ("num_envs", "threads", "autoreset_mode", "render_mode")
+"""Settings of the scalar and of the vector environment beside those of the task."""
 EVERY = Number(low=1e-4, high=1e3)  # s, between frames
 
 
-def _options(task: type[Task], options: Mapping[str, Any] | None) -> dict[str, Any]:
+def _options(task: type[Task], options: Mapping[str, Any] | None, more: Sequence[str] = ()) -> dict[str, Any]:
+    """The options of a reset; ArgumentError for one that is neither the task's nor one of `more`."""
+    known = [*task.OPTIONS, *more]
+    if not isinstance(options, Mapping | None):
+        raise ArgumentError(f"options={options!r}: None, or a dict with any of: {', '.join(known) or 'nothing'}.")
     for name in options or {}:
-        if name not in task.OPTIONS:
-            raise unknown(f"{task.__name__} reset option", name, task.OPTIONS)
+        if name not in known:
+            raise unknown(f"{task.__name__} reset option", name, known)
     return dict(options or {})
+
+
+def _seeds(seed: Any, n: int) -> list[int | None]:
+    """Of each environment: from one seed s the seeds s, s + 1, ..."""
+    if seed is None or isinstance(seed, int | np.integer):
+        return [None if seed is None else int(seed) + k for k in range(n)]
+    if not isinstance(seed, Sequence | np.ndarray) or not all(
+        s is None or isinstance(s, int | np.integer) for s in seed
+    ):
+        raise ArgumentError(f"seed={seed!r}: a whole number, None, or one of them for each environment.")
+    if len(seed) != n:
+        raise ArgumentError(f"{len(seed)} seeds for {n} environments: one each, one for all, or None.")
+    return [None if s is None else int(s) for s in seed]
 
 
 class StageEnv(gymnasium.Env[np.ndarray, Any]):
@@ -69,7 +89,7 @@ class StageEnv(gymnasium.Env[np.ndarray, Any]):
         self._every, self._latest = render_every, 0.0
         self.metadata = {**type(self).metadata, "render_fps": max(1, round(1 / (render_every or 1 / FPS)))}
         self._task = self.task(
-            1, configured(self.task, settings), 1, visuals=render_mode is not None or record is not None
+            1, configured(self.task, settings, OF_ONE), 1, visuals=render_mode is not None or record is not None
         )
         self.action_space, self.observation_space = self._task.action_space, self._task.observation_space
         self._over, self._begun = True, False
@@ -240,7 +260,7 @@ class StageVectorEnv(VectorEnv[np.ndarray, Any, np.ndarray]):
         self.num_envs, self.render_mode = int(num_envs), None
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
-        self._task = self.task(self.num_envs, configured(self.task, settings), threads)
+        self._task = self.task(self.num_envs, configured(self.task, settings, OF_VECTOR), threads)
         self.single_action_space = self._task.action_space
         self.single_observation_space = self._task.observation_space
         self.action_space = batch_space(self.single_action_space, self.num_envs)
@@ -261,18 +281,14 @@ class StageVectorEnv(VectorEnv[np.ndarray, Any, np.ndarray]):
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        options = dict(options or {})
+        options = _options(self.task, options, ["reset_mask"])
         mask = options.pop("reset_mask", np.ones(self.num_envs, bool))
         self._check_mask(mask)
-        options = _options(self.task, options)
-        if seed is None or isinstance(seed, int | np.integer):
-            seed = [None if seed is None else int(seed) + k for k in range(self.num_envs)]
-        if len(seed) != self.num_envs:
-            raise ArgumentError(f"{len(seed)} seeds for {self.num_envs} environments: one each, one for all, or None.")
+        seeds = _seeds(seed, self.num_envs)
         infos: dict[str, Any] = {}
         for k in np.flatnonzero(mask).tolist():
-            if seed[k] is not None or not self._seeded[k]:
-                self._task.rngs[k], _ = seeding.np_random(seed[k])
+            if seeds[k] is not None or not self._seeded[k]:
+                self._task.rngs[k], _ = seeding.np_random(seeds[k])
                 self._seeded[k] = True
             self._task.restart(k, options)
             infos = self._add_info(infos, self._task.told(k), k)
@@ -343,7 +359,8 @@ class StageVectorEnv(VectorEnv[np.ndarray, Any, np.ndarray]):
             raise ArgumentError(f"reset_mask {mask!r}: a bool array of shape ({self.num_envs},), at least one True.")
 
     def close_extras(self, **kwargs: Any) -> None:
-        self._task.close()
+        if hasattr(self, "_task"):  # not where its settings were refused: Gymnasium closes it all the same
+            self._task.close()
 
 
 def _plain(value: Any) -> Any:

@@ -23,6 +23,14 @@ import numpy as np
 from stage.envs.entries import Shown
 from stage.errors import ArgumentError, unknown
 
+
+class UnknownSetting(ArgumentError, TypeError):
+    """An environment has no such setting: a TypeError as well, as Gymnasium's own environments raise it.
+
+    It begins with Python's own words: TorchRL, for one, looks for them, to try again without what it had added itself.
+    """
+
+
 MOST = 1e9  # of any number
 LONGEST = 1e6  # s
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
 from typing import Any, ClassVar, Generic, TypeVar
 
@@ -14,6 +14,7 @@ import numpy as np
 from stage import Stage
 from stage.envs.entries import Entry, hidden, observed
 from stage.envs.results import Results
+from stage.envs.settings import UnknownSetting
 from stage.errors import ArgumentError, unknown
 from stage.sim.fleet import Fleet, Played
 from stage.sim.program import Program
@@ -273,12 +274,13 @@ def judged(stage: Stage, axis: str, named: str | None) -> tuple[str, int]:
     return next(((name, point) for name, (point, _) in found.items()), ("", 0))
 
 
-def configured(task: type[Task], settings: Mapping[str, Any]) -> Any:
-    """The task's Config of these settings; ArgumentError for one that it does not have."""
+def configured(task: type[Task], settings: Mapping[str, Any], more: Iterable[str] = ()) -> Any:
+    """The task's Config of these settings; UnknownSetting for one that it does not have. more: settings of whoever asks."""
     known = [f.name for f in fields(task.Config)]
     for name in settings:
         if name not in known:
-            raise unknown(f"{task.__name__} setting", name, known)
+            said = unknown(f"{task.__name__} setting", name, [*known, *more])
+            raise UnknownSetting(f"got an unexpected keyword argument {name!r}: {said}")
     return task.Config(**settings)
 
 

@@ -1,6 +1,7 @@
 """What every environment promises: Gymnasium's rules, equal seeds give equal episodes, a vector equals its parts, to the bit."""
 
 import copy
+import gc
 import pickle
 import warnings
 from itertools import cycle, product
@@ -268,6 +269,30 @@ def test_unknown_settings_and_options_are_named(id_):
     for mask in ([True, False], np.zeros(2, bool), np.ones(3, bool), np.ones(2)):
         with pytest.raises(ArgumentError, match="reset_mask"):
             make_vec(id_, 2).reset(options={"reset_mask": mask})
+
+
+def test_an_unknown_setting_is_a_type_error_too_and_all_that_there_are_are_named(id_):
+    for maker, own in ((make, "render_every"), (lambda id_, **s: make_vec(id_, 2, **s), "threads")):
+        with pytest.raises(TypeError, match=r"unexpected keyword argument 'colour': .* Known: ") as found:
+            maker(id_, colour="red")
+        assert isinstance(found.value, ArgumentError)
+        assert own in str(found.value)
+    gc.collect()  # Gymnasium closes a vector that was never made: an error in that would be a warning here
+
+
+def test_options_and_seeds_that_are_none_are_refused_in_words(id_):
+    env, vector = make(id_), make_vec(id_, 2)
+    for e, most in ((env, "None, or a dict with any of: "), (vector, "reset_mask")):
+        for options in (3, "x", [1]):
+            with pytest.raises(ArgumentError, match="options=") as found:
+                e.reset(options=options)
+            assert most in str(found.value)
+    for seed in (1.5, "ab", [1.0, 2], {1: 2}):
+        with pytest.raises(
+            ArgumentError, match=r"seed=.*: a whole number, None, or one of them for each environment\."
+        ):
+            vector.reset(seed=seed)
+    assert same(vector.reset(seed=np.array([5, 6]))[0], vector.reset(seed=np.int64(5))[0])
 
 
 @pytest.mark.usefixtures("elsewhere")

@@ -1,0 +1,120 @@
+"""The vector environments as Stable-Baselines3 wants them (extra `rl`).
+
+    from stage.envs.sb3 import StageVecEnv
+    from stable_baselines3 import PPO
+
+    envs = StageVecEnv("stage/RegisterTuning-v0", 16, payloads=(0.0, 5.0))
+    PPO("MlpPolicy", envs, n_steps=8).learn(1024)
+
+All stages are stepped in compiled code on threads, to the bits that SB3's own DummyVecEnv of as many scalar environments gives: see
+docs/rl_libraries.md.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.vector import AutoresetMode
+from stable_baselines3.common.vec_env import VecEnv
+
+from stage.envs import IDS
+from stage.envs.base import StageVectorEnv, _one
+from stage.errors import ArgumentError, unknown
+
+
+class Adapter(VecEnv):
+    """What SB3 asks of vector environments and a vector of stages answers with the same for all: the base of StageVecEnv.
+
+    envs: the vector environment, which is closed with this.
+    """
+
+    def __init__(self, envs: StageVectorEnv, action_space: gymnasium.Space | None = None):
+        self.envs = envs
+        super().__init__(envs.num_envs, envs.single_observation_space, action_space or envs.single_action_space)
+
+    def step_async(self, actions: np.ndarray) -> None:
+        self._actions = actions
+
+    def close(self) -> None:
+        self.envs.close()
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """An attribute of the environments: "stage" is each one's own, any other that of the vector."""
+        whose = self._get_indices(indices)
+        if attr_name == "stage":
+            return [self.envs.stages[k] for k in whose]
+        of = {"observation_space": "single_observation_space", "action_space": "single_action_space"}
+        value = getattr(self.envs, of.get(attr_name, attr_name))
+        return [value for _ in whose]
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        raise ArgumentError(f"set_attr({attr_name!r}): the stages of a vector have their settings from its start.")
+
+    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
+        raise ArgumentError(
+            f"env_method({method_name!r}): the stages of a vector have no methods of their own. Use `envs`, the vector "
+            "environment, or DummyVecEnv with scalar ones."
+        )
+
+    def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
+        return [False for _ in self._get_indices(indices)]
+
+
+class StageVecEnv(Adapter):
+    """A vector environment of an id.
+
+    Args:
+        id_: "stage/RegisterTuning-v0" and so on. num_envs: how many stages.
+        threads: default one a processor. Other settings are those of the environment.
+
+    Where an episode ends, infos[k] is its last info with "terminal_observation" and "TimeLimit.truncated" (truncated and not
+    terminated: SB3 then adds the value of the last observation), and reset_infos[k] the info of the new one. `seed(s)` and
+    `reset()` begin environment k as a scalar environment begins with seed s + k.
+
+    Raises ArgumentError for actions that SB3 cannot choose: a MultiDiscrete that does not begin at 0 (actions="registers").
+    """
+
+    envs: StageVectorEnv
+    reset_infos: list[dict[str, Any]]
+
+    def __init__(self, id_: str, num_envs: int = 1, threads: int | None = None, **settings: Any):
+        if "autoreset_mode" in settings:
+            raise ArgumentError("autoreset_mode: SB3 wants finished episodes reset in the same step; leave it out.")
+        if id_ not in IDS and id_ not in gymnasium.registry:
+            raise unknown("environment", id_, IDS)
+        kind: Any = {"vectorization_mode": "vector_entry_point", "autoreset_mode": AutoresetMode.SAME_STEP}
+        envs = gymnasium.make_vec(id_, num_envs, threads=threads, **kind, **settings).unwrapped
+        if not isinstance(envs, StageVectorEnv):
+            raise ArgumentError(f"{id_!r} is no vector of stages. Known: {', '.join(IDS)}.")
+        if np.any(getattr(envs.single_action_space, "start", 0)):
+            raise ArgumentError(
+                f"Stable-Baselines3 counts choices from 0, and {envs.single_action_space} does not: use actions='box'."
+            )
+        super().__init__(envs)
+
+    def reset(self) -> np.ndarray:
+        infos: dict[str, Any] = {}
+        if any(self._options):  # SB3 has options for each; these are all for one
+            for k, options in enumerate(self._options):
+                mask = np.arange(self.num_envs) == k
+                seen, infos = self.envs.reset(seed=self._seeds, options={**options, "reset_mask": mask})
+                self.reset_infos[k] = _one(infos, k)
+        else:
+            seen, infos = self.envs.reset(seed=self._seeds)
+            self.reset_infos = [_one(infos, k) for k in range(self.num_envs)]
+        self._reset_seeds()
+        self._reset_options()
+        return seen
+
+    def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict]]:
+        seen, rewards, terminated, truncated, infos = self.envs.step(self._actions)
+        ends, told = terminated | truncated, []
+        for k in range(self.num_envs):
+            info = _one(infos, k)
+            if ends[k]:
+                last, final = info.pop("final_obs"), info.pop("final_info")
+                self.reset_infos[k], info = info, {**final, "terminal_observation": last}
+            told.append(info | {"TimeLimit.truncated": bool(truncated[k] and not terminated[k])})
+        return seen, rewards.astype(np.float32), ends, told
