@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from stage.board.host import CYCLE, FULL, IN, IN_WIDE, STRAY, ask, chip_of, now_of
+from stage.board.host import CYCLE, FULL, IN, IN_WIDE, STRAY, ask, chip_of, now_of, stage_of
 from stage.chips import cores
 from stage.native import array_at, hot
 from stage.sim import records
+from stage.sim.handle import clockwork
 
 
 @hot
@@ -31,7 +32,7 @@ def note(h, kind, port, value, seen):
 @hot
 def journal(h, kind, chip, address, value):
     """What a cycle did to a chip, for its journal, in the order of the switches' edges."""
-    if h.noted >= h.edge_room - records.EDGES_A_WINDOW * h.n_axes:  # the engine needs that much in any step
+    if h.noted >= h.edge_room - clockwork(stage_of(h)).most_edges:  # the engine needs that much in any step
         ask(h, FULL)
     e = array_at(h.edges, h.edge_room, records.EDGE)[h.noted]
     c = chip_of(h, chip)

@@ -71,6 +71,8 @@ def _foresee(h):
     h.quiet = least(least(h.until, h.due), w.start + (w.slice + 1) * dt // records.SLICES)
     for a in range(len(axes)):
         h.quiet = least(h.quiet, axes[a].next_edge)
+    if clockwork(stage_of(h)).linked:  # one of them alone cannot go ahead of the others
+        h.quiet = 0
 
 
 @hot

@@ -157,6 +157,8 @@ class Chip:
     """The logic of sensors that it takes as asserted after a reset: low ("negative") or high ("positive") while they are on."""
     SYNCHRO: ClassVar[bool] = False
     """Has SYNO and SYNI, by which chips share one's clock; see `syno`."""
+    MULTICHIP: ClassVar[bool] = False
+    """Has the lines by which chips interpolate together, see stage/chips/links.py: its core answers `says` and `silent`."""
     SERVO: ClassVar[bool] = False
     """Drives a DC motor with an encoder, not a stepper."""
     ENCODERS: ClassVar[bool] = False

@@ -9,7 +9,8 @@ has power_up(c), advance(c, until), trace, scan and mark, see stage/chips/pcl240
 encoders scan_shaft as well: as scan, while the shafts of `axes` are seen anew at `clocks`, in order and up to `until`, with these
 counts and rates, from number done[0] on, which goes up. It stops early as scan does: call again until done[0] is all of them and
 the clock is there. A chip that is the driver of its motor has those of OPTIONAL: with
-`current` it sets the current of the stage's motor, by `set_load` it sees the load.
+`current` it sets the current of the stage's motor, by `set_load` it sees the load. A chip that can be wired to others of its
+kind has `says` and `silent`, see stage/chips/links.py.
 """
 
 from __future__ import annotations
@@ -41,8 +42,11 @@ ANSWERS: dict[str, tuple[str | None, ...]] = {
 OPTIONAL: dict[str, tuple[str | None, ...]] = {
     "current": ("f8", "i8"),
     "set_load": ("i8", "i8", "f8", "f8"),
+    "says": ("i8",),
+    "silent": ("i8",),
 }
-"""As ANSWERS, of a chip that is the motor's driver as well; others do not have them, and a stage does not ask."""
+"""As ANSWERS, of a chip that is the motor's driver as well, or that can be wired to others of its kind; others do not have them,
+and a stage does not ask."""
 
 CHIP_AXIS = record(
     [
@@ -61,6 +65,7 @@ CHIP = record(
         # on a stage
         ("hz", "i8"),  # its reference clock
         ("wire", "i8"),  # address of the word that another chip's output drives into its axis 0; 0: none does
+        ("link", "i8"),  # the chips with the same number here are wired together, see links.py; 0: to none
         ("axes", "i8"),  # how many of its axes are used
         ("table", "i8"),  # address of their CHIP_AXIS records, the first is its axis 0
         ("ticks", "f8"),  # its clocks in a slice
@@ -74,12 +79,14 @@ CLOCK = record([("clock", "i8")])
 WIRE_BIT = 16
 """A word of inputs has above this bit what another chip's output drives there, plus 1; 0 where no chip does."""
 WORD, REAL = np.dtype("i8"), np.dtype("f8")
+LINK = 63
+"""The axis, as `inputs` and `set_shaft` take it, under which a chip hears the wires between chips, see links.py."""
 SCAN_ROOM = 8
 """So many edges are still free where a scan stops early."""
 
 _TYPES = {types: called(types[0], "i8", *types[1:]) for types in {*ANSWERS.values(), *OPTIONAL.values()}}
 _run, _set_shaft, _set, _window = (_TYPES[ANSWERS[name]] for name in ("run", "set_shaft", "set_input", "window"))
-_current, _load = (_TYPES[types] for types in OPTIONAL.values())
+_current, _load, _says, _silent = (_TYPES[types] for types in OPTIONAL.values())
 _mean, _rate, _word = (_TYPES[ANSWERS[name]] for name in ("drive_input", "pulse_rate", "net"))
 
 
@@ -166,6 +173,18 @@ def set_load(c, j, angle, emf):
     wrapped; below 0 behind), and the back EMF as a share of the supply. Returns whether the chip has taken it: only then a journal
     needs it. Only where `c.set_load` is not 0."""
     return _load(c.set_load, (c.at, j, angle, emf))
+
+
+@hot
+def says(c):
+    """What it drives onto the wires between chips now; only where `c.link` is not 0."""
+    return _says(c.says, (c.at,))
+
+
+@hot
+def silent(c):
+    """The clock up to which that does not change, as long as it hears nothing."""
+    return _silent(c.silent, (c.at,))
 
 
 @hot

@@ -16,7 +16,7 @@ All state is in records inside MjData.userdata, all tables of constants in array
 
 from __future__ import annotations
 
-from stage.chips import cores
+from stage.chips import cores, links
 from stage.chips.entries import LOAD, SHAFT
 from stage.drives import drive, stepper
 from stage.native import array_at, called, hot, least
@@ -25,7 +25,6 @@ from stage.sim.records import (
     ADDRESS,
     CALLBACKS,
     DIVERGED,
-    EDGES_A_WINDOW,
     EDGES_FULL,
     FAILED,
     INDEX,
@@ -52,6 +51,10 @@ def _run_chips(chips, world, axes, table, switches, switch_table, stop, clockwor
     k = world.slice
     for i in range(len(chips)):
         c = chips[i]
+        if c.link:
+            if _leads(chips, i):
+                k = _run_linked(chips, i, world, axes, table, switches, switch_table, stop, clockwork, edges, counts)
+            continue
         if cores.hear(c):
             counts[1] = note_input(c, 0, edges, counts[1], world.now)
         if c.hz != hz:
@@ -71,11 +74,55 @@ def _run_chips(chips, world, axes, table, switches, switch_table, stop, clockwor
                 counts[1] = meet_edges(c, axes, table, switches, switch_table, now, edges, counts[1])
             cores.run(c, clock + (rest + (now - start) * hz) // SECOND)
             if now == bound:
-                for j in range(c.axes):
-                    axis = axes[cores.axis_of(c, j)]
-                    axis.counts[k] = cores.drive_input(c, j, axis.count, c.ticks)
-                    axis.count = cores.net(c, j)
+                _end_slice(c, axes, k)
                 k += 1
+    return k
+
+
+@hot
+def _end_slice(c, axes, k):
+    """The axes' mean counts in slice `k`, which ends now."""
+    for j in range(c.axes):
+        axis = axes[cores.axis_of(c, j)]
+        axis.counts[k] = cores.drive_input(c, j, axis.count, c.ticks)
+        axis.count = cores.net(c, j)
+
+
+@hot
+def _leads(chips, i):
+    """Chip `i` is the first of those that are linked to it."""
+    for m in range(i):
+        if chips[m].link == chips[i].link:
+            return False
+    return True
+
+
+@hot
+def _run_linked(chips, first, world, axes, table, switches, switch_table, stop, clockwork, edges, counts):
+    """As `_run_chips`, of the chips that are linked to this first one: an edge of one of them acts on all at its clock."""
+    start, dt, link, hz = world.start, clockwork.dt, chips[first].link, chips[first].hz
+    k, now = world.slice, 0
+    while now < stop:
+        bound = start + (k + 1) * dt // SLICES
+        now = least(bound, stop)
+        while True:
+            edge = now + 1
+            for i in range(first, len(chips)):
+                if chips[i].link == link:
+                    edge = least(edge, next_edge(axes, chips[i]))
+            at = least(edge, now)
+            counts[1] = links.run(chips, link, clock_at(at, hz), at, edges, counts[1])
+            if edge > now:
+                break
+            for i in range(first, len(chips)):
+                if chips[i].link == link and next_edge(axes, chips[i]) <= edge:
+                    c = chips[i]
+                    counts[1] = meet_edges(c, axes, table, switches, switch_table, edge, edges, counts[1])
+        if now == bound:
+            for i in range(first, len(chips)):
+                if chips[i].link == link:
+                    _end_slice(chips[i], axes, k)
+            k += 1
     return k
 
 
@@ -244,7 +291,7 @@ def run(
                 if n_samples == len(samples):
                     status = SAMPLES_FULL
                     break
-        if len(edges) and counts[1] > len(edges) - EDGES_A_WINDOW * len(axes):
+        if len(edges) and counts[1] > len(edges) - clockwork.most_edges:
             status = EDGES_FULL
             break
     counts[0] = n_samples
@@ -290,7 +337,7 @@ def _settle_axis(c, world, axis, t, switches, switch_table, d, clockwork, qpos, 
 
 
 @hot
-def settle(world_, axes, drives, switches, table, switch_table, chips, clockwork_, qpos, qvel, sensordata):
+def settle(world_, axes, drives, switches, table, switch_table, chips, clockwork_, qpos, qvel, sensordata, edges):
     """Before the first window, or after the carriages were placed: finds switch levels and pending edges again."""
     world, clockwork = world_[0], clockwork_[0]
     world.powered = 1
@@ -300,3 +347,6 @@ def settle(world_, axes, drives, switches, table, switch_table, chips, clockwork
     for a in range(len(axes)):
         t = table[a]
         _settle_axis(chips[t.chip], world, axes[a], t, switches, switch_table, drives[a], clockwork, qpos, qvel)
+    for i in range(len(chips)):
+        if chips[i].link and _leads(chips, i):
+            links.exchange(chips, chips[i].link, world.now, edges, len(edges))

@@ -110,6 +110,7 @@ def settle(h):
         array_at(h.switches, h.n_switches, SWITCH),
         table(h), array_at(h.switch_table, h.n_switches, SWITCH_TABLE), chips(h), array_at(h.clockwork, 1, CLOCKWORK),
         array_at(h.qpos, h.nq, REAL), array_at(h.qvel, h.nv, REAL), array_at(h.sensordata, h.ns, REAL),
+        array_at(h.edges, 0, records.EDGE),
     )  # fmt: skip
 
 

@@ -30,8 +30,10 @@ def header(
     mechanics: str,
     encoders: Iterable[Encoder] = (),
     followers: Iterable[tuple[str, str]] = (),
+    linked: Iterable[str] = (),
 ) -> snapshots.Header:
-    """What the snapshots of a stage are taken of. encoders: those that its chips count; followers: (follower, leader) at SYNI.
+    """What the snapshots of a stage are taken of. encoders: those that its chips count; followers: (follower, leader) at SYNI;
+    linked: axes whose chips the lines of multichip interpolation join.
     Payloads and faults are no part of it."""
     axes = list(axes)
     parts = [("axes", ", ".join(a.name for a in axes))]
@@ -46,6 +48,7 @@ def header(
     for a in axes:
         parts += [(f"wiring of axis {a.name}", f"{sensor} {logic}") for sensor, logic in a.wiring.items()]
     parts += [(f"SYNI of axis {follower}", leader) for follower, leader in followers]
+    parts += [("multichip lines", ", ".join(linked))] if linked else []
     parts.append(("time step", f"{state.dt} ns"))
     parts.append(("bus cycle", f"{state.bus} ns"))
     parts.append(("mechanics of the model", mechanics))

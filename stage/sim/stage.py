@@ -37,7 +37,7 @@ from stage.sim.loop import Loop
 from stage.sim.payload import Payloads
 from stage.sim.snapshot import Snapshot, header
 from stage.sim.state import SAVED, State, chips_of, words_needed
-from stage.sim.wires import Wires, WiringChoice, chosen_wiring, leaders
+from stage.sim.wires import Wires, WiringChoice, chosen_wiring, leaders, linked_axes
 from stage.sim.wiring import ChipChoice, DriveChoice, fit_rotors, wire
 from stage.snapshots import Header
 
@@ -68,6 +68,7 @@ class Stage:
             default is what its chip takes as asserted after a reset, negative for all of PulseStage's own. A chip that can reads it
             by its polarity bits; the drivers of stage.firmware set them.
         syni: chips of the PCL-240 family that count another's clock: a mapping follower -> leader of axes, {"y": "x"}.
+        multichip: an axis of each MCX514 or MCX512 that the lines of multichip interpolation join, ["x", "u"].
         visuals: False leaves out what is only for display, for runs without pictures: the same bits, a third faster.
     Raises:
         ArgumentError: unknown model, axis, chip or motor. ModelError: the model breaks the naming contract, or its integrator or
@@ -95,6 +96,7 @@ class Stage:
         encoders: EncoderChoice = None,
         wiring: WiringChoice = None,
         syni: Mapping[str, str] | None = None,
+        multichip: Sequence[str] | None = None,
     ):
         if not 0 <= bus_cycle <= 1:
             raise ArgumentError(
@@ -106,6 +108,7 @@ class Stage:
         names, chip_axes, chosen = wire(spec, chips, drives, clock)
         self._encoders = encoder.chosen(encoders, names, chip_axes)
         self._followers = leaders(syni, names, chip_axes)
+        self._linked, _ = linked_axes(multichip, names, chip_axes)
         self.model, offset = plant.compile_spec(spec, words_needed(chip_axes, 5 * len(names)))
         integration.check_options(self.model)
         try:
@@ -142,7 +145,11 @@ class Stage:
         self._faults: list[str] = []
         self._payloads = Payloads()
         chip_of = {p.name: axis.chip for p, axis in zip(self._plant, chip_axes, strict=True)}
-        wires = Wires(self._positive, {chip_of[follower]: chip_of[leader] for follower, leader in self._followers})
+        wires = Wires(
+            self._positive,
+            {chip_of[follower]: chip_of[leader] for follower, leader in self._followers},
+            tuple(dict.fromkeys(chip_of[name] for name in self._linked)),
+        )
         per_unit = encoder.per_unit(self._encoders, self._plant)
         self.state = State(self.model, offset, self._plant, chip_axes, drives, bus, per_unit, wires)
         for follower, leader in wires.leaders.items():
@@ -156,7 +163,7 @@ class Stage:
             Axis(self, k, p, chip_axis, drive, self._positive[k]) for k, (p, chip_axis, drive) in enumerate(axes)
         ]
         self.axes: Mapping[str, Axis] = MappingProxyType(Axes((axis.name, axis) for axis in self._axes))
-        self._header = self._bare = header(self.state, self._axes, self._mechanics, self._encoders, self._followers)
+        self._header = self._bare = header(self.state, self._axes, self._mechanics, self._encoders, self._followers, self._linked)
         self.beside = Beside()
 
     # --- time ---
@@ -436,6 +443,7 @@ class Stage:
             "encoders": self._encoders,
             "positive": self._positive,
             "followers": self._followers,
+            "linked": self._linked,
             "bus_ns": self.state.bus,
             "offset": self.state.offset,
             "mechanics": self._mechanics,
@@ -455,7 +463,7 @@ class Stage:
     def __setstate__(self, s: dict[str, Any]) -> None:
         self.model = s["model"]
         self._plant, self._mechanics, self._encoders = s["plant"], s["mechanics"], s["encoders"]
-        self._positive, self._followers = s["positive"], s["followers"]
+        self._positive, self._followers, self._linked = s["positive"], s["followers"], s["linked"]
         chips = [cls(**options) for cls, options in s["chips"]]
         self._wire([chips[k].axes[j] for k, j in s["wired"]], s["drives"], s["bus_ns"], s["offset"])
         for field in SWITCH_FAULTS:

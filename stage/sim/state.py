@@ -25,6 +25,7 @@ from stage.sim.wires import Wires
 SAVED = mujoco.mjtState.mjSTATE_INTEGRATION  # all of it: physics, and in userdata chips, drives, switches
 HYSTERESIS = 25e-6  # m; a slotted optical switch lets go that much later than it trips (typical data sheets)
 EDGES = 640
+LINK_EDGES = 64
 _FIELDS = records.WORLD.names or ()
 START, POWERED = _FIELDS.index("start"), _FIELDS.index("powered")
 
@@ -102,14 +103,18 @@ class State:
         chips = chips_of(chip_axes)
         self._cut(len(plant), sum(len(p.switches) for p in plant), chips)
         self._set_clockwork(sum(isinstance(drive, Servo) for drive in drives) + sum(map(bool, encoders)))
-        self._set_chip_table(chips, wires.leaders)
+        self._set_chip_table(chips, wires.leaders, wires.linked)
         self._set_axis_table(plant, chip_axes, drives, chips, encoders, wires)
         self.counts = np.zeros(2, np.int64)
         self.saved = np.zeros(mujoco.mj_stateSize(model, SAVED))
         rows = np.zeros(1, handle.HANDLE)
         handle.fill(rows, 0, self)
         self.pointer, self.handle = rows.ctypes.data, rows.view(plain(handle.HANDLE))[0]
-        self.note_in(np.zeros(EDGES + records.EDGES_A_WINDOW * len(plant), records.EDGE))
+        most = records.EDGES_A_WINDOW * len(plant)
+        for chip in wires.linked:  # a pulse a clock, and what goes before and after it
+            most += records.clock_at(self.dt, chip.clock_hz) + LINK_EDGES
+        self.clockwork["most_edges"], self.clockwork["linked"] = most, len(wires.linked)
+        self.note_in(np.zeros(EDGES + most, records.EDGE))
 
     @property
     def now(self) -> int:
@@ -160,7 +165,7 @@ class State:
         w.dt, w.slices, w.h, w.half, w.nv = dt, records.SLICES, dt * 1e-9 / records.SLICES, dt * 0.5e-9, self.model.nv
         w.callbacks, w.native = callbacks.ADDRESSES, callbacks.NATIVE
 
-    def _set_chip_table(self, chips: Sequence[Chip], leaders: Mapping[Chip, Chip]) -> None:
+    def _set_chip_table(self, chips: Sequence[Chip], leaders: Mapping[Chip, Chip], linked: Sequence[Chip]) -> None:
         w = self.clockwork[0]
         rows_of = dict(zip(chips, self.chips, strict=True))
         self.chip_axes = [np.zeros(chip.AXES, cores.CHIP_AXIS) for chip in chips]
@@ -171,6 +176,7 @@ class State:
             c.slices, c.clocks = w.slices, address_of(w["clocks"])
             if chip in leaders:
                 c.wire = leaders[chip].syno(rows_of[leaders[chip]])
+            c.link = 1 if chip in linked else 0
 
     def _set_axis_table(
         self,

@@ -1,4 +1,5 @@
-"""Wires that are not as usual: sensors of positive logic, and chips whose SYNI is connected to another chip's SYNO."""
+"""Wires that are not as usual: sensors of positive logic, chips whose SYNI is connected to another chip's SYNO, and the lines of
+multichip interpolation."""
 
 from __future__ import annotations
 
@@ -97,12 +98,46 @@ def check_pair(follower: Chip, leader: Chip, what: str) -> None:
         )
 
 
+def linked_axes(
+    given: Sequence[str] | None, names: Sequence[str], chip_axes: Sequence[ChipAxis]
+) -> tuple[tuple[str, ...], tuple[Chip, ...]]:
+    """The axes whose chips the lines of multichip interpolation join, as `Stage` takes them in `multichip`, and these chips.
+    Raises ArgumentError."""
+    if given is None:
+        return (), ()
+    if isinstance(given, str | Mapping) or not isinstance(given, Sequence):
+        raise ArgumentError(f'multichip={given!r}: an axis of each chip that the lines join, ["x", "u"].')
+    chip_of = {name: axis.chip for name, axis in zip(names, chip_axes, strict=True)}
+    for name in given:
+        if name not in chip_of:
+            raise unknown("axis", name, names)
+    chips = tuple(dict.fromkeys(chip_of[name] for name in given))
+    for name, chip in zip(given, (chip_of[name] for name in given), strict=True):
+        if not chip.MULTICHIP:
+            raise ArgumentError(
+                f"multichip of axis {name}: a {type(chip).__name__} has no lines of multichip interpolation; an MCX514 and an "
+                "MCX512 have."
+            )
+        if chip.clock_hz != chips[0].clock_hz or chip.clock != chips[0].clock:
+            raise ArgumentError(
+                f"multichip of axis {name}: its clock is at {chip.clock:,} of {chip.clock_hz:,} Hz, that of axis {given[0]} at "
+                f"{chips[0].clock:,} of {chips[0].clock_hz:,} Hz; join fresh chips of one clock."
+            )
+    if len(chips) < 2:
+        raise ArgumentError(
+            f"multichip={list(given)}: these axes are on one chip, which needs no lines; give axes of two chips or more."
+        )
+    return tuple(given), chips
+
+
 @dataclass(frozen=True)
 class Wires:
-    """turned: of each axis its sensors of the other logic than its chip's; leaders: of chips that follow one."""
+    """turned: of each axis its sensors of the other logic than its chip's; leaders: of chips that follow one; linked: the chips
+    that the lines of multichip interpolation join."""
 
     turned: Sequence[Mapping[str, str]]
     leaders: Mapping[Chip, Chip]
+    linked: Sequence[Chip]
 
     def turned_pins(self, axis: int, chip: Chip) -> int:
         """The input bits of the chip that these sensors drive."""

@@ -119,7 +119,13 @@ class MCX514(Nova):
     CLOCK_RANGE: ClassVar = (1, 20_000_000)
     VARIANT: ClassVar = state.MCX514_TYPE
     DRIVER: ClassVar = "stage.firmware.nova.mcx514:Mcx514Driver"
+    MULTICHIP: ClassVar = True
     READING_ACTS: ClassVar = frozenset({1, BYTES | 2, BYTES | 3})  # RR1, the interrupt factors
+
+    @property
+    def linked(self) -> bool:
+        """The lines of multichip interpolation join it to other chips, see `Stage(multichip=...)`."""
+        return bool(self.state["heard"])
 
     def _interpolated(self) -> int:
         return int(self._plain["ax"][0]["mode"][interpolation.IPM]) & 15
@@ -148,6 +154,7 @@ class MCX501(MCX514):
 
     MAP: ClassVar = MCX501_MAP
     AXES: ClassVar = 1
+    MULTICHIP: ClassVar = False
 
 
 class _Erratum(Nova):

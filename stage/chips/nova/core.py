@@ -7,7 +7,8 @@ trace.py for a trace of them.
 
 from __future__ import annotations
 
-from stage.chips.cores import scan_shafts, through
+from stage.chips import links
+from stage.chips.cores import LINK, through
 from stage.chips.nova.bus import mcx300 as bus304
 from stage.chips.nova.bus import mcx514 as bus514
 from stage.chips.nova.bus.parameters import lowest
@@ -16,6 +17,7 @@ from stage.chips.nova.bus.status import phase_bits
 from stage.chips.nova.functions import comparators, encoder, external, home, sync
 from stage.chips.nova.functions import inputs as pins_in
 from stage.chips.nova.functions import io as ports
+from stage.chips.nova.interpolation import multichip
 from stage.chips.nova.interpolation import run as interpolation
 from stage.chips.nova.motion import drive
 from stage.chips.nova.motion import trace as pulses
@@ -132,7 +134,13 @@ def counter(c, j):
 
 @exported(None, STATE, "i8", "f8", "f8")
 def set_shaft(c, j, count, rate):
-    """From now on axis `j` has an encoder, which is at `count + rate * (clock - now)`: edges of ECA and ECB, edges a clock."""
+    """From now on axis `j` has an encoder, which is at `count + rate * (clock - now)`: edges of ECA and ECB, edges a clock.
+    Where j is LINK: what the wires to other chips bring."""
+    if j == LINK:
+        if c.stale:
+            _settle(c)
+        multichip.hear(c, links.word_of(count, rate), _settle)
+        return
     encoder.set_shaft(c, j, count, rate)
     if comparators.looks_at_rp(c, c.ax[j]):
         c.stale = 1
@@ -140,7 +148,10 @@ def set_shaft(c, j, count, rate):
 
 @exported("i8", STATE, "i8")
 def inputs(c, j):
-    """Input pins of axis `j`, see INPUTS; of the whole chip, see COMMON_INPUTS, where j is one more than its last."""
+    """Input pins of axis `j`, see INPUTS; of the whole chip, see COMMON_INPUTS, where j is one more than its last; what was heard last
+    on the wires to other chips where it is LINK."""
+    if j == LINK:
+        return c.heard
     if c.fed:
         encoder.see(c)
     return c.emg if j == c.axes else c.ax[j].inputs
@@ -157,6 +168,20 @@ def set_input(c, j, word):
             word = word & ~encoder.PINS | c.ax[j].inputs & encoder.PINS
         c.ax[j].inputs = word
     _settle(c)
+
+
+@exported("i8", STATE)
+def says(c):
+    """What the chip drives onto the wires to others, see stage/chips/links.py."""
+    if c.stale:
+        _settle(c)
+    return multichip.says(c)
+
+
+@exported("i8", STATE)
+def silent(c):
+    """The clock up to which that does not change."""
+    return multichip.silent(c)
 
 
 @exported("i8", STATE, "i8")
@@ -415,5 +440,35 @@ def scan(c, until, every_pulse, axis, out):
     array_of("i8"), array_of("i8"), array_of("f8"), array_of("f8"), array_of("i8"),
 )  # fmt: skip
 def scan_shaft(c, until, every_pulse, axis, out, clocks, axes, counts, rates, done):
-    """As scan, while the shafts of these axes are seen anew at `clocks`, see stage/chips/cores.py."""
-    return scan_shafts(c, until, every_pulse, axis, out, clocks, axes, counts, rates, done, scan, set_shaft)
+    """As scan, while the shafts of these axes are seen anew at `clocks`, and the wires to other chips, see stage/chips/cores.py."""
+    k = 0
+    while k < len(out) - 2 * ROOM:
+        n = done[0]
+        while n < len(clocks) and clocks[n] <= c.clock and k < len(out) - 2 * ROOM:
+            if axes[n] == LINK:
+                k = _hear(c, every_pulse, axis, out, k, counts[n], rates[n])
+            else:
+                set_shaft(c, axes[n], counts[n], rates[n])
+            n += 1
+        done[0] = n
+        if n < len(clocks) and clocks[n] <= c.clock:
+            return k
+        if c.clock >= until:
+            return k
+        k += scan(c, least(clocks[n], until) if n < len(clocks) else until, every_pulse, axis, out[k:])
+    return k
+
+
+@hot
+def _hear(c, every_pulse, axis, out, k, low, high):
+    """What the wires bring, which can make a pulse: the edges that come of it."""
+    x = c.ax[axis]
+    before, net_before, rate = shown(c, axis, outputs(c, axis)), x.net, pulse_rate(c, axis, 1.0)
+    set_shaft(c, LINK, low, high)
+    now = pulse_rate(c, axis, 1.0)
+    if every_pulse and x.net != net_before:
+        raise_pulse(c, axis, now)
+    word = shown(c, axis, outputs(c, axis))
+    if word != before or now != rate or (every_pulse and x.net != net_before):
+        k = log(c, axis, out, k, word, now)
+    return k

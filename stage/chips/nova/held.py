@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from stage.chips.nova import core, state
+from stage.chips.nova.interpolation import multichip
 
 REFUSALS = {
     state.E_HLMT_PLUS: "LMT+ is active, drive the other way",
@@ -101,6 +102,19 @@ class Held:
         return rows
 
     @property
+    def role(self) -> int:
+        """MLT of IPM."""
+        return int(self._axes[0]["mode"][state.IPM]) >> multichip.MLT & 3
+
+    @property
+    def linked(self) -> bool:
+        return bool(self._record["heard"])
+
+    @property
+    def started(self) -> bool:
+        return bool(self._record["heard"] & multichip.GO)
+
+    @property
     def drive_speed(self) -> tuple[int, ...]:
         return tuple(int(x["reg"][state.DV]) for x in self._record["ax"])
 
@@ -130,6 +144,10 @@ class HeldOfMcx312(Held):
         rows = np.zeros(1, state.STATE)
         rows[0] = self._record
         return rows
+
+    @property
+    def role(self) -> int:
+        return 0
 
     @property
     def drive_speed(self) -> tuple[int, ...]:

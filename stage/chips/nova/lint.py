@@ -15,6 +15,7 @@ from stage.chips.register_map import Command, Register, RegisterMap, Word
 
 Note = tuple[str, str]
 CODE, AXIS = MCX514_MAP.field("WR0", "CODE"), MCX514_MAP.field("WR0", "AXIS")
+MLT, LMDF = MCX514_MAP.field("IPM", "MLT"), MCX514_MAP.field("IPM", "LMDF")
 _SECTIONS = {"TP": "7.2.7", "DP": "7.2.8"}
 
 
@@ -39,6 +40,12 @@ class Held(NamedTuple):
     """WR2 to WR5 are the BP registers (36h)."""
     interpolated: int = 0
     """Axes that IPM or WR5 choose."""
+    role: int = 0
+    """MLT of IPM: 1 master, 2 slave."""
+    linked: bool = False
+    """Wires join the chip to others."""
+    started: bool = False
+    """Their master has begun."""
     drive_speed: tuple[int, ...] = ()
     """DV of the MCX514, pps."""
     finish: tuple[int, ...] = ()
@@ -107,6 +114,8 @@ def _data(r: Register, held: Any, c: Command, axes: int) -> Note | None:
         return f"{r.name} = {value}: {r.title} takes {r.range[0]} to {r.range[1]}", where
     if c.kind == "mode write" and (empty := word & ~r.used):
         return f"{r.name} = {word:04X}h: it has no {_bits(empty)}", where
+    if r.name == "IPM" and MLT.of(word) and LMDF.of(word):
+        return f"IPM = {word:04X}h: MLT and LMDF exclude each other; short-axis pulses are not equalized", where
     if r.name == "TP" and (moving := axes & held.absolute):
         return f"TP written while {_names(moving)} is in absolute position driving: it cannot be changed", where
     if r.name == "TP" and (turned := _turned(held, axes & held.relative, value)):
@@ -125,6 +134,8 @@ def _interpolation(held: Any, c: Command, name: str) -> Note | None:
     axes, where = held.interpolated, "interpolation commands"
     if (count := axes.bit_count()) not in c.together:
         return f"{name} with {count} axes chosen{': ' if axes else ''}{_names(axes)}", where
+    if held.role and (said := _multichip(held, c, name)):
+        return said, "IPM, MLT"
     if not held.interpolating and (moving := axes & held.driving):
         return f"{name} while {_names(moving)} is driving (n-DRV = 1)", where
     if held.full:
@@ -136,6 +147,22 @@ def _interpolation(held: Any, c: Command, name: str) -> Note | None:
         if axes >> k & 1 and c.points and not POINT[0] <= tp <= POINT[1]:
             return f"{name} with TP = {tp} of {AXES[k]}: a finish point takes {POINT[0]} to {POINT[1]}", _SECTIONS["TP"]
     return None
+
+
+def _multichip(held: Any, c: Command, name: str) -> str:
+    """What is wrong with an interpolation command to a master or slave."""
+    what = f"{name} as {MLT.values[held.role]} (MLT = {held.role})" if held.role < len(MLT.values) else name
+    if held.role == 1 and not held.linked:
+        return f"{what}: no other chip is wired to this one, which interpolates by itself; see Stage(multichip=...)"
+    if not c.symbol.startswith("LHK"):
+        return f"{what} starts nothing: of several chips together only lines, 60h to 63h, are modelled"
+    if not held.linked:
+        return f"{what}: no other chip is wired to this one, and no pulse of a master will come; see Stage(multichip=...)"
+    if held.interpolating:
+        return f"{what} during a line of several chips is refused: one after the other without a stop is not modelled"
+    if held.role == 2 and held.started:
+        return f"{what} while the master interpolates is refused (MCERR): start slaves first"
+    return ""
 
 
 def _main(held: Any) -> int:

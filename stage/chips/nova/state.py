@@ -18,6 +18,7 @@ SYNC_SETS = 4
 FIRST_GENERATION, MCX514_TYPE = 0, 1
 NEVER = 1 << 60
 MAIN = 2  # of `interpolates`: the main axis
+MASTER, SLAVE = 1, 2  # MLT of IPM: this chip's role in an interpolation of several
 
 
 def _places(map_: RegisterMap, names: str) -> tuple[int, ...]:
@@ -222,7 +223,7 @@ INTERPOLATION = record(
         ("waiting", "i8"),  # segments behind it
         ("began", "i8"),  # clock of the start
         ("continuous", "i8"),  # there has been a second segment
-        ("stepped", "i8"),  # ticks come by command
+        ("stepped", "i8"),  # ticks come by command, or from the master
         ("speed", "i8"),  # DV of the present plan
         ("slow", "i8"),  # it brakes for a stop
         ("ends", "i8"),  # the plan ends at SV
@@ -236,6 +237,13 @@ INTERPOLATION = record(
         ("rotations", "i8"),  # turns that a helix has made
         ("turns", "i8"),  # turns still to go
         ("zone", "i8"),  # octant, for RR0
+        # several chips, see multichip.py
+        ("role", "i8"),  # MASTER, SLAVE; 0: by itself
+        ("waits", "i8"),  # for the start of all
+        ("fixed", "i8"),  # its maximum finish point is TX
+        ("errors", "i8"),  # of RR2 as it began, a byte an axis
+        ("beat", "i8"),  # of a slave: clock of the last tick
+        ("gap", "i8"),  # clocks between the last two
         # bit patterns of the MCX312
         ("writing", "i8"),  # WR2 to WR5 load `loading`
         ("stacked", "i8"),  # sets that wait for 34h
@@ -280,6 +288,11 @@ STATE = record(
         ("first", "i8"),  # high byte of WR0, waits for the low one
         ("unused", "i8"),  # WR6 or WR7 was written after the last command
         ("fed", "i8"),  # axes that have an encoder, bit 0 for X
+        # the wires to other chips, see multichip.py
+        ("heard", "i8"),  # what is on them
+        ("beats", "i8"),  # ticks that it has ever sent as a master
+        ("fails", "i8"),  # it tells the others of an error
+        ("failed", "i8"),  # MCERR
         ("ip", INTERPOLATION),
         ("queue", SEGMENT, (STAGES + 1,)),  # the running segment and those that wait, in a ring
         ("ax", AXIS, (AXES,)),

@@ -17,6 +17,7 @@ from stage.sim.program import Operations, Program
 Ops = TypeVar("Ops", bound=Operations)
 
 TIMERS = 8  # HTM
+MASTER, SLAVE = 1, 2  # MLT
 
 
 class Mcx514Driver(NovaDriver):
@@ -61,16 +62,25 @@ class Mcx514Driver(NovaDriver):
         return {name: self.legal(name, value) for name, value in values.items()}
 
     def interpolates(self, drivers: Sequence[NovaDriver]) -> bool:
-        if len({id(h.chip) for h in drivers}) > 1:
+        if len({id(h.chip) for h in drivers}) > 1 and not all(getattr(h.chip, "linked", False) for h in drivers):
             names = ", ".join(h.axis.name for h in drivers)
             raise ArgumentError(
-                f"axes {names} are on several {self.map.chip}, and one interpolates its own: choose axes of one chip."
+                f"axes {names} are on several {self.map.chip}, and one interpolates its own: choose axes of one chip, or join "
+                "the chips by their multichip lines, Stage(multichip=[...])."
             )
         return True
 
     def interpolate(self, p: Ops, drivers: Sequence[NovaDriver]) -> Ops:
-        self.set(p, "IPM", sum(h.bit for h in drivers))
-        return self.command(self.command(p, "DECEN"), f"LHK{len(drivers)}")
+        """This axis is the main one; of several chips its own is the master, and starts last."""
+        chips: dict[int, list[NovaDriver]] = {}
+        for h in drivers:
+            chips.setdefault(id(h.chip), []).append(h)
+        mlt, own = self.map.bit("IPM", "MLT"), chips.pop(id(self.chip))
+        for mine in chips.values():
+            mine[0].set(p, "IPM", sum(h.bit for h in mine) | SLAVE << mlt)
+            mine[0].command(p, f"LHK{len(mine)}")
+        self.set(p, "IPM", sum(h.bit for h in own) | (MASTER << mlt if chips else 0))
+        return self.command(self.command(p, "DECEN"), f"LHK{len(own)}")
 
     def choices(self) -> dict[str, tuple[int, int]]:
         return {"step1": (0, 1), "timer": (0, TIMERS)}

@@ -8,6 +8,7 @@ from stage.chips.nova.bus.status import busy, phase_bits
 from stage.chips.nova.functions import home, sync, timer
 from stage.chips.nova.functions import io as ports
 from stage.chips.nova.functions.inputs import turn
+from stage.chips.nova.interpolation import multichip
 from stage.chips.nova.interpolation import queue as prebuffer
 from stage.chips.nova.motion import drive, rates
 from stage.chips.nova.registers.mcx514 import GENERATION
@@ -194,7 +195,7 @@ def _axis_command(c, x, j, code):
     elif code in (DHOLD, DFREE):
         drive.hold(c, x, code == DHOLD)
     elif code == R2CLR:
-        x.causes = 0
+        x.causes = c.failed = 0
     elif code == RR3P0:
         c.pages &= ~(1 << j)
     elif code == RR3P1:
@@ -315,7 +316,8 @@ def read(c, address):
         return x.causes & 0xFFFF
     if address == 3:
         if c.pages >> j & 1:
-            return sync.status_bits(x) | phase_bits(c, x) << FIRST_PHASE
+            more = multichip.MCERR if c.failed else 0
+            return sync.status_bits(x) | phase_bits(c, x) << FIRST_PHASE | more
         return _pins_page(c, x)
     if address == 4:
         return ports.word(c, 0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from stage.chips.nova.interpolation import helix as helical
+from stage.chips.nova.interpolation import multichip
 from stage.chips.nova.interpolation import run as interpolation
 from stage.chips.nova.interpolation import segment
 from stage.chips.nova.registers.mcx514 import MCX514_MAP as MAP
@@ -101,6 +102,9 @@ def _segment(c, code):
     if count < need:
         interpolation.refuse(c)
         return
+    role = multichip.role_of(c, word)
+    if role and (code >= CIRCLE_CW or not multichip.may_take(c, role)):
+        return
     if not interpolation.may_take(c, mask, STAGES):
         return
     g = c.queue[interpolation.place_for(c)]
@@ -109,7 +113,7 @@ def _segment(c, code):
     main = g.axis[0]
     if code < CIRCLE_CW:
         g.kind = LINE
-        if word & LMDF:
+        if word & LMDF and not role:
             g.fine = segment.INNER
         for k in range(g.axes):
             g.finish[k] = coordinate(c.ax[g.axis[k]].reg[TP], g.fine)
@@ -127,7 +131,10 @@ def _segment(c, code):
             g.turns, g.longest = c.ax[0].reg[HLN], greatest(c.ax[0].reg[HLV], 1) * g.fine
             for k in range(2, g.axes):
                 g.finish[k] = coordinate(c.ax[g.axis[k]].reg[TP], g.fine)
-    interpolation.submit(c, mask, main, STAGES, word & STEP)
+    if role:
+        multichip.wait(c, mask, main, word & STEP, role, word & MAXM)
+    else:
+        interpolation.submit(c, mask, main, STAGES, word & STEP)
 
 
 @hot

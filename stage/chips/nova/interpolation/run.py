@@ -23,10 +23,12 @@ from stage.chips.nova.state import (
     IPM,
     LINE,
     MAIN,
+    MASTER,
     MCX514_TYPE,
     NEVER,
     NO_PHASE,
     PATTERN,
+    SLAVE,
     STAGES,
     STATE,
 )
@@ -41,6 +43,7 @@ def reset(c):
     ip = c.ip
     c.interpolating = 0
     ip.enabled = ip.interrupt = ip.waiting = ip.head = ip.rotations = ip.writing = ip.stacked = 0
+    ip.role = ip.waits = c.fails = c.failed = 0
     ip.due = NEVER
     for j in range(AXES):
         c.ax[j].interpolates = c.ax[j].moves = 0
@@ -90,20 +93,30 @@ def submit(c, mask, main, depth, stepped):
         ip.waiting += 1
         ip.continuous = 1
         return
-    ip.mask, ip.main, ip.depth, ip.stepped = mask, main, depth, stepped
-    ip.began, ip.continuous, ip.waiting, ip.slow = c.clock, 0, 0, 0
-    _start(c)
+    prepare(c, mask, main, depth, stepped)
+    ip.role = 0
+    start(c)
 
 
 @hot
-def _start(c):
-    ip, x = c.ip, c.ax[c.ip.main]
-    put(ip.place, dd.ZERO)
+def prepare(c, mask, main, depth, stepped):
+    """The axes of an interpolation that begins now, or when other chips do."""
+    ip = c.ip
+    ip.mask, ip.main, ip.depth, ip.stepped = mask, main, depth, stepped
+    ip.continuous = ip.waiting = ip.slow = 0
     for j in range(c.axes):
         if ip.mask >> j & 1:
             y = c.ax[j]
             y.causes &= 0xFF
             y.done = y.slow = y.fixed = y.output = 0
+
+
+@exported(None, STATE)
+def start(c):
+    """The prepared interpolation begins."""
+    ip, x = c.ip, c.ax[c.ip.main]
+    ip.began = c.clock
+    put(ip.place, dd.ZERO)
     put(ip.begun, dd.ZERO)
     segment.find_end(c)
     if not segment.load(c):
@@ -117,13 +130,16 @@ def _start(c):
         if c.ax[j].moves:
             stopped |= drive.blocked(c, c.ax[j], c.ax[j].way)
     if stopped:
+        c.fails = ip.role
         return
     for j in range(c.axes):
         if ip.mask >> j & 1:
-            c.ax[j].interpolates = MAIN if j == ip.main else 1
+            c.ax[j].interpolates = MAIN if j == ip.main and ip.role != SLAVE else 1
             drive.note(c.ax[j], D_STA)
     c.interpolating = 1
     x.phase = NO_PHASE
+    if ip.role == SLAVE:
+        return
     rates.take_rates(c, x)
     segment.replan(c, x)
 
@@ -132,7 +148,7 @@ def _start(c):
 def end(c):
     """The interpolation ends now, and what waits is dropped."""
     ip = c.ip
-    c.interpolating = ip.waiting = ip.slow = ip.stepped = ip.zone = 0
+    c.interpolating = ip.waiting = ip.slow = ip.stepped = ip.zone = ip.waits = 0
     ip.due = NEVER
     for j in range(c.axes):
         if c.ax[j].interpolates:
@@ -189,6 +205,8 @@ def tick(c):
     if ip.closing:
         end(c)
         return
+    if ip.role == MASTER:
+        c.beats += 1
     for k in range(g.axes):
         if ip.step[k]:
             x = c.ax[g.axis[k]]
@@ -247,8 +265,15 @@ def step(c):
     for j in range(c.axes):
         if c.ax[j].interpolates:
             stop = greatest(stop, c.ax[j].slow)
+    if ip.waits or ip.role == SLAVE:
+        if stop:
+            c.fails = 1 if ip.role == SLAVE else 0
+            end(c)
+        return
     n = c.clock - x.origin
     if stop == drive.AT_ONCE or n >= x.end or (stop and ip.stepped):
+        if ip.role == MASTER and errors(c) & ~ip.errors:
+            c.fails = 1
         end(c)
         return
     s = piece_at(x, n)
@@ -266,6 +291,15 @@ def step(c):
 
 
 @hot
+def errors(c):
+    """Those of RR2, a byte an axis."""
+    found = 0
+    for j in range(c.axes):
+        found |= (c.ax[j].causes & 0xFF) << 8 * j
+    return found
+
+
+@hot
 def next_event(c):
     """The clock of the next event but ticks; how many of these may pass until somebody looks at a counter goes to `watch`."""
     ip, x = c.ip, c.ax[c.ip.main]
@@ -274,6 +308,8 @@ def next_event(c):
         y = c.ax[j]
         if y.interpolates:
             ip.watch = least(ip.watch, least(drive.pulses_ahead(c, y), sync.pulses_ahead(c, y)))
+    if ip.waits or ip.role == SLAVE:
+        return NEVER
     n = c.clock - x.origin
     s = piece_at(x, n)
     at = x.end
@@ -285,7 +321,7 @@ def next_event(c):
 @hot
 def single_step(c):
     """A command makes the next tick."""
-    if c.interpolating and c.ip.stepped:
+    if c.interpolating and c.ip.stepped and not c.ip.waits and c.ip.role != SLAVE:
         tick(c)
         c.stale = 1
 
@@ -307,7 +343,9 @@ def rate(c, j):
             else:
                 u, v = abs(ip.arc.x), abs(ip.arc.y)
                 share = (v if k == 0 else u) / greatest(greatest(u, v), 1)
-    return share * speed_at(x, c.clock - x.origin)
+    if ip.role == SLAVE:
+        return share / ip.gap if ip.gap > 0 else 0.0
+    return 0.0 if ip.waits else share * speed_at(x, c.clock - x.origin)
 
 
 @hot
