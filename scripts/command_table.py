@@ -4,7 +4,7 @@ python scripts/command_table.py           writes the tables between the page's m
 python scripts/command_table.py --check   says whether they are up to date
 
 A marker `<!-- commands: MCX304 MCX302 -->` asks for one table of these chips, up to `<!-- end -->`. A command counts as implemented
-unless its chip class names it in NOT_IMPLEMENTED (symbol: reason). Tested by: the test files with tests that are decorated
+unless the register map says what is lacking. Tested by: the test files with tests that are decorated
 `@covers(chip, symbol, ...)` (tests/support/covers.py makes such a test fail if it does not write the command).
 """
 
@@ -17,13 +17,13 @@ from collections import Counter, defaultdict
 from pathlib import Path
 
 from stage.chips import CHIPS
-from stage.chips.nova.registers.mcx300 import MCX302_MAP, MCX304_MAP, MCX312_MAP
+from stage.chips.nova.registers.mcx300 import MCX302_MAP, MCX304_MAP, MCX312_MAP, MCX314AS_MAP
 from stage.chips.nova.registers.mcx514 import MCX501_MAP, MCX512_MAP, MCX514_MAP
 from stage.chips.register_map import EVIDENCE, Command, RegisterMap
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "nova.md"
-MAPS = {m.chip: m for m in (MCX514_MAP, MCX512_MAP, MCX501_MAP, MCX304_MAP, MCX302_MAP, MCX312_MAP)}
+MAPS = {m.chip: m for m in (MCX514_MAP, MCX512_MAP, MCX501_MAP, MCX304_MAP, MCX302_MAP, MCX312_MAP, MCX314AS_MAP)}
 BLOCK = re.compile(r"(<!-- commands: (?P<chips>[\w ]+) -->\n).*?(<!-- end -->)", re.S)
 Tests = dict[tuple[str, str], Counter[str]]
 
@@ -47,7 +47,7 @@ def implemented(map_: RegisterMap, command: Command) -> str:
     """What the table says of a command on one chip."""
     if map_.chip not in CHIPS:
         return "no chip yet"
-    return getattr(CHIPS[map_.chip], "NOT_IMPLEMENTED", {}).get(command.symbol, "yes")
+    return command.lacking.partition(":")[0] or "yes"
 
 
 def table(maps: list[RegisterMap], tests: Tests) -> str:

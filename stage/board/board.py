@@ -243,18 +243,14 @@ class Board:
         self.link.lay_devices()
 
     def _lay_ports(self) -> None:
-        """Make the table of ports again; address latches have what they had."""
+        """Make the table of ports again."""
         lines = {}
         for k, device in enumerate(self.devices):
             for n, port in enumerate(device.ports):
                 wide = device.width == 16
                 mask = host.EIGHT if not wide else host.UPPER if n % 2 else host.WIDE
                 lines[port] = (host.DEVICE, k, n // 2 if wide else n, mask)
-        latches = {port: int(p["address"]) for port, p in self._by_port() if p["kind"] == host.LATCH}
         self.regions, self.port_table = layouts.table(self.places, lines)
-        for port, p in self._by_port():
-            if port in latches:
-                p["address"] = latches[port]
         self.link.lay_ports()
 
     def _free(self, n: int) -> int:

@@ -134,6 +134,12 @@ def _place(h, port):
 
 
 @hot
+def _latches(h):
+    """The address that each chip's latch holds: part of the stage's state."""
+    return array_at(h.latches, h.n_chips, WHOLE)
+
+
+@hot
 def _device(h, p, way, value):
     """A cycle reaches a device."""
     if device_of(h, p.chip).access == 0:
@@ -151,7 +157,7 @@ def _in8(h, port):
         note(h, IN | STRAY, port, value, h.traced - 1)
     else:
         if kind == LATCHED:
-            value = _read(h, p.chip, ports[p.address].address)
+            value = _read(h, p.chip, _latches(h)[p.chip])
         elif kind == PULLS:
             value = line_of(h) & (1 << least(h.n_chips, 8)) - 1
         elif kind == DEVICE:
@@ -173,7 +179,7 @@ def _out8(h, port, value):
     if kind in (NOTHING, LATCH, PULLS):
         cycle(h)
         if kind == LATCH:
-            p.address = value & p.mask
+            _latches(h)[p.chip] = value & p.mask
         note(h, OUT if kind == LATCH else OUT | STRAY, port, value, -1)
     elif kind == DEVICE:
         cycle(h)
@@ -183,7 +189,7 @@ def _out8(h, port, value):
     else:
         address, word = p.address, value
         if kind == LATCHED:
-            address = ports[address].address
+            address = _latches(h)[p.chip]
         elif kind == WORD:  # the other half of the bus floats
             word = value | 0xFF00
         elif kind == HALF:

@@ -159,8 +159,6 @@ def table(
     ports[1:][taken - np.repeat(regions["first"] - regions["at"] + 1, np.diff(ends, prepend=-1))] = [
         (*lines[port], 0) for port in taken.tolist()
     ]
-    for k in np.flatnonzero(ports["kind"] == LATCHED):  # the latch is the port before
-        ports[k].address = k - 1
     return regions, ports
 
 

@@ -418,7 +418,7 @@ class Chip:
             raise ArgumentError(f"read({address!r}): an address is a whole number.") from None
         if self._bus is not None:
             self._bus.cycle()
-        value: int = self.CORE.read.held(self._here, address)
+        value = int(self.CORE.read.held(self._here, address))
         if self.open_journal is not None and address in self.READING_ACTS:
             self.open_journal.note_read(self.clock, address, value)
         return value

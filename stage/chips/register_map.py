@@ -171,7 +171,7 @@ class Command:
 
     `choice`: bits of the code that choose what it acts on, by the names `chooses`, the lowest first; at least one is set. `axes`:
     it is sent to axes. `starts`: it begins a drive. `together`: how many axes take part, of a command that moves several;
-    `points`: it moves them to finish points.
+    `points`: it moves them to finish points. `lacking`: what the emulator does not do of it, as a diagnostic says it.
     """
 
     code: int
@@ -189,6 +189,7 @@ class Command:
     chooses: tuple[str, ...] = ()
     together: tuple[int, ...] = ()
     points: bool = False
+    lacking: str = ""
 
     @property
     def codes(self) -> tuple[int, ...]:

@@ -67,9 +67,16 @@ class BenchAxis:
         self._assert_switches()
 
     def _assert_switches(self) -> None:
-        place = self.place
+        """All at once, as the switches of a stage that share an edge: a chip between two of them would see neither state."""
+        chip, place = self.chip, self.place
+        old = word = chip.input_word(self.chip_axis)
         for pin, span in self._spans.items():
-            setattr(self.pins, pin, bool(_within(place, span)))
+            bit = chip.INPUTS[pin]
+            word = word | bit if _within(place, span) else word & ~bit
+        if word != old:
+            chip.set_input_word(self.chip_axis, word)
+            if chip.open_journal is not None:
+                chip.open_journal.note_input(chip.clock, self.chip_axis, word)
 
     def _twin(self) -> np.ndarray:
         """A copy of the chip's record, to look ahead with."""

@@ -19,7 +19,9 @@ from stage.sim.in_use import ENGINE, claim, release
 if TYPE_CHECKING:
     from stage.sim.state import State
 
-_ARRAYS = "world axes drives switches table switch_table chips clockwork qpos qvel ctrl sensordata inertia sites bodies".split()
+_ARRAYS = (
+    "world axes drives switches latches table switch_table chips clockwork qpos qvel ctrl sensordata inertia sites bodies"
+).split()
 _LENGTHS = "n_axes n_switches n_chips nq nv nu ns n_sites n_bodies".split()
 _LOGS = "samples positions room filled edges edge_room noted counts".split()
 HANDLE_FIELDS: list = [
@@ -131,8 +133,8 @@ def fill(handles: np.ndarray, k: int, state: State) -> None:
     model, data = state.model, state.data
     h["mj_model"], h["mj_data"] = model._address, data._address
     held = (
-        state.world, state.axes, state.drives, state.switches, state.axis_table, state.switch_table, state.chip_table,
-        state.clockwork, data.qpos, data.qvel, data.ctrl, data.sensordata, model.dof_M0,
+        state.world, state.axes, state.drives, state.switches, state.latches, state.axis_table, state.switch_table,
+        state.chip_table, state.clockwork, data.qpos, data.qvel, data.ctrl, data.sensordata, model.dof_M0,
         data.site_xpos, data.xpos,
     )  # fmt: skip
     for name, array in zip(_ARRAYS, held, strict=True):

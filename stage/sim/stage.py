@@ -163,7 +163,9 @@ class Stage:
             Axis(self, k, p, chip_axis, drive, self._positive[k]) for k, (p, chip_axis, drive) in enumerate(axes)
         ]
         self.axes: Mapping[str, Axis] = MappingProxyType(Axes((axis.name, axis) for axis in self._axes))
-        self._header = self._bare = header(self.state, self._axes, self._mechanics, self._encoders, self._followers, self._linked)
+        self._header = self._bare = header(
+            self.state, self._axes, self._mechanics, self._encoders, self._followers, self._linked
+        )
         self.beside = Beside()
 
     # --- time ---

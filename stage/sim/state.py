@@ -1,7 +1,7 @@
 """`State`: the places of a stage's records in memory, for compiled code, boards and tests; users of a stage do not need it.
 
 What changes while time passes is in MjData.userdata, so that MuJoCo's own snapshots, copies and rollouts carry it: one WORLD, an
-AXIS an axis, the record of every chip, a DRIVE an axis, a SWITCH a switch, in this order. Tables of constants (only
+AXIS an axis, the record of every chip, a DRIVE an axis, a SWITCH a switch, an address latch a chip, in this order. Tables of constants (only
 faults change them) are in arrays beside it. A HANDLE gives compiled code the addresses of all of them.
 """
 
@@ -61,6 +61,8 @@ class State:
     """DRIVE of each axis: motor, currents."""
     switches: np.ndarray
     """SWITCH of each switch of all axes, axis after axis."""
+    latches: np.ndarray
+    """int64 of each chip: the address that its bus holds, where address and data share the lines."""
     axis_table: np.ndarray
     """AXIS_TABLE: which axis of which chip moves which joint, and which switches are its own."""
     switch_table: np.ndarray
@@ -153,6 +155,7 @@ class State:
         self.chips = [cut(chip.CORE.STATE, 1) for chip in chips]
         self.drives = cut(DRIVE, axes)
         self.switches = cut(records.SWITCH, switches)
+        self.latches = cut(records.ADDRESS, len(chips))
         self.axis_table = np.zeros(axes, records.AXIS_TABLE)
         self.switch_table = np.zeros(switches, records.SWITCH_TABLE)
         self.chip_table = np.zeros(len(chips), records.CHIP_TABLE)
@@ -219,4 +222,5 @@ def words_needed(axes: Sequence[ChipAxis], switches: int) -> int:
     """float64 words of userdata that the state of a stage takes, with these axes of its chips and so many switches."""
     per_axis = records.AXIS.itemsize + DRIVE.itemsize
     rows = sum(chip.CORE.STATE.itemsize for chip in chips_of(axes))
-    return (records.WORLD.itemsize + len(axes) * per_axis + rows + switches * records.SWITCH.itemsize) // 8
+    latches = len(chips_of(axes)) * records.ADDRESS.itemsize
+    return (records.WORLD.itemsize + len(axes) * per_axis + rows + switches * records.SWITCH.itemsize + latches) // 8

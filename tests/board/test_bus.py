@@ -209,6 +209,16 @@ def test_each_layout_reaches_its_chip():
     board.out8(0x300, 0x22)
     assert (board.in8(0x301), board.in8(0x303)) == (0x40, 99), "each chip has a latch of its own"
 
+    before = stage.snapshot()
+    board.out8(0x302, 0x07)
+    assert board.in8(0x303) != 99
+    stage.restore(before)
+    assert board.in8(0x303) == 99, "a latch is part of the stage's state"
+    twin = Board(copy.deepcopy(stage))
+    assert twin.in8(0x303) == 99
+    stage.reset()
+    assert board.in8(0x303) == stage.axes["y"].chip.values()["R00"]
+
 
 def test_half_a_register_of_a_16_bit_chip_is_noted():
     stage = Stage("xyz", chips=MCX304, visuals=False)

@@ -10,7 +10,7 @@ import pytest
 from support.covers import covers
 
 from stage.chips import CHIPS, PCL240K, Chip
-from stage.chips.nova.registers.mcx300 import MCX302_MAP, MCX304_MAP, MCX312_MAP
+from stage.chips.nova.registers.mcx300 import MCX302_MAP, MCX304_MAP, MCX312_MAP, MCX314AS_MAP
 from stage.chips.nova.registers.mcx514 import MCX501_MAP, MCX512_MAP, MCX514_MAP
 from stage.chips.nova.registers.words514 import ACTIONS, FACTORS, HOME_STATES
 from stage.chips.pcl240.maps import PCL240K_MAP, PCL240MS_MAP
@@ -399,7 +399,9 @@ def test_a_table_names_the_chips_and_the_tests_of_a_command(tmp_path):
         assert re.search(f"^{row}$", table, re.M), row
 
 
-@pytest.mark.parametrize("chips", [(MCX514_MAP, MCX512_MAP, MCX501_MAP), FAMILY], ids=["MCX514", "MCX304 family"])
+@pytest.mark.parametrize(
+    "chips", [(MCX514_MAP, MCX512_MAP, MCX501_MAP), (*FAMILY, MCX314AS_MAP)], ids=["MCX514", "MCX304 family"]
+)
 def test_every_command_has_a_test_that_writes_it(covered, chips):
     """To one of the chips that share a row of the page's table."""
     written = {symbol for chip, symbol in covered if chip in {c.chip for c in chips}}

@@ -151,7 +151,7 @@ def test_random_lines_of_several_chips_are_those_of_the_reference(five):
 def test_hundreds_of_random_lines_are_those_of_the_reference(five):
     for stage in (five, stage_of(4, 1), stage_of(1, 2, 3)):
         stage.reset()
-        for rng in examples(2.0):
+        for rng in examples(8.0):
             drawn(stage, rng)
 
 
@@ -361,7 +361,10 @@ def test_a_recording_shows_the_pulses_and_the_rate_of_a_slave(pair):
         ({"multichip": ["a0", "a1"], "chips": MCX501}, "has no lines of multichip interpolation"),
         ({"multichip": ["a0", "b"]}, "unknown axis 'b'"),
         ({"multichip": "a0"}, "an axis of each chip"),
-        ({"multichip": ["a0", "a2"], "chips": {"a0": MCX514, "a1": MCX514, "a2": lambda: MCX514(8_000_000)}}, "one clock"),
+        (
+            {"multichip": ["a0", "a2"], "chips": {"a0": MCX514, "a1": MCX514, "a2": lambda: MCX514(8_000_000)}},
+            "one clock",
+        ),
     ],
 )
 def test_a_wrong_option_is_refused(options, said):

@@ -2,8 +2,8 @@
 
 import pytest
 
-from stage import firmware
-from stage.chips import MCX302, MCX304
+from stage import Stage, faults, firmware
+from stage.chips import MCX302, MCX304, MCX314AS
 from stage.firmware import Bench
 
 PASSES_INDEX = {"stop2": (-100, -90)}
@@ -17,6 +17,9 @@ PASSES_INDEX = {"stop2": (-100, -90)}
         ({"stop1": (None, 5000), "lmt_plus": (3000, None)}, 0, "EL+", 3000),  # ORG is stuck: there is no way out of it
         ({"stop1": (None, 0), "lmt_minus": (None, -5)}, 500, "EL-", -5),  # the limit before any index pulse
         ({"stop1": (None, 0), "stop2": (None, 10)}, 500, "HOME", 0),  # EZ is stuck: RR2 HOME
+        ({"stop1": (None, 0), "lmt_minus": (None, 0)}, 500, "ORG", 0),  # ORG and EL- share an edge
+        ({"stop1": (None, 0), "lmt_minus": (None, 0)}, -5, "ORG", 0),
+        ({"stop1": (None, 0), "lmt_minus": (None, 10)}, 500, "EL-", 10),  # ORG begins behind the limit
     ],
 )
 @pytest.mark.parametrize("chip", [MCX302, MCX304])
@@ -25,5 +28,29 @@ def test_a_home_search_that_failed_says_what_ended_it(chip, switches, at, ended,
     bench = Bench(chip())
     bench.rail("x", at=at, **switches)
     x = bench.axes["x"]
-    report = firmware.home(x, index=ended not in ("ORG", "EL+"))
+    report = firmware.home(x, index="stop2" in switches or switches.get("lmt_minus") == (None, -5))
     assert (report.stopped_by, x.place, report.ok) == (ended, place, ended in ("ORG", "EZ"))
+
+
+@pytest.mark.parametrize("chip", [MCX304, MCX314AS])
+def test_a_search_that_goes_back_from_the_limit_for_ever_ends_with_the_limits_name(chip):
+    """The axis stands where ORG ends before the limit does: on its way out the chip sees no ORG any more."""
+    bench = Bench(chip())
+    bench.rail("x", at=0, stop1=(None, 0), lmt_minus=(None, 10))
+    report = firmware.home(bench.axes["x"], timeout=5)
+    assert (report.stopped_by, report.ok) == ("EL-", False)
+    assert 0 < bench.axes["x"].place <= 10 and not bench.axes["x"].chip.busy()
+
+
+@pytest.mark.parametrize("chip", [MCX304, MCX314AS])
+def test_a_contact_that_bounces_for_2_ms_moves_home_by_a_pulse_at_most(chip):
+    """Without its input filter the search took a bounce of the edge at which it had left ORG, 25 um away."""
+    stage = Stage("xy", chips=chip, visuals=False)
+    x, found = stage.axes["x"], []
+    for broken in (False, True):
+        stage.place(x=-0.119)
+        if broken:
+            faults.bounce(x, "org", 2e-3)
+        assert firmware.home(x).stopped_by == "ORG"
+        found.append(x.position)
+    assert found[1] == pytest.approx(found[0], abs=4e-6)

@@ -212,9 +212,6 @@ class MCX314AS(Nova):
     MAP: ClassVar = MCX314AS_MAP
     INPUTS: ClassVar = state.INPUTS_314
     READING_ACTS: ClassVar = frozenset({3})  # RR3, the interrupt factors
-    NOT_IMPLEMENTED: ClassVar = {
-        "SM": "taken: synchronous actions are not modelled", "SYNC_ACT": "no synchronous actions", "BR": "reads 0",
-    }  # fmt: skip
 
     def _interpolated(self) -> int:
         axes = [f.of(int(self._plain["outputs5"])) for f in (AX1, AX2, AX3)]

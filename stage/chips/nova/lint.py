@@ -82,6 +82,8 @@ def command(map_: RegisterMap, held: Any, value: int) -> Note | None:
     name = f"{code:02X}h ({c.title})"
     if said := _axes(map_, c, name, axes):
         return said, "command list"
+    if c.lacking:
+        return f"{name} is {c.lacking}", "command list"
     if c.kind in ("data write", "mode write"):
         return _data(map_.register(c.symbol), held, c, axes)
     if c.kind == "data read" and held.unused:
@@ -157,7 +159,9 @@ def _multichip(held: Any, c: Command, name: str) -> str:
     if not c.symbol.startswith("LHK"):
         return f"{what} starts nothing: of several chips together only lines, 60h to 63h, are modelled"
     if not held.linked:
-        return f"{what}: no other chip is wired to this one, and no pulse of a master will come; see Stage(multichip=...)"
+        return (
+            f"{what}: no other chip is wired to this one, and no pulse of a master will come; see Stage(multichip=...)"
+        )
     if held.interpolating:
         return f"{what} during a line of several chips is refused: one after the other without a stop is not modelled"
     if held.role == 2 and held.started:

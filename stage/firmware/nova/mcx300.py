@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from typing import ClassVar, TypeVar
 
 from stage.chips.nova import MCX314AS
-from stage.chips.nova.registers.mcx300 import RANGE
+from stage.chips.nova.registers.mcx300 import MCX304_MAP, RANGE
 from stage.firmware.choices import limits
-from stage.firmware.driver import SETTLE, AtOnce, Speeds
+from stage.firmware.driver import SETTLE, AtOnce, Speeds, wait_until_stopped
 from stage.firmware.nova.driver import HOME_SPEED, SEARCHES, NovaDriver
 from stage.firmware.nova.port import level_bits
 from stage.firmware.report import Procedure, Report
@@ -16,6 +16,12 @@ from stage.sim.program import Operations, Program
 
 Ops = TypeVar("Ops", bound=Operations)
 
+HMST = MCX304_MAP.field("RR2", "HMST")
+BACK = HMST.code("step 2: waits for STOP1 in the other direction")
+"""Of HMST: the end limit has come before the signal, and the chip looks for it on the way back."""
+STEADY = 4
+"""Of FL, in the search at HV: an input counts when it was steady for 2 ms, so that a contact that bounces has one edge. That is less
+than a pulse at HV; at the drive speed it would be many, and there the inputs have no filter."""
 MULTIPLE = 20
 """Of the first generation: R = 8,000,000 / 20, so that a unit of SV and V is 20 pps."""
 
@@ -44,11 +50,27 @@ class FirstGenerationDriver(NovaDriver):
             address, stop1 = self._level(1)
             if (met := self.stopped_by()) in ("EL+", "EL-") and bool(self.chip.read(address) & stop1) != self.high(1):
                 return p.report(met)
-            self._search(now, index, timeout, SETTLE, direction)
-            self.axis.wait(SETTLE)
+            self._begin_search(now, index, direction)
+            at_limit = self._watch(timeout)
+            self.command(now, self.STOP).wait(2 * SETTLE)
+            if at_limit:
+                return p.report("EL-" if direction < 0 else "EL+")
             if self.port.word(2) & self.mask("RR2", "HOME"):
                 return p.report("HOME")
             return p.report(self.stopped_by() or "HOME")  # what ended its last drive: a limit, where ORG is stuck
+
+    def _watch(self, timeout: float) -> bool:
+        """Until the search is over. Where the end limit comes before ORG the chip goes back to look for it, and where ORG ends before
+        the limit does, it finds none and goes on for ever: it is stopped, and that is returned."""
+        back = []
+
+        def look() -> None:
+            if not back and self.port.word(2) & HMST.mask == BACK:
+                back.append(True)
+                self.port.command(self.STOP)
+
+        wait_until_stopped([self.axis], timeout, look=look)
+        return bool(back)
 
     def forget(self, p: Ops) -> Ops:
         """The end status of a drive stays until the next drive begins."""
@@ -62,6 +84,8 @@ class FirstGenerationDriver(NovaDriver):
             **({"WR2": limits_} if limits_ else {}),
             WR3=self.mask("WR3", "SACC") if s_curve else 0,
         )
+        if isinstance(self.chip, MCX314AS):
+            self.set(p, "EM", 0)
         return self.set(self.set(p, "R", RANGE // MULTIPLE), "AO", 0)
 
     def _inputs(self, *more: str) -> int:
@@ -110,13 +134,19 @@ class FirstGenerationDriver(NovaDriver):
 
     def _search(self, p: Operations, index: bool, limit: float, rest: float, direction: int) -> int:
         """The automatic home search, without its first step; the place of the poll for the stop."""
-        self.words(p, WR1=self._inputs())
+        self._begin_search(p, index, direction)
+        return self._stopped(p, limit, rest)
+
+    def _begin_search(self, p: Operations, index: bool, direction: int) -> None:
+        extended = isinstance(self.chip, MCX314AS)  # its filters are in EM
+        place = "EM" if extended else "WR3"
+        steady = self.mask(place, "FE0") | STEADY << self.map.bit(place, "FL")
+        self.words(p, WR1=self._inputs(), **({} if extended else {"WR3": steady}))
         steps = ["ST2", "ST3"][: 1 + index]
         bits = [f"{step}-E" for step in steps] + [f"{step}-D" for step in steps if direction < 0]
-        mode = "EM" if isinstance(self.chip, MCX314AS) else "HM"
-        self.set(p, mode, self.mask(mode, *bits))
+        mode = "EM" if extended else "HM"
+        self.set(p, mode, self.mask(mode, *bits) | (steady if extended else 0))
         self.command(p, "HOME_EXEC")
-        return self._stopped(p, limit, rest)
 
     def _stopped(self, p: Operations, limit: float, rest: float) -> int:
         at = len(p)

@@ -18,6 +18,7 @@ RESET = 0x8000
 """WR0 that resets the chip."""
 CHIPS = ("MCX304", "MCX302", "MCX312")
 INTERPOLATING = ("MCX312",)
+NO_ACTIONS = "no synchronous action comes"
 
 
 def _speed(code: int, name: str, title: str, note: str, legal: tuple[int, int] = SPEED) -> Register:
@@ -133,13 +134,15 @@ MCX304_MAP, MCX302_MAP, MCX312_MAP = _map("MCX304", 4), _map("MCX302", 2), _map(
 def _extended() -> RegisterMap:
     """The MCX314As: what an MCX312 has, for four axes and lines of three; EM in place of HM, synchronous actions."""
     registers = tuple(EM if r.name == "HM" else r for r in (*PARAMETERS, *PRESENT))
-    sync = Register("SM", 0x64, 32, "W", "synchronous actions", None, (), "C", reset=0, note="taken, no effect")
-    buffer = Register("BR", 0x14, 32, "R", "synchronous action buffer", evidence="C", note="reads 0")
+    sync = Register("SM", 0x64, 32, "W", "synchronous actions", None, (), "C", reset=0)
+    buffer = Register("BR", 0x14, 32, "R", "synchronous action buffer", evidence="C")
     more = (
         _segment(0x31, "IP_3ST", "3-axis linear interpolation"),
         _segment(0x35, "IP_3BP", "3-axis bit pattern interpolation", points=False),
-        writes(EM, "mode write"), writes(sync, "mode write"), reads(buffer),
-        Command(0x65, "SYNC_ACT", "synchronous action activation", "other", evidence="C"),
+        writes(EM, "mode write"),
+        replace(writes(sync, "mode write"), lacking=f"not modelled (its bits are not known): {NO_ACTIONS}"),
+        replace(reads(buffer), lacking=f"not modelled: it reads 0, as {NO_ACTIONS}"),
+        Command(0x65, "SYNC_ACT", "synchronous action activation", "other", evidence="C", lacking=f"not modelled: {NO_ACTIONS}"),
     )  # fmt: skip
     three = {"IP_3ST", "IP_3BP"}
     found = [*(c for c in COMMANDS if c.symbol != "HM"), *more]
