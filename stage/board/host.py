@@ -50,10 +50,10 @@ REGION = record([(name, "i8") for name in "first n at".split()])
 """`n` ports from port `first` on: where the first of them is in the table of ports."""
 PORT = record([(name, "i8") for name in "kind chip address mask seen".split()])
 """What a port reaches; the first of a table is what all ports in no region reach: nothing. BYTE, WORD: an address of a chip of 8,
-16 bits; HALF: the upper byte of the WORD one below; LATCH: takes the address for the chip's LATCHED, as much of it (`mask`) as the
-chip does; PULLS: which chips pull the interrupt line, a bit each; DEVICE: the port `address` of the device `chip`, and `mask` says what of it:
-EIGHT bits, a WIDE word of 16, the UPPER byte of the word one below. `seen`: number of the trace's line about its last read, plus
-one."""
+16 bits; HALF: the upper byte of the WORD one below; LATCH: takes the address for the chip's LATCHED, as much of it (`mask`) as
+the chip does; PULLS: which chips pull the interrupt line, a bit each; DEVICE: the port `address` of the device `chip`, and `mask`
+says what of it: EIGHT bits, a WIDE word of 16, the UPPER byte of the word one below. `seen`: number of the trace's line about its
+last read, plus one."""
 
 IN, OUT, IN_WIDE, OUT_WIDE, CALLED, RETURNED = range(6)
 STRAY, LOST_ON_THE_WAY, RAISED = 8, 16, 32

@@ -91,10 +91,10 @@ def _end_slice(c, axes, k):
 @hot
 def _leads(chips, i):
     """Chip `i` is the first of those that are linked to it."""
-    for m in range(i):
-        if chips[m].link == chips[i].link:
-            return False
-    return True
+    m = 0
+    while chips[m].link != chips[i].link:
+        m += 1
+    return m == i
 
 
 @hot

@@ -59,10 +59,10 @@ CLOCKWORK = record(
     ]
 )
 """Who runs the stage, see stage.sim.in_use; window (ns), slices in it, a slice and half a window (s), degrees of freedom, steps
-per sample (0: none), axes whose chips see an encoder, set their motor's current,
-see its load; chips that are linked; how many edges a window can have; of MuJoCo's callbacks, see stage.sim.callbacks: whether they are
-guarded, whether one has failed, where their addresses lie and what these are while nobody in Python is called; addresses of
-MuJoCo's functions, and which parts of its state a snapshot has; the clocks of a chip at the ends of the window's slices."""
+per sample (0: none), axes whose chips see an encoder, set their motor's current, see its load; chips that are linked; how many
+edges a window can have; of MuJoCo's callbacks, see stage.sim.callbacks: whether they are guarded, whether one has failed, where
+their addresses lie and what these are while nobody in Python is called; addresses of MuJoCo's functions, and which parts of its
+state a snapshot has; the clocks of a chip at the ends of the window's slices."""
 CHIP_TABLE = cores.CHIP
 AXIS_TABLE = record(
     [(name, "i8") for name in "chip chip_axis qpos dof actuator first_switch end_switch index_bit positive".split()]
@@ -96,8 +96,8 @@ rate in their place, of a LOAD angle and share of the supply."""
 
 MAX_TOGGLES = 8
 EDGES_A_WINDOW = len(PINS) * (1 + MAX_TOGGLES) + 2 + 1 + 1 + 1
-"""Of an axis at most, without what comes over wires between chips: each switch an edge and its toggles; the index pulse begins and ends; the shaft; what another chip drives;
-the load."""
+"""Of an axis at most, without what comes over wires between chips: each switch an edge and its toggles; the index pulse begins and
+ends; the shaft; what another chip drives; the load."""
 REACHED, SAMPLES_FULL, EDGES_FULL, DIVERGED, FAILED, UNGUARDED, IN_USE, WIPED = range(8)
 """Why it returned: time is up; no room to log in; the physics diverged; a callback failed. And why it did nothing: there are
 callbacks, and nobody guards them; another runs the stage; it is not under power."""

@@ -1,8 +1,8 @@
 """`State`: the places of a stage's records in memory, for compiled code, boards and tests; users of a stage do not need it.
 
 What changes while time passes is in MjData.userdata, so that MuJoCo's own snapshots, copies and rollouts carry it: one WORLD, an
-AXIS an axis, the record of every chip, a DRIVE an axis, a SWITCH a switch, an address latch a chip, in this order. Tables of constants (only
-faults change them) are in arrays beside it. A HANDLE gives compiled code the addresses of all of them.
+AXIS an axis, the record of every chip, a DRIVE an axis, a SWITCH a switch, an address latch a chip, in this order. Tables of
+constants (only faults change them) are in arrays beside it. A HANDLE gives compiled code the addresses of all of them.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ PERIOD = SECOND // 10_000
 
 def stage_of(*counts, bus_cycle=0.0, chip=MCX514, **options):
     """A stage with so many axes on each chip, whose chips are wired together; nothing of a bus cycle takes time."""
-    makers = [lambda: chip() for _ in counts]  # noqa: PLW0108 (each is another chip)
+    makers = [lambda: chip() for _ in counts]
     names = [f"a{k}" for k in range(sum(counts))]
     of_axis = [maker for maker, n in zip(makers, counts, strict=True) for _ in range(n)]
     first = [names[sum(counts[:k])] for k in range(len(counts))]
@@ -166,7 +166,8 @@ def test_five_axes_stay_within_half_a_pulse_of_the_line_at_each_pulse_of_the_lon
         places = nets(master)[:3] + nets(slave)[:2]
         ideal = [f * k / 999 for chip in finish for f in chip]
         assert max(abs(a - b) for a, b in zip(places, ideal, strict=True)) <= 0.5
-    assert not driving(master) and not driving(slave)
+    assert not driving(master)
+    assert not driving(slave)
 
 
 # Who waits for whom
@@ -176,13 +177,15 @@ def test_slaves_wait_for_their_master_and_all_are_driving_meanwhile(pair):
     stage, master, slave = pair
     ready(slave, (10, 5), SLAVE)
     pass_clocks(stage, 20 * PERIOD)
-    assert driving(slave, X | Y) and nets(slave) == [0] * 4
+    assert driving(slave, X | Y)
+    assert nets(slave) == [0] * 4
     ready(master, (20, 0, 0), MASTER)
     pass_clocks(stage, 10 * PERIOD + PERIOD // 2)
     assert (nets(master)[0], *nets(slave)[:2]) == (10, 5, 3)
     assert get(master, 0x39, 0) == get(slave, 0x39, 0) == 20, "TX reads as the maximum of all"
     pass_clocks(stage, 20 * PERIOD)
-    assert not driving(slave) and not driving(master)
+    assert not driving(slave)
+    assert not driving(master)
 
 
 def test_a_slave_that_comes_too_late_is_refused_and_says_so(pair):
@@ -191,11 +194,14 @@ def test_a_slave_that_comes_too_late_is_refused_and_says_so(pair):
     pass_clocks(stage, PERIOD)
     ready(slave, (10, 5), SLAVE)
     assert "start slaves first" in slave.diagnostics[-1].message
-    assert not driving(slave) and failed(slave) and not failed(master)
+    assert not driving(slave)
+    assert failed(slave)
+    assert not failed(master)
     command(slave, CLEAR_STATUS, X)
     assert not failed(slave)
     pass_clocks(stage, 30 * PERIOD)
-    assert nets(master)[0] == 20 and nets(slave) == [0] * 4
+    assert nets(master)[0] == 20
+    assert nets(slave) == [0] * 4
 
 
 def test_a_master_without_wires_interpolates_by_itself_and_a_slave_for_ever_waits():
@@ -206,7 +212,8 @@ def test_a_master_without_wires_interpolates_by_itself_and_a_slave_for_ever_wait
     assert chip.advance(SECOND) == 27
     ready(chip, (20, 7), SLAVE)
     assert "no pulse of a master will come" in chip.diagnostics[-1].message
-    assert chip.advance(SECOND) == 0 and driving(chip, X | Y)
+    assert chip.advance(SECOND) == 0
+    assert driving(chip, X | Y)
     command(chip, 0x57, X)
     assert not driving(chip, X | Y)
 
@@ -224,7 +231,7 @@ def test_what_is_not_modelled_of_several_chips_is_said(pair, code, ipm, said):
 
 
 def test_a_second_line_while_one_runs_is_refused(pair):
-    stage, master, slave = pair
+    stage, _master, slave = pair
     begin(stage, (100, 0, 0), (50, 50))
     pass_clocks(stage, PERIOD)
     ready(slave, (9, 9), SLAVE)
@@ -239,7 +246,8 @@ def test_a_second_line_while_one_runs_is_refused(pair):
 def stopped(stage, master, slave, at):
     """All stand since that clock, where the line was."""
     pass_clocks(stage, 30 * PERIOD)
-    assert not driving(master, ALL) and not driving(slave, ALL)
+    assert not driving(master, ALL)
+    assert not driving(slave, ALL)
     k = at // PERIOD
     assert nets(master)[:3] == [k, 0, 0]
     assert nets(slave)[0] == (k + 1) // 2
@@ -261,7 +269,8 @@ def test_what_stops_a_slave_stops_all_at_that_clock_and_is_mcerr_to_the_others(p
     else:
         setattr(slave.axes[0].pins, "alarm" if by == "alarm" else "lmt_plus", True)
     stopped(stage, master, slave, at)
-    assert failed(master) and not failed(slave)
+    assert failed(master)
+    assert not failed(slave)
 
 
 def test_a_software_limit_of_a_slave_stops_all_at_its_pulse(pair):
@@ -273,7 +282,8 @@ def test_a_software_limit_of_a_slave_stops_all_at_its_pulse(pair):
     begin(stage, (100, 0, 0), (50, 0))
     stopped(stage, master, slave, 13 * PERIOD)
     command(slave, 0x1F, X)
-    assert slave.read(2) & 1 and failed(master)
+    assert slave.read(2) & 1
+    assert failed(master)
 
 
 @pytest.mark.parametrize("error", [True, False])
@@ -288,7 +298,8 @@ def test_an_error_of_the_master_is_mcerr_to_its_slaves_and_a_stop_is_none(pair, 
     else:
         command(master, 0x57, X)
     stopped(stage, master, slave, 10 * PERIOD)
-    assert failed(slave) == error and not failed(master)
+    assert failed(slave) == error
+    assert not failed(master)
 
 
 def test_a_decelerating_stop_of_the_master_brakes_all_along_the_line(pair):
@@ -302,7 +313,8 @@ def test_a_decelerating_stop_of_the_master_brakes_all_along_the_line(pair):
     k = master.net(0)
     assert k - before == pytest.approx((8000**2 - 1000**2) / (2 * 50_000), abs=1)
     assert nets(slave)[:2] == [pytest.approx(k / 2, abs=0.5), pytest.approx(-k * 0.75, abs=0.5)]
-    assert not driving(slave) and not failed(slave)
+    assert not driving(slave)
+    assert not failed(slave)
 
 
 def test_a_slave_on_a_limit_lets_nobody_begin(pair):
@@ -342,7 +354,7 @@ def test_snapshots_know_which_chips_are_wired():
 
 
 def test_a_recording_shows_the_pulses_and_the_rate_of_a_slave(pair):
-    stage, master, slave = pair
+    stage = pair[0]
     with stage.record() as recording:
         begin(stage, (100, 0, 0), (-50, 0))
         stage.run(0.02)

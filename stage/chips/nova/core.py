@@ -148,8 +148,8 @@ def set_shaft(c, j, count, rate):
 
 @exported("i8", STATE, "i8")
 def inputs(c, j):
-    """Input pins of axis `j`, see INPUTS; of the whole chip, see COMMON_INPUTS, where j is one more than its last; what was heard last
-    on the wires to other chips where it is LINK."""
+    """Input pins of axis `j`, see INPUTS; of the whole chip, see COMMON_INPUTS, where j is one more than its last; what was
+    heard last on the wires to other chips where it is LINK."""
     if j == LINK:
         return c.heard
     if c.fed:

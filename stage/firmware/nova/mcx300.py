@@ -20,8 +20,8 @@ HMST = MCX304_MAP.field("RR2", "HMST")
 BACK = HMST.code("step 2: waits for STOP1 in the other direction")
 """Of HMST: the end limit has come before the signal, and the chip looks for it on the way back."""
 STEADY = 4
-"""Of FL, in the search at HV: an input counts when it was steady for 2 ms, so that a contact that bounces has one edge. That is less
-than a pulse at HV; at the drive speed it would be many, and there the inputs have no filter."""
+"""Of FL, in the search at HV: an input counts when it was steady for 2 ms, so that a contact that bounces has one edge. That is
+less than a pulse at HV; at the drive speed it would be many, and there the inputs have no filter."""
 MULTIPLE = 20
 """Of the first generation: R = 8,000,000 / 20, so that a unit of SV and V is 20 pps."""
 
@@ -60,9 +60,9 @@ class FirstGenerationDriver(NovaDriver):
             return p.report(self.stopped_by() or "HOME")  # what ended its last drive: a limit, where ORG is stuck
 
     def _watch(self, timeout: float) -> bool:
-        """Until the search is over. Where the end limit comes before ORG the chip goes back to look for it, and where ORG ends before
-        the limit does, it finds none and goes on for ever: it is stopped, and that is returned."""
-        back = []
+        """Until the search is over. Where the end limit comes before ORG the chip goes back to look for it, and where ORG ends
+        before the limit does, it finds none and goes on for ever: it is stopped, and that is returned."""
+        back: list[bool] = []
 
         def look() -> None:
             if not back and self.port.word(2) & HMST.mask == BACK:

@@ -4,11 +4,11 @@ Each chip that takes part interpolates its own axes, against the one largest fin
 makes the ticks, and the wires take them to the slaves, at their clock. The sheets' public text names the parts (IPM bits 11 and
 10, commands 60h and 7Ch, MCERR), and nothing more: what is here is what they need (inferred).
 
-- A command 60h to 63h to a slave, or to a master that has wires, waits. As soon as a master waits the wires say GO, with the largest
-  finish point; all that wait take it, and begin at that clock. So slaves are commanded first.
+- A command 60h to 63h to a slave, or to a master that has wires, waits. As soon as a master waits the wires say GO, with the
+  largest finish point; all that wait take it, and begin at that clock. So slaves are commanded first.
 - A slave that comes too late is refused, MCERR.
-- What stops a slave, be it a limit, an error or the host, stops all of them at that clock, and is MCERR to the others; so is an error
-  of the master. A master that stops without an error, at once or by a ramp, ends all of them, and is none.
+- What stops a slave, be it a limit, an error or the host, stops all of them at that clock, and is MCERR to the others; so is an
+  error of the master. A master that stops without an error, at once or by a ramp, ends all of them, and is none.
 """
 
 from __future__ import annotations

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from stage.chips.nova.interpolation import helix as helical
-from stage.chips.nova.interpolation import multichip
+from stage.chips.nova.interpolation import multichip, segment
 from stage.chips.nova.interpolation import run as interpolation
-from stage.chips.nova.interpolation import segment
 from stage.chips.nova.registers.mcx514 import MCX514_MAP as MAP
 from stage.chips.nova.state import ARC, AXES, CP, HELIX, HLN, HLV, LINE, PATTERN, STAGES, TP, TX
 from stage.native import greatest, hot, least
