@@ -50,7 +50,7 @@ class FirstGenerationDriver(NovaDriver):
             address, stop1 = self._level(1)
             if (met := self.stopped_by()) in ("EL+", "EL-") and bool(self.chip.read(address) & stop1) != self.high(1):
                 return p.report(met)
-            self._begin_search(now, index, direction)
+            self._begin_search(now, index, direction, STEADY)
             at_limit = self._watch(timeout)
             self.command(now, self.STOP).wait(2 * SETTLE)
             if at_limit:
@@ -134,18 +134,19 @@ class FirstGenerationDriver(NovaDriver):
 
     def _search(self, p: Operations, index: bool, limit: float, rest: float, direction: int) -> int:
         """The automatic home search, without its first step; the place of the poll for the stop."""
-        self._begin_search(p, index, direction)
+        self._begin_search(p, index, direction, 0)
         return self._stopped(p, limit, rest)
 
-    def _begin_search(self, p: Operations, index: bool, direction: int) -> None:
+    def _begin_search(self, p: Operations, index: bool, direction: int, steady: int) -> None:
+        """steady: FL of the filter of the switches; 0: none."""
         extended = isinstance(self.chip, MCX314AS)  # its filters are in EM
         place = "EM" if extended else "WR3"
-        steady = self.mask(place, "FE0") | STEADY << self.map.bit(place, "FL")
-        self.words(p, WR1=self._inputs(), **({} if extended else {"WR3": steady}))
+        filters = (self.mask(place, "FE0") | steady << self.map.bit(place, "FL")) if steady else 0
+        self.words(p, WR1=self._inputs(), **({"WR3": filters} if filters and not extended else {}))
         steps = ["ST2", "ST3"][: 1 + index]
         bits = [f"{step}-E" for step in steps] + [f"{step}-D" for step in steps if direction < 0]
         mode = "EM" if extended else "HM"
-        self.set(p, mode, self.mask(mode, *bits) | (steady if extended else 0))
+        self.set(p, mode, self.mask(mode, *bits) | (filters if extended else 0))
         self.command(p, "HOME_EXEC")
 
     def _stopped(self, p: Operations, limit: float, rest: float) -> int:
