@@ -115,8 +115,8 @@ def linked_axes(
     for name, chip in zip(given, (chip_of[name] for name in given), strict=True):
         if not chip.MULTICHIP:
             raise ArgumentError(
-                f"multichip of axis {name}: a {type(chip).__name__} has no lines of multichip interpolation; an MCX514 and an "
-                "MCX512 have."
+                f"multichip of axis {name}: {a_or_an(type(chip).__name__)} has no lines of multichip interpolation; an MCX514 and "
+                "an MCX512 have."
             )
         if chip.clock_hz != chips[0].clock_hz or chip.clock != chips[0].clock:
             raise ArgumentError(

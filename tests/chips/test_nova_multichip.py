@@ -370,7 +370,7 @@ def test_a_recording_shows_the_pulses_and_the_rate_of_a_slave(pair):
     ("options", "said"),
     [
         ({"multichip": ["a0"]}, "on one chip"),
-        ({"multichip": ["a0", "a1"], "chips": MCX501}, "has no lines of multichip interpolation"),
+        ({"multichip": ["a0", "a1"], "chips": MCX501}, "an MCX501 has no lines of multichip interpolation"),
         ({"multichip": ["a0", "b"]}, "unknown axis 'b'"),
         ({"multichip": "a0"}, "an axis of each chip"),
         (
