@@ -283,6 +283,32 @@ def on_a_board():
             yield recorded.columns[name].tobytes()
 
 
+def what_reads_return():
+    """An int, and not a number of NumPy's."""
+    for chip in (PCL240MS(), MCX302(), MCX514(), HCTL1100()):
+        yield repr([chip.read(address) for address in range(chip.ADDRESSES)])
+
+
+def a_line_by_two_chips():
+    """X and Y on one MCX514, the master, Z on another."""
+    one, two = (lambda: MCX514()), (lambda: MCX514())
+    chips = {"x": one, "y": one, "z": two}
+    stage = Stage("xyz", chips=chips, multichip=["x", "z"], bus_cycle=0.0, visuals=False)
+    master, slave = stage.chips
+    for chip, code, value in (
+        *((master, code, value) for code, value in ((0x104, 2000), (0x105, 60_000), (0x102, 9_000_000))),
+        (master, 0x106, 60), (master, 0x206, -7), (slave, 0x106, 33),
+        (slave, 0x2A, 2 << 10 | 1), (slave, 0x60, 0), (master, 0x2A, 1 << 10 | 3), (master, 0x61, 0),
+    ):  # fmt: skip
+        chip.write(6, value & 0xFFFF)
+        chip.write(7, value >> 16 & 0xFFFF)
+        chip.write(0, code)
+    journal = slave.journal()
+    stage.run(0.004)
+    yield from (chip.state.tobytes() for chip in stage.chips)
+    yield journal.course(every_pulse=True).edges.tobytes()
+
+
 SCENES = (
     on_a_board,
     whole_moves,
@@ -294,6 +320,8 @@ SCENES = (
     moves_of_several_axes,
     a_closed_loop,
     an_encoder_counts,
+    what_reads_return,
+    a_line_by_two_chips,
 )
 
 

@@ -7,14 +7,15 @@ import pytest
 from support.pcl240ms_bench import load
 
 from stage import ArgumentError, RunTimeout, Stage, firmware
-from stage.chips import HCTL1100, MCX304, MCX514, PCL240K, PCL240MK, PCL240MS, cores
+from stage.chips import HCTL1100, MCX304, MCX314AS, MCX514, PCL240K, PCL240MK, PCL240MS, cores
 from stage.cli.setup import _wiring
 from stage.firmware.hctl1100.port import Port
 from stage.sim.snapshot import Snapshot
 
 POSITIVE = {"org": "positive", "ez": "positive"}
 LIMITS = {"el_plus": "positive", "el_minus": "positive"}
-HOMES = [(PCL240MS, POSITIVE, "ORG"), (MCX304, POSITIVE | LIMITS, "ORG"), (MCX514, POSITIVE | LIMITS, "ORG")]
+HOMES = [(PCL240MS, POSITIVE, "ORG"), (MCX304, POSITIVE | LIMITS, "ORG"), (MCX514, POSITIVE | LIMITS, "ORG"),
+         (MCX314AS, POSITIVE | LIMITS, "ORG")]  # fmt: skip
 
 
 def made(chips, sensors, **more):

@@ -13,6 +13,7 @@ from support.nova_bench import SEED, Move, U, X, Y, Z, command, driving, example
 
 from stage import Stage, firmware
 from stage.chips import MCX501, MCX512, MCX514
+from stage.chips.journal import Replay
 from stage.errors import ArgumentError
 
 MASTER, SLAVE, TX_GIVEN = 1 << 10, 2 << 10, 1 << 12
@@ -354,10 +355,15 @@ def test_snapshots_know_which_chips_are_wired():
 
 
 def test_a_recording_shows_the_pulses_and_the_rate_of_a_slave(pair):
-    stage = pair[0]
+    stage, _, slave = pair
+    journal = slave.journal()
     with stage.record() as recording:
         begin(stage, (100, 0, 0), (-50, 0))
         stage.run(0.02)
+    journal.close()
+    replay = Replay(journal)
+    assert sum(len(edges) for edges in replay.pieces()) < 250, "without every pulse: rates and pins"
+    assert replay.state == slave.state.tobytes()
     columns = recording.columns
     assert columns["a3/pulses"][-1] == -50
     assert set(columns["a3/rate"].round().tolist()) == {0, 5_000}, "half the master's"
