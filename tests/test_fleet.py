@@ -302,15 +302,24 @@ def test_what_a_point_travels_is_the_diagonal_of_its_box_by_python_as_by_compile
     for name, value in {"R1": 500, "R2": 500, "R7": 30}.items():
         p.register(0, PCL240K, name, value)
     p.command(0, 0x40).command(0, 0x10).wait(0.01)
+    p.look(0, site, 0).look(0, -body, 2)
     p.measure(0.02, site).measure(0.02, -body).measure(0.02).measure(0, site)
+    p.look(0, site, 0).look(0, -body, 2)
     played = one.play([p])
     other.stages[0].record()
     assert other.watched() == [0], "Python plays it"
     assert (other.play([p]).results == played.results).all()
-    by_site, by_body, nothing, still = played.results[0, -4:].tolist()
+    from_, height, by_site, by_body, nothing, still, to, as_high = played.results[0, -8:].tolist()
     assert (nothing, still) == (0, 0)
     way = 10_000 * abs(x.meters_per_pulse) * 0.02 * 1e12
     assert [by_site, by_body] == pytest.approx([way, way], rel=0.05)
+    at = one.stages[0].data
+    assert (to, as_high) == tuple(int(np.floor(1e12 * v)) for v in (at.site_xpos[site - 1][0], at.xpos[body][2]))
+    assert to - from_ == pytest.approx(3 * way, rel=0.05)
+    assert as_high == height
+    for wrong in ((0, model.nsite + 1), (0, -model.nbody), (0, 1, 3), (0, 1, -1)):
+        with pytest.raises(ArgumentError, match="A point is 1"):
+            one.play([Program().look(*wrong)])
 
 
 def test_a_register_is_written_by_a_program_as_its_family_takes_it():

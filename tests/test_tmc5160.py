@@ -7,9 +7,10 @@ import pytest
 from support.examples import SEED
 from support.packages import tmc5160
 
-from stage import Stage, firmware
+from stage import ArgumentError, Stage, firmware
 from stage.chips import chip_class
 from stage.cli import main
+from stage.firmware.driver import driver_of
 from stage.testing import chip_conformance
 
 HZ = 12_000_000
@@ -282,3 +283,21 @@ def test_it_goes_home_to_the_index_pulse_from_anywhere(stage_, capsys):
     assert -0.15 < found[0] < -0.15 + 51_200 * x.meters_per_pulse
     assert main("home x --by stall --chips tmc5160 --model xy --from -149".split()) == 0
     assert "stopped by stall" in capsys.readouterr().out
+
+
+def test_rates_beyond_its_registers_are_refused_in_a_move_and_clipped_for_a_search(stage_):
+    """stage tune asks for more than there is; firmware.move(axis, 1e-3, accel=1e-3)"""
+    stage_.reset()
+    driver = driver_of(stage_.axes["x"])
+    made = driver.formula(1e6, 9e6, 1e-3, 1e-3, 1000)
+    assert made == {"VSTART": 1 << 17, "AMAX": 0xFFFF, "VMAX": 1 << 20, "DMAX": 0xFFFF, "VSTOP": 1 << 17}
+    with pytest.raises(
+        ArgumentError, match=r"AMAX = \d+: a TMC5160 takes 0 to 65535\. At 12,000,000 Hz a velocity of 1 is 0\.7153"
+    ):
+        firmware.move(stage_.axes["x"], 1e-3, accel=1e-3)
+
+
+@pytest.mark.slow
+def test_its_moves_are_tuned_by_the_command_line(capsys):
+    assert main("tune xy --chips tmc5160 --distance 20mm --trials 16 --moves 2".split()) == 0
+    assert "#define X_TUNED_XTARGET           102400L" in capsys.readouterr().out

@@ -15,7 +15,7 @@ from collections.abc import Callable
 from typing import ClassVar
 
 import numpy as np
-from common import DISTANCE, LIMIT, Log, Moves, arguments, told
+from common import DISTANCE, LIMIT, TURN, Log, Moves, arguments, told
 
 from stage import Stage
 from stage.envs.register_tuning import Config
@@ -53,7 +53,7 @@ class Machine:
 
     def __init__(self, payload: float, distance: int = DISTANCE, budget: int = 64):
         self.payload, self.distance, self.budget, self.log = payload, distance, budget, Log()
-        self._stage = Stage("xyz")
+        self._stage, self._rng = Stage("xyz"), np.random.default_rng(0)
         self._stage.set_payload(payload)
         self._axis = self._stage.axes["x"]
         self._port = Port(self._axis)
@@ -115,7 +115,8 @@ class Machine:
 
     def _put_back(self) -> None:
         low, high = self._axis.travel
-        self._stage.place(x=(low + high - self.distance * self._axis.meters_per_pulse) / 2)
+        begin = (low + high - self.distance * self._axis.meters_per_pulse) / 2
+        self._stage.place(x=begin + self._rng.uniform(0, TURN) * self._axis.meters_per_pulse)
         self._stage.run(0.05)
 
 

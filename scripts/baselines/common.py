@@ -1,7 +1,7 @@
 """What the baselines share: one move to be tuned, a log of the moves made, the proof of the best, and the command line.
 
-The task is `stage/RegisterTuning-v0` with one distance and one payload, as a bench has them: each move begins somewhere else within
-an electrical turn and weighs up to 3 % more or less. A move is an episode of one step, and a budget is a number of moves. What a
+The task is `stage/RegisterTuning-v0` with one distance and one payload, as a bench has them: each move begins at another angle of
+the rotor and weighs up to 3 % more or less. A move is an episode of one step, and a budget is a number of moves. What a
 method chooses is an array in [-1, 1]^n, of one of two spaces:
 
 registers   the environment's own action: of a PCL-240 R1, R2, R4, R5, R6, R7, each over its legal range
@@ -34,7 +34,7 @@ TOLERANCE = 0.03  # of the payload
 LIMIT = 1.0  # s, a move may take; twice what the formula needs
 BUDGET = 1_024  # moves
 LANES = 16  # moves made at once
-CHIP = "PCL240K"
+CHIP, MODEL = "PCL240K", "xyz"
 CANDIDATES, REPEATS, PROOF_SEED = 100, 48, 99  # a method's best moves that are tried again, and how often each
 SPACES = ("registers", "knobs")
 
@@ -89,12 +89,14 @@ class Moves:
         lanes: int = LANES,
         seed: int = 0,
         chip: str = CHIP,
+        model: str = MODEL,
     ):
         self.payload, self.distance, self.budget, self.lanes = payload, distance, budget, lanes
         self.env: Any = gymnasium.make_vec(
             "stage/RegisterTuning-v0",
             num_envs=lanes,
             vectorization_mode="vector_entry_point",
+            model=model,
             chip=chip,
             s_curve=False,
             distances=(distance - TURN, distance + TURN),
@@ -103,8 +105,8 @@ class Moves:
             limit=LIMIT,
         )
         self.observation, _ = self.env.reset(seed=1000 * seed)
-        nominal = Stage("xyz", chips=chip_class(chip))
-        nominal.set_payload(payload)
+        nominal = Stage(model, chips=chip_class(chip))
+        nominal.set_payload(payload, self.env.unwrapped._task.carrier)
         self.axis = nominal.axes["x"]
         self.registers = RegisterBox(self.axis.chip.MAP, driver_of(self.axis).tuned_by(s_curve=False))
         self.knobs = formula.Knobs(self.axis, distance) if space == "knobs" else None
@@ -152,10 +154,16 @@ class Moves:
 
 
 def prove(
-    rows: Sequence[Sequence[int]], payload: float, distance: int = DISTANCE, repeats: int = REPEATS, chip: str = CHIP
+    rows: Sequence[Sequence[int]],
+    payload: float,
+    distance: int = DISTANCE,
+    repeats: int = REPEATS,
+    chip: str = CHIP,
+    model: str = MODEL,
 ) -> tuple[int, Log] | None:
-    """Make moves with each row of registers, `repeats` of them, until one loses no step: which, and these moves. None: none did."""
-    with Moves(payload, repeats * len(rows), "registers", distance, seed=PROOF_SEED, chip=chip) as moves:
+    """Make moves with each row of registers, `repeats` of them from as many angles of the rotor, until one row loses no step: which
+    it is, and these moves. None: none did. payload: with the margin that the move is to have."""
+    with Moves(payload, repeats * len(rows), "registers", distance, seed=PROOF_SEED, chip=chip, model=model) as moves:
         for k, row in enumerate(rows):
             moves.log = Log()
             action = moves.registers.to_action(np.array(row))
@@ -166,10 +174,19 @@ def prove(
     return None
 
 
-def told(log: Log, names: Sequence[str], payload: float, distance: int, chip: str = CHIP) -> str:
-    """The best move that can be repeated, in a line."""
+def told(
+    log: Log,
+    names: Sequence[str],
+    payload: float,
+    distance: int,
+    chip: str = CHIP,
+    model: str = MODEL,
+    margin: float = 0.0,
+) -> str:
+    """The best move that can be repeated, with `margin` kg more, in a line."""
     candidates = log.ranking[:CANDIDATES]
-    proven = prove([log.registers[k] for k in candidates], payload, distance, chip=chip) if candidates else None
+    rows = [log.registers[k] for k in candidates]
+    proven = prove(rows, payload + margin, distance, chip=chip, model=model) if rows else None
     if proven is None:
         return f"{len(log)} moves, {np.mean(log.kept):.0%} kept step; none of the best {len(candidates)} does so again and again"
     k, again = candidates[proven[0]], proven[1]
@@ -183,9 +200,10 @@ def told(log: Log, names: Sequence[str], payload: float, distance: int, chip: st
 def run(doc: str | None, search: Callable[[Moves, int], None]) -> None:
     """The command line of a search: make the moves, tell the best."""
     args = arguments(doc).parse_args()
-    with Moves(args.payload, args.budget, args.space, args.distance, seed=args.seed, chip=args.chip) as moves:
+    made = {"seed": args.seed, "chip": args.chip, "model": args.model}
+    with Moves(args.payload, args.budget, args.space, args.distance, **made) as moves:
         search(moves, args.seed)
-    print(told(moves.log, moves.registers.names, args.payload, args.distance, args.chip))
+    print(told(moves.log, moves.registers.names, args.payload, args.distance, args.chip, args.model, args.margin))
 
 
 def arguments(doc: str | None, searches: bool = True, chips: bool = True) -> argparse.ArgumentParser:
@@ -195,6 +213,10 @@ def arguments(doc: str | None, searches: bool = True, chips: bool = True) -> arg
     parser.add_argument("--distance", type=int, default=DISTANCE, metavar="PULSES", help="of the move")
     if chips:
         parser.add_argument("--chip", choices=CHIPS, default=CHIP)
+        parser.add_argument("--model", default=MODEL, metavar="NAME", help="of the stage, or an MJCF file")
+        parser.add_argument(
+            "--margin", type=float, default=0.0, metavar="KG", help="that the proof has beyond the payload"
+        )
     if searches:
         parser.add_argument("--budget", type=int, default=BUDGET, metavar="N", help="moves")
         parser.add_argument("--seed", type=int, default=0)

@@ -9,7 +9,7 @@ fixed    the same number for every try of every machine: the one of BOLDNESS tha
 search   begins STEP below that number; bolder by STEP after a try that kept step by the encoder, else half way (by ratio) back
          to the boldest that did, until that is CLOSE: it needs to remember two numbers
 The table has the mean sum of rewards of an episode, log(2 x usual time / proved cost) - damage, with its 95 % interval by the
-bootstrap; on how many machines something was proved; and the median proved time there.
+bootstrap; on how many machines something was proved; and the median proved cost there.
 """
 
 from __future__ import annotations
@@ -61,8 +61,8 @@ def search(first: float) -> Callable[[int], Host]:
 
 
 def play(host: Callable[[int], Host], split: str, machines: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """(sum of rewards, proved time / usual time) of an episode on each machine, (machines,)."""
-    totals, times = [], []
+    """(sum of rewards, proved cost / usual time) of an episode on each machine, (machines,)."""
+    totals, costs = [], []
     envs = gymnasium.make_vec(
         "stage/FewShotTuning-v1", num_envs=LANES, vectorization_mode="vector_entry_point", split=split, memory="last"
     )
@@ -76,9 +76,9 @@ def play(host: Callable[[int], Host], split: str, machines: int, seed: int) -> t
             seen, rewards, *_, info = envs.step(np.stack([action(b) for b in before]))
             total += rewards
         totals.append(total)
-        times.append(info["proved"] / info["usual"])
+        costs.append(info["proved"] / info["usual"])
     envs.close()
-    return np.concatenate(totals)[:machines], np.concatenate(times)[:machines]
+    return np.concatenate(totals)[:machines], np.concatenate(costs)[:machines]
 
 
 def interval(values: np.ndarray, seed: int = 0) -> tuple[float, float]:
@@ -98,13 +98,13 @@ def main() -> None:
     scores = [play(fixed(b), "train", args.machines, TRAIN)[0].mean() for b in BOLDNESS]
     best = BOLDNESS[int(np.argmax(scores))]
     print(f"on the split train, boldness {best:g} is the best of {', '.join(f'{b:g}' for b in BOLDNESS)}")
-    print("| split | host | sum of rewards | proved | time, usual times |\n|---|---|---|---|---|")
+    print("| split | host | sum of rewards | proved | cost, usual times |\n|---|---|---|---|---|")
     for split in args.splits:
         for name, host in {"usual": fixed(1.0), "fixed": fixed(best), "search": search(best / STEP)}.items():
-            totals, times = play(host, split, args.machines, TEST)
+            totals, costs = play(host, split, args.machines, TEST)
             low, high = interval(totals)
-            held = np.isfinite(times)
-            median = f"{np.median(times[held]):.3f}" if held.any() else "-"
+            held = np.isfinite(costs)
+            median = f"{np.median(costs[held]):.3f}" if held.any() else "-"
             print(
                 f"| {split} | {name} | {totals.mean():.3f} ({low:.3f} to {high:.3f}) | {held.sum()} of {len(held)} | {median} |"
             )

@@ -77,12 +77,12 @@ def main() -> None:
     parser = arguments(__doc__, searches=False)
     parser.add_argument("--safety", type=float, default=SAFETY, help="pull-out thrust over the thrust used")
     args = parser.parse_args()
-    with Moves(args.payload, 1, "registers", args.distance, lanes=1, chip=args.chip) as moves:
+    with Moves(args.payload, 1, "registers", args.distance, lanes=1, chip=args.chip, model=args.model) as moves:
         load = Load.of(moves.axis)
         print(f"moves {load.mass:.2f} kg, rotor and screw included; pull-in {load.pull_in:.0f} pps")
         print(profile(load, args.distance, args.safety))
         search(moves, safety=args.safety)
-    print(told(moves.log, moves.registers.names, args.payload, args.distance, args.chip))
+    print(told(moves.log, moves.registers.names, args.payload, args.distance, args.chip, args.model, args.margin))
 
 
 if __name__ == "__main__":

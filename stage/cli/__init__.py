@@ -281,6 +281,9 @@ def _add_tune(commands: Any) -> None:
         help="arrived is who stays within WITHIN of the goal for FOR: 50um 50ms (default: a full step, of a servo 10 counts; 50ms)",
     )
     p.add_argument("--overshoot", metavar="LENGTH", help="no move goes farther beyond its goal (default: twice WITHIN)")
+    p.add_argument(
+        "--site", metavar="NAME", help="site or body whose place counts, as a camera on a mast (default: the axis)"
+    )
     g = p.add_argument_group("search")
     g.add_argument("--by", choices=("search", "formula"), default="search", help="formula: no search, no Optuna needed")
     g.add_argument("--trials", type=int, default=200, help="registers that are tried (default: 200)")

@@ -33,7 +33,7 @@ def run(args: argparse.Namespace) -> int:
     within, hold = _settle(axis, args.settle)
     task = Task(
         stage, axis.name, distance(axis, args.distance), args.payload, _spare(args.spare, args.payload), within, hold,
-        None if args.overshoot is None else _length(axis, "--overshoot", args.overshoot), args.payload_on,
+        None if args.overshoot is None else _length(axis, "--overshoot", args.overshoot), args.site, args.payload_on,
     )  # fmt: skip
     told = _Progress(args.trials)
     result = tune(

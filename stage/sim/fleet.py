@@ -180,14 +180,15 @@ def _check(ops: np.ndarray, axes: list[str], sites: int, bodies: int) -> None:
     for timed, numbers in TIMED.items():
         for n in numbers:
             bad |= (kind == timed) & ((ops[:, :, n] < 0) | (ops[:, :, n] > MOST))
-    bad |= (kind == MEASURE) & ((ops[:, :, 2] > sites) | (ops[:, :, 2] <= -bodies))
+    bad |= np.isin(kind, (MEASURE, LOOK)) & ((ops[:, :, 2] > sites) | (ops[:, :, 2] <= -bodies))
+    bad |= (kind == LOOK) & ((ops[:, :, 3] < 0) | (ops[:, :, 3] > 2))
     bad &= ~last
     if bad.any():
         k, j = (int(n) for n in np.argwhere(bad)[0])
         op = ops[k, j].tolist()
         name = NAMES[op[0]] if 0 <= op[0] <= LOOK else "unknown operation"
         point = f" A point is 1 + the index of a site, up to {sites}, or - that of a body, from {1 - bodies} on."
-        point = point if op[0] == MEASURE else ""
+        point = point if op[0] == MEASURE or (op[0] == LOOK and any(op[2:])) else ""
         raise ArgumentError(
             f"program {k}, operation {j}: {name} {tuple(op[1:])}. Axes are given by their index, 0 to {len(axes) - 1} "
             f"({', '.join(axes)}), several as a mask of bits; times are 0 to 1e9 s, in ns, and a poll takes 1 ns or more.{point}"

@@ -92,6 +92,10 @@ def play_one(h, ops, results, extremes):
             bad, results[j] = _measure(h, w.now + a, b, extremes)
         elif kind == WAIT:
             bad = _pass(h, w.now + a)
+        elif kind == LOOK and b:
+            sites, bodies = array_at(h.sites, (h.n_sites, 3), REAL), array_at(h.bodies, (h.n_bodies, 3), REAL)
+            at = sites[b - 1] if b > 0 else bodies[-b]
+            results[j] = math.floor(at[c] * 1e12)
         elif kind == LOOK:
             tau = (w.now - w.start - 0.5 * clockwork(h).dt) * 1e-9
             q, v = array_at(h.qpos, h.nq, REAL)[axes[a].qpos], array_at(h.qvel, h.nv, REAL)[axes[a].dof]
@@ -192,6 +196,9 @@ def by_hand(stage: Any, ops: np.ndarray, results: np.ndarray, extremes: np.ndarr
                 stage.run_to(stage.now + a)
             elif kind == STOP:
                 results[j] = until_stopped(a, b, c)
+            elif kind == LOOK and b:
+                at = stage.data.site_xpos[b - 1] if b > 0 else stage.data.xpos[-b]
+                results[j] = math.floor(at[c] * 1e12)
             elif kind == LOOK:
                 results[j] = math.floor(axes[a].position * 1e12)
             else:

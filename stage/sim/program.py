@@ -10,7 +10,8 @@ A program is an array of operations, (kind, a, b, c) of int64 each:
     MEASURE  ns, point, -             pass the time a physics step at a time and keep each coordinate's extremes; with a point, 1 +
                                       a site's index or - a body's, the result is how far it travelled: the diagonal of the box
                                       that it kept to, in pm
-    LOOK     axis, -, -               the axis' position is the operation's result, in pm (prad on a hinge)
+    LOOK     axis, point, coordinate  the axis' position is the operation's result, in pm (prad on a hinge); with a point, as of
+                                      MEASURE, its coordinate of the world, 0 to 2
     END      -, -, -
 
 play.py plays programs.
@@ -96,9 +97,10 @@ class Program(Operations):
         self.ops.append((STOP, mask, round(poll * 1e9), round(limit * 1e9)))
         return self
 
-    def look(self, axis: int) -> Self:
-        """Note where the axis is; the result is its position in pm (prad on a hinge)."""
-        self.ops.append((LOOK, axis, 0, 0))
+    def look(self, axis: int, point: int = 0, coordinate: int = 0) -> Self:
+        """Note where the axis is; the result is its position in pm (prad on a hinge). With a point, see `measure`, where that is: a
+        coordinate of the world, 0 to 2, as at the physics step's begin."""
+        self.ops.append((LOOK, axis, point, coordinate))
         return self
 
     def measure(self, seconds: float, point: int = 0) -> Self:

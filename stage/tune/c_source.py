@@ -5,6 +5,9 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
+from stage.board.host import LATCH, WORD
+from stage.board.layouts import usual
+from stage.chips import Chip
 from stage.tune.written import Cycle, Row
 
 TEMPLATE = """\
@@ -48,9 +51,10 @@ static void {name}_move(void (*write)(unsigned address, unsigned long value), vo
 
 
 def c_source(
-    name: str, title: str, notes: Sequence[str], rows: Sequence[Row], cycles: Sequence[Cycle], mask: int
+    name: str, title: str, notes: Sequence[str], rows: Sequence[Row], cycles: Sequence[Cycle], chip: Chip
 ) -> str:
-    """The header. name: of its function and array; mask: of the data bus."""
+    """The header. name: of its function and array."""
+    mask = chip.DATA_MASK
     name = re.sub(r"\W", "_", name)
     wide = max((len(r.name) for r in rows), default=0)
     defines = "\n".join(
@@ -63,13 +67,22 @@ def c_source(
         after = sum(d.value for d in _waits(cycles[k + 1 :])) // 1000
         digits = (mask.bit_length() + 3) // 4
         lines.append(f"    {{{c.address}, 0x{c.value & mask:0{digits}X}, {after}}}, /* {_plain(c.words)} */")
-    example = "outb(value, 0x300 + address)" if mask <= 0xFF else "outw(value, 0x300 + 2 * address)"
-    if mask > 0xFFFF:
-        example = "spi_write(address, value)"
     return TEMPLATE.format(
         title=_plain(title), notes="\n".join(f" * {_plain(n)}".rstrip() for n in notes), name=name, guard=f"{name.upper()}_H",
-        defines=defines, bits=mask.bit_length(), writes="\n".join(lines), example=example,
+        defines=defines, bits=mask.bit_length(), writes="\n".join(lines), example=_example(chip, {c.address for c in cycles}),
     )  # fmt: skip
+
+
+def _example(chip: Chip, used: set[int | None]) -> str:
+    """How a board with the usual layout makes a write cycle, in C; where its ports are not the chip's addresses, a call."""
+    layout = usual(chip)
+    base = f"0x{layout.base:X}"
+    kinds, there = {kind for kind, _ in layout.ports}, {address for _, address in layout.ports}
+    if LATCH in kinds:
+        return f"outb(address, {base}); outb(value, {base} + 1)"
+    if not used <= {None, *there}:
+        return "send(address, value)"
+    return f"outw(value, {base} + 2 * address)" if WORD in kinds else f"outb(value, {base} + address)"
 
 
 def _waits(after: Sequence[Cycle]) -> list[Cycle]:

@@ -11,9 +11,9 @@ from stage.errors import StageError
 from stage.files import save_figure
 from stage.sim.fleet import Fleet
 from stage.sim.program import Program
+from stage.tune.looks import LOOK, Looks
 from stage.tune.plans import Plan
 from stage.tune.task import Case
-from stage.tune.tries import LOOK
 
 if TYPE_CHECKING:
     from stage.tune.result import Result
@@ -34,16 +34,15 @@ def draw(result: Result, path: str | PathLike, overwrite: bool = False) -> None:
     figure = Figure(figsize=(9, 8.4), layout="constrained")
     panels: Any = figure.subplots(4, 1, sharex=True)
     tiny = "um" if axis.unit == "m" else "urad"
-    way = task.pulses * axis.meters_per_pulse
     end = 1.15 * max(a.proof.worst for a in result.answers) + 0.01
     for a in result.answers:
-        t, rate, position, behind = _measured(result, a.plan, end)
+        t, rate, position, behind, u, off = _measured(result, a.plan, end)
         colour = COLOURS[a.name]
         label = f"{a.name}: arrives after {a.proof.mean * 1e3:.0f} ms (mean), {a.proof.worst * 1e3:.0f} ms (worst)"
         panels[0].plot(t * 1e3, rate * 1e-3, color=colour, lw=1.4, label=label, drawstyle="steps-post")
         panels[1].plot(t * 1e3, position * scale, color=colour, lw=1.4)
         panels[2].plot(t * 1e3, behind * 1e6, color=colour, lw=1.0)
-        panels[3].plot(t * 1e3, (position - way) * 1e6, color=colour, lw=1.2)
+        panels[3].plot(u * 1e3, off * 1e6, color=colour, lw=1.2)
         for panel in panels:
             panel.axvline(a.proof.mean * 1e3, color=colour, lw=0.8, ls=(0, (5, 4)))
     near = float(task.within or 0.0) * 1e6
@@ -52,7 +51,7 @@ def draw(result: Result, path: str | PathLike, overwrite: bool = False) -> None:
     panels[0].set(ylabel="rate, 1000 counts/s" if axis.chip.SERVO else "pulse rate, kpps")
     panels[1].set(ylabel=f"position, {unit}")
     panels[2].set(ylabel=f"commanded - position, {tiny}")
-    panels[3].set(ylabel=f"position - goal, {tiny}", xlabel="time from the start command, ms")
+    panels[3].set(ylabel=f"{task.judge_at or 'position'} - goal, {tiny}", xlabel="time from the start command, ms")
     panels[0].legend(frameon=False, fontsize=9, loc="upper right")
     panels[3].legend(frameon=False, fontsize=9, loc="upper right")
     panels[0].set_ylim(top=1.3 * panels[0].get_ylim()[1])
@@ -66,19 +65,19 @@ def draw(result: Result, path: str | PathLike, overwrite: bool = False) -> None:
 
 
 def _measured(result: Result, plan: Plan, seconds: float) -> tuple[np.ndarray, ...]:
-    """Seconds, rate (pps), position and following error (m) of one move with the payload."""
+    """Seconds, rate (pps), position and following error (m) of one move with the payload; seconds and m beyond the goal, of
+    what is judged."""
     task = result.task
-    stage = task.copy()
-    begin = task.begin(stage, Case(task.payload, 0.0, 1))
-    start = begin - np.sign(stage.axes[task.axis].gear) * task.pulses * stage.axes[task.axis].meters_per_pulse
-    before, after = Program(), Program()
+    stage, looks = task.copy(), Looks(task)
+    goal = looks.begin(stage, Case(task.payload, 0.0, 1))
+    start = stage.axes[task.axis].position
+    before = Program()
     result.plans.write(before, plan, task.pulses)
-    after.wait(seconds)
     fleet = Fleet([stage], 1)
     with stage.record(every=LOOK / 2) as recording:
         fleet.play([before])
         began = stage.time
-        fleet.play([after])
+        seen = fleet.play(looks.ops(round(seconds / LOOK))[None]).results
     fleet.close()
     t = recording.column("time") - began
     shown = t >= -5e-3
@@ -86,4 +85,6 @@ def _measured(result: Result, plan: Plan, seconds: float) -> tuple[np.ndarray, .
         recording.column(f"{task.axis}/{name}")[shown] for name in ("rate", "position", "commanded")
     )
     sign = np.sign(stage.axes[task.axis].gear)
-    return t[shown], np.abs(rate), sign * (place - start), sign * (commanded - place)
+    beyond = looks.errors(seen, goal[None])[1][0]
+    u = LOOK * np.arange(1, len(beyond) + 1)
+    return t[shown], np.abs(rate), sign * (place - start), sign * (commanded - place), u, beyond

@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from stage.errors import ArgumentError, StageError
-from stage.firmware.choices import limits
 from stage.firmware.driver import Speeds, driver_of
 from stage.sim.program import Operations
 from stage.tune.formula import SAFETY, Load, speeds
@@ -22,6 +21,7 @@ from stage.tune.task import Task, rides
 FARTHEST = {"start": 3.0, "drive": 1.5, "up": 1.7, "down": 1.7}
 """From 1 / so many times what the formula says to so many times."""
 FILTER = 4.0  # of gains and sample times, in the same way
+SLOWER = 40  # times a tenth longer may a ramp be than the formula's, for a chip that has none as short
 QUARTER = 0.25  # of the range, to both sides, of a number that may be 0
 
 
@@ -111,6 +111,18 @@ class Ramps(Plans):
         self.both = both == one_way  # one ramp for both ways
         self.knobs = (*("start", "drive", "up"), *(() if self.both else ("down",)), *self.trims)
 
+    def speeds(self, safety: float, payload: float | None = None) -> Speeds:
+        """The formula's, with ramps as slow as the chip's registers need them."""
+        wanted = made = super().speeds(safety, payload)
+        for _ in range(SLOWER):
+            try:
+                self.plan(made, {}, "linear")
+                return made
+            except ArgumentError:
+                made = made._replace(up=1.1 * made.up, down=1.1 * made.down)
+        self.plan(wanted, {}, "linear")
+        return wanted
+
     def plan(self, speeds: Speeds, values: Mapping[str, float], shape: str) -> Plan:
         start, drive, up, down = (
             getattr(speeds, name) * most ** values.get(name, 0.0) for name, most in FARTHEST.items()
@@ -124,9 +136,7 @@ class Ramps(Plans):
         for name, most in self.trims.items():
             made[name] = round(made[name] * most ** values.get(name, 0.0))
         for name in self.driver.tuned_by(shape == "s_curve"):
-            low, high = limits(self.axis.chip.MAP, name)
-            if not low <= made[name] <= high:
-                raise ArgumentError(f"{name} = {made[name]}: {low} to {high}.")
+            self.axis.chip.MAP.checked(name, made[name])
         return Plan(made, Speeds(start, drive, up, down, shape == "s_curve"))
 
     def write(self, program: Operations, plan: Plan, pulses: int) -> None:

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stage.tune.looks import LOOK
 from stage.tune.plans import Plan
 from stage.tune.task import Case
-from stage.tune.tries import LOOK, Tries
+from stage.tune.tries import Tries
 
 MOVES = 48
 LADDER = 8  # payloads that are tried at once, six moves each

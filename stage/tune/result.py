@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from math import isfinite
 from os import PathLike
 from typing import Any
 
 from stage.tune.c_source import c_source
+from stage.tune.looks import LOOK
 from stage.tune.plans import Plan, Plans
 from stage.tune.proof import Proof, gain
 from stage.tune.task import Task
-from stage.tune.tries import LOOK
 from stage.tune.written import Cycle, Row, cycles, program, rows, said
 
 
@@ -99,10 +100,11 @@ class Result:
     def __str__(self) -> str:
         task, axis = self.task, self.task.stage.axes[self.task.axis]
         chip = axis.chip.MAP.chip
-        arrived = f"within {task.length(float(task.within or 0))} for {task.hold * 1e3:g} ms"
+        what = "" if task.judge_at is None else f"{task.judge_at} "
+        arrived = f"arrived: {what}within {task.length(float(task.within or 0))} for {task.hold * 1e3:g} ms"
         lines = [
-            f"axis {task.axis}, {chip}: {self.way()} with up to {task.payload:g} kg, margin {task.spare:.3g} kg more; arrived is "
-            f"who stays {arrived}",
+            f"axis {task.axis}, {chip}: {self.way()} with up to {task.payload:g} kg, margin {task.spare:.3g} kg more; "
+            f"{arrived}",
             "",
             f"{'':9}{'arrives, mean':>15}{'worst':>11}{'too far':>11}{'spare payload':>15}  proof",
         ]
@@ -160,7 +162,7 @@ class Result:
             f"(by {'the data sheet formula' if a.name == 'formula' else 'search'}; stage tune, seed {self.seed})",
         ]
         title = f"axis {task.axis}, {chip.MAP.chip}: {self.way()} with up to {task.payload:g} kg"
-        return c_source(name or f"{task.axis}_tuned", title, notes, self.rows, self.cycles, chip.DATA_MASK)
+        return c_source(name or f"{task.axis}_tuned", title, notes, self.rows, self.cycles, chip)
 
     def json(self) -> dict[str, Any]:
         """All of it as numbers and texts: s, m, kg."""
@@ -173,7 +175,8 @@ class Result:
             "spare": task.spare,
             "within": task.within,
             "hold": task.hold,
-            "overshoot": task.overshoot,
+            "overshoot": task.overshoot if isfinite(task.overshoot or 0.0) else None,
+            "judge_at": task.judge_at,
             "seed": self.seed,
             "trials": self.trials,
             "moves": self.moves,

@@ -9,12 +9,13 @@ import numpy as np
 
 from stage.errors import ArgumentError, StageError
 from stage.tune.formula import SAFETY
+from stage.tune.looks import LOOK
 from stage.tune.plans import Plan, Plans, plans_of
 from stage.tune.proof import MOVES, gain, prove, spare
 from stage.tune.result import Answer, Result
-from stage.tune.search import Trial, optuna, search
+from stage.tune.search import Trial, horizon, optuna, search
 from stage.tune.task import Task
-from stage.tune.tries import LOOK, Tries
+from stage.tune.tries import Tries
 
 WAYS = ("search", "formula")
 CAREFUL = (1.0, 1.15, 1.3, 1.5, 2.0, 3.0)  # times the safety factor, until the formula keeps step
@@ -23,7 +24,7 @@ ROUNDS = 3  # again, until one passes all
 MORE = 18  # cases of a trial that leads, beside those of every trial
 GUARD = 1.25  # times the spare that was asked for is what the search keeps: the proof then finds less to object to
 ANGLES = 2  # rotor angles of each payload, in a trial
-PATIENCE = 1.3  # times as long as the formula's worst move: what takes longer is no candidate
+SWINGING = (1.0, 4.0)  # times the time that a move takes by itself: what swings comes to rest late
 
 Told = Callable[[str, float, float | None], None]
 """Progress: what is done, the part that is done, the best time so far, s."""
@@ -75,12 +76,14 @@ def tune(
         answers = [_answer(tries, "formula", plan, proof, limit, ladder)]
         unseen = task.drawn(again, max(moves // 2, 1))
         failed = 0
-        fine = [trial.plan for trial in ranked if trial.plan is not None and not trial.broken]
+        fine = [trial for trial in ranked if trial.plan is not None and not trial.broken]
         for k in range(0, min(len(fine), ROUNDS * CANDIDATES), CANDIDATES):
-            held, out = _once_more(tries, fine[k : k + CANDIDATES], unseen, limit)
+            some = fine[k : k + CANDIDATES]
+            enough = horizon(max(trial.worst for trial in some), task.hold)
+            held, out = _once_more(tries, [trial.plan for trial in some if trial.plan is not None], unseen, enough)
             failed += out
             for candidate in held:
-                tried = _answer(tries, "search", candidate, proof, limit, ladder)
+                tried = _answer(tries, "search", candidate, proof, enough, ladder)
                 if tried.holds:
                     answers.append(tried)
                     break
@@ -111,10 +114,13 @@ def _formula(tries: Tries, plans: Plans, cases: Any) -> tuple[float, Plan, float
             break
         s = plan.speeds
         most = 2.0 * (task.pulses / s.drive + s.up + s.down) + 0.3 + task.hold
-        outcome = tries.make([plan], cases, most)
-        if outcome.good(task, asked).all():
-            worst = float(np.max(outcome.arrived[0, asked]))
-            return SAFETY * times, plan, np.ceil((PATIENCE * worst + task.hold) / LOOK) * LOOK
+        for patience in SWINGING:
+            outcome = tries.make([plan], cases, patience * most)
+            if outcome.good(task, asked).all():
+                worst = float(np.max(outcome.arrived[0, asked]))
+                return SAFETY * times, plan, horizon(worst, task.hold)
+            if not outcome.kept.all():
+                break
     if last is not None and times == CAREFUL[0]:
         raise last
     raise StageError(

@@ -13,12 +13,21 @@ import numpy as np
 
 from stage.errors import ArgumentError, StageError
 from stage.tune.formula import SAFETY
+from stage.tune.looks import LOOK
 from stage.tune.plans import Plan, Plans
 from stage.tune.task import Case
 from stage.tune.tries import Tries
 
 BATCH = 8
 BOLDER = (0.9, 0.8, 0.7)  # of the formula's safety factor: tried first
+
+
+PATIENCE = 1.3
+
+
+def horizon(worst: float, hold: float) -> float:
+    """s, how long moves are looked at that are to be about as fast as one that takes `worst` s: PATIENCE times that."""
+    return float(np.ceil((PATIENCE * worst + hold) / LOOK) * LOOK)
 
 
 class Trial(NamedTuple):
@@ -56,8 +65,8 @@ def search(
     """Make so many trials, of each the same cases. Returns the trials, the best first, and whether Ctrl-C has ended it early.
 
     more: further cases for those alone that would be the best so far: few cases let through what keeps step by luck.
-    limit: s, how long a move is looked at; what takes longer has not arrived. told: called after each batch with the number of
-    trials and the best so far.
+    limit: s, how long a move is looked at, and less as the best gets faster; what takes longer has not arrived. told: called after
+    each batch with the number of trials and the best so far.
     """
     study = _study(seed)
     plans: Plans = tries.plans
@@ -68,11 +77,12 @@ def search(
         for part in BOLDER:
             study.enqueue_trial(_named(plans, plans.towards(middle, plans.speeds(safety * part)), shape))
     made: list[Trial] = []
-    best = np.inf
+    best = float("inf")
     stopped = False
     try:
         while len(made) < trials:
             batch = [study.ask() for _ in range(min(BATCH, trials - len(made)))]
+            limit = min(limit, horizon(best, tries.task.hold))
             found = _measured(tries, [_plan(plans, trial, middle) for trial in batch], cases, limit)
             leading = [k for k, trial in enumerate(found) if not trial.broken and trial.worst < best]
             once_more = _measured(tries, [found[k].plan for k in leading] if more else [], more, limit)

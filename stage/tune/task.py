@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from stage import Stage
-from stage.envs.task import carrier
+from stage.envs.task import carrier, judged
 from stage.errors import ArgumentError, unknown
 
 SPARE = 0.3
@@ -39,10 +39,11 @@ class Task:
             lost: the margin. None: 30 % of the payload; without a payload 30 % of what the axis itself moves.
         within, hold: arrived is who stays within so many m (rad) of the goal for so many s. None: a full step, or 10 counts of an
             encoder; 0.05 s.
-        overshoot: m (rad) beyond the goal, at most. None: twice `within`.
+        overshoot: m (rad) beyond the goal, at most. None: twice `within`, and any with judge_at.
+        judge_at: site or body that the axis carries, whose place counts: a tool, a camera on a mast. None: the axis itself.
         payload_on: body or site that carries; None: site "work", if it rides on the axis, else what the axis moves.
-        carrier: the body that carries. moved: kg that the axis moves by itself. middle: of the room between the limit switches, m;
-            moves lie around it.
+        point: of judge_at, as `Program.look` has it. carrier: the body that carries. moved: kg that the axis moves by itself.
+            middle: of the room between the limit switches, m; moves lie around it.
     Raises ArgumentError: no such axis; a distance that it has no room for; a payload that is none.
     """
 
@@ -54,7 +55,9 @@ class Task:
     within: float | None = None
     hold: float = HOLD
     overshoot: float | None = None
+    judge_at: str | None = None
     payload_on: str | None = None
+    point: int = field(init=False, default=0)
     carrier: str = field(init=False, default="")
     moved: float = field(init=False, default=0.0)
     middle: float = field(init=False, default=0.0)
@@ -67,6 +70,8 @@ class Task:
         def put(name: str, value: Any) -> None:
             object.__setattr__(self, name, value)
 
+        if self.judge_at is not None:
+            put("point", judged(self.stage, self.axis, self.judge_at)[1])
         put("carrier", self._carrier(axis))
         if not 0 <= self.payload < 1e6:
             raise ArgumentError(f"payload={self.payload!r} kg: 0 or more, and less than 1,000,000.")
@@ -81,7 +86,7 @@ class Task:
         if not (0 < float(self.within or 0.0) < math.inf and 0 < self.hold < math.inf):
             raise ArgumentError(f"within={self.within!r}, hold={self.hold!r}: both more than 0.")
         if self.overshoot is None:
-            put("overshoot", TWICE * float(self.within or 0.0))
+            put("overshoot", TWICE * float(self.within or 0.0) if self.judge_at is None else math.inf)
         if not float(self.overshoot or 0.0) > 0:
             raise ArgumentError(f"overshoot={self.overshoot!r}: more than 0.")
         put("pulses", abs(int(self.pulses)))

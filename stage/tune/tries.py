@@ -8,13 +8,11 @@ from typing import NamedTuple
 import numpy as np
 
 from stage.sim.fleet import Fleet
-from stage.sim.program import LOOK as LOOKS_AT
-from stage.sim.program import WAIT, Program
+from stage.sim.program import Program
+from stage.tune.looks import LOOK, Looks
 from stage.tune.plans import Plan, Plans
 from stage.tune.task import Case, Task
 
-LOOK = 5e-4
-"""s between two looks at the carriage: what a time is good for."""
 LANES = 48
 
 
@@ -41,6 +39,7 @@ class Tries:
     def __init__(self, task: Task, plans: Plans, workers: int | None = None, lanes: int = LANES):
         self.task, self.plans = task, plans
         self.fleet = Fleet([task.copy() for _ in range(lanes)], workers)
+        self.looks = Looks(task)
         self.index = task.stage.axes[task.axis].index
         self.start = task.stage.snapshot()
         self.made = 0
@@ -54,34 +53,32 @@ class Tries:
         return Outcome(*(np.concatenate(column).reshape(len(plans), len(cases)) for column in zip(*parts, strict=True)))
 
     def _play(self, pairs: Sequence[tuple[Plan, Case]], limit: float) -> tuple[np.ndarray, ...]:
-        n, task = round(limit / LOOK), self.task
-        goals = np.zeros(len(pairs))
-        heads = []
-        for k, (plan, case) in enumerate(pairs):
-            stage = self.fleet.stages[k]
+        n, task, looks = round(limit / LOOK), self.task, self.looks
+        goals, heads = [], []
+        for stage, (plan, case) in zip(self.fleet.stages, pairs, strict=False):
             stage.restore(self.start)
-            goals[k] = task.begin(stage, case)
+            goals.append(looks.begin(stage, case))
             program = Program()
             self.plans.write(program, plan, task.pulses * case.way)
             heads.append(program.ops)
-        ops = np.zeros((len(self.fleet), max(map(len, heads)) + 2 * n, 4), np.int64)
-        looks = np.tile([[WAIT, round(LOOK * 1e9), 0, 0], [LOOKS_AT, self.index, 0, 0]], (n, 1))
+        tail = looks.ops(n)
+        ops = np.zeros((len(self.fleet), max(map(len, heads)) + len(tail), 4), np.int64)
         for row, head in zip(ops, heads, strict=False):
             row[: len(head)] = head
-            row[len(head) : len(head) + 2 * n] = looks
+            row[len(head) : len(head) + len(tail)] = tail
         played = self.fleet.play(ops)
-        seen = np.stack([played.results[k, len(h) + 1 : len(h) + 2 * n : 2] for k, h in enumerate(heads)]) * 1e-12
+        seen = np.stack([played.results[k, len(h) : len(h) + len(tail)] for k, h in enumerate(heads)])
+        distance, beyond = looks.errors(seen, np.array(goals))
         ways = np.array([case.way for _, case in pairs])
         axis = self.fleet.stages[0].axes[task.axis]
-        error = (seen - goals[:, None]) * (ways * np.sign(axis.gear))[:, None]
-        outside = np.abs(error) > task.within
+        outside = distance > float(task.within or 0.0)
         late = np.where(outside.any(axis=1), n - np.argmax(outside[:, ::-1], axis=1), 0)
         there = (n - late) * LOOK >= task.hold
         sound = ~played.diverged[: len(pairs)]
         truth = self.fleet.truth()[: len(pairs), self.index]
         stepped = (truth["pulses"] == task.pulses * ways) & (truth["lost_steps"] == 0)
         kept = sound & (there if axis.chip.SERVO else stepped)
-        return np.where(there & sound, late * LOOK, np.nan), kept, np.maximum(np.nan_to_num(error).max(axis=1), 0.0)
+        return np.where(there & sound, late * LOOK, np.nan), kept, np.maximum(np.nan_to_num(beyond).max(axis=1), 0.0)
 
     def close(self) -> None:
         self.fleet.close()

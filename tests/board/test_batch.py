@@ -139,3 +139,20 @@ def test_it_waits_for_the_interrupt_line_so_long_at_most(boards):
 )  # fmt: skip
 def test_what_cannot_be_done_is_found_before_anything_is_done(row):
     assert first_wrong(entries((IN8, PORT), row, (IN8, PORT))) == 1
+
+
+def test_picoseconds_of_computing_that_are_left_over_are_carried_on(boards):
+    """NativeHost(cost=0.3e-9): 300 ps a block, one between two reads: ten of them are 3 ns"""
+    board = boards[0]
+    host, blocks = board.link._rows[0], np.zeros(1, np.int64)
+    host["meter"], host["cost"], host["rest"] = blocks.ctypes.data, 300, 0
+    try:
+        board.link.begin()
+        for _ in range(10):
+            blocks[0] = 1
+            board.link.request(board.link.pointer, IN8, PORT, 0)
+        board.link.end()
+    finally:
+        host["meter"] = 0
+    assert (int(blocks[0]), int(host["rest"])) == (0, 0)
+    assert round(board.stage.time * 1e9) == 10 * 1000 + 3

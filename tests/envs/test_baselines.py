@@ -16,6 +16,7 @@ from stage.errors import ArgumentError
 sys.path.insert(0, str(Path(__file__).parents[2] / "scripts" / "baselines"))
 
 import agent_loop
+import common
 import formula
 from common import DISTANCE, PAYLOADS, Log, Moves, prove
 
@@ -170,6 +171,19 @@ def test_a_move_that_kept_step_by_luck_is_not_proven(axis):
     rows = [[a[n] for n in ("R1", "R2", "R4", "R5", "R6", "R7")] for a in (reckless, r)]
     assert prove(rows[:1], 0.5, 2000, repeats=8) is None
     assert prove(rows, 0.5, 2000, repeats=8)[0] == 1
+
+
+@pytest.mark.slow
+def test_a_baseline_takes_a_model_and_a_proof_a_margin():
+    """python scripts/baselines/formula.py --model xy --margin 100: of xyz, and with the payload alone"""
+    with Moves(0.5, 1, distance=2000, lanes=1, model="xy") as moves:
+        assert list(moves.axis.stage.axes) == list(moves.env.unwrapped.stages[0].axes) == ["x", "y"]
+        assert moves.axis.stage.payload() == 0.5
+        formula.search(moves)
+    rows = moves.log.registers
+    assert prove(rows, 0.5, 2000, repeats=4, model="xy")[0] == 0
+    said = common.told(moves.log, moves.registers.names, 0.5, 2000, model="xy", margin=100.0)
+    assert "none of the best 1 does so again and again" in said
 
 
 def test_stable_baselines3_accepts_the_vector_environment():

@@ -58,7 +58,7 @@ def test_what_is_told_is_what_the_table_says_with_and_without_truth(id_):
     assert np.array_equal(seen["info"], seen[False])
 
 
-@pytest.mark.parametrize("id_", EVERY)
+@pytest.mark.parametrize("id_", EVERY[:2])
 def test_a_vector_without_truth_says_what_one_environment_says(id_):
     envs = gymnasium.make_vec(id_, num_envs=2, vectorization_mode="vector_entry_point", truth=False, **SHORT[id_])
     env = make(id_, truth=False)

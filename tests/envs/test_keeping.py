@@ -18,6 +18,9 @@ SHORT = {
     "stage/FewShotTuning-v1": {"model": "xy", "distances": (300, 900), "tries": 3, "proofs": 1, "settle": 0.01},
 }
 
+BRIEF = ("stage/RegisterBus-v0", "stage/OriginReturn-v0", "stage/FewShotTuning-v1")
+"""Those of every day: bus cycles, an equipped machine, several tries."""
+
 
 def make(id_, **settings):
     return gymnasium.make(id_, disable_env_checker=True, **SHORT[id_] | settings).unwrapped
@@ -48,7 +51,7 @@ def course(env, actions):
     return said
 
 
-@pytest.mark.parametrize("id_", SHORT)
+@pytest.mark.parametrize("id_", [*BRIEF, *(pytest.param(k, marks=pytest.mark.slow) for k in SHORT if k not in BRIEF)])
 def test_an_episode_goes_on_from_a_snapshot_to_the_bit(id_):
     assert set(SHORT) == set(stage.envs.IDS)
     env, other = make(id_), make(id_)

@@ -1,6 +1,7 @@
 """OriginReturn: whole origin returns from unknown places; what the firmware knows works, what is too bold does not."""
 
 import pickle
+from types import SimpleNamespace
 
 import gymnasium
 import numpy as np
@@ -169,6 +170,8 @@ def test_a_run_that_takes_too_long_is_stopped_and_the_return_is_missed():
     observation, _, info = one_return(make(limit=0.2), 0.0)
     assert info["late"]
     assert not info["home"]
+    assert not info["end_limit"]
+    assert info["reward_parts"]["limit"] == -returns.Config.limit_weight
     assert info["duration"] < 4 * 0.2 + 0.3
     assert observation[8] == 1
 
@@ -235,8 +238,13 @@ def test_start_places_cover_the_way_between_the_end_limits():
     for _ in range(200):
         env._task._draw(0, {})
         places.append(env._task.place[0])
-    assert -0.15 < min(places) < -0.14
-    assert 0.14 < max(places) < 0.15
+    low, high = env._task.low + returns.FROM_LIMIT, env._task.high - returns.FROM_LIMIT
+    assert low <= min(places) < low + 5e-3
+    assert high - 5e-3 < max(places) <= high
+    for end, place in ((lambda a, b: a, low), (lambda a, b: b, high)):
+        env._task.rngs[0] = SimpleNamespace(uniform=end)
+        env._task._draw(0, {})
+        assert env._task.place[0] == place
 
 
 def test_an_action_stands_for_its_numbers_exactly():

@@ -198,6 +198,18 @@ def test_the_reward_is_the_sum_of_its_parts_in_their_units():
     assert parts["lost"] == parts["limit"] == 0
 
 
+def test_a_move_far_off_its_line_costs_no_more_than_the_bounds_of_its_parts():
+    """x at 8,000 pps and y at 1,000 pps: `far` pulses, and a millimetre"""
+    action = np.array([200, 400, 200, 200, 50, 30, 25, 50, 200, 200, 20, 30])
+    _, info, _ = one_move(
+        action, actions="registers", options={"distances": LINE}, path_weight=2.0, carriage_weight=3.0
+    )
+    assert info["finished"]
+    assert info["deviation"] > 100
+    assert info["carriage_deviation"] > 1e-3
+    assert (info["reward_parts"]["path"], info["reward_parts"]["carriages"]) == (-2.0 * 20, -3.0 * 10)
+
+
 def test_a_carriage_beyond_an_end_of_the_line_is_as_far_from_it_as_from_that_end():
     env, _, _ = one_move(options={"distances": LINE})
     made = env._task

@@ -145,3 +145,16 @@ def test_bad_input_is_refused_before_the_first_bus_cycle(options, message):
     with pytest.raises(ArgumentError, match=message):
         firmware.origin_return(x, **options)
     assert x.time == 0.0
+
+
+@pytest.mark.parametrize(("approach", "speed"), [(1500.0, P.R1), (400.0, round(400 / P.step)), (0.01, 1)])
+def test_the_last_approach_is_at_its_rate_and_no_faster_than_fl(approach, speed):
+    """firmware.origin_return(x, -1, P, approach=1500.0) with FL = 1000 pps"""
+    x = at(300)
+    if approach < 1:
+        x = at(-3)
+        report = firmware.origin_return(x, -1, P, approach=approach, back_off=1, timeout=500.0)
+    else:
+        report = firmware.origin_return(x, -1, P, approach=approach)
+    assert (report.stopped_by, x.place) == ("ORG", 0)
+    assert x.chip.values()["R1"] == speed

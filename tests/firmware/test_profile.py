@@ -171,3 +171,29 @@ def test_curved_ends_take_0_to_4095_speed_steps(spans):
 def test_what_registers_cannot_hold_is_refused_by_name_range_and_value(call, message):
     with pytest.raises(ArgumentError, match=message):
         call()
+
+
+def test_a_run_through_speeds_dwells_at_each_but_the_last():
+    p = Profile.of(1000, 4000, 8000)
+    one, two = p.R2, p.R3
+    assert p.pulses_through([one], 0.5) == p.pulses_through([one])
+    assert p.pulses_through([one, two], 0.5) - p.pulses_through([one, two]) == pytest.approx(0.5 * p.fh1)
+    assert p.pulses_through([one, two, one], 0.5) - p.pulses_through([one, two, one]) == pytest.approx(
+        0.5 * (p.fh1 + p.fh2)
+    )
+
+
+def test_the_bound_of_a_moves_time_is_by_the_slower_rate_and_the_longer_ramp():
+    p = Profile.of(1000, 8000, 8000, accel=0.1, decel=0.4)
+    assert p.seconds(500) == pytest.approx(500 / p.fl + 2 * p.decel(True))
+    p = Profile.of(1000, 8000, 8000, accel=0.4, decel=0.1)
+    assert p.seconds(500) == pytest.approx(500 / p.fl + 2 * p.accel(True))
+
+
+def test_a_ramp_is_a_hundredth_shorter_than_asked_at_most():
+    """Profile.of(1000, 2000, 2000, accel=0.172, multiplier=30): 50 steps of 16,383 clocks are 0.1667 s"""
+    most = 50 * 16383 / 4_915_200
+    assert Profile.of(1000, 2000, 2000, accel=1.005 * most, decel=0.1, multiplier=30).R4 == 16383
+    for accel, decel in ((1.03 * most, 0.1), (0.1, 1.03 * most)):
+        with pytest.raises(ArgumentError, match=r"Between these rates a ramp takes at most 0\.167 s"):
+            Profile.of(1000, 2000, 2000, accel=accel, decel=decel, multiplier=30)

@@ -1,6 +1,7 @@
 """a:b moves on chips and on the stage: straight to two pulses, exact to the count, started by real bus cycles."""
 
 import random
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from support.examples import SEED, assert_axes_are_named, scaled
 from stage import ArgumentError, RunTimeout, Stage
 from stage.chips import PCL240K
 from stage.firmware import Bench, plan, synchronized_move
+from stage.firmware.together import Carriages
 
 
 def bench(names="xy", **options):
@@ -242,3 +244,20 @@ def test_a_refusal_leaves_the_chips_alone():
         synchronized_move({"x": 100_000, "y": 300}, chips, accel=25)
     assert [a.chip.snapshot() for a in chips.axes.values()] == before
     assert chips.time == 0
+
+
+def test_a_carriage_beyond_an_end_of_its_line_is_as_far_off_as_from_that_end():
+    """A line of 3 mm and 4 mm; 1 mm before its beginning, beside its middle, and 2 mm beyond its end"""
+    x, y = (SimpleNamespace(position=0.0, meters_per_pulse=1e-6, gear=gear, unit="m") for gear in (5.0, -5.0))
+    for place, far in (
+        ((-0.6e-3, 0.8e-3), 1e-3),
+        ((1.5e-3 + 0.4e-3, -2e-3 + 0.3e-3), 0.5e-3),
+        ((4.2e-3, -5.6e-3), 2e-3),
+    ):
+        x.position = y.position = 0.0
+        carriages = Carriages({"x": x, "y": y}, {"x": 3000, "y": 4000})
+        x.position, y.position = place
+        carriages.look()
+        assert carriages.worst == pytest.approx(far)
+    y.unit = "rad"
+    assert Carriages({"x": x, "y": y}, {"x": 3000, "y": 4000}).worst is None

@@ -171,6 +171,20 @@ def test_a_later_recording_begins_where_the_stage_stands(tmp_path):
     assert vcd.end == pytest.approx(0.510001e9, abs=300)
 
 
+def test_chips_of_several_clocks_begin_at_the_earliest_of_their_clocks(tmp_path):
+    """Stage("xy", chips={"x": PCL240K, "y": MCX514}): 4.9152 and 16 MHz after 1.2345678 ms"""
+    stage = Stage("xy", chips={"x": PCL240K, "y": MCX514}, visuals=False)
+    stage.run(1.2345678e-3)
+    with stage.record() as recording:
+        stage.run(1e-4)
+    starts = [
+        nanoseconds(int(j.start["clock"]), recording.axes[n].chip.clock_hz) for n, j in recording.journals.items()
+    ]
+    assert len(set(starts)) == 2
+    first = next(line for line in recording.to_vcd(tmp_path / "x.vcd").read_text().splitlines() if line.startswith("#"))
+    assert int(first[1:]) == min(starts)
+
+
 def test_ticks_come_back_from_nanoseconds_after_a_century():
     for hz in (1, 4_915_200, 9_830_400, 99_999_999, 100_000_000):
         ticks = np.array([0, 1, 2, hz - 1, hz, 100 * 365 * 86400 * hz + 12345], np.int64)

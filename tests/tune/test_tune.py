@@ -6,15 +6,17 @@ import sys
 
 import numpy as np
 import pytest
+from support.packages import tmc5160
 
 from stage import Stage
 from stage.board import Board, NativeHost, NoCompilerError, build
 from stage.board.library import compiler
-from stage.chips import HCTL1100, MCX514, PCL240K, PCL240MS
+from stage.chips import HCTL1100, MCX304, MCX514, PCL240K, PCL240MS
 from stage.cli import main
 from stage.errors import ArgumentError, StageError
-from stage.firmware.driver import driver_of
-from stage.tune import Case, Task, tune
+from stage.firmware.driver import AtOnce, driver_of
+from stage.tune import Case, Task, formula, tune, written
+from stage.tune.c_source import c_source
 from stage.tune.plans import plans_of
 from stage.tune.search import search
 from stage.tune.tries import Tries
@@ -128,8 +130,6 @@ def test_the_time_until_arrived_is_that_of_the_same_move_on_a_stage(task, tries)
     stage = task.copy()
     axis = stage.axes["x"]
     goal = task.begin(stage, Case(PAYLOAD, 0.0, 1))
-    from stage.firmware.driver import AtOnce
-
     driver_of(axis).write_move(AtOnce(axis), plan.registers, PULSES)
     begin, last = stage.time, 0.0
     while stage.time < begin + LIMIT:
@@ -189,14 +189,68 @@ def test_the_formula_of_an_upright_axis_has_its_weight():
     assert x.weight == x.slope == 0
 
 
-@pytest.mark.parametrize("chip", [MCX514, PCL240MS, HCTL1100])
-def test_chips_are_tuned_through_their_drivers_and_go_both_ways(chip):
+@pytest.mark.parametrize(
+    ("chip", "goal", "write"),
+    [
+        (MCX514, ("TP", PULSES), "outw(value, 0x300 + 2 * address)"),
+        (PCL240MS, ("R0", PULSES), "outb(value, 0x300 + address)"),
+        (HCTL1100, ("R29", PULSES & 0xFF), "outb(address, 0x300); outb(value, 0x300 + 1)"),
+    ],
+)
+def test_chips_are_tuned_through_their_drivers_and_go_both_ways(chip, goal, write):
     task = task_of(chip)
     plans = plans_of(task)
     assert ("s_curve" in plans.shapes) == (chip is not HCTL1100)
+    plan = plans.formula()
     with Tries(task, plans, lanes=2) as tries:
-        outcome = tries.make([plans.formula()], [Case(0.0, 5.0, 1), Case(PAYLOAD, 0.0, -1)], 0.4)
+        outcome = tries.make([plan], [Case(0.0, 5.0, 1), Case(PAYLOAD, 0.0, -1)], 0.4)
     assert outcome.good(task, np.array([True, True])).all()
+    made = written.program(plans, plan, PULSES)
+    table = {r.name: r.value for r in written.rows(task, written.said(task, made))}
+    assert table[goal[0]] == goal[1]
+    assert plan.registers.items() <= table.items()
+    text = c_source("x", "", [], [], written.cycles(task, made), task.stage.axes["x"].chip)
+    assert write in text
+
+
+def test_a_chip_of_another_package_whose_ramps_are_limited_gets_slower_ones(monkeypatch, tmp_path):
+    tmc5160(monkeypatch, tmp_path)
+    from pulsestage_tmc5160 import TMC5160
+
+    task = task_of(TMC5160, pulses=16 * PULSES)
+    plans = plans_of(task)
+    made = plans.formula()
+    assert made.speeds.up > formula.speeds(plans.load(PAYLOAD), task.pulses).up
+    for name, value in made.registers.items():
+        assert TMC5160.MAP.register(name).allows(value)
+    shown = written.cycles(task, written.program(plans, made, task.pulses))
+    assert "send(address, value)" in c_source("x", "", [], [], shown, task.stage.axes["x"].chip)
+    assert "50000}, /* CHOPCONF" in c_source("x", "", [], [], shown, task.stage.axes["x"].chip)
+
+
+def test_a_camera_on_a_mast_arrives_later_than_its_carriage():
+    stage = Stage("xy_mast", chips=PCL240MS, visuals=False)
+    arrived = []
+    for site in (None, "camera"):
+        task = Task(stage, "x", pulses=3200, payload=0.5, within=2e-3, judge_at=site)
+        plans = plans_of(task)
+        with Tries(task, plans, lanes=1) as tries:
+            arrived.append(float(tries.make([plans.formula()], [Case(0.5, 0.0, 1)], 3.0).arrived[0, 0]))
+    assert arrived[1] > arrived[0] + 0.3
+    with pytest.raises(ArgumentError, match="mirror"):
+        Task(stage, "x", pulses=3200, judge_at="mirror")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("chip", [PCL240K, PCL240MS, MCX514, MCX304, HCTL1100])
+def test_a_search_of_usual_length_beats_the_formula_by_more_than_the_proof_sees(chip):
+    task = Task(
+        Stage("xy", chips=chip, visuals=False), "x", pulses=32_000 if chip is not HCTL1100 else 20_000, payload=2.0
+    )
+    found = tune(task, trials=96)
+    assert found.won == "search"
+    assert found.answer.holds
+    assert found.answer.proof.mean < found.answers[0].proof.mean - 0.01
 
 
 def test_the_command_writes_its_files_and_refuses_before_the_run(tmp_path, capsys, monkeypatch):

@@ -33,6 +33,7 @@ from pulsestage_tmc5160.state import (
 )
 from stage.errors import ArgumentError, RunTimeout, a_or_an
 from stage.firmware.axis import turned
+from stage.firmware.choices import limits
 from stage.firmware.driver import SETTLE, AtOnce, Driver, Speeds, that_move, wait_until_stopped
 from stage.firmware.lines import Asked, LineSettings
 from stage.firmware.report import Procedure, Report
@@ -141,9 +142,18 @@ class Tmc5160Driver(Driver):
         program.wait(SWITCHED_ON)
 
     def _speeds(self, speeds: Speeds) -> dict[str, int]:
+        """Raises ArgumentError for what the registers cannot hold."""
         if speeds.s_curve:
             raise self.no_s_curves()
-        return self.formula(speeds.start, speeds.drive, speeds.up, speeds.down, 0)
+        values, hz = self._wanted(speeds.start, speeds.drive, speeds.up, speeds.down), self.chip.clock_hz
+        for name, value in values.items():
+            r = self.chip.MAP.register(name)
+            if not r.allows(value):
+                raise ArgumentError(
+                    f"{name} = {value}: {a_or_an(self.chip.MAP.chip)} takes {r.range[0]} to {r.range[1]}. At {hz:,} Hz a "
+                    f"velocity of 1 is {hz / (1 << 24):.4g} pulses/s, an acceleration of 1 {hz**2 / (1 << 41):.4g} pulses/s2."
+                )
+        return values
 
     def tuned_by(self, s_curve: bool | None) -> tuple[str, ...]:
         if s_curve:
@@ -153,24 +163,21 @@ class Tmc5160Driver(Driver):
     def formula(
         self, fl: float, fh: float, up: float, down: float, pulses: int, s_curve: bool | None = None
     ) -> dict[str, int]:
+        """The nearest of what is chosen from for each register."""
         self.tuned_by(s_curve)
+        ranges = {name: limits(self.chip.MAP, name) for name in NAMES}
+        return {n: min(max(value, ranges[n][0]), ranges[n][1]) for n, value in self._wanted(fl, fh, up, down).items()}
+
+    def _wanted(self, fl: float, fh: float, up: float, down: float) -> dict[str, int]:
         hz, rise = self.chip.clock_hz, max(fh - fl, 0.0)
         start = velocity(fl, hz)
-        values = {
+        return {
             "VSTART": start,
             "AMAX": acceleration(rise / up, hz),
             "VMAX": velocity(max(fh, fl), hz),
             "DMAX": acceleration(rise / down, hz),
             "VSTOP": max(start, LEAST_VSTOP),
         }
-        for name, value in values.items():
-            r = self.chip.MAP.register(name)
-            if not r.allows(value):
-                raise ArgumentError(
-                    f"{name} = {value}: {a_or_an(self.chip.MAP.chip)} takes {r.range[0]} to {r.range[1]}. At {hz:,} Hz a "
-                    f"velocity of 1 is {hz / (1 << 24):.4g} pulses/s, an acceleration of 1 {hz**2 / (1 << 41):.4g} pulses/s2."
-                )
-        return values
 
     # --- moves ---
 
