@@ -124,7 +124,7 @@ def test_what_was_claimed_happens_with_every_chip_or_is_refused_with_its_reason(
     assert not happened(faulty, faulty), "the healthy run fails as the faulty one"
     if name == "bounce":
         off = abs(faulty["origin, um"] - healthy["origin, um"])
-        assert off == pytest.approx(25, abs=3.2) if chip in FIRST_GENERATION else off < 3.2, off
+        assert off < (1.2 * 3.125 if chip in FIRST_GENERATION else 3.2), off  # a pulse is 3.125 um
 
 
 @pytest.mark.parametrize(
