@@ -6,8 +6,9 @@ python scripts/baselines/few_shot.py --splits train heavy weak --machines 64
 A boldness b makes a move of it: the usual rates times b, the usual ramps divided by b. Three hosts choose it:
 usual    1, always
 fixed    the same number for every try of every machine: the one of BOLDNESS that did best on machines of the split train
-search   begins STEP below that number; bolder by STEP after a try that kept step by the encoder, else half way (by ratio) back
-         to the boldest that did, until that is CLOSE: it needs to remember two numbers
+search   begins STEP below that number; bolder by STEP after a try that kept step by the encoder; after one that did not, half way
+         (by ratio) back to the boldest that did, until that is CLOSE, and by RETREAT where none did, or where what once did has
+         failed since: it needs to remember two numbers
 The table has the mean sum of rewards of an episode, log(2 x usual time / proved cost) - damage, with its 95 % interval by the
 bootstrap; on how many machines something was proved; and the median proved cost there.
 """
@@ -23,8 +24,8 @@ import numpy as np
 from stage.envs.contexts import SPLITS
 from stage.envs.few_shot import action_of
 
-BOLDNESS = (2.0, 2.5, 3.2, 4.0, 5.0, 6.3)
-STEP, CLOSE = 1.3, 1.06
+BOLDNESS = (1.0, 2.0, 2.5, 3.0, 3.2, 3.4, 3.6, 4.0, 5.0)
+STEP, CLOSE, RETREAT = 1.12, 1.1, 1.4
 TRAIN, TEST = 0, 1_000_000  # seeds of the machines that `fixed` was chosen on, and of those that it is judged on
 LANES = 16
 
@@ -51,9 +52,10 @@ def search(first: float) -> Callable[[int], Host]:
                 return np.full(n, first)
             good[kept] = np.fmax(good, before)[kept]
             bad[~kept] = np.fmin(bad, before)[~kept]
-            floor = np.where(np.isnan(good), np.minimum(bad, first) / STEP**2, good)
-            half = np.sqrt(floor * np.minimum(bad, floor * STEP**2))
-            return np.where(np.isinf(bad), floor * STEP, np.where(half > floor * CLOSE, half, floor))
+            good[good >= bad] = np.nan  # it was luck
+            half = np.sqrt(good * bad)
+            known = np.where(np.isinf(bad), good * STEP, np.where(half > good * CLOSE, half, good))
+            return np.where(np.isnan(good), bad / RETREAT, known)
 
         return choose
 

@@ -203,7 +203,7 @@ def test_every_action_is_registers_of_every_chip(chip):
 def test_on_machines_that_differ_a_host_that_remembers_is_better_than_one_that_does_not():
     import few_shot
 
-    fixed, _ = few_shot.play(few_shot.fixed(4.0), "weak", 16, few_shot.TEST)
-    search, times = few_shot.play(few_shot.search(4.0), "weak", 16, few_shot.TEST)
+    fixed, _ = few_shot.play(few_shot.fixed(3.4), "weak", 16, few_shot.TEST)
+    search, times = few_shot.play(few_shot.search(3.4 / few_shot.STEP), "weak", 16, few_shot.TEST)
     assert few_shot.interval(search)[0] > few_shot.interval(fixed)[1]
     assert np.isfinite(times).mean() > 0.9
