@@ -16,6 +16,8 @@ reward        the sum of
               vibration  - vibration_weight x the travel of the point at which moves are judged, in `settle` after the stop / 0.1 mm
               limit      - limit_weight if the move did not make its pulses: an end limit, or the time limit
 episode       `moves` moves, then truncated.
+early_ends    a move that fails costs the time of the limit and is over at once. One whose chip, by itself, cannot make the pulses
+              within the limit is not made at all; one that loses a step ends there, its vibration is not measured.
 judge_at      a site or body that the axis carries, where the process is: what counts is how far it still travels after the stop.
               None: of the sites tool, camera and work the first that can swing (a camera on a mast), else the first that there is;
               in a model that has none of them the axis itself.
@@ -49,7 +51,7 @@ from stage.envs.task import judged
 from stage.envs.trial import TENTH, Trial
 from stage.envs.tuning import NEXT, Tuning, of_a_move
 from stage.sim.fleet import Played
-from stage.sim.program import Program
+from stage.sim.program import END, Program
 
 
 @dataclass(frozen=True)
@@ -74,6 +76,7 @@ class Config(Settings):
     vibration_weight: Weight = 0.1
     limit_weight: Weight = 5.0
     bus_cycle: Cycle = 1e-6  # s
+    early_ends: Flag = False  # of moves that fail: many more moves a second
     truth: Truths = True  # where what no host can see is shown: entries.py
 
 
@@ -110,11 +113,17 @@ class RegisterTuning(Tuning[Config]):
         super().prepare()
 
     def program(self, row: np.ndarray, distance: int) -> Program:
-        return self.trial.program(self.registers.named(row), distance, self.config.limit)
+        c = self.config
+        made = self.trial.program(self.registers.named(row), distance, c.limit, keep_step=c.early_ends)
+        if c.early_ends and self.trial.is_hopeless(made, distance, c.limit):
+            made.ops[0] = (END, 0, 0, 0)
+        return made
 
     def judge(self, played: Played, truth: np.ndarray) -> None:
         c, t = self.config, truth[:, self.axis.index]
         duration, finished, _, lost, vibration, *_ = self.trial.seen(played, t, self.distance)
+        if c.early_ends:
+            duration = np.where(finished & ~lost, duration, c.limit)
         parts = {
             "time": -duration,
             "lost": np.where(lost, -c.lost_weight, 0.0),

@@ -7,8 +7,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from stage.chips import cores
 from stage.errors import ArgumentError
 from stage.firmware.driver import driver_of
+from stage.sim import play
 from stage.sim.fleet import Played
 from stage.sim.program import Program
 from stage.sim.stage import Axis
@@ -62,6 +64,25 @@ class Seen(NamedTuple):
         return self.finished & ~self.lost
 
 
+class Foresight:
+    """What the chip of an axis would make of a program with no stage around it, long before physics has."""
+
+    def __init__(self, axis: Axis):
+        self.axis = axis
+        chip: Any = axis.chip
+        self.core = chip.CORE
+        self._fresh = type(chip)(**chip.options()).snapshot().record
+
+    def pulses(self, ops: np.ndarray, seconds: float) -> int | None:
+        """The net pulses of the drive that these operations start, or None if it is not over by then."""
+        rows = np.frombuffer(bytearray(self._fresh), self.core.STATE)
+        twin = np.zeros(1, cores.CHIP)
+        cores.fill(twin[0], self.core, rows.ctypes.data)
+        until = round(seconds * self.axis.chip.clock_hz)
+        made = play.would_make(twin, ops, 1 << self.axis.index, self.axis.chip_axis, until)
+        return None if made == play.STILL_BUSY else int(made)
+
+
 class Trial(Starts):
     """Moves of an axis from power-up, by its driver.
 
@@ -73,19 +94,25 @@ class Trial(Starts):
     def __init__(self, axis: Axis, point: int, settle: float, encoder: bool = False):
         super().__init__(axis)
         self.driver, self.point, self.settle, self.encoder = driver_of(axis), point, settle, encoder
+        self.foresight = Foresight(axis)
         self.stop = self.rest = 0
 
-    def program(self, values: Mapping[str, int], distance: int, limit: float) -> Program:
-        """The bus cycles of a move with these registers, `limit` s at most. All programs are alike in length."""
+    def program(self, values: Mapping[str, int], distance: int, limit: float, keep_step: bool = False) -> Program:
+        """The bus cycles of a move with these registers, `limit` s at most; keep_step: it ends at the first step that is lost. All
+        programs are alike in length."""
         p = Program()
         if self.encoder:
             p.look(self.axis.index)
         self.driver.write_move(p, values, distance)
         self.stop = len(p)  # the wait for the stop
-        self.driver.write_stop(p.until_stopped([self.axis.index], limit))
+        self.driver.write_stop(p.until_stopped([self.axis.index], limit, keep_step=keep_step))
         self.rest = len(p)
         p.measure(self.settle, self.point)
         return p.look(self.axis.index) if self.encoder else p
+
+    def is_hopeless(self, program: Program, distance: int, limit: float) -> bool:
+        """The chip alone does not make the pulses within the limit: there is no need to look at the physics."""
+        return self.foresight.pulses(np.array(program.ops[: self.stop], np.int64), limit) != distance
 
     def seen(self, played: Played, truth: np.ndarray, distance: np.ndarray, count: float = 1.0) -> Seen:
         """What came of the programs. truth: of this axis, (n,); count: m, of the encoder."""

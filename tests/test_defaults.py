@@ -158,7 +158,7 @@ stage.envs.origin_return
         bus_cycle=1e-06
 stage.envs.register_bus
     Config: model='xyz', chip='PCL240K', axes=None, goal='position', waits=(0.0001, 0.001, 0.01, 0.1), distances=None,
-        tolerance=None, standing=0.001, time_limit=30.0, cycles=2000, live=False, truth=False, discount=1.0,
+        tolerance=None, standing=0.001, time_limit=30.0, cycles=2000, live=False, truth='info', discount=1.0,
         progress_weight=1.0, time_weight=0.1, success_weight=10.0, lost_weight=0.05, bus_cycle=1e-06
 stage.envs.register_tuning
     Config: model='xyz', chip='PCL240K', s_curve=None, axis='x', actions='box', distances=(1600, 32000), payloads=(0.0, 10.0),

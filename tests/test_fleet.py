@@ -345,3 +345,27 @@ def test_a_closed_fleet_plays_again_and_stops_are_waited_for_axis_by_axis(first)
         assert took[:, 1].tolist() == [0, 0]
         fleet.close()
         fleet.close()
+
+
+def test_a_program_that_keeps_step_ends_at_the_first_one_lost_compiled_or_not(first):
+    """Program().until_stopped([0], 2.0, keep_step=True)"""
+
+    def played(fl, keep_step, recorded=False):
+        fleet = Fleet(stages(first, 1), threads=1)
+        axis, p = fleet.stages[0].axes["x"], Program().command(0, 0x08)
+        for name, value in {"R0": 4000, "R1": fl, "R2": fl, "R7": 120}.items():
+            p.register(0, axis.chip, name, value)
+        p.command(0, 0x44).command(0, 0x11).until_stopped([0], 2.0, keep_step=keep_step).measure(0.01)
+        recording = fleet.stages[0].record() if recorded else None
+        result = fleet.play([p])
+        if recording:
+            recording.close()
+        truth = fleet.truth()[0, 0]
+        return int(result.results[0, -2]), int(result.results[0, -1]), truth.tobytes(), int(truth["lost_steps"])
+
+    assert played(300, True) == played(300, False)
+    short, long, by_hand = played(8000, True), played(8000, False), played(8000, True, recorded=True)
+    assert short == by_hand
+    assert short[0] < 0 < long[0]
+    assert -short[0] < long[0] / 2
+    assert short[3] != 0

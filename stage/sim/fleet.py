@@ -21,7 +21,7 @@ import numpy as np
 from stage.errors import ArgumentError, StageError
 from stage.sim import handle, play, records
 from stage.sim.loop import IN_USE
-from stage.sim.program import END, LOOK, MEASURE, NAMES, READ, STOP, WAIT, WRITE, Program
+from stage.sim.program import END, KEEP, LOOK, MEASURE, NAMES, READ, STOP, WAIT, WRITE, Program
 from stage.sim.stage import Stage
 
 MOST = records.SECOND * 10**9  # ns
@@ -167,16 +167,16 @@ class Fleet:
 
 
 OF_AN_AXIS = (WRITE, READ, LOOK)
-TIMED = {WAIT: (1,), MEASURE: (1,), STOP: (2, 3)}  # which of an operation's numbers are ns
+TIMED = {WAIT: (1,), MEASURE: (1,), STOP: (2, 3), KEEP: (2, 3)}  # which of an operation's numbers are ns
 
 
 def _check(ops: np.ndarray, axes: list[str], sites: int, bodies: int) -> None:
     """Of programs, (stages, operations, 4): what compiled code believes. Raises ArgumentError."""
     kind, a = ops[:, :, 0], ops[:, :, 1]
     last = np.logical_or.accumulate(kind == END, axis=1)  # from here on nothing is played
-    bad = (kind < 0) | (kind > LOOK)
+    bad = (kind < 0) | (kind >= len(NAMES))
     bad |= np.isin(kind, OF_AN_AXIS) & ((a < 0) | (a >= len(axes)))
-    bad |= (kind == STOP) & ((a < 0) | (a >= 1 << len(axes)) | (ops[:, :, 2] < 1))
+    bad |= np.isin(kind, (STOP, KEEP)) & ((a < 0) | (a >= 1 << len(axes)) | (ops[:, :, 2] < 1))
     for timed, numbers in TIMED.items():
         for n in numbers:
             bad |= (kind == timed) & ((ops[:, :, n] < 0) | (ops[:, :, n] > MOST))
@@ -186,7 +186,7 @@ def _check(ops: np.ndarray, axes: list[str], sites: int, bodies: int) -> None:
     if bad.any():
         k, j = (int(n) for n in np.argwhere(bad)[0])
         op = ops[k, j].tolist()
-        name = NAMES[op[0]] if 0 <= op[0] <= LOOK else "unknown operation"
+        name = NAMES[op[0]] if 0 <= op[0] < len(NAMES) else "unknown operation"
         point = f" A point is 1 + the index of a site, up to {sites}, or - that of a body, from {1 - bodies} on."
         point = point if op[0] == MEASURE or (op[0] == LOOK and any(op[2:])) else ""
         raise ArgumentError(

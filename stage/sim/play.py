@@ -15,10 +15,14 @@ from stage.drives import drive
 from stage.native import array_at, array_of, exported, greatest, hot, least, record
 from stage.sim import records
 from stage.sim.handle import DRIVE, HANDLE, REAL, advance, chips, clockwork, table, world
-from stage.sim.program import END, LOOK, MEASURE, READ, STOP, WAIT, WRITE
+from stage.sim.program import END, KEEP, LOOK, MEASURE, READ, STOP, WAIT, WRITE
 
 PLAYED, DIVERGED = records.REACHED, records.DIVERGED
 """How a program ended: as it says, or where the stage diverged. Or why it did not: records.IN_USE and the like."""
+
+STILL_BUSY = -(1 << 62)
+GIVEN_UP = -1
+"""A step was lost that the program wants to keep."""
 
 TRUTH = record(
     [(name, "f8") for name in "position velocity commanded".split()]
@@ -34,10 +38,26 @@ def _pass(h, until):
 
 
 @hot
-def _until_stopped(h, left, poll, limit):
-    """Poll the axes in the mask `left`. Returns (as `_pass`, ns that it took; negative if `limit` came first)."""
+def _lost(h, mask):
+    """An axis in the mask has lost a step."""
+    w, axes, drives = world(h), table(h), array_at(h.drives, h.n_axes, DRIVE)
+    qpos, qvel = array_at(h.qpos, h.nq, REAL), array_at(h.qvel, h.nv, REAL)
+    tau = (w.now - w.start - 0.5 * clockwork(h).dt) * 1e-9
+    for k in range(h.n_axes):
+        if mask >> k & 1:
+            t = axes[k]
+            net = cores.net(chips(h)[t.chip], t.chip_axis)
+            if drive.lost_steps(drives[k], float(net), (qpos[t.qpos] + qvel[t.dof] * tau) * t.gear) != 0:
+                return True
+    return False
+
+
+@hot
+def _until_stopped(h, mask, poll, limit, keep_step):
+    """Poll the axes in the mask. Returns (as `_pass`, or GIVEN_UP; ns that it took, negative where `limit` or a lost step came
+    first)."""
     w, axes = world(h), table(h)
-    begin = w.now
+    begin, left = w.now, mask
     while True:
         for k in range(h.n_axes):
             if left >> k & 1:
@@ -47,6 +67,8 @@ def _until_stopped(h, left, poll, limit):
                 if not cores.busy(chips(h)[axes[k].chip], axes[k].chip_axis):
                     left &= ~(1 << k)
         took = w.now - begin
+        if keep_step and _lost(h, mask):
+            return GIVEN_UP, -took
         if left == 0 or took >= limit:
             return 0, took if left == 0 else -took
         bad = _pass(h, w.now + poll)
@@ -87,7 +109,11 @@ def play_one(h, ops, results, extremes):
         if kind == END:
             break
         if kind == STOP:
-            bad, results[j] = _until_stopped(h, a, b, c)
+            bad, results[j] = _until_stopped(h, a, b, c, False)
+        elif kind == KEEP:
+            bad, results[j] = _until_stopped(h, a, b, c, True)
+            if bad == GIVEN_UP:
+                break
         elif kind == MEASURE:
             bad, results[j] = _measure(h, w.now + a, b, extremes)
         elif kind == WAIT:
@@ -148,12 +174,26 @@ def look(handles, begin, end, truth):
             _look_at(world(h), chips(h)[axes[a].chip], axes[a], drives[a], clockwork(h), qpos, qvel, truth[k, a])
 
 
-@exported(None, cores.CHIP, array_of("i8", 2), "i8")
-def write_cycles(chip, ops, axes):
-    """The write cycles of a program to the chip whose axes are in the mask, at one clock."""
+@hot
+def write_all(chip, ops, axes):
     for j in range(len(ops)):
         if ops[j, 0] == WRITE and axes >> ops[j, 1] & 1:
             cores.write(chip, ops[j, 2], ops[j, 3])
+
+
+@exported(None, cores.CHIP, array_of("i8", 2), "i8")
+def write_cycles(chip, ops, axes):
+    """The write cycles of a program to the chip whose axes are in the mask, at one clock."""
+    write_all(chip, ops, axes)
+
+
+@exported("i8", cores.CHIP, array_of("i8", 2), "i8", "i8", "i8")
+def would_make(chip, ops, axes, axis, until):
+    """`write_cycles`, then time up to the clock `until`, with no stage around: the net pulses of the chip's axis if its drive is
+    over by then, else STILL_BUSY."""
+    write_all(chip, ops, axes)
+    cores.run(chip, until)
+    return STILL_BUSY if cores.busy(chip, axis) else cores.net(chip, axis)
 
 
 def by_hand(stage: Any, ops: np.ndarray, results: np.ndarray, extremes: np.ndarray) -> int:
@@ -162,10 +202,14 @@ def by_hand(stage: Any, ops: np.ndarray, results: np.ndarray, extremes: np.ndarr
 
     axes = list(stage.axes.values())
 
-    def until_stopped(mask: int, poll: int, limit: int) -> int:
-        begin, left = stage.now, {k for k in range(len(axes)) if mask >> k & 1}
+    def until_stopped(mask: int, poll: int, limit: int, keep_step: bool) -> int | None:
+        """As the compiled one; None where a step was lost that is to be kept."""
+        mine = {k for k in range(len(axes)) if mask >> k & 1}
+        begin, left = stage.now, mine
         while True:
             left = {k for k in sorted(left) if axes[k].chip.busy(axes[k].chip_axis)}
+            if keep_step and any(axes[k].lost_steps for k in mine):
+                return None
             if not left:
                 return int(stage.now - begin)
             if stage.now - begin >= limit:
@@ -194,8 +238,12 @@ def by_hand(stage: Any, ops: np.ndarray, results: np.ndarray, extremes: np.ndarr
                 results[j] = axes[a].chip.read(b)
             elif kind == WAIT:
                 stage.run_to(stage.now + a)
-            elif kind == STOP:
-                results[j] = until_stopped(a, b, c)
+            elif kind in (STOP, KEEP):
+                begin = stage.now
+                took = until_stopped(a, b, c, kind == KEEP)
+                results[j] = int(begin - stage.now) if took is None else took
+                if took is None:
+                    break
             elif kind == LOOK and b:
                 at = stage.data.site_xpos[b - 1] if b > 0 else stage.data.xpos[-b]
                 results[j] = math.floor(at[c] * 1e12)

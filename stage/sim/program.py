@@ -7,6 +7,8 @@ A program is an array of operations, (kind, a, b, c) of int64 each:
     WAIT     ns, -, -
     STOP     mask, poll ns, limit ns  poll the status of the axes in `mask` until none is in motion;
                                       the result is the ns it took, negative where `limit` came first
+    KEEP     mask, poll ns, limit ns  as STOP, and the program ends where a rotor of one of the axes is in another turn of its field
+                                      than its pulses: the result is then the ns up to there, negative
     MEASURE  ns, point, -             pass the time a physics step at a time and keep each coordinate's extremes; with a point, 1 +
                                       a site's index or - a body's, the result is how far it travelled: the diagonal of the box
                                       that it kept to, in pm
@@ -28,8 +30,8 @@ from stage.errors import ArgumentError
 if TYPE_CHECKING:
     from stage.chips import Chip
 
-NAMES = ("END", "WRITE", "READ", "WAIT", "STOP", "MEASURE", "LOOK")
-END, WRITE, READ, WAIT, STOP, MEASURE, LOOK = range(7)
+NAMES = ("END", "WRITE", "READ", "WAIT", "STOP", "MEASURE", "LOOK", "KEEP")
+END, WRITE, READ, WAIT, STOP, MEASURE, LOOK, KEEP = range(8)
 MOST_AXES = 62  # bits of a mask
 
 
@@ -86,15 +88,16 @@ class Program(Operations):
         self.ops.append((WAIT, round(seconds * 1e9), 0, 0))
         return self
 
-    def until_stopped(self, axes: Sequence[int], limit: float, poll: float = 2.5e-4) -> Self:
+    def until_stopped(self, axes: Sequence[int], limit: float, poll: float = 2.5e-4, keep_step: bool = False) -> Self:
         """Poll until none of the axes operates; the result is the ns it took, negative when `limit` seconds came first.
+        keep_step: the program ends at the first step that one of the axes loses, and the result is negative, too.
 
         Raises ArgumentError for an axis that no stage has.
         """
         if not all(0 <= a < MOST_AXES for a in axes):
             raise ArgumentError(f"axes={axes!r}: axes are given by their index, from 0 on.")
         mask = sum(1 << a for a in set(axes))
-        self.ops.append((STOP, mask, round(poll * 1e9), round(limit * 1e9)))
+        self.ops.append((KEEP if keep_step else STOP, mask, round(poll * 1e9), round(limit * 1e9)))
         return self
 
     def look(self, axis: int, point: int = 0, coordinate: int = 0) -> Self:
