@@ -47,7 +47,6 @@ def run(args: argparse.Namespace) -> int:
         if folder is None:
             print(f"\n{result.c_source()}", end="")
     if folder is not None:
-        folder.mkdir(exist_ok=True)
         texts = {"c": result.c_source(), "text": f"{result}\n", "json": json.dumps(result.json(), indent=1) + "\n"}
         for kind, text in texts.items():
             with written(folder / FILES[kind], args.force) as part:
@@ -74,6 +73,10 @@ def _folder(args: argparse.Namespace) -> Path | None:
         raise FileError(f"--output {folder}: a file is there. Name a folder.")
     if not folder.exists():
         writable(folder, False)
+        try:
+            folder.mkdir()
+        except OSError as error:
+            raise FileError(f"--output {folder}: {error.strerror}. Choose another folder.") from error
         return folder
     if not os.access(folder, os.W_OK | os.X_OK):
         raise FileError(f"--output {folder}: no permission to write there. Choose another folder.")

@@ -56,7 +56,7 @@ def draw(result: Result, path: str | PathLike, overwrite: bool = False) -> None:
     panels[3].legend(frameon=False, fontsize=9, loc="upper right")
     panels[0].set_ylim(top=1.3 * panels[0].get_ylim()[1])
     panels[0].set_title(
-        f"axis {task.axis}, {axis.chip.MAP.chip}: {result.way()} with {task.payload:g} kg", loc="left", fontsize=11
+        f"axis {task.axis}, {axis.chip.MAP.chip}: {result.way()} {task.carries}", loc="left", fontsize=11
     )
     for panel in panels:
         panel.grid(color="#e3e7eb", lw=0.6)

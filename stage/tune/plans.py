@@ -55,7 +55,8 @@ class Plans(ABC):
         try:
             return speeds(self.load(kg), self.task.pulses, safety)
         except ArgumentError as error:
-            raise ArgumentError(f"{kg:g} kg on axis {self.task.axis}: {error} {self._most(safety)}") from None
+            hint = self._most(safety) if kg else "Another motor, supply or distance."
+            raise ArgumentError(f"{kg:g} kg on axis {self.task.axis}: {error} {hint}") from None
 
     def _most(self, safety: float) -> str:
         """The most that the formula can move, in words."""
@@ -63,7 +64,7 @@ class Plans(ABC):
         try:
             speeds(self.load(0.0), self.task.pulses, safety)
         except ArgumentError:
-            return "Nor does it move anything less: another motor, supply or distance."
+            return "Nor does it with nothing on it: another motor, supply or distance."
         for _ in range(20):
             middle = 0.5 * (low + high)
             try:

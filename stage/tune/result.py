@@ -103,8 +103,7 @@ class Result:
         what = "" if task.judge_at is None else f"{task.judge_at} "
         arrived = f"arrived: {what}within {task.length(float(task.within or 0))} for {task.hold * 1e3:g} ms"
         lines = [
-            f"axis {task.axis}, {chip}: {self.way()} with up to {task.payload:g} kg, margin {task.spare:.3g} kg more; "
-            f"{arrived}",
+            f"axis {task.axis}, {chip}: {self.way()} {task.carries}, margin {task.spare:.3g} kg more; {arrived}",
             "",
             f"{'':9}{'arrives, mean':>15}{'worst':>11}{'too far':>11}{'spare payload':>15}  proof",
         ]
@@ -161,7 +160,7 @@ class Result:
             f"{self.proved(a)}; arrives after {a.proof.mean * 1e3:.1f} ms, {a.proof.worst * 1e3:.1f} ms at most",
             f"(by {'the data sheet formula' if a.name == 'formula' else 'search'}; stage tune, seed {self.seed})",
         ]
-        title = f"axis {task.axis}, {chip.MAP.chip}: {self.way()} with up to {task.payload:g} kg"
+        title = f"axis {task.axis}, {chip.MAP.chip}: {self.way()} {task.carries}"
         return c_source(name or f"{task.axis}_tuned", title, notes, self.rows, self.cycles, chip)
 
     def json(self) -> dict[str, Any]:

@@ -123,10 +123,21 @@ def _formula(tries: Tries, plans: Plans, cases: Any) -> tuple[float, Plan, float
                 break
     if last is not None and times == CAREFUL[0]:
         raise last
+    most_said = f"even with a safety factor of {SAFETY * times:g}"
+    if not outcome.kept.all():
+        raise StageError(
+            f"axis {task.axis} with up to {task.most:g} kg: the formula's registers lose steps, {most_said}. "
+            f"{_carries(tries, plans, cases)}"
+        )
+    if np.isnan(outcome.arrived[0, asked]).any():
+        raise StageError(
+            f"axis {task.axis}: the formula's moves keep step, but do not come to rest within {task.length(task.within or 0.0)} of "
+            f"the goal in {SWINGING[-1] * most:.2g} s, {most_said}: give more room, --settle (within=, hold=)."
+        )
+    beyond = round(float(outcome.beyond[0, asked].max()), 7)
     raise StageError(
-        f"axis {task.axis} with up to {task.most:g} kg: the formula's registers lose steps, do not come to rest within "
-        f"{task.length(task.within or 0.0)} of the goal, or go too far, even with a safety factor of {SAFETY * times:g}. "
-        f"{_carries(tries, plans, cases)}"
+        f"axis {task.axis}: the formula's moves keep step, but go {task.length(beyond)} beyond the goal, {most_said}: "
+        "allow more, --overshoot (overshoot=)."
     )
 
 
@@ -140,7 +151,7 @@ def _carries(tries: Tries, plans: Plans, cases: Any) -> str:
     kept = tries.make([plan], tried, 2.0 * (task.pulses / s.drive + s.up + s.down) + 0.3 + task.hold).kept
     fine: np.ndarray = np.all(kept.reshape(len(loads), -1), axis=1)
     if not fine[0]:
-        return "Nor do they with nothing on it: a longer way, another motor or supply, or a wider --settle."
+        return "Nor do they keep step with nothing on it: another motor, supply or distance."
     return f"Up to {loads[int(np.argmin(fine)) - 1]:.2g} kg in all they keep step: take less payload or spare."
 
 

@@ -119,6 +119,11 @@ class Task:
         return f"{metres * 1e6:g} u{'m' if self.stage.axes[self.axis].unit == 'm' else 'rad'}"
 
     @property
+    def carries(self) -> str:
+        """What it carries, in words."""
+        return f"with up to {self.payload:g} kg" if self.payload else "with nothing on it"
+
+    @property
     def most(self) -> float:
         """kg, payload and spare."""
         return self.payload + float(self.spare or 0.0)
