@@ -15,7 +15,7 @@ from stage.chips import HCTL1100, MCX304, MCX514, PCL240K, PCL240MS
 from stage.cli import main
 from stage.errors import ArgumentError, StageError
 from stage.firmware.driver import AtOnce, driver_of
-from stage.tune import Case, Task, formula, tune, written
+from stage.tune import Case, Task, tune, written
 from stage.tune.c_source import c_source
 from stage.tune.plans import plans_of
 from stage.tune.search import search
@@ -213,14 +213,28 @@ def test_chips_are_tuned_through_their_drivers_and_go_both_ways(chip, goal, writ
     assert write in text
 
 
-def test_a_chip_of_another_package_whose_ramps_are_limited_gets_slower_ones(monkeypatch, tmp_path):
+def test_a_chip_that_has_no_ramps_as_short_gets_slower_ones(task):
+    plans = plans_of(task)
+    real, wanted = plans.driver.formula, plans.speeds(1.5)
+
+    def lazy(fl, fh, up, down, *more):
+        if min(up, down) < 0.2:
+            raise ArgumentError("too steep")
+        return real(fl, fh, up, down, *more)
+
+    plans.driver.formula = lazy
+    made = plans.formula().speeds
+    assert 0.2 <= made.down < 0.25
+    assert (made.start, made.drive) == (wanted.start, wanted.drive)
+
+
+def test_a_chip_of_another_package_is_tuned_and_its_waits_are_in_the_c(monkeypatch, tmp_path):
     tmc5160(monkeypatch, tmp_path)
     from pulsestage_tmc5160 import TMC5160
 
     task = task_of(TMC5160, pulses=16 * PULSES)
     plans = plans_of(task)
     made = plans.formula()
-    assert made.speeds.up > formula.speeds(plans.load(PAYLOAD), task.pulses).up
     for name, value in made.registers.items():
         assert TMC5160.MAP.register(name).allows(value)
     shown = written.cycles(task, written.program(plans, made, task.pulses))
