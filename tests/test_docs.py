@@ -21,7 +21,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 by_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 
-PYTHON = re.compile(r"^(?:<!-- not run: (?P<why>.+) -->\n)?```python\n(?P<code>.*?)^```\n", re.M | re.S)
+PYTHON = re.compile(r"^(?:<!-- not run: (?P<why>[^\n]+) -->\n)?```python\n(?P<code>.*?)^```\n", re.M | re.S)
 TEXT = re.compile(r"\n(?:```text\n(?P<fenced>.*?)^```|(?P<indented>(?: {4}[^\n]*\n)+))", re.M | re.S)
 NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]\d+)?")
 WATCHED = ("--web", "view")  # commands that somebody looks at, until he ends them
