@@ -29,7 +29,7 @@ from stage.board.library import sanitizers
 from stage.board.program import Program
 from stage.board.scratch import Scratch
 from stage.board.shared import LOADING, Asked, Begin, Go, Noted, Shared, SpoiltError, Stands
-from stage.board.threaded import debugged
+from stage.board.threaded import debugged, handles_timers
 from stage.chips.entries import LOST, READ, WRITE
 from stage.errors import StageError
 from stage.sim import handle
@@ -41,7 +41,7 @@ LOADS = 2.0  # s beyond it that loading the firmware may take: constructors run 
 
 
 class _SilentError(Exception):
-    """The child has not got on for too long."""
+    """The child has not got on for too long; its argument: whether it handles signals of timers."""
 
 
 class Isolated:
@@ -226,7 +226,7 @@ class Isolated:
                 if self._child is not None and debugged(self._child.pid):
                     begin = time.monotonic(), now
                 else:
-                    raise _SilentError
+                    raise _SilentError(self._child is not None and handles_timers(self._child.pid))
 
         return self._answers.next(waits)
 
@@ -236,7 +236,13 @@ class Isolated:
                 "wrote into a file descriptor that it had not opened: that was the connection of its process with the stage, and "
                 "it was ended"
             )
-        return f"has not got on for {self._waited:g} s of real time, and was ended"
+        why = ""
+        if error.args[0]:
+            why = (
+                ", perhaps because a handler of signals (setitimer, alarm) has made a bus cycle in the middle of another: timers of "
+                "the board are ps_timer and ps_on_timer (docs/interrupts.md)"
+            )
+        return f"has not got on for {self._waited:g} s of real time{why}, and was ended"
 
     def _not_loaded(self, how: str) -> HostError:
         what = self._told()

@@ -7,6 +7,7 @@ cycle) is abandoned, with a bus that has no effect any more.
 from __future__ import annotations
 
 import os
+import signal
 import threading
 import time
 from pathlib import Path
@@ -31,6 +32,16 @@ def debugged(process: int | str = "self") -> bool:
             return any(line.startswith("TracerPid:") and line.split()[1] != "0" for line in status)
     except OSError:
         return False
+
+
+def handles_timers(process: int) -> bool:
+    """Whether a process has a handler for one of the signals of setitimer, of alarm or of timer_create."""
+    try:
+        with open(f"/proc/{process}/status") as status:
+            caught = next((int(line.split()[1], 16) for line in status if line.startswith("SigCgt:")), 0)
+    except OSError:
+        return False
+    return any(caught >> number - 1 & 1 for number in (signal.SIGALRM, signal.SIGVTALRM, signal.SIGPROF))
 
 
 class Threaded:
