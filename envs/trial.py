@@ -70,14 +70,14 @@ class Foresight:
     def __init__(self, axis: Axis):
         self.axis = axis
         chip: Any = axis.chip
-        self.core = chip.CORE
         self._fresh = type(chip)(**chip.options()).snapshot().record
 
     def pulses(self, ops: np.ndarray, seconds: float) -> int | None:
         """The net pulses of the drive that these operations start, or None if it is not over by then."""
-        rows = np.frombuffer(bytearray(self._fresh), self.core.STATE)
+        core = self.axis.chip.CORE
+        rows = np.frombuffer(bytearray(self._fresh), core.STATE)
         twin = np.zeros(1, cores.CHIP)
-        cores.fill(twin[0], self.core, rows.ctypes.data)
+        cores.fill(twin[0], core, rows.ctypes.data)
         until = round(seconds * self.axis.chip.clock_hz)
         made = play.would_make(twin, ops, 1 << self.axis.index, self.axis.chip_axis, until)
         return None if made == play.STILL_BUSY else int(made)

@@ -1,5 +1,6 @@
 """Inputs that the fuzzer begins with, found or thought of, keep the promises every day; `make fuzz` looks for more."""
 
+import dataclasses
 import json
 import os
 import random
@@ -214,6 +215,7 @@ class Odd(PCL240K):
     """Stands for chips to come: several axes, words on the bus, more addresses."""
 
     AXES, DATA_MASK, ADDRESS_MASK = 3, 0xFFFF, 7
+    MAP = dataclasses.replace(PCL240K.MAP, axes=3)
 
 
 def test_a_chip_of_no_known_family_is_driven_by_raw_words_at_all_addresses_and_all_its_pins():

@@ -239,8 +239,8 @@ class Isolated:
         why = ""
         if error.args[0]:
             why = (
-                ", perhaps because a handler of signals (setitimer, alarm) has made a bus cycle in the middle of another: timers of "
-                "the board are ps_timer and ps_on_timer (docs/interrupts.md)"
+                ", perhaps because a handler of signals (setitimer, alarm) has made a bus cycle in the middle of another: timers "
+                "of the board are ps_timer and ps_on_timer (docs/interrupts.md)"
             )
         return f"has not got on for {self._waited:g} s of real time{why}, and was ended"
 

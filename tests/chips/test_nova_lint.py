@@ -147,8 +147,8 @@ def test_any_write_gets_an_answer(chip):
     for _ in range(3000):
         held = Held(
             *(rng.getrandbits(16) for _ in range(2)), rng.random() < 0.5, *(rng.getrandbits(4) for _ in range(3)),
-            *(rng.random() < 0.5 for _ in range(3)), rng.getrandbits(4), tuple(rng.getrandbits(24) for _ in range(4)),
-            tuple(rng.getrandbits(32) - 2**31 for _ in range(4)),
+            *(rng.random() < 0.5 for _ in range(3)), rng.getrandbits(4), rng.randrange(4), rng.random() < 0.5, rng.random() < 0.5,
+            tuple(rng.getrandbits(24) for _ in range(4)), tuple(rng.getrandbits(32) - 2**31 for _ in range(4)),
         )  # fmt: skip
         note = lint.write(chip, held, rng.choice((0, 0, 0, rng.randrange(8))), rng.getrandbits(16))
         assert note is None or (len(note) == 2 and all(note))

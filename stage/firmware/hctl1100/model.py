@@ -26,9 +26,9 @@ from stage.firmware.hctl1100.moves import Tuning
 
 MARGIN = 60.0  # degrees
 RATTLE = 48.0  # units of motor command for one count
-POLE = 0x40  # as after a reset; the pole is at -1/4
+POLE = 64  # as after a reset; the pole is at -1/4
 SHARE = 0.9  # of the highest crossover, from which on a zero is as good
-ZEROS = range(0x40, 0x100)
+ZEROS = range(64, 256)
 
 
 @dataclass(frozen=True)
