@@ -296,7 +296,7 @@ def a_line_by_two_chips():
     stage = Stage("xyz", chips=chips, multichip=["x", "z"], bus_cycle=0.0, visuals=False)
     master, slave = stage.chips
     for chip, code, value in (
-        *((master, code, value) for code, value in ((0x104, 2000), (0x105, 60_000), (0x102, 9_000_000))),
+        *((master, code, value) for code, value in ((0x104, 40_000), (0x105, 60_000), (0x102, 9_000_000))),
         (master, 0x106, 60), (master, 0x206, -7), (slave, 0x106, 33),
         (slave, 0x2A, 2 << 10 | 1), (slave, 0x60, 0), (master, 0x2A, 1 << 10 | 3), (master, 0x61, 0),
     ):  # fmt: skip
@@ -304,7 +304,7 @@ def a_line_by_two_chips():
         chip.write(7, value >> 16 & 0xFFFF)
         chip.write(0, code)
     journal = slave.journal()
-    stage.run(0.004)
+    stage.run(0.00125)
     yield from (chip.state.tobytes() for chip in stage.chips)
     yield journal.course(every_pulse=True).edges.tobytes()
 
