@@ -109,6 +109,10 @@ class StageEnv(gymnasium.Env[np.ndarray, Any]):
         """What each number of an observation is, and whether a host could know it: see entries.py."""
         return self._task.entries
 
+    def scripted(self) -> Any:
+        """The next action by a host that learns nothing, where the task has one; ArgumentError where not."""
+        return self._task.scripted()[0]
+
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
@@ -277,6 +281,10 @@ class StageVectorEnv(VectorEnv[np.ndarray, Any, np.ndarray]):
     def entries(self) -> list[Entry]:
         """What each number of one environment's observation is, and whether a host could know it: see entries.py."""
         return self._task.entries
+
+    def scripted(self) -> np.ndarray:
+        """The next actions by a host that learns nothing, where the task has one; ArgumentError where not."""
+        return self._task.scripted()
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None

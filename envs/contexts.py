@@ -48,6 +48,9 @@ KINDS = {
 CONTEXT = record([(name, "f8") for name in KINDS])
 ENTRIES = tuple(Entry(name, TRUTH, f"{text}, of the episode") for name, (_, text) in KINDS.items())
 
+SHOWN = tuple(Entry(name, TRUTH, f"{text}, from -1 to 1 over its range") for name, (_, text) in KINDS.items())
+"""Of an info, and of an observation with truth=True, where `placed` makes them."""
+
 
 def setting(config: Any, name: str) -> Any:
     """A setting of a Config that has a split: its own value, or where that is None the split's."""
@@ -72,6 +75,11 @@ def draw(
         if isinstance(value, bool) or not isinstance(value, int | float | np.number) or not low <= value <= high:
             raise ArgumentError(f"option {name}={value!r}: from {low} to {high} here.")
         context[name] = value
+
+
+def placed(ends: Mapping[str, tuple[float, float]], context: np.ndarray) -> np.ndarray:
+    """(n, kinds): contexts from -1 to 1 over their ranges."""
+    return np.stack([(context[name] - a) / max(b - a, 1e-9) * 2.0 - 1.0 for name, (a, b) in ends.items()], axis=1)
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ reward        the sum of
               So without damage the sum is log(2 x usual time / cost of the best that holds), or 0.
               The usual time is that of the driver's usual speeds (1000 to 16,000 pps in 0.15 s), which every machine here can do.
 episode       `tries` tries, then terminated.
+score         time: s, the proved cost. formula: the engineer's (stage.tune.formula) for the split's heaviest payload, closed form.
 split         where machines come from, see contexts.py; a setting that is given comes before the split's.
 """
 
@@ -29,14 +30,14 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import gymnasium
 import numpy as np
 
 from stage import Stage
 from stage.chips import Chip, chip_class
-from stage.envs import contexts
+from stage.envs import contexts, score
 from stage.envs.base import StageEnv, StageVectorEnv
 from stage.envs.entries import HOST, TRUTH, Entry
 from stage.envs.results import result
@@ -57,12 +58,13 @@ from stage.envs.settings import (
     Word,
 )
 from stage.envs.task import MoveTask, carrier, judged
-from stage.envs.trial import ALLOWED, TENTH, Trial
+from stage.envs.trial import ALLOWED, TENTH, Trial, closed_form
 from stage.envs.tuning import given
 from stage.errors import ArgumentError, unknown
 from stage.firmware.driver import Speeds, driver_of
 from stage.sim.fleet import Fleet, Played
 from stage.sim.program import Program
+from stage.tune.formula import Load, speeds
 
 RATES = {"start": (200.0, 6000.0), "drive": (2000.0, 60_000.0), "up": (0.01, 0.3), "down": (0.01, 0.3)}  # pps, s
 COUNT = 5e-6  # m, of the encoder
@@ -108,12 +110,22 @@ def action_of(start: float, drive: float, up: float, down: float) -> np.ndarray:
 
 
 class FewShotTuning(MoveTask[Config]):
-    Config = Config
-    OPTIONS = ("distance", *contexts.KINDS)
+    Config: ClassVar[type] = Config
+    OPTIONS: ClassVar[tuple[str, ...]] = ("distance", *contexts.KINDS)
     """The move and the machine, in place of drawn ones."""
-    STATE = ("distance", "context", "angle", "table", "best_seen", "cost", "rows")
+    STATE: ClassVar[tuple[str, ...]] = (
+        "distance",
+        "context",
+        "angle",
+        "table",
+        "best_seen",
+        "cost",
+        "rows",
+        "formula",
+        "damage",
+    )
     RESTARTS = True
-    SEEN = (
+    SEEN: ClassVar[tuple[Entry, ...]] = (
         Entry("distance", HOST, "of the move, by its logarithm from -1 to 1 over `distances`"),
         Entry("left", HOST, "tries left / `tries`"),
         Entry(
@@ -127,9 +139,9 @@ class FewShotTuning(MoveTask[Config]):
         Entry("finished", HOST, "1 if it made its pulses", "try"),
         Entry("kept", HOST, "1 if it kept step by the encoder; 0 without one", "try"),
         Entry("swing", HOST, "by the encoder after the stop: swing / (swing + 0.1 mm); 0 without one", "try"),
-        *(Entry(name, TRUTH, f"{text}, from -1 to 1 over its range") for name, (_, text) in contexts.KINDS.items()),
+        *contexts.SHOWN,
     )
-    TOLD = (
+    TOLD: ClassVar[tuple[Entry, ...]] = (
         Entry("distance", HOST, "pulses"),
         *contexts.ENTRIES,
         Entry("registers", HOST, "that the chip's formulas made of the action"),
@@ -148,6 +160,7 @@ class FewShotTuning(MoveTask[Config]):
             TRUTH,
             "s, likewise of the best one that held in the proof after the last try; infinite where none did, and before",
         ),
+        score.ENTRY,
     )
 
     def stage(self, visuals: bool) -> Stage:
@@ -173,7 +186,7 @@ class FewShotTuning(MoveTask[Config]):
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (len(RATES),), np.float32)
         self.observation_space = self.seen()
         self.result = result(
-            ("gain", "damage", "proof"),
+            ("gain", "damage", "proof"), scored=True,
             distance=int, **dict.fromkeys(contexts.KINDS, float), registers=(int, (len(self.names),)), duration=float, usual=float,
             finished=bool, error=float, lost_steps=int, vibration=float, kept=bool, best=float, proved=float,
         )  # fmt: skip
@@ -181,6 +194,8 @@ class FewShotTuning(MoveTask[Config]):
         self.table = np.zeros((n, c.tries, PER_TRY))
         self.best_seen, self.cost = np.full(n, np.inf), np.full((n, c.tries), np.inf)
         self.rows = np.zeros((n, c.tries, len(self.names)), np.int64)
+        self.load = Load.of(self.axis)
+        self.formula, self.damage = np.ones((n, 5)), np.zeros((n, 2), np.int64)
         self.provers = Fleet([copy.deepcopy(first) for _ in range(n)], self.fleet.threads)
 
     def layout(self) -> list[Entry]:
@@ -194,8 +209,25 @@ class FewShotTuning(MoveTask[Config]):
         distance = int(np.rint(np.exp(rng.uniform(*np.log(c.distances)))))
         self.distance[k] = given(options, "distance", distance, c.distances)
         contexts.draw(rng, self.ranges, self.context[k], options)
-        self.table[k], self.best_seen[k], self.cost[k] = 0.0, np.inf, np.inf
+        self.table[k], self.best_seen[k], self.cost[k], self.damage[k] = 0.0, np.inf, np.inf, 0
+        self._reckon(k, rng, options)
         self._ready(k)
+
+    def _reckon(self, k: int, rng: np.random.Generator, options: Mapping[str, Any]) -> None:
+        """What the formula says to this machine, of whose payload the host knows no more than the most that it may be."""
+        self._ask(k, self.ranges["payload"][1])
+
+    def _ask(self, k: int, payload: float) -> None:
+        """The formula's rates and ramps for a payload, kg, and the time that they take."""
+        made, distance = speeds(self.load.heavier(payload), int(self.distance[k])), int(self.distance[k])
+        rate = self.rates(action_of(*made[:4]), distance)
+        start, top, up, down = rate
+        took = up + down + (distance - (up + down) * (start + top) / 2) / top
+        self.formula[k] = *rate, took
+
+    def scripted(self) -> np.ndarray:
+        """The engineer's formula (stage.tune.formula) at every try."""
+        return np.stack([action_of(*row[:4]) for row in self.formula])
 
     def renew(self) -> None:
         for k in np.flatnonzero(self.sound & ~self.results["terminated"]):
@@ -225,10 +257,7 @@ class FewShotTuning(MoveTask[Config]):
     @property
     def usual(self) -> np.ndarray:
         """s, that each stage's move takes at the usual speeds, by the closed form."""
-        start, drive, up = Speeds().start, Speeds().drive, Speeds().up
-        steep = (drive - start) / up
-        top = np.minimum(np.sqrt(self.distance * steep + start**2), drive)
-        return 2 * (top - start) / steep + (self.distance - (top**2 - start**2) / steep) / top
+        return closed_form(self.distance, Speeds().start, Speeds().drive, Speeds().up)
 
     def rates(self, action: np.ndarray, distance: int) -> tuple[float, float, float, float]:
         """Start and drive rate, pps, and seconds of both ramps; where they do not fit into the move, as much of them as does."""
@@ -293,7 +322,9 @@ class FewShotTuning(MoveTask[Config]):
             "lost_steps": t["lost_steps"], "vibration": seen.vibration, "kept": seen.kept,
             "best": self.cost.min(axis=1), "proved": proved,
         }  # fmt: skip
+        self.damage[good] += np.stack([np.abs(t["lost_steps"]), seen.stopped], axis=1)[good]
         self.fill(parts, info, last, False)
+        score.note(self.results["score"], proved, self.formula[:, 4], self.steps, *self.damage.T)
 
     def _prove(self, which: np.ndarray) -> np.ndarray:
         """Of the stages in `which` the best cost that holds in a proof, (n,); infinite where none does, and elsewhere."""
@@ -331,11 +362,10 @@ class FewShotTuning(MoveTask[Config]):
         if c.memory == "last":
             table = table[np.arange(n), np.maximum(self.steps - 1, 0)]
         best = np.minimum(self.best_seen / (2 * self.usual), 1.0)
-        hidden = [(self.context[name] - a) / max(b - a, 1e-9) * 2.0 - 1.0 for name, (a, b) in self.ranges.items()]
         columns = [
             np.stack([far, 1.0 - self.steps / c.tries, best], axis=1),
             table.reshape(n, -1),
-            np.stack(hidden, axis=1),
+            contexts.placed(self.ranges, self.context),
         ]
         return np.clip(np.concatenate(columns, axis=1), -1.0, 1.0).astype(np.float32)
 

@@ -7,17 +7,20 @@ from typing import Any
 
 import numpy as np
 
+from stage.envs.score import NONE, SCORE
 from stage.native import record
 
 DIVERGED = -10.0  # reward of a step in which the simulation diverged
 CAUSES = ("", "diverged")  # of an end that is no part of the task, by the number in a record
 
 
-def result(parts: Sequence[str], **info: type | tuple[type, tuple[int, ...]]) -> np.dtype:
-    """The record of a step. parts: names of the reward's parts, whose sum it is; info: float, int, bool or (type, shape)."""
+def result(parts: Sequence[str], scored: bool = False, **info: Any) -> np.dtype:
+    """The record of a step. parts: names of the reward's parts, whose sum it is; info: float, int, bool or (type, shape); scored:
+    with a score at an episode's end, see score.py."""
     ends = [("reward", float), ("terminated", bool), ("truncated", bool), ("cause", int)]
     fields = [(name, *kind) if isinstance(kind, tuple) else (name, kind) for name, kind in info.items()]
-    return record([*ends, ("parts", record([(name, float) for name in parts])), ("info", record(fields))])
+    more = [("score", SCORE)] if scored else []
+    return record([*ends, ("parts", record([(name, float) for name in parts])), ("info", record(fields)), *more])
 
 
 class Results:
@@ -30,9 +33,10 @@ class Results:
         self.rows, self._hidden = np.zeros(n, dtype), hidden
         self._parts, self._info = dtype["parts"].names or (), dtype["info"].names or ()
         self._arrays = [name for name in self._info if dtype["info"][name].shape]
+        self.scored = "score" in (dtype.names or ())
 
     def __getitem__(self, name: str) -> np.ndarray:
-        """A column; "parts" and "info" have columns of their own."""
+        """A column; "parts", "info" and "score" have columns of their own."""
         return self.rows[name]
 
     def __setitem__(self, name: str, values: Any) -> None:
@@ -48,10 +52,13 @@ class Results:
         rows["reward"][bad] = DIVERGED
         rows["terminated"] &= ~bad
         rows["truncated"] |= bad
+        if self.scored:
+            for name, value in zip(("success", "time", "regret"), NONE, strict=True):
+                rows["score"][name][bad] = value
 
     def row(self, k: int) -> tuple[float, bool, bool, dict[str, Any]]:
         """(reward, terminated, truncated, info) of stage k."""
-        reward, terminated, truncated, cause, parts, said = self.rows.item(k)
+        reward, terminated, truncated, cause, parts, said, *score = self.rows.item(k)
         info = dict(zip(self._info, said))  # noqa: B905 (the check would cost as much as all else)
         for name in self._arrays:
             info[name] = info[name].copy()
@@ -59,6 +66,8 @@ class Results:
         info["reward_parts"] = named = dict(zip(self._parts, parts))  # noqa: B905
         if cause:
             named["diverged"] = reward
+        if score and (terminated or truncated):
+            info["score"] = dict(zip(SCORE.names or (), score[0], strict=True))
         for name in self._hidden:
             info.pop(name, None)
         return reward, terminated, truncated, info
@@ -74,7 +83,12 @@ class Results:
         if bad.any():
             parts["diverged"] = np.where(bad, rows["reward"], 0.0)
         info["reward_parts"] = _masked(parts, active)
-        return _masked({name: value for name, value in info.items() if name not in self._hidden}, active)
+        told = _masked({name: value for name, value in info.items() if name not in self._hidden}, active)
+        over = rows["terminated"] | rows["truncated"]
+        if self.scored and over.any() and "score" not in self._hidden:
+            scores = {name: np.where(over, rows["score"][name], 0).astype(SCORE[name]) for name in SCORE.names or ()}
+            told |= {"score": _masked(scores, over), "_score": over}
+        return told
 
 
 def _masked(values: dict[str, Any], active: np.ndarray) -> dict[str, Any]:

@@ -23,6 +23,9 @@ from stage.envs import IDS
 from stage.envs.base import StageVectorEnv, _one
 from stage.errors import ArgumentError, unknown
 
+OF_ALL = ("action_masks", "scripted")
+"""Methods of vectors that return a row for each stage."""
+
 
 class Adapter(VecEnv):
     """What SB3 asks of vector environments and a vector of stages answers with the same for all: the base of StageVecEnv.
@@ -53,6 +56,10 @@ class Adapter(VecEnv):
         raise ArgumentError(f"set_attr({attr_name!r}): the stages of a vector have their settings from its start.")
 
     def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
+        """Of methods that answer for all stages at once, each one's row: "action_masks", as sb3-contrib asks, and "scripted"."""
+        if method_name in OF_ALL and hasattr(self.envs, method_name):
+            rows = getattr(self.envs, method_name)(*args, **kwargs)
+            return [rows[k] for k in self._get_indices(indices)]
         raise ArgumentError(
             f"env_method({method_name!r}): the stages of a vector have no methods of their own. Use `envs`, the vector "
             "environment, or DummyVecEnv with scalar ones."

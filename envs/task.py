@@ -105,6 +105,10 @@ class Task(ABC, Generic[ConfigT]):
         """`info` of a reset of stage k, whoever may know it."""
         return {}
 
+    def scripted(self) -> np.ndarray:
+        """The next action of every stage by a host that learns nothing: (n, ...). ArgumentError for a task that has none."""
+        raise ArgumentError(f"{type(self).__name__} has no scripted host.")
+
     def layout(self) -> list[Entry]:
         """What each number of the whole observation is, truth included."""
         return list(self.SEEN)

@@ -19,6 +19,13 @@ TENTH = 1e-4  # m
 ALLOWED = 50e-6  # m, between carriage and pulses at rest
 
 
+def closed_form(distance: np.ndarray, start: float, drive: float, ramp: float) -> np.ndarray:
+    """s, that moves of so many pulses take at these rates, pps, both ramps of `ramp` s."""
+    steep = (drive - start) / ramp
+    top = np.minimum(np.sqrt(distance * steep + start**2), drive)
+    return 2 * (top - start) / steep + (distance - (top**2 - start**2) / steep) / top
+
+
 class Starts:
     """Where moves of an axis begin: so that their middle is the middle of the travel, the rotor at an angle that is asked for.
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from stage.errors import ArgumentError
 from stage.firmware.choices import Choices
 from stage.sim.program import Program
 
@@ -43,6 +44,20 @@ class Search(ABC):
     @abstractmethod
     def program(self, row: Sequence[int] | np.ndarray) -> Program:
         """A whole return with these choices, in the order of the choices."""
+
+    def row(self, fl: float, fh: float, ramp: float, approach: float, leave: int, back_off: int) -> list[int]:
+        """The choices that come next to these: rates in pps, s of a ramp, pulses; what else there is as a careful host has it.
+
+        Raises ArgumentError for a family that does not say.
+        """
+        raise ArgumentError(
+            f"{type(self).__name__} makes no choices of rates: give those of {', '.join(self.choices.ranges)}."
+        )
+
+    def _row(self, wanted: Mapping[str, float]) -> list[int]:
+        """Of all choices by name, each as near as it may be."""
+        ranges = self.choices.ranges.items()
+        return [int(min(max(round(wanted[name]), low), high)) for name, (low, high) in ranges]
 
     @abstractmethod
     def found(self, results: np.ndarray, rows: np.ndarray) -> Found:

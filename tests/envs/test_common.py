@@ -30,6 +30,8 @@ SETTINGS = {
     "stage/OriginReturn-v0": {"returns": 2, "limit": 0.1, "settle": 0.01},
     "stage/SynchronizedMove-v0": {"distances": (1000, 2000)},
     "stage/FewShotTuning-v1": {"distances": (400, 900), "tries": 2, "proofs": 2, "settle": 0.01},
+    "stage/OneShotTuning-v1": {"distances": (400, 900), "proofs": 2, "settle": 0.01},
+    "stage/BusMacros-v1": {"model": "xy", "macros": 3, "settle": 0.001, "bus_cycle": 1e-3},
 }
 """What makes an episode short."""
 
@@ -77,6 +79,11 @@ def episode(env, seed, actions=6):
         if out[2] or out[3]:
             said.append(env.reset())
     return said
+
+
+def busy(any_, action):
+    """The action, or one that takes time: of BusMacros, whose actions may do nothing, the first."""
+    return np.zeros_like(action) if any_ == "stage/BusMacros-v1" else action
 
 
 def same(a, b):
@@ -190,6 +197,8 @@ def test_each_environment_of_a_vector_may_be_given_a_seed_of_its_own():
 
 
 def test_an_episode_begins_with_its_own_info_beside_others_that_go_on(id_):
+    if id_ == "stage/OneShotTuning-v1":
+        pytest.skip("episodes of one step all end together")
     longer = {"moves": 3} if id_ == "stage/SynchronizedMove-v0" else {}
     vector = make_vec(id_, 2, **longer)
     vector.reset(seed=13)
@@ -220,7 +229,7 @@ def test_actions_that_are_none_are_refused_by_name(id_):
         np.full(space.shape, np.nan),
         np.full(space.shape, 1e12),
     ):
-        with pytest.raises(ArgumentError, match=r"is not in (Box|MultiDiscrete)"):
+        with pytest.raises(ArgumentError, match=r"is not in (Box|MultiDiscrete|Discrete)"):
             env.step(bad)
     vector = make_vec(id_, 2)
     vector.reset(seed=1)
@@ -302,7 +311,7 @@ def test_a_stage_that_diverges_ends_its_own_episode_alone(any_):
     calm.reset(seed=5)
     vector.stages[1].data.qfrc_applied[:] = 1e30
     vector.action_space.seed(5)
-    actions = vector.action_space.sample()
+    actions = busy(any_, vector.action_space.sample())
     for _ in range(3):
         last = seen[1].copy()
         seen, rewards, _, truncated, infos = vector.step(actions)
@@ -323,7 +332,8 @@ def test_a_stage_that_diverges_ends_its_own_episode_alone(any_):
     assert np.isfinite(again).all(), "it starts anew"
     assert same(stage.envs.base._one(infos, 1), vector.unwrapped._task.told(1))
     assert vector.stages[1].time == 0, "and waits for its first action"
-    assert stage.envs.base._one(infos, 0)["cause"] == ""
+    if any_ != "stage/OneShotTuning-v1":  # where all begin anew with it
+        assert stage.envs.base._one(infos, 0)["cause"] == ""
 
 
 @pytest.mark.usefixtures("elsewhere")
@@ -332,7 +342,7 @@ def test_after_an_episode_that_diverged_a_reset_observes_the_new_one(any_):
     env.reset(seed=1)
     env.stage.data.qfrc_applied[:] = 1e30
     env.action_space.seed(1)
-    action = env.action_space.sample()
+    action = busy(any_, env.action_space.sample())
     for _ in range(3):
         *_, truncated, info = env.step(action)
         if truncated:

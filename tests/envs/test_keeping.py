@@ -16,10 +16,12 @@ SHORT = {
     "stage/SynchronizedMove-v0": {"model": "xy", "distances": (300, 900), "moves": 3, "limit": 0.3},
     "stage/ServoTuning-v0": {"limit": 0.05, "rest": 0.01, "moves": 3},
     "stage/FewShotTuning-v1": {"model": "xy", "distances": (300, 900), "tries": 3, "proofs": 1, "settle": 0.01},
+    "stage/OneShotTuning-v1": {"model": "xy", "distances": (300, 900), "proofs": 1, "settle": 0.01},
+    "stage/BusMacros-v1": {"model": "xy", "macros": 3},
 }
 
-BRIEF = ("stage/RegisterBus-v0", "stage/OriginReturn-v0", "stage/FewShotTuning-v1")
-"""Those of every day: bus cycles, an equipped machine, several tries."""
+BRIEF = ("stage/RegisterBus-v0", "stage/OriginReturn-v0", "stage/FewShotTuning-v1", "stage/BusMacros-v1")
+"""Those of every day: bus cycles, an equipped machine, several tries, macros."""
 
 
 def make(id_, **settings):

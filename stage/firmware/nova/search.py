@@ -32,6 +32,11 @@ class HomeSearch(Search):
         self._bits: dict[str, tuple[int, bool]] = {}
         self.program(self.choices.low)
 
+    def row(self, fl: float, fh: float, ramp: float, approach: float, leave: int, back_off: int) -> list[int]:
+        made = self.driver.formula(fl, fh, ramp, ramp, 1 << 20, s_curve=False)
+        slow = self.driver.formula(approach, fh, ramp, ramp, 1 << 20, s_curve=False)[self.driver.SPEEDS[0]]
+        return self._row({**made, "HV": slow, "leave": leave, "step1": 1, "timer": 1})
+
     def program(self, row: Sequence[int] | np.ndarray) -> Program:
         c, driver = self.settings, self.driver
         chosen = self.choices.named(row)

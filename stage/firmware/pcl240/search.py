@@ -35,6 +35,12 @@ class FourRuns(Search):
         self.marks = {}
         self.program(self.choices.low)
 
+    def row(self, fl: float, fh: float, ramp: float, approach: float, leave: int, back_off: int) -> list[int]:
+        unit = self.driver.chip.clock_hz / (8192 * self.settings.multiplier)  # pps
+        rate = self.driver.chip.clock_hz * ramp * unit / max(fh - fl, unit)
+        rates = {"R1": fl / unit, "R2": fh / unit, "R4": rate, "approach": approach / unit}
+        return self._row({**rates, "leave": leave, "back_off": back_off, "sd": 0})
+
     def program(self, row: Sequence[int] | np.ndarray) -> Program:
         c, a, chip = self.settings, self.driver.index, self.driver.chip
         fl, fh, rate, approach, leave, back_off, sd = np.asarray(row).tolist()

@@ -1,0 +1,89 @@
+"""`stage/OneShotTuning-v1`: one try at a move, and its proof. The payload is declared, as well as an operator knows it.
+
+An episode is one machine and one distance, drawn as in FewShotTuning, whose moves, action, reward and proof this has: a step
+chooses start rate, drive rate and both ramps; the move is made once, and proved with `margin` kg more. There is nothing to learn
+within an episode: what counts is how bold one may be with what is known beforehand.
+
+action        Box [-1, 1]^4, as FewShotTuning's; `action_of` of few_shot.py makes one of pps and seconds
+observation   float32, -1 to 1: distance, by its logarithm; the declared payload over `payloads`, off by up to `error` of itself
+              (truth=True adds the machine)
+reward        gain, damage, proof, as FewShotTuning's: in sum log(2 x usual time / proved cost), or 0 where it does not hold; less
+              `damage_weight` for steps lost or an end limit hit
+episode       one step, then terminated.
+score         time: s, the proved cost. formula: the engineer's (stage.tune.formula) for the declared payload, in closed form.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import numpy as np
+
+from stage.envs import contexts, few_shot
+from stage.envs.base import StageEnv, StageVectorEnv
+from stage.envs.entries import HOST, Entry
+from stage.envs.few_shot import FewShotTuning
+from stage.envs.settings import Count, Number, Word
+from stage.envs.tuning import given
+from stage.errors import ArgumentError
+
+
+@dataclass(frozen=True)
+class Config(few_shot.Config):
+    """Settings of OneShotTuning: those of FewShotTuning, with one try, and how well the payload is known."""
+
+    tries: Count = 1
+    memory: Annotated[str, Word(few_shot.MEMORIES)] = "last"
+    error: Annotated[float, Number(high=0.9)] = 0.2  # of the payload, by which the declared one is off at most
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.tries != 1:
+            raise ArgumentError(f"tries={self.tries!r}: one here; stage/FewShotTuning-v1 has several.")
+
+
+class OneShotTuning(FewShotTuning):
+    Config = Config
+    OPTIONS = (*FewShotTuning.OPTIONS, "declared")
+    """The move and the machine, and the payload that is declared, in place of drawn ones."""
+    STATE = (*FewShotTuning.STATE, "declared")
+    SEEN = (
+        FewShotTuning.SEEN[0],
+        Entry("declared", HOST, "payload as declared, from -1 to 1 over `payloads`"),
+        *contexts.SHOWN,
+    )
+    TOLD = (Entry("declared", HOST, "kg, of the payload, told by a reset"), *FewShotTuning.TOLD)
+
+    def prepare(self) -> None:
+        super().prepare()
+        self.declared = np.zeros(self.n)
+
+    def layout(self) -> list[Entry]:
+        return list(self.SEEN)
+
+    def _reckon(self, k: int, rng: np.random.Generator, options: Mapping[str, Any]) -> None:
+        off = 1 + self.config.error * rng.uniform(-1, 1)  # type: ignore[attr-defined]
+        most = self.ranges["payload"][1]
+        drawn = min(float(self.context[k]["payload"]) * off, most)
+        self.declared[k] = given(options, "declared", drawn, (0.0, most))
+        self._ask(k, float(self.declared[k]))
+
+    def describe(self, k: int) -> dict[str, Any]:
+        return {"declared": float(self.declared[k]), **super().describe(k)}
+
+    def observed(self) -> np.ndarray:
+        (d0, d1), (p0, p1) = np.log(self.config.distances), self.ranges["payload"]
+        distance = (np.log(self.distance) - d0) / max(d1 - d0, 1e-9) * 2.0 - 1.0
+        declared = (self.declared - p0) / max(p1 - p0, 1e-9) * 2.0 - 1.0
+        columns = [np.stack([distance, declared], axis=1), contexts.placed(self.ranges, self.context)]
+        return np.clip(np.concatenate(columns, axis=1), -1.0, 1.0).astype(np.float32)
+
+
+class OneShotTuningEnv(StageEnv):
+    task = OneShotTuning
+
+
+class OneShotTuningVectorEnv(StageVectorEnv):
+    task = OneShotTuning

@@ -1,0 +1,180 @@
+"""BusMacros: a phrase of bus cycles an action, masked where it has no effect; levels up to both axes from an unknown place."""
+
+import gymnasium
+import numpy as np
+import pytest
+
+import stage.envs  # noqa: F401
+from stage import ArgumentError
+from stage.envs.bus_macros import BEFORE, LEVELS, Config
+
+FULL = 120 * 0.01 + 30.0 * 0.05
+"""What is left of the cost at an episode's begin."""
+
+
+def make(**settings):
+    return gymnasium.make("stage/BusMacros-v1", disable_env_checker=True, **{"model": "xy"} | settings).unwrapped
+
+
+@pytest.fixture(scope="module")
+def env():
+    return make()
+
+
+def act(env, *names):
+    """The results of these macros."""
+    return [env.step(env.macros.index(name)) for name in names]
+
+
+def course(env, policy, **reset):
+    """(sum of rewards, steps, last info) of an episode."""
+    total, steps, over = 0.0, 0, False
+    env.reset(**{"seed": 1} | reset)
+    while not over:
+        _, reward, ended, cut, info = env.step(policy())
+        total, steps, over = total + reward, steps + 1, ended or cut
+    return total, steps, info
+
+
+@pytest.mark.parametrize(
+    ("level", "targets"),
+    [
+        ("move", {"x": 256}),
+        ("move", {"x": -256}),
+        ("target", {"x": 112}),
+        ("target", {"x": -112}),
+        ("axes", {"x": -96, "y": 64}),
+    ],
+)
+def test_the_longest_distances_first_lead_to_the_target_on_both_ways(env, level, targets):
+    total, steps, info = course(env, env.scripted, options={"level": level, "targets": targets})
+    assert info["score"]["success"]
+    assert info["score"]["moves"] == steps
+    assert info["score"]["time"] == info["elapsed"]
+    assert info["score"]["lost_steps"] == info["score"]["limits"] == 0
+    assert np.isfinite(info["score"]["regret"])
+    assert total > 4.9
+
+
+@pytest.mark.parametrize("chip", ["PCL240K", pytest.param("PCL240MS", marks=pytest.mark.slow), "MCX514"])
+def test_from_an_unknown_place_the_origin_is_found_first(chip):
+    env = make(chip=chip, axes=("x",))
+    sides = set()
+    for seed in (0, 1, 2, 7):
+        env.reset(seed=seed, options={"targets": {"x": 320}})
+        begun = env._task.axis_states[0, 0]
+        assert not begun["known"]
+        sides.add(bool(begun["org"]))
+        _, _, info = course(env, env.scripted, seed=seed, options={"targets": {"x": 320}})
+        assert info["score"]["success"], seed
+        assert abs(env.stage.axes["x"].position - env._task.origin[0]) / env.stage.axes[
+            "x"
+        ].meters_per_pulse == pytest.approx(320, abs=16)
+    assert sides == {True, False}, "before ORG and on it"
+
+
+def test_an_origin_return_that_begins_on_org_finds_nothing_and_one_that_left_it_does(env):
+    for seed in range(20):
+        env.reset(seed=seed)
+        if env._task.axis_states[0, 0]["org"] and env.stage.axes["x"].position < env._task.origin[0] - 500 * 3.125e-6:
+            break
+    act(env, "x home")
+    assert not env._task.axis_states[0, 0]["known"], "the backing off is too short"
+    act(env, "x rates usual", f"x distance {env._task.config.grid[-1]}", "x plus", "x wait", "x read", "x home")
+    assert env._task.axis_states[0, 0]["known"]
+    assert env._task.config.grid[-1] > BEFORE
+
+
+def test_what_has_no_effect_is_masked_and_does_nothing_if_it_is_done(env):
+    _, info = env.reset(seed=3, options={"level": "target"})
+    names, allowed = np.array(env.macros), info["action_mask"]
+    assert allowed.dtype == np.int8
+    assert not any(name.startswith("y ") for name in names[allowed != 0])
+    assert {"x plus", "x minus", "x home", "x wait", "x read", "x stop"} & set(names[allowed != 0]) == set()
+    before = env.stage.time
+    ((_, reward, *_, info),) = act(env, "x plus")
+    assert info["masked"]
+    assert reward == info["reward_parts"]["cost"] == -0.01
+    assert env.stage.time == before
+    *_, (*_, info) = act(env, "x rates usual", "x distance 16", "x plus")
+    assert not info["masked"]
+    assert set(names[info["action_mask"] != 0]) == {"x wait", "x read", "x stop"}
+    assert np.array_equal(env.action_masks(), info["action_mask"] != 0)
+    *_, (*_, info) = act(env, "x wait", "x read")
+    assert "x read" not in names[info["action_mask"] != 0]
+
+
+def test_there_is_always_something_to_do_and_a_vector_has_the_masks_of_all():
+    envs = gymnasium.make_vec(
+        "stage/BusMacros-v1", num_envs=3, vectorization_mode="vector_entry_point", model="xy", mixed=True
+    )
+    _, info = envs.reset(seed=2)
+    rng = np.random.default_rng(0)
+    for _ in range(30):
+        masks = envs.unwrapped.action_masks()
+        assert masks.any(axis=1).all()
+        assert np.array_equal(masks, info["action_mask"] != 0)
+        *_, info = envs.step(np.array([rng.choice(np.flatnonzero(row)) for row in masks]))
+        if info.get("_score", np.zeros(1)).any():
+            break
+    assert len(set(info["level"])) > 1
+    with pytest.raises(ArgumentError, match="is not in MultiDiscrete"):
+        envs.step(np.full(3, 99))
+
+
+def test_stable_baselines_asks_for_the_masks():
+    sb3 = pytest.importorskip("stage.envs.sb3", reason="extra rl is not installed")
+    envs = sb3.StageVecEnv("stage/BusMacros-v1", 2, model="xy")
+    envs.seed(1)
+    envs.reset()
+    rows = envs.env_method("action_masks")
+    assert [row.tolist() for row in rows] == envs.envs.action_masks().tolist()
+    assert envs.has_attr("action_masks")
+
+
+def test_to_give_up_is_no_cheaper_than_to_fail_at_the_end():
+    """Masked actions again and again, or a step lost at once, which ends an episode below the level "origin"."""
+    env = make(level="target")
+    idle = env.macros.index("x stop")
+    spun, steps, info = course(env, lambda: idle)
+    assert steps == 120
+    assert info["score"]["time"] == info["score"]["regret"] == np.inf
+    assert spun == pytest.approx(-FULL, abs=1e-9)
+    crash = iter(["x rates bold", "x distance 1024", "x plus"])
+    lost, steps, info = course(
+        env,
+        lambda: env.macros.index(next(crash, "x wait")),
+        options={"torque": 0.6, "payload": 5.0, "targets": {"x": 16}},
+    )
+    assert steps < 120
+    assert info["score"]["lost_steps"] > 0
+    assert lost < spun - 0.4, "damage, and farther away"
+
+
+def test_a_host_reads_before_it_knows(env):
+    env.reset(seed=4, options={"level": "target", "targets": {"x": 512}})
+    names = [e.name for e in env.entries]
+    left = names.index("left")
+    seen = [out[0][left] for out in act(env, "x rates usual", "x distance 256", "x plus", "x wait", "x read")]
+    assert len(set(seen[:4])) == 1
+    assert seen[4] == pytest.approx(seen[0] / 2)
+    assert not any(e.who == "truth" for e in env.entries)
+
+
+def test_levels_targets_and_grids_that_are_none_are_refused(env):
+    for options, said in (
+        ({"level": 4}, "option level=4: 0 to 3, or move"), ({"targets": {"x": 1 << 20}}, "option targets="),
+        ({"targets": {"q": 16}}, "axis 'q'"), ({"level": 3, "targets": {"x": -16}}, "1 to 2720"),
+    ):  # fmt: skip
+        with pytest.raises(ArgumentError, match=said):
+            env.reset(options=options)
+    for settings, said in (
+        ({"grid": (64, 16)}, "grid="),
+        ({"grid": (8, 16)}, "beyond the tolerance"),
+        ({"level": "x"}, "level"),
+    ):
+        with pytest.raises(ArgumentError, match=said):
+            Config(**settings)
+    with pytest.raises(ArgumentError, match="no stepper's slide"):
+        make(chip="HCTL1100", model="xyz_servo")
+    assert Config().level == LEVELS[-1]
