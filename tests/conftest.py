@@ -14,24 +14,52 @@ if sys.platform == "linux" and "DISPLAY" not in os.environ and ctypes.util.find_
 
 from support.examples import FIXED
 
-SLOW = tuple(
+sys.dont_write_bytecode = (
+    False  # nor do tests without it: pytest would rewrite the asserts of all of them in each worker, each time
+)
+BACKWARDS = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:]) % 2 == 1
+LINES = [
     line
     for line in (Path(__file__).parent / "slow_tests.txt").read_text().splitlines()
     if line and not line.startswith("#")
-)
+]
+SLOW: dict[str, list[str]] = {}  # file -> its lines
+for line in LINES:
+    SLOW.setdefault(line.partition("::")[0], []).append(line)
+
+
+class Backwards(pytest.Dir):
+    """A folder that is collected from its end."""
+
+    def collect(self):
+        return reversed(list(super().collect()))
+
+
+def pytest_collect_directory(path, parent):
+    """Every second worker begins at the end. pytest rewrites the asserts of a file once, and keeps that: two that go the same
+    way would do it at the same time, each for all files."""
+    return Backwards.from_parent(parent, path=path) if BACKWARDS and not (path / "__init__.py").exists() else None
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config, items):
     """Those of slow_tests.txt are slow. A line of which a whole file has no test is an error: it has another name now."""
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        items.sort(key=lambda item: item.path.parts)  # the same in every worker
+    seen, files = set(), set()
     for item in items:
-        if item.nodeid.startswith(SLOW):
-            item.add_marker("slow")
+        file = item.nodeid.partition("::")[0]
+        files.add(file)
+        for line in SLOW.get(file, ()):
+            begin, _, end = line.partition("*")
+            if item.nodeid.startswith(begin) and item.nodeid.endswith(end):
+                item.add_marker("slow")
+                seen.add(line)
     if not any("::" in arg for arg in config.args):
-        names, files = [item.nodeid for item in items], {item.nodeid.partition("::")[0] for item in items}
-        for line in SLOW:
-            if line.partition("::")[0] in files and not any(name.startswith(line) for name in names):
-                raise pytest.UsageError(f"tests/slow_tests.txt: there is no test {line}")
+        for file in files:
+            for line in SLOW.get(file, ()):
+                if line not in seen:
+                    raise pytest.UsageError(f"tests/slow_tests.txt: there is no test {line}")
 
 
 def pytest_collection_finish():

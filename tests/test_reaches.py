@@ -1,6 +1,7 @@
 """A name with an underscore is its module's own: what others need of it has a name without one, and a docstring."""
 
 import ast
+import re
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -17,6 +18,9 @@ OF_OTHERS = {
 INSIDE_NUMBA = {"stage/native/emit.py", "stage/native/passes.py", "stage/native/typed.py"}
 """Objects for a baseline processor are nothing that numba offers."""
 
+REACH = re.compile(r"(?<!\bself)(?<!\bcls)(?<!\bsuper\(\))\s*\.\s*_(?!_)")
+"""Sources without it need not be parsed."""
+
 
 def is_own(node: ast.expr, *names: str) -> bool:
     """It is one of these names, or a call of it without arguments."""
@@ -27,16 +31,18 @@ def is_own(node: ast.expr, *names: str) -> bool:
 
 def reaches(source: str) -> list[str]:
     """Attributes with an underscore, of another object than `self`, that nothing in this source has itself."""
-    tree = ast.parse(source)
-    own = {node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef | ast.ClassDef)}
+    if not REACH.search(source):
+        return []
+    nodes = list(ast.walk(ast.parse(source)))
+    own = {node.name for node in nodes if isinstance(node, ast.FunctionDef | ast.ClassDef)}
     own |= {
         node.attr
-        for node in ast.walk(tree)
+        for node in nodes
         if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store) and is_own(node.value, "self")
     }
     return [
         f"line {node.lineno}: {ast.unparse(node)}"
-        for node in ast.walk(tree)
+        for node in nodes
         if isinstance(node, ast.Attribute)
         and node.attr.startswith("_")
         and not node.attr.startswith("__")

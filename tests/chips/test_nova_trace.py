@@ -65,7 +65,7 @@ def test_pulses_at_any_constant_speed_fall_where_each_would_alone():
 @pytest.mark.parametrize("wr3", [0, 4], ids=["linear", "S-curve"])
 def test_so_they_do_after_ramps_of_any_kind_and_when_the_speed_is_changed(wr3):
     seen = 0
-    for rng in examples(0.5):
+    for rng in examples(1):
         chip = MCX514()
         set_wr3(chip, wr3)
         sv, dv, ac = ramp(rng)
