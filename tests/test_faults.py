@@ -720,7 +720,9 @@ def test_every_fault_has_a_section_with_its_command_in_the_docs():
         (lambda s: faults.payload(s, 2.0, "nowhere"), "unknown body"),
         (lambda s: faults.payload(s.axes["x"], 2.0), "give a Stage"),
         (lambda s: faults.jam(s.axes["x"], -5), "above 0 N"),
+        (lambda s: faults.bounce(s.axes["x"], "org", 1.0001), "up to 1 s"),
         (lambda s: faults.bus_voltage(s, 0), "up to 400 V"),
+        (lambda s: faults.bus_voltage(s, 400.1), "up to 400 V"),
         (lambda s: faults.bus_voltage(24, 12), "give stage.axes"),
         (lambda s: faults.phase_open(s.axes["x"], "c"), "unknown phase"),
         (lambda s: faults.start_skew(s.axes["x"], -1e-3), "0 s or more"),
@@ -733,6 +735,14 @@ def test_errors_say_what_is_allowed_and_break_nothing(xyz, make, message):
         make(xyz)
     assert xyz.faults == ()
     assert bits(xyz) == before
+
+
+def test_the_ends_of_what_a_fault_takes_are_taken_and_a_supply_tells_that_of_the_first_axis(xyz):
+    with faults.bounce(xyz.axes["x"], "org", 1.0), faults.bus_voltage(xyz.axes["z"], 400):
+        assert "axis x: org bounces for 1000 ms" in xyz.faults
+        assert "axis z: bus voltage 400 V in place of 24 V" in xyz.faults
+        with faults.bus_voltage(xyz, 12):
+            assert xyz.faults[-1] == "all axes: bus voltage 12 V in place of 24 V"
 
 
 def test_edges_of_a_window_have_room():

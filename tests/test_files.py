@@ -15,7 +15,7 @@ from stage import Stage, StageError, firmware
 from stage.cli import main
 from stage.drives.motors import Drive
 from stage.drives.picture import plot_pull_out
-from stage.files import FileError, written
+from stage.files import FileError, figure_format, written
 from stage.recording import RecordingError
 from stage.recording.viewer import screenshot
 
@@ -54,6 +54,12 @@ def test_a_drawing_stays_unless_overwriting_is_asked_for(stage, tmp_path):
         draw(path, overwrite=True)
         assert path.read_bytes()[1:4] == b"PNG"
     assert len(list(tmp_path.iterdir())) == 3, "nothing half-written is left"
+
+
+def test_a_figure_has_the_format_of_its_name_however_that_is_written():
+    assert [figure_format(name) for name in ("a.PNG", "a.Svg", "a", "b.c/a")] == ["png", "svg", "png", "png"]
+    with pytest.raises(FileError, match="a figure is no 'foo'"):
+        figure_format("a.FOO")
 
 
 def test_a_drawing_that_cannot_be_written_says_so(stage, tmp_path):

@@ -5,6 +5,7 @@ import os
 import pickle
 import signal
 from importlib import resources
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -191,6 +192,18 @@ def test_a_program_that_names_what_is_not_there_is_refused(first, op):
     fleet.play(ended)  # what comes after the end is not played
 
 
+def test_a_point_is_one_that_each_stage_of_the_fleet_has(first):
+    bare = Stage("xyz", visuals=False)
+    more = mujoco.MjSpec.from_file(str(Path(__file__).parents[1] / "models" / "xyz.xml"))
+    more.worldbody.add_body(name="beside").add_site(name="more")
+    fleet = Fleet([bare, Stage(more, visuals=False)], 1)
+    for point in (bare.model.nsite, 1 - bare.model.nbody):
+        fleet.play([Program().look(0, point)] * 2)
+    for point in (bare.model.nsite + 1, -bare.model.nbody):
+        with pytest.raises(ArgumentError, match="program 0, operation 0: LOOK"):
+            fleet.play([Program().look(0, point)] * 2)
+
+
 def test_axes_of_a_wait_are_a_set(first):
     assert Program().until_stopped([0, 0], 1.0).ops == Program().until_stopped([0], 1.0).ops
     with pytest.raises(ArgumentError, match="index"):
@@ -350,12 +363,12 @@ def test_a_closed_fleet_plays_again_and_stops_are_waited_for_axis_by_axis(first)
 def test_a_program_that_keeps_step_ends_at_the_first_one_lost_compiled_or_not(first):
     """Program().until_stopped([0], 2.0, keep_step=True)"""
 
-    def played(fl, keep_step, recorded=False):
+    def played(fl, keep_step, recorded=False, poll=2.5e-4):
         fleet = Fleet(stages(first, 1), threads=1)
         axis, p = fleet.stages[0].axes["x"], Program().command(0, 0x08)
         for name, value in {"R0": 4000, "R1": fl, "R2": fl, "R7": 120}.items():
             p.register(0, axis.chip, name, value)
-        p.command(0, 0x44).command(0, 0x11).until_stopped([0], 2.0, keep_step=keep_step).measure(0.01)
+        p.command(0, 0x44).command(0, 0x11).until_stopped([0], 2.0, poll, keep_step).measure(0.01)
         recording = fleet.stages[0].record() if recorded else None
         result = fleet.play([p])
         if recording:
@@ -369,3 +382,5 @@ def test_a_program_that_keeps_step_ends_at_the_first_one_lost_compiled_or_not(fi
     assert short[0] < 0 < long[0]
     assert -short[0] < long[0] / 2
     assert short[3] != 0
+    late = played(8000, True, poll=1.5)
+    assert (late[0] < 0, late[3] != 0) == (True, True), "steps that an axis lost before the poll that finds it at rest"

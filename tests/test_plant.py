@@ -427,6 +427,20 @@ def test_a_step_near_the_longest_loses_no_steps():
         assert x.position == pytest.approx(x.commanded, abs=4 * x.meters_per_pulse)
 
 
+def test_the_step_that_is_proposed_has_room_to_the_longest():
+    """Of 5, 2.5 and 1 times a power of ten the first that is no more than 0.7 times the longest"""
+    parts = []
+    for mass in np.geomspace(0.02, 0.4, 9):
+        light = documented().replace('armature="3.711"', 'armature="0.001"').replace('mass="2"', f'mass="{mass}"')
+        with pytest.raises(ModelError, match="a time step of") as caught:
+            Stage(with_step(0.001, light))
+        longest = float(re.search(r"takes steps of (\S+) s at most", str(caught.value))[1])
+        step = float(re.search('timestep="(.*?)"', caught.value.missing[0])[1])
+        parts.append(step / longest)
+    assert 0.26 < min(parts) < 0.5
+    assert 0.5 < max(parts) < 0.75
+
+
 def test_how_long_a_step_may_be_depends_on_the_motor_and_on_what_it_moves():
     light = documented().replace('armature="3.711"', 'armature="0.01"').replace('mass="2"', 'mass="0.001"')
     with pytest.raises(ModelError, match=r"a time step of 0\.00025 s is too long") as caught:

@@ -171,6 +171,10 @@ def test_a_snapshot_of_another_version_says_that_it_is_one(xy):
     rebuild, (cls, version, *rest) = xy.snapshot().__reduce__()
     with pytest.raises(ArgumentError, match=rf"of format {version + 1}, and this PulseStage reads format {version}"):
         rebuild(cls, version + 1, *rest)
+    with pytest.raises(ArgumentError, match=rf"of format {version - 1}, and"):
+        rebuild(cls, version - 1, *rest)
+    with pytest.raises(ArgumentError, match="is damaged"):
+        rebuild(cls, version, None, rest[1])
     with pytest.raises(ArgumentError, match="from before snapshots had a header"):
         cls.__new__(cls).__setstate__({"kind": (), "state": None, "diagnostics": ()})
 

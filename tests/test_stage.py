@@ -228,6 +228,14 @@ def test_a_diverging_simulation_names_time_and_axis_and_keeps_the_state_before(x
 
 
 @pytest.mark.usefixtures("elsewhere")
+@pytest.mark.parametrize("name", "xyz")
+def test_an_axis_that_diverges_alone_is_named(xyz, name):
+    xyz.data.qfrc_applied[xyz.model.joint(name).dofadr[0]] = 1e12
+    with pytest.raises(SimulationError, match=f"diverged at .* on axis '{name}'"):
+        xyz.run(0.01)
+
+
+@pytest.mark.usefixtures("elsewhere")
 def test_a_speed_that_is_no_number_has_diverged(xyz):
     # planted: NaN speed taken for no divergence
     xyz.data.qfrc_applied[xyz.model.joint("y").dofadr[0]] = float("nan")

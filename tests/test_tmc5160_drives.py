@@ -19,6 +19,7 @@ from stage import ArgumentError, Drive, Stage, StageError, firmware
 from stage.board import Board, NativeHost, build
 from stage.chips import chip_class
 from stage.cli import main
+from stage.firmware.driver import Speeds, driver_of
 from stage.testing import chip_conformance
 
 SMOOTH = Drive("17HS4401", detent=0.0, mode="sine")
@@ -304,6 +305,33 @@ def test_sensors_of_negative_logic_are_told_by_the_polarity_bits_and_their_lack_
     usual = Stage("xy", chips={"x": "tmc5160"}, wiring={"x": dict.fromkeys(sensors, "positive")}, visuals=False)
     assert usual.axes["x"].wiring == {}
     assert not usual.axes["x"].chip.pins.refl
+
+
+def test_a_move_takes_no_heed_of_a_second_slope_that_somebody_has_left(x):
+    usual = firmware.move(x, pulses=20_000).duration
+    put(x.chip, V1=30_000, A1=200, D1=150)
+    assert firmware.move(x, pulses=-20_000).duration == pytest.approx(usual, rel=1e-3)
+
+
+def test_an_axis_that_is_stopped_at_once_makes_no_ramp(x):
+    driver, went = driver_of(x), []
+    for at_once in (False, True):
+        driver.run(1, Speeds(start=1000.0, drive=100_000.0, up=0.1, down=0.1))
+        x.stage.run(0.2)
+        began = x.chip.values()["XACTUAL"]
+        driver.halt(at_once)
+        went.append(x.chip.values()["XACTUAL"] - began)
+    assert went[0] > 3000
+    assert 0 <= went[1] < 500
+
+
+def test_a_motor_gets_no_more_than_the_sense_resistors_allow():
+    """TMC5160(rsense=0.22): a Drive of 1.7 A gets 1.48 A"""
+    chip = chip_class("tmc5160")(rsense=0.22)
+    stage = Stage("xy", chips={"x": chip}, drives=SMOOTH, visuals=False)
+    from pulsestage_tmc5160.driver import current_registers
+
+    assert driver_of(stage.axes["x"]).currents() == current_registers(0.325 / 0.22, 0.22)
 
 
 def test_homing_by_what_a_chip_cannot_is_refused(stage_):

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 import random
 
 import pytest
 from support.compiled_firmware import PLAYER, firmware
+from support.many_axes import rail_model
 
 from stage import Stage, faults
 from stage.board import LAYOUTS, Board, NativeHost, StormError
@@ -521,3 +523,18 @@ def test_a_full_trace_goes_on_in_order_and_counts_the_lines_before():
     assert lines[1].strip() == "... 8 lines before"
     assert len(lines) == 5
     assert len(board.trace.text().splitlines()) == 6
+
+
+def test_a_card_of_eight_chips_shows_who_of_them_pulls_the_line():
+    """A layout like pcl240-card with eight chips: bits 0 to 7 at its own port"""
+    stage = Stage(rail_model(8), chips=PCL240K, visuals=False)
+    board = Board(stage, dataclasses.replace(LAYOUTS["pcl240-card"], chips=8))
+    own = 0x340 + 8 * 4
+    for k in (7, 0, 6):
+        for name, value in {"R0": 1, "R1": 8000, "R7": 2}.items():
+            for address, datum in PCL240K.register_cycles(name, value):
+                board.out8(0x340 + 4 * k + address, datum)
+        board.out8(0x340 + 4 * k, 0x44)
+        board.out8(0x340 + 4 * k, 0x30)
+    board.delay_us(100)
+    assert board.in8(own) == 0b1100_0001

@@ -146,6 +146,18 @@ def character(b):
     return int(uart_core.character(b.device.state[0].view(uart_core.STATE)[0]))
 
 
+def test_fifos_that_are_switched_on_or_off_are_empty():
+    for before in (1, 0):
+        b = uart(fcr=before)
+        feed(b, 1)
+        b.at += 2 * character(b)
+        assert b.read(5) & 1
+        b.write((2, before))
+        assert b.read(5) & 1, "as it was"
+        b.write((2, 1 - before))
+        assert not b.read(5) & 1
+
+
 def test_a_character_of_a_uart_has_as_many_bits_as_its_lcr_says():
     """5 to 8 bits, parity, 1, 1.5 and 2 stop bits, at 115,200 baud; then divisors 0102h to 0304h"""
     for lcr in range(32):

@@ -372,6 +372,13 @@ def test_a_recording_shows_the_pulses_and_the_rate_of_a_slave(pair):
 # The option and the driver
 
 
+def older():
+    """A chip whose clock has run already."""
+    chip = MCX514()
+    chip.advance(7)
+    return chip
+
+
 @pytest.mark.parametrize(
     ("options", "said"),
     [
@@ -383,6 +390,7 @@ def test_a_recording_shows_the_pulses_and_the_rate_of_a_slave(pair):
             {"multichip": ["a0", "a2"], "chips": {"a0": MCX514, "a1": MCX514, "a2": lambda: MCX514(8_000_000)}},
             "one clock",
         ),
+        ({"multichip": ["a0", "a2"], "chips": {"a0": MCX514, "a1": MCX514, "a2": older}}, "at 7 of 16,000,000 Hz"),
     ],
 )
 def test_a_wrong_option_is_refused(options, said):

@@ -51,6 +51,10 @@ def test_and_so_it_does_all_along_the_corner():
     assert measured == pytest.approx(closed_form(MOTOR, 24, 1.7, CORNER), rel=0.03)
 
 
+def test_beyond_its_no_load_speed_a_motor_has_no_torque():
+    assert bound_by_both(MOTOR, 0.5, 1.7, np.array([3e3, 1e6])).tolist() == [0.0, 0.0]
+
+
 def test_a_chopper_lies_between_what_a_sine_bound_by_both_limits_reaches_and_the_closed_form_at_4_over_pi_v():
     rpm = np.r_[100, 300, CORNER, 1200:2401:400]
     measured = pull_out(SMOOTH, rpm)

@@ -12,6 +12,7 @@ from stage import ArgumentError, Stage
 from stage.chips import MCX302, MCX304, MCX514, PCL240K, PCL240MK, PCL240MS
 from stage.envs import origin_return as returns
 from stage.envs.registers import RegisterBox
+from stage.sim.program import Program
 
 pytestmark = pytest.mark.filterwarnings("error")
 
@@ -156,6 +157,18 @@ def test_a_faster_search_gains_time_and_a_faster_approach_loses_precision():
     _, _, rough = one_return(env, BEFORE, approach=100)
     assert rough["home"]
     assert abs(rough["error"]) > abs(plain["error"]) + 1
+
+
+def test_a_rotor_that_got_ahead_of_its_pulses_has_lost_steps_too():
+    env = make()
+    one_return(env, NEAR)
+    task = env._task
+    played, truth = task.fleet.play([Program()]), task.fleet.truth()
+    truth["lost_steps"] = -8
+    results = np.zeros((1, 500), np.int64)
+    task.judge(played._replace(results=results), truth)
+    assert task.results["info"]["lost_steps"][0] == 8
+    assert task.results["parts"]["lost"][0] == -returns.Config.lost_weight
 
 
 def test_leaving_into_the_end_limit_is_seen_and_costs():

@@ -17,7 +17,7 @@ from stage.envs.synchronized_move import (
 )
 from stage.errors import ArgumentError
 from stage.firmware.driver import driver_of
-from stage.firmware.lines import line_of
+from stage.firmware.lines import Asked, line_of
 from stage.firmware.path import path_deviation, perfect_deviation, pulses_of
 from stage.firmware.pcl240 import emulated as follow
 from stage.firmware.pcl240.driver import TUNED as REGISTERS
@@ -466,6 +466,49 @@ def test_no_correction_takes_fl_above_fh():
     assert (sheet[:, :, 0] <= sheet[:, :, 1]).all()
     assert (corrected[:, :, 1] < sheet[:, :, 1]).any()
     assert (corrected[:, :, 0] <= corrected[:, :, 1]).all()
+    chip = task(4, chip="MCX514", rate=2000.0, fl=2000.0, accel=0.01)
+    bent = chip.line.corrected(chip.asked, np.tile([1.0, -1.0, 0.0], (4, 1, 1)))
+    assert (bent[:, :, 1] < chip.data_sheet()[:, :, 1]).all()
+    assert (bent[:, :, 0] == bent[:, :, 1]).all()
+
+
+def test_after_the_last_move_of_an_episode_the_next_is_not_drawn_yet():
+    """The last observation is of the move that was made; a vector draws the next at its reset, and moves nothing then"""
+    env = SynchronizedMoveEnv(**SHORT, moves=1)
+    first, _ = env.reset(seed=3)
+    last, _, terminated, _, info = env.step(NOTHING)
+    assert terminated
+    assert (last[:3] == first[:3]).all()
+    x = env.stage.axes["x"]
+    assert x.position - 0.5 * info["distances"][0] * x.meters_per_pulse == pytest.approx(0.5 * sum(x.travel), abs=1e-4)
+    vector = SynchronizedMoveVectorEnv(2, **SHORT, moves=2)
+    vector.reset(seed=3)
+    first, second = vector._task.stages
+    began = first.now
+    vector._task.steps[0] = 1
+    assert vector.step(np.zeros((2, 12), np.float32))[2].tolist() == [True, False]
+    vector.step(np.zeros((2, 12), np.float32))
+    assert first.now == began < second.now
+
+
+def test_the_data_sheets_ramp_down_point_is_some_pulses_before_the_end_in_the_ratio_of_the_distances():
+    """line.data_sheet(Asked([[8000, 10], [4, 3]], [8000.0, 8000.0])): 5 pulses of the longest axis at FL, one at least, and never
+    more than the axis makes"""
+    line = task(2).line
+    asked = Asked(np.array([[8000, 10], [4, 3]]), np.array([8000.0, 8000.0]))
+    low, high, _, down, point, r7 = np.moveaxis(line.data_sheet(asked), 2, 0)
+    fall = np.floor((high + low) * np.maximum(high - low, 1) * down / (16384.0 * r7))
+    assert (point - fall)[0].tolist() == [5, 1]
+    assert point[1].tolist() == [4, 3]
+
+
+def test_the_last_pulse_of_registers_of_ones_own_is_as_long_as_the_slower_rate_makes_it():
+    line = task(1).line
+    registers = np.tile(line.low, (1, 2, 1))
+    registers[:, :, :2], registers[:, :, 5] = [[400, 8]], 1000
+    seconds = line.last_pulse(registers)
+    assert seconds == pytest.approx(4096 * 1000 / 8 / line.hz)
+    assert (line.last_pulse(registers[:, :, [1, 0, *range(2, 6)]]) == seconds).all()
 
 
 def test_corrections_of_interpolation_are_factors():

@@ -59,6 +59,15 @@ def test_a_long_move_is_a_trapezoid_and_a_short_one_a_triangle(x):
     assert profile.fl < short.peak_rate < profile.fh1
 
 
+def test_a_move_lasts_from_its_start_to_its_stop(x):
+    """firmware.preset_move(x, 3, high_speed=False): the chip is busy from the start command to the end of the last pulse"""
+    report = firmware.preset_move(x, 3, high_speed=False)
+    course = report.course
+    began, ended = (course.seconds[1:][np.diff(course.running.astype(int)) == way] for way in (1, -1))
+    assert report.duration == pytest.approx(ended[0] - began[0], abs=1e-9)
+    assert report.duration > 3 / Profile.of().fh1
+
+
 def test_constant_speed_has_no_ramps(x):
     report = firmware.preset_move(x, 500, Profile.of(fh1=2000), high_speed=False)
     assert phases(report) == ["fkeep"]
@@ -223,6 +232,14 @@ def test_an_interruption_after_the_end_changes_nothing(x):
     assert [code for t, code, _ in report.writes() if t >= 0] == ["15"]
 
 
+@pytest.mark.parametrize(("fh2", "stop"), [(False, "3D"), (True, "3F")])
+def test_an_interruption_slows_down_from_the_rate_of_the_move(x, fh2, stop):
+    report = firmware.interrupted_move(x, 10_000, after=0.2, pause=0.05, fh2=fh2)
+    commands = [code for t, code, _ in report.writes() if t >= 0]
+    assert stop in commands
+    assert report.pulses == 10_000
+
+
 @pytest.mark.parametrize(("fh2", "pulses"), [(False, -4200), (True, -8300)])
 def test_the_rest_of_an_interrupted_s_curve_that_is_short_ends_at_fl_by_a_whole_s_curve(fh2, pulses):
     """firmware.interrupted_move(axis, 3000, profile.shaped(True)): too few pulses are left for FH1"""
@@ -278,6 +295,15 @@ def test_on_the_stage_a_sane_move_loses_no_step_and_ends_where_it_should(xyz):
         assert report.ok
         assert report.lost_steps == 0
         assert report.position - report.start == pytest.approx(0.020, abs=2e-5)
+
+
+def test_steps_that_were_lost_before_are_not_those_of_a_move(xyz):
+    x = xyz.axes["x"]
+    xyz.data.qpos[x.plant.qpos] += 16 * 16 * x.meters_per_pulse
+    xyz.run(0.05)
+    assert x.lost_steps == -16
+    assert firmware.preset_move(x, 300).lost_steps == 0
+    assert firmware.move(x, pulses=-300).lost_steps == 0
 
 
 def test_above_pull_out_it_stalls_the_report_says_by_how_much_and_a_new_origin_return_repairs_it(xyz):

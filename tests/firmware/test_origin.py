@@ -75,6 +75,16 @@ def test_constant_speed_return_needs_no_sd(stage):
     assert not report.course.pin("fup").any()
 
 
+def test_a_constant_speed_return_is_stopped_by_the_reset_command_alone(stage):
+    stage.reset()
+    stage.place(y={s.pin: s.touch for s in stage.axes["y"].plant.switches}["org"] - 1e-4)
+    assert stage.axes["y"].switches.org
+    profile = firmware.Profile.of(fl=4000, fh1=8000)
+    report = firmware.origin_return(stage.axes["y"], profile=profile, high_speed=False, slow_approach=False)
+    assert report.stopped_by == "ORG"
+    assert not [code for _, code, _ in report.writes() if code in ("1D", "1F")]
+
+
 def test_sd_slows_the_axis_to_fl_before_org_stops_it(stage):
     stage.reset()
     stage.place(x=-0.08)

@@ -378,6 +378,8 @@ def test_an_emergency_stop_is_not_as_asked():
     x.wait(0.01)
     assert not driver.runs()
     assert driver.stopped_by() == "EMG"
+    x.chip.pins.emg = False
+    assert driver.stopped_by() == "EMG", "it has ended the drive, whatever it is now"
 
 
 @each

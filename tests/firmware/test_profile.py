@@ -137,10 +137,20 @@ def test_a_profile_without_ramps_may_be_shaped_and_takes_any_ramp_time():
     """Profile.of(fl=5000, fh1=5000, fh2=5000, accel=50).shaped(True)"""
     flat = Profile.of(fl=5000, fh1=5000, fh2=5000, accel=50, chip=PCL240MS)
     assert flat.fh1 == flat.fl == pytest.approx(5000, rel=1e-4)
+    assert Profile.of(fl=1234.5, fh1=1234.5, fh2=1234.5, accel=50).fl == pytest.approx(1234.5, rel=2e-4)
     shaped = flat.shaped(True)
     assert (shaped.spans, shaped.R4, shaped.R5) == ((0, 0), flat.R4, flat.R5)
     assert flat.within(100) is flat
     assert shaped.within(3).R2 == shaped.R1
+
+
+def test_a_shape_keeps_the_ramp_times_to_the_high_rate_that_is_asked():
+    plain = Profile.of(fl=500, fh1=4000, fh2=16_000, accel=0.2, decel=0.1, chip=PCL240MS)
+    for fh2 in (False, True):
+        curved = plain.shaped(0.2, fh2)
+        assert curved.accel(fh2) == pytest.approx(plain.accel(fh2), rel=0.01)
+        assert curved.decel(fh2) == pytest.approx(plain.decel(fh2), rel=0.01)
+        assert curved.accel(not fh2) != pytest.approx(plain.accel(not fh2), rel=0.05)
 
 
 @pytest.mark.parametrize("spans", [(0, 4095), (4095, 0)])

@@ -50,6 +50,18 @@ def test_the_least_pulses_that_are_accepted_end_at_fl(x, rates):
     assert speed[speed > 0][-1] == P.R1
 
 
+def test_a_host_that_looks_late_at_each_rate_has_pulses_left():
+    """The least pulses of rates without dwells leave a host a millisecond at the highest for each of them."""
+    least = {}
+    for rates in (("FH1", "FH2"), ("FH1", "FH2", "FH1")):
+        with pytest.raises(ArgumentError, match="at least") as refusal:
+            firmware.dual_rate_move(Bench(x=PCL240K()).axes["x"], 2, P, rates=rates, dwell=0.0)
+        least[rates] = int(str(refusal.value).split("at least ")[1].split(" ")[0])
+        speeds = [{"FH1": P.R2, "FH2": P.R3}[rate] for rate in rates]
+        late = 1e-3 * len(rates) * max(P.fh1, P.fh2)
+        assert least[rates] == int(P.pulses_through(speeds, 0.0) + late) + 6
+
+
 def test_an_end_limit_ends_the_sequence_without_further_starts(x):
     x._bench.rail("x", el_plus=(1500, None))
     report = firmware.dual_rate_move(x, 12_000, P, rates=("FH1", "FH2", "FH1"), dwell=0.2)

@@ -133,6 +133,7 @@ def test_on_the_stage_carriages_follow_the_line(stage):
     assert report.ok
     assert report.deviation.pulses == pytest.approx(report.plan.deviation, abs=0.02)
     assert 0 < report.carriage_deviation < 1e-4
+    assert stage.time > report.plan.seconds + 0.04, "it looks where the carriages came to rest"
     for n, d in (("x", 20_000), ("y", -7_500)):
         axis = stage.axes[n]
         assert report.axes[n].lost_steps == 0
@@ -183,6 +184,14 @@ def test_a_move_that_takes_too_long_says_what_is_left():
     ) as caught:
         synchronized_move({"x": 20_000, "y": 9_000}, bench(), timeout=0.1)
     assert 0 < caught.value.reports["x"].pulses < 20_000
+
+
+def test_it_waits_no_longer_than_its_time():
+    """synchronized_move({"x": 600_000, "y": 90_000}, bench, timeout=0.01): it is looked at every 0.19 s"""
+    b = bench()
+    with pytest.raises(RunTimeout):
+        synchronized_move({"x": 600_000, "y": 90_000}, b, timeout=0.01)
+    assert b.axes["x"].time < 0.012
 
 
 def test_it_draws_itself(tmp_path):

@@ -16,6 +16,8 @@ from stage.firmware import Bench, plan, synchronized_move
 from stage.firmware.pcl240 import fit
 from stage.firmware.pcl240.closed_form import count, course, first_pulse, ramp_ticks
 from stage.firmware.pcl240.emulated import run
+from stage.firmware.pcl240.leader import effective_steps
+from stage.firmware.pcl240.profile import ramp_seconds
 
 
 def log_uniform(low, high):
@@ -278,7 +280,7 @@ def test_a_plan_comes_true():
         ({"x": 16_000_000}, {"rate": 240_000, "decel": 20}, "ramp-down takes .* pulses, and R6 counts to 1048575"),
         ({"x": 1_000_000, "y": 20}, {}, "y would have to run at 0.32 pps, .* is 0.587 pps .*Raise the rate to 29326 pps"),
         ({"x": 50_000, "y": 600}, {"accel": 2.0}, "cannot ramp for accel=2 s: to 192 pps .* about 1 s .* off the line. Shorten"),
-        ({"x": 9_000_000, "y": 8_000_000}, {"rate": 2e6, "clock_hz": {"x": 4_915_200, "y": 1_000_000}}, "Lower the rate to"),
+        ({"x": 9_000_000, "y": 8_000_000}, {"rate": 2e6, "clock_hz": {"x": 4_915_200, "y": 1_000_000}}, "to 562431 pps"),
         ({"x": 1000, "y": 500}, {"rate": 1000.2, "fl": 1000}, "accel=0.15 s .* would need R4 outside|within one speed step"),
         ({"y": 1000}, {"clock_hz": {"x": 4_915_200}}, "unknown axis in clock_hz 'y'"),
     ],
@@ -286,6 +288,21 @@ def test_a_plan_comes_true():
 def test_what_registers_cannot_do_is_refused_with_the_reason(distances, options, reason):
     with pytest.raises(ArgumentError, match=reason):
         plan(distances, **options)
+
+
+def test_a_ramp_with_curved_ends_is_as_long_as_a_linear_one_of_its_effective_steps():
+    for gain, share in ((1, 0.3), (2, 0.1), (3, 0.45), (40, 0.2), (41, 0.49)):
+        span = max(round(share * gain), 1)
+        made = ramp_seconds(100, 100 + gain, 50, 4_915_200, min(span, gain // 2))
+        assert effective_steps(gain, share) * 50 / 4_915_200 == pytest.approx(made, rel=1e-9)
+    assert [effective_steps(40, share) for share in (0, 0.5)] == [40, 40]
+
+
+def test_a_slow_fl_leaves_a_move_the_data_sheets_tail():
+    """plan({"x": 1000, "y": 500}, rate=1000, fl=10): the 5 pulses at FL take half a second"""
+    p = plan({"x": 1000, "y": 500}, rate=1000, fl=10)
+    assert p.axes["x"].fl == pytest.approx(10, rel=0.05)
+    assert p.axes["x"].ramps
 
 
 def test_an_axis_too_slow_to_ramp_along_does_its_best_and_says_so():

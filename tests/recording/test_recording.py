@@ -295,3 +295,12 @@ def test_a_quarter_of_an_hour_of_three_axes_costs_little_memory_to_keep_and_to_s
     kept, saved = map(float, done.stdout.split())
     assert kept < 20, "MiB while it runs"
     assert saved < 150, "MiB more at its peak, while it saves"
+
+
+def test_samples_are_as_far_apart_as_the_nearest_number_of_physics_steps(xy):
+    """stage.record(every=0.4e-3): every 0.5 ms, of steps of 0.25 ms"""
+    for every, steps in ((0.4e-3, 2), (0.3e-3, 1), (1e-6, 1), (0.9e-3, 4)):
+        with xy.record(every=every) as recording:
+            xy.run(4e-3)
+        assert recording.every == pytest.approx(steps * 0.25e-3)
+        assert np.diff(recording.column("time")) == pytest.approx(recording.every)

@@ -1,11 +1,13 @@
 """Promises of a recording that is written as it goes: kills, full disks, and the same contents as a saved one."""
 
+import gc
 import json
 import signal
 import subprocess
 import sys
 import threading
 import warnings
+import weakref
 from pathlib import Path
 
 import numpy as np
@@ -258,10 +260,14 @@ def test_no_warning_and_no_thread_is_left_when_all_goes_well(tmp_path):
     stage = Stage("xy", visuals=False)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        with stage.record(path=tmp_path / "x.rrd"):
+        with stage.record(path=tmp_path / "x.rrd") as recording:
             stage.run(0.1)
             assert "rerun file" in {t.name for t in threading.enumerate()}
     assert "rerun file" not in {t.name for t in threading.enumerate()}
+    gone = weakref.ref(recording)
+    del recording
+    gc.collect()
+    assert gone() is None, "nobody keeps it any more"
 
 
 class Pipe:

@@ -7,7 +7,7 @@ import socket
 import struct
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 import pytest
 from support.served import serving
@@ -174,9 +174,29 @@ def test_who_sends_a_byte_now_and_then_is_sent_away(board, monkeypatch):
                 kind, body = reply(opened)
                 assert (kind, body[4:]) == (client.ERROR, b"no whole frame in 0.1 s.")
                 assert reply(opened) == (client.ERROR, b"")
+        with wire(served, False) as opened:  # each byte in time, and the frame is not
+            began = time.monotonic()
+            with suppress(OSError):  # it is closed by then
+                for k in range(8):
+                    opened.sendall(GREETING[k : k + 1])
+                    time.sleep(0.03)
+            assert reply(opened)[1][4:] == b"no whole frame in 0.1 s."
+            assert time.monotonic() - began < 0.25
         with served.host() as host:
             time.sleep(0.2)
             assert host.in8(0x500) == 0xFF, "a host that was greeted and sends nothing may wait as long as it likes"
+
+
+def test_a_hook_may_fail_in_any_bytes(board):
+    with serving(board) as served, wire(served) as opened:
+        opened.sendall(HEAD.pack(16, client.TIMER, 1) + client.TIMING.pack(0, 1, 1000))
+        assert reply(opened)[0] == client.TIMER
+        entry = client.ENTRY.pack(client.DELAY, 0, 0, 0, 100, 0)
+        opened.sendall(HEAD.pack(len(entry), client.BATCH, 2) + entry)
+        assert reply(opened)[0] == client.INTERRUPT
+        opened.sendall(HEAD.pack(3, client.RETURN, 0) + b"no\xff")
+        kind, body = reply(opened)
+        assert (kind, "failed: no\N{REPLACEMENT CHARACTER}" in body.decode()) == (client.ERROR, True)
 
 
 def test_a_host_that_takes_no_answers_fills_no_memory(served):

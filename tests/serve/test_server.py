@@ -246,6 +246,15 @@ def test_a_hook_that_fails_or_does_not_clear_is_told(served):
         assert host.line()
 
 
+def test_timers_of_a_host_that_is_gone_stay_off_whatever_the_next_restores(served):
+    with served.host() as host:
+        host.on_timer(1000, lambda: None, n=1)
+    with again(served) as host:
+        host.restore()
+        host.delay_us(5000)
+    assert "timer" not in str(served.board.trace)
+
+
 def test_a_host_that_goes_in_its_hook_is_let_go(served):
     host = served.host()
     host.on_interrupt(host.close)

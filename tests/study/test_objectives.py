@@ -12,7 +12,7 @@ import optuna
 from stage import Stage
 from stage.chips import PCL240K, PCL240MS
 from stage.errors import ArgumentError
-from stage.study import PresetMoves, open_study, run
+from stage.study import PresetMoves, objectives, open_study, run
 from stage.study.objectives import FAILED, Range, _measure, _together, profile_of, values_of
 
 GENTLE = {"R1": 20, "R2": 640, "R4": 400, "R5": 400, "R7": 12}
@@ -90,6 +90,31 @@ def test_a_pruner_ends_a_trial_between_its_moves(tmp_path):
     assert trial.state.name == "PRUNED"
     first = PresetMoves(model="xy", pulses=2000, rest=0.05).measure(trial.params, trial.user_attrs["seed"])
     assert trial.intermediate_values == {0: first["score"]}
+
+
+def test_a_pruner_is_told_of_the_goal(monkeypatch):
+    """PresetMoves(goals=("duration",), pulses=(2000, -2000, 2000))"""
+    told = []
+    moves = [{"score": 9.0, "duration": t, "lost_steps": 0, "reached": 1, "vibration": 0.0} for t in (0.5, 0.25, 1.0)]
+    monkeypatch.setattr(objectives, "_measure", lambda *given: moves[len(told)])
+    monkeypatch.setattr(optuna.trial.FixedTrial, "report", lambda trial, value, step: told.append((step, value)))
+    goal = PresetMoves(
+        space={k: v for k, v in GENTLE.items()}, goals=("duration",), model="xy", pulses=(2000, -2000, 2000)
+    )
+    assert goal(optuna.trial.FixedTrial(GENTLE)) == 1.75
+    assert told == [(0, 0.5), (1, 0.75)]
+
+
+def test_starts_are_drawn_within_a_tenth_of_a_millimetre_to_both_sides(monkeypatch):
+    starts = []
+    move = {"score": 1.0, "duration": 1.0, "lost_steps": 0, "reached": 1, "vibration": 0.0}
+    monkeypatch.setattr(objectives, "_measure", lambda stage, *given: starts.append(stage.axes["x"].position) or move)
+    for seed in range(12):
+        MOVE.measure(GENTLE, seed)
+    off = [start - MOVE.start for start in starts]
+    assert min(off) < -2e-5
+    assert max(off) > 2e-5
+    assert max(map(abs, off)) < 1.1e-4
 
 
 def test_several_goals_make_a_pareto_front(tmp_path):

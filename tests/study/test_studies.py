@@ -209,8 +209,9 @@ def test_another_objective_is_refused_with_what_differs(tmp_path):
 def test_other_versions_of_the_packages_make_another_study(tmp_path, monkeypatch):
     open_study(valley, tmp_path / "study")
     monkeypatch.setattr("stage.study.runner.metadata.version", lambda name: "0.0.1")
-    with pytest.raises(ArgumentError, match=r"mujoco: [\d.]+ before, 0\.0\.1 now"):
+    with pytest.raises(ArgumentError, match=r"mujoco: [\d.]+ before, 0\.0\.1 now") as caught:
         open_study(valley, tmp_path / "study")
+    assert re.findall(r"(\w+): \S+ before, 0\.0\.1 now", str(caught.value)) == ["pulsestage", "mujoco", "numpy"]
 
 
 def test_what_is_there_and_no_study_stays_as_it_was(tmp_path):
@@ -344,3 +345,21 @@ def test_no_trial_is_pruned_unless_asked_for(tmp_path):
     assert isinstance(open_study(valley, tmp_path / "study").pruner, optuna.pruners.NopPruner)
     median = optuna.pruners.MedianPruner()
     assert open_study(valley, tmp_path / "other", pruner=median).pruner is median
+
+
+def test_pruned_trials_are_finished_and_count(tmp_path):
+    """run(objective, "study", trials=3) with one whose trials are all pruned"""
+    begun = []
+
+    def pruned(trial):
+        begun.append(trial.number)
+        assert len(begun) < 4
+        raise optuna.TrialPruned
+
+    study = run(pruned, tmp_path / "study", 3)
+    assert (begun, finished(study)) == ([0, 1, 2], 3)
+
+
+def test_a_seed_of_a_trial_stays_what_it_was_in_older_studies():
+    drawn = [seed_of(optuna.trial.FixedTrial({}, number), seed) for number, seed in ((0, 0), (5, 0), (0, 5))]
+    assert drawn == [7449029282396566744, 1972919436384569406, 3508924886369872888]

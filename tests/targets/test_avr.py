@@ -218,6 +218,10 @@ def test_a_port_that_the_avr_does_not_have_is_named(tmp_path):
             r"mcu 'atmega256' is not known. Is it atmega2560\? Known are\n.*atmega328p.*\n.*cortex-m3.*8086",
         ),
         ({"mcu": "atmega2560", "mcu_clock": 0}, "mcu_clock=0: Hz of the processor's clock"),
+        ({"mcu": "atmega2560", "mcu_clock": 999}, "mcu_clock=999: Hz of the processor's clock, 1e3 to 1e9"),
+        ({"mcu": "atmega2560", "mcu_clock": 1_000_000_001}, "mcu_clock=1000000001"),
+        ({"mcu": "atmega2560", "gdb": 1023}, "gdb=1023: a TCP port, 1024 to 65535"),
+        ({"mcu": "atmega2560", "gdb": 65536}, "gdb=65536"),
         ({"mcu": "atmega2560", "gdb": 80}, "gdb=80: a TCP port"),
     ],
 )

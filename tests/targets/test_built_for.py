@@ -124,6 +124,27 @@ def test_attributes_are_read_and_damaged_ones_tell_nothing(cut, said):
     assert bool(told) == bool(said)
 
 
+def test_a_tag_of_compatibility_is_a_number_and_a_text():
+    """Tag 32 before the others; its text is empty"""
+    elf = Attributes()
+    body = bytes((32, 1, 0)) + bytes((6, 11, 10, 0))
+    body = bytes((1,)) + (5 + len(body)).to_bytes(4, "little") + body
+    elf.content = b"A" + (10 + len(body)).to_bytes(4, "little") + b"aeabi\0" + body
+    assert arm_attributes(elf) == {32: 1, 6: 11, 10: 0}
+
+
+def test_arguments_in_registers_of_floating_point_want_a_unit_too():
+    """-mfloat-abi=hard in a file that computes with whole numbers only"""
+    elf = Attributes()
+    was = bytes((10, 6, 18))
+    assert M4F.count(was) == 1
+    elf.content = M4F.replace(was, bytes((10, 0, 18))).replace(bytes((6, 13, 7)), bytes((6, 10, 7)))
+    told = arm_attributes(elf)
+    assert (told[10], told[28]) == (0, 1)
+    with pytest.raises(LibraryError, match="a floating-point unit, and this is a cortex-m3"):
+        check_arm(elf, "cortex-m3", "{mcu}")
+
+
 def test_floating_point_wants_a_unit():
     check_arm(Attributes(), "cortex-m4", "")
     small = Attributes()

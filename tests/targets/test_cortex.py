@@ -7,9 +7,11 @@ from support.target_boards import board_of
 
 from stage import Stage
 from stage.board import Board, HostError, HostTimeout, LibraryError
+from stage.board.windows import windows
 from stage.chips import PCL240K, PCL240MK
 from stage.errors import ArgumentError
-from stage.targets import TargetHost, mcus
+from stage.targets import TargetHost, machine, mcus
+from stage.targets.cortex import CortexProgram
 from stage.targets.nvic import FIRST, PENDSV, SYSTICK, Nvic
 
 DATA = Path(__file__).parent / "data"
@@ -76,6 +78,57 @@ def test_systick_counts_the_processor_s_cycles():
     assert faults(WAITS, mcu_clock=36e6).run(timeout=1).seconds == pytest.approx(2 * seconds, rel=0.05)
 
 
+def test_an_access_that_reaches_beyond_a_window_is_outside():
+    """--map 0x40021000=0x300+0x21: a halfword at its last port"""
+    maps = ["0x40021000=0x300+0x21"]
+    h = TargetHost(DATA / "faults.m3.elf", board_of(WIDE), mcu="cortex-m3", map=maps, isolated=False)
+    with pytest.raises(HostError, match="it touches address 40021020h, which no window has"):
+        h.run(timeout=1)
+
+
+@pytest.fixture(scope="module")
+def cortex():
+    """A processor whose vectors are in its RAM; its program has not begun."""
+    made = CortexProgram(DATA / "faults.m3.elf", "cortex-m3", None, windows(WINDOW), None).load(board_of(1), False)
+    made.nvic.vectors = 0x20000000
+    made.uc.mem_write(0x20000000 + 4 * SYSTICK, (0x08000101).to_bytes(4, "little"))
+    return made
+
+
+@pytest.mark.parametrize("odd", [0, 4])
+def test_the_frame_of_an_exception_lies_at_a_multiple_of_eight_and_goes_with_it(cortex, odd):
+    """The data sheet's xPSR bit 9 says that the stack was 4 bytes lower before"""
+    sp = 0x20001000 + odd
+    cortex.set(msp=sp, sp=sp, lr=0x08000201, r0=7, xpsr=0x01000000)
+    cortex._pc = 0x08000040
+    cortex._enter(SYSTICK)
+    begin = 0x20001000 - 32
+    assert (cortex.get("sp"), cortex.get("ipsr"), cortex._pc) == (begin, SYSTICK, 0x08000100)
+    assert [cortex.word(begin + 4 * k) for k in (0, 5, 6)] == [7, 0x08000201, 0x08000040]
+    assert cortex.word(begin + 28) >> 9 & 1 == (odd != 0)
+    cortex.set(r0=0)
+    cortex._leave(cortex.get("lr"))
+    assert (cortex.get("sp"), cortex.get("ipsr"), cortex.get("r0"), cortex._pc) == (sp, 0, 7, 0x08000040)
+
+
+def test_bytes_and_halfwords_of_the_processors_own_registers_are_parts_of_its_words(cortex):
+    for number, priority in ((4, 0x10), (5, 0x50), (6, 0xA0), (7, 0xF0)):
+        cortex._write_private(None, 0xE400 + number, 1, priority, None)
+    read = lambda at, size: cortex._read_private(None, at, size, None)  # noqa: E731
+    assert [read(0xE404 + k, 1) for k in range(4)] == [0x10, 0x50, 0xA0, 0xF0]
+    assert [read(0xE404, 2), read(0xE406, 2), read(0xE404, 4)] == [0x5010, 0xF0A0, 0xF0A05010]
+
+
+def test_an_alarm_of_the_processor_is_not_late_by_the_time_between_two_looks():
+    made = CortexProgram(DATA / "faults.m3.elf", "cortex-m3", None, windows(WINDOW), None).load(board_of(1), False)
+    t = made.record
+    assert t.quantum > 10
+    for ahead in (1, 10, 10 * t.quantum):
+        t.alarm = t.cycles + ahead
+        machine.looked.c(t.own)
+        assert t.due - t.cycles == min(ahead, t.quantum)
+
+
 def test_wider_accesses_are_wider_cycles():
     h = faults(WIDE)
     assert h.run().code == -3
@@ -113,6 +166,7 @@ def test_a_driver_that_nobody_changed_ends_at_the_same_pulse():
             r"window 0x20000000=0x300\+0x40: real memory is there \(of 20000000h to 200FFFFFh\)",
         ),
         (("0xE0001000=0x300+0x40",), "has no memory for it there"),
+        (("0xFFFFFFE0=0x300+0x40",), "has no memory for it there"),
         ((WINDOW, "irq=240"), "say once irq=0 to irq=239"),
         (("irq",), "say once irq=0"),
     ],
