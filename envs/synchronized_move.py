@@ -39,7 +39,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
@@ -123,10 +123,10 @@ class Config(Settings):
 
 
 class SynchronizedMove(MoveTask[Config]):
-    Config = Config
-    OPTIONS = ("distances", "rate")
-    STATE = ("distances", "rate", "last")
-    SEEN = (
+    Config: ClassVar[type] = Config
+    OPTIONS: ClassVar[tuple[str, ...]] = ("distances", "rate")
+    STATE: ClassVar[tuple[str, ...]] = ("distances", "rate", "last")
+    SEEN: ClassVar[tuple[Entry, ...]] = (
         Entry("rate", HOST, "by its logarithm from -1 to 1 over `rate`; 0 if it is fixed"),
         Entry("distance", HOST, "signed distance / longest distance possible", "axis"),
         Entry("ahead", HOST, "by the closed form, pulses / 2 `reach`: ahead of its share after the ramp-up", "axis"),
@@ -138,7 +138,7 @@ class SynchronizedMove(MoveTask[Config]):
         Entry("last_duration", HOST, "its duration / `limit`"),
         Entry("last_finished", HOST, "1 if it was finished"),
     )
-    TOLD = (
+    TOLD: ClassVar[tuple[Entry, ...]] = (
         Entry("distances", HOST, "pulses of each axis, of a reset the next move's"),
         Entry("rate", HOST, "pps, likewise"),
         Entry("deviation", HOST, "pulses off the line, which follow from the registers; infinite if not finished"),

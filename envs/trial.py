@@ -19,7 +19,7 @@ TENTH = 1e-4  # m
 ALLOWED = 50e-6  # m, between carriage and pulses at rest
 
 
-def closed_form(distance: np.ndarray, start: float, drive: float, ramp: float) -> np.ndarray:
+def closed_form(distance: Any, start: float, drive: float, ramp: float) -> Any:
     """s, that moves of so many pulses take at these rates, pps, both ramps of `ramp` s."""
     steep = (drive - start) / ramp
     top = np.minimum(np.sqrt(distance * steep + start**2), drive)

@@ -30,10 +30,12 @@ FAR = 1 << 44  # clocks: weeks
 
 
 class Asked(NamedTuple):
-    """Moves: signed pulses of each axis (stages, axes), and the peak rate of the longest one in pps (stages)."""
+    """Moves: signed pulses of each axis (stages, axes), and of the longest one the peak rate in pps and the ramps in s (stages);
+    None: the `accel` of the line's settings."""
 
     distances: np.ndarray
     rate: np.ndarray
+    ramp: np.ndarray | None = None
 
     @property
     def size(self) -> np.ndarray:
@@ -123,9 +125,10 @@ class Line(ABC):
     def reach(self, asked: Asked) -> tuple[np.ndarray, np.ndarray]:
         """Peak rate (pps) and ramp time (s) that there is room for (stages)."""
         c = self.settings
+        accel = c.accel if asked.ramp is None else asked.ramp
         top = np.maximum(asked.rate - c.fl, 1e-9)
-        peak = np.minimum(asked.rate, np.sqrt(c.fl**2 + ROOM * asked.longest * top / c.accel))
-        return peak, np.maximum(c.accel * (peak - c.fl) / top, 1e-6)
+        peak = np.minimum(asked.rate, np.sqrt(c.fl**2 + ROOM * asked.longest * top / accel))
+        return peak, np.maximum(accel * (peak - c.fl) / top, 1e-6)
 
     def strays(
         self, asked: Asked, rate: np.ndarray, ramp: np.ndarray, behind: np.ndarray, less: np.ndarray, point: np.ndarray

@@ -20,6 +20,7 @@ SHORT = {
     "stage/ServoTuning-v0": {"limit": 0.05, "rest": 0.01, "moves": 1},
     "stage/FewShotTuning-v1": {"model": "xy", "distances": (300, 900), "tries": 1, "proofs": 1, "settle": 0.01},
     "stage/OneShotTuning-v1": {"model": "xy", "distances": (300, 900), "proofs": 1, "settle": 0.01},
+    "stage/SynchronizedLine-v1": {"model": "xy", "distances": (300, 900), "proofs": 1, "rest": 0.01, "limit": 0.5},
     "stage/BusMacros-v1": {"model": "xy", "macros": 1},
 }
 EVERY = list(stage.envs.IDS)

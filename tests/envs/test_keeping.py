@@ -17,6 +17,7 @@ SHORT = {
     "stage/ServoTuning-v0": {"limit": 0.05, "rest": 0.01, "moves": 3},
     "stage/FewShotTuning-v1": {"model": "xy", "distances": (300, 900), "tries": 3, "proofs": 1, "settle": 0.01},
     "stage/OneShotTuning-v1": {"model": "xy", "distances": (300, 900), "proofs": 1, "settle": 0.01},
+    "stage/SynchronizedLine-v1": {"model": "xy", "distances": (300, 900), "proofs": 1, "rest": 0.01, "limit": 0.5},
     "stage/BusMacros-v1": {"model": "xy", "macros": 3},
 }
 

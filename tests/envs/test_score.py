@@ -10,6 +10,7 @@ from stage.envs.score import SCORE
 TASKS = {
     "stage/FewShotTuning-v1": {"model": "xy", "distances": (400, 900), "tries": 2, "proofs": 1, "settle": 0.01},
     "stage/OneShotTuning-v1": {"model": "xy", "distances": (400, 900), "proofs": 1, "settle": 0.01},
+    "stage/SynchronizedLine-v1": {"model": "xy", "distances": (300, 900), "proofs": 1, "rest": 0.01, "limit": 0.5},
     "stage/BusMacros-v1": {"model": "xy", "level": "move", "macros": 6},
 }
 """The tasks of the benchmark, short."""

@@ -1,0 +1,327 @@
+"""`stage/SynchronizedLine-v1`: a straight line of two or three axes on a machine that the host does not know, and its proof.
+
+An episode is one machine (contexts.py, hidden), one line and one try: rate, ramps and the registers of all axes. The move is made
+from places where the rotors stand anywhere in their fields, and then `proofs` times more from others, with `margin` kg beyond the
+payload. How the axes are kept on the line depends on the chip's family, as in SynchronizedMove (synchronized_move.py).
+
+action        Box [-1, 1]^(2 + 6 axes): peak rate of the longest axis and seconds of its ramps, by their logarithms over `rate` and
+              `ramps`; then six corrections for each axis to the data sheet's a:b registers (PCL-240: R1, R2, R4, R5, R6, R7), as
+              the "corrections" of SynchronizedMove: 0 is the engineer's answer. A chip that has fewer registers takes the first
+              ones of each axis, one that interpolates those of the first axis; the rest has no effect. So one policy can act
+              through every chip.
+observation   float32, -1 to 1, for each axis: signed distance / longest distance possible; and how far the data sheet's registers
+              take it off its share of the longest axis at the usual rate, by the closed form, as in SynchronizedMove (4
+              numbers). truth=True adds the machine
+reward        the sum of
+              gain     log(2 x usual time / cost) of the try that kept step, where the cost is its seconds, and path_weight s for
+                       each pulse off the line, carriage_weight s for each 0.1 mm that the carriages are, and vibration_weight s
+                       for each 0.1 mm of vibration after the stop; 0 for what costs more
+              damage   - damage_weight if a step was lost, or the move did not make its pulses
+              proof    what was gained is taken back if one of the proofs loses a step
+              The usual time is that of 1000 to 16,000 pps of the longest axis, in 0.15 s.
+episode       one step, then terminated.
+score         time: s, the proved cost. formula: the time at the engineer's rate (stage.tune.formula) for the heaviest payload of
+              the split, with ramps of its acceleration, in closed form.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar
+
+import gymnasium
+import numpy as np
+
+from stage import Stage
+from stage.chips import Chip, chip_class
+from stage.envs import contexts, score, synchronized_move
+from stage.envs.base import StageEnv, StageVectorEnv
+from stage.envs.entries import HOST, TRUTH, Entry
+from stage.envs.results import result
+from stage.envs.settings import (
+    AxisName,
+    Counts,
+    Number,
+    NumberOrRange,
+    Pair,
+    Payloads,
+    Range,
+    Seconds,
+    Truths,
+    Weight,
+    Word,
+)
+from stage.envs.synchronized_move import SynchronizedMove
+from stage.envs.task import carrier, judged
+from stage.envs.trial import TENTH, Starts, closed_form
+from stage.errors import ArgumentError, unknown
+from stage.firmware.driver import Speeds
+from stage.firmware.lines import Asked
+from stage.sim.fleet import Fleet, Played
+from stage.sim.program import MEASURE
+from stage.tune.formula import Load, speeds
+
+CORRECTIONS = 6  # an axis
+
+
+@dataclass(frozen=True)
+class Config(synchronized_move.Config):
+    """Settings of SynchronizedLine, beside those of SynchronizedMove. None: as the split has it."""
+
+    split: Annotated[str, Word(tuple(contexts.SPLITS))] = "train"
+    model: str | None = None  # type: ignore[assignment]
+    chip: str | type[Chip] | None = None  # type: ignore[assignment]
+    distances: Counts = (1_600, 12_000)  # pulses of each axis, drawn evenly by their logarithm, with any sign
+    rate: Annotated[float | Pair, NumberOrRange(more=", not below fl")] = (2_000.0, 60_000.0)  # pps, that can be chosen
+    ramps: Annotated[Pair, Range(1e-3, high=1.0)] = (0.01, 0.3)  # s, that can be chosen
+    payloads: Payloads | None = None  # kg
+    frictions: Annotated[Pair, Range(1e-3)] | None = None  # times the model's
+    supplies: Annotated[Pair, Range(0.1, high=2.0)] | None = None  # times the nominal voltage
+    torques: Annotated[Pair, Range(0.1, high=2.0)] | None = None  # times the nominal torque constant
+    drifts: Annotated[Pair, Range(0.0, high=0.5)] | None = None  # electrical turns; of no effect here
+    payload_on: AxisName | None = None  # body or site; None: site "work", else the body that the first axis moves
+    judge_at: AxisName | None = None  # site or body that the first axis carries, at which vibration is measured
+    proofs: Annotated[int, Number(low=0, high=64, whole=True)] = 3  # moves
+    margin: Annotated[float, Number(high=1e3)] = 0.5  # kg that the proof has beyond the payload
+    settle: Seconds = 1e-3  # s after the last pulse, to which the carriages are watched
+    rest: Seconds = 0.1  # s after that, in which vibration is measured
+    path_weight: Weight = 0.01  # s a pulse
+    carriage_weight: Weight = 0.01  # s for each 0.1 mm
+    vibration_weight: Weight = 0.02  # s for each 0.1 mm
+    damage_weight: Weight = 0.05
+    truth: Truths = "info"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.moves != 1:
+            raise ArgumentError(f"moves={self.moves!r}: one here; stage/SynchronizedMove-v0 has several.")
+        if self.actions != "corrections":
+            raise ArgumentError(f"actions={self.actions!r}: 'corrections' here; stage/SynchronizedMove-v0 has others.")
+        if self.ramps[0] <= 0:
+            raise ArgumentError(f"ramps={self.ramps!r}: (least, most) s, above 0.")
+
+
+class SynchronizedLine(SynchronizedMove):
+    Config: ClassVar[type] = Config
+    OPTIONS = ("distances", *contexts.KINDS)
+    """The line and the machine, in place of drawn ones."""
+    STATE = ("distances", "rate", "ramp", "context", "angles", "formula")
+    SEEN: ClassVar[tuple[Entry, ...]] = (*SynchronizedMove.SEEN[1:6], *contexts.SHOWN)
+    TOLD: ClassVar[tuple[Entry, ...]] = (
+        Entry("distances", HOST, "pulses of each axis"),
+        *contexts.ENTRIES,
+        Entry("rate", HOST, "pps of the longest axis, that was chosen"),
+        Entry("ramp", HOST, "s, that was chosen"),
+        Entry("registers", HOST, "that these and the corrections make"),
+        Entry("deviation", HOST, "pulses off the line, which follow from the registers; infinite if not finished"),
+        Entry("carriage_deviation", TRUTH, "m off the line"),
+        Entry("duration", HOST, "s"),
+        Entry("usual", HOST, "s, that the usual rate takes"),
+        Entry("vibration", TRUTH, "m, travel of the point at which moves are judged after the stop"),
+        Entry("lost_steps", TRUTH, "full steps of each axis"),
+        Entry("finished", HOST, "all axes made their pulses"),
+        Entry("proved", TRUTH, "s, the cost of the try if it held in the proof; infinite if not"),
+        score.ENTRY,
+    )
+
+    def stage(self, visuals: bool) -> Stage:
+        c: Any = self.config
+        model, chip = (contexts.setting(c, name) for name in ("model", "chip"))
+        made = Stage(model, chips=chip_class(chip), bus_cycle=c.bus_cycle, visuals=visuals)
+        for name in c.axes:
+            if name not in made.axes:
+                raise unknown(f"axis of model {model}", name, made.axes)
+            if made.axes[name].unit != "m":
+                raise ArgumentError(f"axes={c.axes!r}: {name} turns, and a line is of slides.")
+        return made
+
+    def prepare(self) -> None:
+        c: Any = self.config
+        n, first = self.n, self.stages[0]
+        super().prepare()
+        m = len(self.axes)
+        on = carrier(first, c.axes[0], c.payload_on)
+        self.judged, self.point = judged(first, c.axes[0], c.judge_at)
+        self.machines = [contexts.Machine.of(first, name, on) for name in c.axes]
+        self.starting = [Starts(a) for a in self.axes]
+        self.ranges = contexts.ranges(c)
+        self.loads = [Load.of(a) for a in self.axes]
+        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (2 + CORRECTIONS * m,), np.float32)
+        self.observation_space = self.seen()
+        self.result = result(
+            ("gain", "damage", "proof"), scored=True,
+            distances=(int, (m,)), **dict.fromkeys(contexts.KINDS, float), rate=float, ramp=float,
+            registers=(int, self.line.shape), deviation=float, carriage_deviation=float, duration=float, usual=float,
+            vibration=float, lost_steps=(int, (m,)), finished=bool, proved=float,
+        )  # fmt: skip
+        self.context, self.angles = np.zeros(n, contexts.CONTEXT), np.zeros((n, m))
+        self.ramp, self.formula = np.full(n, 0.1), np.ones((n, 3))
+        self.provers = Fleet([copy.deepcopy(first) for _ in range(n)], self.fleet.threads)
+
+    def layout(self) -> list[Entry]:
+        return [*self.SEEN[:5] * len(self.axes), *self.SEEN[5:]]
+
+    # --- machines and lines ---
+
+    def begin(self, k: int, options: Mapping[str, Any]) -> None:
+        rng, m = self.rngs[k], len(self.axes)
+        c: Any = self.config
+        contexts.draw(rng, self.ranges, self.context[k], options)
+        low, high = np.log(c.distances)
+        sizes = np.rint(np.exp(rng.uniform(low, high, m))).astype(np.int64)
+        self.distances[k] = sizes * rng.choice([-1, 1], m)
+        self._obey(k, options)
+        self.rate[k] = np.clip(Speeds().drive, *c.rates)
+        self.ramp[k] = np.clip(Speeds().up, *c.ramps)
+        self.angles[k] = rng.uniform(size=m)
+        self._place(self.stages[k], k)
+        self._reckon(k)
+
+    def renew(self) -> None:
+        """Each episode is one step."""
+
+    def _place(self, stage: Stage, k: int, more: float = 0.0) -> None:
+        stage.restore(self.start)
+        for machine in self.machines:
+            machine.equip(stage, self.context[k], more)
+        begin = zip(self.axes, self.starting, self.distances[k].tolist(), self.angles[k].tolist(), strict=True)
+        stage.place(**{a.name: starts.begin(d, angle) for a, starts, d, angle in begin})
+
+    def equip(self, k: int) -> None:
+        for machine in self.machines:
+            machine.equip(self.stages[k], self.context[k])
+
+    def describe(self, k: int) -> dict[str, Any]:
+        machine = {name: float(self.context[k][name]) for name in contexts.KINDS}
+        return {"distances": self.distances[k].copy(), **machine}
+
+    def _reckon(self, k: int) -> None:
+        """Rate, ramp and time by the formula: no axis goes faster or steeper than it may, each at its share."""
+        c: Any = self.config
+        sizes = np.abs(self.distances[k])
+        longest = int(sizes.max())
+        rates, slopes = [], []
+        for load, size in zip(self.loads, sizes.tolist(), strict=True):
+            made = speeds(load.heavier(self.ranges["payload"][1]), int(size))
+            rates.append(made.drive * longest / size)
+            slopes.append((made.drive - made.start) / max(made.up, made.down) * longest / size)
+        rate = float(np.clip(min(rates), *c.rates))
+        ramp = float(np.clip((rate - c.fl) / min(slopes), *c.ramps))
+        self.formula[k] = rate, ramp, closed_form(np.float64(longest), c.fl, rate, ramp)
+
+    # --- the try ---
+
+    @property
+    def asked(self) -> Asked:
+        """The lines that stand, at the rates and ramps that are chosen."""
+        return Asked(self.distances, self.rate, self.ramp)
+
+    @property
+    def usual(self) -> np.ndarray:
+        """s, that the usual rate takes, (n,)."""
+        s = Speeds()
+        return closed_form(np.abs(self.distances).max(axis=1).astype(float), s.start, s.drive, s.up)
+
+    def chosen(self, actions: np.ndarray) -> np.ndarray:
+        rows, columns = self.line.shape
+        wanted = actions[:, 2:].astype(np.float64).reshape(len(actions), len(self.axes), CORRECTIONS)
+        return self.line.corrected(self.asked, wanted[:, :rows, :columns])
+
+    def action_of(self, rate: Any, ramp: Any) -> np.ndarray:
+        """The actions of these rates (pps) and ramps (s), without corrections, (n, actions) float32."""
+        c: Any = self.config
+        out = np.zeros((self.n, self.action_space.shape[0]), np.float32)  # type: ignore[index]
+        for j, (value, ends) in enumerate(((rate, c.rates), (ramp, c.ramps))):
+            low, high = np.log(ends)
+            out[:, j] = np.clip(2 * (np.log(value) - low) / max(high - low, 1e-9) - 1, -1, 1)
+        return out
+
+    def scripted(self) -> np.ndarray:
+        """The engineer's rate and ramp, and the data sheet's registers for them."""
+        return self.action_of(self.formula[:, 0], self.formula[:, 1])
+
+    def programs(self) -> np.ndarray:
+        c: Any = self.config
+        u = (self.actions[:, :2].astype(np.float64) + 1) / 2
+        for values, ends, at in ((self.rate, c.rates, 0), (self.ramp, c.ramps, 1)):
+            low, high = np.log(ends)
+            values[self.active] = np.exp(low + (high - low) * u[:, at])[self.active]
+        moves = super().programs()
+        measure = np.zeros((self.n, 1, 4), np.int64)
+        measure[:, 0, 0], measure[:, 0, 1], measure[:, 0, 2] = MEASURE, round(c.rest * 1e9), self.point
+        self._played = np.concatenate([moves, measure], axis=1)
+        return self._played.copy()
+
+    def judge(self, played: Played, truth: np.ndarray) -> None:
+        c: Any = self.config
+        t, usual = truth[:, self.index], self.usual
+        lost, finished = t["lost_steps"], self._finished(t)
+        deviation, duration = np.where(finished, self.path, np.inf), np.where(finished, self.seconds, c.limit)
+        off_line, vibration = self._carriages(played.results), played.results[:, -1] * 1e-12
+        good = self.sound
+        kept = finished & (lost == 0).all(axis=1) & good
+        cost = duration + c.path_weight * deviation
+        cost = cost + (c.carriage_weight * off_line + c.vibration_weight * vibration) / TENTH
+        cost = np.where(kept, cost, np.inf)
+        proved = np.where(self._hold(kept), cost, np.inf)
+        gain = self._worth(cost)
+        parts = {
+            "gain": gain,
+            "damage": np.where((lost != 0).any(axis=1) | ~finished, -c.damage_weight, 0.0),
+            "proof": self._worth(proved) - gain,
+        }
+        info = {
+            "distances": self.distances, **{name: self.context[name] for name in contexts.KINDS}, "rate": self.rate,
+            "ramp": self.ramp, "registers": self.chosen(self.actions), "deviation": deviation,
+            "carriage_deviation": off_line, "duration": duration, "usual": usual, "vibration": vibration,
+            "lost_steps": lost, "finished": finished, "proved": proved,
+        }  # fmt: skip
+        self.fill(parts, info, True, False)
+        damage = np.abs(lost).sum(axis=1), (~finished) * 1
+        score.note(self.results["score"], proved, self.formula[:, 2], self.steps, *damage)
+
+    def _finished(self, t: np.ndarray) -> np.ndarray:
+        return ((t["pulses"] == self.distances) & (t["busy"] == 0)).all(axis=1)
+
+    def _worth(self, cost: np.ndarray) -> np.ndarray:
+        return np.maximum(np.log(2 * self.usual) - np.log(cost), 0.0)
+
+    def _hold(self, which: np.ndarray) -> np.ndarray:
+        """On which of these stages' machines, `margin` heavier, the same registers keep step from other angles, `proofs` times."""
+        c: Any = self.config
+        holds = which.copy()
+        for _ in range(c.proofs):
+            if not holds.any():
+                break
+            for k in np.flatnonzero(holds).tolist():
+                self.angles[k] = self.rngs[k].uniform(size=len(self.axes))
+                self._place(self.provers.stages[k], k, c.margin)
+            ops = self._played.copy()
+            ops[~holds] = 0
+            played = self.provers.play(ops)
+            t = self.provers.truth()[:, self.index]
+            holds &= self._finished(t) & (t["lost_steps"] == 0).all(axis=1) & ~played.diverged
+        return holds
+
+    def observed(self) -> np.ndarray:
+        c: Any = self.config
+        usual = Asked(self.distances, np.full(self.n, np.clip(Speeds().drive, *c.rates)), np.full(self.n, Speeds().up))
+        of_axes = np.concatenate(
+            [(self.distances / c.distances[1])[:, :, None], self.line.errors(usual) / (2 * c.reach)], axis=2
+        )
+        seen = np.concatenate([of_axes.reshape(self.n, -1), contexts.placed(self.ranges, self.context)], axis=1)
+        return np.clip(seen, -1.0, 1.0).astype(np.float32)
+
+    def close(self) -> None:
+        super().close()
+        self.provers.close()
+
+
+class SynchronizedLineEnv(StageEnv):
+    task = SynchronizedLine
+
+
+class SynchronizedLineVectorEnv(StageVectorEnv):
+    task = SynchronizedLine
