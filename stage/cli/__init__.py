@@ -21,6 +21,7 @@ examples:
   stage move x 8000 --chips pcl240ms --s-curve --plot s.png
   stage sync x=20000 y=-7500              two axes along a straight line, in the ratio a:b
   stage tune xy --payload 2 --distance 100mm     registers for an axis: formula, search, proof
+  stage bench-submit formula -o formula.bench    plays the test episodes of a benchmark; `stage bench-verify` replays them
   stage run driver.c --chips pcl240mk     firmware in C drives the chips
   stage serve --chips mcx304              the chips behind a TCP port, for a host elsewhere
   stage fault                             what can break; `stage fault jam --plot jam.png` breaks it
@@ -84,6 +85,7 @@ def build_parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(title="commands", metavar="COMMAND")
     _add_moves(commands)
     _add_tune(commands)
+    _add_bench(commands)
     _add_firmware(commands)
     _add_fault(commands)
     _add_erratum(commands)
@@ -295,6 +297,62 @@ def _add_tune(commands: Any) -> None:
     g.add_argument("-o", "--output", metavar="FOLDER", help="write tuned.h, tuned.txt, tuned.json and tuned.png there")
     g.add_argument("--json", action="store_true", help="print JSON")
     g.add_argument("--force", action="store_true", help="overwrite files that exist")
+
+
+BENCH = """\
+examples:
+  stage bench-submit formula -o formula.bench                        a player that is shipped
+  stage bench-submit mine:policy -o mine.bench --split weak          function `policy` of mine.py: (observation, info) -> action
+  stage bench-submit moves.npz -o moves.bench --name "by hand"       recorded actions
+  stage bench-verify mine.bench                                      plays the actions again and compares bit for bit
+
+docs/benchmark.md says what is promised, and what is not.
+"""
+
+
+def _add_bench(commands: Any) -> None:
+    p = _command(
+        commands, "bench", "bench:cards", "the tasks of the benchmark and their test episodes",
+        "List the tasks of the benchmark, or show one: what is asked, splits, tracks, settings, players that are shipped.",
+    )  # fmt: skip
+    p.add_argument("task", nargs="?", metavar="TASK", help="for example few-shot (default: list them all)")
+    p.add_argument("--json", action="store_true", help="print JSON, with the seeds of all test episodes")
+    p = _command(
+        commands, "bench-submit", "bench:submit", "play the test episodes of the benchmark, and pack them into a file",
+        "Play the test episodes of a split with a policy and write its actions, rewards, scores and versions to a file, which "
+        "anybody can replay.",
+    )  # fmt: skip
+    p.epilog, p.formatter_class = BENCH, argparse.RawDescriptionHelpFormatter
+    p.add_argument(
+        "policy", metavar="POLICY", help="module:name, actions.npz, or a player that is shipped: see `stage bench`"
+    )
+    p.add_argument("-o", "--output", metavar="FILE", required=True, help="of the entry")
+    p.add_argument("--task", default="few-shot", help="see `stage bench` (default: few-shot)")
+    p.add_argument("--split", default="train", help="where the machines of the episodes come from (default: train)")
+    p.add_argument("--track", default="host", help="what the policy sees: host, truth or tools (default: host)")
+    p.add_argument("--round", default="open", metavar="NAME", help="whose seeds are played (default: open)")
+    p.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="a setting that players may choose")
+    p.add_argument("--name", help="of the player (default: POLICY)")
+    p.add_argument(
+        "--run", dest="run_number", type=int, default=0, metavar="N", help="number of the training run (default: 0)"
+    )
+    p.add_argument("--notes", default="", help="a line that goes with it")
+    p.add_argument(
+        "--cost", action="append", default=[], metavar="NAME=NUMBER", help="what it took: moves=, processor_s=, tokens="
+    )
+    p.add_argument("--episodes", type=int, metavar="N", help="only the first N, for a trial")
+    p.add_argument("--json", action="store_true", help="print JSON")
+    p.add_argument("--force", action="store_true", help="overwrite a file that exists")
+    p = _command(
+        commands, "bench-verify", "bench:verify", "replay an entry of the benchmark and compare it bit for bit",
+        "Play the actions of an entry again, without the policy, and compare every reward, observation and score. Exit code 0 if "
+        "they are equal, 1 if not, 2 if the file is refused.",
+    )  # fmt: skip
+    p.add_argument("file", metavar="FILE")
+    p.add_argument(
+        "--tolerance", type=float, metavar="T", help="rewards and scores may differ by so much, as on another processor"
+    )
+    p.add_argument("--json", action="store_true", help="print JSON")
 
 
 def _plot(p: argparse.ArgumentParser) -> None:

@@ -1,0 +1,92 @@
+"""The tasks of the bench, and their test episodes: a table that everybody plays."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import gymnasium
+
+from stage.envs import contexts
+from stage.errors import ArgumentError, unknown
+
+TRACKS = {
+    "host": "the policy sees what a host on the bus can know",
+    "truth": "it sees the hidden context, too: an upper bound",
+    "tools": "as host, by a language model with tools: tokens are counted",
+}
+OPEN = "open"  # the round whose seeds stand in the page
+FIRST, LAST = 1_000_000, 1 << 31  # seeds of test episodes; those below FIRST are for learning
+
+
+@dataclass(frozen=True)
+class Card:
+    """A task. settings: of the environment, the same for all; choices: those that a player may choose, and among what."""
+
+    name: str
+    id: str
+    asked: str
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    choices: Mapping[str, tuple] = field(default_factory=dict)
+    splits: tuple[str, ...] = tuple(contexts.SPLITS)
+    episodes: int = 64
+
+    def check(self, split: str, track: str, chosen: Mapping[str, Any]) -> None:
+        """Raise ArgumentError for what this task does not have."""
+        if split not in self.splits:
+            raise unknown(f"split of {self.name}", split, self.splits)
+        if track not in TRACKS:
+            raise unknown("track", track, TRACKS)
+        for name, value in chosen.items():
+            if name not in self.choices:
+                raise unknown(f"setting that a player of {self.name} may choose,", name, self.choices)
+            if value not in self.choices[name] or isinstance(value, bool) not in map(_is_bool, self.choices[name]):
+                allowed = ", ".join(map(repr, self.choices[name]))
+                raise ArgumentError(f"{name}={value!r}: {self.name} has {allowed}.")
+
+    def make(self, split: str, track: str, chosen: Mapping[str, Any], vector: int = 0) -> Any:
+        """The environment, or a vector of so many."""
+        self.check(split, track, chosen)
+        settings = {**self.settings, **chosen, "split": split, "truth": True if track == "truth" else "info"}
+        if vector:
+            kind: Any = {"vectorization_mode": "vector_entry_point", "autoreset_mode": "Disabled"}
+            return gymnasium.make_vec(self.id, vector, **kind, **settings).unwrapped
+        return gymnasium.make(self.id, disable_env_checker=True, **settings).unwrapped
+
+
+def _is_bool(value: Any) -> bool:
+    return isinstance(value, bool)
+
+
+CARDS = {
+    card.name: card
+    for card in (
+        Card(
+            "few-shot",
+            "stage/FewShotTuning-v1",
+            "in eight tries, the fastest move that holds with 0.5 kg more, on a machine that nobody has measured",
+            choices={"memory": ("all", "last")},
+        ),
+    )
+}
+"""By name."""
+
+
+def card_of(task: str) -> Card:
+    """By its name or the id of its environment. Raises ArgumentError."""
+    for card in CARDS.values():
+        if task in (card.name, card.id):
+            return card
+    raise unknown("task", task, CARDS)
+
+
+def seeds(card: Card, split: str, round_: str = OPEN) -> list[int]:
+    """Of the test episodes, in their order; each draws a context. Of the open round FIRST, FIRST + 1, ...; of any other what its
+    name gives: a referee who wants seeds that nobody has played on announces a name after the policies are handed in."""
+    if round_ == OPEN:
+        return [FIRST + k for k in range(card.episodes)]
+    said = [f"{card.name} {split} {round_} {k}".encode() for k in range(card.episodes)]
+    drawn = [int.from_bytes(hashlib.blake2b(text, digest_size=8).digest(), "little") for text in said]
+    return [FIRST + card.episodes + number % (LAST - FIRST - card.episodes) for number in drawn]

@@ -1,0 +1,117 @@
+"""Players that are shipped with the bench: what a method has to beat."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from stage import Stage
+from stage.bench.around import Around, Policy
+from stage.chips import chip_class
+from stage.envs import contexts, few_shot
+from stage.tune.formula import Load, speeds
+
+
+class Random:
+    """Evenly among all actions; among those that an action mask allows, where there is one."""
+
+    def __init__(self, seed: int):
+        self.seed = seed
+        self.space: Any = None
+
+    def reset(self, around: Around) -> None:
+        if self.space is None:
+            self.space = around.action_space
+            self.space.seed(self.seed)
+
+    def __call__(self, observation: np.ndarray, info: Mapping[str, Any]) -> Any:
+        mask = info.get("action_mask")
+        return self.space.sample() if mask is None else self.space.sample(mask=np.asarray(mask, np.int8))
+
+
+class Scripted:
+    """The task's own host that learns nothing."""
+
+    def reset(self, around: Around) -> None:
+        self.env = around.env
+
+    def __call__(self, observation: np.ndarray, info: Mapping[str, Any]) -> Any:
+        return self.env.scripted()
+
+
+class Bold:
+    """Few-shot: usual speeds times a boldness, usual ramps divided by it, the same for every try."""
+
+    def __init__(self, boldness: float):
+        self.boldness = boldness
+
+    def __call__(self, observation: np.ndarray, info: Mapping[str, Any]) -> Any:
+        return action_at(self.boldness)
+
+
+class Search:
+    """Few-shot: bolder by STEP while the encoder shows no loss, then half way back to the boldest that held."""
+
+    STEP, CLOSE, RETREAT, FIRST = 1.12, 1.1, 1.4, 3.4
+
+    def reset(self, around: Around) -> None:
+        self.kept = [k for k, name in enumerate(around.entries) if name == "kept"]
+        self.good: float | None = None
+        self.bad, self.last, self.tries = np.inf, self.FIRST / self.STEP, 0
+
+    def __call__(self, observation: np.ndarray, info: Mapping[str, Any]) -> Any:
+        if self.tries:
+            self._learn(observation[self.kept[min(self.tries, len(self.kept)) - 1]] > 0)
+        self.tries += 1
+        return action_at(self.last)
+
+    def _learn(self, kept: bool) -> None:
+        if kept:
+            self.good = max(self.good or 0.0, self.last)
+        else:
+            self.bad = min(self.bad, self.last)
+        if self.good is not None and self.good >= self.bad:
+            self.good = None  # it was luck
+        if self.good is None:
+            self.last = self.bad / self.RETREAT
+            return
+        half = np.sqrt(self.good * self.bad)
+        bolder = self.good * self.STEP if np.isinf(self.bad) else half
+        self.last = bolder if bolder > self.good * self.CLOSE else self.good
+
+
+class Formula:
+    """Few-shot: the data sheet's answer for the nominal machine with the heaviest load of the split train and the margin."""
+
+    def __init__(self) -> None:
+        self.load: Load | None = None
+
+    def reset(self, around: Around) -> None:
+        if self.load is None:
+            c = around.env._task.config
+            model, chip = (contexts.setting(c, name) for name in ("model", "chip"))
+            axis = Stage(model, chips=chip_class(chip), visuals=False).axes[c.axis]
+            self.load = Load.of(axis).heavier(contexts.SPLITS["train"]["payloads"][1] + c.margin)
+
+    def __call__(self, observation: np.ndarray, info: Mapping[str, Any]) -> Any:
+        assert self.load is not None
+        s = speeds(self.load, int(info["distance"]))
+        return few_shot.action_of(s.start, s.drive, s.up, s.down)
+
+
+def action_at(boldness: float) -> np.ndarray:
+    return few_shot.action_of(1000 * min(boldness, 1.5), 16_000 * boldness, 0.15 / boldness, 0.15 / boldness)
+
+
+PLAYERS: dict[str, Callable[[int], Policy]] = {"random": Random, "scripted": lambda seed: Scripted()}
+"""Shipped players of every task; made with a seed."""
+
+OWN: dict[str, dict[str, Callable[[int], Policy]]] = {
+    "few-shot": {
+        "formula": lambda seed: Formula(), "usual": lambda seed: Bold(1.0),
+        "fixed": lambda seed: Bold(3.4), "search": lambda seed: Search(),
+    },
+}  # fmt: skip
+"""Those of one task."""

@@ -1,0 +1,361 @@
+"""RegisterBench: an entry is data alone, is replayed bit for bit, and whatever was changed in it is found and named."""
+
+import contextlib
+import dataclasses
+import io
+import json
+import re
+import subprocess
+import sys
+import zipfile
+
+import numpy as np
+import pytest
+
+from stage import ArgumentError, bench
+from stage.bench import files
+from stage.bench.cards import CARDS, Card, seeds
+from stage.bench.files import Refused, unpack
+from stage.cli import main
+from stage.files import FileError
+
+BRIEF = Card(
+    "brief",
+    "stage/FewShotTuning-v1",
+    "two tries of short moves, for tests",
+    settings={"model": "xy", "distances": (400, 800), "tries": 2, "proofs": 1, "settle": 0.01},
+    choices={"memory": ("all", "last")},
+    splits=("train", "heavy"),
+    episodes=3,
+)
+
+
+@pytest.fixture(autouse=True)
+def brief(monkeypatch):
+    monkeypatch.setitem(CARDS, "brief", BRIEF)
+
+
+@pytest.fixture(scope="module")
+def entry():
+    CARDS["brief"] = BRIEF
+    made = bench.play("random", "brief", notes="by hand")
+    del CARDS["brief"]
+    return made
+
+
+@pytest.fixture(scope="module")
+def packed(entry):
+    return entry.pack()
+
+
+def changed(entry, name, at, value):
+    array = getattr(entry, name).copy()
+    array[at] = value
+    return dataclasses.replace(entry, **{name: array})
+
+
+def repacked(content, **members):
+    """The file with other members, its checksum made anew where entry.json is a dict."""
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        raw = {name: archive.read(name) for name in archive.namelist()}
+    said = json.loads(raw.pop("entry.json")) | members.pop("said", {})
+    del said["checksum"]
+    raw |= members
+    said["checksum"] = files._checksum(said, {name: raw.get(name, b"") for name in files.ARRAYS})
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w") as archive:
+        for name, member in {"entry.json": json.dumps(said).encode(), **raw}.items():
+            archive.writestr(member and name, member)
+    return file.getvalue()
+
+
+def test_what_was_played_is_replayed_bit_for_bit_without_the_policy(entry, tmp_path):
+    path = tmp_path / "random.bench"
+    bench.submit(entry, path)
+    verdict = bench.verify(path)
+    assert verdict.exact
+    assert verdict.whole
+    assert verdict.unlike == ()
+    assert "OK: every reward, observation, end and score is equal, bit for bit" in str(verdict)
+    with pytest.raises(FileError, match="exists"):
+        bench.submit(entry, path)
+
+
+def test_the_same_player_gives_the_same_bytes_and_another_run_of_it_others(entry, packed):
+    assert bench.play("random", "brief", notes="by hand").pack() == packed == unpack(packed).pack()
+    assert not np.array_equal(bench.play("random", "brief", run=1, episodes=1).actions, entry.actions[:2])
+
+
+@pytest.mark.parametrize(
+    ("name", "at", "value", "says"),
+    [
+        ("actions", (3, 0), 0.25, r"episode 1, step 1, [a-z ]+: \S+ in the entry, \S+ here"),
+        ("rewards", 2, 0.5, r"episode 1, step 0, reward: 0\.5 in the entry"),
+        ("seen", 0, 7, "episode 0, reset, digest of the observation: 0000000000000007 in the entry"),
+        ("seen", 8, 7, "episode 2, step 1, digest of the observation"),
+        ("steps", slice(None), (1, 3, 2), "episode 0, step 0, end of the episode: over in the entry, goes on here"),
+        ("steps", slice(None), (3, 1, 2), "episode 0, step 1, end of the episode: goes on in the entry, over here"),
+    ],
+)
+def test_a_changed_action_reward_observation_or_end_is_found_and_named(entry, name, at, value, says):
+    verdict = bench.verify(changed(entry, name, at, value))
+    assert not verdict.ok
+    assert re.search(says, str(verdict)), verdict
+    assert "with the same versions on the same kind of processor" in str(verdict)
+
+
+def test_a_changed_score_is_found_and_one_that_there_is_not(entry):
+    more = {**entry.scores, "return": entry.scores["return"] + (0, 0, 1e-12)}
+    assert "episode 2, score 'return'" in str(bench.verify(dataclasses.replace(entry, scores=more)))
+    other = {**entry.scores, "glory": entry.scores["return"]}
+    assert "glory in the entry, return" in str(bench.verify(dataclasses.replace(entry, scores=other)))
+
+
+def test_a_tolerance_tells_near_from_equal(entry):
+    near = changed(changed(entry, "rewards", 2, entry.rewards[2] + 1e-9), "seen", 0, 7)
+    assert not bench.verify(near).ok
+    verdict = bench.verify(near, tolerance=1e-6)
+    assert verdict.ok
+    assert not verdict.exact
+    assert "equal within 1e-06, not bit for bit" in str(verdict)
+    assert "1 of 9 observations are not the same bits" in str(verdict)
+    far = bench.verify(near, tolerance=1e-12)
+    assert not far.ok
+    assert "episode 1, step 0, reward" in str(far), "and not the observation, of which there is a digest alone"
+    with pytest.raises(ArgumentError, match="tolerance=-1: 0 or more"):
+        bench.verify(entry, tolerance=-1)
+
+
+def test_other_versions_are_told_as_a_possible_cause_and_only_of_what_differs(entry):
+    elsewhere = dataclasses.replace(entry, versions={**entry.versions, "mujoco": "3.0.0", "processor": "Z80"})
+    assert bench.verify(elsewhere).exact
+    assert "mujoco" not in str(bench.verify(elsewhere))
+    said = str(bench.verify(changed(elsewhere, "rewards", 0, 9.0)))
+    assert re.search(r"may be the cause:\n  mujoco: 3\.0\.0 there, \S+ here\n  processor: Z80 there", said)
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"seeds": (1_000_000, 1_000_001, 5)}, "seed of episode 2: 5 in the entry, 1000002 in the round 'open'"),
+        ({"split": "heavy"}, None),
+        ({"split": "weak"}, "unknown split of brief 'weak'"),
+        ({"round": "2027"}, "seed of episode 0: 1000000 in the entry"),
+        ({"task": "few"}, "unknown task 'few'. Did you mean"),
+        ({"task": "stage/FewShotTuning-v1"}, "'few-shot' is meant"),
+        ({"track": "god"}, "unknown track 'god'"),
+        ({"settings": {"model": "/etc/passwd"}}, "unknown setting that a player of brief may choose, 'model'"),
+        ({"settings": {"memory": "none"}}, "memory='none': brief has 'all', 'last'"),
+    ],
+)
+def test_an_entry_of_other_episodes_is_refused(entry, changes, says):
+    other = dataclasses.replace(entry, **changes)
+    if says is None:  # the same seeds are other machines there
+        assert "episode 0, step 0, reward" in str(bench.verify(other))
+        return
+    with pytest.raises(Refused, match=re.escape(says)):
+        bench.verify(other)
+
+
+def test_a_part_of_the_episodes_is_told_to_be_one(entry):
+    verdict = bench.verify(bench.play("random", "brief", "heavy", episodes=1, settings={"memory": "last"}))
+    assert verdict.exact
+    assert not verdict.whole
+    assert "can stand in no table" in str(verdict)
+
+
+def test_actions_of_another_type_or_beyond_the_space_are_refused(entry, packed):
+    doubles = dataclasses.replace(entry, actions=entry.actions.astype(np.float64))
+    with pytest.raises(
+        Refused, match=r"actions of type float64 and shape \(4,\) in the entry, and brief takes float32"
+    ):
+        bench.verify(unpack(doubles.pack()))
+    for bad in (2.0, np.nan):
+        with pytest.raises(Refused, match=r"action 1, .* is not in Box"):
+            bench.verify(changed(entry, "actions", (1, 2), bad))
+    with pytest.raises(Refused, match="one of the types <f4"):
+        unpack(repacked(packed, said={"actions": ["|O", [4]]}))
+    with pytest.raises(Refused, match="one of the types <f4"):
+        unpack(repacked(packed, said={"actions": ["<f4,(1000000000,)f8", [4]]}))
+
+
+def test_a_file_that_is_cut_off_anywhere_or_has_a_bit_changed_is_refused_or_the_same(entry, packed):
+    draw = np.random.default_rng(20)
+    for at in draw.integers(0, len(packed), 40).tolist():
+        with pytest.raises(Refused):
+            unpack(packed[:at])
+        flipped = bytearray(packed)
+        flipped[at] ^= 1 << int(draw.integers(8))
+        with contextlib.suppress(Refused):
+            assert unpack(bytes(flipped)).pack() == packed, "a date of the archive, which nobody reads"
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (lambda p: b"", "not an entry of the bench"),
+        (lambda p: b"\x80\x04\x95 a pickle", "not an entry of the bench"),
+        (lambda p: repacked(p, extra=b"x"), "it should hold entry.json, steps"),
+        (lambda p: repacked(p, said={"format": [files.MARK, 2]}), "of format 2, and this PulseStage reads format 1"),
+        (lambda p: repacked(p, said={"format": "zip"}), "does not begin as an entry does"),
+        (lambda p: repacked(p, said={"more": 1}), "entry.json should have actions"),
+        (lambda p: repacked(p, said={"seeds": [-1]}), "seeds are whole numbers"),
+        (lambda p: repacked(p, said={"player": "\x1b[2J"}), "cannot be printed"),
+        (lambda p: repacked(p, said={"cost": {"moves": float("nan")}}), "NaN is no number"),
+        (lambda p: repacked(p, said={"versions": {"mujoco": 3}}), "versions has texts"),
+        (lambda p: repacked(p, steps=b"\xff" * 24), "one step or more"),
+        (lambda p: repacked(p, rewards=b"\0" * 8), "rewards has 8 bytes, and 6 steps in 3 episodes want 48"),
+        (lambda p: p.replace(b"entry.json", b"../../x.js"), "it should hold entry.json"),
+        (lambda p: archive(**{"entry.json": b"[" * 100_000}), "entry.json cannot be read"),
+        (lambda p: archive(actions=b"\0" * (files.UNPACKED + 1)), "when unpacked, and an entry has at most"),
+        (lambda p: archive(**{"entry.json": b" " * (files.WORDS + 1)}), "at most 1048576 are read"),
+    ],
+)
+def test_foreign_and_hostile_files_are_refused_in_words(packed, content, says):
+    with pytest.raises(Refused, match=re.escape(says)):
+        unpack(content(packed))
+
+
+def archive(**members):
+    """With these members, the others empty; packed well."""
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as made:
+        for name in files.MEMBERS:
+            made.writestr(name, members.get(name, b""))
+    return file.getvalue()
+
+
+def test_a_bomb_that_lies_about_its_size_is_not_unpacked(packed):
+    lying = bytearray(archive(actions=b"\0" * (1 << 20)))
+    at = lying.index((1 << 20).to_bytes(4, "little"), lying.index(b"PK\1\2"))
+    lying[at : at + 4] = (24).to_bytes(4, "little")
+    with pytest.raises(Refused):
+        unpack(bytes(lying))
+
+
+def test_a_large_file_is_not_read(tmp_path):
+    path = tmp_path / "large.bench"
+    with path.open("wb") as file:
+        file.truncate(files.LARGEST + 1)
+    with pytest.raises(Refused, match="an entry has at most"):
+        bench.read(path)
+    with pytest.raises(Refused, match="not a file"):
+        bench.read(tmp_path)
+
+
+class Watching:
+    """A policy that notes what it is shown."""
+
+    def __init__(self):
+        self.seen, self.begun, self.cost = [], [], {"tokens": 12}
+
+    def reset(self, around):
+        self.begun.append(around)
+
+    def __call__(self, observation, info):
+        self.seen.append((observation.shape, set(info)))
+        return np.zeros(4)
+
+
+def test_a_policy_sees_what_its_track_shows():
+    host, truth = Watching(), Watching()
+    bench.play(host, "brief", episodes=2)
+    entry = bench.play(truth, "brief", track="truth", episodes=1)
+    assert len(host.begun) == 2
+    assert host.begun[0].env is None
+    assert host.begun[0].entries[0] == "distance"
+    assert all("distance" in names and not {"payload", "lost_steps", "reward_parts"} & names for _, names in host.seen)
+    assert {"payload", "torque"} <= truth.seen[0][1]
+    assert truth.seen[0][0][0] == host.seen[0][0][0] + 6
+    assert entry.player == "Watching"
+    assert bench.verify(entry).exact
+
+
+def test_the_track_of_tools_counts_tokens():
+    entry = bench.play(Watching(), "brief", track="tools", episodes=1)
+    assert entry.cost == {"tokens": 12, "test_moves": 2}
+    with pytest.raises(ArgumentError, match="the track tools counts tokens"):
+        bench.play("random", "brief", track="tools", episodes=1)
+
+
+def test_recorded_actions_are_played_and_have_to_be_as_many_as_there_are_steps(entry, tmp_path):
+    path = tmp_path / "moves.npz"
+    np.savez(path, actions=entry.actions.reshape(3, 2, 4))
+    again = bench.play(str(path), "brief", name="random", notes="by hand")
+    assert again.pack() == entry.pack()
+    for steps, says in (
+        ((1, 3, 2), "goes on after its 1 actions"),
+        ((3, 1, 2), "over after 2 actions; there are more"),
+    ):
+        np.savez(path, actions=entry.actions, steps=steps)
+        with pytest.raises(ArgumentError, match=says):
+            bench.play(str(path), "brief")
+    np.savez(path, actions=np.array([None]))
+    with pytest.raises(ArgumentError, match=r"no \.npz with an array `actions`"):
+        bench.play(str(path), "brief")
+
+
+def test_an_action_that_the_task_does_not_take_is_refused():
+    with pytest.raises(ArgumentError, match="is not in Box"):
+        bench.play(lambda observation, info: "up", "brief", episodes=1)
+
+
+def test_a_round_has_seeds_of_its_own_for_each_split():
+    drawn = {(s, r): seeds(BRIEF, s, r) for s in BRIEF.splits for r in ("2027", "2028")}
+    every = [seed for some in drawn.values() for seed in some]
+    assert len(set(every)) == 12
+    assert min(every) > max(seeds(BRIEF, "train"))
+    assert drawn["train", "2027"] == seeds(BRIEF, "train", "2027")
+
+
+def test_the_commands_submit_and_verify_in_a_fresh_process(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.py").write_text("def policy(observation, info):\n    return [0.0, 0.3, 0.0, 0.0]\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    assert main(["bench-submit", "mine:policy", "-o", "mine.bench", "--episodes", "1", "--cost", "moves=3"]) == 0
+    said = capsys.readouterr().out
+    assert "mine:policy, few-shot train: 1 episodes, 8 steps" in said
+    assert "mine.bench: written" in said
+    done = subprocess.run(
+        [sys.executable, "-m", "stage", "bench-verify", "mine.bench", "--json"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert {"ok": True, "exact": True, "whole": False, "player": "mine:policy"}.items() <= json.loads(
+        done.stdout
+    ).items()
+
+
+def test_the_commands_say_what_is_wrong(entry, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    bench.submit(changed(entry, "rewards", 0, 9.0), "changed.bench")
+    assert main(["bench-verify", "changed.bench"]) == 1
+    assert "DIFFERS first in episode 0, step 0, reward: 9.0 in the entry" in capsys.readouterr().out
+    for argv, says in (
+        ("bench-verify none.bench", "none.bench: there is no such file"),
+        (f"bench-verify {__file__}", "not an entry of the bench"),
+        ("bench-submit randon -o a", "unknown player of few-shot 'randon'. Did you mean 'random'"),
+        ("bench-submit none_such:policy -o a", "No module named 'none_such'"),
+        ("bench-submit json:policy -o a", "module json has no 'policy'"),
+        ("bench-submit none.npz -o a", "none.npz: there is no such file of actions"),
+        ("bench-submit random -o changed.bench", "changed.bench exists"),
+        ("bench-submit random -o a --set memory", "NAME=VALUE"),
+        ("bench-submit random -o a --set memory=some", "memory='some': few-shot has 'all', 'last'"),
+        ("bench-submit random -o a --cost moves=many", "--cost moves=many: NAME=NUMBER"),
+        ("bench-submit random -o a --episodes 65", "episodes=65: 1 to 64 here"),
+        ("bench few", "unknown task 'few'. Did you mean 'few-shot'"),
+    ):
+        assert main(argv.split()) == 2
+        assert says in capsys.readouterr().err, argv
+    assert not (tmp_path / "a").exists()
+
+
+def test_the_list_of_tasks_names_splits_and_players(capsys):
+    assert main(["bench"]) == 0
+    assert "few-shot  stage/FewShotTuning-v1" in capsys.readouterr().out
+    assert main(["bench", "few-shot", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)["few-shot"]
+    assert told["splits"]["weak"][:2] == [1_000_000, 1_000_001]
+    assert "formula" in told["players"]
