@@ -3,6 +3,8 @@
 import json
 import re
 import sys
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,14 +14,18 @@ from stage import Stage
 from stage.board import Board, NativeHost, NoCompilerError, build
 from stage.board.library import compiler
 from stage.chips import HCTL1100, MCX304, MCX514, PCL240K, PCL240MS
+from stage.chips.describe import Said
 from stage.cli import main
+from stage.drives.dynamometer import natural_frequency
 from stage.errors import ArgumentError, StageError
 from stage.firmware.driver import AtOnce, driver_of
-from stage.tune import Case, Task, tune, written
+from stage.tune import Case, Task, proof, tune, written
 from stage.tune.c_source import c_source
+from stage.tune.formula import Load, speeds
+from stage.tune.looks import LOOK
 from stage.tune.plans import plans_of
 from stage.tune.search import search
-from stage.tune.tries import Tries
+from stage.tune.tries import Outcome, Tries
 
 PULSES, PAYLOAD = 400, 2.0
 LIMIT = 0.1  # s
@@ -187,6 +193,119 @@ def test_the_formula_of_an_upright_axis_has_its_weight():
     assert z.slope == pytest.approx(9.81)
     assert z.weight > 3.0 * 9.81
     assert x.weight == x.slope == 0
+
+
+def test_friction_helps_to_brake_and_hinders_the_start(task):
+    load = replace(Load.of(task.stage.axes["x"]).heavier(10.0), friction=8.0)
+    made = speeds(load, 40_000)
+    top, low = made.drive / load.per_metre, made.start / load.per_metre
+    thrust = float(load.thrust(np.array([top]))[0]) / 1.5
+    helps = load.friction + load.damping * top
+    for seconds, force in ((made.up, thrust - helps), (made.down, thrust + helps)):
+        gentle = (top - low) * natural_frequency(load.drive, load.inertia) / 4
+        assert seconds == pytest.approx((top - low) / min(force / load.mass, gentle), rel=1e-6)
+    assert made.down < 0.9 * made.up
+
+
+def test_the_weight_of_an_upright_axis_is_that_of_what_it_carries_without_rotor_and_screw():
+    stage = Stage("xyz", chips=PCL240K, visuals=False)
+    z, model = stage.axes["z"], stage.model
+    carried = model.body_subtreemass[model.jnt_bodyid[z.joint]]
+    load = Load.of(z)
+    assert load.mass > carried + 0.1
+    assert load.weight == pytest.approx(9.81 * carried)
+    assert load.heavier(2.0).weight == pytest.approx(9.81 * (carried + 2))
+
+
+def test_a_payload_that_does_not_ride_on_the_axis_does_not_weigh_on_it():
+    """Task(stage, "y", payload=9.0, payload_on=...) of the body that only x moves"""
+    stage = Stage("xy", chips=PCL240K, visuals=False)
+    names = [stage.model.body(int(stage.model.jnt_bodyid[stage.axes[a].joint])).name for a in "xy"]
+    other = {a: names[1 - k] for k, a in enumerate("xy")}
+    masses = {}
+    for axis in "xy":
+        task = Task(stage, axis, pulses=PULSES, payload=9.0, payload_on=other[axis])
+        masses[axis] = plans_of(task).load(9.0).mass - plans_of(task).load(0.0).mass
+    assert sorted(masses.values()) == pytest.approx([0.0, 9.0])
+
+
+def test_what_a_task_does_not_say_is_as_its_page_says():
+    stage = Stage("xy", chips={"x": PCL240K, "y": HCTL1100}, visuals=False)
+    x, y = Task(stage, "x", pulses=-PULSES, payload=2.0), Task(stage, "y", pulses=PULSES)
+    steps = {axis.name: axis.meters_per_pulse for axis in stage.axes.values()}
+    assert (x.pulses, x.hold, x.turn, y.turn) == (PULSES, 0.05, 64, 4)
+    assert (x.spare, y.spare) == pytest.approx((0.6, 0.3 * y.moved))
+    assert (x.within, y.within) == pytest.approx((16 * steps["x"], 10 * steps["y"]))
+    assert (x.overshoot, x.most) == pytest.approx((2 * x.within, 2.6))
+    assert Task(stage, "x", pulses=PULSES, judge_at="work").overshoot == np.inf
+    rng = np.random.default_rng(0)
+    for cases in (x.corners(rng, 2), x.drawn(rng, 16)):
+        assert {case.way for case in cases} == {1, -1}
+        assert {0.0, 2.0, 2.6} <= {round(case.payload, 9) for case in cases}
+        assert max(abs(case.beside) for case in cases) <= 32
+        assert max(case.payload for case in cases) == pytest.approx(2.6)
+
+
+def test_the_spare_is_the_last_payload_before_the_first_that_loses_a_step():
+    """Two rounds of eight payloads, each at six rotor angles, both ways"""
+    task = SimpleNamespace(spare=0.5, payload=2.0, moved=1.0, turn=64)
+    seen = []
+
+    def carries(most):
+        def make(plans, cases, limit):
+            seen.extend(cases)
+            return SimpleNamespace(kept=np.array([[case.payload - 2.0 <= most for case in cases]]))
+
+        return proof.spare(SimpleNamespace(task=task, make=make), None, LIMIT, np.random.default_rng(0))
+
+    assert carries(9.0) == (2.0, True)
+    assert carries(0.8) == (pytest.approx(0.78125), False)
+    assert carries(0.0) == (0.0, False)
+    assert carries(1.7499) == (pytest.approx(1.71875), False)
+    ways = {}
+    for case in seen:
+        ways.setdefault(case.payload, []).append(case.way)
+    assert all(sum(of) == 0 for of in ways.values())
+
+
+def test_what_is_gained_is_told_with_twice_its_standard_error():
+    formula, found = (proof.Proof(3, 3, np.array(times), 0.0) for times in ([2.0, 4.0, 6.0], [1.0, 2.0, 3.0]))
+    assert proof.gain(formula, found) == pytest.approx((2.0, 2 / np.sqrt(3)))
+    one = proof.Proof(1, 1, np.array([1.0]), 0.0)
+    assert proof.gain(one, one) == (0.0, LOOK)
+    assert (formula.mean, formula.worst, formula.holds) == (4.0, 6.0, True)
+
+
+def test_a_move_that_goes_too_far_is_not_good_where_its_payload_was_asked_for(task):
+    far = task.overshoot
+    outcome = Outcome(np.array([[0.1, 0.1, 0.1]]), np.array([[True] * 3]), np.array([[far, 1.01 * far, 1.01 * far]]))
+    assert outcome.good(task, np.array([True, True, False])).tolist() == [[True, False, True]]
+
+
+def test_a_servos_ramps_are_alike_the_longer_of_both():
+    plans = plans_of(task_of(HCTL1100))
+    plans.bare = replace(plans.bare, friction=10.0)
+    made, both = plans.speeds(1.5), speeds(plans.load(PAYLOAD), PULSES, 1.5)
+    assert both.down < both.up
+    assert (made.up, made.down) == (both.up, both.up)
+
+
+def test_a_header_in_c_has_waits_whole_numbers_and_comments_that_end_where_they_should(task):
+    rows = [written.Row("TP", -40_000, 8, "goal /* of */ a move", ""), written.Row("SV", 7, 4, "start", "pps")]
+    cycles = [written.Cycle(6, -1, "a */"), written.Cycle(None, 1_000_000, ""), written.Cycle(None, 500_000, "")]
+    text = c_source("x", "", [], rows, [*cycles, written.Cycle(0, 2, "go")], task.stage.axes["x"].chip)
+    assert re.search(r"#define X_TP +-40000L /\* goal / \* of \* / a move \*/", text)
+    assert re.search(r"#define X_SV +7 /\* start, pps \*/", text)
+    assert "{6, 0xFF, 1500}, /* a * / */" in text
+    assert "{0, 0x02, 0}, /* go */" in text
+
+
+def test_a_register_that_was_written_twice_is_told_once_with_its_last_value_in_its_last_place(task):
+    sayings = [Said(0, "register", "", "", name, value) for name, value in (("R1", 1), ("R2", 2), ("R1", 3))]
+    assert [(r.name, r.value) for r in written.rows(task, [*sayings, Said(0, "command", "11", "start")])] == [
+        ("R2", 2),
+        ("R1", 3),
+    ]
 
 
 @pytest.mark.parametrize(
