@@ -5,14 +5,19 @@ import contextlib
 import io
 import math
 import re
+import signal
 import sys
 from types import SimpleNamespace
 
 import pytest
 
 from stage import ArgumentError, Stage, StageError, firmware, opengl
+from stage.chips.chip import Diagnostic
 from stage.cli import build_parser, demo, fault, main, moves, setup
 from stage.cli.erratum import Shown
+from stage.cli.firmware import report as print_report
+from stage.files import FileError
+from stage.firmware.driver import usual_speeds
 from stage.recording import viewer
 
 
@@ -97,6 +102,8 @@ def report(**more):
         ("x --fast-only", "x", {"slow_approach": False}),
         ("x --ez 3", "x", {"ez": 3}),
         ("x --by switch", "x", {}),
+        ("x --by index --chips pcl240mk", "x", {"ez": 1}),
+        ("x --by index --ez 2 --chips pcl240mk", "x", {"ez": 2}),
     ],
 )
 def test_home_searches_as_the_options_say(bench, monkeypatch, options, axes, expected):
@@ -107,9 +114,133 @@ def test_home_searches_as_the_options_say(bench, monkeypatch, options, axes, exp
         return report()
 
     monkeypatch.setattr(firmware, "origin_return", origin_return)
-    assert main(["home", *options.split()]) == 0
+    if "--chips" in options:
+        monkeypatch.setattr(moves, "make_stage", lambda args: setup.make_stage(args, visuals=False))
+    assert main(["home", *options.split(), "--model", "xy"]) == 0
     usual = {"direction": -1, "high_speed": True, "slow_approach": True, "ez": None}
     assert asked == [(axis, usual | expected) for axis in axes]
+
+
+def test_home_draws_the_first_axis(bench, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(
+        firmware, "origin_return", lambda axis, *_, **__: report(plot=lambda path, overwrite: drawn.append(axis.name))
+    )
+    assert main(["home", "y", "x", "--plot", "a.png"]) == 0
+    assert drawn == ["y"]
+
+
+def typed(**more):
+    return argparse.Namespace(**dict.fromkeys(("fl", "fh1", "accel", "decel")) | more)
+
+
+def test_speeds_that_are_typed_are_completed_by_the_usual_ones(bench):
+    """--accel alone is both ramps; a rate below the usual start speed is the start speed, too"""
+    x = bench.axes["x"]
+    usual = setup.speeds(typed(), x)
+    assert usual == usual_speeds(x.chip)
+    assert setup.speeds(typed(accel=0.4), x) == usual._replace(up=0.4, down=0.4)
+    assert setup.speeds(typed(accel=0.4, decel=0.2), x) == usual._replace(up=0.4, down=0.2)
+    assert setup.speeds(typed(decel=0.2), x) == usual._replace(down=0.2)
+    slow = usual.start / 2
+    assert setup.speeds(typed(fh1=slow), x) == usual._replace(start=slow, drive=slow)
+    assert setup.speeds(typed(fh1=slow, fl=2 * slow), x) == usual._replace(start=2 * slow, drive=slow)
+    for name in ("fl", "fh1", "accel", "decel"):
+        for value in (0.0, -1.0, math.inf, math.nan):
+            with pytest.raises(ArgumentError, match=f"--{name} {value:g}: more than 0"):
+                setup.speeds(typed(**{name: value}), x)
+
+
+def test_distances_are_typed_in_units_of_the_axis(bench):
+    x = bench.axes["x"]
+    hinge = SimpleNamespace(
+        unit="rad", name="t", meters_per_pulse=math.radians(1e-6), gear=1.0, chip=x.chip, drive=x.drive
+    )
+    per_mm = 1e-3 / x.meters_per_pulse
+    for text, mm in (("10mm", 10), ("-1cm", -10), ("0.02m", 20), ("500um", 0.5), ("50000nm", 0.05)):
+        assert setup.distance(x, text) == round(mm * per_mm), text
+    assert (setup.distance(x, "0x10"), setup.distance(x, " -7 ")) == (16, -7)
+    for text, degrees in (("10deg", 10), ("-0.5deg", -0.5), ("1rad", math.degrees(1)), ("20mrad", math.degrees(0.02)),
+                          ("300urad", math.degrees(3e-4))):  # fmt: skip
+        assert setup.distance(hinge, text) == round(degrees * 1e6), text
+    for axis, wrong in ((x, "1deg"), (hinge, "1mm"), (x, "1.5"), (x, "mm")):
+        with pytest.raises(ArgumentError, match="goes a whole number of pulses, or a distance in"):
+            setup.distance(axis, wrong)
+
+
+def test_two_outputs_may_share_a_device_and_no_file(tmp_path):
+    kinds = ("record", "vcd", "picture", "plot", "trace")
+    given = argparse.Namespace(**dict.fromkeys(kinds), force=False, web=False)
+    given.vcd = given.trace = "/dev/null"
+    setup.outputs(given)
+    given.vcd, given.trace = str(tmp_path / "a"), str(tmp_path / "b" / ".." / "a")
+    (tmp_path / "b").mkdir()
+    with pytest.raises(FileError, match="--vcd and --trace both write"):
+        setup.outputs(given)
+
+
+def test_a_usual_name_is_the_next_that_is_free_and_with_force_always_itself(bench, monkeypatch):
+    for name in ("stage.rrd", "stage-2.rrd"):
+        open(name, "w").close()
+    assert [setup._free("stage.rrd", force) for force in (False, True)] == ["stage-3.rrd", "stage.rrd"]
+    saved = []
+    recording = SimpleNamespace(
+        save=lambda path, overwrite: (open(path, "w").close(), saved.append(path)), duration=0.0
+    )
+
+    @contextlib.contextmanager
+    def record():
+        yield recording
+        open("stage-3.rrd", "w").close()  # another command has taken the name meanwhile
+
+    monkeypatch.setattr(bench, "record", record)
+    monkeypatch.setattr(viewer, "open_viewer", lambda path: saved.append(f"view {path}"))
+    args = argparse.Namespace(
+        record=None, vcd=None, picture=None, plot=None, trace=None, view=True, web=False, force=False
+    )
+    with setup.recorded(args, bench):
+        pass
+    assert saved == ["stage-4.rrd", "view stage-4.rrd"]
+
+
+@pytest.mark.parametrize(
+    ("typed", "said"),
+    [
+        (["move", "x", "1", "--chips", "x=pcl240k,x=mcx304"], "axis x is given two chips"),
+        (["run", "a.c", "--place", "x=1", "--place", "x=2", "--model", "xy"], "axis x has got a place already"),
+        (
+            ["home", "x", "--chips", "mcx304", "--model", "xy", "--ez", "0"],
+            "--ez 0: an MCX304 ends at the first index pulse",
+        ),
+    ],
+)
+def test_what_is_typed_twice_or_is_nothing_is_refused(capsys, typed, said):
+    assert main(typed) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_a_report_of_mistakes_has_the_first_of_each_kind_and_strays_by_their_times(capsys):
+    said = [Diagnostic(clock, 0, 0x11, text, "page") for clock, text in ((5, "a"), (7, "b"), (9, "a"), (11, "a"))]
+    chip = SimpleNamespace(diagnostics=said, clock_hz=1)
+    stray = SimpleNamespace(times=3)
+    stage = SimpleNamespace(axes={}, chips=[chip])
+    print_report(SimpleNamespace(stage=stage, strays=[stray, SimpleNamespace(times=4)], name_of=lambda k: "x"))
+    out = capsys.readouterr().out
+    assert "chip of x: 4 writes" in out
+    assert re.findall(r"(\d+)\.000000 s, address 0 <- 11h: (.*)", out) == [
+        ("5", "a [page] (3 times)"),
+        ("7", "b [page]"),
+    ]
+    assert "7 bus cycles reached no chip" in out
+
+
+def test_a_run_gives_the_signal_that_ends_it_back(bench):
+    from stage.cli.firmware import _told_of_the_end
+
+    before = signal.getsignal(signal.SIGTERM)
+    with _told_of_the_end(SimpleNamespace()):
+        assert signal.getsignal(signal.SIGTERM) is not before
+    assert signal.getsignal(signal.SIGTERM) is before
 
 
 @pytest.mark.parametrize(
