@@ -78,6 +78,8 @@ def test_a_change_of_a_constant_in_a_module_that_a_hot_one_imports_is_built_anew
     assert done.stdout == "45\n"
     assert done.stderr.startswith("PulseStage: building the native library of toy: 1 of 1 parts ...")
     assert run(toy).stderr == ""
+    kept = [path.name for path in (toy / "toy" / "__pycache__").glob("*.o")]
+    assert len(kept) == 2, "the manifest and the part as it is now"
 
 
 def test_what_a_hot_module_imports_belongs_to_its_sources_however_it_is_imported(tmp_path):
@@ -126,7 +128,10 @@ def test_a_new_module_is_missed_in_a_checkout(toy):
     ("change", "words"),
     [
         ({"target": "plan9-vax"}, f"was built for plan9-vax, this is {load.target()}"),
-        ({"needs": ["telepathy"]}, "needs a processor with telepathy, which this one has not"),
+        (
+            {"needs": [*sorted(load.features())[:1], "telepathy", "luck"]},
+            "a processor with telepathy, luck, which this one",
+        ),
     ],
 )
 def test_a_library_for_another_machine_is_refused_in_words(toy, change, words):
@@ -238,6 +243,31 @@ def test_a_library_is_linked_by_the_first_compiler_there_is(tmp_path, monkeypatc
     there.clear()
     with pytest.raises(NativeError, match="install a C compiler, or pip install ziglang"):
         build.linker()
+
+
+def test_a_build_by_another_numba_or_a_link_that_fails_leaves_nothing(tmp_path, monkeypatch):
+    from stage.native import build
+
+    write(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    for found in ("0.59.0", "0.99.0", "1.0"):
+        monkeypatch.setattr(build, "version", lambda name, found=found: found)
+        with pytest.raises(
+            NativeError, match=f"libraries are built with numba {build.NUMBA}, and {found} is installed"
+        ):
+            build.build("toy")
+    monkeypatch.setattr(build, "version", lambda name: build.NUMBA)
+    monkeypatch.setattr(build, "_emit", lambda parts, *_: None)
+
+    def fails(objects, manifest, path):
+        path.write_text("half")
+        raise NativeError("the disk is full")
+
+    monkeypatch.setattr(build, "_link", fails)
+    monkeypatch.setattr(build, "_manifest_object", lambda *_: None)
+    with pytest.raises(NativeError, match="the disk is full"):
+        build.build("toy")
+    assert [path.name for path in (tmp_path / "toy").iterdir() if "_native" in path.name] == []
 
 
 def test_where_a_package_cannot_be_written_its_library_is_this_process_s_own(tmp_path, monkeypatch):

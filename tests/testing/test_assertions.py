@@ -126,6 +126,23 @@ def test_an_axis_has_stopped_when_it_gets_no_pulses_and_does_not_move(stage):
     assert_stopped(x)
 
 
+def test_standing_still_is_slower_than_a_centimetre_a_second_unless_another_speed_is_given(stage):
+    x = stage.axes["x"]
+    dof = x.plant.dof
+    for speed, options, stands in (
+        (0.0099, {}, True),
+        (0.0101, {}, False),
+        (-0.0101, {}, False),
+        (0.0101, {"speed": 0.02}, True),
+    ):
+        stage.data.qvel[dof] = speed
+        if stands:
+            assert_stopped(x, **options)
+        else:
+            assert "x gets +0 pulses a second" in says(assert_stopped, x)
+    stage.data.qvel[dof] = 0.0
+
+
 @pytest.mark.parametrize("way", [1, -1])
 def test_an_axis_that_slides_without_pulses_has_not_stopped(stage, way):
     x = stage.axes["x"]
