@@ -2,19 +2,50 @@
 
 from __future__ import annotations
 
+import copyreg
 import ctypes
 from functools import lru_cache
 from math import prod
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
 
-from stage.native.mode import EMITTING
+from stage.native.mode import COMPILED, EMITTING
 
 
 def record(fields: list) -> np.dtype:
     """A structured dtype whose elements have attributes, compiled or not; `hot` functions take arrays and elements of it."""
-    return np.dtype((np.record, np.dtype(fields)))
+    plainly = np.dtype(fields)
+    return np.dtype((np.record if COMPILED or EMITTING else _quick(plainly), plainly))
+
+
+class _Quick(type):
+    """Of classes that `_quick` makes; they are pickled as NumPy's."""
+
+
+def _numpys() -> Any:
+    return np.record
+
+
+def _pickled(_: type) -> Any:
+    return _numpys, ()
+
+
+copyreg.pickle(_Quick, _pickled)
+
+
+def _quick(dtype: np.dtype) -> type:
+    """np.record, whose attributes C looks up: where nothing is compiled, NumPy's look-up, in Python, is most of a run."""
+    names = dtype.names or ()
+    if any(
+        hasattr(np.record, n) or not issubclass(dtype[n].base.type, (np.record, np.number, np.bool_)) for n in names
+    ):
+        return np.record
+    shown: dict[str, Any] = {name: property(itemgetter(name)) for name in names}
+    for name in ("__getattribute__", "__getitem__"):
+        shown[name] = getattr(np.void, name)
+    return _Quick("record", (np.record,), shown)
 
 
 def plain(dtype: np.dtype) -> np.dtype:

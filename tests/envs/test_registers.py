@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from support.examples import SEED
+from support.examples import FIXED, SEED
 
 from stage import ArgumentError
 from stage.chips import PCL240K, PCL240MS
@@ -17,10 +17,14 @@ def box(chip):
 
 @pytest.mark.parametrize("chip", [pytest.param(PCL240K, marks=pytest.mark.slow), PCL240MS])
 def test_every_value_of_every_register_comes_back_exactly(chip):
+    # of a long register every day some 20,000 over its whole range; PULSESTAGE_EXAMPLES=... for each
     b = box(chip)
     for k, name in enumerate(b.names):
-        values = np.repeat(b.low[None], b.high[k] - b.low[k] + 1, axis=0)
-        values[:, k] = np.arange(b.low[k], b.high[k] + 1)
+        span = b.high[k] - b.low[k] + 1
+        every = 1 if not FIXED else max(span // 20_000, 1)
+        column = np.union1d(np.arange(b.low[k], b.high[k] + 1, every), b.high[k])
+        values = np.repeat(b.low[None], len(column), axis=0)
+        values[:, k] = column
         actions = b.to_action(values)
         assert actions.dtype == np.float32
         assert (np.abs(actions) <= 1).all()

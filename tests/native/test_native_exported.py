@@ -1,6 +1,7 @@
 """Promises of `exported`: functions of the native library, called by name, by address, from C and from Python."""
 
 import ctypes
+import pickle
 import subprocess
 import sys
 
@@ -10,7 +11,7 @@ from loops.rows import CELL, by_address, by_name, cleared, joined, on_the_stack,
 
 from stage import ArgumentError
 from stage.chips import PCL240K
-from stage.native import COMPILED, Exported, address_of, array_at, greatest, least
+from stage.native import COMPILED, Exported, address_of, array_at, greatest, least, records
 
 
 def cells(*b):
@@ -143,3 +144,25 @@ def test_a_process_that_runs_a_stage_loads_neither_numba_nor_a_compiler():
     out = subprocess.run([sys.executable, "-c", say], capture_output=True, text=True, check=True)
     assert out.stderr == ""
     assert not {"numba", "llvmlite", "scipy", "stage.native.build", "stage.native.emit"} & set(out.stdout.split())
+
+
+def test_records_of_uncompiled_runs_are_numpys_but_quicker():
+    inner = np.dtype((records._quick(np.dtype([("k", "i8"), ("v", "f8", (3,))])), [("k", "i8"), ("v", "f8", (3,))]))
+    fields = [("a", inner), ("bs", inner, (2,)), ("n", "i4")]
+    quick = np.zeros(2, (records._quick(np.dtype(fields)), fields))
+    theirs = np.zeros(2, (np.record, fields))
+    for rows in (quick, theirs):
+        row = rows[1]
+        row.a.k, row.bs[1].v[2], row.n = 5, 1.5, 3
+        with pytest.raises(AttributeError, match="no attribute 'm'"):
+            row.m = 1
+        with pytest.raises(AttributeError, match="no attribute 'm'"):
+            _ = row.m
+    assert quick.tobytes() == theirs.tobytes()
+    assert type(quick[1].n) is type(theirs[1].n)
+    assert quick[1].bs[1].v[2] == quick[1]["bs"][1]["v"][2] == 1.5
+    back = pickle.loads(pickle.dumps(quick))
+    assert back.dtype.type is np.record
+    assert back.tobytes() == quick.tobytes()
+    assert type(quick[1]).n is not None, "an attribute of its own, looked up in C"
+    assert records._quick(np.dtype([("item", "i4")])) is np.record, "a name that NumPy has itself"
