@@ -8,7 +8,8 @@ from support.pcl240ms_bench import load
 
 from stage import ArgumentError, RunTimeout, Stage, firmware
 from stage.chips import HCTL1100, MCX304, MCX314AS, MCX514, PCL240K, PCL240MK, PCL240MS, cores
-from stage.cli.setup import _wiring
+from stage.cli import build_parser
+from stage.cli.setup import _wiring, make_stage
 from stage.firmware.hctl1100.port import Port
 from stage.sim.snapshot import Snapshot
 
@@ -227,3 +228,29 @@ def test_the_commands_option_says_how_it_is_written(item, said):
     with pytest.raises(ArgumentError, match=said):
         _wiring([item])
     assert _wiring(["x.org=positive", "x.ez=negative"]) == {"x": {"org": "positive", "ez": "negative"}}
+
+
+def commanded(*options):
+    return make_stage(build_parser().parse_args(["move", "x", "1", "--model", "xy", *options]), visuals=False)
+
+
+def test_the_commands_connect_chips_as_the_stage_does():
+    stage = commanded("--chips", "x=mcx514,y=mcx512", "--multichip", "x, y")
+    assert ("multichip lines", "x, y") in stage.snapshot().header.parts
+    assert [int(chip.state["heard"]) & 1 for chip in stage.chips] == [1, 1], "there are wires"
+    follower = commanded("--chips", "x=pcl240ms,y=pcl240mk", "--syni", "y=x")
+    assert follower.axes["y"].chip.syni is follower.axes["x"].chip
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--multichip", "x,"], "AXIS,AXIS, for example x,z"),
+        (["--multichip", "x,q"], "unknown axis 'q'"),
+        (["--syni", "y"], "FOLLOWER=LEADER"),
+        (["--syni", "y=x", "--syni", "y=x"], "axis y follows x already"),
+    ],
+)
+def test_wires_between_chips_that_are_none_are_refused(options, said):
+    with pytest.raises(ArgumentError, match=said):
+        commanded("--chips", "x=mcx514,y=mcx512", *options)

@@ -36,6 +36,7 @@ class Field:
         that the sources do not explain is left out. listed: a dump lists them.
     note: further text of a dump.
     silent: the value without information, which a trace leaves out; None: a trace shows each.
+    only: of a register that each axis has, the one axis (0 is the first) on which the field acts; None: on all.
     pins: of a status bit, the pin that it shows, with `/` before it where the bit is 0 while the pin is asserted; two where the
         direction says which: that of plus, that of minus.
     """
@@ -53,6 +54,7 @@ class Field:
     pins: tuple[str, ...] = ()
     between: str = ": "
     listed: bool = True
+    only: int | None = None
 
     @property
     def mask(self) -> int:

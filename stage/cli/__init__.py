@@ -133,6 +133,18 @@ def _machine(g: Any, chips: Sequence[str] = ALL) -> None:
         metavar="AXIS.SENSOR=LOGIC",
         help="the logic of a sensor, where it is not negative: x.org=positive is high while it is on; ez is the encoder's index",
     )
+    g.add_argument(
+        "--multichip",
+        metavar="AXIS,AXIS",
+        help="wire the multichip lines of MCX514 and MCX512 together: an axis of each chip, x,z (see docs/nova.md)",
+    )
+    g.add_argument(
+        "--syni",
+        action="append",
+        default=[],
+        metavar="FOLLOWER=LEADER",
+        help="connect SYNI of an axis' chip (PCL-240 family) to SYNO of another's: y=x",
+    )
 
 
 def _outputs(p: argparse.ArgumentParser) -> None:

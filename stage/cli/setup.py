@@ -22,6 +22,8 @@ def make_stage(args: argparse.Namespace, visuals: bool = True) -> Any:
     common: dict[str, Any] = {"bus_cycle": args.bus_cycle, "clock": getattr(args, "clock", None), "visuals": visuals}
     common["encoders"] = [_encoder(item) for item in getattr(args, "encoder", ())]
     common["wiring"] = _wiring(getattr(args, "wiring", ()))
+    common["multichip"] = _linked(getattr(args, "multichip", None))
+    common["syni"] = _leaders(getattr(args, "syni", ()))
     motor = {} if args.motor is None else {"motor": args.motor}
 
     def drive(chip: Any) -> Any:
@@ -79,6 +81,31 @@ def _wiring(items: Iterable[str]) -> dict[str, dict[str, str]]:
             raise ArgumentError(f"--wiring {item!r}: write AXIS.SENSOR=LOGIC, for example x.org=positive.")
         wiring.setdefault(axis, {})[sensor] = logic
     return wiring
+
+
+def _linked(text: str | None) -> list[str] | None:
+    """The axes that --multichip names. Raises ArgumentError."""
+    if text is None:
+        return None
+    names = [name.strip() for name in text.split(",")]
+    if not all(names):
+        raise ArgumentError(f"--multichip {text!r}: write an axis of each chip, AXIS,AXIS, for example x,z.")
+    return names
+
+
+def _leaders(items: Iterable[str]) -> dict[str, str]:
+    """The follower -> leader pairs that --syni gives. Raises ArgumentError."""
+    pairs: dict[str, str] = {}
+    for item in items:
+        follower, _, leader = map(str.strip, item.partition("="))
+        if not (follower and leader):
+            raise ArgumentError(f"--syni {item!r}: write FOLLOWER=LEADER, for example y=x.")
+        if follower in pairs:
+            raise ArgumentError(
+                f"--syni {item!r}: axis {follower} follows {pairs[follower]} already. Give a follower once."
+            )
+        pairs[follower] = leader
+    return pairs
 
 
 def make_board(args: argparse.Namespace) -> Any:

@@ -57,6 +57,8 @@ MISTAKES = [
     ("a split pulse of width 0", MCX514_MAP, X | 0x17, data(0x0000_0005), "WIDTH = 0", X | 0x17, data(0x0001_0005)),
     ("a split pulse of length 1", MCX514_MAP, X | 0x17, data(0x0001_0001), "CYCLE = 1", X | 0x17, data(0x0001_0002)),
     ("an action that does not exist", MCX514_MAP, X | 0x26, data(0x19 << 4), "ACT = 25", X | 0x26, data(0x18 << 4)),
+    ("the filter of EMG on another axis than X", MCX514_MAP, Y | U | 0x25, data(0x0F01),
+     r"FLM = 0F01h to Y, U: FE0 \(filter of EMG\) acts on X only", X | Y | 0x25, data(0x0F01)),
     ("a mode bit that does not exist", MCX514_MAP, 0x2A, data(0x2023), "IPM = 2023h: it has no bits 13 and 5", 0x2A, data(3)),
     ("R below its range", MCX304_MAP, X, data(15_999), "R = 15999: .* takes 16000 to 8000000", X, data(16_000)),
     ("V above its range", MCX304_MAP, X | 0x05, data(8001), "V = 8001: .* takes 1 to 8000", X | 0x05, data(8000)),

@@ -147,9 +147,13 @@ def test_stop3_stops_a_drive_and_rr1_and_rr4_show_it():
     assert chip.read(4) & 0xFF == 0xF7
     assert not driving(chip)
     assert chip.read(1) & 0x0F00 == 0x0800
+    assert not chip.diagnostics
+    command(chip, 0x22)
+    assert "starts no drive: X: STOP3 is active and enabled" in chip.diagnostics[-1].message
     chip.write(1, 0x00C0)  # active high: not there now
     command(chip, 0x22)
     assert driving(chip, X)
+    assert len(chip.diagnostics) == 1
 
 
 @covers("MCX314AS", "EM", "HV", "HOME_EXEC", "EP", "R-EP", "LP", "R-LP")

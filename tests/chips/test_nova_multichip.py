@@ -11,7 +11,7 @@ from support.covers import covers
 from support.many_axes import rail_model
 from support.nova_bench import SEED, Move, U, X, Y, Z, command, driving, examples, get, load, log_uniform, prepare, put
 
-from stage import Stage, firmware
+from stage import Fleet, Program, Stage, firmware
 from stage.chips import MCX501, MCX512, MCX514
 from stage.chips.journal import Replay
 from stage.errors import ArgumentError
@@ -347,6 +347,33 @@ def test_how_time_is_cut_and_who_copies_or_restores_it_does_not_matter(pair):
     stage.restore(before)
     stage.run(0.03)
     assert [chip.state.tobytes() for chip in stage.chips] == ends
+
+
+def test_a_fleet_of_linked_stages_gives_the_bits_of_stages_alone(pair):
+    stage, *_ = pair
+    prepare(stage.chips[0], Move(SV=1000, DV=30_000, AC=1_000_000))
+    begin(stage, (500, -20, 3), (777, 100))
+    stage.run(0.011)
+    half = stage.snapshot()
+    stages = [copy.deepcopy(stage) for _ in range(3)]
+    for k, other in enumerate(stages):
+        other.run(0.001 * k)  # each is elsewhere on its line
+    begun = [other.snapshot() for other in stages]
+    alone = []
+    for other in stages:
+        other.run(0.02)
+        alone.append(other.snapshot().state.tobytes())
+    for threads in (1, 2):
+        for other, snapshot in zip(stages, begun, strict=True):
+            other.restore(snapshot)
+        fleet = Fleet(stages, threads)
+        fleet.play([Program().wait(0.02)] * 3)
+        fleet.close()
+        assert [other.snapshot().state.tobytes() for other in stages] == alone
+    fresh = stage_of(3, 2)
+    fresh.restore(half)
+    fresh.run(0.02)
+    assert fresh.snapshot().state.tobytes() == alone[0], "a new stage goes on in the middle of a line"
 
 
 def test_snapshots_know_which_chips_are_wired():

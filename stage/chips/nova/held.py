@@ -23,7 +23,8 @@ REFUSALS = {
     state.F_STOP2: "STOP2 is active and enabled",
 }
 """Error of RR2, or what has ended the drive -> why a drive does not begin."""
-REFUSING = sum(REFUSALS)
+STOP3 = {state.F_STOP3: "STOP3 is active and enabled"}
+"""Of a chip that has it: the bit is another cause in the other chips."""
 
 
 class Held:
@@ -87,13 +88,14 @@ class Held:
         rows = self._record_copy()
         core.write(rows, 0, value)
         found = {}
+        reasons = REFUSALS | STOP3 if self._record["extended"] else REFUSALS
         for k in range(self._count):
             x, after = self._axes[k], rows[0]["ax"][k]
             empty = after["fixed"] and after["output"] == 0
-            if value >> 8 + k & 1 and not (x["held"] & 1 or empty or core.busy(rows, k)):
-                bits = int(after["causes"]) & REFUSING
-                if bits:
-                    found[k] = ", ".join(text for bit, text in REFUSALS.items() if bits & bit)
+            asked = value >> 8 + k & 1 and not (x["held"] & 1 or empty or core.busy(rows, k))
+            said = [text for bit, text in reasons.items() if int(after["causes"]) & bit]
+            if asked and said:
+                found[k] = ", ".join(said)
         return found
 
     def _record_copy(self) -> np.ndarray:
@@ -125,25 +127,6 @@ class Held:
 
 class HeldOfMcx312(Held):
     """Its finish points have a sign, and its speeds no common unit."""
-
-    def refused(self, value: int) -> dict[int, str]:
-        """Tried on a twin: the axes that do not begin to drive although they have pulses to make, with what RR2 says of it."""
-        rows = self._record_copy()
-        core.write(rows, 0, value)
-        found = {}
-        for k in range(self._count):
-            x, after = self._axes[k], rows[0]["ax"][k]
-            empty = after["fixed"] and after["output"] == 0
-            if value >> 8 + k & 1 and not (x["held"] & 1 or empty or core.busy(rows, k)):
-                bits = int(after["causes"]) & REFUSING
-                if bits:
-                    found[k] = ", ".join(text for bit, text in REFUSALS.items() if bits & bit)
-        return found
-
-    def _record_copy(self) -> np.ndarray:
-        rows = np.zeros(1, state.STATE)
-        rows[0] = self._record
-        return rows
 
     @property
     def role(self) -> int:

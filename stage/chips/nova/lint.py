@@ -116,6 +116,12 @@ def _data(r: Register, held: Any, c: Command, axes: int) -> Note | None:
         return f"{r.name} = {value}: {r.title} takes {r.range[0]} to {r.range[1]}", where
     if c.kind == "mode write" and (empty := word & ~r.used):
         return f"{r.name} = {word:04X}h: it has no {_bits(empty)}", where
+    for f in r.fields:
+        if axes and f.only is not None and f.of(word) and not axes >> f.only & 1:
+            return (
+                f"{r.name} = {word:04X}h to {_names(axes)}: {f.name} ({f.meaning}) acts on {AXES[f.only]} only",
+                where,
+            )
     if r.name == "IPM" and MLT.of(word) and LMDF.of(word):
         return f"IPM = {word:04X}h: MLT and LMDF exclude each other; short-axis pulses are not equalized", where
     if r.name == "TP" and (moving := axes & held.absolute):

@@ -26,20 +26,31 @@ def axis_names(axes: int) -> str:
     return " ".join(a for k, a in enumerate(AXES) if axes >> k & 1)
 
 
-def bit(name: str, number: int, meaning: str, evidence: str = "C", values: Values = (), note: str = "") -> Field:
+def bit(name: str, number: int, meaning: str, evidence: str = "C", values: Values = (), note: str = "",
+        only: int | None = None) -> Field:  # fmt: skip
     """A field of one bit."""
-    return bits(name, number, number, meaning, evidence, values=values, note=note)
+    return bits(name, number, number, meaning, evidence, values=values, note=note, only=only)
 
 
 def bits(
     name: str, high: int, low: int, meaning: str, evidence: str = "C", legal: Range = None, values: Values = (), note: str = "",
-    listed: bool = True,
+    listed: bool = True, only: int | None = None,
 ) -> Field:  # fmt: skip
     """A field of several bits."""
     by_value = values if isinstance(values, Mapping) else dict(enumerate(values))
     between = " " if values == LEVELS else ": "  # level of STOP0 high
     return Field(
-        name, high, low, meaning, evidence, legal=legal, values=by_value, note=note, between=between, listed=listed
+        name,
+        high,
+        low,
+        meaning,
+        evidence,
+        legal=legal,
+        values=by_value,
+        note=note,
+        between=between,
+        listed=listed,
+        only=only,
     )
 
 

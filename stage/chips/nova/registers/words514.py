@@ -136,7 +136,7 @@ MODES = (
     ),
     _mode(
         0x25, "FLM", "input signal filters",
-        bit("FE0", 0, "filter of EMG", note="valid on X only"),
+        bit("FE0", 0, "filter of EMG", note="valid on X only", only=0),
         *(bit(f"FE{k}", k, f"filter of {what}") for k, what in enumerate((
             "LMT+, LMT-", "STOP0, STOP1", "INPOS, ALARM", "PIO0 to PIO3", "PIO4 to PIO7", "STOP2",
             "ECA, ECB"), 1)),
