@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stage import faults
-from stage.chips import CHIPS, MCX304, MCX514, PCL240MK
+from stage.chips import CHIPS, MCX304, MCX514, PCL240K, PCL240MK
 from stage.chips.describe import decode
 from stage.chips.entries import INPUT, PACKED, READ, WRITE, Entries, Entry
 
@@ -186,3 +186,18 @@ def test_entries_that_are_looked_at_can_still_grow():
     entries.note(2, WRITE, 0, 0)
     assert len(kept) == 1
     assert [e.clock for e in walk] == [1, 2]
+
+
+def test_pieces_of_any_size_are_the_course_though_all_was_written_at_one_clock():
+    """list(journal.pieces(size=65)) of 300 writes without time between them"""
+    chip = PCL240K()
+    journal = chip.journal()
+    for k in range(300):
+        chip.write(1 + k % 3, k & 0xFF)
+    chip.advance(10)
+    whole = journal.course().edges
+    assert len(whole) == 302
+    for size in (65, 66, 100, 301, 302):
+        pieces = list(journal.pieces(size=size))
+        assert max(map(len, pieces)) <= size
+        assert np.concatenate(pieces).tobytes() == whole.tobytes()

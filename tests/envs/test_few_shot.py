@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import stage.envs  # noqa: F401
-from stage import ArgumentError
+from stage import ArgumentError, Stage
 from stage.envs import contexts
 from stage.envs.few_shot import Config, FewShotTuning, action_of
 from stage.firmware.choices import limits
@@ -45,6 +45,7 @@ def test_what_was_gained_and_holds_is_the_logarithm_of_the_time_saved(env):
     assert rewards[0] == pytest.approx(np.log(2), abs=0.1), "the usual speeds take the usual time"
     assert infos[0]["duration"] == pytest.approx(infos[0]["usual"], rel=0.02)
     assert rewards[2] == 0, "a try that is slower gains nothing, and costs nothing"
+    assert env._task.best_seen[0] == infos[1]["duration"], "nor is it the best that the host has seen"
 
 
 def test_a_try_that_does_not_hold_in_the_proof_is_taken_back_and_the_next_best_is_proved(monkeypatch):
@@ -98,6 +99,32 @@ def test_the_machine_is_the_one_that_was_drawn_and_stays_so_for_all_tries(env):
             env.step(USUAL)
     assert len(angles) == 3
     assert all(0.2 <= angle <= 0.3 for angle in angles), "where ORG trips, more or less"
+
+
+def test_frictions_are_drawn_by_their_logarithm_and_all_else_evenly():
+    ends = dict.fromkeys(contexts.KINDS, (0.0, 1.0)) | {"friction": (0.25, 4.0), "payload": (1.0, 3.0)}
+    rng, drawn = np.random.default_rng(0), np.zeros(400, contexts.CONTEXT)
+    for row in drawn:
+        contexts.draw(rng, ends, row, {})
+    middles = {name: float(np.median(drawn[name])) for name in contexts.KINDS}
+    assert middles.pop("friction") == pytest.approx(1.0, abs=0.2)
+    assert middles.pop("payload") == pytest.approx(2.0, abs=0.15)
+    assert list(middles.values()) == pytest.approx([0.5] * 4, abs=0.08)
+
+
+def test_a_motor_of_another_torque_has_its_back_emf_at_once():
+    """env.reset(options={"torque": 0.7}) of a stage that has run"""
+    stage_ = Stage("xy", visuals=False)
+    machine = contexts.Machine.of(stage_, "x", "y")
+    stage_.run(1e-3)
+    context = np.zeros((), contexts.CONTEXT)
+    for name in ("friction", "supply", "torque"):
+        context[name] = 1.0
+    context["torque"] = 0.7
+    machine.equip(stage_, context)
+    stage_.run(1e-3)
+    drive = stage_.state.drives[stage_.axes["x"].index]
+    assert drive.back == pytest.approx((1 - drive.keep) * 0.7 * machine.torque / drive.resistance, rel=1e-9)
 
 
 def test_a_host_sees_its_tries_and_nothing_of_the_machine(env):

@@ -10,8 +10,9 @@ import pytest
 from stage import ArgumentError, Stage
 from stage.chips import HCTL1100
 from stage.chips.entries import WRITE
-from stage.firmware.hctl1100.model import Loop
+from stage.firmware.hctl1100.model import Loop, design
 from stage.firmware.hctl1100.moves import Tuning, set_up
+from stage.firmware.hctl1100.port import Port
 from stage.firmware.hctl1100.profile import circle, follow, off_circle, synchronize
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
@@ -101,6 +102,24 @@ def test_a_host_that_is_too_slow_misses_samples_and_says_so():
     for given, where in [((5, 2), ports), ((5,), ports[:1]), ((5, 0), [])]:
         with pytest.raises(ArgumentError, match=r"\(samples, axes\)"):
             follow(where, np.zeros(given))
+
+
+def test_a_gain_that_is_designed_is_one_that_the_register_holds():
+    """design(loop, rattle=1e6) of a motor that wants more than 255"""
+    weak = Loop(gain=400.0, tau=0.05, friction=0.0, tuning=Tuning(pole=64, timer=64))
+    gains = [design(weak, rattle=rattle).gain for rattle in (1e6, 48.0)]
+    assert 192 < gains[0] <= 255
+    assert gains[1] <= 192
+
+
+def test_without_a_common_sample_the_timer_of_each_chip_is_looked_at(stage, monkeypatch):
+    """follow(ports, profile, leader_only=False)"""
+    ports, asked = [set_up(stage.axes[name]) for name in "xy"], []
+    monkeypatch.setattr(Port, "wait_for_the_safe_part", lambda port: asked.append(port.axis.name))
+    for alone, expected in ((True, ["x", "x"]), (False, ["x", "x", "y"] * 2)):
+        follow(ports, np.zeros((2, 2)), leader_only=alone)
+        assert asked == expected
+        asked.clear()
 
 
 def test_a_profile_of_fractions_is_rounded_to_the_nearest_count(stage):

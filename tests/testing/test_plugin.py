@@ -15,6 +15,7 @@ from rerun.chunk import RrdReader
 
 import stage.models
 from stage.board import build, exits
+from stage.files import FileError
 from stage.testing.markers import firmware_arguments
 
 pytest_plugins = ["pytester"]
@@ -599,6 +600,29 @@ def test_a_marker_says_whether_firmware_has_a_process_of_its_own(given, request)
     found = firmware_arguments(node)
     assert found["sources"] == [Path(__file__)]
     assert found.get("isolated", False) == given["isolated"]
+
+
+def test_what_a_marker_leaves_out_is_of_the_command_line_or_the_ini_file_and_its_files_are_beside_the_test(tmp_path):
+    """pulsestage_firmware = in-process; the same name in the test's folder and in that of the session"""
+    (tmp_path / "sub").mkdir()
+    for folder, names in ((tmp_path, "ab"), (tmp_path / "sub", "bc")):
+        for name in names:
+            (folder / f"{name}.c").touch()
+    said = {"option": None, "ini": None}
+    config = SimpleNamespace(rootpath=tmp_path, getoption=lambda name: said["option"], getini=lambda name: said["ini"])
+    marks = [pytest.Mark("firmware", ("a.c", "b.c", "c.c"), {}, _ispytest=True)]
+    node = SimpleNamespace(path=tmp_path / "sub" / "test_it.py", config=config, iter_markers=lambda: iter(marks))
+    isolated = []
+    for option, ini in ((None, None), (None, "in-process"), ("in-process", None), ("isolated", "in-process")):
+        said |= {"option": option, "ini": ini}
+        found = firmware_arguments(node)
+        isolated.append(found["isolated"])
+    assert isolated == [os.name == "posix", False, False, os.name == "posix"]
+    assert found["sources"] == [tmp_path / "a.c", tmp_path / "sub" / "b.c", tmp_path / "sub" / "c.c"]
+    assert (found["flags"], found["platform"]) == ((), None)
+    marks[0] = pytest.Mark("firmware", ("d.c",), {}, _ispytest=True)
+    with pytest.raises(FileError, match="firmware 'd.c': there is no such file, from .*sub or "):
+        firmware_arguments(node)
 
 
 @pytest.mark.slow
