@@ -621,7 +621,7 @@ def test_what_a_marker_leaves_out_is_of_the_command_line_or_the_ini_file_and_its
     assert found["sources"] == [tmp_path / "a.c", tmp_path / "sub" / "b.c", tmp_path / "sub" / "c.c"]
     assert (found["flags"], found["platform"]) == ((), None)
     marks[0] = pytest.Mark("firmware", ("d.c",), {}, _ispytest=True)
-    with pytest.raises(FileError, match="firmware 'd.c': there is no such file, from .*sub or "):
+    with pytest.raises(FileError, match=r"firmware 'd.c': there is no such file, from .*sub or "):
         firmware_arguments(node)
 
 
