@@ -187,10 +187,10 @@ def test_a_move_that_takes_too_long_says_what_is_left():
 
 
 def test_it_waits_no_longer_than_its_time():
-    """synchronized_move({"x": 600_000, "y": 90_000}, bench, timeout=0.01): it is looked at every 0.19 s"""
+    """synchronized_move({"x": 200_000, "y": 30_000}, bench, timeout=0.01): it is looked at every 0.06 s"""
     b = bench()
     with pytest.raises(RunTimeout):
-        synchronized_move({"x": 600_000, "y": 90_000}, b, timeout=0.01)
+        synchronized_move({"x": 200_000, "y": 30_000}, b, timeout=0.01)
     assert b.axes["x"].time < 0.012
 
 
