@@ -41,6 +41,8 @@ class Loop:
         recording: the stage's recording in progress, or None.
         held: why neither time may pass now nor another state be put in the place of this one; "" where both may.
         keeps: why no other state may be put there, though time may pass; "" where one may.
+        pace: who says when time may pass: `pace(until)` is asked before a run to `until` (ns), may wait, let others do something
+            meanwhile, and answers how far it may go now; then it is asked again. None: as fast as it goes.
     """
 
     def __init__(self, state: State, chips: Sequence[Chip], power_up: Callable[[], None]):
@@ -48,6 +50,7 @@ class Loop:
         self.state, self.chips = state, chips
         self.recording: Recording | None = None
         self.held = self.keeps = ""
+        self.pace: Callable[[int], int] | None = None
         self._words, self._pointer, self._advance = state.words, state.pointer, handle.advance.c
         self._power_up, self._dt, self._bus = power_up, state.dt, state.bus
         self._piece = FIRST_PIECE * state.dt
@@ -101,6 +104,12 @@ class Loop:
         """Let time pass up to `until`, ns since power-up. Raises SimulationError, see `Stage.run`; StageError."""
         if self.held:
             raise StageError(self.held)
+        if self.pace is not None:
+            while self.pace is not None and (goal := self.pace(until)) < until:
+                self._run_to(goal)
+        self._run_to(until)
+
+    def _run_to(self, until: int) -> None:
         recording, piece = self.recording, self._piece
         while True:
             goal = until
