@@ -1,0 +1,38 @@
+"""The page of the panel: what stands where. Each part is a file of its own with a `build`."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from nicegui import ui
+
+from stage.panel import axes, chips, scene, transport
+
+if TYPE_CHECKING:
+    from stage.panel.server import Panel
+
+
+def build(panel: Panel) -> None:
+    """One browser's page."""
+    ui.add_css(STYLE)
+    with ui.header().classes("items-center q-py-xs q-px-md"):
+        transport.build(panel)
+    with ui.element("div").classes("panel"):
+        with ui.element("div").classes("machine"):
+            scene.build(panel)
+            axes.build(panel)
+        with ui.element("div").classes("desk"):
+            chips.build(panel)
+
+
+STYLE = """
+.nicegui-content { padding: 0 }
+.panel { display: grid; grid-template-columns: minmax(0, 1.2fr) minmax(0, 1fr); gap: 12px; padding: 12px; width: 100% }
+@media (max-width: 900px) { .panel { grid-template-columns: minmax(0, 1fr) } }
+.machine, .desk { display: flex; flex-direction: column; gap: 12px; min-width: 0 }
+.scene { width: 100%; height: 46vh; border-radius: 8px; overflow: hidden }
+.lamp { display: inline-flex; align-items: center; gap: 4px; margin-right: 10px; font-size: 12px; white-space: nowrap }
+.lamp::before { content: ""; width: 10px; height: 10px; border-radius: 50%; background: #8884; box-shadow: inset 0 0 2px #000a }
+.lamp.on::before { background: #ffb020; box-shadow: 0 0 6px #ffb020 }
+.number { font-variant-numeric: tabular-nums; font-family: ui-monospace, monospace }
+"""

@@ -1,0 +1,80 @@
+"""`Panel`: a session and the server of its page, in a thread of its own.
+
+    panel = Panel(Session(Stage("xyz")))
+    print(panel.address)
+    panel.close()
+"""
+
+from __future__ import annotations
+
+import secrets
+import socket
+import threading
+from typing import Any
+
+from stage.errors import StageError
+from stage.panel.guard import Guard
+from stage.panel.session import Session
+
+HERE = "127.0.0.1"
+
+
+class Panel:
+    """Serves the page of a session. port 0: any that is free. host: the address that it listens on; another than 127.0.0.1 makes it
+    ask for the token in its link. Raises StageError where the port cannot be had, or NiceGUI is not there."""
+
+    def __init__(self, session: Session, port: int = 0, host: str = HERE):
+        try:
+            import uvicorn
+            from fastapi import FastAPI
+            from nicegui import ui
+        except ImportError as error:
+            raise StageError("the panel needs NiceGUI: pip install 'pulsestage[panel]'.") from error
+        from stage.panel import glb, page
+
+        self.session = session
+        self._socket = _listening(host, port)
+        self.port = self._socket.getsockname()[1]
+        self.token = "" if host == HERE else secrets.token_urlsafe(16)
+        self.shapes = dict(glb.bodies(session.stage.model))
+        app = FastAPI(openapi_url=None)
+        app.add_api_route("/shape/{body}.glb", self._shape)
+        ui.run_with(app, root=lambda: page.build(self), title="PulseStage", dark=None, show_welcome_message=False)
+        names = frozenset(f"{name}:{self.port}" for name in (HERE, "localhost")) if host == HERE else frozenset()
+        config = uvicorn.Config(
+            Guard(app, names, self.token), log_level="error", ws_ping_interval=20, lifespan="on", timeout_graceful_shutdown=1
+        )
+        self._server = uvicorn.Server(config)
+        self._host = host
+        self._thread = threading.Thread(
+            target=self._server.run, kwargs={"sockets": [self._socket]}, name="pulsestage panel", daemon=True
+        )
+        self._thread.start()
+
+    @property
+    def address(self) -> str:
+        """What to open in a browser."""
+        at = f"http://{self._host if self._host not in ('0.0.0.0', '::') else socket.gethostname()}:{self.port}/"
+        return f"{at}?token={self.token}" if self.token else at
+
+    def _shape(self, body: int) -> Any:
+        from fastapi import Response
+
+        found = self.shapes.get(body)
+        return Response(found or b"", status_code=200 if found else 404, media_type="model/gltf-binary")
+
+    def close(self) -> None:
+        """End the server; the session lives on."""
+        self._server.should_exit = True
+        self._thread.join(5)
+
+
+def _listening(host: str, port: int) -> socket.socket:
+    try:
+        info = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        listening = socket.socket(info[0], socket.SOCK_STREAM)
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listening.bind(info[4])
+    except OSError as error:
+        raise StageError(f"{host}:{port}: {error.strerror}. Choose another port, or 0 for any that is free.") from error
+    return listening
