@@ -23,6 +23,7 @@ examples:
   stage tune xy --payload 2 --distance 100mm     registers for an axis: formula, search, proof
   stage bench-submit formula -o formula.bench    plays the test episodes of a benchmark; `stage bench-verify` replays them
   stage run driver.c --chips pcl240mk     firmware in C drives the chips
+  stage panel xy                          a live stage in a browser
   stage serve --chips mcx304              the chips behind a TCP port, for a host elsewhere
   stage fault                             what can break; `stage fault jam --plot jam.png` breaks it
   stage erratum                           the S-curve failure of the MCX304: pulses for ever, and a work-around
@@ -450,6 +451,30 @@ def _add_firmware(commands: Any) -> None:
     )
     _board(p)
     _bench(p)
+    _add_panel(commands)
+
+
+def _add_panel(commands: Any) -> None:
+    p = _command(
+        commands, "panel", "panel:run", "a live stage in a browser",
+        "Serve a page on which the stage moves in real time and each chip has a front panel: registers, commands, pins, the bus. "
+        "This machine only, unless --host says otherwise. Ctrl-C ends it.",
+    )  # fmt: skip
+    p.add_argument("model", nargs="?", default="xyz", help="a shipped model or a file.xml (default: xyz)")
+    g = p.add_argument_group("page")
+    g.add_argument("--port", type=_number, default=7241, help="TCP port; 0: one that is free (default: 7241)")
+    g.add_argument(
+        "--host",
+        default="127.0.0.1",
+        metavar="ADDRESS",
+        help="where it listens; another than 127.0.0.1 lets in whoever has the link with its token (default: 127.0.0.1)",
+    )
+    g.add_argument("--no-browser", action="store_true", help="print the link, and open no browser")
+    g.add_argument("--speed", type=float, default=1.0, help="simulated seconds a second, 0.001 to 1000 (default: 1)")
+    g.add_argument("--paused", action="store_true", help="begin with time standing still")
+    g = p.add_argument_group("stage")
+    _machine(g)
+    p.set_defaults(encoder=[])
 
 
 def _board(p: argparse.ArgumentParser) -> None:

@@ -10,6 +10,7 @@ from stage.panel.words import place
 
 if TYPE_CHECKING:
     from stage.panel.server import Panel
+    from stage.sim.axis import Axis
 
 
 def build(panel: Panel) -> None:
@@ -18,14 +19,16 @@ def build(panel: Panel) -> None:
         for axis in stage.axes.values():
             with ui.card().classes("col q-pa-sm").mark(f"axis-{axis.name}"):
                 ui.label(f"{axis.name}  {type(axis.chip).__name__}").classes("text-weight-bold")
-                text = ui.label().classes("number").style("white-space: pre; font-size: 12px").mark(f"place-{axis.name}")
+                text = (
+                    ui.label().classes("number").style("white-space: pre; font-size: 12px").mark(f"place-{axis.name}")
+                )
                 with ui.row().classes("q-gutter-none"):
                     lamps = {name: ui.label(name.replace("_plus", "+").replace("_minus", "-")).classes("lamp")
                              for name in axis.switches.as_dict()}  # fmt: skip
             ui.timer(0.1, lambda axis=axis, text=text, lamps=lamps: _look(panel, axis, text, lamps))
 
 
-def _look(panel, axis, text, lamps) -> None:
+def _look(panel: Panel, axis: Axis, text: ui.label, lamps: dict[str, ui.label]) -> None:
     position, commanded, lost, switches = panel.session.do(
         lambda stage: (axis.position, axis.commanded, axis.lost_steps, axis.switches.as_dict())
     )

@@ -1,4 +1,5 @@
-"""The bodies of a model as binary glTF, one a body: what a browser shows, in the body's frame. Written from the glTF 2.0 specification."""
+"""The bodies of a model as binary glTF, one a body: what a browser shows, in the body's frame. Written from the glTF 2.0
+specification."""
 
 from __future__ import annotations
 

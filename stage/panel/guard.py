@@ -13,7 +13,13 @@ from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 COOKIE = "pulsestage"
-HERE_ONLY = "default-src 'self' 'unsafe-inline' 'unsafe-eval' data: blob:; connect-src 'self' ws: data: blob:; frame-ancestors 'none'"
+HERE_ONLY = "; ".join(
+    (
+        "default-src 'self' 'unsafe-inline' 'unsafe-eval' data: blob:",
+        "connect-src 'self' ws: data: blob:",
+        "frame-ancestors 'none'",
+    )
+)
 """What browsers let the page ask for, as a Content-Security-Policy: nothing from elsewhere."""
 
 

@@ -26,9 +26,7 @@ def build(panel: Panel) -> None:
             with scene.group() as group:
                 scene.gltf(f"/shape/{body}.glb")
             moving[body] = group
-    scene.move_camera(
-        cx + 0.9 * extent, cy - 1.3 * extent, cz + 0.9 * extent, cx, cy, cz, 0, 0, 1, duration=0
-    )
+    scene.move_camera(cx + 0.9 * extent, cy - 1.3 * extent, cz + 0.9 * extent, cx, cy, cz, 0, 0, 1, duration=0)
     seen = np.full(model.nq, np.nan)
     placed: dict[int, tuple] = {}
 

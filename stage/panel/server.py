@@ -1,8 +1,8 @@
 """`Panel`: a session and the server of its page, in a thread of its own.
 
-    panel = Panel(Session(Stage("xyz")))
-    print(panel.address)
-    panel.close()
+panel = Panel(Session(Stage("xyz")))
+print(panel.address)
+panel.close()
 """
 
 from __future__ import annotations
@@ -42,7 +42,11 @@ class Panel:
         ui.run_with(app, root=lambda: page.build(self), title="PulseStage", dark=None, show_welcome_message=False)
         names = frozenset(f"{name}:{self.port}" for name in (HERE, "localhost")) if host == HERE else frozenset()
         config = uvicorn.Config(
-            Guard(app, names, self.token), log_level="error", ws_ping_interval=20, lifespan="on", timeout_graceful_shutdown=1
+            Guard(app, names, self.token),
+            log_level="error",
+            ws_ping_interval=20,
+            lifespan="on",
+            timeout_graceful_shutdown=1,
         )
         self._server = uvicorn.Server(config)
         self._host = host

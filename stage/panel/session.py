@@ -115,8 +115,8 @@ class Session:
         return future
 
     def act(self, name: str, order: Callable[[Stage], T]) -> Future[T]:
-        """Have the stage's thread call `order(stage)`, which lets time pass itself: a procedure of stage.firmware, for example. Orders
-        of `do` are carried out meanwhile; actions come one after the other. Raises StageError when the session is over."""
+        """Have the stage's thread call `order(stage)`, which lets time pass itself: a procedure of stage.firmware, for example.
+        Orders of `do` are carried out meanwhile; actions come one after the other. Raises StageError when the session is over."""
         if self._closed:
             raise StageError("this session is over.")
         action: _Action = _Action(name, order, Future())
@@ -368,6 +368,4 @@ class Session:
 
     def _seen(self) -> View:
         doing = self._acting.name if self._acting else ""
-        return View(
-            self._number, self.stage.time, self._pace, doing, self._trouble, np.array(self.stage.data.qpos)
-        )
+        return View(self._number, self.stage.time, self._pace, doing, self._trouble, np.array(self.stage.data.qpos))

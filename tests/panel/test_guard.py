@@ -1,0 +1,63 @@
+"""The panel's server answers its own pages only."""
+
+import asyncio
+
+import pytest
+
+from stage.panel.guard import COOKIE, Guard
+
+NAMES = frozenset({"127.0.0.1:7241", "localhost:7241"})
+
+
+def asked(guard, kind="http", query=b"", **headers):
+    """What the guard sends, and whether it let the request through."""
+    sent, through = [], []
+
+    async def app(scope, receive, send):
+        through.append(scope)
+        await send({"type": "http.response.start", "status": 200, "headers": []})
+
+    guard._app = app
+
+    async def send(message):
+        sent.append(message)
+
+    given = [(name.encode(), value.encode()) for name, value in headers.items()]
+    asyncio.run(guard({"type": kind, "headers": given, "query_string": query}, None, send))
+    return bool(through), sent
+
+
+@pytest.mark.parametrize("kind", ["http", "websocket"])
+def test_a_foreign_name_of_the_host_is_refused(kind):
+    assert asked(Guard(None, NAMES), kind, host="127.0.0.1:7241")[0]
+    through, sent = asked(Guard(None, NAMES), kind, host="evil.example:7241")
+    assert not through
+    assert sent[0].get("status", 403) == 403
+    assert sent[0]["type"] in ("http.response.start", "websocket.close")
+
+
+def test_a_page_from_elsewhere_is_refused():
+    assert asked(Guard(None, NAMES), host="localhost:7241", origin="http://localhost:7241")[0]
+    assert not asked(Guard(None, NAMES), host="localhost:7241", origin="http://evil.example")[0]
+    assert not asked(Guard(None, NAMES), host="localhost:7241", origin="null")[0]
+
+
+def test_strangers_need_the_token_and_a_browser_keeps_it():
+    guard = Guard(None, frozenset(), "secret")
+    assert not asked(guard, host="stage.example")[0]
+    assert not asked(guard, host="stage.example", query=b"token=wrong")[0]
+    through, sent = asked(guard, host="stage.example", query=b"token=secret")
+    assert through
+    cookie = dict(sent[0]["headers"])[b"set-cookie"].decode()
+    assert cookie.startswith(f"{COOKIE}=secret;")
+    assert "HttpOnly" in cookie
+    assert asked(guard, "websocket", host="stage.example", cookie=f"{COOKIE}=secret")[0]
+    assert not asked(guard, "websocket", host="stage.example", cookie=f"{COOKIE}=other")[0]
+
+
+def test_the_page_may_ask_for_nothing_from_elsewhere():
+    _, sent = asked(Guard(None, NAMES), host="127.0.0.1:7241")
+    policy = dict(sent[0]["headers"])[b"content-security-policy"].decode()
+    assert "default-src 'self'" in policy
+    assert "http:" not in policy
+    assert "*" not in policy

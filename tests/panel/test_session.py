@@ -1,0 +1,129 @@
+"""A stage that lives in real time takes orders, and is the stage that it would be without."""
+
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from stage import Stage, firmware
+from stage.errors import ArgumentError, StageError
+from stage.panel.session import FREE, Abandoned, Session
+
+
+@pytest.fixture
+def session():
+    with Session(Stage("xy", visuals=False), speed=FREE) as session:
+        yield session
+
+
+def until(condition, seconds=20.0):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.002)
+
+
+def test_time_passes_by_itself_and_stands_still_while_paused(session):
+    until(lambda: session.view.time > 0.1)
+    session.paused = True
+    before = session.do(lambda stage: stage.now)
+    time.sleep(0.05)
+    assert session.do(lambda stage: stage.now) == before
+    session.single_step(3)
+    assert session.do(lambda stage: stage.now) - before == pytest.approx(
+        3 * session.stage.state.dt, abs=session.stage.state.dt
+    )
+
+
+def test_no_more_time_passes_than_is_due():
+    begin = time.monotonic()
+    with Session(Stage("xy", visuals=False), speed=0.5) as session:
+        time.sleep(0.3)
+        view = session.view
+    assert 0 < view.time <= 0.5 * (time.monotonic() - begin) + 0.02
+
+
+def test_a_procedure_in_a_session_is_the_procedure_alone():
+    """Cut into slices, with orders that only look between them: the same bits."""
+    alone = Stage("xy", visuals=False)
+    expected = firmware.move(alone.axes["x"], distance=0.002)
+    with Session(Stage("xy", visuals=False), speed=FREE, paused=True) as session:
+        future = session.act("move", lambda stage: firmware.move(stage.axes["x"], distance=0.002))
+        assert not future.done()
+        session.paused = False
+        until(lambda: session.do(lambda stage: future.done()) or session.view.doing == "move")
+        report = future.result(20)
+        session.paused = True
+    assert str(report) == str(expected)
+
+
+def test_orders_are_carried_out_while_a_procedure_runs(session):
+    session.speed = 1.0
+    future = session.act("move", lambda stage: firmware.move(stage.axes["x"], distance=0.05))
+    until(lambda: session.view.doing == "move")
+    assert session.do(lambda stage: stage.axes["x"].chip.busy(0))
+    assert not future.done()
+    assert session.abandon()
+    with pytest.raises(Abandoned):
+        future.result(5)
+    assert session.do(lambda stage: stage.axes["x"].chip.busy(0)), "the chip goes on with what it does"
+
+
+def test_one_goes_back_and_the_same_future_comes_again(session):
+    until(lambda: session.view.time > 0.3)
+    session.paused = True
+    was = session.do(lambda stage: stage.now)
+    assert session.remembered >= 0.2
+    then = session.back(0.2)
+    assert then <= was * 1e-9 - 0.2 + 1e-9
+    assert then >= was * 1e-9 - 0.3
+    assert session.do(lambda stage: stage.time) == then
+
+    def on(stage):
+        session._at_once(stage.run_to, was)
+        return stage.snapshot().state
+
+    assert np.array_equal(session.do(on), session.do(lambda stage: (session.back(0.2), on(stage))[1]))
+    session.reset()
+    assert session.do(lambda stage: stage.now) == 0
+
+
+def test_an_error_of_an_order_comes_to_who_gave_it(session):
+    with pytest.raises(ArgumentError, match="unknown axis"):
+        session.do(lambda stage: stage.place(q=1))
+    with pytest.raises(ZeroDivisionError):
+        session.act("wrong", lambda stage: 1 / 0).result(5)
+    until(lambda: session.view.time > 0)
+
+
+@pytest.mark.parametrize("speed", [0, -1, 1e9, float("nan")])
+def test_a_speed_that_is_none_is_refused(session, speed):
+    with pytest.raises(ArgumentError, match="simulated seconds a second"):
+        session.speed = speed
+
+
+def test_nobody_else_runs_the_stage_and_afterwards_it_is_his_again():
+    stage = Stage("xy", visuals=False)
+    session = Session(stage)
+    with pytest.raises(StageError, match="lives in a session"):
+        stage.run(0.1)
+    with pytest.raises(StageError, match="has a session already"):
+        Session(stage)
+    session.close()
+    stage.run(0.1)
+    with pytest.raises(StageError, match="over"):
+        session.do(lambda stage: 1)
+    assert not any(thread.name == "pulsestage session" for thread in threading.enumerate())
+
+
+def test_a_simulation_that_diverges_stands_still_and_says_so_and_one_goes_back(session):
+    until(lambda: session.view.time > 0.3)
+    session.do(lambda stage: stage.data.qfrc_applied.__setitem__(0, 1e30))
+    until(lambda: session.view.trouble)
+    assert "diverged" in session.view.trouble
+    session.do(lambda stage: stage.data.qfrc_applied.__setitem__(0, 0.0))
+    session.back(0.1)
+    until(lambda: not session.view.trouble)
+    at = session.view.time
+    until(lambda: session.view.time > at)
