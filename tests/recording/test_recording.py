@@ -304,3 +304,12 @@ def test_samples_are_as_far_apart_as_the_nearest_number_of_physics_steps(xy):
             xy.run(4e-3)
         assert recording.every == pytest.approx(steps * 0.25e-3)
         assert np.diff(recording.column("time")) == pytest.approx(recording.every)
+
+
+def test_a_recording_begins_with_the_first_of_its_chips():
+    """A chip whose clock has a tick a millisecond began a part of one before the others"""
+    stage = Stage("xy", chips={"x": PCL240K, "y": lambda: PCL240K(1000)}, visuals=False)
+    stage.run(1.6e-3)
+    with stage.record() as recording:
+        stage.run(1e-3)
+    assert recording.began == 1e-3

@@ -1,14 +1,17 @@
 """`chip_conformance`: every shipped chip passes it, and each of many planted defects of a toy chip is found, by its promise."""
 
 import re
+from dataclasses import replace
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from support.examples import EXAMPLES, FIXED, SEED, scaled
 from toy import TOY, TOY8, defects
 
-from stage.chips import CHIPS
-from stage.errors import ArgumentError
-from stage.testing import chip_conformance
+from stage.chips import CHIPS, PCL240K
+from stage.errors import ArgumentError, StageError
+from stage.testing import chip_conformance, hands
 from stage.testing.conformance import NotConforming
 
 DEFECTS = defects.DEFECTS
@@ -66,3 +69,29 @@ def test_another_seed_each_time_is_printed(capsys):
     for _ in range(2):
         chip_conformance(TOY, promises=["pins_by_name"])
     assert len(set(capsys.readouterr().out.splitlines())) == 2
+
+
+def test_only_a_pin_that_something_else_drives_is_left_out_of_harmless_acts():
+    """harmless([Act("write", ...)], chip) of a chip whose write raises: that is the chip's mistake"""
+
+    class Pins:
+        def __setattr__(self, name, value):
+            raise StageError("an encoder drives it")
+
+    def write(address, value):
+        raise StageError("broken")
+
+    chip = SimpleNamespace(write=write, axes=[SimpleNamespace(pins=Pins())], INPUTS={"org": 1}, read=lambda address: 0)
+    assert hands.harmless([hands.Act("pin", 0, 0, 1), hands.Act("read", 1)], chip) == [hands.Act("read", 1)]
+    with pytest.raises(StageError, match="broken"):
+        hands.harmless([hands.Act("write", 0, 1)], chip)
+
+
+def test_a_move_of_a_test_has_no_more_pulses_than_its_register_holds(monkeypatch):
+    chip = PCL240K()
+    small = replace(
+        PCL240K.MAP, registers=tuple(replace(r, legal=(0, 70)) if r.name == "R0" else r for r in PCL240K.MAP.registers)
+    )
+    monkeypatch.setattr(PCL240K, "MAP", small)
+    made = {hands.driven(chip, 0, np.random.default_rng(seed))[1] for seed in range(6)}
+    assert max(made) == 70
