@@ -13,6 +13,7 @@ from stage.chips import MCX302, MCX304, MCX514, PCL240K, PCL240MK, PCL240MS
 from stage.envs import origin_return as returns
 from stage.envs.registers import RegisterBox
 from stage.sim.program import Program
+from stage.sim.records import INDEX
 
 pytestmark = pytest.mark.filterwarnings("error")
 
@@ -157,6 +158,21 @@ def test_a_faster_search_gains_time_and_a_faster_approach_loses_precision():
     _, _, rough = one_return(env, BEFORE, approach=100)
     assert rough["home"]
     assert abs(rough["error"]) > abs(plain["error"]) + 1
+
+
+def test_the_origin_at_an_index_pulse_is_its_upper_rim_however_the_motor_turns():
+    """gear="-628.3185307" """
+    made = [
+        returns.OriginReturn._origin(
+            SimpleNamespace(
+                switch={"org": SimpleNamespace(touch=-0.12)},
+                config=SimpleNamespace(ez=2),
+                axis=SimpleNamespace(gear=gear, plant=SimpleNamespace(index=0.0)),
+            )
+        )
+        for gear in (200 * np.pi, -200 * np.pi)
+    ]
+    assert made == pytest.approx([-0.14 + 0.5 * INDEX * 0.01] * 2, abs=1e-9)
 
 
 def test_a_rotor_that_got_ahead_of_its_pulses_has_lost_steps_too():
