@@ -21,6 +21,7 @@ IDS = {
     "stage/ServoTuning-v0": "servo_tuning:ServoTuning",
     "stage/FewShotTuning-v1": "few_shot:FewShotTuning",
     "stage/OneShotTuning-v1": "one_shot:OneShotTuning",
+    "stage/DriftingHome-v1": "drifting_home:DriftingHome",
     "stage/SynchronizedLine-v1": "synchronized_line:SynchronizedLine",
     "stage/BusMacros-v1": "bus_macros:BusMacros",
 }

@@ -11,7 +11,6 @@ action        Discrete, for each axis in turn, `env.macros` has the names:
                              gone. PCL-240 chips refuse it on ORG
               wait           poll the status until the axis has stopped
               read           read status and counters, which the observation then has
-              stop           at once, which loses steps at speed
 mask          info["action_mask"], int8: 1 for what has an effect, from what the host knows by itself. An action that is masked is
               legal, does nothing, and counts. env.action_masks() for sb3-contrib.
 observation   float32, -1 to 1, only what a host knows (truth=True adds the machine at the end); for each axis
@@ -83,14 +82,14 @@ from stage.sim.fleet import Played
 from stage.sim.program import Program
 
 LEVELS = ("move", "target", "axes", "origin")
-RATES = {"gentle": (500.0, 2000.0, 0.05), "usual": (1000.0, 8000.0, 0.05), "bold": (6000.0, 40_000.0, 0.02)}
+RATES = {"gentle": (500.0, 2000.0, 0.05), "usual": (1000.0, 8000.0, 0.05), "bold": (4000.0, 30_000.0, 0.02)}
 """pps at the start, pps, s of both ramps."""
 SWITCHES = ("org", "el_minus", "el_plus")
 BEFORE = 1_000  # pulses on the far side of ORG at which "origin" may begin, at most
 HOMING = SimpleNamespace(multiplier=30, leave=0, back_off=400, limit=3.0, settle=0.02, ez=0)
 """Of the origin return, as OriginReturn has them."""
 SPEEDS_HOME = (1000.0, 6000.0, 0.05, 1000.0)  # pps, pps, s; pps of the approach
-OTHERS = ("plus", "minus", "home", "wait", "read", "stop")
+OTHERS = ("plus", "minus", "home", "wait", "read")
 
 AXIS = record(
     [(name, "i8") for name in "rates distance running fresh known zero seen target lost limit".split()]
@@ -108,7 +107,7 @@ EPISODE = record(
 class Config(Settings):
     """Settings of BusMacros. None: as the split has it."""
 
-    split: Annotated[str, Word(tuple(contexts.SPLITS))] = "train"
+    split: Annotated[str, Word(contexts.WITHOUT_FAULTS)] = "train"
     level: Annotated[str, Word(LEVELS)] = "origin"
     mixed: Flag = False  # levels up to that one, drawn for each episode
     model: str | None = None
@@ -258,11 +257,8 @@ class BusMacros(MoveTask[Config]):
             row = search.row(*SPEEDS_HOME, 0, HOMING.back_off)
             self.searches.append(search)
             self.search_rows.append(np.array([row]))
-            stop = Program()
-            driver.write_stop(stop)
             for p in (
                 search.program(row), Program().until_stopped([a], c.patience).wait(c.settle), Program().read(a, chip.BUSY[0]),
-                stop.wait(c.settle),
             ):  # fmt: skip
                 first.append(len(book))
                 book.append(p)
@@ -370,7 +366,7 @@ class BusMacros(MoveTask[Config]):
         able = idle & (s["rates"] >= 0) & (s["distance"] >= 0)
         columns = [
             *(idle & (s["rates"] != r) for r in range(len(RATES))), *(idle & (s["distance"] != d) for d in range(len(c.grid))),
-            able, able, idle & (self.episodes["level"] == 3)[:, None], ~idle, s["fresh"] == 0, ~idle,
+            able, able, idle & (self.episodes["level"] == 3)[:, None], ~idle, s["fresh"] == 0,
         ]  # fmt: skip
         found = np.stack(columns, axis=2) & self.used[:, :, None]
         return found.reshape(self.n, -1).astype(np.int8)
@@ -445,8 +441,6 @@ class BusMacros(MoveTask[Config]):
                 s["running"], s["fresh"] = played.results[rows, 0] < 0, 0
             elif kind == "read":
                 self._read(s, t[rows, axis], axis)
-            elif kind == "stop":
-                s["running"], s["fresh"] = 0, 0
             else:
                 self._homed(s, played.results[rows], t[rows, axis], axis)
             self.axis_states[rows, axis] = s

@@ -23,7 +23,7 @@ from stage.native import record
 SPLITS: dict[str, dict[str, Any]] = {
     "train": {
         "model": "xyz", "chip": "PCL240K", "payloads": (0.0, 5.0), "frictions": (0.5, 2.0), "supplies": (0.7, 1.1),
-        "torques": (0.6, 1.0), "drifts": (0.0, 0.1),
+        "torques": (0.6, 1.0), "drifts": (0.0, 0.1), "faults": ("org open", "org closed"),
     },
     "heavy": {"payloads": (5.0, 10.0)},
     "worn": {"frictions": (2.0, 4.0)},
@@ -32,8 +32,12 @@ SPLITS: dict[str, dict[str, Any]] = {
     "ms": {"chip": "PCL240MS"},
     "nova": {"chip": "MCX514"},
     "mast": {"model": "xy_mast"},
+    "faults": {"faults": ("jam", "phase open", "brownout")},
 }  # fmt: skip
 """Where contexts come from: of "train" a policy may learn, the others test it. All that a split does not name is as in train."""
+
+WITHOUT_FAULTS = tuple(name for name in SPLITS if name != "faults")
+"""The splits of tasks whose machines are healthy."""
 
 KINDS = {
     "payload": ("payloads", "kg on the table"),

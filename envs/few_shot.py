@@ -77,7 +77,7 @@ PER_TRY = 9  # numbers of an observation
 class Config(Settings):
     """Settings of FewShotTuning. None: as the split has it."""
 
-    split: Annotated[str, Word(tuple(contexts.SPLITS))] = "train"
+    split: Annotated[str, Word(contexts.WITHOUT_FAULTS)] = "train"
     model: str | None = None
     chip: str | type[Chip] | None = None
     axis: AxisName = "x"

@@ -70,7 +70,7 @@ CORRECTIONS = 6  # an axis
 class Config(synchronized_move.Config):
     """Settings of SynchronizedLine, beside those of SynchronizedMove. None: as the split has it."""
 
-    split: Annotated[str, Word(tuple(contexts.SPLITS))] = "train"
+    split: Annotated[str, Word(contexts.WITHOUT_FAULTS)] = "train"
     model: str | None = None  # type: ignore[assignment]
     chip: str | type[Chip] | None = None  # type: ignore[assignment]
     distances: Counts = (1_600, 12_000)  # pulses of each axis, drawn evenly by their logarithm, with any sign

@@ -56,7 +56,9 @@ def test_the_longest_distances_first_lead_to_the_target_on_both_ways(env, level,
     assert total > 4.9
 
 
-@pytest.mark.parametrize("chip", ["PCL240K", pytest.param("PCL240MS", marks=pytest.mark.slow), "MCX514"])
+@pytest.mark.parametrize(
+    "chip", ["PCL240K", *(pytest.param(c, marks=pytest.mark.slow) for c in ("PCL240MS", "MCX514"))]
+)
 def test_from_an_unknown_place_the_origin_is_found_first(chip):
     env = make(chip=chip, axes=("x",))
     sides = set()
@@ -90,7 +92,7 @@ def test_what_has_no_effect_is_masked_and_does_nothing_if_it_is_done(env):
     names, allowed = np.array(env.macros), info["action_mask"]
     assert allowed.dtype == np.int8
     assert not any(name.startswith("y ") for name in names[allowed != 0])
-    assert {"x plus", "x minus", "x home", "x wait", "x read", "x stop"} & set(names[allowed != 0]) == set()
+    assert {"x plus", "x minus", "x home", "x wait", "x read"} & set(names[allowed != 0]) == set()
     before = env.stage.time
     ((_, reward, *_, info),) = act(env, "x plus")
     assert info["masked"]
@@ -98,7 +100,7 @@ def test_what_has_no_effect_is_masked_and_does_nothing_if_it_is_done(env):
     assert env.stage.time == before
     *_, (*_, info) = act(env, "x rates usual", "x distance 16", "x plus")
     assert not info["masked"]
-    assert set(names[info["action_mask"] != 0]) == {"x wait", "x read", "x stop"}
+    assert set(names[info["action_mask"] != 0]) == {"x wait", "x read"}
     assert np.array_equal(env.action_masks(), info["action_mask"] != 0)
     *_, (*_, info) = act(env, "x wait", "x read")
     assert "x read" not in names[info["action_mask"] != 0]
@@ -135,7 +137,7 @@ def test_stable_baselines_asks_for_the_masks():
 def test_to_give_up_is_no_cheaper_than_to_fail_at_the_end():
     """Masked actions again and again, or a step lost at once, which ends an episode below the level "origin"."""
     env = make(level="target")
-    idle = env.macros.index("x stop")
+    idle = env.macros.index("x home")
     spun, steps, info = course(env, lambda: idle)
     assert steps == 120
     assert info["score"]["time"] == info["score"]["regret"] == np.inf

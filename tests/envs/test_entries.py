@@ -21,6 +21,7 @@ SHORT = {
     "stage/FewShotTuning-v1": {"model": "xy", "distances": (300, 900), "tries": 1, "proofs": 1, "settle": 0.01},
     "stage/OneShotTuning-v1": {"model": "xy", "distances": (300, 900), "proofs": 1, "settle": 0.01},
     "stage/SynchronizedLine-v1": {"model": "xy", "distances": (300, 900), "proofs": 1, "rest": 0.01, "limit": 0.5},
+    "stage/DriftingHome-v1": {"model": "xy", "returns": 1, "limit": 0.1, "settle": 0.01},
     "stage/BusMacros-v1": {"model": "xy", "macros": 1},
 }
 EVERY = list(stage.envs.IDS)

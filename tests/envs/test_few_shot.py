@@ -170,7 +170,8 @@ def test_with_the_last_try_alone_a_policy_has_to_remember_and_without_an_encoder
 
 def test_every_split_draws_where_it_says_and_a_setting_comes_before_it():
     train = contexts.SPLITS["train"]
-    for name, differs in contexts.SPLITS.items():
+    for name in contexts.WITHOUT_FAULTS:
+        differs = contexts.SPLITS[name]
         config = Config(split=name)
         assert set(differs) <= set(train)
         for kind, ends in contexts.ranges(config).items():

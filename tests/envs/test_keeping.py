@@ -18,11 +18,18 @@ SHORT = {
     "stage/FewShotTuning-v1": {"model": "xy", "distances": (300, 900), "tries": 3, "proofs": 1, "settle": 0.01},
     "stage/OneShotTuning-v1": {"model": "xy", "distances": (300, 900), "proofs": 1, "settle": 0.01},
     "stage/SynchronizedLine-v1": {"model": "xy", "distances": (300, 900), "proofs": 1, "rest": 0.01, "limit": 0.5},
+    "stage/DriftingHome-v1": {"model": "xy", "returns": 3, "limit": 0.1, "settle": 0.01},
     "stage/BusMacros-v1": {"model": "xy", "macros": 3},
 }
 
-BRIEF = ("stage/RegisterBus-v0", "stage/OriginReturn-v0", "stage/FewShotTuning-v1", "stage/BusMacros-v1")
-"""Those of every day: bus cycles, an equipped machine, several tries, macros."""
+BRIEF = (
+    "stage/RegisterBus-v0",
+    "stage/OriginReturn-v0",
+    "stage/FewShotTuning-v1",
+    "stage/BusMacros-v1",
+    "stage/DriftingHome-v1",
+)
+"""Those of every day: bus cycles, an equipped machine, several tries, macros, a fault."""
 
 
 def make(id_, **settings):

@@ -11,6 +11,7 @@ TASKS = {
     "stage/FewShotTuning-v1": {"model": "xy", "distances": (400, 900), "tries": 2, "proofs": 1, "settle": 0.01},
     "stage/OneShotTuning-v1": {"model": "xy", "distances": (400, 900), "proofs": 1, "settle": 0.01},
     "stage/SynchronizedLine-v1": {"model": "xy", "distances": (300, 900), "proofs": 1, "rest": 0.01, "limit": 0.5},
+    "stage/DriftingHome-v1": {"model": "xy", "returns": 2, "limit": 0.1, "settle": 0.01},
     "stage/BusMacros-v1": {"model": "xy", "level": "move", "macros": 6},
 }
 """The tasks of the benchmark, short."""

@@ -1,0 +1,385 @@
+"""`stage/DriftingHome-v1`: return to the origin again and again on a machine that drifts and may be broken; say so if it is.
+
+An episode has one hidden machine (contexts.py), which may have one fault (faulty.py). ORG trips a little elsewhere at each
+return: it walks by up to `walk` from one to the next, its contact scatters by `noise`, and bounces for as long as is drawn for
+the machine. A step is one whole origin return, as one program of bus cycles, or the report of a fault, which ends the episode.
+What a return shows counts for the next.
+
+action        Box [-1, 1]^6: rate of the search (pps), its ramps (s), rate of the approach (pps), by their logarithms over
+              RATES; pulses by which ORG is left before the search, by its cube root, and by which the host backs off before the
+              approach, by its logarithm; and the report: above 0 it says that the machine has a fault, and no return is made.
+              The driver's Search makes the registers of these, so one policy can act through every chip.
+observation   float32, -1 to 1, only what a host knows (truth=True adds machine and fault)
+              ORG asserted now; returns left / returns; way that the host has moved away from the last origin, / `reach`, 0 where
+              it has none;
+              and of the last return, 0 before the first: there was one; ended at the origin, by the chip; an end limit; late; ORG
+              released before the approach; duration / 4 limits; pulses of the search / those from EL to EL; of the approach beyond
+              those of backing off / 64; found origin off the last one by so many pulses, as counted, / 64;
+              returns in a row that did not end at the origin / returns
+reward        the sum of
+              time       - time_weight x s
+              error      - error_weight x pulses from where ORG trips this time, 64 at most
+              missed     - missed_weight if the carriage is not at the origin (64 pulses and more) or the chip did not find it
+              damage     - damage_weight if steps were lost, and if a run ended at an end limit
+              report     report_weight for the report of a fault that there is; for one that there is not - false_weight, and what
+                         the returns that were left cost at their worst, so that it is no way out; - unreported_weight at the end
+                         of an episode whose fault nobody reported
+episode       `returns` returns, then truncated; terminated by a report. Each return begins anywhere within `reach` of ORG, on
+              either side, but not beyond an end limit.
+score         success: a fault was reported, or there was none, none was reported, and each return ended within `tolerance` of
+              where ORG trips. time: s a return, the mean; of a reported fault s up to the report, the formula's at least.
+              formula: the same returns at the usual rates (8000 pps, approach 400 pps), in closed form.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Annotated, Any
+
+import gymnasium
+import numpy as np
+
+from stage import Stage
+from stage.chips import Chip, chip_class
+from stage.envs import contexts, faulty, score
+from stage.envs.base import StageEnv, StageVectorEnv
+from stage.envs.entries import HOST, TRUTH, Entry
+from stage.envs.results import result
+from stage.envs.settings import (
+    AxisName,
+    Count,
+    Cycle,
+    Number,
+    Pair,
+    Payloads,
+    Positive,
+    Range,
+    Seconds,
+    Settings,
+    Truths,
+    Weight,
+    Word,
+)
+from stage.envs.task import MoveTask, carrier
+from stage.errors import ArgumentError, unknown
+from stage.firmware.driver import driver_of
+from stage.sim.fleet import Played
+from stage.sim.program import Program
+
+RATES = {"search": (1000.0, 30_000.0), "ramp": (0.01, 0.2), "approach": (100.0, 4000.0)}  # pps, s, pps
+LEAVE, BACK_OFF = 9_600, (64, 1600)  # pulses, the most; least and most
+USUAL = {"search": 8000.0, "ramp": 0.1, "approach": 400.0, "leave": 0, "back_off": 200}
+FL = 0.125  # of the search's rate
+CAP = 64.0  # pulses: an electrical period of a motor at 1/16 step
+FROM_LIMIT = 1e-3  # m; no return starts nearer to an end limit
+LAST = 10  # numbers of an observation
+
+
+@dataclass(frozen=True)
+class Config(Settings):
+    """Settings of DriftingHome. None: as the split has it."""
+
+    split: Annotated[str, Word(tuple(contexts.SPLITS))] = "train"
+    model: str | None = None
+    chip: str | type[Chip] | None = None
+    axis: AxisName = "x"
+    payloads: Payloads | None = None  # kg
+    frictions: Annotated[Pair, Range(1e-3)] | None = None  # times the model's
+    supplies: Annotated[Pair, Range(0.1, high=2.0)] | None = None  # times the nominal voltage
+    torques: Annotated[Pair, Range(0.1, high=2.0)] | None = None  # times the nominal torque constant
+    drifts: Annotated[Pair, Range(0.0, high=0.5)] | None = None  # electrical turns; of no effect here
+    payload_on: AxisName | None = None  # body or site; None: site "work", else the body that the axis moves
+    faults: tuple[str, ...] | None = None  # names of faulty.FAULTS
+    healthy: Annotated[float, Number(high=1.0)] = 0.6  # share of machines without a fault
+    walk: Annotated[float, Number(high=1e-3)] = 2e-5  # m
+    noise: Annotated[float, Number(high=1e-3)] = 5e-6  # m
+    bounces: Annotated[Pair, Range(high=0.1)] = (0.0, 1e-3)  # s, for which the contact of ORG bounces
+    reach: Annotated[float, Number(1e-3, high=1.0)] = 0.02  # m
+    returns: Count = 6  # an episode
+    limit: Seconds = 3.0  # s, each of the four runs may take
+    settle: Seconds = 0.05  # s
+    tolerance: Positive = 12.0  # pulses
+    time_weight: Weight = 0.5
+    error_weight: Weight = 0.05
+    missed_weight: Weight = 3.0
+    damage_weight: Weight = 0.5
+    report_weight: Weight = 5.0
+    false_weight: Weight = 5.0
+    unreported_weight: Weight = 5.0
+    bus_cycle: Cycle = 1e-6  # s
+    truth: Truths = "info"  # where what no host can see is shown: entries.py
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in self.faults or ():
+            if name not in faulty.FAULTS:
+                raise unknown("fault", name, faulty.FAULTS)
+        if not contexts.setting(self, "faults") and self.healthy < 1:
+            raise ArgumentError(f"faults=(): name some of {', '.join(faulty.NAMES[1:])}, or say healthy=1.0.")
+
+
+def action_of(
+    search: float = 8000.0,
+    ramp: float = 0.1,
+    approach: float = 400.0,
+    leave: int = 0,
+    back_off: int = 200,
+    report: bool = False,
+) -> np.ndarray:
+    """The action that means these rates (pps), ramps (s) and pulses, (6,) float32; what is beyond its range becomes its end."""
+    low, high = np.log(np.array(list(RATES.values()))).T
+    rates = 2 * (np.log((search, ramp, approach)) - low) / (high - low) - 1
+    far = 2 * np.cbrt(leave / LEAVE) - 1
+    b0, b1 = np.log(BACK_OFF)
+    back = 2 * (np.log(back_off) - b0) / (b1 - b0) - 1
+    return np.clip([*rates, far, back, 1.0 if report else -1.0], -1, 1).astype(np.float32)
+
+
+class DriftingHome(MoveTask[Config]):
+    Config = Config
+    OPTIONS = ("start", "fault", *contexts.KINDS)
+    """start: m, of the first return; fault: a name, or "none"; and parts of the machine."""
+    STATE = ("context", "fault", "place", "shift", "last", "away", "ended", "sums", "bounce")
+    RESTARTS = True
+    SEEN = (
+        Entry("org", HOST, "1 if ORG is asserted now"),
+        Entry("left", HOST, "returns left / `returns`"),
+        Entry("away", HOST, "way that the host has moved away from the last origin / `reach`; 0 where it has none"),
+        Entry("last", HOST, "1 if there was a return; what follows is of it"),
+        Entry("last_home", HOST, "1 if it ended at the origin, by the chip"),
+        Entry("last_end_limit", HOST, "1 if it ran into an end limit"),
+        Entry("last_late", HOST, "1 if a run took longer than `limit`"),
+        Entry("last_released", HOST, "1 if ORG was released before the approach (NOVA: no error of the home search)"),
+        Entry("last_duration", HOST, "duration / 4 `limit`"),
+        Entry("last_searched", HOST, "pulses of the search / those from EL to EL"),
+        Entry("last_overrun", HOST, "pulses of the approach beyond those of backing off / 64 (NOVA: 0)"),
+        Entry("last_off", HOST, "pulses by which the origin was found off the last one, as counted, / 64"),
+        Entry("failed", HOST, "returns in a row up to the last that did not end at the origin / `returns`"),
+        *contexts.SHOWN,
+        Entry("fault", TRUTH, "1 if the machine has a fault"),
+    )
+    TOLD = (
+        *contexts.ENTRIES,
+        Entry("fault", TRUTH, "number of the machine's fault in faulty.NAMES, 0 for none"),
+        Entry("reported", HOST, "the step was a report"),
+        Entry("duration", HOST, "s"),
+        Entry("error", TRUTH, "pulses between the carriage and where ORG trips"),
+        Entry("home", HOST, "the return ended at the origin, by the chip"),
+        Entry("end_limit", HOST, "a run ended at an end limit"),
+        Entry("late", HOST, "a run took longer than `limit`"),
+        Entry("lost_steps", TRUTH, "full steps"),
+        Entry("start", TRUTH, "m, where the return began"),
+        Entry("choices", HOST, "what the driver's search made of the action"),
+        score.ENTRY,
+    )
+
+    def stage(self, visuals: bool) -> Stage:
+        c = self.config
+        model, chip = (contexts.setting(c, name) for name in ("model", "chip"))
+        made = Stage(model, chips=chip_class(chip), bus_cycle=c.bus_cycle, visuals=visuals)
+        if c.axis not in made.axes:
+            raise unknown("axis", c.axis, made.axes)
+        if made.axes[c.axis].chip.SERVO or made.axes[c.axis].unit != "m":
+            raise ArgumentError(f"axis={c.axis!r}: a stepper's slide is to return here, and this is none.")
+        return made
+
+    def prepare(self) -> None:
+        c, n, first = self.config, self.n, self.stages[0]
+        self.axis = first.axes[c.axis]
+        self.machine = contexts.Machine.of(first, c.axis, carrier(first, c.axis, c.payload_on))
+        self.ranges, self.faults = contexts.ranges(c), contexts.setting(c, "faults")
+        self.switch = {s.pin: s for s in self.axis.plant.switches}
+        for pin in ("org", "el_minus", "el_plus"):
+            if pin not in self.switch:
+                raise ArgumentError(f"axis {c.axis} has no {pin}: an origin return needs ORG and both end limits.")
+        self.faulty = faulty.Faulty.of(first, c.axis)
+        self.search = driver_of(self.axis).search(
+            SimpleNamespace(multiplier=30, leave=LEAVE, back_off=BACK_OFF[1], limit=c.limit, settle=c.settle, ez=0)
+        )
+        self.low, self.high = self.switch["el_minus"].touch, self.switch["el_plus"].touch
+        self.origin, self.per_pulse = self.switch["org"].touch, self.axis.meters_per_pulse
+        beam = int(first.model.sensor_refid[self.switch["org"].sensor])
+        turned = first.data.xmat[first.model.geom_bodyid[beam]].reshape(3, 3)
+        self.beam, self.along = beam, turned.T @ first.data.xaxis[self.axis.joint]
+        self.beam0 = first.model.geom_pos[beam].copy()
+        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (6,), np.float32)
+        self.observation_space = self.seen()
+        self.result = result(
+            ("time", "error", "missed", "damage", "report"), scored=True,
+            **dict.fromkeys(contexts.KINDS, float), fault=int, reported=bool, duration=float, error=float, home=bool,
+            end_limit=bool, late=bool, lost_steps=int, start=float, choices=(int, (len(self.search.choices.ranges),)),
+        )  # fmt: skip
+        self.context, self.fault = np.zeros(n, contexts.CONTEXT), np.zeros(n, np.int64)
+        self.place, self.shift = np.zeros(n), np.zeros((n, 2))  # m: the start; the walk of ORG, and where it trips
+        self.last, self.away, self.ended = np.zeros((n, LAST)), np.zeros(n), np.full(n, np.nan)
+        self.bounce = np.zeros(n)  # s
+        self.sums = np.zeros((n, 5))  # s, s by the formula, returns that missed, full steps lost, limits hit
+
+    # --- machines and places ---
+
+    def begin(self, k: int, options: Mapping[str, Any]) -> None:
+        c, rng = self.config, self.rngs[k]
+        contexts.draw(rng, self.ranges, self.context[k], options)
+        broken, which = rng.uniform() >= c.healthy, int(rng.integers(0, max(len(self.faults), 1)))
+        self.bounce[k] = rng.uniform(*c.bounces)
+        name = options.get("fault", self.faults[which] if broken else "none")
+        if name not in faulty.FAULTS:
+            raise unknown("option fault", name, faulty.FAULTS)
+        self.fault[k] = faulty.NAMES.index(name)
+        self.last[k], self.sums[k], self.shift[k], self.ended[k] = 0.0, 0.0, 0.0, np.nan
+        self._draw(k, options)
+
+    def renew(self) -> None:
+        for k in np.flatnonzero(self.sound & ~self.results["terminated"]):
+            self._draw(int(k), {})
+
+    def _draw(self, k: int, options: Mapping[str, Any]) -> None:
+        """The next return begins: ORG has drifted, and the carriage is elsewhere."""
+        c, rng, stage = self.config, self.rngs[k], self.stages[k]
+        low, high = self.low + FROM_LIMIT, self.high - FROM_LIMIT
+        walk, noise, at = rng.uniform(-1, 1, 3)
+        self.shift[k, 0] += c.walk * walk
+        self.shift[k, 1] = self.shift[k, 0] + c.noise * noise
+        drawn = float(np.clip(self.origin + c.reach * at, low, high))
+        self.place[k] = options.get("start", drawn)
+        if not isinstance(self.place[k], float) or not low <= self.place[k] <= high:
+            raise ArgumentError(f"option start={options.get('start')!r}: m, from {low:g} to {high:g}.")
+        self.away[k] = 0.0 if np.isnan(self.ended[k]) else self.place[k] - self.ended[k]
+        stage.restore(self.start)
+        self.equip(k)
+        stage.place(**{c.axis: float(self.place[k])})
+
+    def equip(self, k: int) -> None:
+        stage = self.stages[k]
+        self.machine.equip(stage, self.context[k])
+        stage.model.geom_pos[self.beam] = self.beam0 + self.along * self.shift[k, 1]
+        self.faulty.put(stage, faulty.NAMES[self.fault[k]], float(self.bounce[k]))
+
+    def describe(self, k: int) -> dict[str, Any]:
+        return {**{name: float(self.context[k][name]) for name in contexts.KINDS}, "fault": int(self.fault[k])}
+
+    # --- returns ---
+
+    def chosen(self, actions: np.ndarray) -> np.ndarray:
+        """What the search makes of actions, (n, choices)."""
+        low, high = np.log(np.array(list(RATES.values()))).T
+        b0, b1 = np.log(BACK_OFF)
+        rows = []
+        for action in np.asarray(actions, np.float64):
+            u = (action + 1) / 2
+            search, ramp, approach = np.exp(low + (high - low) * u[:3]).tolist()
+            approach = min(approach, search)
+            leave, back_off = round(float(LEAVE * u[3] ** 3)), round(float(np.exp(b0 + (b1 - b0) * u[4])))
+            rows.append(self.search.row(max(FL * search, 100.0), search, ramp, approach, leave, back_off))
+        return np.array(rows, np.int64)
+
+    @property
+    def reports(self) -> np.ndarray:
+        """Whose action is a report, (n,)."""
+        return self.actions[:, 5] > 0
+
+    def programs(self) -> list[Program]:
+        rows, reports = self.chosen(self.actions), self.reports
+        return [Program() if told else self.search.program(row) for row, told in zip(rows, reports, strict=True)]
+
+    def judge(self, played: Played, truth: np.ndarray) -> None:
+        c, t, reports = self.config, truth[:, self.axis.index], self.reports
+        rows, made = self.chosen(self.actions), ~reports
+        width = max(self.search.marks.values()) + 1
+        results = np.zeros((self.n, max(width, played.results.shape[1])), np.int64)
+        results[:, : played.results.shape[1]] = played.results
+        found = self.search.found(results, rows)
+        home, end_limit, late = found.home & made, found.end_limit & made, found.late & made
+        duration = np.where(made, t["now"] * 1e-9, 0.0)
+        trips = self.origin + self.shift[:, 1]
+        error = np.where(made, np.clip((t["position"] - trips) / self.per_pulse, -1e6, 1e6), 0.0)
+        lost = np.where(made, np.abs(t["lost_steps"]), 0)
+        missed = made & ~(home & (np.abs(error) < CAP))
+        broken, over = self.fault != 0, self.steps >= c.returns
+        worst = 4 * c.limit * c.time_weight + CAP * c.error_weight + c.missed_weight + 2 * c.damage_weight
+        false = -c.false_weight - worst * (c.returns - self.steps + 1)
+        parts = {
+            "time": -c.time_weight * duration,
+            "error": -c.error_weight * np.minimum(np.abs(error), CAP),
+            "missed": np.where(missed, -c.missed_weight, 0.0),
+            "damage": -c.damage_weight * ((lost > 0) * 1.0 + end_limit),
+            "report": np.where(
+                reports,
+                np.where(broken, c.report_weight, false),
+                np.where(broken & over, -c.unreported_weight, 0.0),
+            ),
+        }
+        info = {
+            **{name: self.context[name] for name in contexts.KINDS}, "fault": self.fault, "reported": reports,
+            "duration": duration, "error": error, "home": home, "end_limit": end_limit, "late": late,
+            "lost_steps": lost, "start": self.place, "choices": rows,
+        }  # fmt: skip
+        good = self.sound
+        self._note(found, home, t, duration, good & made)
+        bad = missed | (np.abs(error) > c.tolerance)
+        more = np.stack([duration, made * self._usual(), bad, lost, end_limit], axis=1)
+        self.sums[good] += more[good]
+        self.fill(parts, info, reports, over & ~reports)
+        self._score(reports, broken)
+
+    def _note(self, found: Any, home: np.ndarray, t: np.ndarray, duration: np.ndarray, good: np.ndarray) -> None:
+        """What the host knows of the last return, of the stages in `good`."""
+        whole = (self.high - self.low) / self.per_pulse
+        known = home & ~np.isnan(self.ended)
+        counted = t["pulses"] + np.sign(self.axis.gear) * self.away / self.per_pulse
+        now = [
+            good, home, found.end_limit, found.late, found.released, duration / (4 * self.config.limit), found.searched / whole,
+            found.overrun / CAP, np.where(known, counted / CAP, 0.0),
+            np.where(home, 0.0, self.last[:, -1] + 1 / self.config.returns),
+        ]  # fmt: skip
+        self.last[good] = np.clip(np.nan_to_num(np.stack(now, axis=1)), -1.0, 1.0)[good]
+        self.ended[good] = np.where(home, t["position"], np.nan)[good]
+
+    def _usual(self) -> np.ndarray:
+        """s, of a return from each place at the usual rates."""
+        u, settled = USUAL, 3 * self.config.settle
+        far = np.abs(self.place - self.origin) / self.per_pulse
+        return far / u["search"] + u["ramp"] + u["back_off"] * (1 / (FL * u["search"]) + 1 / u["approach"]) + settled
+
+    def _score(self, reports: np.ndarray, broken: np.ndarray) -> None:
+        seconds, usual, bad, lost, limits = self.sums.T
+        returns = np.maximum(self.steps - reports, 1)
+        success = np.where(broken, reports, ~reports & (bad == 0))
+        usual = np.where(usual > 0, usual, self._usual())
+        time = np.where(success, np.where(reports, np.maximum(seconds, usual), seconds / returns), np.inf)
+        score.note(self.results["score"], time, np.where(reports, usual, usual / returns), self.steps, lost, limits)
+
+    def observed(self) -> np.ndarray:
+        c, inputs = self.config, self.fleet.truth()["inputs"][:, self.axis.index]
+        columns = [
+            inputs & self.axis.chip.wired("org") != 0,
+            1.0 - self.steps / c.returns,
+            self.away / c.reach,
+        ]
+        hidden = [contexts.placed(self.ranges, self.context), (self.fault != 0)[:, None]]
+        now = np.concatenate([np.stack(columns, axis=1), self.last, *hidden], axis=1)
+        return np.clip(now, -1.0, 1.0).astype(np.float32)
+
+    # --- a host ---
+
+    def scripted(self) -> np.ndarray:
+        """The usual rates, leaving ORG first where it is asserted; more slowly after a return that failed; a report after two."""
+        on_org = self.fleet.truth()["inputs"][:, self.axis.index] & self.axis.chip.wired("org") != 0
+        failed = np.rint(self.last[:, -1] * self.config.returns)
+        rows = zip(on_org.tolist(), failed.tolist(), strict=True)
+        return np.stack([self._host(far, often) for far, often in rows])
+
+    @staticmethod
+    def _host(far: bool, often: float) -> np.ndarray:
+        approach = USUAL["approach"] / (2 if often else 1)
+        return action_of(leave=LEAVE if far else 0, approach=approach, report=often >= 2)
+
+
+class DriftingHomeEnv(StageEnv):
+    task = DriftingHome
+
+
+class DriftingHomeVectorEnv(StageVectorEnv):
+    task = DriftingHome

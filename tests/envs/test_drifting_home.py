@@ -1,0 +1,155 @@
+"""DriftingHome: origin returns on a machine that drifts and may be broken; the report of a fault pays where there is one."""
+
+import gymnasium
+import numpy as np
+import pytest
+
+import stage.envs  # noqa: F401
+from stage import ArgumentError
+from stage.envs import contexts, faulty
+from stage.envs.drifting_home import Config, action_of
+
+GOOD = action_of()
+"""The usual rates, from plus of ORG."""
+BROKEN = faulty.NAMES[1:]
+
+
+def make(**settings):
+    return gymnasium.make(
+        "stage/DriftingHome-v1",
+        disable_env_checker=True,
+        **{"model": "xy", "reach": 0.004, "returns": 3, "limit": 1.5} | settings,
+    ).unwrapped
+
+
+@pytest.fixture(scope="module")
+def env():
+    return make()
+
+
+def course(env, policy, **reset):
+    """(sum of rewards, infos) of an episode."""
+    env.reset(**{"seed": 1} | reset)
+    total, infos, over = 0.0, [], False
+    while not over:
+        _, reward, ended, cut, info = env.step(policy())
+        total, over = total + reward, ended or cut
+        infos.append(info)
+    return total, infos
+
+
+def test_a_healthy_machine_is_returned_to_its_origin_again_and_again(env):
+    total, infos = course(env, env.scripted, options={"fault": "none"})
+    assert len(infos) == env._task.config.returns
+    assert all(info["home"] and abs(info["error"]) < 12 and not info["lost_steps"] for info in infos)
+    assert infos[-1]["score"]["success"]
+    assert infos[-1]["score"]["time"] == pytest.approx(np.mean([info["duration"] for info in infos]))
+    assert total > -10
+    assert sum(info["reward_parts"]["report"] for info in infos) == 0
+
+
+@pytest.mark.parametrize(
+    "fault", ["org closed", *(pytest.param(n, marks=pytest.mark.slow) for n in BROKEN if n != "org closed")]
+)
+def test_a_fault_is_noticed_by_what_a_return_found_and_its_report_pays(env, fault):
+    total, infos = course(env, env.scripted, options={"fault": fault, "torque": 0.6, "friction": 1.9, "payload": 4.0})
+    assert [info["home"] for info in infos[-3:]] == [False] * 3
+    assert [info["reported"] for info in infos[-3:]] == [False, False, True]
+    assert infos[-1]["reward_parts"]["report"] == 5
+    assert infos[-1]["score"]["success"]
+    assert infos[-1]["fault"] == faulty.NAMES.index(fault)
+    silent, infos = course(env, lambda: GOOD, options={"fault": fault, "torque": 0.6, "friction": 1.9, "payload": 4.0})
+    assert len(infos) == env._task.config.returns
+    assert infos[-1]["reward_parts"]["report"] == -5
+    assert not infos[-1]["score"]["success"]
+    assert silent < total
+
+
+def test_a_report_without_a_fault_is_dearer_than_the_worst_that_could_come():
+    """To report at once, always: an episode would be over for a fixed price."""
+    env = make(limit=0.05, settle=0.01)
+    told, (info,) = course(env, lambda: action_of(report=True), options={"fault": "none"})
+    assert info["reported"]
+    assert not info["score"]["success"]
+    assert env.stage.time == 0, "and nothing was moved"
+    worst, infos = course(env, lambda: GOOD, options={"fault": "none"})
+    assert all(info["late"] for info in infos)
+    assert told < worst - 5
+    late, infos = course(env, iter([GOOD] * 2 + [action_of(report=True)]).__next__, options={"fault": "none"})
+    assert late < worst - 4, "nor is it cheaper at the end"
+
+
+def test_one_failure_alone_is_no_proof_of_a_switch_that_is_stuck(env):
+    """From the far side of ORG the chip refuses a return that does not leave it first, as with a switch that is stuck closed."""
+    said = []
+    for fault in ("none", "org closed"):
+        env.reset(seed=2, options={"fault": fault, "start": env._task.origin - 0.003})
+        said.append(env.step(GOOD)[0][3:8].tolist())
+    assert said[0] == said[1]
+    env.reset(seed=2, options={"fault": "none", "start": env._task.origin - 0.003})
+    assert env.step(action_of(leave=1500))[4]["home"]
+
+
+def test_the_origin_walks_and_what_was_counted_shows_it():
+    env = make(limit=3.0, returns=6, walk=1e-4, noise=0.0, bounces=(0.0, 0.0))
+    env.reset(seed=4, options={"fault": "none", "torque": 0.8, "friction": 1.0})
+    off, shifts = [], []
+    at = [e.name for e in env.entries].index("last_off")
+    for _ in range(3):
+        shifts.append(env._task.shift[0, 1])
+        off.append(env.step(action_of(leave=1500, approach=200))[0][at] * 64 * env._task.per_pulse)
+    assert len(set(shifts)) == 3
+    assert off[0] == 0
+    assert np.allclose(off[1:], np.diff(shifts), atol=1.5e-5)
+
+
+def test_a_fault_is_of_its_episode_and_leaves_nothing_behind(env):
+    model, axis = env.stage.model, env.stage.axes["x"]
+    row, dof = axis.switches.row("org"), axis.plant.dof
+
+    def machine():
+        switch = env.stage.state.switch_table[row]
+        return (
+            switch["forced"],
+            axis.open_phases,
+            axis.supply,
+            model.dof_frictionloss[dof],
+            model.dof_solimp[dof].tolist(),
+        )
+
+    env.reset(seed=3, options={"fault": "none"})
+    healthy = machine()
+    for fault in BROKEN:
+        env.reset(seed=3, options={"fault": fault})
+        assert machine() != healthy
+        env.reset(seed=3, options={"fault": "none"})
+        assert machine() == healthy
+
+
+def test_splits_have_faults_of_their_own_and_most_machines_none():
+    drawn = {}
+    for split in ("train", "faults"):
+        env = make(split=split)
+        drawn[split] = [env.reset(seed=seed)[1]["fault"] for seed in range(24)]
+        assert 9 <= drawn[split].count(0) <= 20
+    names = {split: {faulty.NAMES[k] for k in found if k} for split, found in drawn.items()}
+    assert names["train"] == set(contexts.SPLITS["train"]["faults"])
+    assert names["faults"] == set(contexts.SPLITS["faults"]["faults"])
+    assert not names["train"] & names["faults"]
+    with pytest.raises(ArgumentError, match=r"fault 'org opn'.*Did you mean 'org open'"):
+        Config(faults=("org opn",))
+    with pytest.raises(ArgumentError, match="option fault 'rust'"):
+        env.reset(options={"fault": "rust"})
+    with pytest.raises(ArgumentError, match="faults=\\(\\): name some"):
+        Config(faults=())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("chip", ["PCL240MS", "MCX514"])
+def test_the_same_policy_returns_with_every_chip(chip):
+    env = make(chip=chip, returns=3)
+    for seed in (1, 2):
+        _, infos = course(env, env.scripted, seed=seed, options={"fault": "none"})
+        assert infos[-1]["score"]["success"], seed
+    _, infos = course(env, env.scripted, options={"fault": "org open"})
+    assert infos[-1]["score"]["success"]
