@@ -64,10 +64,38 @@ CARDS = {
     card.name: card
     for card in (
         Card(
+            "one-shot",
+            "stage/OneShotTuning-v1",
+            "a fast move at the first try, that holds with 0.5 kg more, on a machine of which the payload alone is declared",
+        ),
+        Card(
             "few-shot",
             "stage/FewShotTuning-v1",
             "in eight tries, the fastest move that holds with 0.5 kg more, on a machine that nobody has measured",
             choices={"memory": ("all", "last")},
+        ),
+        Card(
+            "line",
+            "stage/SynchronizedLine-v1",
+            "a fast straight line of two axes, by the registers of both",
+        ),
+        Card(
+            "line-3",
+            "stage/SynchronizedLine-v1",
+            "the same of three axes",
+            settings={"axes": ("x", "y", "z")},
+            splits=tuple(s for s in contexts.SPLITS if s != "mast"),
+        ),
+        Card(
+            "bus-target",
+            "stage/BusMacros-v1",
+            "one axis to a target either way, by phrases of bus cycles",
+            settings={"level": "target"},
+        ),
+        Card(
+            "bus",
+            "stage/BusMacros-v1",
+            "both axes from an unknown place by their origins to their targets, by phrases of bus cycles",
         ),
     )
 }

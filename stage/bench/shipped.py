@@ -7,11 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from stage import Stage
 from stage.bench.around import Around, Policy
-from stage.chips import chip_class
-from stage.envs import contexts, few_shot
-from stage.tune.formula import Load, speeds
+from stage.envs import few_shot
 
 
 class Random:
@@ -82,36 +79,20 @@ class Search:
         self.last = bolder if bolder > self.good * self.CLOSE else self.good
 
 
-class Formula:
-    """Few-shot: the data sheet's answer for the nominal machine with the heaviest load of the split train and the margin."""
-
-    def __init__(self) -> None:
-        self.load: Load | None = None
-
-    def reset(self, around: Around) -> None:
-        if self.load is None:
-            c = around.env._task.config
-            model, chip = (contexts.setting(c, name) for name in ("model", "chip"))
-            axis = Stage(model, chips=chip_class(chip), visuals=False).axes[c.axis]
-            self.load = Load.of(axis).heavier(contexts.SPLITS["train"]["payloads"][1] + c.margin)
-
-    def __call__(self, observation: np.ndarray, info: Mapping[str, Any]) -> Any:
-        assert self.load is not None
-        s = speeds(self.load, int(info["distance"]))
-        return few_shot.action_of(s.start, s.drive, s.up, s.down)
-
-
 def action_at(boldness: float) -> np.ndarray:
     return few_shot.action_of(1000 * min(boldness, 1.5), 16_000 * boldness, 0.15 / boldness, 0.15 / boldness)
 
 
 PLAYERS: dict[str, Callable[[int], Policy]] = {"random": Random, "scripted": lambda seed: Scripted()}
 """Shipped players of every task; made with a seed."""
+FORMULA: dict[str, Callable[[int], Policy]] = {"formula": lambda seed: Scripted()}
+"""Where the task's own host is the engineer's formula."""
 
 OWN: dict[str, dict[str, Callable[[int], Policy]]] = {
-    "few-shot": {
-        "formula": lambda seed: Formula(), "usual": lambda seed: Bold(1.0),
-        "fixed": lambda seed: Bold(3.4), "search": lambda seed: Search(),
-    },
-}  # fmt: skip
-"""Those of one task."""
+    "one-shot": FORMULA,
+    "few-shot": FORMULA
+    | {"usual": lambda seed: Bold(1.0), "fixed": lambda seed: Bold(3.4), "search": lambda seed: Search()},
+    "line": FORMULA,
+    "line-3": FORMULA,
+}
+"""Those of some tasks."""

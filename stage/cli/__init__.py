@@ -366,6 +366,13 @@ def _add_bench(commands: Any) -> None:
         "--tolerance", type=float, metavar="T", help="rewards and scores may differ by so much, as on another processor"
     )
     p.add_argument("--json", action="store_true", help="print JSON")
+    p = _command(
+        commands, "bench-table", "bench:table", "compare entries of the benchmark, as tables in Markdown",
+        "Print a table for each task and split: interquartile mean of the return with its interval, and who beats whom. Entries of "
+        "one player are its runs. Nothing is replayed.",
+    )  # fmt: skip
+    p.add_argument("files", nargs="+", metavar="FILE")
+    p.add_argument("--json", action="store_true", help="print JSON")
 
 
 def _plot(p: argparse.ArgumentParser) -> None:

@@ -1,4 +1,4 @@
-"""The commands `stage bench`, `stage bench-submit` and `stage bench-verify`."""
+"""The commands `stage bench`, `stage bench-submit`, `stage bench-verify` and `stage bench-table`."""
 
 from __future__ import annotations
 
@@ -77,6 +77,20 @@ def verify(args: argparse.Namespace) -> int:
     progress.end()
     print(json.dumps(verdict.json(), indent=1) if args.json else verdict)
     return 0 if verdict.ok else 1
+
+
+def table(args: argparse.Namespace) -> int:
+    """Entries compared."""
+    from dataclasses import asdict
+
+    from stage.bench import read, statistics
+
+    entries = [read(path) for path in args.files]
+    if args.json:
+        print(json.dumps([asdict(row) for row in statistics.rows(entries)], indent=1))
+    else:
+        print(statistics.table(entries))
+    return 0
 
 
 def _means(entry: Any) -> dict[str, float | None]:

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from stage import ArgumentError, bench
-from stage.bench import files
+from stage.bench import files, statistics
 from stage.bench.cards import CARDS, Card, seeds
 from stage.bench.files import Refused, unpack
 from stage.cli import main
@@ -359,3 +359,36 @@ def test_the_list_of_tasks_names_splits_and_players(capsys):
     told = json.loads(capsys.readouterr().out)["few-shot"]
     assert told["splits"]["weak"][:2] == [1_000_000, 1_000_001]
     assert "formula" in told["players"]
+
+
+def test_the_middle_half_is_averaged_and_its_interval_holds_the_truth():
+    assert statistics.iqm(np.array([-1e9, 1, 2, 3, 4, 5, 6, 1e9])) == 3.5
+    draw = np.random.default_rng(5)
+    held = 0
+    for _ in range(40):  # normal scores, of which the truth is 0
+        low, high = statistics.interval(draw.normal(size=(4, 32)), draws=100)
+        held += low < 0 < high
+    assert 32 <= held <= 40
+    machines = np.tile(draw.normal(size=(1, 32)), (4, 1))
+    assert np.ptp(statistics.interval(machines)) > 0.3, "four runs that do the same tell no more than one"
+    one = draw.normal(size=(1, 32))
+    assert statistics.interval(one) == statistics.interval(one)
+
+
+def test_a_table_says_who_beats_whom_by_intervals_that_part(entry, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+
+    def like(player, run, returns):
+        scores = {**entry.scores, "return": np.array(returns)}
+        path = f"{player}-{run}.bench"
+        bench.submit(dataclasses.replace(entry, player=player, run=run, scores=scores), path)
+        return path
+
+    files_ = [like("best", k, (3.0, 3.1, 3.2)) for k in range(2)] + [like("worst", 0, (0.0, 0.1, 0.2))]
+    files_ += [like("wide", k, (0.0, 1.5, 3.1)) for k in range(2)]
+    assert main(["bench-table", *files_]) == 0
+    said = capsys.readouterr().out
+    assert "| best | 2 x 3 | 3.100 |" in said
+    assert re.search(r"\| best .* \| worst \|\n\| wide .* \| - \|\n\| worst .* \| - \|", said)
+    assert main(["bench-table", files_[0], files_[0]]) == 2
+    assert "two entries are of the same run" in capsys.readouterr().err

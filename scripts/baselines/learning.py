@@ -1,0 +1,95 @@
+"""What the learners of the benchmark's tasks share: their curves, and their command line."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.vec_env import VecEnvWrapper
+
+
+class Noted(VecEnvWrapper):
+    """Notes the sum of rewards and the success of each episode."""
+
+    def __init__(self, envs: Any):
+        super().__init__(envs)
+        self.totals = np.zeros(envs.num_envs)
+        self.done: list[tuple[float, float]] = []
+
+    def reset(self) -> Any:
+        self.totals[:] = 0.0
+        return self.venv.reset()
+
+    def step_wait(self) -> Any:
+        seen, rewards, ends, infos = self.venv.step_wait()
+        self.totals += rewards
+        for k in np.flatnonzero(ends).tolist():
+            self.done.append((float(self.totals[k]), float(infos[k].get("score", {}).get("success", np.nan))))
+        self.totals[ends] = 0.0
+        return seen, rewards, ends, infos
+
+
+class Curve(BaseCallback):
+    """A row of the curve each `every` steps: steps, processor seconds, episodes, their mean sum of rewards and success."""
+
+    NAMES = ("steps", "processor_s", "episodes", "return", "success")
+
+    def __init__(self, path: Path, every: int = 512):
+        super().__init__()
+        self.path, self.every, self.next = path, every, every
+        self.rows: list[tuple] = [self.NAMES]
+        self.begun = time.process_time()
+        path.parent.mkdir(parents=True, exist_ok=True)
+
+    def _on_step(self) -> bool:
+        if self.num_timesteps >= self.next:
+            self.next = self.num_timesteps + self.every
+            envs: Any = self.training_env
+            done, envs.done = envs.done, []
+            means = np.mean(done, axis=0) if done else (np.nan, np.nan)
+            spent = time.process_time() - self.begun
+            self.rows.append((self.num_timesteps, f"{spent:.1f}", len(done), f"{means[0]:.4f}", f"{means[1]:.4f}"))
+            with self.path.open("w", newline="") as file:
+                csv.writer(file).writerows(self.rows)
+        return True
+
+
+def save(model: Any, path: Path, steps: int) -> None:
+    """The policy; its file is the learner's own, to be loaded by whoever made it."""
+    model.save(path.with_suffix(".zip"))
+    print(f"{path}.zip: {steps} steps", flush=True)
+
+
+def parser_of(
+    doc: str | None,
+    methods: Sequence[str],
+    steps: int,
+    learn: Callable[..., None],
+    submit: Callable[[Path, list[str], list[str], Path], None],
+    tasks: Sequence[str],
+    levels: Sequence[str] = (),
+) -> argparse.ArgumentParser:
+    """`learn METHOD` and `submit POLICY`."""
+    parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
+    commands = parser.add_subparsers(required=True)
+    p = commands.add_parser("learn")
+    p.add_argument("method", choices=methods)
+    p.add_argument("--seed", type=int, default=0)
+    p.add_argument("--steps", type=int, default=steps)
+    p.add_argument("-o", "--out", type=Path, required=True, metavar="FOLDER")
+    if levels:
+        p.add_argument("--level", choices=levels, default=levels[0], help="at which its curriculum ends")
+    p.set_defaults(run=lambda a: learn(a.method, a.seed, a.steps, *([a.level] if levels else []), a.out))
+    p = commands.add_parser("submit")
+    p.add_argument("policy", type=Path, nargs="+")
+    p.add_argument("--splits", nargs="+", default=["train"])
+    p.add_argument("--tasks", nargs="+", default=list(tasks), choices=tasks)
+    p.add_argument("-o", "--out", type=Path, required=True, metavar="FOLDER")
+    p.set_defaults(run=lambda a: [submit(path, a.splits, a.tasks, a.out) for path in a.policy])
+    return parser
