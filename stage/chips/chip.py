@@ -23,7 +23,7 @@ from stage import snapshots
 from stage.chips import contract
 from stage.chips.describe import Decoder, Listener
 from stage.chips.journal import Journal
-from stage.chips.register_map import RegisterMap, dump
+from stage.chips.register_map import RegisterMap, Word, dump
 from stage.errors import ArgumentError, StageError, a_or_an, unknown
 from stage.native import plain
 
@@ -327,6 +327,20 @@ class Chip:
         raise NotImplementedError(f"{cls.__name__} does not say how its registers are written.")
 
     @classmethod
+    def command_cycles(cls, symbol: str, axis: int = 0, datum: int | None = None) -> list[tuple[int, int]]:
+        """The bus write cycles, (address, datum), that send a command of the map, or a word that a host writes, see
+        `Word.address`, as a driver of the family makes them.
+
+        axis: of the chip, where the command goes to axes. datum: the data of a command that takes some; of one that chooses, its
+        `Command.choice` bits; of a word, its bits. Raises ArgumentError for a name that is none, and for a datum that lacks, is
+        one too many or does not fit; NotImplementedError where the family does not say how its commands are sent.
+        """
+        what, datum = cls.MAP.sent(symbol, datum)
+        if isinstance(what, Word) and what.address is not None:
+            return [(what.address, what.fixed | datum)]
+        raise NotImplementedError(f"{cls.__name__} does not say how its commands are sent.")
+
+    @classmethod
     def rates(cls, edges: np.ndarray) -> np.ndarray:
         """How fast the axis of a course goes, from each of its edges on: pulses a clock, without a sign."""
         return np.abs(edges["rate"])
@@ -516,6 +530,12 @@ class Chip:
     def values(self) -> dict[str, int]:
         """What every register holds now, by name: a debugger's view, free of bus cycles."""
         raise NotImplementedError
+
+    def values_of(self, axis: int = 0) -> dict[str, int]:
+        """What registers and words of one axis hold now, by name, and those that all axes share; free of bus cycles. Registers that
+        cannot be read are in it, too, where the family keeps them. Raises ArgumentError for an axis that it does not have."""
+        self._check_axis(axis)
+        return self.values()
 
     def dump(self) -> str:
         """The register map with the values held now."""

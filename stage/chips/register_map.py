@@ -148,13 +148,19 @@ class Register:
 
 @dataclass(frozen=True)
 class Word:
-    """A command or status word: its name in words, further text, its bits, and their number."""
+    """A command or status word: its name in words, further text, its bits, and their number.
+
+    address: where it is written or read on the bus; None: the map does not say. sends: what a host usually writes, and what that
+        does; bits that tell the word from others are in it or not.
+    """
 
     name: str
     title: str
     fields: tuple[Field, ...]
     bits: int = 8
     note: str = ""
+    address: int | None = None
+    sends: Mapping[int, str] = field(default_factory=dict, hash=False)
 
     @property
     def text(self) -> str:
@@ -165,6 +171,16 @@ class Word:
     def used(self) -> int:
         """The bits that mean something."""
         return sum(f.mask for f in self.fields)
+
+    @property
+    def written(self) -> bool:
+        """A host writes it, at its address."""
+        return self.address is not None and any("W" in f.access for f in self.fields)
+
+    @cached_property
+    def fixed(self) -> int:
+        """The bits, in place, of fields that have one legal value: they tell words of one address apart."""
+        return sum(f.legal[0] << f.low for f in self.fields if f.legal and f.legal[0] == f.legal[1])
 
 
 @dataclass(frozen=True)
@@ -256,6 +272,32 @@ class RegisterMap:
     def by_code(self) -> dict[int, Command]:
         """Every command code of the chip."""
         return {code: c for c in self.commands for code in c.codes}
+
+    def sent(self, symbol: str, datum: int | None = None) -> tuple[Command | Word, int]:
+        """What a host sends under this name (any case), a command or a word that it writes, and its checked datum: see
+        `Chip.command_cycles`. Raises ArgumentError with near misses, or for a datum that there is none of or that does not fit."""
+        from stage.errors import ArgumentError
+
+        words = {w.name.upper(): w for w in self.words if w.written}
+        known: dict[str, Command | Word] = {**words, **{name.upper(): c for name, c in self._commands.items()}}
+        what = _found(known, symbol.upper(), f"{self.chip} command")
+        if isinstance(what, Word):
+            takes, mask = f"{what.bits} bits: {what.title}", (1 << what.bits) - 1
+        elif what.choice:
+            takes, mask = f"bits that choose among {', '.join(what.chooses)}", what.choice
+        else:
+            takes, mask = f"{8 * what.bytes} bits of data: {what.title}", (1 << 8 * what.bytes) - 1
+            if not what.bytes or "read" in what.kind:
+                if datum is not None:
+                    raise ArgumentError(f"{self.chip} {symbol}: this command takes no data, and {datum!r} was given.")
+                return what, 0
+        whole = isinstance(datum, int) and not isinstance(datum, bool)
+        if not whole or not -(mask + 1) // 2 <= int(datum or 0) <= mask:
+            given = "none was given" if datum is None else f"{datum!r} was given"
+            raise ArgumentError(f"{self.chip} {symbol} takes {takes}; {given}.")
+        if isinstance(what, Command) and what.choice and not int(datum or 0) & mask == datum != 0:
+            raise ArgumentError(f"{self.chip} {symbol} takes {takes}, one of them at least; {datum!r} was given.")
+        return what, int(datum or 0) & mask
 
     def field(self, where: str, name: str) -> Field:
         """Field `name` of the register or word `where`. Raises ArgumentError with near misses."""

@@ -17,6 +17,7 @@ import numpy as np
 from stage.chips import Chip, Diagnostic, contract, cores
 from stage.chips.describe import LONGEST, decode
 from stage.chips.journal import Replay
+from stage.chips.register_map import Word
 from stage.errors import ArgumentError, StageError
 from stage.testing.hands import (
     Act,
@@ -589,6 +590,23 @@ def register_cycles(t: Trial) -> None:
                     raise Broken(f"{r.name} = {value} is written by ({address}, {datum}), which is not on the bus")
 
 
+def command_cycles(t: Trial) -> None:
+    """command_cycles: every command is sent by cycles that the bus has, where the family says how"""
+    map_ = t.kind.MAP
+    for what in (*map_.commands, *(w for w in map_.words if w.written)):
+        name = what.name if isinstance(what, Word) else what.symbol
+        takes = isinstance(what, Word) or what.choice or (what.bytes and "read" not in what.kind)
+        try:
+            cycles = t.kind.command_cycles(name, t.kind.AXES - 1, 1 if takes else None)
+        except NotImplementedError:
+            return
+        if not cycles:
+            raise Broken(f"no bus cycle sends {name}")
+        for address, datum in cycles:
+            if not (0 <= address <= t.kind.ADDRESS_MASK and 0 <= datum <= t.kind.DATA_MASK):
+                raise Broken(f"{name} is sent by ({address}, {datum}), which is not on the bus")
+
+
 def words(t: Trial) -> None:
     """words: listener and decoder tell every bus cycle in a line of ASCII"""
     for rng in t.draws():
@@ -623,7 +641,8 @@ def _some(numbers: np.ndarray) -> str:
 PROMISES: dict[str, Callable[[Trial], None]] = {
     p.__name__: p
     for p in (
-        has_what_every_chip_has, pins_by_name, register_cycles, bus_lines, time_that_passes, reads, diagnostics, words,
+        has_what_every_chip_has, pins_by_name, register_cycles, command_cycles,
+        bus_lines, time_that_passes, reads, diagnostics, words,
         determinism, traced, cut_time, windows, drive_inputs, courses, snapshots, journals, resets,
     )
 }  # fmt: skip

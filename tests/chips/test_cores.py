@@ -10,8 +10,8 @@ from loops.rows import told
 from support import nova_programs, programs, servo_programs
 from support.examples import SEED
 
-from stage import StageError
 from stage.chips import CHIPS, FAMILIES, cores
+from stage.errors import ArgumentError, StageError
 from stage.native import Exported
 
 every_chip = pytest.mark.parametrize("name", CHIPS)
@@ -139,6 +139,65 @@ def test_the_cycles_that_write_a_register_keep_to_the_bus(name):
             assert cycles, register.name
             assert all(0 <= address < chip.ADDRESSES and datum <= chip.DATA_MASK for address, datum in cycles)
             assert cycles == CHIPS[name].register_cycles(register.name.lower(), register.range[1], axis)
+
+
+@every_chip
+def test_every_command_of_a_chip_is_sent_as_its_listener_hears_it(name):
+    """chip.command_cycles("DRVRL", axis=2): the words of the map, and the axis' name, come back from the bus"""
+    make = CHIPS[name]
+    axis, chip = make.AXES - 1, make()
+    listener = chip.listener()
+    for command in make.MAP.commands:
+        takes = command.choice or (command.bytes if "read" not in command.kind else 0)
+        cycles = make.command_cycles(command.symbol.lower(), axis, 1 if takes else None)
+        said = [listener.write(*cycle) for cycle in cycles][-1]
+        assert command.title in said or command.symbol.removeprefix("R-") in said, (command.symbol, said)
+        assert not command.axes or make.AXES == 1 or said.startswith("XYZU"[axis]), said
+    for word in make.MAP.words:
+        if word.written:
+            for bits in (*word.sends, (1 << word.fields[-1].high + 1) - 1):
+                address, datum = make.command_cycles(word.name, axis, bits)[-1]
+                assert (address, datum & bits) == (word.address, bits)
+                assert datum <= make.DATA_MASK
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "said"),
+    [
+        ("MCX514", ("DRVR",), "unknown MCX514 command 'DRVR'. Did you mean 'DRVRL'"),
+        ("MCX514", ("DV",), "DV takes 32 bits of data: drive speed; none was given"),
+        ("MCX514", ("DRVRL", 0, 3), "takes no data, and 3 was given"),
+        ("MCX514", ("SYNCEN", 0, 16), "choose among SYNC0, SYNC1, SYNC2, SYNC3; 16 was given"),
+        ("MCX514", ("SYNCEN", 0, 0), "one of them at least; 0 was given"),
+        ("PCL240K", ("operate", 0, 256), "takes 8 bits: operating mode selection.*256 was given"),
+        ("HCTL1100", ("mode", 0, 1.5), "1.5 was given"),
+    ],
+)
+def test_a_command_that_is_none_or_whose_datum_does_not_fit_is_refused(name, given, said):
+    with pytest.raises(ArgumentError, match=said):
+        CHIPS[name].command_cycles(*given)
+
+
+@pytest.mark.parametrize("name", [name for name, kind in CHIPS.items() if not kind.SERVO])
+def test_the_values_of_an_axis_are_those_that_were_written_to_it_and_to_no_other(name):
+    """chip.values_of(axis): also of registers that no host can read; looking changes nothing"""
+    chip, written = CHIPS[name](), {}
+    axis = chip.AXES - 1
+    for register in chip.MAP.registers:
+        if register.access != "R" and not register.fields:
+            written[register.name] = register.range[1] // 3 + 1
+            for cycle in chip.register_cycles(register.name, written[register.name], axis):
+                chip.write(*cycle)
+    before = chip.state.tobytes()
+    here, there = chip.values_of(axis), chip.values_of(0)
+    assert chip.state.tobytes() == before
+    written.pop("TX", None)  # what is read under this name is the longest way of the segment that runs
+    shown = {k: v for k, v in here.items() if k in written}
+    assert shown == {k: v for k, v in written.items() if k in shown}
+    assert len(shown) >= len(written) - 2, "EM and SM of the MCX314As are kept as what they mean"
+    assert axis == 0 or here != there
+    with pytest.raises(ArgumentError, match="axis"):
+        chip.values_of(chip.AXES)
 
 
 def test_a_chip_of_a_stage_is_restored_with_its_stage(xy):

@@ -119,6 +119,13 @@ FLAG_WRITE = Word(
         _bit("set", 3, "", "M", "W", values={0: "clear", 1: "set"}),
         Field("number", 2, 0, "flag number", "M", "W", values={k: f"F{k}" for k in (0, 2, 3, 4, 5)}),
     ),
+    address=FLAG,
+    sends={
+        set_ << 3 | f.low: f"{'set' if set_ else 'clear'} F{f.low}: {f.meaning}"
+        for f in reversed(_FLAGS)
+        if f.name != "f1"
+        for set_ in (1, 0)
+    },
 )
 MODE_WRITE = Word(
     "mode",
@@ -127,6 +134,7 @@ MODE_WRITE = Word(
         Field("mode", 7, 0, "", "D", "W", (0, 3), {0: "reset", 1: "Init/Idle", 2: "Align", 3: "control"},
               "Align and control only from init/idle"),
     ),
+    address=MODE,
 )  # fmt: skip
 
 

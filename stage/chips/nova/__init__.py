@@ -13,11 +13,14 @@ from stage.chips.nova.held import Held, HeldOfMcx312
 from stage.chips.nova.interpolation import run as interpolation
 from stage.chips.nova.registers.mcx300 import MCX302_MAP, MCX304_MAP, MCX312_MAP, MCX314AS_MAP
 from stage.chips.nova.registers.mcx514 import MCX501_MAP, MCX512_MAP, MCX514_MAP
+from stage.chips.register_map import Word
 from stage.errors import StageError
 
 __all__ = ["MCX302", "MCX304", "MCX312", "MCX314AS", "MCX501", "MCX512", "MCX514", "Nova"]
 
 BYTES = 16
+_LATE = {"HM": ("mode", state.HM), "HV": ("reg", state.HV)}
+"""Where the older chips keep what commands from 60h on write."""
 AX1, AX2, AX3 = (MCX314AS_MAP.field("WR5", f"AX{k}") for k in (1, 2, 3))
 
 
@@ -94,6 +97,21 @@ class Nova(Chip):
         select = 1 << axis << 8 if cls.MAP.command(name).axes else 0
         return [*data[: 2 if r.bits > 16 else 1], (0, select | r.number)]
 
+    @classmethod
+    def command_cycles(cls, symbol: str, axis: int = 0, datum: int | None = None) -> list[tuple[int, int]]:
+        """Data to WR6 and WR7, then the code to WR0 with the axis' bit (axis assignment); WR1 to WR3, an axis' own, after a NOP
+        that selects it."""
+        what, datum = cls.MAP.sent(symbol, datum)
+        if isinstance(what, Word):
+            cycles = super().command_cycles(symbol, axis, datum)
+            return [*cls.command_cycles("NOP", axis), *cycles] if 1 <= cycles[0][0] <= 3 else cycles
+        select = 1 << axis << 8 if what.axes and cls.AXES > 1 else 0
+        if what.choice:
+            return [(0, select | what.code | datum)]
+        data = [(6, datum & 0xFFFF), (7, datum >> 16)]
+        takes = (what.bytes + 1) // 2 if "read" not in what.kind else 0
+        return [*data[:takes], (0, select | what.code)]
+
     def decoder(self, axis: int = 0) -> Decoder:
         return Decoder(self.MAP, axis)
 
@@ -103,6 +121,40 @@ class Nova(Chip):
     def values(self) -> dict[str, int]:
         words = (w.name for w in self.MAP.words if w.name.startswith("RR"))
         return {name: core.value.held(self.pointer, int(name[2]), name == "RR3-1") for name in words}
+
+    def values_of(self, axis: int = 0) -> dict[str, int]:
+        """Words of an axis as if a host had selected it; registers as the reading commands say, or as they were written."""
+        self._check_axis(axis)
+        chip, map_, found = self.twin(), self.MAP, {}
+        c: Any = chip.state
+        select = 1 << axis << 8
+        core.write.held(chip.pointer, 0, select | map_.command("NOP").code)
+        for w in map_.words:
+            n = w.address
+            if n and w.written:
+                common = {4: "outputs4", 5: "outputs5", 6: "low", 7: "high"}
+                found[w.name] = int(c["ax"][axis]["wr"][n]) if n <= 3 else int(c[common[n]])
+            elif n is not None and w.fields and not w.written:
+                found[w.name] = core.value.held(chip.pointer, n, w.name == "RR3-1")
+        reads = {k.symbol.removeprefix("R-"): k for k in map_.commands if k.kind == "data read"}
+        for r in map_.registers:
+            if (read := reads.get(r.name)) is not None:
+                core.write.held(chip.pointer, 0, (select if read.axes else 0) | read.code)
+                found[r.name] = r.value(int(c["read_high"]) << 16 | int(c["read_low"]))
+            elif (place := self._place(r.name)) is not None:
+                name, k = place
+                own = map_.command(r.name).axes
+                found[r.name] = r.value(int(c["ax"][axis if own else 0][name][k]))
+        return found
+
+    @classmethod
+    def _place(cls, name: str) -> tuple[str, int] | None:
+        """Where in the state of an axis a register is that cannot be read: field and place; None: nowhere as it was written."""
+        number = cls.MAP.register(name).number
+        if number < state.REGISTERS:
+            return "reg", number
+        k = number - state.MODE_FIRST
+        return ("mode", k) if 0 <= k < state.MODES else _LATE.get(name)
 
     def output_word(self, axis: int) -> int:
         core.settle.held(self.pointer)

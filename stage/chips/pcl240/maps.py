@@ -49,6 +49,18 @@ def _operating_mode(clears: str) -> Word:
                 note="2 is in no table and acts as FL [I]",
             ),
         ),
+        address=0,
+        sends={
+            0x08: "reset command: pulses stop, the next start is armed",
+            0x10: "start at FL, constant speed",
+            0x11: "start at FH1, constant speed",
+            0x13: "start at FH2, constant speed",
+            0x15: "start with a ramp to FH1",
+            0x17: "start with a ramp to FH2",
+            0x14: "ramp down to FL and go on",
+            0x1D: "decelerating stop, from FH1",
+            0x1F: "decelerating stop, from FH2",
+        },
     )  # fmt: skip
 
 
@@ -64,11 +76,13 @@ CONTROL_MODE = Word(
         Field("sd", 1, 1, "SD+ and SD- slow a high-speed run", "I", "W"),
         Field("origin", 0, 0, "origin return", "S", "W", note="stop at ORG"),
     ),
+    address=0,
 )
 REGISTER_SELECT = Word(
     "select",
     "register selection, 10xx xxxx at address 0",
     (_group(SELECT), Field("register", 2, 0, "register", "S", "W", values={k: f"R{k}" for k in range(8)})),
+    address=0,
 )
 OUTPUT_MODE = Word(
     "output",
@@ -83,6 +97,7 @@ OUTPUT_MODE = Word(
             values={0: "common (POUT and PDIR)", 1: "independent (+ on POUT, - on PDIR)"},
         ),
     ),
+    address=0,
 )  # fmt: skip
 STATUS = Word(
     "status",
@@ -102,6 +117,7 @@ STATUS = Word(
         Field("org", 1, 1, "ORG asserted", "I", "R", pins=("org",)),
         Field("ins", 0, 0, "INS asserted", "I", "R", pins=("ins",)),
     ),
+    address=0,
 )  # fmt: skip
 
 
@@ -127,6 +143,7 @@ EXTENDED_SELECT = Word(
         Field("extension", 4, 4, "group", "H", "W", values={0: "R0 to R7", 1: "R10 to R17"}),
         Field("register", 2, 0, "register", "S", "W", values={k: f"R{k} or R1{k}" for k in range(8)}),
     ),
+    address=0,
 )  # fmt: skip
 EXTENDED_OUTPUT_MODE = _with(
     OUTPUT_MODE,

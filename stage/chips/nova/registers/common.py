@@ -66,7 +66,8 @@ def word(name: str, title: str, *fields: Field | Iterable[Field], access: str = 
     found = [f for some in fields for f in ([some] if isinstance(some, Field) else some)]
     access = access or ("R" if name.startswith("RR") else "W")
     ordered = tuple(replace(f, access=access) for f in sorted(found, key=lambda f: -f.high))
-    return Word(name, title, ordered, 16, note)
+    address = int(name[2]) if name[:2] in ("WR", "RR") else None
+    return Word(name, title, ordered, 16, note, address)
 
 
 DATA_WRITTEN = (
