@@ -3,7 +3,7 @@
 An episode has one machine, hidden as in FewShotTuning (contexts.py), and a target for each axis that takes part. The host writes
 registers from a grid, starts, waits, and reads; what does nothing now is masked.
 
-action        Discrete, for each axis in turn, `env.macros` has the names:
+action        Discrete, `env.macros` has the names; on the axis that is selected
               rates r        write the registers of RATES[r]: gentle, usual, bold
               distance d     write the finish register: grid[d] pulses
               plus, minus    start a move of these; the registers are written once more, as some chips forget them at a reset
@@ -11,12 +11,15 @@ action        Discrete, for each axis in turn, `env.macros` has the names:
                              gone. PCL-240 chips refuse it on ORG
               wait           poll the status until the axis has stopped
               read           read status and counters, which the observation then has
+              and for each axis
+              select a       the macros act on it from now on; a move of another axis goes on
 mask          info["action_mask"], int8: 1 for what has an effect, from what the host knows by itself. An action that is masked is
               legal, does nothing, and counts. env.action_masks() for sb3-contrib.
-observation   float32, -1 to 1, only what a host knows (truth=True adds the machine at the end); for each axis
-              it takes part; its origin is known; it was started and not waited for; what was read is still true; rates that are
-              written, one of 3; distance that is written, one of len(grid); way left to the target as last read, / the longest, and
-              by its logarithm with its sign; ORG, EL-, EL+ as last read;
+observation   float32, -1 to 1, only what a host knows (truth=True adds the machine at the end); of the axis that is selected
+              its origin is known; it was started and not waited for; what was read is still true; rates that are written, one of 3;
+              distance that is written, one of len(grid); way left to the target as last read, / the longest, and by its logarithm
+              with its sign; ORG, EL-, EL+ as last read;
+              then for each axis: it takes part; is selected; was started and not waited for; has no way left, as last read;
               then level / 3, macros left / `macros`, time left / `time_limit`
 levels        0 "move"     x alone, origin known, the target one distance of the grid away, either way
               1 "target"   x alone, any multiple of grid[0] up to twice the sum of the grid, either way
@@ -43,7 +46,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from types import SimpleNamespace
 from typing import Annotated, Any
 
 import gymnasium
@@ -54,6 +56,7 @@ from stage.chips import Chip, chip_class
 from stage.envs import contexts, score
 from stage.envs.base import StageEnv, StageVectorEnv
 from stage.envs.entries import HOST, TRUTH, Entry
+from stage.envs.macros import OTHERS, RATES, Book
 from stage.envs.results import result
 from stage.envs.settings import (
     AxisName,
@@ -76,20 +79,12 @@ from stage.envs.settings import (
 from stage.envs.task import MoveTask, carrier
 from stage.envs.trial import closed_form
 from stage.errors import ArgumentError, unknown
-from stage.firmware.driver import driver_of
 from stage.native import record
 from stage.sim.fleet import Played
-from stage.sim.program import Program
 
 LEVELS = ("move", "target", "axes", "origin")
-RATES = {"gentle": (500.0, 2000.0, 0.05), "usual": (1000.0, 8000.0, 0.05), "bold": (4000.0, 30_000.0, 0.02)}
-"""pps at the start, pps, s of both ramps."""
 SWITCHES = ("org", "el_minus", "el_plus")
 BEFORE = 1_000  # pulses on the far side of ORG at which "origin" may begin, at most
-HOMING = SimpleNamespace(multiplier=30, leave=0, back_off=400, limit=3.0, settle=0.02, ez=0)
-"""Of the origin return, as OriginReturn has them."""
-SPEEDS_HOME = (1000.0, 6000.0, 0.05, 1000.0)  # pps, pps, s; pps of the approach
-OTHERS = ("plus", "minus", "home", "wait", "read")
 
 AXIS = record(
     [(name, "i8") for name in "rates distance running fresh known zero seen target lost limit".split()]
@@ -98,7 +93,7 @@ AXIS = record(
 """What the host remembers of an axis (rates, distance: -1 none; zero, seen: pulses), its goal, and what the judge does: most steps
 lost, whether it stands at an end limit."""
 EPISODE = record(
-    [("level", "i8"), ("began", "i8"), ("before", "i8"), ("limits", "i8"), ("potential", "f8"), ("usual", "f8")]
+    [(name, "i8") for name in "level selected began before limits".split()] + [("potential", "f8"), ("usual", "f8")]
 )
 """ns; end limits hit; the last potential; s, that the formula takes."""
 
@@ -156,15 +151,18 @@ class BusMacros(MoveTask[Config]):
     """level: 0 to 3 or its name; targets: {axis: pulses, signed}; and parts of the machine."""
     STATE = ("context", "axis_states", "episodes")
     SEEN = (
+        Entry("known", HOST, "1 if the origin of the selected axis is known"),
+        Entry("running", HOST, "1 if it was started and not waited for"),
+        Entry("fresh", HOST, "1 while what was read of it is still true"),
+        Entry("rates", HOST, "that are written, one of 3"),
+        Entry("distance", HOST, "that is written, one of those of the grid"),
+        Entry("left", HOST, "way to the target as last read / the longest; 0 while the origin is not known"),
+        Entry("left_log", HOST, "likewise, by its logarithm with its sign"),
+        *(Entry(name, HOST, f"1 if {name} was asserted when last read") for name in SWITCHES),
         Entry("used", HOST, "1 if it takes part", "axis"),
-        Entry("known", HOST, "1 if its origin is known", "axis"),
-        Entry("running", HOST, "1 if it was started and not waited for", "axis"),
-        Entry("fresh", HOST, "1 while what was read is still true", "axis"),
-        Entry("rates", HOST, "that are written, one of 3", "axis"),
-        Entry("distance", HOST, "that is written, one of those of the grid", "axis"),
-        Entry("left", HOST, "way to the target as last read / the longest; 0 while the origin is not known", "axis"),
-        Entry("left_log", HOST, "likewise, by its logarithm with its sign", "axis"),
-        *(Entry(name, HOST, f"1 if {name} was asserted when last read", "axis") for name in SWITCHES),
+        Entry("selected", HOST, "1 if macros act on it", "axis"),
+        Entry("moves", HOST, "1 if it was started and not waited for", "axis"),
+        Entry("arrived", HOST, "1 if its origin is known and no way is left, as last read", "axis"),
         Entry("level", HOST, "/ 3"),
         Entry("macros", HOST, "left / `macros`"),
         Entry("time", HOST, "left / `time_limit`"),
@@ -208,12 +206,8 @@ class BusMacros(MoveTask[Config]):
         self.machines = [contexts.Machine.of(first, name, on) for name in c.axes]
         self.ranges = contexts.ranges(c)
         self.top = LEVELS.index(c.level)
-        self.names = tuple(
-            f"{axis} {what}"
-            for axis in c.axes
-            for what in (*(f"rates {r}" for r in RATES), *(f"distance {d}" for d in c.grid), *OTHERS)
-        )
-        self._write_book()
+        self.book = Book(self.axes, c.grid, c.patience, c.settle)
+        self.names = self.book.names
         self.action_space = gymnasium.spaces.Discrete(len(self.names))
         self.observation_space = self.seen()
         self.result = result(
@@ -231,54 +225,12 @@ class BusMacros(MoveTask[Config]):
             raise ArgumentError(f"axis {axis.name}: an origin return needs ORG and both end limits.")
         return float(at["org"])
 
-    def _write_book(self) -> None:
-        """Every program that an action may be, as rows of one table; row 0 does nothing."""
-        c, book = self.config, [Program()]
-        self.searches, self.search_rows = [], []
-        first, kinds = [], []
-        for axis in self.axes:
-            driver, a, chip = driver_of(axis), axis.index, axis.chip
-            rates = [(fl, fh, up, up) for fl, fh, up in RATES.values()]
-            for speeds in rates:
-                first.append(len(book))
-                book.append(p := Program())
-                for name, value in driver.formula(*speeds, c.grid[-1], s_curve=False).items():
-                    p.register(a, chip, name, value, axis.chip_axis)
-            for d in c.grid:
-                first.append(len(book))
-                book.append(Program().register(a, chip, driver.FINISH, d, axis.chip_axis))
-            for sign in (1, -1):
-                first.append(len(book))
-                for speeds in rates:
-                    for d in c.grid:
-                        book.append(p := Program())
-                        driver.write_move(p, driver.formula(*speeds, d, s_curve=False), sign * d)
-            search = driver.search(HOMING)
-            row = search.row(*SPEEDS_HOME, 0, HOMING.back_off)
-            self.searches.append(search)
-            self.search_rows.append(np.array([row]))
-            for p in (
-                search.program(row), Program().until_stopped([a], c.patience).wait(c.settle), Program().read(a, chip.BUSY[0]),
-            ):  # fmt: skip
-                first.append(len(book))
-                book.append(p)
-            kinds += ["rates"] * len(rates) + ["distance"] * len(c.grid) + list(OTHERS)
-        self._lengths = np.array([len(p) for p in book])
-        self._book = np.zeros((len(book), self._lengths.max(), 4), np.int64)
-        for row_, p in zip(self._book, book, strict=True):
-            if len(p):
-                row_[: len(p)] = p.ops
-        self._first, self._kinds = np.array(first), np.array(kinds)
-        per = len(self._kinds) // len(self.axes)
-        self._axis_of = np.repeat(np.arange(len(self.axes)), per)
-        self._value = np.tile([*range(len(RATES)), *range(len(c.grid)), *[0] * len(OTHERS)], len(self.axes))
-        self._of_kind = {kind: self._kinds == kind for kind in ("rates", "distance", *OTHERS)}
-
     def layout(self) -> list[Entry]:
-        of_axis = [e for e in self.SEEN if e.each]
+        of_axes = [e for e in self.SEEN if e.each]
+        at = self.SEEN.index(of_axes[0])
         often = {"rates": len(RATES), "distance": len(self.config.grid)}
-        one = [e for e in of_axis for _ in range(often.get(e.name, 1))]
-        return [*one * len(self.axes), *(e for e in self.SEEN if not e.each)]
+        one = [e for e in self.SEEN[:at] for _ in range(often.get(e.name, 1))]
+        return [*one, *of_axes * len(self.axes), *self.SEEN[at + len(of_axes) :]]
 
     # --- episodes ---
 
@@ -301,7 +253,7 @@ class BusMacros(MoveTask[Config]):
         from_origin = np.rint((at - self.origin) / self.way)
         axes["goal"] = (self.origin if level == 3 else at) + self.way * axes["target"]
         axes["known"], axes["fresh"] = level < 3, 1
-        e["level"], e["limits"] = level, 0
+        e["level"], e["limits"], e["selected"] = level, 0, 0
         self._place(k, at)
         truth = self.fleet.truth()[k, self.index]
         e["began"] = e["before"] = int(truth["now"][0])
@@ -361,24 +313,25 @@ class BusMacros(MoveTask[Config]):
 
     def masks(self) -> np.ndarray:
         """What has an effect now, (n, actions) int8."""
-        s, c = self.axis_states, self.config
+        s, c, e = self.written, self.config, self.episodes
         idle = s["running"] == 0
         able = idle & (s["rates"] >= 0) & (s["distance"] >= 0)
         columns = [
             *(idle & (s["rates"] != r) for r in range(len(RATES))), *(idle & (s["distance"] != d) for d in range(len(c.grid))),
-            able, able, idle & (self.episodes["level"] == 3)[:, None], ~idle, s["fresh"] == 0,
+            able, able, idle & (e["level"] == 3), ~idle, s["fresh"] == 0,
+            *(self.used[:, a] & (e["selected"] != a) for a in range(len(self.axes))),
         ]  # fmt: skip
-        found = np.stack(columns, axis=2) & self.used[:, :, None]
-        return found.reshape(self.n, -1).astype(np.int8)
+        return np.stack(columns, axis=1).astype(np.int8)
+
+    @property
+    def written(self) -> np.ndarray:
+        """What the host remembers of the axis that is selected, (n,)."""
+        return self.axis_states[np.arange(self.n), self.episodes["selected"]]
 
     def programs(self) -> np.ndarray:
         chosen, every = self.actions, np.arange(self.n)
-        s = self.axis_states[every, self._axis_of[chosen]]
-        starts = self._of_kind["plus"][chosen] | self._of_kind["minus"][chosen]
-        rows = self._first[chosen] + np.where(starts, s["rates"] * len(self.config.grid) + s["distance"], 0)
         self._valid = self.masks()[every, chosen] != 0
-        rows = np.where(self._valid & self.active, rows, 0)
-        return self._book[rows, : max(1, int(self._lengths[rows].max()))]
+        return self.book.programs(chosen, self.episodes["selected"], self.written, self._valid & self.active)
 
     def judge(self, played: Played, truth: np.ndarray) -> None:
         c, e, t = self.config, self.episodes, truth[:, self.index]
@@ -427,14 +380,17 @@ class BusMacros(MoveTask[Config]):
     def _remember(self, played: Played, t: np.ndarray) -> None:
         """What the host knows after the macros that were played."""
         done = self._valid & self.sound
-        for kind, mine in self._of_kind.items():
+        for kind, mine in self.book.of_kind.items():
             rows = np.flatnonzero(done & mine[self.actions])
             if not len(rows):
                 continue
-            axis = self._axis_of[self.actions[rows]]
+            axis = self.episodes["selected"][rows]
+            if kind == "select":
+                self.episodes["selected"][rows] = self.book.value[self.actions[rows]]
+                continue
             s = self.axis_states[rows, axis]
             if kind in ("rates", "distance"):
-                s[kind] = self._value[self.actions[rows]]
+                s[kind] = self.book.value[self.actions[rows]]
             elif kind in ("plus", "minus"):
                 s["running"], s["fresh"] = 1, 0
             elif kind == "wait":
@@ -454,9 +410,7 @@ class BusMacros(MoveTask[Config]):
     def _homed(self, s: np.ndarray, results: np.ndarray, t: np.ndarray, axis: np.ndarray) -> None:
         for a in np.unique(axis):
             mine = axis == a
-            rows = np.repeat(self.search_rows[a], mine.sum(), axis=0)
-            found = self.searches[a].found(results[mine], rows)
-            s["known"][mine] = found.home & ~found.late
+            s["known"][mine] = self.book.found(int(a), results[mine])
         s["zero"], s["rates"], s["distance"] = t["pulses"], -1, -1
         self._read(s, t, axis)
 
@@ -471,19 +425,22 @@ class BusMacros(MoveTask[Config]):
         return total / used.sum(axis=1)
 
     def observed(self) -> np.ndarray:
-        c, s, e = self.config, self.axis_states, self.episodes
-        used = self.used
-        left = np.where(s["known"] != 0, s["target"] - (s["seen"] - s["zero"]), 0)
+        c, s, e, every, used = self.config, self.axis_states, self.episodes, self.written, self.used
+        ways = np.where(s["known"] != 0, s["target"] - (s["seen"] - s["zero"]), 0)
+        left = ways[np.arange(self.n), e["selected"]]
         log = np.sign(left) * np.log1p(np.abs(left) / c.grid[0]) / np.log1p(2 * c.longest / c.grid[0])
-        columns = [
-            used, s["known"] != 0, s["running"] != 0, s["fresh"] != 0, *(s["rates"] == r for r in range(len(RATES))),
-            *(s["distance"] == d for d in range(len(c.grid))), left / c.longest, log, *(s[name] for name in SWITCHES),
+        one = [
+            every["known"] != 0, every["running"] != 0, every["fresh"] != 0, *(every["rates"] == r for r in range(len(RATES))),
+            *(every["distance"] == d for d in range(len(c.grid))), left / c.longest, log, *(every[name] for name in SWITCHES),
         ]  # fmt: skip
-        of_axes = (np.stack(columns, axis=2) * used[:, :, None]).reshape(self.n, -1)
+        selected = e["selected"][:, None] == np.arange(len(self.axes))
+        arrived = (s["known"] != 0) & (ways == 0)
+        of_axes = np.stack([used, selected, s["running"] != 0, arrived], axis=2) * used[:, :, None]
         time = (e["before"] - e["began"]) * 1e-9
         rest = [e["level"] / 3.0, 1.0 - self.steps / c.macros, 1.0 - time / c.time_limit]
+        columns = [np.stack(one, axis=1), of_axes.reshape(self.n, -1), np.stack(rest, axis=1)]
         hidden = contexts.placed(self.ranges, self.context)
-        return np.clip(np.concatenate([of_axes, np.stack(rest, axis=1), hidden], axis=1), -1.0, 1.0).astype(np.float32)
+        return np.clip(np.concatenate([*columns, hidden], axis=1), -1.0, 1.0).astype(np.float32)
 
     # --- a host ---
 
@@ -492,28 +449,27 @@ class BusMacros(MoveTask[Config]):
         return np.array([self._next(k) for k in range(self.n)], np.int64)
 
     def _next(self, k: int) -> int:
-        c, mask = self.config, self.masks()[k]
-        per = len(self.names) // len(self.axes)
+        c, selected = self.config, int(self.episodes[k]["selected"])
         at = {name: j for j, name in enumerate((*RATES, *c.grid, *OTHERS))}
         for a, s in enumerate(self.axis_states[k]):
-            if not self.used[k, a]:
+            left = int(s["target"] - (s["seen"] - s["zero"]))
+            if not self.used[k, a] or (s["known"] and left == 0 and s["fresh"]):
                 continue
-            first, left = a * per, int(s["target"] - (s["seen"] - s["zero"]))
+            if a != selected:
+                return self.book.per + a
             if s["running"]:
-                return first + at["wait"]
+                return at["wait"]
             if not s["fresh"]:
-                return first + at["read"]
-            if s["known"] and left == 0:
-                continue
+                return at["read"]
             if not s["known"] and not s["org"]:
-                return first + at["home"]
+                return at["home"]
             if s["rates"] < 0:
-                return first + at["usual"]
+                return at["usual"]
             wanted = int(np.argmin(np.abs(np.array(c.grid) - abs(left)))) if s["known"] else len(c.grid) - 1
             if s["distance"] != wanted:
-                return first + at[c.grid[wanted]]
-            return first + at["minus" if s["known"] and left < 0 else "plus"]
-        return int(np.argmax(mask))
+                return at[c.grid[wanted]]
+            return at["minus" if s["known"] and left < 0 else "plus"]
+        return int(np.argmax(self.masks()[k]))
 
 
 def _motor(axis: Any) -> Any:

@@ -80,9 +80,9 @@ def test_an_origin_return_that_begins_on_org_finds_nothing_and_one_that_left_it_
         env.reset(seed=seed)
         if env._task.axis_states[0, 0]["org"] and env.stage.axes["x"].position < env._task.origin[0] - 500 * 3.125e-6:
             break
-    act(env, "x home")
+    act(env, "home")
     assert not env._task.axis_states[0, 0]["known"], "the backing off is too short"
-    act(env, "x rates usual", f"x distance {env._task.config.grid[-1]}", "x plus", "x wait", "x read", "x home")
+    act(env, "rates usual", f"distance {env._task.config.grid[-1]}", "plus", "wait", "read", "home")
     assert env._task.axis_states[0, 0]["known"]
     assert env._task.config.grid[-1] > BEFORE
 
@@ -91,19 +91,19 @@ def test_what_has_no_effect_is_masked_and_does_nothing_if_it_is_done(env):
     _, info = env.reset(seed=3, options={"level": "target"})
     names, allowed = np.array(env.macros), info["action_mask"]
     assert allowed.dtype == np.int8
-    assert not any(name.startswith("y ") for name in names[allowed != 0])
-    assert {"x plus", "x minus", "x home", "x wait", "x read"} & set(names[allowed != 0]) == set()
+    assert not any(name.startswith("select") for name in names[allowed != 0]), "x is alone"
+    assert {"plus", "minus", "home", "wait", "read"} & set(names[allowed != 0]) == set()
     before = env.stage.time
-    ((_, reward, *_, info),) = act(env, "x plus")
+    ((_, reward, *_, info),) = act(env, "plus")
     assert info["masked"]
     assert reward == info["reward_parts"]["cost"] == -0.01
     assert env.stage.time == before
-    *_, (*_, info) = act(env, "x rates usual", "x distance 16", "x plus")
+    *_, (*_, info) = act(env, "rates usual", "distance 16", "plus")
     assert not info["masked"]
-    assert set(names[info["action_mask"] != 0]) == {"x wait", "x read"}
+    assert set(names[info["action_mask"] != 0]) == {"wait", "read"}
     assert np.array_equal(env.action_masks(), info["action_mask"] != 0)
-    *_, (*_, info) = act(env, "x wait", "x read")
-    assert "x read" not in names[info["action_mask"] != 0]
+    *_, (*_, info) = act(env, "wait", "read")
+    assert "read" not in names[info["action_mask"] != 0]
 
 
 def test_there_is_always_something_to_do_and_a_vector_has_the_masks_of_all():
@@ -137,15 +137,15 @@ def test_stable_baselines_asks_for_the_masks():
 def test_to_give_up_is_no_cheaper_than_to_fail_at_the_end():
     """Masked actions again and again, or a step lost at once, which ends an episode below the level "origin"."""
     env = make(level="target")
-    idle = env.macros.index("x home")
+    idle = env.macros.index("home")
     spun, steps, info = course(env, lambda: idle)
     assert steps == 120
     assert info["score"]["time"] == info["score"]["regret"] == np.inf
     assert spun == pytest.approx(-FULL, abs=1e-9)
-    crash = iter(["x rates bold", "x distance 1024", "x plus"])
+    crash = iter(["rates bold", "distance 1024", "plus"])
     lost, steps, info = course(
         env,
-        lambda: env.macros.index(next(crash, "x wait")),
+        lambda: env.macros.index(next(crash, "wait")),
         options={"torque": 0.6, "payload": 5.0, "targets": {"x": 16}},
     )
     assert steps < 120
@@ -157,7 +157,7 @@ def test_a_host_reads_before_it_knows(env):
     env.reset(seed=4, options={"level": "target", "targets": {"x": 512}})
     names = [e.name for e in env.entries]
     left = names.index("left")
-    seen = [out[0][left] for out in act(env, "x rates usual", "x distance 256", "x plus", "x wait", "x read")]
+    seen = [out[0][left] for out in act(env, "rates usual", "distance 256", "plus", "wait", "read")]
     assert len(set(seen[:4])) == 1
     assert seen[4] == pytest.approx(seen[0] / 2)
     assert not any(e.who == "truth" for e in env.entries)

@@ -1,0 +1,104 @@
+"""`Book`: the phrases of bus cycles that a host may say to its axes, as programs in one table, for any family of chips.
+
+    book = Book(axes, (16, 64, 256, 1024), patience=2.0, settle=0.02)
+    book.names                                    "rates gentle", "distance 16", "plus", ..., "select x": what each macro is
+    book.programs(macros, axis, written, which)    their bus cycles on an axis, (n, operations, 4)
+
+A start writes the registers that are chosen once more: some chips forget one at a reset.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from stage.firmware.driver import driver_of
+from stage.sim.program import Program
+
+RATES = {"gentle": (500.0, 2000.0, 0.05), "usual": (1000.0, 8000.0, 0.05), "bold": (4000.0, 30_000.0, 0.02)}
+"""pps at the start, pps, s of both ramps."""
+HOMING = SimpleNamespace(multiplier=30, leave=0, back_off=400, limit=3.0, settle=0.02, ez=0)
+"""Of the origin return, as OriginReturn has them."""
+SPEEDS_HOME = (1000.0, 6000.0, 0.05, 1000.0)  # pps, pps, s; pps of the approach
+OTHERS = ("plus", "minus", "home", "wait", "read")
+KINDS = ("rates", "distance", *OTHERS, "select")
+
+
+class Book:
+    """The macros of some axes.
+
+    grid: pulses that a distance may be. patience: s that a wait may take; settle: s after each stop.
+
+    Attributes: names; per, macros of an axis, after which those come that select one; value, which of the rates, distances or
+    axes a macro is about.
+    """
+
+    def __init__(self, axes: Sequence[Any], grid: Sequence[int], patience: float, settle: float):
+        self.grid, self._pages, self._first = tuple(grid), [Program()], []
+        self.searches: list[Any] = []
+        self._choices: list[np.ndarray] = []
+        for axis in axes:
+            self._write(axis, patience, settle)
+        one = [*(f"rates {r}" for r in RATES), *(f"distance {d}" for d in self.grid), *OTHERS]
+        self.per, m = len(one), len(axes)
+        self.names = (*one, *(f"select {axis.name}" for axis in axes))
+        kinds = np.array([name.split()[0] for name in self.names])
+        self.of_kind = {kind: kinds == kind for kind in KINDS}
+        self.value = np.array([*range(len(RATES)), *range(len(self.grid)), *[0] * len(OTHERS), *range(m)])
+        self._starts = self.of_kind["plus"] | self.of_kind["minus"]
+        self._at = np.zeros((m, len(self.names)), np.int64)  # where the pages of a macro begin; page 0 does nothing
+        self._at[:, : self.per] = np.array(self._first).reshape(m, self.per)
+        self._lengths = np.array([len(p) for p in self._pages])
+        self._table = np.zeros((len(self._pages), self._lengths.max(), 4), np.int64)
+        for row, p in zip(self._table, self._pages, strict=True):
+            if len(p):
+                row[: len(p)] = p.ops
+
+    def _write(self, axis: Any, patience: float, settle: float) -> None:
+        """The pages of an axis, in the order of its macros; the starts have one for each rates and distance."""
+        driver, a, chip = driver_of(axis), axis.index, axis.chip
+        rates = [(fl, fh, up, up) for fl, fh, up in RATES.values()]
+        for speeds in rates:
+            made = driver.formula(*speeds, self.grid[-1], s_curve=False)
+            self._add(self._registers(Program(), axis, made))
+        for d in self.grid:
+            self._add(self._registers(Program(), axis, {driver.FINISH: d}))
+        for sign in (1, -1):
+            pages = []
+            for speeds in rates:
+                for d in self.grid:
+                    pages.append(p := Program())
+                    driver.write_move(p, driver.formula(*speeds, d, s_curve=False), sign * d)
+            self._add(*pages)
+        search = driver.search(HOMING)
+        row = search.row(*SPEEDS_HOME, 0, HOMING.back_off)
+        self.searches.append(search)
+        self._choices.append(np.array([row]))
+        self._add(search.program(row))
+        self._add(Program().until_stopped([a], patience).wait(settle))
+        self._add(Program().read(a, chip.BUSY[0]))
+
+    def _add(self, *pages: Program) -> None:
+        self._first.append(len(self._pages))
+        self._pages += pages
+
+    @staticmethod
+    def _registers(p: Program, axis: Any, values: dict[str, int]) -> Program:
+        for name, value in values.items():
+            p.register(axis.index, axis.chip, name, value, axis.chip_axis)
+        return p
+
+    def programs(self, macros: np.ndarray, axis: np.ndarray, s: np.ndarray, which: np.ndarray) -> np.ndarray:
+        """The bus cycles of macros on an axis each, (n, operations, 4); of those that are not in `which` none. s: what is written
+        there, with `rates` and `distance`."""
+        of_starts = np.where(self._starts[macros], s["rates"] * len(self.grid) + s["distance"], 0)
+        pages = np.where(which, self._at[axis, macros] + of_starts, 0)
+        return self._table[pages, : max(1, int(self._lengths[pages].max()))]
+
+    def found(self, axis: int, results: np.ndarray) -> np.ndarray:
+        """Which origin returns of an axis ended at the origin, by the results of their programs."""
+        found = self.searches[axis].found(results, np.repeat(self._choices[axis], len(results), axis=0))
+        return found.home & ~found.late
