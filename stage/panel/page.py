@@ -15,17 +15,22 @@ if TYPE_CHECKING:
 def build(panel: Panel) -> None:
     """One browser's page."""
     ui.add_css(STYLE)
+    controlled: list[ui.element] = []  # what is dead where somebody else has the controls
     with ui.header().classes("items-center q-py-xs q-px-md"):
-        transport.build(panel)
+        transport.build(panel, controlled)
     with ui.element("div").classes("panel"):
         with ui.element("div").classes("machine"):
             scene.build(panel)
             axes.build(panel)
-        with ui.element("div").classes("desk"):
+        with ui.element("div").classes("desk") as desk:
+            controlled.append(desk)
             chips.build(panel)
 
 
 STYLE = """
+[inert] { opacity: 0.55 }
+.trouble { color: #ffd0c8; font-weight: 600 }
+.view { position: absolute; top: 6px; right: 6px; opacity: 0.8 }
 .nicegui-content { padding: 0 }
 .panel { display: grid; grid-template-columns: minmax(0, 1.2fr) minmax(0, 1fr); gap: 12px; padding: 12px; width: 100% }
 @media (max-width: 900px) { .panel { grid-template-columns: minmax(0, 1fr) } }

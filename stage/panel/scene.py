@@ -12,6 +12,8 @@ if TYPE_CHECKING:
     from stage.panel.server import Panel
 
 FRAMES = 25  # a second
+VIEWS = {"corner": (0.75, -1.1, 0.75), "front": (0, -1.5, 0.15), "side": (1.5, 0, 0.15), "top": (0, -0.01, 1.6)}
+"""Where the camera stands, from the centre of the model, in its extents."""
 
 
 def build(panel: Panel) -> None:
@@ -20,13 +22,24 @@ def build(panel: Panel) -> None:
     data = mujoco.MjData(model)  # this page's own: the stage's belongs to its thread
     extent, (cx, cy, cz) = float(model.stat.extent), model.stat.center
     camera = ui.scene.perspective_camera(fov=40, near=extent / 100, far=extent * 20)
-    with ui.scene(grid=False, camera=camera, background_color="#20242b", fps=FRAMES).classes("scene") as scene:
-        moving = {}
-        for body in panel.shapes:
-            with scene.group() as group:
-                scene.gltf(f"/shape/{body}.glb")
-            moving[body] = group
-    scene.move_camera(cx + 0.9 * extent, cy - 1.3 * extent, cz + 0.9 * extent, cx, cy, cz, 0, 0, 1, duration=0)
+    with ui.element("div").classes("relative-position"):
+        with ui.scene(grid=False, camera=camera, background_color="#20242b", fps=FRAMES).classes("scene") as scene:
+            moving = {}
+            for body in panel.shapes:
+                with scene.group() as group:
+                    scene.gltf(f"/shape/{body}.glb")
+                moving[body] = group
+
+        def look_from(name: str, duration: float = 0.4) -> None:
+            x, y, z = (extent * way for way in VIEWS[name])
+            scene.move_camera(cx + x, cy + y, cz + z, cx, cy, cz, 0, 0, 1, duration=duration)
+
+        with ui.button_group().props("flat").classes("view"):
+            for name in VIEWS:
+                ui.button(name, on_click=lambda name=name: look_from(name)).props(
+                    f"dense flat no-caps color=white size=sm data-test=view-{name}"
+                )
+    look_from("corner", 0)
     seen = np.full(model.nq, np.nan)
     placed: dict[int, tuple] = {}
 

@@ -13,6 +13,7 @@ import threading
 from typing import Any
 
 from stage.errors import StageError
+from stage.panel.controls import Controls
 from stage.panel.guard import Guard
 from stage.panel.session import Session
 
@@ -32,7 +33,7 @@ class Panel:
             raise StageError("the panel needs NiceGUI: pip install 'pulsestage[panel]'.") from error
         from stage.panel import glb, page
 
-        self.session = session
+        self.session, self.controls = session, Controls()
         self._socket = _listening(host, port)
         self.port = self._socket.getsockname()[1]
         self.token = "" if host == HERE else secrets.token_urlsafe(16)

@@ -1,48 +1,108 @@
-"""The row of buttons on top: time."""
+"""The row on top: time, who has the controls, and how the page looks."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from nicegui import ui
+from nicegui import context, run, ui
 
 from stage.panel.session import FREE
 
 if TYPE_CHECKING:
     from stage.panel.server import Panel
 
-SPEEDS = {0.1: "0.1 x", 0.25: "0.25 x", 0.5: "0.5 x", 1.0: "1 x", 2.0: "2 x", 5.0: "5 x", FREE: "as fast as it goes"}
+SPEEDS = {
+    0.01: "0.01 x",
+    0.1: "0.1 x",
+    0.25: "0.25 x",
+    0.5: "0.5 x",
+    1.0: "1 x",
+    2.0: "2 x",
+    5.0: "5 x",
+    FREE: "full speed",
+}
+BACK = (0.1, 1.0, 5.0, 30.0)  # s
+LAGS = 0.95  # of the speed that was asked for: less is told
 
 
-def build(panel: Panel) -> None:
+def build(panel: Panel, controlled: list[ui.element]) -> None:
+    """controlled: what only he may use who has the controls."""
     session = panel.session
-    ui.label("PulseStage").classes("text-weight-bold q-mr-md")
+    ui.label("PulseStage").classes("text-weight-bold q-mr-sm gt-xs")
+    with ui.row().classes("items-center q-gutter-none") as row:
+        controlled.append(row)
 
-    def toggle() -> None:
-        session.paused = not session.paused
+        def toggle() -> None:
+            session.paused = not session.paused
 
-    play = ui.button(on_click=toggle).props("flat dense color=white").mark("play")
-    ui.button(icon="skip_next", on_click=lambda: session.single_step()).props("flat dense color=white").tooltip(
-        "one physics step"
-    ).mark("step")
-    ui.button(icon="replay_5", on_click=lambda: session.back(1.0)).props("flat dense color=white").tooltip(
-        "back one second"
-    )
-    ui.button(icon="restart_alt", on_click=lambda: session.reset()).props("flat dense color=white").tooltip("power-up")
-    ui.select(SPEEDS, value=1.0, on_change=lambda e: setattr(session, "speed", e.value)).props(
-        "dense dark borderless options-dense"
-    )
-    clock = ui.label().classes("number q-ml-md").mark("time")
-    pace = ui.label().classes("number q-ml-md text-caption")
+        play = _button("pause", "pause", toggle, "play")
+        _button("skip_next", "one physics step", session.single_step, "step")
+        with _button("replay", "go back", None, "back"), ui.menu():
+            for seconds in BACK:
+                ui.menu_item(f"{seconds:g} s back", lambda s=seconds: run.io_bound(session.back, s)).props(
+                    f"data-test=back-{seconds:g}"
+                )
+        _button("restart_alt", "power-up", lambda: run.io_bound(session.reset), "reset")
+        ui.select(SPEEDS, value=_nearest(session.speed), on_change=lambda e: setattr(session, "speed", e.value)).props(
+            "dense dark borderless options-dense aria-label='simulated seconds a second' data-test=speed"
+        )
+    clock = ui.label().classes("number q-ml-sm").props("data-test=time aria-label='simulated time'")
+    pace = ui.label().classes("number q-ml-sm text-caption").props("data-test=pace")
     ui.space()
-    doing = ui.label().classes("text-caption")
+    doing = ui.label().classes("text-caption ellipsis").props("data-test=doing role=status")
+    stop = _button("stop", "stop this action; the chips go on", session.abandon, "abandon")
+    mine = _controls(panel, controlled)
+    dark = ui.dark_mode(None)
+    _button("contrast", "light or dark", lambda: _turn(dark), "dark")
 
     def look() -> None:
         view = session.view
         play.props(f"icon={'play_arrow' if session.paused else 'pause'}")
-        clock.text = f"{view.time:.3f} s"
-        late = not session.paused and session.speed != FREE and view.pace < 0.95 * session.speed
-        pace.text = "paused" if session.paused else f"{view.pace:.2f} x" + (" (behind)" if late else "")
+        clock.text = f"{view.time:.4f} s"
+        late = not session.paused and session.speed != FREE and view.pace < LAGS * session.speed
+        pace.text = "stands still" if session.paused else f"{view.pace:.2f} x" + (", cannot keep up" if late else "")
         doing.text = view.trouble or view.doing
+        doing.classes(**({"add": "trouble"} if view.trouble else {"remove": "trouble"}))
+        stop.set_visibility(bool(view.doing))
+        mine()
 
     ui.timer(0.1, look)
+
+
+def _button(icon: str, says: str, does: object, name: str) -> ui.button:
+    button = ui.button(icon=icon, on_click=does if callable(does) else None)
+    return button.props(f"flat dense color=white aria-label='{says}' data-test={name}").tooltip(says)
+
+
+def _nearest(speed: float) -> float:
+    return min(SPEEDS, key=lambda known: 0.0 if known == speed else abs(known - speed) if known != FREE else 1e9)
+
+
+def _turn(dark: ui.dark_mode) -> None:
+    """From what the browser prefers, to dark, to light."""
+    dark.value = {None: True, True: False, False: None}[dark.value]
+
+
+def _controls(panel: Panel, controlled: list[ui.element]) -> Callable[[], None]:
+    """The button of who has the controls; returns what looks again."""
+    controls, me = panel.controls, context.client.id
+    button = ui.button(on_click=lambda: controls.take(me)).props("flat dense no-caps color=white data-test=controls")
+    context.client.on_connect(lambda: controls.come(me))
+    context.client.on_disconnect(lambda: controls.go(me))
+    shown: list[object] = []
+
+    def look() -> None:
+        mine = controls.holder == me
+        state = [mine, controls.watching]
+        if shown == state:
+            return
+        shown[:] = state
+        button.text = (
+            "Take the controls" if not mine else f"{controls.watching} watching" if controls.watching > 1 else ""
+        )
+        button.set_visibility(not mine or controls.watching > 1)
+        for element in controlled:
+            element.props(**({"remove": "inert"} if mine else {"add": "inert"}))
+
+    return look

@@ -1,0 +1,30 @@
+"""Many may look at a panel; one has the controls."""
+
+from stage.panel.controls import Controls
+
+
+def test_the_first_has_the_controls_until_somebody_takes_them():
+    controls = Controls()
+    assert controls.holder is None
+    controls.come("a")
+    controls.come("b")
+    controls.come("b")
+    assert (controls.holder, controls.watching) == ("a", 2)
+    controls.take("b")
+    assert controls.holder == "b"
+    controls.take("stranger")
+    assert controls.holder == "b"
+
+
+def test_who_goes_leaves_the_controls_to_the_next():
+    controls = Controls()
+    for who in "abc":
+        controls.come(who)
+    controls.go("b")
+    assert controls.holder == "a"
+    controls.go("a")
+    assert (controls.holder, controls.watching) == ("c", 1)
+    controls.go("c")
+    assert controls.holder is None
+    controls.come("d")
+    assert controls.holder == "d"

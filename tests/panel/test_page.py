@@ -1,0 +1,109 @@
+"""The panel in a real browser: clicks, asserted on the page."""
+
+import urllib.error
+import urllib.request
+
+import pytest
+
+from tests.panel.conftest import Browser
+
+pytestmark = pytest.mark.slow
+
+
+def test_time_passes_on_the_page_and_stands_still_when_it_is_told_to(browser):
+    browser.until(lambda: browser.time > 0.5)
+    browser.click("play")
+    browser.until(lambda: "stands still" in browser.text("pace"))
+    at = browser.time
+    browser.click("step")
+    browser.until(lambda: browser.time > at)
+    assert browser.time < at + 0.01
+    browser.click("play")
+    browser.until(lambda: browser.time > at + 0.2)
+    assert " x" in browser.text("pace")
+
+
+def test_one_goes_back_and_to_power_up(browser):
+    browser.until(lambda: browser.time > 1.5)
+    browser.click("play")
+    browser.until(lambda: "stands still" in browser.text("pace"))
+    at = browser.time
+    browser.click("back")
+    browser.until(lambda: browser.text("back-1"))  # the menu has opened
+    browser.click("back-1")
+    browser.until(lambda: browser.time < at - 0.9)
+    browser.click("reset")
+    browser.until(lambda: browser.time == 0)
+    browser.click("play")
+
+
+def test_the_scene_is_drawn(browser):
+    canvas = browser.until(lambda: browser.driver.find_element("css selector", ".scene canvas"))
+    assert canvas.size["width"] > 300
+    for view in ("top", "corner"):
+        browser.click(f"view-{view}")
+    errors = [e["message"] for e in browser.driver.get_log("browser") if e["level"] == "SEVERE"]
+    assert not errors
+
+
+def test_no_request_leaves_the_machine(browser, address):
+    there = address.split("/")[2]
+    asked = browser.asked_for()
+    assert any("/shape/" in url for url in asked)
+    assert not [
+        url for url in asked if url.split("/")[2:3] != [there] and not url.startswith(("data:", "blob:", "chrome"))
+    ]
+
+
+def test_a_second_browser_sees_the_same_and_one_has_the_controls(browser, address):
+    second = Browser(address)
+    try:
+        second.until(lambda: abs(second.time - browser.time) < 1)
+        second.until(lambda: second.text("controls") == "Take the controls")
+        play = "return document.querySelector('[data-test=play]').closest('[inert]') !== null"
+        second.until(lambda: second.driver.execute_script(play))
+        assert not browser.driver.execute_script(play)
+        second.click("controls")
+        second.until(lambda: not second.driver.execute_script(play))
+        browser.until(lambda: browser.driver.execute_script(play))
+    finally:
+        second.driver.quit()
+    browser.until(lambda: not browser.driver.execute_script(play))  # it is alone again
+
+
+def test_a_foreign_name_of_the_host_is_refused_by_the_server(address):
+    request = urllib.request.Request(address, headers={"Host": "evil.example"})
+    with pytest.raises(urllib.error.HTTPError) as refused:
+        urllib.request.urlopen(request)
+    assert refused.value.code == 403
+
+
+def test_it_can_be_used_by_keyboard_alone(browser):
+    from selenium.webdriver.common.keys import Keys
+
+    browser.until(lambda: "stands still" not in browser.text("pace"))
+    browser.driver.execute_script("document.activeElement.blur()")
+    body = browser.driver.find_element("css selector", "body")
+    for _ in range(10):
+        body.send_keys(Keys.TAB)
+        focused = browser.driver.switch_to.active_element
+        if focused.get_attribute("data-test") == "play":
+            break
+    else:
+        pytest.fail("Tab does not come to the button that stops time")
+    focused.send_keys(Keys.ENTER)
+    browser.until(lambda: "stands still" in browser.text("pace"))
+    focused.send_keys(Keys.ENTER)
+    browser.until(lambda: "stands still" not in browser.text("pace"))
+
+
+def test_a_phone_shows_one_column(address, browser):
+    driver = browser.driver
+    driver.set_window_size(420, 900)
+    try:
+        width = "return document.documentElement.scrollWidth - document.documentElement.clientWidth"
+        browser.until(lambda: driver.execute_script(width) <= 0)
+        left = [e.rect["x"] for e in driver.find_elements("css selector", ".machine, .desk")]
+        assert abs(left[0] - left[1]) < 2
+    finally:
+        driver.set_window_size(1400, 1000)
