@@ -29,9 +29,7 @@ def build(panel: Panel) -> None:
 
 
 def _look(panel: Panel, axis: Axis, text: ui.label, lamps: dict[str, ui.label]) -> None:
-    position, commanded, lost, switches = panel.session.do(
-        lambda stage: (axis.position, axis.commanded, axis.lost_steps, axis.switches.as_dict())
-    )
-    text.text = place(axis.unit, position, commanded, lost)
+    seen = panel.look.axes[axis.name]
+    text.text = place(axis.unit, seen.position, seen.commanded, seen.lost or 0)
     for name, lamp in lamps.items():
-        lamp.classes(add="on") if switches[name] else lamp.classes(remove="on")
+        lamp.classes(add="on") if seen.switches[name] else lamp.classes(remove="on")

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from nicegui import ui
 
-from stage.panel import axes, chips, scene, transport
+from stage.panel import axes, chips, console, scene, transport
 
 if TYPE_CHECKING:
     from stage.panel.server import Panel
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 def build(panel: Panel) -> None:
     """One browser's page."""
-    ui.add_css(STYLE)
+    ui.add_css(STYLE + chips.STYLE)
     controlled: list[ui.element] = []  # what is dead where somebody else has the controls
     with ui.header().classes("items-center q-py-xs q-px-md"):
         transport.build(panel, controlled)
@@ -24,6 +24,7 @@ def build(panel: Panel) -> None:
             axes.build(panel)
         with ui.element("div").classes("desk") as desk:
             controlled.append(desk)
+            console.build(panel)
             chips.build(panel)
 
 

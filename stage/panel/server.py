@@ -15,6 +15,7 @@ from typing import Any
 from stage.errors import StageError
 from stage.panel.controls import Controls
 from stage.panel.guard import Guard
+from stage.panel.look import Look
 from stage.panel.session import Session
 
 HERE = "127.0.0.1"
@@ -33,7 +34,7 @@ class Panel:
             raise StageError("the panel needs NiceGUI: pip install 'pulsestage[panel]'.") from error
         from stage.panel import glb, page
 
-        self.session, self.controls = session, Controls()
+        self.session, self.controls, self.look = session, Controls(), Look(session)
         self._socket = _listening(host, port)
         self.port = self._socket.getsockname()[1]
         self.token = "" if host == HERE else secrets.token_urlsafe(16)
@@ -72,6 +73,7 @@ class Panel:
         """End the server; the session lives on."""
         self._server.should_exit = True
         self._thread.join(5)
+        self.look.close()
 
 
 def _listening(host: str, port: int) -> socket.socket:

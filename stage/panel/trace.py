@@ -1,0 +1,114 @@
+"""`Trace`: the bus of one chip in words, whoever makes the cycles: the page, a procedure, firmware. No page.
+
+Writes come from a journal of the chip, so that none is missed; so do reads that change something. Other reads are told where they
+are made, by `Trace.read`: hosts that poll would fill the list.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Any, NamedTuple
+
+from stage.chips.chip import Chip, Diagnostic
+from stage.chips.describe import Listener
+from stage.chips.entries import LOST, READ, RESET, WRITE, Entry
+
+LINES = 500
+KINDS = {WRITE: "W", READ: "R", LOST: "lost", RESET: "reset"}
+
+
+class Line(NamedTuple):
+    """A bus cycle, or a diagnostic. number: counts up; time: s; way: W, R, lost, reset, ! for a diagnostic."""
+
+    number: int
+    time: float
+    way: str
+    address: int
+    datum: int
+    words: str
+    source: str = ""
+
+    def text(self, digits: int) -> str:
+        """As a line of a list; digits: of the datum, hexadecimal."""
+        if self.way in ("reset", "!"):
+            return f"{self.time:11.6f}  {self.way}  {self.words}" + (f" [{self.source}]" if self.source else "")
+        return f"{self.time:11.6f}  {self.way} {self.address:2X}: {self.datum:0{digits}X}  {self.words}"
+
+
+class Trace:
+    """The last LINES cycles and diagnostics of a chip. All but `since` are called by the stage's thread."""
+
+    def __init__(self, chip: Chip):
+        self.chip, self.lines = chip, deque[Line](maxlen=LINES)
+        self.said: deque[Line] = deque(maxlen=LINES)
+        """The diagnostics alone."""
+        self.digits = (chip.DATA_MASK.bit_length() + 3) // 4
+        self._journal = chip.journal()
+        self._listener: Listener = chip.listener()
+        self._number, self._clock = 0, chip.clock
+        self._last: Diagnostic | None = None
+        self._diagnostics()
+
+    def look(self) -> None:
+        """Take in what has happened since."""
+        if self.chip.clock < self._clock:  # a snapshot, or a reset of the stage
+            self._begin_again()
+        self._clock = self.chip.clock
+        entries = self._journal.entries
+        if len(entries):
+            self._journal.restart()
+            for e in entries:
+                if e.kind in KINDS:
+                    self._heard(e)
+        self._diagnostics()
+
+    def read(self, address: int) -> int:
+        """Make a read cycle; it is told, too."""
+        self.look()
+        datum = self.chip.read(address)
+        address &= self.chip.ADDRESS_MASK
+        if address not in self.chip.READING_ACTS:
+            self._add(self.chip.clock, "R", address, datum, self._listener.read(address, datum))
+        self.look()
+        return datum
+
+    def since(self, number: int) -> list[Line]:
+        """The lines with higher numbers, oldest first."""
+        return [line for line in tuple(self.lines) if line.number > number]
+
+    def close(self) -> None:
+        """End the journal."""
+        self._journal.close()
+
+    def _begin_again(self) -> None:
+        self._journal.restart()
+        self._listener = self.chip.listener()
+        self._last = self.chip.diagnostics[-1] if self.chip.diagnostics else None
+        self._add(self.chip.clock, "reset", 0, 0, "the time went back")
+
+    def _heard(self, e: Entry) -> None:
+        if e.kind == RESET:
+            self._listener = self.chip.listener()
+            words = "the reset pin"
+        elif e.kind == LOST:
+            words = "did not arrive"
+        else:
+            words = (self._listener.write if e.kind == WRITE else self._listener.read)(e.a, e.b)
+        self._add(e.clock, KINDS[e.kind], e.a, e.b, words)
+
+    def _diagnostics(self) -> None:
+        noted = self.chip.diagnostics
+        new: list[Any] = []
+        for d in reversed(noted):
+            if d is self._last:
+                break
+            new.append(d)
+        for d in reversed(new):
+            self.said.append(self._add(d.clock, "!", d.address, d.value, d.message, d.source))
+        self._last = noted[-1] if noted else None
+
+    def _add(self, clock: int, way: str, address: int, datum: int, words: str, source: str = "") -> Line:
+        self._number += 1
+        line = Line(self._number, clock / self.chip.clock_hz, way, address, datum, words, source)
+        self.lines.append(line)
+        return line

@@ -1,0 +1,140 @@
+"""What front panels show and take, from register maps alone."""
+
+import pytest
+
+from stage.chips import CHIPS, HCTL1100, MCX514, PCL240K, PCL240MS
+from stage.errors import ArgumentError
+from stage.panel.front import Front, lit, meant, number, shown, with_field
+from stage.panel.orders import Cycle, complete, understand
+
+
+@pytest.mark.parametrize(
+    ("typed", "value"),
+    [
+        ("8000", 8000),
+        ("1F40h", 8000),
+        ("0x1f40", 8000),
+        ("0b101", 5),
+        ("8_000", 8000),
+        ("-1", -1),
+        ("+7", 7),
+        ("-10h", -16),
+    ],
+)
+def test_a_number_is_typed_as_sheets_and_programs_write_it(typed, value):
+    assert number(typed, 13) == value
+
+
+@pytest.mark.parametrize(
+    ("typed", "said"),
+    [
+        ("", "a number is missing: 100, 64h or 0x64"),
+        ("-", "a number is missing"),
+        ("1F", r"'1F' is no decimal number. Did you mean 1Fh \(31\)\?"),
+        ("1O0", r"'1O0' is no number. Did you mean 100\?"),
+        ("12.5", r"registers hold whole numbers. Did you mean 12\?"),
+        ("abcx", "'abcx' is no number"),
+        ("8192", "8192 needs more than 13 bits: -4096 to 8191 fit"),
+        ("-4097", "needs more than 13 bits"),
+    ],
+)
+def test_what_is_no_number_is_told_with_what_was_probably_meant(typed, said):
+    with pytest.raises(ArgumentError, match=said):
+        number(typed, 13)
+
+
+def test_every_command_of_every_chip_has_a_button_or_a_row():
+    for kind in CHIPS.values():
+        front = Front(kind)
+        buttons = [b for group in front.buttons.values() for b in group]
+        sent = {b.symbol for b in buttons} | {r.name for r in front.registers} | {w.name for w in front.forms}
+        assert {c.symbol for c in kind.MAP.commands} <= sent
+        for b in buttons:
+            assert kind.command_cycles(b.symbol, kind.AXES - 1, 0 if b.takes else b.datum), b
+            assert b.title
+            assert b.label
+
+
+def test_a_chip_that_does_not_say_how_its_commands_are_sent_has_no_buttons():
+    class Mute(MCX514):
+        @classmethod
+        def command_cycles(cls, symbol, axis=0, datum=None):
+            raise NotImplementedError("Mute does not say how its commands are sent.")
+
+    assert Front(Mute).buttons == {}
+    with pytest.raises(ArgumentError, match=r"Mute does not say how its commands are sent\. Write its bytes: `0: 15`"):
+        understand(Mute, "DRVRL")
+
+
+def test_bytes_that_a_word_has_by_name_carry_its_fixed_bits():
+    buttons = {b.label: b for group in Front(PCL240K).buttons.values() for b in group}
+    assert (buttons["15h"].title, buttons["81h"].title) == ("start with a ramp to FH1", "R1")
+    assert PCL240K.command_cycles("select", 0, buttons["81h"].datum) == [(0, 0x81)]
+
+
+def test_values_are_shown_and_told_as_the_map_says():
+    r14, lp = PCL240MS.MAP.register("R14"), MCX514.MAP.register("LP")
+    assert (shown(r14, 0x9005), meant(r14, 0x1000)) == ("9005h", "FH correction: on, linear ramps")
+    assert (shown(lp, -20), meant(lp, -20)) == ("-20", "FFFFFFECh")
+    linear = PCL240MS.MAP.field("R14", "linear")
+    assert with_field(0x8005, linear, 1) == 0x9005
+    operating = PCL240K.MAP.field("status", "operating")
+    assert [lit(operating, v) for v in (0, 1)] == [("not operating", False), ("operating", True)]
+    pending = PCL240K.MAP.field("status", "no_int")
+    assert [lit(pending, v) for v in (0, 1)] == [("/INT pending", True), ("no /INT pending", False)]
+
+
+def writes(*cycles):
+    return tuple(Cycle(False, *cycle) for cycle in cycles)
+
+
+@pytest.mark.parametrize(
+    ("kind", "line", "cycles"),
+    [
+        (PCL240K, "10 15h 0x1D", writes((0, 0x10), (0, 0x15), (0, 0x1D))),
+        (PCL240K, "2: 1F 20", writes((2, 0x1F), (2, 0x20))),
+        (PCL240K, "r1 <- 100", writes((0, 0x81), (2, 0), (1, 100))),
+        (PCL240K, "R1=64h", writes((0, 0x81), (2, 0), (1, 100))),
+        (PCL240K, "read 3 2", (Cycle(True, 3), Cycle(True, 2))),
+        (PCL240K, "operate 15h", writes((0, 0x15))),
+        (PCL240MS, "R14.linear <- 1", writes((0, 0x94), (2, 0x10), (1, 5))),
+        (HCTL1100, "mode 3", writes((5, 3))),
+        (MCX514, "DRVRL", writes((0, 0x0450))),
+        (MCX514, "dv 8000", writes((6, 8000), (7, 0), (0, 0x0405))),
+        (MCX514, "WR3 <- 4", writes((0, 0x041F), (3, 4))),
+        (MCX514, "RST", writes((0, 0xFF))),
+    ],
+)
+def test_a_line_of_the_console_becomes_bus_cycles(kind, line, cycles):
+    assert understand(kind, line, min(2, kind.AXES - 1), {"R14": 5}).cycles == cycles
+
+
+@pytest.mark.parametrize(
+    ("kind", "line", "said"),
+    [
+        (PCL240K, "", "`help` lists what can be written here"),
+        (PCL240K, "reed 0", r"'reed' is no name of PCL240K and no byte. Did you mean read"),
+        (PCL240K, "R9 <- 1", "no register or word of PCL240K is called 'R9'. Did you mean R"),
+        (PCL240K, "R1 <- 1OO", "Did you mean 100"),
+        (PCL240K, "read", "an address is missing, 0 to 3h"),
+        (PCL240K, "2:", "the data are missing"),
+        (PCL240K, "x: 10", "'x' is no hexadecimal number"),
+        (PCL240K, "operate", "takes 8 bits"),
+        (PCL240MS, "R14.lin <- 1", "Did you mean 'linear'"),
+        (MCX514, "drvl", "Did you mean DRVRL"),
+        (MCX514, "CV <- 1", "CV .* can only be read"),
+        (MCX514, "help DRVR", "Did you mean DRVRL"),
+    ],
+)
+def test_a_line_that_says_nothing_is_answered_with_what_was_probably_meant(kind, line, said):
+    with pytest.raises(ArgumentError, match=said):
+        understand(kind, line)
+
+
+def test_the_console_answers_without_bus_cycles():
+    assert understand(MCX514, "AC", 0, {"AC": 77}) == ((), "AC = 77 pps/s (4Dh): acceleration")
+    assert "R1 <- 100" in understand(PCL240K, "help").answer
+    assert understand(PCL240K, "help r1").answer == "R1: FL speed; 1 to 8191 speed steps"
+    assert ".linear" in understand(PCL240MS, "help R14").answer
+    assert complete(MCX514, "drvv") == ["DRVVP", "DRVVM"]
+    assert complete(MCX514, "") == []

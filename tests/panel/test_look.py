@@ -1,0 +1,82 @@
+"""What pages show of a stage, looked at once for all of them; and the trace of the bus, whoever uses it."""
+
+import pytest
+
+from stage import Stage, firmware
+from stage.panel.look import Look
+from stage.panel.session import FREE, Session
+
+
+@pytest.fixture
+def look():
+    with Session(Stage("xy", visuals=False), speed=FREE, paused=True) as session:
+        look = Look(session)
+        look.session = session
+        yield look
+        look.close()
+
+
+def words(trace):
+    return [(line.way, line.words) for line in trace.lines]
+
+
+def test_a_look_has_axes_always_and_registers_of_what_somebody_wants(look):
+    assert set(look.axes) == {"x", "y"}
+    assert look.chips == {}
+    look.want(1, 0)
+    look.session.do(lambda stage: [stage.chips[1].write(*c) for c in stage.chips[1].register_cycles("R1", 100)])
+    look.session.do(look.take)
+    assert list(look.chips) == [(1, 0)]
+    seen = look.chips[1, 0]
+    assert (seen.values["R1"], seen.outputs["hold"], seen.inputs["org"]) == (100, True, False)
+
+
+def test_the_trace_tells_the_cycles_of_whoever_makes_them(look):
+    trace, session = look.traces[0], look.session
+    session.do(lambda stage: stage.chips[0].write(0, 0x44))
+    session.paused = False
+    session.act("move", lambda stage: firmware.move(stage.axes["x"], 1e-3)).result(30)
+    session.paused = True
+    session.do(look.take)
+    said = words(trace)
+    assert said[0] == ("W", "control mode: preset")
+    assert ("W", "start, ramp to FH1") in said
+    assert not [line for line in look.traces[1].lines if line.way == "W"]
+    before = trace.lines[-1].number
+    assert session.do(lambda stage: trace.read(0)) & 0x40 == 0
+    (line,) = trace.since(before)
+    assert (line.way, line.address) == ("R", 0)
+    assert "not operating" in line.words
+
+
+def test_diagnostics_stand_in_the_trace_and_in_a_list_of_their_own_once(look):
+    trace, session = look.traces[0], look.session
+    session.do(lambda stage: stage.chips[0].write(0, 0x15))
+    session.do(look.take)
+    session.do(look.take)
+    (noted,) = trace.said
+    assert noted in trace.lines
+    assert noted.source
+    assert "!" in noted.text(2)
+
+
+def test_after_a_snapshot_the_trace_goes_on_from_what_the_chip_holds_then(look):
+    trace, session = look.traces[0], look.session
+    start = session.do(lambda stage: stage.snapshot())
+    session.do(lambda stage: stage.chips[0].write(0, 0x81))
+    session.do(look.take)
+    session.restore(start)
+    session.do(look.take)
+    assert trace.lines[-1].words == "the time went back"
+    session.do(lambda stage: stage.chips[0].write(1, 5))
+    session.do(look.take)
+    assert "R0" in trace.lines[-1].words, "R1 was selected later"
+
+
+def test_a_trace_and_its_journal_keep_no_more_than_the_last_lines(look):
+    trace, session = look.traces[0], look.session
+    session.do(lambda stage: [stage.chips[0].write(0, 0x40) for _ in range(1200)])
+    session.do(look.take)
+    assert len(trace.lines) == 500
+    assert trace.lines[-1].number == 1200
+    assert session.do(lambda stage: len(trace._journal.entries)) == 0
