@@ -37,7 +37,8 @@ class Book:
     """
 
     def __init__(self, axes: Sequence[Any], grid: Sequence[int], patience: float, settle: float):
-        self.grid, self._pages, self._first = tuple(grid), [Program()], []
+        self.grid, self._pages = tuple(grid), [Program()]
+        self._first: list[int] = []
         self.searches: list[Any] = []
         self._choices: list[np.ndarray] = []
         for axis in axes:
