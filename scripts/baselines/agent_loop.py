@@ -15,7 +15,7 @@ from collections.abc import Callable
 from typing import ClassVar
 
 import numpy as np
-from common import DISTANCE, LIMIT, TURN, Log, Moves, arguments, told
+from common import DISTANCE, LIMIT, MODEL, TURN, Log, Moves, arguments, told
 
 from stage import Stage
 from stage.envs.register_tuning import Config
@@ -51,9 +51,9 @@ def _number(text: str) -> int:
 class Machine:
     """An axis with its chip on a bus, behind text commands. log: the moves made."""
 
-    def __init__(self, payload: float, distance: int = DISTANCE, budget: int = 64):
+    def __init__(self, payload: float, distance: int = DISTANCE, budget: int = 64, model: str = MODEL):
         self.payload, self.distance, self.budget, self.log = payload, distance, budget, Log()
-        self._stage, self._rng = Stage("xyz"), np.random.default_rng(0)
+        self._stage, self._rng = Stage(model), np.random.default_rng(0)
         self._stage.set_payload(payload)
         self._axis = self._stage.axes["x"]
         self._port = Port(self._axis)
@@ -185,7 +185,7 @@ class Technician:
 
 def search(moves: Moves, seed: int = 0) -> None:
     """The stand-in's moves, as a search: they fill the log of `moves`."""
-    machine = Machine(moves.payload, moves.distance, moves.budget)
+    machine = Machine(moves.payload, moves.distance, moves.budget, moves.model)
     tune(machine, Technician())
     moves.log = machine.log
 
@@ -195,9 +195,9 @@ def main() -> None:
     parser.add_argument("--budget", type=int, default=64, metavar="N", help="moves")
     parser.add_argument("--show", action="store_true", help="the conversation")
     args = parser.parse_args()
-    machine = Machine(args.payload, args.distance, args.budget)
+    machine = Machine(args.payload, args.distance, args.budget, args.model)
     tune(machine, Technician(), show=args.show)
-    print(told(machine.log, REGISTERS, args.payload, args.distance))
+    print(told(machine.log, REGISTERS, args.payload, args.distance, model=args.model, margin=args.margin))
 
 
 if __name__ == "__main__":

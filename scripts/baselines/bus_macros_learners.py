@@ -20,7 +20,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import torch
-from learning import Curve, Noted, parser_of, save
+from learning import Curve, Noted, cost_of, parser_of, save
 from sb3_contrib import MaskablePPO
 from stable_baselines3 import DQN
 from stable_baselines3.common.vec_env import VecEnvWrapper
@@ -144,7 +144,9 @@ def submit(path: Path, splits: list[str], tasks: list[str], folder: Path) -> Non
     folder.mkdir(parents=True, exist_ok=True)
     for task in tasks:
         for split in splits:
-            entry = bench.play(Policy(method, path), task, split, name=f"{method}-masked", run=int(run))
+            entry = bench.play(
+                Policy(method, path), task, split, name=f"{method}-masked", run=int(run), cost=cost_of(path)
+            )
             bench.submit(entry, folder / f"{task}-{split}-{method}-{run}.bench", overwrite=True)
             print(f"{task} {split} {method} {run}: success {entry.scores['success'].mean():.0%}", flush=True)
 

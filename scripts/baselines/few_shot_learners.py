@@ -20,7 +20,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import torch
-from learning import Curve, Noted, parser_of, save
+from learning import Curve, Noted, cost_of, parser_of, save
 from sb3_contrib import RecurrentPPO
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecEnvWrapper
@@ -105,7 +105,9 @@ def submit(path: Path, splits: list[str], tasks: list[str], folder: Path) -> Non
     folder.mkdir(parents=True, exist_ok=True)
     for split in splits:
         name, chosen = f"ppo, memory {method}", {"memory": METHODS[method]}
-        entry = bench.play(Policy(method, path), TASK, split, settings=chosen, name=name, run=int(run))
+        entry = bench.play(
+            Policy(method, path), TASK, split, settings=chosen, name=name, run=int(run), cost=cost_of(path)
+        )
         bench.submit(entry, folder / f"{TASK}-{split}-ppo-{method}-{run}.bench", overwrite=True)
         print(f"{split} {method} {run}: return {entry.scores['return'].mean():.3f}", flush=True)
 

@@ -60,6 +60,13 @@ class Curve(BaseCallback):
         return True
 
 
+def cost_of(policy: Path) -> dict[str, float]:
+    """What a policy took to learn, from its curve: moves, and processor seconds."""
+    with policy.with_suffix(".csv").open() as file:
+        *_, last = csv.DictReader(file)
+    return {"moves": float(last["steps"]), "processor_s": float(last["processor_s"])}
+
+
 def save(model: Any, path: Path, steps: int) -> None:
     """The policy; its file is the learner's own, to be loaded by whoever made it."""
     model.save(path.with_suffix(".zip"))

@@ -30,7 +30,7 @@ class Card:
     asked: str
     settings: Mapping[str, Any] = field(default_factory=dict)
     choices: Mapping[str, tuple] = field(default_factory=dict)
-    splits: tuple[str, ...] = tuple(contexts.SPLITS)
+    splits: tuple[str, ...] = contexts.WITHOUT_FAULTS
     episodes: int = 64
 
     def check(self, split: str, track: str, chosen: Mapping[str, Any]) -> None:
@@ -75,6 +75,12 @@ CARDS = {
             choices={"memory": ("all", "last")},
         ),
         Card(
+            "home",
+            "stage/DriftingHome-v1",
+            "origin returns to the same place, by a switch that walks, on a machine that may be broken, which is to be reported",
+            splits=tuple(contexts.SPLITS),
+        ),
+        Card(
             "line",
             "stage/SynchronizedLine-v1",
             "a fast straight line of two axes, by the registers of both",
@@ -84,7 +90,7 @@ CARDS = {
             "stage/SynchronizedLine-v1",
             "the same of three axes",
             settings={"axes": ("x", "y", "z")},
-            splits=tuple(s for s in contexts.SPLITS if s != "mast"),
+            splits=tuple(s for s in contexts.WITHOUT_FAULTS if s != "mast"),
         ),
         Card(
             "bus-target",

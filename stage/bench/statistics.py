@@ -17,6 +17,7 @@ from stage.bench.files import Submission
 from stage.errors import ArgumentError
 
 DRAWS, LEVEL = 2000, 0.95
+RUNS = 10  # of a learner, without which it beats nobody
 
 
 def iqm(scores: np.ndarray) -> float:
@@ -40,8 +41,10 @@ def interval(scores: np.ndarray, draws: int = DRAWS, level: float = LEVEL, seed:
 
 @dataclass(frozen=True)
 class Row:
-    """A player on a split: IQM of the return with its interval, over `runs` runs; success: the share of episodes; None where
-    a task has none."""
+    """A player on a split: IQM of the return with its interval, over `runs` runs.
+
+    success: the share of episodes; None where a task has none. learned: its cost has moves that it learned from.
+    """
 
     task: str
     split: str
@@ -53,10 +56,11 @@ class Row:
     low: float
     high: float
     success: float | None
+    learned: bool = False
 
     def beats(self, other: Row) -> bool:
-        """The intervals part, and this is the higher."""
-        return self.low > other.high
+        """The intervals part, and this is the higher. A learner needs RUNS runs to say so."""
+        return self.low > other.high and (self.runs >= RUNS or not self.learned)
 
 
 def rows(entries: Iterable[Submission]) -> list[Row]:
@@ -78,7 +82,8 @@ def rows(entries: Iterable[Submission]) -> list[Row]:
         share = float(np.mean(success)) if success else None
         runs, episodes = scores.shape
         low, high = interval(scores)
-        found.append(Row(task, split, track, player, runs, episodes, iqm(scores), low, high, share))
+        learned = any(e.cost.get("moves", 0) > 0 for e in some)
+        found.append(Row(task, split, track, player, runs, episodes, iqm(scores), low, high, share, learned))
     return sorted(found, key=lambda r: (r.task, r.split, r.track, -r.value))
 
 
@@ -95,6 +100,8 @@ def table(entries: Iterable[Submission]) -> str:
         ]
         for r in some:
             beaten = ", ".join(o.player for o in some if r.beats(o)) or "-"
+            if r.learned and r.runs < RUNS:
+                beaten = f"too few runs: {RUNS} are asked"
             success = "-" if r.success is None else f"{r.success:.0%}"
             lines.append(
                 f"| {r.player} | {r.runs} x {r.episodes} | {r.value:.3f} | {r.low:.3f} to {r.high:.3f} | {success} | {beaten} |"

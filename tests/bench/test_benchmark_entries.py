@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import importlib
 import io
 import json
 import re
@@ -12,11 +13,13 @@ import zipfile
 import numpy as np
 import pytest
 
+import stage.envs
 from stage import ArgumentError, bench
 from stage.bench import files, statistics
 from stage.bench.cards import CARDS, Card, seeds
 from stage.bench.files import Refused, unpack
 from stage.cli import main
+from stage.envs.task import configured
 from stage.files import FileError
 
 BRIEF = Card(
@@ -378,17 +381,40 @@ def test_the_middle_half_is_averaged_and_its_interval_holds_the_truth():
 def test_a_table_says_who_beats_whom_by_intervals_that_part(entry, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
 
-    def like(player, run, returns):
+    def like(player, run, returns, **cost):
         scores = {**entry.scores, "return": np.array(returns)}
         path = f"{player}-{run}.bench"
-        bench.submit(dataclasses.replace(entry, player=player, run=run, scores=scores), path)
+        bench.submit(dataclasses.replace(entry, player=player, run=run, scores=scores, cost=cost), path)
         return path
 
     files_ = [like("best", k, (3.0, 3.1, 3.2)) for k in range(2)] + [like("worst", 0, (0.0, 0.1, 0.2))]
     files_ += [like("wide", k, (0.0, 1.5, 3.1)) for k in range(2)]
+    files_ += [like("few", k, (9.0, 9.1, 9.2), moves=100) for k in range(9)]
+    files_ += [like("many", k, (9.0, 9.1, 9.2), moves=100) for k in range(10)]
     assert main(["bench-table", *files_]) == 0
     said = capsys.readouterr().out
+    assert re.search(r"\| few \| 9 x 3 .* \| too few runs: 10 are asked \|", said), "a learner"
+    assert re.search(r"\| many \| 10 x 3 .* \| best, wide, worst \|", said)
     assert "| best | 2 x 3 | 3.100 |" in said
     assert re.search(r"\| best .* \| worst \|\n\| wide .* \| - \|\n\| worst .* \| - \|", said)
     assert main(["bench-table", files_[0], files_[0]]) == 2
     assert "two entries are of the same run" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("card", CARDS.values(), ids=lambda card: card.name)
+def test_every_task_of_the_list_has_an_environment_with_each_of_its_splits(card):
+    module, name = stage.envs.IDS[card.id].split(":")
+    task = getattr(importlib.import_module(f"stage.envs.{module}"), name)
+    for split in card.splits:
+        configured(task, {**card.settings, "split": split})
+    for setting, values in card.choices.items():
+        for value in values:
+            configured(task, {setting: value})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CARDS)
+def test_an_entry_of_every_task_is_replayed_bit_for_bit(name):
+    for split in (CARDS[name].splits[0], CARDS[name].splits[-1]):
+        for player in ("random", "scripted"):
+            assert bench.verify(bench.play(player, name, split, episodes=3)).exact
