@@ -22,7 +22,7 @@ help:
 	@echo "make lint       ruff and mypy"
 	@echo "make ci         all that .github/workflows/ci.yml does on this Python"
 	@echo "make bench      speed, as ratios measured in one run"
-	@echo "make results    baselines of RegisterTuning: docs/results.md (extra rl; half an hour)"
+	@echo "make results    baselines of RegisterTuning: docs/results.md (extra rl; hours)"
 	@echo "make pictures   draw every picture of README and docs again"
 
 $(BIN)/python:
