@@ -59,7 +59,7 @@ class Card:
         self._rows: list[Row | WordRow] = []
         self._pins: dict[str, ui.label] = {}
         self._built = False
-        names = " ".join(self.names.values())
+        names = " ".join(name for name in self.names.values() if "(" not in name) or "no axis"
         with ui.card().classes("w-full q-pa-none"), ui.expansion(f"{names}: {self.front.map.title}").classes(
             "w-full front"
         ).props(f'data-test="chip-{k}"') as self._body:  # fmt: skip
@@ -90,8 +90,7 @@ class Card:
             row.forget()
 
     def _registers(self) -> None:
-        ui.label("registers").classes("section")
-        with ui.element("div").classes("registers"):
+        with _part("registers"), ui.element("div").classes("registers"):
             places: list[Place] = [*self.front.registers, *self.front.forms]
             for place in places:
                 self._rows.append(Row(place, self.write, f"{self.k}-{place.name}"))
@@ -99,23 +98,20 @@ class Card:
     def _lamps(self) -> None:
         kind = self.front.kind
         if self.front.lamps:
-            ui.label("status").classes("section")
-        for word in self.front.lamps:
-            self._rows.append(WordRow(word))
-        for what, pins in (("inputs", kind.INPUTS), ("outputs", kind.OUTPUTS)):
-            ui.label(what).classes("section")
-            with ui.element("div").classes("lamps"):
-                for name in pins:
-                    self._pins[name] = ui.label(name).classes("lamp").props(f'data-test="pin-{self.k}-{name}"')
+            with _part("status"):
+                for word in self.front.lamps:
+                    self._rows.append(WordRow(word))
+        with _part("pins"):
+            for what, pins in (("inputs", kind.INPUTS), ("outputs", kind.OUTPUTS)):
+                with ui.element("div").classes("lamps"):
+                    ui.label(what).classes("section")
+                    for name in pins:
+                        self._pins[name] = ui.label(name).classes("lamp").props(f'data-test="pin-{self.k}-{name}"')
 
     def _commands(self) -> None:
         for group, buttons in self.front.buttons.items():
             reading = all(not b.starts for b in buttons) and len(buttons) > 12
-            with (
-                ui.expansion(group, value=not reading)
-                .props("dense dense-toggle")
-                .classes("w-full section-of-commands")
-            ), ui.element("div").classes("commands"):  # fmt: skip
+            with _part(group, not reading), ui.element("div").classes("commands"):
                 for b in buttons:
                     if not b.takes:
                         self._button(b)
@@ -125,8 +121,7 @@ class Card:
             cycles = self.front.kind.command_cycles(b.symbol, self.axis, b.datum)
             await self._send([Cycle(False, *cycle) for cycle in cycles])
 
-        words = len(b.label) <= 4 and b.datum is not None
-        button = ui.button(f"{b.label}  {b.title}" if words else b.label, on_click=press)
+        button = ui.button(f"{b.label}  {b.words}", on_click=press)
         button.props(f"dense no-caps outline size=sm {'color=positive' if b.starts else ''}")
         button.props["title"] = f"{b.title} [{b.evidence}]"
         code = f"-{b.datum:X}" if b.datum is not None else ""
@@ -158,12 +153,17 @@ class Card:
                 self._pins[name].classes(add="on") if on else self._pins[name].classes(remove="on")
 
 
+def _part(title: str, opened: bool = True) -> ui.expansion:
+    """A part of a front panel that can be folded."""
+    return ui.expansion(title, value=opened).props("dense dense-toggle").classes("w-full part")
+
+
 STYLE = """
 .front .nicegui-expansion-content { gap: 2px; padding: 0 12px 12px 12px }
 .front > .q-expansion-item__container > .q-item { padding: 8px 12px; font-weight: 600 }
-.section-of-commands .q-item { min-height: 24px; padding: 2px 0; font-size: 12px }
-.section-of-commands .nicegui-expansion-content { padding: 0 0 4px 0 }
-.section { font-size: 11px; text-transform: uppercase; letter-spacing: .06em; opacity: .7; margin-top: 8px }
+.part .q-item { min-height: 24px; padding: 2px 0; font-size: 12px }
+.part .nicegui-expansion-content { padding: 0 0 4px 0 }
+.section { font-size: 11px; text-transform: uppercase; letter-spacing: .06em; opacity: .7; margin-right: 10px }
 .registers { display: grid; grid-template-columns: max-content minmax(92px, 130px) max-content minmax(0, 1fr) 22px;
   column-gap: 10px; row-gap: 2px; align-items: center; font-size: 12px }
 @media (max-width: 600px) { .registers { grid-template-columns: max-content minmax(84px, 1fr) max-content 22px }

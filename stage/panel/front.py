@@ -22,8 +22,8 @@ BY_ROWS = ("data write", "mode write")
 
 @dataclass(frozen=True)
 class Button:
-    """A command that can be sent. label: short; title: the sheet's words; symbol, datum: as `Chip.command_cycles` takes them;
-    takes: bits of the data that somebody has to give, 0 for none."""
+    """A command that can be sent. label: short; words: the sheet's; title: all that the map says; symbol, datum: as
+    `Chip.command_cycles` takes them; takes: bits of the data that somebody has to give, 0 for none."""
 
     label: str
     title: str
@@ -32,6 +32,7 @@ class Button:
     evidence: str
     takes: int = 0
     starts: bool = False
+    words: str = ""
 
 
 class Front:
@@ -62,7 +63,7 @@ class Front:
             values = chosen[0].values if len(chosen) == 1 and chosen[0].low == 0 else {}
             for code, title in (w.sends or values).items():
                 label = f"{w.fixed | code:0{w.bits // 4}X}h"
-                yield f"{w.name}: {w.title}", Button(label, title, w.name, code, worst(w.fields))
+                yield f"{w.name}: {w.title}", Button(label, title, w.name, code, worst(w.fields), words=title)
 
     def _of_commands(self) -> Iterator[tuple[str, Button]]:
         for c in self.map.commands:
@@ -70,11 +71,12 @@ class Front:
                 continue
             if c.choice:
                 for k, name in enumerate(c.chooses):
-                    yield c.kind, Button(f"{c.symbol} {name}", f"{c.title} {name}", c.symbol, 1 << k, c.evidence)
+                    title = f"{c.title} {name}"
+                    yield c.kind, Button(f"{c.symbol} {name}", title, c.symbol, 1 << k, c.evidence, words=title)
             else:
                 takes = 0 if "read" in c.kind else 8 * c.bytes
                 title = f"{c.hex}  {c.what}" + (f"; lacking: {c.lacking}" if c.lacking else "")
-                yield c.kind, Button(c.symbol, title, c.symbol, None, c.evidence, takes, c.starts)
+                yield c.kind, Button(c.symbol, title, c.symbol, None, c.evidence, takes, c.starts, c.title)
 
     def _sendable(self, button: Button) -> bool:
         try:
@@ -104,15 +106,12 @@ def shown(register: Register | Word, value: int) -> str:
 
 
 def meant(register: Register | Word, value: int) -> str:
-    """What a value means beside its number: fields in words, or hexadecimal."""
+    """What a value means beside its number: its fields in words, but for what says nothing, or hexadecimal."""
     word = value & (1 << register.bits) - 1
     if not register.fields:
         return f"{word:X}h" if abs(value) > 9 else ""
-    said = [
-        f.says(f.of(word)) or (f"{f.name} = {f.of(word)}" if f.of(word) else "")
-        for f in register.fields
-        if not fixed(f)
-    ]
+    told = [f for f in register.fields if not fixed(f) and f.of(word) != f.silent]
+    said = [f.says(f.of(word)) or (f"{f.name} = {f.of(word)}" if f.of(word) else "") for f in told]
     return ", ".join(text for text in said if text)
 
 
@@ -177,7 +176,7 @@ def lit(field: Field, value: int) -> tuple[str, bool]:
     on = value != (0 if field.silent is None else field.silent)
     if field.high != field.low:
         return f"{field.says(value) or f'{field.name} {value}'}", on
-    return field.values.get(value) or field.meaning or field.name, on
+    return field.says(value) or field.meaning or field.name, on
 
 
 def worst(fields: tuple[Field, ...]) -> str:

@@ -84,6 +84,8 @@ def understand(kind: type[Chip], text: str, axis: int = 0, values: Mapping[str, 
 def _assign(kind: type[Chip], name: str, given: str, axis: int, values: Mapping[str, int]) -> Order:
     whole, _, part = name.partition(".")
     place = _place(kind, whole)
+    if place is None and not part and (cycles := _number_of_several(kind, whole, given, axis)):
+        return Order(cycles)
     if place is None:
         raise ArgumentError(f"no register or word of {kind.MAP.chip} is called {whole!r}.{_near(kind, whole)}")
     if isinstance(place, Register) and "W" not in place.access:
@@ -94,6 +96,15 @@ def _assign(kind: type[Chip], name: str, given: str, axis: int, values: Mapping[
     else:
         value = number(given, place.bits)
     return Order(writes(kind, place, value, axis))
+
+
+def _number_of_several(kind: type[Chip], name: str, given: str, axis: int) -> tuple[Cycle, ...]:
+    """The cycles of a name that the family knows beside its map, such as a number of several registers; () if it does not."""
+    try:
+        kind.register_cycles(name, 0, axis)
+    except (ArgumentError, NotImplementedError):
+        return ()
+    return tuple(Cycle(False, *cycle) for cycle in kind.register_cycles(name, number(given, 32), axis))
 
 
 def writes(kind: type[Chip], place: Register | Word, value: int, axis: int) -> tuple[Cycle, ...]:

@@ -41,7 +41,14 @@ class Panel:
         self.shapes = dict(glb.bodies(session.stage.model))
         app = FastAPI(openapi_url=None)
         app.add_api_route("/shape/{body}.glb", self._shape)
-        ui.run_with(app, root=lambda: page.build(self), title="PulseStage", dark=None, show_welcome_message=False)
+        ui.run_with(
+            app,
+            root=lambda: page.build(self),
+            title="PulseStage",
+            dark=None,
+            show_welcome_message=False,
+            reconnect_timeout=20,
+        )
         names = frozenset(f"{name}:{self.port}" for name in (HERE, "localhost")) if host == HERE else frozenset()
         config = uvicorn.Config(
             Guard(app, names, self.token),

@@ -74,7 +74,7 @@ def test_bytes_that_a_word_has_by_name_carry_its_fixed_bits():
 
 def test_values_are_shown_and_told_as_the_map_says():
     r14, lp = PCL240MS.MAP.register("R14"), MCX514.MAP.register("LP")
-    assert (shown(r14, 0x9005), meant(r14, 0x1000)) == ("9005h", "FH correction: on, linear ramps")
+    assert (shown(r14, 0x9005), meant(r14, 0x1000)) == ("9005h", "linear ramps")
     assert (shown(lp, -20), meant(lp, -20)) == ("-20", "FFFFFFECh")
     linear = PCL240MS.MAP.field("R14", "linear")
     assert with_field(0x8005, linear, 1) == 0x9005
@@ -99,6 +99,7 @@ def writes(*cycles):
         (PCL240K, "operate 15h", writes((0, 0x15))),
         (PCL240MS, "R14.linear <- 1", writes((0, 0x94), (2, 0x10), (1, 5))),
         (HCTL1100, "mode 3", writes((5, 3))),
+        (HCTL1100, "final_position <- -2", writes((0x2B, 0xFF), (0x2A, 0xFF), (0x29, 0xFE))),
         (MCX514, "DRVRL", writes((0, 0x0450))),
         (MCX514, "dv 8000", writes((6, 8000), (7, 0), (0, 0x0405))),
         (MCX514, "WR3 <- 4", writes((0, 0x041F), (3, 4))),
