@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from nicegui import ui
 
-from stage.panel import axes, chips, console, scene, transport
+from stage.panel import axes, chips, console, guide, scene, transport
 
 if TYPE_CHECKING:
     from stage.panel.server import Panel
@@ -24,6 +24,7 @@ def build(panel: Panel) -> None:
             axes.build(panel)
         with ui.element("div").classes("desk") as desk:
             controlled.append(desk)
+            guide.build(panel)
             console.build(panel)
             chips.build(panel)
 

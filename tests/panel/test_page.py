@@ -107,3 +107,11 @@ def test_a_phone_shows_one_column(address, browser):
         assert abs(left[0] - left[1]) < 2
     finally:
         driver.set_window_size(1400, 1000)
+
+
+def test_the_tour_waits_for_the_users_own_action(browser):
+    browser.click("tour")
+    browser.until(lambda: browser.text("tour-title").startswith("1 of 6: First pulse"))
+    browser.click("tour-skip")
+    browser.until(lambda: browser.text("tour-title").startswith("2 of 6: Ramp"))
+    assert browser.text("tour-task")
