@@ -16,15 +16,17 @@ if TYPE_CHECKING:
     from stage.sim.axis import Axis
     from stage.sim.stage import Stage
 
-LONGEST = 4000  # slices of a drive that are remembered
+SAMPLE = 0.0199  # s of simulated time over which a rate is taken, at least: a slice at the usual speed
+LONGEST = 4000  # rates of a drive that are remembered
 STEADY = 0.03  # of a rate: as much is constant
-PLATEAU = 3  # slices of a constant rate, at least
+PLATEAU = 3  # rates that are equal, at least
+QUIET = 0.08  # s without a pulse end a drive; asking the chip would take a bus cycle
 TOGETHER = 0.1  # s: ends of axes that are one
 
 
 @dataclass
 class Drive:
-    """One drive of an axis, from rest to rest. rates: pulses a second in each slice, without a sign; org: its switch was on;
+    """One drive of an axis, from rest to rest. rates: pulses a second, without a sign, every SAMPLE; org: its switch was on;
     before: it began before the step that waits."""
 
     rates: list[float] = field(default_factory=list)
@@ -108,7 +110,10 @@ class Tour:
         self.lost |= lost != self._lost_at_first.setdefault(axis.name, lost)
         if now < then:  # somebody went back in time
             self._under_way.pop(axis.name, None)
-        elif now > then:
+        elif now - then < SAMPLE:
+            self._nets.setdefault(axis.name, (net, now))
+            return
+        else:
             drive = self._under_way.get(axis.name)
             if net != before and drive is None:
                 drive = self._under_way[axis.name] = Drive(began=then)
@@ -117,8 +122,8 @@ class Tour:
                 if net != before:
                     drive.rates.append(abs(net - before) / (now - then))
                     del drive.rates[:-LONGEST]
-                elif not axis.chip.busy(axis.chip_axis):
                     drive.ended = now
+                elif now - drive.ended >= QUIET:
                     del self._under_way[axis.name]
                     if not drive.before:
                         self.finished.append((axis.name, drive))

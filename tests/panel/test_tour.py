@@ -26,7 +26,7 @@ def test_each_step_waits_until_it_has_been_done(chips):
 
         def act(order):
             session.act("an order", lambda stage: order(stage.axes["x"], stage)).result(60)
-            session.act("a pause", lambda stage: stage.run(0.1)).result(60)
+            session.act("a pause", lambda stage: stage.run(0.2)).result(60)
 
         waits_for("First pulse")
         act(lambda x, stage: firmware.move(x, distance=0.001))
@@ -77,14 +77,14 @@ def test_two_rates_and_then_a_line_are_seen_and_nothing_less():
     for _ in range(4):
         tour.skip()
     x.move(3_000, Speeds(1000, 4000, 0.1, 0.1))
-    stage.run(0.1)
+    stage.run(0.2)
     assert tour.step.title == "Dual rate", "one speed is not two"
     x.two_rates(12_000, Speeds(1000, 4000, 0.1, 0.1), 12_000, 0.3)
-    stage.run(0.1)
+    stage.run(0.2)
     assert tour.step.title == "Synchronized move"
     for driver in (x, y):
         driver.move(2_000, Speeds())
-        stage.run(0.1)
+        stage.run(0.2)
     assert tour.step is not None, "one after the other is not together"
     for driver in (x, y):
         driver.start(-2_000, Speeds())
