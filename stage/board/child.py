@@ -35,6 +35,8 @@ LOOK_MS = 500  # hanging up is seen at once, unless a process that the parent ha
 class Samples:
     """Where the engine samples for the parent's recording; the stage takes it for one of its own."""
 
+    FORWARD = True
+
     def __init__(self, shared: Shared):
         self.samples, self.positions, self.filled = shared.samples, shared.positions, 0
 
@@ -147,7 +149,7 @@ class ChildBoard(Board):
         stage.put(link.shared.state)
         self.port_table[:] = go.ports
         stage.state.clockwork[0].sample_every = go.sample_every
-        stage.loop.recording = link.samples if go.sample_every else None  # type: ignore[assignment]
+        stage.loop.recording = link.samples if go.sample_every else None
         link.asks = go.asks
         link.hooked(go.hooks)
 

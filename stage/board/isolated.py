@@ -79,7 +79,7 @@ class Isolated:
         self._running, self._error, self._until = True, None, until
         machine = self._changed()
         asks = sum(1 << k for k, chip in enumerate(stage.chips) if chip.glitches)
-        every = int(stage.state.clockwork[0].sample_every) if stage.recording is not None else 0
+        every = int(stage.state.clockwork[0].sample_every) if stage.loop.recording is not None else 0
         self._shared.keep(stage)
         self._shared.copy(board)
         try:
@@ -180,7 +180,7 @@ class Isolated:
         shared.copy(board, back=True)
         stage.state.edges[: noted.edges] = shared.edges[: noted.edges]
         board.link.take_edges(noted.edges)
-        recording, at = stage.recording, 0
+        recording, at = stage.loop.recording, 0
         while recording is not None and at < noted.samples:
             begin = recording.filled
             end = min(begin + noted.samples - at, len(recording.samples))

@@ -120,7 +120,7 @@ class Link:
             if chip.glitches:
                 asks |= 1 << k
         h["asks"], h["reached"] = asks, stage.now
-        handle.log_to(h, stage.recording)
+        handle.log_to(h, stage.loop.recording)
 
     def end(self) -> None:
         """After compiled code has run: what it noted goes to journals and recording."""
@@ -128,7 +128,7 @@ class Link:
         if n := int(h["noted"]):
             h["noted"] = 0
             self.take_edges(n)
-        if (recording := stage.recording) is not None:
+        if (recording := stage.loop.recording) is not None:
             recording.take(int(h["filled"]))
             h["filled"] = recording.filled
 

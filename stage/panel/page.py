@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from nicegui import ui
 
-from stage.panel import axes, chips, console, guide, scene, transport
+from stage.panel import axes, chart, chips, console, forms, guide, scene, transport
 
 if TYPE_CHECKING:
     from stage.panel.server import Panel
@@ -22,9 +22,11 @@ def build(panel: Panel) -> None:
         with ui.element("div").classes("machine"):
             scene.build(panel)
             axes.build(panel)
+            chart.build(panel)
         with ui.element("div").classes("desk") as desk:
             controlled.append(desk)
             guide.build(panel)
+            forms.build(panel)
             console.build(panel)
             chips.build(panel)
 
@@ -41,5 +43,6 @@ STYLE = """
 .lamp { display: inline-flex; align-items: center; gap: 4px; margin-right: 10px; font-size: 12px; white-space: nowrap }
 .lamp::before { content: ""; width: 10px; height: 10px; border-radius: 50%; background: #8884; box-shadow: inset 0 0 2px #000a }
 .lamp.on::before { background: #ffb020; box-shadow: 0 0 6px #ffb020 }
+.pattern svg { max-width: 100%; height: auto; background: #fff; border-radius: 6px }
 .number { font-variant-numeric: tabular-nums; font-family: ui-monospace, monospace }
 """

@@ -16,6 +16,7 @@ from stage.errors import StageError
 from stage.panel.controls import Controls
 from stage.panel.guard import Guard
 from stage.panel.look import Look
+from stage.panel.sampler import Sampler
 from stage.panel.session import Session
 
 HERE = "127.0.0.1"
@@ -38,6 +39,7 @@ class Panel:
         self._socket = _listening(host, port)
         self.port = self._socket.getsockname()[1]
         self.token = "" if host == HERE else secrets.token_urlsafe(16)
+        self.sampler = Sampler(session)
         self.shapes = dict(glb.bodies(session.stage.model))
         app = FastAPI(openapi_url=None)
         app.add_api_route("/shape/{body}.glb", self._shape)
@@ -81,6 +83,7 @@ class Panel:
         self._server.should_exit = True
         self._thread.join(5)
         self.look.close()
+        self.sampler.close()
 
 
 def _listening(host: str, port: int) -> socket.socket:

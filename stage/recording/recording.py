@@ -92,6 +92,9 @@ class Recording:
         samples, positions, filled: the engine's buffers, (ROWS, axes) SAMPLE and (ROWS, nq), and the rows that it filled.
     """
 
+    FORWARD = True
+    """While it goes on, the stage's time may not go back."""
+
     def __init__(self, model: mujoco.MjModel, axes: Mapping[str, Any], every: float, on_close: Callable[[], None]):
         if not axes:
             raise RecordingError("this stage drives no axis: there is nothing to record.")

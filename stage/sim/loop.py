@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from time import perf_counter
-from typing import TYPE_CHECKING
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -20,9 +20,6 @@ from stage.errors import SimulationError, StageError
 from stage.sim import callbacks, handle, records
 from stage.sim.in_use import token
 from stage.sim.state import POWERED, SAVED, START, State
-
-if TYPE_CHECKING:
-    from stage.recording import Recording
 
 SHORT, LONG = 0.025, 0.1  # s of real time, a piece of a long run takes between them
 FIRST_PIECE = 16  # physics steps
@@ -38,7 +35,8 @@ class Loop:
     Attributes:
         state: the stage's records.
         chips: of the stage.
-        recording: the stage's recording in progress, or None.
+        recording: what the engine samples for: the stage's recording in progress; or whoever looks on without one, with the same
+            buffers and `take`, and FORWARD False: time may go back, and a recording takes his place; or None.
         held: why neither time may pass now nor another state be put in the place of this one; "" where both may.
         keeps: why no other state may be put there, though time may pass; "" where one may.
         pace: who says when time may pass: `pace(until)` is asked before a run to `until` (ns), may wait, let others do something
@@ -48,7 +46,7 @@ class Loop:
     def __init__(self, state: State, chips: Sequence[Chip], power_up: Callable[[], None]):
         """power_up: called where the stage's state was cleared, to bring it to that after power-up."""
         self.state, self.chips = state, chips
-        self.recording: Recording | None = None
+        self.recording: Any = None
         self.held = self.keeps = ""
         self.pace: Callable[[int], int] | None = None
         self._words, self._pointer, self._advance = state.words, state.pointer, handle.advance.c
@@ -68,7 +66,7 @@ class Loop:
     def look(self) -> None:
         """Whoever looks at the stage sees a machine under power, also after mj_resetData, mj_resetDataKeyframe and the like: they
         clear userdata, where chips and drives live. Not in a recording, whose time would run backwards."""
-        if not self._words.item(POWERED) and self.recording is None:
+        if not self._words.item(POWERED) and (self.recording is None or not self.recording.FORWARD):
             self._power_up()
 
     def change(self) -> None:
@@ -154,7 +152,7 @@ class Loop:
         if error is not None:
             raise error
         if status == records.WIPED:
-            if recording is not None:
+            if recording is not None and recording.FORWARD:
                 raise StageError(
                     "the stage's state was cleared (mj_resetData?) in the middle of a recording, whose time runs forward only: "
                     "close the recording; the stage is at power-up then."

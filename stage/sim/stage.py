@@ -385,7 +385,8 @@ class Stage:
     @property
     def recording(self) -> Recording | None:
         """The recording that goes on now."""
-        return self.loop.recording
+        taking = self.loop.recording
+        return taking if taking is not None and taking.FORWARD else None
 
     def record(
         self,

@@ -1,0 +1,204 @@
+"""The oscilloscope on the page: a chart for each unit and a lane for each pin, all drawn by one message a frame."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from nicegui import run, ui
+
+from stage.errors import StageError
+from stage.panel.export import FORMATS
+from stage.panel.oscilloscope import DIAGNOSTIC, LOST, MODES, SPANS, Frame, Scope
+
+if TYPE_CHECKING:
+    from stage.panel.sampler import Trace
+    from stage.panel.server import Panel
+
+POINTS = 300  # columns of pixels that a curve is thinned to
+REDRAWN = 0.1  # s between pictures
+HIGH, LANE, GAP, TOP, FOOT = 130, 18, 22, 8, 26  # pixels: of a chart, of a pin, between, above, below
+INK, FAINT = "#8a94a0", "#8a94a040"
+COLOURS = ("#3b8ee0", "#e0813b", "#3bb273", "#b05bd0", "#d0485b", "#9a8b3a", "#3bb6c4", "#7c8794")
+FREE_RUNNING = {"free": "no trigger", "auto": "auto", "normal": "normal", "single": "single"}
+
+
+def build(panel: Panel) -> None:
+    """One browser's oscilloscope."""
+    if not panel.sampler.traces:
+        return
+    Chart(panel)
+
+
+class Chart:
+    """Controls and picture."""
+
+    def __init__(self, panel: Panel):
+        self.sampler = panel.sampler
+        traces = self.sampler.traces
+        usual = [n for n in traces if n.endswith(("/position", "/rate"))][:4]
+        org = [n for n in traces if n.endswith("/org")][:1]
+        self.scope = Scope(self.sampler, usual + org)
+        self._drawn: tuple | None = None
+        self._frame: Frame | None = None
+        with ui.card().classes("w-full q-pa-sm").props('data-test=scope role=group aria-label="Oscilloscope"'):
+            self._controls(traces)
+            self.chart = ui.echart({}).classes("w-full").props("data-test=chart")
+            self._lay_out()
+        ui.timer(REDRAWN, self._look)
+
+    def _controls(self, traces: dict[str, Trace]) -> None:
+        names = {name: t.title + (f" ({t.unit})" if t.unit else "") for name, t in traces.items()}
+        with ui.row().classes("w-full items-center q-gutter-xs no-wrap-md"):
+            self.run_button = (
+                ui.button("stop", on_click=self._toggle)
+                .props("dense outline no-caps data-test=run")
+                .tooltip("run or stop")
+            )
+            ui.select(_times(), value=self.scope.span, label="window", on_change=lambda e: self._base(e.value)).props(
+                "dense options-dense outlined data-test=span"
+            ).style("min-width: 90px")
+            ui.select(
+                names, value=self.scope.names, label="traces", multiple=True, on_change=lambda e: self._show(e.value)
+            ).props("dense options-dense outlined use-chips data-test=traces").style("min-width: 220px; flex: 1")
+        with ui.row().classes("w-full items-center q-gutter-xs"):
+            self.mode = ui.select(
+                {m: FREE_RUNNING[m] for m in MODES}, value="free", label="trigger", on_change=self._trigger
+            ).props("dense options-dense outlined data-test=mode").style("min-width: 110px")  # fmt: skip
+            self.source = ui.select(
+                {DIAGNOSTIC: DIAGNOSTIC, LOST: LOST, **names}, value=LOST, label="at", with_input=True, on_change=self._trigger
+            ).props("dense options-dense outlined data-test=source").style("min-width: 180px")  # fmt: skip
+            self.edge = (
+                ui.select({True: "rising", False: "falling"}, value=True, label="edge", on_change=self._trigger)
+                .props("dense options-dense outlined data-test=edge")
+                .style("min-width: 90px")
+            )
+            self.level = (
+                ui.number("level", value=0.5, on_change=self._trigger)
+                .props("dense outlined data-test=level debounce=400")
+                .style("width: 90px")
+            )
+            self.state = ui.label().classes("text-caption number").props("data-test=scope-state aria-live=polite")
+            ui.space()
+            for ending in FORMATS:
+                ui.button(ending.upper(), on_click=lambda e=ending: self._export(e)).props(
+                    f"dense flat no-caps data-test=export-{ending}"
+                ).tooltip(f"what the window shows, every sample, as .{ending}")
+
+    # --- controls ---
+
+    def _toggle(self) -> None:
+        self.scope.running = not self.scope.running
+
+    def _base(self, span: float) -> None:
+        self.scope.base(span)
+
+    def _show(self, names: list[str]) -> None:
+        self.scope.show(names)
+        self._lay_out()
+
+    def _trigger(self) -> None:
+        level = self.level.value
+        try:
+            self.scope.trigger(
+                self.mode.value, self.source.value or LOST, self.edge.value, 0.5 if level is None else level
+            )
+        except StageError as error:
+            ui.notify(str(error), type="negative")
+
+    async def _export(self, ending: str) -> None:
+        frame = self._frame
+        if frame is None:
+            return
+        try:
+            data = await run.io_bound(FORMATS[ending], self.sampler, list(self.scope.names), frame.begin, frame.end)
+        except StageError as error:
+            ui.notify(str(error), type="negative")
+            return
+        ui.download.content(data or b"", f"pulsestage-{frame.end:.3f}s.{ending}")
+
+    # --- picture ---
+
+    def _lay_out(self) -> None:
+        """Which chart shows what: anew when the traces change."""
+        chosen = [self.sampler.traces[n] for n in self.scope.names]
+        units = list(dict.fromkeys(t.unit for t in chosen if not t.pin))
+        places = [(unit, HIGH) for unit in units] + [(t.title, LANE) for t in chosen if t.pin]
+        grids, xs, ys, top = [], [], [], TOP
+        hidden = {"axisLine": {"show": False}, "axisTick": {"show": False}}
+        for k, (title, height) in enumerate(places):
+            tall, last = height == HIGH, k == len(places) - 1
+            grids.append({"left": 78, "right": 14, "top": top + (12 if tall else 0), "height": height})
+            top += height + (GAP if tall else 4)
+            line = {"show": False} if not last else {"lineStyle": {"color": INK}}
+            xs.append({"type": "value", "gridIndex": k, "min": 0, "max": 1, "axisLabel": {"show": last, "color": INK},
+                       "axisLine": line, "axisTick": {"show": last}, "splitLine": {"show": tall, "lineStyle": {"color": FAINT}},
+                       "axisPointer": {"label": {"show": last}}})  # fmt: skip
+            names = {"nameLocation": "end" if tall else "middle", "nameRotate": 0, "nameGap": 4 if tall else 40}
+            ys.append({"type": "value", "gridIndex": k, "name": title, "nameTextStyle": {"color": INK, "fontSize": 11},
+                       **names, "scale": tall, "splitNumber": 3, "axisLabel": {"show": tall, "color": INK},
+                       "splitLine": {"show": tall, "lineStyle": {"color": FAINT}},
+                       **({} if tall else {"min": 0, "max": 1.15, **hidden})})  # fmt: skip
+        series, lane = [], len(units)
+        for n, t in enumerate(chosen):
+            at = lane if t.pin else units.index(t.unit)
+            lane += t.pin
+            series.append({"type": "line", "name": t.title, "xAxisIndex": at, "yAxisIndex": at, "showSymbol": False,
+                           "animation": False, "lineStyle": {"width": 1.3}, "data": [],
+                           "color": COLOURS[n % len(COLOURS)],
+                           **({"step": "end", "areaStyle": {"opacity": 0.35}} if t.pin else {})})  # fmt: skip
+        legend = [t.title for t in chosen if not t.pin]
+        self.chart.options.clear()
+        self.chart.options.update(
+            {"animation": False, "grid": grids, "xAxis": xs, "yAxis": ys, "series": series,
+             "legend": {"data": legend, "top": 0, "right": 8, "itemHeight": 8, "textStyle": {"color": INK, "fontSize": 11}},
+             "axisPointer": {"link": [{"xAxisIndex": "all"}]},
+             "tooltip": {"trigger": "axis", "transitionDuration": 0, "confine": True, "textStyle": {"fontSize": 11}}}
+        )  # fmt: skip
+        self.chart.style(f"height: {top + FOOT}px")
+        self.chart.update()
+        self._drawn = None
+
+    def _look(self) -> None:
+        scope = self.scope
+        frame = self._frame = scope.frame(POINTS)
+        running = "stop" if scope.running else "run"
+        if self.run_button.text != running:
+            self.run_button.text = running
+        self.state.text = frame.state if frame.trigger is None else f"{frame.state}, trigger at {frame.trigger:.6f} s"
+        drawn = (frame.begin, frame.end, self.sampler.last if frame.end >= self.sampler.last else None, *scope.names)
+        if drawn != self._drawn:
+            self._drawn = drawn
+            self.chart.run_chart_method("setOption", self._message(frame))
+
+    def _message(self, frame: Frame) -> dict[str, Any]:
+        """The curves and the time below them: s, or ms; from the trigger, where there is one."""
+        short = frame.end - frame.begin < 1
+        k, origin = (1e3 if short else 1.0), frame.trigger or 0.0
+        axes = len(self.chart.options["xAxis"])
+        low, high = _round((frame.begin - origin) * k), _round((frame.end - origin) * k)
+        since = "from the trigger" if frame.trigger is not None else ""
+        unit = f"{'ms' if short else 's'} {since}".strip()
+        x = [{"min": low, "max": high} for _ in range(axes)]
+        if x:
+            x[-1].update(name=unit, nameLocation="middle", nameGap=22, nameTextStyle={"color": INK})  # type: ignore[call-overload]
+        series = []
+        for times, values in frame.curves.values():
+            at = np.round((times - origin) * k, 4 if short else 5)
+            series.append({"data": np.stack([at, _significant(values)], axis=1).tolist()})
+        return {"xAxis": x, "series": series}
+
+
+def _round(value: float) -> float:
+    return round(value, 4)
+
+
+def _significant(values: np.ndarray) -> np.ndarray:
+    """Six digits of the greatest: what a screen can show, in short messages."""
+    top = float(np.max(np.abs(values), initial=0.0))
+    return np.round(np.asarray(values, float), 5 - math.floor(math.log10(top)) if top > 0 else 0)
+
+
+def _times() -> dict[float, str]:
+    return {s: f"{s * 1e3:g} ms" if s < 1 else f"{s:g} s" for s in SPANS}

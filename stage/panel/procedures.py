@@ -1,0 +1,279 @@
+"""Procedures as forms: what each asks for, in the units of the axis, and how it is begun. No page.
+
+    form = FORMS["move"]
+    fields = form.fields(stage, "x")
+    order = form.order(stage, "x", {"distance": "10", "speed": ""})       ArgumentError, or WrongField, says what is wrong
+    session.act("move x", order).result()                                  a report
+
+Empty fields are left to the procedure. Nothing here knows a chip: what can be done comes from its driver.
+"""
+
+from __future__ import annotations
+
+import io
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from math import isfinite, radians
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from stage.errors import ArgumentError, StageError
+from stage.firmware import procedures
+from stage.firmware.driver import Driver, driver_of
+from stage.firmware.report import Procedure
+
+if TYPE_CHECKING:
+    from stage.sim.axis import Axis
+    from stage.sim.stage import Stage
+
+ALL = ""
+"""The axis of a form that is about several."""
+
+
+class Field(NamedTuple):
+    """One value. unit: "" of a number without; choices: what can be had, else a number; default: as text."""
+
+    name: str
+    title: str
+    unit: str = ""
+    default: str = ""
+    choices: tuple[str, ...] = ()
+
+
+class WrongField(ArgumentError):
+    """What somebody typed in `field` cannot be; the text says why."""
+
+    def __init__(self, field: str, text: str):
+        super().__init__(text)
+        self.field = field
+
+
+@dataclass(frozen=True)
+class Form:
+    """A procedure. fields: of an axis by its name, ALL for a form about several; begin: what the stage's thread is to call."""
+
+    name: str
+    title: str
+    fields: Callable[[Stage, str], list[Field]]
+    begin: Callable[[Stage, str, dict[str, Any]], Callable[[Stage], Any]]
+    several: bool = False
+    needs: Callable[[Stage, str], bool] = lambda stage, axis: True
+
+    def order(self, stage: Stage, axis: str, given: Mapping[str, str]) -> Callable[[Stage], Any]:
+        """What `Session.act` takes. Raises WrongField, ArgumentError."""
+        return self.begin(stage, axis, parsed(self.fields(stage, axis), given))
+
+
+def parsed(fields: list[Field], given: Mapping[str, Any]) -> dict[str, Any]:
+    """Values of a form's texts; empty ones are left out. Raises WrongField."""
+    out: dict[str, Any] = {}
+    for field in fields:
+        text = str(given.get(field.name, field.default) or "").strip()
+        if not text:
+            continue
+        if field.choices:
+            if text not in field.choices:
+                raise WrongField(field.name, f"{text!r}: {', '.join(field.choices)}.")
+            out[field.name] = text
+            continue
+        try:
+            out[field.name] = float(text.replace(",", "."))
+        except ValueError:
+            raise WrongField(
+                field.name, f"{text!r} is not a number{f' of {field.unit}' if field.unit else ''}."
+            ) from None
+        if not isfinite(out[field.name]):
+            raise WrongField(field.name, f"{text!r}: a finite number.")
+    return out
+
+
+def scale(axis: Axis) -> tuple[str, float]:
+    """The unit that people use of an axis, and what it is in the stage's."""
+    return ("mm", 1e-3) if axis.unit == "m" else ("deg", radians(1))
+
+
+def where(error: BaseException, fields: list[Field]) -> str:
+    """The field that an error speaks of, or ""."""
+    if isinstance(error, WrongField):
+        return error.field
+    text = str(error)
+    return next((f.name for f in fields if text.startswith((f"{f.name}=", f"{f.name}:"))), "")
+
+
+def _needed(values: dict[str, Any], name: str, what: str) -> Any:
+    if name not in values:
+        raise WrongField(name, f"say {what}.")
+    return values[name]
+
+
+def _speed_fields(axis: Axis) -> list[Field]:
+    unit, _ = scale(axis)
+    fields = [Field("speed", "speed", f"{unit}/s")]
+    if not axis.chip.SERVO:
+        fields.append(Field("start_speed", "start speed", f"{unit}/s"))
+    return [*fields, Field("accel", "ramp", "s", "0.15")]
+
+
+def _speeds(axis: Axis, values: dict[str, Any]) -> dict[str, Any]:
+    _, k = scale(axis)
+    out: dict[str, Any] = {}
+    for name, factor in (("speed", k), ("start_speed", k), ("accel", 1.0)):
+        if name in values:
+            if not values[name] > 0:
+                raise WrongField(name, f"{values[name]:g}: more than 0.")
+            out[name] = values[name] * factor
+    return out
+
+
+def _check(axis: Axis, speeds: Mapping[str, float]) -> Any:
+    """Physical speeds as the driver takes them."""
+    return procedures.speeds(
+        axis, speeds.get("speed"), speeds.get("start_speed"), speeds.get("accel", procedures.RAMP), None, False
+    )
+
+
+# --- move ---
+
+
+def _move_fields(stage: Stage, name: str) -> list[Field]:
+    axis = stage.axes[name]
+    shapes = ("straight", "S-curve")
+    return [Field("distance", "distance", scale(axis)[0], "10"), *_speed_fields(axis),
+            Field("s_curve", "ramps", "", shapes[0], shapes)]  # fmt: skip
+
+
+def _move(stage: Stage, name: str, values: dict[str, Any]) -> Callable[[Stage], Any]:
+    axis = stage.axes[name]
+    distance = _needed(values, "distance", "how far") * scale(axis)[1]
+    speeds, curved = _speeds(axis, values), values.get("s_curve") == "S-curve"
+    return lambda stage: procedures.move(axis, distance, s_curve=curved, **speeds)
+
+
+# --- two rates ---
+
+
+def _two_fields(stage: Stage, name: str) -> list[Field]:
+    axis = stage.axes[name]
+    unit, _ = scale(axis)
+    return [Field("distance", "distance", unit, "40"), Field("speed", "first speed", f"{unit}/s", "20"),
+            Field("fast", "second speed", f"{unit}/s", "40"), Field("dwell", "time at each", "s", "0.2"),
+            Field("accel", "ramp", "s", "0.15")]  # fmt: skip
+
+
+def _two(stage: Stage, name: str, values: dict[str, Any]) -> Callable[[Stage], Any]:
+    axis = stage.axes[name]
+    _, k = scale(axis)
+    pulses = procedures.pulses_of(axis, _needed(values, "distance", "how far") * k, None)
+    fast = _needed(values, "fast", "how fast") * k / (axis.meters_per_pulse or 1.0)
+    dwell, speeds = values.get("dwell", 0.2), _check(axis, _speeds(axis, values))
+    if not fast > 0:
+        raise WrongField("fast", f"{values['fast']:g}: more than 0.")
+    if dwell < 0:
+        raise WrongField("dwell", f"{dwell:g}: 0 s or more.")
+    return lambda stage: driver_of(axis).two_rates(pulses, speeds, fast, dwell)
+
+
+# --- home ---
+
+WAYS = ("minus", "plus")
+
+
+def _home_fields(stage: Stage, name: str) -> list[Field]:
+    axis = stage.axes[name]
+    how = driver_of(axis).homings()
+    return [
+        Field("direction", "origin lies", "", WAYS[0], WAYS),
+        Field("by", "by", "", how[0], how),
+        *_speed_fields(axis),
+    ]
+
+
+def _home(stage: Stage, name: str, values: dict[str, Any]) -> Callable[[Stage], Any]:
+    axis = stage.axes[name]
+    direction, by = (1 if values.get("direction") == "plus" else -1), values.get("by")
+    speeds = _speeds(axis, values)
+    return lambda stage: procedures.home(axis, direction, by=by, **speeds)
+
+
+# --- line ---
+
+
+def _line_fields(stage: Stage, name: str) -> list[Field]:
+    distances = [
+        Field(n, n, scale(a)[0], d) for (n, a), d in zip(stage.axes.items(), ("20", "-7.5", *[""] * 99), strict=False)
+    ]
+    return [*distances, *(f for f in _speed_fields(next(iter(stage.axes.values()))) if f.name != "start_speed")]
+
+
+def _line(stage: Stage, name: str, values: dict[str, Any]) -> Callable[[Stage], Any]:
+    distances = {n: values[n] * scale(a)[1] for n, a in stage.axes.items() if values.get(n)}
+    if len(distances) < 2:
+        missing = next(n for n in stage.axes if n not in distances)
+        raise WrongField(missing, "a line is of two axes or more: give another distance.")
+    speeds = _speeds(next(iter(stage.axes.values())), values)
+    return lambda stage: procedures.line(distances, stage.axes, **speeds)
+
+
+def _two_can(stage: Stage, name: str) -> bool:
+    """Chips of one drive speed would make a plain move of it."""
+    return type(driver_of(stage.axes[name])).two_rates is not Driver.two_rates
+
+
+FORMS: dict[str, Form] = {
+    f.name: f
+    for f in (
+        Form("move", "Move", _move_fields, _move),
+        Form("two_rates", "Two rates", _two_fields, _two, needs=_two_can),
+        Form("home", "Home", _home_fields, _home),
+        Form("line", "Line", _line_fields, _line, several=True, needs=lambda stage, axis: len(stage.axes) > 1),
+    )
+}
+"""Every form by name."""
+
+
+class Jog:
+    """An axis that runs while a button is held: `session.act("jog x", Jog(axis, 1, {"speed": "20"}).order)`, then `release()`.
+
+    Raises WrongField, ArgumentError.
+    """
+
+    def __init__(self, axis: Axis, direction: int, given: Mapping[str, str]):
+        self.axis, self.direction = axis, direction
+        self._speeds = _check(axis, _speeds(axis, parsed(_speed_fields(axis), given)))
+        self._released = threading.Event()
+
+    def release(self) -> None:
+        """The button is let go."""
+        self._released.set()
+
+    def order(self, stage: Stage) -> Any:
+        """Run until the button is let go or something stops it; a report."""
+        driver = driver_of(self.axis)
+        driver.ready(self.direction)
+        with Procedure(self.axis, "jog") as p:
+            driver.run(self.direction, self._speeds)
+            stage.run_until(lambda: self._released.is_set() or not driver.runs(), 1e6)
+            met = "" if driver.runs() else driver.stopped_by()
+            driver.halt()
+            return p.report(met or "decelerating stop")
+
+
+def stopping(axes: list[str], at_once: bool) -> Callable[[Stage], None]:
+    """Stop these axes, with a ramp or at once."""
+
+    def order(stage: Stage) -> None:
+        for name in axes:
+            procedures.stop(stage.axes[name], at_once)
+
+    return order
+
+
+def picture(report: Any) -> str:
+    """The operation pattern of a report as SVG. Raises StageError where matplotlib is not there."""
+    figure = report.plot()
+    if figure is None:
+        raise StageError("this report draws no picture.")
+    out = io.StringIO()
+    figure.savefig(out, format="svg")
+    text = out.getvalue()
+    return text[text.index("<svg") :]

@@ -1,0 +1,107 @@
+"""Triggers find the moment, windows show what lies around it, and files have every sample of it."""
+
+import io
+
+import numpy as np
+import pytest
+
+from stage import Stage, firmware
+from stage.errors import ArgumentError
+from stage.panel.export import FORMATS
+from stage.panel.oscilloscope import BEFORE, DIAGNOSTIC, LOST, Scope
+from stage.panel.sampler import Sampler
+from stage.panel.session import FREE, Session
+from stage.sim import faults
+
+
+@pytest.fixture(scope="module")
+def session():
+    with Session(Stage("xy", visuals=False), speed=FREE, paused=True) as session:
+        yield session
+
+
+@pytest.fixture
+def sampler(session):
+    session.reset()
+    sampler = Sampler(session)
+    yield sampler
+    sampler.close()
+
+
+def hasty(session, what, *given, **more):
+    result = session.do(lambda stage: session._at_once(lambda: what(*given, **more)))
+    session.do(lambda stage: session._publish())
+    return result
+
+
+def test_the_edge_of_a_trace_stands_where_the_trigger_is(session, sampler):
+    scope = Scope(sampler, ["x/rate", "x/position"], span=0.05)
+    hasty(session, session.stage.run, 0.02)
+    scope.trigger("single", "x/rate", True, 8000.0)
+    assert scope.frame(100).state == "waits for the trigger"
+    hasty(session, firmware.move, session.stage.axes["x"], 0.004)
+    frame = scope.frame(100)
+    assert frame.state == "stopped"
+    assert frame.begin == pytest.approx(frame.trigger - BEFORE * 0.05)
+    times, rate = frame.curves["x/rate"]
+    k = np.searchsorted(times, frame.trigger)
+    assert rate[k - 1] < 8000 <= rate[k]
+    hasty(session, firmware.move, session.stage.axes["x"], 0.004)
+    assert scope.frame(100).trigger == frame.trigger  # it was for once
+    scope.running = True
+    assert scope.frame(100).trigger is None
+
+
+def test_lost_steps_and_diagnostics_are_triggers(session, sampler):
+    scope, other = Scope(sampler, ["x/lost_steps"], span=0.1), Scope(sampler, ["x/rate"], span=0.1)
+    scope.trigger("normal", LOST)
+    other.trigger("normal", DIAGNOSTIC)
+    x = session.stage.axes["x"]
+    with session.do(lambda stage: faults.jam(x)) as jam:
+        hasty(session, firmware.move, x, 0.004)
+        hasty(session, x.chip.write, 0, 0x90)
+        hasty(session, session.stage.run, 0.2)
+        frame, said = scope.frame(100), other.frame(100)
+        session.do(lambda stage: jam.mend())
+    times, lost = frame.curves["x/lost_steps"]
+    assert lost[times >= frame.trigger][0] != lost[times < frame.trigger][-1]
+    assert said.trigger == pytest.approx(sampler.events[-1].time)
+
+
+def test_auto_shows_what_there_is_and_time_may_go_back(session, sampler):
+    scope = Scope(sampler, ["x/org"], span=0.01)
+    scope.trigger("auto", "x/org")
+    hasty(session, session.stage.run, 1.5)
+    assert scope.frame(10).end == pytest.approx(sampler.last)
+    session.reset()
+    session.do(lambda stage: session._publish())
+    hasty(session, session.stage.run, 0.02)
+    assert scope.frame(10).end <= 0.03
+
+
+def test_a_window_that_cannot_be_is_refused(sampler):
+    with pytest.raises(ArgumentError, match=r"0\.001 to 60"):
+        Scope(sampler, [], span=100)
+    with pytest.raises(ArgumentError, match="free, auto"):
+        Scope(sampler).trigger("sometimes")
+
+
+def test_files_have_what_the_window_shows(session, sampler):
+    hasty(session, firmware.move, session.stage.axes["x"], 0.002)
+    names = ["x/position", "x/pout" if "x/pout" in sampler.traces else "x/org"]
+    times, values = sampler.columns(names, 0.01, 0.11)
+    data = {ending: write(sampler, names, 0.01, 0.11) for ending, write in FORMATS.items() if ending in ("csv", "vcd")}
+    rows = np.genfromtxt(io.BytesIO(data["csv"]), delimiter=",", skip_header=1)
+    assert data["csv"].startswith(b"time (s),x position (mm),")
+    assert np.allclose(rows[:, 0], times, atol=1e-6)
+    assert np.allclose(rows[:, 1], values["x/position"], rtol=1e-8)
+    assert b"$var real 64" in data["vcd"]
+    with pytest.raises(ArgumentError, match="choose a trace"):
+        FORMATS["csv"](sampler, [], 0, 1)
+
+
+@pytest.mark.slow
+def test_pictures_and_series_of_a_window(session, sampler):
+    hasty(session, session.stage.run, 0.05)
+    assert FORMATS["png"](sampler, ["x/position", "x/org"], 0, 1).startswith(b"\x89PNG")
+    assert FORMATS["rrd"](sampler, ["x/position"], 0, 1).startswith(b"RRF")

@@ -1,0 +1,129 @@
+"""What charts see is what the stage did, in memory that does not grow, also when time goes back."""
+
+import numpy as np
+import pytest
+
+from stage import Stage, firmware
+from stage.errors import ArgumentError
+from stage.panel import sampler as sampling
+from stage.panel.sampler import Ring, Sampler, thinned
+from stage.panel.session import FREE, Session
+from stage.sim.records import SAMPLE
+
+
+@pytest.fixture(scope="module")
+def session():
+    with Session(Stage("xy", visuals=False), speed=FREE, paused=True) as session:
+        yield session
+
+
+@pytest.fixture
+def sampler(session):
+    session.reset()
+    sampler = Sampler(session)
+    yield sampler
+    sampler.close()
+
+
+def run(session, seconds):
+    session.do(lambda stage: session._at_once(stage.run, seconds))
+    looked(session)
+
+
+def looked(session):
+    session.do(lambda stage: session._publish())  # and everybody has had his look
+
+
+def test_samples_are_those_of_a_recording(session, sampler):
+    """Position, rate, a pin: equal to what a recording of the same program has, at its times."""
+
+    def program(stage):
+        session._at_once(firmware.move, stage.axes["x"], 0.002)
+
+    session.act("move", program).result(30)
+    twin = Stage("xy", visuals=False)
+    with twin.record(every=2.5e-4) as recording:
+        firmware.move(twin.axes["x"], 0.002)
+    times, seen = sampler.columns(["x/position", "x/rate", "x/org"], 0, 1.0)
+    n = len(times)
+    assert n > 500
+    assert np.array_equal(times, recording.column("time")[:n])
+    assert np.array_equal(seen["x/position"], recording.column("x/position")[:n] * 1e3)  # mm
+    assert np.array_equal(seen["x/rate"], recording.column("x/rate")[:n])
+    assert np.array_equal(seen["x/org"], recording.column("x/org")[:n])
+    assert seen["x/rate"].max() > 5000
+
+
+def test_time_may_go_back(session, sampler):
+    run(session, 0.01)
+    snapshot = session.do(lambda stage: stage.snapshot())
+    run(session, 0.02)
+    session.restore(snapshot)
+    looked(session)
+    assert sampler.last <= 0.0101
+    run(session, 0.01)
+    times, _ = sampler.columns([], 0, 1.0)
+    assert np.all(np.diff(times) > 0)
+    assert times[-1] == pytest.approx(0.02, abs=3e-4)
+    session.reset()
+    looked(session)
+    assert len(sampler.columns([], 0, 1.0)[0]) <= 1
+
+
+def test_a_recording_takes_its_place_and_gives_it_back(session, sampler):
+    with session.do(lambda stage: stage.record()) as recording:
+        run(session, 0.01)
+        assert len(recording) == 10
+        times, _ = sampler.columns([], 0, 1.0)
+        assert times[-1] == pytest.approx(0.01, abs=1.1e-3)
+        session.do(lambda stage: recording.close())
+    looked(session)
+    run(session, 0.01)
+    assert sampler.last == pytest.approx(0.02, abs=3e-4)
+    assert session.stage.recording is None
+
+
+def test_diagnostics_are_events(session, sampler):
+    axis = session.stage.axes["x"]
+    session.do(lambda stage: axis.chip.write(0, 0x90))
+    looked(session)
+    said = session.do(lambda stage: [d.message for d in axis.chip.diagnostics])
+    assert said
+    assert [e.text.split(": ", 1)[1] for e in sampler.events] == said
+
+
+def test_wrong_names_are_said_with_near_misses(sampler):
+    with pytest.raises(ArgumentError, match="x/position"):
+        sampler.columns(["x/positon"], 0, 1)
+
+
+def test_a_ring_forgets_what_is_old():
+    ring = Ring(10, 2)
+    for k in range(7):
+        rows = np.zeros((4, 2), SAMPLE)
+        rows["time"] = (4 * k + np.arange(4))[:, None]
+        rows["lost_steps"] = [[k, 10 * k]] * 4
+        ring.extend(rows)
+    assert (ring.first, ring.last) == (18, 27)
+    a, b = ring.find(20), ring.find(26)
+    assert list(ring.times(a, b)) == [20, 21, 22, 23, 24, 25]
+    assert list(ring.axis(1, a, b)["lost_steps"]) == [50] * 4 + [60] * 2
+    ring.forget_from(24.0)
+    assert ring.last == 23
+
+
+def test_thinning_keeps_every_peak():
+    values = np.zeros(100_000)
+    values[[3, 77_777]] = 1, -2
+    times, v = thinned(np.arange(100_000.0), values, 300)
+    assert len(v) <= 600
+    assert (v.max(), v.min()) == (1, -2)
+    assert np.all(np.diff(times) >= 0)
+    assert times[v.argmin()] == 77_777
+
+
+def test_traces_of_a_stage_have_units(sampler):
+    assert sampler.traces["x/position"].unit == "mm"
+    assert sampler.traces["y/org"].pin
+    assert "x/current_a" in sampler.traces
+    assert sampling.LONGEST == 60
