@@ -17,7 +17,7 @@ import numpy as np
 from stage.chips import Chip, Diagnostic, contract, cores
 from stage.chips.describe import LONGEST, decode
 from stage.chips.journal import Replay
-from stage.chips.register_map import Word
+from stage.chips.register_map import Command, Word
 from stage.errors import ArgumentError, StageError
 from stage.testing.hands import (
     Act,
@@ -593,7 +593,8 @@ def register_cycles(t: Trial) -> None:
 def command_cycles(t: Trial) -> None:
     """command_cycles: every command is sent by cycles that the bus has, where the family says how"""
     map_ = t.kind.MAP
-    for what in (*map_.commands, *(w for w in map_.words if w.written)):
+    sent: list[Command | Word] = [*map_.commands, *(w for w in map_.words if w.written)]
+    for what in sent:
         name = what.name if isinstance(what, Word) else what.symbol
         takes = isinstance(what, Word) or what.choice or (what.bytes and "read" not in what.kind)
         try:
