@@ -76,10 +76,10 @@ class Procedures:
         controls: dict[str, Any] = {}
         with ui.row().classes("w-full items-start q-gutter-xs"):
             for field in fields:
-                controls[field.name] = _control(form.name, field)
+                controls[field.name] = entry(form.name, field)
 
             async def go() -> None:
-                _clear(controls)
+                clear(controls)
                 values = {name: c.value for name, c in controls.items()}
                 try:
                     order = form.order(self.session.stage, self.axis, values)
@@ -121,7 +121,7 @@ class Procedures:
         fields = [f for f in FORMS["move"].fields(self.session.stage, self.axis) if f.name in ("speed", "accel")]
         with ui.row().classes("w-full items-start q-gutter-xs"):
             for field in fields:
-                controls[field.name] = _control("jog", field)
+                controls[field.name] = entry("jog", field)
             for direction, sign in ((-1, "-"), (1, "+")):
                 button = ui.button(f"{self.axis} {sign}").props(
                     f'no-caps data-test=jog-{"plus" if direction > 0 else "minus"} aria-label="jog {self.axis} {sign}, while held"'
@@ -136,7 +136,7 @@ class Procedures:
     async def _press(self, direction: int, fields: list[Field], controls: dict[str, Any]) -> None:
         if self._jog is not None:
             return  # a key that repeats
-        _clear(controls)
+        clear(controls)
         try:
             jog = self._jog = Jog(
                 self.session.stage.axes[self.axis], direction, {n: c.value for n, c in controls.items()}
@@ -168,7 +168,7 @@ class Procedures:
         """At the field that it is about; else below."""
         field = procedures.where(error, fields)
         if field:
-            controls[field].props(f"error error-message={_quoted(str(error))}")
+            said_at(controls[field], error)
             self._say("")
         else:
             self._say(str(error), wrong=True)
@@ -178,7 +178,8 @@ class Procedures:
         self.said.classes(add="text-negative") if wrong else self.said.classes(remove="text-negative")
 
 
-def _control(form: str, field: Field) -> Any:
+def entry(form: str, field: Field) -> Any:
+    """An input or a choice for a field."""
     props = f"dense outlined hide-bottom-space data-test={form}-{field.name}"
     if field.choices:
         control: Any = ui.select(list(field.choices), value=field.default, label=field.title)
@@ -187,9 +188,15 @@ def _control(form: str, field: Field) -> Any:
     return control.style("width: 118px")
 
 
-def _clear(controls: dict[str, Any]) -> None:
+def clear(controls: dict[str, Any]) -> None:
+    """No errors at the fields."""
     for control in controls.values():
         control.props(remove="error error-message")
+
+
+def said_at(control: Any, error: BaseException) -> None:
+    """The error stands at its field."""
+    control.props(f"error error-message={_quoted(str(error))}")
 
 
 def _quoted(text: str) -> str:

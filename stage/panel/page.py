@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from nicegui import ui
 
-from stage.panel import axes, chart, chips, console, forms, guide, scene, transport
+from stage.panel import axes, chart, chips, console, forms, guide, scene, touch, transport
 
 if TYPE_CHECKING:
     from stage.panel.server import Panel
@@ -27,6 +27,7 @@ def build(panel: Panel) -> None:
             controlled.append(desk)
             guide.build(panel)
             forms.build(panel)
+            touch.build(panel)
             console.build(panel)
             chips.build(panel)
 

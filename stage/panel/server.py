@@ -15,6 +15,7 @@ from typing import Any
 from stage.errors import StageError
 from stage.panel.controls import Controls
 from stage.panel.guard import Guard
+from stage.panel.hands import Hands
 from stage.panel.look import Look
 from stage.panel.sampler import Sampler
 from stage.panel.session import Session
@@ -39,7 +40,7 @@ class Panel:
         self._socket = _listening(host, port)
         self.port = self._socket.getsockname()[1]
         self.token = "" if host == HERE else secrets.token_urlsafe(16)
-        self.sampler = Sampler(session)
+        self.sampler, self.hands = Sampler(session), Hands(session)
         self.shapes = dict(glb.bodies(session.stage.model))
         app = FastAPI(openapi_url=None)
         app.add_api_route("/shape/{body}.glb", self._shape)
@@ -84,6 +85,7 @@ class Panel:
         self._thread.join(5)
         self.look.close()
         self.sampler.close()
+        self.hands.close()
 
 
 def _listening(host: str, port: int) -> socket.socket:

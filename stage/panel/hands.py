@@ -1,0 +1,227 @@
+"""`Hands`: what somebody does to the machine itself: break it, load it, push it. No page.
+
+    hands = Hands(session)
+    hands.breakings("x")                                what can break on axis x, with the fields of each
+    hands.make("switch_stuck", "x", {"pin": "org", "closed": "yes"})
+    hands.in_force                                      what is broken now; hands.mend(hands.in_force[0])
+    hands.push("x", 5.0), hands.push("x", 0.0)          N on the carriage, as long as it is not taken away
+
+What can break, and what it asks for, is read from the functions of stage.sim.faults and their signatures: a new one is there by
+itself.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from stage.errors import ArgumentError, StageError, unknown
+from stage.panel.procedures import Field, WrongField, parsed
+from stage.sim import faults
+from stage.sim.faults import Fault
+
+if TYPE_CHECKING:
+    from stage.panel.session import Session
+    from stage.sim.stage import Stage
+
+YES, NO = "yes", "no"
+UNITS = {"seconds": "s", "volts": "V", "force": "N"}
+SAME = frozenset({"body"})  # parameters that stay what they are without anybody's word
+
+
+class Breaking(NamedTuple):
+    """Something that can break. title: in words; whole: of the stage and not of an axis; fields: what it asks for."""
+
+    name: str
+    title: str
+    whole: bool
+    fields: list[Field]
+
+
+@dataclass
+class Made:
+    """A fault in force, and how it was made."""
+
+    fault: Fault
+    make: Callable[[], Fault]
+    key: str = ""
+
+    @property
+    def text(self) -> str:
+        """What it is."""
+        return self.fault.text
+
+
+def functions() -> dict[str, Callable[..., Fault]]:
+    """Everything of stage.sim.faults that makes a fault, by name."""
+    return {
+        name: f
+        for name, f in vars(faults).items()
+        if inspect.isfunction(f) and not name.startswith("_") and inspect.signature(f).return_annotation == "Fault"
+    }
+
+
+class Hands:
+    """Of a session. Its methods may be called from any thread; they last until the stage's thread has done it."""
+
+    def __init__(self, session: Session):
+        self.session = session
+        self._made: list[Made] = []
+        self._pushed: dict[str, float] = {}
+        self._over = session.on_slice(self._look)
+
+    # --- faults ---
+
+    @property
+    def in_force(self) -> list[Made]:
+        """What has been broken here and is so still, in its order."""
+        return [m for m in tuple(self._made) if m.fault.in_force]
+
+    def breakings(self, axis: str) -> list[Breaking]:
+        """What can break on an axis, and of the stage as a whole."""
+        out = []
+        for name, function in functions().items():
+            first, *rest = inspect.signature(function).parameters.values()
+            fields = [self._field(axis, p) for p in rest if p.name not in SAME]
+            text = (inspect.getdoc(function) or name).split("\n\n")[0].replace("\n", " ").replace("`", "")
+            title = name.replace("_", " ")
+            out.append(Breaking(name, f"{title}: {text}", first.annotation == "Stage", fields))
+        return out
+
+    def make(self, name: str, axis: str, given: Mapping[str, str], key: str = "") -> Made:
+        """Break it, now. key: takes the place of what was made by the same key. Raises WrongField, ArgumentError."""
+        known = functions()
+        if name not in known:
+            raise unknown("fault", name, known)
+        breaking = next(b for b in self.breakings(axis) if b.name == name)
+        numbers = {f.name for f in breaking.fields if not f.choices}
+        parameters = inspect.signature(known[name]).parameters
+        values: dict[str, Any] = {}
+        texts = {
+            n: _decimal(n, str(t)) if n in numbers and "int" in parameters[n].annotation else t
+            for n, t in given.items()
+        }
+        for field, value in parsed(breaking.fields, texts).items():
+            whole = "int" in parameters[field].annotation
+            if whole and value != int(value):
+                raise WrongField(field, f"{value:g}: a whole number.")
+            values[field] = {YES: True, NO: False}.get(value, int(value) if whole else value)
+        for parameter in parameters.values():
+            if (
+                parameter.name in {f.name for f in breaking.fields} - set(values)
+                and parameter.default is parameter.empty
+            ):
+                raise WrongField(parameter.name, "say what.")
+        stage = self.session.stage
+        where: Any = stage if breaking.whole else stage.axes[axis]
+        return self.session.do(lambda stage: self._make(lambda: known[name](where, **values), key))
+
+    def mend(self, made: Made) -> None:
+        """Mend it, now. What was broken later is broken still: it is mended before, and broken again."""
+        self.session.do(lambda stage: self._mend(made))
+
+    def _make(self, make: Callable[[], Fault], key: str) -> Made:
+        before = next((m for m in self.in_force if key and m.key == key), None)
+        if before is not None:
+            self._mend(before)
+        made = Made(make(), make, key)
+        self._made = [*self.in_force, made]
+        return made
+
+    def _mend(self, made: Made) -> None:
+        standing = self.in_force
+        if made not in standing:
+            return
+        later = standing[standing.index(made) + 1 :]
+        for m in (*reversed(later), made):
+            m.fault.mend()
+        for m in later:
+            m.fault = m.make()
+        self._made = self.in_force
+
+    def _field(self, axis: str, p: inspect.Parameter) -> Field:
+        default = "" if p.default in (p.empty, None) else str(p.default)
+        choices: tuple[str, ...] = ()
+        if p.annotation == "bool":
+            choices, default = (YES, NO), YES
+        elif p.name == "pin":
+            choices = tuple(s.pin for s in self.session.stage.axes[axis].plant.switches)
+        elif p.name == "phase":
+            choices = tuple(faults.PHASES)
+        if choices and default not in choices:
+            default = choices[0]
+        return Field(p.name, p.name, UNITS.get(p.name, ""), default, choices)
+
+    # --- load and push ---
+
+    @property
+    def payload(self) -> float | None:
+        """kg on the carriage; None where the model has no place for it."""
+        try:
+            return self.session.do(lambda stage: stage.payload())
+        except StageError:
+            return None
+
+    def load(self, mass: float) -> None:
+        """So many kg on the carriage. Raises ArgumentError."""
+        self.session.do(lambda stage: stage.set_payload(mass))
+
+    @property
+    def supply(self) -> float:
+        """V that the drives have, of the first axis."""
+        return next(iter(self.session.stage.axes.values())).supply
+
+    def supply_all(self, volts: float) -> None:
+        """The supply of all drives is so many V; what it was made with mends it. Raises ArgumentError."""
+        stage = self.session.stage
+        nominal = next(iter(stage.axes.values())).drive.bus_voltage
+
+        def order(stage: Stage) -> None:
+            if volts == nominal:
+                for made in [m for m in self.in_force if m.key == "supply"]:
+                    self._mend(made)
+            else:
+                self._make(lambda: faults.bus_voltage(stage, volts), "supply")
+
+        self.session.do(order)
+
+    def push(self, axis: str, force: float) -> None:
+        """A force, N (N m on a hinge), on the carriage from now on; 0 takes the hand away. Raises ArgumentError."""
+        if not abs(force) < 1e6:
+            raise ArgumentError(f"force={force!r}: N (N m on a hinge), less than 1e6; the sign is the direction.")
+        dof = self.session.stage.axes[axis].plant.dof
+
+        def order(stage: Stage) -> None:
+            stage.change()
+            self._pushed[axis] = force
+            stage.data.qfrc_applied[dof] = force
+
+        self.session.do(order)
+
+    def _look(self, stage: Stage) -> None:
+        """After each slice: a snapshot in which somebody pushed pushes on no more."""
+        for axis, force in self._pushed.items():
+            dof = stage.axes[axis].plant.dof
+            if stage.data.qfrc_applied[dof] != force:
+                stage.data.qfrc_applied[dof] = force
+
+    def close(self) -> None:
+        """Let go. What is broken stays so."""
+        self._over()
+        for axis in self._pushed:
+            self.push(axis, 0.0)
+
+
+def _decimal(field: str, text: str) -> str:
+    """10h and 0x10 as decimal text; others as they are."""
+    text = text.strip()
+    try:
+        if text.lower().startswith("0x"):
+            return str(int(text, 16))
+        if text.lower().endswith("h"):
+            return str(int(text[:-1], 16))
+    except ValueError:
+        raise WrongField(field, f"{text!r} is not a number: 16, 0x10 or 10h.") from None
+    return text

@@ -1,0 +1,167 @@
+"""Hands on the machine, on the page: load, supply, push, everything that can break, and what is broken now."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from nicegui import run, ui
+
+from stage.errors import StageError
+from stage.panel import procedures
+from stage.panel.forms import clear, entry, said_at
+from stage.panel.hands import Breaking, Hands, Made
+
+if TYPE_CHECKING:
+    from stage.panel.server import Panel
+
+HEAVIEST = 10.0  # kg on the slider
+
+
+def build(panel: Panel) -> None:
+    """One browser's hands."""
+    axes = list(panel.session.stage.axes)
+    if axes:
+        Touch(panel.hands, axes)
+
+
+class Touch:
+    """Sliders, a form for each thing that can break, and the list with "mend"."""
+
+    def __init__(self, hands: Hands, axes: list[str]):
+        self.hands, self.axis = hands, axes[0]
+        self._listed: list[tuple[Made, str]] | None = None
+        with (
+            ui.expansion("Hands on the machine", icon="back_hand")
+            .classes("w-full")
+            .props("data-test=hands dense header-class=text-weight-medium")
+        ):
+            with ui.row().classes("w-full items-center q-gutter-md"):
+                self._sliders()
+            with ui.row().classes("w-full items-center q-gutter-xs"):
+                ui.toggle(axes, value=self.axis, on_change=lambda e: self._choose(e.value)).props(
+                    "dense no-caps data-test=hands-axis"
+                )
+                self.force = (
+                    ui.number("push with", value=10, min=0)
+                    .props("dense outlined suffix=N data-test=force")
+                    .style("width: 110px")
+                )
+                for sign, label in ((-1, "push -"), (1, "push +")):
+                    self._push_button(sign, label)
+            self.box = ui.row().classes("w-full items-start q-gutter-xs")
+            self.list = ui.column().classes("w-full q-gutter-none").props("data-test=in-force aria-live=polite")
+        ui.context.client.on_disconnect(lambda: run.io_bound(self._let_go))
+        self._pushes = ""
+        self._choose(self.axis)
+        ui.timer(0.25, self._look)
+
+    def _sliders(self) -> None:
+        nominal = self.hands.supply
+        mass = self.hands.payload
+        for name, low, high, step, value, unit, does in (
+            ("payload", 0.0, max(HEAVIEST, mass or 0), 0.1, mass, "kg", self.hands.load),
+            ("supply", 1.0, round(2 * nominal), 0.5, nominal, "V", self.hands.supply_all),
+        ):
+            if value is None:
+                continue
+            with ui.column().classes("q-gutter-none").style("width: 200px"):
+                text = (
+                    ui.label(f"{name} {value:g} {unit}").classes("text-caption number").props(f"data-test={name}-value")
+                )
+
+                async def change(
+                    e: Any, name: str = name, unit: str = unit, does: Any = does, text: ui.label = text
+                ) -> None:
+                    try:
+                        await run.io_bound(does, float(e.args))
+                    except StageError as error:
+                        ui.notify(str(error), type="negative")
+                    else:
+                        text.text = f"{name} {float(e.args):g} {unit}"
+
+                slider = ui.slider(min=low, max=high, step=step, value=value)
+                slider.props(f"data-test={name} aria-label='{name}, {unit}'").on("change", change)
+
+    def _push_button(self, sign: int, label: str) -> None:
+        button = ui.button(label).props(
+            f"dense no-caps data-test=push-{'plus' if sign > 0 else 'minus'} aria-label='{label}, while held'"
+        )
+        button.style("touch-action: none; user-select: none")
+        for event in ("pointerdown", "keydown.space.prevent", "keydown.enter.prevent"):
+            button.on(event, lambda e: self._push(sign))
+        for event in ("pointerup", "pointerleave", "pointercancel", "blur", "keyup"):
+            button.on(event, lambda e: run.io_bound(self._let_go))
+
+    async def _push(self, sign: int) -> None:
+        if self._pushes:
+            return
+        self._pushes = self.axis
+        try:
+            await run.io_bound(self.hands.push, self.axis, sign * (self.force.value or 0.0))
+        except StageError as error:
+            ui.notify(str(error), type="negative")
+
+    def _let_go(self) -> None:
+        axis, self._pushes = self._pushes, ""
+        if axis:
+            self.hands.push(axis, 0.0)
+
+    def _choose(self, axis: str) -> None:
+        self.axis = axis
+        self.box.clear()
+        with self.box:
+            breakings = {b.name: b for b in self.hands.breakings(axis)}
+            titles = {name: name.replace("_", " ") for name in breakings}
+            chosen = ui.select(titles, value=next(iter(titles)), label="what breaks").props(
+                "dense options-dense outlined data-test=breaking"
+            )
+            chosen.style("min-width: 150px")
+            form = ui.row().classes("items-start q-gutter-xs")
+            text = ui.label().classes("text-caption w-full")
+
+            def show() -> None:
+                form.clear()
+                text.text = breakings[chosen.value].title
+                with form:
+                    self._form(breakings[chosen.value])
+
+            chosen.on_value_change(show)
+            show()
+
+    def _form(self, breaking: Breaking) -> None:
+        controls = {f.name: entry("break", f) for f in breaking.fields}
+
+        async def go() -> None:
+            clear(controls)
+            given = {name: c.value for name, c in controls.items()}
+            try:
+                await run.io_bound(self.hands.make, breaking.name, self.axis, given)
+            except StageError as error:
+                field = procedures.where(error, breaking.fields)
+                if field:
+                    said_at(controls[field], error)
+                else:
+                    ui.notify(str(error), type="negative", multi_line=True)
+
+        ui.button("break it", on_click=go).props("dense no-caps color=deep-orange-9 data-test=break").classes("q-mt-xs")
+
+    def _look(self) -> None:
+        """The list of what is broken, where it has changed."""
+        now = [(made, made.text) for made in self.hands.in_force]
+        if now == self._listed:
+            return
+        self._listed = now
+        self.list.clear()
+        with self.list:
+            for made, text in now:
+                with ui.row().classes("items-center q-gutter-xs"):
+                    ui.icon("warning", color="deep-orange")
+                    ui.label(text)
+                    ui.button("mend", on_click=lambda m=made: run.io_bound(self.hands.mend, m)).props(
+                        f"dense flat no-caps data-test=mend aria-label={mending(text)}"
+                    )
+
+
+def mending(text: str) -> str:
+    """As the value of a prop."""
+    return '"mend ' + text.replace('"', "'") + '"'

@@ -1,0 +1,120 @@
+"""Hands on the machine: what breaks is what stage.sim.faults makes, and mending leaves the machine as it was."""
+
+import pytest
+
+from stage import Stage
+from stage.errors import ArgumentError
+from stage.panel.hands import Hands, functions
+from stage.panel.procedures import WrongField
+from stage.panel.session import FREE, Session
+
+
+@pytest.fixture(scope="module")
+def session():
+    with Session(Stage("xy", visuals=False), speed=FREE, paused=True) as session:
+        yield session
+
+
+@pytest.fixture
+def hands(session):
+    session.reset()
+    hands = Hands(session)
+    yield hands
+    for made in reversed(hands.in_force):
+        hands.mend(made)
+    hands.close()
+
+
+def test_everything_that_can_break_is_offered_with_what_it_asks_for(hands):
+    breakings = {b.name: b for b in hands.breakings("x")}
+    assert set(breakings) == set(functions()) >= {"jam", "bounce", "phase_open", "bus_voltage", "lost_write", "payload"}
+    pin, closed = breakings["switch_stuck"].fields
+    assert "org" in pin.choices
+    assert closed.choices == ("yes", "no")
+
+
+@pytest.mark.parametrize(
+    ("name", "given"),
+    [
+        ("switch_stuck", {"pin": "org", "closed": "yes"}), ("vane_missing", {"pin": "org"}),
+        ("bounce", {"pin": "org", "toggles": "4"}), ("jam", {"force": ""}), ("bus_voltage", {"volts": "12"}),
+        ("phase_open", {"phase": "b"}), ("start_skew", {"seconds": "0.01"}), ("lost_write", {"address": "0", "value": "10h"}),
+    ],
+)  # fmt: skip
+def test_each_can_be_made_and_mended(hands, session, name, given):
+    made = hands.make(name, "x", given)
+    assert session.stage.faults == (made.text,)
+    hands.mend(made)
+    assert session.stage.faults == ()
+    assert hands.in_force == []
+
+
+def test_a_stuck_switch_is_seen(hands, session):
+    hands.make("switch_stuck", "x", {"pin": "org", "closed": "yes"})
+    assert session.do(lambda stage: stage.axes["x"].switches.org)
+
+
+def test_what_broke_first_may_be_mended_first(hands, session):
+    """24 V, then 12, then 8: mending the first leaves 8, mending both 24 again."""
+    x = session.stage.axes["x"]
+    nominal = x.supply
+    first, second = hands.make("bus_voltage", "x", {"volts": "12"}), hands.make("bus_voltage", "x", {"volts": "8"})
+    hands.mend(first)
+    assert x.supply == 8
+    hands.mend(second)
+    assert x.supply == nominal
+
+
+def test_a_push_moves_the_carriage_and_ends_with_the_hand(hands, session):
+    def after(seconds):
+        session.do(lambda stage: session._at_once(stage.run, seconds))
+        session.do(lambda stage: session._publish())
+        return session.do(lambda stage: stage.axes["x"].position)
+
+    rest = after(0.05)
+    snapshot_before = session.do(lambda stage: stage.snapshot())
+    hands.push("x", 20.0)
+    pushed = after(0.05)
+    assert pushed > rest + 1e-6  # against the motor's holding torque
+    while_pushed = session.do(lambda stage: stage.snapshot())
+    hands.push("x", 0.0)
+    session.restore(while_pushed)
+    assert after(0.2) == pytest.approx(rest, abs=0.3 * (pushed - rest))
+    session.restore(snapshot_before)
+
+
+def test_load_and_supply(hands, session):
+    hands.load(2.0)
+    assert hands.payload == 2.0
+    hands.load(0.0)
+    nominal = hands.supply
+    hands.supply_all(12.0)
+    hands.supply_all(10.0)
+    assert {a.supply for a in session.stage.axes.values()} == {10.0}
+    assert len(hands.in_force) == 1
+    hands.supply_all(nominal)
+    assert hands.in_force == []
+    assert hands.supply == nominal
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "field"),
+    [
+        ("bounce", {"pin": "org", "toggles": "2.5"}, "toggles"),
+        ("bounce", {"pin": "ogr"}, "pin"),
+        ("bus_voltage", {}, "volts"),
+        ("lost_write", {"value": "1Gh"}, "value"),
+    ],
+)
+def test_what_is_wrong_is_said_at_its_field(hands, name, given, field):
+    with pytest.raises(WrongField) as wrong:
+        hands.make(name, "x", given)
+    assert wrong.value.field == field
+    assert hands.in_force == []
+
+
+def test_what_the_fault_refuses_is_passed_on(hands):
+    with pytest.raises(ArgumentError, match="volts=900"):
+        hands.make("bus_voltage", "x", {"volts": "900"})
+    with pytest.raises(ArgumentError, match="jam"):
+        hands.make("jamm", "x", {})
