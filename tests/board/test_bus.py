@@ -267,6 +267,11 @@ def test_a_card_tells_which_of_its_chips_pull_the_interrupt_line():
     assert fewer.in8(0x34C) == 0b10, "the card has room for three, whatever is on it"
 
 
+def test_a_card_has_no_room_for_one_chip_more():
+    with pytest.raises(ArgumentError, match="room for 3 chips, and this stage has 4"):
+        Board(Stage(rail_model(4), chips=PCL240K, visuals=False), layout="pcl240-card")
+
+
 @pytest.mark.parametrize(
     ("settings", "said"),
     [

@@ -108,6 +108,15 @@ def test_a_search_looks_ahead_and_then_acts_as_if_it_had_not():
     assert env.step(best)[1] != max(foreseen), "the next move is another"
 
 
+def test_a_vector_gives_no_snapshot_before_each_of_its_stages_has_an_episode():
+    envs = vector("stage/RegisterTuning-v0", 2)
+    envs.reset(seed=1, options={"reset_mask": np.array([True, False])})
+    with pytest.raises(ArgumentError, match=r"no episode .*call reset\(\) first"):
+        envs.snapshot()
+    envs.reset(options={"reset_mask": np.array([False, True])})
+    envs.restore(envs.snapshot())
+
+
 def test_a_snapshot_that_does_not_belong_here_is_refused_and_changes_nothing(tmp_path):
     id_ = "stage/RegisterBus-v0"
     env = make(id_)
