@@ -164,10 +164,10 @@ STYLE = """
 .part .q-item { min-height: 24px; padding: 2px 0; font-size: 12px }
 .part .nicegui-expansion-content { padding: 0 0 4px 0 }
 .section { font-size: 11px; text-transform: uppercase; letter-spacing: .06em; opacity: .7; margin-right: 10px }
-.registers { display: grid; grid-template-columns: max-content minmax(92px, 130px) max-content minmax(0, 1fr) 22px;
-  column-gap: 10px; row-gap: 2px; align-items: center; font-size: 12px }
-@media (max-width: 600px) { .registers { grid-template-columns: max-content minmax(84px, 1fr) max-content 22px }
-  .registers .meaning { grid-column: 2 / -1; margin-bottom: 4px } }
+.registers { display: grid; column-gap: 10px; row-gap: 2px; align-items: center; font-size: 12px;
+  grid-template-columns: max-content minmax(92px, 130px) fit-content(110px) 22px minmax(0, 1fr) }
+@media (max-width: 600px) { .registers { grid-template-columns: max-content minmax(84px, 1fr) fit-content(90px) 22px }
+  .registers .meaning { grid-column: 1 / -1; margin-bottom: 6px } }
 .registers .name { font-family: ui-monospace, monospace; font-weight: 600 }
 .registers .unit { opacity: .7 }
 .registers .meaning { overflow-wrap: anywhere; line-height: 1.25 }

@@ -48,13 +48,13 @@ class Row:
         else:
             send = ui.button("send", on_click=lambda: self._enter(self._value.value or ""))
             send.props(f'flat dense no-caps size=sm data-test="send-{mark}"')
+        letter = place.evidence if isinstance(place, Register) else worst(place.fields)
+        ui.label(letter).classes("evidence").props["title"] = evidence(letter)
         with ui.element("div").classes("meaning"):
             ui.label(place.title if register or not place.note else place.text)
             self._says = ui.element("small").classes("words" if place.fields else "")
             with self._says:
                 self._words = ui.label()
-        letter = place.evidence if isinstance(place, Register) else worst(place.fields)
-        ui.label(letter).classes("evidence").props["title"] = evidence(letter)
 
     def forget(self) -> None:
         """Another axis is shown: nothing flashes for that."""
@@ -123,7 +123,7 @@ class Row:
                     if not fixed(field):
                         self._fields.append((field, self._field(field)))
             own = next(k for k, child in enumerate(here) if child is self._says.parent_slot.parent)  # type: ignore[union-attr]
-            self._area.move(parent, own + 2)
+            self._area.move(parent, own + 1)
 
     def _field(self, field: Field) -> Any:
         now = field.of(self._held or 0)
@@ -169,7 +169,7 @@ class WordRow:
 
     def __init__(self, word: Word):
         self._word, self._held = word, -1
-        with ui.element("div").classes("word"):
+        with ui.element("div").classes("word") as self._line:
             head = ui.label().classes("number").style("display: inline; margin-right: 10px")
             head.props["title"] = word.text
             self._head = head
@@ -185,8 +185,9 @@ class WordRow:
 
     def look(self, values: Mapping[str, int]) -> None:
         """Show what is held now."""
-        value = values.get(self._word.name, 0)
-        if value == self._held:
+        value = values.get(self._word.name)
+        self._line.set_visibility(value is not None)
+        if value is None or value == self._held:
             return
         self._held = value
         self._head.text = f"{self._word.name} {shown(self._word, value)}"
