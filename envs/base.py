@@ -21,6 +21,7 @@ from stage.envs.results import DIVERGED as DIVERGED
 from stage.envs.settings import Number
 from stage.envs.task import MoveTask, Task, checked, configured
 from stage.errors import ArgumentError, unknown
+from stage.snapshots import Header
 
 RENDER_MODES = ("rgb_array", "rgb_array_list", "human")
 FPS = 30  # of simulated time
@@ -108,6 +109,16 @@ class StageEnv(gymnasium.Env[np.ndarray, Any]):
     def entries(self) -> list[Entry]:
         """What each number of an observation is, and whether a host could know it: see entries.py."""
         return self._task.entries
+
+    @property
+    def told(self) -> tuple[Entry, ...]:
+        """What `info` tells beside the observation, and whether a host could know it."""
+        return (*self._task.TOLD,)
+
+    @property
+    def header(self) -> Header:
+        """What its snapshots are taken of, in words."""
+        return keeping.header(self._task)
 
     def scripted(self) -> Any:
         """The next action by a host that learns nothing, where the task has one; ArgumentError where not."""
@@ -281,6 +292,16 @@ class StageVectorEnv(VectorEnv[np.ndarray, Any, np.ndarray]):
     def entries(self) -> list[Entry]:
         """What each number of one environment's observation is, and whether a host could know it: see entries.py."""
         return self._task.entries
+
+    @property
+    def told(self) -> tuple[Entry, ...]:
+        """What `info` tells beside the observation, and whether a host could know it."""
+        return (*self._task.TOLD,)
+
+    @property
+    def header(self) -> Header:
+        """What its snapshots are taken of, in words."""
+        return keeping.header(self._task)
 
     def scripted(self) -> np.ndarray:
         """The next actions by a host that learns nothing, where the task has one; ArgumentError where not."""

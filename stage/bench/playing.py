@@ -50,7 +50,7 @@ def play(
             "the track tools counts tokens: give cost tokens=N, or the policy a dict `cost` with tokens, which it counts."
         )
     around = Around(card.name, env.action_space, env.observation_space, tuple(e.name for e in env.entries), env)
-    unseen = frozenset() if track == "truth" else hidden(env._task.TOLD, False)
+    unseen = frozenset() if track == "truth" else hidden(env.told, False)
     wanted = some(seeds(card, split, round_), episodes)
     steps: list[int] = []
     actions: list[np.ndarray] = []

@@ -11,7 +11,6 @@ from typing import Any
 
 import stage
 import stage.envs
-from stage.envs import keeping
 from stage.native import COMPILED, load
 
 PACKAGES = ("pulsestage", "mujoco", "numpy", "gymnasium")
@@ -35,7 +34,7 @@ def _processor() -> str:
 def made_of(env: Any) -> dict[str, str]:
     """What an environment (or a vector of them) consists of, in words: that of its snapshots, of the compiled sources, and of the
     rules, which are the sources of stage.envs."""
-    parts = {what: which for what, which in keeping.header(env._task).parts if what != "stages"}
+    parts = {what: which for what, which in env.header.parts if what != "stages"}
     manifest = load.manifest_of(Path(stage.__file__).parent / load.NAME)
     compiled = _digest(json.dumps(manifest["sources"], sort_keys=True).encode()) if manifest else "none"
     rules = sorted(Path(stage.envs.__file__).parent.glob("*.py"))

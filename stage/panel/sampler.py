@@ -260,7 +260,7 @@ class Sampler:
 
     def _detach(self, stage: Stage) -> None:
         if stage.loop.recording is self:
-            stage._stop_recording()
+            stage.stop_recording()
 
     # --- from any thread ---
 

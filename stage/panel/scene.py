@@ -50,12 +50,11 @@ def build(panel: Panel) -> None:
         seen[:] = view.qpos
         data.qpos[:] = view.qpos
         mujoco.mj_kinematics(model, data)
-        with scene._batch_calls():
-            for body, group in moving.items():
-                where = (*data.xpos[body].round(6), *data.xmat[body].round(6))
-                if placed.get(body) != where:
-                    placed[body] = where
-                    group.move(*data.xpos[body].tolist())
-                    group.rotate_R(data.xmat[body].reshape(3, 3).tolist())
+        for body, group in moving.items():
+            where = (*data.xpos[body].round(6), *data.xmat[body].round(6))
+            if placed.get(body) != where:
+                placed[body] = where
+                group.move(*data.xpos[body].tolist())
+                group.rotate_R(data.xmat[body].reshape(3, 3).tolist())
 
     ui.timer(1 / FRAMES, look)

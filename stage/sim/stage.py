@@ -413,7 +413,7 @@ class Stage:
         state = self.state
         steps = max(1, round(every * 1e9 / state.dt))
         dt = state.dt * 1e-9
-        recording = self.loop.recording = Recording(self.model, self.axes, steps * dt, self._stop_recording)
+        recording = self.loop.recording = Recording(self.model, self.axes, steps * dt, self.stop_recording)
         recording.note_host(self)
         handle.log_to(state.handle, recording)
         if self._faults:
@@ -428,7 +428,8 @@ class Stage:
                 raise
         return recording
 
-    def _stop_recording(self) -> None:
+    def stop_recording(self) -> None:
+        """Whoever records, or looks at samples as they come, does so no longer. `Recording.close` is the usual way."""
         self.loop.recording = None
         handle.log_to(self.state.handle, None)
         self.state.clockwork[0].sample_every = 0

@@ -67,8 +67,8 @@ class WatchedStage(Stage):
         finally:
             self._go_on()
 
-    def _stop_recording(self) -> None:
-        super()._stop_recording()
+    def stop_recording(self) -> None:
+        super().stop_recording()
         if self._own is not None:  # not by `_give_way`: there is no room for more
             self._own, self._watched = None, False
         self._go_on()
