@@ -61,6 +61,7 @@ from stage.envs.settings import (
     Truths,
     Weight,
     Word,
+    Words,
 )
 from stage.envs.task import MoveTask, carrier
 from stage.errors import ArgumentError, unknown
@@ -91,7 +92,7 @@ class Config(Settings):
     torques: Annotated[Pair, Range(0.1, high=2.0)] | None = None  # times the nominal torque constant
     drifts: Annotated[Pair, Range(0.0, high=0.5)] | None = None  # electrical turns; of no effect here
     payload_on: AxisName | None = None  # body or site; None: site "work", else the body that the axis moves
-    faults: tuple[str, ...] | None = None  # names of faulty.FAULTS
+    faults: Annotated[tuple[str, ...], Words(tuple(faulty.FAULTS))] | None = None
     healthy: Annotated[float, Number(high=1.0)] = 0.6  # share of machines without a fault
     walk: Annotated[float, Number(high=1e-3)] = 2e-5  # m
     noise: Annotated[float, Number(high=1e-3)] = 5e-6  # m
@@ -113,9 +114,6 @@ class Config(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in self.faults or ():
-            if name not in faulty.FAULTS:
-                raise unknown("fault", name, faulty.FAULTS)
         if not contexts.setting(self, "faults") and self.healthy < 1:
             raise ArgumentError(f"faults=(): name some of {', '.join(faulty.NAMES[1:])}, or say healthy=1.0.")
 

@@ -144,6 +144,23 @@ class Names:
             raise ArgumentError(f"{name}={value!r}: {few} or more different names, for example ('x', 'y').")
 
 
+@dataclass(frozen=True)
+class Words:
+    """Any of some words, each once at most."""
+
+    allowed: tuple[str, ...]
+
+    def check(self, name: str, value: Any) -> None:
+        """Raise ArgumentError, unless it takes the value of this setting."""
+        if isinstance(value, str) or not isinstance(value, Sequence):
+            raise ArgumentError(f"{name}={value!r}: some of {', '.join(self.allowed)}, as ({self.allowed[0]!r},).")
+        for word in value:
+            if word not in self.allowed:
+                raise unknown(f"word of {name}", word, self.allowed)
+        if len(set(value)) != len(value):
+            raise ArgumentError(f"{name}={value!r}: each once.")
+
+
 Pair = tuple[float, float]
 Positive = Annotated[float, Number(above=True)]
 Seconds = Annotated[float, Number(above=True, high=LONGEST)]

@@ -136,7 +136,7 @@ def test_splits_have_faults_of_their_own_and_most_machines_none():
     assert names["train"] == set(contexts.SPLITS["train"]["faults"])
     assert names["faults"] == set(contexts.SPLITS["faults"]["faults"])
     assert not names["train"] & names["faults"]
-    with pytest.raises(ArgumentError, match=r"fault 'org opn'.*Did you mean 'org open'"):
+    with pytest.raises(ArgumentError, match=r"faults 'org opn'.*Did you mean 'org open'"):
         Config(faults=("org opn",))
     with pytest.raises(ArgumentError, match="option fault 'rust'"):
         env.reset(options={"fault": "rust"})
