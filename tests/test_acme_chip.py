@@ -51,6 +51,17 @@ def test_a_chip_whose_starts_go_less_far_is_asked_for_no_more():
     assert asked[0] > 50 == asked[1]
 
 
+def test_it_takes_as_many_pulses_down_as_it_took_up():
+    chip = chip_class("acme1000")()
+    for name, value in {"START": 1000, "DRIVE": 3000, "SLOPE": 20, "COUNT": 900}.items():
+        for cycle in chip.register_cycles(name, value):
+            chip.write(*cycle)
+    chip.write(0, chip.MAP.command("MOVE+").code)
+    while not chip.state["slowing"]:
+        chip.advance(chip.clock_hz // 20_000)  # at most one pulse
+    assert chip.values()["COUNT"] == chip.state["climbed"] > 100
+
+
 def test_it_moves_jogs_and_goes_home(stage_):
     stage_.reset()
     stage_.place(x=-0.115)

@@ -159,6 +159,16 @@ def test_on_a_stage_it_counts_where_the_carriage_is(x):
     assert values["X_ENC"] == pytest.approx(25_600, abs=120)
 
 
+@pytest.mark.parametrize("way", [1, -1])
+def test_a_deviation_is_told_beyond_its_limit_and_not_at_it(chip, way):
+    put(chip, ENC_DEVIATION=20, X_ENC=20 * way)
+    chip.advance(100)
+    assert not chip.values()["ENC_STATUS"] & DEVIATION
+    put(chip, X_ENC=21 * way)
+    chip.advance(100)
+    assert chip.values()["ENC_STATUS"] & DEVIATION
+
+
 def test_a_jammed_motor_deviates_and_says_so_at_diag0(x):
     put(x.chip, ENC_CONST=steps_an_edge(x), ENC_DEVIATION=600)
     firmware.move(x, 2e-3)
