@@ -250,6 +250,10 @@ def test_a_build_by_another_numba_or_a_link_that_fails_leaves_nothing(tmp_path, 
 
     write(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
+    for name in [
+        name for name in sys.modules if name.partition(".")[0] == "toy"
+    ]:  # of another test, elsewhere, and built
+        monkeypatch.delitem(sys.modules, name)
     for found in ("0.59.0", "0.99.0", "1.0"):
         monkeypatch.setattr(build, "version", lambda name, found=found: found)
         with pytest.raises(
