@@ -56,7 +56,28 @@ def _seeds(seed: Any, n: int) -> list[int | None]:
     return [None if s is None else int(s) for s in seed]
 
 
-class StageEnv(gymnasium.Env[np.ndarray, Any]):
+class _OfTask:
+    """What the scalar and the vector environment say of their task alike."""
+
+    _task: Task
+
+    @property
+    def entries(self) -> list[Entry]:
+        """What each number of one environment's observation is, and whether a host could know it: see entries.py."""
+        return self._task.entries
+
+    @property
+    def told(self) -> tuple[Entry, ...]:
+        """What `info` tells beside the observation, and whether a host could know it."""
+        return (*self._task.TOLD,)
+
+    @property
+    def header(self) -> Header:
+        """What its snapshots are taken of, in words."""
+        return keeping.header(self._task)
+
+
+class StageEnv(_OfTask, gymnasium.Env[np.ndarray, Any]):
     """One stage under a task.
 
     Args:
@@ -104,21 +125,6 @@ class StageEnv(gymnasium.Env[np.ndarray, Any]):
     def stage(self) -> Stage:
         """The stage itself, for inspection."""
         return self._task.stages[0]
-
-    @property
-    def entries(self) -> list[Entry]:
-        """What each number of an observation is, and whether a host could know it: see entries.py."""
-        return self._task.entries
-
-    @property
-    def told(self) -> tuple[Entry, ...]:
-        """What `info` tells beside the observation, and whether a host could know it."""
-        return (*self._task.TOLD,)
-
-    @property
-    def header(self) -> Header:
-        """What its snapshots are taken of, in words."""
-        return keeping.header(self._task)
 
     def scripted(self) -> Any:
         """The next action by a host that learns nothing, where the task has one; ArgumentError where not."""
@@ -249,7 +255,7 @@ class StageEnv(gymnasium.Env[np.ndarray, Any]):
         return self.__dict__ | {"_viewer": None, "_recording": None}
 
 
-class StageVectorEnv(VectorEnv[np.ndarray, Any, np.ndarray]):
+class StageVectorEnv(_OfTask, VectorEnv[np.ndarray, Any, np.ndarray]):
     """Many stages under a task, on threads, without the GIL: the same bits as as many scalar environments.
 
     Args:
@@ -287,21 +293,6 @@ class StageVectorEnv(VectorEnv[np.ndarray, Any, np.ndarray]):
     def stages(self) -> list[Stage]:
         """The stages themselves."""
         return self._task.stages
-
-    @property
-    def entries(self) -> list[Entry]:
-        """What each number of one environment's observation is, and whether a host could know it: see entries.py."""
-        return self._task.entries
-
-    @property
-    def told(self) -> tuple[Entry, ...]:
-        """What `info` tells beside the observation, and whether a host could know it."""
-        return (*self._task.TOLD,)
-
-    @property
-    def header(self) -> Header:
-        """What its snapshots are taken of, in words."""
-        return keeping.header(self._task)
 
     def scripted(self) -> np.ndarray:
         """The next actions by a host that learns nothing, where the task has one; ArgumentError where not."""

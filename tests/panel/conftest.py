@@ -8,6 +8,10 @@ import time
 
 import pytest
 
+from stage import Stage
+from stage.panel.sampler import Sampler
+from stage.panel.session import FREE, Session
+
 ARGUMENTS = (
     "--headless=new", "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
     "--window-size=1400,1000",
@@ -90,3 +94,19 @@ def browser(address):
     browser = Browser(address)
     yield browser
     browser.driver.quit()
+
+
+@pytest.fixture(scope="module")
+def session():
+    """Of xy, where time stands still until a test lets it pass."""
+    with Session(Stage("xy", visuals=False), speed=FREE, paused=True) as session:
+        yield session
+
+
+@pytest.fixture
+def sampler(session):
+    """Of that session, at power-up."""
+    session.reset()
+    sampler = Sampler(session)
+    yield sampler
+    sampler.close()

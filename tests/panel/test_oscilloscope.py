@@ -5,27 +5,11 @@ import io
 import numpy as np
 import pytest
 
-from stage import Stage, firmware
+from stage import firmware
 from stage.errors import ArgumentError
 from stage.panel.export import FORMATS
 from stage.panel.oscilloscope import BEFORE, DIAGNOSTIC, LOST, Scope
-from stage.panel.sampler import Sampler
-from stage.panel.session import FREE, Session
 from stage.sim import faults
-
-
-@pytest.fixture(scope="module")
-def session():
-    with Session(Stage("xy", visuals=False), speed=FREE, paused=True) as session:
-        yield session
-
-
-@pytest.fixture
-def sampler(session):
-    session.reset()
-    sampler = Sampler(session)
-    yield sampler
-    sampler.close()
 
 
 def hasty(session, what, *given, **more):

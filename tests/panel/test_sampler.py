@@ -6,23 +6,8 @@ import pytest
 from stage import Stage, firmware
 from stage.errors import ArgumentError
 from stage.panel import sampler as sampling
-from stage.panel.sampler import Ring, Sampler, thinned
-from stage.panel.session import FREE, Session
+from stage.panel.sampler import Ring, thinned
 from stage.sim.records import SAMPLE
-
-
-@pytest.fixture(scope="module")
-def session():
-    with Session(Stage("xy", visuals=False), speed=FREE, paused=True) as session:
-        yield session
-
-
-@pytest.fixture
-def sampler(session):
-    session.reset()
-    sampler = Sampler(session)
-    yield sampler
-    sampler.close()
 
 
 def run(session, seconds):
