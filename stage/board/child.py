@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from stage.board import crash, scratch
+from stage.board import crash, handlers, scratch
 from stage.board.board import Board
 from stage.board.interrupts import ANY_LINE
 from stage.board.link import NOTED, Link
@@ -222,6 +222,7 @@ def _first_to_go() -> None:
 def main(fileno: int) -> None:
     """Run the firmware that comes over this end of a pipe, until the parent is gone."""
     fileno = _out_of_the_way(fileno)
+    handlers.keep_timers_away()
     begun: list[Begin] = []
     threading.Thread(target=_ends_with, args=(os.getppid(), fileno, begun), name="parent", daemon=True).start()
     _first_to_go()

@@ -14,6 +14,20 @@ _NUMBERS = (
     sorted({int(n) for n in signal.valid_signals()} - {int(signal.SIGKILL), int(signal.SIGSTOP)}) if crash.HERE else []
 )
 _DEFAULT, _IGNORE = 0, 1
+TIMERS = (
+    {signal.SIGALRM, signal.SIGVTALRM, signal.SIGPROF, *range(signal.SIGRTMIN, signal.SIGRTMAX + 1)} if crash.HERE else set()
+)
+"""The signals of setitimer, of alarm, and those that timer_create can be given."""
+
+
+def keep_timers_away() -> None:
+    """No timer of the firmware interrupts this thread: a handler that makes a bus cycle in the middle of Python would break it."""
+    signal.pthread_sigmask(signal.SIG_BLOCK, TIMERS)
+
+
+def let_timers_in() -> None:
+    """They interrupt this thread: the firmware's."""
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, TIMERS)
 
 
 class Handlers:

@@ -123,6 +123,7 @@ class Hooks:
     def _called(self, source: int | None) -> None:
         """Compiled code calls."""
         link = self._link
+        before, link.record["in_python"] = int(link.record["in_python"]), 1
         try:
             link.end()  # the hook may write to a chip itself: journals want what was before it first
             try:
@@ -131,6 +132,7 @@ class Hooks:
                 link.begin()
         except BaseException as error:
             link.fail(error)
+        link.record["in_python"] = before
 
     # --- what went wrong, in words ---
 

@@ -64,7 +64,7 @@ the device in Python that it reached raised an error."""
 
 HOST = record(
     handle.HANDLE_FIELDS
-    + [("inside", "i8")]
+    + [(name, "i8") for name in "inside in_python".split()]
     + [(name, "i8") for name in "regions n_regions ports n_ports lines line_room traced changed".split()]
     + [(name, "i8") for name in "until lazy ahead quiet cycles most_cycles stopped twice call".split()]
     + [(name, "i8") for name in "sources level looked on_lines raised watched due".split()]
@@ -77,6 +77,8 @@ HOST = record(
 )
 """A stage's handle, and
     inside                     whether a request is being answered, see stage.sim.in_use; not while Python or a hook is called
+    in_python                  whether Python is being called: what the firmware requests then comes from a handler of signals or
+                               another thread, and calling Python once more would break it
     regions, ports             the table of ports, and what of the bus it is about
     lines, line_room, traced, changed   the trace, a ring; lines so far, and how many there were after the last write
     until, most_cycles         when (ns), and after how many cycles, to call Python; cycles: so far
@@ -151,4 +153,6 @@ def call_out(h, function, argument):
 @hot
 def ask(h, reason):
     """Call Python about `reason`."""
+    before, h.in_python = h.in_python, 1
     call_out(h, h.call, reason)
+    h.in_python = before

@@ -258,7 +258,7 @@ class Link:
         self.record["stopped"] = 1
         self._left.append(self._rows)
         self.move_to(self._rows.copy())
-        self.record["stopped"] = self.record["inside"] = 0
+        self.record["stopped"] = self.record["inside"] = self.record["in_python"] = 0
         self.hooks.move_to(self.hooks.sources.copy())
         self.hooks.without_firmware()
         self.stand_still = None

@@ -12,7 +12,7 @@ import threading
 import time
 from pathlib import Path
 
-from stage.board import bus, crash, exits, host, whereabouts
+from stage.board import bus, crash, exits, handlers, host, whereabouts
 from stage.board.board import Board
 from stage.board.devices.own import CDevice
 from stage.board.errors import HostError
@@ -132,10 +132,14 @@ class Threaded:
         code, failed, board, others = 0, None, self._board, native_threads()
         top = bus.here.c()
         board.link.record["stack_low"], board.link.record["stack_high"] = top - STACK, top + NEAR
+        if self._may_exit:
+            handlers.let_timers_in()
         try:
             code = int(loaded.main())
         except Exception as error:
             failed = error
+        if self._may_exit:
+            handlers.keep_timers_away()
         del exits.leavers[me]
         if threading.current_thread() in board.link.abandoned:
             return
