@@ -373,7 +373,7 @@ def answer(h, what, a, b):
 @exported("i8", HOST, "i4", "i8", "i8")
 def request(h, what, a, b):
     """int64_t request(void *host, int32_t what, int64_t a, int64_t b): what hosts call."""
-    if h.in_python and what < FROM_PYTHON or not enter(h):
+    if (h.in_python and what < FROM_PYTHON) or not enter(h):
         if what < FROM_PYTHON:
             h.twice = 1
         return TWO_AT_ONCE

@@ -15,7 +15,9 @@ _NUMBERS = (
 )
 _DEFAULT, _IGNORE = 0, 1
 TIMERS = (
-    {signal.SIGALRM, signal.SIGVTALRM, signal.SIGPROF, *range(signal.SIGRTMIN, signal.SIGRTMAX + 1)} if crash.HERE else set()
+    {signal.SIGALRM, signal.SIGVTALRM, signal.SIGPROF, *range(signal.SIGRTMIN, signal.SIGRTMAX + 1)}
+    if crash.HERE
+    else set()
 )
 """The signals of setitimer, of alarm, and those that timer_create can be given."""
 
