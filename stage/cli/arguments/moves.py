@@ -1,0 +1,73 @@
+"""demo, home, move, dual-rate, sync."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from stage.cli.arguments.options import command, place, plot, ramps, speeds, stage_and_outputs
+
+
+def add(commands: Any) -> None:
+    """These commands."""
+    p = command(
+        commands, "demo", "demo:run", "origin return, dual-rate and a:b moves; writes demo.rrd",
+        "Home all axes, make a dual-rate move and an a:b move, print a table and write a recording.",
+    )  # fmt: skip
+    stage_and_outputs(p)
+    p.set_defaults(default_record="demo.rrd")
+    p.add_argument("--no-view", action="store_true", help="do not open the viewer even where there is a screen")
+    p = command(
+        commands, "home", "moves:home", "origin return",
+        "Origin return: find ORG fast (slowed by SD), back off, approach it again slowly.",
+    )  # fmt: skip
+    p.add_argument("axes", nargs="*", metavar="AXIS", help="axes to home, one after the other (default: all)")
+    p.add_argument("--plus", action="store_true", help="search towards plus (default: minus)")
+    p.add_argument("--constant", action="store_true", help="constant-speed return at FL")
+    p.add_argument("--fast-only", action="store_true", help="without back-off and slow approach")
+    p.add_argument(
+        "--by", metavar="HOW",
+        help="what to home by: switch, index (the encoder's index pulse after it), or what else the chip has, as stall",
+    )  # fmt: skip
+    p.add_argument("--ez", type=int, metavar="N", help="end at the N-th index pulse after ORG (PCL240MK, PCL240MS)")
+    place(p)
+    speeds(p)
+    plot(p)
+    stage_and_outputs(p)
+    p = command(
+        commands, "move", "moves:move", "a move by pulses, or by a distance",
+        "Move by a number of pulses, or a distance, and stop on the last one. On a PCL-240 a preset move: R0 counts the pulses "
+        "down, the ramp-down point R6 is set by the data sheet's formula, or found by the chip itself where it can.",
+    )  # fmt: skip
+    p.add_argument("axis", metavar="AXIS")
+    p.add_argument(
+        "distance", metavar="DISTANCE", help="pulses (of a servo counts), or 10mm, 30deg; the sign is the direction"
+    )
+    p.add_argument("--constant", action="store_true", help="constant speed, no ramps")
+    place(p)
+    speeds(p)
+    ramps(p)
+    plot(p)
+    stage_and_outputs(p)
+    p = command(
+        commands, "dual-rate", "moves:dual_rate", "FL to FH1 to FH2 and back in one move",
+        "A dual-rate move: ramp to FH1, in motion on to FH2 (or down to it), then stop on the pulse.",
+    )  # fmt: skip
+    p.add_argument("axis", metavar="AXIS")
+    p.add_argument("distance", metavar="DISTANCE", help="pulses, or 10mm, 30deg; the sign is the direction")
+    place(p)
+    speeds(p)
+    plot(p)
+    stage_and_outputs(p)
+    p = command(
+        commands, "sync", "moves:sync", "several axes along a straight line, in the ratio a:b",
+        "A synchronized move: registers in the ratio of the distances, equal ramp times, one start after the other.",
+    )  # fmt: skip
+    p.add_argument(
+        "distances", nargs="+", metavar="AXIS=DISTANCE", help="for example x=20000 y=-7500, or x=10mm y=-2mm"
+    )
+    p.add_argument("--rate", type=float, help="pulse rate of the longest axis, pps")
+    p.add_argument("--fl", type=float, help="start rate of the longest axis, pps")
+    p.add_argument("--accel", type=float, help="seconds of ramp")
+    ramps(p)
+    plot(p)
+    stage_and_outputs(p)

@@ -1,0 +1,115 @@
+"""What commands have in common: groups of options."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from typing import Any
+
+PCL240 = ("PCL240K", "PCL240MK", "PCL240MS")
+
+
+ALL = (*PCL240, "MCX514", "MCX512", "MCX501", "MCX314AS", "MCX304", "MCX302", "MCX312", "HCTL1100")
+
+
+def command(commands: Any, name: str, run: str, help_: str, description: str) -> argparse.ArgumentParser:
+    """A subcommand whose work is the function `module:function`, imported when it runs."""
+    p = commands.add_parser(name, help=help_, description=description)
+
+    def call(args: argparse.Namespace) -> int:
+        from importlib import import_module
+
+        module, function = run.split(":")
+        return getattr(import_module(f"stage.cli.{module}"), function)(args)
+
+    p.set_defaults(run=call)
+    return p
+
+
+def stage_and_outputs(p: argparse.ArgumentParser, chips: Sequence[str] = ALL) -> None:
+    g = p.add_argument_group("stage")
+    g.add_argument("--model", default="xyz", help="a shipped model (xyz, xy) or an MJCF file (default: xyz)")
+    machine(g, chips)
+    outputs(p)
+
+
+def machine(g: Any, chips: Sequence[str] = ALL) -> None:
+    others = ", or one that another package brings, see `stage chips`; or x=CHIP,y=CHIP" if chips is ALL else ""
+    known = f"chip on every axis: {', '.join(chips)}{others} (default: {chips[0]})"
+    g.add_argument("--chips", default=chips[0], help=known)
+    g.add_argument("--motor", help="motor on every axis (default: 17HS4401)")
+    g.add_argument("--microsteps", type=int, default=16, help="microsteps per full step (default: 16)")
+    g.add_argument("--bus-voltage", type=float, default=24.0, help="drive supply, V (default: 24)")
+    g.add_argument("--bus-cycle", type=float, default=1e-6, help="seconds a host's bus cycle takes (default: 1e-6)")
+    g.add_argument(
+        "--wiring",
+        action="append",
+        default=[],
+        metavar="AXIS.SENSOR=LOGIC",
+        help="the logic of a sensor, where it is not negative: x.org=positive is high while it is on; ez is the encoder's index",
+    )
+    g.add_argument(
+        "--multichip",
+        metavar="AXIS,AXIS",
+        help="wire the multichip lines of MCX514 and MCX512 together: an axis of each chip, x,z (see docs/nova.md)",
+    )
+    g.add_argument(
+        "--syni",
+        action="append",
+        default=[],
+        metavar="FOLLOWER=LEADER",
+        help="connect SYNI of an axis' chip (PCL-240 family) to SYNO of another's: y=x",
+    )
+
+
+def outputs(p: argparse.ArgumentParser) -> None:
+    g = p.add_argument_group("output")
+    g.add_argument("--record", metavar="FILE.rrd", help="write a rerun recording")
+    g.add_argument("--picture", metavar="FILE.png", help="render the recording's dashboard, no screen needed")
+    g.add_argument("--vcd", metavar="FILE.vcd", help="write waveforms for GTKWave")
+    g.add_argument("--force", action="store_true", help="overwrite files that exist")
+    g.add_argument("--view", action="store_true", help="open the recording in the rerun viewer")
+    g.add_argument("--web", action="store_true", help="serve the dashboard to a browser, on 127.0.0.1 only")
+    g.add_argument("--port", type=int, default=9090, help="port for --web (default: 9090)")
+
+
+def speeds(p: argparse.ArgumentParser) -> None:
+    g = p.add_argument_group("speeds (pulses per second; the nearest that the registers reach is used and printed)")
+    g.add_argument("--fl", type=float, help="FL: start and stop rate")
+    g.add_argument("--fh1", type=float, help="FH1: first high rate")
+    g.add_argument("--fh2", type=float, help="FH2: second high rate")
+    g.add_argument("--accel", type=float, help="seconds from FL to the highest rate")
+    g.add_argument("--decel", type=float, help="seconds back to FL (default: as --accel)")
+
+
+def ramps(p: argparse.ArgumentParser) -> None:
+    g = p.add_argument_group("ramps")
+    g.add_argument(
+        "--s-curve", nargs="?", type=float, const=True, metavar="SHARE",
+        help="S-curves; with SHARE (0 to 0.5) that part of the ramp is curved at each end (needs PCL240MS)",
+    )  # fmt: skip
+    g.add_argument(
+        "--automatic", action=argparse.BooleanOptionalAction,
+        help="let the chip find the ramp-down point (PCL240MK, PCL240MS)",
+    )  # fmt: skip
+
+
+def place(p: argparse.ArgumentParser) -> None:
+    p.add_argument(
+        "--from",
+        dest="start",
+        type=float,
+        metavar="MM",
+        help="where the carriage starts, mm; mrad on a hinge (default: 0)",
+    )
+
+
+def plot(p: argparse.ArgumentParser) -> None:
+    p.add_argument("--plot", metavar="FILE.png", help="draw the move")
+
+
+def number(text: str) -> int:
+    try:
+        return int(text, 0)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is no whole number, as 0x300 or 768") from None
