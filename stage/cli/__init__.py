@@ -7,6 +7,7 @@ says what to do; 130 interrupted.
 from __future__ import annotations
 
 import argparse
+import os
 import re
 import sys
 from collections.abc import Sequence
@@ -45,6 +46,10 @@ def _main(argv: Sequence[str] | None) -> int:
     from stage.errors import StageError
 
     parser = build_parser()
+    if "_ARGCOMPLETE" in os.environ:  # a shell asks what may come next: `stage completion`
+        import argcomplete
+
+        argcomplete.autocomplete(parser)
     args = parser.parse_args([_distance(text) for text in (sys.argv[1:] if argv is None else argv)])
     if args.run is None:
         parser.print_help()

@@ -1,4 +1,4 @@
-"""The commands chips, registers, pullout and view."""
+"""The commands list, chips, registers, pullout, view and completion."""
 
 from __future__ import annotations
 
@@ -16,6 +16,48 @@ def chips(_args: argparse.Namespace) -> int:
     for line in lines:
         said = line.chip.MAP.title if line.chip else f"NOT AVAILABLE: {line.problem}"
         print(f"{line.name:{wide}}  {line.package:{far}}  {said}")
+    return 0
+
+
+def list_(args: argparse.Namespace) -> int:
+    """Print what there is of one kind."""
+    return {"chips": chips, "motors": _motors, "models": _models}[args.what](args)
+
+
+def _motors(_args: argparse.Namespace) -> int:
+    from stage.drives.dc_motors import DC_MOTORS
+    from stage.drives.motors import MOTORS
+
+    for name, m in MOTORS.items():
+        print(f"{name:16} stepper  {m.rated_current:g} A, holding torque {m.holding_torque:g} N m")
+    for name, dc in DC_MOTORS.items():
+        print(f"{name:16} DC       {dc.torque_constant * 1e3:g} mN m/A, {dc.resistance:g} ohm")
+    return 0
+
+
+def _models(_args: argparse.Namespace) -> int:
+    import mujoco
+
+    from stage.sim import plant
+
+    for name in plant.names():
+        spec = plant.open_spec(name)
+        axes = ", ".join(a.name for a in plant.bind(spec.compile()))
+        print(f"{name:10} axes {axes}")
+    del mujoco
+    print("or an MJCF file of your own: `stage new-model` writes one, docs/models.md says what it must have.")
+    return 0
+
+
+def completion(args: argparse.Namespace) -> int:
+    """Print what a shell reads to complete this command line."""
+    from stage.errors import StageError
+
+    try:
+        import argcomplete
+    except ImportError:
+        raise StageError("completion needs argcomplete: pip install 'pulsestage[completion]'.") from None
+    print(argcomplete.shellcode(["stage"], shell=args.shell))
     return 0
 
 
@@ -46,18 +88,25 @@ def pullout(args: argparse.Namespace) -> int:
 
 
 def view(args: argparse.Namespace) -> int:
-    """MuJoCo's own viewer, or the axes as text."""
+    """MuJoCo's own viewer, or the axes as text, or a picture."""
     from stage.opengl import check_window
     from stage.sim import plant
+
+    outputs(args)
 
     import mujoco  # isort: skip
 
     spec = plant.open_spec(args.model)
     model = spec if isinstance(spec, mujoco.MjModel) else spec.compile()
     print(plant.describe(model))
-    if args.text:
+    if args.picture:
+        from stage.cli.model_picture import draw
+
+        draw(model, args.picture, args.camera, args.force)
+        print(f"{args.picture}: drawn")
+    if args.text or args.picture:
         return 0
-    check_window("`stage view --text` prints the axes.")
+    check_window("`stage view --text` prints the axes, --picture draws them.")
     import mujoco.viewer
 
     mujoco.viewer.launch(model)

@@ -1,14 +1,33 @@
-"""chips, registers, pullout, view."""
+"""list, chips, registers, pullout, view, new-model, completion."""
 
 from __future__ import annotations
 
+import argparse
 from typing import Any
 
 from stage.cli.arguments.options import command
 
+NEW_MODEL = """\
+examples:
+  stage new-model --axes x:slide:300mm -o my.xml
+  stage new-model --axes x:slide:300mm,y:slide:200mm,z:slide:80mm,a:hinge:360deg -o my.xml
+  stage home --model my.xml
+"""
+COMPLETION = """\
+examples:
+  eval "$(stage completion bash)"         in ~/.bashrc
+  eval "$(stage completion zsh)"          in ~/.zshrc
+  stage completion fish | source          in ~/.config/fish/config.fish
+"""
+
 
 def add(commands: Any) -> None:
     """These commands."""
+    p = command(
+        commands, "list", "tools:list_", "the chips, motors and models that there are",
+        "List what --chips, --motor and --model take.",
+    )  # fmt: skip
+    p.add_argument("what", choices=("chips", "motors", "models"))
     command(
         commands, "chips", "tools:chips", "the chips that there are",
         "List every chip: PulseStage's own, and those that installed packages bring (docs/your_own_chip.md).",
@@ -29,7 +48,30 @@ def add(commands: Any) -> None:
     p.add_argument("--force", action="store_true", help="overwrite files that exist")
     p = command(
         commands, "view", "tools:view", "look at a model in the MuJoCo viewer",
-        "Open a model in MuJoCo's viewer (needs a screen), or print its axes.",
+        "Open a model in MuJoCo's viewer (needs a screen), or print its axes, or draw it.",
     )  # fmt: skip
-    p.add_argument("model", nargs="?", default="xyz")
+    p.add_argument("model", nargs="?", default="xyz", help="a shipped model or an MJCF file (default: xyz)")
     p.add_argument("--text", action="store_true", help="print axes, travel and switches instead")
+    p.add_argument("--picture", metavar="FILE.png", help="draw it instead, no screen needed")
+    p.add_argument("--camera", metavar="NAME", help="a camera of the model (default: overview, or one that sees all)")
+    p.add_argument("--force", action="store_true", help="overwrite files that exist")
+    p = command(
+        commands, "new-model", "new_model:run", "a commented MJCF of your own axes, to begin with",
+        "Write an MJCF that keeps the naming contract (docs/models.md): screws and tables with limit switches, hard stops and "
+        "motors, each on the one before. Its numbers are for you to change.",
+    )  # fmt: skip
+    p.epilog, p.formatter_class = NEW_MODEL, argparse.RawDescriptionHelpFormatter
+    p.add_argument(
+        "--axes",
+        required=True,
+        metavar="NAME:KIND:TRAVEL,...",
+        help="x:slide:300mm, or a:hinge:90deg; the travel is that between the end limits; 360deg turns without end",
+    )
+    p.add_argument("-o", "--output", metavar="FILE.xml", help="where to (default: it is printed)")
+    p.add_argument("--force", action="store_true", help="overwrite a file that exists")
+    p = command(
+        commands, "completion", "tools:completion", "completion of commands and options for a shell",
+        "Print what makes a shell complete this command line by Tab.",
+    )  # fmt: skip
+    p.epilog, p.formatter_class = COMPLETION, argparse.RawDescriptionHelpFormatter
+    p.add_argument("shell", choices=("bash", "zsh", "fish"))

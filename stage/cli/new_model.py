@@ -1,0 +1,26 @@
+"""The command new-model."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write the model, or print it."""
+    from stage.files import writable, written
+    from stage.sim.plant.new import NewAxis, new_model
+
+    text = new_model([NewAxis.of(item) for item in args.axes.split(",")])
+    if not args.output:
+        print(text, end="")
+        return 0
+    writable(args.output, args.force, ask="say --force")
+    with written(args.output, args.force) as part:
+        part.write_text(text)
+    from stage.sim import plant
+
+    print(plant.describe(plant.open_spec(args.output).compile()))
+    name = shlex.quote(args.output)
+    print(f"{args.output}: written. `stage home --model {name}` homes it, `stage view {name}` shows it.")
+    return 0

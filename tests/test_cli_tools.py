@@ -1,0 +1,54 @@
+"""Commands that show what there is."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from stage.cli import main
+from stage.drives.dc_motors import DC_MOTORS
+from stage.drives.motors import MOTORS
+from stage.sim import plant
+
+
+@pytest.mark.parametrize(
+    ("what", "names"), [("motors", [*MOTORS, *DC_MOTORS]), ("models", plant.names()), ("chips", ["PCL240K", "MCX514"])]
+)
+def test_list_names_what_there_is(what, names, capsys):
+    # stage list motors
+    assert main(["list", what]) == 0
+    listed = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
+    assert set(names) <= set(listed)
+
+
+def test_a_model_is_drawn_with_the_names_of_its_axes(tmp_path, capsys):
+    # stage view xy --picture xy.png
+    import matplotlib.image
+
+    file = tmp_path / "xy.png"
+    assert main(["view", "xy", "--picture", str(file)]) == 0
+    image = matplotlib.image.imread(file)
+    assert image.shape[:2] == (900, 1600)
+    assert image[..., :3].std() > 0.05
+    assert main(["view", "xy", "--picture", str(file)]) == 2
+    assert main(["view", "xy", "--picture", str(file), "--force", "--camera", "frnt"]) == 2
+    assert "front" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_a_shell_learns_how_to_complete(shell, capsys):
+    # stage completion bash
+    assert main(["completion", shell]) == 0
+    assert "stage" in capsys.readouterr().out
+
+
+def test_a_shell_is_told_the_commands_and_options_that_begin_so():
+    # stage hom<Tab>; stage home --mo<Tab>
+    for line, wanted in (("stage ne", "new-model"), ("stage home --mo", "--model"), ("stage list mo", "motors")):
+        told = subprocess.run(
+            [sys.executable, "-c", "import os; os.dup2(1, 8); from stage.cli import main; main()"],
+            env=os.environ | {"_ARGCOMPLETE": "1", "COMP_LINE": line, "COMP_POINT": str(len(line)), "_ARGCOMPLETE_IFS": "\n"},
+            capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        assert wanted in told.stdout, told.stderr

@@ -1,0 +1,103 @@
+"""`stage new-model` writes models that keep the naming contract, home, and stop at their limits and hard stops."""
+
+import math
+
+import mujoco
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from stage import ModelError, Stage, firmware
+from stage.cli import main
+from stage.sim import plant
+from stage.sim.plant.new import NewAxis, new_model
+
+
+def made(*axes):
+    return mujoco.MjSpec.from_string(new_model([NewAxis.of(a) for a in axes]))
+
+
+KINDS = st.one_of(
+    st.integers(10, 2000).map(lambda n: f"slide:{n}mm"),
+    st.integers(20, 330).map(lambda n: f"hinge:{n}deg"),
+    st.just("hinge:360deg"),
+)
+
+
+@given(st.lists(KINDS, min_size=1, max_size=4))
+def test_every_chain_of_axes_keeps_the_contract_and_its_switches_trip_where_they_are_said_to(kinds):
+    axes = [NewAxis.of(f"q{k}:{kind}") for k, kind in enumerate(kinds)]
+    found = plant.bind(mujoco.MjSpec.from_string(new_model(axes)).compile())
+    assert [a.name for a in found] == [a.name for a in axes]
+    for asked, axis in zip(axes, found, strict=True):
+        trips = {s.pin: s.touch for s in axis.switches}
+        if asked.endless:
+            assert set(trips) == {"org"}
+            assert trips["org"] == pytest.approx(0, abs=1e-3)
+            continue
+        half = asked.travel / 2 if asked.kind == "slide" else math.radians(asked.travel / 2)
+        near = 2e-6 if asked.kind == "slide" else 2e-3
+        wanted = {"el_plus": 1, "el_minus": -1, "sd_plus": 0.87, "sd_minus": -0.73, "org": -0.8}
+        assert trips == pytest.approx({name: share * half for name, share in wanted.items()}, abs=near)
+
+
+@pytest.mark.parametrize("axis", ["x:slide:60mm", "a:hinge:90deg", "a:hinge:360deg"])
+@pytest.mark.parametrize("side", [-1, 1])
+def test_a_new_axis_homes_from_either_side_without_losing_a_step(axis, side):
+    stage = Stage(made(axis), visuals=False)
+    a = next(iter(stage.axes.values()))
+    stage.place(**{a.name: side * (0.02 if "slide" in axis else 0.5)})
+    report = firmware.home(a)
+    assert report.lost_steps == 0
+    (org,) = (s for s in plant.bind(stage.model)[0].switches if s.pin == "org")
+    assert abs(a.position - org.touch) < 2 * (10e-3 if "slide" in axis else 2 * math.pi / 10) / 3200  # two pulses
+
+
+@pytest.mark.parametrize("axis", ["x:slide:60mm", "a:hinge:330deg"])
+def test_whatever_pushes_the_axis_its_hard_stops_hold_it_beyond_the_end_limits(axis):
+    model = made(axis).compile()
+    data = mujoco.MjData(model)
+    (a,) = plant.bind(model)
+    for sign in (1, -1):
+        mujoco.mj_resetData(model, data)
+        data.qfrc_applied[0] = sign * (100 if "slide" in axis else 0.4)
+        for _ in range(12_000):
+            mujoco.mj_step(model, data)
+        assert abs(data.qpos[0]) == pytest.approx(a.travel[1], rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("axes", "said"),
+    [
+        ("x:slide:3", "NAME:slide:300mm"),
+        ("x:slide:300deg", "NAME:slide:300mm"),
+        ("x:slide:5mm", "10 mm to 2 m"),
+        ("a:hinge:345deg", "20 to 330 degrees between the end limits; or 360deg"),
+        ("x:slide:1..2m", "NAME:slide:300mm"),
+        ("x:slide:30mm,x:slide:30mm", "each of a name of its own"),
+        ("", "NAME:slide:300mm"),
+    ],
+)
+def test_wrong_axes_are_said_in_words_and_nothing_is_written(axes, said, tmp_path, capsys):
+    # stage new-model --axes x:slide:3 -o my.xml
+    assert main(["new-model", "--axes", axes, "-o", str(tmp_path / "my.xml")]) == 2
+    assert said in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_command_writes_a_model_that_the_other_commands_take(tmp_path, capsys):
+    # stage new-model --axes x:slide:50mm,a:hinge:360deg -o my.xml; stage move x 2mm --model my.xml
+    file = str(tmp_path / "my.xml")
+    assert main(["new-model", "--axes", "x:slide:50mm,a:hinge:360deg", "-o", file]) == 0
+    assert main(["new-model", "--axes", "x:slide:50mm", "-o", file]) == 2
+    assert "--force" in capsys.readouterr().err
+    assert main(["move", "x", "2mm", "--model", file]) == 0
+    assert main(["move", "a", "30deg", "--model", file]) == 0
+    assert "lost steps 0" in capsys.readouterr().out
+
+
+def test_axes_of_radians_and_centimetres_are_the_same_lengths():
+    assert NewAxis.of("a:hinge:6.283185rad").endless
+    assert NewAxis.of("x:slide:30cm") == NewAxis.of("x:slide:0.3m") == NewAxis.of("x:slide:300mm")
+    with pytest.raises(ModelError):
+        NewAxis.of("1x:slide:30cm")
