@@ -19,7 +19,8 @@ from stage.cli import build_parser, main
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
-by_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+ALL = [*PAGES, *sorted((ROOT / "docs" / "tutorials").glob("*.md"))]  # test_tutorials.py follows these
+by_page = pytest.mark.parametrize("page", ALL, ids=lambda page: page.stem)
 
 PYTHON = re.compile(r"^(?:<!-- not run: (?P<why>[^\n]+) -->\n)?```python\n(?P<code>.*?)^```\n", re.M | re.S)
 TEXT = re.compile(r"\n(?:```text\n(?P<fenced>.*?)^```|(?P<indented>(?: {4}[^\n]*\n)+))", re.M | re.S)

@@ -63,9 +63,10 @@ def add(commands: Any) -> None:
     p.epilog, p.formatter_class = NEW_MODEL, argparse.RawDescriptionHelpFormatter
     p.add_argument(
         "--axes",
-        required=True,
+        default="x:slide:300mm,y:slide:200mm",
         metavar="NAME:KIND:TRAVEL,...",
-        help="x:slide:300mm, or a:hinge:90deg; the travel is that between the end limits; 360deg turns without end",
+        help="x:slide:300mm, or a:hinge:90deg; the travel is that between the end limits; 360deg turns without end (default: "
+        "x:slide:300mm,y:slide:200mm)",
     )
     p.add_argument("-o", "--output", metavar="FILE.xml", help="where to (default: it is printed)")
     p.add_argument("--force", action="store_true", help="overwrite a file that exists")

@@ -1,0 +1,120 @@
+"""Lays out the documentation site in build/site, for `zensical build`: `make docs`.
+
+    python scripts/site/build.py            pages, reference and configuration
+    cd build/site && zensical build --strict
+
+Pages of docs/ go over as they are; README.md is the start. What they link to elsewhere in the repository becomes a page that shows
+that file, so the site stands alone. The reference is made of what there is: `__all__` of the packages, the parser of the command
+line, the chips' register maps.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import tomllib
+from pathlib import Path
+
+import gallery
+import reference
+
+ROOT = Path(__file__).resolve().parents[2]
+OUT = ROOT / "build" / "site"
+PAGES = OUT / "pages"
+LINK = re.compile(r"(\]\()([^)\s#]+)(#[^)]*)?(\))")
+LANGUAGES = {
+    ".py": "python",
+    ".c": "c",
+    ".h": "c",
+    ".hpp": "cpp",
+    ".cpp": "cpp",
+    ".toml": "toml",
+    ".xml": "xml",
+    ".json": "json",
+}
+
+
+def main() -> None:
+    """Everything anew."""
+    shutil.rmtree(OUT, ignore_errors=True)
+    shutil.copytree(ROOT / "docs", PAGES)
+    (PAGES / "index.md").write_text((ROOT / "README.md").read_text())
+    made = reference.write(PAGES)
+    gallery.write(ROOT, PAGES)
+    shown: set[Path] = set()
+    for page in sorted(PAGES.rglob("*.md")):
+        there = page.relative_to(PAGES)
+        source = ROOT / "README.md" if there == Path("index.md") else ROOT / "docs" / there
+        page.write_text(_with_links(page.read_text(), source, page, shown))
+    for file in sorted(shown):
+        _show(file)
+    _lay_source()
+    _configure(made)
+    print(f"{OUT}: {len(list(PAGES.rglob('*.md')))} pages")
+
+
+def _with_links(text: str, source: Path, page: Path, shown: set[Path]) -> str:
+    """The text of a page whose links lead to pages of the site. source: where they lead in the repository."""
+
+    def led(m: re.Match) -> str:
+        if re.match(r"[a-z]+:", m[2]):
+            return m[0]
+        at = (source.parent / m[2]).resolve()
+        if not at.is_relative_to(ROOT) or not at.exists():
+            return m[0]  # of the generated pages, or broken: the build says so
+        if at == ROOT / "README.md":
+            to = PAGES / "index.md"
+        elif at.is_relative_to(ROOT / "docs") and at.is_file():
+            to = PAGES / at.relative_to(ROOT / "docs")
+        else:
+            shown.add(at)
+            to = _place(at)
+        return f"{m[1]}{Path(os.path.relpath(to, page.parent)).as_posix()}{m[3] or ''}{m[4]}"
+
+    return LINK.sub(led, text)
+
+
+def _place(file: Path) -> Path:
+    """The page that shows a file or folder of the repository."""
+    return PAGES / "files" / f"{file.relative_to(ROOT).as_posix()}.md"
+
+
+def _show(file: Path) -> None:
+    """A page with the content of a file, or the list of a folder."""
+    page = _place(file)
+    page.parent.mkdir(parents=True, exist_ok=True)
+    name = file.relative_to(ROOT).as_posix()
+    if file.is_dir():
+        listed = "\n".join(f"- `{p.name}`" for p in sorted(file.iterdir()) if not p.name.startswith(("_", ".")))
+        page.write_text(f"# {name}\n\n{listed}\n")
+    elif file.suffix == ".md":
+        page.write_text(
+            re.sub(LINK, lambda m: m[0] if ":" in m[2] else f"`{m[2]}`", file.read_text()).replace("]`", "] `")
+        )
+    else:
+        text = file.read_text()
+        fence = "`" * (max((len(m) for m in re.findall(r"`{3,}", text)), default=2) + 1)
+        page.write_text(f"# {name}\n\n{fence}{LANGUAGES.get(file.suffix, 'text')}\n{text.rstrip()}\n{fence}\n")
+
+
+def _lay_source() -> None:
+    """The package as it is installed, for mkdocstrings: envs/ is stage.envs."""
+    package = OUT / "source" / "stage"
+    package.mkdir(parents=True)
+    for part in [*(ROOT / "stage").iterdir(), ROOT / "envs"]:
+        (package / part.name).symlink_to(part)
+
+
+def _configure(made: dict[str, list[tuple[str, str]]]) -> None:
+    """zensical.toml, with the pages of the reference in its `nav`."""
+    text = (ROOT / "scripts" / "site" / "zensical.toml").read_text()
+    for group, pages in made.items():
+        listed = "".join(f'      {{ "{title}" = "{path}" }},\n' for title, path in pages)
+        text = text.replace(f'{{ "{group}" = [] }}', f'{{ "{group}" = [\n{listed}    ] }}')
+    tomllib.loads(text)
+    (OUT / "zensical.toml").write_text(text)
+
+
+if __name__ == "__main__":
+    main()

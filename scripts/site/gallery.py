@@ -1,0 +1,64 @@
+"""The gallery: every picture of the docs, with the page that explains it and the command that draws it."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+from typing import NamedTuple
+
+PICTURE = re.compile(r"!\[([^\]]*)\]\(([^)]*pictures/[^)]+)\)")
+
+ELSEWHERE = {
+    "patterns/": "python scripts/draw_patterns.py",
+    "fault_": "stage fault {} --plot FILE.png",
+    "origin_spread": "python scripts/origin_spread.py",
+    "model_": "python scripts/render_models.py",
+}
+"""Pictures, by the begin of their names, that no script names in full."""
+
+
+class Picture(NamedTuple):
+    """file: in docs/pictures; says: its alternative text; page: in docs, or README.md; made: the command."""
+
+    file: Path
+    says: str
+    page: Path
+    made: str
+
+
+def pictures(root: Path) -> list[Picture]:
+    """Every picture that a page shows, once, in the order of the pages."""
+    found: dict[Path, Picture] = {}
+    for page in [root / "README.md", *sorted((root / "docs").rglob("*.md"))]:
+        for says, link in PICTURE.findall(page.read_text()):
+            file = (page.parent / link).resolve()
+            found.setdefault(file, Picture(file, says, page, made_by(root, file)))
+    return list(found.values())
+
+
+def made_by(root: Path, file: Path) -> str:
+    """The command that draws a picture: of `make pictures`, of another target, or a script that names it; "" if there is none."""
+    name = file.relative_to(root / "docs").as_posix()
+    for line in (root / "Makefile").read_text().splitlines():
+        if line.startswith("\t") and f"docs/{name}" in line:
+            return re.sub(r"^\$\(BIN\)/(python )?", r"\1", line.strip().replace("$(CURDIR)/", "")).split(" && ")[0]
+    for begin, command in ELSEWHERE.items():
+        if name.startswith(f"pictures/{begin}"):
+            return command.format(file.stem.removeprefix(begin).replace("_", "-"))
+    for script in sorted((root / "scripts").rglob("*.py")):
+        if "site" not in script.parts and f"{file.stem}.png" in script.read_text():
+            return f"python {script.relative_to(root).as_posix()}"
+    return ""
+
+
+def write(root: Path, pages: Path) -> None:
+    """gallery.md among the pages of the site."""
+    text = ["# Gallery\n", "Every picture is made by a command. Its page says what it shows.\n"]
+    for p in pictures(root):
+        page = "index.md" if p.page.name == "README.md" else p.page.relative_to(root / "docs").as_posix()
+        made = f"`{p.made}`" if p.made else ""
+        text.append(f"## {p.file.stem.replace('_', ' ')}\n")
+        text.append(f"[![{p.says}]({os.path.relpath(p.file, root / 'docs')})]({page})\n")
+        text.append(f"{p.says}: [{page.removesuffix('.md')}]({page}). {made}\n")
+    (pages / "gallery.md").write_text("\n".join(text))

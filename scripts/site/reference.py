@@ -1,0 +1,105 @@
+"""The pages of the reference, made of what there is: packages, command line, register maps."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import inspect
+from pathlib import Path
+from typing import Any
+
+from stage.chips import CHIPS
+from stage.chips.register_map import Register, RegisterMap, Word
+from stage.cli import build_parser
+
+PACKAGES = [
+    "stage", "stage.chips", "stage.firmware", "stage.drives.motors", "stage.recording", "stage.board", "stage.testing",
+    "stage.targets", "stage.serve.client", "stage.sim.faults", "stage.envs", "stage.tune", "stage.study", "stage.bench",
+    "stage.panel.session",
+]  # fmt: skip
+
+
+def write(pages: Path) -> dict[str, list[tuple[str, str]]]:
+    """Write them; returns the pages, as (title, path), of each group of the navigation."""
+    folder = pages / "reference"
+    folder.mkdir()
+    (folder / "command_line.md").write_text(command_line())
+    made: dict[str, list[tuple[str, str]]] = {"Register maps": [], "Python": []}
+    for line in CHIPS.listed():
+        if line.chip is not None and line.package == "pulsestage":
+            name = line.name.lower()
+            (folder / f"map_{name}.md").write_text(register_map(line.chip.MAP))
+            made["Register maps"].append((line.name, f"reference/map_{name}.md"))
+    for package in PACKAGES:
+        path = f"reference/{package.replace('.', '_')}.md"
+        (pages / path).write_text(python(package))
+        made["Python"].append((package, path))
+    return made
+
+
+def python(package: str) -> str:
+    """A page for mkdocstrings: the module's own text, and each public name where it is defined."""
+    module = importlib.import_module(package)
+    text = [f"# {package}\n", f"::: {package}\n    options:\n      members: []\n      show_root_heading: false\n"]
+    for name in public(module):
+        thing = getattr(module, name)
+        where = getattr(thing, "__module__", None)
+        if inspect.ismodule(thing):
+            text.append(f"`{name}`: a module, [{thing.__name__}]({thing.__name__.replace('.', '_')}.md).\n")
+        elif isinstance(where, str) and hasattr(thing, "__qualname__"):
+            text.append(f"::: {where}.{thing.__qualname__}\n")
+    return "\n".join(text)
+
+
+def public(module: Any) -> list[str]:
+    """Its public names, in its own order."""
+    if hasattr(module, "__all__"):
+        return list(module.__all__)
+    return [
+        name for name, thing in vars(module).items()
+        if not name.startswith("_") and getattr(thing, "__module__", None) == module.__name__
+    ]  # fmt: skip
+
+
+def command_line() -> str:
+    """Every command with its help, as the terminal shows it."""
+    parser = build_parser()
+    commands = next(a for a in parser._actions if isinstance(a, argparse._SubParsersAction))
+    text = ["# Command line\n", "```text\n" + parser.format_help().rstrip() + "\n```\n"]
+    for name, command in commands.choices.items():
+        text.append(f"## stage {name}\n\n```text\n{command.format_help().rstrip()}\n```\n")
+    return "\n".join(text)
+
+
+def register_map(map_: RegisterMap) -> str:
+    """A chip's registers, words and commands as tables."""
+    text = [
+        f"# {map_.chip}\n",
+        f"{map_.title}. Source: {map_.source}. `stage registers {map_.chip.lower()}` prints the same.\n",
+    ]
+    text += ["## Registers\n", "| register | bits | access | legal | evidence | |", "|---|---|---|---|---|---|"]
+    text += [
+        f"| `{r.name}` | {r.bits} | {r.access} | {_legal(r)} | {r.evidence} | {_cell(r.text)} |" for r in map_.registers
+    ]
+    for place in map_.places:
+        if place.fields:
+            text += [f"\n### {place.name}\n", _cell(_title(place)) + "\n"]
+            text += ["| bits | field | evidence | |", "|---|---|---|---|"]
+            text += [f"| {f.bits} | `{f.name}` | {f.evidence} | {_cell(f.text)} |" for f in place.fields]
+    text += ["\n## Commands\n", "| code | command | evidence | |", "|---|---|---|---|"]
+    text += [f"| {c.hex} | `{c.symbol}` | {c.evidence} | {_cell(c.what)} |" for c in map_.commands]
+    return "\n".join(text) + "\n"
+
+
+def _title(place: Register | Word) -> str:
+    return place.text
+
+
+def _legal(r: Register) -> str:
+    from stage.chips.register_map import _legal as words
+
+    return _cell(words(r))
+
+
+def _cell(text: str) -> str:
+    return text.replace("|", "\\|").replace("\n", " ").replace("<", "&lt;")

@@ -1,0 +1,68 @@
+"""The site's pages are complete: each page of docs/ is in the navigation, each link leads somewhere, the reference has what is."""
+
+import re
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from stage.chips import CHIPS
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """The site as scripts/site/build.py lays it out, in a folder of its own."""
+    sys.path.insert(0, str(ROOT / "scripts" / "site"))
+    try:
+        import build
+    finally:
+        sys.path.pop(0)
+    before = build.OUT, build.PAGES
+    build.OUT = tmp_path_factory.mktemp("site")
+    build.PAGES = build.OUT / "pages"
+    build.main()
+    yield build.OUT
+    build.OUT, build.PAGES = before
+    for name in ("build", "gallery", "reference"):
+        sys.modules.pop(name, None)
+
+
+def entries(nav):
+    for entry in nav:
+        for at in entry.values():
+            yield from entries(at) if isinstance(at, list) else [at]
+
+
+def test_every_page_is_in_the_navigation_and_every_entry_is_a_page(site):
+    named = list(entries(tomllib.loads((site / "zensical.toml").read_text())["project"]["nav"]))
+    pages = {p.relative_to(site / "pages").as_posix() for p in (site / "pages").rglob("*.md")}
+    assert len(named) == len(set(named))
+    assert set(named) == {p for p in pages if not p.startswith("files/")}
+
+
+def test_every_link_and_picture_of_the_site_is_there(site):
+    for page in (site / "pages").rglob("*.md"):
+        text = re.sub(r"^(`{3,}).*?^\1", "", page.read_text(), flags=re.M | re.S)
+        for link in re.findall(r"\]\(([^)\s#]+)[^)]*\)", text):
+            assert re.match("[a-z]+:", link) or (page.parent / link).exists(), f"{page}: {link}"
+
+
+def test_the_reference_has_every_chip_with_its_registers_and_every_command(site):
+    reference = site / "pages" / "reference"
+    for line in CHIPS.listed():
+        if line.package == "pulsestage":
+            page = (reference / f"map_{line.name.lower()}.md").read_text()
+            assert all(f"`{r.name}`" in page for r in line.chip.MAP.registers)
+            assert all(f"`{c.symbol}`" in page for c in line.chip.MAP.commands)
+    assert "## stage new-model" in (reference / "command_line.md").read_text()
+    assert "::: stage.sim.stage.Stage" in (reference / "stage.md").read_text()
+
+
+def test_every_picture_of_the_gallery_says_how_it_was_made(site):
+    gallery = (site / "pages" / "gallery.md").read_text()
+    assert gallery.count("[![") == gallery.count("## ")
+    for entry in gallery.split("\n## ")[1:]:
+        assert re.search(r"`(stage|python|make) [^`]+`", entry), entry
