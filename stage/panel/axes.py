@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 from nicegui import ui
 
+from stage.panel.live import Live
 from stage.panel.words import place
 
 if TYPE_CHECKING:
@@ -13,23 +15,27 @@ if TYPE_CHECKING:
     from stage.sim.axis import Axis
 
 
-def build(panel: Panel) -> None:
+def build(panel: Panel, live: Live) -> None:
     stage = panel.session.stage
     with ui.row().classes("w-full"):
         for axis in stage.axes.values():
-            with ui.card().classes("col q-pa-sm").mark(f"axis-{axis.name}"):
+            with ui.card().classes("col q-pa-sm").style("min-width: 205px").mark(f"axis-{axis.name}"):
                 ui.label(f"{axis.name}  {type(axis.chip).__name__}").classes("text-weight-bold")
-                text = (
-                    ui.label().classes("number").style("white-space: pre; font-size: 12px").mark(f"place-{axis.name}")
-                )
+                text = ui.element("div").classes("number").style("white-space: pre; font-size: 12px")
+                live.text(text.props(f'data-test="place-{axis.name}"'), partial(_where, panel, axis))
                 with ui.row().classes("q-gutter-none"):
-                    lamps = {name: ui.label(name.replace("_plus", "+").replace("_minus", "-")).classes("lamp")
-                             for name in axis.switches.as_dict()}  # fmt: skip
-            ui.timer(0.1, lambda axis=axis, text=text, lamps=lamps: _look(panel, axis, text, lamps))
+                    for name in axis.switches.as_dict():
+                        lamp = ui.label(name.replace("_plus", "+").replace("_minus", "-")).classes("lamp")
+                        live.lamp(
+                            lamp.props(f'data-test="switch-{axis.name}-{name}"'),
+                            partial(_on, panel, axis.name, name),
+                        )
 
 
-def _look(panel: Panel, axis: Axis, text: ui.label, lamps: dict[str, ui.label]) -> None:
+def _where(panel: Panel, axis: Axis) -> str:
     seen = panel.look.axes[axis.name]
-    text.text = place(axis.unit, seen.position, seen.commanded, seen.lost or 0)
-    for name, lamp in lamps.items():
-        lamp.classes(add="on") if seen.switches[name] else lamp.classes(remove="on")
+    return place(axis.unit, seen.position, seen.commanded, seen.lost or 0)
+
+
+def _on(panel: Panel, axis: str, switch: str) -> bool:
+    return panel.look.axes[axis].switches[switch]

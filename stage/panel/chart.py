@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from nicegui import run, ui
 
 from stage.errors import StageError
 from stage.panel.export import FORMATS
+from stage.panel.live import Live
 from stage.panel.oscilloscope import DIAGNOSTIC, LOST, MODES, SPANS, Frame, Scope
 
 if TYPE_CHECKING:
@@ -17,38 +19,46 @@ if TYPE_CHECKING:
     from stage.panel.server import Panel
 
 POINTS = 300  # columns of pixels that a curve is thinned to
-REDRAWN = 0.1  # s between pictures
-HIGH, LANE, GAP, TOP, FOOT = 130, 18, 22, 8, 26  # pixels: of a chart, of a pin, between, above, below
+REDRAWN, RESTING = 0.1, 0.5  # s between pictures, and of flat curves
+HIGH, LANE, GAP, TOP, FOOT, HEAD = (
+    120,
+    18,
+    30,
+    8,
+    26,
+    18,
+)  # pixels: of a chart, of a pin, between, above, below, for a unit
 INK, FAINT = "#8a94a0", "#8a94a040"
 COLOURS = ("#3b8ee0", "#e0813b", "#3bb273", "#b05bd0", "#d0485b", "#9a8b3a", "#3bb6c4", "#7c8794")
 FREE_RUNNING = {"free": "no trigger", "auto": "auto", "normal": "normal", "single": "single"}
 
 
-def build(panel: Panel) -> None:
+def build(panel: Panel, live: Live) -> None:
     """One browser's oscilloscope."""
     if not panel.sampler.traces:
         return
-    Chart(panel)
+    Chart(panel, live)
 
 
 class Chart:
     """Controls and picture."""
 
-    def __init__(self, panel: Panel):
+    def __init__(self, panel: Panel, live: Live):
         self.sampler = panel.sampler
         traces = self.sampler.traces
         usual = [n for n in traces if n.endswith(("/position", "/rate"))][:4]
         org = [n for n in traces if n.endswith("/org")][:1]
         self.scope = Scope(self.sampler, usual + org)
         self._drawn: tuple | None = None
+        self._flat, self._at = False, 0.0
         self._frame: Frame | None = None
         with ui.card().classes("w-full q-pa-sm").props('data-test=scope role=group aria-label="Oscilloscope"'):
-            self._controls(traces)
+            self._controls(traces, live)
             self.chart = ui.echart({}).classes("w-full").props("data-test=chart")
             self._lay_out()
-        ui.timer(REDRAWN, self._look)
+        live.call(self.chart, "run_chart_method", self._look, REDRAWN)
 
-    def _controls(self, traces: dict[str, Trace]) -> None:
+    def _controls(self, traces: dict[str, Trace], live: Live) -> None:
         names = {name: t.title + (f" ({t.unit})" if t.unit else "") for name, t in traces.items()}
         with ui.row().classes("w-full items-center q-gutter-xs no-wrap-md"):
             self.run_button = (
@@ -79,7 +89,8 @@ class Chart:
                 .props("dense outlined data-test=level debounce=400")
                 .style("width: 90px")
             )
-            self.state = ui.label().classes("text-caption number").props("data-test=scope-state aria-live=polite")
+            state = ui.element("div").classes("text-caption number").props("data-test=scope-state")
+            live.text(state, self._state)
             ui.space()
             for ending in FORMATS:
                 ui.button(ending.upper(), on_click=lambda e=ending: self._export(e)).props(
@@ -129,13 +140,13 @@ class Chart:
         hidden = {"axisLine": {"show": False}, "axisTick": {"show": False}}
         for k, (title, height) in enumerate(places):
             tall, last = height == HIGH, k == len(places) - 1
-            grids.append({"left": 78, "right": 14, "top": top + (12 if tall else 0), "height": height})
+            grids.append({"left": 78, "right": 14, "top": top + (HEAD if tall else 0), "height": height})
             top += height + (GAP if tall else 4)
             line = {"show": False} if not last else {"lineStyle": {"color": INK}}
             xs.append({"type": "value", "gridIndex": k, "min": 0, "max": 1, "axisLabel": {"show": last, "color": INK},
                        "axisLine": line, "axisTick": {"show": last}, "splitLine": {"show": tall, "lineStyle": {"color": FAINT}},
                        "axisPointer": {"label": {"show": last}}})  # fmt: skip
-            names = {"nameLocation": "end" if tall else "middle", "nameRotate": 0, "nameGap": 4 if tall else 40}
+            names = {"nameLocation": "end" if tall else "middle", "nameRotate": 0, "nameGap": 9 if tall else 40}
             ys.append({"type": "value", "gridIndex": k, "name": title, "nameTextStyle": {"color": INK, "fontSize": 11},
                        **names, "scale": tall, "splitNumber": 3, "axisLabel": {"show": tall, "color": INK},
                        "splitLine": {"show": tall, "lineStyle": {"color": FAINT}},
@@ -158,19 +169,26 @@ class Chart:
         )  # fmt: skip
         self.chart.style(f"height: {top + FOOT}px")
         self.chart.update()
-        self._drawn = None
+        self._drawn, self._flat = None, False
 
-    def _look(self) -> None:
+    def _look(self) -> list | None:
         scope = self.scope
         frame = self._frame = scope.frame(POINTS)
         running = "stop" if scope.running else "run"
         if self.run_button.text != running:
             self.run_button.text = running
-        self.state.text = frame.state if frame.trigger is None else f"{frame.state}, trigger at {frame.trigger:.6f} s"
         drawn = (frame.begin, frame.end, self.sampler.last if frame.end >= self.sampler.last else None, *scope.names)
-        if drawn != self._drawn:
-            self._drawn = drawn
-            self.chart.run_chart_method("setOption", self._message(frame))
+        flat = all(len(values) == 0 or values.min() == values.max() for _, values in frame.curves.values())
+        if drawn == self._drawn or (flat and self._flat and perf_counter() - self._at < RESTING):
+            return None
+        self._drawn, self._flat, self._at = drawn, flat, perf_counter()
+        return ["setOption", self._message(frame)]
+
+    def _state(self) -> str:
+        frame = self._frame
+        if frame is None or frame.trigger is None:
+            return frame.state if frame else ""
+        return f"{frame.state}, trigger at {frame.trigger:.6f} s"
 
     def _message(self, frame: Frame) -> dict[str, Any]:
         """The curves and the time below them: s, or ms; from the trigger, where there is one."""
@@ -186,7 +204,8 @@ class Chart:
         series = []
         for times, values in frame.curves.values():
             at = np.round((times - origin) * k, 4 if short else 5)
-            series.append({"data": np.stack([at, _significant(values)], axis=1).tolist()})
+            points = np.stack([at, _significant(values)], axis=1)
+            series.append({"data": points[_corners(points[:, 1])].tolist()})
         return {"xAxis": x, "series": series}
 
 
@@ -198,6 +217,13 @@ def _significant(values: np.ndarray) -> np.ndarray:
     """Six digits of the greatest: what a screen can show, in short messages."""
     top = float(np.max(np.abs(values), initial=0.0))
     return np.round(np.asarray(values, float), 5 - math.floor(math.log10(top)) if top > 0 else 0)
+
+
+def _corners(values: np.ndarray) -> np.ndarray:
+    """Which points of a curve are needed: not those between two of the same value."""
+    needed = np.ones(len(values), bool)
+    needed[1:-1] = (values[1:-1] != values[:-2]) | (values[1:-1] != values[2:])
+    return needed
 
 
 def _times() -> dict[float, str]:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Sequence
+from functools import partial
 from typing import TYPE_CHECKING
 
 from nicegui import ui
 
 from stage.errors import StageError
 from stage.panel.front import Button, Front
+from stage.panel.live import Live
 from stage.panel.orders import Cycle, writes
 from stage.panel.rows import Place, Row, WordRow
 from stage.sim.stage import Stage
@@ -18,10 +20,10 @@ if TYPE_CHECKING:
     from stage.panel.server import Panel
 
 
-def build(panel: Panel) -> None:
+def build(panel: Panel, live: Live) -> None:
     """A card a chip; what is in it is made when it is opened."""
     for k in range(len(panel.look.traces)):
-        Card(panel, k)
+        Card(panel, live, k)
 
 
 def axis_names(stage: Stage, k: int) -> dict[int, str]:
@@ -51,13 +53,12 @@ async def send(panel: Panel, k: int, cycles: Sequence[Cycle]) -> list[int]:
 class Card:
     """The front panel of one chip in one browser."""
 
-    def __init__(self, panel: Panel, k: int):
-        self.panel, self.k, self.axis = panel, k, 0
+    def __init__(self, panel: Panel, live: Live, k: int):
+        self.panel, self.live, self.k, self.axis = panel, live, k, 0
         stage = panel.session.stage
         self.front = Front(type(stage.chips[k]))
         self.names = axis_names(stage, k)
         self._rows: list[Row | WordRow] = []
-        self._pins: dict[str, ui.label] = {}
         self._built = False
         names = " ".join(name for name in self.names.values() if "(" not in name) or "no axis"
         with ui.card().classes("w-full q-pa-none"), ui.expansion(f"{names}: {self.front.map.title}").classes(
@@ -106,7 +107,8 @@ class Card:
                 with ui.element("div").classes("lamps"):
                     ui.label(what).classes("section")
                     for name in pins:
-                        self._pins[name] = ui.label(name).classes("lamp").props(f'data-test="pin-{self.k}-{name}"')
+                        lamp = ui.label(name).classes("lamp").props(f'data-test="pin-{self.k}-{name}"')
+                        self.live.lamp(lamp, partial(self._pin, what, name))
 
     def _commands(self) -> None:
         for group, buttons in self.front.buttons.items():
@@ -147,10 +149,10 @@ class Card:
             return
         for row in self._rows:
             row.look(seen.values)
-        for name, on in (seen.inputs | seen.outputs).items():
-            lit_now = "on" in self._pins[name].classes
-            if on != lit_now:
-                self._pins[name].classes(add="on") if on else self._pins[name].classes(remove="on")
+
+    def _pin(self, what: str, name: str) -> bool:
+        seen = self.panel.look.chips.get((self.k, self.axis))
+        return bool(seen is not None and getattr(seen, what)[name])
 
 
 def _part(title: str, opened: bool = True) -> ui.expansion:
@@ -186,6 +188,6 @@ STYLE = """
 @keyframes flash-a { from { background: #ffb02088 } } @keyframes flash-b { from { background: #ffb02088 } }
 .flash-a { animation: flash-a .9s } .flash-b { animation: flash-b .9s }
 @media (prefers-reduced-motion: reduce) { .flash-a, .flash-b { animation-duration: .01s } }
-.trace { height: 210px; font-family: ui-monospace, monospace; font-size: 11.5px; white-space: pre }
+.trace { height: 210px; overflow: auto; font-family: ui-monospace, monospace; font-size: 11.5px; white-space: pre }
 .trace .bad { color: #e5484d } .trace .own { opacity: .75 }
 """

@@ -10,6 +10,8 @@ from nicegui.events import GenericEventArguments
 
 from stage.errors import ArgumentError, StageError
 from stage.panel.chips import axis_names, send
+from stage.panel.lines import Lines
+from stage.panel.live import Live
 from stage.panel.look import seen
 from stage.panel.orders import complete, understand
 from stage.panel.trace import LINES
@@ -26,16 +28,16 @@ KEYS = """(e) => {
 """Tab completes a name; after a space, or in an empty line, it goes on to the next control as everywhere."""
 
 
-def build(panel: Panel) -> None:
+def build(panel: Panel, live: Live) -> None:
     """The console of all chips."""
     with ui.card().classes("w-full q-pa-sm"):
-        Console(panel)
+        Console(panel, live)
 
 
 class Console:
     """One browser's console: its target, its lines before, and what it has shown of the trace."""
 
-    def __init__(self, panel: Panel):
+    def __init__(self, panel: Panel, live: Live):
         self._panel, self._target = panel, (0, 0)
         self._past: list[str] = []
         self._at, self._shown = 0, 0
@@ -55,18 +57,19 @@ class Console:
             self._line: Any = ui.input(placeholder="10 15   R1 <- 100   read 0   help").classes("col number")
             self._line.props("dense hide-bottom-space autocomplete=off spellcheck=false aria-label='bus console'")
             self._line.props('data-test="console"').on("keydown", self._key, js_handler=KEYS)
-        self._log = ui.log(max_lines=LINES).classes("trace w-full").props('data-test="trace"')
+        self._log = Lines(live, LINES).classes("trace w-full").props('data-test="trace" aria-label="the bus, in words"')
         with (
             ui.expansion("diagnostics").props("dense").classes("w-full").props('data-test="diagnostics"') as self._noted
         ):
-            self._bad = ui.log(max_lines=LINES).classes("trace w-full").style("height: 130px")
+            self._bad = Lines(live, LINES).classes("trace w-full").style("height: 130px")
+            self._bad.props('data-test="diagnosed" aria-label="diagnostics"')
         ui.timer(0.1, self._look)
 
     def _choose(self, index: int) -> None:
         before, self._target = self._target, self._targets[index]
         if before[0] != self._target[0]:
             self._shown = 0
-            self._log.clear()
+            self._log.empty()
 
     async def _key(self, event: GenericEventArguments) -> None:
         key, text = event.args, self._line.value or ""
@@ -89,7 +92,7 @@ class Console:
                 common = common[:-1]
         self._line.value = f"{head} {common}".lstrip() + (" " if len(found) == 1 else "")
         if len(found) > 1 and len(common) <= len(last):
-            self._log.push("  ".join(found[:40]), classes="own")
+            self._log.push("  ".join(found[:40]), "own")
 
     async def _enter(self, text: str) -> None:
         k, axis = self._target
@@ -98,14 +101,14 @@ class Console:
         try:
             values = await asyncio.wrap_future(session.post(lambda stage: seen(stage.chips[k], axis).values))
             order = understand(kind, text, axis, values)
-            self._log.push(f"> {text}", classes="own")
+            self._log.push(f"> {text}", "own")
             self._line.value, self._line.error = "", None
             self._past = [*self._past[-199:], text] if self._past[-1:] != [text] else self._past
             self._at = len(self._past)
             if order.cycles:
                 await send(self._panel, k, order.cycles)
             if order.answer:
-                self._log.push(order.answer, classes="own")
+                self._log.push(order.answer, "own")
         except (ArgumentError, StageError) as error:
             self._line.error = str(error)
         self._look()
@@ -115,12 +118,12 @@ class Console:
         trace = self._panel.look.traces[k]
         for line in trace.since(self._shown):
             self._shown = line.number
-            self._log.push(line.text(trace.digits), classes="bad" if line.way in ("!", "lost") else "")
+            self._log.push(line.text(trace.digits), "bad" if line.way in ("!", "lost") else "")
         new = 0
         for j, one in enumerate(self._panel.look.traces):
             for line in [d for d in tuple(one.said) if d.number > self._said[j]]:
                 self._said[j], new = line.number, new + 1
-                self._bad.push(f"{'/'.join(self._names[j].values())} {line.text(one.digits)}", classes="bad")
+                self._bad.push(f"{'/'.join(self._names[j].values())} {line.text(one.digits)}", "bad")
         if new:
             total = sum(len(one.said) for one in self._panel.look.traces)
             self._noted.text = f"diagnostics ({total})"

@@ -47,7 +47,7 @@ class Procedures:
             self.said = ui.label().classes("number").style("white-space: pre-wrap; font-size: 12px")
             self.said.props("data-test=report aria-live=polite role=status")
             self.picture = ui.html("", sanitize=False).classes("w-full pattern").props("data-test=pattern")
-        ui.context.client.on_disconnect(self._release)
+        panel.controls.when_lost(ui.context.client.id, self._release)
         self._choose(self.axis)
 
     def _choose(self, axis: str) -> None:
@@ -61,7 +61,7 @@ class Procedures:
             except StageError as error:
                 ui.label(str(error)).classes("text-negative")
                 return
-            with ui.tabs().props("dense no-caps inline-label align=left") as tabs:
+            with ui.tabs().classes("w-full").props("dense no-caps inline-label align=left") as tabs:
                 for form in forms:
                     ui.tab(form.name, form.title).props(f"data-test=tab-{form.name}")
                 ui.tab("jog", "Jog").props("data-test=tab-jog")

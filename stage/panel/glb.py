@@ -12,7 +12,7 @@ import numpy as np
 
 from stage.recording.geoms import colour, floor, visible
 
-FACETS = 48  # of a full circle
+FACETS = 32  # of a full circle
 _KIND = mujoco.mjtGeom
 Mesh = tuple[np.ndarray, np.ndarray, np.ndarray]
 """Corners (n, 3) and normals (n, 3), float32; triangles (m, 3), uint32."""
@@ -28,7 +28,18 @@ def bodies(model: mujoco.MjModel) -> Iterator[tuple[int, bytes]]:
             if g != ground and visible(model, g) and int(model.geom_type[g]) in _SHAPES
         ]
         if geoms:
-            yield body, glb([(_placed(model, g), colour(model, g) / 255.0) for g in geoms])
+            coloured: dict[tuple, list[Mesh]] = {}
+            for g in geoms:
+                coloured.setdefault(tuple((colour(model, g) / 255.0).tolist()), []).append(_placed(model, g))
+            yield body, glb([(_joined(meshes), np.array(rgba)) for rgba, meshes in coloured.items()])
+
+
+def _joined(meshes: list[Mesh]) -> Mesh:
+    """As one: browsers draw a mesh at a time, and each takes its time."""
+    corners, normals, triangles = zip(*meshes, strict=True)
+    first = np.cumsum([0, *(len(c) for c in corners[:-1])])
+    shifted = [t + np.uint32(n) for t, n in zip(triangles, first, strict=True)]
+    return np.concatenate(corners), np.concatenate(normals), np.concatenate(shifted).astype(np.uint32)
 
 
 def glb(parts: list[tuple[Mesh, np.ndarray]]) -> bytes:

@@ -8,15 +8,24 @@ import mujoco
 import numpy as np
 from nicegui import ui
 
+from stage.panel.live import FRAMES, Live
+
 if TYPE_CHECKING:
     from stage.panel.server import Panel
 
-FRAMES = 25  # a second
 VIEWS = {"corner": (0.75, -1.1, 0.75), "front": (0, -1.5, 0.15), "side": (1.5, 0, 0.15), "top": (0, -0.01, 1.6)}
 """Where the camera stands, from the centre of the model, in its extents."""
 
 
-def build(panel: Panel) -> None:
+class Poses(ui.element, component="poses.js"):
+    """Where the bodies of a scene are."""
+
+    def __init__(self, scene: ui.scene):
+        super().__init__()
+        self._props["scene"] = scene.id
+
+
+def build(panel: Panel, live: Live) -> None:
     session = panel.session
     model = session.stage.model
     data = mujoco.MjData(model)  # this page's own: the stage's belongs to its thread
@@ -41,20 +50,21 @@ def build(panel: Panel) -> None:
                 )
     look_from("corner", 0)
     seen = np.full(model.nq, np.nan)
-    placed: dict[int, tuple] = {}
+    placed: dict[int, list] = {}
 
-    def look() -> None:
+    def look() -> list | None:
         view = session.view
         if np.array_equal(view.qpos, seen):
-            return
+            return None
         seen[:] = view.qpos
         data.qpos[:] = view.qpos
         mujoco.mj_kinematics(model, data)
+        poses = []
         for body, group in moving.items():
-            where = (*data.xpos[body].round(6), *data.xmat[body].round(6))
+            where = [data.xpos[body].round(6).tolist(), data.xmat[body].reshape(3, 3).round(6).tolist()]
             if placed.get(body) != where:
                 placed[body] = where
-                group.move(*data.xpos[body].tolist())
-                group.rotate_R(data.xmat[body].reshape(3, 3).tolist())
+                poses.append([group.id, *where])
+        return [poses] if poses else None
 
-    ui.timer(1 / FRAMES, look)
+    live.call(Poses(scene), "move", look)

@@ -1,4 +1,4 @@
-"""`Panel`: a session and the server of its page, in a thread of its own.
+"""`Panel`: a session and the server of its page; there may be several in a process.
 
 panel = Panel(Session(Stage("xyz")))
 print(panel.address)
@@ -7,10 +7,10 @@ panel.close()
 
 from __future__ import annotations
 
+import asyncio
 import secrets
 import socket
-import threading
-from typing import Any
+from time import sleep
 
 from stage.errors import StageError
 from stage.panel.controls import Controls
@@ -30,42 +30,35 @@ class Panel:
     def __init__(self, session: Session, port: int = 0, host: str = HERE):
         try:
             import uvicorn
-            from fastapi import FastAPI
-            from nicegui import ui
+
+            from stage.panel.website import website
+
+            self._site = website()
         except ImportError as error:
             raise StageError("the panel needs NiceGUI: pip install 'pulsestage[panel]'.") from error
-        from stage.panel import glb, page
+        from stage.panel import glb
 
-        self.session, self.controls, self.look = session, Controls(), Look(session)
+        self.session, self.controls = session, Controls()
         self._socket = _listening(host, port)
         self.port = self._socket.getsockname()[1]
         self.token = "" if host == HERE else secrets.token_urlsafe(16)
-        self.sampler, self.hands = Sampler(session), Hands(session)
+        self.look, self.sampler, self.hands = Look(session), Sampler(session), Hands(session)
         self.shapes = dict(glb.bodies(session.stage.model))
-        app = FastAPI(openapi_url=None)
-        app.add_api_route("/shape/{body}.glb", self._shape)
-        ui.run_with(
-            app,
-            root=lambda: page.build(self),
-            title="PulseStage",
-            dark=None,
-            show_welcome_message=False,
-            reconnect_timeout=20,
-        )
         names = frozenset(f"{name}:{self.port}" for name in (HERE, "localhost")) if host == HERE else frozenset()
         config = uvicorn.Config(
-            Guard(app, names, self.token),
+            Guard(self._site.app, names, self.token),
             log_level="error",
             ws_ping_interval=20,
-            lifespan="on",
+            ws_per_message_deflate=False,  # it takes longer than what it saves
+            lifespan="off",
             timeout_graceful_shutdown=1,
         )
         self._server = uvicorn.Server(config)
         self._host = host
-        self._thread = threading.Thread(
-            target=self._server.run, kwargs={"sockets": [self._socket]}, name="pulsestage panel", daemon=True
-        )
-        self._thread.start()
+        self._site.panels[self.port] = self
+        self._served = asyncio.run_coroutine_threadsafe(self._server.serve([self._socket]), self._site.loop)
+        while not (self._server.started or self._served.done()):
+            sleep(0.005)
 
     @property
     def address(self) -> str:
@@ -73,16 +66,14 @@ class Panel:
         at = f"http://{self._host if self._host not in ('0.0.0.0', '::') else socket.gethostname()}:{self.port}/"
         return f"{at}?token={self.token}" if self.token else at
 
-    def _shape(self, body: int) -> Any:
-        from fastapi import Response
-
-        found = self.shapes.get(body)
-        return Response(found or b"", status_code=200 if found else 404, media_type="model/gltf-binary")
-
     def close(self) -> None:
         """End the server; the session lives on."""
         self._server.should_exit = True
-        self._thread.join(5)
+        try:
+            self._served.result(5)
+        except TimeoutError:
+            self._served.cancel()
+        self._site.panels.pop(self.port, None)
         self.look.close()
         self.sampler.close()
         self.hands.close()

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from nicegui import run, ui
+from nicegui import background_tasks, run, ui
 
 from stage.errors import StageError
 from stage.panel import procedures
 from stage.panel.forms import clear, entry, said_at
-from stage.panel.hands import Breaking, Hands, Made
+from stage.panel.hands import Breaking, Made
 
 if TYPE_CHECKING:
     from stage.panel.server import Panel
@@ -21,14 +21,14 @@ def build(panel: Panel) -> None:
     """One browser's hands."""
     axes = list(panel.session.stage.axes)
     if axes:
-        Touch(panel.hands, axes)
+        Touch(panel, axes)
 
 
 class Touch:
     """Sliders, a form for each thing that can break, and the list with "mend"."""
 
-    def __init__(self, hands: Hands, axes: list[str]):
-        self.hands, self.axis = hands, axes[0]
+    def __init__(self, panel: Panel, axes: list[str]):
+        self.hands, self.axis = panel.hands, axes[0]
         self._listed: list[tuple[Made, str]] | None = None
         with (
             ui.expansion("Hands on the machine", icon="back_hand")
@@ -50,7 +50,7 @@ class Touch:
                     self._push_button(sign, label)
             self.box = ui.row().classes("w-full items-start q-gutter-xs")
             self.list = ui.column().classes("w-full q-gutter-none").props("data-test=in-force aria-live=polite")
-        ui.context.client.on_disconnect(lambda: run.io_bound(self._let_go))
+        panel.controls.when_lost(ui.context.client.id, self._let_go_soon)
         self._pushes = ""
         self._choose(self.axis)
         ui.timer(0.25, self._look)
@@ -100,6 +100,9 @@ class Touch:
             await run.io_bound(self.hands.push, self.axis, sign * (self.force.value or 0.0))
         except StageError as error:
             ui.notify(str(error), type="negative")
+
+    def _let_go_soon(self) -> None:
+        background_tasks.create(run.io_bound(self._let_go))
 
     def _let_go(self) -> None:
         axis, self._pushes = self._pushes, ""

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 from nicegui import context, run, ui
 
-from stage.panel.session import FREE
+from stage.panel.live import Live
+from stage.panel.session import FREE, Session
 
 if TYPE_CHECKING:
     from stage.panel.server import Panel
@@ -26,7 +27,7 @@ BACK = (0.1, 1.0, 5.0, 30.0)  # s
 LAGS = 0.95  # of the speed that was asked for: less is told
 
 
-def build(panel: Panel, controlled: list[ui.element]) -> None:
+def build(panel: Panel, live: Live, controlled: list[ui.element]) -> None:
     """controlled: what only he may use who has the controls."""
     session = panel.session
     ui.label("PulseStage").classes("text-weight-bold q-mr-sm gt-xs")
@@ -47,11 +48,14 @@ def build(panel: Panel, controlled: list[ui.element]) -> None:
         ui.select(SPEEDS, value=_nearest(session.speed), on_change=lambda e: setattr(session, "speed", e.value)).props(
             "dense dark borderless options-dense aria-label='simulated seconds a second' data-test=speed"
         )
-    clock = ui.label().classes("number q-ml-sm").props("data-test=time aria-label='simulated time'")
-    pace = ui.label().classes("number q-ml-sm text-caption").props("data-test=pace")
+    clock = ui.element("div").classes("number q-ml-sm").props("data-test=time role=timer aria-label='simulated time'")
+    pace = ui.element("div").classes("number q-ml-sm text-caption").props("data-test=pace")
+    live.text(clock, lambda: f"{session.view.time:.4f} s")
+    live.text(pace, lambda: _pace(session))
     ui.space()
     doing = ui.label().classes("text-caption ellipsis").props("data-test=doing role=status")
     stop = _button("stop", "stop this action; the chips go on", session.abandon, "abandon")
+    controlled.append(stop)
     mine = _controls(panel, controlled)
     dark = ui.dark_mode(None)
     _button("contrast", "light or dark", lambda: _turn(dark), "dark")
@@ -59,15 +63,20 @@ def build(panel: Panel, controlled: list[ui.element]) -> None:
     def look() -> None:
         view = session.view
         play.props(f"icon={'play_arrow' if session.paused else 'pause'}")
-        clock.text = f"{view.time:.4f} s"
-        late = not session.paused and session.speed != FREE and view.pace < LAGS * session.speed
-        pace.text = "stands still" if session.paused else f"{view.pace:.2f} x" + (", cannot keep up" if late else "")
         doing.text = view.trouble or view.doing
         doing.classes(**({"add": "trouble"} if view.trouble else {"remove": "trouble"}))
         stop.set_visibility(bool(view.doing))
         mine()
 
     ui.timer(0.1, look)
+
+
+def _pace(session: Session) -> str:
+    if session.paused:
+        return "stands still"
+    pace = session.view.pace
+    late = session.speed != FREE and pace < LAGS * session.speed
+    return f"{pace:.2f} x" + (", cannot keep up" if late else "")
 
 
 def _button(icon: str, says: str, does: object, name: str) -> ui.button:
@@ -90,6 +99,7 @@ def _controls(panel: Panel, controlled: list[ui.element]) -> Callable[[], None]:
     button = ui.button(on_click=lambda: controls.take(me)).props("flat dense no-caps color=white data-test=controls")
     context.client.on_connect(lambda: controls.come(me))
     context.client.on_disconnect(lambda: controls.go(me))
+    context.client.on_delete(lambda: controls.forget(me))
     shown: list[object] = []
 
     def look() -> None:

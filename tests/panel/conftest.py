@@ -1,10 +1,12 @@
-"""A panel in a process of its own, and real browsers that look at it."""
+"""Panels, in a process of their own or in that of the tests, and real browsers that look at them."""
 
 import re
 import shutil
 import subprocess
 import sys
+import tempfile
 import time
+from pathlib import Path
 
 import pytest
 
@@ -13,9 +15,12 @@ from stage.panel.sampler import Sampler
 from stage.panel.session import FREE, Session
 
 ARGUMENTS = (
-    "--headless=new", "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
+    "--headless=new",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--enable-unsafe-swiftshader",
     "--window-size=1400,1000",
-)  # fmt: skip
+)
 
 
 class Browser:
@@ -28,11 +33,20 @@ class Browser:
         for argument in (*ARGUMENTS, *arguments):
             options.add_argument(argument)
         options.binary_location = shutil.which("chromium")
+        self.downloads = Path(tempfile.mkdtemp(prefix="pulsestage-"))
+        options.add_experimental_option("prefs", {"download.default_directory": str(self.downloads)})
         options.set_capability("goog:loggingPrefs", {"performance": "ALL", "browser": "ALL"})
         service = webdriver.ChromeService(shutil.which("chromedriver"))
         self.driver = webdriver.Chrome(options=options, service=service)
+        self.open(address)
+
+    def open(self, address):
         self.driver.get(address)
         self.until(lambda: self.text("time"))
+
+    def close(self):
+        self.driver.quit()
+        shutil.rmtree(self.downloads)
 
     def find(self, name):
         return self.driver.find_element("css selector", f"[data-test='{name}']")
@@ -41,7 +55,56 @@ class Browser:
         return self.find(name).text
 
     def click(self, name):
-        self.find(name).click()
+        """A real click, of the mouse, where the element is then to be seen."""
+        self.shown(name).click()
+
+    def shown(self, name):
+        """The element, in the middle of the window, when it has come to rest there."""
+        self.until(lambda: self.find(name).is_displayed())
+        before: list[dict] = []
+
+        def rests():
+            element = self.find(name)
+            self.driver.execute_script("arguments[0].scrollIntoView({block: 'center', behavior: 'instant'})", element)
+            before.append(element.rect)
+            return element if before[-2:-1] == before[-1:] else None
+
+        return self.until(rests)
+
+    def value(self, name):
+        return self.find(name).get_attribute("value")
+
+    def lit(self, name):
+        """Whether a lamp is on."""
+        return "on" in self.find(name).get_attribute("class").split()
+
+    def type(self, name, *keys):
+        """Click a field, and type in place of what it holds."""
+        from selenium.webdriver.common.keys import Keys
+
+        field = self.shown(name)
+        field.click()
+        field.send_keys(Keys.CONTROL + "a")  # the key goes up at the end of a call
+        field.send_keys(*keys)
+        return field
+
+    def choose(self, name, text):
+        """From a list that opens with a click."""
+        self.click(name)
+        option = self.until(lambda: self._option(text))
+        self.driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", option)
+        option.click()
+
+    def _option(self, text):
+        options = self.driver.find_elements("css selector", ".q-menu [role=option]")
+        return next((o for o in options if o.text.split() == text.split()), None)
+
+    def downloaded(self, ending):
+        """The bytes of a file that has come, whole; it is taken away."""
+        file = self.until(lambda: next(iter(self.downloads.glob(f"*.{ending}")), None))
+        data = file.read_bytes()
+        file.unlink()
+        return data
 
     def until(self, condition, seconds=40.0):
         """Wait until `condition()` is true, and return it."""
@@ -74,13 +137,18 @@ class Browser:
         ]
 
 
-@pytest.fixture(scope="module")
-def address():
-    """Of a panel of xy, which the command line serves."""
+def needs_a_browser():
+    """Skip where there is none."""
     pytest.importorskip("nicegui")
     pytest.importorskip("selenium")
     if not (shutil.which("chromium") and shutil.which("chromedriver")):
         pytest.skip("needs Chromium and its driver (Debian: chromium-driver)")
+
+
+@pytest.fixture(scope="module")
+def address():
+    """Of a panel of xy, which the command line serves."""
+    needs_a_browser()
     command = [sys.executable, "-m", "stage", "panel", "xy", "--port", "0", "--no-browser"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         yield re.match(r"http://\S+", process.stdout.readline())[0]
@@ -93,7 +161,54 @@ def browser(address):
     """The browser that came first and has the controls."""
     browser = Browser(address)
     yield browser
-    browser.driver.quit()
+    browser.close()
+
+
+class Bench:
+    """A panel of xy in the process of the tests, and a browser that has the controls: what is clicked is seen on the stage, too."""
+
+    def __init__(self):
+        from stage.panel.server import Panel
+
+        self.session = Session(Stage("xy"))
+        self.panel = Panel(self.session)
+        self.browser = Browser(self.panel.address)
+
+    def fresh(self):
+        """The page as at first, and the stage at power-up, in real time."""
+        for made in reversed(self.panel.hands.in_force):
+            self.panel.hands.mend(made)
+        self.panel.hands.load(0.0)
+        self.session.reset()
+        self.session.paused, self.session.speed = False, 1.0
+        self.browser.open(self.panel.address)
+
+    def stage(self, look):
+        """`look(stage)`, by the stage's own thread."""
+        return self.session.do(look)
+
+    def x(self, what):
+        """Something of the axis x."""
+        return self.stage(lambda stage: getattr(stage.axes["x"], what))
+
+    def close(self):
+        self.browser.close()
+        self.panel.close()
+        self.session.close()
+
+
+@pytest.fixture(scope="session")
+def _bench():
+    needs_a_browser()
+    bench = Bench()
+    yield bench
+    bench.close()
+
+
+@pytest.fixture(scope="module")
+def bench(_bench):
+    _bench.fresh()
+    return _bench
 
 
 @pytest.fixture(scope="module")

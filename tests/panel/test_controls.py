@@ -28,3 +28,19 @@ def test_who_goes_leaves_the_controls_to_the_next():
     assert controls.holder is None
     controls.come("d")
     assert controls.holder == "d"
+
+
+def test_who_loses_the_controls_lets_go_of_what_he_holds():
+    controls, released = Controls(), []
+    for who in "ab":
+        controls.come(who)
+        controls.when_lost(who, lambda who=who: released.append(who))
+    controls.take("a")
+    assert released == []
+    controls.take("b")
+    controls.take("b")
+    assert released == ["a"]
+    controls.go("a")
+    assert released == ["a"]
+    controls.go("b")
+    assert released == ["a", "b"]

@@ -11,8 +11,8 @@ from stage.panel.glb import bodies
 
 SHAPES = """<mujoco><worldbody><body name="b"><freejoint/>
 <geom type="box" size=".1 .2 .3" pos="1 2 3" rgba="1 0 0 .5"/><geom type="sphere" size=".4"/>
-<geom type="cylinder" size=".1 .5" euler="0 90 0"/><geom type="capsule" size=".1 .5" pos="0 0 -1"/>
-<geom type="ellipsoid" size=".1 .2 .3"/><geom type="box" size="9 9 9" group="3"/></body></worldbody></mujoco>"""
+<geom type="cylinder" size=".1 .5" euler="0 90 0" rgba="0 1 0 1"/><geom type="capsule" size=".1 .5" pos="0 0 -1" rgba="0 0 1 1"/>
+<geom type="ellipsoid" size=".1 .2 .3" rgba="1 1 0 1"/><geom type="box" size="9 9 9" group="3"/></body></worldbody></mujoco>"""
 
 
 def read(blob):
@@ -58,6 +58,19 @@ def test_each_visible_geom_is_there_with_its_size_place_and_colour():
     assert look["pbrMetallicRoughness"]["baseColorFactor"] == [1, 0, 0, pytest.approx(0.5, abs=0.01)]
     assert look["alphaMode"] == "BLEND"
     assert "alphaMode" not in scene["materials"][1]
+
+
+def test_geoms_of_one_colour_are_one_mesh():
+    model = mujoco.MjModel.from_xml_string(SHAPES.replace("0 0 1 1", "0 1 0 1"))
+    ((_, blob),) = bodies(model)
+    scene, binary = read(blob)
+    assert len(scene["meshes"]) == 4
+    primitive = scene["meshes"][2]["primitives"][0]
+    place = corners(scene, binary, primitive["attributes"]["POSITION"])
+    assert place.min(axis=0) == pytest.approx([-0.5, -0.1, -1.6], abs=5e-3)
+    assert place.max(axis=0) == pytest.approx([0.5, 0.1, 0.1], abs=5e-3)
+    index = corners(scene, binary, primitive["indices"])[:, 0]
+    assert set(index.tolist()) == set(range(len(place))), "every corner is one of a triangle"
 
 
 def test_the_shipped_models_have_bodies_to_show():

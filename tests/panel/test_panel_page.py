@@ -67,7 +67,7 @@ def test_a_second_browser_sees_the_same_and_one_has_the_controls(browser, addres
         second.until(lambda: not second.driver.execute_script(play))
         browser.until(lambda: browser.driver.execute_script(play))
     finally:
-        second.driver.quit()
+        second.close()
     browser.until(lambda: not browser.driver.execute_script(play))  # it is alone again
 
 
@@ -78,11 +78,11 @@ def test_a_foreign_name_of_the_host_is_refused_by_the_server(address):
     assert refused.value.code == 403
 
 
-def test_it_can_be_used_by_keyboard_alone(browser):
+def test_it_can_be_used_by_keyboard_alone(browser, address):
     from selenium.webdriver.common.keys import Keys
 
+    browser.open(address)  # Tab begins at the top
     browser.until(lambda: "stands still" not in browser.text("pace"))
-    browser.driver.execute_script("document.activeElement.blur()")
     body = browser.driver.find_element("css selector", "body")
     for _ in range(10):
         body.send_keys(Keys.TAB)
@@ -99,7 +99,7 @@ def test_it_can_be_used_by_keyboard_alone(browser):
 
 def test_a_phone_shows_one_column(address, browser):
     driver = browser.driver
-    driver.set_window_size(420, 900)
+    driver.set_window_size(390, 844)
     try:
         width = "return document.documentElement.scrollWidth - document.documentElement.clientWidth"
         browser.until(lambda: driver.execute_script(width) <= 0)

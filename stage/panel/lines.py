@@ -1,0 +1,33 @@
+"""`Lines`: lines of text that come at the end of a list, hundreds of them. They are no elements of NiceGUI, which would compare all
+of them whenever something else on the page changes."""
+
+from __future__ import annotations
+
+from nicegui import ui
+
+from stage.panel.live import Live
+
+
+class Lines(ui.element, component="lines.js"):
+    """The last `most` lines. Scrolled to the end, it stays there."""
+
+    def __init__(self, live: Live, most: int):
+        super().__init__()
+        self._props["most"] = most
+        self._new: list[tuple[str, str]] = []
+        self._most = most
+        live.call(self, "push", self._take)
+
+    def push(self, text: str, kind: str = "") -> None:
+        """One more, of a class `kind`."""
+        self._new.append((text, kind))
+        del self._new[: -self._most]
+
+    def empty(self) -> None:
+        """No lines any more."""
+        self._new.clear()
+        self.run_method("clear")
+
+    def _take(self) -> list | None:
+        new, self._new = self._new, []
+        return [new] if new else None

@@ -1,0 +1,61 @@
+"""Only one has the controls: what a browser without them sends is refused by the server, even where its page was forged."""
+
+import time
+
+import pytest
+
+from tests.panel.conftest import Browser
+
+pytestmark = pytest.mark.slow
+
+FORGED = """for (const e of document.querySelectorAll('[inert]')) e.removeAttribute('inert');
+arguments[0].click();"""
+RAW = """const v = mounted_app.elements[arguments[0].id.slice(1)];
+const listener = v.events.find(e => e.type.startsWith('click'));
+window.socket.emit('event', {id: Number(arguments[0].id.slice(1)), client_id: window.clientId, listener_id: listener.listener_id,
+  args: ['{}']});"""
+
+
+@pytest.fixture
+def second(bench):
+    second = Browser(bench.panel.address)
+    second.until(lambda: second.text("controls") == "Take the controls")
+    yield second
+    second.close()
+
+
+def heard(bench):
+    """What the server has taken for an order: the bus cycles of the panel, and whether time stands still."""
+    return bench.panel.look.traces[0].since(0), bench.session.paused
+
+
+def test_forged_clicks_and_messages_of_one_who_only_looks_do_nothing(bench, second):
+    before = heard(bench)
+    for name in ("play", "command-0-operate-8", "go-move", "reset"):
+        second.driver.execute_script(FORGED, second.find(name))
+    second.driver.execute_script(RAW, second.find("play"))
+    second.click("view-top")  # what is no order is heard
+    second.click("controls")  # and in order: all before has come
+    second.until(lambda: second.text("controls") != "Take the controls")
+    assert heard(bench) == before
+    second.driver.execute_script(RAW, second.find("play"))
+    second.until(lambda: bench.session.paused)  # the same message is an order now
+    second.click("play")
+    second.until(lambda: not bench.session.paused)
+
+
+def test_who_loses_the_controls_lets_go_of_a_jog(bench, second):
+    from selenium.webdriver.common.action_chains import ActionChains
+
+    first = bench.browser
+    first.until(lambda: first.text("controls") == "2 watching")
+    first.click("tab-jog")
+    ActionChains(first.driver).click_and_hold(first.shown("jog-plus")).perform()
+    first.until(lambda: bench.session.view.doing == "jog x")
+    second.click("controls")
+    second.until(lambda: bench.session.view.doing == "")
+    time.sleep(0.1)
+    at = bench.x("commanded")
+    time.sleep(0.2)
+    assert bench.x("commanded") == at
+    ActionChains(first.driver).release().perform()
