@@ -1,6 +1,6 @@
 """Lays out the documentation site in build/site, for `zensical build`: `make docs`.
 
-    python scripts/site/build.py            pages, reference and configuration
+    python scripts/site/build.py [FOLDER]   pages, reference and configuration
     cd build/site && zensical build --strict
 
 Pages of docs/ go over as they are; README.md is the start. What they link to elsewhere in the repository becomes a page that shows
@@ -13,6 +13,7 @@ from __future__ import annotations
 import os
 import re
 import shutil
+import sys
 import tomllib
 from pathlib import Path
 
@@ -20,7 +21,7 @@ import gallery
 import reference
 
 ROOT = Path(__file__).resolve().parents[2]
-OUT = ROOT / "build" / "site"
+OUT = Path(sys.argv[1]).resolve() if len(sys.argv) > 1 else ROOT / "build" / "site"
 PAGES = OUT / "pages"
 LINK = re.compile(r"(\]\()([^)\s#]+)(#[^)]*)?(\))")
 LANGUAGES = {
