@@ -96,6 +96,16 @@ def test_board_trace_and_command_line_know_it(stage_, capsys, tmp_path):
     )
 
 
+@pytest.mark.parametrize("distance", ["10mm", "-10mm"])
+def test_its_registers_are_tuned_for_either_direction(capsys, distance):
+    """stage tune xy --axis x --chips acme1000 --distance -10mm"""
+    given = ["--chips", "acme1000", "--distance", distance, "--trials", "4", "--seed", "1"]
+    assert main(["tune", "xy", "--axis", "x", *given]) == 0
+    said = capsys.readouterr().out
+    assert "START" in said
+    assert "SLOPE" in said
+
+
 @pytest.mark.parametrize("id_", ["RegisterTuning", "RegisterBus", "OriginReturn"])
 def test_environments_know_it(id_):
     env = gymnasium.make(f"stage/{id_}-v0", chip="acme1000", model="xy")

@@ -387,6 +387,57 @@ def test_an_arduino_reaches_it_by_spi(stage_, tmp_path):
     assert stage_.axes["x"].position == pytest.approx(5e-3, abs=2e-5)
 
 
+SETTINGS = """
+#include <SPI.h>
+static uint64_t took;
+static uint32_t version(SPISettings settings, bool turned = false)
+{
+    const uint64_t then = ps_micros();
+    SPI.beginTransaction(settings);
+    uint32_t answer = 0;
+    for (int k = 0; k < 2; k++) {
+        digitalWrite(5, LOW);
+        answer = SPI.transfer(turned ? 0x20 : 0x04), answer = 0;
+        for (int n = 0; n < 4; n++)
+            answer = answer << 8 | SPI.transfer(0);
+        digitalWrite(5, HIGH);
+    }
+    SPI.endTransaction();
+    took = ps_micros() - then;
+    return answer;
+}
+void setup()
+{
+    pinMode(5, OUTPUT);
+    digitalWrite(5, HIGH);
+    const uint32_t right = version(SPISettings(4000000, MSBFIRST, SPI_MODE3));
+    const uint64_t quick = took;
+    int code = right >> 24 != 0x30;
+    code |= (version(SPISettings(100000, MSBFIRST, SPI_MODE0)) != right) << 1;
+    code |= (took - quick != 780) << 2; /* 10 bytes of 80 us, and of 2 us */
+    code |= (version(SPISettings(4000000, LSBFIRST, SPI_MODE3), true) >> 24 != 0x0C) << 3;
+    code |= (version(SPISettings(4000000, MSBFIRST, SPI_MODE1)) != 0xFFFFFFFF) << 4;
+    code |= (version(SPISettings(16000000, MSBFIRST, SPI_MODE3)) != right) << 5;
+    pulsestage::end(code);
+}
+void loop() {}
+"""
+
+
+def test_rate_order_and_mode_of_spi_are_those_of_the_sketch(stage_, tmp_path):
+    """SPI.beginTransaction(SPISettings(4000000, MSBFIRST, SPI_MODE1)) to a chip that takes mode 3, 5 MHz at most"""
+    stage_.reset()
+    (tmp_path / "a.ino").write_text(SETTINGS)
+    (tmp_path / "pins.cpp").write_text(
+        "#include <pinbus.h>\nstatic PinBus driver = PinBus(0x300).spi(5, 3, 5000000);\n"
+    )
+    host = NativeHost(build([tmp_path / "a.ino", tmp_path / "pins.cpp"]), Board(stage_))
+    assert host.run(timeout=5).code == 0
+    modes, rate = (text for _, text in host.log if text.startswith("pins: "))
+    assert "takes bits in mode 3, and they come in mode 1" in modes
+    assert rate.startswith("pins: SCK of 16000000 Hz, and the chip on SPI at 300h takes 5000000 Hz at most")
+
+
 @pytest.mark.slow
 def test_it_keeps_every_promise_often_and_as_plain_python():
     chip_conformance("tmc5160", seed=5, programs=100)

@@ -24,6 +24,7 @@ from numba.core import codegen, types
 from numba.core.compiler_lock import global_compiler_lock
 
 from stage.native.passes import cpu_target
+from stage.native.refusals import told
 
 OUTSIDE = frozenset("exp log pow sin cos tan sqrt floor ceil rint round trunc fmod memset memcpy memmove".split())
 """What a library may ask of the system: C's mathematics and memory."""
@@ -103,7 +104,10 @@ def _entry(function: Any, context: Any) -> Iterator[Any]:
     from stage.native.typed import lowered_array, type_of
 
     returned, arguments = type_of(function.result), tuple(type_of(a) for a in function.arguments)
-    function.hot.compile(arguments)
+    try:
+        function.hot.compile(arguments)
+    except Exception as error:  # numba raises of many kinds, an AssertionError, too
+        raise SystemExit(told(function.hot.py_func, error)) from None
     made = function.hot.overloads[arguments]
     library = context.codegen().create_library(function.symbol)
     module = library.create_ir_module(function.symbol)

@@ -12,14 +12,18 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from functools import partial
 from typing import Any
 
 from stage.chips import Chip, chip_class
-from stage.errors import StageError, unknown
+from stage.errors import ArgumentError, StageError, unknown
+from stage.testing.bounded import bounded
 from stage.testing.promises import PROMISES, Broken, Trial
 
 PROGRAMS = 3
+LIMIT = 120.0
+"""Seconds of real time for one promise."""
 
 
 class NotConforming(StageError, AssertionError):
@@ -47,6 +51,7 @@ class ChipConformance:
         seed: int | None = None,
         promises: Iterable[str] | None = None,
         uncompiled: bool = False,
+        limit: float | None = LIMIT,
         **options: Any,
     ) -> None:
         """Try every promise, or those named.
@@ -56,25 +61,31 @@ class ChipConformance:
             programs: random ones for each promise. 3 take a second or so, 300 find what is rare.
             seed: of the random numbers; default: another each time. It is printed, and is in the error's text.
             uncompiled: and the same programs as plain Python, in a process of its own, must give the same bits.
+            limit: seconds of real time for each promise, in a process of its own, so that a core that never answers, or that writes
+                beyond an array, is told as a broken promise. None: in this process, without a limit, for debuggers.
             options: what the chip is made with, for example clock_hz.
-        Raises NotConforming, ArgumentError for a promise that is not known.
+        Raises NotConforming, ArgumentError for a promise that is not known or a limit that is no time.
         """
+        if limit is not None and not limit > 0:
+            raise ArgumentError(f"limit={limit!r}: seconds above 0, or None for no limit.")
         kind = chip_class(chip) if isinstance(chip, str) else chip
         seed = random.SystemRandom().getrandbits(32) if seed is None else seed
         print(f"chip_conformance({getattr(kind, '__name__', kind)}, seed={seed})")
         trial = Trial(kind, partial(kind, **options), seed, programs)
         broken: dict[str, str] = {}
+        with suppress(Exception):  # what is wrong with it, a promise says
+            getattr(kind.CORE.power_up, "c")  # noqa: B009  its library is built here, without a limit
         for name in PROMISES if promises is None else promises:
             if name not in PROMISES:
                 raise unknown("promise", name, PROMISES)
-            if said := _tried(PROMISES[name], trial):
+            if said := bounded(partial(_tried, PROMISES[name], trial), limit):
                 broken[name] = said
                 if name == "has_what_every_chip_has":
                     break
         if uncompiled and not broken:
             from stage.testing.uncompiled import compare
 
-            if said := compare(kind, options, seed, programs):
+            if said := compare(kind, options, seed, programs, limit):
                 broken["compiled = uncompiled"] = said
         if broken:
             lines = "\n".join(

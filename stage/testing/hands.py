@@ -127,8 +127,8 @@ class _Alone:
 
 
 def driven(chip: Chip, axis: int, rng: np.random.Generator, slow: bool = False) -> tuple[list[Act], int]:
-    """A move of an axis from power-up to its start, as the chip's driver writes it, and its pulses, no more than its FINISH
-    holds; ([], 0) without a driver.
+    """A move of an axis, either way, from power-up to its start, as the chip's driver writes it, and its pulses, below 0 for minus,
+    no more than its FINISH holds; ([], 0) without a driver.
 
     slow: at a constant rate, where the chip can.
     """
@@ -148,9 +148,9 @@ def driven(chip: Chip, axis: int, rng: np.random.Generator, slow: bool = False) 
     if driver.FINISH and (legal := chip.MAP.register(driver.FINISH).range):
         pulses = min(pulses, legal[1])
     drive, ramp = start * (1.0 if slow else float(rng.uniform(2, 12))), float(rng.uniform(0.01, 0.05))
-    values = driver.formula(start, drive, ramp, ramp, pulses)
-    driver.write_move(program, values, pulses)
-    return _acts(program, chip), pulses
+    values, way = driver.formula(start, drive, ramp, ramp, pulses), 1 if rng.integers(2) else -1
+    driver.write_move(program, values, way * pulses)
+    return _acts(program, chip), way * pulses
 
 
 def _acts(program: Program, chip: Chip) -> list[Act]:

@@ -73,7 +73,7 @@ class Trial:
         return harmless(under_way(chip, rng, chip.AXES), chip.twin())
 
     def moving(self, rng: np.random.Generator, slow: bool = False) -> tuple[Chip, int, int]:
-        """A chip at the start of a move, its axis, the pulses; of a chip without a driver 0 pulses."""
+        """A chip at the start of a move, its axis, the pulses, below 0 for minus; of a chip without a driver 0 pulses."""
         chip, axis = self.make(), int(rng.integers(self.kind.AXES))
         acts, pulses = driven(chip, axis, rng, slow)
         do_all(chip, acts)
@@ -234,34 +234,40 @@ def windows(t: Trial) -> None:
     for rng in t.draws():
         chip = t.make()
         do_all(chip, t.drives(chip, rng))
-        core, slices, ticks = chip.CORE, 5, int(rng.integers(1, max(chip.clock_hz // 5000, 2)))
+        _windows(t, chip, 5, int(rng.integers(1, max(chip.clock_hz // 5000, 2))))
         at = pulse_clocks(chip, chip.clock_hz // 50)
-        if len(at) and rng.integers(2):  # the last slice ends at the very clock of a pulse
-            slices, ticks = 1, int(at[rng.integers(min(len(at), 20))])
-        by_run, by_window, by_advance = chip.twin(), chip.twin(), chip.twin()
-        nets = np.array([core.net.held(chip.pointer, k) for k in range(chip.AXES)])
-        clocks = chip.clock + ticks * np.arange(1, slices + 1)
-        said, counts = np.zeros((chip.AXES, slices)), nets.copy()
-        row, table = np.zeros(1, cores.CHIP), np.zeros(chip.AXES, cores.CHIP_AXIS)
-        cores.fill(row[0], core, by_window.pointer)
-        row["axes"], row["slices"], row["ticks"] = chip.AXES, slices, ticks
-        row["clocks"], row["table"], row["hz"] = clocks.ctypes.data, table.ctypes.data, chip.clock_hz
-        for k in range(chip.AXES):
-            table[k]["axis"], table[k]["means"], table[k]["net"] = k, said[k].ctypes.data, counts[k:].ctypes.data
-        core.window.c(by_window.pointer, row.ctypes.data, 0)
-        expected = np.zeros_like(said)
-        for k, until in enumerate(clocks.tolist()):
-            core.run.c(by_run.pointer, until)
-            for j in range(chip.AXES):
-                expected[j, k] = core.drive_input.c(by_run.pointer, j, int(nets[j]), float(ticks))
-                nets[j] = core.net.held(by_run.pointer, j)
-        by_advance.advance(slices * ticks)
-        t.same(by_run, by_advance, f"after run and advance by {slices * ticks} clocks")
-        t.same(by_run, by_window, f"after run and window by {slices} slices of {ticks} clocks")
-        if counts.tolist() != nets.tolist():
-            raise Broken(f"window leaves the counts {counts.tolist()}, and net is {nets.tolist()}")
-        if said.tobytes() != expected.tobytes():
-            raise Broken(f"window gives the means {said.tolist()}, and drive_input {expected.tolist()}")
+        later = rng.choice(at[4:40], min(len(at[4:40]), 4), replace=False)
+        for n in (*at[:4].tolist(), *later.tolist()):  # a slice that ends at the very clock of a pulse, and beside it
+            _windows(t, chip, 1, n)
+            _windows(t, chip, 1, max(n + int(rng.choice((-1, 1))), 1))
+
+
+def _windows(t: Trial, chip: Chip, slices: int, ticks: int) -> None:
+    core = chip.CORE
+    by_run, by_window, by_advance = chip.twin(), chip.twin(), chip.twin()
+    nets = np.array([core.net.held(chip.pointer, k) for k in range(chip.AXES)])
+    clocks = chip.clock + ticks * np.arange(1, slices + 1)
+    said, counts = np.zeros((chip.AXES, slices)), nets.copy()
+    row, table = np.zeros(1, cores.CHIP), np.zeros(chip.AXES, cores.CHIP_AXIS)
+    cores.fill(row[0], core, by_window.pointer)
+    row["axes"], row["slices"], row["ticks"] = chip.AXES, slices, ticks
+    row["clocks"], row["table"], row["hz"] = clocks.ctypes.data, table.ctypes.data, chip.clock_hz
+    for k in range(chip.AXES):
+        table[k]["axis"], table[k]["means"], table[k]["net"] = k, said[k].ctypes.data, counts[k:].ctypes.data
+    core.window.c(by_window.pointer, row.ctypes.data, 0)
+    expected = np.zeros_like(said)
+    for k, until in enumerate(clocks.tolist()):
+        core.run.c(by_run.pointer, until)
+        for j in range(chip.AXES):
+            expected[j, k] = core.drive_input.c(by_run.pointer, j, int(nets[j]), float(ticks))
+            nets[j] = core.net.held(by_run.pointer, j)
+    by_advance.advance(slices * ticks)
+    t.same(by_run, by_advance, f"after run and advance by {slices * ticks} clocks")
+    t.same(by_run, by_window, f"after run and window by {slices} slices of {ticks} clocks")
+    if counts.tolist() != nets.tolist():
+        raise Broken(f"window leaves the counts {counts.tolist()}, and net is {nets.tolist()}")
+    if said.tobytes() != expected.tobytes():
+        raise Broken(f"window gives the means {said.tolist()}, and drive_input {expected.tolist()}")
 
 
 def drive_inputs(t: Trial) -> None:
@@ -302,21 +308,24 @@ def courses(t: Trial) -> None:
         chip, axis, pulses = t.moving(rng)
         if not pulses:
             return
-        _at_work(chip, axis, pulses)
+        left, way = abs(pulses), 1 if pulses > 0 else -1
+        _at_work(chip, axis, left)
         clocks = ended(chip, axis)
         at = pulse_clocks(chip, clocks)
-        if len(at) != pulses:
+        if len(at) != left:
             raise Broken(f"the driver's move of {pulses} pulses makes {len(at)} in {clocks} clocks")
         bits, count, net = t.kind.COUNTER[1], _counter(chip, axis), chip.net(axis)
         for n in sorted({0, *(int(k) for k in rng.integers(0, at[-1], 6)), int(at[-1]) - 1}):
             probe = chip.twin()
             probe.advance(n)
             made = int((at <= n).sum())
-            if probe.net(axis) - net != made:
-                raise Broken(f"net has gone by {probe.net(axis) - net} when the trace lists {made} pulses")
+            if probe.net(axis) - net != way * made:
+                raise Broken(
+                    f"the driver's move of {pulses} pulses: net has gone by {probe.net(axis) - net} when the trace lists {made}"
+                )
             busy, core = probe.busy(axis), bool(probe.CORE.busy.held(probe.pointer, axis))
             if not busy or not core:
-                raise Broken(_at_rest(chip, axis, busy, pulses - made))
+                raise Broken(_at_rest(chip, axis, busy, left - made))
             gone = (_counter(probe, axis) - count) % (1 << bits)
             if gone not in (made, -made % (1 << bits)):
                 raise Broken(f"counter has gone by {gone} when the trace lists {made} pulses")
@@ -363,13 +372,30 @@ def snapshots(t: Trial) -> None:
         others = {"restored": chip, "restored into a new chip": fresh, "pickled": pickle.loads(pickle.dumps(fresh)),
                   "copied": copy.deepcopy(fresh)}  # fmt: skip
         for how, other in others.items():
+            t.same_bits(bits, other.state.tobytes(), how)
             if (now := do_all(other, then)) != said:
                 k = next(k for k in range(len(said)) if now[k] != said[k])
                 raise Broken(f"{how}, it answers {then[k]} with {now[k]}, and the chip of the snapshot with {said[k]}")
             t.same_bits(ended_at, other.state.tobytes(), f"{how}, after {len(then)} acts")
             if (looks := _shown(other)) != shown:
                 raise Broken(f"{how}, after {len(then)} acts it shows {looks}, and the chip of the snapshot {shown}")
+    _every_bit_kept(t)
     _refusals(t, t.make())
+
+
+def _every_bit_kept(t: Trial) -> None:
+    for value in ("least", "most"):
+        chip, fresh = t.make(), t.make()
+        for r in t.kind.MAP.registers:
+            for axis in range(t.kind.AXES if "W" in r.access else 0):
+                for cycle in t.kind.register_cycles(r.name, r.range[value == "most"] & r.mask, axis):
+                    chip.write(*cycle)
+        fresh.restore(chip.snapshot())
+        t.same(chip, fresh, f"with the {value} in every register, restored into a new chip")
+        if (mine := _shown(fresh)) != (its := _shown(chip)):
+            raise Broken(
+                f"with the {value} in every register, restored into a new chip, it shows {_different(mine, its, 'before')}"
+            )
 
 
 def _shown(chip: Chip) -> Any:
@@ -496,11 +522,11 @@ def resets(t: Trial) -> None:
             raise Broken(f"after a reset it does not go on as one that was just switched on: {_different(mine, its)}")
 
 
-def _different(mine: Any, its: Any) -> str:
+def _different(mine: Any, its: Any, when: str = "after power-up") -> str:
     for name in its[0]:
         if mine[0].get(name) != its[0][name]:
-            return f"{name} {mine[0].get(name)}, and after power-up {its[0][name]}"
-    return f"pins {mine[1:]}, and after power-up {its[1:]}"
+            return f"{name} {mine[0].get(name)}, and {when} {its[0][name]}"
+    return f"pins {mine[1:]}, and {when} {its[1:]}"
 
 
 def diagnostics(t: Trial) -> None:

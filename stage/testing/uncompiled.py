@@ -14,14 +14,17 @@ from stage.testing.hands import do
 from stage.testing.promises import Trial
 
 
-def compare(kind: type[Chip], options: dict[str, Any], seed: int, programs: int) -> str:
-    """Where the two differ, in words; "" if nowhere."""
+def compare(kind: type[Chip], options: dict[str, Any], seed: int, programs: int, limit: float | None = None) -> str:
+    """Where the two differ, in words; "" if nowhere. limit: seconds for the plain Python."""
     here = courses(kind, options, seed, programs)
     job = json.dumps([kind.__module__, kind.__qualname__, options, seed, programs, sys.path])
-    done = subprocess.run(
-        [sys.executable, "-m", "stage.testing.uncompiled"], input=job, text=True, capture_output=True,
-        env=os.environ | {"NUMBA_DISABLE_JIT": "1"},
-    )  # fmt: skip
+    try:
+        done = subprocess.run(
+            [sys.executable, "-m", "stage.testing.uncompiled"], input=job, text=True, capture_output=True,
+            env=os.environ | {"NUMBA_DISABLE_JIT": "1"}, timeout=limit,
+        )  # fmt: skip
+    except subprocess.TimeoutExpired:
+        return f"as plain Python it has not ended after {limit:g} s"
     if done.returncode:
         return f"as plain Python it fails: {done.stderr.strip().splitlines()[-1] if done.stderr.strip() else 'no word'}"
     for k, (one, other) in enumerate(zip(here, json.loads(done.stdout.splitlines()[-1]), strict=True)):

@@ -4,6 +4,7 @@ import importlib.util
 import io
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -174,6 +175,30 @@ def test_a_function_that_may_raise_is_refused_by_the_build(toy):
     failed = run(toy, check=False)
     assert failed.returncode == 1
     assert "the native library could not be built" in failed.stderr
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("return n.length", "TypingError: Unknown attribute 'length' of type int64"),
+        ("return nothing + n", "TypingError: NameError: name 'nothing' is not defined"),
+        ("return more(n, 2)", "TypingError: Cannot bind 'args=(int64, "),
+        ("return sorted(n)", "AssertionError: Implementation function returned by `@overload`"),
+    ],
+)
+def test_what_does_not_compile_is_told_in_a_few_lines_with_its_place(toy, line, words):
+    """numba's own words of it are 200 lines"""
+    source = CORE.replace("return more(n)", line)
+    (toy / "toy" / "core.py").write_text(source)
+    failed = run(toy, check=False)
+    said = failed.stderr[failed.stderr.rindex("the native library could not be built") :].splitlines()
+    assert len(said) <= 5, said
+    place = re.search(r'core\.py", line (\d+), in hot function stepped:', said[1])
+    assert place, said
+    if "sorted" not in line:  # which numba places at the function's beginning
+        assert source.splitlines()[int(place[1]) - 1].strip() == line == said[2].strip()
+    assert words in said[3]
+    assert "numba/" not in "".join(said)
 
 
 def test_a_function_that_allocates_is_refused_by_the_build(toy):

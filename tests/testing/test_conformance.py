@@ -1,6 +1,8 @@
 """`chip_conformance`: every shipped chip passes it, and each of many planted defects of a toy chip is found, by its promise."""
 
+import os
 import re
+import time
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -12,6 +14,7 @@ from toy import TOY, TOY8, defects
 from stage.chips import CHIPS, PCL240K
 from stage.errors import ArgumentError, StageError
 from stage.testing import chip_conformance, hands
+from stage.testing.bounded import bounded
 from stage.testing.conformance import NotConforming
 
 DEFECTS = defects.DEFECTS
@@ -95,3 +98,42 @@ def test_a_move_of_a_test_has_no_more_pulses_than_its_register_holds(monkeypatch
     monkeypatch.setattr(PCL240K, "MAP", small)
     made = {hands.driven(chip, 0, np.random.default_rng(seed))[1] for seed in range(6)}
     assert max(made) == 70
+
+
+def test_a_core_that_never_answers_is_told_as_a_broken_promise_and_the_others_go_on():
+    """chip_conformance(Endless, limit=0.5), where reads of one address never return"""
+    began = time.monotonic()
+    with pytest.raises(NotConforming, match=r"TOY|seed=") as said:
+        chip_conformance(defects.Endless, seed=SEED, programs=1, promises=["reads", "pins_by_name"], limit=0.5)
+    assert said.value.broken.keys() == {"reads"}
+    assert said.value.broken["reads"].startswith("it has not ended after 0.5 s: does the core loop without end?")
+    assert time.monotonic() - began < 20
+
+
+def test_a_core_that_ends_its_process_is_told_as_a_broken_promise():
+    with pytest.raises(NotConforming) as said:
+        chip_conformance(defects.Wild, seed=SEED, programs=1, promises=["reads", "pins_by_name"])
+    assert said.value.broken.keys() == {"reads"}
+    assert (
+        "its process was ended by SIGSEGV: does the core write or read beyond an array?" in said.value.broken["reads"]
+    )
+
+
+def test_a_limit_is_a_time_or_none():
+    for limit in (0, -1.0, float("nan")):
+        with pytest.raises(ArgumentError, match=r"limit=.*: seconds above 0, or None for no limit"):
+            chip_conformance(TOY, limit=limit)
+    chip_conformance(TOY, seed=SEED, programs=1, promises=["pins_by_name"], limit=None)
+    with pytest.raises(ZeroDivisionError):
+        bounded(lambda: str(1 // 0), None)
+
+
+def test_what_a_promise_says_arrives_whole_and_a_process_without_a_word_is_told():
+    words = "it answers " + "x" * 200_000
+    assert bounded(lambda: words, 20) == words
+    assert bounded(lambda: os._exit(3), 20) == "its process ended with status 3 and no word"
+
+
+def test_moves_of_a_driver_are_tried_either_way():
+    ways = {np.sign(hands.driven(PCL240K(), 0, np.random.default_rng(seed))[1]) for seed in range(8)}
+    assert ways == {-1, 1}

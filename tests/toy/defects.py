@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import faulthandler
+import os
+import signal
 from itertools import count
 from types import SimpleNamespace
 from typing import Any, ClassVar
@@ -66,6 +69,32 @@ class BeyondTheBus(TOY):
         return [(cls.MAP.register(name).number + 8, value)]
 
 
+class Narrow(TOY):
+    """A snapshot of another chip is restored without the highest bit of a register."""
+
+    def restore(self, snapshot: Any) -> None:
+        super().restore(snapshot)
+        if self.diagnostics == [] and self.clock == 0:
+            self.state["rate"] &= 0x7FFF
+
+
+class Endless(TOY):
+    """A read never returns."""
+
+    def read(self, address: int) -> int:
+        while True:
+            pass
+
+
+class Wild(TOY):
+    """A read ends the process, as a core does that reads beyond an array."""
+
+    def read(self, address: int) -> int:
+        faulthandler.disable()  # no dump among the tests' lines
+        os.kill(os.getpid(), signal.SIGSEGV)
+        return 0
+
+
 class Elsewhere(TOY):
     """As plain Python its clock is another one."""
 
@@ -87,6 +116,7 @@ DEFECTS: dict[str, tuple[type, str, str]] = {
     "a read that clears": (with_core(read=answers.clears_what_it_reads), "reads", "changes left"),
     "a course without end": (with_core(scan=answers.sees_no_end), "journals", "the course shows"),
     "state beside the record": (Remembers, "snapshots", "restored, after .* acts it shows"),
+    "a bit lost by a snapshot": (Narrow, "snapshots", "with the most in every register, .* the state differs in rate"),
     "a lint that raises": (Raises, "diagnostics", "raises KeyError"),
     "20 data lines": (TakesAllLines, "bus_lines", "a read of address 1h gives|reads"),
     "shared by all": (Shared, "determinism", "beside another chip"),

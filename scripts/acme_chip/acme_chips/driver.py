@@ -81,9 +81,9 @@ class AcmeDriver(Driver):
         return {name: int(np.clip(round(value), *limits(MAP, name))) for name, value in values.items()}
 
     def write_move(self, program, values, pulses):
-        for name, value in {**values, "COUNT": pulses}.items():
+        for name, value in {**values, "COUNT": abs(pulses)}.items():
             program.register(self.index, self.chip, name, value)
-        program.command(self.index, MAP.command("MOVE+").code)
+        program.command(self.index, MAP.command("MOVE+" if pulses > 0 else "MOVE-").code)
 
     def write_stop(self, program):
         program.command(self.index, MAP.command("STOP").code)

@@ -120,7 +120,7 @@ def _add_bench(commands: Any) -> None:
         "Play the actions of an entry again, without the policy, and compare every reward, observation and score. Exit code 0 if "
         "they are equal, 1 if not, 2 if the file is refused.",
     )  # fmt: skip
-    p.add_argument("file", metavar="FILE")
+    p.add_argument("file", metavar="FILE", help="an entry, as `stage bench-submit -o FILE` writes it")
     p.add_argument(
         "--tolerance", type=float, metavar="T", help="rewards and scores may differ by so much, as on another processor"
     )

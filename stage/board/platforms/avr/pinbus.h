@@ -15,6 +15,7 @@
  *
  *     static PinBus driver = PinBus(0x300).spi(10);
  *
+ * A mode of SPI (0 to 3) and its fastest SCK may follow, as its data sheet has them: spi(10, 3, 4000000).
  * The board's port of its base is told of the pin (0 while it is low), and the port behind exchanges bytes: one written goes out, then
  * one read is what came in.
  */
@@ -116,9 +117,12 @@ class PinBus
     PinBus &ale(int pin) { return strobe(ale_, pin); } /* address and data share the data pins */
     PinBus &rw(int pin) { return strobe(rw_, pin); }   /* R/W in place of WR: low while the chip is written */
     PinBus &oe(int pin) { return strobe(oe_, pin); }   /* with R/W: low while the chip drives the data pins */
-    PinBus &spi(int pin)                               /* a chip on SPI, with this chip select pin */
+    /* a chip on SPI, with this chip select pin; its mode, -1: not said; its fastest SCK, 0: not said */
+    PinBus &spi(int pin, int mode = -1, uint32_t hz = 0)
     {
         serial_ = true;
+        mode_ = mode;
+        fastest_ = hz;
         return strobe(cs_, pin);
     }
     PinBus &irq(int pin)                               /* the board's interrupt line, low while it is asserted */
@@ -175,14 +179,30 @@ class PinBus
             pulsestage::interrupt_line().look();
     }
 
-    /* A byte of SPI: what the selected chip answers; false where it is not selected, or not on SPI. */
-    bool exchange(uint8_t sent, uint8_t &answer)
+    bool selected() const { return serial_ && writing_; } /* on SPI, with its pin low */
+
+    /* Does a selected chip take bits that come in this mode, at this rate? What is wrong is said once. */
+    bool hears(int mode, uint32_t hz)
     {
-        if (!serial_ || !writing_)
-            return false;
+        const bool edge = mode_ < 0 || rising(mode_) == rising(mode);
+        if (!told_ && !edge)
+            ps_logf("pins: the chip on SPI at %lXh takes bits in mode %d, and they come in mode %d, at the other edge of SCK: it hears "
+                    "nothing, and FFh is read. SPI.beginTransaction(SPISettings(hz, MSBFIRST, SPI_MODE%d))",
+                    (unsigned long)base_, mode_, mode, mode_);
+        told_ |= !edge;
+        if (fastest_ && hz > fastest_ && !fought_) {
+            fought_ = true;
+            ps_logf("pins: SCK of %lu Hz, and the chip on SPI at %lXh takes %lu Hz at most; the bytes are exchanged all the same",
+                    (unsigned long)hz, (unsigned long)base_, (unsigned long)fastest_);
+        }
+        return edge;
+    }
+
+    /* A byte of SPI: what the selected chip answers. */
+    uint8_t exchange(uint8_t sent)
+    {
         ps_out8(base_ + 1, sent);
-        answer = ps_in8(base_ + 1);
-        return true;
+        return ps_in8(base_ + 1);
     }
 
     PinBus *next() const { return next_; }
@@ -207,6 +227,8 @@ class PinBus
         pulsestage::pins().strobes[which >> 3] |= uint8_t(1 << (which & 7));
         return *this;
     }
+
+    static bool rising(int mode) { return (mode == 0) | (mode == 3); } /* bits are taken as SCK rises */
 
     static bool low(int pin, bool none) { return pin < 0 ? none : !pulsestage::level_of(pin); }
 
@@ -267,6 +289,8 @@ class PinBus
     uint32_t base_ = 0;
     int data_[MOST] = {}, address_[MOST] = {}, n_data_ = 0, n_address_ = 0;
     int cs_ = -1, wr_ = -1, rd_ = -1, ale_ = -1, rw_ = -1, oe_ = -1, irq_ = -1;
+    int mode_ = -1;
+    uint32_t fastest_ = 0;
     unsigned held_ = 0, fetched_ = 0;
     bool whole_ = false, raw_ = false, writing_ = false, reading_ = false, latching_ = false, wanted_ = false;
     bool told_ = false, fought_ = false, serial_ = false;
