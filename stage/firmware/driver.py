@@ -160,6 +160,26 @@ class Driver(ABC):
         """Why the axis stopped, if the host has not stopped it: "EL+", "EL-", or "" where the chip does not show a reason."""
         return ""
 
+    def status_words(self) -> dict[str, int]:
+        """What the chip says of the axis, by bus cycles that clear nothing: words and registers of its map by name."""
+        return {
+            word.name: self.chip.read(word.address)
+            for word in self.chip.MAP.words
+            if word.address is not None and not word.written and any("R" in f.access for f in word.fields)
+        }
+
+    def read_register(self, name: str) -> int:
+        """What a register holds, by bus cycles. Raises ArgumentError for a name that is none, and for a register that the chip,
+        or this driver, cannot read back."""
+        r = self.chip.MAP.register(name)
+        raise self.no_reading(r.name)
+
+    def no_reading(self, name: str) -> ArgumentError:
+        """For a register that can only be written. A host remembers what it wrote."""
+        return ArgumentError(
+            f"{self.chip.MAP.chip} {name} cannot be read back on axis {self.axis.name}: a host remembers what it wrote there."
+        )
+
     @classmethod
     def line(
         cls, drivers: Mapping[str, Driver], pulses: Mapping[str, int], speeds: Speeds, timeout: float | None = None

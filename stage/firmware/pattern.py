@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import numpy as np
@@ -35,10 +36,11 @@ class Pattern:
     def __init__(self, report: Report):
         self.report, self.course = report, report.course
 
-    def lanes(self) -> list[tuple[np.ndarray, str, str]]:
-        """(on from each edge, label, colour) of each signal that plays a role."""
+    def lanes(self, pins: Collection[str] | None = None) -> list[tuple[np.ndarray, str, str]]:
+        """(on from each edge, label, colour) of each signal that plays a role. pins: those that may be shown; None: all."""
         chosen = self.LANES or tuple((pin, pin.upper(), BLUE) for pin in self.course.chip.OUTPUTS)
-        return [(self.course.pin(pin), label, colour) for pin, label, colour in chosen if self.plays(pin)]
+        shown = (lane for lane in chosen if (pins is None or lane[0] in pins) and self.plays(lane[0]))
+        return [(self.course.pin(pin), label, colour) for pin, label, colour in shown]
 
     def plays(self, pin: str) -> bool:
         """Whether a pin plays a role in this move."""

@@ -6,6 +6,7 @@ lane for each signal that plays a role, filled while it is asserted.
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,8 +27,15 @@ PANEL, LANE = 2.25, 0.2
 ROW, SIZE = 12.0, 7.5  # points: of a row of notes, of their letters
 
 
-def draw(report: Report, path: Any = None, title: str | None = None, ax: Any = None, overwrite: bool = False) -> Any:
-    """Draw `report`; see Report.plot."""
+def draw(
+    report: Report,
+    path: Any = None,
+    title: str | None = None,
+    ax: Any = None,
+    overwrite: bool = False,
+    pins: Collection[str] | None = None,
+) -> Any:
+    """Draw `report`; see Report.plot. pins: the lanes that may be shown; None: all that play a role."""
     try:
         from matplotlib.figure import Figure
     except ImportError as error:
@@ -46,7 +54,7 @@ def draw(report: Report, path: Any = None, title: str | None = None, ax: Any = N
         _panel(ax, pattern, t * scale, limits, notes, 72 * box.width / figure.dpi, 72 * box.height / figure.dpi)
         ax.set_xlabel(f"time from the first start, {unit}", color=INK, fontsize=8.5)
     else:
-        lanes = pattern.lanes()
+        lanes = pattern.lanes(pins)
         rows = _rows(notes, limits, 72 * (WIDTH - LEFT - RIGHT))
         panel = PANEL + (max(rows, default=0) + 1.6) * ROW / 72
         height = TOP + panel + 0.1 + LANE * len(lanes) + BOTTOM

@@ -36,10 +36,13 @@ class Line(NamedTuple):
 
 
 class Trace:
-    """The last LINES cycles and diagnostics of a chip. All but `since` are called by the stage's thread."""
+    """The last LINES cycles and diagnostics of a chip. All but `since` are called by the stage's thread.
 
-    def __init__(self, chip: Chip):
-        self.chip, self.lines = chip, deque[Line](maxlen=LINES)
+    losses: a write that a fault has lost is told as such; False: as any other, as its host would tell it.
+    """
+
+    def __init__(self, chip: Chip, losses: bool = True):
+        self.chip, self.lines, self._losses = chip, deque[Line](maxlen=LINES), losses
         self.said: deque[Line] = deque(maxlen=LINES)
         """The diagnostics alone."""
         self.digits = (chip.DATA_MASK.bit_length() + 3) // 4
@@ -52,7 +55,7 @@ class Trace:
     def look(self) -> None:
         """Take in what has happened since."""
         if self.chip.clock < self._clock:  # a snapshot, or a reset of the stage
-            self._begin_again()
+            self.begin_again()
         self._clock = self.chip.clock
         entries = self._journal.entries
         if len(entries):
@@ -80,7 +83,8 @@ class Trace:
         """End the journal."""
         self._journal.close()
 
-    def _begin_again(self) -> None:
+    def begin_again(self) -> None:
+        """The chip is in another state than its cycles have brought it to: that of a snapshot."""
         self._journal.restart()
         self._listener = self.chip.listener()
         self._last = self.chip.diagnostics[-1] if self.chip.diagnostics else None
@@ -90,11 +94,12 @@ class Trace:
         if e.kind == RESET:
             self._listener = self.chip.listener()
             words = "the reset pin"
-        elif e.kind == LOST:
+        elif e.kind == LOST and self._losses:
             words = "did not arrive"
         else:
-            words = (self._listener.write if e.kind == WRITE else self._listener.read)(e.a, e.b)
-        self._add(e.clock, KINDS[e.kind], e.a, e.b, words)
+            words = (self._listener.read if e.kind == READ else self._listener.write)(e.a, e.b)
+        way = KINDS[WRITE if e.kind == LOST and not self._losses else e.kind]
+        self._add(e.clock, way, e.a, e.b, words)
 
     def _diagnostics(self) -> None:
         noted = self.chip.diagnostics

@@ -41,6 +41,7 @@ class Loop:
         keeps: why no other state may be put there, though time may pass; "" where one may.
         pace: who says when time may pass: `pace(until)` is asked before a run to `until` (ns), may wait, let others do something
             meanwhile, and answers how far it may go now; then it is asked again. None: as fast as it goes.
+        each_cycle: who is told before each bus cycle that Python makes, and may refuse it by an error; or None.
     """
 
     def __init__(self, state: State, chips: Sequence[Chip], power_up: Callable[[], None]):
@@ -49,6 +50,7 @@ class Loop:
         self.recording: Any = None
         self.held = self.keeps = ""
         self.pace: Callable[[int], int] | None = None
+        self.each_cycle: Callable[[], None] | None = None
         self._words, self._pointer, self._advance = state.words, state.pointer, handle.advance.c
         self._power_up, self._dt, self._bus = power_up, state.dt, state.bus
         self._piece = FIRST_PIECE * state.dt
@@ -58,6 +60,8 @@ class Loop:
 
     def cycle(self) -> None:
         """Let the time of one bus cycle pass; chips call it before each read and write."""
+        if self.each_cycle is not None:
+            self.each_cycle()
         if self._bus:
             self.run_to(self._words.item(0) + self._bus)
         else:

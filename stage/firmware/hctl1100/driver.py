@@ -148,6 +148,16 @@ class Hctl1100Driver(Driver):
         cruises = self.chip.read(FLAG) >> FLAGS["integral velocity"] & 1  # the one mode that obeys STOP
         return "ORG" if cruises and not self.port.status() & STOP else ""
 
+    def status_words(self) -> dict[str, int]:
+        """The flags and the status register."""
+        return {name: self.chip.read(self.chip.MAP.register(name).number) for name in ("R00", "R07")}
+
+    def read_register(self, name: str) -> int:
+        r = self.chip.MAP.register(name)
+        if "R" not in r.access:
+            raise self.no_reading(r.name)
+        return r.value(self.chip.read(r.number))
+
     def _linear(self, speeds: Speeds) -> None:
         if speeds.s_curve:
             raise self.no_s_curves()

@@ -85,6 +85,21 @@ class NovaDriver(Driver):
         word = self.port.word(int(self.ENDED[2]))
         return next((name for bit, name in CAUSES.items() if word & self._ended(bit)), "")
 
+    def status_words(self) -> dict[str, int]:
+        """RR0 to RR2, and the input signals RR4 and RR5 where the chip has them. RR3 forgets what is read of it."""
+        self.port.command(self.NOP)
+        names = {w.name: w for w in self.map.words}
+        return {
+            n: self.chip.read(int(n[2:])) for n in ("RR0", "RR1", "RR2", "RR4", "RR5") if n in names and names[n].fields
+        }
+
+    def read_register(self, name: str) -> int:
+        r = self.map.register(name)
+        for symbol in (f"R-{r.name}", r.name):
+            if any(c.symbol == symbol and c.kind == "data read" for c in self.map.commands):
+                return r.value(self.port.value(symbol))
+        raise self.no_reading(r.name)
+
     def _ended(self, bit: str) -> int:
         """The mask of a cause in ENDED; of the MCX514 END-EMG and END-ALARM."""
         names = {f.name for f in self.map.word(self.ENDED).fields}

@@ -80,6 +80,14 @@ class Pcl240Driver(Driver):
         status = self.port.status()
         return "" if status.operating else stop_reason(status, self._direction, preset=self._preset)
 
+    def read_register(self, name: str) -> int:
+        r = self.chip.MAP.register(name)
+        if r.name == "R0":
+            return self.port.counter()
+        if not self.port.extended:
+            raise self.no_reading(r.name)
+        return r.value(self.port.read_register(r.name))
+
     @classmethod
     def line(
         cls, drivers: Mapping[str, Driver], pulses: Mapping[str, int], speeds: Speeds, timeout: float | None = None

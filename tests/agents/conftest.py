@@ -1,0 +1,42 @@
+"""Toolboxes at power-up; the stages are made once a module."""
+
+import pytest
+
+from stage import Stage
+from stage.agents import Budget, Toolbox
+
+_stages = {}
+
+
+def a_box(chips="PCL240K", mode="host", model="xy", **how):
+    """A toolbox of a stage at power-up."""
+    if (model, chips) not in _stages:
+        _stages[model, chips] = Stage(model, chips=chips, visuals=False)
+    stage = _stages[model, chips]
+    stage.reset()
+    return Toolbox(stage, mode, how.pop("budget", Budget()), **how)
+
+
+@pytest.fixture
+def make_box():
+    """`make_box(chips, mode, budget=...)`; all are closed at the end."""
+    made = []
+
+    def make(*args, **how):
+        for box in made:
+            box.close()
+        made.append(a_box(*args, **how))
+        return made[-1]
+
+    yield make
+    for box in made:
+        for name in ("mend",):
+            if name in box.tools:
+                box.call(name, {"all": True})
+        box.close()
+
+
+@pytest.fixture
+def box(make_box):
+    """Of xy with PCL-240Ks, host mode, no limit."""
+    return make_box()

@@ -1,0 +1,110 @@
+"""In host mode an agent sees what a host could see, and nothing else; in mode truth, everything."""
+
+import json
+
+import pytest
+
+from stage.agents.pictures import as_host
+from stage.firmware.plot import draw
+from stage.sim import faults
+
+HIDDEN = ("lost_steps", "load_angle", "position", "el_plus", "peak_rate")
+
+
+def everything(box, calls):
+    return "\n".join(json.dumps(box.call(*call).data) for call in calls)
+
+
+CALLS = [
+    ("describe", {}),
+    ("move", {"axis": "x", "pulses": 30_000, "speed": 0.9, "accel": 0.01}),
+    *(
+        (name, {"axis": "x"} if name in ("status", "trace") else {})
+        for name in ("report", "status", "diagnostics", "trace", "budget")
+    ),
+]
+
+
+def test_a_host_is_not_told_of_lost_steps(box):
+    said = everything(box, CALLS)
+    assert box.stage.axes["x"].lost_steps
+    assert not [word for word in HIDDEN if word in said]
+    assert box.call("report").data["as_asked"]  # the chip made its pulses
+
+
+def test_truth_tells_them(make_box):
+    box = make_box(mode="truth")
+    said = everything(box, CALLS)
+    assert "lost_steps" in said
+    assert not box.call("report").data["as_asked"]
+    assert box.call("truth").data["axes"]["x"]["lost_steps"]
+
+
+def test_tools_of_truth_are_not_there_for_a_host(box):
+    assert not [
+        name for name in box.tools if name.startswith("fault_") or name in ("truth", "peek", "place", "load", "mend")
+    ]
+    assert "not known" in box.call("truth").text
+
+
+def test_a_mistake_that_follows_from_a_hidden_pin_is_not_told(make_box):
+    start = [
+        *(
+            ("write_register", {"axis": "x", "name": name, "value": v})
+            for name, v in (("R0", 100), ("R1", 100), ("R7", 30))
+        ),
+        ("write_bytes", {"axis": "x", "address": 0, "values": ["08h", "44h", "10h"]}),
+    ]
+    for mode in ("host", "truth"):
+        box = make_box(mode=mode)
+        with faults.switch_stuck(box.stage.axes["x"], "el_plus", True):
+            for call in start:
+                assert box.call(*call).ok
+            told = "limit switch" in box.call("diagnostics").text
+        assert told == (mode == "truth")
+        assert any("limit switch" in d.message for d in box.stage.axes["x"].chip.diagnostics)
+
+
+def test_a_mistake_of_its_own_is_told(box):
+    box.call("write_bytes", {"axis": "x", "address": 0, "values": ["44h", "15h"]})
+    assert "R0 = 0" in box.call("diagnostics").text
+
+
+def test_a_write_that_was_lost_looks_like_any_other(make_box):
+    for mode in ("host", "truth"):
+        box = make_box(mode=mode)
+        with faults.lost_write(box.stage.axes["x"], value=0x44):
+            box.call("move", {"axis": "x", "pulses": 400, "timeout": 0.2})
+        assert ("lost" in box.call("trace", {"axis": "x", "lines": 500}).text) == (mode == "truth")
+
+
+def test_a_drawing_for_a_host_has_the_lanes_that_registers_show(box):
+    pytest.importorskip("matplotlib")
+    box.call("home", {"axis": "x"})
+    report = box.report
+    whole = {t.get_text() for axes in draw(report).axes for t in axes.get_yticklabels()}
+    seen = {
+        t.get_text() for axes in draw(as_host(report), pins=box.notes[0].readable).axes for t in axes.get_yticklabels()
+    }
+    assert seen < whole
+    assert as_host(report).lost_steps is None
+
+
+def test_faults_are_tools_of_their_own(make_box):
+    box = make_box(mode="truth")
+    assert box.call("fault_switch_stuck", {"axis": "x", "pin": "org", "closed": False}).data["faults"] == [
+        "axis x: org stuck open"
+    ]
+    assert box.call("fault_bus_voltage", {"axis": "x", "volts": 5}).ok is False or box.stage.faults
+    assert box.call("mend", {"all": True}).data["faults"] == []
+    assert "nothing that was broken" in box.call("mend").text
+    assert "Did you mean 'org'" in box.call("fault_switch_stuck", {"axis": "x", "pin": "orgg", "closed": True}).text
+
+
+def test_hands_load_and_place(make_box):
+    box = make_box(mode="truth")
+    assert box.call("load", {"mass": 2}).data["payload_kg"] == 2
+    assert box.call("place", {"axis": "x", "position": "20mm"}).data["position"] == pytest.approx(0.02)
+    assert "travels" in box.call("place", {"axis": "x", "position": 5}).text
+    assert box.call("peek", {"axis": "x"}).data["values"]["R1"] == 0
+    box.call("load", {"mass": 0})

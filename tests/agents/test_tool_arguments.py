@@ -1,0 +1,108 @@
+"""What agents write as arguments: what is understood, and how the rest is refused."""
+
+import math
+
+import pytest
+
+from stage.agents.fields import BYTES, FLAG, LENGTH, LENGTHS, NUMBER, TEXT, WHOLE, Field
+from stage.errors import ArgumentError
+
+VALUE = Field("value", WHOLE, "of a register", True, low=0, high=65535)
+
+
+@pytest.mark.parametrize(
+    ("given", "value"),
+    [
+        (31, 31),
+        (31.0, 31),
+        ("31", 31),
+        (" 31 ", 31),
+        ("1Fh", 31),
+        ("1fH", 31),
+        ("0x1F", 31),
+        ("0X1f", 31),
+        ("0b11111", 31),
+    ],
+)
+def test_whole_numbers_as_agents_write_them(given, value):
+    assert VALUE.read(given) == value
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ("1F", 'Did you mean "1Fh" (31)?'),
+        ("²", 'Did you mean "2"?'),
+        ("٣١", 'Did you mean "31"?'),
+        ("3.5", "is not a whole number"),
+        (3.5, "is not a whole number"),
+        (True, "true is not a whole number"),
+        (None, "null is not a whole number"),
+        (math.nan, "nan is not a whole number"),
+        (math.inf, "is not a whole number"),
+        ([1], "is not a whole number"),
+        (-1, "from 0 to 65535"),
+        (65536, "from 0 to 65535"),
+        ("9" * 81, "no register is so wide"),
+    ],
+)
+def test_what_is_no_whole_number_is_refused_in_words(given, said):
+    with pytest.raises(ArgumentError) as refused:
+        VALUE.read(given)
+    assert said in str(refused.value)
+    assert str(refused.value).startswith("value: ")
+
+
+@pytest.mark.parametrize(
+    ("given", "metres"), [(0.01, 0.01), ("10mm", 0.01), ("-10 mm", -0.01), ("1e-2", 0.01), ("250um", 250e-6)]
+)
+def test_lengths_take_their_unit_along(given, metres):
+    assert Field("distance", LENGTH, "").read(given) == pytest.approx(metres)
+
+
+@pytest.mark.parametrize("given", ["10 parsecs", "mm", "", True, math.nan, "NaN", "1e999", {}])
+def test_what_is_no_length_is_refused(given):
+    with pytest.raises(ArgumentError, match=r"^distance: "):
+        Field("distance", LENGTH, "").read(given)
+
+
+def test_names_are_known_in_any_case_and_near_misses_are_told():
+    axis = Field("axis", TEXT, "", choices=("x", "carriage"))
+    assert axis.read("X") == "x"
+    with pytest.raises(ArgumentError, match="Did you mean 'carriage'\\? Known: x, carriage\\."):
+        axis.read("cariage")
+
+
+WRONG = [
+    (FLAG, 1), (FLAG, "yes"), (NUMBER, "fast"), (NUMBER, True), (TEXT, 3), (BYTES, []), (BYTES, "x"), (BYTES, [1] * 300),
+    (LENGTHS, []), (LENGTHS, {"q": 1}),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("kind", "given"), WRONG)
+def test_wrong_types_say_what_is_allowed(kind, given):
+    with pytest.raises(ArgumentError, match=r"^a: "):
+        Field("a", kind, "", choices=("x", "y") if kind in (TEXT, LENGTHS) else ()).read(given)
+
+
+def test_both_ends_of_a_span_hold():
+    open_ = Field("speed", NUMBER, "", low=0.0, above=True, high=2.0, unit="m/s")
+    assert open_.read(2) == 2.0
+    with pytest.raises(ArgumentError, match="above 0 to 2 m/s"):
+        open_.read(0)
+    with pytest.raises(ArgumentError, match="above 0 to 2 m/s"):
+        open_.read("2.1")
+
+
+def test_a_mapping_names_each_once():
+    both = Field("distances", LENGTHS, "", choices=("x", "y"))
+    assert both.read({"x": "1mm", "Y": 0.002}) == {"x": pytest.approx(1e-3), "y": 0.002}
+    with pytest.raises(ArgumentError, match="x is given twice"):
+        both.read({"x": 1, "X": 2})
+
+
+def test_a_number_of_thousands_of_digits_is_no_trouble():
+    with pytest.raises(ArgumentError, match="a number of thousands of digits is not"):
+        VALUE.read(10**5000)
+    with pytest.raises(ArgumentError, match="finite"):
+        Field("seconds", NUMBER, "").read(10**5000)

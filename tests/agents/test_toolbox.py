@@ -1,0 +1,203 @@
+"""A toolbox: its tools by their schemas, every refusal in words, budgets, states."""
+
+import pytest
+
+from stage import Stage
+from stage.agents import Budget, Toolbox
+from stage.errors import ArgumentError
+
+FAMILIES = ("PCL240K", "PCL240MS", "MCX514", "MCX304")
+
+
+def test_every_tool_has_a_schema_that_is_one(box):
+    validator = pytest.importorskip("jsonschema").Draft202012Validator
+    for tool in box.tools.values():
+        validator.check_schema(tool.schema())
+        assert tool.text
+        assert all(f["description"] for f in tool.schema()["properties"].values())
+
+
+@pytest.mark.parametrize("chips", FAMILIES)
+def test_an_agent_homes_moves_and_reads_its_report(make_box, chips):
+    box = make_box(chips)
+    assert box.call("home", {"axis": "x"}).data["stopped_by"] == "ORG"
+    moved = box.call("move", {"axis": "X", "distance": "3.2mm"})
+    assert moved.ok
+    assert moved.data["counted_pulses"] == moved.data["asked_pulses"] == 1024
+    assert box.call("report").data == moved.data
+    assert box.call("status", {"axis": "x"}).data["words"]
+
+
+def test_a_servo_moves_by_the_same_tools(make_box):
+    box = make_box("HCTL1100", model="xyz_servo")
+    assert box.call("move", {"axis": "x", "distance": "1mm"}).data["as_asked"]
+    assert "R07" in box.call("status", {"axis": "x"}).data["words"]
+
+
+def test_bytes_and_commands_make_the_same_move_as_a_driver(make_box):
+    box = make_box()
+    for name, value in (("R0", 2000), ("R1", 50), ("R2", 500), ("R4", 500), ("R5", 1500), ("R6", 800), ("R7", "1Eh")):
+        assert box.call("write_register", {"axis": "x", "name": name, "value": value}).ok
+    assert box.call("command", {"axis": "x", "name": "OPERATE", "data": "08h"}).ok
+    assert box.call("write_bytes", {"axis": "x", "address": 0, "values": ["44h", "15h"]}).ok
+    ended = box.call("wait_until_stopped", {"axis": "x"})
+    assert (ended.data["counted_pulses"], ended.data["as_asked"]) == (2000, None)
+    assert "not operating" in ended.data["stopped_by"]
+    assert "start, ramp to FH1" in box.call("trace", {"axis": "x"}).text
+    assert box.call("read_register", {"axis": "x", "name": "r0"}).data["value"] == 0
+    assert box.meter.moves == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "said"),
+    [
+        ("mvoe", {}, "Did you mean 'move'"),
+        ("", {}, "Known: describe"),
+        (7, {}, "called by its name"),
+        ("move", {"axis": "x"}, "give distance"),
+        ("move", {"pulses": 10}, "axis is missing"),
+        ("move", {"axis": "q", "pulses": 10}, "Known: x, y."),
+        ("move", {"axis": "x", "pulses": 10, "sped": 1}, "takes no argument 'sped'. Did you mean 'speed' or"),
+        ("move", {"axis": "x", "pulses": "ten"}, "is not a whole number"),
+        ("move", {"axis": "x", "distance": "0.1um"}, "no pulse"),
+        ("move", {"axis": "x", "pulses": 100, "s_curve": True}, "linear ramps only"),
+        ("move", [1], "should be an object"),
+        ("write_register", {"axis": "x", "name": "R4", "value": 20000}, "from 2 to 16383"),
+        ("write_register", {"axis": "x", "name": "R9", "value": 1}, "Known: R0"),
+        ("read_register", {"axis": "x", "name": "R1"}, "cannot be read back"),
+        ("write_bytes", {"axis": "x", "address": 4, "values": [1]}, "from 0 to 3"),
+        ("command", {"axis": "x", "name": "operate"}, "none was given"),
+        ("restore", {"name": "yesterday"}, "Known: power-up"),
+        ("report", {}, "there is no report yet"),
+        ("picture", {}, "no move to draw yet"),
+        ("wait", {"seconds": float("nan")}, "finite number"),
+        ("home", {"axis": "x", "direction": "up"}, "Known: minus, plus"),
+        ("line", {"distances": {"x": "1mm", "q": 1}}, "Known: x, y."),
+    ],
+)
+def test_every_refusal_says_what_is_allowed(box, name, given, said):
+    before = box.stage.time
+    answer = box.call(name, given)
+    assert not answer.ok
+    assert said in answer.text
+    assert "Traceback" not in answer.text
+    assert (box.stage.time, box.meter.moves) == (before, 0)
+
+
+def test_moves_that_are_spent_stay_spent(make_box):
+    box = make_box(budget=Budget(moves=2))
+    box.call("snapshot", {"name": "begin"})
+    for _ in range(2):
+        assert box.call("move", {"axis": "x", "pulses": 100}).ok
+        box.call("restore", {"name": "begin"})
+    refused = box.call("move", {"axis": "x", "pulses": 100})
+    assert "all 2 moves are made" in refused.text
+    assert refused.data["left"]["moves"] == 0
+    assert box.call("status", {"axis": "x"}).ok
+
+
+def test_a_start_by_bytes_is_a_move_too(make_box):
+    box = make_box(budget=Budget(moves=1))
+    box.call("move", {"axis": "x", "pulses": 100})
+    box.call("write_register", {"axis": "x", "name": "R0", "value": 100})
+    box.call("write_bytes", {"axis": "x", "address": 0, "values": [8, "44h"]})
+    assert "all 1 moves are made" in box.call("write_bytes", {"axis": "x", "address": 0, "values": ["10h"]}).text
+    assert not box.stage.axes["x"].chip.busy()
+
+
+def test_time_ends_to_the_nanosecond_when_it_is_spent(make_box):
+    box = make_box(budget=Budget(seconds=0.5))
+    assert box.call("wait", {"seconds": 0.2}).ok
+    assert "all 0.5 s of simulated time have passed" in box.call("wait", {"seconds": 1}).text
+    assert box.stage.time == pytest.approx(0.5, abs=1e-12)
+    assert box.call("budget").data["left"]["seconds"] == 0
+
+
+def test_bus_cycles_are_counted_and_end(make_box):
+    box = make_box(budget=Budget(cycles=5))
+    assert box.call("write_bytes", {"axis": "x", "address": 0, "values": [8, 8, 8]}).ok
+    assert box.call("budget").data["used"]["cycles"] == 3
+    assert "all 5 bus cycles are made" in box.call("read_bytes", {"axis": "x", "addresses": [0, 0, 0]}).text
+
+
+def test_a_call_takes_no_more_than_so_much_time(box):
+    box.meter.longest = 0.01
+    assert "one call may take 0.01 s" in box.call("move", {"axis": "x", "pulses": 10_000}).text
+
+
+def test_an_error_in_a_move_brings_the_report_so_far(box):
+    answer = box.call("move", {"axis": "x", "pulses": 10_000, "timeout": 0.05})
+    assert answer.data["report"]["stopped_by"] == "timeout"
+    assert answer.data["report"]["counted_pulses"] > 0
+
+
+def test_branches_go_on_where_they_were_left(box):
+    box.call("move", {"axis": "x", "pulses": 100})
+    first = box.call("report").data
+    box.call("branch", {"name": "bold"})
+    box.call("move", {"axis": "x", "pulses": 700})
+    bold = box.stage.axes["x"].chip.net()
+    assert box.call("branch", {"name": "main"}).data["others"] == ["bold"]
+    assert box.stage.axes["x"].chip.net() == 100
+    assert box.call("report").data == first
+    box.call("branch", {"name": "bold"})
+    assert box.stage.axes["x"].chip.net() == bold
+
+
+def test_snapshots_are_bounded_and_named(box):
+    for k in range(15):
+        assert box.call("snapshot", {"name": f"s{k}"}).ok
+    assert "16 are kept already" in box.call("snapshot", {"name": "one more"}).text
+    assert "printable" in box.call("snapshot", {"name": "\n"}).text
+    assert "began with" in box.call("snapshot", {"name": "power-up"}).text
+
+
+def test_a_session_that_ended_says_so(box):
+    box.close()
+    box.close()
+    assert "this session has ended" in box.call("budget").text
+
+
+def test_equal_calls_give_equal_answers(make_box):
+    calls = [
+        ("home", {"axis": "x"}),
+        ("move", {"axis": "x", "pulses": 900}),
+        ("status", {"axis": "x"}),
+        ("trace", {"axis": "x"}),
+    ]
+    first = [make_box().call(*call).data for call in calls[:1]]
+    answers = []
+    for _ in range(2):
+        box = make_box()
+        answers.append([box.call(*call).data for call in calls])
+    assert answers[0] == answers[1]
+    assert answers[0][:1] == first
+
+
+def test_a_picture_is_a_png(box):
+    pytest.importorskip("matplotlib")
+    box.call("move", {"axis": "x", "pulses": 200})
+    drawn = box.call("picture")
+    assert drawn.png[:8] == b"\x89PNG\r\n\x1a\n"
+
+
+MADE_WRONG = [(("stage",), "give a Stage"), ((None, "god"), "host or truth"), ((None, "host", 3), "give Budget")]
+
+
+@pytest.mark.parametrize(("args", "said"), MADE_WRONG)
+def test_toolboxes_are_made_of_what_they_need(args, said, box):
+    with pytest.raises(ArgumentError, match=said):
+        Toolbox(*(box.stage if a is None else a for a in args))
+
+
+@pytest.mark.parametrize(
+    "how", [{"moves": -1}, {"moves": True}, {"cycles": 1.5}, {"seconds": float("nan")}, {"seconds": "x"}]
+)
+def test_a_budget_is_of_numbers(how):
+    with pytest.raises(ArgumentError, match=next(iter(how))):
+        Budget(**how)
+
+
+def test_a_failure_of_ours_is_an_answer_too(box, monkeypatch):
+    monkeypatch.setattr(Stage, "run", lambda self, seconds: 1 / 0)
+    assert "PulseStage itself has failed (ZeroDivisionError" in box.call("wait", {"seconds": 1}).text
