@@ -14,6 +14,7 @@ help:
 	@echo "make test-slow  the long checks"
 	@echo "make soak       24 simulated hours of random moves, checked after each (less than an hour)"
 	@echo "make test-oldest                the everyday suite with the oldest of every dependency, in build/oldest"
+	@echo "make test-small                 what rerun has to do with, without it, in build/small"
 	@echo "make test-mujoco VERSION=3.17.0 what touches physics, with another MuJoCo"
 	@echo "make record     write the recorded behaviour of tests/recorded anew: for a change that is meant"
 	@echo "make coverage   lines that the fast tests run, with the compiled code uncompiled"
@@ -31,7 +32,7 @@ $(BIN)/python:
 	$(BIN)/python -m pip install -q --upgrade pip
 
 .venv/.user: $(BIN)/python pyproject.toml
-	$(BIN)/python -m pip install -q -e '.[plot]'
+	$(BIN)/python -m pip install -q -e '.[plot,rerun]'
 	@touch $@
 
 .venv/.dev: $(BIN)/python pyproject.toml
@@ -62,10 +63,18 @@ test-oldest:
 define OLDEST
 import re, tomllib
 project = tomllib.load(open("pyproject.toml", "rb"))["project"]
-needs = project["dependencies"] + [n for extra in ("plot", "tune", "servo", "test") for n in project["optional-dependencies"][extra]]
+needs = project["dependencies"] + [n for extra in ("plot", "rerun", "data", "tune", "servo", "test") for n in project["optional-dependencies"][extra]]
 print(*(re.sub(r">=([\d.]+).*", r"==\1.*", need) for need in needs if ">=" in need))
 endef
 export OLDEST
+
+# as `pip install pulsestage` and what tests need: no rerun, no pandas, no pyarrow
+test-small:
+	rm -rf build/small
+	$(PYTHON) -m venv build/small
+	build/small/bin/python -m pip install -q --upgrade pip
+	build/small/bin/python -m pip install -q -e '.[build,plot]' pytest pytest-xdist hypothesis mpmath
+	build/small/bin/python -m pytest -n 2 --dist worksteal tests/recording tests/testing tests/test_cli.py tests/test_cli_options.py tests/test_servo_stage.py tests/test_faults.py tests/board/test_command.py
 
 # that MuJoCo goes before the one of .venv, whatever pyproject.toml allows; all else stays as it is
 test-mujoco: .venv/.dev

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from stage.errors import StageError
+from stage.extras import need
 
 PASSING = ("/dev/", "/proc/")  # a regular file named there, as /dev/stdout, is somebody's open file
 
@@ -95,11 +96,7 @@ def save_figure(figure: Any, path: str | os.PathLike, dpi: int, overwrite: bool)
 
 def figure_format(path: str | os.PathLike) -> str:
     """The format that matplotlib writes to `path`; FileError where it knows none of that name."""
-    try:
-        from matplotlib.backend_bases import FigureCanvasBase
-    except ImportError as why:
-        raise StageError("drawing needs matplotlib: pip install 'pulsestage[plot]'.") from why
-    known = FigureCanvasBase.get_supported_filetypes()
+    known = need("matplotlib.backend_bases", "drawing").FigureCanvasBase.get_supported_filetypes()
     kind = Path(path).suffix[1:].lower() or "png"
     if kind not in known:
         raise FileError(f"{path}: a figure is no {kind!r}. Name a file that ends in .{', .'.join(sorted(known))}.")

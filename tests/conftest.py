@@ -91,3 +91,25 @@ def xy(fresh):
     """Two axes at rest."""
     fresh.reset()
     return fresh
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_setup():
+    return (yield from skipped_without_its_extra())
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call():
+    return (yield from skipped_without_its_extra())
+
+
+def skipped_without_its_extra():
+    """What needs a library that is not installed is skipped, and says which: the small installation is tested, too."""
+    from stage.extras import LIBRARIES, ExtraMissing, has
+
+    try:
+        return (yield)
+    except ExtraMissing as missing:
+        if all(has(library) for library, (_, extra) in LIBRARIES.items() if extra == missing.extra):
+            raise
+        pytest.skip(str(missing))

@@ -8,6 +8,7 @@ import time
 
 import numpy as np
 import pytest
+from support.extras import needs_rerun
 
 from stage import Stage
 from stage.cli import demo, main
@@ -47,6 +48,7 @@ def test_a_second_start_takes_less_than_two_seconds(here):
     assert min(seconds(*command) for _ in range(3)) < 2.0
 
 
+@needs_rerun
 def test_the_demo_homes_moves_and_writes_a_recording(here, capsys):
     """stage demo"""
     said = out(capsys, "demo").out
@@ -84,6 +86,7 @@ def test_a_home_that_loses_steps_on_its_way_ends_with_code_1(here, capsys):
     assert int(re.search(r"lost steps (-?\d+)", said)[1]) != 0
 
 
+@needs_rerun
 def test_dual_rate_and_sync_do_as_asked(here, capsys):
     assert "12000 of 12000" in out(capsys, "dual-rate", "x", "12000").out
     said = out(capsys, "sync", "x=4000", "y=-1500", "--record", "s.rrd", "--vcd", "s.vcd").out
@@ -166,6 +169,7 @@ def test_a_plot_of_a_format_that_nobody_draws_is_refused_before_the_work(here, c
     assert "100 of 100" not in said.out
 
 
+@needs_rerun
 def test_nothing_is_overwritten_unasked(here, capsys):
     (here / "mine.rrd").write_text("precious")
     said = out(capsys, "move", "x", "100", "--record", "mine.rrd", code=2).err
@@ -187,6 +191,7 @@ def test_the_demo_overwrites_no_file_and_takes_the_next_name(here, capsys):
     assert (here / "demo.rrd").read_bytes()[:3] == b"RRF"
 
 
+@needs_rerun
 def test_a_picture_overwrites_no_recording(here, capsys, monkeypatch):
     """stage move x 100 --picture q.png"""
     from stage.recording import viewer

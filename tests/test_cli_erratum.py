@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 
 import pytest
+from support.extras import needs_rerun
 
 from stage.chips.entries import WRITE
 from stage.cli import erratum, erratum_plot, main
@@ -117,6 +118,7 @@ def test_it_draws_itself_and_records_both_runs(here, capsys, monkeypatch, vcd):
         assert (here / name).read_text().startswith("$")
 
 
+@needs_rerun
 def test_nothing_is_overwritten_unasked(here, capsys):
     (here / "e-work-around.rrd").write_text("precious")
     assert "exists" in out(capsys, "--record", "e.rrd", code=2).err

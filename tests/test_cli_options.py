@@ -10,6 +10,7 @@ import sys
 from types import SimpleNamespace
 
 import pytest
+from support.extras import needs_rerun
 
 from stage import ArgumentError, Stage, StageError, firmware, opengl
 from stage.chips.chip import Diagnostic
@@ -365,6 +366,7 @@ def test_the_version_is_the_package_s(capsys):
     assert (end.value.code, capsys.readouterr().out) == (0, f"pulsestage {__version__}\n")
 
 
+@needs_rerun
 @pytest.mark.parametrize(
     ("options", "expected"),
     [
@@ -383,6 +385,7 @@ def test_a_recording_is_opened_where_asked(bench, monkeypatch, options, expected
     assert opened == ([expected] if expected else [])
 
 
+@needs_rerun
 @pytest.mark.parametrize(
     ("options", "screen", "viewed"),
     [("", True, True), ("", False, False), ("--no-view", True, False), ("--web", True, False), ("--view", False, True)],

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+from support.extras import needs_rerun
 from support.packages import acme
 
 from stage.cli import build_parser, main
@@ -120,10 +121,11 @@ def test_commands_print_what_the_page_says(page, capsys):
 @pytest.mark.parametrize(
     "command",
     [
-        pytest.param(c, marks=pytest.mark.slow) if c.startswith(ELSEWHERE) else c
+        pytest.param(c, marks=marks)
         for page in PAGES
         for c in commands(page)
         if not any(word in c.split() for word in WATCHED)
+        for marks in [(pytest.mark.slow,) * c.startswith(ELSEWHERE) + (needs_rerun,) * ("--record" in c)]
     ],
 )
 def test_commands_of_the_pages_run(command, tmp_path, monkeypatch):

@@ -7,6 +7,7 @@ from itertools import chain
 import numpy as np
 import pytest
 from support.examples import SEED
+from support.extras import needs_rerun
 from support.programs import load_registers, start_preset
 from support.recording_bench import read_rrd
 
@@ -648,6 +649,7 @@ def test_a_fleet_loses_the_write_as_the_stage_alone_would():
 
 
 def test_a_recording_names_the_faults_at_their_moments(xyz, tmp_path):
+    pytest.importorskip("rerun")
     from stage.recording.rerun_log import STATES
 
     x = xyz.axes["x"]
@@ -684,6 +686,7 @@ def test_a_recording_names_the_faults_at_their_moments(xyz, tmp_path):
         assert streamed[entity][what][1] == read[entity][what][1], "each once"
 
 
+@needs_rerun
 def test_the_command_lists_every_fault_and_shows_one(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main(["fault"]) == 0

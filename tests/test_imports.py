@@ -16,7 +16,7 @@ FOLDERS = {"stage": "stage", "envs": "stage.envs"}
 
 LAYERS = (
     {"errors"},
-    {"files", "snapshots", "opengl"},
+    {"files", "snapshots", "opengl", "extras"},
     {"native"},
     {"chips"},
     {"drives"},

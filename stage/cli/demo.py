@@ -8,6 +8,7 @@ from typing import Any
 
 from stage.cli.setup import make_stage, note, recorded
 from stage.errors import ArgumentError
+from stage.extras import has
 
 WHERE = (0.1962, -0.1435, 0.177)  # where the carriages happen to stand, from the middle of their travel, in travels
 LONG, SHORT, FIRST, SECOND = 0.3956, 0.2894, 0.1978, -0.1085  # moves, in travels
@@ -25,7 +26,7 @@ def run(args: argparse.Namespace) -> int:
     for k, axis in enumerate(stage.axes.values()):
         low, high = axis.travel
         stage.place(**{axis.name: round(0.5 * (low + high) + WHERE[k % len(WHERE)] * (high - low), 3)})
-    if has_screen() and not args.no_view and not args.web:
+    if has("rerun") and has_screen() and not args.no_view and not args.web:
         args.view = True
     rows: list[tuple] = []
     with recorded(args, stage):

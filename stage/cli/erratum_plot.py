@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stage.errors import StageError
+from stage.extras import need
 
 if TYPE_CHECKING:
     from stage.cli.erratum import Shown
@@ -20,10 +20,7 @@ def draw(shown: Shown, path: str | None, overwrite: bool) -> Any:
     from stage.drives.picture import ACCENT, GRID, INK, MUTED
     from stage.files import save_figure
 
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise StageError("drawing needs matplotlib: pip install 'pulsestage[plot]'.") from error
+    Figure = need("matplotlib.figure", "drawing").Figure
     figure = Figure(figsize=(11, 6), layout="constrained")
     (rate, close), (place, lanes) = figure.subplots(2, 2)
     styles = ((ACCENT, 1.6, "26h in area d", 2), (MUTED, 3.0, "stop_by_speed", 1))

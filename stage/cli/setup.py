@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from stage.errors import ArgumentError, unknown
+from stage.extras import has, need
 
 
 def make_stage(args: argparse.Namespace, visuals: bool = True) -> Any:
@@ -216,6 +217,10 @@ def outputs(args: argparse.Namespace) -> None:
                 figure_format(path)
             if name == "picture" and Path(path).suffix.lower() != ".png":
                 raise FileError(f"--picture {path}: the dashboard is drawn as PNG. Name a file that ends in .png.")
+    if "record" in args:
+        for name in ("view", "web", "picture", "record"):  # who gave one of the others gave no --record
+            if getattr(args, name, None):
+                need("rerun", f"--{name}")
 
 
 @contextmanager
@@ -223,6 +228,9 @@ def recorded(args: argparse.Namespace, stage: Any) -> Iterator[Any]:
     """Record what happens inside if --record, --vcd, --view or --web asks for it, and write it at the end. Yields the recording,
     or None."""
     usual = getattr(args, "default_record", "stage.rrd" if args.view or args.web or args.picture else None)
+    if usual and not (args.record or args.view or args.web or args.picture or has("rerun")):
+        print(f"no {usual}: recordings need rerun: pip install 'pulsestage[rerun]'")
+        usual = None
     rrd: str | None = args.record or (usual and _free(usual, args.force))
     outputs(argparse.Namespace(**vars(args) | {"record": rrd}))
     if not (rrd or args.vcd):

@@ -51,13 +51,9 @@ def _models(_args: argparse.Namespace) -> int:
 
 def completion(args: argparse.Namespace) -> int:
     """Print what a shell reads to complete this command line."""
-    from stage.errors import StageError
+    from stage.extras import need
 
-    try:
-        import argcomplete
-    except ImportError:
-        raise StageError("completion needs argcomplete: pip install 'pulsestage[completion]'.") from None
-    print(argcomplete.shellcode(["stage"], shell=args.shell))
+    print(need("argcomplete", "completion").shellcode(["stage"], shell=args.shell))
     return 0
 
 

@@ -9,7 +9,8 @@ import numpy as np
 
 from stage.drives.dynamometer import PullOut, bound_by_both, closed_form
 from stage.drives.motors import Drive
-from stage.errors import ArgumentError, StageError
+from stage.errors import ArgumentError
+from stage.extras import need
 from stage.files import save_figure
 
 INK, MUTED, ACCENT, BAND, GRID = "#1d2733", "#8a94a0", "#1f5f9e", "#cfe0f2", "#e7ebef"
@@ -17,10 +18,7 @@ COLORS = (ACCENT, "#c4572e", "#3a8a5f", "#7b5aa6", "#a8842c", "#4d5866")
 
 
 def _figure() -> tuple[Any, Any]:
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise StageError("drawing needs matplotlib: pip install 'pulsestage[plot]'.") from error
+    Figure = need("matplotlib.figure", "drawing").Figure
     figure = Figure(figsize=(9, 5.2), layout="constrained")
     return figure, figure.subplots()
 

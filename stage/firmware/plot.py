@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stage.errors import StageError
+from stage.extras import need
 from stage.files import save_figure
 from stage.firmware.driver import driver_class
 from stage.firmware.pattern import Note, Pattern
@@ -36,10 +36,7 @@ def draw(
     pins: Collection[str] | None = None,
 ) -> Any:
     """Draw `report`; see Report.plot. pins: the lanes that may be shown; None: all that play a role."""
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise StageError("drawing needs matplotlib: pip install 'pulsestage[plot]'.") from error
+    Figure = need("matplotlib.figure", "drawing").Figure
 
     pattern = driver_class(report.course.chip).PATTERN(report)
     t = report.course.seconds - report.began

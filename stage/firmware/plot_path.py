@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stage.errors import StageError
+from stage.extras import need
 from stage.files import save_figure
 from stage.firmware.path import path_points
 from stage.firmware.plot import INK, LINE, MUTED, _bare
@@ -22,10 +22,7 @@ BINS = 300
 
 def draw(report: SynchronizedReport, path: Any = None, title: str | None = None, overwrite: bool = False) -> Any:
     """Draw `report`; see SynchronizedReport.plot."""
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise StageError("drawing needs matplotlib: pip install 'pulsestage[plot]'.") from error
+    Figure = need("matplotlib.figure", "drawing").Figure
 
     line = np.array(list(report.distances.values()), float)
     times, counts = path_points(list(report.paths.values()))

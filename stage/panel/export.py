@@ -14,9 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from stage.errors import ArgumentError, StageError
+from stage.errors import ArgumentError
+from stage.extras import need
 from stage.panel.sampler import Sampler, Trace
 from stage.recording.scene import duration
+from stage.recording.sdk import rr
 from stage.recording.signals import plain
 
 
@@ -47,10 +49,7 @@ def to_csv(sampler: Sampler, names: Sequence[str], begin: float, end: float) -> 
 
 def to_png(sampler: Sampler, names: Sequence[str], begin: float, end: float) -> bytes:
     """As on the page: a picture a unit, a lane a pin. Needs matplotlib (extra `plot`)."""
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise StageError("drawing needs matplotlib: pip install 'pulsestage[plot]'.") from error
+    Figure = need("matplotlib.figure", "drawing").Figure
     times, taken = _taken(sampler, names, begin, end)
     units = list(dict.fromkeys(t.unit for t, _ in taken if not t.pin))
     pins = [(t, v) for t, v in taken if t.pin]
@@ -97,11 +96,7 @@ def to_vcd(sampler: Sampler, names: Sequence[str], begin: float, end: float) -> 
 
 
 def to_rrd(sampler: Sampler, names: Sequence[str], begin: float, end: float) -> bytes:
-    """Series for rerun, an entity a trace. Needs rerun (extra `view`)."""
-    try:
-        import rerun as rr
-    except ImportError as error:
-        raise StageError("an .rrd file needs rerun: pip install rerun-sdk.") from error
+    """Series for rerun, an entity a trace. Needs rerun (extra `rerun`)."""
     times, taken = _taken(sampler, names, begin, end)
     handle, path = tempfile.mkstemp(suffix=".rrd")
     os.close(handle)

@@ -13,6 +13,7 @@ import socket
 from time import sleep
 
 from stage.errors import StageError
+from stage.extras import need
 from stage.panel.controls import Controls
 from stage.panel.guard import Guard
 from stage.panel.hands import Hands
@@ -28,14 +29,12 @@ class Panel:
     ask for the token in its link. Raises StageError where the port cannot be had, or NiceGUI is not there."""
 
     def __init__(self, session: Session, port: int = 0, host: str = HERE):
-        try:
-            import uvicorn
+        need("nicegui", "the panel")
+        import uvicorn
 
-            from stage.panel.website import website
+        from stage.panel.website import website
 
-            self._site = website()
-        except ImportError as error:
-            raise StageError("the panel needs NiceGUI: pip install 'pulsestage[panel]'.") from error
+        self._site = website()
         from stage.panel import glb
 
         self.session, self.controls = session, Controls()

@@ -10,6 +10,7 @@ import numpy as np
 
 from stage.recording import geoms
 from stage.recording.scene import axis_path
+from stage.recording.sdk import rr, rrb
 from stage.recording.series import axes_with, heading
 
 if TYPE_CHECKING:
@@ -25,8 +26,6 @@ GRID = (96, 104, 118, 110)
 
 def dashboard(recording: Recording) -> Any:
     """A rerun blueprint for `recording`."""
-    import rerun.blueprint as rrb
-
     position, target = eye(recording.model)
     view = rrb.Spatial3DView(
         origin="/stage",
@@ -108,9 +107,6 @@ def eye(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
 
 def _grid(model: mujoco.MjModel) -> Any:
     """Lines on the floor, one every power of ten of metres that fits the model."""
-    import rerun as rr
-    import rerun.blueprint as rrb
-
     floor = geoms.floor(model)
     if floor is None:
         return rrb.LineGrid3D(visible=False)

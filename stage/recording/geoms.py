@@ -8,6 +8,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from stage.recording.sdk import rr
+
 HIDDEN_GROUP = 3  # this group and above are for computing, not for looking
 PLANE = 0.002  # thickness, m
 
@@ -72,8 +74,6 @@ def _placed(model: mujoco.MjModel, geoms: list[int]) -> dict[str, Any]:
 
 
 def _boxes(model: mujoco.MjModel, geoms: list[int]) -> Any:
-    import rerun as rr
-
     return rr.Boxes3D(
         half_sizes=model.geom_size[geoms], centers=model.geom_pos[geoms], fill_mode="solid", **_placed(model, geoms)
     )
@@ -81,8 +81,6 @@ def _boxes(model: mujoco.MjModel, geoms: list[int]) -> Any:
 
 def _planes(model: mujoco.MjModel, geoms: list[int]) -> Any:
     """A slab whose top is the plane; an endless one ends at twice the model's extent."""
-    import rerun as rr
-
     far = 2 * float(model.stat.extent)
     half = model.geom_size[geoms].copy()
     half[(half <= 0) | (half > far)] = far
@@ -92,16 +90,12 @@ def _planes(model: mujoco.MjModel, geoms: list[int]) -> Any:
 
 
 def _ellipsoids(model: mujoco.MjModel, geoms: list[int]) -> Any:
-    import rerun as rr
-
     half = np.array([s if model.geom_type[g] == _KIND.mjGEOM_ELLIPSOID else [s[0]] * 3
                      for g, s in zip(geoms, model.geom_size[geoms], strict=True)])  # fmt: skip
     return rr.Ellipsoids3D(half_sizes=half, centers=model.geom_pos[geoms], fill_mode="solid", **_placed(model, geoms))
 
 
 def _cylinders(model: mujoco.MjModel, geoms: list[int]) -> Any:
-    import rerun as rr
-
     size = model.geom_size[geoms]
     return rr.Cylinders3D(
         lengths=2 * size[:, 1], radii=size[:, 0], centers=model.geom_pos[geoms], fill_mode="solid",
@@ -111,8 +105,6 @@ def _cylinders(model: mujoco.MjModel, geoms: list[int]) -> Any:
 
 def _capsules(model: mujoco.MjModel, geoms: list[int]) -> Any:
     """rerun's capsule begins at its origin; MuJoCo's is centred there."""
-    import rerun as rr
-
     size = model.geom_size[geoms]
     ends = np.array([rotated(model.geom_quat[g], [0, 0, -s[1]]) for g, s in zip(geoms, size, strict=True)])
     return rr.Capsules3D(
@@ -132,8 +124,6 @@ _MAKERS: dict[int, tuple[str, Any]] = {
 
 
 def _mesh(model: mujoco.MjModel, geom: int) -> Any:
-    import rerun as rr
-
     m = model.geom_dataid[geom]
     vertices = model.mesh_vert[model.mesh_vertadr[m] : model.mesh_vertadr[m] + model.mesh_vertnum[m]]
     faces = model.mesh_face[model.mesh_faceadr[m] : model.mesh_faceadr[m] + model.mesh_facenum[m]]

@@ -25,6 +25,7 @@ import numpy as np
 from stage.chips.describe import Said
 from stage.chips.journal import Replay
 from stage.recording import scene, signals
+from stage.recording.sdk import rr
 from stage.recording.series import series_of
 from stage.recording.sink import Sink
 from stage.recording.thin import thin
@@ -58,8 +59,6 @@ class Log:
     """
 
     def __init__(self, recording: Recording, path: Path, overwrite: bool = False):
-        import rerun as rr
-
         from stage.recording.blueprint import dashboard
 
         self._recording, self._rows, self._noted = recording, 0, 0
@@ -111,8 +110,6 @@ def model_name(model: mujoco.MjModel) -> str:
 
 
 def _about(out: Any, recording: Recording) -> None:
-    import rerun as rr
-
     model = recording.model
     name = model_name(model)
     out.send_recording_name(name)
@@ -139,8 +136,6 @@ def _about(out: Any, recording: Recording) -> None:
 
 
 def _styles(out: Any, recording: Recording, colours: dict[str, tuple]) -> None:
-    import rerun as rr
-
     for name, colour in colours.items():
         for series in series_of(recording.axes[name]):
             behind = series == "commanded"
@@ -154,8 +149,6 @@ def _styles(out: Any, recording: Recording, colours: dict[str, tuple]) -> None:
 
 
 def _series(out: Any, recording: Recording, piece: np.ndarray) -> None:
-    import rerun as rr
-
     for name, axis in recording.axes.items():
         samples = piece["axes"][:, axis.index]
         time = np.ascontiguousarray(samples["time"])
@@ -211,8 +204,6 @@ class Lanes:
     def _lane(
         self, out: Any, lane: str, edges: np.ndarray, states: Any, colours: dict[str, tuple], style: bool = False
     ) -> None:
-        import rerun as rr
-
         path = f"{scene.axis_path(self._name)}/{lane}"
         if style or self._first:
             out.log(path, rr.StateConfiguration(values=list(colours), colors=list(colours.values())), static=True)
@@ -224,8 +215,6 @@ class Lanes:
             out.send_columns(path, indexes=[when], columns=rr.StateChange.columns(state=[str(s) for s in states]))
 
     def _log_bus(self, out: Any, said: list[Said]) -> None:
-        import rerun as rr
-
         if not said:
             return
         seconds = self._recording.seconds(self._name, np.array([s.clock for s in said], np.int64))
@@ -242,8 +231,6 @@ class Lanes:
 
 def _faults(out: Any, notes: list[Note], first: int) -> None:
     """Log the notes from `first` on."""
-    import rerun as rr
-
     new = notes[first:]
     if not new:
         return

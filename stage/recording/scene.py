@@ -16,6 +16,7 @@ import numpy as np
 
 from stage.recording import geoms, signals
 from stage.recording.geoms import rotated
+from stage.recording.sdk import rr
 
 if TYPE_CHECKING:
     from stage.recording.recording import Recording
@@ -42,8 +43,6 @@ class Scene:
 
     def begin(self, out: Any, colours: dict[str, tuple]) -> None:
         """What does not move; `colours` by axis."""
-        import rerun as rr
-
         model = self._recording.model
         out.log("stage", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         for body in range(model.nbody):
@@ -74,8 +73,6 @@ class Scene:
 
     def light(self, out: Any, name: str, edges: np.ndarray, first: bool) -> None:
         """The lamps of an axis, from its chip's pin edges; unless `first`, the first of them is as it was before."""
-        import rerun as rr
-
         axis = self._recording.axes[name]
         for path, _, pin, kind, rivals in self._lamps[name]:
             lit = signals.on(axis, edges, pin)
@@ -130,15 +127,11 @@ def axis_path(name: str) -> str:
 
 def _place(out: Any, model: mujoco.MjModel, body: int) -> None:
     """A body that is part of the frame: its pose, once."""
-    import rerun as rr
-
     xpos, xquat, _ = geoms.poses(model, model.qpos0[None])
     out.log(body_path(model, body), rr.Transform3D(translation=xpos[0, body], quaternion=xquat[0, body]), static=True)
 
 
 def _move(out: Any, path: str, time: np.ndarray, position: np.ndarray, quat: np.ndarray) -> None:
-    import rerun as rr
-
     cell = np.rint(np.hstack([position, quat]) / GRID)
     keep = np.concatenate([[True], np.any(cell[1:] != cell[:-1], axis=1)])
     out.send_columns(
@@ -152,8 +145,6 @@ def _move(out: Any, path: str, time: np.ndarray, position: np.ndarray, quat: np.
 
 def duration(seconds: Any) -> Any:
     """The time column of every entity, to the nanosecond."""
-    import rerun as rr
-
     return rr.TimeColumn("time", duration=np.rint(np.asarray(seconds) * 1e9).astype("timedelta64[ns]"))
 
 
@@ -176,8 +167,6 @@ def _on_work(model: mujoco.MjModel, xpos: np.ndarray, xquat: np.ndarray, sites: 
 
 
 def _path(out: Any, model: mujoco.MjModel, points: np.ndarray) -> None:
-    import rerun as rr
-
     if len(points) < 2:
         return
     cell = np.rint(points / GRID)
@@ -191,8 +180,6 @@ def _path(out: Any, model: mujoco.MjModel, points: np.ndarray) -> None:
 
 def _directions(out: Any, recording: Recording, colours: dict[str, tuple[int, int, int]]) -> None:
     """Arrows along plus at a front corner of the frame."""
-    import rerun as rr
-
     model = recording.model
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)

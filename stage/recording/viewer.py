@@ -24,8 +24,10 @@ from pathlib import Path
 from typing import Any
 
 from stage.errors import ArgumentError, StageError
+from stage.extras import need
 from stage.files import written
 from stage.opengl import has_screen
+from stage.recording.sdk import experimental
 from stage.recording.web import HOST, PAGE, RECORDING, Server
 
 FRAME = 36  # pixels
@@ -48,7 +50,10 @@ def executable() -> str:
         for name in ("Rerun.app/Contents/MacOS/Rerun", "rerun", "rerun.exe"):
             if (folder / name).is_file():
                 return str(folder / name)
-    raise ViewerError("rerun's viewer is missing: pip install 'rerun-sdk>=0.41'.")
+    need("rerun_cli", "looking at a recording")
+    raise ViewerError(
+        f"the package rerun_cli in {', '.join(map(str, folders))} has no program of rerun. Install it anew."
+    )
 
 
 def open_viewer(rrd: str | os.PathLike) -> None:
@@ -184,13 +189,11 @@ def _cut_frame(png: Path, size: tuple[int, int]) -> None:
 
 def _client(port: int, process: subprocess.Popen, deadline: float) -> Any:
     """A client of the viewer at `port`, once that has loaded all it was given."""
-    from rerun.experimental import ViewerClient
-
     said: object = "it is still loading"
     while time.monotonic() < deadline:
         _alive(process)
         try:
-            client = ViewerClient.connect(f"rerun+http://{HOST}:{port}/proxy")
+            client = experimental.ViewerClient.connect(f"rerun+http://{HOST}:{port}/proxy")
             state = client.get_state()
             if not state.loading and any(r.timelines for r in state.recordings):
                 return client

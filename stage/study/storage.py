@@ -11,13 +11,13 @@ from typing import IO, Any
 import numpy as np
 
 from stage.errors import StageError
+from stage.extras import need
 from stage.files import FileError
 
-try:
-    import optuna
-    from optuna.storages.journal import JournalFileBackend
-except ImportError as error:
-    raise StageError("a study needs Optuna: pip install 'pulsestage[tune]'.") from error
+need("optuna", "a study")
+
+import optuna  # noqa: E402
+from optuna.storages.journal import JournalFileBackend  # noqa: E402
 
 FIRST = b'{"op_code":'
 """How a journal begins."""

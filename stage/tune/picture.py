@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stage.errors import StageError
+from stage.extras import need
 from stage.files import save_figure
 from stage.sim.fleet import Fleet
 from stage.sim.program import Program
@@ -23,11 +23,8 @@ BAND = "#dbe8f5"
 
 
 def draw(result: Result, path: str | PathLike, overwrite: bool = False) -> None:
-    """Write the picture. Raises FileError; StageError without matplotlib."""
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise StageError("drawing needs matplotlib: pip install 'pulsestage[plot]'.") from error
+    """Write the picture. Raises FileError; ExtraMissing without matplotlib."""
+    Figure = need("matplotlib.figure", "drawing").Figure
     task = result.task
     axis: Any = task.stage.axes[task.axis]
     unit, scale = ("mm", 1e3) if axis.unit == "m" else ("mrad", 1e3)

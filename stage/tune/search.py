@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from stage.errors import ArgumentError, StageError
+from stage.errors import ArgumentError
+from stage.extras import need
 from stage.tune.formula import SAFETY
 from stage.tune.looks import LOOK
 from stage.tune.plans import Plan, Plans
@@ -41,13 +42,8 @@ class Trial(NamedTuple):
 
 
 def optuna() -> Any:
-    """Optuna. Raises StageError that says how to get it."""
-    try:
-        import optuna
-    except ImportError as error:
-        raise StageError(
-            "the search needs Optuna: pip install 'pulsestage[tune]'; or leave it at the formula: --by formula."
-        ) from error
+    """Optuna. Raises ExtraMissing that says how to get it."""
+    optuna = need("optuna", "the search", "; or leave it at the formula: --by formula")
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     return optuna
 

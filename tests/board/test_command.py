@@ -8,6 +8,7 @@ import signal
 
 import pytest
 from support.compiled_firmware import firmware
+from support.extras import needs_rerun
 
 from stage.board import include
 from stage.cli import main
@@ -36,6 +37,7 @@ def built(result: int = 0, port: str = "0x300") -> str:
     return str(firmware(MOVE, f"-DRESULT={result}", f"-DPORT={port}"))
 
 
+@needs_rerun
 def test_a_run_prints_what_the_firmware_notes_and_where_the_axes_end_and_writes_what_is_asked(tmp_path, capsys):
     files = [str(tmp_path / name) for name in ("run.rrd", "run.vcd", "run.txt")]
     outputs = ["--record", files[0], "--vcd", files[1], "--trace", files[2]]
@@ -67,6 +69,7 @@ def test_a_trace_of_the_name_minus_is_printed_and_other_files_of_that_name_are_r
     assert not list(tmp_path.iterdir())
 
 
+@needs_rerun
 @pytest.mark.parametrize(
     "isolated", [["--in-process"], [], ["--isolated"]], ids=["thread", "process", "as it was typed before"]
 )
@@ -131,6 +134,7 @@ def test_firmware_that_never_returns_is_run_for_so_long(capsys):
     assert "simulated time from 0 to 1e9 s" in capsys.readouterr().err
 
 
+@needs_rerun
 @pytest.mark.parametrize("isolated", [["--in-process"], []], ids=["thread", "process"])
 def test_a_run_that_a_ci_ends_says_where_it_was_and_writes_what_is_asked(isolated, tmp_path, monkeypatch, capsys):
     # timeout 60 stage run driver.c --record run.rrd; exit code 143 without a word, and no run.rrd

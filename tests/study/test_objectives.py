@@ -41,7 +41,7 @@ open_study(move, "study")
 """
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert ended.stdout == f"{MOVE.measure(GENTLE, 1)}\n"
-    assert "StageError: a study needs Optuna: pip install 'pulsestage[tune]'" in ended.stderr
+    assert "ExtraMissing: a study needs Optuna: pip install 'pulsestage[tune]'" in ended.stderr
 
 
 def test_a_preset_move_is_measured_as_its_report_says():

@@ -11,7 +11,7 @@ from types import SimpleNamespace
 
 import pytest
 from _pytest.pytester import SysModulesSnapshot
-from rerun.chunk import RrdReader
+from support.extras import needs_rerun
 
 import stage.models
 from stage.board import build, exits
@@ -288,6 +288,7 @@ def test_without_a_compiler_tests_of_sources_are_skipped_and_say_so(session, dri
 # --- what a failed test leaves ---
 
 
+@needs_rerun
 @needs_cc
 def test_a_failed_test_leaves_recording_waveforms_and_bus_trace_and_names_them(session, driver, pytester):
     result, said = session(FAILS, model=None)
@@ -296,6 +297,7 @@ def test_a_failed_test_leaves_recording_waveforms_and_bus_trace_and_names_them(s
     for opener, name in (("rerun", "recording.rrd"), ("gtkwave", "waveforms.vcd"), ("less", "bus.txt")):
         assert f"{opener} {FOLDER}/{name}\n" in said
         assert (folder / name).stat().st_size > 500
+    RrdReader = pytest.importorskip("rerun.chunk").RrdReader
     entities = {chunk.entity_path for chunk in RrdReader(str(folder / "recording.rrd")).stream()}
     assert "/axes/x/position" in entities
     assert any(path.endswith("/cylinders") for path in entities)  # the stage as it looks, though the test ran without
@@ -319,6 +321,7 @@ def test_without_a_board_the_bus_writes_are_told_in_words(session, pytester):
     assert "x: 08  reset command" in text
 
 
+@needs_rerun
 def test_a_test_that_fails_in_its_own_fixture_leaves_them_too(session, pytester):
     result, said = session(
         "@pytest.fixture\ndef homed(stage):\n    stage.run(0.01)\n    assert 0\ndef test_it_fails(homed): pass"
@@ -328,6 +331,7 @@ def test_a_test_that_fails_in_its_own_fixture_leaves_them_too(session, pytester)
     assert (pytester.path / FOLDER / "recording.rrd").exists()
 
 
+@needs_rerun
 def test_two_tests_whose_long_names_begin_alike_have_a_folder_each(session, pytester):
     names = [f"test_{'long_' * 30}{end}" for end in ("one", "two")]
     session("".join(f"def {name}(stage):\n    stage.run(0.01)\n    assert 0\n" for name in names))
@@ -351,6 +355,7 @@ def test_the_folder_goes_with_its_bus_trace_when_the_test_passes_again(session, 
     assert not (pytester.path / FOLDER).exists()
 
 
+@needs_rerun
 def test_keep_all_keeps_those_of_passed_tests(session, pytester):
     result, _ = session(TURNS.replace("assert 0", "assert 1"), "--pulsestage-keep=all")
     result.assert_outcomes(passed=1)
@@ -575,6 +580,7 @@ def test_firmware_that_exits_in_the_process_of_pytest_fails_its_test_and_the_tes
 # --- the page ---
 
 
+@needs_rerun
 @needs_cc
 def test_the_example_of_the_page_passes_and_its_broken_twin_is_found(pytester):
     page = PAGE.read_text()

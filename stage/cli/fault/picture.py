@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stage.errors import StageError
+from stage.extras import need
 
 if TYPE_CHECKING:
     from stage.cli.fault.demo import Shown
@@ -17,10 +17,7 @@ def draw(shown: Shown, path: str | None, overwrite: bool) -> Any:
     from stage.drives.picture import ACCENT, GRID, INK, MUTED
     from stage.files import save_figure
 
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise StageError("drawing needs matplotlib: pip install 'pulsestage[plot]'.") from error
+    Figure = need("matplotlib.figure", "drawing").Figure
     figure = Figure(figsize=(9, 5.2), layout="constrained")
     panels = figure.subplots(2, 1, sharex=True)
     struck = [n.time for n in shown.recordings[1].notes if n.text.endswith("begins")][:1]

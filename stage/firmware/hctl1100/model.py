@@ -22,6 +22,7 @@ import numpy as np
 
 from stage.chips.hctl1100.motor import FULL_DRIVE
 from stage.errors import StageError
+from stage.extras import need
 from stage.firmware.hctl1100.moves import Tuning
 
 MARGIN = 60.0  # degrees
@@ -86,12 +87,9 @@ class Loop:
     def following_error(self, command: np.ndarray) -> np.ndarray:
         """Command minus position at each sample, counts, of an axis at rest before; command: (n,) counts at each sample.
 
-        Raises StageError where scipy is missing.
+        Raises ExtraMissing where scipy is missing.
         """
-        try:
-            from scipy.signal import lfilter
-        except ImportError as error:
-            raise StageError("the prediction needs scipy: pip install 'pulsestage[servo]'.") from error
+        lfilter = need("scipy.signal", "the prediction").lfilter
         (b, a), (_, d) = self.plant, self.filter
         command = np.asarray(command, float)
         way = np.sign(np.diff(command, prepend=command[0]))

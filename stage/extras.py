@@ -1,0 +1,81 @@
+"""Libraries that a small installation does not have, and the words for who needs one: `pip install 'pulsestage[rerun]'`.
+
+Whoever uses such a library gets it here, and so all say the same, and nothing is imported before it is used.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from importlib.util import find_spec
+from typing import Any, NamedTuple
+
+from stage.errors import LoadError
+
+
+class Extra(NamedTuple):
+    """What a library is called, and the extra of pyproject.toml that has it."""
+
+    title: str
+    extra: str
+
+
+LIBRARIES = {
+    "rerun": Extra("rerun", "rerun"),
+    "rerun_cli": Extra("rerun", "rerun"),
+    "matplotlib": Extra("matplotlib", "plot"),
+    "pandas": Extra("pandas", "data"),
+    "pyarrow": Extra("pyarrow", "data"),
+    "optuna": Extra("Optuna", "tune"),
+    "scipy": Extra("scipy", "servo"),
+    "argcomplete": Extra("argcomplete", "completion"),
+    "nicegui": Extra("NiceGUI", "panel"),
+}
+
+
+class ExtraMissing(LoadError):
+    """What was asked for needs a library that is not installed.
+
+    Attributes:
+        extra: the extra that has it, for pip install 'pulsestage[EXTRA]'.
+    """
+
+    def __init__(self, message: str, extra: str):
+        super().__init__(message)
+        self.extra = extra
+
+    def __reduce__(self) -> tuple[type, tuple]:
+        return type(self), (str(self), self.extra)
+
+
+def need(module: str, what: str, instead: str = "") -> Any:
+    """The module `module` of a library of LIBRARIES, for `what`, as in "drawing".
+
+    instead: what works without it, for the message.
+    Raises ExtraMissing where the library is not there; LoadError where it cannot be loaded.
+    """
+    try:
+        return import_module(module)
+    except ImportError as error:
+        library = module.partition(".")[0]
+        if isinstance(error, ModuleNotFoundError) and (error.name or "").partition(".")[0] == library:
+            title, extra = LIBRARIES[library]
+            raise ExtraMissing(f"{what} needs {title}: pip install 'pulsestage[{extra}]'{instead}.", extra) from error
+        raise LoadError(f"{what}: {module} is installed and cannot be loaded: {error}.") from error
+
+
+def has(library: str) -> bool:
+    """Whether a library is installed; it is not imported for that."""
+    try:
+        return find_spec(library) is not None
+    except (ValueError, ModuleNotFoundError):  # somebody has put None in its place, or blocks it
+        return False
+
+
+class Later:
+    """The module `module` of a library, imported by `need` for `what` when something of it is first used."""
+
+    def __init__(self, module: str, what: str):
+        self._module, self._what = module, what
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(need(self._module, self._what), name)
