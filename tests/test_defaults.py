@@ -33,6 +33,10 @@ stage.recording.recording
     Recording.pieces: rows=65536, begin=0
     Recording.save: overwrite=False
     Recording.to_vcd: overwrite=False
+    Recording.to_pandas: columns=None
+    Recording.to_parquet: columns=None, overwrite=False
+    Recording.to_csv: columns=None, overwrite=False
+    Recording.to_npz: columns=None, overwrite=False
 stage.recording.viewer
     web_server: port=9090
     serve_web: port=9090

@@ -26,6 +26,7 @@ examples:
   stage panel xy                          a live stage in a browser
   stage serve --chips mcx304              the chips behind a TCP port, for a host elsewhere
   stage fault                             what can break; `stage fault jam --plot jam.png` breaks it
+  stage export demo.rrd -o demo.csv       the columns of a recording as a table
   stage erratum                           the S-curve failure of the MCX304: pulses for ever, and a work-around
   stage chips                             the chips that there are, also those of other packages
   stage registers pcl240k                 the register map
@@ -78,7 +79,7 @@ def _distance(text: str) -> str:
 def build_parser() -> argparse.ArgumentParser:
     """The whole command line; cheap: nothing heavy is imported before a command runs."""
     from stage import __version__
-    from stage.cli.arguments import faults, firmware, moves, tools, tuning
+    from stage.cli.arguments import data, faults, firmware, moves, tools, tuning
 
     parser = argparse.ArgumentParser(
         prog="stage",
@@ -89,6 +90,6 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"pulsestage {__version__}")
     parser.set_defaults(run=None)
     commands = parser.add_subparsers(title="commands", metavar="COMMAND")
-    for group in (moves, tuning, firmware, faults, tools):
+    for group in (moves, tuning, firmware, faults, data, tools):
         group.add(commands)
     return parser

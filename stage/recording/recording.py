@@ -5,6 +5,7 @@
     recording.columns["x/position"]
     recording.save("x.rrd")
     recording.to_vcd("x.vcd")
+    recording.to_pandas()                        and to_parquet, to_csv, to_npz: see table.py
 
     with stage.record(path="long.rrd"):          written as it goes: what was flushed survives a kill
         ...
@@ -21,7 +22,7 @@ import os
 import tempfile
 import warnings
 import weakref
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
@@ -32,6 +33,7 @@ from stage.chips.journal import Journal
 from stage.errors import ArgumentError, unknown
 from stage.files import FileError, is_stream, writable, written
 from stage.recording.host_part import HostPart
+from stage.recording.table import Tabular
 from stage.sim.records import SAMPLE
 
 if TYPE_CHECKING:
@@ -60,6 +62,14 @@ COLUMNS = {
 Every pin has a bool column of its name as well."""
 
 
+def unit_of(column: str, unit: str, servo: bool) -> str:
+    """The unit of a column of an axis whose own is `unit`, m or rad; "" for a pin."""
+    usual, _ = COLUMNS.get(column, ("", ""))
+    if servo:
+        usual = {"pps": "counts/s", "pulses": "counts"}.get(usual, usual)
+    return usual.replace("m", unit, 1) if usual in ("m", "m/s") else usual
+
+
 class Note(NamedTuple):
     """A fault began or ended at `time` (s): in words, and the faults in force from then on, see stage.faults."""
 
@@ -80,7 +90,7 @@ def _unwritten(path: Path, error: OSError) -> RecordingError:
     return RecordingError(f"{path} cannot be written: {error.strerror or error}.")
 
 
-class Recording:
+class Recording(Tabular):
     """Samples and journals of a run. Made by `Stage.record`; a context manager, usable after its end.
 
     on_error: what a full disk does while it records: "raise" a RecordingError in the run, which can then continue without it,
@@ -92,6 +102,7 @@ class Recording:
         samples, positions, filled: the engine's buffers, (ROWS, axes) SAMPLE and (ROWS, nq), and the rows that it filled.
     """
 
+    ERROR = RecordingError
     FORWARD = True
     """While it goes on, the stage's time may not go back."""
 
@@ -292,33 +303,38 @@ class Recording:
 
         All at once: hours of samples want gigabytes; `column` reads one.
         """
-        return self._read(self._names())
+        return self._read(list(self.units))
 
     def column(self, name: str) -> np.ndarray:
         """One column, see `columns`. Raises ArgumentError with the near misses."""
-        if name not in (names := self._names()):
-            raise unknown("column", name, names)
+        if name not in (units := self.units):
+            raise unknown("column", name, units)
         return self._read([name])[name]
 
-    def _names(self) -> list[str]:
-        per_axis = (
-            f"{name}/{column}"
+    @property
+    def units(self) -> dict[str, str]:
+        """Column -> its unit, "" for a pin; in the order of `columns`."""
+        return {"time": "s"} | {
+            f"{name}/{column}": unit_of(column, axis.unit, axis.chip.SERVO)
             for name, axis in self.axes.items()
             for column in (*COLUMNS, *axis.chip.INPUTS, *axis.chip.OUTPUTS)
-        )
-        return ["time", *per_axis]
+        }
 
-    def _read(self, names: Iterable[str]) -> dict[str, np.ndarray]:
+    def parts(self, names: Sequence[str]) -> Iterator[dict[str, np.ndarray]]:
+        """These columns, a number of rows at a time; once at least."""
+        for piece in self.pieces() if len(self) else [self._pack(0)]:
+            yield {name: self._values(piece["axes"], name) for name in names}
+
+    def _read(self, names: Sequence[str]) -> dict[str, np.ndarray]:
         out: dict[str, np.ndarray] = {}
         at = 0
-        for piece in self.pieces():
-            for name in names:
-                values = self._values(piece["axes"], name)
+        for part in self.parts(names):
+            for name, values in part.items():
                 if name not in out:
                     out[name] = np.empty(len(self), values.dtype)
-                out[name][at : at + len(piece)] = values
-            at += len(piece)
-        return out or {name: self._values(np.zeros((0, len(self.axes)), SAMPLE), name) for name in names}
+                out[name][at : at + len(values)] = values
+            at += len(part[names[0]])
+        return out
 
     def _values(self, samples: np.ndarray, name: str) -> np.ndarray:
         if name == "time":

@@ -26,7 +26,7 @@ from stage.chips.describe import Said
 from stage.chips.journal import Replay
 from stage.recording import scene, signals
 from stage.recording.sdk import rr
-from stage.recording.series import series_of
+from stage.recording.series import FORMAT, series_of
 from stage.recording.sink import Sink
 from stage.recording.thin import thin
 
@@ -124,6 +124,13 @@ def _about(out: Any, recording: Recording) -> None:
     of_stage = {"model": name, "samples": len(recording), "every_s": recording.every, "timestep_s": model.opt.timestep}
     out.send_property("stage", rr.AnyValues(**of_stage))
     out.send_property("axes", rr.AnyValues(**facts))
+    axes = recording.axes.values()
+    columns = {
+        "axes": [a.name for a in axes],
+        "units": [a.unit for a in axes],
+        "servos": [bool(a.chip.SERVO) for a in axes],
+    }
+    out.send_property("columns", rr.AnyValues(format=FORMAT, every_ns=round(recording.every * 1e9), **columns))
     table = "\n".join(["| axis | chip | clock | motor | way |", "|---|---|---|---|---|", *rows])
     text = (
         f"# {name}\n\n{table}\n\n"

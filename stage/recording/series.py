@@ -12,6 +12,10 @@ if TYPE_CHECKING:
     from stage.recording.recording import Recording
 
 
+FORMAT = 1
+"""Of what an .rrd file has of series and lanes: counted up when what is read back would mean something else."""
+
+
 class Series(NamedTuple):
     """A plot: `value` of the samples of an axis times `scale`, within `tolerance`; (slide, hinge) where they differ.
 

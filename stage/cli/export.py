@@ -1,0 +1,31 @@
+"""The command `stage export`: the columns of a recording as a table."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write them, or list them."""
+    from stage.files import writable
+    from stage.recording import read
+    from stage.recording.table import writer_of
+
+    if args.output is not None:
+        writer_of(args.output)
+        writable(args.output, args.force, ask="give --force")
+    saved = read(args.file)
+    if args.output is None:
+        print(f"{saved.path}: {saved.model}, {len(saved)} samples, {saved.every * 1e3:g} ms apart")
+        for name, axis in saved.axes.items():
+            print(f"  axis {name}: {axis}")
+        for name, unit in saved.units.items():
+            print(f"  {name:24} {unit}".rstrip())
+        return 0
+    names = None if args.columns is None else [name.strip() for name in args.columns.split(",")]
+    saved.to_file(args.output, names, overwrite=args.force)
+    count = len(saved.units) if names is None else len({"time", *names})
+    size = Path(args.output).stat().st_size / 1e6
+    print(f"{args.output}: {len(saved)} samples of {count} columns, {size:.1f} MB")
+    return 0

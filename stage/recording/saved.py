@@ -1,0 +1,191 @@
+"""Columns read back from an .rrd file: `read("x.rrd")`.
+
+A file keeps of each series the samples that its plot needs, see rerun_log.py. What is read is what lies between them, at each
+sample's time: within the tolerance of SERIES of what was recorded. Switches and phases are exact to the clock in `states`.
+"""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Iterator, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stage.errors import unknown
+from stage.recording import sdk
+from stage.recording.recording import RecordingError, unit_of
+from stage.recording.series import FORMAT, SERIES
+from stage.recording.signals import plain
+from stage.recording.table import Tabular
+
+WHOLE = ("lost_steps", "counter")
+NAMED = {"current": "current_a"}
+"""Series whose column has another name."""
+
+State = tuple[np.ndarray, np.ndarray]
+
+
+class Saved(Tabular):
+    """What an .rrd file tells of a run. Made by `read`.
+
+    Attributes:
+        path: the file. model: what the MJCF calls itself. axes: name -> chip, motor and way a pulse, in words.
+        every: seconds between samples.
+        columns: "time" (s), "x/position" ..., as `Recording.columns` has them, of those that the file keeps; "x/el_plus" ...
+            (bool): whether the switch is on; "x/phase" (text).
+        states: lane -> (times, s; states, text), from each time on: "x/phase", "x/el_plus", "faults".
+        bus: (time, s; text) of each bus write that is told, in order.
+    """
+
+    ERROR = RecordingError
+
+    def __init__(self, path: Path, entities: dict[str, dict[str, Any]]):
+        self.path, self._entities = path, entities
+        about = entities.get("/__properties/columns", {})
+        known = {name: values[0] for name, (_, values) in about.items()}
+        if not known:
+            raise RecordingError(
+                f"{path} is a rerun file, but no recording of this PulseStage: it does not say what its columns are. Give one that "
+                "Recording.save or --record has written."
+            )
+        if known["format"] != [FORMAT]:
+            raise RecordingError(
+                f"{path} is of format {known['format'][0]}, and this PulseStage reads format {FORMAT}: read it with the version "
+                "that wrote it."
+            )
+        self._kinds = dict(zip(known["axes"], zip(known["units"], known["servos"], strict=True), strict=True))
+        self.every = known["every_ns"][0] * 1e-9
+        self._every_ns = known["every_ns"][0]
+        self.axes = {name: self._property("axes", name) for name in self._kinds}
+        self.model = self._property("stage", "model")
+
+    def _property(self, of: str, name: str) -> str:
+        _, values = self._entities.get(f"/__properties/{of}", {}).get(name, (None, [[""]]))
+        return str(values[-1][0])
+
+    @cached_property
+    def _series(self) -> dict[str, tuple[str, str, np.ndarray, np.ndarray]]:
+        """Column -> (axis, series, times ns, values as they are drawn)."""
+        found = {}
+        for axis in self._kinds:
+            for key in SERIES:
+                drawn = self._entities.get(f"/axes/{plain(axis)}/{key}", {}).get("Scalars:scalars")
+                if drawn is not None and drawn[0] is not None:
+                    order = np.argsort(drawn[0], kind="stable")
+                    values = np.array([v[0] for v in drawn[1]], float)[order]
+                    found[f"{axis}/{NAMED.get(key, key)}"] = (axis, key, drawn[0][order], values)
+        return found
+
+    @cached_property
+    def states(self) -> dict[str, State]:
+        found = {}
+        lanes = {f"{axis}/phase": f"/axes/{plain(axis)}/phase" for axis in self._kinds}
+        for axis in self._kinds:
+            begin = f"/axes/{plain(axis)}/switches/"
+            lanes |= {f"{axis}/{e.removeprefix(begin)}": e for e in sorted(self._entities) if e.startswith(begin)}
+        for lane, entity in (lanes | {"faults": "/faults"}).items():
+            times, states = self._entities.get(entity, {}).get("StateChange:state", (None, []))
+            if times is not None:
+                order = np.argsort(times, kind="stable")
+                found[lane] = (times[order] * 1e-9, np.array([s[0] for s in states])[order])
+        return found
+
+    @cached_property
+    def bus(self) -> list[tuple[float, str]]:
+        told = []
+        for axis in self._kinds:
+            times, texts = self._entities.get(f"/axes/{plain(axis)}/bus", {}).get("TextLog:text", (None, []))
+            if times is not None:
+                told += [(float(t) * 1e-9, text[0].split(maxsplit=1)[1]) for t, text in zip(times, texts, strict=True)]
+        return sorted(told)
+
+    @cached_property
+    def _ticks(self) -> np.ndarray:
+        """The times of the samples, ns."""
+        spans = [(times[0], times[-1]) for *_, times, _ in self._series.values() if len(times)]
+        if not spans:
+            return np.zeros(0, np.int64)
+        return np.arange(min(b for b, _ in spans), max(e for _, e in spans) + 1, self._every_ns)
+
+    def __len__(self) -> int:
+        return len(self._ticks)
+
+    @cached_property
+    def units(self) -> dict[str, str]:
+        units = {"time": "s"}
+        for axis in self._kinds:
+            units |= {
+                c: unit_of(c.rpartition("/")[2], *self._kinds[axis]) for c in self._series if self._series[c][0] == axis
+            }
+            units |= {lane: "" for lane in self.states if lane.rpartition("/")[0] == axis}
+        return units
+
+    def column(self, name: str) -> np.ndarray:
+        """One column, (len(self),). Raises ArgumentError with the near misses."""
+        if name not in self.units:
+            raise unknown("column", name, self.units)
+        if name == "time":
+            return self._ticks * 1e-9
+        if name in self._series:
+            axis, key, times, drawn = self._series[name]
+            hinge = self._kinds[axis][0] != "m"
+            values = np.interp(self._ticks, times, drawn) / SERIES[key].scales[hinge]
+            return np.rint(values).astype(np.int64) if key in WHOLE else values
+        times, states = self.states[name]
+        at = np.maximum(np.searchsorted(np.rint(times * 1e9), self._ticks, side="right") - 1, 0)
+        return states[at] if name.endswith("/phase") else (states != "off")[at]
+
+    @property
+    def columns(self) -> dict[str, np.ndarray]:
+        return {name: self.column(name) for name in self.units}
+
+    def parts(self, names: Sequence[str]) -> Iterator[dict[str, np.ndarray]]:
+        yield {name: self.column(name) for name in names}
+
+    def __repr__(self) -> str:
+        return (
+            f"<Saved {self.path.name}, {len(self)} samples of {', '.join(self.axes)}, {len(self) * self.every:.3f} s>"
+        )
+
+
+def read(path: str | os.PathLike) -> Saved:
+    """The columns of a recording that `Recording.save`, `Recording.stream` or `--record` has written.
+
+    Raises RecordingError for what is missing, damaged or no recording of PulseStage; ExtraMissing without rerun.
+    """
+    path = Path(path)
+    reader = sdk.chunk.RrdReader
+    if not path.is_file():
+        raise RecordingError(f"there is no recording {path}.")
+    entities: dict[str, dict[str, Any]] = {}
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of a file whose run was killed: it has no footer
+            for chunk in reader(str(path)).stream():
+                if not chunk.entity_path.startswith("/stage"):
+                    _add(entities.setdefault(chunk.entity_path, {}), chunk.to_record_batch())
+    except (RuntimeError, ValueError) as error:
+        said = str(error).rpartition("rrd: ")[2].partition("\n")[0][:200]
+        raise RecordingError(
+            f"{path} is damaged, or no .rrd file: {said}. Of a run that was killed while it wrote, `rerun rrd merge {path} -o "
+            "whole.rrd` keeps what is whole."
+        ) from error
+    return Saved(path, entities)
+
+
+def _add(entity: dict[str, Any], batch: Any) -> None:
+    """The columns of a chunk: component -> (times ns or None, values), after those that were there."""
+    names = batch.schema.names
+    time = batch.column("time").to_numpy(zero_copy_only=False).astype(np.int64) if "time" in names else None
+    for name in names:
+        if name == "time" or name.startswith("rerun.controls"):
+            continue
+        values, before = batch.column(name).to_pylist(), entity.get(name)
+        if time is not None and before is not None:
+            entity[name] = (np.concatenate([before[0], time]), before[1] + values)
+        else:
+            entity[name] = (time, values)

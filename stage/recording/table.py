@@ -1,0 +1,134 @@
+"""Columns as data frames and files: pandas, Parquet, CSV, NumPy's .npz. Each is written in pieces, so hours do not fill memory.
+
+Names and units are those of the columns: "x/position" in metres. Parquet keeps the unit of each column as metadata of its field.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import zipfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from stage.errors import unknown
+from stage.extras import need
+from stage.files import FileError, written
+
+if TYPE_CHECKING:
+    import pandas
+
+FORMATS = {".csv": "to_csv", ".parquet": "to_parquet", ".npz": "to_npz"}
+
+
+def writer_of(path: str | os.PathLike) -> str:
+    """The method of `Tabular` that writes a file of this name. Raises FileError for an ending that is none of FORMATS."""
+    ending = Path(path).suffix.lower()
+    if ending not in FORMATS:
+        raise FileError(
+            f"{path}: columns are no {ending or 'file without an ending'}. Name a file that ends in {', '.join(FORMATS)}."
+        )
+    return FORMATS[ending]
+
+
+class Tabular:
+    """What has columns over time: arrays of one length by name, "time" first."""
+
+    ERROR: type[FileError] = FileError
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Column -> its unit, "" for pins and states; in the order of the columns."""
+        raise NotImplementedError
+
+    def parts(self, names: Sequence[str]) -> Iterator[dict[str, np.ndarray]]:
+        """These columns, a number of rows at a time; once at least."""
+        raise NotImplementedError
+
+    def _chosen(self, columns: Sequence[str] | None) -> list[str]:
+        known = list(self.units)
+        if columns is None:
+            return known
+        for name in columns:
+            if name not in known:
+                raise unknown("column", name, known)
+        return ["time", *(name for name in dict.fromkeys(columns) if name != "time")]
+
+    def to_pandas(self, columns: Sequence[str] | None = None) -> pandas.DataFrame:
+        """A data frame whose index is the time, s; its `attrs["units"]` has the units.
+
+        columns: names, None for all. Raises ArgumentError with the near misses; ExtraMissing without pandas (extra `data`).
+        """
+        pandas = need("pandas", "a data frame")
+        names = self._chosen(columns)
+        whole = [*self.parts(names)]
+        made = {name: np.concatenate([part[name] for part in whole]) for name in names}
+        index = pandas.Index(made.pop("time"), name="time")
+        frame = pandas.DataFrame(made, index=index)
+        frame.attrs["units"] = {name: self.units[name] for name in names}
+        return frame
+
+    def to_parquet(
+        self, path: str | os.PathLike, columns: Sequence[str] | None = None, *, overwrite: bool = False
+    ) -> Path:
+        """Write a Parquet file; pandas, Polars, DuckDB and Spark read it. The metadata of a field has its unit.
+
+        Raises FileError; ArgumentError for a column that is none; ExtraMissing without pyarrow (extra `data`, and part of `rerun`).
+        """
+        pyarrow = need("pyarrow", "a Parquet file")
+        parquet = need("pyarrow.parquet", "a Parquet file")
+        names = self._chosen(columns)
+        schema = None
+        with written(path, overwrite, self.ERROR) as part:
+            writer = None
+            try:
+                for piece in self.parts(names):
+                    arrays = [pyarrow.array(piece[name]) for name in names]
+                    if writer is None:
+                        fields = [
+                            pyarrow.field(name, array.type, nullable=False, metadata={"unit": self.units[name]})
+                            for name, array in zip(names, arrays, strict=True)
+                        ]
+                        about = {"pulsestage": json.dumps({"units": {name: self.units[name] for name in names}})}
+                        schema = pyarrow.schema(fields, metadata=about)
+                        writer = parquet.ParquetWriter(part, schema)
+                    writer.write_table(pyarrow.Table.from_arrays(arrays, schema=schema))
+            finally:
+                if writer is not None:
+                    writer.close()
+        return Path(path)
+
+    def to_csv(self, path: str | os.PathLike, columns: Sequence[str] | None = None, *, overwrite: bool = False) -> Path:
+        """Write a CSV file: a line of names, then a line a sample. Numbers have all digits that they need; pins are 0 and 1.
+
+        Raises FileError; ArgumentError for a column that is none.
+        """
+        names = self._chosen(columns)
+        with written(path, overwrite, self.ERROR) as part, part.open("w", newline="", encoding="utf-8") as file:
+            rows = csv.writer(file, lineterminator="\n")
+            rows.writerow(names)
+            for piece in self.parts(names):
+                values = [piece[name] for name in names]
+                rows.writerows(zip(*((v.astype(int) if v.dtype == bool else v).tolist() for v in values), strict=True))
+        return Path(path)
+
+    def to_npz(self, path: str | os.PathLike, columns: Sequence[str] | None = None, *, overwrite: bool = False) -> Path:
+        """Write NumPy's .npz: `numpy.load(path)["x/position"]`. Raises FileError; ArgumentError for a column that is none."""
+        names = self._chosen(columns)
+        with written(path, overwrite, self.ERROR) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive:
+            for name in names:  # one at a time: never all of them in memory
+                values = np.concatenate([piece[name] for piece in self.parts([name])])
+                with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
+                    np.lib.format.write_array(file, values, allow_pickle=False)
+        return Path(path)
+
+    def to_file(
+        self, path: str | os.PathLike, columns: Sequence[str] | None = None, *, overwrite: bool = False
+    ) -> Path:
+        """Write what the ending of `path` says: .csv, .parquet or .npz. Raises as these do."""
+        write: Any = getattr(self, writer_of(path))
+        return Path(write(path, columns, overwrite=overwrite))
