@@ -62,6 +62,18 @@ def test_it_takes_as_many_pulses_down_as_it_took_up():
     assert chip.values()["COUNT"] == chip.state["climbed"] > 100
 
 
+def test_a_move_whose_count_is_set_to_0_is_over():
+    chip = chip_class("acme1000")()
+    for name, value in {"START": 1000, "DRIVE": 3000, "SLOPE": 20, "COUNT": 900}.items():
+        chip.write(chip.MAP.register(name).number, value)
+    chip.write(0, chip.MAP.command("MOVE+").code)
+    made = chip.advance(chip.clock_hz // 10)
+    assert made > 0
+    chip.write(chip.MAP.register("COUNT").number, 0)
+    assert (chip.busy(), chip.advance(chip.clock_hz)) == (False, 0)
+    assert chip.net() == made
+
+
 def test_it_moves_jogs_and_goes_home(stage_):
     stage_.reset()
     stage_.place(x=-0.115)

@@ -118,6 +118,7 @@ def test_it_goes_home_to_a_switch_and_to_a_stall(stage_):
     home = firmware.home(x)
     assert (home.ok, home.stopped_by) == (True, "REFL")
     assert x.chip.values()["XACTUAL"] == 0
+    assert x.chip.values()["SW_MODE"] & 3 == 3, "both stops act, whoever drives it next"
     assert x.position == pytest.approx(-0.15, abs=1e-4)
     firmware.home(x, by="stall", speed=0.03)
     first = x.position
@@ -226,6 +227,18 @@ def course(chip):
         chip.advance(100_000)
     journal.close()
     return journal.course().edges
+
+
+@pytest.mark.parametrize("shaft", [0, 1])
+def test_the_rate_of_the_field_has_the_direction_in_which_it_turns(chip, shaft):
+    put(chip, CHOPCONF=0x10000003, GCONF=shaft << 4, AMAX=60_000, VMAX=100_000, RAMPMODE=1)
+    chip.advance(500_000)
+    before = chip.net()
+    chip.advance(120_000)
+    rate = chip.CORE.pulse_rate.c(chip.pointer, 0, float(HZ))
+    assert rate == pytest.approx((chip.net() - before) * HZ / 120_000, abs=2 * HZ / 120_000)
+    assert (rate < 0) == bool(shaft)
+    assert chip.values()["VACTUAL"] > 0
 
 
 def test_current_falls_in_the_clocks_of_the_data_sheet(chip):

@@ -1,11 +1,10 @@
 """The slow reference of the TMC5160 keeps the data sheet's worked examples and formulas before anything is held against it."""
 
 import pytest
-
-from tests.reference.tmc5160 import Reference
-from tests.reference.tmc5160_registers import ADDRESS, TABLE
-from tests.support import tmc5160_programs as programs
-from tests.support.tmc5160_hands import HOLD, PLUS, bit, get, glide, put, ready, speed, until
+from reference.tmc5160 import Reference
+from reference.tmc5160_registers import ADDRESS, TABLE
+from support import tmc5160_programs as programs
+from support.tmc5160_hands import HOLD, PLUS, bit, get, glide, put, ready, speed, until
 
 # Bus
 

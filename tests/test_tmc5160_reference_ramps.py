@@ -4,10 +4,9 @@ import random
 from math import ceil
 
 import pytest
-
-from tests.reference.tmc5160 import Reference
-from tests.support import tmc5160_programs as programs
-from tests.support.tmc5160_hands import MINUS, PLUS, bit, get, put, ready, speed, until
+from reference.tmc5160 import Reference
+from support import tmc5160_programs as programs
+from support.tmc5160_hands import MINUS, PLUS, bit, get, put, ready, speed, until
 
 
 def test_velocity_mode_takes_the_time_and_steps_of_the_formula():

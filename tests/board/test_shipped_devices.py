@@ -245,6 +245,9 @@ def test_a_uart_in_the_loop_hears_itself_and_holds_its_registers(line):
         board.out8(0x3F8 + register, value)
         assert board.in8(0x3F8 + register) == kept
     assert board.in8(0x3FE) == 0xF0
+    for bits, lines in ((1, 0x20), (2, 0x10), (4, 0x40), (8, 0x80)):  # DTR is DSR, RTS CTS, OUT1 RI, OUT2 DCD
+        board.out8(0x3FC, 0x10 | bits)
+        assert board.in8(0x3FE) == lines
     board.out8(0x3FC, 0x10)
     board.out8(0x3F8, ord("L"))
     board.delay_us(100)

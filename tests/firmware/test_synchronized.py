@@ -100,7 +100,9 @@ def test_the_farther_apart_the_starts_the_farther_from_the_line():
     for cycle in (0.0, 2e-5, 1e-4, 5e-4):
         report = synchronized_move(blind, bench(bus_cycle=cycle))
         assert report.skew == pytest.approx(cycle)
+        assert report.plan.bus_delay == pytest.approx(cycle), "of this bus"
         assert report.deviation.pulses == pytest.approx(blind.with_bus_delay(cycle).deviation, abs=0.02)
+        assert report.deviation.pulses == pytest.approx(report.plan.deviation, abs=0.02)
         far.append(report.deviation.pulses)
     assert far == sorted(far)
     slow_axis_ahead = 32_000 * 5e-4

@@ -63,6 +63,20 @@ def test_auto_shows_what_there_is_and_time_may_go_back(session, sampler):
     assert scope.frame(10).end <= 0.03
 
 
+def test_a_picture_that_stands_keeps_its_end_or_its_trigger_in_another_window(session, sampler):
+    free, single = Scope(sampler, ["x/rate"], span=0.1), Scope(sampler, ["x/rate"], span=0.05)
+    single.trigger("single", "x/rate", True, 8000.0)
+    hasty(session, firmware.move, session.stage.axes["x"], 0.004)
+    end, trigger = free.frame(10).end, single.frame(10).trigger
+    free.running = False
+    free.base(0.02)
+    single.base(0.01)
+    hasty(session, session.stage.run, 0.2)
+    shown, caught = free.frame(10), single.frame(10)
+    assert (shown.begin, shown.end) == pytest.approx((end - 0.02, end))
+    assert (caught.begin, caught.end) == pytest.approx((trigger - BEFORE * 0.01, trigger + (1 - BEFORE) * 0.01))
+
+
 def test_a_window_that_cannot_be_is_refused(sampler):
     with pytest.raises(ArgumentError, match=r"0\.001 to 60"):
         Scope(sampler, [], span=100)

@@ -10,8 +10,8 @@ No closed form: every clock is one `tick()`. It shares nothing with the product,
 page leaves a choice, the comment beside the line says which was taken.
 """
 
-from tests.reference.tmc5160_driver import Driver, signed
-from tests.reference.tmc5160_registers import BY_ADDRESS, CLEARABLE, RESET
+from reference.tmc5160_driver import Driver, signed
+from reference.tmc5160_registers import BY_ADDRESS, CLEARABLE, RESET
 
 PINS = ("REFL_STEP", "REFR_DIR", "ENCA_DCIN_CFG5", "ENCB_DCEN_CFG4", "ENCN_DCO_CFG6", "DRV_ENN")
 FULL = 1 << 41  # of the phase: one step

@@ -1,7 +1,7 @@
 """Hands on a TMC5160 reference: registers by name, waits in clocks."""
 
-from tests.reference.tmc5160 import Reference
-from tests.reference.tmc5160_registers import ADDRESS
+from reference.tmc5160 import Reference
+from reference.tmc5160_registers import ADDRESS
 
 PLUS, MINUS, HOLD = 1, 2, 3  # RAMPMODE
 

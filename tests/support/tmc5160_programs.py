@@ -10,7 +10,7 @@ happens within 200,000 clocks: ramps of some ten thousand clocks, hundreds of st
 
 import random
 
-from tests.reference.tmc5160_registers import ADDRESS, TABLE
+from reference.tmc5160_registers import ADDRESS, TABLE
 
 CLOCKS = 200_000
 PINS = ("REFL_STEP", "REFR_DIR", "ENCA_DCIN_CFG5", "ENCB_DCEN_CFG4", "ENCN_DCO_CFG6", "DRV_ENN")

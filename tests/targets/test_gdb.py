@@ -148,6 +148,13 @@ def test_a_loop_is_interrupted_and_a_fault_can_be_looked_at():
     assert re.search(r"it writes memory that is not there, .*wild_write", str(ends[0]))
 
 
+def test_who_goes_takes_the_breakpoints_along():
+    with debugged(9) as (_, gdb, ends):
+        assert gdb(f"Z0,{FUNCTIONS['application'] & ~1:x},2") == "OK"
+        assert gdb("D") == "OK"
+    assert ends[0].code == 9
+
+
 def test_a_program_of_dos_is_at_linear_addresses():
     with debugged(9, "faults.com", "8086", ()) as (_, gdb, ends):
         assert "i8086" in gdb("qXfer:features:read:target.xml:0,1000")

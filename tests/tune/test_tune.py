@@ -155,6 +155,21 @@ def test_a_seed_gives_the_same_search_whatever_the_number_of_threads(task):
     assert made[0] == made[1]
 
 
+@pytest.mark.parametrize(("first", "further"), [(0.05, 0.03), (0.03, 0.05)])
+def test_a_trial_that_leads_is_as_slow_as_the_slowest_of_all_its_cases(task, tries, first, further):
+    pytest.importorskip("optuna")
+    cases, more = [Case(0.0, 0.0, 1)], [Case(0.0, 1.0, 1), Case(0.0, 2.0, -1)]
+
+    def make(plans, made, limit):
+        shape = len(plans), len(made)
+        times = np.full(shape, first if len(made) == 1 else further)
+        return Outcome(times, np.ones(shape, bool), np.zeros(shape))
+
+    lanes = SimpleNamespace(plans=tries.plans, task=task, make=make)
+    ranked, _ = search(lanes, cases, more, LIMIT, 1, seed=0)
+    assert ranked[0].worst == 0.05
+
+
 def test_ctrl_c_keeps_the_best_so_far(task, tries):
     pytest.importorskip("optuna")
 
