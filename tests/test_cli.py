@@ -220,17 +220,20 @@ HINGE = """
 def test_a_hinge_is_told_in_its_own_unit(here, capsys):
     """stage move x 1544 --model hinge.xml"""
     (here / "hinge.xml").write_text(HINGE)
-    said = out(capsys, "move", "x", "1544", "--model", "hinge.xml", "--from", "100").out
-    assert re.search(r"from 100\.0000 mrad to 313\d\.\d{4} mrad, lost", said)
-    said = out(capsys, "move", "x", "1544", "--model", "hinge.xml", "--from", "5000", code=2).err
-    assert "--from 5000: axis x travels from -4000 to 4000 mrad" in said
+    said = out(capsys, "move", "x", "1544", "--model", "hinge.xml", "--from", "0.1rad").out
+    assert re.search(r"from 5\.7296 deg to 179\.\d{4} deg, lost", said)
+    assert "from 5.0000 deg to" in out(capsys, "move", "x", "10", "--model", "hinge.xml", "--from", "5").out
+    said = out(capsys, "move", "x", "1544", "--model", "hinge.xml", "--from", "500", code=2).err
+    assert "--from 500: axis x travels from -229.183 to 229.183 deg" in said
+    said = out(capsys, "move", "x", "1544", "--model", "hinge.xml", "--from", "5mm", code=2).err
+    assert "--from 5mm: a place on axis x is a number of deg, or in urad, mrad, rad, mdeg, deg." in said
 
 
 def test_a_fault_on_a_hinge_is_told_in_its_unit(here, capsys):
     """stage fault lost-write --model hinge.xml"""
     (here / "hinge.xml").write_text(HINGE)
     said = out(capsys, "fault", "lost-write", "--model", "hinge.xml", "--plot", "f.png").out
-    assert re.search(r"^carriage moved, mrad +3\d{3}\.\d{4} ", said, re.M)
+    assert re.search(r"^carriage moved, deg +206\.\d{4} +4\.\d{4}$", said, re.M)
     assert re.search(r"^diagnostics +(\d+) +\1$", said, re.M), (
         "a PCL-240 does not complain of a distance that it has from before"
     )
@@ -244,7 +247,9 @@ def test_the_table_of_the_erratum_has_the_unit_of_its_axis(unit):
 
     figures = {"position, mm": 1.5, "speed, pps": 0, "n-DRV 2 s later": 0}
     rows = Shown("MCX304", True, (figures, figures), (None, None), unit).table().splitlines()[1:]
-    assert [row.split("  ")[0] for row in rows] == [f"position, m{unit}", "speed, pps", "n-DRV 2 s later"]
+    symbol, value = {"m": ("mm", "1.5000"), "rad": ("deg", "0.0859")}[unit]
+    assert [row.split("  ")[0] for row in rows] == [f"position, {symbol}", "speed, pps", "n-DRV 2 s later"]
+    assert rows[0].split()[2:] == [value, value]
 
 
 @pytest.mark.parametrize("command", [("move", "x", "100"), ("fault", "jam"), ("erratum",)])

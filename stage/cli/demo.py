@@ -9,6 +9,7 @@ from typing import Any
 from stage.cli.setup import make_stage, note, recorded
 from stage.errors import ArgumentError
 from stage.extras import has
+from stage.units import PLACES
 
 WHERE = (0.1962, -0.1435, 0.177)  # where the carriages happen to stand, from the middle of their travel, in travels
 LONG, SHORT, FIRST, SECOND = 0.3956, 0.2894, 0.1978, -0.1085  # moves, in travels
@@ -50,7 +51,7 @@ def story(stage: Any, rows: list[tuple]) -> None:
         rows.append(
             (
                 report.axis, report.procedure, asked, f"{report.pulses:+d}", f"{report.duration:.3f}",
-                f"{report.peak_rate:,.0f}", f"{report.position * 1e3:.4f} m{report.unit}", str(report.lost_steps),
+                f"{report.peak_rate:,.0f}", PLACES[report.unit].text(report.position), str(report.lost_steps),
                 report.stopped_by, "yes" if good else "NO",
             )
         )  # fmt: skip

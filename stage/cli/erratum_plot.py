@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stage.extras import need
+from stage.units import PLACES
 
 if TYPE_CHECKING:
     from stage.cli.erratum import Shown
@@ -24,15 +25,17 @@ def draw(shown: Shown, path: str | None, overwrite: bool) -> Any:
     figure = Figure(figsize=(11, 6), layout="constrained")
     (rate, close), (place, lanes) = figure.subplots(2, 2)
     styles = ((ACCENT, 1.6, "26h in area d", 2), (MUTED, 3.0, "stop_by_speed", 1))
-    areas = _areas(shown.recordings[0])
+    areas, unit = _areas(shown.recordings[0]), PLACES[shown.unit]
     for recording, (color, width, label, order) in zip(shown.recordings, styles, strict=True):
         axis = next(iter(recording.axes))
         time, pps = recording.column("time"), recording.column(f"{axis}/rate")
         drawn = {"color": color, "linewidth": width, "label": label, "zorder": order}
         for panel in (rate, close):
             panel.plot(time, pps, **drawn)
-        place.plot(time, recording.column(f"{axis}/position") * 1e3, **drawn)
-        place.plot(time, recording.column(f"{axis}/commanded") * 1e3, color=color, linewidth=1, linestyle=(0, (2, 2)))
+        place.plot(time, recording.column(f"{axis}/position") * unit.per, **drawn)
+        place.plot(
+            time, recording.column(f"{axis}/commanded") * unit.per, color=color, linewidth=1, linestyle=(0, (2, 2))
+        )
     _lanes(lanes, shown.recordings[0], ACCENT)
     begin, end = areas["d"]
     for panel in (close, lanes):
@@ -49,7 +52,11 @@ def draw(shown: Shown, path: str | None, overwrite: bool) -> Any:
             close.annotate(area, (when, 0.92), xycoords=("data", "axes fraction"), ha="center", color=INK)
     rate.set(ylabel="pulse rate (pps)", title=f"{shown.chip}{', mended' if shown.mended else ''}: the drive")
     close.set(ylabel="pulse rate (pps)", title="the end of the deceleration; shaded: area d, up to 26h")
-    place.set(ylabel=f"position (m{shown.unit})", xlabel="time (s)", title="the carriage; dotted: what the pulses say")
+    place.set(
+        ylabel=f"position ({unit.symbol})",
+        xlabel="time (s)",
+        title="the carriage; dotted: what the pulses say",
+    )
     lanes.set(xlabel="time (s)", title="RR1 and n-DRV after 26h in area d")
     for panel in (rate, close, place, lanes):
         panel.grid(True, axis="x" if panel is lanes else "both", color=GRID, linewidth=0.7)

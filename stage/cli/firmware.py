@@ -16,6 +16,7 @@ from typing import Any
 
 from stage.cli.setup import make_board, note, outputs, recorded
 from stage.errors import ArgumentError, StageError
+from stage.units import PLACES
 
 SHOWN = 10
 
@@ -145,13 +146,13 @@ def write_trace(args: argparse.Namespace, board: Any) -> None:
 def report(board: Any) -> None:
     """Print where the axes are, mistakes of the host, and cycles that reached nothing."""
     stage = board.stage
-    units = [f"m{unit}" for unit in dict.fromkeys(axis.unit for axis in stage.axes.values())]
+    units = [PLACES[unit].symbol for unit in dict.fromkeys(axis.unit for axis in stage.axes.values())]
     unit, mixed = "|".join(units), len(units) > 1
     print(f"{'axis':6}{f'position {unit}':>18}{f'commanded {unit}':>19}{'lost':>6}  switches")
     for axis in stage.axes.values():
         on = ", ".join(name for name, state in axis.switches.as_dict().items() if state)
-        own = f" m{axis.unit}" if mixed else ""
-        position, commanded = (f"{q * 1e3:.4f}{own}" for q in (axis.position, axis.commanded))
+        own = PLACES[axis.unit]
+        position, commanded = (own.text(q) if mixed else f"{q * own.per:.4f}" for q in (axis.position, axis.commanded))
         print(f"{axis.name:6}{position:>18}{commanded:>19}{axis.lost_steps:6}  {on}".rstrip())
     for k, chip in enumerate(stage.chips):
         said = chip.diagnostics

@@ -13,6 +13,7 @@ from typing import Any
 
 from stage.errors import ArgumentError, unknown
 from stage.extras import has, need
+from stage.units import PLACES, TYPED, typed
 
 
 def make_stage(args: argparse.Namespace, visuals: bool = True) -> Any:
@@ -117,13 +118,11 @@ def make_board(args: argparse.Namespace) -> Any:
     placed = set()
     for item in args.place:
         name, _, text = item.partition("=")
-        try:
-            millimetres = float(text)
-        except ValueError:
-            raise ArgumentError(f"--place {item!r}: write AXIS=MM, for example x=62.") from None
+        if not text:
+            raise ArgumentError(f"--place {item!r}: write AXIS=PLACE, for example x=62mm.")
         if name in placed:
             raise ArgumentError(f"--place {item!r}: axis {name} has got a place already. Give an axis once.")
-        place(stage, find_axis(stage, name), f"--place {name}", millimetres)
+        place(stage, find_axis(stage, name), f"--place {name}", text)
         placed.add(name)
     return Board(stage, args.layout, args.base, args.stride, keep_cycles=args.keep, devices=args.device)
 
@@ -154,25 +153,21 @@ def profile(args: argparse.Namespace, axis: Any) -> Any:
     return Profile.of(clock_hz=axis.chip.clock_hz, chip=type(axis.chip), **given)
 
 
-METRES = {"nm": 1e-9, "um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0}
-RADIANS = {"urad": 1e-6, "mrad": 1e-3, "rad": 1.0, "deg": 0.017453292519943295}
-
-
 def distance(axis: Any, text: str) -> int:
     """Pulses of a distance as it is typed: 8000 (pulses), 10mm, -0.5deg. Raises ArgumentError."""
     from stage.firmware.procedures import pulses_of
 
     text = text.strip()
-    units = METRES if axis.unit == "m" else RADIANS
-    unit = next((u for u in sorted(units, key=len, reverse=True) if text.endswith(u)), "")
     try:
-        number = float(text.removesuffix(unit)) if unit else int(text, 0)
+        return pulses_of(axis, None, int(text, 0))
     except ValueError:
+        way = typed(text, axis.unit) if text.endswith(tuple(TYPED[axis.unit])) else None
+    if way is None:
         raise ArgumentError(
-            f"{text!r}: axis {axis.name} goes a whole number of pulses, or a distance in {', '.join(units)}: 8000, or "
-            f"10{next(iter(units), '')}."
-        ) from None
-    return pulses_of(axis, number * units[unit], None) if unit else pulses_of(axis, None, int(number))
+            f"{text!r}: axis {axis.name} goes a whole number of pulses, or a distance in {', '.join(TYPED[axis.unit])}: 8000, or "
+            f"10{PLACES[axis.unit].symbol}."
+        )
+    return pulses_of(axis, way, None)
 
 
 def find_axis(stage: Any, name: str) -> Any:
@@ -181,14 +176,24 @@ def find_axis(stage: Any, name: str) -> Any:
     return stage.axes[name]
 
 
-def place(stage: Any, axis: Any, option: str, where: float | None) -> None:
-    """Put the carriage of `axis` where `option` says, mm (mrad on a hinge). Raises ArgumentError outside its travel."""
+def place(stage: Any, axis: Any, option: str, where: str | None) -> None:
+    """Put the carriage of `axis` where `option` says: 62mm, 90deg, or a number of mm, degrees on a hinge.
+
+    Raises ArgumentError for what is no place, or outside its travel."""
     if where is None:
         return
-    low, high = (end * 1e3 for end in axis.travel)
-    if not low <= where <= high:
-        raise ArgumentError(f"{option} {where:g}: axis {axis.name} travels from {low:g} to {high:g} m{axis.unit}.")
-    stage.place(**{axis.name: min(max(where * 1e-3, axis.travel[0]), axis.travel[1])})
+    unit, (low, high) = PLACES[axis.unit], axis.travel
+    found = typed(where, axis.unit)
+    if found is None:
+        raise ArgumentError(
+            f"{option} {where}: a place on axis {axis.name} is a number of {unit.symbol}, or in {', '.join(TYPED[axis.unit])}."
+        )
+    slack = 1e-9 * (high - low)
+    if not low - slack <= found <= high + slack:
+        raise ArgumentError(
+            f"{option} {where}: axis {axis.name} travels from {low * unit.per:g} to {unit.text(high, 'g')}."
+        )
+    stage.place(**{axis.name: min(max(found, low), high)})
 
 
 def outputs(args: argparse.Namespace) -> None:

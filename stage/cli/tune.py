@@ -9,8 +9,9 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from stage.cli.setup import METRES, RADIANS, distance, find_axis, make_stage
+from stage.cli.setup import distance, find_axis, make_stage
 from stage.errors import ArgumentError, StageError
+from stage.units import TYPED
 
 TIMES = {"us": 1e-6, "ms": 1e-3, "s": 1.0}
 FILES = {"c": "tuned.h", "text": "tuned.txt", "json": "tuned.json", "picture": "tuned.png"}
@@ -110,7 +111,7 @@ def _settle(axis: Any, given: list[str] | None) -> tuple[float | None, float]:
 
 def _length(axis: Any, option: str, text: str) -> float:
     """m, rad on a hinge. Raises ArgumentError."""
-    return _number(option, text, *((METRES, "50um") if axis.unit == "m" else (RADIANS, "1mrad")))
+    return _number(option, text, TYPED[axis.unit], "50um" if axis.unit == "m" else "50mdeg")
 
 
 def _number(option: str, text: str, units: dict[str, float], example: str) -> float:

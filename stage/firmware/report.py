@@ -12,6 +12,7 @@ from stage.chips.describe import Said, decode
 from stage.chips.journal import Course
 from stage.errors import RunTimeout
 from stage.firmware.axis import Axis
+from stage.units import PLACES
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -84,7 +85,7 @@ class Report:
         ]
         if self.position is not None and self.start is not None:
             lines.append(
-                f"  from {self.start * 1e3:.4f} m{self.unit} to {self.position * 1e3:.4f} m{self.unit}, "
+                f"  from {PLACES[self.unit].text(self.start)} to {PLACES[self.unit].text(self.position)}, "
                 f"lost steps {self.lost_steps}"
             )
         return "\n".join(lines)

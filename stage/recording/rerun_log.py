@@ -29,6 +29,7 @@ from stage.recording.sdk import rr
 from stage.recording.series import FORMAT, series_of
 from stage.recording.sink import Sink
 from stage.recording.thin import thin
+from stage.units import SMALL
 
 if TYPE_CHECKING:
     from stage.recording.recording import Note, Recording
@@ -118,7 +119,7 @@ def _about(out: Any, recording: Recording) -> None:
     for axis in recording.axes.values():
         chip, drive = axis.chip, getattr(axis, "drive", None)
         motor = drive.title if drive else "-"
-        pulse = f"{axis.meters_per_pulse * 1e6:.4g} u{axis.unit} a {'count' if chip.SERVO else 'pulse'}"
+        pulse = f"{SMALL[axis.unit].text(axis.meters_per_pulse, '.4g')} a {'count' if chip.SERVO else 'pulse'}"
         rows.append(f"| {axis.name} | {type(chip).__name__} | {chip.clock_hz:,} Hz | {motor} | {pulse} |")
         facts[axis.name] = f"{type(chip).__name__} at {chip.clock_hz} Hz, {motor}, {pulse}"
     of_stage = {"model": name, "samples": len(recording), "every_s": recording.every, "timestep_s": model.opt.timestep}

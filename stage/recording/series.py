@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+
+from stage.units import DEGREES, PLACES, SMALL, Unit
 
 if TYPE_CHECKING:
     from stage.recording.recording import Recording
@@ -30,20 +31,22 @@ class Series(NamedTuple):
     servo: tuple[str, str] | None = None
 
 
-_DEGREES = math.degrees(1)
+def _of(units: dict[str, Unit]) -> tuple[tuple[str, str], tuple[float, float]]:
+    slide, hinge = units["m"], units["rad"]
+    return (slide.symbol, hinge.symbol), (slide.per, hinge.per)
+
+
 SERIES = {
     "rate": Series(
         "Pulse rate", ("pps", "pps"), (1, 1), 0.5, lambda s: s["rate"], servo=("Commanded velocity", "counts/s")
     ),
-    "position": Series("Position", ("mm", "deg"), (1e3, _DEGREES), 2e-4, lambda s: s["position"]),
-    "commanded": Series("Commanded position", ("mm", "deg"), (1e3, _DEGREES), 2e-4, lambda s: s["commanded"]),
-    "following_error": Series(
-        "Following error", ("um", "0.001 deg"), (1e6, 1e3 * _DEGREES), 0.02, lambda s: s["commanded"] - s["position"]
-    ),
+    "position": Series("Position", *_of(PLACES), 2e-4, lambda s: s["position"]),
+    "commanded": Series("Commanded position", *_of(PLACES), 2e-4, lambda s: s["commanded"]),
+    "following_error": Series("Following error", *_of(SMALL), 0.02, lambda s: s["commanded"] - s["position"]),
     "voltage": Series("Motor voltage", ("V", "V"), (1, 1), 0.02, lambda s: s["voltage"], "servo"),
     "current": Series("Motor current", ("A", "A"), (1, 1), 0.005, lambda s: s["current_a"], "servo"),
     "load_angle": Series(
-        "Load angle", ("electrical deg",) * 2, (_DEGREES,) * 2, 0.1, lambda s: s["load_angle"], "stepper"
+        "Load angle", ("electrical deg",) * 2, (DEGREES,) * 2, 0.1, lambda s: s["load_angle"], "stepper"
     ),
     "lost_steps": Series("Lost steps", ("full steps",) * 2, (1, 1), 0, lambda s: s["lost_steps"], "stepper"),
     "counter": Series(

@@ -9,6 +9,7 @@ import numpy as np
 
 from stage.drives import drive as any_drive
 from stage.errors import ArgumentError, StageError, UnknownKey, unknown
+from stage.units import PLACES
 
 if TYPE_CHECKING:
     from stage.chips import ChipAxis
@@ -150,7 +151,7 @@ class Axis:
 
     def __repr__(self) -> str:
         return (
-            f"<Axis {self.name} {type(self.chip).__name__} position={self.position * 1e3:.4f} m{self.unit} "
+            f"<Axis {self.name} {type(self.chip).__name__} position={PLACES[self.unit].text(self.position)} "
             f"lost_steps={self.lost_steps} {self.switches!r}>"
         )
 

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 from stage.errors import ArgumentError
+from stage.units import PLACES, SMALL
 
 if TYPE_CHECKING:
     from stage.board import Board
@@ -176,13 +177,13 @@ def velocity_of(axis: Axis) -> float:
 
 
 def distance(value: float, unit: str) -> str:
-    """A position: mm, or mrad."""
-    return f"{value * 1e3:.4f} m{unit}"
+    """A position, in words."""
+    return PLACES[unit].text(value)
 
 
 def fine(value: float, unit: str, sign: bool = False) -> str:
-    """A deviation: um, or urad."""
-    return f"{value * 1e6:{'+' if sign else ''},.1f} u{unit}"
+    """A deviation, in words."""
+    return SMALL[unit].text(value, f"{'+' if sign else ''},.1f")
 
 
 def listed(head: str, lines: list[str], tail: str) -> str:

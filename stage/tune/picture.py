@@ -14,6 +14,7 @@ from stage.sim.program import Program
 from stage.tune.looks import LOOK, Looks
 from stage.tune.plans import Plan
 from stage.tune.task import Case
+from stage.units import PLACES, SMALL
 
 if TYPE_CHECKING:
     from stage.tune.result import Result
@@ -27,28 +28,29 @@ def draw(result: Result, path: str | PathLike, overwrite: bool = False) -> None:
     Figure = need("matplotlib.figure", "drawing").Figure
     task = result.task
     axis: Any = task.stage.axes[task.axis]
-    unit, scale = ("mm", 1e3) if axis.unit == "m" else ("mrad", 1e3)
+    unit, tiny = PLACES[axis.unit], SMALL[axis.unit]
     figure = Figure(figsize=(9, 8.4), layout="constrained")
     panels: Any = figure.subplots(4, 1, sharex=True)
-    tiny = "um" if axis.unit == "m" else "urad"
     end = 1.15 * max(a.proof.worst for a in result.answers) + 0.01
     for a in result.answers:
         t, rate, position, behind, u, off = _measured(result, a.plan, end)
         colour = COLOURS[a.name]
         label = f"{a.name}: arrives after {a.proof.mean * 1e3:.0f} ms (mean), {a.proof.worst * 1e3:.0f} ms (worst)"
         panels[0].plot(t * 1e3, rate * 1e-3, color=colour, lw=1.4, label=label, drawstyle="steps-post")
-        panels[1].plot(t * 1e3, position * scale, color=colour, lw=1.4)
-        panels[2].plot(t * 1e3, behind * 1e6, color=colour, lw=1.0)
-        panels[3].plot(u * 1e3, off * 1e6, color=colour, lw=1.2)
+        panels[1].plot(t * 1e3, position * unit.per, color=colour, lw=1.4)
+        panels[2].plot(t * 1e3, behind * tiny.per, color=colour, lw=1.0)
+        panels[3].plot(u * 1e3, off * tiny.per, color=colour, lw=1.2)
         for panel in panels:
             panel.axvline(a.proof.mean * 1e3, color=colour, lw=0.8, ls=(0, (5, 4)))
-    near = float(task.within or 0.0) * 1e6
+    near = float(task.within or 0.0) * tiny.per
     panels[3].axhspan(-near, near, color=BAND, zorder=0, label="arrived")
     panels[3].set_ylim(-4 * near, 4 * near)
     panels[0].set(ylabel="rate, 1000 counts/s" if axis.chip.SERVO else "pulse rate, kpps")
-    panels[1].set(ylabel=f"position, {unit}")
-    panels[2].set(ylabel=f"commanded - position, {tiny}")
-    panels[3].set(ylabel=f"{task.judge_at or 'position'} - goal, {tiny}", xlabel="time from the start command, ms")
+    panels[1].set(ylabel=f"position, {unit.symbol}")
+    panels[2].set(ylabel=f"commanded - position, {tiny.symbol}")
+    panels[3].set(
+        ylabel=f"{task.judge_at or 'position'} - goal, {tiny.symbol}", xlabel="time from the start command, ms"
+    )
     panels[0].legend(frameon=False, fontsize=9, loc="upper right")
     panels[3].legend(frameon=False, fontsize=9, loc="upper right")
     panels[0].set_ylim(top=1.3 * panels[0].get_ylim()[1])

@@ -14,6 +14,7 @@ from stage.tune.plans import Plan, Plans
 from stage.tune.proof import Proof, gain
 from stage.tune.task import Task
 from stage.tune.written import Cycle, Row, cycles, program, rows, said
+from stage.units import PLACES, SMALL
 
 
 @dataclass(frozen=True)
@@ -67,10 +68,8 @@ class Result:
     def way(self) -> str:
         """The distance in words."""
         axis = self.task.stage.axes[self.task.axis]
-        way, unit = self.task.pulses * axis.meters_per_pulse, "mm"
-        if axis.unit == "rad":
-            return f"{way * 57.29577951308232:g} deg ({self.task.pulses} pulses)"
-        return f"{way * 1e3:g} {unit} ({self.task.pulses} {'counts' if axis.chip.SERVO else 'pulses'})"
+        way = PLACES[axis.unit].text(self.task.pulses * axis.meters_per_pulse, "g")
+        return f"{way} ({self.task.pulses} {'counts' if axis.chip.SERVO else 'pulses'})"
 
     def proved(self, a: Answer) -> str:
         """What the proof says of an answer, in words."""
@@ -108,9 +107,9 @@ class Result:
             f"{'':9}{'arrives, mean':>15}{'worst':>11}{'too far':>11}{'spare payload':>15}  proof",
         ]
         for a in self.answers:
-            p, unit = a.proof, " um" if axis.unit == "m" else " urad"
+            p = a.proof
             spare = f"{'>= ' if a.more else ''}{a.spare:.2f} kg"
-            far = f"{p.beyond * 1e6:.1f}{unit}"
+            far = SMALL[axis.unit].text(p.beyond, ".1f")
             lines.append(
                 f"{a.name:9}{p.mean * 1e3:>12.1f} ms{p.worst * 1e3:>8.1f} ms{far:>11}{spare:>15}  {self.proved(a)}"
             )

@@ -12,6 +12,7 @@ import numpy as np
 from stage import Stage
 from stage.envs.task import carrier, judged
 from stage.errors import ArgumentError, unknown
+from stage.units import PLACES, SMALL
 
 SPARE = 0.3
 """Default margin: payload to spare, in parts of the payload."""
@@ -93,10 +94,9 @@ class Task:
         low, high = room(axis)
         most = math.floor((high - low) / axis.meters_per_pulse) - self.turn
         if not 0 < self.pulses <= most:
-            unit = "mm" if axis.unit == "m" else "mrad"
             raise ArgumentError(
                 f"a distance of {self.pulses} pulses: axis {self.axis} has room for 1 to {most} pulses between its limit switches "
-                f"({most * axis.meters_per_pulse * 1e3:g} {unit})."
+                f"({PLACES[axis.unit].text(most * axis.meters_per_pulse, 'g')})."
             )
         put("middle", 0.5 * (low + high))
 
@@ -116,7 +116,7 @@ class Task:
 
     def length(self, metres: float) -> str:
         """A small length of the axis in words."""
-        return f"{metres * 1e6:g} u{'m' if self.stage.axes[self.axis].unit == 'm' else 'rad'}"
+        return SMALL[self.stage.axes[self.axis].unit].text(metres, "g")
 
     @property
     def carries(self) -> str:

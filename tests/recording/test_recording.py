@@ -37,7 +37,7 @@ def test_the_last_sample_is_the_state_of_the_stage(run):
 def test_a_series_is_drawn_in_the_units_that_it_names():
     """times the SI value: metres and radians, volts, full steps ..."""
     degrees = 180 / np.pi
-    of = {"mm": 1e3, "um": 1e6, "deg": degrees, "0.001 deg": 1e3 * degrees, "electrical deg": degrees}
+    of = {"mm": 1e3, "um": 1e6, "deg": degrees, "mdeg": 1e3 * degrees, "electrical deg": degrees}
     for name, s in SERIES.items():
         assert s.scales == pytest.approx([of.get(unit, 1) for unit in s.units], rel=1e-12), name
 

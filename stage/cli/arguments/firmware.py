@@ -152,7 +152,7 @@ def _board(p: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="AXIS=MM",
-        help="where a carriage starts, mm (mrad on a hinge), for example x=62",
+        help="where a carriage starts, for example x=62mm; without a unit mm, degrees on a hinge",
     )
 
 

@@ -98,9 +98,8 @@ def place(p: argparse.ArgumentParser) -> None:
     p.add_argument(
         "--from",
         dest="start",
-        type=float,
-        metavar="MM",
-        help="where the carriage starts, mm; mrad on a hinge (default: 0)",
+        metavar="PLACE",
+        help="where the carriage starts: 20mm, 30deg; without a unit mm, degrees on a hinge (default: 0)",
     )
 
 

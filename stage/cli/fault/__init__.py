@@ -7,6 +7,7 @@ A demonstration is a program with a fault in it (programs.py), the figures that 
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Callable
 from contextlib import nullcontext
 from functools import partial
@@ -62,4 +63,6 @@ def show(name: str, make: Callable[[], Any], record: Record | None = None, recor
     note(f"{key}: the faulty run ...")
     with record(stage) if record else nullcontext() as faulty_record:
         faulty = demo.program(stage, lambda fault, *args: fault(*args))
-    return Shown(key, demo, (healthy, faulty), (healthy_record, faulty_record), first_axis(stage).unit)
+    axis = first_axis(stage)
+    turn = 2 * math.pi / abs(axis.gear)
+    return Shown(key, demo, (healthy, faulty), (healthy_record, faulty_record), axis.unit, turn)

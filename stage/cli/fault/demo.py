@@ -7,6 +7,8 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from stage.units import PLACES, SMALL
+
 Figures = dict[str, Any]
 Strike = Callable[..., AbstractContextManager]
 Record = Callable[[Any], AbstractContextManager]
@@ -46,11 +48,15 @@ class Demo:
         return replace(self, **vars(self.servo)) if servo and self.servo else self
 
 
+SCREW = 10e-3  # m a turn
+
+
 @dataclass(frozen=True)
 class Shown:
     """The result: figures and recordings (None where none was kept) of the healthy run and of the faulty one.
 
-    unit: "m", or "rad" where the first axis is a hinge; figures whose names end in mm and um are then mrad and urad.
+    unit: "m", or "rad" where the first axis is a hinge; figures whose names end in mm and um are of metres, and told in its units.
+    turn: m (rad) of the axis for one of the motor. Claims of millimetres speak of a screw of 10 mm.
     """
 
     name: str
@@ -58,10 +64,14 @@ class Shown:
     figures: tuple[Figures, Figures]
     recordings: tuple[Any, Any] = field(repr=False)
     unit: str = "m"
+    turn: float = SCREW
 
     @property
     def as_claimed(self) -> bool:
-        return self.demo.happened(*self.figures)
+        return self.demo.happened(*map(self._as_of_the_screw, self.figures))
+
+    def _as_of_the_screw(self, figures: Figures) -> Figures:
+        return {k: v * SCREW / self.turn if k.endswith(", mm") else v for k, v in figures.items()}
 
     def table(self) -> str:
         """The figures of both runs, a line each."""
@@ -75,16 +85,20 @@ class Shown:
 
 
 def table(head: tuple[str, str, str], figures: tuple[Figures, Figures], unit: str) -> str:
-    """Figures of two runs, a line each; in their names mm and um are thousandths and millionths of `unit`."""
+    """Figures of two runs, a line each; those in mm and um are of m or rad, `unit`, and told in degrees of a hinge."""
     first, second = figures
-    rows = [head, *((_named(k, unit), _text(v), _text(second[k])) for k, v in first.items())]
+    rows = [head, *(_line(k, v, second[k], unit) for k, v in first.items())]
     widths = [max(len(r[k]) for r in rows) for k in range(3)]
     return "\n".join("  ".join(v.ljust(w) for v, w in zip(r, widths, strict=True)).rstrip() for r in rows)
 
 
-def _named(figure: str, unit: str) -> str:
+def _line(figure: str, first: Any, second: Any, unit: str) -> tuple[str, str, str]:
     what, comma, scale = figure.rpartition(", ")
-    return f"{what}{comma}{scale[0]}{unit}" if comma and scale in ("mm", "um") else figure
+    units = {"mm": PLACES, "um": SMALL}.get(scale) if comma else None
+    if units is None:
+        return figure, _text(first), _text(second)
+    symbol, per = units[unit]
+    return f"{what}, {symbol}", *(_text(v * per / units["m"].per) for v in (first, second))  # type: ignore[return-value]
 
 
 def _text(value: Any) -> str:

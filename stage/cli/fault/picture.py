@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stage.extras import need
+from stage.units import PLACES
 
 if TYPE_CHECKING:
     from stage.cli.fault.demo import Shown
@@ -25,13 +26,13 @@ def draw(shown: Shown, path: str | None, overwrite: bool) -> Any:
     for panel, column in zip(panels, shown.demo.draws, strict=True):
         for recording, style in zip(shown.recordings, ((MUTED, 2.6, "healthy"), (ACCENT, 1.4, "faulty")), strict=True):
             time, values, steps = _course(recording, column)
-            scale = 1e3 if _unit(column) == "m" else 1
+            scale = PLACES[shown.unit].per if _unit(column) == "m" else 1
             drawn = {"color": style[0], "linewidth": style[1], "label": style[2]}
             panel.plot(time, values * scale, drawstyle="steps-post" if steps else "default", **drawn)
         unit = _unit(column)
         if unit is None:
             panel.set_yticks([0, 1], ["off", "on"])
-        unit = f"m{shown.unit}" if unit == "m" else unit
+        unit = PLACES[shown.unit].symbol if unit == "m" else unit
         for when in struck:
             if shows is None or shows[0] <= when <= shows[1]:
                 panel.axvline(when, color="#c53030", linewidth=1, linestyle=(0, (4, 2)), label="the fault begins")

@@ -15,6 +15,7 @@ from stage.sim.pins import PINS
 from stage.sim.plant.problems import Problems, actuator_line, joint_line, similar, slip
 from stage.sim.plant.spec import axis_names, texts
 from stage.sim.plant.switches import Switch, SwitchFinder
+from stage.units import PLACES
 
 KEPT_PLANTS = 64
 
@@ -66,9 +67,9 @@ def describe(model: mujoco.MjModel) -> str:
     """The axes of a model as a text table."""
     lines = [f"{'axis':6}{'kind':7}{'travel':>22}{'per turn':>12}  {'motor':16}switches trip at"]
     for a in bind(model):
-        unit, k = ("rad", 1.0) if a.hinge else ("mm", 1e3)
+        unit, k = PLACES["rad" if a.hinge else "m"]
         travel = f"{a.travel[0] * k:.1f} .. {a.travel[1] * k:.1f} {unit}"
-        trips = ", ".join(f"{s.pin} {s.touch * k:.2f}" for s in a.switches) or "none fitted"
+        trips = ", ".join(f"{s.pin} {s.touch * k:z.2f}" for s in a.switches) or "none fitted"
         per_turn = f"{2 * np.pi / abs(a.gear) * k:.3f} {unit}"
         lines.append(
             f"{a.name:6}{'hinge' if a.hinge else 'slide':7}{travel:>22}{per_turn:>12}  {a.motor or '-':16}{trips}"

@@ -1,0 +1,46 @@
+"""The units in which places and ways are told and typed: a slide's in mm, a hinge's in degrees. Inside they are SI: m, rad."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+
+class Unit(NamedTuple):
+    """symbol; per: so many are an SI unit."""
+
+    symbol: str
+    per: float
+
+    def text(self, value: float, form: str = "z.4f") -> str:
+        """A value in SI, told in this unit: "12.5000 mm"."""
+        return f"{value * self.per:{form}} {self.symbol}"
+
+
+DEGREES = math.degrees(1)
+PLACES = {"m": Unit("mm", 1e3), "rad": Unit("deg", DEGREES)}
+"""Of an axis' places and ways, by the unit that the axis has inside (`Axis.unit`)."""
+
+SMALL = {"m": Unit("um", 1e6), "rad": Unit("mdeg", 1e3 * DEGREES)}
+"""Of deviations."""
+
+TYPED = {
+    "m": {"nm": 1e-9, "um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0},
+    "rad": {"urad": 1e-6, "mrad": 1e-3, "rad": 1.0, "mdeg": 1e-3 / DEGREES, "deg": 1 / DEGREES},
+}
+"""What may follow a number that somebody types, and how much it is in SI."""
+
+
+def typed(text: str, unit: str) -> float | None:
+    """A place or way as it is typed, `10mm`, `-0.5deg`, in m or rad; without a unit in that of PLACES. None: it is neither.
+
+    Args:
+        unit: "m" or "rad", as of an axis.
+    """
+    text = text.strip()
+    symbol = next((u for u in sorted(TYPED[unit], key=len, reverse=True) if text.endswith(u)), "")
+    try:
+        number = float(text.removesuffix(symbol))
+    except ValueError:
+        return None
+    return number * TYPED[unit][symbol] if symbol else number / PLACES[unit].per
