@@ -17,15 +17,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from stage.cli.setup import METRES, RADIANS
 from stage.errors import ArgumentError, near_names
+from stage.units import TYPED
 
 NUMBER, WHOLE, TEXT, FLAG, LENGTH, BYTES, LENGTHS = "number", "whole", "text", "flag", "length", "bytes", "lengths"
 LONG = 4000  # characters of a text, at most
 MANY = 256  # numbers of a list, at most
+UNITS = TYPED["m"] | TYPED["rad"]
 DIGITS = r"^\s*[-+]?(0[xX][0-9a-fA-F]+|[0-9a-fA-F]+[hH]|0[bB][01]+|[0-9]+)\s*$"
 """Whole numbers as texts."""
-SIZES = rf"^\s*[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?\s*({'|'.join((*METRES, *RADIANS))})?\s*$"
+SIZES = rf"^\s*[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?\s*({'|'.join(UNITS)})?\s*$"
 """Lengths and angles as texts."""
 
 
@@ -155,7 +156,7 @@ class Field:
                 raise self._wrong(given, wanted)
             unit = found.group(3) or ""
             number = float(text.removesuffix(unit))
-            value = number * {**METRES, **RADIANS, "": 1.0}[unit]
+            value = number * UNITS.get(unit, 1.0)
         else:
             value = self._number(given)
         if not math.isfinite(value):
