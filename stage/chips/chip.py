@@ -11,7 +11,7 @@ A chip of a stage shares the stage's clock: there a bus cycle takes bus time, an
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import cached_property
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
@@ -26,6 +26,7 @@ from stage.chips.journal import Journal
 from stage.chips.register_map import RegisterMap, Word, dump
 from stage.errors import ArgumentError, StageError, a_or_an, unknown
 from stage.native import plain
+from stage.snapshot_files import FiledSnapshot
 
 if TYPE_CHECKING:
     from stage.chips.late import LateLint
@@ -64,10 +65,23 @@ class Bus(Protocol):
         """Somebody is about to change a chip's state, between bus cycles. Raises StageError where he may not now."""
 
 
-class Snapshot(snapshots.Snapshot):
-    """All state of one chip, in bytes; restores into a chip of the same kind (class, clock)."""
+def noted(told: Iterable[Any]) -> tuple[Diagnostic, ...]:
+    """Diagnostics of what a file has of them. Raises TypeError, ValueError."""
+    found = tuple(Diagnostic(*fields) for fields in told)
+    if any(list(map(type, d)) != [int, int, int, str, str] for d in found):
+        raise TypeError("three whole numbers and two texts")
+    return found
+
+
+class Snapshot(FiledSnapshot):
+    """All state of one chip, in bytes; restores into a chip of the same kind (class, clock). `save(path)` and
+    `Snapshot.load(path)` keep it in a file."""
 
     of: ClassVar = "a chip"
+
+    @classmethod
+    def _noted_of(cls, told: Any) -> tuple:
+        return noted(told)
 
     @property
     def record(self) -> bytes:

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from stage import snapshots
+from stage.chips.chip import noted
 from stage.drives.stepper import DRIVE
 from stage.sim import records
+from stage.snapshot_files import FiledSnapshot
 
 if TYPE_CHECKING:
     from stage.sim.axis import Axis
@@ -18,10 +20,21 @@ if TYPE_CHECKING:
     from stage.sim.state import State
 
 
-class Snapshot(snapshots.Snapshot):
-    """All state of a stage; restores into any stage made alike. state: MuJoCo's, float64; diagnostics: of each chip."""
+class Snapshot(FiledSnapshot):
+    """All state of a stage; restores into any stage made alike. state: MuJoCo's, float64; diagnostics: of each chip.
+
+    `save(path)` and `Snapshot.load(path)` keep it in a file.
+    """
 
     of: ClassVar = "a stage"
+
+    @classmethod
+    def _state_of(cls, data: bytes) -> np.ndarray:
+        return np.frombuffer(data, "<f8")
+
+    @classmethod
+    def _noted_of(cls, told: Any) -> tuple:
+        return tuple(noted(chip) for chip in told)
 
 
 def header(

@@ -1,0 +1,131 @@
+"""Snapshots as files: `stage.snapshot().save("homed.snapshot")`, `Snapshot.load("homed.snapshot")`.
+
+    PulseStage snapshot     20 bytes of ASCII, the last a line feed
+    format                  4 bytes, little-endian, as all numbers here
+    length of the head      4 bytes
+    length of the state     8 bytes
+    head                    JSON, UTF-8: what it is of, the parts of its header, what the chips have noted, its checksum
+    state                   as it lies in memory, little-endian
+    SHA-256                 of all before it
+
+Nothing of a file is ever run: there is no pickle in it. The sum finds damage; it does not say who wrote the file.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import struct
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+
+from stage.errors import ArgumentError
+from stage.files import written
+from stage.snapshots import VERSION, Header, Snapshot
+
+MAGIC = b"PulseStage snapshot\n"
+FORMAT = 1
+LENGTHS = struct.Struct("<IIQ")
+SUM = hashlib.sha256().digest_size
+LEAST = len(MAGIC) + LENGTHS.size + SUM
+
+
+class SnapshotError(ArgumentError):
+    """A file is no snapshot, or a damaged one, or another kind of one."""
+
+
+class FiledSnapshot(Snapshot):
+    """A snapshot that a file can hold. Classes below say how their state and what was noted go into one."""
+
+    @classmethod
+    def _state_of(cls, data: bytes) -> Any:
+        """The state that `data` holds."""
+        return data
+
+    @classmethod
+    def _noted_of(cls, told: Any) -> tuple:
+        """The diagnostics, of what JSON gave for them."""
+        raise NotImplementedError
+
+    def save(self, path: str | os.PathLike, overwrite: bool = False) -> Path:
+        """Write it to a file. Raises FileError, also where one is there (and not `overwrite`); ArgumentError if damaged."""
+        self.checked()
+        state = np.frombuffer(self.state, np.uint8).tobytes()
+        told = {
+            "of": self.of,
+            "version": VERSION,
+            "parts": self.header.parts,
+            "noted": self.diagnostics,
+            "checksum": self.checksum,
+        }
+        head = json.dumps(told).encode()
+        whole = MAGIC + LENGTHS.pack(FORMAT, len(head), len(state)) + head + state
+        with written(path, overwrite) as part:
+            part.write_bytes(whole + hashlib.sha256(whole).digest())
+        return Path(path)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike) -> Self:
+        """The snapshot in a file that `save` has written; `restore` says whether it fits.
+
+        Raises SnapshotError for what is missing, no snapshot, damaged, of another format, or a snapshot of something else.
+        """
+        path = Path(path)
+        try:
+            if not path.is_file():
+                raise SnapshotError(f"there is no snapshot {path}. Write one: stage.snapshot().save({str(path)!r}).")
+            data = path.read_bytes()
+        except (OSError, ValueError) as error:
+            raise SnapshotError(f"{path} cannot be read: {getattr(error, 'strerror', None) or error}.") from error
+        told, state = _parts(path, data)
+        if told["version"] != VERSION:
+            raise SnapshotError(
+                f"{path} is of version {told['version']} of {told['of']}'s state, and this PulseStage reads version {VERSION}: "
+                "take it anew."
+            )
+        if told["of"] != cls.of:
+            raise SnapshotError(f"{path} is a snapshot of {told['of']}, and was loaded as one of {cls.of}.")
+        try:
+            parts = tuple((str(what), str(which)) for what, which in told["parts"])
+            found = cls(Header(parts), cls._state_of(state), cls._noted_of(told["noted"]), told["checksum"])
+            found.checked()
+        except (ArgumentError, KeyError, TypeError, ValueError) as error:
+            raise SnapshotError(_damaged(path, "what it says of itself does not fit its state")) from error
+        return found
+
+
+def _parts(path: Path, data: bytes) -> tuple[dict[str, Any], bytes]:
+    """The head and the state of a file. Raises SnapshotError."""
+    if not data.startswith(MAGIC):
+        if data and MAGIC.startswith(data[: len(MAGIC)]):
+            raise SnapshotError(_damaged(path, "it ends in its first line"))
+        raise SnapshotError(
+            f"{path} is no snapshot of PulseStage: it does not begin as one. Give what Snapshot.save has written."
+        )
+    if len(data) < LEAST:
+        raise SnapshotError(_damaged(path, f"it has {len(data)} bytes, and the shortest has {LEAST}"))
+    form, head, state = LENGTHS.unpack_from(data, len(MAGIC))
+    if form != FORMAT:
+        raise SnapshotError(
+            f"{path} is a snapshot of file format {form}, and this PulseStage reads format {FORMAT}: read it with the version that "
+            "wrote it, or take it anew."
+        )
+    if len(data) != LEAST + head + state:
+        raise SnapshotError(_damaged(path, f"it has {len(data)} bytes, and its beginning says {LEAST + head + state}"))
+    if hashlib.sha256(data[:-SUM]).digest() != data[-SUM:]:
+        raise SnapshotError(_damaged(path, "its SHA-256 is not that of its content"))
+    begin = len(MAGIC) + LENGTHS.size
+    try:
+        told = json.loads(data[begin : begin + head])
+        if not isinstance(told, dict) or not {"of", "version", "parts", "noted", "checksum"} <= told.keys():
+            raise ValueError("no head")
+    except (ValueError, RecursionError) as error:
+        raise SnapshotError(_damaged(path, "its head cannot be read")) from error
+    return told, data[begin + head : begin + head + state]
+
+
+def _damaged(path: Path, why: str) -> str:
+    return f"{path} is a damaged snapshot: {why}. Take it anew, or copy the file again."
