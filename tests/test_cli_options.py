@@ -14,7 +14,7 @@ from support.extras import needs_rerun
 
 from stage import ArgumentError, Stage, StageError, firmware, opengl
 from stage.chips.chip import Diagnostic
-from stage.cli import build_parser, demo, fault, main, moves, setup
+from stage.cli import build_parser, demo, fault, main, moves, progress, setup
 from stage.cli.erratum import Shown
 from stage.cli.firmware import report as print_report
 from stage.files import FileError
@@ -480,9 +480,9 @@ def test_progress_is_told_on_a_terminal_and_in_no_pipe(monkeypatch):
         (io.StringIO(), ""),
     ):
         monkeypatch.setattr("sys.stderr", screen)
-        setup.note("writing ...")
+        progress.note("writing ...")
         for done in (0, 0.5, 1.0):
-            setup.progress("pull-out", done)
+            progress.progress("pull-out", done)
         assert screen.getvalue() == told
 
 

@@ -357,7 +357,7 @@ def _found(table: dict[str, T], name: str, kind: str) -> T:
 
 def dump(map_: RegisterMap, values: dict[str, int] | None = None) -> str:
     """The map as a text table; with `values` (register or word name -> value) also what each field holds now."""
-    lines = [f"{map_.chip}: {map_.title}", f"source: {map_.source}", ""]
+    lines = [f"{map_.chip}: {map_.title}", f"source: {map_.source}", *_summary(map_), ""]
     wide = max([18, *(len(_legal(r)) + 1 for r in map_.registers)])
     head = f"{'register':9}{'bits':>5} {'acc':4}{'legal':>{wide}}  {'ev':3}{'title'}"
     lines += [head, "-" * len(head)]
@@ -380,6 +380,21 @@ def dump(map_: RegisterMap, values: dict[str, int] | None = None) -> str:
         lines.append(f"{c.hex:10}{c.symbol:{wide}}{c.kind:14}{c.bytes or '':>5}  {c.evidence:3}{c.what}{alone}")
     lines += ["", "evidence: " + ", ".join(f"{k} {v}" for k, v in EVIDENCE.items() if k in _tags(map_))]
     return "\n".join(lines)
+
+
+def _summary(map_: RegisterMap) -> list[str]:
+    """How much there is, and how sure it is."""
+    written = sum("W" in r.access for r in map_.registers)
+    counted = (
+        (len(map_.registers), "register", f" ({written} writable)"),
+        (len(map_.words), "status word", ""),
+        (len(map_.commands), "command", ""),
+    )
+    parts = ", ".join(f"{n} {what}{'s' * (n != 1)}{more}" for n, what, more in counted if n)
+    tags = [f.evidence for place in map_.places for f in place.fields]
+    tags += [*(r.evidence for r in map_.registers), *(c.evidence for c in map_.commands)]
+    sure = ", ".join(f"{tags.count(tag)} {tag}" for tag in EVIDENCE if tag in tags)
+    return [f"{parts}; by evidence, which the end explains: {sure}"]
 
 
 def _text(title: str, note: str) -> str:

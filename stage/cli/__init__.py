@@ -6,11 +6,13 @@ says what to do; 130 interrupted.
 
 from __future__ import annotations
 
-import argparse
 import os
-import re
 import sys
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from stage.cli.parser import Parser
 
 EPILOG = """\
 examples:
@@ -51,7 +53,7 @@ def _main(argv: Sequence[str] | None) -> int:
         import argcomplete
 
         argcomplete.autocomplete(parser)
-    args = parser.parse_args([_distance(text) for text in (sys.argv[1:] if argv is None else argv)])
+    args = parser.parse(sys.argv[1:] if argv is None else argv)
     if args.run is None:
         parser.print_help()
         return 2
@@ -71,21 +73,16 @@ def _main(argv: Sequence[str] | None) -> int:
         return 130
 
 
-def _distance(text: str) -> str:
-    """argparse takes -2000 for a number, and -2mm for an option unless there is a blank in it."""
-    return f" {text}" if re.match(r"-\.?\d.*[a-z]$", text) else text
-
-
-def build_parser() -> argparse.ArgumentParser:
+def build_parser() -> Parser:
     """The whole command line; cheap: nothing heavy is imported before a command runs."""
     from stage import __version__
     from stage.cli.arguments import data, faults, firmware, moves, tools, tuning
+    from stage.cli.parser import Parser
 
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="stage",
         description="Emulated motion-control chips drive an XYZ stage in MuJoCo, register for register.",
         epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"pulsestage {__version__}")
     parser.set_defaults(run=None)

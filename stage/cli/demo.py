@@ -6,7 +6,8 @@ import argparse
 import time
 from typing import Any
 
-from stage.cli.setup import make_stage, note, recorded
+from stage.cli.progress import note, ticking
+from stage.cli.setup import make_stage, recorded
 from stage.errors import ArgumentError
 from stage.extras import has
 from stage.units import PLACES
@@ -30,7 +31,7 @@ def run(args: argparse.Namespace) -> int:
     if has("rerun") and has_screen() and not args.no_view and not args.web:
         args.view = True
     rows: list[tuple] = []
-    with recorded(args, stage):
+    with recorded(args, stage), ticking(stage):
         story(stage, rows)
         print(_table(rows))
         wall = time.perf_counter() - begin

@@ -14,7 +14,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from stage.cli.setup import make_board, note, outputs, recorded
+from stage.cli.progress import note, ticking
+from stage.cli.setup import make_board, outputs, recorded
 from stage.errors import ArgumentError, StageError
 from stage.units import PLACES
 
@@ -40,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
     with recorded(args, stage):
         note(f"{host.path.name} runs ...")
         try:
-            with _told_of_the_end(board):
+            with _told_of_the_end(board), ticking(stage):
                 result = host.run(timeout=args.timeout) if args.seconds is None else host.run_for(args.seconds)
         except (
             HostTimeout,

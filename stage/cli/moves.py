@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from stage.cli.setup import distance, find_axis, make_stage, note, place, plot, profile, recorded, speeds
+from stage.cli.progress import note, ticking
+from stage.cli.setup import distance, find_axis, make_stage, place, plot, profile, recorded, speeds
 from stage.errors import ArgumentError, a_or_an
 
 
@@ -17,7 +18,7 @@ def home(args: argparse.Namespace) -> int:
     for axis in axes:
         place(stage, axis, "--from", args.start)
     reports = []
-    with recorded(args, stage):
+    with recorded(args, stage), ticking(stage):
         for axis in axes:
             note(f"axis {axis.name}: origin return ...")
             reports.append(_home(args, axis))
@@ -86,7 +87,7 @@ def _single(args: argparse.Namespace, run: Any) -> int:
     stage = make_stage(args)
     axis = find_axis(stage, args.axis)
     place(stage, axis, "--from", args.start)
-    with recorded(args, stage):
+    with recorded(args, stage), ticking(stage):
         report = run(axis)
         print(report)
         print(report.listing())
@@ -110,7 +111,7 @@ def sync(args: argparse.Namespace) -> int:
         distances[name] = number
     drivers = {name: driver_of(stage.axes[name]) for name in distances}
     first = stage.axes[next(iter(distances))]
-    with recorded(args, stage):
+    with recorded(args, stage), ticking(stage):
         if _is_pcl240(first):
             keys = ("rate", "fl", "accel", "s_curve", "automatic")
             given = {k: getattr(args, k) for k in keys if getattr(args, k) is not None}

@@ -5,12 +5,12 @@ from __future__ import annotations
 import argparse
 import math
 import os
-import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from stage.cli.progress import note
 from stage.errors import ArgumentError, unknown
 from stage.extras import has, need
 from stage.units import PLACES, TYPED, typed
@@ -241,8 +241,16 @@ def recorded(args: argparse.Namespace, stage: Any) -> Iterator[Any]:
     if not (rrd or args.vcd):
         yield None
         return
+    interrupted = False
     with stage.record() as recording:
-        yield recording
+        try:
+            yield recording
+        except KeyboardInterrupt:
+            interrupted = True
+    if interrupted:
+        print(
+            f"interrupted after {recording.duration:.2f} s of simulated time: what was recorded until then is written"
+        )
     if rrd is not None:
         rrd = args.record or _free(str(usual), args.force)  # another command may have taken the name meanwhile
         note(f"writing {rrd} ...")
@@ -260,6 +268,8 @@ def recorded(args: argparse.Namespace, stage: Any) -> Iterator[Any]:
         note(f"rendering {args.picture} ...")
         screenshot(rrd, args.picture, overwrite=args.force)
         print(f"{args.picture}: the dashboard")
+    if interrupted:
+        raise KeyboardInterrupt
     if args.web and rrd:
         from stage.recording.viewer import serve_web
 
@@ -285,18 +295,6 @@ def _free(usual: str, force: bool) -> str:
     """The usual name, or with a number where that one is taken: demo.rrd, demo-2.rrd, ... With --force always the usual one."""
     names = (usual, *(f"{Path(usual).stem}-{n}{Path(usual).suffix}" for n in range(2, 10_000)))
     return usual if force else next((name for name in names if not os.path.lexists(name)), usual)
-
-
-def note(text: str) -> None:
-    """Progress, shown on a terminal only."""
-    if sys.stderr.isatty():
-        print(text, file=sys.stderr, flush=True)
-
-
-def progress(what: str, done: float) -> None:
-    """A line that counts up to 100 %, shown on a terminal only."""
-    if sys.stderr.isatty():
-        print(f"\r{what} {done:4.0%}", end="\n" if done >= 1 else "", file=sys.stderr, flush=True)
 
 
 def plot(args: argparse.Namespace, draw: Callable[..., Any]) -> None:

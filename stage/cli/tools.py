@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import argparse
 
-from stage.cli.setup import outputs, progress
+from stage.cli.progress import progress
+from stage.cli.setup import outputs
 
 
 def chips(_args: argparse.Namespace) -> int:

@@ -2,17 +2,9 @@
 
 from __future__ import annotations
 
-import argparse
 from typing import Any
 
 from stage.cli.arguments.options import command
-
-EXPORT = """\
-examples:
-  stage export demo.rrd -o demo.csv
-  stage export demo.rrd -o demo.parquet --columns x/position,x/rate
-  stage export demo.rrd                   what columns there are
-"""
 
 
 def add(commands: Any) -> None:
@@ -21,8 +13,10 @@ def add(commands: Any) -> None:
         commands, "export", "export:run", "a recording as CSV, Parquet or NumPy columns",
         "Read the columns of a recording (.rrd) back and write them as a table, a row a sample, in SI units: docs/recording.md "
         "says how exactly a recording keeps them. Without -o: list them.",
+        ("stage export demo.rrd", "what columns there are"),
+        ("stage export demo.rrd -o demo.csv", "all of them"),
+        ("stage export demo.rrd -o demo.parquet --columns x/position,x/rate", "some of them"),
     )  # fmt: skip
-    p.epilog, p.formatter_class = EXPORT, argparse.RawDescriptionHelpFormatter
     p.add_argument("file", metavar="FILE.rrd", help="a recording, of --record or Recording.save")
     p.add_argument("-o", "--output", metavar="FILE", help="a name that ends in .csv, .parquet or .npz")
     p.add_argument("--columns", metavar="NAME,...", help="only these, for example x/position,x/rate (default: all)")

@@ -14,6 +14,9 @@ def add(commands: Any) -> None:
         commands, "run", "firmware:run", "firmware in C on an emulated board",
         "Run firmware (a shared library, or a C or C++ source, which is built first) against the chips: print what it notes, where "
         "the axes end, and what a reader of the data sheet would say to its writes. Exit code 0 if it returns 0 and loses no step.",
+        ("stage run driver.c --chips pcl240mk", "built, and run against the chips"),
+        ("stage run driver.c --trace - --vcd bus.vcd", "bus cycles in words, and as waveforms"),
+        ("stage run mill.ino --for 2 --chips hctl1100", "an Arduino sketch, for 2 simulated seconds"),
     )  # fmt: skip
     p.add_argument(
         "firmware",
@@ -64,12 +67,15 @@ def add(commands: Any) -> None:
     command(
         commands, "include", "firmware:include", "where pulsestage.h is",
         'Print the folder of the one header that firmware needs: cc -shared -fPIC -I"$(stage include)" driver.c -o driver.so',
+        ("stage include", "the folder"),
     )  # fmt: skip
     p = command(
         commands, "serve", "serve:run", "the chips behind a TCP port, for a host elsewhere",
         "Serve the bus, time and pins of a stage over TCP: a driver in another language, in a virtual machine or an emulator makes "
         "its bus cycles here; clients in Python and C come along, docs/serve.md. One host drives, others may look. Ctrl-C or "
         "SIGTERM ends it, and what --record, --vcd and --trace ask for is written.",
+        ("stage serve --chips mcx304", "the chips behind 127.0.0.1:7240"),
+        ("stage serve --listen 0 --fresh --trace bus.txt", "a free port, a stage from the start for each host"),
     )  # fmt: skip
     g = p.add_argument_group("server")
     g.add_argument(
@@ -96,6 +102,8 @@ def _add_panel(commands: Any) -> None:
         commands, "panel", "panel:run", "a live stage in a browser",
         "Serve a page on which the stage moves in real time and each chip has a front panel: registers, commands, pins, the bus. "
         "This machine only, unless --host says otherwise. Ctrl-C ends it.",
+        ("stage panel xy", "a live stage in a browser"),
+        ("stage panel my.xml --chips mcx514 --no-browser", "your own axes; the link is printed"),
     )  # fmt: skip
     p.add_argument("model", nargs="?", default="xyz", help="a shipped model or a file.xml (default: xyz)")
     g = p.add_argument_group("page")
@@ -151,7 +159,7 @@ def _board(p: argparse.ArgumentParser) -> None:
         "--place",
         action="append",
         default=[],
-        metavar="AXIS=MM",
+        metavar="AXIS=PLACE",
         help="where a carriage starts, for example x=62mm; without a unit mm, degrees on a hinge",
     )
 

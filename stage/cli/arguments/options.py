@@ -6,15 +6,22 @@ import argparse
 from collections.abc import Sequence
 from typing import Any
 
+from stage.cli.parser import examples
+
 PCL240 = ("PCL240K", "PCL240MK", "PCL240MS")
 
 
 ALL = (*PCL240, "MCX514", "MCX512", "MCX501", "MCX314AS", "MCX304", "MCX302", "MCX312", "HCTL1100")
 
 
-def command(commands: Any, name: str, run: str, help_: str, description: str) -> argparse.ArgumentParser:
-    """A subcommand whose work is the function `module:function`, imported when it runs."""
-    p = commands.add_parser(name, help=help_, description=description)
+def command(
+    commands: Any, name: str, run: str, help_: str, description: str, *shown: tuple[str, str], more: str = ""
+) -> argparse.ArgumentParser:
+    """A subcommand whose work is the function `module:function`, imported when it runs.
+
+    shown: examples, (what is typed, what it does); more: what stands behind them.
+    """
+    p = commands.add_parser(name, help=help_, description=description, epilog=examples(shown, more))
 
     def call(args: argparse.Namespace) -> int:
         from importlib import import_module
@@ -22,7 +29,7 @@ def command(commands: Any, name: str, run: str, help_: str, description: str) ->
         module, function = run.split(":")
         return getattr(import_module(f"stage.cli.{module}"), function)(args)
 
-    p.set_defaults(run=call)
+    p.set_defaults(run=call, parser=p)
     return p
 
 

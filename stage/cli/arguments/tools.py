@@ -2,23 +2,9 @@
 
 from __future__ import annotations
 
-import argparse
 from typing import Any
 
 from stage.cli.arguments.options import command
-
-NEW_MODEL = """\
-examples:
-  stage new-model --axes x:slide:300mm -o my.xml
-  stage new-model --axes x:slide:300mm,y:slide:200mm,z:slide:80mm,a:hinge:360deg -o my.xml
-  stage home --model my.xml
-"""
-COMPLETION = """\
-examples:
-  eval "$(stage completion bash)"         in ~/.bashrc
-  eval "$(stage completion zsh)"          in ~/.zshrc
-  stage completion fish | source          in ~/.config/fish/config.fish
-"""
 
 
 def add(commands: Any) -> None:
@@ -26,20 +12,27 @@ def add(commands: Any) -> None:
     p = command(
         commands, "list", "tools:list_", "the chips, motors and models that there are",
         "List what --chips, --motor and --model take.",
+        ("stage list motors", "names for --motor"),
+        ("stage list models", "names for --model"),
     )  # fmt: skip
     p.add_argument("what", choices=("chips", "motors", "models"))
     command(
         commands, "chips", "tools:chips", "the chips that there are",
         "List every chip: PulseStage's own, and those that installed packages bring (docs/your_own_chip.md).",
+        ("stage chips", "names for --chips, and where they come from"),
     )  # fmt: skip
     p = command(
         commands, "registers", "tools:registers", "the register map of a chip",
         "Print a chip's registers, commands and status bits with the evidence for each.",
+        ("stage registers pcl240k", "the whole map"),
+        ("stage registers mcx514 | less", "page by page"),
     )  # fmt: skip
     p.add_argument("chip", metavar="CHIP", help="for example pcl240k")
     p = command(
         commands, "pullout", "tools:pullout", "pull-out torque of a motor and drive over speed",
         "Measure at which torque the motor slips, beside the closed form of an ideal drive.",
+        ("stage pullout --motor 17HS4401 --plot pullout.png", "the curve, drawn"),
+        ("stage pullout --bus-voltage 48", "with another supply"),
     )  # fmt: skip
     p.add_argument("--motor", default="17HS4401")
     p.add_argument("--bus-voltage", type=float, default=24.0, help="V (default: 24)")
@@ -49,6 +42,8 @@ def add(commands: Any) -> None:
     p = command(
         commands, "view", "tools:view", "look at a model in the MuJoCo viewer",
         "Open a model in MuJoCo's viewer (needs a screen), or print its axes, or draw it.",
+        ("stage view xyz --text", "axes, travel, switches"),
+        ("stage view my.xml --picture my.png", "a picture with the axes' names"),
     )  # fmt: skip
     p.add_argument("model", nargs="?", default="xyz", help="a shipped model or an MJCF file (default: xyz)")
     p.add_argument("--text", action="store_true", help="print axes, travel and switches instead")
@@ -59,8 +54,10 @@ def add(commands: Any) -> None:
         commands, "new-model", "new_model:run", "a commented MJCF of your own axes, to begin with",
         "Write an MJCF that keeps the naming contract (docs/models.md): screws and tables with limit switches, hard stops and "
         "motors, each on the one before. Its numbers are for you to change.",
+        ("stage new-model --axes x:slide:300mm -o my.xml", "one axis"),
+        ("stage new-model --axes x:slide:300mm,z:slide:80mm,a:hinge:360deg -o my.xml", "three, each on the one before"),
+        ("stage home --model my.xml", "and they go home"),
     )  # fmt: skip
-    p.epilog, p.formatter_class = NEW_MODEL, argparse.RawDescriptionHelpFormatter
     p.add_argument(
         "--axes",
         default="x:slide:300mm,y:slide:200mm",
@@ -73,6 +70,8 @@ def add(commands: Any) -> None:
     p = command(
         commands, "completion", "tools:completion", "completion of commands and options for a shell",
         "Print what makes a shell complete this command line by Tab.",
+        ('eval "$(stage completion bash)"', "in ~/.bashrc"),
+        ('eval "$(stage completion zsh)"', "in ~/.zshrc"),
+        ("stage completion fish | source", "in ~/.config/fish/config.fish"),
     )  # fmt: skip
-    p.epilog, p.formatter_class = COMPLETION, argparse.RawDescriptionHelpFormatter
     p.add_argument("shell", choices=("bash", "zsh", "fish"))

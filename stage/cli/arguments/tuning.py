@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 from typing import Any
 
 from stage.cli.arguments.options import command, machine
@@ -14,24 +13,17 @@ def add(commands: Any) -> None:
     _add_bench(commands)
 
 
-TUNE = """\
-examples:
-  stage tune xy --payload 2 --distance 100mm                   a PCL-240 on the X axis of xy: prints registers, bytes and C
-  stage tune xy --payload 2 --distance 100mm -o tuned          the same as files, with a picture
-  stage tune my.xml --axis z --chips mcx514 --motor 17HS4401 --payload 0.5 --spare 0.2 --distance 20mm
-  stage tune xy --distance 8000 --settle 20um 100ms --by formula      without Optuna
-
-docs/tuning.md says how it works, and what the proof proves.
-"""
-
-
 def _add_tune(commands: Any) -> None:
     p = command(
         commands, "tune", "tune:run", "registers for an axis: formula, search, proof",
         "Find the registers of one move of an axis: by the data sheet's formula, then by a search that keeps a margin, and prove "
         "them by moves that the search has not seen. Prints registers, bus bytes and a C header.",
+        ("stage tune xy --payload 2 --distance 100mm", "a PCL-240 on the X axis of xy: prints registers, bytes and C"),
+        ("stage tune xy --payload 2 --distance 100mm -o tuned", "the same as files, with a picture"),
+        ("stage tune my.xml --axis z --chips mcx514 --payload 0.5 --spare 0.2 --distance 20mm", ""),
+        ("stage tune xy --distance 8000 --settle 20um 100ms --by formula", "without Optuna"),
+        more="docs/tuning.md says how it works, and what the proof proves.",
     )  # fmt: skip
-    p.epilog, p.formatter_class = TUNE, argparse.RawDescriptionHelpFormatter
     p.add_argument("model", nargs="?", default="xyz", help="a shipped model (xyz, xy) or an MJCF file (default: xyz)")
     p.add_argument("--axis", help="the axis (default: the first of the model)")
     p.add_argument("--distance", help="of the move: 100mm, 30deg, or pulses (of a servo counts)")
@@ -71,21 +63,15 @@ def _add_tune(commands: Any) -> None:
     g.add_argument("--force", action="store_true", help="overwrite files that exist")
 
 
-BENCH = """\
-examples:
-  stage bench-submit formula -o formula.bench                        a player that is shipped
-  stage bench-submit mine:policy -o mine.bench --split weak          function `policy` of mine.py: (observation, info) -> action
-  stage bench-submit moves.npz -o moves.bench --name "by hand"       recorded actions
-  stage bench-verify mine.bench                                      plays the actions again and compares bit for bit
-
-docs/benchmark.md says what is promised, and what is not.
-"""
+PROMISED = "docs/benchmark.md says what is promised, and what is not."
 
 
 def _add_bench(commands: Any) -> None:
     p = command(
         commands, "bench", "bench:cards", "the tasks of the benchmark and their test episodes",
         "List the tasks of the benchmark, or show one: what is asked, splits, tracks, settings, players that are shipped.",
+        ("stage bench", "all tasks"),
+        ("stage bench few-shot --json", "one, with the seeds of all test episodes"),
     )  # fmt: skip
     p.add_argument("task", nargs="?", metavar="TASK", help="for example few-shot (default: list them all)")
     p.add_argument("--json", action="store_true", help="print JSON, with the seeds of all test episodes")
@@ -93,8 +79,11 @@ def _add_bench(commands: Any) -> None:
         commands, "bench-submit", "bench:submit", "play the test episodes of the benchmark, and pack them into a file",
         "Play the test episodes of a split with a policy and write its actions, rewards, scores and versions to a file, which "
         "anybody can replay.",
+        ("stage bench-submit formula -o formula.bench", "a player that is shipped"),
+        ("stage bench-submit mine:policy -o mine.bench --split weak", "`policy` of mine.py: (observation, info) -> action"),
+        ('stage bench-submit moves.npz -o moves.bench --name "by hand"', "recorded actions"),
+        more=PROMISED,
     )  # fmt: skip
-    p.epilog, p.formatter_class = BENCH, argparse.RawDescriptionHelpFormatter
     p.add_argument(
         "policy", metavar="POLICY", help="module:name, actions.npz, or a player that is shipped: see `stage bench`"
     )
@@ -119,6 +108,9 @@ def _add_bench(commands: Any) -> None:
         commands, "bench-verify", "bench:verify", "replay an entry of the benchmark and compare it bit for bit",
         "Play the actions of an entry again, without the policy, and compare every reward, observation and score. Exit code 0 if "
         "they are equal, 1 if not, 2 if the file is refused.",
+        ("stage bench-verify mine.bench", "plays the actions again and compares bit for bit"),
+        ("stage bench-verify mine.bench --tolerance 1e-9", "made on another processor"),
+        more=PROMISED,
     )  # fmt: skip
     p.add_argument("file", metavar="FILE", help="an entry, as `stage bench-submit -o FILE` writes it")
     p.add_argument(
@@ -129,6 +121,7 @@ def _add_bench(commands: Any) -> None:
         commands, "bench-table", "bench:table", "compare entries of the benchmark, as tables in Markdown",
         "Print a table for each task and split: interquartile mean of the return with its interval, and who beats whom. Entries of "
         "one player are its runs. Nothing is replayed.",
+        ("stage bench-table formula.bench mine.bench", "who beats whom"),
     )  # fmt: skip
     p.add_argument("files", nargs="+", metavar="FILE")
     p.add_argument("--json", action="store_true", help="print JSON")

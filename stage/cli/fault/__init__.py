@@ -16,7 +16,8 @@ from typing import Any
 from stage.cli.fault.demo import Claim, Demo, Figures, Record, Shown, Strike
 from stage.cli.fault.demos import DEMOS
 from stage.cli.fault.programs import first_axis
-from stage.cli.setup import kept, make_stage, note, outputs, plot
+from stage.cli.progress import note
+from stage.cli.setup import kept, make_stage, outputs, plot
 from stage.errors import unknown
 
 __all__ = ["DEMOS", "EVERY", "Claim", "Demo", "Figures", "Record", "Shown", "Strike", "run", "show"]

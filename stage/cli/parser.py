@@ -1,0 +1,74 @@
+"""argparse, with errors in one line that say what to do, and examples in every help."""
+
+from __future__ import annotations
+
+import argparse
+import re
+from collections.abc import Iterable, Sequence
+from typing import Any, NoReturn
+
+from stage.errors import near_names
+
+EXAMPLES = "examples:\n"
+
+
+class Help(argparse.HelpFormatter):
+    """Lines of examples stay as they are."""
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        parts = text.split(EXAMPLES, 1)
+        filled = super()._fill_text(parts[0], width, indent) if parts[0] else ""
+        return filled + (EXAMPLES + parts[1] if len(parts) > 1 else "")
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser whose errors are one line."""
+
+    def __init__(self, *given: Any, **options: Any):
+        super().__init__(*given, **{"formatter_class": Help, **options})
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"{self.prog}: {_taught(message)} `{self.prog} --help` has examples.\n")
+
+    def parse(self, words: Sequence[str]) -> argparse.Namespace:
+        """The arguments; an option that is none is told by its command, with the near misses."""
+        args, left = self.parse_known_args([_no_option(word) for word in words])
+        if left:
+            own = getattr(args, "parser", self)
+            options = [o for o in own._option_string_actions if o.startswith("--")]
+            own.error(unknown("option" if left[0].startswith("-") else "argument", left[0].strip(), options))
+        return args
+
+
+def _no_option(word: str) -> str:
+    """argparse takes -2000 for a number, and -2mm for an option unless there is a blank in it."""
+    return f" {word}" if re.match(r"-\.?\d.*[a-z]$", word) else word
+
+
+def examples(lines: Iterable[tuple[str, str]], more: str = "") -> str:
+    """The end of a help: a line for each example, (what is typed, what it does)."""
+    lines = list(lines)
+    wide = min(max(len(typed) for typed, _ in lines), 64)
+    return (
+        EXAMPLES
+        + "\n".join(f"  {typed:{wide}}  {does}".rstrip() for typed, does in lines)
+        + (f"\n\n{more}" if more else "")
+    )
+
+
+def _taught(message: str) -> str:
+    """argparse's words, with what was meant where a name is near."""
+    if found := re.fullmatch(r"argument (\S+): invalid choice: '(.*?)' \(choose from (.*)\)", message):
+        where, given, known = found.groups()
+        kind = "command" if where == "COMMAND" else f"value of {where}" if where.startswith("-") else "name"
+        return unknown(
+            kind, given, re.findall(r"'([^']+)'", known) or known.split(", "), all_of_them=where != "COMMAND"
+        )
+    return message if message.endswith((".", "?")) else f"{message}."
+
+
+def unknown(kind: str, given: str, known: Sequence[str], all_of_them: bool = False) -> str:
+    near = near_names(given, known, 0.6)
+    hint = f" Did you mean {' or '.join(near)}?" if near else ""
+    listed = f" Known: {', '.join(known)}." if all_of_them else ""
+    return f"unknown {kind} {given!r}.{hint}{listed}"

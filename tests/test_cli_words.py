@@ -1,0 +1,114 @@
+"""What the command line says before and while it works: usage errors, examples, progress, an interrupt."""
+
+import io
+import shlex
+import sys
+import time
+from types import SimpleNamespace
+
+import pytest
+
+from stage import firmware
+from stage.chips import CHIPS
+from stage.cli import build_parser, main, progress
+from stage.cli.parser import Parser
+
+COMMANDS = next(a.choices for a in build_parser()._actions if getattr(a, "choices", None))
+
+
+def lines_of(epilog):
+    assert epilog.startswith("examples:\n")
+    return [line.strip() for line in epilog.split("\n\n")[0].splitlines()[1:]]
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_help_ends_with_examples_that_are_right(name, capsys):
+    """stage move --help"""
+    shown = lines_of(COMMANDS[name].epilog)
+    assert shown
+    assert any(f"stage {name}" in line for line in shown)
+    for line in shown:
+        typed = line.split("  ")[0].split("$(")[-1].split(")")[0].split(" | ")[0]
+        args = build_parser().parse(shlex.split(typed)[1:])
+        assert args.run is not None, line
+    with pytest.raises(SystemExit):
+        main([name, "--help"])
+    assert all(line in capsys.readouterr().out for line in shown[:1])
+
+
+@pytest.mark.parametrize(
+    ("typed", "said"),
+    [
+        ("move", "stage move: the following arguments are required: AXIS, DISTANCE. `stage move --help` has examples."),
+        ("moove x 10", "stage: unknown command 'moove'. Did you mean move? `stage --help` has examples."),
+        ("move x 10 --recrd a.rrd", "stage move: unknown option '--recrd'. Did you mean --record"),
+        ("move x 10 20", "stage move: unknown argument '20'. `stage move --help` has examples."),
+        ("list motor", "stage list: unknown name 'motor'. Did you mean motors? Known: chips, motors, models."),
+        ("tune xy --by luck", "stage tune: unknown value of --by 'luck'. Known: search, formula."),
+        ("move x 10 --microsteps a", "stage move: argument --microsteps: invalid int value: 'a'. `stage move --help`"),
+        ("registers", "stage registers: the following arguments are required: CHIP."),
+    ],
+)
+def test_wrong_usage_is_told_in_one_line(typed, said, capsys):
+    with pytest.raises(SystemExit) as end:
+        main(shlex.split(typed))
+    assert end.value.code == 2
+    told = capsys.readouterr().err
+    assert told.startswith(said)
+    assert told.count("\n") == 1
+
+
+@pytest.mark.parametrize("chip", ["pcl240k", "mcx514", "hctl1100"])
+def test_a_register_map_begins_with_a_summary(chip, capsys):
+    """stage registers mcx514"""
+    assert main(["registers", chip]) == 0
+    title, source, summary, *_ = capsys.readouterr().out.splitlines()
+    map_ = CHIPS[chip.upper()].MAP
+    assert title.startswith(map_.chip)
+    assert source.startswith("source: ")
+    assert summary.startswith(f"{len(map_.registers)} registers (")
+    counts = [int(part.split()[0]) for part in summary.split(": ")[1].split(", ")]
+    entries = [*map_.registers, *map_.commands, *(f for place in map_.places for f in place.fields)]
+    assert sum(counts) == len(entries)
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+def test_a_terminal_sees_how_far_the_simulated_time_is(monkeypatch):
+    stage = SimpleNamespace(data=SimpleNamespace(time=1.25))
+    monkeypatch.setattr(progress, "FIRST", 0.01)
+    monkeypatch.setattr(sys, "stderr", screen := Terminal())
+    with progress.ticking(stage):
+        end = time.monotonic() + 20
+        while "simulated" not in screen.getvalue() and time.monotonic() < end:
+            time.sleep(0.01)
+    assert "1.25 s simulated; Ctrl-C ends it" in screen.getvalue()
+    assert screen.getvalue().endswith("\r\x1b[K"), "the line is gone at the end"
+    monkeypatch.setattr(sys, "stderr", quiet := io.StringIO())
+    with progress.ticking(stage):
+        time.sleep(0.05)
+    assert not quiet.getvalue(), "no terminal, no line"
+
+
+def test_ctrl_c_writes_what_was_recorded(tmp_path, monkeypatch, capsys):
+    """stage move x 100mm --vcd x.vcd, and Ctrl-C"""
+
+    def interrupted(axis, pulses, wanted, **how):
+        axis.stage.run(0.05)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(firmware, "preset_move", interrupted)
+    file = tmp_path / "x.vcd"
+    assert main(["move", "x", "100mm", "--vcd", str(file)]) == 130
+    assert (
+        "interrupted after 0.05 s of simulated time: what was recorded until then is written" in capsys.readouterr().out
+    )
+    assert file.read_text().startswith("$")
+
+
+def test_a_parser_of_ours_is_argparse_with_other_words():
+    assert isinstance(build_parser(), Parser)
+    assert all(isinstance(p, Parser) for p in COMMANDS.values())
