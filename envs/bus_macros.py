@@ -51,70 +51,32 @@ from typing import Annotated, Any
 import gymnasium
 import numpy as np
 
-from stage import Stage
-from stage.chips import Chip, chip_class
-from stage.envs import contexts, score
+from stage import portable
+from stage.envs import contexts, faulty, score
 from stage.envs.base import StageEnv, StageVectorEnv
+from stage.envs.bus_host import AXIS, EPISODE, SWITCHES, BusHost
 from stage.envs.entries import HOST, TRUTH, Entry
-from stage.envs.macros import OTHERS, RATES, Book
+from stage.envs.machines import Machines
+from stage.envs.macros import RATES, Book
 from stage.envs.results import result
-from stage.envs.settings import (
-    AxisName,
-    Count,
-    Cycle,
-    Each,
-    Flag,
-    Names,
-    Number,
-    Pair,
-    Payloads,
-    Positive,
-    Range,
-    Seconds,
-    Settings,
-    Truths,
-    Weight,
-    Word,
-)
-from stage.envs.task import MoveTask, carrier
+from stage.envs.settings import Count, Each, Flag, Names, Number, Positive, Seconds, Weight, Word
 from stage.envs.trial import closed_form
 from stage.errors import ArgumentError, unknown
-from stage.native import record
 from stage.sim.fleet import Played
 
 LEVELS = ("move", "target", "axes", "origin")
-SWITCHES = ("org", "el_minus", "el_plus")
 BEFORE = 1_000  # pulses on the far side of ORG at which "origin" may begin, at most
-
-AXIS = record(
-    [(name, "i8") for name in "rates distance running fresh known zero seen target lost limit".split()]
-    + [("goal", "f8"), *((name, "?") for name in SWITCHES)]
-)
-"""What the host remembers of an axis (rates, distance: -1 none; zero, seen: pulses), its goal, and what the judge does: most steps
-lost, whether it stands at an end limit."""
-EPISODE = record(
-    [(name, "i8") for name in "level selected began before limits".split()] + [("potential", "f8"), ("usual", "f8")]
-)
-"""ns; end limits hit; the last potential; s, that the formula takes."""
 
 
 @dataclass(frozen=True)
-class Config(Settings):
-    """Settings of BusMacros. None: as the split has it."""
+class Config(Machines):
+    """Settings of BusMacros, beside those of hidden machines."""
 
-    split: Annotated[str, Word(contexts.WITHOUT_FAULTS)] = "train"
+    FAULTS = (*faulty.HAMPERING, "bounce")
     level: Annotated[str, Word(LEVELS)] = "origin"
     mixed: Flag = False  # levels up to that one, drawn for each episode
-    model: str | None = None
-    chip: str | type[Chip] | None = None
     axes: Annotated[tuple[str, ...], Names(1)] = ("x", "y")
     grid: Annotated[tuple[int, ...], Each(1, whole=True)] = (16, 64, 256, 1024)  # pulses
-    payloads: Payloads | None = None  # kg
-    frictions: Annotated[Pair, Range(1e-3)] | None = None  # times the model's
-    supplies: Annotated[Pair, Range(0.1, high=2.0)] | None = None  # times the nominal voltage
-    torques: Annotated[Pair, Range(0.1, high=2.0)] | None = None  # times the nominal torque constant
-    drifts: Annotated[Pair, Range(0.0, high=0.5)] | None = None  # electrical turns; of no effect here
-    payload_on: AxisName | None = None  # body or site; None: site "work", else the body that the first axis moves
     macros: Count = 120  # an episode
     time_limit: Seconds = 30.0  # s
     tolerance: Positive = 8.0  # pulses, of where the motor pulls the carriage to
@@ -127,8 +89,6 @@ class Config(Settings):
     time_weight: Weight = 0.05
     success_weight: Weight = 5.0
     damage_weight: Weight = 0.5
-    bus_cycle: Cycle = 1e-6  # s
-    truth: Truths = "info"  # where what no host can see is shown: entries.py
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -145,29 +105,11 @@ class Config(Settings):
         return int(2 * sum(self.grid))
 
 
-class BusMacros(MoveTask[Config]):
+class BusMacros(BusHost[Config]):
     Config = Config
-    OPTIONS = ("level", "targets", *contexts.KINDS)
+    OPTIONS = ("level", "targets", *contexts.OPTIONS)
     """level: 0 to 3 or its name; targets: {axis: pulses, signed}; and parts of the machine."""
     STATE = ("context", "axis_states", "episodes")
-    SEEN = (
-        Entry("known", HOST, "1 if the origin of the selected axis is known"),
-        Entry("running", HOST, "1 if it was started and not waited for"),
-        Entry("fresh", HOST, "1 while what was read of it is still true"),
-        Entry("rates", HOST, "that are written, one of 3"),
-        Entry("distance", HOST, "that is written, one of those of the grid"),
-        Entry("left", HOST, "way to the target as last read / the longest; 0 while the origin is not known"),
-        Entry("left_log", HOST, "likewise, by its logarithm with its sign"),
-        *(Entry(name, HOST, f"1 if {name} was asserted when last read") for name in SWITCHES),
-        Entry("used", HOST, "1 if it takes part", "axis"),
-        Entry("selected", HOST, "1 if macros act on it", "axis"),
-        Entry("moves", HOST, "1 if it was started and not waited for", "axis"),
-        Entry("arrived", HOST, "1 if its origin is known and no way is left, as last read", "axis"),
-        Entry("level", HOST, "/ 3"),
-        Entry("macros", HOST, "left / `macros`"),
-        Entry("time", HOST, "left / `time_limit`"),
-        *contexts.SHOWN,
-    )
     TOLD = (
         Entry("level", HOST, "of the episode, 0 to 3"),
         Entry("action_mask", HOST, "int8, 1 for an action that has an effect"),
@@ -180,16 +122,9 @@ class BusMacros(MoveTask[Config]):
         score.ENTRY,
     )
 
-    def stage(self, visuals: bool) -> Stage:
-        c = self.config
-        model, chip = (contexts.setting(c, name) for name in ("model", "chip"))
-        made = Stage(model, chips=chip_class(chip), bus_cycle=c.bus_cycle, visuals=visuals)
-        for name in c.axes:
-            if name not in made.axes:
-                raise unknown("axis", name, made.axes)
-            if made.axes[name].chip.SERVO or made.axes[name].unit != "m":
-                raise ArgumentError(f"axes={c.axes!r}: {name} is no stepper's slide.")
-        return made
+    @property
+    def slides(self) -> tuple[str, ...]:
+        return self.config.axes
 
     def prepare(self) -> None:
         c, n, first = self.config, self.n, self.stages[0]
@@ -202,9 +137,7 @@ class BusMacros(MoveTask[Config]):
         self.origin = np.array([self._origin(a) for a in self.axes])
         self.turn = np.array([2 * np.pi / (_motor(a).rotor_teeth * abs(a.gear)) for a in self.axes])
         self.wired = [[a.chip.wired(pin) for pin in SWITCHES] for a in self.axes]
-        on = carrier(first, c.axes[0], c.payload_on)
-        self.machines = [contexts.Machine.of(first, name, on) for name in c.axes]
-        self.ranges = contexts.ranges(c)
+        self.ready()
         self.top = LEVELS.index(c.level)
         self.book = Book(self.axes, c.grid, c.patience, c.settle)
         self.names = self.book.names
@@ -212,11 +145,10 @@ class BusMacros(MoveTask[Config]):
         self.observation_space = self.seen()
         self.result = result(
             ("progress", "cost", "success", "damage", "failed"), scored=True,
-            level=int, action_mask=(np.int8, (len(self.names),)), **dict.fromkeys(contexts.KINDS, float), elapsed=float,
+            level=int, action_mask=(np.int8, (len(self.names),)), **contexts.INFO, elapsed=float,
             masked=bool, success=bool, error=float, lost_steps=int,
         )  # fmt: skip
-        self.context, self.episodes = np.zeros(n, contexts.CONTEXT), np.zeros(n, EPISODE)
-        self.axis_states = np.zeros((n, m), AXIS)
+        self.episodes, self.axis_states = np.zeros(n, EPISODE), np.zeros((n, m), AXIS)
 
     def _origin(self, axis: Any) -> float:
         """Where ORG trips, m."""
@@ -225,23 +157,16 @@ class BusMacros(MoveTask[Config]):
             raise ArgumentError(f"axis {axis.name}: an origin return needs ORG and both end limits.")
         return float(at["org"])
 
-    def layout(self) -> list[Entry]:
-        of_axes = [e for e in self.SEEN if e.each]
-        at = self.SEEN.index(of_axes[0])
-        often = {"rates": len(RATES), "distance": len(self.config.grid)}
-        one = [e for e in self.SEEN[:at] for _ in range(often.get(e.name, 1))]
-        return [*one, *of_axes * len(self.axes), *self.SEEN[at + len(of_axes) :]]
-
     # --- episodes ---
 
     def begin(self, k: int, options: Mapping[str, Any]) -> None:
         c, rng, m = self.config, self.rngs[k], len(self.axes)
         drawn = int(rng.integers(0, self.top + 1)) if c.mixed else self.top
         level = self._level(options.get("level", drawn))
-        contexts.draw(rng, self.ranges, self.context[k], options)
+        used = m if level >= 2 else 1
+        self.draw(k, options, used)
         e, axes = self.episodes[k], self.axis_states[k]
         axes[...] = np.zeros((), AXIS)
-        used = m if level >= 2 else 1
         sign = rng.choice((-1, 1), m) if level < 3 else np.ones(m, np.int64)
         units = rng.integers(1, c.longest // c.grid[0] + 1, m)
         far = units * c.grid[0] if level else rng.choice(c.grid, m)
@@ -288,10 +213,6 @@ class BusMacros(MoveTask[Config]):
         self.equip(k)
         stage.place(**{name: float(q) for name, q in zip(self.config.axes, at, strict=True)})
 
-    def equip(self, k: int) -> None:
-        for machine in self.machines:
-            machine.equip(self.stages[k], self.context[k])
-
     @staticmethod
     def _level(given: Any) -> int:
         if isinstance(given, str) and given in LEVELS:
@@ -301,37 +222,7 @@ class BusMacros(MoveTask[Config]):
         return int(given)
 
     def describe(self, k: int) -> dict[str, Any]:
-        machine = {name: float(self.context[k][name]) for name in contexts.KINDS}
-        return {"level": int(self.episodes[k]["level"]), "action_mask": self.masks()[k], **machine}
-
-    # --- macros ---
-
-    @property
-    def used(self) -> np.ndarray:
-        """Which axes take part, (n, m) bool."""
-        return (np.arange(len(self.axes)) == 0) | (self.episodes["level"] >= 2)[:, None]
-
-    def masks(self) -> np.ndarray:
-        """What has an effect now, (n, actions) int8."""
-        s, c, e = self.written, self.config, self.episodes
-        idle = s["running"] == 0
-        able = idle & (s["rates"] >= 0) & (s["distance"] >= 0)
-        columns = [
-            *(idle & (s["rates"] != r) for r in range(len(RATES))), *(idle & (s["distance"] != d) for d in range(len(c.grid))),
-            able, able, idle & (e["level"] == 3), ~idle, s["fresh"] == 0,
-            *(self.used[:, a] & (e["selected"] != a) for a in range(len(self.axes))),
-        ]  # fmt: skip
-        return np.stack(columns, axis=1).astype(np.int8)
-
-    @property
-    def written(self) -> np.ndarray:
-        """What the host remembers of the axis that is selected, (n,)."""
-        return self.axis_states[np.arange(self.n), self.episodes["selected"]]
-
-    def programs(self) -> np.ndarray:
-        chosen, every = self.actions, np.arange(self.n)
-        self._valid = self.masks()[every, chosen] != 0
-        return self.book.programs(chosen, self.episodes["selected"], self.written, self._valid & self.active)
+        return {"level": int(self.episodes[k]["level"]), "action_mask": self.masks()[k], **self.described(k)}
 
     def judge(self, played: Played, truth: np.ndarray) -> None:
         c, e, t = self.config, self.episodes, truth[:, self.index]
@@ -369,7 +260,7 @@ class BusMacros(MoveTask[Config]):
         s["lost"][good], s["limit"][good] = np.maximum(s["lost"], lost)[good], at_limit[good]
         elapsed = (now - e["began"]) * 1e-9
         info = {
-            "level": e["level"], "action_mask": self.masks(), **{name: self.context[name] for name in contexts.KINDS},
+            "level": e["level"], "action_mask": self.masks(), **self.told_of_machines,
             "elapsed": elapsed, "masked": ~self._valid, "success": success,
             "error": np.max(error * used, axis=1), "lost_steps": lost.sum(axis=1),
         }  # fmt: skip
@@ -377,99 +268,15 @@ class BusMacros(MoveTask[Config]):
         time = np.where(success, elapsed, np.inf)
         score.note(self.results["score"], time, e["usual"], self.steps, s["lost"].sum(axis=1), e["limits"])
 
-    def _remember(self, played: Played, t: np.ndarray) -> None:
-        """What the host knows after the macros that were played."""
-        done = self._valid & self.sound
-        for kind, mine in self.book.of_kind.items():
-            rows = np.flatnonzero(done & mine[self.actions])
-            if not len(rows):
-                continue
-            axis = self.episodes["selected"][rows]
-            if kind == "select":
-                self.episodes["selected"][rows] = self.book.value[self.actions[rows]]
-                continue
-            s = self.axis_states[rows, axis]
-            if kind in ("rates", "distance"):
-                s[kind] = self.book.value[self.actions[rows]]
-            elif kind in ("plus", "minus"):
-                s["running"], s["fresh"] = 1, 0
-            elif kind == "wait":
-                s["running"], s["fresh"] = played.results[rows, 0] < 0, 0
-            elif kind == "read":
-                self._read(s, t[rows, axis], axis)
-            else:
-                self._homed(s, played.results[rows], t[rows, axis], axis)
-            self.axis_states[rows, axis] = s
-
-    def _read(self, s: np.ndarray, t: np.ndarray, axis: np.ndarray) -> None:
-        s["fresh"], s["seen"] = 1, t["pulses"]
-        pins = np.array(self.wired)[axis]
-        for j, name in enumerate(SWITCHES):
-            s[name] = t["inputs"] & pins[:, j] != 0
-
-    def _homed(self, s: np.ndarray, results: np.ndarray, t: np.ndarray, axis: np.ndarray) -> None:
-        for a in np.unique(axis):
-            mine = axis == a
-            s["known"][mine] = self.book.found(int(a), results[mine])
-        s["zero"], s["rates"], s["distance"] = t["pulses"], -1, -1
-        self._read(s, t, axis)
-
     def _potential(self, t: np.ndarray, which: slice) -> np.ndarray:
         """(stages,), from -1.5 or so to 0. t: truth of these stages."""
         c, s, used = self.config, self.axis_states[which], self.used[which]
         beyond = np.maximum(np.abs(t["position"] - s["goal"]) / self.per_pulse - c.lag, 0.0) / c.tolerance
-        far = np.log1p(beyond) / np.log1p((c.longest + BEFORE) / c.tolerance) + 0.5 * (s["known"] == 0)
+        far = portable.log1p(beyond) / portable.log1p((c.longest + BEFORE) / c.tolerance) + 0.5 * (s["known"] == 0)
         total = np.zeros(len(s))
         for a in range(len(self.axes)):
             total -= far[:, a] * used[:, a]
         return total / used.sum(axis=1)
-
-    def observed(self) -> np.ndarray:
-        c, s, e, every, used = self.config, self.axis_states, self.episodes, self.written, self.used
-        ways = np.where(s["known"] != 0, s["target"] - (s["seen"] - s["zero"]), 0)
-        left = ways[np.arange(self.n), e["selected"]]
-        log = np.sign(left) * np.log1p(np.abs(left) / c.grid[0]) / np.log1p(2 * c.longest / c.grid[0])
-        one = [
-            every["known"] != 0, every["running"] != 0, every["fresh"] != 0, *(every["rates"] == r for r in range(len(RATES))),
-            *(every["distance"] == d for d in range(len(c.grid))), left / c.longest, log, *(every[name] for name in SWITCHES),
-        ]  # fmt: skip
-        selected = e["selected"][:, None] == np.arange(len(self.axes))
-        arrived = (s["known"] != 0) & (ways == 0)
-        of_axes = np.stack([used, selected, s["running"] != 0, arrived], axis=2) * used[:, :, None]
-        time = (e["before"] - e["began"]) * 1e-9
-        rest = [e["level"] / 3.0, 1.0 - self.steps / c.macros, 1.0 - time / c.time_limit]
-        columns = [np.stack(one, axis=1), of_axes.reshape(self.n, -1), np.stack(rest, axis=1)]
-        hidden = contexts.placed(self.ranges, self.context)
-        return np.clip(np.concatenate([*columns, hidden], axis=1), -1.0, 1.0).astype(np.float32)
-
-    # --- a host ---
-
-    def scripted(self) -> np.ndarray:
-        """The next action of a host that goes to the target by the longest distances of the grid, one axis after the other."""
-        return np.array([self._next(k) for k in range(self.n)], np.int64)
-
-    def _next(self, k: int) -> int:
-        c, selected = self.config, int(self.episodes[k]["selected"])
-        at = {name: j for j, name in enumerate((*RATES, *c.grid, *OTHERS))}
-        for a, s in enumerate(self.axis_states[k]):
-            left = int(s["target"] - (s["seen"] - s["zero"]))
-            if not self.used[k, a] or (s["known"] and left == 0 and s["fresh"]):
-                continue
-            if a != selected:
-                return self.book.per + a
-            if s["running"]:
-                return at["wait"]
-            if not s["fresh"]:
-                return at["read"]
-            if not s["known"] and not s["org"]:
-                return at["home"]
-            if s["rates"] < 0:
-                return at["usual"]
-            wanted = int(np.argmin(np.abs(np.array(c.grid) - abs(left)))) if s["known"] else len(c.grid) - 1
-            if s["distance"] != wanted:
-                return at[c.grid[wanted]]
-            return at["minus" if s["known"] and left < 0 else "plus"]
-        return int(np.argmax(self.masks()[k]))
 
 
 def _motor(axis: Any) -> Any:

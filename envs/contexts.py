@@ -2,9 +2,10 @@
 
     SPLITS["train"]            settings by name; every other split is the same but for what it names
     context = np.zeros((), CONTEXT)
-    draw(rng, ranges, context); equip(stage, axis, carrier, nominal, context)
+    draw(rng, ranges, context, given); Machine.of(stage, "x", carrier).equip(stage, context)
 
-A context is the machine's: a stage's snapshots leave all of it alone but the motor's torque, which is the drive's.
+Which fault a machine has is part of its context: faulty.py draws and makes them. machines.py has what tasks on hidden machines
+share. A context is the machine's: a stage's snapshots leave all of it alone but the motor's torque, which is the drive's.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from stage import Stage
+from stage import Stage, portable
 from stage.envs.entries import TRUTH, Entry
 from stage.errors import ArgumentError
 from stage.native import record
@@ -32,12 +33,10 @@ SPLITS: dict[str, dict[str, Any]] = {
     "ms": {"chip": "PCL240MS"},
     "nova": {"chip": "MCX514"},
     "mast": {"model": "xy_mast"},
-    "faults": {"faults": ("jam", "phase open", "brownout")},
+    "faults": {"faults": ("jam", "phase open", "brownout", "binding", "sag", "overload", "bounce")},
 }  # fmt: skip
-"""Where contexts come from: of "train" a policy may learn, the others test it. All that a split does not name is as in train."""
-
-WITHOUT_FAULTS = tuple(name for name in SPLITS if name != "faults")
-"""The splits of tasks whose machines are healthy."""
+"""Where contexts come from: of "train" a policy may learn, the others test it. All that a split does not name is as in train. A
+task takes those of the faults that its machines may have (`FAULTS` of its Config): none of train, but for DriftingHome."""
 
 KINDS = {
     "payload": ("payloads", "kg on the table"),
@@ -49,11 +48,23 @@ KINDS = {
 }
 """Of a context: its setting, and what it is."""
 
-CONTEXT = record([(name, "f8") for name in KINDS])
-ENTRIES = tuple(Entry(name, TRUTH, f"{text}, of the episode") for name, (_, text) in KINDS.items())
+CONTEXT = record([(name, "f8") for name in KINDS] + [("fault", "i8"), ("faulty", "i8")])
+"""fault: its number in faulty.NAMES, 0 for none; faulty: which of the task's axes has it."""
+OPTIONS = (*KINDS, "fault")
+"""Parts of a machine that `reset(options=...)` takes."""
+INFO: dict[str, type] = {**dict.fromkeys(KINDS, float), "fault": int}
+"""What an info has of a machine."""
+ENTRIES = (
+    *(Entry(name, TRUTH, f"{text}, of the episode") for name, (_, text) in KINDS.items()),
+    Entry("fault", TRUTH, "number of the machine's fault in faulty.NAMES, 0 for none"),
+)
+"""Likewise, as a page has it."""
 
-SHOWN = tuple(Entry(name, TRUTH, f"{text}, from -1 to 1 over its range") for name, (_, text) in KINDS.items())
-"""Of an info, and of an observation with truth=True, where `placed` makes them."""
+SHOWN = (
+    *(Entry(name, TRUTH, f"{text}, from -1 to 1 over its range") for name, (_, text) in KINDS.items()),
+    Entry("fault", TRUTH, "1 if the machine has a fault"),
+)
+"""Of an observation with truth=True, where `placed` makes them."""
 
 
 def setting(config: Any, name: str) -> Any:
@@ -74,7 +85,7 @@ def draw(
     """Fill a CONTEXT: evenly, frictions by their logarithm; given: those that are not drawn. Raises ArgumentError for one beyond
     its ends. All are drawn in any case, so that what is given changes no other."""
     for name, (low, high) in ends.items():
-        drawn = np.exp(rng.uniform(*np.log((low, high)))) if name == "friction" else rng.uniform(low, high)
+        drawn = portable.exp(rng.uniform(*portable.log((low, high)))) if name == "friction" else rng.uniform(low, high)
         value = given.get(name, float(drawn))
         if isinstance(value, bool) or not isinstance(value, int | float | np.number) or not low <= value <= high:
             raise ArgumentError(f"option {name}={value!r}: from {low} to {high} here.")
@@ -82,8 +93,9 @@ def draw(
 
 
 def placed(ends: Mapping[str, tuple[float, float]], context: np.ndarray) -> np.ndarray:
-    """(n, kinds): contexts from -1 to 1 over their ranges."""
-    return np.stack([(context[name] - a) / max(b - a, 1e-9) * 2.0 - 1.0 for name, (a, b) in ends.items()], axis=1)
+    """(n, SHOWN): contexts from -1 to 1 over their ranges, and whether there is a fault."""
+    numbers = [(context[name] - a) / max(b - a, 1e-9) * 2.0 - 1.0 for name, (a, b) in ends.items()]
+    return np.stack([*numbers, context["fault"] != 0], axis=1)
 
 
 @dataclass(frozen=True)

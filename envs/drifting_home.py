@@ -41,30 +41,14 @@ from typing import Annotated, Any
 import gymnasium
 import numpy as np
 
-from stage import Stage
-from stage.chips import Chip, chip_class
+from stage import portable
 from stage.envs import contexts, faulty, score
 from stage.envs.base import StageEnv, StageVectorEnv
 from stage.envs.entries import HOST, TRUTH, Entry
+from stage.envs.machines import Machines, MachineTask
 from stage.envs.results import result
-from stage.envs.settings import (
-    AxisName,
-    Count,
-    Cycle,
-    Number,
-    Pair,
-    Payloads,
-    Positive,
-    Range,
-    Seconds,
-    Settings,
-    Truths,
-    Weight,
-    Word,
-    Words,
-)
-from stage.envs.task import MoveTask, carrier
-from stage.errors import ArgumentError, unknown
+from stage.envs.settings import AxisName, Count, Number, Pair, Positive, Range, Seconds, Weight
+from stage.errors import ArgumentError
 from stage.firmware.driver import driver_of
 from stage.sim.fleet import Played
 from stage.sim.program import Program
@@ -79,20 +63,11 @@ LAST = 10  # numbers of an observation
 
 
 @dataclass(frozen=True)
-class Config(Settings):
-    """Settings of DriftingHome. None: as the split has it."""
+class Config(Machines):
+    """Settings of DriftingHome, beside those of hidden machines."""
 
-    split: Annotated[str, Word(tuple(contexts.SPLITS))] = "train"
-    model: str | None = None
-    chip: str | type[Chip] | None = None
+    FAULTS = faulty.DEADLY
     axis: AxisName = "x"
-    payloads: Payloads | None = None  # kg
-    frictions: Annotated[Pair, Range(1e-3)] | None = None  # times the model's
-    supplies: Annotated[Pair, Range(0.1, high=2.0)] | None = None  # times the nominal voltage
-    torques: Annotated[Pair, Range(0.1, high=2.0)] | None = None  # times the nominal torque constant
-    drifts: Annotated[Pair, Range(0.0, high=0.5)] | None = None  # electrical turns; of no effect here
-    payload_on: AxisName | None = None  # body or site; None: site "work", else the body that the axis moves
-    faults: Annotated[tuple[str, ...], Words(tuple(faulty.FAULTS))] | None = None
     healthy: Annotated[float, Number(high=1.0)] = 0.6  # share of machines without a fault
     walk: Annotated[float, Number(high=1e-3)] = 2e-5  # m
     noise: Annotated[float, Number(high=1e-3)] = 5e-6  # m
@@ -109,13 +84,6 @@ class Config(Settings):
     report_weight: Weight = 5.0
     false_weight: Weight = 5.0
     unreported_weight: Weight = 5.0
-    bus_cycle: Cycle = 1e-6  # s
-    truth: Truths = "info"  # where what no host can see is shown: entries.py
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not contexts.setting(self, "faults") and self.healthy < 1:
-            raise ArgumentError(f"faults=(): name some of {', '.join(faulty.NAMES[1:])}, or say healthy=1.0.")
 
 
 def action_of(
@@ -127,19 +95,19 @@ def action_of(
     report: bool = False,
 ) -> np.ndarray:
     """The action that means these rates (pps), ramps (s) and pulses, (6,) float32; what is beyond its range becomes its end."""
-    low, high = np.log(np.array(list(RATES.values()))).T
-    rates = 2 * (np.log((search, ramp, approach)) - low) / (high - low) - 1
-    far = 2 * np.cbrt(leave / LEAVE) - 1
-    b0, b1 = np.log(BACK_OFF)
-    back = 2 * (np.log(back_off) - b0) / (b1 - b0) - 1
+    low, high = portable.log(np.array(list(RATES.values()))).T
+    rates = 2 * (portable.log((search, ramp, approach)) - low) / (high - low) - 1
+    far = 2 * portable.cbrt(leave / LEAVE) - 1
+    b0, b1 = portable.log(BACK_OFF)
+    back = 2 * (portable.log(back_off) - b0) / (b1 - b0) - 1
     return np.clip([*rates, far, back, 1.0 if report else -1.0], -1, 1).astype(np.float32)
 
 
-class DriftingHome(MoveTask[Config]):
+class DriftingHome(MachineTask[Config]):
     Config = Config
-    OPTIONS = ("start", "fault", *contexts.KINDS)
+    OPTIONS = ("start", *contexts.OPTIONS)
     """start: m, of the first return; fault: a name, or "none"; and parts of the machine."""
-    STATE = ("context", "fault", "place", "shift", "last", "away", "ended", "sums", "bounce")
+    STATE = ("context", "place", "shift", "last", "away", "ended", "sums", "bounce")
     RESTARTS = True
     SEEN = (
         Entry("org", HOST, "1 if ORG is asserted now"),
@@ -156,11 +124,9 @@ class DriftingHome(MoveTask[Config]):
         Entry("last_off", HOST, "pulses by which the origin was found off the last one, as counted, / 64"),
         Entry("failed", HOST, "returns in a row up to the last that did not end at the origin / `returns`"),
         *contexts.SHOWN,
-        Entry("fault", TRUTH, "1 if the machine has a fault"),
     )
     TOLD = (
         *contexts.ENTRIES,
-        Entry("fault", TRUTH, "number of the machine's fault in faulty.NAMES, 0 for none"),
         Entry("reported", HOST, "the step was a report"),
         Entry("duration", HOST, "s"),
         Entry("error", TRUTH, "pulses between the carriage and where ORG trips"),
@@ -173,26 +139,14 @@ class DriftingHome(MoveTask[Config]):
         score.ENTRY,
     )
 
-    def stage(self, visuals: bool) -> Stage:
-        c = self.config
-        model, chip = (contexts.setting(c, name) for name in ("model", "chip"))
-        made = Stage(model, chips=chip_class(chip), bus_cycle=c.bus_cycle, visuals=visuals)
-        if c.axis not in made.axes:
-            raise unknown("axis", c.axis, made.axes)
-        if made.axes[c.axis].chip.SERVO or made.axes[c.axis].unit != "m":
-            raise ArgumentError(f"axis={c.axis!r}: a stepper's slide is to return here, and this is none.")
-        return made
-
     def prepare(self) -> None:
         c, n, first = self.config, self.n, self.stages[0]
         self.axis = first.axes[c.axis]
-        self.machine = contexts.Machine.of(first, c.axis, carrier(first, c.axis, c.payload_on))
-        self.ranges, self.faults = contexts.ranges(c), contexts.setting(c, "faults")
+        self.ready()
         self.switch = {s.pin: s for s in self.axis.plant.switches}
         for pin in ("org", "el_minus", "el_plus"):
             if pin not in self.switch:
                 raise ArgumentError(f"axis {c.axis} has no {pin}: an origin return needs ORG and both end limits.")
-        self.faulty = faulty.Faulty.of(first, c.axis)
         self.search = driver_of(self.axis).search(
             SimpleNamespace(multiplier=30, leave=LEAVE, back_off=BACK_OFF[1], limit=c.limit, settle=c.settle, ez=0)
         )
@@ -206,10 +160,9 @@ class DriftingHome(MoveTask[Config]):
         self.observation_space = self.seen()
         self.result = result(
             ("time", "error", "missed", "damage", "report"), scored=True,
-            **dict.fromkeys(contexts.KINDS, float), fault=int, reported=bool, duration=float, error=float, home=bool,
+            **contexts.INFO, reported=bool, duration=float, error=float, home=bool,
             end_limit=bool, late=bool, lost_steps=int, start=float, choices=(int, (len(self.search.choices.ranges),)),
         )  # fmt: skip
-        self.context, self.fault = np.zeros(n, contexts.CONTEXT), np.zeros(n, np.int64)
         self.place, self.shift = np.zeros(n), np.zeros((n, 2))  # m: the start; the walk of ORG, and where it trips
         self.last, self.away, self.ended = np.zeros((n, LAST)), np.zeros(n), np.full(n, np.nan)
         self.bounce = np.zeros(n)  # s
@@ -219,21 +172,20 @@ class DriftingHome(MoveTask[Config]):
 
     def begin(self, k: int, options: Mapping[str, Any]) -> None:
         c, rng = self.config, self.rngs[k]
-        contexts.draw(rng, self.ranges, self.context[k], options)
-        broken, which = rng.uniform() >= c.healthy, int(rng.integers(0, max(len(self.faults), 1)))
+        self.draw(k, options)
         self.bounce[k] = rng.uniform(*c.bounces)
-        name = options.get("fault", self.faults[which] if broken else "none")
-        if name not in faulty.FAULTS:
-            raise unknown("option fault", name, faulty.FAULTS)
-        self.fault[k] = faulty.NAMES.index(name)
         self.last[k], self.sums[k], self.shift[k], self.ended[k] = 0.0, 0.0, 0.0, np.nan
-        self._draw(k, options)
+        self._begin(k, options)
+
+    def beside(self, k: int) -> np.random.Generator:
+        """Here every machine may have a fault, on train too."""
+        return self.rngs[k]
 
     def renew(self) -> None:
         for k in np.flatnonzero(self.sound & ~self.results["terminated"]):
-            self._draw(int(k), {})
+            self._begin(int(k), {})
 
-    def _draw(self, k: int, options: Mapping[str, Any]) -> None:
+    def _begin(self, k: int, options: Mapping[str, Any]) -> None:
         """The next return begins: ORG has drifted, and the carriage is elsewhere."""
         c, rng, stage = self.config, self.rngs[k], self.stages[k]
         low, high = self.low + FROM_LIMIT, self.high - FROM_LIMIT
@@ -251,25 +203,24 @@ class DriftingHome(MoveTask[Config]):
 
     def equip(self, k: int) -> None:
         stage = self.stages[k]
-        self.machine.equip(stage, self.context[k])
         stage.model.geom_pos[self.beam] = self.beam0 + self.along * self.shift[k, 1]
-        self.faulty.put(stage, faulty.NAMES[self.fault[k]], float(self.bounce[k]))
+        self.outfit(stage, k, bounce=float(self.bounce[k]))
 
     def describe(self, k: int) -> dict[str, Any]:
-        return {**{name: float(self.context[k][name]) for name in contexts.KINDS}, "fault": int(self.fault[k])}
+        return self.described(k)
 
     # --- returns ---
 
     def chosen(self, actions: np.ndarray) -> np.ndarray:
         """What the search makes of actions, (n, choices)."""
-        low, high = np.log(np.array(list(RATES.values()))).T
-        b0, b1 = np.log(BACK_OFF)
+        low, high = portable.log(np.array(list(RATES.values()))).T
+        b0, b1 = portable.log(BACK_OFF)
         rows = []
         for action in np.asarray(actions, np.float64):
             u = (action + 1) / 2
-            search, ramp, approach = np.exp(low + (high - low) * u[:3]).tolist()
+            search, ramp, approach = portable.exp(low + (high - low) * u[:3]).tolist()
             approach = min(approach, search)
-            leave, back_off = round(float(LEAVE * u[3] ** 3)), round(float(np.exp(b0 + (b1 - b0) * u[4])))
+            leave, back_off = round(float(LEAVE * u[3] ** 3)), round(float(portable.exp(b0 + (b1 - b0) * u[4])))
             rows.append(self.search.row(max(FL * search, 100.0), search, ramp, approach, leave, back_off))
         return np.array(rows, np.int64)
 
@@ -295,7 +246,7 @@ class DriftingHome(MoveTask[Config]):
         error = np.where(made, np.clip((t["position"] - trips) / self.per_pulse, -1e6, 1e6), 0.0)
         lost = np.where(made, np.abs(t["lost_steps"]), 0)
         missed = made & ~(home & (np.abs(error) < CAP))
-        broken, over = self.fault != 0, self.steps >= c.returns
+        broken, over = self.context["fault"] != 0, self.steps >= c.returns
         worst = 4 * c.limit * c.time_weight + CAP * c.error_weight + c.missed_weight + 2 * c.damage_weight
         false = -c.false_weight - worst * (c.returns - self.steps + 1)
         parts = {
@@ -310,7 +261,7 @@ class DriftingHome(MoveTask[Config]):
             ),
         }
         info = {
-            **{name: self.context[name] for name in contexts.KINDS}, "fault": self.fault, "reported": reports,
+            **self.told_of_machines, "reported": reports,
             "duration": duration, "error": error, "home": home, "end_limit": end_limit, "late": late,
             "lost_steps": lost, "start": self.place, "choices": rows,
         }  # fmt: skip
@@ -356,8 +307,7 @@ class DriftingHome(MoveTask[Config]):
             1.0 - self.steps / c.returns,
             self.away / c.reach,
         ]
-        hidden = [contexts.placed(self.ranges, self.context), (self.fault != 0)[:, None]]
-        now = np.concatenate([np.stack(columns, axis=1), self.last, *hidden], axis=1)
+        now = np.concatenate([np.stack(columns, axis=1), self.last, self.placed], axis=1)
         return np.clip(now, -1.0, 1.0).astype(np.float32)
 
     # --- a host ---

@@ -35,32 +35,16 @@ from typing import Annotated, Any, ClassVar
 import gymnasium
 import numpy as np
 
-from stage import Stage
-from stage.chips import Chip, chip_class
+from stage import Stage, portable
 from stage.envs import contexts, score
 from stage.envs.base import StageEnv, StageVectorEnv
 from stage.envs.entries import HOST, TRUTH, Entry
+from stage.envs.machines import Machines, MachineTask
 from stage.envs.results import result
-from stage.envs.settings import (
-    AxisName,
-    Count,
-    Counts,
-    Cycle,
-    Flag,
-    Number,
-    Pair,
-    Payloads,
-    Range,
-    Seconds,
-    Settings,
-    Truths,
-    Weight,
-    Word,
-)
-from stage.envs.task import MoveTask, carrier, judged
+from stage.envs.settings import AxisName, Count, Counts, Flag, Number, Seconds, Weight, Word
+from stage.envs.task import judged
 from stage.envs.trial import ALLOWED, TENTH, Trial, closed_form
 from stage.envs.tuning import given
-from stage.errors import ArgumentError, unknown
 from stage.firmware.driver import Speeds, driver_of
 from stage.sim.fleet import Fleet, Played
 from stage.sim.program import Program
@@ -74,22 +58,11 @@ PER_TRY = 9  # numbers of an observation
 
 
 @dataclass(frozen=True)
-class Config(Settings):
-    """Settings of FewShotTuning. None: as the split has it."""
+class Config(Machines):
+    """Settings of FewShotTuning, beside those of hidden machines."""
 
-    split: Annotated[str, Word(contexts.WITHOUT_FAULTS)] = "train"
-    model: str | None = None
-    chip: str | type[Chip] | None = None
     axis: AxisName = "x"
     distances: Counts = (1600, 16_000)  # pulses, drawn evenly by their logarithm
-    payloads: Payloads | None = None  # kg
-    frictions: Annotated[Pair, Range(1e-3)] | None = None  # times the model's
-    supplies: Annotated[Pair, Range(0.1, high=2.0)] | None = None  # times the nominal voltage
-    torques: Annotated[Pair, Range(0.1, high=2.0)] | None = None  # times the nominal torque constant
-    drifts: Annotated[Pair, Range(0.0, high=0.5)] | None = None  # electrical turns
-    payload_on: AxisName | None = (
-        None  # body or site that carries it; None: site "work", else the body that the axis moves
-    )
     judge_at: AxisName | None = None  # site or body at which vibration is measured, as in RegisterTuning
     tries: Count = 8  # an episode
     proofs: Annotated[int, Number(low=0, high=64, whole=True)] = 4  # moves
@@ -99,19 +72,17 @@ class Config(Settings):
     settle: Seconds = 0.1  # s, in which vibration and swing are measured
     damage_weight: Weight = 0.05
     vibration_weight: Weight = 0.02  # s for each 0.1 mm
-    bus_cycle: Cycle = 1e-6  # s
-    truth: Truths = "info"  # where what no host can see is shown: entries.py
 
 
 def action_of(start: float, drive: float, up: float, down: float) -> np.ndarray:
     """The action that means these rates (pps) and ramps (s), (4,) float32; what is beyond RATES becomes its end."""
-    low, high = np.log(np.array(list(RATES.values()))).T
-    return np.clip(2 * (np.log((start, drive, up, down)) - low) / (high - low) - 1, -1, 1).astype(np.float32)
+    low, high = portable.log(np.array(list(RATES.values()))).T
+    return np.clip(2 * (portable.log((start, drive, up, down)) - low) / (high - low) - 1, -1, 1).astype(np.float32)
 
 
-class FewShotTuning(MoveTask[Config]):
+class FewShotTuning(MachineTask[Config]):
     Config: ClassVar[type] = Config
-    OPTIONS: ClassVar[tuple[str, ...]] = ("distance", *contexts.KINDS)
+    OPTIONS: ClassVar[tuple[str, ...]] = ("distance", *contexts.OPTIONS)
     """The move and the machine, in place of drawn ones."""
     STATE: ClassVar[tuple[str, ...]] = (
         "distance",
@@ -163,34 +134,23 @@ class FewShotTuning(MoveTask[Config]):
         score.ENTRY,
     )
 
-    def stage(self, visuals: bool) -> Stage:
-        c = self.config
-        model, chip = (contexts.setting(c, name) for name in ("model", "chip"))
-        made = Stage(model, chips=chip_class(chip), bus_cycle=c.bus_cycle, visuals=visuals)
-        if c.axis not in made.axes:
-            raise unknown("axis", c.axis, made.axes)
-        if made.axes[c.axis].chip.SERVO or made.axes[c.axis].unit != "m":
-            raise ArgumentError(f"axis={c.axis!r}: a stepper's slide is to be tuned here, and this is none.")
-        return made
-
     def prepare(self) -> None:
         c, n, first = self.config, self.n, self.stages[0]
         self.axis = first.axes[c.axis]
         self.driver = driver_of(self.axis)
         self.judged, point = judged(first, c.axis, c.judge_at)
         self.trial = Trial(self.axis, point, c.settle, encoder=True)
-        self.machine = contexts.Machine.of(first, c.axis, carrier(first, c.axis, c.payload_on))
-        self.ranges = contexts.ranges(c)
+        self.ready()
         self.trial.check(c.distances, "pulses")
         self.names = self.driver.tuned_by(s_curve=False)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (len(RATES),), np.float32)
         self.observation_space = self.seen()
         self.result = result(
             ("gain", "damage", "proof"), scored=True,
-            distance=int, **dict.fromkeys(contexts.KINDS, float), registers=(int, (len(self.names),)), duration=float, usual=float,
+            distance=int, **contexts.INFO, registers=(int, (len(self.names),)), duration=float, usual=float,
             finished=bool, error=float, lost_steps=int, vibration=float, kept=bool, best=float, proved=float,
         )  # fmt: skip
-        self.distance, self.context, self.angle = np.ones(n, np.int64), np.zeros(n, contexts.CONTEXT), np.zeros(n)
+        self.distance, self.angle = np.ones(n, np.int64), np.zeros(n)
         self.table = np.zeros((n, c.tries, PER_TRY))
         self.best_seen, self.cost = np.full(n, np.inf), np.full((n, c.tries), np.inf)
         self.rows = np.zeros((n, c.tries, len(self.names)), np.int64)
@@ -206,9 +166,9 @@ class FewShotTuning(MoveTask[Config]):
 
     def begin(self, k: int, options: Mapping[str, Any]) -> None:
         c, rng = self.config, self.rngs[k]
-        distance = int(np.rint(np.exp(rng.uniform(*np.log(c.distances)))))
+        distance = int(np.rint(portable.exp(rng.uniform(*portable.log(c.distances)))))
         self.distance[k] = given(options, "distance", distance, c.distances)
-        contexts.draw(rng, self.ranges, self.context[k], options)
+        self.draw(k, options)
         self.table[k], self.best_seen[k], self.cost[k], self.damage[k] = 0.0, np.inf, np.inf, 0
         self._reckon(k, rng, options)
         self._ready(k)
@@ -243,14 +203,11 @@ class FewShotTuning(MoveTask[Config]):
 
     def _place(self, stage: Stage, k: int, angle: float, more: float = 0.0) -> None:
         stage.restore(self.start)
-        self.machine.equip(stage, self.context[k], more)
+        self.outfit(stage, k, more)
         stage.place(**{self.config.axis: self.trial.begin(float(self.distance[k]), angle)})
 
-    def equip(self, k: int) -> None:
-        self.machine.equip(self.stages[k], self.context[k])
-
     def describe(self, k: int) -> dict[str, Any]:
-        return {"distance": int(self.distance[k]), **{name: float(self.context[k][name]) for name in contexts.KINDS}}
+        return {"distance": int(self.distance[k]), **self.described(k)}
 
     # --- tries ---
 
@@ -261,8 +218,8 @@ class FewShotTuning(MoveTask[Config]):
 
     def rates(self, action: np.ndarray, distance: int) -> tuple[float, float, float, float]:
         """Start and drive rate, pps, and seconds of both ramps; where they do not fit into the move, as much of them as does."""
-        low, high = np.log(np.array(list(RATES.values()))).T
-        start, drive, up, down = np.exp(low + (high - low) * (np.asarray(action, np.float64) + 1) / 2).tolist()
+        low, high = portable.log(np.array(list(RATES.values()))).T
+        start, drive, up, down = portable.exp(low + (high - low) * (np.asarray(action, np.float64) + 1) / 2).tolist()
         drive = max(drive, 1.05 * start)
         flat = (up + down) / (drive - start)  # s2 a pulse: both ramps are as steep as that, wherever they end
         top = min(drive, float(np.sqrt(start**2 + 2 * distance / flat)))
@@ -283,7 +240,7 @@ class FewShotTuning(MoveTask[Config]):
 
     def _worth(self, cost: np.ndarray) -> np.ndarray:
         """log(two usual times / cost); 0 for what costs more."""
-        return np.maximum(np.log(2 * self.usual) - np.log(cost), 0.0)
+        return np.maximum(portable.log(2 * self.usual) - portable.log(cost), 0.0)
 
     def programs(self) -> list[Program]:
         return self._programs(self.chosen(self.actions))
@@ -317,7 +274,7 @@ class FewShotTuning(MoveTask[Config]):
         faster = good & by_encoder & (seen.duration < self.best_seen)
         self.best_seen[faster] = seen.duration[faster]
         info = {
-            "distance": self.distance, **{name: self.context[name] for name in contexts.KINDS}, "registers": rows,
+            "distance": self.distance, **self.told_of_machines, "registers": rows,
             "duration": seen.duration, "usual": usual, "finished": seen.finished, "error": error,
             "lost_steps": t["lost_steps"], "vibration": seen.vibration, "kept": seen.kept,
             "best": self.cost.min(axis=1), "proved": proved,
@@ -356,8 +313,8 @@ class FewShotTuning(MoveTask[Config]):
 
     def observed(self) -> np.ndarray:
         c, n = self.config, self.n
-        low, high = np.log(c.distances)
-        far = (np.log(self.distance) - low) / max(high - low, 1e-9) * 2.0 - 1.0
+        low, high = portable.log(c.distances)
+        far = (portable.log(self.distance) - low) / max(high - low, 1e-9) * 2.0 - 1.0
         table = self.table
         if c.memory == "last":
             table = table[np.arange(n), np.maximum(self.steps - 1, 0)]
@@ -365,7 +322,7 @@ class FewShotTuning(MoveTask[Config]):
         columns = [
             np.stack([far, 1.0 - self.steps / c.tries, best], axis=1),
             table.reshape(n, -1),
-            contexts.placed(self.ranges, self.context),
+            self.placed,
         ]
         return np.clip(np.concatenate(columns, axis=1), -1.0, 1.0).astype(np.float32)
 

@@ -21,6 +21,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
+from stage import portable
 from stage.envs import contexts, few_shot
 from stage.envs.base import StageEnv, StageVectorEnv
 from stage.envs.entries import HOST, Entry
@@ -74,10 +75,10 @@ class OneShotTuning(FewShotTuning):
         return {"declared": float(self.declared[k]), **super().describe(k)}
 
     def observed(self) -> np.ndarray:
-        (d0, d1), (p0, p1) = np.log(self.config.distances), self.ranges["payload"]
-        distance = (np.log(self.distance) - d0) / max(d1 - d0, 1e-9) * 2.0 - 1.0
+        (d0, d1), (p0, p1) = portable.log(self.config.distances), self.ranges["payload"]
+        distance = (portable.log(self.distance) - d0) / max(d1 - d0, 1e-9) * 2.0 - 1.0
         declared = (self.declared - p0) / max(p1 - p0, 1e-9) * 2.0 - 1.0
-        columns = [np.stack([distance, declared], axis=1), contexts.placed(self.ranges, self.context)]
+        columns = [np.stack([distance, declared], axis=1), self.placed]
         return np.clip(np.concatenate(columns, axis=1), -1.0, 1.0).astype(np.float32)
 
 

@@ -43,7 +43,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from stage import Stage
+from stage import Stage, portable
 from stage.chips import Chip, chip_class
 from stage.envs.base import StageEnv, StageVectorEnv
 from stage.envs.entries import HOST, TRUTH, Entry
@@ -193,7 +193,10 @@ class OriginReturn(MoveTask[Config]):
 
     def begin(self, k: int, options: Mapping[str, Any]) -> None:
         c, rng = self.config, self.rngs[k]
-        payload, friction = float(rng.uniform(*c.payloads)), float(np.exp(rng.uniform(*np.log(c.frictions))))
+        payload, friction = (
+            float(rng.uniform(*c.payloads)),
+            float(portable.exp(rng.uniform(*portable.log(c.frictions)))),
+        )
         self.payload[k] = self._given(options, "payload", payload, c.payloads)
         self.friction[k] = self._given(options, "friction", friction, c.frictions)
         self._load(k)
@@ -288,13 +291,13 @@ class OriginReturn(MoveTask[Config]):
 
     def observed(self) -> np.ndarray:
         c, inputs = self.config, self.fleet.truth()["inputs"][:, self.axis.index]
-        (p0, p1), (f0, f1) = c.payloads, np.log(c.frictions)
+        (p0, p1), (f0, f1) = c.payloads, portable.log(c.frictions)
         columns = [
             inputs & self.axis.chip.wired("org") != 0,
             inputs & self.axis.chip.wired("sd_plus") != 0,
             1.0 - self.steps / c.returns,
             (self.payload - p0) / max(p1 - p0, 1e-9) * 2.0 - 1.0,
-            (np.log(self.friction) - f0) / max(f1 - f0, 1e-9) * 2.0 - 1.0,
+            (portable.log(self.friction) - f0) / max(f1 - f0, 1e-9) * 2.0 - 1.0,
         ]
         now = np.concatenate([np.stack(columns, axis=1), self.last], axis=1)
         return np.clip(now, -1.0, 1.0).astype(np.float32)

@@ -43,7 +43,7 @@ from typing import Annotated, Any
 import gymnasium
 import numpy as np
 
-from stage import Stage
+from stage import Stage, portable
 from stage.chips import Chip, chip_class
 from stage.envs import register_bus_core as core
 from stage.envs.base import StageEnv, StageVectorEnv
@@ -255,8 +255,8 @@ class RegisterBus(Task[Config]):
         if c.goal == "home":
             start, target = self._places(rng), np.zeros(m, np.int64)
         else:
-            low, high = np.log(self.distances)
-            far = np.rint(np.exp(rng.uniform(low, high, m))).astype(np.int64)
+            low, high = portable.log(self.distances)
+            far = np.rint(portable.exp(rng.uniform(low, high, m))).astype(np.int64)
             start, target = self.power_up.copy(), far * rng.choice((-1, 1), m)
         for j, q in self._by_axis("start", options, (int, float)):
             start[j] = q

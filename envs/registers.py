@@ -21,6 +21,7 @@ from collections.abc import Mapping, Sequence
 import gymnasium
 import numpy as np
 
+from stage import portable
 from stage.chips.register_map import RegisterMap
 from stage.errors import ArgumentError
 from stage.firmware.choices import limits
@@ -45,7 +46,7 @@ class RegisterBox:
         self.names = tuple(names)
         self.low, self.high = (np.array(side, np.int64) for side in zip(*ends, strict=True))
         self._logarithmic = self.low > 0
-        self._ratio = np.where(self._logarithmic, np.log(self.high / np.maximum(self.low, 1)), 1.0)
+        self._ratio = np.where(self._logarithmic, portable.log(self.high / np.maximum(self.low, 1)), 1.0)
         self._power = np.where((self.high > WIDE) | np.isin(self.names, cubed), 3.0, 1.0)
 
     def __len__(self) -> int:
@@ -65,7 +66,9 @@ class RegisterBox:
         """(..., n) actions -> (..., n) int64 registers."""
         u = (np.clip(np.asarray(action, np.float64), -1.0, 1.0) + 1.0) / 2.0
         scaled = np.where(
-            self._logarithmic, self.low * np.exp(self._ratio * u), self.low + (self.high - self.low) * u**self._power
+            self._logarithmic,
+            self.low * portable.exp(self._ratio * u),
+            self.low + (self.high - self.low) * portable.power(u, self._power),
         )
         return np.clip(np.rint(scaled), self.low, self.high).astype(np.int64)
 
@@ -79,8 +82,8 @@ class RegisterBox:
         with np.errstate(divide="ignore"):
             u = np.where(
                 self._logarithmic,
-                np.log(r / np.maximum(self.low, 1)) / self._ratio,
-                ((r - self.low) / (self.high - self.low)) ** (1.0 / self._power),
+                portable.log(r / np.maximum(self.low, 1)) / self._ratio,
+                portable.power((r - self.low) / (self.high - self.low), 1.0 / self._power),
             )
         return (2.0 * u - 1.0).astype(np.float32)
 

@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from stage import portable
 from stage.envs.entries import TRUTH, Entry
 from stage.native import record
 
@@ -35,5 +36,5 @@ NONE = (False, np.inf, np.inf)
 def note(rows: np.ndarray, time: Any, formula: Any, moves: Any, lost_steps: Any, limits: Any) -> None:
     """Fill scores, (n,). time: s, infinite without success; formula: s, its time for the same."""
     rows["time"], rows["success"] = time, np.isfinite(time)
-    rows["regret"] = np.log(np.asarray(time, float) / formula)
+    rows["regret"] = portable.log(np.asarray(time, float) / formula)
     rows["moves"], rows["lost_steps"], rows["limits"] = moves, lost_steps, limits

@@ -34,29 +34,17 @@ from typing import Annotated, Any, ClassVar
 import gymnasium
 import numpy as np
 
-from stage import Stage
-from stage.chips import Chip, chip_class
+from stage import Stage, portable
 from stage.envs import contexts, score, synchronized_move
 from stage.envs.base import StageEnv, StageVectorEnv
 from stage.envs.entries import HOST, TRUTH, Entry
+from stage.envs.machines import Machines, MachineTask
 from stage.envs.results import result
-from stage.envs.settings import (
-    AxisName,
-    Counts,
-    Number,
-    NumberOrRange,
-    Pair,
-    Payloads,
-    Range,
-    Seconds,
-    Truths,
-    Weight,
-    Word,
-)
+from stage.envs.settings import AxisName, Counts, Number, NumberOrRange, Pair, Range, Seconds, Weight
 from stage.envs.synchronized_move import SynchronizedMove
-from stage.envs.task import carrier, judged
+from stage.envs.task import judged
 from stage.envs.trial import TENTH, Starts, closed_form
-from stage.errors import ArgumentError, unknown
+from stage.errors import ArgumentError
 from stage.firmware.driver import Speeds
 from stage.firmware.lines import Asked
 from stage.sim.fleet import Fleet, Played
@@ -67,21 +55,12 @@ CORRECTIONS = 6  # an axis
 
 
 @dataclass(frozen=True)
-class Config(synchronized_move.Config):
-    """Settings of SynchronizedLine, beside those of SynchronizedMove. None: as the split has it."""
+class Config(Machines, synchronized_move.Config):  # type: ignore[misc]
+    """Settings of SynchronizedLine, beside those of hidden machines and of SynchronizedMove."""
 
-    split: Annotated[str, Word(contexts.WITHOUT_FAULTS)] = "train"
-    model: str | None = None  # type: ignore[assignment]
-    chip: str | type[Chip] | None = None  # type: ignore[assignment]
     distances: Counts = (1_600, 12_000)  # pulses of each axis, drawn evenly by their logarithm, with any sign
     rate: Annotated[float | Pair, NumberOrRange(more=", not below fl")] = (2_000.0, 60_000.0)  # pps, that can be chosen
     ramps: Annotated[Pair, Range(1e-3, high=1.0)] = (0.01, 0.3)  # s, that can be chosen
-    payloads: Payloads | None = None  # kg
-    frictions: Annotated[Pair, Range(1e-3)] | None = None  # times the model's
-    supplies: Annotated[Pair, Range(0.1, high=2.0)] | None = None  # times the nominal voltage
-    torques: Annotated[Pair, Range(0.1, high=2.0)] | None = None  # times the nominal torque constant
-    drifts: Annotated[Pair, Range(0.0, high=0.5)] | None = None  # electrical turns; of no effect here
-    payload_on: AxisName | None = None  # body or site; None: site "work", else the body that the first axis moves
     judge_at: AxisName | None = None  # site or body that the first axis carries, at which vibration is measured
     proofs: Annotated[int, Number(low=0, high=64, whole=True)] = 3  # moves
     margin: Annotated[float, Number(high=1e3)] = 0.5  # kg that the proof has beyond the payload
@@ -91,7 +70,6 @@ class Config(synchronized_move.Config):
     carriage_weight: Weight = 0.01  # s for each 0.1 mm
     vibration_weight: Weight = 0.02  # s for each 0.1 mm
     damage_weight: Weight = 0.05
-    truth: Truths = "info"
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -103,9 +81,9 @@ class Config(synchronized_move.Config):
             raise ArgumentError(f"ramps={self.ramps!r}: (least, most) s, above 0.")
 
 
-class SynchronizedLine(SynchronizedMove):
+class SynchronizedLine(MachineTask[Any], SynchronizedMove):
     Config: ClassVar[type] = Config
-    OPTIONS = ("distances", *contexts.KINDS)
+    OPTIONS = ("distances", *contexts.OPTIONS)
     """The line and the machine, in place of drawn ones."""
     STATE = ("distances", "rate", "ramp", "context", "angles", "formula")
     SEEN: ClassVar[tuple[Entry, ...]] = (*SynchronizedMove.SEEN[1:6], *contexts.SHOWN)
@@ -126,37 +104,28 @@ class SynchronizedLine(SynchronizedMove):
         score.ENTRY,
     )
 
-    def stage(self, visuals: bool) -> Stage:
-        c: Any = self.config
-        model, chip = (contexts.setting(c, name) for name in ("model", "chip"))
-        made = Stage(model, chips=chip_class(chip), bus_cycle=c.bus_cycle, visuals=visuals)
-        for name in c.axes:
-            if name not in made.axes:
-                raise unknown(f"axis of model {model}", name, made.axes)
-            if made.axes[name].unit != "m":
-                raise ArgumentError(f"axes={c.axes!r}: {name} turns, and a line is of slides.")
-        return made
+    @property
+    def slides(self) -> tuple[str, ...]:
+        return self.config.axes
 
     def prepare(self) -> None:
         c: Any = self.config
         n, first = self.n, self.stages[0]
         super().prepare()
         m = len(self.axes)
-        on = carrier(first, c.axes[0], c.payload_on)
         self.judged, self.point = judged(first, c.axes[0], c.judge_at)
-        self.machines = [contexts.Machine.of(first, name, on) for name in c.axes]
+        self.ready()
         self.starting = [Starts(a) for a in self.axes]
-        self.ranges = contexts.ranges(c)
         self.loads = [Load.of(a) for a in self.axes]
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (2 + CORRECTIONS * m,), np.float32)
         self.observation_space = self.seen()
         self.result = result(
             ("gain", "damage", "proof"), scored=True,
-            distances=(int, (m,)), **dict.fromkeys(contexts.KINDS, float), rate=float, ramp=float,
+            distances=(int, (m,)), **contexts.INFO, rate=float, ramp=float,
             registers=(int, self.line.shape), deviation=float, carriage_deviation=float, duration=float, usual=float,
             vibration=float, lost_steps=(int, (m,)), finished=bool, proved=float,
         )  # fmt: skip
-        self.context, self.angles = np.zeros(n, contexts.CONTEXT), np.zeros((n, m))
+        self.angles = np.zeros((n, m))
         self.ramp, self.formula = np.full(n, 0.1), np.ones((n, 3))
         self.provers = Fleet([copy.deepcopy(first) for _ in range(n)], self.fleet.threads)
 
@@ -168,9 +137,9 @@ class SynchronizedLine(SynchronizedMove):
     def begin(self, k: int, options: Mapping[str, Any]) -> None:
         rng, m = self.rngs[k], len(self.axes)
         c: Any = self.config
-        contexts.draw(rng, self.ranges, self.context[k], options)
-        low, high = np.log(c.distances)
-        sizes = np.rint(np.exp(rng.uniform(low, high, m))).astype(np.int64)
+        self.draw(k, options)
+        low, high = portable.log(c.distances)
+        sizes = np.rint(portable.exp(rng.uniform(low, high, m))).astype(np.int64)
         self.distances[k] = sizes * rng.choice([-1, 1], m)
         self._obey(k, options)
         self.rate[k] = np.clip(Speeds().drive, *c.rates)
@@ -184,18 +153,12 @@ class SynchronizedLine(SynchronizedMove):
 
     def _place(self, stage: Stage, k: int, more: float = 0.0) -> None:
         stage.restore(self.start)
-        for machine in self.machines:
-            machine.equip(stage, self.context[k], more)
+        self.outfit(stage, k, more)
         begin = zip(self.axes, self.starting, self.distances[k].tolist(), self.angles[k].tolist(), strict=True)
         stage.place(**{a.name: starts.begin(d, angle) for a, starts, d, angle in begin})
 
-    def equip(self, k: int) -> None:
-        for machine in self.machines:
-            machine.equip(self.stages[k], self.context[k])
-
     def describe(self, k: int) -> dict[str, Any]:
-        machine = {name: float(self.context[k][name]) for name in contexts.KINDS}
-        return {"distances": self.distances[k].copy(), **machine}
+        return {"distances": self.distances[k].copy(), **self.described(k)}
 
     def _reckon(self, k: int) -> None:
         """Rate, ramp and time by the formula: no axis goes faster or steeper than it may, each at its share."""
@@ -234,8 +197,8 @@ class SynchronizedLine(SynchronizedMove):
         c: Any = self.config
         out = np.zeros((self.n, self.action_space.shape[0]), np.float32)  # type: ignore[index]
         for j, (value, ends) in enumerate(((rate, c.rates), (ramp, c.ramps))):
-            low, high = np.log(ends)
-            out[:, j] = np.clip(2 * (np.log(value) - low) / max(high - low, 1e-9) - 1, -1, 1)
+            low, high = portable.log(ends)
+            out[:, j] = np.clip(2 * (portable.log(value) - low) / max(high - low, 1e-9) - 1, -1, 1)
         return out
 
     def scripted(self) -> np.ndarray:
@@ -246,8 +209,8 @@ class SynchronizedLine(SynchronizedMove):
         c: Any = self.config
         u = (self.actions[:, :2].astype(np.float64) + 1) / 2
         for values, ends, at in ((self.rate, c.rates, 0), (self.ramp, c.ramps, 1)):
-            low, high = np.log(ends)
-            values[self.active] = np.exp(low + (high - low) * u[:, at])[self.active]
+            low, high = portable.log(ends)
+            values[self.active] = portable.exp(low + (high - low) * u[:, at])[self.active]
         moves = super().programs()
         measure = np.zeros((self.n, 1, 4), np.int64)
         measure[:, 0, 0], measure[:, 0, 1], measure[:, 0, 2] = MEASURE, round(c.rest * 1e9), self.point
@@ -273,7 +236,7 @@ class SynchronizedLine(SynchronizedMove):
             "proof": self._worth(proved) - gain,
         }
         info = {
-            "distances": self.distances, **{name: self.context[name] for name in contexts.KINDS}, "rate": self.rate,
+            "distances": self.distances, **self.told_of_machines, "rate": self.rate,
             "ramp": self.ramp, "registers": self.chosen(self.actions), "deviation": deviation,
             "carriage_deviation": off_line, "duration": duration, "usual": usual, "vibration": vibration,
             "lost_steps": lost, "finished": finished, "proved": proved,
@@ -286,7 +249,7 @@ class SynchronizedLine(SynchronizedMove):
         return ((t["pulses"] == self.distances) & (t["busy"] == 0)).all(axis=1)
 
     def _worth(self, cost: np.ndarray) -> np.ndarray:
-        return np.maximum(np.log(2 * self.usual) - np.log(cost), 0.0)
+        return np.maximum(portable.log(2 * self.usual) - portable.log(cost), 0.0)
 
     def _hold(self, which: np.ndarray) -> np.ndarray:
         """On which of these stages' machines, `margin` heavier, the same registers keep step from other angles, `proofs` times."""
@@ -311,7 +274,7 @@ class SynchronizedLine(SynchronizedMove):
         of_axes = np.concatenate(
             [(self.distances / c.distances[1])[:, :, None], self.line.errors(usual) / (2 * c.reach)], axis=2
         )
-        seen = np.concatenate([of_axes.reshape(self.n, -1), contexts.placed(self.ranges, self.context)], axis=1)
+        seen = np.concatenate([of_axes.reshape(self.n, -1), self.placed], axis=1)
         return np.clip(seen, -1.0, 1.0).astype(np.float32)
 
     def close(self) -> None:

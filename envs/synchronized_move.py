@@ -43,7 +43,7 @@ from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
-from stage import Stage
+from stage import Stage, portable
 from stage.chips import Chip, chip_class
 from stage.envs.base import StageEnv, StageVectorEnv
 from stage.envs.entries import HOST, TRUTH, Entry
@@ -204,10 +204,10 @@ class SynchronizedMove(MoveTask[Config]):
     def _draw(self, k: int, options: Mapping[str, Any]) -> None:
         """The next move of stage k, and its carriages where it starts."""
         c, rng = self.config, self.rngs[k]
-        low, high = np.log(c.distances)
-        sizes = np.rint(np.exp(rng.uniform(low, high, len(self.axes)))).astype(np.int64)
+        low, high = portable.log(c.distances)
+        sizes = np.rint(portable.exp(rng.uniform(low, high, len(self.axes)))).astype(np.int64)
         self.distances[k] = sizes * rng.choice([-1, 1], len(self.axes))
-        self.rate[k] = np.clip(np.exp(rng.uniform(*np.log(c.rates))), *c.rates)
+        self.rate[k] = np.clip(portable.exp(rng.uniform(*portable.log(c.rates))), *c.rates)
         self._obey(k, options)
         places = {}
         for a, way, d in zip(self.axes, self.way, self.distances[k], strict=True):
@@ -320,8 +320,8 @@ class SynchronizedMove(MoveTask[Config]):
 
     def observed(self) -> np.ndarray:
         c = self.config
-        low, high = np.log(c.rates)
-        rate = (np.log(self.rate) - low) / max(high - low, 1e-9) * 2.0 - 1.0 if high > low else np.zeros(self.n)
+        low, high = portable.log(c.rates)
+        rate = (portable.log(self.rate) - low) / max(high - low, 1e-9) * 2.0 - 1.0 if high > low else np.zeros(self.n)
         of_axes = np.concatenate(
             [(self.distances / c.distances[1])[:, :, None], self.line.errors(self.asked) / (2 * c.reach)], axis=2
         )

@@ -12,7 +12,7 @@ from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
-from stage import Stage
+from stage import Stage, portable
 from stage.chips import Chip
 from stage.envs.entries import HOST, TRUTH, Entry
 from stage.envs.registers import RegisterBox
@@ -109,8 +109,8 @@ class Tuning(MoveTask[ConfigT]):
         """The next move of stage k: distance, payload and the rotor's angle, and the carriage at its start."""
         c: Any = self.config
         rng, stage = self.rngs[k], self.stages[k]
-        low, high = np.log(c.distances)
-        distance, payload = int(np.rint(np.exp(rng.uniform(low, high)))), float(rng.uniform(*c.payloads))
+        low, high = portable.log(c.distances)
+        distance, payload = int(np.rint(portable.exp(rng.uniform(low, high)))), float(rng.uniform(*c.payloads))
         self.distance[k] = given(options, "distance", distance, c.distances)
         self.payload[k] = given(options, "payload", payload, c.payloads)
         self.angle[k] = given(options, "angle", float(rng.uniform()), (0.0, 1.0))
@@ -146,10 +146,10 @@ class Tuning(MoveTask[ConfigT]):
 
     def observed(self) -> np.ndarray:
         c: Any = self.config
-        (d0, d1), (p0, p1) = np.log(c.distances), c.payloads
+        (d0, d1), (p0, p1) = portable.log(c.distances), c.payloads
         asked = np.stack(
             [
-                (np.log(self.distance) - d0) / max(d1 - d0, 1e-9) * 2.0 - 1.0,
+                (portable.log(self.distance) - d0) / max(d1 - d0, 1e-9) * 2.0 - 1.0,
                 (self.payload - p0) / max(p1 - p0, 1e-9) * 2.0 - 1.0,
             ],
             axis=1,

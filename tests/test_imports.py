@@ -16,7 +16,7 @@ FOLDERS = {"stage": "stage", "envs": "stage.envs"}
 
 LAYERS = (
     {"errors"},
-    {"files", "snapshots", "snapshot_files", "opengl", "extras"},
+    {"files", "snapshots", "snapshot_files", "opengl", "extras", "portable"},
     {"native"},
     {"chips"},
     {"drives"},

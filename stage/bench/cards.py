@@ -30,7 +30,7 @@ class Card:
     asked: str
     settings: Mapping[str, Any] = field(default_factory=dict)
     choices: Mapping[str, tuple] = field(default_factory=dict)
-    splits: tuple[str, ...] = contexts.WITHOUT_FAULTS
+    splits: tuple[str, ...] = tuple(contexts.SPLITS)
     episodes: int = 64
 
     def check(self, split: str, track: str, chosen: Mapping[str, Any]) -> None:
@@ -78,7 +78,6 @@ CARDS = {
             "home",
             "stage/DriftingHome-v1",
             "origin returns to the same place, by a switch that walks, on a machine that may be broken, which is to be reported",
-            splits=tuple(contexts.SPLITS),
         ),
         Card(
             "line",
@@ -90,7 +89,7 @@ CARDS = {
             "stage/SynchronizedLine-v1",
             "the same of three axes",
             settings={"axes": ("x", "y", "z")},
-            splits=tuple(s for s in contexts.WITHOUT_FAULTS if s != "mast"),
+            splits=tuple(s for s in contexts.SPLITS if s != "mast"),
         ),
         Card(
             "bus-target",

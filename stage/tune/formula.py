@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 
+from stage import portable
 from stage.drives.dynamometer import closed_form, natural_frequency, pull_in
 from stage.drives.motors import Drive
 from stage.errors import ArgumentError
@@ -108,7 +109,7 @@ def speeds(load: Load, pulses: int, safety: float = SAFETY) -> Speeds:
     way = pulses / load.per_metre
     low = START * load.pull_in / load.per_metre if load.stepper else 0.0
     fastest = FASTEST / load.gear
-    top = np.geomspace(low * 1.01 or fastest * 1e-4, fastest, 4000)
+    top = portable.geomspace(low * 1.01 or fastest * 1e-4, fastest, 4000)
     thrust, friction = load.thrust(top) / safety, load.friction + load.damping * top
     gentle = np.full(len(top), np.inf)
     with np.errstate(divide="ignore"):

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from stage import portable
 from stage.errors import ArgumentError, StageError
 from stage.firmware.driver import Speeds, driver_of
 from stage.sim.program import Operations
@@ -92,7 +93,7 @@ class Plans(ABC):
         for name, most in FARTHEST.items():
             a, b = getattr(middle, name), getattr(wanted, name)
             if name in self.knobs and a > 0 and b > 0:
-                found[name] = float(np.clip(np.log(b / a) / np.log(most), -1, 1))
+                found[name] = float(np.clip(portable.log(b / a) / portable.log(most), -1, 1))
         return found
 
 

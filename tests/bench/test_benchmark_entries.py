@@ -19,6 +19,7 @@ from stage.bench import files, statistics
 from stage.bench.cards import CARDS, Card, seeds
 from stage.bench.files import Refused, unpack
 from stage.cli import main
+from stage.envs import contexts
 from stage.envs.task import configured
 from stage.files import FileError
 
@@ -269,7 +270,7 @@ def test_a_policy_sees_what_its_track_shows():
     assert host.begun[0].entries[0] == "distance"
     assert all("distance" in names and not {"payload", "lost_steps", "reward_parts"} & names for _, names in host.seen)
     assert {"payload", "torque"} <= truth.seen[0][1]
-    assert truth.seen[0][0][0] == host.seen[0][0][0] + 6
+    assert truth.seen[0][0][0] == host.seen[0][0][0] + len(contexts.SHOWN)
     assert entry.player == "Watching"
     assert bench.verify(entry).exact
 

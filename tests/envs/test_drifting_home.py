@@ -11,7 +11,7 @@ from stage.envs.drifting_home import Config, action_of
 
 GOOD = action_of()
 """The usual rates, from plus of ORG."""
-BROKEN = faulty.NAMES[1:]
+BROKEN = Config.FAULTS
 
 
 def make(**settings):
@@ -134,13 +134,13 @@ def test_splits_have_faults_of_their_own_and_most_machines_none():
         assert 9 <= drawn[split].count(0) <= 20
     names = {split: {faulty.NAMES[k] for k in found if k} for split, found in drawn.items()}
     assert names["train"] == set(contexts.SPLITS["train"]["faults"])
-    assert names["faults"] == set(contexts.SPLITS["faults"]["faults"])
+    assert names["faults"] == set(contexts.SPLITS["faults"]["faults"]) & set(Config.FAULTS)
     assert not names["train"] & names["faults"]
     with pytest.raises(ArgumentError, match=r"faults 'org opn'.*Did you mean 'org open'"):
         Config(faults=("org opn",))
     with pytest.raises(ArgumentError, match="option fault 'rust'"):
         env.reset(options={"fault": "rust"})
-    with pytest.raises(ArgumentError, match="faults=\\(\\): name some"):
+    with pytest.raises(ArgumentError, match="faults=\\(\\): some of org open"):
         Config(faults=())
 
 

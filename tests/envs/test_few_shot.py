@@ -81,7 +81,7 @@ def test_a_move_without_margin_does_not_hold_in_the_proof():
 def test_the_machine_is_the_one_that_was_drawn_and_stays_so_for_all_tries(env):
     given = {"payload": 3.0, "friction": 1.5, "supply": 0.95, "torque": 0.9, "switch": 0.25, "drift": 0.05}
     plain = FewShotTuning(1, Config(**SHORT))
-    before = plain.machine
+    before = plain.machines[0]
     _, info = env.reset(seed=2, options=given)
     assert {name: info[name] for name in given} == given
     angles = set()
@@ -170,8 +170,7 @@ def test_with_the_last_try_alone_a_policy_has_to_remember_and_without_an_encoder
 
 def test_every_split_draws_where_it_says_and_a_setting_comes_before_it():
     train = contexts.SPLITS["train"]
-    for name in contexts.WITHOUT_FAULTS:
-        differs = contexts.SPLITS[name]
+    for name, differs in contexts.SPLITS.items():
         config = Config(split=name)
         assert set(differs) <= set(train)
         for kind, ends in contexts.ranges(config).items():
@@ -190,7 +189,7 @@ def test_every_split_draws_where_it_says_and_a_setting_comes_before_it():
     env = make(split="heavy")
     with pytest.raises(ArgumentError, match=r"option payload=1: from 5\.0 to 10\.0 here"):
         env.reset(options={"payload": 1})
-    with pytest.raises(ArgumentError, match="axis='x': a stepper's slide"):
+    with pytest.raises(ArgumentError, match="axis x: it is no stepper's slide"):
         make(chip="HCTL1100")
 
 

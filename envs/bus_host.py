@@ -1,0 +1,185 @@
+"""The host of `stage/BusMacros-v1`: what it may say now, what it remembers of each axis, what it sees, and one that is scripted.
+
+It knows what it wrote and what it read: every answer here follows from these. bus_macros.py has the episodes and their judge.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from stage import portable
+from stage.envs import contexts
+from stage.envs.entries import HOST, Entry
+from stage.envs.machines import MachineTask
+from stage.envs.macros import OTHERS, RATES, Book
+from stage.envs.task import ConfigT
+from stage.native import record
+from stage.sim.fleet import Played
+
+SWITCHES = ("org", "el_minus", "el_plus")
+AXIS = record(
+    [(name, "i8") for name in "rates distance running fresh known zero seen target lost limit".split()]
+    + [("goal", "f8"), *((name, "?") for name in SWITCHES)]
+)
+"""What the host remembers of an axis (rates, distance: -1 none; zero, seen: pulses), its goal, and what the judge does: most steps
+lost, whether it stands at an end limit."""
+EPISODE = record(
+    [(name, "i8") for name in "level selected began before limits".split()] + [("potential", "f8"), ("usual", "f8")]
+)
+"""ns; end limits hit; the last potential; s, that the formula takes."""
+
+
+class BusHost(MachineTask[ConfigT]):
+    """The host's side of the task.
+
+    Attributes: axes; wired, of each the bits of SWITCHES in its inputs; book, the macros; axis_states, (n, axes) AXIS; episodes,
+    (n,) EPISODE.
+    """
+
+    axes: list[Any]
+    wired: list[list[int]]
+    book: Book
+    axis_states: np.ndarray
+    episodes: np.ndarray
+    _valid: np.ndarray
+    SEEN = (
+        Entry("known", HOST, "1 if the origin of the selected axis is known"),
+        Entry("running", HOST, "1 if it was started and not waited for"),
+        Entry("fresh", HOST, "1 while what was read of it is still true"),
+        Entry("rates", HOST, "that are written, one of 3"),
+        Entry("distance", HOST, "that is written, one of those of the grid"),
+        Entry("left", HOST, "way to the target as last read / the longest; 0 while the origin is not known"),
+        Entry("left_log", HOST, "likewise, by its logarithm with its sign"),
+        *(Entry(name, HOST, f"1 if {name} was asserted when last read") for name in SWITCHES),
+        Entry("used", HOST, "1 if it takes part", "axis"),
+        Entry("selected", HOST, "1 if macros act on it", "axis"),
+        Entry("moves", HOST, "1 if it was started and not waited for", "axis"),
+        Entry("arrived", HOST, "1 if its origin is known and no way is left, as last read", "axis"),
+        Entry("level", HOST, "/ 3"),
+        Entry("macros", HOST, "left / `macros`"),
+        Entry("time", HOST, "left / `time_limit`"),
+        *contexts.SHOWN,
+    )
+
+    def layout(self) -> list[Entry]:
+        of_axes = [e for e in self.SEEN if e.each]
+        at = self.SEEN.index(of_axes[0])
+        often = {"rates": len(RATES), "distance": len(self.config.grid)}
+        one = [e for e in self.SEEN[:at] for _ in range(often.get(e.name, 1))]
+        return [*one, *of_axes * len(self.axes), *self.SEEN[at + len(of_axes) :]]
+
+    # --- macros ---
+
+    @property
+    def used(self) -> np.ndarray:
+        """Which axes take part, (n, m) bool."""
+        return (np.arange(len(self.axes)) == 0) | (self.episodes["level"] >= 2)[:, None]
+
+    def masks(self) -> np.ndarray:
+        """What has an effect now, (n, actions) int8."""
+        s, c, e = self.written, self.config, self.episodes
+        idle = s["running"] == 0
+        able = idle & (s["rates"] >= 0) & (s["distance"] >= 0)
+        columns = [
+            *(idle & (s["rates"] != r) for r in range(len(RATES))), *(idle & (s["distance"] != d) for d in range(len(c.grid))),
+            able, able, idle & (e["level"] == 3), ~idle, s["fresh"] == 0,
+            *(self.used[:, a] & (e["selected"] != a) for a in range(len(self.axes))),
+        ]  # fmt: skip
+        return np.stack(columns, axis=1).astype(np.int8)
+
+    @property
+    def written(self) -> np.ndarray:
+        """What the host remembers of the axis that is selected, (n,)."""
+        return self.axis_states[np.arange(self.n), self.episodes["selected"]]
+
+    def programs(self) -> np.ndarray:
+        chosen, every = self.actions, np.arange(self.n)
+        self._valid = self.masks()[every, chosen] != 0
+        return self.book.programs(chosen, self.episodes["selected"], self.written, self._valid & self.active)
+
+    # --- what it remembers and sees ---
+
+    def _remember(self, played: Played, t: np.ndarray) -> None:
+        """What the host knows after the macros that were played."""
+        done = self._valid & self.sound
+        for kind, mine in self.book.of_kind.items():
+            rows = np.flatnonzero(done & mine[self.actions])
+            if not len(rows):
+                continue
+            axis = self.episodes["selected"][rows]
+            if kind == "select":
+                self.episodes["selected"][rows] = self.book.value[self.actions[rows]]
+                continue
+            s = self.axis_states[rows, axis]
+            if kind in ("rates", "distance"):
+                s[kind] = self.book.value[self.actions[rows]]
+            elif kind in ("plus", "minus"):
+                s["running"], s["fresh"] = 1, 0
+            elif kind == "wait":
+                s["running"], s["fresh"] = played.results[rows, 0] < 0, 0
+            elif kind == "read":
+                self._read(s, t[rows, axis], axis)
+            else:
+                self._homed(s, played.results[rows], t[rows, axis], axis)
+            self.axis_states[rows, axis] = s
+
+    def _read(self, s: np.ndarray, t: np.ndarray, axis: np.ndarray) -> None:
+        s["fresh"], s["seen"] = 1, t["pulses"]
+        pins = np.array(self.wired)[axis]
+        for j, name in enumerate(SWITCHES):
+            s[name] = t["inputs"] & pins[:, j] != 0
+
+    def _homed(self, s: np.ndarray, results: np.ndarray, t: np.ndarray, axis: np.ndarray) -> None:
+        for a in np.unique(axis):
+            mine = axis == a
+            s["known"][mine] = self.book.found(int(a), results[mine])
+        s["zero"], s["rates"], s["distance"] = t["pulses"], -1, -1
+        self._read(s, t, axis)
+
+    def observed(self) -> np.ndarray:
+        c, s, e, every, used = self.config, self.axis_states, self.episodes, self.written, self.used
+        ways = np.where(s["known"] != 0, s["target"] - (s["seen"] - s["zero"]), 0)
+        left = ways[np.arange(self.n), e["selected"]]
+        log = np.sign(left) * portable.log1p(np.abs(left) / c.grid[0]) / portable.log1p(2 * c.longest / c.grid[0])
+        one = [
+            every["known"] != 0, every["running"] != 0, every["fresh"] != 0, *(every["rates"] == r for r in range(len(RATES))),
+            *(every["distance"] == d for d in range(len(c.grid))), left / c.longest, log, *(every[name] for name in SWITCHES),
+        ]  # fmt: skip
+        selected = e["selected"][:, None] == np.arange(len(self.axes))
+        arrived = (s["known"] != 0) & (ways == 0)
+        of_axes = np.stack([used, selected, s["running"] != 0, arrived], axis=2) * used[:, :, None]
+        time = (e["before"] - e["began"]) * 1e-9
+        rest = [e["level"] / 3.0, 1.0 - self.steps / c.macros, 1.0 - time / c.time_limit]
+        columns = [np.stack(one, axis=1), of_axes.reshape(self.n, -1), np.stack(rest, axis=1)]
+        return np.clip(np.concatenate([*columns, self.placed], axis=1), -1.0, 1.0).astype(np.float32)
+
+    # --- a host ---
+
+    def scripted(self) -> np.ndarray:
+        """The next action of a host that goes to the target by the longest distances of the grid, one axis after the other."""
+        return np.array([self._next(k) for k in range(self.n)], np.int64)
+
+    def _next(self, k: int) -> int:
+        c, selected = self.config, int(self.episodes[k]["selected"])
+        at = {name: j for j, name in enumerate((*RATES, *c.grid, *OTHERS))}
+        for a, s in enumerate(self.axis_states[k]):
+            left = int(s["target"] - (s["seen"] - s["zero"]))
+            if not self.used[k, a] or (s["known"] and left == 0 and s["fresh"]):
+                continue
+            if a != selected:
+                return self.book.per + a
+            if s["running"]:
+                return at["wait"]
+            if not s["fresh"]:
+                return at["read"]
+            if not s["known"] and not s["org"]:
+                return at["home"]
+            if s["rates"] < 0:
+                return at["usual"]
+            wanted = int(np.argmin(np.abs(np.array(c.grid) - abs(left)))) if s["known"] else len(c.grid) - 1
+            if s["distance"] != wanted:
+                return at[c.grid[wanted]]
+            return at["minus" if s["known"] and left < 0 else "plus"]
+        return int(np.argmax(self.masks()[k]))

@@ -1,0 +1,140 @@
+"""Tasks on hidden machines: the settings that they share, their stage, and the machine of each episode.
+
+@dataclass(frozen=True)
+class Config(Machines):              split, model, chip, ranges, faults, bus_cycle and truth are there
+    FAULTS = faulty.HAMPERING        of the faults of a split those that its machines may have
+
+class MyTask(MachineTask[Config]):
+    prepare:   self.ready()          `machines`, `ranges`, `faults` and `context`, (n,) CONTEXT
+    begin:     self.draw(k, options)
+    step:      self.outfit(stage, k) after a stage was restored
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar
+
+import numpy as np
+
+from stage import Stage
+from stage.chips import Chip, chip_class
+from stage.envs import contexts, faulty
+from stage.envs.settings import AxisName, Cycle, Number, Pair, Payloads, Range, Settings, Truths, Word, Words
+from stage.envs.task import ConfigT, MoveTask, carrier
+from stage.errors import ArgumentError, unknown
+
+
+@dataclass(frozen=True)
+class Machines(Settings):
+    """Where the machines of the episodes come from. None: as the split has it."""
+
+    FAULTS: ClassVar[tuple[str, ...]] = faulty.HAMPERING
+    """That machines of this task may have."""
+    split: Annotated[str, Word(tuple(contexts.SPLITS))] = "train"
+    model: str | None = None
+    chip: str | type[Chip] | None = None
+    payloads: Payloads | None = None  # kg
+    frictions: Annotated[Pair, Range(1e-3)] | None = None  # times the model's
+    supplies: Annotated[Pair, Range(0.1, high=2.0)] | None = None  # times the nominal voltage
+    torques: Annotated[Pair, Range(0.1, high=2.0)] | None = None  # times the nominal torque constant
+    drifts: Annotated[Pair, Range(0.0, high=0.5)] | None = (
+        None  # electrical turns; of effect where a task has several tries
+    )
+    faults: Annotated[tuple[str, ...], Words(faulty.NAMES)] | None = None
+    healthy: Annotated[float, Number(high=1.0)] = 0.0  # share of machines without a fault, where there are faults
+    payload_on: AxisName | None = (
+        None  # body or site that carries it; None: site "work", else the body that the first axis moves
+    )
+    bus_cycle: Cycle = 1e-6  # s
+    truth: Truths = "info"  # where what no host can see is shown: entries.py
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.faults is not None and not self.faults:
+            raise ArgumentError(f"faults={self.faults!r}: some of {', '.join(self.FAULTS)}; or say healthy=1.0.")
+        for name in self.faults or ():
+            if name not in self.FAULTS:
+                raise unknown("fault of this task, in faults,", name, self.FAULTS)
+
+
+class MachineTask(MoveTask[ConfigT]):
+    """A task of steppers' slides on machines that the host does not know.
+
+    Attributes: machines, an axis each, as the model has them; ranges of a context; faults, names that may be drawn; context, (n,).
+    """
+
+    context: np.ndarray
+
+    @property
+    def slides(self) -> tuple[str, ...]:
+        """The names of the axes that take part."""
+        c: Any = self.config
+        return (c.axis,)
+
+    def stage(self, visuals: bool) -> Stage:
+        c: Any = self.config
+        model, chip = (contexts.setting(c, name) for name in ("model", "chip"))
+        made = Stage(model, chips=chip_class(chip), bus_cycle=c.bus_cycle, visuals=visuals)
+        for name in self.slides:
+            if name not in made.axes:
+                raise unknown(f"axis of model {model}", name, made.axes)
+            if made.axes[name].chip.SERVO or made.axes[name].unit != "m":
+                raise ArgumentError(f"axis {name}: it is no stepper's slide, and this task is of those.")
+        return made
+
+    def ready(self) -> None:
+        """For `prepare`, on stages that nobody has changed."""
+        c: Any = self.config
+        first, names = self.stages[0], self.slides
+        on = carrier(first, names[0], c.payload_on)
+        self.machines = [contexts.Machine.of(first, name, on) for name in names]
+        self.faulty = [faulty.Faulty.of(first, name) for name in names]
+        self.ranges = contexts.ranges(c)
+        self.faults = tuple(name for name in contexts.setting(c, "faults") if name in c.FAULTS)
+        self.context = np.zeros(self.n, contexts.CONTEXT)
+
+    def draw(self, k: int, options: Mapping[str, Any], axes: int | None = None) -> None:
+        """The machine of stage k's episode. axes: of how many a fault may be, default of all."""
+        contexts.draw(self.rngs[k], self.ranges, self.context[k], options)
+        self.draw_fault(k, options, self.beside(k), len(self.machines) if axes is None else axes)
+
+    def beside(self, k: int) -> np.random.Generator:
+        """Numbers beside those that stage k draws from now on: whoever uses them changes none of those."""
+        bits: Any = self.rngs[k].bit_generator
+        return np.random.Generator(bits.jumped())
+
+    def draw_fault(self, k: int, options: Mapping[str, Any], rng: np.random.Generator, axes: int) -> None:
+        c: Any = self.config
+        faulty.draw(rng, self.faults, c.healthy, axes, self.context[k])
+        if "fault" in options:
+            if options["fault"] not in (known := ("none", *c.FAULTS)):
+                raise unknown("option fault", options["fault"], known)
+            self.context[k]["fault"] = faulty.NAMES.index(options["fault"])
+
+    def outfit(self, stage: Stage, k: int, more: float = 0.0, bounce: float = 0.0) -> None:
+        """A stage is the machine of stage k's episode, `more` kg heavier; the contacts of ORG bounce for so many seconds."""
+        context = self.context[k]
+        fault, at = int(context["fault"]), int(context["faulty"])
+        for machine in self.machines:
+            machine.equip(stage, context, more + faulty.overload(fault))
+        for j, axis in enumerate(self.faulty):
+            axis.put(stage, faulty.NAMES[fault if j == at else 0], bounce)
+
+    def equip(self, k: int) -> None:
+        self.outfit(self.stages[k], k)
+
+    def described(self, k: int) -> dict[str, Any]:
+        """What an info has of stage k's machine, after a reset."""
+        return {name: kind(self.context[k][name]) for name, kind in contexts.INFO.items()}
+
+    @property
+    def told_of_machines(self) -> dict[str, np.ndarray]:
+        """What an info has of the machines, after a step."""
+        return {name: self.context[name] for name in contexts.INFO}
+
+    @property
+    def placed(self) -> np.ndarray:
+        """What an observation with truth=True has of the machines, (n, SHOWN)."""
+        return contexts.placed(self.ranges, self.context)

@@ -1,0 +1,92 @@
+"""Entries that are published: each is replayed, bit for bit, a few episodes every day and all of them in the long checks."""
+
+import dataclasses
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stage import bench
+from stage.bench.cards import CARDS
+from stage.bench.files import Submission
+from stage.bench.versions import versions
+
+FOLDER = Path(__file__).parents[2] / "docs" / "data" / "entries"
+FILES = sorted(FOLDER.glob("*.bench"))
+SAME = ("mujoco", "numpy", "system")
+"""Versions with which an entry promises its bits."""
+FEW = 2  # episodes
+TASKS = ("line", "one-shot", "few-shot", "bus-target")
+DAILY = [min(FOLDER.glob(f"{task}-*.bench"), key=lambda p: p.stat().st_size) for task in TASKS]
+"""The shortest of each task."""
+
+
+def part(entry: Submission, episodes: int) -> Submission:
+    """The first episodes of an entry."""
+    steps = int(entry.steps[:episodes].sum())
+    return dataclasses.replace(
+        entry, seeds=entry.seeds[:episodes], steps=entry.steps[:episodes], actions=entry.actions[:steps],
+        rewards=entry.rewards[:steps], seen=entry.seen[: steps + episodes],
+        scores={name: values[:episodes] for name, values in entry.scores.items()},
+    )  # fmt: skip
+
+
+def bits_are_promised(entry: Submission) -> None:
+    here = versions()
+    if other := [f"{name} {entry.versions[name]}" for name in SAME if entry.versions[name] != here[name]]:
+        pytest.skip(f"made with {', '.join(other)}")
+
+
+def test_files_are_named_by_what_is_in_them_and_every_task_that_was_played_has_the_random_player():
+    played = {}
+    for path in FILES:
+        e = bench.read(path)
+        assert path.name.startswith(f"{e.task}-{e.split}-"), path
+        assert path.name.endswith(f"-{e.run}.bench"), path
+        assert len(e.seeds) == CARDS[e.task].episodes, path
+        played.setdefault(e.task, set()).add(e.player)
+    assert played
+    assert all("random" in players for players in played.values()), played
+
+
+@pytest.mark.parametrize("path", DAILY, ids=lambda p: p.stem)
+def test_a_published_entry_of_each_task_is_what_was_played(path):
+    entry = bench.read(path)
+    bits_are_promised(entry)
+    verdict = bench.verify(part(entry, FEW))
+    assert verdict.exact, verdict
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", FILES, ids=lambda p: p.stem)
+def test_a_published_entry_is_what_was_played_to_its_last_episode(path):
+    bits_are_promised(bench.read(path))
+    verdict = bench.verify(path)
+    assert verdict.exact, verdict
+    assert verdict.whole
+
+
+def test_a_published_entry_with_one_other_action_is_found_out():
+    entry = part(bench.read(FOLDER / "line-train-random-0.bench"), 1)
+    bits_are_promised(entry)
+    actions = entry.actions.copy()
+    actions[0, 0] = np.float32(-0.9)
+    assert not bench.verify(dataclasses.replace(entry, actions=actions)).ok
+
+
+@pytest.mark.slow
+def test_the_bits_do_not_depend_on_what_numpy_makes_of_the_processor():
+    """`stage bench-verify docs/data/entries/bus-target-train-scripted-0.bench`, on processors with AVX-512 and without."""
+    path = FOLDER / "bus-target-train-scripted-0.bench"
+    bits_are_promised(bench.read(path))
+    for disabled in ("", "X86_V4 AVX512_ICL"):
+        done = subprocess.run(
+            [sys.executable, "-c", f"from stage import bench; print(bench.verify({str(path)!r}).exact)"],
+            env=os.environ | {"NPY_DISABLE_CPU_FEATURES": disabled},
+            capture_output=True,
+            text=True,
+        )
+        assert done.stdout.strip() == "True", done.stderr

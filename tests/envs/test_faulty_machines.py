@@ -1,0 +1,101 @@
+"""Faults of hidden machines: every task has some that its learner has not seen, and they change nothing but the machine."""
+
+from importlib import import_module
+
+import gymnasium
+import numpy as np
+import pytest
+
+import stage.envs
+from stage import ArgumentError
+from stage.envs import contexts, faulty
+from stage.envs.few_shot import action_of
+
+SHORT = {
+    "stage/FewShotTuning-v1": {"distances": (1600, 2000), "tries": 2, "proofs": 1, "settle": 0.01},
+    "stage/OneShotTuning-v1": {"distances": (1600, 2000), "proofs": 1, "settle": 0.01},
+    "stage/SynchronizedLine-v1": {"distances": (300, 900), "proofs": 1, "rest": 0.01},
+    "stage/DriftingHome-v1": {"returns": 2, "limit": 1.0, "settle": 0.01},
+    "stage/BusMacros-v1": {"level": "axes"},
+}
+GIVEN = {"payload": 1.0, "friction": 1.0, "supply": 1.0, "torque": 0.8}
+
+
+def make(id_, **settings):
+    return gymnasium.make(id_, disable_env_checker=True, **{"model": "xy", **SHORT[id_]} | settings).unwrapped
+
+
+def faults(id_):
+    return import_module(f"stage.envs.{stage.envs.IDS[id_].split(':')[0]}").Config.FAULTS
+
+
+@pytest.mark.parametrize("id_", SHORT)
+def test_the_split_faults_has_faults_that_train_has_not_and_all_else_is_the_same(id_):
+    train, test = make(id_), make(id_, split="faults")
+    seen = {name: set() for name in ("train", "faults")}
+    for seed in range(40 if id_ == "stage/DriftingHome-v1" else 16):
+        (first, a), (second, b) = (env.reset(seed=seed) for env in (train, test))
+        seen["train"].add(faulty.NAMES[a.pop("fault")])
+        seen["faults"].add(faulty.NAMES[b.pop("fault")])
+        assert str(a) == str(b), "what the machine is beside its fault"
+        told = 1 if id_ == "stage/DriftingHome-v1" else 0  # there ORG is the first, and it may be stuck
+        assert np.array_equal(first[told:], second[told:]), "nobody is told"
+    known = set(contexts.SPLITS["faults"]["faults"]) & set(faults(id_))
+    assert seen["faults"] - {"none"} == known
+    assert not (seen["train"] & seen["faults"]) - {"none"}
+    assert id_ == "stage/DriftingHome-v1" or (seen["train"] == {"none"} and "none" not in seen["faults"])
+
+
+@pytest.mark.parametrize("fault", faulty.HAMPERING)
+def test_a_machine_that_is_hampered_loses_steps_where_a_healthy_one_does_not_and_still_makes_the_usual_moves(fault):
+    env = make("stage/FewShotTuning-v1", proofs=0)
+    moves = {"brisk": action_of(1500, 96_000, 0.025, 0.025), "usual": action_of(1000, 16_000, 0.15, 0.15)}
+    kept = {}
+    for name in ("none", fault):
+        env.reset(seed=1, options={**GIVEN, "fault": name, "distance": 2000})
+        for what, action in moves.items():
+            *_, info = env.step(action)
+            kept[name, what] = info["kept"]
+            assert faulty.NAMES[info["fault"]] == name
+    assert kept == {("none", "brisk"): True, ("none", "usual"): True, (fault, "brisk"): False, (fault, "usual"): True}
+
+
+def test_a_fault_of_a_machine_with_two_axes_is_on_one_of_them_and_only_where_it_takes_part():
+    env = make("stage/BusMacros-v1", split="faults")
+    dofs = [env.stage.axes[name].plant.dof for name in ("x", "y")]
+    hit = []
+    for level, n in (("axes", 12), ("target", 6)):
+        for seed in range(n):
+            env.reset(seed=seed, options={"fault": "none", "level": level})
+            healthy = env.stage.model.dof_frictionloss[dofs].copy()
+            env.reset(seed=seed, options={"fault": "binding", "level": level})
+            hit.append((env.stage.model.dof_frictionloss[dofs] > healthy).tolist())
+            assert sum(hit[-1]) == 1
+    assert {tuple(h) for h in hit[:12]} == {(True, False), (False, True)}
+    assert {tuple(h) for h in hit[12:]} == {(True, False)}
+
+
+def test_the_contact_of_org_bounces_and_an_origin_is_found_all_the_same():
+    env = make("stage/BusMacros-v1", level="origin", axes=("x",))
+    for fault in ("none", "bounce"):
+        _, info = env.reset(seed=3, options={**GIVEN, "fault": fault, "targets": {"x": 64}})
+        switch = env.stage.state.switch_table[env.stage.axes["x"].switches.row("org")]
+        assert switch["bounce"] == (1_000_000 if fault == "bounce" else 0)
+        over = False
+        while not over:
+            *_, ended, cut, info = env.step(env.scripted())
+            over = ended or cut
+        assert info["score"]["success"]
+
+
+def test_a_fault_that_a_task_does_not_have_is_named():
+    with pytest.raises(ArgumentError, match="unknown fault of this task, in faults, 'jam'"):
+        make("stage/BusMacros-v1", faults=("jam",))
+    with pytest.raises(ArgumentError, match="unknown option fault 'org open'"):
+        make("stage/FewShotTuning-v1").reset(options={"fault": "org open"})
+    with pytest.raises(ArgumentError, match=r"faults=\(\): some of binding, sag, overload; or say healthy=1.0"):
+        make("stage/FewShotTuning-v1", faults=())
+    env = make("stage/OneShotTuning-v1", faults=("sag",), healthy=0.5)
+    drawn = [env.reset(seed=seed)[1]["fault"] for seed in range(16)]
+    assert {faulty.NAMES[k] for k in drawn} == {"none", "sag"}
+    assert 4 <= drawn.count(0) <= 12

@@ -1,0 +1,64 @@
+"""Logarithms and the like have the same bits on every processor: not NumPy's own forms, and nobody in stage.envs uses those."""
+
+import ast
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stage import portable
+
+ROOT = Path(__file__).parents[1]
+OWN = (
+    "log log2 log10 log1p exp exp2 expm1 power float_power cbrt sin cos tan arcsin arccos arctan arctan2 sinh cosh tanh "
+    "geomspace logspace"
+)
+"""Functions of which NumPy has forms for one processor or the other."""
+
+
+@pytest.mark.parametrize("name", ["log", "log1p", "exp", "cbrt"])
+def test_each_number_of_an_array_is_the_c_library_s_wherever_it_stands(name):
+    mine, plain = getattr(portable, name), getattr(math, name)
+    values = np.random.default_rng(7).uniform(1e-3, 500.0, (9, 8))
+    wanted = [[plain(v) for v in row] for row in values.tolist()]
+    assert mine(values).tolist() == wanted
+    assert mine(values[:, ::3]).tolist() == [row[::3] for row in wanted]
+    assert mine(values.T).T.tolist() == wanted
+    assert mine(float(values[0, 0])) == wanted[0][0]
+    assert np.allclose(mine(values), getattr(np, name)(values), rtol=1e-14)
+
+
+def test_ends_are_as_numpy_has_them():
+    with np.errstate(all="ignore"):
+        for name, values in {
+            "log": (0, np.inf, -1, np.nan),
+            "log1p": (-1, np.inf, -2, np.nan),
+            "exp": (1e4, -1e4, np.nan),
+        }.items():
+            assert np.array_equal(
+                getattr(portable, name)(values), getattr(np, name)(np.array(values, float)), equal_nan=True
+            ), name
+    assert portable.log(()).shape == (0,)
+
+
+def test_powers_and_spaces_of_equal_ratios():
+    x, e = np.linspace(0, 3, 7), np.array([1.0, 3.0, 1 / 3, 1.0, 3.0, 1 / 3, 1.0])
+    assert portable.power(x, e).tolist() == [math.pow(a, b) for a, b in zip(x.tolist(), e.tolist(), strict=True)]
+    assert portable.power(2.0, x).shape == (7,)
+    found = portable.geomspace(0.003, 0.8, 50)
+    assert found == pytest.approx(np.geomspace(0.003, 0.8, 50), rel=1e-13)
+    assert (found[0], found[-1]) == (0.003, 0.8)
+
+
+@pytest.mark.parametrize(
+    "path", [*sorted((ROOT / "envs").glob("*.py")), ROOT / "stage" / "tune" / "formula.py"], ids=lambda p: p.stem
+)
+def test_no_environment_takes_what_numpy_has_for_one_processor_alone(path):
+    used = [
+        n
+        for n in ast.walk(ast.parse(path.read_text()))
+        if isinstance(n, ast.Attribute) and isinstance(n.value, ast.Name)
+    ]
+    names = {f"np.{n.attr} in line {n.lineno}" for n in used if n.value.id == "np" and n.attr in OWN.split()}
+    assert not names
