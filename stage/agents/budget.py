@@ -40,16 +40,15 @@ class Budget:
 
 
 class Meter:
-    """Counts for one stage. moves, cycles, ns: what is used; patience: s of real time that a call may take, None for any.
-
-    longest: s of simulated time that a call may take."""
+    """Counts for one stage. moves, cycles, ns: what is used; patience: s of real time that a call may take, None for any;
+    longest: s of simulated time that a call may take; over: the session is to end."""
 
     def __init__(self, stage: Stage, budget: Budget, patience: float | None = None, longest: float = LONGEST):
         self.budget, self.patience, self.longest = budget, patience, longest
         self.moves = self.cycles = self.ns = 0
+        self.over = False  # set by another thread, which ends the session
         self._stage = stage
         self._until_ns, self._until = 0, math.inf
-        self._limited = False
 
     def begin(self) -> None:
         """A call begins: from now on time and cycles count."""
@@ -104,6 +103,8 @@ class Meter:
                 f"one call may take {self.longest:g} s of simulated time, and that has passed; the stage stands as it is now. "
                 "Ask for less, or call wait again and go on."
             )
+        if self.over:
+            raise StageError("the session was ended while this call was made.")
         if monotonic() > self._until:
             raise StageError(
                 f"one call may compute for {self.patience:g} s, and has; the stage stands as it is now. Ask for less at a time."

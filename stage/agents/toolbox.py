@@ -43,8 +43,8 @@ class Toolbox:
         more: tools beside the usual ones.
     Raises ArgumentError.
 
-    Attributes: tools, by name; meter: what is used; reports: of the last procedure, None before; notes: diagnostics, one a chip;
-        traces: the bus in words, one a chip.
+    Attributes: tools, by name; meter: what is used; report: of the last procedure, None before; recordings: who keeps some, or
+        None; notes: diagnostics, one a chip; traces: the bus in words, one a chip.
     """
 
     def __init__(
@@ -69,6 +69,7 @@ class Toolbox:
         self.meter = Meter(stage, budget or Budget(), patience)
         self.axes = tuple(stage.axes)
         self.report: Any = None
+        self.recordings: Any = None
         self.calls = 0
         self._lock, self._closed = threading.Lock(), ""
         self._drivers: dict[str, Driver] = {}
@@ -129,6 +130,8 @@ class Toolbox:
             self.meter.end()
             for trace in self.traces:
                 trace.look()
+            if self.recordings is not None:
+                self.recordings.bound()
         if isinstance(made, Picture):
             return Answer(True, {"text": made.said}, made.png)
         return Answer(True, {"text": made} if isinstance(made, str) else dict(made))
@@ -139,6 +142,10 @@ class Toolbox:
             self.report = report
             data["report"] = motion.told(report, self.mode)
         return Answer(False, data)
+
+    def interrupt(self) -> None:
+        """From another thread: a call that is being made ends soon, in words."""
+        self.meter.over = True
 
     def close(
         self, why: str = "this session has ended: its stage is gone. Open a new session, which begins at power-up."

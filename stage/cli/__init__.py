@@ -26,6 +26,7 @@ examples:
   stage bench-submit formula -o formula.bench    plays the test episodes of a benchmark; `stage bench-verify` replays them
   stage run driver.c --chips pcl240mk     firmware in C drives the chips
   stage panel xy                          a live stage in a browser
+  stage mcp xy                            tools for agents, by the Model Context Protocol
   stage serve --chips mcx304              the chips behind a TCP port, for a host elsewhere
   stage fault                             what can break; `stage fault jam --plot jam.png` breaks it
   stage export demo.rrd -o demo.csv       the columns of a recording as a table
@@ -76,8 +77,12 @@ def _main(argv: Sequence[str] | None) -> int:
 def build_parser() -> Parser:
     """The whole command line; cheap: nothing heavy is imported before a command runs."""
     from stage import __version__
+<<<<<<< HEAD
     from stage.cli.arguments import data, faults, firmware, moves, tools, tuning
     from stage.cli.parser import Parser
+=======
+    from stage.cli.arguments import agents, data, faults, firmware, moves, tools, tuning
+>>>>>>> c6ecaeb (stage mcp: the tools for any client of the Model Context Protocol, a stage for each session)
 
     parser = Parser(
         prog="stage",
@@ -87,6 +92,6 @@ def build_parser() -> Parser:
     parser.add_argument("--version", action="version", version=f"pulsestage {__version__}")
     parser.set_defaults(run=None)
     commands = parser.add_subparsers(title="commands", metavar="COMMAND")
-    for group in (moves, tuning, firmware, faults, data, tools):
+    for group in (moves, tuning, agents, firmware, faults, data, tools):
         group.add(commands)
     return parser

@@ -1,0 +1,40 @@
+"""The transport of desktop clients: one session over standard input and output, for as long as the client lives."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import anyio
+import anyio.to_thread
+from mcp.server.stdio import stdio_server
+
+from stage.agents.server.protocol import Protocol
+from stage.agents.server.sessions import Maker, Sessions
+
+ONE = "stdio"
+
+
+def serve(maker: Maker) -> None:
+    """Until the client closes standard input, or dies."""
+    anyio.run(_serve, maker)
+
+
+async def _serve(maker: Maker) -> None:
+    forever = float("inf")
+    sessions = Sessions(maker, most=1, idle=forever, life=forever)
+    server = Protocol(maker, sessions, lambda ctx: ONE, modern=True, threads=2).server
+    try:
+        async with stdio_server() as (reading, writing), anyio.create_task_group() as group:
+            passed_on, taken = anyio.create_memory_object_stream[Any](0)
+            group.start_soon(_relay, reading, passed_on, sessions)
+            await server.run(taken, writing, server.create_initialization_options())
+    finally:
+        sessions.close_all()
+
+
+async def _relay(reading: Any, passed_on: Any, sessions: Sessions) -> None:
+    """Pass on what the client says. When it has gone, a call that is being made ends, and need not be waited for."""
+    async with passed_on, reading:
+        async for message in reading:
+            await passed_on.send(message)
+        await anyio.to_thread.run_sync(sessions.close_all)

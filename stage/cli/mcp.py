@@ -1,0 +1,45 @@
+"""The command mcp: the tools of a stage for clients of the Model Context Protocol."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+
+from stage.cli.setup import make_stage
+from stage.errors import ArgumentError, StageError
+
+TOKEN = "PULSESTAGE_TOKEN"
+
+
+def run(args: argparse.Namespace) -> int:
+    """Serve until the client goes, or until Ctrl-C or SIGTERM."""
+    try:
+        import mcp_types  # noqa: F401
+    except ImportError as error:
+        raise StageError("agents' clients need the package mcp: pip install 'pulsestage[agents]'.") from error
+    from stage.agents.budget import Budget
+    from stage.agents.server.sessions import Maker, Sessions
+
+    for name in ("idle", "sessions"):
+        if not getattr(args, name) > 0:
+            raise ArgumentError(f"--{name} {getattr(args, name)}: more than 0.")
+    if args.folder is not None and not os.path.isdir(args.folder):
+        raise ArgumentError(f"--folder {args.folder}: there is no such folder. Make it first.")
+    budget = Budget(args.moves, args.seconds, args.cycles)
+    maker = Maker(
+        lambda: make_stage(args, visuals=False), args.mode, budget, not args.no_snapshots, args.patience, args.folder
+    )
+    if not args.http:
+        from stage.agents.server.stdio import serve
+
+        serve(maker)
+        return 0
+    from stage.agents.server.http import HttpServer
+
+    _ = maker.first  # what is wrong with the stage is said before anybody connects
+    server = HttpServer(maker, Sessions(maker, args.sessions, args.idle), args.port, os.environ.get(TOKEN))
+    print(f"{server.address}\nAuthorization: Bearer {server.token}\nCtrl-C ends it", flush=True)
+    server.run()
+    print("ended", file=sys.stderr)
+    return 0

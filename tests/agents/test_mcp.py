@@ -1,0 +1,260 @@
+"""The server by the official client, over both transports: tools, resources, prompts, sessions; who may come in, who has gone."""
+
+import asyncio
+import base64
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+pytest.importorskip("mcp")
+
+from support.mcp_served import Served, over_stdio
+
+
+@pytest.fixture(scope="module")
+def served():
+    served = Served()
+    yield served
+    served.close()
+    assert len(served.sessions) == 0
+
+
+async def tour(client):
+    """What a client does first; the same over each transport."""
+    tools = (await client.list_tools()).tools
+    homed = await client.call_tool("home", {"axis": "x"})
+    assert not homed.is_error
+    assert homed.structured_content["stopped_by"] == "ORG"
+    assert json.loads(homed.content[0].text) == homed.structured_content
+    wrong = await client.call_tool("write_register", {"axis": "x", "name": "R4", "value": 20000})
+    assert wrong.is_error
+    assert "from 2 to 16383" in wrong.content[0].text
+    unknown = await client.call_tool("mvoe", {})
+    assert unknown.is_error
+    assert "Did you mean 'move'" in unknown.content[0].text
+    moved = json.loads((await client.read_resource("stage://recording/last")).contents[0].text)
+    assert moved["move"] == "origin return"
+    asked = (await client.get_prompt("find_lost_steps", {"axis": "Y"})).messages[0].content.text
+    assert "axis y" in asked
+    return [t.name for t in tools]
+
+
+def test_http_has_what_a_client_needs(served):
+    assert "move" in served.talk(tour)
+
+
+def test_stdio_has_the_same(served):
+    assert over_stdio(tour) == served.talk(lambda client: tour(client))
+
+
+def test_every_tool_is_called_by_its_schema(served):
+    jsonschema = pytest.importorskip("jsonschema")
+
+    async def work(client):
+        for tool in (await client.list_tools()).tools:
+            jsonschema.Draft202012Validator.check_schema(tool.input_schema)
+            assert tool.description
+            answer = await client.call_tool(tool.name, {})
+            assert "Traceback" not in answer.content[0].text
+            assert answer.is_error == bool(tool.input_schema["required"] or tool.name in ("report", "picture"))
+
+    served.talk(work)
+
+
+def test_sessions_have_stages_of_their_own_and_end_with_their_clients(served):
+    async def work():
+        async with served.client() as one, served.client() as other:
+            await one.call_tool("move", {"axis": "x", "pulses": 400})
+            await other.call_tool("budget", {})
+            assert len(served.sessions) == 2
+            used = [(await c.call_tool("budget", {})).structured_content["used"]["moves"] for c in (one, other)]
+            assert used == [1, 0]
+
+    asyncio.run(work())
+    assert len(served.sessions) == 0
+
+
+def test_a_picture_comes_as_an_image(served):
+    pytest.importorskip("matplotlib")
+
+    async def work(client):
+        await client.call_tool("move", {"axis": "x", "pulses": 100})
+        return (await client.call_tool("picture", {})).content[1]
+
+    image = served.talk(work)
+    assert image.mime_type == "image/png"
+    assert base64.b64decode(image.data).startswith(b"\x89PNG")
+
+
+def test_resources_tell_the_chip(served):
+    async def work(client):
+        texts = {}
+        for r in (await client.list_resources()).resources:
+            if "recording" not in str(r.uri):
+                texts[str(r.uri)] = (await client.read_resource(r.uri)).contents[0].text
+        return texts
+
+    texts = served.talk(work)
+    assert json.loads(texts["stage://axes"])["axes"]["x"]["chip"] == "PCL240K"
+    assert "ramping-down point" in texts["stage://chips/PCL240K/registers"]
+    assert "4,915,200 Hz" in texts["stage://chips/PCL240K/facts"]
+
+
+@pytest.mark.parametrize(
+    "uri", ["file:///etc/passwd", "stage://chips/../axes", "stage://chips/PCL240/facts", "http://127.0.0.1/"]
+)
+def test_no_other_resource_can_be_read(served, uri):
+    from mcp.shared.exceptions import MCPError
+
+    async def work(client):
+        with pytest.raises(MCPError, match="Known: stage://axes"):
+            await client.read_resource(uri)
+        with pytest.raises(MCPError, match="nothing has been recorded"):
+            await client.read_resource("stage://recording/last")
+
+    served.talk(work)
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "said"),
+    [
+        ("tune_mvoe", {}, "Did you mean 'tune_move'"),
+        ("tune_move", {"axis": "q"}, "Known: x, y"),
+        ("tune_move", {"speed": "1"}, "takes no argument"),
+        ("tune_move", {"distance": "\n"}, "printable"),
+    ],
+)
+def test_prompts_refuse_in_words(served, name, given, said):
+    from mcp.shared.exceptions import MCPError
+
+    async def work(client):
+        with pytest.raises(MCPError, match=said):
+            await client.get_prompt(name, given)
+
+    served.talk(work)
+
+
+# --- who comes in ---
+
+
+def asked(served, method="POST", **headers):
+    import httpx2
+
+    head = {"Accept": "application/json, text/event-stream", "Authorization": f"Bearer {served.server.token}"}
+    head = {k: v for k, v in {**head, **headers}.items() if v}
+    body = {"jsonrpc": "2.0", "id": 1, "method": "tools/call", "params": {"name": "budget", "arguments": {}}}
+    return httpx2.request(method, served.server.address, json=body, headers=head)
+
+
+@pytest.mark.parametrize("given", ["", "Bearer nonsense", "Bearer", "Basic x", "Bearer \u00e9".encode("latin1")])
+def test_without_the_token_nobody_comes_in(served, given):
+    before = len(served.sessions)
+    refused = asked(served, Authorization=given)
+    assert refused.status_code == 401
+    assert "Authorization: Bearer" in refused.text
+    assert len(served.sessions) == before
+
+
+def test_pages_of_other_sites_are_refused(served):
+    assert asked(served, Host="evil.example").status_code >= 400
+    assert asked(served, Origin="http://evil.example").status_code >= 400
+
+
+def test_a_request_without_a_session_is_told_to_open_one(served):
+    said = asked(served, **{"MCP-Protocol-Version": "2025-11-25"})
+    assert said.status_code == 400
+    assert asked(served, **{"mcp-session-id": "f" * 32}).status_code == 404
+    assert len(served.sessions) == 0
+
+
+def test_a_request_is_of_bounded_size(served):
+    import httpx2
+
+    head = {"Authorization": f"Bearer {served.server.token}", "Content-Type": "application/json"}
+    assert httpx2.post(served.server.address, content=b"[" * 1_000_000, headers=head).status_code == 413
+
+
+def test_a_session_that_was_ended_says_so(served):
+    async def work(client):
+        await client.call_tool("budget", {})
+        served.sessions.close_all()
+        return await client.call_tool("budget", {})
+
+    answer = served.talk(work)
+    assert answer.is_error
+    assert "this session has ended" in answer.content[0].text
+
+
+@pytest.mark.slow
+def test_a_client_whose_line_breaks_leaves_no_stage(served, monkeypatch):
+    """As one that was killed: it closes nothing, its sockets break."""
+    monkeypatch.setattr(served.sessions, "grace", 0.0)
+    code = f"""
+import asyncio, os, sys, time
+sys.path.insert(0, {os.path.dirname(os.path.dirname(__file__))!r})
+import httpx2
+from mcp import Client
+from mcp.client.streamable_http import streamable_http_client
+async def work():
+    http = httpx2.AsyncClient(headers={{"Authorization": "Bearer {served.server.token}"}}, timeout=60)
+    async with Client(streamable_http_client("{served.server.address}", http_client=http)) as client:
+        await client.call_tool("move", {{"axis": "x", "pulses": 100}})
+        print("moved", flush=True)
+        await asyncio.sleep(60)
+asyncio.run(work())
+"""
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout.readline() == "moved\n"
+        assert len(served.sessions) == 1
+        process.send_signal(signal.SIGKILL)
+    end = time.monotonic() + 30
+    while len(served.sessions) and time.monotonic() < end:
+        time.sleep(0.05)
+    assert len(served.sessions) == 0
+
+
+@pytest.mark.slow
+def test_a_server_whose_client_was_killed_ends():
+    """In the middle of a call that would take a while."""
+    command = [sys.executable, "-m", "stage", "mcp", "xy"]
+    begin = {
+        "protocolVersion": "2025-11-25", "capabilities": {}, "clientInfo": {"name": "test", "version": "0"},
+    }  # fmt: skip
+    lines = [
+        {"jsonrpc": "2.0", "id": 0, "method": "initialize", "params": begin},
+        {"jsonrpc": "2.0", "method": "notifications/initialized"},
+        {"jsonrpc": "2.0", "id": 1, "method": "tools/call", "params": {"name": "wait", "arguments": {"seconds": 1e-3}}},
+        {"jsonrpc": "2.0", "id": 2, "method": "tools/call", "params": {"name": "wait", "arguments": {"seconds": 120}}},
+    ]
+    with subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        process.stdin.write("this is no JSON\n")
+        for line in lines:
+            process.stdin.write(json.dumps(line) + "\n")
+        process.stdin.flush()
+        while '"id":1' not in process.stdout.readline():
+            pass
+        process.stdin.close()
+        assert process.wait(60) == 0
+        assert "waited_s" not in process.stdout.read()  # it did not wait for the end of the call
+        assert "Traceback" not in process.stderr.read()
+
+
+def test_the_command_says_what_is_wrong(capsys):
+    from stage.cli import main
+
+    for arguments, said in (
+        (["mcp", "xq", "--http"], "Did you mean"),
+        (["mcp", "--folder", "/nowhere"], "no such folder"),
+        (["mcp", "--moves", "-1"], "0 or more"),
+        (["mcp", "--http", "--idle", "0"], "more than 0"),
+        (["mcp", "xy", "--http", "--port", "70000"], "Choose another port"),
+    ):
+        assert main(arguments) == 2
+        assert said in capsys.readouterr().err

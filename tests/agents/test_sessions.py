@@ -1,0 +1,109 @@
+"""Sessions: each its own stage; bounded in number, time and life; a late caller is told."""
+
+import threading
+import time
+
+import pytest
+
+from stage import Stage
+from stage.agents import Budget
+from stage.agents.server.sessions import Maker, Sessions
+from stage.errors import StageError
+
+
+@pytest.fixture(scope="module")
+def maker():
+    return Maker(lambda: Stage("xy", visuals=False), budget=Budget(moves=3))
+
+
+class Clock:
+    now = 0.0
+
+    def __call__(self):
+        return self.now
+
+
+@pytest.fixture
+def clock():
+    return Clock()
+
+
+def test_each_session_has_a_stage_of_its_own(maker):
+    sessions = Sessions(maker)
+    sessions.box("a").call("move", {"axis": "x", "pulses": 500})
+    assert sessions.box("a").stage.axes["x"].chip.net() == 500
+    assert sessions.box("b").stage.axes["x"].chip.net() == 0
+    assert sessions.box("b").call("budget").data["left"]["moves"] == 3
+    assert sessions.box("a") is sessions.box("a")
+    sessions.close_all()
+    assert len(sessions) == 0
+
+
+def test_the_first_stage_and_the_catalogue_stay_at_power_up(maker):
+    sessions = Sessions(maker)
+    sessions.box("a").call("move", {"axis": "x", "pulses": 500})
+    assert maker.first.time == maker.catalogue.stage.time == 0
+    assert list(maker.catalogue.tools) == list(sessions.box("a").tools)
+
+
+def test_a_silent_session_ends_and_a_late_caller_is_told(maker, clock):
+    sessions = Sessions(maker, idle=60, clock=clock)
+    box = sessions.box("a")
+    clock.now = 59
+    assert sessions.reap() == 0
+    sessions.box("a")
+    clock.now = 120
+    assert sessions.reap() == 1
+    assert box.closed
+    with pytest.raises(StageError, match="this session has ended"):
+        sessions.box("a")
+
+
+def test_a_client_that_has_gone_may_come_back_for_a_while(maker, clock):
+    sessions = Sessions(maker, grace=10, clock=clock)
+    sessions.box("a")
+    sessions.gone("a")
+    sessions.gone("nobody")
+    clock.now = 9
+    assert sessions.reap() == 0
+    sessions.box("a")  # it is back
+    clock.now = 30
+    assert sessions.reap() == 0
+    sessions.gone("a")
+    clock.now = 41
+    assert sessions.reap() == 1
+
+
+def test_a_session_does_not_live_for_ever(maker, clock):
+    sessions = Sessions(maker, life=100, clock=clock)
+    for clock.now in range(0, 100, 10):
+        sessions.box("a")
+    clock.now = 101
+    assert sessions.reap() == 1
+
+
+def test_there_are_only_so_many(maker, clock):
+    sessions = Sessions(maker, most=2, idle=60, clock=clock)
+    sessions.box("a"), sessions.box("b")
+    with pytest.raises(StageError, match="2 sessions are open"):
+        sessions.box("c")
+    clock.now = 61  # the others have fallen silent
+    assert sessions.box("c").call("budget").ok
+
+
+def test_a_session_that_is_closed_ends_the_call_that_it_makes(maker):
+    sessions = Sessions(maker)
+    box, answers = sessions.box("a"), []
+    thread = threading.Thread(target=lambda: answers.append(box.call("wait", {"seconds": 120})))
+    thread.start()
+    while not box.stage.loop.pace:
+        time.sleep(0.001)
+    sessions.close("a")
+    thread.join(10)
+    assert "ended while this call was made" in answers[0].text
+    assert "this session has ended" in box.call("budget").text
+
+
+def test_a_call_computes_for_no_longer_than_its_patience():
+    made = Maker(lambda: Stage("xy", visuals=False), patience=1e-3)
+    assert "compute for 0.001 s" in made().call("wait", {"seconds": 60}).text
