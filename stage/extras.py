@@ -29,6 +29,7 @@ LIBRARIES = {
     "scipy": Extra("scipy", "servo"),
     "argcomplete": Extra("argcomplete", "completion"),
     "nicegui": Extra("NiceGUI", "panel"),
+    "mcp": Extra("the package mcp", "agents"),
 }
 
 

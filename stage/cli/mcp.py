@@ -7,17 +7,15 @@ import os
 import sys
 
 from stage.cli.setup import make_stage
-from stage.errors import ArgumentError, StageError
+from stage.errors import ArgumentError
+from stage.extras import need
 
 TOKEN = "PULSESTAGE_TOKEN"
 
 
 def run(args: argparse.Namespace) -> int:
     """Serve until the client goes, or until Ctrl-C or SIGTERM."""
-    try:
-        import mcp_types  # noqa: F401
-    except ImportError as error:
-        raise StageError("agents' clients need the package mcp: pip install 'pulsestage[agents]'.") from error
+    need("mcp", "stage mcp")
     from stage.agents.budget import Budget
     from stage.agents.server.sessions import Maker, Sessions
 
