@@ -77,12 +77,8 @@ def _main(argv: Sequence[str] | None) -> int:
 def build_parser() -> Parser:
     """The whole command line; cheap: nothing heavy is imported before a command runs."""
     from stage import __version__
-<<<<<<< HEAD
-    from stage.cli.arguments import data, faults, firmware, moves, tools, tuning
-    from stage.cli.parser import Parser
-=======
     from stage.cli.arguments import agents, data, faults, firmware, moves, tools, tuning
->>>>>>> c6ecaeb (stage mcp: the tools for any client of the Model Context Protocol, a stage for each session)
+    from stage.cli.parser import Parser
 
     parser = Parser(
         prog="stage",

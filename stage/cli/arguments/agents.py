@@ -2,18 +2,9 @@
 
 from __future__ import annotations
 
-import argparse
 from typing import Any
 
 from stage.cli.arguments.options import command, machine, number
-
-MCP = """\
-examples:
-  stage mcp xy                                  over standard input and output, for a desktop client: docs/agents.md
-  stage mcp xyz --chips mcx514 --moves 50       a session may begin 50 moves
-  stage mcp --http --port 7242                  several clients at 127.0.0.1, each with a stage of its own
-  stage mcp --mode truth --folder runs          the agent sees all, and may write recordings into runs/
-"""
 
 
 def add(commands: Any) -> None:
@@ -22,8 +13,11 @@ def add(commands: Any) -> None:
         commands, "mcp", "mcp:run", "tools of a stage for agents, by the Model Context Protocol",
         "Serve tools, resources and prompts to clients of the Model Context Protocol: registers, moves, status, pictures. Each "
         "session has a stage of its own, at power-up.",
+        ("stage mcp xy", "over standard input and output, for a desktop client: docs/agents.md"),
+        ("stage mcp xyz --chips mcx514 --moves 50", "a session may begin 50 moves"),
+        ("stage mcp --http --port 7242", "several clients at 127.0.0.1, each with a stage of its own"),
+        ("stage mcp --mode truth --folder runs", "the agent sees all, and may write recordings into runs/"),
     )  # fmt: skip
-    p.epilog, p.formatter_class = MCP, argparse.RawDescriptionHelpFormatter
     p.add_argument("model", nargs="?", default="xyz", help="a shipped model or a file.xml (default: xyz)")
     g = p.add_argument_group("agent")
     g.add_argument(
