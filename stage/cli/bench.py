@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from typing import Any
 
+from stage.cli.facts import tell
 from stage.errors import ArgumentError
 
 
@@ -25,7 +25,7 @@ def cards(args: argparse.Namespace) -> int:
             }
             for c in chosen
         }  # fmt: skip
-        print(json.dumps(rows, indent=1))
+        tell(args, rows)
         return 0
     for c in chosen:
         print(f"{c.name}  {c.id}\n  {c.asked}")
@@ -57,9 +57,7 @@ def submit(args: argparse.Namespace) -> int:
     )  # fmt: skip
     progress.end()
     bench.submit(entry, args.output, args.force)
-    if args.json:
-        print(json.dumps({"file": args.output, "player": entry.player, "mean": _means(entry)}, indent=1))
-        return 0
+    tell(args, file=args.output, player=entry.player, mean=_means(entry))
     print(f"{entry.player}, {entry.task} {entry.split}: {len(entry.seeds)} episodes, {len(entry.rewards)} steps")
     print(", ".join(f"{name} {value:.4g}" for name, value in _means(entry).items() if value is not None) + " (means)")
     if len(entry.seeds) < card.episodes:
@@ -75,21 +73,19 @@ def verify(args: argparse.Namespace) -> int:
     progress = _Progress("replayed")
     verdict = bench.verify(args.file, args.tolerance, progress)
     progress.end()
-    print(json.dumps(verdict.json(), indent=1) if args.json else verdict)
+    tell(args, verdict)
+    print(verdict)
     return 0 if verdict.ok else 1
 
 
 def table(args: argparse.Namespace) -> int:
     """Entries compared."""
-    from dataclasses import asdict
-
     from stage.bench import read, statistics
 
     entries = [read(path) for path in args.files]
     if args.json:
-        print(json.dumps([asdict(row) for row in statistics.rows(entries)], indent=1))
-    else:
-        print(statistics.table(entries))
+        tell(args, statistics.rows(entries))
+    print(statistics.table(entries))
     return 0
 
 

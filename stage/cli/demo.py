@@ -6,6 +6,7 @@ import argparse
 import time
 from typing import Any
 
+from stage.cli.facts import tell
 from stage.cli.progress import note, ticking
 from stage.cli.setup import make_stage, recorded
 from stage.errors import ArgumentError
@@ -32,20 +33,23 @@ def run(args: argparse.Namespace) -> int:
         args.view = True
     rows: list[tuple] = []
     with recorded(args, stage), ticking(stage):
-        story(stage, rows)
+        reports = story(stage, rows)
         print(_table(rows))
+        tell(args, reports=reports, seconds=stage.time)
         wall = time.perf_counter() - begin
         print(f"{stage.time:.2f} s of simulated time in {wall:.2f} s of wall time")
     return 0 if all(r[-1] == "yes" for r in rows) else 1
 
 
-def story(stage: Any, rows: list[tuple]) -> None:
-    """The moves; fills `rows` for the table."""
+def story(stage: Any, rows: list[tuple]) -> list[Any]:
+    """The moves; fills `rows` for the table. Returns their reports."""
     from stage.firmware.driver import Speeds, driver_of
 
     speeds = Speeds(1500, RATE, 0.1, 0.1)
+    reports: list[Any] = []
 
     def add(report: Any) -> None:
+        reports.append(report)
         homed = report.stopped_by == "ORG"
         asked = "to ORG" if report.asked is None else f"{report.asked:+d}"
         good = report.ok and (homed or report.asked is not None)
@@ -67,12 +71,12 @@ def story(stage: Any, rows: list[tuple]) -> None:
     note("a long move ...")
     add(driver_of(first).two_rates(_way(first, LONG), speeds, FAST, DWELL))
     if second is first:
-        return
+        return reports
     add(driver_of(second).move(_way(second, SHORT), speeds))
     ways = {first: _way(first, FIRST), second: _way(second, SECOND)}
     if type(first.chip) is not type(second.chip):
         print(f"axes {first.name} and {second.name} have different chips, which draw no line together")
-        return
+        return reports
     note("a straight line ...")
     drivers = {axis.name: driver_of(axis) for axis in ways}
     try:
@@ -81,7 +85,7 @@ def story(stage: Any, rows: list[tuple]) -> None:
         )
     except ArgumentError as error:
         print(f"no straight line: {error}")
-        return
+        return reports
     for r in report.axes.values():
         add(r)
     what = "a:b move " + " ".join(f"{axis.name}={pulses:+d}" for axis, pulses in ways.items())
@@ -89,6 +93,7 @@ def story(stage: Any, rows: list[tuple]) -> None:
         f"{what}: {report.deviation.pulses:.2f} pulses from the straight line at most, started within "
         f"{report.skew * 1e6:.1f} us of each other"
     )
+    return reports
 
 
 def _way(axis: Any, share: float) -> int:

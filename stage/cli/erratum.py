@@ -14,6 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from stage.cli.facts import tell
 from stage.cli.fault import EVERY, Figures, Record
 from stage.cli.fault.demo import table
 from stage.cli.fault.programs import first_axis, touch
@@ -71,6 +72,9 @@ def run(args: argparse.Namespace) -> int:
     print(
         f"{shown.chip}{', mended' if shown.mended else ''}: a decelerating stop is asked for in area d\n\n{shown.table()}"
     )
+    bare, guarded = shown.figures
+    facts = {"chip": shown.chip, "mended": shown.mended, "as_claimed": shown.as_claimed}
+    tell(args, facts | {"26h": bare, "stop_by_speed": guarded})
     plot(args, shown.plot)
     print("as claimed" if shown.as_claimed else "NOT as claimed")
     return 0 if shown.as_claimed else 1

@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from stage.cli.facts import tell, wrote
+
 
 def run(args: argparse.Namespace) -> int:
     """Write them, or list them."""
@@ -16,6 +18,7 @@ def run(args: argparse.Namespace) -> int:
         writer_of(args.output)
         writable(args.output, args.force, ask="give --force")
     saved = read(args.file)
+    tell(args, model=saved.model, axes=saved.axes, samples=len(saved), every=saved.every, columns=saved.units)
     if args.output is None:
         print(f"{saved.path}: {saved.model}, {len(saved)} samples, {saved.every * 1e3:g} ms apart")
         for name, axis in saved.axes.items():
@@ -27,5 +30,5 @@ def run(args: argparse.Namespace) -> int:
     saved.to_file(args.output, names, overwrite=args.force)
     count = len(saved.units) if names is None else len({"time", *names})
     size = Path(args.output).stat().st_size / 1e6
-    print(f"{args.output}: {len(saved)} samples of {count} columns, {size:.1f} MB")
+    wrote(args, args.output, f"{len(saved)} samples of {count} columns, {size:.1f} MB")
     return 0

@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from stage.cli.facts import tell, wrote
 from stage.cli.progress import note, ticking
 from stage.cli.setup import make_board, outputs, recorded
 from stage.errors import ArgumentError, StageError
@@ -63,6 +64,8 @@ def run(args: argparse.Namespace) -> int:
                 f"{host.path.name} has run for {args.seconds:g} s, and {board.cycles:,} bus cycles, in {wall:.2f} s of wall time"
             )
         report(board)
+        if args.json:
+            tell(args, _facts(board, result, error))
     if result is None:
         host.close()
     write_trace(args, board)
@@ -141,7 +144,24 @@ def write_trace(args: argparse.Namespace, board: Any) -> None:
     elif args.trace:
         with written(args.trace, args.force) as part:
             part.write_text(board.trace.text() + "\n")
-        print(f"{args.trace}: {len(board.trace):,} lines of bus cycles")
+        wrote(args, args.trace, f"{len(board.trace):,} lines of bus cycles")
+
+
+def _facts(board: Any, result: Any, error: StageError | None) -> dict[str, Any]:
+    """What `report` prints, and how the firmware ended, for --json."""
+    axes = [
+        {
+            "axis": a.name, "unit": a.unit, "position": a.position, "commanded": a.commanded, "lost_steps": a.lost_steps,
+            "switches": [name for name, on in a.switches.as_dict().items() if on],
+        }
+        for a in board.stage.axes.values()
+    ]  # fmt: skip
+    said = {board.name_of(k): [d._asdict() for d in chip.diagnostics] for k, chip in enumerate(board.stage.chips)}
+    return {
+        "returned": None if result is None else result.code, "error": None if error is None else str(error),
+        "seconds": board.stage.time, "cycles": board.cycles, "axes": axes, "log": board.log, "diagnostics": said,
+        "strays": sum(c.times for c in board.strays),
+    }  # fmt: skip
 
 
 def report(board: Any) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
+from stage.cli.facts import tell
 from stage.cli.progress import note, ticking
 from stage.cli.setup import distance, find_axis, make_stage, place, plot, profile, recorded, speeds
 from stage.errors import ArgumentError, a_or_an
@@ -23,6 +24,7 @@ def home(args: argparse.Namespace) -> int:
             note(f"axis {axis.name}: origin return ...")
             reports.append(_home(args, axis))
             print(reports[-1])
+        tell(args, reports=reports)
         plot(args, reports[0].plot)
     found = [r.stopped_by in driver_of(axis).FOUND for r, axis in zip(reports, axes, strict=True)]
     return 0 if all(found) and not any(r.lost_steps for r in reports) else 1
@@ -91,6 +93,7 @@ def _single(args: argparse.Namespace, run: Any) -> int:
         report = run(axis)
         print(report)
         print(report.listing())
+        tell(args, reports=[report])
         plot(args, report.plot)
     return 0 if report.ok else 1
 
@@ -122,6 +125,7 @@ def sync(args: argparse.Namespace) -> int:
             wanted = speeds(argparse.Namespace(**vars(args) | {"fh1": args.rate}), first)
             report = drivers[first.name].line(drivers, distances, wanted._replace(s_curve=args.s_curve is not None))
         print(report)
+        tell(args, report)
         plot(args, report.plot)
     return 0 if report.ok else 1
 

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from stage.cli.facts import wrote
 from stage.cli.progress import note
 from stage.errors import ArgumentError, unknown
 from stage.extras import has, need
@@ -204,6 +205,13 @@ def outputs(args: argparse.Namespace) -> None:
         from stage.recording.viewer import check_port
 
         check_port(args.port)
+    if getattr(args, "json", False):
+        for option, given in (
+            ("--web", getattr(args, "web", False)),
+            ("--trace -", getattr(args, "trace", None) == "-"),
+        ):
+            if given:
+                raise ArgumentError(f"{option}: it prints text, and --json prints JSON. Leave one of them out.")
     taken: dict[str, str] = {}
     for name in ("record", "vcd", "picture", "plot", "trace"):
         if path := getattr(args, name, None):
@@ -255,19 +263,18 @@ def recorded(args: argparse.Namespace, stage: Any) -> Iterator[Any]:
         rrd = args.record or _free(str(usual), args.force)  # another command may have taken the name meanwhile
         note(f"writing {rrd} ...")
         recording.save(rrd, overwrite=args.force)
-        print(
-            f"{rrd}: {Path(rrd).stat().st_size / 1e6:.1f} MB, {recording.duration:.2f} s of simulated time; open with: rerun {rrd}"
-        )
+        size = Path(rrd).stat().st_size / 1e6
+        wrote(args, rrd, f"{size:.1f} MB, {recording.duration:.2f} s of simulated time; open with: rerun {rrd}")
     if args.vcd:
         note(f"writing {args.vcd} ...")
         recording.to_vcd(args.vcd, overwrite=args.force)
-        print(f"{args.vcd}: {Path(args.vcd).stat().st_size / 1e6:.1f} MB; open with: gtkwave {args.vcd}")
+        wrote(args, args.vcd, f"{Path(args.vcd).stat().st_size / 1e6:.1f} MB; open with: gtkwave {args.vcd}")
     if args.picture and rrd:
         from stage.recording.viewer import screenshot
 
         note(f"rendering {args.picture} ...")
         screenshot(rrd, args.picture, overwrite=args.force)
-        print(f"{args.picture}: the dashboard")
+        wrote(args, args.picture, "the dashboard")
     if interrupted:
         raise KeyboardInterrupt
     if args.web and rrd:
@@ -300,4 +307,4 @@ def _free(usual: str, force: bool) -> str:
 def plot(args: argparse.Namespace, draw: Callable[..., Any]) -> None:
     if args.plot:
         draw(args.plot, overwrite=args.force)
-        print(f"{args.plot}: drawn")
+        wrote(args, args.plot, "drawn")

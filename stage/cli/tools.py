@@ -3,16 +3,25 @@
 from __future__ import annotations
 
 import argparse
+import math
+from functools import partial
+from typing import Any
 
+from stage.cli.facts import tell, wrote
 from stage.cli.progress import progress
-from stage.cli.setup import outputs
+from stage.cli.setup import outputs, plot
 
 
-def chips(_args: argparse.Namespace) -> int:
+def chips(args: argparse.Namespace) -> int:
     """Print the chips that there are, and where they come from."""
     from stage.chips import CHIPS
 
     lines = CHIPS.listed()
+    told = [
+        {"name": n.name, "package": n.package, "title": n.chip and n.chip.MAP.title, "problem": n.problem}
+        for n in lines
+    ]
+    tell(args, told)
     wide, far = (max(len(getattr(line, what)) for line in lines) for what in ("name", "package"))
     for line in lines:
         said = line.chip.MAP.title if line.chip else f"NOT AVAILABLE: {line.problem}"
@@ -25,10 +34,11 @@ def list_(args: argparse.Namespace) -> int:
     return {"chips": chips, "motors": _motors, "models": _models}[args.what](args)
 
 
-def _motors(_args: argparse.Namespace) -> int:
+def _motors(args: argparse.Namespace) -> int:
     from stage.drives.dc_motors import DC_MOTORS
     from stage.drives.motors import MOTORS
 
+    tell(args, {"steppers": MOTORS, "dc": DC_MOTORS})
     for name, m in MOTORS.items():
         print(f"{name:16} stepper  {m.rated_current:g} A, holding torque {m.holding_torque:g} N m")
     for name, dc in DC_MOTORS.items():
@@ -36,15 +46,15 @@ def _motors(_args: argparse.Namespace) -> int:
     return 0
 
 
-def _models(_args: argparse.Namespace) -> int:
+def _models(args: argparse.Namespace) -> int:
     import mujoco
 
     from stage.sim import plant
 
-    for name in plant.names():
-        spec = plant.open_spec(name)
-        axes = ", ".join(a.name for a in plant.bind(spec.compile()))
-        print(f"{name:10} axes {axes}")
+    axes = {name: [a.name for a in plant.bind(plant.open_spec(name).compile())] for name in plant.names()}
+    tell(args, axes)
+    for name, those in axes.items():
+        print(f"{name:10} axes {', '.join(those)}")
     del mujoco
     print("or an MJCF file of your own: `stage new-model` writes one, docs/models.md says what it must have.")
     return 0
@@ -63,7 +73,8 @@ def registers(args: argparse.Namespace) -> int:
     from stage.chips import chip_class
     from stage.chips.register_map import dump
 
-    print(dump(chip_class(args.chip).MAP))
+    tell(args, map_ := chip_class(args.chip).MAP)
+    print(dump(map_))
     return 0
 
 
@@ -75,13 +86,20 @@ def pullout(args: argparse.Namespace) -> int:
     drive = Drive(motor(args.motor), microsteps=args.microsteps, bus_voltage=args.bus_voltage)
     outputs(args)
     table = pull_out_table(drive, progress=lambda done: progress("measuring", done))
+    tell(args, motor=args.motor, bus_voltage=args.bus_voltage, microsteps=args.microsteps, pull_out=table)
     print(table)
     if args.plot:
         from stage.drives.picture import plot_pull_out
 
-        plot_pull_out(drive, table, args.plot, overwrite=args.force)
-        print(f"{args.plot}: drawn")
+        plot(args, partial(plot_pull_out, drive, table))
     return 0
+
+
+def _axis(a: Any) -> dict[str, Any]:
+    """What the contract says of an axis, in m or rad."""
+    switches = {s.pin: s.touch for s in a.switches}
+    kind, turn = "hinge" if a.hinge else "slide", 2 * math.pi / abs(a.gear)
+    return {"name": a.name, "kind": kind, "travel": a.travel, "per_turn": turn, "motor": a.motor, "switches": switches}
 
 
 def view(args: argparse.Namespace) -> int:
@@ -96,12 +114,13 @@ def view(args: argparse.Namespace) -> int:
     spec = plant.open_spec(args.model)
     model = spec if isinstance(spec, mujoco.MjModel) else spec.compile()
     print(plant.describe(model))
+    tell(args, axes=[_axis(a) for a in plant.bind(model)])
     if args.picture:
         from stage.cli.model_picture import draw
 
         draw(model, args.picture, args.camera, args.force)
-        print(f"{args.picture}: drawn")
-    if args.text or args.picture:
+        wrote(args, args.picture, "drawn")
+    if args.text or args.picture or args.json:
         return 0
     check_window("`stage view --text` prints the axes, --picture draws them.")
     import mujoco.viewer

@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from stage.cli.facts import tell
 from stage.cli.setup import distance, find_axis, make_stage
 from stage.errors import ArgumentError, StageError
 from stage.units import TYPED
@@ -41,12 +42,10 @@ def run(args: argparse.Namespace) -> int:
         task, by=args.by, trials=args.trials, seed=args.seed, workers=args.workers, moves=args.moves, told=told
     )
     told.end()
-    if args.json:
-        print(json.dumps(result.json(), indent=1))
-    else:
-        print(result)
-        if folder is None:
-            print(f"\n{result.c_source()}", end="")
+    tell(args, result)
+    print(result)
+    if folder is None:
+        print(f"\n{result.c_source()}", end="")
     if folder is not None:
         texts = {"c": result.c_source(), "text": f"{result}\n", "json": json.dumps(result.json(), indent=1) + "\n"}
         for kind, text in texts.items():
@@ -58,8 +57,7 @@ def run(args: argparse.Namespace) -> int:
             made.append("picture")
         except StageError as error:
             print(f"stage: no picture: {error}", file=sys.stderr)
-        if not args.json:
-            print(f"\n{folder}: {', '.join(FILES[kind] for kind in made)}")
+        print(f"\n{folder}: {', '.join(FILES[kind] for kind in made)}")
     return 130 if result.stopped else 0
 
 

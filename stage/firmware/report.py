@@ -102,6 +102,23 @@ class Report:
         """`writes` as text, a line each: ms from the first start, bytes, meaning."""
         return "\n".join(f"{t * 1e3:11.4f} ms  {code:14}{meaning}" for t, code, meaning in self.writes())
 
+    def json(self) -> dict[str, Any]:
+        """All of it as numbers and texts, as `--json` prints it: s, m (rad), pps; `writes` as (s, bytes, meaning)."""
+        names = (
+            "procedure",
+            "axis",
+            "ok",
+            "stopped_by",
+            "asked",
+            "pulses",
+            "residual",
+            "duration",
+            "peak_rate",
+            "average_rate",
+        )
+        numbers = {name: getattr(self, name) for name in (*names, "start", "position", "unit", "lost_steps")}
+        return numbers | {"writes": self.writes()}
+
     def plot(
         self, path: str | PathLike | None = None, title: str | None = None, *, ax: Any = None, overwrite: bool = False
     ) -> Any:

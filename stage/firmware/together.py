@@ -90,6 +90,14 @@ class SynchronizedReport:
             lines.append(f"  carriages {self.carriage_deviation * 1e6:.1f} um from the line at most")
         return "\n".join([*lines, *(str(r) for r in self.axes.values())])
 
+    def json(self) -> dict[str, Any]:
+        """All of it as numbers and texts, as `--json` prints it: s, m, pulses from the line; a Report's for each axis."""
+        names = ("ok", "distances", "seconds", "skew", "finish", "ratio_error", "carriage_deviation")
+        numbers = {name: getattr(self, name) for name in names}
+        d = self.deviation
+        deviation = {"pulses": d.pulses, "time": d.time, "counts": dict(zip(self.paths, d.counts, strict=True))}
+        return numbers | {"deviation": deviation, "reports": [r.json() for r in self.axes.values()]}
+
     def plot(self, path: str | PathLike | None = None, title: str | None = None, *, overwrite: bool = False) -> Any:
         """Draw the path with its distance from the line magnified, and the rates over time; saves to `path` if given.
 

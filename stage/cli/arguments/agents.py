@@ -17,6 +17,7 @@ def add(commands: Any) -> None:
         ("stage mcp xyz --chips mcx514 --moves 50", "a session may begin 50 moves"),
         ("stage mcp --http --port 7242", "several clients at 127.0.0.1, each with a stage of its own"),
         ("stage mcp --mode truth --folder runs", "the agent sees all, and may write recordings into runs/"),
+        json=False,
     )  # fmt: skip
     p.add_argument("model", nargs="?", default="xyz", help="a shipped model or a file.xml (default: xyz)")
     g = p.add_argument_group("agent")

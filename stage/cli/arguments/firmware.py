@@ -68,6 +68,7 @@ def add(commands: Any) -> None:
         commands, "include", "firmware:include", "where pulsestage.h is",
         'Print the folder of the one header that firmware needs: cc -shared -fPIC -I"$(stage include)" driver.c -o driver.so',
         ("stage include", "the folder"),
+        json=False,
     )  # fmt: skip
     p = command(
         commands, "serve", "serve:run", "the chips behind a TCP port, for a host elsewhere",
@@ -76,6 +77,7 @@ def add(commands: Any) -> None:
         "SIGTERM ends it, and what --record, --vcd and --trace ask for is written.",
         ("stage serve --chips mcx304", "the chips behind 127.0.0.1:7240"),
         ("stage serve --listen 0 --fresh --trace bus.txt", "a free port, a stage from the start for each host"),
+        json=False,
     )  # fmt: skip
     g = p.add_argument_group("server")
     g.add_argument(
@@ -104,6 +106,7 @@ def _add_panel(commands: Any) -> None:
         "This machine only, unless --host says otherwise. Ctrl-C ends it.",
         ("stage panel xy", "a live stage in a browser"),
         ("stage panel my.xml --chips mcx514 --no-browser", "your own axes; the link is printed"),
+        json=False,
     )  # fmt: skip
     p.add_argument("model", nargs="?", default="xyz", help="a shipped model or a file.xml (default: xyz)")
     g = p.add_argument_group("page")

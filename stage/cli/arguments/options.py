@@ -15,19 +15,33 @@ ALL = (*PCL240, "MCX514", "MCX512", "MCX501", "MCX314AS", "MCX304", "MCX302", "M
 
 
 def command(
-    commands: Any, name: str, run: str, help_: str, description: str, *shown: tuple[str, str], more: str = ""
+    commands: Any,
+    name: str,
+    run: str,
+    help_: str,
+    description: str,
+    *shown: tuple[str, str],
+    more: str = "",
+    json: bool = True,
 ) -> argparse.ArgumentParser:
     """A subcommand whose work is the function `module:function`, imported when it runs.
 
-    shown: examples, (what is typed, what it does); more: what stands behind them.
+    shown: examples, (what is typed, what it does); more: what stands behind them; json: it has facts to say, see cli.facts.
     """
     p = commands.add_parser(name, help=help_, description=description, epilog=examples(shown, more))
+    if json:
+        p.add_argument("--json", action="store_true", help="print JSON in place of text")
 
     def call(args: argparse.Namespace) -> int:
         from importlib import import_module
 
         module, function = run.split(":")
-        return getattr(import_module(f"stage.cli.{module}"), function)(args)
+        work = getattr(import_module(f"stage.cli.{module}"), function)
+        if not (json and args.json):
+            return work(args)
+        from stage.cli.facts import as_json
+
+        return as_json(work, args)
 
     p.set_defaults(run=call, parser=p)
     return p

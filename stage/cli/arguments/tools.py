@@ -57,6 +57,7 @@ def add(commands: Any) -> None:
         ("stage new-model --axes x:slide:300mm -o my.xml", "one axis"),
         ("stage new-model --axes x:slide:300mm,z:slide:80mm,a:hinge:360deg -o my.xml", "three, each on the one before"),
         ("stage home --model my.xml", "and they go home"),
+        json=False,
     )  # fmt: skip
     p.add_argument(
         "--axes",
@@ -73,5 +74,6 @@ def add(commands: Any) -> None:
         ('eval "$(stage completion bash)"', "in ~/.bashrc"),
         ('eval "$(stage completion zsh)"', "in ~/.zshrc"),
         ("stage completion fish | source", "in ~/.config/fish/config.fish"),
+        json=False,
     )  # fmt: skip
     p.add_argument("shell", choices=("bash", "zsh", "fish"))

@@ -59,7 +59,6 @@ def _add_tune(commands: Any) -> None:
     machine(p.add_argument_group("stage"))
     g = p.add_argument_group("output")
     g.add_argument("-o", "--output", metavar="FOLDER", help="write tuned.h, tuned.txt, tuned.json and tuned.png there")
-    g.add_argument("--json", action="store_true", help="print JSON")
     g.add_argument("--force", action="store_true", help="overwrite files that exist")
 
 
@@ -74,7 +73,6 @@ def _add_bench(commands: Any) -> None:
         ("stage bench few-shot --json", "one, with the seeds of all test episodes"),
     )  # fmt: skip
     p.add_argument("task", nargs="?", metavar="TASK", help="for example few-shot (default: list them all)")
-    p.add_argument("--json", action="store_true", help="print JSON, with the seeds of all test episodes")
     p = command(
         commands, "bench-submit", "bench:submit", "play the test episodes of the benchmark, and pack them into a file",
         "Play the test episodes of a split with a policy and write its actions, rewards, scores and versions to a file, which "
@@ -102,7 +100,6 @@ def _add_bench(commands: Any) -> None:
         "--cost", action="append", default=[], metavar="NAME=NUMBER", help="what it took: moves=, processor_s=, tokens="
     )
     p.add_argument("--episodes", type=int, metavar="N", help="only the first N, for a trial")
-    p.add_argument("--json", action="store_true", help="print JSON")
     p.add_argument("--force", action="store_true", help="overwrite a file that exists")
     p = command(
         commands, "bench-verify", "bench:verify", "replay an entry of the benchmark and compare it bit for bit",
@@ -116,7 +113,6 @@ def _add_bench(commands: Any) -> None:
     p.add_argument(
         "--tolerance", type=float, metavar="T", help="rewards and scores may differ by so much, as on another processor"
     )
-    p.add_argument("--json", action="store_true", help="print JSON")
     p = command(
         commands, "bench-table", "bench:table", "compare entries of the benchmark, as tables in Markdown",
         "Print a table for each task and split: interquartile mean of the return with its interval, and who beats whom. Entries of "
@@ -124,4 +120,3 @@ def _add_bench(commands: Any) -> None:
         ("stage bench-table formula.bench mine.bench", "who beats whom"),
     )  # fmt: skip
     p.add_argument("files", nargs="+", metavar="FILE")
-    p.add_argument("--json", action="store_true", help="print JSON")

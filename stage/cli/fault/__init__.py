@@ -13,6 +13,7 @@ from contextlib import nullcontext
 from functools import partial
 from typing import Any
 
+from stage.cli.facts import tell
 from stage.cli.fault.demo import Claim, Demo, Figures, Record, Shown, Strike
 from stage.cli.fault.demos import DEMOS
 from stage.cli.fault.programs import first_axis
@@ -28,6 +29,7 @@ EVERY = 2.5e-4  # s between the samples of a picture
 def run(args: argparse.Namespace) -> int:
     """List the faults, or show one; exit code 0 if what was claimed happened."""
     if args.name is None:
+        tell(args, {name: demo.claim for name, demo in DEMOS.items()})
         width = max(map(len, DEMOS)) + 2
         print("\n".join(f"{name:{width}}{demo.claim}" for name, demo in DEMOS.items()))
         return 0
@@ -35,6 +37,15 @@ def run(args: argparse.Namespace) -> int:
     outputs(args)
     shown = show(args.name, partial(make_stage, args), partial(kept, args, every=EVERY), args.plot is not None)
     print(f"{shown.name}: {shown.demo.claim}\n\n{shown.table()}\n\nHow a host can tell: {shown.demo.notice}")
+    healthy, faulty = shown.figures
+    facts = {
+        "fault": shown.name,
+        "claim": shown.demo.claim,
+        "notice": shown.demo.notice,
+        "as_claimed": shown.as_claimed,
+        "unit": shown.unit,
+    }
+    tell(args, facts | {"healthy": healthy, "faulty": faulty})
     plot(args, shown.plot)
     print("happened as claimed" if shown.as_claimed else "did NOT happen as claimed")
     return 0 if shown.as_claimed else 1

@@ -1,0 +1,124 @@
+"""`--json`: one JSON object of what a command has to say, for every command that has something to say."""
+
+import argparse
+import json
+import math
+import shutil
+
+import pytest
+from support.extras import needs_rerun
+
+from stage.cli import build_parser, main
+from stage.cli.facts import plain
+
+SAID = {
+    "home": (["home", "x"], lambda f: f["reports"][0]["stopped_by"] == "ORG"),
+    "move": (["move", "x", "800"], lambda f: (f["reports"][0]["pulses"], f["reports"][0]["ok"]) == (800, True)),
+    "dual-rate": (["dual-rate", "x", "12000"], lambda f: f["reports"][0]["writes"][0][1:] != []),
+    "sync": (["sync", "x=400", "y=-100"], lambda f: [r["pulses"] for r in f["reports"]] == [400, -100]),
+    "fault": (["fault"], lambda f: "jam" in f),
+    "list": (["list", "models"], lambda f: f["xyz"] == ["x", "y", "z"]),
+    "chips": (["chips"], lambda f: f[0]["name"] == "PCL240K"),
+    "registers": (["registers", "mcx304"], lambda f: f["chip"] == "MCX304" and f["registers"][0]["fields"] is not None),
+    "view": (["view", "xy"], lambda f: [a["name"] for a in f["axes"]] == ["x", "y"]),
+}  # fmt: skip
+ELSEWHERE = {"run", "export", "tune", "bench", "bench-submit", "bench-verify", "bench-table"}
+"""Commands of which tests below, of tune/ and of bench/ read the JSON."""
+LONG = {"demo": ["demo"], "erratum": ["erratum"], "pullout": ["pullout"]}
+TEXT_ALONE = {"include", "serve", "mcp", "panel", "new-model", "completion"}
+"""Commands that serve, or print what a file or a shell is to have."""
+
+
+def said(capsys, *argv, code=0):
+    """What a command prints with --json, read as strict JSON."""
+    assert main([*argv, "--json"]) == code
+    out, err = capsys.readouterr()
+    assert err == ""
+
+    def never(text):
+        raise AssertionError(f"{text} is no JSON")
+
+    return json.loads(out, parse_constant=never)
+
+
+def test_every_command_has_it_but_those_that_serve_or_print_a_file():
+    (commands,) = (a for a in build_parser()._actions if isinstance(a, argparse._SubParsersAction))
+    has = {name for name, p in commands.choices.items() if "--json" in p._option_string_actions}
+    assert commands.choices.keys() - has == TEXT_ALONE
+    assert has == {*SAID, *LONG, *ELSEWHERE}, "who has it is tried here"
+
+
+@pytest.mark.parametrize("name", SAID)
+def test_a_command_says_in_json_what_it_says_in_words(name, capsys):
+    argv, right = SAID[name]
+    assert right(said(capsys, *argv))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", LONG)
+def test_a_long_command_says_in_json_what_it_says_in_words(name, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    facts = said(capsys, *LONG[name])
+    assert facts[{"demo": "reports", "erratum": "as_claimed", "pullout": "pull_out"}[name]]
+
+
+def test_a_report_has_its_numbers_in_si_and_its_writes(capsys):
+    """stage move x 800 --json"""
+    report = said(capsys, "move", "x", "800")["reports"][0]
+    assert report["position"] == pytest.approx(2.5e-3, abs=1e-5)
+    assert (report["unit"], report["lost_steps"], report["residual"]) == ("m", 0, 0)
+    assert report["writes"][-1][1:] == ["15", "start, ramp to FH1"]
+
+
+def test_the_exit_code_stays_and_the_json_says_what_happened(capsys):
+    """stage move x 8000 --from 148 --json: into EL+"""
+    report = said(capsys, "move", "x", "8000", "--from", "148", code=1)["reports"][0]
+    assert (report["ok"], report["stopped_by"]) == (False, "EL+")
+
+
+def test_files_that_were_written_are_named(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    facts = said(capsys, "move", "x", "80", "--vcd", "a.vcd", "--plot", "a.png")
+    assert facts["files"] == ["a.png", "a.vcd"]
+    assert {p.name for p in tmp_path.iterdir()} == {"a.png", "a.vcd"}
+
+
+@needs_rerun
+def test_a_recording_and_its_columns_are_told(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert said(capsys, "move", "x", "80", "--record", "a.rrd")["files"] == ["a.rrd"]
+    facts = said(capsys, "export", "a.rrd")
+    assert (facts["model"], facts["columns"]["x/position"]) == ("PulseStage xyz", "m")
+
+
+@pytest.mark.skipif(not shutil.which("cc"), reason="no C compiler: cc is not on the PATH")
+def test_a_run_of_firmware_tells_axes_notes_and_mistakes(capsys, tmp_path):
+    source = tmp_path / "driver.c"
+    source.write_text('#include <pulsestage.h>\nPULSESTAGE_MAIN { ps_log("hello"); ps_out8(0x300, 0x15); return 3; }\n')
+    facts = said(capsys, "run", str(source), code=1)
+    assert (facts["returned"], facts["error"], facts["log"][0][1]) == (3, None, "hello")
+    assert [a["axis"] for a in facts["axes"]] == ["x", "y", "z"]
+    assert facts["diagnostics"]["x"], "a start without a reset"
+
+
+def test_an_error_is_in_words_on_standard_error_and_nothing_is_on_standard_output(capsys):
+    assert main(["move", "q", "80", "--json"]) == 2
+    out, err = capsys.readouterr()
+    assert (out, err.startswith("stage: unknown axis 'q'")) == ("", True)
+
+
+@pytest.mark.parametrize("option", ["--web", "--trace -"])
+def test_what_prints_text_of_its_own_is_refused_beside_it(option, capsys):
+    """stage run driver.so --trace - --json"""
+    argv = ["run", "nothing.so", *option.split()] if "trace" in option else ["move", "x", "80", option]
+    assert main([*argv, "--json"]) == 2
+    assert f"{option}: it prints text, and --json prints JSON." in capsys.readouterr().err
+
+
+def test_what_json_has_no_word_for_is_null_or_text(tmp_path):
+    from pathlib import Path
+
+    import numpy as np
+
+    given = {1: np.float64(math.inf), "a": (np.int64(3), np.array([1.0, math.nan])), "p": Path("x"), "b": True}
+    assert plain(given) == {"1": None, "a": [3, [1.0, None]], "p": "x", "b": True}
