@@ -371,11 +371,13 @@ class Chip:
 
     def starts(self, address: int, value: int, axis: int = 0) -> bool:
         """Whether this bus write, now, would make a standing axis drive: tried on a twin."""
-        twin = self.twin()
-        if twin.busy(axis):
+        core, (at, bit) = self.CORE, self.BUSY
+        twin = np.frombuffer(bytearray(self.state.tobytes()), core.STATE)
+        here, mask = twin.ctypes.data, bit << axis
+        if core.read.held(here, at) & mask:
             return False
-        Chip.write(twin, address, value)  # as it comes over the bus
-        return twin.busy(axis)
+        core.write.held(here, address & self.ADDRESS_MASK, value & self.DATA_MASK)
+        return bool(core.read.held(here, at) & mask)
 
     def options(self) -> dict[str, Any]:
         """What the chip was made with: type(chip)(**chip.options()) is another of its kind."""

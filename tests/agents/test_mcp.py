@@ -3,16 +3,21 @@
 import asyncio
 import base64
 import json
+import math
 import os
 import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 pytest.importorskip("mcp")
 
+from support.from_schema import calls
 from support.mcp_served import Served, over_stdio
 
 
@@ -258,3 +263,29 @@ def test_the_command_says_what_is_wrong(capsys):
     ):
         assert main(arguments) == 2
         assert said in capsys.readouterr().err
+
+
+@given(data=st.data())
+@settings(max_examples=4, deadline=None, suppress_health_check=list(HealthCheck))
+def test_whatever_is_called_over_the_protocol_the_server_lives(served, data):
+    drawn = data.draw(st.lists(calls(served.maker.catalogue.tools), min_size=20, max_size=20))
+
+    async def work(client):
+        for name, arguments in drawn:
+            given = arguments if isinstance(arguments, dict) else {"axis": repr(arguments)}
+            answer = await client.call_tool(
+                name, {k: v for k, v in given.items() if v == v and v not in (math.inf, -math.inf)}
+            )
+            assert "Traceback" not in answer.content[0].text
+            assert "PulseStage itself has failed" not in answer.content[0].text
+        return await client.call_tool("budget", {})
+
+    assert not served.talk(work).is_error
+
+
+@pytest.mark.slow
+def test_fifty_sessions_at_once_are_served_and_leave_nothing_behind():
+    script = Path(__file__).parents[2] / "scripts" / "agents_speed.py"
+    done = subprocess.run([sys.executable, script, "--sessions", "50", "--calls", "10"], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert "50 sessions at once" in done.stdout

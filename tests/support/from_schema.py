@@ -1,0 +1,68 @@
+"""Hypothesis strategies of JSON schemas as tools have them: what fits, and what nearly does."""
+
+from hypothesis import strategies as st
+
+from stage.agents.fields import DIGITS, SIZES
+
+FORMS = ("{}{}", "{}{:X}h", "{}0x{:x}", "{}0b{:b}")
+JUNK = st.one_of(
+    st.none(), st.booleans(), st.integers(-(2**70), 2**70), st.floats(), st.text(max_size=20), st.just("1e999"),
+    st.sampled_from(["NaN", "²", "٣", "0x", "h", "-", "1Fh", "X", "R0", "\0", "main", "../x", "10mm", "9" * 300]),
+    st.lists(st.integers(-300, 300), max_size=5), st.dictionaries(st.text(max_size=5), st.integers(), max_size=3),
+)  # fmt: skip
+
+
+WHOLE = st.integers(-(2**33), 2**33)
+PATTERNS = {
+    DIGITS: st.one_of(*(WHOLE.map(lambda n, form=form: form.format("-" * (n < 0), abs(n))) for form in FORMS)),
+    SIZES: st.tuples(st.floats(-10, 10), st.sampled_from(["", "mm", " um", "m", "deg"])).map(
+        lambda two: f"{two[0]}{two[1]}"
+    ),
+}
+"""Texts by the patterns that schemas have."""
+
+
+def fits(schema):
+    """Values that the schema allows."""
+    if "anyOf" in schema:
+        return st.one_of(*(fits(one) for one in schema["anyOf"]))
+    if "enum" in schema:
+        return st.sampled_from(schema["enum"])
+    kind = schema["type"]
+    if kind == "boolean":
+        return st.booleans()
+    if kind == "string":
+        return PATTERNS[schema["pattern"]] if "pattern" in schema else st.text(max_size=30)
+    if kind in ("integer", "number"):
+        low = schema.get("minimum", schema.get("exclusiveMinimum"))
+        high = schema.get("maximum")
+        if kind == "integer":
+            return st.integers(low, high)
+        how = {"exclude_min": True} if "exclusiveMinimum" in schema else {}
+        return st.floats(low, high, allow_nan=False, allow_infinity=False, **how)
+    if kind == "array":
+        return st.lists(fits(schema["items"]), min_size=schema.get("minItems", 0), max_size=6)
+    properties, required = schema["properties"], schema.get("required", [])
+    optional = {name: fits(one) for name, one in properties.items() if name not in required}
+    if schema.get("minProperties"):
+        return st.sampled_from(list(properties)).flatmap(lambda name: _with(name, properties))
+    return st.fixed_dictionaries({name: fits(properties[name]) for name in required}, optional=optional)
+
+
+def _with(name, properties):
+    """A mapping that has this name, and perhaps others."""
+    others = {n: fits(one) for n, one in properties.items() if n != name}
+    return st.fixed_dictionaries({name: fits(properties[name])}, optional=others)
+
+
+def nearly(schema):
+    """Arguments of a tool with something wrong in them, as a rule."""
+    names = st.one_of(st.sampled_from([*schema["properties"], "axis"]), st.text(max_size=8))
+    spoilt = st.dictionaries(names, JUNK, max_size=3)
+    return st.one_of(JUNK, st.tuples(fits(schema), spoilt).map(lambda two: {**two[0], **two[1]}))
+
+
+def calls(tools):
+    """(name, arguments) of calls: most by the schemas, some not."""
+    ones = [st.tuples(st.just(name), st.one_of(fits(t.schema()), nearly(t.schema()))) for name, t in tools.items()]
+    return st.one_of(*ones, st.tuples(st.text(max_size=12), JUNK))
