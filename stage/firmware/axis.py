@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Protocol
 
 from stage.chips import Chip
@@ -55,3 +56,15 @@ class Axis(Protocol):
     @property
     def lost_steps(self) -> int | None:
         """Full steps lost; None without a motor."""
+
+
+class HasAxes(Protocol):
+    """A machine: a Stage, a Bench."""
+
+    @property
+    def axes(self) -> Mapping[str, Axis]:
+        """Its axes by name."""
+
+
+Axes = HasAxes | Mapping[str, Axis] | None
+"""Where axes are found by name."""

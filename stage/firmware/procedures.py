@@ -11,10 +11,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
 
 from stage.errors import ArgumentError
-from stage.firmware.axis import Axis
+from stage.firmware.axis import Axes, Axis
 from stage.firmware.driver import RAMP, Speeds, driver_of, usual_speeds
 from stage.firmware.report import Procedure, Report
 from stage.firmware.together import SynchronizedReport, chosen_axes
@@ -101,8 +100,8 @@ def stop(axis: Axis, at_once: bool = False) -> None:
 
 
 def line(
-    distances: Mapping[Any, float],
-    axes: Any = None,
+    distances: Mapping[str, float] | Mapping[Axis, float],
+    axes: Axes = None,
     *,
     pulses: bool = False,
     speed: float | None = None,

@@ -17,6 +17,9 @@ from stage.units import PLACES
 if TYPE_CHECKING:
     from os import PathLike
 
+    from matplotlib.axes import Axes as PlotAxes
+    from matplotlib.figure import Figure
+
 
 NOT_AS_ASKED = ("EL+", "EL-", "STOP0", "ALARM", "EMG", "HOME", "timeout")  # HOME: a chip's home search failed
 
@@ -120,8 +123,13 @@ class Report:
         return numbers | {"writes": self.writes()}
 
     def plot(
-        self, path: str | PathLike | None = None, title: str | None = None, *, ax: Any = None, overwrite: bool = False
-    ) -> Any:
+        self,
+        path: str | PathLike | None = None,
+        title: str | None = None,
+        *,
+        ax: PlotAxes | None = None,
+        overwrite: bool = False,
+    ) -> Figure:
         """Draw the move as the data sheet draws operation patterns; saves to `path` if given. Returns the figure.
 
         A file that exists stays, unless `overwrite`: FileError. With `ax`, an axes of your own, the pulse rate is drawn there,

@@ -16,12 +16,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stage.errors import ArgumentError, unknown
-from stage.firmware.axis import Axis
+from stage.firmware.axis import Axes, Axis
 from stage.firmware.path import Deviation, path_deviation, pulses_of
 from stage.firmware.report import Procedure, Report
 
 if TYPE_CHECKING:
     from os import PathLike
+
+    from matplotlib.figure import Figure
 
     from stage.firmware.pcl240.plan import Plan
 
@@ -98,7 +100,7 @@ class SynchronizedReport:
         deviation = {"pulses": d.pulses, "time": d.time, "counts": dict(zip(self.paths, d.counts, strict=True))}
         return numbers | {"deviation": deviation, "reports": [r.json() for r in self.axes.values()]}
 
-    def plot(self, path: str | PathLike | None = None, title: str | None = None, *, overwrite: bool = False) -> Any:
+    def plot(self, path: str | PathLike | None = None, title: str | None = None, *, overwrite: bool = False) -> Figure:
         """Draw the path with its distance from the line magnified, and the rates over time; saves to `path` if given.
 
         A file that exists stays, unless `overwrite`: FileError. Returns the figure. Needs matplotlib (extra `plot`).
@@ -184,9 +186,9 @@ class Carriages:
             self.worst = max(self.worst or 0.0, float(np.linalg.norm(off - along * self._way)))
 
 
-def chosen_axes(distances: Mapping, axes: Any, procedure: str) -> dict[str, tuple[Axis, Any]]:
+def chosen_axes(distances: Mapping, axes: Axes, procedure: str) -> dict[str, tuple[Axis, Any]]:
     """Label -> (axis, distance); the label is the name used, or the axis' own. Raises ArgumentError."""
-    known = getattr(axes, "axes", axes)
+    known: Any = getattr(axes, "axes", axes)
     chosen: dict[str, tuple[Axis, Any]] = {}
     for key, d in distances.items():
         label, axis = key, key

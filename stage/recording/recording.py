@@ -24,7 +24,7 @@ import warnings
 import weakref
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeVar
 
 import mujoco
 import numpy as np
@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from stage.recording.rerun_log import Log
 
 ROWS = 4096
+Number = TypeVar("Number", float, np.ndarray)
 _FIELDS: Any = SAMPLE.fields
 _SAMPLE = np.dtype(_FIELDS)  # without attribute access, which costs at every look
 
@@ -353,7 +354,7 @@ class Recording(Tabular):
         axis, column = name.rsplit("/", 1)
         return self.axes[axis], column
 
-    def seconds(self, axis: str, clock: Any) -> Any:
+    def seconds(self, axis: str, clock: Number) -> Number:
         """Stage time, s, of clocks of an axis' chip: both count from power-up."""
         return clock / self.axes[axis].chip.clock_hz
 

@@ -184,7 +184,12 @@ def _add(entity: dict[str, Any], batch: Any) -> None:
     for name in names:
         if name == "time" or name.startswith("rerun.controls"):
             continue
-        values, before = batch.column(name).to_pylist(), entity.get(name)
+        column, before = batch.column(name), entity.get(name)
+        if str(column.type).startswith(
+            "timestamp"
+        ):  # of other programs' files; Arrow makes no datetime of ns without pandas
+            column = column.cast("int64")
+        values = column.to_pylist()
         if time is not None and before is not None:
             entity[name] = (np.concatenate([before[0], time]), before[1] + values)
         else:

@@ -86,7 +86,7 @@ class Stage:
 
     def __init__(
         self,
-        model: Any = "xyz",
+        model: str | PathLike[str] | mujoco.MjModel | mujoco.MjSpec = "xyz",
         chips: ChipChoice | None = None,
         drives: DriveChoice = None,
         *,

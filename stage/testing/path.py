@@ -9,12 +9,14 @@ from stage.errors import ArgumentError, unknown
 from stage.testing.assertions import fine
 
 if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
     from stage.recording import Recording
 
 
 def assert_path_within(
     recording: Recording,
-    line: Any,
+    line: ArrayLike,
     within: float,
     axes: Sequence[str] | None = None,
     *,

@@ -10,10 +10,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from stage.errors import ArgumentError, RunTimeout, a_or_an
-from stage.firmware.axis import Axis
+from stage.firmware.axis import Axes, Axis
 from stage.firmware.pcl240 import bus
 from stage.firmware.pcl240.bus import check
 from stage.firmware.pcl240.moves import SETTLE
@@ -22,16 +22,13 @@ from stage.firmware.pcl240.procedure import Procedure
 from stage.firmware.pcl240.profile import ACCEL, FH1, FL
 from stage.firmware.together import SynchronizedReport, Together, chosen_axes
 
-if TYPE_CHECKING:
-    pass
-
 WORTH_IT = 0.02  # pulses that a plan for the bus delay may be better than one for a common start
 LOOKS = 200  # at the status bytes of a long move
 
 
 def synchronized_move(
-    distances: Mapping[Any, int] | Plan,
-    axes: Any = None,
+    distances: Mapping[str, int] | Mapping[Axis, int] | Plan,
+    axes: Axes = None,
     *,
     rate: float = FH1,
     fl: float = FL,
