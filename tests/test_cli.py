@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -352,6 +353,10 @@ def test_a_demo_keeps_to_the_travel_of_each_axis():
         low, high = axis.travel
         for at in (low, high):
             stage.place(**{axis.name: at})
+            other = SimpleNamespace(
+                travel=axis.travel, position=axis.position, meters_per_pulse=axis.meters_per_pulse, gear=-axis.gear
+            )
             for share in (demo.LONG, demo.SHORT, demo.FIRST, demo.SECOND):
-                end = axis.position + demo._way(axis, share) * axis.meters_per_pulse * np.sign(axis.gear)
-                assert low < end < high
+                for one in (axis, other):  # whichever way the screw turns
+                    end = one.position + demo._way(one, share) * one.meters_per_pulse * np.sign(one.gear)
+                    assert low < end < high

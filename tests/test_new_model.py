@@ -1,6 +1,8 @@
 """`stage new-model` writes models that keep the naming contract, home, and stop at their limits and hard stops."""
 
 import math
+import re
+import shlex
 
 import mujoco
 import pytest
@@ -87,9 +89,14 @@ def test_wrong_axes_are_said_in_words_and_nothing_is_written(axes, said, tmp_pat
 
 
 def test_the_command_writes_a_model_that_the_other_commands_take(tmp_path, capsys):
-    # stage new-model --axes x:slide:50mm,a:hinge:360deg -o my.xml; stage move x 2mm --model my.xml
-    file = str(tmp_path / "my.xml")
+    # stage new-model --axes x:slide:50mm,a:hinge:360deg -o 'my own.xml'; stage move x 2mm --model 'my own.xml'
+    file = str(tmp_path / "my own.xml")
     assert main(["new-model", "--axes", "x:slide:50mm,a:hinge:360deg", "-o", file]) == 0
+    said = re.findall(r"`([^`]+)`", capsys.readouterr().out)
+    assert [shlex.split(command) for command in said] == [
+        ["stage", "home", "--model", file],
+        ["stage", "view", file],
+    ], "can be pasted into a shell"
     assert main(["new-model", "--axes", "x:slide:50mm", "-o", file]) == 2
     assert "--force" in capsys.readouterr().err
     assert main(["move", "x", "2mm", "--model", file]) == 0

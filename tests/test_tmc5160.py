@@ -264,6 +264,27 @@ def test_stallguard_has_the_numbers_of_the_page(chip, lam, sgt, result):
     assert chip.read(0x12) == 234
 
 
+@pytest.mark.parametrize("shaft", [0, 1])
+def test_a_load_that_holds_the_rotor_back_is_seen_whichever_way_the_field_turns(chip, shaft):
+    """The field is 30 electrical degrees ahead: half of what StallGuard shows without load."""
+    put(chip, CHOPCONF=0x100100C3, GCONF=shaft << 4, VMAX=71_583, AMAX=60_000, RAMPMODE=1)
+    chip.advance(200_000)
+    ahead = math.radians(-30 if shaft else 30)
+    seen = []
+    for angle in (0.0, ahead):
+        for _ in range(40):
+            chip.CORE.set_load(chip.state, 0, angle, 0.5)
+            chip.advance(10_000)
+        seen.append(chip.read(0x6F) & 0x3FF)
+    assert seen == pytest.approx([511, 255], abs=2)
+
+
+def test_edges_of_a_course_have_the_counter_as_it_is_read(chip):
+    put(chip, VMAX=100_000, AMAX=60_000, XTARGET=-300, D1=100, DMAX=60_000, VSTOP=10)
+    edges = course(chip)
+    assert chip.CORE.counter.c(chip.pointer, 0) == edges["counter"][-1] == 2**32 - 300
+
+
 def test_mistakes_are_told(chip):
     said = lambda **registers: (put(chip, **registers), chip.diagnostics[-1].message if chip.diagnostics else "")[1]  # noqa: E731
     assert "TOFF = 0" in said(RAMPMODE=1)

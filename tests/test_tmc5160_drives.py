@@ -323,6 +323,7 @@ def test_an_axis_that_is_stopped_at_once_makes_no_ramp(x):
         went.append(x.chip.values()["XACTUAL"] - began)
     assert went[0] > 3000
     assert 0 <= went[1] < 500
+    assert x.chip.values()["SW_MODE"] == driver.switches(3), "the polarity is again that of the sensors"
 
 
 def test_a_motor_gets_no_more_than_the_sense_resistors_allow():

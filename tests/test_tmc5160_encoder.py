@@ -125,6 +125,16 @@ def test_the_factors_of_the_page_make_a_turn_of_the_motor(chip, edges_per_turn, 
         assert chip.values()["X_ENC"] == turns * 51_200
 
 
+def test_a_course_has_the_edges_of_a_shaft_that_turns_while_the_motor_stands(chip):
+    chip.set_shaft(0, 1e-3)
+    journal = chip.journal()
+    chip.advance(20_000)
+    journal.close()
+    edges = journal.course(every_pulse=True).edges
+    pins = edges["inputs"] & (chip.INPUTS["enca"] | chip.INPUTS["encb"])
+    assert np.count_nonzero(np.diff(pins)) == 20
+
+
 def test_a_negative_factor_counts_the_other_way_with_its_fraction(chip):
     """-25.6 is 0xFFE6, 4000"""
     from pulsestage_tmc5160.driver import encoder_registers

@@ -43,7 +43,7 @@ class Scope:
         self.show(names)
         self.mode, self.source, self.rising, self.level = "free", "", True, 0.5
         self._armed, self._at, self._window = -1.0, None, (0.0, span)  # type: float, float | None, tuple[float, float]
-        self._running = True
+        self._running, self._seen = True, -1.0
         self.base(span)
         self.arm()
 
@@ -77,6 +77,7 @@ class Scope:
     def arm(self) -> None:
         """Wait for the next trigger, from now on."""
         self._armed, self._at, self._running = self.sampler.last, None, True
+        self._seen = self._armed
 
     @property
     def running(self) -> bool:
@@ -99,8 +100,9 @@ class Scope:
         return Frame(begin, end, curves, self._at, self._state(now))
 
     def _follow(self, now: float) -> None:
-        if now < self._armed or (self._at is not None and now < self._at):
-            self._armed, self._at = now, None  # time has gone back
+        if now < self._seen:  # time has gone back: what was shown is not any more
+            self._armed, self._at, self._window = now, None, (now - self.span, now)
+        self._seen = now
         if self.mode == "free":
             self._window = (now - self.span, now)
             return

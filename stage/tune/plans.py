@@ -133,7 +133,7 @@ class Ramps(Plans):
         longer = (drive - start) / (speeds.drive - speeds.start) if speeds.drive > speeds.start else 1.0
         up, down = max(up * longer, 1e-3), max(down * longer, 1e-3)
         if self.both:
-            down = up if values else max(up, down)
+            down = up  # the formula's are the longer ones: friction helps to brake
         made = self.driver.formula(start, drive, up, down, self.task.pulses, shape == "s_curve")
         for name, most in self.trims.items():
             made[name] = round(made[name] * most ** values.get(name, 0.0))

@@ -402,6 +402,29 @@ def test_a_table_says_who_beats_whom_by_intervals_that_part(entry, tmp_path, mon
     assert "two entries are of the same run" in capsys.readouterr().err
 
 
+def test_rows_part_by_rounds_and_who_is_as_good_beats_nobody(entry):
+    def like(player, run=0, value=1.0, **changes):
+        scores = {**entry.scores, "return": np.full(3, value)}
+        return dataclasses.replace(entry, player=player, run=run, scores=scores, **changes)
+
+    one, other = statistics.rows([like("a"), like("b")])
+    assert one.low == one.high == other.high
+    assert not one.beats(other)
+    assert not other.beats(one)
+    rounds = statistics.rows([like("a"), like("a", round="second", seeds=(7, 8, 9))])
+    assert [(row.player, row.runs) for row in rounds] == [("a", 1), ("a", 1)]
+    (half,) = statistics.rows([like("a", 0, cost={"moves": 0}), like("a", 1, cost={"moves": 100})])
+    assert half.learned, "one run of it has learned"
+
+
+def test_what_a_player_may_choose_is_told_from_true_and_false():
+    card = dataclasses.replace(BRIEF, choices={"tries": (1, 2)})
+    card.check("train", "host", {"tries": 1})
+    for wrong in (True, 3):
+        with pytest.raises(ArgumentError, match=rf"tries={wrong}: brief has 1, 2"):
+            card.check("train", "host", {"tries": wrong})
+
+
 @pytest.mark.parametrize("card", CARDS.values(), ids=lambda card: card.name)
 def test_every_task_of_the_list_has_an_environment_with_each_of_its_splits(card):
     module, name = stage.envs.IDS[card.id].split(":")

@@ -13,7 +13,7 @@ from support.examples import SEED, scaled
 from stage import ArgumentError
 from stage.chips import PCL240K
 from stage.firmware import Bench, plan, synchronized_move
-from stage.firmware.pcl240 import fit
+from stage.firmware.pcl240 import fit, leader
 from stage.firmware.pcl240.closed_form import count, course, first_pulse, ramp_ticks
 from stage.firmware.pcl240.emulated import run
 from stage.firmware.pcl240.leader import effective_steps
@@ -61,6 +61,15 @@ def farthest(leader, own, lead, corners=False, hz=4_915_200):
         e = n - rho * count(leader, c, t * hz)
         lo, hi = min(lo, e if n >= 1 else lo), max(hi, e)
     return max(1 - lo, hi + rho)
+
+
+def test_a_ramp_down_point_may_be_the_largest_that_r6_holds():
+    row = np.array([20_000, 100, 1100, 1100, 100, 100, 0, 40])
+    needed = int(next(leader._with_tails(row, 4_915_200, 1 << 20))[6])
+    assert needed > 100
+    assert next(leader._with_tails(row, 4_915_200, needed))[6] == needed
+    with pytest.raises(ArgumentError, match=f"R6 counts to {needed - 1}: shorten decel or lower the rate"):
+        next(leader._with_tails(row, 4_915_200, needed - 1))
 
 
 @pytest.mark.parametrize("bent", [False, True])

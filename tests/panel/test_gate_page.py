@@ -3,8 +3,7 @@
 import time
 
 import pytest
-
-from tests.panel.conftest import Browser
+from panel.conftest import Browser
 
 pytestmark = pytest.mark.slow
 

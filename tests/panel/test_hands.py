@@ -25,6 +25,14 @@ def hands(session):
     hands.close()
 
 
+def test_who_leaves_lets_go(session):
+    hands, dof = Hands(session), session.stage.axes["x"].plant.dof
+    hands.push("x", 5.0)
+    assert session.stage.data.qfrc_applied[dof] == 5.0
+    hands.close()
+    assert session.stage.data.qfrc_applied[dof] == 0.0
+
+
 def test_everything_that_can_break_is_offered_with_what_it_asks_for(hands):
     breakings = {b.name: b for b in hands.breakings("x")}
     assert set(breakings) == set(functions()) >= {"jam", "bounce", "phase_open", "bus_voltage", "lost_write", "payload"}

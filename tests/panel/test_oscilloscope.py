@@ -63,6 +63,36 @@ def test_auto_shows_what_there_is_and_time_may_go_back(session, sampler):
     assert scope.frame(10).end <= 0.03
 
 
+@pytest.mark.parametrize("mode", ["single", "normal"])
+def test_a_trigger_stays_until_its_window_is_full(session, sampler, mode):
+    """A window of 1 s that fills up in steps of 0.1 s"""
+    scope = Scope(sampler, ["x/rate"], span=1.0)
+    scope.trigger(mode, "x/rate", True, 8000.0)
+    hasty(session, firmware.move, session.stage.axes["x"], 0.004)
+    first = scope.frame(10)
+    while sampler.last < first.end - 0.1:
+        hasty(session, session.stage.run, 0.1)
+        frame = scope.frame(10)
+        assert (frame.trigger, frame.begin, frame.state) == (first.trigger, first.begin, "triggered")
+    hasty(session, session.stage.run, 0.2)
+    full = scope.frame(2000)
+    assert (full.trigger, full.state) == (first.trigger, "stopped" if mode == "single" else "waits for the trigger")
+    assert full.curves["x/rate"][0][-1] == pytest.approx(full.end, abs=1e-3)
+
+
+def test_a_trigger_that_time_has_taken_back_is_none(session, sampler):
+    scope = Scope(sampler, ["x/rate"], span=0.1)
+    scope.trigger("normal", "x/rate", True, 8000.0)
+    begin = session.do(lambda stage: stage.snapshot())
+    hasty(session, firmware.move, session.stage.axes["x"], 0.004)
+    assert scope.frame(10).trigger > 0
+    session.restore(begin)
+    session.do(lambda stage: session._publish())
+    hasty(session, session.stage.run, 0.02)
+    again = scope.frame(10)
+    assert (again.trigger, again.end) == (None, sampler.last)
+
+
 def test_a_picture_that_stands_keeps_its_end_or_its_trigger_in_another_window(session, sampler):
     free, single = Scope(sampler, ["x/rate"], span=0.1), Scope(sampler, ["x/rate"], span=0.05)
     single.trigger("single", "x/rate", True, 8000.0)
@@ -99,7 +129,12 @@ def test_files_have_what_the_window_shows(session, sampler):
 
 
 @pytest.mark.slow
-def test_pictures_and_series_of_a_window(session, sampler):
+def test_pictures_and_series_of_a_window(session, sampler, monkeypatch):
     hasty(session, session.stage.run, 0.05)
     assert FORMATS["png"](sampler, ["x/position", "x/org"], 0, 1).startswith(b"\x89PNG")
+    import rerun as rr
+
+    named, lines = [], rr.SeriesLines
+    monkeypatch.setattr(rr, "SeriesLines", lambda names: (named.append(names), lines(names=names))[1])
     assert FORMATS["rrd"](sampler, ["x/position"], 0, 1).startswith(b"RRF")
+    assert named == ["x position (mm)"]

@@ -4,8 +4,7 @@ import urllib.error
 import urllib.request
 
 import pytest
-
-from tests.panel.conftest import Browser
+from panel.conftest import Browser
 
 pytestmark = pytest.mark.slow
 

@@ -39,6 +39,15 @@ def test_samples_are_those_of_a_recording(session, sampler):
     assert seen["x/rate"].max() > 5000
 
 
+def test_the_samples_of_long_windows_are_a_millisecond_apart_however_they_came(session, sampler):
+    for k in range(30):
+        run(session, 0.0102 + 0.00025 * (k % 5))
+    run(session, sampling.FINE)
+    times, _ = sampler.columns([], 0, 0.3)
+    assert len(times) > 290
+    assert np.diff(times) == pytest.approx(sampling.COARSE)
+
+
 def test_time_may_go_back(session, sampler):
     run(session, 0.01)
     snapshot = session.do(lambda stage: stage.snapshot())

@@ -70,6 +70,11 @@ def test_who_lets_others_reach_it_is_warned(capsys):
     )
 
 
+def test_a_name_of_this_machine_needs_no_warning(capsys):
+    assert served(free_port(), "--bind", "localhost") == 0
+    assert "warning" not in capsys.readouterr().err
+
+
 def test_wrong_options_are_errors_in_words(capsys):
     assert main(["serve", "--model", "xy", "--listen", "99999"]) == 2
     assert "0 (one that is free) to 65535" in capsys.readouterr().err

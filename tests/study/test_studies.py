@@ -131,6 +131,12 @@ def test_kills_take_the_trial_under_way_and_no_other_and_the_same_command_goes_o
     assert re.match(r"6[01] trials finished \(", out)
 
 
+@pytest.mark.parametrize("begun", [b"", b'{"op_'])
+def test_a_journal_whose_first_writer_was_killed_before_its_first_line_is_a_new_one(tmp_path, begun):
+    (tmp_path / "study").write_bytes(begun)
+    assert len(made(run(valley, tmp_path / "study", 2))) == 2
+
+
 def test_a_line_that_was_cut_short_is_cut_off_by_the_next_writer(tmp_path):
     journal = tmp_path / "study"
     before = made(run(valley, journal, 3))

@@ -69,6 +69,18 @@ def test_the_interrupt_line_comes_between_instructions():
     assert at == start.seconds
 
 
+@pytest.mark.parametrize(("length", "reaches"), [(4, True), (3, False)])
+def test_a_window_has_its_last_byte_and_none_behind_it(length, reaches):
+    """The program reads 303h, whose last byte it is."""
+    window = f"0x40021000=0x300+{length}"
+    h = TargetHost(DATA / "faults.m3.elf", board_of(9), mcu="cortex-m3", map=window, isolated=False)
+    if reaches:
+        assert h.run().code == 9
+        return
+    with pytest.raises(HostError, match="it touches address 40021003h, which no window has"):
+        h.run()
+
+
 def test_systick_counts_the_processor_s_cycles():
     """10 ms are 50 ticks of 200 us, and one that has begun."""
     h = faults(WAITS)

@@ -120,6 +120,7 @@ def test_steps_registers_and_memory():
         assert gdb("G" + everything) == "OK"
         assert gdb("M20000100,4:01020304") == "OK"
         assert gdb("m20000100,4") == "01020304"
+        assert gdb("M40021000,1:05") == "E14", "a bus cycle, too"
         assert gdb("m50000000,4") == gdb("m40021000,1") == gdb("mx") == "E14", "no memory; a bus cycle; no number"
         assert gdb("Z2,20000000,4") == gdb("vMustReplyEmpty") == "", "watchpoints are not here"
         assert h.board.cycles == 12

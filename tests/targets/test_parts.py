@@ -9,9 +9,11 @@ from types import SimpleNamespace
 import pytest
 
 from stage.board import LibraryError
+from stage.targets.avr import PORTS
 from stage.targets.elf import ARM, AVR, Elf, machine_of
 from stage.targets.nvic import FIRST, NEVER, PENDSV, SVC, SYSTICK, Nvic
 from stage.targets.pc import Pc
+from stage.targets.pins import pins
 from stage.targets.semihosting import APPLICATION_ENDS, Semihosting
 from stage.targets.timer import FULL, Channel, Timers
 
@@ -443,3 +445,13 @@ def test_an_elf_file_says_its_machine_and_what_is_loaded(tmp_path):
             Elf(file, ARM, "cortex-m3", "a linker")
     file.write_bytes(elf())
     assert Elf(file, ARM, "cortex-m3", "a linker").where(0x1234) == "1234h"
+
+
+# --- the pins of an AVR ---
+
+
+def test_a_range_of_one_pin_is_that_pin():
+    one, same = (pins(f"data=A,address={address},wr=G0,rd=G1") for address in ("C:3-3", "C3"))
+    assert one == same
+    assert one.address == ((PORTS.index("C"), 3),)
+    assert pins("data=A,address=C:0-1+D7,wr=G0,rd=G1").address == ((2, 0), (2, 1), (3, 7))

@@ -405,7 +405,11 @@ def test_the_command_writes_its_files_and_refuses_before_the_run(tmp_path, capsy
     monkeypatch.chdir(tmp_path)
     short = ["tune", "xy", "--distance", "1mm", "--settle", "50um", "10ms", "--by", "formula", "--moves", "4"]
     assert main([*short, "-o", "out", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == json.loads((tmp_path / "out/tuned.json").read_text())
+    said = json.loads(capsys.readouterr().out)
+    assert said == json.loads((tmp_path / "out/tuned.json").read_text())
+    assert said["spare"] == pytest.approx(0.3 * Task(Stage("xy", visuals=False), "x", PULSES).moved), (
+        "30 % of what moves"
+    )
     assert {p.name for p in (tmp_path / "out").iterdir()} == {"tuned.h", "tuned.txt", "tuned.json", "tuned.png"}
     assert (tmp_path / "out/tuned.png").read_bytes().startswith(b"\x89PNG")
     for wrong, said in (
@@ -418,6 +422,12 @@ def test_the_command_writes_its_files_and_refuses_before_the_run(tmp_path, capsy
     ):
         assert main(wrong) == 2
         assert said in capsys.readouterr().err
+
+
+def test_a_search_that_ctrl_c_has_ended_writes_what_it_has_and_says_so_by_its_code(result, capsys, monkeypatch):
+    monkeypatch.setattr("stage.tune.tune", lambda *given, **how: replace(result, stopped=True))
+    assert main(["tune", "xy", "--distance", "1mm", "--trials", "8"]) == 130
+    assert ", ended by Ctrl-C)" in capsys.readouterr().out
 
 
 def test_without_optuna_the_search_says_what_to_do(tmp_path, capsys, monkeypatch):

@@ -1,0 +1,31 @@
+"""What a page writes and draws, without a browser."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from stage.panel.session import FREE
+
+pytest.importorskip("nicegui")
+from stage.panel import chart, transport
+
+
+@pytest.mark.parametrize(
+    ("paused", "speed", "pace", "says"),
+    [
+        (True, 1.0, 0.0, "stands still"), (False, 1.0, 0.96, "0.96 x"), (False, 1.0, 0.94, "0.94 x, cannot keep up"),
+        (False, 2.0, 1.0, "1.00 x, cannot keep up"), (False, FREE, 0.5, "0.50 x"),
+    ],
+)  # fmt: skip
+def test_a_stage_cannot_keep_up_where_it_lags_by_more_than_a_twentieth(paused, speed, pace, says):
+    session = SimpleNamespace(paused=paused, speed=speed, view=SimpleNamespace(pace=pace))
+    assert transport._pace(session) == says
+
+
+def test_a_curve_is_sent_with_both_ends_of_what_is_level_and_six_digits():
+    needed = chart._corners(np.array([0, 0, 0, 5, 5, 5, 2, 2.0]))
+    assert np.flatnonzero(needed).tolist() == [0, 2, 3, 5, 6, 7]
+    assert chart._significant(np.array([123_456.789, -0.04])).tolist() == [123_457.0, 0.0]
+    assert chart._significant(np.array([0.00123456789, 0.0])).tolist() == [0.00123457, 0.0]
+    assert chart._significant(np.zeros(2)).tolist() == [0.0, 0.0]

@@ -1,0 +1,44 @@
+"""The picture of a fault: lengths as its labels say, and the close-up where the switch is."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from stage.cli.fault.demo import Demo, Shown
+
+pytest.importorskip("matplotlib")
+TIME = np.arange(0.0, 1.0, 0.1)
+
+
+def recording(org_from, begins=0.2):
+    """Of an axis x that goes at 1 m/s; ORG is on from a time on."""
+    edges = np.zeros(len(TIME), [("inputs", "i8"), ("outputs", "i8")])
+    edges["inputs"] = org_from <= TIME
+    course = SimpleNamespace(edges=edges, seconds=TIME)
+    chip = SimpleNamespace(wired=lambda pin: 1, OUTPUTS={})
+    return SimpleNamespace(
+        axes={"x": SimpleNamespace(chip=chip)}, journals={"x": SimpleNamespace(course=lambda: course)}, began=0.0,
+        notes=[SimpleNamespace(time=begins, text="axis x: jammed: begins")],
+        column=lambda name: TIME if name in ("time", "x/position") else 4 * TIME,
+    )  # fmt: skip
+
+
+def drawn(draws, close_up=None, unit="m"):
+    demo = Demo("", "", lambda stage, strike: {}, lambda h, f: True, draws, close_up)
+    return Shown("jam", demo, ({}, {}), (recording(0.4), recording(0.6)), unit).plot()
+
+
+def test_lengths_are_in_thousandths_and_counts_as_they_are():
+    position, steps = drawn(("position", "lost_steps")).axes
+    assert position.lines[0].get_ydata() == pytest.approx(1e3 * TIME)
+    assert position.get_ylabel() == "position (mm)"
+    assert steps.lines[0].get_ydata() == pytest.approx(4 * TIME)
+    assert drawn(("position", "lost_steps"), unit="rad").axes[0].get_ylabel() == "position (mrad)"
+
+
+@pytest.mark.parametrize(("draws", "moment"), [(("position", "org"), 0.6), (("position", "lost_steps"), 0.2)])
+def test_a_close_up_lies_around_the_first_edge_of_a_switch_or_the_fault_s_beginning(draws, moment):
+    shown = drawn(draws, (-0.1, 0.3))
+    assert shown.axes[0].get_xlim() == pytest.approx((moment - 0.1, moment + 0.3))
+    assert shown.get_suptitle() == "axis x: jammed"

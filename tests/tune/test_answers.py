@@ -1,0 +1,146 @@
+"""What `tune` makes of moves that go as they are told to here: which registers it takes, which are out, and what it says."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stage import Stage
+from stage.chips import PCL240K
+from stage.errors import StageError
+from stage.firmware.driver import Speeds
+from stage.tune import Task, proof, run, tune
+from stage.tune.plans import Plan, plans_of
+from stage.tune.result import Answer, Result
+from stage.tune.search import Trial
+from stage.tune.tries import Outcome
+from stage.tune.written import Row
+
+PAYLOAD, MOST = 2.0, 2.6  # kg, with the spare
+
+
+def task_of(stage=None, **how):
+    stage = Stage("xy", chips=PCL240K, visuals=False) if stage is None else stage
+    return Task(stage, "x", **{"pulses": 400, "payload": PAYLOAD, "hold": 0.02, **how})
+
+
+@pytest.fixture(scope="module")
+def task():
+    return task_of()
+
+
+def named(name):
+    return Plan({"name": name}, Speeds())
+
+
+class Told:
+    """goes(name of the plan, case): s until it arrives, and whether it keeps step. The formula's plan is called formula."""
+
+    def __init__(self, task, goes):
+        self.task, self.plans, self.goes, self.made = task, None, goes, 0
+
+    def make(self, plans, cases, limit):
+        went = np.array([[self.goes(p.registers.get("name", "formula"), c) for c in cases] for p in plans], float)
+        times = np.where(went[..., 0] <= limit, went[..., 0], np.nan)
+        return Outcome(times, went[..., 1] != 0, np.zeros(times.shape))
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *exc):
+        pass
+
+
+@pytest.fixture
+def tuned(monkeypatch, task):
+    """tuned(goes, moves, {name: s, which the search has measured}) -> Result"""
+
+    def made(goes, moves, found=None):
+        ranked = [Trial(k, named(name), worst, 0) for k, (name, worst) in enumerate((found or {}).items())]
+        monkeypatch.setattr(run, "optuna", lambda: None)
+        monkeypatch.setattr(run, "search", lambda *given: (ranked, False))
+        monkeypatch.setattr(run, "Tries", lambda task, plans, workers: Told(task, goes))
+        return tune(task, by="formula" if found is None else "search", moves=moves)
+
+    return made
+
+
+def test_a_slow_answer_of_a_search_is_looked_at_for_as_long_as_it_takes(tuned):
+    result = tuned(
+        lambda name, case: ({"fast": 0.05, "slow": 0.2}.get(name, 0.3), True), 8, {"fast": 0.05, "slow": 0.2}
+    )
+    assert (result.won, result.failed) == ("search", 0)
+    assert result.answer.plan == named("fast")
+
+
+def test_the_fastest_in_the_mean_is_taken(tuned):
+    uneven = {"uneven": lambda case: 0.2 if case.payload == 0 else 0.04, "even": lambda case: 0.13}
+    result = tuned(
+        lambda name, case: (uneven[name](case) if name in uneven else 0.3, True), 8, {"even": 0.13, "uneven": 0.2}
+    )
+    assert result.answer.plan == named("uneven")
+
+
+def test_registers_without_the_spare_that_was_asked_for_are_out(tuned):
+    """They carry the payload and 2.6 kg, the moves of the proof, but not 2.3 kg"""
+    result = tuned(lambda name, case: (0.1, name == "formula" or not 2.1 < case.payload < 2.5), 3, {"other": 0.1})
+    assert (result.won, result.failed, len(result.answers)) == ("formula", 1, 1)
+    assert "found nothing that passes the proof" in result.verdict()
+
+
+def test_a_gain_that_is_less_than_its_error_is_none(tuned):
+    result = tuned(
+        lambda name, case: (0.1 - (0.002 if name == "lucky" and case.payload == 0 else 0.0), True), 3, {"lucky": 0.1}
+    )
+    assert result.won == "formula"
+    assert "gains 1.0 ms (+- 2.0 ms), which the proof cannot tell from nothing" in result.verdict()
+
+
+def test_where_the_formula_loses_steps_in_the_proof_the_search_wins_by_whatever_time(tuned):
+    result = tuned(lambda name, case: (0.1, name == "sound" or case.payload in (0.0, PAYLOAD, MOST)), 4, {"sound": 0.1})
+    assert result.won == "search"
+    assert result.verdict() == "The search's registers (1 trials): the formula's lose steps in the proof."
+
+
+def test_a_formula_that_loses_steps_says_what_it_carries(tuned):
+    with pytest.raises(StageError, match=r"lose steps, .* Up to 1\.3 kg in all they keep step"):
+        tuned(lambda name, case: (0.1, case.payload <= 1.4), 3)
+    with pytest.raises(StageError, match="Nor do they keep step with nothing on it"):
+        tuned(lambda name, case: (0.1, False), 3)
+
+
+def answered(task, **more):
+    plans = plans_of(task)
+    answer = Answer("formula", plans.formula(), proof.Proof(1, 1, np.array([0.1]), 0.0), 0.6, False, True)
+    given = {"won": "formula", "safety": 1.5, "by": "formula", "trials": 0, "stopped": False, "failed": 0, "seed": 0}
+    return Result(task, plans, (answer,), moves=1, **{**given, **more})
+
+
+def test_a_negative_register_is_told_in_hexadecimal_as_it_is_on_the_bus(task):
+    result = answered(task)
+    vars(result)["rows"] = [Row("TP", -40_000, 8, "goal", ""), Row("R1", 20, 4, "FL", "")]
+    assert [line.split()[:3] for line in result.table().splitlines()[2:]] == [
+        ["TP", "-40000", "FFFF63C0h"],
+        ["R1", "20", "0014h"],
+    ]
+
+
+def test_moves_of_a_proof_go_both_ways_with_each_payload(task):
+    rng = np.random.default_rng(0)
+    for cases in (task.corners(rng, 2), task.drawn(rng, 16)):
+        for payload in (0.0, PAYLOAD, MOST):
+            assert {case.way for case in cases if case.payload == pytest.approx(payload)} == {1, -1}
+
+
+def test_on_a_screw_that_turns_the_other_way_the_picture_has_the_move_towards_plus(tmp_path, monkeypatch):
+    """gear="-628.3185307" of axis x"""
+    pytest.importorskip("matplotlib")
+    for part in (Path(__file__).parents[2] / "models").glob("*.xml"):
+        (tmp_path / part.name).write_text(part.read_text().replace('joint="x" gear="', 'joint="x" gear="-'))
+    drawn = []
+    monkeypatch.setattr("stage.tune.picture.save_figure", lambda figure, *rest: drawn.append(figure))
+    result = answered(task_of(Stage(str(tmp_path / "xy.xml"), chips=PCL240K, visuals=False)))
+    result.plot(tmp_path / "tuned.png")
+    position, behind = (drawn[0].axes[k].lines[0].get_ydata() for k in (1, 2))
+    assert position[-1] == pytest.approx(1e3 * 400 * result.task.stage.axes["x"].meters_per_pulse, abs=0.02)
+    assert behind[np.abs(behind) > 1][0] > 0, "um: at the start the carriage is behind"
