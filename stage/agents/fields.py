@@ -21,6 +21,7 @@ from stage.errors import ArgumentError, near_names
 from stage.units import TYPED
 
 NUMBER, WHOLE, TEXT, FLAG, LENGTH, BYTES, LENGTHS = "number", "whole", "text", "flag", "length", "bytes", "lengths"
+FARTHEST = 1e3  # m or rad, of a length
 LONG = 4000  # characters of a text, at most
 MANY = 256  # numbers of a list, at most
 UNITS = TYPED["m"] | TYPED["rad"]
@@ -70,11 +71,11 @@ class Field:
         if self.kind == WHOLE:
             return {"anyOf": [{"type": "integer", **self._ends()}, {"type": "string", "pattern": DIGITS}]}
         if self.kind == LENGTH:
-            return {"anyOf": [{"type": "number"}, {"type": "string", "pattern": SIZES}]}
+            return _length_form()
         if self.kind == BYTES:
             one = {"anyOf": [{"type": "integer", **self._ends()}, {"type": "string", "pattern": DIGITS}]}
             return {"type": "array", "items": one, "minItems": 1, "maxItems": MANY}
-        one = {"anyOf": [{"type": "number"}, {"type": "string", "pattern": SIZES}]}
+        one = _length_form()
         return {
             "type": "object", "properties": dict.fromkeys(self.choices, one), "additionalProperties": False, "minProperties": 1
         }  # fmt: skip
@@ -159,8 +160,8 @@ class Field:
             value = number * UNITS.get(unit, 1.0)
         else:
             value = self._number(given)
-        if not math.isfinite(value):
-            raise self._wrong(given, "a finite length")
+        if not abs(value) <= FARTHEST:
+            raise self._wrong(given, f"a length up to {FARTHEST:g} m")
         return value
 
     def _list(self, given: Any) -> list[int]:
@@ -203,6 +204,11 @@ class Field:
 
     def _wrong(self, given: Any, wanted: str) -> ArgumentError:
         return ArgumentError(f"{self.name}: {shown(given)} is not {wanted}.")
+
+
+def _length_form() -> dict[str, Any]:
+    number = {"type": "number", "minimum": -FARTHEST, "maximum": FARTHEST}
+    return {"anyOf": [number, {"type": "string", "pattern": SIZES}]}
 
 
 def chosen(what: str, given: str, choices: tuple[str, ...]) -> str:

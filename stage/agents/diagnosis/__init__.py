@@ -1,0 +1,15 @@
+"""Broken set-ups for agents to find and mend: a machine with a fault, or a host's program with a bug.
+
+    case = Case("supply")
+    case.box.call("run")                                     the program, on the machine from power-up
+    case.box.call("answer", {"cause": "supply too low"})
+    case.box.call("service", {"work": "set the supply of the drives to what is on the nameplate"})
+    case.score()                                             found, mended
+
+setups.py has the ten; program.py the language of the host's programs; case.py the tools and the score.
+"""
+
+from stage.agents.diagnosis.case import Case, Score
+from stage.agents.diagnosis.setups import CAUSES, SERVICES, SETUPS, Setup
+
+__all__ = ["CAUSES", "SERVICES", "SETUPS", "Case", "Score", "Setup"]

@@ -1,0 +1,214 @@
+"""A host's program as text: bus cycles in the language of the bus console, waits and polls, a line each.
+
+    base x 300h                  where the host believes that the chip of x is; default where it really is
+    x: R0 <- 4000                a register, by the cycles of a driver
+    x: 84 2: 3A 1: 98            bytes: to address 0, then one to address 2 and one to address 1
+    x: operate 15h               a command or word by name
+    wait 0.05                    s
+    until x stopped 5            poll the status until the axis does not drive; the host gives up after 5 s
+    until x RR1.DSND 1 2         poll a bit of a status word until it is 1; gives up after 2 s
+    # a remark
+
+Whoever writes to a base where no chip is writes into the air, and reads FFh there.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from stage.agents.fields import chosen, whole
+from stage.errors import ArgumentError, RunTimeout
+from stage.firmware.driver import Driver
+from stage.panel.orders import Cycle, understand
+from stage.sim.axis import Axis
+from stage.sim.stage import Stage
+
+MOST = 200  # lines
+WIDE = 200  # characters of a line
+FIRST, STRIDE = 0x300, 4  # the port of the first chip, and from one chip to the next, as on a PCL-240 card
+POLL = 5e-4  # s
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line that does something. do: it, on a host."""
+
+    number: int
+    text: str
+    do: Callable[[Host], None]
+
+
+class Host:
+    """Runs programs on a stage. driver: of an axis by its name."""
+
+    def __init__(self, stage: Stage, driver: Callable[[str], Driver]):
+        self.stage, self.driver = stage, driver
+        self._base: dict[str, int] = {}
+
+    def run(self, lines: Iterable[Line]) -> dict[str, Any]:
+        """Run to the end, or until a poll is given up. Raises StageError as the tools do."""
+        self._base.clear()
+        done = 0
+        for line in lines:
+            try:
+                line.do(self)
+            except RunTimeout as error:
+                return {
+                    "ended": f"line {line.number}: {error}",
+                    "lines_done": done,
+                    "time_s": round(self.stage.time, 9),
+                }
+            done += 1
+        return {"ended": "the program came to its end", "lines_done": done, "time_s": round(self.stage.time, 9)}
+
+    def base(self, axis: str, port: int) -> None:
+        """From now on the host believes the chip of `axis` there."""
+        self._base[axis] = port
+
+    def cycle(self, axis: str, cycle: Cycle) -> None:
+        """A bus cycle to the ports where the host believes the chip of `axis`."""
+        chip = self.stage.axes[axis].chip
+        if axis in self._base:
+            k, offset = divmod(self._base[axis] + cycle.address - FIRST, STRIDE)
+            if not 0 <= k < len(self.stage.chips):
+                self.stage.cycle()
+                return
+            chip, address = self.stage.chips[k], offset
+        else:
+            address = cycle.address
+        if cycle.read:
+            chip.read(address)
+        else:
+            chip.write(address, cycle.datum)
+
+    def wait_until(self, test: Callable[[], bool], limit: float, what: str) -> None:
+        """Poll. Raises RunTimeout."""
+        begun = self.stage.time
+        while not test():
+            if self.stage.time - begun >= limit:
+                raise RunTimeout(f"{what} did not come within {limit:g} s, and the host gave up.")
+            self.stage.run(POLL)
+
+    def reads(self, axis: str) -> Axis:
+        """The axis whose chip answers where the host believes that of `axis`."""
+        if axis not in self._base:
+            return self.stage.axes[axis]
+        k = (self._base[axis] - FIRST) // STRIDE
+        found = [
+            a for a in self.stage.axes.values() if 0 <= k < len(self.stage.chips) and a.chip is self.stage.chips[k]
+        ]
+        if not found:
+            raise RunTimeout(f"port {self._base[axis]:X}h answers FFh for ever: no chip is there.")
+        return found[0]
+
+
+def parse(text: str, stage: Stage) -> list[Line]:
+    """The lines of a program that do something. Raises ArgumentError with the number of the line that cannot be read."""
+    if len(text) > MOST * WIDE or text.count("\n") >= MOST:
+        raise ArgumentError(f"a program of {text.count(chr(10)) + 1} lines: up to {MOST}, each of {WIDE} characters.")
+    lines = []
+    for number, raw in enumerate(text.split("\n"), 1):
+        line = raw.partition("#")[0].strip()
+        if not line:
+            continue
+        try:
+            lines.append(Line(number, line, _parsed(line, stage)))
+        except (ArgumentError, NotImplementedError) as error:
+            raise ArgumentError(f"line {number}, {line[:60]!r}: {error}") from None
+    return lines
+
+
+def _parsed(line: str, stage: Stage) -> Callable[[Host], None]:
+    word, _, rest = line.partition(" ")
+    if word == "wait":
+        seconds = _seconds(rest)
+        return lambda host: host.stage.run(seconds)
+    if word == "base":
+        axis, _, port = rest.partition(" ")
+        name, number = chosen("axis", axis, tuple(stage.axes)), whole("port", port)
+        return lambda host: host.base(name, number)
+    if word == "until":
+        return _until(rest.split(), stage)
+    if ":" not in line:
+        raise ArgumentError(
+            "a line begins with an axis and a colon, or with wait, until or base, as in `x: operate 15h`."
+        )
+    axis, _, order = line.partition(":")
+    name = chosen("axis", axis.strip(), tuple(stage.axes))
+    cycles = _cycles(stage.axes[name], order.strip())
+
+    def send(host: Host) -> None:
+        for cycle in cycles:
+            host.cycle(name, cycle)
+
+    return send
+
+
+def _cycles(axis: Axis, order: str) -> tuple[Cycle, ...]:
+    """Of what stands behind the colon: an order of the console, or bytes with their addresses among them."""
+    kind = type(axis.chip)
+    if re.fullmatch(r"[0-9a-fA-F]{1,4}( [0-3]: ?[0-9a-fA-F]{1,4})+", order):
+        first, *others = re.split(r" (?=[0-3]:)", order)
+        pairs = [("0", first), *(o.split(":") for o in others)]
+        return tuple(Cycle(False, int(a, 16), int(d, 16)) for a, d in pairs)
+    if "." in order.partition("<-")[0] and "<-" in order:
+        raise ArgumentError("write the whole register: what its other bits are, a program has to know.")
+    return understand(kind, order, axis.chip_axis).cycles
+
+
+def _until(words: list[str], stage: Stage) -> Callable[[Host], None]:
+    usage = "as in `until x stopped 5` or `until x RR1.DSND 1 2`"
+    if not words:
+        raise ArgumentError(f"until: {usage}.")
+    name = chosen("axis", words[0], tuple(stage.axes))
+    axis = stage.axes[name]
+    if len(words) == 3 and words[1] == "stopped":
+        limit = _seconds(words[2])
+
+        def stopped(host: Host) -> None:
+            answers = host.reads(name)
+            host.wait_until(lambda: not answers.chip.busy(answers.chip_axis), limit, "the end of the drive")
+
+        return stopped
+    if len(words) != 4 or "." not in words[1] or words[2] not in ("0", "1"):
+        raise ArgumentError(f"until {' '.join(words)}: {usage}.")
+    where, _, bit = words[1].partition(".")
+    field = axis.chip.MAP.field(where, bit)
+    wanted, limit = int(words[2]), _seconds(words[3])
+
+    def shows(host: Host) -> None:
+        driver = host.driver(host.reads(name).name)
+        host.wait_until(
+            lambda: bool(field.of(driver.status_words()[where])) == bool(wanted), limit, f"{words[1]} = {wanted}"
+        )
+
+    if where not in _status_names(axis):
+        raise ArgumentError(f"{where} is no status word that is polled here: {', '.join(_status_names(axis))}.")
+    return shows
+
+
+def _status_names(axis: Axis) -> tuple[str, ...]:
+    from stage.firmware.driver import driver_of
+
+    twin = _Apart(axis)
+    return tuple(driver_of(twin).status_words())  # type: ignore[arg-type]
+
+
+class _Apart:
+    """An axis whose bus cycles nobody sees: to ask a driver which words it reads."""
+
+    def __init__(self, axis: Axis):
+        self.name, self.chip, self.chip_axis, self.index = axis.name, axis.chip.twin(), axis.chip_axis, axis.index
+
+
+def _seconds(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0 <= value <= 60:
+        raise ArgumentError(f"{text.strip()!r}: seconds, 0 to 60.")
+    return value
