@@ -50,6 +50,7 @@ class Chart:
         org = [n for n in traces if n.endswith("/org")][:1]
         self.scope = Scope(self.sampler, usual + org)
         self._drawn: tuple | None = None
+        self._wanted: tuple | None = None
         self._flat, self._at = False, 0.0
         self._frame: Frame | None = None
         with ui.card().classes("w-full q-pa-sm").props('data-test=scope role=group aria-label="Oscilloscope"'):
@@ -110,11 +111,13 @@ class Chart:
         self._lay_out()
 
     def _trigger(self) -> None:
-        level = self.level.value
+        level = 0.5 if self.level.value is None else self.level.value
+        wanted = (self.mode.value, self.source.value or LOST, self.edge.value, level)
+        if wanted == self._wanted:  # a browser tells a value again when its field is left: what was caught stays
+            return
+        self._wanted = wanted
         try:
-            self.scope.trigger(
-                self.mode.value, self.source.value or LOST, self.edge.value, 0.5 if level is None else level
-            )
+            self.scope.trigger(*wanted)
         except StageError as error:
             ui.notify(str(error), type="negative")
 

@@ -87,7 +87,7 @@ class Procedures:
                     self._wrong(error, fields, controls)
                     return
                 what = form.title if form.several else f"{form.title} {self.axis}"
-                await self._perform(what, order, fields, controls)
+                await self._draw(await self._perform(what, order, fields, controls))
 
             ui.button("go", on_click=go).props(f"dense no-caps data-test=go-{form.name}").classes("q-mt-sm")
             for control in controls.values():
@@ -96,25 +96,35 @@ class Procedures:
 
     async def _perform(
         self, what: str, order: Callable[[Any], Any], fields: list[Field], controls: dict[str, Any]
-    ) -> None:
+    ) -> Any:
+        """Have it done; its report, or None. What came of it stands on the page."""
         self._say(f"{what} ...")
         self.picture.content = ""
         try:
             report = await asyncio.wrap_future(self.session.act(what, order))
         except Abandoned:
             self._say(f"{what}: stopped.")
-            return
+            return None
         except RunTimeout as error:
             self._say(f"{error}\n{getattr(error, 'report', '')}", wrong=True)
-            return
+            return None
         except StageError as error:
             self._wrong(error, fields, controls)
-            return
+            return None
         self._say(str(report), wrong=not report.ok)
+        return report
+
+    async def _draw(self, report: Any) -> None:
+        """The operation pattern, where there is one; it takes a while."""
+        if report is None:
+            return
         try:
-            self.picture.content = await run.io_bound(procedures.picture, report)
+            drawn = await run.io_bound(procedures.picture, report)
         except StageError as error:
             self._say(f"{report}\n{error}")
+        else:
+            if self.said.text == str(report):  # the next may have begun meanwhile
+                self.picture.content = drawn
 
     def _jogging(self) -> None:
         controls: dict[str, Any] = {}
@@ -145,9 +155,10 @@ class Procedures:
             self._wrong(error, fields, controls)
             return
         try:
-            await self._perform(f"jog {self.axis}", jog.order, fields, controls)
+            report = await self._perform(f"jog {self.axis}", jog.order, fields, controls)
         finally:
             self._release(jog)
+        await self._draw(report)
 
     def _release(self, jog: Jog | None = None) -> None:
         if self._jog is not None and jog in (None, self._jog):

@@ -160,7 +160,7 @@ class Hands:
     def payload(self) -> float | None:
         """kg on the carriage; None where the model has no place for it."""
         try:
-            return self.session.do(lambda stage: stage.payload())
+            return self.session.stage.payload()
         except StageError:
             return None
 

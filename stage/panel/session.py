@@ -10,6 +10,11 @@ lives beside him, talk to it.
 
 One thread of the session's own runs the stage and carries out orders, in their order. Time is cut into slices of SLICE seconds of
 real time at most; the stage's promise that cutting time changes nothing makes a session's run that of the same program without one.
+
+A program of somebody's own can have the stage, Session(stage, program="mine"): it drives from its own thread as it would without a
+session, in real time, and no time passes but by it, so its run is bit for bit that without a session. Orders are carried out where
+it is not at the stage, see turns.py. `take_over()` makes it wait where it next comes to the stage, and the session's thread lets
+time pass as if there were no program; `give_back()` lets it go on.
 """
 
 from __future__ import annotations
@@ -25,13 +30,13 @@ from typing import Any, TypeVar
 import numpy as np
 
 from stage.errors import ArgumentError, SimulationError, StageError
+from stage.panel.past import Past
+from stage.panel.turns import Turns
 from stage.sim.stage import Snapshot, Stage
 
 T = TypeVar("T")
 SLICE = 0.02  # s of real time, between looks at orders
 BEHIND = 0.2  # s of real time by which a session may be late before it gives up catching up
-KEPT = 30.0  # s of simulated time that one can go back
-EVERY = 0.05  # s of simulated time between the snapshots for it
 SLOWEST, FASTEST = 0.001, 1000.0
 SHORTEST = 1_000_000  # ns: what is shorter, a bus cycle, does not wait for real time
 FREE = float("inf")
@@ -68,24 +73,28 @@ class Session:
     Args:
         stage: nobody else may run it while the session lasts.
         speed: simulated seconds a real second; `FREE`: as fast as it goes.
+        program: who has the stage, for people; "": the session alone.
 
     Attributes:
         changed: a threading.Condition; notified after each slice and each order.
+        taken: the program waits, or will where it next comes to the stage: the session has it.
     """
 
-    def __init__(self, stage: Stage, *, speed: float = 1.0, paused: bool = False):
-        self.stage = stage
+    def __init__(self, stage: Stage, *, speed: float = 1.0, paused: bool = False, program: str = ""):
+        self.stage, self.program, self.taken = stage, program, False
+        self._turns = Turns()
+        self._called = threading.Event()  # the session's thread, while a program has the stage
         self.changed = threading.Condition()
         self._orders: deque[tuple[Callable[[Stage], Any], Future]] = deque()
         self._actions: deque[_Action] = deque()
         self._acting: _Action | None = None
         self._wake = threading.Event()
         self._paused, self._closed, self._speed = paused, False, 1.0
-        self._hasty = False
-        self._past: deque[tuple[int, Snapshot]] = deque()
+        self._hasty = self._jumped = False
+        self._past = Past()
         self._real, self._simulated = perf_counter(), stage.now
         self._pace, self._measured = speed, (perf_counter(), stage.now)
-        self._number = 0
+        self._number, self._published = 0, -1
         self._trouble = ""
         self._looks: list[Callable[[Stage], None]] = []
         self.speed = speed
@@ -103,7 +112,9 @@ class Session:
         a look. Within an order it is called at once. Raises StageError when the session is over."""
         if threading.current_thread() is self._thread:
             return order(self.stage)
-        return self.post(order).result(timeout)
+        future = self.post(order)
+        with self._turns.resting():
+            return future.result(timeout)
 
     def post(self, order: Callable[[Stage], T]) -> Future[T]:
         """As `do`, without waiting."""
@@ -111,7 +122,7 @@ class Session:
         if self._closed:
             raise StageError("this session is over.")
         self._orders.append((order, future))
-        self._wake.set()
+        self._ring()
         return future
 
     def act(self, name: str, order: Callable[[Stage], T]) -> Future[T]:
@@ -147,7 +158,7 @@ class Session:
             )
         self._speed = float(value)
         self._restart_clock()
-        self._wake.set()
+        self._ring()
 
     @property
     def paused(self) -> bool:
@@ -160,7 +171,7 @@ class Session:
         if not value:
             self._trouble = ""
             self._restart_clock()
-        self._wake.set()
+        self._ring()
 
     def single_step(self, n: int = 1) -> None:
         """Pause, and let n physics steps pass."""
@@ -188,18 +199,46 @@ class Session:
     @property
     def remembered(self) -> float:
         """Simulated seconds that one can go back now."""
-        past = self._past
-        return (self.stage.now - past[0][0]) * 1e-9 if past else 0.0
+        return self._past.seconds(self.stage.now)
 
     def on_slice(self, look: Callable[[Stage], None]) -> Callable[[], None]:
         """Have `look(stage)` called by the stage's thread after each slice; returns what ends it."""
         self._looks.append(look)
         return lambda: self._looks.remove(look)
 
+    # --- a program beside it ---
+
+    def take_over(self) -> None:
+        """The session has the stage: the program waits where it next comes to it."""
+        self.taken = bool(self.program)
+        self._ring()
+
+    def give_back(self) -> None:
+        """The program has the stage again; an action under way is abandoned."""
+        self.abandon()
+        self.taken = False
+        self._ring()
+
+    def dismiss(self) -> None:
+        """The program has ended: the session has the stage alone."""
+        self.program, self.taken = "", False
+        self._turns.forget()
+        self._ring()
+
+    @property
+    def waits(self) -> bool:
+        """The program has come to the stage and waits for it to be given back."""
+        return self.taken and self._turns.waiting
+
+    def catch_up(self) -> None:
+        """For a program that lets time pass otherwise than by the stage, as a board does: waits until real time has come as far, and
+        for as long as somebody has paused or taken over. To be called every some hundredths of a second."""
+        self._admit(self.stage.now + SHORTEST, ahead=0)
+
     def close(self) -> None:
         """End: the stage is the caller's again, where it is."""
         self._closed = True
-        self._wake.set()
+        self._ring()
         if threading.current_thread() is not self._thread:
             self._thread.join()
 
@@ -214,23 +253,52 @@ class Session:
     def _live(self) -> None:
         try:
             while not self._closed:
-                self._carry_out()
-                if self._actions:
-                    self._perform(self._actions.popleft())
-                elif self._paused or self._trouble:
-                    self._rest()
-                else:
-                    self._run()
+                if self.program and not self.taken:
+                    self._beside()
+                elif self._turns.claim(BEHIND, self._is_over):
+                    self._live_on()
         finally:
             self.stage.loop.pace = None
+            self._turns.release()
             over = StageError("this session is over.")
             for _, future in self._orders:
                 future.set_exception(over)
             for action in self._actions:
                 action.future.set_exception(over)
 
+    def _is_over(self) -> bool:
+        return self._closed
+
+    def _live_on(self) -> None:
+        """For as long as the stage is the session's."""
+        self._restart_clock()
+        while not self._closed and (self.taken or not self.program):
+            self._carry_out()
+            if self._actions:
+                self._perform(self._actions.popleft())
+            elif self._paused or self._trouble:
+                self._rest()
+            else:
+                self._run()
+        if self.program:
+            self._restart_clock()
+            self._turns.release()
+
+    def _beside(self) -> None:
+        """A program has the stage: orders are carried out between what it does, and what it has done is seen."""
+        self._called.wait(SLICE)
+        self._called.clear()
+        if (self._orders or self.stage.now != self._published) and self._turns.claim(SLICE, self._is_over):
+            try:
+                self._carry_out()
+                self._past.remember(self.stage)
+                self._publish()
+            finally:
+                self._turns.release()
+
     def _run(self) -> None:
-        """A slice without anybody's action."""
+        """A slice without anybody's action. It ends early for an action, and where time has jumped: its end lies elsewhere then."""
+        self._jumped = False
         fast = 1.0 if self._speed == FREE else self._speed
         try:
             self.stage.run(SLICE * fast)
@@ -260,20 +328,49 @@ class Session:
         """The stage's time is to go on to `until`, ns: how far it may go now, when it is due. See `Loop.pace`."""
         stage = self.stage
         if threading.current_thread() is not self._thread:
-            raise StageError("this stage lives in a session: give it orders, session.do(...).")
+            until = self._admit(until) if self.program else until
+            if not (self.program or self._closed):
+                raise StageError("this stage lives in a session: give it orders, session.do(...).")
+            return until
         now = stage.now
         if until - now < SHORTEST or self._hasty:
             return until
         self._publish()
         while True:
             self._carry_out()
-            if self._closed or (self._acting is not None and self._acting.abandoned):
+            if self._closed or self._over():
                 raise Abandoned("stopped.")
             if not self._paused:
                 break
             self._rest()
-        self._remember(stage)
+        self._past.remember(stage)
         return self._due(until)
+
+    def _admit(self, until: int, ahead: float = SLICE) -> int:
+        """As `_until`, for a program, in its thread: nothing but waiting happens here. ahead: real seconds that it may go at a
+        time."""
+        self._turns.admit()
+        now = self.stage.now
+        if until - now < SHORTEST:
+            return until
+        while self.program and not self._closed:
+            if self._paused:
+                self._turns.rest(0.5)
+            else:
+                now, speed = self.stage.now, self._speed
+                if speed == FREE:
+                    return min(until, now + round(SLICE * 1e9))
+                goal = min(until, now + max(round(ahead * speed * 1e9), self.stage.state.dt if ahead else 0))
+                early = self._due_at(goal) - perf_counter()
+                if early < -BEHIND:
+                    self._restart_clock()
+                if early <= 0:
+                    return goal
+                self._turns.rest(min(early, 0.5))
+            now = self.stage.now
+            if now >= until:  # somebody else has let so much time pass
+                return until
+        return until
 
     def _due(self, until: int) -> int:
         """How far the stage may go towards `until`, when that is due; orders are carried out until then."""
@@ -288,9 +385,15 @@ class Session:
             self._wake.wait(early)
             self._wake.clear()
             self._carry_out()
-            if self._paused or self._closed or speed != self._speed or (self._acting and self._acting.abandoned):
+            if self._paused or self._closed or speed != self._speed or self._over():
                 return self.stage.now  # nothing passes; asked again at once
         return max(goal, self.stage.now)
+
+    def _over(self) -> bool:
+        """Whether what lets time pass is to end where it is."""
+        if self._acting is not None:
+            return self._acting.abandoned
+        return self._jumped or bool(self._actions) or bool(self.program and not self.taken)
 
     def _due_at(self, goal: int) -> float:
         return self._real + (goal - self._simulated) * 1e-9 / self._speed
@@ -327,30 +430,23 @@ class Session:
             self._hasty = False
             self._restart_clock()
 
-    def _remember(self, stage: Stage) -> None:
-        """A snapshot, where the last is EVERY old; none of a stage that is being recorded, for it could not go back."""
-        past, now = self._past, stage.now
-        if past and now - past[-1][0] < EVERY * 1e9:
-            return
-        past.append((now, stage.snapshot()))
-        while now - past[0][0] > KEPT * 1e9 and len(past) > 1:
-            past.popleft()
-
     def _back(self, stage: Stage, goal: int) -> float:
-        past = self._past
-        if not past:
-            return stage.time
-        while len(past) > 1 and past[-1][0] > goal:
-            past.pop()
-        self._go_to(stage, lambda: stage.restore(past[-1][1]))
+        snapshot = self._past.before(goal)
+        if snapshot is not None:
+            self._go_to(stage, lambda: stage.restore(snapshot))
         return stage.time
 
     def _go_to(self, stage: Stage, change: Callable[[], None]) -> None:
         change()
-        self._trouble = ""
-        while self._past and self._past[-1][0] > stage.now:
-            self._past.pop()
+        self._jumped, self._trouble = True, ""
+        self._past.forget_after(stage.now)
         self._restart_clock()
+
+    def _ring(self) -> None:
+        """Something has changed: whoever waits looks again."""
+        self._wake.set()
+        self._called.set()
+        self._turns.ring()
 
     def _publish(self) -> None:
         """What is there now becomes `view`."""
@@ -360,6 +456,7 @@ class Session:
             self._pace = (simulated - self._measured[1]) * 1e-9 / passed
             self._measured = (real, simulated)
         self._number += 1
+        self._published = simulated
         self.view = self._seen()
         for look in tuple(self._looks):
             look(self.stage)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from nicegui import background_tasks, run, ui
@@ -30,6 +31,7 @@ class Touch:
     def __init__(self, panel: Panel, axes: list[str]):
         self.hands, self.axis = panel.hands, axes[0]
         self._listed: list[tuple[Made, str]] | None = None
+        self._follow: list[Callable[[], None]] = []
         with (
             ui.expansion("Hands on the machine", icon="back_hand")
             .classes("w-full")
@@ -56,31 +58,43 @@ class Touch:
         ui.timer(0.25, self._look)
 
     def _sliders(self) -> None:
-        nominal = self.hands.supply
-        mass = self.hands.payload
-        for name, low, high, step, value, unit, does in (
-            ("payload", 0.0, max(HEAVIEST, mass or 0), 0.1, mass, "kg", self.hands.load),
-            ("supply", 1.0, round(2 * nominal), 0.5, nominal, "V", self.hands.supply_all),
-        ):
-            if value is None:
-                continue
-            with ui.column().classes("q-gutter-none").style("width: 200px"):
-                text = (
-                    ui.label(f"{name} {value:g} {unit}").classes("text-caption number").props(f"data-test={name}-value")
-                )
+        nominal, mass = self.hands.supply, self.hands.payload
+        if mass is not None:
+            self._slider("payload", "kg", (0.0, max(HEAVIEST, mass), 0.1), lambda: self.hands.payload, self.hands.load)
+        self._slider("supply", "V", (1.0, round(2 * nominal), 0.5), lambda: self.hands.supply, self.hands.supply_all)
 
-                async def change(
-                    e: Any, name: str = name, unit: str = unit, does: Any = does, text: ui.label = text
-                ) -> None:
-                    try:
-                        await run.io_bound(does, float(e.args))
-                    except StageError as error:
-                        ui.notify(str(error), type="negative")
-                    else:
-                        text.text = f"{name} {float(e.args):g} {unit}"
+    def _slider(
+        self,
+        name: str,
+        unit: str,
+        span: tuple[float, float, float],
+        look: Callable[[], float | None],
+        does: Callable[[float], None],
+    ) -> None:
+        """span: least, most, step. It follows what is so, whoever changed it."""
+        low, high, step = span
+        with ui.column().classes("q-gutter-none").style("width: 200px"):
+            text = ui.label().classes("text-caption number").props(f"data-test={name}-value")
+            slider = ui.slider(min=low, max=high, step=step)
+            slider.props(f"data-test={name} aria-label='{name}, {unit}'")
 
-                slider = ui.slider(min=low, max=high, step=step, value=value)
-                slider.props(f"data-test={name} aria-label='{name}, {unit}'").on("change", change)
+        async def change(event: Any) -> None:
+            try:
+                await run.io_bound(does, float(event.args))
+            except StageError as error:
+                ui.notify(str(error), type="negative")
+            follow()
+
+        def follow() -> None:
+            now = look()
+            if now is not None and shown != [now]:
+                shown[:] = [now]
+                slider.value, text.text = now, f"{name} {now:g} {unit}"
+
+        shown: list[float] = []
+        slider.on("change", change)
+        self._follow.append(follow)
+        follow()
 
     def _push_button(self, sign: int, label: str) -> None:
         button = ui.button(label).props(
@@ -149,7 +163,9 @@ class Touch:
         ui.button("break it", on_click=go).props("dense no-caps color=deep-orange-9 data-test=break").classes("q-mt-xs")
 
     def _look(self) -> None:
-        """The list of what is broken, where it has changed."""
+        """What is so now; the list of what is broken, where it has changed."""
+        for follow in self._follow:
+            follow()
         now = [(made, made.text) for made in self.hands.in_force]
         if now == self._listed:
             return

@@ -40,7 +40,8 @@ class Loop:
         held: why neither time may pass now nor another state be put in the place of this one; "" where both may.
         keeps: why no other state may be put there, though time may pass; "" where one may.
         pace: who says when time may pass: `pace(until)` is asked before a run to `until` (ns), may wait, let others do something
-            meanwhile, and answers how far it may go now; then it is asked again. None: as fast as it goes.
+            meanwhile, and answers how far it may go now; then it is asked again. Before anything else that changes the stage it is
+            asked with the time that is now. None: as fast as it goes.
         each_cycle: who is told before each bus cycle that Python makes, and may refuse it by an error; or None.
     """
 
@@ -75,6 +76,8 @@ class Loop:
 
     def change(self) -> None:
         """Somebody is about to change the stage's state. Raises StageError while another thread runs the stage."""
+        if self.pace is not None:
+            self.pace(self._words.item(0))
         if self.state.clockwork["busy"].item(0):
             raise StageError(IN_USE)
         self.look()
@@ -94,11 +97,15 @@ class Loop:
 
     def check_held(self) -> None:
         """Raises StageError while somebody has the stage stand still."""
+        if self.pace is not None:
+            self.pace(self._words.item(0))
         if self.held:
             raise StageError(self.held)
 
     def check_kept(self) -> None:
         """Raises StageError while nobody may put another state in the place of this one, or let firmware run."""
+        if self.pace is not None:
+            self.pace(self._words.item(0))
         if self.held or self.keeps:
             raise StageError(self.held or self.keeps)
 

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -21,6 +22,9 @@ ARGUMENTS = (
     "--enable-unsafe-swiftshader",
     "--window-size=1400,1000",
 )
+
+ERROR_AT = """const said = arguments[0].closest('.q-field').querySelector('[role=alert]'); return said ? said.textContent : ''"""
+CURVE = "return getElement(Number(arguments[0].id.slice(1))).chart.getOption().series[arguments[1]].data"
 
 
 class Browser:
@@ -45,8 +49,9 @@ class Browser:
         self.until(lambda: self.text("time"))
 
     def close(self):
-        self.driver.quit()
-        shutil.rmtree(self.downloads)
+        if self.downloads.exists():
+            self.driver.quit()
+            shutil.rmtree(self.downloads)
 
     def find(self, name):
         return self.driver.find_element("css selector", f"[data-test='{name}']")
@@ -71,8 +76,27 @@ class Browser:
 
         return self.until(rests)
 
+    @contextmanager
+    def held(self, name):
+        """The mouse's button is down on the element for as long as the block lasts."""
+        from selenium.webdriver.common.action_chains import ActionChains
+
+        ActionChains(self.driver).click_and_hold(self.shown(name)).perform()
+        try:
+            yield
+        finally:
+            ActionChains(self.driver).release().perform()
+
     def value(self, name):
         return self.find(name).get_attribute("value")
+
+    def error_at(self, name):
+        """What is said at a field, or ""."""
+        return self.driver.execute_script(ERROR_AT, self.find(name))
+
+    def curve(self, k):
+        """The points of a curve of the oscilloscope, as the browser draws it: [[x, y], ...]."""
+        return self.driver.execute_script(CURVE, self.find("chart"), k)
 
     def lit(self, name):
         """Whether a lamp is on."""
@@ -162,6 +186,20 @@ def browser(address):
     browser = Browser(address)
     yield browser
     browser.close()
+
+
+@pytest.fixture
+def look_on():
+    """Opens further browsers: look_on(address)."""
+    opened = []
+
+    def look(address):
+        opened.append(Browser(address))
+        return opened[-1]
+
+    yield look
+    for browser in opened:
+        browser.close()
 
 
 class Bench:

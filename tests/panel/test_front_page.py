@@ -56,22 +56,24 @@ def test_a_field_of_a_word_is_set_and_goes_out_by_send(bench):
     browser.click("send-0-output")
     browser.until(lambda: browser.lit("pin-0-ots"))
     assert bench.stage(lambda stage: stage.chips[0].output_word(0) & stage.chips[0].OUTPUTS["ots"])
-    assert " W  0: E0" in browser.text("trace")
+    browser.until(lambda: " W  0: E0" in browser.text("trace"))
 
 
 def test_a_command_moves_the_carriage_and_a_lamp_says_so(bench):
     browser = bench.browser
     console(bench, "R2 <- 2000", "R4 <- 300", "R5 <- 300", "R7 <- 300", "R0 <- 9000", "44")
     assert browser.lit("pin-0-hold")
-    at = bench.x("position")
+    at = bench.x("commanded")
     browser.click("command-0-operate-15")
     browser.until(lambda: not browser.lit("pin-0-hold"))
     browser.until(lambda: "start, ramp to FH1" in browser.text("trace"))
     browser.until(lambda: browser.lit("pin-0-hold"))
     browser.until(lambda: browser.value("value-0-R0") == "0")
-    assert bench.x("position") - at == pytest.approx(9000 * bench.x("meters_per_pulse"), abs=1e-5)
+    goal = at + 9000 * bench.x("meters_per_pulse")
+    assert bench.x("commanded") == pytest.approx(goal, abs=1e-9)
+    browser.until(lambda: bench.x("position") == pytest.approx(goal, abs=2e-6))
     shown = browser.until(lambda: next(t for t in browser.text("place-x").split("\n") if "position" in t))
-    assert float(shown.split()[1]) == pytest.approx(bench.x("position") * 1e3, abs=0.01)
+    assert float(shown.split()[1]) == pytest.approx(goal * 1e3, abs=0.01)
 
 
 def test_the_console_takes_bytes_and_tells_the_trace_in_words(bench):
@@ -107,7 +109,7 @@ def test_a_wrong_byte_is_the_chips_diagnostic(bench):
     browser = bench.browser
     console(bench, "R7 <- 1")
     browser.until(lambda: "diagnostics (" in browser.text("diagnostics"))
-    assert "! " in browser.text("trace")
+    browser.until(lambda: "! " in browser.text("trace"))
     browser.click("diagnostics")
     said = bench.stage(lambda stage: stage.chips[0].diagnostics[-1].message)
     browser.until(lambda: said in browser.text("diagnosed"))

@@ -3,7 +3,6 @@
 import time
 
 import pytest
-from panel.conftest import Browser
 
 pytestmark = pytest.mark.slow
 
@@ -16,11 +15,10 @@ window.socket.emit('event', {id: Number(arguments[0].id.slice(1)), client_id: wi
 
 
 @pytest.fixture
-def second(bench):
-    second = Browser(bench.panel.address)
+def second(bench, look_on):
+    second = look_on(bench.panel.address)
     second.until(lambda: second.text("controls") == "Take the controls")
-    yield second
-    second.close()
+    return second
 
 
 def heard(bench):
@@ -44,17 +42,14 @@ def test_forged_clicks_and_messages_of_one_who_only_looks_do_nothing(bench, seco
 
 
 def test_who_loses_the_controls_lets_go_of_a_jog(bench, second):
-    from selenium.webdriver.common.action_chains import ActionChains
-
     first = bench.browser
     first.until(lambda: first.text("controls") == "2 watching")
     first.click("tab-jog")
-    ActionChains(first.driver).click_and_hold(first.shown("jog-plus")).perform()
-    first.until(lambda: bench.session.view.doing == "jog x")
-    second.click("controls")
-    second.until(lambda: bench.session.view.doing == "")
-    time.sleep(0.1)
-    at = bench.x("commanded")
-    time.sleep(0.2)
-    assert bench.x("commanded") == at
-    ActionChains(first.driver).release().perform()
+    with first.held("jog-plus"):
+        first.until(lambda: bench.session.view.doing == "jog x")
+        second.click("controls")
+        second.until(lambda: bench.session.view.doing == "")
+        time.sleep(0.1)
+        at = bench.x("commanded")
+        time.sleep(0.2)
+        assert bench.x("commanded") == at

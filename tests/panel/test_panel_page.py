@@ -4,7 +4,6 @@ import urllib.error
 import urllib.request
 
 import pytest
-from panel.conftest import Browser
 
 pytestmark = pytest.mark.slow
 
@@ -54,19 +53,17 @@ def test_no_request_leaves_the_machine(browser, address):
     ]
 
 
-def test_a_second_browser_sees_the_same_and_one_has_the_controls(browser, address):
-    second = Browser(address)
-    try:
-        second.until(lambda: abs(second.time - browser.time) < 1)
-        second.until(lambda: second.text("controls") == "Take the controls")
-        play = "return document.querySelector('[data-test=play]').closest('[inert]') !== null"
-        second.until(lambda: second.driver.execute_script(play))
-        assert not browser.driver.execute_script(play)
-        second.click("controls")
-        second.until(lambda: not second.driver.execute_script(play))
-        browser.until(lambda: browser.driver.execute_script(play))
-    finally:
-        second.close()
+def test_a_second_browser_sees_the_same_and_one_has_the_controls(browser, address, look_on):
+    second = look_on(address)
+    second.until(lambda: abs(second.time - browser.time) < 1)
+    second.until(lambda: second.text("controls") == "Take the controls")
+    play = "return document.querySelector('[data-test=play]').closest('[inert]') !== null"
+    second.until(lambda: second.driver.execute_script(play))
+    assert not browser.driver.execute_script(play)
+    second.click("controls")
+    second.until(lambda: not second.driver.execute_script(play))
+    browser.until(lambda: browser.driver.execute_script(play))
+    second.close()
     browser.until(lambda: not browser.driver.execute_script(play))  # it is alone again
 
 

@@ -89,6 +89,15 @@ def test_one_goes_back_and_the_same_future_comes_again(session):
     assert session.do(lambda stage: stage.now) == 0
 
 
+def test_time_goes_on_at_once_after_power_up(session):
+    """And an action begins, whatever the time was before."""
+    until(lambda: session.view.time > 20)
+    session.speed = 1.0
+    session.reset()
+    until(lambda: session.view.time > 0.05, 5)
+    assert session.act("move", lambda stage: firmware.move(stage.axes["x"], distance=0.0005)).result(5).ok
+
+
 def test_an_error_of_an_order_comes_to_who_gave_it(session):
     with pytest.raises(ArgumentError, match="unknown axis"):
         session.do(lambda stage: stage.place(q=1))

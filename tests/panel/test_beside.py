@@ -1,0 +1,139 @@
+"""A program drives a stage that lives in a session: its run is that without one, and it waits while the session has the stage."""
+
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from stage import Stage, firmware
+from stage.errors import StageError
+from stage.panel.session import FREE, Session
+from stage.panel.trace import Trace
+
+
+def until(condition, seconds=20.0):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.002)
+
+
+def program(stage):
+    """What somebody does with a stage."""
+    x = stage.axes["x"]
+    firmware.move(x, distance=0.002)
+    x.chip.write(0, 0x81)
+    stage.run(0.01)
+    return stage.snapshot().state
+
+
+@pytest.fixture
+def session():
+    with Session(Stage("xy", visuals=False), speed=FREE, program="a test") as session:
+        yield session
+
+
+class Driver(threading.Thread):
+    """A program in a thread of its own; result() waits for it."""
+
+    def __init__(self, what):
+        super().__init__(daemon=True)
+        self._what, self._found = what, None
+        self.start()
+
+    def run(self):
+        self._found = self._what()
+
+    def result(self, seconds=20.0):
+        self.join(seconds)
+        assert not self.is_alive()
+        return self._found
+
+
+def test_its_run_is_that_without_a_session_whatever_is_looked_at_meanwhile(session):
+    expected = program(Stage("xy", visuals=False))
+    driver = Driver(lambda: program(session.stage))
+    looks = 0
+    while driver.is_alive():
+        session.do(lambda stage: stage.axes["x"].position)
+        looks += 1
+    assert np.array_equal(driver.result(), expected)
+    assert looks
+
+
+def test_no_time_passes_but_by_the_program_and_it_is_in_real_time(session):
+    session.speed = 1.0
+    time.sleep(0.05)
+    assert session.do(lambda stage: stage.now) == 0
+    begin = time.monotonic()
+    session.stage.run(0.2)  # from this very thread
+    assert time.monotonic() - begin > 0.1  # it may catch up with what it was late
+    assert session.stage.time == 0.2
+    until(lambda: session.view.time == 0.2)
+
+
+def test_while_taken_over_it_waits_and_then_it_goes_on(session):
+    stage = session.stage
+    session.take_over()
+    until(lambda: session.view.time > 0.05)  # the session lets time pass
+    driver = Driver(lambda: program(stage))
+    until(lambda: session.waits)
+    at = session.do(lambda stage: stage.axes["x"].commanded)
+    move = session.act("move", lambda stage: firmware.move(stage.axes["y"], distance=0.001)).result(20)
+    assert move.ok
+    assert session.do(lambda stage: stage.axes["x"].commanded) == at
+    assert driver.is_alive()
+    session.give_back()
+    driver.result()
+    assert stage.axes["x"].commanded == pytest.approx(at + 0.002)
+    assert not session.waits
+    at = session.do(lambda stage: stage.now)
+    time.sleep(0.03)
+    assert session.do(lambda stage: stage.now) == at
+
+
+def test_paused_it_stands_still(session):
+    session.paused = True
+    driver = Driver(lambda: session.stage.run(0.05))
+    time.sleep(0.05)
+    assert session.stage.now == 0
+    session.paused = False
+    driver.result()
+    assert session.stage.time == 0.05
+
+
+@pytest.mark.parametrize("end", ["close", "dismiss"])
+def test_a_program_that_waits_is_let_go_at_the_end(session, end):
+    session.take_over()
+    driver = Driver(lambda: session.stage.axes["x"].chip.read(0) if end == "close" else session.catch_up())
+    until(lambda: session.waits)
+    getattr(session, end)()
+    driver.result()
+
+
+def test_dismissed_it_is_refused_and_the_session_lets_time_pass(session):
+    session.stage.run(0.001)
+    session.dismiss()
+    until(lambda: session.view.time > 0.05)
+    with pytest.raises(StageError, match="lives in a session"):
+        session.stage.run(0.01)
+
+
+def test_no_bus_cycle_is_cut_into(session):
+    """Thousands of cycles, while the session looks as often as it can: the trace has each, in order."""
+    trace = session.do(lambda stage: Trace(stage.chips[0]))
+    x, sent = session.stage.axes["x"], [n & 0xFF for n in range(3000)]
+
+    def drive():
+        for datum in sent:
+            x.chip.write(3, datum)
+
+    driver, looks = Driver(drive), 0
+    while driver.is_alive():
+        session.do(lambda stage: trace.look())
+        looks += 1
+    session.do(lambda stage: trace.look())
+    assert looks > 3
+    assert trace.lines[-1].number == len(sent)
+    assert [line.datum for line in trace.lines] == sent[-len(trace.lines) :]

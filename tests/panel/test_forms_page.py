@@ -1,0 +1,123 @@
+"""Procedures in a real browser: forms, jog buttons and stop, asserted on the page and on the stage."""
+
+import time
+
+import pytest
+
+pytestmark = pytest.mark.slow
+
+MM = 1e-3
+DELETE = "\ue017"  # of WebDriver
+
+
+def fill(browser, **values):
+    for name, value in values.items():
+        browser.type(name.replace("__", "-"), value or DELETE)
+
+
+def go(browser, form, says):
+    """Press the button; the report."""
+    browser.click(f"go-{form}")
+    browser.until(lambda: says in browser.text("report"))
+    return browser.text("report")
+
+
+def test_a_move_arrives_and_its_pattern_is_drawn(bench):
+    browser, before = bench.browser, bench.x("commanded")
+    fill(browser, move__distance="4", move__speed="40")
+    report = go(browser, "move", "preset move on x: done")
+    assert "lost steps 0" in report
+    assert bench.x("commanded") - before == pytest.approx(4 * MM, abs=1e-6)
+    browser.until(lambda: browser.find("pattern").find_elements("css selector", "svg"))
+
+
+def test_what_is_wrong_is_said_at_its_field_and_nothing_moves(bench):
+    browser, before = bench.browser, bench.x("commanded")
+    fill(browser, move__distance="ten")
+    browser.click("go-move")
+    browser.until(lambda: "'ten' is not a number of mm" in browser.error_at("move-distance"))
+    fill(browser, move__distance="2", move__speed="-1")
+    browser.click("go-move")
+    browser.until(lambda: "more than 0" in browser.error_at("move-speed"))
+    assert browser.error_at("move-distance") == ""
+    assert bench.x("commanded") == before
+    assert bench.session.view.doing == ""
+
+
+def test_two_rates(bench):
+    browser = bench.browser
+    browser.click("tab-two_rates")
+    fill(browser, two_rates__distance="20", two_rates__dwell="0.05")
+    before = bench.x("commanded")
+    assert "dual-rate move" in go(browser, "two_rates", "done")
+    assert bench.x("commanded") - before == pytest.approx(20 * MM, abs=1e-6)
+
+
+def test_home_finds_the_origin(bench):
+    browser = bench.browser
+    bench.session.speed = 5.0
+    browser.click("tab-home")
+    go(browser, "home", "stopped by ORG")
+    browser.until(lambda: browser.lit("switch-x-org"))
+    assert bench.stage(lambda stage: stage.axes["x"].switches.org)
+    bench.session.speed = 1.0
+
+
+def test_a_line_is_of_both_axes(bench):
+    browser = bench.browser
+    before = bench.stage(lambda stage: [a.commanded for a in stage.axes.values()])
+    browser.click("tab-line")
+    fill(browser, line__x="6", line__y="")
+    browser.click("go-line")
+    browser.until(lambda: "two axes or more" in browser.error_at("line-y"))
+    fill(browser, line__y="3")
+    go(browser, "line", "carriages")
+    after = bench.stage(lambda stage: [a.commanded for a in stage.axes.values()])
+    assert [b - a for a, b in zip(before, after, strict=True)] == pytest.approx([6 * MM, 3 * MM], abs=1e-5)
+
+
+def test_an_axis_jogs_while_a_button_is_held(bench):
+    browser = bench.browser
+    browser.click("tab-jog")
+    fill(browser, jog__speed="slow")
+    with browser.held("jog-plus"):
+        browser.until(lambda: "is not a number" in browser.error_at("jog-speed"))
+    assert bench.session.view.doing == ""
+    fill(browser, jog__speed="20")
+    before = bench.x("commanded")
+    with browser.held("jog-plus"):
+        browser.until(lambda: bench.x("commanded") > before + MM)
+        assert browser.error_at("jog-speed") == ""
+        assert bench.session.view.doing == "jog x"
+    browser.until(lambda: "decelerating stop" in browser.text("report"))
+    at = bench.x("commanded")
+    time.sleep(0.2)
+    assert bench.x("commanded") == at
+
+
+def test_a_jog_by_the_space_bar_ends_with_the_key(bench):
+    from selenium.webdriver.common.action_chains import ActionChains
+    from selenium.webdriver.common.keys import Keys
+
+    browser = bench.browser
+    button = browser.shown("jog-minus")
+    before = bench.x("commanded")
+    browser.driver.execute_script("arguments[0].focus()", button)
+    ActionChains(browser.driver).key_down(Keys.SPACE).perform()
+    browser.until(lambda: bench.x("commanded") < before - 1 * MM)
+    ActionChains(browser.driver).key_up(Keys.SPACE).perform()
+    browser.until(lambda: bench.session.view.doing == "")
+
+
+def test_stop_ends_what_is_under_way_with_a_ramp(bench):
+    browser = bench.browser
+    browser.click("tab-move")
+    fill(browser, move__distance="100", move__speed="20")
+    before = bench.x("commanded")
+    browser.click("go-move")
+    browser.until(lambda: bench.x("commanded") > before + 1 * MM)
+    browser.click("stop")
+    browser.until(lambda: "stopped" in browser.text("report"))
+    browser.until(lambda: bench.session.view.doing == "")
+    assert not bench.stage(lambda stage: stage.axes["x"].chip.busy(0))
+    assert bench.x("commanded") < before + 90 * MM
