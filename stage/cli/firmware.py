@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from stage.cli.beside import beside, live_on, run_beside
 from stage.cli.facts import tell, wrote
 from stage.cli.progress import note, ticking
 from stage.cli.setup import make_board, outputs, recorded
@@ -25,9 +26,6 @@ SHOWN = 10
 
 def run(args: argparse.Namespace) -> int:
     """Run firmware; print what it noted and where the axes are."""
-    from stage.board import HostError, HostTimeout, StormError
-    from stage.errors import SimulationError
-
     outputs(args)
     board = make_board(args)
     stage = board.stage
@@ -36,14 +34,31 @@ def run(args: argparse.Namespace) -> int:
     except ValueError as failed:
         raise ArgumentError(f"--cflags {args.cflags!r}: {failed}.") from None
     host = _host(args, board, flags)
+    ended = threading.Event()
+    with beside(args, stage, os.path.basename(args.firmware[0])) as session:
+        code = _run(args, board, host, session, ended)
+        if session is not None and not ended.is_set():
+            live_on(session)
+    return code
+
+
+def _run(args: argparse.Namespace, board: Any, host: Any, session: Any, ended: threading.Event) -> int:
+    """session: of the page beside it, or None; ended: is set where somebody outside ends it."""
+    from stage.board import HostError, HostTimeout, StormError
+    from stage.errors import SimulationError
+
+    stage = board.stage
     error: StageError | None = None
     result = None
     begin = time.perf_counter()
     with recorded(args, stage):
         note(f"{host.path.name} runs ...")
         try:
-            with _told_of_the_end(board), ticking(stage):
-                result = host.run(timeout=args.timeout) if args.seconds is None else host.run_for(args.seconds)
+            with _told_of_the_end(board, ended), ticking(stage):
+                if session is not None:
+                    result = run_beside(session, host, args.seconds, args.timeout)
+                else:
+                    result = host.run(timeout=args.timeout) if args.seconds is None else host.run_for(args.seconds)
         except (
             HostTimeout,
             HostError,
@@ -79,11 +94,12 @@ def run(args: argparse.Namespace) -> int:
 
 
 @contextmanager
-def _told_of_the_end(board: Any) -> Iterator[None]:
+def _told_of_the_end(board: Any, ended: threading.Event) -> Iterator[None]:
     """SIGTERM, with which a CI ends what takes too long, is an error of the run in this block: all that is asked for is written."""
     from stage.board import HostError
 
     def end(*_: Any) -> None:
+        ended.set()
         raise HostError(
             f"ended from outside by SIGTERM. What is known of it ends at {board.stage.time:.6f} s, after {board.cycles:,} bus "
             f"cycles:\n{board.trace.text(12)}"

@@ -8,6 +8,7 @@ import signal
 import sys
 from typing import Any
 
+from stage.cli.beside import beside
 from stage.cli.firmware import report, write_trace
 from stage.cli.setup import make_board, outputs, recorded
 from stage.errors import ArgumentError
@@ -15,15 +16,22 @@ from stage.errors import ArgumentError
 
 def run(args: argparse.Namespace) -> int:
     """Serve until Ctrl-C or SIGTERM; then write what is asked for, and print where the axes are."""
-    from stage.serve.server import Server
-
     if args.fresh and (args.record or args.vcd or args.view or args.web or args.picture):
         raise ArgumentError(
             "--fresh goes back to the start for each host, and time in a recording runs forward only: give one."
         )
     outputs(args)
     board = make_board(args)
-    server = Server(board, args.bind, args.listen, fresh=args.fresh, keep=args.keep, told=_say)
+    with beside(args, board.stage, "a host of stage serve") as session:
+        return _serve(args, board, session)
+
+
+def _serve(args: argparse.Namespace, board: Any, session: Any) -> int:
+    """session: of the page beside it, or None."""
+    from stage.serve.server import Server
+
+    before_each = session.catch_up if session is not None else lambda: None
+    server = Server(board, args.bind, args.listen, fresh=args.fresh, keep=args.keep, told=_say, before_each=before_each)
     if not _stays_here(args.bind):
         print(
             f"stage: warning: others than this machine may reach {args.bind}, and nobody is asked for a password: whoever connects "
@@ -34,7 +42,13 @@ def run(args: argparse.Namespace) -> int:
         host, port = server.address
         _say(f"{board!r}")
         _say(f"listening on {f'[{host}]' if ':' in host else host}:{port}; Ctrl-C ends it")
-        before = {number: signal.signal(number, lambda *_: server.stop()) for number in (signal.SIGINT, signal.SIGTERM)}
+
+        def end(*_: Any) -> None:
+            server.stop()
+            if session is not None:
+                session.give_back()  # a request that waits goes on, and ends
+
+        before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)}
         try:
             server.run()
         finally:

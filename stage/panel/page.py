@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 from nicegui import ui
 
-from stage.panel import axes, chart, chips, console, forms, gate, guide, scene, touch, transport
+from stage.panel import axes, chart, chips, console, forms, guide, scene, touch, transport
+from stage.panel.gate import Gate
 from stage.panel.live import Live
 
 if TYPE_CHECKING:
@@ -17,22 +18,26 @@ def build(panel: Panel) -> None:
     """One browser's page."""
     ui.add_css(STYLE + chips.STYLE)
     live = Live()
-    controlled: list[ui.element] = []  # what is dead where somebody else has the controls
+    gate = Gate(panel, ui.context.client)
     with ui.header().classes("items-center q-py-xs q-px-md"):
-        transport.build(panel, live, controlled)
+        transport.build(panel, live, gate)
     with ui.element("div").classes("panel"):
         with ui.element("div").classes("machine"):
             scene.build(panel, live)
             axes.build(panel, live)
             chart.build(panel, live)
-        with ui.element("div").classes("desk") as desk:
-            controlled.append(desk)
+        with ui.element("div").classes("desk"):
             guide.build(panel)
-            forms.build(panel)
-            touch.build(panel)
-            console.build(panel, live)
-            chips.build(panel, live)
-    gate.guard(ui.context.client, panel.controls, controlled)
+            with ui.element("div").classes("desk") as drives:
+                forms.build(panel)
+            gate.driving(drives)
+            with ui.element("div").classes("desk") as machine:
+                touch.build(panel)
+            gate.machine(machine)
+            with ui.element("div").classes("desk") as drives:
+                console.build(panel, live)
+                chips.build(panel, live)
+            gate.driving(drives)
 
 
 STYLE = """

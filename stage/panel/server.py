@@ -3,6 +3,8 @@
 panel = Panel(Session(Stage("xyz")))
 print(panel.address)
 panel.close()
+
+panel = open_panel(Stage("xyz"))          as Stage.panel: beside a program of one's own
 """
 
 from __future__ import annotations
@@ -10,7 +12,9 @@ from __future__ import annotations
 import asyncio
 import secrets
 import socket
-from time import sleep
+import webbrowser
+from time import monotonic, sleep
+from typing import TYPE_CHECKING
 
 from stage.errors import StageError
 from stage.extras import need
@@ -20,6 +24,9 @@ from stage.panel.hands import Hands
 from stage.panel.look import Look
 from stage.panel.sampler import Sampler
 from stage.panel.session import Session
+
+if TYPE_CHECKING:
+    from stage.sim.stage import Stage
 
 HERE = "127.0.0.1"
 
@@ -37,7 +44,7 @@ class Panel:
         self._site = website()
         from stage.panel import glb
 
-        self.session, self.controls = session, Controls()
+        self.session, self.controls, self._with_session = session, Controls(), False
         self._socket = _listening(host, port)
         self.port = self._socket.getsockname()[1]
         self.token = "" if host == HERE else secrets.token_urlsafe(16)
@@ -65,8 +72,36 @@ class Panel:
         at = f"http://{self._host if self._host not in ('0.0.0.0', '::') else socket.gethostname()}:{self.port}/"
         return f"{at}?token={self.token}" if self.token else at
 
+    @property
+    def watched(self) -> bool:
+        """Somebody looks at it."""
+        return self.controls.watching > 0
+
+    def until_watched(self, seconds: float = float("inf")) -> bool:
+        """Wait until somebody looks at it, for so long at most; whether somebody does."""
+        end = monotonic() + seconds
+        while not self.watched and monotonic() < end:
+            sleep(0.02)
+        return self.watched
+
+    def show(self) -> bool:
+        """Open it in a browser; False where there is none."""
+        return webbrowser.open(self.address)
+
+    def __enter__(self) -> Panel:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        return f"<Panel {self.address}>"
+
+    def _repr_html_(self) -> str:
+        return f'<a href="{self.address}" target="_blank">{self.address}</a>'
+
     def close(self) -> None:
-        """End the server; the session lives on."""
+        """End the server; the session lives on, but for one that came with the panel."""
         self._server.should_exit = True
         try:
             self._served.result(5)
@@ -76,6 +111,30 @@ class Panel:
         self.look.close()
         self.sampler.close()
         self.hands.close()
+        if self._with_session:
+            self.session.close()
+
+
+def open_panel(
+    stage: Stage,
+    port: int = 0,
+    *,
+    host: str = HERE,
+    speed: float = 1.0,
+    program: str = "your program",
+    browser: bool = True,
+) -> Panel:
+    """See `Stage.panel`."""
+    session = Session(stage, speed=speed, program=program)
+    try:
+        panel = Panel(session, port, host)
+    except BaseException:
+        session.close()
+        raise
+    panel._with_session = True
+    if browser:
+        panel.show()
+    return panel
 
 
 def _listening(host: str, port: int) -> socket.socket:

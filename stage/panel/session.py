@@ -37,6 +37,9 @@ from stage.sim.stage import Snapshot, Stage
 T = TypeVar("T")
 SLICE = 0.02  # s of real time, between looks at orders
 BEHIND = 0.2  # s of real time by which a session may be late before it gives up catching up
+LAST_LOOK = (
+    0.1  # s of real time for which one looks on after a program has done something: those who look seldom see its end
+)
 SLOWEST, FASTEST = 0.001, 1000.0
 SHORTEST = 1_000_000  # ns: what is shorter, a bus cycle, does not wait for real time
 FREE = float("inf")
@@ -94,7 +97,7 @@ class Session:
         self._past = Past()
         self._real, self._simulated = perf_counter(), stage.now
         self._pace, self._measured = speed, (perf_counter(), stage.now)
-        self._number, self._published = 0, -1
+        self._number, self._published, self._changed_at = 0, -1, 0.0
         self._trouble = ""
         self._looks: list[Callable[[Stage], None]] = []
         self.speed = speed
@@ -113,7 +116,7 @@ class Session:
         if threading.current_thread() is self._thread:
             return order(self.stage)
         future = self.post(order)
-        with self._turns.resting():
+        with self._turns.asking():
             return future.result(timeout)
 
     def post(self, order: Callable[[Stage], T]) -> Future[T]:
@@ -230,9 +233,14 @@ class Session:
         """The program has come to the stage and waits for it to be given back."""
         return self.taken and self._turns.waiting
 
+    @property
+    def piece(self) -> float:
+        """Simulated seconds between two `catch_up` of a program."""
+        return SLICE * (1.0 if self._speed == FREE else self._speed)
+
     def catch_up(self) -> None:
-        """For a program that lets time pass otherwise than by the stage, as a board does: waits until real time has come as far, and
-        for as long as somebody has paused or taken over. To be called every some hundredths of a second."""
+        """For a program that lets time pass otherwise than by the stage, as a board does: waits until real time has come as far,
+        and for as long as somebody has paused or taken over."""
         self._admit(self.stage.now + SHORTEST, ahead=0)
 
     def close(self) -> None:
@@ -288,7 +296,9 @@ class Session:
         """A program has the stage: orders are carried out between what it does, and what it has done is seen."""
         self._called.wait(SLICE)
         self._called.clear()
-        if (self._orders or self.stage.now != self._published) and self._turns.claim(SLICE, self._is_over):
+        changed = perf_counter() if self.stage.now != self._published else self._changed_at
+        self._changed_at, news = changed, perf_counter() - changed < LAST_LOOK
+        if (self._orders or news) and self._turns.claim(SLICE, self._is_over):
             try:
                 self._carry_out()
                 self._past.remember(self.stage)

@@ -11,6 +11,7 @@ from stage.panel.live import Live
 from stage.panel.session import FREE, Session
 
 if TYPE_CHECKING:
+    from stage.panel.gate import Gate
     from stage.panel.server import Panel
 
 SPEEDS = {
@@ -27,17 +28,21 @@ BACK = (0.1, 1.0, 5.0, 30.0)  # s
 LAGS = 0.95  # of the speed that was asked for: less is told
 
 
-def build(panel: Panel, live: Live, controlled: list[ui.element]) -> None:
-    """controlled: what only he may use who has the controls."""
+def build(panel: Panel, live: Live, gate: Gate) -> None:
+    """Of one browser, which may use what its gate lets it."""
     session = panel.session
     ui.label("PulseStage").classes("text-weight-bold q-mr-sm gt-xs")
     with ui.row().classes("items-center q-gutter-none") as row:
-        controlled.append(row)
 
         def toggle() -> None:
             session.paused = not session.paused
 
         play = _button("pause", "pause", toggle, "play")
+        ui.select(SPEEDS, value=_nearest(session.speed), on_change=lambda e: setattr(session, "speed", e.value)).props(
+            "dense dark borderless options-dense aria-label='simulated seconds a second' data-test=speed"
+        )
+    gate.machine(row)
+    with ui.row().classes("items-center q-gutter-none") as row:
         _button("skip_next", "one physics step", session.single_step, "step")
         with _button("replay", "go back", None, "back"), ui.menu():
             for seconds in BACK:
@@ -45,9 +50,7 @@ def build(panel: Panel, live: Live, controlled: list[ui.element]) -> None:
                     f"data-test=back-{seconds:g}"
                 )
         _button("restart_alt", "power-up", lambda: run.io_bound(session.reset), "reset")
-        ui.select(SPEEDS, value=_nearest(session.speed), on_change=lambda e: setattr(session, "speed", e.value)).props(
-            "dense dark borderless options-dense aria-label='simulated seconds a second' data-test=speed"
-        )
+    gate.driving(row)
     clock = ui.element("div").classes("number q-ml-sm").props("data-test=time role=timer aria-label='simulated time'")
     pace = ui.element("div").classes("number q-ml-sm text-caption").props("data-test=pace")
     live.text(clock, lambda: f"{session.view.time:.4f} s")
@@ -55,8 +58,9 @@ def build(panel: Panel, live: Live, controlled: list[ui.element]) -> None:
     ui.space()
     doing = ui.label().classes("text-caption ellipsis").props("data-test=doing role=status")
     stop = _button("stop", "stop this action; the chips go on", session.abandon, "abandon")
-    controlled.append(stop)
-    mine = _controls(panel, controlled)
+    gate.driving(stop)
+    program = _program(panel, gate)
+    mine = _controls(panel, gate)
     dark = ui.dark_mode(None)
     _button("contrast", "light or dark", lambda: _turn(dark), "dark")
 
@@ -64,6 +68,7 @@ def build(panel: Panel, live: Live, controlled: list[ui.element]) -> None:
         view = session.view
         play.props(f"icon={'play_arrow' if session.paused else 'pause'}")
         doing.text = view.trouble or view.doing
+        program()
         doing.classes(**({"add": "trouble"} if view.trouble else {"remove": "trouble"}))
         stop.set_visibility(bool(view.doing))
         mine()
@@ -93,7 +98,30 @@ def _turn(dark: ui.dark_mode) -> None:
     dark.value = {None: True, True: False, False: None}[dark.value]
 
 
-def _controls(panel: Panel, controlled: list[ui.element]) -> Callable[[], None]:
+def _program(panel: Panel, gate: Gate) -> Callable[[], None]:
+    """Which program has the stage, and the button by which one takes it over and gives it back; returns what looks again."""
+    session = panel.session
+    says = ui.label().classes("text-caption ellipsis").props("data-test=program role=status")
+
+    def press() -> None:
+        if session.taken:
+            session.give_back()
+        else:
+            session.take_over()
+
+    button = ui.button(on_click=press).props("dense no-caps color=orange-9 data-test=take-over")
+    gate.machine(button)
+
+    def look() -> None:
+        name, taken, waits = session.program, session.taken, session.waits
+        says.text = f"{name} waits" if waits else f"{name} has the stage" if name and not taken else name
+        button.text = "Give back" if taken else "Take over"
+        button.set_visibility(bool(name))
+
+    return look
+
+
+def _controls(panel: Panel, gate: Gate) -> Callable[[], None]:
     """The button of who has the controls; returns what looks again."""
     controls, me = panel.controls, context.client.id
     button = ui.button(on_click=lambda: controls.take(me)).props("flat dense no-caps color=white data-test=controls")
@@ -103,7 +131,8 @@ def _controls(panel: Panel, controlled: list[ui.element]) -> Callable[[], None]:
     shown: list[object] = []
 
     def look() -> None:
-        mine = controls.holder == me
+        gate.refresh()
+        mine = gate.mine
         state = [mine, controls.watching]
         if shown == state:
             return
@@ -112,7 +141,5 @@ def _controls(panel: Panel, controlled: list[ui.element]) -> Callable[[], None]:
             "Take the controls" if not mine else f"{controls.watching} watching" if controls.watching > 1 else ""
         )
         button.set_visibility(not mine or controls.watching > 1)
-        for element in controlled:
-            element.props(**({"remove": "inert"} if mine else {"add": "inert"}))
 
     return look

@@ -13,8 +13,9 @@ from __future__ import annotations
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from time import perf_counter
+from types import FrameType
 
 AT_THE_STAGE = tuple(
     f"stage.{part}" for part in ("sim.", "chips.", "drives.", "firmware.", "board.", "targets.", "serve.machine", "recording.")
@@ -36,7 +37,9 @@ class Turns:
 
     def admit(self) -> None:
         """This thread's program is about to do something with the stage. Waits for as long as the session has it."""
-        self._programs.add(threading.get_ident())  # before the look: from here on it is at the stage, for whoever claims it now
+        self._programs.add(
+            threading.get_ident()
+        )  # before the look: from here on it is at the stage, for whoever claims it now
         if self._claimed:
             self.rest(0.0)
 
@@ -47,8 +50,9 @@ class Turns:
                 self._changed.wait(seconds)
 
     @contextmanager
-    def resting(self) -> Iterator[None]:
-        """In this block the program of this thread keeps off the stage; after it, it is at the stage again. Other threads: nothing."""
+    def resting(self, goes_on: bool = True) -> Iterator[None]:
+        """In this block the program of this thread keeps off the stage. goes_on: after it, it is at the stage, and waits until it
+        may be. Of other threads nothing is asked."""
         me = threading.get_ident()
         if me not in self._programs:
             yield
@@ -58,10 +62,15 @@ class Turns:
         try:
             yield
             with self._changed:
-                self._changed.wait_for(lambda: not (self._claimed and me in self._programs))
+                if goes_on:
+                    self._changed.wait_for(lambda: not (self._claimed and me in self._programs))
                 self._resting.discard(me)  # before anybody can claim it
         finally:  # Ctrl-C, too, which ends the wait
             self._resting.discard(me)
+
+    def asking(self) -> AbstractContextManager[None]:
+        """As `resting`, while this thread's program has somebody else do something."""
+        return self.resting(goes_on=_at_the_stage(sys._getframe()))
 
     @property
     def waiting(self) -> bool:
@@ -107,9 +116,15 @@ class Turns:
             frame = frames.get(thread)
             if frame is None:
                 self._programs.discard(thread)  # it has ended
-            elif thread not in self._resting:
-                while frame is not None:
-                    if frame.f_globals.get("__name__", "").startswith(AT_THE_STAGE):
-                        return True
-                    frame = frame.f_back
+            elif thread not in self._resting and _at_the_stage(frame):
+                return True
         return False
+
+
+def _at_the_stage(frame: FrameType | None) -> bool:
+    """Whether a frame, or one of those that have called it, is of a module at the stage."""
+    while frame is not None:
+        if frame.f_globals.get("__name__", "").startswith(AT_THE_STAGE):
+            return True
+        frame = frame.f_back
+    return False

@@ -80,6 +80,7 @@ class Server:
         fresh: each host finds the state that the board has now; otherwise that in which the last one left it.
         keep: lines of the log that are kept.
         told: gets lines for a terminal: who comes and goes, what a host logs.
+        before_each: is called before each request of the host that drives, and now and then within a batch; it may wait.
     Raises:
         StageError: nothing can listen there.
     """
@@ -93,8 +94,9 @@ class Server:
         fresh: bool = False,
         keep: int = 1_000_000,
         told: Callable[[str], None] = lambda line: None,
+        before_each: Callable[[], None] = lambda: None,
     ):
-        self._fresh, self._told = fresh, told
+        self._fresh, self._told, self._before_each = fresh, told, before_each
         self.machine = Machine(
             board,
             keep=keep,
@@ -298,6 +300,7 @@ class Server:
         before = self._busy, self._called
         self._busy, self._called = True, False
         try:
+            self._before_each()
             return self.machine.does[kind](body)
         finally:
             self._busy, self._called = before
@@ -355,6 +358,7 @@ class Server:
         """Now and then within a batch."""
         self._turn(0.0)
         self._check()
+        self._before_each()
 
     def _check(self) -> None:
         if self._stopping:

@@ -44,6 +44,7 @@ from stage.snapshots import Header
 if TYPE_CHECKING:
     from os import PathLike
 
+    from stage.panel.server import Panel
     from stage.recording import Recording
 
 LONGEST = 1_000_000_000  # s that a stage runs at a time: with as much behind it, a time in ns still fits 63 bits
@@ -433,6 +434,30 @@ class Stage:
         self.loop.recording = None
         handle.log_to(self.state.handle, None)
         self.state.clockwork[0].sample_every = 0
+
+    # --- a page ---
+
+    def panel(
+        self,
+        port: int = 0,
+        *,
+        host: str = "127.0.0.1",
+        speed: float = 1.0,
+        program: str = "your program",
+        browser: bool = True,
+    ) -> Panel:
+        """A live page of the stage beside the program that drives it, until its `close()`; see docs/panel.md.
+
+        From now on time passes at `speed` simulated seconds a second at most, and the program waits while somebody has paused it on
+        the page, or taken the stage over. What the stage does stays the same, bit for bit, unless somebody interferes.
+
+        port: TCP, 0 for one that is free. host: another address than 127.0.0.1 lets in whoever has the link with its token.
+        program: what the page calls the program. browser: open the page; its link is `.address`. Raises ArgumentError; StageError
+        where NiceGUI is not there, the port cannot be had or the stage has a session already.
+        """
+        from stage.panel.server import open_panel
+
+        return open_panel(self, port, host=host, speed=speed, program=program, browser=browser)
 
     # --- copies ---
 

@@ -93,6 +93,19 @@ def test_while_taken_over_it_waits_and_then_it_goes_on(session):
     assert session.do(lambda stage: stage.now) == at
 
 
+def test_a_program_asks_the_session_also_while_that_has_the_stage(session):
+    stage = session.stage
+    stage.run(0.001)
+    session.take_over()
+    assert session.do(lambda stage: stage.axes["x"].position) == pytest.approx(0.0)
+    asked = []
+    driver = Driver(lambda: stage.run_until(lambda: asked.append(session.do(lambda s: s.time)) or len(asked) > 2, 1.0))
+    until(lambda: session.waits)
+    session.give_back()
+    driver.result()
+    assert len(asked) == 3
+
+
 def test_paused_it_stands_still(session):
     session.paused = True
     driver = Driver(lambda: session.stage.run(0.05))

@@ -63,6 +63,7 @@ def add(commands: Any) -> None:
     )
     g.add_argument("--isolated", action="store_true", help=argparse.SUPPRESS)  # what is the default now
     _board(p)
+    _beside(p)
     stage_and_outputs(p)
     command(
         commands, "include", "firmware:include", "where pulsestage.h is",
@@ -95,8 +96,20 @@ def add(commands: Any) -> None:
         help="each host begins at the start (default: where the one before has left the stage)",
     )
     _board(p)
+    _beside(p)
     stage_and_outputs(p)
     _add_panel(commands)
+
+
+def _beside(p: argparse.ArgumentParser) -> None:
+    g = p.add_argument_group("panel")
+    g.add_argument(
+        "--panel", action="store_true",
+        help="a live page beside it, in real time; it begins when somebody looks, and the page lives on at the end; docs/panel.md",
+    )  # fmt: skip
+    g.add_argument("--panel-port", type=number, default=7241, help="TCP port; 0: one that is free (default: 7241)")
+    g.add_argument("--no-browser", action="store_true", help="print the link, and open no browser")
+    g.add_argument("--speed", type=float, default=1.0, help="simulated seconds a second, 0.001 to 1000 (default: 1)")
 
 
 def _add_panel(commands: Any) -> None:
