@@ -118,9 +118,12 @@ def test_its_registers_are_tuned_for_either_direction(capsys, distance):
     assert "SLOPE" in said
 
 
-@pytest.mark.parametrize("id_", ["RegisterTuning", "RegisterBus", "OriginReturn"])
+@pytest.mark.parametrize(
+    "id_",
+    ["RegisterTuning-v0", "RegisterBus-v0", "OriginReturn-v0", "BusMacros-v1", "FewShotTuning-v1", "DriftingHome-v1"],
+)
 def test_environments_know_it(id_):
-    env = gymnasium.make(f"stage/{id_}-v0", chip="acme1000", model="xy")
+    env = gymnasium.make(f"stage/{id_}", chip="acme1000", model="xy")
     env.reset(seed=1)
     env.action_space.seed(1)
     *_, info = env.step(env.action_space.sample())

@@ -240,6 +240,8 @@ def test_the_commands_connect_chips_as_the_stage_does():
     assert [int(chip.state["heard"]) & 1 for chip in stage.chips] == [1, 1], "there are wires"
     follower = commanded("--chips", "x=pcl240ms,y=pcl240mk", "--syni", "y=x")
     assert follower.axes["y"].chip.syni is follower.axes["x"].chip
+    both = commanded("--model", "xyz", "--chips", "pcl240k", "--syni", "y=x, z=x")
+    assert {both.axes[name].chip.syni for name in "yz"} == {both.axes["x"].chip}
 
 
 @pytest.mark.parametrize(
@@ -247,6 +249,7 @@ def test_the_commands_connect_chips_as_the_stage_does():
     [
         (["--multichip", "x,"], "AXIS,AXIS, for example x,z"),
         (["--multichip", "x,q"], "unknown axis 'q'"),
+        (["--multichip", "x,y", "--chips", "mcx514"], "Here are x, y on one MCX514: axes share a chip"),
         (["--syni", "y"], "FOLLOWER=LEADER"),
         (["--syni", "y=x", "--syni", "y=x"], "axis y follows x already"),
     ],

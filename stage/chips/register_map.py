@@ -362,7 +362,7 @@ def dump(map_: RegisterMap, values: dict[str, int] | None = None) -> str:
     head = f"{'register':9}{'bits':>5} {'acc':4}{'legal':>{wide}}  {'ev':3}{'title'}"
     lines += [head, "-" * len(head)]
     for r in map_.registers:
-        now = f" = {values[r.name]}" if values and r.name in values else ""
+        now = f" = {r.value(values[r.name]) if r.signed else values[r.name]}" if values and r.name in values else ""
         lines.append(f"{r.name:9}{r.bits:>5} {r.access:4}{_legal(r):>{wide}}  {r.evidence:3}{_title(r)}{now}")
         for f in r.fields:
             fixed = " (read only)" if f.access == "R" and r.access != "R" else ""

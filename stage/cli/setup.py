@@ -99,10 +99,10 @@ def _linked(text: str | None) -> list[str] | None:
 def _leaders(items: Iterable[str]) -> dict[str, str]:
     """The follower -> leader pairs that --syni gives. Raises ArgumentError."""
     pairs: dict[str, str] = {}
-    for item in items:
+    for item in ",".join(items).split(",") if items else ():
         follower, _, leader = map(str.strip, item.partition("="))
         if not (follower and leader):
-            raise ArgumentError(f"--syni {item!r}: write FOLLOWER=LEADER, for example y=x.")
+            raise ArgumentError(f"--syni {item!r}: write FOLLOWER=LEADER, for example y=x, or y=x,z=x.")
         if follower in pairs:
             raise ArgumentError(
                 f"--syni {item!r}: axis {follower} follows {pairs[follower]} already. Give a follower once."

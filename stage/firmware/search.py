@@ -51,7 +51,8 @@ class Search(ABC):
         Raises ArgumentError for a family that does not say.
         """
         raise ArgumentError(
-            f"{type(self).__name__} makes no choices of rates: give those of {', '.join(self.choices.ranges)}."
+            f"{type(self).__module__}.{type(self).__name__} makes no choices of rates: give those of "
+            f"{', '.join(self.choices.ranges)}. (Whose driver it is gives it a method `row`, see stage.firmware.search.Search.)"
         )
 
     def _row(self, wanted: Mapping[str, float]) -> list[int]:

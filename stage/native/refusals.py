@@ -27,6 +27,8 @@ def told(function: Any, error: BaseException) -> str:
     source = linecache.getline(file, number).strip()
     shown = f"\n    {source}" if source else ""
     said = " ".join(reason) or type(error).__name__
+    if "setitem(readonly array" in said:
+        said += ". An array of a module is a constant here: what changes is a field of the record"
     return f'File "{file}", line {number}, in hot function {function.__name__}:{shown}\n{type(error).__name__}: {said}'
 
 

@@ -55,7 +55,7 @@ class Operations(ABC):
         """Poll until none of the axes operates, for `limit` seconds at most."""
 
     def command(self, axis: int, value: int) -> Self:
-        """A byte to address 0."""
+        """A command to address 0; more than a byte where the chip's bus is wider."""
         return self.write(axis, 0, value)
 
     def register(self, axis: int, chip: Chip | type[Chip], name: str, value: int, chip_axis: int = 0) -> Self:

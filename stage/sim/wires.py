@@ -124,8 +124,13 @@ def linked_axes(
                 f"{chips[0].clock:,} of {chips[0].clock_hz:,} Hz; join fresh chips of one clock."
             )
     if len(chips) < 2:
+        on = [
+            f"{', '.join(n for n in names if chip_of[n] is c)} on one {type(c).__name__}"
+            for c in dict.fromkeys(chip_of.values())
+        ]
         raise ArgumentError(
-            f"multichip={list(given)}: these axes are on one chip, which needs no lines; give axes of two chips or more."
+            f"multichip={list(given)}: these axes are on one chip, which needs no lines; give axes of two chips or more. Here are "
+            f"{'; '.join(on)}: axes share a chip of one kind as long as it has some left, so give a kind of fewer axes, or another."
         )
     return tuple(given), chips
 

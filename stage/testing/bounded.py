@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable
 
 FORKS = hasattr(os, "fork")
+NOT_ENDED = "it has not ended after"
 
 
 def bounded(work: Callable[[], str], seconds: float | None) -> str:
@@ -44,7 +45,7 @@ def bounded(work: Callable[[], str], seconds: float | None) -> str:
     _, status = os.waitpid(child, 0)
     if answer is None:
         return (
-            f"it has not ended after {seconds:g} s: does the core loop without end? (limit=None tries it in this process: "
+            f"{NOT_ENDED} {seconds:g} s: does the core loop without end? (limit=None tries it in this process: "
             "there, with NUMBA_DISABLE_JIT=1, Ctrl-C shows the line)"
         )
     if os.WIFSIGNALED(status):

@@ -12,18 +12,20 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable, Iterable
-from contextlib import suppress
 from functools import partial
 from typing import Any
 
 from stage.chips import Chip, chip_class
-from stage.errors import ArgumentError, StageError, unknown
-from stage.testing.bounded import bounded
-from stage.testing.promises import PROMISES, Broken, Trial
+from stage.errors import ArgumentError, NativeError, StageError, unknown
+from stage.testing.bounded import NOT_ENDED, bounded
+from stage.testing.promises import PROMISES
+from stage.testing.trial import Broken, Trial
 
 PROGRAMS = 3
 LIMIT = 120.0
 """Seconds of real time for one promise."""
+SHORT_LIMIT = 15.0
+"""And for the others, once a promise has not ended: what is in a loop without end would take its limit each time."""
 
 
 class NotConforming(StageError, AssertionError):
@@ -54,7 +56,7 @@ class ChipConformance:
         limit: float | None = LIMIT,
         **options: Any,
     ) -> None:
-        """Try every promise, or those named.
+        """Try every promise, or those named. A chip whose core cannot be compiled is told at once.
 
         Args:
             chip: a class, or a chip's name.
@@ -62,10 +64,12 @@ class ChipConformance:
             seed: of the random numbers; default: another each time. It is printed, and is in the error's text.
             uncompiled: and the same programs as plain Python, in a process of its own, must give the same bits.
             limit: seconds of real time for each promise, in a process of its own, so that a core that never answers, or that writes
-                beyond an array, is told as a broken promise. None: in this process, without a limit, for debuggers.
+                beyond an array, is told as a broken promise. Once one has not ended, the others have SHORT_LIMIT. None: in this
+                process, without a limit, for debuggers.
             options: what the chip is made with, for example clock_hz.
         Raises NotConforming, ArgumentError for a promise that is not known or a limit that is no time.
         """
+        __tracebackhide__ = True
         if limit is not None and not limit > 0:
             raise ArgumentError(f"limit={limit!r}: seconds above 0, or None for no limit.")
         kind = chip_class(chip) if isinstance(chip, str) else chip
@@ -73,13 +77,18 @@ class ChipConformance:
         print(f"chip_conformance({getattr(kind, '__name__', kind)}, seed={seed})")
         trial = Trial(kind, partial(kind, **options), seed, programs)
         broken: dict[str, str] = {}
-        with suppress(Exception):  # what is wrong with it, a promise says
+        try:
             getattr(kind.CORE.power_up, "c")  # noqa: B009  its library is built here, without a limit
+        except NativeError as error:
+            raise NotConforming(f"{kind.__name__}: {error}", {"has_what_every_chip_has": str(error)}) from None
+        except Exception:  # what is wrong with it, a promise says
+            pass
         for name in PROMISES if promises is None else promises:
             if name not in PROMISES:
                 raise unknown("promise", name, PROMISES)
             if said := bounded(partial(_tried, PROMISES[name], trial), limit):
                 broken[name] = said
+                limit = _shorter(limit, broken)
                 if name == "has_what_every_chip_has":
                     break
         if uncompiled and not broken:
@@ -97,11 +106,24 @@ class ChipConformance:
         """A test function for pytest, with one test for each promise; arguments as those of a call."""
         import pytest
 
+        found: dict[str, str] = {}
+
         @pytest.mark.parametrize("promise", given.pop("promises", self.promises))
         def test_chip_conformance(promise: str) -> None:
-            self(chip, promises=[promise], **given)
+            __tracebackhide__ = True
+            try:
+                self(chip, promises=[promise], **{**given, "limit": _shorter(given.get("limit", LIMIT), found)})
+            except NotConforming as error:
+                found.update(error.broken)
+                raise
 
         return test_chip_conformance
+
+
+def _shorter(limit: float | None, broken: dict[str, str]) -> float | None:
+    """The limit, once some of these are broken."""
+    hangs = limit is not None and any(said.startswith(NOT_ENDED) for said in broken.values())
+    return min(limit, SHORT_LIMIT) if limit is not None and hangs else limit
 
 
 def _tried(promise: Callable[[Trial], None], trial: Trial) -> str:

@@ -5,8 +5,8 @@ An act is done to a chip by `do`, which returns what the chip says. Acts are pla
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -68,7 +68,7 @@ def wild(
         elif what < 8 and codes:
             code = codes[rng.integers(len(codes))]
             if begins and rng.integers(2):
-                found.append(_with_code(kind, begins[int(rng.integers(len(begins)))], code))
+                found.append(with_code(kind, begins[int(rng.integers(len(begins)))], code))
             else:
                 code |= int(rng.integers(0, 16) << 8 if rng.integers(2) else 0)
                 found.append(Act("write", 0, code & kind.DATA_MASK))
@@ -87,7 +87,7 @@ def wild(
     return found
 
 
-def _with_code(kind: type[Chip], begin: Act, code: int) -> Act:
+def with_code(kind: type[Chip], begin: Act, code: int) -> Act:
     """The write of a command with another code: the bits above those of the codes, the axis, stay."""
     bits = max(code for c in kind.MAP.commands for code in c.codes).bit_length()
     return begin._replace(b=(begin.b >> bits << bits | code) & kind.DATA_MASK)
@@ -103,15 +103,28 @@ def beginnings(chip: Chip) -> list[Act]:
 
 
 def under_way(chip: Chip, rng: np.random.Generator, axes: int) -> list[Act]:
-    """Drives of so many axes as the driver begins them, or with another command in the last write: other ways, to a switch."""
+    """Drives of so many axes as the driver begins them, with another mode, or with another command in the last write:
+    other ways, to a switch."""
     codes = [c.code for c in chip.MAP.commands if (c.starts or c.kind == "drive") and not c.together]
     found: list[Act] = []
     for axis in rng.permutation(chip.AXES)[:axes].tolist():
         acts, _ = driven(chip, axis, rng)
         if codes and acts and acts[-1].kind == "write" and rng.integers(2):
-            acts[-1] = _with_code(type(chip), acts[-1], codes[int(rng.integers(len(codes)))])
+            acts[-1] = with_code(type(chip), acts[-1], codes[int(rng.integers(len(codes)))])
+        if acts and rng.integers(2):
+            acts[-1:-1] = _a_mode(type(chip), axis, rng)
         found += [*acts, Act("time", int(rng.integers(1, 30_000)))]
     return found
+
+
+def _a_mode(kind: type[Chip], axis: int, rng: np.random.Generator) -> list[Act]:
+    """Writes of any bits to a register of an axis that has fields: modes, polarities, interrupts."""
+    modes = [r for r in kind.MAP.registers if r.fields and "W" in r.access]
+    if not modes:
+        return []
+    r = modes[int(rng.integers(len(modes)))]
+    value = int(rng.integers(0, r.mask, endpoint=True))
+    return [Act("write", *cycle) for cycle in kind.register_cycles(r.name, value, axis)]
 
 
 @dataclass(frozen=True)
@@ -124,13 +137,14 @@ class _Alone:
     index: int = 0
     time: float = 0.0
     meters_per_pulse: float | None = None
+    wiring: Mapping[str, str] = field(default_factory=dict)
 
 
-def driven(chip: Chip, axis: int, rng: np.random.Generator, slow: bool = False) -> tuple[list[Act], int]:
-    """A move of an axis, either way, from power-up to its start, as the chip's driver writes it, and its pulses, below 0 for minus,
-    no more than its FINISH holds; ([], 0) without a driver.
+def driven(chip: Chip, axis: int, rng: np.random.Generator, slow: bool = False, way: int = 0) -> tuple[list[Act], int]:
+    """A move of an axis from power-up to its start, as the chip's driver writes it, and its pulses, below 0 for minus, no more
+    than its FINISH holds; ([], 0) without a driver.
 
-    slow: at a constant rate, where the chip can.
+    slow: at a constant rate, where the chip can. way: 1 or -1; 0: either.
     """
     if not chip.DRIVER:
         return [], 0
@@ -148,9 +162,20 @@ def driven(chip: Chip, axis: int, rng: np.random.Generator, slow: bool = False) 
     if driver.FINISH and (legal := chip.MAP.register(driver.FINISH).range):
         pulses = min(pulses, legal[1])
     drive, ramp = start * (1.0 if slow else float(rng.uniform(2, 12))), float(rng.uniform(0.01, 0.05))
-    values, way = driver.formula(start, drive, ramp, ramp, pulses), 1 if rng.integers(2) else -1
+    values, way = driver.formula(start, drive, ramp, ramp, pulses), way or (1 if rng.integers(2) else -1)
     driver.write_move(program, values, way * pulses)
     return _acts(program, chip), way * pulses
+
+
+def stop(chip: Chip, axis: int) -> list[Act]:
+    """What the chip's driver writes to stop an axis; [] without a driver."""
+    if not chip.DRIVER:
+        return []
+    from stage.firmware.driver import driver_class
+
+    program = Program()
+    driver_class(type(chip))(_Alone(chip, axis)).write_stop(program)  # type: ignore[arg-type]
+    return _acts(program, chip)
 
 
 def _acts(program: Program, chip: Chip) -> list[Act]:
@@ -214,7 +239,7 @@ def harmless(acts: Sequence[Act], chip: Chip) -> list[Act]:
     for act in acts:
         kept = act
         if kept.kind == "time":
-            while kept.a > 1 and int(chip.CORE.advance(_copy(chip), chip.clock + kept.a)) > MOST_PULSES:
+            while kept.a > 1 and int(chip.CORE.advance(copy_of(chip), chip.clock + kept.a)) > MOST_PULSES:
                 kept = kept._replace(a=kept.a // 4)
         try:
             do(chip, kept)
@@ -226,5 +251,6 @@ def harmless(acts: Sequence[Act], chip: Chip) -> list[Act]:
     return found
 
 
-def _copy(chip: Chip) -> np.ndarray:
+def copy_of(chip: Chip) -> np.ndarray:
+    """Its state in memory of its own, an array of one, which its core takes."""
     return np.frombuffer(bytearray(chip.state.tobytes()), chip.CORE.STATE)

@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import copy
 import pickle
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from functools import cached_property
+import traceback
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -19,74 +18,18 @@ from stage.chips.describe import LONGEST, decode
 from stage.chips.journal import Replay
 from stage.chips.register_map import Command, Word
 from stage.errors import ArgumentError, StageError
+from stage.testing.axes import axes_alone, limit_switches, together
 from stage.testing.hands import (
-    Act,
-    beginnings,
+    copy_of,
     do,
     do_all,
-    driven,
     ended,
     fields_that_differ,
     harmless,
     pulse_clocks,
     room_for,
-    under_way,
-    wild,
 )
-
-
-class Broken(Exception):
-    """What a chip does in place of what it promises."""
-
-
-@dataclass(frozen=True)
-class Trial:
-    """What a promise is tried with. kind, make: the class, and what makes a chip of it."""
-
-    kind: type[Chip]
-    make: Callable[[], Chip]
-    seed: int
-    programs: int
-
-    def draws(self) -> Iterator[np.random.Generator]:
-        """For each program its random numbers."""
-        for k in range(self.programs):
-            yield np.random.default_rng([self.seed, k])
-
-    @cached_property
-    def begins(self) -> list[Act]:
-        """Writes that begin a drive, one for each axis."""
-        return beginnings(self.make())
-
-    def wild(self, rng: np.random.Generator, count: int) -> list[Act]:
-        """Random acts."""
-        return wild(self.kind, rng, count, begins=self.begins)
-
-    def program(self, rng: np.random.Generator) -> list[Act]:
-        """Moves of some axes and their course, then random acts; or such acts alone."""
-        chip = self.make()
-        begin = under_way(chip, rng, int(rng.integers(1, 4))) if rng.integers(4) else []
-        return harmless([*begin, Act("time", int(rng.integers(1, 200_000))), *self.wild(rng, 25)], chip)
-
-    def drives(self, chip: Chip, rng: np.random.Generator) -> list[Act]:
-        """Drives of all axes, which begin now."""
-        return harmless(under_way(chip, rng, chip.AXES), chip.twin())
-
-    def moving(self, rng: np.random.Generator, slow: bool = False) -> tuple[Chip, int, int]:
-        """A chip at the start of a move, its axis, the pulses, below 0 for minus; of a chip without a driver 0 pulses."""
-        chip, axis = self.make(), int(rng.integers(self.kind.AXES))
-        acts, pulses = driven(chip, axis, rng, slow)
-        do_all(chip, acts)
-        return chip, axis, pulses
-
-    def same(self, chip: Chip, other: Chip, when: str) -> None:
-        """Raises Broken where two chips are not in the same state, bit for bit."""
-        self.same_bits(chip.state.tobytes(), other.state.tobytes(), when)
-
-    def same_bits(self, one: bytes, other: bytes, when: str) -> None:
-        """As `same`, of states."""
-        if one != other:
-            raise Broken(f"{when}, the state differs in {fields_that_differ(self.kind, one, other)}")
+from stage.testing.trial import Broken, Trial
 
 
 def has_what_every_chip_has(t: Trial) -> None:
@@ -95,6 +38,12 @@ def has_what_every_chip_has(t: Trial) -> None:
         contract.check(t.kind, Chip)
     except ArgumentError as error:
         raise Broken(str(error)) from None
+    axis, bits = t.kind.IRQ
+    known = sum(t.kind.OUTPUTS.values())
+    if bits & ~known or not -1 <= axis < t.kind.AXES:
+        raise Broken(
+            f"IRQ is ({axis}, {bits:#x}): an axis from 0 to {t.kind.AXES - 1}, or -1, and bits of OUTPUTS, which are {known:#x}"
+        )
 
 
 def bus_lines(t: Trial) -> None:
@@ -161,7 +110,7 @@ def traced(t: Trial) -> None:
         acts = t.program(rng)
         used = t.make()
         do_all(used, acts)
-        for act in [*acts, *t.drives(used, rng)]:
+        for act in [*acts, *t.drives(used, rng), *together(t, rng)]:
             if act.kind != "time":
                 do(one, act)
                 do(other, act)
@@ -172,9 +121,11 @@ def traced(t: Trial) -> None:
             except StageError as error:
                 raise Broken(str(error)) from None
             made = one.advance(act.a)
+            out = np.zeros(made + 64, other.CORE.PULSE)
+            listed = int(other.CORE.trace(copy_of(other), other.clock + act.a, out))
+            if listed != made:
+                raise Broken(f"advance({act.a}) says {made} pulses, and trace lists {listed}")
             pulses = other.trace(act.a)
-            if len(pulses) != made:
-                raise Broken(f"advance({act.a}) says {made} pulses, and trace lists {len(pulses)}")
             clocks, axes, ways = (pulses[name].astype(np.int64) for name in ("clock", "axis", "direction"))
             if (np.diff(clocks) < 0).any() or (made and not (begin < clocks[0] and clocks[-1] <= one.clock)):
                 raise Broken(f"the pulses of clocks {begin} to {one.clock} are at {_some(clocks)}")
@@ -305,34 +256,36 @@ def drive_inputs(t: Trial) -> None:
 def courses(t: Trial) -> None:
     """busy, net, counter and pins agree with the trace, from the start of a driver's move to its end"""
     for rng in t.draws():
-        chip, axis, pulses = t.moving(rng)
-        if not pulses:
-            return
-        left, way = abs(pulses), 1 if pulses > 0 else -1
-        _at_work(chip, axis, left)
-        clocks = ended(chip, axis)
-        at = pulse_clocks(chip, clocks)
-        if len(at) != left:
-            raise Broken(f"the driver's move of {pulses} pulses makes {len(at)} in {clocks} clocks")
-        bits, count, net = t.kind.COUNTER[1], _counter(chip, axis), chip.net(axis)
-        for n in sorted({0, *(int(k) for k in rng.integers(0, at[-1], 6)), int(at[-1]) - 1}):
-            probe = chip.twin()
-            probe.advance(n)
-            made = int((at <= n).sum())
-            if probe.net(axis) - net != way * made:
-                raise Broken(
-                    f"the driver's move of {pulses} pulses: net has gone by {probe.net(axis) - net} when the trace lists {made}"
-                )
-            busy, core = probe.busy(axis), bool(probe.CORE.busy.held(probe.pointer, axis))
-            if not busy or not core:
-                raise Broken(_at_rest(chip, axis, busy, left - made))
-            gone = (_counter(probe, axis) - count) % (1 << bits)
-            if gone not in (made, -made % (1 << bits)):
-                raise Broken(f"counter has gone by {gone} when the trace lists {made} pulses")
-        rest = chip.twin()
-        rest.advance(clocks + chip.clock_hz)
-        if rest.busy(axis) or rest.CORE.busy.held(rest.pointer, axis):
-            raise Broken("it says that it drives a second after the end of a move")
+        for chip, axis, pulses in t.moves(rng):
+            _course(t, rng, chip, axis, pulses)
+
+
+def _course(t: Trial, rng: np.random.Generator, chip: Chip, axis: int, pulses: int) -> None:
+    left, way = abs(pulses), 1 if pulses > 0 else -1
+    _at_work(chip, axis, left)
+    clocks = ended(chip, axis)
+    at = pulse_clocks(chip, clocks)
+    if len(at) != left:
+        raise Broken(f"the driver's move of {pulses} pulses makes {len(at)} in {clocks} clocks")
+    bits, count, net = t.kind.COUNTER[1], _counter(chip, axis), chip.net(axis)
+    for n in sorted({0, *(int(k) for k in rng.integers(0, at[-1], 6)), int(at[-1]) - 1}):
+        probe = chip.twin()
+        probe.advance(n)
+        made = int((at <= n).sum())
+        if probe.net(axis) - net != way * made:
+            raise Broken(
+                f"the driver's move of {pulses} pulses: net has gone by {probe.net(axis) - net} when the trace lists {made}"
+            )
+        busy, core = probe.busy(axis), bool(probe.CORE.busy.held(probe.pointer, axis))
+        if not busy or not core:
+            raise Broken(_at_rest(chip, axis, busy, left - made))
+        gone = (_counter(probe, axis) - count) % (1 << bits)
+        if gone not in (made, -made % (1 << bits)):
+            raise Broken(f"counter has gone by {gone} when the trace lists {made} pulses")
+    rest = chip.twin()
+    rest.advance(clocks + chip.clock_hz)
+    if rest.busy(axis) or rest.CORE.busy.held(rest.pointer, axis):
+        raise Broken("it says that it drives a second after the end of a move")
 
 
 def _at_work(chip: Chip, axis: int, left: int) -> None:
@@ -343,6 +296,8 @@ def _at_work(chip: Chip, axis: int, left: int) -> None:
 
 def _at_rest(chip: Chip, axis: int, busy: bool, left: int) -> str:
     told = f"{'its core' if busy else 'the status on its bus'} says at rest, and {left} pulses come"
+    if not chip.input_word(axis):
+        told += ", while no input is asserted"
     if chip.AXES == 1:
         return told
     driving = [k for k in range(chip.AXES) if chip.CORE.busy.held(chip.pointer, k)]
@@ -358,7 +313,14 @@ def snapshots(t: Trial) -> None:
     for rng in t.draws():
         first, then = t.program(rng), None
         chip = t.make()
+        own = _beside_the_record(chip)
         do_all(chip, first)
+        for name, value in _beside_the_record(chip).items():
+            if own.get(name) != value:
+                raise Broken(
+                    f"bus cycles, pins or time change its attribute {name!r} to {value}: a snapshot does not have it. State is "
+                    "in the record"
+                )
         kept, bits, noted = chip.snapshot(), chip.state.tobytes(), list(chip.diagnostics)
         then = harmless(t.wild(rng, 25), chip.twin())
         said, ended_at = do_all(chip, then), chip.state.tobytes()
@@ -383,6 +345,13 @@ def snapshots(t: Trial) -> None:
     _refusals(t, t.make())
 
 
+def _beside_the_record(chip: Chip) -> dict[str, str]:
+    """What its class keeps in the object, as text: numbers, words, lists and arrays of them."""
+    plain = (int, float, str, bytes, list, tuple, dict, set, np.ndarray, np.generic, type(None))
+    known = {"header", "_diagnostics", "_alone", "_bus", "_here", "_i", "_plain", "_rows"}
+    return {n: repr(v) for n, v in vars(chip).items() if n not in known and isinstance(v, plain)}
+
+
 def _every_bit_kept(t: Trial) -> None:
     for value in ("least", "most"):
         chip, fresh = t.make(), t.make()
@@ -400,7 +369,7 @@ def _every_bit_kept(t: Trial) -> None:
 
 def _shown(chip: Chip) -> Any:
     return (
-        chip.values(),
+        chip.values() | {f"{n} of axis {k}": v for k in range(1, chip.AXES) for n, v in chip.values_of(k).items()},
         [chip.output_word(k) for k in range(chip.AXES)],
         [chip.input_word(k) for k in range(chip.AXES)],
     )
@@ -445,6 +414,28 @@ def journals(t: Trial) -> None:
                 raise Broken(f"the course's edges are at {_some(edges['clock'])}, and the chip at {chip.clock}")
             decode(chip.decoder(axis), noted.entries)
         _pins_of_a_course(t, rng)
+        _no_more_than_there_is_room(t, rng)
+
+
+def _no_more_than_there_is_room(t: Trial, rng: np.random.Generator) -> None:
+    """`scan` gets arrays of a few edges, and what lies behind them is not its own."""
+    chip, axis, _ = t.moving(rng)
+    until, room, edges = (
+        chip.clock + chip.clock_hz // 20,
+        cores.SCAN_ROOM,
+        np.zeros(2 * cores.SCAN_ROOM, chip.CORE.EDGE),
+    )
+    state = copy_of(chip)
+    edges.view(np.uint8)[:] = 0xA5
+    behind = edges[room:].tobytes()
+    for _ in range(200):
+        made = int(chip.CORE.scan(state, until, 1, axis, edges[:room]))
+        if edges[room:].tobytes() != behind or made > room:
+            raise Broken(
+                f"scan gives {made} edges, and writes behind `out`, which holds {room}: stop before it is full"
+            )
+        if int(state["clock"][0]) >= until:
+            break
 
 
 def _settled_alike(t: Trial, chip: Chip, state: bytes, when: str) -> None:
@@ -580,10 +571,24 @@ def reads(t: Trial) -> None:
     """reads: a read cycle changes nothing, but at READING_ACTS; `peek`, what a host would like to see there, never does"""
     for rng in t.draws():
         chip = t.make()
-        do_all(chip, t.program(rng))
+        for act in t.program(rng):
+            do(chip, act)
+            _core_reads(t, chip)
         _reads(t, chip)
         do_all(chip, t.drives(chip, rng))
         _reads(t, chip)
+
+
+def _core_reads(t: Trial, chip: Chip) -> None:
+    """Reads of a copy: so they can be made after each act without a change of what comes."""
+    for address in range(chip.ADDRESSES):
+        if address not in chip.READING_ACTS:
+            before, state = copy_of(chip), copy_of(chip)
+            for k in range(chip.AXES):
+                for looked in (before, state):
+                    chip.CORE.outputs(looked, k)
+            chip.CORE.read(state, address)
+            _unchanged(t, address, before.tobytes(), state.tobytes())
 
 
 def _reads(t: Trial, chip: Chip) -> None:
@@ -597,9 +602,13 @@ def _reads(t: Trial, chip: Chip) -> None:
             continue
         if not 0 <= (value := chip.read(address)) <= chip.DATA_MASK:
             raise Broken(f"read({address:X}h) gives {value}, and the data lines hold 0 to {chip.DATA_MASK:X}h")
-        if chip.state.tobytes() != before:
-            differ = fields_that_differ(t.kind, before, chip.state.tobytes())
-            raise Broken(f"read({address:X}h) changes {differ}, and {address:X}h is not in READING_ACTS")
+        _unchanged(t, address, before, chip.state.tobytes())
+
+
+def _unchanged(t: Trial, address: int, before: bytes, now: bytes) -> None:
+    if now != before:
+        differ = fields_that_differ(t.kind, before, now)
+        raise Broken(f"read({address:X}h) changes {differ}, and {address:X}h is not in READING_ACTS")
 
 
 def register_cycles(t: Trial) -> None:
@@ -627,6 +636,15 @@ def command_cycles(t: Trial) -> None:
             cycles = t.kind.command_cycles(name, t.kind.AXES - 1, 1 if takes else None)
         except NotImplementedError:
             return
+        except Exception as error:
+            kind = (
+                "a word of the map with an address and a field that is written"
+                if isinstance(what, Word)
+                else "a command"
+            )
+            raise Broken(
+                f"command_cycles({name!r}), {kind}, raises {type(error).__name__}: {error} ({_line(error)})"
+            ) from error
         if not cycles:
             raise Broken(f"no bus cycle sends {name}")
         for address, datum in cycles:
@@ -660,6 +678,11 @@ def words(t: Trial) -> None:
         _calmly("repr()", repr, chip)
 
 
+def _line(error: Exception) -> str:
+    where = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{where.filename}, line {where.lineno}, in {where.name}"
+
+
 def _some(numbers: np.ndarray) -> str:
     shown = ", ".join(map(str, numbers[:5].tolist()))
     return f"{shown} ... {numbers[-1]}" if len(numbers) > 5 else shown
@@ -670,7 +693,8 @@ PROMISES: dict[str, Callable[[Trial], None]] = {
     for p in (
         has_what_every_chip_has, pins_by_name, register_cycles, command_cycles,
         bus_lines, time_that_passes, reads, diagnostics, words,
-        determinism, traced, cut_time, windows, drive_inputs, courses, snapshots, journals, resets,
+        determinism, traced, cut_time, windows, drive_inputs, courses, limit_switches, axes_alone,
+        snapshots, journals, resets,
     )
 }  # fmt: skip
 """Every promise by name; their docstrings say what is promised."""

@@ -11,7 +11,7 @@ from typing import Any
 
 from stage.chips import Chip
 from stage.testing.hands import do
-from stage.testing.promises import Trial
+from stage.testing.trial import Trial
 
 
 def compare(kind: type[Chip], options: dict[str, Any], seed: int, programs: int, limit: float | None = None) -> str:

@@ -14,7 +14,7 @@ from stage.chips.nova.registers.mcx300 import MCX302_MAP, MCX304_MAP, MCX312_MAP
 from stage.chips.nova.registers.mcx514 import MCX501_MAP, MCX512_MAP, MCX514_MAP
 from stage.chips.nova.registers.words514 import ACTIONS, FACTORS, HOME_STATES
 from stage.chips.pcl240.maps import PCL240K_MAP, PCL240MS_MAP
-from stage.chips.register_map import COMMAND_KINDS, EVIDENCE, Command, RegisterMap, dump
+from stage.chips.register_map import COMMAND_KINDS, EVIDENCE, Command, Register, RegisterMap, dump
 from stage.errors import ArgumentError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -406,3 +406,12 @@ def test_every_command_has_a_test_that_writes_it(covered, chips):
     """To one of the chips that share a row of the page's table."""
     written = {symbol for chip, symbol in covered if chip in {c.chip for c in chips}}
     assert {c.symbol for chip in chips for c in chip.commands} == written
+
+
+def test_a_dump_shows_the_number_that_a_signed_register_holds():
+    """TP = 4294967289, with a legal range of -1073741824..1073741824"""
+    registers = tuple(Register(n, k, 32, "RW", n, signed=k == 1) for k, n in enumerate(("DV", "TP")))
+    lines = dump(
+        RegisterMap("ORCA2", "two axes", "sheet", registers, ()), {"TP": 4294967289, "DV": 4294967289}
+    ).splitlines()
+    assert [line.rsplit(" = ")[-1] for line in lines if " = " in line] == ["4294967289", "-7"]

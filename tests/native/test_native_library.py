@@ -19,8 +19,11 @@ from stage.native import COMPILED, build, load
 pytestmark = pytest.mark.skipif(not COMPILED, reason="asks of the compiled library")
 
 CORE = """
+import numpy as np
 from stage.native import exported, hot
 from .constants import STEP
+
+NUMBERS = np.zeros(1, np.int64)
 
 @hot
 def more(n):
@@ -183,6 +186,7 @@ def test_a_function_that_may_raise_is_refused_by_the_build(toy):
         ("return n.length", "TypingError: Unknown attribute 'length' of type int64"),
         ("return nothing + n", "TypingError: NameError: name 'nothing' is not defined"),
         ("return more(n, 2)", "TypingError: Cannot bind 'args=(int64, "),
+        ("NUMBERS[0] = n", "An array of a module is a constant here: what changes is a field of the record"),
         ("return sorted(n)", "AssertionError: Implementation function returned by `@overload`"),
     ],
 )

@@ -12,9 +12,9 @@ from support.examples import EXAMPLES, FIXED, SEED, scaled
 from toy import TOY, TOY8, defects
 
 from stage.chips import CHIPS, PCL240K
-from stage.errors import ArgumentError, StageError
-from stage.testing import chip_conformance, hands
-from stage.testing.bounded import bounded
+from stage.errors import ArgumentError, NativeError, StageError
+from stage.testing import chip_conformance, conformance, hands
+from stage.testing.bounded import NOT_ENDED, bounded
 from stage.testing.conformance import NotConforming
 
 DEFECTS = defects.DEFECTS
@@ -117,6 +117,38 @@ def test_a_core_that_ends_its_process_is_told_as_a_broken_promise():
     assert (
         "its process was ended by SIGSEGV: does the core write or read beyond an array?" in said.value.broken["reads"]
     )
+
+
+def test_once_a_promise_has_not_ended_the_others_are_given_less_time(monkeypatch):
+    monkeypatch.setattr(conformance, "SHORT_LIMIT", 0.5)
+    given = []
+    monkeypatch.setattr(conformance, "bounded", lambda work, limit: given.append(limit) or f"{NOT_ENDED} {limit:g} s")
+    with pytest.raises(NotConforming):
+        chip_conformance(TOY, promises=["reads", "pins_by_name"], limit=30)
+    tests = chip_conformance.tests(TOY, limit=20)
+    for promise in ("reads", "pins_by_name"):
+        with pytest.raises(NotConforming):
+            tests(promise)
+    assert given == [30, 0.5, 20, 0.5]
+
+
+def test_a_core_that_cannot_be_compiled_is_told_once():
+    """A function of the core writes to an array of its module"""
+
+    class Answer:
+        @property
+        def c(self):
+            raise NativeError("core.py, line 5: what changes is a field of the record")
+
+    broken = type("TOY", (TOY,), {"CORE": defects.a_core(power_up=Answer())})
+    with pytest.raises(NotConforming, match=r"TOY: core\.py, line 5") as said:
+        chip_conformance(broken)
+    assert list(said.value.broken) == ["has_what_every_chip_has"]
+
+
+def test_a_driver_that_asks_for_the_wiring_of_its_axis_is_told_that_all_is_as_usual():
+    """write_move(...) sets polarities by self.axis.wiring: '_Alone' object has no attribute 'wiring'"""
+    chip_conformance(defects.Polite, seed=SEED, programs=1, promises=["courses"])
 
 
 def test_a_limit_is_a_time_or_none():

@@ -164,3 +164,39 @@ def sees_pulses_and_no_ends(c, until, every_pulse, axis, out):
         return eight.scan(c, until, every_pulse, axis, out)
     eight.run(c, until)
     return 0
+
+
+@exported(None, STATE, "i8", "i8")
+def only_keeps(c, j, word):
+    """The input pins change, and a drive goes on."""
+    c.inputs = word
+
+
+@exported(None, eight.STATE, "i8", "i8")
+def stops_all(c, address, value):
+    """A stop of any axis is one of all."""
+    eight.write(c, address, value)
+    if address == 0 and value % 16 not in (PLUS, MINUS):
+        for j in range(eight.AXES):
+            c.ax[j].way = 0
+
+
+@exported("i8", eight.STATE, "i8", array_of(PULSE))
+def one_a_clock(c, until, out):
+    """Of pulses of one clock only one is told."""
+    k = eight.trace(c, until, out)
+    n = 0
+    for m in range(k):
+        if n == 0 or out[n - 1].clock != out[m].clock:
+            out[n].clock, out[n].axis, out[n].direction = out[m].clock, out[m].axis, out[m].direction
+            n += 1
+    return n
+
+
+@exported("i8", STATE, "i8", "i8", "i8", array_of(EDGE))
+def one_too_many(c, until, every_pulse, axis, out):
+    """Full is when one more has been written."""
+    k = core.scan(c, until, every_pulse, axis, out)
+    if k >= len(out) - 1:
+        core.mark(c, axis, out, len(out))
+    return k

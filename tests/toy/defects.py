@@ -5,12 +5,14 @@ from __future__ import annotations
 import faulthandler
 import os
 import signal
+from dataclasses import replace
 from itertools import count
 from types import SimpleNamespace
 from typing import Any, ClassVar
 
 from stage.native import COMPILED
 from toy import TOY, TOY8, answers, core, eight, maps
+from toy.driver import ToyDriver
 
 
 def a_core(**answers: Any) -> Any:
@@ -28,14 +30,26 @@ def with_eight(**answers: Any) -> type:
 class Remembers(TOY):  # outside its record
     def __init__(self, **options: Any):
         super().__init__(**options)
-        self.last = 0
+        self.kept = SimpleNamespace(last=0)
 
     def write(self, address: int, value: int) -> None:
-        self.last += 1
+        self.kept.last += 1
         super().write(address, value)
 
     def values(self) -> dict[str, int]:
-        return super().values() | {"RATE": self.last}
+        return super().values() | {"RATE": self.kept.last}
+
+
+class PoliteDriver(ToyDriver):
+    """Sets polarities by the wiring of the axis."""
+
+    def write_move(self, program: Any, values: Any, pulses: int) -> None:
+        assert not dict(self.axis.wiring)
+        super().write_move(program, values, pulses)
+
+
+class Polite(TOY):
+    DRIVER: ClassVar = "toy.defects:PoliteDriver"
 
 
 class Raises(TOY):
@@ -67,6 +81,38 @@ class BeyondTheBus(TOY):
     @classmethod
     def register_cycles(cls, name: str, value: int, axis: int = 0) -> list[tuple[int, int]]:
         return [(cls.MAP.register(name).number + 8, value)]
+
+
+class Turns(TOY):
+    @classmethod
+    def turns(cls, address: int, value: int) -> bool | None:
+        return value == core.PLUS if address == 0 and value in (core.PLUS, core.MINUS) else None
+
+
+class OneAxisShown(TOY8):
+    """An axis' registers have one name, and values() shows those of axis 0 for every axis."""
+
+    MAP: ClassVar = replace(maps.MAP, axes=TOY8.AXES)
+
+    @classmethod
+    def register_cycles(cls, name: str, value: int, axis: int = 0) -> list[tuple[int, int]]:
+        return [(cls.MAP.register(name).number + 2 * axis, value)]
+
+
+class Unsent(TOY):
+    @classmethod
+    def command_cycles(cls, symbol: str, axis: int = 0, datum: int | None = None) -> list[tuple[int, int]]:
+        return [(0, {}[symbol])]
+
+
+class Latches(TOY):
+    """Nothing shows it yet, but it is lost in a copy."""
+
+    latch = 0
+
+    def write(self, address: int, value: int) -> None:
+        self.latch = int(value) & 0xFF
+        super().write(address, value)
 
 
 class Narrow(TOY):
@@ -134,6 +180,20 @@ DEFECTS: dict[str, tuple[type, str, str]] = {
     "inputs of all axes": (with_eight(set_input=answers.all_axes_at_once), "pins_by_name", "inputs of another axis"),
     "a look that acts": (with_eight(peek=answers.looks_and_touches), "reads", r"after peek\(10h\), the state differs in ax"),
     "no end in a coarse course": (with_eight(scan=answers.sees_pulses_and_no_ends), "journals", "output runs at another"),
+    "a switch that stops nothing": (
+        with_core(set_input=answers.only_keeps), "limit_switches", "goes on to its end, though el_(plus|minus) is asserted"),
+    "switches exchanged": (
+        type("TOY", (TOY,), {"WIRING": {"el_plus": "el_minus", "el_minus": "el_plus"}}),
+        "limit_switches", "goes on to its end, though el_plus is asserted"),
+    "the direction exchanged": (Turns, "limit_switches", "axis 0 goes (plus|minus), and `turns` says (plus|minus)"),
+    "a stop for all": (with_eight(write=answers.stops_all), "axes_alone", "the driver's stop of axis . changes the pulses"),
+    "values of one axis": (OneAxisShown, "axes_alone", "RATE = 1 written to axis 0 changes what values_of gives for another axis"),
+    "a trace that loses": (with_eight(trace=answers.one_a_clock), "traced", "says .* pulses, and trace lists"),
+    "a scan beyond its array": (with_core(scan=answers.one_too_many), "journals", "writes behind `out`, which holds 8"),
+    "a command that cannot be sent": (Unsent, "command_cycles", r"command_cycles\('.*'\), a command, raises KeyError"),
+    "an attribute beside the record": (Latches, "snapshots", "change its attribute 'latch' to .*: a snapshot does not have it"),
+    "an interrupt at no pin": (
+        type("TOY", (TOY,), {"IRQ": (0, 64)}), "has_what_every_chip_has", r"IRQ is \(0, 0x40\): .* bits of OUTPUTS"),
     "an answer missing": (with_core(drive_input=None), "has_what_every_chip_has", "has no answer drive_input"),
 }  # fmt: skip
 """Defect -> (the class, the promise that it breaks, words of the message)."""

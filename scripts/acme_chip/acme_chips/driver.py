@@ -126,6 +126,10 @@ class Return(Search):
         self.choices = Choices({**rates, "approach": limits(MAP, "START"), **ways}, cubed=("leave",))
         self.program(self.choices.low)
 
+    def row(self, fl, fh, ramp, approach, leave, back_off):
+        rates = self.driver.formula(fl, fh, ramp, ramp, leave)
+        return self._row({**rates, "approach": approach, "leave": leave, "back_off": back_off})
+
     def program(self, row):
         start, drive, slope, approach, leave, back = np.asarray(row).tolist()
         p = Program()

@@ -79,7 +79,7 @@ def machine(g: Any, chips: Sequence[str] = ALL) -> None:
         action="append",
         default=[],
         metavar="FOLLOWER=LEADER",
-        help="connect SYNI of an axis' chip (PCL-240 family) to SYNO of another's: y=x",
+        help="connect SYNI of an axis' chip (PCL-240 family) to SYNO of another's: y=x, or y=x,z=x",
     )
 
 
