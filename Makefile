@@ -6,7 +6,7 @@ PHYSICS := tests/test_models.py tests/test_plant.py tests/test_stage.py tests/te
 UNCOMPILED := tests/test_uncompiled.py tests/chips/test_pcl240k_statements.py tests/chips/test_pcl240ms_statements.py tests/chips/test_drive_input.py tests/drives/test_stepper.py
 TYPES := build/types/stage
 
-.PHONY: ci demo docs test record test-slow test-oldest test-mujoco soak fuzz coverage memory lint bench results pictures clean help
+.PHONY: ci demo docs notebooks test record test-slow test-oldest test-mujoco soak fuzz coverage memory lint bench results pictures clean help
 
 help:
 	@echo "make demo       origin return, dual-rate and a:b moves; writes demo.rrd"
@@ -21,6 +21,7 @@ help:
 	@echo "make fuzz       fuzz the bus and the MJCF contract, SECONDS=60 each (extra fuzz)"
 	@echo "make memory     the native library under valgrind (Debian: valgrind), a few minutes"
 	@echo "make docs       the documentation site, in build/site/html (extra docs)"
+	@echo "make notebooks  runs docs/notebooks from the beginning to the end"
 	@echo "make lint       ruff and mypy"
 	@echo "make ci         all that .github/workflows/ci.yml does on this Python"
 	@echo "make bench      speed, as ratios measured in one run"
@@ -105,6 +106,9 @@ docs: .venv/.dev
 	$(BIN)/python scripts/site/build.py
 	cd build/site && $(CURDIR)/$(BIN)/zensical build --strict
 	@echo "open build/site/html/index.html"
+
+notebooks: .venv/.dev
+	$(BIN)/python -m pytest -m 'slow or not slow' tests/test_notebooks.py
 
 lint: .venv/.dev
 	$(BIN)/ruff check .

@@ -28,6 +28,7 @@ LIBRARIES = {
     "optuna": Extra("Optuna", "tune"),
     "scipy": Extra("scipy", "servo"),
     "argcomplete": Extra("argcomplete", "completion"),
+    "rerun_notebook": Extra("rerun's widget", "notebook"),
     "nicegui": Extra("NiceGUI", "panel"),
     "mcp": Extra("the package mcp", "agents"),
 }

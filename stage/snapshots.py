@@ -34,7 +34,7 @@ class Header:
         return zlib.crc32(repr((VERSION, self.parts)).encode())
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Snapshot:
     """Base of the snapshots of chips and of stages; `of` says in words what can be restored from it.
 
@@ -46,6 +46,10 @@ class Snapshot:
     state: Any
     diagnostics: tuple
     checksum: int
+
+    def __repr__(self) -> str:
+        of = dict(self.header.parts)
+        return f"<Snapshot of {self.of}: {next(iter(of.values()), '')}; {len(bytes(self.state)):,} bytes>"
 
     def checked(self) -> None:
         """Raise ArgumentError where header and state are not those that were taken."""

@@ -33,6 +33,7 @@ stage.recording.recording
     Recording.pieces: rows=65536, begin=0
     Recording.save: overwrite=False
     Recording.to_vcd: overwrite=False
+    Recording.plot: path=None, overwrite=False
     Recording.to_pandas: columns=None
     Recording.to_parquet: columns=None, overwrite=False
     Recording.to_csv: columns=None, overwrite=False

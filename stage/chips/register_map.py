@@ -13,6 +13,8 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TypeVar
 
+from stage import html
+
 EVIDENCE = {
     "S": "data sheet",
     "H": "vendor header",
@@ -239,9 +241,9 @@ def reads(r: Register, code: int | None = None, evidence: str = "", axes: bool =
     return Command(code, f"R-{r.name}", f"read {r.name}", "data read", r.bits // 8, None, found, r.unit, axes=axes)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class RegisterMap:
-    """Everything a host can address on one chip, and how many axes it has."""
+    """Everything a host can address on one chip, and how many axes it has. `print(dump(map_))` prints it."""
 
     chip: str
     title: str
@@ -250,6 +252,12 @@ class RegisterMap:
     words: tuple[Word, ...]
     commands: tuple[Command, ...] = ()
     axes: int = 1
+
+    def __repr__(self) -> str:
+        return f"<RegisterMap {self.chip}: {len(self.registers)} registers, {len(self.words)} words, {len(self.commands)} commands>"
+
+    def _repr_html_(self) -> str:
+        return as_html(self)
 
     @property
     def places(self) -> tuple[Register | Word, ...]:
@@ -353,6 +361,26 @@ def _found(table: dict[str, T], name: str, kind: str) -> T:
 
         raise unknown(kind, name, table)
     return table[name]
+
+
+def as_html(map_: RegisterMap) -> str:
+    """The map for a notebook: registers, words and commands as tables, each field behind its register."""
+
+    def fields(place: Register | Word) -> str:
+        rows = [(f"b{f.bits}", f.name, f.evidence, f.text) for f in place.fields]
+        return (
+            html.folded(f"{place.name}: its bits", html.table(rows, ("bits", "field", "ev", "meaning"))) if rows else ""
+        )
+
+    registers = [(r.name, r.bits, r.access, _legal(r), r.unit, r.evidence, _title(r)) for r in map_.registers]
+    commands = [(c.hex, c.symbol, c.kind, c.bytes or "", c.evidence, c.what) for c in map_.commands]
+    head = ("register", "bits", "access", "legal", "unit", "ev", "title")
+    parts = [html.heading(f"{map_.chip}: {map_.title}"), html.table(registers, head), *map(fields, map_.registers)]
+    parts += [html.heading(f"{w.name}: {w.text}") + fields(w) for w in map_.words]
+    if commands:
+        told = html.table(commands, ("code", "symbol", "kind", "bytes", "ev", "title"))
+        parts.append(html.folded(f"{len(commands)} commands", told))
+    return "".join(parts)
 
 
 def dump(map_: RegisterMap, values: dict[str, int] | None = None) -> str:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
+from stage import html
 from stage.chips.describe import Said, decode
 from stage.chips.journal import Course
 from stage.errors import RunTimeout
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 NOT_AS_ASKED = ("EL+", "EL-", "STOP0", "ALARM", "EMG", "HOME", "timeout")  # HOME: a chip's home search failed
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Report:
     """What one axis did in one procedure.
 
@@ -104,6 +105,15 @@ class Report:
     def listing(self) -> str:
         """`writes` as text, a line each: ms from the first start, bytes, meaning."""
         return "\n".join(f"{t * 1e3:11.4f} ms  {code:14}{meaning}" for t, code, meaning in self.writes())
+
+    def __repr__(self) -> str:
+        return f"<Report {str(self).splitlines()[0]}, {self.pulses} pulses, {self.duration:.4f} s>"
+
+    def _repr_html_(self) -> str:
+        written = html.table(
+            [(f"{t * 1e3:.4f}", code, said) for t, code, said in self.writes()], ("ms", "bytes", "meaning")
+        )
+        return html.lines(str(self)) + html.picture(self.plot) + html.folded("what was written", written)
 
     def json(self) -> dict[str, Any]:
         """All of it as numbers and texts, as `--json` prints it: s, m (rad), pps; `writes` as (s, bytes, meaning)."""

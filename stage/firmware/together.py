@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from stage import html
 from stage.errors import ArgumentError, unknown
 from stage.firmware.axis import Axes, Axis
 from stage.firmware.path import Deviation, path_deviation, pulses_of
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
     from stage.firmware.pcl240.plan import Plan
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class SynchronizedReport:
     """What the axes did together.
 
@@ -91,6 +92,12 @@ class SynchronizedReport:
         if self.carriage_deviation is not None:
             lines.append(f"  carriages {self.carriage_deviation * 1e6:.1f} um from the line at most")
         return "\n".join([*lines, *(str(r) for r in self.axes.values())])
+
+    def __repr__(self) -> str:
+        return f"<SynchronizedReport {str(self).splitlines()[0]}>"
+
+    def _repr_html_(self) -> str:
+        return html.lines(str(self)) + html.picture(self.plot)
 
     def json(self) -> dict[str, Any]:
         """All of it as numbers and texts, as `--json` prints it: s, m, pulses from the line; a Report's for each axis."""

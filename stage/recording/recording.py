@@ -29,6 +29,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeVar
 import mujoco
 import numpy as np
 
+from stage import html
 from stage.chips.journal import Journal
 from stage.errors import ArgumentError, unknown
 from stage.files import FileError, is_stream, writable, written
@@ -383,6 +384,24 @@ class Recording(Tabular):
         with written(path, overwrite, RecordingError) as part:
             write(self, part)
         return Path(path)
+
+    def plot(self, path: str | os.PathLike | None = None, *, overwrite: bool = False) -> Any:
+        """One static picture: rates, places, following errors, lost steps and switches over time; saves to `path` if given.
+
+        Returns the figure. Raises RecordingError, FileError; ExtraMissing without matplotlib (extra `plot`).
+        """
+        from stage.recording.picture import draw
+
+        return draw(self, path, overwrite)
+
+    def _repr_html_(self) -> str:
+        return html.lines(repr(self)) + (html.picture(self.plot) if len(self) else "")
+
+    def _repr_mimebundle_(self, **_: Any) -> dict[str, Any]:
+        """In a notebook the dashboard itself, where rerun's widget is installed; what cannot show it shows the picture."""
+        from stage.recording.inline import widget_of
+
+        return {"text/plain": repr(self), "text/html": self._repr_html_(), **widget_of(self)}
 
     def to_vcd(self, path: str | os.PathLike, overwrite: bool = False) -> Path:
         """Write the chips' pins, status bits and R0 as waveforms (.vcd), every pulse in them: `gtkwave FILE`.

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import ItemsView, Iterable, Iterator, KeysView, Mapping, ValuesView
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from stage import html
 from stage.drives import drive as any_drive
 from stage.errors import ArgumentError, StageError, UnknownKey, unknown
 from stage.units import PLACES
@@ -155,13 +156,74 @@ class Axis:
             f"lost_steps={self.lost_steps} {self.switches!r}>"
         )
 
+    def _repr_html_(self) -> str:
+        values = [(name, value) for name, value in self.chip.values().items()]
+        registers = html.folded("registers", html.table(values, ("register", "value")))
+        return axes_table([self]) + registers
+
 
 def _axis_of(stage: Stage, name: str) -> Axis:
     return stage.axes[name]
 
 
-class Axes(dict[str, Axis]):
-    """Axes by name, in the order of their indices; for a wrong one the near misses."""
+class Axes(Mapping[str, Axis]):
+    """Axes by name, in the order of their indices; for a wrong one the near misses. Nobody adds or removes one."""
 
-    def __missing__(self, name: Any) -> Axis:
-        raise UnknownKey(str(unknown("axis", name, self)))
+    def __init__(self, axes: Iterable[Axis]):
+        self._axes = {axis.name: axis for axis in axes}
+
+    def __getitem__(self, name: str) -> Axis:
+        try:
+            return self._axes[name]
+        except KeyError:
+            raise UnknownKey(str(unknown("axis", name, self))) from None
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._axes)
+
+    def __len__(self) -> int:
+        return len(self._axes)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._axes
+
+    def keys(self) -> KeysView[str]:
+        return self._axes.keys()
+
+    def values(self) -> ValuesView[Axis]:
+        return self._axes.values()
+
+    def items(self) -> ItemsView[str, Axis]:
+        return self._axes.items()
+
+    def __reversed__(self) -> Iterator[str]:
+        return reversed(self._axes)
+
+    def _ipython_key_completions_(self) -> list[str]:
+        """What Tab offers after `stage.axes[`."""
+        return list(self._axes)
+
+    def __repr__(self) -> str:
+        return f"<Axes {', '.join(self._axes)}>"
+
+    def _repr_html_(self) -> str:
+        return axes_table(self.values())
+
+
+def axes_table(axes: Iterable[Axis]) -> str:
+    """The axes as a table of HTML, a line each."""
+    rows = []
+    for a in axes:
+        place, on = PLACES[a.unit].text, ", ".join(name for name, state in a.switches.as_dict().items() if state)
+        rows.append(
+            (
+                a.name,
+                type(a.chip).__name__,
+                a.drive.title,
+                place(a.position),
+                place(a.commanded),
+                a.lost_steps,
+                on or "-",
+            )
+        )
+    return html.table(rows, ("axis", "chip", "drive", "position", "commanded", "lost steps", "switches"))

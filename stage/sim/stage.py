@@ -16,20 +16,19 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Mapping, Sequence
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 from zlib import crc32
 
 import mujoco
 import numpy as np
 
-from stage import snapshots
+from stage import html, snapshots
 from stage.chips import ChipAxis
 from stage.drives.dc_motors import Servo
 from stage.drives.motors import Drive
 from stage.errors import ArgumentError, RunTimeout, StageError, unknown
 from stage.sim import encoder, handle, integration, plant, records
-from stage.sim.axis import Axes, Axis
+from stage.sim.axis import Axes, Axis, axes_table
 from stage.sim.beside import Beside
 from stage.sim.encoder import EncoderChoice
 from stage.sim.fingerprint import mechanics
@@ -163,7 +162,7 @@ class Stage:
         self._axes = [
             Axis(self, k, p, chip_axis, drive, self._positive[k]) for k, (p, chip_axis, drive) in enumerate(axes)
         ]
-        self.axes: Mapping[str, Axis] = MappingProxyType(Axes((axis.name, axis) for axis in self._axes))
+        self.axes: Axes = Axes(self._axes)
         self._header = self._bare = header(
             self.state, self._axes, self._mechanics, self._encoders, self._followers, self._linked
         )
@@ -514,7 +513,12 @@ class Stage:
         return self.__deepcopy__({})
 
     def __repr__(self) -> str:
-        return f"<Stage {', '.join(repr(a) for a in self._axes)} time={self.time:.6f} s>"
+        chips = ", ".join(dict.fromkeys(type(chip).__name__ for chip in self.chips))
+        return f"<Stage {', '.join(self.axes)}: {chips}, {self.time:.6f} s>"
+
+    def _repr_html_(self) -> str:
+        more = f"; faults: {'; '.join(self._faults)}" if self._faults else ""
+        return html.heading(f"Stage at {self.time:.6f} s{more}") + axes_table(self._axes)
 
 
 def _sealed(header: Header, state: np.ndarray, said: tuple) -> Snapshot:

@@ -1,0 +1,97 @@
+"""A recording as one static picture: rates, places, following errors and switches over time. Needs matplotlib (extra `plot`).
+
+It is drawn from samples, a few thousand of them; what is exact to the clock is in the dashboard and the waveforms.
+"""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from stage import pictures
+from stage.files import save_figure
+from stage.recording.series import SERIES, axes_with, heading
+from stage.recording.signals import SWITCHES
+
+if TYPE_CHECKING:
+    from stage.recording.recording import Recording
+
+PANELS = (("rate",), ("commanded", "position"), ("following_error",), ("lost_steps",))
+MOST = 4000  # points of a curve
+LANE = 0.17  # inches
+
+
+def draw(recording: Recording, path: str | os.PathLike | None = None, overwrite: bool = False) -> Any:
+    """Draw `recording`; see Recording.plot."""
+    lanes = _lanes(recording)
+    panels = [p for p in PANELS if p != ("lost_steps",) or _lost(recording)]
+    panels = [p for p in panels if axes_with(recording, p[0])]
+    low = max(LANE * len(lanes), 0.01)
+    fig = pictures.figure(9.2, 1.4 * len(panels) + low + 0.9)
+    axes = fig.subplots(len(panels) + 1, 1, sharex=True, squeeze=False, height_ratios=[*(1.4 for _ in panels), low])[
+        :, 0
+    ]
+    every = max(1, -(-len(recording) // MOST))
+    time = recording.column("time")[::every]
+    axes[0].set_xlim(recording.began, time[-1])
+    for ax, keys in zip(axes, panels, strict=False):
+        _panel(ax, recording, keys, time, every)
+    _draw_lanes(axes[-1], lanes, time, every)
+    axes[-1].set_xlabel("time, s", color=pictures.INK, fontsize=8.5)
+    fig.align_ylabels(axes[:-1])
+    handles, labels = axes[0].get_legend_handles_labels()
+    if len(labels) > 1:
+        axes[0].legend(
+            handles, labels, loc="lower left", bbox_to_anchor=(0, 1), ncols=len(labels), frameon=False, fontsize=8
+        )
+    chips = ", ".join(dict.fromkeys(type(a.chip).__name__ for a in recording.axes.values()))
+    pictures.heading(fig, f"Recording of {', '.join(recording.axes)}", f"{chips}; {recording.duration:.3f} s")
+    if path is not None:
+        save_figure(fig, path, 150, overwrite)
+    return fig
+
+
+def _lost(recording: Recording) -> bool:
+    return any(recording.column(f"{name}/lost_steps").any() for name in axes_with(recording, "lost_steps"))
+
+
+def _panel(ax: Any, recording: Recording, keys: tuple[str, ...], time: np.ndarray, every: int) -> None:
+    for k, (name, axis) in enumerate(recording.axes.items()):
+        colour = pictures.COLOURS[k % len(pictures.COLOURS)]
+        for key in keys:
+            if name in axes_with(recording, key):
+                values = recording.column(f"{name}/{key}")[::every] * SERIES[key].scales[axis.unit != "m"]
+                behind = key == "commanded"
+                style = {"linewidth": 2.6, "alpha": 0.35} if behind else {"linewidth": 1.1, "label": name}
+                ax.plot(time, values, color=colour, **style)
+    title, _, unit = heading(recording, keys[-1]).rpartition(" (")
+    ax.set_ylabel(f"{title.lower()}\n{unit.rstrip(')')}", color=pictures.INK, fontsize=8.5)
+    ax.ticklabel_format(axis="y", style="plain", useOffset=False)
+    ax.locator_params(axis="y", nbins=4)
+    pictures.bare(ax)
+
+
+def _lanes(recording: Recording) -> list[tuple[str, str, np.ndarray]]:
+    """(label, kind, on) of each switch that was asserted at some time, of each axis, from the top."""
+    found = []
+    for name, axis in recording.axes.items():
+        for pin, (label, kind) in SWITCHES.items():
+            if pin in axis.chip.INPUTS and (on := recording.column(f"{name}/{pin}")).any():
+                found.append((f"{name} {label}", kind, on))
+    return found
+
+
+def _draw_lanes(ax: Any, lanes: list[tuple[str, str, np.ndarray]], time: np.ndarray, every: int) -> None:
+    for k, (_, kind, on) in enumerate(reversed(lanes)):
+        whole = on[: len(time) * every]
+        seen = np.maximum.reduceat(whole, np.arange(0, len(whole), every))  # a short edge is not left out
+        ax.axhline(k + 0.14, color=pictures.HAIR, linewidth=0.6, zorder=0)
+        ax.fill_between(time, k + 0.14, k + 0.14 + 0.66 * seen, step="post", color=pictures.KINDS[kind], linewidth=0)
+    ax.set_yticks([k + 0.45 for k in range(len(lanes))], [label for label, *_ in reversed(lanes)])
+    ax.set_ylim(0, max(len(lanes), 1))
+    pictures.bare(ax)
+    ax.grid(False, axis="y")
+    ax.tick_params(axis="y", length=0)
+    ax.spines["left"].set_visible(False)
