@@ -52,6 +52,10 @@ def core(**change):
         ({"ENCODERS": True}, "has no answer scan_shaft"),
         ({"CORE": core(STATE=np.dtype([("clock", "i8"), ("x", "i4")]))}, "has 12 bytes: a multiple of 8"),
         ({"CORE": core(STATE=np.dtype([("x", "i8"), ("clock", "i8")]))}, r"does not begin with \('clock', 'i8'\)"),
+        (
+            {"CORE": core(STATE=np.dtype([("clock", "i8"), ("ax", [("data", "i8")], (2,))]))},
+            "field 'data' of STATE .* has the name of an attribute of NumPy's records",
+        ),
         ({"CORE": core(STATE=np.dtype([("clock", "f8")]))}, r"does not begin with \('clock', 'i8'\)"),
         (
             mapped(registers=(*REGISTERS, Register("P", 5, 8, "RW", "p", (-129, 0)))),

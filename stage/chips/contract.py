@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from importlib import import_module
 from typing import Any
 
@@ -61,6 +61,13 @@ def check(chip: Any, base: type, methods: bool = True) -> None:
         more = f" (and {len(problems) - 1} more: {'; '.join(problems[1:4])})" if problems[1:] else ""
         raise ArgumentError(f"{chip.__name__} breaks the contract of chips: {problems[0]}{more}. docs/your_own_chip.md")
     _CHECKED.add((chip, methods))
+
+
+def _names(dtype: np.dtype) -> Iterator[str]:
+    """Of all fields, also of records in it."""
+    for name in dtype.names or ():
+        yield name
+        yield from _names(dtype[name].base)
 
 
 def _of_class(chip: Any) -> list[str]:
@@ -179,6 +186,10 @@ def _of_core(core: Any, chip: Any) -> list[str]:
             found.append(f"its core {_name(core)} has no dtype {name}, {what}, with the fields {', '.join(fields)}")
     if found:
         return found
+    for name in (n for n in _names(core.STATE) if hasattr(np.record, n)):
+        found.append(
+            f"field {name!r} of STATE of {_name(core)} has the name of an attribute of NumPy's records: plain Python sees that"
+        )
     kind, offset = core.STATE.fields["clock"][:2]
     if offset or kind != np.dtype("i8"):
         found.append(f"STATE of {_name(core)} does not begin with ('clock', 'i8')")

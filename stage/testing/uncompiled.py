@@ -26,7 +26,9 @@ def compare(kind: type[Chip], options: dict[str, Any], seed: int, programs: int,
     except subprocess.TimeoutExpired:
         return f"as plain Python it has not ended after {limit:g} s"
     if done.returncode:
-        return f"as plain Python it fails: {done.stderr.strip().splitlines()[-1] if done.stderr.strip() else 'no word'}"
+        lines = done.stderr.strip().splitlines() or ["no word"]
+        places = [line.strip() for line in lines if line.startswith("  File ")]
+        return f"as plain Python it fails: {lines[-1]}" + (f" ({places[-1]})" if places else "")
     for k, (one, other) in enumerate(zip(here, json.loads(done.stdout.splitlines()[-1]), strict=True)):
         if one != other:
             n = next((n for n in range(len(one)) if one[n] != other[n]), 0)

@@ -146,6 +146,13 @@ def test_a_core_that_cannot_be_compiled_is_told_once():
     assert list(said.value.broken) == ["has_what_every_chip_has"]
 
 
+def test_what_fails_as_plain_python_is_told_with_its_place():
+    with pytest.raises(
+        NotConforming, match=r"as plain Python it fails: IndexError: beyond \(File \".*defects.py\", line \d+, in "
+    ):
+        chip_conformance(defects.Beyond, seed=SEED, programs=1, promises=["pins_by_name"], uncompiled=True)
+
+
 def test_a_driver_that_asks_for_the_wiring_of_its_axis_is_told_that_all_is_as_usual():
     """write_move(...) sets polarities by self.axis.wiring: '_Alone' object has no attribute 'wiring'"""
     chip_conformance(defects.Polite, seed=SEED, programs=1, promises=["courses"])

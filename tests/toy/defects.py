@@ -148,6 +148,15 @@ class Elsewhere(TOY):
         record["hz"] = self.clock_hz if COMPILED else self.clock_hz + 1
 
 
+class Beyond(TOY):
+    """As plain Python an index is seen to be too large."""
+
+    def _configure(self, record: Any) -> None:
+        super()._configure(record)
+        if not COMPILED:
+            raise IndexError("beyond")
+
+
 FORGETS = {"run": answers.forgets_the_phase, "advance": answers.forgets_the_phase_too}
 DEFECTS: dict[str, tuple[type, str, str]] = {
     "time cut": (with_core(**FORGETS), "cut_time", "the state differs in due|makes .* pulses, and"),
