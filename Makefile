@@ -6,7 +6,7 @@ PHYSICS := tests/test_models.py tests/test_plant.py tests/test_stage.py tests/te
 UNCOMPILED := tests/test_uncompiled.py tests/chips/test_pcl240k_statements.py tests/chips/test_pcl240ms_statements.py tests/chips/test_drive_input.py tests/drives/test_stepper.py
 TYPES := build/types/stage
 
-.PHONY: ci demo docs notebooks test record test-slow test-oldest test-mujoco soak fuzz coverage memory lint bench results pictures clean help
+.PHONY: ci demo docs notebooks tutorials test record test-slow test-oldest test-mujoco soak fuzz coverage memory lint bench results pictures clean help
 
 help:
 	@echo "make demo       origin return, dual-rate and a:b moves; writes demo.rrd"
@@ -22,6 +22,7 @@ help:
 	@echo "make memory     the native library under valgrind (Debian: valgrind), a few minutes"
 	@echo "make docs       the documentation site, in build/site/html (extra docs)"
 	@echo "make notebooks  runs docs/notebooks from the beginning to the end"
+	@echo "make tutorials  follow every tutorial word for word, each in a fresh environment with a wheel of this checkout"
 	@echo "make lint       ruff and mypy"
 	@echo "make ci         all that .github/workflows/ci.yml does on this Python"
 	@echo "make bench      speed, as ratios measured in one run"
@@ -100,6 +101,9 @@ fuzz: .venv/.dev
 
 memory: .venv/.dev
 	$(BIN)/python scripts/memory.py
+
+tutorials: .venv/.dev
+	$(BIN)/python scripts/site/follow.py
 
 docs: .venv/.dev
 	$(BIN)/python -m pip install -q -e '.[docs]'

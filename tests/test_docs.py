@@ -15,6 +15,7 @@ from typing import NamedTuple
 import pytest
 from support.extras import needs_rerun
 from support.packages import acme
+from support.pages import agree
 
 from stage.cli import build_parser, main
 
@@ -25,7 +26,6 @@ by_page = pytest.mark.parametrize("page", ALL, ids=lambda page: page.stem)
 
 PYTHON = re.compile(r"^(?:<!-- not run: (?P<why>[^\n]+) -->\n)?```python\n(?P<code>.*?)^```\n", re.M | re.S)
 TEXT = re.compile(r"\n(?:```text\n(?P<fenced>.*?)^```|(?P<indented>(?: {4}[^\n]*\n)+))", re.M | re.S)
-NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]\d+)?")
 WATCHED = (
     "--web",
     "view",
@@ -70,13 +70,6 @@ def blocks(page: Path) -> list[Block]:
 def commands(page: Path) -> list[str]:
     """The command lines that begin with `stage`: those in indented blocks, without their comments."""
     return [m[1].strip() for m in re.finditer(r"^ {4}(stage [^#\n]*)", page.read_text(), re.M)]
-
-
-def agree(said: str, expected: str) -> bool:
-    """The same words, and numbers as near as another processor's arithmetic leaves them."""
-    return NUMBER.sub("#", said).split() == NUMBER.sub("#", expected).split() and [
-        float(n) for n in NUMBER.findall(said)
-    ] == pytest.approx([float(n) for n in NUMBER.findall(expected)], rel=0.02, abs=0.02)
 
 
 LONG = ("envs_sync", "sweep")  # pages whose programs take seconds

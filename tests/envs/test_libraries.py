@@ -7,7 +7,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from test_docs import ROOT, agree, blocks
+from support.pages import agree
+from test_docs import ROOT, blocks
 
 PAGE = ROOT / "docs" / "rl_libraries.md"
 CLEANRL = Path(os.environ.get("PULSESTAGE_CLEANRL", ""))  # of a checkout: its scripts are in no package

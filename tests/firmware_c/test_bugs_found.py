@@ -5,7 +5,7 @@ import shlex
 from pathlib import Path
 
 import pytest
-from test_docs import agree
+from support.pages import agree
 
 from stage.cli import main
 

@@ -1,0 +1,40 @@
+"""Pages that are followed word for word: their pieces, and whether what is printed is what they say."""
+
+import re
+from pathlib import Path
+from typing import NamedTuple
+
+FENCE = re.compile(r"^```(\w+)\n(.*?)^```\n|^((?: {4}[^\n]+\n)+)", re.M | re.S)
+NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]\d+)?")
+
+
+class Step(NamedTuple):
+    """A piece of a page: what it is (python, c, text, typed), its content, its line."""
+
+    kind: str
+    text: str
+    line: int
+
+    @property
+    def file(self) -> str:
+        """The file that it is, by its first line; "" if none."""
+        name = re.match(r"(?:/\* |# )(\w+\.\w+)", self.text)
+        return name[1] if self.kind in ("python", "c") and name else ""
+
+    @property
+    def shows(self) -> bool:
+        """It is what is printed by the piece before; errors of pytest are shortened on pages."""
+        return self.kind == "text" and not self.text.startswith("E ")
+
+
+def steps(page: Path) -> list[Step]:
+    """The pieces of a page, in their order."""
+    text = page.read_text()
+    return [Step(m[1] or "typed", m[2] or m[3], text[: m.start()].count("\n") + 1) for m in FENCE.finditer(text)]
+
+
+def agree(said: str, expected: str) -> bool:
+    """The same words, and numbers as near as another processor's arithmetic leaves them."""
+    mine, its = ([float(n) for n in NUMBER.findall(text)] for text in (said, expected))
+    words = NUMBER.sub("#", said).split() == NUMBER.sub("#", expected).split()
+    return words and all(abs(a - b) <= max(0.02, 0.02 * abs(b)) for a, b in zip(mine, its, strict=True))
