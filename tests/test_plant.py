@@ -603,3 +603,28 @@ def test_the_index_pulse_is_where_the_model_says_else_half_a_turn_from_the_origi
     (axis,) = plant.bind(mujoco.MjModel.from_xml_string(documented()))[:1]
     touch = next(s.touch for s in axis.switches if s.pin == "org")
     assert axis.index == pytest.approx((touch * axis.gear / (2 * np.pi) + 0.5) % 1.0)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "words"),
+    [
+        (
+            "frictionloss",
+            300,
+            'a friction of 300 N, and .* pushes with 251.3 N at most: it never moves. Write frictionloss="10"',
+        ),
+        (
+            "damping",
+            3e4,
+            'a damping of 30000 N s/m: at one turn a second of the motor that is 300 N, .* Write damping="300"',
+        ),
+    ],
+)
+def test_losses_that_the_motor_cannot_overcome_are_refused_with_a_number_to_write(field, value, words):
+    spec = plant.open_spec("xy")
+    one = [1.0, 0.0, 0.0] if field == "damping" else 1.0
+    setattr(spec.joint("y"), field, np.multiply(value, one))
+    with pytest.raises(ModelError, match=rf"axis y: its joint has {words}"):
+        Stage(spec)
+    setattr(spec.joint("y"), field, np.multiply(0.8 * value, one))
+    assert Stage(spec, visuals=False).axes["y"].lost_steps == 0

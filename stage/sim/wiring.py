@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -56,6 +57,33 @@ def fit_rotors(
                 f"axis {p.name}: the model names motor {p.motor} inside an armature of {given:g}, but the rotor of that alone "
                 f'makes {inside:g}: write armature="{inside:g}" or more, or leave the text {p.name}_motor out.'
             )
+        _check_losses(model, p, d)
+
+
+def _check_losses(model: Any, p: plant.PlantAxis, drive: Drive | Servo) -> None:
+    """Raises ModelError for friction or damping that the motor cannot overcome: a number in other units, most times."""
+    torque = drive.motor.holding_torque if isinstance(drive, Drive) else drive.peak_torque
+    force, unit = torque * abs(p.gear), "N m" if p.hinge else "N"
+    friction, damping = float(model.dof_frictionloss[p.dof]), float(model.dof_damping[p.dof])
+    pushes = f"{drive.title} pushes with {force:.4g} {unit} at most"
+    if friction >= force:
+        raise ModelError(
+            f"axis {p.name}: its joint has a friction of {friction:g} {unit}, and {pushes}: it never moves. "
+            f'Write frictionloss="{_below(0.05 * force)}", or what is measured; or another gear or motor.'
+        )
+    turn = 2 * math.pi / abs(p.gear)  # in a second
+    if friction + damping * turn >= force:
+        per = f"{unit} s/{'rad' if p.hinge else 'm'}"
+        raise ModelError(
+            f"axis {p.name}: its joint has a damping of {damping:g} {per}: at one turn a second of the motor that is "
+            f"{damping * turn:.4g} {unit}, and {pushes}. "
+            f'Write damping="{_below(0.01 * force / turn)}", or what is measured; or another gear or motor.'
+        )
+
+
+def _below(value: float) -> str:
+    """With one digit, as a number to write down."""
+    return f"{float(f'{value:.0e}'):g}"
 
 
 def _named(chips: Any) -> Any:
