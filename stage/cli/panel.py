@@ -12,14 +12,23 @@ from stage.cli.setup import make_stage
 
 def run(args: argparse.Namespace) -> int:
     """Serve the page until Ctrl-C or SIGTERM."""
+    from stage.panel import share
     from stage.panel.server import Panel
     from stage.panel.session import Session
+
+    shared = share.read(args.open) if args.open else None
+    if shared is not None and shared.made is not None:
+        args = argparse.Namespace(**vars(args) | shared.made)
 
     over = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: over.set())
-    with Session(make_stage(args), speed=args.speed, paused=args.paused) as session:
-        panel = Panel(session, args.port, args.host)
+    with Session(make_stage(args), speed=args.speed, paused=True) as session:
+        made = {name: getattr(args, name) for name in share.MADE} if shared is None or shared.made else None
+        panel = Panel(session, args.port, args.host, made)
+        if shared is not None:
+            share.put(panel, shared)
+        session.paused = args.paused
         print(f"{panel.address}\nCtrl-C ends it", flush=True)
         if not args.no_browser:
             webbrowser.open(panel.address)

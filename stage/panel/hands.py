@@ -42,10 +42,12 @@ class Breaking(NamedTuple):
 
 @dataclass
 class Made:
-    """A fault in force, and how it was made."""
+    """A fault in force, and how it was made. asked: the name, the axis ("": all of
+    them) and the texts that `Hands.make` takes."""
 
     fault: Fault
     make: Callable[[], Fault]
+    asked: tuple[str, str, dict[str, str]]
     key: str = ""
 
     @property
@@ -116,17 +118,26 @@ class Hands:
                 raise WrongField(parameter.name, "say what.")
         stage = self.session.stage
         where: Any = stage if breaking.whole else stage.axes[axis]
-        return self.session.do(lambda stage: self._make(lambda: known[name](where, **values), key))
+        asked = (name, axis, {field: str(text) for field, text in given.items()})
+        return self.session.do(lambda stage: self._make(lambda: known[name](where, **values), asked, key))
+
+    def make_again(self, asked: tuple[str, str, dict[str, str]]) -> None:
+        """What `Made.asked` says. Raises as `make`."""
+        name, axis, given = asked
+        if axis:
+            self.make(name, axis, given)
+        else:
+            self.supply_all(float(given["volts"]))
 
     def mend(self, made: Made) -> None:
         """Mend it, now. What was broken later is broken still: it is mended before, and broken again."""
         self.session.do(lambda stage: self._mend(made))
 
-    def _make(self, make: Callable[[], Fault], key: str) -> Made:
+    def _make(self, make: Callable[[], Fault], asked: tuple[str, str, dict[str, str]], key: str) -> Made:
         before = next((m for m in self.in_force if key and m.key == key), None)
         if before is not None:
             self._mend(before)
-        made = Made(make(), make, key)
+        made = Made(make(), make, asked, key)
         self._made = [*self.in_force, made]
         return made
 
@@ -183,7 +194,8 @@ class Hands:
                 for made in [m for m in self.in_force if m.key == "supply"]:
                     self._mend(made)
             else:
-                self._make(lambda: faults.bus_voltage(stage, volts), "supply")
+                asked = ("bus_voltage", "", {"volts": f"{volts!r}"})
+                self._make(lambda: faults.bus_voltage(stage, volts), asked, "supply")
 
         self.session.do(order)
 

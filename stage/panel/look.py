@@ -14,9 +14,10 @@ from typing import NamedTuple
 from stage.chips.chip import Chip
 from stage.panel.session import Session
 from stage.panel.trace import Trace
-from stage.sim.stage import Stage
+from stage.sim.stage import Snapshot, Stage
 
 FRAMES = 25
+MOST_SENT = 200_000  # bus cycles of a program
 WANTED = 2.0  # s for which the registers of a chip are looked at after somebody wanted them
 
 
@@ -40,7 +41,8 @@ class ChipSeen(NamedTuple):
 class Look:
     """The latest look at a stage. Attributes are replaced, never changed, and can be read from any thread.
 
-    Attributes: number: of looks so far; axes; chips: by index in `Stage.chips` and axis of the chip; traces: one a chip.
+    Attributes: number: of looks so far; axes; chips: by index in `Stage.chips` and axis of the chip; traces: one a chip. start: the
+    state in which the program of the traces' `sent` begins, and its time, ns; made anew where time goes back to before it.
     """
 
     def __init__(self, session: Session):
@@ -49,6 +51,7 @@ class Look:
         self.axes: dict[str, AxisSeen] = {}
         self.chips: dict[tuple[int, int], ChipSeen] = {}
         self.traces: tuple[Trace, ...] = session.do(lambda stage: tuple(Trace(chip) for chip in stage.chips))
+        self.start: tuple[int, Snapshot] = session.do(self._begin)
         session.do(self.take)
         self._end = session.on_slice(self._slice)
 
@@ -70,7 +73,14 @@ class Look:
         self.chips = {(k, axis): seen(stage.chips[k], axis) for k, axis in wanted}
         for trace in self.traces:
             trace.look()
+        if stage.now < self.start[0] or sum(len(trace.sent or ()) for trace in self.traces) > MOST_SENT:
+            self.start = self._begin(stage)
         self.number += 1
+
+    def _begin(self, stage: Stage) -> tuple[int, Snapshot]:
+        for trace in self.traces:
+            trace.sent = []
+        return stage.now, stage.snapshot()
 
     def close(self) -> None:
         """Look no more."""

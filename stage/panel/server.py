@@ -14,7 +14,7 @@ import secrets
 import socket
 import webbrowser
 from time import monotonic, sleep
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from stage.errors import StageError
 from stage.extras import need
@@ -33,9 +33,10 @@ HERE = "127.0.0.1"
 
 class Panel:
     """Serves the page of a session. port 0: any that is free. host: the address that it listens on; another than 127.0.0.1 makes it
-    ask for the token in its link. Raises StageError where the port cannot be had, or NiceGUI is not there."""
+    ask for the token in its link. made: what `stage panel` has made the stage of, see share.py; None where a program has. Raises
+    StageError where the port cannot be had, or NiceGUI is not there."""
 
-    def __init__(self, session: Session, port: int = 0, host: str = HERE):
+    def __init__(self, session: Session, port: int = 0, host: str = HERE, made: dict[str, Any] | None = None):
         need("nicegui", "the panel")
         import uvicorn
 
@@ -45,6 +46,7 @@ class Panel:
         from stage.panel import glb
 
         self.session, self.controls, self._with_session = session, Controls(), False
+        self.made = made
         self._socket = _listening(host, port)
         self.port = self._socket.getsockname()[1]
         self.token = "" if host == HERE else secrets.token_urlsafe(16)

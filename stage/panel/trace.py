@@ -45,6 +45,8 @@ class Trace:
         self.chip, self.lines, self._losses = chip, deque[Line](maxlen=LINES), losses
         self.said: deque[Line] = deque(maxlen=LINES)
         """The diagnostics alone."""
+        self.sent: list[Entry] | None = None
+        """For who wants to play them again: the cycles that changed something, writes and such reads, since he set it to []."""
         self.digits = (chip.DATA_MASK.bit_length() + 3) // 4
         self._journal = chip.journal()
         self._listener: Listener = chip.listener()
@@ -86,6 +88,8 @@ class Trace:
     def begin_again(self) -> None:
         """The chip is in another state than its cycles have brought it to: that of a snapshot."""
         self._journal.restart()
+        while self.sent and self.sent[-1].clock > self.chip.clock:
+            self.sent.pop()
         self._listener = self.chip.listener()
         self._last = self.chip.diagnostics[-1] if self.chip.diagnostics else None
         self._add(self.chip.clock, "reset", 0, 0, "the time went back")
@@ -97,6 +101,8 @@ class Trace:
         elif e.kind == LOST and self._losses:
             words = "did not arrive"
         else:
+            if e.kind != LOST and self.sent is not None:
+                self.sent.append(e)
             words = (self._listener.read if e.kind == READ else self._listener.write)(e.a, e.b)
         way = KINDS[WRITE if e.kind == LOST and not self._losses else e.kind]
         self._add(e.clock, way, e.a, e.b, words)

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 from nicegui import context, run, ui
 
+from stage.errors import StageError
+from stage.panel import share
 from stage.panel.live import Live
 from stage.panel.session import FREE, Session
 
@@ -61,6 +63,7 @@ def build(panel: Panel, live: Live, gate: Gate) -> None:
     gate.driving(stop)
     program = _program(panel, gate)
     mine = _controls(panel, gate)
+    _share(panel)
     dark = ui.dark_mode(None)
     _button("contrast", "light or dark", lambda: _turn(dark), "dark")
 
@@ -96,6 +99,31 @@ def _nearest(speed: float) -> float:
 def _turn(dark: ui.dark_mode) -> None:
     """From what the browser prefers, to dark, to light."""
     dark.value = {None: True, True: False, False: None}[dark.value]
+
+
+def _share(panel: Panel) -> None:
+    """The menu that saves what was done."""
+    programs = {
+        "program.py": "the program as Python",
+        "program.c": "the program as C",
+        "test_program.py": "the program as a test",
+    }
+
+    async def keep(name: str) -> None:
+        try:
+            if name in programs:
+                data = ((await run.io_bound(share.program, panel, name)) or "").encode()
+            else:
+                data = await run.io_bound(share.save, panel) or b""
+        except StageError as error:
+            ui.notify(str(error), type="negative", multi_line=True)
+        else:
+            ui.download.content(data, name)
+
+    with _button("save_alt", "save and share", None, "share"), ui.menu():
+        for name, title in {"panel.zip": "everything, to go on from here", **programs}.items():
+            item = ui.menu_item(title, lambda name=name: keep(name)).tooltip(name)
+            item.props(f"data-test=save-{name.partition('.')[0] if name != 'program.c' else 'c'}")
 
 
 def _program(panel: Panel, gate: Gate) -> Callable[[], None]:

@@ -38,7 +38,8 @@ class Browser:
             options.add_argument(argument)
         options.binary_location = shutil.which("chromium")
         self.downloads = Path(tempfile.mkdtemp(prefix="pulsestage-"))
-        options.add_experimental_option("prefs", {"download.default_directory": str(self.downloads)})
+        wanted = {"download.default_directory": str(self.downloads), "safebrowsing.enabled": True}  # asks nobody about a .py
+        options.add_experimental_option("prefs", wanted)
         options.set_capability("goog:loggingPrefs", {"performance": "ALL", "browser": "ALL"})
         service = webdriver.ChromeService(shutil.which("chromedriver"))
         self.driver = webdriver.Chrome(options=options, service=service)

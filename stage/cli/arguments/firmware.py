@@ -133,6 +133,11 @@ def _add_panel(commands: Any) -> None:
     g.add_argument("--no-browser", action="store_true", help="print the link, and open no browser")
     g.add_argument("--speed", type=float, default=1.0, help="simulated seconds a second, 0.001 to 1000 (default: 1)")
     g.add_argument("--paused", action="store_true", help="begin with time standing still")
+    g.add_argument(
+        "--open",
+        metavar="FILE",
+        help="go on from what the page's menu has saved; MODEL and the options of the stage are those of the file",
+    )
     g = p.add_argument_group("stage")
     machine(g)
     p.set_defaults(encoder=[])

@@ -1,0 +1,197 @@
+"""What was done on a panel, as a file and as programs: it goes on bit for bit, and plays again."""
+
+import io
+import json
+import subprocess
+import sys
+import zipfile
+
+import numpy as np
+import pytest
+
+from stage import Stage
+from stage.errors import ArgumentError, StageError
+
+pytest.importorskip("nicegui")
+from stage.panel import share
+from stage.panel.server import Panel
+from stage.panel.session import FREE, Session
+
+MADE = {"model": "xy", "chips": "pcl240ms", "motor": None, "microsteps": 16, "bus_voltage": 24.0, "bus_cycle": 1e-6,
+        "wiring": [], "multichip": None, "syni": []}  # fmt: skip
+MOVE = ((0, 0x08), (1, 50), (2, 2000), (4, 300), (5, 300), (7, 300), (0, 9000))
+
+
+def move(stage):
+    """A preset move under way, by bytes."""
+    x = stage.axes["x"].chip
+    x.write(0, 0x08)
+    for register, value in MOVE[1:]:
+        for address, datum in x.register_cycles(f"R{register}", value):
+            x.write(address, datum)
+    for command in (0x44, 0x15):
+        x.write(0, command)
+    stage.run(0.1234567)
+    x.read(0)
+
+
+class Made:
+    """A panel whose time stands still, of a stage made as `stage panel` makes one."""
+
+    def __init__(self, made=MADE):
+        self.session = Session(Stage("xy", chips=made["chips"] if made else "pcl240ms"), speed=FREE, paused=True)
+        self.panel = Panel(self.session, made=made)
+
+    def after(self, what):
+        """The state, when `what(stage)` has been done at once."""
+        session = self.session
+        return session.do(lambda stage: (session._at_once(what, stage), stage.snapshot().state)[1])
+
+    def close(self):
+        self.panel.close()
+        self.session.close()
+
+
+@pytest.fixture(scope="module")
+def first():
+    made = Made()
+    made.after(move)
+    yield made
+    made.close()
+
+
+@pytest.fixture(scope="module")
+def file(first, tmp_path_factory):
+    path = tmp_path_factory.mktemp("shared") / "panel.zip"
+    path.write_bytes(share.save(first.panel))
+    return path
+
+
+def test_it_goes_on_bit_for_bit(first, file):
+    other = Made()
+    try:
+        share.put(other.panel, share.read(file))
+        end = first.session.do(lambda stage: stage.now) + 500_000_000
+        assert np.array_equal(
+            first.after(lambda stage: stage.run_to(end)), other.after(lambda stage: stage.run_to(end))
+        )
+        assert other.session.do(lambda stage: stage.axes["x"].commanded) > 0.005
+        assert share.program(other.panel, "program.py") == share.program(first.panel, "program.py")
+    finally:
+        other.close()
+
+
+def test_loads_and_faults_go_with_it(tmp_path):
+    one, other = Made(), Made()
+    try:
+        one.panel.hands.load(0.5)
+        one.panel.hands.supply_all(18.0)
+        one.panel.hands.make("switch_stuck", "y", {"pin": "org", "closed": "yes"})
+        one.after(move)
+        path = tmp_path / "broken.zip"
+        path.write_bytes(share.save(one.panel))
+        share.put(other.panel, share.read(path))
+        assert other.session.stage.faults == one.session.stage.faults
+        assert other.panel.hands.payload == 0.5
+        assert np.array_equal(*(made.after(lambda stage: stage.run(0.3)) for made in (one, other)))
+    finally:
+        one.close()
+        other.close()
+
+
+def played(text):
+    """The state at the end of a program in Python."""
+    names: dict = {"__name__": "a program"}
+    exec(text, names)
+    stage = Stage("xy", chips="pcl240ms")
+    names["play"](stage)
+    return stage
+
+
+def test_the_program_in_python_makes_the_same_bits(file):
+    shared = share.read(file)
+    with zipfile.ZipFile(file) as saved:
+        stage = played(saved.read("program.py").decode())
+    stage.state.world[0].to_sample = 1  # samples are taken on a panel: one more physics step until the next
+    assert np.array_equal(stage.snapshot().state, shared.now.state)
+
+
+def test_going_back_takes_cycles_out_of_the_program():
+    made = Made()
+    try:
+        before = made.session.do(
+            lambda stage: (move(stage) if made.session._hasty else made.after(move), stage.snapshot())[1]
+        )
+        sent = len(made.session.do(lambda stage: share.sent_of(made.panel)))
+        made.after(lambda stage: (stage.axes["y"].chip.write(0, 0x08), stage.run(0.01)))
+        made.session.do(made.panel.look.take)
+        assert len(made.session.do(lambda stage: share.sent_of(made.panel))) == sent + 1
+        made.session.restore(before)
+        made.session.do(made.panel.look.take)
+        assert len(made.session.do(lambda stage: share.sent_of(made.panel))) == sent
+    finally:
+        made.close()
+
+
+@pytest.mark.slow
+def test_the_program_as_a_test_passes(file, tmp_path):
+    with zipfile.ZipFile(file) as saved:
+        saved.extract("test_program.py", tmp_path)
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-c", "/dev/null", "test_program.py"],
+        cwd=tmp_path,
+        text=True,
+        capture_output=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout
+
+
+@pytest.mark.slow
+def test_the_program_in_c_does_the_same(file, tmp_path):
+    from stage.board import Board, NativeHost, NoCompilerError
+
+    shared = share.read(file)
+    with zipfile.ZipFile(file) as saved:
+        saved.extract("program.c", tmp_path)
+    stage, twin = Stage("xy", chips="pcl240ms"), Stage("xy", chips="pcl240ms")
+    try:
+        host = NativeHost(tmp_path / "program.c", Board(stage))
+    except NoCompilerError as error:
+        pytest.skip(str(error))
+    assert host.run(10).code == 0
+    twin.restore(shared.now)
+    assert stage.axes["x"].position == pytest.approx(twin.axes["x"].position, abs=1e-6)
+    assert stage.time == pytest.approx(twin.time, abs=1e-4)
+
+
+def test_a_stage_of_somebodys_own_has_no_program_but_a_file(tmp_path):
+    made = Made(None)
+    try:
+        made.after(move)
+        with pytest.raises(StageError, match="a program of yours has made this stage"):
+            share.program(made.panel, "program.py")
+        data = share.save(made.panel)
+        assert "program.py" not in zipfile.ZipFile(io.BytesIO(data)).namelist()
+        path = tmp_path / "own.zip"
+        path.write_bytes(data)
+        share.put(made.panel, share.read(path))
+    finally:
+        made.close()
+
+
+def test_what_is_no_such_file_is_said(tmp_path, file):
+    bad = tmp_path / "bad.zip"
+    with pytest.raises(ArgumentError, match="cannot be read"):
+        share.read(bad)
+    bad.write_bytes(b"PK nothing")
+    with pytest.raises(ArgumentError, match="no file of a panel"):
+        share.read(bad)
+    told = json.loads(zipfile.ZipFile(file).read("panel.json"))
+    for change in ({"format": 99}, {"made": {"model": 5}}, {"program": [[1, 2]]}, {"faults": 3}):
+        with zipfile.ZipFile(bad, "w") as out:
+            out.writestr("panel.json", json.dumps(told | change))
+            for name in ("start.snapshot", "now.snapshot"):
+                out.writestr(name, zipfile.ZipFile(file).read(name))
+        with pytest.raises(ArgumentError, match=r"format 99|no file of a panel"):
+            share.read(bad)
