@@ -38,7 +38,10 @@ class Browser:
             options.add_argument(argument)
         options.binary_location = shutil.which("chromium")
         self.downloads = Path(tempfile.mkdtemp(prefix="pulsestage-"))
-        wanted = {"download.default_directory": str(self.downloads), "safebrowsing.enabled": True}  # asks nobody about a .py
+        wanted = {
+            "download.default_directory": str(self.downloads),
+            "safebrowsing.enabled": True,
+        }  # asks nobody about a .py
         options.add_experimental_option("prefs", wanted)
         options.set_capability("goog:loggingPrefs", {"performance": "ALL", "browser": "ALL"})
         service = webdriver.ChromeService(shutil.which("chromedriver"))
