@@ -17,6 +17,7 @@ SAID = {
     "dual-rate": (["dual-rate", "x", "12000"], lambda f: f["reports"][0]["writes"][0][1:] != []),
     "sync": (["sync", "x=400", "y=-100"], lambda f: [r["pulses"] for r in f["reports"]] == [400, -100]),
     "fault": (["fault"], lambda f: "jam" in f),
+    "example": (["example"], lambda f: f["stall"].startswith("A motor")),
     "list": (["list", "models"], lambda f: f["xyz"] == ["x", "y", "z"]),
     "chips": (["chips"], lambda f: f[0]["name"] == "PCL240K"),
     "registers": (["registers", "mcx304"], lambda f: f["chip"] == "MCX304" and f["registers"][0]["fields"] is not None),

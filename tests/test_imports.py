@@ -16,7 +16,7 @@ FOLDERS = {"stage": "stage", "envs": "stage.envs"}
 
 LAYERS = (
     {"errors", "units"},
-    {"files", "html", "pictures", "snapshots", "snapshot_files", "opengl", "extras", "portable"},
+    {"files", "examples", "html", "pictures", "snapshots", "snapshot_files", "opengl", "extras", "portable"},
     {"native"},
     {"chips"},
     {"drives"},

@@ -30,6 +30,7 @@ examples:
   stage serve --chips mcx304              the chips behind a TCP port, for a host elsewhere
   stage fault                             what can break; `stage fault jam --plot jam.png` breaks it
   stage export demo.rrd -o demo.csv       the columns of a recording as a table
+  stage example                           what examples there are; `stage example stall` copies one
   stage erratum                           the S-curve failure of the MCX304: pulses for ever, and a work-around
   stage chips                             the chips that there are, also those of other packages
   stage registers pcl240k                 the register map

@@ -18,9 +18,10 @@ from setuptools.build_meta import *  # noqa: F403
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))  # the sources, not what may be installed
 
-from stage.native import build, load  # noqa: E402
+from stage.native import build, index_page, load  # noqa: E402
 
 LINKER = "ziglang==0.15.2"
+index_page.write(ROOT)  # pyproject.toml names it, and every hook reads that
 
 
 def needed() -> list[str]:
@@ -54,4 +55,16 @@ def build_editable(wheel_directory: str, config_settings: Any = None, metadata_d
 
 
 if find_spec("setuptools.command.bdist_wheel"):
+    from setuptools.command.build_py import build_py
+
     from stage.native.packing import Wheel  # noqa: F401
+
+    class Modules(build_py):
+        """The packages, and beside them the examples."""
+
+        def run(self) -> None:
+            super().run()
+            if not self.editable_mode:
+                from stage import examples
+
+                examples.install(Path(self.build_lib) / "stage" / examples.INSTALLED.name)

@@ -1,0 +1,87 @@
+"""The examples that come with PulseStage: programs, drivers, chips of one's own, notebooks. `stage example NAME` copies one.
+
+In a checkout they lie in scripts/ and docs/notebooks/; a wheel has them in stage/examples_/, put there by stage.native.backend.
+"""
+
+from __future__ import annotations
+
+import ast
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+from stage.errors import unknown
+from stage.files import FileError
+
+ROOT = Path(__file__).resolve().parents[1]
+INSTALLED = Path(__file__).resolve().parent / "examples_"
+PROGRAMS = (
+    "home_and_move", "straight_line", "stall", "own_stage", "circles_and_helices", "s_curve", "servo_moves", "gcode_controller",
+    "sweep", "origin_spread",
+)  # fmt: skip
+NOTEBOOKS = ("tour", "register_tuning", "firmware")
+PLACES = {
+    **{name: f"scripts/{name}.py" for name in PROGRAMS},
+    "drivers": "scripts/firmware",
+    "acme_chip": "scripts/acme_chip",
+    "tmc5160": "scripts/tmc5160",
+    **{f"{name}.ipynb": f"docs/notebooks/{name}.ipynb" for name in NOTEBOOKS},
+}
+"""Name of an example -> where it lies in the repository, a file or a folder."""
+FOLDERS = {
+    "drivers": "Firmware in C, C++, Rust and Zig: drivers for several chips, a HAL, ports of other platforms, mistakes.",
+    "acme_chip": "A chip of one's own in a package of its own: docs/your_own_chip.md goes through it.",
+    "tmc5160": "Trinamic's TMC5160 as a package: ramps, SPI, StallGuard.",
+}
+MADE = ("__pycache__", "*.pyc", "_native.so*", "build", "*.egg-info")
+"""What lies in a folder and is no part of the example."""
+
+
+def place(name: str) -> Path:
+    """Where an example lies here. Raises ArgumentError with the near misses."""
+    if name not in PLACES:
+        raise unknown("example", name, PLACES)
+    checkout = ROOT / PLACES[name]
+    return checkout if checkout.exists() else INSTALLED / checkout.name
+
+
+def title(name: str) -> str:
+    """What an example shows, in a line: of a program the first of its docstring, of a notebook its heading."""
+    if name in FOLDERS:
+        return FOLDERS[name]
+    text = place(name).read_text(encoding="utf-8")
+    if name.endswith(".ipynb"):
+        return str(json.loads(text)["cells"][0]["source"][0]).lstrip("# ").strip() + ", a notebook."
+    return (ast.get_docstring(ast.parse(text)) or "").partition("\n")[0]
+
+
+def copy(name: str, folder: Path, overwrite: bool = False) -> Path:
+    """Copy an example into `folder`; returns the copy. Raises ArgumentError, and FileError where it is there already."""
+    source = place(name)
+    target = folder / (f"{name}{source.suffix}" if name in PROGRAMS else name)
+    if not folder.is_dir():
+        raise FileError(f"{folder} is no folder. Make it first, or choose another.")
+    if target.exists() and not overwrite:
+        raise FileError(f"{target} exists. Choose another folder, or give --force.")
+    try:
+        _copied(source, target)
+    except (OSError, shutil.Error) as error:
+        raise FileError(f"{target} cannot be written: {getattr(error, 'strerror', None) or error}.") from error
+    return target
+
+
+def install(into: Path) -> None:
+    """Put all of them into the folder `into`, for a wheel."""
+    into.mkdir(parents=True, exist_ok=True)
+    for way in PLACES.values():
+        if (source := ROOT / way).exists():  # a part of the tree may be built alone
+            _copied(source, into / source.name)
+
+
+def _copied(source: Path, target: Path) -> None:
+    if source.is_dir():
+        ignore: Callable = shutil.ignore_patterns(*MADE)
+        shutil.copytree(source, target, ignore=ignore, dirs_exist_ok=True)
+    else:
+        shutil.copyfile(source, target)

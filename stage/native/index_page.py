@@ -1,0 +1,31 @@
+"""README.md as a package index shows it: links and pictures that are relative in the repository lead to it there, by their tag."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+
+PAGE = Path("build") / "README.index.md"
+"""Where pyproject.toml says that the page for the index is."""
+LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\]]*\])*)\]\((?![a-z]+:|#)([^)\s]+)\)")
+
+
+def of_index(text: str, source: str, tag: str) -> str:
+    """The text with absolute links. source: the repository's address, as https://github.com/OWNER/NAME."""
+    raw = source.replace("https://github.com/", "https://raw.githubusercontent.com/")
+
+    def absolute(m: re.Match[str]) -> str:
+        mark, words, way = m.groups()
+        return f"{mark}[{words}]({raw}/{tag}/{way})" if mark else f"[{words}]({source}/blob/{tag}/{way})"
+
+    parts = re.split(r"(^```.*?^```$)", text, flags=re.M | re.S)  # code stays as it is
+    return "".join(part if part.startswith("```") else LINK.sub(absolute, part) for part in parts)
+
+
+def write(root: Path) -> None:
+    """Write it, from what pyproject.toml and README.md say."""
+    project = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    text = (root / "README.md").read_text(encoding="utf-8")
+    (root / PAGE).parent.mkdir(exist_ok=True)
+    (root / PAGE).write_text(of_index(text, project["urls"]["Source"], f"v{project['version']}"), encoding="utf-8")

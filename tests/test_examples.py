@@ -1,0 +1,109 @@
+"""`stage example` copies what the pages speak of; the page for a package index leads to the repository; one version everywhere."""
+
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+import stage
+from stage import ArgumentError, examples
+from stage.cli import main
+from stage.files import FileError
+from stage.native import index_page
+
+ROOT = Path(__file__).resolve().parents[1]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+
+
+def files(folder):
+    return {str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file()}
+
+
+def test_without_a_name_they_are_listed_each_with_a_line(capsys):
+    assert main(["example"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines] == list(examples.PLACES)
+    assert all(line.endswith(".") and len(line.split()) > 4 for line in lines if "notebook" not in line)
+
+
+@pytest.mark.parametrize("name", examples.PLACES)
+def test_an_example_is_copied_whole_and_nothing_that_was_built_of_it(name, tmp_path):
+    copied = examples.copy(name, tmp_path)
+    source = examples.place(name)
+    assert copied.name.partition(".")[0] == name.partition(".")[0]
+    if source.is_dir():
+        there = files(copied)
+        assert {
+            f for f in files(source) if "__pycache__" not in f and not Path(f).name.startswith("_native.so")
+        } == there
+        assert there
+    else:
+        assert copied.read_bytes() == source.read_bytes()
+
+
+def test_a_copy_replaces_nothing_unasked_and_a_slip_is_named(tmp_path, monkeypatch, capsys):
+    """stage example stal; stage example stall, twice"""
+    monkeypatch.chdir(tmp_path)
+    assert main(["example", "stal"]) == 2
+    assert "unknown example 'stal'. Did you mean 'stall'" in capsys.readouterr().err
+    assert main(["example", "stall.py"]) == 0
+    assert capsys.readouterr().out == "stall.py: run it with: python stall.py\n"
+    assert main(["example", "stall"]) == 2
+    assert "stall.py exists. Choose another folder, or give --force." in capsys.readouterr().err
+    assert main(["example", "stall", "--force"]) == 0
+    assert main(["example", "stall", "--to", "nowhere"]) == 2
+    with pytest.raises(ArgumentError, match="unknown example"):
+        examples.place("")
+    with pytest.raises(FileError, match="is no folder"):
+        examples.copy("stall", tmp_path / "stall.py")
+
+
+def test_a_wheel_has_them_beside_the_package(tmp_path, monkeypatch):
+    examples.install(tmp_path)
+    monkeypatch.setattr(examples, "ROOT", tmp_path / "no checkout")
+    monkeypatch.setattr(examples, "INSTALLED", tmp_path)
+    (tmp_path / "to").mkdir()
+    assert examples.title("stall").startswith("A motor that is asked too much")
+    assert all(examples.copy(name, tmp_path / "to").exists() for name in examples.PLACES)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", examples.PROGRAMS)
+def test_a_copied_program_needs_nothing_of_the_repository(name, tmp_path):
+    text = examples.place(name).read_text()
+    program = examples.copy(name, tmp_path)
+    asked = ["--help"] if "argparse" in text else []
+    done = subprocess.run(
+        [sys.executable, program.name, *asked], cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_the_page_for_an_index_has_no_relative_link_and_the_repository_keeps_its_own():
+    readme = (ROOT / "README.md").read_text()
+    page = index_page.of_index(readme, PROJECT["urls"]["Source"], "v1.2.3")
+    links = re.findall(r"\]\(([^)]*)\)", re.sub(r"^```.*?^```", "", page, flags=re.M | re.S))
+    assert len(links) > 40
+    assert [link for link in links if not link.startswith("https://")] == []
+    raw = PROJECT["urls"]["Source"].replace("github.com", "raw.githubusercontent.com")
+    assert f"({raw}/v1.2.3/docs/pictures/dashboard.png)" in page
+    assert f"({PROJECT['urls']['Source']}/blob/v1.2.3/docs/install.md)" in page
+    assert "](docs/pictures/dashboard.png)" in readme
+
+
+def test_code_and_links_that_lead_elsewhere_stay_as_they_are():
+    text = "[a](https://b.c) [d](#e) ![f](g.png)\n```sh\n[h](i)\n```\n[![j](k.png)](l)\n"
+    page = index_page.of_index(text, "https://github.com/o/n", "v1")
+    assert "[a](https://b.c) [d](#e) ![f](https://raw.githubusercontent.com/o/n/v1/g.png)" in page
+    assert "[h](i)" in page
+
+
+def test_the_version_is_the_same_wherever_it_stands():
+    cited = (ROOT / "CITATION.cff").read_text()
+    assert f"\nversion: {PROJECT['version']}\n" in cited
+    assert stage.__version__ == PROJECT["version"]
+    assert f"## {PROJECT['version']}" in (ROOT / "CHANGELOG.md").read_text()
+    assert PROJECT["urls"]["Source"] in cited
