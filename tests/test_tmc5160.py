@@ -285,6 +285,12 @@ def test_edges_of_a_course_have_the_counter_as_it_is_read(chip):
     assert chip.CORE.counter.c(chip.pointer, 0) == edges["counter"][-1] == 2**32 - 300
 
 
+def test_flags_that_are_cleared_are_named(chip):
+    told = chip.listener().write
+    assert told(0x01, 5) == "GSTAT <- 5h: clears reset, uv_cp"
+    assert told(0x01, 0) == "GSTAT <- 0h: clears nothing"
+
+
 def test_mistakes_are_told(chip):
     said = lambda **registers: (put(chip, **registers), chip.diagnostics[-1].message if chip.diagnostics else "")[1]  # noqa: E731
     assert "TOFF = 0" in said(RAMPMODE=1)

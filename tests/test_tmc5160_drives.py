@@ -273,6 +273,16 @@ def test_axes_on_a_line_keep_the_ratio_to_two_steps_of_256(both, x, y, speed):
     assert all(r.stopped_by == "position reached" for r in report.axes.values())
 
 
+def test_ramps_of_a_line_are_both_as_long_as_the_longer(both):
+    took = []
+    for up, down in ((0.05, 0.2), (0.2, 0.05)):
+        both.reset()
+        drivers = {name: driver_of(axis) for name, axis in both.axes.items()}
+        asked = Speeds(start=2000.0, drive=60_000.0, up=up, down=down)
+        took.append(drivers["x"].line(drivers, {"x": 16_000, "y": 8000}, asked).seconds)
+    assert took[0] == took[1] > 16_000 / 60_000 + 0.15
+
+
 def test_a_line_that_cannot_be_is_refused(both):
     both.reset()
     with pytest.raises(ArgumentError, match="drive speed 800000 pps: up to 75"):

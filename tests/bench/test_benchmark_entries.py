@@ -9,7 +9,9 @@ import re
 import subprocess
 import sys
 import zipfile
+from types import SimpleNamespace
 
+import gymnasium
 import numpy as np
 import pytest
 
@@ -18,6 +20,7 @@ from stage import ArgumentError, bench
 from stage.bench import files, statistics
 from stage.bench.cards import CARDS, Card, seeds
 from stage.bench.files import Refused, unpack
+from stage.bench.shipped import Random, Search
 from stage.cli import main
 from stage.envs import contexts
 from stage.envs.task import configured
@@ -123,6 +126,8 @@ def test_a_tolerance_tells_near_from_equal(entry):
     assert not verdict.exact
     assert "equal within 1e-06, not bit for bit" in str(verdict)
     assert "1 of 9 observations are not the same bits" in str(verdict)
+    most = bench.verify(changed(near, "rewards", 0, entry.rewards[0] + 1e-3), tolerance=1)
+    assert most.most == pytest.approx(1e-3), "and not the last difference"
     far = bench.verify(near, tolerance=1e-12)
     assert not far.ok
     assert "episode 1, step 0, reward" in str(far), "and not the observation, of which there is a digest alone"
@@ -280,6 +285,32 @@ def test_the_track_of_tools_counts_tokens():
     assert entry.cost == {"tokens": 12, "test_moves": 2}
     with pytest.raises(ArgumentError, match="the track tools counts tokens"):
         bench.play("random", "brief", track="tools", episodes=1)
+
+
+def test_a_random_player_keeps_to_the_actions_that_are_allowed():
+    player = Random(3)
+    player.reset(SimpleNamespace(action_space=gymnasium.spaces.Discrete(5)))
+    assert {int(player(None, {"action_mask": [0, 0, 1, 0, 1]})) for _ in range(40)} == {2, 4}
+    assert {int(player(None, {})) for _ in range(60)} == set(range(5))
+
+
+def test_the_shipped_search_closes_in_on_what_a_machine_holds_and_doubts_its_luck():
+    """Eight tries; the encoder says of each whether it has kept step"""
+
+    def played(holds):
+        player, seen, made = Search(), np.full(16, -1.0), []
+        player.reset(SimpleNamespace(entries=("duration", "kept") * 8))
+        for k in range(8):
+            player(seen, {})
+            made.append(player.last)
+            seen[2 * k + 1] = 1.0 if holds(k, player.last) else -1.0
+        return made
+
+    made = played(lambda k, boldness: boldness < 4.1)
+    assert made[:3] == pytest.approx([3.4 / 1.12, 3.4, 3.4 * 1.12])
+    assert 4.1 / 1.25 < made[-1] < 4.1
+    lucky = played(lambda k, boldness: k < 2)
+    assert lucky[2:6] == pytest.approx([3.4 * 1.12, 3.4, 3.4 / 1.4, 3.4 / 1.4**2]), "at 3.4 it has held by luck"
 
 
 def test_recorded_actions_are_played_and_have_to_be_as_many_as_there_are_steps(entry, tmp_path):

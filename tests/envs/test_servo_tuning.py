@@ -6,6 +6,7 @@ from pathlib import Path
 import gymnasium
 import numpy as np
 import pytest
+from support.mirrored import mirrored
 
 import stage.envs  # noqa: F401
 from stage import ArgumentError
@@ -135,9 +136,7 @@ def test_distances_and_payloads_are_drawn_within_their_ranges():
 
 def test_a_screw_that_turns_the_other_way_makes_no_difference(tmp_path):
     """gear="-628.3185307" of axis x: the goal is where the carriage goes"""
-    for part in (Path(__file__).parents[2] / "models").glob("*.xml"):
-        (tmp_path / part.name).write_text(part.read_text().replace('joint="x" gear="', 'joint="x" gear="-'))
-    env, _, info = one_move(GOOD, 1000, model=str(tmp_path / "xyz_servo.xml"), distances=(100, 4000))
+    env, _, info = one_move(GOOD, 1000, model=mirrored(tmp_path, "xyz_servo"), distances=(100, 4000))
     assert env.stage.axes["x"].gear < 0
     assert info["finished"]
     assert abs(info["error"]) <= 3

@@ -1,10 +1,9 @@
 """stage/SynchronizedMove-v0: what is special to it. What every environment promises is in test_common.py."""
 
-from pathlib import Path
-
 import gymnasium
 import numpy as np
 import pytest
+from support.mirrored import mirrored
 
 from stage import Stage, firmware
 from stage.chips import CHIPS
@@ -562,10 +561,8 @@ def test_chips_that_cannot_be_synchronized_are_refused():
 
 def test_a_screw_that_turns_the_other_way_is_no_way_off_the_line(tmp_path):
     """gear="-628.3185307" of axis x: the carriages keep to the line that the pulses draw"""
-    for part in (Path(__file__).parents[2] / "models").glob("*.xml"):
-        (tmp_path / part.name).write_text(part.read_text().replace('joint="x" gear="', 'joint="x" gear="-'))
     (env, other, _), (_, usual, _) = (
-        one_move(options={"distances": LINE}, model=model) for model in (str(tmp_path / "xy.xml"), "xy")
+        one_move(options={"distances": LINE}, model=model) for model in (mirrored(tmp_path), "xy")
     )
     assert env.stage.axes["x"].gear < 0
     assert other["carriage_deviation"] == pytest.approx(usual["carriage_deviation"], abs=2e-5)

@@ -72,6 +72,16 @@ def test_a_ramp_down_point_may_be_the_largest_that_r6_holds():
         next(leader._with_tails(row, 4_915_200, needed - 1))
 
 
+def test_a_longer_tail_at_a_slow_fl_is_not_tried_where_it_costs_time():
+    """FL of 15 and of 1500 pps, FH 1000 pps more: a tail 3 pulses longer takes 0.2 s, or 2 ms"""
+    tails = {}
+    for fl in (1, 100):
+        row = np.array([4000, fl, fl + 66, fl + 66, 100, 100, 0, 40])
+        points = [int(made[6]) for made in leader._with_tails(row, 4_915_200, 1 << 20)]
+        tails[fl] = [point - points[0] + 5 for point in points]
+    assert tails == {1: [5, 4, 6], 100: [5, 8, 11, 14, 4, 6, 9]}
+
+
 @pytest.mark.parametrize("bent", [False, True])
 def test_an_estimate_is_what_a_look_at_every_moment_finds(bent):
     """Of followers that fit badly, too: then the farthest moment is at an end of a ramp of theirs."""

@@ -1,10 +1,12 @@
 """What front panels show and take, from register maps alone."""
 
+from dataclasses import replace
+
 import pytest
 
 from stage.chips import CHIPS, HCTL1100, MCX514, PCL240K, PCL240MS
 from stage.errors import ArgumentError
-from stage.panel.front import Front, lit, meant, number, shown, with_field
+from stage.panel.front import Front, lit, meant, number, shown, span, with_field, worst
 from stage.panel.orders import Cycle, complete, understand
 
 
@@ -78,10 +80,20 @@ def test_values_are_shown_and_told_as_the_map_says():
     assert (shown(lp, -20), meant(lp, -20)) == ("-20", "FFFFFFECh")
     linear = PCL240MS.MAP.field("R14", "linear")
     assert with_field(0x8005, linear, 1) == 0x9005
+    assert with_field(0x8005, linear, 3) == 0x9005, "the bits beside it stay"
+    assert shown(CHIPS["PCL240MK"].MAP.register("R13"), 5) == "000005h", "of 23 bits"
+    assert span(MCX514.MAP.register("LX")) == "1 to 2147483647 or 4294967295"
+    assert span(lp) == f"{lp.range[0]} to {lp.range[1]}{'' if lp.legal else ' (32 bits)'}"
     operating = PCL240K.MAP.field("status", "operating")
     assert [lit(operating, v) for v in (0, 1)] == [("not operating", False), ("operating", True)]
     pending = PCL240K.MAP.field("status", "no_int")
     assert [lit(pending, v) for v in (0, 1)] == [("/INT pending", True), ("no /INT pending", False)]
+
+
+def test_the_evidence_of_a_whole_is_that_of_its_weakest_part():
+    field = PCL240K.MAP.field("status", "operating")
+    parts = [replace(field, evidence=letter) for letter in ("I", "S", "D")]
+    assert [worst(tuple(parts[k:])) for k in range(3)] == ["I", "D", "D"]
 
 
 def writes(*cycles):

@@ -31,6 +31,15 @@ def test_a_look_has_axes_always_and_registers_of_what_somebody_wants(look):
     assert (seen.values["R1"], seen.outputs["hold"], seen.inputs["org"]) == (100, True, False)
 
 
+def test_registers_that_nobody_wants_any_more_are_not_read(look, monkeypatch):
+    look.want(0, 0)
+    look.session.do(look.take)
+    assert list(look.chips) == [(0, 0)]
+    monkeypatch.setattr("stage.panel.look.WANTED", 0.0)
+    look.session.do(look.take)
+    assert look.chips == {}
+
+
 def test_the_trace_tells_the_cycles_of_whoever_makes_them(look):
     trace, session = look.traces[0], look.session
     session.do(lambda stage: stage.chips[0].write(0, 0x44))

@@ -39,6 +39,7 @@ def test_a_line_and_two_rates(fresh):
     two = FORMS["two_rates"].order(fresh, "x", {"distance": "20", "dwell": "0.05"})(fresh)
     assert two.ok
     assert two.procedure == "dual-rate move"
+    assert FORMS["two_rates"].order(fresh, "x", {"distance": "5", "dwell": "0"}), "at once from one to the other"
 
 
 @pytest.mark.parametrize(
@@ -48,6 +49,7 @@ def test_a_line_and_two_rates(fresh):
         ("move", {"distance": ""}, "distance"),  # empty is the default only where nobody emptied it
         ("move", {"distance": "inf"}, "distance"),
         ("move", {"distance": "5", "speed": "-3"}, "speed"),
+        ("move", {"distance": "5", "speed": "0"}, "speed"),
         ("move", {"distance": "5", "s_curve": "round"}, "s_curve"),
         ("home", {"by": "smell"}, "by"),
         ("line", {"x": "5", "y": ""}, "y"),
@@ -65,7 +67,14 @@ def test_what_the_procedure_refuses_is_said_at_its_field(fresh):
     """speed=... from the firmware's own mouth."""
     fields = FORMS["move"].fields(fresh, "x")
     assert procedures.where(ArgumentError("speed=0: more than 0."), fields) == "speed"
+    assert procedures.where(ArgumentError("distance: there is no room"), fields) == "distance"
     assert procedures.where(ArgumentError("the chip cannot"), fields) == ""
+
+
+def test_a_jog_into_an_end_limit_says_so(fresh):
+    x = fresh.axes["x"]
+    fresh.place(x=x.travel[1] - 0.012)
+    assert Jog(x, 1, {"speed": "20"}).order(fresh).stopped_by == "EL+"
 
 
 def test_an_axis_runs_while_a_button_is_held():

@@ -98,6 +98,44 @@ def test_time_goes_on_at_once_after_power_up(session):
     assert session.act("move", lambda stage: firmware.move(stage.axes["x"], distance=0.0005)).result(5).ok
 
 
+def test_who_goes_back_to_a_snapshot_is_at_it(session):
+    until(lambda: session.view.time > 0.3)
+    session.paused = True
+    then = session.back(0.1)
+    assert session.back(0.0) == then
+
+
+def test_after_a_reset_one_goes_back_to_what_was_since(session):
+    until(lambda: session.view.time > 0.5)
+    session.paused = True
+    session.reset()
+    session.do(lambda stage: stage.place(x=0.05))
+    session.paused = False
+    until(lambda: session.view.time > 0.3)
+    session.paused = True
+    session.back(0.1)
+    assert session.view.time > 0.1
+    assert session.do(lambda stage: stage.axes["x"].position) == pytest.approx(0.05, abs=1e-4)
+
+
+def test_a_single_step_is_the_last_until_time_goes_on(session):
+    session.single_step()
+    assert session.paused
+
+
+def test_an_order_that_comes_as_the_session_ends_is_told():
+    session, late = Session(Stage("xy", visuals=False), paused=True), []
+
+    def ends(stage):
+        if not late:
+            late.append(session.post(lambda stage: stage.now))
+            session.close()
+
+    session.do(lambda stage: session.on_slice(ends))
+    with pytest.raises(StageError, match="this session is over"):
+        late[0].result(10)
+
+
 def test_an_error_of_an_order_comes_to_who_gave_it(session):
     with pytest.raises(ArgumentError, match="unknown axis"):
         session.do(lambda stage: stage.place(q=1))

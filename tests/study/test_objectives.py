@@ -4,6 +4,7 @@ import subprocess
 import sys
 
 import pytest
+from support.mirrored import mirrored
 
 pytest.importorskip("optuna", reason="Optuna is not installed: pip install 'pulsestage[tune]'")
 
@@ -170,3 +171,11 @@ def test_values_of_a_register_are_one_some_or_a_range():
 def test_values_that_make_no_sense_are_refused(text):
     with pytest.raises(ArgumentError, match="R2="):
         values_of("R2", text)
+
+
+def test_a_screw_that_turns_the_other_way_has_its_goal_on_the_other_side(tmp_path):
+    found = PresetMoves(model=mirrored(tmp_path), pulses=400, start=0.0, rest=0.1, band=1e-4).measure(
+        {"R1": 20, "R2": 640, "R4": 400, "R5": 400, "R7": 12}, seed=1
+    )
+    assert (found["reached"], found["lost_steps"]) == (1, 0)
+    assert found["score"] < 1

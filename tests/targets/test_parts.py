@@ -6,11 +6,14 @@ import struct
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from stage.board import LibraryError
+from stage.targets import avr, mcus
 from stage.targets.avr import PORTS
 from stage.targets.elf import ARM, AVR, Elf, machine_of
+from stage.targets.engine import Engine
 from stage.targets.nvic import FIRST, NEVER, PENDSV, SVC, SYSTICK, Nvic
 from stage.targets.pc import Pc
 from stage.targets.pins import pins
@@ -447,7 +450,45 @@ def test_an_elf_file_says_its_machine_and_what_is_loaded(tmp_path):
     assert Elf(file, ARM, "cortex-m3", "a linker").where(0x1234) == "1234h"
 
 
+# --- an engine without its processor ---
+
+
+def test_memory_that_holds_windows_is_known_to_the_byte():
+    engine = SimpleNamespace(window_pages=[0x1000, 0x5000])
+    inside = {at: Engine.in_window(engine, at, 2) for at in (0xFFE, 0xFFF, 0x1FFF, 0x2000, 0x4FFF, 0x6000)}
+    assert inside == {0xFFE: False, 0xFFF: True, 0x1FFF: True, 0x2000: False, 0x4FFF: True, 0x6000: False}
+
+
+def test_a_line_that_has_no_end_is_told_in_pieces():
+    class Says(Engine):
+        def __init__(self):
+            self._line, self.said = "", []
+
+        def _note(self, line):
+            self.said.append(line)
+
+    engine = Says()
+    engine.say("one\r\ntwo ")
+    assert engine.said == ["one"]
+    engine.say("x" * 1000)
+    assert engine.said == ["one", "two " + "x" * 1000]
+    engine.flush()
+    assert len(engine.said) == 2
+
+
+def test_a_processor_is_known_in_any_case():
+    assert [mcus.checked(name) for name in ("ATmega2560", "Cortex-M3")] == ["atmega2560", "cortex-m3"]
+
+
 # --- the pins of an AVR ---
+
+
+def test_carriage_returns_of_a_serial_line_are_not_in_its_text():
+    processor, text, line = np.zeros(1, avr.AVR), np.zeros(80, "u1"), np.zeros(1, avr.SERIAL)
+    line[0].avr, line[0].text, line[0].room = processor.ctypes.data, text.ctypes.data, 80
+    for byte in b"a\rb":
+        avr.sent(0, byte, line)
+    assert (line[0].length, bytes(text[:3])) == (2, b"ab\0")
 
 
 def test_a_range_of_one_pin_is_that_pin():

@@ -129,6 +129,23 @@ def test_the_clock_says_how_long_an_instruction_takes(tmp_path):
 
 
 @needs_unicorn
+def test_what_a_program_says_last_needs_no_end_of_line(tmp_path):
+    h = com(tmp_path, f"B402 B24F CD21 B24B CD21 {EXIT}")
+    h.run()
+    assert [text for _, text in h.board.log] == ["OK"]
+
+
+@needs_unicorn
+def test_a_com_has_as_many_bytes_as_its_segment_has_room_for(tmp_path):
+    code = bytes.fromhex(EXIT.replace(" ", ""))
+    (tmp_path / "full.com").write_bytes(code.ljust(0xFE00, b"\0"))
+    TargetHost(tmp_path / "full.com", board_of(), mcu="8086", isolated=False).run()
+    (tmp_path / "more.com").write_bytes(code.ljust(0xFE01, b"\0"))
+    with pytest.raises(LibraryError, match=r"has 65,025 bytes: a \.COM has 1 to 65,024"):
+        TargetHost(tmp_path / "more.com", board_of(), mcu="8086", isolated=False)
+
+
+@needs_unicorn
 def test_an_exe_is_relocated(tmp_path):
     """mov ax, seg data; mov ds, ax; mov al, [0]; mov ah, 4Ch; int 21h"""
     code = bytes.fromhex("B80100 8ED8 A00000 B44C CD21".replace(" ", "")).ljust(16, b"\0") + bytes([77]) + bytes(15)
@@ -137,6 +154,10 @@ def test_an_exe_is_relocated(tmp_path):
     head = (head[:0x1C] + struct.pack("<HH", 1, 0)).ljust(32, b"\0")
     (tmp_path / "it.exe").write_bytes(head + code)
     assert TargetHost(tmp_path / "it.exe", board_of(), mcu="8086", isolated=False).run().code == 77
+    behind = head[:0x1C] + struct.pack("<HH", len(code) - 1, 0) + head[0x20:]
+    (tmp_path / "behind.exe").write_bytes(behind + code)
+    with pytest.raises(LibraryError, match=r"behind.exe is damaged: relocation 0 points behind its end"):
+        TargetHost(tmp_path / "behind.exe", board_of(), mcu="8086", isolated=False)
     (tmp_path / "cut.exe").write_bytes((head + code)[:40])
     with pytest.raises(LibraryError, match=r"cut.exe is no .EXE of DOS, or is cut off"):
         TargetHost(tmp_path / "cut.exe", board_of(), mcu="8086", isolated=False)

@@ -18,13 +18,13 @@ from stage.chips.describe import Said
 from stage.cli import main
 from stage.drives.dynamometer import natural_frequency
 from stage.errors import ArgumentError, StageError
-from stage.firmware.driver import AtOnce, driver_of
+from stage.firmware.driver import AtOnce, Speeds, driver_of
 from stage.tune import Case, Task, proof, tune, written
 from stage.tune.c_source import c_source
 from stage.tune.formula import Load, speeds
 from stage.tune.looks import LOOK
 from stage.tune.plans import plans_of
-from stage.tune.search import search
+from stage.tune.search import horizon, search
 from stage.tune.tries import Outcome, Tries
 
 PULSES, PAYLOAD = 400, 2.0
@@ -170,6 +170,28 @@ def test_a_trial_that_leads_is_as_slow_as_the_slowest_of_all_its_cases(task, tri
     assert ranked[0].worst == 0.05
 
 
+def test_a_trial_is_as_slow_as_its_slowest_move_that_was_asked_for_and_what_does_not_arrive_breaks_it(task, tries):
+    pytest.importorskip("optuna")
+    cases, limits, late = [Case(0.0, 0.0, 1), Case(PAYLOAD + 0.6, 0.0, 1)], [], []
+
+    def make(plans, made, limit):
+        limits.append(limit)
+        times = np.array([[np.nan if late else 0.04, 0.09]] * len(plans))
+        return Outcome(times, np.ones(times.shape, bool), np.zeros(times.shape))
+
+    lanes = SimpleNamespace(plans=tries.plans, task=task, make=make)
+    ranked, _ = search(lanes, cases, [], LIMIT, 16, seed=0)
+    assert {(trial.worst, trial.broken) for trial in ranked} == {(0.04, 0)}
+    assert limits == [LIMIT, horizon(0.04, task.hold)], "what is slower than the best need not be seen to its end"
+    late.append(True)
+    assert search(lanes, cases, [], LIMIT, 1, seed=0)[0][0][2:] == (1.5 * LIMIT, 1)
+
+
+def test_nothing_starts_faster_than_it_is_to_drive(tries):
+    made = tries.plans.plan(Speeds(1000.0, 2000.0, 0.1, 0.1), {"start": 1.0, "drive": -1.0}, "linear")
+    assert made.speeds.start == made.speeds.drive == pytest.approx(2000 / 1.5)
+
+
 def test_ctrl_c_keeps_the_best_so_far(task, tries):
     pytest.importorskip("optuna")
 
@@ -275,6 +297,7 @@ def test_the_spare_is_the_last_payload_before_the_first_that_loses_a_step():
 
     assert carries(9.0) == (2.0, True)
     assert carries(0.8) == (pytest.approx(0.78125), False)
+    assert carries(0.76) == (0.75, False), "the first of the second round loses steps"
     assert carries(0.0) == (0.0, False)
     assert carries(1.7499) == (pytest.approx(1.71875), False)
     ways = {}
