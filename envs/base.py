@@ -122,6 +122,11 @@ class StageEnv(_OfTask, gymnasium.Env[np.ndarray, Any]):
         self._end: np.ndarray | None = None  # of the last step, where the task has moved the stage since
 
     @property
+    def config(self) -> Any:
+        """The settings, as the task has them."""
+        return self._task.config
+
+    @property
     def stage(self) -> Stage:
         """The stage itself, for inspection."""
         return self._task.stages[0]

@@ -26,13 +26,8 @@ by_page = pytest.mark.parametrize("page", ALL, ids=lambda page: page.stem)
 
 PYTHON = re.compile(r"^(?:<!-- not run: (?P<why>[^\n]+) -->\n)?```python\n(?P<code>.*?)^```\n", re.M | re.S)
 TEXT = re.compile(r"\n(?:```text\n(?P<fenced>.*?)^```|(?P<indented>(?: {4}[^\n]*\n)+))", re.M | re.S)
-WATCHED = (
-    "--web",
-    "view",
-    "panel",
-    "--panel",
-    "mcp",
-)  # commands that somebody looks at, or talks to, until he ends them
+WATCHED = ("--web", "view", "panel", "--panel", "mcp", "--command", "--endpoint")
+"""In commands that somebody looks at, or talks to, until he ends them, or that need somebody else."""
 ELSEWHERE = ("stage demo", "stage erratum", "stage fault ", "stage pullout", "stage tune")
 """Commands that run every day in test_cli.py, test_cli_erratum.py, test_faults.py and tune/."""
 

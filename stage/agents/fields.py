@@ -20,7 +20,8 @@ from typing import Any
 from stage.errors import ArgumentError, near_names
 from stage.units import TYPED
 
-NUMBER, WHOLE, TEXT, FLAG, LENGTH, BYTES, LENGTHS = "number", "whole", "text", "flag", "length", "bytes", "lengths"
+NUMBER, WHOLE, TEXT, FLAG, LENGTH = "number", "whole", "text", "flag", "length"
+BYTES, NUMBERS, LENGTHS = "bytes", "numbers", "lengths"
 FARTHEST = 1e3  # m or rad, of a length
 LONG = 4000  # characters of a text, at most
 MANY = 256  # numbers of a list, at most
@@ -36,7 +37,7 @@ class Field:
     """An argument. choices: of a text; low, high: of a number, both allowed; above: `low` is not. unit: in words.
 
     kind: NUMBER (float), WHOLE (int), TEXT, FLAG (bool), LENGTH (m or rad, with a unit as text), BYTES (list of whole numbers),
-    LENGTHS (a mapping of `choices` to lengths).
+    NUMBERS (list of floats), LENGTHS (a mapping of `choices` to lengths).
     """
 
     name: str
@@ -72,6 +73,8 @@ class Field:
             return {"anyOf": [{"type": "integer", **self._ends()}, {"type": "string", "pattern": DIGITS}]}
         if self.kind == LENGTH:
             return _length_form()
+        if self.kind == NUMBERS:
+            return {"type": "array", "items": {"type": "number", **self._ends()}, "minItems": 1, "maxItems": MANY}
         if self.kind == BYTES:
             one = {"anyOf": [{"type": "integer", **self._ends()}, {"type": "string", "pattern": DIGITS}]}
             return {"type": "array", "items": one, "minItems": 1, "maxItems": MANY}
@@ -100,7 +103,7 @@ class Field:
             return self._within(self._whole(given))
         if self.kind == LENGTH:
             return self._length(given)
-        if self.kind == BYTES:
+        if self.kind in (BYTES, NUMBERS):
             return self._list(given)
         return self._lengths(given)
 
@@ -164,14 +167,16 @@ class Field:
             raise self._wrong(given, f"a length up to {FARTHEST:g} m")
         return value
 
-    def _list(self, given: Any) -> list[int]:
-        if isinstance(given, int | str) and not isinstance(given, bool):
+    def _list(self, given: Any) -> list[Any]:
+        if isinstance(given, int | float | str) and not isinstance(given, bool):
             given = [given]
         if not isinstance(given, list) or not given:
-            raise self._wrong(given, 'a list of whole numbers, as [16, "15h"]')
+            wanted = 'a list of whole numbers, as [16, "15h"]' if self.kind == BYTES else "a list of numbers"
+            raise self._wrong(given, wanted)
         if len(given) > MANY:
             raise ArgumentError(f"{self.name}: a list of {len(given)}; up to {MANY} at a time.")
-        return [int(self._within(self._whole(item))) for item in given]
+        one = self._whole if self.kind == BYTES else self._number
+        return [self._within(one(item)) for item in given]
 
     def _lengths(self, given: Any) -> dict[str, float]:
         if not isinstance(given, Mapping) or not given:

@@ -57,7 +57,15 @@ class Tool:
 
     def example(self) -> str:
         """Arguments as one might give them: those that are needed."""
-        samples = {"number": 0.1, "whole": 100, "text": "...", "flag": True, "length": "10mm", "bytes": ["08h"]}
+        samples = {
+            "number": 0.1,
+            "whole": 100,
+            "text": "...",
+            "flag": True,
+            "length": "10mm",
+            "bytes": ["08h"],
+            "numbers": [0.0],
+        }
         given = {
             f.name: (f.choices[0] if f.choices else samples[f.kind])
             if f.kind != "lengths"

@@ -13,16 +13,16 @@ passed and the bus cycles that were made until then stay.
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterable
 from typing import Any
 
 from stage.agents import bus, motion, pictures, states, truth
 from stage.agents.budget import Budget, Meter, Spent
-from stage.agents.fields import chosen, shown
+from stage.agents.calls import Calls
+from stage.agents.fields import shown
 from stage.agents.notes import Notes
-from stage.agents.tool import Answer, Picture, Tool
-from stage.errors import ArgumentError, RunTimeout, StageError
+from stage.agents.tool import Answer, Tool
+from stage.errors import ArgumentError, StageError
 from stage.firmware.driver import Driver, driver_of
 from stage.panel.trace import Trace
 from stage.sim.axis import Axis
@@ -31,7 +31,7 @@ from stage.sim.stage import Stage
 MODES = ("host", "truth")
 
 
-class Toolbox:
+class Toolbox(Calls):
     """The tools of a stage, for one agent. One call at a time; others wait.
 
     Args:
@@ -65,13 +65,12 @@ class Toolbox:
             raise ArgumentError(
                 f"budget={shown(budget)}: give Budget(moves=20, seconds=60.0, cycles=100_000), or None."
             )
+        super().__init__()
         self.stage, self.mode = stage, mode
         self.meter = Meter(stage, budget or Budget(), patience)
         self.axes = tuple(stage.axes)
         self.report: Any = None
         self.recordings: Any = None
-        self.calls = 0
-        self._lock, self._closed = threading.Lock(), ""
         self._drivers: dict[str, Driver] = {}
         self.notes = tuple(Notes(chip, mode == "host") for chip in stage.chips)
         self.traces = tuple(Trace(chip, losses=mode == "truth") for chip in stage.chips)
@@ -79,49 +78,18 @@ class Toolbox:
         groups = [bus.tools(self), self.motion.tools(), pictures.tools(self)]
         groups += [states.tools(self)] if snapshots else []
         groups += [truth.tools(self)] if mode == "truth" else []
-        self.tools: dict[str, Tool] = {t.name: t for group in groups for t in group} | {t.name: t for t in more}
+        self.tools = {t.name: t for group in groups for t in group} | {t.name: t for t in more}
 
     # --- calls ---
 
-    def call(self, name: Any, arguments: Any = None) -> Answer:
-        """Make a call. Never raises."""
-        with self._lock:
-            self.calls += 1
-            try:
-                return self._call(name, arguments)
-            except RunTimeout as error:
-                return self._failed(error, getattr(error, "report", None))
-            except Spent as error:
-                return Answer(False, {"error": str(error), "left": self.meter.left()})
-            except StageError as error:
-                return self._failed(error)
-            except (MemoryError, RecursionError) as error:
-                return Answer(
-                    False, {"error": f"{name}: this call asks for too much ({type(error).__name__}): ask for less."}
-                )
-            except Exception as error:
-                return Answer(
-                    False,
-                    {
-                        "error": f"{shown(name)}: PulseStage itself has failed ({type(error).__name__}: {shown(str(error))}). The "
-                        "session goes on; please report what was called."
-                    },
-                )
-
-    def _call(self, name: Any, arguments: Any) -> Answer:
-        if self._closed:
-            raise StageError(self._closed)
-        if not isinstance(name, str):
-            known = ", ".join(self.tools)
-            raise ArgumentError(f"a tool is called by its name, and {shown(name)} was given. Known: {known}.")
-        tool = self.tools.get(name) or self.tools[chosen("tool", name, tuple(self.tools))]
-        values = tool.values(arguments)
+    def act(self, tool: Tool, values: dict[str, Any]) -> Any:
+        """Do it, and count. A move that is refused before a bus cycle is none."""
         self.meter.begin()
         cycles = self.meter.cycles
         try:
             if tool.moves:
                 self.meter.move()
-            made = tool.act(**values)
+            return tool.act(**values)
         except ArgumentError:
             if tool.moves and self.meter.cycles == cycles:
                 self.meter.undo_move()
@@ -132,37 +100,26 @@ class Toolbox:
                 trace.look()
             if self.recordings is not None:
                 self.recordings.bound()
-        if isinstance(made, Picture):
-            return Answer(True, {"text": made.said}, made.png)
-        return Answer(True, {"text": made} if isinstance(made, str) else dict(made))
 
-    def _failed(self, error: StageError, report: Any = None) -> Answer:
+    def failed(self, error: StageError) -> Answer:
+        """With the report so far of a move that took too long, and with what is left of a budget that is spent."""
         data: dict[str, Any] = {"error": str(error)}
+        if isinstance(error, Spent):
+            data["left"] = self.meter.left()
+        report = getattr(error, "report", None)
         if report is not None:
             self.report = report
             data["report"] = motion.told(report, self.mode)
         return Answer(False, data)
 
     def interrupt(self) -> None:
-        """From another thread: a call that is being made ends soon, in words."""
         self.meter.over = True
 
-    def close(
-        self, why: str = "this session has ended: its stage is gone. Open a new session, which begins at power-up."
-    ) -> None:
-        """End: every call from now on says why. Safe to call twice."""
-        with self._lock:
-            if not self._closed:
-                self._closed = why
-                for trace in self.traces:
-                    trace.close()
-                for notes in self.notes:
-                    notes.close()
-
-    @property
-    def closed(self) -> bool:
-        """It has ended."""
-        return bool(self._closed)
+    def end(self) -> None:
+        for trace in self.traces:
+            trace.close()
+        for notes in self.notes:
+            notes.close()
 
     # --- for the tools ---
 

@@ -6,15 +6,10 @@ import os
 from collections.abc import Callable, Mapping
 from typing import Any
 
-import numpy as np
-
-from stage.bench.cards import OPEN, card_of, seeds
-from stage.bench.files import ACTIONS, Submission
+from stage.bench.cards import OPEN
+from stage.bench.episodes import Episodes
+from stage.bench.files import Submission
 from stage.bench.players import Around, Policy, player
-from stage.bench.scores import digest, scored, table
-from stage.bench.versions import made_of, versions
-from stage.envs.entries import hidden
-from stage.envs.task import checked
 from stage.errors import ArgumentError
 
 
@@ -42,60 +37,28 @@ def play(
 
     Raises ArgumentError for what there is not, for an action that the task does not take, and on the track tools without tokens.
     """
-    card, chosen = card_of(task), dict(settings or {})
-    env = card.make(split, track, chosen)
-    acting = player(policy, card.name, run)
-    if track == "tools" and "tokens" not in {**(cost or {}), **acting.cost}:
-        raise ArgumentError(
-            "the track tools counts tokens: give cost tokens=N, or the policy a dict `cost` with tokens, which it counts."
-        )
-    around = Around(card.name, env.action_space, env.observation_space, tuple(e.name for e in env.entries), env)
-    unseen = frozenset() if track == "truth" else hidden(env.told, False)
-    wanted = some(seeds(card, split, round_), episodes)
-    steps: list[int] = []
-    actions: list[np.ndarray] = []
-    rewards: list[float] = []
-    seen: list[int] = []
-    scores: list[dict[str, float]] = []
+    played = Episodes(task, split, track, round_, settings or {}, episodes)
+    env = played.env
     try:
-        for k, seed in enumerate(wanted):
-            observation, info = env.reset(seed=seed)
+        acting = player(policy, played.card.name, run)
+        if track == "tools" and "tokens" not in {**(cost or {}), **acting.cost}:
+            raise ArgumentError(
+                "the track tools counts tokens: give cost tokens=N, or the policy a dict `cost` with tokens, which it counts."
+            )
+        around = Around(
+            played.card.name, env.action_space, env.observation_space, tuple(e.name for e in env.entries), env
+        )
+        while played.done < len(played.wanted):
+            played.begin()
             acting.begin(around)
-            seen.append(digest(observation))
-            begun, over = len(rewards), False
-            while not over:
-                action = acting.act(observation, {key: v for key, v in info.items() if key not in unseen})
-                action = checked(env.action_space, action)
-                observation, reward, terminated, truncated, info = env.step(action)
-                actions.append(action)
-                rewards.append(float(reward))
-                seen.append(digest(observation))
-                over = terminated or truncated
+            while not played.over:
+                played.act(acting.act(played.observation, played.info))
             acting.end()
-            steps.append(len(rewards) - begun)
-            scores.append(scored(np.array(rewards[begun:]), info))
             if told:
-                told(k + 1, len(wanted))
-        made = made_of(env)
+                told(played.done, len(played.wanted))
+        return played.entry(name or acting.name, run, notes, {**(cost or {}), **acting.cost})
     finally:
         env.close()
-    spent = {**(cost or {}), **acting.cost, "test_moves": len(rewards)}
-    kind = np.dtype(env.action_space.dtype).newbyteorder("<").str
-    whole: Any = np.asarray(actions, kind if kind in ACTIONS else "<i8")
-    return Submission(
-        card.name, split, track, round_, chosen, name or acting.name, run, notes, spent,
-        tuple(wanted), np.array(steps, np.int64), whole, np.array(rewards), np.array(seen, np.uint64), table(scores),
-        versions(), made,
-    )  # fmt: skip
-
-
-def some(every: list[int], episodes: int | None) -> list[int]:
-    """The first so many. Raises ArgumentError."""
-    if episodes is None:
-        return every
-    if not 1 <= episodes <= len(every):
-        raise ArgumentError(f"episodes={episodes}: 1 to {len(every)} here.")
-    return every[:episodes]
 
 
 def submit(entry: Submission, path: str | os.PathLike, overwrite: bool = False) -> None:

@@ -27,6 +27,7 @@ examples:
   stage run driver.c --chips pcl240mk     firmware in C drives the chips
   stage panel xy                          a live stage in a browser
   stage mcp xy                            tools for agents, by the Model Context Protocol
+  stage agent diagnosis --by technician   measures an agent; `stage agent-replay` replays what it did
   stage serve --chips mcx304              the chips behind a TCP port, for a host elsewhere
   stage fault                             what can break; `stage fault jam --plot jam.png` breaks it
   stage export demo.rrd -o demo.csv       the columns of a recording as a table

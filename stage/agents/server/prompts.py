@@ -67,7 +67,7 @@ At the end give the registers or speeds, the time, the time of the usual ones, a
 
 def prompt(name: str, given: Mapping[str, str] | None, axes: tuple[str, ...]) -> str:
     """The text of a prompt. Raises ArgumentError."""
-    asked = PROMPTS[chosen("prompt", name, tuple(PROMPTS))]
+    asked = PROMPTS[chosen("prompt", name, tuple(PROMPTS) if axes else ())]
     values = {key: default for key, (_, default) in asked.arguments.items()}
     for key, value in (given or {}).items():
         if key not in values:

@@ -105,7 +105,9 @@ class Protocol:
             ]
             return types.Prompt(name=name, description=asked.text, arguments=arguments)
 
-        return types.ListPromptsResult(prompts=[listed(*row) for row in prompts.PROMPTS.items()])
+        catalogue = await self._in_thread(lambda: self._maker.catalogue)
+        rows = prompts.PROMPTS.items() if catalogue.axes else ()
+        return types.ListPromptsResult(prompts=[listed(*row) for row in rows])
 
     async def _get_prompt(self, ctx: Any, params: types.GetPromptRequestParams) -> types.GetPromptResult:
         text = await self._told(lambda: prompts.prompt(params.name, params.arguments, self._maker.catalogue.axes))

@@ -26,7 +26,9 @@ class Page(NamedTuple):
 
 
 def pages(catalogue: Toolbox) -> dict[str, Page]:
-    """Every resource by its address."""
+    """Every resource by its address; of tools without a stage none."""
+    if catalogue.stage is None:
+        return {}
     chips = dict.fromkeys(type(a.chip) for a in catalogue.stage.axes.values())
     made = [
         Page("stage://axes", "axes", "The model's axes: chips, travel, pulses, ways to home.", JSON, _axes),

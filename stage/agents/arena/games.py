@@ -1,0 +1,161 @@
+"""What is played: a broken set-up, or an episode of RegisterBench whose actions are tool calls.
+
+suite("diagnosis")                 the ten set-ups; suite("diagnosis:late"): one of them
+suite("few-shot", episodes=8)      test episodes of a task of the bench
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from stage.agents.arena.hands import hands_of
+from stage.agents.calls import Calls
+from stage.agents.diagnosis import SETUPS, Case
+from stage.agents.fields import chosen
+from stage.agents.tool import Tool
+from stage.bench.cards import CARDS, OPEN
+from stage.bench.episodes import Episodes
+from stage.bench.files import Submission
+from stage.errors import ArgumentError, StageError
+
+DIAGNOSIS = "diagnosis"
+TRACK = "tools"
+
+
+class Game:
+    """name; task: what a player is told; calls: its tools. over: nothing is left to do."""
+
+    name: str
+    task: str
+    calls: Calls
+
+    @property
+    def over(self) -> bool:
+        raise NotImplementedError
+
+    def score(self) -> dict[str, float]:
+        """What has been reached, by name, "value" among them. Called once, at the end."""
+        raise NotImplementedError
+
+    def close(self) -> None:
+        """The game is put away."""
+        self.calls.close("this game is over.")
+
+
+class Diagnosis(Game):
+    """A broken set-up."""
+
+    def __init__(self, name: str):
+        self.case, self.name = Case(name), f"{DIAGNOSIS}:{name}"
+        self.task, self.calls = self.case.task, self.case.box
+
+    @property
+    def over(self) -> bool:
+        return self.case.over
+
+    def score(self) -> dict[str, float]:
+        reached = self.case.score()
+        return {
+            "value": reached.value,
+            "found": float(reached.found),
+            "mended": float(reached.mended),
+            "runs": reached.runs,
+        }
+
+
+ASKED = """RegisterBench, task {name}: {asked}. The machine is drawn anew for each episode, and hidden; you see what a host on the
+bus can know. `observe` tells it, `formula` what the engineer's rule would do, `act` does it: {act} The episode ends by itself."""
+
+
+class Bench(Game):
+    """An episode of a task. The episodes of a suite share `played`."""
+
+    def __init__(self, played: Episodes):
+        self._played, self.number = played, played.done
+        self.name = f"{played.card.name}:{played.split}:{self.number}"
+        self._hands = hands_of(played)
+        played.begin()
+        fields = self._hands.fields()
+        self.calls = Calls(
+            [
+                Tool("task", "What is to be done.", lambda: self.task, free=True),
+                Tool("observe", "What a host knows now, by name.", self._hands.observed, free=True),
+                Tool(
+                    "formula", "What the task's own rule would do now, as arguments of act.", self._formula, free=True
+                ),
+                Tool("act", self._hands.says, self._act, fields, moves=True),
+            ]
+        )
+        self.task = ASKED.format(name=played.card.name, asked=played.card.asked, act=self._hands.says)
+
+    @property
+    def over(self) -> bool:
+        return self._played.done > self.number
+
+    def _formula(self) -> dict[str, Any]:
+        self._goes_on()
+        return self._hands.formula()
+
+    def _act(self, **given: Any) -> dict[str, Any]:
+        self._goes_on()
+        self._played.act(self._hands.action(**given))
+        return {"over": self.over, **self._hands.observed()}
+
+    def _goes_on(self) -> None:
+        if self.over:
+            raise StageError("this episode is over: nothing can be done in it any more.")
+
+    def score(self) -> dict[str, float]:
+        given_up = 0
+        while not self.over:  # whoever goes early leaves the rest to the rule of who does nothing
+            self._played.act(self._hands.idle())
+            given_up += 1
+        return {
+            "value": self._played.scores[self.number]["return"],
+            **self._played.scores[self.number],
+            "given_up": given_up,
+        }
+
+
+class Suite:
+    """Games one after the other: `for game in suite` makes each, and puts it away. name, split; count: of games."""
+
+    def __init__(
+        self, name: str, split: str, count: int, games: Callable[[], Iterator[Game]], played: Episodes | None = None
+    ):
+        self.name, self.split, self.count, self._games, self._played = name, split, count, games, played
+
+    def __iter__(self) -> Iterator[Game]:
+        for game in self._games():
+            try:
+                yield game
+            finally:
+                game.close()
+        if self._played is not None:
+            self._played.close()
+
+    def entry(self, player: str, cost: dict[str, float], notes: str = "") -> Submission | None:
+        """An entry of the bench, which `stage bench-verify` replays; None of broken set-ups."""
+        return None if self._played is None else self._played.entry(player, 0, notes, cost)
+
+
+def suites() -> list[str]:
+    """The names of all suites."""
+    return [DIAGNOSIS, *CARDS]
+
+
+def suite(name: str, split: str = "train", episodes: int | None = None, round_: str = OPEN) -> Suite:
+    """By its name. episodes: only so many. Raises ArgumentError."""
+    first, _, one = name.partition(":")
+    kind = chosen("suite", first, tuple(suites()))
+    if kind == DIAGNOSIS:
+        names = [chosen("set-up", one, tuple(SETUPS))] if one else list(SETUPS)
+        if episodes is not None and not 1 <= episodes <= len(names):
+            raise ArgumentError(f"episodes={episodes}: 1 to {len(names)} here.")
+        names = names[:episodes]
+        return Suite(name, "", len(names), lambda: (Diagnosis(n) for n in names))
+    if one:
+        raise ArgumentError(f"suite {name!r}: {kind} has episodes, and no names in them; give episodes=1 for one.")
+    played = Episodes(kind, split, TRACK, round_, {}, episodes)
+    return Suite(kind, split, len(played.wanted), lambda: (Bench(played) for _ in played.wanted), played)

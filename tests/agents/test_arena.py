@@ -1,0 +1,194 @@
+"""Games, transcripts, entries, and the players that are shipped."""
+
+import json
+
+import pytest
+
+from stage import bench
+from stage.agents.arena import play, player, read, replay, save, suite, suites
+from stage.agents.arena.loop import Table
+from stage.agents.arena.players import SHIPPED
+from stage.bench.cards import CARDS
+from stage.cli import main
+from stage.errors import ArgumentError
+
+
+@pytest.fixture(scope="module")
+def late():
+    return play(suite("diagnosis:late"), player("technician"), "technician")
+
+
+@pytest.mark.parametrize("task", CARDS)
+def test_every_task_of_the_bench_is_played_by_tools(task):
+    seen = []
+
+    def formula(table):
+        assert "RegisterBench" in table.task
+        seen.append({t["name"] for t in table.tools})
+        said = table.call("formula")
+        assert said.ok
+        while not table.over:
+            assert table.call("act", table.call("formula").data).ok
+        assert "over" in table.call("act", said.data).text
+
+    played = play(suite(task, episodes=1), formula)
+    assert seen == [{"task", "observe", "formula", "act"}]
+    assert played.rounds[0].score["given_up"] == 0
+    verdict = bench.verify(played.entry)
+    assert verdict.exact, verdict
+    assert played.entry.track == "tools"
+
+
+def test_what_the_formula_does_by_tools_it_does_without_them():
+    by_tools = play(suite("one-shot", episodes=3), player("formula"))
+    alone = bench.play("formula", "one-shot", episodes=3)
+    assert [r.score["return"] for r in by_tools.rounds] == pytest.approx(alone.scores["return"].tolist(), rel=1e-6)
+
+
+def test_whoever_leaves_early_is_scored_and_the_entry_stands():
+    played = play(suite("bus-target", episodes=1), lambda table: table.call("act", {"macro": "rates usual"}))
+    assert played.rounds[0].score["given_up"] > 10
+    assert bench.verify(played.entry).exact
+
+
+@pytest.mark.parametrize("given", [{}, {"start": 1, "drive": 2, "up": 1, "down": 1}, {"start": "NaN"}, {"macro": "x"}])
+def test_an_action_that_is_none_does_nothing(given):
+    def act(table):
+        answer = table.call("act", given)
+        assert not answer.ok
+        assert "act" in answer.text or "start" in answer.text
+
+    assert play(suite("one-shot", episodes=1), act).rounds[0].score["given_up"] == 1
+
+
+@pytest.mark.parametrize("name", sorted(SHIPPED))
+def test_every_shipped_player_plays_a_task_and_a_set_up(name):
+    if name == "optuna":
+        pytest.importorskip("optuna")
+    tries = play(suite("few-shot", episodes=1), player(name), name)
+    assert tries.rounds[0].score["moves"] == 8
+    assert play(suite("diagnosis:late"), player(name), name).value in (0.0, 0.5, 1.0)
+
+
+def test_the_technician_finds_and_mends(late):
+    assert late.value == 1.0
+    assert late.rounds[0].score["runs"] == 2
+
+
+@pytest.mark.slow
+def test_the_technician_finds_and_mends_all_ten():
+    assert play(suite("diagnosis"), player("technician")).value == 1.0
+
+
+def test_a_game_has_so_many_calls_and_no_more():
+    def ask(table: Table):
+        while not table.over:
+            table.call("budget")
+        assert "a game has no more" in table.call("finish").text
+
+    assert len(play(suite("diagnosis:late"), ask, most=5).rounds[0].calls) == 5
+
+
+# --- transcripts ---
+
+
+def test_a_transcript_is_replayed_bit_for_bit_without_the_player(late, tmp_path):
+    file = tmp_path / "late.jsonl"
+    save(late, file)
+    back = read(file)
+    assert (back.player, back.value, back.rounds) == (late.player, late.value, late.rounds)
+    found = replay(file)
+    assert found.same
+    assert found.calls == len(late.rounds[0].calls)
+
+
+@pytest.mark.parametrize(
+    ("was", "becomes"),
+    [('"x_mm": 50.0', '"x_mm": 51.0'), ('"mended": 1.0', '"mended": 0.0'), ("R6 <- 3200", "R6 <- 3300")],
+)
+def test_a_transcript_that_was_changed_differs(late, tmp_path, was, becomes):
+    file = tmp_path / "late.jsonl"
+    save(late, file)
+    text = file.read_text()
+    assert was in text
+    file.write_text(text.replace(was, becomes, 1))
+    found = replay(file)
+    assert not found.same
+    assert "DIFFERS first in game diagnosis:late" in str(found)
+
+
+HEAD = '{"format": ["PulseStage transcript", 1], "suite": "diagnosis"'
+OTHERS = (
+    "", "{}", "[]\n", HEAD.replace("1]", "2]") + "}", HEAD + "}", "\0" * 50, "[" * 5000,
+    HEAD + ', "split": "", "player": "", "games": 1}\n{"call": "x"}\n',
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("text", OTHERS)
+def test_any_other_file_is_refused_in_words(tmp_path, text):
+    file = tmp_path / "other.jsonl"
+    file.write_text(text)
+    with pytest.raises(ArgumentError, match="no whole transcript"):
+        read(file)
+
+
+def test_a_transcript_of_the_bench_is_replayed_too(tmp_path):
+    played = play(suite("few-shot", "weak", 2), player("random"), "random")
+    save(played, tmp_path / "r.jsonl")
+    assert replay(tmp_path / "r.jsonl").same
+
+
+# --- words ---
+
+
+NO_SUITES = (
+    ("diagnose", "Did you mean 'diagnosis'"), ("diagnosis:supplly", "Did you mean 'supply'"), ("few-shot:3", "no names in them"),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "said"), NO_SUITES)
+def test_a_suite_that_is_none_is_refused(name, said):
+    with pytest.raises(ArgumentError, match=said):
+        suite(name)
+    assert "diagnosis" in suites()
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("techician", "Did you mean 'technician'"),
+        ("nowhere:play", "Name a module"),
+        ("json:nothing", "has no 'nothing'"),
+    ],
+)
+def test_a_player_that_is_none_is_refused(name, said):
+    with pytest.raises(ArgumentError, match=said):
+        player(name)
+
+
+def test_the_command_plays_and_replays(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["agent", "diagnosis:late", "--by", "technician", "-o", "t.jsonl"]) == 0
+    assert "technician" not in capsys.readouterr().err
+    assert main(["agent-replay", "t.jsonl"]) == 0
+    assert "bit for bit" in capsys.readouterr().out
+    assert main(["agent", "one-shot", "--episodes", "2", "--entry", "f.bench", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert len(told["games"]) == 2
+    assert main(["bench-verify", "f.bench"]) == 0
+    for arguments, said in (
+        (["agent", "diagnosis", "--mcp"], "one game for one client"),
+        (["agent", "diagnosis", "--mcp", "--by", "x"], "one player at a time"),
+        (["agent", "diagnosis:late", "--entry", "x.bench"], "entries are of RegisterBench"),
+        (["agent", "diagnosis:late", "--endpoint", "ftp://x", "--model", "m"], "begins with http"),
+        (["agent", "diagnosis:late", "--endpoint", "http://x/v1"], "--model NAME"),
+        (
+            ["agent", "diagnosis:late", "--endpoint", "http://x", "--model", "m", "--key-env", "NO_SUCH"],
+            "no such variable",
+        ),
+        (["agent", "diagnosis:late", "-o", "t.jsonl"], "exists"),
+        (["agent-replay", "nothing.jsonl"], "no such file"),
+    ):
+        capsys.readouterr()
+        assert main(arguments) == 2
+        assert said in capsys.readouterr().err
