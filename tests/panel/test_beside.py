@@ -119,6 +119,7 @@ def test_paused_it_stands_still(session):
 @pytest.mark.parametrize("end", ["close", "dismiss"])
 def test_a_program_that_waits_is_let_go_at_the_end(session, end):
     session.take_over()
+    until(lambda: session.view.time > 0)  # the session has the stage: a program that comes before that need not wait
     driver = Driver(lambda: session.stage.axes["x"].chip.read(0) if end == "close" else session.catch_up())
     until(lambda: session.waits)
     getattr(session, end)()
