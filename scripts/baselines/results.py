@@ -23,10 +23,10 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-import agent_loop
 import formula
 import numpy as np
 import random_search
+import tool_loop
 from common import (
     BUDGET,
     CANDIDATES,
@@ -82,7 +82,7 @@ BOLDEST = Method("formula, boldest", formula.boldest, "#1d2733", len(formula.FAC
 METHODS = (
     FORMULA,
     BOLDEST,
-    Method("agent loop", agent_loop.search, "#8a6bb8", 64, "registers", 1),
+    Method("agent loop", tool_loop.search, "#8a6bb8", 64, "registers", 1),
     Method("random", random_search.search, "#d9a441"),
     Method("CMA-ES", lazily("cma_es"), "#17508f", lanes=8),
     Method("PPO", lazily("ppo"), "#d1571f"),

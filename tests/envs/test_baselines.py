@@ -1,7 +1,6 @@
 """The baselines of scripts/baselines run, keep to their budgets, and the formula is a good engineer's answer."""
 
 import importlib
-import json
 import re
 import sys
 from pathlib import Path
@@ -16,9 +15,9 @@ from stage.errors import ArgumentError
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "scripts" / "baselines"))
 
-import agent_loop
 import common
 import formula
+import tool_loop
 from common import DISTANCE, PAYLOADS, Log, Moves, prove
 
 EXTRAS = {"cma_es": ("optuna", "cmaes"), "ppo": ("stable_baselines3",), "sac": ("stable_baselines3",)}
@@ -203,39 +202,19 @@ def test_stable_baselines3_accepts_the_vector_environment():
         assert len(moves.log) == 6
 
 
-def test_the_agent_loop_works_on_text_alone_and_improves():
-    machine = agent_loop.Machine(0.5, distance=4000, budget=12)
-    conversation = agent_loop.tune(machine, agent_loop.Technician())
-    json.dumps(conversation)
-    assert [m["role"] for m in conversation[:4]] == ["system", "user", "assistant", "user"]
-    assert "R2          13 W" in conversation[3]["content"]
-    assert len(machine.log) == 12
-    assert max(machine.log.reward) > machine.log.reward[0] + 0.02
-    assert conversation[-2]["content"] == "done"
+def test_an_agent_that_has_tools_alone_improves_a_move():
+    tuned = tool_loop.Tuned(0.5, distance=4000, budget=12)
+    tool_loop.technician(tuned)
+    assert len(tuned.log) == 12
+    assert max(tuned.log.reward) > tuned.log.reward[0] + 0.02
+    assert "all 12 moves are made" in tuned.box.call("attempt").text
 
 
-def test_an_agents_mistakes_are_told_and_not_raised():
-    machine = agent_loop.Machine(0.5, distance=500, budget=1)
-    replies = iter(["write R2 0", "write R9 5\nfly", "write R2 x", "move", "status\ndone"])
-    said = [m["content"] for m in agent_loop.tune(machine, lambda _: next(replies)) if m["role"] == "user"][1:]
-    assert said[0].startswith("error")
-    assert "R2" in said[0]
-    assert all(line.startswith("error") for line in [*said[1].splitlines(), *said[2].splitlines()])
-    assert "NOT all pulses made" in said[3]  # registers are 0 at power-up
-    assert said[4].startswith("halted")
-    assert "500 pulses left" in said[4]
-
-
-def test_numbers_are_decimal_or_hex_and_everything_else_is_told():
-    """write R2 ²"""
-    machine = agent_loop.Machine(0.5, distance=500)
-    for text in ("4000", "04000", "0xFA0", "FA0h", "0fa0H"):
-        assert machine.obey(f"write R2 {text}") == f"R2 = {text}"
-        assert machine._axis.chip.values()["R2"] == 4000
-        machine.obey("write R2 1")
-    for text in ("²", "٣", "-5", "0x", "h", "4e3", "9" * 5000, "FFFFh", "1_000"):
-        assert machine.obey(f"write R2 {text}").startswith("error")
-    assert machine._axis.chip.values()["R2"] == 1
+def test_an_agent_with_empty_registers_is_told_what_came_of_it():
+    tuned = tool_loop.Tuned(0.5, distance=500, budget=1)
+    assert "from 1 to 8191" in tuned.box.call("write_register", {"axis": "x", "name": "R2", "value": "0h"}).text
+    assert tuned.box.call("attempt").data["all_pulses_made"] is False
+    assert "R2" in tuned.task
 
 
 @pytest.fixture
@@ -272,8 +251,3 @@ def test_an_answer_holds_with_the_margin_and_is_the_best_by_its_mean_not_by_one_
     assert which == 1
     assert np.mean(again.reward) == pytest.approx(max(means), rel=0.05), "of other draws"
     assert common.answer(rows, 0.5, 2000, repeats=4, margin=200.0) is None
-
-
-def test_a_model_that_never_says_done_is_ended():
-    machine = agent_loop.Machine(0.5, distance=500)
-    assert len(agent_loop.tune(machine, lambda _: "status", turns=3)) == 2 + 2 * 3
