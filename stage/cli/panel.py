@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import signal
 import threading
-import webbrowser
 
 from stage.cli.setup import make_stage
 
@@ -30,8 +29,8 @@ def run(args: argparse.Namespace) -> int:
             share.put(panel, shared)
         session.paused = args.paused
         print(f"{panel.address}\nCtrl-C ends it", flush=True)
-        if not args.no_browser:
-            webbrowser.open(panel.address)
+        if not args.no_browser and not panel.show():
+            print("there is no browser here: open the link in one", flush=True)
         over.wait()
         panel.close()
     return 0

@@ -119,6 +119,11 @@ class Driver(ABC):
         chip with one drive speed moves at `fast`. Raises as `move`."""
         return self.move(pulses, speeds.on_to(fast))
 
+    def circle(self, other: Driver, radius: int, speeds: Speeds) -> Any:
+        """A whole circle of this axis and another of its chip, from where they stand, about a centre `radius` pulses (signed)
+        along the other axis; a report. Raises ArgumentError, always on chips that draw none."""
+        raise ArgumentError(f"{self.chip.MAP.chip} draws no circles.")
+
     @abstractmethod
     def home(self, direction: int, speeds: Speeds, index: bool = False, timeout: float = 60.0) -> Report:
         """Find ORG, which lies in `direction`, from wherever the axis is; `index`: and on to the encoder's index pulse."""

@@ -48,7 +48,7 @@ class Chart:
         traces = self.sampler.traces
         usual = [n for n in traces if n.endswith(("/position", "/rate"))][:4]
         org = [n for n in traces if n.endswith("/org")][:1]
-        self.scope = Scope(self.sampler, usual + org)
+        self.scope = Scope(self.sampler, usual + org, span=5.0)
         self._drawn: tuple | None = None
         self._wanted: tuple | None = None
         self._flat, self._at = False, 0.0
@@ -69,7 +69,7 @@ class Chart:
             )
             ui.select(_times(), value=self.scope.span, label="window", on_change=lambda e: self._base(e.value)).props(
                 "dense options-dense outlined data-test=span"
-            ).style("min-width: 90px")
+            ).style("min-width: 112px")
             ui.select(
                 names, value=self.scope.names, label="traces", multiple=True, on_change=lambda e: self._show(e.value)
             ).props("dense options-dense outlined use-chips data-test=traces").style("min-width: 220px; flex: 1")

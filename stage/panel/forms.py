@@ -116,7 +116,7 @@ class Procedures:
 
     async def _draw(self, report: Any) -> None:
         """The operation pattern, where there is one; it takes a while."""
-        if report is None:
+        if not hasattr(report, "plot"):
             return
         try:
             drawn = await run.io_bound(procedures.picture, report)

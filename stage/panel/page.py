@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 def build(panel: Panel) -> None:
     """One browser's page."""
     ui.add_css(STYLE + chips.STYLE)
+    ui.colors(primary=PRIMARY)
     live = Live()
     gate = Gate(panel, ui.context.client)
     with ui.header().classes("items-center q-py-xs q-px-md"):
@@ -40,7 +41,11 @@ def build(panel: Panel) -> None:
             gate.driving(drives)
 
 
+PRIMARY = "#2f74b5"  # white on it, and it on white, has a contrast of 4.9
 STYLE = """
+.body--dark .text-primary { color: #7db6ea !important }
+.panel .q-btn--dense:not(.q-btn--round) { padding: 3px 10px }
+.panel .q-btn-toggle .q-btn { min-width: 34px }
 [inert] { opacity: 0.55 }
 .trouble { color: #ffd0c8; font-weight: 600 }
 .view { position: absolute; top: 6px; right: 6px; opacity: 0.8 }

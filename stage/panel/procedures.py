@@ -14,6 +14,7 @@ import io
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from itertools import combinations
 from math import isfinite, radians
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -214,6 +215,31 @@ def _line(stage: Stage, name: str, values: dict[str, Any]) -> Callable[[Stage], 
     return lambda stage: procedures.line(distances, stage.axes, **speeds)
 
 
+# --- circle ---
+
+
+def _pairs(stage: Stage) -> list[str]:
+    """Two axes of a chip that draws circles with them: "x y"."""
+    axes = [a for a in stage.axes.values() if type(driver_of(a)).circle is not Driver.circle]
+    return [f"{a.name} {b.name}" for a, b in combinations(axes, 2) if a.chip is b.chip and a.unit == b.unit]
+
+
+def _circle_fields(stage: Stage, name: str) -> list[Field]:
+    pairs = tuple(_pairs(stage))
+    axis = stage.axes[pairs[0].split()[0]]
+    unit, _ = scale(axis)
+    return [Field("axes", "axes", "", pairs[0], pairs), Field("radius", "radius", unit, "5"), *_speed_fields(axis)]
+
+
+def _circle(stage: Stage, name: str, values: dict[str, Any]) -> Callable[[Stage], Any]:
+    first, second = (stage.axes[n] for n in values["axes"].split())
+    radius = procedures.pulses_of(first, _needed(values, "radius", "how large") * scale(first)[1], None)
+    if not radius:
+        raise WrongField("radius", f"{values['radius']:g}: less than a pulse.")
+    speeds = _check(first, _speeds(first, values))
+    return lambda stage: driver_of(first).circle(driver_of(second), radius, speeds)
+
+
 def _two_can(stage: Stage, name: str) -> bool:
     """Chips of one drive speed would make a plain move of it."""
     return type(driver_of(stage.axes[name])).two_rates is not Driver.two_rates
@@ -226,6 +252,7 @@ FORMS: dict[str, Form] = {
         Form("two_rates", "Two rates", _two_fields, _two, needs=_two_can),
         Form("home", "Home", _home_fields, _home),
         Form("line", "Line", _line_fields, _line, several=True, needs=lambda stage, axis: len(stage.axes) > 1),
+        Form("circle", "Circle", _circle_fields, _circle, several=True, needs=lambda stage, axis: bool(_pairs(stage))),
     )
 }
 """Every form by name."""

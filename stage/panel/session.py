@@ -37,6 +37,7 @@ from stage.sim.stage import Snapshot, Stage
 T = TypeVar("T")
 SLICE = 0.02  # s of real time, between looks at orders
 BEHIND = 0.2  # s of real time by which a session may be late before it gives up catching up
+RECOVERED = 0.5  # s of simulated time before a divergence all is well
 LAST_LOOK = (
     0.1  # s of real time for which one looks on after a program has done something: those who look seldom see its end
 )
@@ -188,6 +189,11 @@ class Session:
             raise ArgumentError(f"back({seconds!r}): seconds, 0 or more.")
         self.abandon()
         return self.do(lambda stage: self._back(stage, stage.now - round(seconds * 1e9)))
+
+    def recover(self) -> float:
+        """After a divergence: back to before it, where time stands still until somebody has mended the cause. The time, s."""
+        self.paused = True
+        return self.back(RECOVERED)
 
     def reset(self) -> None:
         """Power-up. Raises StageError while a recording goes on."""

@@ -61,6 +61,8 @@ def build(panel: Panel, live: Live, gate: Gate) -> None:
     doing = ui.label().classes("text-caption ellipsis").props("data-test=doing role=status")
     stop = _button("stop", "stop this action; the chips go on", session.abandon, "abandon")
     gate.driving(stop)
+    good = ui.button("back to a good state", on_click=lambda: run.io_bound(session.recover))
+    gate.driving(good.props("dense no-caps color=negative data-test=recover"))
     program = _program(panel, gate)
     mine = _controls(panel, gate)
     _share(panel)
@@ -74,6 +76,7 @@ def build(panel: Panel, live: Live, gate: Gate) -> None:
         program()
         doing.classes(**({"add": "trouble"} if view.trouble else {"remove": "trouble"}))
         stop.set_visibility(bool(view.doing))
+        good.set_visibility(bool(view.trouble))
         mine()
 
     ui.timer(0.1, look)

@@ -53,3 +53,17 @@ def test_who_loses_the_controls_lets_go_of_a_jog(bench, second):
         at = bench.x("commanded")
         time.sleep(0.2)
         assert bench.x("commanded") == at
+
+
+def test_a_divergence_is_said_and_one_goes_back_to_a_good_state(bench):
+    browser = bench.browser
+    browser.until(lambda: bench.session.view.time > 1.0)
+    bench.stage(lambda stage: stage.data.qfrc_applied.__setitem__(0, 1e30))
+    browser.until(lambda: "the simulation diverged at" in browser.text("doing"))
+    browser.click("recover")
+    browser.until(lambda: "stands still" in browser.text("pace"))
+    assert not bench.session.view.trouble
+    at = browser.time
+    browser.click("play")
+    browser.until(lambda: browser.time > at + 0.3)
+    assert browser.text("doing") == ""

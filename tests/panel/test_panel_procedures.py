@@ -42,6 +42,24 @@ def test_a_line_and_two_rates(fresh):
     assert FORMS["two_rates"].order(fresh, "x", {"distance": "5", "dwell": "0"}), "at once from one to the other"
 
 
+def test_a_circle_of_the_chips_that_draw_them(fresh):
+    stage = Stage("xy", chips="mcx514", visuals=False)
+    form = FORMS["circle"]
+    assert form.needs(stage, "x")
+    assert not form.needs(fresh, "x")
+    order = form.order(stage, "", {"radius": "1", "speed": "20", "accel": "0.05"})
+    with stage.record(1e-3) as recording:
+        report = order(stage)
+    farthest = [recording.column(f"{name}/commanded") for name in ("x", "y")]
+    assert report.ok
+    assert report.pulses == {"x": 0, "y": 0}
+    assert farthest[1].max() == pytest.approx(2e-3, abs=1e-5)  # about a centre 1 mm along y
+    assert farthest[0].max() == -farthest[0].min() == pytest.approx(1e-3, abs=1e-5)
+    with pytest.raises(WrongField) as wrong:
+        form.order(stage, "", {"radius": "0"})
+    assert wrong.value.field == "radius"
+
+
 @pytest.mark.parametrize(
     ("form", "given", "field"),
     [

@@ -174,3 +174,17 @@ def test_a_simulation_that_diverges_stands_still_and_says_so_and_one_goes_back(s
     until(lambda: not session.view.trouble)
     at = session.view.time
     until(lambda: session.view.time > at)
+
+
+def test_from_a_divergence_one_recovers_where_all_was_well(session):
+    until(lambda: session.view.time > 1.0)
+    session.do(lambda stage: stage.data.qfrc_applied.__setitem__(0, 1e30))
+    until(lambda: session.view.trouble)
+    diverged = session.view.time
+    then = session.recover()
+    assert diverged - 0.7 < then < diverged - 0.4
+    assert session.paused
+    assert not session.do(lambda stage: stage.data.qfrc_applied[0]), "the force came later than that"
+    session.paused = False
+    until(lambda: session.view.time > diverged + 0.2)
+    assert not session.view.trouble

@@ -118,17 +118,17 @@ def test_the_program_in_python_makes_the_same_bits(file):
 
 def test_going_back_takes_cycles_out_of_the_program():
     made = Made()
+
+    def sent():
+        return made.session.do(lambda stage: (made.panel.look.take(stage), len(share.sent_of(made.panel)))[1])
+
     try:
-        before = made.session.do(
-            lambda stage: (move(stage) if made.session._hasty else made.after(move), stage.snapshot())[1]
-        )
-        sent = len(made.session.do(lambda stage: share.sent_of(made.panel)))
+        made.after(move)
+        before, at_first = made.session.do(lambda stage: stage.snapshot()), sent()
         made.after(lambda stage: (stage.axes["y"].chip.write(0, 0x08), stage.run(0.01)))
-        made.session.do(made.panel.look.take)
-        assert len(made.session.do(lambda stage: share.sent_of(made.panel))) == sent + 1
+        assert sent() == at_first + 1
         made.session.restore(before)
-        made.session.do(made.panel.look.take)
-        assert len(made.session.do(lambda stage: share.sent_of(made.panel))) == sent
+        assert sent() == at_first
     finally:
         made.close()
 

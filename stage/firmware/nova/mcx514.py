@@ -7,7 +7,8 @@ from typing import ClassVar, TypeVar
 
 from stage.errors import ArgumentError
 from stage.firmware.choices import limits
-from stage.firmware.driver import SETTLE, Speeds
+from stage.firmware.driver import SETTLE, Driver, Speeds
+from stage.firmware.nova.draw import Arc, Drawn, Speed, draw
 from stage.firmware.nova.driver import CAUSES, HOME_SPEED, SEARCHES, NovaDriver
 from stage.firmware.nova.home import home_search
 from stage.firmware.nova.port import inputs_514
@@ -41,6 +42,13 @@ class Mcx514Driver(NovaDriver):
             self.axis.wait(SETTLE)
             errors = [CAUSES.get(name.removeprefix("H"), name) for name in found.errors]
             return p.report(next(iter(errors), "EZ" if index else "ORG"))
+
+    def circle(self, other: Driver, radius: int, speeds: Speeds) -> Drawn:
+        registers = self._registers(speeds._replace(s_curve=False), 1)
+        mine, others = self.axis.chip_axis, other.axis.chip_axis
+        centre = (0, radius) if mine < others else (radius, 0)  # in the order of the chip's axes
+        speed = Speed(registers["DV"], registers["SV"], registers["AC"])
+        return draw([Arc(centre=centre)], self.axis, other.axis, speed=speed)
 
     def forget(self, p: Ops) -> Ops:
         return self.command(p, "R2CLR")

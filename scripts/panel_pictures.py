@@ -1,0 +1,111 @@
+"""Draw docs/pictures/panel.png, panel_dark.png, panel_phone.png and the film panel.gif: a panel in a real browser, headless.
+
+python scripts/panel_pictures.py [--no-film]        Chromium and its driver from the system; extra `browser`, and Pillow
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import shutil
+import time
+from pathlib import Path
+from typing import Any
+
+from PIL import Image
+from selenium import webdriver
+
+from stage import Stage, firmware
+from stage.panel.server import Panel
+from stage.panel.session import Session
+
+OUT = Path(__file__).parents[1] / "docs" / "pictures"
+WIDE, PHONE, FILM = (1440, 1500), (420, 1300), (1440, 920)
+FRAMES, BETWEEN = 34, 0.06  # of the film; simulated seconds
+
+
+def browser(address: str, size: tuple[int, int], dark: bool = False) -> Any:
+    options = webdriver.ChromeOptions()
+    wanted = ["--headless=new", "--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader", "--hide-scrollbars"]
+    for argument in (*wanted, *(["--force-dark-mode"] if dark else [])):
+        options.add_argument(argument)
+    options.binary_location = shutil.which("chromium") or ""
+    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(shutil.which("chromedriver")))
+    metrics = {"width": size[0], "height": size[1], "deviceScaleFactor": 1, "mobile": False}
+    driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+    driver.get(address)
+    time.sleep(5)
+    return driver
+
+
+def click(driver: Any, name: str) -> None:
+    driver.execute_script("arguments[0].click()", driver.find_element("css selector", f"[data-test='{name}']"))
+
+
+def shot(driver: Any) -> Image.Image:
+    return Image.open(io.BytesIO(driver.get_screenshot_as_png())).convert("RGB")
+
+
+def smaller(picture: Image.Image, path: Path) -> None:
+    """256 colours are enough for a page."""
+    picture.quantize(256, dither=Image.Dither.NONE).save(path, optimize=True)
+    print(f"{path}: {path.stat().st_size / 1e3:.0f} kB")
+
+
+def pictures(session: Session, panel: Panel) -> None:
+    """After a dual-rate move, with its pattern."""
+    for name, size, dark in (("panel", WIDE, False), ("panel_dark", WIDE, True), ("panel_phone", PHONE, False)):
+        session.reset()
+        driver = browser(panel.address, size, dark)
+        click(driver, "tab-two_rates")
+        time.sleep(1)
+        click(driver, "go-two_rates")
+        while not driver.find_elements("css selector", ".pattern svg"):
+            time.sleep(0.1)
+        session.paused = True
+        driver.execute_script("window.scrollTo(0, 0)")
+        time.sleep(3)
+        smaller(shot(driver), OUT / f"{name}.png")
+        session.paused = False
+        driver.quit()
+
+
+def film(session: Session, panel: Panel) -> None:
+    """A line of both axes, a slow picture at a time: whatever this machine can, the film is smooth."""
+    session.reset()
+    session.paused = True
+    driver = browser(panel.address, FILM)
+    move = session.act("line", lambda stage: firmware.line({"x": 0.06, "y": 0.03}, stage.axes))
+    frames, steps = [], round(BETWEEN * 1e9 / session.stage.state.dt)
+    for _ in range(FRAMES):
+        begin = session.stage.now
+        session.speed, session.paused = 1.0, False
+        while session.stage.now - begin < steps * session.stage.state.dt:
+            time.sleep(0.002)
+        session.paused = True
+        time.sleep(0.8)  # the page draws it
+        frames.append(shot(driver).resize((FILM[0] * 5 // 9, FILM[1] * 5 // 9), Image.Resampling.LANCZOS))
+    session.paused = False
+    move.result()
+    driver.quit()
+    palette = frames[len(frames) // 2].quantize(128, dither=Image.Dither.NONE)
+    drawn = [f.quantize(palette=palette, dither=Image.Dither.NONE) for f in frames]
+    path = OUT / "panel.gif"
+    drawn[0].save(path, save_all=True, append_images=drawn[1:], duration=90, loop=0, optimize=True)
+    print(f"{path}: {path.stat().st_size / 1e3:.0f} kB")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--no-film", action="store_true", help="pictures only")
+    args = parser.parse_args()
+    with Session(Stage("xy", chips="pcl240ms")) as session:
+        panel = Panel(session)
+        pictures(session, panel)
+        if not args.no_film:
+            film(session, panel)
+        panel.close()
+
+
+if __name__ == "__main__":
+    main()
