@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from stage import firmware
+from stage import ArgumentError, Stage, firmware
 from stage.chips import CHIPS
 from stage.cli import build_parser, main, progress
 from stage.cli.parser import Parser
@@ -112,3 +112,40 @@ def test_ctrl_c_writes_what_was_recorded(tmp_path, monkeypatch, capsys):
 def test_a_parser_of_ours_is_argparse_with_other_words():
     assert isinstance(build_parser(), Parser)
     assert all(isinstance(p, Parser) for p in COMMANDS.values())
+
+
+@pytest.fixture(scope="module")
+def without_origin(tmp_path_factory):
+    file = tmp_path_factory.mktemp("model") / "a.xml"
+    assert main(["new-model", "--axes", "a:hinge:360deg", "-o", str(file)]) == 0
+    text = "\n".join(line for line in file.read_text().splitlines() if 'name="a_org"' not in line)
+    file.write_text(
+        text.replace('data="el_plus el_minus sd_plus sd_minus"', 'data="el_plus el_minus sd_plus sd_minus org"')
+    )
+    return str(file)
+
+
+@pytest.mark.parametrize("chips", ["pcl240k", "mcx514", "hctl1100"])
+def test_an_axis_without_origin_switch_is_not_sent_to_look_for_it(chips, without_origin, capsys):
+    """stage home a --model a.xml, of a model with a_unfitted "... org": it ran for ever"""
+    assert main(["home", "a", "--model", without_origin, "--chips", chips]) == 2
+    assert capsys.readouterr().err.startswith(
+        "stage: axis a has no origin switch, so its run would not end: give the model a_org"
+    )
+    axis = Stage(without_origin, chips=chips, visuals=False).axes["a"]
+    with pytest.raises(ArgumentError, match="axis a has no origin switch"):
+        firmware.home(axis)
+    if chips == "pcl240k":
+        with pytest.raises(ArgumentError, match="axis a has no origin switch"):
+            firmware.origin_return(axis)
+
+
+def test_a_viewer_without_a_screen_is_refused_before_the_run(monkeypatch, capsys, tmp_path):
+    """stage move x 10mm --view, by ssh"""
+    monkeypatch.chdir(tmp_path)
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(firmware, "preset_move", None)
+    assert main(["move", "x", "10mm", "--view"]) == 2
+    assert "no screen here to show what --view asks for on. Serve it to a browser (--web)" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())

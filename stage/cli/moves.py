@@ -37,6 +37,8 @@ def _home(args: argparse.Namespace, axis: Any) -> Any:
     direction, by, driver = +1 if args.plus else -1, args.by, driver_of(axis)
     if by is not None:
         driver.check_homing(by, args.ez is not None)
+    if by in (None, "switch", "index"):
+        driver.check_origin()
     if _is_pcl240(axis):
         ez = 1 if by == "index" and args.ez is None else args.ez
         how: dict[str, Any] = {"high_speed": not args.constant, "slow_approach": not args.fast_only, "ez": ez}

@@ -201,6 +201,10 @@ def outputs(args: argparse.Namespace) -> None:
     """Refuse what cannot be written or served, before the work and not after it. Raises FileError, ArgumentError."""
     from stage.files import FileError, figure_format, writable
 
+    if getattr(args, "view", False):
+        from stage.recording.viewer import check_screen
+
+        check_screen("what --view asks for")
     if getattr(args, "web", False):
         from stage.recording.viewer import check_port
 

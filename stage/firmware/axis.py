@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Protocol
 
 from stage.chips import Chip
+from stage.errors import ArgumentError
 
 
 def turned(axis: object, sensor: str) -> bool:
@@ -56,6 +57,18 @@ class Axis(Protocol):
     @property
     def lost_steps(self) -> int | None:
         """Full steps lost; None without a motor."""
+
+
+def check_origin(axis: Axis, others: Sequence[str] = ()) -> None:
+    """Raises ArgumentError where the chip has an input for the origin switch, and the axis has no such switch. others: ways to home
+    without one."""
+    switches = getattr(axis, "switches", None)
+    if switches is not None and axis.chip.wired("org") and "org" not in switches.as_dict():
+        instead = f" Home by {' or '.join(others)}." if others else ""
+        raise ArgumentError(
+            f"axis {axis.name} has no origin switch, so its run would not end: give the model {axis.name}_org "
+            f"(docs/models.md), or leave the axis out.{instead}"
+        )
 
 
 class HasAxes(Protocol):

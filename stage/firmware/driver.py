@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar
 
 from stage.chips import Chip, contract
 from stage.errors import ArgumentError, RunTimeout, StageError, a_or_an
-from stage.firmware.axis import Axis
+from stage.firmware.axis import Axis, check_origin
 from stage.firmware.pattern import Pattern
 from stage.sim.program import Operations
 
@@ -143,6 +143,10 @@ class Driver(ABC):
             raise ArgumentError(f"home by {by!r}: {chip} cannot; it homes by {' or '.join(known)}.")
         if index and by != "index":
             raise ArgumentError(f"home by {by!r} and to an index pulse (index=True, --ez): give one of the two.")
+
+    def check_origin(self) -> None:
+        """Raises ArgumentError where an origin return would find no switch; it says what else this chip homes by."""
+        check_origin(self.axis, [by for by in self.homings() if by not in ("switch", "index")])
 
     def ready(self, *ways: int) -> Any:
         """Before a drive: whatever the chip needs once. ways: directions in which the axis may leave a limit switch that it stands

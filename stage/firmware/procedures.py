@@ -70,6 +70,8 @@ def home(
     if direction not in (1, -1):
         raise ArgumentError(f"direction={direction!r}: +1 or -1.")
     driver, wanted = driver_of(axis), speeds(axis, speed, start_speed, accel, None, False)
+    if by in (None, "switch", "index"):
+        driver.check_origin()
     if by is None:
         return driver.home(direction, wanted, index, timeout)
     driver.check_homing(by, index)

@@ -59,13 +59,18 @@ def executable() -> str:
 def open_viewer(rrd: str | os.PathLike) -> None:
     """Open the recording in a window and return at once. Raises ViewerError where there is no screen."""
     rrd = _existing(rrd)
-    if not has_screen():
-        raise ViewerError(
-            f"no screen here to show {rrd} on. Serve it to a browser (--web), or draw it with screenshot()."
-        )
+    check_screen(str(rrd))
     command = [executable(), str(rrd), "--bind", HOST, "--port", "auto"]
     nowhere = subprocess.DEVNULL
     subprocess.Popen(command, env=environment(), stdout=nowhere, stderr=nowhere, start_new_session=True)
+
+
+def check_screen(what: str) -> None:
+    """Raises ViewerError where there is no screen to show it on."""
+    if not has_screen():
+        raise ViewerError(
+            f"no screen here to show {what} on. Serve it to a browser (--web), or draw it (--picture, screenshot())."
+        )
 
 
 def check_port(port: int) -> None:

@@ -10,7 +10,7 @@ ORG is asserted from the origin on to the end of travel, so that firmware knows 
 from __future__ import annotations
 
 from stage.errors import ArgumentError, a_or_an
-from stage.firmware.axis import Axis
+from stage.firmware.axis import Axis, check_origin
 from stage.firmware.pcl240 import bus
 from stage.firmware.pcl240.bus import Port, Status, stop_reason
 from stage.firmware.pcl240.moves import SETTLE, _count, _direction, _minus, _profile, prepare
@@ -53,6 +53,7 @@ def origin_return(
     On MK and MS the position counter R10 is 0 at the origin. Returns a report: `stopped_by` is "ORG", or "EZ", or what was
     met in its place: the end limit ahead (no ORG), the one behind (ORG never let go). Raises ArgumentError, RunTimeout.
     """
+    check_origin(axis)
     profile, logic = _profile(axis, profile), bus.polarity(axis)
     if ez is not None:
         _check_ez(axis, ez)
