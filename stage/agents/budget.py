@@ -41,17 +41,18 @@ class Budget:
 
 class Meter:
     """Counts for one stage. moves, cycles, ns: what is used; patience: s of real time that a call may take, None for any;
-    longest: s of simulated time that a call may take; over: the session is to end."""
+    longest: s of simulated time that a call may take; over, cancelled: the session is to end, this call is."""
 
     def __init__(self, stage: Stage, budget: Budget, patience: float | None = None, longest: float = LONGEST):
         self.budget, self.patience, self.longest = budget, patience, longest
         self.moves = self.cycles = self.ns = 0
-        self.over = False  # set by another thread, which ends the session
+        self.over = self.cancelled = False  # set by other threads: the session is to end, this call is
         self._stage = stage
         self._until_ns, self._until = 0, math.inf
 
     def begin(self) -> None:
         """A call begins: from now on time and cycles count."""
+        self.cancelled = False
         self._until_ns = self.ns + round(self.longest * 1e9)
         self._until = math.inf if self.patience is None else monotonic() + self.patience
         self._stage.loop.pace, self._stage.loop.each_cycle = self._pace, self._cycle
@@ -103,6 +104,8 @@ class Meter:
                 f"one call may take {self.longest:g} s of simulated time, and that has passed; the stage stands as it is now. "
                 "Ask for less, or call wait again and go on."
             )
+        if self.cancelled:
+            raise StageError("the call was cancelled; the stage stands as it is now.")
         if self.over:
             raise StageError("the session was ended while this call was made.")
         if monotonic() > self._until:

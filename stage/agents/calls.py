@@ -69,6 +69,9 @@ class Calls:
     def interrupt(self) -> None:
         """From another thread: a call that is being made ends soon, in words, where it can."""
 
+    def cancel(self) -> None:
+        """From another thread: nobody waits for the call that is being made; it ends soon, where it can."""
+
     def close(self, why: str = ENDED) -> None:
         """End: every call from now on says why. Safe to call twice."""
         with self._lock:

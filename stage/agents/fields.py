@@ -147,7 +147,7 @@ class Field:
             raise self._wrong(given, f'a whole number{self._span()}; in hexadecimal a text, "1Fh" or "0x1F"')
         if isinstance(given, float) and not (math.isfinite(given) and given == int(given)):
             raise self._wrong(given, f"a whole number{self._span()}")
-        return int(given)
+        return _bounded(self.name, int(given))
 
     def _length(self, given: Any) -> float:
         if isinstance(given, str):
@@ -211,6 +211,12 @@ class Field:
         return ArgumentError(f"{self.name}: {shown(given)} is not {wanted}.")
 
 
+def _bounded(what: str, number: int) -> int:
+    if abs(number) >> 63:
+        raise ArgumentError(f"{what}: {shown(number)} needs more than 64 bits; no register is so wide.")
+    return number
+
+
 def _length_form() -> dict[str, Any]:
     number = {"type": "number", "minimum": -FARTHEST, "maximum": FARTHEST}
     return {"anyOf": [number, {"type": "string", "pattern": SIZES}]}
@@ -238,9 +244,9 @@ def whole(what: str, text: str) -> int:
     if re.fullmatch(DIGITS, typed):
         sign, digits = (-1, typed[1:]) if typed[0] == "-" else (1, typed.removeprefix("+"))
         if digits[-1] in "hH":
-            return sign * int(digits[:-1], 16)
+            return _bounded(what, sign * int(digits[:-1], 16))
         prefix = digits[:2].lower()
-        return sign * int(digits, {"0x": 16, "0b": 2}.get(prefix, 10))
+        return _bounded(what, sign * int(digits, {"0x": 16, "0b": 2}.get(prefix, 10)))
     if re.fullmatch(r"[0-9a-fA-F]+", typed):
         raise ArgumentError(
             f'{what}: {shown(text)} is no decimal number. Did you mean "{typed.upper()}h" ({int(typed, 16)})?'

@@ -115,6 +115,9 @@ class Toolbox(Calls):
     def interrupt(self) -> None:
         self.meter.over = True
 
+    def cancel(self) -> None:
+        self.meter.cancelled = True
+
     def end(self) -> None:
         for trace in self.traces:
             trace.close()

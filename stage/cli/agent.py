@@ -39,12 +39,14 @@ def run(args: argparse.Namespace) -> int:
                 f"\r{len(done)} of {games.count} games", end="\n" if len(done) == games.count else "", file=sys.stderr
             )
 
-    played = arena.play(games, player, args.name or "", args.most, told)
+    name = args.name or ("" if args.mcp or args.command or args.endpoint else args.by or "formula")
+    played = arena.play(games, player, name, args.most, told)
     out = sys.stderr if args.mcp else sys.stdout
     for r in played.rounds:
         if args.suite.startswith("diagnosis"):
             found, mended = ("found" if r.score["found"] else "-"), ("mended" if r.score["mended"] else "-")
             print(f"{r.game:22} {found:6} {mended:7} {len(r.calls)} calls", file=out)
+    print(played, file=out)
     tell(
         args, suite=played.suite, split=played.split, player=played.player, value=played.value, low=played.low, high=played.high,
         games={r.game: r.score for r in played.rounds}, tokens=played.tokens, calls=sum(len(r.calls) for r in played.rounds),

@@ -169,7 +169,9 @@ def test_a_player_that_is_none_is_refused(name, said):
 def test_the_command_plays_and_replays(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert main(["agent", "diagnosis:late", "--by", "technician", "-o", "t.jsonl"]) == 0
-    assert "technician" not in capsys.readouterr().err
+    told = capsys.readouterr().out
+    assert "diagnosis:late         found  mended" in told
+    assert "technician on diagnosis:late: 1.000 (1.000 to 1.000), mean of found and mended" in told
     assert main(["agent-replay", "t.jsonl"]) == 0
     assert "bit for bit" in capsys.readouterr().out
     assert main(["agent", "one-shot", "--episodes", "2", "--entry", "f.bench", "--json"]) == 0

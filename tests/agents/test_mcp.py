@@ -8,6 +8,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -293,3 +294,60 @@ def test_fifty_sessions_at_once_are_served_and_leave_nothing_behind():
     done = subprocess.run([sys.executable, script, "--sessions", "50", "--calls", "10"], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert "50 sessions at once" in done.stdout
+
+
+def opened(served):
+    """A session by hand: its headers."""
+    import httpx2
+
+    begin = {"protocolVersion": "2025-11-25", "capabilities": {}, "clientInfo": {"name": "test", "version": "0"}}
+    head = {"Accept": "application/json, text/event-stream", "Authorization": f"Bearer {served.server.token}"}
+    body = {"jsonrpc": "2.0", "id": 0, "method": "initialize", "params": begin}
+    reply = httpx2.post(served.server.address, json=body, headers=head, timeout=60)
+    head |= {"mcp-session-id": reply.headers["mcp-session-id"], "mcp-protocol-version": "2025-11-25"}
+    httpx2.post(
+        served.server.address, json={"jsonrpc": "2.0", "method": "notifications/initialized"}, headers=head, timeout=60
+    )
+    return head
+
+
+FORMS = ({}, {"name": None}, {"name": 5}, {"name": "move", "arguments": []}, {"name": "move", "arguments": "x"})
+
+
+@pytest.mark.parametrize("params", FORMS)
+def test_a_call_of_the_wrong_form_is_a_tool_error_too(served, params):
+    import httpx2
+
+    body = {"jsonrpc": "2.0", "id": 1, "method": "tools/call", "params": params}
+    said = httpx2.post(served.server.address, json=body, headers=opened(served), timeout=60).json()
+    assert said["result"]["isError"]
+    assert (
+        "was given" in said["result"]["content"][0]["text"]
+        or "should be an object" in said["result"]["content"][0]["text"]
+    )
+
+
+def test_a_call_that_is_cancelled_ends_and_the_next_is_made(served):
+    import httpx2
+
+    head = opened(served)
+
+    def post(number, method, params):
+        body = {"jsonrpc": "2.0", "id": number, "method": method, "params": params}
+        body = body if number else {"jsonrpc": "2.0", "method": method, "params": params}
+        return httpx2.post(served.server.address, json=body, headers=head, timeout=60)
+
+    post(1, "tools/call", {"name": "budget", "arguments": {}})
+    said = []
+    wait = threading.Thread(
+        target=lambda: said.append(post(7, "tools/call", {"name": "wait", "arguments": {"seconds": 120}}))
+    )
+    wait.start()
+    box = served.sessions.box(head["mcp-session-id"])
+    while not box.stage.loop.pace:
+        time.sleep(0.001)
+    post(0, "notifications/cancelled", {"requestId": 7})
+    wait.join(30)
+    assert "error" in said[0].json()
+    used = post(8, "tools/call", {"name": "budget", "arguments": {}}).json()["result"]["structuredContent"]["used"]
+    assert used["seconds"] < 120

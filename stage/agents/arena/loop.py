@@ -83,7 +83,7 @@ class Played:
 
     def __str__(self) -> str:
         n, calls = len(self.rounds), sum(len(r.calls) for r in self.rounds)
-        what = "mean of found and mended" if self.suite == DIAGNOSIS else "interquartile mean of the return"
+        what = "mean of found and mended" if self.suite.startswith(DIAGNOSIS) else "interquartile mean of the return"
         where = f"{self.suite} {self.split}".rstrip()
         said = f"{self.player} on {where}: {self.value:.3f} ({self.low:.3f} to {self.high:.3f})"
         return f"{said}, {what} of {n} games; {calls} calls, {self.tokens} tokens"
@@ -112,7 +112,7 @@ def play(
 def value_of(suite: str, values: Sequence[float]) -> tuple[float, float, float]:
     """Of a suite's scores: value, low, high."""
     scores = np.array(values, float)
-    if suite != DIAGNOSIS:
+    if not suite.startswith(DIAGNOSIS):
         return iqm(scores), *interval(scores)
     rng = np.random.default_rng(0)
     means = scores[rng.integers(0, len(scores), (2000, len(scores)))].mean(axis=1)

@@ -15,6 +15,7 @@ from mcp.shared.exceptions import MCPError
 from mcp_types.version import HANDSHAKE_PROTOCOL_VERSIONS
 
 from stage import __version__
+from stage.agents.fields import shown
 from stage.agents.server import prompts, resources
 from stage.agents.server.sessions import Maker, Sessions
 from stage.agents.tool import Answer, Tool
@@ -40,6 +41,7 @@ class Protocol:
             on_list_resources=self._list_resources, on_read_resource=self._read_resource,
             on_list_prompts=self._list_prompts, on_get_prompt=self._get_prompt,
         )  # fmt: skip
+        self.server.middleware.append(_teach)
         if not modern:
             self.server.add_request_handler("server/discover", types.RequestParams, self._discover)
 
@@ -65,7 +67,11 @@ class Protocol:
         if len(self._turns) > 2 * self._sessions.most:
             self._turns = {k: lock for k, lock in self._turns.items() if lock.locked() or k == key}
         async with turn:  # a thread for each that works, none for those that wait
-            answer = await self._in_thread(partial(self._call, key, params.name, params.arguments))
+            try:
+                answer = await self._in_thread(partial(self._call, key, params.name, params.arguments), leave=True)
+            except anyio.get_cancelled_exc_class():
+                self._sessions.cancel(key)
+                raise
         return _result(answer)
 
     def _call(self, key: str, name: str, arguments: Any) -> Answer:
@@ -75,10 +81,11 @@ class Protocol:
             return Answer(False, {"error": str(error)})
         return box.call(name, arguments)
 
-    async def _in_thread(self, work: Callable[[], Any]) -> Any:
+    async def _in_thread(self, work: Callable[[], Any], leave: bool = False) -> Any:
+        """leave: whoever has asked may go before it is done."""
         if self._limiter is None:
             self._limiter = anyio.CapacityLimiter(self._threads)
-        return await anyio.to_thread.run_sync(work, limiter=self._limiter)
+        return await anyio.to_thread.run_sync(work, limiter=self._limiter, abandon_on_cancel=leave)
 
     # --- resources and prompts ---
 
@@ -126,6 +133,24 @@ class Protocol:
         if key is None:
             raise StageError(NO_SESSION)
         return self._sessions.box(key)
+
+
+async def _teach(ctx: Any, call_next: Any) -> Any:
+    """A call whose very form is wrong is answered as one whose arguments are: by a tool error that says what is allowed."""
+    given = ctx.params or {}
+    if ctx.method == "tools/call" and ctx.request_id is not None:
+        name, arguments = given.get("name"), given.get("arguments")
+        if not isinstance(name, str):
+            return _wrong(
+                f'a tool is called by its name, {{"name": "describe", "arguments": {{}}}}, and {shown(name)} was given.'
+            )
+        if not isinstance(arguments, dict | None):
+            return _wrong(f"the arguments of {shown(name)} are {shown(arguments)}, and should be an object.")
+    return await call_next(ctx)
+
+
+def _wrong(said: str) -> dict[str, Any]:
+    return _result(Answer(False, {"error": said})).model_dump(by_alias=True, exclude_none=True, mode="json")
 
 
 NO_SESSION = (

@@ -129,6 +129,12 @@ class Sessions:
             if key in self._held:
                 self._held[key].left = self._clock()
 
+    def cancel(self, key: str) -> None:
+        """Nobody waits any more for the call that a session makes."""
+        held = self._held.get(key)
+        if held is not None:
+            held.box.cancel()
+
     def close(self, key: str) -> None:
         """End a session, also in the middle of a call. One that is not there ended before."""
         with self._lock:

@@ -45,6 +45,7 @@ class _Game:
             call=self._call,
             close=lambda: None,
             interrupt=lambda: None,
+            cancel=lambda: None,
             tools=self.tools,
             stage=None,
             recordings=None,
