@@ -3,10 +3,7 @@
 import argparse
 from pathlib import Path
 
-import matplotlib.image
-import mujoco
-
-from stage.opengl import renderer
+from stage.cli.model_picture import draw
 from stage.sim import plant
 
 parser = argparse.ArgumentParser(description=__doc__)
@@ -16,12 +13,6 @@ parser.add_argument("--out", type=Path, default=Path(__file__).parents[1] / "doc
 args = parser.parse_args()
 
 for name in plant.names():
-    model = plant.open_spec(name).compile()
-    data = mujoco.MjData(model)
-    mujoco.mj_resetDataKeyframe(model, data, model.key(args.key).id)
-    mujoco.mj_forward(model, data)
-    with renderer(model, height=900, width=1600) as picture:
-        picture.update_scene(data, args.camera)
-        path = args.out / f"model_{name}{'' if args.camera == 'overview' else '_' + args.camera}.png"
-        matplotlib.image.imsave(path, picture.render())
-        print(path)
+    path = args.out / f"model_{name}{'' if args.camera == 'overview' else '_' + args.camera}.png"
+    draw(plant.open_spec(name).compile(), str(path), args.camera, True, args.key)
+    print(path)

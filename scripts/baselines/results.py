@@ -332,7 +332,7 @@ formula where the interval is above 0, in ten seeds or more that all found an an
 - **random, CMA-ES, PPO, SAC** choose five factors on the formula's answer: FL, FH, acceleration, deceleration, ramp-down point.
   All but random begin at the formula's answer. **Raw registers** begin without it: R1, R2, R4, R5, R6, R7 over their
   whole legal ranges, where nearly every move loses steps or takes too long.
-- The learning curves show the duration of the move with the highest reward so far; it may rise where vibration falls by more.
+- The learning curves show the fastest move among those that had the highest reward of their seed when they were made.
 - PPO and SAC learn a policy, here for one situation only; their result is the best of the moves that they made while learning.
 - **agent loop** is a scripted stand-in for a model, which reads text and writes commands: it changes one register at a time.
 - **spare** is the payload that may be added, in steps of {step:g} kg up to {most:g} kg, before the same registers lose steps for
@@ -363,7 +363,9 @@ def draw(all_: Runs, path: Path) -> None:
         ):
             draw_the_learning(top, runs, payload)
             draw_the_moves(bottom, runs, payload, mass, all_.model)
-            top.set_title(f"{mass:g} kg: best move so far", loc="left", color=INK, fontsize=12, weight="bold")
+            top.set_title(
+                f"{mass:g} kg: fastest of the best moves so far", loc="left", color=INK, fontsize=12, weight="bold"
+            )
             bottom.set_title(f"{mass:g} kg: the moves found", loc="left", color=INK, fontsize=12, weight="bold")
             for ax in (top, bottom):
                 ax.grid(True, color=GREY, lw=0.7)
@@ -383,8 +385,8 @@ def draw_the_learning(ax: Any, runs: list[Run], payload: str) -> None:
         mine = of(runs, payload, method)
         if not mine:
             continue
-        curves = 1e3 * np.array([r.curve for r in mine])
-        known = ~np.isnan(curves).any(axis=0)
+        curves = np.minimum.accumulate(1e3 * np.nan_to_num(np.array([r.curve for r in mine]), nan=np.inf), axis=1)
+        known = np.isfinite(curves).all(axis=0)
         at = np.arange(1, curves.shape[1] + 1)[known]
         ax.plot(at, np.median(curves[:, known], axis=0), color=method.color, lw=2)
         ax.fill_between(

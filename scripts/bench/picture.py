@@ -53,14 +53,16 @@ def overhead(ax: Any, results: Results) -> None:
         found = [results.figures[f"environment.{kind}_{k}"] for k in skips]
         ax.bar(x + shift, [f.median for f in found], 0.36, color=color, label=name)
         for at, f in zip(x + shift, found, strict=True):
-            ax.plot([at, at], [f.least, f.most], color=INK, lw=1.4, solid_capstyle="butt")
+            ax.plot(
+                [at, at], [max(f.least, 0), f.most], color=INK, lw=1.4, solid_capstyle="butt"
+            )  # a difference; bars begin at 0
             ax.annotate(
                 f"{f.median:.3g}", (at, max(f.most, 0)), (0, 2), textcoords="offset points", ha="center", color=MUTED
             )
     ax.set_xticks(x, [f"{k} step{'s' if k > 1 else ''}" for k in skips])
     ax.set(ylabel="overhead of an action (µs)")
     ax.margins(y=0.12)
-    ax.legend(frameon=False)
+    beside(ax)
     ax.grid(False, axis="x")
 
 
@@ -71,13 +73,18 @@ def chips(ax: Any, results: Results) -> None:
     ax.set_xscale("log")
 
 
+def beside(ax: Any) -> None:
+    """The legend below the panel, where no data are."""
+    ax.legend(frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.17), fontsize=9, handletextpad=0.4)
+
+
 def curve_panel(*keys: str) -> Callable[[Any, Results], None]:
     def panel(ax: Any, results: Results) -> None:
         for key, color in zip(keys, (OURS, OTHER), strict=False):
             if key in results.curves:
                 draw_curve(ax, results.curves[key], color)
         ax.set(xscale="log", yscale="log")
-        ax.legend(frameon=False)
+        beside(ax)
 
     return panel
 
@@ -105,6 +112,17 @@ PANELS: tuple[tuple[str, str, Callable[[Any, Results], None]], ...] = (
 )
 
 
+HOW = """How to read it
+
+bar, dot: the median of the rounds
+thin line: least to most
+dashed orange: the target
+n^p: cost grows with size to the power p,
+    fitted over the line's part
+"""
+"""In the empty place of the grid."""
+
+
 def draw(results: Results, path: Path) -> None:
     """Raises SystemExit when nothing that it shows was measured."""
     shown = [(title, panel) for whose, title, panel in PANELS if set(whose.split()) & set(results.titles)]
@@ -122,7 +140,9 @@ def draw(results: Results, path: Path) -> None:
             ax.set_title(title, loc="left", color=INK, fontsize=12, weight="bold")
             ax.set_axisbelow(True)
             ax.spines[["top", "right"]].set_visible(False)
-        for ax in grid[len(shown) :]:
+        for k, ax in enumerate(grid[len(shown) :]):
             ax.axis("off")
+            if not k:
+                ax.text(0, 0.97, HOW, transform=ax.transAxes, va="top", color=INK, fontsize=10, linespacing=1.6)
     canvas.savefig(path, dpi=140)
     print(f"{path}: drawn")

@@ -6,48 +6,64 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stage.extras import need
+from stage import pictures
 from stage.units import PLACES
 
 if TYPE_CHECKING:
     from stage.cli.fault.demo import Shown
 
 
+STYLES = (
+    {"color": "#f0a868", "linewidth": 5.5, "alpha": 0.75, "label": "healthy"},
+    {"color": pictures.COLOURS[0], "linewidth": 1.4, "label": "faulty"},
+)
+"""The healthy run is a wide band: where the runs are alike, both are seen."""
+
+
 def draw(shown: Shown, path: str | None, overwrite: bool) -> Any:
     """Draw `shown`, which has both recordings; see `Shown.plot`."""
-    from stage.drives.picture import ACCENT, GRID, INK, MUTED
     from stage.files import save_figure
 
-    Figure = need("matplotlib.figure", "drawing").Figure
-    figure = Figure(figsize=(9, 5.2), layout="constrained")
+    figure = pictures.figure(9, 5.2)
     panels = figure.subplots(2, 1, sharex=True)
     struck = [n.time for n in shown.recordings[1].notes if n.text.endswith("begins")][:1]
     shows = _shows(shown, struck)
     for panel, column in zip(panels, shown.demo.draws, strict=True):
-        for recording, style in zip(shown.recordings, ((MUTED, 2.6, "healthy"), (ACCENT, 1.4, "faulty")), strict=True):
-            time, values, steps = _course(recording, column)
-            scale = PLACES[shown.unit].per if _unit(column) == "m" else 1
-            drawn = {"color": style[0], "linewidth": style[1], "label": style[2]}
-            panel.plot(time, values * scale, drawstyle="steps-post" if steps else "default", **drawn)
         unit = _unit(column)
         if unit is None:
-            panel.set_yticks([0, 1], ["off", "on"])
-        unit = PLACES[shown.unit].symbol if unit == "m" else unit
+            _pin(panel, shown, column)
+        else:
+            for recording, style in zip(shown.recordings, STYLES, strict=True):
+                time, values, steps = _course(recording, column)
+                scale = PLACES[shown.unit].per if unit == "m" else 1
+                panel.plot(time, values * scale, drawstyle="steps-post" if steps else "default", **style)
         for when in struck:
             if shows is None or shows[0] <= when <= shows[1]:
                 panel.axvline(when, color="#c53030", linewidth=1, linestyle=(0, (4, 2)), label="the fault begins")
-        panel.set_ylabel(f"{column.replace('_', ' ')}{f' ({unit})' if unit else ''}", color=INK)
-        panel.grid(True, color=GRID, linewidth=0.7)
-        panel.spines[["top", "right"]].set_visible(False)
-    panels[0].legend(frameon=False, fontsize=9)
-    panels[1].set_xlabel("time (s)", color=INK)
+        unit = PLACES[shown.unit].symbol if unit == "m" else unit
+        panel.set_ylabel(f"{column.replace('_', ' ')}{f', {unit}' if unit else ''}", color=pictures.INK, fontsize=8.5)
+        pictures.bare(panel)
+    handles, labels = panels[0].get_legend_handles_labels()
+    place = {"loc": "lower right", "bbox_to_anchor": (1, 1), "borderaxespad": 0.2}
+    panels[0].legend(handles, labels, ncols=len(labels), frameon=False, fontsize=8, **place)
+    panels[1].set_xlabel("time, s", color=pictures.INK, fontsize=8.5)
     if shows:
         panels[0].set_xlim(shows)
-    title = shown.recordings[1].notes[0].text.removesuffix(": begins")
-    figure.suptitle(title, x=0.01, ha="left", color=INK, weight="bold")
+    name = shown.recordings[1].notes[0].text.removesuffix(": begins")
+    pictures.heading(figure, f"{name[:1].upper()}{name[1:]}", shown.name)
     if path is not None:
         save_figure(figure, path, 150, overwrite)
     return figure
+
+
+def _pin(panel: Any, shown: Shown, column: str) -> None:
+    """A lane for each run, filled while the pin is asserted."""
+    for k, (recording, style) in enumerate(zip(shown.recordings, STYLES, strict=True)):
+        time, on, _ = _course(recording, column)
+        low = 1 - k
+        panel.fill_between(time, low + 0.15, low + 0.15 + 0.7 * on, step="post", color=style["color"], linewidth=0)
+    panel.set_yticks([1.5, 0.5], ["healthy", "faulty"])
+    panel.set_ylim(0, 2)
 
 
 def _unit(column: str) -> str | None:
