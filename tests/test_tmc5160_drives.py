@@ -323,6 +323,13 @@ def test_a_move_takes_no_heed_of_a_second_slope_that_somebody_has_left(x):
     assert firmware.move(x, pulses=-20_000).duration == pytest.approx(usual, rel=1e-3)
 
 
+@pytest.mark.parametrize(("way", "limit"), [(1, "EL+"), (-1, "EL-")])
+def test_a_move_into_an_end_limit_says_which(x, way, limit):
+    x.stage.place(x=x.travel[way > 0] - way * 0.012)
+    report = firmware.move(x, pulses=way * 100_000)
+    assert (report.stopped_by, report.ok) == (limit, False)
+
+
 def test_an_axis_that_is_stopped_at_once_makes_no_ramp(x):
     driver, went = driver_of(x), []
     for at_once in (False, True):

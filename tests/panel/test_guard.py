@@ -38,6 +38,7 @@ def test_a_foreign_name_of_the_host_is_refused(kind):
 
 def test_a_page_from_elsewhere_is_refused():
     assert asked(Guard(None, NAMES), host="localhost:7241", origin="http://localhost:7241")[0]
+    assert asked(Guard(None, NAMES), host="LOCALHOST:7241", origin="http://LocalHost:7241")[0], "names are of any case"
     assert not asked(Guard(None, NAMES), host="localhost:7241", origin="http://evil.example")[0]
     assert not asked(Guard(None, NAMES), host="localhost:7241", origin="null")[0]
 

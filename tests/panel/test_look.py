@@ -58,6 +58,12 @@ def test_the_trace_tells_the_cycles_of_whoever_makes_them(look):
     assert "not operating" in line.words
 
 
+def test_an_address_is_told_as_the_chip_decodes_it(look):
+    trace = look.traces[0]
+    look.session.do(lambda stage: trace.read(6))
+    assert (trace.lines[-1].way, trace.lines[-1].address) == ("R", 2)
+
+
 def test_diagnostics_stand_in_the_trace_and_in_a_list_of_their_own_once(look):
     trace, session = look.traces[0], look.session
     session.do(lambda stage: stage.chips[0].write(0, 0x15))

@@ -126,6 +126,8 @@ def test_files_have_what_the_window_shows(session, sampler):
     assert b"$var real 64" in data["vcd"]
     with pytest.raises(ArgumentError, match="choose a trace"):
         FORMATS["csv"](sampler, [], 0, 1)
+    with pytest.raises(ArgumentError, match="no samples between 50 and 60 s"):
+        FORMATS["vcd"](sampler, names, 50, 60)
 
 
 @pytest.mark.slow

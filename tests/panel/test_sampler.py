@@ -52,9 +52,13 @@ def test_time_may_go_back(session, sampler):
     run(session, 0.01)
     snapshot = session.do(lambda stage: stage.snapshot())
     run(session, 0.02)
+    session.do(lambda stage: stage.chips[0].write(0, 0x90))
+    looked(session)
+    assert len(sampler.events) == 1
     session.restore(snapshot)
     looked(session)
     assert sampler.last <= 0.0101
+    assert not sampler.events, "that is still to come"
     run(session, 0.01)
     times, _ = sampler.columns([], 0, 1.0)
     assert np.all(np.diff(times) > 0)

@@ -179,3 +179,8 @@ def test_a_screw_that_turns_the_other_way_has_its_goal_on_the_other_side(tmp_pat
     )
     assert (found["reached"], found["lost_steps"]) == (1, 0)
     assert found["score"] < 1
+
+
+def test_moves_that_ended_as_asked_are_counted():
+    registers = {"R1": 20, "R2": 640, "R4": 400, "R5": 400, "R7": 12}
+    assert PresetMoves(pulses=(400, -400, 400), rest=0.05).measure(registers, seed=1)["reached"] == 3

@@ -110,6 +110,12 @@ def test_a_formula_that_loses_steps_says_what_it_carries(tuned):
         tuned(lambda name, case: (0.1, False), 3)
 
 
+def test_what_swings_for_long_is_looked_at_for_four_times_as_long(tuned):
+    assert tuned(lambda name, case: (0.9, True), 3).answer.proof.worst == 0.9
+    with pytest.raises(StageError, match=r"keep step, but do not come to rest within .* give more room, --settle"):
+        tuned(lambda name, case: (9.0, True), 3)
+
+
 def test_where_neither_formula_nor_search_keeps_step_it_is_said_how_often_the_formula_has(tuned):
     said = r"no registers keep step with up to 2\.6 kg: the formula's did in 3 of 4 moves\. Less payload or spare"
     with pytest.raises(StageError, match=said):
@@ -161,3 +167,6 @@ def test_on_a_screw_that_turns_the_other_way_the_picture_has_the_move_towards_pl
     position, behind = (drawn[0].axes[k].lines[0].get_ydata() for k in (1, 2))
     assert position[-1] == pytest.approx(1e3 * 400 * result.task.stage.axes["x"].meters_per_pulse, abs=0.02)
     assert behind[np.abs(behind) > 1][0] > 0, "um: at the start the carriage is behind"
+    deviation = drawn[0].axes[3]
+    band = deviation.transData.inverted().transform_bbox(deviation.patches[0].get_extents())
+    assert (band.y0, band.y1) == pytest.approx((-1e6 * result.task.within, 1e6 * result.task.within))

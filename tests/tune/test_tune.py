@@ -235,6 +235,7 @@ def test_the_formula_of_an_upright_axis_has_its_weight():
 def test_friction_helps_to_brake_and_hinders_the_start(task):
     load = replace(Load.of(task.stage.axes["x"]).heavier(10.0), friction=8.0)
     made = speeds(load, 40_000)
+    assert made.start == pytest.approx(load.pull_in / 8)
     top, low = made.drive / load.per_metre, made.start / load.per_metre
     thrust = float(load.thrust(np.array([top]))[0]) / 1.5
     helps = load.friction + load.damping * top
