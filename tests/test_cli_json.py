@@ -23,8 +23,8 @@ SAID = {
     "registers": (["registers", "mcx304"], lambda f: f["chip"] == "MCX304" and f["registers"][0]["fields"] is not None),
     "view": (["view", "xy"], lambda f: [a["name"] for a in f["axes"]] == ["x", "y"]),
 }  # fmt: skip
-ELSEWHERE = {"run", "export", "tune", "bench", "bench-submit", "bench-verify", "bench-table"}
-"""Commands of which tests below, of tune/ and of bench/ read the JSON."""
+ELSEWHERE = {"run", "export", "tune", "bench", "bench-submit", "bench-verify", "bench-table", "agent", "agent-replay"}
+"""Commands of which tests below, of tune/, of bench/ and of agents read the JSON."""
 LONG = {"demo": ["demo"], "erratum": ["erratum"], "pullout": ["pullout"]}
 TEXT_ALONE = {"include", "serve", "mcp", "panel", "new-model", "completion"}
 """Commands that serve, or print what a file or a shell is to have."""

@@ -202,6 +202,7 @@ def outputs(args: argparse.Namespace) -> None:
     from stage.files import FileError, figure_format, writable
 
     if getattr(args, "view", False):
+        need("rerun", "--view")
         from stage.recording.viewer import check_screen
 
         check_screen("what --view asks for")
@@ -235,7 +236,7 @@ def outputs(args: argparse.Namespace) -> None:
             if name == "picture" and Path(path).suffix.lower() != ".png":
                 raise FileError(f"--picture {path}: the dashboard is drawn as PNG. Name a file that ends in .png.")
     if "record" in args:
-        for name in ("view", "web", "picture", "record"):  # who gave one of the others gave no --record
+        for name in ("web", "picture", "record"):  # who gave one of the others gave no --record
             if getattr(args, name, None):
                 need("rerun", f"--{name}")
 
