@@ -1,15 +1,20 @@
-"""Learners from scratch on `stage/BusMacros-v1`: PPO and DQN, both with the action mask.
+"""Learners from scratch on `stage/BusMacros-v1`: DQN and PPO, both with the action mask.
 
-python scripts/baselines/bus_macros_learners.py learn ppo --seed 0 -o runs
-python scripts/baselines/bus_macros_learners.py learn ppo --seed 0 --level origin -o runs
-python scripts/baselines/bus_macros_learners.py submit runs/target-ppo-0.zip -o entries
+python scripts/baselines/bus_macros_learners.py learn dqn --seed 0 --level axes -o runs
+python scripts/baselines/bus_macros_learners.py evaluate runs/target-dqn-0.zip runs/axes-dqn-0.zip
+python scripts/baselines/bus_macros_learners.py submit runs/target-dqn-0.zip --tasks bus-target -o entries
 
-ppo   MaskablePPO of sb3-contrib
-dqn   DQN of Stable-Baselines3; the mask is part of what the network sees, and takes masked actions out of every maximum
+Both see axes by their role (bus_macros_turned.py): what was learned of one can be done with each.
 
-A curriculum up to --level: each of LEVELS for so many steps, with the earlier ones mixed in. `learn` writes the policy and
-its curve, a CSV with a row a batch. `submit` plays the test episodes of splits and packs them, see docs/benchmark.md.
-Needs the extra `rl`.
+dqn   DQN of Stable-Baselines3 with returns of five macros; the mask is part of what the network sees, and takes masked actions
+      out of every maximum. It explores anew at each level; what it has learned acts by the softmax of its values
+ppo   MaskablePPO of sb3-contrib; for one axis it took some eight times as many macros
+
+A curriculum up to --level: each of LEVELS for so many steps, with easier episodes mixed in. Learning has settings of its own for
+what the task lets one choose: `discount` is the learner's (so that progress changes no optimum), and a macro costs MACRO, that
+dawdling shows; tests have the task's own. `learn` writes for each level the policy and the curve so far, a CSV with a row a batch.
+`evaluate` plays the test episodes of a policy's level, by the ways that the targets lie. `submit` plays those of the bench and
+packs them, see docs/benchmark.md. Needs the extra `rl`.
 """
 
 from __future__ import annotations
@@ -17,43 +22,33 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import gymnasium
 import numpy as np
 import torch
+from bus_macros_turned import Eased, Turn, Turned
 from learning import Curve, Noted, cost_of, parser_of, save
 from sb3_contrib import MaskablePPO
 from stable_baselines3 import DQN
-from stable_baselines3.common.vec_env import VecEnvWrapper
+from stable_baselines3.common.buffers import NStepReplayBuffer
 from stable_baselines3.dqn.policies import DQNPolicy, QNetwork
 
 from stage import bench
+from stage.bench.cards import FIRST
 from stage.envs.sb3 import StageVecEnv
 
 ID = "stage/BusMacros-v1"
-TASKS = ("bus-target", "bus")
-LEVELS = ("target", "axes", "origin")
-STEPS, LANES = 98_304, 16  # steps of a level
-
-
-class Masked(VecEnvWrapper):
-    """The mask behind the observation."""
-
-    def __init__(self, envs: Any):
-        space: Any = envs.observation_space
-        size = space.shape[0] + envs.action_space.n
-        super().__init__(envs, gymnasium.spaces.Box(-1.0, 1.0, (size,), np.float32))
-
-    def _with(self, seen: Any, masks: Any) -> np.ndarray:
-        return np.concatenate([seen, np.asarray(masks, np.float32)], axis=-1)
-
-    def reset(self) -> np.ndarray:
-        return self._with(self.venv.reset(), self.venv.env_method("action_masks"))
-
-    def step_wait(self) -> Any:
-        seen, rewards, ends, infos = self.venv.step_wait()
-        for k in np.flatnonzero(ends):
-            infos[k]["terminal_observation"] = self._with(infos[k]["terminal_observation"], infos[k]["action_mask"])
-        return self._with(seen, self.venv.env_method("action_masks")), rewards, ends, infos
+TASKS = ("bus-target", "bus-axes", "bus")
+LEVELS = {"target": 40_960, "axes": 98_304, "origin": 131_072}
+"""Steps of each, of which so many times as many with PPO."""
+LONGER = {"dqn": 1, "ppo": 8}
+LANES = {"dqn": 32, "ppo": 64}
+GAMMA, MACRO = 0.99, 0.03  # of learning
+REPLAY = {"n_steps": 5, "gamma": GAMMA, "handle_timeout_termination": False}
+"""Returns of five macros; an episode that has used its macros has failed, and nothing comes after it."""
+EXPLORES = 32_768  # steps of each level
+AGAIN, LAST = 0.08, 0.03  # chance of a random macro where a later level begins, and at the end
+TEMPERATURE = 0.05  # of a policy: macros that are nearly worth the same take turns, so none goes round in circles
+EPISODES = 64  # of a test
+EVERY = 4_096  # steps of a row of the curve
 
 
 class MaskedNetwork(QNetwork):
@@ -71,9 +66,15 @@ class MaskedPolicy(DQNPolicy):
 
 
 class MaskedDQN(DQN):
-    """Explores among what is not masked."""
+    """Explores among what is not masked, with chances from `first` down to LAST within EXPLORES steps after `begun`."""
 
     draw = np.random.default_rng(0)
+    begun, first = 0, 1.0
+
+    def _on_step(self) -> None:
+        super()._on_step()
+        done = (self.num_timesteps - self.begun) / EXPLORES
+        self.exploration_rate = max(self.first + (LAST - self.first) * done, LAST)
 
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
@@ -89,38 +90,41 @@ class MaskedDQN(DQN):
         return chosen, chosen
 
 
-def vector(method: str, level: str, threads: int = 1) -> Any:
-    envs: Any = StageVecEnv(ID, LANES, threads=threads, level=level, mixed=True)
-    return Noted(envs if method == "ppo" else Masked(envs))
+def vector(method: str, level: str, seed: int) -> Any:
+    """With the easier levels mixed in; and episodes where one of two axes need not move."""
+    envs: Any = StageVecEnv(ID, LANES[method], threads=1, level=level, mixed=True, discount=GAMMA, macro_weight=MACRO)
+    return Noted(Turned(Eased(envs, seed) if level == "axes" else envs, behind=method == "dqn"))
 
 
 def model_of(method: str, envs: Any, seed: int) -> Any:
     nets: dict[str, Any] = {"net_arch": [128, 128]}
     if method == "ppo":
         return MaskablePPO(
-            "MlpPolicy", envs, n_steps=128, batch_size=512, n_epochs=8, learning_rate=7e-4, gamma=0.99, ent_coef=0.01,
+            "MlpPolicy", envs, n_steps=64, batch_size=1024, n_epochs=6, learning_rate=7e-4, gamma=GAMMA, ent_coef=0.01,
             policy_kwargs=nets, seed=seed, device="cpu",
         )  # fmt: skip
     return MaskedDQN(
-        MaskedPolicy, envs, buffer_size=200_000, learning_starts=5_000, batch_size=256, learning_rate=5e-4, gamma=0.99,
-        train_freq=4, gradient_steps=16, target_update_interval=4_000, exploration_fraction=0.4, exploration_final_eps=0.05,
-        policy_kwargs=nets, seed=seed, device="cpu",
+        MaskedPolicy, envs, buffer_size=300_000, learning_starts=4_000, batch_size=256, learning_rate=5e-4, gamma=GAMMA,
+        replay_buffer_class=NStepReplayBuffer, replay_buffer_kwargs=REPLAY, train_freq=4,
+        gradient_steps=LANES[method], target_update_interval=2_000, policy_kwargs=nets, seed=seed, device="cpu",
     )  # fmt: skip
 
 
-def learn(method: str, seed: int, steps: int, top: str, folder: Path) -> None:
+def learn(method: str, seed: int, times: float, top: str, folder: Path) -> None:
     torch.set_num_threads(1)
     MaskedDQN.draw = np.random.default_rng(seed)
-    path, model, curve = folder / f"{top}-{method}-{seed}", None, None
-    for level in LEVELS[: LEVELS.index(top) + 1]:
-        envs = vector(method, level)
+    model, curve, begun = None, Curve(folder / "curve.csv", EVERY), 0
+    for level, steps in list(LEVELS.items())[: list(LEVELS).index(top) + 1]:
+        path, envs = folder / f"{level}-{method}-{seed}", vector(method, level, seed)
         if model is None:
-            model, curve = model_of(method, envs, seed), Curve(path.with_suffix(".csv"))
+            model = model_of(method, envs, seed)
         else:
             model.set_env(envs)
-        model.learn(steps, callback=curve, reset_num_timesteps=False)
+            model.begun, model.first = begun, AGAIN
+        curve.path, begun = path.with_suffix(".csv"), begun + int(steps * LONGER[method] * times)
+        model.learn(begun - model.num_timesteps, callback=curve, reset_num_timesteps=False)
         envs.close()
-    save(model, path, steps)
+        save(model, path, begun)
 
 
 class Policy:
@@ -128,14 +132,58 @@ class Policy:
 
     def __init__(self, method: str, path: Path):
         self.method = method
+        self.turn: Turn | None = None
+        self.draw = np.random.default_rng(0)
         torch.manual_seed(0)
         self.model: Any = (MaskablePPO if method == "ppo" else MaskedDQN).load(path, device="cpu")
 
-    def __call__(self, observation: np.ndarray, info: Any) -> int:
-        mask = np.asarray(info["action_mask"])
+    def reset(self, around: Any) -> None:
+        """around.entries has the names of what is seen."""
+        self.turn = Turn(around.entries, self.model.action_space.n)
+
+    def choose(self, observations: np.ndarray, masks: np.ndarray) -> np.ndarray:
+        """Macros, (n,)."""
+        axis = self.turn.axis(observations)
+        seen, masks = self.turn.seen(observations, axis), self.turn.masks(masks, axis)
         if self.method == "ppo":
-            return int(self.model.predict(observation, deterministic=False, action_masks=mask > 0)[0])
-        return int(self.model.predict(np.concatenate([observation, mask.astype(np.float32)]), deterministic=True)[0])
+            chosen = self.model.predict(seen, deterministic=False, action_masks=masks > 0)[0]
+        else:
+            with torch.no_grad():
+                worth = self.model.q_net(torch.as_tensor(np.concatenate([seen, masks], axis=1, dtype=np.float32)))
+            chosen = (worth.numpy() / TEMPERATURE + self.draw.gumbel(size=worth.shape)).argmax(axis=1)
+        return self.turn.back(chosen, axis)
+
+    def __call__(self, observation: np.ndarray, info: Any) -> int:
+        return int(self.choose(observation[None], np.asarray(info["action_mask"])[None])[0])
+
+
+def evaluate(path: Path) -> None:
+    """Success on the test episodes of the policy's level, by the signs of the targets of x and y."""
+    torch.set_num_threads(1)
+    level, method, run = path.stem.split("-")
+    policy, envs = Policy(method, path), StageVecEnv(ID, EPISODES, threads=1, level=level)
+    policy.turn = Turn([e.name for e in envs.envs.entries], envs.action_space.n)
+    envs.seed(FIRST)
+    seen = envs.reset()
+    states = envs.envs._task.axis_states
+    ways = [
+        "".join("-+"[int(t > 0)] for t in row[: 1 if level == "target" else 2]) for row in states["target"].tolist()
+    ]
+    won, moves, left = np.zeros(EPISODES, bool), np.zeros(EPISODES, int), np.ones(EPISODES, bool)
+    while left.any():
+        seen, _, ends, infos = envs.step(policy.choose(seen, envs.envs.action_masks()))
+        for k in np.flatnonzero(ends & left):
+            won[k], moves[k] = infos[k]["score"]["success"], infos[k]["score"]["moves"]
+        left &= ~ends
+    envs.close()
+    of = {way: won[[w == way for w in ways]] for way in sorted(set(ways))}
+    each = ", ".join(f"{way} {found.sum()} of {len(found)}" for way, found in of.items())
+    spent = cost_of(path)
+    print(
+        f"| {level} | {method} | {run} | {spent['moves']:.0f} | {spent['processor_s']:.0f} | {won.sum()} of {EPISODES} | {each} "
+        f"| {moves[won].mean() if won.any() else np.nan:.1f} |",
+        flush=True,
+    )
 
 
 def submit(path: Path, splits: list[str], tasks: list[str], folder: Path) -> None:
@@ -152,6 +200,6 @@ def submit(path: Path, splits: list[str], tasks: list[str], folder: Path) -> Non
 
 
 if __name__ == "__main__":
-    parser = parser_of(__doc__, ("ppo", "dqn"), STEPS, learn, submit, TASKS, LEVELS)
+    parser = parser_of(__doc__, ("dqn", "ppo"), 1.0, learn, submit, TASKS, tuple(LEVELS), evaluate)
     args = parser.parse_args()
     args.run(args)

@@ -76,23 +76,32 @@ def save(model: Any, path: Path, steps: int) -> None:
 def parser_of(
     doc: str | None,
     methods: Sequence[str],
-    steps: int,
+    steps: float,
     learn: Callable[..., None],
     submit: Callable[[Path, list[str], list[str], Path], None],
     tasks: Sequence[str],
     levels: Sequence[str] = (),
+    evaluate: Callable[[Path], None] | None = None,
 ) -> argparse.ArgumentParser:
-    """`learn METHOD` and `submit POLICY`."""
+    """`learn METHOD`, `submit POLICY`, and `evaluate POLICY` where there is one. steps: of learning; of a learner with levels,
+    times the steps that each has."""
     parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(required=True)
     p = commands.add_parser("learn")
     p.add_argument("method", choices=methods)
     p.add_argument("--seed", type=int, default=0)
-    p.add_argument("--steps", type=int, default=steps)
+    if levels:
+        p.add_argument("--times", type=float, default=steps, metavar="X", help="as many steps as it has")
+    else:
+        p.add_argument("--steps", type=int, default=steps)
     p.add_argument("-o", "--out", type=Path, required=True, metavar="FOLDER")
     if levels:
         p.add_argument("--level", choices=levels, default=levels[0], help="at which its curriculum ends")
-    p.set_defaults(run=lambda a: learn(a.method, a.seed, a.steps, *([a.level] if levels else []), a.out))
+    p.set_defaults(run=lambda a: learn(a.method, a.seed, *([a.times, a.level] if levels else [a.steps]), a.out))
+    if evaluate is not None:
+        p = commands.add_parser("evaluate")
+        p.add_argument("policy", type=Path, nargs="+")
+        p.set_defaults(run=lambda a: [evaluate(path) for path in a.policy])
     p = commands.add_parser("submit")
     p.add_argument("policy", type=Path, nargs="+")
     p.add_argument("--splits", nargs="+", default=["train"])

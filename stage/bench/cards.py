@@ -98,6 +98,12 @@ CARDS = {
             settings={"level": "target"},
         ),
         Card(
+            "bus-axes",
+            "stage/BusMacros-v1",
+            "both axes to their targets either way, by phrases of bus cycles",
+            settings={"level": "axes"},
+        ),
+        Card(
             "bus",
             "stage/BusMacros-v1",
             "both axes from an unknown place by their origins to their targets, by phrases of bus cycles",

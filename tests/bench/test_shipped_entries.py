@@ -19,7 +19,7 @@ FILES = sorted(FOLDER.glob("*.bench"))
 SAME = ("mujoco", "numpy", "system")
 """Versions with which an entry promises its bits."""
 FEW = 2  # episodes
-TASKS = ("line", "one-shot", "few-shot", "bus-target")
+TASKS = ("line", "one-shot", "few-shot", "bus-target", "bus-axes")
 DAILY = [min(FOLDER.glob(f"{task}-*.bench"), key=lambda p: p.stat().st_size) for task in TASKS]
 """The shortest of each task."""
 

@@ -1,0 +1,109 @@
+"""What a learner on `stage/BusMacros-v1` sees and says: axes by their role, not by their name; the mask behind; easier episodes.
+
+turn = Turn([entry.name for entry in envs.entries], envs.single_action_space.n)
+axis = turn.axis(seen)                     which axis is selected, (n,)
+turn.seen(seen, axis)                      what is seen of each axis, that of the selected one first
+turn.masks(masks, axis)                    likewise the macros that select one: the last ones
+turn.back(macros, axis)                    macros of the environment again
+
+To a host all axes are alike: what it has learned of one it can do with each.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium
+import numpy as np
+from stable_baselines3.common.vec_env import VecEnvWrapper
+
+OF_AXES = ("used", "selected", "moves", "arrived")
+EASED = 0.5  # of the episodes: both axes take part, and one of them is at its target from the start
+
+
+class Turn:
+    def __init__(self, names: Sequence[str], macros: int):
+        self.axes, self.at, self.macros = list(names).count("used"), list(names).index("used"), macros
+        self.per = macros - self.axes
+
+    def axis(self, seen: np.ndarray) -> np.ndarray:
+        return self._of_axes(seen)[:, :, OF_AXES.index("selected")].argmax(axis=1)
+
+    def seen(self, seen: np.ndarray, axis: np.ndarray) -> np.ndarray:
+        out, size = seen.copy(), len(OF_AXES) * self.axes
+        rolled = np.take_along_axis(self._of_axes(seen), self._order(axis)[:, :, None], axis=1)
+        out[:, self.at : self.at + size] = rolled.reshape(len(seen), size)
+        return out
+
+    def masks(self, masks: np.ndarray, axis: np.ndarray) -> np.ndarray:
+        out = masks.copy()
+        out[:, self.per :] = np.take_along_axis(masks[:, self.per :], self._order(axis), axis=1)
+        return out
+
+    def back(self, macros: np.ndarray, axis: np.ndarray) -> np.ndarray:
+        return np.where(macros < self.per, macros, self.per + (macros - self.per + axis) % self.axes)
+
+    def _of_axes(self, seen: np.ndarray) -> np.ndarray:
+        return seen[:, self.at : self.at + len(OF_AXES) * self.axes].reshape(len(seen), self.axes, len(OF_AXES))
+
+    def _order(self, axis: np.ndarray) -> np.ndarray:
+        """Of each row the axes, the selected one first."""
+        return (axis[:, None] + np.arange(self.axes)) % self.axes
+
+
+class Turned(VecEnvWrapper):
+    """A StageVecEnv of BusMacros, with axes by their role. behind: the mask is part of what is seen, at the end."""
+
+    def __init__(self, envs: Any, behind: bool):
+        self.turn, self.behind = Turn([e.name for e in envs.envs.entries], envs.action_space.n), behind
+        size = envs.observation_space.shape[0] + (envs.action_space.n if behind else 0)
+        super().__init__(envs, gymnasium.spaces.Box(-1.0, 1.0, (size,), np.float32))
+        self.selected = np.zeros(envs.num_envs, np.int64)
+
+    def _turned(self, seen: np.ndarray, masks: np.ndarray) -> np.ndarray:
+        axis = self.turn.axis(seen)
+        out = self.turn.seen(seen, axis)
+        return np.concatenate([out, self.turn.masks(masks, axis).astype(np.float32)], axis=1) if self.behind else out
+
+    def _now(self, seen: np.ndarray) -> np.ndarray:
+        self.selected = self.turn.axis(seen)
+        return self._turned(seen, self.venv.envs.action_masks())  # type: ignore[attr-defined]
+
+    def reset(self) -> np.ndarray:
+        return self._now(self.venv.reset())
+
+    def step_async(self, actions: np.ndarray) -> None:
+        self.venv.step_async(self.turn.back(np.asarray(actions), self.selected))
+
+    def step_wait(self) -> Any:
+        seen, rewards, ends, infos = self.venv.step_wait()
+        for k in np.flatnonzero(ends):
+            last, mask = infos[k]["terminal_observation"], np.asarray(infos[k]["action_mask"])
+            infos[k]["terminal_observation"] = self._turned(last[None], mask[None])[0]
+        return self._now(seen), rewards, ends, infos
+
+    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
+        if method_name != "action_masks":
+            return self.venv.env_method(method_name, *args, indices=indices, **kwargs)
+        return list(self.turn.masks(self.venv.envs.action_masks(), self.selected))  # type: ignore[attr-defined]
+
+
+class Eased(VecEnvWrapper):
+    """A share of the episodes begins with one axis at its target."""
+
+    def __init__(self, envs: Any, seed: int, share: float = EASED):
+        super().__init__(envs)
+        self.rng, self.share, self.names = np.random.default_rng(seed), share, envs.envs._task.config.axes
+
+    def reset(self) -> np.ndarray:
+        return self.venv.reset()
+
+    def step_wait(self) -> Any:
+        seen, rewards, ends, infos = self.venv.step_wait()
+        for k in np.flatnonzero(ends):
+            if self.rng.random() < self.share:
+                there, which = {str(self.rng.choice(self.names)): 0}, np.arange(self.num_envs) == k
+                options = {"level": "axes", "targets": there, "reset_mask": which}
+                seen[k] = self.venv.envs.reset(options=options)[0][k]  # type: ignore[attr-defined]
+        return seen, rewards, ends, infos
