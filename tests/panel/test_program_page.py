@@ -88,7 +88,7 @@ def test_firmware_is_seen_and_ends_as_without_a_page(look_on, tmp_path, how):
         at = browser.time
         browser.until(lambda: browser.time > at + 0.1)  # the page lives on
         process.terminate()
-        assert process.wait(20) == 0
+        assert process.wait(60) == 0
 
 
 def test_a_host_of_serve_is_seen_and_waits(look_on):
@@ -115,4 +115,4 @@ def test_a_host_of_serve_is_seen_and_waits(look_on):
             asking.join(20)
             assert answers == [0xA8]
         process.terminate()
-        assert process.wait(20) == 0
+        assert process.wait(60) == 0

@@ -33,7 +33,7 @@ def test_the_rate_crosses_the_level_where_the_time_is_zero(triggered):
     assert before[:, 1].max() < LEVEL <= after[:, 1].min()
     assert curve[0, 0] == pytest.approx(-50, abs=1)
     _, values = sampler.columns(["x/rate"], sampler.last - 10, sampler.last)
-    assert curve[:, 1].max() == pytest.approx(values["x/rate"].max(), rel=1e-4)
+    assert curve[:, 1].max() == pytest.approx(values["x/rate"].max(), rel=0.01)  # older samples are coarser
 
 
 def test_run_and_stop_hold_the_picture(triggered):
