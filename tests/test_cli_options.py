@@ -7,6 +7,7 @@ import math
 import re
 import signal
 import sys
+import threading
 from types import SimpleNamespace
 
 import pytest
@@ -196,6 +197,7 @@ def test_a_usual_name_is_the_next_that_is_free_and_with_force_always_itself(benc
 
     monkeypatch.setattr(bench, "record", record)
     monkeypatch.setattr(viewer, "open_viewer", lambda path: saved.append(f"view {path}"))
+    monkeypatch.setattr(viewer, "check_screen", lambda what: None)
     args = argparse.Namespace(
         record=None, vcd=None, picture=None, plot=None, trace=None, view=True, web=False, force=False
     )
@@ -239,7 +241,7 @@ def test_a_run_gives_the_signal_that_ends_it_back(bench):
     from stage.cli.firmware import _told_of_the_end
 
     before = signal.getsignal(signal.SIGTERM)
-    with _told_of_the_end(SimpleNamespace()):
+    with _told_of_the_end(SimpleNamespace(), threading.Event()):
         assert signal.getsignal(signal.SIGTERM) is not before
     assert signal.getsignal(signal.SIGTERM) is before
 
@@ -379,10 +381,12 @@ def test_the_version_is_the_package_s(capsys):
 def test_a_recording_is_opened_where_asked(bench, monkeypatch, options, expected):
     opened = []
     monkeypatch.setattr(viewer, "open_viewer", lambda *given: opened.append(("viewer", *given)))
+    monkeypatch.setattr(viewer, "check_screen", lambda what: opened.append("screen"))
     monkeypatch.setattr(viewer, "serve_web", lambda *given: opened.append(("web", *given)))
     monkeypatch.setattr(firmware, "preset_move", lambda axis, *_, **__: axis.wait(1e-3) or report())
     assert main(["move", "x", "10", *options.split()]) == 0
-    assert opened == ([expected] if expected else [])
+    screen = ["screen"] if expected and expected[0] == "viewer" else []
+    assert opened == screen + ([expected] if expected else [])
 
 
 @needs_rerun

@@ -11,6 +11,8 @@ OF_OTHERS = {
     "_replace", "_make", "_asdict", "_fields", "_fields_",  # of named tuples and of ctypes' structures
     "_address",  # of MuJoCo's models and data: where they lie
     "_exit",  # of os
+    "_current_frames", "_getframe",  # of sys
+    "_repr_mimebundle_",  # what Jupyter asks an object for
     "_handle", "_mmap", "_uch",  # what C calls a library of ctypes, a memory map of NumPy, an engine of Unicorn
 }  # fmt: skip
 """Names that the libraries which have them show to everybody."""

@@ -24,9 +24,9 @@ def make_stage(args: argparse.Namespace, visuals: bool = True) -> Any:
 
     common: dict[str, Any] = {"bus_cycle": args.bus_cycle, "clock": getattr(args, "clock", None), "visuals": visuals}
     common["encoders"] = [_encoder(item) for item in getattr(args, "encoder", ())]
-    common["wiring"] = _wiring(getattr(args, "wiring", ()))
-    common["multichip"] = _linked(getattr(args, "multichip", None))
-    common["syni"] = _leaders(getattr(args, "syni", ()))
+    common["wiring"] = wiring_of(getattr(args, "wiring", ()))
+    common["multichip"] = multichip_of(getattr(args, "multichip", None))
+    common["syni"] = syni_of(getattr(args, "syni", ()))
     motor = {} if args.motor is None else {"motor": args.motor}
 
     def drive(chip: Any) -> Any:
@@ -35,14 +35,14 @@ def make_stage(args: argparse.Namespace, visuals: bool = True) -> Any:
         return Drive(microsteps=args.microsteps, bus_voltage=args.bus_voltage, **motor)
 
     if "=" in args.chips:
-        chips = {axis: chip_class(name) for axis, name in _each(args.chips).items()}
+        chips = {axis: chip_class(name) for axis, name in chips_of(args.chips).items()}
         drives = {axis: drive(chip) for axis, chip in chips.items()}
         return Stage(args.model, chips=chips, drives=drives, **common)
     chip = chip_class(args.chips)
     return Stage(args.model, chips=chip, drives=drive(chip), **common)
 
 
-def _each(text: str) -> dict[str, str]:
+def chips_of(text: str) -> dict[str, str]:
     """The chip of each axis, of --chips x=pcl240ms,y=mcx304. Raises ArgumentError."""
     found: dict[str, str] = {}
     for item in text.split(","):
@@ -74,7 +74,7 @@ def _encoder(item: str) -> Any:
     return Encoder(axis, per_turn=counts) if per else Encoder(axis, per_metre=counts)
 
 
-def _wiring(items: Iterable[str]) -> dict[str, dict[str, str]]:
+def wiring_of(items: Iterable[str]) -> dict[str, dict[str, str]]:
     """The wiring that --wiring describes. Raises ArgumentError."""
     wiring: dict[str, dict[str, str]] = {}
     for item in items:
@@ -86,7 +86,7 @@ def _wiring(items: Iterable[str]) -> dict[str, dict[str, str]]:
     return wiring
 
 
-def _linked(text: str | None) -> list[str] | None:
+def multichip_of(text: str | None) -> list[str] | None:
     """The axes that --multichip names. Raises ArgumentError."""
     if text is None:
         return None
@@ -96,7 +96,7 @@ def _linked(text: str | None) -> list[str] | None:
     return names
 
 
-def _leaders(items: Iterable[str]) -> dict[str, str]:
+def syni_of(items: Iterable[str]) -> dict[str, str]:
     """The follower -> leader pairs that --syni gives. Raises ArgumentError."""
     pairs: dict[str, str] = {}
     for item in ",".join(items).split(",") if items else ():
@@ -203,9 +203,10 @@ def outputs(args: argparse.Namespace) -> None:
 
     if getattr(args, "view", False):
         need("rerun", "--view")
-        from stage.recording.viewer import check_screen
+        if not getattr(args, "web", False):
+            from stage.recording.viewer import check_screen
 
-        check_screen("what --view asks for")
+            check_screen("what --view asks for")
     if getattr(args, "web", False):
         from stage.recording.viewer import check_port
 

@@ -31,7 +31,7 @@ def stage_of(made: dict[str, Any]) -> str:
     from stage.cli import setup
 
     given = [repr(made["model"])]
-    each = setup._each(made["chips"]) if "=" in made["chips"] else None
+    each = setup.chips_of(made["chips"]) if "=" in made["chips"] else None
     given.append(f"chips={each or made['chips']!r}")
     if made["motor"] is not None or made["microsteps"] != 16 or made["bus_voltage"] != 24.0:
         motor = f"motor={made['motor']!r}, " if made["motor"] is not None else ""
@@ -39,9 +39,9 @@ def stage_of(made: dict[str, Any]) -> str:
     if made["bus_cycle"] != 1e-6:
         given.append(f"bus_cycle={made['bus_cycle']!r}")
     for name, value in (
-        ("wiring", setup._wiring(made["wiring"])),
-        ("multichip", setup._linked(made["multichip"])),
-        ("syni", setup._leaders(made["syni"])),
+        ("wiring", setup.wiring_of(made["wiring"])),
+        ("multichip", setup.multichip_of(made["multichip"])),
+        ("syni", setup.syni_of(made["syni"])),
     ):
         if value:
             given.append(f"{name}={value!r}")
