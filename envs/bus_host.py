@@ -14,7 +14,6 @@ from stage.envs import contexts
 from stage.envs.entries import HOST, Entry
 from stage.envs.machines import MachineTask
 from stage.envs.macros import OTHERS, RATES, Book
-from stage.envs.task import ConfigT
 from stage.native import record
 from stage.sim.fleet import Played
 
@@ -31,7 +30,7 @@ EPISODE = record(
 """ns; end limits hit; the last potential; s, that the formula takes."""
 
 
-class BusHost(MachineTask[ConfigT]):
+class BusHost(MachineTask[Any]):
     """The host's side of the task.
 
     Attributes: axes; wired, of each the bits of SWITCHES in its inputs; book, the macros; axis_states, (n, axes) AXIS; episodes,

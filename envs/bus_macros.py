@@ -105,7 +105,7 @@ class Config(Machines):
         return int(2 * sum(self.grid))
 
 
-class BusMacros(BusHost[Config]):
+class BusMacros(BusHost):
     Config = Config
     OPTIONS = ("level", "targets", *contexts.OPTIONS)
     """level: 0 to 3 or its name; targets: {axis: pulses, signed}; and parts of the machine."""
