@@ -43,4 +43,4 @@ def test_lengths_are_in_thousandths_and_counts_as_they_are():
 def test_a_close_up_lies_around_the_first_edge_of_a_switch_or_the_fault_s_beginning(draws, moment):
     shown = drawn(draws, (-0.1, 0.3))
     assert shown.axes[0].get_xlim() == pytest.approx((moment - 0.1, moment + 0.3))
-    assert "axis x: jammed" in [text.get_text() for text in shown.texts]
+    assert "Axis x: jammed" in [text.get_text() for text in shown.texts]
