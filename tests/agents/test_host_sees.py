@@ -4,6 +4,7 @@ import json
 
 import pytest
 
+from stage.agents.notes import MOST
 from stage.agents.pictures import as_host
 from stage.firmware.plot import draw
 from stage.sim import faults
@@ -68,6 +69,16 @@ def test_a_mistake_that_follows_from_a_hidden_pin_is_not_told(make_box):
 def test_a_mistake_of_its_own_is_told(box):
     box.call("write_bytes", {"axis": "x", "address": 0, "values": ["44h", "15h"]})
     assert "R0 = 0" in box.call("diagnostics").text
+
+
+@pytest.mark.parametrize("mode", ["host", "truth"])
+def test_of_many_mistakes_the_last_are_kept(make_box, mode):
+    box = make_box(mode=mode)
+    chip = box.stage.axes["x"].chip
+    for k in range(MOST + 40):
+        chip.write(0, 0x50 if k < 40 else 0x51)  # bit 4 of a control mode means nothing
+    assert [d.value for d in chip.diagnostics] == [0x50] * 40 + [0x51] * MOST
+    assert [d.value for d in box.notes[0].all()] == [0x51] * MOST
 
 
 def test_a_write_that_was_lost_looks_like_any_other(make_box):

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from stage.agents.fields import BYTES, FLAG, LENGTH, LENGTHS, NUMBER, TEXT, WHOLE, Field
+from stage.agents.fields import BYTES, FLAG, LENGTH, LENGTHS, MANY, NUMBER, TEXT, WHOLE, Field
 from stage.errors import ArgumentError
 
 VALUE = Field("value", WHOLE, "of a register", True, low=0, high=65535)
@@ -92,6 +92,15 @@ def test_both_ends_of_a_span_hold():
         open_.read(0)
     with pytest.raises(ArgumentError, match="above 0 to 2 m/s"):
         open_.read("2.1")
+
+
+def test_a_list_may_be_as_long_as_its_schema_says():
+    values = Field("values", BYTES, "", low=0, high=255)
+    most = values.schema()["maxItems"]
+    assert most == MANY
+    assert values.read([1] * most) == [1] * most
+    with pytest.raises(ArgumentError, match=f"a list of {most + 1}; up to {most} at a time"):
+        values.read([1] * (most + 1))
 
 
 def test_a_mapping_names_each_once():

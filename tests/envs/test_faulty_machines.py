@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 import stage.envs
-from stage import ArgumentError
+from stage import ArgumentError, Stage
+from stage.drives import stepper
 from stage.envs import contexts, faulty
 from stage.envs.few_shot import action_of
 
@@ -86,6 +87,17 @@ def test_the_contact_of_org_bounces_and_an_origin_is_found_all_the_same():
             *_, ended, cut, info = env.step(env.scripted())
             over = ended or cut
         assert info["score"]["success"]
+
+
+def test_a_fault_of_an_episode_leaves_what_was_broken_before():
+    machine = Stage("xy", visuals=False)
+    x = machine.axes["x"]
+    x.open_phases = stepper.B
+    faults_of_x = faulty.Faulty.of(machine, "x")
+    faults_of_x.put(machine, "phase open")
+    assert x.open_phases == stepper.A | stepper.B
+    faults_of_x.put(machine, "none")
+    assert x.open_phases == stepper.B
 
 
 def test_a_fault_that_a_task_does_not_have_is_named():

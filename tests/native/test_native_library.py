@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from stage import NativeError
-from stage.native import COMPILED, build, load
+from stage.native import COMPILED, build, load, refusals
 
 pytestmark = pytest.mark.skipif(not COMPILED, reason="asks of the compiled library")
 
@@ -203,6 +203,18 @@ def test_what_does_not_compile_is_told_in_a_few_lines_with_its_place(toy, line, 
         assert source.splitlines()[int(place[1]) - 1].strip() == line == said[2].strip()
     assert words in said[3]
     assert "numba/" not in "".join(said)
+
+
+def test_the_place_told_is_ours_and_not_within_numba(tmp_path):
+    """numba tells the places from within outwards, and the innermost may be in its own sources"""
+    inner, outer = tmp_path / "numba" / "impl.py", tmp_path / "core.py"
+    inner.parent.mkdir()
+    inner.write_text("theirs()\n")
+    outer.write_text("\nours()\n")
+    error = TypeError(f"no such thing\nDuring: lowering at {inner} (1)\nDuring: typing of call at {outer} (2)\n")
+    said = refusals.told(refusals.told, error)
+    assert said.splitlines()[0] == f'File "{outer}", line 2, in hot function told:'
+    assert said.splitlines()[1].strip() == "ours()"
 
 
 def test_a_function_that_allocates_is_refused_by_the_build(toy):

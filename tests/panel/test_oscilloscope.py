@@ -1,6 +1,7 @@
 """Triggers find the moment, windows show what lies around it, and files have every sample of it."""
 
 import io
+import re
 
 import numpy as np
 import pytest
@@ -50,6 +51,17 @@ def test_lost_steps_and_diagnostics_are_triggers(session, sampler):
     times, lost = frame.curves["x/lost_steps"]
     assert lost[times >= frame.trigger][0] != lost[times < frame.trigger][-1]
     assert said.trigger == pytest.approx(sampler.events[-1].time)
+
+
+def test_a_pin_has_an_edge_whatever_level_is_left_from_another_trace(session, sampler):
+    pins = [name for name, trace in sampler.traces.items() if trace.pin and name.startswith("x/")]
+    scopes = {name: Scope(sampler, [name], span=0.05) for name in pins}
+    for name, scope in scopes.items():
+        scope.trigger("normal", name, True, 8000.0)
+    hasty(session, firmware.move, session.stage.axes["x"], 0.004)
+    rose = {name for name in pins if (np.diff(sampler.columns([name], 0, sampler.last)[1][name].astype(int)) > 0).any()}
+    assert rose
+    assert {name for name, scope in scopes.items() if scope.frame(100).trigger is not None} == rose
 
 
 def test_auto_shows_what_there_is_and_time_may_go_back(session, sampler):
@@ -124,6 +136,8 @@ def test_files_have_what_the_window_shows(session, sampler):
     assert np.allclose(rows[:, 0], times, atol=1e-6)
     assert np.allclose(rows[:, 1], values["x/position"], rtol=1e-8)
     assert b"$var real 64" in data["vcd"]
+    stamps = [int(ns) for ns in re.findall(rb"^#(\d+)", data["vcd"], re.MULTILINE)]
+    assert (stamps[0], stamps[-1]) == (round(times[0] * 1e9), round(times[-1] * 1e9))
     with pytest.raises(ArgumentError, match="choose a trace"):
         FORMATS["csv"](sampler, [], 0, 1)
     with pytest.raises(ArgumentError, match="no samples between 50 and 60 s"):
