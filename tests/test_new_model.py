@@ -6,7 +6,7 @@ import shlex
 
 import mujoco
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stage import ModelError, Stage, firmware
@@ -26,6 +26,7 @@ KINDS = st.one_of(
 )
 
 
+@settings(deadline=None)
 @given(st.lists(KINDS, min_size=1, max_size=4))
 def test_every_chain_of_axes_keeps_the_contract_and_its_switches_trip_where_they_are_said_to(kinds):
     axes = [NewAxis.of(f"q{k}:{kind}") for k, kind in enumerate(kinds)]

@@ -9,7 +9,7 @@ from support.pcl240ms_bench import load
 from stage import ArgumentError, RunTimeout, Stage, firmware
 from stage.chips import HCTL1100, MCX304, MCX314AS, MCX514, PCL240K, PCL240MK, PCL240MS, cores
 from stage.cli import build_parser
-from stage.cli.setup import _wiring, make_stage
+from stage.cli.setup import make_stage, wiring_of
 from stage.firmware.hctl1100.port import Port
 from stage.sim.snapshot import Snapshot
 
@@ -119,7 +119,7 @@ def test_the_index_of_positive_logic_turns_its_pin_round():
     assert seen == {(False, True), (True, False)}
 
 
-def test_faults_switches_copies_and_snapshots_know_the_wiring():
+def test_faults_switches_copies_and_snapshots_know_thewiring_of():
     stage, x = made(PCL240MS, {"org": "positive"})
     assert (x.switches.org, x.pins.org) == (False, True)
     x.switches.stick("org", True)
@@ -226,8 +226,8 @@ def test_the_bits_of_a_wire_between_chips_leave_room_for_all_pins():
 @pytest.mark.parametrize(("item", "said"), [("x.org", "AXIS.SENSOR=LOGIC"), ("org=positive", "AXIS.SENSOR=LOGIC")])
 def test_the_commands_option_says_how_it_is_written(item, said):
     with pytest.raises(ArgumentError, match=said):
-        _wiring([item])
-    assert _wiring(["x.org=positive", "x.ez=negative"]) == {"x": {"org": "positive", "ez": "negative"}}
+        wiring_of([item])
+    assert wiring_of(["x.org=positive", "x.ez=negative"]) == {"x": {"org": "positive", "ez": "negative"}}
 
 
 def commanded(*options):
