@@ -119,7 +119,7 @@ def test_the_index_of_positive_logic_turns_its_pin_round():
     assert seen == {(False, True), (True, False)}
 
 
-def test_faults_switches_copies_and_snapshots_know_thewiring_of():
+def test_faults_switches_copies_and_snapshots_know_the_wiring():
     stage, x = made(PCL240MS, {"org": "positive"})
     assert (x.switches.org, x.pins.org) == (False, True)
     x.switches.stick("org", True)
