@@ -68,7 +68,7 @@ def pytest_collection_finish():
     gc.freeze()
 
 
-settings.register_profile("stage", derandomize=FIXED)
+settings.register_profile("stage", derandomize=FIXED, deadline=None)
 settings.load_profile("stage")
 
 

@@ -213,7 +213,12 @@ class Session:
     def on_slice(self, look: Callable[[Stage], None]) -> Callable[[], None]:
         """Have `look(stage)` called by the stage's thread after each slice; returns what ends it."""
         self._looks.append(look)
-        return lambda: self._looks.remove(look)
+
+        def end() -> None:
+            if look in self._looks:  # it may have ended already
+                self._looks.remove(look)
+
+        return end
 
     # --- a program beside it ---
 

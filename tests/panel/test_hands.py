@@ -31,6 +31,7 @@ def test_who_leaves_lets_go(session):
     assert session.stage.data.qfrc_applied[dof] == 5.0
     hands.close()
     assert session.stage.data.qfrc_applied[dof] == 0.0
+    hands.close()  # has let go already
 
 
 def test_everything_that_can_break_is_offered_with_what_it_asks_for(hands):
