@@ -34,7 +34,7 @@ from stage.envs.few_shot import action_of
 ID, TASK = "stage/FewShotTuning-v1", "few-shot"
 BEGINS = {"none": (0.7, 0.0, 0.0), "memory": (0.7, 0.0, 0.0, 0.2, 0.2, 0.5)}
 """Where CMA-ES begins: at twice the usual speeds."""
-POPULATION, GENERATIONS, MACHINES = 6, 4, 6
+POPULATION, GENERATIONS, MACHINES = 10, 12, 8
 SPREAD = 0.5  # of the first generation, of each number
 TRIES = 8
 CHEAPER = {"proofs": 1, "settle": 0.03}  # for learning; the test has the task's own
