@@ -149,3 +149,10 @@ def test_a_viewer_without_a_screen_is_refused_before_the_run(monkeypatch, capsys
     assert main(["move", "x", "10mm", "--view"]) == 2
     assert "no screen here to show what --view asks for on. Serve it to a browser (--web)" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+def test_an_option_is_proposed_once(capsys):
+    """stage example stall -O X: "Did you mean --to or --to or --to?" """
+    with pytest.raises(SystemExit):
+        main(["home", "--models", "xy"])
+    assert capsys.readouterr().err.count("--model") == 2  # what was given, what is proposed

@@ -35,7 +35,7 @@ class Parser(argparse.ArgumentParser):
         args, left = self.parse_known_args([_no_option(word) for word in words])
         if left:
             own = getattr(args, "parser", self)
-            options = re.findall(r"--[a-z][\w-]*", own.format_help())
+            options = list(dict.fromkeys(re.findall(r"--[a-z][\w-]*", own.format_help())))
             own.error(unknown("option" if left[0].startswith("-") else "argument", left[0].strip(), options))
         return args
 

@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from stage import portable
@@ -64,7 +65,10 @@ class Load:
         if axis.unit == "m":
             slope = abs(float(np.dot(model.opt.gravity, stage.data.xaxis[axis.joint])))
         else:
-            inertia = float(stage.data.qM[model.dof_Madr[dof]]) - float(model.dof_armature[dof])
+            whole, one = np.zeros(model.nv), np.zeros(model.nv)
+            one[dof] = 1.0
+            mujoco.mj_mulM(model, stage.data, whole, one)
+            inertia = float(whole[dof]) - float(model.dof_armature[dof])
         mass = inertia + float(model.dof_armature[dof])
         slope = slope if slope > 1e-9 else 0.0
         per = 1 / axis.meters_per_pulse

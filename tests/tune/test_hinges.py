@@ -1,0 +1,27 @@
+"""A hinge is tuned as a slide is: the inertia that its motor turns is the model's."""
+
+import numpy as np
+import pytest
+
+from stage import Stage
+from stage.cli import main
+from stage.tune.formula import Load
+
+
+def test_the_load_of_a_hinge_is_the_inertia_about_it():
+    stage = Stage("xya", visuals=False)
+    a = stage.axes["a"]
+    load = Load.of(a)
+    armature = float(stage.model.dof_armature[a.plant.dof])
+    table, work = 0.5 * 1.0 * 0.080**2, 0.15 * (0.035**2 + (0.052**2 + 0.034**2) / 12)
+    assert load.mass == pytest.approx(armature + table + work, rel=0.02)
+    assert np.isclose(load.gear, 18)
+
+
+def test_a_rotary_table_is_tuned_by_the_formula(capsys):
+    """stage tune xya --axis a --distance 90deg --by formula"""
+    code = main(["tune", "xya", "--axis", "a", "--distance", "90deg", "--by", "formula", "--moves", "8"])
+    assert code in (0, 1)
+    said = capsys.readouterr().out
+    assert "90 deg (14400 pulses)" in said
+    assert "mdeg" in said
