@@ -1,7 +1,9 @@
 """Players from outside: commands that speak JSON lines, OpenAI-compatible endpoints, clients of the Model Context Protocol."""
 
 import asyncio
+import http.server
 import sys
+import threading
 
 import pytest
 from support.fake_model import FakeModel, calls, says
@@ -150,3 +152,32 @@ def test_a_client_of_the_protocol_plays_a_game(tmp_path):
     found = replay(file)
     assert found.same
     assert found.calls == 4
+
+
+def test_the_key_goes_to_the_address_that_was_given_and_to_no_other():
+    """An endpoint that answers 302: the request, with its key, is not sent on"""
+    came = []
+
+    class Elsewhere(http.server.BaseHTTPRequestHandler):
+        def do_GET(self):
+            came.append(self.headers.get("Authorization"))
+            self.send_response(200)
+            self.end_headers()
+
+        def do_POST(self):
+            self.send_response(302)
+            self.send_header("Location", f"http://localhost:{server.server_port}/steal")
+            self.end_headers()
+
+        def log_message(self, *_):
+            pass
+
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Elsewhere) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        try:
+            url = f"http://127.0.0.1:{server.server_port}/v1"
+            with pytest.raises(StageError, match="302"):
+                play(suite("diagnosis:late"), Endpoint(url, "m", "secret", pause=0.0))
+        finally:
+            server.shutdown()
+    assert came == []

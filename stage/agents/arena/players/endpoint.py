@@ -72,7 +72,7 @@ class Endpoint:
         request = urllib.request.Request(self.url, json.dumps(body).encode(), head)
         for tried in range(TRIES):
             try:
-                with urllib.request.urlopen(request, timeout=TIMEOUT) as reply:
+                with _OPENER.open(request, timeout=TIMEOUT) as reply:
                     return json.loads(reply.read(LARGEST))
             except urllib.error.HTTPError as error:
                 if error.code not in AGAIN or tried == TRIES - 1:
@@ -85,6 +85,16 @@ class Endpoint:
                 raise StageError(f"{self.url} does not answer in JSON: {error}.") from None
             time.sleep(self._pause * 2**tried)
         raise AssertionError("unreachable")
+
+
+class _NoRedirect(urllib.request.HTTPRedirectHandler):
+    """Another address is called by nobody who was not given it: the key and the game would go there."""
+
+    def redirect_request(self, *_: Any) -> None:
+        return None
+
+
+_OPENER = urllib.request.build_opener(_NoRedirect)
 
 
 def _called(table: Table, call: dict[str, Any]) -> str:
