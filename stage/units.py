@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import NamedTuple
 
 
@@ -38,9 +39,16 @@ def typed(text: str, unit: str) -> float | None:
         unit: "m" or "rad", as of an axis.
     """
     text = text.strip()
-    symbol = next((u for u in sorted(TYPED[unit], key=len, reverse=True) if text.endswith(u)), "")
+    if text.endswith(tuple(TYPED[unit])):
+        return quantity(text, TYPED[unit])
+    bare = quantity(text, {"": 1.0})
+    return None if bare is None else bare / PLACES[unit].per
+
+
+def quantity(text: str, units: Mapping[str, float]) -> float | None:
+    """A number with one of these units behind it, times what the unit says; "": it has none. None: it is no such."""
+    symbol = next((u for u in sorted(units, key=len, reverse=True) if text.endswith(u)), None)
     try:
-        number = float(text.removesuffix(symbol))
+        return None if symbol is None else float(text.removesuffix(symbol)) * units[symbol]
     except ValueError:
         return None
-    return number * TYPED[unit][symbol] if symbol else number / PLACES[unit].per

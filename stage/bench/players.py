@@ -49,21 +49,26 @@ def player(policy: str | Policy, task: str, seed: int) -> Player:
     if policy.endswith(".npz"):
         return Recorded(policy)
     if ":" in policy:
-        return Given(_imported(policy), policy)
+        return Given(_policy(policy), policy)
     near = unknown(f"player of {task}", policy, shipped)
     raise ArgumentError(f"{near} Or give module:function, or an .npz of actions.")
 
 
-def _imported(name: str) -> Policy:
+def imported(name: str, kind: str) -> Any:
+    """What `module:attribute` names, also of a module in this folder. kind: of what, for errors. Raises ArgumentError."""
     module, _, attribute = name.partition(":")
     if "" not in sys.path:
         sys.path.insert(0, os.getcwd())
     try:
-        found = getattr(importlib.import_module(module), attribute)
+        return getattr(importlib.import_module(module), attribute)
     except ImportError as why:
-        raise ArgumentError(f"policy {name}: {why}. Name a module that Python finds from this folder.") from why
+        raise ArgumentError(f"{kind} {name}: {why}. Name a module that Python finds from this folder.") from why
     except AttributeError:
-        raise ArgumentError(f"policy {name}: module {module} has no {attribute!r}.") from None
+        raise ArgumentError(f"{kind} {name}: module {module} has no {attribute!r}.") from None
+
+
+def _policy(name: str) -> Policy:
+    found = imported(name, "policy")
     if isinstance(found, type):
         found = found()
     if not callable(found):

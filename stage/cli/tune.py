@@ -12,7 +12,7 @@ from typing import Any
 from stage.cli.facts import tell
 from stage.cli.setup import distance, find_axis, make_stage
 from stage.errors import ArgumentError, StageError
-from stage.units import TYPED
+from stage.units import TYPED, quantity
 
 TIMES = {"us": 1e-6, "ms": 1e-3, "s": 1.0}
 FILES = {"c": "tuned.h", "text": "tuned.txt", "json": "tuned.json", "picture": "tuned.png"}
@@ -113,16 +113,12 @@ def _length(axis: Any, option: str, text: str) -> float:
 
 
 def _number(option: str, text: str, units: dict[str, float], example: str) -> float:
-    unit = next((u for u in sorted(units, key=len, reverse=True) if text.endswith(u)), "")
-    try:
-        value = float(text.removesuffix(unit)) * units[unit]
-        if not 0 < value < float("inf"):
-            raise ValueError
-        return value
-    except (ValueError, KeyError):
+    value = quantity(text, units)
+    if value is None or not 0 < value < float("inf"):
         raise ArgumentError(
             f"{option}: {text!r} is not more than 0 in one of {', '.join(units)}; for example {example}."
-        ) from None
+        )
+    return value
 
 
 class _Progress:

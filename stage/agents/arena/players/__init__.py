@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import importlib
-import os
-import sys
 from collections.abc import Callable
 
 from stage.agents.arena.loop import Player
 from stage.agents.arena.players import searches, simple, technician, trained
+from stage.bench.players import imported
 from stage.errors import ArgumentError, unknown
 
 SHIPPED: dict[str, Callable[[], Player]] = {
@@ -28,15 +26,7 @@ def player(name: str) -> Player:
         return SHIPPED[name]()
     if ":" not in name:
         raise ArgumentError(f"{unknown('player', name, SHIPPED)} Or give module:function, which takes a Table.")
-    module, _, attribute = name.partition(":")
-    if "" not in sys.path:
-        sys.path.insert(0, os.getcwd())
-    try:
-        found = getattr(importlib.import_module(module), attribute)
-    except ImportError as why:
-        raise ArgumentError(f"player {name}: {why}. Name a module that Python finds from this folder.") from why
-    except AttributeError:
-        raise ArgumentError(f"player {name}: module {module} has no {attribute!r}.") from None
+    found = imported(name, "player")
     if not callable(found):
         raise ArgumentError(f"player {name}: is no function of a Table.")
     return found
