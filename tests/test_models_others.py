@@ -7,6 +7,9 @@ import numpy as np
 import pytest
 
 from stage import Stage, firmware
+from stage.cli import main
+from stage.errors import ArgumentError, ModelError
+from stage.firmware.tandem import tandems
 from stage.sim import plant
 
 OTHERS = ("xya", "gantry")
@@ -74,20 +77,82 @@ def racking(stage):
     return np.degrees(stage.data.joint("racking").qpos[0])
 
 
-def test_a_gantry_is_squared_by_homing_each_side():
-    """docs/models.md: together until one is near, then each to its own switch"""
-    stage = Stage("gantry", visuals=False)
-    y, w = stage.axes["y"], stage.axes["w"]
-    stage.place(y=-0.040, w=-0.0388)
+@pytest.mark.parametrize(
+    ("chips", "y", "w"),
+    [
+        ("pcl240k", -0.040, -0.0388),
+        ("pcl240k", -0.0695, -0.0705),
+        ("mcx514", -0.104, -0.104),
+        ("hctl1100", -0.05, -0.05),
+    ],
+)
+def test_a_gantry_is_squared_from_anywhere_with_any_chip(chips, y, w):
+    """stage home y --model gantry"""
+    stage = Stage("gantry", chips=chips, visuals=False)
+    stage.place(y=y, w=w)
     stage.run(0.1)
-    assert abs(racking(stage)) > 0.1, "it stands askew"
-    while not (y.switches.org or w.switches.org):
-        assert firmware.line({"y": -5e-3, "w": -5e-3}, stage).ok
-    assert [firmware.home(axis).stopped_by for axis in (y, w)] == ["ORG", "ORG"]
-    assert abs(y.position - w.position) < 2e-5
+    reports = firmware.square(*(stage.axes[name] for name in ("y", "w")))
+    assert [(r.axis, r.stopped_by, r.lost_steps) for r in reports] == [("y", "ORG", 0), ("w", "ORG", 0)]
     assert abs(racking(stage)) < 2e-3
-    assert firmware.line({"y": 80e-3, "w": 80e-3}, stage).ok
+    assert firmware.line({"y": 80e-3, "w": 80e-3}, stage).axes["y"].lost_steps == 0
     assert abs(racking(stage)) < 2e-3
+
+
+def test_tandem_axes_know_each_other_and_form_a_group():
+    stage = Stage("gantry", visuals=False)
+    assert {name: axis.tandem for name, axis in stage.axes.items()} == {"y": ("w",), "w": ("y",), "x": ()}
+    assert [[a.name for a in group] for group in tandems(stage.axes.values())] == [["y", "w"], ["x"]]
+    assert [[a.name for a in group] for group in tandems([stage.axes["w"]])] == [["y", "w"]]
+
+
+def test_a_tandem_of_what_is_no_other_axis_is_refused():
+    spec = plant.open_spec("gantry")
+    next(t for t in spec.texts if t.name == "y_tandem").data = "v y"
+    with pytest.raises(ModelError, match=r"y_tandem names 'v'.*names other axes of one load(.|\n)*y_tandem names 'y'"):
+        Stage(spec)
+
+
+def test_squaring_one_axis_is_refused_and_so_is_a_direction_that_is_none():
+    axes = Stage("gantry", visuals=False).axes
+    with pytest.raises(ArgumentError, match="1 axes: tandem axes are two or more; use home for one"):
+        firmware.square(axes["y"])
+    with pytest.raises(ArgumentError, match="direction=2: "):
+        firmware.square(axes["y"], axes["w"], direction=2)
+
+
+def test_squaring_without_an_origin_ahead_ends_at_the_limit():
+    stage = Stage("gantry", visuals=False)
+    for name in ("y", "w"):
+        stage.axes[name].switches.stick("org", False)
+    reports = firmware.square(stage.axes["y"], stage.axes["w"])
+    assert {r.stopped_by for r in reports} == {"EL-"}
+
+
+@pytest.mark.parametrize("model", OTHERS)
+def test_the_demo_of_every_model_loses_no_step(model, capsys, tmp_path, monkeypatch):
+    """stage demo --model gantry --no-view"""
+    monkeypatch.chdir(tmp_path)
+    assert main(["demo", "--model", model, "--no-view"]) == 0
+    table = capsys.readouterr().out
+    assert " NO" not in table
+    assert table.count("origin return") == 3
+
+
+def test_stage_home_takes_tandem_axes_together(capsys):
+    """stage home w --model gantry --from 30; stage home y --model gantry --ez 1"""
+    assert main(["home", "w", "--model", "gantry", "--from", "-50"]) == 0
+    assert capsys.readouterr().out.count("stopped by ORG") == 2
+    assert main(["home", "y", "--model", "gantry", "--ez", "1"]) == 2
+    assert "--ez: axes y and w drive one load" in capsys.readouterr().err
+
+
+def test_moving_one_of_two_tandem_axes_is_told(capsys):
+    """stage move y 2mm --model gantry"""
+    main(["move", "y", "2mm", "--model", "gantry"])
+    assert (
+        "axis y drives one load with w, which stays behind. All of them: stage sync y=2mm w=2mm"
+        in capsys.readouterr().err
+    )
 
 
 def test_one_motor_of_a_gantry_alone_racks_the_beam_and_slips():

@@ -21,14 +21,16 @@ RATE, FAST, DWELL = 20_000, 40_000, 0.25  # pps, pps, s
 
 def run(args: argparse.Namespace) -> int:
     """Origin return of all axes, a dual-rate move, an a:b move; a table; demo.rrd."""
+    from stage.firmware.tandem import tandems
     from stage.opengl import has_screen
 
     begin = time.perf_counter()
     note("building the stage ...")
     stage = make_stage(args)
-    for k, axis in enumerate(stage.axes.values()):
-        low, high = axis.travel
-        stage.place(**{axis.name: round(0.5 * (low + high) + WHERE[k % len(WHERE)] * (high - low), 3)})
+    for k, group in enumerate(tandems(stage.axes.values())):
+        low, high = group[0].travel
+        where = round(0.5 * (low + high) + WHERE[k % len(WHERE)] * (high - low), 3)
+        stage.place(**{axis.name: where for axis in group})
     if has("rerun") and has_screen() and not args.no_view and not args.web:
         args.view = True
     rows: list[tuple] = []
@@ -43,7 +45,8 @@ def run(args: argparse.Namespace) -> int:
 
 def story(stage: Any, rows: list[tuple]) -> list[Any]:
     """The moves; fills `rows` for the table. Returns their reports."""
-    from stage.firmware.driver import Speeds, driver_of
+    from stage.firmware.driver import Speeds
+    from stage.firmware.tandem import tandems
 
     speeds = Speeds(1500, RATE, 0.1, 0.1)
     reports: list[Any] = []
@@ -61,50 +64,84 @@ def story(stage: Any, rows: list[tuple]) -> list[Any]:
             )
         )  # fmt: skip
 
-    for axis in reversed(stage.axes.values()):  # Z first: it clears the way
-        if "org" not in axis.switches.as_dict():
-            note(f"axis {axis.name} has no ORG: it stays where it is")
+    groups = tandems(stage.axes.values())
+    for group in reversed(groups):  # Z first: it clears the way
+        names = " and ".join(axis.name for axis in group)
+        if any("org" not in axis.switches.as_dict() for axis in group):
+            note(f"axis {names} has no ORG: it stays where it is")
             continue
-        note(f"axis {axis.name}: origin return ...")
-        add(driver_of(axis).home(-1, speeds))
-    first, second = (*stage.axes.values(), *stage.axes.values())[:2]
+        note(f"axis {names}: origin return ...")
+        for report in _home(group, speeds):
+            add(report)
+    first, second = (*groups, *groups)[:2]
+    if len(first) > 1:
+        first, second = second, first
     note("a long move ...")
-    add(_long_move(first, speeds))
+    for report in _long_move(first, speeds):
+        add(report)
     if second is first:
         return reports
-    add(driver_of(second).move(_way(second, SHORT), speeds))
-    ways = {first: _way(first, FIRST), second: _way(second, SECOND)}
-    if type(first.chip) is not type(second.chip):
-        print(f"axes {first.name} and {second.name} have different chips, which draw no line together")
+    for report in _go(second, SHORT, speeds):
+        add(report)
+    kinds = {type(axis.chip) for axis in (*first, *second)}
+    if len(kinds) > 1:
+        print(f"axes {first[0].name} and {second[0].name} have different chips, which draw no line together")
         return reports
     note("a straight line ...")
-    drivers = {axis.name: driver_of(axis) for axis in ways}
+    ways = {axis: _way(axis, share) for group, share in ((first, FIRST), (second, SECOND)) for axis in group}
     try:
-        report = drivers[first.name].line(
-            drivers, {axis.name: pulses for axis, pulses in ways.items()}, Speeds(drive=RATE)
-        )
+        line = _line(ways, Speeds(drive=RATE))
     except ArgumentError as error:
         print(f"no straight line: {error}")
         return reports
-    for r in report.axes.values():
+    for r in line.axes.values():
         add(r)
     what = "a:b move " + " ".join(f"{axis.name}={pulses:+d}" for axis, pulses in ways.items())
     print(
-        f"{what}: {report.deviation.pulses:.2f} pulses from the straight line at most, started within "
-        f"{report.skew * 1e6:.1f} us of each other"
+        f"{what}: {line.deviation.pulses:.2f} pulses from the straight line at most, started within "
+        f"{line.skew * 1e6:.1f} us of each other"
     )
     return reports
 
 
-def _long_move(axis: Any, speeds: Any) -> Any:
-    """At two rates; of an axis too short for them at one."""
+def _home(group: list[Any], speeds: Any) -> list[Any]:
+    """Tandem axes together. An axis without SD runs into ORG at its full rate: half of it."""
+    from stage import firmware
     from stage.firmware.driver import driver_of
 
-    try:
-        return driver_of(axis).two_rates(_way(axis, LONG), speeds, FAST, DWELL)
-    except ArgumentError as error:
-        note(f"no two rates: {error}")
-        return driver_of(axis).move(_way(axis, LONG), speeds)
+    if len(group) > 1:
+        return firmware.square(*group)
+    axis = group[0]
+    slowed = "sd_minus" in axis.switches.as_dict() or not axis.chip.wired("sd_minus")
+    return [driver_of(axis).home(-1, speeds if slowed else speeds._replace(drive=RATE / 2))]
+
+
+def _go(group: list[Any], share: float, speeds: Any) -> list[Any]:
+    from stage.firmware.driver import driver_of
+
+    if len(group) == 1:
+        return [driver_of(group[0]).move(_way(group[0], share), speeds)]
+    return list(_line({axis: _way(axis, share) for axis in group}, speeds).axes.values())
+
+
+def _line(ways: dict[Any, int], speeds: Any) -> Any:
+    from stage.firmware.driver import driver_of
+
+    drivers = {axis.name: driver_of(axis) for axis in ways}
+    first = next(iter(drivers.values()))
+    return first.line(drivers, {axis.name: pulses for axis, pulses in ways.items()}, speeds)
+
+
+def _long_move(group: list[Any], speeds: Any) -> list[Any]:
+    """At two rates; of an axis too short for them, and of tandem axes, at one."""
+    from stage.firmware.driver import driver_of
+
+    if len(group) == 1:
+        try:
+            return [driver_of(group[0]).two_rates(_way(group[0], LONG), speeds, FAST, DWELL)]
+        except ArgumentError as error:
+            note(f"no two rates: {error}")
+    return _go(group, LONG, speeds)
 
 
 def _way(axis: Any, share: float) -> int:

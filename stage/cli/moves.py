@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from typing import Any
 
 from stage.cli.facts import tell
@@ -13,17 +14,20 @@ from stage.errors import ArgumentError, a_or_an
 
 def home(args: argparse.Namespace) -> int:
     from stage.firmware.driver import driver_of
+    from stage.firmware.tandem import tandems
 
     stage = make_stage(args)
-    axes = [find_axis(stage, name) for name in args.axes] or list(stage.axes.values())
+    groups = tandems([find_axis(stage, name) for name in args.axes] or stage.axes.values())
+    axes = [axis for group in groups for axis in group]
     for axis in axes:
         place(stage, axis, "--from", args.start)
     reports = []
     with recorded(args, stage), ticking(stage):
-        for axis in axes:
-            note(f"axis {axis.name}: origin return ...")
-            reports.append(_home(args, axis))
-            print(reports[-1])
+        for group in groups:
+            note(f"axis {' and '.join(axis.name for axis in group)}: origin return ...")
+            found = _square(args, group) if len(group) > 1 else [_home(args, group[0])]
+            reports += found
+            print(*found, sep="\n")
         tell(args, reports=reports)
         plot(args, reports[0].plot)
     found = [r.stopped_by in driver_of(axis).FOUND for r, axis in zip(reports, axes, strict=True)]
@@ -51,6 +55,26 @@ def _home(args: argparse.Namespace, axis: Any) -> Any:
     if by is not None:
         return driver.home_by(by, direction, speeds(args, axis))
     return driver.home(direction, speeds(args, axis), index=args.ez == 1)
+
+
+def _square(args: argparse.Namespace, axes: list[Any]) -> list[Any]:
+    """Origin return of axes that drive one load."""
+    from stage import firmware
+
+    for option in ("by", "ez", "constant", "fast_only", "fh2"):
+        if getattr(args, option, None) not in (None, False):
+            names = " and ".join(axis.name for axis in axes)
+            raise ArgumentError(
+                f"--{option.replace('_', '-')}: axes {names} drive one load; they go to their origin switches together."
+            )
+    wanted, unit = speeds(args, axes[0]), axes[0].meters_per_pulse
+    return firmware.square(
+        *axes,
+        direction=+1 if args.plus else -1,
+        speed=wanted.drive * unit,
+        start_speed=wanted.start * unit,
+        accel=wanted.up,
+    )
 
 
 def move(args: argparse.Namespace) -> int:
@@ -90,7 +114,9 @@ def dual_rate(args: argparse.Namespace) -> int:
 def _single(args: argparse.Namespace, run: Any) -> int:
     stage = make_stage(args)
     axis = find_axis(stage, args.axis)
-    place(stage, axis, "--from", args.start)
+    for beside in (axis, *(stage.axes[name] for name in axis.tandem)):
+        place(stage, beside, "--from", args.start)
+    _warn_of_tandem(args, axis)
     with recorded(args, stage), ticking(stage):
         report = run(axis)
         print(report)
@@ -98,6 +124,16 @@ def _single(args: argparse.Namespace, run: Any) -> int:
         tell(args, reports=[report])
         plot(args, report.plot)
     return 0 if report.ok else 1
+
+
+def _warn_of_tandem(args: argparse.Namespace, axis: Any) -> None:
+    if axis.tandem:
+        others = " and ".join(axis.tandem)
+        every = " ".join(f"{name}={args.distance}" for name in (axis.name, *axis.tandem))
+        print(
+            f"axis {axis.name} drives one load with {others}, which stays behind. All of them: stage sync {every}",
+            file=sys.stderr,
+        )
 
 
 def sync(args: argparse.Namespace) -> int:

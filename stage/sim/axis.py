@@ -75,6 +75,7 @@ class Axis:
         index: its column in recordings; `joint`: id in the model.
         gear: rotor radians per joint unit; meters_per_pulse: joint units per pulse (rad on a hinge).
         unit: "m", or "rad" on a hinge.
+        tandem: names of the axes that drive the same load beside it: a host moves and homes them together, see `firmware.square`.
         wiring: its sensors that are not of the logic of its chip after a reset, {"org": "positive"}.
         stage: the Stage that it belongs to; plant: what the model says of it, a `stage.sim.plant.PlantAxis`.
         supply, open_phases: the voltage (V) that its drive has, and the phases (bits of stage.drives.stepper.A and B) whose wire is
@@ -93,7 +94,7 @@ class Axis:
         self.stage, self.plant, self.wiring = stage, plant, dict(wiring)
         self.index, self.name, self.drive = index, plant.name, drive
         self.chip, self.chip_axis = chip_axis.chip, chip_axis.index
-        self.joint, self.gear, self.travel = plant.joint, plant.gear, plant.travel
+        self.joint, self.gear, self.travel, self.tandem = plant.joint, plant.gear, plant.travel, plant.tandem
         self.unit = "rad" if plant.hinge else "m"
         self.meters_per_pulse = 2 * np.pi / drive.pulses_per_turn / abs(self.gear)
         self.switches = Switches(self)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import mujoco
@@ -29,7 +29,7 @@ class PlantAxis:
         travel: the joint's range, m (rad if `hinge`). motor: name of the motor inside the armature, or None. servo: the actuator is
             a DC motor.
         index: rotor angle of the index pulse, in turns from the rotor angle at joint position 0.
-        switches: those fitted, in the order of PINS.
+        switches: those fitted, in the order of PINS. tandem: the axes that drive the same load beside it, by name.
     """
 
     name: str
@@ -44,6 +44,7 @@ class PlantAxis:
     servo: bool
     index: float
     switches: tuple[Switch, ...]
+    tandem: tuple[str, ...] = ()
 
 
 def bind(model: mujoco.MjModel, axes: Sequence[str] | None = None) -> tuple[PlantAxis, ...]:
@@ -92,11 +93,29 @@ class _Binder:
             raise ModelError("switches are contact sensors, and the model's <option><flag/> disables contact, constraint "
                              'or sensor. Remove contact="disable", constraint="disable" and sensor="disable".')  # fmt: skip
         bound = [self._axis(name) for name in self.axes]
+        tandems = self._tandems()
         self.problems.check()
-        return tuple(a for a in bound if a is not None)
+        return tuple(replace(a, tandem=tandems.get(a.name, ())) for a in bound if a is not None)
 
     def _id(self, kind: Any, name: str) -> int:
         return int(mujoco.mj_name2id(self.model, kind, name))
+
+    def _tandems(self) -> dict[str, tuple[str, ...]]:
+        """The other axes of the load that an axis drives, as one of them says in its text NAME_tandem."""
+        found: dict[str, tuple[str, ...]] = {}
+        known = axis_names(self.model)
+        for name in known:
+            for other in self.texts.get(f"{name}_tandem", "").split():
+                if other not in known or other == name:
+                    near = "".join(f" (meant {a!r}?)" for a in similar(other, known))
+                    self.problems.add(
+                        name, f"the text {name}_tandem names {other!r}{near}; it names other axes of one load"
+                    )
+                together = sorted(
+                    {name, other, *found.get(name, ()), *found.get(other, ())}, key=lambda a: (a not in known, a)
+                )
+                found |= {a: tuple(b for b in together if b != a) for a in together}
+        return {a: tuple(b for b in others if b in self.axes) for a, others in found.items()}
 
     # --- joint and actuator ---
 

@@ -1,0 +1,83 @@
+"""Home of tandem axes, which drive one load side by side: a gantry's beam on two screws.
+
+    print(*square(stage.axes["y"], stage.axes["w"]), sep="\\n")
+
+    together   away from ORG, until no switch of them is on any more; then towards it, a little at a time, until one is
+    each       to its own switch, slowly: where the switches stand in line, the beam is square then
+
+A switch's state comes from an input of the host's own: not every chip shows it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from stage.errors import ArgumentError
+from stage.firmware.driver import RAMP, Speeds, driver_of
+from stage.firmware.procedures import line, speeds
+from stage.firmware.report import NOT_AS_ASKED, Report
+from stage.firmware.together import SynchronizedReport
+from stage.sim.axis import Axis
+
+PIECE = 1 / 60  # of the travel: what the load bears if one axis alone goes so far
+SLOWLY = 0.25  # of the speed, for an axis alone
+
+
+def square(
+    *axes: Axis,
+    direction: int = -1,
+    speed: float | None = None,
+    start_speed: float | None = None,
+    accel: float = RAMP,
+    timeout: float = 60.0,
+) -> list[Report]:
+    """Return tandem axes to their origins, which lie in `direction`, from any place; a report of each one's own search.
+
+    Args:
+        axes: all that drive the load, see `Axis.tandem`; of chips that draw lines together.
+        speed, start_speed, accel: as of `firmware.move`, for the way together; alone an axis has a quarter of the speed.
+        timeout: s, of each one's own search.
+    Raises ArgumentError for fewer than two axes, for one without ORG and for chips that draw no line together; RunTimeout.
+    """
+    if len(axes) < 2:
+        raise ArgumentError(f"{len(axes)} axes: tandem axes are two or more; use home for one.")
+    if direction not in (1, -1):
+        raise ArgumentError(f"direction={direction!r}: +1 or -1.")
+    drivers = [driver_of(axis) for axis in axes]
+    for driver in drivers:
+        driver.check_origin()
+    named = {axis.name: axis for axis in axes}
+
+    def go(way: float) -> SynchronizedReport:
+        return line(dict.fromkeys(named, way), named, speed=speed, start_speed=start_speed, accel=accel)
+
+    piece = PIECE * min(high - low for low, high in (axis.travel for axis in axes))
+    while _found(axes) and _free(go(-direction * piece)):
+        pass
+    while not _found(axes) and _free(go(direction * piece)):
+        pass
+    reports = []
+    for driver in drivers:
+        usual = speeds(driver.axis, speed, start_speed, accel, None, False)
+        alone = Speeds(min(usual.start, usual.drive * SLOWLY), usual.drive * SLOWLY, accel, accel)
+        reports.append(driver.home(direction, alone, timeout=timeout))
+    return reports
+
+
+def tandems(axes: Iterable[Axis]) -> list[list[Axis]]:
+    """Axes in the groups that move together, most of them alone; with those beside them that were not given."""
+    groups: dict[str, list[Axis]] = {}
+    for axis in axes:
+        everyone = [axis.stage.axes[name] for name in axis.tandem]
+        groups.setdefault(min((axis.name, *axis.tandem)), sorted((axis, *everyone), key=lambda a: a.index))
+    return list(groups.values())
+
+
+def _found(axes: Sequence[Axis]) -> bool:
+    """Whether one is on its origin switch."""
+    return any(axis.switches.org for axis in axes)
+
+
+def _free(report: SynchronizedReport) -> bool:
+    """Whether nothing was in the way. A servo's encoder may show a count less, or more, than was asked."""
+    return not any(r.stopped_by in NOT_AS_ASKED or r.lost_steps for r in report.axes.values())
