@@ -18,6 +18,7 @@ from typing import Any
 from selenium import webdriver
 
 CLICKS = 41
+THIRD = "x load angle (electrical deg)"  # a chart of its own, beside those of rates and positions
 TIMED = """
 const [button, lamp] = arguments[0], done = arguments[1], begin = performance.now();
 const eye = new MutationObserver(() => { eye.disconnect(); done(performance.now() - begin); });
@@ -60,6 +61,19 @@ class Page:
         field = self.find(name)
         field.send_keys("\ue009" + "a")
         field.send_keys(text)
+
+    def also_show(self, trace: str) -> None:
+        """One more trace on the oscilloscope, of its list."""
+        self.click("traces")
+        time.sleep(1)
+        options = self.driver.find_elements("css selector", ".q-menu [role=option]")
+        next(o for o in options if o.text == trace).click()
+        self.driver.switch_to.active_element.send_keys("\ue00c")  # Esc closes the list
+        time.sleep(1)
+
+    def frames(self) -> int:
+        """Pictures of the scene so far."""
+        return self.driver.execute_script(FRAMES)
 
     def console(self, *lines: str) -> None:
         for line in lines:
@@ -114,6 +128,52 @@ def move(page: Page, distance: str, speed: str) -> None:
     page.click("go-move")
 
 
+def _rest(page: Page) -> None:
+    print(f"load of this machine, 1 minute: {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores", flush=True)
+    print(f"at rest, a page open: {share(page, 20):.1f} % of a core", flush=True)
+    took = clicks(page)
+    print(f"click to lamp: median {statistics.median(took):.0f} ms, worst of {len(took)} {max(took):.0f} ms", flush=True)
+    page.click("command-0-operate-8")
+
+
+def _motion(page: Page) -> None:
+    """10 s of a move, with charts of rate, position and load angle."""
+    move(page, "100", "10")
+    time.sleep(1)
+    frames, busy, (simulated, at) = page.frames(), page.processor(), page.times()
+    time.sleep(8)
+    later, now = page.times()
+    wall = now - at
+    print(
+        f"in motion beside three charts: {(later - simulated) / wall:.3f} simulated seconds a second, "
+        f"{100 * (page.processor() - busy) / wall:.0f} % of a core, "
+        f"{(page.frames() - frames) / wall:.1f} pictures of the scene a second",
+        flush=True,
+    )
+
+
+def _growth(page: Page, minutes: float) -> None:
+    """Moves to and fro; each minute a line."""
+    begin = last = time.perf_counter()
+    sign, frames, (simulated, at) = 1, page.frames(), page.times()
+    while time.perf_counter() - begin < 60 * minutes:
+        move(page, f"{sign * 10}", "20")
+        sign = -sign
+        time.sleep(4)
+        if time.perf_counter() - last < 60:
+            continue
+        last = time.perf_counter()
+        server, script = page.memory()
+        drawn, (later, now) = page.frames(), page.times()
+        print(
+            f"after {(last - begin) / 60:4.1f} minutes of moves: server {server:.0f} MB, page {script:.0f} MB, "
+            f"{(drawn - frames) / (now - at):.1f} pictures a second, {(later - simulated) / (now - at):.3f} s/s, "
+            f"load {os.getloadavg()[0]:.1f}",
+            flush=True,
+        )
+        frames, simulated, at = drawn, later, now
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--minutes", type=float, default=15.0, help="of watching memory (default: 15)")
@@ -121,38 +181,10 @@ def main() -> None:
     page = Page()
     page.driver.set_script_timeout(30)
     try:
-        print(f"load of this machine, 1 minute: {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores", flush=True)
-        print(f"at rest, a page open: {share(page, 20):.1f} % of a core", flush=True)
-        took = clicks(page)
-        print(
-            f"click to lamp: median {statistics.median(took):.0f} ms, worst of {len(took)} {max(took):.0f} ms",
-            flush=True,
-        )
-        page.click("command-0-operate-8")
-        move(page, "100", "10")  # 10 s, with charts of rate, position and a pin
-        time.sleep(1)
-        frames, busy, (simulated, at) = page.driver.execute_script(FRAMES), page.processor(), page.times()
-        time.sleep(8)
-        later, now = page.times()
-        wall = now - at
-        print(f"scene: {(page.driver.execute_script(FRAMES) - frames) / wall:.1f} pictures a second", flush=True)
-        print(
-            f"in motion beside the charts: {(later - simulated) / wall:.3f} simulated seconds a second, "
-            f"{100 * (page.processor() - busy) / wall:.0f} % of a core",
-            flush=True,
-        )
-        begin, sign, last = time.perf_counter(), 1, time.perf_counter()
-        while time.perf_counter() - begin < 60 * args.minutes:
-            move(page, f"{sign * 10}", "20")
-            sign = -sign
-            time.sleep(4)
-            if time.perf_counter() - last >= 60:
-                last = time.perf_counter()
-                server, script = page.memory()
-                print(
-                    f"after {(last - begin) / 60:4.1f} minutes of moves: server {server:.0f} MB, page {script:.0f} MB",
-                    flush=True,
-                )
+        page.also_show(THIRD)
+        _rest(page)
+        _motion(page)
+        _growth(page, args.minutes)
     finally:
         page.close()
 

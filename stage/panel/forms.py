@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from nicegui import run, ui
+from nicegui import ui
 
-from stage.errors import RunTimeout, StageError
+from stage.errors import StageError
 from stage.panel import procedures
 from stage.panel.procedures import FORMS, Field, Form, Jog
-from stage.panel.session import Abandoned
+from stage.panel.reports import Shown
 
 if TYPE_CHECKING:
     from stage.panel.server import Panel
@@ -28,8 +27,9 @@ class Procedures:
     """Which axis, which form, and what came of it."""
 
     def __init__(self, panel: Panel, axes: list[str]):
-        self.session = panel.session
+        self.session, self.reports = panel.session, panel.reports
         self.axis = axes[0]
+        self._open, self._goes = "move", list[ui.button]()
         self._jog: Jog | None = None
         with ui.card().classes("w-full q-pa-sm").props('data-test=procedures role=group aria-label="Procedures"'):
             with ui.row().classes("w-full items-center q-gutter-xs"):
@@ -44,14 +44,20 @@ class Procedures:
                     "dense color=negative no-caps data-test=stop-at-once"
                 )
             self.box = ui.column().classes("w-full q-gutter-xs")
-            self.said = ui.label().classes("number").style("white-space: pre-wrap; font-size: 12px")
-            self.said.props("data-test=report aria-live=polite role=status")
-            self.picture = ui.html("", sanitize=False).classes("w-full pattern").props("data-test=pattern")
+            self._shown = Shown(panel.reports)
         panel.controls.when_lost(ui.context.client.id, self._release)
         self._choose(self.axis)
+        ui.timer(0.1, self._look)
+
+    def _look(self) -> None:
+        """One procedure at a time: the buttons that begin one are dead while one is under way, whoever has begun it."""
+        self._shown.look(self._open)
+        for button in self._goes:
+            button.set_enabled(not self.session.busy)
 
     def _choose(self, axis: str) -> None:
         self.axis = axis
+        self._goes.clear()
         stage = self.session.stage
         self.box.clear()
         with self.box:
@@ -61,11 +67,14 @@ class Procedures:
             except StageError as error:
                 ui.label(str(error)).classes("text-negative")
                 return
+            if self._open not in (*given, "jog"):
+                self._open = "move"
             with ui.tabs().classes("w-full").props("dense no-caps inline-label align=left") as tabs:
                 for form in forms:
                     ui.tab(form.name, form.title).props(f"data-test=tab-{form.name}")
                 ui.tab("jog", "Jog").props("data-test=tab-jog")
-            with ui.tab_panels(tabs, value="move").classes("w-full").props("animated=false"):
+            tabs.on_value_change(lambda e: setattr(self, "_open", e.value))
+            with ui.tab_panels(tabs, value=self._open).classes("w-full").props("animated=false"):
                 for form in forms:
                     with ui.tab_panel(form.name).classes("q-pa-xs"):
                         self._form(form, given[form.name])
@@ -79,52 +88,22 @@ class Procedures:
                 controls[field.name] = entry(form.name, field)
 
             async def go() -> None:
+                if self.session.busy:
+                    return
                 clear(controls)
                 values = {name: c.value for name, c in controls.items()}
+                what = form.title if form.several else f"{form.title} {self.axis}"
                 try:
                     order = form.order(self.session.stage, self.axis, values)
+                    await self.reports.perform(form.name, what, order)
                 except StageError as error:
-                    self._wrong(error, fields, controls)
-                    return
-                what = form.title if form.several else f"{form.title} {self.axis}"
-                await self._draw(await self._perform(what, order, fields, controls))
+                    self._wrong(form.name, error, fields, controls)
 
-            ui.button("go", on_click=go).props(f"dense no-caps data-test=go-{form.name}").classes("q-mt-sm")
+            button = ui.button("go", on_click=go).props(f"dense no-caps data-test=go-{form.name}").classes("q-mt-sm")
+            self._goes.append(button)
             for control in controls.values():
                 if isinstance(control, ui.input):
                     control.on("keydown.enter", go)
-
-    async def _perform(
-        self, what: str, order: Callable[[Any], Any], fields: list[Field], controls: dict[str, Any]
-    ) -> Any:
-        """Have it done; its report, or None. What came of it stands on the page."""
-        self._say(f"{what} ...")
-        self.picture.content = ""
-        try:
-            report = await asyncio.wrap_future(self.session.act(what, order))
-        except Abandoned:
-            self._say(f"{what}: stopped.")
-            return None
-        except RunTimeout as error:
-            self._say(f"{error}\n{getattr(error, 'report', '')}", wrong=True)
-            return None
-        except StageError as error:
-            self._wrong(error, fields, controls)
-            return None
-        self._say(str(report), wrong=not report.ok)
-        return report
-
-    async def _draw(self, report: Any) -> None:
-        """The operation pattern, where there is one; it takes a while."""
-        if not hasattr(report, "plot"):
-            return
-        try:
-            drawn = await run.io_bound(procedures.picture, report)
-        except StageError as error:
-            self._say(f"{report}\n{error}")
-        else:
-            if self.said.text == str(report):  # the next may have begun meanwhile
-                self.picture.content = drawn
 
     def _jogging(self) -> None:
         controls: dict[str, Any] = {}
@@ -146,19 +125,21 @@ class Procedures:
     async def _press(self, direction: int, fields: list[Field], controls: dict[str, Any]) -> None:
         if self._jog is not None:
             return  # a key that repeats
-        clear(controls)
-        try:
-            jog = self._jog = Jog(
-                self.session.stage.axes[self.axis], direction, {n: c.value for n, c in controls.items()}
+        if self.session.busy:
+            ui.notify(
+                f"{self.session.view.doing or 'a procedure'} is under way: wait, or stop it first.", type="warning"
             )
-        except StageError as error:
-            self._wrong(error, fields, controls)
             return
+        clear(controls)
+        given = {n: c.value for n, c in controls.items()}
         try:
-            report = await self._perform(f"jog {self.axis}", jog.order, fields, controls)
-        finally:
-            self._release(jog)
-        await self._draw(report)
+            jog = self._jog = Jog(self.session.stage.axes[self.axis], direction, given)
+            try:
+                await self.reports.perform("jog", f"jog {self.axis}", jog.order)
+            finally:
+                self._release(jog)
+        except StageError as error:
+            self._wrong("jog", error, fields, controls)
 
     def _release(self, jog: Jog | None = None) -> None:
         if self._jog is not None and jog in (None, self._jog):
@@ -173,20 +154,15 @@ class Procedures:
         try:
             await asyncio.wrap_future(self.session.act("stop", procedures.stopping(axes, at_once)))
         except StageError as error:
-            self._say(str(error), wrong=True)
+            self.reports.say(self._open, str(error), wrong=True)
 
-    def _wrong(self, error: BaseException, fields: list[Field], controls: dict[str, Any]) -> None:
+    def _wrong(self, form: str, error: BaseException, fields: list[Field], controls: dict[str, Any]) -> None:
         """At the field that it is about; else below."""
         field = procedures.where(error, fields)
         if field:
             said_at(controls[field], error)
-            self._say("")
         else:
-            self._say(str(error), wrong=True)
-
-    def _say(self, text: str, wrong: bool = False) -> None:
-        self.said.text = text
-        self.said.classes(add="text-negative") if wrong else self.said.classes(remove="text-negative")
+            self.reports.say(form, str(error), wrong=True)
 
 
 def entry(form: str, field: Field) -> Any:

@@ -44,8 +44,10 @@ class Panel:
 
         self._site = website()
         from stage.panel import glb
+        from stage.panel.reports import Reports
 
         self.session, self.controls, self._with_session = session, Controls(), False
+        self.reports = Reports(session)
         self.made = made
         self._socket = _listening(host, port)
         self.port = self._socket.getsockname()[1]

@@ -92,6 +92,7 @@ class Session:
         self._orders: deque[tuple[Callable[[Stage], Any], Future]] = deque()
         self._actions: deque[_Action] = deque()
         self._acting: _Action | None = None
+        self._last: Future | None = None  # of the action that came last
         self._wake = threading.Event()
         self._paused, self._closed, self._speed = paused, False, 1.0
         self._hasty = self._jumped = False
@@ -135,6 +136,7 @@ class Session:
         if self._closed:
             raise StageError("this session is over.")
         action: _Action = _Action(name, order, Future())
+        self._last = action.future
         self._actions.append(action)
         self._wake.set()
         return action.future
@@ -148,6 +150,11 @@ class Session:
         action.abandoned = True
         self._wake.set()
         return True
+
+    @property
+    def busy(self) -> bool:
+        """An action is under way, or waits to be."""
+        return self._last is not None and not self._last.done()
 
     @property
     def speed(self) -> float:

@@ -121,3 +121,27 @@ def test_stop_ends_what_is_under_way_with_a_ramp(bench):
     browser.until(lambda: bench.session.view.doing == "")
     assert not bench.stage(lambda stage: stage.axes["x"].chip.busy(0))
     assert bench.x("commanded") < before + 90 * MM
+
+
+def test_a_double_click_is_one_move(bench):
+    from selenium.webdriver.common.action_chains import ActionChains
+
+    browser, before = bench.browser, bench.x("commanded")
+    browser.click("tab-move")
+    fill(browser, move__distance="3", move__speed="20")
+    ActionChains(browser.driver).double_click(browser.shown("go-move")).perform()
+    browser.until(lambda: not browser.find("go-move").is_enabled())
+    browser.until(lambda: "done" in browser.text("report"))
+    browser.until(lambda: browser.find("go-move").is_enabled())
+    assert bench.x("commanded") - before == pytest.approx(3 * MM, abs=1e-6)
+
+
+def test_a_report_stands_under_its_own_tab_and_is_there_after_a_reload(bench):
+    browser = bench.browser
+    report = browser.text("report")
+    assert "done" in report
+    browser.click("tab-home")
+    browser.until(lambda: browser.text("report") != report)
+    browser.open(bench.panel.address)
+    browser.until(lambda: browser.text("report") == report)
+    browser.until(lambda: browser.find("pattern").find_elements("css selector", "svg"))
