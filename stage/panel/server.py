@@ -10,13 +10,14 @@ panel = open_panel(Stage("xyz"))          as Stage.panel: beside a program of on
 from __future__ import annotations
 
 import asyncio
+import errno
 import secrets
 import socket
 import webbrowser
 from time import monotonic, sleep
 from typing import TYPE_CHECKING, Any
 
-from stage.errors import StageError
+from stage.errors import ArgumentError, StageError
 from stage.extras import need
 from stage.panel.controls import Controls
 from stage.panel.guard import Guard
@@ -73,7 +74,8 @@ class Panel:
     @property
     def address(self) -> str:
         """What to open in a browser."""
-        at = f"http://{self._host if self._host not in ('0.0.0.0', '::') else socket.gethostname()}:{self.port}/"
+        host = _reached(self._host)
+        at = f"http://{f'[{host}]' if ':' in host else host}:{self.port}/"
         return f"{at}?token={self.token}" if self.token else at
 
     @property
@@ -142,11 +144,33 @@ def open_panel(
 
 
 def _listening(host: str, port: int) -> socket.socket:
+    if not 0 <= port < 1 << 16:
+        raise ArgumentError(f"port={port!r}: a TCP port is 0 (one that is free) to 65535.")
     try:
         info = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         listening = socket.socket(info[0], socket.SOCK_STREAM)
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listening.bind(info[4])
     except OSError as error:
-        raise StageError(f"{host}:{port}: {error.strerror}. Choose another port, or 0 for any that is free.") from error
+        hint = "Choose another port, or 0 for any that is free."
+        if error.errno not in (errno.EADDRINUSE, errno.EACCES):
+            hint = "--host takes an address of this machine, for example 127.0.0.1, or 0.0.0.0 for all of them."
+        raise StageError(f"{host}:{port}: {error.strerror}. {hint}") from error
     return listening
+
+
+ANYWHERE = {"0.0.0.0": (socket.AF_INET, "192.0.2.1", "127.0.0.1"), "::": (socket.AF_INET6, "2001:db8::1", "::1")}
+"""What stands for all addresses of this machine, with an address elsewhere (of documentation) and its own."""
+
+
+def _reached(host: str) -> str:
+    """The address by which browsers reach a server that listens on `host`."""
+    if host not in ANYWHERE:
+        return host
+    family, elsewhere, own = ANYWHERE[host]
+    with socket.socket(family, socket.SOCK_DGRAM) as asks:
+        try:
+            asks.connect((elsewhere, 9))  # chooses the way there; nothing is sent
+            return asks.getsockname()[0]
+        except OSError:  # there is no network
+            return own

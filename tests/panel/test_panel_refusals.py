@@ -2,10 +2,13 @@
 
 import socket
 import sys
+import urllib.request
 
 import pytest
 
+from stage import Stage
 from stage.cli import main
+from stage.errors import ArgumentError
 
 
 @pytest.fixture
@@ -44,3 +47,34 @@ def test_a_file_that_is_none(refused, tmp_path):
 
 def test_a_speed_that_is_none(refused):
     assert "simulated seconds a second" in refused("--speed", "0")
+
+
+@pytest.mark.parametrize(
+    ("command", "option"),
+    [("panel", "--port"), ("serve", "--panel-port"), ("serve", "--listen"), ("run", "--panel-port"), ("mcp", "--port")],
+)
+@pytest.mark.parametrize("port", ["99999", "65536", "-5"])
+def test_a_port_that_is_none(capsys, command, option, port):
+    with pytest.raises(SystemExit) as ended:
+        main([command, option, port])
+    assert ended.value.code == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert f"{option}: {port}: a TCP port is 0 (one that is free) to 65535" in line
+
+
+def test_an_address_that_is_none_of_this_machine(refused):
+    pytest.importorskip("nicegui")
+    assert "--host takes an address of this machine" in refused("--host", "192.0.2.77", "--port", "0")
+
+
+def test_a_panel_from_python_refuses_a_port_that_is_none():
+    pytest.importorskip("nicegui")
+    with pytest.raises(ArgumentError, match="port=65536: a TCP port is 0"):
+        Stage("xy", visuals=False).panel(65536, browser=False)
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "127.0.0.1"])
+def test_the_link_of_a_panel_opens_its_page(host):
+    pytest.importorskip("nicegui")
+    with Stage("xy", visuals=False).panel(host=host, browser=False) as panel:
+        assert urllib.request.urlopen(panel.address, timeout=10).status == 200

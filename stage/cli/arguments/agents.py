@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from stage.cli.arguments.options import command, machine, number
+from stage.cli.arguments.options import command, machine, number, port
 
 
 def add(commands: Any) -> None:
@@ -39,7 +39,7 @@ def add(commands: Any) -> None:
     g.add_argument(
         "--http", action="store_true", help="streamable HTTP on 127.0.0.1 in place of standard input and output"
     )
-    g.add_argument("--port", type=number, default=7242, help="TCP port; 0: one that is free (default: 7242)")
+    g.add_argument("--port", type=port, default=7242, help="TCP port; 0: one that is free (default: 7242)")
     g.add_argument("--sessions", type=number, default=64, metavar="N", help="at once, at most (default: 64)")
     g.add_argument(
         "--idle",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from stage.cli.arguments.options import command, machine, number, stage_and_outputs
+from stage.cli.arguments.options import command, machine, number, port, stage_and_outputs
 
 
 def add(commands: Any) -> None:
@@ -88,7 +88,7 @@ def add(commands: Any) -> None:
         help="where it listens (default: 127.0.0.1, this machine only)",
     )
     g.add_argument(
-        "--listen", type=number, default=7240, metavar="PORT", help="TCP port; 0: one that is free (default: 7240)"
+        "--listen", type=port, default=7240, metavar="PORT", help="TCP port; 0: one that is free (default: 7240)"
     )
     g.add_argument(
         "--fresh",
@@ -107,7 +107,7 @@ def _beside(p: argparse.ArgumentParser) -> None:
         "--panel", action="store_true",
         help="a live page beside it, in real time; it begins when somebody looks, and the page lives on at the end; docs/panel.md",
     )  # fmt: skip
-    g.add_argument("--panel-port", type=number, default=7241, help="TCP port; 0: one that is free (default: 7241)")
+    g.add_argument("--panel-port", type=port, default=7241, help="TCP port; 0: one that is free (default: 7241)")
     g.add_argument("--no-browser", action="store_true", help="print the link, and open no browser")
     g.add_argument("--speed", type=float, default=1.0, help="simulated seconds a second, 0.001 to 1000 (default: 1)")
 
@@ -123,7 +123,7 @@ def _add_panel(commands: Any) -> None:
     )  # fmt: skip
     p.add_argument("model", nargs="?", default="xyz", help="a shipped model or a file.xml (default: xyz)")
     g = p.add_argument_group("page")
-    g.add_argument("--port", type=number, default=7241, help="TCP port; 0: one that is free (default: 7241)")
+    g.add_argument("--port", type=port, default=7241, help="TCP port; 0: one that is free (default: 7241)")
     g.add_argument(
         "--host",
         default="127.0.0.1",

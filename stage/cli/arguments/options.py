@@ -91,7 +91,7 @@ def outputs(p: argparse.ArgumentParser) -> None:
     g.add_argument("--force", action="store_true", help="overwrite files that exist")
     g.add_argument("--view", action="store_true", help="open the recording in the rerun viewer")
     g.add_argument("--web", action="store_true", help="serve the dashboard to a browser, on 127.0.0.1 only")
-    g.add_argument("--port", type=int, default=9090, help="port for --web (default: 9090)")
+    g.add_argument("--port", type=port, default=9090, help="port for --web (default: 9090)")
 
 
 def speeds(p: argparse.ArgumentParser) -> None:
@@ -133,3 +133,11 @@ def number(text: str) -> int:
         return int(text, 0)
     except ValueError:
         raise argparse.ArgumentTypeError(f"{text!r} is no whole number, as 0x300 or 768") from None
+
+
+def port(text: str) -> int:
+    """A TCP port."""
+    value = number(text)
+    if not 0 <= value < 1 << 16:
+        raise argparse.ArgumentTypeError(f"{text}: a TCP port is 0 (one that is free) to 65535")
+    return value
