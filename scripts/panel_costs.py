@@ -132,7 +132,9 @@ def _rest(page: Page) -> None:
     print(f"load of this machine, 1 minute: {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores", flush=True)
     print(f"at rest, a page open: {share(page, 20):.1f} % of a core", flush=True)
     took = clicks(page)
-    print(f"click to lamp: median {statistics.median(took):.0f} ms, worst of {len(took)} {max(took):.0f} ms", flush=True)
+    print(
+        f"click to lamp: median {statistics.median(took):.0f} ms, worst of {len(took)} {max(took):.0f} ms", flush=True
+    )
     page.click("command-0-operate-8")
 
 
