@@ -12,6 +12,7 @@ from stage import ArgumentError, ModelError, Stage, faults, firmware
 from stage.chips import HCTL1100, PCL240K
 from stage.sim import plant
 from stage.sim.fingerprint import fingerprint
+from stage.sim.plant.new import NewAxis, new_model
 from stage.sim.plant.problems import Problems
 
 ROOT = Path(__file__).parent.parent
@@ -592,6 +593,19 @@ def test_a_line_that_mends_two_axes_is_proposed_once():
     with pytest.raises(ModelError, match=r"axis x: .*\n.*axis y: ") as caught:
         problems.check()
     assert caught.value.missing == ('<site name="work"/>',)
+
+
+def test_the_line_to_add_names_the_geoms_that_the_file_has():
+    """Without its sensor the contract proposed geom2="x_org_switch" where the file has x_org_beam, and took a_org for a slip"""
+    text = new_model([NewAxis.of("x:slide:300mm"), NewAxis.of("a:hinge:90deg")])
+    lines = [line for line in text.splitlines() if '<contact name="x_org"' not in line]
+    with pytest.raises(ModelError) as caught:
+        plant.bind(mujoco.MjModel.from_xml_string("\n".join(lines)))
+    assert "slip" not in str(caught.value)
+    (line,) = caught.value.missing
+    assert 'geom1="x_org_vane" geom2="x_org_beam"' in line
+    lines.insert(next(k for k, there in enumerate(lines) if "<contact name=" in there), line)
+    assert [s.pin for s in plant.bind(mujoco.MjModel.from_xml_string("\n".join(lines)))[0].switches] == list(plant.PINS), "and it mends the model"
 
 
 @pytest.mark.parametrize("turns", [0.0, 0.3, -2.75])

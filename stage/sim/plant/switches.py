@@ -47,6 +47,20 @@ class SwitchFinder:
     def _sensor(self, name: str) -> int:
         return int(mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_SENSOR, name))
 
+    @property
+    def _spoken_for(self) -> list[str]:
+        """Names that are right as they are: of the axes, and of their switches' sensors."""
+        return [*self.axes, *(f"{axis}_{pin}" for axis in self.axes for pin in PINS)]
+
+    def _likely(self, axis: str, pin: str) -> tuple[str, str]:
+        """The model's geoms that are vane and switch by their names, for a line to add; "" where none or several may be."""
+        m, begins = self.model, f"{axis}_{pin}_"
+        geoms = (m.geom(k).name for k in range(m.ngeom))
+        vanes, switches = [], []
+        for name in (g for g in geoms if g.startswith(begins)):
+            (vanes if "vane" in name else switches).append(name)
+        return vanes[0] if len(vanes) == 1 else "", switches[0] if len(switches) == 1 else ""
+
     def find(
         self, axis: str, pin: str, joint: int, low: float, high: float, scanned: dict[tuple[int, int], np.ndarray]
     ) -> Switch | None:
@@ -54,17 +68,17 @@ class SwitchFinder:
         name = f"{axis}_{pin}"
         sensor = self._sensor(name)
         if sensor < 0:
-            near = slip(m, obj.mjOBJ_SENSOR, m.nsensor, name, self.axes)
+            near = slip(m, obj.mjOBJ_SENSOR, m.nsensor, name, self._spoken_for)
             text = f'no contact sensor {name!r}{near}; a switch not fitted is named in <text name="{axis}_unfitted" data="{pin}"/>'
-            self.problems.add(axis, text, sensor_line(axis, pin))
+            self.problems.add(axis, text, sensor_line(axis, pin, *self._likely(axis, pin)))
             return None
         if m.sensor_type[sensor] != mujoco.mjtSensor.mjSENS_CONTACT:
-            self.problems.add(axis, f"sensor {name!r} is not a <contact> sensor", sensor_line(axis, pin))
+            likely = self._likely(axis, pin)
+            self.problems.add(axis, f"sensor {name!r} is not a <contact> sensor", sensor_line(axis, pin, *likely))
             return None
         if m.sensor_objtype[sensor] != obj.mjOBJ_GEOM or m.sensor_reftype[sensor] != obj.mjOBJ_GEOM:
-            self.problems.add(
-                axis, f"sensor {name!r} must name geom1 (vane) and geom2 (switch)", sensor_line(axis, pin)
-            )
+            text = f"sensor {name!r} must name geom1 (vane) and geom2 (switch)"
+            self.problems.add(axis, text, sensor_line(axis, pin, *self._likely(axis, pin)))
             return None
         vane, switch = int(m.sensor_objid[sensor]), int(m.sensor_refid[sensor])
         vane_name, switch_name = m.geom(vane).name, m.geom(switch).name
