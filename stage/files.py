@@ -11,7 +11,7 @@ import os
 import shutil
 import stat
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -22,8 +22,43 @@ from stage.extras import need
 PASSING = ("/dev/", "/proc/")  # a regular file named there, as /dev/stdout, is somebody's open file
 
 
+RECORDING, WAVEFORMS = ((".rrd",), "a recording"), ((".vcd",), "a file of waveforms")
+PICTURE, MODEL = ((".png",), "a rendered picture"), ((".xml",), "a model")
+TRANSCRIPT, ENTRY = ((".jsonl",), "a transcript"), ((".bench",), "an entry")
+"""How such files end, and what they are: for `ends_as`."""
+
+
 class FileError(StageError):
     """A file cannot be written, or another one would be lost."""
+
+
+def path_of(path: Any, error: type[StageError] = FileError) -> Path:
+    """A path as somebody gives it; raises `error` for what is none."""
+    try:
+        return Path(path)
+    except TypeError:
+        raise error(f"{path!r} is no path: give a text, or a pathlib.Path.") from None
+
+
+def readable(path: Any, what: str, error: type[StageError] = FileError) -> Path:
+    """`path`, if it is a file with something in it that can be read; what: it should be, as in "recording".
+
+    Raises `error` for what is missing, a folder, empty, or not to be read, each in its own words.
+    """
+    path = path_of(path, error)
+    try:
+        there = path.stat()
+    except (FileNotFoundError, NotADirectoryError):
+        raise error(f"there is no {what} {path}.") from None
+    except (OSError, ValueError) as why:
+        raise error(f"{path} cannot be read: {getattr(why, 'strerror', None) or why}.") from why
+    if stat.S_ISDIR(there.st_mode):
+        raise error(f"{path} is a folder. Name a file in it.")
+    if not os.access(path, os.R_OK):
+        raise error(f"{path} cannot be read: no permission. `ls -l` says who may.")
+    if stat.S_ISREG(there.st_mode) and not there.st_size:
+        raise error(f"{path} is empty, and no {what}.")
+    return path
 
 
 def writable(
@@ -33,7 +68,7 @@ def writable(
 
     ask: what whoever wants to overwrite has to do.
     """
-    path = Path(path)
+    path = path_of(path, error)
     kind = _kind(path, error)
     if kind is not None and stat.S_ISDIR(kind):
         raise error(f"{path} is a folder. Name a file in it.")
@@ -51,6 +86,22 @@ def writable(
     if not os.access(target.parent, os.W_OK) or (kind is not None and not os.access(target, os.W_OK)):
         raise error(f"{path} cannot be written: no permission. Choose another folder.")
     return target
+
+
+def ends_as(path: str | os.PathLike, endings: Iterable[str], what: str, error: type[FileError] = FileError) -> str:
+    """The ending of `path` in small letters, which is one of `endings`; of a device, which may have any, the first of them.
+
+    what: is written there, as in "a recording". Raises `error` for another ending, or none.
+    """
+    known, given = list(endings), path_of(path, error).suffix.lower()
+    if os.path.isdir(path):
+        raise error(f"{path} is a folder. Name a file in it.")
+    if given in known:
+        return given
+    if is_stream(path):
+        return known[0]
+    said = f"{what} is no {given[1:]!r}" if given else "the name has no ending, and that says the format"
+    raise error(f"{path}: {said}. Name a file that ends in {', '.join(known)}.")
 
 
 def is_stream(path: str | os.PathLike) -> bool:
@@ -88,19 +139,16 @@ def written(path: str | os.PathLike, overwrite: bool, error: type[FileError] = F
 
 
 def save_figure(figure: Any, path: str | os.PathLike, dpi: int, overwrite: bool) -> None:
-    """Write a matplotlib figure, in the format that the name says, PNG where it says none. Raises FileError."""
+    """Write a matplotlib figure, in the format that the name says. Raises FileError."""
     kind = figure_format(path)
     with written(path, overwrite) as part:
         figure.savefig(part, dpi=dpi, format=kind)
 
 
 def figure_format(path: str | os.PathLike) -> str:
-    """The format that matplotlib writes to `path`; FileError where it knows none of that name."""
+    """The format that matplotlib writes to `path`, PNG to a device; FileError where it knows none of that name."""
     known = need("matplotlib.backend_bases", "drawing").FigureCanvasBase.get_supported_filetypes()
-    kind = Path(path).suffix[1:].lower() or "png"
-    if kind not in known:
-        raise FileError(f"{path}: a figure is no {kind!r}. Name a file that ends in .{', .'.join(sorted(known))}.")
-    return kind
+    return ends_as(path, (".png", *sorted(f".{kind}" for kind in known if kind != "png")), "a figure")[1:]
 
 
 def _kind(path: Path, error: type[FileError]) -> int | None:

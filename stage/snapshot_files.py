@@ -23,7 +23,7 @@ from typing import Any, Self
 import numpy as np
 
 from stage.errors import ArgumentError
-from stage.files import written
+from stage.files import readable, written
 from stage.snapshots import VERSION, Header, Snapshot
 
 MAGIC = b"PulseStage snapshot\n"
@@ -73,13 +73,11 @@ class FiledSnapshot(Snapshot):
 
         Raises SnapshotError for what is missing, no snapshot, damaged, of another format, or a snapshot of something else.
         """
-        path = Path(path)
+        path = readable(path, "snapshot", SnapshotError)
         try:
-            if not path.is_file():
-                raise SnapshotError(f"there is no snapshot {path}. Write one: stage.snapshot().save({str(path)!r}).")
             data = path.read_bytes()
-        except (OSError, ValueError) as error:
-            raise SnapshotError(f"{path} cannot be read: {getattr(error, 'strerror', None) or error}.") from error
+        except OSError as error:
+            raise SnapshotError(f"{path} cannot be read: {error.strerror or error}.") from error
         told, state = _parts(path, data)
         if told["version"] != VERSION:
             raise SnapshotError(

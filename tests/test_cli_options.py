@@ -15,7 +15,7 @@ from support.extras import needs_rerun
 
 from stage import ArgumentError, Stage, StageError, firmware, opengl
 from stage.chips.chip import Diagnostic
-from stage.cli import build_parser, demo, fault, main, moves, progress, setup
+from stage.cli import build_parser, demo, fault, files, main, moves, progress, setup
 from stage.cli.erratum import Shown
 from stage.cli.firmware import report as print_report
 from stage.files import FileError
@@ -174,17 +174,17 @@ def test_two_outputs_may_share_a_device_and_no_file(tmp_path):
     kinds = ("record", "vcd", "picture", "plot", "trace")
     given = argparse.Namespace(**dict.fromkeys(kinds), force=False, web=False)
     given.vcd = given.trace = "/dev/null"
-    setup.outputs(given)
+    files.outputs(given)
     given.vcd, given.trace = str(tmp_path / "a"), str(tmp_path / "b" / ".." / "a")
     (tmp_path / "b").mkdir()
     with pytest.raises(FileError, match="--vcd and --trace both write"):
-        setup.outputs(given)
+        files.outputs(given)
 
 
 def test_a_usual_name_is_the_next_that_is_free_and_with_force_always_itself(bench, monkeypatch):
     for name in ("stage.rrd", "stage-2.rrd"):
         open(name, "w").close()
-    assert [setup._free("stage.rrd", force) for force in (False, True)] == ["stage-3.rrd", "stage.rrd"]
+    assert [files._free("stage.rrd", force) for force in (False, True)] == ["stage-3.rrd", "stage.rrd"]
     saved = []
     recording = SimpleNamespace(
         save=lambda path, overwrite: (open(path, "w").close(), saved.append(path)), duration=0.0
@@ -201,7 +201,7 @@ def test_a_usual_name_is_the_next_that_is_free_and_with_force_always_itself(benc
     args = argparse.Namespace(
         record=None, vcd=None, picture=None, plot=None, trace=None, view=True, web=False, force=False
     )
-    with setup.recorded(args, bench):
+    with files.recorded(args, bench):
         pass
     assert saved == ["stage-4.rrd", "view stage-4.rrd"]
 

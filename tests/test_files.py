@@ -57,9 +57,12 @@ def test_a_drawing_stays_unless_overwriting_is_asked_for(stage, tmp_path):
 
 
 def test_a_figure_has_the_format_of_its_name_however_that_is_written():
-    assert [figure_format(name) for name in ("a.PNG", "a.Svg", "a", "b.c/a")] == ["png", "svg", "png", "png"]
+    assert [figure_format(name) for name in ("a.PNG", "a.Svg", "/dev/stdout")] == ["png", "svg", "png"]
     with pytest.raises(FileError, match="a figure is no 'foo'"):
         figure_format("a.FOO")
+    for name in ("a", "b.c/a"):
+        with pytest.raises(FileError, match=r"the name has no ending, .*Name a file that ends in \.png, "):
+            figure_format(name)
 
 
 def test_a_drawing_that_cannot_be_written_says_so(stage, tmp_path):
@@ -79,12 +82,14 @@ def test_a_screenshot_stays_unless_overwriting_is_asked_for(tmp_path):
     assert png.read_text() == "mine"
 
 
-@pytest.mark.parametrize("output", ["--record", "--vcd", "--plot", "--picture"])
-def test_a_command_refuses_a_file_that_exists_before_it_moves(tmp_path, capsys, output):
-    path = tmp_path / "precious"
+@pytest.mark.parametrize(
+    ("output", "ending"), [("--record", "rrd"), ("--vcd", "vcd"), ("--plot", "png"), ("--picture", "png")]
+)
+def test_a_command_refuses_a_file_that_exists_before_it_moves(tmp_path, capsys, output, ending):
+    path = tmp_path / f"precious.{ending}"
     path.write_text("mine")
     assert main(["move", "x", "40", output, str(path)]) == 2
-    assert "precious exists" in capsys.readouterr().err
+    assert f"precious.{ending} exists" in capsys.readouterr().err
     assert path.read_text() == "mine"
 
 

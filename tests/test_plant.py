@@ -605,7 +605,9 @@ def test_the_line_to_add_names_the_geoms_that_the_file_has():
     (line,) = caught.value.missing
     assert 'geom1="x_org_vane" geom2="x_org_beam"' in line
     lines.insert(next(k for k, there in enumerate(lines) if "<contact name=" in there), line)
-    assert [s.pin for s in plant.bind(mujoco.MjModel.from_xml_string("\n".join(lines)))[0].switches] == list(plant.PINS), "and it mends the model"
+    assert [s.pin for s in plant.bind(mujoco.MjModel.from_xml_string("\n".join(lines)))[0].switches] == list(
+        plant.PINS
+    ), "and it mends the model"
 
 
 @pytest.mark.parametrize("turns", [0.0, 0.3, -2.75])
@@ -642,3 +644,20 @@ def test_losses_that_the_motor_cannot_overcome_are_refused_with_a_number_to_writ
         Stage(spec)
     setattr(spec.joint("y"), field, np.multiply(0.8 * value, one))
     assert Stage(spec, visuals=False).axes["y"].lost_steps == 0
+
+
+def test_a_file_that_is_no_model_is_refused_each_in_its_own_words(tmp_path, monkeypatch):
+    """stage view folder.xml said "no MJCF file" of a folder, and of a file without permission"""
+    (tmp_path / "folder.xml").mkdir()
+    (tmp_path / "empty.xml").touch()
+    for name, said in (
+        ("none.xml", "no MJCF file at"),
+        ("folder.xml", "is a folder"),
+        ("empty.xml", "is empty, and no MJCF"),
+    ):
+        with pytest.raises(ModelError, match=said):
+            plant.open_spec(tmp_path / name)
+    (tmp_path / "mine.xml").write_text("<mujoco/>")
+    monkeypatch.setattr("os.access", lambda path, mode: False)
+    with pytest.raises(ModelError, match=r"mine\.xml cannot be read: no permission"):
+        plant.open_spec(tmp_path / "mine.xml")

@@ -139,9 +139,14 @@ def test_what_is_no_snapshot_is_named_and_never_run(tmp_path, kept):
         with pytest.raises(SnapshotError, match=r"foreign is no snapshot of PulseStage: it does not begin as one"):
             Snapshot.load(path)
     assert not trap.exists()
-    for nothing in ("nothing", "folder"):
-        with pytest.raises(SnapshotError, match=rf"there is no snapshot .*{nothing}\. Write one: "):
-            Snapshot.load(tmp_path / nothing)
+    (tmp_path / "empty").touch()
+    for name, said in (("nothing", "there is no snapshot .*nothing"), ("folder", "folder is a folder. Name a file in it"),
+                       ("empty", "empty is empty, and no snapshot")):  # fmt: skip
+        with pytest.raises(SnapshotError, match=said) as caught:
+            Snapshot.load(tmp_path / name)
+        assert ".." not in str(caught.value)
+    with pytest.raises(SnapshotError, match=r"^3\.5 is no path"):
+        Snapshot.load(3.5)
     with pytest.raises(SnapshotError, match=r"cannot be read: embedded null byte|there is no snapshot"):
         Snapshot.load("a\0b")
 

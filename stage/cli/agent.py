@@ -14,14 +14,15 @@ from stage.errors import ArgumentError
 def run(args: argparse.Namespace) -> int:
     """Play a suite with one player; print its score."""
     from stage.agents import arena
-    from stage.files import writable
+    from stage.files import ENTRY, TRANSCRIPT, ends_as, writable
 
     chosen = [name for name in ("by", "command", "endpoint", "mcp") if getattr(args, name)]
     if len(chosen) > 1:
         raise ArgumentError(f"--{' and --'.join(chosen)}: one player at a time.")
     player = _player(args)
-    for path in (args.output, args.entry):
+    for path, kind in ((args.output, TRANSCRIPT), (args.entry, ENTRY)):
         if path is not None:
+            ends_as(path, *kind)
             writable(path, args.force, ask="give --force")
     games = arena.suite(args.suite, args.split, args.episodes)
     if args.mcp and games.count != 1:

@@ -46,9 +46,10 @@ def submit(args: argparse.Namespace) -> int:
     """Play and pack."""
     from stage import bench
     from stage.bench.cards import card_of
-    from stage.files import writable
+    from stage.files import ENTRY, ends_as, writable
 
     card = card_of(args.task)
+    ends_as(args.output, *ENTRY)
     writable(args.output, args.force, ask="give --force")
     progress = _Progress("played")
     entry = bench.play(

@@ -7,8 +7,9 @@ import time
 from typing import Any
 
 from stage.cli.facts import tell
+from stage.cli.files import recorded
 from stage.cli.progress import note, ticking
-from stage.cli.setup import make_stage, recorded
+from stage.cli.setup import make_stage
 from stage.errors import ArgumentError
 from stage.extras import has
 from stage.units import PLACES

@@ -18,8 +18,8 @@ from stage.cli.facts import tell
 from stage.cli.fault import EVERY, Figures, Record
 from stage.cli.fault.demo import table
 from stage.cli.fault.programs import first_axis, touch
+from stage.cli.files import kept, outputs, plot
 from stage.cli.progress import note
-from stage.cli.setup import kept, outputs, plot
 from stage.errors import StageError
 
 MULTIPLE = 10

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 from pathlib import Path
 
 from stage.cli.facts import tell, wrote
@@ -10,11 +11,13 @@ from stage.cli.facts import tell, wrote
 
 def run(args: argparse.Namespace) -> int:
     """Write them, or list them."""
-    from stage.files import writable
+    from stage.files import FileError, writable
     from stage.recording import read
     from stage.recording.table import writer_of
 
     if args.output is not None:
+        if os.path.realpath(args.output) == os.path.realpath(args.file):
+            raise FileError(f"-o {args.output}: that is the recording itself. Name another file.")
         writer_of(args.output)
         writable(args.output, args.force, ask="give --force")
     saved = read(args.file)

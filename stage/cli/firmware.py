@@ -16,8 +16,9 @@ from typing import Any
 
 from stage.cli.beside import beside, live_on, run_beside
 from stage.cli.facts import tell, wrote
+from stage.cli.files import outputs, recorded
 from stage.cli.progress import note, ticking
-from stage.cli.setup import make_board, outputs, recorded
+from stage.cli.setup import make_board
 from stage.errors import ArgumentError, StageError
 from stage.units import PLACES
 

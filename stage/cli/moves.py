@@ -7,8 +7,9 @@ import sys
 from typing import Any
 
 from stage.cli.facts import tell
+from stage.cli.files import plot, recorded
 from stage.cli.progress import note, ticking
-from stage.cli.setup import distance, find_axis, make_stage, place, plot, profile, recorded, speeds
+from stage.cli.setup import distance, find_axis, make_stage, place, profile, speeds
 from stage.errors import ArgumentError, a_or_an
 
 

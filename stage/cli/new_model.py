@@ -8,14 +8,15 @@ import shlex
 
 def run(args: argparse.Namespace) -> int:
     """Write the model, or print it."""
-    from stage.files import writable, written
+    from stage.files import MODEL, ends_as, writable, written
     from stage.sim.plant.new import NewAxis, new_model
 
     text = new_model([NewAxis.of(item) for item in args.axes.split(",")])
-    if not args.output:
+    if args.output in (None, "-"):
         print(text, end="")
         return 0
-    writable(args.output, args.force, ask="say --force")
+    ends_as(args.output, *MODEL)
+    writable(args.output, args.force, ask="give --force")
     with written(args.output, args.force) as part:
         part.write_text(text)
     from stage.sim import plant

@@ -9,8 +9,9 @@ import sys
 from typing import Any
 
 from stage.cli.beside import beside
+from stage.cli.files import outputs, recorded
 from stage.cli.firmware import report, write_trace
-from stage.cli.setup import make_board, outputs, recorded
+from stage.cli.setup import make_board
 from stage.errors import ArgumentError
 
 

@@ -8,8 +8,8 @@ from functools import partial
 from typing import Any
 
 from stage.cli.facts import tell, wrote
+from stage.cli.files import outputs, plot
 from stage.cli.progress import progress
-from stage.cli.setup import outputs, plot
 
 
 def chips(args: argparse.Namespace) -> int:

@@ -32,7 +32,7 @@ import numpy as np
 from stage import html
 from stage.chips.journal import Journal
 from stage.errors import ArgumentError, unknown
-from stage.files import FileError, is_stream, writable, written
+from stage.files import RECORDING, WAVEFORMS, FileError, ends_as, is_stream, writable, written
 from stage.recording.host_part import HostPart
 from stage.recording.table import Tabular
 from stage.sim.records import SAMPLE
@@ -207,6 +207,7 @@ class Recording(Tabular):
         if self._log is not None or self._on_close is None:
             raise RecordingError(f"{self!r} {'goes to a file already' if self._log else 'is over: save it'}.")
         self.on_error = on_error  # type: ignore[assignment]
+        ends_as(path, *RECORDING, RecordingError)
         self._log_path = writable(path, overwrite, RecordingError)
         self._flush_rows = max(1, round(seconds / self.every))
         try:
@@ -376,10 +377,12 @@ class Recording(Tabular):
     def save(self, path: str | os.PathLike, overwrite: bool = False) -> Path:
         """Write a rerun recording (.rrd) that opens as a dashboard: `rerun FILE`.
 
-        Raises RecordingError if the file exists (and not `overwrite`) or cannot be written; then nothing has changed.
+        Raises RecordingError if the file does not end in .rrd, exists (and not `overwrite`), or cannot be written; then nothing has
+        changed.
         """
         from stage.recording.rerun_log import write
 
+        ends_as(path, *RECORDING, RecordingError)
         self.check_time()
         with written(path, overwrite, RecordingError) as part:
             write(self, part)
@@ -410,6 +413,7 @@ class Recording(Tabular):
         """
         from stage.recording.vcd import write
 
+        ends_as(path, *WAVEFORMS, RecordingError)
         self.check_time()
         with written(path, overwrite, RecordingError) as part:
             write(self, part)

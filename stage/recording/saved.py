@@ -16,12 +16,14 @@ from typing import Any
 import numpy as np
 
 from stage.errors import unknown
+from stage.files import readable
 from stage.recording import sdk
 from stage.recording.recording import RecordingError, unit_of
 from stage.recording.series import FORMAT, SERIES
 from stage.recording.signals import plain
 from stage.recording.table import Tabular
 
+MAGIC = b"RRF"
 WHOLE = ("lost_steps", "counter")
 NAMED = {"current": "current_a"}
 """Series whose column has another name."""
@@ -157,10 +159,14 @@ def read(path: str | os.PathLike) -> Saved:
 
     Raises RecordingError for what is missing, damaged or no recording of PulseStage; ExtraMissing without rerun.
     """
-    path = Path(path)
+    path = readable(path, "recording", RecordingError)
+    with path.open("rb") as file:
+        if file.read(len(MAGIC)) != MAGIC:
+            raise RecordingError(
+                f"{path} is no recording: an .rrd file begins with {MAGIC.decode()}, and this does not. Give one that "
+                "Recording.save or --record has written."
+            )
     reader = sdk.chunk.RrdReader
-    if not path.is_file():
-        raise RecordingError(f"there is no recording {path}.")
     entities: dict[str, dict[str, Any]] = {}
     try:
         with warnings.catch_warnings():
@@ -171,7 +177,7 @@ def read(path: str | os.PathLike) -> Saved:
     except (RuntimeError, ValueError) as error:
         said = str(error).rpartition("rrd: ")[2].partition("\n")[0][:200]
         raise RecordingError(
-            f"{path} is damaged, or no .rrd file: {said}. Of a run that was killed while it wrote, `rerun rrd merge {path} -o "
+            f"{path} is damaged: {said}. Of a run that was killed while it wrote, `rerun rrd merge {path} -o "
             "whole.rrd` keeps what is whole."
         ) from error
     return Saved(path, entities)

@@ -17,7 +17,7 @@ import numpy as np
 
 from stage.errors import unknown
 from stage.extras import need
-from stage.files import FileError, written
+from stage.files import FileError, ends_as, written
 
 if TYPE_CHECKING:
     import pandas
@@ -27,12 +27,7 @@ FORMATS = {".csv": "to_csv", ".parquet": "to_parquet", ".npz": "to_npz"}
 
 def writer_of(path: str | os.PathLike) -> str:
     """The method of `Tabular` that writes a file of this name. Raises FileError for an ending that is none of FORMATS."""
-    ending = Path(path).suffix.lower()
-    if ending not in FORMATS:
-        raise FileError(
-            f"{path}: columns are no {ending or 'file without an ending'}. Name a file that ends in {', '.join(FORMATS)}."
-        )
-    return FORMATS[ending]
+    return FORMATS[ends_as(path, FORMATS, "a table")]
 
 
 class Tabular:

@@ -371,15 +371,15 @@ def test_the_commands_say_what_is_wrong(entry, tmp_path, monkeypatch, capsys):
     for argv, says in (
         ("bench-verify none.bench", "none.bench: there is no such file"),
         (f"bench-verify {__file__}", "not an entry of the bench"),
-        ("bench-submit randon -o a", "unknown player of few-shot 'randon'. Did you mean 'random'"),
-        ("bench-submit none_such:policy -o a", "No module named 'none_such'"),
-        ("bench-submit json:policy -o a", "module json has no 'policy'"),
-        ("bench-submit none.npz -o a", "none.npz: there is no such file of actions"),
+        ("bench-submit randon -o a.bench", "unknown player of few-shot 'randon'. Did you mean 'random'"),
+        ("bench-submit none_such:policy -o a.bench", "No module named 'none_such'"),
+        ("bench-submit json:policy -o a.bench", "module json has no 'policy'"),
+        ("bench-submit none.npz -o a.bench", "none.npz: there is no such file of actions"),
         ("bench-submit random -o changed.bench", "changed.bench exists"),
-        ("bench-submit random -o a --set memory", "NAME=VALUE"),
-        ("bench-submit random -o a --set memory=some", "memory='some': few-shot has 'all', 'last'"),
-        ("bench-submit random -o a --cost moves=many", "--cost moves=many: NAME=NUMBER"),
-        ("bench-submit random -o a --episodes 65", "episodes=65: 1 to 64 here"),
+        ("bench-submit random -o a.bench --set memory", "NAME=VALUE"),
+        ("bench-submit random -o a.bench --set memory=some", "memory='some': few-shot has 'all', 'last'"),
+        ("bench-submit random -o a.bench --cost moves=many", "--cost moves=many: NAME=NUMBER"),
+        ("bench-submit random -o a.bench --episodes 65", "episodes=65: 1 to 64 here"),
         ("bench few", "unknown task 'few'. Did you mean 'few-shot'"),
     ):
         assert main(argv.split()) == 2

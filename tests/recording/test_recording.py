@@ -181,16 +181,26 @@ def test_a_recording_of_nothing_can_be_saved(bench, tmp_path):
     assert {len(v) for v in recording.columns.values()} == {0}
 
 
-@pytest.mark.parametrize("write", ["save", "to_vcd"])
-def test_a_file_that_exists_stays_unless_overwriting_is_asked_for(run, tmp_path, write):
-    path = tmp_path / "precious"
+@pytest.mark.parametrize(("write", "name"), [("save", "x.mp4"), ("save", "x"), ("to_vcd", "x.rrd")])
+def test_a_file_of_another_kind_is_not_named_so(run, tmp_path, write, name):
+    """recording.save("x.mp4") wrote a recording"""
+    with pytest.raises(
+        RecordingError, match=rf"{name}: .*Name a file that ends in \.{'rrd' if write == 'save' else 'vcd'}"
+    ):
+        getattr(run.recording, write)(tmp_path / name)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(("write", "name"), [("save", "precious.rrd"), ("to_vcd", "precious.vcd")])
+def test_a_file_that_exists_stays_unless_overwriting_is_asked_for(run, tmp_path, write, name):
+    path = tmp_path / name
     path.write_text("mine")
-    with pytest.raises(RecordingError, match=r"precious exists\. Choose another name, or say overwrite=True"):
+    with pytest.raises(RecordingError, match=rf"{name} exists\. Choose another name, or say overwrite=True"):
         getattr(run.recording, write)(path)
     assert path.read_text() == "mine"
     getattr(run.recording, write)(path, overwrite=True)
     assert path.read_bytes() != b"mine"
-    assert [f.name for f in tmp_path.iterdir()] == ["precious"], "no half-written file is left"
+    assert [f.name for f in tmp_path.iterdir()] == [name], "no half-written file is left"
 
 
 @pytest.mark.parametrize(

@@ -168,8 +168,8 @@ assert len(recording) > samples, "and is still recorded"
         assert read_rrd(path)["/axes/x/position"]["Scalars:scalars"][0].max() >= 0.1e9
 
 
-@pytest.mark.parametrize("write", ["save", "to_vcd"])
-def test_a_full_disk_is_an_error_of_ours_and_leaves_nothing(tmp_path, write):
+@pytest.mark.parametrize(("write", "name"), [("save", "x.rrd"), ("to_vcd", "x.vcd")])
+def test_a_full_disk_is_an_error_of_ours_and_leaves_nothing(tmp_path, write, name):
     """rerun's own file sink would wait for ever."""
     code = (
         LIMITED
@@ -185,8 +185,8 @@ except RecordingError as error:
     print(error)
 """
     )
-    done = child(code, tmp_path / "x.out", write)
-    assert "x.out cannot be written: File too large" in done.stdout, done.stderr
+    done = child(code, tmp_path / name, write)
+    assert f"{name} cannot be written: File too large" in done.stdout, done.stderr
     assert list(tmp_path.iterdir()) == []
 
 

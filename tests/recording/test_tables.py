@@ -72,7 +72,7 @@ def test_a_recording_of_nothing_is_a_table_of_nothing(bench, tmp_path):
 def test_what_cannot_be_written_is_refused_and_nothing_is_left(run, tmp_path):
     with pytest.raises(ArgumentError, match=r"unknown column 'x/postion'.*Did you mean 'x/position'"):
         run.recording.to_pandas(["x/postion"])
-    with pytest.raises(FileError, match=r"columns are no \.xlsx.*\.csv, \.parquet, \.npz"):
+    with pytest.raises(FileError, match=r"a table is no 'xlsx'.*\.csv, \.parquet, \.npz"):
         run.recording.to_file(tmp_path / "run.xlsx")
     (tmp_path / "mine.csv").write_text("mine")
     with pytest.raises(RecordingError, match=r"mine\.csv exists"):
@@ -130,9 +130,9 @@ def test_what_is_no_recording_is_refused_in_words(rrd, tmp_path):
     stream.disconnect()
     for name, content, said in (
         ("missing", None, "there is no recording"),
-        ("empty", b"", "is damaged, or no .rrd file: .*too small"),
-        ("text", b"time,x\n" * 1000, "is damaged, or no .rrd file"),
-        ("cut", whole[: len(whole) // 3], "rerun rrd merge .* keeps what is whole"),
+        ("empty", b"", "is empty, and no recording"),
+        ("text", b"time,x\n" * 1000, "is no recording: an .rrd file begins with RRF, and this does not"),
+        ("cut", whole[: len(whole) // 3], "is damaged: .*rerun rrd merge .* keeps what is whole"),
         ("foreign", foreign.read_bytes(), "is a rerun file, but no recording of this PulseStage"),
     ):
         path = tmp_path / f"{name}.rrd"
@@ -140,6 +140,8 @@ def test_what_is_no_recording_is_refused_in_words(rrd, tmp_path):
             path.write_bytes(content)
         with pytest.raises(RecordingError, match=said):
             read(path)
+    with pytest.raises(RecordingError, match="is a folder"):
+        read(tmp_path)
 
 
 # --- stage export ---
@@ -157,10 +159,19 @@ def test_the_command_lists_columns_and_writes_them(rrd, tmp_path, capsys, monkey
     assert (tmp_path / "few.csv").read_text().startswith("time,x/position,x/rate\n0.001,")
 
 
+def test_a_recording_is_not_written_over_itself(tmp_path, capsys):
+    """stage export a.csv -o a.csv --force"""
+    path = tmp_path / "a.csv"
+    path.write_text("mine")
+    assert main(["export", str(path), "-o", str(tmp_path / "." / "a.csv"), "--force"]) == 2
+    assert "that is the recording itself. Name another file." in capsys.readouterr().err
+    assert path.read_text() == "mine"
+
+
 @pytest.mark.parametrize(
     ("argv", "said"),
     [
-        (["-o", "a.xlsx"], r"a\.xlsx: columns are no \.xlsx\. Name a file that ends in \.csv, \.parquet, \.npz\."),
+        (["-o", "a.xlsx"], r"a\.xlsx: a table is no 'xlsx'\. Name a file that ends in \.csv, \.parquet, \.npz\."),
         (["-o", "there.csv"], r"there\.csv exists\. Choose another name, or give --force\."),
         (["-o", "a.csv", "--columns", "x/positon"], "unknown column 'x/positon'. Did you mean 'x/position'"),
     ],

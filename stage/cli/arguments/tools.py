@@ -66,7 +66,7 @@ def add(commands: Any) -> None:
         help="x:slide:300mm, or a:hinge:90deg; the travel is that between the end limits; 360deg turns without end (default: "
         "x:slide:300mm,y:slide:200mm)",
     )
-    p.add_argument("-o", "--output", metavar="FILE.xml", help="where to (default: it is printed)")
+    p.add_argument("-o", "--output", metavar="FILE.xml", help="where to; - prints it (default: -)")
     p.add_argument("--force", action="store_true", help="overwrite a file that exists")
     p = command(
         commands, "completion", "tools:completion", "completion of commands and options for a shell",

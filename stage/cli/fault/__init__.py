@@ -17,8 +17,9 @@ from stage.cli.facts import tell
 from stage.cli.fault.demo import Claim, Demo, Figures, Record, Shown, Strike
 from stage.cli.fault.demos import DEMOS
 from stage.cli.fault.programs import first_axis
+from stage.cli.files import kept, outputs, plot
 from stage.cli.progress import note
-from stage.cli.setup import kept, make_stage, outputs, plot
+from stage.cli.setup import make_stage
 from stage.errors import unknown
 
 __all__ = ["DEMOS", "EVERY", "Claim", "Demo", "Figures", "Record", "Shown", "Strike", "run", "show"]

@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 
 from stage.errors import ArgumentError, ModelError, near_names, unknown
+from stage.files import readable
 from stage.sim.plant.problems import actuator_line, similar
 
 
@@ -36,10 +37,11 @@ def open_spec(source: Any) -> Any:
         if str(source) not in names():
             raise unknown("model", str(source), names())
         return _shipped(str(source), _state_of_models()).copy()
-    if not path.is_file():
+    if not os.path.lexists(path):
         near = near_names(path.stem, names(), 0.5)
         hint = f" Did you mean the shipped model {near[0]!r}?" if near else ""
         raise ModelError(f"no MJCF file at {path}.{hint} Shipped models, by name: {', '.join(names())}.")
+    readable(path, "MJCF file", ModelError)
     try:
         return mujoco.MjSpec.from_file(str(path))
     except ValueError as error:

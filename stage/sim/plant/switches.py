@@ -56,7 +56,8 @@ class SwitchFinder:
         """The model's geoms that are vane and switch by their names, for a line to add; "" where none or several may be."""
         m, begins = self.model, f"{axis}_{pin}_"
         geoms = (m.geom(k).name for k in range(m.ngeom))
-        vanes, switches = [], []
+        vanes: list[str] = []
+        switches: list[str] = []
         for name in (g for g in geoms if g.startswith(begins)):
             (vanes if "vane" in name else switches).append(name)
         return vanes[0] if len(vanes) == 1 else "", switches[0] if len(switches) == 1 else ""
