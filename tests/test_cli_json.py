@@ -63,6 +63,12 @@ def test_a_long_command_says_in_json_what_it_says_in_words(name, capsys, tmp_pat
     assert facts[{"demo": "reports", "erratum": "as_claimed", "pullout": "pull_out"}[name]]
 
 
+def test_an_axis_is_told_with_what_a_turn_of_its_motor_makes(capsys):
+    """stage view xya --json: screws of 10 mm, and a table behind a gear of 18"""
+    axes = {a["name"]: a["per_turn"] for a in said(capsys, "view", "xya")["axes"]}
+    assert axes == pytest.approx({"x": 0.01, "y": 0.01, "a": 2 * math.pi / 18})
+
+
 def test_a_report_has_its_numbers_in_si_and_its_writes(capsys):
     """stage move x 800 --json"""
     report = said(capsys, "move", "x", "800")["reports"][0]

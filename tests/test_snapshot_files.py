@@ -154,6 +154,7 @@ def test_what_is_no_snapshot_is_named_and_never_run(tmp_path, kept):
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
+        ({"version": 0}, "is of version 0 of a stage's state, and this PulseStage reads version 1: take it anew"),
         ({"version": 2}, "is of version 2 of a stage's state, and this PulseStage reads version 1: take it anew"),
         ({"checksum": 1}, "what it says of itself does not fit its state"),
         ({"parts": [["axes", "y"]]}, "what it says of itself does not fit its state"),

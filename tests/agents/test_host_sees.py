@@ -112,6 +112,14 @@ def test_faults_are_tools_of_their_own(make_box):
     assert "Did you mean 'org'" in box.call("fault_switch_stuck", {"axis": "x", "pin": "orgg", "closed": True}).text
 
 
+def test_the_last_fault_is_mended_first(make_box):
+    box = make_box(mode="truth")
+    box.call("fault_jam", {"axis": "x"})
+    box.call("fault_phase_open", {"axis": "y", "phase": "b"})
+    assert box.call("mend").data["faults"] == ["axis x: jammed"]
+    assert box.call("mend").data["faults"] == []
+
+
 def test_hands_load_and_place(make_box):
     box = make_box(mode="truth")
     assert box.call("load", {"mass": 2}).data["payload_kg"] == 2

@@ -363,6 +363,15 @@ def test_the_commands_submit_and_verify_in_a_fresh_process(tmp_path, monkeypatch
     ).items()
 
 
+def test_what_it_took_is_told_by_option_and_may_be_nothing(tmp_path, monkeypatch):
+    """stage bench-submit random --cost moves=3 --cost tokens=0"""
+    monkeypatch.chdir(tmp_path)
+    cost = ["--cost", "moves=3", "--cost", "tokens=0"]
+    assert main(["bench-submit", "random", "--task", "brief", "-o", "a.bench", "--episodes", "1", *cost]) == 0
+    kept = bench.read("a.bench")
+    assert kept.cost == {"moves": 3, "tokens": 0, "test_moves": len(kept.rewards)}
+
+
 def test_the_commands_say_what_is_wrong(entry, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     bench.submit(changed(entry, "rewards", 0, 9.0), "changed.bench")
@@ -384,7 +393,7 @@ def test_the_commands_say_what_is_wrong(entry, tmp_path, monkeypatch, capsys):
     ):
         assert main(argv.split()) == 2
         assert says in capsys.readouterr().err, argv
-    assert not (tmp_path / "a").exists()
+    assert not (tmp_path / "a.bench").exists()
 
 
 def test_the_list_of_tasks_names_splits_and_players(capsys):

@@ -92,6 +92,22 @@ def test_a_trigger_stays_until_its_window_is_full(session, sampler, mode):
     assert full.curves["x/rate"][0][-1] == pytest.approx(full.end, abs=1e-3)
 
 
+def test_of_two_triggers_the_last_whose_window_is_full_is_shown(session, sampler):
+    """Two moves since the last look, the second just begun"""
+    scope = Scope(sampler, ["x/rate"], span=0.4)
+    scope.trigger("normal", "x/rate", True, 8000.0)
+    hasty(session, firmware.move, session.stage.axes["x"], 0.004)
+    hasty(session, session.stage.run, 0.4)
+    between = sampler.last
+    hasty(session, firmware.move, session.stage.axes["x"], 0.004)
+    began = sampler.columns(["x/rate"], between, sampler.last)
+    second = began[0][np.argmax(began[1]["x/rate"] >= 8000)]
+    hasty(session, session.stage.run, second + 0.5 * 0.4 - sampler.last)
+    assert scope.frame(10).end <= between
+    hasty(session, session.stage.run, 0.4)
+    assert scope.frame(10).trigger == pytest.approx(second)
+
+
 def test_a_trigger_that_time_has_taken_back_is_none(session, sampler):
     scope = Scope(sampler, ["x/rate"], span=0.1)
     scope.trigger("normal", "x/rate", True, 8000.0)
