@@ -34,28 +34,26 @@ def places(stage, name, ez, drift, returns, rng):
 
 
 def draw(found, path):
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
+    from stage.pictures import COLOURS, bare, figure, title
 
     rng = np.random.default_rng(0)
-    figure, panels = plt.subplots(1, 2, figsize=(9, 3.6), layout="constrained")
+    fig = figure(9, 3.6)
+    panels = fig.subplots(1, 2)
     for ax, drift in zip(panels, (0.0, DRIFT), strict=True):
         for k, name in enumerate("xyz"):
-            for shift, way, colour in ((-0.16, "ORG", "#0072B2"), (0.16, "EZ, 2nd pulse", "#D55E00")):
+            for shift, way, colour in ((-0.16, "ORG", COLOURS[0]), (0.16, "EZ, 2nd pulse", COLOURS[1])):
                 ends = found[name, way, drift]
                 ax.plot(
                     k + shift + rng.uniform(-0.08, 0.08, len(ends)), ends - np.median(ends), "o", ms=3, alpha=0.6,
                     color=colour, mec="none", label=way if k == 0 else None,
                 )  # fmt: skip
         ax.set_xticks(range(3), "xyz")
-        ax.set_title("the switch stays" if not drift else f"the switch drifts by ±{DRIFT * 1e3:g} mm", fontsize=10)
+        bare(ax)
+        title(ax, "The switch stays" if not drift else f"The switch drifts by ±{DRIFT * 1e3:g} mm")
         ax.set_ylabel("final position from the median, pulses")
-        ax.grid(axis="y", alpha=0.3)
-        ax.spines[["top", "right"]].set_visible(False)
-    panels[1].legend(frameon=False, fontsize=9)
-    figure.savefig(path, dpi=130)
+        ax.grid(False, axis="x")
+    fig.legend(*panels[0].get_legend_handles_labels(), loc="outside upper right", ncols=2, frameon=False, fontsize=9)
+    fig.savefig(path, dpi=130)
 
 
 def main():

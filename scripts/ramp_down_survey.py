@@ -112,12 +112,11 @@ def reasons(runs):
 
 
 def draw(runs, path):
-    from matplotlib.figure import Figure
+    from stage.pictures import COLOURS, INK, MUTED, bare, figure, title
 
-    ink = "#1d2733"
-    colors = dict(zip(SHAPES, ("#7b8794", "#1f5f9e", "#3a8a5f", "#c05621"), strict=False))
-    figure = Figure(figsize=(10, 3.9), layout="constrained")
-    left, right = figure.subplots(1, 2, width_ratios=(1.1, 1))
+    colors = dict(zip(SHAPES, (MUTED, COLOURS[0], COLOURS[2], COLOURS[1]), strict=False))
+    fig = figure(10, 3.9)
+    left, right = fig.subplots(1, 2, width_ratios=(1.1, 1))
     for kind, color in colors.items():
         values = np.sort([e.at_fl for m, e in runs if shape(m) == kind and not excuse(m, e)])
         left.plot(
@@ -126,21 +125,21 @@ def draw(runs, path):
     left.set_xscale("symlog", linthresh=1, linscale=0.5)
     left.set_xlim(0, None)
     left.set_ylim(0, 101)
-    left.set_xlabel("pulses at FL at the end", color=ink)
-    left.set_ylabel("% of the moves", color=ink)
-    left.legend(frameon=False, fontsize=8, labelcolor=ink, loc="lower right")
+    left.set_xlabel("pulses at FL at the end", color=INK)
+    left.set_ylabel("% of the moves", color=INK)
+    left.legend(frameon=False, fontsize=8, labelcolor=INK, loc="lower right")
     alike = SHAPES[:3]
     late = [[e.late for m, e in runs if shape(m) == k and not excuse(m, e)] for k in alike]
     right.hist(late, np.linspace(-2, 4, 61), stacked=True, color=[colors[k] for k in alike], label=alike)
-    right.axvline(0, color=ink, linewidth=0.8, linestyle=(0, (4, 4)))
-    right.set_xlabel("pulses from the end of the ramp-down to the last pulse", color=ink)
-    right.set_ylabel("moves", color=ink)
-    right.legend(frameon=False, fontsize=8, labelcolor=ink, loc="upper right")
+    right.axvline(0, color=INK, linewidth=0.8, linestyle=(0, (4, 4)))
+    right.set_xlabel("pulses from the end of the ramp-down to the last pulse", color=INK)
+    right.set_ylabel("moves", color=INK)
+    right.legend(frameon=False, fontsize=8, labelcolor=INK, loc="upper right")
     for ax in (left, right):
-        ax.spines[["top", "right"]].set_visible(False)
-        ax.spines[["left", "bottom"]].set_color("#c9d1da")
-        ax.tick_params(color="#c9d1da", labelcolor=ink, labelsize=8)
-    figure.savefig(path, dpi=150)
+        bare(ax)
+    title(left, "How long the end at FL is")
+    title(right, "When the last pulse comes")
+    fig.savefig(path, dpi=150)
 
 
 if __name__ == "__main__":

@@ -164,41 +164,41 @@ def anything(moves, rng, number):
 
 
 def draw(asked, far, perfect, plain, folder):
-    from matplotlib.figure import Figure
+    from stage.pictures import COLOURS, INK, MUTED, bare, figure, title
 
-    ink, muted, blue, orange = "#1d2733", "#7b8794", "#1f5f9e", "#c05621"
-    figure = Figure(figsize=(10, 3.9), layout="constrained")
-    left, right = figure.subplots(1, 2, width_ratios=(1, 1.15))
+    blue, orange = COLOURS[:2]
+    fig = figure(10, 3.9)
+    left, right = fig.subplots(1, 2, width_ratios=(1, 1.15))
     bins = np.geomspace(0.4, 1.2 * max(*plain, 2), 46)
     left.hist(plain, bins, color=orange, alpha=0.55, label="one R7 for both axes")
     left.hist(far, bins, color=blue, alpha=0.85, label="R7 free for each axis")
-    left.axvline(2, color=muted, linewidth=0.8, linestyle=(0, (4, 4)))
+    left.axvline(2, color=MUTED, linewidth=0.8, linestyle=(0, (4, 4)))
     left.set_xscale("log")
     left.set_xticks((0.5, 1, 2, 5), ("0.5", "1", "2", "5"))
     left.minorticks_off()
     left.set_xlim(bins[0], bins[-1])
-    left.set_xlabel("largest distance from the line (pulses)", color=ink)
-    left.set_ylabel(f"moves of {len(far)}", color=ink)
+    left.set_xlabel("largest distance from the line (pulses)", color=INK)
+    left.set_ylabel(f"moves of {len(far)}", color=INK)
     ratio = [min(map(abs, d.values())) / max(map(abs, d.values())) for d in asked]
     right.scatter(ratio, far, s=14, color=blue, linewidths=0, label="planned, measured")
     order = np.argsort(ratio)
     right.plot(
-        np.array(ratio)[order], np.array(perfect)[order], color=muted, linewidth=1, label="perfect axes, a common start"
+        np.array(ratio)[order], np.array(perfect)[order], color=MUTED, linewidth=1, label="perfect axes, a common start"
     )
     x = np.linspace(0, 1, 100)
     right.plot(
-        x, (1 + x) / 2 / np.hypot(1, x), color=muted, linewidth=1, linestyle=(0, (2, 2)), label="half the staircase"
+        x, (1 + x) / 2 / np.hypot(1, x), color=MUTED, linewidth=1, linestyle=(0, (2, 2)), label="half the staircase"
     )
-    right.set_xlabel("ratio of the distances", color=ink)
-    right.set_ylabel("largest distance (pulses)", color=ink)
+    right.set_xlabel("ratio of the distances", color=INK)
+    right.set_ylabel("largest distance (pulses)", color=INK)
     right.set_ylim(0.45, 1.08)
     right.set_xlim(0, 1.01)
     for ax in (left, right):
-        ax.legend(frameon=False, fontsize=8, labelcolor=ink, loc="upper right" if ax is left else "lower right")
-        ax.spines[["top", "right"]].set_visible(False)
-        ax.spines[["left", "bottom"]].set_color("#c9d1da")
-        ax.tick_params(color="#c9d1da", labelcolor=ink, labelsize=8)
-    figure.savefig(f"{folder}/synchronized.png", dpi=150)
+        ax.legend(frameon=False, fontsize=8, labelcolor=INK, loc="upper right" if ax is left else "lower right")
+        bare(ax)
+    title(left, "How far from the line, of all moves")
+    title(right, "How far, over the ratio")
+    fig.savefig(f"{folder}/synchronized.png", dpi=150)
     Moves()({"x": 20_000, "y": -7_500}).plot(f"{folder}/synchronized_move.png", overwrite=True)
     Moves(PCL240MS, s_curve=True, automatic=True)({"x": 20_000, "y": -7_500}, accel=0.3).plot(
         f"{folder}/synchronized_s_curve.png", "a:b move with S-curves, x +20,000, y -7,500 pulses", overwrite=True

@@ -26,6 +26,11 @@ def heading(fig: Any, title: str, said: str = "") -> None:
     fig.text(0.988, y, said, color=MUTED, fontsize=8.5, ha="right", va="center")
 
 
+def title(ax: Any, text: str) -> None:
+    """What one panel of several shows."""
+    ax.set_title(text, loc="left", color=INK, fontsize=10, weight="bold")
+
+
 def bare(ax: Any) -> None:
     """Without a box, the grid behind."""
     for side in ("top", "right"):

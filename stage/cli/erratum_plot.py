@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stage.extras import need
 from stage.units import PLACES
 
 if TYPE_CHECKING:
@@ -18,12 +17,12 @@ LANES = {"ASND": "asnd", "CNST": "cnst", "DSND": "dsnd", "n-DRV": "drive"}
 
 def draw(shown: Shown, path: str | None, overwrite: bool) -> Any:
     """Rate and position of both runs; beside them, close up, the rate and the bits of RR1 around area d."""
-    from stage.drives.picture import ACCENT, GRID, INK, MUTED
+    from stage.drives.picture import ACCENT, MUTED
     from stage.files import save_figure
+    from stage.pictures import INK, bare, figure, title
 
-    Figure = need("matplotlib.figure", "drawing").Figure
-    figure = Figure(figsize=(11, 6), layout="constrained")
-    (rate, close), (place, lanes) = figure.subplots(2, 2)
+    fig = figure(11, 6)
+    (rate, close), (place, lanes) = fig.subplots(2, 2)
     styles = ((ACCENT, 1.6, "26h in area d", 2), (MUTED, 3.0, "stop_by_speed", 1))
     areas, unit = _areas(shown.recordings[0]), PLACES[shown.unit]
     for recording, (color, width, label, order) in zip(shown.recordings, styles, strict=True):
@@ -50,22 +49,24 @@ def draw(shown: Shown, path: str | None, overwrite: bool) -> Any:
     for area, when in {"c": begin - CLOSE / 2, "d": (begin + end) / 2, "e": end + CLOSE / 2}.items():
         if area in letters or area == "d":
             close.annotate(area, (when, 0.92), xycoords=("data", "axes fraction"), ha="center", color=INK)
-    rate.set(ylabel="pulse rate (pps)", title=f"{shown.chip}{', mended' if shown.mended else ''}: the drive")
-    close.set(ylabel="pulse rate (pps)", title="the end of the deceleration; shaded: area d, up to 26h")
-    place.set(
-        ylabel=f"position ({unit.symbol})",
-        xlabel="time (s)",
-        title="the carriage; dotted: what the pulses say",
-    )
-    lanes.set(xlabel="time (s)", title="RR1 and n-DRV after 26h in area d")
-    for panel in (rate, close, place, lanes):
-        panel.grid(True, axis="x" if panel is lanes else "both", color=GRID, linewidth=0.7)
-        panel.spines[["top", "right"]].set_visible(False)
-        panel.title.set_fontsize(10)
+    rate.set(ylabel="pulse rate (pps)")
+    close.set(ylabel="pulse rate (pps)")
+    place.set(ylabel=f"position ({unit.symbol})", xlabel="time (s)")
+    lanes.set(xlabel="time (s)")
+    titles = {
+        rate: f"{shown.chip}{', mended' if shown.mended else ''}: the drive",
+        close: "The end of the deceleration; shaded: area d, up to 26h",
+        place: "The carriage; dotted: what the pulses say",
+        lanes: "RR1 and n-DRV after 26h in area d",
+    }
+    for panel, text in titles.items():
+        bare(panel)
+        title(panel, text)
+    lanes.grid(False, axis="y")
     rate.legend(frameon=False, fontsize=9, loc="center right")
     if path is not None:
-        save_figure(figure, path, 150, overwrite)
-    return figure
+        save_figure(fig, path, 150, overwrite)
+    return fig
 
 
 def _course(recording: Any) -> tuple[Any, np.ndarray]:

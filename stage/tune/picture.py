@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stage.extras import need
 from stage.files import save_figure
+from stage.pictures import bare, figure, heading
 from stage.sim.fleet import Fleet
 from stage.sim.program import Program
 from stage.tune.looks import LOOK, Looks
@@ -25,12 +25,11 @@ BAND = "#dbe8f5"
 
 def draw(result: Result, path: str | PathLike, overwrite: bool = False) -> None:
     """Write the picture. Raises FileError; ExtraMissing without matplotlib."""
-    Figure = need("matplotlib.figure", "drawing").Figure
     task = result.task
     axis: Any = task.stage.axes[task.axis]
     unit, tiny = PLACES[axis.unit], SMALL[axis.unit]
-    figure = Figure(figsize=(9, 8.4), layout="constrained")
-    panels: Any = figure.subplots(4, 1, sharex=True)
+    fig = figure(9, 8.4)
+    panels: Any = fig.subplots(4, 1, sharex=True)
     end = 1.15 * max(a.proof.worst for a in result.answers) + 0.01
     for a in result.answers:
         t, rate, position, behind, u, off = _measured(result, a.plan, end)
@@ -51,16 +50,13 @@ def draw(result: Result, path: str | PathLike, overwrite: bool = False) -> None:
     panels[3].set(
         ylabel=f"{task.judge_at or 'position'} - goal, {tiny.symbol}", xlabel="time from the start command, ms"
     )
-    panels[0].legend(frameon=False, fontsize=9, loc="upper right")
-    panels[3].legend(frameon=False, fontsize=9, loc="upper right")
+    panels[0].legend(frameon=False, fontsize=9, loc="upper left")
+    panels[3].legend(frameon=False, fontsize=9, loc="upper left")
     panels[0].set_ylim(top=1.3 * panels[0].get_ylim()[1])
-    panels[0].set_title(
-        f"axis {task.axis}, {axis.chip.MAP.chip}: {result.way()} {task.carries}", loc="left", fontsize=11
-    )
     for panel in panels:
-        panel.grid(color="#e3e7eb", lw=0.6)
-        panel.spines[["top", "right"]].set_visible(False)
-    save_figure(figure, path, 130, overwrite)
+        bare(panel)
+    heading(fig, f"Axis {task.axis}, {axis.chip.MAP.chip}: {result.way()} {task.carries}")
+    save_figure(fig, path, 130, overwrite)
 
 
 def _measured(result: Result, plan: Plan, seconds: float) -> tuple[np.ndarray, ...]:
