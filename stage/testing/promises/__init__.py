@@ -1,0 +1,35 @@
+"""The promises that every chip keeps, one function each: it raises `Broken` where a chip breaks it. See conformance.py.
+
+A promise is tried with random acts (hands.py) and with moves as the chip's own driver writes them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from stage.testing.axes import axes_alone, limit_switches
+from stage.testing.promises.bus import (
+    bus_lines,
+    command_cycles,
+    has_what_every_chip_has,
+    pins_by_name,
+    reads,
+    register_cycles,
+)
+from stage.testing.promises.course import courses
+from stage.testing.promises.journal import journals
+from stage.testing.promises.said import diagnostics, words
+from stage.testing.promises.state import determinism, resets, snapshots
+from stage.testing.promises.timing import cut_time, drive_inputs, time_that_passes, traced, windows
+from stage.testing.trial import Trial
+
+PROMISES: dict[str, Callable[[Trial], None]] = {
+    p.__name__: p
+    for p in (
+        has_what_every_chip_has, pins_by_name, register_cycles, command_cycles,
+        bus_lines, time_that_passes, reads, diagnostics, words,
+        determinism, traced, cut_time, windows, drive_inputs, courses, limit_switches, axes_alone,
+        snapshots, journals, resets,
+    )
+}  # fmt: skip
+"""Every promise by name; their docstrings say what is promised."""
