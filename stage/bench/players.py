@@ -57,6 +57,10 @@ def player(policy: str | Policy, task: str, seed: int) -> Player:
 def imported(name: str, kind: str) -> Any:
     """What `module:attribute` names, also of a module in this folder. kind: of what, for errors. Raises ArgumentError."""
     module, _, attribute = name.partition(":")
+    if not all(part.isidentifier() for part in module.split(".")):
+        raise ArgumentError(
+            f"{kind} {name}: {module!r} is no name of a module. Name a module that Python finds from this folder."
+        )
     if "" not in sys.path:
         sys.path.insert(0, os.getcwd())
     try:

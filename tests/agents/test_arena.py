@@ -5,8 +5,7 @@ import json
 import pytest
 
 from stage import bench
-from stage.agents.arena import play, player, read, replay, save, suite, suites
-from stage.agents.arena.loop import Table
+from stage.agents.arena import Limits, Table, play, player, suite, suites
 from stage.agents.arena.players import SHIPPED
 from stage.bench.cards import CARDS
 from stage.cli import main
@@ -86,56 +85,7 @@ def test_a_game_has_so_many_calls_and_no_more():
             table.call("budget")
         assert "a game has no more" in table.call("finish").text
 
-    assert len(play(suite("diagnosis:late"), ask, most=5).rounds[0].calls) == 5
-
-
-# --- transcripts ---
-
-
-def test_a_transcript_is_replayed_bit_for_bit_without_the_player(late, tmp_path):
-    file = tmp_path / "late.jsonl"
-    save(late, file)
-    back = read(file)
-    assert (back.player, back.value, back.rounds) == (late.player, late.value, late.rounds)
-    found = replay(file)
-    assert found.same
-    assert found.calls == len(late.rounds[0].calls)
-
-
-@pytest.mark.parametrize(
-    ("was", "becomes"),
-    [('"x_mm": 50.0', '"x_mm": 51.0'), ('"mended": 1.0', '"mended": 0.0'), ("R6 <- 3200", "R6 <- 3300")],
-)
-def test_a_transcript_that_was_changed_differs(late, tmp_path, was, becomes):
-    file = tmp_path / "late.jsonl"
-    save(late, file)
-    text = file.read_text()
-    assert was in text
-    file.write_text(text.replace(was, becomes, 1))
-    found = replay(file)
-    assert not found.same
-    assert "DIFFERS first in game diagnosis:late" in str(found)
-
-
-HEAD = '{"format": ["PulseStage transcript", 1], "suite": "diagnosis"'
-OTHERS = (
-    "", "{}", "[]\n", HEAD.replace("1]", "2]") + "}", HEAD + "}", "\0" * 50, "[" * 5000,
-    HEAD + ', "split": "", "player": "", "games": 1}\n{"call": "x"}\n',
-)  # fmt: skip
-
-
-@pytest.mark.parametrize("text", OTHERS)
-def test_any_other_file_is_refused_in_words(tmp_path, text):
-    file = tmp_path / "other.jsonl"
-    file.write_text(text)
-    with pytest.raises(ArgumentError, match="no whole transcript"):
-        read(file)
-
-
-def test_a_transcript_of_the_bench_is_replayed_too(tmp_path):
-    played = play(suite("few-shot", "weak", 2), player("random"), "random")
-    save(played, tmp_path / "r.jsonl")
-    assert replay(tmp_path / "r.jsonl").same
+    assert len(play(suite("diagnosis:late"), ask, limits=Limits(most=5)).rounds[0].calls) == 5
 
 
 # --- words ---
@@ -171,7 +121,7 @@ def test_the_command_plays_and_replays(tmp_path, capsys, monkeypatch):
     assert main(["agent", "diagnosis:late", "--by", "technician", "-o", "t.jsonl"]) == 0
     told = capsys.readouterr().out
     assert "diagnosis:late         found  mended" in told
-    assert "technician on diagnosis:late: 1.000 (1.000 to 1.000), mean of found and mended" in told
+    assert "technician on 1 of 10 games of diagnosis: 1.000 (1.000 to 1.000), mean of found and mended; a part" in told
     assert main(["agent-replay", "t.jsonl"]) == 0
     assert "bit for bit" in capsys.readouterr().out
     assert main(["agent", "one-shot", "--episodes", "2", "--entry", "f.bench", "--json"]) == 0

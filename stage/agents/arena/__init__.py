@@ -1,17 +1,38 @@
 """Measuring agents, whatever they are: games, players, transcripts that anybody replays without the agent.
 
-    played = play(suite("diagnosis"), player("technician"))
-    print(played)                              a score with its interval
-    save(played, "technician.jsonl")
+    came = play(suite("diagnosis"), player("technician"))
+    print(came)                                a score with its interval, of so many games
+    save(came, "technician.jsonl")
     assert replay("technician.jsonl").same     the calls again, bit for bit
 
-games.py has what is played, loop.py plays it, players/ who plays: functions that are shipped, commands that speak JSON lines,
-OpenAI-compatible endpoints, clients of the Model Context Protocol. `stage agent` on the command line.
+games.py has what is played, table.py a game as a player has it, loop.py plays, scores.py counts, transcript.py and replay.py keep
+what was played; players/ has who plays: functions that are shipped, commands that speak JSON lines, OpenAI-compatible endpoints,
+clients of the Model Context Protocol. `stage agent` on the command line.
 """
 
 from stage.agents.arena.games import Game, suite, suites
-from stage.agents.arena.loop import Played, play
+from stage.agents.arena.loop import Interrupted, head_of, play
 from stage.agents.arena.players import player
-from stage.agents.arena.transcript import Replayed, read, replay, save
+from stage.agents.arena.replay import Replayed, replay
+from stage.agents.arena.scores import Played, Round
+from stage.agents.arena.table import Limits, Table
+from stage.agents.arena.transcript import Writer, read, save
 
-__all__ = ["Game", "Played", "Replayed", "play", "player", "read", "replay", "save", "suite", "suites"]
+__all__ = [
+    "Game",
+    "Interrupted",
+    "Limits",
+    "Played",
+    "Replayed",
+    "Round",
+    "Table",
+    "Writer",
+    "head_of",
+    "play",
+    "player",
+    "read",
+    "replay",
+    "save",
+    "suite",
+    "suites",
+]

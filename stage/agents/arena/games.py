@@ -6,7 +6,7 @@ suite("few-shot", episodes=8)      test episodes of a task of the bench
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from stage.agents.arena.hands import hands_of
@@ -21,12 +21,14 @@ from stage.errors import ArgumentError, StageError
 
 DIAGNOSIS = "diagnosis"
 TRACK = "tools"
+TRAIN = "train"  # the split that is played if none is named
 
 
 class Game:
-    """name; task: what a player is told; calls: its tools. over: nothing is left to do."""
+    """name; seed: of an episode; task: what a player is told; calls: its tools. over: nothing is left to do."""
 
     name: str
+    seed: int | None = None
     task: str
     calls: Calls
 
@@ -73,7 +75,7 @@ class Bench(Game):
 
     def __init__(self, played: Episodes):
         self._played, self.number = played, played.done
-        self.name = f"{played.card.name}:{played.split}:{self.number}"
+        self.name, self.seed = _named(played)[self.number]
         self._hands = hands_of(played)
         played.begin()
         fields = self._hands.fields()
@@ -119,21 +121,33 @@ class Bench(Game):
 
 
 class Suite:
-    """Games one after the other: `for game in suite` makes each, and puts it away. name, split; count: of games."""
+    """Games one after the other: `for game in suite` makes each, and puts it away.
+
+    name; split, round: of the bench; games: name and seed of each; of: so many has the whole suite.
+    """
 
     def __init__(
-        self, name: str, split: str, count: int, games: Callable[[], Iterator[Game]], played: Episodes | None = None
+        self,
+        name: str,
+        games: Sequence[tuple[str, int | None]],
+        of: int,
+        make: Callable[[int], Game],
+        played: Episodes | None = None,
     ):
-        self.name, self.split, self.count, self._games, self._played = name, split, count, games, played
+        self.name, self.games, self.of, self._make, self._played = name, tuple(games), of, make, played
+        self.split, self.round = ("", "") if played is None else (played.split, played.round_)
 
     def __iter__(self) -> Iterator[Game]:
-        for game in self._games():
-            try:
-                yield game
-            finally:
-                game.close()
-        if self._played is not None:
-            self._played.close()
+        try:
+            for k in range(len(self.games)):
+                game = self._make(k)
+                try:
+                    yield game
+                finally:
+                    game.close()
+        finally:
+            if self._played is not None:
+                self._played.close()
 
     def entry(self, player: str, cost: dict[str, float], notes: str = "") -> Submission | None:
         """An entry of the bench, which `stage bench-verify` replays; None of broken set-ups."""
@@ -145,17 +159,24 @@ def suites() -> list[str]:
     return [DIAGNOSIS, *CARDS]
 
 
-def suite(name: str, split: str = "train", episodes: int | None = None, round_: str = OPEN) -> Suite:
-    """By its name. episodes: only so many. Raises ArgumentError."""
+def suite(name: str, split: str = TRAIN, episodes: int | None = None, round_: str = OPEN) -> Suite:
+    """By its name. episodes: only the first so many. Raises ArgumentError."""
     first, _, one = name.partition(":")
     kind = chosen("suite", first, tuple(suites()))
     if kind == DIAGNOSIS:
+        if split != TRAIN:
+            raise ArgumentError(f"split {split!r}: {DIAGNOSIS} has no splits; they are of RegisterBench's tasks.")
         names = [chosen("set-up", one, tuple(SETUPS))] if one else list(SETUPS)
         if episodes is not None and not 1 <= episodes <= len(names):
             raise ArgumentError(f"episodes={episodes}: 1 to {len(names)} here.")
         names = names[:episodes]
-        return Suite(name, "", len(names), lambda: (Diagnosis(n) for n in names))
+        return Suite(name, [(f"{DIAGNOSIS}:{n}", None) for n in names], len(SETUPS), lambda k: Diagnosis(names[k]))
     if one:
         raise ArgumentError(f"suite {name!r}: {kind} has episodes, and no names in them; give episodes=1 for one.")
     played = Episodes(kind, split, TRACK, round_, {}, episodes)
-    return Suite(kind, split, len(played.wanted), lambda: (Bench(played) for _ in played.wanted), played)
+    return Suite(kind, _named(played), played.card.episodes, lambda k: Bench(played), played)
+
+
+def _named(played: Episodes) -> list[tuple[str, int | None]]:
+    """Of each episode."""
+    return [(f"{played.card.name}:{played.split}:{k}", seed) for k, seed in enumerate(played.wanted)]

@@ -2,123 +2,123 @@
 
 from __future__ import annotations
 
-import json
+import asyncio
+import ctypes
+import inspect
+import threading
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
+from stage.agents.arena.games import Game, Suite
+from stage.agents.arena.replay import again
+from stage.agents.arena.scores import FAILED, Head, Played, Round, played
+from stage.agents.arena.table import Left, Limits, Table
+from stage.errors import ArgumentError, StageError
 
-from stage.agents.arena.games import DIAGNOSIS, Game, Suite
-from stage.agents.tool import Answer
-from stage.bench.files import Submission
-from stage.bench.statistics import interval, iqm
-
-MOST = 400  # calls of a game
-Player = Callable[["Table"], None]
+Player = Callable[[Table], Any]
 
 
-class Table:
-    """A game as a player has it. task: what is to be done; tools: name, description, schema of each; tokens: the player counts;
-    playing: the calls themselves, which keep no log.
+class Interrupted(StageError):
+    """A run cannot go on. played: the games until then; why: in words."""
 
-    over: nothing more can be done, or too many calls were made.
-    """
-
-    def __init__(self, game: Game, most: int = MOST):
-        self._game, self._most, self.task, self.name = game, most, game.task, game.name
-        self.playing = game.calls
-        self.tokens = 0
-        self.log: list[dict[str, Any]] = []
-
-    @property
-    def tools(self) -> list[dict[str, Any]]:
-        """As most interfaces of language models take them: name, description, parameters."""
-        return [
-            {"name": t.name, "description": t.text, "parameters": t.schema()} for t in self._game.calls.tools.values()
-        ]
-
-    @property
-    def over(self) -> bool:
-        return self._game.over or len(self.log) >= self._most
-
-    def call(self, name: Any, arguments: Any = None) -> Answer:
-        """Make a call; it never raises."""
-        if len(self.log) >= self._most:
-            return Answer(False, {"error": f"{self._most} calls are made, and a game has no more."})
-        answer = self._game.calls.call(name, arguments)
-        row = {"call": name, "arguments": arguments, "ok": answer.ok, "answer": answer.data}
-        self.log.append(jsonable(row))
-        return answer
-
-
-@dataclass(frozen=True)
-class Round:
-    """A game that was played. calls: each with its arguments and answer; score: by name; tokens: 0 where nobody told."""
-
-    game: str
-    calls: list[dict[str, Any]]
-    score: dict[str, float]
-    tokens: int
-
-
-@dataclass(frozen=True)
-class Played:
-    """What a player has reached in a suite. value, low, high: of the suite's score, with its 95 % interval: the mean of broken
-    set-ups, the interquartile mean of returns."""
-
-    suite: str
-    split: str
-    player: str
-    rounds: list[Round]
-    value: float
-    low: float
-    high: float
-    entry: Submission | None = field(default=None, repr=False)
-
-    @property
-    def tokens(self) -> int:
-        """In all."""
-        return sum(r.tokens for r in self.rounds)
-
-    def __str__(self) -> str:
-        n, calls = len(self.rounds), sum(len(r.calls) for r in self.rounds)
-        what = "mean of found and mended" if self.suite.startswith(DIAGNOSIS) else "interquartile mean of the return"
-        where = f"{self.suite} {self.split}".rstrip()
-        said = f"{self.player} on {where}: {self.value:.3f} ({self.low:.3f} to {self.high:.3f})"
-        return f"{said}, {what} of {n} games; {calls} calls, {self.tokens} tokens"
+    def __init__(self, message: str, played: Played):
+        super().__init__(message)
+        self.played = played
 
 
 def play(
-    suite: Suite, player: Player, name: str = "", most: int = MOST, told: Callable[[Round], None] | None = None
+    suite: Suite,
+    player: Player,
+    name: str = "",
+    limits: Limits | None = None,
+    told: Callable[[Round], None] | None = None,
+    before: Sequence[Round] = (),
 ) -> Played:
-    """Let a player play every game. name: of the player; most: calls of a game; told: of each game that is over."""
-    name = name or str(getattr(player, "name", getattr(player, "__name__", type(player).__name__)))
-    rounds = []
-    for game in suite:
-        table = Table(game, most)
-        player(table)
-        done = Round(game.name, table.log, {k: float(v) for k, v in game.score().items()}, table.tokens)
-        rounds.append(done)
+    """Let a player play every game.
+
+    name: of the player; limits: of calls and time; told: of each game that is over; before: games of this suite that were played
+    already: their calls are made again. Raises Interrupted where the player cannot play, as an endpoint that does not answer;
+    ArgumentError where a game before does not come out as it did. What else a player raises comes out as it is.
+    """
+    name = name or name_of(player)
+    limits = limits or Limits()
+    head = head_of(suite, name, limits)
+    rounds: list[Round] = []
+    for k, game in enumerate(suite):
+        if k < len(before):
+            if differs := again(game, before[k]):
+                raise ArgumentError(f"what was played before comes out otherwise here: {differs}.")
+            rounds.append(before[k])
+            continue
+        try:
+            rounds.append(_one(game, player, limits))
+        except StageError as why:
+            said = f"game {k + 1} of {len(suite.games)}, {game.name}: {why}"
+            raise Interrupted(said, played(head, rounds)) from why
         if told:
-            told(done)
-    tokens = sum(r.tokens for r in rounds)
-    entry = suite.entry(name, {"tokens": tokens, "calls": sum(len(r.calls) for r in rounds)})
-    return Played(
-        suite.name, suite.split, name, rounds, *value_of(suite.name, [r.score["value"] for r in rounds]), entry
-    )
+            told(rounds[-1])
+    cost: dict[str, float] = {"tokens": sum(r.tokens for r in rounds), "calls": sum(len(r.calls) for r in rounds)}
+    return played(head, rounds, suite.entry(name, cost))
 
 
-def value_of(suite: str, values: Sequence[float]) -> tuple[float, float, float]:
-    """Of a suite's scores: value, low, high."""
-    scores = np.array(values, float)
-    if not suite.startswith(DIAGNOSIS):
-        return iqm(scores), *interval(scores)
-    rng = np.random.default_rng(0)
-    means = scores[rng.integers(0, len(scores), (2000, len(scores)))].mean(axis=1)
-    return float(scores.mean()), float(np.quantile(means, 0.025)), float(np.quantile(means, 0.975))
+def head_of(suite: Suite, player: str, limits: Limits) -> Head:
+    """Of a run."""
+    return Head(suite.name, suite.split, suite.round, suite.games, suite.of, limits, player)
 
 
-def jsonable(value: Any) -> Any:
-    """As it comes back from a file of JSON."""
-    return json.loads(json.dumps(value, default=repr))
+def name_of(player: Player) -> str:
+    """As it calls itself."""
+    return str(getattr(player, "name", getattr(player, "__name__", type(player).__name__)))
+
+
+def _one(game: Game, player: Player, limits: Limits) -> Round:
+    table = Table(game, limits)
+    _sit(player, table)
+    score = {name: float(v) for name, v in game.score().items()}
+    return Round(game.name, game.seed, table.log, score, table.tokens, table.ended, dict(table.troubles))
+
+
+def _sit(player: Player, table: Table) -> None:
+    """A player plays in a thread of its own, so that one that hangs can be left."""
+    raised: list[BaseException] = []
+    done = threading.Event()
+
+    def work() -> None:
+        try:
+            made = player(table)
+            if inspect.iscoroutine(made):
+                asyncio.run(made)
+        except Left:
+            pass
+        except BaseException as error:  # it is raised again below
+            raised.append(error)
+        finally:
+            done.set()
+
+    thread = threading.Thread(target=work, name="player", daemon=True)
+    thread.start()
+    while not done.wait(table.look_again()):
+        if why := table.late():
+            table.leave(why)
+            getattr(player, "stop", lambda: None)()
+            ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread.ident or 0), ctypes.py_object(Left))
+            return
+    if raised:
+        raise raised[0]
+
+
+class Guarded:
+    """A player of somebody's own, of whose errors a game is ended and not the run."""
+
+    def __init__(self, player: Player):
+        self._player, self.name = player, name_of(player)
+
+    def __call__(self, table: Table) -> None:
+        try:
+            made = self._player(table)
+            if inspect.iscoroutine(made):
+                asyncio.run(made)
+        except StageError:
+            raise
+        except Exception as error:
+            table.leave(f"{FAILED}: {type(error).__name__}: {error}"[:300])

@@ -1,121 +1,198 @@
-"""Transcripts: what was called and what came of it, as lines of JSON; and their replay, without the agent.
+"""Transcripts: what was called and what came of it, as lines of JSON, written as it happens.
 
-first line     FORMAT, suite, split, player, number of games, versions, and the score with its interval
-then           for each game {"game": name}, its calls {"call", "arguments", "ok", "answer"}, and {"score", "tokens"}
+first line     format; suite, split, round, and its games with their seeds, of how many; the limits; player; versions
+of each game   {"game", "seed"}; its calls {"call", "arguments", "ok", "answer"}; {"score", "tokens", "ended", "troubles"}
+last line      {"played", "of", "value", "low", "high", "calls", "tokens"}
 
-A transcript comes from strangers: a replay makes its calls, which can do what tools can do, and nothing else of it is run.
+A game is written when it ends, so a run that breaks off leaves the games until then, and `Writer.go_on` continues the file. A
+transcript comes from strangers: a replay makes its calls, which can do what tools can do, and nothing else of it is run.
 """
 
 from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from types import TracebackType
+from typing import IO, Any
 
-from stage.agents.arena.games import suite
-from stage.agents.arena.loop import Played, Round, jsonable, value_of
+from stage.agents.arena.games import Suite, suite
+from stage.agents.arena.scores import Head, Played, Round, closing_of
+from stage.agents.arena.table import TOKENS, Limits
 from stage.bench.versions import versions
 from stage.errors import ArgumentError
-from stage.files import written
+from stage.files import FileError, writable
 
-FORMAT = 1
+FORMAT = 2
 MARK = "PulseStage transcript"
 LARGEST = 256 << 20  # bytes of a file
 
 
 @dataclass(frozen=True)
-class Replayed:
-    """What came of a replay. games, calls: replayed; first: the first difference, in words, "" where there is none."""
+class Transcript:
+    """From a file. closing: its last line, None where it is missing; ends: bytes until the last whole game."""
 
-    games: int
-    calls: int
-    first: str
+    head: Head
+    rounds: list[Round]
+    closing: dict[str, Any] | None
+    ends: int
 
-    @property
-    def same(self) -> bool:
-        """Every answer and every score is equal, bit for bit."""
-        return not self.first
 
-    def __str__(self) -> str:
-        head = f"{self.games} games, {self.calls} calls: "
-        return head + (
-            "every answer and score is equal, bit for bit" if self.same else f"DIFFERS first in {self.first}"
+def suite_of(head: Head) -> Suite:
+    """The suite of a transcript, as it is here. Raises ArgumentError where its games are others."""
+    one = ":" in head.suite
+    games = suite(head.suite, head.split or "train", None if one else len(head.games), head.round)
+    if (games.games, games.of) != (head.games, head.of):
+        raise ArgumentError(
+            f"{head.suite}: {head.games[:3]} ... of {head.of} in the transcript, {games.games[:3]} ... of {games.of} here."
         )
+    return games
 
 
-def save(played: Played, path: str | os.PathLike, overwrite: bool = False) -> None:
-    """Write a transcript. Raises FileError."""
-    head = {
-        "format": [MARK, FORMAT], "suite": played.suite, "split": played.split, "player": played.player,
-        "games": len(played.rounds), "value": played.value, "low": played.low, "high": played.high, "tokens": played.tokens,
-        "versions": versions(),
-    }  # fmt: skip
-    with written(path, overwrite) as part, part.open("w", encoding="utf-8") as file:
-        for line in (head, *(line for r in played.rounds for line in _lines(r))):
-            file.write(json.dumps(line) + "\n")
+class Writer:
+    """Writes a transcript as it happens. Raises FileError, and ArgumentError where a file that is to go on is of another run."""
+
+    def __init__(self, path: str | os.PathLike, head: Head, overwrite: bool = False, go_on: bool = False):
+        self.before: list[Round] = []
+        if go_on and Path(path).exists():
+            self._file, self.before = _continued(Path(path), head)
+            return
+        target = writable(path, overwrite, ask="give --force, or --resume to go on with it")
+        try:
+            self._file = target.open("w", encoding="utf-8")
+        except OSError as why:
+            raise FileError(f"{path} cannot be written: {why.strerror or why}.") from why
+        told = asdict(head)
+        self._write({"format": [MARK, FORMAT], **told.pop("limits"), **told, "versions": versions()})
+
+    def game(self, r: Round) -> None:
+        """A game is over."""
+        end = {"score": r.score, "tokens": r.tokens, "ended": r.ended, "troubles": r.troubles}
+        self._write({"game": r.game, "seed": r.seed}, *r.calls, end)
+
+    def end(self, came: Played) -> None:
+        """All games are."""
+        self._write(closing_of(came))
+
+    def close(self) -> None:
+        """Write no more."""
+        self._file.close()
+
+    def __enter__(self) -> Writer:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _write(self, *lines: dict[str, Any]) -> None:
+        try:
+            self._file.write("".join(json.dumps(line) + "\n" for line in lines))
+            self._file.flush()
+            if self._file.seekable():
+                os.fsync(self._file.fileno())
+        except OSError as why:
+            raise FileError(f"{self._file.name} cannot be written: {why.strerror or why}.") from why
 
 
-def _lines(r: Round) -> list[dict[str, Any]]:
-    return [{"game": r.game}, *r.calls, {"score": r.score, "tokens": r.tokens}]
+def save(came: Played, path: str | os.PathLike, overwrite: bool = False) -> None:
+    """Write a transcript at once. Raises FileError."""
+    with Writer(path, came.head, overwrite) as writer:
+        for r in came.rounds:
+            writer.game(r)
+        writer.end(came)
 
 
-def read(path: str | os.PathLike) -> Played:
-    """A transcript from a file. Raises ArgumentError in words for any other file, and FileNotFoundError."""
+def _continued(path: Path, head: Head) -> tuple[IO[str], list[Round]]:
+    """A file that is to go on: what it has, cut behind its last whole game."""
+    there = read(path)
+    if there.head != head:
+        wrong = [k for k, v in asdict(head).items() if asdict(there.head)[k] != v]
+        raise ArgumentError(
+            f"{path} is of another run, by its {', '.join(wrong)}: give the same arguments, or another file."
+        )
+    if there.closing is not None:
+        raise ArgumentError(f"{path}: all its {len(there.rounds)} games are played; nothing is left to go on with.")
+    file = path.open("r+", encoding="utf-8")
+    file.seek(there.ends)
+    file.truncate()
+    return file, there.rounds
+
+
+def read(path: str | os.PathLike) -> Transcript:
+    """A transcript from a file, as far as it goes. Raises ArgumentError in words for any other file, and FileNotFoundError."""
     place = Path(path)
     if not place.is_file():
         raise FileNotFoundError(f"{path}: there is no such file.")
     if place.stat().st_size > LARGEST:
         raise ArgumentError(f"{path}: {place.stat().st_size} bytes, and a transcript has at most {LARGEST}.")
-    rounds: list[Round] = []
-    with place.open(encoding="utf-8") as file:
+    wrong = (ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError, ArgumentError)
+    with place.open("rb") as file:
         try:
-            head = json.loads(file.readline())
-            if head["format"] != [MARK, FORMAT]:
-                raise ValueError("it is of another format")
-            for text in file:
-                _take(json.loads(text), rounds)
-            if len(rounds) != head["games"] or any(not r.score for r in rounds):
-                raise ValueError("its end is missing")
-            values = [float(r.score["value"]) for r in rounds]
-            return Played(
-                str(head["suite"]), str(head["split"]), str(head["player"]), rounds, *value_of(head["suite"], values)
-            )
-        except (ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError) as why:
-            raise ArgumentError(f"{path}: no whole transcript of `stage agent`: {why}.") from None
+            head = _head(json.loads(file.readline() or b"null"))
+        except wrong as why:
+            raise ArgumentError(f"{path}: no transcript of `stage agent`: {_said(why)}.") from None
+        rounds: list[Round] = []
+        open_: list[dict[str, Any]] = []
+        ends, closing, number = file.tell(), None, 1
+        for text in file:
+            number += 1
+            if not text.endswith(b"\n"):
+                break  # it was cut in the middle of a line
+            try:
+                line = json.loads(text)
+                if closing is not None:
+                    raise ValueError("something stands behind its end")
+                if "played" in line and not open_:
+                    closing = line
+                elif "score" in line:
+                    rounds.append(_round(open_, line))
+                    open_, ends = [], file.tell()
+                elif ("game" in line) == bool(open_) or not ("game" in line or "call" in line):
+                    raise ValueError("a line out of its place")
+                else:
+                    open_.append(line)
+            except wrong as why:
+                raise ArgumentError(f"{path}, line {number}: no transcript of `stage agent`: {_said(why)}.") from None
+    return Transcript(head, rounds, closing, ends)
 
 
-def _take(line: dict[str, Any], rounds: list[Round]) -> None:
-    if "game" in line:
-        rounds.append(Round(str(line["game"]), [], {}, 0))
-    elif "call" in line:
-        rounds[-1].calls.append(line)
-    else:
-        last = rounds.pop()
-        rounds.append(Round(last.game, last.calls, dict(line["score"]), int(line["tokens"])))
+def _said(why: Exception) -> str:
+    return f"{why}".rstrip(".") if isinstance(why, ValueError) else f"{type(why).__name__}: {why}".rstrip(".")
 
 
-def replay(transcript: Played | str | os.PathLike, told: Callable[[int, int], None] | None = None) -> Replayed:
-    """Make the calls again, without the player, and compare. told: of (games, of). Raises ArgumentError."""
-    played = transcript if isinstance(transcript, Played) else read(transcript)
-    one = played.rounds[0].game if len(played.rounds) == 1 and played.suite == "diagnosis" else played.suite
-    games = suite(one, played.split or "train", None if ":" in one else len(played.rounds))
-    calls = 0
-    for k, (game, claimed) in enumerate(zip(games, played.rounds, strict=True)):
-        if game.name != claimed.game:
-            return Replayed(k, calls, f"game {k}: {claimed.game!r} in the transcript, {game.name!r} here")
-        for row in claimed.calls:
-            answer = game.calls.call(row["call"], row["arguments"])
-            calls += 1
-            if (answer.ok, jsonable(answer.data)) != (row["ok"], row["answer"]):
-                there, here = str(row["answer"])[:200], answer.text[:200]
-                where = f"game {game.name}, call {row['call']}"
-                return Replayed(k, calls, f"{where}: {there} in the transcript, {here} here")
-        score = {name: float(v) for name, v in game.score().items()}
-        if jsonable(score) != claimed.score:
-            return Replayed(k, calls, f"game {game.name}, score: {claimed.score} in the transcript, {score} here")
-        if told:
-            told(k + 1, len(played.rounds))
-    return Replayed(len(played.rounds), calls, "")
+def _head(line: Any) -> Head:
+    if not isinstance(line, dict) or "format" not in line:
+        raise ValueError("its first line says no format")
+    if line["format"] != [MARK, FORMAT]:
+        raise ValueError(f"its format is {line['format']!r:.60}, and [{MARK!r}, {FORMAT}] is read")
+    games = tuple((_text(name), None if seed is None else _number(seed)) for name, seed in line["games"])
+    limits = Limits(line["most"], line["patience"], line["time"])
+    text = [_text(line[k]) for k in ("suite", "split", "round")]
+    return Head(text[0], text[1], text[2], games, _number(line["of"]), limits, _text(line["player"]))
+
+
+def _round(lines: list[dict[str, Any]], end: dict[str, Any]) -> Round:
+    """Of a game's lines, the last one apart."""
+    first, *calls = lines
+    for row in calls:
+        _ = row["call"], row["arguments"], row["ok"], row["answer"]
+    troubles = {_text(k): _number(n) for k, n in end["troubles"].items()}
+    seed = None if first["seed"] is None else _number(first["seed"])
+    return Round(
+        _text(first["game"]), seed, calls, dict(end["score"]), _number(end["tokens"]), _text(end["ended"]), troubles
+    )
+
+
+def _text(value: Any) -> str:
+    if not isinstance(value, str) or len(value) > 2000:
+        raise ValueError(f"{value!r:.60} is no text")
+    return value
+
+
+def _number(value: Any) -> int:
+    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < TOKENS * 10_000:
+        raise ValueError(f"{value!r:.60} is no whole number")
+    return value

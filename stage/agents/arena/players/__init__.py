@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from stage.agents.arena.loop import Player
+from stage.agents.arena.loop import Guarded, Player
 from stage.agents.arena.players import searches, simple, technician, trained
 from stage.bench.players import imported
 from stage.errors import ArgumentError, unknown
@@ -29,4 +29,4 @@ def player(name: str) -> Player:
     found = imported(name, "player")
     if not callable(found):
         raise ArgumentError(f"player {name}: is no function of a Table.")
-    return found
+    return Guarded(found() if isinstance(found, type) else found)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any, cast
 
-from stage.agents.arena.loop import Table
+from stage.agents.arena.table import Table
 from stage.agents.tool import Answer
 
 

@@ -12,85 +12,128 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import queue
 import shlex
+import signal
 import subprocess
 import threading
 from collections.abc import Sequence
 from typing import Any
 
-from stage.agents.arena.loop import Table
+from stage.agents.arena.scores import FAILED
+from stage.agents.arena.table import Table
 from stage.errors import ArgumentError, StageError
 
-PATIENCE = 600.0  # s for the next line
 LONG = 1 << 20  # characters of a line
 WRONG = 20  # lines that are no calls, after which the game is ended
+END = 2.0  # s in which a process that has closed its output ends
+AHEAD = 100  # lines that are read before they are answered
 
 
 class Command:
-    """command: as a shell would split it, or in parts; no shell is called. patience: s for each line."""
+    """command: as a shell would split it, or in parts; no shell is called. Raises ArgumentError."""
 
-    def __init__(self, command: str | Sequence[str], patience: float = PATIENCE):
-        self.words = shlex.split(command) if isinstance(command, str) else list(command)
+    def __init__(self, command: str | Sequence[str]):
+        try:
+            self.words = shlex.split(command) if isinstance(command, str) else list(command)
+        except ValueError as why:
+            raise ArgumentError(f"the command {command!r} cannot be read: {why}. Close its quotes.") from None
         if not self.words:
             raise ArgumentError("the command of a player is empty: give a program, for example 'python agent.py'.")
-        self.name, self.patience = self.words[-1] if len(self.words) == 1 else " ".join(self.words), patience
+        self.name = self.words[-1] if len(self.words) == 1 else " ".join(self.words)
+        self._process: Any = None
 
     def __call__(self, table: Table) -> None:
-        """Play. Raises StageError where the command cannot be started, or says nothing for too long."""
+        """Play. Raises StageError where the command cannot be started."""
         try:
-            process = subprocess.Popen(
-                self.words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, encoding="utf-8"
-            )
-        except OSError as why:
-            raise StageError(f"{self.words[0]}: {why.strerror}. Name a program that can be run.") from why
-        lines: queue.Queue[str] = queue.Queue()
-        threading.Thread(target=_read, args=(process.stdout, lines), daemon=True).start()
+            process = self._process = subprocess.Popen(
+                self.words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, encoding="utf-8", errors="replace",
+                start_new_session=True,
+            )  # fmt: skip
+        except (OSError, ValueError) as why:
+            said = getattr(why, "strerror", None) or why
+            raise StageError(f"{self.words[0]}: {said}. Name a program that can be run.") from why
+        lines, gone = queue.Queue[str](AHEAD), threading.Event()
+        threading.Thread(target=_read, args=(process.stdout, lines, gone), daemon=True).start()
         try:
-            self._play(table, process, lines)
-        except (BrokenPipeError, ConnectionResetError):  # it has ended
-            pass
+            if not self._play(table, process, lines):
+                _note_end(table, process)
         finally:
-            process.kill()
+            gone.set()
+            self._kill(process)
             process.wait()
             for pipe in (process.stdin, process.stdout):
                 with contextlib.suppress(OSError):
                     pipe.close()  # type: ignore[union-attr]
 
-    def _play(self, table: Table, process: Any, lines: queue.Queue[str]) -> None:
+    def stop(self) -> None:
+        """From another thread: the game is over for it."""
+        self._kill(self._process)
+
+    def _kill(self, process: Any) -> None:
+        """It and what it has started."""
+        if process is not None and process.returncode is None:
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                os.killpg(process.pid, signal.SIGKILL)
+
+    def _play(self, table: Table, process: Any, lines: queue.Queue[str]) -> bool:
+        """Whether it went on to the end; else it has ended before."""
+
         def say(what: dict[str, Any]) -> None:
-            process.stdin.write(json.dumps(what) + "\n")
-            process.stdin.flush()
+            with contextlib.suppress(BrokenPipeError, ConnectionResetError):  # it reads no more; what it has said counts
+                process.stdin.write(json.dumps(what) + "\n")
+                process.stdin.flush()
 
         say({"task": table.task, "tools": table.tools})
         wrong = 0
-        while not table.over and wrong < WRONG:
-            try:
-                line = lines.get(timeout=self.patience)
-            except queue.Empty:
-                raise StageError(f"{self.name}: no line for {self.patience:g} s.") from None
+        while not table.over:
+            line = lines.get()
             if not line:
-                return
+                return False
             said = _parsed(line)
             if isinstance(said, str):
+                table.trouble("a line that is no call")
                 wrong += 1
-                say({"ok": False, "answer": {"error": said}, "over": False})
+                if wrong == WRONG:
+                    table.leave(f"{FAILED}: {WRONG} lines that are no calls")
+                say({"ok": False, "answer": {"error": said}, "over": table.over})
                 continue
-            table.tokens += _tokens(said)
+            if "tokens" in said:
+                table.spent(said["tokens"])
             if said.get("done"):
-                return
+                return True
             answer = table.call(said["call"], said.get("arguments"))
             say({"ok": answer.ok, "answer": answer.data, "over": table.over})
+        return True
 
 
-def _read(stream: Any, lines: queue.Queue[str]) -> None:
-    """All lines, and "" at the end."""
-    try:
-        while line := stream.readline(LONG):
-            lines.put(line)
-    except (OSError, ValueError):
-        pass
-    lines.put("")
+def _note_end(table: Table, process: Any) -> None:
+    """It has ended by itself: which is good after its last call, and else is not."""
+    if table.over:
+        return
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        process.wait(timeout=END)
+    code = process.returncode
+    if code:
+        table.leave(f"{FAILED}: the command ended with exit code {code}")
+    elif not table.log:
+        table.trouble("the command ended without a call")
+
+
+def _read(stream: Any, lines: queue.Queue[str], gone: threading.Event) -> None:
+    """All lines, and "" at the end; no more than are asked for."""
+
+    def put(line: str) -> None:
+        while not gone.is_set():
+            with contextlib.suppress(queue.Full):
+                lines.put(line, timeout=0.2)
+                return
+
+    with contextlib.suppress(OSError, ValueError):
+        while not gone.is_set() and (line := stream.readline(LONG)):
+            put(line)
+    put("")
 
 
 def _parsed(line: str) -> dict[str, Any] | str:
@@ -102,8 +145,3 @@ def _parsed(line: str) -> dict[str, Any] | str:
     if not isinstance(said, dict) or not ("call" in said or said.get("done")):
         return 'a line has "call" and "arguments", or "done": true.'
     return said
-
-
-def _tokens(said: dict[str, Any]) -> int:
-    n = said.get("tokens", 0)
-    return n if isinstance(n, int) and not isinstance(n, bool) and 0 <= n < 1 << 40 else 0

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import http.client
 import json
 import time
 import urllib.error
 import urllib.request
 from typing import Any
 
-from stage.agents.arena.loop import Table
+from stage.agents.arena.table import Table
 from stage.errors import ArgumentError, StageError
 
 TIMEOUT = 300.0  # s for a reply
@@ -43,6 +44,7 @@ class Endpoint:
             calls = message.get("tool_calls") or []
             silent = 0 if calls else silent + 1
             if not calls:
+                table.trouble("a reply without a call")
                 messages.append(
                     {"role": "user", "content": "Call a tool, or `finish` if there is one and you are done."}
                 )
@@ -52,28 +54,29 @@ class Endpoint:
                 )
 
     def _reply(self, table: Table, messages: list[dict[str, Any]], tools: list[dict[str, Any]]) -> dict[str, Any]:
-        said = self._ask({"model": self.model, "messages": messages, "tools": tools})
+        said = self._ask(table, {"model": self.model, "messages": messages, "tools": tools})
         try:
             message = said["choices"][0]["message"]
             calls = message.get("tool_calls") or []
             if not isinstance(message, dict) or not all(isinstance(c, dict) for c in calls):
                 raise TypeError("its message is none")
-            tokens = (said.get("usage") or {}).get("total_tokens", 0)
-            table.tokens += int(tokens)
+            usage = said.get("usage")
         except (KeyError, IndexError, TypeError, ValueError, AttributeError) as why:
             raise StageError(
                 f"{self.url} does not answer as chat completions do ({why!r}): {str(said)[:200]}"
             ) from None
+        if isinstance(usage, dict) and usage.get("total_tokens") is not None:
+            table.spent(usage["total_tokens"])
         kept = {"role": "assistant", "content": message.get("content") or ""}
         return {**kept, "tool_calls": calls} if calls else kept
 
-    def _ask(self, body: dict[str, Any]) -> Any:
+    def _ask(self, table: Table, body: dict[str, Any]) -> Any:
         head = {"Content-Type": "application/json", **({"Authorization": f"Bearer {self._key}"} if self._key else {})}
         request = urllib.request.Request(self.url, json.dumps(body).encode(), head)
         for tried in range(TRIES):
             try:
                 with _OPENER.open(request, timeout=TIMEOUT) as reply:
-                    return json.loads(reply.read(LARGEST))
+                    return json.loads(_all(table, reply))
             except urllib.error.HTTPError as error:
                 if error.code not in AGAIN or tried == TRIES - 1:
                     text = error.read(300).decode(errors="replace")
@@ -81,8 +84,10 @@ class Endpoint:
             except (urllib.error.URLError, TimeoutError, ConnectionError) as error:
                 if tried == TRIES - 1:
                     raise StageError(f"{self.url} cannot be reached: {getattr(error, 'reason', error)}.") from None
-            except ValueError as error:
+            except (ValueError, RecursionError) as error:
                 raise StageError(f"{self.url} does not answer in JSON: {error}.") from None
+            except http.client.HTTPException as error:
+                raise StageError(f"{self.url} does not answer as a server does: {error!r}.") from None
             time.sleep(self._pause * 2**tried)
         raise AssertionError("unreachable")
 
@@ -95,6 +100,15 @@ class _NoRedirect(urllib.request.HTTPRedirectHandler):
 
 
 _OPENER = urllib.request.build_opener(_NoRedirect)
+
+
+def _all(table: Table, reply: Any) -> bytes:
+    """What comes, while somebody waits for it."""
+    parts, size = [], 0
+    while size < LARGEST and not table.over and (part := reply.read1(1 << 16)):
+        parts.append(part)
+        size += len(part)
+    return b"".join(parts)
 
 
 def _called(table: Table, call: dict[str, Any]) -> str:

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from stage.agents.arena.loop import Table
 from stage.agents.arena.players.simple import formula
+from stage.agents.arena.table import Table
 from stage.extras import need
 
 NUMBERS = ("start", "drive", "up", "down")

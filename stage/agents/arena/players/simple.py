@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from stage.agents.arena.loop import Table
+from stage.agents.arena.table import Table
 
 
 def formula(table: Table) -> None:

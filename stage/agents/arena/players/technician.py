@@ -9,8 +9,8 @@ import re
 from collections.abc import Callable
 from typing import Any
 
-from stage.agents.arena.loop import Table
 from stage.agents.arena.players.simple import formula
+from stage.agents.arena.table import Table
 
 SIGNS = (
     ("bits wide", "R4 wider than its register"),

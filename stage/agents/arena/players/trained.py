@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from stage.agents.arena.loop import Table
 from stage.agents.arena.players.simple import formula
+from stage.agents.arena.table import Table
 from stage.envs.few_shot import RATES
 
 FEATURES = {
