@@ -81,7 +81,7 @@ class Command:
         """Whether it went on to the end; else it has ended before."""
 
         def say(what: dict[str, Any]) -> None:
-            with contextlib.suppress(BrokenPipeError, ConnectionResetError):  # it reads no more; what it has said counts
+            with contextlib.suppress(BrokenPipeError, ConnectionResetError):  # it reads no more
                 process.stdin.write(json.dumps(what) + "\n")
                 process.stdin.flush()
 
