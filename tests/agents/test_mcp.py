@@ -6,6 +6,7 @@ import json
 import math
 import os
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -264,10 +265,15 @@ def test_the_command_says_what_is_wrong(capsys):
         (["mcp", "--folder", "/nowhere"], "no such folder"),
         (["mcp", "--moves", "-1"], "0 or more"),
         (["mcp", "--http", "--idle", "0"], "more than 0"),
-        (["mcp", "xy", "--http", "--port", "70000"], "Choose another port"),
     ):
         assert main(arguments) == 2
         assert said in capsys.readouterr().err
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        assert main(["mcp", "xy", "--http", "--port", str(taken.getsockname()[1])]) == 2
+    assert "Choose another port" in capsys.readouterr().err
+    with pytest.raises(SystemExit, match="2"):
+        main(["mcp", "xy", "--http", "--port", "70000"])
+    assert "70000: a TCP port is 0 (one that is free) to 65535" in capsys.readouterr().err
 
 
 @given(data=st.data())
