@@ -17,6 +17,7 @@ from stage import Stage
 from stage.chips import MCX514
 from stage.firmware.nova.draw import Arc, Helix, Line, Speed, draw
 from stage.firmware.nova.home import HomeReport, home_search
+from stage.pictures import GRID, INK, MUTED, bare
 
 MM = 320  # pulses
 STARTS = {"x": -0.101, "y": -0.0709, "z": 0.004}  # m: before ORG; on it; before it
@@ -28,7 +29,7 @@ FAST = Speed(24_000, acceleration=120_000)
 FINE = Speed(12_000, jerk=1_000_000)  # 37.5 mm/s on the path
 COLOURS = {"circle": "#17508f", "uneven": "#8fb3d9", "helix": "#d1571f", "contour": "#2a8c55"}
 AXES = {"x": "#c23b3b", "y": "#2a8c55", "z": "#3b6fc2"}
-INK, MUTED, GREY, TRAVEL = "#1d2733", "#66717d", "#e7ebef", "#aab4be"
+TRAVEL = "#aab4be"
 LAMP = "#2fb457"
 BINS = 120  # of the angle about the circle
 
@@ -152,7 +153,7 @@ def draw_in_space(ax: Any, run: Run) -> None:
     ax.view_init(26, -60)
     for axis in (ax.xaxis, ax.yaxis, ax.zaxis):
         axis.pane.set_facecolor("#f6f8fa")
-        axis.pane.set_edgecolor(GREY)
+        axis.pane.set_edgecolor(GRID)
 
 
 def draw_the_deviation(ax: Any, run: Run) -> None:
@@ -253,11 +254,8 @@ def picture(run: Run, path: Path) -> None:
         draw_the_deviation(ring, run)
         draw_the_home_search(places, lanes, run)
         draw_the_speed(speed, run)
-        for ax in (first, places, speed):
-            ax.grid(True, color=GREY, lw=0.7)
-            ax.set_axisbelow(True)
         for ax in (first, places, lanes, speed):
-            ax.spines[["top", "right"]].set_visible(False)
+            bare(ax, grid=ax is not lanes, size=9)
         names = {label: colour for label, colour in STATES.values() if label not in ("idle", "back to ORG")}
         keys = [Patch(color=colour, label=label) for label, colour in names.items()]
         keys.append(Patch(color=LAMP, label="ORG (STOP1)"))

@@ -26,6 +26,7 @@ from stage import Stage, firmware
 from stage.chips import PCL240MS
 from stage.drives.dynamometer import closed_form
 from stage.firmware import Profile, Report
+from stage.pictures import HAIR, INK, MUTED, bare, title
 
 FL, R7 = 200, 12  # pps; 50 pps a speed step
 AT_FL = 5  # pulses
@@ -72,7 +73,6 @@ CURVE = Shape("S-curve", 0.5, "#17508f")
 SHAPES = (LINEAR, MIXED, CURVE)
 SLOW = RAMP * CURVE.peak  # s, the S-curve's ramp at the peak acceleration of the linear one
 
-INK, MUTED, GREY = "#1d2733", "#66717d", "#e7ebef"
 DASHED: dict[str, Any] = {"lw": 1.6, "ls": (0, (4, 2))}
 MARK: dict[str, Any] = {"color": MUTED, "lw": 1, "ls": (0, (2, 2))}
 
@@ -296,7 +296,7 @@ def draw_the_mast(ax: Any) -> None:
 
 
 def draw_the_ringing(ax: Any) -> None:
-    ax.axhspan(-BAND * 1e3, BAND * 1e3, color=GREY, lw=0)
+    ax.axhspan(-BAND * 1e3, BAND * 1e3, color=HAIR, lw=0)
     runs = camera_runs()
     for shape, ramp in ((LINEAR, RAMP), (CURVE, RAMP), (CURVE, SLOW)):
         r = runs[shape, ramp]
@@ -384,12 +384,10 @@ def draw(path: Path) -> None:
     figure = Figure(figsize=(13.5, 8.6), layout="constrained")
     figure.get_layout_engine().set(w_pad=0.12, h_pad=0.12)
     with rc_context({"font.size": 10}):
-        for ax, (title, panel) in zip(figure.subplots(2, 3).flat, PANELS, strict=True):
+        for ax, (text, panel) in zip(figure.subplots(2, 3).flat, PANELS, strict=True):
             panel(ax)
-            ax.set_title(title, loc="left", color=INK, fontsize=12, weight="bold")
-            ax.grid(True, color=GREY, lw=0.7)
-            ax.set_axisbelow(True)
-            ax.spines[["top", "right"]].set_visible(False)
+            title(ax, text, 12)
+            bare(ax, size=9)
         keys = [Line2D([], [], color=s.color, lw=2.5, label=s.name) for s in (LINEAR, CURVE)]
         keys.append(Line2D([], [], color=CURVE.color, label="S-curve, equal peak acceleration", **DASHED))
         keys.append(Line2D([], [], color=MIXED.color, lw=2.5, label="S-curve with linear part"))

@@ -21,6 +21,7 @@ from stage.firmware.hctl1100.model import Loop
 from stage.firmware.hctl1100.moves import MoveReport, Tuning, set_up, trapezoid
 from stage.firmware.hctl1100.port import CONTROL, FLAGS, RESET, SET, Port
 from stage.firmware.hctl1100.profile import circle, follow, off_circle, synchronize
+from stage.pictures import INK, MUTED, bare, title
 
 TUNING = Tuning()
 STEP = 0.25e-3  # s between samples of a recording: a physics step
@@ -28,7 +29,7 @@ COUNTS, VELOCITY, ACCELERATION = 20_000, 60_000, 600_000  # 100 mm at 0.3 m/s an
 RADIUS, SECONDS = 6_000, 1.2  # of the circle: 30 mm
 PHASES = {"x": 0, "z": 2, "y": 30}  # counts of the timer from one chip's reset to the next one's
 SLOW, LINE = 3, 3_000  # counts a sample of the line, samples
-INK, MUTED, GREY, LAMP = "#1d2733", "#66717d", "#e7ebef", "#2fb457"
+LAMP = "#2fb457"
 BLUE, LIGHT, ORANGE, RED = "#17508f", "#8fb3d9", "#e8b04a", "#d1571f"
 
 
@@ -217,11 +218,9 @@ def picture(r: Results, path: Path) -> None:
         draw_the_circles(ring, r.circles)
         titles = ("A trapezoid of 100 mm", "Its following error", "A line, commanded once a sample",
                   "A circle of 30 mm, three axes, commanded once a sample")  # fmt: skip
-        for ax, title in zip((move, error, line, ring), titles, strict=True):
-            ax.set_title(title, loc="left", color=INK, weight="bold")
-            ax.grid(True, color=GREY, lw=0.7)
-            ax.set_axisbelow(True)
-            ax.spines[["top", "right"]].set_visible(False)
+        for ax, text in zip((move, error, line, ring), titles, strict=True):
+            title(ax, text)
+            bare(ax)
     figure.savefig(path, dpi=120)
     print(f"{path}: drawn")
 

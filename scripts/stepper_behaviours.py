@@ -27,8 +27,9 @@ from stage.drives.dynamometer import (
     slices,
 )  # fmt: skip
 from stage.drives.motors import MOTORS, Drive
+from stage.pictures import COLOURS, INK, MUTED, bare, title
 
-INK, MUTED, BLUE, RED, GREEN = "#1d2733", "#8a94a0", "#1f5f9e", "#c4572e", "#3a8a5f"
+BLUE, RED, GREEN = COLOURS[:3]
 DRIVE = Drive()
 SMOOTH = Drive(detent=0.0)
 MOTOR = DRIVE.motor
@@ -205,13 +206,10 @@ PANELS = (
 if __name__ == "__main__":
     figure = Figure(figsize=(13, 7.4), layout="constrained")
     figure.get_layout_engine().set(w_pad=0.1, h_pad=0.12)
-    for ax, (title, draw) in zip(figure.subplots(2, 3).flat, PANELS, strict=True):
+    for ax, (text, draw) in zip(figure.subplots(2, 3).flat, PANELS, strict=True):
         draw(ax)
-        ax.set_title(title, loc="left", color=INK, fontsize=10.5, weight="bold")
-        ax.grid(True, color="#e7ebef", lw=0.7)
-        ax.set_axisbelow(True)
-        ax.spines[["top", "right"]].set_visible(False)
-        ax.tick_params(labelsize=8)
+        title(ax, text)
+        bare(ax)
     path = sys.argv[1] if len(sys.argv) > 1 else "docs/pictures/stepper_behaviours.png"
     figure.savefig(path, dpi=140)
     print(f"{path}: drawn; {len(MOTORS)} motors known, this is the {MOTOR.name}")

@@ -6,7 +6,7 @@ from typing import Any
 
 from stage.extras import need
 
-INK, MUTED, HAIR, GRID = "#1d2733", "#7b8794", "#c9d1da", "#e7ebef"
+INK, MUTED, HAIR, GRID = "#1d2733", "#66717d", "#c9d1da", "#e7ebef"
 COLOURS = ("#1f5f9e", "#c4572e", "#3a8a5f", "#7b5aa6", "#a8842c", "#4d5866")
 KINDS = {"el": "#ce342e", "sd": "#cc9216", "org": "#2c9e58"}
 """Of switches."""
@@ -26,17 +26,18 @@ def heading(fig: Any, title: str, said: str = "") -> None:
     fig.text(0.988, y, said, color=MUTED, fontsize=8.5, ha="right", va="center")
 
 
-def title(ax: Any, text: str) -> None:
+def title(ax: Any, text: str, size: float = 10) -> None:
     """What one panel of several shows."""
-    ax.set_title(text, loc="left", color=INK, fontsize=10, weight="bold")
+    ax.set_title(text, loc="left", color=INK, fontsize=size, weight="bold")
 
 
-def bare(ax: Any) -> None:
-    """Without a box, the grid behind."""
+def bare(ax: Any, grid: bool = True, size: float = 8) -> None:
+    """Without a box, the grid behind. size: of the numbers at the axes."""
     for side in ("top", "right"):
         ax.spines[side].set_visible(False)
     for side in ("left", "bottom"):
         ax.spines[side].set_color(HAIR)
-    ax.tick_params(color=HAIR, labelcolor=INK, labelsize=8)
-    ax.grid(True, color=GRID, linewidth=0.7)
+    ax.tick_params(color=HAIR, labelcolor=INK, labelsize=size)
+    if grid:
+        ax.grid(True, color=GRID, linewidth=0.7)
     ax.set_axisbelow(True)

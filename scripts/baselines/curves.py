@@ -17,6 +17,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from stage.bench.statistics import RUNS, interval, iqm
+from stage.pictures import bare, title
 
 SMOOTH = 5
 BAND = 3  # runs, from which on there is an interval
@@ -58,10 +59,9 @@ def main() -> None:
                 ax.plot(
                     *run, color=color, lw=1.6, label=None if k else f"{method}, {len(runs)} run{'s'[: len(runs) > 1]}"
                 )
-        ax.set_title(task, loc="left", weight="bold")
+        title(ax, task)
         ax.set(xlabel="steps of learning", ylabel=f"{args.of}, with exploration")
-        ax.grid(True, color="#e7ebef", lw=0.7)
-        ax.spines[["top", "right"]].set_visible(False)
+        bare(ax)
         ax.legend(frameon=False)
     args.picture.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(args.picture, dpi=120)

@@ -50,6 +50,7 @@ from stage import Stage, firmware
 from stage.bench.statistics import interval, iqm
 from stage.firmware.pcl240.driver import TUNED as REGISTERS
 from stage.firmware.report import Report, rates
+from stage.pictures import bare, title
 
 SEEDS = 10  # fewer say nothing of who beats whom
 STEP, MOST = 0.1, 3.0  # kg: payloads on top of the given one with which registers are tried again
@@ -92,7 +93,6 @@ METHODS = (
 )
 QUICK = ("formula", "formula, boldest", "agent loop", "random", "CMA-ES")
 DRAWN = [m for m in METHODS if m.space == "knobs"]
-INK, MUTED, GREY = "#1d2733", "#66717d", "#e7ebef"
 
 
 @dataclass
@@ -363,14 +363,10 @@ def draw(all_: Runs, path: Path) -> None:
         ):
             draw_the_learning(top, runs, payload)
             draw_the_moves(bottom, runs, payload, mass, all_.model)
-            top.set_title(
-                f"{mass:g} kg: fastest of the best moves so far", loc="left", color=INK, fontsize=12, weight="bold"
-            )
-            bottom.set_title(f"{mass:g} kg: the moves found", loc="left", color=INK, fontsize=12, weight="bold")
+            title(top, f"{mass:g} kg: fastest of the best moves so far", 12)
+            title(bottom, f"{mass:g} kg: the moves found", 12)
             for ax in (top, bottom):
-                ax.grid(True, color=GREY, lw=0.7)
-                ax.set_axisbelow(True)
-                ax.spines[["top", "right"]].set_visible(False)
+                bare(ax, size=9)
         handles, labels = bottom.get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), frameon=False, fontsize=11)
     path.parent.mkdir(parents=True, exist_ok=True)

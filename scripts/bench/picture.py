@@ -13,9 +13,9 @@ from matplotlib.figure import Figure as Canvas
 from bench.figures import Curve
 from bench.report import Results
 from bench.targets import BY_FIGURE
+from stage.pictures import INK, MUTED, bare, title
 
 OURS, OTHER, SECOND = "#17508f", "#d1571f", "#4aa8d8"
-INK, MUTED, GREY = "#1d2733", "#66717d", "#e7ebef"
 BOUND: dict[str, Any] = {"color": OTHER, "lw": 1.6, "ls": (0, (4, 2))}
 
 
@@ -134,12 +134,10 @@ def draw(results: Results, path: Path) -> None:
     canvas.get_layout_engine().set(w_pad=0.12, h_pad=0.12)
     with rc_context({"font.size": 10}):
         grid = canvas.subplots(down, across, squeeze=False).ravel()
-        for ax, (title, panel) in zip(grid, shown, strict=False):
-            ax.grid(True, color=GREY, lw=0.7)
+        for ax, (text, panel) in zip(grid, shown, strict=False):
+            bare(ax, size=9)
             panel(ax, results)
-            ax.set_title(title, loc="left", color=INK, fontsize=12, weight="bold")
-            ax.set_axisbelow(True)
-            ax.spines[["top", "right"]].set_visible(False)
+            title(ax, text, 12)
         for k, ax in enumerate(grid[len(shown) :]):
             ax.axis("off")
             if not k:

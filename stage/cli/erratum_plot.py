@@ -17,13 +17,12 @@ LANES = {"ASND": "asnd", "CNST": "cnst", "DSND": "dsnd", "n-DRV": "drive"}
 
 def draw(shown: Shown, path: str | None, overwrite: bool) -> Any:
     """Rate and position of both runs; beside them, close up, the rate and the bits of RR1 around area d."""
-    from stage.drives.picture import ACCENT, MUTED
     from stage.files import save_figure
-    from stage.pictures import INK, bare, figure, title
+    from stage.pictures import COLOURS, INK, MUTED, bare, figure, title
 
     fig = figure(11, 6)
     (rate, close), (place, lanes) = fig.subplots(2, 2)
-    styles = ((ACCENT, 1.6, "26h in area d", 2), (MUTED, 3.0, "stop_by_speed", 1))
+    styles = ((COLOURS[0], 1.6, "26h in area d", 2), (MUTED, 3.0, "stop_by_speed", 1))
     areas, unit = _areas(shown.recordings[0]), PLACES[shown.unit]
     for recording, (color, width, label, order) in zip(shown.recordings, styles, strict=True):
         axis = next(iter(recording.axes))
@@ -35,11 +34,11 @@ def draw(shown: Shown, path: str | None, overwrite: bool) -> Any:
         place.plot(
             time, recording.column(f"{axis}/commanded") * unit.per, color=color, linewidth=1, linestyle=(0, (2, 2))
         )
-    _lanes(lanes, shown.recordings[0], ACCENT)
+    _lanes(lanes, shown.recordings[0], COLOURS[0])
     begin, end = areas["d"]
     for panel in (close, lanes):
         panel.set_xlim(begin - CLOSE, end + CLOSE)
-        panel.axvspan(begin, end, color=ACCENT, alpha=0.15, linewidth=0)
+        panel.axvspan(begin, end, color=COLOURS[0], alpha=0.15, linewidth=0)
     rate.set_ylim(top=1.12 * pps.max())
     initial = float(np.interp(areas["a"][0] + 1e-3, time, pps))
     close.set_ylim(0.97 * initial, 1.08 * initial)

@@ -10,17 +10,15 @@ import numpy as np
 from stage.drives.dynamometer import PullOut, bound_by_both, closed_form
 from stage.drives.motors import Drive
 from stage.errors import ArgumentError
-from stage.extras import need
 from stage.files import save_figure
+from stage.pictures import COLOURS, INK, MUTED, bare, figure
 
-INK, MUTED, ACCENT, BAND, GRID = "#1d2733", "#8a94a0", "#1f5f9e", "#cfe0f2", "#e7ebef"
-COLORS = (ACCENT, "#c4572e", "#3a8a5f", "#7b5aa6", "#a8842c", "#4d5866")
+ACCENT, BAND = COLOURS[0], "#cfe0f2"
 
 
 def _figure() -> tuple[Any, Any]:
-    Figure = need("matplotlib.figure", "drawing").Figure
-    figure = Figure(figsize=(9, 5.2), layout="constrained")
-    return figure, figure.subplots()
+    fig = figure(9, 5.2)
+    return fig, fig.subplots()
 
 
 def _dress(ax: Any, drive: Drive, rpm_max: float, torque_max: float) -> None:
@@ -34,11 +32,7 @@ def _dress(ax: Any, drive: Drive, rpm_max: float, torque_max: float) -> None:
     below.set_xlabel(f"pulse rate at 1/{drive.microsteps} microsteps (kpps)", color=MUTED, fontsize=9)
     below.tick_params(colors=MUTED, labelsize=8)
     below.spines["bottom"].set_color(MUTED)
-    ax.grid(True, color=GRID, linewidth=0.7)
-    ax.set_axisbelow(True)
-    for side in ("top", "right"):
-        ax.spines[side].set_visible(False)
-    ax.tick_params(colors=INK, labelsize=9)
+    bare(ax, size=9)
 
 
 def _closed_forms(drive: Drive, rpm_max: float) -> tuple[Any, Any, Any, Any]:
@@ -52,7 +46,7 @@ def plot_pull_out(drive: Drive, table: PullOut, path: str | None = None, overwri
 
     A file that exists stays, unless `overwrite`: FileError.
     """
-    figure, ax = _figure()
+    fig, ax = _figure()
     rpm, at_v, at_most, both = _closed_forms(drive, table.rpm.max())
     ax.fill_between(rpm, at_v, at_most, color=BAND, linewidth=0, label="closed form, from V to 4/π V")
     ax.plot(rpm, at_v, color=MUTED, linewidth=1.2, label="closed form at V: min($T_V$, $T_I$)")
@@ -66,8 +60,8 @@ def plot_pull_out(drive: Drive, table: PullOut, path: str | None = None, overwri
     order = [handles[k] for k in (4, 3, 1, 2, 0)], [labels[k] for k in (4, 3, 1, 2, 0)]
     ax.legend(*order, frameon=False, fontsize=9, loc="upper right")
     if path is not None:
-        save_figure(figure, path, 150, overwrite)
-    return figure
+        save_figure(fig, path, 150, overwrite)
+    return fig
 
 
 def plot_motors(curves: Sequence[tuple[Drive, PullOut]], path: str | None = None, overwrite: bool = False) -> Any:
@@ -78,10 +72,10 @@ def plot_motors(curves: Sequence[tuple[Drive, PullOut]], path: str | None = None
     """
     if len({drive.pulses_per_turn for drive, _ in curves}) != 1:
         raise ArgumentError(f"{len(curves)} curves: give one or more, of drives with the same pulses per turn.")
-    figure, ax = _figure()
+    fig, ax = _figure()
     top = 0.0
     for k, (drive, table) in enumerate(curves):
-        color = COLORS[k % len(COLORS)]
+        color = COLOURS[k % len(COLOURS)]
         label = f"{drive.motor.name}, {drive.bus_voltage:g} V, {drive.amplitude:g} A"
         rpm, at_v, at_most, _ = _closed_forms(drive, table.rpm.max())
         ax.fill_between(rpm, at_v, at_most, color=color, alpha=0.13, linewidth=0)
@@ -92,5 +86,5 @@ def plot_motors(curves: Sequence[tuple[Drive, PullOut]], path: str | None = None
     ax.set_title("bands: closed form from V to 4/π V", loc="right", color=MUTED, fontsize=9)
     ax.legend(frameon=False, fontsize=9, loc="upper right")
     if path is not None:
-        save_figure(figure, path, 150, overwrite)
-    return figure
+        save_figure(fig, path, 150, overwrite)
+    return fig

@@ -15,12 +15,12 @@ from stage.extras import need
 from stage.files import save_figure
 from stage.firmware.driver import driver_class
 from stage.firmware.pattern import Note, Pattern
+from stage.pictures import COLOURS, HAIR, INK, MUTED, bare
 
 if TYPE_CHECKING:
     from stage.firmware.report import Report
 
-INK, MUTED, HAIR = "#1d2733", "#7b8794", "#c9d1da"
-LINE, FILL, MINUS_FILL = "#1f5f9e", "#dbe8f5", "#e9e2f3"
+LINE, FILL, MINUS_FILL = COLOURS[0], "#dbe8f5", "#e9e2f3"
 EVENT = "#a4502a"
 WIDTH, LEFT, RIGHT, TOP, BOTTOM = 9.2, 0.8, 1.15, 0.42, 0.46  # inches
 PANEL, LANE = 2.25, 0.2
@@ -134,7 +134,7 @@ def _panel(
     ax.locator_params(axis="y", nbins=6)
     ticks = [v for v in ax.get_yticks() if v <= 1.02 * peak]
     ax.set_yticks(ticks, [f"{v:,.0f}" for v in ticks])
-    _bare(ax)
+    bare(ax, grid=False, size=SIZE)
     ax.spines["left"].set_bounds(0, max(peak, ticks[-1] if ticks else 0))
 
 
@@ -214,14 +214,6 @@ def _draw_lanes(ax: Any, t: np.ndarray, limits: tuple[float, float], lanes: list
     ax.set_yticks([k + 0.45 for k in range(len(lanes))], labels)
     ax.set_ylim(0, len(lanes))
     ax.set_xlim(*limits)
-    _bare(ax)
+    bare(ax, grid=False, size=SIZE)
     ax.tick_params(axis="y", length=0)
     ax.spines["left"].set_visible(False)
-
-
-def _bare(ax: Any) -> None:
-    for side in ("top", "right"):
-        ax.spines[side].set_visible(False)
-    for side in ("left", "bottom"):
-        ax.spines[side].set_color(HAIR)
-    ax.tick_params(color=HAIR, labelcolor=INK, labelsize=SIZE)

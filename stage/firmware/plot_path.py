@@ -9,7 +9,8 @@ import numpy as np
 from stage.extras import need
 from stage.files import save_figure
 from stage.firmware.path import path_points
-from stage.firmware.plot import INK, LINE, MUTED, _bare
+from stage.firmware.plot import LINE, SIZE
+from stage.pictures import INK, MUTED, bare
 
 if TYPE_CHECKING:
     from stage.firmware.together import SynchronizedReport
@@ -65,10 +66,8 @@ def _staircase(ax: Any, report: SynchronizedReport, counts: np.ndarray, line: np
         axis.set_label_text(f"{list(report.paths)[name]} (pulses)", color=INK)
         axis.set_major_formatter(lambda v, _: f"{v:,.0f}")
     ax.set_aspect("equal")
-    ax.grid(color="#e8ebef", linewidth=0.6)
-    ax.set_axisbelow(True)
     ax.legend(loc="best", frameon=False, fontsize=8, labelcolor=INK)
-    _bare(ax)
+    bare(ax, size=SIZE)
 
 
 def _whole() -> Any:
@@ -107,7 +106,7 @@ def _distance(ax: Any, report: SynchronizedReport, times: np.ndarray, counts: np
     )  # fmt: skip
     ax.set_xlim(0, report.seconds * scale * 1.01)
     ax.tick_params(labelbottom=False)
-    _bare(ax)
+    bare(ax, grid=False, size=SIZE)
 
 
 def _rates(ax: Any, report: SynchronizedReport) -> None:
@@ -128,7 +127,7 @@ def _rates(ax: Any, report: SynchronizedReport) -> None:
     ax.legend(
         loc="lower center", bbox_to_anchor=(0.5, 0.98), ncols=len(report.axes), frameon=False, fontsize=8, labelcolor=INK,
     )  # fmt: skip
-    _bare(ax)
+    bare(ax, grid=False, size=SIZE)
 
 
 def _scale(report: SynchronizedReport) -> tuple[float, str]:

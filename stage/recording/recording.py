@@ -38,6 +38,8 @@ from stage.recording.table import Tabular
 from stage.sim.records import SAMPLE
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from stage.recording.rerun_log import Log
 
 ROWS = 4096
@@ -388,7 +390,7 @@ class Recording(Tabular):
             write(self, part)
         return Path(path)
 
-    def plot(self, path: str | os.PathLike | None = None, *, overwrite: bool = False) -> Any:
+    def plot(self, path: str | os.PathLike | None = None, *, overwrite: bool = False) -> Figure:
         """One static picture: rates, places, following errors, lost steps and switches over time; saves to `path` if given.
 
         Returns the figure. Raises RecordingError, FileError; ExtraMissing without matplotlib (extra `plot`).

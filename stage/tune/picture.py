@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stage.files import save_figure
-from stage.pictures import bare, figure, heading
+from stage.pictures import COLOURS, MUTED, bare, figure, heading
 from stage.sim.fleet import Fleet
 from stage.sim.program import Program
 from stage.tune.looks import LOOK, Looks
@@ -19,7 +19,7 @@ from stage.units import PLACES, SMALL
 if TYPE_CHECKING:
     from stage.tune.result import Result
 
-COLOURS = {"formula": "#7b8794", "search": "#1f5f9e"}
+SHADES = {"formula": MUTED, "search": COLOURS[0]}
 BAND = "#dbe8f5"
 
 
@@ -33,7 +33,7 @@ def draw(result: Result, path: str | PathLike, overwrite: bool = False) -> None:
     end = 1.15 * max(a.proof.worst for a in result.answers) + 0.01
     for a in result.answers:
         t, rate, position, behind, u, off = _measured(result, a.plan, end)
-        colour = COLOURS[a.name]
+        colour = SHADES[a.name]
         label = f"{a.name}: arrives after {a.proof.mean * 1e3:.0f} ms (mean), {a.proof.worst * 1e3:.0f} ms (worst)"
         panels[0].plot(t * 1e3, rate * 1e-3, color=colour, lw=1.4, label=label, drawstyle="steps-post")
         panels[1].plot(t * 1e3, position * unit.per, color=colour, lw=1.4)
