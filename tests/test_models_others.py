@@ -160,3 +160,9 @@ def test_one_motor_of_a_gantry_alone_racks_the_beam_and_slips():
     assert firmware.move(stage.axes["y"], 3e-3).ok
     assert abs(racking(stage)) > 0.2
     assert firmware.move(stage.axes["y"], 37e-3).lost_steps
+
+
+def test_one_of_two_tandem_axes_is_not_tuned(capsys):
+    """stage tune gantry --axis y --distance 20mm"""
+    assert main(["tune", "gantry", "--axis", "y", "--distance", "20mm"]) == 2
+    assert "axis y drives one load with w: moved alone it loses steps" in capsys.readouterr().err

@@ -67,6 +67,11 @@ class Task:
         if self.axis not in self.stage.axes:
             raise unknown("axis", self.axis, self.stage.axes)
         axis: Any = self.stage.axes[self.axis]
+        if axis.tandem:
+            raise ArgumentError(
+                f"axis {self.axis} drives one load with {' and '.join(axis.tandem)}: moved alone it loses steps, whatever its "
+                "registers. Tune another axis, or try registers by lines of all of them: firmware.line."
+            )
 
         def put(name: str, value: Any) -> None:
             object.__setattr__(self, name, value)

@@ -46,6 +46,8 @@ def moves(stage: Stage) -> float:
     both = firmware.line({"x": 1e-3, "y": -1e-3}, stage)
     skew: float = both.skew
     homed = firmware.home(x)
+    beside: tuple[str, ...] = x.tandem
+    squared = [] if not beside else firmware.square(x, *(stage.axes[name] for name in beside))
     x.switches.stick("org", True)
     x.switches.stick("org", None)
     level: bool = x.pins.org
@@ -57,7 +59,7 @@ def moves(stage: Stage) -> float:
         + skew
         + len(text)
         + preset.pulses
-        + float(homed.ok and ok and level)
+        + float(homed.ok and ok and level and not squared)
         + len(words)
         + len(notes)
     )
