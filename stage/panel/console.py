@@ -118,7 +118,7 @@ class Console:
         trace = self._panel.look.traces[k]
         for line in trace.since(self._shown):
             self._shown = line.number
-            self._log.push(line.text(trace.digits), "bad" if line.way in ("!", "lost") else "")
+            self._log.push(line.text(trace.digits), "bad" if line.way in ("!", "lost") else "", line.first)
         new = 0
         for j, one in enumerate(self._panel.look.traces):
             for line in [d for d in tuple(one.said) if d.number > self._said[j]]:

@@ -17,8 +17,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from stage.errors import ArgumentError, StageError, unknown
+from stage.errors import StageError, unknown
 from stage.panel.procedures import Field, WrongField, parsed
+from stage.panel.travel import strongest_push
 from stage.sim import faults
 from stage.sim.faults import Fault
 
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 
 YES, NO = "yes", "no"
 UNITS = {"seconds": "s", "volts": "V", "force": "N"}
+UNITS_OF_FORCE = {"m": "N", "rad": "N m"}
 SAME = frozenset({"body"})  # parameters that stay what they are without anybody's word
 
 
@@ -199,10 +201,23 @@ class Hands:
 
         self.session.do(order)
 
+    def unit_of_push(self, axis: str) -> str:
+        """N, or N m."""
+        return UNITS_OF_FORCE[self.session.stage.axes[axis].unit]
+
+    def strongest_push(self, axis: str) -> float:
+        """N (N m on a hinge) that `push` takes, see travel.py."""
+        return strongest_push(self.session.stage.axes[axis])
+
     def push(self, axis: str, force: float) -> None:
-        """A force, N (N m on a hinge), on the carriage from now on; 0 takes the hand away. Raises ArgumentError."""
-        if not abs(force) < 1e6:
-            raise ArgumentError(f"force={force!r}: N (N m on a hinge), less than 1e6; the sign is the direction.")
+        """A force, N (N m on a hinge), on the carriage from now on; 0 takes the hand away. Raises WrongField."""
+        most = self.strongest_push(axis)
+        if not abs(force) <= most:
+            unit = self.unit_of_push(axis)
+            raise WrongField(
+                "force",
+                f"{force:g} {unit}: up to {most:.3g} {unit}, twice what this motor can hold; more would only break the end stops.",
+            )
         dof = self.session.stage.axes[axis].plant.dof
 
         def order(stage: Stage) -> None:

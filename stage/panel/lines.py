@@ -14,13 +14,15 @@ class Lines(ui.element, component="lines.js"):
     def __init__(self, live: Live, most: int):
         super().__init__()
         self._props["most"] = most
-        self._new: list[tuple[str, str]] = []
+        self._new: list[tuple[str, str, int]] = []
         self._most = most
         live.call(self, "push", self._take)
 
-    def push(self, text: str, kind: str = "") -> None:
-        """One more, of a class `kind`."""
-        self._new.append((text, kind))
+    def push(self, text: str, kind: str = "", key: int = 0) -> None:
+        """One more, of a class `kind`. key: not 0, it takes the place of the last line that had the same."""
+        if key and self._new and self._new[-1][2] == key:
+            self._new.pop()
+        self._new.append((text, kind, key))
         del self._new[: -self._most]
 
     def empty(self) -> None:

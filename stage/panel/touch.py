@@ -11,6 +11,7 @@ from stage.errors import StageError
 from stage.panel import procedures
 from stage.panel.forms import clear, entry, said_at
 from stage.panel.hands import Breaking, Made
+from stage.panel.procedures import Field, WrongField, parsed
 
 if TYPE_CHECKING:
     from stage.panel.server import Panel
@@ -43,11 +44,7 @@ class Touch:
                 ui.toggle(axes, value=self.axis, on_change=lambda e: self._choose(e.value)).props(
                     "dense no-caps data-test=hands-axis"
                 )
-                self.force = (
-                    ui.number("push with", value=10, min=0)
-                    .props("dense outlined suffix=N data-test=force")
-                    .style("width: 110px")
-                )
+                self.force = entry("push", *self._force_fields())
                 for sign, label in ((-1, "push -"), (1, "push +")):
                     self._push_button(sign, label)
             self.box = ui.row().classes("w-full items-start q-gutter-xs")
@@ -106,14 +103,20 @@ class Touch:
         for event in ("pointerup", "pointerleave", "pointercancel", "blur", "keyup"):
             button.on(event, lambda e: run.io_bound(self._let_go))
 
+    def _force_fields(self) -> list[Field]:
+        return [Field("force", "push with", self.hands.unit_of_push(self.axis), "10")]
+
     async def _push(self, sign: int) -> None:
         if self._pushes:
             return
         self._pushes = self.axis
+        clear({"force": self.force})
         try:
-            await run.io_bound(self.hands.push, self.axis, sign * (self.force.value or 0.0))
-        except StageError as error:
-            ui.notify(str(error), type="negative")
+            force = parsed(self._force_fields(), {"force": self.force.value}).get("force", 0.0)
+            await run.io_bound(self.hands.push, self.axis, sign * force)
+        except WrongField as error:
+            self._pushes = ""
+            said_at(self.force, error)
 
     def _let_go_soon(self) -> None:
         background_tasks.create(run.io_bound(self._let_go))
@@ -125,6 +128,7 @@ class Touch:
 
     def _choose(self, axis: str) -> None:
         self.axis = axis
+        self.force.props(f'suffix="{self.hands.unit_of_push(axis)}"')
         self.box.clear()
         with self.box:
             breakings = {b.name: b for b in self.hands.breakings(axis)}

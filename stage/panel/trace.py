@@ -18,7 +18,8 @@ KINDS = {WRITE: "W", READ: "R", LOST: "lost", RESET: "reset"}
 
 
 class Line(NamedTuple):
-    """A bus cycle, or a diagnostic. number: counts up; time: s; way: W, R, lost, reset, ! for a diagnostic."""
+    """A bus cycle, or a diagnostic. number: counts up; time: s; way: W, R, lost, reset, ! for a diagnostic. times: so many reads of
+    one address after each other, of which this is the last; first: the number of the first of them."""
 
     number: int
     time: float
@@ -27,12 +28,15 @@ class Line(NamedTuple):
     datum: int
     words: str
     source: str = ""
+    times: int = 1
+    first: int = 0
 
     def text(self, digits: int) -> str:
         """As a line of a list; digits: of the datum, hexadecimal."""
         if self.way in ("reset", "!"):
             return f"{self.time:11.6f}  {self.way}  {self.words}" + (f" [{self.source}]" if self.source else "")
-        return f"{self.time:11.6f}  {self.way} {self.address:2X}: {self.datum:0{digits}X}  {self.words}"
+        folded = f"  x {self.times}" if self.times > 1 else ""
+        return f"{self.time:11.6f}  {self.way} {self.address:2X}: {self.datum:0{digits}X}  {self.words}{folded}"
 
 
 class Trace:
@@ -120,6 +124,10 @@ class Trace:
 
     def _add(self, clock: int, way: str, address: int, datum: int, words: str, source: str = "") -> Line:
         self._number += 1
-        line = Line(self._number, clock / self.chip.clock_hz, way, address, datum, words, source)
+        times, first, last = 1, self._number, self.lines[-1] if self.lines else None
+        if last is not None and way == last.way == "R" and address == last.address:  # a host that polls
+            times, first = last.times + 1, last.first
+            self.lines.pop()
+        line = Line(self._number, clock / self.chip.clock_hz, way, address, datum, words, source, times, first)
         self.lines.append(line)
         return line

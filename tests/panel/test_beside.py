@@ -63,12 +63,12 @@ def test_its_run_is_that_without_a_session_whatever_is_looked_at_meanwhile(sessi
 
 
 def test_no_time_passes_but_by_the_program_and_it_is_in_real_time(session):
+    begin = time.monotonic()
     session.speed = 1.0
     time.sleep(0.05)
     assert session.do(lambda stage: stage.now) == 0
-    begin = time.monotonic()
     session.stage.run(0.2)  # from this very thread
-    assert time.monotonic() - begin > 0.1  # it may catch up with what it was late
+    assert time.monotonic() - begin > 0.17  # it catches up with what it was late, and goes ahead by a slice
     assert session.stage.time == 0.2
     until(lambda: session.view.time == 0.2)
 

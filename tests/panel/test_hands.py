@@ -7,6 +7,7 @@ from stage.errors import ArgumentError
 from stage.panel.hands import Hands, functions
 from stage.panel.procedures import WrongField
 from stage.panel.session import FREE, Session
+from stage.panel.travel import outside, strongest_push
 
 
 @pytest.fixture(scope="module")
@@ -76,8 +77,8 @@ def test_what_broke_first_may_be_mended_first(hands, session):
 
 def test_a_push_moves_the_carriage_and_ends_with_the_hand(hands, session):
     def after(seconds):
-        session.do(lambda stage: session._at_once(stage.run, seconds))
-        session.do(lambda stage: session._publish())
+        session.do(lambda stage: session._life.at_once(stage.run, seconds))
+        session.do(lambda stage: session._life.publish())
         return session.do(lambda stage: stage.axes["x"].position)
 
     rest = after(0.05)
@@ -127,3 +128,23 @@ def test_what_the_fault_refuses_is_passed_on(hands):
         hands.make("bus_voltage", "x", {"volts": "900"})
     with pytest.raises(ArgumentError, match="jam"):
         hands.make("jamm", "x", {})
+
+
+@pytest.mark.parametrize("model", ["xy", "xyz", "xyz_servo", "xya"])
+def test_the_strongest_push_leaves_every_carriage_in_its_travel(model):
+    """The fields bound what the end stops bear: as long as one likes, with nothing that brakes."""
+    stage = Stage(model, visuals=False)
+    for axis in stage.axes.values():
+        for sign in (-1, 1):
+            stage.reset()
+            stage.change()
+            stage.data.qfrc_applied[axis.plant.dof] = sign * strongest_push(axis)
+            for _ in range(30):
+                stage.run(0.01)
+                assert outside(stage) == ""
+
+
+def test_a_stronger_push_is_refused(hands):
+    with pytest.raises(WrongField, match="900000 N: up to 503 N") as wrong:
+        hands.push("x", 9e5)
+    assert wrong.value.field == "force"

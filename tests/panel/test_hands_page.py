@@ -74,11 +74,36 @@ def test_a_push_lasts_as_long_as_the_button_is_held(hands):
         return hands.stage(lambda stage: stage.data.qfrc_applied[dof])
 
     before = hands.x("position")
-    browser.type("force", "25")
+    browser.type("push-force", "25")
     with browser.held("push-plus"):
         browser.until(lambda: force() == 25.0)
         browser.until(lambda: hands.x("position") > before + 1e-6)
     browser.until(lambda: force() == 0.0)
+
+
+def test_a_push_that_no_hand_has_is_said_at_its_field_and_nobody_pushes(hands):
+    browser = hands.browser
+    for typed, said in (("900000", "900000 N: up to 503 N, twice what this motor can hold"), ("1e300", "up to 503 N")):
+        browser.type("push-force", typed)
+        with browser.held("push-plus"):
+            browser.until(lambda said=said: said in browser.error_at("push-force"))
+    assert hands.stage(lambda stage: stage.data.qfrc_applied[stage.axes["x"].plant.dof]) == 0
+    browser.type("push-force", "25")
+    before = hands.x("position")
+    with browser.held("push-plus"):
+        browser.until(lambda: hands.x("position") > before + 1e-6)
+        assert browser.error_at("push-force") == ""
+
+
+def test_a_carriage_out_of_its_travel_is_told_and_one_goes_back_to_a_good_state(hands):
+    browser, session = hands.browser, hands.session
+    hands.stage(lambda stage: stage.data.qpos.__setitem__(stage.axes["x"].plant.qpos, 12.0))
+    browser.until(lambda: "x is out of its travel, at 1.2e+04 mm" in browser.text("doing"))
+    browser.click("recover")
+    browser.until(lambda: not browser.find("recover").is_displayed())
+    assert abs(hands.x("position")) < 0.158
+    session.paused = False
+    browser.until(lambda: "stands still" not in browser.text("pace"))
 
 
 def test_a_stuck_switch_lights_its_lamp_until_it_is_mended(hands):

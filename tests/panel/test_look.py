@@ -1,10 +1,13 @@
 """What pages show of a stage, looked at once for all of them; and the trace of the bus, whoever uses it."""
 
+from itertools import pairwise
+
 import pytest
 
 from stage import Stage, firmware
 from stage.panel.look import Look
 from stage.panel.session import FREE, Session
+from stage.panel.trace import Trace
 
 
 @pytest.fixture
@@ -95,3 +98,26 @@ def test_a_trace_and_its_journal_keep_no_more_than_the_last_lines(look):
     assert len(trace.lines) == 500
     assert trace.lines[-1].number == 1200
     assert session.do(lambda stage: len(trace._journal.entries)) == 0
+
+
+def test_a_host_that_polls_has_one_line_that_counts():
+    stage = Stage("xy", chips="hctl1100", visuals=False)
+    trace, x = Trace(stage.chips[0]), stage.axes["x"]
+    firmware.move(x, distance=0.002)
+    trace.look()
+    last = [line for line in trace.lines if line.address == 0x14][-1]
+    assert last.times > 10
+    assert last.text(2).endswith(f"  x {last.times}")
+    assert all(a.address != b.address or "W" in (a.way, b.way) for a, b in pairwise(trace.lines))
+    before = last.number
+    for _ in range(3):
+        trace.read(0x14)
+    (line,) = trace.since(before)
+    assert (line.first, line.times) == (last.first, last.times + 3)
+    x.chip.write(0x22, 0x40)
+    trace.read(0x14)
+    assert [(line.way, line.times) for line in trace.since(line.number)] == [("W", 1), ("R", 1)]
+    for _ in range(2):
+        x.chip.write(0x22, 0x40)
+    trace.look()
+    assert [line.times for line in trace.lines][-2:] == [1, 1], "what is written stands for itself"

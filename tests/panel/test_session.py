@@ -81,7 +81,7 @@ def test_one_goes_back_and_the_same_future_comes_again(session):
     assert session.do(lambda stage: stage.time) == then
 
     def on(stage):
-        session._at_once(stage.run_to, was)
+        session._life.at_once(stage.run_to, was)
         return stage.snapshot().state
 
     assert np.array_equal(session.do(on), session.do(lambda stage: (session.back(0.2), on(stage))[1]))
@@ -187,4 +187,24 @@ def test_from_a_divergence_one_recovers_where_all_was_well(session):
     assert not session.do(lambda stage: stage.data.qfrc_applied[0]), "the force came later than that"
     session.paused = False
     until(lambda: session.view.time > diverged + 0.2)
+    assert not session.view.trouble
+
+
+def test_a_carriage_that_leaves_its_travel_stops_time_and_what_is_under_way(session):
+    until(lambda: session.view.time > 1.0)
+    jog = session.act("wait", lambda stage: stage.run(1e6))
+    until(lambda: session.view.doing)
+    session.do(lambda stage: stage.data.qpos.__setitem__(0, -3.0))
+    until(lambda: session.view.trouble)
+    assert session.view.trouble.startswith(
+        "x is out of its travel, at -3000 mm: its end stops are at -158 mm and 158 mm."
+    )
+    with pytest.raises(Abandoned):
+        jog.result(5)
+    at = session.view.time
+    session.recover()
+    assert session.view.time < at - 0.3
+    assert not session.view.trouble
+    session.paused = False
+    until(lambda: session.view.time > at + 0.1)
     assert not session.view.trouble
