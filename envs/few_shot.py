@@ -3,7 +3,9 @@
 An episode is one machine and one distance. What the machine is (payload, friction, supply, torque of the motor, place and drift
 of ORG) is hidden, and stays the same for all tries: what a try has shown counts for the next, so memory pays. Each try is a whole
 move from power-up, from where ORG trips. After the last, the best try that kept step is made `proofs` times more with `margin` kg
-beyond the payload. If one of these moves fails, the next best is proved, and so on; what counts is the best that holds.
+beyond the payload. If one of these moves fails, the next best is proved, and so on; what counts is the best that holds. So the
+task remembers for the host, which may try one thing after another without a look. With answer="last" the last try is the answer,
+and is proved alone: a host has to remember what its tries have shown.
 
 action        Box [-1, 1]^4, the same for every chip: start rate, drive rate, seconds of ramp-up and ramp-down, each by its
               logarithm over RATES; of ramps that do not fit into the move as much as does, as steep. The chip's formulas make
@@ -15,7 +17,8 @@ observation   float32, -1 to 1, only what a host can know (truth=True adds the c
               swing / (swing + 0.1 mm). Without encoder=True the last two are 0: the pulses are all that a host then knows.
 reward        the sum of
               gain     log(best cost before / best cost now), where a try that kept step costs its seconds, and vibration_weight s
-                       for each 0.1 mm of vibration; before the first it is two usual times
+                       for each 0.1 mm of vibration; before the first it is two usual times. With answer="last" the costs of the
+                       last try and of the one before it; one that lost steps, or is slower, costs two usual times
               damage   - damage_weight if a step was lost, or an end limit hit
               proof    after the last try: what was gained by tries that do not hold in the proof is taken back
               So without damage the sum is log(2 x usual time / cost of the best that holds), or 0.
@@ -54,6 +57,7 @@ RATES = {"start": (200.0, 6000.0), "drive": (2000.0, 60_000.0), "up": (0.01, 0.3
 COUNT = 5e-6  # m, of the encoder
 SHORTEST = 2e-3  # s, of a ramp
 MEMORIES = ("all", "last")
+ANSWERS = ("best", "last")
 PER_TRY = 9  # numbers of an observation
 
 
@@ -69,6 +73,7 @@ class Config(Machines):
     margin: Annotated[float, Number(high=1e3)] = 0.5  # kg that the proof has beyond the payload
     encoder: Flag = True  # on the carriage, read by the host after each try
     memory: Annotated[str, Word(MEMORIES)] = "all"  # or "last"
+    answer: Annotated[str, Word(ANSWERS)] = "best"  # what is proved: the best try, or the last one
     settle: Seconds = 0.1  # s, in which vibration and swing are measured
     damage_weight: Weight = 0.05
     vibration_weight: Weight = 0.02  # s for each 0.1 mm
@@ -234,9 +239,15 @@ class FewShotTuning(MachineTask[Config]):
             rows.append([made[name] for name in self.names])
         return np.array(rows, np.int64)
 
-    def _gain(self) -> np.ndarray:
-        """What the best tries are worth, (n,)."""
-        return self._worth(self.cost.min(axis=1))
+    def _gain(self, tries: np.ndarray) -> np.ndarray:
+        """What the answer is worth after so many tries, (n,)."""
+        return self._worth(self._answers(tries).min(axis=1))
+
+    def _answers(self, tries: np.ndarray) -> np.ndarray:
+        """Costs of the tries that may be the answer, (n, tries); infinite elsewhere."""
+        at = np.arange(self.config.tries)
+        mine = at < tries[:, None] if self.config.answer == "best" else at == tries[:, None] - 1
+        return np.where(mine, self.cost, np.inf)
 
     def _worth(self, cost: np.ndarray) -> np.ndarray:
         """log(two usual times / cost); 0 for what costs more."""
@@ -256,15 +267,15 @@ class FewShotTuning(MachineTask[Config]):
         good = self.sound
         cost = seen.duration + c.vibration_weight * seen.vibration / TENTH
         rows, made = self.chosen(self.actions), np.flatnonzero(good)
-        before = self._gain()
+        before = self._gain(self.steps - 1)
         self.cost[made, self.steps[made] - 1] = np.where(seen.kept, cost, np.inf)[made]
         self.rows[made, self.steps[made] - 1] = rows[made]
-        gain, last = self._gain() - before, self.steps >= c.tries
+        gain, last = self._gain(self.steps) - before, self.steps >= c.tries
         proved = self._prove(good & last)
         parts = {
             "gain": gain,
             "damage": np.where(seen.lost | seen.stopped, -c.damage_weight, 0.0),
-            "proof": np.where(good & last, self._worth(proved) - self._gain(), 0.0),
+            "proof": np.where(good & last, self._worth(proved) - self._gain(self.steps), 0.0),
         }
         error = seen.error * c.encoder
         by_encoder = seen.finished & (np.abs(error) * COUNT <= ALLOWED + COUNT) & c.encoder
@@ -286,9 +297,10 @@ class FewShotTuning(MachineTask[Config]):
     def _prove(self, which: np.ndarray) -> np.ndarray:
         """Of the stages in `which` the best cost that holds in a proof, (n,); infinite where none does, and elsewhere."""
         proved, left, every = np.full(self.n, np.inf), which.copy(), np.arange(self.n)
-        order = np.argsort(self.cost, axis=1, kind="stable")
+        costs = self._answers(self.steps)
+        order = np.argsort(costs, axis=1, kind="stable")
         for at in order.T:
-            cost = self.cost[every, at]
+            cost = costs[every, at]
             left &= np.isfinite(cost)
             if not left.any():
                 break

@@ -19,7 +19,12 @@ import numpy as np
 from stable_baselines3.common.vec_env import VecEnvWrapper
 
 OF_AXES = ("used", "selected", "moves", "arrived")
-EASED = 0.5  # of the episodes: both axes take part, and one of them is at its target from the start
+EASIER: dict[str, dict[tuple[str, int | None], float]] = {
+    "target": {("move", None): 0.5},
+    "axes": {("target", None): 0.2, ("axes", 0): 0.4},
+    "origin": {("axes", None): 0.2, ("axes", 0): 0.1, ("origin", 1): 0.2},
+}
+"""Of a level the shares of other episodes: their level, and how near one axis has its target: 0, there; 1, at its origin."""
 
 
 class Turn:
@@ -89,21 +94,32 @@ class Turned(VecEnvWrapper):
         return list(self.turn.masks(self.venv.envs.action_masks(), self.selected))  # type: ignore[attr-defined]
 
 
-class Eased(VecEnvWrapper):
-    """A share of the episodes begins with one axis at its target."""
+class Mixed(VecEnvWrapper):
+    """Episodes of a level with easier ones among them, by EASIER."""
 
-    def __init__(self, envs: Any, seed: int, share: float = EASED):
+    def __init__(self, envs: Any, level: str, seed: int):
         super().__init__(envs)
-        self.rng, self.share, self.names = np.random.default_rng(seed), share, envs.envs._task.config.axes
+        self.rng, self.names = np.random.default_rng(seed), envs.envs._task.config.axes
+        self.shares = EASIER[level]
 
     def reset(self) -> np.ndarray:
         return self.venv.reset()
 
+    def options(self) -> dict[str, Any] | None:
+        """Of the next episode; None: one of the level itself."""
+        at = self.rng.random()
+        for (level, near), share in self.shares.items():
+            at -= share
+            if at < 0:
+                return {"level": level} | (
+                    {"targets": {str(self.rng.choice(self.names)): near}} if near is not None else {}
+                )
+        return None
+
     def step_wait(self) -> Any:
         seen, rewards, ends, infos = self.venv.step_wait()
         for k in np.flatnonzero(ends):
-            if self.rng.random() < self.share:
-                there, which = {str(self.rng.choice(self.names)): 0}, np.arange(self.num_envs) == k
-                options = {"level": "axes", "targets": there, "reset_mask": which}
-                seen[k] = self.venv.envs.reset(options=options)[0][k]  # type: ignore[attr-defined]
+            if options := self.options():
+                which = np.arange(self.num_envs) == k
+                seen[k] = self.venv.envs.reset(options={**options, "reset_mask": which})[0][k]  # type: ignore[attr-defined]
         return seen, rewards, ends, infos

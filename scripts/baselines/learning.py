@@ -67,6 +67,13 @@ def cost_of(policy: Path) -> dict[str, float]:
     return {"moves": float(last["steps"]), "processor_s": float(last["processor_s"])}
 
 
+def wilson(won: int, of: int, z: float = 1.96) -> tuple[float, float]:
+    """The share of successes, 95 %, by Wilson's score interval."""
+    share, more = won / of, z * z / of
+    half = z * np.sqrt(share * (1 - share) / of + more / (4 * of))
+    return float((share + more / 2 - half) / (1 + more)), float((share + more / 2 + half) / (1 + more))
+
+
 def save(model: Any, path: Path, steps: int) -> None:
     """The policy; its file is the learner's own, to be loaded by whoever made it."""
     model.save(path.with_suffix(".zip"))

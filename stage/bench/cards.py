@@ -75,6 +75,20 @@ CARDS = {
             choices={"memory": ("all", "last")},
         ),
         Card(
+            "few-shot-wide",
+            "stage/FewShotTuning-v1",
+            "in eight tries, of which the last is the answer, a fast move that holds, on machines that differ more",
+            settings={
+                "answer": "last",
+                "payloads": (0.0, 10.0),
+                "frictions": (0.5, 4.0),
+                "supplies": (0.5, 1.1),
+                "torques": (0.4, 1.0),
+            },
+            choices={"memory": ("all", "last")},
+            splits=("train", "loose", "ms", "nova", "mast", "faults"),
+        ),
+        Card(
             "home",
             "stage/DriftingHome-v1",
             "origin returns to the same place, by a switch that walks, on a machine that may be broken, which is to be reported",

@@ -49,14 +49,14 @@ class Bold:
 
 
 class Search:
-    """Few-shot: bolder by STEP while the encoder shows no loss, then half way back to the boldest that held."""
+    """Few-shot: bolder by STEP while the encoder shows no loss, then half way (SHARE) back to the boldest that held."""
 
-    STEP, CLOSE, RETREAT, FIRST = 1.12, 1.1, 1.4, 3.4
+    STEP, SHARE, CLOSE, RETREAT, FIRST = 1.12, 0.5, 1.1, 1.4, 3.4 / 1.12
 
     def reset(self, around: Around) -> None:
         self.kept = [k for k, name in enumerate(around.entries) if name == "kept"]
         self.good: float | None = None
-        self.bad, self.last, self.tries = np.inf, self.FIRST / self.STEP, 0
+        self.bad, self.last, self.tries = np.inf, self.FIRST, 0
 
     def __call__(self, observation: np.ndarray, info: Mapping[str, Any]) -> Any:
         if self.tries:
@@ -74,9 +74,22 @@ class Search:
         if self.good is None:
             self.last = self.bad / self.RETREAT
             return
-        half = np.sqrt(self.good * self.bad)
-        bolder = self.good * self.STEP if np.isinf(self.bad) else half
+        between = self.good ** (1 - self.SHARE) * self.bad**self.SHARE
+        bolder = self.good * self.STEP if np.isinf(self.bad) else between
         self.last = bolder if bolder > self.good * self.CLOSE else self.good
+
+
+class Answer(Search):
+    """Few-shot where the last try is the answer: closer to what held, and the last BACK times tamer than that."""
+
+    STEP, SHARE, CLOSE, RETREAT, FIRST, BACK = 1.16, 0.2, 1.0, 1.35, 2.0, 1.1
+
+    def __call__(self, observation: np.ndarray, info: Mapping[str, Any]) -> Any:
+        action = super().__call__(observation, info)
+        if self.tries < few_shot.Config.tries or self.good is None:
+            return action
+        self.last = self.good / self.BACK
+        return action_at(self.last)
 
 
 def action_at(boldness: float) -> np.ndarray:
@@ -91,7 +104,13 @@ FORMULA: dict[str, Callable[[int], Policy]] = {"formula": lambda seed: Scripted(
 OWN: dict[str, dict[str, Callable[[int], Policy]]] = {
     "one-shot": FORMULA,
     "few-shot": FORMULA
-    | {"usual": lambda seed: Bold(1.0), "fixed": lambda seed: Bold(3.4), "search": lambda seed: Search()},
+    | {
+        "usual": lambda seed: Bold(1.0),
+        "fixed": lambda seed: Bold(3.4),
+        "search": lambda seed: Search(),
+    },
+    "few-shot-wide": FORMULA
+    | {"usual": lambda seed: Bold(1.0), "fixed": lambda seed: Bold(2.6), "search": lambda seed: Answer()},
     "line": FORMULA,
     "line-3": FORMULA,
 }

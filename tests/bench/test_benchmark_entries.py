@@ -20,7 +20,7 @@ from stage import ArgumentError, bench
 from stage.bench import files, statistics
 from stage.bench.cards import CARDS, Card, seeds
 from stage.bench.files import Refused, unpack
-from stage.bench.shipped import Random, Search
+from stage.bench.shipped import Answer, Random, Search
 from stage.cli import main
 from stage.envs import contexts
 from stage.envs.task import configured
@@ -297,8 +297,8 @@ def test_a_random_player_keeps_to_the_actions_that_are_allowed():
 def test_the_shipped_search_closes_in_on_what_a_machine_holds_and_doubts_its_luck():
     """Eight tries; the encoder says of each whether it has kept step"""
 
-    def played(holds):
-        player, seen, made = Search(), np.full(16, -1.0), []
+    def played(holds, player):
+        seen, made = np.full(16, -1.0), []
         player.reset(SimpleNamespace(entries=("duration", "kept") * 8))
         for k in range(8):
             player(seen, {})
@@ -306,11 +306,13 @@ def test_the_shipped_search_closes_in_on_what_a_machine_holds_and_doubts_its_luc
             seen[2 * k + 1] = 1.0 if holds(k, player.last) else -1.0
         return made
 
-    made = played(lambda k, boldness: boldness < 4.1)
+    made = played(lambda k, boldness: boldness < 4.1, Search())
     assert made[:3] == pytest.approx([3.4 / 1.12, 3.4, 3.4 * 1.12])
     assert 4.1 / 1.25 < made[-1] < 4.1
-    lucky = played(lambda k, boldness: k < 2)
+    lucky = played(lambda k, boldness: k < 2, Search())
     assert lucky[2:6] == pytest.approx([3.4 * 1.12, 3.4, 3.4 / 1.4, 3.4 / 1.4**2]), "at 3.4 it has held by luck"
+    careful = played(lambda k, boldness: boldness < 3.0, Answer())
+    assert careful[-1] == pytest.approx(max(b for b in careful if b < 3.0) / 1.1), "its last try is its answer"
 
 
 def test_recorded_actions_are_played_and_have_to_be_as_many_as_there_are_steps(entry, tmp_path):

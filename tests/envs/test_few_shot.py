@@ -70,6 +70,19 @@ def test_a_try_that_does_not_hold_in_the_proof_is_taken_back_and_the_next_best_i
     assert infos[-1]["proved"] == np.inf
 
 
+def test_where_the_last_try_is_the_answer_nothing_that_came_before_is_kept(monkeypatch):
+    env = make(answer="last")
+    rewards, infos = episode(env, (BRISK, WILD, USUAL))
+    worth = [np.log(2 * i["usual"] / i["best"]) for i in infos]
+    assert rewards[:2] == pytest.approx([worth[0], -worth[0] - 0.05]), "what the try before was worth is lost"
+    assert infos[-1]["best"] == infos[0]["best"] < infos[-1]["proved"], "the best try is not the answer"
+    assert rewards.sum() == pytest.approx(np.log(2 * infos[0]["usual"] / infos[-1]["proved"]) - 0.05)
+    asked: list = []
+    monkeypatch.setattr(FewShotTuning, "_hold", lambda task, which, rows: asked.append(rows) or np.zeros_like(which))
+    rewards, infos = episode(env, (USUAL, USUAL, BRISK))
+    assert [len(asked), rewards.sum(), infos[-1]["proved"]] == [1, pytest.approx(0), np.inf], "nor proved in its place"
+
+
 def test_a_move_without_margin_does_not_hold_in_the_proof():
     """What is just kept with this payload fails with 300 kg more: the proof is made with the margin, on a machine of its own."""
     rewards, infos = episode(make(margin=300.0), (BRISK, BRISK, BRISK), options={"torque": 0.7, "payload": 2.0})

@@ -167,7 +167,14 @@ class Macro(Hands):
         return said
 
 
-KINDS: dict[str, type[Hands]] = {"few-shot": Move, "one-shot": Move, "home": Home, "line": Line, "line-3": Line}
+KINDS: dict[str, type[Hands]] = {
+    "few-shot": Move,
+    "few-shot-wide": Move,
+    "one-shot": Move,
+    "home": Home,
+    "line": Line,
+    "line-3": Line,
+}
 """By the name of the card."""
 
 

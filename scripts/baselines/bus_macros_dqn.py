@@ -1,0 +1,85 @@
+"""Double DQN with an action mask, for bus_macros_learners.py: what is masked is never tried, never the best, and worth nothing."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from stable_baselines3 import DQN
+from stable_baselines3.common.buffers import NStepReplayBuffer
+from stable_baselines3.dqn.policies import DQNPolicy, QNetwork
+
+REPLAY = 5  # macros of a return
+EXPLORES = 32_768  # steps of each level in which exploration falls
+AGAIN, LAST = 0.1, 0.03  # chance of a random macro where a later level begins, and at the end
+
+
+class MaskedNetwork(QNetwork):
+    """What a masked action is worth: nothing would choose it. The mask is the end of what is seen."""
+
+    def forward(self, obs: Any) -> torch.Tensor:
+        values = super().forward(obs)
+        return torch.where(obs[:, -values.shape[1] :] > 0.5, values, torch.full_like(values, -1e6))
+
+
+class MaskedPolicy(DQNPolicy):
+    def make_q_net(self) -> QNetwork:
+        args = self._update_features_extractor(self.net_args, features_extractor=None)
+        return MaskedNetwork(**args).to(self.device)
+
+
+class MaskedDQN(DQN):
+    """Explores among what is not masked, with chances from `first` down to LAST within EXPLORES steps after `begun`.
+
+    Double: the network says what is best next, the one before it what that is worth. So values grow less by their own noise.
+    """
+
+    draw = np.random.default_rng(0)
+    begun, first = 0, 1.0
+
+    def again(self) -> None:
+        """Another level begins."""
+        self.begun, self.first = self.num_timesteps, AGAIN
+
+    def train(self, gradient_steps: int, batch_size: int = 256) -> None:
+        for _ in range(gradient_steps):
+            some: Any = self.replay_buffer.sample(batch_size)  # type: ignore[union-attr]
+            with torch.no_grad():
+                best = self.q_net(some.next_observations).argmax(dim=1, keepdim=True)
+                later = self.q_net_target(some.next_observations).gather(1, best)
+                aim = some.rewards + (1 - some.dones) * some.discounts * later
+            worth = self.q_net(some.observations).gather(1, some.actions.long())
+            self.policy.optimizer.zero_grad()
+            torch.nn.functional.smooth_l1_loss(worth, aim).backward()
+            torch.nn.utils.clip_grad_norm_(self.policy.parameters(), self.max_grad_norm)
+            self.policy.optimizer.step()
+        self._n_updates += gradient_steps
+
+    def _on_step(self) -> None:
+        super()._on_step()
+        done = (self.num_timesteps - self.begun) / EXPLORES
+        self.exploration_rate = max(self.first + (LAST - self.first) * done, LAST)
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
+    ) -> Any:
+        chosen, state = super().predict(observation, state, episode_start, deterministic=True)
+        if not deterministic and self.draw.random() < self.exploration_rate:
+            masks = np.atleast_2d(observation)[:, -self.action_space.n :] > 0.5  # type: ignore[attr-defined]
+            chosen = np.array([self.draw.choice(np.flatnonzero(m)) for m in masks])
+        return chosen, state
+
+    def _sample_action(self, learning_starts: int, action_noise: Any = None, n_envs: int = 1) -> Any:
+        chosen, _ = self.predict(self._last_obs, deterministic=False)
+        return chosen, chosen
+
+
+def dqn(envs: Any, gamma: float, seed: int) -> MaskedDQN:
+    MaskedDQN.draw = np.random.default_rng(seed)
+    replay = {"n_steps": REPLAY, "gamma": gamma, "handle_timeout_termination": False}  # out of macros is failed
+    return MaskedDQN(
+        MaskedPolicy, envs, buffer_size=300_000, learning_starts=4_000, batch_size=256, learning_rate=5e-4, gamma=gamma,
+        replay_buffer_class=NStepReplayBuffer, replay_buffer_kwargs=replay, train_freq=4, gradient_steps=envs.num_envs,
+        target_update_interval=2_000, policy_kwargs={"net_arch": [128, 128]}, seed=seed, device="cpu",
+    )  # fmt: skip
