@@ -76,6 +76,14 @@ def edges_of(journal, pin):
 # --- what was claimed ---
 
 
+def test_a_claim_is_judged_in_turns_of_the_motor_whatever_its_screw():
+    """Claimed of a screw of 10 mm: 5 mm. With one of 4 mm that is 2 mm."""
+    demo = demos.Demo("", "", lambda *_: {}, lambda healthy, faulty: faulty["moved, mm"] == pytest.approx(5.0))
+    for turn, moved in ((10e-3, 5.0), (4e-3, 2.0)):
+        figures = {"moved, mm": moved}
+        assert demos.Shown("", demo, (figures, figures), (None, None), turn=turn).as_claimed
+
+
 @pytest.mark.parametrize("name", demos.DEMOS)
 def test_what_was_claimed_of_a_fault_happens(name):
     shown = demos.show(name, lambda: Stage("xyz", chips=PCL240K, visuals=False))

@@ -62,6 +62,16 @@ def test_work_on_what_is_whole_mends_nothing(case):
     assert not c.score().mended
 
 
+def test_a_base_holds_for_its_own_program(case):
+    """A program with a wrong base, and then one without"""
+    c = case("address")
+    c.box.call("run")
+    lines = c.box.call("program").text.splitlines()
+    assert c.box.call("write_program", {"text": "\n".join(line for line in lines if not line.startswith("base"))}).ok
+    c.box.call("run")
+    assert c.score().mended
+
+
 def test_an_agent_is_told_nothing_of_the_machine_that_a_host_cannot_see(case):
     c = case("slip")
     said = "".join(c.box.call(name).text for name in ("task", "describe", "run", "measure", "diagnostics"))

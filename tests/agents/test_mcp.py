@@ -12,6 +12,7 @@ import sys
 import threading
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -21,6 +22,8 @@ pytest.importorskip("mcp")
 
 from support.from_schema import calls
 from support.mcp_served import Served, over_stdio
+
+from stage.agents.server.http import Door
 
 
 @pytest.fixture(scope="module")
@@ -154,6 +157,25 @@ def test_prompts_refuse_in_words(served, name, given, said):
 
 
 # --- who comes in ---
+
+
+def test_a_client_with_two_lines_is_there_until_both_have_broken():
+    gone, scope = [], {"type": "http", "method": "GET"}
+    scope["headers"] = [(b"authorization", b"Bearer t"), (b"mcp-session-id", b"a")]
+
+    async def app(scope, receive, send):
+        await receive()
+
+    async def work():
+        door, ends = Door(app, "t", SimpleNamespace(gone=gone.append)), (asyncio.Event(), asyncio.Event())
+        lines = [asyncio.create_task(door(scope, end.wait, None)) for end in ends]
+        for end, line, told in zip(ends, lines, ([], ["a"]), strict=True):
+            await asyncio.sleep(0)
+            end.set()
+            await line
+            assert gone == told
+
+    asyncio.run(work())
 
 
 def asked(served, method="POST", **headers):

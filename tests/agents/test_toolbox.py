@@ -34,6 +34,13 @@ def test_a_servo_moves_by_the_same_tools(make_box):
     assert "R07" in box.call("status", {"axis": "x"}).data["words"]
 
 
+def test_a_trace_has_as_many_cycles_as_are_asked_for_whatever_was_a_mistake(box):
+    box.call("write_bytes", {"axis": "x", "address": 0, "values": ["44h", "50h", "50h", "50h"]})
+    assert len(box.call("diagnostics").data["diagnostics"]) == 3
+    told = box.call("trace", {"axis": "x", "lines": 4}).text.splitlines()
+    assert [line.split()[3] for line in told] == ["44", "50", "50", "50"]
+
+
 def test_bytes_and_commands_make_the_same_move_as_a_driver(make_box):
     box = make_box()
     for name, value in (("R0", 2000), ("R1", 50), ("R2", 500), ("R4", 500), ("R5", 1500), ("R6", 800), ("R7", "1Eh")):

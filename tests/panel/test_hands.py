@@ -75,6 +75,20 @@ def test_what_broke_first_may_be_mended_first(hands, session):
     assert x.supply == nominal
 
 
+def test_what_broke_later_is_mended_in_its_order_whatever_was_mended_before(hands, session):
+    """A jam, then 12 V, then 8: with the jam mended, mending 8 leaves 12."""
+    x = session.stage.axes["x"]
+    nominal = x.supply
+    jam, low, lower = (
+        hands.make(*m) for m in (("jam", "x", {}), *(("bus_voltage", "x", {"volts": v}) for v in ("12", "8")))
+    )
+    hands.mend(jam)
+    hands.mend(lower)
+    assert x.supply == 12
+    hands.mend(low)
+    assert x.supply == nominal
+
+
 def test_a_push_moves_the_carriage_and_ends_with_the_hand(hands, session):
     def after(seconds):
         session.do(lambda stage: session._life.at_once(stage.run, seconds))

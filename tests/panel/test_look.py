@@ -91,6 +91,17 @@ def test_after_a_snapshot_the_trace_goes_on_from_what_the_chip_holds_then(look):
     assert "R0" in trace.lines[-1].words, "R1 was selected later"
 
 
+def test_who_goes_back_to_a_snapshot_keeps_the_program_up_to_it(look):
+    trace, session = look.traces[0], look.session
+    session.do(lambda stage: stage.chips[0].write(0, 0x81))
+    kept = session.do(lambda stage: stage.snapshot())
+    session.do(lambda stage: stage.chips[0].write(0, 0x82))
+    session.do(look.take)
+    session.restore(kept)
+    session.do(look.take)
+    assert [e.b for e in trace.sent] == [0x81]
+
+
 def test_a_trace_and_its_journal_keep_no_more_than_the_last_lines(look):
     trace, session = look.traces[0], look.session
     session.do(lambda stage: [stage.chips[0].write(0, 0x40) for _ in range(1200)])
