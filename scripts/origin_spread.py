@@ -10,8 +10,9 @@ import argparse
 
 import numpy as np
 
-from stage import Stage, firmware
+from stage import ExtraMissing, Stage, firmware
 from stage.chips import PCL240MS
+from stage.extras import need
 
 DRIFT = 1e-4  # m
 WAYS = {"ORG": None, "EZ, 2nd pulse": 2}
@@ -62,6 +63,11 @@ def main():
     parser.add_argument("--seed", type=int, default=240)
     parser.add_argument("--picture", metavar="FILE.png")
     args = parser.parse_args()
+    if args.picture:
+        try:
+            need("matplotlib", "the picture")
+        except ExtraMissing as missing:
+            parser.exit(2, f"{missing}\n")
     stage, found = Stage("xyz", chips=PCL240MS), {}
     print(f"{args.returns} returns each, seed {args.seed}; largest minus smallest final position, pulses of 3.125 um")
     print(f"{'axis':6}{'ends at':16}{'switch stays':>14}{f'drifts {DRIFT * 1e3:g} mm':>16}")

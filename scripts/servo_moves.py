@@ -9,14 +9,16 @@ docs/servo.md says how to read it. Needs scipy and matplotlib (extra servo).
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from stage import Stage
+from stage import ExtraMissing, Stage
 from stage.chips import HCTL1100
 from stage.chips.hctl1100 import maps
+from stage.extras import need
 from stage.firmware.hctl1100.model import Loop
 from stage.firmware.hctl1100.moves import MoveReport, Tuning, set_up, trapezoid
 from stage.firmware.hctl1100.port import CONTROL, FLAGS, RESET, SET, Port
@@ -229,7 +231,11 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--picture", type=Path, metavar="PNG", help="draw the picture")
     args = parser.parse_args()
-    measured = measure()
-    tell(measured)
-    if args.picture:
-        picture(measured, args.picture)
+    try:
+        need("scipy", "this example")
+        measured = measure()
+        tell(measured)
+        if args.picture:
+            picture(measured, args.picture)
+    except ExtraMissing as missing:
+        sys.exit(f"{missing}")

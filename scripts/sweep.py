@@ -23,16 +23,9 @@ from stage.errors import ArgumentError, StageError
 from stage.study import SPACE, PresetMoves, finished, read_study, run
 from stage.study.storage import optuna
 
-SAMPLERS = {
-    "tpe": optuna.samplers.TPESampler,
-    "random": optuna.samplers.RandomSampler,
-    "nsga2": optuna.samplers.NSGAIISampler,
-}
-PRUNERS = {
-    "none": optuna.pruners.NopPruner,
-    "median": optuna.pruners.MedianPruner,
-    "hyperband": optuna.pruners.HyperbandPruner,
-}
+SAMPLERS = {"tpe": "TPESampler", "random": "RandomSampler", "nsga2": "NSGAIISampler"}
+PRUNERS = {"none": "NopPruner", "median": "MedianPruner", "hyperband": "HyperbandPruner"}
+"""Names on the command line -> Optuna's."""
 
 
 def parser() -> argparse.ArgumentParser:
@@ -128,7 +121,11 @@ def main() -> int:
         if args.trials is None:
             study = read_study(args.out)
         else:
-            how = {"sampler": SAMPLERS[args.sampler], "pruner": PRUNERS[args.pruner](), "seed": args.seed}
+            sampler, pruner = (
+                getattr(optuna.samplers, SAMPLERS[args.sampler]),
+                getattr(optuna.pruners, PRUNERS[args.pruner]),
+            )
+            how = {"sampler": sampler, "pruner": pruner(), "seed": args.seed}
             study = run(objective(args), args.out, args.trials, workers=args.workers, **how)
         show(study, args.top)
     except StageError as error:

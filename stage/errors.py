@@ -62,10 +62,11 @@ class NativeError(LoadError):
 
 
 def near_names(given: object, names: Iterable[str], cutoff: float = 0.5) -> list[str]:
-    """Those of `names` that are similar to `given`, the most similar first; three at most."""
+    """Those of `names` that are similar to `given`, whatever the case, the most similar first; three at most."""
     from difflib import get_close_matches  # 2 ms of a start that mostly has no error
 
-    return get_close_matches(str(given), list(names), n=3, cutoff=cutoff)
+    folded = {name.casefold(): name for name in names}
+    return [folded[near] for near in get_close_matches(str(given).casefold(), folded, n=3, cutoff=cutoff)]
 
 
 def unknown(kind: str, given: object, allowed: Iterable[str]) -> ArgumentError:

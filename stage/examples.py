@@ -10,9 +10,22 @@ import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 from stage.errors import unknown
 from stage.files import FileError
+
+
+class Needs(NamedTuple):
+    """A library, the extra of pyproject.toml that has it, and what it is for; "": without it nothing runs."""
+
+    library: str
+    extra: str
+    why: str = ""
+
+    def __str__(self) -> str:
+        return f"needs{f' {self.why}' if self.why else ''}: pip install 'pulsestage[{self.extra}]'"
+
 
 ROOT = Path(__file__).resolve().parents[1]
 INSTALLED = Path(__file__).resolve().parent / "examples_"
@@ -34,6 +47,16 @@ FOLDERS = {
     "acme_chip": "A chip of one's own in a package of its own: docs/your_own_chip.md goes through it.",
     "tmc5160": "Trinamic's TMC5160 as a package: ramps, SPI, StallGuard.",
 }
+EXTRAS = {
+    "home_and_move": Needs("matplotlib", "plot"),
+    "servo_moves": Needs("scipy", "servo"),
+    "sweep": Needs("optuna", "tune"),
+    "origin_spread": Needs("matplotlib", "plot", "for its picture"),
+    "s_curve": Needs("matplotlib", "plot"),
+    "circles_and_helices": Needs("matplotlib", "plot", "for its picture"),
+    **{f"{name}.ipynb": Needs("nbclient", "notebook") for name in NOTEBOOKS},
+}
+"""What an example needs beside PulseStage."""
 MADE = ("__pycache__", "*.pyc", "_native.so*", "build", "*.egg-info")
 """What lies in a folder and is no part of the example."""
 

@@ -5,6 +5,11 @@ Whoever uses such a library gets it here, and so all say the same, and nothing i
 
 from __future__ import annotations
 
+import atexit
+import os
+import shutil
+import sys
+import tempfile
 from importlib import import_module
 from importlib.util import find_spec
 from typing import Any, NamedTuple
@@ -55,6 +60,8 @@ def need(module: str, what: str, instead: str = "") -> Any:
     instead: what works without it, for the message.
     Raises ExtraMissing where the library is not there; LoadError where it cannot be loaded.
     """
+    if module.startswith("matplotlib"):
+        _give_matplotlib_a_folder()
     try:
         return import_module(module)
     except ImportError as error:
@@ -63,6 +70,21 @@ def need(module: str, what: str, instead: str = "") -> Any:
             title, extra = LIBRARIES[library]
             raise ExtraMissing(f"{what} needs {title}: pip install 'pulsestage[{extra}]'{instead}.", extra) from error
         raise LoadError(f"{what}: {module} is installed and cannot be loaded: {error}.") from error
+
+
+def _give_matplotlib_a_folder() -> None:
+    """A home that cannot be written to makes matplotlib complain at its import: it gets a folder that goes at the end."""
+    if "MPLCONFIGDIR" in os.environ or "matplotlib" in sys.modules:
+        return
+    home = os.path.expanduser("~")
+    for variable, usual in (("XDG_CONFIG_HOME", ".config"), ("XDG_CACHE_HOME", ".cache")):
+        folder = os.path.join(os.environ.get(variable) or os.path.join(home, usual), "matplotlib")
+        while not os.path.lexists(folder) and os.path.dirname(folder) != folder:
+            folder = os.path.dirname(folder)
+        if not (os.path.isdir(folder) and os.access(folder, os.W_OK | os.X_OK)):
+            os.environ["MPLCONFIGDIR"] = made = tempfile.mkdtemp(prefix="pulsestage-matplotlib-")
+            atexit.register(shutil.rmtree, made, ignore_errors=True)
+            return
 
 
 def has(library: str) -> bool:

@@ -31,6 +31,34 @@ TYPED = {
 }
 """What may follow a number that somebody types, and how much it is in SI."""
 
+BESIDES = {
+    "pulse rate": {"pps": 1.0, "kpps": 1e3},
+    "time": {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0},
+    "voltage": {"mV": 1e-3, "V": 1.0},
+    "mass": {"g": 1e-3, "kg": 1.0},
+    "frequency": {"Hz": 1.0, "kHz": 1e3, "MHz": 1e6},
+}
+"""The same of what is no place: the first with 1.0 is what a number without a unit is in."""
+
+KINDS = {"length": TYPED["m"], "angle": TYPED["rad"], **BESIDES}
+
+
+def kind_of(text: str) -> tuple[str, str] | None:
+    """The unit behind a number, and what it is a unit of: ("kg", "mass") of "2kg". None: no number with a unit."""
+    for kind, units in KINDS.items():
+        symbol = next((u for u in sorted(units, key=len, reverse=True) if text.strip().endswith(u)), None)
+        if symbol is not None and quantity(text.strip(), {symbol: 1.0}) is not None:
+            return symbol, kind
+    return None
+
+
+def slip(text: str) -> str:
+    """What is wrong with a number that is none, in a sentence with a blank before it; "": nobody knows."""
+    mended = text.strip().replace(",", ".")
+    if text.count(",") == 1 and (kind_of(mended) or quantity(mended, {"": 1.0}) is not None):
+        return f" A decimal point, no comma: {mended}."
+    return ""
+
 
 def typed(text: str, unit: str) -> float | None:
     """A place or way as it is typed, `10mm`, `-0.5deg`, in m or rad; without a unit in that of PLACES. None: it is neither.
@@ -47,8 +75,9 @@ def typed(text: str, unit: str) -> float | None:
 
 def quantity(text: str, units: Mapping[str, float]) -> float | None:
     """A number with one of these units behind it, times what the unit says; "": it has none. None: it is no such."""
-    symbol = next((u for u in sorted(units, key=len, reverse=True) if text.endswith(u)), None)
-    try:
-        return None if symbol is None else float(text.removesuffix(symbol)) * units[symbol]
-    except ValueError:
-        return None
+    for symbol in (u for u in sorted(units, key=len, reverse=True) if text.endswith(u)):
+        try:
+            return float(text.removesuffix(symbol)) * units[symbol]
+        except ValueError:
+            continue
+    return None

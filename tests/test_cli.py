@@ -154,7 +154,7 @@ def test_view_without_a_screen_says_what_to_do(here, capsys):
         (["pullout", "--plot", "a.foo"], "a figure is no 'foo'"),
         (["fault", "start-skew", "--chips", "mcx302", "--model", "xy"], r"one command starts all axes .* one MCX302's"),
         (["fault", "phase-open", "--chips", "hctl1100", "--model", "xy"], r"a DC motor, 14201S003, without phases"),
-        (["move", "x", "100", "--fh1", "-5"], r"^stage: fh1=-5\.0 pps"),
+        (["move", "x", "100", "--fh1", "-5"], r"^stage: --fh1 -5: more than 0\."),
         (["move", "x", "100", "--from", "1000"], r"--from 1000: axis x travels from -158 to 158 mm"),
         (["home", "y", "--from", "nan"], r"--from nan: axis y travels from .* mm"),
         (["sync", "x=100", "x=200"], "'x=200': axis x has got 100 pulses already"),

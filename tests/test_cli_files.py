@@ -1,5 +1,10 @@
 """Files that commands write and read: what cannot be, is said before the work, each in its own words."""
 
+import json
+import os
+import subprocess
+import sys
+
 import pytest
 
 from stage import firmware
@@ -59,3 +64,55 @@ def test_a_picture_of_a_model_is_checked_before_it_is_drawn(here, capsys):
 def test_what_is_played_is_not_lost_to_a_name(argv, said, here, capsys):
     assert main(argv.split()) == 2
     assert said in capsys.readouterr().err
+
+
+@pytest.fixture
+def interrupted(monkeypatch):
+    """Ctrl-C, 0.05 s after the start of a move."""
+
+    def wait(port, *_):
+        port.axis.stage.run(0.05)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("stage.firmware.pcl240.bus.Port.wait_until_stopped", wait)
+
+
+def test_ctrl_c_draws_what_there_is_and_says_so(interrupted, here, capsys):
+    """stage move x 100mm --plot m.png, and Ctrl-C: nothing was said, and nothing drawn"""
+    assert main(["move", "x", "100mm", "--plot", "m.png"]) == 130
+    out, err = capsys.readouterr()
+    assert "interrupted after 0.05 s of simulated time\n" in out
+    assert "preset move on x: NOT as asked, stopped by Ctrl-C" in out
+    assert "m.png: drawn" in out
+    assert err == "stage: interrupted.\n"
+    assert (here / "m.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_ctrl_c_leaves_the_facts_so_far(interrupted, capsys):
+    """stage move x 100mm --json, and Ctrl-C"""
+    assert main(["move", "x", "100mm", "--json"]) == 130
+    out, err = capsys.readouterr()
+    facts = json.loads(out)
+    assert (facts["interrupted"], facts["reports"][0]["stopped_by"]) == (True, "Ctrl-C")
+    assert json.loads(err) == {"error": "interrupted.", "type": "KeyboardInterrupt"}
+
+
+def test_ctrl_c_says_which_file_is_not_there(here, capsys, monkeypatch):
+    """stage pullout --plot p.png, and Ctrl-C"""
+
+    def stop(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("stage.drives.dynamometer.pull_out_table", stop)
+    assert main(["pullout", "--plot", "p.png"]) == 130
+    assert capsys.readouterr().err == "stage: interrupted: nothing to write yet for --plot p.png.\n"
+
+
+def test_a_home_that_cannot_be_written_to_makes_matplotlib_say_nothing(tmp_path):
+    """HOME=/read-only stage move x 100 --plot m.png"""
+    program = "from stage.extras import need; need('matplotlib.figure', 'drawing'); import os; print(os.environ['MPLCONFIGDIR'])"
+    env = {k: v for k, v in os.environ.items() if not k.startswith(("MPL", "XDG_"))} | {"HOME": os.devnull}
+    done = subprocess.run([sys.executable, "-c", program], env=env, capture_output=True, text=True, check=True)
+    assert done.stderr == ""
+    assert "pulsestage-matplotlib-" in done.stdout
+    assert not os.path.exists(done.stdout.strip()), "and the folder goes at the end"

@@ -21,13 +21,15 @@ SAID = {
     "list": (["list", "models"], lambda f: f["xyz"] == ["x", "y", "z"]),
     "chips": (["chips"], lambda f: f[0]["name"] == "PCL240K"),
     "registers": (["registers", "mcx304"], lambda f: f["chip"] == "MCX304" and f["registers"][0]["fields"] is not None),
+    "include": (["include"], lambda f: f["include"].endswith("board")),
+    "new-model": (["new-model", "--axes", "x:slide:50mm"], lambda f: "<mujoco" in f["mjcf"]),
     "view": (["view", "xy"], lambda f: [a["name"] for a in f["axes"]] == ["x", "y"]),
 }  # fmt: skip
 ELSEWHERE = {"run", "export", "tune", "bench", "bench-submit", "bench-verify", "bench-table", "agent", "agent-replay"}
 """Commands of which tests below, of tune/, of bench/ and of agents read the JSON."""
 LONG = {"demo": ["demo"], "erratum": ["erratum"], "pullout": ["pullout"]}
-TEXT_ALONE = {"include", "serve", "mcp", "panel", "new-model", "completion"}
-"""Commands that serve, or print what a file or a shell is to have."""
+TEXT_ALONE = {"serve", "mcp", "panel", "completion"}
+"""Commands that serve, or print what a shell is to have."""
 
 
 def said(capsys, *argv, code=0):
@@ -108,10 +110,38 @@ def test_a_run_of_firmware_tells_axes_notes_and_mistakes(capsys, tmp_path):
     assert facts["diagnostics"]["x"], "a start without a reset"
 
 
-def test_an_error_is_in_words_on_standard_error_and_nothing_is_on_standard_output(capsys):
-    assert main(["move", "q", "80", "--json"]) == 2
+@pytest.mark.parametrize(
+    ("argv", "said", "kind"),
+    [
+        ("move q 80 --json", "unknown axis 'q'. Known: x, y, z.", "ArgumentError"),
+        ("move x 80 --json --plot a.foo", "a.foo: a figure is no 'foo'.", "FileError"),
+        (
+            "list --json",
+            "stage list: the following arguments are required: what. Known: chips, motors, models.",
+            "usage",
+        ),
+        (
+            "serve --json",
+            "stage serve: --json: `stage serve` serves, or prints what a program or a shell is to read",
+            "usage",
+        ),
+    ],
+)
+def test_an_error_is_json_on_standard_error_and_nothing_is_on_standard_output(argv, said, kind, capsys):
+    """stage move q 80 --json"""
+    try:
+        code = main(argv.split())
+    except SystemExit as end:
+        code = end.code
     out, err = capsys.readouterr()
-    assert (out, err.startswith("stage: unknown axis 'q'")) == ("", True)
+    told = json.loads(err)
+    assert (code, out, told["type"], told["error"].startswith(said)) == (2, "", kind, True), told
+
+
+def test_a_warning_is_one_of_the_facts(capsys):
+    """stage move x 8000 --from 148 --json"""
+    facts = said(capsys, "move", "x", "8000", "--from", "148", code=1)
+    assert facts["warnings"] == ["axis x reaches from -150 to 150 mm, and this move goes to 173 mm."]
 
 
 @pytest.mark.parametrize("option", ["--web", "--trace -"])

@@ -18,6 +18,7 @@ from stage.chips.chip import Diagnostic
 from stage.cli import build_parser, demo, fault, files, main, moves, progress, setup
 from stage.cli.erratum import Shown
 from stage.cli.firmware import report as print_report
+from stage.cli.quantities import Quantity
 from stage.files import FileError
 from stage.firmware.driver import usual_speeds
 from stage.recording import viewer
@@ -47,7 +48,7 @@ def test_each_default_is_the_one_that_its_help_tells():
     for name, parser in parsers().items():
         for action in parser._actions:
             said = re.search(r"\(default: ([\w.,-]+)\)", action.help or "")
-            if said and action.type in (int, float) and action.dest != "start":
+            if said and (action.type in (int, float) or isinstance(action.type, Quantity)) and action.dest != "start":
                 told += 1
                 assert float(said[1].replace(",", "")) == action.default, (name, action.dest)
     assert told >= 30
@@ -199,7 +200,7 @@ def test_a_usual_name_is_the_next_that_is_free_and_with_force_always_itself(benc
     monkeypatch.setattr(viewer, "open_viewer", lambda path: saved.append(f"view {path}"))
     monkeypatch.setattr(viewer, "check_screen", lambda what: None)
     args = argparse.Namespace(
-        record=None, vcd=None, picture=None, plot=None, trace=None, view=True, web=False, force=False
+        record=None, vcd=None, picture=None, plot=None, trace=None, view=True, web=False, force=False, wrote=[]
     )
     with files.recorded(args, bench):
         pass
@@ -344,7 +345,7 @@ def test_a_firmware_that_loses_steps_ends_with_1(monkeypatch, lost, code):
 @pytest.mark.parametrize(
     ("raised", "code", "says"),
     [
-        (KeyboardInterrupt(), 130, ""),
+        (KeyboardInterrupt(), 130, "stage: interrupted.\n"),
         (PermissionError("no"), 2, "stage: no\n"),
         (FileNotFoundError("gone"), 2, "stage: gone\n"),
         (ArgumentError("so"), 2, "stage: so\n"),

@@ -49,6 +49,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _main(argv: Sequence[str] | None) -> int:
+    from stage.cli.facts import fail, interrupted
     from stage.errors import StageError
 
     parser = build_parser()
@@ -63,16 +64,18 @@ def _main(argv: Sequence[str] | None) -> int:
     try:
         return args.run(args)
     except (StageError, FileNotFoundError, PermissionError) as error:
-        print(f"stage: {error}", file=sys.stderr)
+        fail(args, error)
         return 2
     except (OSError, MemoryError) as error:
         what = getattr(error, "strerror", None) or str(error) or "no memory"
-        print(
-            f"stage: the system refuses it: {what}. `ulimit -a` shows what this process may have, `df` how full disks are.",
-            file=sys.stderr,
+        fail(
+            args,
+            error,
+            f"the system refuses it: {what}. `ulimit -a` shows what this process may have, `df` how full disks are.",
         )
         return 2
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as stop:
+        fail(args, stop, interrupted(args))
         return 130
 
 

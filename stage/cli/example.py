@@ -13,15 +13,32 @@ def run(args: argparse.Namespace) -> int:
     from stage import examples
 
     if args.name is None:
-        titles = {name: examples.title(name) for name in examples.PLACES}
+        titles = {name: _titled(name) for name in examples.PLACES}
         tell(args, titles)
         wide = max(map(len, titles))
         print("\n".join(f"{name:{wide}}  {title}" for name, title in titles.items()))
         return 0
     name = args.name.removesuffix(".py")
     made = examples.copy(name, Path(args.to), args.force)
-    wrote(args, made, _next(made))
+    wrote(args, made, _next(made) + _missing(name))
     return 0
+
+
+def _titled(name: str) -> str:
+    """What it shows, and what it needs, in a line."""
+    from stage import examples
+
+    needs = examples.EXTRAS.get(name)
+    return examples.title(name) + (f" It {needs}." if needs else "")
+
+
+def _missing(name: str) -> str:
+    """What has to be installed for it first."""
+    from stage import examples
+    from stage.extras import has
+
+    needs = examples.EXTRAS.get(name)
+    return f"; it {needs}" if needs and not has(needs.library) else ""
 
 
 def _next(made: Path) -> str:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import argparse
 import os
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
-from stage.cli.facts import wrote
+from stage.cli.facts import tell, wrote
 from stage.cli.progress import note
 from stage.errors import ArgumentError
 from stage.extras import has, need
@@ -30,6 +30,10 @@ def outputs(args: argparse.Namespace) -> None:
         from stage.recording.viewer import check_port
 
         check_port(args.port)
+    elif getattr(args, "port_given", False) and hasattr(args, "web"):
+        raise ArgumentError(
+            f"--port {args.port}: that is where --web serves the dashboard. Give --web, too, or no port."
+        )
     if getattr(args, "json", False):
         for option, given in (
             ("--web", getattr(args, "web", False)),
@@ -83,29 +87,56 @@ def _writable(args: argparse.Namespace) -> None:
 
 
 @contextmanager
-def recorded(args: argparse.Namespace, stage: Any) -> Iterator[Any]:
+def recorded(args: argparse.Namespace, stage: Any, draw: bool = True) -> Iterator[Any]:
     """Record what happens inside if --record, --vcd, --view or --web asks for it, and write it at the end. Yields the recording,
-    or None."""
+    or None.
+
+    Where Ctrl-C ends the block, what was recorded is written, and the reports so far are printed, and with `draw` drawn for --plot.
+    """
     usual = getattr(args, "default_record", "stage.rrd" if args.view or args.web or args.picture else None)
     if usual and not (args.record or args.view or args.web or args.picture or has("rerun")):
         print(f"no {usual}: recordings need rerun: pip install 'pulsestage[rerun]'")
         usual = None
     rrd: str | None = args.record or (usual and _free(usual, args.force))
     outputs(argparse.Namespace(**vars(args) | {"record": rrd}))
-    if not (rrd or args.vcd):
-        yield None
-        return
-    interrupted = False
-    with stage.record() as recording:
+    stop = None
+    with stage.record() if rrd or args.vcd else nullcontext() as recording:
         try:
             yield recording
-        except KeyboardInterrupt:
-            interrupted = True
-    if interrupted:
-        print(
-            f"interrupted after {recording.duration:.2f} s of simulated time: what was recorded until then is written"
-        )
-    if rrd is not None:
+        except KeyboardInterrupt as error:
+            stop = error
+    if stop is not None:
+        kept = ": what was recorded until then is written" if recording is not None else ""
+        print(f"interrupted after {stage.time:.2f} s of simulated time{kept}")
+        _so_far(args, getattr(stop, "reports", []), draw)
+    if recording is not None:
+        rrd = _write(args, recording, usual)
+    if stop is not None:
+        raise stop
+    if args.web and rrd:
+        from stage.recording.viewer import serve_web
+
+        serve_web(rrd, args.port)
+    elif args.view and rrd:
+        from stage.recording.viewer import open_viewer
+
+        open_viewer(rrd)
+
+
+def _so_far(args: argparse.Namespace, reports: list[Any], draw: bool) -> None:
+    """What procedures that Ctrl-C has ended have done."""
+    for report in reports:
+        print(report)
+    if reports:
+        tell(args, reports=reports)
+        if draw:
+            plot(args, reports[0].plot)
+
+
+def _write(args: argparse.Namespace, recording: Any, usual: str | None) -> str | None:
+    """The files of a recording. Returns the name of the .rrd, None where none was asked for."""
+    rrd = None
+    if args.record or usual:
         rrd = args.record or _free(str(usual), args.force)  # another command may have taken the name meanwhile
         note(f"writing {rrd} ...")
         recording.save(rrd, overwrite=args.force)
@@ -121,22 +152,13 @@ def recorded(args: argparse.Namespace, stage: Any) -> Iterator[Any]:
         note(f"rendering {args.picture} ...")
         screenshot(rrd, args.picture, overwrite=args.force)
         wrote(args, args.picture, "the dashboard")
-    if interrupted:
-        raise KeyboardInterrupt
-    if args.web and rrd:
-        from stage.recording.viewer import serve_web
-
-        serve_web(rrd, args.port)
-    elif args.view and rrd:
-        from stage.recording.viewer import open_viewer
-
-        open_viewer(rrd)
+    return rrd
 
 
 @contextmanager
 def kept(args: argparse.Namespace, stage: Any, every: float) -> Iterator[Any]:
     """As `recorded`; and for --plot a recording with `every` s between samples, if the options ask for none."""
-    with recorded(args, stage) as recording:
+    with recorded(args, stage, draw=False) as recording:
         if recording is None and args.plot:
             with stage.record(every) as recording:
                 yield recording
@@ -151,6 +173,6 @@ def _free(usual: str, force: bool) -> str:
 
 
 def plot(args: argparse.Namespace, draw: Callable[..., Any]) -> None:
-    if args.plot:
+    if getattr(args, "plot", None):
         draw(args.plot, overwrite=args.force)
         wrote(args, args.plot, "drawn")

@@ -144,10 +144,11 @@ def _host(args: argparse.Namespace, board: Any, flags: tuple[str, ...]) -> Any:
     )  # fmt: skip
 
 
-def include(_args: argparse.Namespace) -> int:
+def include(args: argparse.Namespace) -> int:
     """Print the folder of pulsestage.h."""
     from stage.board.library import include
 
+    tell(args, include=include())
     print(include())
     return 0
 

@@ -9,7 +9,7 @@ from typing import Any
 from stage.cli.facts import tell
 from stage.cli.files import plot, recorded
 from stage.cli.progress import note, ticking
-from stage.cli.setup import distance, find_axis, make_stage, place, profile, speeds
+from stage.cli.setup import distance, find_axis, make_stage, place, profile, speeds, told_of_its_end
 from stage.errors import ArgumentError, a_or_an
 
 
@@ -83,7 +83,7 @@ def move(args: argparse.Namespace) -> int:
     from stage.firmware.driver import driver_of
 
     def run(axis: Any) -> Any:
-        pulses = distance(axis, args.distance)
+        pulses = told_of_its_end(args, axis, distance(axis, args.distance))
         if _is_pcl240(axis):
             how = {"high_speed": not args.constant, "s_curve": args.s_curve, "automatic": args.automatic}
             print(wanted := profile(args, axis))
@@ -107,7 +107,7 @@ def dual_rate(args: argparse.Namespace) -> int:
                 f"dual-rate: FH1 and FH2 are of the PCL-240 family; {a_or_an(axis.chip.MAP.chip)} has one drive speed."
             )
         print(wanted := profile(args, axis))
-        return firmware.dual_rate_move(axis, distance(axis, args.distance), wanted)
+        return firmware.dual_rate_move(axis, told_of_its_end(args, axis, distance(axis, args.distance)), wanted)
 
     return _single(args, run)
 
@@ -147,7 +147,7 @@ def sync(args: argparse.Namespace) -> int:
         name, _, pulses = item.partition("=")
         if not pulses:
             raise ArgumentError(f"{item!r}: write AXIS=PULSES or AXIS=DISTANCE, for example x=20000 or x=10mm.")
-        number = distance(find_axis(stage, name), pulses)
+        number = told_of_its_end(args, axis := find_axis(stage, name), distance(axis, pulses))
         if name in distances:
             raise ArgumentError(f"{item!r}: axis {name} has got {distances[name]} pulses already. Give an axis once.")
         distances[name] = number

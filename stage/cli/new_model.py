@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 import shlex
 
+from stage.cli.facts import tell, wrote
+
 
 def run(args: argparse.Namespace) -> int:
     """Write the model, or print it."""
@@ -13,6 +15,7 @@ def run(args: argparse.Namespace) -> int:
 
     text = new_model([NewAxis.of(item) for item in args.axes.split(",")])
     if args.output in (None, "-"):
+        tell(args, mjcf=text)
         print(text, end="")
         return 0
     ends_as(args.output, *MODEL)
@@ -21,7 +24,9 @@ def run(args: argparse.Namespace) -> int:
         part.write_text(text)
     from stage.sim import plant
 
-    print(plant.describe(plant.open_spec(args.output).compile()))
+    model = plant.open_spec(args.output).compile()
+    tell(args, axes=[a.name for a in plant.bind(model)])
+    print(plant.describe(model))
     name = shlex.quote(args.output)
-    print(f"{args.output}: written. `stage home --model {name}` homes it, `stage view {name}` shows it.")
+    wrote(args, args.output, f"written. `stage home --model {name}` homes it, `stage view {name}` shows it.")
     return 0

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import json
 import re
 from collections.abc import Iterable, Sequence
 from typing import Any, NoReturn
 
 from stage.errors import near_names
+from stage.units import kind_of, quantity
 
 EXAMPLES = "examples:\n"
 
@@ -21,6 +23,10 @@ class Help(argparse.HelpFormatter):
         return filled + (EXAMPLES + parts[1] if len(parts) > 1 else "")
 
 
+class Usage(Exception):
+    """Wrong usage, in a line."""
+
+
 class Parser(argparse.ArgumentParser):
     """A parser whose errors are one line."""
 
@@ -28,16 +34,36 @@ class Parser(argparse.ArgumentParser):
         super().__init__(*given, **{"formatter_class": Help, **options})
 
     def error(self, message: str) -> NoReturn:
-        self.exit(2, f"{self.prog}: {_taught(message)} `{self.prog} --help` has examples.\n")
+        raise Usage(f"{self.prog}: {_taught(message)}{self._choices(message)} `{self.prog} --help` has examples.")
+
+    def _choices(self, message: str) -> str:
+        """What an argument that is missing may be, where there is a list of it: a sentence with a blank before it."""
+        missing = message.partition("arguments are required: ")[2].split(", ")
+        known = [a.choices or getattr(a, "known", None) for a in self._actions if (a.metavar or a.dest) in missing]
+        return f" Known: {', '.join(known[0])}." if len(missing) == 1 and known and known[0] else ""
 
     def parse(self, words: Sequence[str]) -> argparse.Namespace:
-        """The arguments; an option that is none is told by its command, with the near misses."""
-        args, left = self.parse_known_args([_no_option(word) for word in words])
-        if left:
-            own = getattr(args, "parser", self)
-            options = list(dict.fromkeys(re.findall(r"--[a-z][\w-]*", own.format_help())))
-            own.error(unknown("option" if left[0].startswith("-") else "argument", left[0].strip(), options))
-        return args
+        """The arguments; an option that is none is told by its command, with the near misses. Ends the program for wrong usage."""
+        try:
+            args, left = self.parse_known_args([_no_option(word) for word in words])
+            if left:
+                own = getattr(args, "parser", self)
+                own.error(_left_over(own, left[0], words))
+            return args
+        except Usage as wrong:
+            told = json.dumps({"error": str(wrong), "type": "usage"}) if "--json" in words else wrong
+            self.exit(2, f"{told}\n")
+
+
+def _left_over(parser: Parser, word: str, words: Sequence[str]) -> str:
+    """What is wrong with a word that nothing takes."""
+    options = list(dict.fromkeys(re.findall(r"--[a-z][\w-]*", parser.format_help())))
+    if word == "--json" and word not in options:
+        return f"--json: `{parser.prog}` serves, or prints what a program or a shell is to read: it has no JSON."
+    before = words[words.index(word) - 1] if word in words else ""
+    if quantity(before, {"": 1.0}) is not None and kind_of(f"1{word}"):
+        return f"unknown argument {word!r}. A number and its unit are one word: {before}{word}."
+    return unknown("option" if word.startswith("-") else "argument", word.strip(), options)
 
 
 def _no_option(word: str) -> str:

@@ -7,8 +7,9 @@ import math
 from collections.abc import Iterable
 from typing import Any
 
+from stage.cli.facts import warn
 from stage.errors import ArgumentError, unknown
-from stage.units import PLACES, TYPED, typed
+from stage.units import PLACES, TYPED, slip, typed
 
 
 def make_stage(args: argparse.Namespace, visuals: bool = True) -> Any:
@@ -133,18 +134,25 @@ def speeds(args: argparse.Namespace, axis: Any) -> Any:
     given = {name: getattr(args, option) for option, name in SPEEDS.items() if getattr(args, option, None) is not None}
     if "up" in given:
         given.setdefault("down", given["up"])
-    for option, name in SPEEDS.items():
-        if not 0 < given.get(name, 1) < float("inf"):
-            raise ArgumentError(f"--{option} {given[name]:g}: more than 0.")
+    _more_than_nothing(args, SPEEDS)
     made = usual_speeds(axis.chip)._replace(**given)
     return made._replace(start=min(made.start, made.drive)) if "start" not in given else made
+
+
+def _more_than_nothing(args: argparse.Namespace, options: Iterable[str]) -> None:
+    for option in options:
+        given = getattr(args, option, None)
+        if given is not None and not 0 < given < math.inf:
+            raise ArgumentError(f"--{option} {given:g}: more than 0.")
 
 
 def profile(args: argparse.Namespace, axis: Any) -> Any:
     """The speeds that the options give, in the registers of a PCL-240."""
     from stage.firmware import Profile
 
-    given = {k: getattr(args, k) for k in ("fl", "fh1", "fh2", "accel", "decel") if getattr(args, k, None) is not None}
+    options = ("fl", "fh1", "fh2", "accel", "decel")
+    _more_than_nothing(args, options)
+    given = {k: getattr(args, k) for k in options if getattr(args, k, None) is not None}
     return Profile.of(clock_hz=axis.chip.clock_hz, chip=type(axis.chip), **given)
 
 
@@ -160,9 +168,26 @@ def distance(axis: Any, text: str) -> int:
     if way is None:
         raise ArgumentError(
             f"{text!r}: axis {axis.name} goes a whole number of pulses, or a distance in {', '.join(TYPED[axis.unit])}: 8000, or "
-            f"10{PLACES[axis.unit].symbol}."
+            f"10{PLACES[axis.unit].symbol}.{slip(text)}"
         )
     return pulses_of(axis, way, None)
+
+
+def told_of_its_end(args: argparse.Namespace, axis: Any, pulses: int) -> int:
+    """`pulses`; a warning where they lead beyond the end limits of the axis, or its travel where it has none."""
+    ends = {s.pin: s.touch for s in axis.plant.switches}
+    low, high = (-math.inf, math.inf) if axis.unit == "rad" else axis.travel  # a hinge without limits turns without end
+    low, high = ends.get("el_minus", low), ends.get("el_plus", high)
+    goal = axis.position + pulses * axis.meters_per_pulse * math.copysign(1.0, axis.gear)
+    slack = abs(axis.meters_per_pulse)
+    if not low - slack <= goal <= high + slack:
+        unit = PLACES[axis.unit]
+        warn(
+            args,
+            f"axis {axis.name} reaches from {low * unit.per:g} to {unit.text(high, 'g')}, and this move goes to "
+            f"{unit.text(goal, '.4g')}.",
+        )
+    return pulses
 
 
 def find_axis(stage: Any, name: str) -> Any:
@@ -178,10 +203,12 @@ def place(stage: Any, axis: Any, option: str, where: str | None) -> None:
     if where is None:
         return
     unit, (low, high) = PLACES[axis.unit], axis.travel
+    where = where.strip()
     found = typed(where, axis.unit)
     if found is None:
         raise ArgumentError(
             f"{option} {where}: a place on axis {axis.name} is a number of {unit.symbol}, or in {', '.join(TYPED[axis.unit])}."
+            f"{slip(where)}"
         )
     slack = 1e-9 * (high - low)
     if not low - slack <= found <= high + slack:

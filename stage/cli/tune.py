@@ -12,9 +12,8 @@ from typing import Any
 from stage.cli.facts import tell
 from stage.cli.setup import distance, find_axis, make_stage
 from stage.errors import ArgumentError, StageError
-from stage.units import TYPED, quantity
+from stage.units import BESIDES, PLACES, TYPED, quantity
 
-TIMES = {"us": 1e-6, "ms": 1e-3, "s": 1.0}
 FILES = {"c": "tuned.h", "text": "tuned.txt", "json": "tuned.json", "picture": "tuned.png"}
 
 
@@ -38,10 +37,14 @@ def run(args: argparse.Namespace) -> int:
         None if args.overshoot is None else _length(axis, "--overshoot", args.overshoot), args.site, args.payload_on,
     )  # fmt: skip
     told = _Progress(args.trials)
-    result = tune(
-        task, by=args.by, trials=args.trials, seed=args.seed, workers=args.workers, moves=args.moves, told=told
-    )
-    told.end()
+    try:
+        result = tune(
+            task, by=args.by, trials=args.trials, seed=args.seed, workers=args.workers, moves=args.moves, told=told
+        )
+    except StageError as error:
+        raise StageError(f"{error}{_meant(axis, args.distance)}") from error
+    finally:
+        told.end()
     tell(args, result)
     print(result)
     if folder is None:
@@ -87,15 +90,20 @@ def _folder(args: argparse.Namespace) -> Path | None:
 def _spare(text: str, payload: float) -> float | None:
     """kg, of 30 % (of the payload; None where there is none: of what moves) or of 0.6. Raises ArgumentError."""
     number, percent, rest = text.strip().partition("%")
-    try:
-        value = float(number)
-        if rest or not 0 <= value < float("inf"):
-            raise ValueError
-    except ValueError:
-        raise ArgumentError(f"--spare {text}: percent of the payload, 30%, or kg, 0.6.") from None
+    value = quantity(number, {"": 1.0} if percent else {"": 1.0} | BESIDES["mass"])
+    if value is None or rest or not 0 <= value < float("inf"):
+        raise ArgumentError(f"--spare {text}: percent of the payload, 30%, or kg, 0.6.")
     if not percent:
         return value
     return value / 100 * payload if payload else None
+
+
+def _meant(axis: Any, way: str) -> str:
+    """A distance without a unit is pulses, and millimetres may have been meant: a sentence with a blank before it."""
+    if quantity(way, {"": 1.0}) is None:
+        return ""
+    counts, unit = "counts" if axis.chip.SERVO else "pulses", PLACES[axis.unit].symbol
+    return f" --distance {way} is {way} {counts}: did you mean {way}{unit}?"
 
 
 def _settle(axis: Any, given: list[str] | None) -> tuple[float | None, float]:
@@ -104,7 +112,7 @@ def _settle(axis: Any, given: list[str] | None) -> tuple[float | None, float]:
 
     if given is None:
         return None, HOLD
-    return _length(axis, "--settle", given[0]), _number("--settle", given[1], TIMES, "50ms")
+    return _length(axis, "--settle", given[0]), _number("--settle", given[1], BESIDES["time"], "50ms")
 
 
 def _length(axis: Any, option: str, text: str) -> float:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-NOT_AS_ASKED = ("EL+", "EL-", "STOP0", "ALARM", "EMG", "HOME", "timeout")  # HOME: a chip's home search failed
+NOT_AS_ASKED = ("EL+", "EL-", "STOP0", "ALARM", "EMG", "HOME", "timeout", "Ctrl-C")  # HOME: a chip's home search failed
 
 
 @dataclass(frozen=True, repr=False)
@@ -37,7 +37,7 @@ class Report:
         start, position: m, where the carriage was before and is after (None without a stage); rad on a hinge.
         lost_steps: full steps lost in the procedure, a multiple of four (None without a motor).
         stopped_by: why it stopped: "R0 = 0" (of a NOVA chip "all pulses", of a servo "end of profile"), "ORG", "EZ", "EL+", "EL-",
-            "decelerating stop", "reset command", "timeout", or the name of another input.
+            "decelerating stop", "reset command", "timeout", "Ctrl-C", or the name of another input.
         residual: R0 at the end; None of a chip that has none. course: every change of the chip's pins and speed, by the clock.
         said: the bytes written, decoded: commands, and registers with all their bytes. unit: "m", or "rad" on a hinge.
     """
@@ -81,7 +81,7 @@ class Report:
 
     def __str__(self) -> str:
         asked = "" if self.asked is None else f" of {self.asked}"
-        left = "" if self.residual is None else f", R0 {self.residual}"
+        left = "" if self.residual is None else f", R0 {self.residual}{self._below_nothing()}"
         lines = [
             f"{self.procedure} on {self.axis}: {'done' if self.ok else 'NOT as asked'}, stopped by {self.stopped_by}",
             f"  pulses {self.pulses}{asked}{left}; {self.duration:.4f} s, peak {self.peak_rate:.1f} pps, "
@@ -93,6 +93,16 @@ class Report:
                 f"lost steps {self.lost_steps}"
             )
         return "\n".join(lines)
+
+    def _below_nothing(self) -> str:
+        """In words what the down counter reads where it has gone through 0; "" where it has not."""
+        of = getattr(self.course.chip, "COUNTER", None)
+        if of is None or self.residual is None:
+            return ""
+        _, bits = of
+        if not max(abs(self.asked or 0), 1 << (bits - 1)) < self.residual:
+            return ""
+        return f" ({bits}-bit counter: {self.residual - (1 << bits)})"
 
     def writes(self) -> list[tuple[float, str, str]]:
         """What was written, a command or a whole register each: (seconds from the first start, bytes in hex, meaning).
@@ -158,7 +168,8 @@ def rates(course: Course) -> np.ndarray:
 class Procedure:
     """Watches an axis: `with Procedure(axis, "preset move") as p: ...; return p.report(...)`.
 
-    A RunTimeout that is raised within it has the report so far, as `error.report`.
+    A RunTimeout that is raised within it has the report so far, as `error.report`; a KeyboardInterrupt those of all axes that are
+    watched, as `error.reports`.
     """
 
     def __init__(self, axis: Axis, name: str):
@@ -173,6 +184,8 @@ class Procedure:
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         if isinstance(error, RunTimeout):
             error.report = self.report("timeout")  # type: ignore[attr-defined]
+        if isinstance(error, KeyboardInterrupt):
+            error.reports = [self.report("Ctrl-C"), *getattr(error, "reports", ())]  # type: ignore[attr-defined]
         self.journal.close()
 
     def residual(self) -> int | None:

@@ -22,12 +22,22 @@ FARTHEST = 4  # times the spare that was asked for: one of the payloads tried is
 class Proof:
     """moves: how many; kept: how many of them made all pulses and lost no step, and if their payload was asked for arrived
     without going too far. times:
-    s, of those with up to the payload, NaN where not arrived; in the same order for all plans. beyond: m too far at most."""
+    s, of those with up to the payload, NaN where not arrived; in the same order for all plans. beyond: m too far at most. lost: how
+    many did not keep step."""
 
     moves: int
     kept: int
     times: np.ndarray
     beyond: float
+    lost: int = 0
+
+    def said(self) -> str:
+        """How the moves ended, in words."""
+        late = self.moves - self.kept - self.lost
+        ends = {"good": self.kept, "did not keep step": self.lost, "did not come to rest at the goal": late}
+        return f"{self.moves} moves " + ", ".join(
+            f"{n} {'were ' if end == 'good' else ''}{end}" for end, n in ends.items() if n
+        )
 
     @property
     def holds(self) -> bool:
@@ -49,7 +59,13 @@ def prove(tries: Tries, plans: Sequence[Plan], cases: Sequence[Case], limit: flo
     good, found = outcome.good(tries.task, asked), []
     for k in range(len(plans)):
         found.append(
-            Proof(len(cases), int(good[k].sum()), outcome.arrived[k][asked], float(outcome.beyond[k][asked].max()))
+            Proof(
+                len(cases),
+                int(good[k].sum()),
+                outcome.arrived[k][asked],
+                float(outcome.beyond[k][asked].max()),
+                int((~outcome.kept[k]).sum()),
+            )
         )
     return found
 

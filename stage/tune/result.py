@@ -75,7 +75,8 @@ class Result:
         """What the proof says of an answer, in words."""
         servo = self.task.stage.axes[self.task.axis].chip.SERVO
         what = "arrive" if servo else "lose no step"
-        return f"{a.proof.kept} of {a.proof.moves} moves {what} with up to {self.task.most:.3g} kg"
+        failed = "" if a.proof.holds else "NOT proved: "
+        return f"{failed}{a.proof.kept} of {a.proof.moves} moves {what} with up to {self.task.most:.3g} kg"
 
     def verdict(self) -> str:
         """Which to take, and why."""

@@ -92,9 +92,10 @@ def tune(
                 break
         by_formula = answers[0]
         if not by_formula.holds and len(answers) == 1:
+            more = "let it search (--by search)" if by == "formula" else "search longer (--trials)"
             raise StageError(
-                f"no registers keep step with up to {task.most:g} kg: the formula's did in {by_formula.proof.kept} of "
-                f"{by_formula.proof.moves} moves. Less payload or spare, or a longer search."
+                f"no registers are proved with up to {task.most:.3g} kg: a proof wants every move good. Of the formula's "
+                f"{by_formula.proof.said()}. Ask for less payload or spare, give more room (--settle, --overshoot), or {more}."
             )
         won = "search" if len(answers) > 1 and _better(*answers) else "formula"
         told("the proof", 1.0, None)

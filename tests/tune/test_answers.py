@@ -117,7 +117,11 @@ def test_what_swings_for_long_is_looked_at_for_four_times_as_long(tuned):
 
 
 def test_where_neither_formula_nor_search_keeps_step_it_is_said_how_often_the_formula_has(tuned):
-    said = r"no registers keep step with up to 2\.6 kg: the formula's did in 3 of 4 moves\. Less payload or spare"
+    said = (
+        r"no registers are proved with up to 2\.6 kg: a proof wants every move good\. Of the formula's 4 moves 3 were good, "
+        r"1 did not keep step\. Ask for less payload or spare, "
+        r"give more room \(--settle, --overshoot\), or search longer \(--trials\)\."
+    )
     with pytest.raises(StageError, match=said):
         tuned(lambda name, case: (0.1, name == "formula" and case.payload in (0.0, PAYLOAD, MOST)), 4, {"bad": 0.1})
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from stage.cli.arguments.options import command, machine, number, port
+from stage.cli.arguments.options import command, machine, model_help, number, port
+from stage.cli.quantities import TIME
 
 
 def add(commands: Any) -> None:
@@ -19,7 +20,7 @@ def add(commands: Any) -> None:
         ("stage mcp --mode truth --folder runs", "the agent sees all, and may write recordings into runs/"),
         json=False,
     )  # fmt: skip
-    p.add_argument("model", nargs="?", default="xyz", help="a shipped model or a file.xml (default: xyz)")
+    p.add_argument("model", nargs="?", default="xyz", help=model_help())
     g = p.add_argument_group("agent")
     g.add_argument(
         "--mode",
@@ -28,12 +29,12 @@ def add(commands: Any) -> None:
         help="what it sees: what a host on the bus can see, or everything (default: host)",
     )
     g.add_argument("--moves", type=number, metavar="N", help="moves that a session may begin (default: any number)")
-    g.add_argument("--seconds", type=float, metavar="S", help="simulated seconds of a session (default: any number)")
+    g.add_argument("--seconds", type=TIME, metavar="S", help="simulated seconds of a session (default: any number)")
     g.add_argument("--cycles", type=number, metavar="N", help="bus cycles of a session (default: any number)")
     g.add_argument("--no-snapshots", action="store_true", help="what is done is done: no snapshot, restore, branch")
     g.add_argument("--folder", metavar="DIR", help="where recordings may be written, in mode truth (default: nowhere)")
     g.add_argument(
-        "--patience", type=float, default=30.0, metavar="S", help="real seconds that a call may take (default: 30)"
+        "--patience", type=TIME, default=30.0, metavar="S", help="real seconds that a call may take (default: 30)"
     )
     g = p.add_argument_group("HTTP")
     g.add_argument(
@@ -43,7 +44,7 @@ def add(commands: Any) -> None:
     g.add_argument("--sessions", type=number, default=64, metavar="N", help="at once, at most (default: 64)")
     g.add_argument(
         "--idle",
-        type=float,
+        type=TIME,
         default=600.0,
         metavar="S",
         help="a session without a call for so long ends (default: 600)",

@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from stage.cli.arguments.options import command, machine, number, port, stage_and_outputs
+from stage.cli.arguments.options import command, machine, model_help, number, port, stage_and_outputs
+from stage.cli.quantities import FREQUENCY, HERTZ, TIME
 
 
 def add(commands: Any) -> None:
@@ -32,11 +33,11 @@ def add(commands: Any) -> None:
         help="what the sources were written for: arduino (a .ino always is), avr, vxworks, dos, freertos; docs/porting.md",
     )
     g.add_argument(
-        "--timeout", type=float, default=60.0, help="simulated seconds after which it has to return (default: 60)"
+        "--timeout", type=TIME, default=60.0, help="simulated seconds after which it has to return (default: 60)"
     )
     g.add_argument(
         "--patience",
-        type=float,
+        type=TIME,
         default=20.0,
         metavar="S",
         help="seconds of real time that it may compute without a bus cycle (default: 20)",
@@ -44,13 +45,13 @@ def add(commands: Any) -> None:
     g.add_argument(
         "--for",
         dest="seconds",
-        type=float,
+        type=TIME,
         metavar="SECONDS",
         help="run it for so many simulated seconds: firmware that never returns, as a sketch",
     )
     g.add_argument(
         "--cost",
-        type=float,
+        type=TIME,
         default=0.0,
         metavar="S",
         help="simulated seconds that each basic block of the firmware takes, for example 50e-9 (default: computing takes no time); "
@@ -69,7 +70,6 @@ def add(commands: Any) -> None:
         commands, "include", "firmware:include", "where pulsestage.h is",
         'Print the folder of the one header that firmware needs: cc -shared -fPIC -I"$(stage include)" driver.c -o driver.so',
         ("stage include", "the folder"),
-        json=False,
     )  # fmt: skip
     p = command(
         commands, "serve", "serve:run", "the chips behind a TCP port, for a host elsewhere",
@@ -121,7 +121,7 @@ def _add_panel(commands: Any) -> None:
         ("stage panel my.xml --chips mcx514 --no-browser", "your own axes; the link is printed"),
         json=False,
     )  # fmt: skip
-    p.add_argument("model", nargs="?", default="xyz", help="a shipped model or a file.xml (default: xyz)")
+    p.add_argument("model", nargs="?", default="xyz", help=model_help())
     g = p.add_argument_group("page")
     g.add_argument("--port", type=port, default=7241, help="TCP port; 0: one that is free (default: 7241)")
     g.add_argument(
@@ -155,7 +155,7 @@ def _board(p: argparse.ArgumentParser) -> None:
     )
     g.add_argument("--stride", type=number, help="ports from one chip to the next (default: the layout's)")
     g.add_argument(
-        "--clock", type=number, metavar="HZ", help="reference clock of the chips, Hz (default: the data sheet's)"
+        "--clock", type=HERTZ, metavar="HZ", help="reference clock of the chips, Hz (default: the data sheet's)"
     )
     g.add_argument("--trace", metavar="FILE.txt", help="write the bus cycles in words; - prints them")
     g.add_argument("--keep", type=int, default=1_000_000, help="lines of bus cycles that are kept (default: 1,000,000)")
@@ -195,5 +195,7 @@ def _add_target(p: argparse.ArgumentParser) -> None:
         help="memory-mapped registers, with or without --mcu: 0x40021000=0x300+0x40 has 40h ports, from 300h on, at 40021000h "
         "(docs/memory_mapped.md); of an AVR its pins: data=A,address=C:0-1,cs=B0,wr=G0,rd=G1,irq=D0",
     )
-    g.add_argument("--mcu-clock", type=float, metavar="HZ", help="its clock, for example 16e6 (default: what is usual)")
+    g.add_argument(
+        "--mcu-clock", type=FREQUENCY, metavar="HZ", help="its clock, for example 16e6 (default: what is usual)"
+    )
     g.add_argument("--gdb", type=number, metavar="PORT", help="wait for GDB on 127.0.0.1")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from stage.cli.arguments.options import command, place, plot, ramps, speeds, stage_and_outputs
+from stage.cli.quantities import RATE, TIME
 
 
 def add(commands: Any) -> None:
@@ -79,9 +80,9 @@ def add(commands: Any) -> None:
     p.add_argument(
         "distances", nargs="+", metavar="AXIS=DISTANCE", help="for example x=20000 y=-7500, or x=10mm y=-2mm"
     )
-    p.add_argument("--rate", type=float, help="pulse rate of the longest axis, pps")
-    p.add_argument("--fl", type=float, help="start rate of the longest axis, pps")
-    p.add_argument("--accel", type=float, help="seconds of ramp")
+    p.add_argument("--rate", type=RATE, help="pulse rate of the longest axis, pps")
+    p.add_argument("--fl", type=RATE, help="start rate of the longest axis, pps")
+    p.add_argument("--accel", type=TIME, help="seconds of ramp")
     ramps(p)
     plot(p)
     stage_and_outputs(p)

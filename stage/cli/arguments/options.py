@@ -7,11 +7,20 @@ from collections.abc import Sequence
 from typing import Any
 
 from stage.cli.parser import examples
+from stage.cli.quantities import RATE, TIME, VOLTAGE
 
 PCL240 = ("PCL240K", "PCL240MK", "PCL240MS")
 
 
 ALL = (*PCL240, "MCX514", "MCX512", "MCX501", "MCX314AS", "MCX304", "MCX302", "MCX312", "HCTL1100")
+
+
+class Given(argparse.Action):
+    """Stores a value, and as NAME_given that somebody gave it."""
+
+    def __call__(self, parser: Any, namespace: Any, values: Any, option_string: str | None = None) -> None:
+        setattr(namespace, self.dest, values)
+        setattr(namespace, f"{self.dest}_given", True)
 
 
 def command(
@@ -37,6 +46,7 @@ def command(
 
         module, function = run.split(":")
         work = getattr(import_module(f"stage.cli.{module}"), function)
+        args.wrote = []
         if not (json and args.json):
             return work(args)
         from stage.cli.facts import as_json
@@ -49,9 +59,16 @@ def command(
 
 def stage_and_outputs(p: argparse.ArgumentParser, chips: Sequence[str] = ALL) -> None:
     g = p.add_argument_group("stage")
-    g.add_argument("--model", default="xyz", help="a shipped model (xyz, xy) or an MJCF file (default: xyz)")
+    g.add_argument("--model", default="xyz", help=model_help())
     machine(g, chips)
     outputs(p)
+
+
+def model_help() -> str:
+    """What a model may be, and which ship."""
+    from importlib import import_module
+
+    return f"a shipped model ({', '.join(import_module('stage.models').names())}) or an MJCF file (default: xyz)"
 
 
 def machine(g: Any, chips: Sequence[str] = ALL) -> None:
@@ -60,8 +77,8 @@ def machine(g: Any, chips: Sequence[str] = ALL) -> None:
     g.add_argument("--chips", default=chips[0], help=known)
     g.add_argument("--motor", help="motor on every axis (default: 17HS4401)")
     g.add_argument("--microsteps", type=int, default=16, help="microsteps per full step (default: 16)")
-    g.add_argument("--bus-voltage", type=float, default=24.0, help="drive supply, V (default: 24)")
-    g.add_argument("--bus-cycle", type=float, default=1e-6, help="seconds a host's bus cycle takes (default: 1e-6)")
+    g.add_argument("--bus-voltage", type=VOLTAGE, default=24.0, help="drive supply, V (default: 24)")
+    g.add_argument("--bus-cycle", type=TIME, default=1e-6, help="seconds a host's bus cycle takes (default: 1e-6)")
     g.add_argument(
         "--wiring",
         action="append",
@@ -91,16 +108,16 @@ def outputs(p: argparse.ArgumentParser) -> None:
     g.add_argument("--force", action="store_true", help="overwrite files that exist")
     g.add_argument("--view", action="store_true", help="open the recording in the rerun viewer")
     g.add_argument("--web", action="store_true", help="serve the dashboard to a browser, on 127.0.0.1 only")
-    g.add_argument("--port", type=port, default=9090, help="port for --web (default: 9090)")
+    g.add_argument("--port", type=port, default=9090, action=Given, help="port for --web (default: 9090)")
 
 
 def speeds(p: argparse.ArgumentParser) -> None:
     g = p.add_argument_group("speeds (pulses per second; the nearest that the registers reach is used and printed)")
-    g.add_argument("--fl", type=float, help="FL: start and stop rate")
-    g.add_argument("--fh1", type=float, help="FH1: first high rate")
-    g.add_argument("--fh2", type=float, help="FH2: second high rate")
-    g.add_argument("--accel", type=float, help="seconds from FL to the highest rate")
-    g.add_argument("--decel", type=float, help="seconds back to FL (default: as --accel)")
+    g.add_argument("--fl", type=RATE, help="FL: start and stop rate")
+    g.add_argument("--fh1", type=RATE, help="FH1: first high rate")
+    g.add_argument("--fh2", type=RATE, help="FH2: second high rate")
+    g.add_argument("--accel", type=TIME, help="seconds from FL to the highest rate")
+    g.add_argument("--decel", type=TIME, help="seconds back to FL (default: as --accel)")
 
 
 def ramps(p: argparse.ArgumentParser) -> None:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from stage.cli.arguments.options import command
+from stage.cli.arguments.options import ALL, command, model_help
+from stage.cli.quantities import VOLTAGE
 
 
 def add(commands: Any) -> None:
@@ -27,7 +28,8 @@ def add(commands: Any) -> None:
         ("stage registers pcl240k", "the whole map"),
         ("stage registers mcx514 | less", "page by page"),
     )  # fmt: skip
-    p.add_argument("chip", metavar="CHIP", help="for example pcl240k")
+    chip = p.add_argument("chip", metavar="CHIP", help="for example pcl240k; `stage chips` has them all")
+    chip.known = ALL  # type: ignore[attr-defined]
     p = command(
         commands, "pullout", "tools:pullout", "pull-out torque of a motor and drive over speed",
         "Measure at which torque the motor slips, beside the closed form of an ideal drive.",
@@ -35,7 +37,7 @@ def add(commands: Any) -> None:
         ("stage pullout --bus-voltage 48", "with another supply"),
     )  # fmt: skip
     p.add_argument("--motor", default="17HS4401")
-    p.add_argument("--bus-voltage", type=float, default=24.0, help="V (default: 24)")
+    p.add_argument("--bus-voltage", type=VOLTAGE, default=24.0, help="V (default: 24)")
     p.add_argument("--microsteps", type=int, default=16)
     p.add_argument("--plot", metavar="FILE.png", help="draw the curve")
     p.add_argument("--force", action="store_true", help="overwrite files that exist")
@@ -45,7 +47,7 @@ def add(commands: Any) -> None:
         ("stage view xyz --text", "axes, travel, switches"),
         ("stage view my.xml --picture my.png", "a picture with the axes' names"),
     )  # fmt: skip
-    p.add_argument("model", nargs="?", default="xyz", help="a shipped model or an MJCF file (default: xyz)")
+    p.add_argument("model", nargs="?", default="xyz", help=model_help())
     p.add_argument("--text", action="store_true", help="print axes, travel and switches instead")
     p.add_argument("--picture", metavar="FILE.png", help="draw it instead, no screen needed")
     p.add_argument("--camera", metavar="NAME", help="a camera of the model (default: overview, or one that sees all)")
@@ -57,7 +59,6 @@ def add(commands: Any) -> None:
         ("stage new-model --axes x:slide:300mm -o my.xml", "one axis"),
         ("stage new-model --axes x:slide:300mm,z:slide:80mm,a:hinge:360deg -o my.xml", "three, each on the one before"),
         ("stage home --model my.xml", "and they go home"),
-        json=False,
     )  # fmt: skip
     p.add_argument(
         "--axes",

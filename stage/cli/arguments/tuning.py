@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from stage.cli.arguments.options import command, machine
+from stage.cli.arguments.options import command, machine, model_help
+from stage.cli.quantities import MASS
 
 
 def add(commands: Any) -> None:
@@ -24,10 +25,10 @@ def _add_tune(commands: Any) -> None:
         ("stage tune xy --distance 8000 --settle 20um 100ms --by formula", "without Optuna"),
         more="docs/tuning.md says how it works, and what the proof proves.",
     )  # fmt: skip
-    p.add_argument("model", nargs="?", default="xyz", help="a shipped model (xyz, xy) or an MJCF file (default: xyz)")
+    p.add_argument("model", nargs="?", default="xyz", help=model_help())
     p.add_argument("--axis", help="the axis (default: the first of the model)")
     p.add_argument("--distance", help="of the move: 100mm, 30deg, or pulses (of a servo counts)")
-    p.add_argument("--payload", type=float, default=0.0, metavar="KG", help="that it carries at most (default: 0)")
+    p.add_argument("--payload", type=MASS, default=0.0, metavar="KG", help="that it carries at most (default: 0)")
     p.add_argument(
         "--payload-on",
         metavar="NAME",

@@ -39,9 +39,8 @@ class Problems:
 
 
 def similar(name: str, known: Iterable[str]) -> list[str]:
-    """The names nearest to `name`, whatever the case."""
-    folded = {k.casefold(): k for k in known if k}
-    return [folded[k] for k in near_names(name.casefold(), folded, 0.6)[:1]]
+    """The name nearest to `name`, if one is."""
+    return near_names(name, filter(None, known), 0.6)[:1]
 
 
 def slip(model: Any, kind: Any, count: int, name: str, axes: Sequence[str]) -> str:

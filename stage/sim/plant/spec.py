@@ -19,8 +19,8 @@ from stage.sim.plant.problems import actuator_line, similar
 
 def names() -> list[str]:
     """The models that ship with PulseStage."""
-    files = (f.name for f in _models().iterdir())
-    return sorted(f[:-4] for f in files if f.endswith(".xml") and not f.startswith("_"))
+    found: list[str] = import_module("stage.models").names()
+    return found
 
 
 def open_spec(source: Any) -> Any:

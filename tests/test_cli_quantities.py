@@ -1,0 +1,131 @@
+"""Numbers on the command line: their units, and what is told of slips."""
+
+import argparse
+import re
+
+import pytest
+
+from stage.chips import PCL240K
+from stage.cli import build_parser, main
+from stage.cli.quantities import FREQUENCY, HERTZ, MASS, RATE, TIME, VOLTAGE
+from stage.units import kind_of, slip
+
+
+@pytest.mark.parametrize(
+    ("kind", "text", "value"),
+    [
+        (RATE, "1000pps", 1000), (RATE, "1.5kpps", 1500), (RATE, "1e3", 1000), (RATE, " -5", -5), (TIME, "100ms", 0.1),
+        (TIME, "1us", 1e-6), (TIME, "2 s", 2), (TIME, "0.5", 0.5), (TIME, "2min", 120), (VOLTAGE, "24V", 24), (MASS, "2kg", 2),
+        (MASS, "500g", 0.5), (FREQUENCY, "16MHz", 16e6), (HERTZ, "4.9152MHz", 4_915_200), (HERTZ, "0x10", 16),
+    ],
+)  # fmt: skip
+def test_a_number_is_taken_with_and_without_its_unit(kind, text, value):
+    """stage move x 100 --fh1 1000pps --accel 100ms --bus-voltage 24V"""
+    assert kind(text) == pytest.approx(value)
+
+
+@pytest.mark.parametrize(
+    ("kind", "text", "said"),
+    [
+        (RATE, "2kg", "'2kg' is no pulse rate. kg is a mass. A number, or one in pps, kpps."),
+        (TIME, "24V", "'24V' is no time. V is a voltage. A number, or one in ns, us, ms, s, min."),
+        (MASS, "2,5kg", "'2,5kg' is no mass. A decimal point, no comma: 2.5kg. A number, or one in g, kg."),
+        (VOLTAGE, "many", "'many' is no voltage. A number, or one in mV, V."),
+        (HERTZ, "1.5", "'1.5' is no whole number"),
+    ],
+)
+def test_another_unit_is_named_for_what_it_is(kind, text, said):
+    """stage move x 100 --fh1 2kg"""
+    with pytest.raises(argparse.ArgumentTypeError, match=re.escape(said)):
+        kind(text)
+
+
+def test_every_option_that_is_a_quantity_takes_its_units():
+    commands = next(a for a in build_parser()._actions if isinstance(a, argparse._SubParsersAction)).choices
+    plain = {
+        option
+        for p in commands.values()
+        for a in p._actions
+        if a.type is float
+        for option in a.option_strings
+        if option[:2] == "--"
+    }
+    assert plain == {"--speed", "--s-curve", "--tolerance"}, "what has no unit"
+    line = "move x 100 --fl 500pps --fh1 2kpps --accel 50ms --decel 0.1s --bus-voltage 36V --bus-cycle 2us"
+    args = build_parser().parse(line.split())
+    assert (args.fl, args.fh1, args.accel, args.decel, args.bus_voltage) == (500, 2000, 0.05, 0.1, 36)
+    assert args.bus_cycle == pytest.approx(2e-6)
+
+
+def test_what_a_number_is_a_number_of():
+    assert [kind_of(t) for t in ("2kg", "10pps", "5ms", "3m", "1", "kg", "x")] == [
+        ("kg", "mass"), ("pps", "pulse rate"), ("ms", "time"), ("m", "length"), None, None, None,
+    ]  # fmt: skip
+    assert (slip("10,5mm"), slip("1,5"), slip("a,b"), slip("1,2,3")) == (
+        " A decimal point, no comma: 10.5mm.", " A decimal point, no comma: 1.5.", "", "",
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("typed", "said"),
+    [
+        ("move x 10 mm", "stage move: unknown argument 'mm'. A number and its unit are one word: 10mm."),
+        ("move X 100", "stage: unknown axis 'X'. Did you mean 'x'\\? Known: x, y, z."),
+        ("move x 10,5mm", "stage: '10,5mm': .* A decimal point, no comma: 10.5mm."),
+        ("home x --from 10,5mm", "stage: --from 10,5mm: .* A decimal point, no comma: 10.5mm."),
+        ("move x 100 --from -90cm", "stage: --from -90cm: axis x travels from -158 to 158 mm."),
+        ("move x 100 --fl -5", "stage: --fl -5: more than 0."),
+        ("move x 100 --fh1 2kg", "stage move: argument --fh1: '2kg' is no pulse rate. kg is a mass."),
+        ("list", "stage list: the following arguments are required: what. Known: chips, motors, models."),
+        ("completion", "stage completion: the following arguments are required: shell. Known: bash, zsh, fish."),
+        ("registers", "stage registers: the following arguments are required: CHIP. Known: PCL240K, PCL240MK, "),
+        (
+            "demo --port 9000",
+            "stage: --port 9000: that is where --web serves the dashboard. Give --web, too, or no port.",
+        ),
+    ],
+)
+def test_a_slip_is_told_with_what_was_meant(typed, said, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    try:
+        code = main(typed.split())
+    except SystemExit as end:
+        code = end.code
+    out, err = capsys.readouterr()
+    assert code == 2
+    assert re.match(said, err), err
+    assert not out
+
+
+def test_a_distance_without_a_unit_may_have_been_millimetres(capsys):
+    """stage tune --distance 40"""
+    assert main(["tune", "--distance", "40", "--by", "formula"]) == 2
+    assert "too short a move" in (said := capsys.readouterr().err)
+    assert "--distance 40 is 40 pulses: did you mean 40mm?" in said
+
+
+def test_a_move_beyond_the_end_limits_is_warned_of_and_made(capsys):
+    """stage move x 8000 --from 148"""
+    assert main(["move", "x", "8000", "--from", "148"]) == 1
+    out, err = capsys.readouterr()
+    assert err == "stage: warning: axis x reaches from -150 to 150 mm, and this move goes to 173 mm.\n"
+    assert "stopped by EL+" in out
+    assert main(["move", "x", "800"]) == 0
+    assert capsys.readouterr().err == ""
+
+
+def test_the_help_names_every_model_that_ships():
+    from stage.sim import plant
+
+    commands = next(a for a in build_parser()._actions if isinstance(a, argparse._SubParsersAction)).choices
+    for name in ("move", "tune", "view", "panel"):
+        assert ", ".join(plant.names()) in " ".join(commands[name].format_help().split()), name
+
+
+def test_a_counter_that_went_below_nothing_is_told_with_its_sign():
+    """R0 16777008, of a move without a distance towards minus"""
+    from stage import firmware
+
+    report = firmware.continuous_move(firmware.Bench(PCL240K()).axes["x"], 0.02, -1)
+    assert report.residual > 1 << 23
+    assert f"R0 {report.residual} (24-bit counter: {report.residual - (1 << 24)})" in str(report)
