@@ -91,7 +91,10 @@ def _print(args: argparse.Namespace, came: Played, out: Any) -> None:
         print(file=sys.stderr)
     for r in came.rounds:
         if came.head.kind == "diagnosis":
-            found, mended = ("found" if r.score["found"] else "-"), ("mended" if r.score["mended"] else "-")
+            found, mended = (
+                {1.0: "found", -1.0: "wrong"}.get(r.score["found"], "-"),
+                "mended" if r.score["mended"] else "-",
+            )
             print(f"{r.game:22} {found:6} {mended:7} {len(r.calls)} calls", file=out)
     print(came, file=out)
     tell(

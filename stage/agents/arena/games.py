@@ -62,6 +62,7 @@ class Diagnosis(Game):
             "value": reached.value,
             "found": float(reached.found),
             "mended": float(reached.mended),
+            "work": reached.work,
             "runs": reached.runs,
         }
 

@@ -4,12 +4,14 @@
     case.box.call("run")                                     the program, on the machine from power-up
     case.box.call("answer", {"cause": "supply too low"})
     case.box.call("service", {"work": "set the supply of the drives to what is on the nameplate"})
-    case.score()                                             found, mended
+    case.score()                                             found, mended, and what it took
 
-setups.py has the ten; program.py the language of the host's programs; case.py the tools and the score.
+setups.py has the ten; program.py the language of the host's programs; machine.py what breaks and mends machines; trial.py what a
+customer wants; case.py the tools and the score.
 """
 
 from stage.agents.diagnosis.case import Case, Score
-from stage.agents.diagnosis.setups import CAUSES, SERVICES, SETUPS, Setup
+from stage.agents.diagnosis.machine import SERVICES
+from stage.agents.diagnosis.setups import CAUSES, SETUPS, Setup
 
 __all__ = ["CAUSES", "SERVICES", "SETUPS", "Case", "Score", "Setup"]

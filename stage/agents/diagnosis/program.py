@@ -30,6 +30,8 @@ MOST = 200  # lines
 WIDE = 200  # characters of a line
 FIRST, STRIDE = 0x300, 4  # the port of the first chip, and from one chip to the next, as on a PCL-240 card
 POLL = 5e-4  # s
+DONE = "the program came to its end"
+LOOK = 2e-3  # s between two looks of who watches
 
 
 @dataclass(frozen=True)
@@ -42,10 +44,10 @@ class Line:
 
 
 class Host:
-    """Runs programs on a stage. driver: of an axis by its name."""
+    """Runs programs on a stage. driver: of an axis by its name; look: called every few milliseconds."""
 
-    def __init__(self, stage: Stage, driver: Callable[[str], Driver]):
-        self.stage, self.driver = stage, driver
+    def __init__(self, stage: Stage, driver: Callable[[str], Driver], look: Callable[[], None] | None = None):
+        self.stage, self.driver, self._look = stage, driver, look
         self._base: dict[str, int] = {}
 
     def run(self, lines: Iterable[Line]) -> dict[str, Any]:
@@ -62,7 +64,7 @@ class Host:
                     "time_s": round(self.stage.time, 9),
                 }
             done += 1
-        return {"ended": "the program came to its end", "lines_done": done, "time_s": round(self.stage.time, 9)}
+        return {"ended": DONE, "lines_done": done, "time_s": round(self.stage.time, 9)}
 
     def base(self, axis: str, port: int) -> None:
         """From now on the host believes the chip of `axis` there."""
@@ -91,6 +93,16 @@ class Host:
             if self.stage.time - begun >= limit:
                 raise RunTimeout(f"{what} did not come within {limit:g} s, and the host gave up.")
             self.stage.run(POLL)
+            if self._look is not None:
+                self._look()
+
+    def wait(self, seconds: float) -> None:
+        """Let time pass."""
+        until = self.stage.time + seconds
+        while self._look is not None and self.stage.time + LOOK < until:
+            self.stage.run(LOOK)
+            self._look()
+        self.stage.run(max(until - self.stage.time, 0.0))
 
     def reads(self, axis: str) -> Axis:
         """The axis whose chip answers where the host believes that of `axis`."""
@@ -125,7 +137,7 @@ def _parsed(line: str, stage: Stage) -> Callable[[Host], None]:
     word, _, rest = line.partition(" ")
     if word == "wait":
         seconds = _seconds(rest)
-        return lambda host: host.stage.run(seconds)
+        return lambda host: host.wait(seconds)
     if word == "base":
         axis, _, port = rest.partition(" ")
         name, number = chosen("axis", axis, tuple(stage.axes)), whole("port", port)

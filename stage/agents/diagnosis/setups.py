@@ -1,10 +1,12 @@
-"""The ten set-ups: what the customer complains of, the host's program, what is broken, and when it is well again."""
+"""The ten set-ups: what the customer complains of, the host's program, what is broken, and what the machine shall do."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
+from stage.agents.diagnosis.machine import slip, swap_limits, weak_supply
+from stage.agents.diagnosis.trial import Trial
 from stage.sim.stage import Stage
 
 CAUSES = {
@@ -21,80 +23,23 @@ CAUSES = {
 }
 """What an agent can answer."""
 
-SERVICES = {
-    "exchange the wires of the end limits of x": "swapped limit switches",
-    "set the supply of the drives to what is on the nameplate": "supply too low",
-    "tighten the coupling between motor and screw of x": "slipping coupling",
-    "replace the motor of x": "",
-    "clean and grease the guides of x": "",
-    "replace the ORG sensor of x": "",
-}
-"""What a technician can be asked to do, and which cause it mends."""
-
-WITHIN = 60e-6  # m, of the place that is wanted: a full step and what friction holds
-
 
 @dataclass(frozen=True)
 class Setup:
-    """A set-up. place: of the carriages at power-up, m; equip: breaks the machine at power-up, each time, until `cause` has been
-    mended; program: the host's; wants: where the carriages should be in the end, m; drives: whether an axis may drive then."""
+    """A set-up. equip: breaks the machine at power-up, each time, until `cause` has been mended; program: the host's; trial: what
+    the customer wants of the machine and its program."""
 
     name: str
     cause: str
     complaint: str
     program: str
-    wants: Mapping[str, float]
+    trial: Trial
     chips: str = "pcl240k"
     payload: float = 0.0
-    place: Mapping[str, float] = field(default_factory=dict)
     equip: Callable[[Stage], None] | None = None
-    within: float = WITHIN
 
 
-def swap_limits(stage: Stage) -> None:
-    """The wires of x's end limits are exchanged."""
-    axis = stage.axes["x"]
-    rows = [axis.switches.row(pin) for pin in ("el_plus", "el_minus")]
-    bits = {pin: axis.chip.wired(pin) for pin in ("el_plus", "el_minus")}
-    stage.state.switch_table[rows[0]].bit, stage.state.switch_table[rows[1]].bit = bits["el_minus"], bits["el_plus"]
-    stage.look_again(axis)
-
-
-def straighten_limits(stage: Stage) -> None:
-    """They are as they should be."""
-    axis = stage.axes["x"]
-    for pin in ("el_plus", "el_minus"):
-        stage.state.switch_table[axis.switches.row(pin)].bit = axis.chip.wired(pin)
-    stage.look_again(axis)
-
-
-def weak_supply(stage: Stage) -> None:
-    """The supply has sunk to a sixth."""
-    for axis in stage.axes.values():
-        axis.supply = axis.drive.bus_voltage / 6
-    stage.equip()
-
-
-def full_supply(stage: Stage) -> None:
-    """The supply is what it should be."""
-    for axis in stage.axes.values():
-        axis.supply = axis.drive.bus_voltage
-    stage.equip()
-
-
-def slip(stage: Stage) -> None:
-    """A fifteenth of the motor's torque reaches the screw of x: there is no other rotor in the model than that on the screw."""
-    drive = stage.state.drives[stage.axes["x"].index]
-    drive.torque_constant, drive.slice = drive.torque_constant / 15, 0.0
-
-
-MENDED: dict[str, Callable[[Stage], None]] = {
-    "swapped limit switches": straighten_limits,
-    "supply too low": full_supply,
-}
-"""What mending does that a reset does not."""
-
-MOVE = """\
+REGISTERS = """\
 x: operate 08h          # reset command
 x: R0 <- 16000          # 50 mm
 x: R1 <- 340            # 1 kpps
@@ -103,9 +48,41 @@ x: R4 <- 157
 x: R5 <- 157
 x: R6 <- 3200
 x: R7 <- 204
+"""
+THERE = """\
 x: control 44h          # preset, plus
 x: operate 15h          # start, ramp to FH1
 until x stopped 5
+wait 0.2
+"""
+BACK = """\
+x: operate 08h
+x: R0 <- 16000
+x: R6 <- 3200
+x: control 4Ch          # preset, minus
+x: operate 15h
+until x stopped 5
+wait 0.2
+"""
+MOVE = REGISTERS + THERE + BACK
+FAST = Trial((0.05, 0.0), rate=24_000, seconds=2.6)
+SOFT = """\
+x: operate 08h
+x: R0 <- 16000          # 50 mm
+x: R1 <- 3
+x: R2 <- 80             # 24 kpps
+x: 84 2: 41 1: 10       # R4 <- 16656: a ramp of 0.26 s
+x: R5 <- 16000
+x: R6 <- 3400
+x: R7 <- 2              # steps of 300 pps
+"""
+CURVE = """\
+x: {start}
+until x RR1.DSND 1 4
+until x RR1.DSND 0 4
+wait 0.02
+x: STOP_DEC
+until x stopped 4
 wait 0.2
 """
 
@@ -115,7 +92,7 @@ SETUPS: dict[str, Setup] = {
         Setup(
             "polarity",
             "wrong polarity bit",
-            "x shall return to its origin, and never moves. It did with the board of before.",
+            "x shall return to its origin, leave it by 10 mm and return again, and never moves. It did with the board of before.",
             """\
 x: operate 08h
 x: R1 <- 2720           # 8 kpps
@@ -125,108 +102,109 @@ x: control 69h          # minus, origin return
 x: operate 10h          # constant FL
 until x stopped 20
 wait 0.2
+x: operate 08h
+x: R0 <- 3200           # 10 mm
+x: control 44h          # preset, plus
+x: operate 10h
+until x stopped 20
+wait 0.2
+x: operate 08h
+x: control 69h          # and again
+x: operate 10h
+until x stopped 20
+wait 0.2
 """,
-            {"x": -0.12},
+            Trial((-0.12, -0.11, -0.12), rate=8000, seconds=4.0, starts=(-0.1, -0.08), from_start=False, within=3e-4),
             chips="pcl240ms",
-            place={"x": -0.1},
-            within=3e-4,
         ),
         Setup(
             "forgotten",
             "R6 missing after reset",
-            "x shall move 50 mm. Since the chip was replaced by its successor it ends with a bang, and stands somewhere else.",
-            MOVE.replace("x: control 44h", "x: operate 08h          # once more, to be sure\nx: control 44h"),
-            {"x": 0.05},
+            "x shall move 50 mm and back. Since the chip was replaced by its successor it ends with a bang, and stands elsewhere.",
+            REGISTERS + "x: operate 08h          # once more, to be sure\n" + THERE + BACK,
+            FAST,
             chips="pcl240mk",
             payload=2.0,
         ),
         Setup(
             "wide",
             "R4 wider than its register",
-            "x shall move 50 mm with a long, soft ramp up. It starts with a jerk, hums, and stays where it is.",
-            """\
-x: operate 08h
-x: R0 <- 16000          # 50 mm
-x: R1 <- 3
-x: R2 <- 80             # 24 kpps
-x: 84 2: 41 1: 10       # R4 <- 16656: a ramp of 0.26 s
-x: R5 <- 16000
-x: R6 <- 3400
-x: R7 <- 2              # steps of 300 pps
-x: control 44h
-x: operate 15h
-until x stopped 5
-wait 0.2
-""",
-            {"x": 0.05},
+            "x shall move 50 mm and back with a long, soft ramp up. It starts with a jerk, hums, and stays where it is.",
+            SOFT + THERE + BACK.replace("R6 <- 3200", "R6 <- 3400"),
+            replace(FAST, ramp=0.24, seconds=3.2),
             payload=2.0,
         ),
         Setup(
             "swapped",
             "swapped limit switches",
-            "x shall run to its plus end and be stopped there by the limit switch. It runs against the rubber and hums on.",
+            "x shall run to its plus end, be stopped there by the limit switch, and so at its minus end. It runs against the "
+            "rubber and hums on.",
             """\
 x: operate 08h
 x: R1 <- 340
-x: R2 <- 2720           # 8 kpps
+x: R2 <- 5440           # 16 kpps
 x: R4 <- 200
 x: R5 <- 200
 x: R7 <- 204
 x: control 40h          # plus, until something stops it
 x: operate 15h
-until x stopped 4
+until x stopped 5
+wait 0.2
+x: operate 08h
+x: control 48h          # minus, until something stops it
+x: operate 15h
+until x stopped 8
 wait 0.2
 """,
-            {"x": 0.15},
-            place={"x": 0.1},
+            Trial((0.15, -0.15), rate=16_000, seconds=9.0, starts=(0.1,), from_start=False, within=1e-3),
             equip=swap_limits,
-            within=1e-3,
         ),
         Setup(
             "late",
             "ramp-down point too late",
-            "x shall move 50 mm with 2 kg on it. It starts well, stops hard, and stands somewhere else.",
-            MOVE.replace("R6 <- 3200", "R6 <- 320 "),
-            {"x": 0.05},
+            "x shall move 50 mm with 2 kg on it, and back. It starts well, stops hard, and stands somewhere else.",
+            REGISTERS.replace("R6 <- 3200", "R6 <- 320 ") + THERE + BACK,
+            FAST,
             payload=2.0,
         ),
         Setup(
             "supply",
             "supply too low",
-            "x shall move 50 mm. Slow moves are good, and on this one it stands still with a whine half way.",
+            "x shall move 50 mm and back. Slow moves are good, and on this one it stands still with a whine half way.",
             MOVE,
-            {"x": 0.05},
+            FAST,
             equip=weak_supply,
         ),
         Setup(
             "address",
             "wrong base address",
-            "x shall move 50 mm. x stands still, and something else moves.",
+            "x shall move 50 mm and back. x stands still, and something else moves.",
             "base x 304h             # the card, see its jumpers\n" + MOVE,
-            {"x": 0.05, "y": 0.0},
+            FAST,
         ),
         Setup(
             "reset",
             "missing reset command",
-            "x shall move 25 mm twice, with a pause. It makes the first move, and not the second.",
-            MOVE.replace("R0 <- 16000          # 50 mm", "R0 <- 8000           # 25 mm")
-            + "x: R0 <- 8000           # once more\nx: operate 15h\nuntil x stopped 5\nwait 0.2\n",
-            {"x": 0.05},
+            "x shall move 25 mm twice, with a pause, and back. It makes the first move, and not the second.",
+            (REGISTERS + THERE).replace("R0 <- 16000          # 50 mm", "R0 <- 8000           # 25 mm")
+            + "x: R0 <- 8000           # once more\nx: operate 15h\nuntil x stopped 5\nwait 0.2\n" + BACK,
+            replace(FAST, stops=(0.025, 0.05, 0.0), seconds=3.2),
         ),
         Setup(
             "slip",
             "slipping coupling",
-            "x shall move 50 mm with 2 kg on it, slowly. The motor was changed yesterday; since then it comes short, at any speed.",
+            "x shall move 50 mm with 2 kg on it, slowly, and back. The motor was changed yesterday; since then it comes short, at "
+            "any speed.",
             MOVE.replace("R2 <- 8160           # 24 kpps", "R2 <- 2720           # 8 kpps")
             .replace("R4 <- 157", "R4 <- 60").replace("R5 <- 157", "R5 <- 60").replace("R6 <- 3200", "R6 <- 400 "),
-            {"x": 0.05},
+            Trial((0.05, 0.0), rate=8000, seconds=5.4),
             payload=2.0,
             equip=slip,
         ),
         Setup(
             "erratum",
             "S-curve failure of the MCX304",
-            "x shall move 125 mm by an S-curve. When the speed falls the host asks for a decelerating stop, to be sure. "
+            "x shall move 125 mm by an S-curve, and back. When the speed falls the host asks for a decelerating stop, to be sure. "
             "x runs on for ever.",
             """\
 x: R <- 400000          # units of 20 pps
@@ -238,18 +216,9 @@ x: AO <- 0
 x: WR2 0004h            # limits decelerate
 x: WR3 0004h            # S-curve
 x: P <- 40000           # 125 mm
-x: F_DRV_P
-until x RR1.DSND 1 4
-until x RR1.DSND 0 4
-wait 0.02
-x: STOP_DEC
-until x stopped 4
-wait 0.2
-""",
-            {"x": 0.145},
+""" + CURVE.format(start="F_DRV_P") + CURVE.format(start="F_DRV_M"),
+            Trial((0.125, 0.0), rate=27_700, seconds=5.4, starts=(0.02,), within=1e-4),
             chips="mcx304",
-            place={"x": 0.02},
-            within=1e-4,
         ),
     )
 }  # fmt: skip

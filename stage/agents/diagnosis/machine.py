@@ -1,0 +1,61 @@
+"""What is broken in machines, each time that they are at power-up, and what a technician can be asked to do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from stage.sim.stage import Stage
+
+SERVICES = {
+    "exchange the wires of the end limits of x": "swapped limit switches",
+    "set the supply of the drives to what is on the nameplate": "supply too low",
+    "tighten the coupling between motor and screw of x": "slipping coupling",
+    "replace the motor of x": "",
+    "clean and grease the guides of x": "",
+    "replace the ORG sensor of x": "",
+}
+"""What a technician can be asked to do, and which cause it mends."""
+
+
+def swap_limits(stage: Stage) -> None:
+    """The wires of x's end limits are exchanged."""
+    axis = stage.axes["x"]
+    rows = [axis.switches.row(pin) for pin in ("el_plus", "el_minus")]
+    bits = {pin: axis.chip.wired(pin) for pin in ("el_plus", "el_minus")}
+    stage.state.switch_table[rows[0]].bit, stage.state.switch_table[rows[1]].bit = bits["el_minus"], bits["el_plus"]
+    stage.look_again(axis)
+
+
+def straighten_limits(stage: Stage) -> None:
+    """They are as they should be."""
+    axis = stage.axes["x"]
+    for pin in ("el_plus", "el_minus"):
+        stage.state.switch_table[axis.switches.row(pin)].bit = axis.chip.wired(pin)
+    stage.look_again(axis)
+
+
+def weak_supply(stage: Stage) -> None:
+    """The supply has sunk to a sixth."""
+    for axis in stage.axes.values():
+        axis.supply = axis.drive.bus_voltage / 6
+    stage.equip()
+
+
+def full_supply(stage: Stage) -> None:
+    """The supply is what it should be."""
+    for axis in stage.axes.values():
+        axis.supply = axis.drive.bus_voltage
+    stage.equip()
+
+
+def slip(stage: Stage) -> None:
+    """A fifteenth of the motor's torque reaches the screw of x: there is no other rotor in the model than that on the screw."""
+    drive = stage.state.drives[stage.axes["x"].index]
+    drive.torque_constant, drive.slice = drive.torque_constant / 15, 0.0
+
+
+MENDED: dict[str, Callable[[Stage], None]] = {
+    "swapped limit switches": straighten_limits,
+    "supply too low": full_supply,
+}
+"""What mending does that a reset does not."""
