@@ -136,7 +136,8 @@ pictures: .venv/.dev
 	$(BIN)/stage pullout --force --plot docs/pictures/pullout.png
 	$(BIN)/stage erratum --force --plot docs/pictures/erratum.png
 	$(BIN)/stage tune xy --payload 2 --distance 100mm --force -o build/tuned && cp build/tuned/tuned.png docs/pictures/tuned.png
-	for script in render_models stepper_behaviours draw_patterns synchronized_survey; do $(BIN)/python scripts/$$script.py || exit 1; done
+	for script in render_models stepper_behaviours draw_patterns; do $(BIN)/python scripts/$$script.py || exit 1; done
+	$(BIN)/python scripts/synchronized_survey.py --pictures
 	$(BIN)/python scripts/ramp_down_survey.py
 	$(BIN)/python scripts/servo_moves.py --picture docs/pictures/servo.png
 	for script in s_curve origin_spread circles_and_helices; do $(BIN)/python scripts/$$script.py --picture docs/pictures/$$script.png || exit 1; done

@@ -334,7 +334,7 @@ formula where the interval is above 0, in ten seeds or more that all found an an
   whole legal ranges, where nearly every move loses steps or takes too long.
 - The learning curves show the fastest move among those that had the highest reward of their seed when they were made.
 - PPO and SAC learn a policy, here for one situation only; their result is the best of the moves that they made while learning.
-- **agent loop** is a scripted stand-in for a model, which reads text and writes commands: it changes one register at a time.
+- **agent loop** is a scripted agent that changes one register at a time, by tools alone (scripts/baselines/tool_loop.py).
 - **spare** is the payload that may be added, in steps of {step:g} kg up to {most:g} kg, before the same registers lose steps for
   the first time. The reward does not include it, and a fast move has little of it: the formula's safety factor is of use. Losing
   steps is not monotonic: ramps pass resonances, and a faster or heavier move may keep step where a slower or lighter one does not.
