@@ -3,14 +3,36 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import NamedTuple, Self
 
 
 class StageError(Exception):
     """Base of every error that PulseStage raises."""
 
 
+class Limit(NamedTuple):
+    """What somebody asked of a chip, and from where to where it goes. what: "speed", "start_speed", "fast", the second of two
+    speeds (all pps), "acceleration" (pps/s), "accel", a ramp (s), or "pulses"."""
+
+    what: str
+    given: float
+    least: float
+    most: float = float("inf")
+
+
 class ArgumentError(StageError, ValueError):
-    """An argument is out of range or not known."""
+    """An argument is out of range or not known.
+
+    Attributes:
+        limit: the same as numbers, for who tells it in other units; None where there are none.
+    """
+
+    limit: Limit | None = None
+
+    def of(self, limit: Limit) -> Self:
+        """This error, with its numbers."""
+        self.limit = limit
+        return self
 
 
 class UnknownKey(ArgumentError, KeyError):

@@ -9,7 +9,8 @@ from nicegui import ui
 
 from stage.errors import StageError
 from stage.panel import procedures
-from stage.panel.procedures import FORMS, Field, Form, Jog
+from stage.panel.fields import Field, at_its_field, where
+from stage.panel.procedures import FORMS, Form, Jog
 from stage.panel.reports import Shown
 
 if TYPE_CHECKING:
@@ -97,7 +98,7 @@ class Procedures:
                     order = form.order(self.session.stage, self.axis, values)
                     await self.reports.perform(form.name, what, order)
                 except StageError as error:
-                    self._wrong(form.name, error, fields, controls)
+                    self._wrong(form.name, self._told(error, controls, fields), fields, controls)
 
             button = ui.button("go", on_click=go).props(f"dense no-caps data-test=go-{form.name}").classes("q-mt-sm")
             self._goes.append(button)
@@ -139,7 +140,7 @@ class Procedures:
             finally:
                 self._release(jog)
         except StageError as error:
-            self._wrong("jog", error, fields, controls)
+            self._wrong("jog", self._told(error, controls, fields), fields, controls)
 
     def _release(self, jog: Jog | None = None) -> None:
         if self._jog is not None and jog in (None, self._jog):
@@ -156,9 +157,13 @@ class Procedures:
         except StageError as error:
             self.reports.say(self._open, str(error), wrong=True)
 
+    def _told(self, error: StageError, controls: dict[str, Any], fields: list[Field]) -> StageError:
+        given = {name: c.value for name, c in controls.items()}
+        return at_its_field(error, self.session.stage.axes[self.axis], given, fields)
+
     def _wrong(self, form: str, error: BaseException, fields: list[Field], controls: dict[str, Any]) -> None:
         """At the field that it is about; else below."""
-        field = procedures.where(error, fields)
+        field = where(error, fields)
         if field:
             said_at(controls[field], error)
         else:

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from stage.errors import StageError, unknown
-from stage.panel.procedures import Field, WrongField, parsed
+from stage.panel.fields import Field, WrongField, parsed
 from stage.panel.travel import strongest_push
 from stage.sim import faults
 from stage.sim.faults import Fault

@@ -15,13 +15,13 @@ import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import combinations
-from math import isfinite, radians
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
-from stage.errors import ArgumentError, StageError
+from stage.errors import StageError
 from stage.firmware import procedures
 from stage.firmware.driver import Driver, driver_of
 from stage.firmware.report import Procedure
+from stage.panel.fields import Field, WrongField, checked, distance_of, needed, parsed, scale, speed_fields, speeds_of
 
 if TYPE_CHECKING:
     from stage.sim.axis import Axis
@@ -29,24 +29,6 @@ if TYPE_CHECKING:
 
 ALL = ""
 """The axis of a form that is about several."""
-
-
-class Field(NamedTuple):
-    """One value. unit: "" of a number without; choices: what can be had, else a number; default: as text."""
-
-    name: str
-    title: str
-    unit: str = ""
-    default: str = ""
-    choices: tuple[str, ...] = ()
-
-
-class WrongField(ArgumentError):
-    """What somebody typed in `field` cannot be; the text says why."""
-
-    def __init__(self, field: str, text: str):
-        super().__init__(text)
-        self.field = field
 
 
 @dataclass(frozen=True)
@@ -65,88 +47,20 @@ class Form:
         return self.begin(stage, axis, parsed(self.fields(stage, axis), given))
 
 
-def parsed(fields: list[Field], given: Mapping[str, Any]) -> dict[str, Any]:
-    """Values of a form's texts; empty ones are left out. Raises WrongField."""
-    out: dict[str, Any] = {}
-    for field in fields:
-        text = str(given.get(field.name, field.default) or "").strip()
-        if not text:
-            continue
-        if field.choices:
-            if text not in field.choices:
-                raise WrongField(field.name, f"{text!r}: {', '.join(field.choices)}.")
-            out[field.name] = text
-            continue
-        try:
-            out[field.name] = float(text.replace(",", "."))
-        except ValueError:
-            raise WrongField(
-                field.name, f"{text!r} is not a number{f' of {field.unit}' if field.unit else ''}."
-            ) from None
-        if not isfinite(out[field.name]):
-            raise WrongField(field.name, f"{text!r}: a finite number.")
-    return out
-
-
-def scale(axis: Axis) -> tuple[str, float]:
-    """The unit that people use of an axis, and what it is in the stage's."""
-    return ("mm", 1e-3) if axis.unit == "m" else ("deg", radians(1))
-
-
-def where(error: BaseException, fields: list[Field]) -> str:
-    """The field that an error speaks of, or ""."""
-    if isinstance(error, WrongField):
-        return error.field
-    text = str(error)
-    return next((f.name for f in fields if text.startswith((f"{f.name}=", f"{f.name}:"))), "")
-
-
-def _needed(values: dict[str, Any], name: str, what: str) -> Any:
-    if name not in values:
-        raise WrongField(name, f"say {what}.")
-    return values[name]
-
-
-def _speed_fields(axis: Axis) -> list[Field]:
-    unit, _ = scale(axis)
-    fields = [Field("speed", "speed", f"{unit}/s")]
-    if not axis.chip.SERVO:
-        fields.append(Field("start_speed", "start speed", f"{unit}/s"))
-    return [*fields, Field("accel", "ramp", "s", "0.15")]
-
-
-def _speeds(axis: Axis, values: dict[str, Any]) -> dict[str, Any]:
-    _, k = scale(axis)
-    out: dict[str, Any] = {}
-    for name, factor in (("speed", k), ("start_speed", k), ("accel", 1.0)):
-        if name in values:
-            if not values[name] > 0:
-                raise WrongField(name, f"{values[name]:g}: more than 0.")
-            out[name] = values[name] * factor
-    return out
-
-
-def _check(axis: Axis, speeds: Mapping[str, float]) -> Any:
-    """Physical speeds as the driver takes them."""
-    return procedures.speeds(
-        axis, speeds.get("speed"), speeds.get("start_speed"), speeds.get("accel", procedures.RAMP), None, False
-    )
-
-
 # --- move ---
 
 
 def _move_fields(stage: Stage, name: str) -> list[Field]:
     axis = stage.axes[name]
     shapes = ("straight", "S-curve")
-    return [Field("distance", "distance", scale(axis)[0], "10"), *_speed_fields(axis),
+    return [Field("distance", "distance", scale(axis)[0], "10"), *speed_fields(axis),
             Field("s_curve", "ramps", "", shapes[0], shapes)]  # fmt: skip
 
 
 def _move(stage: Stage, name: str, values: dict[str, Any]) -> Callable[[Stage], Any]:
     axis = stage.axes[name]
-    distance = _needed(values, "distance", "how far") * scale(axis)[1]
-    speeds, curved = _speeds(axis, values), values.get("s_curve") == "S-curve"
+    distance = distance_of(axis, "distance", needed(values, "distance", "how far"))
+    speeds, curved = speeds_of(axis, values), values.get("s_curve") == "S-curve"
     return lambda stage: procedures.move(axis, distance, s_curve=curved, **speeds)
 
 
@@ -164,9 +78,9 @@ def _two_fields(stage: Stage, name: str) -> list[Field]:
 def _two(stage: Stage, name: str, values: dict[str, Any]) -> Callable[[Stage], Any]:
     axis = stage.axes[name]
     _, k = scale(axis)
-    pulses = procedures.pulses_of(axis, _needed(values, "distance", "how far") * k, None)
-    fast = _needed(values, "fast", "how fast") * k / (axis.meters_per_pulse or 1.0)
-    dwell, speeds = values.get("dwell", 0.2), _check(axis, _speeds(axis, values))
+    pulses = procedures.pulses_of(axis, distance_of(axis, "distance", needed(values, "distance", "how far")), None)
+    fast = needed(values, "fast", "how fast") * k / (axis.meters_per_pulse or 1.0)
+    dwell, speeds = values.get("dwell", 0.2), checked(axis, speeds_of(axis, values))
     if not fast > 0:
         raise WrongField("fast", f"{values['fast']:g}: more than 0.")
     if dwell < 0:
@@ -185,14 +99,14 @@ def _home_fields(stage: Stage, name: str) -> list[Field]:
     return [
         Field("direction", "origin lies", "", WAYS[0], WAYS),
         Field("by", "by", "", how[0], how),
-        *_speed_fields(axis),
+        *speed_fields(axis),
     ]
 
 
 def _home(stage: Stage, name: str, values: dict[str, Any]) -> Callable[[Stage], Any]:
     axis = stage.axes[name]
     direction, by = (1 if values.get("direction") == "plus" else -1), values.get("by")
-    speeds = _speeds(axis, values)
+    speeds = speeds_of(axis, values)
     return lambda stage: procedures.home(axis, direction, by=by, **speeds)
 
 
@@ -203,15 +117,15 @@ def _line_fields(stage: Stage, name: str) -> list[Field]:
     distances = [
         Field(n, n, scale(a)[0], d) for (n, a), d in zip(stage.axes.items(), ("20", "-7.5", *[""] * 99), strict=False)
     ]
-    return [*distances, *(f for f in _speed_fields(next(iter(stage.axes.values()))) if f.name != "start_speed")]
+    return [*distances, *(f for f in speed_fields(next(iter(stage.axes.values()))) if f.name != "start_speed")]
 
 
 def _line(stage: Stage, name: str, values: dict[str, Any]) -> Callable[[Stage], Any]:
-    distances = {n: values[n] * scale(a)[1] for n, a in stage.axes.items() if values.get(n)}
+    distances = {n: distance_of(a, n, values[n]) for n, a in stage.axes.items() if values.get(n)}
     if len(distances) < 2:
         missing = next(n for n in stage.axes if n not in distances)
         raise WrongField(missing, "a line is of two axes or more: give another distance.")
-    speeds = _speeds(next(iter(stage.axes.values())), values)
+    speeds = speeds_of(next(iter(stage.axes.values())), values)
     return lambda stage: procedures.line(distances, stage.axes, **speeds)
 
 
@@ -228,15 +142,13 @@ def _circle_fields(stage: Stage, name: str) -> list[Field]:
     pairs = tuple(_pairs(stage))
     axis = stage.axes[pairs[0].split()[0]]
     unit, _ = scale(axis)
-    return [Field("axes", "axes", "", pairs[0], pairs), Field("radius", "radius", unit, "5"), *_speed_fields(axis)]
+    return [Field("axes", "axes", "", pairs[0], pairs), Field("radius", "radius", unit, "5"), *speed_fields(axis)]
 
 
 def _circle(stage: Stage, name: str, values: dict[str, Any]) -> Callable[[Stage], Any]:
     first, second = (stage.axes[n] for n in values["axes"].split())
-    radius = procedures.pulses_of(first, _needed(values, "radius", "how large") * scale(first)[1], None)
-    if not radius:
-        raise WrongField("radius", f"{values['radius']:g}: less than a pulse.")
-    speeds = _check(first, _speeds(first, values))
+    radius = procedures.pulses_of(first, distance_of(first, "radius", needed(values, "radius", "how large")), None)
+    speeds = checked(first, speeds_of(first, values))
     return lambda stage: driver_of(first).circle(driver_of(second), radius, speeds)
 
 
@@ -266,7 +178,7 @@ class Jog:
 
     def __init__(self, axis: Axis, direction: int, given: Mapping[str, str]):
         self.axis, self.direction = axis, direction
-        self._speeds = _check(axis, _speeds(axis, parsed(_speed_fields(axis), given)))
+        self._speeds = checked(axis, speeds_of(axis, parsed(speed_fields(axis), given)))
         self._released = threading.Event()
 
     def release(self) -> None:

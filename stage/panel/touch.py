@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Any
 from nicegui import background_tasks, run, ui
 
 from stage.errors import StageError
-from stage.panel import procedures
+from stage.panel.fields import Field, WrongField, parsed, where
 from stage.panel.forms import clear, entry, said_at
 from stage.panel.hands import Breaking, Made
-from stage.panel.procedures import Field, WrongField, parsed
 
 if TYPE_CHECKING:
     from stage.panel.server import Panel
@@ -158,7 +157,7 @@ class Touch:
             try:
                 await run.io_bound(self.hands.make, breaking.name, self.axis, given)
             except StageError as error:
-                field = procedures.where(error, breaking.fields)
+                field = where(error, breaking.fields)
                 if field:
                     said_at(controls[field], error)
                 else:

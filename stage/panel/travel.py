@@ -14,10 +14,15 @@ YIELD = 0.1  # of the travel: an end stop is MuJoCo's, which gives way a little;
 MOST = 2.0  # times what the motor can push at its most
 
 
+def has_ends(axis: Axis) -> bool:
+    """It has end limits, and stops behind them; a table that turns without end has not."""
+    return any(switch.pin.startswith("el") for switch in axis.plant.switches)
+
+
 def outside(stage: Stage) -> str:
     """Which carriage has gone through its end stop, and how far, in words; "": none."""
     for axis in stage.axes.values():
-        if not any(switch.pin.startswith("el") for switch in axis.plant.switches):  # a table that turns without end
+        if not has_ends(axis):
             continue
         at, (low, high) = float(stage.data.qpos[axis.plant.qpos]), axis.travel
         room = YIELD * (high - low)

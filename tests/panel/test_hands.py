@@ -4,8 +4,8 @@ import pytest
 
 from stage import Stage
 from stage.errors import ArgumentError
+from stage.panel.fields import WrongField
 from stage.panel.hands import Hands, functions
-from stage.panel.procedures import WrongField
 from stage.panel.session import FREE, Session
 from stage.panel.travel import outside, strongest_push
 

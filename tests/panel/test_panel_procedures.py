@@ -1,11 +1,14 @@
 """Forms say at the field what is wrong, and begin what a program would."""
 
+import re
+
 import pytest
 
 from stage import Stage, firmware
-from stage.errors import ArgumentError
+from stage.errors import ArgumentError, StageError
 from stage.panel import procedures
-from stage.panel.procedures import FORMS, Jog, WrongField
+from stage.panel.fields import WrongField, at_its_field, where
+from stage.panel.procedures import FORMS, Jog
 from stage.panel.session import FREE, Session
 
 
@@ -78,15 +81,46 @@ def test_a_circle_of_the_chips_that_draw_them(fresh):
 def test_what_is_wrong_is_said_at_its_field(fresh, form, given, field):
     with pytest.raises(WrongField) as wrong:
         FORMS[form].order(fresh, "x", given)
-    assert procedures.where(wrong.value, FORMS[form].fields(fresh, "x")) == field
+    assert where(wrong.value, FORMS[form].fields(fresh, "x")) == field
 
 
 def test_what_the_procedure_refuses_is_said_at_its_field(fresh):
     """speed=... from the firmware's own mouth."""
     fields = FORMS["move"].fields(fresh, "x")
-    assert procedures.where(ArgumentError("speed=0: more than 0."), fields) == "speed"
-    assert procedures.where(ArgumentError("distance: there is no room"), fields) == "distance"
-    assert procedures.where(ArgumentError("the chip cannot"), fields) == ""
+    assert where(ArgumentError("speed=0: more than 0."), fields) == "speed"
+    assert where(ArgumentError("distance: there is no room"), fields) == "distance"
+    assert where(ArgumentError("the chip cannot"), fields) == ""
+
+
+WRONG = {
+    "speed": ("1e9", "1e-9"),
+    "start_speed": ("500",),
+    "accel": ("1e9",),
+    "distance": ("0", "0.0001", "1e30"),
+    "fast": ("1e9",),
+    "radius": ("0.0001", "1e9"),
+    "x": ("1e9",),
+}
+"""What nobody's chip can, by field."""
+COUNTS = re.compile(r"pulses|pps|counts|register|R\d")
+
+
+@pytest.mark.parametrize("chips", ["pcl240k", "mcx514", "mcx304", "hctl1100"])
+def test_what_the_chip_cannot_is_said_at_the_field_in_its_unit(chips):
+    stage = Stage("xy", chips=chips, visuals=False)
+    x = stage.axes["x"]
+    for form in [f for f in FORMS.values() if f.needs(stage, "x")]:
+        fields = form.fields(stage, "x")
+        for field in fields:
+            for text in WRONG.get(field.name, ()):
+                given = {"speed": "20", field.name: text} if field.name == "start_speed" else {field.name: text}
+                stage.reset()
+                with pytest.raises(StageError) as wrong:
+                    form.order(stage, "x", given)(stage)
+                told = at_its_field(wrong.value, x, {f.name: given.get(f.name, f.default) for f in fields}, fields)
+                assert where(told, fields) == field.name, (form.name, given, str(told))
+                assert not COUNTS.search(str(told)), str(told)
+                assert field.unit in str(told)
 
 
 def test_a_jog_into_an_end_limit_says_so(fresh):

@@ -12,7 +12,7 @@ from typing import Any, ClassVar, NoReturn, cast
 import numpy as np
 
 from stage.chips.hctl1100.maps import CLEAR, FLAG, MINIMUM_T, MODE, NUMBERS
-from stage.errors import ArgumentError, RunTimeout
+from stage.errors import ArgumentError, Limit, RunTimeout
 from stage.firmware.axis import positive
 from stage.firmware.choices import Choices
 from stage.firmware.driver import SETTLE, Driver, Speeds, that_move
@@ -255,7 +255,9 @@ def _rows(distances: list[int], speeds: Speeds, sample: float) -> np.ndarray:
     longest = max(abs(d) for d in distances)
     most = NUMBERS["integral_velocity"].most / sample
     if not 0 < speeds.drive <= most:
-        raise ArgumentError(f"drive speed {speeds.drive:g} counts/s: more than 0, up to {most:g} at this sample time.")
+        raise ArgumentError(
+            f"drive speed {speeds.drive:g} counts/s: more than 0, up to {most:g} at this sample time."
+        ).of(Limit("speed", speeds.drive, 0.0, most))
     rate = min(speeds.drive, np.sqrt(2.0 * longest * speeds.drive / (speeds.up + speeds.down)))
     up, down = (ramp * rate / speeds.drive for ramp in (speeds.up, speeds.down))
     cruising = longest / rate - 0.5 * (up + down)

@@ -17,7 +17,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from stage.chips.hctl1100.maps import NUMBERS, after_reset
-from stage.errors import ArgumentError
+from stage.errors import ArgumentError, Limit
 from stage.firmware.axis import Axis
 from stage.firmware.hctl1100.port import LIMIT, PROFILE, STOP, Port
 
@@ -237,19 +237,20 @@ def _measure(port: Port, seconds: float) -> float:
 
 def velocity_word(port: Port, rate: float, name: str, scale: int) -> int:
     """What a velocity register holds for counts/s. Raises ArgumentError where that is 0, or too much."""
-    return _held(port, name, rate * port.sample * scale, f"{rate:g} counts/s")
+    return _held(port, name, rate, port.sample * scale, "speed", "counts/s")
 
 
 def acceleration_word(port: Port, acceleration: float) -> int:
     """What R27:R26 hold for counts/s2. Raises ArgumentError where that is 0, or too much."""
-    return _held(port, "acceleration", acceleration * port.sample**2 * 256, f"{acceleration:g} counts/s2")
+    return _held(port, "acceleration", acceleration, port.sample**2 * 256, "acceleration", "counts/s2")
 
 
-def _held(port: Port, name: str, rate: float, said: str) -> int:
+def _held(port: Port, name: str, given: float, scale: float, what: str, unit: str) -> int:
+    rate = given * scale
     number, value = NUMBERS[name], round(rate) if math.isfinite(rate) else 0
     if value == 0 or not number.least <= value <= number.most:
         raise ArgumentError(
-            f"{said} are {value} in the register of {name} at samples of {port.sample * 1e6:g} us: {max(number.least, 1)} to "
-            f"{number.most} it holds. Choose another rate, or another T."
-        )
+            f"{given:g} {unit} are {value} in the register of {name} at samples of {port.sample * 1e6:g} us: "
+            f"{max(number.least, 1)} to {number.most} it holds. Choose another rate, or another T."
+        ).of(Limit(what, given, max(number.least, 1) / scale, number.most / scale))
     return value

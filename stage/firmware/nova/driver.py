@@ -8,7 +8,7 @@ from typing import Any, ClassVar, TypeVar, cast
 
 import numpy as np
 
-from stage.errors import ArgumentError, RunTimeout, a_or_an
+from stage.errors import ArgumentError, Limit, RunTimeout, a_or_an
 from stage.firmware.axis import positive
 from stage.firmware.choices import limits
 from stage.firmware.driver import SETTLE, AtOnce, Driver, Speeds, that_move, wait_until_stopped
@@ -108,15 +108,15 @@ class NovaDriver(Driver):
     def _registers(self, speeds: Speeds, pulses: int) -> dict[str, int]:
         """Of these speeds. Raises ArgumentError for what the chip cannot make."""
         low, high = (limit * self.UNIT for limit in limits(self.map, self.SPEEDS[1]))
-        for name, rate in (("start", speeds.start), ("drive", speeds.drive)):
+        for name, field, rate in (("start", "start_speed", speeds.start), ("drive", "speed", speeds.drive)):
             if not low <= rate <= high:
                 raise ArgumentError(
                     f"{name} speed {rate:g} pps: {a_or_an(self.map.chip)} makes {low:g} to {high:g} pps here."
-                )
+                ).of(Limit(field, rate, low, high))
         if speeds.start > speeds.drive:
             raise ArgumentError(
                 f"start speed {speeds.start:g} pps is above the drive speed {speeds.drive:g}: ramps lead up."
-            )
+            ).of(Limit("start_speed", speeds.start, low, speeds.drive))
         return self.formula(speeds.start, speeds.drive, speeds.up, speeds.down, pulses, speeds.s_curve)
 
     def _prepare(self, registers: Mapping[str, int]) -> None:
@@ -141,7 +141,9 @@ class NovaDriver(Driver):
         settings = LineSettings(speeds.start, max(speeds.up, speeds.down), speeds.s_curve, axes=tuple(mine))
         made = line_of(list(mine.values()), settings)
         if speeds.drive > made.fastest:
-            raise ArgumentError(f"drive speed {speeds.drive:g} pps: up to {made.fastest:g} here.")
+            raise ArgumentError(f"drive speed {speeds.drive:g} pps: up to {made.fastest:g} here.").of(
+                Limit("speed", speeds.drive, 0.0, made.fastest)
+            )
         distances = np.array([[pulses[n] for n in mine]])
         asked = Asked(distances, np.array([speeds.drive]))
         ops = made.programs(made.data_sheet(asked), asked)[0]

@@ -16,7 +16,7 @@ import numpy as np
 from stage.chips import PCL240K
 from stage.chips.pcl240 import PCL240
 from stage.chips.pcl240.state import LINEAR, SPAN
-from stage.errors import ArgumentError, a_or_an, unknown
+from stage.errors import ArgumentError, Limit, a_or_an, unknown
 from stage.firmware.path import path_deviation, perfect_deviation
 from stage.firmware.pcl240 import emulated as follow
 from stage.firmware.pcl240 import fit
@@ -309,7 +309,7 @@ def _reach(moving: dict, longest: str, ask: Ask, rate: float, hz: dict) -> None:
     if max(rate, ask.fh) > most:
         raise ArgumentError(
             f"rate={rate:g} pps: a chip at {hz[longest]} Hz makes at most {most:.0f} pps (8191 at R7 = 2)."
-        )
+        ).of(Limit("speed", rate, 0.0, most))
     for name, d in moving.items():
         least, own = hz[name] / (8192 * R7_MOST), abs(d) / ask.length
         own_most = hz[name] * SPEED_MOST / (8192 * R7_LEAST)

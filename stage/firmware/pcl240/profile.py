@@ -16,7 +16,7 @@ import numpy as np
 from stage.chips import PCL240K
 from stage.chips.pcl240 import PCL240
 from stage.chips.pcl240.state import SPAN
-from stage.errors import ArgumentError
+from stage.errors import ArgumentError, Limit
 from stage.firmware.driver import DRIVE, RAMP, START
 
 _MAP = PCL240K.MAP
@@ -168,9 +168,11 @@ class Profile:
             if not 0 < value <= most:
                 raise ArgumentError(
                     f"{name}={value!r} pps: a chip at {clock_hz} Hz makes up to {most:.0f} pps (R7 = {r7[0]})."
-                )
+                ).of(Limit({"fh1": "speed", "fh2": "fast", "fl": "start_speed"}[name], value, 0.0, most))
         if fl > min(fh1, fh2):
-            raise ArgumentError(f"fl={fl!r} pps is above a high rate ({fh1:g}, {fh2:g}): ramps lead from FL upwards.")
+            raise ArgumentError(
+                f"fl={fl!r} pps is above a high rate ({fh1:g}, {fh2:g}): ramps lead from FL upwards."
+            ).of(Limit("start_speed", fl, 0.0, min(fh1, fh2)))
         for name, value in {"accel": accel, "decel": decel}.items():
             if not 0 < value <= 100:
                 raise ArgumentError(f"{name}={value!r} s: a ramp takes more than 0 and up to about 27 s.")
@@ -203,7 +205,7 @@ class Profile:
                 raise ArgumentError(
                     f"a ramp of {seconds} s from {self.fl:.0f} pps on needs {register} = {wanted:.0f}: it takes 2 to {most}. "
                     f"Between these rates a ramp takes at most {span * most / self.clock_hz:.3f} s."
-                )
+                ).of(Limit("accel", seconds, 0.0, span * most / self.clock_hz))
 
     def shaped(self, s_curve: bool | float, fh2: bool = False) -> Profile:
         """The same rates and, as near as R4 and R5 allow, the same ramp times to FH1 (or FH2), with another shape.

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 
-from stage.errors import ArgumentError
+from stage.errors import ArgumentError, Limit
 from stage.firmware.axis import Axis
 from stage.firmware.pcl240 import bus
 from stage.firmware.pcl240.bus import Port, Status, stop_reason
@@ -201,7 +201,7 @@ def _refuse_short(count: int, needed: float) -> None:
     if count < needed + 5:
         raise ArgumentError(
             f"pulses={count}: these rates take at least {int(needed) + 6} pulses; give more, dwell less, or ask for fewer rates."
-        )
+        ).of(Limit("pulses", count, int(needed) + 6))
 
 
 def _slowest(profile: Profile, speeds: list[int]) -> Profile:
