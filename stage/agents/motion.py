@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from stage.agents.toolbox import Toolbox
 
 WAYS = ("minus", "plus")
+TEN = {"distance": "10mm"}
+SLOWEST = 0.01  # pulses a second
 BY_ITSELF = "started by bus cycles"
 """What a report calls a move that no driver has started: whether it is as asked, its host alone knows."""
 
@@ -31,6 +33,7 @@ class Motion:
     def __init__(self, box: Toolbox):
         self._box = box
         self._watched: dict[str, tuple[Procedure, int | None]] = {}
+        self._stops: dict[str, str] = {}  # the command by which a host has stopped a drive
 
     def tools(self) -> list[Tool]:
         """Of the toolbox."""
@@ -55,7 +58,7 @@ class Motion:
         made = [
             Tool(
                 "move", "Move an axis by a distance, and wait until it is there. Returns the report.", self.move,
-                (axis, *how_far, *how_fast, down, curved, timeout), moves=True,
+                (axis, *how_far, *how_fast, down, curved, timeout), moves=True, shows=TEN,
             ),
             Tool(
                 "home", "Return to the mechanical origin ORG from any place. Returns the report.", self.home,
@@ -64,7 +67,7 @@ class Motion:
             ),
             Tool(
                 "start", "Start a move and do not wait: wait or wait_until_stopped let time pass.", self.start,
-                (axis, *how_far, *how_fast, down, curved), moves=True,
+                (axis, *how_far, *how_fast, down, curved), moves=True, shows=TEN,
             ),
             Tool("stop", "Stop an axis, with a ramp or at once, and wait until it rests.", self.stop,
                  (axis, Field("at_once", FLAG, "without a ramp"))),
@@ -88,12 +91,14 @@ class Motion:
 
     def move(self, axis: str, **given: Any) -> dict[str, Any]:
         a = self._box.axis(axis)
-        self._end(axis)
         pulses, speeds = self._asked(axis, given)
+        self._at_rest(axis)
+        self._end(axis)
         return self._done(self._box.driver(axis).move(pulses, speeds, given.get("timeout")), a.name)
 
     def home(self, axis: str, direction: str, by: str | None = None, **given: Any) -> dict[str, Any]:
         driver = self._box.driver(axis)
+        self._at_rest(axis)
         self._end(axis)
         what = driver.homings()[0] if by is None else by
         driver.check_homing(what)
@@ -102,12 +107,15 @@ class Motion:
 
     def line(self, distances: dict[str, float], s_curve: bool = False, **given: Any) -> dict[str, Any]:
         for axis in distances:
+            self._at_rest(axis)
+        for axis in distances:
             self._end(axis)
         return self._done(procedures.line(distances, self._box.stage.axes, s_curve=s_curve, **given), "line")
 
     def start(self, axis: str, **given: Any) -> dict[str, Any]:
         pulses, speeds = self._asked(axis, given)
         driver = self._box.driver(axis)
+        self._at_rest(axis)
         self._end(axis)
         watched = self._watch(axis, "move", pulses)
         try:
@@ -134,7 +142,7 @@ class Motion:
             wait_until_stopped([a], timeout)
             why = self._status(axis)
         a.wait(SETTLE)
-        return self._ended(axis, why)
+        return self._ended(axis, why, self._stops.pop(axis, ""))
 
     def report(self) -> dict[str, Any]:
         last = self._box.report
@@ -153,7 +161,10 @@ class Motion:
     def before_write(self, chip: Chip, address: int, value: int) -> None:
         """A host writes by itself: a start that comes of it is a move, and is watched."""
         for a in self._box.stage.axes.values():
-            if a.chip is chip and chip.starts(address, value, a.chip_axis):
+            if a.chip is chip and a.name in self._watched and a.chip.busy(a.chip_axis):
+                if self._box.driver(a.name).stops(address, value):
+                    self._stops[a.name] = f"stopped by the host: {value:0{chip.DATA_MASK.bit_length() // 4}X}h"
+            elif a.chip is chip and chip.starts(address, value, a.chip_axis):
                 self._box.meter.move()
                 self._end(a.name)
                 self._watch(a.name, BY_ITSELF, None)
@@ -164,6 +175,7 @@ class Motion:
             self._end(name)
 
     def _watch(self, axis: str, name: str, asked: int | None) -> Procedure:
+        self._stops.pop(axis, None)
         watched = Procedure(self._box.axis(axis), name).__enter__()
         self._watched[axis] = watched, asked
         return watched
@@ -172,11 +184,19 @@ class Motion:
         if axis in self._watched:
             self._watched.pop(axis)[0].__exit__(None, None, None)
 
-    def _ended(self, axis: str, why: str) -> dict[str, Any]:
+    def _at_rest(self, axis: str) -> None:
+        a = self._box.axis(axis)
+        if not a.chip.SERVO and a.chip.twin().busy(a.chip_axis):  # the driver would ask by a bus cycle
+            raise ArgumentError(f"axis {axis} is moving: wait_until_stopped waits for its end, and stop stops it.")
+
+    def _ended(self, axis: str, why: str, by_host: str = "") -> dict[str, Any]:
         if axis not in self._watched:
             return {"axis": axis, "at_rest": True, "time_s": round(self._box.stage.time, 9)}
         watched, asked = self._watched.pop(axis)
-        return self._done(watched.report(why, asked), axis)
+        report = watched.report(why, asked)
+        if by_host and report.pulses != asked:  # the status has no bit for it, and a driver guesses from what is left
+            report = replace(report, stopped_by=by_host)
+        return self._done(report, axis)
 
     def _asked(self, axis: str, given: dict[str, Any]) -> tuple[int, Any]:
         distance, pulses = given.get("distance"), given.get("pulses")
@@ -193,6 +213,13 @@ class Motion:
     def _speeds(self, axis: str, given: dict[str, Any]) -> Any:
         names = ("speed", "start_speed")
         one, other = (given.get(n) for n in names)
+        per_pulse, unit = self._box.axis(axis).meters_per_pulse, self._box.axis(axis).unit
+        for name, speed in zip(names, (one, other), strict=True):
+            if speed is not None and speed < SLOWEST * per_pulse:
+                least = SLOWEST * per_pulse
+                raise ArgumentError(
+                    f"{name}: {speed:g} is too slow; from {least:g} {unit}/s on, {SLOWEST:g} pulses a second."
+                )
         accel, decel = given.get("accel", RAMP), given.get("decel")
         return procedures.speeds(self._box.axis(axis), one, other, accel, decel, bool(given.get("s_curve")))
 

@@ -18,6 +18,7 @@ from stage.agents.tool import Tool
 from stage.agents.toolbox import Toolbox
 from stage.errors import ArgumentError, StageError
 from stage.firmware.report import Report
+from stage.firmware.together import SynchronizedReport
 
 SAMPLES = 1000  # of a column that is told
 LONGEST = 120.0  # s of simulated time that a recording may have
@@ -33,6 +34,7 @@ class Recordings:
             raise ArgumentError(f"{folder} is no folder: make it first, or name another.")
         self._box, self._folder = box, None if folder is None else Path(folder).resolve()
         self._last: Any = None
+        self._seen: Any = None  # the report that was the last one when the recording ended
         self._written = 0
 
     def join(self) -> None:
@@ -56,6 +58,7 @@ class Recordings:
         if stage.recording is None:
             raise StageError("nothing is being recorded: begin with on=true.")
         stage.recording.close()
+        self._seen = self._box.report
         return {"recording": False, "seconds": self._last.duration, "columns": list(self._last.columns)}
 
     def save(self, name: str) -> dict[str, Any]:
@@ -82,19 +85,27 @@ class Recordings:
 
     def last(self) -> dict[str, Any]:
         """The last recording as columns, thinned to SAMPLES. Raises StageError where there is none."""
-        if self._box.mode == "truth" and self._last is not None:
+        report = self._box.report
+        goes_on = self._box.stage.recording is not None
+        if self._box.mode == "truth" and self._last is not None and (goes_on or report is self._seen):
             columns = {name: np.asarray(c) for name, c in self._last.columns.items()}
             return {"seconds": self._last.duration, "columns": {name: thinned(c) for name, c in columns.items()}}
-        report = self._box.report
-        if not isinstance(report, Report):
+        if report is None:
             raise StageError("nothing has been recorded yet: a move makes a recording of its course.")
-        edges = report.course.edges
-        columns = {
-            "seconds": report.course.seconds,
-            "pulses": edges["net"] - edges["net"][0],
-            "pulses_per_second": report.rates,
-        }
-        return {"move": report.procedure, "axis": report.axis, "columns": {n: thinned(c) for n, c in columns.items()}}
+        if isinstance(report, SynchronizedReport):
+            return {"move": "line", "axes": {name: course(r) for name, r in report.axes.items()}}
+        return course(report)
+
+
+def course(report: Report) -> dict[str, Any]:
+    """The course of a move as columns."""
+    edges = report.course.edges
+    columns = {
+        "seconds": report.course.seconds,
+        "pulses": edges["net"] - edges["net"][0],
+        "pulses_per_second": report.rates,
+    }
+    return {"move": report.procedure, "axis": report.axis, "columns": {n: thinned(c) for n, c in columns.items()}}
 
 
 def thinned(column: np.ndarray) -> list:

@@ -15,7 +15,8 @@ from stage.errors import ArgumentError
 class Tool:
     """A tool. act: called with the values of `fields` by name; returns a mapping of JSON values, a text, or a Picture.
 
-    moves: a call makes a move, which is counted. free: it may be called when the budget is spent.
+    moves: a call makes a move, which is counted. free: it may be called when the budget is spent. shows: of an example, what is
+    given beside what is needed.
     """
 
     name: str
@@ -24,6 +25,7 @@ class Tool:
     fields: tuple[Field, ...] = ()
     moves: bool = False
     free: bool = False
+    shows: Mapping[str, Any] = field(default_factory=dict)
 
     def schema(self) -> dict[str, Any]:
         """Of its arguments, as JSON schema."""
@@ -73,7 +75,7 @@ class Tool:
             for f in self.fields
             if f.needed
         }
-        return json.dumps(given)
+        return json.dumps({**given, **self.shows})
 
 
 def _known(names: tuple[str, ...], given: str) -> str:

@@ -83,7 +83,7 @@ class Toolbox(Calls):
     # --- calls ---
 
     def act(self, tool: Tool, values: dict[str, Any]) -> Any:
-        """Do it, and count. A move that is refused before a bus cycle is none."""
+        """Do it, and count. A move that is refused before it has begun is none."""
         self.meter.begin()
         cycles = self.meter.cycles
         try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import sys
 
@@ -11,6 +12,7 @@ from stage.errors import ArgumentError
 from stage.extras import need
 
 TOKEN = "PULSESTAGE_TOKEN"
+SHORTEST = 16  # characters of a token
 
 
 def run(args: argparse.Namespace) -> int:
@@ -24,10 +26,20 @@ def run(args: argparse.Namespace) -> int:
             raise ArgumentError(f"--{name} {getattr(args, name)}: more than 0.")
     if args.folder is not None and not os.path.isdir(args.folder):
         raise ArgumentError(f"--folder {args.folder}: there is no such folder. Make it first.")
+    if not 0 < args.patience < math.inf:
+        raise ArgumentError(f"--patience {args.patience}: seconds, more than 0.")
+    if args.folder is not None and args.mode != "truth":
+        raise ArgumentError(
+            "--folder: recordings are written in mode truth alone; add --mode truth, or leave the folder out."
+        )
+    token = os.environ.get(TOKEN) or None
+    if args.http and token is not None and (len(token) < SHORTEST or not token.isascii() or not token.isprintable()):
+        raise ArgumentError(f"{TOKEN}: {SHORTEST} or more printable ASCII characters; without it one is made.")
     budget = Budget(args.moves, args.seconds, args.cycles)
     maker = Maker(
         lambda: make_stage(args, visuals=False), args.mode, budget, not args.no_snapshots, args.patience, args.folder
     )
+    _ = maker.first  # what is wrong with the stage is said before anybody connects
     if not args.http:
         from stage.agents.server.stdio import serve
 
@@ -35,8 +47,7 @@ def run(args: argparse.Namespace) -> int:
         return 0
     from stage.agents.server.http import HttpServer
 
-    _ = maker.first  # what is wrong with the stage is said before anybody connects
-    server = HttpServer(maker, Sessions(maker, args.sessions, args.idle), args.port, os.environ.get(TOKEN))
+    server = HttpServer(maker, Sessions(maker, args.sessions, args.idle), args.port, token)
     print(f"{server.address}\nAuthorization: Bearer {server.token}\nCtrl-C ends it", flush=True)
     server.run()
     print("ended", file=sys.stderr)

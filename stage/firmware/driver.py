@@ -161,6 +161,10 @@ class Driver(ABC):
     def halt(self, at_once: bool = False) -> None:
         """Stop the axis, with a ramp or at once; returns when it is at rest."""
 
+    def stops(self, address: int, value: int) -> bool:
+        """Whether this bus write is a command that stops a drive of the axis; False also where the driver does not tell."""
+        return False
+
     def runs(self) -> bool:
         """What `run` has started still runs."""
         return self.chip.busy(self.axis.chip_axis)

@@ -81,6 +81,10 @@ class NovaDriver(Driver):
             self.port.command(self.STOP if at_once else self.SLOW_DOWN)
         wait_until_stopped([self.axis], PATIENCE)
 
+    def stops(self, address: int, value: int) -> bool:
+        codes = [self.map.command(name).code for name in (self.STOP, self.SLOW_DOWN)]
+        return address == 0 and bool(value >> 8 & 1 << self.axis.chip_axis) and value & 0xFF in codes
+
     def stopped_by(self) -> str:
         word = self.port.word(int(self.ENDED[2]))
         return next((name for bit, name in CAUSES.items() if word & self._ended(bit)), "")

@@ -76,6 +76,9 @@ class Pcl240Driver(Driver):
         self.port.wait_until_stopped(60.0)
         self.port.command(bus.RESET)
 
+    def stops(self, address: int, value: int) -> bool:
+        return address == 0 and value >> 6 == 0 and bool(value & bus.RESET)
+
     def stopped_by(self) -> str:
         status = self.port.status()
         return "" if status.operating else stop_reason(status, self._direction, preset=self._preset)

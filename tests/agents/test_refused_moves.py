@@ -1,0 +1,78 @@
+"""What a move costs and what its report says: a refused one costs nothing, and a host's stop is no limit switch."""
+
+import pytest
+
+from stage import Stage
+from stage.agents import Budget
+from stage.agents.recordings import Recordings
+from stage.firmware.driver import driver_of
+
+STOPS = {"PCL240K": ("1Dh", "08h"), "PCL240MS": ("1Dh", "08h"), "MCX514": None, "MCX304": None}
+
+
+@pytest.mark.parametrize("chips", STOPS)
+def test_a_move_that_is_refused_is_not_charged_and_says_what_to_call(make_box, chips):
+    box = make_box(chips, budget=Budget(moves=2))
+    assert box.call("start", {"axis": "x", "distance": "30mm"}).ok
+    for name, given in (("move", {"distance": "1mm"}), ("start", {"distance": "1mm"}), ("home", {})):
+        said = box.call(name, {"axis": "x", **given})
+        assert said.text == "axis x is moving: wait_until_stopped waits for its end, and stop stops it."
+    assert not box.call("line", {"distances": {"x": "1mm", "y": "1mm"}}).ok
+    assert box.meter.moves == 1
+    assert box.call("stop", {"axis": "x"}).data["stopped_by"] == "stopped by the host"
+
+
+@pytest.mark.parametrize(("chips", "k"), [(c, k) for c in STOPS for k in (0, 1)])
+def test_a_stop_that_the_host_has_written_is_named(make_box, chips, k):
+    box = make_box(chips)
+    box.call("start", {"axis": "x", "distance": "30mm"})
+    box.call("wait", {"seconds": 0.2})
+    if STOPS[chips]:
+        box.call("write_bytes", {"axis": "x", "address": 0, "values": [STOPS[chips][k]]})
+    else:
+        driver = driver_of(box.axis("x"))
+        box.call("command", {"axis": "x", "name": (driver.STOP, driver.SLOW_DOWN)[k]})
+    said = box.call("wait_until_stopped", {"axis": "x"}).data
+    assert said["stopped_by"].startswith("stopped by the host: ")
+    assert not said["as_asked"]
+
+
+def test_a_limit_switch_is_one_still(make_box):
+    box = make_box()
+    box.stage.place(x=0.14)
+    box.call("start", {"axis": "x", "distance": "30mm"})
+    assert box.call("wait_until_stopped", {"axis": "x"}).data["stopped_by"] == "EL+"
+
+
+@pytest.mark.parametrize("speed", [1e-30, 1e-12, "1e-30"])
+def test_a_speed_that_is_none_is_refused(box, speed):
+    said = box.call("move", {"axis": "x", "distance": "1mm", "speed": speed})
+    assert "too slow" in said.text
+    assert box.meter.moves == 0
+
+
+def test_an_example_of_a_move_is_a_move(box):
+    for name in ("move", "start"):
+        assert box.tools[name].example() == '{"axis": "x", "distance": "10mm"}'
+
+
+def test_the_last_recording_is_of_the_last_move(make_box):
+    box = make_box(mode="truth")
+    kept = Recordings(box)
+    kept.join()
+    box.call("record", {"on": True})
+    box.call("move", {"axis": "x", "pulses": 100})
+    box.call("record", {"on": False})
+    assert "seconds" in kept.last()
+    box.call("move", {"axis": "y", "pulses": 200})
+    assert kept.last()["axis"] == "y"
+    box.call("line", {"distances": {"x": "1mm", "y": "2mm"}})
+    assert {n: a["columns"]["pulses"][-1] for n, a in kept.last()["axes"].items()} == {"x": 320, "y": 640}
+
+
+def test_another_axis_of_the_chip_is_not_stopped():
+    driver = driver_of(Stage("xy", chips="mcx304", visuals=False).axes["x"])
+    code = driver.map.command(driver.STOP).code
+    assert driver.stops(0, 0x100 | code)
+    assert not driver.stops(0, 0x200 | code)
+    assert not driver.stops(1, 0x100 | code)
