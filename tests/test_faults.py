@@ -591,6 +591,15 @@ def test_a_lost_write_is_chosen_by_address_value_and_turn(xyz):
     assert [chip.values()[r] for r in ("R1", "R2", "R3")] == [7, 0, 7]
 
 
+def test_a_write_to_address_0_is_chosen_as_any_other(xyz):
+    chip = xyz.axes["x"].chip
+    with faults.lost_write(xyz.axes["x"], address=0) as fault:
+        chip.write(1, 7)
+        assert fault.in_force
+        chip.write(0, 0x81)
+        assert not fault.in_force
+
+
 def test_faults_of_one_bus_strike_each_by_itself_and_every_one_is_told_of_each_write():
     chip = PCL240K()
     chip.write(0, 0x81)

@@ -34,6 +34,14 @@ def test_a_servo_moves_by_the_same_tools(make_box):
     assert "R07" in box.call("status", {"axis": "x"}).data["words"]
 
 
+def test_a_line_is_the_end_of_what_was_started_before(box):
+    box.call("start", {"axis": "x", "pulses": 400})
+    box.call("wait", {"seconds": 1})
+    assert box.call("line", {"distances": {"x": "1mm", "y": "1mm"}}).ok
+    assert box.call("wait_until_stopped", {"axis": "x"}).data["at_rest"], "the start has no report any more"
+    assert box.call("report").data["procedure"] == "line"
+
+
 def test_a_trace_has_as_many_cycles_as_are_asked_for_whatever_was_a_mistake(box):
     box.call("write_bytes", {"axis": "x", "address": 0, "values": ["44h", "50h", "50h", "50h"]})
     assert len(box.call("diagnostics").data["diagnostics"]) == 3

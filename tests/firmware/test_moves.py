@@ -6,6 +6,7 @@ import pytest
 from stage import ArgumentError, RunTimeout, Stage, firmware
 from stage.chips import PCL240K, PCL240MS
 from stage.firmware import Bench, Profile
+from stage.firmware.report import Procedure
 
 
 @pytest.fixture
@@ -269,6 +270,15 @@ def test_external_pulses_may_come_from_a_generator(x):
     late = firmware.external_count(x, 1000, rate=100, timeout=0.2)
     assert late.stopped_by == "timeout"
     assert not late.ok
+
+
+def test_the_average_rate_is_of_pulses_both_ways(x):
+    with Procedure(x, "to and fro") as watched:
+        for way in (3000, -1000):
+            firmware.preset_move(x, way, Profile.of(fl=1000, fh1=8000, accel=0.1))
+        report = watched.report("R0 = 0")
+    assert report.pulses == 2000
+    assert report.average_rate == pytest.approx(4000 / report.duration)
 
 
 def test_a_report_says_rates_and_bytes(x):

@@ -33,6 +33,11 @@ def test_a_data_frame_has_every_column_over_time_and_knows_the_units(run):
     assert [frame.attrs["units"][f"x/{c}"] for c in ("position", "rate", "el_plus")] == ["m", "pps", ""]
 
 
+def test_a_column_that_is_asked_for_twice_is_there_once(run, tmp_path):
+    path = run.recording.to_csv(tmp_path / "run.csv", [*FEW, "time", *FEW])
+    assert path.read_text().splitlines()[0].split(",") == ["time", *FEW]
+
+
 @pytest.mark.parametrize("ending", ["csv", "parquet", "npz"])
 def test_a_file_has_the_columns_asked_for_bit_for_bit(run, tmp_path, ending):
     path = run.recording.to_file(tmp_path / f"run.{ending}", FEW)
@@ -107,6 +112,17 @@ def test_it_knows_what_was_recorded(run, saved):
     assert list(states) == ["off", "EL-", "off"]
     assert np.all(np.diff(times) > 0)
     assert (len(saved.bus), saved.bus[0][1].split()[0], saved.bus == sorted(saved.bus)) == (31, "x", True)
+
+
+@needs_rerun
+def test_the_writes_of_all_axes_are_in_order(xy, tmp_path):
+    x, y = xy.axes.values()
+    with xy.record() as recording:
+        for axis in (y, x, y):
+            axis.chip.write(0, 0x40)
+            xy.run(1e-3)
+    saved = read(recording.save(tmp_path / "a.rrd"))
+    assert [text.split()[0] for _, text in saved.bus] == ["y", "x", "y"]
 
 
 def test_a_run_that_was_killed_is_read_up_to_its_last_flush(tmp_path, xy):
