@@ -71,6 +71,19 @@ def test_priorities_are_bytes_of_their_words():
     )
 
 
+@pytest.mark.parametrize(("own", "running", "comes"), [(0x20, 0x40, True), (0x40, 0x40, False), (0x60, 0x40, False)])
+def test_the_boards_line_comes_into_what_is_of_a_lower_priority_alone(own, running, comes):
+    """IRQ 3 is the board's; the routine of IRQ 4 runs"""
+    n = Nvic(lambda: 0, 3)
+    n.write(0xE100, 0x18, 4, 0)
+    n.write(0xE400, own << 24, 4, 0)
+    n.write(0xE404, running, 4, 0)
+    n.entered(FIRST + 4)
+    n.level = True
+    assert n.line_may_come() == comes
+    assert n.next(0, 0) == (FIRST + 3 if comes else None)
+
+
 def test_what_else_the_private_registers_hold():
     now = [(1 << 32) + 7]
     n = Nvic(lambda: now[0], 3)
