@@ -47,7 +47,7 @@ def _serve(args: argparse.Namespace, board: Any, session: Any) -> int:
         def end(*_: Any) -> None:
             server.stop()
             if session is not None:
-                session.give_back()  # a request that waits goes on, and ends
+                session.end_program()  # a request that waits, or takes its time, ends where it is
 
         before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)}
         try:

@@ -86,7 +86,7 @@ class SynchronizedReport:
         lines = [
             f"synchronized move: {'done' if self.ok else 'NOT as asked'}, {d.pulses:.2f} pulses from the line at most "
             f"(at {d.time:.4f} s, {where})",
-            f"  started within {self.skew * 1e6:.1f} us, finished within {self.finish * 1e3:.3f} ms, "
+            f"  first starts {self.skew * 1e6:.1f} us apart, last pulses {self.finish * 1e3:.3f} ms apart, "
             f"ratio error {self.ratio_error:.1e}",
         ]
         if self.carriage_deviation is not None:

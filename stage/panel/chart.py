@@ -166,7 +166,8 @@ class Chart:
         self.chart.options.clear()
         self.chart.options.update(
             {"animation": False, "grid": grids, "xAxis": xs, "yAxis": ys, "series": series,
-             "legend": {"data": legend, "top": 0, "right": 8, "itemHeight": 8, "textStyle": {"color": INK, "fontSize": 11}},
+             "legend": {"data": legend, "type": "scroll", "top": 0, "left": 78, "right": 8,
+                        "itemHeight": 8, "textStyle": {"color": INK, "fontSize": 11}},
              "axisPointer": {"link": [{"xAxisIndex": "all"}]},
              "tooltip": {"trigger": "axis", "transitionDuration": 0, "confine": True, "textStyle": {"fontSize": 11}}}
         )  # fmt: skip

@@ -111,6 +111,7 @@ class Console:
                 self._log.push(order.answer, "own")
         except (ArgumentError, StageError) as error:
             self._line.error = str(error)
+            self._line.run_method("select")
         self._look()
 
     def _look(self) -> None:

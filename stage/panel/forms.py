@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import asyncio
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from nicegui import ui
 
 from stage.errors import StageError
+from stage.firmware.report import NOT_AS_ASKED
 from stage.panel import procedures
 from stage.panel.fields import Field, at_its_field, where
 from stage.panel.procedures import FORMS, Form, Jog
 from stage.panel.reports import Shown
+from stage.panel.travel import tied
 
 if TYPE_CHECKING:
     from stage.panel.server import Panel
@@ -28,7 +31,7 @@ class Procedures:
     """Which axis, which form, and what came of it."""
 
     def __init__(self, panel: Panel, axes: list[str]):
-        self.session, self.reports = panel.session, panel.reports
+        self.session, self.reports, self.look = panel.session, panel.reports, panel.look
         self.axis = axes[0]
         self._open, self._goes = "move", list[ui.button]()
         self._jog: Jog | None = None
@@ -68,6 +71,10 @@ class Procedures:
             except StageError as error:
                 ui.label(str(error)).classes("text-negative")
                 return
+            if others := tied(stage, axis):
+                names = " and ".join(others)
+                text = f"{axis} carries one beam with {names}: alone it racks the beam. A line moves them together."
+                ui.label(text).classes("text-caption").props("data-test=tied")
             if self._open not in (*given, "jog"):
                 self._open = "move"
             with ui.tabs().classes("w-full").props("dense no-caps inline-label align=left") as tabs:
@@ -92,11 +99,13 @@ class Procedures:
                 if self.session.busy:
                     return
                 clear(controls)
-                values = {name: c.value for name, c in controls.items()}
+                values, axis = {name: c.value for name, c in controls.items()}, self.axis
                 what = form.title if form.several else f"{form.title} {self.axis}"
                 try:
                     order = form.order(self.session.stage, self.axis, values)
-                    await self.reports.perform(form.name, what, order)
+                    report = await self.reports.perform(form.name, what, order)
+                    if form.finds_origin and report is not None and report.stopped_by not in NOT_AS_ASKED:
+                        self.session.post(partial(self.look.found_origin, axis))
                 except StageError as error:
                     self._wrong(form.name, self._told(error, controls, fields), fields, controls)
 

@@ -19,10 +19,14 @@ def build(panel: Panel) -> None:
         title = ui.label().classes("text-weight-bold q-mt-sm").props("data-test=tour-title aria-live=polite")
         task = ui.label().props("data-test=tour-task")
         sheet = ui.label().classes("text-caption q-mt-xs")
-        ui.button("Skip", on_click=lambda: skip()).props("flat dense no-caps data-test=tour-skip")
+        on = ui.button("Skip", on_click=lambda: skip())
+        on.props("flat dense no-caps data-test=tour-skip")
 
     def skip() -> None:
-        for t in tour:
+        if tour and tour[0].step is None:
+            end()
+            open_or_close()
+        for t in tour[:1] if on.text == "Skip" else ():
             t.skip()
 
     def open_or_close() -> None:
@@ -39,6 +43,7 @@ def build(panel: Panel) -> None:
         if not tour:
             return
         number, step = tour[0].number, tour[0].step
+        on.text = "Skip" if step else "Begin again"
         bar.value = number / len(STEPS)
         title.text = (
             f"{number + 1} of {len(STEPS)}: {step.title}" if step else "That was all. The rest is in the data sheets."

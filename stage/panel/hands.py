@@ -17,7 +17,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from stage.errors import StageError, unknown
+from stage.errors import ArgumentError, StageError, unknown
 from stage.panel.fields import Field, WrongField, parsed
 from stage.panel.travel import strongest_push
 from stage.sim import faults
@@ -121,6 +121,9 @@ class Hands:
         stage = self.session.stage
         where: Any = stage if breaking.whole else stage.axes[axis]
         asked = (name, axis, {field: str(text) for field, text in given.items()})
+        same = next((made for made in self.in_force if made.asked == asked and not key), None)
+        if same is not None:
+            raise ArgumentError(f"{same.text}: it is so already. Mend it, or break something else.")
         return self.session.do(lambda stage: self._make(lambda: known[name](where, **values), asked, key))
 
     def make_again(self, asked: tuple[str, str, dict[str, str]]) -> None:

@@ -29,7 +29,8 @@ LAST_LOOK = (
 class Life:
     """Of a session, from now until `closed`. Whoever changes what it goes by rings.
 
-    Attributes: program, taken, paused: as a Session's. trouble: why time stands still though nobody paused, or "".
+    Attributes: program, taken, paused: as a Session's. trouble: why time stands still though nobody paused, or "". ending: the
+    program is to end: it waits no more, and lets no time pass.
     """
 
     def __init__(self, stage: Stage, speed: float, paused: bool, program: str):
@@ -37,10 +38,11 @@ class Life:
             raise StageError("this stage has a session already: close that one first.")
         self.stage, self.program, self.taken = stage, program, False
         self.paused, self.closed, self.trouble = paused, False, ""
+        self.ending = False
         self.clock = Clock(speed, stage.now)
         self.queues, self.turns, self.past, self.views = Queues(), Turns(), Past(), Views(stage, speed)
         self.admission = Admission(
-            stage, self.clock, self.turns, lambda: self.paused, lambda: self.closed or not self.program
+            stage, self.clock, self.turns, lambda: self.paused, lambda: self.closed or self.ending or not self.program
         )
         self._hasty = self._jumped = False
         self._changed_at = 0.0
@@ -161,7 +163,9 @@ class Life:
         """The stage's time is to go on to `until`, ns: how far it may go now, when it is due. See `Loop.pace`."""
         stage = self.stage
         if threading.current_thread() is not self.thread:
-            until = self.admission.until(until) if self.program else until
+            wanted, until = until, self.admission.until(until) if self.program else until
+            if self.ending and wanted - stage.now >= SHORTEST:
+                raise Abandoned("the program ends.")
             if not (self.program or self.closed):
                 raise StageError("this stage lives in a session: give it orders, session.do(...).")
             return until

@@ -9,12 +9,17 @@ look.traces[0].since(number)
 from __future__ import annotations
 
 from time import perf_counter
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
 
 from stage.chips.chip import Chip
 from stage.panel.session import Session
 from stage.panel.trace import Trace
 from stage.sim.stage import Snapshot, Stage
+
+if TYPE_CHECKING:
+    from stage.sim.axis import Axis
 
 FRAMES = 25
 MOST_SENT = 200_000  # bus cycles of a program
@@ -22,7 +27,8 @@ WANTED = 2.0  # s for which the registers of a chip are looked at after somebody
 
 
 class AxisSeen(NamedTuple):
-    """position, commanded: m or rad; lost: full steps; switches: those of the stage, by name."""
+    """position, commanded: m or rad; lost: full steps, since the last origin return from a form; switches: those of the
+    stage, by name."""
 
     position: float
     commanded: float
@@ -48,6 +54,9 @@ class Look:
     def __init__(self, session: Session):
         self._session, self._wanted = session, {}  # type: ignore[var-annotated]
         self._at, self.number = 0.0, 0
+        self._origins: dict[
+            str, tuple[int, int]
+        ] = {}  # when the origin was found, ns, and the steps that were lost by then
         self.axes: dict[str, AxisSeen] = {}
         self.chips: dict[tuple[int, int], ChipSeen] = {}
         self.traces: tuple[Trace, ...] = session.do(lambda stage: tuple(Trace(chip) for chip in stage.chips))
@@ -66,9 +75,7 @@ class Look:
     def take(self, stage: Stage) -> None:
         """Look now, in the stage's thread."""
         self._at = now = perf_counter()
-        self.axes = {
-            a.name: AxisSeen(a.position, a.commanded, a.lost_steps, a.switches.as_dict()) for a in stage.axes.values()
-        }
+        self.axes = {a.name: self._seen(a) for a in stage.axes.values()}
         wanted = [key for key, at in tuple(self._wanted.items()) if now - at < WANTED]
         self.chips = {(k, axis): seen(stage.chips[k], axis) for k, axis in wanted}
         for trace in self.traces:
@@ -76,6 +83,21 @@ class Look:
         if stage.now < self.start[0] or sum(len(trace.sent or ()) for trace in self.traces) > MOST_SENT:
             self.start = self._begin(stage)
         self.number += 1
+
+    def found_origin(self, axis: str, stage: Stage) -> None:
+        """An origin return has found where the carriage is: what was lost before is lost no more. In the stage's thread."""
+        self._origins[axis] = stage.now, stage.axes[axis].lost_steps
+
+    def _seen(self, axis: Axis) -> AxisSeen:
+        when, before = self._origins.get(axis.name, (0, 0))
+        if axis.stage.now < when:  # somebody went back in time
+            before = 0
+            del self._origins[axis.name]
+        lost, commanded = axis.lost_steps, axis.commanded
+        if before:
+            record, _ = axis.electrics()
+            commanded -= before * (np.pi / 2 / record.teeth) / axis.gear
+        return AxisSeen(axis.position, commanded, lost - before, axis.switches.as_dict())
 
     def _begin(self, stage: Stage) -> tuple[int, Snapshot]:
         for trace in self.traces:

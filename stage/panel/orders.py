@@ -72,12 +72,13 @@ def understand(kind: type[Chip], text: str, axis: int = 0, values: Mapping[str, 
     if first.lower() == "read":
         if not rest.strip():
             raise ArgumentError(f"read: an address is missing, 0 to {kind.ADDRESSES - 1:X}h.")
-        return Order(tuple(Cycle(True, _hexadecimal(a)) for a in rest.split()))
+        return Order(tuple(Cycle(True, _address(kind, a)) for a in rest.split()))
     if ":" in line:
         address, _, data = line.partition(":")
         if not data.strip():
             raise ArgumentError(f"{line}: the data are missing, as in {address.strip()}: 1F.")
-        return Order(tuple(Cycle(False, _hexadecimal(address), _hexadecimal(d)) for d in data.split()))
+        at = _address(kind, address)
+        return Order(tuple(Cycle(False, at, _datum(kind, d)) for d in data.split()))
     return _named(kind, first, rest.strip(), axis, values) or _bytes(kind, line)
 
 
@@ -147,7 +148,7 @@ def _bytes(kind: type[Chip], line: str) -> Order:
         raise ArgumentError(
             f"{words[0]!r} is no name of {kind.MAP.chip} and no byte.{_near(kind, words[0])} `help` says more."
         )
-    return Order(tuple(Cycle(False, 0, _hexadecimal(w)) for w in words))
+    return Order(tuple(Cycle(False, 0, _datum(kind, w)) for w in words))
 
 
 def _hexadecimal(text: str) -> int:
@@ -155,6 +156,20 @@ def _hexadecimal(text: str) -> int:
         return int(text.strip().rstrip("hH"), 16)
     except ValueError:
         raise ArgumentError(f"{text.strip()!r} is no hexadecimal number, as 1F, 1Fh or 0x1F are.") from None
+
+
+def _address(kind: type[Chip], text: str) -> int:
+    address = _hexadecimal(text)
+    if not 0 <= address < kind.ADDRESSES:
+        raise ArgumentError(f"address {text.strip()}: {kind.MAP.chip} has the addresses 0 to {kind.ADDRESSES - 1:X}h.")
+    return address
+
+
+def _datum(kind: type[Chip], text: str) -> int:
+    datum = _hexadecimal(text)
+    if not 0 <= datum <= kind.DATA_MASK:
+        raise ArgumentError(f"{text.strip()}: the bus of {kind.MAP.chip} takes 0 to {kind.DATA_MASK:X}h in one cycle.")
+    return datum
 
 
 def _place(kind: type[Chip], name: str) -> Register | Word | None:

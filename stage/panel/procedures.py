@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
-from stage.errors import StageError
+from stage.errors import RunTimeout, StageError
 from stage.firmware import procedures
 from stage.firmware.driver import Driver, driver_of
 from stage.firmware.report import Procedure
@@ -33,7 +33,8 @@ ALL = ""
 
 @dataclass(frozen=True)
 class Form:
-    """A procedure. fields: of an axis by its name, ALL for a form about several; begin: what the stage's thread is to call."""
+    """A procedure. fields: of an axis by its name, ALL for a form about several; begin: what the stage's thread is to call;
+    finds_origin: after it one knows where the carriage is."""
 
     name: str
     title: str
@@ -41,6 +42,7 @@ class Form:
     begin: Callable[[Stage, str, dict[str, Any]], Callable[[Stage], Any]]
     several: bool = False
     needs: Callable[[Stage, str], bool] = lambda stage, axis: True
+    finds_origin: bool = False
 
     def order(self, stage: Stage, axis: str, given: Mapping[str, str]) -> Callable[[Stage], Any]:
         """What `Session.act` takes. Raises WrongField, ArgumentError."""
@@ -162,7 +164,7 @@ FORMS: dict[str, Form] = {
     for f in (
         Form("move", "Move", _move_fields, _move),
         Form("two_rates", "Two rates", _two_fields, _two, needs=_two_can),
-        Form("home", "Home", _home_fields, _home),
+        Form("home", "Home", _home_fields, _home, finds_origin=True),
         Form("line", "Line", _line_fields, _line, several=True, needs=lambda stage, axis: len(stage.axes) > 1),
         Form("circle", "Circle", _circle_fields, _circle, several=True, needs=lambda stage, axis: bool(_pairs(stage))),
     )
@@ -188,13 +190,24 @@ class Jog:
     def order(self, stage: Stage) -> Any:
         """Run until the button is let go or something stops it; a report."""
         driver = driver_of(self.axis)
-        driver.ready(self.direction)
+        try:
+            driver.ready(self.direction)
+        except RunTimeout as error:  # a servo's chip that its limit switch keeps idle
+            raise self._stands(driver.stopped_by()) from error
         with Procedure(self.axis, "jog") as p:
             driver.run(self.direction, self._speeds)
             stage.run_until(lambda: self._released.is_set() or not driver.runs(), 1e6)
             met = "" if driver.runs() else driver.stopped_by()
             driver.halt()
-            return p.report(met or "decelerating stop")
+            report = p.report(met or "decelerating stop")
+        if met and not report.pulses:
+            raise self._stands(met)
+        return report
+
+    def _stands(self, limit: str) -> StageError:
+        way = "+" if self.direction > 0 else "-"
+        on = f", {limit}" if limit else ""
+        return StageError(f"{self.axis.name} stands on its end limit{on}, and does not go {way}: jog the other way.")
 
 
 def stopping(axes: list[str], at_once: bool) -> Callable[[Stage], None]:

@@ -43,8 +43,9 @@ class Reports:
         told = self._told[form] = Told(text, wrong)
         return told
 
-    async def perform(self, form: str, what: str, order: Callable[[Any], Any]) -> None:
-        """Have the session do it, and tell what came of it. Raises StageError where it was not begun, and tells nothing then."""
+    async def perform(self, form: str, what: str, order: Callable[[Any], Any]) -> Any:
+        """Have the session do it, and tell what came of it; its report, or None. Raises StageError where it was not begun: it tells
+        nothing then."""
         self.say(form, f"{what} ...")
         try:
             report = await asyncio.wrap_future(self._session.act(what, order))
@@ -58,6 +59,8 @@ class Reports:
         else:
             told = self.say(form, str(report), wrong=not report.ok)
             background_tasks.create(self._draw(form, told, report))
+            return report
+        return None
 
     async def _draw(self, form: str, told: Told, report: Any) -> None:
         """The operation pattern, where there is one; it takes a while, and the next procedure may have begun meanwhile."""

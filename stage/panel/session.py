@@ -176,6 +176,11 @@ class Session:
         self._life.taken = False
         self._life.ring()
 
+    def end_program(self) -> None:
+        """The program is to end now: what it waits for, or lets pass, raises Abandoned in its thread. Also for signal handlers."""
+        self._life.ending = True
+        self.give_back()
+
     def dismiss(self) -> None:
         """The program has ended: the session has the stage alone."""
         self._life.program, self._life.taken = "", False

@@ -90,7 +90,7 @@ def test_all_axes_start_a_bus_cycle_apart_and_end_together():
     assert 0 < report.finish == pytest.approx(max(last) - min(last))
     assert report.finish < 2.1 / report.plan.axes["z"].fl
     text = str(report)
-    assert "started within 8.0 us" in text
+    assert "first starts 8.0 us apart" in text
     assert "pulses from the line at most" in text
 
 

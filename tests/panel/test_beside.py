@@ -8,7 +8,7 @@ import pytest
 
 from stage import Stage, firmware
 from stage.errors import StageError
-from stage.panel.session import FREE, Session
+from stage.panel.session import FREE, Abandoned, Session
 from stage.panel.trace import Trace
 
 
@@ -124,6 +124,30 @@ def test_a_program_that_waits_is_let_go_at_the_end(session, end):
     until(lambda: session.waits)
     getattr(session, end)()
     driver.result()
+
+
+@pytest.mark.parametrize("state", ["runs", "paused", "taken over"])
+def test_a_program_that_is_to_end_does_at_once_whatever_it_waits_for(session, state):
+    session.speed = 1.0
+    if state == "taken over":
+        session.take_over()
+        until(lambda: session.view.time > 0)
+    session.paused = state == "paused"
+    ended = []
+
+    def drive():
+        try:
+            session.stage.run(600.0)
+        except Abandoned:
+            ended.append(time.monotonic())
+
+    driver = Driver(drive)
+    time.sleep(0.05)
+    begin = time.monotonic()
+    session.end_program()
+    driver.result(5)
+    assert ended
+    assert ended[0] - begin < 2
 
 
 def test_dismissed_it_is_refused_and_the_session_lets_time_pass(session):

@@ -96,6 +96,18 @@ def test_the_evidence_of_a_whole_is_that_of_its_weakest_part():
     assert [worst(tuple(parts[k:])) for k in range(3)] == ["I", "D", "D"]
 
 
+@pytest.mark.parametrize("line", ["read 99999", "99999: 1", "read 4", "4: 1", "read -1", "read 0 4"])
+def test_an_address_that_the_chip_has_not_is_refused_of_reads_and_of_writes(line):
+    with pytest.raises(ArgumentError, match=r"PCL-?240K has the addresses 0 to 3h"):
+        understand(PCL240K, line)
+
+
+@pytest.mark.parametrize("line", ["1FF", "2: 100", "15 99999"])
+def test_what_is_wider_than_the_bus_is_refused(line):
+    with pytest.raises(ArgumentError, match="takes 0 to FFh in one cycle"):
+        understand(PCL240K, line)
+
+
 def writes(*cycles):
     return tuple(Cycle(False, *cycle) for cycle in cycles)
 

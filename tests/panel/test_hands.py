@@ -162,3 +162,13 @@ def test_a_stronger_push_is_refused(hands):
     with pytest.raises(WrongField, match="900000 N: up to 503 N") as wrong:
         hands.push("x", 9e5)
     assert wrong.value.field == "force"
+
+
+def test_what_is_broken_already_is_not_broken_again(hands):
+    asked = ("switch_stuck", "x", {"pin": "org", "closed": "yes"})
+    made = hands.make(*asked)
+    with pytest.raises(ArgumentError, match="org stuck closed: it is so already"):
+        hands.make(*asked)
+    assert hands.in_force == [made]
+    hands.mend(made)
+    assert hands.make(*asked).fault.in_force

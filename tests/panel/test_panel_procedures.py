@@ -10,6 +10,7 @@ from stage.panel import procedures
 from stage.panel.fields import WrongField, at_its_field, where
 from stage.panel.procedures import FORMS, Jog
 from stage.panel.session import FREE, Session
+from stage.panel.travel import tied
 
 
 @pytest.fixture(scope="module")
@@ -129,6 +130,18 @@ def test_a_jog_into_an_end_limit_says_so(fresh):
     assert Jog(x, 1, {"speed": "20"}).order(fresh).stopped_by == "EL+"
 
 
+@pytest.mark.parametrize("chips", ["pcl240k", "mcx514", "hctl1100"])
+def test_a_jog_from_an_end_limit_further_on_says_so_and_back_it_goes(chips):
+    stage = Stage("xy", chips=chips, visuals=False)
+    x = stage.axes["x"]
+    stage.place(x=x.travel[1] * 0.985)
+    with pytest.raises(StageError, match=r"x stands on its end limit, EL\+, and does not go \+: jog the other way"):
+        Jog(x, 1, {"speed": "20"}).order(stage)
+    jog = Jog(x, -1, {"speed": "20"})
+    jog.release()
+    assert jog.order(stage).stopped_by == "decelerating stop"
+
+
 def test_an_axis_runs_while_a_button_is_held():
     with Session(Stage("xy", visuals=False), speed=FREE, paused=True) as session:
         jog = Jog(session.stage.axes["x"], 1, {"speed": "10"})
@@ -141,3 +154,9 @@ def test_an_axis_runs_while_a_button_is_held():
         report = future.result(20)
     assert report.stopped_by == "decelerating stop"
     assert report.position > 3e-3
+
+
+def test_the_two_axes_that_carry_a_beam_are_known():
+    gantry, plain = Stage("gantry", visuals=False), Stage("xyz", visuals=False)
+    assert {name: tied(gantry, name) for name in gantry.axes} == {"y": ["w"], "w": ["y"], "x": []}
+    assert not any(tied(plain, name) for name in plain.axes)

@@ -43,3 +43,6 @@ def test_each_step_is_done_by_hand(bench):
     go(bench, "line", x="30", y="10")
     waits_for(browser, "That was all")
     assert browser.text("tour-task") == ""
+    browser.until(lambda: browser.text("tour-skip") == "Begin again")
+    browser.click("tour-skip")
+    waits_for(browser, "1 of 6")
