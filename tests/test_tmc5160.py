@@ -33,6 +33,16 @@ def chip():
     return chip_class("tmc5160")()
 
 
+def test_an_agent_reads_its_registers(stage_):
+    from stage.agents import Toolbox
+
+    box = Toolbox(stage_)
+    said = box.call("read_register", {"axis": "x", "name": "XACTUAL"})
+    assert said.ok
+    assert said.data["value"] == driver_of(stage_.axes["x"]).get("XACTUAL")
+    box.close()
+
+
 def put(chip, **registers):
     for name, value in registers.items():
         for cycle in chip.register_cycles(name, value):

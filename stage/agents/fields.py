@@ -192,7 +192,7 @@ class Field:
     def _within(self, value: Any) -> Any:
         low, high = self.low, self.high
         if (low is not None and (value < low or (self.above and value == low))) or (high is not None and value > high):
-            raise self._wrong(value, f"a number{self._span()}")
+            raise ArgumentError(f"{self.name}: {shown(value)} is out of range: give a number{self._span()}.")
         return value
 
     # --- words ---
@@ -201,7 +201,7 @@ class Field:
         unit, (low, high) = f" {self.unit}" if self.unit else "", (self.low, self.high)
         begins = "" if low is None else f" {'above' if self.above else 'from'} {low:g}"
         if high is not None:
-            return f"{begins} {'up ' if low is None else ''}to {high:g}{unit}"
+            return f"{begins}{',' if self.above else ''} {'up ' if low is None or self.above else ''}to {high:g}{unit}"
         return f"{begins}{unit}{'' if self.above else ' on'}" if begins else (f" of{unit}" if unit else "")
 
     def _among(self) -> str:

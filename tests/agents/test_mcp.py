@@ -2,9 +2,11 @@
 
 import asyncio
 import base64
+import contextlib
 import json
 import math
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -284,6 +286,10 @@ def test_the_command_says_what_is_wrong(capsys):
 
     for arguments, said in (
         (["mcp", "xq", "--http"], "Did you mean"),
+        (["mcp", "xq"], "Did you mean"),
+        (["mcp", "--chips", "bogus"], "unknown chip"),
+        (["mcp", "--folder", "."], "add --mode truth"),
+        (["mcp", "--patience", "nan"], "more than 0"),
         (["mcp", "--folder", "/nowhere"], "no such folder"),
         (["mcp", "--moves", "-1"], "0 or more"),
         (["mcp", "--http", "--idle", "0"], "more than 0"),
@@ -379,3 +385,76 @@ def test_a_call_that_is_cancelled_ends_and_the_next_is_made(served):
     assert "error" in said[0].json()
     used = post(8, "tools/call", {"name": "budget", "arguments": {}}).json()["result"]["structuredContent"]["used"]
     assert used["seconds"] < 120
+
+
+def test_a_flood_of_sessions_without_a_call_keeps_no_one_out():
+    """Each `initialize` opens one; of those that never call as many are kept as may have a stage, the oldest goes first."""
+    import httpx2
+
+    flooded = Served()
+    flooded.sessions.most = 3
+    try:
+        busy = opened(flooded)
+        body = {"jsonrpc": "2.0", "id": 1, "method": "tools/call", "params": {"name": "budget", "arguments": {}}}
+
+        def call(head):
+            return httpx2.post(flooded.server.address, json=body, headers=head, timeout=60)
+
+        assert call(busy).status_code == 200
+        flood = [opened(flooded) for _ in range(12)]
+        assert [call(head).status_code for head in (flood[0], flood[5])] == [404, 404]
+        assert call(flood[-1]).json()["result"]["isError"] is False
+        assert call(busy).json()["result"]["isError"] is False
+        assert len(flooded.sessions) == 2
+    finally:
+        flooded.close()
+
+
+@pytest.mark.parametrize(
+    ("name", "given"), [("find_lost_steps", {}), ("tune_move", {"distance": "5mm"}), ("bring_up_axis", {})]
+)
+def test_prompts_name_tools_and_prompts_that_there_are(served, name, given):
+    async def work(client):
+        tools = [t.name for t in (await client.list_tools()).tools]
+        asked = (await client.get_prompt(name, {"axis": "Y", **given})).messages[0].content.text
+        known = {*tools, *[p.name for p in (await client.list_prompts()).prompts]}
+        assert "axis y" in asked
+        assert set(re.findall(r"`(\w+)`", asked)) <= known
+        assert "5mm" in asked or not given
+        assert not (await client.list_resource_templates()).resource_templates
+
+    served.talk(work)
+
+
+@pytest.mark.slow
+def test_a_client_that_closes_its_pipes_leaves_no_traceback():
+    with subprocess.Popen(
+        [sys.executable, "-m", "stage", "mcp", "xy"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    ) as process:
+        begin = {"protocolVersion": "2025-11-25", "capabilities": {}, "clientInfo": {"name": "test", "version": "0"}}
+        first = {"jsonrpc": "2.0", "id": 0, "method": "initialize", "params": begin}
+        process.stdin.write(json.dumps(first).encode() + b"\n")
+        process.stdin.flush()
+        assert process.stdout.readline()
+        process.stdout.close()
+        with contextlib.suppress(BrokenPipeError):
+            for k in range(3):
+                process.stdin.write(json.dumps({**first, "id": k + 1, "method": "ping"}).encode() + b"\n")
+                process.stdin.flush()
+                time.sleep(0.2)
+        with contextlib.suppress(BrokenPipeError):
+            process.stdin.close()
+        assert process.wait(60) == 0
+        assert process.stderr.read() == b""
+
+
+@pytest.mark.parametrize("token", ["ab", "x" * 15, "\u00e9" * 20])
+def test_a_token_that_is_guessed_is_refused(token, monkeypatch, capsys):
+    from stage.cli import main
+
+    monkeypatch.setenv("PULSESTAGE_TOKEN", token)
+    assert main(["mcp", "xy", "--http", "--port", "0"]) == 2
+    assert "16 or more" in capsys.readouterr().err

@@ -88,9 +88,9 @@ def test_wrong_types_say_what_is_allowed(kind, given):
 def test_both_ends_of_a_span_hold():
     open_ = Field("speed", NUMBER, "", low=0.0, above=True, high=2.0, unit="m/s")
     assert open_.read(2) == 2.0
-    with pytest.raises(ArgumentError, match="above 0 to 2 m/s"):
+    with pytest.raises(ArgumentError, match="out of range: give a number above 0, up to 2 m/s"):
         open_.read(0)
-    with pytest.raises(ArgumentError, match="above 0 to 2 m/s"):
+    with pytest.raises(ArgumentError, match="out of range: give a number above 0, up to 2 m/s"):
         open_.read("2.1")
 
 

@@ -117,6 +117,12 @@ class Tmc5160Driver(Driver):
         """Read a register."""
         return int(self.chip.MAP.register(name).value(self.chip.read(NUMBER[name])))
 
+    def read_register(self, name: str) -> int:
+        r = self.chip.MAP.register(name)
+        if "R" not in r.access:
+            raise self.no_reading(r.name)
+        return self.get(r.name)
+
     def switches(self, bits: int) -> int:
         """SW_MODE of these bits, with the polarity of the axis' sensors as they are wired."""
         return bits | (POL_L if turned(self.axis, "el_minus") else 0) | (POL_R if turned(self.axis, "el_plus") else 0)

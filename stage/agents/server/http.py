@@ -29,6 +29,7 @@ class Door:
     def __init__(self, app: Any, token: str, sessions: Sessions):
         self._app, self._token, self._sessions = app, token, sessions
         self._lines: dict[str, int] = {}
+        self._silent: dict[str, None] = {}  # sessions without a stage, who spoke longest ago first
 
     async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
         if scope["type"] != "http":
@@ -39,13 +40,50 @@ class Door:
             await _refuse(send)
             return
         key, method = headers.get(SESSION), scope["method"]
-        if key is None or method == "POST":
+        if key is None:
+            await self._open(scope, receive, send)
+        elif method == "POST":
+            if key in self._silent:
+                self._silent[key] = self._silent.pop(key)
             await self._app(scope, receive, send)
         elif method == "DELETE":
             await self._app(scope, receive, send)
+            self._silent.pop(key, None)
             await anyio.to_thread.run_sync(self._sessions.close, key)
         else:
             await self._listen(key, scope, receive, send)
+
+    async def _open(self, scope: Any, receive: Any, send: Any) -> None:
+        """A request without a session may begin one. Of those that never call a tool so many are kept as may have a stage; who has
+        been silent for longest goes first."""
+
+        async def hear(message: Any) -> None:
+            if message["type"] == "http.response.start":
+                for name, value in message.get("headers", ()):
+                    if name.decode("latin1").lower() == SESSION:
+                        self._silent[value.decode("latin1")] = None
+            await send(message)
+
+        for key in [k for k in self._silent if k in self._sessions]:
+            del self._silent[key]
+        while len(self._silent) >= self._sessions.most:
+            key = next(iter(self._silent))
+            del self._silent[key]
+            await self._end(key, scope)
+        await self._app(scope, receive, hear)
+
+    async def _end(self, key: str, scope: Any) -> None:
+        """As if its client had ended it."""
+        kept = [(n, v) for n, v in scope["headers"] if n.lower() in (b"host", b"accept", b"authorization")]
+
+        async def nothing() -> Any:
+            return {"type": "http.request", "body": b"", "more_body": False}
+
+        async def unheard(message: Any) -> None:
+            pass
+
+        headers = [*kept, (SESSION.encode(), key.encode())]
+        await self._app({**scope, "method": "DELETE", "headers": headers}, nothing, unheard)
 
     async def _listen(self, key: str, scope: Any, receive: Any, send: Any) -> None:
         """The line that a client keeps open to be told things: when it breaks, the client has gone, it may be."""

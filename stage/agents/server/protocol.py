@@ -39,6 +39,7 @@ class Protocol:
             "pulsestage", version=__version__, title="PulseStage", instructions=INSTRUCTIONS,
             on_list_tools=self._list_tools, on_call_tool=self._call_tool,
             on_list_resources=self._list_resources, on_read_resource=self._read_resource,
+            on_list_resource_templates=self._list_templates,
             on_list_prompts=self._list_prompts, on_get_prompt=self._get_prompt,
         )  # fmt: skip
         self.server.middleware.append(_teach)
@@ -93,6 +94,10 @@ class Protocol:
         pages = await self._in_thread(lambda: resources.pages(self._maker.catalogue))
         listed = [types.Resource(uri=p.uri, name=p.name, description=p.text, mime_type=p.kind) for p in pages.values()]
         return types.ListResourcesResult(resources=listed)
+
+    async def _list_templates(self, ctx: Any, params: Any) -> types.ListResourceTemplatesResult:
+        """None: every resource is listed."""
+        return types.ListResourceTemplatesResult(resource_templates=[])
 
     async def _read_resource(self, ctx: Any, params: types.ReadResourceRequestParams) -> types.ReadResourceResult:
         def look() -> tuple[str, str]:

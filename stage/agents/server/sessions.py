@@ -100,6 +100,10 @@ class Sessions:
         self._ended: deque[str] = deque(maxlen=REMEMBERED)
         self._lock = threading.RLock()
 
+    def __contains__(self, key: str) -> bool:
+        """It has a stage."""
+        return key in self._held
+
     def __len__(self) -> int:
         return len(self._held)
 

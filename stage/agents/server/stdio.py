@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import logging
+import os
+import sys
 from typing import Any
 
 import anyio
@@ -12,11 +15,18 @@ from stage.agents.server.protocol import Protocol
 from stage.agents.server.sessions import Maker, Sessions
 
 ONE = "stdio"
+GONE = (BrokenPipeError, ConnectionError, anyio.ClosedResourceError, anyio.BrokenResourceError)
 
 
 def serve(maker: Maker) -> None:
-    """Until the client closes standard input, or dies."""
-    anyio.run(_serve, maker)
+    """Until the client closes standard input or standard output, or dies."""
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # desktop clients show standard error to their users
+    try:
+        anyio.run(_serve, maker)
+    except BaseExceptionGroup as group:
+        if group.split(GONE)[1] is not None:
+            raise
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left to be said nobody reads
 
 
 async def _serve(maker: Maker) -> None:
