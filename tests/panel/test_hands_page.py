@@ -122,6 +122,28 @@ def test_an_open_wire_is_one_of_the_drive(hands):
     assert not hands.x("open_phases")
 
 
+def test_a_switch_that_bounces_does_until_it_is_mended(hands):
+    def toggles():
+        return hands.stage(lambda stage: int(stage.state.switch_table[stage.axes["x"].switches.row("org")]["toggles"]))
+
+    break_it(hands, "bounce", pin="org")
+    assert toggles() == 6
+    mend(hands)
+    assert toggles() == 0
+
+
+def test_a_simulation_that_diverges_says_so_and_one_goes_back_to_a_good_state(hands):
+    browser, session = hands.browser, hands.session
+    y = session.stage.axes["y"]  # nobody has pushed it: a hand that has let go takes its force away
+    hands.stage(lambda stage: stage.data.qfrc_applied.__setitem__(y.plant.dof, 1e30))
+    browser.until(lambda: "diverged" in browser.text("doing") or "out of its travel" in browser.text("doing"))
+    browser.click("recover")
+    browser.until(lambda: not browser.find("recover").is_displayed())
+    assert abs(hands.stage(lambda stage: y.position)) < 0.108
+    session.paused = False
+    browser.until(lambda: "stands still" not in browser.text("pace"))
+
+
 def test_what_cannot_be_is_said_at_its_field(hands):
     browser = hands.browser
     browser.choose("breaking", "bounce")

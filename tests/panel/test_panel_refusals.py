@@ -1,7 +1,10 @@
 """What keeps a panel from beginning is said in one line."""
 
+import os
+import signal
 import socket
 import sys
+import threading
 import urllib.request
 
 import pytest
@@ -78,3 +81,22 @@ def test_the_link_of_a_panel_opens_its_page(host):
     pytest.importorskip("nicegui")
     with Stage("xy", visuals=False).panel(host=host, browser=False) as panel:
         assert urllib.request.urlopen(panel.address, timeout=10).status == 200
+
+
+def test_where_there_is_no_browser_the_link_is_printed_and_says_so_in_one_line(capsys, monkeypatch):
+    pytest.importorskip("nicegui")
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+
+    def none(address):
+        threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGTERM)).start()
+        return False
+
+    monkeypatch.setattr("stage.panel.server.webbrowser.open", none)
+    try:
+        assert main(["panel", "xy", "--port", "0"]) == 0
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    link, _, says = capsys.readouterr().out.splitlines()
+    assert link.startswith("http://127.0.0.1:")
+    assert says == "there is no browser here: open the link in one"
