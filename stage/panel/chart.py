@@ -166,7 +166,7 @@ class Chart:
         self.chart.options.clear()
         self.chart.options.update(
             {"animation": False, "grid": grids, "xAxis": xs, "yAxis": ys, "series": series,
-             "legend": {"data": legend, "type": "scroll", "top": 0, "left": 78, "right": 8,
+             "legend": {"data": legend, "type": "scroll", "top": 0, "left": 140, "right": 8,
                         "itemHeight": 8, "textStyle": {"color": INK, "fontSize": 11}},
              "axisPointer": {"link": [{"xAxisIndex": "all"}]},
              "tooltip": {"trigger": "axis", "transitionDuration": 0, "confine": True, "textStyle": {"fontSize": 11}}}
