@@ -153,6 +153,19 @@ def test_any_other_file_is_refused_in_words(tmp_path, text):
     assert main(["agent-replay", str(file)]) == 2
 
 
+@pytest.mark.parametrize(("k", "key", "value"), [(0, "round", "mine"), (0, "split", "train"), (2, "ok", 1)])
+def test_what_a_suite_does_not_have_is_refused(three, tmp_path, k, key, value):
+    save(three, tmp_path / "t.jsonl")
+    rows = lines(tmp_path / "t.jsonl")
+    rows[k][key] = value
+    write(tmp_path / "t.jsonl", rows)
+    assert main(["agent-replay", str(tmp_path / "t.jsonl")]) == 2
+
+
+def test_other_limits_than_the_usual_are_told():
+    assert "up to 9 calls a game, and 400 are usual" in str(play(suite("diagnosis:late"), looks, "l", Limits(most=9)))
+
+
 def test_a_transcript_of_the_bench_is_replayed_too(tmp_path):
     came = play(suite("few-shot", "weak", 2), player("random"), "random")
     save(came, tmp_path / "r.jsonl")

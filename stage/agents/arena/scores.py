@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from stage.agents.arena.games import DIAGNOSIS
-from stage.agents.arena.table import Limits, jsonable
+from stage.agents.arena.table import MOST, Limits, jsonable
 from stage.bench.files import Submission
 from stage.bench.statistics import interval, iqm
 
@@ -99,7 +99,9 @@ class Played:
         part = "" if self.whole else "; a part, and no score of the suite"
         refused = f", {self.calls - valid} of them refused" if valid < self.calls else ""
         numbers = f"{self.value:.3f} ({self.low:.3f} to {self.high:.3f}), {what}" if n else "no game was played"
-        return f"{head}{numbers}{part}; {self.calls} calls{refused}"
+        most = self.head.limits.most
+        limit = "" if most == MOST else f"; up to {most} calls a game, and {MOST} are usual"
+        return f"{head}{numbers}{part}; {self.calls} calls{refused}{limit}"
 
     @property
     def troubles(self) -> Counter[str]:

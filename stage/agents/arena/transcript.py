@@ -43,6 +43,10 @@ def suite_of(head: Head) -> Suite:
     """The suite of a transcript, as it is here. Raises ArgumentError where its games are others."""
     one = ":" in head.suite
     games = suite(head.suite, head.split or "train", None if one else len(head.games), head.round)
+    if (games.split, games.round) != (head.split, head.round):
+        raise ArgumentError(
+            f"{head.suite}: split {head.split!r}, round {head.round!r} in the transcript, which it does not have."
+        )
     if (games.games, games.of) != (head.games, head.of):
         raise ArgumentError(
             f"{head.suite}: {head.games[:3]} ... of {head.of} in the transcript, {games.games[:3]} ... of {games.of} here."
@@ -178,7 +182,9 @@ def _round(lines: list[dict[str, Any]], end: dict[str, Any]) -> Round:
     """Of a game's lines, the last one apart."""
     first, *calls = lines
     for row in calls:
-        _ = row["call"], row["arguments"], row["ok"], row["answer"]
+        _ = row["call"], row["arguments"], row["answer"]
+        if not isinstance(row["ok"], bool):
+            raise ValueError(f"{row['ok']!r:.60} is neither true nor false")
     troubles = {_text(k): _number(n) for k, n in end["troubles"].items()}
     seed = None if first["seed"] is None else _number(first["seed"])
     return Round(
