@@ -18,6 +18,7 @@ from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
+from stage.arguments import told
 from stage.board import bus, host, layout_files, layouts
 from stage.board.devices import known
 from stage.board.devices.device import Device, Encoder, Listener
@@ -63,6 +64,7 @@ class Board:
 
     LINTS: ClassVar = True
 
+    @told
     def __init__(
         self,
         stage: Stage,
@@ -100,10 +102,12 @@ class Board:
 
     # --- what a host does ---
 
+    @told
     def out8(self, port: int, value: int) -> None:
         """One write cycle of 8 bits. Of a chip with a bus of 16 bits it sets half a register; the other half floats."""
         self.link.ask(host.OUT8, port, value)
 
+    @told
     def in8(self, port: int) -> int:
         """One read cycle of 8 bits; FFh where there is nothing."""
         return self.link.ask(host.IN8, port, 0)
@@ -125,6 +129,7 @@ class Board:
         """Two read cycles of 16 bits, in the same order."""
         return self.link.ask(host.IN32, port, 0)
 
+    @told
     def delay_us(self, us: int) -> None:
         """Microseconds pass. Raises ArgumentError below 0, and beyond 1e15 (1e9 s)."""
         if not 0 <= us <= LONGEST * 1_000_000:

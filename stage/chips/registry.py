@@ -21,7 +21,7 @@ from typing import Any
 
 from stage.chips import contract
 from stage.chips.chip import Chip
-from stage.errors import ArgumentError, LoadError, StageError
+from stage.errors import ArgumentError, LoadError, StageError, UnknownKey, unknown
 
 GROUP = "pulsestage.chips"
 """The entry points of a package that name chips."""
@@ -69,6 +69,8 @@ class Registry(MutableMapping[str, type[Chip]]):
     def __getitem__(self, name: str) -> type[Chip]:
         """Raises KeyError for a name that nobody brings, LoadError for a package that cannot be imported, ArgumentError for a class
         that is no chip and for a name that two packages bring."""
+        if not isinstance(name, str):
+            raise UnknownKey(f"{name!r} is no name of a chip: give a text, as 'PCL240K'.")
         name = key(name)
         found = self._loaded.get(name)
         if found is None:
@@ -125,7 +127,8 @@ class Registry(MutableMapping[str, type[Chip]]):
         if name in self._own:
             module, _, attribute = self._own[name].partition(":")
             return getattr(import_module(module), attribute)
-        sources = _brought()[name]
+        if not (sources := _brought().get(name, [])):
+            raise UnknownKey(str(unknown("chip", name, self)))
         if len(sources) > 1:
             raise ArgumentError(
                 f"chip {name}: {' and '.join(map(str, sources))} bring a chip of this name. Uninstall one of them."

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from numbers import Real
 from typing import Any
 
+from stage.arguments import told_when_made
 from stage.drives import stepper
 from stage.errors import ArgumentError, unknown
 
@@ -104,6 +105,7 @@ def motor(name: str | Motor) -> Motor:
     return MOTORS[name]
 
 
+@told_when_made
 @dataclass(frozen=True)
 class Drive:
     """A microstepping drive with its motor.

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
+from stage.arguments import told
 from stage.errors import ArgumentError
 from stage.firmware.axis import Axes, Axis
 from stage.firmware.driver import RAMP, Speeds, driver_of, usual_speeds
@@ -19,6 +20,7 @@ from stage.firmware.report import Procedure, Report
 from stage.firmware.together import SynchronizedReport, chosen_axes
 
 
+@told
 def move(
     axis: Axis,
     distance: float | None = None,
@@ -48,6 +50,7 @@ def move(
     )
 
 
+@told
 def home(
     axis: Axis,
     direction: int = -1,
@@ -78,6 +81,7 @@ def home(
     return driver.home_by(by, direction, wanted, timeout)
 
 
+@told
 def jog(
     axis: Axis, seconds: float, speed: float | None = None, *, start_speed: float | None = None, accel: float = RAMP
 ) -> Report:
@@ -96,11 +100,13 @@ def jog(
         return p.report(met or "decelerating stop")
 
 
+@told
 def stop(axis: Axis, at_once: bool = False) -> None:
     """Stop the axis, with a ramp or at once, and wait until it is at rest."""
     driver_of(axis).halt(at_once)
 
 
+@told
 def line(
     distances: Mapping[str, float] | Mapping[Axis, float],
     axes: Axes = None,

@@ -30,11 +30,12 @@ import mujoco
 import numpy as np
 
 from stage import html
+from stage.arguments import told
 from stage.chips.journal import Journal
 from stage.errors import ArgumentError, unknown
 from stage.files import RECORDING, WAVEFORMS, FileError, ends_as, is_stream, writable, written
 from stage.recording.host_part import HostPart
-from stage.recording.table import Tabular
+from stage.recording.table import Columns, Tabular
 from stage.sim.records import SAMPLE
 
 if TYPE_CHECKING:
@@ -308,8 +309,9 @@ class Recording(Tabular):
 
         All at once: hours of samples want gigabytes; `column` reads one.
         """
-        return self._read(list(self.units))
+        return Columns(self._read(list(self.units)))
 
+    @told
     def column(self, name: str) -> np.ndarray:
         """One column, see `columns`. Raises ArgumentError with the near misses."""
         if name not in (units := self.units):

@@ -21,7 +21,7 @@ from stage.recording import sdk
 from stage.recording.recording import RecordingError, unit_of
 from stage.recording.series import FORMAT, SERIES
 from stage.recording.signals import plain
-from stage.recording.table import Tabular
+from stage.recording.table import Columns, Tabular
 
 MAGIC = b"RRF"
 WHOLE = ("lost_steps", "counter")
@@ -143,7 +143,7 @@ class Saved(Tabular):
 
     @property
     def columns(self) -> dict[str, np.ndarray]:
-        return {name: self.column(name) for name in self.units}
+        return Columns({name: self.column(name) for name in self.units})
 
     def parts(self, names: Sequence[str]) -> Iterator[dict[str, np.ndarray]]:
         yield {name: self.column(name) for name in names}

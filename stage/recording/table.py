@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stage.errors import unknown
+from stage.arguments import told
+from stage.errors import UnknownKey, unknown
 from stage.extras import need
 from stage.files import FileError, ends_as, written
 
@@ -28,6 +29,13 @@ FORMATS = {".csv": "to_csv", ".parquet": "to_parquet", ".npz": "to_npz"}
 def writer_of(path: str | os.PathLike) -> str:
     """The method of `Tabular` that writes a file of this name. Raises FileError for an ending that is none of FORMATS."""
     return FORMATS[ends_as(path, FORMATS, "a table")]
+
+
+class Columns(dict[str, np.ndarray]):
+    """Columns by name. A name that is none raises UnknownKey, which is a KeyError, with the near misses."""
+
+    def __missing__(self, name: object) -> np.ndarray:
+        raise UnknownKey(str(unknown("column", name, self)))
 
 
 class Tabular:
@@ -44,19 +52,22 @@ class Tabular:
         """These columns, a number of rows at a time; once at least."""
         raise NotImplementedError
 
-    def _chosen(self, columns: Sequence[str] | None) -> list[str]:
+    def _chosen(self, columns: Sequence[str] | str | None) -> list[str]:
         known = list(self.units)
         if columns is None:
             return known
+        if isinstance(columns, str):
+            columns = [columns]
         for name in columns:
             if name not in known:
                 raise unknown("column", name, known)
         return ["time", *(name for name in dict.fromkeys(columns) if name != "time")]
 
-    def to_pandas(self, columns: Sequence[str] | None = None) -> pandas.DataFrame:
+    @told
+    def to_pandas(self, columns: Sequence[str] | str | None = None) -> pandas.DataFrame:
         """A data frame whose index is the time, s; its `attrs["units"]` has the units.
 
-        columns: names, None for all. Raises ArgumentError with the near misses; ExtraMissing without pandas (extra `data`).
+        columns: names, or one, None for all. Raises ArgumentError with the near misses; ExtraMissing without pandas (extra `data`).
         """
         pandas = need("pandas", "a data frame")
         names = self._chosen(columns)
@@ -67,8 +78,9 @@ class Tabular:
         frame.attrs["units"] = {name: self.units[name] for name in names}
         return frame
 
+    @told
     def to_parquet(
-        self, path: str | os.PathLike, columns: Sequence[str] | None = None, *, overwrite: bool = False
+        self, path: str | os.PathLike, columns: Sequence[str] | str | None = None, *, overwrite: bool = False
     ) -> Path:
         """Write a Parquet file; pandas, Polars, DuckDB and Spark read it. The metadata of a field has its unit.
 
@@ -97,7 +109,10 @@ class Tabular:
                     writer.close()
         return Path(path)
 
-    def to_csv(self, path: str | os.PathLike, columns: Sequence[str] | None = None, *, overwrite: bool = False) -> Path:
+    @told
+    def to_csv(
+        self, path: str | os.PathLike, columns: Sequence[str] | str | None = None, *, overwrite: bool = False
+    ) -> Path:
         """Write a CSV file: a line of names, then a line a sample. Numbers have all digits that they need; pins are 0 and 1.
 
         Raises FileError; ArgumentError for a column that is none.
@@ -111,7 +126,10 @@ class Tabular:
                 rows.writerows(zip(*((v.astype(int) if v.dtype == bool else v).tolist() for v in values), strict=True))
         return Path(path)
 
-    def to_npz(self, path: str | os.PathLike, columns: Sequence[str] | None = None, *, overwrite: bool = False) -> Path:
+    @told
+    def to_npz(
+        self, path: str | os.PathLike, columns: Sequence[str] | str | None = None, *, overwrite: bool = False
+    ) -> Path:
         """Write NumPy's .npz: `numpy.load(path)["x/position"]`. Raises FileError; ArgumentError for a column that is none."""
         names = self._chosen(columns)
         with written(path, overwrite, self.ERROR) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive:
@@ -122,7 +140,7 @@ class Tabular:
         return Path(path)
 
     def to_file(
-        self, path: str | os.PathLike, columns: Sequence[str] | None = None, *, overwrite: bool = False
+        self, path: str | os.PathLike, columns: Sequence[str] | str | None = None, *, overwrite: bool = False
     ) -> Path:
         """Write what the ending of `path` says: .csv, .parquet or .npz. Raises as these do."""
         write: Any = getattr(self, writer_of(path))

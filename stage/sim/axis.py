@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stage import html
+from stage.arguments import told
 from stage.drives import drive as any_drive
 from stage.errors import ArgumentError, StageError, UnknownKey, unknown
 from stage.units import PLACES
@@ -110,6 +111,7 @@ class Axis:
         """Simulated time of the stage, s."""
         return self.stage.time
 
+    @told
     def wait(self, seconds: float) -> None:
         """Let simulated time pass, for the whole stage."""
         self.stage.run(seconds)

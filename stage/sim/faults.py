@@ -27,6 +27,7 @@ from typing import Any
 
 import mujoco
 
+from stage.arguments import told
 from stage.chips import Chip
 from stage.drives import stepper
 from stage.errors import ArgumentError, unknown
@@ -69,6 +70,7 @@ class Fault:
 # --- switches ---
 
 
+@told
 def switch_stuck(axis: Axis, pin: str, closed: bool) -> Fault:
     """A limit switch stays asserted (`closed`) or released, wherever its vane is.
 
@@ -79,6 +81,7 @@ def switch_stuck(axis: Axis, pin: str, closed: bool) -> Fault:
     return _switches(axis, f"{pin} stuck {'closed' if closed else 'open'}", {row: {"forced": int(bool(closed))}})
 
 
+@told
 def vane_missing(axis: Axis, pin: str) -> Fault:
     """The vane that trips switch `pin` has come off: no switch that it serves will trip again (an EL vane serves both EL).
 
@@ -93,6 +96,7 @@ def vane_missing(axis: Axis, pin: str) -> Fault:
     return _switches(axis, f"vane of {' and '.join(served)} missing", rows)
 
 
+@told
 def bounce(axis: Axis, pin: str, seconds: float = 2e-3, toggles: int = 6) -> Fault:
     """The contact of switch `pin` bounces: each edge is followed by `toggles` more within `seconds`, and then it rests.
 
@@ -145,6 +149,7 @@ def _carries(model: Any, body: int, other: int) -> bool:
 # --- mechanics ---
 
 
+@told
 def payload(stage: Stage, factor: float = 2.0, body: str | None = None) -> Fault:
     """The payload weighs `factor` times what `Stage.set_payload` put on `body` (default: where the site "work" is).
 
@@ -161,6 +166,7 @@ def payload(stage: Stage, factor: float = 2.0, body: str | None = None) -> Fault
     return Fault(stage, text, lambda: stage.set_payload(before, body))
 
 
+@told
 def jam(axis: Axis, force: float | None = None) -> Fault:
     """The axis jams: dry friction of `force` N (N m on a hinge) more, default ten times what its motor can push.
 
@@ -189,6 +195,7 @@ def jam(axis: Axis, force: float | None = None) -> Fault:
 # --- drives ---
 
 
+@told
 def bus_voltage(where: Axis | Stage, volts: float) -> Fault:
     """The supply of an axis' drive, or of all drives of a stage, falls (or rises) to `volts`: above 0, up to 400.
 
@@ -213,6 +220,7 @@ def bus_voltage(where: Axis | Stage, volts: float) -> Fault:
     return Fault(stage, f"{who}: bus voltage {volts:g} V in place of {before[0]:g} V", lambda: put(before))
 
 
+@told
 def phase_open(axis: Axis, phase: str = "a") -> Fault:
     """A wire to the motor is broken: phase "a" or "b" carries no current, from one moment to the next.
 
@@ -238,6 +246,7 @@ def phase_open(axis: Axis, phase: str = "a") -> Fault:
 # --- the host's board ---
 
 
+@told
 def start_skew(axis: Axis, seconds: float) -> Fault:
     """The CPU is called away for `seconds` just before the next bus write that makes this axis drive, a start command.
 
@@ -258,6 +267,7 @@ def start_skew(axis: Axis, seconds: float) -> Fault:
     return fault
 
 
+@told
 def lost_write(where: Axis | Chip, address: int | None = None, value: int | None = None, skip: int = 0) -> Fault:
     """One bus write does not arrive: the next to this axis' chip, or the next that has this `address` and this `value`.
 

@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from stage.arguments import told
 from stage.errors import ArgumentError, StageError
 from stage.sim import handle, play, records
 from stage.sim.loop import IN_USE
@@ -40,6 +41,7 @@ class Played(NamedTuple):
 class Fleet:
     """Stages of one model and one set of axes, played together."""
 
+    @told
     def __init__(self, stages: Sequence[Stage], threads: int | None = None):
         """threads: default one a processor, at most one a stage. Raises ArgumentError.
 
@@ -71,6 +73,7 @@ class Fleet:
     def __len__(self) -> int:
         return len(self.stages)
 
+    @told
     def play(self, programs: Sequence[Program] | np.ndarray) -> Played:
         """Play programs[k] on stage k; an empty one leaves it alone. Programs may be given as an array (stages, ops, 4).
 

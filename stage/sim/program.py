@@ -25,6 +25,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Self
 
+from stage.arguments import told
 from stage.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -74,6 +75,7 @@ class Program(Operations):
     def __len__(self) -> int:
         return len(self.ops)
 
+    @told
     def write(self, axis: int, address: int, value: int) -> Self:
         """One bus write cycle to the chip of the axis with this index."""
         self.ops.append((WRITE, axis, address, value))
@@ -84,6 +86,7 @@ class Program(Operations):
         self.ops.append((READ, axis, address, 0))
         return self
 
+    @told
     def wait(self, seconds: float) -> Self:
         self.ops.append((WAIT, round(seconds * 1e9), 0, 0))
         return self

@@ -23,6 +23,7 @@ import mujoco
 import numpy as np
 
 from stage import html, snapshots
+from stage.arguments import told
 from stage.chips import ChipAxis
 from stage.drives.dc_motors import Servo
 from stage.drives.motors import Drive
@@ -84,6 +85,7 @@ class Stage:
 
     host: Any = None
 
+    @told
     def __init__(
         self,
         model: str | PathLike[str] | mujoco.MjModel | mujoco.MjSpec = "xyz",
@@ -209,6 +211,7 @@ class Stage:
                 b[:] = a
             self._settle()
 
+    @told
     def step(self, n: int = 1) -> None:
         """Advance to the end of the current physics step, and n - 1 more."""
         dt = self.state.dt
@@ -219,6 +222,7 @@ class Stage:
             )
         self.loop.run_to(self.state.start + int(n) * dt)
 
+    @told
     def run(self, seconds: float) -> None:
         """Advance by `seconds` of simulated time, rounded to a nanosecond.
 
@@ -232,6 +236,7 @@ class Stage:
         """Advance to `until`, ns since power-up; a time that has passed changes nothing. Raises as `run`."""
         self.loop.run_to(until)
 
+    @told
     def run_until(self, condition: Callable[[], bool], timeout: float, poll: float = 1e-3) -> float:
         """Advance until `condition()` holds, looked at every `poll` seconds. Returns the seconds that passed.
 
@@ -258,6 +263,7 @@ class Stage:
 
     # --- load and faults ---
 
+    @told
     def set_payload(self, mass: float, body: str | None = None) -> None:
         """Put `mass` kg on a body, in place of the payload that it had; default: the body that carries the site "work".
 
@@ -298,6 +304,7 @@ class Stage:
 
     # --- state ---
 
+    @told
     def place(self, **positions: float) -> None:
         """Place carriages, at rest, as if moved by hand with the motors off: `stage.place(x=0.05)`, metres (rad).
 
@@ -388,6 +395,7 @@ class Stage:
         taking = self.loop.recording
         return taking if taking is not None and taking.FORWARD else None
 
+    @told
     def record(
         self,
         every: float = 1e-3,

@@ -27,6 +27,8 @@ def wire(
     chips = _named(PCL240K if chips is None else chips)
     known = plant.axis_names(spec)
     names = list(chips) if isinstance(chips, Mapping) else known
+    if not names:
+        raise ArgumentError(f"chips={chips!r}: a chip for one axis or more. Axes: {', '.join(known)}.")
     for given in (chips, drives):
         for name in given if isinstance(given, Mapping) else ():
             if name not in known:

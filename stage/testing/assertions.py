@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
+from stage.arguments import told
 from stage.errors import ArgumentError
 from stage.units import PLACES, SMALL
 
@@ -17,6 +18,7 @@ SHOWN = 20  # lines of a list
 STILL = 0.01  # m/s, rad/s: a motor that swings about its step is slower
 
 
+@told
 def assert_no_lost_steps(what: Stage | Axis | Iterable[Axis]) -> None:
     """The rotor of every axis is where its pulses say, to the full step. what: a stage, an axis, or several axes."""
     __tracebackhide__ = True
@@ -37,6 +39,7 @@ def assert_no_lost_steps(what: Stage | Axis | Iterable[Axis]) -> None:
         raise AssertionError("\n".join(lines))
 
 
+@told
 def assert_at(axis: Axis, position: float, within: float = 25e-6) -> None:
     """The carriage is at `position`, give or take `within`: metres (rad on a hinge), from the truth and not from any counter.
 
@@ -71,6 +74,7 @@ def assert_at(axis: Axis, position: float, within: float = 25e-6) -> None:
         raise AssertionError("\n".join(lines))
 
 
+@told
 def assert_stopped(what: Stage | Axis | Iterable[Axis], speed: float = STILL) -> None:
     """No axis gets pulses, and none is faster than `speed` (m/s; rad/s on a hinge). For what happens after a limit switch."""
     __tracebackhide__ = True
@@ -90,6 +94,7 @@ def assert_stopped(what: Stage | Axis | Iterable[Axis], speed: float = STILL) ->
         )
 
 
+@told
 def assert_pins(axis: Axis, **expected: bool) -> None:
     """Pins of an axis of its chip are asserted or not, whatever their polarity: `assert_pins(x, org=True, irq=False)`."""
     __tracebackhide__ = True
@@ -105,6 +110,7 @@ def assert_pins(axis: Axis, **expected: bool) -> None:
         )
 
 
+@told
 def assert_no_diagnostics(stage: Stage) -> None:
     """No bus write that a data-sheet reader would call a mistake: what silicon swallows in silence."""
     __tracebackhide__ = True
@@ -129,6 +135,7 @@ def assert_no_diagnostics(stage: Stage) -> None:
         )
 
 
+@told
 def assert_no_strays(board: Board) -> None:
     """Every bus cycle that the board's trace keeps reached a chip."""
     __tracebackhide__ = True

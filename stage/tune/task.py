@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from stage import Stage
+from stage.arguments import told_when_made
 from stage.envs.task import carrier, judged
 from stage.errors import ArgumentError, unknown
 from stage.units import PLACES, SMALL
@@ -30,6 +31,7 @@ class Case(NamedTuple):
     way: int
 
 
+@told_when_made
 @dataclass(frozen=True)
 class Task:
     """A move of one axis of a stage, to be made again and again.

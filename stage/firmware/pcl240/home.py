@@ -9,6 +9,7 @@ ORG is asserted from the origin on to the end of travel, so that firmware knows 
 
 from __future__ import annotations
 
+from stage.arguments import told
 from stage.errors import ArgumentError, a_or_an
 from stage.firmware.axis import Axis, check_origin
 from stage.firmware.pcl240 import bus
@@ -22,6 +23,7 @@ BACK_OFF = 200  # pulses beyond the release of ORG
 APPROACH = 400.0  # pps; slow, so that the motor does not ring when the switch trips
 
 
+@told
 def origin_return(
     axis: Axis,
     direction: int = -1,

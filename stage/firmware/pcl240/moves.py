@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
+from stage.arguments import told
 from stage.chips.pcl240.state import COUNTER_MASK
 from stage.errors import ArgumentError, StageError, a_or_an
 from stage.firmware.axis import Axis
@@ -21,6 +22,7 @@ from stage.firmware.report import Report
 AUTOMATIC_OFFSET = 2  # pulses; the counts of ramp-up and ramp-down differ by one or two, and this way FL is reached
 
 
+@told
 def preset_move(
     axis: Axis,
     pulses: int,
@@ -105,6 +107,7 @@ def _offset(profile: Profile, offset: int) -> int:
     return int(offset) % (2 * half)
 
 
+@told
 def continuous_move(
     axis: Axis,
     seconds: float,
@@ -145,6 +148,7 @@ def continuous_move(
         return p.report("decelerating stop" if slow else "reset command")
 
 
+@told
 def interrupted_move(
     axis: Axis,
     pulses: int,

@@ -13,6 +13,7 @@ from math import isqrt
 
 import numpy as np
 
+from stage.arguments import told
 from stage.chips import PCL240K
 from stage.chips.pcl240 import PCL240
 from stage.chips.pcl240.state import SPAN
@@ -135,6 +136,7 @@ class Profile:
             self.chip.MAP.checked(name, value)
 
     @classmethod
+    @told
     def of(
         cls,
         fl: float | None = None,

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 
+from stage.arguments import told
 from stage.errors import ArgumentError, Limit
 from stage.firmware.axis import Axis
 from stage.firmware.pcl240 import bus
@@ -24,6 +25,7 @@ LONGEST_RAMP = 60.0  # s; R4 and R5 make no more than 27
 SLACK = 1e-3  # s by which a host that polls may be late at each rate
 
 
+@told
 def dual_rate_move(
     axis: Axis,
     pulses: int | None,

@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
+from stage.arguments import told
 from stage.errors import ArgumentError, RunTimeout, a_or_an
 from stage.firmware.axis import Axes, Axis
 from stage.firmware.pcl240 import bus
@@ -26,6 +27,7 @@ WORTH_IT = 0.02  # pulses that a plan for the bus delay may be better than one f
 LOOKS = 200  # at the status bytes of a long move
 
 
+@told
 def synchronized_move(
     distances: Mapping[str, int] | Mapping[Axis, int] | Plan,
     axes: Axes = None,

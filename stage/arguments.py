@@ -1,0 +1,162 @@
+"""Arguments of a wrong type are told in words: `@told` on a public function.
+
+A call that goes well costs nothing. Where Python raises a TypeError or the like, the arguments are compared with their annotations,
+and the one that does not fit is named with what it may be. An error without such an argument stays as it is.
+"""
+
+from __future__ import annotations
+
+import inspect
+import math
+from collections.abc import Callable, Iterable, Mapping
+from functools import cache, wraps
+from numbers import Integral, Real
+from os import PathLike
+from typing import Any, ParamSpec, TypeVar
+
+from stage.errors import ArgumentError, near_names
+
+Given = ParamSpec("Given")
+Returned = TypeVar("Returned")
+Made = TypeVar("Made")
+RAW = (TypeError, ValueError, AttributeError, KeyError, IndexError, OverflowError)
+
+
+class WrongType(ArgumentError, TypeError):
+    """An argument is of a wrong type, or there is none of that name: a TypeError as well."""
+
+
+def told(function: Callable[Given, Returned]) -> Callable[Given, Returned]:
+    """The function; what it raises for arguments that do not fit its annotations is a WrongType."""
+
+    @wraps(function)
+    def call(*given: Given.args, **named: Given.kwargs) -> Returned:
+        try:
+            return function(*given, **named)
+        except ArgumentError:
+            raise
+        except RAW as error:
+            wrong = _wrong(function, given, named)
+            if wrong is None:
+                raise
+            raise wrong from error
+
+    return call
+
+
+def told_when_made(cls: type[Made]) -> type[Made]:
+    """A class whose constructor is `told`; for dataclasses, above their own decorator."""
+    cls.__init__ = told(cls.__init__)  # type: ignore[method-assign]
+    return cls
+
+
+@cache
+def _signature(function: Callable) -> inspect.Signature:
+    return inspect.signature(function)
+
+
+def _wrong(function: Callable, given: tuple, named: dict[str, Any]) -> WrongType | None:
+    """What is wrong with the arguments; None: nothing that annotations tell."""
+    signature = _signature(function)
+    names = [name for name in signature.parameters if name not in ("self", "cls")]
+    open_ended = any(p.kind is p.VAR_KEYWORD for p in signature.parameters.values())
+    for name in () if open_ended else (n for n in named if n not in names):
+        what = function.__qualname__.removesuffix(".__init__")
+        near = near_names(name, names)
+        hint = f" Did you mean {' or '.join(map(repr, near))}?" if near else ""
+        return WrongType(f"{what} has no argument {name!r}.{hint} Known: {', '.join(names)}.")
+    try:
+        bound = signature.bind(*given, **named)
+    except TypeError:
+        return None
+    for name, value in bound.arguments.items():
+        parameter = signature.parameters[name]
+        for label, each in _each(name, value, parameter.kind):
+            if (words := _unlike(each, str(parameter.annotation))) is not None:
+                return WrongType(f"{label}={each!r}: {words}.")
+    return None
+
+
+def _each(name: str, value: Any, kind: Any) -> list[tuple[str, Any]]:
+    """The values of a parameter, *values or **values, with their names."""
+    if kind is inspect.Parameter.VAR_KEYWORD:
+        return list(value.items())
+    return [(name, each) for each in value] if kind is inspect.Parameter.VAR_POSITIONAL else [(name, value)]
+
+
+def _number(value: Any) -> bool:
+    return isinstance(value, Real) and math.isfinite(value)
+
+
+def _whole(value: Any) -> bool:
+    return isinstance(value, Integral) or (_number(value) and float(value).is_integer())
+
+
+def _iterable(value: Any) -> bool:
+    return isinstance(value, Iterable) and not isinstance(value, str | bytes)
+
+
+Kind = tuple[Callable[[Any], bool], str]
+KINDS: dict[str, Kind] = {
+    "float": (_number, "a number"),
+    "int": (_whole, "a whole number"),
+    "bool": (lambda v: isinstance(v, Integral), "True or False"),
+    "str": (lambda v: isinstance(v, str), "a text"),
+    "Axis": (lambda v: hasattr(v, "chip") and hasattr(v, "name"), "an axis, as stage.axes['x']"),
+    "Stage": (lambda v: hasattr(v, "axes") and hasattr(v, "chips"), "a stage"),
+    "Callable": (callable, "a function"),
+    "Mapping": (lambda v: isinstance(v, Mapping), "a mapping, as {'x': ...}"),
+    "dict": (lambda v: isinstance(v, Mapping), "a mapping, as {'x': ...}"),
+    "Sequence": (_iterable, "a list"),
+    "Iterable": (_iterable, "a list"),
+    "list": (_iterable, "a list"),
+    "PathLike": (lambda v: isinstance(v, PathLike), "a path"),
+    "None": (lambda v: v is None, "None"),
+    "Axes": (
+        lambda v: v is None or hasattr(v, "axes") or isinstance(v, Mapping),
+        "a stage, a bench, or a mapping such as stage.axes",
+    ),
+    "Motor": (lambda v: isinstance(v, str) or hasattr(v, "rated_current"), "a motor, or the name of one"),
+    "DriveChoice": (
+        lambda v: v is None or isinstance(v, str | Mapping) or hasattr(v, "fill") or hasattr(v, "torque_constant"),
+        "a Drive, a Servo, a motor, or a mapping of these by axis",
+    ),
+    "Layout": (lambda v: hasattr(v, "ports"), "a layout"),
+    "Program": (lambda v: hasattr(v, "ops"), "Program"),
+    "ndarray": (lambda v: hasattr(v, "shape"), "an array"),
+    "Plan": (lambda v: hasattr(v, "distances"), "a plan"),
+    "type": (lambda v: isinstance(v, type) and hasattr(v, "MAP"), "a class of chips, as PCL240K"),
+    "Profile": (lambda v: type(v).__name__ == "Profile", "a Profile, as Profile.of(fh1=8000)"),
+}
+"""Name in an annotation -> whether a value is such, and what it is in words."""
+
+
+def _unlike(value: Any, annotation: str) -> str | None:
+    """What a value should be in words, where it is none of an annotation's kinds; None: it is, or the annotation tells nothing."""
+    kinds = [_kind(part) for part in _parts(annotation)]
+    if any(kind is None for kind in kinds) or any(kind[0](value) for kind in kinds if kind):
+        return None
+    return " or ".join(dict.fromkeys(kind[1] for kind in kinds if kind))
+
+
+def _kind(part: str) -> Kind | None:
+    """Of a part of an annotation; of a list with what is in it."""
+    name, _, inside = part.partition("[")
+    kind = KINDS.get(name.rpartition(".")[2])
+    each = KINDS.get(inside.removesuffix("]"))
+    if kind is None or each is None or name not in ("Sequence", "Iterable", "list"):
+        return kind
+    outer, inner = kind[0], each[0]
+    return (lambda v: outer(v) and all(map(inner, v))), f"a list, of each {each[1]}"
+
+
+def _parts(annotation: str) -> list[str]:
+    """Those between the bars of a union, brackets left whole."""
+    parts, depth = [""], 0
+    for letter in annotation:
+        depth += {"[": 1, "]": -1}.get(letter, 0)
+        if letter == "|" and not depth:
+            parts.append("")
+        else:
+            parts[-1] += letter
+    return [part.strip() for part in parts]
