@@ -88,10 +88,10 @@ def _add_agent(commands: Any) -> None:
     g = p.add_argument_group("limits")
     g.add_argument("--most", type=number, default=400, metavar="N", help="calls of a game, at most (default: 400)")
     g.add_argument(
-        "--patience", type=float, default=600.0, metavar="S", help="seconds in which the next call comes (default: 600)"
+        "--patience", type=TIME, default=600.0, metavar="S", help="seconds in which the next call comes (default: 600)"
     )
     g.add_argument(
-        "--time", type=float, default=3600.0, metavar="S",
+        "--time", type=TIME, default=3600.0, metavar="S",
         help="seconds that the player may take in a game, without those of the simulation (default: 3600)",
     )  # fmt: skip
     g = p.add_argument_group("output")
