@@ -18,16 +18,18 @@ import numpy as np
 from rules import TRIES, Bold, bold
 
 from stage.bench.cards import CARDS
+from stage.envs.few_shot import FewShotTuning
 
-BOLDNESS = np.geomspace(1.2, 10, 24)
-LANES, DAMAGE = 8, 0.05
+BOLDNESS = np.geomspace(1.3, 8.5, 20)
+LANES = 8
 POPULATION, GENERATIONS = 16, 60
 
 
 @dataclass(frozen=True)
 class Table:
     """Of each boldness and machine: it kept step, by the truth and by the encoder; and what it is worth if it holds, which is 0 if
-    not, (boldness, machines). last: the last try is the answer. distance: as an observation has it, (machines,). moves: made."""
+    not, (boldness, machines). last: the last try is the answer. distance: as an observation has it, (machines,). moves: made;
+    damage: what a try costs that loses steps."""
 
     kept: np.ndarray
     shown: np.ndarray
@@ -35,12 +37,13 @@ class Table:
     distance: np.ndarray
     last: bool
     moves: int
+    damage: float
 
     def part(self, machines: int) -> Table:
         """Of the first machines."""
         share = machines / len(self.distance)
         columns = (a[:, :machines] for a in (self.kept, self.shown, self.worth))
-        return Table(*columns, self.distance[:machines], self.last, round(self.moves * share))
+        return Table(*columns, self.distance[:machines], self.last, round(self.moves * share), self.damage)
 
     def at(self, logs: np.ndarray) -> np.ndarray:
         """Rows of these boldnesses, by their logarithms."""
@@ -50,7 +53,7 @@ class Table:
         """Sums of rewards of rows that were tried, (tries, machines)."""
         every = np.arange(len(self.distance))
         worth = self.worth[tries, every]
-        return (worth[-1] if self.last else worth.max(axis=0)) - DAMAGE * (~self.kept[tries, every]).sum(axis=0)
+        return (worth[-1] if self.last else worth.max(axis=0)) - self.damage * (~self.kept[tries, every]).sum(axis=0)
 
     def play(self, kind: type[Bold], w: Any) -> np.ndarray:
         n = len(self.distance)
@@ -81,7 +84,8 @@ def tabulate(task: str, first: int, machines: int) -> Table:
         found.append(np.array(rows, float).transpose(1, 0, 2))
     envs.close()
     kept, shown, worth, distance = np.concatenate(found, axis=2)
-    return Table(kept > 0, shown > 0, worth, distance[0], CARDS[task].settings.get("answer") == "last", moves)
+    config = FewShotTuning.Config(**CARDS[task].settings)
+    return Table(kept > 0, shown > 0, worth, distance[0], config.answer == "last", moves, config.damage_weight)
 
 
 def learned(kind: type[Bold], table: Table, seed: int) -> np.ndarray:

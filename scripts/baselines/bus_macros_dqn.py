@@ -12,7 +12,7 @@ from stable_baselines3.dqn.policies import DQNPolicy, QNetwork
 
 REPLAY = 5  # macros of a return
 EXPLORES = 32_768  # steps of each level in which exploration falls
-AGAIN, LAST = 0.1, 0.03  # chance of a random macro where a later level begins, and at the end
+AGAIN, LAST = 0.3, 0.03  # chance of a random macro where a later level begins, and at the end
 
 
 class MaskedNetwork(QNetwork):
@@ -65,9 +65,10 @@ class MaskedDQN(DQN):
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
     ) -> Any:
         chosen, state = super().predict(observation, state, episode_start, deterministic=True)
-        if not deterministic and self.draw.random() < self.exploration_rate:
+        if not deterministic:
             masks = np.atleast_2d(observation)[:, -self.action_space.n :] > 0.5  # type: ignore[attr-defined]
-            chosen = np.array([self.draw.choice(np.flatnonzero(m)) for m in masks])
+            for k in np.flatnonzero(self.draw.random(len(masks)) < self.exploration_rate):
+                chosen[k] = self.draw.choice(np.flatnonzero(masks[k]))
         return chosen, state
 
     def _sample_action(self, learning_starts: int, action_noise: Any = None, n_envs: int = 1) -> Any:

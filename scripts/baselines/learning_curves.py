@@ -117,7 +117,8 @@ def others(task: str, episodes: int) -> dict[str, float]:
 
 
 def panel(ax: Any, task: str, players: dict[str, dict[str, list[dict]]]) -> None:
-    for color, (player, runs) in zip(pictures.COLOURS, players.items(), strict=False):
+    ordered = sorted(players.items(), key=lambda of: max(int(r[-1]["steps"]) for r in of[1].values()))
+    for color, (player, runs) in zip(pictures.COLOURS, ordered, strict=False):
         at, values = levels(runs) if task == "bus" else points(runs)
         ends = np.array([interval(v, draws=1000) for v in values])
         ax.fill_between(at, *ends.T, color=color, alpha=0.18, lw=0)
@@ -136,13 +137,15 @@ def panel(ax: Any, task: str, players: dict[str, dict[str, list[dict]]]) -> None
 
 def draw(data: Path, picture: Path) -> None:
     found = read(data)
-    figure = pictures.figure(13, 8)
-    axes = figure.subplots(2, 3).flat
-    for ax, task in zip(axes, PANELS, strict=True):
-        if task in found:
-            panel(ax, task, found[task])
-        else:
-            ax.set_axis_off()
+    shown = [task for task in PANELS if task in found]
+    columns = min(len(shown), 3)
+    rows = -(-len(shown) // columns)
+    figure = pictures.figure(4.4 * columns, 4 * rows)
+    axes = list(figure.subplots(rows, columns, squeeze=False).flat)
+    for ax, task in zip(axes, shown, strict=False):
+        panel(ax, task, found[task])
+    for ax in axes[len(shown) :]:
+        ax.set_axis_off()
     figure.savefig(picture, dpi=100)
     print(f"{picture}: written")
 

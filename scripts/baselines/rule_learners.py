@@ -28,17 +28,17 @@ from boldness import learned, tabulate
 from rules import RULES, Bold, Rule
 
 from stage import bench
-from stage.bench.cards import CARDS, FIRST
+from stage.bench.cards import CARDS, FIRST, OPEN
 
 BUDGET = {"one-shot": (12, 16), "line": (12, 8), "home": (8, 6)}
 """Generations, and machines of each."""
 POPULATION = 8
-TABLE, PARTS = 48, (4, 16, 48)
+TABLE, PARTS = 48, (12, 48)
 EPISODES = 32  # of a point of the curve
 CHEAPER: dict[str, dict[str, Any]] = {
     "one-shot": {"proofs": 1, "settle": 0.03},
-    "few-shot": {"proofs": 1, "settle": 0.03},
-    "few-shot-wide": {"proofs": 1, "settle": 0.03},
+    "few-shot": {"settle": 0.03},
+    "few-shot-wide": {"settle": 0.03},
     "line": {"proofs": 1, "rest": 0.03},
 }
 BEGUN: dict[tuple[str, type[Rule]], tuple[np.ndarray, np.ndarray]] = {}
@@ -157,6 +157,7 @@ def learn(task: str, run: int, folder: Path, generations: int | None = None, mac
                 begun = time.process_time()
                 table = tabulate(task, 1000 * (run + 1), machines)
                 spent = time.process_time() - begun
+                print(f"{task} {run}: tried {machines} machines, {spent:.1f} s", flush=True)
             learner.seconds = spent
             learner.write(learner.learn_on(table), path)
         else:
@@ -177,7 +178,7 @@ class Policy:
         return self.rule(observation[None])[0]
 
 
-def submit(path: Path, splits: list[str], folder: Path) -> None:
+def submit(path: Path, splits: list[str], folder: Path, round_: str = OPEN) -> None:
     said, (task, _, name) = json.loads(path.read_text()), path.stem.partition("_")
     method, _, run = name.rpartition("-")
     player = method.replace("-", " ")
@@ -185,7 +186,9 @@ def submit(path: Path, splits: list[str], folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     for split in splits:
         policy = Policy(RULES[task, player], said["w"])
-        entry = bench.play(policy, task, split, settings=chosen, name=player, run=int(run), cost=said["cost"])
+        entry = bench.play(
+            policy, task, split, settings=chosen, name=player, run=int(run), cost=said["cost"], round_=round_
+        )
         bench.submit(entry, folder / f"{task}-{split}-{method}-{run}.bench", overwrite=True)
         print(f"{task} {split} {player} {run}: return {entry.scores['return'].mean():.3f}", flush=True)
 
@@ -202,7 +205,8 @@ def main() -> None:
     p.add_argument("policy", type=Path, nargs="+")
     p.add_argument("--splits", nargs="+", default=["train"])
     p.add_argument("-o", "--out", type=Path, required=True, metavar="FOLDER")
-    p.set_defaults(run=lambda a: [submit(path, a.splits, a.out) for path in a.policy])
+    p.add_argument("--round", default=OPEN, metavar="WORD", help="whose test episodes (default: the open ones)")
+    p.set_defaults(run=lambda a: [submit(path, a.splits, a.out, a.round) for path in a.policy])
     args = parser.parse_args()
     args.run(args)
 

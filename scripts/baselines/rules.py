@@ -137,11 +137,11 @@ class Blind(Bold):
 class Remembering(Bold):
     """By what past tries have shown: of the boldest try g that kept step by the encoder and the tamest l that did not.
 
-    First w0 + w1 distance. Then log g + w2 where none has lost steps, log l - w3 where none has kept them, else
-    log g + w4 (log l - log g); and at the last try log g - w5, where there is one. Where g >= l it was luck, and g is forgotten.
+    First w0 + w1 distance. Then log g + w2 where none has lost steps, log l - 2 w2 where none has kept them, else
+    log g + w3 (log l - log g); and at the last try log g - w4, where there is one. Where g >= l it was luck, and g is forgotten.
     """
 
-    BEGINS, SCALES = (0.7, 0.0, 0.2, 0.3, 0.5, 0.0), (0.4, 0.2, 0.1, 0.1, 0.2, 0.1)
+    BEGINS, SCALES = (0.7, 0.0, 0.2, 0.5, 0.1), (0.4, 0.2, 0.1, 0.2, 0.1)
 
     def __init__(self, w: Sequence[float] | np.ndarray, names: Sequence[str], n: int = 1):
         super().__init__(w, names, n)
@@ -157,7 +157,8 @@ class Remembering(Bold):
         self.held = np.where(self.held >= self.lost, -np.inf, self.held)
 
     def next(self, distance: np.ndarray, kept: np.ndarray) -> np.ndarray:
-        (first, slope), (up, down, share, back) = self.w[:2], np.abs(self.w[2:])
+        (first, slope), (up, share, back) = self.w[:2], np.abs(self.w[2:])
+        down = 2 * up
         if not self.made:
             return first + slope * distance
         self.see(kept)

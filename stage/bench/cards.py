@@ -80,6 +80,7 @@ CARDS = {
             "in eight tries, of which the last is the answer, a fast move that holds, on machines that differ more",
             settings={
                 "answer": "last",
+                "damage_weight": 0.02,
                 "payloads": (0.0, 10.0),
                 "frictions": (0.5, 4.0),
                 "supplies": (0.5, 1.1),

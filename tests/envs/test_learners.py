@@ -11,6 +11,7 @@ import stage.envs  # noqa: F401
 from stage import bench
 from stage.bench.around import Around
 from stage.bench.cards import CARDS
+from stage.bench.statistics import rows
 
 
 @pytest.fixture(autouse=True)
@@ -46,9 +47,9 @@ def test_a_policy_without_memory_does_the_same_whatever_its_tries_have_shown(rul
 
 
 def test_a_policy_with_memory_goes_up_until_it_loses_steps_and_then_between(rules):
-    kind, w = rules.Remembering, (0.6, 0.0, 0.2, 0.3, 0.25, 0.1)
+    kind, w = rules.Remembering, (0.6, 0.0, 0.2, 0.25, 0.1)
     assert boldness(rules, kind, w, True, True) == [0.6, 0.8, 1.0]
-    assert boldness(rules, kind, w, False, False) == [0.6, 0.3, 0.0]
+    assert boldness(rules, kind, w, False, False) == [0.6, 0.2, -0.2]
     assert boldness(rules, kind, w, True, False, True) == [0.6, 0.8, 0.65, 0.65 + 0.15 / 4]
     assert boldness(rules, kind, w, *[True] * 7) == [0.6, 0.8, 1.0, 1.2, 1.4, 1.6, 1.8, 1.7], "back at last"
     rule = kind(w, NAMES)
@@ -111,7 +112,7 @@ def test_a_rule_earns_on_a_table_what_its_tries_are_worth_there(rules):
     edge = np.array([2.0, 4.0])
     kept = BOLDNESS[:, None] < edge
     worth = np.where(kept, np.log(BOLDNESS)[:, None], 0.0)
-    table = Table(kept, kept, worth, np.zeros(2), False, 0)
+    table = Table(kept, kept, worth, np.zeros(2), False, 0, 0.05)
     at = table.at(np.log([1.9, 2.1, 3.9]))
     assert kept[at].tolist() == [[True, True], [False, True], [False, True]]
     best = table.total(np.array([at[0], at[2], at[1]])[:, None])
@@ -119,11 +120,19 @@ def test_a_rule_earns_on_a_table_what_its_tries_are_worth_there(rules):
     answer = dataclasses.replace(table, last=True)
     assert answer.total(np.array([at[2], at[1]])[:, None]) == pytest.approx([-2 * 0.05, worth[at[1], 1]])
     w = rules.Remembering.BEGINS
-    assert (answer.play(rules.Remembering, w) > np.log([1.7, 3.4]) - 4 * 0.05).all(), (
-        "it closes in on each machine's edge"
+    closed_in, blind = (answer.play(kind, kind.BEGINS) for kind in (rules.Remembering, rules.Blind))
+    assert (closed_in > np.log(edge) - 0.2 - 5 * 0.05).all(), (
+        "close to each machine's edge, after five tries that were lost"
     )
-    assert (answer.play(rules.Blind, rules.Blind.BEGINS) < np.log([1.7, 2.2])).all()
+    assert blind[0] == blind[1] < closed_in[1], "the same for both"
     assert table.part(1).play(rules.Remembering, w) == table.play(rules.Remembering, w)[:1]
+
+
+def test_memory_pays_where_the_last_try_is_the_answer_by_more_than_the_intervals():
+    folder = Path(__file__).parents[2] / "docs" / "data" / "entries"
+    every = rows([bench.read(path) for path in sorted(folder.glob("few-shot-wide-train-es-*.bench"))])
+    found = {row.player: row for row in every}
+    assert found["es with memory"].beats(found["es without memory"])
 
 
 def test_axes_are_seen_by_their_role_and_macros_are_those_of_the_environment_again():
