@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 
 from stage import bench, pictures
+from stage.bench.cards import OPEN
 from stage.bench.statistics import interval, iqm
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -111,8 +112,8 @@ def others(task: str, episodes: int) -> dict[str, float]:
     found = {}
     for name in OTHERS:
         path = DOCS / "data" / "entries" / f"{task}-train-{name}-0.bench"
-        if path.exists():
-            found[name] = iqm(bench.read(path).scores["return"][:episodes])
+        if path.exists() and (entry := bench.read(path)).round == OPEN:
+            found[name] = iqm(entry.scores["return"][:episodes])
     return found
 
 
