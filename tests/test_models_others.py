@@ -1,6 +1,8 @@
 """xya, with a rotary table, and gantry, with two motors on its long axis."""
 
 import re
+import shutil
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -13,6 +15,7 @@ from stage.firmware.tandem import tandems
 from stage.sim import plant
 
 OTHERS = ("xya", "gantry")
+MODELS = Path(__file__).parents[1] / "models"
 
 
 @pytest.fixture(scope="module", params=OTHERS)
@@ -150,7 +153,7 @@ def test_moving_one_of_two_tandem_axes_is_told(capsys):
     """stage move y 2mm --model gantry"""
     main(["move", "y", "2mm", "--model", "gantry"])
     assert (
-        "axis y drives one load with w, which stays behind. All of them: stage sync y=2mm w=2mm"
+        "axis y drives one load with w, which stays behind: the load is twisted. All of them: stage sync y=2mm w=2mm"
         in capsys.readouterr().err
     )
 
@@ -166,3 +169,64 @@ def test_one_of_two_tandem_axes_is_not_tuned(capsys):
     """stage tune gantry --axis y --distance 20mm"""
     assert main(["tune", "gantry", "--axis", "y", "--distance", "20mm"]) == 2
     assert "axis y drives one load with w: moved alone it loses steps" in capsys.readouterr().err
+
+
+def test_a_line_that_leaves_a_tandem_axis_out_is_told(capsys):
+    """stage sync x=2mm y=2mm --model gantry"""
+    main(["sync", "x=2mm", "y=2mm", "--model", "gantry"])
+    err = capsys.readouterr().err
+    assert "y drives one load with w, which stays behind" in err
+    assert "stage sync x=2mm y=2mm w=2mm" in err
+    main(["sync", "x=2mm", "y=2mm", "w=2mm", "--model", "gantry"])
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('name="y_tandem" data="w"', 'name="y_tandem" data="x"'),
+        ('name="w" joint="w" gear="628.3185307"', 'name="w" joint="w" gear="314"'),
+    ],
+)
+def test_tandem_axes_are_side_by_side(old, new, tmp_path):
+    """stage view --text gantry.xml, with a tandem of axes across each other, or of other screws"""
+    file = copied("gantry", tmp_path)
+    assert old in file.read_text()
+    file.write_text(file.read_text().replace(old, new))
+    with pytest.raises(
+        ModelError, match=r"y_tandem names '[wx]', whose joint has another direction or another distance"
+    ):
+        Stage(str(file))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('timestep="0.00025"', 'timestep="0.002"', "timestep"),
+        (
+            '<motor name="x" joint="x"',
+            '<motor name="X" joint="x"',
+            "joint 'x' has switches, but no actuator is named 'x'",
+        ),
+        ('geom2="y_org_switch"', 'geom2="y_org_swich"', "cannot compile the model"),
+    ],
+)
+def test_view_says_all_that_is_wrong_with_a_model(old, new, said, tmp_path, capsys):
+    """stage view --text my.xml"""
+    file = copied("gantry", tmp_path)
+    texts = {f: f.read_text() for f in tmp_path.glob("*.xml")}
+    changed = [f for f, text in texts.items() if old in text]
+    assert changed, old
+    for f in changed:
+        f.write_text(texts[f].replace(old, new))
+    code = main(["view", "--text", str(file)])
+    told = capsys.readouterr()
+    assert said in told.out + told.err
+    assert code == (0 if "no actuator" in said else 2)
+
+
+def copied(model, folder):
+    """A shipped model, to be changed."""
+    for f in MODELS.glob("*.xml"):
+        shutil.copy(f, folder)
+    return folder / f"{model}.xml"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
 from typing import Any
 
 from stage.cli.facts import tell
@@ -26,6 +27,11 @@ def home(args: argparse.Namespace) -> int:
     with recorded(args, stage), ticking(stage):
         for group in groups:
             note(f"axis {' and '.join(axis.name for axis in group)}: origin return ...")
+            if len(group) > 1:
+                names = " and ".join(axis.name for axis in group)
+                print(
+                    f"axes {names} drive one load: together to where one meets ORG, then each to its own, as reported"
+                )
             found = _square(args, group) if len(group) > 1 else [_home(args, group[0])]
             reports += found
             print(*found, sep="\n")
@@ -117,7 +123,8 @@ def _single(args: argparse.Namespace, run: Any) -> int:
     axis = find_axis(stage, args.axis)
     for beside in (axis, *(stage.axes[name] for name in axis.tandem)):
         place(stage, beside, "--from", args.start)
-    _warn_of_tandem(args, axis)
+    if axis.tandem:
+        _warn_of_tandem(axis, axis.tandem, [f"{axis.name}={args.distance}"])
     with recorded(args, stage), ticking(stage):
         report = run(axis)
         print(report)
@@ -127,14 +134,15 @@ def _single(args: argparse.Namespace, run: Any) -> int:
     return 0 if report.ok else 1
 
 
-def _warn_of_tandem(args: argparse.Namespace, axis: Any) -> None:
-    if axis.tandem:
-        others = " and ".join(axis.tandem)
-        every = " ".join(f"{name}={args.distance}" for name in (axis.name, *axis.tandem))
-        print(
-            f"axis {axis.name} drives one load with {others}, which stays behind. All of them: stage sync {every}",
-            file=sys.stderr,
-        )
+def _warn_of_tandem(axis: Any, behind: Sequence[str], asked: list[str]) -> None:
+    """asked: what was typed, AXIS=DISTANCE."""
+    way = next(item.partition("=")[2] for item in asked if item.startswith(f"{axis.name}="))
+    kept = [item for item in asked if item.partition("=")[0] not in behind]
+    print(
+        f"axis {axis.name} drives one load with {' and '.join(behind)}, which stays behind: the load is twisted. "
+        f"All of them: stage sync {' '.join([*kept, *(f'{name}={way}' for name in behind)])}",
+        file=sys.stderr,
+    )
 
 
 def sync(args: argparse.Namespace) -> int:
@@ -151,6 +159,9 @@ def sync(args: argparse.Namespace) -> int:
         if name in distances:
             raise ArgumentError(f"{item!r}: axis {name} has got {distances[name]} pulses already. Give an axis once.")
         distances[name] = number
+    for name in distances:
+        if behind := [other for other in stage.axes[name].tandem if distances.get(other) != distances[name]]:
+            _warn_of_tandem(stage.axes[name], behind, args.distances)
     drivers = {name: driver_of(stage.axes[name]) for name in distances}
     first = stage.axes[next(iter(distances))]
     with recorded(args, stage), ticking(stage):

@@ -106,14 +106,12 @@ def view(args: argparse.Namespace) -> int:
     """MuJoCo's own viewer, or the axes as text, or a picture."""
     from stage.opengl import check_window
     from stage.sim import plant
+    from stage.sim.stage import Stage
 
     outputs(args)
-
-    import mujoco  # isort: skip
-
-    spec = plant.open_spec(args.model)
-    model = spec if isinstance(spec, mujoco.MjModel) else spec.compile()
+    model, _ = plant.compile_spec(plant.open_spec(args.model), 0)
     print(plant.describe(model))
+    Stage(args.model)  # all that a stage asks beyond the contract
     tell(args, axes=[_axis(a) for a in plant.bind(model)])
     if args.picture:
         from stage.cli.model_picture import draw

@@ -18,6 +18,7 @@ from stage.sim.plant.switches import Switch, SwitchFinder
 from stage.units import PLACES
 
 KEPT_PLANTS = 64
+PARALLEL = 0.99  # the least cosine between the joints of tandem axes
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,17 @@ def describe(model: mujoco.MjModel) -> str:
         lines.append(
             f"{a.name:6}{'hinge' if a.hinge else 'slide':7}{travel:>22}{per_turn:>12}  {a.motor or '-':16}{trips}"
         )
-    return "\n".join(lines)
+        if a.tandem:
+            lines.append(f"{'':6}drives one load with {' and '.join(a.tandem)}")
+    return "\n".join([*lines, *_no_axes(model)])
+
+
+def _no_axes(model: mujoco.MjModel) -> list[str]:
+    """What looks like an axis and is none: a joint with switches that no actuator of its name drives."""
+    joints = {mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, k) for k in range(model.njnt)} - {None}
+    sensors = {mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_SENSOR, k) for k in range(model.nsensor)}
+    lost = sorted(j for j in joints - set(axis_names(model)) if any(f"{j}_{pin}" in sensors for pin in PINS))
+    return [f"joint {j!r} has switches, but no actuator is named {j!r}: it is no axis" for j in lost]
 
 
 class _Binder:
@@ -111,11 +122,26 @@ class _Binder:
                     self.problems.add(
                         name, f"the text {name}_tandem names {other!r}{near}; it names other axes of one load"
                     )
+                elif not self._side_by_side(name, other):
+                    self.problems.add(
+                        name,
+                        f"the text {name}_tandem names {other!r}, whose joint has another direction or another distance for a "
+                        "turn of the motor: tandem axes are side by side",
+                    )
                 together = sorted(
                     {name, other, *found.get(name, ()), *found.get(other, ())}, key=lambda a: (a not in known, a)
                 )
                 found |= {a: tuple(b for b in together if b != a) for a in together}
         return {a: tuple(b for b in others if b in self.axes) for a, others in found.items()}
+
+    def _side_by_side(self, name: str, other: str) -> bool:
+        """Whether two axes go the same way for the same turn of their motors."""
+        m, data = self.model, mujoco.MjData(self.model)
+        mujoco.mj_kinematics(m, data)
+        one, two = (self._id(mujoco.mjtObj.mjOBJ_JOINT, a) for a in (name, other))
+        gears = [abs(float(m.actuator_gear[self._id(mujoco.mjtObj.mjOBJ_ACTUATOR, a)][0])) for a in (name, other)]
+        parallel = abs(float(np.dot(data.xaxis[one], data.xaxis[two]))) > PARALLEL
+        return bool(m.jnt_type[one] == m.jnt_type[two] and parallel and np.isclose(*gears, rtol=1e-3))
 
     # --- joint and actuator ---
 
