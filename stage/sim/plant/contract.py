@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -114,6 +115,8 @@ class _Binder:
     def _tandems(self) -> dict[str, tuple[str, ...]]:
         """The other axes of the load that an axis drives, as one of them says in its text NAME_tandem."""
         found: dict[str, tuple[str, ...]] = {}
+        if not any(name.endswith("_tandem") for name in self.texts):
+            return found
         known = axis_names(self.model)
         for name in known:
             for other in self.texts.get(f"{name}_tandem", "").split():
@@ -141,7 +144,7 @@ class _Binder:
         one, two = (self._id(mujoco.mjtObj.mjOBJ_JOINT, a) for a in (name, other))
         gears = [abs(float(m.actuator_gear[self._id(mujoco.mjtObj.mjOBJ_ACTUATOR, a)][0])) for a in (name, other)]
         parallel = abs(float(np.dot(data.xaxis[one], data.xaxis[two]))) > PARALLEL
-        return bool(m.jnt_type[one] == m.jnt_type[two] and parallel and np.isclose(*gears, rtol=1e-3))
+        return bool(m.jnt_type[one] == m.jnt_type[two] and parallel and math.isclose(*gears, rel_tol=1e-3))
 
     # --- joint and actuator ---
 
