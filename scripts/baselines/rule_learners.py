@@ -50,7 +50,7 @@ def vector(task: str, machines: int, **settings: Any) -> Any:
 
     import stage.envs  # noqa: F401
 
-    card, kind = CARDS[task], {"vectorization_mode": "vector_entry_point", "autoreset_mode": "Disabled", "threads": 1}
+    card, kind = CARDS[task], {"vectorization_mode": "vector_entry_point", "autoreset_mode": "NextStep", "threads": 1}
     chosen = {"memory": "last"} if "memory" in card.choices else {}
     return gymnasium.make_vec(card.id, machines, **kind, **{**card.settings, **chosen, **settings}).unwrapped
 

@@ -15,6 +15,7 @@ from stage.errors import ArgumentError, StageError
 from stage.firmware import procedures
 from stage.firmware.driver import RAMP, SETTLE, wait_until_stopped
 from stage.firmware.report import NOT_AS_ASKED, Procedure, Report
+from stage.firmware.tandem import square
 from stage.firmware.together import SynchronizedReport
 
 if TYPE_CHECKING:
@@ -97,6 +98,8 @@ class Motion:
         return self._done(self._box.driver(axis).move(pulses, speeds, given.get("timeout")), a.name)
 
     def home(self, axis: str, direction: str, by: str | None = None, **given: Any) -> dict[str, Any]:
+        if self._box.axis(axis).tandem:
+            return self._square(axis, direction, by, given)
         driver = self._box.driver(axis)
         self._at_rest(axis)
         self._end(axis)
@@ -222,6 +225,23 @@ class Motion:
                 )
         accel, decel = given.get("accel", RAMP), given.get("decel")
         return procedures.speeds(self._box.axis(axis), one, other, accel, decel, bool(given.get("s_curve")))
+
+    def _square(self, axis: str, direction: str, by: str | None, given: dict[str, Any]) -> dict[str, Any]:
+        """Home of axes that drive one load."""
+        one = self._box.axis(axis)
+        axes = [one, *(self._box.axis(name) for name in one.tandem)]
+        if by is not None:
+            raise ArgumentError(f"by={by!r}: axis {axis} drives one load with {', '.join(one.tandem)}; leave it out.")
+        for a in axes:
+            self._at_rest(a.name)
+            self._end(a.name)
+        wanted, unit = self._speeds(axis, given), one.meters_per_pulse
+        reports = square(
+            *axes, direction=WAYS.index(direction) * 2 - 1, speed=wanted.drive * unit, start_speed=wanted.start * unit,
+            accel=wanted.up, timeout=given.get("timeout", 60.0),
+        )  # fmt: skip
+        told_of = {r.axis: self._done(r, r.axis) for r in reports}
+        return {"procedure": "home of axes that drive one load", "axes": told_of}
 
     def _done(self, report: Any, what: str) -> dict[str, Any]:
         self._box.report = report

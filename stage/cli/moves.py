@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Sequence
 from typing import Any
 
-from stage.cli.facts import tell
+from stage.cli.facts import tell, warn
 from stage.cli.files import plot, recorded
 from stage.cli.progress import note, ticking
 from stage.cli.setup import distance, find_axis, make_stage, place, profile, speeds, told_of_its_end
@@ -124,7 +123,7 @@ def _single(args: argparse.Namespace, run: Any) -> int:
     for beside in (axis, *(stage.axes[name] for name in axis.tandem)):
         place(stage, beside, "--from", args.start)
     if axis.tandem:
-        _warn_of_tandem(axis, axis.tandem, [f"{axis.name}={args.distance}"])
+        _warn_of_tandem(args, axis, axis.tandem, [f"{axis.name}={args.distance}"])
     with recorded(args, stage), ticking(stage):
         report = run(axis)
         print(report)
@@ -134,14 +133,14 @@ def _single(args: argparse.Namespace, run: Any) -> int:
     return 0 if report.ok else 1
 
 
-def _warn_of_tandem(axis: Any, behind: Sequence[str], asked: list[str]) -> None:
+def _warn_of_tandem(args: argparse.Namespace, axis: Any, behind: Sequence[str], asked: list[str]) -> None:
     """asked: what was typed, AXIS=DISTANCE."""
     way = next(item.partition("=")[2] for item in asked if item.startswith(f"{axis.name}="))
     kept = [item for item in asked if item.partition("=")[0] not in behind]
-    print(
+    warn(
+        args,
         f"axis {axis.name} drives one load with {' and '.join(behind)}, which stays behind: the load is twisted. "
         f"All of them: stage sync {' '.join([*kept, *(f'{name}={way}' for name in behind)])}",
-        file=sys.stderr,
     )
 
 
@@ -161,7 +160,7 @@ def sync(args: argparse.Namespace) -> int:
         distances[name] = number
     for name in distances:
         if behind := [other for other in stage.axes[name].tandem if distances.get(other) != distances[name]]:
-            _warn_of_tandem(stage.axes[name], behind, args.distances)
+            _warn_of_tandem(args, stage.axes[name], behind, args.distances)
     drivers = {name: driver_of(stage.axes[name]) for name in distances}
     first = stage.axes[next(iter(distances))]
     with recorded(args, stage), ticking(stage):

@@ -216,3 +216,13 @@ def test_a_budget_is_of_numbers(how):
 def test_a_failure_of_ours_is_an_answer_too(box, monkeypatch):
     monkeypatch.setattr(Stage, "run", lambda self, seconds: 1 / 0)
     assert "PulseStage itself has failed (ZeroDivisionError" in box.call("wait", {"seconds": 1}).text
+
+
+def test_axes_that_drive_one_load_go_home_together():
+    """home y on a gantry, whose other motor is w"""
+    box = Toolbox(Stage("gantry", visuals=False))
+    homed = box.call("home", {"axis": "y"}).data
+    assert {name: r["stopped_by"] for name, r in homed["axes"].items()} == {"y": "ORG", "w": "ORG"}
+    refused = box.call("home", {"axis": "w", "by": "switch"})
+    assert not refused.ok
+    assert "axis w drives one load with y" in refused.text
