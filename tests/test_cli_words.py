@@ -156,3 +156,12 @@ def test_an_option_is_proposed_once(capsys):
     with pytest.raises(SystemExit):
         main(["home", "--models", "xy"])
     assert capsys.readouterr().err.count("--model") == 2  # what was given, what is proposed
+
+
+@pytest.mark.parametrize("typed", [["help"], ["help", "move"]])
+def test_help_is_a_word_too(typed, capsys):
+    """stage help move"""
+    with pytest.raises(SystemExit) as end:
+        main(typed)
+    assert end.value.code == 0
+    assert f"usage: {' '.join(['stage', *typed[1:]])}" in capsys.readouterr().out

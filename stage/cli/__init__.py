@@ -57,7 +57,8 @@ def _main(argv: Sequence[str] | None) -> int:
         import argcomplete
 
         argcomplete.autocomplete(parser)
-    args = parser.parse(sys.argv[1:] if argv is None else argv)
+    typed = list(sys.argv[1:] if argv is None else argv)
+    args = parser.parse([*typed[1:], "--help"] if typed[:1] == ["help"] else typed)
     if args.run is None:
         parser.print_help()
         return 2
