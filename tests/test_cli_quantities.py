@@ -4,6 +4,7 @@ import argparse
 import re
 
 import pytest
+from support.mirrored import mirrored
 
 from stage.chips import PCL240K
 from stage.cli import build_parser, main
@@ -111,6 +112,15 @@ def test_a_move_beyond_the_end_limits_is_warned_of_and_made(capsys):
     assert err == "stage: warning: axis x reaches from -150 to 150 mm, and this move goes to 173 mm.\n"
     assert "stopped by EL+" in out
     assert main(["move", "x", "800"]) == 0
+    assert capsys.readouterr().err == ""
+
+
+def test_the_warning_knows_a_screw_that_turns_the_other_way(tmp_path, capsys):
+    """stage move x 25mm --from 148, of an axis on which pulses towards plus go to minus"""
+    options = ["--from", "148", "--model", mirrored(tmp_path)]
+    assert main(["move", "x", "25mm", *options]) == 1
+    assert "this move goes to 173 mm" in capsys.readouterr().err
+    assert main(["move", "x", "8000", *options]) == 0
     assert capsys.readouterr().err == ""
 
 

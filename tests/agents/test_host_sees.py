@@ -120,6 +120,17 @@ def test_the_last_fault_is_mended_first(make_box):
     assert box.call("mend").data["faults"] == []
 
 
+def test_two_faults_of_one_kind_are_mended_to_what_was_before_both(make_box):
+    box = make_box(mode="truth")
+    dof = box.stage.axes["x"].plant.dof
+    friction = float(box.stage.model.dof_frictionloss[dof])
+    for force in (5.0, 7.0):
+        box.call("fault_jam", {"axis": "x", "force": force})
+    assert box.stage.model.dof_frictionloss[dof] == friction + 12.0
+    box.call("mend", {"all": True})
+    assert box.stage.model.dof_frictionloss[dof] == friction
+
+
 def test_hands_load_and_place(make_box):
     box = make_box(mode="truth")
     assert box.call("load", {"mass": 2}).data["payload_kg"] == 2

@@ -421,6 +421,12 @@ def test_the_middle_half_is_averaged_and_its_interval_holds_the_truth():
     assert statistics.interval(one) == statistics.interval(one)
 
 
+def test_the_runs_are_drawn_anew_for_each_episode():
+    """of a good run and a bad one hardly ever all episodes are of the same"""
+    low, high = statistics.interval(np.repeat([[0.0], [1.0]], 64, axis=1), draws=200)
+    assert 0.0 < low < high < 1.0
+
+
 def test_a_table_says_who_beats_whom_by_intervals_that_part(entry, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
 

@@ -190,6 +190,19 @@ def test_data_of_a_fifo_is_told_at_its_trigger_level_and_after_four_characters(c
     assert pulls() == 0, "OUT2 enables the line"
 
 
+def test_the_time_out_of_a_fifo_counts_from_the_last_read_too():
+    b = uart((1, 1), (4, 8), fcr=0xC1)
+    c = character(b)
+    feed(b, 2)
+    b.at += (2 + 4) * c
+    assert b.read(2) == 0xCC
+    assert b.read(0) == 0
+    b.at += 4 * c - 1
+    assert b.read(2) == 0xC1
+    b.at += 1
+    assert b.read(2) == 0xCC
+
+
 def test_without_a_fifo_one_byte_is_told_and_the_next_overruns_it():
     b = uart((1, 5), (4, 8), fcr=0)
     c = character(b)

@@ -84,6 +84,15 @@ def test_in_the_continuous_mode_the_axis_drives_while_the_pin_is_low(make):
     assert steps(chip, 50 * PERIOD) == []
 
 
+@EVERY
+@pytest.mark.parametrize("mode", ["fixed", "continuous"])
+def test_of_two_pins_that_fall_at_one_clock_plus_counts(make, mode):
+    chip = ready(make, mode)
+    low = sum(chip.INPUTS[pin] for pin in (("pio4", "pio5") if make is MCX514 else ("exp_plus", "exp_minus")))
+    chip.set_input_word(0, chip.input_word(0) ^ low)
+    assert steps(chip, 3 * PERIOD) == train(3, +1)
+
+
 def test_the_release_is_a_decelerating_stop():
     move = Move(SV=1000, DV=5000, AC=50_000)
     chip = ready(MCX514, "continuous")

@@ -1,5 +1,7 @@
 """The pull-out picture and the rows printed beside it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -22,6 +24,11 @@ def test_a_table_has_a_row_for_each_speed_and_the_closed_form_beside_it(table):
     assert [row.split()[:2] for row in rows] == [["300", "1000"], ["900", "3000"], ["1500", "5000"]]
     assert [float(row.split()[4]) for row in rows] == pytest.approx([0.283, 0.278, 0.168])
     assert table.sine == pytest.approx(table.ideal, rel=0.03)
+
+
+def test_a_table_tells_the_full_steps_of_its_own_motor():
+    fine = replace(Drive().motor, steps_per_turn=400)
+    assert str(pull_out_table(Drive(fine), [300])).splitlines()[1].split()[:2] == ["300", "2000"]
 
 
 def test_progress_is_told_from_the_first_speed_to_the_last():

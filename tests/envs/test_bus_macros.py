@@ -124,6 +124,17 @@ def test_there_is_always_something_to_do_and_a_vector_has_the_masks_of_all():
         envs.step(np.full(3, 99))
 
 
+def test_an_end_limit_is_a_damage_once_for_as_long_as_the_axis_stands_there(env):
+    env.reset(seed=1, options={"level": "move"})
+    x = env.stage.axes["x"]
+    near = next(s.touch for s in x.plant.switches if s.pin == "el_plus")
+    env.stage.place(x=near - 100 * x.meters_per_pulse)
+    told = act(env, "rates gentle", "distance 1024", "plus", "wait", "read")
+    assert x.switches.el_plus
+    assert x.lost_steps == 0
+    assert sum(info["reward_parts"]["damage"] for *_, info in told) == -0.5
+
+
 def test_stable_baselines_asks_for_the_masks():
     sb3 = pytest.importorskip("stage.envs.sb3", reason="extra rl is not installed")
     envs = sb3.StageVecEnv("stage/BusMacros-v1", 2, model="xy")

@@ -13,7 +13,7 @@ from stage import Stage
 from stage.errors import ArgumentError, StageError
 
 pytest.importorskip("nicegui")
-from stage.panel import share
+from stage.panel import share, written
 from stage.panel.server import Panel
 from stage.panel.session import FREE, Session
 
@@ -195,3 +195,15 @@ def test_what_is_no_such_file_is_said(tmp_path, file):
                 out.writestr(name, zipfile.ZipFile(file).read(name))
         with pytest.raises(ArgumentError, match=r"format 99|no file of a panel"):
             share.read(bad)
+
+
+@pytest.mark.parametrize(
+    ("option", "said"),
+    [
+        ({}, "Stage('xy', chips='pcl240ms')"),
+        ({"bus_voltage": 48.0}, "Stage('xy', chips='pcl240ms', drives=Drive(microsteps=16, bus_voltage=48.0))"),
+        ({"microsteps": 8}, "Stage('xy', chips='pcl240ms', drives=Drive(microsteps=8, bus_voltage=24.0))"),
+    ],
+)
+def test_a_program_makes_its_stage_with_the_options_of_the_panel(option, said):
+    assert written.stage_of(MADE | option) == said

@@ -9,7 +9,9 @@ import pytest
 from serve.test_bad_bytes import reply, wire
 from support.served import serving
 
-from stage import StageError
+from stage import Stage, StageError
+from stage.board import Board
+from stage.chips import HCTL1100
 from stage.cli import main
 from stage.serve import client, server
 from stage.serve.client import HEAD, ServerError
@@ -64,6 +66,21 @@ def test_reads_after_a_restore_are_lines_of_their_own(served):
         host.restore("here")
         host.in8(0x302)
         assert [c.times for c in served.board.trace] == [2, 1]
+
+
+def test_a_restore_puts_the_address_latches_back():
+    """an HCTL-1100: an address, then its data, each at a port"""
+    board = Board(Stage("xyz_servo", chips=HCTL1100, visuals=False))
+    latch = board.places[0].first
+    with serving(board) as served, served.host() as host:
+        host.out8(latch, 0x22)
+        host.snapshot("here")
+        host.out8(latch, 0x20)
+        host.restore("here")
+        host.out8(latch + 1, 0x11)
+        values = board.stage.chips[0].values()
+    assert values["R22"] == 0x11
+    assert values["R20"] != 0x11
 
 
 def greeting(magic=client.MAGIC, version=client.VERSION, role=client.DRIVE, kind=client.HELLO, more=b""):

@@ -356,6 +356,22 @@ def test_the_folder_goes_with_its_bus_trace_when_the_test_passes_again(session, 
 
 
 @needs_rerun
+def test_the_folder_goes_with_several_recordings_too(session, pytester):
+    source = """
+        def test_it_fails(stage):
+            start = stage.snapshot()
+            stage.run(0.01)
+            stage.restore(start)
+            stage.run(0.01)
+            assert 0
+        """
+    session(source)
+    assert (pytester.path / FOLDER / "recording-2.rrd").is_file()
+    session(source.replace("assert 0", "assert 1"))
+    assert not (pytester.path / FOLDER).exists()
+
+
+@needs_rerun
 def test_keep_all_keeps_those_of_passed_tests(session, pytester):
     result, _ = session(TURNS.replace("assert 0", "assert 1"), "--pulsestage-keep=all")
     result.assert_outcomes(passed=1)

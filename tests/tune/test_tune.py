@@ -187,6 +187,15 @@ def test_a_trial_is_as_slow_as_its_slowest_move_that_was_asked_for_and_what_does
     assert search(lanes, cases, [], LIMIT, 1, seed=0)[0][0][2:] == (1.5 * LIMIT, 1)
 
 
+def test_who_is_not_looked_at_for_the_whole_hold_has_not_arrived(task, tries):
+    plan, case = tries.plans.formula(), Case(PAYLOAD, 0.0, 1)
+    arrived = float(tries.make([plan], [case], LIMIT).arrived[0, 0])
+    for more, seen in ((0.0, True), (-LOOK, False)):
+        again = tries.make([plan], [case], arrived + task.hold + more).arrived[0, 0]
+        assert (again == arrived) == seen
+        assert np.isnan(again) != seen
+
+
 def test_nothing_starts_faster_than_it_is_to_drive(tries):
     made = tries.plans.plan(Speeds(1000.0, 2000.0, 0.1, 0.1), {"start": 1.0, "drive": -1.0}, "linear")
     assert made.speeds.start == made.speeds.drive == pytest.approx(2000 / 1.5)
