@@ -51,7 +51,7 @@ def _arrow(ax: Any, model: Any, data: Any, eye: Any, axis: Any, k: int) -> None:
     import numpy as np
     from matplotlib import patheffects
 
-    from stage.recording.rerun_log import PALETTE
+    from stage.recording.series import COLOURS
 
     body = int(model.jnt_bodyid[axis.joint])
     geoms = np.flatnonzero(model.geom_bodyid == body)
@@ -66,7 +66,7 @@ def _arrow(ax: Any, model: Any, data: Any, eye: Any, axis: Any, k: int) -> None:
     else:
         points = np.array([middle, middle + length * way])
     seen = _seen(eye, points)
-    colour = tuple(c / 255 for c in PALETTE[k % len(PALETTE)])
+    colour = tuple(c / 255 for c in list(COLOURS.values())[k % len(COLOURS)])
     edge = [patheffects.withStroke(linewidth=6, foreground="white")]
     ax.plot(*seen[:-1].T, color=colour, lw=3.5, solid_capstyle="round", path_effects=edge)
     style = {

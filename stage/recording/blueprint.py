@@ -11,7 +11,7 @@ import numpy as np
 from stage.recording import geoms
 from stage.recording.scene import axis_path
 from stage.recording.sdk import rr, rrb
-from stage.recording.series import axes_with, heading
+from stage.recording.series import axes_with, colours_of, heading
 
 if TYPE_CHECKING:
     from stage.recording.recording import Recording
@@ -39,12 +39,12 @@ def dashboard(recording: Recording) -> Any:
     paths = {name: f"/{axis_path(name)}" for name in recording.axes}
     together = rrb.TimeAxis(link="LinkToGlobal")
 
-    def plot(*keys: str) -> Any:
+    def plot(*keys: str, said: str = "") -> Any:
         return rrb.TimeSeriesView(
-            name=heading(recording, keys[0]),
+            name=heading(recording, keys[0]) + said,
             origin="/",
             contents=[f"+ {paths[name]}/{k}" for k in keys for name in axes_with(recording, k)],
-            plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=True),
+            plot_legend=rrb.PlotLegend(visible=False),  # it would lie on the curves
             axis_x=together,
         )
 
@@ -68,8 +68,8 @@ def dashboard(recording: Recording) -> Any:
         rrb.Horizontal(
             rrb.Vertical(view, rrb.Tabs(*lanes), row_shares=[1 - low, low]),
             rrb.Vertical(
-                plot("rate"),
-                plot("position", "commanded"),
+                plot("rate", said=f": {', '.join(f'{a} {c}' for a, c in colours_of(recording).items())}"),
+                plot("position", "commanded", said=", commanded darker"),
                 rrb.Tabs(*(plot(key) for key in MEASURED if axes_with(recording, key))),
                 rrb.Tabs(
                     bus,

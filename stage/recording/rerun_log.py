@@ -26,7 +26,7 @@ from stage.chips.describe import Said
 from stage.chips.journal import Replay
 from stage.recording import scene, signals
 from stage.recording.sdk import rr
-from stage.recording.series import FORMAT, series_of
+from stage.recording.series import COLOURS, FORMAT, colours_of, series_of
 from stage.recording.sink import Sink
 from stage.recording.thin import thin
 from stage.units import SMALL
@@ -34,7 +34,6 @@ from stage.units import SMALL
 if TYPE_CHECKING:
     from stage.recording.recording import Note, Recording
 
-PALETTE = ((240, 96, 84), (88, 190, 112), (88, 152, 245), (226, 172, 62), (172, 124, 232), (64, 190, 196))
 STATES = {
     "up": (38, 140, 92), "keep": (40, 108, 186), "down": (190, 120, 26), "hold": (52, 57, 66),
     "idle": (52, 57, 66), "profile": (38, 140, 92), "control": (40, 108, 186),
@@ -63,7 +62,7 @@ class Log:
         from stage.recording.blueprint import dashboard
 
         self._recording, self._rows, self._noted = recording, 0, 0
-        self._colours = {name: PALETTE[k % len(PALETTE)] for k, name in enumerate(recording.axes)}
+        self._colours = {name: COLOURS[colour] for name, colour in colours_of(recording).items()}
         self._lanes = {name: Lanes(recording, name, self._colours[name]) for name in recording.axes}
         self._scene = scene.Scene(recording)
         self._out = rr.RecordingStream("pulsestage")

@@ -65,6 +65,19 @@ def axes_with(recording: Recording, series: str) -> list[str]:
     return [name for name, axis in recording.axes.items() if series in series_of(axis)]
 
 
+COLOURS = {
+    "red": (240, 96, 84), "green": (88, 190, 112), "blue": (88, 152, 245), "amber": (226, 172, 62), "violet": (172, 124, 232),
+    "teal": (64, 190, 196),
+}  # fmt: skip
+"""Of the axes, in their order, and again from the first."""
+
+
+def colours_of(recording: Recording) -> dict[str, str]:
+    """The name of each axis' colour."""
+    names = list(COLOURS)
+    return {name: names[k % len(names)] for k, name in enumerate(recording.axes)}
+
+
 def heading(recording: Recording, series: str) -> str:
     """What a plot of a series over all axes that have it is called, with its units."""
     spec, axes = SERIES[series], [recording.axes[name] for name in axes_with(recording, series)]

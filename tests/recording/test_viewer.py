@@ -18,7 +18,7 @@ import pytest
 
 from stage import ArgumentError
 from stage.recording import viewer
-from stage.recording.rerun_log import PALETTE
+from stage.recording.series import COLOURS, colours_of
 from stage.recording.viewer import ViewerError
 
 
@@ -232,7 +232,7 @@ def test_a_picture_shows_the_whole_dashboard(rrd, tmp_path):
         pixels = np.asarray(picture.convert("RGB")).astype(int)
     scene, plots = pixels[40:500, :800].reshape(-1, 3), pixels[40:600, 920:1560].reshape(-1, 3)
     assert len(np.unique(scene, axis=0)) > 1000
-    for axis, colour in zip("xyz", PALETTE, strict=False):
+    for axis, colour in zip("xyz", COLOURS.values(), strict=False):
         assert np.abs(plots - colour).sum(axis=1).min() < 40, axis
 
 
@@ -299,3 +299,10 @@ def test_a_picture_waits_until_the_viewer_is_there_has_loaded_all_and_stands_sti
     held = (1, ("time",), {"duration": 2.0, "play_state": "paused"})
     assert done == [size, 0.2, 0.2, 0.2, held, 0.5, 0.5, (png, (640, 480))]
     assert not shots
+
+
+def test_the_dashboard_names_the_colour_of_each_axis_and_begins_again_after_the_last():
+    eight = SimpleNamespace(axes=dict.fromkeys("abcdefgh"))
+    named = colours_of(eight)
+    assert list(named.values()) == [*COLOURS, *list(COLOURS)[:2]]
+    assert named["b"] == "green"
