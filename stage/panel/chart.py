@@ -206,9 +206,9 @@ class Chart:
         if x:
             x[-1].update(name=unit, nameLocation="middle", nameGap=22, nameTextStyle={"color": INK})  # type: ignore[call-overload]
         series = []
-        for times, values in frame.curves.values():
+        for name, (times, values) in frame.curves.items():
             at = np.round((times - origin) * k, 4 if short else 5)
-            points = np.stack([at, _significant(values)], axis=1)
+            points = np.stack([at, _significant(values, self.sampler.traces[name].places)], axis=1)
             series.append({"data": points[_corners(points[:, 1])].tolist()})
         return {"xAxis": x, "series": series}
 
@@ -217,10 +217,11 @@ def _round(value: float) -> float:
     return round(value, 4)
 
 
-def _significant(values: np.ndarray) -> np.ndarray:
-    """Six digits of the greatest: what a screen can show, in short messages."""
+def _significant(values: np.ndarray, places: int) -> np.ndarray:
+    """Six digits of the greatest, what a screen can show, and no more than `places` decimals: what rests is level."""
     top = float(np.max(np.abs(values), initial=0.0))
-    return np.round(np.asarray(values, float), 5 - math.floor(math.log10(top)) if top > 0 else 0)
+    digits = min(places, 5 - math.floor(math.log10(top))) if top > 0 else 0
+    return np.round(np.asarray(values, float), digits) + 0.0  # no -0
 
 
 def _corners(values: np.ndarray) -> np.ndarray:

@@ -43,6 +43,7 @@ def build(panel: Panel) -> None:
 
 PRIMARY = "#2f74b5"  # white on it, and it on white, has a contrast of 4.9
 STYLE = """
+html { scroll-padding-top: 72px }
 .body--dark .text-primary { color: #7db6ea !important }
 .panel .q-btn--dense:not(.q-btn--round) { padding: 3px 10px }
 .panel .q-btn-toggle .q-btn { min-width: 34px }
@@ -51,7 +52,11 @@ STYLE = """
 .view { position: absolute; top: 6px; right: 6px; opacity: 0.8 }
 .nicegui-content { padding: 0 }
 .panel { display: grid; grid-template-columns: minmax(0, 1.2fr) minmax(0, 1fr); gap: 12px; padding: 12px; width: 100% }
-@media (max-width: 600px) { .panel .q-tab { padding: 0 8px } }
+@media (max-width: 600px) {
+  html { scroll-padding-top: 0 }
+  .q-header { position: absolute }
+  .panel .q-tab { padding: 0 8px }
+}
 @media (max-width: 900px) { .panel { grid-template-columns: minmax(0, 1fr) } }
 .machine, .desk { display: flex; flex-direction: column; gap: 12px; min-width: 0 }
 .scene { width: 100%; height: 46vh; border-radius: 8px; overflow: hidden }

@@ -11,6 +11,7 @@ forgotten. A recording that somebody begins takes its place; the sampler then re
 
 from __future__ import annotations
 
+import math
 import threading
 from collections import deque
 from collections.abc import Sequence
@@ -42,7 +43,9 @@ _MORE = {
 
 
 class Trace(NamedTuple):
-    """Something to see of an axis. name: "x/position"; pin: 0 or 1, on a logic lane; value: from the samples, in `unit`."""
+    """Something to see of an axis. name: "x/position"; pin: 0 or 1, on a logic lane; value: from the samples, in `unit`.
+
+    places: the decimals that mean something: what is below them is the arithmetic's."""
 
     name: str
     axis: int
@@ -50,6 +53,7 @@ class Trace(NamedTuple):
     unit: str
     pin: bool
     value: Any
+    places: int = 0
 
 
 class Event(NamedTuple):
@@ -83,6 +87,7 @@ def _quantities(axis: Axis) -> list[Trace]:
                 unit,
                 False,
                 lambda c, s=s, k=scale: s.value(c) * k,
+                1 - math.floor(math.log10(s.tolerance)) if s.tolerance else 0,
             )
         )
     return out
