@@ -225,6 +225,15 @@ class Bench:
         self.session.paused, self.session.speed = False, 1.0
         self.browser.open(self.panel.address)
 
+    @contextmanager
+    def slow_motion(self):
+        """A tenth of real time: a hand is in time for what moves, however busy the machine is."""
+        self.session.speed = 0.1
+        try:
+            yield
+        finally:
+            self.session.speed = 1.0
+
     def stage(self, look):
         """`look(stage)`, by the stage's own thread."""
         return self.session.do(look)
