@@ -146,7 +146,8 @@ class Chart:
             grids.append({"left": 78, "right": 14, "top": top + (HEAD if tall else 0), "height": height})
             top += height + (GAP if tall else 4)
             line = {"show": False} if not last else {"lineStyle": {"color": INK}}
-            xs.append({"type": "value", "gridIndex": k, "min": 0, "max": 1, "axisLabel": {"show": last, "color": INK},
+            xs.append({"type": "value", "gridIndex": k, "min": 0, "max": 1,
+                       "axisLabel": {"show": last, "color": INK, "hideOverlap": True},
                        "axisLine": line, "axisTick": {"show": last}, "splitLine": {"show": tall, "lineStyle": {"color": FAINT}},
                        "axisPointer": {"label": {"show": last}}})  # fmt: skip
             names = {"nameLocation": "end" if tall else "middle", "nameRotate": 0, "nameGap": 9 if tall else 40}
