@@ -21,6 +21,8 @@ def build(panel: Panel, live: Live) -> None:
         for axis in stage.axes.values():
             with ui.card().classes("col q-pa-sm").style("min-width: 205px").mark(f"axis-{axis.name}"):
                 ui.label(f"{axis.name}  {type(axis.chip).__name__}").classes("text-weight-bold")
+                motor = ui.element("div").classes("text-caption").props(f'data-test="motor-{axis.name}"')
+                live.text(motor, partial(_motor, axis))
                 text = ui.element("div").classes("number").style("white-space: pre; font-size: 12px")
                 live.text(text.props(f'data-test="place-{axis.name}"'), partial(_where, panel, axis))
                 with ui.row().classes("q-gutter-none"):
@@ -30,6 +32,10 @@ def build(panel: Panel, live: Live) -> None:
                             lamp.props(f'data-test="switch-{axis.name}-{name}"'),
                             partial(_on, panel, axis.name, name),
                         )
+
+
+def _motor(axis: Axis) -> str:
+    return axis.drive.motor.name
 
 
 def _where(panel: Panel, axis: Axis) -> str:

@@ -17,6 +17,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from stage.drives.dc_motors import DC_MOTORS
+from stage.drives.motors import MOTORS
 from stage.errors import ArgumentError, StageError, unknown
 from stage.panel.fields import Field, WrongField, parsed
 from stage.panel.travel import strongest_push
@@ -166,6 +168,10 @@ class Hands:
             choices = tuple(s.pin for s in self.session.stage.axes[axis].plant.switches)
         elif p.name == "phase":
             choices = tuple(faults.PHASES)
+        elif p.name == "motor":
+            has = self.session.stage.axes[axis]
+            choices = tuple(DC_MOTORS if has.chip.SERVO else MOTORS)
+            default = next(name for name in choices if name != has.drive.motor.name)
         if choices and default not in choices:
             default = choices[0]
         return Field(p.name, p.name, UNITS.get(p.name, ""), default, choices)

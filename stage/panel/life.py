@@ -24,6 +24,10 @@ from stage.sim.stage import Stage
 LAST_LOOK = (
     0.1  # s of real time for which one looks on after a program has done something: those who look seldom see its end
 )
+ANOTHER = (
+    "the stage had another motor then, and was another machine: time goes back no further than to where the motor was changed. "
+    "Go back by less, or give the axis the motor that it had."
+)
 
 
 class Life:
@@ -75,10 +79,15 @@ class Life:
             self._hasty = False
             self.restart_clock()
 
-    def back(self, goal: int) -> float:
-        """To the snapshot before `goal`, ns; the time that it is then, s."""
+    def back(self, goal: int, to_good: bool = False) -> float:
+        """To the snapshot before `goal`, ns; the time that it is then, s. A machine that had another motor then is another,
+        and there is no way back to it: StageError, or, `to_good`, to where this one begins."""
         stage = self.stage
         snapshot = self.past.before(goal)
+        if snapshot is not None and snapshot.header != stage.header:
+            if not to_good:
+                raise StageError(ANOTHER)
+            snapshot = self.past.oldest_of(stage.header)
         if snapshot is not None:
             self.go_to(lambda: stage.restore(snapshot))
         return stage.time

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 
 from stage.sim.stage import Snapshot, Stage
+from stage.snapshots import Header
 
 KEPT = 30.0  # s of simulated time that one can go back
 EVERY = 0.05  # s of simulated time between the snapshots for it
@@ -26,11 +27,18 @@ class Past:
             kept.popleft()
 
     def before(self, goal: int) -> Snapshot | None:
-        """The last that is of `goal` (ns) or earlier, or the oldest; those after it are forgotten. None where there is none."""
+        """The last that is of `goal` (ns) or earlier, or the oldest. None where there is none."""
         kept = self._kept
-        while len(kept) > 1 and kept[-1][0] > goal:
-            kept.pop()
-        return kept[-1][1] if kept else None
+        return next((snapshot for at, snapshot in reversed(kept) if at <= goal), kept[0][1] if kept else None)
+
+    def oldest_of(self, header: Header) -> Snapshot | None:
+        """The oldest from which on the machine has been this one, of which its snapshots are."""
+        found = None
+        for _, snapshot in reversed(self._kept):
+            if snapshot.header != header:
+                break
+            found = snapshot
+        return found
 
     def forget_after(self, now: int) -> None:
         """What then lies in the future."""

@@ -127,7 +127,8 @@ class Session:
 
     def back(self, seconds: float) -> float:
         """Go back by so many simulated seconds, as far as the session remembers, to the snapshot before; returns the time (s) that
-        it is then. An action under way is abandoned. Raises StageError while a recording goes on."""
+        it is then. An action under way is abandoned. Raises StageError while a recording goes on, and where the stage had another
+        motor then."""
         if not seconds >= 0:
             raise ArgumentError(f"back({seconds!r}): seconds, 0 or more.")
         self.abandon()
@@ -136,7 +137,8 @@ class Session:
     def recover(self) -> float:
         """After a divergence: back to before it, where time stands still until somebody has mended the cause. The time, s."""
         self.paused = True
-        return self.back(RECOVERED)
+        self.abandon()
+        return self.do(lambda stage: self._life.back(stage.now - round(RECOVERED * 1e9), to_good=True))
 
     def reset(self) -> None:
         """Power-up. Raises StageError while a recording goes on."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING
 
 from nicegui import context, run, ui
@@ -44,13 +45,18 @@ def build(panel: Panel, live: Live, gate: Gate) -> None:
             "dense dark borderless options-dense aria-label='simulated seconds a second' data-test=speed"
         )
     gate.machine(row)
+
+    async def back(seconds: float) -> None:
+        try:
+            await run.io_bound(session.back, seconds)
+        except StageError as error:
+            ui.notify(str(error), type="warning", multi_line=True)
+
     with ui.row().classes("items-center q-gutter-none") as row:
         _button("skip_next", "one physics step", session.single_step, "step")
         with _button("replay", "go back", None, "back"), ui.menu():
             for seconds in BACK:
-                ui.menu_item(f"{seconds:g} s back", lambda s=seconds: run.io_bound(session.back, s)).props(
-                    f"data-test=back-{seconds:g}"
-                )
+                ui.menu_item(f"{seconds:g} s back", partial(back, seconds)).props(f"data-test=back-{seconds:g}")
         _button("restart_alt", "power-up", lambda: run.io_bound(session.reset), "reset")
     gate.driving(row)
     clock = ui.element("div").classes("number q-ml-sm").props("data-test=time role=timer aria-label='simulated time'")

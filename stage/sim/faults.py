@@ -13,7 +13,8 @@ Faults of switches and of the bus begin on the nanosecond, also inside a physics
 the whole physics step (0.25 ms) in which they begin. Several may be in force; `stage.faults` names them, and so does a
 recording, at their moments.
 
-A fault belongs to the machine, as a payload does: snapshots, `restore` and `reset` do not change it, copies and pickles of a stage
+A fault belongs to the machine, as a payload does: snapshots, `restore` and `reset` do not change it (and over `motor` there is no
+`restore`), copies and pickles of a stage
 have it too (permanently: `mend` acts on the stage where the fault was made). Its effects are state: a contact that is bouncing, a
 rotor that has slipped, a current. `start_skew` and `lost_write` are faults of the host's board: copies do not have them.
 
@@ -22,7 +23,8 @@ docs/faults.md has the measured effect of each, and how a host can detect it; `s
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import mujoco
@@ -30,6 +32,8 @@ import mujoco
 from stage.arguments import told
 from stage.chips import Chip
 from stage.drives import stepper
+from stage.drives.dc_motors import DC_MOTORS, DCMotor
+from stage.drives.motors import MOTORS, Motor
 from stage.errors import ArgumentError, unknown
 from stage.sim.axis import Axis
 from stage.sim.records import MAX_TOGGLES
@@ -241,6 +245,32 @@ def phase_open(axis: Axis, phase: str = "a") -> Fault:
 
     put(before | PHASES[phase])
     return Fault(axis.stage, f"axis {axis.name}: phase {phase} open", lambda: put(before))
+
+
+@told
+def motor(axis: Axis, motor: str | Motor | DCMotor) -> Fault:
+    """Another motor is in place of the axis' own: a preset's name, or a Motor (DCMotor) of as many steps a turn.
+
+    Its rotor, torque and currents are those of its data sheet; what the drive is set to stays, so do the rotor's angle and the
+    lost steps, and currents follow. Another motor is another machine: `restore` refuses snapshots of before in words, and when it
+    is mended those from between; `reset` is power-up with the motor that is there. Raises ArgumentError, ModelError.
+    """
+    _check(axis)
+    before = axis.drive
+    presets: Mapping[str, Any] = DC_MOTORS if axis.chip.SERVO else MOTORS
+    if not isinstance(motor, type(before.motor)) and not (isinstance(motor, str) and motor in presets):
+        raise unknown(f"motor of axis {axis.name}", str(getattr(motor, "name", motor)), presets)
+    after: Any = replace(before, motor=motor)  # type: ignore[arg-type]
+    if after == before:
+        raise ArgumentError(f"motor={after.motor.name!r}: axis {axis.name} has it already: {', '.join(presets)}.")
+    if after.pulses_per_turn != before.pulses_per_turn:
+        raise ArgumentError(
+            f"motor={after.motor.name!r}: it has {after.motor.steps_per_turn} steps a turn, and axis {axis.name} is made for "
+            f"{before.motor.steps_per_turn}: build a stage with it, drives={{{axis.name!r}: ...}}."  # type: ignore[union-attr]
+        )
+    axis.stage.refit(axis, after)
+    text = f"axis {axis.name}: motor {after.motor.name} in place of {before.motor.name}"
+    return Fault(axis.stage, text, lambda: axis.stage.refit(axis, before))
 
 
 # --- the host's board ---

@@ -35,6 +35,7 @@ from stage.sim.encoder import EncoderChoice
 from stage.sim.fingerprint import mechanics
 from stage.sim.loop import Loop
 from stage.sim.payload import Payloads
+from stage.sim.refit import refit_model, refit_power_up, refit_record
 from stage.sim.snapshot import Snapshot, header
 from stage.sim.state import SAVED, State, chips_of, words_needed
 from stage.sim.wires import Wires, WiringChoice, chosen_wiring, leaders, linked_axes
@@ -165,10 +166,12 @@ class Stage:
             Axis(self, k, p, chip_axis, drive, self._positive[k]) for k, (p, chip_axis, drive) in enumerate(axes)
         ]
         self.axes: Axes = Axes(self._axes)
-        self._header = self._bare = header(
-            self.state, self._axes, self._mechanics, self._encoders, self._followers, self._linked
-        )
+        self._header = self._bare = self._described()
         self.beside = Beside()
+
+    def _described(self) -> Header:
+        """What its snapshots are of, without devices."""
+        return header(self.state, self._axes, self._mechanics, self._encoders, self._followers, self._linked)
 
     # --- time ---
 
@@ -291,6 +294,23 @@ class Stage:
         """Somebody has changed this axis' rows of `state.switch_table`: from now on they hold."""
         self.loop.look_again(axis.index)
 
+    def refit(self, axis: Axis, drive: Drive | Servo) -> None:
+        """`axis` has this drive from now on, with another motor; see `faults.motor`. Snapshots of before are another stage's.
+
+        Raises ArgumentError, ModelError where that cannot be simulated, StageError; the stage is then as it was.
+        """
+        self.change()
+        self.loop.check_kept()
+        with self.loop.alone():
+            refit_model(self.model, self.data.qpos, self._axes, axis, drive)
+            axis.drive = drive
+            refit_record(self.state, axis, drive, self.state.drives[axis.index])
+        self.equip()
+        before = self._initial
+        self._bare = self._described()
+        self._header = Header(self._bare.parts + self.beside.part)
+        self._initial = _sealed(self._header, refit_power_up(self.state, axis, drive, before.state), before.diagnostics)
+
     def equip(self) -> None:
         """Whatever state was restored: the drives have the supply and the wires that their axes say, and stuck switches stick."""
         state = self.state
@@ -334,6 +354,11 @@ class Stage:
                 if self.state.axis_table[axis.index].counts:
                     chip.open_journal.note_shaft(chip.clock, axis.chip_axis, *chip.shaft_of(axis.chip_axis))
                 chip.open_journal.note_input(chip.clock, axis.chip_axis, chip.input_word(axis.chip_axis))
+
+    @property
+    def header(self) -> Header:
+        """What its snapshots are of: those of an equal one can be restored."""
+        return self._header
 
     def snapshot(self) -> Snapshot:
         """All state: physics, chips, drives, switches, time."""

@@ -1,9 +1,12 @@
 """Hands on the machine: what breaks is what stage.sim.faults makes, and mending leaves the machine as it was."""
 
+import numpy as np
 import pytest
 
 from stage import Stage
-from stage.errors import ArgumentError
+from stage.drives.dc_motors import DC_MOTORS
+from stage.drives.motors import MOTORS
+from stage.errors import ArgumentError, StageError
 from stage.panel.fields import WrongField
 from stage.panel.hands import Hands, functions
 from stage.panel.session import FREE, Session
@@ -48,7 +51,8 @@ def test_everything_that_can_break_is_offered_with_what_it_asks_for(hands):
     [
         ("switch_stuck", {"pin": "org", "closed": "yes"}), ("vane_missing", {"pin": "org"}),
         ("bounce", {"pin": "org", "toggles": "4"}), ("jam", {"force": ""}), ("bus_voltage", {"volts": "12"}),
-        ("phase_open", {"phase": "b"}), ("start_skew", {"seconds": "0.01"}), ("lost_write", {"address": "0", "value": "10h"}),
+        ("phase_open", {"phase": "b"}), ("motor", {"motor": "SS2422-5041"}),
+        ("start_skew", {"seconds": "0.01"}), ("lost_write", {"address": "0", "value": "10h"}),
     ],
 )  # fmt: skip
 def test_each_can_be_made_and_mended(hands, session, name, given):
@@ -57,6 +61,38 @@ def test_each_can_be_made_and_mended(hands, session, name, given):
     hands.mend(made)
     assert session.stage.faults == ()
     assert hands.in_force == []
+
+
+def test_the_motors_of_an_axis_are_those_that_its_chip_can_drive(hands):
+    def motors(hands):
+        return next(b for b in hands.breakings("x") if b.name == "motor").fields[0]
+
+    assert motors(hands).choices == tuple(MOTORS)
+    assert motors(hands).default != "17HS4401", "the one that it has"
+    with Session(Stage("xyz_servo", chips="hctl1100", visuals=False), paused=True) as servo:
+        assert motors(Hands(servo)).choices == tuple(DC_MOTORS)
+
+
+def test_time_does_not_go_back_over_a_motor_that_was_changed(hands, session):
+    def pass_time(seconds):
+        session.do(lambda stage: session._life.at_once(stage.run, seconds))
+        session.do(session._life.past.remember)
+
+    for _ in range(2):
+        pass_time(0.1)
+    made = hands.make("motor", "x", {"motor": "SS2422-5041"})
+    changed = session.do(lambda stage: stage.time)
+    for _ in range(3):
+        pass_time(0.1)
+    before = session.do(lambda stage: stage.snapshot().state)
+    with pytest.raises(StageError, match="the stage had another motor then"):
+        session.back(30.0)
+    assert np.array_equal(session.do(lambda stage: stage.snapshot().state), before)
+    assert session.back(0.1) > changed
+    assert session.recover() > changed, "as far as the machine is this one"
+    hands.mend(made)
+    assert session.back(30.0) < changed
+    session.reset()
 
 
 def test_a_stuck_switch_is_seen(hands, session):

@@ -122,6 +122,22 @@ def test_an_open_wire_is_one_of_the_drive(hands):
     assert not hands.x("open_phases")
 
 
+def test_another_motor_is_chosen_on_the_page_and_stands_on_the_card_of_its_axis(hands):
+    browser = hands.browser
+    browser.until(lambda: browser.text("motor-x") == "17HS4401")
+    hands.session.paused = True
+    break_it(hands, "motor", motor="SS2422-5041")
+    browser.until(lambda: browser.text("motor-x") == "SS2422-5041")
+    assert browser.text("motor-y") == "17HS4401"
+    assert hands.x("drive").motor.name == "SS2422-5041"
+    browser.click("back")
+    browser.click("back-30")
+    browser.until(lambda: "the stage had another motor then" in browser.driver.page_source)
+    mend(hands)
+    browser.until(lambda: browser.text("motor-x") == "17HS4401")
+    hands.session.paused = False
+
+
 def test_a_switch_that_bounces_does_until_it_is_mended(hands):
     def toggles():
         return hands.stage(lambda stage: int(stage.state.switch_table[stage.axes["x"].switches.row("org")]["toggles"]))

@@ -67,6 +67,25 @@ def file(first, tmp_path_factory):
     return path
 
 
+def test_another_motor_is_in_the_file_and_it_goes_on_bit_for_bit(tmp_path):
+    saved, opened, path = Made(), Made(), tmp_path / "motor.zip"
+    try:
+        saved.after(move)
+        saved.panel.hands.make("motor", "x", {"motor": "SS2422-5041"})
+        saved.after(lambda stage: stage.run(0.01))
+        path.write_bytes(share.save(saved.panel))
+        share.put(opened.panel, share.read(path))
+        assert opened.session.stage.axes["x"].drive.motor.name == "SS2422-5041"
+        ends = [made.after(lambda stage: stage.run(0.3)) for made in (saved, opened)]
+        assert np.array_equal(*ends)
+        (made,) = opened.panel.hands.in_force
+        opened.panel.hands.mend(made)
+        assert opened.session.stage.axes["x"].drive.motor.name == "17HS4401"
+    finally:
+        for made in (saved, opened):
+            made.close()
+
+
 def test_it_goes_on_bit_for_bit(first, file):
     other = Made()
     try:

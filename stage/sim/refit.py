@@ -1,0 +1,71 @@
+"""Another motor on an axis of a stage that is built: what changes in the model, and in the state of power-up."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import mujoco
+import numpy as np
+
+from stage.drives import drive as any_drive
+from stage.drives.dc_motors import Servo
+from stage.drives.motors import Drive
+from stage.errors import ArgumentError
+from stage.sim.integration import check_step
+from stage.sim.state import SAVED, State
+
+if TYPE_CHECKING:
+    from stage.sim.axis import Axis
+
+
+def refit_model(model: Any, qpos: np.ndarray, axes: Sequence[Axis], axis: Axis, drive: Drive | Servo) -> None:
+    """The joint of `axis` turns the rotor of this drive in place of its own, and a <dcmotor> has its constants.
+
+    Raises ArgumentError, ModelError where that cannot be simulated; the model is then as it was.
+    """
+    p = axis.plant
+    armature = model.dof_armature[p.dof] + (drive.motor.rotor_inertia - axis.drive.motor.rotor_inertia) * p.gear**2
+    if armature < 0:
+        raise ArgumentError(
+            f"motor={drive.motor.name!r}: axis {axis.name} has an armature of {model.dof_armature[p.dof]:g}, less than the rotor "
+            f"of its {axis.drive.motor.name} makes alone: build a stage with the other motor."
+        )
+    trial = copy.copy(model)
+    _fit(trial, axis, drive, armature)
+    data = mujoco.MjData(trial)
+    data.qpos[:] = qpos
+    mujoco.mj_forward(trial, data)
+    check_step(trial, data, [a.plant for a in axes], [drive if a is axis else a.drive for a in axes])
+    _fit(model, axis, drive, armature)
+
+
+def _fit(model: Any, axis: Axis, drive: Drive | Servo, armature: float) -> None:
+    model.dof_armature[axis.plant.dof] = armature
+    if isinstance(drive, Servo):
+        model.actuator_gainprm[axis.plant.actuator, :2] = drive.motor.resistance, drive.motor.torque_constant
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+
+
+def refit_record(state: State, axis: Axis, drive: Drive | Servo, record: Any) -> None:
+    """A DRIVE record gets the constants of this drive. Its angle stays and its currents follow: no jump, no lost step."""
+    current = record.current
+    drive.fill(record)
+    if state.chip_table[state.axis_table[axis.index].chip].current:
+        record.current = current  # is the chip's to say
+
+
+def refit_power_up(state: State, axis: Axis, drive: Drive | Servo, before: np.ndarray) -> np.ndarray:
+    """The state of power-up with this drive, in place of `before`: its currents are settled."""
+    n = len(state.saved)
+    data = mujoco.MjData(state.model)
+    mujoco.mj_setState(state.model, data, before[:n], SAVED)
+    begin = (state.drives.ctypes.data - state.data.userdata.ctypes.data) // data.userdata.itemsize
+    words = state.drives.nbytes // data.userdata.itemsize
+    record = data.userdata[begin : begin + words].view(state.drives.dtype)[axis.index]
+    refit_record(state, axis, drive, record)
+    any_drive.align(record, 0.0, float(data.qpos[axis.plant.qpos]) * axis.gear)
+    after = before.copy()
+    mujoco.mj_getState(state.model, data, after[:n], SAVED)
+    return after

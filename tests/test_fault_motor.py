@@ -1,0 +1,134 @@
+"""Promises of `faults.motor`: another motor on an axis of a stage that is built."""
+
+import copy
+import pickle
+
+import numpy as np
+import pytest
+from support.programs import start_preset
+
+from stage import ArgumentError, Drive, Stage, firmware
+from stage.chips import HCTL1100, PCL240K
+from stage.drives.motors import MOTORS, Motor
+from stage.sim import faults
+
+SMALL = "SS2422-5041"
+
+
+@pytest.fixture(scope="module")
+def fresh():
+    return Stage("xyz", chips=PCL240K, visuals=False)
+
+
+@pytest.fixture
+def xyz(fresh):
+    fresh.reset()
+    yield fresh
+    assert fresh.faults == (), "a test left a fault behind"
+
+
+def state(stage):
+    return stage.snapshot().state.tobytes()
+
+
+def hurry(axis):
+    """A move that asks for more than the small motor has."""
+    return firmware.move(axis, distance=0.02, speed=0.1, accel=0.01)
+
+
+def test_a_small_motor_loses_the_steps_that_a_large_one_keeps_until_it_is_mended(xyz):
+    x = xyz.axes["x"]
+    hurry(x)
+    assert x.lost_steps == 0
+    as_it_was = state(xyz)
+    with faults.motor(x, SMALL) as fault:
+        assert xyz.faults == (fault.text,) == (f"axis x: motor {SMALL} in place of 17HS4401",)
+        xyz.reset()
+        hurry(x)
+        assert x.lost_steps > 100
+    xyz.reset()
+    hurry(x)
+    assert state(xyz) == as_it_was
+
+
+@pytest.mark.parametrize(("model", "chip", "name"), [("xyz", PCL240K, SMALL), ("xyz_servo", HCTL1100, "14204S004")])
+def test_power_up_is_that_of_a_stage_built_with_the_motor(model, chip, name):
+    built = Stage(model, chips=chip, drives={"x": name}, visuals=False)
+    stage = Stage(model, chips=chip, visuals=False)
+    faults.motor(stage.axes["x"], name)
+    stage.reset()
+    assert state(stage) == state(built)
+    for field in ("dof_armature", "actuator_gainprm"):
+        assert np.array_equal(getattr(stage.model, field), getattr(built.model, field))
+
+
+def test_a_change_amid_a_move_makes_no_jump_and_no_other_axis_sees_it(xyz):
+    x, y = xyz.axes["x"], xyz.axes["y"]
+    for axis in (x, y):
+        start_preset(axis.chip, 10_000)
+    xyz.run(0.3001234)
+    before = x.position, x.load_angle, y.position, y.load_angle
+    with faults.motor(x, SMALL):
+        assert (x.position, x.load_angle, y.position, y.load_angle) == before
+        xyz.run(0.1)
+        assert x.position == pytest.approx(y.position, rel=1e-3)
+        assert x.lost_steps == 0
+
+
+def test_a_snapshot_of_another_motor_is_refused_until_that_is_there_again(xyz):
+    x, before = xyz.axes["x"], xyz.snapshot()
+    with faults.motor(x, SMALL):
+        between, now = xyz.snapshot(), state(xyz)
+        with pytest.raises(ArgumentError, match=f"drive of axis x: 17HS4401, .* there, {SMALL}, .* here"):
+            xyz.restore(before)
+        assert state(xyz) == now
+        xyz.restore(between)
+    with pytest.raises(ArgumentError, match=f"drive of axis x: {SMALL}, .* there, 17HS4401"):
+        xyz.restore(between)
+    xyz.restore(before)
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda s: pickle.loads(pickle.dumps(s))])
+def test_copies_have_it_and_go_on_bit_for_bit(xyz, copied):
+    with faults.motor(xyz.axes["x"], SMALL):
+        twin = copied(xyz)
+        assert twin.faults == xyz.faults
+        assert twin.axes["x"].drive == Drive(SMALL)
+        for stage in (xyz, twin):
+            hurry(stage.axes["x"])
+        assert state(twin) == state(xyz)
+        for stage in (xyz, twin):
+            stage.reset()
+        assert state(twin) == state(xyz)
+
+
+def test_a_supply_that_fell_and_a_load_stay_what_they_are(xyz):
+    x = xyz.axes["x"]
+    xyz.set_payload(1.0)
+    with faults.bus_voltage(x, 12.0), faults.motor(x, SMALL):
+        assert (x.supply, float(x.electrics()[0].voltage)) == (12.0, 12.0)
+        assert xyz.payload() == 1.0
+    xyz.set_payload(0.0)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ("23HS22", "motor of axis x"),
+        ("14204S004", "motor of axis x"),
+        ("17HS4401", "axis x has it already"),
+        (Motor("fine", 1.5, 2.3, 4e-3, 0.45, 0.02, 5e-6, 400), "400 steps a turn"),
+    ],
+)
+def test_a_motor_that_does_not_fit_is_refused_and_nothing_has_changed(xyz, given, said):
+    before = state(xyz), xyz.header, xyz.model.dof_armature.tolist()
+    with pytest.raises(ArgumentError, match=said):
+        faults.motor(xyz.axes["x"], given)
+    assert (state(xyz), xyz.header, xyz.model.dof_armature.tolist()) == before
+
+
+def test_every_preset_can_take_the_place_of_every_other(xyz):
+    for name in MOTORS:
+        if name != xyz.axes["z"].drive.motor.name:
+            with faults.motor(xyz.axes["z"], name):
+                assert xyz.axes["z"].drive.motor is MOTORS[name]
