@@ -160,6 +160,6 @@ class Tuning(MoveTask[ConfigT]):
 def given(options: Mapping[str, Any], name: str, drawn: float, ends: tuple[float, float]) -> float | np.number:
     """A reset option, by default what was drawn; ArgumentError for one beyond its ends."""
     value = options.get(name, drawn)
-    if not isinstance(value, int | float | np.number) or not ends[0] <= value <= ends[1]:
+    if isinstance(value, bool) or not isinstance(value, int | float | np.number) or not ends[0] <= value <= ends[1]:
         raise ArgumentError(f"option {name}={value!r}: from {ends[0]} to {ends[1]}.")
     return value

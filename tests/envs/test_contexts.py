@@ -1,0 +1,122 @@
+"""Hidden machines at the ends of what may be drawn, and faults that come and go on one machine."""
+
+import numpy as np
+import pytest
+from support.mirrored import mirrored
+
+from stage import ArgumentError, Stage
+from stage.envs import contexts, faulty
+from stage.envs.results import Results, result
+from stage.envs.tuning import given
+
+ENDS = {"payload": (2.0, 2.0), "friction": (0.5, 2.0)}
+
+
+def machine():
+    stage = Stage("xy", visuals=False)
+    return stage, stage.axes["x"], faulty.Faulty.of(stage, "x")
+
+
+@pytest.mark.parametrize("end", [0.5, 2.0])
+def test_a_number_of_a_machine_may_be_given_up_to_both_ends(end):
+    context = np.zeros((), contexts.CONTEXT)
+    contexts.draw(np.random.default_rng(1), ENDS, context, {"friction": end})
+    assert (context["payload"], context["friction"]) == (2.0, end), "of a range of one number that number is drawn"
+
+
+@pytest.mark.parametrize("wrong", [True, "1", np.nan, 0.49, 2.01])
+def test_what_is_no_number_of_a_machine_is_refused(wrong):
+    with pytest.raises(ArgumentError, match="option friction="):
+        contexts.draw(np.random.default_rng(1), ENDS, np.zeros((), contexts.CONTEXT), {"friction": wrong})
+
+
+def test_a_range_of_one_number_is_shown_as_its_least():
+    context = np.zeros(2, contexts.CONTEXT)
+    context["payload"], context["friction"], context["fault"] = 2.0, (0.5, 2.0), (0, 7)
+    assert contexts.placed(ENDS, context).tolist() == [[-1, -1, 0], [-1, 1, 1]]
+
+
+@pytest.mark.parametrize("wrong", [True, "1", np.nan, -1, 9])
+def test_an_option_that_is_no_number_of_its_range_is_refused(wrong):
+    assert given({"payload": 0}, "payload", 1.0, (0.0, 8.0)) == 0
+    assert given({"payload": 8}, "payload", 1.0, (0.0, 8.0)) == 8
+    with pytest.raises(ArgumentError, match="option payload="):
+        given({"payload": wrong}, "payload", 1.0, (0.0, 8.0))
+
+
+def test_a_machine_has_the_friction_the_damping_the_supply_and_the_payload_of_its_context():
+    stage, x, _ = machine()
+    x.supply = 36.0
+    context = np.zeros((), contexts.CONTEXT)
+    context["payload"], context["friction"], context["supply"], context["torque"] = 1.0, 3.0, 0.5, 0.8
+    dof = x.plant.dof
+    was = stage.model.dof_frictionloss[dof], stage.model.dof_damping[dof]
+    carrier = stage.model.body(int(stage.model.jnt_bodyid[x.joint])).name
+    made = contexts.Machine.of(stage, "x", carrier)
+    for _ in range(2):
+        made.equip(stage, context, more=0.5)
+        assert stage.model.dof_frictionloss[dof] == pytest.approx(3 * was[0])
+        assert stage.model.dof_damping[dof] == pytest.approx(3 * was[1])
+        assert x.supply == 18.0
+        assert stage.payload(carrier) == 1.5
+
+
+@pytest.mark.parametrize("fault", ["jam", "org open", "org closed", "phase open", "bounce"])
+def test_a_fault_is_gone_with_the_next_one_and_with_none(fault):
+    stage, x, parts = machine()
+    row, dof = stage.state.switch_table[x.switches.row("org")], x.plant.dof
+
+    def seen():
+        switch = int(row["forced"]), int(row["bounce"]), int(row["toggles"])
+        return *stage.model.dof_solref[dof], *stage.model.dof_solimp[dof], x.open_phases, *switch
+
+    healthy = seen()
+    parts.put(stage, "none")
+    assert seen() == healthy
+    parts.put(stage, fault)
+    broken = seen()
+    assert broken != healthy
+    other = "jam" if fault != "jam" else "org open"
+    parts.put(stage, other)
+    parts.put(stage, fault)
+    assert seen() == broken
+    parts.put(stage, "none")
+    assert seen() == healthy
+
+
+def test_a_switch_that_was_stuck_before_stays_so_without_a_fault():
+    stage, x, _ = machine()
+    row = stage.state.switch_table[x.switches.row("org")]
+    row["forced"] = 1
+    parts = faulty.Faulty.of(stage, "x")
+    parts.put(stage, "org open")
+    assert row["forced"] == 0
+    parts.put(stage, "sag")
+    assert row["forced"] == 1
+
+
+def test_a_supply_sags_from_what_it_is():
+    stage, x, parts = machine()
+    x.supply = 36.0
+    parts.put(stage, "sag")
+    assert x.supply == pytest.approx(0.6 * 36.0)
+
+
+def test_bearings_bind_on_a_screw_that_turns_the_other_way_too(tmp_path):
+    stage = Stage(mirrored(tmp_path), visuals=False)
+    parts, dof = faulty.Faulty.of(stage, "x"), stage.axes["x"].plant.dof
+    was = stage.model.dof_frictionloss[dof]
+    parts.put(stage, "binding")
+    assert stage.model.dof_frictionloss[dof] > was
+
+
+def test_a_score_in_columns_is_of_those_alone_whose_episode_ends_now():
+    for hidden in (frozenset(), frozenset({"score"})):
+        results = Results(3, result(("time",), scored=True, duration=float), hidden)
+        results["score"]["time"], results["terminated"] = [1.0, 2.0, 3.0], [True, True, False]
+        told = results.columns(np.array([True, False, True]))
+        assert ("score" in told) == ("score" not in hidden)
+        if not hidden:
+            assert told["_score"].tolist() == [True, False, False]
+            assert told["score"]["time"].tolist() == [1.0, 0.0, 0.0]
+            assert told["score"]["_time"].tolist() == [True, False, False]
