@@ -1,0 +1,47 @@
+"""What the tuning tasks make of the ends of an action, and what they tell of a payload that is known badly."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from stage.envs.few_shot import RATES, SHORTEST, FewShotTuning
+from stage.envs.one_shot import OneShotTuning
+
+
+def rates(*action, distance=16_000):
+    return FewShotTuning.rates(None, np.array(action), distance)  # type: ignore[arg-type]
+
+
+def test_the_ends_of_an_action_are_those_of_the_rates():
+    assert rates(-1, -1, -1, -1) == pytest.approx([low for low, _ in RATES.values()])
+    assert rates(1, 1, 1, 1, distance=10**6) == pytest.approx([high for _, high in RATES.values()])
+
+
+def test_who_asks_for_a_start_above_the_drive_rate_drives_a_little_faster_than_that():
+    start, drive, *_ = rates(1, -1, -1, -1)
+    assert (start, drive) == pytest.approx((6000, 6300))
+
+
+def test_ramps_that_do_not_fit_are_as_steep_and_meet_on_the_way():
+    start, top, up, down = rates(-1, 1, 1, 1, distance=1600)
+    assert (start + top) / 2 * (up + down) == pytest.approx(1600)
+    assert (top - start) / up == pytest.approx((60_000 - 200) / 0.3)
+    assert up == down
+    assert rates(1, 1, 1, -1, distance=20)[3] == SHORTEST
+
+
+def test_a_declared_payload_is_within_what_may_be_however_badly_it_is_known():
+    asked = []
+    context = np.array([(5.0,)], [("payload", float)])
+    task = SimpleNamespace(
+        config=SimpleNamespace(error=0.9), ranges={"payload": (4.0, 5.0)}, context=context, declared=np.zeros(1)
+    )
+    task._ask = lambda k, payload: asked.append(payload)
+    rng = np.random.default_rng(1)
+    for _ in range(12):
+        OneShotTuning._reckon(task, 0, rng, {})  # type: ignore[arg-type]
+    assert max(asked) == 5.0, "no more than the heaviest"
+    assert 0 <= min(asked) < 4.0
+    OneShotTuning._reckon(task, 0, rng, {"declared": 0.0})  # type: ignore[arg-type]
+    assert asked[-1] == 0.0
