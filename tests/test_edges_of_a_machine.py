@@ -1,0 +1,110 @@
+"""Promises of stages where two things stand at once, and at the ends of what is allowed."""
+
+import copy
+import pickle
+
+import pytest
+
+from stage import Fleet, Program, RunTimeout, Stage, faults, firmware
+from stage.sim import plant
+
+
+@pytest.fixture(scope="module")
+def made():
+    return Stage("xy", visuals=False)
+
+
+@pytest.fixture
+def stage(made):
+    made.reset()
+    return made
+
+
+@pytest.fixture(scope="module")
+def mirrored():
+    """Its screw of x has a left-hand thread."""
+    spec = plant.open_spec("xy")
+    next(a for a in spec.actuators if a.name == "x").gear[0] *= -1
+    return Stage(spec, visuals=False)
+
+
+def test_a_pickled_fleet_keeps_its_threads(stage):
+    fleet = Fleet([stage, copy.deepcopy(stage)], threads=1)
+    assert pickle.loads(pickle.dumps(fleet)).threads == 1
+
+
+def test_a_program_may_ask_for_the_longest_limit(stage):
+    """until_stopped of axes at rest, 1e9 s at most"""
+    assert Fleet([stage]).play([Program().until_stopped([0, 1], 1e9)]).results[0, 0] >= 0
+
+
+def test_a_payload_in_place_of_another_weighs_what_it_weighs_alone(stage):
+    twin, body = copy.deepcopy(stage), stage.model.site("work").bodyid[0]
+    own = twin.model.body_mass[body]
+    twin.set_payload(1.0)
+    twin.set_payload(2.5)
+    assert twin.model.body_mass[body] == own + 2.5
+    twin.set_payload(0.0)
+    assert twin.model.body_mass[body] == own
+
+
+def test_a_copys_payload_is_its_own(stage):
+    first = copy.deepcopy(stage)
+    first.set_payload(1.0)
+    copy.copy(first).set_payload(3.0)
+    assert first.payload() == 1.0
+
+
+def test_a_copys_faults_are_its_own(stage):
+    first = copy.deepcopy(stage)
+    twin = copy.deepcopy(first)
+    faults.phase_open(twin.axes["x"], "a")
+    assert (first.faults, len(twin.faults)) == ((), 1)
+
+
+def test_a_switch_that_is_stuck_twice_is_stuck_as_first_once_the_second_fault_is_mended(stage):
+    x = stage.axes["x"]
+    with faults.switch_stuck(x, "org", True):
+        with faults.switch_stuck(x, "org", False):
+            assert not x.switches.org
+        assert x.switches.org
+
+
+def test_a_jam_holds_on_a_left_hand_thread(mirrored):
+    mirrored.reset()
+    x = mirrored.axes["x"]
+    start = x.position
+    with faults.jam(x):
+        report = firmware.move(x, 1e-3)
+    assert report.lost_steps
+    assert x.position == pytest.approx(start, abs=1e-4)
+
+
+def test_where_the_pulses_say_a_left_hand_carriage_is_has_the_sign_of_its_move(mirrored):
+    mirrored.reset()
+    x = mirrored.axes["x"]
+    start = x.position
+    with faults.jam(x, 1e4):
+        firmware.move(x, 1e-3)
+        assert x.commanded - start == pytest.approx(1e-3, abs=1e-4)
+
+
+def test_a_step_of_none_stays(stage):
+    stage.run(1e-4)
+    before = stage.now
+    stage.step()
+    at_end = stage.now
+    stage.step(0)
+    assert before < stage.now == at_end
+
+
+def test_a_condition_is_looked_at_no_later_than_its_timeout(stage):
+    with pytest.raises(RunTimeout):
+        stage.run_until(lambda: False, 2.5e-3, poll=1e-3)
+    assert stage.now == 2_500_000
+
+
+def test_carriages_may_be_placed_at_both_ends_of_their_travel(stage):
+    for end in stage.axes["x"].travel:
+        stage.place(x=end)
+        assert stage.axes["x"].position == pytest.approx(end, abs=1e-5)
