@@ -3,6 +3,7 @@
 import copy
 import pickle
 
+import numpy as np
 import pytest
 
 from stage import Fleet, Program, RunTimeout, Stage, faults, firmware
@@ -108,3 +109,11 @@ def test_carriages_may_be_placed_at_both_ends_of_their_travel(stage):
     for end in stage.axes["x"].travel:
         stage.place(x=end)
         assert stage.axes["x"].position == pytest.approx(end, abs=1e-5)
+
+
+def test_a_device_that_comes_on_the_bus_later_leaves_power_up_where_it_was(stage):
+    late = copy.deepcopy(stage)
+    late.run(1e-3)
+    late.attach("a latch", [np.zeros(1)])
+    late.reset()
+    assert late.now == stage.now
