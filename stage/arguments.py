@@ -31,6 +31,7 @@ def told(function: Callable[Given, Returned]) -> Callable[Given, Returned]:
 
     @wraps(function)
     def call(*given: Given.args, **named: Given.kwargs) -> Returned:
+        __tracebackhide__ = True  # pytest shows who was called, and not this
         try:
             return function(*given, **named)
         except ArgumentError:
