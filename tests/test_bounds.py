@@ -28,15 +28,9 @@ BELOW_9 = math.nextafter(1e9, 0)
 MOTOR = Drive().motor
 
 
-@pytest.fixture(scope="module")
-def made():
-    return Stage("xy", visuals=False)
-
-
 @pytest.fixture
-def stage(made):
-    made.reset()
-    return made
+def stage(xy):
+    return xy
 
 
 def check(given, *more):

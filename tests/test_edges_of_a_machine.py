@@ -10,15 +10,9 @@ from stage import Fleet, Program, RunTimeout, Stage, faults, firmware
 from stage.sim import plant
 
 
-@pytest.fixture(scope="module")
-def made():
-    return Stage("xy", visuals=False)
-
-
 @pytest.fixture
-def stage(made):
-    made.reset()
-    return made
+def stage(xy):
+    return xy
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ from stage.errors import ArgumentError, StageError
 from stage.firmware import procedures
 from stage.firmware.driver import RAMP, SETTLE, wait_until_stopped
 from stage.firmware.report import NOT_AS_ASKED, Procedure, Report
-from stage.firmware.tandem import square
+from stage.firmware.tandem import square_by
 from stage.firmware.together import SynchronizedReport
 
 if TYPE_CHECKING:
@@ -235,11 +235,7 @@ class Motion:
         for a in axes:
             self._at_rest(a.name)
             self._end(a.name)
-        wanted, unit = self._speeds(axis, given), one.meters_per_pulse
-        reports = square(
-            *axes, direction=WAYS.index(direction) * 2 - 1, speed=wanted.drive * unit, start_speed=wanted.start * unit,
-            accel=wanted.up, timeout=given.get("timeout", 60.0),
-        )  # fmt: skip
+        reports = square_by(axes, WAYS.index(direction) * 2 - 1, self._speeds(axis, given), given.get("timeout", 60.0))
         told_of = {r.axis: self._done(r, r.axis) for r in reports}
         return {"procedure": "home of axes that drive one load", "axes": told_of}
 

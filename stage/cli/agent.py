@@ -65,7 +65,8 @@ def run(args: argparse.Namespace) -> int:
         wrote(args, args.output, "the transcript; `stage agent-replay` makes its calls again")
     if args.entry is not None and came.entry is not None:
         came.entry.write(args.entry, args.force)
-        wrote(args, args.entry, "an entry of the bench; `stage bench-verify` replays it") if not args.mcp else None
+        if not args.mcp:
+            wrote(args, args.entry, "an entry of the bench; `stage bench-verify` replays it")
     _trouble(came)
     code = 0 if came.sound else 1
     if args.mcp and any(r.ended for r in came.rounds):

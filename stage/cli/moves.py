@@ -65,7 +65,7 @@ def _home(args: argparse.Namespace, axis: Any) -> Any:
 
 def _square(args: argparse.Namespace, axes: list[Any]) -> list[Any]:
     """Origin return of axes that drive one load."""
-    from stage import firmware
+    from stage.firmware.tandem import square_by
 
     for option in ("by", "ez", "constant", "fast_only", "fh2"):
         if getattr(args, option, None) not in (None, False):
@@ -73,14 +73,7 @@ def _square(args: argparse.Namespace, axes: list[Any]) -> list[Any]:
             raise ArgumentError(
                 f"--{option.replace('_', '-')}: axes {names} drive one load; they go to their origin switches together."
             )
-    wanted, unit = speeds(args, axes[0]), axes[0].meters_per_pulse
-    return firmware.square(
-        *axes,
-        direction=+1 if args.plus else -1,
-        speed=wanted.drive * unit,
-        start_speed=wanted.start * unit,
-        accel=wanted.up,
-    )
+    return square_by(axes, +1 if args.plus else -1, speeds(args, axes[0]))
 
 
 def move(args: argparse.Namespace) -> int:

@@ -64,6 +64,15 @@ def square(
     return reports
 
 
+def square_by(axes: Sequence[Axis], direction: int, wanted: Speeds, timeout: float = 60.0) -> list[Report]:
+    """As `square`, at speeds in pulses a second of the first axis."""
+    unit = axes[0].meters_per_pulse
+    return square(
+        *axes, direction=direction, speed=wanted.drive * unit, start_speed=wanted.start * unit, accel=wanted.up,
+        timeout=timeout,
+    )  # fmt: skip
+
+
 def tandems(axes: Iterable[Axis]) -> list[list[Axis]]:
     """Axes in the groups that move together, most of them alone; with those beside them that were not given."""
     groups: dict[str, list[Axis]] = {}
