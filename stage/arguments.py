@@ -1,7 +1,8 @@
 """Arguments of a wrong type are told in words: `@told` on a public function.
 
-A call that goes well costs nothing. Where Python raises a TypeError or the like, the arguments are compared with their annotations,
-and the one that does not fit is named with what it may be. An error without such an argument stays as it is.
+A call that goes well pays for one more call of Python, and no more. Where Python raises a TypeError or the like, the arguments are
+compared with their annotations, and the one that does not fit is named with what it may be. An error without such an argument
+stays as it is.
 """
 
 from __future__ import annotations

@@ -14,9 +14,9 @@ the whole physics step (0.25 ms) in which they begin. Several may be in force; `
 recording, at their moments.
 
 A fault belongs to the machine, as a payload does: snapshots, `restore` and `reset` do not change it (and over `motor` there is no
-`restore`), copies and pickles of a stage
-have it too (permanently: `mend` acts on the stage where the fault was made). Its effects are state: a contact that is bouncing, a
-rotor that has slipped, a current. `start_skew` and `lost_write` are faults of the host's board: copies do not have them.
+`restore`), copies and pickles of a stage have it too (permanently: `mend` acts on the stage where the fault was made). Its effects
+are state: a contact that is bouncing, a rotor that has slipped, a current. `start_skew` and `lost_write` are faults of the host's
+board: copies do not have them.
 
 docs/faults.md has the measured effect of each, and how a host can detect it; `stage fault` shows it.
 """
