@@ -193,9 +193,10 @@ class DriftingHome(MachineTask[Config]):
         self.shift[k, 0] += c.walk * walk
         self.shift[k, 1] = self.shift[k, 0] + c.noise * noise
         drawn = float(np.clip(self.origin + c.reach * at, low, high))
-        self.place[k] = options.get("start", drawn)
-        if not isinstance(self.place[k], float) or not low <= self.place[k] <= high:
-            raise ArgumentError(f"option start={options.get('start')!r}: m, from {low:g} to {high:g}.")
+        start = options.get("start", drawn)
+        if isinstance(start, bool) or not isinstance(start, int | float | np.number) or not low <= start <= high:
+            raise ArgumentError(f"option start={start!r}: m, from {low:g} to {high:g}.")
+        self.place[k] = start
         self.away[k] = 0.0 if np.isnan(self.ended[k]) else self.place[k] - self.ended[k]
         stage.restore(self.start)
         self.equip(k)

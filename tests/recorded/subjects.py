@@ -1,9 +1,18 @@
 """All files of recorded behaviour and their scenes."""
 
-from recorded import recorded_chips, recorded_cli, recorded_envs, recorded_firmware, recorded_stage, recorded_texts
+from recorded import (
+    recorded_chips,
+    recorded_cli,
+    recorded_envs,
+    recorded_firmware,
+    recorded_machines,
+    recorded_stage,
+    recorded_texts,
+)
 
 PHYSICS = {
     **recorded_cli.FILES, **recorded_texts.FILES, **recorded_stage.FILES, **recorded_firmware.FILES, **recorded_envs.FILES,
+    **recorded_machines.FILES,
 }  # fmt: skip
 """What depends on MuJoCo's version."""
 FILES = {**recorded_chips.FILES, **PHYSICS}
