@@ -126,6 +126,33 @@ def test_a_fault_is_of_its_episode_and_leaves_nothing_behind(env):
         assert machine() == healthy
 
 
+@pytest.mark.parametrize(("off", "missed"), [(-63, False), (63, False), (-65, True), (65, True)])
+def test_a_return_that_a_chip_calls_one_is_none_with_the_carriage_elsewhere(env, monkeypatch, off, missed):
+    env.reset(seed=1, options={"fault": "none"})
+    task, real = env._task, env._task.fleet.truth
+
+    def elsewhere():
+        truth = real().copy()
+        truth["position"] = task.origin + task.shift[0, 1] + off * task.per_pulse
+        return truth
+
+    monkeypatch.setattr(task.fleet, "truth", elsewhere)
+    info = env.step(env.scripted())[4]
+    assert info["home"]
+    assert info["error"] == pytest.approx(off)
+    assert info["reward_parts"]["missed"] == (-task.config.missed_weight if missed else 0)
+    assert info["reward_parts"]["error"] == pytest.approx(-task.config.error_weight * min(abs(off), 64))
+
+
+def test_a_start_is_a_number_between_the_end_limits(env):
+    for start in (0, -0.12, np.float32(-0.149)):
+        env.reset(options={"start": start})
+        assert env.stage.axes["x"].position == pytest.approx(start, abs=1e-6)
+    for wrong in ("0", True, None, [0.0], -0.1491, np.nan):
+        with pytest.raises(ArgumentError, match=r"option start=.*: m, from -0\.149 to 0\.149"):
+            env.reset(options={"start": wrong})
+
+
 def test_splits_have_faults_of_their_own_and_most_machines_none():
     drawn = {}
     for split in ("train", "faults"):

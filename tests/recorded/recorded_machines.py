@@ -26,6 +26,7 @@ BOLD = [2, 6, 7, 13, 2, 3, 8, 12, 10, 11] * 4
 """bold, 1024, plus; of y bold, 16, minus; of x wait, read."""
 FAR = [8, 1, 5, 7, 9, 10, 7, 9, 10, 12, 6, 11, 8] * 4
 """With a grid of three: home, usual, 8192, minus, wait, read, into the end limit; select y, plus, select x, home."""
+SLOW = (a_move(200, 2000, 0.3, 0.3), *MOVES[:2])
 SOUND = {"fault": "none", "payload": 1.0, "friction": 1.2, "supply": 0.9, "torque": 0.9, "switch": 0.3, "drift": 0.05}
 ROUGH = {"walk": 2e-4, "noise": 1e-4, "bounces": (5e-4, 2e-3)}
 WEIGHED = {"time_weight": 1.5, "error_weight": 0.5, "missed_weight": 1.25, "damage_weight": 0.75}
@@ -35,6 +36,8 @@ EPISODES = {
         ("scripted", {}, {}),
         (SILENT, {"truth": True, "tolerance": 3.0, **ROUGH, **WEIGHED}, SOUND),
         (SILENT, {"chip": "MCX514", "axis": "y", "noise": 5e-5}, {**SOUND, "start": -0.0695}),
+        (RETURNS[:1] * 3, {"tolerance": 0.05, "bounces": (2e-3, 2e-3)}, SOUND),
+        (RETURNS[:1] * 4, {"reach": 1.0, "limit": 0.02, "returns": 4}, {}),
         (SAYING, {"returns": 4, "false_weight": 2.0, "limit": 0.3}, {"fault": "none"}),
         (SAYING, {"report_weight": 3.0, "faults": ("phase open", "org open"), "healthy": 0.0}, {}),
         (SILENT, {"unreported_weight": 7.0, "limit": 0.05}, {"fault": "org closed"}),
@@ -44,6 +47,7 @@ EPISODES = {
         (MOVES, {}, SOUND),
         (MOVES, {"answer": "last", "memory": "last", "margin": 3.0, "vibration_weight": 0.2, "damage_weight": 0.5}, {}),
         (MOVES, {"encoder": False, "truth": True, "chip": "MCX514", "axis": "y", "proofs": 0}, {"distance": 640}),
+        (SLOW, {"damage_weight": 0.5}, SOUND),
         (MOVES[::-1], {"margin": 40.0, "tries": 3}, {**SOUND, "torque": 0.6}),
         (MOVES, {"split": "faults", "drifts": (0.2, 0.4), "judge_at": "work", "payload_on": "work"}, {"payload": 4.0}),
     ],
@@ -57,6 +61,7 @@ EPISODES = {
         ("drawn", {"path_weight": 0.1, "carriage_weight": 0.2, "vibration_weight": 0.3, "truth": True}, SOUND),
         ("drawn", {"damage_weight": 0.5, "margin": 4.0, "rate": (30_000.0, 60_000.0), "ramps": (0.01, 0.012)}, {}),
         ("scripted", {"margin": 60.0}, {}),
+        ("scripted", {"margin": 60.0, "proofs": 0}, {}),
         ("scripted", {"axes": ("y", "x"), "chip": "MCX514", "judge_at": "work"}, {"distances": {"x": -400, "y": 700}}),
         ("drawn", {"limit": 0.03, "fl": 2000.0, "reach": 8.0, "looks": 20}, {"distances": {"x": 300, "y": -900}}),
     ],
@@ -112,6 +117,7 @@ def episodes(name, policy, settings, options):
     env = make(name, **settings)
     said = [played(env, policy, options, 11), played(env, policy, None, None)]
     at = [[a.position, a.lost_steps, a.supply] for a in env.stage.axes.values()]
+    said.append(env.stage.state.switch_table["bounce"])
     said.append([at, env.stage.now, float(env.stage.model.body_mass.sum()), env.stage.model.dof_frictionloss])
     env.close()
     return said
@@ -153,7 +159,12 @@ def refused(name):
     return found
 
 
-TURNED = {"DriftingHome": RETURNS, "FewShotTuning": MOVES, "SynchronizedLine": "scripted", "BusMacros": "scripted"}
+TURNED = {
+    "DriftingHome": RETURNS[:1] * 3,
+    "FewShotTuning": MOVES,
+    "SynchronizedLine": "scripted",
+    "BusMacros": "scripted",
+}
 FILES = {
     "envs_machines": {
         **{f"{name} {settings} {options}": partial(episodes, name, policy, settings, options)

@@ -1,0 +1,74 @@
+"""What a proof counts of the moves it has made, and how far it looks for more payload."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from stage.tune import Case, proof
+from stage.tune.task import ROUNDING
+from stage.tune.tries import Outcome
+
+PAYLOAD = 2.0
+CASES = [Case(0.0, 0.0, 1), Case(PAYLOAD, 0.0, -1), Case(2.6, 0.0, 1), Case(2.6, 5.0, -1)]
+
+
+def tries(outcome=None, make=None, **of_task):
+    """Whose moves come out so."""
+    given = {"payload": PAYLOAD, "spare": 0.6, "moved": 3.0, "turn": 64, "overshoot": 1e-4, **of_task}
+    task = SimpleNamespace(**given, asked=lambda cases: np.array([c.payload <= PAYLOAD + ROUNDING for c in cases]))
+    return SimpleNamespace(task=task, make=make or (lambda plans, cases, limit: outcome))
+
+
+def test_a_proof_counts_what_kept_step_apart_from_what_came_to_rest_and_times_what_was_asked_for():
+    nan, far = np.nan, 2e-4
+    outcome = Outcome(
+        np.array([[0.1, 0.2, 0.9, nan], [0.1, nan, 0.3, 0.3], [0.1, 0.2, 0.3, 0.4]]),
+        np.array([[True, True, True, True], [True, True, True, False], [False, True, False, False]]),
+        np.array([[0.0, 1e-5, 9e-4, 9e-4], [1e-5, 0.0, 0.0, 0.0], [0.0, far, 0.0, 0.0]]),
+    )
+    found = proof.prove(tries(outcome), [None] * 3, CASES, 1.0)
+    assert [(p.moves, p.kept, p.lost, p.holds) for p in found] == [(4, 4, 0, True), (4, 2, 1, False), (4, 0, 3, False)]
+    assert [p.beyond for p in found] == [1e-5, 1e-5, far], "of the moves with up to the payload"
+    assert found[0].times.tolist() == found[2].times.tolist() == [0.1, 0.2]
+    assert (found[0].mean, found[0].worst) == (pytest.approx(0.15), 0.2)
+    assert np.isnan([found[1].mean, found[1].worst]).all(), "what has not arrived has no time"
+    assert [p.said() for p in found] == [
+        "4 moves 4 were good",
+        "4 moves 2 were good, 1 did not keep step, 1 did not come to rest at the goal",
+        "4 moves 3 did not keep step, 1 did not come to rest at the goal",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("of_task", "most"),
+    [
+        ({"spare": 0.6}, 2.4),
+        ({"spare": 0.0}, 0.4 * (PAYLOAD + 3.0)),
+        ({"spare": 0.0, "payload": 0.0}, 0.4 * 3.0),
+        ({"spare": 5.0, "payload": 0.0}, 20.0),
+    ],
+)
+def test_payloads_up_to_four_times_the_spare_are_tried_and_without_one_up_to_two_fifths_of_what_moves(of_task, most):
+    seen = []
+
+    def make(plans, cases, limit):
+        seen.extend(cases)
+        return SimpleNamespace(kept=np.ones((1, len(cases)), bool))
+
+    assert proof.spare(tries(make=make, **of_task), None, 1.0, np.random.default_rng(0)) == (most, True)
+    payload = of_task.get("payload", PAYLOAD)
+    assert min(c.payload for c in seen) == pytest.approx(payload + most / 8)
+    assert max(c.payload for c in seen) == pytest.approx(payload + most)
+    assert -32 <= min(c.beside for c in seen) < -20 < 20 < max(c.beside for c in seen) <= 32
+
+
+def test_what_lost_a_step_once_is_not_said_to_carry_more():
+    """The first round loses one of 2.0 + 0.9 kg; the second goes up to that, and loses none"""
+    rounds = iter([0.9, 99.0])
+
+    def make(plans, cases, limit):
+        most = next(rounds)
+        return SimpleNamespace(kept=np.array([[c.payload - PAYLOAD < most - 1e-9 for c in cases]]))
+
+    assert proof.spare(tries(make=make), None, 1.0, np.random.default_rng(0)) == (pytest.approx(0.9), False)

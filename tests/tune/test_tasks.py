@@ -1,0 +1,210 @@
+"""What a task is, whatever its machine: its room, where its moves begin and end, its loads; and what `Tries` makes of the looks."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from support.mirrored import mirrored
+
+from stage import Stage
+from stage.chips import HCTL1100, PCL240K
+from stage.drives.motors import Drive
+from stage.errors import ArgumentError
+from stage.sim.fleet import Played
+from stage.tune import Case, Task
+from stage.tune.looks import LOOK, Looks
+from stage.tune.plans import plans_of
+from stage.tune.task import room
+from stage.tune.tries import Tries
+
+PULSES, PAYLOAD = 400, 2.0
+
+
+def task_of(stage=None, axis="x", **how):
+    stage = Stage("xy", chips=PCL240K, visuals=False) if stage is None else stage
+    return Task(stage, axis, **{"pulses": PULSES, "payload": PAYLOAD, "hold": 0.02, **how})
+
+
+def axis_with(*switches):
+    made = [SimpleNamespace(pin=pin, touch=touch, slope=slope) for pin, touch, slope in switches]
+    return SimpleNamespace(travel=(-1.0, 1.0), plant=SimpleNamespace(switches=made))
+
+
+@pytest.mark.parametrize(
+    ("switches", "ends"),
+    [
+        ([("el_plus", 0.5, -1), ("el_minus", -0.6, 1)], (-0.6, 0.5)),
+        ([("el_plus", -0.6, 1), ("el_minus", 0.5, -1)], (-0.6, 0.5)),
+        ([("el_plus", 0.5, -1)], (-1.0, 0.5)),
+        ([("el_plus", -0.6, 1)], (-0.6, 1.0)),
+        ([("el_minus", 0.5, -1)], (-1.0, 0.5)),
+        ([("el_plus", 1.5, -1), ("el_minus", -1.5, 1)], (-1.0, 1.0)),
+        ([("org", 0.1, -1), ("sd_plus", 0.2, -1)], (-1.0, 1.0)),
+    ],
+)
+def test_the_room_of_an_axis_ends_where_an_end_limit_trips_on_whichever_side_it_is(switches, ends):
+    assert room(axis_with(*switches)) == room(axis_with(*switches[::-1])) == ends
+
+
+def test_moves_lie_around_the_middle_of_the_room_and_not_of_the_travel(monkeypatch):
+    monkeypatch.setattr("stage.tune.task.room", lambda axis: (-0.02, 0.07))
+    task = task_of()
+    assert task.middle == pytest.approx(0.025)
+    stage = task.copy()
+    goal = task.begin(stage, Case(0.0, 0.0, 1))
+    assert stage.axes["x"].position + goal == pytest.approx(0.05, abs=1e-5)
+
+
+def test_the_longest_move_is_a_turn_of_the_rotor_shorter_than_the_room():
+    stage = Stage("xy", chips=PCL240K, visuals=False)
+    low, high = room(stage.axes["x"])
+    most = int((high - low) / stage.axes["x"].meters_per_pulse) - 4 * 16
+    assert task_of(stage, pulses=most).pulses == task_of(stage, pulses=-most).pulses == most
+    with pytest.raises(ArgumentError, match=f"a distance of {most + 1} pulses: .* room for 1 to {most} pulses"):
+        task_of(stage, pulses=-most - 1)
+    with pytest.raises(ArgumentError, match="a distance of 0 pulses"):
+        task_of(stage, pulses=0)
+
+
+def test_a_full_step_and_a_turn_are_as_many_pulses_as_the_drive_makes_of_them():
+    stage = Stage("xy", chips=PCL240K, drives=Drive(microsteps=8), visuals=False)
+    task, x = task_of(stage), stage.axes["x"]
+    assert (task.turn, task.within) == (32, pytest.approx(8 * x.meters_per_pulse))
+
+
+def test_no_spare_is_a_margin_that_may_be_asked_for():
+    task = task_of(spare=0.0)
+    assert (task.spare, task.most) == (0.0, PAYLOAD)
+    assert {case.payload for case in task.corners(np.random.default_rng(0), 2, 1.25)} == {0.0, PAYLOAD}
+    assert task_of(spare=0.0, payload=0.0).most == 0.0
+
+
+def test_a_guard_is_on_top_of_the_spare_and_not_of_the_payload():
+    task, rng = task_of(spare=1.0), np.random.default_rng(0)
+    for cases in (task.corners(rng, 2, 1.5), task.drawn(rng, 24, 1.5)):
+        assert max(case.payload for case in cases) == pytest.approx(3.5)
+    assert task.asked([Case(PAYLOAD, 0, 1), Case(PAYLOAD + 1e-3, 0, 1), Case(0.0, 0, 1)]).tolist() == [
+        True,
+        False,
+        True,
+    ]
+
+
+@pytest.mark.parametrize("chip", [PCL240K, HCTL1100])
+@pytest.mark.parametrize("way", [1, -1])
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_move_begins_half_its_way_before_the_middle_and_its_goal_is_where_its_pulses_lead(
+    tmp_path, chip, way, turned
+):
+    stage = Stage(mirrored(tmp_path) if turned else "xy", chips=chip, visuals=False)
+    task = task_of(stage, payload_on="y")
+    x = stage.axes["x"]
+    per_pulse = x.meters_per_pulse * (-1 if turned else 1)
+    machine = task.copy()
+    goal = task.begin(machine, Case(1.5, 7.0, way))
+    begin = task.middle - 0.5 * way * PULSES * per_pulse + 7.0 * x.meters_per_pulse
+    at = machine.axes["x"]
+    assert at.position == pytest.approx(begin, abs=2e-6)
+    assert goal == pytest.approx((at.position if chip is HCTL1100 else at.commanded) + way * PULSES * per_pulse)
+    assert (machine.payload("y"), machine.payload("x")) == (1.5, 0)
+    goals = Looks(task).begin(task.copy(), Case(1.5, 7.0, way))
+    assert goals[:, 0] == pytest.approx([goal, way * PULSES * per_pulse])
+
+
+def test_a_body_that_is_judged_is_looked_at_as_a_site_is_and_off_its_way_counts():
+    goals = {}
+    for name in ("work", task_of(judge_at="work").stage.model.body(2).name):
+        task = task_of(judge_at=name)
+        goals[name] = Looks(task).begin(task.copy(), Case(0.0, 0.0, 1))[1]
+    a, b = goals.values()
+    assert a == pytest.approx(b, abs=1e-9), "the way is the same"
+    looks = Looks(task)
+    distance, beyond = looks.errors(np.array([[0, *(1e12 * (a + np.array([3e-3, 4e-3, 0])))]]), np.array([[a, a]]))
+    assert (distance.item(), beyond.item()) == (pytest.approx(5e-3), pytest.approx(3e-3))
+
+
+# --- what comes of looks ---
+
+
+@pytest.fixture(scope="module")
+def tries():
+    task = task_of()
+    with Tries(task, plans_of(task), lanes=2) as made:
+        yield made
+
+
+def made(tries, monkeypatch, rows, pulses=None, lost=0, diverged=False, way=1):
+    """The outcome of moves that are seen so far from the goal, m, at each look, a row each."""
+    task = tries.task
+    plan, goals, offs, real = tries.plans.formula(), [], iter(rows), tries.fleet.truth
+    begin = tries.looks.begin
+
+    def begun(stage, case):
+        goals.append(begin(stage, case))
+        return goals[-1]
+
+    def play(ops):
+        results = np.zeros(ops.shape[:2], np.int64)
+        length = ops.shape[1] - 2 * len(rows[0])
+        for row, goal in zip(results, goals, strict=False):
+            row[length + 1 :: 2] = np.rint(1e12 * (goal[0, 0] + way * np.array(next(offs))))
+        goals.clear()
+        return Played(results, np.zeros((2, 2, 2)), np.full(2, diverged))
+
+    def truth():
+        found = real().copy()
+        found["pulses"][:, tries.index] = way * task.pulses if pulses is None else pulses
+        found["lost_steps"][:, tries.index] = lost
+        return found
+
+    monkeypatch.setattr(tries.fleet, "play", play)
+    monkeypatch.setattr(tries.fleet, "truth", truth)
+    monkeypatch.setattr(tries.looks, "begin", begun)
+    return tries.make([plan], [Case(0.0, 0.0, way)] * len(rows), LOOK * len(rows[0]))
+
+
+FAR, NEAR = 1e-3, 1e-6
+AT_REST = [FAR] * 10 + [NEAR] * 40
+
+
+@pytest.mark.parametrize("way", [1, -1])
+def test_who_stays_within_from_a_look_on_has_arrived_at_it(tries, monkeypatch, way):
+    rows = [
+        AT_REST,
+        [FAR] * 9 + [NEAR] + [FAR] * 5 + [NEAR] * 40,
+        [NEAR] * 55,
+        [FAR] * 14 + [NEAR] * 41,
+        [FAR] * 16 + [NEAR] * 39,
+        [FAR] * 55,
+    ]
+    rows[0] = [FAR] * 5 + AT_REST
+    outcome = made(tries, monkeypatch, rows, way=way)
+    looks = np.round(outcome.arrived[0] / LOOK, 6).tolist()
+    assert looks[:4] == [15, 15, 0, 14]
+    assert np.isnan(outcome.arrived[0, 4:]).all(), "40 looks are the hold"
+    assert outcome.kept.all()
+
+
+def test_how_far_a_move_went_beyond_its_goal_is_none_where_it_stayed_before(tries, monkeypatch):
+    rows = [[-FAR] * 10 + [-NEAR] * 40, [-FAR] * 9 + [3e-5] + [NEAR] * 40]
+    outcome = made(tries, monkeypatch, rows)
+    assert outcome.beyond[0] == pytest.approx([0.0, 3e-5])
+
+
+@pytest.mark.parametrize(
+    ("how", "kept", "there"),
+    [
+        ({}, True, True),
+        ({"pulses": PULSES - 1}, False, True),
+        ({"pulses": -PULSES}, False, True),
+        ({"lost": 1}, False, True),
+        ({"lost": -1}, False, True),
+        ({"diverged": True}, False, False),
+    ],
+)
+def test_what_has_kept_step_made_all_pulses_its_way_lost_none_and_did_not_diverge(tries, monkeypatch, how, kept, there):
+    before = tries.made
+    outcome = made(tries, monkeypatch, [AT_REST] * 3, **how)
+    assert outcome.kept.tolist() == [[kept] * 3]
+    assert (~np.isnan(outcome.arrived)).tolist() == [[there] * 3]
+    assert tries.made == before + 3
