@@ -6,7 +6,7 @@ import pickle
 import numpy as np
 import pytest
 
-from stage import Fleet, Program, RunTimeout, Stage, faults, firmware
+from stage import ArgumentError, Fleet, Program, RunTimeout, Stage, faults, firmware
 from stage.sim import plant
 
 
@@ -111,3 +111,47 @@ def test_a_device_that_comes_on_the_bus_later_leaves_power_up_where_it_was(stage
     late.attach("a latch", [np.zeros(1)])
     late.reset()
     assert late.now == stage.now
+
+
+def test_supplies_that_fall_together_are_mended_each_to_its_own(stage):
+    twin = copy.deepcopy(stage)
+    with faults.bus_voltage(twin.axes["y"], 36.0):
+        own = [axis.supply for axis in twin.axes.values()]
+        with faults.bus_voltage(twin, 12.0):
+            assert [float(axis.electrics()[0].voltage) for axis in twin.axes.values()] == [12.0, 12.0]
+        assert [float(axis.electrics()[0].voltage) for axis in twin.axes.values()] == own == [24.0, 36.0]
+
+
+def test_a_late_start_is_over_when_the_cpu_is_called_away(stage):
+    twin, seen = copy.deepcopy(stage), []
+    faults.start_skew(twin.axes["x"], 0.01)
+
+    def pace(until):
+        if until - twin.now > 5_000_000:
+            seen.append(twin.faults)
+        return until
+
+    twin.loop.pace = pace
+    firmware.move(twin.axes["x"], pulses=100)
+    assert seen[0] == ()
+
+
+@pytest.mark.parametrize("name", ["x", "y"])
+def test_a_stuck_switch_of_any_axis_is_stuck_in_a_state_that_knew_nothing_of_it(stage, name):
+    twin = copy.deepcopy(stage)
+    free, axis = twin.snapshot(), twin.axes[name]
+    with faults.switch_stuck(axis, "org", True):
+        twin.restore(free)
+        assert axis.switches.as_dict() == {pin: pin == "org" for pin in axis.switches.as_dict()}
+        assert axis.pins.org
+
+
+def test_models_that_differ_where_a_switch_trips_are_other_machines(stage):
+    """A snapshot of a stage is refused by one whose vane of ORG is longer; colours differ in nothing."""
+    spec = plant.open_spec("xy")
+    vane = next(g for g in spec.geoms if g.name == "y_org_vane")
+    vane.rgba = [1.0, 0.0, 0.0, 1.0]
+    Stage(spec, visuals=False).restore(stage.snapshot())
+    vane.size = vane.size * 1.01
+    with pytest.raises(ArgumentError, match="mechanics of the model"):
+        Stage(spec, visuals=False).restore(stage.snapshot())

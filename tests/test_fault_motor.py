@@ -58,7 +58,7 @@ def test_power_up_is_that_of_a_stage_built_with_the_motor(model, chip, name):
     faults.motor(stage.axes["x"], name)
     stage.reset()
     assert state(stage) == state(built)
-    for field in ("dof_armature", "actuator_gainprm"):
+    for field in ("dof_armature", "dof_M0", "dof_invweight0", "actuator_gainprm"):
         assert np.array_equal(getattr(stage.model, field), getattr(built.model, field))
 
 
@@ -132,3 +132,14 @@ def test_every_preset_can_take_the_place_of_every_other(xyz):
         if name != xyz.axes["z"].drive.motor.name:
             with faults.motor(xyz.axes["z"], name):
                 assert xyz.axes["z"].drive.motor is MOTORS[name]
+
+
+def test_a_stage_with_a_device_on_its_bus_has_it_in_its_snapshots_with_any_motor(xyz):
+    stage = copy.deepcopy(xyz)
+    stage.attach("a latch", [np.zeros(3, np.uint8)])
+    device = stage.header.parts[-1]
+    assert "a latch" in device[1]
+    with faults.motor(stage.axes["x"], SMALL):
+        assert stage.header.parts[-1] == device
+        stage.restore(stage.snapshot())
+        stage.reset()

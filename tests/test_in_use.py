@@ -270,3 +270,21 @@ def test_a_journal_is_of_an_axis_that_the_chip_has(axis):
         chip.net(axis)
     with pytest.raises(ArgumentError, match="one axis, 0"):
         PCL240K().journal(1)
+
+
+def test_a_callback_that_takes_itself_away_stays_away_and_one_that_stays_is_there_again(xy):
+    def control(model, data):
+        mujoco.set_mjcb_control(None)
+
+    def passive(model, data):
+        pass
+
+    mujoco.set_mjcb_control(control)
+    mujoco.set_mjcb_passive(passive)
+    try:
+        xy.run(0.002)
+        assert mujoco.get_mjcb_control() is None
+        assert mujoco.get_mjcb_passive() is passive
+    finally:
+        mujoco.set_mjcb_control(None)
+        mujoco.set_mjcb_passive(None)

@@ -106,6 +106,9 @@ def test_tandem_axes_know_each_other_and_form_a_group():
     assert {name: axis.tandem for name, axis in stage.axes.items()} == {"y": ("w",), "w": ("y",), "x": ()}
     assert [[a.name for a in group] for group in tandems(stage.axes.values())] == [["y", "w"], ["x"]]
     assert [[a.name for a in group] for group in tandems([stage.axes["w"]])] == [["y", "w"]]
+    alone = Stage("gantry", chips={"x": "PCL240K", "y": "PCL240K"}, visuals=False).axes
+    assert alone["y"].tandem == (), "its other motor is no axis of the stage"
+    assert [[a.name for a in group] for group in tandems(alone.values())] == [["x"], ["y"]]
 
 
 def test_a_tandem_of_what_is_no_other_axis_is_refused():
@@ -186,6 +189,7 @@ def test_a_line_that_leaves_a_tandem_axis_out_is_told(capsys):
     [
         ('name="y_tandem" data="w"', 'name="y_tandem" data="x"'),
         ('name="w" joint="w" gear="628.3185307"', 'name="w" joint="w" gear="314"'),
+        ('joint name="w" class="slide"', 'joint name="w" class="slide" axis="-1 0 0"'),
     ],
 )
 def test_tandem_axes_are_side_by_side(old, new, tmp_path):

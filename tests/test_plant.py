@@ -214,7 +214,7 @@ def test_an_axis_whose_screw_turns_the_other_way_goes_where_it_is_told_by_pulses
     stage = Stage(spec, chips=chip, visuals=False)
     x = stage.axes["x"]
     assert x.meters_per_pulse > 0
-    assert "10.000 mm" in plant.describe(stage.model).splitlines()[1]
+    assert " 10.000 mm" in plant.describe(stage.model).splitlines()[1]
     report = firmware.move(x, 3e-3)
     assert report.ok
     assert report.pulses == -round(3e-3 / x.meters_per_pulse)
@@ -619,6 +619,8 @@ def test_the_index_pulse_is_where_the_model_says_else_half_a_turn_from_the_origi
     (axis,) = plant.bind(mujoco.MjModel.from_xml_string(documented()))[:1]
     touch = next(s.touch for s in axis.switches if s.pin == "org")
     assert axis.index == pytest.approx((touch * axis.gear / (2 * np.pi) + 0.5) % 1.0)
+    (other,) = plant.bind(mujoco.MjModel.from_xml_string(documented().replace('gear="', 'gear="-')))[:1]
+    assert other.index == pytest.approx((touch * other.gear / (2 * np.pi) + 0.5) % 1.0) == pytest.approx(1 - axis.index)
 
 
 @pytest.mark.parametrize(
@@ -638,12 +640,24 @@ def test_the_index_pulse_is_where_the_model_says_else_half_a_turn_from_the_origi
 )
 def test_losses_that_the_motor_cannot_overcome_are_refused_with_a_number_to_write(field, value, words):
     spec = plant.open_spec("xy")
+    actuator = next(a for a in spec.actuators if a.name == "y")
     one = [1.0, 0.0, 0.0] if field == "damping" else 1.0
-    setattr(spec.joint("y"), field, np.multiply(value, one))
-    with pytest.raises(ModelError, match=rf"axis y: its joint has {words}"):
+    for _ in range(2):
+        actuator.gear[0] *= -1
+        setattr(spec.joint("y"), field, np.multiply(value, one))
+        with pytest.raises(ModelError, match=rf"axis y: its joint has {words}"):
+            Stage(spec)
+        setattr(spec.joint("y"), field, np.multiply(0.8 * value, one))
+        assert Stage(spec, visuals=False).axes["y"].lost_steps == 0
+
+
+def test_friction_and_damping_that_only_together_are_too_much_are_refused_as_damping():
+    spec = plant.open_spec("xy")
+    spec.joint("y").frictionloss, spec.joint("y").damping = 150.0, [1.5e4, 0.0, 0.0]
+    with pytest.raises(
+        ModelError, match=r"axis y: its joint has a damping of 15000 N s/m: .* that is 150 N, and .* 251\.3 N"
+    ):
         Stage(spec)
-    setattr(spec.joint("y"), field, np.multiply(0.8 * value, one))
-    assert Stage(spec, visuals=False).axes["y"].lost_steps == 0
 
 
 def test_a_file_that_is_no_model_is_refused_each_in_its_own_words(tmp_path, monkeypatch):

@@ -15,7 +15,7 @@ import pytest
 from support.packages import TMC5160, tmc5160
 
 import stage.envs  # noqa: F401
-from stage import ArgumentError, Drive, Stage, StageError, firmware
+from stage import ArgumentError, Drive, Stage, StageError, faults, firmware
 from stage.board import Board, NativeHost, build
 from stage.chips import chip_class
 from stage.cli import main
@@ -492,3 +492,13 @@ def test_waveforms_and_recordings_know_it(tmp_path, capsys):
     move = ["move", "x", "1mm", "--chips", "tmc5160", "--model", "xy"]
     assert main([*move, "--vcd", str(tmp_path / "x.vcd"), "--record", str(tmp_path / "x.rrd")]) == 0
     assert "5120 of 5120" in capsys.readouterr().out
+
+
+def test_another_motor_has_the_current_that_the_chip_gives_it(x):
+    put(x.chip, CHOPCONF=0x100100C3, GLOBALSCALER=134, IHOLD_IRUN=31 << 8)
+    x.stage.run(0.01)
+    current = float(x.electrics()[0].current)
+    assert current == pytest.approx(x.chip.amplitude)
+    with faults.motor(x, "SS2422-5041"):
+        assert float(x.electrics()[0].current) == current
+        assert x.drive.motor.rated_current < current

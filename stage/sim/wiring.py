@@ -7,6 +7,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+import mujoco
+import numpy as np
+
 from stage.chips import CHIPS, PCL240K, Chip, ChipAxis, chip_class
 from stage.drives.dc_motors import DC_MOTORS, DCMotor, Servo, dc_motor
 from stage.drives.motors import MOTORS, Drive, Motor, motor
@@ -44,6 +47,7 @@ def fit_rotors(
 
     Raises ModelError: an actuator of an MjModel that its chip cannot drive; an armature smaller than the rotor inside it.
     """
+    before = model.dof_armature.copy()
     for p, axis, d in zip(axes, chip_axes, drives, strict=True):
         if p.servo != axis.chip.SERVO:
             have, want = ("<dcmotor>", "<motor>") if p.servo else ("<motor>", "<dcmotor>")
@@ -60,6 +64,8 @@ def fit_rotors(
                 f'makes {inside:g}: write armature="{inside:g}" or more, or leave the text {p.name}_motor out.'
             )
         _check_losses(model, p, d)
+    if not np.array_equal(model.dof_armature, before):
+        mujoco.mj_setConst(model, mujoco.MjData(model))  # what MuJoCo has worked out of the armature
 
 
 def _check_losses(model: Any, p: plant.PlantAxis, drive: Drive | Servo) -> None:

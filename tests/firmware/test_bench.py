@@ -95,3 +95,32 @@ def test_a_port_on_a_bench_reads_what_the_chip_says():
     x = Bench(PCL240K()).axes["x"]
     x.chip.pins.org = True
     assert str(Port(x).status()) == "halted, R0 = 0, ORG"
+
+
+def test_what_is_due_already_is_done_at_the_next_moment_and_time_does_not_run_back():
+    bench, seen = Bench(PCL240K()), []
+    bench.wait(0.2)
+    bench.at(0.1, lambda: seen.append((bench.time, bench.axes["x"].chip.clock)))
+    bench.wait(0.1)
+    assert seen == [(0.2, int(0.2 * 4_915_200))]
+    assert bench.time == pytest.approx(0.3)
+
+
+def test_a_chip_that_has_run_before_goes_on_from_its_own_clock():
+    chip = PCL240K()
+    chip.advance(1234)
+    bench = Bench(PCL240K(), chip)
+    bench.wait(0.25)
+    assert [axis.chip.clock for axis in bench.axes.values()] == [1_228_800, 1_228_800 + 1234]
+
+
+def test_a_rail_under_an_axis_that_has_moved_stands_where_it_is_put():
+    bench = Bench(PCL240K())
+    x = bench.axes["x"]
+    firmware.preset_move(x, 300)
+    bench.rail("x", at=-20, org=(0, 10))
+    assert (x.place, x.pins.org) == (-20, False)
+    firmware.preset_move(x, 30)
+    assert (x.place, x.pins.org) == (10, True)
+    firmware.preset_move(x, 1)
+    assert (x.place, x.pins.org) == (11, False)

@@ -1,11 +1,14 @@
 """Procedures by bus cycles only: on chips alone, and on the stage."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from stage import ArgumentError, RunTimeout, Stage, firmware
-from stage.chips import PCL240K, PCL240MS
+from stage.chips import PCL240K, PCL240MK, PCL240MS
 from stage.firmware import Bench, Profile
+from stage.firmware.pcl240 import bus
 from stage.firmware.report import Procedure
 
 
@@ -376,3 +379,33 @@ def test_what_ended_a_move_is_not_org_though_the_axis_stands_on_it(way, limit):
     assert firmware.preset_move(x, way * 300).stopped_by == "R0 = 0"
     setattr(x.chip.pins, "el_plus" if way > 0 else "el_minus", True)
     assert firmware.preset_move(x, way * 300).stopped_by == limit
+
+
+@pytest.mark.parametrize("kind", [PCL240MK, PCL240MS])
+def test_a_move_that_sd_may_slow_or_whose_ramps_differ_has_its_ramp_down_point_from_the_host(kind):
+    """R4 serves the chip's own point alone, and with SD its count would be wrong."""
+
+    def automatic(profile=None, **options):
+        report = firmware.preset_move(Bench(x=kind()).axes["x"], 4000, profile, **options)
+        assert report.ok
+        modes = [int(s.code, 16) for s in report.said if s.kind == "command" and int(s.code, 16) >> 6 == 1]
+        return {bool(mode & bus.AUTOMATIC) for mode in modes}
+
+    even, uneven = (Profile.of(fh1=8000, accel=0.1, decel=decel, chip=kind) for decel in (0.1, 0.15))
+    assert automatic(even) == {True}
+    assert automatic(even, slow_down=True) == automatic(uneven) == automatic(even, down_point=900) == {False}
+    assert automatic(even, slow_down=True, automatic=True) == {True}, "who asks for it has it"
+
+
+def test_what_a_counter_reads_that_is_not_through_0_is_no_number_below_nothing(x):
+    report = firmware.preset_move(x, 10)
+    far = replace(report, asked=-12_000_000, residual=11_999_990)
+    assert "(24-bit counter" not in str(far)
+    assert "R0 12000001 (24-bit counter: -4777215)" in str(replace(far, residual=12_000_001))
+    assert "R0 8388608;" in str(replace(far, asked=10, residual=1 << 23))
+
+
+def test_pulses_that_were_made_and_lost_are_not_as_asked(x):
+    report = replace(firmware.preset_move(x, 10), lost_steps=4)
+    assert (report.pulses, report.asked, report.ok) == (10, 10, False)
+    assert replace(report, lost_steps=0).ok

@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from stage import ArgumentError, Drive, RunTimeout, Stage, StageError, faults, firmware
-from stage.chips import CHIPS, HCTL1100, MCX304, MCX501, MCX514, PCL240K
+from stage.chips import CHIPS, HCTL1100, MCX304, MCX501, MCX514, PCL240K, PCL240MK
 from stage.firmware import Bench
-from stage.firmware.driver import Speeds, driver_class, driver_of, usual_speeds, wait_until_stopped
+from stage.firmware.driver import AtOnce, Speeds, driver_class, driver_of, usual_speeds, wait_until_stopped
 from stage.firmware.procedures import speeds
 from stage.firmware.report import NOT_AS_ASKED, Procedure
+from stage.sim import plant
 
 EVERY = list(CHIPS)
 STEPPING = [name for name in EVERY if not CHIPS[name].SERVO]
@@ -534,3 +535,52 @@ def test_a_wait_ends_at_its_time_and_polls_ever_more_slowly(timeout, polls):
         wait_until_stopped([clock], timeout)
     assert clock.time == pytest.approx(timeout, abs=2e-6)
     assert clock.waits == pytest.approx(polls, abs=2)
+
+
+def test_an_index_pulse_is_not_sought_behind_an_origin_switch_that_is_not_there():
+    spec = plant.open_spec("xy")
+    spec.delete(next(s for s in spec.sensors if s.name == "x_org"))
+    spec.add_text(name="x_unfitted", data="org")
+    x = Stage(spec, chips=MCX514, visuals=False).axes["x"]
+    for given in ({"by": "index"}, {"by": "switch"}, {"index": True}, {}):
+        with pytest.raises(ArgumentError, match="axis x has no origin switch"):
+            firmware.home(x, **given)
+    assert x.stage.now == 0
+
+
+@pytest.mark.parametrize("given", [{}, {"by": "switch"}, {"index": True}])
+def test_a_homing_is_given_the_time_that_it_is_given(given):
+    x = Stage("xy", chips=PCL240MK, visuals=False).axes["x"]
+    with pytest.raises(RunTimeout, match=r"after 0\.020 s"):
+        firmware.home(x, timeout=0.02, **given)
+
+
+def test_ctrl_c_has_the_reports_of_all_axes_that_are_watched():
+    bench = Bench(PCL240K(), PCL240K())
+    x, y = bench.axes.values()
+    with pytest.raises(KeyboardInterrupt) as caught, Procedure(x, "outer"), Procedure(y, "inner"):
+        raise KeyboardInterrupt
+    assert [(r.procedure, r.axis, r.stopped_by) for r in caught.value.reports] == [
+        ("outer", "x", "Ctrl-C"),
+        ("inner", "y", "Ctrl-C"),
+    ]
+
+
+def test_operations_that_are_done_at_once_are_counted():
+    bench = Bench(PCL240K())
+    now = AtOnce(bench.axes["x"])
+    assert len(now.write(0, 0, 0x08).wait(1e-3).until_stopped([0], 1.0)) == 3
+    assert bench.time >= 1e-3
+
+
+def test_a_run_after_a_move_ends_at_its_limit_and_not_at_the_count_of_the_move():
+    """driver.start(100, Speeds()); driver.run(-1, Speeds()) into the end limit, with R0 = 0 since the move"""
+    bench = Bench(PCL240K())
+    driver = driver_of(bench.axes["x"])
+    for way, limit in ((-1, "EL-"), (1, "EL+")):
+        driver.start(100 * way, Speeds())
+        assert driver.wait(5.0) == driver.DONE
+        driver.run(way, Speeds())
+        setattr(bench.axes["x"].pins, limit.lower().replace("+", "_plus").replace("-", "_minus"), True)
+        bench.wait(0.5)
+        assert driver.stopped_by() == limit

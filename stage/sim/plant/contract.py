@@ -138,12 +138,12 @@ class _Binder:
         return {a: tuple(b for b in others if b in self.axes) for a, others in found.items()}
 
     def _side_by_side(self, name: str, other: str) -> bool:
-        """Whether two axes go the same way for the same turn of their motors."""
+        """Whether two axes go the same way, as far for the same turn of their motors."""
         m, data = self.model, mujoco.MjData(self.model)
         mujoco.mj_kinematics(m, data)
         one, two = (self._id(mujoco.mjtObj.mjOBJ_JOINT, a) for a in (name, other))
         gears = [abs(float(m.actuator_gear[self._id(mujoco.mjtObj.mjOBJ_ACTUATOR, a)][0])) for a in (name, other)]
-        parallel = abs(float(np.dot(data.xaxis[one], data.xaxis[two]))) > PARALLEL
+        parallel = float(np.dot(data.xaxis[one], data.xaxis[two])) > PARALLEL
         return bool(m.jnt_type[one] == m.jnt_type[two] and parallel and math.isclose(*gears, rel_tol=1e-3))
 
     # --- joint and actuator ---

@@ -1,0 +1,110 @@
+"""Promises of `firmware.square`: tandem axes come home to ORG at either end, at the speeds asked, and no way together is longer
+than the load bears."""
+
+import numpy as np
+import pytest
+
+from stage import Stage, faults, firmware
+from stage.errors import RunTimeout
+from stage.firmware import tandem
+from stage.firmware.driver import Speeds
+from stage.sim import plant
+
+BEAM = ("y", "w")
+SWAPPED = {"plus": "minus", "minus": "plus"}
+PIECES = 60
+"""The ways of all pieces together are the travel of the axis that has the least."""
+
+
+def turned_round():
+    """A gantry whose y and w count the other way: ORG lies at the end of plus. w has less travel than y."""
+    spec = plant.open_spec("gantry")
+    for joint in (j for j in spec.joints if j.name in BEAM):
+        joint.axis = -joint.axis
+    next(j for j in spec.joints if j.name == "w").range = (-0.106, 0.106)
+    ends = [s for s in spec.sensors if s.name[0] in BEAM and s.name.endswith(("_plus", "_minus"))]
+    names = [s.name.rpartition("_") for s in ends]
+    for sensor in ends:
+        sensor.name += "_old"
+    for sensor, (begin, _, side) in zip(ends, names, strict=True):
+        sensor.name = f"{begin}_{SWAPPED[side]}"
+    return spec
+
+
+@pytest.fixture(scope="module", params=[-1, 1])
+def gantry(request):
+    """(where ORG lies, a stage)"""
+    return request.param, Stage("gantry" if request.param < 0 else turned_round(), visuals=False)
+
+
+@pytest.fixture
+def ways(monkeypatch):
+    """What `square` asks of `line`: (ways, options) of each call. Half of PIECES are enough for half of the travel."""
+    seen, line = [], tandem.line
+
+    def noted(distances, *axes, **options):
+        seen.append((dict(distances), options))
+        assert len(seen) <= PIECES, "it goes on for ever"
+        return line(distances, *axes, **options)
+
+    monkeypatch.setattr(tandem, "line", noted)
+    return seen
+
+
+def placed(gantry, millimetres):
+    """Both axes so far from the middle, towards ORG, which is asserted from 70 mm on."""
+    direction, stage = gantry
+    stage.reset()
+    stage.place(**dict.fromkeys(BEAM, direction * millimetres * 1e-3))
+    return direction, [stage.axes[name] for name in BEAM]
+
+
+@pytest.mark.parametrize(("millimetres", "on"), [(62, False), (78, True)])
+def test_a_beam_is_squared_towards_org_at_either_end_from_before_it_and_from_on_it(gantry, ways, millimetres, on):
+    """firmware.square(y, w, direction=1)"""
+    direction, axes = placed(gantry, millimetres)
+    assert {axis.switches.org for axis in axes} == {on}
+    reports = firmware.square(*axes, direction=direction)
+    assert [(r.axis, r.stopped_by, r.lost_steps) for r in reports] == [("y", "ORG", 0), ("w", "ORG", 0)]
+    org = [next(s.touch for s in axis.plant.switches if s.pin == "org") for axis in axes]
+    assert [axis.position for axis in axes] == pytest.approx(org, abs=0.1e-3)
+    assert abs(np.degrees(gantry[1].data.joint("racking").qpos[0])) < 2e-3
+    piece = min(high - low for low, high in (axis.travel for axis in axes)) / PIECES
+    assert [abs(way) for asked, _ in ways for way in asked.values()] == pytest.approx([piece] * 2 * len(ways))
+    assert [set(asked) for asked, _ in ways] == [set(BEAM)] * len(ways)
+    assert np.sign(ways[0][0]["y"]) == (-direction if on else direction)
+
+
+def test_together_axes_have_the_speeds_asked_and_alone_a_quarter_and_no_start_above_that(gantry, ways, monkeypatch):
+    """firmware.square(y, w, speed=0.06, start_speed=0.02, accel=0.05)"""
+    direction, axes = placed(gantry, 67)
+    homes, driver = [], type(tandem.driver_of(axes[0]))
+    monkeypatch.setattr(driver, "home", lambda self, *given, **options: homes.append((given, options)))
+    asked = {"speed": 0.06, "start_speed": 0.02, "accel": 0.05}
+    tandem.square(*axes, direction=direction, **asked, timeout=7.0)
+    assert [options for _, options in ways] == [asked] * len(ways)
+    slow = 0.06 / 4 / axes[0].meters_per_pulse
+    assert homes == [((direction, pytest.approx(Speeds(slow, slow, 0.05, 0.05))), {"timeout": 7.0})] * 2
+    homes.clear()
+    tandem.square(*axes, direction=direction, speed=0.06, start_speed=0.002)
+    assert [given[1].start for given, _ in homes] == pytest.approx([0.002 / axes[0].meters_per_pulse] * 2)
+
+
+def test_speeds_in_pulses_are_those_of_the_first_axis(gantry, monkeypatch):
+    direction, axes = placed(gantry, 67)
+    seen = []
+    monkeypatch.setattr(tandem, "square", lambda *axes, **options: seen.append((axes, options)) or ["squared"])
+    unit = axes[0].meters_per_pulse
+    assert tandem.square_by(axes, direction, Speeds(500, 6000, 0.1, 0.3), 9.0) == ["squared"]
+    wanted = {"direction": direction, "speed": 6000 * unit, "start_speed": 500 * unit, "accel": 0.1, "timeout": 9.0}
+    assert seen == [(tuple(axes), pytest.approx(wanted))]
+
+
+@pytest.mark.parametrize("millimetres", [62, 78])
+def test_where_a_step_is_lost_on_the_way_together_each_axis_searches_for_the_time_it_is_given(
+    gantry, ways, millimetres
+):
+    direction, axes = placed(gantry, millimetres)
+    with faults.jam(axes[0]), faults.jam(axes[1]), pytest.raises(RunTimeout, match=r"after 0\.300 s"):
+        firmware.square(*axes, direction=direction, timeout=0.3)
+    assert len(ways) == 1
