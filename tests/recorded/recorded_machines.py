@@ -24,6 +24,8 @@ SILENT, SAYING = (*RETURNS, *RETURNS), (RETURNS[0], a_return(report=True))
 MOVES = (a_move(1000, 24_000, 0.05, 0.08), a_move(3000, 60_000, 0.01, 0.012), a_move(500, 9000, 0.1, 0.05))
 BOLD = [2, 6, 7, 13, 2, 3, 8, 12, 10, 11] * 4
 """bold, 1024, plus; of y bold, 16, minus; of x wait, read."""
+RASH = [9, 2, 6, 7, 10, 7, 8, 10, 11, 9]
+"""home, bold, 1024, plus, wait, plus, minus, wait, read, home"""
 FAR = [8, 1, 5, 7, 9, 10, 7, 9, 10, 12, 6, 11, 8] * 4
 """With a grid of three: home, usual, 8192, minus, wait, read, into the end limit; select y, plus, select x, home."""
 SLOW = (a_move(200, 2000, 0.3, 0.3), *MOVES[:2])
@@ -71,6 +73,8 @@ EPISODES = {
         ("drawn", {"level": "target", "truth": True, "discount": 0.9, "progress_weight": 3.0, "macros": 12}, {}),
         ("scripted", {"chip": "MCX514", "mixed": True, "tolerance": 2.0, "lag": 40.0}, {"level": 1, **SOUND}),
         (BOLD, {"level": "axes", "damage_weight": 1.5, "split": "weak"}, {"targets": {"x": 2048, "y": -16}}),
+        (RASH, {"split": "weak", "damage_weight": 1.5, "macros": 60, "patience": 0.03}, {"targets": {"x": 16, "y": 32}}),
+        (RASH, {"damage_weight": 1.5, "macros": 60, "tolerance": 4.0}, {**SOUND, "payload": 5.0, "torque": 0.6}),
         (FAR, {"grid": (16, 64, 8192), "damage_weight": 1.5, "success_weight": 2.0}, SOUND),
         ("drawn", {"macro_weight": 0.1, "time_weight": 0.5, "damage_weight": 2.0, "time_limit": 0.5}, {"level": "move"}),
     ],
@@ -89,12 +93,12 @@ def make(name, **settings):
 
 
 def choices(env, policy):
-    """The actions of an episode, one after the other."""
+    """The actions of an episode, one after the other; after those that are given the scripted ones."""
     if not isinstance(policy, str):
         yield from policy
     d = Draw("machines")
     while True:
-        if policy == "scripted":
+        if policy != "drawn":
             yield env.scripted()
         elif isinstance(env.action_space, gymnasium.spaces.Discrete):
             yield d.of(*np.flatnonzero(env.action_masks()).tolist(), 0)

@@ -97,7 +97,7 @@ def test_a_move_begins_half_its_way_before_the_middle_and_its_goal_is_where_its_
     tmp_path, chip, way, turned
 ):
     stage = Stage(mirrored(tmp_path) if turned else "xy", chips=chip, visuals=False)
-    task = task_of(stage, payload_on="y")
+    task = task_of(stage, payload_on="x")
     x = stage.axes["x"]
     per_pulse = x.meters_per_pulse * (-1 if turned else 1)
     machine = task.copy()
@@ -106,7 +106,7 @@ def test_a_move_begins_half_its_way_before_the_middle_and_its_goal_is_where_its_
     at = machine.axes["x"]
     assert at.position == pytest.approx(begin, abs=2e-6)
     assert goal == pytest.approx((at.position if chip is HCTL1100 else at.commanded) + way * PULSES * per_pulse)
-    assert (machine.payload("y"), machine.payload("x")) == (1.5, 0)
+    assert (machine.payload("x"), machine.payload("y")) == (1.5, 0)
     goals = Looks(task).begin(task.copy(), Case(1.5, 7.0, way))
     assert goals[:, 0] == pytest.approx([goal, way * PULSES * per_pulse])
 
