@@ -1,6 +1,7 @@
 """What `tune` makes of moves that go as they are told to here: which registers it takes, which are out, and what it says."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -54,14 +55,16 @@ class Told:
 
 @pytest.fixture
 def tuned(monkeypatch, task):
-    """tuned(goes, moves, {name: s, which the search has measured}) -> Result"""
+    """tuned(goes, moves, {name: s, which the search has measured}, {names of trials that broke}) -> Result"""
 
-    def made(goes, moves, found=None):
-        ranked = [Trial(k, named(name), worst, 0) for k, (name, worst) in enumerate((found or {}).items())]
+    def made(goes, moves, found=None, broken=(), **how):
+        ranked = [
+            Trial(k, named(name), worst, int(name in broken)) for k, (name, worst) in enumerate((found or {}).items())
+        ]
         monkeypatch.setattr(run, "optuna", lambda: None)
         monkeypatch.setattr(run, "search", lambda *given: (ranked, False))
         monkeypatch.setattr(run, "Tries", lambda task, plans, workers: Told(task, goes))
-        return tune(task, by="formula" if found is None else "search", moves=moves)
+        return tune(task, by="formula" if found is None else "search", moves=moves, **how)
 
     return made
 
@@ -131,6 +134,52 @@ def test_of_many_answers_of_a_search_the_first_that_passes_is_the_one(tuned):
     result = tuned(lambda name, case: (found.get(name, 0.5), name not in ("try 0", "try 1")), 4, found)
     assert result.answer.plan == named("try 2")
     assert (len(result.answers), result.failed) == (2, 2)
+
+
+def test_three_times_eight_answers_of_a_search_are_tried_and_no_more(tuned):
+    found = {f"try {k}": 0.1 for k in range(40)}
+    result = tuned(lambda name, case: (0.2, name not in found), 4, found)
+    assert (result.won, result.failed, result.trials) == ("formula", 24, 40)
+    assert "24 of the search's best registers failed in moves that it had not seen" in str(replace(result, failed=24))
+
+
+def test_a_trial_that_broke_is_no_answer_however_fast(tuned):
+    result = tuned(lambda name, case: (0.05 if name == "fast" else 0.2, True), 4, {"fast": 0.05}, {"fast"})
+    assert (result.won, len(result.answers), result.failed) == ("formula", 1, 0)
+
+
+def test_one_move_is_a_proof_too(tuned):
+    result = tuned(lambda name, case: (0.05 if name == "fast" else 0.2, True), 1, {"fast": 0.05})
+    assert result.answer.plan == named("fast")
+    assert (result.answer.proof.moves, result.answer.proof.kept) == (1, 1)
+
+
+def test_the_spare_that_was_asked_for_is_enough_and_none_may_be_asked_for(tuned, task):
+    for most in (MOST, MOST - 0.01):
+        try:
+            held = tuned(lambda name, case, most=most: (0.1, case.payload <= most + 1e-9), 3).answer.holds
+        except StageError:
+            held = False
+        assert held == (most == MOST)
+
+
+def test_what_is_done_is_told_from_the_formula_to_the_end(tuned, monkeypatch):
+    heard = []
+    tuned(lambda name, case: (0.1, True), 4, {"even": 0.1}, told=lambda *said: heard.append(said))
+    assert heard == [("the formula", 0.0, None), ("the proof", 0.0, None), ("the proof", 1.0, None)]
+    heard.clear()
+
+    def searching(*given):
+        for done, best in ((8, None), (16, Trial(0, None, 0.3, 0)), (24, Trial(0, None, 0.2, 1))):
+            given[-1](done, best)
+        return [], True
+
+    made = monkeypatch.setattr
+    made(run, "optuna", lambda: None)
+    made(run, "search", searching)
+    result = tune(task_of(), trials=20, moves=1, told=lambda *said: heard.append(said))
+    assert heard[1:-2] == [("searching", 0.4, None), ("searching", 0.8, 0.3), ("searching", 1.0, None)]
+    assert ", ended by Ctrl-C)" in result.verdict()
 
 
 def answered(task, **more):
