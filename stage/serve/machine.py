@@ -60,7 +60,7 @@ class Machine:
         self.board, self._keep, self._pause, self._hook, self._told = board, keep, pause, hook, told
         self._room, self._in_batch = _Room(MOST_ENTRIES), False
         self._timers: dict[int, bytes] = {}
-        self._states: dict[str, tuple[Any, np.ndarray]] = {}
+        self._states: dict[str, Any] = {}
         self._keep_state(START)
         self.does: dict[int, Callable[[bytes], bytes]] = {
             client.BATCH: self._batch, client.LOG: self._log, client.HOOK: self._hook_on, client.RESET: self._reset,
@@ -178,7 +178,7 @@ class Machine:
         return b""
 
     def _keep_state(self, name: str) -> None:
-        self._states[name] = self.board.stage.snapshot(), self.board.port_table.copy()
+        self._states[name] = self.board.stage.snapshot()
 
     def _restore(self, body: bytes) -> bytes:
         name, board = _text("RESTORE", body), self.board
@@ -186,9 +186,7 @@ class Machine:
             raise unknown("snapshot", name, self._states)
         if board.link.record["serving"]:
             raise StageError("RESTORE: not from within an interrupt hook.")
-        state, ports = self._states[name]
-        board.stage.restore(state)
-        board.port_table[:] = ports
+        board.stage.restore(self._states[name])
         board.port_table["seen"] = 0  # a read from now on is a line of its own in the trace
         for timer in list(self._timers.values()):  # they begin anew
             self._timer(timer)

@@ -1,0 +1,51 @@
+"""The bus of a host in a recording: from where it began to where it was closed, whenever the board came."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+from stage.recording.host_part import HostPart
+
+
+class Host:
+    def __init__(self):
+        self.at, self.asked = 0, []
+
+    def mark(self):
+        return self.at
+
+    def changes(self, *given):
+        self.asked.append(given)
+        return ["changes"]
+
+
+def test_a_part_is_from_its_mark_at_the_start_to_that_at_the_end_or_to_now():
+    host = Host()
+    stage = SimpleNamespace(host=host, now=10)
+    host.at = 3
+    part = HostPart(stage)
+    host.at, stage.now = 7, 20
+    assert part.until == 20
+    assert part.changes("writer", 1, 2) == ["changes"]
+    part.close()
+    host.at, stage.now = 9, 30
+    assert part.until == 20, "it was closed then"
+    part.changes("writer", 1, 2)
+    assert host.asked == [("writer", 3, None, 1, 2), ("writer", 3, 7, 1, 2)]
+
+
+def test_a_board_that_comes_during_the_recording_is_in_it_and_one_that_comes_after_is_not():
+    stage = SimpleNamespace(host=None, now=0)
+    during, before = HostPart(stage), HostPart(stage)
+    before.close()
+    stage.host = Host()
+    stage.host.at = 5
+    assert before.changes("writer", 0, 1) == []
+    assert during.changes("writer", 0, 1) == ["changes"]
+    during.close()
+    assert during.changes("writer", 0, 1) == ["changes"]
+    assert stage.host.asked == [("writer", None, None, 0, 1), ("writer", None, 5, 0, 1)]
+    nobody = HostPart(SimpleNamespace(host=None, now=4))
+    assert nobody.changes("writer", 0, 1) == []
+    nobody.close()
+    assert nobody.until == 4

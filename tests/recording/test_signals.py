@@ -1,0 +1,134 @@
+"""Pins as a recording shows them: what the wires settle on, where they change, which switch is on, which phase and direction."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from stage.chips import HCTL1100, PCL240K
+from stage.chips.entries import RESET, WRITE
+from stage.recording import signals
+
+EDGE = [("clock", "i8"), ("inputs", "i8"), ("outputs", "i8"), ("rate", "f8")]
+
+
+def edges(*rows):
+    """(clock, inputs, outputs)"""
+    return np.array([(*row, 0.0) for row in rows], EDGE)
+
+
+@pytest.mark.parametrize(
+    ("name", "word"), [("x", "x"), ("my x/1", "my_x_1"), ("größe", "gr_e"), ("///", "_"), ("", "_"), ("a_b2", "a_b2")]
+)
+def test_a_name_is_a_word_of_letters_digits_and_underscores(name, word):
+    assert signals.plain(name) == word
+
+
+def test_of_several_edges_at_one_clock_the_last_counts_in_one_piece_and_across_two():
+    """clocks 1 1 2 | 2 2 | 3 | 3: what is kept of 1, 2 and 3 is what came last"""
+    pieces = [edges((1, 1, 0), (1, 2, 0), (2, 3, 0)), edges((2, 4, 0), (2, 5, 0)), edges((3, 6, 0)), edges((3, 7, 0))]
+    kept = [(int(e["clock"]), int(e["inputs"])) for piece in signals.settled(pieces) for e in piece]
+    assert kept == [(1, 2), (2, 5), (3, 7)]
+    assert list(signals.settled([])) == []
+    assert [len(p) for p in signals.settled([edges((9, 0, 0))])] == [1]
+
+
+def test_edges_are_those_at_which_a_pin_changes_and_the_first():
+    """pieces that begin as the one before has ended: no edge; an output alone that changes is one"""
+    pieces = [edges((1, 1, 0), (2, 1, 0), (3, 1, 4)), edges((4, 1, 4), (5, 0, 4), (6, 0, 4))]
+    journal = SimpleNamespace(pieces=lambda: iter(pieces))
+    assert signals.pin_edges(journal)["clock"].tolist() == [1, 3, 5]
+    begins = SimpleNamespace(pieces=lambda: iter([edges((1, 1, 0)), edges((2, 0, 0))]))
+    assert signals.pin_edges(begins)["clock"].tolist() == [1, 2]
+
+
+def test_changes_begin_with_the_first_value():
+    clocks, values = signals.changes(edges((1, 0, 0), (2, 0, 0), (4, 0, 0), (5, 0, 0)), np.array([0, 0, 1, 0]))
+    assert (clocks.tolist(), values.tolist()) == ([1, 4, 5], [0, 1, 0])
+
+
+def test_a_chip_is_at_rest_where_no_pin_says_a_phase():
+    """a PCL-240K with FUP, FKEEP, FDOWN and HOLD; an HCTL-1100 with PROF and INIT"""
+    for chip in (PCL240K, HCTL1100):
+        pins = list(chip.PHASES)
+        rows = [(k, 0, chip.OUTPUTS[pin]) for k, pin in enumerate(pins)] + [(len(pins), 0, 0)]
+        rest = "control" if chip.SERVO else "hold"
+        assert signals.phases(chip(), edges(*rows)).tolist() == [*chip.PHASES.values(), rest]
+        known = signals.phases_of(chip())
+        assert known[-1] == rest
+        assert sorted(known) == sorted({*chip.PHASES.values(), rest})
+
+
+class Wired:
+    """A chip whose pin BOTH has two switches, and EL+ one of its own."""
+
+    def __init__(self):
+        self.WIRING = {"el_minus": "both", "org": "both"}
+        self.OUTPUTS = {"pout": 64}
+
+    def wired(self, pin):
+        return {"el_minus": 1, "org": 1, "el_plus": 2, "both": 1, "in": 1}.get(pin, 0)
+
+
+def test_switches_on_one_pin_are_one_lane_by_the_name_of_the_pin():
+    switches = SimpleNamespace(as_dict=lambda: {"el_minus": 0, "org": 0, "el_plus": 0, "sd_plus": 0})
+    axis = SimpleNamespace(chip=Wired(), switches=switches)
+    assert list(signals.seen_switches(axis)) == [("both", "EL", "el"), ("el_plus", "EL+", "el")]
+    alone = SimpleNamespace(chip=Wired(), switches=SimpleNamespace(as_dict=lambda: {"org": 0}))
+    assert list(signals.seen_switches(alone)) == [("org", "ORG", "org")]
+
+
+def test_a_switch_is_on_as_its_pin_says_and_where_it_is_wired_the_other_way_round_as_it_does_not():
+    """wiring: a switch that opens; another on the same pin is turned round with it, one on another pin is not"""
+    seen = edges((1, 0, 0), (2, 1, 0), (3, 3, 0))
+    usual = SimpleNamespace(chip=Wired())
+    turned = SimpleNamespace(chip=Wired(), wiring={"org": "positive"})
+    assert signals.on(usual, seen, "el_minus").tolist() == [False, True, True]
+    assert signals.on(turned, seen, "el_minus").tolist() == [True, False, False]
+    assert signals.on(turned, seen, "org").tolist() == [True, False, False]
+    assert signals.on(turned, seen, "el_plus").tolist() == [False, False, True]
+    assert signals.asserted(Wired(), edges((1, 0, 64), (2, 64, 0)), "pout").tolist() == [True, False]
+
+
+def test_a_status_bit_is_of_the_pin_of_its_direction_and_of_what_the_chip_sees():
+    """fields with one pin, with one a direction, with an opposite, with none; and a chip with polarity bits"""
+    fields = [
+        SimpleNamespace(name="end", pins=("el_plus", "el_minus")), SimpleNamespace(name="off", pins=("/org",)),
+        SimpleNamespace(name="pulse", pins=("pout",)), SimpleNamespace(name="none", pins=()),
+    ]  # fmt: skip
+    chip = Wired()
+    chip.MAP = SimpleNamespace(words=[SimpleNamespace(name="other"), SimpleNamespace(name="status", fields=fields)])
+    rows = edges((1, 2, 64), (2, 1, 0), (3, 1, 0))
+    said = {name: v.tolist() for name, v in signals.status(chip, rows, np.array([False, False, True])).items()}
+    assert said == {"end": [True, False, True], "off": [True, False, False], "pulse": [True, False, False]}
+    seen = np.zeros(3, [*EDGE, ("seen", "i8")])
+    seen["inputs"], seen["seen"], seen["outputs"] = [2, 1, 1], [0, 3, 2], [64, 0, 0]
+    said = {name: v.tolist() for name, v in signals.status(chip, seen, np.array([False, False, False])).items()}
+    assert said == {"end": [False, True, True], "off": [True, False, True], "pulse": [True, False, False]}
+    chip.MAP = SimpleNamespace(words=[SimpleNamespace(name="other")])
+    assert signals.status(chip, rows, np.zeros(3, bool)) == {}
+
+
+def test_the_direction_is_that_of_the_last_write_and_plus_after_the_reset_pin():
+    """minus at the start; a write that does not turn it; plus, minus, a reset"""
+    start = np.array([(100, 1)], [("clock", "i8"), ("minus", "i8")])[0]
+    turns = {1: None, 2: False, 3: True}
+    chip = SimpleNamespace(turns=lambda a, b: turns[b])
+    entries = [
+        SimpleNamespace(kind=kind, clock=clock, a=0, b=b)
+        for kind, clock, b in ((WRITE, 110, 1), (WRITE, 120, 2), (WRITE, 130, 3), (RESET, 140, 3), (WRITE, 150, 3))
+    ]
+    clocks, minus = signals.directions(chip, SimpleNamespace(start=start, entries=entries))
+    assert clocks.tolist() == [100, 120, 130, 140, 150]
+    assert minus.tolist() == [True, False, True, False, True]
+    plain = np.array([(7, 1)], [("clock", "i8"), ("other", "i8")])[0]
+    clocks, minus = signals.directions(chip, SimpleNamespace(start=plain, entries=entries))
+    assert (clocks.tolist(), minus.tolist()) == ([7], [False])
+
+
+def test_a_rate_is_in_pulses_a_second():
+    rows = edges((1, 0, 0), (2, 0, 0))
+    rows["rate"] = [0.001, 0.25]
+    assert signals.rates(rows, 4000).tolist() == [4.0, 1000.0]
