@@ -1,0 +1,228 @@
+"""Looking at a recording, without rerun: ports and programs that are named, what is asked of the viewer, what a browser is told."""
+
+from __future__ import annotations
+
+import errno
+import http.client
+import signal
+import socket
+import subprocess
+import threading
+from contextlib import contextmanager
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from stage.errors import ArgumentError
+from stage.files import FileError
+from stage.recording import viewer
+from stage.recording.viewer import ViewerError
+from stage.recording.web import Server
+
+
+@pytest.mark.parametrize("port", [0, -1, 65536, 90.5])
+def test_a_port_beyond_the_first_and_the_last_is_refused(port):
+    with pytest.raises(ArgumentError, match=rf"port={port!r}: a port is a whole number of 1 to 65535\."):
+        viewer.check_port(port)
+    viewer.check_port(1), viewer.check_port(65535)
+
+
+@pytest.mark.parametrize(
+    ("number", "said"),
+    [(errno.EADDRINUSE, "port 9191 is in use. Choose another: --port 4711"),
+     (errno.EACCES, "port 9191 cannot be had: no, sir. Choose another: --port 4711")],
+)  # fmt: skip
+def test_a_port_that_cannot_be_had_says_why_and_names_one_that_is_free(tmp_path, monkeypatch, number, said):
+    def refused(rrd, port, outside):
+        raise OSError(number, "no, sir")
+
+    monkeypatch.setattr(viewer, "Server", refused)
+    monkeypatch.setattr(viewer, "free_port", lambda: 4711)
+    rrd = tmp_path / "x.rrd"
+    rrd.touch()
+    with pytest.raises(ViewerError) as failed:
+        viewer.web_server(rrd, 9191)
+    assert str(failed.value).startswith(said)
+
+
+@pytest.mark.parametrize(("given", "wanted"), [(None, False), ("", False), ("0", False), ("1", True), ("yes", True)])
+def test_usage_data_is_sent_only_where_that_is_asked_for(monkeypatch, given, wanted):
+    monkeypatch.delenv("PULSESTAGE_RERUN_ANALYTICS", raising=False)
+    monkeypatch.setenv("XDG_CONFIG_HOME", "/own")
+    if given is not None:
+        monkeypatch.setenv("PULSESTAGE_RERUN_ANALYTICS", given)
+    assert viewer.environment()["XDG_CONFIG_HOME"] == ("/own" if wanted else str(viewer.SETTINGS))
+
+
+def test_reruns_program_is_the_one_that_is_named_or_that_of_its_package(tmp_path, monkeypatch):
+    """RERUN_CLI_PATH; the program of macOS in its folder, that of Linux; a package without one"""
+    monkeypatch.delenv("RERUN_CLI_PATH", raising=False)
+    spec = SimpleNamespace(submodule_search_locations=[str(tmp_path / "none"), str(tmp_path)])
+    monkeypatch.setattr(viewer, "find_spec", lambda name: spec)
+    monkeypatch.setattr(viewer, "need", lambda *_: None)
+    with pytest.raises(ViewerError, match=rf"in {tmp_path}/none, {tmp_path} has no program of rerun\. Install it anew"):
+        viewer.executable()
+    for name in ("rerun.exe", "rerun", "Rerun.app/Contents/MacOS/Rerun"):
+        program = tmp_path / name
+        program.parent.mkdir(parents=True, exist_ok=True)
+        program.touch()
+        assert viewer.executable() == str(program)
+    monkeypatch.setenv("RERUN_CLI_PATH", "/else/where")
+    assert viewer.executable() == "/else/where"
+
+
+@pytest.mark.parametrize(
+    ("at", "end", "shown"), [(None, 2_500_000_000, 2.5), (0.0, 2_500_000_000, 0.0), (1.25, 9, 1.25), (None, None, 0.0)]
+)
+def test_the_moment_that_is_shown_is_the_one_asked_for_or_the_end(at, end, shown):
+    """also that of 0 s"""
+    asked = []
+    timelines = [SimpleNamespace(name="log_time", end=7), SimpleNamespace(name="time", end=end)]
+    state = SimpleNamespace(recordings=[SimpleNamespace(timelines=timelines)])
+    client = SimpleNamespace(get_state=lambda: state, set_time=lambda *given, **named: asked.append((given, named)))
+    viewer._hold_at(client, at)
+    assert asked == [(("time",), {"duration": pytest.approx(shown), "play_state": "paused"})]
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_that_ends_leaves_in_order_and_handlers_are_as_before(number):
+    def own(signum, frame): ...
+
+    before = signal.signal(number, own)
+    try:
+        with pytest.raises(SystemExit) as left, viewer._ends_in_order():
+            signal.raise_signal(number)
+        assert left.value.code == 128 + number
+        assert signal.getsignal(number) is own
+    finally:
+        signal.signal(number, before)
+
+
+def test_a_program_that_does_not_end_is_killed_and_waited_for():
+    done = []
+
+    def wait(timeout=None):
+        done.append(("wait", timeout))
+        if timeout:
+            raise subprocess.TimeoutExpired("rerun", timeout)
+
+    process = SimpleNamespace(terminate=lambda: done.append("terminate"), kill=lambda: done.append("kill"), wait=wait)
+    viewer._end(process)
+    assert done == ["terminate", ("wait", 5), "kill", ("wait", None)]
+
+
+def test_a_picture_that_exists_stays_unless_overwriting_is_asked_for(tmp_path, monkeypatch):
+    """screenshot(rrd, png, (320, 200), at=0.5, timeout=7)"""
+    rrd, png, asked = tmp_path / "x.rrd", tmp_path / "x.png", []
+    rrd.touch(), png.write_bytes(b"old")
+    monkeypatch.setattr(viewer, "_render", lambda rrd, part, *given: (asked.append(given), part.write_bytes(b"new")))
+    with pytest.raises(FileError, match=r"x\.png"):
+        viewer.screenshot(rrd, png)
+    assert (png.read_bytes(), asked) == (b"old", [])
+    assert viewer.screenshot(rrd, png, (320, 200), at=0.5, timeout=7, overwrite=True) == png
+    assert (png.read_bytes(), asked) == (b"new", [((320, 200), 0.5, 7)])
+
+
+@pytest.mark.parametrize(("bar", "top"), [(lambda x: 30, viewer.FRAME), (lambda x: x % 256, 0)])
+def test_an_empty_bar_of_a_window_is_cut_off_and_what_is_drawn_stays(tmp_path, bar, top):
+    """a picture of 64 x 48 below the bar, of which row y has the colour y"""
+    image = pytest.importorskip("PIL.Image")
+    height = 48 + viewer.FRAME
+    picture = image.new("L", (64, height))
+    for y in range(height):
+        for x in range(64):
+            picture.putpixel((x, y), bar(x) if y < viewer.FRAME else y)
+    picture.save(tmp_path / "x.png")
+    viewer._cut_frame(tmp_path / "x.png", (64, 48))
+    with image.open(tmp_path / "x.png") as cut:
+        assert cut.size == (64, 48)
+        assert cut.getpixel((5, 0)) == (viewer.FRAME if top else 5)
+
+
+class Answer:
+    def __init__(self, status, reason="so"):
+        self.status, self.reason = status, reason
+
+    def read(self):
+        return b"content"
+
+
+@pytest.mark.parametrize(("name", "called"), [("", "its page"), ("re_viewer.js", r"re_viewer\.js")])
+def test_a_page_that_rerun_does_not_give_is_named(monkeypatch, name, called):
+    asked = []
+    connection = SimpleNamespace(
+        request=lambda *given: asked.append(given),
+        getresponse=lambda: answers.pop(0),
+        close=lambda: asked.append("closed"),
+    )
+    monkeypatch.setattr(http.client, "HTTPConnection", lambda host, port, timeout: connection)
+    answers = [Answer(404, "Not Found"), Answer(200)]
+    with pytest.raises(ViewerError, match=rf"rerun does not give {called}: 404 Not Found\."):
+        viewer._got(1, name)
+    assert viewer._got(1, name) == b"content"
+    assert asked == [("GET", f"/{name}"), "closed"] * 2
+
+
+# --- what serves a browser ---
+
+
+@contextmanager
+def serving(rrd):
+    with Server(rrd, 0) as server:
+        server.page = {"": b"the page", "favicon.ico": b"an icon"}
+        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
+        thread.start()
+        try:
+            yield server
+        finally:
+            server.shutdown()
+            thread.join()
+
+
+def asked(server, path, host=None, method="GET"):
+    """Status, headers, and all bytes behind them until the server closes."""
+    with socket.create_connection(("127.0.0.1", server.server_port), timeout=10) as wire:
+        wire.sendall(f"{method} {path} HTTP/1.0\r\nHost: {host or f'localhost:{server.server_port}'}\r\n\r\n".encode())
+        said = b"".join(iter(lambda: wire.recv(4096), b""))
+    head, _, content = said.partition(b"\r\n\r\n")
+    first, *lines = head.decode().split("\r\n")
+    return int(first.split()[1]), dict(line.split(": ", 1) for line in lines), content
+
+
+def test_a_browser_is_told_to_keep_nothing_guess_nothing_and_tell_nobody(tmp_path):
+    """a file of the page, one that is none, the head alone, a name in capitals, the address with and without its question"""
+    rrd = tmp_path / "x.rrd"
+    rrd.write_bytes(b"a recording")
+    with serving(rrd) as server:
+        for path, status, content in (
+            ("?url=x", 200, b"the page"), ("favicon.ico", 200, b"an icon"), ("recording.rrd", 200, b"a recording"),
+            ("re_viewer.js", 404, b"There is no such file.\n"), ("", 302, b""),
+        ):  # fmt: skip
+            got, headers, said = asked(server, server.folder + path)
+            assert (got, said, headers["Content-Length"]) == (status, content, str(len(content)))
+            assert [headers[name] for name in ("Referrer-Policy", "X-Content-Type-Options", "Cache-Control")] == [
+                "no-referrer", "nosniff", "no-store",
+            ]  # fmt: skip
+            got, headers, said = asked(server, server.folder + path, method="HEAD")
+            assert (got, said, headers["Content-Length"]) == (status, b"", str(len(content)))
+        assert asked(server, server.folder + "favicon.ico", host=f"LocalHost:{server.server_port}")[0] == 200
+        rrd.unlink()
+        assert asked(server, server.folder + "recording.rrd")[::2] == (404, b"The recording is no longer there.\n")
+
+
+def test_at_port_80_a_browser_leaves_the_port_away():
+    server = SimpleNamespace(server_port=80)
+    assert Server.hosts.fget(server) == ["127.0.0.1:80", "localhost:80", "127.0.0.1", "localhost"]
+    server.server_port = 8080
+    assert Server.hosts.fget(server) == ["127.0.0.1:8080", "localhost:8080"]
+
+
+def test_a_browser_that_goes_away_is_no_error_and_any_other_is_told(tmp_path, capfd):
+    with Server(Path(tmp_path), 0) as server:
+        for error, told in ((BrokenPipeError("gone"), False), (ValueError("a mistake of ours"), True)):
+            try:
+                raise error
+            except (OSError, ValueError):
+                server.handle_error(None, ("127.0.0.1", 1))
+            assert ("a mistake of ours" in capfd.readouterr().err) is told
