@@ -75,14 +75,14 @@ def test_axes_are_told_apart_by_a_legend_and_one_alone_has_none():
 
 def test_switches_lie_from_the_top_in_the_order_of_the_axes_and_each_has_the_colour_of_its_kind():
     on = np.arange(20) > 10
-    fig = draw(Run({"x": SLIDE, "y": SLIDE}, x__el_minus=on, x__org=on, y__el_plus=~on))
+    fig = draw(Run({"x": SLIDE, "y": SLIDE}, x__el_minus=on, x__sd_plus=on, y__org=~on))
     lanes = fig.axes[-1]
-    assert [label.get_text() for label in lanes.get_yticklabels()] == ["y EL+", "x ORG", "x EL-"], "from the bottom"
+    assert [label.get_text() for label in lanes.get_yticklabels()] == ["y ORG", "x SD+", "x EL-"], "from the bottom"
     assert lanes.get_ylim() == (0, 3)
     colours = [patch.get_facecolor()[0] for patch in lanes.collections]
     from matplotlib.colors import to_rgba
 
-    assert [tuple(c) for c in colours] == [to_rgba(pictures.KINDS[kind]) for kind in ("el", "org", "el")]
+    assert [tuple(c) for c in colours] == [to_rgba(pictures.KINDS[kind]) for kind in ("org", "sd", "el")]
     heights = [patch.get_paths()[0].vertices[:, 1] for patch in lanes.collections]
     assert [(h.min(), h.max()) for h in heights] == [pytest.approx((k + 0.14, k + 0.8)) for k in range(3)]
 

@@ -1,0 +1,289 @@
+"""What the rerun file says beside its curves: lanes and their colours, faults, the bus, the facts about each axis, and shapes."""
+
+from __future__ import annotations
+
+import sys
+from types import SimpleNamespace
+
+import mujoco
+import numpy as np
+import pytest
+from support.recording_bench import ONE_AXIS, feed, make_bench, read_rrd
+
+from stage.chips import HCTL1100
+from stage.recording import geoms, inline, rerun_log, saved, scene
+from stage.recording.recording import ROWS, RecordingError
+from stage.recording.rerun_log import STATES, Lanes
+
+pytest.importorskip("rerun")
+RED, BLUE = STATES["fault"], STATES["keep"]
+
+
+def number(colour):
+    red, green, blue = colour
+    return red << 24 | green << 16 | blue << 8 | 255
+
+
+@pytest.fixture(scope="module")
+def streamed(tmp_path_factory):
+    """A file that was flushed between two faults; a command, a lost write, a reset, a register that nothing follows."""
+    bench, path = make_bench(), tmp_path_factory.mktemp("rrd") / "x.rrd"
+    recording, chip = bench.recording, bench.chip
+    recording.stream(path)
+    feed(recording, 2)
+    recording.note(0.001, "axis x: jammed: begins", ("jammed", "slips"))
+    chip.write(0, 0x15)
+    recording.flush()
+    feed(recording, 3)
+    recording.note(0.002, "axis x: jammed: ends", ("slips",))
+    recording.note(0.004, "axis x: slips: ends", ())
+    chip.reset()
+    recording.flush()
+    for address, value in ((0, 0x82), (1, 0x40), (2, 0x1F), (3, 0x00)):
+        chip.write(address, value)
+    recording.close()
+    return read_rrd(path)
+
+
+def test_each_fault_is_told_once_with_those_in_force(streamed):
+    times, states = streamed["/faults"]["StateChange:state"]
+    assert times.tolist() == [1_000_000, 2_000_000, 4_000_000]
+    assert [s[0] for s in states] == ["jammed; slips", "slips", "none"]
+    names, colours = (streamed["/faults"][f"StateConfiguration:{name}"][1][-1] for name in ("values", "colors"))
+    assert dict(zip(names, colours, strict=True)) == {
+        "jammed; slips": number(RED), "slips": number(RED), "none": number(STATES["off"]),
+    }  # fmt: skip
+    times, texts = streamed["/faults/log"]["TextLog:text"]
+    assert times.tolist() == [1_000_000, 2_000_000, 4_000_000]
+    assert [t[0].split("  FAULT  ")[1] for t in texts] == [
+        "axis x: jammed: begins",
+        "axis x: jammed: ends",
+        "axis x: slips: ends",
+    ]
+
+
+def test_each_line_of_the_bus_is_told_once_with_the_weight_of_its_kind(streamed):
+    bus = streamed["/axes/x/bus"]
+    said = [
+        (text[0].split("  x  ")[1], level[0])
+        for text, level in zip(bus["TextLog:text"][1], bus["TextLog:level"][1], strict=True)
+    ]
+    assert said[:2] == [("15  start, ramp to FH1", "DEBUG"), ("/RESET  reset pin", "WARN")]
+    assert len(said) == 3, "a register whose write nothing followed is told at the end"
+    assert said[2][1] == "INFO"
+    assert "R2 <- 8000" in said[2][0]
+    assert rerun_log.LEVELS["lost"] == "ERROR"
+
+
+def test_the_command_lies_dark_and_wide_behind_the_position(streamed):
+    def style(series):
+        found = streamed[f"/axes/x/{series}"]
+        return [found[f"SeriesLines:{name}"][1][0][0] for name in ("colors", "names", "widths")]
+
+    (red, green, blue) = (240, 96, 84)
+    assert style("position") == [number((red, green, blue)), "x", 1.5]
+    assert style("commanded") == [number((red // 2, green // 2, blue // 2)), "x cmd", 3.5]
+
+
+def test_the_facts_are_those_of_each_axis_and_the_length_that_of_the_end(tmp_path):
+    """a slide, and the hinge of a servo; the file is begun with none of the 5 samples, 2 ms apart"""
+    bench = make_bench(2)
+    servo = bench.axes["y"]
+    servo.chip, servo.unit, servo.drive = HCTL1100(), "rad", SimpleNamespace(title="a motor")
+    recording = type(bench.recording)(bench.model, bench.axes, 2e-3, lambda: None)
+    path = tmp_path / "x.rrd"
+    recording.stream(path)
+    feed(recording, 5)
+    recording.close()
+    read = read_rrd(path)
+    text = read["/about"]["TextDocument:text"][1][-1][0]
+    hz = HCTL1100().clock_hz
+    assert "| x | PCL240K | 4,915,200 Hz | - | 3.125 um a pulse |" in text
+    assert f"| y | HCTL1100 | {hz:,} Hz | a motor | 0.179 mdeg a count |" in text
+    assert "0.010 s, a sample every 2 ms; physics step 2000 us." in text
+    run = saved.read(path)
+    assert run.axes == {
+        "x": "PCL240K at 4915200 Hz, -, 3.125 um a pulse", "y": f"HCTL1100 at {hz} Hz, a motor, 0.179 mdeg a count",
+    }  # fmt: skip
+    assert (run.every, len(run), run.model) == (2e-3, 5, "bench")
+    assert (run.units["x/position"], run.units["y/position"]) == ("m", "rad")
+    assert (run.units["x/rate"], run.units["y/rate"]) == ("pps", "counts/s")
+    assert run._property("stage", "samples") == "5"
+
+
+def test_a_lane_goes_on_where_it_was_and_together_the_weightiest_switch_gives_the_colour(monkeypatch):
+    """EL+ and ORG come and go, in two lots, of which the second begins with the last edge of the first"""
+    logged, sent = [], []
+    fake = SimpleNamespace(
+        StateConfiguration=lambda values, colors: dict(zip(values, colors, strict=True)),
+        StateChange=SimpleNamespace(columns=lambda state: state),
+    )
+    monkeypatch.setattr(rerun_log, "rr", fake)
+    monkeypatch.setattr(scene, "duration", lambda seconds: np.rint(np.asarray(seconds) * 1e6).tolist())
+    out = SimpleNamespace(
+        log=lambda path, what, static: logged.append((path.removeprefix("axes/x/"), what)),
+        send_columns=lambda path, indexes, columns: sent.append((path.removeprefix("axes/x/"), indexes[0], columns)),
+    )
+    bench = make_bench()
+    axis, chip = bench.axes["x"], bench.chip
+    axis.switches = SimpleNamespace(as_dict=lambda: {"org": False, "el_plus": False})
+    lanes = Lanes(bench.recording, "x", (1, 2, 3))
+    org, end, hold, up = chip.wired("org"), chip.wired("el_plus"), chip.OUTPUTS["hold"], chip.OUTPUTS["fup"]
+    edges = np.zeros(6, [("clock", "i8"), ("inputs", "i8"), ("outputs", "i8")])
+    edges["clock"] = np.arange(6) * chip.clock_hz
+    edges["inputs"] = [0, org, org | end, end, 0, org]
+    edges["outputs"] = [hold, up, up, hold, hold, hold]
+    lanes._log_edges(out, edges[:4])
+    lanes._first = False
+    lanes._log_edges(out, edges[3:])
+    second = 1_000_000
+    assert sent == [
+        ("phase", [0, second, 3 * second], ["hold", "up", "hold"]),
+        ("switches/org", [0, second, 3 * second], ["off", "ORG", "off"]),
+        ("switches/el_plus", [0, 2 * second], ["off", "EL+"]),
+        ("switches", [0, second, 2 * second, 3 * second], ["", "ORG", "ORG EL+", "EL+"]),
+        ("switches/org", [5 * second], ["ORG"]),
+        ("switches/el_plus", [4 * second], ["off"]),
+        ("switches", [4 * second, 5 * second], ["", "ORG"]),
+    ]
+    together = [what for path, what in logged if path == "switches"]
+    assert together == [{"": STATES["off"], "ORG": STATES["org"], "ORG EL+": STATES["el"], "EL+": STATES["el"]}], "once"
+    assert dict(logged)["switches/org"] == {"ORG": STATES["org"], "off": STATES["off"]}
+    assert dict(logged)["phase"] == {name: STATES[name] for name in ("up", "keep", "down", "hold")}
+
+
+def test_a_buffer_that_went_back_in_time_is_not_forgotten_behind_later_ones(tmp_path):
+    """one full buffer goes back, the next does not"""
+    bench = make_bench()
+    for back in (True, False):
+        bench.recording.samples["time"][:, 0] = np.arange(ROWS) * 1e-3
+        if back:
+            bench.recording.samples["time"][7, 0] = 9.0
+        bench.recording.take(ROWS)
+    with pytest.raises(RecordingError, match="went back in time"):
+        bench.recording.save(tmp_path / "x.rrd")
+
+
+def test_a_stream_is_flushed_as_rarely_as_asked_for(tmp_path):
+    """once in 1e9 s is the longest; of a recording of nothing there is no picture"""
+    bench = make_bench()
+    assert "<img" not in bench.recording._repr_html_()
+    assert "<svg" not in bench.recording._repr_html_()
+    assert bench.recording.stream(tmp_path / "x.rrd", seconds=1e9) is bench.recording
+    bench.recording.close()
+
+
+def test_a_notebook_gets_the_dashboard_of_what_is_neither_nothing_nor_too_much(monkeypatch):
+    """a recording of no sample, of one, of the most, of one more"""
+
+    class Run:
+        def __init__(self, n):
+            self.n = n
+
+        def __len__(self):
+            return self.n
+
+        def save(self, path):
+            raise InterruptedError("it is sent")
+
+    monkeypatch.setattr(inline, "has", lambda library: True)
+    monkeypatch.setitem(sys.modules, "rerun_notebook", SimpleNamespace())
+    for n in (0, inline.MOST + 1):
+        assert inline.widget_of(Run(n)) == {}
+    for n in (1, inline.MOST):
+        with pytest.raises(InterruptedError, match="it is sent"):
+            inline.widget_of(Run(n))
+    monkeypatch.setattr(inline, "has", lambda library: library != "rerun_notebook")
+    assert inline.widget_of(Run(1)) == {}
+
+
+# --- shapes ---
+
+
+def model_of(world, assets=""):
+    return mujoco.MjModel.from_xml_string(f"<mujoco><asset>{assets}</asset><worldbody>{world}</worldbody></mujoco>")
+
+
+def arrays(shape, *names):
+    return [np.array(getattr(shape, name).as_arrow_array().to_pylist()) for name in names]
+
+
+def test_the_floor_is_level_and_of_the_world():
+    """a plane of a body, a wall, then the floor, turned round its own axis by half a turn"""
+    plane = '<geom type="plane" size="1 1 1" {}/>'
+    inside = f'<body pos="0 0 1">{plane.format("")}</body>'
+    assert geoms.floor(model_of(inside)) is None
+    model = model_of(plane.format('euler="0 90 0"') + plane.format('quat="-1 0 0 0"') + plane.format("") + inside)
+    assert geoms.floor(model) == 1
+
+
+def test_a_plane_is_a_slab_below_it_as_large_as_it_is_and_an_endless_one_as_large_as_the_model():
+    """a wall that faces +x: its slab lies behind it"""
+    model = model_of('<body><geom type="plane" size="0.5 900 .1" pos="3 0 0" euler="0 90 0"/><geom size=".1"/></body>')
+    ((_, shape),) = [s for s in geoms.shapes(model, 1) if s[0] == "planes"]
+    far = 2 * float(model.stat.extent)
+    assert far < 900
+    half, centre, turn = arrays(shape, "half_sizes", "centers", "quaternions")
+    assert half[0] == pytest.approx([0.5, far, geoms.PLANE], rel=1e-6)
+    assert centre[0] == pytest.approx([3 - geoms.PLANE, 0, 0], abs=1e-6)
+    assert turn[0] == pytest.approx([0, 0.5**0.5, 0, 0.5**0.5], abs=1e-6), "x y z w"
+
+
+def test_a_mesh_is_turned_and_placed_and_its_faces_look_outwards():
+    """two wedges, the second turned by 90 degrees round z and moved by 5 along x"""
+    wedge = '<mesh name="{}" vertex="0 0 0  {s} 0 0  0 {s} 0  0 0 {s}"/>'
+    model = model_of(
+        '<body><geom type="mesh" mesh="small" pos="-9 0 0"/>'
+        '<geom name="named" type="mesh" mesh="large" pos="5 0 0" euler="0 0 90"/></body>',
+        wedge.format("small", s=1) + wedge.format("large", s=2),
+    )
+    shapes = dict(geoms.shapes(model, 1))
+    assert list(shapes) == ["mesh_0", "mesh_named"]
+    for name, corners in (
+        ("mesh_0", [(-9, 0, 0), (-8, 0, 0), (-9, 1, 0), (-9, 0, 1)]),
+        ("mesh_named", [(5, 0, 0), (5, 2, 0), (3, 0, 0), (5, 0, 2)]),
+    ):
+        vertices, normals = arrays(shapes[name], "vertex_positions", "vertex_normals")
+        assert {tuple(v) for v in vertices.round(4).tolist()} == {tuple(map(float, c)) for c in corners}
+        middle = np.mean(corners, axis=0)
+        outwards = np.einsum("ij,ij->i", normals, vertices - middle)
+        assert outwards.min() > 0
+        assert np.linalg.norm(normals, axis=1) == pytest.approx(np.ones(len(normals)))
+        triangles = vertices.reshape(-1, 3, 3)
+        edges = triangles[:, 1:] - triangles[:, :1]
+        assert np.einsum("ij,ij->i", np.cross(edges[:, 0], edges[:, 1]), normals[::3]).min() > 0
+
+
+def test_a_capsule_begins_at_its_lower_end_and_a_sphere_is_round():
+    """a capsule that lies along x; a sphere and an ellipsoid, each of its own half axes"""
+    model = model_of(
+        '<body><geom type="capsule" size=".1 .4" pos="1 2 3" euler="0 90 0"/><geom type="cylinder" size=".2 .3" pos="4 5 6"/>'
+        '<geom type="sphere" size=".5"/><geom type="ellipsoid" size=".1 .2 .3"/></body>'
+    )
+    shapes = dict(geoms.shapes(model, 1))
+    lengths, radii, at = arrays(shapes["capsules"], "lengths", "radii", "translations")
+    assert (lengths[0], radii[0]) == pytest.approx((0.8, 0.1))
+    assert at[0] == pytest.approx([0.6, 2, 3], abs=1e-6)
+    lengths, radii, at = arrays(shapes["cylinders"], "lengths", "radii", "centers")
+    assert (lengths[0], radii[0]) == pytest.approx((0.6, 0.2))
+    assert at[0] == pytest.approx([4, 5, 6])
+    assert arrays(shapes["spheres"], "half_sizes")[0][0] == pytest.approx([0.5] * 3)
+    assert arrays(shapes["ellipsoids"], "half_sizes")[0][0] == pytest.approx([0.1, 0.2, 0.3])
+
+
+def test_a_colour_is_clipped_rounded_and_that_of_the_first_material_too():
+    model = model_of(
+        '<geom size="1" rgba=".501 2 -1 1"/><geom size="1" material="first" rgba="1 1 1 1"/>',
+        '<material name="first" rgba="0 1 0 .5"/>',
+    )
+    assert geoms.colour(model, 0).tolist() == [128, 255, 0, 255]
+    assert geoms.colour(model, 1).tolist() == [0, 255, 0, 128]
+
+
+def test_poses_are_those_of_each_row():
+    """two rows of a slide along x: bodies and sites, quaternions as x y z w"""
+    model = mujoco.MjModel.from_xml_string(ONE_AXIS.replace("<geom", '<site name="s" pos="0 .5 0"/><geom'))
+    xpos, xquat, sites = geoms.poses(model, np.array([[0.1], [0.3]]))
+    assert xpos[:, 1, 0] == pytest.approx([0.1, 0.3])
+    assert xquat[:, 1].tolist() == [[0, 0, 0, 1]] * 2
+    assert sites[:, 0].tolist() == [pytest.approx([0.1, 0.5, 0]), pytest.approx([0.3, 0.5, 0])]
