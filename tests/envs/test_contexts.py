@@ -24,6 +24,24 @@ def test_a_number_of_a_machine_may_be_given_up_to_both_ends(end):
     assert (context["payload"], context["friction"]) == (2.0, end), "of a range of one number that number is drawn"
 
 
+def test_nothing_may_be_given_where_it_is_in_the_range():
+    context = np.zeros((), contexts.CONTEXT)
+    ends = {"payload": (0.0, 5.0), "drift": (0.0, 0.1)}
+    contexts.draw(np.random.default_rng(1), ends, context, {"payload": 0, "drift": 0.0})
+    assert (context["payload"], context["drift"]) == (0.0, 0.0)
+
+
+def test_what_is_given_changes_nothing_that_is_drawn():
+    drawn = []
+    for asked in ({}, {"payload": 1.0}, {"friction": 1.0, "supply": 1.0}):
+        context = np.zeros((), contexts.CONTEXT)
+        ends = {"payload": (0.0, 5.0), "friction": (0.5, 2.0), "supply": (0.7, 1.1), "torque": (0.6, 1.0)}
+        contexts.draw(np.random.default_rng(3), ends, context, asked)
+        drawn.append({name: float(context[name]) for name in ends if name not in asked})
+        assert all(context[name] == value for name, value in asked.items())
+    assert drawn[0] == drawn[0] | drawn[1] | drawn[2]
+
+
 @pytest.mark.parametrize("wrong", [True, "1", np.nan, 0.49, 2.01])
 def test_what_is_no_number_of_a_machine_is_refused(wrong):
     with pytest.raises(ArgumentError, match="option friction="):

@@ -61,6 +61,16 @@ def test_a_machine_that_is_hampered_loses_steps_where_a_healthy_one_does_not_and
     assert kept == {("none", "brisk"): True, ("none", "usual"): True, (fault, "brisk"): False, (fault, "usual"): True}
 
 
+def test_what_was_left_on_the_table_is_on_top_of_the_payload_and_of_the_margin_of_a_proof():
+    env = make("stage/FewShotTuning-v1", payload_on="y")
+    env.reset(seed=1, options={**GIVEN, "fault": "overload"})
+    task, stage = env._task, env.stage
+    assert stage.payload("y") == pytest.approx(1.0 + 12.0)
+    for more, kg in ((0.5, 13.5), (0.0, 13.0)):
+        task.outfit(stage, 0, more)
+        assert stage.payload("y") == pytest.approx(kg)
+
+
 def test_a_fault_of_a_machine_with_two_axes_is_on_one_of_them_and_only_where_it_takes_part():
     env = make("stage/BusMacros-v1", split="faults")
     dofs = [env.stage.axes[name].plant.dof for name in ("x", "y")]

@@ -92,6 +92,30 @@ def test_a_vector_goes_on_from_a_snapshot_to_the_bit(id_):
     assert [plain(other.step(a)) for a in actions[1:]] == expected
 
 
+def drawn(task):
+    """What a task keeps of its stages."""
+    return {
+        name: value.copy()
+        for name, value in vars(task).items()
+        if isinstance(value, np.ndarray) and value.shape[:1] == (task.n,) and not name.startswith("_")
+    }
+
+
+@pytest.mark.parametrize("id_", SHORT)
+def test_what_a_reset_draws_or_clears_is_kept_by_a_snapshot(id_):
+    env = make(id_)
+    env.reset(seed=5)
+    env.action_space.seed(5)
+    env.step(env.action_space.sample())
+    kept, before = env.snapshot(), drawn(env._task)
+    env.reset(seed=6)
+    changed = [name for name, value in drawn(env._task).items() if value.tobytes() != before[name].tobytes()]
+    assert "observations" in changed
+    env.restore(kept)
+    again = drawn(env._task)
+    assert [name for name in changed if again[name].tobytes() != before[name].tobytes()] == []
+
+
 def test_a_search_looks_ahead_and_then_acts_as_if_it_had_not():
     """The use on the page: each candidate from the same moment, then the best of them, with the reward that was foreseen."""
     env, plainly = make("stage/RegisterTuning-v0"), make("stage/RegisterTuning-v0")

@@ -134,6 +134,54 @@ def test_distances_and_payloads_are_drawn_within_their_ranges():
     assert np.isfinite([d["payload"] for d in drawn]).all()
 
 
+def judged(monkeypatch, looks, rest=None, distance=100, **settings):
+    """(reward parts, info, observation) of a move that is seen so many counts from its goal, and from - to in its rest."""
+    env = make(limit=0.02, rest=0.005, distances=(50, 500), **settings)
+    env.reset(seed=1, options={"distance": distance})
+    task = env._task
+    count, goal = env.stage.axes["x"].meters_per_pulse, float(task.goal[0])
+    real, (low, high) = task.fleet.play, rest or (looks[-1], looks[-1])
+
+    def play(programs):
+        played = real(programs)
+        played.results[0, task.first + 1 :: 2] = np.rint(1e12 * count * (goal + np.array(looks)))
+        played.extremes[0, task.axis.plant.qpos] = count * (goal + low), count * (goal + high)
+        return played
+
+    monkeypatch.setattr(task.fleet, "play", play)
+    observation, *_, info = env.step(np.zeros(4, np.float32))
+    return info["reward_parts"], info, observation
+
+
+def test_a_servo_has_settled_from_the_last_look_outside_the_deadband_on(monkeypatch):
+    for looks, settled in (([90] * 5 + [2] * 15, 5), ([2] * 20, 0), ([90] * 3 + [1] * 3 + [-4] * 4 + [0] * 10, 10)):
+        parts, info, _ = judged(monkeypatch, looks)
+        assert (info["finished"], parts["limit"]) == (True, 0)
+        assert info["settled"] == -parts["time"] == pytest.approx(settled * 1e-3)
+    for looks, rest in (([90] * 5 + [2] * 15, (-4, 2)), ([90] * 5 + [2] * 15, (0, 4)), ([90] * 19 + [4], (0, 0))):
+        parts, info, _ = judged(monkeypatch, looks, rest, limit_weight=2.5)
+        assert (info["finished"], info["settled"], parts["limit"]) == (False, 0.02, -2.5)
+
+
+def test_overshoot_counts_in_shares_of_the_distance_and_unrest_up_to_a_thousand_counts(monkeypatch):
+    weights = {"overshoot_weight": 0.5, "unrest_weight": 0.25}
+    for over, rest, distance, costs in (
+        (25, (-10, 40), 100, (0.25, 0.5)),
+        (0, (0, 0), 100, (0.01, 0.0)),
+        (300, (-700, 800), 200, (1.0, 10.0)),
+    ):
+        parts, info, seen = judged(monkeypatch, [-90] * 4 + [over] * 6 + [1] * 10, rest, distance, **weights)
+        assert (-2 * parts["overshoot"], -4 * parts["unrest"]) == pytest.approx(costs, abs=1e-6)
+        assert (info["overshoot"], info["unrest"], info["error"]) == (max(over, 1), rest[1] - rest[0], -1)
+        shares = max(over, 1) / (max(over, 1) + 10), (rest[1] - rest[0]) / (rest[1] - rest[0] + 10)
+        assert seen[3:5] == pytest.approx(shares, abs=1e-5)
+
+
+def test_a_rest_is_shorter_than_the_move_it_ends():
+    with pytest.raises(ArgumentError, match=r"rest=0\.1: a part of limit=0\.1"):
+        make(limit=0.1, rest=0.1)
+
+
 def test_a_screw_that_turns_the_other_way_makes_no_difference(tmp_path):
     """gear="-628.3185307" of axis x: the goal is where the carriage goes"""
     env, _, info = one_move(GOOD, 1000, model=mirrored(tmp_path, "xyz_servo"), distances=(100, 4000))
