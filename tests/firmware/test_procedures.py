@@ -584,3 +584,34 @@ def test_a_run_after_a_move_ends_at_its_limit_and_not_at_the_count_of_the_move()
         setattr(bench.axes["x"].pins, limit.lower().replace("+", "_plus").replace("-", "_minus"), True)
         bench.wait(0.5)
         assert driver.stopped_by() == limit
+
+
+@pytest.mark.parametrize(("way", "limit"), [(-1, "EL-"), (1, "EL+")])
+@pytest.mark.parametrize("name", STEPPING)
+def test_a_move_that_an_end_limit_ends_says_which(name, way, limit):
+    bench = Bench(x=CHIPS[name]())
+    driver = driver_of(bench.axes["x"])
+    driver.start(way * 5000, Speeds())
+    bench.wait(0.05)
+    switch = "el_plus" if way > 0 else "el_minus"
+    setattr(bench.axes["x"].pins, CHIPS[name].WIRING.get(switch, switch), True)
+    assert driver.wait(5.0) == limit
+
+
+def test_a_line_of_a_pcl240_has_both_ramps_as_they_are_asked():
+    bench = Bench(PCL240K(), PCL240K())
+    drivers = {name: driver_of(axis) for name, axis in bench.axes.items()}
+    plan = type(drivers["x"]).line(drivers, {"x": 6000, "y": -3000}, Speeds(1000, 8000, 0.1, 0.2)).plan
+    for axis in plan.axes.values():
+        assert axis.registers["R5"] == pytest.approx(2 * axis.registers["R4"], rel=0.01)
+
+
+@pytest.mark.parametrize("hz", [4_915_200, 2_000_000])
+def test_registers_by_formula_are_for_the_clock_of_the_chip(hz):
+    x = Bench(PCL240MK(clock_hz=hz)).axes["x"]
+    made = driver_of(x).formula(500, 8000, 0.1, 0.2, 4000)
+    step = hz / (8192 * made["R7"])
+    assert made["R1"] * step == pytest.approx(500, rel=1e-3)
+    assert made["R2"] * step == pytest.approx(8000, rel=1e-3)
+    ramps = [(made["R2"] - made["R1"]) * made[name] / hz for name in ("R4", "R5")]
+    assert ramps == pytest.approx([0.1, 0.2], rel=0.01)
