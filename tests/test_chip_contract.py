@@ -38,6 +38,7 @@ def core(**change):
         ({"DEFAULT_CLOCK_HZ": 0}, "DEFAULT_CLOCK_HZ is 0: 1 to 100,000,000 Hz"),
         ({"INPUTS": {"el_plus": 1, "org": 1}}, "pin org of INPUTS has a bit that another one has: 1h"),
         ({"INPUTS": {"el_plus": 3, "org": 2}}, "pin org of INPUTS has a bit that another one has: 2h"),
+        ({"INPUTS": {"up": 1, "low": 2, "org": 1}}, "pin org of INPUTS has a bit that another one has: 1h"),
         ({"INPUTS": {"up": 1}, "OUTPUTS": {"up": 1}}, "pin up is an input and an output"),
         ({"INPUTS": {"org": 0}}, "pin org has no bit: a number above 0"),
         ({"ADDRESSES": 8, "ADDRESS_MASK": 6}, "ADDRESS_MASK 6h does not reach all of its 8 ADDRESSES"),
@@ -71,6 +72,10 @@ def core(**change):
         (
             mapped(words=(Word("w", "w", (Field("e", 3, 0, "e"), Field("f", 4, 3, "f"))),)),
             "field f of w has bits that another one has: 4..3",
+        ),
+        (
+            mapped(words=(Word("w", "w", (Field("e", 3, 0, "e"), Field("g", 7, 4, "g"), Field("f", 0, 0, "f"))),)),
+            "field f of w has bits that another one has: 0",
         ),
     ],
 )
@@ -151,3 +156,24 @@ def test_a_fraction_and_what_is_too_wide_are_told_apart():
         "value 3.7 acts as 03h: the bus has whole numbers",
         "address 05h acts as 01h: the bus is no wider",
     ]
+
+
+def test_all_that_is_wrong_is_counted_and_the_first_four_are_told():
+    lacks = {"BUSY": (-1, 1), "COUNTER": ("R0", 0), "MICROSTEPS": 257, "DRIVER": "x", "DEFAULT_CLOCK_HZ": 0}
+    with pytest.raises(ArgumentError) as caught:
+        contract.check(type("BAD", (PCL240K,), lacks), Chip)
+    said = str(caught.value)
+    assert "BUSY is" in said.partition(" (and 4 more: ")[0]
+    assert [name in said.partition(" (and 4 more: ")[2] for name in ("COUNTER", "DEFAULT_CLOCK_HZ", "MICROSTEPS", "DRIVER")] == [
+        True, True, True, False,
+    ]  # fmt: skip
+
+
+def test_a_class_that_was_checked_without_its_methods_is_checked_with_them_later():
+    class Mute(PCL240K):
+        listener = Chip.listener
+
+    contract.check(Mute, Chip, methods=False)
+    for _ in range(2):
+        with pytest.raises(ArgumentError, match=r"the class has no listener\(\), what bus cycles say, for traces"):
+            contract.check(Mute, Chip)

@@ -130,3 +130,13 @@ def test_names_have_the_article_that_they_are_spoken_with():
     names = "PCL240K MCX304 HCTL1100 ACME1000 TMC5160 8254 LS7166 TOY atmega328p cortex-m4".split()
     said = " ".join(a_or_an(name).split()[0] for name in names)
     assert said == "a an an an a an an a an a"
+
+
+def test_a_claim_to_one_of_our_names_is_told_also_of_an_old_installation(monkeypatch, tmp_path, capsys):
+    """setup.py develop leaves NAME.egg-info where pip leaves NAME.dist-info"""
+    installed(monkeypatch, tmp_path, "elder", PCL240MS="toy:TOY")
+    (tmp_path / "elder-1.0.dist-info").rename(tmp_path / "elder.egg-info")
+    (tmp_path / "elder.egg-info" / "METADATA").rename(tmp_path / "elder.egg-info" / "PKG-INFO")
+    monkeypatch.setattr(CHIPS, "_told", set())
+    assert chip_class("pcl240ms") is PCL240MS
+    assert "though elder 1.0 has one of this name" in capsys.readouterr().err

@@ -345,7 +345,11 @@ class RegisterMap:
         from stage.errors import ArgumentError
 
         r = self.register(name)
-        if int(value) != value or not r.allows(int(value)):
+        try:
+            whole = int(value) == value
+        except (TypeError, ValueError, OverflowError):
+            whole = False
+        if not whole or not r.allows(int(value)):
             low, high = r.range
             other = "".join(f" or {v}" for v in r.also)
             raise ArgumentError(
