@@ -122,7 +122,8 @@ class Queues:
         self._over = True
         over = StageError("this session is over.")
         for future in (*(f for _, f in self._orders), *(a.future for a in self._actions)):
-            future.set_exception(over)
+            if future.set_running_or_notify_cancel():  # else nobody waits for it any more
+                future.set_exception(over)
 
     def _check(self) -> None:
         if self._over:

@@ -103,6 +103,49 @@ def test_a_list_may_be_as_long_as_its_schema_says():
         values.read([1] * (most + 1))
 
 
+@pytest.mark.parametrize(
+    ("given", "value"),
+    [("-31", -31), ("-1Fh", -31), ("+0x1F", 31), ("-0b11", -3), ("1_000", 1000), (2**63 - 1, 2**63 - 1), ("-9", -9)],
+)
+def test_a_whole_number_has_its_sign_and_up_to_64_bits(given, value):
+    whole = Field("n", WHOLE, "")
+    assert whole.read(given) == value
+    for much in (2**63, -(2**63), str(2**63)):
+        with pytest.raises(ArgumentError, match="more than 64 bits"):
+            whole.read(much)
+
+
+def test_the_ends_of_a_number_are_allowed_or_not_as_its_schema_says():
+    closed, open_ = (Field("s", NUMBER, "", low=0.5, high=2.0, above=above) for above in (False, True))
+    assert closed.schema().items() >= {"minimum": 0.5, "maximum": 2.0}.items()
+    assert open_.schema().items() >= {"exclusiveMinimum": 0.5, "maximum": 2.0}.items()
+    assert (closed.read(0.5), closed.read(2.0), open_.read(0.500001)) == (0.5, 2.0, 0.500001)
+    with pytest.raises(ArgumentError, match=r"s: 0\.5 is out of range: give a number above 0\.5, up to 2"):
+        open_.read(0.5)
+    with pytest.raises(ArgumentError, match=r"from 0\.5 to 2"):
+        closed.read(0.499)
+
+
+@pytest.mark.parametrize(("given", "meant"), [("10 \u00b5m", "10 um"), ("10 \u03bcm", "10 um"), ("\u22125mm", "-5mm")])
+def test_signs_of_other_keyboards_are_told_as_what_was_meant(given, meant):
+    with pytest.raises(ArgumentError, match=f'Did you mean "{meant}"'):
+        Field("distance", LENGTH, "").read(given)
+
+
+@pytest.mark.parametrize("given", [1000.1, -1000.1, "-1001m", "2000m"])
+def test_a_length_is_no_longer_than_a_kilometre_either_way(given):
+    with pytest.raises(ArgumentError, match="a length up to 1000 m"):
+        Field("distance", LENGTH, "").read(given)
+    assert Field("distance", LENGTH, "").read(-1000) == -1000
+
+
+def test_two_names_alike_but_for_their_case_are_not_guessed():
+    both = Field("axis", TEXT, "", choices=("a", "A"))
+    assert (both.read("a"), both.read("A")) == ("a", "A")
+    with pytest.raises(ArgumentError, match="is not known"):
+        Field("axis", TEXT, "", choices=("ab", "AB")).read("Ab")
+
+
 def test_a_mapping_names_each_once():
     both = Field("distances", LENGTHS, "", choices=("x", "y"))
     assert both.read({"x": "1mm", "Y": 0.002}) == {"x": pytest.approx(1e-3), "y": 0.002}

@@ -4,7 +4,7 @@ import pytest
 
 from stage import Stage
 from stage.agents import Budget, Toolbox
-from stage.errors import ArgumentError
+from stage.errors import ArgumentError, StageError
 
 FAMILIES = ("PCL240K", "PCL240MS", "MCX514", "MCX304")
 
@@ -133,6 +133,102 @@ def test_bus_cycles_are_counted_and_end(make_box):
     assert box.call("write_bytes", {"axis": "x", "address": 0, "values": [8, 8, 8]}).ok
     assert box.call("budget").data["used"]["cycles"] == 3
     assert "all 5 bus cycles are made" in box.call("read_bytes", {"axis": "x", "addresses": [0, 0, 0]}).text
+
+
+def test_a_budget_of_nothing_is_spent_from_the_beginning(make_box):
+    box = make_box(budget=Budget(moves=0, cycles=0, seconds=0))
+    assert box.call("budget").data["left"] == {"moves": 0, "seconds": 0.0, "cycles": 0}
+    for name, given, said in (
+        ("move", {"axis": "x", "pulses": 10}, "all 0 moves are made"),
+        ("write_bytes", {"axis": "x", "address": 0, "values": [0]}, "all 0 bus cycles are made"),
+        ("wait", {"seconds": 0.1}, "all 0 s of simulated time have passed"),
+    ):
+        answer = box.call(name, given)
+        assert not answer.ok
+        assert said in answer.text
+    assert box.call("budget").data["used"] == {"moves": 0, "seconds": 0.0, "cycles": 0}
+
+
+def test_as_many_cycles_and_moves_are_made_as_there_are(make_box):
+    box = make_box(budget=Budget(moves=1, cycles=3))
+    assert box.call("write_bytes", {"axis": "x", "address": 0, "values": [0x44, 0x50, 0x44]}).ok
+    assert box.call("budget").data["left"] == {"moves": 1, "seconds": None, "cycles": 0}
+    box.stage.axes["x"].chip.write(0, 0x44)  # by whoever has the stage beside the tools: not counted
+    assert box.call("budget").data["used"]["cycles"] == 3
+    box = make_box(budget=Budget(moves=1))
+    assert box.call("move", {"axis": "x", "pulses": 100}).ok
+    assert "all 1 moves are made" in box.call("move", {"axis": "x", "pulses": 100}).text
+
+
+def test_time_that_was_taken_back_is_spent_and_each_call_has_its_own(make_box):
+    box = make_box(budget=Budget(seconds=1.0))
+    box.meter.longest = 0.7
+    assert box.call("wait", {"seconds": 0.6}).ok
+    assert box.call("restore", {"name": "power-up"}).ok
+    assert box.call("budget").data["left"]["seconds"] == pytest.approx(0.4)
+    answer = box.call("wait", {"seconds": 0.6})
+    assert "all 1 s of simulated time have passed" in answer.text
+    assert box.stage.time == pytest.approx(0.4)
+    free = make_box()
+    free.meter.longest = 0.5
+    for _ in range(3):
+        assert free.call("wait", {"seconds": 0.4}).ok
+    assert "one call may take 0.5 s of simulated time" in free.call("wait", {"seconds": 0.6}).text
+    assert free.stage.time == pytest.approx(1.7)
+
+
+def test_a_call_that_was_cancelled_is_the_last_that_is(box):
+    box.cancel()
+    assert box.call("wait", {"seconds": 0.1}).ok, "a new call begins anew"
+    box.meter.begin()
+    box.cancel()
+    with pytest.raises(StageError, match="the call was cancelled"):
+        box.stage.run(0.1)
+    box.meter.end()
+
+
+def test_what_a_branch_leaves_behind_is_its_own(box):
+    """Report, drivers and trace, too; a branch that is gone to is no longer one of the others."""
+    box.call("move", {"axis": "x", "pulses": 200})
+    first = box.call("report").data
+    assert box.call("branch", {"name": "b"}).data["others"] == ["main"]
+    box.call("move", {"axis": "x", "pulses": -300})
+    second = box.call("report").data
+    assert box.call("branch", {"name": "main"}).data == {
+        "branch": "main",
+        "others": ["b"],
+        "time_s": pytest.approx(first["duration_s"], abs=0.2),
+    }
+    assert box.call("report").data == first
+    assert box.call("branch", {"name": "b"}).data["others"] == ["main"]
+    assert box.call("report").data == second
+    assert box.call("restore", {"name": "power-up"}).ok
+    assert "there is no report yet" in box.call("report").text
+
+
+def test_the_last_cycles_and_the_last_mistakes_are_told(make_box):
+    box = make_box()
+    for k in range(30):
+        box.call("write_bytes", {"axis": "x", "address": 0, "values": [0x44, 0x50 + k % 2, 0x50]})
+    told = box.call("trace", {"axis": "x", "lines": 3}).text.splitlines()
+    assert [line.split()[3] for line in told] == ["44", "51", "50"]
+    said = box.call("diagnostics").data
+    assert len(said["diagnostics"]) == 40 < said["all"] == 60
+    assert [d["value"] for d in said["diagnostics"][-2:]] == ["51h", "50h"]
+
+
+def test_an_axis_is_told_apart_from_those_on_its_chip():
+    box = Toolbox(Stage("xyz", chips="MCX514", visuals=False))
+    said = box.call("describe").data["axes"]
+    assert [said[name]["same_chip_as"] for name in "xyz"] == [["y", "z"], ["x", "z"], ["x", "y"]]
+    assert box.call("write_register", {"axis": "z", "name": "DV", "value": 777}).ok
+    values = [box.stage.axes[name].chip.values_of(box.stage.axes[name].chip_axis)["DV"] for name in "xyz"]
+    assert values[2] == 777
+    assert 777 not in values[:2]
+    assert box.call("read_register", {"axis": "z", "name": "LP"}).data["value"] == 0
+    assert box.call("move", {"axis": "z", "pulses": -50}).ok
+    told = box.call("read_register", {"axis": "z", "name": "LP"}).data
+    assert (told["value"], told["hex"]) == (-50, "FFFFFFCEh")
 
 
 def test_a_call_takes_no_more_than_so_much_time(box):

@@ -646,6 +646,46 @@ def test_options_that_cannot_be_are_named(options, message):
         make(goal="home").reset(options={"target": {"x": 100}})
 
 
+def test_on_a_screw_that_turns_the_other_way_the_target_lies_the_other_way(tmp_path):
+    from support.mirrored import mirrored
+
+    env = make(model=mirrored(tmp_path), axes=("x",))
+    task, goals = env._task, {}
+    for pulses in (500, -500):
+        env.reset(seed=1, options={"target": {"x": pulses}, "start": {"x": 0.01}})
+        goals[pulses] = float(task.axis_states[0, 0]["goal"])
+    assert goals[500] == pytest.approx(0.01 - 500 * task.per_pulse[0])
+    assert goals[-500] == pytest.approx(0.01 + 500 * task.per_pulse[0])
+    straight = make(axes=("x",), model="xy")._task
+    assert task.full_step[0] == pytest.approx(-straight.full_step[0])
+    assert abs(straight.full_step[0]) == pytest.approx(16 * straight.per_pulse[0])
+
+
+def test_there_is_room_up_to_the_nearer_of_both_end_limits():
+    """z of xyz, put at power-up nearer to one of them"""
+    task = make(axes=("z",))._task
+    for side, most in (((-3000.0, 20_000.0), 2700), ((-20_000.0, 3000.0), 2700), ((-9000.0, 9000.0), 8000)):
+        task._limits = lambda axis, side=side, p=task.per_pulse[0], at=task.power_up[0]: tuple(at + p * np.array(side))
+        task.prepare()
+        assert task.distances == pytest.approx((400, most), abs=1)
+
+
+def test_after_a_journal_is_closed_cycles_are_made_as_before():
+    env = make(model="xy", axes=("x",))
+    env.reset(seed=1)
+    with env.stage.record():
+        env.step(np.array([rb.WAIT, 0, 0, 0]))
+    before = env.stage.now
+    env.step(np.array([rb.WAIT + 1, 0, 0, 0]))
+    assert env.stage.now - before == pytest.approx(WAITS[1] * 1e9, rel=1e-6)
+
+
+@pytest.mark.parametrize("wrong", [{"target": {"x": True}}, {"start": {"x": False}}, {"target": {"x": 500.0}}])
+def test_an_option_that_is_no_number_of_its_kind_is_refused(wrong):
+    with pytest.raises(ArgumentError, match="pulses are whole numbers, places are metres"):
+        make(model="xy", axes=("x",)).reset(options=wrong)
+
+
 def test_a_stage_that_is_home_already_is_not_drawn():
     env = make(goal="home", tolerance=3000.0, distances=(4000, 8000))
     for seed in range(10):

@@ -186,3 +186,26 @@ def test_a_move_begins_with_the_rotor_at_its_angle_and_half_the_distance_before_
     assert make(distances=(room, room))._task.config.distances == (room, room)
     with pytest.raises(ArgumentError, match=f"has room for {room} pulses"):
         make(distances=(room, room + 1))
+
+
+@pytest.mark.parametrize(
+    ("finished", "lost", "vibration", "parts", "seen"),
+    [
+        (True, False, 0.0, (-0.2, 0, 0, 0), (0.5, 0, 0, 1)),
+        (True, False, 3e-4, (-0.2, 0, -1.5, 0), (0.5, 0, 0.75, 1)),
+        (True, True, 1e-4, (-0.2, -7, -0.5, 0), (0.5, 1, 0.5, 1)),
+        (False, False, 9.0, (-0.2, 0, -50, -3), (0.5, 0, 1, 0)),
+    ],
+)
+def test_a_move_costs_what_was_seen_of_it(monkeypatch, finished, lost, vibration, parts, seen):
+    from stage.envs.trial import Seen
+
+    made = {"lost_weight": 7.0, "vibration_weight": 0.5, "limit_weight": 3.0, "limit": 0.4}
+    env = gymnasium.make("stage/RegisterTuning-v0", model="xy", disable_env_checker=True, **made).unwrapped
+    env.reset(seed=1)
+    told = Seen(*(np.array([v]) for v in (0.2, finished, not finished, lost, vibration, 0.0, 0.0)))
+    monkeypatch.setattr(env._task.trial, "seen", lambda *given: told)
+    observation, reward, *_, info = env.step(np.zeros(6, np.float32))
+    assert tuple(info["reward_parts"].values()) == pytest.approx(parts)
+    assert reward == pytest.approx(sum(parts))
+    assert observation[2:] == pytest.approx(seen, abs=1e-4)
