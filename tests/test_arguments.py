@@ -180,3 +180,55 @@ def test_an_error_of_somebody_elses_stays_as_it_is(stage):
         add("x", 1)
     with pytest.raises(TypeError, match="missing 1 required"):
         add(1)
+
+
+@told
+def failing(
+    flag: "bool" = True,
+    number: "float | None" = None,
+    many: "Sequence[int]" = (),  # noqa: F821
+    table: "Mapping[str, int | None] | None" = None,  # noqa: F821
+    **places: "float",
+) -> None:
+    """Python's own error, whatever it is given."""
+    raise TypeError("as Python says it")
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"flag": 0.5}, "flag=0.5: True or False."),
+        ({"flag": "yes"}, "flag='yes': True or False."),
+        ({"number": "1"}, "number='1': a number or None."),
+        ({"number": math.inf}, "number=inf: a number or None."),
+        ({"many": [1, 2.5]}, "many=[1, 2.5]: a list, of each a whole number."),
+        ({"many": "12"}, "many='12': a list, of each a whole number."),
+        ({"table": 3}, "table=3: a mapping, as {'x': ...} or None."),
+        ({"x": 1.0, "y": "far"}, "y='far': a number."),
+    ],
+)
+def test_the_argument_that_does_not_fit_is_named_with_what_it_may_be(given, said):
+    with pytest.raises(WrongType) as caught:
+        failing(**given)
+    assert str(caught.value) == said
+    assert str(caught.value.__cause__) == "as Python says it"
+
+
+@pytest.mark.parametrize(
+    "given", [{}, {"flag": 1, "number": 2}, {"many": [1, 2.0]}, {"table": {}, "number": None}, {"x": 1, "y": 2.5}]
+)
+def test_where_all_arguments_fit_the_error_is_pythons(given):
+    with pytest.raises(TypeError, match="as Python says it") as caught:
+        failing(**given)
+    assert not isinstance(caught.value, WrongType)
+
+
+def test_of_values_that_follow_each_other_the_one_that_does_not_fit_is_named():
+    @told
+    def add(*numbers: "float") -> "float":
+        return sum(numbers)
+
+    assert add() == 0
+    assert add(1, 2.5) == 3.5
+    with pytest.raises(WrongType, match="numbers='3': a number"):
+        add(1, 2, "3")

@@ -15,7 +15,7 @@ from stage import Stage, StageError, firmware
 from stage.cli import main
 from stage.drives.motors import Drive
 from stage.drives.picture import plot_pull_out
-from stage.files import FileError, figure_format, written
+from stage.files import FileError, figure_format, is_stream, written
 from stage.recording import RecordingError
 from stage.recording.viewer import screenshot
 
@@ -287,3 +287,21 @@ def test_a_study_on_a_full_disk_keeps_what_was_recorded_and_goes_on_later(tmp_pa
 def test_file_errors_are_stage_errors():
     assert issubclass(RecordingError, FileError)
     assert issubclass(FileError, StageError)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="/proc")
+def test_an_open_file_gets_the_bytes_behind_its_own_however_it_is_named(tmp_path, monkeypatch):
+    """stage ... > log, with /dev/stdout as the file to write: what the log has already stays"""
+    log = tmp_path / "log"
+    with log.open("wb") as open_file:
+        open_file.write(b"first\n")
+        open_file.flush()
+        name = f"proc/self/fd/{open_file.fileno()}"
+        monkeypatch.chdir("/")
+        for way in (f"/{name}", name):
+            assert is_stream(way)
+            with written(way, False) as part:
+                part.write_bytes(b"second\n")
+    assert log.read_bytes() == b"first\nsecond\nsecond\n"
+    assert not is_stream(log)
+    assert not is_stream(tmp_path / "none")

@@ -120,3 +120,24 @@ def test_the_same_bits_with_another_end_of_their_sentence_are_another_sentence()
     assert fields.tell("status", 0xC0, "; and more") == said + "; and more"
     assert fields.tell("status", 0xC0) == said
     assert fields.tell("read", 0xC0) == said.replace("status", "read", 1)
+
+
+def test_a_twin_has_the_options_and_the_state_of_its_chip_and_none_of_its_notes():
+    chip = PCL240K(clock_hz=20_000_000)
+    chip.write(0, 0x85)
+    chip.write(1, 7)
+    assert chip.diagnostics, "its clock is too fast"
+    twin = chip.twin()
+    assert (twin.options(), twin.state.tobytes()) == (chip.options(), chip.state.tobytes())
+    assert [d.message for d in twin.diagnostics] == [d.message for d in PCL240K(clock_hz=20_000_000).diagnostics]
+    twin.write(1, 9)
+    assert chip.values()["R5"] == 7
+
+
+def test_a_chip_of_ones_own_is_known_by_its_name_in_any_spelling_until_it_is_taken_away():
+    CHIPS["my-Chip"] = PCL240K
+    assert "MYCHIP" in CHIPS
+    assert CHIPS["my_chip"] is PCL240K
+    assert "MYCHIP" in list(CHIPS)
+    del CHIPS["My-chip"]
+    assert "my-chip" not in CHIPS
