@@ -191,3 +191,74 @@ def test_levels_targets_and_grids_that_are_none_are_refused(env):
     with pytest.raises(ArgumentError, match="no stepper's slide"):
         make(chip="HCTL1100", model="xyz_servo")
     assert Config().level == LEVELS[-1]
+
+
+AT_GOAL = {"off": (0, 0), "rest": (0, 0), "busy": (0, 0), "known": (1, 1), "lost": (0, 0)}
+
+
+@pytest.mark.parametrize(
+    ("level", "how", "success"),
+    [
+        ("axes", {}, True),
+        ("axes", {"off": (15, -15), "rest": (7, -7)}, True),
+        ("axes", {"off": (17, 0)}, False),
+        ("axes", {"off": (0, -17)}, False),
+        ("axes", {"rest": (0, 9)}, False),
+        ("axes", {"rest": (-9, 0)}, False),
+        ("axes", {"busy": (0, 1)}, False),
+        ("axes", {"known": (0, 1)}, False),
+        ("axes", {"lost": (0, 4)}, False),
+        ("target", {"off": (0, 500), "busy": (0, 1), "lost": (0, 4)}, True),
+        ("origin", {"lost": (4, -8)}, True),
+    ],
+)
+def test_success_is_all_of_it_by_all_axes_that_take_part(env, monkeypatch, level, how, success):
+    """Pulses off the target; of the place to which the motor pulls; still driving; origin known; full steps lost."""
+    env.reset(seed=1, options={"level": level})
+    task, real, made = env._task, env._task.fleet.truth, AT_GOAL | how
+    task.axis_states["known"][0] = made["known"]
+
+    def truth():
+        found = real().copy()
+        for a, index in enumerate(task.index):
+            t, goal = found[0, index], task.axis_states[0, a]["goal"]
+            found["position"][0, index] = goal + made["off"][a] * task.per_pulse[a]
+            found["commanded"][0, index] = (
+                goal + made["rest"][a] * task.per_pulse[a] + made["lost"][a] * task.full_step[a]
+            )
+            found["busy"][0, index], found["lost_steps"][0, index] = made["busy"][a], made["lost"][a]
+            assert t["now"] >= 0
+        return found
+
+    monkeypatch.setattr(task.fleet, "truth", truth)
+    info = act(env, "rates usual")[0][4]
+    assert info["success"] == success
+
+
+def test_the_first_lost_step_of_an_episode_costs_and_no_other(env, monkeypatch):
+    env.reset(seed=1, options={"level": "origin"})
+    task, real, lost = env._task, env._task.fleet.truth, iter([(0, 4), (0, 8), (0, 0), (12, 0)])
+
+    def truth():
+        found = real().copy()
+        found["lost_steps"][0, task.index] = next(lost)
+        return found
+
+    monkeypatch.setattr(task.fleet, "truth", truth)
+    steps = act(env, "rates usual", "rates bold", "rates usual", "rates bold")
+    assert [s[4]["reward_parts"]["damage"] for s in steps] == [-0.5, 0, 0, 0]
+    assert [s[4]["lost_steps"] for s in steps] == [4, 8, 0, 12]
+    assert task.axis_states["lost"][0].tolist() == [12, 8], "the most of each"
+
+
+def test_who_waits_no_longer_than_his_patience_does_not_know_that_it_has_stopped():
+    env = make(level="move", patience=0.01)
+    env.reset(seed=1, options={"targets": {"x": 1024}})
+    seen = act(env, "rates gentle", "distance 1024", "plus", "wait")
+    running = [e.name for e in env.entries].index("running")
+    assert [s[0][running] for s in seen] == [0, 0, 1, 1]
+    over = False
+    while not over:
+        observation, _, over, _, info = act(env, "wait")[0]
+        assert observation[running] == (not over)
+    assert info["success"]

@@ -144,6 +144,23 @@ def test_a_return_that_a_chip_calls_one_is_none_with_the_carriage_elsewhere(env,
     assert info["reward_parts"]["error"] == pytest.approx(-task.config.error_weight * min(abs(off), 64))
 
 
+@pytest.mark.parametrize(("off", "success"), [(-13, False), (-11, True), (11, True), (13, False)])
+def test_success_is_within_the_tolerance_on_either_side(monkeypatch, off, success):
+    env = make(returns=1)
+    env.reset(seed=1, options={"fault": "none"})
+    task, real = env._task, env._task.fleet.truth
+
+    def beside():
+        truth = real().copy()
+        truth["position"] = task.origin + task.shift[0, 1] + off * task.per_pulse
+        return truth
+
+    monkeypatch.setattr(task.fleet, "truth", beside)
+    info = env.step(env.scripted())[4]
+    assert info["score"]["success"] == success
+    assert np.isfinite(info["score"]["time"]) == success
+
+
 def test_a_start_is_a_number_between_the_end_limits(env):
     for start in (0, -0.12, np.float32(-0.149)):
         env.reset(options={"start": start})

@@ -247,3 +247,22 @@ def test_on_machines_that_differ_a_host_that_remembers_is_better_than_one_that_d
     search, times = few_shot.play(few_shot.search(3.4 / few_shot.STEP), "weak", 16, few_shot.TEST)
     assert few_shot.interval(search)[0] > few_shot.interval(fixed)[1]
     assert np.isfinite(times).mean() > 0.9
+
+
+@pytest.mark.parametrize(
+    ("how", "damage", "limits"),
+    [({}, 0, 0), ({"lost": True, "kept": False}, -0.5, 0), ({"finished": False, "stopped": True}, -0.5, 1)],
+)
+def test_a_step_lost_and_an_end_limit_are_damage_alike(monkeypatch, how, damage, limits):
+    from stage.envs.trial import Seen
+
+    env = make(tries=2, proofs=0, damage_weight=0.5)
+    env.reset(seed=1)
+    made = {"finished": True, "stopped": False, "lost": False} | {k: v for k, v in how.items() if k != "kept"}
+    told = Seen(*(np.array([v]) for v in (0.1, *made.values(), 0.0, 0.0, 0.0)))
+    monkeypatch.setattr(env._task.trial, "seen", lambda *given: told)
+    for _ in range(2):
+        info = env.step(USUAL)[4]
+        assert info["reward_parts"]["damage"] == damage
+    assert info["score"]["limits"] == 2 * limits
+    assert info["score"]["success"] == (not how)

@@ -107,12 +107,14 @@ def test_what_a_reset_draws_or_clears_is_kept_by_a_snapshot(id_):
     env.reset(seed=5)
     env.action_space.seed(5)
     env.step(env.action_space.sample())
-    kept, before = env.snapshot(), drawn(env._task)
+    kept, before, result = env.snapshot(), drawn(env._task), env._task.results.rows.tobytes()
     env.reset(seed=6)
+    env._task.results.rows[:] = np.zeros((), env._task.result)
     changed = [name for name, value in drawn(env._task).items() if value.tobytes() != before[name].tobytes()]
     assert "observations" in changed
     env.restore(kept)
     again = drawn(env._task)
+    assert env._task.results.rows.tobytes() == result
     assert [name for name in changed if again[name].tobytes() != before[name].tobytes()] == []
 
 

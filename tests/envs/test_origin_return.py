@@ -225,6 +225,17 @@ def test_reward_counts_time_error_and_spread_as_documented():
     assert info["spread"] > 0
 
 
+@pytest.mark.parametrize("axis", ["x", "y", "z"])
+def test_a_switch_drifts_along_its_axis_as_far_as_was_drawn(axis):
+    env = make(axis=axis, drift=2e-4)
+    env.reset(seed=3)
+    task, model = env._task, env.stage.model
+    moved = model.geom_pos[task.beam] - task.beam0
+    turned = env.stage.data.xmat[model.geom_bodyid[task.beam]].reshape(3, 3)
+    assert 1e-6 < abs(task.shift[0]) <= 2e-4
+    assert turned @ moved == pytest.approx(task.shift[0] * env.stage.data.xaxis[task.axis.joint], abs=1e-12)
+
+
 def test_index_pulses_make_up_for_a_switch_that_drifts():
     def errors(ez):
         env = make(chip=PCL240MS, ez=ez, drift=1e-4)

@@ -424,6 +424,33 @@ def test_lost_steps_cost_and_bar_success():
     assert sum(parts) == pytest.approx(-rb.Config.lost_weight * dear), "the first of an episode cost"
 
 
+def test_no_more_than_so_many_lost_steps_cost_and_what_could_have_been_lost_is_paid_at_the_end():
+    """Dragged by 40 full steps, by 40 more, back and on again, in an episode of 8 cycles"""
+    env = make(axes=("x",), cycles=8, lost_weight=0.5, time_weight=0.25, time_limit=20.0)
+    env.reset(seed=0, options={"target": {"x": 2000}})
+    axis, tooth = env.stage.axes["x"], 64 * env.stage.axes["x"].meters_per_pulse
+    paid = []
+    for teeth in (10, 10, -10, 10, 0, 5, 0, 0):
+        env.stage.data.qpos[axis.plant.qpos] += teeth * tooth
+        *_, ended, cut, info = env.step(np.array([rb.WAIT + 3, 0, 0, 0]))
+        paid.append(info["reward_parts"]["lost"])
+    assert paid == pytest.approx([-20, -12, 0, 0, 0, 0, 0, 0])
+    assert (ended, cut) == (False, True)
+    assert info["reward_parts"]["failed"] == pytest.approx(-0.25 * (20.0 - info["elapsed"]))
+    few = make(axes=("x",), cycles=2, lost_weight=0.5, time_weight=0.0)
+    few.reset(seed=0)
+    few.stage.data.qpos[few.stage.axes["x"].plant.qpos] += 10 * tooth
+    for _ in range(2):
+        info = few.step(np.array([rb.WAIT + 3, 0, 0, 0]))[4]
+    assert info["reward_parts"]["failed"] == pytest.approx(-0.5 * (64 - 40))
+
+
+def test_an_episode_is_over_when_its_time_is():
+    env = make(axes=("x",), time_limit=0.2)
+    env.reset(seed=0)
+    assert [env.step(np.array([rb.WAIT + 3, 0, 0, 0]))[3] for _ in range(2)] == [False, True]
+
+
 def test_a_carriage_that_slipped_to_its_target_has_not_made_it():
     env = make(axes=("x",))
     env.reset(seed=0, options={"target": {"x": 2000}})

@@ -339,6 +339,15 @@ def test_settings_that_make_no_sense_are_refused(settings, said):
         SynchronizedMoveEnv(**settings)
 
 
+def test_distances_up_to_nearly_the_travel_of_the_shortest_axis_are_taken():
+    """95 % of y's travel in xy, 216 mm at 3.125 um a pulse"""
+    y = Stage("xy", visuals=False).axes["y"]
+    most = int(0.95 * (y.travel[1] - y.travel[0]) / y.meters_per_pulse)
+    assert SynchronizedMoveEnv(model="xy", distances=(5, most))._task.config.distances[1] == most
+    with pytest.raises(ArgumentError, match=f"axis y has room for {most} pulses"):
+        SynchronizedMoveEnv(model="xy", distances=(5, most + 1))
+
+
 def test_s_curves_ramp_in_the_same_time_and_keep_the_line():
     _, straight, _ = one_move(chip="PCL240MS")
     env, curved, _ = one_move(chip="PCL240MS", s_curve=True)
