@@ -153,6 +153,32 @@ def test_numbers_of_a_search_lead_from_the_formula_towards_other_speeds_as_far_a
     assert plans.towards(middle, Speeds(0.0, 8000.0, 0.01, 0.17)) == pytest.approx({"drive": 0, "up": -1, "down": 1})
 
 
+@pytest.mark.parametrize("chip", [PCL240K, MCX514])
+def test_a_number_of_a_search_is_a_factor_on_the_formula_and_a_faster_drive_ramps_for_longer(chip):
+    plans = plans_of(Task(Stage("xy", chips=chip, visuals=False), "x", pulses=4000))
+    middle = Speeds(1000.0, 8000.0, 0.1, 0.08)
+
+    def made(**values):
+        return plans.plan(middle, values, "linear").speeds
+
+    assert made()[:4] == pytest.approx((1000, 8000, 0.1, 0.1 if plans.both else 0.08))
+    for name, most in (("start", 3.0), ("drive", 1.5), ("up", 1.7), ("down", 1.7)):
+        for end in (-1.0, 0.5, 1.0):
+            s = made(**{name: end})
+            rates = {"start": middle.start, "drive": middle.drive} | {name: getattr(middle, name) * most**end}
+            longer = (rates["drive"] - rates["start"]) / (middle.drive - middle.start)
+            assert (s.start, s.drive) == pytest.approx((rates["start"], rates["drive"]))
+            up, down = ((rates.get(ramp, getattr(middle, ramp))) * longer for ramp in ("up", "down"))
+            assert (s.up, s.down) == pytest.approx((up, up if plans.both else down))
+
+
+def test_a_servo_is_given_its_rate_and_what_its_ramp_makes_of_it(monkeypatch):
+    plans, told = plans_of(Task(Stage("xy", chips=HCTL1100, visuals=False), "x", pulses=400)), []
+    monkeypatch.setattr(plans.driver, "write_servo_move", lambda *given: told.append(given))
+    plans.write("program", Plan({"R0F": 1}, Speeds(0.0, 20_000.0, 0.1, 0.1)), -400)
+    assert told == [("program", {"R0F": 1}, -400, (20_000.0, pytest.approx(200_000.0)))]
+
+
 def test_a_servo_s_filter_stays_in_its_range_whatever_the_numbers():
     task = Task(Stage("xy", chips=HCTL1100, visuals=False), "x", pulses=400, payload=8.0)
     plans = plans_of(task)
