@@ -89,7 +89,8 @@ def _folder(args: argparse.Namespace) -> Path | None:
 
 def _spare(text: str, payload: float) -> float | None:
     """kg, of 30 % (of the payload; None where there is none: of what moves) or of 0.6. Raises ArgumentError."""
-    number, percent, rest = text.strip().partition("%")
+    text = text.strip()
+    number, percent, rest = text.partition("%")
     value = quantity(number, {"": 1.0} if percent else {"": 1.0} | BESIDES["mass"])
     if value is None or rest or not 0 <= value < float("inf"):
         raise ArgumentError(f"--spare {text}: percent of the payload, 30%, or kg, 0.6.")
@@ -100,6 +101,7 @@ def _spare(text: str, payload: float) -> float | None:
 
 def _meant(axis: Any, way: str) -> str:
     """A distance without a unit is pulses, and millimetres may have been meant: a sentence with a blank before it."""
+    way = way.strip()
     if quantity(way, {"": 1.0}) is None:
         return ""
     counts, unit = "counts" if axis.chip.SERVO else "pulses", PLACES[axis.unit].symbol
@@ -124,7 +126,7 @@ def _number(option: str, text: str, units: dict[str, float], example: str) -> fl
     value = quantity(text, units)
     if value is None or not 0 < value < float("inf"):
         raise ArgumentError(
-            f"{option}: {text!r} is not more than 0 in one of {', '.join(units)}; for example {example}."
+            f"{option}: {text.strip()!r} is not more than 0 in one of {', '.join(units)}; for example {example}."
         )
     return value
 

@@ -1,0 +1,136 @@
+"""`stage tune`: every option arrives at the task and the search, in SI; the code says how it ended."""
+
+import re
+from types import SimpleNamespace
+
+import pytest
+
+import stage.tune
+from stage import Stage
+from stage.chips import HCTL1100, MCX514
+from stage.cli import main
+from stage.cli.tune import _meant, _Progress, _spare
+from stage.errors import ArgumentError
+
+
+@pytest.fixture
+def told(monkeypatch):
+    """told(arguments) -> (code, what Task was given, what tune was given)."""
+    monkeypatch.setattr("stage.tune.search.optuna", lambda: None)
+
+    def run(*typed, stopped=False):
+        given = []
+
+        def task(*of):
+            given.append(of)
+            return "task"
+
+        def tune(task, **how):
+            given.append((task, how))
+            return SimpleNamespace(stopped=stopped, c_source=lambda: "// C\n", json=lambda: {"won": "formula"})
+
+        monkeypatch.setattr(stage.tune, "Task", task)
+        monkeypatch.setattr(stage.tune, "tune", tune)
+        code = main(["tune", *typed])
+        return code, *given
+
+    return run
+
+
+def test_what_was_not_said_is_the_usual(told):
+    code, task, (given, how) = told("xy", "--distance", "8000")
+    machine, axis, pulses, *rest = task
+    assert (code, axis, pulses, given) == (0, "x", 8000, "task")
+    assert list(machine.axes) == ["x", "y"]
+    assert rest == [0.0, None, None, 0.05, None, None, None]
+    told_ = how.pop("told")
+    assert isinstance(told_, _Progress)
+    assert how == {"by": "search", "trials": 200, "seed": 0, "workers": None, "moves": 48}
+
+
+def test_every_option_is_for_what_its_help_says(told):
+    code, task, (_, how) = told(
+        "xyz", "--axis", "y", "--distance", "-10mm", "--payload", "2", "--payload-on", "tool", "--spare", "50%",
+        "--settle", "20um", "100ms", "--overshoot", "0.1mm", "--site", "work", "--by", "formula", "--trials", "7", "--moves", "9",
+        "--seed", "5", "--workers", "3", "--chips", "mcx514", "--microsteps", "8", "--bus-voltage", "36V", "--bus-cycle", "2us",
+        stopped=True,
+    )  # fmt: skip
+    machine, *given = task
+    y = machine.axes["y"]
+    pulses = -round(0.01 / y.meters_per_pulse)
+    assert given == [
+        "y",
+        pulses,
+        2.0,
+        1.0,
+        pytest.approx(2e-5),
+        pytest.approx(0.1),
+        pytest.approx(1e-4),
+        "work",
+        "tool",
+    ]
+    assert (type(y.chip), y.drive.microsteps, y.drive.bus_voltage, machine.bus_cycle) == (
+        MCX514,
+        8,
+        36.0,
+        pytest.approx(2e-6),
+    )
+    del how["told"]
+    assert how == {"by": "formula", "trials": 7, "seed": 5, "workers": 3, "moves": 9}
+    assert code == 130, "Ctrl-C has ended it"
+
+
+@pytest.mark.parametrize(
+    ("text", "payload", "kg"),
+    [("30%", 2.0, 0.6), ("30 %", 2.0, 0.6), ("0%", 2.0, 0.0), ("30%", 0.0, None), ("0.6", 2.0, 0.6), ("0.6", 0.0, 0.6),
+     ("600g", 0.0, 0.6), ("0", 5.0, 0.0), ("150%", 2.0, 3.0)],
+)  # fmt: skip
+def test_a_margin_is_a_share_of_the_payload_or_kilograms(text, payload, kg):
+    assert _spare(text, payload) == (None if kg is None else pytest.approx(kg))
+
+
+@pytest.mark.parametrize("text", ["-1", "-5%", "30%%", "5% kg", "%", "much", "1e400", "nan"])
+def test_a_margin_that_is_none_is_refused(text):
+    with pytest.raises(ArgumentError, match=f"^--spare {re.escape(text)}: percent of the payload, 30%, or kg, 0"):
+        _spare(f" {text}", 2.0)
+
+
+@pytest.mark.parametrize(
+    ("typed", "said"),
+    [
+        (["--settle", "0um", "50ms"], "--settle: '0um' is not more than 0"),
+        (["--settle", "20um", "-1s"], "--settle: '-1s' is not more than 0 in one of"),
+        (["--overshoot", "5ms"], "--overshoot: '5ms' is not more than 0 in one of nm, um, mm, cm, m; for example 50um"),
+        (["--seed", "-1"], "--seed -1: a whole number, 0 or more"),
+    ],
+)
+def test_what_cannot_be_is_refused_before_the_search(told, capsys, typed, said):
+    code, *given = told("xy", "--distance", "1mm", *typed)
+    assert (code, given) == (2, [])
+    assert said in capsys.readouterr().err
+
+
+def test_a_seed_of_nothing_is_one(told):
+    assert told("xy", "--distance", "1mm", "--seed", "0")[0] == 0
+
+
+def test_a_distance_without_a_unit_may_be_meant_in_that_of_the_axis():
+    stage = Stage("xya", chips={"x": HCTL1100, "y": MCX514, "a": MCX514}, visuals=False)
+    said = [_meant(stage.axes[name], "100") for name in "xya"]
+    assert [s.split("did you mean ")[1] for s in said] == ["100mm?", "100mm?", "100deg?"]
+    assert ["counts" in s for s in said] == [True, False, False]
+    assert _meant(stage.axes["x"], "100mm") == ""
+    assert _meant(stage.axes["y"], " -100") == " --distance -100 is -100 pulses: did you mean -100mm?"
+
+
+def test_progress_is_a_line_on_a_terminal_alone(capsys, monkeypatch):
+    for terminal in (True, False):
+        monkeypatch.setattr("sys.stderr.isatty", lambda terminal=terminal: terminal, raising=False)
+        progress = _Progress(200)
+        progress("the formula", 0.0, None)
+        progress("searching", 0.25, 0.1234)
+        progress.end()
+        lines = capsys.readouterr().err.split("\r\033[K")
+        assert lines == (
+            ["", "the formula ...", "searching 50 of 200 trials, best 123.4 ms ...", ""] if terminal else [""]
+        )
