@@ -179,6 +179,13 @@ def test_tokens_that_are_none_are_not_counted_and_told(tokens):
     assert came.troubles["tokens that are no whole number, and are not counted"] == 1
 
 
+@pytest.mark.parametrize("tokens", [0, 1, (1 << 40) - 1])
+def test_a_whole_number_of_tokens_is_counted_none_too(tokens):
+    with FakeModel(calls(("finish", {}), tokens=tokens)) as model:
+        came = play(suite("diagnosis:late"), Endpoint(model.url, "fake"))
+    assert (came.tokens, came.troubles["tokens that are no whole number, and are not counted"]) == (tokens, 0)
+
+
 def nested(depth):
     value = []
     for _ in range(depth):

@@ -192,7 +192,7 @@ def breaks(at):
 def test_a_run_that_breaks_off_leaves_its_games_and_goes_on(tmp_path):
     games, file = suite("diagnosis", episodes=4), tmp_path / "t.jsonl"
     with Writer(file, head_of(games, "p", Limits())) as writer:
-        with pytest.raises(Interrupted, match=r"game 3 of 4, diagnosis:wide: the endpoint is out of money") as error:
+        with pytest.raises(Interrupted, match=r"^game 3 of 4, diagnosis:wide: the endpoint is out of money$") as error:
             play(games, breaks(3), "p", told=writer.game)
         assert len(error.value.played.rounds) == 2
     found = replay(file)

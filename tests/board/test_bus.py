@@ -543,3 +543,9 @@ def test_a_card_of_eight_chips_shows_who_of_them_pulls_the_line():
         board.out8(0x340 + 4 * k, 0x30)
     board.delay_us(100)
     assert board.in8(own) == 0b1100_0001
+
+
+def test_a_board_names_its_devices_beside_its_chips():
+    board = Board(Stage("xy", chips=PCL240K, visuals=False), base=0x240, stride=8, devices=["latch:0x378"])
+    (latch,) = board.devices
+    assert str(board) == f"<Board x at 240h (pcl240), y at 248h (pcl240), {latch.name}; 0 cycles>"

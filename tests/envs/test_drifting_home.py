@@ -48,6 +48,14 @@ def test_a_healthy_machine_is_returned_to_its_origin_again_and_again(env):
     assert sum(info["reward_parts"]["report"] for info in infos) == 0
 
 
+@pytest.mark.parametrize("reach", [0.004, 0.02])
+def test_the_time_to_beat_is_that_of_the_usual_rates_from_near_and_far(reach):
+    env = make(reach=reach)
+    _, infos = course(env, env.scripted, seed=3, options={"fault": "none"})
+    assert all(info["start"] > env._task.origin for info in infos), "plus of ORG: one search and back"
+    assert abs(infos[-1]["score"]["regret"]) < 0.1
+
+
 @pytest.mark.parametrize(
     "fault", ["org closed", *(pytest.param(n, marks=pytest.mark.slow) for n in BROKEN if n != "org closed")]
 )

@@ -1,6 +1,7 @@
 """FewShotTuning: a hidden machine an episode, whose tries count for the next, and a proof; splits name where machines come from."""
 
 import sys
+import threading
 from pathlib import Path
 
 import gymnasium
@@ -266,3 +267,14 @@ def test_a_step_lost_and_an_end_limit_are_damage_alike(monkeypatch, how, damage,
         assert info["reward_parts"]["damage"] == damage
     assert info["score"]["limits"] == 2 * limits
     assert info["score"]["success"] == (not how)
+
+
+@pytest.mark.parametrize("name", ["FewShotTuning", "SynchronizedLine"])
+def test_a_closed_environment_leaves_no_thread_behind(name):
+    before = threading.active_count()
+    envs = gymnasium.make_vec(f"stage/{name}-v1", 4, vectorization_mode="vector_entry_point", threads=2, model="xy")
+    envs.reset(seed=1)
+    envs.step(envs.action_space.sample())
+    assert threading.active_count() > before
+    envs.close()
+    assert threading.active_count() == before

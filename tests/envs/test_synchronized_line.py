@@ -99,6 +99,15 @@ def test_one_policy_acts_through_every_chip_and_in_three_axes(axes, chip):
         env.step(env.action_space.sample())
 
 
+def test_the_engineers_action_is_the_rate_and_the_ramp_of_the_formula(env):
+    env.reset(seed=5)
+    rate, ramp, seconds = env._task.formula[0]
+    info = env.step(env.scripted())[4]
+    assert info["rate"] == pytest.approx(rate, rel=1e-5)
+    assert info["ramp"] == pytest.approx(ramp, rel=1e-5)
+    assert info["duration"] == pytest.approx(seconds, rel=0.1)
+
+
 def test_what_no_line_can_be_is_refused():
     for settings, said in (
         ({"moves": 2}, "moves=2: one here"),
