@@ -118,6 +118,18 @@ def test_what_a_reset_draws_or_clears_is_kept_by_a_snapshot(id_):
     assert [name for name in changed if again[name].tobytes() != before[name].tobytes()] == []
 
 
+def test_a_vector_that_goes_on_from_a_snapshot_draws_its_next_episodes_from_it_too():
+    id_ = "stage/FewShotTuning-v1"
+    first = vector(id_, 2)
+    first.reset(seed=5)
+    kept, drawn_next = first.snapshot(), []
+    for _ in range(2):
+        other = vector(id_, 2)
+        other.restore(kept)
+        drawn_next.append(plain(other.reset()))
+    assert drawn_next[0] == drawn_next[1] == plain(first.reset())
+
+
 def test_a_search_looks_ahead_and_then_acts_as_if_it_had_not():
     """The use on the page: each candidate from the same moment, then the best of them, with the reward that was foreseen."""
     env, plainly = make("stage/RegisterTuning-v0"), make("stage/RegisterTuning-v0")

@@ -188,6 +188,21 @@ def test_a_move_begins_with_the_rotor_at_its_angle_and_half_the_distance_before_
         make(distances=(room, room + 1))
 
 
+def test_of_a_body_and_a_site_of_one_name_the_body_carries_and_the_site_is_judged():
+    from stage import Stage
+    from stage.envs.task import carrier, judged
+    from stage.sim import plant
+
+    spec = plant.open_spec("xy")
+    spec.body("y").add_site(name="x")
+    stage = Stage(spec, visuals=False)
+    assert carrier(stage, "x", "x") == "x"
+    assert carrier(stage, "x", "tool") == stage.model.body(int(stage.model.site("tool").bodyid[0])).name
+    name, point = judged(stage, "x", "x")
+    assert (name, point) == ("x", 1 + stage.model.site("x").id)
+    assert judged(stage, "x", "y") == ("y", -stage.model.body("y").id)
+
+
 @pytest.mark.parametrize(
     ("finished", "lost", "vibration", "parts", "seen"),
     [

@@ -256,6 +256,24 @@ def test_frames_come_as_often_as_render_every_says(watched):
             make("stage/RegisterBus-v0", render_every=wrong)
 
 
+def test_frames_that_nobody_fetched_end_with_their_episode(watched):
+    env = gymnasium.make(
+        "stage/RegisterBus-v0", model="xy", render_mode="rgb_array_list", render_every=0.05, waits=(0.03,),
+        disable_env_checker=True,
+    ).unwrapped  # fmt: skip
+    wait = np.array([2, 0, 0, 0])
+    env.reset(seed=1)
+    for _ in range(5):
+        env.step(wait)
+    env.reset(seed=2)
+    assert len(env.render()) == 1, "where the new one begins"
+    counts = []
+    for _ in range(4):
+        env.step(wait)
+        counts.append(len(env.render()))
+    assert counts == [0, 1, 0, 1], "0.05 s from the begin of the new one, not of the old"
+
+
 def test_why_no_window_opens_is_said_each_time_whatever_warnings_are_shown(monkeypatch):
     """python -W ignore"""
     glfw = SimpleNamespace(init=lambda: warnings.warn("DISPLAY is missing", stacklevel=1))

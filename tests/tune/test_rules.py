@@ -153,6 +153,14 @@ def test_numbers_of_a_search_lead_from_the_formula_towards_other_speeds_as_far_a
     assert plans.towards(middle, Speeds(0.0, 8000.0, 0.01, 0.17)) == pytest.approx({"drive": 0, "up": -1, "down": 1})
 
 
+def test_registers_that_the_chip_does_not_have_are_no_plan(task):
+    plans = plans_of(task)
+    real = plans.driver.formula
+    plans.driver.formula = lambda *given: {**real(*given), "R1": 1 << 20}
+    with pytest.raises(ArgumentError, match="R1"):
+        plans.plan(Speeds(1000.0, 8000.0, 0.1, 0.1), {}, "linear")
+
+
 @pytest.mark.parametrize("chip", [PCL240K, MCX514])
 def test_a_number_of_a_search_is_a_factor_on_the_formula_and_a_faster_drive_ramps_for_longer(chip):
     plans = plans_of(Task(Stage("xy", chips=chip, visuals=False), "x", pulses=4000))
