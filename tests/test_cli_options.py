@@ -95,6 +95,16 @@ def report(**more):
     )
 
 
+def test_an_encoder_counts_a_metre_or_a_turn_of_the_motor():
+    made = setup._encoder("y=-200000")
+    assert (made.axis, made.per_metre, made.per_turn) == ("y", -200_000.0, None)
+    made = setup._encoder("x=2000/turn")
+    assert (made.axis, made.per_metre, made.per_turn) == ("x", None, 2000.0)
+    for wrong in ("x=0", "=5", "x=", "x=2000/revolution", "x=inf", "x=many"):
+        with pytest.raises(ArgumentError, match="write AXIS=COUNTS"):
+            setup._encoder(wrong)
+
+
 @pytest.mark.parametrize(
     ("options", "axes", "expected"),
     [
@@ -122,6 +132,30 @@ def test_home_searches_as_the_options_say(bench, monkeypatch, options, axes, exp
     assert main(["home", *options.split(), "--model", "xy"]) == 0
     usual = {"direction": -1, "high_speed": True, "slow_approach": True, "ez": None}
     assert asked == [(axis, usual | expected) for axis in axes]
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        ("", ("home", -1, False)),
+        ("--plus", ("home", 1, False)),
+        ("--ez 1", ("home", -1, True)),
+        ("--by switch", ("home_by", "switch", -1)),
+        ("--by index --plus", ("home_by", "index", 1)),
+    ],
+)
+def test_home_of_other_chips_goes_by_what_was_said(monkeypatch, options, expected):
+    stage, told = Stage("xy", chips="mcx514", visuals=False), []
+    report = SimpleNamespace(stopped_by="ORG", lost_steps=0, plot=None, json=lambda: {})
+    driver = SimpleNamespace(
+        FOUND=("ORG",), check_homing=lambda *of: None, check_origin=lambda: None,
+        home=lambda direction, speeds, index: told.append(("home", direction, index)) or report,
+        home_by=lambda by, direction, speeds: told.append(("home_by", by, direction)) or report,
+    )  # fmt: skip
+    monkeypatch.setattr(moves, "make_stage", lambda args: stage)
+    monkeypatch.setattr("stage.firmware.driver.driver_of", lambda axis: driver)
+    assert main(["home", "x", *options.split()]) == 0
+    assert told == [expected]
 
 
 def test_home_draws_the_first_axis(bench, monkeypatch):

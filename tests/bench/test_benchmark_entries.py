@@ -287,6 +287,82 @@ def test_the_track_of_tools_counts_tokens():
         bench.play("random", "brief", track="tools", episodes=1)
 
 
+def test_a_player_with_tools_sees_what_a_host_sees():
+    host, tools = Watching(), Watching()
+    bench.play(host, "brief", episodes=1)
+    bench.play(tools, "brief", track="tools", episodes=1)
+    assert tools.seen == host.seen
+    assert not {"payload", "torque", "reward_parts", "score"} & tools.seen[-1][1]
+
+
+def test_moves_of_the_test_are_counted_whatever_is_said():
+    entry = bench.play("random", "brief", episodes=1, cost={"test_moves": 99, "moves": 5})
+    assert entry.cost == {"test_moves": 2, "moves": 5}
+    own = Watching()
+    assert bench.play(own, "brief", episodes=1, cost={"tokens": 5}).cost["tokens"] == 12, "its own count comes last"
+
+
+def test_what_a_player_chose_comes_before_the_settings_of_the_card():
+    card = dataclasses.replace(BRIEF, choices={"tries": (1, 2)})
+    env = card.make("heavy", "host", {"tries": 1})
+    assert (env.config.tries, env.config.split, env.config.truth, env.config.proofs) == (1, "heavy", "info", 1)
+    assert card.make("train", "truth", {}).config.truth is True
+    assert card.make("train", "tools", {}, 3).num_envs == 3
+
+
+@pytest.mark.parametrize("episodes", [0, -1, 4])
+def test_as_many_episodes_are_played_as_there_are_one_at_least(episodes):
+    with pytest.raises(ArgumentError, match=f"episodes={episodes}: 1 to 3 here"):
+        bench.play("random", "brief", episodes=episodes)
+
+
+def test_who_waits_is_told_of_each_episode_that_is_done(entry):
+    played, replayed = [], []
+    bench.play("random", "brief", told=lambda *of: played.append(of))
+    bench.verify(entry, told=lambda *of: replayed.append(of))
+    assert played == [(1, 3), (2, 3), (3, 3)]
+    assert [done for done, _ in replayed] == sorted(done for done, _ in replayed)
+    assert replayed[-1] == (3, 3)
+
+
+def test_a_policy_that_is_a_class_is_made_and_recorded_actions_of_unlike_episodes_are_told_apart(tmp_path, monkeypatch):
+    (tmp_path / "mine_class.py").write_text(
+        "class Policy:\n    def __call__(self, observation, info):\n        return [0.0, 0.3, 0.0, 0.0]\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    entry = bench.play("mine_class:Policy", "brief", episodes=1)
+    assert entry.actions[:, 1] == pytest.approx(0.3)
+    from stage.bench.players import Recorded
+
+    path = tmp_path / "moves.npz"
+    np.savez(path, actions=np.arange(12).reshape(6, 2), steps=(1, 3, 2))
+    made = Recorded(str(path))
+    assert [e[:, 0].tolist() for e in made.episodes] == [[0], [2, 4, 6], [8, 10]]
+    for _ in range(3):
+        made.begin(None)
+    with pytest.raises(ArgumentError, match="actions for 3 episodes, and there are more"):
+        made.begin(None)
+    np.savez(path, actions=np.arange(6.0))
+    with pytest.raises(ArgumentError, match=r"actions of shape \(6,\); \(episodes, steps, ...\), or give `steps`"):
+        Recorded(str(path))
+
+
+def test_shipped_players_are_as_bold_as_their_task_wants():
+    from stage.bench.players import player
+    from stage.bench.shipped import action_at
+    from stage.envs.few_shot import action_of
+
+    bold = {
+        (task, name): player(name, task, 0).act(None, {})
+        for task in ("few-shot", "few-shot-wide")
+        for name in ("usual", "fixed")
+    }
+    assert bold["few-shot", "usual"].tolist() == action_of(1000, 16_000, 0.15, 0.15).tolist()
+    assert bold["few-shot", "fixed"].tolist() == action_of(1500, 54_400, 0.15 / 3.4, 0.15 / 3.4).tolist()
+    assert bold["few-shot-wide", "fixed"].tolist() == action_of(1500, 41_600, 0.15 / 2.6, 0.15 / 2.6).tolist()
+    assert action_at(1.2).tolist() == action_of(1200, 19_200, 0.125, 0.125).tolist()
+
+
 def test_a_random_player_keeps_to_the_actions_that_are_allowed():
     player = Random(3)
     player.reset(SimpleNamespace(action_space=gymnasium.spaces.Discrete(5)))

@@ -189,6 +189,76 @@ def answered(task, **more):
     return Result(task, plans, (answer,), moves=1, **{**given, **more})
 
 
+def told_of(task, **more):
+    """A result of two answers that differ in every number."""
+    plans = plans_of(task)
+    speeds = Speeds(1000.0, 20_000.0, 0.1, 0.05)
+    plan = plans.formula()
+    times = np.array([0.1, 0.2, np.nan]), np.array([0.05, 0.08, 0.08])
+    answers = (
+        Answer("formula", plan, proof.Proof(4, 3, times[0], 3e-5, 1), 0.61, False, False),
+        Answer("search", plan._replace(speeds=speeds), proof.Proof(4, 4, times[1], 1.5e-5, 0), 2.4, True, True),
+    )
+    given = {"safety": 1.5, "by": "search", "trials": 20, "stopped": True, "failed": 2, "seed": 7}
+    return Result(task, plans, answers, moves=99, **{"won": "search", **given, **more})
+
+
+def test_every_number_of_an_answer_is_told_in_its_place(task):
+    result = told_of(task)
+    lines = str(result).splitlines()
+    assert lines[0] == (
+        "axis x, PCL240K: 1.25 mm (400 pulses) with up to 2 kg, margin 0.6 kg more; arrived: within 50 um for 20 ms"
+    )
+    assert (
+        lines[3].split()
+        == "formula nan ms nan ms 30.0 um 0.61 kg NOT proved: 3 of 4 moves lose no step with up to 2.6 kg".split()
+    )
+    assert (
+        lines[4].split()
+        == "search 70.0 ms 80.0 ms 15.0 um >= 2.40 kg 4 of 4 moves lose no step with up to 2.6 kg".split()
+    )
+    assert lines[5] == "2 of the search's best registers failed in moves that it had not seen, and are out."
+    assert "(20 trials, ended by Ctrl-C): the formula's lose steps in the proof." in lines[7]
+    assert lines[8] == "They ask for from 1,000 up to 20,000 pps, ramps of 100.0 and 50.0 ms."
+    text = result.c_source("x")
+    assert "arrives after 70.0 ms, 80.0 ms at most" in text
+    assert "(by search; stage tune, seed 7)" in text
+    assert "by the data sheet formula" in told_of(task, won="formula").c_source("x")
+
+
+def test_every_number_of_an_answer_is_in_its_json(task):
+    said = told_of(task).json()
+    assert {k: said[k] for k in ("axis", "pulses", "payload", "spare", "hold", "seed", "trials", "moves", "stopped", "won")} == {
+        "axis": "x", "pulses": 400, "payload": 2.0, "spare": 0.6, "hold": 0.02, "seed": 7, "trials": 20, "moves": 99,
+        "stopped": True, "won": "search",
+    }  # fmt: skip
+    assert (said["within"], said["overshoot"]) == pytest.approx((5e-5, 1e-4))
+    assert list(said["answers"]) == ["formula", "search"]
+    search = said["answers"]["search"]
+    assert search["speeds"] == {"start": 1000.0, "drive": 20_000.0, "up": 0.1, "down": 0.05, "s_curve": False}
+    numbers = {k: search[k] for k in ("mean", "worst", "beyond", "spare", "spare_may_be_more", "kept", "proved")}
+    assert numbers == {
+        "mean": pytest.approx(0.07), "worst": 0.08, "beyond": 1.5e-5, "spare": 2.4, "spare_may_be_more": True, "kept": 4,
+        "proved": 4,
+    }  # fmt: skip
+    formula = said["answers"]["formula"]
+    assert (formula["kept"], formula["proved"], formula["spare"], formula["spare_may_be_more"]) == (3, 4, 0.61, False)
+
+
+def test_a_servo_goes_counts_and_arrives():
+    task = task_of(Stage("xy", chips="HCTL1100", visuals=False))
+    result = told_of(task)
+    assert result.way() == "2 mm (400 counts)"
+    assert result.proved(result.answer) == "4 of 4 moves arrive with up to 2.6 kg"
+    assert "up to 20,000 counts/s" in result.rates()
+
+
+def test_a_unit_stands_behind_a_meaning_that_does_not_have_it():
+    assert Row("R1", 1, 4, "FL speed", "pps").words == "FL speed, pps"
+    assert Row("R1", 1, 4, "rate in pps", "pps").words == "rate in pps"
+    assert Row("R1", 1, 4, "mode", "").words == "mode"
+
+
 def test_a_negative_register_is_told_in_hexadecimal_as_it_is_on_the_bus(task):
     result = answered(task)
     vars(result)["rows"] = [Row("TP", -40_000, 8, "goal", ""), Row("R1", 20, 4, "FL", "")]
