@@ -140,15 +140,17 @@ def test_the_technician_is_near_one_on_all():
     assert all(r.score["value"] > 0.95 for r in came.rounds)
 
 
-def way(stops, rate=1000.0, aside=0.0, lost=0.0):
-    """Samples of a way at `rate`, a pulse a millimetre, with rests of 0.2 s."""
-    seen, t, x = [Sample(0.0, 0.0, 0.0, 0.0, 0.0, False)], 0.0, 0.0
-    for stop in stops:
+def way(stops, rate=1000.0, aside=0.0, lost=0.0, start=0.0, rest=100, ramps=()):
+    """Samples of a way at `rate`, a pulse a millimetre, with rests of 0.2 s; ramps: s up to that rate, of each way."""
+    seen, t, x = [Sample(0.0, start, start, 0.0, 0.0, False)], 0.0, start
+    for stop, ramp in zip(stops, (*ramps, *[0.0] * len(stops)), strict=False):
+        begin = t
         while abs(stop - x) > 1e-9:
-            step = max(-rate * 2e-6, min(rate * 2e-6, stop - x))
+            now = rate * min((t - begin + 2e-3) / ramp, 1.0) if ramp else rate
+            step = max(-now * 2e-6, min(now * 2e-6, stop - x))
             t, x = t + 2e-3, x + step
             seen.append(Sample(t, x, x, 0.0, aside, True))
-        for _ in range(100):
+        for _ in range(rest):
             t += 2e-3
             seen.append(Sample(t, x, x, lost, aside, False))
     return seen
@@ -171,3 +173,39 @@ def test_a_trial_sees_what_is_wrong(seen, why):
     assert len(rests_of(seen))
     found = Trial((0.05, 0.0), rate=1000, seconds=1.0).wrong(seen, 0.0, 1e-3)
     assert found.startswith(why) if why else not found
+
+
+@pytest.mark.parametrize(
+    ("seen", "how", "start", "why"),
+    [
+        (way((0.05, -0.001)), {}, 0.0, "it rests at -1.000 mm, and 0 mm is wanted"),
+        (way((0.05, 0.00005)), {}, 0.0, ""),
+        (way((0.05, -0.00007)), {}, 0.0, "it rests at -0.070 mm"),
+        (way((0.05, -0.00007)), {"within": 1e-4}, 0.0, ""),
+        (way((0.05, 0.0), aside=-1e-3), {}, 0.0, "y moves"),
+        (way((0.05, 0.0), aside=-2e-5), {}, 0.0, ""),
+        (way((0.05, 0.0), lost=-4), {}, 0.0, "steps are lost"),
+        (way((0.06, 0.01), start=0.01), {}, 0.01, ""),
+        (way((0.05, 0.0), start=0.01), {}, 0.01, "it rests at 50.000 mm, and 60 mm is wanted"),
+        (way((0.05, 0.0), start=0.01), {"from_start": False}, 0.01, ""),
+        (way((0.05, 0.0), rest=40), {}, 0.0, "it rests at 0 places, and 2 are wanted"),
+        (way((0.05, 0.0), rest=52), {}, 0.0, ""),
+        (way((0.05, 0.0)), {"ramp": 0.1}, 0.0, "its ramp up takes"),
+        (way((0.05, 0.0), ramps=(0.08,)), {"ramp": 0.08}, 0.0, ""),
+        (way((0.05, 0.0), ramps=(0.02, 0.08)), {"ramp": 0.08}, 0.0, "its ramp up takes"),
+        (way((0.05, 0.0), rate=951), {}, 0.0, ""),
+        (way((0.05, 0.0), rate=1049), {}, 0.0, ""),
+    ],
+)
+def test_a_trial_measures_either_side_and_the_first_ramp_alone(seen, how, start, why):
+    found = Trial((0.05, 0.0), rate=1000, seconds=1.0, **how).wrong(seen, start, 1e-3)
+    assert found.startswith(why) if why else not found, found
+
+
+def test_the_second_way_is_judged_by_itself():
+    """As fast as the first on the way there, too slow back"""
+    there, back = way((0.05,)), way((0.0,), rate=800, start=0.05)
+    last = there[-1].time
+    seen = [*there, *(s._replace(time=s.time + last + 2e-3) for s in back)]
+    found = Trial((0.05, 0.0), rate=1000, seconds=1.0).wrong(seen, 0.0, 1e-3)
+    assert found.startswith("way 2 has 800 pulses a second")

@@ -225,6 +225,29 @@ def test_foreign_and_hostile_files_are_refused_in_words(packed, content, says):
         unpack(content(packed))
 
 
+def test_an_entry_has_short_texts_costs_from_nothing_up_a_return_and_a_step_an_episode(packed, entry, monkeypatch):
+    names = list(entry.scores)
+    fine = unpack(repacked(packed, said={"notes": "x" * files.LONG, "cost": {"moves": 0, "tokens": 1e15}}))
+    assert (len(fine.notes), fine.cost) == (4000, {"moves": 0, "tokens": 1e15})
+    for said, why in (
+        ({"notes": "x" * 4001}, "notes is longer than 4000 characters"),
+        ({"cost": {"moves": -1}}, "cost has numbers from 0 to 1e15"),
+        ({"cost": {"moves": 1.1e15}}, "cost has numbers from 0 to 1e15"),
+        ({"cost": {"moves": True}}, "cost has numbers from 0 to 1e15"),
+        ({"scores": ["glory" if n == "return" else n for n in names]}, "'return' is one of them"),
+        ({"scores": [names[0]] * len(names)}, "each once"),
+        ({"seeds": []}, "one at least"),
+        ({"run": True}, "run is no int"),
+    ):
+        with pytest.raises(Refused, match=re.escape(why)):
+            unpack(repacked(packed, said=said))
+    with pytest.raises(Refused, match="one step or more"):
+        unpack(repacked(packed, steps=np.array([0, 4, 2], "<i8").tobytes()))
+    monkeypatch.setattr(files, "LARGEST", len(packed) - 1)
+    with pytest.raises(ArgumentError, match=f"the entry has {len(packed)} bytes, and a file at most {len(packed) - 1}"):
+        entry.write("never.bench")
+
+
 def archive(**members):
     """With these members, the others empty; packed well."""
     file = io.BytesIO()
