@@ -158,6 +158,37 @@ def test_home_of_other_chips_goes_by_what_was_said(monkeypatch, options, expecte
     assert told == [expected]
 
 
+@pytest.mark.parametrize("options", ["", "--s-curve"])
+def test_a_line_of_other_chips_is_curved_where_asked(monkeypatch, options):
+    stage, told = Stage("xy", chips="mcx514", visuals=False), []
+    report = SimpleNamespace(ok=True, plot=None, json=lambda: {})
+    driver = SimpleNamespace(line=lambda drivers, distances, wanted: told.append((distances, wanted)) or report)
+    monkeypatch.setattr(moves, "make_stage", lambda args: stage)
+    monkeypatch.setattr("stage.firmware.driver.driver_of", lambda axis: driver)
+    assert main(["sync", "x=400", "y=-1mm", "--rate", "5000", "--accel", "0.2", *options.split()]) == 0
+    ((distances, wanted),) = told
+    assert distances == {"x": 400, "y": -320}
+    assert (wanted.drive, wanted.up, wanted.down, wanted.s_curve) == (5000, 0.2, 0.2, bool(options))
+
+
+def test_a_plot_alone_has_as_many_samples_as_it_needs(bench, monkeypatch):
+    usual = {
+        "record": None,
+        "view": False,
+        "web": False,
+        "picture": None,
+        "vcd": None,
+        "force": False,
+        "plot": "a.png",
+        "json": False,
+    }
+    for plot, every in (("a.png", 2.5e-4), (None, None)):
+        args = argparse.Namespace(**usual | {"plot": plot, "port": 1, "default_record": None})
+        with files.kept(args, bench, every=2.5e-4) as recording:
+            assert (recording is None) == (every is None)
+            assert recording is None or recording.every == pytest.approx(every)
+
+
 def test_home_draws_the_first_axis(bench, monkeypatch):
     drawn = []
     monkeypatch.setattr(

@@ -1,8 +1,10 @@
 """What an agent asks of a move comes to the driver as it was asked, in pulses and seconds; and what an axis is told by default."""
 
+from dataclasses import replace
+
 import pytest
 
-from stage.agents.motion import SLOWEST
+from stage.agents.motion import SLOWEST, told
 from stage.errors import StageError
 from stage.firmware import procedures
 from stage.firmware.driver import RAMP
@@ -58,8 +60,8 @@ def test_a_distance_is_signed_pulses_and_a_timeout_is_the_driver_s(asked):
         ({"distance": -0.001}, -320),
         ({"distance": f"{0.6 * PULSE}m"}, 1),
     ):
-        name, told, speeds, timeout = asked("move", **given)
-        assert (name, told, timeout) == ("move", pulses, None)
+        name, wanted, speeds, timeout = asked("move", **given)
+        assert (name, wanted, timeout) == ("move", pulses, None)
         assert (speeds.up, speeds.down, speeds.s_curve) == (RAMP, RAMP, False)
         assert asked("move", timeout=3, **given)[3] == 3.0
         assert asked("start", **given)[:2] == ("start", pulses)
@@ -105,18 +107,39 @@ def test_one_of_distance_and_pulses_is_given(asked, both):
 
 
 def test_a_line_has_its_speeds_its_curve_and_its_timeout(make_box, monkeypatch):
-    box, told = make_box(), []
+    box, noted = make_box(), []
 
     def line(distances, axes, **how):
-        told.append((distances, how))
+        noted.append((distances, how))
         raise StageError("noted.")
 
     monkeypatch.setattr(procedures, "line", line)
     given = {"distances": {"x": "1mm", "Y": -0.002}, "speed": 0.02, "s_curve": True, "timeout": 4, "accel": 0.2}
     assert box.call("line", given).text == "noted."
-    distances, how = told[0]
+    distances, how = noted[0]
     assert distances == {"x": pytest.approx(1e-3), "y": -0.002}
     assert how == {"speed": 0.02, "s_curve": True, "timeout": 4.0, "accel": 0.2}
+
+
+def test_a_line_is_as_asked_where_all_its_axes_are(make_box):
+    box = make_box()
+    assert box.call("line", {"distances": {"x": "1mm", "y": "1mm"}}).data["as_asked"]
+    report = box.report
+    for name in ("x", "y"):
+        short = replace(report.axes[name], pulses=report.axes[name].pulses - 1)
+        assert told(replace(report, axes={**report.axes, name: short}), "host")["as_asked"] is False
+    assert "off_the_line_pulses" in told(report, "truth")
+    assert "off_the_line_pulses" not in told(report, "host")
+
+
+def test_what_is_left_of_a_move_is_told_though_it_is_nothing(make_box):
+    box = make_box("PCL240K", "truth")
+    data = box.call("move", {"axis": "x", "pulses": 100}).data
+    assert data["R0_left"] == 0
+    assert (data["as_asked"], data["lost_steps"]) == (True, 0)
+    assert told(replace(box.report, lost_steps=4), "truth")["as_asked"] is False
+    assert told(replace(box.report, lost_steps=4), "host")["as_asked"] is True
+    assert told(replace(box.report, pulses=99), "host")["as_asked"] is False
 
 
 def test_an_axis_that_moves_is_not_moved_otherwise(make_box):
