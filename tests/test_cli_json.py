@@ -4,12 +4,13 @@ import argparse
 import json
 import math
 import shutil
+from types import SimpleNamespace
 
 import pytest
 from support.extras import needs_rerun
 
 from stage.cli import build_parser, main
-from stage.cli.facts import plain
+from stage.cli.facts import plain, warn
 
 SAID = {
     "home": (["home", "x"], lambda f: f["reports"][0]["stopped_by"] == "ORG"),
@@ -142,6 +143,16 @@ def test_a_warning_is_one_of_the_facts(capsys):
     """stage move x 8000 --from 148 --json"""
     facts = said(capsys, "move", "x", "8000", "--from", "148", code=1)
     assert facts["warnings"] == ["axis x reaches from -150 to 150 mm, and this move goes to 173 mm."]
+
+
+def test_every_warning_is_one_of_the_facts_in_its_order(capsys):
+    args = SimpleNamespace(json=True)
+    for text in ("one", "two", "three"):
+        warn(args, text)
+    assert args.warnings == ["one", "two", "three"]
+    assert capsys.readouterr().err == ""
+    warn(SimpleNamespace(json=False), "four")
+    assert capsys.readouterr().err == "stage: warning: four\n"
 
 
 @pytest.mark.parametrize("option", ["--web", "--trace -"])

@@ -1,8 +1,9 @@
 """Recordings of a session: columns for reading, and files in one folder and nowhere else."""
 
+import numpy as np
 import pytest
 
-from stage.agents.recordings import SAMPLES, Recordings
+from stage.agents.recordings import SAMPLES, Recordings, thinned
 from stage.errors import ArgumentError, StageError
 
 
@@ -73,3 +74,38 @@ def test_a_recording_ends_by_itself(recording, monkeypatch):
 def test_time_in_a_recording_runs_forward_only(recording):
     recording.call("record", {"on": True})
     assert "runs forward only" in recording.call("restore", {"name": "power-up"}).text
+
+
+def test_a_course_begins_at_nothing_wherever_the_counter_stands(make_box):
+    box = make_box()
+    Recordings(box).join()
+    for pulses in (1000, -300):
+        box.call("move", {"axis": "x", "pulses": pulses})
+        columns = box.recordings.last()["columns"]
+        assert (columns["pulses"][0], columns["pulses"][-1]) == (0, pulses)
+
+
+def test_a_column_is_thinned_to_so_many_with_both_its_ends():
+    assert thinned(np.arange(SAMPLES)) == list(range(SAMPLES))
+    long = thinned(np.arange(SAMPLES + 1))
+    assert (len(long), long[0], long[-1]) == (SAMPLES, 0, SAMPLES)
+    assert thinned(np.array([1.0, np.nan, np.inf, -0.5])) == [1.0, None, None, -0.5]
+
+
+def test_a_session_writes_so_many_files_and_no_more(recording, monkeypatch):
+    monkeypatch.setattr("stage.agents.recordings.FILES", 2)
+    a_recording(recording)
+    assert [recording.call("save_recording", {"name": f"{k}.vcd"}).ok for k in range(3)] == [True, True, False]
+    assert "a session writes 2 files at most" in recording.call("save_recording", {"name": "4.vcd"}).text
+
+
+def test_a_recording_goes_on_from_call_to_call(recording):
+    recording.call("record", {"on": True})
+    for _ in range(3):
+        recording.call("wait", {"seconds": 0.1})
+        assert recording.stage.recording is not None
+        assert "the recording goes on" in recording.call("save_recording", {"name": "a.vcd"}).text
+    assert recording.call("record", {"on": False}).data["seconds"] == pytest.approx(0.3, abs=0.01)
+    assert "seconds" in recording.recordings.last(), "of the recording"
+    recording.call("move", {"axis": "x", "pulses": 10})
+    assert recording.recordings.last()["axis"] == "x", "a move since then is the last"
