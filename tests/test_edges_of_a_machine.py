@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from stage import ArgumentError, Fleet, Program, RunTimeout, Stage, faults, firmware
+from stage.chips import HCTL1100, MCX514, PCL240K
 from stage.sim import plant
 
 
@@ -155,3 +156,47 @@ def test_models_that_differ_where_a_switch_trips_are_other_machines(stage):
     vane.size = vane.size * 1.01
     with pytest.raises(ArgumentError, match="mechanics of the model"):
         Stage(spec, visuals=False).restore(stage.snapshot())
+
+
+def test_the_load_of_a_left_hand_motor_has_the_sign_of_its_pulses(mirrored):
+    mirrored.reset()
+    x, y = (mirrored.axes[name] for name in "xy")
+    for axis in (x, y):
+        mirrored.data.qfrc_applied[axis.plant.dof] = -100.0
+    mirrored.run(0.2)
+    mirrored.data.qfrc_applied[:] = 0.0
+    assert (x.gear < 0, y.gear > 0) == (True, True)
+    assert y.load_angle > 0.1, "pushed back, a rotor is behind its pulses"
+    assert x.load_angle < -0.1, "and one that turns the other way is ahead of them"
+    assert abs(x.load_angle) == pytest.approx(abs(y.load_angle), rel=0.2)
+    assert x.position < 0 > y.position
+
+
+def test_a_clock_is_for_chips_that_are_given_by_class_or_name_and_a_function_makes_its_own():
+    made = Stage("xy", chips={"x": "pcl240k", "y": lambda: PCL240K(clock_hz=3_000_000)}, clock=2_000_000, visuals=False)
+    assert [axis.chip.clock_hz for axis in made.axes.values()] == [2_000_000, 3_000_000]
+
+
+def test_one_chip_serves_as_many_axes_as_it_has_and_no_more():
+    chip = MCX514()
+    made = Stage("xyz", chips=dict.fromkeys("xyz", chip), visuals=False)
+    assert [(axis.chip is chip, axis.chip_axis) for axis in made.axes.values()] == [(True, 0), (True, 1), (True, 2)]
+    alone = PCL240K()
+    with pytest.raises(ArgumentError, match=r"chips for axis y: .* has no axis left that is free"):
+        Stage("xy", chips=dict.fromkeys("xy", alone), visuals=False)
+    with pytest.raises(ArgumentError, match=r"chips for axis y: .* has no axis left that is free"):
+        Stage("xy", chips={"x": lambda: alone, "y": lambda: alone}, visuals=False)
+    assert not alone.attached
+
+
+def test_a_servo_has_the_motor_that_it_is_given_else_that_of_the_name_else_that_of_the_actuator():
+    spec = plant.open_spec("xyz_servo")
+    named = {t.name: t for t in spec.texts}
+    named["y_motor"].data = "14203S010"
+    named["z_motor"].name = "of_nobody"
+    own = next(a for a in spec.actuators if a.name == "z")
+    own.set_to_dcmotor([0.04, 0.04], 2.5)
+    axes = Stage(spec, chips=HCTL1100, drives={"x": "14204S004"}, visuals=False).axes
+    assert [axes[n].drive.motor.name for n in "xyz"] == ["14204S004", "14203S010", "that of axis z"]
+    motor = axes["z"].drive.motor
+    assert (motor.torque_constant, motor.resistance) == (0.04, 2.5)

@@ -3,14 +3,17 @@
 import math
 import re
 import shlex
+from itertools import pairwise
 
 import mujoco
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stage import ModelError, Stage, firmware
 from stage.cli import main
+from stage.drives.motors import MOTORS
 from stage.sim import plant
 from stage.sim.plant.new import NewAxis, new_model
 
@@ -110,3 +113,59 @@ def test_axes_of_radians_and_centimetres_are_the_same_lengths():
     assert NewAxis.of("x:slide:30cm") == NewAxis.of("x:slide:0.3m") == NewAxis.of("x:slide:300mm")
     with pytest.raises(ModelError):
         NewAxis.of("1x:slide:30cm")
+
+
+@pytest.mark.parametrize(
+    ("axes", "ways"),
+    [
+        ("x y z", "x y z"),
+        ("z y x", "z y x"),
+        ("Y u v", "y x z"),
+        ("u v w", "x y z"),
+        ("u v w q", "x y z x"),
+        ("z u", "z x"),
+    ],
+)
+def test_slides_go_where_their_names_say_and_the_others_each_another_way(axes, ways):
+    """Whatever they ride on: a slide upwards carries the next as it lay, on an arm beside it."""
+    model = made(*(f"{name}:slide:100mm" for name in axes.split())).compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    unit = {"x": [1, 0, 0], "y": [0, 1, 0], "z": [0, 0, 1]}
+    for name, way in zip(axes.split(), ways.split(), strict=True):
+        assert data.xaxis[model.joint(name).id] == pytest.approx(unit[way], abs=1e-9), name
+    for (below, way), (above, _) in pairwise(zip(axes.split(), ways.split(), strict=True)):
+        apart = 0.1 if way == "z" else 0.04
+        assert np.linalg.norm(data.body(above).xpos - data.body(below).xpos) == pytest.approx(apart), "an arm in front"
+    assert data.ncon == 0 or not (data.contact.efc_address[: data.ncon] >= 0).any(), "nothing touches"
+    site = data.site_xmat[model.site("work").id].reshape(3, 3)
+    assert site == pytest.approx(np.eye(3), abs=1e-9), "what rides on all of them lies as the first"
+
+
+def test_a_new_slide_has_rotor_and_screw_in_its_armature_and_a_new_hinge_the_rotor_alone():
+    short, long, hinge = (plant_of(axis) for axis in ("x:slide:100mm", "x:slide:1m", "a:hinge:90deg"))
+    rotor = MOTORS["17HS4401"].rotor_inertia
+    assert hinge == (10.0, pytest.approx(rotor * 10.0**2))
+    screw = 0.5 * 7850 * math.pi * 0.005**4  # of steel, 10 mm thick, kg m2 a metre
+    for (gear, armature), length in ((short, 0.2), (long, 1.1)):
+        assert gear == pytest.approx(2 * math.pi / 0.01)
+        assert armature == pytest.approx((rotor + screw * length) * gear**2, rel=1e-3)
+
+
+def plant_of(axis):
+    """Gear and armature of the one axis of a model."""
+    model = made(axis).compile()
+    return float(model.actuator_gear[0][0]), float(model.dof_armature[0])
+
+
+def test_hard_stops_of_a_hinge_stand_three_degrees_beyond_its_end_limits():
+    model = made("a:hinge:90deg").compile()
+    assert np.degrees(model.joint("a").range) == pytest.approx([-48, 48])
+    data = mujoco.MjData(model)
+
+    def touches(degrees):
+        data.qpos[0] = math.radians(degrees)
+        mujoco.mj_forward(model, data)
+        return bool((data.contact.efc_address[: data.ncon] >= 0).any())
+
+    assert [touches(d) for d in (-48.3, -47.7, 0, 47.7, 48.3)] == [True, False, False, False, True]

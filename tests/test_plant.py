@@ -306,6 +306,8 @@ EL = 'name="el_plus_beam" class="beam" pos="0.0805 0.05 0"'
             "the hard stop .'bumper_plus' and 'carriage' touch. comes before el_plus, which trips at 0.05", ""),
         "SD beyond EL": (
             [('pos="0.0705', 'pos="0.0815')], "sd_plus trips at 0.051, el_plus at 0.05: in this order it can slow nothing", ""),
+        "SD beyond EL of minus": (
+            [('pos="-0.0655', 'pos="-0.0815')], "el_minus trips at -0.05, sd_minus at -0.051: in this order it can slow nothing", ""),
         "ORG beyond EL": (
             [('pos="-0.0755', 'pos="-0.0825')], "el_minus trips at -0.05, org at -0.052: in this order the origin is never", ""),
         "an unfitted switch misspelt": (
@@ -675,3 +677,13 @@ def test_a_file_that_is_no_model_is_refused_each_in_its_own_words(tmp_path, monk
     monkeypatch.setattr("os.access", lambda path, mode: False)
     with pytest.raises(ModelError, match=r"mine\.xml cannot be read: no permission"):
         plant.open_spec(tmp_path / "mine.xml")
+
+
+def test_a_switch_of_either_side_is_seen_from_as_far():
+    """The pair's margin and gap show a vane 10 mm before the touch, whichever way the joint comes."""
+    switches = {s.pin: s for s in plant.bind(mujoco.MjModel.from_xml_string(documented()))[0].switches}
+    seen = {pin: s.lookahead for pin, s in switches.items()}
+    assert seen == pytest.approx(dict.fromkeys(seen, 0.01), rel=1e-3)
+    assert {pin: s.slope for pin, s in switches.items()} == pytest.approx(
+        {"el_plus": -1, "el_minus": 1, "sd_plus": -1, "sd_minus": 1, "org": 1}
+    )

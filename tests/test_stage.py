@@ -430,7 +430,7 @@ def test_a_refused_stage_gives_the_callers_chip_back():
 
 
 def test_a_recording_that_wants_more_than_every_step_has_every_step_and_each_begins_with_its_own(xyz):
-    for every, steps in ((1e-9, 1), (0.3e-3, 1), (1e-3, 4)):
+    for every, steps in ((1e-9, 1), (0.3e-3, 1), (0.45e-3, 2), (1e-3, 4)):
         with xyz.record(every) as recording:
             xyz.step(3)
             xyz.step(5)
