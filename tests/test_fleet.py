@@ -283,7 +283,11 @@ def test_where_an_inertia_hangs_on_visuals_they_stay():
     assert Stage(whole, visuals=False).model.ngeom == Stage(whole).model.ngeom > 100
     part = mujoco.MjSpec.from_file(str(resources.files("stage.models") / "xy.xml"))
     part.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
+    carriage = part.body("x")  # what it says of its inertia counts for nothing here
+    carriage.explicitinertial, carriage.mass, carriage.inertia = True, 50.0, [1.0, 1.0, 1.0]
     bare, full = Stage(part, visuals=False).model, Stage(part).model
+    assert bare.body_mass[bare.body("x").id] < 50.0
+    assert np.array_equal(bare.body_mass, full.body_mass)
     assert bare.ngeom < full.ngeom / 4
     assert np.array_equal(bare.body_inertia, full.body_inertia)
 

@@ -234,3 +234,21 @@ def copied(model, folder):
     for f in MODELS.glob("*.xml"):
         shutil.copy(f, folder)
     return folder / f"{model}.xml"
+
+
+@pytest.mark.parametrize(
+    "told", [{"a": "b c"}, {"a": "b", "c": "b"}, {"c": "a", "b": "c"}, {"a": "b", "b": "c", "c": "a"}]
+)
+def test_three_axes_of_one_load_know_each_other_however_they_are_told(told):
+    bodies = "".join(
+        f'<body pos="0 {k} 0"><geom size="0.1"/><joint name="{n}" type="slide" axis="1 0 0" range="-0.1 0.1"/></body>'
+        for k, n in enumerate("abcd")
+    )
+    motors = "".join(f'<motor name="{n}" joint="{n}" gear="628"/>' for n in "abcd")
+    texts = "".join(f'<text name="{n}_unfitted" data="el_plus el_minus sd_plus sd_minus org"/>' for n in "abcd")
+    texts += "".join(f'<text name="{n}_tandem" data="{others}"/>' for n, others in told.items())
+    model = mujoco.MjModel.from_xml_string(
+        f"<mujoco><worldbody>{bodies}</worldbody><actuator>{motors}</actuator><custom>{texts}</custom></mujoco>"
+    )
+    found = {axis.name: axis.tandem for axis in plant.bind(model)}
+    assert found == {"a": ("b", "c"), "b": ("a", "c"), "c": ("a", "b"), "d": ()}

@@ -1,7 +1,9 @@
 """The naming contract: a model that keeps it works; one that does not is told what is missing, where, and the line to add."""
 
 import importlib.util
+import os
 import re
+from importlib.resources import files
 from pathlib import Path
 
 import mujoco
@@ -12,6 +14,7 @@ from stage import ArgumentError, ModelError, Stage, faults, firmware
 from stage.chips import HCTL1100, PCL240K
 from stage.sim import plant
 from stage.sim.fingerprint import fingerprint
+from stage.sim.plant import contract
 from stage.sim.plant.new import NewAxis, new_model
 from stage.sim.plant.problems import Problems
 
@@ -307,7 +310,10 @@ EL = 'name="el_plus_beam" class="beam" pos="0.0805 0.05 0"'
         "SD beyond EL": (
             [('pos="0.0705', 'pos="0.0815')], "sd_plus trips at 0.051, el_plus at 0.05: in this order it can slow nothing", ""),
         "SD beyond EL of minus": (
-            [('pos="-0.0655', 'pos="-0.0815')], "el_minus trips at -0.05, sd_minus at -0.051: in this order it can slow nothing", ""),
+            [('pos="-0.0655', 'pos="-0.0815')],
+            "el_minus trips at -0.05, sd_minus at -0.051: in this order it can slow nothing", ""),
+        "ORG beyond EL of plus": (
+            [('pos="-0.0755', 'pos="0.0215')], "org trips at 0.052, el_plus at 0.05: in this order the origin is never", ""),
         "ORG beyond EL": (
             [('pos="-0.0755', 'pos="-0.0825')], "el_minus trips at -0.05, org at -0.052: in this order the origin is never", ""),
         "an unfitted switch misspelt": (
@@ -687,3 +693,44 @@ def test_a_switch_of_either_side_is_seen_from_as_far():
     assert {pin: s.slope for pin, s in switches.items()} == pytest.approx(
         {"el_plus": -1, "el_minus": 1, "sd_plus": -1, "sd_minus": 1, "org": 1}
     )
+
+
+@pytest.mark.parametrize(("named", "geoms"), [("x_org_only_vane", 1), ("x_org_vane", 2)])
+def test_a_line_to_add_names_a_geom_only_where_no_other_may_be_meant(named, geoms):
+    """x_org_only_vane alone; with another, the usual name stands in the line, for somebody to choose"""
+    text = new_model([NewAxis.of("x:slide:300mm")]).replace("x_org_vane", "x_org_only_vane")
+    lines = [line for line in text.splitlines() if '<contact name="x_org"' not in line]
+    if geoms > 1:
+        at = next(k for k, line in enumerate(lines) if 'name="x_org_only_vane"' in line)
+        lines.insert(at, lines[at].replace("x_org_only_vane", "x_org_second_vane"))
+    with pytest.raises(ModelError) as caught:
+        plant.bind(mujoco.MjModel.from_xml_string("\n".join(lines)))
+    assert f'geom1="{named}" geom2="x_org_beam"' in caught.value.missing[0]
+
+
+def test_a_joint_without_an_armature_is_an_axis_where_no_motor_is_said_to_be_in_it():
+    xml = edited(('armature="3.711"', 'armature="0"'), ('<text name="x_motor" data="17HS4401"/>', ""))
+    stage = Stage(mujoco.MjSpec.from_string(xml), visuals=False)
+    assert stage.model.dof_armature[stage.axes["x"].plant.dof] == 0
+
+
+def test_a_shipped_model_that_is_edited_is_read_anew(tmp_path, monkeypatch):
+    """In a checkout; reading takes a hundred times as long as a copy of what was read"""
+    for file in files("stage.models").iterdir():
+        if file.name.endswith(".xml"):
+            (tmp_path / file.name).write_text(file.read_text())
+    monkeypatch.setattr(plant.spec, "_models", lambda: tmp_path)
+    before = plant.open_spec("xy").option.timestep
+    path = tmp_path / "_common.xml" if "timestep" in (tmp_path / "_common.xml").read_text() else tmp_path / "xy.xml"
+    path.write_text(path.read_text().replace('timestep="0.00025"', 'timestep="0.000125"'))
+    os.utime(path, ns=(1, 1))
+    assert (before, plant.open_spec("xy").option.timestep) == (0.00025, 0.000125)
+
+
+def test_measured_models_are_kept_up_to_a_number(monkeypatch):
+    monkeypatch.setattr(contract, "_bound", {})
+    monkeypatch.setattr(contract, "KEPT_PLANTS", 2)
+    for k in range(4):
+        model = mujoco.MjModel.from_xml_string(edited(('damping="60"', f'damping="{60 + k}"')))
+        assert plant.bind(model) is plant.bind(model)
+        assert 1 <= len(contract._bound) <= 2
