@@ -107,3 +107,13 @@ def test_the_version_is_the_same_wherever_it_stands():
     assert stage.__version__ == PROJECT["version"]
     assert f"## {PROJECT['version']}" in (ROOT / "CHANGELOG.md").read_text()
     assert PROJECT["urls"]["Source"] in cited
+
+
+@pytest.mark.parametrize(("name", "ending"), [("home_and_move", ".py"), ("tour.ipynb", ""), ("acme_chip", "")])
+def test_a_copy_has_the_name_that_was_asked_for_and_stays_unless_it_is_to_be_replaced(name, ending, tmp_path):
+    copied = examples.copy(name, tmp_path)
+    assert copied == tmp_path / f"{name}{ending}"
+    assert [p.name for p in tmp_path.iterdir()] == [copied.name]
+    with pytest.raises(FileError, match=r"exists\. Choose another folder, or give --force"):
+        examples.copy(name, tmp_path)
+    assert examples.copy(name, tmp_path, overwrite=True) == copied

@@ -127,9 +127,9 @@ def test_each_axis_has_its_own_chip_on_the_command_line(toy_package, capsys):
 
 
 def test_names_have_the_article_that_they_are_spoken_with():
-    names = "PCL240K MCX304 HCTL1100 ACME1000 TMC5160 8254 LS7166 TOY atmega328p cortex-m4".split()
+    names = "PCL240K MCX304 HCTL1100 ACME1000 TMC5160 8254 LS7166 TOY atmega328p cortex-m4 8AXIS XR2206".split()
     said = " ".join(a_or_an(name).split()[0] for name in names)
-    assert said == "a an an an a an an a an a"
+    assert said == "a an an an a an an a an a an an"
 
 
 def test_a_claim_to_one_of_our_names_is_told_also_of_an_old_installation(monkeypatch, tmp_path, capsys):

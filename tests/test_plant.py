@@ -734,3 +734,26 @@ def test_measured_models_are_kept_up_to_a_number(monkeypatch):
         model = mujoco.MjModel.from_xml_string(edited(('damping="60"', f'damping="{60 + k}"')))
         assert plant.bind(model) is plant.bind(model)
         assert 1 <= len(contract._bound) <= 2
+
+
+def test_a_dc_motor_with_a_bias_or_a_state_of_its_own_is_none_for_a_servo():
+    spec = plant.open_spec("xyz_servo")
+    next(a for a in spec.actuators if a.name == "y").biasprm[1] = -3.0
+    with pytest.raises(
+        ModelError, match="axis y: actuator 'y' is not a <motor> on joint 'y', nor a <dcmotor> with voltage"
+    ):
+        plant.bind(spec.compile())
+
+
+def test_inertias_from_geoms_are_from_geoms_without_visuals_too(tmp_path):
+    """<compiler inertiafromgeom="true"/> and a body that says another inertia, which then counts for nothing"""
+    path = tmp_path / "own.xml"
+    text = documented().replace("<worldbody>", '<compiler inertiafromgeom="true"/><worldbody>', 1)
+    said = (
+        '<inertial pos="0 0 0" mass="77" diaginertia="1 1 1"/><geom size="0.02" contype="0" conaffinity="0" mass="3"/>'
+    )
+    text = text.replace('<body name="carriage">', f'<body name="carriage">{said}', 1)
+    path.write_text(text)
+    bare, full = (Stage(path, visuals=shown).model for shown in (False, True))
+    assert bare.body("carriage").mass[0] == full.body("carriage").mass[0] < 77
+    assert bare.ngeom < full.ngeom

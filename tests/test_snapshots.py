@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from support.examples import SEED
 
-from stage import ArgumentError, Drive, Stage
+from stage import ArgumentError, Drive, Stage, snapshots
 from stage.chips import PCL240K, PCL240MS
 from stage.sim import plant
-from stage.snapshots import layout
+from stage.snapshots import Header, layout
 
 
 @pytest.fixture(scope="module")
@@ -209,3 +209,10 @@ def test_a_layout_is_another_where_a_field_lies_elsewhere():
     ]
     assert len({layout(kind) for kind in kinds}) == len(kinds)
     assert layout(np.dtype([("a", "i4")])) == layout(np.dtype([("a", "<i4")]))
+
+
+def test_a_state_that_would_mean_something_else_now_is_another_ones(monkeypatch):
+    """VERSION is counted up: a header of the same words has another checksum"""
+    now = Header((("chip", "PCL240K"),)).checksum
+    monkeypatch.setattr(snapshots, "VERSION", snapshots.VERSION + 1)
+    assert Header((("chip", "PCL240K"),)).checksum != now

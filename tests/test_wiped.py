@@ -13,6 +13,7 @@ from stage import Fleet, Program, Stage, StageError, faults, firmware
 from stage.board import Board
 from stage.chips import PCL240K
 from stage.envs import register_bus as rb
+from stage.sim import plant
 
 
 def bits(stage):
@@ -171,3 +172,16 @@ def test_a_carriage_put_elsewhere_by_hand_leaves_its_switch(xy):
     assert x.position == pytest.approx(0.0, abs=1e-3)
     assert not x.switches.org
     assert not x.chip.pins.org
+
+
+def test_what_is_put_into_mocap_bodies_after_mj_reset_data_is_where_they_are():
+    spec = plant.open_spec("xy")
+    spec.worldbody.add_body(name="hand", mocap=True, pos=[0.5, 0.5, 0.5]).add_geom(size=[0.01, 0.01, 0.01])
+    stage = Stage(spec, visuals=False)
+    wipe(stage)
+    stage.data.mocap_pos[0], stage.data.mocap_quat[0] = [1.0, 2.0, 3.0], [0.0, 1.0, 0.0, 0.0]
+    stage.run(0.01)
+    assert stage.data.body("hand").xpos.tolist() == [1.0, 2.0, 3.0]
+    assert stage.data.body("hand").xquat.tolist() == [0.0, 1.0, 0.0, 0.0]
+    stage.reset()
+    assert stage.data.mocap_pos[0].tolist() == [0.5, 0.5, 0.5]

@@ -116,7 +116,7 @@ def test_every_field_of_a_motor_is_checked():
     assert set(most) == {f.name for f in fields(good)} - {"name", "evidence"}
     for name, value in most.items():
         assert getattr(replace(good, **{name: value}), name) == value
-        for bad in (-1, 0, math.nan, "1", value * 1.5):
+        for bad in (-1, 0, math.nan, "1", True, value * 1.5):
             if not (name == "detent_torque" and bad == 0):
                 with pytest.raises(ArgumentError, match=f"17HS4401: {name}="):
                     replace(good, **{name: bad})

@@ -76,6 +76,7 @@ def discard_visuals(spec: Any) -> None:
     if spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE:
         for body in spec.bodies:  # from "auto" on MuJoCo keeps the inertia of what it discards
             body.explicitinertial = False
+            body.ipos = [np.nan] * 3  # no inertia of its own
         spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
 
 
