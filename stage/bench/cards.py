@@ -55,6 +55,21 @@ class Card:
             return gymnasium.make_vec(self.id, vector, **kind, **settings).unwrapped
         return gymnasium.make(self.id, disable_env_checker=True, **settings).unwrapped
 
+    def machines(self, split: str) -> str:
+        """What machines a split has, in words; all of "train", of another what is not as in train."""
+        task = gymnasium.envs.registration.load_env_creator(str(gymnasium.spec(self.id).entry_point)).task  # type: ignore[attr-defined]
+        values = {**contexts.SPLITS[split]}
+        values |= {name: value for name, value in self.settings.items() if name in values}
+        faults = [name for name in values.pop("faults", ()) if name in task.Config.FAULTS]
+        words = [
+            f"{name} {values[ranges][0]:g} to {values[ranges][1]:g} {text}"
+            for name, (ranges, text) in contexts.KINDS.items()
+            if ranges in values
+        ]
+        if faults:
+            words.append(f"a fault: {', '.join(faults)}")
+        return "; ".join([*(f"{name} {values[name]}" for name in ("model", "chip") if name in values), *words])
+
 
 def _is_bool(value: Any) -> bool:
     return isinstance(value, bool)

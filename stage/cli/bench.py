@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+import textwrap
 from typing import Any
 
 from stage.cli.facts import tell
@@ -21,7 +22,8 @@ def cards(args: argparse.Namespace) -> int:
         rows = {
             c.name: {
                 "id": c.id, "asked": c.asked, "settings": dict(c.settings), "choices": {k: list(v) for k, v in c.choices.items()},
-                "splits": {s: seeds(c, s) for s in c.splits}, "players": [*PLAYERS, *OWN.get(c.name, {})],
+                "splits": {s: seeds(c, s) for s in c.splits},
+                "machines": {s: c.machines(s) for s in c.splits}, "players": [*PLAYERS, *OWN.get(c.name, {})],
             }
             for c in chosen
         }  # fmt: skip
@@ -36,6 +38,11 @@ def cards(args: argparse.Namespace) -> int:
             print(f"  a player may choose --set {name}=: {', '.join(map(str, values))}")
         print(f"  players: {', '.join([*PLAYERS, *OWN.get(c.name, {})])}")
     if args.task:
+        print("machines of a split, where they differ from train:")
+        for split in chosen[0].splits:
+            print(
+                textwrap.fill(chosen[0].machines(split), 118, initial_indent=f"  {split:6} ", subsequent_indent=9 * " ")
+            )
         print("tracks:")
         for name, text in TRACKS.items():
             print(f"  {name:6} {text}")

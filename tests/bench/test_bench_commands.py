@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from stage import bench
+from stage.bench import CARDS
 from stage.cli import main
 from stage.cli.bench import _means
+from stage.envs import contexts
 
 
 @pytest.fixture
@@ -96,3 +98,23 @@ def test_a_table_in_json_has_its_rows(monkeypatch, capsys):
     (row,) = json.loads(capsys.readouterr().out)
     assert row["value"] == 2.0
     assert (row["task"], row["split"], row["player"], row["runs"], row["success"]) == ("home", "worn", "a", 1, 0.5)
+
+
+@pytest.mark.parametrize("name", CARDS)
+def test_a_card_says_in_words_which_machines_each_split_has(name, capsys):
+    card = CARDS[name]
+    config = card.make("train", "host", {})._task.config
+    for split in card.splits:
+        said = card.machines(split)
+        asked = contexts.SPLITS[split]
+        assert all(f"{of} {asked[of]}" in said for of in ("model", "chip") if of in asked)
+        for of, (ranges, unit) in contexts.KINDS.items():
+            ends = dict(card.settings).get(ranges, asked.get(ranges)) if ranges in asked else None
+            assert (f"{of} {ends[0]:g} to {ends[1]:g} {unit}" in said) if ends else f"{of} " not in said
+        mine = [fault for fault in asked.get("faults", ()) if fault in config.FAULTS]
+        assert said.endswith(f"a fault: {', '.join(mine)}") if mine else "fault" not in said
+    assert main(["bench", name]) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    assert all(f"{split} {card.machines(split)}" in printed for split in card.splits)
+    assert main(["bench", name, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)[name]["machines"]["train"] == card.machines("train")
