@@ -103,12 +103,13 @@ class Row:
             return
         self._editing, self._value.error = False, None
         await self._put(value)
-        self._show()
+        if self._held is not None:
+            self._show()
 
     async def _put(self, value: int) -> None:
         await self._write(self.place, value)
-        if isinstance(self.place, Word) and self._held is None:
-            self._words.text = meant(self.place, value)
+        if self._held is None:  # what was sent stays, to be sent again
+            self._value.value, self._words.text = shown(self.place, value), meant(self.place, value)
 
     def _toggle(self) -> None:
         if self._area is not None:
@@ -157,7 +158,12 @@ class Row:
     async def _chosen(self, field: Field, value: int) -> None:
         word = self._held
         if word is None:  # composed here: the other fields are what their widgets say
-            word = sum((_value_of(f, w) << f.low for f, w in self._fields), getattr(self.place, "fixed", 0))
+            try:
+                word = sum(
+                    (_value_of(f, w) << f.low & f.mask for f, w in self._fields), getattr(self.place, "fixed", 0)
+                )
+            except ArgumentError:
+                return  # it is said at its widget
             self._value.value = shown(self.place, with_field(word, field, value))
             self._words.text = meant(self.place, with_field(word, field, value))
         elif field.of(word) != value:
@@ -213,7 +219,13 @@ def _set_field(field: Field, widget: Any, value: int) -> None:
 def _value_of(field: Field, widget: Any) -> int:
     if isinstance(widget, ui.select | ui.checkbox):
         return int(widget.value)
-    return number(widget.value, field.high - field.low + 1) if isinstance(widget, ui.input) else 0
+    if not isinstance(widget, ui.input):
+        return 0
+    try:
+        return number(widget.value or "", field.high - field.low + 1)
+    except ArgumentError as error:
+        widget.error = str(error)
+        raise
 
 
 def _with(options: dict[int, str], value: int) -> dict[int, str]:

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from support.visitor import Visitor
 
 from stage import Stage
 from stage.panel.sampler import Sampler
@@ -276,3 +277,35 @@ def sampler(session):
     sampler = Sampler(session)
     yield sampler
     sampler.close()
+
+
+class Served:
+    """A panel of xy with PCL240MS in the process of the tests; time stands still at first. `visit()`: one more looks at it."""
+
+    def __init__(self, **options):
+        from stage.panel.server import Panel
+
+        self.session = Session(Stage("xy", chips="pcl240ms", visuals=False), speed=FREE, paused=True, **options)
+        self.panel = Panel(self.session)
+        self._visitors = []
+
+    def visit(self):
+        self._visitors.append(Visitor(self.panel))
+        return self._visitors[-1]
+
+    def all_leave(self):
+        while self._visitors:
+            self._visitors.pop().leave()
+
+    def close(self):
+        self.all_leave()
+        self.panel.close()
+        self.session.close()
+
+
+@pytest.fixture(scope="module")
+def served():
+    pytest.importorskip("nicegui")
+    served = Served()
+    yield served
+    served.close()

@@ -1,0 +1,328 @@
+"""Procedures on the page by a browser's events, without a browser: what is ordered, what is said, and where."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from stage import Stage, firmware
+from stage.errors import RunTimeout, StageError
+from stage.panel.session import FREE
+
+
+@pytest.fixture(scope="module")
+def page(served):
+    """One that looks at the forms, and has the controls."""
+    return served.visit()
+
+
+@pytest.fixture(autouse=True)
+def _drawn_quickly(monkeypatch):
+    """Patterns are drawn elsewhere: here they only say of what they are."""
+    monkeypatch.setattr("stage.panel.procedures.picture", lambda report: f"<svg>{report}")
+
+
+@pytest.fixture
+def session(served, page):
+    """At power-up; time passes as fast as it goes."""
+    session = served.session
+    session.reset()
+    session.speed, session.paused = FREE, False
+    page.put("procedure-axis", "y")
+    page.put("procedure-axis", "x")  # the forms are as at first
+    tab(page, "move")
+    yield session
+    session.abandon()
+    page.until(lambda: not session.busy)
+    session.paused = True
+
+
+@pytest.fixture
+def ordered(session, monkeypatch):
+    """What the session is told to do, in words of people."""
+    names, act = [], session.act
+    monkeypatch.setattr(session, "act", lambda name, order: names.append(name) or act(name, order))
+    return names
+
+
+def tab(page, name):
+    tabs = page.find(f"tab-{name}").parent_slot.parent
+    page.within(lambda: setattr(tabs, "value", name))
+
+
+def fill(page, **values):
+    for name, value in values.items():
+        page.put(name.replace("__", "-"), value)
+
+
+def go(page, form, says="pulses"):
+    """Press the button; the report."""
+    reports = page.panel.reports
+    before = reports.last(form)
+    tab(page, form)
+    page.click(f"go-{form}")
+    told = page.until(lambda: says in (now := reports.last(form)).text and now is not before and now)
+    page.until(lambda: page.text("report") == told.text)
+    return told.text
+
+
+def wrong(page):
+    """The report is told as an error."""
+    return "text-negative" in page.find("report").classes
+
+
+def test_a_move_is_of_the_axis_that_was_chosen_and_as_its_fields_say(page, session, ordered):
+    page.put("procedure-axis", "y")
+    fill(page, move__distance="-3", move__speed="25", move__start_speed="5", move__accel="0,1", move__s_curve="S-curve")
+    report = go(page, "move")
+    y = Stage("xy", chips="pcl240ms", visuals=False).axes["y"]
+    alone = firmware.move(y, distance=-0.003, speed=0.025, start_speed=0.005, accel=0.1, s_curve=True)
+    assert report.splitlines()[:2] == str(alone).splitlines()[:2]
+    assert ordered == ["Move y"]
+    assert not wrong(page)
+
+
+def test_a_line_is_of_no_axis_alone(page, session, ordered):
+    fill(page, line__x="-2", line__y="1.5")
+    go(page, "line", "carriages")
+    assert ordered == ["Line"]
+    ends = session.do(lambda stage: [a.commanded for a in stage.axes.values()])
+    assert ends == pytest.approx([-0.002, 0.0015], abs=5e-6)
+
+
+def test_enter_in_any_field_of_a_form_begins_it(page, session, ordered):
+    for field in ("move-distance", "move-accel"):
+        fill(page, move__distance="1")
+        before = len(ordered)
+        page.fire(field, "keydown.enter")
+        page.until(lambda n=before: len(ordered) > n and not session.busy)
+    assert ordered == ["Move x"] * 2
+
+
+def test_what_is_wrong_stands_at_its_field_until_the_next_attempt_and_no_report_is_left(page, session, ordered):
+    assert "done" in go(page, "move")
+    fill(page, move__distance='a"b\\c')
+    page.click("go-move")
+    page.until(lambda: page.error("move-distance"))
+    assert page.error("move-distance") == "'a'b\\\\c' is not a number of mm."
+    fill(page, move__distance="1", move__speed="-1")
+    page.click("go-move")
+    page.until(lambda: page.error("move-speed"))
+    assert page.error("move-speed") == "-1: more than 0."
+    assert not page.error("move-distance")
+    assert ordered == ["Move x"], "nothing of it was begun"
+    fill(page, move__speed="1e9")
+    page.click("go-move")
+    said = page.until(lambda: "makes" in page.error("move-speed") and page.error("move-speed"))
+    assert said.startswith("1e+09 mm/s: a PCL240MS makes up to")
+    page.until(lambda: page.text("report") == "")
+    fill(page, move__speed="")
+    assert "done" in go(page, "move")
+    assert not page.error("move-speed")
+
+
+def test_a_second_press_while_one_is_under_way_is_none(page, session, ordered):
+    session.paused = True
+    tab(page, "move")
+    page.click("go-move")
+    page.click("go-move")
+    page.until(lambda: page.text("report") == "Move x ...")
+    page.until(lambda: not page.find("go-move").enabled)
+    assert not page.find("go-line").enabled
+    tab(page, "jog")
+    page.fire("jog-plus", "pointerdown")
+    page.until(lambda: page.said)
+    assert page.said.pop() == "Move x is under way: wait, or stop it first."
+    session.paused = False
+    page.until(lambda: page.find("go-move").enabled)
+    assert ordered == ["Move x"]
+
+
+def test_a_report_stands_under_its_own_form_in_every_browser(served, page, session):
+    fill(page, two_rates__distance="20", two_rates__dwell="0.05")
+    reports = {"move": go(page, "move"), "two_rates": go(page, "two_rates", "dual-rate")}
+    second = served.visit()
+    for form, report in reports.items():
+        tab(page, form)
+        page.until(lambda r=report: page.text("report") == r)
+        tab(second, form)
+        second.until(lambda r=report: second.text("report") == r)
+        second.until(lambda r=report: second.find("pattern").content == f"<svg>{r}")
+    tab(page, "home")
+    page.until(lambda: not page.text("report") and not page.find("pattern").content)
+
+
+def test_who_was_shown_an_axis_goes_on_with_the_form_that_was_open(page, session):
+    tab(page, "two_rates")
+    page.put("procedure-axis", "y")
+    assert page.find("tab-move").parent_slot.parent.value == "two_rates"
+
+
+def test_an_axis_of_a_beam_says_with_whom_it_carries_it(page, session, monkeypatch):
+    assert not page.all("tied")
+    monkeypatch.setattr("stage.panel.forms.tied", lambda stage, axis: {"y": ["x", "z"]}.get(axis, []))
+    page.put("procedure-axis", "y")
+    assert page.text("tied").startswith("y carries one beam with x and z: ")
+    page.put("procedure-axis", "x")
+    assert not page.all("tied")
+
+
+@pytest.mark.parametrize(
+    ("form", "stopped_by", "found"),
+    [("home", "ORG", ["y"]), ("home", "EL-", []), ("home", None, []), ("move", "R0 = 0", [])],
+)
+def test_an_origin_is_found_by_a_home_that_ended_there_on_the_axis_that_it_was_of(
+    served, page, session, monkeypatch, form, stopped_by, found
+):
+    axes, done = [], []
+
+    async def perform(*asked):
+        page.find("procedure-axis").value = "x"  # somebody looks at another meanwhile
+        done.append(asked[0])
+        return SimpleNamespace(stopped_by=stopped_by) if stopped_by else None
+
+    page.put("procedure-axis", "y")
+    monkeypatch.setattr(served.panel.reports, "perform", perform)
+    monkeypatch.setattr(served.panel.look, "found_origin", lambda axis, stage: axes.append(axis))
+    tab(page, form)
+    page.click(f"go-{form}")
+    page.until(lambda: done)
+    page.settled()
+    session.do(lambda stage: None)  # and orders so far are carried out
+    assert (done, axes) == ([form], found)
+
+
+@pytest.mark.parametrize(("name", "at_once"), [("stop", False), ("stop-at-once", True)])
+def test_stop_is_of_all_axes_and_ends_what_is_under_way(page, session, ordered, monkeypatch, name, at_once):
+    asked = []
+    monkeypatch.setattr("stage.panel.procedures.stopping", lambda *what: asked.append(what) or (lambda stage: None))
+    session.paused = True
+    page.click("go-move")
+    page.until(lambda: session.view.doing == "Move x")
+    page.click(name)
+    page.until(lambda: page.text("report") == "Move x: stopped.")
+    page.until(lambda: not session.busy)
+    assert ordered == ["Move x", "stop"]
+    assert asked == [(["x", "y"], at_once)]
+    assert not wrong(page)
+
+
+def test_an_axis_that_is_stopped_with_a_ramp_goes_on_a_little_and_rests(page, session):
+    fill(page, move__distance="100", move__speed="20")
+    session.speed = 1.0
+    page.click("go-move")
+    page.until(lambda: session.do(lambda stage: stage.axes["x"].commanded) > 1e-4)
+    session.speed = FREE
+    page.click("stop")
+    page.until(lambda: not session.busy)
+    at, busy = session.do(lambda stage: (stage.axes["x"].commanded, stage.axes["x"].chip.busy(0)))
+    assert not busy
+    assert 0 < at < 0.09
+
+
+@pytest.mark.parametrize(("button", "way"), [("jog-plus", 1), ("jog-minus", -1)])
+@pytest.mark.parametrize(("down", "up"), [("pointerdown", "pointerup"), ("keydown.space.prevent", "keyup")])
+def test_an_axis_jogs_its_way_while_a_button_is_held(page, session, ordered, button, way, down, up):
+    session.speed = 5.0
+    page.put("procedure-axis", "y")
+    tab(page, "jog")
+    fill(page, jog__speed="5", jog__accel="0.02")
+    page.fire(button, down)
+    page.fire(button, down)  # a key that repeats
+    page.until(lambda: abs(session.do(lambda stage: stage.axes["y"].commanded)) > 1e-4)
+    page.fire(button, up)
+    page.until(lambda: "decelerating stop" in page.text("report"))
+    at, other = session.do(lambda stage: [stage.axes[a].commanded * way for a in "yx"])
+    assert at > 1e-4
+    assert other == pytest.approx(0, abs=1e-12)
+    assert ordered == ["jog y"]
+    page.fire(button, down)
+    page.until(lambda: len(ordered) == 2 and session.view.doing)
+    page.fire(button, "blur")
+    page.until(lambda: not session.busy)
+
+
+def test_who_loses_the_controls_lets_go_of_his_jog(served, page, session):
+    second = served.visit()
+    session.speed = 1.0
+    tab(page, "jog")
+    page.fire("jog-plus", "pointerdown")
+    page.until(lambda: session.view.doing == "jog x")
+    second.click("controls")
+    page.until(lambda: not session.busy)
+    second.leave()
+    served._visitors.remove(second)
+    assert served.panel.controls.holder == page.client.id
+
+
+def test_what_is_wrong_with_a_jog_is_said_at_its_field_and_else_below(page, session, ordered):
+    tab(page, "jog")
+    fill(page, jog__speed="slow")
+    page.fire("jog-plus", "pointerdown")
+    page.until(lambda: page.error("jog-speed"))
+    assert page.error("jog-speed") == "'slow' is not a number of mm/s."
+    assert not ordered
+    fill(page, jog__speed="")
+    session.do(lambda stage: stage.place(x=stage.axes["x"].travel[1] * 0.985))
+    page.fire("jog-plus", "pointerdown")
+    page.until(lambda: "x stands on its end limit" in page.text("report"))
+    assert wrong(page)
+    assert not page.error("jog-speed")
+    page.fire("jog-minus", "pointerdown")
+    page.until(lambda: session.busy or "decelerating" in page.text("report"))
+    page.fire("jog-minus", "pointerup")
+    page.until(lambda: "decelerating" in page.text("report"))
+    assert not wrong(page)
+
+
+def test_a_report_that_is_no_good_is_red_and_a_timeout_tells_both(served, page, session):
+    reports = served.panel.reports
+
+    def ends(outcome):
+        def order(stage):
+            if isinstance(outcome, Exception):
+                raise outcome
+            return outcome
+
+        return page.within(lambda: reports.perform("move", "Move x", order))
+
+    bad = SimpleNamespace(ok=False, __str__=None)
+    assert ends(bad) is bad
+    assert (reports.last("move").text, reports.last("move").wrong) == (str(bad), True)
+    page.until(lambda: wrong(page))
+    late = RunTimeout("too long.")
+    late.report = "as far as this"
+    assert ends(late) is None
+    assert reports.last("move")[:2] == ("too long.\nas far as this", True)
+    good = SimpleNamespace(ok=True)
+    assert ends(good) is good
+    assert reports.last("move")[1:] == (False, "")
+    page.until(lambda: not wrong(page))
+    with pytest.raises(StageError, match="not begun"):
+        ends(StageError("not begun"))
+    assert reports.last("move") == reports.last("nothing so far")
+
+
+def test_a_picture_is_of_the_report_that_it_was_drawn_of(served, page, session, monkeypatch):
+    """And where it cannot be drawn, the report says why."""
+    reports, pictures = served.panel.reports, {"first": "<svg>1", "second": StageError("no matplotlib.")}
+
+    def picture(report):
+        if report.name == "first":
+            reports.say("home", "newer")  # the next has begun meanwhile
+        if isinstance(found := pictures[report.name], Exception):
+            raise found
+        return found
+
+    monkeypatch.setattr("stage.panel.procedures.picture", picture)
+
+    def perform(name):
+        told = SimpleNamespace(ok=True, name=name, plot=None)
+        page.within(lambda: reports.perform("home", "Home", lambda stage: told))
+
+    perform("first")
+    page.until(lambda: reports.last("home").text == "newer")
+    page.settled()
+    assert reports.last("home").picture == ""
+    perform("second")
+    page.until(lambda: reports.last("home").text.endswith("\nno matplotlib."))
+    assert not reports.last("home").wrong

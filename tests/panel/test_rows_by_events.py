@@ -1,0 +1,340 @@
+"""Rows of a front panel by a browser's events, without a browser: what is written, what is shown, what is put together."""
+
+import pytest
+
+from stage.chips import HCTL1100, PCL240MS
+from stage.errors import ArgumentError
+
+pytest.importorskip("nicegui")
+from nicegui import ui
+
+from stage.panel import front, rows
+from stage.panel.front import choices, fixed, lit, meant, shown, with_field
+
+
+@pytest.fixture(scope="module")
+def page(served):
+    return served.visit()
+
+
+class Made:
+    """A row of its own on a page: what it writes, and its parts."""
+
+    def __init__(self, page, place):
+        self.page, self.place, self.written = page, place, []
+
+        async def write(place, value):
+            self.written.append((place.name, value))
+
+        def build():
+            with page.client, ui.element("div") as self.box:
+                self.row = rows.Row(place, write, "made")
+
+        page.within(build)
+
+    def look(self, value):
+        self.page.within(lambda: self.row.look({self.place.name: value, "another": 1}))
+
+    def open(self):
+        self.page.click("fields-made")
+
+    def field(self, field):
+        return next(widget for f, widget in self.row._fields if f is field)
+
+    def set(self, field, value):
+        """As somebody sets it: a choice, a tick, a number and Enter."""
+        widget = self.field(field)
+        if isinstance(widget, ui.input):
+            self.page.put(widget, str(value))
+            self.page.fire(widget, "keydown.enter")
+        else:
+            self.page.put(widget, bool(value) if isinstance(widget, ui.checkbox) else value)
+
+    @property
+    def text(self):
+        value = self.page.find("value-made")
+        return value.value if isinstance(value, ui.input) else value.text
+
+    @property
+    def words(self):
+        return self.row._words.text
+
+    @property
+    def flash(self):
+        return [c for c in self.page.find("value-made").classes if c.startswith("flash")]
+
+
+@pytest.fixture
+def made(page):
+    """made(place): a row; it is taken away again."""
+    all_made = []
+
+    def make(place):
+        all_made.append(Made(page, place))
+        return all_made[-1]
+
+    yield make
+    for one in all_made:
+        page.within(one.box.delete)
+
+
+def register(name, chip=PCL240MS):
+    return chip.MAP.register(name)
+
+
+def word(name, chip=PCL240MS):
+    return next(w for w in front.Front(chip).forms if w.name == name)
+
+
+def test_enter_writes_what_was_typed_and_what_is_no_number_is_said_and_not_written(page, made):
+    row = made(register("R1"))
+    row.look(7)
+    assert row.text == "7"
+    page.enter("value-made", "64h")
+    page.until(lambda: row.written)
+    assert row.written == [("R1", 100)]
+    assert row.text == "7", "what the chip holds, until it holds another"
+    for typed, said in (("1O0", "Did you mean 100?"), ("", "a number is missing"), ("8192", "-4096 to 8191 fit")):
+        page.enter("value-made", typed)
+        page.until(lambda s=said: s in page.error("value-made"))
+        assert row.text == typed
+    page.enter("value-made", "8191")
+    page.until(lambda: len(row.written) == 2)
+    assert row.written[1] == ("R1", 8191)
+    assert not page.error("value-made")
+
+
+@pytest.mark.parametrize("way", ["escape", "blur"])
+def test_what_is_being_typed_stays_until_it_is_taken_back(page, made, way):
+    row = made(register("R1"))
+    row.look(7)
+    page.fire("value-made", "keydown", {"key": "Tab"})
+    row.look(8)
+    assert row.text == "8", "who passes by with Tab types nothing"
+    page.fire("value-made", "keydown", {"key": "1"})
+    page.settled()
+    page.put("value-made", "12")
+    row.look(9)
+    assert row.text == "12"
+    page.enter("value-made", "1x")
+    page.until(lambda: page.error("value-made"))
+    page.fire("value-made", *(("keydown", {"key": "Escape"}) if way == "escape" else ("blur",)))
+    page.until(lambda: row.text == "9")
+    assert not page.error("value-made")
+    row.look(10)
+    assert row.text == "10"
+    assert not row.written
+
+
+def test_a_value_that_changes_flashes_and_another_axis_does_not(made):
+    row = made(register("R1"))
+    seen = []
+    for value in (5, 5, 6, 6, 7, 8):
+        row.look(value)
+        seen.append(row.flash)
+    assert seen == [[], [], ["flash-a"], ["flash-a"], ["flash-b"], ["flash-a"]]
+    row.row.look({"another": 3})
+    assert row.text == "8"
+    row.row.forget()
+    row.look(9)
+    assert (row.text, row.flash) == ("9", ["flash-a"])
+
+
+def test_who_looks_at_another_axis_types_no_more(page, made):
+    row = made(register("R1"))
+    row.look(7)
+    page.fire("value-made", "keydown", {"key": "1"})
+    page.settled()
+    row.row.forget()
+    row.look(8)
+    assert row.text == "8"
+
+
+def test_a_row_says_what_a_register_is_and_what_its_value_means(made):
+    for chip in (PCL240MS, HCTL1100):
+        for place in chip.MAP.registers:
+            row = made(place)
+            value = place.value(1 << place.bits - 2 | 1)
+            row.look(value)
+            can_write = "W" in place.access
+            assert (row.text, row.words) == (shown(place, value), meant(place, value))
+            assert isinstance(row.page.find("value-made"), ui.input) == can_write
+            texts = {getattr(e, "text", None) for e in row.box.descendants()}
+            assert {place.name, place.title, place.evidence} <= texts
+            titles = {e.props.get("title") for e in row.box.descendants()}
+            assert {f"{front.span(place)} {place.unit}", front.evidence(place.evidence)} <= titles
+            row.page.within(row.box.clear)
+
+
+def everything(field):
+    """Values of a field that differ: those of a list, else its ends and one between."""
+    most = (1 << field.high - field.low + 1) - 1
+    return list(choices(field)) or sorted({0, 1, most // 2, most})
+
+
+@pytest.mark.parametrize("name", ["R12", "R14", "R17"])
+def test_each_field_of_a_register_is_shown_and_writes_its_own_bits(page, made, name):
+    place = register(name)
+    row, most = made(place), (1 << place.bits) - 1
+    row.look(0)
+    row.open()
+    fields = [f for f in place.fields if not fixed(f)]
+    for held in (0x5A5A5A5A & most, most, 0):
+        row.look(held)
+        for field in fields:
+            widget, value = row.field(field), field.of(held)
+            if "W" not in field.access:
+                assert (widget.text, "on" in widget.classes) == lit(field, value)
+                continue
+            assert int(widget.value) == value, "also one that is in no list"
+            for other in everything(field):
+                if other == value:
+                    continue
+                row.written.clear()
+                row.set(field, other)
+                page.until(lambda: row.written)
+                page.settled()
+                assert row.written == [(name, with_field(held, field, other))]
+                row.look(with_field(held, field, other))
+                row.look(held)
+                page.settled()
+                assert int(widget.value) == value
+
+
+def test_a_field_that_is_a_number_says_what_is_none(page, made):
+    place = register("R17")
+    field = next(f for f in place.fields if not fixed(f) and not choices(f) and f.high > f.low)
+    row = made(place)
+    row.look(0)
+    row.open()
+    name = row.field(field)
+    for typed in ("x", str(1 << field.high - field.low + 1)):
+        page.put(name, typed)
+        page.fire(name, "keydown.enter")
+        page.until(lambda: page.error(name))
+        with pytest.raises(ArgumentError) as said:
+            front.number(typed, field.high - field.low + 1)
+        assert page.error(name) == str(said.value)
+        page.put(name, "1")
+        page.fire(name, "keydown.enter")
+        page.until(lambda: not page.error(name))
+    page.until(lambda: len(row.written) == 2)
+
+
+def test_fields_are_folded_again_and_stand_below_their_row(page, made):
+    row = made(register("R12"))
+    row.open()
+    area = page.until(lambda: row.row._area)
+    children = row.box.default_slot.children
+    assert children.index(area) == len(children) - 1
+    for visible in (False, True):
+        row.open()
+        page.until(lambda v=visible: area.visible == v)
+    assert len([e for e in row.box.descendants() if e is area]) == 1
+
+
+def test_fields_of_a_row_stand_before_the_next_row(page, made):
+    def both():
+        with page.client, ui.element("div") as box:
+            return box, rows.Row(register("R12"), None, "first"), rows.Row(register("R1"), None, "second")
+
+    box, first, _ = page.within(both)
+    page.click("fields-first")
+    children = box.default_slot.children
+    assert children.index(first._area) == len(children) // 2
+    page.within(box.delete)
+
+
+def test_a_word_that_nobody_can_see_is_put_together_of_its_fields_and_goes_out_by_send(page, made):
+    place = word("output")
+    row = made(place)
+    row.open()
+    fields = [f for f in place.fields if not fixed(f)]
+    chosen = {}
+    composed = place.fixed
+    for field in fields:
+        chosen[field.name] = value = everything(field)[-1]
+        row.set(field, value)
+        page.settled()
+        composed = with_field(composed, field, value)
+        assert (row.text, row.words) == (shown(place, composed), meant(place, composed))
+    assert composed & ~place.fixed, chosen
+    assert not row.written
+    page.click("send-made")
+    page.until(lambda: row.written)
+    assert row.written == [("output", composed)]
+    page.click("send-made")
+    page.until(lambda: len(row.written) == 2)
+    page.settled()
+    assert row.written[1] == row.written[0], "it stands there still, and can be sent again"
+    assert (row.text, row.words) == (shown(place, composed), meant(place, composed))
+    page.enter("value-made", str(place.fixed))
+    page.until(lambda: len(row.written) == 3)
+    page.settled()
+    assert (row.text, row.words) == (shown(place, place.fixed), meant(place, place.fixed))
+    page.put("value-made", "zz")
+    page.click("send-made")
+    page.until(lambda: page.error("value-made"))
+    assert len(row.written) == 3
+
+
+def test_a_number_in_a_word_that_is_put_together_keeps_to_its_own_bits_and_must_be_one(page, made):
+    """Two's complement is cut to the field; what is no number is said there, and no word is made of it."""
+    place = word("output")
+    row = made(place)
+    row.open()
+    stored = next(f for f in place.fields if f.name == "stored")
+    other = next(f for f in place.fields if choices(f) and f.low > stored.high)
+    row.set(stored, -1)
+    page.settled()
+    before = with_field(place.fixed, stored, -1)
+    assert row.text == shown(place, before)
+    row.set(other, 1)
+    page.settled()
+    both = with_field(before, other, 1)
+    assert row.text == shown(place, both)
+    page.put(row.field(stored), "x")
+    row.set(other, 0)
+    page.until(lambda: page.error(row.field(stored)))
+    assert row.text == shown(place, both)
+    row.set(stored, 1)
+    page.settled()
+    assert row.text == shown(place, with_field(place.fixed, stored, 1))
+
+
+def test_a_word_that_a_host_reads_lights_its_lamps_and_is_gone_where_it_cannot_be_seen(page):
+    lamps = front.Front(PCL240MS).lamps
+    assert lamps
+
+    def build(place):
+        with page.client, ui.element("div") as box:
+            return box, rows.WordRow(place)
+
+    for place in lamps:
+        box, row = page.within(lambda p=place: build(p))
+        for value in ((1 << place.bits) - 1, 0, 0x55 & (1 << place.bits) - 1):
+            row.look({place.name: value})
+            assert row._line.visible
+            assert row._head.text == f"{place.name} {shown(place, value)}"
+            assert [(lamp.text, "on" in lamp.classes) for _, lamp in row._lamps] == [
+                lit(f, f.of(value)) for f in place.fields
+            ]
+        row.look({})
+        assert not row._line.visible
+        row.look({place.name: 1})
+        row.forget()
+        row._head.text = "of another axis"
+        row.look({place.name: 1})
+        assert row._head.text == f"{place.name} {shown(place, 1)}"
+        page.within(box.delete)
+
+
+def test_a_register_of_the_chip_is_written_on_its_page_and_of_the_chip_of_that_page(served, page):
+    session = served.session
+    page.put("chip-1", True)
+    page.until(lambda: page.all("value-1-R1"))
+    page.enter("value-1-R1", "321")
+    page.until(lambda: page.find("value-1-R1").value == "321")
+    held = session.do(lambda stage: [chip.values_of(0)["R1"] for chip in stage.chips])
+    assert held == [0, 321]
+    assert not page.said
