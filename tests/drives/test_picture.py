@@ -49,7 +49,8 @@ def test_the_picture_shows_the_measured_curve_and_names_motor_voltage_and_micros
 
 def test_several_motors_share_one_picture(table, tmp_path):
     other = Drive("SS2422-5041")
-    figure = plot_motors([(Drive(), table), (other, pull_out_table(other, RPM))], str(tmp_path / "m.png"))
+    shorter = table._replace(**{name: getattr(table, name)[:2] for name in table._fields[:6]})
+    figure = plot_motors([(Drive(), shorter), (other, pull_out_table(other, RPM))], str(tmp_path / "m.png"))
     (ax,) = figure.axes
     assert len(ax.lines) == 2
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("speed (rpm)", "pull-out torque (N m)")
