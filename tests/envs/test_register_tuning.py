@@ -224,3 +224,35 @@ def test_a_move_costs_what_was_seen_of_it(monkeypatch, finished, lost, vibration
     assert tuple(info["reward_parts"].values()) == pytest.approx(parts)
     assert reward == pytest.approx(sum(parts))
     assert observation[2:] == pytest.approx(seen, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("took", "pulses", "off", "steps", "seen"),
+    [
+        (0.1, 400, 0.0, 0, (True, False, False)),
+        (0.1, 399, 0.0, 0, (False, True, False)),
+        (-0.1, 399, 0.0, 0, (False, False, False)),
+        (-0.1, 400, 0.0, 0, (False, False, False)),
+        (0.1, 400, 49e-6, 0, (True, False, False)),
+        (0.1, 400, 51e-6, 0, (True, False, True)),
+        (0.1, 400, -51e-6, 0, (True, False, True)),
+        (0.1, 400, 0.0, -4, (True, False, True)),
+    ],
+)
+def test_a_move_is_finished_stopped_or_late_and_has_lost_its_place_on_either_side(took, pulses, off, steps, seen):
+    """took: s until its chip had stopped, negative where it had not"""
+    from stage.sim.fleet import Played
+
+    env = gymnasium.make("stage/RegisterTuning-v0", model="xy", disable_env_checker=True).unwrapped
+    env.reset(seed=1)
+    task = env._task
+    trial, truth = task.trial, task.fleet.truth()[:, task.axis.index].copy()
+    truth["pulses"], truth["lost_steps"] = pulses, steps
+    truth["position"] = truth["commanded"] + off
+    results = np.zeros((1, 400), np.int64)
+    results[0, trial.stop] = round(took * 1e9)
+    results[0, trial.rest] = round(2e-4 * 1e12)
+    found = trial.seen(Played(results, np.zeros((1, 4, 2)), np.zeros(1, bool)), truth, np.array([400]))
+    assert (bool(found.finished[0]), bool(found.stopped[0]), bool(found.lost[0])) == seen
+    assert found.duration[0] == pytest.approx(0.1)
+    assert found.vibration[0] == pytest.approx(2e-4)
