@@ -13,6 +13,8 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from stopping import stops
+
 from stage import bench
 from stage.bench.cards import CARDS
 from stage.bench.shipped import OWN
@@ -52,4 +54,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with stops("entries that are written are kept, and the same command goes on after them."):
+        main()

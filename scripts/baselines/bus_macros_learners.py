@@ -12,11 +12,17 @@ ppo   MaskablePPO of sb3-contrib; for one axis it took some eight times as many 
 
 A curriculum up to --level, with easier episodes mixed in. From time to time (EVERY) the policy plays VALIDATION machines of
 train, on which it does not learn. A level ends when it has solved MASTERED of them, or when its steps are spent; its best policy
-goes on, and the temperature at which that one acts is chosen on the same machines. Learning has settings of its own for what the
-task lets one choose: `discount` is the learner's (so that progress changes no optimum), and a macro costs MACRO, that dawdling
-shows; validation and tests have the task's own. `learn` writes for each level the policy, its temperature, and the curve so far:
-a CSV with a row for each of these times. `evaluate` plays the test episodes of a policy's level, by the ways that the targets
-lie. `submit` plays those of the bench and packs them, see docs/benchmark.md. Needs the extra `rl`.
+goes on, and the temperature at which that one acts is chosen on the same machines.
+
+Learning has settings of its own for what the task lets one choose; validation and tests have the task's own. A macro costs MACRO,
+that dawdling shows. The way of an axis is worth as much at each level (PROGRESS; the task has the mean of the axes), so that a
+step of it pays for its macros. `discount` is the task's 1, not the learner's GAMMA: with that, an episode that fails gives most
+of its progress back, and standing far away is paid for, so a policy that does not yet succeed has little to go by, and goes round
+in circles of macros that move nothing.
+
+`learn` writes for each level the policy, its temperature, and the curve so far: a CSV with a row for each of these times. A run of
+the same seed learns the same again. `evaluate` plays the test episodes of a policy's level, by the ways that the targets lie.
+`submit` plays those of the bench and packs them, see docs/benchmark.md. Needs the extra `rl`.
 """
 
 from __future__ import annotations
@@ -35,6 +41,7 @@ from bus_macros_turned import Mixed, Turn, Turned
 from learning import cost_of, parser_of, wilson
 from sb3_contrib import MaskablePPO
 from stable_baselines3.common.callbacks import BaseCallback
+from stopping import stops
 
 from stage import bench
 from stage.bench.cards import FIRST
@@ -47,6 +54,7 @@ LEVELS = {"target": 163_840, "axes": 262_144, "origin": 393_216}
 LONGER = {"dqn": 1, "ppo": 8}
 LANES = {"dqn": 32, "ppo": 64}
 GAMMA, MACRO = 0.99, 0.03  # of learning
+PROGRESS = {"target": 2.0, "axes": 4.0, "origin": 4.0}
 TEMPERATURE = (
     0.05  # of a policy while it learns: macros that are nearly worth the same take turns, so none goes round in circles
 )
@@ -57,7 +65,8 @@ EVERY = {"target": 8_192, "axes": 8_192, "origin": 24_576}  # steps, of which or
 
 
 def vector(method: str, level: str, seed: int) -> Any:
-    envs: Any = StageVecEnv(ID, LANES[method], threads=1, level=level, discount=GAMMA, macro_weight=MACRO)
+    settings = {"level": level, "macro_weight": MACRO, "progress_weight": PROGRESS[level]}
+    envs: Any = StageVecEnv(ID, LANES[method], threads=1, **settings)
     return Turned(Mixed(envs, level, seed), behind=method == "dqn")
 
 
@@ -194,6 +203,7 @@ def learn(method: str, seed: int, times: float, top: str, folder: Path) -> None:
             model.set_env(envs)
             if method == "dqn":
                 model.again()
+        envs.seed(10_000 * (seed + 1) + 1_000 * list(LEVELS).index(level))
         model.learn(int(steps * LONGER[method] * times), callback=told, reset_num_timesteps=False)
         path.with_suffix(".json").write_text(json.dumps(told.ended()))
         envs.close()
@@ -233,4 +243,5 @@ def submit(path: Path, splits: list[str], tasks: list[str], folder: Path) -> Non
 if __name__ == "__main__":
     parser = parser_of(__doc__, ("dqn", "ppo"), 1.0, learn, submit, TASKS, tuple(LEVELS), evaluate)
     args = parser.parse_args()
-    args.run(args)
+    with stops("levels that are done have their policies, all their curves; the same command learns the run anew."):
+        args.run(args)

@@ -21,8 +21,8 @@ from stable_baselines3.common.vec_env import VecEnvWrapper
 OF_AXES = ("used", "selected", "moves", "arrived")
 EASIER: dict[str, dict[tuple[str, int | None], float]] = {
     "target": {("move", None): 0.5},
-    "axes": {("target", None): 0.2, ("axes", 0): 0.4},
-    "origin": {("axes", None): 0.2, ("axes", 0): 0.1, ("origin", 1): 0.2},
+    "axes": {("axes", 0): 0.4, ("axes", 64): 0.1, ("target", None): 0.1},
+    "origin": {("axes", None): 0.2, ("axes", 0): 0.1, ("origin", 1): 0.3},
 }
 """Of a level the shares of other episodes: their level, and how near one axis has its target: 0, there; 1, at its origin."""
 

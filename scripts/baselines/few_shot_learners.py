@@ -24,6 +24,7 @@ from learning import Curve, Noted, cost_of, parser_of, save
 from sb3_contrib import RecurrentPPO
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecEnvWrapper
+from stopping import stops
 
 from stage import bench
 from stage.envs.sb3 import StageVecEnv
@@ -115,4 +116,5 @@ def submit(path: Path, splits: list[str], tasks: list[str], folder: Path) -> Non
 if __name__ == "__main__":
     parser = parser_of(__doc__, tuple(METHODS), STEPS, learn, submit, (TASK,))
     args = parser.parse_args()
-    args.run(args)
+    with stops("the curve so far, and what was written before; the same command learns the run anew."):
+        args.run(args)

@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from stopping import stops
 
 from stage import bench, pictures
 from stage.bench.cards import OPEN
@@ -165,7 +166,8 @@ def main() -> None:
     p.add_argument("--picture", type=Path, default=PICTURE, metavar="FILE.png")
     p.set_defaults(run=lambda a: (a.runs and pack(a.runs, a.data), draw(a.data, a.picture)))
     args = parser.parse_args()
-    args.run(args)
+    with stops("runs that are done are kept, and the same command goes on after them."):
+        args.run(args)
 
 
 if __name__ == "__main__":

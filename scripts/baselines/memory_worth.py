@@ -19,6 +19,7 @@ from dataclasses import replace
 import numpy as np
 from boldness import BOLDNESS, Table, learned, tabulate
 from rules import TRIES, Remembering
+from stopping import stops
 
 FROM, STARTS = 2000, 6
 
@@ -59,4 +60,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with stops("rows above are whole, nothing else is kept."):
+        main()

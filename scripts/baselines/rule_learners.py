@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 from boldness import learned, tabulate
 from rules import RULES, Bold, Rule
+from stopping import stops
 
 from stage import bench
 from stage.bench.cards import CARDS, FIRST, OPEN
@@ -208,7 +209,8 @@ def main() -> None:
     p.add_argument("--round", default=OPEN, metavar="WORD", help="whose test episodes (default: the open ones)")
     p.set_defaults(run=lambda a: [submit(path, a.splits, a.out, a.round) for path in a.policy])
     args = parser.parse_args()
-    args.run(args)
+    with stops("runs that are done are kept, and the same command goes on after them."):
+        args.run(args)
 
 
 if __name__ == "__main__":

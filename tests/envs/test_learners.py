@@ -165,6 +165,31 @@ def test_axes_are_seen_by_their_role_and_macros_are_those_of_the_environment_aga
     ]
 
 
+def test_to_a_learner_the_way_of_an_axis_is_worth_as_much_with_a_second_axis_as_without():
+    pytest.importorskip("sb3_contrib")
+    import bus_macros_learners as learners
+
+    def progress(level, **targets):
+        weight = learners.PROGRESS[level]
+        env = gymnasium.make(learners.ID, disable_env_checker=True, level=level, progress_weight=weight).unwrapped
+        env.reset(seed=1, options={"targets": targets})
+        said = ("rates usual", "distance 1024", "plus", "wait")
+        return sum(env.step(env.macros.index(m))[-1]["reward_parts"]["progress"] for m in said)
+
+    alone = progress("target", x=2048)
+    assert alone > 0.1
+    assert progress("axes", x=2048, y=0) == pytest.approx(alone, abs=1e-3)
+
+
+def test_a_learner_that_is_stopped_says_what_is_kept_and_ends_as_shells_have_it(capsys):
+    from stopping import stops
+
+    with pytest.raises(SystemExit) as stopped, stops("two runs are kept."):
+        raise KeyboardInterrupt
+    assert stopped.value.code == 130
+    assert "two runs are kept." in capsys.readouterr().err
+
+
 @pytest.mark.slow
 def test_dqn_never_takes_a_macro_that_is_masked_and_learns_one_axis_in_a_minute(tmp_path):
     pytest.importorskip("sb3_contrib")
