@@ -55,7 +55,7 @@ CORRECTIONS = 6  # an axis
 
 
 @dataclass(frozen=True)
-class Config(Machines, synchronized_move.Config):  # type: ignore[misc]
+class Config(Machines, synchronized_move.Config):
     """Settings of SynchronizedLine, beside those of hidden machines and of SynchronizedMove."""
 
     distances: Counts = (1_600, 12_000)  # pulses of each axis, drawn evenly by their logarithm, with any sign

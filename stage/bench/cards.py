@@ -57,10 +57,10 @@ class Card:
 
     def machines(self, split: str) -> str:
         """What machines a split has, in words; all of "train", of another what is not as in train."""
-        task = gymnasium.envs.registration.load_env_creator(str(gymnasium.spec(self.id).entry_point)).task  # type: ignore[attr-defined]
+        made: Any = gymnasium.envs.registration.load_env_creator(str(gymnasium.spec(self.id).entry_point))
         values = {**contexts.SPLITS[split]}
         values |= {name: value for name, value in self.settings.items() if name in values}
-        faults = [name for name in values.pop("faults", ()) if name in task.Config.FAULTS]
+        faults = [name for name in values.pop("faults", ()) if name in made.task.Config.FAULTS]
         words = [
             f"{name} {values[ranges][0]:g} to {values[ranges][1]:g} {text}"
             for name, (ranges, text) in contexts.KINDS.items()
