@@ -208,6 +208,25 @@ def test_with_epclr_the_stop2_that_ends_a_drive_clears_ep(make, clears):
 
 
 @pytest.mark.parametrize("make", OLDER)
+@pytest.mark.parametrize("clears", [False, True])
+def test_with_epclr_the_stop2_that_ends_a_home_search_clears_ep_whether_it_is_enabled_or_not(make, clears):
+    chip = make()
+    load_304(chip, R=8_000_000, SV=8000, V=8000, A=400)
+    for name, value in {"HV": 4000, "HM": 0x0010}.items():  # step 3 alone, plus
+        for cycle in chip.register_cycles(name, value):
+            chip.write(*cycle)
+    put(chip, 0x0A, 777)
+    command(chip, 0x0F)
+    chip.write(1, 0x0040 * clears)
+    command(chip, 0x62)
+    chip.advance(10 * PERIOD)
+    assert driving(chip)
+    chip.axes[0].pins.stop2 = True
+    assert not driving(chip)
+    assert get(chip, 0x11) == (0 if clears else 777)
+
+
+@pytest.mark.parametrize("make", OLDER)
 def test_with_outsl_the_outputs_show_comparisons_and_ramps(make):
     chip = make()
     load_304(chip, R=8_000_000, SV=100, V=4000, A=100, P=2000, AO=0)
