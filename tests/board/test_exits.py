@@ -60,6 +60,17 @@ def test_firmware_that_ends_the_process_is_an_error_that_says_so_and_the_board_g
 
 
 @here_only
+@pytest.mark.parametrize("flags", [("-fno-plt", "-nostartfiles"), ("-Wl,-z,lazy",)], ids=" ".join)
+def test_a_call_is_caught_in_whichever_table_the_linker_has_put_it(board, flags):
+    """with -fno-plt there is no table of calls, and exit is among the other addresses"""
+    h = NativeHost(
+        firmware(f"{HEADERS}PULSESTAGE_MAIN {{ if (ps_in8(0x500) == 255) exit(7); return 0; }}", *flags), board
+    )
+    with pytest.raises(HostError, match=r"exit\(7\)"):
+        h.run()
+
+
+@here_only
 def test_an_exit_in_an_interrupt_hook_in_a_thread_or_in_a_library_beside_it_is_one_too(board, tmp_path):
     # driver.c starts a thread that says exit(0); driver.so needs libmotion.so, which says exit(0)
     thread = "static void *other(void *a) { exit(0); return a; } PULSESTAGE_MAIN { pthread_t t; pthread_create(&t, 0, other, 0);"

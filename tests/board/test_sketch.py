@@ -42,6 +42,14 @@ def test_errors_are_of_the_lines_of_the_sketch(tmp_path):
     assert lines[at - 1] == f'#line 3 "{tmp_path / "b.ino"}"'
 
 
+def test_a_brace_too_many_hides_no_function_behind_it(tmp_path):
+    """as of `#if` and `#else` that both end a block"""
+    assert prototypes(translated({tmp_path / "a.ino": "int f() {}\n}\nint g(int a) { return a; }\n"})) == [
+        "int f();",
+        "int g(int a);",
+    ]
+
+
 @pytest.mark.parametrize("text", ["", "#define X 1\n", "int x = f();\n"])
 def test_a_sketch_without_a_function_is_left_as_it_is(text, tmp_path):
     assert translated({tmp_path / "a.ino": text}) == f'#include <Arduino.h>\n#line 1 "{tmp_path / "a.ino"}"\n{text}\n'

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import sys
+import threading
 from types import SimpleNamespace
 
 import mujoco
@@ -171,6 +173,48 @@ def test_a_stream_is_flushed_as_rarely_as_asked_for(tmp_path):
     assert "<svg" not in bench.recording._repr_html_()
     assert bench.recording.stream(tmp_path / "x.rrd", seconds=1e9) is bench.recording
     bench.recording.close()
+
+
+def test_a_chip_that_goes_on_after_it_went_back_is_found_out_as_well(tmp_path):
+    """before = chip.snapshot(); a write at 1000; chip.restore(before); a write at 0; then on to 5000"""
+    bench = make_bench()
+    before = bench.chip.snapshot()
+    bench.chip.advance(1000)
+    bench.chip.write(0, 0x08)
+    bench.chip.restore(before)
+    bench.chip.write(0, 0x08)
+    bench.chip.advance(5000)
+    with pytest.raises(RecordingError, match=r"went back in time while it was recorded \(axis x\)"):
+        bench.recording.save(tmp_path / "x.rrd")
+
+
+def test_a_pipe_that_is_there_gets_what_a_file_would(tmp_path):
+    """mkfifo x.rrd; cat x.rrd > y.rrd & stage.record(path="x.rrd")"""
+    bench, path, got = make_bench(), tmp_path / "x.rrd", []
+    os.mkfifo(path)
+    reader = threading.Thread(target=lambda: got.append(path.read_bytes()), daemon=True)
+    reader.start()
+    bench.recording.stream(path)
+    feed(bench.recording, 2)
+    bench.recording.close()
+    reader.join(10)
+    assert got[0].startswith(saved.MAGIC)
+    assert path.is_fifo()
+
+
+def test_a_file_that_can_grow_no_further_is_closed_and_nobody_collects_for_it(tmp_path, monkeypatch):
+    bench = make_bench()
+    bench.recording.stream(tmp_path / "x.rrd")
+    log = bench.recording._log
+
+    def full():
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(log, "take", full)
+    with pytest.raises(RecordingError, match=r"No space left on device.*It ends with the last flush"):
+        bench.recording.flush()
+    assert log._sink._file.closed
+    assert not log._sink._thread.is_alive()
 
 
 def test_a_notebook_gets_the_dashboard_of_what_is_neither_nothing_nor_too_much(monkeypatch):

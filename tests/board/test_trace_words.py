@@ -1,0 +1,135 @@
+"""A line of the trace in words: how often, how many ticks were missed; timers of one board, and refusals of hooks in words."""
+
+from __future__ import annotations
+
+import pytest
+
+from stage import Stage
+from stage.board import Board
+from stage.board.host import CALLED, LEVEL, OF_LEVEL, ON_LINE, RAISE, RETURNED, TIMER
+from stage.board.interrupts import FIRST_SOFTWARE, FIRST_TIMER, SOFTWARE_LINE
+from stage.board.trace import Cycle, _interrupt
+
+
+@pytest.fixture
+def board():
+    return Board(Stage("xy", visuals=False))
+
+
+@pytest.mark.parametrize(
+    ("missed", "said"),
+    [(0, ""), (1, " (1 tick was missed)"), (2, " (2 ticks were missed)"), (1234, " (1,234 ticks were missed)")],
+)
+def test_ticks_that_were_missed_are_counted_in_words(missed, said):
+    assert _interrupt(CALLED, 0, missed) == f"interrupt: the hook is called{said}"
+    assert _interrupt(RETURNED, 0, 0) == "interrupt: the hook returns"
+
+
+@pytest.mark.parametrize(
+    ("times", "said"), [(1, ""), (2, "2 times until 0.000002000"), (31204, "31,204 times until 0.000002000")]
+)
+def test_a_line_says_how_often_and_until_when(times, said):
+    shown = str(Cycle(1e-6, 2e-6, times, "R", 0x300, 0x40, 8, False, "it reads"))
+    assert shown == f"{'0.000001000':>17}  300h R 40h    {'it reads':56}  {said}".rstrip()
+    assert str(Cycle(1e-6, 2e-6, 1, "W", 0x302, 0x40, 16, False, "a word")).split() == [
+        "0.000001000",
+        "302h",
+        "W",
+        "0040h",
+        "a",
+        "word",
+    ]
+
+
+def test_a_read_that_is_repeated_twice_is_one_line(board):
+    board.in8(0x500), board.in8(0x500), board.in8(0x502), board.in8(0x500)
+    assert [(c.port, c.times) for c in board.trace] == [(0x500, 2), (0x502, 1), (0x500, 1)]
+
+
+def test_a_timer_that_its_hook_sets_anew_has_forgotten_the_ticks_of_before(board):
+    """a hook every 10 us takes 25, then asks for another every 100: that comes 100 us later"""
+    at = []
+
+    def slow():
+        board.delay_us(25)
+        board.on_timer(100, lambda: at.append(board.stage.now))
+        at.append(board.stage.now)
+
+    board.on_timer(10, slow)
+    board.delay_us(150)
+    assert at == [35_000, 135_000]
+    assert "missed" not in str(board.trace)
+
+
+@pytest.mark.parametrize("n", range(4))
+def test_each_timer_of_python_has_its_own_period_and_missed_ticks(board, n):
+    """period 10 us, 25 us of delay in the hook: two ticks come meanwhile, of which the flag holds one"""
+    at = []
+
+    def slow():
+        at.append(board.stage.now)
+        if len(at) == 1:
+            board.delay_us(25)
+
+    board.on_timer(10, slow, n=n)
+    board.delay_us(60)
+    assert at == [10_000, 35_000, 40_000, 50_000, 60_000]
+    called = [c.meaning for c in board.trace if c.way == "I"]
+    assert called[:3] == [
+        f"interrupt: timer {n} of Python is called", f"interrupt: timer {n} of Python is called (1 tick was missed)",
+        f"interrupt: timer {n} of Python is called",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("levels", "order"),
+    [((1, 1, 1), [0, 1, 2]), ((1, 3, 2), [1, 2, 0]), ((2, 2, 5), [2, 0, 1]), ((15, 15, 1), [0, 1, 2])],
+)
+def test_of_timers_that_are_due_at_once_the_highest_level_comes_first_and_of_one_level_the_first(board, levels, order):
+    at = []
+    for n, level in enumerate(levels):
+        board.on_timer(10, lambda n=n: at.append(n), n=n, level=level)
+    board.delay_us(10)
+    assert at == order
+
+
+@pytest.mark.parametrize(
+    ("what", "a", "b", "said"),
+    [
+        (TIMER, 8, 1000, "ps_timer(8, ...), period 1000 ns: timers are 0 to 7, a period 0 (off) to 1e18 ns"),
+        (
+            ON_LINE,
+            2,
+            0,
+            "ps_on_line(2, ...): this board has lines 0 to 1, and software interrupts PS_SOFTWARE(0) to PS_SOFTWARE(7)",
+        ),
+        (LEVEL, 16, 0, "ps_level(16): levels are 0 to 15"),
+        (RAISE, 8, 0, "ps_raise(8): software interrupts are 0 to 7"),
+        (TIMER | OF_LEVEL, 3, 0, "level 0 of timer 3: levels of hooks are 1 to 15"),
+        (ON_LINE | OF_LEVEL, 1, 16, "level 16 of line 1: levels of hooks are 1 to 15"),
+        (ON_LINE | OF_LEVEL, SOFTWARE_LINE + 3, 16, "level 16 of PS_SOFTWARE(3): levels of hooks are 1 to 15"),
+    ],
+)
+def test_a_request_that_makes_no_sense_is_refused_with_what_it_was_and_what_there_is(board, what, a, b, said):
+    board.delay_us(1500)
+    assert board.link.hooks.refused(what, a, b) == f"{said}; at 0.001500 s."
+
+
+@pytest.mark.parametrize(
+    ("source", "period", "said"),
+    [
+        (-1, 0, "hooks of interrupts interrupt each other without end, at 0.000000 s"),
+        (0, 0, "the interrupt hook was called 1,000 times in a row at 0.000000 s and the line is still asserted"),
+        (2, 0, "the hook of line 1 was called 1,000 times in a row at 0.000000 s and the line is still asserted"),
+        (
+            FIRST_SOFTWARE + 2,
+            0,
+            "the hook of software interrupt 2 was called 1,000 times in a row at 0.000000 s and is raised again",
+        ),
+        (FIRST_TIMER + 1, 2500, "is due again: it takes longer than its period of 2.5 us, so that nothing else runs."),
+    ],
+)
+def test_a_storm_says_whose_hook_it_is_and_why_it_comes_again(board, source, period, said):
+    if period:
+        board.link.hooks.sources[source]["period"] = period
+    assert said in board.link.hooks.storm(source)

@@ -1,0 +1,120 @@
+"""How a move becomes a trial's measures: when the tool is quiet, what counts as failed, what several moves are together."""
+
+from __future__ import annotations
+
+from contextlib import nullcontext
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from stage.chips import PCL240K
+from stage.study import PresetMoves, objectives, suggest
+from stage.study.objectives import FAILED, SPACE, _measure, _together
+
+SECONDS = np.array([-0.1, 0.0, 0.1, 0.2, 0.3, 0.4])
+"""Of the samples since the first pulse; a move takes 0.2 s."""
+
+
+def measured(monkeypatch, away, ok=True, lost=0, band=1e-3, camera=None):
+    """Of a move of 100 pulses against the joint's positive direction, of whose place the tool is so far away at SECONDS."""
+    asked = []
+    axis = SimpleNamespace(commanded=0.5, meters_per_pulse=2e-3, gear=-300.0)
+    columns = {"time": 5.0 + 0.25 + SECONDS, "x/position": 0.3 + np.array(away)}
+    recording = SimpleNamespace(
+        column=columns.__getitem__,
+        pieces=lambda: [{"qpos": np.array([[0, c] for c in part])} for part in np.split(camera, 2)],
+    )
+    names = ["x"] if camera is None else ["x", "camera_x"]
+    joints = [SimpleNamespace(name=name, qposadr=[k]) for k, name in enumerate(names)]
+    stage = SimpleNamespace(
+        axes={"x": axis}, time=5.0, record=lambda every: nullcontext(recording), run=asked.append,
+        model=SimpleNamespace(njnt=len(joints), joint=joints.__getitem__),
+    )  # fmt: skip
+    report = SimpleNamespace(began=0.25, duration=0.2, ok=ok, lost_steps=lost)
+    monkeypatch.setattr(objectives.firmware, "preset_move", lambda *given: asked.append(given[1:]) or report)
+    found = _measure(stage, "x", "a profile", 100, band, 0.7)
+    assert asked == [(100, "a profile"), 0.7]
+    assert found["duration"] == 0.2
+    return found
+
+
+@pytest.mark.parametrize(
+    ("away", "score"),
+    [
+        ([0, 0, 0, 0, 0, 0], 0.2),  # never away: the move's own time
+        ([0.2, 0.1, 2e-3, 0, 0, 0], 0.2),  # quiet at its end
+        ([0.2, 0.1, 0.1, 2e-3, 0, 0], 0.3),  # quiet at the sample behind the last that is outside
+        ([0.2, 0.1, 0.1, 0, -2e-3, 0], 0.4),  # the other side counts as well
+        ([0.2, 0.1, 0.1, 0, 0, 2e-3], 0.4 + FAILED),  # the last sample is outside
+        ([0.2, 0.1, 0.1, 0.9e-3, 0.9e-3, -0.9e-3], 0.2),  # it moves within the band
+    ],
+)
+def test_a_move_counts_until_the_tool_stays_within_its_band(monkeypatch, away, score):
+    assert measured(monkeypatch, away)["score"] == pytest.approx(score)
+
+
+def test_a_move_that_did_not_do_as_asked_has_failed_and_what_nobody_knows_is_not_lost(monkeypatch):
+    quiet = [0.0] * 6
+    failed = measured(monkeypatch, quiet, ok=False, lost=-4)
+    assert (failed["score"], failed["reached"], failed["lost_steps"]) == (pytest.approx(0.2 + FAILED), 0, -4)
+    unknown = measured(monkeypatch, quiet, lost=None)
+    assert (unknown["score"], unknown["reached"], unknown["lost_steps"]) == (pytest.approx(0.2), 1, 0)
+
+
+def test_a_vibration_is_half_of_the_swing_from_the_last_pulse_on(monkeypatch):
+    """the samples at 0.2, 0.3 and 0.4 s"""
+    assert measured(monkeypatch, [9, 9, 9, 3e-3, -1e-3, 0])["vibration"] == pytest.approx(2e-3)
+
+
+def test_the_tool_of_a_mast_is_its_carriage_and_the_bend_of_the_mast(monkeypatch):
+    """the camera is 2 mm off to the other side: the carriage alone would not be quiet"""
+    away = np.array([0, 0, 0, 0, 2e-3, 2e-3])
+    assert measured(monkeypatch, away, camera=-away)["score"] == pytest.approx(0.2)
+    assert measured(monkeypatch, np.zeros(6), camera=away)["score"] == pytest.approx(0.4 + FAILED)
+
+
+def test_moves_together_are_the_mean_score_all_their_time_and_the_worst_vibration():
+    moves = [
+        {"score": 1.0, "duration": 0.5, "lost_steps": 4, "reached": 1, "vibration": 3.0},
+        {"score": 4.0, "duration": 0.25, "lost_steps": -8, "reached": 0, "vibration": 2.0},
+        {"score": 1.0, "duration": 0.25, "lost_steps": 0, "reached": 1, "vibration": 1.0},
+    ]
+    assert _together(moves) == {"score": 2.0, "duration": 1.0, "lost_steps": 12, "reached": 2, "vibration": 3.0}
+    assert _together(moves[1:2]) == {"score": 4.0, "duration": 0.25, "lost_steps": 8, "reached": 0, "vibration": 2.0}
+
+
+def test_a_trial_measures_the_moves_of_its_objective(monkeypatch):
+    """axis y, a start, a band and a rest of its own, three moves; and of one number one move"""
+    asked, told = [], []
+    move = {"score": 1.0, "duration": 1.0, "lost_steps": 0, "reached": 1, "vibration": 0.0}
+    monkeypatch.setattr(
+        objectives, "_measure",
+        lambda stage, name, profile, *given: asked.append((name, round(stage.axes["y"].position, 3), *given)) or move,
+    )  # fmt: skip
+    registers = {"R1": 20, "R2": 640, "R4": 400, "R5": 400, "R7": 12}
+    own = {"model": "xy", "axis": "y", "start": 0.02, "band": 3e-6, "rest": 0.125}
+    PresetMoves(**own, pulses=(10, -20, 30)).measure(
+        registers, 1, lambda k, so_far: told.append((k, so_far["duration"]))
+    )
+    assert asked == [("y", 0.02, 10, 3e-6, 0.125), ("y", 0.02, -20, 3e-6, 0.125), ("y", 0.02, 30, 3e-6, 0.125)]
+    assert told == [(0, 1.0), (1, 2.0)], "after each but the last"
+    asked.clear()
+    PresetMoves(**own, pulses=7).measure(registers, 1)
+    assert [given[2] for given in asked] == [7]
+
+
+def test_each_kind_of_text_is_asked_for_in_its_own_way():
+    """ranges even and on a log scale, some values, one"""
+    asked = []
+    trial = SimpleNamespace(
+        suggest_int=lambda name, low, high, log=False: asked.append((name, low, high, log)) or low,
+        suggest_categorical=lambda name, values: asked.append((name, values)) or values[-1],
+    )
+    found = suggest(trial, {"R1": "4:100:log", "R2": "400:2800", "R4": "10,20,40", "R7": 12})
+    assert asked == [("R1", 4, 100, True), ("R2", 400, 2800, False), ("R4", (10, 20, 40)), ("R7", 12, 12, False)]
+    assert found == {"R1": 4, "R2": 400, "R4": 40, "R7": 12}
+    assert {name: objectives.values_of(name, text) for name, text in SPACE.items()} == {
+        "R1": (4, 100, True), "R2": (400, 2800, False), "R4": (60, 800, True), "R5": (60, 800, True), "R7": (12,),
+    }  # fmt: skip
+    assert PresetMoves(model="xy")._chip is PCL240K
