@@ -117,6 +117,59 @@ def test_an_ls7166_is_told_by_its_control_words():
     )
 
 
+def test_a_master_reset_of_an_ls7166_is_that_of_all_its_registers_and_each_other_bit_of_its_own():
+    """PR 12_34_56h, counter elsewhere, the latch, both toggles, COMPT, SIGN; then MCR bit by bit"""
+
+    def used():
+        b = ls7166(0x123456, occr=4, qr=2)
+        for name, value in (("cntr", 0x654321), ("ol", 0x111111), ("pointer", 2), ("borrows", 1), ("carries", 1), ("compares", 1),
+                            ("sign", 1)):  # fmt: skip
+            b.registers[name] = value
+        return b
+
+    def told(b):
+        return {name: int(b.registers[name]) for name in b.registers.dtype.names if name not in ("seen", "up")}
+
+    before = told(used())
+    assert 0 not in before.values()
+    b = used()
+    b.write((1, 0x20))
+    assert told(b) == dict.fromkeys(before, 0) | {"pr": FULL - 1}
+    for bit, changes in (
+        (0x01, {"pointer": 0}), (0x02, {"ol": 0x654321}), (0x04, {"cntr": 0, "borrows": 0, "carries": 0, "sign": 0}),
+        (0x08, {"cntr": 0x123456}), (0x10, {"compares": 0}),
+    ):  # fmt: skip
+        b = used()
+        b.write((1, bit))
+        assert told(b) == before | changes, bit
+
+
+def test_bytes_of_an_ls7166_come_and_go_from_the_lowest_and_begin_again():
+    b = ls7166(0)
+    b.registers["cntr"] = 0x563412
+    b.write((1, 0x03))
+    assert [b.read(0) for _ in range(4)] == [0x12, 0x34, 0x56, 0x12]
+    b.write((1, 0x01), *((0, value) for value in (0x11, 0x22, 0x33, 0x44)))
+    assert b.registers["pr"] == 0x332244
+
+
+def test_modem_lines_of_a_uart_are_its_own_in_the_loop_and_else_those_of_a_peer_that_is_ready():
+    """MCR 00h to FFh: DTR is DSR, RTS is CTS, OUT1 is RI, OUT2 is DCD"""
+    for mcr in range(256):
+        b = uart((4, mcr))
+        assert b.read(4) == mcr & 0x1F
+        if mcr & 0x10:
+            dtr, rts, out1, out2 = (mcr >> k & 1 for k in range(4))
+            assert b.read(6) == rts << 4 | dtr << 5 | out1 << 6 | out2 << 7
+        else:
+            assert b.read(6) == 0xB0
+    b = uart((1, 0xFF), (7, 0xA5), (3, 0x5B))
+    assert (b.read(1), b.read(7), b.read(3)) == (0x0F, 0xA5, 0x5B)
+    for fcr, bits in ((0xC8, 0), (0xFF, 0xC0), (0x01, 0xC0), (0x00, 0)):
+        b = uart(fcr=fcr)
+        assert b.read(2) & 0xC0 == bits
+
+
 def test_a_reset_of_an_hctl2016_ends_the_inhibition_of_its_latch():
     b = Bare(HCTL2016(Encoder("x", per_metre=1e6)))
     b.counts[0] = 0x1234

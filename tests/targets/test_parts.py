@@ -233,6 +233,45 @@ def test_the_bytes_of_a_counter_come_as_its_access_says():
     assert (t.read(0x40), t.read(0x40)) == (0, 1)
 
 
+@pytest.mark.parametrize("anew", ["its control", "its value"])
+def test_systick_that_begins_anew_counts_and_flags_from_there(anew):
+    """a reload of 9: after 35 cycles it has run down three times; at 100 it begins anew, and 15 later it has run down once"""
+    now = [0]
+    nvic = Nvic(lambda: now[0], None)
+    control, reload, value, counts = 0xE010, 0xE014, 0xE018, 1 << 16
+    nvic.write(reload, 9, 4, 0), nvic.write(control, 3, 4, 0)
+    now[0] = 35
+    assert nvic.read(control) & counts
+    now[0] = 100
+    if anew == "its control":
+        nvic.write(control, 0, 4, 0)
+        assert nvic.read(control) & counts == nvic.read(value) == 0
+        nvic.write(control, 3, 4, 0)
+    else:
+        nvic.write(value, 0, 4, 0)
+    assert (nvic.read(control) & counts, nvic.read(value), nvic.alarm()) == (0, 9, 110)
+    now[0] = 115
+    assert [nvic.read(control) & counts, nvic.read(control) & counts, nvic.read(value)] == [counts, 0, 4]
+
+
+def test_a_latched_count_is_read_once_and_then_the_counter_goes_on():
+    """43h <- 00h latches channel 0; by two bytes, by the low one and by the high one"""
+    for access in (1, 2, 3):
+        now = [0]
+        timers = Timers(lambda now=now: now[0])
+        timers.write(0x43, access << 4 | 4)
+        for value in (0, 0x40) if access == 3 else (0x40,):
+            timers.write(0x40, value)
+        now[0] = 5
+        timers.write(0x43, 0)
+        first = timers.channels[0].count(5)
+        now[0] = 0x123
+        later = timers.channels[0].count(0x123)
+        parts = {1: lambda v: [v & 0xFF], 2: lambda v: [v >> 8], 3: lambda v: [v & 0xFF, v >> 8]}[access]
+        read = [timers.read(0x40) for _ in range(2 * len(parts(0)))]
+        assert read == parts(first) + parts(later), access
+
+
 def test_the_gate_of_channel_2_starts_it_and_the_refresh_toggles():
     now = [0]
     t = Timers(lambda: now[0])

@@ -1,0 +1,71 @@
+"""The line of a UART as Python sees it: its speed, what it has sent, when what it is fed arrives."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from stage import Stage
+from stage.board import Board
+from stage.board.devices import UART, uart_core
+
+BASE = 0x3F8
+
+
+def line(divisor=12, **options):
+    """A board with a UART, 8 bits, one stop bit, FIFOs."""
+    board = Board(Stage("xy", visuals=False))
+    uart = board.put(UART(**options), BASE)
+    for n, value in ((3, 0x83), (0, divisor & 0xFF), (1, divisor >> 8), (3, 3), (2, 1)):
+        board.out8(BASE + n, value)
+    return board, uart
+
+
+@pytest.mark.parametrize(
+    ("clock", "divisor", "baud"), [(1_843_200, 12, 9600), (3_686_400, 12, 19_200), (16_000_000, 1, 1e6), (1, 0, 0)]
+)
+def test_the_speed_is_that_of_its_own_crystal_and_divisor(clock, divisor, baud):
+    assert line(divisor, clock=clock)[1].baud == baud
+
+
+def test_what_is_fed_later_comes_behind_and_does_not_hold_up_what_is_on_its_way():
+    """two bytes, and half a character later one more: they arrive a character apart from the first feed on"""
+    board, uart = line()
+    character = uart._character
+    assert character == pytest.approx(10 / 9600 * 1e9, abs=1)
+    begin = board.stage.now
+    uart.feed(b"ab")
+    board.delay_us(character // 2000)
+    uart.feed("c")
+    arrived = []
+    while len(arrived) < 3:
+        if board.in8(BASE + 5) & 1:
+            arrived.append((chr(board.in8(BASE)), (board.stage.now - begin) // 10_000))
+        board.delay_us(5)
+    assert [c for c, _ in arrived] == ["a", "b", "c"]
+    assert [at for _, at in arrived] == pytest.approx([character * k // 10_000 for k in (1, 2, 3)], abs=1)
+
+
+@pytest.mark.parametrize(
+    ("written", "unsent"), [(0, 0), (5, 2), (5, 5), (4096, 0), (5000, 16), (5000, 17), (12_345, 3)]
+)
+def test_what_has_left_it_is_told_in_order_and_nothing_of_what_has_not(written, unsent):
+    """a ring of 4096: of much the last, and never a byte that is still in the transmitter"""
+    board, uart = line()
+    s = uart.registers
+    said = np.arange(written) * 7 % 251
+    for k in range(max(0, written - uart_core.ROOM), written):
+        s["sent"][k % uart_core.ROOM] = said[k]
+    s["written"], s["left"] = written, board.stage.now + unsent * uart._character - (1 if unsent else 0)
+    end = written - unsent
+    told = uart.sent
+    assert told == bytes(said[end - len(told) : end].tolist())
+    assert len(told) == end if end <= 4000 else len(told) >= 4000
+
+
+def test_a_terminal_is_one_and_the_same_and_without_it_nothing_is_asked_of_python():
+    uart = line()[1]
+    assert uart.access
+    path = uart.pty()
+    assert uart.pty() == path
+    assert uart.access == 0
