@@ -46,3 +46,29 @@ def test_a_hook_that_sets_its_own_level_goes_on_as_one_and_one_that_lowers_it_is
         "software interrupt 0 returns", "software interrupt 2 returns",
         "software interrupt 1 is over: its hook has lowered the level",
     ]  # fmt: skip
+
+
+TIMERS = r"""
+static char order[200];
+static int at;
+static void note(void *a) { at += snprintf(order + at, sizeof order - (size_t)at, "%s %d ", (char *)a, (int)ps_micros()); }
+static void again(void *a) { note(a); ps_timer(0, 0, 0, 0, 0); }
+static void slow(void *a) { note(a); ps_delay_us(35); ps_timer(0, 1, 100000, again, "again"); }
+PULSESTAGE_MAIN
+{
+    ps_timer(0, 1, 10000, slow, "slow");
+    ps_delay_us(200);
+    ps_log(order);
+    return 0;
+}
+"""
+
+
+def test_a_timer_of_firmware_that_its_hook_sets_anew_has_forgotten_the_ticks_of_before():
+    """every 10 us, a hook of 35 that asks for another every 100: that comes 100 later, and has missed nothing"""
+    host = NativeHost(firmware(TIMERS), Board(Stage("xy", visuals=False)), isolated=False)
+    assert host.run().code == 0
+    first, slow, second, again = host.log[-1][1].split()
+    assert (first, second) == ("slow", "again")
+    assert 135 <= int(again) - int(slow) <= 137, "a look at the time takes a bus cycle"
+    assert "missed" not in str(host.board.trace)

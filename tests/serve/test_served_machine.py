@@ -107,6 +107,13 @@ def test_timers_begin_anew_with_a_restore_and_one_that_is_off_stays_off(frames):
     assert frames.called == [2]
 
 
+def test_a_timer_that_came_while_a_line_was_waited_for_calls_at_the_end_of_the_wait(frames):
+    """a timer of 30 us, and 50 us in which the interrupt line is not asserted"""
+    frames.TIMER(client.TIMING.pack(1, 1, 30_000))
+    assert frames.batch((client.UNTIL_LINE, 50, 0)) == [0]
+    assert frames.called == [2]
+
+
 def test_nobody_goes_back_in_time_from_within_a_hook(board):
     """a timer's hook restores the start"""
     said = []

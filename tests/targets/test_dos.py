@@ -126,6 +126,10 @@ def test_time_goes_with_the_processor_s_cycles():
     assert [pc.get(name) for name in ("cx", "dx", "al")] == [ticks >> 16, ticks & 0xFFFF, 0]
     assert ticks >> 16 == 25 * 3600 * HZ // FULL >> 16 > 0
     assert pc.serve(0x1A, ax=0x0155) == {}, "the clock is not set"
+    for cx, dx in ((0, 3), (2, 0), (1, 0xFFFF)):
+        before = pc.record.cycles
+        pc.serve(0x15, ax=0x8600, cx=cx, dx=dx)
+        assert pc.record.cycles - before == (cx * 65536 + dx) * pc.record.hz // 1_000_000 == pc.record.due - before
     before = pc.record.cycles
     assert pc.serve(0x15, ax=0x8600, cx=1, dx=1, eflags=2 | CARRY) == {"eflags": 2}
     assert pc.record.cycles - before == 65537 * pc.record.hz // 1_000_000

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from stage.board import LibraryError
+from stage.errors import ArgumentError
 from stage.targets import avr, mcus
 from stage.targets.avr import PORTS
 from stage.targets.elf import ARM, AVR, Elf, machine_of
@@ -131,6 +132,22 @@ def test_what_may_come_by_mask_base_priority_and_what_runs():
     assert n.before() == line, "what does not run does not end"
     n.left(line)
     assert n.before() == 0
+
+
+def test_a_line_that_is_on_does_not_come_into_its_own_routine_whatever_that_makes_of_its_priority():
+    n = Nvic(lambda: 0, 3)
+    line = FIRST + 3
+    n.write(0xE100, 1 << 3, 4, 0), n.write(0xE400, 0x40 << 24, 1, 3)
+    n.level = True
+    assert n.next(0, 0) == line
+    n.entered(line)
+    n.write(0xE400, 0x20 << 24, 1, 3)
+    n._active.append(FIRST + 9)  # of a priority of its own
+    n.write(0xE408, 0x80 << 8, 1, 1)
+    n.left(line), n.entered(line), n.write(0xE400, 0x10 << 24, 1, 3)
+    assert n.next(0, 0) is None
+    n.left(line)
+    assert n.next(0, 0) == line
 
 
 def test_systick_with_its_control_its_value_and_its_flag():
@@ -541,6 +558,12 @@ def test_carriage_returns_of_a_serial_line_are_not_in_its_text():
     for byte in b"a\rb":
         avr.sent(0, byte, line)
     assert (line[0].length, bytes(text[:3])) == (2, b"ab\0")
+
+
+@pytest.mark.parametrize("data", ["AB", "I", "", "A0"])
+def test_the_data_lines_are_one_port(data):
+    with pytest.raises(ArgumentError, match=f"data={data} is no port; ports are A, B, "):
+        pins(f"data={data},wr=G0,rd=G1")
 
 
 def test_a_range_of_one_pin_is_that_pin():

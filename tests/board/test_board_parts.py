@@ -1,0 +1,64 @@
+"""Parts of a board: texts that name devices, first ports by axis, when a device pulls, what the trace keeps apart."""
+
+from __future__ import annotations
+
+import pytest
+
+from stage import Stage
+from stage.board import Board
+from stage.board.devices import Latch, known
+from stage.chips import MCX304, PCL240K
+from stage.errors import ArgumentError
+
+
+@pytest.mark.parametrize(
+    ("text", "ports"),
+    [
+        ("adc.c:0x340+4", [0x340, 0x341, 0x342, 0x343]),
+        ("adc.c:0x340", [0x340]),
+        ("adc.so:832+2", [832, 833]),
+        ("a.cpp:0+1", [0]),
+    ],
+)
+def test_a_device_of_sources_has_as_many_ports_as_its_text_says(monkeypatch, text, ports):
+    monkeypatch.setattr(known, "CDevice", lambda source: source)
+    assert known.made(text) == (text.partition(":")[0], ports)
+
+
+def test_a_chip_of_several_axes_has_its_first_port_by_any_of_them():
+    board = Board(Stage("xyz", chips=MCX304, visuals=False), base={"y": 0x320})
+    assert [(place.first, board.name_of(place.index)) for place in board.places] == [(0x320, "xyz")]
+    two = Stage("xy", chips=PCL240K, visuals=False)
+    assert [place.first for place in Board(two, base={"y": 0x320, "x": 0x340}).places] == [0x340, 0x320]
+    with pytest.raises(ArgumentError, match=r"base=\{'y': 800\}: the chip of axis x has no first port"):
+        Board(Stage("xy", chips=PCL240K, visuals=False), base={"y": 0x320})
+
+
+def test_a_device_pulls_from_the_nearest_nanosecond_on():
+    """at = 1 ns to 2 us, as products of a float; a time of now, and off"""
+    board = Board(Stage("xy", visuals=False))
+    latch = board.put(Latch(), 0x378)
+    for ns in range(1, 2000):
+        latch.pull(at=ns * 1e-9)
+        assert latch.line[0] == ns
+    latch.pull(at=5e-6)
+    board.delay_us(4)
+    assert (latch.pulling, board.interrupt) == (False, False)
+    board.delay_us(1)
+    assert (latch.pulling, board.interrupt) == (True, True)
+    latch.pull(False)
+    assert not board.interrupt
+
+
+def test_reads_before_and_behind_a_cycle_that_a_device_has_failed_in_are_two_lines():
+    board = Board(Stage("xy", visuals=False))
+
+    def write(port, value):
+        raise ZeroDivisionError("no")
+
+    board.device(0x400, lambda port: 7, write)
+    board.in8(0x500), board.in8(0x500)
+    with pytest.raises(ZeroDivisionError):
+        board.out8(0x400, 0x12)
+    board.in8(0x500)
+    assert [(c.port, c.way, c.times) for c in board.trace] == [(0x500, "R", 2), (0x400, "W", 1), (0x500, "R", 1)]
