@@ -64,3 +64,17 @@ def test_reads_before_and_behind_a_cycle_that_a_device_has_failed_in_are_two_lin
         board.out8(0x400, 0x12)
     board.in8(0x302)
     assert [(c.port, c.way, c.times) for c in board.trace] == [(0x302, "R", 2), (0x400, "W", 1), (0x302, "R", 1)]
+
+
+@pytest.mark.parametrize(
+    ("base", "free"), [(0x300, 0x310), (0x304, 0x310), (0x308, 0x310), (0x30C, 0x320), (0xFFFFFFF0, 0)]
+)
+def test_where_a_port_is_taken_one_is_named_from_which_on_all_are_free(base, free):
+    """two chips of 4 ports each; behind the last ports of all the first are named"""
+    board = Board(Stage("xy", chips=PCL240K, visuals=False), base=base)
+    with pytest.raises(
+        ArgumentError, match=rf"port {base + 1:03X}h is taken: .*Choose ports from {free:03X}h on"
+    ) as refused:
+        board.put(Latch(), base + 1)
+    assert "x address 1" in str(refused.value)
+    assert board.put(Latch(), free).ports == (free,)

@@ -12,6 +12,7 @@ import pytest
 from stage.board import LibraryError
 from stage.board.windows import Window
 from stage.errors import ArgumentError
+from stage.targets.avr_vectors import _target
 from stage.targets.built_for import check_avr
 from stage.targets.cortex import Cortex
 from stage.targets.gdb import Server
@@ -242,3 +243,15 @@ def test_a_program_of_a_variant_runs_and_one_of_another_processor_does_not(name,
     else:
         with pytest.raises(LibraryError, match=f"was built for {name} .*Run it with --mcu {name}"):
             check_avr(elf, mcu, "avr-gcc")
+
+
+@pytest.mark.parametrize(
+    ("words", "at", "flash", "leads"),
+    [((0xCFFF,), 0, 0x8000, 0), ((0xC000,), 0x10, 0x8000, 0x12), ((0xC7FF,), 0, 0x8000, 0x1000), ((0xC800,), 0x1000, 0x8000, 2),
+     ((0xCFFE,), 0, 0x2000, 0x1FFE), ((0x940C, 0x1234), 0, 0x40000, 0x2468), ((0x940D, 0x0001), 4, 0x40000, 0x20002),
+     ((0x941C, 0), 0, 0x400000, 0x40000), ((0x940E, 0x1234), 0, 0x40000, -1), ((0,), 0, 0x8000, -1)],
+)  # fmt: skip
+def test_a_jump_of_an_avr_leads_forth_and_back_and_round_its_flash(words, at, flash, leads):
+    """rjmp by -1, 0, 2047 and -2048 words; jmp of 16, 17 and 18 bits; call and nop are none"""
+    code = bytes(at) + struct.pack(f"<{len(words)}H", *words)
+    assert _target(code, at, flash) == leads
