@@ -214,7 +214,15 @@ def test_the_last_cycles_and_the_last_mistakes_are_told(make_box):
     assert [line.split()[3] for line in told] == ["44", "51", "50"]
     said = box.call("diagnostics").data
     assert len(said["diagnostics"]) == 40 < said["all"] == 60
-    assert [d["value"] for d in said["diagnostics"][-2:]] == ["51h", "50h"]
+    assert said["diagnostics"][-1]["time_s"] == pytest.approx(box.stage.time, abs=3e-6)
+
+
+def test_a_datum_is_no_wider_than_the_bus_of_the_chip_that_it_is_for():
+    box = Toolbox(Stage("xy", chips={"x": "PCL240K", "y": "MCX514"}, visuals=False))
+    assert box.call("write_bytes", {"axis": "y", "address": 6, "values": ["1FFh"]}).ok
+    refused = box.call("write_bytes", {"axis": "x", "address": 2, "values": [1, "1FFh"]})
+    assert "has data of 0 to FFh" in refused.text
+    assert box.call("budget").data["used"]["cycles"] == 1
 
 
 def test_an_axis_is_told_apart_from_those_on_its_chip():
