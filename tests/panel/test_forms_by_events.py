@@ -26,6 +26,7 @@ def session(served, page):
     """At power-up; time passes as fast as it goes."""
     session = served.session
     session.reset()
+    page.within(served.panel.reports._told.clear)
     session.speed, session.paused = FREE, False
     page.put("procedure-axis", "y")
     page.put("procedure-axis", "x")  # the forms are as at first
@@ -199,8 +200,8 @@ def test_stop_is_of_all_axes_and_ends_what_is_under_way(page, session, ordered, 
     page.click("go-move")
     page.until(lambda: session.view.doing == "Move x")
     page.click(name)
-    page.until(lambda: page.text("report") == "Move x: stopped.")
-    page.until(lambda: not session.busy)
+    page.until(lambda: page.panel.reports.last("move").text == "Move x: stopped.")
+    page.until(lambda: page.text("report") == "Move x: stopped." and not session.busy)
     assert ordered == ["Move x", "stop"]
     assert asked == [(["x", "y"], at_once)]
     assert not wrong(page)
@@ -230,7 +231,7 @@ def test_an_axis_jogs_its_way_while_a_button_is_held(page, session, ordered, but
     page.fire(button, down)  # a key that repeats
     page.until(lambda: abs(session.do(lambda stage: stage.axes["y"].commanded)) > 1e-4)
     page.fire(button, up)
-    page.until(lambda: "decelerating stop" in page.text("report"))
+    page.until(lambda: "decelerating stop" in page.panel.reports.last("jog").text)
     at, other = session.do(lambda stage: [stage.axes[a].commanded * way for a in "yx"])
     assert at > 1e-4
     assert other == pytest.approx(0, abs=1e-12)

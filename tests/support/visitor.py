@@ -126,6 +126,7 @@ class Visitor:
 
         def leave() -> None:
             self.client.handle_disconnect(self._socket)
+            self.client._cancel_delete_task(self._socket)  # nobody waits whether he comes back
             self.client.delete()
 
         self.within(leave)
