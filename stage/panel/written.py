@@ -33,9 +33,8 @@ def stage_of(made: dict[str, Any]) -> str:
     given = [repr(made["model"])]
     each = setup.chips_of(made["chips"]) if "=" in made["chips"] else None
     given.append(f"chips={each or made['chips']!r}")
-    if made["motor"] is not None or made["microsteps"] != 16 or made["bus_voltage"] != 24.0:
-        motor = f"motor={made['motor']!r}, " if made["motor"] is not None else ""
-        given.append(f"drives=Drive({motor}microsteps={made['microsteps']}, bus_voltage={made['bus_voltage']!r})")
+    if drives := _drives(made, each):
+        given.append(f"drives={drives}")
     if made["bus_cycle"] != 1e-6:
         given.append(f"bus_cycle={made['bus_cycle']!r}")
     for name, value in (
@@ -46,6 +45,22 @@ def stage_of(made: dict[str, Any]) -> str:
         if value:
             given.append(f"{name}={value!r}")
     return f"Stage({', '.join(given)})"
+
+
+def _drives(made: dict[str, Any], each: dict[str, str] | None) -> str:
+    """Python that makes the drives of these options, as stage.cli.setup does; "" for the usual ones. each: chips by axis."""
+    from stage.chips import chip_class
+
+    motor = f"motor={made['motor']!r}, " if made["motor"] is not None else ""
+    stepper = f"Drive({motor}microsteps={made['microsteps']}, bus_voltage={made['bus_voltage']!r})"
+    usual = not motor and made["microsteps"] == 16 and made["bus_voltage"] == 24.0
+    servo = {axis: chip_class(name).SERVO for axis, name in (each or {"": made["chips"]}).items()}
+    if usual or (all(servo.values()) and not motor):
+        return ""
+    if len(set(servo.values())) == 1:
+        return repr(made["motor"]) if all(servo.values()) else stepper
+    parts = (f"{axis!r}: {repr(made['motor']) if of_servo else stepper}" for axis, of_servo in servo.items())
+    return f"{{{', '.join(parts)}}}"
 
 
 def _of_power_up(panel: Panel, shared: Shared) -> None:

@@ -207,6 +207,17 @@ def test_stop_is_of_all_axes_and_ends_what_is_under_way(page, session, ordered, 
     assert not wrong(page)
 
 
+def test_a_stop_that_is_refused_is_said_below_the_form_that_is_open(page, session, monkeypatch):
+    def refuse(name, order):
+        raise StageError("this session is over.")
+
+    tab(page, "home")
+    monkeypatch.setattr(session, "act", refuse)
+    page.click("stop")
+    page.until(lambda: page.text("report") == "this session is over.")
+    assert wrong(page)
+
+
 def test_an_axis_that_is_stopped_with_a_ramp_goes_on_a_little_and_rests(page, session):
     fill(page, move__distance="100", move__speed="20")
     session.speed = 1.0
