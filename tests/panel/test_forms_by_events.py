@@ -142,6 +142,7 @@ def test_a_report_stands_under_its_own_form_in_every_browser(served, page, sessi
     fill(page, two_rates__distance="20", two_rates__dwell="0.05")
     reports = {"move": go(page, "move"), "two_rates": go(page, "two_rates", "dual-rate")}
     second = served.visit()
+    assert second.find("procedure-axis").value == "x"
     for form, report in reports.items():
         tab(page, form)
         page.until(lambda r=report: page.text("report") == r)

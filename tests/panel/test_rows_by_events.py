@@ -1,5 +1,7 @@
 """Rows of a front panel by a browser's events, without a browser: what is written, what is shown, what is put together."""
 
+from dataclasses import replace
+
 import pytest
 
 from stage.chips import HCTL1100, PCL240MS
@@ -199,6 +201,25 @@ def test_each_field_of_a_register_is_shown_and_writes_its_own_bits(page, made, n
                 row.look(held)
                 page.settled()
                 assert int(widget.value) == value
+
+
+def test_a_value_that_is_in_no_list_is_shown_as_that(made):
+    place = register("R13")
+    fields = tuple(replace(f, values={2: "two", 5: "five"}) if f.name == "ez_count" else f for f in place.fields)
+    field = next(f for f in fields if f.name == "ez_count")
+    row = made(replace(place, fields=fields))
+    row.look(3 << field.low)
+    row.open()
+    listed, strange = {2: "2  two", 5: "5  five"}, "  (not in the map)"
+    for value in (3, 5, 7, 2):
+        row.look(value << field.low)
+        widget = row.field(field)
+        assert widget.value == value
+        if value in listed:
+            assert listed.items() <= widget.options.items()
+        else:
+            assert widget.options == {**listed, value: f"{value}{strange}"}
+    assert rows._with(listed, 5) == listed
 
 
 def test_a_field_that_is_a_number_says_what_is_none(page, made):
