@@ -265,7 +265,7 @@ class Isolated:
         board.log += self._shared.lines()
         return HostError(
             f"{who}{self._path.name} {how}{self._told()}; at {board.stage.time:.6f} s, after "
-            f"{board.cycles:,} bus cycles. The stage stands where it stood then. Its last bus cycles:\n{board.trace.text(12)}"
+            f"{board.cycles:,} bus cycles. The stage stands where it stood then. {board.trace.ending(12)}"
         )
 
     def _told(self) -> str:

@@ -164,9 +164,7 @@ class Host:
 
     def _timeout(self, what: str) -> HostTimeout:
         board = self.board
-        return HostTimeout(
-            f"{self.path.name} {what} (now {board.stage.time:.6f} s). Its last bus cycles:\n{board.trace.text(SHOWN)}"
-        )
+        return HostTimeout(f"{self.path.name} {what} (now {board.stage.time:.6f} s). {board.trace.ending(SHOWN)}")
 
 
 class NativeHost(Host):

@@ -90,7 +90,7 @@ class Threaded:
                 would = "the thread that runs PULSESTAGE_MAIN. Return from there instead."
             raise HostError(
                 f"{self._path.name}: {self._left} at {board.stage.time:.6f} s, after {board.cycles:,} bus cycles, would have ended "
-                f"{would} Its last bus cycles:\n{board.trace.text(12)}"
+                f"{would} {board.trace.ending(12)}"
             )
         return self._code
 
@@ -205,7 +205,7 @@ class Threaded:
         """The patience with it is over; answers: see HOST."""
         board, path = self._board, self._path
         long, at = f"has computed for {self._patience:g} s of real time", f"at {board.stage.time:.6f} s"
-        end = f"{'' if self._may_exit else GOES_ON} Its last bus cycles:\n{board.trace.text(12)}"
+        end = f"{'' if self._may_exit else GOES_ON} {board.trace.ending(12)}"
         if not answers:
             return (
                 f"{path.name} {long} without a bus cycle or a delay ({at}): a loop that waits for nothing?{self._place(path)} "

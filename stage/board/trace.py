@@ -137,5 +137,9 @@ class BusTrace:
             head.append(f"{'':17}  ... {len(self) + self.dropped - shown:,} lines before")
         return "\n".join([*head, *map(str, self.last(shown))])
 
+    def ending(self, n: int) -> str:
+        """The last `n` lines as the end of a message about a program that did not end well."""
+        return f"Its last bus cycles:\n{self.text(n)}" if len(self) + self.dropped else "It has made no bus cycle."
+
     def __str__(self) -> str:
         return self.text()

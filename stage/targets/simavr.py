@@ -322,7 +322,7 @@ class LoadedAvr:
         board = self._board
         return (
             f"{self.path.name}: {said}, at {self._elf.where(pc)}; at {board.stage.time:.6f} s, after {board.cycles:,} bus cycles. "
-            f"Its last bus cycles:\n{board.trace.text(12)}"
+            f"{board.trace.ending(12)}"
         )
 
     def close(self) -> None:

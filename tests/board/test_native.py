@@ -151,7 +151,7 @@ def test_firmware_that_computes_for_ever_is_left_alone_and_in_its_own_process_en
 
 def test_a_firmware_given_up_never_reaches_the_board_again():
     h = host("PULSESTAGE_MAIN { for (;;) ps_request(-1, 0, 0); }", patience=0.3)
-    with pytest.raises(HostError, match="without a bus cycle"):
+    with pytest.raises(HostError, match=r"(?s)without a bus cycle.* It has made no bus cycle\.$"):
         h.run()
     cycles = h.board.cycles
     assert NativeHost(firmware("PULSESTAGE_MAIN { return ps_in8(0x300); }"), h.board).run().code == 0xA8

@@ -133,3 +133,13 @@ def test_a_storm_says_whose_hook_it_is_and_why_it_comes_again(board, source, per
     if period:
         board.link.hooks.sources[source]["period"] = period
     assert said in board.link.hooks.storm(source)
+
+
+def test_a_message_ends_with_the_last_cycles_or_says_that_there_was_none(board):
+    assert board.trace.ending(2) == "It has made no bus cycle."
+    for port in (0x300, 0x304, 0x308):
+        board.in8(port)
+    said = board.trace.ending(2)
+    assert said == f"Its last bus cycles:\n{board.trace.text(2)}"
+    assert [line.split()[1] for line in said.splitlines()[-2:]] == ["304h", "308h"]
+    assert "1 lines before" in said
