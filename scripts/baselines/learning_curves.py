@@ -33,8 +33,8 @@ DOCS = Path(__file__).parents[2] / "docs"
 DATA, PICTURE = DOCS / "data" / "learning_curves.csv.gz", DOCS / "pictures" / "learning_curves.png"
 COLUMNS = ("task", "player", "run", "steps", "processor_s", "episode", "return", "success")
 RUNS = {"one-shot": 5, "few-shot": 5, "few-shot-wide": 10, "home": 5, "line": 5}
-BUS = {"axes": 5, "origin": 1}
-"""Seeds of each level at which a curriculum ends."""
+BUS = {"origin": (1,), "axes": range(5)}
+"""Seeds of each level at which a curriculum ends; what ends at a later one has been through those before."""
 PANELS = {
     "one-shot": "T1 OneShotTuning", "few-shot": "T2 FewShotTuning, the best try counts",
     "few-shot-wide": "T2 FewShotTuning, wide, the last try counts", "home": "T3 DriftingHome", "bus": "T4 BusMacros",
@@ -51,8 +51,8 @@ def learn(folder: Path, tasks: list[str], quick: bool) -> None:
         for run in range(1 if quick else RUNS[task]):
             rules.learn(task, run, folder, *((1, 8) if quick else ()))
     if "bus" in tasks:
-        for level, runs in BUS.items() if not quick else {"target": 1}.items():
-            for run in range(runs):
+        for level, runs in BUS.items() if not quick else {"target": (0,)}.items():
+            for run in runs:
                 if not (folder / f"{level}-dqn-{run}.zip").exists():
                     bus.learn("dqn", run, 0.1 if quick else 1.0, level, folder)
 

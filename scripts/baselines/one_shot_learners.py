@@ -25,7 +25,7 @@ from stage.envs.sb3 import StageVecEnv
 
 ID, TASK = "stage/OneShotTuning-v1", "one-shot"
 KINDS: dict[str, Any] = {"ppo": PPO, "sac": SAC}
-STEPS, LANES, BATCH = 8_192, 16, 512
+STEPS, LANES, BATCH = 4_096, 16, 512
 SPREAD = -0.7  # logarithm of the first choices' standard deviation
 SETTINGS: dict[str, dict[str, Any]] = {
     "ppo": {"n_steps": BATCH // LANES, "batch_size": 128, "n_epochs": 10, "policy_kwargs": {"log_std_init": SPREAD}},
