@@ -181,6 +181,8 @@ def test_each_field_of_a_register_is_shown_and_writes_its_own_bits(page, made, n
     row.look(0)
     row.open()
     fields = [f for f in place.fields if not fixed(f)]
+    for field in fields:
+        assert row.field(field).props["title"] == f"b{field.bits} {field.name}: {field.text} [{field.evidence}]"
     for held in (0x5A5A5A5A & most, most, 0):
         row.look(held)
         for field in fields:
@@ -333,6 +335,10 @@ def test_a_word_that_a_host_reads_lights_its_lamps_and_is_gone_where_it_cannot_b
 
     for place in lamps:
         box, row = page.within(lambda p=place: build(p))
+        assert row._head.props["title"] == place.text
+        assert [lamp.props["title"] for _, lamp in row._lamps] == [
+            f"b{f.bits} {f.name}: {f.text} [{f.evidence}]" for f in place.fields
+        ]
         for value in ((1 << place.bits) - 1, 0, 0x55 & (1 << place.bits) - 1):
             row.look({place.name: value})
             assert row._line.visible
