@@ -280,12 +280,12 @@ def sampler(session):
 
 
 class Served:
-    """A panel of xy with PCL240MS in the process of the tests; time stands still at first. `visit()`: one more looks at it."""
+    """A panel of xy in the process of the tests; time stands still at first. `visit()`: one more looks at it."""
 
-    def __init__(self, **options):
+    def __init__(self, chips="pcl240ms"):
         from stage.panel.server import Panel
 
-        self.session = Session(Stage("xy", chips="pcl240ms", visuals=False), speed=FREE, paused=True, **options)
+        self.session = Session(Stage("xy", chips=chips, visuals=False), speed=FREE, paused=True)
         self.panel = Panel(self.session)
         self._visitors = []
 

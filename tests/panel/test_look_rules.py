@@ -124,8 +124,9 @@ def test_a_program_begins_anew_where_time_goes_back_to_before_it_and_where_it_is
 
 
 def test_a_look_that_has_ended_is_taken_no_more(session, real):
-    slices = len(session._life.views._looks)
+    slices, journals = len(session._life.views._looks), [chip.open_journal for chip in session.stage.chips]
     look = Look(session)
     assert len(session._life.views._looks) == slices + 1
     session.do(lambda stage: look.close())
     assert len(session._life.views._looks) == slices
+    assert [chip.open_journal for chip in session.stage.chips] == journals, "and the bus is noted no more"

@@ -38,6 +38,9 @@ class Visitor:
                 self.said.append(data["message"])
             if kind == "download":
                 self.sent.append((data["filename"], data["src"]))
+            if kind == "run_javascript" and "request_id" in data:  # a browser that has drawn says so
+                answer = {"request_id": data["request_id"], "result": None}
+                self._loop.call_later(0.005, self.client.handle_javascript_response, answer)
             enqueue(kind, data, target)
 
         self.client.outbox.enqueue_message = hear  # type: ignore[method-assign]

@@ -1,0 +1,272 @@
+"""Hands, console, front panels and oscilloscope by a browser's events, without a browser: what happens to the stage and is said."""
+
+from itertools import pairwise
+
+import pytest
+
+pytest.importorskip("nicegui")
+from conftest import Served
+
+from stage.panel.oscilloscope import SPANS
+
+
+@pytest.fixture(scope="module")
+def page(served):
+    return served.visit()
+
+
+@pytest.fixture(autouse=True)
+def _as_at_first(served, page):
+    served.session.reset()
+    page.said.clear()
+    yield
+    for made in reversed(served.panel.hands.in_force):
+        served.panel.hands.mend(made)
+    served.panel.hands.load(0.0)
+
+
+def of(served, look):
+    return served.session.do(look)
+
+
+def pushes(served):
+    return of(served, lambda stage: [float(stage.data.qfrc_applied[a.plant.dof]) for a in stage.axes.values()])
+
+
+# --- hands ---
+
+
+def test_load_and_supply_are_what_the_sliders_say_and_every_page_follows(served, page):
+    second = served.visit()
+    page.fire("payload", "change", 0.5)
+    page.fire("supply", "change", 20)
+    for one in (page, second):
+        one.until(lambda o=one: o.text("payload-value") == "payload 0.5 kg" and o.find("payload").value == 0.5)
+        one.until(lambda o=one: o.text("supply-value") == "supply 20 V" and o.find("supply").value == 20)
+    assert of(served, lambda stage: stage.payload()) == 0.5
+    assert of(served, lambda stage: [a.supply for a in stage.axes.values()]) == [20, 20]
+    page.fire("supply", "change", 24)
+    page.until(lambda: not served.panel.hands.in_force)
+    assert of(served, lambda stage: [a.supply for a in stage.axes.values()]) == [24, 24]
+    page.fire("payload", "change", -1)
+    page.until(lambda: page.said)
+    assert of(served, lambda stage: stage.payload()) == 0.5
+
+
+@pytest.mark.parametrize(("button", "force"), [("push-plus", 2.5), ("push-minus", -2.5)])
+@pytest.mark.parametrize(("down", "up"), [("pointerdown", "pointerleave"), ("keydown.enter.prevent", "keyup")])
+def test_a_hand_pushes_the_axis_that_was_chosen_while_a_button_is_held(served, page, button, force, down, up):
+    page.put("hands-axis", "y")
+    page.put("push-force", "2,5")
+    page.fire(button, down)
+    page.until(lambda: pushes(served) == [0, force])
+    page.fire("push-plus", down)  # one hand at a time
+    page.put("hands-axis", "x")  # somebody looks at another meanwhile
+    page.settled()
+    assert pushes(served) == [0, force]
+    page.fire(button, up)
+    page.until(lambda: pushes(served) == [0, 0])
+
+
+def test_who_loses_the_controls_takes_his_hand_away(served, page):
+    second = served.visit()
+    second.until(lambda: second.text("controls") == "Take the controls")
+    page.fire("push-plus", "pointerdown")
+    page.until(lambda: pushes(served)[0] > 0)
+    second.click("controls")
+    page.until(lambda: pushes(served) == [0, 0])
+    served.panel.controls.take(page.client.id)
+
+
+def test_a_force_that_cannot_be_is_said_at_its_field_until_the_next(served, page):
+    for typed, said in (("hard", "'hard' is not a number of N."), ("1e9", "1e+09 N: up to ")):
+        page.put("push-force", typed)
+        page.fire("push-plus", "pointerdown")
+        page.until(lambda s=said: page.error("push-force").startswith(s))
+        assert pushes(served) == [0, 0]
+    page.put("push-force", "1")
+    page.fire("push-plus", "pointerdown")
+    page.until(lambda: pushes(served) == [1, 0])
+    assert not page.error("push-force")
+    page.fire("push-plus", "pointerup")
+    page.until(lambda: pushes(served) == [0, 0])
+
+
+def test_what_is_broken_is_of_the_axis_that_was_chosen_and_each_is_mended_for_itself(served, page):
+    hands = served.panel.hands
+    page.put("breaking", "switch_stuck")
+    for axis, pin, closed in (("x", "org", "no"), ("y", "el_plus", "yes"), ("y", "org", "yes")):
+        page.put("hands-axis", axis)
+        page.put("breaking", "switch_stuck")
+        page.put("break-pin", pin)
+        page.put("break-closed", closed)
+        before = len(hands.in_force)
+        page.click("break")
+        page.until(lambda n=before: len(hands.in_force) == n + 1)
+        assert hands.in_force[-1].asked == ("switch_stuck", axis, {"pin": pin, "closed": closed})
+    texts = [made.text for made in hands.in_force]
+    page.until(lambda: len(page.all("mend")) == 3)
+    listed = [e.text for e in page.find("in-force").descendants() if getattr(e, "text", "") in texts]
+    assert listed == texts
+    page.click("break")
+    said = page.until(lambda: page.said)
+    assert "it is so already" in said[0]
+    page.click("mend", 1)
+    page.until(lambda: [made.text for made in hands.in_force] == [texts[0], texts[2]])
+    page.until(lambda: len(page.all("mend")) == 2)
+    assert page.all("mend")[1].props["aria-label"] == f"mend {texts[2]}".replace('"', "'")
+
+
+def test_what_is_wrong_with_a_fault_is_said_at_its_field(served, page):
+    page.put("breaking", "bus_voltage" if "bus_voltage" in page.find("breaking").options else "friction")
+    field = next(e.props["data-test"] for e in page._all() if str(e.props.get("data-test", "")).startswith("break-"))
+    page.put(field, "much")
+    page.click("break")
+    page.until(lambda: "'much' is not a number" in page.error(field))
+    assert not served.panel.hands.in_force
+
+
+# --- console ---
+
+
+def line(page, text, key="Enter"):
+    if text is not None:
+        page.put("console", text)
+    page.fire("console", "keydown", key)
+    page.settled()
+
+
+def typed(page):
+    return page.find("console").value
+
+
+def test_a_line_of_the_console_goes_to_the_chip_that_was_chosen(served, page):
+    for index, value in ((1, 321), (0, 123)):
+        page.put("console-target", index)
+        line(page, f"R1 <- {value}")
+        page.until(lambda: typed(page) == "")
+    assert of(served, lambda stage: [chip.values_of(0)["R1"] for chip in stage.chips]) == [123, 321]
+
+
+def test_a_line_that_is_wrong_stays_and_says_so_until_escape(served, page):
+    line(page, "reed 0")
+    page.until(lambda: "Did you mean read?" in page.error("console"))
+    assert typed(page) == "reed 0"
+    line(page, None, "Escape")
+    page.until(lambda: typed(page) == "")
+    assert not page.error("console")
+
+
+def test_arrows_go_through_the_lines_before_and_the_same_twice_is_one(served, page):
+    for text in ("R3 <- 77", "8", "8"):
+        line(page, text)
+        page.until(lambda: typed(page) == "")
+    seen = []
+    for key in ("ArrowUp", "ArrowUp", "ArrowDown", "ArrowDown", "ArrowDown", "ArrowUp"):
+        line(page, None, key)
+        seen.append(typed(page))
+    assert seen == ["8", "R3 <- 77", "8", "", "", "8"]
+
+
+def test_tab_completes_as_far_as_names_agree(page):
+    for text, completed in (("oper", "operate "), ("R", "R"), ("read oper", "read operate "), ("zz", "zz")):
+        line(page, text, "Tab")
+        page.until(lambda c=completed: typed(page) == c)
+
+
+# --- front panels of a chip of several axes ---
+
+
+@pytest.fixture(scope="module")
+def wide():
+    wide = Served(chips="mcx514")
+    yield wide
+    wide.close()
+
+
+def test_rows_and_commands_are_of_the_axis_that_was_chosen(wide):
+    page, session = wide.visit(), wide.session
+    assert page.find("chip-0").text.startswith("x y: ")
+    assert page.find("axis-of-0").options == {0: "x", 1: "y", 2: "(2)", 3: "(3)"}
+    chip = session.stage.chips[0]
+
+    def held():
+        return session.do(lambda stage: [chip.values_of(j)["DV"] for j in range(4)])
+
+    before = held()
+    for axis, value in ((1, 77), (0, 55)):
+        page.put("axis-of-0", axis)
+        page.until(lambda a=axis: page.find("value-0-DV").value == str(held()[a]))
+        page.enter("value-0-DV", str(value))
+        page.until(lambda a=axis, v=value: held()[a] == v)
+        page.until(lambda v=value: page.find("value-0-DV").value == str(v))
+    assert held() == [55, 77, *before[2:]]
+    flashed = list(page.find("value-0-DV").classes)
+    page.put("axis-of-0", 1)
+    page.until(lambda: page.find("value-0-DV").value == "77")
+    assert list(page.find("value-0-DV").classes) == flashed, "another axis is no change"
+
+
+# --- oscilloscope ---
+
+
+def chart_of(page):
+    (live,) = (e for e in page._all() if type(e).__name__ == "Live")
+    return next(look.__self__ for _, method, look, _ in live._calls if method == "run_chart_method")
+
+
+def test_the_oscilloscope_shows_what_was_chosen_each_unit_in_a_chart_and_each_pin_in_a_lane(served, page):
+    chart = chart_of(page)
+    page.put("traces", ["y/position", "x/rate", "x/position", "y/org", "x/org"])
+    assert list(chart.scope.names) == ["y/position", "x/rate", "x/position", "y/org", "x/org"]
+    options = chart.chart.options
+    assert [y["name"] for y in options["yAxis"]] == ["mm", "pps", "y org", "x org"]
+    assert [(s["name"], s["yAxisIndex"]) for s in options["series"]] == [
+        ("y position", 0), ("x pulse rate", 1), ("x position", 0), ("y org", 2), ("x org", 3),
+    ]  # fmt: skip
+    assert [x["axisLabel"]["show"] for x in options["xAxis"]] == [False, False, False, True]
+    assert options["legend"]["data"] == ["y position", "x pulse rate", "x position"]
+    assert len({s["color"] for s in options["series"]}) == 5
+    tops = [(g["top"], g["top"] + g["height"]) for g in options["grid"]]
+    assert all(end < begin for (_, end), (begin, _) in pairwise(tops))
+
+
+def test_window_trigger_and_run_are_those_of_the_controls(served, page, monkeypatch):
+    chart, asked = chart_of(page), []
+    for span in SPANS[:3]:
+        page.put("span", span)
+        assert chart.scope.span == span
+    monkeypatch.setattr(chart.scope, "trigger", lambda *wanted: asked.append(wanted))
+    page.put("mode", "single")
+    page.put("source", "y/rate")
+    page.put("edge", False)
+    page.put("level", 300)
+    page.put("level", None)
+    assert asked[-1] == ("single", "y/rate", False, 0.5)
+    assert asked[-2] == ("single", "y/rate", False, 300)
+    n = len(asked)
+    page.within(chart._trigger)
+    assert len(asked) == n, "told again, nothing is caught anew"
+    monkeypatch.undo()
+    page.put("mode", "free")
+    for running in (False, True):
+        page.click("run")
+        assert chart.scope.running is running
+        page.until(lambda r=running: page.text("run") == ("stop" if r else "run"))
+
+
+def test_what_the_window_shows_is_exported_under_its_end(served, page):
+    served.session.do(lambda stage: (served.session._life.at_once(stage.run, 0.5), served.session._life.publish()))
+    chart = chart_of(page)
+    page.put("traces", ["x/position", "y/org"])
+    page.until(lambda: chart._frame is not None and chart._frame.end == pytest.approx(0.5))
+    page.sent.clear()
+    page.click("export-csv")
+    page.until(lambda: page.sent)
+    ((name, data),) = page.sent
+    assert name == "pulsestage-0.500s.csv"
+    assert data.decode().splitlines()[0] == "time (s),x position (mm),y org"
+    page.put("traces", [])
+    page.click("export-csv")
+    page.until(lambda: page.said)
+    assert page.said == ["nothing to export: choose a trace first."]
