@@ -425,3 +425,13 @@ def test_72h_puts_out_a_dcc_pulse_as_long_as_h2m_says(code):
     command(chip, 0x72)
     assert chip.axes[0].pins.dcc
     assert passes(chip, 3 + clocks, lambda c: c.axes[0].pins.dcc) == (True, False)
+
+
+def test_a_timer_of_0_which_is_no_value_takes_as_long_as_one_of_1():
+    chip = MCX514()
+    load(chip, TM=0)
+    chip.advance(777)
+    command(chip, 0x73)
+    assert page1(chip) & 0x400
+    assert passes(chip, 777 + 1 * US, rr1) == (0, TIMER)
+    assert not page1(chip) & 0x400

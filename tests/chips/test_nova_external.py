@@ -289,3 +289,17 @@ def test_every_axis_of_an_interpolation_shows_the_phases_of_the_main_one():
     start(chip, Move(SV=8000, DV=8000, P=5))
     assert chip.axes[0].pins.cnst
     assert not chip.axes[1].pins.cnst
+
+
+@EVERY
+def test_a_pin_that_was_released_late_stops_no_other_drive(make):
+    """A limit has ended the drive that the pin began; the next drive is a command's."""
+    chip = ready(make, "continuous")
+    set_pins(chip, plus=True)
+    assert steps(chip, 2 * PERIOD) == train(2, +1)
+    command(chip, 0x57 if make is MCX514 else 0x27)  # an instant stop
+    assert not driving(chip)
+    command(chip, 0x52 if make is MCX514 else 0x22)  # a continuous drive, +
+    set_pins(chip, plus=False)
+    assert len(steps(chip, 9 * PERIOD)) == 9
+    assert driving(chip)

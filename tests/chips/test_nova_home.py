@@ -262,6 +262,20 @@ def test_no_interpolation_begins_while_an_axis_searches_home_also_in_a_pause_of_
     assert (chip.net(0), chip.net(1)) == (made, 0)
 
 
+def test_a_pin_that_would_begin_a_drive_does_not_in_a_pause_of_a_search():
+    chip = MCX514()
+    table = put_at(chip, 250, 1, H1M=S2 | S3, H2M=0x80 | 3 << 8, P2M=2 << 7, TP=7)  # EXP+ and EXP- begin fixed drives
+    pins = chip.axes[0].pins
+    pins.pio4 = pins.pio5 = True
+    command(chip, 0x5A)
+    while home_state(chip) != 23:
+        go_on(chip, table)
+    made = chip.net(0)
+    pins.pio4 = False
+    chip.advance(10 * MS)
+    assert (home_state(chip), chip.net(0)) == (23, made)
+
+
 def test_dcc_after_step_3_holds_step_4_back():
     chip = MCX514()
     table = put_at(chip, 250, 1, H1M=S3 | 0x1000 | S4, H2M=2 << 4, TP=5)
