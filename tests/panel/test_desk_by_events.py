@@ -7,6 +7,10 @@ import pytest
 pytest.importorskip("nicegui")
 from conftest import Served
 
+from stage.errors import StageError
+from stage.panel import chips
+from stage.panel.front import Front
+from stage.panel.orders import Cycle
 from stage.panel.oscilloscope import SPANS
 
 
@@ -208,6 +212,62 @@ def test_rows_and_commands_are_of_the_axis_that_was_chosen(wide):
 
 
 # --- oscilloscope ---
+
+
+def test_each_button_of_a_command_sends_its_cycles_to_the_axis_that_was_chosen(wide, monkeypatch):
+    page, sent = wide.visit(), []
+    kind = type(wide.session.stage.chips[0])
+
+    async def send(panel, k, cycles):
+        sent.append((panel is wide.panel, k, cycles))
+
+    wide.panel.controls.take(page.client.id)
+    page.put("axis-of-0", 1)
+    monkeypatch.setattr(chips, "send", send)
+    buttons = [b for group in Front(kind).buttons.values() for b in group if not b.takes]
+    assert len(buttons) > 20
+    for b in buttons:
+        sent.clear()
+        page.click(f"command-0-{b.symbol}" + (f"-{b.datum:X}" if b.datum is not None else ""))
+        page.settled()
+        assert sent == [(True, 0, [Cycle(False, *c) for c in kind.command_cycles(b.symbol, 1, b.datum)])]
+
+
+def test_cycles_are_made_in_their_order_and_what_was_read_is_told_and_looked_at(served, page):
+    trace = served.panel.look.traces[1]
+    before, number = trace.lines[-1].number if trace.lines else 0, served.panel.look.number
+    cycles = [Cycle(False, 0, 0x81), Cycle(False, 1, 7), Cycle(False, 2, 0), Cycle(True, 1, None), Cycle(True, 0, None)]
+    found = page.within(lambda: chips.send(served.panel, 1, cycles))
+    assert any(found)
+    assert [(line.way, line.address) for line in trace.since(before)] == [
+        ("W", 0),
+        ("W", 1),
+        ("W", 2),
+        ("R", 1),
+        ("R", 0),
+    ]
+    assert served.panel.look.number > number
+    assert found == of(served, lambda stage: [stage.chips[1].read(address) for address in (1, 0)])
+    assert of(served, lambda stage: [chip.values_of(0)["R1"] for chip in stage.chips]) == [0, 7]
+
+
+def test_what_a_chip_refuses_is_said(served, page, monkeypatch):
+    async def refuse(*given):
+        raise StageError("this session is over.")
+
+    monkeypatch.setattr(chips, "send", refuse)
+    page.click("command-0-operate-8")
+    page.until(lambda: page.said == ["this session is over."])
+
+
+def test_the_trace_is_of_the_chip_that_was_chosen(served, page, wide):
+    other = wide.visit()
+    for one, targets in ((page, {1: 1, 0: 2}), (other, {1: 0, 0: 0})):
+        emptied = []
+        one.find("trace").empty = lambda e=emptied: e.append(1)
+        for index, times in targets.items():
+            one.put("console-target", index)
+            assert len(emptied) == times, "axes of one chip have one bus"
 
 
 def chart_of(page):

@@ -301,6 +301,19 @@ def test_a_word_that_nobody_can_see_is_put_together_of_its_fields_and_goes_out_b
     assert len(row.written) == 3
 
 
+def test_a_register_of_which_nothing_is_known_yet_is_put_together_of_its_fields(page, made):
+    place = register("R13")
+    row = made(place)
+    row.open()
+    field = next(f for f in place.fields if choices(f))
+    row.set(field, 1)
+    page.settled()
+    assert row.text == shown(place, with_field(0, field, 1))
+    assert not row.written
+    row.look(0)
+    assert row.text == shown(place, 0)
+
+
 def test_a_number_in_a_word_that_is_put_together_keeps_to_its_own_bits_and_must_be_one(page, made):
     """Two's complement is cut to the field; what is no number is said there, and no word is made of it."""
     place = word("output")

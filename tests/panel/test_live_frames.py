@@ -1,0 +1,121 @@
+"""What goes to a browser a frame: what has changed, texts seldom, calls as asked; all again for one that did not answer."""
+
+import asyncio
+from types import SimpleNamespace
+
+import pytest
+
+pytest.importorskip("nicegui")
+from stage.panel import live as lives
+from stage.panel.lines import Lines
+from stage.panel.live import FRAMES, PATIENCE, READ, Live
+
+
+@pytest.fixture
+def live(monkeypatch):
+    """Of no page; live.sent: the messages; live.real.now: real time, s."""
+    monkeypatch.setattr(lives.ui, "timer", lambda *given: None)
+    live = Live.__new__(Live)
+    monkeypatch.setattr(lives.ui.element, "__init__", lambda self: None)
+    Live.__init__(live)
+    live.real, live.sent, live.answers = SimpleNamespace(now=100.0), [], True
+    monkeypatch.setattr(lives, "perf_counter", lambda: live.real.now)
+
+    async def run_method(name, *given, timeout):
+        assert (name, timeout) == ("show", PATIENCE)
+        live.sent.append(given)
+        if not live.answers:
+            raise TimeoutError
+
+    live.run_method = run_method
+    return live
+
+
+def frame(live, after=0.0):
+    """What one frame sends; None where nothing is new."""
+    live.real.now += after
+    live.sent.clear()
+    asyncio.run(live._frame())
+    return live.sent[0] if live.sent else None
+
+
+def element(number):
+    return SimpleNamespace(id=number, is_deleted=False)
+
+
+def test_only_what_has_changed_goes_out_and_texts_at_most_ten_times_a_second(live):
+    text, lamp = {1: "a", 2: "b"}, {3: False, 4: True}
+    for k in text:
+        assert live.text(one := element(k), lambda k=k: text[k]) is one
+    for k in lamp:
+        assert live.lamp(one := element(k), lambda k=k: lamp[k]) is one
+    assert frame(live) == ([(1, "a"), (2, "b")], [(3, False), (4, True)], [])
+    assert frame(live, READ) is None
+    text[2], lamp[3] = "c", True
+    assert frame(live, READ * 1.01) == ([(2, "c")], [(3, True)], [])
+    text[1] = "d"
+    assert frame(live, READ / 2) is None, "nobody reads faster"
+    lamp[4] = False
+    assert frame(live) == ([], [(4, False)], [])
+    assert frame(live, READ * 0.6) == ([(1, "d")], [], [])
+    assert 1 / FRAMES < READ
+
+
+def test_a_call_is_made_as_often_as_asked_and_not_where_there_is_nothing_new(live):
+    asked, given = [], {"often": [1], "seldom": [2]}
+    live.call(element(7), "often", lambda: given["often"])
+    live.call(element(8), "seldom", lambda: asked.append(1) or given["seldom"], 0.5)
+    assert frame(live) == ([], [], [(7, "often", [1]), (8, "seldom", [2])])
+    assert frame(live, 0.4) == ([], [], [(7, "often", [1])])
+    assert len(asked) == 1, "it is not even looked at"
+    given["often"] = None
+    assert frame(live, 0.01) is None
+    given["seldom"] = None
+    assert frame(live, 0.2) is None
+    given["seldom"] = []
+    assert frame(live) == ([], [], [(8, "seldom", [])]), "a look that had nothing does not count"
+
+
+def test_who_did_not_answer_is_sent_everything_again(live):
+    live.lamp(element(3), lambda: True)
+    live.text(element(1), lambda: "a")
+    live.answers = False
+    assert frame(live)
+    live.answers = True
+    assert frame(live, 1.0) == ([(1, "a")], [(3, True)], [])
+    assert frame(live, 1.0) is None
+
+
+def test_what_is_gone_from_the_page_is_looked_at_no_more(live):
+    gone, asked = element(3), []
+    live.lamp(gone, lambda: asked.append(1) or len(asked) % 2 == 0)
+    live.lamp(element(4), lambda: len(asked))
+    assert frame(live)[1] == [(3, False), (4, 1)]
+    gone.is_deleted = True
+    assert frame(live, 1.0) is None
+    assert (len(asked), set(live._lamps)) == (1, {4})
+
+
+def test_lines_are_told_once_the_last_so_many_and_a_key_takes_the_place_of_the_line_before(live):
+    lines = Lines.__new__(Lines)
+    lines._props = {}
+    lines.id, lines._deleted = 9, False
+    Lines.__init__(lines, live, 3)
+    assert lines._props["most"] == 3
+    assert lines._take() is None
+    for text, kind, key in (("a", "", 1), ("b", "bad", 1), ("c", "", 0), ("d", "", 0)):
+        lines.push(text, kind, key)
+    assert frame(live) == ([], [], [(9, "push", [[("b", "bad", 1), ("c", "", 0), ("d", "", 0)]])])
+    assert frame(live) is None
+    for k in range(5):
+        lines.push(str(k), "", 0)
+    assert [text for text, _, _ in lines._take()[0]] == ["2", "3", "4"]
+    lines.push("a", "", 5)
+    lines.push("b", "", 6)
+    lines.push("c", "", 5)
+    assert [text for text, _, _ in lines._take()[0]] == ["a", "b", "c"], "only of the line right before"
+    done = []
+    lines.run_method = lambda *what: done.append(what)
+    lines.push("gone")
+    lines.empty()
+    assert (lines._take(), done) == (None, [("clear",)])
