@@ -209,3 +209,13 @@ def test_the_second_way_is_judged_by_itself():
     seen = [*there, *(s._replace(time=s.time + last + 2e-3) for s in back)]
     found = Trial((0.05, 0.0), rate=1000, seconds=1.0).wrong(seen, 0.0, 1e-3)
     assert found.startswith("way 2 has 800 pulses a second")
+
+
+@pytest.mark.parametrize(
+    ("back", "why"), [(1000.0, ""), (800.0, "way 2 has 800 pulses"), (1300.0, "way 2 has 1300 pulses")]
+)
+def test_each_way_has_its_own_rate_seen_from_the_rest_before_it(back, why):
+    out, home = way((0.05,)), way((0.0,), rate=back, start=0.05)
+    seen = out + [s._replace(time=s.time + out[-1].time) for s in home[1:]]
+    found = Trial((0.05, 0.0), rate=1000, seconds=1.0).wrong(seen, 0.0, 1e-3)
+    assert found.startswith(why) if why else not found

@@ -131,8 +131,9 @@ def test_a_tolerance_tells_near_from_equal(entry):
     far = bench.verify(near, tolerance=1e-12)
     assert not far.ok
     assert "episode 1, step 0, reward" in str(far), "and not the observation, of which there is a digest alone"
-    with pytest.raises(ArgumentError, match="tolerance=-1: 0 or more"):
-        bench.verify(entry, tolerance=-1)
+    for wrong in (-1, float("inf"), float("nan")):
+        with pytest.raises(ArgumentError, match=f"tolerance={wrong}: 0 or more"):
+            bench.verify(entry, tolerance=wrong)
 
 
 def test_other_versions_are_told_as_a_possible_cause_and_only_of_what_differs(entry):
