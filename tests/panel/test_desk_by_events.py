@@ -1,17 +1,20 @@
 """Hands, console, front panels and oscilloscope by a browser's events, without a browser: what happens to the stage and is said."""
 
 from itertools import pairwise
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 pytest.importorskip("nicegui")
 from conftest import Served
 
 from stage.errors import StageError
+from stage.panel import chart as charts
 from stage.panel import chips
 from stage.panel.front import Front
 from stage.panel.orders import Cycle
-from stage.panel.oscilloscope import SPANS
+from stage.panel.oscilloscope import SPANS, Frame
 
 
 @pytest.fixture(scope="module")
@@ -270,9 +273,13 @@ def test_the_trace_is_of_the_chip_that_was_chosen(served, page, wide):
             assert len(emptied) == times, "axes of one chip have one bus"
 
 
-def chart_of(page):
+def live_of(page):
     (live,) = (e for e in page._all() if type(e).__name__ == "Live")
-    return next(look.__self__ for _, method, look, _ in live._calls if method == "run_chart_method")
+    return live
+
+
+def chart_of(page):
+    return next(look.__self__ for _, method, look, _ in live_of(page)._calls if method == "run_chart_method")
 
 
 def test_the_oscilloscope_shows_what_was_chosen_each_unit_in_a_chart_and_each_pin_in_a_lane(served, page):
@@ -289,6 +296,54 @@ def test_the_oscilloscope_shows_what_was_chosen_each_unit_in_a_chart_and_each_pi
     assert len({s["color"] for s in options["series"]}) == 5
     tops = [(g["top"], g["top"] + g["height"]) for g in options["grid"]]
     assert all(end < begin for (_, end), (begin, _) in pairwise(tops))
+
+
+def test_a_curve_is_drawn_in_ms_or_s_from_the_trigger_or_from_power_up(served, page):
+    chart = chart_of(page)
+    page.put("traces", ["x/position", "y/org"])
+    for begin, end, trigger, low, high, unit, first in (
+        (2.0, 2.5, None, 2000, 2500, "ms", 2100), (2.0, 3.0, None, 2, 3, "s", 2.1),
+        (2.0, 2.5, 2.2, -200, 300, "ms from the trigger", -100), (2.0, 5.0, 2.5, -0.5, 2.5, "s from the trigger", -0.4),
+    ):  # fmt: skip
+        curve = np.array([2.1, 2.2, 2.3, 2.4]), np.array([1.0, 1.0, 1.0, 3.0])
+        message = chart._message(Frame(begin, end, {"x/position": curve, "y/org": curve}, trigger, ""))
+        lower, upper = message["xAxis"]
+        assert (lower["min"], lower["max"]) == pytest.approx((low, high)) == (upper["min"], upper["max"])
+        assert "name" not in lower
+        assert upper["name"] == unit
+        for series in message["series"]:
+            assert series["data"][0] == pytest.approx([first, 1])
+            assert [y for _, y in series["data"]] == [1, 1, 3], "the middle of what is level is not needed"
+            assert len({x for x, _ in series["data"]}) == 3
+
+
+def test_what_rests_is_drawn_seldom_and_what_moves_as_it_comes(served, page, monkeypatch):
+    chart, clock = chart_of(page), SimpleNamespace(now=1000.0)
+    monkeypatch.setattr(live_of(page), "_calls", [])  # nobody else looks
+    monkeypatch.setattr(charts, "perf_counter", lambda: clock.now)
+    curves = {"flat": np.array([1.0, 1.0]), "up": np.array([1.0, 2.0])}
+    shown = SimpleNamespace(kind="up", end=1.0)
+
+    def picture(points):
+        return Frame(shown.end - 1, shown.end, {"x/position": (np.array([0.1, 0.2]), curves[shown.kind])}, None, "")
+
+    monkeypatch.setattr(chart.scope, "frame", picture)
+    monkeypatch.setattr(chart, "_drawn", None)
+
+    def drawn(kind, after):
+        shown.kind, shown.end = kind, shown.end + 0.01
+        clock.now += after
+        return page.within(chart._look) is not None
+
+    assert drawn("up", 0.0)
+    assert drawn("up", 0.01)
+    assert drawn("flat", 0.01), "that it rests is drawn at once"
+    assert not drawn("flat", 0.9 * charts.RESTING)
+    assert drawn("flat", 0.2 * charts.RESTING)
+    assert not drawn("flat", 0.01)
+    assert drawn("up", 0.01)
+    shown.end -= 0.01
+    assert not drawn("up", 1.0), "the same picture again"
 
 
 def test_window_trigger_and_run_are_those_of_the_controls(served, page, monkeypatch):

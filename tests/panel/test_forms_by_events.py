@@ -6,6 +6,7 @@ import pytest
 
 from stage import Stage, firmware
 from stage.errors import RunTimeout, StageError
+from stage.panel.procedures import FORMS
 from stage.panel.session import FREE
 
 
@@ -80,6 +81,27 @@ def test_a_move_is_of_the_axis_that_was_chosen_and_as_its_fields_say(page, sessi
     assert report.splitlines()[:2] == str(alone).splitlines()[:2]
     assert ordered == ["Move y"]
     assert not wrong(page)
+
+
+@pytest.mark.parametrize("axis", ["x", "y"])
+def test_each_field_has_its_title_its_unit_and_its_default(served, page, session, axis):
+    page.put("procedure-axis", axis)
+    shown = [f for f in FORMS.values() if f.needs(session.stage, axis)]
+    assert {e.props["name"] for e in page._all() if str(e.props.get("data-test")).startswith("tab-")} == {
+        *(f.name for f in shown), "jog",
+    }  # fmt: skip
+    for form in shown:
+        for field in form.fields(session.stage, axis):
+            widget = page.find(f"{form.name}-{field.name}")
+            assert (widget.value, widget.props["label"]) == (field.default, field.title)
+            assert widget.props.get("suffix", "") == field.unit
+            assert tuple(getattr(widget, "options", ())) == field.choices
+    assert [page.all(f"jog-{name}") != [] for name in ("speed", "accel", "distance", "start_speed")] == [
+        True,
+        True,
+        False,
+        False,
+    ]
 
 
 def test_a_line_is_of_no_axis_alone(page, session, ordered):
