@@ -15,6 +15,7 @@ from stage.panel import chips
 from stage.panel.front import Front
 from stage.panel.orders import Cycle
 from stage.panel.oscilloscope import SPANS, Frame
+from stage.panel.words import place
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +41,41 @@ def pushes(served):
     return of(served, lambda stage: [float(stage.data.qfrc_applied[a.plant.dof]) for a in stage.axes.values()])
 
 
+# --- axes ---
+
+
+def test_a_card_of_each_axis_has_its_motor_its_place_and_its_switches(served, page):
+    of(served, lambda stage: stage.place(x=0.0123, y=stage.axes["y"].travel[1] * 0.985))
+    served.panel.look.want(0, 0)
+    of(served, served.panel.look.take)
+    live, look = live_of(page), served.panel.look
+    texts = {e.props.get("data-test"): now() for e, now in live._texts.values()}
+    lamps = {e.props.get("data-test"): now() for e, now in live._lamps.values()}
+    assert lamps["switch-y-el_plus"]
+    for name, axis in served.session.stage.axes.items():
+        seen = look.axes[name]
+        assert texts[f"motor-{name}"] == axis.drive.motor.name
+        assert texts[f"place-{name}"] == place(axis.unit, seen.position, seen.commanded, seen.lost)
+        assert {s: lamps[f"switch-{name}-{s}"] for s in axis.switches.as_dict()} == seen.switches
+    assert texts["place-x"] != texts["place-y"]
+    pins = look.chips[0, 0]
+    for pin, on in (pins.inputs | pins.outputs).items():
+        assert lamps[f"pin-0-{pin}"] == on
+
+
 # --- hands ---
+
+
+def test_what_can_break_is_there_for_who_comes(served):
+    page, breakings = served.visit(), served.panel.hands.breakings("x")
+    assert list(page.find("breaking").options) == [b.name for b in breakings]
+    assert page.find("breaking").value == breakings[0].name
+    for b in breakings:
+        page.put("breaking", b.name)
+        for field in b.fields:
+            assert page.find(f"break-{field.name}").value == field.default
+        assert page.all("break")
+        assert b.title in {getattr(e, "text", "") for e in page._all()}
 
 
 def test_load_and_supply_are_what_the_sliders_say_and_every_page_follows(served, page):
