@@ -33,7 +33,7 @@ DOCS = Path(__file__).parents[2] / "docs"
 DATA, PICTURE = DOCS / "data" / "learning_curves.csv.gz", DOCS / "pictures" / "learning_curves.png"
 COLUMNS = ("task", "player", "run", "steps", "processor_s", "episode", "return", "success")
 RUNS = {"one-shot": 5, "few-shot": 5, "few-shot-wide": 10, "home": 5, "line": 5}
-BUS = {"origin": (1,), "axes": range(5)}
+BUS = {"origin": (1, 4), "axes": range(5)}
 """Seeds of each level at which a curriculum ends; what ends at a later one has been through those before."""
 PANELS = {
     "one-shot": "T1 OneShotTuning", "few-shot": "T2 FewShotTuning, the best try counts",
