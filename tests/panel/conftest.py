@@ -293,12 +293,13 @@ class Served:
         self._visitors.append(Visitor(self.panel))
         return self._visitors[-1]
 
-    def all_leave(self):
-        while self._visitors:
+    def leave(self, but=0):
+        """All leave but the first so many."""
+        while self._visitors[but:]:
             self._visitors.pop().leave()
 
     def close(self):
-        self.all_leave()
+        self.leave()
         self.panel.close()
         self.session.close()
 

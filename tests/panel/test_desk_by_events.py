@@ -28,6 +28,7 @@ def _as_at_first(served, page):
     served.session.reset()
     page.said.clear()
     yield
+    served.leave(but=1)
     for made in reversed(served.panel.hands.in_force):
         served.panel.hands.mend(made)
     served.panel.hands.load(0.0)

@@ -33,6 +33,7 @@ def session(served, page):
     page.put("procedure-axis", "x")  # the forms are as at first
     tab(page, "move")
     yield session
+    served.leave(but=1)
     session.abandon()
     page.until(lambda: not session.busy)
     session.paused = True
@@ -284,8 +285,7 @@ def test_who_loses_the_controls_lets_go_of_his_jog(served, page, session):
     page.until(lambda: session.view.doing == "jog x")
     second.click("controls")
     page.until(lambda: not session.busy)
-    second.leave()
-    served._visitors.remove(second)
+    served.leave(but=1)
     assert served.panel.controls.holder == page.client.id
 
 

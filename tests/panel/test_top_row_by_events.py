@@ -11,19 +11,23 @@ pytest.importorskip("nicegui")
 from stage.panel import transport
 
 
-@pytest.fixture
-def session(served):
-    served.session.reset()
-    served.session.speed, served.session.paused = FREE, True
-    yield served.session
-    served.session.dismiss()
-    served.all_leave()
-
-
-@pytest.fixture
-def page(served, session):
+@pytest.fixture(scope="module")
+def page(served):
     """The first who comes, who has the controls."""
     return served.visit()
+
+
+@pytest.fixture
+def session(served, page):
+    """At power-up, alone, and looked at by that one; who comes later leaves at the end."""
+    served.session.reset()
+    served.session.speed, served.session.paused = FREE, True
+    page.said.clear()
+    page.sent.clear()
+    yield served.session
+    served.session.dismiss()
+    served.leave(but=1)
+    assert served.panel.controls.holder == page.client.id
 
 
 def inert(page, name):
