@@ -12,7 +12,7 @@ from support.programs import load_registers, start_preset
 from support.recording_bench import read_rrd
 
 from stage import ArgumentError, Drive, Fleet, Program, RunTimeout, Stage, StageError, firmware
-from stage.chips import HCTL1100, MCX302, MCX304, MCX514, PCL240K, chip_class
+from stage.chips import HCTL1100, MCX302, MCX304, MCX514, PCL240K, PCL240MS, chip_class
 from stage.chips.entries import LOST, WRITE
 from stage.cli import fault as demos
 from stage.cli import main
@@ -825,3 +825,27 @@ def test_a_stuck_switch_that_is_mended_while_the_axis_stands_says_the_truth_at_o
         assert getattr(x.pins, pin)
     stage.run_to(stage.now + 1000)
     assert not getattr(x.pins, pin)
+
+
+def test_switches_that_stick_and_are_mended_move_no_edge_of_the_index():
+    """faults.switch_stuck(axis, "sd_plus", False) and its mend, every 70 us of a move"""
+    stage = Stage("xyz", chips=PCL240MS, visuals=False)
+    index = PCL240MS.INPUTS["ez"]
+
+    def edges(meddle):
+        stage.reset()
+        start_preset(stage.axes["x"].chip, 10_000)
+        stage.run(0.2)
+        seen, was = [], False
+        for k in range(3600):
+            if meddle and k % 7 == 0:
+                stage.axes["x"].switches.stick("sd_plus", None if k % 14 else False)
+            stage.run(1e-5)
+            now = bool(stage.axes["x"].chip.input_word(0) & index)
+            seen += [k] if now != was else []
+            was = now
+        return seen
+
+    plain = edges(False)
+    assert len(plain) == 2
+    assert edges(True) == plain
