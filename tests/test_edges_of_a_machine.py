@@ -85,6 +85,17 @@ def test_where_the_pulses_say_a_left_hand_carriage_is_has_the_sign_of_its_move(m
         assert x.commanded - start == pytest.approx(1e-3, abs=1e-4)
 
 
+def test_a_recording_has_the_commanded_place_of_a_left_hand_carriage_too(mirrored):
+    mirrored.reset()
+    x = mirrored.axes["x"]
+    start = x.position
+    with faults.jam(x, 1e4), mirrored.record() as recording:
+        firmware.move(x, 1e-3)
+    made = recording.axes["x"]
+    assert made.commanded[-1] - start == pytest.approx(1e-3, abs=1e-4)
+    assert made.position[-1] == pytest.approx(start, abs=1e-4)
+
+
 def test_a_step_of_none_stays(stage):
     stage.run(1e-4)
     before = stage.now
