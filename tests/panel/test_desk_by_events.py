@@ -314,6 +314,19 @@ def live_of(page):
     return live
 
 
+def test_each_cycle_and_each_diagnostic_is_a_line_of_the_trace_and_what_is_bad_looks_so(served, page):
+    log, pushed = page.find("trace"), []
+    page.put("console-target", 1)
+    page.put("console-target", 0)
+    log.push = lambda *given: pushed.append(given)
+    line(page, "15")
+    page.until(lambda: any(kind == "bad" for _, kind, *_ in pushed))
+    trace = served.panel.look.traces[0]
+    told = [(one.text(trace.digits), "bad" if one.way == "!" else "", one.first) for one in trace.lines]
+    page.until(lambda: [one for one in pushed if len(one) == 3][-2:] == told[-2:])
+    assert ("> 15", "own") in pushed
+
+
 def chart_of(page):
     return next(look.__self__ for _, method, look, _ in live_of(page)._calls if method == "run_chart_method")
 

@@ -53,15 +53,18 @@ def test_after_what_is_done_at_once_time_goes_on_in_real_time(session):
     goes_on(session)
 
 
-def test_after_going_back_and_to_a_snapshot_time_goes_on_in_real_time(session):
-    then = session.do(lambda stage: stage.snapshot())
+def test_who_goes_to_a_snapshot_goes_on_from_there_at_once_whether_it_is_later_or_earlier(session):
+    first = session.do(lambda stage: stage.snapshot())
     hurried(session, 4.0)
+    later = session.do(lambda stage: stage.snapshot())
+    session.restore(first)
     session.paused = False
-    until(lambda: session.view.time > 4.01)
-    session.paused = True
-    session.restore(then)
-    assert session.view.time == 0
-    goes_on(session)
+    until(lambda: session.view.time > 0.02)
+    for then, at in ((later, 4.0), (first, 0.0)):
+        session.restore(then)  # time passes, and goes on doing so
+        begin = time.monotonic()
+        until(lambda now=at: now + 0.03 < session.view.time < now + 2, 1.5)
+        assert session.view.time - at <= time.monotonic() - begin + 0.2
 
 
 def test_an_order_is_seen_when_it_is_done(session):
