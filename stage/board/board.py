@@ -112,19 +112,23 @@ class Board:
         """One read cycle of 8 bits; FFh where there is nothing."""
         return self.link.ask(host.IN8, port, 0)
 
+    @told
     def out16(self, port: int, value: int) -> None:
         """One write cycle of 16 bits; two of 8, the low byte first, at chips with a bus of 8 bits."""
         self.link.ask(host.OUT16, port, value)
 
+    @told
     def in16(self, port: int) -> int:
         """One read cycle of 16 bits; two of 8, the low byte first, at chips with a bus of 8 bits."""
         return self.link.ask(host.IN16, port, 0)
 
+    @told
     def out32(self, port: int, value: int) -> None:
         """Two write cycles of 16 bits, at `port` the low half, then at `port + 2` the high one; four of 8 at chips with a bus of
         8 bits."""
         self.link.ask(host.OUT32, port, value)
 
+    @told
     def in32(self, port: int) -> int:
         """Two read cycles of 16 bits, in the same order."""
         return self.link.ask(host.IN32, port, 0)
