@@ -143,3 +143,24 @@ def test_a_stage_with_a_device_on_its_bus_has_it_in_its_snapshots_with_any_motor
         assert stage.header.parts[-1] == device
         stage.restore(stage.snapshot())
         stage.reset()
+
+
+@pytest.mark.parametrize("name", [SMALL, "17HS19-2004S1"])
+def test_from_the_change_on_the_currents_are_those_of_the_new_motor(xyz, name):
+    """What a slice leaves of a current, and adds to it, is worked out of the motor's resistance and inductance."""
+    x = xyz.axes["x"]
+    start_preset(x.chip, 10_000)
+    xyz.run(0.05)
+    old, new = x.drive.motor, MOTORS[name]
+    record = xyz.state.drives[x.index]
+
+    def check(motor):
+        xyz.run(0.001)
+        keep = np.exp(-float(record["slice"]) * motor.resistance / motor.inductance)
+        assert float(record["keep"]) == pytest.approx(keep, rel=1e-12)
+        assert float(record["reach"]) == pytest.approx((1 - keep) * x.supply / motor.resistance, rel=1e-12)
+
+    check(old)
+    with faults.motor(x, name):
+        check(new)
+    check(old)

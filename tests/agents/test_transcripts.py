@@ -246,3 +246,16 @@ def test_what_was_played_before_must_come_out_the_same(tmp_path, three):
     write(file, rows)
     with Writer(file, three.head, go_on=True) as writer, pytest.raises(ArgumentError, match="comes out otherwise here"):
         play(suite("diagnosis", episodes=3), looks, "looks", before=writer.before)
+
+
+def test_an_end_amid_a_game_is_none(tmp_path):
+    """A transcript whose last game has lost the line of its score"""
+    games, file = suite("diagnosis", episodes=2), tmp_path / "t.jsonl"
+    save(play(games, breaks(0), "p"), file)
+    lines = file.read_text().splitlines(keepends=True)
+    scores = [k for k, line in enumerate(lines) if "score" in json.loads(line)]
+    file.write_text("".join(lines[: scores[-1]] + lines[scores[-1] + 1 :]))
+    with pytest.raises(
+        ArgumentError, match=rf"t\.jsonl, line {scores[-1] + 1}: no transcript of `stage agent`: a line out of"
+    ):
+        read(file)

@@ -179,3 +179,20 @@ def test_what_is_no_shaft_is_refused_and_its_pins_are_no_hands():
     chip.set_shaft(1e300, -1e290)
     chip.advance(1000)
     assert -(1 << 31) <= real_position(chip) < 1 << 31, "far away, and no failure"
+
+
+@pytest.mark.parametrize(("slow", "fast"), [(3, 9), (9, 3), (0, 15)])
+def test_the_filter_of_the_encoders_pins_delays_what_they_count(slow, fast):
+    """FE7 of FLM: ECA and ECB count after the delay of FL1, and of nothing else."""
+    for enabled in (True, False):
+        chip = MCX514()
+        set_mode(chip, 0, 0)
+        put(chip, 0x25, (0x80 if enabled else 0x7F) | fast << 8 | slow << 12)
+        delay = 8 << slow if enabled else 0
+        for edge in range(1, 6):
+            show(chip, edge)
+            if delay:
+                chip.advance(delay - 1)
+                assert real_position(chip) == edge - 1, "not yet"
+                chip.advance(1)
+            assert real_position(chip) == edge

@@ -2,6 +2,7 @@
 
 import io
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -158,6 +159,15 @@ def test_files_have_what_the_window_shows(session, sampler):
         FORMATS["csv"](sampler, [], 0, 1)
     with pytest.raises(ArgumentError, match="no samples between 50 and 60 s"):
         FORMATS["vcd"](sampler, names, 50, 60)
+
+
+def test_a_change_in_a_vcd_file_has_the_nanosecond_nearest_to_its_time():
+    """Seconds are no whole nanoseconds in binary: 1.001 * 1e9 is 1000999999.9999999."""
+    times = np.array([1.0, 1.001, 1.003, 1.005, 1.2])
+    level = SimpleNamespace(name="x/org", pin=True)
+    sampler = SimpleNamespace(columns=lambda *_: (times, {"x/org": np.array([0, 1, 0, 1, 1])}), trace=lambda _: level)
+    said = FORMATS["vcd"](sampler, ["x/org"], 1.0, 1.2).decode()
+    assert re.findall(r"^#(\d+)", said, re.MULTILINE) == [f"{round(t * 1e9)}" for t in times.tolist()]
 
 
 @pytest.mark.slow

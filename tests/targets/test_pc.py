@@ -208,3 +208,12 @@ def test_a_counter_is_read_as_it_was_latched():
     assert not timers.read(0x61) & 0x20
     now[0] += 100
     assert timers.read(0x61) & 0x20
+
+
+@needs_unicorn
+def test_what_a_program_has_printed_before_it_fails_is_in_the_log_also_without_a_line_end(tmp_path):
+    """mov dl, 'a'; mov ah, 2; int 21h; hlt with interrupts off"""
+    h = com(tmp_path, "B261B402CD21 FA F4".replace(" ", ""))
+    with pytest.raises(HostError, match="it halts for ever"):
+        h.run(timeout=1)
+    assert [text for _, text in h.board.log] == ["a"]

@@ -158,7 +158,24 @@ class Beyond(TOY):
 
 
 FORGETS = {"run": answers.forgets_the_phase, "advance": answers.forgets_the_phase_too}
+
+
+class AnyPin(TOY):  # a misspelt pin is set, and nobody is told
+    def __init__(self, **options: Any):
+        super().__init__(**options)
+        pins = type(self.axes[0].pins)
+
+        class Pins(pins):  # type: ignore[misc, valid-type]
+            def __setattr__(self, name: str, value: Any) -> None:
+                if name != "no_such_pin":
+                    super().__setattr__(name, value)
+
+        for axis in self.axes:
+            object.__setattr__(axis.pins, "__class__", Pins)
+
+
 DEFECTS: dict[str, tuple[type, str, str]] = {
+    "any pin can be set": (AnyPin, "pins_by_name", "pin no_such_pin, no input, can be set"),
     "time cut": (with_core(**FORGETS), "cut_time", "the state differs in due|makes .* pulses, and"),
     "cut at a pulse": (with_core(advance=answers.late_by_a_clock), "cut_time", "the state differs in due"),
     "advance counts wrong": (with_core(advance=answers.one_at_most), "traced", "says 1 pulses, and the axes' net go by"),

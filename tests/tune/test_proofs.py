@@ -72,3 +72,17 @@ def test_what_lost_a_step_once_is_not_said_to_carry_more():
         return SimpleNamespace(kept=np.array([[c.payload - PAYLOAD < most - 1e-9 for c in cases]]))
 
     assert proof.spare(tries(make=make), None, 1.0, np.random.default_rng(0)) == (pytest.approx(0.9), False)
+
+
+@pytest.mark.parametrize("angle", [0, 1, -1])
+def test_a_payload_is_carried_where_it_is_at_every_rotor_angle(angle):
+    """More than 2.0 + 0.9 kg loses steps at one angle of each row alone"""
+
+    def make(plans, cases, limit):
+        kept = np.ones((proof.LADDER, proof.ANGLES), bool)
+        kept[:, angle] = [c.payload - PAYLOAD <= 0.9 for c in cases[:: proof.ANGLES]]
+        return SimpleNamespace(kept=kept.reshape(1, -1))
+
+    carried, more = proof.spare(tries(make=make), None, 1.0, np.random.default_rng(0))
+    assert not more
+    assert 0.8 < carried <= 0.9
