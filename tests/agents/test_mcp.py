@@ -25,7 +25,9 @@ pytest.importorskip("mcp")
 from support.from_schema import calls
 from support.mcp_served import Served, over_stdio
 
-from stage.agents.server.http import Door
+from stage import Stage
+from stage.agents.server.http import Door, HttpServer
+from stage.agents.server.sessions import Maker, Sessions
 
 
 @pytest.fixture(scope="module")
@@ -66,6 +68,12 @@ async def tour(client):
 
 def test_http_has_what_a_client_needs(served):
     assert "move" in served.talk(tour)
+
+
+def test_who_comes_before_the_server_runs_is_not_refused():
+    maker = Maker(lambda: Stage("xy", visuals=False))
+    server = HttpServer(maker, Sessions(maker))
+    socket.create_connection(("127.0.0.1", server.port), 5).close()
 
 
 def test_stdio_has_the_same(served):
