@@ -6,7 +6,7 @@
 
 The engine samples at each physics step, as it does for a recording; nothing else runs in the stage's thread than copying what has
 come. Unlike a recording it keeps no journals, forgets what is old, and lets time go back: what then lies in the future is
-forgotten. A recording that somebody begins takes its place; the sampler then reads the recording's samples.
+forgotten. While somebody records, the sampler reads the recording's samples.
 """
 
 from __future__ import annotations
@@ -204,9 +204,10 @@ class Sampler:
         self._recording, self._read = None, 0
         self.events: deque[Event] = deque(maxlen=EVENTS)
         self._said = {id(chip): len(chip.diagnostics) for chip in stage.chips}
+        self._also: list[Sampler] = []  # of the same stage: one is told by the engine, and tells the others
         self._over = lambda: None
         if axes:
-            session.do(self._attach)
+            session.do(self._join)
             self._over = session.on_slice(self._look)
 
     # --- in the stage's thread ---
@@ -215,7 +216,8 @@ class Sampler:
         """The engine has filled the buffers up to row `filled`."""
         if filled:
             self.filled = 0
-            self._keep(self.samples[:filled])
+            for sampler in (self, *self._also):
+                sampler._keep(self.samples[:filled])
 
     def _keep(self, rows: np.ndarray) -> None:
         with self.lock:
@@ -226,20 +228,26 @@ class Sampler:
             self._coarse.extend(rows[(-self._phase) % self._thin :: self._thin])
             self._phase = (self._phase + len(rows)) % self._thin
 
+    def _join(self, stage: Stage) -> None:
+        """Be told of samples: by the engine, by another sampler that it tells, or by the recording that goes on."""
+        now = stage.loop.recording
+        if now is None:
+            self._attach(stage)
+        elif not isinstance(now, Sampler):
+            self._follow(now)
+        elif self is not now and self not in now._also:
+            now._also.append(self)
+
     def _attach(self, stage: Stage) -> None:
         stage.change()
-        stage.loop.recording = self
+        stage.loop.recording, self._also = self, []
         handle.log_to(stage.state.handle, self)
         stage.state.clockwork[0].sample_every = 1
         stage.state.world[0].to_sample = 1
 
     def _look(self, stage: Stage) -> None:
         """After each slice."""
-        now = stage.loop.recording
-        if now is None:
-            self._attach(stage)
-        elif now is not self:
-            self._follow(now)
+        self._join(stage)
         if self._fine.last > stage.time or self._coarse.last > stage.time:
             with self.lock:
                 self._fine.forget_from(stage.time)
@@ -264,8 +272,13 @@ class Sampler:
             self._keep(rows)
 
     def _detach(self, stage: Stage) -> None:
-        if stage.loop.recording is self:
+        now = stage.loop.recording
+        if now is self:
             stage.stop_recording()
+            for other in self._also:
+                other._join(stage)
+        elif isinstance(now, Sampler) and self in now._also:
+            now._also.remove(self)
 
     # --- from any thread ---
 

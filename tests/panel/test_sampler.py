@@ -6,7 +6,7 @@ import pytest
 from stage import Stage, firmware
 from stage.errors import ArgumentError
 from stage.panel import sampler as sampling
-from stage.panel.sampler import Ring, thinned
+from stage.panel.sampler import Ring, Sampler, thinned
 from stage.sim.records import SAMPLE
 
 
@@ -125,3 +125,38 @@ def test_traces_of_a_stage_have_units(sampler):
     assert sampler.traces["y/org"].pin
     assert "x/current_a" in sampler.traces
     assert sampling.LONGEST == 60
+
+
+def test_a_recording_that_goes_on_is_not_disturbed(session):
+    recording = session.do(lambda stage: stage.record())
+    run(session, 0.01)
+    sampler = Sampler(session)
+    run(session, 0.01)
+    assert session.do(lambda stage: stage.recording is recording)
+    assert len(recording) == 20
+    assert sampler.last == pytest.approx(0.02, abs=1.1e-3)
+    assert sampler.columns([], 0, 1.0)[0][0] <= 1.1e-3, "what was recorded before is seen, too"
+    session.do(lambda stage: recording.close())
+    run(session, 0.01)
+    assert sampler.last == pytest.approx(0.03, abs=3e-4)
+    sampler.close()
+
+
+def test_samplers_of_one_stage_see_the_same_whoever_comes_and_goes(session, sampler):
+    run(session, 0.01)
+    second = Sampler(session)
+    run(session, 0.01)
+    third = Sampler(session)
+    sampler.close()
+    run(session, 0.01)
+    assert sampler.last == pytest.approx(0.02, abs=3e-4), "it is closed"
+    third.close()
+    run(session, 0.01)
+    assert third.last == pytest.approx(0.03, abs=3e-4)
+    times, seen = second.columns(["x/position"], 0, 1.0)
+    assert np.diff(times) == pytest.approx(2.5e-4), "none is missing, none twice"
+    assert times[0] == pytest.approx(0.0102, abs=3e-4)
+    assert times[-1] == second.last == pytest.approx(0.04, abs=3e-4)
+    assert len(seen["x/position"]) == len(times)
+    second.close()
+    assert session.do(lambda stage: stage.loop.recording) is None
