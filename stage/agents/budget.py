@@ -76,7 +76,7 @@ class Meter:
         b = self.budget
         return {
             "moves": None if b.moves is None else b.moves - self.moves,
-            "seconds": None if b.seconds is None else max(round(b.seconds - self.ns * 1e-9, 9), 0.0),
+            "seconds": None if b.seconds is None else max(0.0, round(b.seconds - self.ns * 1e-9, 9)),
             "cycles": None if b.cycles is None else b.cycles - self.cycles,
         }
 

@@ -21,7 +21,7 @@ LINES = 40
 def tools(box: Toolbox) -> list[Tool]:
     """Of a toolbox."""
     made = Bus(box)
-    chips = {type(a.chip) for a in box.stage.axes.values()}
+    chips = tuple(dict.fromkeys(type(a.chip) for a in box.stage.axes.values()))
     written = _names(r.name for c in chips for r in c.MAP.registers if "W" in r.access)
     every = _names(r.name for c in chips for r in c.MAP.registers)
     sent = _names(n for c in chips for n in commands_of(c))

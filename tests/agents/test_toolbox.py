@@ -330,3 +330,18 @@ def test_axes_that_drive_one_load_go_home_together():
     refused = box.call("home", {"axis": "w", "by": "switch"})
     assert not refused.ok
     assert "axis w drives one load with y" in refused.text
+
+
+def test_names_are_listed_in_the_order_of_the_axes_whatever_chips_they_have():
+    for chips in (("HCTL1100", "PCL240MS"), ("PCL240MS", "HCTL1100")):
+        box = Toolbox(Stage("xy", chips=dict(zip("xy", chips, strict=True)), visuals=False))
+        for tool in ("read_register", "write_register", "command"):
+            listed = next(f.choices for f in box.tools[tool].fields if f.name == "name")
+            first = box.axis("x").chip.MAP
+            assert listed[0] in {*(r.name for r in first.registers), *(w.name for w in first.words)}, (chips, tool)
+
+
+def test_of_time_that_is_spent_nothing_is_left_and_no_minus_nothing(make_box):
+    box = make_box(budget=Budget(seconds=0.03))
+    box.call("wait", {"seconds": 0.03})
+    assert str(box.meter.left()["seconds"]) == "0.0"

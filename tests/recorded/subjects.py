@@ -1,6 +1,7 @@
 """All files of recorded behaviour and their scenes."""
 
 from recorded import (
+    recorded_agents,
     recorded_chips,
     recorded_cli,
     recorded_envs,
@@ -12,7 +13,7 @@ from recorded import (
 
 PHYSICS = {
     **recorded_cli.FILES, **recorded_texts.FILES, **recorded_stage.FILES, **recorded_firmware.FILES, **recorded_envs.FILES,
-    **recorded_machines.FILES,
+    **recorded_machines.FILES, **recorded_agents.FILES,
 }  # fmt: skip
 """What depends on MuJoCo's version."""
 FILES = {**recorded_chips.FILES, **PHYSICS}
