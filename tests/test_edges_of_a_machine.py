@@ -85,6 +85,15 @@ def test_where_the_pulses_say_a_left_hand_carriage_is_has_the_sign_of_its_move(m
         assert x.commanded - start == pytest.approx(1e-3, abs=1e-4)
 
 
+@pytest.mark.parametrize("speed", [0.02, -0.02, None])
+def test_a_left_hand_carriage_jogs_the_way_of_its_speeds_sign(mirrored, speed):
+    mirrored.reset()
+    x = mirrored.axes["x"]
+    start = x.position
+    firmware.jog(x, 0.05, speed)
+    assert np.sign(x.position - start) == (1 if speed is None else np.sign(speed))
+
+
 def test_a_recording_has_the_commanded_place_of_a_left_hand_carriage_too(mirrored):
     mirrored.reset()
     x = mirrored.axes["x"]

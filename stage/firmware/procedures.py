@@ -85,11 +85,11 @@ def home(
 def jog(
     axis: Axis, seconds: float, speed: float | None = None, *, start_speed: float | None = None, accel: float = RAMP
 ) -> Report:
-    """Run for `seconds`, then stop with a ramp. speed: m/s (rad/s), the sign is the direction; default 16,000 pulses a second,
-    plus. Raises ArgumentError, StageError."""
+    """Run for `seconds`, then stop with a ramp. speed: m/s (rad/s), the sign is the carriage's direction; default 16,000 pulses a
+    second, plus. Raises ArgumentError, StageError."""
     if not 0 <= seconds < 1e9:
         raise ArgumentError(f"seconds={seconds!r}: time runs forward, by 0 to 1e9 s.")
-    driver, direction = driver_of(axis), -1 if speed is not None and speed < 0 else 1
+    driver, direction = driver_of(axis), -_forward(axis) if speed is not None and speed < 0 else _forward(axis)
     wanted = speeds(axis, None if speed is None else abs(speed), start_speed, accel, None, False)
     driver.ready(direction)
     with Procedure(axis, "jog") as p:
@@ -166,8 +166,12 @@ def pulses_of(axis: Axis, distance: float | None, pulses: int | None) -> int:
         return int(pulses)
     if not isinstance(distance, int | float) or not math.isfinite(distance):
         raise ArgumentError(f"distance={distance!r}: metres, or radians on a hinge.")
-    forward = math.copysign(1.0, getattr(axis, "gear", 1.0))
-    return round(forward * distance / _unit(axis, "distance"))
+    return round(_forward(axis) * distance / _unit(axis, "distance"))
+
+
+def _forward(axis: Axis) -> int:
+    """The direction of the pulses that move the carriage plus: -1 where the motor turns the other way round."""
+    return -1 if getattr(axis, "gear", 1.0) < 0 else 1
 
 
 def _unit(axis: Axis, what: str) -> float:

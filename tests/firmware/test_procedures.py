@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from stage import ArgumentError, Drive, RunTimeout, Stage, StageError, faults, firmware
-from stage.chips import CHIPS, HCTL1100, MCX304, MCX501, MCX514, PCL240K, PCL240MK
+from stage.chips import CHIPS, HCTL1100, MCX304, MCX312, MCX501, MCX514, PCL240K, PCL240MK, PCL240MS
 from stage.firmware import Bench
 from stage.firmware.driver import AtOnce, Speeds, driver_class, driver_of, usual_speeds, wait_until_stopped
 from stage.firmware.procedures import speeds
@@ -457,6 +457,15 @@ def test_s_curves_where_there_are_none_are_refused():
     assert early[0] == pytest.approx(1000 + 15_000 * 0.02 / 0.15, rel=0.05)
     assert early[1] == pytest.approx(1000 + 15_000 * 2 * (0.02 / 0.15) ** 2, rel=0.1), "the acceleration begins at 0"
     assert curved.pulses == straight.pulses == 8000
+
+
+@pytest.mark.parametrize("chip", [MCX514, MCX304, MCX312, PCL240MS])
+def test_with_nothing_to_ramp_s_curves_are_constant_speed(chip):
+    """speed = start_speed"""
+    x = Stage("xy", chips=chip, visuals=False).axes["x"]
+    report = firmware.move(x, pulses=60, speed=0.01, start_speed=0.01, s_curve=True)
+    assert (report.pulses, report.ok) == (60, True)
+    assert report.peak_rate == pytest.approx(0.01 / x.meters_per_pulse, rel=0.02)
 
 
 @pytest.mark.parametrize("name", EVERY)

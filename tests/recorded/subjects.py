@@ -4,6 +4,7 @@ from recorded import (
     recorded_agents,
     recorded_chips,
     recorded_cli,
+    recorded_drivers,
     recorded_envs,
     recorded_firmware,
     recorded_machines,
@@ -14,6 +15,7 @@ from recorded import (
 PHYSICS = {
     **recorded_cli.FILES, **recorded_texts.FILES, **recorded_stage.FILES, **recorded_firmware.FILES, **recorded_envs.FILES,
     **recorded_machines.FILES, **recorded_agents.FILES,
+    **recorded_drivers.FILES,
 }  # fmt: skip
 """What depends on MuJoCo's version."""
 FILES = {**recorded_chips.FILES, **PHYSICS}

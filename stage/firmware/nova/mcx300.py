@@ -101,7 +101,9 @@ class FirstGenerationDriver(NovaDriver):
         seconds = max(up, down)
         values = {"SV": fl / MULTIPLE, "V": fh / MULTIPLE, "A": (fh - fl) / seconds / (125 * MULTIPLE)}
         if s_curve:
-            values |= {"A": limits(self.map, "A")[1], "K": 62_500_000 * MULTIPLE * seconds**2 / (4 * (fh - fl))}
+            most = limits(self.map, "K")[1]  # also where nothing is to be ramped
+            jerk = 62_500_000 * MULTIPLE * seconds**2 / (4 * (fh - fl)) if fh > fl else most
+            values |= {"A": limits(self.map, "A")[1], "K": jerk}
         return {name: self.legal(name, value) for name, value in values.items()}
 
     def interpolates(self, drivers: Sequence[NovaDriver]) -> bool:
