@@ -25,6 +25,7 @@ BYTES, NUMBERS, LENGTHS = "bytes", "numbers", "lengths"
 FARTHEST = 1e3  # m or rad, of a length
 LONG = 4000  # characters of a text, at most
 MANY = 256  # numbers of a list, at most
+_MOST = (1 << 63) - 1  # of a whole number: what 64 bits hold
 UNITS = TYPED["m"] | TYPED["rad"]
 DIGITS = r"^\s*[-+]?(0[xX][0-9a-fA-F]+|[0-9a-fA-F]+[hH]|0[bB][01]+|[0-9]+)\s*$"
 """Whole numbers as texts."""
@@ -212,8 +213,11 @@ class Field:
 
 
 def _bounded(what: str, number: int) -> int:
-    if abs(number) >> 63:
-        raise ArgumentError(f"{what}: {shown(number)} needs more than 64 bits; no register is so wide.")
+    if abs(number) > _MOST:
+        said = (
+            f"{what}: {shown(number)} is out of range: give a number from {-_MOST} to {_MOST}; no register is so wide."
+        )
+        raise ArgumentError(said)
     return number
 
 

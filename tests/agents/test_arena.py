@@ -1,6 +1,7 @@
 """Games, transcripts, entries, and the players that are shipped."""
 
 import json
+from importlib.util import find_spec
 
 import pytest
 
@@ -129,7 +130,7 @@ def test_the_command_plays_and_replays(tmp_path, capsys, monkeypatch):
     assert len(told["games"]) == 2
     assert main(["bench-verify", "f.bench"]) == 0
     for arguments, said in (
-        (["agent", "diagnosis", "--mcp"], "one game for one client"),
+        *([(["agent", "diagnosis", "--mcp"], "one game for one client")] if find_spec("mcp") else []),
         (["agent", "diagnosis", "--mcp", "--by", "x"], "one player at a time"),
         (["agent", "diagnosis:late", "--entry", "x.bench"], "entries are of RegisterBench"),
         (["agent", "diagnosis:late", "--endpoint", "ftp://x", "--model", "m"], "begins with http"),

@@ -343,7 +343,7 @@ def test_two_tests_whose_long_names_begin_alike_have_a_folder_each(session, pyte
 def test_the_folder_goes_when_the_test_passes_again(session, pytester):
     session(TURNS)
     assert (pytester.path / FOLDER).is_dir()
-    session(TURNS.replace("assert 0", "assert 1"))
+    session(TURNS.replace("assert 0", "assert True"))
     assert not (pytester.path / FOLDER).exists()
 
 
@@ -351,7 +351,7 @@ def test_the_folder_goes_with_its_bus_trace_when_the_test_passes_again(session, 
     source = "def test_it_fails(stage):\n    stage.axes['x'].chip.write(0, 0x08)\n    stage.run(0.01)\n    assert 0"
     session(source)
     assert (pytester.path / FOLDER / "bus.txt").is_file()
-    session(source.replace("assert 0", "assert 1"))
+    session(source.replace("assert 0", "assert True"))
     assert not (pytester.path / FOLDER).exists()
 
 
@@ -367,13 +367,13 @@ def test_the_folder_goes_with_several_recordings_too(session, pytester):
         """
     session(source)
     assert (pytester.path / FOLDER / "recording-2.rrd").is_file()
-    session(source.replace("assert 0", "assert 1"))
+    session(source.replace("assert 0", "assert True"))
     assert not (pytester.path / FOLDER).exists()
 
 
 @needs_rerun
 def test_keep_all_keeps_those_of_passed_tests(session, pytester):
-    result, _ = session(TURNS.replace("assert 0", "assert 1"), "--pulsestage-keep=all")
+    result, _ = session(TURNS.replace("assert 0", "assert True"), "--pulsestage-keep=all")
     result.assert_outcomes(passed=1)
     assert (pytester.path / FOLDER / "recording.rrd").exists()
 
@@ -387,7 +387,7 @@ def test_output_goes_where_option_or_ini_file_say(session, pytester):
     mine.write_text("keep me")
     session(TURNS, "--pulsestage-output=other")
     assert (mine.parent / "recording.rrd").exists()
-    session(TURNS.replace("assert 0", "assert 1"), "--pulsestage-output=other")
+    session(TURNS.replace("assert 0", "assert True"), "--pulsestage-output=other")
     assert list(mine.parent.iterdir()) == [mine]
     assert not (pytester.path / "other" / ".gitignore").exists()  # the folder was there before
 
