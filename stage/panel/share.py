@@ -30,6 +30,7 @@ from stage.panel.sampler import LONGEST
 from stage.panel.written import Sent
 from stage.sim.records import SECOND
 from stage.sim.stage import Snapshot
+from stage.snapshot_files import SnapshotError
 
 if TYPE_CHECKING:
     from stage.panel.server import Panel
@@ -138,7 +139,11 @@ def read(path: str | os.PathLike) -> Shared:
             for name in ("start", "now"):
                 one = Path(folder) / name
                 one.write_bytes(_member(file, f"{name}.snapshot"))
-                snapshots.append(Snapshot.load(one))
+                try:
+                    snapshots.append(Snapshot.load(one))
+                except SnapshotError as error:
+                    said = str(error).replace(str(one), f"{path}: its {name}.snapshot")
+                    raise ArgumentError(said) from error
             made = told["made"]
             if made is not None:
                 made = {name: made[name] for name in MADE}

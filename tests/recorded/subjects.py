@@ -8,14 +8,14 @@ from recorded import (
     recorded_envs,
     recorded_firmware,
     recorded_machines,
+    recorded_panel,
     recorded_stage,
     recorded_texts,
 )
 
 PHYSICS = {
     **recorded_cli.FILES, **recorded_texts.FILES, **recorded_stage.FILES, **recorded_firmware.FILES, **recorded_envs.FILES,
-    **recorded_machines.FILES, **recorded_agents.FILES,
-    **recorded_drivers.FILES,
+    **recorded_machines.FILES, **recorded_agents.FILES, **recorded_drivers.FILES, **recorded_panel.FILES,
 }  # fmt: skip
 """What depends on MuJoCo's version."""
 FILES = {**recorded_chips.FILES, **PHYSICS}
