@@ -11,11 +11,13 @@ from recorded import (
     recorded_panel,
     recorded_stage,
     recorded_texts,
+    recorded_tune,
 )
 
 PHYSICS = {
     **recorded_cli.FILES, **recorded_texts.FILES, **recorded_stage.FILES, **recorded_firmware.FILES, **recorded_envs.FILES,
     **recorded_machines.FILES, **recorded_agents.FILES, **recorded_drivers.FILES, **recorded_panel.FILES,
+    **recorded_tune.FILES,
 }  # fmt: skip
 """What depends on MuJoCo's version."""
 FILES = {**recorded_chips.FILES, **PHYSICS}
