@@ -1,0 +1,195 @@
+"""The vector as Stable-Baselines3 wants it, on a base class that does here what SB3's own does: so it is tried without SB3, too."""
+
+import copy
+import importlib
+import sys
+from types import ModuleType
+
+import gymnasium
+import numpy as np
+import pytest
+
+import stage.envs
+from stage import ArgumentError
+from stage.envs.base import StageVectorEnv
+
+ID = "stage/RegisterTuning-v0"
+SHORT = {"model": "xy", "moves": 2, "distances": (300, 900), "limit": 0.3, "settle": 0.01}
+FEW = {"model": "xy", "distances": (300, 900), "tries": 1, "proofs": 0, "settle": 0.01}
+
+
+class VecEnv:
+    """What stable_baselines3.common.vec_env.VecEnv does for its subclasses."""
+
+    def __init__(self, num_envs, observation_space, action_space):
+        self.num_envs, self.observation_space, self.action_space = num_envs, observation_space, action_space
+        self.reset_infos = [{} for _ in range(num_envs)]
+        self._reset_seeds()
+        self._reset_options()
+
+    def _reset_seeds(self):
+        self._seeds = [None] * self.num_envs
+
+    def _reset_options(self):
+        self._options = [{} for _ in range(self.num_envs)]
+
+    def seed(self, seed):
+        self._seeds = [seed + k for k in range(self.num_envs)]
+
+    def set_options(self, options):
+        self._options = copy.deepcopy(options if isinstance(options, list) else [options] * self.num_envs)
+
+    def step(self, actions):
+        self.step_async(actions)
+        return self.step_wait()
+
+    def _get_indices(self, indices):
+        return range(self.num_envs) if indices is None else [indices] if isinstance(indices, int) else indices
+
+
+@pytest.fixture
+def sb3(monkeypatch):
+    """The module, on that class."""
+    there = ModuleType("stable_baselines3.common.vec_env")
+    there.VecEnv = VecEnv
+    for name in ("stable_baselines3", "stable_baselines3.common"):
+        monkeypatch.setitem(sys.modules, name, ModuleType(name))
+    monkeypatch.setitem(sys.modules, there.__name__, there)
+    monkeypatch.setitem(sys.modules, "stage.envs.sb3", None)
+    monkeypatch.delitem(sys.modules, "stage.envs.sb3")
+    monkeypatch.delattr(stage.envs, "sb3", raising=False)
+    return importlib.import_module("stage.envs.sb3")
+
+
+def scalar(seed, id_=ID, options=None, **settings):
+    env = gymnasium.make(id_, disable_env_checker=True, **settings or SHORT).unwrapped
+    return env, *env.reset(seed=seed, options=options)
+
+
+def plain(info):
+    return {k: plain(v) if isinstance(v, dict) else np.asarray(v).tolist() for k, v in info.items()}
+
+
+def test_a_vector_for_stable_baselines_says_what_as_many_scalar_environments_say_over_an_end(sb3):
+    envs = sb3.StageVecEnv(ID, 3, **SHORT)
+    envs.seed(5)
+    seen = envs.reset()
+    ones = [scalar(5 + k) for k in range(3)]
+    assert (seen == [one[1] for one in ones]).all()
+    assert [plain(info) for info in envs.reset_infos] == [plain(one[2]) for one in ones]
+    assert envs._seeds == [None] * 3, "a seed is for one reset"
+    rng = np.random.default_rng(2)
+    for step in (1, 2, 3):
+        actions = rng.uniform(-1, 1, (3, *envs.action_space.shape)).astype(np.float32)
+        seen, rewards, ends, infos = envs.step(actions)
+        said = [one[0].step(action) for one, action in zip(ones, actions, strict=True)]
+        assert rewards.dtype == np.float32
+        assert rewards.tolist() == [np.float32(out[1]) for out in said]
+        assert ends.tolist() == [step == 2] * 3
+        for k, (info, out) in enumerate(zip(infos, said, strict=True)):
+            last = info.pop("terminal_observation", None)
+            assert info.pop("TimeLimit.truncated") is (step == 2), "the moves are up, and the task is not done"
+            assert plain(info) == plain(out[4])
+            if step == 2:
+                assert (last == out[0]).all()
+                begun, told = ones[k][0].reset()
+                assert (seen[k] == begun).all()
+                assert plain(envs.reset_infos[k]) == plain(told)
+            else:
+                assert last is None
+                assert (seen[k] == out[0]).all()
+    envs.close()
+
+
+def test_an_end_by_the_task_is_no_time_limit_to_stable_baselines(sb3):
+    envs = sb3.StageVecEnv("stage/FewShotTuning-v1", 2, **FEW)
+    envs.seed(1)
+    envs.reset()
+    *_, ends, infos = envs.step(np.zeros((2, 4), np.float32))
+    assert ends.tolist() == [True, True]
+    assert [info["TimeLimit.truncated"] for info in infos] == [False, False]
+    assert all("score" in info and "final_info" not in info for info in infos)
+
+
+def test_options_of_stable_baselines_are_for_each_environment_and_for_one_reset(sb3):
+    envs = sb3.StageVecEnv(ID, 3, **SHORT)
+    envs.seed(7)
+    envs.set_options([{"distance": 400}, {"payload": 2.5}, {}])
+    seen = envs.reset()
+    ones = [scalar(7 + k, options=o) for k, o in enumerate(({"distance": 400}, {"payload": 2.5}, {}))]
+    assert (seen == [one[1] for one in ones]).all()
+    assert [plain(info) for info in envs.reset_infos] == [plain(one[2]) for one in ones]
+    assert not any(envs._options)
+    envs.reset()
+    assert [info["distance"] for info in envs.reset_infos] == [one[0].reset()[1]["distance"] for one in ones]
+
+
+def test_stable_baselines_asks_for_attributes_and_rows_of_those_that_it_names(sb3):
+    envs = sb3.StageVecEnv("stage/FewShotTuning-v1", 3, 1, **FEW)
+    envs.seed(3)
+    envs.reset()
+    assert envs.get_attr("stage") == envs.envs.stages
+    assert envs.get_attr("stage", [2, 0]) == [envs.envs.stages[2], envs.envs.stages[0]]
+    assert envs.get_attr("action_space", 1) == [envs.envs.single_action_space]
+    assert envs.get_attr("observation_space") == [envs.envs.single_observation_space] * 3
+    assert envs.get_attr("num_envs", [0]) == [3]
+    rows = envs.envs.scripted()
+    assert np.array_equal(envs.env_method("scripted", indices=[2, 1]), rows[[2, 1]])
+    assert np.array_equal(envs.env_method("scripted"), rows)
+    assert envs.env_is_wrapped(object, indices=[0, 1]) == [False, False]
+    assert (envs.num_envs, envs.action_space) == (3, envs.envs.single_action_space)
+    assert envs.envs._task.fleet.threads == 1
+    for method in ("action_masks", "reset", "close"):
+        with pytest.raises(ArgumentError, match=f"env_method\\('{method}'\\).*no methods of their own"):
+            envs.env_method(method)
+    with pytest.raises(ArgumentError, match="set_attr\\('config'\\)"):
+        envs.set_attr("config", 1)
+
+
+def test_masks_are_rows_to_stable_baselines(sb3):
+    envs = sb3.StageVecEnv("stage/BusMacros-v1", 2, model="xy", macros=3, level="move")
+    envs.seed(3)
+    envs.reset()
+    assert np.array_equal(envs.env_method("action_masks"), envs.envs.action_masks())
+
+
+@pytest.mark.parametrize(
+    ("id_", "settings", "says"),
+    [
+        (ID, {"autoreset_mode": "NextStep"}, "autoreset_mode: SB3 wants"),
+        ("stage/Nothing-v0", {}, "unknown environment 'stage/Nothing-v0'"),
+        (ID, {**SHORT, "actions": "registers"}, "counts choices from 0.*use actions='box'"),
+    ],
+)
+def test_what_stable_baselines_cannot_have_is_refused(sb3, id_, settings, says):
+    with pytest.raises(ArgumentError, match=says):
+        sb3.StageVecEnv(id_, 2, **settings)
+
+
+def test_a_vector_of_others_is_none_of_stages(sb3, monkeypatch):
+    def make_vec(id_, num_envs, **settings):
+        made.append((id_, num_envs, settings))
+        return gymnasium.vector.VectorEnv()
+
+    made = []
+    monkeypatch.setattr(gymnasium, "make_vec", make_vec)
+    with pytest.raises(ArgumentError, match="'CartPole-v1' is no vector of stages. Known: stage/RegisterTuning-v0"):
+        sb3.StageVecEnv("CartPole-v1", 2, 4)
+    kind = {"vectorization_mode": "vector_entry_point", "autoreset_mode": gymnasium.vector.AutoresetMode.SAME_STEP}
+    assert made == [("CartPole-v1", 2, {"threads": 4, **kind})]
+
+
+def test_closing_for_stable_baselines_closes_the_vector(sb3, monkeypatch):
+    closed = []
+    envs = sb3.StageVecEnv(ID, **SHORT)
+    assert envs.num_envs == 1
+    monkeypatch.setattr(StageVectorEnv, "close", lambda self: closed.append(self))
+    envs.close()
+    assert closed == [envs.envs]
+
+
+def test_actions_may_be_of_another_space_for_stable_baselines(sb3):
+    vector = gymnasium.make_vec(ID, 1, vectorization_mode="vector_entry_point", **SHORT).unwrapped
+    other = gymnasium.spaces.Discrete(3)
+    assert sb3.Adapter(vector, other).action_space is other
+    assert sb3.Adapter(vector).action_space is vector.single_action_space
