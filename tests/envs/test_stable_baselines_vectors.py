@@ -173,7 +173,7 @@ def test_a_vector_of_others_is_none_of_stages(sb3, monkeypatch):
 
     made = []
     monkeypatch.setattr(gymnasium, "make_vec", make_vec)
-    with pytest.raises(ArgumentError, match="'CartPole-v1' is no vector of stages. Known: stage/RegisterTuning-v0"):
+    with pytest.raises(ArgumentError, match=r"'CartPole-v1' is no vector of stages\. Known: stage/RegisterTuning-v0"):
         sb3.StageVecEnv("CartPole-v1", 2, 4)
     kind = {"vectorization_mode": "vector_entry_point", "autoreset_mode": gymnasium.vector.AutoresetMode.SAME_STEP}
     assert made == [("CartPole-v1", 2, {"threads": 4, **kind})]
