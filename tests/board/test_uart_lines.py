@@ -50,17 +50,32 @@ def test_what_is_fed_later_comes_behind_and_does_not_hold_up_what_is_on_its_way(
     ("written", "unsent"), [(0, 0), (5, 2), (5, 5), (4096, 0), (5000, 16), (5000, 17), (12_345, 3)]
 )
 def test_what_has_left_it_is_told_in_order_and_nothing_of_what_has_not(written, unsent):
-    """a ring of 4096: of much the last, and never a byte that is still in the transmitter"""
+    """of much the last 4096, and never a byte that is still in the transmitter"""
     board, uart = line()
     s = uart.registers
     said = np.arange(written) * 7 % 251
-    for k in range(max(0, written - uart_core.ROOM), written):
-        s["sent"][k % uart_core.ROOM] = said[k]
+    for k in range(max(0, written - uart_core.KEPT), written):
+        s["sent"][k % uart_core.KEPT] = said[k]
     s["written"], s["left"] = written, board.stage.now + unsent * uart._character - (1 if unsent else 0)
     end = written - unsent
-    told = uart.sent
-    assert told == bytes(said[end - len(told) : end].tolist())
-    assert len(told) == end if end <= 4000 else len(told) >= 4000
+    assert uart.sent == bytes(said[max(0, end - 4096) : end].tolist())
+
+
+def test_what_is_cleared_in_the_transmitter_takes_nothing_of_what_had_left():
+    board, uart = line()
+    board.out8(BASE + 2, 1)
+    said = bytes(k % 251 for k in range(4200))
+    for k in range(0, len(said), 15):
+        for byte in said[k : k + 15]:
+            board.out8(BASE, byte)
+        board.delay_us(20_000)
+    assert uart.sent == said[-4096:]
+    for _ in range(2):
+        for _ in range(17):
+            board.out8(BASE, 0xFF)
+        board.out8(BASE + 2, 5)
+    board.delay_us(20_000)
+    assert uart.sent == (said + b"\xff")[-4096:]
 
 
 def test_a_terminal_is_one_and_the_same_and_without_it_nothing_is_asked_of_python():

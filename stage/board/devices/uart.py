@@ -66,11 +66,11 @@ class UART(Compiled):
 
     @property
     def sent(self) -> bytes:
-        """What has left it so far; of much the last 4096 bytes and what was still in the transmitter then."""
+        """What has left it so far; of much the last 4096 bytes."""
         s, now = self.registers, self.stage.now
         c = self._character
         end = int(s["written"]) - (-(-max(int(s["left"]) - now, 0) // c) if c else 0)
-        return self._written(max(0, end - uart_core.ROOM + 32), end)
+        return self._written(max(0, end - uart_core.ROOM), end)
 
     @property
     def baud(self) -> float:
@@ -139,7 +139,7 @@ class UART(Compiled):
 
     def _written(self, begin: int, end: int) -> bytes:
         ring = self.registers["sent"]
-        return bytes(int(ring[k % uart_core.ROOM]) for k in range(begin, end))
+        return bytes(int(ring[k % uart_core.KEPT]) for k in range(begin, end))
 
     @property
     def _character(self) -> int:

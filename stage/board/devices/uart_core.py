@@ -9,6 +9,7 @@ from __future__ import annotations
 from stage.native import exported, hot, least, record
 
 FIFO, ROOM = 16, 4096
+KEPT = ROOM + 2 * FIFO  # of what was sent: FIFO + 1 bytes in the transmitter may be written, cleared and written over
 NEVER = 1 << 62
 SECOND = 1_000_000_000
 STATE = record(
@@ -16,7 +17,7 @@ STATE = record(
         (name, "i8")
         for name in "clock ier fcr lcr mcr scr divisor oe rbr fed taken due waiting first last written left armed".split()
     ]
-    + [("fifo", "u1", (FIFO,)), ("incoming", "u1", (ROOM,)), ("sent", "u1", (ROOM,))]
+    + [("fifo", "u1", (FIFO,)), ("incoming", "u1", (ROOM,)), ("sent", "u1", (KEPT,))]
 )
 """clock (Hz); registers; overrun; the byte read last. fed, taken: bytes of the peer, and how many of them have arrived, the next of
 them at `due` (ns); waiting in `fifo` from `first` on; `last`: time of the last arrival or read. written: bytes by the firmware, of
@@ -93,7 +94,7 @@ def _transmit(s, now, value):
         return
     if n >= room:  # no room: lost; without a FIFO the last byte is
         if room == 2:
-            s.sent[(s.written - 1) % ROOM] = value
+            s.sent[(s.written - 1) % KEPT] = value
         return
     s.armed = 1
     s.left = (s.left if n else now) + character(s)
@@ -104,7 +105,7 @@ def _transmit(s, now, value):
             s.incoming[s.fed % ROOM] = value
             s.fed += 1
     else:
-        s.sent[s.written % ROOM] = value
+        s.sent[s.written % KEPT] = value
         s.written += 1
 
 
