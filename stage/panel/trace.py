@@ -92,6 +92,7 @@ class Trace:
     def begin_again(self) -> None:
         """The chip is in another state than its cycles have brought it to: that of a snapshot."""
         self._journal.restart()
+        self._clock = self.chip.clock
         while self.sent and self.sent[-1].clock > self.chip.clock:
             self.sent.pop()
         self._listener = self.chip.listener()

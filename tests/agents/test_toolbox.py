@@ -345,3 +345,9 @@ def test_of_time_that_is_spent_nothing_is_left_and_no_minus_nothing(make_box):
     box = make_box(budget=Budget(seconds=0.03))
     box.call("wait", {"seconds": 0.03})
     assert str(box.meter.left()["seconds"]) == "0.0"
+
+
+def test_a_restore_is_one_line_of_the_trace(box):
+    box.call("move", {"axis": "x", "pulses": 20})
+    box.call("restore", {"name": "power-up"})
+    assert box.call("trace", {"axis": "x"}).text.count("the time went back") == 1

@@ -2,6 +2,7 @@
 
 from recorded import (
     recorded_agents,
+    recorded_agents_bus,
     recorded_bench,
     recorded_chips,
     recorded_cli,
@@ -16,10 +17,9 @@ from recorded import (
 )
 
 PHYSICS = {
-    **recorded_cli.FILES, **recorded_texts.FILES, **recorded_stage.FILES, **recorded_firmware.FILES, **recorded_envs.FILES,
-    **recorded_machines.FILES, **recorded_agents.FILES, **recorded_drivers.FILES, **recorded_panel.FILES,
-    **recorded_bench.FILES,
-    **recorded_tune.FILES,
+    **recorded_cli.FILES, **recorded_texts.FILES, **recorded_stage.FILES, **recorded_firmware.FILES,
+    **recorded_envs.FILES, **recorded_machines.FILES, **recorded_agents.FILES, **recorded_drivers.FILES,
+    **recorded_panel.FILES, **recorded_bench.FILES, **recorded_tune.FILES, **recorded_agents_bus.FILES,
 }  # fmt: skip
 """What depends on MuJoCo's version."""
 FILES = {**recorded_chips.FILES, **PHYSICS}
