@@ -9,7 +9,7 @@ import pytest
 
 from stage import ArgumentError, Stage, firmware
 from stage.board import layouts
-from stage.chips import PCL240K, Chip, contract
+from stage.chips import HCTL1100, MCX304, MCX514, PCL240K, Chip, contract
 from stage.chips.register_map import Field, Register, Word
 from stage.firmware.pcl240.driver import Pcl240Driver
 
@@ -142,10 +142,17 @@ def test_a_driver_that_says_nothing_of_polarity_refuses_sensors_of_positive_logi
 @pytest.mark.parametrize(
     "cycle", [("write", 0, None), ("write", 0, float("nan")), ("write", "x", 0), ("read", None), ("read", float("inf"))]
 )
-def test_a_bus_cycle_with_what_is_no_number_is_refused(cycle):
-    chip = PCL240K()
+@pytest.mark.parametrize("make", [PCL240K, MCX304, HCTL1100])
+def test_a_bus_cycle_with_what_is_no_number_is_refused(make, cycle):
+    chip = make()
     with pytest.raises(ArgumentError, match=rf"{cycle[0]}\(.*whole number"):
         getattr(chip, cycle[0])(*cycle[1:])
+
+
+@pytest.mark.parametrize("cycle", [("write_byte", 0, None), ("write_byte", "x", 0), ("read_byte", float("nan"))])
+def test_a_byte_cycle_of_a_wide_bus_with_what_is_no_number_is_refused(cycle):
+    with pytest.raises(ArgumentError, match=rf"{cycle[0]}\(.*whole number"):
+        getattr(MCX514(), cycle[0])(*cycle[1:])
 
 
 def test_a_fraction_and_what_is_too_wide_are_told_apart():

@@ -407,7 +407,7 @@ class Chip:
         try:
             on_the_bus = int(address) & self.ADDRESS_MASK, int(value) & self.DATA_MASK
         except (TypeError, ValueError, OverflowError):
-            raise ArgumentError(f"write({address!r}, {value!r}): address and value are whole numbers.") from None
+            raise no_cycle("write", address, value) from None
         self._write(*on_the_bus, (address, value))
 
     def _write(self, address: int, value: int, given: tuple[int, int]) -> None:
@@ -445,7 +445,7 @@ class Chip:
         try:
             address = int(address) & self.ADDRESS_MASK
         except (TypeError, ValueError, OverflowError):
-            raise ArgumentError(f"read({address!r}): an address is a whole number.") from None
+            raise no_cycle("read", address) from None
         if self._bus is not None:
             self._bus.cycle()
         value = int(self.CORE.read.held(self._here, address))
@@ -560,6 +560,12 @@ class Chip:
     def __repr__(self) -> str:
         values = " ".join(f"{k}={v}" for k, v in self.values().items())
         return f"<{type(self).__name__} clock={self.clock} {values}>"
+
+
+def no_cycle(what: str, *given: Any) -> ArgumentError:
+    """For a bus cycle with what is no number: `what`, a write or a read, and its address and value."""
+    are = "address and value are whole numbers" if given[1:] else "an address is a whole number"
+    return ArgumentError(f"{what}({', '.join(map(repr, given))}): {are}.")
 
 
 def masked(given: tuple[int, int], acts: tuple[int, int]) -> str:

@@ -3,6 +3,7 @@
 from recorded import (
     recorded_agents,
     recorded_agents_bus,
+    recorded_around_chips,
     recorded_bench,
     recorded_chips,
     recorded_cli,
@@ -17,9 +18,9 @@ from recorded import (
 )
 
 PHYSICS = {
-    **recorded_cli.FILES, **recorded_texts.FILES, **recorded_stage.FILES, **recorded_firmware.FILES,
-    **recorded_envs.FILES, **recorded_machines.FILES, **recorded_agents.FILES, **recorded_drivers.FILES,
-    **recorded_panel.FILES, **recorded_bench.FILES, **recorded_tune.FILES, **recorded_agents_bus.FILES,
+    **recorded_cli.FILES, **recorded_texts.FILES, **recorded_stage.FILES, **recorded_firmware.FILES, **recorded_envs.FILES,
+    **recorded_machines.FILES, **recorded_agents.FILES, **recorded_drivers.FILES, **recorded_panel.FILES,
+    **recorded_bench.FILES, **recorded_tune.FILES, **recorded_agents_bus.FILES, **recorded_around_chips.FILES,
 }  # fmt: skip
 """What depends on MuJoCo's version."""
 FILES = {**recorded_chips.FILES, **PHYSICS}

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
-from stage.chips.chip import Chip, Pins
+from stage.chips.chip import Chip, Pins, no_cycle
 from stage.chips.nova import core, lint, state
 from stage.chips.nova.describe import Decoder, Listener
 from stage.chips.nova.functions import encoder
@@ -50,10 +50,18 @@ class Nova(Chip):
         record["variant"], record["axes"] = self.VARIANT, self.AXES
 
     def write(self, address: int, value: int) -> None:
-        self._write(int(address) & 7, int(value) & self.DATA_MASK, (address, value))
+        try:
+            on_the_bus = int(address) & 7, int(value) & self.DATA_MASK
+        except (TypeError, ValueError, OverflowError):
+            raise no_cycle("write", address, value) from None
+        self._write(*on_the_bus, (address, value))
 
     def read(self, address: int) -> int:
-        return super().read(int(address) & 7)
+        try:
+            n = int(address) & 7
+        except (TypeError, ValueError, OverflowError):
+            raise no_cycle("read", address) from None
+        return super().read(n)
 
     @property
     def pins(self) -> Pins:
@@ -183,13 +191,21 @@ class MCX514(Nova):
         return int(self._plain["ax"][0]["mode"][interpolation.IPM]) & 15
 
     def write_byte(self, address: int, value: int) -> None:
-        """A write cycle of the 8-bit bus. Byte addresses: 0 low byte of WR0, 1 its high byte, to 15; the low byte of WR0 acts."""
-        at, byte = int(address) & 15, int(value) & 0xFF
+        """A write cycle of the 8-bit bus. Byte addresses: 0 low byte of WR0, 1 its high byte, to 15; the low byte of WR0 acts.
+        Raises ArgumentError for what is no number."""
+        try:
+            at, byte = int(address) & 15, int(value) & 0xFF
+        except (TypeError, ValueError, OverflowError):
+            raise no_cycle("write_byte", address, value) from None
         self._write(BYTES | at, byte, (BYTES | at if at == address else address, value))
 
     def read_byte(self, address: int) -> int:
-        """A read cycle of the 8-bit bus."""
-        return Chip.read(self, BYTES | int(address) & 15)
+        """A read cycle of the 8-bit bus. Raises ArgumentError for what is no number."""
+        try:
+            at = int(address) & 15
+        except (TypeError, ValueError, OverflowError):
+            raise no_cycle("read_byte", address) from None
+        return Chip.read(self, BYTES | at)
 
 
 class MCX512(MCX514):
