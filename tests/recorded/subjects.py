@@ -12,6 +12,7 @@ from recorded import (
     recorded_firmware,
     recorded_machines,
     recorded_panel,
+    recorded_sim,
     recorded_stage,
     recorded_texts,
     recorded_tune,
@@ -21,6 +22,7 @@ PHYSICS = {
     **recorded_cli.FILES, **recorded_texts.FILES, **recorded_stage.FILES, **recorded_firmware.FILES, **recorded_envs.FILES,
     **recorded_machines.FILES, **recorded_agents.FILES, **recorded_drivers.FILES, **recorded_panel.FILES,
     **recorded_bench.FILES, **recorded_tune.FILES, **recorded_agents_bus.FILES, **recorded_around_chips.FILES,
+    **recorded_sim.FILES,
 }  # fmt: skip
 """What depends on MuJoCo's version."""
 FILES = {**recorded_chips.FILES, **PHYSICS}
