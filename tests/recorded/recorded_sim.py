@@ -18,7 +18,7 @@ from stage import Drive, Fleet, Motor, Program, Stage, faults
 from stage.chips import HCTL1100, MCX302, MCX304, MCX312, MCX514, PCL240K, PCL240MK, PCL240MS
 from stage.drives.dc_motors import DCMotor, Servo
 from stage.errors import StageError
-from stage.sim import encoder, integration, play, plant
+from stage.sim import encoder, integration, plant, play
 from stage.sim.encoder import Encoder
 from stage.sim.fingerprint import mechanics
 from stage.sim.plant.new import NewAxis, new_model
@@ -46,18 +46,30 @@ MADE = {
     "clock": ("xy", {"chips": {"x": PCL240K, "y": MCX304}, "clock": 8_000_000}),
     "motors": ("xy", {"drives": {"y": "17HS15-1504S"}}),
     "a motor": ("xy", {"drives": SMALL}),
-    "drives": ("xy", {"drives": {"x": Drive(FEW, microsteps=5, current=0.5, mode="sine", detent=0.0), "y": "SS2422-5041"}}),
+    "drives": (
+        "xy",
+        {"drives": {"x": Drive(FEW, microsteps=5, current=0.5, mode="sine", detent=0.0), "y": "SS2422-5041"}},
+    ),
     "servos": ("xyz_servo", {"chips": HCTL1100, "drives": {"y": Servo("9233S013", 12.0, 400), "z": "14203S010"}}),
     "own servo": ("xy", {"chips": HCTL1100, "drives": DCMotor("own", 2.0, 0.04, 1e-5, 0.05, 30.0)}),
     "bus": ("xy", {"bus_cycle": 2.5e-6}),
     "no bus": ("xy", {"bus_cycle": 0}),
     "encoders": ("xy", {"chips": MCX514, "encoders": {"y": -3e5, "x": 2e5}}),
-    "encoders of motors": ("xy", {"chips": MCX304, "encoders": [Encoder("y", per_turn=2000), Encoder("x", per_metre=1e6)]}),
+    "encoders of motors": (
+        "xy",
+        {"chips": MCX304, "encoders": [Encoder("y", per_turn=2000), Encoder("x", per_metre=1e6)]},
+    ),
     "an encoder": ("xy", {"chips": MCX312, "encoders": Encoder("y", per_turn=-400)}),
-    "wiring": ("xy", {"chips": PCL240MS, "wiring": {"y": {"org": "positive", "ez": "positive"}, "x": {"el_plus": "positive", "org": "negative"}}}),
+    "wiring": (
+        "xy",
+        {
+            "chips": PCL240MS,
+            "wiring": {"y": {"org": "positive", "ez": "positive"}, "x": {"el_plus": "positive", "org": "negative"}},
+        },
+    ),
     "syni": ("xyz", {"syni": {"z": "x", "y": "x"}}),
     "multichip": ("xyz", {"chips": {"x": MCX514, "y": PCL240K, "z": partial(MCX514)}, "multichip": ["z", "x"]}),
-}  # fmt: skip
+}
 
 
 def made(name):
@@ -66,40 +78,86 @@ def made(name):
     stage.run(0.0011)
     twin = pickle.loads(pickle.dumps(stage))
     return {
-        "header": [p for p in stage.header.parts if p[0] != "layout of the state"], "repr": [repr(stage), repr(stage.axes)],
-        "axes": [[a.name, a.index, a.chip_axis, a.gear, a.travel, a.unit, a.meters_per_pulse, a.supply, a.wiring, a.drive.title]
-                 for a in stage.axes.values()],
+        "header": [p for p in stage.header.parts if p[0] != "layout of the state"],
+        "repr": [repr(stage), repr(stage.axes)],
+        "axes": [
+            [
+                a.name,
+                a.index,
+                a.chip_axis,
+                a.gear,
+                a.travel,
+                a.unit,
+                a.meters_per_pulse,
+                a.supply,
+                a.wiring,
+                a.drive.title,
+            ]
+            for a in stage.axes.values()
+        ],
         "chips": [[type(c).__name__, c.clock_hz, c.clock, c.options()] for c in stage.chips],
-        "table": {n: stage.state.axis_table[n] for n in ("chip", "chip_axis", "positive", "counts", "gear", "index_at", "index_bit")},
-        "switch table": digits(repr(stage.state.switch_table[["bit", "forced", "bounce", "slope", "hysteresis"]].tolist())),
-        "clockwork": [int(stage.state.clockwork[0][n]) for n in ("dt", "encoders", "currents", "loads", "linked", "most_edges")],
-        "armature": stage.model.dof_armature, "twin": twin.header == stage.header and brief(twin) == brief(stage),
+        "table": {
+            n: stage.state.axis_table[n]
+            for n in ("chip", "chip_axis", "positive", "counts", "gear", "index_at", "index_bit")
+        },
+        "switch table": digits(
+            repr(stage.state.switch_table[["bit", "forced", "bounce", "slope", "hysteresis"]].tolist())
+        ),
+        "clockwork": [
+            int(stage.state.clockwork[0][n]) for n in ("dt", "encoders", "currents", "loads", "linked", "most_edges")
+        ],
+        "armature": stage.model.dof_armature,
+        "twin": twin.header == stage.header and brief(twin) == brief(stage),
         "now": brief(stage),
-    }  # fmt: skip
+    }
 
 
 REFUSED = {
-    "bus cycle": {"bus_cycle": -1e-9}, "chips of none": {"chips": {}}, "chip of an axis": {"chips": {"x": "PCL240"}},
-    "chip that is none": {"chips": {"y": 7}}, "axis of chips": {"chips": {"xx": PCL240K}}, "axis of drives": {"drives": {"z": "17HS4401"}},
-    "servo": {"drives": Servo()}, "dc motor": {"drives": "14201S003"}, "no motor": {"drives": {"y": "17HS"}},
-    "stepper": {"chips": HCTL1100, "drives": Drive()}, "stepper's motor": {"chips": HCTL1100, "drives": SMALL},
-    "stepper's name": {"chips": {"y": HCTL1100}, "drives": {"y": "17HS4401"}}, "clock": {"clock": 0},
-    "encoder of none": {"chips": MCX514, "encoders": {"u": 1e5}}, "encoder of 0": {"chips": MCX514, "encoders": {"x": 0}},
-    "encoder true": {"chips": MCX514, "encoders": {"y": True}}, "encoder twice": {"chips": MCX514, "encoders": [Encoder("x", 1e5), Encoder("x", 2e5)]},
-    "encoder of a servo": {"chips": HCTL1100, "encoders": {"y": 1e5}}, "encoder of pulses": {"encoders": {"x": 1e5}},
-    "encoder's zero": {"chips": MCX304, "encoders": [Encoder("y", 1e5, zero=0.1)]}, "encoders": {"chips": MCX514, "encoders": "x"},
-    "no encoders": {"chips": MCX514, "encoders": [5]}, "wiring": {"wiring": "x"}, "wiring of an axis": {"wiring": {"z": {"org": "positive"}}},
-    "wiring of x": {"wiring": {"x": "org"}}, "sensor": {"wiring": {"y": {"orgs": "positive"}}},
-    "logic": {"wiring": {"y": {"org": "high"}}}, "not wired": {"chips": HCTL1100, "wiring": {"x": {"sd_plus": "positive"}}},
-    "one pin": {"chips": PCL240K, "wiring": {"y": {"sd_plus": "positive"}}}, "syni": {"syni": "y"}, "syni axis": {"syni": {"y": "z"}},
-    "syni itself": {"syni": {"y": "y"}}, "syni round": {"syni": {"y": "x", "x": "y"}}, "syni chip": {"chips": MCX304, "syni": {"y": "x"}},
+    "bus cycle": {"bus_cycle": -1e-9},
+    "chips of none": {"chips": {}},
+    "chip of an axis": {"chips": {"x": "PCL240"}},
+    "chip that is none": {"chips": {"y": 7}},
+    "axis of chips": {"chips": {"xx": PCL240K}},
+    "axis of drives": {"drives": {"z": "17HS4401"}},
+    "servo": {"drives": Servo()},
+    "dc motor": {"drives": "14201S003"},
+    "no motor": {"drives": {"y": "17HS"}},
+    "stepper": {"chips": HCTL1100, "drives": Drive()},
+    "stepper's motor": {"chips": HCTL1100, "drives": SMALL},
+    "stepper's name": {"chips": {"y": HCTL1100}, "drives": {"y": "17HS4401"}},
+    "clock": {"clock": 0},
+    "encoder of none": {"chips": MCX514, "encoders": {"u": 1e5}},
+    "encoder of 0": {"chips": MCX514, "encoders": {"x": 0}},
+    "encoder true": {"chips": MCX514, "encoders": {"y": True}},
+    "encoder twice": {"chips": MCX514, "encoders": [Encoder("x", 1e5), Encoder("x", 2e5)]},
+    "encoder of a servo": {"chips": HCTL1100, "encoders": {"y": 1e5}},
+    "encoder of pulses": {"encoders": {"x": 1e5}},
+    "encoder's zero": {"chips": MCX304, "encoders": [Encoder("y", 1e5, zero=0.1)]},
+    "encoders": {"chips": MCX514, "encoders": "x"},
+    "no encoders": {"chips": MCX514, "encoders": [5]},
+    "wiring": {"wiring": "x"},
+    "wiring of an axis": {"wiring": {"z": {"org": "positive"}}},
+    "wiring of x": {"wiring": {"x": "org"}},
+    "sensor": {"wiring": {"y": {"orgs": "positive"}}},
+    "logic": {"wiring": {"y": {"org": "high"}}},
+    "not wired": {"chips": HCTL1100, "wiring": {"x": {"sd_plus": "positive"}}},
+    "one pin": {"chips": PCL240K, "wiring": {"y": {"sd_plus": "positive"}}},
+    "syni": {"syni": "y"},
+    "syni axis": {"syni": {"y": "z"}},
+    "syni itself": {"syni": {"y": "y"}},
+    "syni round": {"syni": {"y": "x", "x": "y"}},
+    "syni chip": {"chips": MCX304, "syni": {"y": "x"}},
     "syni other": {"chips": {"x": PCL240K, "y": MCX302}, "syni": {"y": "x"}},
     "syni clocks": {"chips": {"x": PCL240K, "y": partial(PCL240K, 5_000_000)}, "syni": {"y": "x"}},
-    "multichip": {"multichip": "xy"}, "multichip axis": {"multichip": ["x", "q"]}, "multichip chip": {"multichip": ["x", "y"]},
+    "multichip": {"multichip": "xy"},
+    "multichip axis": {"multichip": ["x", "q"]},
+    "multichip chip": {"multichip": ["x", "y"]},
     "multichip one": {"chips": MCX514, "multichip": ["x", "y"]},
     "multichip clocks": {"chips": {"x": MCX514, "y": partial(MCX514, clock_hz=8_000_000)}, "multichip": ["x", "y"]},
-    "model": {"model": 5}, "file": {"model": "nowhere/xy.xml"}, "near": {"model": "xyy"},
-}  # fmt: skip
+    "model": {"model": 5},
+    "file": {"model": "nowhere/xy.xml"},
+    "near": {"model": "xyy"},
+}
 
 
 def refused():
@@ -118,8 +176,13 @@ def refused():
         found[f"Encoder {given}"] = tried(Encoder, "x", **given)
     found["Encoder zero"] = tried(Encoder, "x", 1.0, zero=float("inf"))
     stage = make()
-    found["rows"] = [Encoder("y", per_turn=400).row(stage), Encoder("x", 1e5, zero=0.25).row(stage), str(Encoder("x", 1234567.0)),
-                     str(Encoder("x", per_turn=-500)), tried(Encoder("q", 1.0).row, stage)]  # fmt: skip
+    found["rows"] = [
+        Encoder("y", per_turn=400).row(stage),
+        Encoder("x", 1e5, zero=0.25).row(stage),
+        str(Encoder("x", 1234567.0)),
+        str(Encoder("x", per_turn=-500)),
+        tried(Encoder("q", 1.0).row, stage),
+    ]
     found["per unit"] = encoder.per_unit([Encoder("y", per_turn=100)], plant.bind(stage.model))
     return found
 
@@ -129,13 +192,16 @@ def restores():
     stage = make("xyz", {"x": PCL240K, "y": MCX514})
     kept, found = stage.snapshot(), {"repr": repr(stage.snapshot())[:90]}
     others = {
-        "axes": make("xyz"), "a chip": make("xyz", {"x": PCL240K, "y": MCX312}), "a clock": make("xyz", {"x": partial(PCL240K, 9_830_400), "y": MCX514}),
+        "axes": make("xyz"),
+        "a chip": make("xyz", {"x": PCL240K, "y": MCX312}),
+        "a clock": make("xyz", {"x": partial(PCL240K, 9_830_400), "y": MCX514}),
         "a drive": make("xyz", {"x": PCL240K, "y": MCX514}, drives={"y": Drive(microsteps=8)}),
         "volts": make("xyz", {"x": PCL240K, "y": MCX514}, drives=Drive(bus_voltage=25.0)),
         "an encoder": make("xyz", {"x": PCL240K, "y": MCX514}, encoders={"y": 1e5}),
         "a wire": make("xyz", {"x": PCL240K, "y": MCX514}, wiring={"x": {"org": "positive"}}),
-        "bus": make("xyz", {"x": PCL240K, "y": MCX514}, bus_cycle=2e-6), "a model": make("xy", {"x": PCL240K, "y": MCX514}),
-    }  # fmt: skip
+        "bus": make("xyz", {"x": PCL240K, "y": MCX514}, bus_cycle=2e-6),
+        "a model": make("xy", {"x": PCL240K, "y": MCX514}),
+    }
     for name, other in others.items():
         before = other.snapshot().state.tobytes()
         found[name] = [str(tried(other.restore, kept)), other.snapshot().state.tobytes() == before]
@@ -308,9 +374,13 @@ def supplies():
         go(y, 900, minus=True)
         made = []
         for make_one in (
-            lambda x=x: faults.phase_open(x, "b"), lambda x=x: faults.phase_open(x, "a"), lambda y=y: faults.bus_voltage(y, 6.0),
-            lambda s=stage: faults.bus_voltage(s, 30.0), lambda y=y: faults.jam(y, 12.0), lambda x=x: faults.jam(x),
-        ):  # fmt: skip
+            lambda x=x: faults.phase_open(x, "b"),
+            lambda x=x: faults.phase_open(x, "a"),
+            lambda y=y: faults.bus_voltage(y, 6.0),
+            lambda s=stage: faults.bus_voltage(s, 30.0),
+            lambda y=y: faults.jam(y, 12.0),
+            lambda x=x: faults.jam(x),
+        ):
             made.append(make_one())
             stage.run(0.0021)
         said = [
@@ -362,11 +432,27 @@ def pointed():
     points = [site, m.nsite, -bodies[0], -bodies[1], 1 - m.nbody]
     for name, program in {
         "points": lambda p: [p.look(0, point, k) for point in points for k in range(3)],
-        "measure": lambda p: [p.measure(s, point) for s, point in ((0.003, 0), (0.0101, site), (0.004, -bodies[1]), (0, site), (1e-9, 1 - m.nbody))],
-        "stop": lambda p: [p.until_stopped(axes, limit, poll) for axes, limit, poll in (([0, 1], 0.001, 3e-4), ([1], 0.004, 1e-3), ([0], 0, 1e-4), ([1, 0, 1], 1.0, 2.5e-4), ([], 1, 1))],
-        "keep": lambda p: [p.until_stopped([0], 0.02, keep_step=True), p.until_stopped([1], 0.5, 1e-3, True), p.look(0)],
+        "measure": lambda p: [
+            p.measure(s, point)
+            for s, point in ((0.003, 0), (0.0101, site), (0.004, -bodies[1]), (0, site), (1e-9, 1 - m.nbody))
+        ],
+        "stop": lambda p: [
+            p.until_stopped(axes, limit, poll)
+            for axes, limit, poll in (
+                ([0, 1], 0.001, 3e-4),
+                ([1], 0.004, 1e-3),
+                ([0], 0, 1e-4),
+                ([1, 0, 1], 1.0, 2.5e-4),
+                ([], 1, 1),
+            )
+        ],
+        "keep": lambda p: [
+            p.until_stopped([0], 0.02, keep_step=True),
+            p.until_stopped([1], 0.5, 1e-3, True),
+            p.look(0),
+        ],
         "end": lambda p: [p.wait(1e-3), p.ops.append((0, 9, 9, 9)), p.wait(5.0)],
-    }.items():  # fmt: skip
+    }.items():
         p = Program()
         writer = _Into(p, 1)
         start_preset(writer, 700)
@@ -385,8 +471,14 @@ def pointed():
             results, extremes = np.zeros(len(p), np.int64), np.full((m.nq, 2), np.inf) * [1, -1]
             status = play.by_hand(s, np.array(p.ops), results, extremes)
             by_hand.append([status, results[-12:], extremes[:3]])
-        found[name] = [played.results[:, -12:], played.extremes[:, :3], played.diverged, by_hand, [brief(s)[1] for s in (*some, *other)],
-                       [[t[n] for n in TRUTH.names] for t in Fleet(some, 1).truth()[:, 0]]]  # fmt: skip
+        found[name] = [
+            played.results[:, -12:],
+            played.extremes[:, :3],
+            played.diverged,
+            by_hand,
+            [brief(s)[1] for s in (*some, *other)],
+            [[t[n] for n in TRUTH.names] for t in Fleet(some, 1).truth()[:, 0]],
+        ]
     return found
 
 
@@ -399,10 +491,29 @@ class _Into:
 
 
 BAD_OPS = [
-    (1, 2, 0, 0), (1, -1, 0, 0), (2, 2, 0, 0), (3, -1, 0, 0), (3, 10**18 + 1, 0, 0), (4, 4, 1, 0), (4, -1, 1, 0), (4, 1, 0, 0), (4, 1, 1, -1),
-    (4, 1, 10**18 + 1, 0), (7, 8, 1, 0), (7, 1, 1, 10**18 + 1), (5, -1, 0, 0), (5, 1, 99, 0), (5, 1, -99, 0), (6, 2, 0, 0), (6, 0, 99, 0),
-    (6, 0, 1, 3), (6, 0, 1, -1), (6, 0, -99, 0), (8, 0, 0, 0), (-1, 0, 0, 0),
-]  # fmt: skip
+    (1, 2, 0, 0),
+    (1, -1, 0, 0),
+    (2, 2, 0, 0),
+    (3, -1, 0, 0),
+    (3, 10**18 + 1, 0, 0),
+    (4, 4, 1, 0),
+    (4, -1, 1, 0),
+    (4, 1, 0, 0),
+    (4, 1, 1, -1),
+    (4, 1, 10**18 + 1, 0),
+    (7, 8, 1, 0),
+    (7, 1, 1, 10**18 + 1),
+    (5, -1, 0, 0),
+    (5, 1, 99, 0),
+    (5, 1, -99, 0),
+    (6, 2, 0, 0),
+    (6, 0, 99, 0),
+    (6, 0, 1, 3),
+    (6, 0, 1, -1),
+    (6, 0, -99, 0),
+    (8, 0, 0, 0),
+    (-1, 0, 0, 0),
+]
 
 
 def bad_programs():
@@ -439,8 +550,10 @@ def bad_programs():
         .command(1, 9)
         .ops
     )
-    found["registers"] = [Program().register(1, cls, name, value, j).ops for cls, name, value, j in
-                          ((PCL240K, "R0", 70_000, 0), (MCX514, "DV", 1234, 3), (MCX304, "P", -5, 2))]  # fmt: skip
+    found["registers"] = [
+        Program().register(1, cls, name, value, j).ops
+        for cls, name, value, j in ((PCL240K, "R0", 70_000, 0), (MCX514, "DV", 1234, 3), (MCX304, "P", -5, 2))
+    ]
     return found
 
 
@@ -461,8 +574,16 @@ def sampled():
                 fault = faults.jam(y, 20.0)
             stage.run(seconds / 3)
         times = recording.column("time")
-        found[str(every)] = [columns(recording), len(times), times[0], times[-1], recording.every, recording.began, recording.duration,
-                             list(recording.notes)]  # fmt: skip
+        found[str(every)] = [
+            columns(recording),
+            len(times),
+            times[0],
+            times[-1],
+            recording.every,
+            recording.began,
+            recording.duration,
+            list(recording.notes),
+        ]
         if axis is not y:
             continue
         fault.mend()
@@ -535,10 +656,17 @@ def looked():
                 stage._repr_html_(),
                 axes._repr_html_(),
             ]
-        found[f"{name} axes"] = [
-            digits(a._repr_html_(), 4) for a in axes.values()] + [axes._ipython_key_completions_(), list(reversed(axes)), list(axes.keys()),
-            len(axes), "x" in axes, 5 in axes, [dir(a.switches) for a in axes.values()], [str(a.switches) for a in axes.values()],
-            [[a.load_angle, a.commanded, a.lost_steps, a.unit, a.meters_per_pulse, a.travel] for a in axes.values()]]  # fmt: skip
+        found[f"{name} axes"] = [digits(a._repr_html_(), 4) for a in axes.values()] + [
+            axes._ipython_key_completions_(),
+            list(reversed(axes)),
+            list(axes.keys()),
+            len(axes),
+            "x" in axes,
+            5 in axes,
+            [dir(a.switches) for a in axes.values()],
+            [str(a.switches) for a in axes.values()],
+            [[a.load_angle, a.commanded, a.lost_steps, a.unit, a.meters_per_pulse, a.travel] for a in axes.values()],
+        ]
     return found
 
 
@@ -624,10 +752,16 @@ def too_long():
     text = new_model([NewAxis.of("x:slide:300mm"), NewAxis.of("a:hinge:90deg")])
     found = {}
     for old, new in (
-        ('timestep="0.00025"', 'timestep="0.002"'), ('timestep="0.00025"', 'timestep="0.001"'), ('timestep="0.00025"', 'timestep="0.0005"'),
-        ('timestep="0.00025"', 'timestep="1e-9"'), ('timestep="0.00025"', 'timestep="2"'), ("implicitfast", "RK4"), ("implicitfast", "Euler"),
-        ("implicitfast", "implicit"), ('timestep="0.00025"', 'timestep="0.0001"'),
-    ):  # fmt: skip
+        ('timestep="0.00025"', 'timestep="0.002"'),
+        ('timestep="0.00025"', 'timestep="0.001"'),
+        ('timestep="0.00025"', 'timestep="0.0005"'),
+        ('timestep="0.00025"', 'timestep="1e-9"'),
+        ('timestep="0.00025"', 'timestep="2"'),
+        ("implicitfast", "RK4"),
+        ("implicitfast", "Euler"),
+        ("implicitfast", "implicit"),
+        ('timestep="0.00025"', 'timestep="0.0001"'),
+    ):
         for chips in (PCL240K, HCTL1100):
             spec = mujoco.MjSpec.from_string(text.replace(old, new))
             found[f"{new} {chips.__name__}"] = tried(
@@ -635,8 +769,11 @@ def too_long():
             )
     stage = zoo()
     mobility = np.linspace(0.05, 0.4, len(stage.axes))
-    found["longest"] = [integration._longest(a.plant, d, m) for a, m in zip(stage.axes.values(), mobility, strict=True)
-                        for d in (Drive(), Drive(SMALL, current=0.3, detent=0.0), Servo(), Servo("9233S013"))]  # fmt: skip
+    found["longest"] = [
+        integration._longest(a.plant, d, m)
+        for a, m in zip(stage.axes.values(), mobility, strict=True)
+        for d in (Drive(), Drive(SMALL, current=0.3, detent=0.0), Servo(), Servo("9233S013"))
+    ]
     found["none"] = [integration._longest(stage.axes["x"].plant, Drive(), m) for m in (0.0, float("inf"), float("nan"))]
     return found
 
@@ -644,8 +781,19 @@ def too_long():
 FILES = {
     "sim_made": {**{name: partial(made, name) for name in MADE}, "refused": refused, "restores": restores},
     "sim_more": {
-        **{f"wired {name}": partial(wired, name) for name in ("PCL240MS", "MCX514", "MCX304")}, "counted": counted, "led": led,
-        "refitted": refitted, "supplies": supplies, "pointed": pointed, "bad programs": bad_programs, "sampled": sampled, "in time": in_time,
-        "looked": looked, "turned": turned, "free": free, "loads": loads, "too long": too_long,
+        **{f"wired {name}": partial(wired, name) for name in ("PCL240MS", "MCX514", "MCX304")},
+        "counted": counted,
+        "led": led,
+        "refitted": refitted,
+        "supplies": supplies,
+        "pointed": pointed,
+        "bad programs": bad_programs,
+        "sampled": sampled,
+        "in time": in_time,
+        "looked": looked,
+        "turned": turned,
+        "free": free,
+        "loads": loads,
+        "too long": too_long,
     },
-}  # fmt: skip
+}
