@@ -18,7 +18,7 @@ def main(names: list[str]) -> int:
     sys.path.insert(0, str(TESTS))
     import mujoco
     from recorded import store
-    from recorded.subjects import FILES
+    from recorded.subjects import FILES, PACKAGES
 
     if unknown := set(names) - set(FILES):
         print(f"no such files: {', '.join(sorted(unknown))}. There are: {', '.join(FILES)}.", file=sys.stderr)
@@ -33,7 +33,10 @@ def main(names: list[str]) -> int:
                 os.chdir(store.DATA)
         store.save(file, kept)
         print(f"{file}: {len(kept)} scenes")
-    store.save("about", {"mujoco": mujoco.__version__})
+    store.save(
+        "about",
+        {"mujoco": mujoco.__version__, **{name: store.version_of(name) for name in sorted(set(PACKAGES.values()))}},
+    )
     for path in store.DATA.glob("*.json"):
         if path.stem not in (*FILES, "about"):
             path.unlink()

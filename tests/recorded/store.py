@@ -21,6 +21,7 @@ import json
 import math
 from collections.abc import Callable, Iterator
 from hashlib import blake2b
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -117,6 +118,19 @@ def save(file: str, scenes: dict[str, Any]) -> None:
 def same_mujoco(version: str) -> bool:
     """Whether the files were recorded with this version of MuJoCo: contacts differ between them by more than rounding."""
     return bool(load("about")["mujoco"] == version)
+
+
+def same_package(name: str) -> bool:
+    """Whether the files were recorded with this version of an optional package, and it is there."""
+    return version_of(name) != "" and bool(load("about").get(name) == version_of(name))
+
+
+def version_of(name: str) -> str:
+    """Of an installed distribution; "" where it is not there."""
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return ""
 
 
 def written(value: Any, indent: int = 0) -> str:

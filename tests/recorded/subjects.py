@@ -11,6 +11,7 @@ from recorded import (
     recorded_envs,
     recorded_firmware,
     recorded_machines,
+    recorded_pages,
     recorded_panel,
     recorded_sim,
     recorded_stage,
@@ -22,7 +23,9 @@ PHYSICS = {
     **recorded_cli.FILES, **recorded_texts.FILES, **recorded_stage.FILES, **recorded_firmware.FILES, **recorded_envs.FILES,
     **recorded_machines.FILES, **recorded_agents.FILES, **recorded_drivers.FILES, **recorded_panel.FILES,
     **recorded_bench.FILES, **recorded_tune.FILES, **recorded_agents_bus.FILES, **recorded_around_chips.FILES,
-    **recorded_sim.FILES,
+    **recorded_sim.FILES, **recorded_pages.FILES,
 }  # fmt: skip
 """What depends on MuJoCo's version."""
 FILES = {**recorded_chips.FILES, **PHYSICS}
+PACKAGES = {**recorded_pages.PACKAGES}
+"""Files that depend on an optional package's version: what they show is partly that package's own."""
