@@ -75,7 +75,7 @@ test-small:
 	rm -rf build/small
 	$(PYTHON) -m venv build/small
 	build/small/bin/python -m pip install -q --upgrade pip
-	build/small/bin/python -m pip install -q -e '.[build,plot]' pytest pytest-xdist hypothesis mpmath
+	build/small/bin/python -m pip install -q -e '.[build,plot]' pytest pytest-xdist hypothesis mpmath psutil
 	build/small/bin/python -m pytest -n 2 --dist worksteal tests/recording tests/testing tests/test_cli.py tests/test_cli_options.py tests/test_servo_stage.py tests/test_faults.py tests/board/test_command.py
 
 # that MuJoCo goes before the one of .venv, whatever pyproject.toml allows; all else stays as it is

@@ -2,7 +2,7 @@
 
     SPLITS["train"]            settings by name; every other split is the same but for what it names
     context = np.zeros((), CONTEXT)
-    draw(rng, ranges, context, given); Machine.of(stage, "x", carrier).equip(stage, context)
+    draw(rng, ranges, context, options); Machine.of(stage, "x", carrier).equip(stage, context)
 
 Which fault a machine has is part of its context: faulty.py draws and makes them. machines.py has what tasks on hidden machines
 share. A context is the machine's: a stage's snapshots leave all of it alone but the motor's torque, which is the drive's.
@@ -18,7 +18,7 @@ import numpy as np
 
 from stage import Stage, portable
 from stage.envs.entries import TRUTH, Entry
-from stage.errors import ArgumentError
+from stage.envs.options import given
 from stage.native import record
 
 SPLITS: dict[str, dict[str, Any]] = {
@@ -80,16 +80,13 @@ def ranges(config: Any) -> dict[str, tuple[float, float]]:
 
 
 def draw(
-    rng: np.random.Generator, ends: Mapping[str, tuple[float, float]], context: Any, given: Mapping[str, Any]
+    rng: np.random.Generator, ends: Mapping[str, tuple[float, float]], context: Any, options: Mapping[str, Any]
 ) -> None:
-    """Fill a CONTEXT: evenly, frictions by their logarithm; given: those that are not drawn. Raises ArgumentError for one beyond
+    """Fill a CONTEXT: evenly, frictions by their logarithm, but for those in `options`. Raises ArgumentError for one beyond
     its ends. All are drawn in any case, so that what is given changes no other."""
     for name, (low, high) in ends.items():
         drawn = portable.exp(rng.uniform(*portable.log((low, high)))) if name == "friction" else rng.uniform(low, high)
-        value = given.get(name, float(drawn))
-        if isinstance(value, bool) or not isinstance(value, int | float | np.number) or not low <= value <= high:
-            raise ArgumentError(f"option {name}={value!r}: from {low} to {high} here.")
-        context[name] = value
+        context[name] = given(options, name, float(drawn), (low, high))
 
 
 def placed(ends: Mapping[str, tuple[float, float]], context: np.ndarray) -> np.ndarray:

@@ -43,11 +43,11 @@ from stage.envs import contexts, score
 from stage.envs.base import StageEnv, StageVectorEnv
 from stage.envs.entries import HOST, TRUTH, Entry
 from stage.envs.machines import Machines, MachineTask
+from stage.envs.options import given
 from stage.envs.results import result
 from stage.envs.settings import AxisName, Count, Counts, Flag, Number, Seconds, Weight, Word
 from stage.envs.task import judged
 from stage.envs.trial import ALLOWED, TENTH, Trial, closed_form
-from stage.envs.tuning import given
 from stage.firmware.driver import Speeds, driver_of
 from stage.sim.fleet import Fleet, Played
 from stage.sim.program import Program

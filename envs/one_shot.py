@@ -26,8 +26,8 @@ from stage.envs import contexts, few_shot
 from stage.envs.base import StageEnv, StageVectorEnv
 from stage.envs.entries import HOST, Entry
 from stage.envs.few_shot import FewShotTuning
+from stage.envs.options import given
 from stage.envs.settings import Count, Number, Word
-from stage.envs.tuning import given
 from stage.errors import ArgumentError
 
 

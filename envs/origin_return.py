@@ -47,6 +47,7 @@ from stage import Stage, portable
 from stage.chips import Chip, chip_class
 from stage.envs.base import StageEnv, StageVectorEnv
 from stage.envs.entries import HOST, TRUTH, Entry
+from stage.envs.options import given
 from stage.envs.registers import RegisterBox
 from stage.envs.results import result
 from stage.envs.settings import (
@@ -197,8 +198,8 @@ class OriginReturn(MoveTask[Config]):
             float(rng.uniform(*c.payloads)),
             float(portable.exp(rng.uniform(*portable.log(c.frictions)))),
         )
-        self.payload[k] = self._given(options, "payload", payload, c.payloads)
-        self.friction[k] = self._given(options, "friction", friction, c.frictions)
+        self.payload[k] = given(options, "payload", payload, c.payloads)
+        self.friction[k] = given(options, "friction", friction, c.frictions)
         self._load(k)
         self.ends[k], self.last[k] = (np.inf, -np.inf), 0.0
         self._draw(k, options)
@@ -211,7 +212,7 @@ class OriginReturn(MoveTask[Config]):
         """The next unknown place."""
         c, rng, stage = self.config, self.rngs[k], self.stages[k]
         drawn = float(rng.uniform(self.low + FROM_LIMIT, self.high - FROM_LIMIT))
-        self.place[k] = self._given(options, "start", drawn, self.axis.travel)
+        self.place[k] = given(options, "start", drawn, self.axis.travel)
         self.shift[k] = rng.uniform(-c.drift, c.drift) if c.drift else 0.0
         self._shift(k)
         stage.restore(self.start)
@@ -229,13 +230,6 @@ class OriginReturn(MoveTask[Config]):
     def _shift(self, k: int) -> None:
         if self.config.drift:
             self.stages[k].model.geom_pos[self.beam] = self.beam0 + self.along * self.shift[k]
-
-    @staticmethod
-    def _given(options: Mapping[str, Any], name: str, drawn: float, ends: tuple[float, float]) -> float:
-        value = options.get(name, drawn)
-        if not isinstance(value, int | float | np.number) or not ends[0] <= value <= ends[1]:
-            raise ArgumentError(f"option {name}={value!r}: from {ends[0]} to {ends[1]}.")
-        return float(value)
 
     def describe(self, k: int) -> dict[str, Any]:
         return {"payload": float(self.payload[k]), "friction": float(self.friction[k])}

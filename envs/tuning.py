@@ -15,11 +15,12 @@ import numpy as np
 from stage import Stage, portable
 from stage.chips import Chip
 from stage.envs.entries import HOST, TRUTH, Entry
+from stage.envs.options import given
 from stage.envs.registers import RegisterBox
 from stage.envs.results import result
 from stage.envs.task import MoveTask, carrier
 from stage.envs.trial import Starts
-from stage.errors import ArgumentError, unknown
+from stage.errors import unknown
 from stage.sim.program import Program
 
 ConfigT = TypeVar("ConfigT")
@@ -155,11 +156,3 @@ class Tuning(MoveTask[ConfigT]):
             axis=1,
         )
         return np.clip(np.concatenate([asked, self.last], axis=1), -1.0, 1.0).astype(np.float32)
-
-
-def given(options: Mapping[str, Any], name: str, drawn: float, ends: tuple[float, float]) -> float | np.number:
-    """A reset option, by default what was drawn; ArgumentError for one beyond its ends."""
-    value = options.get(name, drawn)
-    if isinstance(value, bool) or not isinstance(value, int | float | np.number) or not ends[0] <= value <= ends[1]:
-        raise ArgumentError(f"option {name}={value!r}: from {ends[0]} to {ends[1]}.")
-    return value

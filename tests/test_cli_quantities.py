@@ -33,6 +33,8 @@ def test_a_number_is_taken_with_and_without_its_unit(kind, text, value):
         (MASS, "2,5kg", "'2,5kg' is no mass. A decimal point, no comma: 2.5kg. A number, or one in g, kg."),
         (VOLTAGE, "many", "'many' is no voltage. A number, or one in mV, V."),
         (HERTZ, "1.5", "'1.5' is no whole number"),
+        (HERTZ, "inf", "'inf' is no whole number"),
+        (HERTZ, "nan", "'nan' is no whole number"),
     ],
 )
 def test_another_unit_is_named_for_what_it_is(kind, text, said):

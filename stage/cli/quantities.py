@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 
 from stage.units import BESIDES, kind_of, quantity, slip
 
@@ -32,7 +33,7 @@ class Whole(Quantity):
             return int(text, 0)
         except ValueError:
             value = super().__call__(text)
-        if value != round(value):
+        if not math.isfinite(value) or value != round(value):
             raise argparse.ArgumentTypeError(f"{text!r} is no whole number")
         return round(value)
 

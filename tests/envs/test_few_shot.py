@@ -201,7 +201,7 @@ def test_every_split_draws_where_it_says_and_a_setting_comes_before_it():
     with pytest.raises(ArgumentError, match=r"split 'hevy'.*Did you mean 'heavy'"):
         Config(split="hevy")
     env = make(split="heavy")
-    with pytest.raises(ArgumentError, match=r"option payload=1: from 5\.0 to 10\.0 here"):
+    with pytest.raises(ArgumentError, match=r"option payload=1: from 5\.0 to 10\.0"):
         env.reset(options={"payload": 1})
     with pytest.raises(ArgumentError, match="axis x: it is no stepper's slide"):
         make(chip="HCTL1100")

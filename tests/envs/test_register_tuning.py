@@ -132,10 +132,19 @@ def test_an_observation_begins_with_where_distance_and_payload_lie_in_their_rang
     for distance, payload, seen in (
         (1600, 0.0, (-1, -1)),
         (8000, 1.0, (1, 1)),
-        ((1600 * 8000) ** 0.5, 0.25, (0, -0.5)),
+        (round((1600 * 8000) ** 0.5), 0.25, (0, -0.5)),
     ):
         observation, _ = env.reset(seed=1, options={"distance": distance, "payload": payload})
         assert observation[:2] == pytest.approx(seen, abs=1e-3)
+
+
+@pytest.mark.parametrize("distance", [1600.5, "1600", True, 1599, float("nan"), np.bool_(True), None])
+def test_a_distance_is_a_whole_number_of_pulses_in_its_range(distance):
+    env = make()
+    with pytest.raises(ArgumentError, match=r"option distance=.*: a whole number from 1600 to 8000\."):
+        env.reset(seed=1, options={"distance": distance})
+    env.reset(seed=1, options={"distance": 1601.0})
+    assert env.step(np.zeros(env.action_space.shape, np.float32))[4]["distance"] == 1601
 
 
 def test_a_move_is_judged_at_a_site_or_body_of_ones_choice_that_the_axis_carries():
