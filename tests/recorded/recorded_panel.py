@@ -619,6 +619,15 @@ def files():
             for kind in written.FORMATS:
                 text = [line for line in share.program(panel, kind).splitlines() if "approx" not in line]
                 found[f"{name} {kind}"] = text if cls is PCL240MS else [len(text), digits("\n".join(text), 4)]
+            found[f"{name} at once"] = session.do(
+                lambda stage, p=panel: [stage.chips[0].write(0, 0), digits(share.program(p, "program.py")), stage.now][
+                    1:
+                ]
+            )
+            asked = []
+            with patch.dict(export.FORMATS, {"rrd": lambda s, *given, a=asked: a.append(given) or b"data"}):
+                share.save(panel)
+            found[f"{name} minute"] = [[digits(repr(names)), begin, end] for names, begin, end in asked]
             path = "panel.zip"
             with open(path, "wb") as file:
                 file.write(share.save(panel))

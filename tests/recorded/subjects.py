@@ -13,6 +13,7 @@ from recorded import (
     recorded_machines,
     recorded_pages,
     recorded_panel,
+    recorded_rerun,
     recorded_sim,
     recorded_stage,
     recorded_texts,
@@ -23,9 +24,9 @@ PHYSICS = {
     **recorded_cli.FILES, **recorded_texts.FILES, **recorded_stage.FILES, **recorded_firmware.FILES, **recorded_envs.FILES,
     **recorded_machines.FILES, **recorded_agents.FILES, **recorded_drivers.FILES, **recorded_panel.FILES,
     **recorded_bench.FILES, **recorded_tune.FILES, **recorded_agents_bus.FILES, **recorded_around_chips.FILES,
-    **recorded_sim.FILES, **recorded_pages.FILES,
+    **recorded_sim.FILES, **recorded_pages.FILES, **recorded_rerun.FILES,
 }  # fmt: skip
 """What depends on MuJoCo's version."""
 FILES = {**recorded_chips.FILES, **PHYSICS}
-PACKAGES = {**recorded_pages.PACKAGES}
+PACKAGES = {**recorded_pages.PACKAGES, **recorded_rerun.PACKAGES}
 """Files that depend on an optional package's version: what they show is partly that package's own."""

@@ -1,0 +1,254 @@
+"""What recordings become: rerun's files, entity by entity, their dashboards, what is read back, tables, static pictures."""
+
+import enum
+import json
+import zipfile
+from functools import partial
+
+import numpy as np
+import pytest
+from recorded.recorded_panel import tried
+from recorded.recorded_stage import columns, go
+from recorded.store import digits
+
+from stage import Drive, Stage, faults
+from stage.board import Board
+from stage.chips import HCTL1100, MCX304, MCX514, PCL240K, PCL240MK, PCL240MS
+
+PACKAGES = {"recordings_rerun": "rerun-sdk"}
+STAGES = {
+    "xyz": ("xyz", PCL240K, {}), "wired": ("xy", PCL240MS, {"wiring": {"x": {"org": "negative"}}, "bus_cycle": 2e-6}),
+    "xya": ("xya", {"x": PCL240MK, "y": MCX304, "a": MCX514}, {}), "servo": ("xyz_servo", HCTL1100, {}),
+    "mixed": ("xy", {"x": HCTL1100, "y": MCX304}, {"drives": {"x": None, "y": Drive(microsteps=4)}}),
+    "gantry": ("gantry", PCL240MS, {}),
+}  # fmt: skip
+
+
+def driven(name, board=False, **options):
+    """A stage on which this and that happens, and the recording of it."""
+    model, chips, how = STAGES[name]
+    stage = Stage(model, chips=chips, visuals=False, **how)
+    if board:
+        Board(stage)
+    first, second, *_ = stage.axes.values()
+    stage.place(
+        **{first.name: next(s.touch for s in first.plant.switches if s.pin.startswith(("sd_plus", "el_plus"))) - 2e-4}
+    )
+    stage.run(0.0013)
+    with stage.record(every=options.pop("every", 1e-3), **options) as recording:
+        go(first, 300)
+        stage.run(0.03)
+        with faults.switch_stuck(second, "org", True):
+            go(second, 200, minus=True)
+            stage.run(0.02)
+            with faults.bus_voltage(first, 12.0) if not first.chip.SERVO else faults.jam(first):
+                stage.run(0.011)
+        with faults.lost_write(second):
+            second.chip.write(0, 1)
+        second.chip.read(0)
+        go(first, 30, minus=True)
+        stage.run(0.0051)
+        first.chip.reset()
+        stage.run(0.0032)
+    return stage, recording
+
+
+def condensed(values):
+    """Numbers as sums, texts as digits."""
+    flat = np.array([], float)
+    try:
+        flat = np.concatenate([np.ravel(np.asarray(v, float)) for v in values]) if len(values) else flat
+    except (TypeError, ValueError):
+        return f"{len(values)} {digits(repr(values), 3)}"
+    flat = flat[np.isfinite(flat)]
+    return [
+        len(values),
+        len(flat),
+        *(round(float(s), 4) for s in (flat.sum(), (flat * (np.arange(len(flat)) % 13)).sum())),
+    ]
+
+
+def entities(path):
+    """Of each entity and component: when, and what."""
+    from stage.recording.sdk import chunk
+
+    found = {}
+    for one in chunk.RrdReader(str(path)).stream():
+        batch = one.to_record_batch()
+        names = batch.schema.names
+        times = batch.column("time").to_numpy(zero_copy_only=False).astype(np.int64) if "time" in names else None
+        for name in names:
+            if name == "time" or name.startswith("rerun.controls"):
+                continue
+            kept = found.setdefault(f"{one.entity_path} {name}", ([], []))
+            kept[0].extend([] if times is None else times.tolist())
+            column = batch.column(name)
+            kept[1].extend((column.cast("int64") if str(column.type).startswith("timestamp") else column).to_pylist())
+    found = {k: v for k, v in found.items() if "RecordingInfo" not in k}
+    when = {k: f"{len(t)} {sum(t) % 1_000_003} {t[0]} {t[-1]}" if t else "static" for k, (t, _) in found.items()}
+    return {
+        k: [when[k], *([said] if isinstance(said := condensed(v), str) else said)]
+        for k, (_, v) in sorted(found.items())
+    }
+
+
+def files(name, folder):
+    """A recording as rerun's file, and as what is read back from that."""
+    from stage.recording import read
+
+    pytest.importorskip("rerun")
+    _, recording = driven(name)
+    path = recording.save(folder / "a.rrd")
+    saved = read(path)
+    states = {
+        lane: [[round(float(t), 9) for t in times[:9]], [str(s) for s in said[:9]]]
+        for lane, (times, said) in saved.states.items()
+    }
+    back = {
+        c: [len(v), digits("".join(v))] if v.dtype.kind in "UO" else [len(v), v.dtype.kind, round(float(np.sum(v)), 5)]
+        for c, v in saved.columns.items()
+    }
+    return {
+        "file": entities(path), "read": [repr(saved), saved.axes, saved.model, saved.every, saved.units, len(saved.bus)],
+        "bus": [f"{t:.9f} {text}" for t, text in saved.bus], "states": states, "columns": back,
+    }  # fmt: skip
+
+
+def streamed(folder):
+    """A file that is written as it goes, at two intervals."""
+    pytest.importorskip("rerun")
+    found = {}
+    for every, seconds in ((1e-3, 0.02), (2.5e-4, 1.0)):
+        path = folder / f"{seconds}.rrd"
+        _, recording = driven("xyz", every=every, path=path)
+        found[f"{seconds}"] = [len(recording), repr(recording), entities(path)]
+    return found
+
+
+def part(view):
+    """A part of a dashboard, as lists."""
+    if isinstance(view, enum.Enum):
+        return view.name
+    if view is None or isinstance(view, str | int | float | bool):
+        return view
+    if isinstance(view, np.ndarray):
+        return [round(float(v), 6) for v in view.ravel()]
+    if isinstance(view, dict):
+        return {str(k): part(v) for k, v in sorted(view.items(), key=str)}
+    if isinstance(view, list | tuple):
+        return [part(v) for v in view]
+    if hasattr(view, "as_component_batches"):
+        return [type(view).__name__, [
+            [str(b.component_descriptor()), [condensed([v]) if not isinstance(v,
+                str) else v for v in b.as_arrow_array().to_pylist()]]
+            for b in view.as_component_batches()
+        ]]  # fmt: skip
+    kept = {k: v for k, v in vars(view).items() if k not in ("id", "_id")} if hasattr(view, "__dict__") else repr(view)
+    return [type(view).__name__, part(kept)]
+
+
+def dashboards():
+    from stage.recording.blueprint import dashboard, eye
+    from stage.recording.series import SERIES, axes_with, colours_of, heading
+
+    pytest.importorskip("rerun")
+    found = {}
+    for name in STAGES:
+        model, chips, how = STAGES[name]
+        stage = Stage(model, chips=chips, **how)
+        recording = stage.record()
+        made = dashboard(recording)
+        found[name] = [
+            digits(json.dumps(part(made.root_container)), 4),
+            [float(v) for v in np.concatenate(eye(stage.model))],
+        ]
+        found[f"{name} words"] = [
+            colours_of(recording),
+            {k: heading(recording, k) for k in SERIES if axes_with(recording, k)},
+        ]
+        recording.close()
+    return found
+
+
+def tables(folder):
+    """CSV, .npz, and what is refused."""
+    found = {}
+    for name in ("xya", "mixed"):
+        stage, recording = driven(name, every=5e-4)
+        a, b = list(stage.axes)[:2]
+        pin = next(iter(stage.axes[b].chip.INPUTS))
+        recording.to_csv(folder / "a.csv", [f"{a}/position", f"{b}/{pin}", "time", f"{a}/position"], overwrite=True)
+        text = (folder / "a.csv").read_text().splitlines()
+        found[f"{name} csv"] = [len(text), text[0], [round(float(v), 9) for v in text[7].split(",")]]
+        recording.to_file(folder / "a.npz", overwrite=True)
+        with zipfile.ZipFile(folder / "a.npz") as archive:
+            found[f"{name} npz"] = [digits(repr(archive.namelist()), 3), archive.infolist()[0].compress_type]
+        found[f"{name} units"] = recording.units
+        found[f"{name} columns"] = columns(recording)
+        found[f"{name} told"] = [
+            repr(recording),
+            recording.began,
+            recording.duration,
+            len(recording),
+            [list(n) for n in recording.notes],
+        ]
+        found[f"{name} pieces"] = [
+            [len(p) for p in recording.pieces(rows, begin)] for rows, begin in ((7, 0), (100, 13), (1, 70))
+        ]
+        wrong = [
+            tried(recording.column, f"{a}/positoin"), tried(lambda r=recording: r.columns["y/nothing"]),
+            tried(recording.to_csv, folder / "a.csv"), tried(recording.to_csv, folder / "b.csv", "nothing"),
+            tried(recording.to_file, folder / "a.txt"), tried(recording.save, folder / "a.csv"), tried(recording.to_vcd,
+                folder / "a.rrd"),
+            tried(recording.stream, folder / "s.rrd"), tried(recording.stream, folder / "s.rrd", 0), tried(recording.stream,
+                folder / "s.rrd",
+            1, on_error="no"), tried(recording.to_csv, folder / "none" / "a.csv"),
+        ]  # fmt: skip
+        found[f"{name} wrong"] = [str(w).replace(str(folder), "FOLDER") for w in wrong]
+    return found
+
+
+def waveforms(name, folder):
+    """Waveforms of chips beside each other, with a board's host."""
+    _, recording = driven(name, board=name == "xyz")
+    recording.to_vcd(folder / "a.vcd")
+    body = [
+        s for s in (folder / "a.vcd").read_text().splitlines() if not s.startswith("$date") and "PulseStage" not in s
+    ]
+    start = next(k for k, s in enumerate(body) if s.startswith("$enddefinitions"))
+    return {
+        "head": body[:start],
+        "rest": [len(body) - start, *(digits("\n".join(body[k : k + 150])) for k in range(start, len(body), 150))],
+    }
+
+
+def pictures():
+    """The parts of static pictures."""
+    pytest.importorskip("matplotlib")
+    found = {}
+    for name, every in (("xyz", 1e-3), ("mixed", 2.5e-4)):
+        figure = driven(name, every=every)[1].plot()
+        said = []
+        for ax in figure.axes:
+            lines = [[x.get_label(), len(x.get_xdata()), round(float(np.sum(x.get_ydata())), 4), x.get_color(), x.get_linewidth(),
+                      x.get_alpha()] for x in ax.lines]  # fmt: skip
+            said.append([ax.get_ylabel(), ax.get_xlabel(), [round(v, 6) for v in ax.get_xlim()], lines, len(ax.collections),
+                         [t.get_text() for t in ax.get_yticklabels()] if not lines or ax is figure.axes[-1] else 0,
+                         [t.get_text() for t in ax.get_legend().get_texts()] if ax.get_legend() else 0])  # fmt: skip
+        areas = [c.get_facecolor().round(4).tolist() for c in figure.axes[-1].collections]
+        found[name] = [
+            said,
+            areas,
+            [round(float(v), 3) for v in figure.get_size_inches()],
+            [t.get_text() for t in figure.texts],
+        ]
+    return found
+
+
+FILES = {
+    "recordings_rerun": {
+        **{name: partial(files, name) for name in STAGES},
+        "streamed": streamed, "dashboards": dashboards, "pictures": pictures,
+    },
+    "recordings_more": {"tables": tables, **{f"waves {name}": partial(waveforms, name) for name in ("xyz", "xya", "mixed")}},
+}  # fmt: skip
