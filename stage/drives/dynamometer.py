@@ -88,11 +88,19 @@ def natural_frequency(drive: Drive, inertia: float, half_step: bool = False) -> 
     """Small-angle natural frequency of the rotor at rest, Hz: sqrt(stiffness / inertia) / 2 pi (spec/drives.md, 2).
 
     The stiffness is Nr (Km I + 4 Td) on a full step, where the detent helps, and Nr (Km I - 4 Td) on a half step, where it
-    hurts. inertia: kg m^2, rotor included.
+    hurts. inertia: kg m^2, rotor included. Raises ArgumentError for one that is not above 0.
     """
+    _check_inertia(drive, inertia)
     m = drive.motor
     detent = 4 * drive.detent_torque * (-1 if half_step else 1)
     return math.sqrt(m.rotor_teeth * (m.torque_constant * drive.amplitude + detent) / inertia) / 2 / math.pi
+
+
+def _check_inertia(drive: Drive, inertia: float) -> None:
+    if not 0 < inertia < math.inf:
+        raise ArgumentError(
+            f"inertia={inertia!r}: give kg m^2 above 0; the rotor alone has {drive.motor.rotor_inertia:g}."
+        )
 
 
 @exported(None, stepper.DRIVE, array_of("f8"), array_of("f8"), *["f8"] * 5, array_of(TRACE))
@@ -147,10 +155,7 @@ def follow(
 
     Raises ArgumentError for an inertia that is not above 0, for friction below 0, for an empty course.
     """
-    if not 0 < inertia < math.inf:
-        raise ArgumentError(
-            f"inertia={inertia!r}: give kg m^2 above 0; the rotor alone has {drive.motor.rotor_inertia:g}."
-        )
+    _check_inertia(drive, inertia)
     course = np.array(counts, float)
     if course.ndim != 1 or not len(course):
         raise ArgumentError(f"counts of shape {course.shape}: give one pulse count a slice, for example pulses(rates).")

@@ -10,12 +10,15 @@ import numpy as np
 from recorded.recorded_stage import brief, columns, go, make, run_on, seen
 from recorded.recorded_texts import tried
 from recorded.store import digits
+from support import nova_programs as nova
+from support import servo_programs as servo
 from support.many_axes import rail_model
 from support.mirrored import mirrored
 from support.programs import start_preset
 
 from stage import Drive, Fleet, Motor, Program, Stage, faults
-from stage.chips import HCTL1100, MCX302, MCX304, MCX312, MCX514, PCL240K, PCL240MK, PCL240MS
+from stage.chips import HCTL1100, MCX302, MCX304, MCX312, MCX514, PCL240K, PCL240MK, PCL240MS, cores
+from stage.chips.nova import Nova
 from stage.drives.dc_motors import DCMotor, Servo
 from stage.errors import StageError
 from stage.sim import encoder, integration, plant, play
@@ -516,6 +519,33 @@ BAD_OPS = [
 ]
 
 
+def foreseen():
+    """What a program would make of a chip with no stage around it: of its own axes alone, over by then or not."""
+    found = {}
+    for cls, j in ((PCL240K, 0), (PCL240MS, 0), (MCX514, 2), (MCX304, 1), (HCTL1100, 0)):
+        for until, mask in ((1.0, 2), (1e-3, 2), (1.0, 1), (0.0, 2)):
+            p = Program().write(0, 0, 0x42)
+            if issubclass(cls, Nova):
+                chip = type("Told", (_Into, cls), {})(p, 1)
+                nova.move(chip, 321, 1 << j)
+            elif cls is HCTL1100:
+                servo.move(_Into(p, 1), 321)
+            else:
+                start_preset(_Into(p, 1), 321, True)
+            p.wait(1.0).read(1, 0)
+            fresh = cls()
+            rows = np.frombuffer(bytearray(fresh.snapshot().record), cls.CORE.STATE)
+            twin = np.zeros(1, cores.CHIP)
+            cores.fill(twin[0], cls.CORE, rows.ctypes.data)
+            made = play.would_make(twin, np.array(p.ops), mask, j, round(until * fresh.clock_hz))
+            found[f"{cls.__name__} {until} {mask}"] = [
+                int(made),
+                made == play.STILL_BUSY,
+                0 if cls is HCTL1100 else digits(rows.tobytes()),
+            ]
+    return found
+
+
 def bad_programs():
     stage = make("xy")
     fleet = Fleet([stage, copy.deepcopy(stage)], 1)
@@ -787,6 +817,7 @@ FILES = {
         "refitted": refitted,
         "supplies": supplies,
         "pointed": pointed,
+        "foreseen": foreseen,
         "bad programs": bad_programs,
         "sampled": sampled,
         "in time": in_time,

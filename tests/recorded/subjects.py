@@ -11,6 +11,7 @@ from recorded import (
     recorded_envs,
     recorded_firmware,
     recorded_machines,
+    recorded_own,
     recorded_pages,
     recorded_panel,
     recorded_rerun,
@@ -25,6 +26,7 @@ PHYSICS = {
     **recorded_machines.FILES, **recorded_agents.FILES, **recorded_drivers.FILES, **recorded_panel.FILES,
     **recorded_bench.FILES, **recorded_tune.FILES, **recorded_agents_bus.FILES, **recorded_around_chips.FILES,
     **recorded_sim.FILES, **recorded_pages.FILES, **recorded_rerun.FILES,
+    **recorded_own.FILES,
 }  # fmt: skip
 """What depends on MuJoCo's version."""
 FILES = {**recorded_chips.FILES, **PHYSICS}
