@@ -9,7 +9,7 @@ from recorded.recorded_panel import CASES, go, hasty
 from recorded.store import digits
 
 from stage import Stage
-from stage.chips import PCL240MS
+from stage.chips import MCX514, PCL240MS
 from stage.panel.session import FREE, Session
 
 PACKAGES = {"pages": "nicegui"}
@@ -312,11 +312,71 @@ def desk():
     return found
 
 
+def consoles():
+    """Lines before and after, names that are completed, chips that are chosen, on a page of chips of one and of several axes."""
+    found = {}
+    with opened("xya", {"x": MCX514, "y": MCX514, "a": PCL240MS}) as (session, _, page):
+        page.turn()
+        log, lines = page.find("console"), []
+
+        def entered(text, key="Enter"):
+            if text is not None:
+                page.put("console", text)
+            page.fire("console", "keydown", key)
+            page.settled()
+            if key == "Enter":
+                page.until(lambda: log.error or not log.value)
+            page.turn()
+            pushed = [lines for e in page._all() if type(e).__name__ == "Lines" for lines in e._take() or ()]
+            lines.append([text or key, log.value, log.error, pushed])
+
+        for text in ("DV 500", "DV 500", "dv", "WR3 <- 4", "drvl"):
+            entered(text)
+        for key in (
+            "Escape",
+            "ArrowUp",
+            "ArrowUp",
+            "ArrowUp",
+            "ArrowUp",
+            "ArrowUp",
+            "ArrowDown",
+            "ArrowDown",
+            "ArrowDown",
+            "ArrowDown",
+            "ArrowDown",
+        ):
+            entered(None, key)
+        for text in ("drv", "DRV", "DRVV", "drvr", "drvrl", "x", "", "help W", "help wr3", "read 0 dr"):
+            entered(text, "Tab")
+        for target in (1, 4, 0, 2):
+            page.put("console-target", target)
+            for text in ("read 0 0", "read 0", "88 15", "LP <- -5", "lp", "R1=7", "r1"):
+                entered(text)
+                page.put("console", "")
+                log.error = None
+        found["lines"] = lines
+        found["targets"] = page.find("console-target").options
+        found["held"] = session.do(
+            lambda stage: [digits(repr(chip.values_of(j))) for chip in stage.chips for j in range(chip.AXES)]
+        )
+        found["noted"] = page.find("diagnostics").text
+        page.put("tour", True)
+        page.turn()
+        steps = []
+        for _ in range(9):
+            steps.append([page.text("tour-title"), page.text("tour-task"), page.text("tour-skip")])
+            page.click("tour-skip")
+            page.turn()
+        found["tour"] = steps
+    return found
+
+
 FILES = {
     "pages": {
         **{f"first {model}": partial(at_first, model) for model in ("xy", "xyz_servo")},
         **{f"forms {model}": partial(forms, model) for model in ("xya", "gantry")},
         **{f"rows {model}": partial(rows, model) for model in ("xy", "xyz", "xyz_servo")},
         "desk": desk,
+        "consoles": consoles,
     },
 }  # fmt: skip

@@ -18,12 +18,15 @@ from stage import Stage
 from stage.chips import CHIPS, HCTL1100, MCX304, MCX312, MCX514, PCL240K, PCL240MK, PCL240MS
 from stage.drives.dc_motors import DC_MOTORS
 from stage.errors import StageError
-from stage.panel import export, front, glb, guard, orders, procedures, server, share, travel, words, written
+from stage.panel import clock, export, front, glb, guard, orders, procedures, server, share, travel, words, written
+from stage.panel.admission import Admission
 from stage.panel.controls import Controls
 from stage.panel.fields import Field, WrongField, at_its_field, distance_of, parsed, speed_fields, where
 from stage.panel.hands import Hands
+from stage.panel.life import Life
 from stage.panel.look import Look, seen
 from stage.panel.oscilloscope import DIAGNOSTIC, LOST, Scope
+from stage.panel.past import Past
 from stage.panel.procedures import FORMS, Jog
 from stage.panel.sampler import Ring, Sampler, thinned, traces
 from stage.panel.session import FREE, Session
@@ -693,6 +696,95 @@ def damaged(path):
     return found | {"text": tried(share.read, "text.zip"), "none": tried(share.read, "none.zip")}
 
 
+# --- time ---
+
+
+class Real:
+    """Real time that passes where somebody waits."""
+
+    def __init__(self):
+        self.now, self.told = 100.0, []
+
+    def __call__(self):
+        return self.now
+
+    def wait(self, seconds):
+        self.told.append(round(seconds, 6))
+        self.now += seconds
+
+    rest = wait
+
+    def clear(self):
+        self.told.append("looks")
+
+    def admit(self):
+        self.told.append("admitted")
+
+
+def clockwork():
+    """How far time may go, when, for programs and for a session, at every speed; paces; what is remembered of the past."""
+    found = {}
+    for speed, until, late in itertools.product(
+        (1.0, 0.5, 20.0, FREE), (500_000, 1_000_000, 7_000_000, 90_000_000), (-0.5, 0.0, 0.1, 0.35)
+    ):
+        with patch.object(clock, "perf_counter", Real()) as real:
+            stage, paused = (
+                SimpleNamespace(now=2_000_000_000, state=SimpleNamespace(dt=500_000), loop=SimpleNamespace(pace=None)),
+                [False, True],
+            )
+            now = stage.now
+            ticking = clock.Clock(speed, now - 10_000_000)
+            real.now += late
+            goals = []
+            for ahead in (clock.SLICE, 0.0, 0.1):
+                admits = Admission(
+                    stage, ticking, real, lambda p=paused: p.pop() if p else False, lambda r=real: r.now > 103
+                )
+                goals.append([admits.until(now + until, ahead) - now, *real.told, round(real.now, 6)])
+                real.told.clear()
+            over = Admission(stage, ticking, real, lambda: True, lambda: True).until(now + until) - now
+            ticking.measure(now + until)
+            life = SimpleNamespace(stage=stage, clock=ticking, wake=real, paused=False, closed=False,
+                _carry_out=lambda r=real: r.told.append("orders"),
+                                   _over=lambda r=real: r.now > 100.4)  # fmt: skip
+            due = Life._due(life, now + until) - now
+            found[f"{speed} {until} {late}"] = digits(
+                repr([goals, over, round(ticking.pace, 6), due, real.told, round(real.now, 6)]), 3
+            )
+    with patch.object(clock, "perf_counter", Real()) as real:
+        ticking, told = clock.Clock(2.0, 0), []
+        for k, (wait, now) in enumerate(
+            ((0.1, 10), (0.15, 20), (0.001, 30), (0.3, 900), (0.26, 901), (0.1, 0), (0.4, 5))
+        ):
+            real.now += wait
+            if k == 5:
+                ticking.restart(0)
+            ticking.measure(now * 1_000_000)
+            told.append([round(ticking.pace, 6), round(ticking.early(now * 1_000_000, 0), 6), ticking.piece])
+    found["pace"] = told
+    past, told = Past(), []
+    for k, ms in enumerate((0, 49, 50, 51, 99, 100, 260, 40, 90, 91, 31_000, 31_049, 31_051, 61_060)):
+        past.remember(
+            SimpleNamespace(
+                now=ms * 1_000_000, snapshot=lambda m=ms, n=k: SimpleNamespace(at=m, header="ab"[n % 5 > 2])
+            )
+        )
+        goal = (ms - 60) * 1_000_000
+        told.append(
+            [
+                ms,
+                len(past._kept),
+                past.before(goal).at,
+                past.seconds(ms * 1_000_000),
+                *(getattr(past.oldest_of(h), "at", None) for h in "ab"),
+            ]
+        )
+        if ms == 260:
+            past.forget_after(50_000_000)
+    found["past"] = told
+    return found
+
+
 # --- bodies for a browser ---
 
 
@@ -800,7 +892,7 @@ FILES = {
         **{f"offered {model}": partial(offered, model) for model in ("xya", "xyz_servo")},
         **{f"scopes {cls.__name__}": partial(scopes, model, cls) for model, cls in (("xy", PCL240MS), ("xya", MCX514),
         ("xy", HCTL1100))},
-        "typed": typed, "rings": rings, "tour": toured, "files": files, "shapes": shapes, "guard": guarded,
+        "typed": typed, "rings": rings, "tour": toured, "clockwork": clockwork, "files": files, "shapes": shapes, "guard": guarded,
         "controls": controlled,
     },
 }  # fmt: skip

@@ -4,16 +4,19 @@ import enum
 import json
 import zipfile
 from functools import partial
+from unittest.mock import patch
 
 import numpy as np
 import pytest
-from recorded.recorded_panel import tried
+from recorded.recorded_panel import hasty, tried
 from recorded.recorded_stage import columns, go
 from recorded.store import digits
 
 from stage import Drive, Stage, faults
 from stage.board import Board
 from stage.chips import HCTL1100, MCX304, MCX514, PCL240K, PCL240MK, PCL240MS
+from stage.panel.sampler import Sampler
+from stage.panel.session import FREE, Session
 
 PACKAGES = {"recordings_rerun": "rerun-sdk"}
 STAGES = {
@@ -245,10 +248,47 @@ def pictures():
     return found
 
 
+def exported(folder):
+    """A window of a panel's oscilloscope as rerun's file and as a picture."""
+    from matplotlib.figure import Figure
+
+    from stage.panel import export
+
+    stage, found = Stage("xya", chips=PCL240MS, visuals=False), {}
+    with Session(stage, speed=FREE, paused=True) as session:
+        sampler = Sampler(session)
+        session.do(lambda stage: go(stage.axes["a"], 200))
+        hasty(session, stage.run, 0.05)
+        names = ["x/position", "a/position", "a/rate", "a/pout", "x/org", "x/rate"]
+        (folder / "a.rrd").write_bytes(export.to_rrd(sampler, names, 0.01, 0.04))
+        found["rrd"] = entities(folder / "a.rrd")
+        drawn = []
+        with patch.object(Figure, "savefig", lambda figure, out, **how: drawn.append((figure, how))):
+            export.to_png(sampler, names, 0.01, 0.04)
+        ((figure, how),) = drawn
+        found["png"] = [how, [round(float(v), 4) for v in figure.get_size_inches()]]
+        for ax in figure.axes:
+            lines = [
+                [
+                    x.get_label(),
+                    len(x.get_xdata()),
+                    round(float(np.sum(x.get_ydata())), 4),
+                    round(float(x.get_xdata()[0]), 6),
+                ]
+                for x in ax.lines
+            ]
+            said = [t.get_text() for t in ax.get_legend().get_texts()] if ax.get_legend() else []
+            found["png"].append([ax.get_ylabel(), ax.get_xlabel(), lines, said, len(ax.collections), [round(v,
+                4) for v in ax.get_ylim()],
+                                 len(ax.get_yticks()) > 0])  # fmt: skip
+        sampler.close()
+    return found
+
+
 FILES = {
     "recordings_rerun": {
         **{name: partial(files, name) for name in STAGES},
-        "streamed": streamed, "dashboards": dashboards, "pictures": pictures,
+        "streamed": streamed, "dashboards": dashboards, "exported": exported, "pictures": pictures,
     },
     "recordings_more": {"tables": tables, **{f"waves {name}": partial(waveforms, name) for name in ("xyz", "xya", "mixed")}},
 }  # fmt: skip
