@@ -90,7 +90,7 @@ class Word:
 
     def check(self, name: str, value: Any) -> None:
         """Raise ArgumentError, unless it takes the value of this setting."""
-        if value not in self.known:
+        if not isinstance(value, str) or value not in self.known:
             raise unknown(name, value, self.known)
 
 
@@ -155,7 +155,7 @@ class Words:
         if isinstance(value, str) or not isinstance(value, Sequence):
             raise ArgumentError(f"{name}={value!r}: some of {', '.join(self.allowed)}, as ({self.allowed[0]!r},).")
         for word in value:
-            if word not in self.allowed:
+            if not isinstance(word, str) or word not in self.allowed:
                 raise unknown(f"word of {name}", word, self.allowed)
         if len(set(value)) != len(value):
             raise ArgumentError(f"{name}={value!r}: each once.")

@@ -8,6 +8,7 @@ from recorded import (
     recorded_chips,
     recorded_cli,
     recorded_drivers,
+    recorded_env_parts,
     recorded_envs,
     recorded_firmware,
     recorded_machines,
@@ -27,6 +28,7 @@ PHYSICS = {
     **recorded_bench.FILES, **recorded_tune.FILES, **recorded_agents_bus.FILES, **recorded_around_chips.FILES,
     **recorded_sim.FILES, **recorded_pages.FILES, **recorded_rerun.FILES,
     **recorded_own.FILES,
+    **recorded_env_parts.FILES,
 }  # fmt: skip
 """What depends on MuJoCo's version."""
 FILES = {**recorded_chips.FILES, **PHYSICS}

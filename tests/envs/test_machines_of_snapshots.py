@@ -1,0 +1,64 @@
+"""A snapshot of an environment brings its machine along: payload, friction, drive, switches and faults, wherever it is restored."""
+
+import gymnasium
+import numpy as np
+import pytest
+
+import stage.envs
+
+SHORT = {
+    "stage/RegisterTuning-v0": {"model": "xy", "moves": 3, "distances": (300, 900), "limit": 0.3, "settle": 0.01},
+    "stage/OriginReturn-v0": {"model": "xy", "returns": 3, "limit": 0.05, "settle": 0.01, "drift": 4e-4},
+    "stage/ServoTuning-v0": {"limit": 0.05, "rest": 0.01, "moves": 3},
+    "stage/FewShotTuning-v1": {"model": "xy", "distances": (300, 900), "tries": 3, "split": "faults", "healthy": 0.0},
+    "stage/OneShotTuning-v1": {"model": "xy", "distances": (300, 900), "split": "faults", "healthy": 0.0},
+    "stage/SynchronizedLine-v1": {"model": "xy", "distances": (300, 900), "split": "faults", "healthy": 0.0},
+    "stage/DriftingHome-v1": {"model": "xy", "healthy": 0.0, "walk": 1e-3, "bounces": (1e-3, 2e-3)},
+    "stage/BusMacros-v1": {"model": "xy", "split": "faults", "healthy": 0.0},
+}
+
+
+def make(id_):
+    return gymnasium.make(id_, disable_env_checker=True, **SHORT[id_]).unwrapped
+
+
+def machine(stage_):
+    """All of a machine that an environment may have drawn."""
+    model, state = stage_.model, stage_.state
+    arrays = {
+        name: getattr(model, name)
+        for name in (
+            "body_mass",
+            "dof_frictionloss",
+            "dof_damping",
+            "dof_solref",
+            "dof_solimp",
+            "geom_pos",
+            "body_inertia",
+        )
+    }
+    arrays |= {f"switch {name}": state.switch_table[name] for name in ("forced", "bounce", "toggles")}
+    arrays |= {f"drive {name}": state.drives[name] for name in ("voltage", "torque_constant")}
+    return {name: array.tolist() for name, array in arrays.items()} | {
+        a.name: (a.supply, a.open_phases, a.position, a.commanded) for a in stage_.axes.values()
+    }
+
+
+@pytest.mark.parametrize("id_", SHORT)
+@pytest.mark.parametrize("seed", [1, 4])
+def test_the_machine_of_a_snapshot_is_put_on_wherever_it_is_restored(id_, seed):
+    assert id_ in stage.envs.IDS
+    env, other = make(id_), make(id_)
+    env.reset(seed=seed)
+    if env.action_space.shape:
+        env.step(np.zeros(env.action_space.shape, np.float32))  # the next return, try or move is drawn
+    drawn = machine(env.stage)
+    kept = env.snapshot()
+    other.reset(seed=seed + 1)
+    if drawn == machine(other.stage):
+        pytest.fail("both drew the same machine, and nothing is shown")
+    other.restore(kept)
+    assert machine(other.stage) == drawn
+    env.reset(seed=seed + 2)
+    env.restore(kept)
+    assert machine(env.stage) == drawn
