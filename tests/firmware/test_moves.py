@@ -257,6 +257,13 @@ def test_the_rest_of_an_interrupted_s_curve_that_is_short_ends_at_fl_by_a_whole_
     assert rest[rest > 0][-1] == profile.R1
 
 
+@pytest.mark.parametrize("rate", [2000.0, 5000.0, 12_000.0])
+def test_external_pulses_faster_than_fl_end_the_run_by_their_count(x, rate):
+    """More of them come while the last pulse is completed, and R0 goes on below 0."""
+    report = firmware.external_count(x, 6, rate=rate)
+    assert (report.stopped_by, report.ok) == ("R0 = 0", True)
+
+
 def test_external_pulses_may_come_from_a_generator(x):
     def encoder():
         for _ in range(30):

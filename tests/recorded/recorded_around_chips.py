@@ -180,6 +180,8 @@ def nova_states(cls):
             yield "full", chip(*["LHK2"] * 9, data=[("IPM", 3)], clocks=50)
         else:
             yield "chosen", chip(words=[(5, 4)])
+            yield "chosen three", chip(words=[(5, 0x24)])
+            yield "chosen twice", chip(words=[(5, 0x14)])
             yield "interpolating", chip("IP_2ST", words=[(5, 4)], clocks=2000)
             yield "patterns", chip("BP_ENABLED", words=[(5, 4)])
 
@@ -565,6 +567,35 @@ class Kin(Stories):
             self.load("EM", self.d.of(0x1500, self.d.bits(0.3), 0x5500, 0x0F00))
         super().home_story()
 
+    def fed_story(self):
+        """The shafts of encoders, and comparisons and limits at their counts."""
+        d = self.d
+        self.speeds()
+        self.word(1, d.of(0xFFFF, d.bits(0.4)))
+        self.counters()
+        if self.new:
+            self.word(2, d.of(0, 0, 0x2000, 0x6000, d.bits(0.2)))
+            self.load("MRM", d.of(0x1111 * d.between(0, 15), 0x1111 * d.of(1, 5, 9, 13), d.bits(0.4)))
+        else:
+            self.word(2, d.of(0x23, 0x23, 3, 0x20, d.bits(0.3)))
+        axes = [j for j in range(self.chip.AXES) if self.axes >> j & 1] or [0]
+        for _ in range(d.between(4, 10)):
+            rate = d.of(0.0, 0.01, -0.02, 0.2, -0.0003, 0.25, -0.1)
+            self.ops.append(("shaft", d.between(-60, 60) + d.of(0.0, 0.5), rate, d.of(*axes)))
+            self.advance(1, 3000)
+            d.of(
+                self.start,
+                self.start,
+                self.pulses,
+                self.counters,
+                self.look,
+                self.stop,
+                lambda: self.touch("stop2", 1, 90),
+            )
+            self.advance(1, 5000)
+            self.look()
+            self.read_back()
+
     def interpolation_story(self):
         if self.new:
             super().interpolation_story()
@@ -585,12 +616,12 @@ def kin(cls, story, k):
     return cls(), with_checks(ops, max(len(ops) // 3, 4))
 
 
-TIMES = {"interpolation": 14, "home": 9, "sync": 9, "drive": 9}
+TIMES = {"fed": 12, "interpolation": 14, "home": 9, "sync": 9, "drive": 9}
 
 
-def play(cls):
+def play(cls, stories):
     found = {}
-    for story in stories_of(cls):
+    for story in stories:
         for k in range(TIMES.get(story, 4)):
             chip, program = kin(cls, story, k)
             found[f"{story}-{k}"] = " ".join(Player(chip, k % cls.AXES).play(program))
@@ -607,5 +638,8 @@ FILES = {
         **{f"{cls.__name__} journals": partial(journals, cls) for cls in (PCL240MS, MCX514, MCX312, HCTL1100)},
         "late": late, "synchro": synchro, "i2c": i2c, "broken": broken,
     },
-    "chips_kin": {cls.__name__: partial(play, cls) for cls in (MCX512, MCX501, MCX314AS)},
+    "chips_kin": {
+        **{cls.__name__: partial(play, cls, (*stories_of(cls), "fed")) for cls in (MCX512, MCX501, MCX314AS)},
+        **{f"{cls.__name__} fed": partial(play, cls, ("fed",)) for cls in (MCX514, MCX304, MCX312)},
+    },
 }  # fmt: skip

@@ -417,7 +417,6 @@ def pictures():
     made = {
         "preset": firmware.preset_move(bench(), 700, profile),
         "speeds": firmware.speed_change_move(bench(), 3000, [4000, 9000, 2000], profile, dwell=0.02),
-        "dual": firmware.dual_rate_move(bench(), None, profile, seconds=0.1, dwell=0.02, rates=("FL", "FH2", "FH1")),
         "origin": firmware.origin_return(bench(), profile=profile),
         "to an end": firmware.continuous_move(bench(at=4800), 0.2, 1, profile),
         "nova": firmware.move(bench(MCX304), pulses=-1200),
@@ -427,8 +426,6 @@ def pictures():
     made["line"] = firmware.line({"x": 0.3e-3, "y": -0.12e-3}, stage, accel=0.03)
     made["line of three"] = firmware.line({"x": 250, "y": -100, "z": 99}, stage, pulses=True, accel=0.03)
     made["long line"] = firmware.line({"z": 900, "y": 331}, stage, pulses=True, accel=0.03)
-    servo = Stage("xy", HCTL1100, visuals=False)
-    made["servo"] = firmware.move(servo.axes["x"], pulses=400)
     return {name: figure(report.plot(title="Given" if name == "speeds" else None)) for name, report in made.items()}
 
 

@@ -12,6 +12,7 @@ from recorded import (
     recorded_envs,
     recorded_firmware,
     recorded_machines,
+    recorded_met_ends,
     recorded_own,
     recorded_pages,
     recorded_panel,
@@ -26,9 +27,8 @@ PHYSICS = {
     **recorded_cli.FILES, **recorded_texts.FILES, **recorded_stage.FILES, **recorded_firmware.FILES, **recorded_envs.FILES,
     **recorded_machines.FILES, **recorded_agents.FILES, **recorded_drivers.FILES, **recorded_panel.FILES,
     **recorded_bench.FILES, **recorded_tune.FILES, **recorded_agents_bus.FILES, **recorded_around_chips.FILES,
-    **recorded_sim.FILES, **recorded_pages.FILES, **recorded_rerun.FILES,
-    **recorded_own.FILES,
-    **recorded_env_parts.FILES,
+    **recorded_sim.FILES, **recorded_pages.FILES, **recorded_rerun.FILES, **recorded_own.FILES, **recorded_env_parts.FILES,
+    **recorded_met_ends.FILES,
 }  # fmt: skip
 """What depends on MuJoCo's version."""
 FILES = {**recorded_chips.FILES, **PHYSICS}

@@ -225,6 +225,8 @@ def external_count(
         while p.port.status().operating and axis.time < end and more:
             more = make(axis)
         status = p.port.status()
+        # while the last pulse is completed EXTP goes on, and R0 through 0
+        status = status._replace(zero=status.zero or p.port.counter() > count)
         if status.operating and not status.zero:
             p.port.command(bus.RESET)
         p.port.wait_until_stopped(1 / profile.fl + 1)

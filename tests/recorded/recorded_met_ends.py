@@ -1,0 +1,276 @@
+"""Procedures of each family where something is in the way: ends, other chips, slow buses, moving axes, sources that dry up."""
+
+import numpy as np
+from recorded.recorded_drivers import said
+from recorded.recorded_firmware import told, tried
+
+from stage import Stage, firmware
+from stage.chips import HCTL1100, MCX304, MCX514, PCL240K, PCL240MK, PCL240MS
+from stage.errors import StageError
+from stage.firmware import Bench
+from stage.firmware.hctl1100 import home as servo_home
+from stage.firmware.hctl1100 import moves as servo
+from stage.firmware.hctl1100 import profile as follow
+from stage.firmware.hctl1100.model import Loop, design
+from stage.firmware.hctl1100.port import Port as ServoPort
+from stage.firmware.nova import draw, erratum
+from stage.firmware.nova.home import home_search
+from stage.firmware.pcl240 import bus
+from stage.firmware.pcl240.bus import Port as PulsePort
+
+
+def synchronized():
+    """Plans made before, plans for others, an axis that stops, arguments in either order."""
+
+    def bench(at=0, cls=PCL240K, clock=None):
+        b = Bench(x=cls(clock), y=PCL240MS(), bus_cycle=3e-6)
+        b.rail("x", at=at, el_plus=(900, None))
+        return b
+
+    made = firmware.plan({"x": 900, "y": -333}, rate=6000, accel=0.02, chips={"x": PCL240K, "y": PCL240MS})
+    b = bench()
+    found = {
+        "plan": tried(firmware.synchronized_move, made, b), "plan str": str(made).splitlines(), "again": tried(
+        firmware.synchronized_move, b, {"y": 120, "x": -700}, rate=5000, fl=700, accel=0.03, decel=0.05),
+        "constant": tried(firmware.synchronized_move, {"x": 40, "y": 39}, b.axes, rate=800, fl=800),
+        "by axes": tried(firmware.synchronized_move, {b.axes["y"]: 60, b.axes["x"]: 0}, rate=3000, accel=0.02),
+        "late": tried(firmware.synchronized_move, {"x": 5000, "y": 200}, bench().axes, accel=0.02, timeout=0.05),
+        "into an end": tried(firmware.synchronized_move, {"x": 900, "y": 500}, bench(at=700), accel=0.02, rate=5000),
+        "of another chip": tried(firmware.synchronized_move, made, bench(cls=PCL240MK)),
+        "of another clock": tried(firmware.synchronized_move, made, bench(clock=4_000_000)),
+        "two clocks": tried(firmware.synchronized_move, {"x": 300, "y": 200}, bench(clock=4_000_000), accel=0.02),
+        "s": tried(firmware.synchronized_move, {"x": 300, "y": 200}, bench(cls=PCL240MS), s_curve=0.3, accel=0.02, automatic=True),
+    }  # fmt: skip
+    moving = bench()
+    moving.axes["y"].chip.write(0, 0x81), moving.axes["y"].chip.write(1, 9), moving.axes["y"].chip.write(0, 0x08)
+    moving.axes["y"].chip.write(0, 0x87), moving.axes["y"].chip.write(1, 9), moving.axes["y"].chip.write(0, 0x10)
+    found["moving"] = tried(firmware.synchronized_move, {"x": 300, "y": 200}, moving)
+    try:
+        firmware.synchronized_move({"x": 5000, "y": 200}, bench(), accel=0.02, timeout=0.05)
+    except StageError as error:
+        found["reports"] = {n: [r.pulses, r.asked, r.stopped_by, r.ok] for n, r in error.reports.items()}
+    return found
+
+
+def pulse_ports():
+    """Ports of the PCL-240: counters, registers, the position, what waits."""
+    found = {}
+    for cls in (PCL240K, PCL240MK):
+        b = Bench(cls(), bus_cycle=2e-6)
+        x = b.axes["x"]
+        port = PulsePort(x)
+        port.write_registers(R1=300, R2=900, R4=20, R5=20, R7=30, R0=70_000)
+        port.command(bus.OUTPUT | (bus.EXTERNAL if cls is PCL240MK else 0))
+        port.command(bus.OUTPUT)
+        port.control(bus.PRESET | bus.MINUS)
+        port.command(bus.RAMP["FH1"])
+        found[cls.__name__] = [
+            said(port.counter),
+            said(port.wait_until_stopped, 0.02, 1e-3),
+            b.time,
+            str(port.status()),
+            said(port.wait_until, lambda s: s.fkeep, 1.0),
+            b.time,
+            said(port.position),
+            said(port.read_register, "R2"),
+            said(port.read_register, "R0"),
+            port.counter(),
+            said(port.write_register, "R1", 0),
+            said(port.write_registers, R1=5, R2=1 << 20),
+            said(port.write_registers, R99=1),
+            said(port.read_register, "R99"),
+            x.chip.net(),
+            b.time,
+            x.chip.dump().splitlines()[8:11],
+        ]
+        port.command(bus.RESET)
+        found[f"{cls.__name__} rest"] = [
+            str(port.wait_until_stopped(0.1)),
+            b.time,
+            said(port.wait_until, lambda s: s.operating, 0.01),
+        ]
+    slow = Bench(PCL240K(), bus_cycle=0.01)
+    port = PulsePort(slow.axes["x"])
+    port.write_registers(R1=3000, R7=10, R0=0xFFFFFF)
+    port.control(bus.PRESET)
+    port.command(bus.START["FL"])
+    found["slow bus"] = [said(port.counter), slow.time]
+    found["others"] = [said(bus.check, 5), said(bus.check, Bench(HCTL1100()).axes["x"])]
+    found["reasons"] = [bus.stop_reason(bus.Status(*(bool(v >> k & 1) for k in range(8))), d, preset=p, origin=o)
+                        for v in (0, 0x10, 0x40, 0x50) for d in (1, -1) for p in (True, False) for o in (True, False)]  # fmt: skip
+    found["words"] = [str(bus._READ[v]) for v in (0x00, 0x40, 0x60, 0x88, 0xFF, 0x1E)]
+    return found
+
+
+def sources():
+    """External pulses: a function, a generator, too few, what is none."""
+
+    def pulses(axis, n):
+        for _ in range(n):
+            axis.pins.extp = True
+            axis.wait(1e-4)
+            axis.pins.extp = False
+            axis.wait(3e-4)
+            yield
+
+    left = []
+
+    def one(axis):
+        left.append(axis.time)
+        axis.pins.extp = True
+        axis.wait(2e-4)
+        axis.pins.extp = False
+        axis.wait(2e-4)
+        return len(left) < 4
+
+    found = {}
+    for name, source in {
+        "generator": lambda a: pulses(a, 9),
+        "few": lambda a: pulses(a, 3),
+        "function": lambda a: one,
+    }.items():
+        x = Bench(PCL240MK()).axes["x"]
+        found[name] = [tried(firmware.external_count, x, 6, source=source(x)), x.time, x.chip.net()]
+    for rate in (2000.0, 5000.0):
+        found[f"faster than FL {rate}"] = tried(firmware.external_count, Bench(PCL240K()).axes["x"], 6, rate=rate)
+    for bad in ({"pulses": -2}, {"pulses": 3, "source": 5}, {"pulses": 3, "rate": 2e6}, {"pulses": 3, "rate": 0}, {"pulses": 3,
+        "direction": 0}, {"pulses": 0}, {"pulses": 1 << 24}):  # fmt: skip
+        found[str(bad)] = tried(firmware.external_count, Bench(PCL240K()).axes["x"], **bad)
+    return found
+
+
+def servo_ends():
+    """A servo that runs into its limits, and out of them; ports that are asked for what there is not."""
+    stage = Stage("xy", HCTL1100, visuals=False)
+    x = stage.axes["x"]
+    touch = {s.pin: s.touch for s in x.plant.switches}
+    calls = {
+        "trapezoid": (lambda p: servo.trapezoid(p, 900, velocity=20_000)), "step": (lambda p: servo.step(p, 300)), "integral": (
+        lambda p: servo.integral_velocity(p, 9000, 0.1)), "proportional": (lambda p: servo.proportional_velocity(p, 9000, 0.1)),
+        "home": (lambda p: servo_home.home(p, 1, index=False)),
+    }  # fmt: skip
+    found = {}
+    for name, call in calls.items():
+        stage.reset()
+        stage.place(x=touch["el_plus"] - 0.6e-3)
+        port = servo.set_up(x, servo.Tuning(gain=0x30, timer=0x20))
+        found[name] = [
+            told(said(call, port)),
+            port.limited(),
+            port.status(),
+            x.position,
+            stage.time,
+            said(servo.set_up, x),
+        ]
+    found["wrong way"] = [said(servo_home.leave_limit, port, 1, timeout=0.05), x.position, port.status()]
+    found["out"] = [said(servo_home.leave_limit, port, -1, push=20), x.position, port.status(), port.position()]
+    stage.reset()
+    stage.place(x=touch["org"] + 1e-3)
+    port = servo.set_up(x)
+    found["home"] = [
+        str(said(servo_home.home, port, -1, turn=2000, speed=6000)),
+        port.position(),
+        x.position,
+        stage.time,
+    ]
+    found["asked"] = [
+        said(port.load, gains=3),
+        said(port.load, gain=300),
+        said(port.load, gain=2.5),
+        said(port.mode, "torque"),
+        port.velocity(),
+        port.t,
+        port.sample,
+        port.count,
+        said(port.load, timer=9),
+        port.sample,
+        said(port.command, 5),
+        said(port.wait_for_the_safe_part, "trapezoid"),
+        said(port.load, timer=0x40),
+        said(port.wait_until, lambda: False, 0.01, "nothing"),
+        port.status(),
+    ]
+    other = ServoPort(x)
+    port.hold()
+    found["another port"] = [other.t, said(other.command, 7), port.commanded()]
+    found["words"] = [
+        servo.velocity_word(port, v, n, s)
+        for v, n, s in (
+            (9000, "maximum_velocity", 1),
+            (-9000, "integral_velocity", 1),
+            (100, "proportional_velocity", 16),
+        )
+    ] + [said(servo.acceleration_word, port, a) for a in (1e3, 4e5, 1e9)]
+    found["no servo"] = said(ServoPort, Bench(MCX304()).axes["x"])[-70:]
+    found["synchronize"] = said(follow.synchronize, [port, servo.set_up(stage.axes["y"], servo.Tuning(timer=0x33))])
+    loop = Loop.of(x, servo.Tuning(gain=20, zero=0xF0, timer=0x30))
+    found["loop"] = [
+        loop.gain,
+        loop.tau,
+        loop.friction,
+        loop.sample,
+        loop.plant,
+        loop.filter,
+        np.sort(np.abs(loop.poles)),
+    ]
+    found["designed"] = [design(loop), design(loop, 45.0, 20.0), said(design, loop, 179.0)]
+    return found
+
+
+def nova_ends():
+    """Searches and paths of NOVA's that meet ends, on several axes in any order; work-arounds that hear interrupts."""
+    stage = Stage("xyz", MCX514, visuals=False)
+    x, y, z = stage.axes.values()
+    touch = {s.pin: s.touch for s in x.plant.switches}
+    stage.place(x=touch["org"] + 0.2e-3, z=0.0)
+    found = {"two": tried(home_search, z, x, home_speed=2500, speed=6000, timer=0.001, timeout=0.4), "x": x.position}
+    stage.reset()
+    stage.place(x=touch["org"] + 0.2e-3)
+    found["index"] = [
+        tried(home_search, x, index=True, home_speed=3000, timer=0.001, offset=30, timeout=3.0),
+        x.position,
+        stage.time,
+    ]
+    stage.reset()
+    stage.place(x=touch["el_plus"] - 0.3e-3)
+    found["back"] = [
+        tried(home_search, x, direction=1, home_speed=2500, timer=0.001, timeout=0.3, back=b) for b in (False, True)
+    ]
+    stage.reset()
+    stage.place(x=touch["el_plus"] - 0.1e-3)
+    path = [draw.Line(60, 20), draw.Arc((0, 40)), draw.Line(90, 0)]
+    found["into an end"] = [
+        told(said(draw.draw, path, y, x, speed=draw.Speed(4000, jerk=9_000_000))),
+        x.chip.net(0),
+        x.chip.net(1),
+    ]
+    for bad in ([draw.Line(1, 2, 3)], [draw.Helix((0, 5), (1,))], [draw.Helix((0, 5), (1, 2))], []):
+        found[str(bad)] = said(draw.draw, bad, x, y, speed=draw.Speed(4000))
+    for bad in ({"direction": 0}, {"timer": 0.5001}, {"speed": 0}, {"offset": 1 << 33}):
+        found[str(bad)] = said(home_search, x, **bad)
+    b = Bench(MCX304())
+    port = erratum.port_of(b.axes["x"])
+    port.load(R=800_000, K=300, A=8000, SV=100, V=1500, AO=0)
+    port.mode(WR1=0x0100, WR3=erratum.S_CURVE)
+    flag = erratum.DecelerationFlag(port)
+    port.start(4000)
+    told_ = []
+    for _ in range(6):
+        b.wait(0.05)
+        flag.interrupt()
+        told_.append([flag.prohibits, port.word(1), b.axes["x"].chip.values_of(0)["WR1"]])
+    found["flag"] = [told_, erratum.stop_guarded(flag), erratum.judgmental_speed(100, 1501)]
+    b.wait(2.0)
+    port.start(4000)
+    free = erratum.DecelerationFlag(port)
+    b.wait(0.02)
+    found["free"] = [erratum.stop_guarded(free), free.prohibits, port.word(1)]
+    found["no erratum"] = said(erratum.port_of, x)[-80:]
+    return found
+
+
+FILES = {
+    "met_ends": {
+        "synchronized": synchronized, "ports": pulse_ports, "sources": sources, "servo": servo_ends, "nova": nova_ends,
+    },
+}  # fmt: skip
