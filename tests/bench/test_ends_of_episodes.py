@@ -1,0 +1,64 @@
+"""Episodes of the bench end what they began, and a player's seed is its run."""
+
+import pytest
+
+from stage import bench
+from stage.bench import episodes, playing
+from stage.bench.cards import CARDS, Card
+from stage.bench.episodes import Episodes
+from stage.envs.base import StageEnv
+
+BRIEF = Card(
+    "brief",
+    "stage/FewShotTuning-v1",
+    "one try of a short move, for tests",
+    settings={"model": "xy", "distances": (400, 500), "tries": 1, "proofs": 0, "settle": 0.01},
+    episodes=2,
+)
+
+
+@pytest.fixture(autouse=True)
+def brief(monkeypatch):
+    monkeypatch.setitem(CARDS, "brief", BRIEF)
+
+
+@pytest.fixture
+def closed(monkeypatch):
+    found = []
+    monkeypatch.setattr(StageEnv, "close", lambda self: found.append(self))
+    return found
+
+
+def test_episodes_that_are_closed_close_their_environment(closed):
+    made = Episodes("brief", "train", "host", "open", {})
+    made.close()
+    assert closed == [made.env]
+
+
+def test_a_play_closes_its_environment_after_its_end_and_after_an_error(closed):
+    bench.play("random", "brief", episodes=1)
+    assert len(closed) == 1
+    with pytest.raises(ZeroDivisionError):
+        bench.play(lambda observation, info: 1 / 0, "brief", episodes=1)
+    assert len(closed) == 2
+
+
+def test_a_player_that_draws_is_seeded_by_its_run_and_plays_the_round_that_was_asked_for(monkeypatch):
+    asked, rounds, real, drawn = [], [], playing.player, episodes.seeds
+    monkeypatch.setattr(playing, "player", lambda *given: (asked.append(given), real(*given))[1])
+    monkeypatch.setattr(episodes, "seeds", lambda *given: (rounds.append(given[1:]), drawn(*given))[1])
+    made = bench.play(
+        "random", "brief", "heavy", run=6, round_="2031", episodes=1, name="dice", notes="n", cost={"moves": 4}
+    )
+    assert asked == [("random", "brief", 6)]
+    assert rounds == [("heavy", "2031")]
+    assert (made.run, made.player, made.notes, made.round, made.split, made.cost["moves"]) == (
+        6,
+        "dice",
+        "n",
+        "2031",
+        "heavy",
+        4,
+    )
+    assert bench.play("random", "brief", episodes=1).player == "random"
+    assert made.seeds == (drawn(BRIEF, "heavy", "2031")[0],)

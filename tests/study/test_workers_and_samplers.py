@@ -1,0 +1,243 @@
+"""Workers of a study, as processes that are none; samplers that follow a trial's number; the lock and the journal at their ends."""
+
+import errno
+import fcntl
+import os
+from types import SimpleNamespace
+
+import pytest
+
+pytest.importorskip("optuna", reason="Optuna is not installed: pip install 'pulsestage[tune]'")
+
+import optuna
+
+from stage.errors import ArgumentError, StageError
+from stage.files import FileError
+from stage.study import finished, open_study, read_study, run, runner, storage
+from stage.study.runner import _optimize, _work
+from stage.study.storage import ByNumber, Journal, Lock
+
+
+def valley(trial):
+    return abs(trial.suggest_int("R2", 400, 2800) - 1000)
+
+
+class Process:
+    """Runs where it is joined, for `how` of the runner; ends with `code`."""
+
+    def __init__(self, said, ends, target, args, daemon):
+        self.said, self.ends, self.target, self.args, self.pid, self.exitcode = said, ends, target, args, None, None
+        said.append(("made", target, args[2], daemon))
+
+    def start(self):
+        self.pid = 77
+        self.said.append("started")
+
+    def join(self):
+        self.said.append("joined")
+        if self.exitcode is None:
+            self.exitcode = self.ends(*self.args)
+
+    def terminate(self):
+        self.said.append("terminated")
+
+
+@pytest.fixture
+def spawned(monkeypatch):
+    """Makes processes that do what `ends` does; returns what was heard of them."""
+
+    def make(ends):
+        said = []
+        context = SimpleNamespace(Process=lambda **how: Process(said, ends, **how))
+        monkeypatch.setattr(runner.multiprocessing, "get_context", lambda kind: (said.append(kind), context)[1])
+        return said
+
+    return make
+
+
+def test_each_worker_is_spawned_given_the_whole_task_and_joined(spawned, tmp_path):
+    given = []
+
+    def ends(objective, place, trials, how):
+        given.append((objective, place, trials, how))
+        _optimize(open_study(objective, place, **how), objective, trials)
+        return 0
+
+    said = spawned(ends)
+    sampler, pruner = optuna.samplers.RandomSampler, optuna.pruners.MedianPruner()
+    study = run(valley, tmp_path / "study", 4, workers=3, sampler=sampler, pruner=pruner, seed=9)
+    assert said == [
+        "spawn", *[("made", _work, 4, True)] * 3, *["started"] * 3, *["joined"] * 3, *["terminated", "joined"] * 3,
+    ]  # fmt: skip
+    assert given == [(valley, tmp_path / "study", 4, {"sampler": sampler, "pruner": pruner, "seed": 9})] * 3
+    assert finished(study) == 4
+
+
+def test_workers_that_leave_trials_undone_are_told_with_how_they_ended(spawned, tmp_path):
+    codes = iter((0, -9))
+    spawned(lambda objective, place, trials, how: next(codes))
+    with pytest.raises(
+        StageError, match=r"^0 of 2 trials are finished: workers ended with exit codes 0, -9\. Run it again"
+    ):
+        run(valley, tmp_path / "study", 2, workers=2)
+
+
+def test_ctrl_c_ends_workers_that_were_started_and_no_other(spawned, tmp_path, monkeypatch):
+    said = spawned(lambda *_: 0)
+    monkeypatch.setattr(Process, "start", lambda self: (_ for _ in ()).throw(KeyboardInterrupt))
+    with pytest.raises(KeyboardInterrupt):
+        run(valley, tmp_path / "study", 2, workers=2)
+    assert said[3:] == []
+
+
+def test_what_processes_cannot_import_is_refused_before_one_is_made(spawned, tmp_path):
+    said = spawned(lambda *_: 0)
+    with pytest.raises(ArgumentError, match="workers=2: processes must be able to import the objective: "):
+        run(lambda trial: 0.0, tmp_path / "study", 2, workers=2)
+    assert said == []
+
+
+def test_a_study_that_is_done_gets_no_trial_from_a_worker_that_comes_late(tmp_path):
+    study = run(valley, tmp_path / "study", 3)
+    _optimize(study, valley, 3)
+    assert len(study.trials) == 3
+    _optimize(study, valley, 4)
+    assert len(study.trials) == 4
+
+
+def test_a_worker_whose_parent_has_died_ends_after_its_trial(tmp_path, monkeypatch):
+    study, lives = open_study(valley, tmp_path / "study"), [True, False]
+    parent = SimpleNamespace(is_alive=lambda: lives.pop(0))
+    monkeypatch.setattr(runner.multiprocessing, "parent_process", lambda: parent)
+    _optimize(study, valley, 9)
+    assert len(study.trials) == 2
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "said"), [(StageError("no room"), 2, "no room"), (KeyboardInterrupt(), 130, "")]
+)
+def test_a_worker_says_what_was_wrong_and_ends_with_a_code(error, code, said, monkeypatch, capsys, tmp_path):
+    def refuse(*_, **__):
+        raise error
+
+    monkeypatch.setattr(runner, "open_study", refuse)
+    with pytest.raises(SystemExit) as ended:
+        _work(valley, tmp_path / "study", 1, {})
+    assert ended.value.code == code
+    assert capsys.readouterr().err == (f"worker {os.getpid()}: {said}\n" if said else "")
+
+
+def test_trials_are_finished_that_came_to_an_end_by_themselves():
+    def trial(state, **attributes):
+        return SimpleNamespace(state=SimpleNamespace(name=state), user_attrs=attributes)
+
+    some = [
+        trial("COMPLETE"), trial("PRUNED"), trial("FAIL"), trial("FAIL", error="no"), trial("RUNNING"), trial("WAITING", seed=1),
+    ]  # fmt: skip
+    assert finished(SimpleNamespace(get_trials=lambda deepcopy: some)) == 3
+
+
+def test_a_study_has_the_sampler_and_the_pruner_that_were_asked_for_and_tpe_and_none_otherwise(tmp_path):
+    usual = open_study(valley, tmp_path / "usual")
+    assert (usual.study_name, [d.name for d in usual.directions]) == ("study", ["MINIMIZE"])
+    assert (usual.sampler._make, usual.sampler._seed) == (optuna.samplers.TPESampler, 0)
+    assert isinstance(usual.pruner, optuna.pruners.NopPruner)
+    pruner = optuna.pruners.MedianPruner()
+    own = open_study(valley, tmp_path / "own", sampler=optuna.samplers.RandomSampler, pruner=pruner, seed=4)
+    assert (own.sampler._make, own.sampler._seed, own.pruner) == (optuna.samplers.RandomSampler, 4, pruner)
+
+
+def test_a_study_of_an_empty_storage_is_none_to_read(tmp_path):
+    storage.storage_at(tmp_path / "empty").get_all_studies()
+    with pytest.raises(ArgumentError, match="holds no study"):
+        read_study(tmp_path / "empty")
+
+
+class Sampler:
+    """Notes what it is asked."""
+
+    said = []  # noqa: RUF012
+
+    def __init__(self, seed):
+        self.seed = seed
+
+    def __getattr__(self, name):
+        return lambda *given: (self.said.append((name, self.seed, given)), name)[1]
+
+
+def test_a_sampler_by_number_asks_one_of_its_own_seed_each_time(monkeypatch):
+    monkeypatch.setattr(Sampler, "said", [])
+    sampler, trial = ByNumber(Sampler, 5), SimpleNamespace(number=3, params={})
+    asked = [
+        ("before_trial", ("study", trial)), ("infer_relative_search_space", ("study", trial)),
+        ("sample_relative", ("study", trial, "space")), ("sample_independent", ("study", trial, "R2", "range")),
+        ("after_trial", ("study", trial, "state", [1.0])),
+    ]  # fmt: skip
+    answers = [getattr(sampler, name)(*given) for name, given in asked]
+    assert answers == [None, "infer_relative_search_space", "sample_relative", "sample_independent", None]
+    assert [(name, given) for name, _, given in Sampler.said] == asked
+    assert len({seed for _, seed, _ in Sampler.said}) == 1
+    others = [
+        (5, SimpleNamespace(number=4, params={})), (5, SimpleNamespace(number=3, params={"R2": 1})),
+        (6, SimpleNamespace(number=3, params={})),
+    ]  # fmt: skip
+    for seed, other in others:
+        ByNumber(Sampler, seed).before_trial("study", other)
+    assert len({seed for _, seed, _ in Sampler.said}) == 4, "another for each trial, each number drawn, and each seed"
+    assert Sampler.said[0][1] == 2014078169, "as older studies have drawn"
+
+
+@pytest.mark.parametrize(
+    ("kept", "left"),
+    [
+        (b"", b""),
+        (b"one\n", b"one\n"),
+        (b"one\ntwo\n", b"one\ntwo\n"),
+        (b"one\ntw", b"one\n"),
+        (b"on", b""),
+        (b"one\n\n", b"one\n\n"),
+    ],
+)
+def test_who_gets_the_lock_finds_a_journal_of_whole_lines(tmp_path, kept, left):
+    path = tmp_path / "study"
+    path.write_bytes(kept)
+    lock = Lock(path)
+    assert lock.acquire() is True
+    assert path.read_bytes() == left
+    lock.release()
+    lock.release()
+
+
+def test_a_lock_is_one_s_alone_until_it_is_released_or_could_not_be_had(tmp_path):
+    path = tmp_path / "study"
+    lock = Lock(path)
+    with pytest.raises(FileNotFoundError):
+        lock.acquire()
+
+    def taken():
+        with open(f"{path}.lock", "a") as other:
+            try:
+                fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                return True
+        return False
+
+    assert not taken(), "the journal is not there, and nobody holds its lock"
+    path.write_bytes(b"")
+    lock.acquire()
+    assert taken()
+    lock.release()
+    assert not taken()
+
+
+def test_a_full_disk_is_told_with_what_is_safe(tmp_path, monkeypatch):
+    journal = Journal(tmp_path / "study")
+
+    def full(self, logs):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(storage.JournalFileBackend, "append_logs", full)
+    with pytest.raises(
+        FileError, match=r"study cannot be written: No space left on device\. What was recorded before is safe"
+    ):
+        journal.append_logs([{}])
