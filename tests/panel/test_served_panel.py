@@ -1,0 +1,157 @@
+"""What a panel's server gives, to whom, on which port; how a panel is opened and what its end leaves."""
+
+import socket
+import urllib.error
+import urllib.request
+
+import pytest
+
+pytest.importorskip("nicegui")
+from conftest import Served
+
+from stage import Stage
+from stage.errors import ArgumentError, StageError
+from stage.panel import forms, server, touch
+from stage.panel.glb import bodies
+from stage.panel.guard import HERE_ONLY
+from stage.panel.server import Panel, open_panel
+from stage.panel.session import FREE, Session
+
+
+def asked(address, **headers):
+    """Status, headers and body of an answer."""
+    try:
+        with urllib.request.urlopen(urllib.request.Request(address, headers=headers), timeout=10) as answer:
+            return answer.status, answer.headers, answer.read()
+    except urllib.error.HTTPError as refused:
+        return refused.code, refused.headers, refused.read()
+
+
+@pytest.fixture
+def other():
+    other = Served(chips="hctl1100")
+    yield other
+    other.close()
+
+
+def test_each_body_is_served_as_gltf_and_what_is_none_is_not_found(served):
+    expected = dict(bodies(served.session.stage.model))
+    assert len(expected) > 2
+    for body, data in expected.items():
+        status, headers, found = asked(f"{served.panel.address}shape/{body}.glb")
+        assert (status, headers["content-type"], found) == (200, "model/gltf-binary", data)
+        assert headers["content-security-policy"] == HERE_ONLY
+    assert asked(f"{served.panel.address}shape/{max(expected) + 1}.glb")[::2] == (404, b"")
+
+
+def test_a_page_is_that_of_the_panel_on_whose_port_it_is_asked_for(served, other):
+    pages = [served.visit(), other.visit()]
+    chips = [next(e.text for e in page._all() if e.props.get("data-test") == "chip-0") for page in pages]
+    assert ["HCTL" in text for text in chips] == [False, True]
+    assert [p.controls.watching for p in (served.panel, other.panel)] == [1, 1]
+    assert {served.panel.port, other.panel.port} <= set(served.panel._site.panels)
+    served.leave()
+
+
+def test_a_page_by_another_name_or_from_elsewhere_is_refused(served):
+    port = served.panel.port
+    for headers in ({"Host": f"evil.example:{port}"}, {"Origin": "http://evil.example"}):
+        status, _, said = asked(served.panel.address, **headers)
+        assert (status, b"This server answers" in said) == (403, True)
+    assert asked(f"http://localhost:{port}/")[0] == 200
+
+
+def test_whoever_listens_elsewhere_asks_for_the_token_and_whoever_listens_here_does_not():
+    with Session(Stage("xy", visuals=False), speed=FREE, paused=True) as session:
+        with Panel(session, host="localhost") as panel:
+            bare, _, token = panel.address.partition("?token=")
+            assert (bare, len(token) > 20) == (f"http://localhost:{panel.port}/", True)
+            assert asked(bare)[0] == 403
+            status, headers, _ = asked(panel.address)
+            assert status == 200
+            assert token in headers["set-cookie"]
+            assert asked(bare, Cookie=headers["set-cookie"].partition(";")[0])[0] == 200
+        with Panel(session) as panel:
+            assert "token" not in panel.address
+            assert asked(panel.address)[1]["set-cookie"] is None
+
+
+def test_the_end_of_a_panel_leaves_the_session_and_nobody_who_looks():
+    with Session(Stage("xy", visuals=False), speed=FREE, paused=True) as session:
+        panel = Panel(session)
+        panel.hands.push("x", 3.0)
+        assert session._life.views._looks
+        with panel:
+            pass
+        assert session._life.views._looks == []
+        assert session.stage.loop.recording is None
+        assert not session.do(lambda stage: stage.data.qfrc_applied.any())
+        assert panel.port not in panel._site.panels
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", panel.port))
+        assert session.do(lambda stage: stage.now) == 0, "it lives on"
+        panel.close()
+
+
+def test_a_panel_of_a_stage_takes_its_session_with_it_and_one_that_fails_leaves_none(monkeypatch):
+    shown = []
+    monkeypatch.setattr(server.webbrowser, "open", lambda address: shown.append(address) or True)
+    stage = Stage("xy", visuals=False)
+    with open_panel(stage, speed=0.5, program="mine") as panel:
+        assert shown == [panel.address]
+        assert (panel.session.speed, panel.session.program) == (0.5, "mine")
+        with pytest.raises(StageError, match="has a session already"):
+            open_panel(stage, browser=False)
+    assert stage.loop.pace is None
+    for wrong, error in (({"port": -1}, ArgumentError), ({"host": "203.0.113.9"}, StageError)):
+        with pytest.raises(error):
+            open_panel(stage, browser=False, **wrong)
+        assert stage.loop.pace is None
+    with open_panel(stage, browser=False) as panel:
+        assert len(shown) == 1
+        assert panel.session.program == "your program"
+
+
+def test_one_waits_for_somebody_who_looks(served):
+    assert not served.panel.watched
+    assert not served.panel.until_watched(0)
+    assert not served.panel.until_watched(0.03)
+    served.visit()
+    assert served.panel.until_watched(0)
+    assert served.panel.until_watched()
+    served.leave()
+    assert not served.panel.watched
+
+
+def test_a_port_that_cannot_be_had_says_what_to_do(served):
+    with pytest.raises(StageError, match=rf"^127\.0\.0\.1:{served.panel.port}: .*in use\. Choose another port, or 0"):
+        server._listening("127.0.0.1", served.panel.port)
+    with pytest.raises(StageError, match=r"^203\.0\.113\.9:0: .*\. --host takes an address of this machine"):
+        server._listening("203.0.113.9", 0)
+    for port in (-1, 65536):
+        with pytest.raises(ArgumentError, match=f"port={port}: a TCP port is 0"):
+            server._listening("127.0.0.1", port)
+
+
+@pytest.mark.parametrize(("host", "own"), [("0.0.0.0", "127.0.0.1"), ("::", "::1"), ("192.0.2.7", "192.0.2.7")])
+def test_who_listens_everywhere_is_reached_by_its_own_address_where_there_is_no_network(monkeypatch, host, own):
+    class Nowhere:
+        def __init__(self, family, kind):
+            assert (family == socket.AF_INET6) == (":" in host)
+
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *exc):
+            pass
+
+        def connect(self, where):
+            raise OSError("there is no network")
+
+    monkeypatch.setattr(server.socket, "socket", Nowhere)
+    assert server._reached(host) == own
+
+
+def test_a_text_with_quotes_stands_whole_in_a_property():
+    assert touch.mending('jammed by "x"') == "\"mend jammed by 'x'\""
+    assert forms._quoted('a "b" \\ c') == "\"a 'b' \\\\ c\""
