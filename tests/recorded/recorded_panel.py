@@ -13,9 +13,10 @@ import numpy as np
 from recorded import recorded_chips
 from recorded.recorded_texts import SHAPES
 from recorded.store import digits
+from support.mirrored import mirrored
 
 from stage import Stage
-from stage.chips import CHIPS, HCTL1100, MCX304, MCX312, MCX514, PCL240K, PCL240MK, PCL240MS
+from stage.chips import CHIPS, HCTL1100, MCX302, MCX304, MCX312, MCX514, PCL240K, PCL240MK, PCL240MS
 from stage.drives.dc_motors import DC_MOTORS
 from stage.errors import StageError
 from stage.panel import clock, export, front, glb, guard, orders, procedures, server, share, travel, words, written
@@ -132,7 +133,7 @@ def fronts(name):
 
 # --- forms ---
 
-CASES = {"xy": PCL240MS, "xyz": MCX514, "xya": PCL240MK, "xyz_servo": HCTL1100, "gantry": MCX304}
+CASES = {"xy": PCL240MS, "xyz": MCX514, "xya": PCL240MK, "xyz_servo": HCTL1100, "gantry": MCX304, "mirrored": MCX302}
 TYPED = {
     "move": (
         {}, {"distance": "-2,5", "speed": "10"}, {"distance": "3", "speed": "8", "start_speed": "2", "accel": ".3",
@@ -163,6 +164,11 @@ LIMITS = (
     "speed": "5", "start_speed":
     "0.01"}, {"distance": "900", "speed": "5"}, {"distance": "1", "speed": "20", "accel": "59", "s_curve": "S-curve"},
 )  # fmt: skip
+
+
+def made_of(model, folder, **options):
+    """A stage of CASES; "mirrored": xy, whose x screw turns the other way."""
+    return Stage(mirrored(folder) if model == "mirrored" else model, chips=CASES[model], visuals=False, **options)
 
 
 def noting(told, name):
@@ -207,9 +213,9 @@ def stops(stage, until):
     return until
 
 
-def forms(model):
+def forms(model, folder):
     """Fields of each form, what it begins, and what a chip cannot do, at its field."""
-    stage = Stage(model, chips=CASES[model], visuals=False)
+    stage = made_of(model, folder)
     found = {}
     for name, axis in stage.axes.items():
         offered = [f for f in FORMS.values() if f.needs(stage, name)]
@@ -266,9 +272,9 @@ def typed():
 # --- hands ---
 
 
-def hands(model):
+def hands(model, folder):
     """What can break, with its fields; each made by the texts of its fields, twice, and mended."""
-    stage = Stage(model, chips=CASES[model], visuals=False)
+    stage = made_of(model, folder)
     found = {}
     with Session(stage, speed=FREE, paused=True) as session:
         has = Hands(session)
@@ -513,11 +519,11 @@ def scopes(model, cls):
     return found
 
 
-def offered(model):
+def offered(model, folder):
     """Everything that can be seen of a stage, and its value of one sample."""
     from stage.sim.records import SAMPLE
 
-    stage = Stage(model, chips=CASES[model], visuals=False)
+    stage = made_of(model, folder)
     row = np.zeros(1, SAMPLE)
     for k, name in enumerate(SAMPLE.names):
         row[name] = 0x5A5 if name in ("inputs", "outputs") else k + 1.5
@@ -889,10 +895,11 @@ FILES = {
     "panel": {
         **{f"forms {model}": partial(forms, model) for model in CASES},
         **{f"hands {model}": partial(hands, model) for model in CASES},
-        **{f"offered {model}": partial(offered, model) for model in ("xya", "xyz_servo")},
+        **{f"offered {model}": partial(offered, model) for model in ("xya", "xyz_servo", "mirrored")},
         **{f"scopes {cls.__name__}": partial(scopes, model, cls) for model, cls in (("xy", PCL240MS), ("xya", MCX514),
         ("xy", HCTL1100))},
-        "typed": typed, "rings": rings, "tour": toured, "clockwork": clockwork, "files": files, "shapes": shapes, "guard": guarded,
+        "typed": typed, "rings": rings, "tour": toured, "clockwork": clockwork, "files": files, "shapes": shapes,
+        "guard": guarded,
         "controls": controlled,
     },
 }  # fmt: skip

@@ -1,0 +1,29 @@
+"""What the oscilloscope's controls say of what cannot be."""
+
+import pytest
+
+pytest.importorskip("nicegui")
+
+from stage.errors import ArgumentError
+
+
+@pytest.fixture(scope="module")
+def page(served):
+    page = served.visit()
+    yield page
+    served.leave()
+
+
+def test_a_trigger_that_is_refused_is_said(page, monkeypatch):
+    (one,) = (e for e in page._all() if type(e).__name__ == "Live")
+    scope = next(look.__self__.scope for _, method, look, _ in one._calls if method == "run_chart_method")
+
+    def refuse(*wanted):
+        raise ArgumentError("no such trigger.")
+
+    for name, value in (("mode", "normal"), ("source", "x/rate"), ("edge", False), ("level", 120)):
+        page.put(name, value)
+    monkeypatch.setattr(scope, "trigger", refuse)
+    page.put("level", 7)
+    assert page.said == ["no such trigger."]
+    assert (scope.mode, scope.source, scope.rising, scope.level) == ("normal", "x/rate", False, 120)
