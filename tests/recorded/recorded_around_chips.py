@@ -11,6 +11,7 @@ from recorded.nova_stories import Stories
 from recorded.player import Draw, Player, with_checks
 from recorded.store import digits
 
+from stage import Stage
 from stage.chips import (
     CHIPS,
     HCTL1100,
@@ -34,6 +35,7 @@ from stage.chips.journal import Replay
 from stage.chips.late import LateLint
 from stage.chips.nova.i2c import I2C
 from stage.errors import StageError
+from stage.firmware import Bench
 
 EVERY = (PCL240K, PCL240MK, PCL240MS, MCX514, MCX512, MCX501, MCX314AS, MCX304, MCX302, MCX312, HCTL1100)
 
@@ -486,6 +488,94 @@ def i2c():
     }
 
 
+# --- on a stage, and off it ---
+
+
+def attached():
+    """Chips that a stage takes, shares a clock with, and gives back where it could not be made."""
+    found = {}
+    for cls in (PCL240MS, MCX312, HCTL1100):
+        chip = cls()
+        chip.write(0, 0x81), chip.write(1, 5), chip.write(7, 0x22)
+        chip.advance(777)
+        before, values = chip.state.tobytes(), chip.values()
+        failed = said(
+            Stage, "xy", chips={"x": lambda chip=chip: chip}, wiring={"x": {"none": "positive"}}, visuals=False
+        )
+        found[f"{cls.__name__} not made"] = [str(failed)[:150], chip.attached, chip.state.tobytes() == before]
+        stage = Stage("xy", chips={"x": lambda chip=chip: chip}, visuals=False)
+        taken = str(said(Stage, "xy", chips={"x": lambda chip=chip: chip})).rpartition(">")[2]
+        wired = said(setattr, chip, "syni", None) if cls is PCL240MS else None
+        found[f"{cls.__name__} made"] = [
+            chip.attached, chip.values() == values, chip.clock, said(chip.advance, 5), said(chip.trace, 5), taken, wired,
+            said(chip.restore, chip.snapshot()), said(Bench, chip),
+        ]  # fmt: skip
+        chip.write(0, 0x85)
+        stage.run(1e-3)
+        twin, clock = chip.twin(), chip.clock
+        found[f"{cls.__name__} runs"] = [clock, twin.attached, twin.advance(10), twin.clock, len(twin.diagnostics)]
+        chip.detach()
+        found[f"{cls.__name__} again"] = [
+            chip.attached,
+            chip.clock,
+            chip.advance(3),
+            chip.state.tobytes() == before,
+            chip.clock,
+        ]
+    return found
+
+
+def kept():
+    """Diagnostics: the latest of many, limits once, and with whom they go."""
+    found = {}
+    for cls in (PCL240K, MCX304, HCTL1100):
+        chip = cls()
+        for k in range(1100):
+            chip.write(0, 0x1000 + k)
+            chip.advance(1)
+        shot, many = chip.snapshot(), chip.diagnostics
+        found[cls.__name__] = [len(many), str(many[0]), str(many[-1])]
+        fresh = cls()
+        fresh.write(0, -1)
+        fresh.restore(shot)
+        chip.reset()
+        found[f"{cls.__name__} then"] = [fresh.diagnostics == many, fresh.diagnostics is not many, fresh.clock,
+            len(chip.diagnostics), chip.clock, len(chip.twin().diagnostics), fresh.state.tobytes() == shot.record]  # fmt: skip
+    fast = PCL240K(8_000_000)
+    for name, value in {"R1": 10, "R2": 8191, "R3": 8000, "R4": 30, "R5": 30, "R7": 20}.items():
+        for cycle in fast.register_cycles(name, value):
+            fast.write(*cycle)
+    for byte in (0x08, 0x40, 0x15, 0x17, 0x15, 0x08, 0x17, 0x08, 0x11, 0x13):
+        fast.write(0, byte)
+        fast.advance(50_000)
+    found["once"] = [str(d) for d in fast.diagnostics]
+    return found
+
+
+def shafts():
+    """An HCTL-1100's encoder: too fast for its filter, set by hand, both ways; rates where a host writes the profile."""
+    chip, found = HCTL1100(), {}
+    for rate in (0.2, 0.5, -0.4, -1.0, 0.0):
+        chip.set_shaft(chip.shaft[0], rate)
+        chip.advance(1000)
+        found[f"rate {rate}"] = [chip.encoder, chip.missed, chip.shaft, chip.net()]
+    for count in (77, -5):
+        chip.encoder = count
+        chip.advance(50)
+        found[f"set to {count}"] = [chip.encoder, chip.missed, chip.shaft]
+    chip.write(5, 1), chip.write(5, 3)
+    journal = chip.journal()
+    for k in (5, 9, 20, 18, -30):
+        for cycle in chip.register_cycles("command_position", k & 0xFFFFFF):
+            chip.write(*cycle)
+        chip.advance(900)
+    journal.close()
+    edges = journal.course().edges
+    found["rates"] = [HCTL1100.rates(edges), edges["clock"], edges["net"], HCTL1100.running(edges)]
+    found["given"] = [chip.command_position, chip.motor_command, chip.net()]
+    return found
+
+
 # --- contract ---
 
 
@@ -526,7 +616,15 @@ def broken():
         said(bare.turns, 0, 0),
     ]
     listed = [(x.name, x.package, x.problem) for x in CHIPS.listed() if x.name in CHIPS.own]
-    found["registry"] = [CHIPS.own, "mcx-514" in CHIPS, "mcx_999" in CHIPS, 5 in CHIPS, said(lambda: CHIPS[5]), listed]
+    found["registry"] = [
+        CHIPS.own,
+        "mcx-514" in CHIPS,
+        "mcx_999" in CHIPS,
+        5 in CHIPS,
+        said(lambda: CHIPS[5]),
+        listed,
+        len(CHIPS) == len(list(CHIPS)),
+    ]
     return found
 
 
@@ -636,6 +734,7 @@ FILES = {
         **{f"{cls.__name__} shown": partial(shown, cls) for cls in EVERY},
         **{f"{cls.__name__} lost": partial(faults_of_bus, cls) for cls in (PCL240MK, MCX514, MCX304, HCTL1100)},
         **{f"{cls.__name__} journals": partial(journals, cls) for cls in (PCL240MS, MCX514, MCX312, HCTL1100)},
+        "attached": attached, "kept": kept, "shafts": shafts,
         "late": late, "synchro": synchro, "i2c": i2c, "broken": broken,
     },
     "chips_kin": {
