@@ -23,7 +23,7 @@ from stage import Stage, chips
 from stage.envs import contexts, faulty, macros, rendering, results, score, settings, trial
 from stage.envs.base import _one
 from stage.envs.registers import RegisterBox
-from stage.envs.task import carrier, judged
+from stage.envs.task import carrier, checked, judged
 from stage.envs.tuning import given
 from stage.errors import StageError
 from stage.firmware.driver import driver_of
@@ -541,6 +541,136 @@ def columns():
     }
 
 
+def faces():
+    """What the scalar and the vector face refuse, and what they say of themselves."""
+    id_ = "stage/RegisterTuning-v0"
+    alone = [
+        {"render_mode": "none"},
+        {"render_every": 0},
+        {"render_every": 9e-5},
+        {"render_every": 1e-4},
+        {"render_every": 1001},
+        {"render_every": "1"},
+        {"render_every": 3.0},
+        {"render_every": 0.04},
+        {"camera": 3},
+        {"render": 1},
+        {"threads": 2},
+        {"num_envs": 2},
+    ]
+    many = [
+        {"num_envs": 0},
+        {"num_envs": 1.5},
+        {"num_envs": 2.0},
+        {"render_mode": "human"},
+        {"camera": "overview"},
+        {"record": "a"},
+        {"threads": 0},
+        {"threads": 1.5},
+        {"autoreset_mode": "SameStep"},
+        {"autoreset_mode": AutoresetMode.DISABLED},
+        {"move": 3},
+    ]
+    found = {}
+    module = import_module("stage.envs.register_tuning")
+    for how in alone:
+        env = raised(module.RegisterTuningEnv, **SHORT[id_] | how)
+        found[f"alone {how}"] = (
+            env if isinstance(env, str) else [env.metadata, env.render_mode, env.config.moves, env.unwrapped is env]
+        )
+    for how in many:
+        envs = raised(module.RegisterTuningVectorEnv, **SHORT[id_] | how)
+        found[f"many {how}"] = (
+            envs
+            if isinstance(envs, str)
+            else [
+                envs.num_envs,
+                envs.metadata,
+                envs.render_mode,
+                str(envs.action_space),
+                envs.observation_space.shape,
+                len(envs.stages),
+            ]
+        )
+    env, envs = make(id_), vector_of(id_, 2)
+    found["before"] = [
+        raised(env.step, env.action_space.low),
+        raised(env.snapshot),
+        raised(env.scripted),
+        raised(envs.snapshot),
+        raised(envs.scripted),
+    ]
+    found["reset"] = [
+        raised(env.reset, options=given) for given in ({"distances": 1}, [1], "a", {"reset_mask": np.ones(1, bool)})
+    ]
+    env.reset(seed=2)
+    state = env.__getstate__()
+    found["kept"] = [state["_viewer"], state["_recording"], env.np_random_seed]
+    few = make("stage/FewShotTuning-v1", tries=1)
+    few.reset(seed=1)
+    few.step(few.scripted())
+    found["over"] = raised(few.step, few.scripted())
+    for kind in (faulty.Faulty, contexts.Machine):
+        found[kind.__name__] = [f.name for f in dataclasses.fields(kind)]
+    return found
+
+
+TRIED = [
+    0,
+    1,
+    5,
+    6,
+    -1,
+    2.0,
+    0.5,
+    True,
+    None,
+    "a",
+    [0, 0],
+    [1, 2],
+    [4, 6],
+    [4, 7],
+    [5, 6],
+    [1, 1],
+    [-1, 2],
+    [0.5, 0.5],
+    [1, float("nan")],
+    [1.5, 0],
+    [2**40, 0],
+    np.array([0.25, -1.0]),
+    np.array([0.25, -1.0], np.float64),
+    np.array([1, 0], np.uint8),
+    np.array([1, 0], bool),
+    np.zeros((1, 2)),
+    np.array([1j, 0]),
+    np.array(3),
+    np.array([3]),
+    np.int8(2),
+    np.float32(2),
+    [[1, 2]],
+    {"a": 1},
+    [10**400, 0],
+]
+
+
+def asked():
+    """Which actions a space takes, and as what."""
+    found = {}
+    spaces = (
+        gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32),
+        gymnasium.spaces.MultiDiscrete([4, 5], start=[1, 2]),
+        gymnasium.spaces.Discrete(6),
+    )
+    for space in spaces:
+        said = []
+        for value in TRIED:
+            made = raised(checked, space, value)
+            said.append([made, made.dtype.str] if isinstance(made, np.ndarray) else "refused")
+        said.append(raised(checked, space, "up"))
+        found[str(space)] = said
+    return found
+
+
 GIVEN = [
     ("a", 1.5),
     ("a", 0),
@@ -903,6 +1033,8 @@ FILES = {
         "places": places,
         "outcomes": outcomes,
         "columns": columns,
+        "faces": faces,
+        "asked": asked,
         "options": options,
         **{f"frames {id_} {mode} {how}": of(frames, id_, mode, **how) for id_, mode, how in FILMED},
         **{
