@@ -19,6 +19,7 @@ from recorded import (
     recorded_rerun,
     recorded_sim,
     recorded_stage,
+    recorded_study,
     recorded_texts,
     recorded_tune,
 )
@@ -29,6 +30,7 @@ PHYSICS = {
     **recorded_bench.FILES, **recorded_tune.FILES, **recorded_agents_bus.FILES, **recorded_around_chips.FILES,
     **recorded_sim.FILES, **recorded_pages.FILES, **recorded_rerun.FILES, **recorded_own.FILES, **recorded_env_parts.FILES,
     **recorded_met_ends.FILES,
+    **recorded_study.FILES,
 }  # fmt: skip
 """What depends on MuJoCo's version."""
 FILES = {**recorded_chips.FILES, **PHYSICS}
