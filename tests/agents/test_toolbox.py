@@ -351,3 +351,12 @@ def test_a_restore_is_one_line_of_the_trace(box):
     box.call("move", {"axis": "x", "pulses": 20})
     box.call("restore", {"name": "power-up"})
     assert box.call("trace", {"axis": "x"}).text.count("the time went back") == 1
+
+
+def test_a_toolbox_that_is_closed_looks_at_no_write_any_more(make_box):
+    for mode in ("host", "truth"):
+        box = make_box(mode=mode)
+        chips = box.stage.chips
+        box.close()
+        assert [chip.glitches for chip in chips] == [()] * len(chips)
+        assert [chip.open_journal for chip in chips] == [None] * len(chips)

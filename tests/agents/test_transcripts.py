@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from stage.agents.arena import Interrupted, Writer, play, player, read, replay, save, suite
+from stage.agents.arena import Interrupted, Writer, play, player, read, replay, save, suite, transcript
 from stage.agents.arena.loop import head_of
 from stage.agents.arena.table import Limits
 from stage.cli import main
@@ -259,3 +259,15 @@ def test_an_end_amid_a_game_is_none(tmp_path):
         ArgumentError, match=rf"t\.jsonl, line {scores[-1] + 1}: no transcript of `stage agent`: a line out of"
     ):
         read(file)
+
+
+def test_what_is_written_of_a_game_is_on_the_disk_when_the_next_begins(tmp_path, monkeypatch, three):
+    synced = []
+    monkeypatch.setattr(transcript.os, "fsync", lambda number: synced.append((tmp_path / "t.jsonl").stat().st_size))
+    with Writer(tmp_path / "t.jsonl", three.head) as writer:
+        for r in three.rounds:
+            writer.game(r)
+        writer.end(three)
+    assert len(synced) == len(three.rounds) + 2
+    assert synced == sorted(set(synced))
+    assert synced[-1] == (tmp_path / "t.jsonl").stat().st_size

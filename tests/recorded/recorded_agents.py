@@ -248,7 +248,12 @@ def trials():
         "hardly lost": course((0.002, 0.0), lost=0.4), "aside": course((0.002, 0.0), aside=-3.1e-5),
         "nearly": course((0.002, 0.0), aside=2.9e-5),
     }  # fmt: skip
+    for n in (4, 5, 6, 7):  # samples of a way
+        leg = [Sample(2e-3 * k, 4e-4 * k, 4e-4 * k, 0.0, 0.0, True) for k in range(1, n)]
+        rest = [Sample(leg[-1].time + 2e-3 * k, 0.002, 0.002, 0.0, 0.0, False) for k in range(1, 53)]
+        courses[f"{n} samples"] = [Sample(0.0, 0.0, 0.0, 0.0, 0.0, False), *leg, *rest]
     found = {k: [asked.wrong(c, 0.0, 1e-5), rests_of(c)] for k, c in courses.items()}
+    found["one way"] = [Trial((0.002,), 5000.0, 3.0, within=1.0).wrong(c, 0.0, 1e-5) for c in courses.values()]
     some = (
         Trial((0.002, 0.0), 1000.0, 3.0, ramp=0.1),
         Trial((0.012, 0.01), 1000.0, 3.0, from_start=False),

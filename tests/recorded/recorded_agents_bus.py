@@ -4,7 +4,7 @@ told of them in both modes, and where a budget or a wait ends."""
 from functools import partial
 from random import Random
 
-from recorded import recorded_players
+from recorded import recorded_players, recorded_tables
 from recorded.recorded_agents import without
 from recorded.recorded_texts import tried
 
@@ -270,5 +270,5 @@ FILES = {
             m in (("PCL240K", "host"), ("PCL240MS", "truth"), ("MCX314AS", "host"), ("MCX514", "truth"), (SERVO, "host"))},
         "homes": homes, "gantry": gantry, "hinge": hinge, "ends": ends, "states": states, "recordings": recordings,
     },
-    **recorded_players.FILES,
+    **recorded_players.FILES, **recorded_tables.FILES,
 }  # fmt: skip

@@ -535,7 +535,7 @@ def machines():
         x = stage.axes["x"]
         return [
             [stage.state.switch_table[x.switches.row(pin)].bit for pin in ("el_plus", "el_minus", "org")],
-            [a.supply for a in stage.axes.values()],
+            [[a.supply, float(stage.state.drives[a.index].voltage)] for a in stage.axes.values()],
             stage.state.drives[x.index].torque_constant, stage.state.drives[stage.axes["y"].index].torque_constant, x.position,
             stage.payload(),
         ]  # fmt: skip
@@ -549,8 +549,8 @@ def machines():
         if case.setup.cause in MENDED:
             case.setup.equip(case.stage)
             rows.append(look(case.stage))
-        case._begin(0.01)
-        found[name] = [*rows, look(case.stage)]
+        case._begin(0.0123456)
+        found[name] = [*rows, look(case.stage), case.box.call("measure").text]
         case.box.close()
     return found
 
@@ -662,7 +662,7 @@ def sessions():
     step(2, ("gone", "c"), ("reap",))
     step(3.5, ("box", "d"), ("box", "c"), ("gone", "a"))
     for _ in range(3):
-        step(9, ("box", "a"), ("reap",))
+        step(7, ("box", "a"), ("reap",))
     step(5, ("reap",), ("box", "a"), ("box", "e"), ("close", "e"), ("close", "e"), ("close", "q"), ("box", "q"))
     step(1, ("box", "f"), ("close_all",), ("reap",), ("box", "f"))
     return [*found, log, [Sessions(dict).most, Sessions(dict).idle, Sessions(dict).grace, Sessions(dict).life]]

@@ -1,0 +1,313 @@
+"""The door of the HTTP server, apart from it: who comes in, who is told to go, and what the server is made with."""
+
+import asyncio
+import os
+import socket
+from types import SimpleNamespace
+
+import pytest
+
+pytest.importorskip("mcp")
+
+import uvicorn
+
+from stage.agents.server import http, stdio
+from stage.agents.server.http import Door, HttpServer
+from stage.agents.server.sessions import Sessions
+from stage.errors import StageError
+
+ID = b"mcp-session-id"
+
+
+class App:
+    """In the place of the protocol: what came, and a session for each request that has none."""
+
+    def __init__(self):
+        self.came, self.made = [], 0
+
+    async def __call__(self, scope, receive, send):
+        self.came.append((scope.get("method", scope["type"]), dict(scope.get("headers", ()))))
+        if scope.get("method") == "DELETE":
+            self.body = await receive()
+            await send({"type": "http.response.start", "headers": [(ID, b"nobody hears it")]})
+            return
+        headers = []
+        if ID not in dict(scope.get("headers", ())):
+            self.made += 1
+            headers = [(b"content-type", b"x"), (b"Mcp-Session-Id", b"s%d" % self.made)]
+        await send({"type": "http.response.start", "status": 200, "headers": headers})
+
+
+class Held:
+    """In the place of sessions."""
+
+    def __init__(self, most=3):
+        self.most, self.closed, self.with_stage = most, [], set()
+
+    def __contains__(self, key):
+        return key in self.with_stage
+
+    def close(self, key):
+        self.closed.append(key)
+
+
+@pytest.fixture
+def door():
+    """`door(method, session)`: what was sent; door.app, door.sessions."""
+    app, sessions = App(), Held()
+    made = Door(app, "t", sessions)
+
+    def ask(method="POST", session=None, kind="http", token="Bearer t", **more):
+        sent = []
+
+        async def send(message):
+            sent.append(message)
+
+        async def receive():
+            return {"type": "http.request", "body": b"of the client", "more_body": False}
+
+        headers = [(b"Authorization", token.encode()), (b"host", b"here"), (b"Accept", b"all"), (b"x-more", b"1")]
+        headers += [(ID, session.encode())] if session else []
+        scope = {"type": kind, "method": method, "path": "/mcp", "headers": headers, **more}
+        asyncio.run(made(scope, receive, send))
+        return sent
+
+    ask.app, ask.sessions = app, sessions
+    return ask
+
+
+def ended(door):
+    return [headers[ID].decode() for method, headers in door.app.came if method == "DELETE"]
+
+
+def test_of_silent_sessions_the_one_that_spoke_longest_ago_goes_when_there_are_too_many(door):
+    for _ in range(3):
+        door()
+    assert ended(door) == []
+    door(session="s1")
+    door(session="unknown")
+    door()
+    assert ended(door) == ["s2"]
+    door()
+    door()
+    assert ended(door) == ["s2", "s3", "s1"]
+
+
+def test_a_session_that_has_a_stage_is_none_of_the_silent_ones(door):
+    for _ in range(3):
+        door()
+    door.sessions.with_stage = {"s1", "s3"}
+    for _ in range(2):
+        door()
+    assert ended(door) == []
+    door()
+    assert ended(door) == ["s2"]
+
+
+def test_a_session_that_is_made_room_for_ends_as_if_its_client_had_asked_for_it(door):
+    for _ in range(4):
+        door()
+    (headers,) = [headers for method, headers in door.app.came if method == "DELETE"]
+    kept = {b"authorization": b"Bearer t", b"host": b"here", b"accept": b"all"}
+    assert {k.lower(): v for k, v in headers.items()} == {**kept, ID: b"s1"}
+    assert door.app.body == {"type": "http.request", "body": b"", "more_body": False}
+    assert door.sessions.closed == []
+
+
+def test_who_hears_of_a_new_session_is_its_client_alone(door):
+    for _ in range(3):
+        door()
+    (start,) = door()
+    assert start["status"] == 200
+    assert dict(start["headers"])[b"Mcp-Session-Id"] == b"s4"
+
+
+def test_a_session_that_its_client_ends_is_closed_and_leaves_room(door):
+    for _ in range(3):
+        door()
+    door("DELETE", "s1")
+    assert door.sessions.closed == ["s1"]
+    door()
+    assert ended(door) == ["s1"]
+    door("DELETE", "nobody's")
+    assert door.sessions.closed == ["s1", "nobody's"]
+
+
+@pytest.mark.parametrize("token", ["Bearer t", "bearer t", "BEARER  t ", "Bearer t\t"])
+def test_the_token_is_known_however_it_is_spaced(door, token):
+    assert door(token=token)[0]["status"] == 200
+
+
+@pytest.mark.parametrize("token", ["", "t", "Bearer", "Bearer x", "Bearer tt", "Basic t", "Bearer T", "Bearer t t"])
+def test_whoever_has_another_token_is_told_which_header_to_send_and_gets_no_further(door, token):
+    start, body = door(token=token)
+    assert (start["type"], start["status"]) == ("http.response.start", 401)
+    assert dict(start["headers"]) == {b"content-type": b"text/plain; charset=utf-8", b"www-authenticate": b"Bearer"}
+    assert b"Authorization: Bearer TOKEN" in body["body"]
+    assert door.app.came == []
+
+
+def test_what_is_no_request_goes_on_without_a_token(door):
+    door(kind="lifespan", token="")
+    assert [kind for kind, _ in door.app.came] == ["POST"]
+
+
+# --- what the server is made with ---
+
+
+@pytest.fixture
+def made(monkeypatch):
+    """`made(sessions, ...)`: a server, and how its app and its listener were made."""
+    seen = SimpleNamespace()
+
+    class Protocol:
+        def __init__(self, maker, sessions, key, modern, threads):
+            seen.modern, seen.threads, seen.key = modern, threads, key
+            self.server = SimpleNamespace(streamable_http_app=self._app)
+
+        def _app(self, **how):
+            seen.app = how
+            return SimpleNamespace(router=SimpleNamespace(lifespan_context=None))
+
+    class Server:
+        def __init__(self, config):
+            seen.config, self.should_exit = config, False
+
+        def run(self, sockets):
+            seen.sockets = sockets
+
+    monkeypatch.setattr(http, "Protocol", Protocol)
+    monkeypatch.setattr(uvicorn, "Server", Server)
+    monkeypatch.setattr(uvicorn, "Config", lambda app, **how: SimpleNamespace(app=app, **how))
+    opened = []
+
+    def make(*args, **how):
+        server = HttpServer(None, *args, **how)
+        opened.append(server)
+        return server, seen
+
+    yield make
+    for server in opened:
+        server._socket.close()
+
+
+def test_a_server_is_bounded_as_its_sessions_are(made):
+    server, seen = made(Sessions(dict, most=7, idle=33.0), token="mine")
+    assert seen.app == {
+        "streamable_http_path": "/mcp", "json_response": True, "max_request_body_size": 256 * 1024, "session_idle_timeout": 33.0,
+        "max_sessions": 14, "host": "127.0.0.1",
+    }  # fmt: skip
+    assert (seen.modern, seen.threads) == (False, max(2, os.cpu_count() or 2))
+    assert (seen.config.log_level, seen.config.timeout_graceful_shutdown) == ("error", 1)
+    assert server.token == "mine"
+    assert isinstance(seen.config.app, Door)
+    server.run()
+    assert seen.sockets == [server._socket]
+    server.stop()
+    assert server._server.should_exit
+
+
+def test_a_token_that_is_not_given_is_long_and_no_other_server_s(made):
+    tokens = {made(Sessions(dict))[0].token for _ in range(3)}
+    assert len(tokens) == 3
+    assert min(map(len, tokens)) >= 32
+
+
+def test_a_client_connects_to_the_port_that_is_listened_at(made):
+    server, _ = made(Sessions(dict))
+    assert server.address == f"http://127.0.0.1:{server.port}/mcp"
+    assert server.port == server._socket.getsockname()[1] > 0
+    socket.create_connection(("127.0.0.1", server.port), 5).close()
+
+
+@pytest.mark.parametrize("port", [None, 70_000])
+def test_a_port_that_cannot_be_had_is_named_with_what_to_do(made, port):
+    taken = made(Sessions(dict))[0].port
+    with pytest.raises(
+        StageError, match=f"127.0.0.1:{port or taken}: .*Choose another port, or 0 for any that is free"
+    ):
+        made(Sessions(dict), port or taken)
+
+
+def test_a_request_without_a_session_has_no_key(made):
+    key = made(Sessions(dict))[1].key
+    assert key(SimpleNamespace(request=None)) is None
+    assert key(SimpleNamespace(request=SimpleNamespace(headers={"mcp-session-id": "a"}))) == "a"
+    assert key(SimpleNamespace(request=SimpleNamespace(headers={}))) is None
+
+
+def test_due_sessions_are_looked_for_every_two_seconds_while_the_app_lives_and_all_end_with_it(monkeypatch):
+    told, slept = [], []
+
+    async def sleep(seconds):
+        slept.append(seconds)
+        if len(slept) > 3:
+            await asyncio.Event().wait()
+
+    monkeypatch.setattr(http.anyio, "sleep", sleep)
+    sessions = SimpleNamespace(reap=lambda: told.append("reap"), close_all=lambda: told.append("close all"))
+
+    class Before:
+        async def __aenter__(self):
+            told.append("begin")
+            return "state"
+
+        async def __aexit__(self, *_):
+            told.append("end")
+
+    app = SimpleNamespace(router=SimpleNamespace(lifespan_context=lambda app: Before()))
+    http._with_reaper(app, sessions)
+
+    async def live():
+        async with app.router.lifespan_context(app):
+            while told.count("reap") < 3:
+                await asyncio.sleep(0.001)
+
+    asyncio.run(asyncio.wait_for(live(), 20))
+    assert told == ["begin", "reap", "reap", "reap", "close all", "end"]
+    assert slept == [2.0] * 4
+
+
+# --- standard input and output ---
+
+
+def test_when_the_client_is_silent_for_good_its_session_ends(monkeypatch):
+    import anyio
+
+    told = []
+
+    async def work():
+        give, reading = anyio.create_memory_object_stream(2)
+        passed_on, taken = anyio.create_memory_object_stream(2)
+        await give.send("a")
+        await give.send("b")
+        give.close()
+        await stdio._relay(reading, passed_on, SimpleNamespace(close_all=lambda: told.append("all")))
+        return [m async for m in taken]
+
+    assert asyncio.run(work()) == ["a", "b"]
+    assert told == ["all"]
+
+
+@pytest.mark.parametrize("gone", [BrokenPipeError, ConnectionResetError])
+def test_a_client_that_breaks_its_pipe_is_no_failure(monkeypatch, gone):
+    made = []
+
+    def run(work, maker):
+        raise BaseExceptionGroup("ended", [gone("x")])
+
+    monkeypatch.setattr(stdio.anyio, "run", run)
+    monkeypatch.setattr(stdio.os, "dup2", lambda *to: made.append(to))
+    monkeypatch.setattr(stdio.os, "open", lambda *of: of)
+    monkeypatch.setattr(stdio.sys, "stdout", SimpleNamespace(fileno=lambda: 77))
+    stdio.serve(None)
+    assert made == [((os.devnull, os.O_WRONLY), 77)]
+
+
+def test_another_failure_of_the_transport_is_one_still(monkeypatch):
+    def run(work, maker):
+        raise BaseExceptionGroup("ended", [BrokenPipeError("x"), ZeroDivisionError("y")])
+
+    monkeypatch.setattr(stdio.anyio, "run", run)
+    with pytest.raises(BaseExceptionGroup):
+        stdio.serve(None)

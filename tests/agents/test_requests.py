@@ -1,0 +1,160 @@
+"""The requests of the protocol, asked of its handlers: what each answers, and to whom."""
+
+import asyncio
+import base64
+import json
+from types import SimpleNamespace
+
+import pytest
+
+pytest.importorskip("mcp")
+
+from stage import Stage, __version__
+from stage.agents.server import protocol
+from stage.agents.server.prompts import PROMPTS
+from stage.agents.server.protocol import NO_SESSION, Protocol
+from stage.agents.server.resources import pages
+from stage.agents.server.sessions import Maker, Sessions
+from stage.agents.tool import Answer
+
+
+@pytest.fixture(scope="module")
+def maker():
+    return Maker(lambda: Stage("xy", visuals=False), "truth")
+
+
+@pytest.fixture
+def served(maker):
+    """`served(handler, key=..., **params)`: what a handler answers to the session `key`."""
+    sessions = Sessions(maker)
+    made = Protocol(maker, sessions, lambda ctx: ctx.key, modern=True, threads=2)
+
+    def ask(handler, /, key="a", **params):
+        async def work():
+            made._limiter, made._turns = None, {} if not keep else made._turns
+            return await getattr(made, handler)(SimpleNamespace(key=key), SimpleNamespace(**params))
+
+        keep = params.pop("keep", False)
+        return asyncio.run(work())
+
+    ask.protocol, ask.sessions = made, sessions
+    yield ask
+    sessions.close_all()
+
+
+def test_a_tool_is_listed_with_its_schema_and_whether_it_only_looks(served, maker):
+    listed = served("_list_tools").tools
+    assert [t.name for t in listed] == list(maker.catalogue.tools)
+    for tool, one in zip(maker.catalogue.tools.values(), listed, strict=True):
+        assert (one.description, one.input_schema) == (tool.text, tool.schema())
+        assert one.annotations.read_only_hint == (tool.free or tool.name in ("status", "read_register"))
+        assert one.annotations.open_world_hint is False
+
+
+def test_an_answer_is_text_and_structure_and_a_picture_an_image_behind_it():
+    good = protocol._result(Answer(True, {"a": 1.5}))
+    assert (good.is_error, good.structured_content) == (False, {"a": 1.5})
+    assert [json.loads(c.text) for c in good.content] == [{"a": 1.5}]
+    bad = protocol._result(Answer(False, {"error": "no."}))
+    assert (bad.is_error, [c.text for c in bad.content]) == (True, ["no."])
+    drawn = protocol._result(Answer(True, {"text": "a move"}, b"png"))
+    assert [c.type for c in drawn.content] == ["text", "image"]
+    assert (base64.b64decode(drawn.content[1].data), drawn.content[1].mime_type) == (b"png", "image/png")
+
+
+def test_a_call_without_a_session_is_told_how_to_open_one(served):
+    said = served("_call_tool", key=None, name="budget", arguments={})
+    assert said.is_error
+    assert said.content[0].text == NO_SESSION
+    assert len(served.sessions) == 0
+
+
+def test_a_call_is_made_in_the_session_that_asks(served):
+    served("_call_tool", key="a", name="move", arguments={"axis": "x", "pulses": 30, "accel": 0.01})
+    for key, moves in (("a", 1), ("b", 0)):
+        said = served("_call_tool", key=key, name="budget", arguments=None)
+        assert said.structured_content["used"]["moves"] == moves
+    served.sessions.close("a")
+    assert "this session has ended" in served("_call_tool", key="a", name="budget", arguments=None).content[0].text
+
+
+def test_of_sessions_that_call_no_more_nothing_is_kept(served):
+    served.sessions.most = 2
+    for k in range(9):
+        served("_call_tool", key=f"k{k}", name="nothing", arguments={}, keep=True)
+        served.sessions.close(f"k{k}")
+        assert len(served.protocol._turns) <= 4
+        assert f"k{k}" in served.protocol._turns
+
+
+def test_every_page_is_listed_and_read_as_its_kind(served, maker):
+    there = pages(maker.catalogue)
+    listed = served("_list_resources").resources
+    told = [(str(r.uri), r.name, r.description, r.mime_type) for r in listed]
+    assert told == [(p.uri, p.name, p.text, p.kind) for p in there.values()]
+    served("_call_tool", name="move", arguments={"axis": "y", "pulses": 30, "accel": 0.01})
+    for p in there.values():
+        (text,) = served("_read_resource", uri=p.uri).contents
+        assert (str(text.uri), text.mime_type) == (p.uri, p.kind)
+        assert text.text == p.read(served.sessions.box("a"))
+    assert "preset move" in served("_read_resource", uri="stage://recording/last").contents[0].text
+    assert served("_list_templates").resource_templates == []
+
+
+NOT_READ = (("stage://axs", "a", "unknown resource"), ("stage://axes", None, "belongs to no session"))
+
+
+@pytest.mark.parametrize(("uri", "key", "said"), NOT_READ)
+def test_a_page_that_cannot_be_read_is_an_error_of_the_protocol_in_our_words(served, uri, key, said):
+    with pytest.raises(protocol.MCPError, match=said) as error:
+        served("_read_resource", key=key, uri=uri)
+    assert error.value.error.code == protocol.types.INVALID_PARAMS
+
+
+def test_every_prompt_is_listed_with_its_arguments_and_their_defaults(served):
+    listed = served("_list_prompts").prompts
+    assert [(p.name, p.description) for p in listed] == [(name, p.text) for name, p in PROMPTS.items()]
+    arguments = {p.name: {a.name: (a.description, a.required) for a in p.arguments} for p in listed}
+    assert arguments["tune_move"] == {"axis": ("which one", False), "distance": ("of the move (default 20mm)", False)}
+    said = served("_get_prompt", name="tune_move", arguments={"axis": "y"}).messages
+    assert [m.role for m in said] == ["user"]
+    assert said[0].content.text.startswith("Tune one move of axis y: 20mm, as fast as it goes")
+    with pytest.raises(protocol.MCPError, match="Did you mean 'tune_move'"):
+        served("_get_prompt", name="tune_moves", arguments={})
+
+
+def test_without_a_stage_there_are_no_prompts_and_no_pages(served):
+    served.protocol._maker = SimpleNamespace(catalogue=SimpleNamespace(axes=(), stage=None))
+    assert served("_list_prompts").prompts == []
+    assert served("_list_resources").resources == []
+
+
+def test_a_server_without_sessions_in_its_protocol_names_those_that_have_them(maker):
+    old = Protocol(maker, Sessions(maker), lambda ctx: None, modern=False, threads=1)
+    said = asyncio.run(old._discover(None, None))
+    assert said.supported_versions == list(protocol.HANDSHAKE_PROTOCOL_VERSIONS)
+    assert said.instructions == protocol.INSTRUCTIONS
+    assert said.capabilities.tools is not None
+    assert (old.server.name, old.server.version, old.server.title) == ("pulsestage", __version__, "PulseStage")
+
+
+CALLS = [
+    ("tools/call", 1, {"name": "budget", "arguments": {}}, None), ("tools/call", 1, {"name": "budget"}, None),
+    ("tools/call", 1, {"name": 5}, "5 was given"), ("tools/call", 1, None, "null was given"),
+    ("tools/call", 1, {"name": "budget", "arguments": [1]}, "the arguments of 'budget' are [1], and should be an object"),
+    ("tools/call", None, {"name": 5}, None), ("tools/list", 1, {"name": 5}, None),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("method", "number", "params", "said"), CALLS)
+def test_a_call_of_another_form_is_answered_as_one_of_wrong_arguments(method, number, params, said):
+    async def after(ctx):
+        return "passed on"
+
+    made = asyncio.run(protocol._teach(SimpleNamespace(method=method, request_id=number, params=params), after))
+    if said is None:
+        assert made == "passed on"
+    else:
+        assert made["isError"] is True
+        assert said in made["content"][0]["text"]
+        assert said in made["structuredContent"]["error"]
