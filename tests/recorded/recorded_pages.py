@@ -373,8 +373,8 @@ def consoles():
 
 FILES = {
     "pages": {
-        **{f"first {model}": partial(at_first, model) for model in ("xy", "xyz_servo")},
-        **{f"forms {model}": partial(forms, model) for model in ("xya", "gantry")},
+        **{f"first {model}": partial(at_first, model) for model in ("xya",)},
+        **{f"forms {model}": partial(forms, model) for model in ("gantry",)},
         **{f"rows {model}": partial(rows, model) for model in ("xy", "xyz", "xyz_servo")},
         "desk": desk,
         "consoles": consoles,

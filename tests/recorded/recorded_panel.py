@@ -638,7 +638,7 @@ def files():
                 share.save(panel)
             found[f"{name} minute"] = [[digits(repr(names)), begin, end] for names, begin, end in asked]
             path = "panel.zip"
-            with open(path, "wb") as file:
+            with open(path, "wb") as file, patch.dict(export.FORMATS, {"rrd": lambda *given: b"data"}):
                 file.write(share.save(panel))
             with zipfile.ZipFile(path) as file:
                 told = json.loads(file.read("panel.json"))

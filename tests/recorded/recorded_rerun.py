@@ -54,6 +54,9 @@ def driven(name, folder, board=False, **options):
         stage.run(0.0051)
         first.chip.reset()
         stage.run(0.0032)
+        if isinstance(second.chip, PCL240K | PCL240MS):  # a register that nothing follows
+            for address, datum in second.chip.register_cycles("R1", 77):
+                second.chip.write(address, datum)
     return stage, recording
 
 
@@ -213,6 +216,23 @@ def tables(folder):
     return found
 
 
+def parquet(folder):
+    """The fields of a Parquet file and of a data frame: types, units, whether something may be missing."""
+    pytest.importorskip("pandas")
+    reader = pytest.importorskip("pyarrow.parquet")
+    _, recording = driven("mixed", folder)
+    recording.to_parquet(folder / "a.parquet")
+    file = reader.ParquetFile(folder / "a.parquet")
+    schema, frame = file.schema_arrow, recording.to_pandas(["y/rate", "x/position", "y/rate"])
+    fields = [[f.name, str(f.type), f.nullable, (f.metadata or {}).get(b"unit", b"none").decode()] for f in schema]
+    return {
+        "fields": [" ".join(map(str, f)) for f in fields], "about": digits(schema.metadata[b"pulsestage"], 4),
+        "rows": [file.metadata.num_rows, file.metadata.num_columns, [round(float(v),
+        5) for v in file.read(["y/pulses"])["y/pulses"].to_pylist()[-3:]]],
+        "frame": [list(frame.columns), frame.index.name, frame.attrs, [round(float(v), 6) for v in frame.index[:3]]],
+    }  # fmt: skip
+
+
 def waveforms(name, folder):
     """Waveforms of chips beside each other, with a board's host."""
     _, recording = driven(name, folder, board=name == "xyz")
@@ -290,7 +310,7 @@ def exported(folder):
 FILES = {
     "recordings_rerun": {
         **{name: partial(files, name) for name in STAGES},
-        "streamed": streamed, "dashboards": dashboards, "exported": exported, "pictures": pictures,
+        "parquet": parquet, "streamed": streamed, "dashboards": dashboards, "exported": exported, "pictures": pictures,
     },
     "recordings_more": {"tables": tables, **{f"waves {name}": partial(waveforms, name) for name in ("xyz", "xya", "mixed")}},
 }  # fmt: skip
