@@ -1,0 +1,92 @@
+"""What a renderer and a window are asked to show, with neither GL nor a screen."""
+
+import sys
+from types import ModuleType, SimpleNamespace
+
+import mujoco
+import numpy as np
+import pytest
+
+from stage import ArgumentError, Stage, StageError
+from stage.envs import rendering
+
+
+@pytest.fixture(scope="module")
+def machine():
+    return Stage("xy", visuals=False)
+
+
+class Renderer:
+    """Notes what it is shown."""
+
+    def __init__(self, model, height, width):
+        self.said = [(model, height, width)]
+
+    def update_scene(self, data, camera):
+        self.said.append((data.qpos.tolist(), data.geom_xpos.sum(), camera))
+
+    def render(self):
+        return "a picture"
+
+    def close(self):
+        self.said.append("closed")
+
+
+def test_a_picture_is_of_the_size_and_by_the_camera_that_were_asked_for_and_of_the_stage_or_of_joints_elsewhere(
+    machine, monkeypatch
+):
+    monkeypatch.setattr(rendering, "renderer", Renderer)
+    camera = machine.model.camera(0).name
+    made = rendering.viewer(machine, "rgb_array", camera, 64, 48)
+    assert isinstance(made, rendering.OffScreen)
+    before = machine.data.qpos.copy()
+    assert made.frame() == made.frame(np.array([0.01, -0.02])) == "a picture"
+    made.close()
+    size, here, elsewhere, closed = made._renderer.said
+    assert size == (machine.model, 48, 64)
+    assert (here[0], here[2]) == (before.tolist(), camera)
+    assert (elsewhere[0], elsewhere[2]) == ([0.01, -0.02], camera)
+    assert here[1] != elsewhere[1], "what is drawn follows the joints"
+    assert closed == "closed"
+    assert (machine.data.qpos == before).all(), "the stage itself stays where it is"
+    with pytest.raises(ArgumentError, match=f"unknown camera 'nowhere'.*{camera}"):
+        rendering.viewer(machine, "rgb_array_list", "nowhere", 64, 48)
+
+
+@pytest.fixture
+def window(monkeypatch):
+    """MuJoCo's viewer, noting what it is asked."""
+    said, asked = [], []
+    there = ModuleType("mujoco.viewer")
+    handle = SimpleNamespace(sync=lambda: said.append("synced"), close=lambda: said.append("closed"))
+    there.launch_passive = lambda model, data: (said.append((model, data)), handle)[1]
+    monkeypatch.setitem(sys.modules, "mujoco.viewer", there)
+    monkeypatch.setattr(mujoco, "viewer", there, raising=False)
+    monkeypatch.setattr(rendering, "check_window", asked.append)
+    return SimpleNamespace(said=said, asked=asked, module=there)
+
+
+def test_a_window_shows_the_model_posed_and_is_brought_up_to_date_with_each_frame(machine, window):
+    made = rendering.viewer(machine, "human", "overview", 64, 48)
+    assert isinstance(made, rendering.OnScreen)
+    assert window.asked == ["Use render_mode='rgb_array', or record."]
+    ((model, data),) = window.said
+    assert (model, data) == (machine.model, made._pose.data)
+    assert data.qpos.tolist() == machine.data.qpos.tolist()
+    assert made.frame(np.array([0.01, 0.02])) is None
+    assert data.qpos.tolist() == [0.01, 0.02]
+    made.frame()
+    assert data.qpos.tolist() == machine.data.qpos.tolist()
+    made.close()
+    assert window.said[1:] == ["synced", "synced", "closed"]
+
+
+def test_a_window_that_does_not_open_says_why_and_what_to_do(machine, window):
+    def refuse(model, data):
+        raise RuntimeError("no display")
+
+    window.module.launch_passive = refuse
+    with pytest.raises(
+        StageError, match=r"viewer does not open \(no display\)\. Use render_mode='rgb_array', or record\."
+    ):
+        rendering.OnScreen(machine)
