@@ -354,7 +354,7 @@ def books():
 
 def layouts():
     found = {}
-    for id_, truth in itertools.product(stage.envs.IDS, (True, "info", False)):
+    for id_, truth in itertools.product(stage.envs.IDS, (True, False)):
         env = make(id_, truth=truth)
         _, info = env.reset(seed=1)
         names = [e.name for e in env.entries]

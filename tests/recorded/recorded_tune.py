@@ -255,7 +255,6 @@ def found_of(how, **settings):
 
 
 TUNED = {
-    "formula": ({}, {"by": "formula", "moves": 6}),
     "servo": ({"chip": HCTL1100, "model": "xyz_servo", "pulses": 300}, {"by": "formula", "moves": 4}),
     "search": ({"chip": PCL240MS, "pulses": 150, "hold": 0.005}, {"trials": 10, "moves": 3, "seed": 2}),
     "by guess": ({}, {"by": "guess"}), "no trials": ({}, {"trials": 0}), "no moves": ({}, {"moves": True}),
