@@ -103,7 +103,7 @@ def test_so_many_steps_pass_as_are_asked_for_and_then_time_stands(session):
 
 @pytest.mark.parametrize("seconds", [-1, -1e-9, float("nan")])
 def test_nobody_goes_back_by_less_than_nothing(session, seconds):
-    with pytest.raises(ArgumentError, match=r"seconds, 0 or more"):
+    with pytest.raises(ArgumentError, match=rf"^back\({seconds!r}\): seconds, 0 or more\.$"):
         session.back(seconds)
 
 

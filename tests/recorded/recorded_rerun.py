@@ -1,9 +1,13 @@
 """What recordings become: rerun's files, entity by entity, their dashboards, what is read back, tables, static pictures."""
 
 import enum
+import io
 import json
 import zipfile
+from contextlib import contextmanager
 from functools import partial
+from pathlib import Path
+from types import SimpleNamespace
 from unittest.mock import patch
 
 import numpy as np
@@ -18,6 +22,7 @@ from stage.board import Board
 from stage.chips import HCTL1100, MCX304, MCX514, PCL240K, PCL240MK, PCL240MS
 from stage.panel.sampler import Sampler
 from stage.panel.session import FREE, Session
+from stage.recording import viewer
 
 PACKAGES = {"recordings_rerun": "rerun-sdk"}
 STAGES = {
@@ -216,6 +221,134 @@ def tables(folder):
     return found
 
 
+class Process:
+    """A program that has ended, or not."""
+
+    def __init__(self, code=None, said=b""):
+        self.returncode, self.stderr = code, io.BytesIO(said)
+
+    def poll(self):
+        return self.returncode
+
+
+def viewers(folder):
+    """What is started to look at a recording, with which words, and what is refused; nothing is started here."""
+    found, told = {}, []
+    (folder / "a.rrd").write_bytes(b"RRF")
+
+    def plain(value):
+        return json.loads(
+            json.dumps(value, default=str).replace(str(folder), "FOLDER").replace(str(viewer.SETTINGS), "SETTINGS")
+        )
+
+    @contextmanager
+    def running(command, stderr=None):
+        told.append(["runs", command, stderr])
+        yield Process()
+        told.append("ended")
+
+    class Client:
+        shots = (b"a", b"b", b"b", b"c")
+
+        def save_screenshot(self, path):
+            told.append("shot")
+            Path(path).write_bytes(self.shots[0])
+            Client.shots = self.shots[1:]
+
+        def get_state(self):
+            lines = [SimpleNamespace(name="log_time", end=5), SimpleNamespace(name="time", end=2_500_000_000)]
+            return SimpleNamespace(recordings=[SimpleNamespace(timelines=lines)], loading=False)
+
+        def set_time(self, *given, **how):
+            told.append([*given, how])
+
+    def noting(name, gives=None):
+        return lambda *given, **how: (
+            told.append(
+                [name, *(g if isinstance(g, str | int | float | list) else type(g).__name__ for g in given), how]
+            )
+            or gives
+        )
+
+    with (
+        patch.object(viewer, "executable", lambda: "RERUN"), patch.object(viewer, "free_port", lambda: 4711),
+        patch.object(viewer, "_running", running), patch.object(viewer, "_wait_for", noting("waits")),
+            patch.object(viewer.time, "sleep", noting("sleeps")),
+        patch.object(viewer, "_client", lambda *given: Client()), patch.object(viewer, "_cut_frame", noting("cut")),
+        patch.object(viewer, "_got", noting("got", b"x")), patch.object(viewer.subprocess, "Popen", noting("starts")),
+        patch.object(viewer, "environment", lambda: {"A": "B"}), patch.object(viewer, "has_screen", lambda: True),
+    ):  # fmt: skip
+
+        def seen(name):
+            found[name] = [one for one in plain(told) if not (isinstance(one, list) and one[0] == "waits")]
+            told.clear()
+
+        viewer.screenshot(folder / "a.rrd", folder / "a.png", (640, 400))
+        seen("picture")
+        Client.shots = (b"c", b"c")
+        viewer.screenshot(folder / "a.rrd", folder / "a.png", at=0.5, overwrite=True)
+        seen("picture at")
+        found["settles"] = plain(tried(viewer.screenshot, folder / "a.rrd", folder / "b.png", timeout=0))
+        found["stays"] = plain(tried(viewer.screenshot, folder / "a.rrd", folder / "a.png"))
+        seen("refused")
+        viewer.open_viewer(folder / "a.rrd")
+        seen("window")
+        found["page"] = sorted(viewer._page())
+        seen("page asked")
+        found["none"] = [plain(tried(f, *g)) for f, g in ((viewer.open_viewer, ("none.rrd",)), (viewer.screenshot,
+            ("none.rrd", "a.png")),
+                                                         (viewer.web_server, ("none.rrd",)), (viewer.web_server,
+                                                         (folder / "a.rrd", 70000)))]  # fmt: skip
+    with patch.object(viewer, "has_screen", lambda: False):
+        found["no screen"] = plain(tried(viewer.open_viewer, folder / "a.rrd"))
+    found["ports"] = [tried(viewer.check_port, port) for port in (0, 1, 65535, 65536, 1.5, -1)]
+    said = bytes(range(65, 91)) * 40
+    found["ended"] = [tried(viewer._alive, Process(*how)) for how in ((None,), (0,), (3, said), (-9, b"x\xff"))]
+    found["silent"] = tried(viewer._client, 4711, Process(), 0.0)
+    with patch.dict("os.environ", {"A": "1"}, clear=True):
+        found["environment"] = plain(viewer.environment())
+    for value in ("", "0", "1", "no"):
+        with patch.dict("os.environ", {"PULSESTAGE_RERUN_ANALYTICS": value}, clear=True):
+            found[f"analytics {value}"] = [viewer._analytics(), plain(viewer.environment())]
+    return found
+
+
+def unread(folder):
+    """What is no recording, or no whole one."""
+    from stage.recording import read
+
+    pytest.importorskip("rerun")
+    _, recording = driven("xyz", folder)
+    whole = recording.save(folder / "whole.rrd").read_bytes()
+    from stage.recording.sdk import rr
+
+    out = rr.RecordingStream("another")
+    out.save(str(folder / "foreign.rrd"))
+    out.log("axes/x/rate", rr.TextDocument("no"), static=True)
+    out.disconnect()
+    for name, data in (("empty", b""), ("text", b"text"), ("half", whole[: len(whole) // 2]), ("begun", whole[:10])):
+        (folder / f"{name}.rrd").write_bytes(data)
+    names = ("empty", "text", "begun", "foreign", "none")
+    found = {
+        name: str(tried(read, folder / f"{name}.rrd")).replace(str(folder), "FOLDER").partition("damaged: ")[0]
+        for name in names
+    }
+    found["cut"] = (
+        repr(tried(lambda: type(read(folder / "half.rrd")).__name__))
+        .replace(str(folder), "FOLDER")
+        .partition("damaged: ")[0]
+    )
+    saved = read(folder / "whole.rrd")
+    found["columns"] = [
+        tried(saved.column, "x/positoin"),
+        tried(saved.to_csv, folder / "a.csv", "no"),
+        tried(lambda: saved.columns["q"]),
+    ]
+    return {
+        k: [str(w).replace(str(folder), "FOLDER") for w in v] if isinstance(v, list) else v for k, v in found.items()
+    }
+
+
 def parquet(folder):
     """The fields of a Parquet file and of a data frame: types, units, whether something may be missing."""
     pytest.importorskip("pandas")
@@ -260,6 +393,7 @@ def pictures(folder):
             said.append([ax.get_ylabel(), ax.get_xlabel(), [round(v, 6) for v in ax.get_xlim()], lines, len(ax.collections),
                          [t.get_text() for t in ax.get_yticklabels()] if not lines or ax is figure.axes[-1] else 0,
                          [t.get_text() for t in ax.get_legend().get_texts()] if ax.get_legend() else 0])  # fmt: skip
+        said.append([round(v, 6) for v in figure.axes[-1].get_ylim()])
         areas = [c.get_facecolor().round(4).tolist() for c in figure.axes[-1].collections]
         found[name] = [
             said,
@@ -310,7 +444,9 @@ def exported(folder):
 FILES = {
     "recordings_rerun": {
         **{name: partial(files, name) for name in STAGES},
-        "parquet": parquet, "streamed": streamed, "dashboards": dashboards, "exported": exported, "pictures": pictures,
+        "parquet": parquet, "unread": unread, "streamed": streamed, "dashboards": dashboards, "exported": exported,
+        "pictures": pictures,
     },
-    "recordings_more": {"tables": tables, **{f"waves {name}": partial(waveforms, name) for name in ("xyz", "xya", "mixed")}},
+    "recordings_more": {"tables": tables, "viewers": viewers, **{f"waves {name}": partial(waveforms,
+    name) for name in ("xyz", "xya", "mixed")}},
 }  # fmt: skip
