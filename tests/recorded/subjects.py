@@ -5,6 +5,7 @@ from recorded import (
     recorded_agents_bus,
     recorded_around_chips,
     recorded_bench,
+    recorded_boards,
     recorded_chips,
     recorded_cli,
     recorded_drivers,
@@ -31,6 +32,7 @@ PHYSICS = {
     **recorded_sim.FILES, **recorded_pages.FILES, **recorded_rerun.FILES, **recorded_own.FILES, **recorded_env_parts.FILES,
     **recorded_met_ends.FILES,
     **recorded_study.FILES,
+    **recorded_boards.FILES,
 }  # fmt: skip
 """What depends on MuJoCo's version."""
 FILES = {**recorded_chips.FILES, **PHYSICS}
