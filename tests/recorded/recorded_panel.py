@@ -3,6 +3,7 @@
 import asyncio
 import itertools
 import json
+import math
 import zipfile
 from functools import partial
 from types import SimpleNamespace
@@ -18,7 +19,7 @@ from support.mirrored import mirrored
 from stage import Stage
 from stage.chips import CHIPS, HCTL1100, MCX302, MCX304, MCX312, MCX514, PCL240K, PCL240MK, PCL240MS
 from stage.drives.dc_motors import DC_MOTORS
-from stage.errors import StageError
+from stage.errors import ArgumentError, Limit, StageError
 from stage.panel import clock, export, front, glb, guard, orders, procedures, server, share, travel, words, written
 from stage.panel.admission import Admission
 from stage.panel.controls import Controls
@@ -261,6 +262,31 @@ def forms(model, folder):
         found[f"{name} place"] = words.place(axis.unit, 0.0123456, -0.5, -8)
         stage.data.qpos[axis.plant.qpos] = 0
     return found
+
+
+def limited():
+    """What a chip cannot, said at the field: every kind of limit, on a slide and on a hinge, of a stepper and of a servo."""
+    found = {}
+    for name, axis in (("x", Stage("xya", chips=MCX514, visuals=False).axes["x"]), ("a", Stage("xya", chips=PCL240MK,
+        visuals=False).axes["a"]),
+                       ("servo", Stage("xyz_servo", chips=HCTL1100, visuals=False).axes["y"])):  # fmt: skip
+        stage = axis.stage
+        for form, what in itertools.product(
+            ("move", "two_rates"), ("acceleration", "accel", "pulses", "speed", "start_speed", "fast", "moon")
+        ):
+            fields = FORMS[form].fields(stage, axis.name)
+            for least, most in ((0.0, 2000.0), (20.0, 3000.0), (30.0, math.inf)):
+                for given in ({}, {"speed": "12,5", "start_speed": "1"}, {"start_speed": ""}):
+                    error = ArgumentError("no.").of(Limit(what, 4000.0, least or float(what == "acceleration"), most))
+                    at = at_its_field(error, axis, given, fields)
+                    found[f"{name} {form} {what} {least} {most} {given}"] = [str(at), where(at, fields)]
+    plain = StageError("speed=5: no.")
+    found["none"] = [
+        at_its_field(plain, axis, {}, fields) is plain,
+        where(plain, fields),
+        where(ValueError("distances: 5"), fields),
+    ]
+    return {k: v if k.startswith(("x move", "none")) else digits(repr(v), 3) for k, v in found.items()}
 
 
 def typed():
@@ -898,7 +924,8 @@ FILES = {
         **{f"offered {model}": partial(offered, model) for model in ("xya", "xyz_servo", "mirrored")},
         **{f"scopes {cls.__name__}": partial(scopes, model, cls) for model, cls in (("xy", PCL240MS), ("xya", MCX514),
         ("xy", HCTL1100))},
-        "typed": typed, "rings": rings, "tour": toured, "clockwork": clockwork, "files": files, "shapes": shapes,
+        "typed": typed, "limited": limited, "rings": rings, "tour": toured, "clockwork": clockwork, "files": files,
+        "shapes": shapes,
         "guard": guarded,
         "controls": controlled,
     },
