@@ -29,6 +29,7 @@ from stage.chips import (
     contract,
     register_map,
 )
+from stage.chips.cores import LINK
 from stage.chips.describe import decode
 from stage.chips.entries import Entries
 from stage.chips.journal import Replay
@@ -177,7 +178,13 @@ def nova_states(cls):
     if cls.AXES > 1 and any(c.together for c in cls.MAP.commands):
         if new:
             yield "chosen", chip(data=[("IPM", 3)])
-            yield "master", chip(data=[("IPM", 0x4003)])
+            yield "master", chip(data=[("IPM", 0x403)])
+            yield "slave", chip(data=[("IPM", 0x803)])
+            for heard in (1, 3):  # wires, and a master on them that has begun
+                for name, word in (("master", 0x403), ("slave", 0x803), ("both", 0x1903)):
+                    linked = chip(data=[("IPM", word)])
+                    linked.CORE.set_shaft.held(linked.pointer, LINK, float(heard), 0.0)
+                    yield f"linked {name} {heard}", linked
             yield "interpolating", chip("LHK2", data=[("IPM", 3)], clocks=2000)
             yield "full", chip(*["LHK2"] * 9, data=[("IPM", 3)], clocks=50)
         else:

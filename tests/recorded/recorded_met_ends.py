@@ -7,7 +7,7 @@ from recorded.recorded_firmware import told, tried
 from stage import Stage, firmware
 from stage.chips import HCTL1100, MCX304, MCX514, PCL240K, PCL240MK, PCL240MS
 from stage.errors import StageError
-from stage.firmware import Bench
+from stage.firmware import Bench, Profile
 from stage.firmware.hctl1100 import home as servo_home
 from stage.firmware.hctl1100 import moves as servo
 from stage.firmware.hctl1100 import profile as follow
@@ -269,8 +269,95 @@ def nova_ends():
     return found
 
 
+def broken_off():
+    """Edges of pins in the midst of moves, and a host that is interrupted."""
+    profile = Profile.of(fl=1500, fh1=9000, accel=0.02)
+
+    def one(cls, when, action, call):
+        b = Bench(cls())
+        x = b.axes["x"]
+        b.at(when, lambda: action(x))
+        try:
+            return told(call(x))
+        except KeyboardInterrupt as error:
+            return [[r.stopped_by, r.pulses, r.asked, r.ok, r.procedure] for r in error.reports]
+        except StageError as error:
+            return str(error)
+
+    def pin(name, common=False):
+        def action(x):
+            setattr(x.chip.pins if common else x.pins, name, True)
+
+        return action
+
+    def stop(x):
+        raise KeyboardInterrupt
+
+    def nova(x):
+        return firmware.move(x, pulses=-900, accel=0.02)
+
+    def pulses(x):
+        return firmware.preset_move(x, 900, profile)
+
+    cases = (
+        (MCX514, nova, ("lmt_minus", "lmt_plus", "stop0", "stop1", "stop2", "alarm", "inpos")),
+        (MCX304, nova, ("lmt_minus", "stop1", "alarm")),
+        (PCL240K, pulses, ("el_plus", "el_minus", "org", "sd_plus", "ins")),
+        (PCL240MS, pulses, ("el_plus", "sd_plus")),
+    )
+    calls = {
+        "jog": (firmware.jog, (0.1,), {"accel": 0.02}),
+        "home": (firmware.home, (), {"timeout": 0.1}),
+        "origin": (firmware.origin_return, (), {"profile": profile, "timeout": 0.1}),
+        "continuous": (firmware.continuous_move, (0.1, -1, profile), {}),
+        "continuous SD": (firmware.continuous_move, (0.1,), {"profile": profile, "slow_down": True}),
+        "dual": (firmware.dual_rate_move, (2000, profile), {"dwell": 0.02}),
+        "dual by time": (firmware.dual_rate_move, (None, profile), {"seconds": 0.1}),
+        "speeds": (firmware.speed_change_move, (2000, [4000, 9000], profile), {}),
+        "bent": (firmware.curved_ramp_move, (2000, [(3000, 0.02), (9000, 0.03)], profile), {}),
+        "interrupted": (firmware.interrupted_move, (2000, profile), {"after": 0.08, "pause": 0.02}),
+        "external": (firmware.external_count, (90, profile), {}),
+    }
+    found = {}
+    for cls, call, names in cases:
+        for name in names:
+            found[f"{cls.__name__} {name}"] = one(cls, 0.03, pin(name), call)
+        found[f"{cls.__name__} Ctrl-C"] = one(cls, 0.03, stop, call)
+    found["EMG"] = [one(cls, 0.03, pin("emg", True), nova) for cls in (MCX514, MCX304)]
+    for name, (call, given, options) in calls.items():
+
+        def called(x, call=call, given=given, options=options):
+            return call(x, *given, **options)
+
+        found[name] = [one(PCL240MK, 0.035, action, called) for action in (pin("el_plus"), pin("sd_plus"), stop)]
+    b = Bench(x=PCL240K(), y=PCL240K())
+    b.at(0.03, lambda: stop(None))
+    try:
+        firmware.synchronized_move({"x": 900, "y": -200}, b, accel=0.02)
+    except KeyboardInterrupt as error:
+        found["two"] = [[r.axis, r.stopped_by, r.pulses, r.asked] for r in error.reports]
+    return found
+
+
+def slow_hosts():
+    """A host too slow for the samples of a servo, and one that is told of each."""
+    found = {}
+    for cycle in (1e-6, 4e-5, 2e-4):
+        stage = Stage("xy", HCTL1100, bus_cycle=cycle, visuals=False)
+        ports = [servo.set_up(a, servo.Tuning(timer=0x60)) for a in stage.axes.values()]
+        looks, rows = [], np.outer(np.arange(30), [1, -2])
+        for alone in (True, False):
+            made = said(
+                follow.follow, ports, rows, leader_only=alone, look=lambda looks=looks, s=stage: looks.append(s.time)
+            )
+            found[f"{cycle} {alone}"] = [told(made), len(looks), stage.time, [p.commanded() for p in ports]]
+        found[f"{cycle} of none"] = said(follow.follow, [], rows)
+    return found
+
+
 FILES = {
     "met_ends": {
         "synchronized": synchronized, "ports": pulse_ports, "sources": sources, "servo": servo_ends, "nova": nova_ends,
+        "broken off": broken_off, "slow hosts": slow_hosts,
     },
 }  # fmt: skip
