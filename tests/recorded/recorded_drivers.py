@@ -5,6 +5,7 @@ from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
+from recorded.player import Draw
 from recorded.recorded_firmware import told, tried
 from recorded.store import digits
 
@@ -13,11 +14,14 @@ from stage.chips import HCTL1100, MCX302, MCX304, MCX312, MCX314AS, MCX501, MCX5
 from stage.errors import StageError
 from stage.extras import need
 from stage.firmware import Bench, Profile
+from stage.firmware.choices import limits
 from stage.firmware.driver import AtOnce, Speeds, driver_of, usual_speeds
 from stage.firmware.lines import Asked, LineSettings, line_of
 from stage.firmware.nova import draw
 from stage.firmware.nova.port import Port as NovaPort
 from stage.firmware.path import path_points, perfect_deviation
+from stage.firmware.pcl240 import closed_form as closed
+from stage.firmware.pcl240 import emulated, fit
 from stage.firmware.tandem import square_by, tandems
 from stage.sim import plant
 from stage.sim.program import Program
@@ -125,7 +129,8 @@ def written(cls):
         made = said(write, p, *given)
         return [made if isinstance(made, list) else None, digits(repr(p.ops), 4), len(p)]
 
-    found = {"stop": program(h.write_stop), "tuned": [said(h.tuned_by, s) for s in (None, False, True)]}
+    found = {"limits": [said(limits, h.chip.MAP, r.name) for r in h.chip.MAP.registers]}
+    found |= {"stop": program(h.write_stop), "tuned": [said(h.tuned_by, s) for s in (None, False, True)]}
     for curve in (None, False, True):
         for fl, fh, up, down in ((500.0, 4000.0, 0.02, 0.05), (3000.0, 90_000.0, 0.5, 0.1), (700.0, 700.0, 0.1, 0.1)):
             made = said(h.formula, fl, fh, up, down, -2000, curve)
@@ -286,6 +291,46 @@ def paths():
     return found
 
 
+def closed_form():
+    """Rows of registers: what they come to by the closed form, and on emulated chips."""
+    draw_, work, found = Draw("closed form"), np.zeros(1, fit.WORK), {}
+    leader = None
+    for k in range(36):
+        size, fl, r7 = draw_.size(2, 6000), draw_.size(1, 3000), draw_.size(2, 400)
+        fh = min(fl + draw_.of(0, draw_.size(1, 200), draw_.size(1, 5000)), 8191)
+        up, down = draw_.size(2, 900), draw_.size(2, 900)
+        row = [size, fl, fh, fh, up, down, draw_.of(0, draw_.between(1, size), draw_.size(1, size)), r7]
+        share = draw_.of(0.0, 0.0, 0.5, 0.2, 0.4)
+        r = np.array(row + [0, 0] * (k % 3 > 0), np.int64)
+        closed.bend(r, share)
+        c = np.zeros(4, np.int64)
+        closed.course(r, c)
+        times = [float(c[3]) * part for part in (0.01, 0.1, 0.37, 0.5, 0.8, 0.99, 1.0)]
+        chip = PCL240MS if len(r) > 8 else PCL240MK
+        ticks = emulated.run(r, chip, bool(k % 2 and fh > fl and r[6] > 1))
+        found[k] = [
+            c, [closed.count(r, c, t) for t in times], closed.first_pulse(r, c), closed.ramp_ticks(r, r[4]), closed.stretch(r),
+            r[8:], len(ticks), int(ticks.sum()), int(ticks[0]), emulated.offset(r, chip),
+        ]  # fmt: skip
+        if leader is not None and leader[0] >= size:
+            found[f"{k} follows"] = fit.estimate(leader, 4_915_200, r, 4_000_000, 3e-6 * (k % 4), work)
+        if leader is None or k % 6 == 0:
+            leader = r
+        out = np.full(3, 1e-5)
+        fit.misfits(
+            np.array([fh, fh + 0.5, 8191.0]),
+            np.array([r7, r7, 2]),
+            4_915_200,
+            draw_.random(),
+            4_000_000,
+            20.0,
+            1e-6,
+            out,
+        )
+        found[f"{k} misfits"] = out
+    return found
+
+
 # --- ports of NOVA ---
 
 
@@ -356,7 +401,11 @@ def reports():
         "of one": ({"x": 1e-3}, stage), "mapping": ({"x": 1e-4, "y": 0.0}, {"x": stage.axes["x"]}),
     }  # fmt: skip
     found["names"] = {name: said(lambda given=given: str(firmware.line(*given))) for name, given in names.items()}
-    hinge = Stage("xya", MCX514, visuals=False).axes["a"]
+    turning = Stage("xya", MCX514, visuals=False)
+    hinge = turning.axes["a"]
+    found["line of a hinge"] = tried(
+        firmware.line, {"x": 0.1e-3, "a": 0.02}, turning, speed=0.5, start_speed=0.2, accel=0.02
+    )
     four = tried(firmware.move, hinge, 0.02, speed=0.5, start_speed=0.2, accel=0.02)
     found["hinge"] = four
     for bad in (
@@ -392,6 +441,9 @@ def figure(made):
                       for i in ax.lines],
             "areas": [[c.get_facecolor().tolist(), *[v for p in c.get_paths() for v in sums(p.vertices)]] for c in ax.collections],
             "notes": [[a.get_text(), a.get_color(), *a.xy, *a.get_position()] for a in ax.texts], "drawn": len(drawn),
+            "frame": [s.get_visible() for s in ax.spines.values()] + [s.get_bounds() for s in ax.spines.values()], "grid": [
+                g.get_visible() for g in ax.get_xgridlines()[:1] + ax.get_ygridlines()[:1]], "sizes": [
+                t.get_size() for t in ax.get_yticklabels()[:1]],
         })  # fmt: skip
     return found
 
@@ -437,7 +489,8 @@ FILES = {
         **{f"{cls.__name__} lines {curve}": partial(lines, cls, curve)
            for cls, curve in ((PCL240K, False), (PCL240MS, True), (PCL240MS, False), (MCX514, False), (MCX304, True),
                               (MCX304, False), (MCX312, False), (MCX302, True), (HCTL1100, False))},
-        "at once": at_once, "beams": beams, "benches": benches, "paths": paths, "ports": ports, "reports": reports,
+        "at once": at_once, "beams": beams, "benches": benches, "paths": paths, "closed form": closed_form,
+        "ports": ports, "reports": reports,
     },
     "drawings": {"reports": pictures},
 }  # fmt: skip
