@@ -757,7 +757,7 @@ def clockwork():
     """How far time may go, when, for programs and for a session, at every speed; paces; what is remembered of the past."""
     found = {}
     for speed, until, late in itertools.product(
-        (1.0, 0.5, 20.0, FREE), (500_000, 1_000_000, 7_000_000, 90_000_000), (-0.5, 0.0, 0.1, 0.35)
+        (1.0, 0.01, 20.0, FREE), (500_000, 1_000_000, 7_000_000, 90_000_000), (-0.5, 0.0, 0.1, 0.35)
     ):
         with patch.object(clock, "perf_counter", Real()) as real:
             stage, paused = (
