@@ -10,6 +10,7 @@ from recorded import recorded_chips
 from recorded.nova_stories import Stories
 from recorded.player import Draw, Player, with_checks
 from recorded.store import digits
+from support.many_axes import rail_model
 
 from stage import Stage
 from stage.chips import (
@@ -583,6 +584,67 @@ def shafts():
     return found
 
 
+def multichip():
+    """Lines of two chips whose wires join them: in either order, stopped by either, one after the other, with a longest given."""
+    found, d = {}, Draw("multichip")
+    for others in (MCX514, MCX512):
+        first, second = (lambda: MCX514()), (lambda others=others: others())
+        chips = {**dict.fromkeys(("a0", "a1", "a2"), first), **dict.fromkeys(("a3", "a4"), second)}
+        stage = Stage(rail_model(5), chips=chips, multichip=["a0", "a3"], bus_cycle=d.of(0.0, 1e-6))
+        master, slave = stage.chips
+
+        def load(chip, axis, **values):
+            for name, value in values.items():
+                for cycle in chip.register_cycles(name, value & 0xFFFFFFFF, axis):
+                    chip.write(*cycle)
+
+        def command(chip, symbol, axis=0):
+            chip.write(*chip.command_cycles(symbol, axis)[-1])
+
+        def go(chip, role, points, given, load=load, command=command):
+            for axis, point in enumerate(points):
+                load(chip, axis, TP=point)
+            load(chip, 0, IPM=role | (1 << len(points)) - 1 | given)
+            if role == 0x400:
+                command(chip, d.of("DECEN", "DECDIS"))
+            command(chip, f"LHK{len(points)}")
+
+        for k in range(12):
+            load(master, 0, SV=d.size(2000, 9000), DV=d.size(9000, 60_000), AC=d.size(100_000, 20_000_000))
+            given = 0x1000 if d.chance(0.3) else 0
+            for chip in (master, slave):
+                command(chip, "TX" if given else "MFPC") if not given else load(chip, 0, TX=d.size(60, 90))
+            far = d.of(5, 60, 60)
+            lines = {m: [d.between(-far, far) for _ in range(n)] for m, n in ((master, 3), (slave, 2))}
+            journals = [chip.journal(axis) for chip, axis in ((master, 0), (slave, 1), (master, 2))]
+            order = [(slave, 0x800), (master, 0x400)]
+            for chip, role in order if d.chance(0.8) else order[::-1]:
+                go(chip, role, lines[chip], given)
+                stage.run(d.size(1, 200) * 1e-7)
+            for _ in range(d.between(0, 2)):
+                stage.run(d.size(10, 4000) * 1e-7)
+                chip = stage.chips[d.of(0, 1)]
+                what = d.of("nothing", "stop", "again", "clear")
+                if what == "stop":
+                    command(chip, d.of("DRVFBRK", "DRVSBRK"), d.between(0, 1))
+                elif what == "again":
+                    go(chip, d.of(0x400, 0x800), [3, -2], 0)
+                elif what == "clear":
+                    command(chip, "R2CLR")
+            stage.run(d.of(2e-4, 0.02))
+            seen = [[*(c.net(j) for j in range(c.AXES)), *c.values().values()] for c in stage.chips]
+            edges = []
+            for journal in reversed(journals):
+                journal.close()
+                edges.append(digits(np.ascontiguousarray(journal.course(True).edges["net"]).tobytes(), 3))
+            command(slave, "RR3P1")
+            found[f"{others.__name__} {k}"] = [lines[master], lines[slave], digits(repr(seen), 3), seen[0][:3], seen[1][:2], edges,
+                slave.read(3), len(slave.diagnostics), master.clock]  # fmt: skip
+            if any(c.busy(j) for c in stage.chips for j in range(c.AXES)):
+                stage.reset()
+    return found
+
+
 # --- contract ---
 
 
@@ -741,7 +803,7 @@ FILES = {
         **{f"{cls.__name__} shown": partial(shown, cls) for cls in EVERY},
         **{f"{cls.__name__} lost": partial(faults_of_bus, cls) for cls in (PCL240MK, MCX514, MCX304, HCTL1100)},
         **{f"{cls.__name__} journals": partial(journals, cls) for cls in (PCL240MS, MCX514, MCX312, HCTL1100)},
-        "attached": attached, "kept": kept, "shafts": shafts,
+        "attached": attached, "kept": kept, "shafts": shafts, "multichip": multichip,
         "late": late, "synchro": synchro, "i2c": i2c, "broken": broken,
     },
     "chips_kin": {
