@@ -1009,6 +1009,30 @@ def other(id_, how, begin):
     return said
 
 
+DRAWN = {
+    "payloads": (1.0, 2.0),
+    "frictions": (1.5, 2.0),
+    "supplies": (0.9, 1.0),
+    "torques": (0.7, 0.8),
+    "drifts": (0.1, 0.2),
+    "payload_on": "x",
+    "bus_cycle": 2e-5,
+    "truth": True,
+}
+"""Ranges of machines that no split has."""
+OTHER["stage/OneShotTuning-v1"].append(
+    (
+        {**DRAWN, "axis": "y", "judge_at": "work", "damage_weight": 0.7, "vibration_weight": 0.9, "encoder": False},
+        {"fault": "sag", "switch": 0.5},
+    )
+)
+OTHER["stage/SynchronizedLine-v1"].append(
+    ({**DRAWN, "damage_weight": 0.7, "healthy": 0.0, "split": "faults"}, {"supply": 0.95})
+)
+OTHER["stage/DriftingHome-v1"].append(
+    ({**DRAWN, "returns": 2, "limit": 0.5, "reach": 0.001, "healthy": 1.0}, {"start": 1e-3})
+)
+OTHER["stage/BusMacros-v1"].append(({**DRAWN, "healthy": 1.0, "level": "target", "macros": 8}, {"torque": 0.75}))
 FILMED = [
     ("stage/RegisterTuning-v0", "rgb_array", {}),
     ("stage/RegisterTuning-v0", "rgb_array_list", {"render_every": 0.01, "moves": 2}),
