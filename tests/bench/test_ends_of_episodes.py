@@ -62,3 +62,12 @@ def test_a_player_that_draws_is_seeded_by_its_run_and_plays_the_round_that_was_a
     )
     assert bench.play("random", "brief", episodes=1).player == "random"
     assert made.seeds == (drawn(BRIEF, "heavy", "2031")[0],)
+
+
+def test_what_a_policy_says_of_its_cost_comes_before_what_was_said_of_it_and_what_was_counted_before_both():
+    def frugal(observation, info):
+        return [0.0] * 4
+
+    frugal.cost = {"tokens": 12, "test_moves": 99}
+    made = bench.play(frugal, "brief", episodes=1, cost={"tokens": 1, "moves": 7, "test_moves": 5})
+    assert made.cost == {"tokens": 12, "moves": 7, "test_moves": 1}

@@ -1004,7 +1004,7 @@ def other(id_, how, begin):
         said.append([sums(out[0]), out[1]] if short else told(out))
         if out[2] or out[3]:
             break
-    said += [told(env.reset()), mechanics(env.stage)[:3], [a.position for a in env.stage.axes.values()]]
+    said += [told(env.reset()), mechanics(env.stage), [a.position for a in env.stage.axes.values()]]
     env.close()
     return said
 

@@ -1,0 +1,162 @@
+"""One full step lost, either way, is one too many; and what one episode has seen is not the next one's."""
+
+import gymnasium
+import numpy as np
+import pytest
+
+import stage.envs
+
+LOSSES = {
+    "stage/OriginReturn-v0": (
+        {"model": "xy", "returns": 2, "limit": 0.05, "settle": 0.01, "lost_weight": 3.5},
+        "lost",
+        -3.5,
+    ),
+    "stage/SynchronizedMove-v0": (
+        {"model": "xy", "distances": (300, 900), "moves": 2, "lost_weight": 3.5},
+        "lost",
+        -3.5,
+    ),
+    "stage/RegisterTuning-v0": (
+        {"model": "xy", "distances": (300, 900), "limit": 0.3, "lost_weight": 3.5},
+        "lost",
+        -3.5,
+    ),
+    "stage/DriftingHome-v1": ({"model": "xy", "limit": 0.05, "damage_weight": 3.5}, "damage", -3.5),
+    "stage/FewShotTuning-v1": (
+        {"model": "xy", "distances": (300, 900), "proofs": 0, "damage_weight": 3.5},
+        "damage",
+        -3.5,
+    ),
+    "stage/SynchronizedLine-v1": (
+        {"model": "xy", "distances": (300, 900), "proofs": 0, "damage_weight": 3.5},
+        "damage",
+        -3.5,
+    ),
+}
+
+
+def make(id_, **settings):
+    return gymnasium.make(id_, disable_env_checker=True, **settings).unwrapped
+
+
+@pytest.mark.parametrize("id_", LOSSES)
+@pytest.mark.parametrize("lost", [0, 1, -1])
+def test_one_full_step_lost_either_way_costs_as_losing_steps_does(id_, lost, monkeypatch):
+    settings, part, costs = LOSSES[id_]
+    assert id_ in stage.envs.IDS
+    env = make(id_, **settings)
+    env.reset(seed=3)
+    task, real = env._task, env._task.fleet.truth
+    axis = getattr(task, "axis", None) or task.axes[1]
+
+    def truth():
+        found = real()
+        found["lost_steps"] = 0
+        if played:
+            found["lost_steps"][:, axis.index] = lost
+        return found
+
+    played, play = [], task.fleet.play
+    monkeypatch.setattr(task.fleet, "play", lambda programs: (played.append(1), play(programs))[1])
+    monkeypatch.setattr(task.fleet, "truth", truth)
+    action = env.scripted() if id_.endswith("v1") else np.zeros(env.action_space.shape, np.float32)
+    *_, info = env.step(action)
+    assert info["reward_parts"][part] == (costs if lost else 0.0)
+    assert np.abs(info["lost_steps"]).sum() == abs(lost)
+
+
+SHORT = {
+    "stage/RegisterTuning-v0": {"model": "xy", "moves": 3, "distances": (300, 900), "limit": 0.3, "settle": 0.01},
+    "stage/RegisterBus-v0": {"model": "xy", "cycles": 8, "waits": (1e-3, 1e-2), "time_limit": 0.5, "truth": True},
+    "stage/OriginReturn-v0": {"model": "xy", "returns": 3, "limit": 1.0, "settle": 0.01, "drift": 2e-4, "leave": 300},
+    "stage/SynchronizedMove-v0": {"model": "xy", "distances": (300, 900), "moves": 3, "limit": 0.3},
+    "stage/ServoTuning-v0": {"limit": 0.05, "rest": 0.01, "moves": 3},
+    "stage/FewShotTuning-v1": {"model": "xy", "distances": (300, 900), "tries": 3, "proofs": 1, "settle": 0.01},
+    "stage/OneShotTuning-v1": {"model": "xy", "distances": (300, 900), "proofs": 1, "settle": 0.01},
+    "stage/SynchronizedLine-v1": {"model": "xy", "distances": (300, 900), "proofs": 1, "rest": 0.01, "limit": 0.5},
+    "stage/DriftingHome-v1": {
+        "model": "xy",
+        "returns": 3,
+        "limit": 0.3,
+        "reach": 0.002,
+        "settle": 0.01,
+        "healthy": 1.0,
+    },
+    "stage/BusMacros-v1": {"model": "xy", "macros": 9},
+}
+
+
+def course(env, seed, **options):
+    """What an episode's first steps say, of the usual host or of the middle of all actions."""
+    said = [*env.reset(seed=seed, options=options)]
+    for _ in range(3):
+        try:
+            action = env.scripted()
+        except stage.ArgumentError:
+            action = np.zeros(env.action_space.shape, env.action_space.dtype)
+        out = env.step(action)
+        said += out
+        if out[2] or out[3]:
+            break
+    return repr([part.tolist() if isinstance(part, np.ndarray) else part for part in said])
+
+
+@pytest.mark.parametrize("id_", SHORT)
+@pytest.mark.parametrize("left", [3, -5])
+def test_nothing_that_an_episode_has_left_is_in_the_next(id_, left):
+    """Whatever stands in the numbers of a task when an episode begins."""
+    assert set(SHORT) == set(stage.envs.IDS)
+    env, fresh = make(id_, **SHORT[id_]), make(id_, **SHORT[id_])
+    options = {"start": 5e-4} if id_ in ("stage/OriginReturn-v0", "stage/DriftingHome-v1") else {}
+    env.reset(seed=9)
+    task = env._task
+    for name in ("steps", *task.STATE):
+        array = getattr(task, name)
+        for part in array.dtype.names or [...]:
+            array[part] = left > 0 if array[part].dtype == bool else left
+    task.results.rows[:] = np.zeros((), task.result)
+    task.results["cause"] = 1
+    assert course(env, 4, **options) == course(fresh, 4, **options)
+
+
+def test_the_spread_of_returns_is_of_one_episode_and_none_after_its_first():
+    env = make("stage/OriginReturn-v0", returns=2, drift=4e-4)
+    spreads = []
+    for seed in (1, 2):
+        env.reset(seed=seed, options={"start": -0.11})
+        for k in range(2):
+            if k:
+                env._task._draw(0, {"start": -0.11})
+            usual = {"R1": 50, "R2": 800, "R4": 983, "approach": 20, "leave": 0, "back_off": 200, "sd": 1}
+            *_, info = env.step(env.strategy.to_action(usual))
+            assert info["home"]
+            spreads.append(info["spread"])
+    assert spreads[0] == spreads[2] == 0
+    assert min(spreads[1], spreads[3]) > 0
+
+
+@pytest.mark.parametrize(
+    ("id_", "name", "same"),
+    [
+        ("stage/BusMacros-v1", "axes", (("y", "x"), ["y", "x"], "yx")),
+        ("stage/BusMacros-v1", "grid", ((16, 64), [16, 64], [16.0, 64.0], np.array([16, 64]))),
+        ("stage/SynchronizedMove-v0", "axes", (("y", "x"), ["y", "x"], "yx")),
+        ("stage/SynchronizedLine-v1", "axes", (("y", "x"), ["y", "x"], "yx")),
+    ],
+)
+def test_a_list_or_letters_are_the_same_setting_and_snapshots_of_both_are_each_other_s(id_, name, same):
+    envs = [make(id_, model="xy", **{name: value}) for value in same]
+    envs[0].reset(seed=1)
+    kept = envs[0].snapshot()
+    for env in envs:
+        assert getattr(env.config, name) == same[0]
+        assert all(type(part) is type(same[0][0]) for part in getattr(env.config, name))
+        env.restore(kept)
+
+
+@pytest.mark.parametrize("rate", [3333.0, 4500.0, 7777.7])
+def test_a_rate_that_is_fixed_is_that_rate_to_the_last_bit(rate):
+    env = make("stage/SynchronizedMove-v0", model="xy", distances=(300, 900), rate=rate)
+    for seed in range(3):
+        assert env.reset(seed=seed)[1]["rate"] == rate
