@@ -21,6 +21,7 @@ from recorded import (
     recorded_sim,
     recorded_stage,
     recorded_study,
+    recorded_targets,
     recorded_texts,
     recorded_tune,
 )
@@ -32,7 +33,7 @@ PHYSICS = {
     **recorded_sim.FILES, **recorded_pages.FILES, **recorded_rerun.FILES, **recorded_own.FILES, **recorded_env_parts.FILES,
     **recorded_met_ends.FILES,
     **recorded_study.FILES,
-    **recorded_boards.FILES,
+    **recorded_boards.FILES, **recorded_targets.FILES,
 }  # fmt: skip
 """What depends on MuJoCo's version."""
 FILES = {**recorded_chips.FILES, **PHYSICS}
