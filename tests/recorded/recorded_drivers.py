@@ -119,6 +119,46 @@ def answers(cls):
     return found
 
 
+def ends(cls):
+    """One driver at both ends, after a move the other way; and after a reset of the stage."""
+    stage = Stage("xy", cls, visuals=False)
+    y = stage.axes["y"]
+    h, found = driver_of(y), {}
+    touch = {s.pin: s.touch for s in y.plant.switches}
+    for way, end in ((1, "el_plus"), (-1, "el_minus"), (1, "el_plus"))[: 2 if cls is HCTL1100 else 3]:
+        stage.reset()
+        stage.place(y=touch[end] - way * 0.15e-3)
+        went = [said(h.start, -20 * way, SLOW), said(h.wait, 1.0)]
+        h.run(way, SLOW)
+        stage.run(0.15)
+        stood = [h.runs(), h.stopped_by(), y.position]
+        h.halt()
+        again = [said(h.start, 10 * way, SLOW), said(h.wait, 0.5), h.stopped_by(), y.chip.net(y.chip_axis)]
+        away = [said(lambda way=way: str(h.move(-100 * way, SLOW))), h.stopped_by(), y.position, stage.time]
+        found[f"{end} {len(found)}"] = [went, stood, again, away]
+    return found
+
+
+def clocks():
+    """Chips at clocks that are not the usual ones."""
+    found = {}
+    for cls, hz in (
+        (PCL240K, 3_000_000),
+        (PCL240MS, 8_000_000),
+        (MCX514, 20_000_000),
+        (MCX304, 8_000_000),
+        (HCTL1100, 1_000_000),
+    ):
+        stage = Stage("xy", cls, clock=hz, visuals=False)
+        x = stage.axes["x"]
+        found[cls.__name__] = [
+            tried(firmware.move, x, pulses=150, speed=0.02, accel=0.02),
+            tried(firmware.line, {"x": 1e-4, "y": 2e-4}, stage, speed=0.02, accel=0.02),
+            tried(firmware.jog, x, 0.02, -0.02, accel=0.02), stage.time,
+        ]  # fmt: skip
+    return found
+
+
 def written(cls):
     """Programs and choices of a driver of the second axis."""
     sensors = {k: v for k, v in SENSORS.get(cls, ALL).items() if k == "org"}
@@ -485,6 +525,8 @@ FILES = {
     "drivers": {
         **{f"{cls.__name__} wired": partial(wired, cls) for cls in CHIPS},
         **{f"{cls.__name__} answers": partial(answers, cls) for cls in CHIPS},
+        **{f"{cls.__name__} ends": partial(ends, cls) for cls in CHIPS if cls is not MCX512},
+        "clocks": clocks,
         **{f"{cls.__name__} written": partial(written, cls) for cls in (*CHIPS, MCX302)},
         **{f"{cls.__name__} lines {curve}": partial(lines, cls, curve)
            for cls, curve in ((PCL240K, False), (PCL240MS, True), (PCL240MS, False), (MCX514, False), (MCX304, True),
