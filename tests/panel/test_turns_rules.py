@@ -105,6 +105,7 @@ def test_who_rests_keeps_off_the_stage_for_so_long_or_until_somebody_rings(turns
         program = Program(turns, lambda s=seconds, h=here: (h.set(), rest(s)))
         here.wait(5)
         time.sleep(0.01)
+        assert not turns.waiting, "for the session"
         assert turns.claim(0.5), "it is no obstacle"
         turns.release()
         if ring:

@@ -528,12 +528,10 @@ def scopes(model, cls):
                 [float(v) for v in text[1].split(",")],
                 [float(v) for v in text[-1].split(",")],
             ]
-            wires = (
-                export.to_vcd(sampler, [n for n in names if sampler.traces[n].pin], begin, end).decode().splitlines()
-            )
-            found["files"][f"vcd {begin}"] = [
-                line for line in wires if not line.startswith("$version") and "pyvcd" not in line
-            ]
+            pins = [n for n, t in sampler.traces.items() if t.pin]
+            wires = export.to_vcd(sampler, [*pins, shown[0]], begin, end).decode().splitlines()
+            wires = [line for line in wires if not line.startswith("$version") and "pyvcd" not in line]
+            found["files"][f"vcd {begin}"] = [len(wires), digits("\n".join(wires), 4), wires[-9:]]
         found["wrong"] = [
             tried(export.to_csv, sampler, [], 0, 1), tried(export.to_vcd, sampler, names, 50, 60), tried(sampler.trace, "x/rat"),
             tried(sampler.columns, ["x/positoin"], 0, 1), *(tried(Scope, sampler, [], span) for span in (0.0009, 60.1,
