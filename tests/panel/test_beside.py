@@ -53,13 +53,12 @@ class Driver(threading.Thread):
 
 def test_its_run_is_that_without_a_session_whatever_is_looked_at_meanwhile(session):
     expected = program(Stage("xy", visuals=False))
-    driver = Driver(lambda: program(session.stage))
-    looks = 0
+    looked = threading.Event()
+    driver = Driver(lambda: (looked.wait(20), program(session.stage))[1])
     while driver.is_alive():
         session.do(lambda stage: stage.axes["x"].position)
-        looks += 1
+        looked.set()
     assert np.array_equal(driver.result(), expected)
-    assert looks
 
 
 def test_no_time_passes_but_by_the_program_and_it_is_in_real_time(session):

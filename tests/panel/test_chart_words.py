@@ -27,3 +27,16 @@ def test_a_trigger_that_is_refused_is_said(page, monkeypatch):
     page.put("level", 7)
     assert page.said == ["no such trigger."]
     assert (scope.mode, scope.source, scope.rising, scope.level) == ("normal", "x/rate", False, 120)
+
+
+def test_other_traces_are_drawn_at_once_also_while_nothing_moves(page, monkeypatch):
+    (one,) = (e for e in page._all() if type(e).__name__ == "Live")
+    chart = next(look.__self__ for _, method, look, _ in one._calls if method == "run_chart_method")
+    monkeypatch.setattr(one, "_calls", [])  # nobody else looks
+    page.put("mode", "free")
+    page.put("traces", ["x/position"])
+    assert page.within(chart._look)
+    assert page.within(chart._look) is None, "it rests"
+    page.put("traces", ["x/position", "y/position"])
+    method, message = page.within(chart._look)
+    assert (method, len(message["series"])) == ("setOption", 2)
