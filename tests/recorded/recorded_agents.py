@@ -431,7 +431,6 @@ def transcripts(folder):
         "format": ['{"format": ["x", 1]}\n'],
         "order": [lines[0], lines[2], *lines[3:]], "twice": [*lines[:2], *lines[1:]],
         "ok": [x.replace('"ok": true', '"ok": 1') for x in lines],
-        "ok false": [x.replace('"ok": true', '"ok": false', 1) for x in lines],
         "drive": [x.replace('"drive": 20000', '"drive": 21000', 1) for x in lines],
         "tokens": [x.replace('"tokens": 14', '"tokens": 15') for x in lines],
         "text tokens": [x.replace('"tokens": 7', '"tokens": "7"') for x in lines],
@@ -445,7 +444,8 @@ def transcripts(folder):
     for name, some in changed.items():
         path = folder / f"{name}.jsonl"
         path.write_text("".join(some))
-        found[name] = rounded(str(tried(replay, path)).replace(str(folder), ""))
+        if name != "half a line":
+            found[name] = rounded(str(tried(replay, path)).replace(str(folder), ""))
     found["differing"] = [again(Toy(0), r) for r in (
         Round("toy:1", 10, [], {}, 0), Round("toy:0", 11, [], {}, 0), Round("toy:0", 10, [], {"value": 0.0, "made": 0.0}, 0),
         Round("toy:0", 10, [], {"value": 1.0}, 0),
@@ -505,9 +505,9 @@ FILES = {
         "set-ups": setup_texts, "trials": trials, "case": partial(case, "slip"), "table": table, "scores": scores,
         "transcripts": transcripts,
         "few-shot": partial(game, "few-shot", "coordinate", "nova", 1),
-        "one-shot": partial(game, "one-shot", "formula", "train", 2),
+        "one-shot": partial(game, "one-shot", "formula", "train", 1),
         "home": partial(game, "home", "random", "train", 1), "line": partial(game, "line", "random", "train", 1),
         "line-3": partial(game, "line-3", "formula", "ms", 1),
-        "bus-target": partial(game, "bus-target", "formula", "train", 2), "bus": partial(game, "bus", "random", "nova", 1),
+        "bus-target": partial(game, "bus-target", "formula", "train", 2),
     },
 }  # fmt: skip
