@@ -268,6 +268,7 @@ def test_what_is_written_of_a_game_is_on_the_disk_when_the_next_begins(tmp_path,
         for r in three.rounds:
             writer.game(r)
         writer.end(three)
+    assert writer._file.closed
     assert len(synced) == len(three.rounds) + 2
     assert synced == sorted(set(synced))
     assert synced[-1] == (tmp_path / "t.jsonl").stat().st_size

@@ -139,7 +139,7 @@ def gantry():
     box.stage.place(y=-0.0695, w=-0.0695)
     calls = [
         ("home", {"axis": "y", "by": "switch"}), ("home", {"axis": "y", "timeout": 0.02}), ("report", {}), ("stop", {"axis": "y"}),
-        ("describe", {}),
+        ("stop", {"axis": "w"}), ("home", {"axis": "w", "direction": "plus", "timeout": 0.02}), ("describe", {}),
     ]  # fmt: skip
     found = asked(box, calls)
     box.stage.reset()
@@ -260,6 +260,25 @@ def recordings(folder):
     return [*found, nowhere, "record" in host.tools]
 
 
+def forgotten():
+    """A start that nobody has waited for is forgotten with whatever moves the axis next."""
+    found = {}
+    for chip in ("MCX304", "PCL240K"):
+        for name, given in (
+            ("move", {"axis": "x", "pulses": 20, "accel": 0.01}), ("line", {"distances": {"x": 1e-4, "y": 1e-4}, "accel": 0.01}),
+            ("home", {"axis": "x", "timeout": 0.01}), ("start", {"axis": "x", "pulses": -30, "accel": 0.01}),
+        ):  # fmt: skip
+            box = box_of("xy", chip)
+            calls = [
+                ("start", {"axis": "x", "pulses": 40, "accel": 0.01}), ("wait", {"seconds": 0.05}), (name, given), ("wait",
+                    {"seconds": 0.05}),
+                ("stop", {"axis": "x", "at_once": True}), ("wait_until_stopped", {"axis": "x"}), ("report", {}),
+            ]  # fmt: skip
+            found[f"{chip} {name}"] = asked(box, calls)
+            box.close()
+    return found
+
+
 SERVO = "HCTL1100"
 FILES = {
     "agents_bus": {
@@ -267,7 +286,8 @@ FILES = {
         **{f"{c} by chance": partial(by_chance, c) for c in ("PCL240K", "PCL240MS", "MCX514", "MCX304", "HCTL1100")},
         **{f"{c} {m}": partial(moves, m, "xy", c) for c,
             m in (("PCL240K", "host"), ("PCL240MS", "truth"), ("MCX314AS", "host"), ("MCX514", "truth"), (SERVO, "host"))},
-        "homes": homes, "gantry": gantry, "hinge": hinge, "ends": ends, "states": states, "recordings": recordings,
+        "homes": homes, "gantry": gantry, "hinge": hinge, "ends": ends,
+        "forgotten": forgotten, "states": states, "recordings": recordings,
     },
     **recorded_players.FILES, **recorded_tables.FILES,
 }  # fmt: skip
