@@ -17,6 +17,7 @@ from recorded import (
     recorded_own,
     recorded_pages,
     recorded_panel,
+    recorded_promises,
     recorded_rerun,
     recorded_sim,
     recorded_stage,
@@ -33,7 +34,7 @@ PHYSICS = {
     **recorded_sim.FILES, **recorded_pages.FILES, **recorded_rerun.FILES, **recorded_own.FILES, **recorded_env_parts.FILES,
     **recorded_met_ends.FILES,
     **recorded_study.FILES,
-    **recorded_boards.FILES, **recorded_targets.FILES,
+    **recorded_boards.FILES, **recorded_targets.FILES, **recorded_promises.FILES,
 }  # fmt: skip
 """What depends on MuJoCo's version."""
 FILES = {**recorded_chips.FILES, **PHYSICS}
