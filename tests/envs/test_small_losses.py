@@ -160,3 +160,16 @@ def test_a_rate_that_is_fixed_is_that_rate_to_the_last_bit(rate):
     env = make("stage/SynchronizedMove-v0", model="xy", distances=(300, 900), rate=rate)
     for seed in range(3):
         assert env.reset(seed=seed)[1]["rate"] == rate
+
+
+def test_a_fault_reported_before_any_return_takes_the_time_of_the_formula():
+    env = make("stage/DriftingHome-v1", model="xy", returns=3, limit=0.1)
+    for seed, start in ((1, 0.02), (2, 0.05)):
+        env.reset(seed=seed, options={"fault": "jam", "start": start})
+        task = env._task
+        _, _, terminated, _, info = env.step(np.ones(6, np.float32))
+        score = info["score"]
+        assert terminated
+        assert (score["success"], score["regret"], score["moves"]) == (True, 0.0, 1)
+        far = abs(start - task.origin) / task.per_pulse
+        assert score["time"] == pytest.approx(far / 8000 + 0.1 + 200 * (1 / 1000 + 1 / 400) + 3 * 0.05)
