@@ -248,7 +248,7 @@ def drawn():
     }
     few, home, bus = "stage/FewShotTuning-v1", "stage/DriftingHome-v1", "stage/BusMacros-v1"
     every = [(split, few) for split in contexts.SPLITS] + [
-        (split, id_) for split in ("train", "faults", "worn") for id_ in (home, bus)
+        (split, id_) for split in ("train", "faults") for id_ in (home, bus)
     ]
     for split, id_ in every:
         envs = vector_of(id_, 3, split=split, model="xy", truth=True, **({"level": "axes"} if "Bus" in id_ else {}))
