@@ -3,10 +3,12 @@
 import sys
 from types import ModuleType, SimpleNamespace
 
+import gymnasium
 import mujoco
 import numpy as np
 import pytest
 
+import stage.envs  # noqa: F401
 from stage import ArgumentError, Stage, StageError
 from stage.envs import rendering
 
@@ -90,3 +92,26 @@ def test_a_window_that_does_not_open_says_why_and_what_to_do(machine, window):
         StageError, match=r"viewer does not open \(no display\)\. Use render_mode='rgb_array', or record\."
     ):
         rendering.OnScreen(machine)
+
+
+@pytest.mark.parametrize(
+    ("every", "frames"), [(2e-3, [1, 1, 1, 1, 1, 1]), (4e-3, [0, 1, 0, 1, 0, 1]), (4.1e-3, [0, 0, 1, 0, 0, 1])]
+)
+def test_a_frame_is_due_when_so_much_time_has_passed_to_the_nanosecond(every, frames, monkeypatch):
+    monkeypatch.setattr(rendering, "viewer", lambda *_: SimpleNamespace(frame=lambda qpos=None: 0, close=lambda: None))
+    env = gymnasium.make(
+        "stage/RegisterBus-v0",
+        model="xy",
+        waits=(2e-3,),
+        render_mode="rgb_array_list",
+        render_every=every,
+        disable_env_checker=True,
+    ).unwrapped
+    for _ in range(2):
+        env.reset(seed=1)
+        assert len(env.render()) == 1, "where the episode begins"
+        seen = []
+        for _ in frames:
+            env.step(np.array([2, 0, 0, 0]))
+            seen.append(len(env.render()))
+        assert seen == frames

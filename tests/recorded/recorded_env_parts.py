@@ -502,7 +502,11 @@ class Recorded:
 
 def recordings(folder, id_):
     said = []
-    with patch.object(Stage, "record", lambda stage_, *how, **more: Recorded(said, *how)):
+    restore = Stage.restore
+    with (
+        patch.object(Stage, "record", lambda stage_, *how, **more: Recorded(said, *how)),
+        patch.object(Stage, "restore", lambda stage_, kept: (said.append("restored"), restore(stage_, kept))[1]),
+    ):
         env = make(id_, record=str(folder / "in" / "of {} {}.rrd"))
         for _ in range(2):
             env.reset(seed=4)
