@@ -386,6 +386,7 @@ def ports():
         port.enable("WR1", 0x03)
         port.enable("WR3", 0x08)
         port.enable("WR1", 0x01, False)
+        port.enable("WR2", 0x0080)
         kept = {n: v for n, v in port.chip.values_of(1).items() if n.startswith("WR")}
         found[cls.__name__] = [
             kept, port.chip.values_of(0)["WR1"], said(port.mode, WR4=1), said(port.load, XX=1), said(port.load, LP=1 << 40),
@@ -509,13 +510,11 @@ def pictures():
     made = {
         "preset": firmware.preset_move(bench(), 700, profile),
         "speeds": firmware.speed_change_move(bench(), 3000, [4000, 9000, 2000], profile, dwell=0.02),
-        "origin": firmware.origin_return(bench(), profile=profile),
         "to an end": firmware.continuous_move(bench(at=4800), 0.2, 1, profile),
         "nova": firmware.move(bench(MCX304), pulses=-1200),
         "none": firmware.continuous_move(bench(at=5000), 0.01, 1, profile),
     }
     stage = Stage("xyz", PCL240K, visuals=False)
-    made["line"] = firmware.line({"x": 0.3e-3, "y": -0.12e-3}, stage, accel=0.03)
     made["line of three"] = firmware.line({"x": 250, "y": -100, "z": 99}, stage, pulses=True, accel=0.03)
     made["long line"] = firmware.line({"z": 900, "y": 331}, stage, pulses=True, accel=0.03)
     return {name: figure(report.plot(title="Given" if name == "speeds" else None)) for name, report in made.items()}

@@ -15,7 +15,7 @@ from stage.firmware.hctl1100.model import Loop, design
 from stage.firmware.hctl1100.port import Port as ServoPort
 from stage.firmware.nova import draw, erratum
 from stage.firmware.nova.home import home_search
-from stage.firmware.pcl240 import bus
+from stage.firmware.pcl240 import bus, moves
 from stage.firmware.pcl240.bus import Port as PulsePort
 
 
@@ -89,6 +89,10 @@ def pulse_ports():
             b.time,
             said(port.wait_until, lambda s: s.operating, 0.01),
         ]
+    x = Bench(PCL240MS()).axes["x"]
+    moves.start_preset(PulsePort(x), Profile.of(fl=1000, fh1=4000, fh2=9000, accel=0.02, chip=PCL240MS), -150)
+    x.wait(0.03)
+    found["started"] = [x.chip.net(), x.chip.values(), x.chip.output_word(0)]
     slow = Bench(PCL240K(), bus_cycle=0.01)
     port = PulsePort(slow.axes["x"])
     port.write_registers(R1=3000, R7=10, R0=0xFFFFFF)
