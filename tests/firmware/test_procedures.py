@@ -459,6 +459,16 @@ def test_s_curves_where_there_are_none_are_refused():
     assert curved.pulses == straight.pulses == 8000
 
 
+@pytest.mark.parametrize("chip", [PCL240K, MCX304])
+def test_steps_lost_before_are_none_of_a_later_move(chip):
+    x = Stage("xy", chips=chip, visuals=False).axes["x"]
+    with faults.jam(x, 1e4):
+        lost = firmware.move(x, 1e-3, accel=0.02).lost_steps
+    later = firmware.move(x, 1e-3, accel=0.02)
+    assert lost == x.lost_steps != 0
+    assert (later.lost_steps, later.ok) == (0, True)
+
+
 @pytest.mark.parametrize("chip", [MCX514, MCX304, MCX312, PCL240MS])
 def test_with_nothing_to_ramp_s_curves_are_constant_speed(chip):
     """speed = start_speed"""
