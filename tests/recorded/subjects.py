@@ -17,6 +17,7 @@ from recorded import (
     recorded_own,
     recorded_pages,
     recorded_panel,
+    recorded_parts,
     recorded_promises,
     recorded_rerun,
     recorded_sim,
@@ -34,7 +35,7 @@ PHYSICS = {
     **recorded_sim.FILES, **recorded_pages.FILES, **recorded_rerun.FILES, **recorded_own.FILES, **recorded_env_parts.FILES,
     **recorded_met_ends.FILES,
     **recorded_study.FILES,
-    **recorded_boards.FILES, **recorded_targets.FILES, **recorded_promises.FILES,
+    **recorded_boards.FILES, **recorded_targets.FILES, **recorded_promises.FILES, **recorded_parts.FILES,
 }  # fmt: skip
 """What depends on MuJoCo's version."""
 FILES = {**recorded_chips.FILES, **PHYSICS}
