@@ -8,6 +8,7 @@ from recorded import (
     recorded_boards,
     recorded_chips,
     recorded_cli,
+    recorded_commands,
     recorded_drivers,
     recorded_env_parts,
     recorded_envs,
@@ -36,6 +37,7 @@ PHYSICS = {
     **recorded_met_ends.FILES,
     **recorded_study.FILES,
     **recorded_boards.FILES, **recorded_targets.FILES, **recorded_promises.FILES, **recorded_parts.FILES,
+    **recorded_commands.FILES,
 }  # fmt: skip
 """What depends on MuJoCo's version."""
 FILES = {**recorded_chips.FILES, **PHYSICS}
