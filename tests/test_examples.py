@@ -99,6 +99,8 @@ def test_code_and_links_that_lead_elsewhere_stay_as_they_are():
     page = index_page.of_index(text, "https://github.com/o/n", "v1")
     assert "[a](https://b.c) [d](#e) ![f](https://raw.githubusercontent.com/o/n/v1/g.png)" in page
     assert "[h](i)" in page
+    raw = "https://raw.githubusercontent.com/o/n/v1"
+    assert f"[![j]({raw}/k.png)](https://github.com/o/n/blob/v1/l)" in page, "a picture that is a link"
 
 
 def test_the_version_is_the_same_wherever_it_stands():

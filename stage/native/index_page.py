@@ -16,7 +16,7 @@ def of_index(text: str, source: str, tag: str) -> str:
     raw = source.replace("https://github.com/", "https://raw.githubusercontent.com/")
 
     def absolute(m: re.Match[str]) -> str:
-        mark, words, way = m.groups()
+        mark, words, way = m[1], LINK.sub(absolute, m[2]), m[3]  # a picture may be what is clicked
         return f"{mark}[{words}]({raw}/{tag}/{way})" if mark else f"[{words}]({source}/blob/{tag}/{way})"
 
     parts = re.split(r"(^```.*?^```$)", text, flags=re.M | re.S)  # code stays as it is

@@ -268,6 +268,18 @@ def test_a_host_that_goes_in_its_hook_is_let_go(served):
         next_host.delay_us(1000)
 
 
+def test_a_host_that_sends_no_frame_in_its_hook_is_let_go(served):
+    host = served.host()
+    host.on_interrupt(lambda: host._wire.sendall(client.HEAD.pack(client.MOST_BODY + 1, client.BATCH, 1)))
+    start_a_move(host, 10, interrupt=True)
+    with pytest.raises((OSError, ServerError)):
+        host.delay_us(10**15)
+    with again(served) as next_host:
+        assert next_host.status().seconds < 1, "its delay is over"
+        next_host.delay_us(1000)
+    host.close()
+
+
 def test_the_answers_before_a_failure_come_with_it(served, monkeypatch):
     with served.host() as host:
         host.on_interrupt(lambda: 1 / 0)
