@@ -5,6 +5,8 @@ import numpy as np
 import pytest
 
 import stage.envs
+from stage import ArgumentError
+from stage.chips import MCX514
 
 SHORT = {
     "stage/RegisterTuning-v0": {"model": "xy", "moves": 3, "distances": (300, 900), "limit": 0.3, "settle": 0.01},
@@ -62,3 +64,18 @@ def test_the_machine_of_a_snapshot_is_put_on_wherever_it_is_restored(id_, seed):
     env.reset(seed=seed + 2)
     env.restore(kept)
     assert machine(env.stage) == drawn
+
+
+@pytest.mark.parametrize("id_", ["stage/RegisterTuning-v0", "stage/FewShotTuning-v1"])
+def test_a_chip_by_name_or_by_class_is_one_environment_to_snapshots(id_):
+    more = {**SHORT[id_], "moves": 3} if id_.endswith("v0") else SHORT[id_]
+    envs = [
+        gymnasium.make(id_, disable_env_checker=True, **{**more, "chip": chip}).unwrapped
+        for chip in ("mcx514", "MCX514", MCX514)
+    ]
+    envs[0].reset(seed=2)
+    kept = envs[0].snapshot()
+    for env in envs:
+        env.restore(kept)
+    with pytest.raises(ArgumentError, match="setting chip: 'MCX514' there, 'PCL240K' here"):
+        gymnasium.make(id_, disable_env_checker=True, **{**more, "chip": "PCL240K"}).unwrapped.restore(kept)

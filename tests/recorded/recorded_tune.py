@@ -328,7 +328,17 @@ def turned(folder):
     return {
         "task": task(model, PCL240K, {"axis": "x", "pulses": 600, "payload": 1.0}), "loads": loads(model, PCL240K)["x"],
         "plans": {k: made[k] for k in ("formula", "some linear", "cycles 400", "cycles -300")},
+        "looks": [looked_at(task_of(model=model)), looked_at(task_of(model=model, judge_at="work"))],
     }  # fmt: skip
+
+
+def looked_at(made):
+    """Where moves begin and lead, and a look beyond and before the goal."""
+    looks, stage = Looks(made), made.copy()
+    goals = np.stack([looks.begin(stage, case) for case in CASES[:2]])
+    seen = np.zeros((2, 2, looks.each), np.int64)
+    seen[:, :, 1:] = np.round((goals[:, None, 0] + np.array([[[0.01], [-0.02]]]) * goals[:, None, 1]) * 1e12)
+    return [goals, looks.errors(seen.reshape(2, -1), goals)]
 
 
 def of(scene, *given, **named):
