@@ -1,0 +1,74 @@
+"""What a drawing is made of: the report as its reader may see it, of a line the axis that went farthest."""
+
+import pytest
+
+from stage.agents.notes import readable_pins
+from stage.agents.pictures import as_host
+from stage.firmware import plot
+
+
+@pytest.fixture
+def figures(monkeypatch):
+    """What was drawn, in the place of drawings."""
+    made = []
+
+    class Figure:
+        def __init__(self, report, pins):
+            self.report, self.pins = report, pins
+            made.append(self)
+
+        def savefig(self, out, format, dpi):
+            self.saved = (format, dpi)
+            out.write(b"drawing %d" % len(made))
+
+    monkeypatch.setattr(plot, "draw", lambda report, pins=None: Figure(report, pins))
+    return made
+
+
+LINE = {"distances": {"x": "0.2mm", "y": "-0.5mm"}, "accel": 0.01}
+
+
+def test_a_host_s_drawing_is_of_what_a_host_knows_and_another_s_of_all(make_box, figures):
+    for mode in ("host", "truth"):
+        box = make_box(mode=mode)
+        box.call("move", {"axis": "x", "pulses": 40, "accel": 0.01})
+        answer = box.call("picture")
+        assert answer.text == f"preset move on axis x: pulse rate over time, {box.report.duration:.4f} s"
+        figure = figures[-1]
+        assert (answer.png, figure.saved) == (b"drawing %d" % len(figures), ("png", 90))
+        if mode == "host":
+            assert figure.report == as_host(box.report)
+            assert (figure.report.start, figure.report.position, figure.report.lost_steps) == (None, None, None)
+            assert figure.pins == readable_pins(type(box.axis("x").chip))
+        else:
+            assert figure.report is box.report
+            assert figure.pins is None
+
+
+def test_of_a_line_a_host_sees_the_axis_that_goes_farthest(make_box, figures):
+    box = make_box()
+    box.call("line", LINE)
+    assert box.call("picture").text.startswith("synchronized move on axis y")
+    assert figures[-1].report.pulses == -160
+
+
+def test_of_a_line_whoever_sees_all_sees_how_straight_it_was(make_box, figures, monkeypatch):
+    box = make_box(mode="truth")
+    box.call("line", LINE)
+    monkeypatch.setattr(type(box.report), "plot", lambda report: plot.draw(report))
+    assert box.call("picture").text == "a line: its distance from the straight one, and the rates"
+    assert figures[-1].report is box.report
+
+
+def test_a_write_that_was_lost_is_a_command_to_a_host_and_all_else_stays(make_box):
+    box = make_box()
+    box.call("move", {"axis": "x", "pulses": 40, "accel": 0.01})
+    first, *others = box.report.said
+    object.__setattr__(box.report, "said", (first._replace(kind="lost", meaning="LOST: start"), *others))
+    seen = as_host(box.report).said
+    assert (seen[0].kind, seen[0].meaning, seen[0].clock) == ("command", "start", first.clock)
+    assert list(seen[1:]) == others
+
+
+def test_before_any_move_there_is_nothing_to_draw(box):
+    assert "no move to draw yet" in box.call("picture").text
