@@ -4,6 +4,8 @@ from dataclasses import replace
 
 import pytest
 
+from stage import Stage
+from stage.agents import Toolbox, motion
 from stage.agents.motion import SLOWEST, told
 from stage.errors import StageError
 from stage.firmware import procedures
@@ -167,3 +169,15 @@ def test_a_move_that_made_all_its_pulses_was_not_stopped_by_the_host(make_box):
     ended = box.call("wait_until_stopped", {"axis": "x"}).data
     assert ended["counted_pulses"] == ended["asked_pulses"] == 200
     assert "stopped by the host" not in ended["stopped_by"]
+
+
+def test_axes_that_drive_one_load_are_squared_the_way_and_in_the_time_that_was_said(monkeypatch):
+    box, asked = Toolbox(Stage("gantry", visuals=False)), []
+    monkeypatch.setattr(motion, "square_by", lambda *given: asked.append(given) or [])
+    for axis, given in (("y", {}), ("w", {"direction": "plus", "timeout": 7, "speed": 0.05})):
+        assert box.call("home", {"axis": axis, **given}).ok
+    (first, other) = asked
+    assert [[a.name for a in axes] for axes, *_ in asked] == [["y", "w"], ["w", "y"]]
+    assert (first[1], first[3]) == (-1, 60.0)
+    assert (other[1], other[3]) == (1, 7.0)
+    assert other[2].drive == pytest.approx(16_000)

@@ -205,7 +205,7 @@ PROGRAMS = [
     "until x R1.q 1 2",
     "until x RR1.DSND 2 4", "until q stopped 1", "x operate 15h", "x: operate 15h  # on", "q: 15", "x: R1 <- 99999999",
     "x: 84 2: 3A 1: 98", "x:", "# only",
-    "x: nothing 5", "\n\nwait 0\nwait q", "\n" * 200, "wait 0\n" * 199,
+    "x: nothing 5", "#" * 40_000, "#" * 40_001, "\n\nwait 0\nwait q", "\n" * 200, "wait 0\n" * 199,
 ]  # fmt: skip
 
 
