@@ -253,6 +253,8 @@ def recordings(folder):
     ):  # fmt: skip
         answer = box.call(name, given)
         found.append([name, without(answer.data) if name != "move" else answer.ok, last()])
+    kept._written = 19  # of as many files as a session may write
+    found.append([without(box.call("save_recording", {"name": f"{n}.vcd"}).data) for n in ("d", "e")])
     found.append([sorted(p.name for p in folder.iterdir()), (folder / "c.vcd").read_text().count("\n") > 10])
     nowhere = str(tried(Recordings, box, str(folder / "no"))).replace(str(folder), "")
     host = box_of("xy", "PCL240K")

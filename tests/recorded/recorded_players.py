@@ -170,6 +170,41 @@ def searching():
     return {**found, "refused": refused.log}
 
 
+class Optuna(SimpleNamespace):
+    """In the place of the library: what is asked of it, and answers from the middle of each span."""
+
+    def __init__(self):
+        super().__init__(WARNING=30, asked=[])
+        self.logging = self.samplers = self
+
+    def __getattr__(self, name):
+        def call(*given, **named):
+            self.asked.append(
+                [
+                    name,
+                    *(g for g in given if g is not self),
+                    named and {k: v for k, v in named.items() if v is not self},
+                ]
+            )
+            if name == "suggest_float":
+                return 0.25 * given[1] + 0.75 * given[2]
+            return self
+
+        return call
+
+
+def drawing():
+    """The player that draws: from which spans, by which seed, and what it tells of each try."""
+    found = {}
+    for name in ("few-shot:train:3", "few-shot:nova:12"):
+        library = Optuna()
+        desk = Desk([Tool("act", "Do.", dict, NUMBERS)], name, tries(lambda k, g: k == 1), 3)
+        with patch.object(searches, "need", lambda *given, library=library: library.asked.append(given) or library):
+            searches.optuna(desk)
+        found[name] = [desk.log, library.asked]
+    return found
+
+
 COUNT = [iter(())]
 
 
@@ -380,6 +415,8 @@ def endpoints():
         str(tried(endpoint.Endpoint, *a))[:90] for a in (("host/v1", "m"), ("http://h", ""), ("ftp://h", "m"))
     ]
     parts = SimpleNamespace(read1=io.BytesIO(b"x" * 200_000).read1)
+    endless = SimpleNamespace(read1=lambda most, part=bytes(1 << 16): part[:most])
+    found["endless"] = len(endpoint._all(Desk([], "x", None), endless))
     found["all"] = [len(endpoint._all(Desk([], "x", None), parts)), endpoint._all(Desk([], "x", None, 0), parts)]
     return found
 
@@ -734,7 +771,8 @@ def pages():
 
 FILES = {
     "agents_players": {
-        "technician": technicians, "searches": searching, "simple": simply, "policy": policy, "commands": commands,
+        "technician": technicians, "searches": searching, "draws": drawing, "simple": simply,
+        "policy": policy, "commands": commands,
         "endpoints": endpoints,
         "clients": clients, "loop": loops, "hands": hands, "machines": machines, "programs": programs,
         "sessions": sessions, "makers": makers, "pages": pages,
