@@ -5,6 +5,7 @@ from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 from recorded.recorded_stage import go
 from recorded.recorded_texts import tried
 from recorded.store import digits
@@ -15,7 +16,7 @@ from stage import faults
 from stage.board import Board
 from stage.chips import HCTL1100, MCX304, MCX514, PCL240K, PCL240MK, PCL240MS
 from stage.errors import StageError
-from stage.testing import assertions, axes, conformance, evidence, hands, path
+from stage.testing import assertions, axes, conformance, evidence, hands, markers, path
 from stage.testing.bounded import bounded
 from stage.testing.promises import PROMISES, looks
 from stage.testing.trial import Trial
@@ -175,6 +176,83 @@ def texts():
     }
 
 
+def marked(folder):
+    """Arguments of markers, the nearest first; files from the test's folder, then from the root; wrong ones in their words."""
+    (folder / "tests").mkdir()
+    for name in ("tests/a.c", "b.c", "tests/m.xml", "card.toml", "b.xml"):
+        (folder / name).write_text("")
+    m, ini, found = pytest.mark, {}, {}
+    config = SimpleNamespace(rootpath=folder, getoption=lambda n: None, getini=lambda n: ini.get(n))
+
+    def asked(call, *marks):
+        node = SimpleNamespace(
+            path=folder / "tests" / "test_x.py", config=config, iter_markers=lambda: iter([x.mark for x in marks])
+        )
+        return (
+            str(tried(call, node))
+            .replace(str(folder.resolve()), "F")
+            .replace(str(folder), "F")
+            .replace("PosixPath", "Path")
+        )
+
+    for marks in (
+        (),
+        (m.stage("xyz", chips="a"),),
+        (m.model("xyz"), m.stage("xy", "c", bus_cycle=2)),
+        (m.stage("m.xml"), m.model("xyz")),
+        (m.chips("a"), m.chips(x="b")),
+        (m.chips(x="b", y="c"), m.stage(chips="d")),
+        (m.chips(),),
+        (m.chips("a", x="b"),),
+        (m.chips("a", "b"),),
+        (m.model("m.xml"),),
+        (m.model("b.xml"),),
+        (m.model("c.xml"),),
+        (m.model(),),
+        (m.model("a", "b"),),
+        (m.model(modle="a"),),
+        (m.model(model="xy"),),
+        (m.stage(mdel="a"),),
+        (m.stage("xy", model="xyz"),),
+        (m.stage(*range(9)),),
+        (m.stage(*range(8)),),
+        (m.board(base=1),),
+        (m.stage(visuals=True),),
+    ):
+        found[f"stage {[(x.mark.name, *x.mark.args, *x.mark.kwargs.items()) for x in marks]}"] = asked(
+            markers.stage_arguments, *marks
+        )
+    for marks in (
+        (),
+        (m.board("nova", 5),),
+        (m.board(base=1), m.board(base=2, stride=3)),
+        (m.board("card.toml"),),
+        (m.board("no.toml"),),
+        (m.board(1, 2, 3, 4, 5, 6),),
+        (m.board(bas=1),),
+    ):
+        found[f"board {[(x.mark.name, *x.mark.args, *x.mark.kwargs.items()) for x in marks]}"] = asked(
+            markers.board_arguments, *marks
+        )
+    for firmware in ("", "in-process"):
+        ini["pulsestage_firmware"] = firmware
+        for marks in (
+            (),
+            (m.firmware("a.c"),),
+            (m.firmware("a.c", "b.c", flags="-O1 -DX='a b'"),),
+            (m.firmware("b.c"), m.firmware("a.c", cost=1)),
+            (m.firmware(flags=["-g"]), m.firmware("a.c", isolated=True)),
+            (m.firmware("c.c"),),
+            (m.firmware(5),),
+            (m.firmware("a.c", platfrm="x"),),
+            (m.firmware("a.c", platform="dos", isolated=False),),
+        ):
+            found[f"firmware {firmware} {[(x.mark.name, *x.mark.args, *x.mark.kwargs.items()) for x in marks]}"] = (
+                asked(markers.firmware_arguments, *marks)
+            )
+    return found
+
+
 FILES = {
     "promises": {
         "planted": planted,
@@ -183,5 +261,6 @@ FILES = {
         **{f"acts {kind.__name__}": partial(acts, kind) for kind in CHIPS},
         "reports": reports,
         "texts": texts,
+        "marked": marked,
     },
 }
