@@ -176,6 +176,8 @@ class Lanes:
         self._replay, self._first = Replay(self._journal), True
         self._decoder, self._said = self._axis.chip.decoder(self._axis.chip_axis), 0
         self._shown: dict[str, tuple] = {}
+        self._told: dict[str, str] = {}
+        """The last state of each lane."""
 
     def take(self, out: Any) -> tuple[np.ndarray, bool]:
         """Log what is new. Returns the pin edges, the first of them as it was before, and whether there was no before."""
@@ -215,9 +217,10 @@ class Lanes:
         if style or self._first:
             out.log(path, rr.StateConfiguration(values=list(colours), colors=list(colours.values())), static=True)
         clocks, states = signals.changes(edges, states)
-        if not self._first:  # the first edge is as it was
+        if str(states[0]) == self._told.get(lane):  # as it was: unless it changed at the end of the last take
             clocks, states = clocks[1:], states[1:]
         if len(clocks):
+            self._told[lane] = str(states[-1])
             when = scene.duration(self._recording.seconds(self._name, clocks))
             out.send_columns(path, indexes=[when], columns=rr.StateChange.columns(state=[str(s) for s in states]))
 

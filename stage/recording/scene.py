@@ -36,6 +36,7 @@ class Scene:
         self._recording, self._seen = recording, 0
         self._moving = np.flatnonzero(recording.model.body_weldid != 0).tolist()
         self._path: list[np.ndarray] = []
+        self._lit: dict[str, bool] = {}
         self._lamps = {name: list(_lamps(recording, name)) for name in recording.axes}
         shared = any(rivals for lamps in self._lamps.values() for *_, rivals in lamps)
         self._track: list[tuple[np.ndarray, np.ndarray]] | None = [] if shared else None
@@ -79,10 +80,11 @@ class Scene:
             if rivals:
                 lit &= self._nearest(name, edges, pin, rivals)
             clocks, on = signals.changes(edges, lit)
-            if not first:
+            if not first and bool(on[0]) == self._lit.get(path):  # as it was: unless it changed at the end of the last
                 clocks, on = clocks[1:], on[1:]
             if not len(clocks):
                 continue
+            self._lit[path] = bool(on[-1])
             full = np.array(LAMPS[kind], float)
             out.send_columns(
                 path,
