@@ -75,7 +75,9 @@ def test_a_call_is_made_in_the_session_that_asks(served):
         said = served("_call_tool", key=key, name="budget", arguments=None)
         assert said.structured_content["used"]["moves"] == moves
     served.sessions.close("a")
-    assert "this session has ended" in served("_call_tool", key="a", name="budget", arguments=None).content[0].text
+    late = served("_call_tool", key="a", name="budget", arguments=None)
+    assert late.is_error
+    assert "this session has ended" in late.content[0].text
 
 
 def test_of_sessions_that_call_no_more_nothing_is_kept(served):

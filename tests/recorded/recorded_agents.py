@@ -217,7 +217,9 @@ def setup_texts():
         made = tried(parse, text, stage)
         return made if isinstance(made, str) else [f"{x.number} {x.text}" for x in made][-2:]
 
-    found = {name: [s.cause, s.complaint, s.program, str(s.trial), s.chips, s.payload] for name, s in SETUPS.items()}
+    found = {
+        name: [s.cause, s.complaint, s.program, str(s.trial), s.trial, s.chips, s.payload] for name, s in SETUPS.items()
+    }
     return {**found, "parsed": [lines(p) for p in PROGRAMS], "no": str(tried(Case, "lately")), "suites": suites()}
 
 
@@ -281,6 +283,7 @@ def case(name):
         ("service", {"work": "paint it"}), ("service", {"work": "tighten the coupling between motor and screw of x"}),
         ("budget", {}), ("diagnostics", {}),
     )]  # fmt: skip
+    found.append([[t.name, t.text, t.free, t.moves, json.dumps(t.schema())] for t in made._tools()])
     found += [call("write_program", {"text": program + "wait 0\n"}).data, made.task, made.over]
     made.setup = made.setup.__class__(**{**vars(made.setup), "program": "wait 0.01"})
     call("write_program", {"text": "wait 0.01"})

@@ -210,7 +210,7 @@ COUNT = [iter(())]
 
 def simply():
     """The formula, and chance, at an episode and at a set-up, as long as it is not refused."""
-    schemas = (Field("macro", TEXT, "m", True, choices=("a", "b", "c")), Field("n", WHOLE, "n", True, low=0, high=9), *NUMBERS[:2],
+    schemas = (Field("macro", TEXT, "m", True, choices=("a", "b", "c")), Field("n", WHOLE, "n", True, low=0, high=9), *NUMBERS[:3],
                Field("far", NUMBER, "f", True, low=-3.0, high=1.0), Field("on", FLAG, "f"))  # fmt: skip
     found = []
     for most, yes in ((3, 9), (9, 2)):
@@ -557,6 +557,12 @@ def hands():
             str(hand.observed())[:900],
         ]
         found[f"{task} actions"] = [tried(lambda g=g, hand=hand, act=act: hand.action(**act.values(g))) for g in given]
+        if task == "one-shot":
+            game._played.act(hand.idle())
+            found["over"] = [
+                game.calls.call(n, act.values(given[0]) if n == "act" else None).text
+                for n in ("formula", "act", "observe")
+            ]
         episodes.close()
     return found
 
