@@ -1,0 +1,71 @@
+"""Commands: what is drawn after Ctrl-C, completion of each shell, pictures that replace nothing unasked."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from stage import Stage
+from stage.cli import erratum_plot, files, main
+from stage.cli.erratum import Shown as Erratum
+from stage.cli.fault import DEMOS, picture
+from stage.cli.fault.demo import Shown as Fault
+from stage.cli.output import Output
+
+
+@pytest.mark.parametrize(
+    ("block", "drawn"), [(lambda *a: files.kept(*a, every=1e-3), 0), (files.recorded, 1)], ids=["kept", "recorded"]
+)
+def test_after_ctrl_c_only_a_command_that_draws_its_reports_does(block, drawn, tmp_path, capsys):
+    drawings = []
+
+    class Report:
+        def plot(self, path, overwrite):
+            drawings.append(path)
+
+    stop = KeyboardInterrupt()
+    stop.reports = [Report()]
+    none = dict.fromkeys(("record", "vcd", "picture", "trace"))
+    args = SimpleNamespace(
+        **none, view=False, web=False, json=False, force=False, plot=str(tmp_path / "a.png"), wrote=[]
+    )
+    with pytest.raises(KeyboardInterrupt), block(args, Stage("xy", visuals=False)):
+        raise stop
+    assert len(drawings) == drawn
+    assert "interrupted after 0.00 s" in capsys.readouterr().out
+
+
+def test_each_shell_is_completed_in_its_own_words(capsys):
+    pytest.importorskip("argcomplete")
+    said = []
+    for shell in ("bash", "zsh", "fish"):
+        assert main(["completion", shell]) == 0
+        said.append(capsys.readouterr().out)
+    assert "complete --command stage" in said[2] or "complete -c stage" in said[2]
+    assert said[2] not in said[:2]
+
+
+@pytest.mark.parametrize("overwrite", [None, True])
+def test_a_picture_of_two_runs_replaces_a_file_only_where_asked(overwrite, monkeypatch):
+    asked = []
+    for module in (erratum_plot, picture):
+        monkeypatch.setattr(module, "draw", lambda shown, path, over: asked.append((path, over)))
+    for shown in (Erratum("MCX304", False, ({}, {}), (None, None)), Fault("jam", DEMOS["jam"], ({}, {}), (None, None))):
+        shown.plot("a.png") if overwrite is None else shown.plot("a.png", overwrite)
+        shown.plot()
+    assert asked == [("a.png", bool(overwrite)), (None, False)] * 2
+
+
+def test_what_was_printed_is_flushed_where_asked_and_at_the_end():
+    class Stream:
+        done = 0
+
+        def write(self, text):
+            return len(text)
+
+        def flush(self):
+            self.done += 1
+
+    stream = Stream()
+    out = Output(stream)
+    print("a", file=out, flush=True)
+    assert (stream.done, out.error) == (1, None)
