@@ -26,7 +26,7 @@ from stage.recording import viewer
 
 PACKAGES = {"recordings_rerun": "rerun-sdk"}
 STAGES = {
-    "xyz": ("xyz", PCL240K, {}), "wired": ("xy", PCL240MS, {"wiring": {"x": {"org": "negative"}}, "bus_cycle": 2e-6}),
+    "xyz": ("xyz", PCL240K, {}), "wired": ("xy", PCL240MS, {"wiring": {"x": {"org": "positive"}}, "bus_cycle": 2e-6}),
     "xya": ("xya", {"x": PCL240MK, "y": MCX304, "a": MCX514}, {}), "servo": ("xyz_servo", HCTL1100, {}),
     "mixed": ("xy", {"x": HCTL1100, "y": MCX304}, {"drives": {"x": None, "y": Drive(microsteps=4)}}),
     "gantry": ("gantry", PCL240MS, {}), "mirrored": ("mirrored", MCX514, {}),
@@ -136,7 +136,8 @@ def streamed(folder):
     for name, seconds in (("xyz", 0.004), ("servo", 0.01), ("mirrored", 0.0075)):
         path = folder / f"{name}.rrd"
         _, recording = driven(name, folder, every=5e-4, stream=(path, seconds))
-        told = {k: v for k, v in entities(path).items() if "Scalars:" not in k}  # a line keeps both ends of each piece
+        lanes = ("StateChange", "TextLog:text", "Points3D")  # curves and bodies keep the ends of each piece
+        told = {k: v for k, v in entities(path).items() if v[0] != "static" and any(kind in k for kind in lanes)}
         found[name] = [len(recording), repr(recording), told]
     return found
 
