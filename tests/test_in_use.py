@@ -176,6 +176,55 @@ def test_a_callback_that_does_nothing_changes_nothing(xy):
     assert bits(xy) == bits(twin)
 
 
+MOVED = {
+    "place": lambda s, began: s.place(x=0.05),
+    "restore": lambda s, began: s.restore(began),
+    "reset": lambda s, began: s.reset(),
+    "motor": lambda s, began: faults.motor(s.axes["x"], "SS2422-5041"),
+}
+
+
+@pytest.mark.parametrize("way", MOVED)
+def test_a_callback_that_raises_while_the_stage_is_moved_is_a_simulation_error_too_and_nothing_has_changed(xy, way):
+    """mujoco.set_mjcb_control(f), f raises: stage.place(x=0.05) raised a bare ZeroDivisionError, with the carriage at 0.05"""
+    began = xy.snapshot()
+    xy.run(0.01)
+    before, armature = bits(xy), xy.model.dof_armature.copy()
+    seen = xy.data.sensordata.copy(), xy.data.site_xpos.copy()
+    mujoco.set_mjcb_control(failing(0))
+    for _ in range(3):
+        with pytest.raises(SimulationError, match=r"ZeroDivisionError: mine \(at 0.01.*Nothing has changed") as caught:
+            MOVED[way](xy, began)
+        assert isinstance(caught.value.__cause__, ZeroDivisionError)
+        assert bits(xy) == before
+        assert np.array_equal(xy.model.dof_armature, armature)
+        assert all(np.array_equal(a, b) for a, b in zip((xy.data.sensordata, xy.data.site_xpos), seen, strict=True))
+    mujoco.set_mjcb_control(None)
+    MOVED[way](xy, began)
+    xy.run(0.01)
+
+
+def test_ctrl_c_in_a_callback_while_the_stage_is_moved_is_ctrl_c(xy):
+    def interrupted(model, data):
+        raise KeyboardInterrupt
+
+    before = bits(xy)
+    mujoco.set_mjcb_control(interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        xy.place(x=0.05)
+    assert bits(xy) == before
+
+
+def test_a_callback_that_does_nothing_places_the_carriage_where_it_would_be(xy):
+    twin, seen = copy.deepcopy(xy), []
+    twin.place(x=0.05)
+    mujoco.set_mjcb_control(lambda m, d: seen.append(d.qpos[0]))
+    xy.place(x=0.05)
+    mujoco.set_mjcb_control(None)
+    assert seen == [0.05]
+    assert bits(xy) == bits(twin)
+
+
 @pytest.mark.parametrize("name", callbacks.NAMES)
 def test_every_callback_is_guarded(xy, name):
     def fail(*_):

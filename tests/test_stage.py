@@ -3,12 +3,13 @@
 import copy
 import pickle
 
+import mujoco
 import numpy as np
 import pytest
 from support.examples import SEED
 from support.programs import load_registers, start_preset
 
-from stage import ArgumentError, RunTimeout, SimulationError, Stage, StageError
+from stage import ArgumentError, Fleet, Program, RunTimeout, SimulationError, Stage, StageError, firmware
 from stage.chips import PCL240K
 from stage.drives import stepper
 from stage.sim import plant, records
@@ -458,3 +459,40 @@ def test_run_until_says_how_long_it_took_also_where_nothing_had_to_be_waited_for
     xyz.run(0.01)
     assert xyz.run_until(lambda: True, timeout=1) == 0
     assert xyz.run_until(lambda: xyz.time > 0.0135, timeout=1) == pytest.approx(4e-3, abs=1e-12)
+
+
+CHANGED = {"timestep": (0.002, "timestep=0.002"), "integrator": (int(mujoco.mjtIntegrator.mjINT_RK4), "mjINT_RK4")}
+
+
+@pytest.mark.parametrize("option", CHANGED)
+def test_a_stage_whose_models_options_were_changed_stands_still_and_says_so(xy, option):
+    """stage.model.opt.timestep = 0.002: 3200 pulses lost 1020 steps; stage.model.opt.integrator = 1: 152 of 1600"""
+    value, told = CHANGED[option]
+    before, built = xy.snapshot().state.tobytes(), getattr(xy.model.opt, option)
+    setattr(xy.model.opt, option, value)
+    for act in (
+        lambda: xy.run(0.1),
+        lambda: xy.step(),
+        lambda: xy.run_to(10**6),
+        lambda: xy.run_until(lambda: False, timeout=1),
+        lambda: Fleet([xy]).play([Program().wait(0.1)]),
+    ):
+        with pytest.raises(StageError, match=rf"model\.opt has .*{told}.*this stage was built with"):
+            act()
+    assert xy.snapshot().state.tobytes() == before
+    with pytest.raises(StageError, match=r"model\.opt"):
+        firmware.preset_move(xy.axes["x"], 3200)
+    setattr(xy.model.opt, option, built)
+    xy.run(0.1)
+    assert xy.time > 0.1
+
+
+def test_a_time_to_run_to_is_a_whole_number_of_ns_not_too_far_away(xy):
+    """stage.run_to(2**63) ran on until Ctrl-C"""
+    for until in (2**63, 2**70, 10**18 + 1, 1.5, float("inf"), "x", None):
+        with pytest.raises(ArgumentError, match="until="):
+            xy.run_to(until)
+    xy.run_to(-5)
+    assert xy.now == 0
+    xy.run_to(1000.0)
+    assert xy.now == 1000

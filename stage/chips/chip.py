@@ -371,6 +371,7 @@ class Chip:
 
     def starts(self, address: int, value: int, axis: int = 0) -> bool:
         """Whether this bus write, now, would make a standing axis drive: tried on a twin."""
+        self._check_axis(axis)
         core, (at, bit) = self.CORE, self.BUSY
         twin = np.frombuffer(bytearray(self.state.tobytes()), core.STATE)
         here, mask = twin.ctypes.data, bit << axis
@@ -455,6 +456,7 @@ class Chip:
 
     def busy(self, axis: int = 0) -> bool:
         """One bus read cycle of the status: is a drive in progress?"""
+        self._check_axis(axis)
         address, bit = self.BUSY
         return bool(self.read(address) & bit << axis)
 
@@ -509,14 +511,17 @@ class Chip:
 
     def input_word(self, axis: int) -> int:
         """The input pins of an axis, bits of INPUTS."""
+        self._check_pins(axis)
         return int(self.CORE.inputs.held(self.pointer, axis))
 
     def set_input_word(self, axis: int, word: int) -> None:
         """Drive the input pins of an axis, without a note in a journal."""
+        self._check_pins(axis)
         self.CORE.set_input.held(self._here, axis, word)
 
     def output_word(self, axis: int) -> int:
         """The output pins of an axis, bits of OUTPUTS."""
+        self._check_pins(axis)
         return int(self.CORE.outputs.held(self.pointer, axis))
 
     def journal(self, axis: int = 0) -> Journal:
@@ -534,6 +539,10 @@ class Chip:
         if isinstance(axis, bool) or not isinstance(axis, int | np.integer) or not 0 <= axis < self.AXES:
             most = "one axis, 0" if self.AXES == 1 else f"axes 0 to {self.AXES - 1}"
             raise ArgumentError(f"axis={axis!r}: {a_or_an(type(self).__name__)} has {most}.")
+
+    def _check_pins(self, axis: int) -> None:
+        """Raises ArgumentError unless the chip has pins under this axis."""
+        self._check_axis(axis)
 
     def decoder(self, axis: int = 0) -> Decoder:
         """Tells what a journal's bus writes say to an axis."""

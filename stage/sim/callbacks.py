@@ -2,7 +2,7 @@
 
 MuJoCo calls them in the middle of a step. It cannot pass on an exception from a callback and would end the process. So they run
 guarded: the exception is kept, the step is completed without further callbacks, and then the exception is raised in the caller of
-the step.
+the step. `forward` is mj_forward so guarded.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import Any
 
 import mujoco
 
+from stage.errors import SimulationError
 from stage.sim.libmujoco import library
 
 NAMES = ("passive", "control", "contactfilter", "sensor", "time", "act_dyn", "act_gain", "act_bias")
@@ -55,6 +56,35 @@ def guarded(failed: Callable[[BaseException | None], bool]) -> Iterator[None]:
                     if getattr(mujoco, f"get_mjcb_{name}")() is guard:  # it may have taken itself away
                         getattr(mujoco, f"set_mjcb_{name}")(own)
                 _installed.clear()
+
+
+def forward(model: mujoco.MjModel, data: mujoco.MjData, back: Callable[[], None] | None = None) -> None:
+    """MuJoCo works out what follows from the state. Raises SimulationError where a callback raises: after `back()`, which puts the
+    state of before in its place, and what follows from that."""
+    errors: list[BaseException] = []
+
+    def failed(error: BaseException | None) -> bool:
+        if error is not None:
+            errors.append(error)
+        return bool(errors)
+
+    with guarded(failed):
+        mujoco.mj_forward(model, data)
+        if errors and back is not None:
+            back()
+            mujoco.mj_forward(model, data)
+    if errors:
+        raise raised(errors[0], data.time, "Nothing has changed.") from errors[0]
+
+
+def raised(error: BaseException | None, seconds: float, held: str) -> BaseException:
+    """What the caller is told of a callback's exception; of Ctrl-C, which may come while one runs, that. held: the state now."""
+    if not isinstance(error, Exception):
+        return error or KeyboardInterrupt()
+    said = f"a callback that MuJoCo calls raised {type(error).__name__}: {error} (at {seconds:.6f} s). {held}"
+    told = SimulationError(said, seconds, "")
+    told.__cause__ = error
+    return told
 
 
 def _guard(own: Callable) -> Callable:

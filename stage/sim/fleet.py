@@ -106,6 +106,7 @@ class Fleet:
         all_of_them = handle.called_back.held(self._first)
         for k, stage in enumerate(self.stages):
             stage.look()
+            stage.loop.check_options()
             if all_of_them or stage.recording is not None:
                 found.append(k)
                 continue

@@ -16,7 +16,7 @@ import numpy as np
 
 from stage.chips import Chip
 from stage.chips.entries import LOAD, PACKED, SHAFT
-from stage.errors import SimulationError, StageError
+from stage.errors import ArgumentError, SimulationError, StageError
 from stage.sim import callbacks, handle, records
 from stage.sim.in_use import token
 from stage.sim.state import POWERED, SAVED, START, State
@@ -54,6 +54,8 @@ class Loop:
         self.each_cycle: Callable[[], None] | None = None
         self._words, self._pointer, self._advance = state.words, state.pointer, handle.advance.c
         self._power_up, self._dt, self._bus = power_up, state.dt, state.bus
+        self._opt = state.model.opt
+        self._built = self._opt.timestep, self._opt.integrator
         self._piece = FIRST_PIECE * state.dt
         self._failure: BaseException | None = None
 
@@ -108,6 +110,18 @@ class Loop:
             self.pace(self._words.item(0))
         if self.held or self.keeps:
             raise StageError(self.held or self.keeps)
+
+    def check_options(self) -> None:
+        """Raises StageError if the model's time step or integrator is another than the stage was built with."""
+        opt, built = self._opt, self._built
+        if opt.timestep == built[0] and opt.integrator == built[1]:
+            return
+        now = f"timestep={opt.timestep:g}, integrator={mujoco.mjtIntegrator(opt.integrator).name}"
+        then = f"timestep={built[0]:g}, integrator={mujoco.mjtIntegrator(built[1]).name}"
+        raise StageError(
+            f"model.opt has {now}, and this stage was built with {then}: its motors are computed for that. Put it back, or build a "
+            "stage of a model that has it: Stage(stage.model) checks it."
+        )
 
     def run_to(self, until: int) -> None:
         """Let time pass up to `until`, ns since power-up. Raises SimulationError, see `Stage.run`; StageError."""
@@ -194,9 +208,21 @@ class Loop:
         self.check_held()
         state = self.state
         with self.alone():
+            self.moved(lambda: mujoco.mj_setState(state.model, state.data, saved, SAVED))
             mujoco.mj_setState(state.model, state.data, saved, SAVED)
-            mujoco.mj_forward(state.model, state.data)
-            mujoco.mj_setState(state.model, state.data, saved, SAVED)
+
+    def moved(self, change: Callable[[], None]) -> None:
+        """Make a change to MuJoCo's state, and all that follows from it. Raises SimulationError where one of its callbacks raises;
+        the state is then as it was. For who has the stage `alone`."""
+        model, data = self.state.model, self.state.data
+        if not handle.called_back.held(self._pointer):
+            change()
+            mujoco.mj_forward(model, data)
+            return
+        before = np.empty_like(self.state.saved)
+        mujoco.mj_getState(model, data, before, SAVED)
+        change()
+        callbacks.forward(model, data, lambda: mujoco.mj_setState(model, data, before, SAVED))
 
     # --- what the engine has noted ---
 
@@ -221,7 +247,9 @@ class Loop:
             journal.extend(packed)
 
     def look_again(self, axis: int) -> None:
-        """The table of switches has changed: what it means for the axis of this index, from now on."""
+        """The table of switches has changed: what it means for the axis of this index, from now on. Raises ArgumentError."""
+        if not 0 <= axis < len(self.state.axis_table):
+            raise ArgumentError(f"axis={axis!r}: the stage has axes 0 to {len(self.state.axis_table) - 1}.")
         self.look()
         with self.alone():
             handle.look_again.held(self._pointer, axis)
@@ -237,17 +265,7 @@ class Loop:
         mujoco.mj_setState(state.model, state.data, state.saved, SAVED)
         state.clockwork[0].failed = 0
         failure, self._failure = self._failure, None
-        if not isinstance(failure, Exception):  # Ctrl-C while it ran
-            return failure or KeyboardInterrupt()
-        seconds = state.now * 1e-9
-        error = SimulationError(
-            f"a callback that MuJoCo calls raised {type(failure).__name__}: {failure} (at {seconds:.6f} s). The stage holds the "
-            "state before that physics step.",
-            seconds,
-            "",
-        )
-        error.__cause__ = failure
-        return error
+        return callbacks.raised(failure, state.now * 1e-9, "The stage holds the state before that physics step.")
 
     def undo_divergence(self, pointer: int) -> SimulationError:
         """Go back to where the last run of the engine began, and run it again up to the step before the one that diverged.

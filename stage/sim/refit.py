@@ -13,6 +13,7 @@ from stage.drives import drive as any_drive
 from stage.drives.dc_motors import Servo
 from stage.drives.motors import Drive
 from stage.errors import ArgumentError
+from stage.sim import callbacks
 from stage.sim.integration import check_step
 from stage.sim.state import SAVED, State
 
@@ -20,8 +21,9 @@ if TYPE_CHECKING:
     from stage.sim.axis import Axis
 
 
-def refit_model(model: Any, qpos: np.ndarray, axes: Sequence[Axis], axis: Axis, drive: Drive | Servo) -> None:
+def refit_model(model: Any, here: mujoco.MjData, axes: Sequence[Axis], axis: Axis, drive: Drive | Servo) -> None:
     """The joint of `axis` turns the rotor of this drive in place of its own, and a <dcmotor> has its constants.
+    here: where all axes are.
 
     Raises ArgumentError, ModelError where that cannot be simulated; the model is then as it was.
     """
@@ -35,8 +37,8 @@ def refit_model(model: Any, qpos: np.ndarray, axes: Sequence[Axis], axis: Axis, 
     trial = copy.copy(model)
     _fit(trial, axis, drive, armature)
     data = mujoco.MjData(trial)
-    data.qpos[:] = qpos
-    mujoco.mj_forward(trial, data)
+    data.time, data.qpos[:] = here.time, here.qpos
+    callbacks.forward(trial, data)
     check_step(trial, data, [a.plant for a in axes], [drive if a is axis else a.drive for a in axes])
     _fit(model, axis, drive, armature)
 

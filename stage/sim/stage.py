@@ -15,7 +15,7 @@ This is the user's interface. stage.sim.plant reads the model, wiring.py the chi
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 from zlib import crc32
 
@@ -28,7 +28,7 @@ from stage.chips import ChipAxis
 from stage.drives.dc_motors import Servo
 from stage.drives.motors import Drive
 from stage.errors import ArgumentError, RunTimeout, StageError, unknown
-from stage.sim import encoder, handle, integration, plant, records
+from stage.sim import callbacks, encoder, handle, integration, plant, records
 from stage.sim.axis import Axes, Axis, axes_table
 from stage.sim.beside import Beside
 from stage.sim.encoder import EncoderChoice
@@ -137,7 +137,7 @@ class Stage:
         self._wire(chip_axes, drives, bus, offset)
         for k, d in enumerate(drives):
             d.fill(self.state.drives[k])
-        mujoco.mj_forward(self.model, self.data)
+        callbacks.forward(self.model, self.data)
         integration.check_step(self.model, self.data, self._plant, drives)
         handle.settle.held(self.state.pointer)
         self.run_to(0)
@@ -210,9 +210,7 @@ class Stage:
         self.restore(self._initial)
         here = [getattr(data, name) for name in names]
         if any(not np.array_equal(a, b) for a, b in zip(given, here, strict=True)):
-            for a, b in zip(given, here, strict=True):
-                b[:] = a
-            self._settle()
+            self._settle(zip(here, given, strict=True))
 
     @told
     def step(self, n: int = 1) -> None:
@@ -223,21 +221,30 @@ class Stage:
             raise ArgumentError(
                 f"n={n!r}: a stage advances by a whole number of physics steps, 0 to {most} ({LONGEST:g} s)."
             )
+        self.loop.check_options()
         self.loop.run_to(self.state.start + int(n) * dt)
 
     @told
     def run(self, seconds: float) -> None:
         """Advance by `seconds` of simulated time, rounded to a nanosecond.
 
-        Raises SimulationError when the simulation diverges; the state is then that before the step which did.
+        Raises SimulationError when the simulation diverges; the state is then that before the step which did. StageError while the
+        model's time step or integrator is not that with which the stage was built.
         """
         if not 0 <= seconds < LONGEST:
             raise ArgumentError(f"seconds={seconds!r}: time runs forward, by 0 to {LONGEST:g} s.")
+        self.loop.check_options()
         self.loop.run_to(self.state.now + round(seconds * 1e9))
 
+    @told
     def run_to(self, until: int) -> None:
         """Advance to `until`, ns since power-up; a time that has passed changes nothing. Raises as `run`."""
-        self.loop.run_to(until)
+        if int(until) != until or until - self.state.now > LONGEST * records.SECOND:
+            raise ArgumentError(
+                f"until={until!r}: a time is a whole number of ns since power-up, {LONGEST:g} s from now at most."
+            )
+        self.loop.check_options()
+        self.loop.run_to(int(until))
 
     @told
     def run_until(self, condition: Callable[[], bool], timeout: float, poll: float = 1e-3) -> float:
@@ -251,6 +258,7 @@ class Stage:
             raise ArgumentError(
                 f"poll={poll!r}: a condition is looked at every 0 s (that is, every ns) to {LONGEST:g} s."
             )
+        self.loop.check_options()
         begin = self.now
         end = begin + round(timeout * 1e9)
         while not condition():
@@ -302,7 +310,7 @@ class Stage:
         self.change()
         self.loop.check_kept()
         with self.loop.alone():
-            refit_model(self.model, self.data.qpos, self._axes, axis, drive)
+            refit_model(self.model, self.data, self._axes, axis, drive)
             axis.drive = drive
             refit_record(self.state, axis, drive, self.state.drives[axis.index])
         self.equip()
@@ -338,15 +346,21 @@ class Stage:
                 raise ArgumentError(f"{name}={q!r}: the joint travels from {low} to {high} {self.axes[name].unit}.")
         self.change()
         self.loop.check_held()
+        qpos, qvel = self.data.qpos.copy(), self.data.qvel.copy()
         for name, q in positions.items():
             t = self.state.axis_table[self.axes[name].index]
-            self.data.qpos[t.qpos], self.data.qvel[t.dof] = q, 0.0
-        self._settle()
+            qpos[t.qpos], qvel[t.dof] = q, 0.0
+        self._settle([(self.data.qpos, qpos), (self.data.qvel, qvel)])
 
-    def _settle(self) -> None:
-        """After the carriages were placed: see `engine.settle`."""
+    def _settle(self, given: Iterable[tuple[np.ndarray, np.ndarray]]) -> None:
+        """The carriages are placed: these arrays of MuJoCo's get these values, see `engine.settle`."""
+
+        def put() -> None:
+            for here, values in given:
+                here[:] = values
+
         with self.loop.alone():
-            mujoco.mj_forward(self.model, self.data)
+            self.loop.moved(put)
             handle.settle.held(self.state.pointer)
         for axis in self._axes:
             chip: Any = axis.chip

@@ -94,6 +94,7 @@ class HCTL1100(Chip):
         return float(self.state["count"]), float(self.state["rate"])
 
     def shaft_of(self, axis: int) -> tuple[float, float]:
+        self._check_axis(axis)
         return self.shaft
 
     @property
@@ -104,12 +105,14 @@ class HCTL1100(Chip):
     def net(self, axis: int = 0) -> int:
         """The command position as a raw count of the encoder: there `encoder` is when the actual position is the command position.
         The chip makes no pulses."""
+        self._check_axis(axis)
         return core.net.held(self.pointer, 0)
 
     def values(self) -> dict[str, int]:
         return {r.name: core.value.held(self.pointer, r.number) for r in self.MAP.registers}
 
     def decoder(self, axis: int = 0) -> Decoder:
+        self._check_axis(axis)
         return Decoder(self.MAP)
 
     def listener(self) -> Listener:

@@ -72,11 +72,17 @@ class Nova(Chip):
         self._check_axis(axis)
         return int(self.state["ax"][axis]["net"])
 
+    def _check_pins(self, axis: int) -> None:
+        if axis is True or axis != self.AXES:  # there are those that are no axis', see `pins`
+            super()._check_pins(axis)
+
     def shaft_of(self, axis: int) -> tuple[float, float]:
+        self._check_axis(axis)
         x = self.state["ax"][axis]
         return float(x["shaft"]), float(x["shaft_rate"])
 
     def set_input_word(self, axis: int, word: int) -> None:
+        self._check_pins(axis)
         if self._plain["fed"] >> axis & 1 and (word ^ self.input_word(axis)) & encoder.PINS:
             raise StageError(f"ECA and ECB of axis {axis} are those of its encoder, and cannot be driven by hand.")
         super().set_input_word(axis, word)
@@ -121,6 +127,7 @@ class Nova(Chip):
         return [*data[:takes], (0, select | what.code)]
 
     def decoder(self, axis: int = 0) -> Decoder:
+        self._check_axis(axis)
         return Decoder(self.MAP, axis)
 
     def listener(self) -> Listener:
@@ -167,9 +174,6 @@ class Nova(Chip):
     def output_word(self, axis: int) -> int:
         core.settle.held(self.pointer)
         return super().output_word(axis)
-
-    def input_word(self, axis: int) -> int:
-        return core.inputs.held(self.pointer, axis)
 
 
 class MCX514(Nova):

@@ -127,6 +127,7 @@ class PCL240(Chip):
         return bool(value & state.MINUS) if address == 0 and value & state.GROUP == CONTROL else None
 
     def decoder(self, axis: int = 0) -> Decoder:
+        self._check_axis(axis)
         return Decoder(self.MAP)
 
     def listener(self) -> Listener:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from stage.sim import libmujoco, scan
+from stage.sim import callbacks, libmujoco, scan
 from stage.sim.pins import PINS
 from stage.sim.plant.problems import Problems, pair_line, sensor_line, slip
 
@@ -134,7 +134,7 @@ class SwitchFinder:
     def _forward(self, joint: int, q: float) -> None:
         """All that MuJoCo computes with this joint at q and the others at qpos0."""
         self._at(joint, q)
-        mujoco.mj_forward(self.model, self.data)
+        callbacks.forward(self.model, self.data)
 
     def _distance(self, joint: int, q: float, vane: int, switch: int) -> float:
         self._at(joint, q)
