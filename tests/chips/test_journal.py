@@ -119,6 +119,19 @@ def test_journals_of_one_chip_end_in_any_order_and_the_others_go_on():
         assert [e.b for e in journals[0].entries] == [0x08, 0x18]
 
 
+def test_journals_around_one_that_was_closed_hear_what_the_stage_tells(xy):
+    """a, b, c = (x.chip.journal() for _ in range(3)); b.close(); firmware.origin_return(x)"""
+    x = xy.axes["x"]
+    older, between, younger = (x.chip.journal() for _ in range(3))
+    between.close()
+    with faults.switch_stuck(x, "org", True):
+        xy.step()
+    assert [e.kind for e in older.entries] == [e.kind for e in younger.entries] == [INPUT, INPUT]
+    assert len(between.entries) == 0
+    younger.close()
+    older.close()
+
+
 def test_a_course_ends_where_its_journal_was_closed_and_a_younger_one_hears_what_the_stage_tells(xy):
     x = xy.axes["x"]
     older, younger = x.chip.journal(), x.chip.journal()

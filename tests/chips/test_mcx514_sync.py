@@ -161,6 +161,18 @@ def test_a_register_is_loaded_from_the_mr_of_the_set(action, name):
         assert get(chip, READ[name or ("LP", "RP", "SV", "AC")[m]]) == 0x10004 + m
 
 
+@pytest.mark.parametrize(("m", "name"), [(0, "LP"), (1, "RP")])
+def test_a_position_that_is_loaded_from_the_mr_of_the_set_keeps_its_sign(m, name):
+    """MR1 = -1000, SYNC1 takes it to RP: RP < MR3 = 0 becomes true"""
+    chip, below = MCX514(), 3
+    load(chip, **{f"MR{m}": -1000, "MR3": 0, "MRM": (m | below << 2) << 12})
+    word(chip, 1)
+    arm(chip, m=m, action=TO_OWN)
+    activate(chip, m=m)
+    assert word(chip, 1) & CMR0 << 3
+    assert get_signed(chip, READ[name]) == -1000
+
+
 @pytest.mark.parametrize("m", range(4))
 @pytest.mark.parametrize(("action", "name"), [(FROM_LP, "LP"), (FROM_RP, "RP"), (FROM_CT, "CT"), (FROM_OWN, None)])
 def test_the_mr_of_the_set_takes_what_the_action_says(action, name, m):

@@ -100,6 +100,24 @@ def test_it_goes_on_bit_for_bit(first, file):
         other.close()
 
 
+def test_a_panel_that_goes_on_from_a_file_writes_where_that_program_begins(tmp_path, monkeypatch):
+    monkeypatch.setattr("stage.panel.look.MOST_SENT", 5)
+    first, other, path = Made(), Made(), tmp_path / "late.zip"
+    try:
+        first.after(move)
+        first.session.do(lambda stage: first.panel.look.take(stage))
+        path.write_bytes(share.save(first.panel))
+        began = share.read(path).start
+        assert 0 < began[0] <= first.session.do(lambda stage: stage.now)
+        share.put(other.panel, share.read(path))
+        path.write_bytes(share.save(other.panel))
+        again = share.read(path).start
+        assert (again[0], again[1].state.tobytes()) == (began[0], began[1].state.tobytes())
+    finally:
+        for made in (first, other):
+            made.close()
+
+
 def test_loads_and_faults_go_with_it(tmp_path):
     one, other = Made(), Made()
     try:
