@@ -44,6 +44,23 @@ def test_a_limit_switch_is_one_still(make_box):
     assert box.call("wait_until_stopped", {"axis": "x"}).data["stopped_by"] == "EL+"
 
 
+@pytest.mark.parametrize("ends", ["stop", "drop"])
+def test_a_stop_that_the_host_wrote_into_one_move_is_none_of_the_next(make_box, ends):
+    """start; write_bytes 1Dh; stop; place before the limit; start; wait_until_stopped"""
+    box = make_box()
+    box.call("start", {"axis": "x", "distance": "30mm"})
+    box.call("wait", {"seconds": 0.2})
+    box.call("write_bytes", {"axis": "x", "address": 0, "values": ["1Dh"]})
+    if ends == "stop":
+        box.call("stop", {"axis": "x"})
+    else:
+        box.call("wait", {"seconds": 1.0})
+        box.motion.drop()
+    box.stage.place(x=0.14)
+    box.call("start", {"axis": "x", "distance": "30mm"})
+    assert box.call("wait_until_stopped", {"axis": "x"}).data["stopped_by"] == "EL+"
+
+
 @pytest.mark.parametrize("speed", [1e-30, 1e-12, "1e-30"])
 def test_a_speed_that_is_none_is_refused(box, speed):
     said = box.call("move", {"axis": "x", "distance": "1mm", "speed": speed})
