@@ -120,8 +120,11 @@ def test_old_code_never_runs_where_nothing_can_be_built(toy):
     assert "pip install 'pulsestage[build]', then python -m stage.native toy" in last
 
 
-def test_a_new_module_is_missed_in_a_checkout(toy):
-    (toy / "pyproject.toml").touch()
+@pytest.mark.parametrize("project", ["pyproject.toml", None], ids=["beside", "elsewhere, as of src/toy"])
+def test_a_new_module_is_missed_wherever_the_project_file_is(toy, project):
+    """src/toy/second.py added: AttributeError: undefined symbol: toy_1second_1stepped"""
+    if project:
+        (toy / project).touch()
     (toy / "toy" / "second.py").write_text(CORE)
     done = run(toy, WITHOUT_NUMBA + RUN, check=False)
     assert done.returncode == 1
