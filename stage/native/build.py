@@ -2,7 +2,7 @@
 
 A part is what one family exports: a folder of the third level, with all below it. Its object depends on the modules that define it
 and on what they import, transitively, and is kept in the package's __pycache__ under a digest of them all: only parts whose sources
-have changed are made again.
+have changed are made again, and those that are not as they were written.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import Any
 
 from stage.errors import NativeError
-from stage.native import load
+from stage.native import load, seal
 
 NUMBA = "0.68.1"
 """The one version that libraries are made with: what it lowers to is part of what they do."""
@@ -57,6 +57,11 @@ def build(package: str) -> Path:
         folder = Path(tempfile.mkdtemp(prefix="pulsestage-"))  # 0700; for this process
         atexit.register(shutil.rmtree, folder, ignore_errors=True)
         return _build(package, places, folder)
+    except OSError as error:
+        raise NativeError(
+            f"the native library of {package} could not be written to {folder}: {error.strerror or error}. Make room there, and "
+            "start again."
+        ) from error
 
 
 def _build(package: str, places: dict[str, Path], folder: Path) -> Path:
@@ -83,7 +88,7 @@ def _build(package: str, places: dict[str, Path], folder: Path) -> Path:
         ]
         target = kept / f"{name}-{digest}.o"
         objects.append(target)
-        if not target.is_file():
+        if not seal.kept(target):
             for old in kept.glob(f"{name}-*.o*"):
                 old.unlink(missing_ok=True)
             missing.append((sum(known[m].stat().st_size for m in closure), [str(target), *modules]))

@@ -25,6 +25,7 @@ from numba.core.compiler_lock import global_compiler_lock
 
 from stage.native.passes import cpu_target
 from stage.native.refusals import told
+from stage.native.seal import keep
 
 OUTSIDE = frozenset("exp log pow sin cos tan sqrt floor ceil rint round trunc fmod memset memcpy memmove".split())
 """What a library may ask of the system: C's mathematics and memory."""
@@ -185,9 +186,10 @@ def _emit_next(taken: Any, parts: list[list[str]], context: Any) -> None:
             return
         path, *modules = parts[number]
         made = emit(modules, context)
-        temporary = Path(f"{path}.part")
-        temporary.write_bytes(made)
-        temporary.replace(path)
+        try:
+            keep(Path(path), made)
+        except OSError as error:
+            raise SystemExit(f"{path} could not be written: {error.strerror or error}. Make room there.") from None
         print(path, flush=True)
 
 

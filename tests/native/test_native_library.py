@@ -176,6 +176,65 @@ def test_a_library_with_a_byte_flipped_is_not_loaded(toy):
     assert "is damaged" in failed.stderr
 
 
+def shortened(content):
+    return content[: len(content) // 2]
+
+
+def flipped(content):
+    return content[:400] + bytes([content[400] ^ 0xFF]) + content[401:]
+
+
+@pytest.mark.parametrize(
+    "damage", [lambda content: b"", shortened, flipped, None], ids=["empty", "cut", "flipped", "no seal"]
+)
+def test_a_kept_object_that_is_not_as_it_was_written_is_made_again(toy, damage):
+    """: > stage/__pycache__/stage.chips.pcl240-*.o; rm stage/_native.so: every start said "undefined symbol", for ever"""
+    (part,) = (path for path in (toy / "toy" / "__pycache__").glob("*.o") if path.name != "manifest.o")
+    whole = part.read_bytes()
+    if damage:
+        part.write_bytes(damage(whole))
+    else:
+        Path(f"{part}.sha256").unlink()
+    (toy / "toy" / load.NAME).unlink()
+    done = run(toy)
+    assert (done.stdout, "1 of 1 parts" in done.stderr) == ("42\n", True)
+    assert part.read_bytes() == whole
+    (toy / "toy" / load.NAME).unlink()
+    assert "0 of 1 parts" in run(toy).stderr, "and kept"
+
+
+def test_a_disk_that_is_full_while_a_library_is_built_is_told_in_words(tmp_path, monkeypatch):
+    """python -m stage.native stage, on a full disk: a traceback that ended in OSError: [Errno 28]"""
+    write(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    for name in [name for name in sys.modules if name.partition(".")[0] == "toy"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setattr(build, "_emit", lambda parts, *_: None)
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(build, "_manifest_object", full)
+    with pytest.raises(NativeError, match=r"could not be written to .*toy: No space left on device\. Make room there"):
+        build.build("toy")
+    monkeypatch.undo()
+    assert "could not be written: No space left on device. Make room there." in emitted_to("/dev/full")
+
+
+def emitted_to(place):
+    """What a process says that emits nothing but keeps it at a place."""
+    program = (
+        "import multiprocessing as m, sys\nfrom pathlib import Path\nfrom stage.native import emit\n"
+        f"emit.emit = lambda *_: b'made'\nemit.keep = lambda path, made: Path({place!r}).write_bytes(made)\n"
+        "emit._emit_next(m.Value('q'), [['toy.o', 'toy.core']], None)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, env=os.environ | {"PULSESTAGE_EMIT": "1"}
+    )
+    assert done.returncode == 1
+    return done.stderr
+
+
 def test_a_function_that_may_raise_is_refused_by_the_build(toy):
     (toy / "toy" / "core.py").write_text(CORE.replace("return more(n)", "raise ValueError(n)"))
     failed = run(toy, check=False)
