@@ -4,6 +4,7 @@ import copy
 import signal
 import threading
 import time
+from contextlib import contextmanager
 
 import mujoco
 import numpy as np
@@ -275,27 +276,36 @@ def test_a_fleet_and_a_board_tell_of_a_callback_that_raises(xy):
 
 # --- Ctrl-C ---
 
+needs_timers = pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="no timers here")
 
-@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="no timers here")
-@pytest.mark.parametrize("recorded", [False, True])
-def test_ctrl_c_ends_a_long_run_and_the_stage_goes_on_from_there(xy, recorded):
-    """stage.run(1e6), Ctrl-C"""
+
+@contextmanager
+def interrupted(after=0.2):
+    """What is done within this context is interrupted by KeyboardInterrupt, and that at once."""
 
     def interrupt(*_):
         raise KeyboardInterrupt
 
-    start_preset(xy.axes["x"].chip, 20000)
-    twin, recording = copy.deepcopy(xy), xy.record() if recorded else None
     before = signal.signal(signal.SIGALRM, interrupt)
     began = time.monotonic()
     try:
-        signal.setitimer(signal.ITIMER_REAL, 0.2)
+        signal.setitimer(signal.ITIMER_REAL, after)
         with pytest.raises(KeyboardInterrupt):
-            xy.run(1e6)
+            yield
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
         signal.signal(signal.SIGALRM, before)
     assert time.monotonic() - began < 5
+
+
+@needs_timers
+@pytest.mark.parametrize("recorded", [False, True])
+def test_ctrl_c_ends_a_long_run_and_the_stage_goes_on_from_there(xy, recorded):
+    """stage.run(1e6), Ctrl-C"""
+    start_preset(xy.axes["x"].chip, 20000)
+    twin, recording = copy.deepcopy(xy), xy.record() if recorded else None
+    with interrupted():
+        xy.run(1e6)
     xy.run(0.01)
     if recording is not None:
         recording.close()
@@ -304,6 +314,55 @@ def test_ctrl_c_ends_a_long_run_and_the_stage_goes_on_from_there(xy, recorded):
         twin.record()
     twin.run(xy.time - twin.time)
     assert bits(xy) == bits(twin)
+
+
+LONG = {
+    "wait": Program().wait(1e6),
+    "measure": Program().measure(1e6),
+    "stop": Program().until_stopped([1], 1e6).until_stopped([0], 1e6, poll=1e3).wait(1e6),
+}
+
+
+@needs_timers
+@pytest.mark.parametrize(("threads", "n"), [(1, 1), (2, 3)])
+@pytest.mark.parametrize("what", LONG)
+def test_ctrl_c_ends_a_long_program_of_a_fleet_and_its_stages_go_on_from_there(what, threads, n):
+    """Fleet([Stage("xyz")], 1).play([Program().wait(1000)]), Ctrl-C: it had not ended after 40 s"""
+    fleet = Fleet([Stage("xy", visuals=False) for _ in range(n)], threads)
+    for stage in fleet.stages:
+        start_preset(stage.axes["x"].chip, 20000)
+    twin = copy.deepcopy(fleet.stages[0])
+    with interrupted():
+        fleet.play([LONG[what]] * n)
+    assert 0.1 < fleet.stages[0].time < 1e6
+    fleet.play([Program().wait(0.25)] * n)
+    if what == "wait":
+        twin.run(fleet.stages[0].time - twin.time)
+        assert bits(fleet.stages[0]) == bits(twin)
+    fleet.close()
+
+
+@needs_timers
+def test_ctrl_c_ends_a_long_delay_of_a_board_and_its_stage_goes_on_from_there(xy):
+    """Board(Stage("xyz")).delay_us(10**9), Ctrl-C: it had not ended after 40 s"""
+    board, twin = Board(xy), copy.deepcopy(xy)
+    with interrupted():
+        board.delay_us(10**12)
+    assert 0.1 < xy.time < 1e6
+    board.delay_us(250_000)
+    twin.run(xy.time - twin.time)
+    assert bits(xy) == bits(twin)
+
+
+def test_a_long_delay_is_as_long_as_it_says_whatever_hooks_take_of_it(xy):
+    """delay_us(250_000), with a timer whose hook takes 60 ms: it ends 250 ms later, or with the hook that is running then"""
+    for us, ends in ((250_000, 260_000_000), (999_999.0, 999_999_000)):
+        board, twin = Board(copy.deepcopy(xy)), copy.deepcopy(xy)
+        board.on_timer(100_000, lambda board=board: board.delay_us(60_000))
+        board.delay_us(us)
+        assert board.stage.now == ends
+        twin.run_to(board.stage.now)
+        assert bits(board.stage) == bits(twin)
 
 
 # --- indices ---

@@ -37,6 +37,7 @@ KEPT_CYCLES = 100_000
 MOST_LINES = 1_000_000
 MOST_PORTS = 1 << 16  # of a device
 MOST_SOURCES = 62  # of interrupts: bits of a word
+PIECE_US = 100_000  # a longer delay is made in pieces, between which Ctrl-C is heard
 _D = TypeVar("_D", bound=Device)
 
 
@@ -135,10 +136,17 @@ class Board:
 
     @told
     def delay_us(self, us: int) -> None:
-        """Microseconds pass. Raises ArgumentError below 0, and beyond 1e15 (1e9 s)."""
+        """Microseconds pass. Raises ArgumentError below 0, and beyond 1e15 (1e9 s). After Ctrl-C it is over, at the time that is
+        then."""
         if not 0 <= us <= LONGEST * 1_000_000:
             raise ArgumentError(f"us={us!r}: a delay takes 0 to 1e15 us (1e9 s).")
-        self.link.ask(host.DELAY, us, 0)
+        if us <= PIECE_US:
+            self.link.ask(host.DELAY, us, 0)
+            return
+        self.link.ask(host.SETTLE, 0, 0)
+        end = self.stage.now + int(us) * 1000
+        while (left := end - self.stage.now) > 0:
+            self.link.ask(host.SPEND, min(left, PIECE_US * 1000), 0)
 
     @property
     def micros(self) -> int:

@@ -12,6 +12,7 @@ writes checked for mistakes (`chip.diagnostics`).
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Any, NamedTuple
@@ -78,6 +79,7 @@ class Fleet:
         """Play programs[k] on stage k; an empty one leaves it alone. Programs may be given as an array (stages, ops, 4).
 
         Raises ArgumentError for a program that names an axis that is not there, or a time that is no time; nothing is played then.
+        After Ctrl-C the stages are where they were in their programs.
         """
         ops = programs if isinstance(programs, np.ndarray) else _table(programs)
         if ops.ndim != 3 or len(ops) != len(self) or ops.shape[2] != 4:
@@ -93,7 +95,10 @@ class Fleet:
         if watched:
             compiled = ops.copy()
             compiled[watched, 0] = END
-        self.spread(lambda a, b: play.play(self.handles, a, b, compiled, results, extremes, status))
+        ask = (
+            self._until_halted if ops[:, :, 1:].sum(dtype=float) > play.PIECE else self.spread
+        )  # times are in it, if it can last
+        ask(lambda a, b: play.play(self.handles, a, b, compiled, results, extremes, status))
         self.check(status)
         for k in watched:
             status[k] = play.by_hand(self.stages[k], ops[k], results[k], extremes[k])
@@ -157,17 +162,36 @@ class Fleet:
             for k in left:
                 work(cuts[k], cuts[k + 1])
 
-        if self._process != os.getpid():  # forked: the threads are the parent's
-            self._pool, self._process = None, os.getpid()
-        if self._pool is None:
-            self._pool = ThreadPoolExecutor(self.threads - 1, thread_name_prefix="stage")
-        jobs = [self._pool.submit(share) for _ in range(self.threads - 1)]
+        pool = self._workers()
+        jobs = [pool.submit(share) for _ in range(self.threads - 1)]
         try:
             share()
         finally:
             wait(jobs)
         for job in jobs:
             job.result()
+
+    def _until_halted(self, work: Callable[[int, int], None]) -> None:
+        """As `spread`; but Ctrl-C, which Python hears in its main thread only and not while compiled code runs there, ends it."""
+        if threading.current_thread() is not threading.main_thread():
+            self.spread(work)
+            return
+        self.handles["halt"] = 0
+        job = self._workers().submit(self.spread, work)
+        try:
+            job.result()
+        finally:
+            if not job.done():
+                self.handles["halt"] = 1
+                wait([job])
+
+    def _workers(self) -> ThreadPoolExecutor:
+        """The threads of this process; one of them may be who waits for the others."""
+        if self._process != os.getpid():  # forked: the threads are the parent's
+            self._pool, self._process = None, os.getpid()
+        if self._pool is None:
+            self._pool = ThreadPoolExecutor(self.threads, thread_name_prefix="stage")
+        return self._pool
 
 
 OF_AN_AXIS = (WRITE, READ, LOOK)

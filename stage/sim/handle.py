@@ -25,12 +25,13 @@ _ARRAYS = (
 _LENGTHS = "n_axes n_switches n_chips nq nv nu ns n_sites n_bodies".split()
 _LOGS = "samples positions room filled edges edge_room noted counts".split()
 HANDLE_FIELDS: list = [
-    (name, "i8") for name in ["mj_model", "mj_data", *_ARRAYS, *_LENGTHS, "bus", *_LOGS, "state", "status", "own"]
+    (name, "i8")
+    for name in ["mj_model", "mj_data", *_ARRAYS, *_LENGTHS, "bus", *_LOGS, "state", "status", "own", "halt"]
 ]
 HANDLE = record(HANDLE_FIELDS)
 """Where a stage's arrays lie, their lengths, and the ns of a bus cycle. samples ... counts: where the engine logs, as `engine.run`
 takes it; without rooms it logs nothing. state: where the stage's state goes before the physics moves it, or 0; status: what
-`advance` answered last; own: the address of the handle itself."""
+`advance` answered last; own: the address of the handle itself; halt: 1 where who plays a program is to stop, see `play`."""
 
 WORLD, AXIS, DRIVE, SWITCH = records.WORLD, records.AXIS, drive.DRIVE, records.SWITCH
 AXIS_TABLE, SWITCH_TABLE, CHIP_TABLE, CLOCKWORK = (

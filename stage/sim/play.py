@@ -23,6 +23,10 @@ PLAYED, DIVERGED = records.REACHED, records.DIVERGED
 STILL_BUSY = -(1 << 62)
 GIVEN_UP = -1
 """A step was lost that the program wants to keep."""
+HALTED = -2
+"""Whoever has it played has set `halt` in the handle: time stands somewhere in the program."""
+PIECE = 100_000_000
+"""ns; after so many at most it is looked whether to halt."""
 
 TRUTH = record(
     [(name, "f8") for name in "position velocity commanded".split()]
@@ -34,7 +38,14 @@ TRUTH = record(
 @hot
 def _pass(h, until):
     """Let a stage's time pass up to `until`; 0, or why it did not."""
-    return advance(h, int(until))
+    w, end = world(h), int(until)
+    while end - w.now > PIECE:
+        if h.halt:
+            return HALTED
+        bad = advance(h, w.now + PIECE)
+        if bad:
+            return bad
+    return HALTED if h.halt else advance(h, end)
 
 
 @hot
