@@ -13,6 +13,7 @@ from support.extras import needs_rerun
 
 from stage import Stage
 from stage.cli import demo, main
+from stage.recording.viewer import environment
 
 
 @pytest.fixture
@@ -58,7 +59,12 @@ def test_the_demo_homes_moves_and_writes_a_recording(here, capsys):
     assert "NO" not in said.split()
     assert (here / "demo.rrd").stat().st_size > 100_000
     rerun = os.path.join(os.path.dirname(sys.executable), "rerun")
-    assert subprocess.run([rerun, "rrd", "verify", "demo.rrd"], capture_output=True, check=False).returncode == 0
+    assert (
+        subprocess.run(
+            [rerun, "rrd", "verify", "demo.rrd"], capture_output=True, check=False, env=environment()
+        ).returncode
+        == 0
+    )
 
 
 def test_a_move_lists_its_bytes_and_draws_itself(here, capsys):
@@ -155,6 +161,7 @@ def test_view_without_a_screen_says_what_to_do(here, capsys):
         (["fault", "start-skew", "--chips", "mcx302", "--model", "xy"], r"one command starts all axes .* one MCX302's"),
         (["fault", "phase-open", "--chips", "hctl1100", "--model", "xy"], r"a DC motor, 14201S003, without phases"),
         (["move", "x", "100", "--fh1", "-5"], r"^stage: --fh1 -5: more than 0\."),
+        (["move", "x", "100", "--fh1", "inf"], r"^stage: --fh1 inf: more than 0, and finite\."),
         (["move", "x", "100", "--from", "1000"], r"--from 1000: axis x travels from -158 to 158 mm"),
         (["home", "y", "--from", "nan"], r"--from nan: axis y travels from .* mm"),
         (["sync", "x=100", "x=200"], "'x=200': axis x has got 100 pulses already"),

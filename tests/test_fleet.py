@@ -349,7 +349,7 @@ def test_a_register_is_written_by_a_program_as_its_family_takes_it():
         (HCTL1100, "R22"): [(0x22, 0x1234)],
     }
     for (chip, name), expected in writes.items():
-        ops = Program().register(3, chip, name, 0x1234, 1).ops
+        ops = Program().register(3, chip, name, 0x1234, min(1, chip.AXES - 1)).ops
         assert ops == [(WRITE, 3, address, value) for address, value in expected], (chip, name)
 
 
@@ -388,3 +388,37 @@ def test_a_program_that_keeps_step_ends_at_the_first_one_lost_compiled_or_not(fi
     assert short[3] != 0
     late = played(8000, True, poll=1.5)
     assert (late[0] < 0, late[3] != 0) == (True, True), "steps that an axis lost before the poll that finds it at rest"
+
+
+WRONG = {
+    "write": (lambda n: Program().write(0, 0, n), "value"),
+    "address": (lambda n: Program().write(0, n, 0), "address"),
+    "read": (lambda n: Program().read(n, 0), "axis"),
+    "look": (lambda n: Program().look(n), "axis"),
+    "point": (lambda n: Program().measure(1, n), "point"),
+    "stop": (lambda n: Program().until_stopped([n], 1), "ax[ei]s"),
+}
+WRONG_TIMES = {
+    "wait": lambda s: Program().wait(s),
+    "measure": lambda s: Program().measure(s),
+    "limit": lambda s: Program().until_stopped([0], s),
+    "poll": lambda s: Program().until_stopped([0], 1, s),
+}
+
+
+@pytest.mark.parametrize("where", WRONG)
+def test_what_is_no_number_of_64_bits_is_refused_as_soon_as_it_is_said(where):
+    """Program().write(0, 0, 2**70) was a bare OverflowError when it was played, Program().read("x", 0) a bare ValueError"""
+    make, name = WRONG[where]
+    for n in (2**70, -(2**63) - 1, "x", "5", None, 1.5, float("nan"), float("inf"), [0]):
+        with pytest.raises(ArgumentError, match=f"^{name}="):
+            make(n)
+    assert make(1.0).ops == make(1).ops == make(np.int64(1)).ops
+    assert all(type(n) is int for op in make(np.uint8(1)).ops for n in op)
+
+
+@pytest.mark.parametrize("where", WRONG_TIMES)
+def test_what_is_no_time_is_refused_as_soon_as_it_is_said(where):
+    for seconds in ("x", None, float("nan"), float("inf"), 1e300, [0]):
+        with pytest.raises(ArgumentError, match="="):
+            WRONG_TIMES[where](seconds)

@@ -349,6 +349,7 @@ class Chip:
         `Command.choice` bits; of a word, its bits. Raises ArgumentError for a name that is none, and for a datum that lacks, is
         one too many or does not fit; NotImplementedError where the family does not say how its commands are sent.
         """
+        cls._check_axis(axis)
         what, datum = cls.MAP.sent(symbol, datum)
         if isinstance(what, Word) and what.address is not None:
             return [(what.address, what.fixed | datum)]
@@ -535,10 +536,11 @@ class Chip:
         self.open_journal = Journal(self, self.open_journal, axis)
         return self.open_journal
 
-    def _check_axis(self, axis: int) -> None:
-        if isinstance(axis, bool) or not isinstance(axis, int | np.integer) or not 0 <= axis < self.AXES:
-            most = "one axis, 0" if self.AXES == 1 else f"axes 0 to {self.AXES - 1}"
-            raise ArgumentError(f"axis={axis!r}: {a_or_an(type(self).__name__)} has {most}.")
+    @classmethod
+    def _check_axis(cls, axis: int) -> None:
+        if isinstance(axis, bool) or not isinstance(axis, int | np.integer) or not 0 <= axis < cls.AXES:
+            most = "one axis, 0" if cls.AXES == 1 else f"axes 0 to {cls.AXES - 1}"
+            raise ArgumentError(f"axis={axis!r}: {a_or_an(cls.__name__)} has {most}.")
 
     def _check_pins(self, axis: int) -> None:
         """Raises ArgumentError unless the chip has pins under this axis."""

@@ -266,7 +266,7 @@ class RegisterMap:
 
     def register(self, name: str) -> Register:
         """The register called `name` (any case). Raises ArgumentError with near misses."""
-        return _found(self._registers, name.upper(), f"{self.chip} register")
+        return _found(self._registers, _upper(name), f"{self.chip} register")
 
     def word(self, name: str) -> Word:
         """The word called `name`. Raises ArgumentError with near misses."""
@@ -274,7 +274,7 @@ class RegisterMap:
 
     def command(self, symbol: str) -> Command:
         """The command with this symbol (any case). Raises ArgumentError with near misses."""
-        return _found(self._commands, symbol.upper(), f"{self.chip} command")
+        return _found(self._commands, _upper(symbol), f"{self.chip} command")
 
     @cached_property
     def by_code(self) -> dict[int, Command]:
@@ -288,7 +288,7 @@ class RegisterMap:
 
         words = {w.name.upper(): w for w in self.words if w.written}
         known: dict[str, Command | Word] = {**words, **{name.upper(): c for name, c in self._commands.items()}}
-        what = _found(known, symbol.upper(), f"{self.chip} command")
+        what = _found(known, _upper(symbol), f"{self.chip} command")
         if isinstance(what, Word):
             takes, mask = f"{what.bits} bits: {what.title}", (1 << what.bits) - 1
         elif what.choice:
@@ -357,6 +357,15 @@ class RegisterMap:
                 f"{other}{' ' + r.unit if r.unit else ''}. To see what the silicon does with it, write it on the bus."
             )
         return int(value)
+
+
+def _upper(name: str) -> str:
+    """The name in capitals, as tables have it. Raises ArgumentError for what is no text."""
+    if isinstance(name, str):
+        return name.upper()
+    from stage.errors import ArgumentError
+
+    raise ArgumentError(f"{name!r}: registers, words and commands are called by their names, as the map has them.")
 
 
 def _found(table: dict[str, T], name: str, kind: str) -> T:

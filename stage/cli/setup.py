@@ -143,7 +143,7 @@ def _more_than_nothing(args: argparse.Namespace, options: Iterable[str]) -> None
     for option in options:
         given = getattr(args, option, None)
         if given is not None and not 0 < given < math.inf:
-            raise ArgumentError(f"--{option} {given:g}: more than 0.")
+            raise ArgumentError(f"--{option} {given:g}: more than 0{'' if math.isfinite(given) else ', and finite'}.")
 
 
 def profile(args: argparse.Namespace, axis: Any) -> Any:

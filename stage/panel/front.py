@@ -136,7 +136,7 @@ def number(text: str, bits: int) -> int:
         (r"0[xX]([0-9a-fA-F]+)", 16),
         (r"([0-9a-fA-F]+)[hH]", 16),
         (r"0[bB]([01]+)", 2),
-        (r"(\d+)", 10),
+        (r"([0-9]+)", 10),
     ):
         if found := re.fullmatch(pattern, digits):
             value = sign * int(found.group(1), base)

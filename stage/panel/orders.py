@@ -153,7 +153,7 @@ def _bytes(kind: type[Chip], line: str) -> Order:
 
 def _hexadecimal(text: str) -> int:
     try:
-        return int(text.strip().rstrip("hH"), 16)
+        return int(text.strip().rstrip("hH").encode("ascii"), 16)
     except ValueError:
         raise ArgumentError(f"{text.strip()!r} is no hexadecimal number, as 1F, 1Fh or 0x1F are.") from None
 

@@ -66,8 +66,26 @@ class Operations(ABC):
         return self
 
 
+def _whole(name: str, value: int) -> int:
+    """A number of an operation. Raises ArgumentError."""
+    try:
+        if (number := int(value)) == value and -(1 << 63) <= number < 1 << 63:
+            return number
+    except (TypeError, ValueError, OverflowError):
+        pass
+    raise ArgumentError(f"{name}={value!r}: a whole number of 64 bits.")
+
+
+def _ns(name: str, seconds: float) -> int:
+    """Seconds of an operation in ns. Raises ArgumentError."""
+    try:
+        return _whole(name, round(seconds * 1e9))
+    except (TypeError, ValueError, OverflowError):
+        raise ArgumentError(f"{name}={seconds!r}: a number of seconds.") from None
+
+
 class Program(Operations):
-    """A list of operations; each method appends and returns the program."""
+    """A list of operations; each method appends and returns the program. Raises ArgumentError for what is no number."""
 
     def __init__(self) -> None:
         self.ops: list[tuple[int, int, int, int]] = []
@@ -75,42 +93,41 @@ class Program(Operations):
     def __len__(self) -> int:
         return len(self.ops)
 
-    @told
     def write(self, axis: int, address: int, value: int) -> Self:
         """One bus write cycle to the chip of the axis with this index."""
-        self.ops.append((WRITE, axis, address, value))
+        self.ops.append((WRITE, _whole("axis", axis), _whole("address", address), _whole("value", value)))
         return self
 
     def read(self, axis: int, address: int) -> Self:
         """One bus read cycle; the value is the operation's result."""
-        self.ops.append((READ, axis, address, 0))
+        self.ops.append((READ, _whole("axis", axis), _whole("address", address), 0))
+        return self
+
+    def wait(self, seconds: float) -> Self:
+        self.ops.append((WAIT, _ns("seconds", seconds), 0, 0))
         return self
 
     @told
-    def wait(self, seconds: float) -> Self:
-        self.ops.append((WAIT, round(seconds * 1e9), 0, 0))
-        return self
-
     def until_stopped(self, axes: Sequence[int], limit: float, poll: float = 2.5e-4, keep_step: bool = False) -> Self:
         """Poll until none of the axes operates; the result is the ns it took, negative when `limit` seconds came first.
         keep_step: the program ends at the first step that one of the axes loses, and the result is negative, too.
 
         Raises ArgumentError for an axis that no stage has.
         """
-        if not all(0 <= a < MOST_AXES for a in axes):
+        if not all(0 <= _whole("axis", a) < MOST_AXES for a in axes):
             raise ArgumentError(f"axes={axes!r}: axes are given by their index, from 0 on.")
-        mask = sum(1 << a for a in set(axes))
-        self.ops.append((KEEP if keep_step else STOP, mask, round(poll * 1e9), round(limit * 1e9)))
+        mask = sum(1 << a for a in {int(a) for a in axes})
+        self.ops.append((KEEP if keep_step else STOP, mask, _ns("poll", poll), _ns("limit", limit)))
         return self
 
     def look(self, axis: int, point: int = 0, coordinate: int = 0) -> Self:
         """Note where the axis is; the result is its position in pm (prad on a hinge). With a point, see `measure`, where that is: a
         coordinate of the world, 0 to 2, as at the physics step's begin."""
-        self.ops.append((LOOK, axis, point, coordinate))
+        self.ops.append((LOOK, _whole("axis", axis), _whole("point", point), _whole("coordinate", coordinate)))
         return self
 
     def measure(self, seconds: float, point: int = 0) -> Self:
         """Let time pass and keep every coordinate's extremes; point: 1 + the index of a site, or - that of a body, whose travel
         is then the result, see above. It is seen at each physics step's begin, as MuJoCo has it."""
-        self.ops.append((MEASURE, round(seconds * 1e9), point, 0))
+        self.ops.append((MEASURE, _ns("seconds", seconds), _whole("point", point), 0))
         return self

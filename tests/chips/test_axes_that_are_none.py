@@ -43,6 +43,25 @@ def test_no_method_takes_an_axis_that_is_none(kind, axis):
 
 
 @pytest.mark.parametrize("kind", CHIPS, ids=lambda kind: kind.__name__)
+def test_cycles_of_an_axis_that_is_none_or_of_what_is_no_name_are_refused(kind):
+    """PCL240K.command_cycles(5)
+    AttributeError: 'int' object has no attribute 'upper'"""
+    register = kind.MAP.registers[0].name
+    for axis in (-1, kind.AXES, 10**8, True, "x"):
+        with pytest.raises(StageError, match="axis="):
+            kind.register_cycles(register, 1, axis)
+        for command in kind.MAP.commands[:1]:
+            with pytest.raises(StageError, match="axis="):
+                kind.command_cycles(command.symbol, axis, 1)
+    for name in (5, None, b"R0", ["R0"]):
+        for made in (lambda n: kind.register_cycles(n, 1), kind.command_cycles, kind.MAP.register, kind.MAP.command):
+            with pytest.raises(StageError, match="are called by their names"):
+                made(name)
+    assert kind.register_cycles(register, 1)
+    assert kind.register_cycles(register.lower(), 1, kind.AXES - 1)
+
+
+@pytest.mark.parametrize("kind", CHIPS, ids=lambda kind: kind.__name__)
 def test_one_axis_more_has_only_the_pins_that_are_no_axis(kind):
     chip, more = kind(), kind.__name__.startswith("MCX")
     for name, others in taking_an_axis(kind):

@@ -102,6 +102,13 @@ def test_an_address_that_the_chip_has_not_is_refused_of_reads_and_of_writes(line
         understand(PCL240K, line)
 
 
+@pytest.mark.parametrize("line", ["R2 <- \u0663", "R2 <- 1\u0663", "0: \u0663", "\u0663: 1", "read \u0663"])
+def test_digits_of_another_script_are_none(line):
+    """x: R2 <- \u0663 wrote 3; the agents' tools refuse it"""
+    with pytest.raises(ArgumentError, match=r"is no (hexadecimal )?number"):
+        understand(PCL240K, line)
+
+
 @pytest.mark.parametrize("line", ["1FF", "2: 100", "15 99999"])
 def test_what_is_wider_than_the_bus_is_refused(line):
     with pytest.raises(ArgumentError, match="takes 0 to FFh in one cycle"):

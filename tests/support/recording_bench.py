@@ -8,7 +8,7 @@ import numpy as np
 
 from stage.chips import PCL240K
 from stage.recording import Recording
-from stage.recording.viewer import executable
+from stage.recording.viewer import environment, executable
 from support.programs import load_registers, start_preset
 
 ONE_AXIS = """
@@ -66,7 +66,8 @@ def feed(recording, n, rng=None):
 
 
 def rerun_cli(*args):
-    return subprocess.run([executable(), *map(str, args)], capture_output=True, text=True, timeout=60)
+    command = [executable(), *map(str, args)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=60, env=environment())
 
 
 def read_rrd(path):

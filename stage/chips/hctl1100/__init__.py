@@ -51,7 +51,8 @@ class HCTL1100(Chip):
     @classmethod
     def register_cycles(cls, name: str, value: int, axis: int = 0) -> list[tuple[int, int]]:
         """To its address; a number of several bytes, see `maps.NUMBERS`, by its name, in the order that it asks for."""
-        if name in NUMBERS:
+        cls._check_axis(axis)
+        if isinstance(name, str) and name in NUMBERS:
             addresses = NUMBERS[name].addresses
             return [(a, value >> 8 * (len(addresses) - 1 - k) & 0xFF) for k, a in enumerate(addresses)]
         return [(cls.MAP.register(name).number, value)]

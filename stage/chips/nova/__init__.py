@@ -106,6 +106,7 @@ class Nova(Chip):
     def register_cycles(cls, name: str, value: int, axis: int = 0) -> list[tuple[int, int]]:
         """WR6, WR7 if it has more than 16 bits, and the command that is its number, with the axis' bit where it is an axis' own
         (manual, data writing commands)."""
+        cls._check_axis(axis)
         r = cls.MAP.register(name)
         data = [(6, value & 0xFFFF), (7, value >> 16 & 0xFFFF)]
         select = 1 << axis << 8 if cls.MAP.command(name).axes else 0
@@ -115,6 +116,7 @@ class Nova(Chip):
     def command_cycles(cls, symbol: str, axis: int = 0, datum: int | None = None) -> list[tuple[int, int]]:
         """Data to WR6 and WR7, then the code to WR0 with the axis' bit (axis assignment); WR1 to WR3, an axis' own, after a NOP
         that selects it."""
+        cls._check_axis(axis)
         what, datum = cls.MAP.sent(symbol, datum)
         if isinstance(what, Word):
             cycles = super().command_cycles(symbol, axis, datum)

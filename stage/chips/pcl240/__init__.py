@@ -113,6 +113,7 @@ class PCL240(Chip):
     def register_cycles(cls, name: str, value: int, axis: int = 0) -> list[tuple[int, int]]:
         """Select it, then its bytes, high to low: the silicon has no latch, and so a value that grows in motion is never below the
         old one on the way (data sheet section 4)."""
+        cls._check_axis(axis)
         r = cls.MAP.register(name)
         bytes_ = [(1 + k, value >> 8 * k & 0xFF) for k in reversed(range((r.bits + 7) // 8))]
         return [(0, SELECT | r.number), *bytes_]
