@@ -25,7 +25,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Self
 
-from stage.arguments import told
+from stage.arguments import WrongType, told
 from stage.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -73,7 +73,7 @@ def _whole(name: str, value: int) -> int:
             return number
     except (TypeError, ValueError, OverflowError):
         pass
-    raise ArgumentError(f"{name}={value!r}: a whole number of 64 bits.")
+    raise WrongType(f"{name}={value!r}: a whole number of 64 bits.")
 
 
 def _ns(name: str, seconds: float) -> int:
@@ -81,7 +81,7 @@ def _ns(name: str, seconds: float) -> int:
     try:
         return _whole(name, round(seconds * 1e9))
     except (TypeError, ValueError, OverflowError):
-        raise ArgumentError(f"{name}={seconds!r}: a number of seconds.") from None
+        raise WrongType(f"{name}={seconds!r}: a number of seconds.") from None
 
 
 class Program(Operations):
