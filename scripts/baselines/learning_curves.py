@@ -128,7 +128,16 @@ def spread(values: np.ndarray, of: Any = iqm) -> str:
 
 def table(found: dict[str, dict[str, dict[str, list[dict]]]]) -> str:
     """Markdown: what learners with test episodes reach at each point of their curves, and those who do not learn."""
-    heads = ("task", "player", "runs", "tries a run", "s of a processor", "IQM (95 %)", "mean (95 %)", "success")
+    heads = (
+        "task",
+        "player",
+        "runs",
+        "tries a run, without proofs",
+        "s of a processor",
+        "IQM (95 %)",
+        "mean (95 %)",
+        "success",
+    )
     lines: list[tuple] = [heads, ("---",) * len(heads)]
     for task in (t for t in PANELS if t in found and t != "bus"):
         for player, runs in found[task].items():
@@ -165,7 +174,7 @@ def panel(ax: Any, task: str, players: dict[str, dict[str, list[dict]]]) -> None
         ax.axhline(iqm(scores["return"]), color=pictures.MUTED, lw=1.2, ls=OTHERS[name], label=name)
     pictures.title(ax, PANELS[task])
     what = "solved, of 64 machines" if task == "bus" else "return, IQM of test episodes"
-    ax.set_xlabel("macros of learning" if task == "bus" else "moves of learning", fontsize=8)
+    ax.set_xlabel("macros of learning" if task == "bus" else "tries of learning", fontsize=8)
     ax.set_ylabel(what, fontsize=8)
     pictures.bare(ax)
     ax.legend(frameon=False, fontsize=7.5, loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=3)
